@@ -1,0 +1,1 @@
+"""Where do simulation and measurement disagree, and what is missing from the model?"""

@@ -1,0 +1,165 @@
+"""What an effect is: a few parameters and the laws it bends.
+
+A law is a number of the base model (a restitution, a friction coefficient, a force) at one instant. An effect
+overrides a law by defining a method of that name, which takes the value so far, then whatever it needs to know of
+that instant, by name, and returns the bent value::
+
+    def friction(self, mu, slip_speed):
+        return mu * (1 + self.rise * np.exp(-slip_speed / self.slip))
+
+`LAWS` lists the laws and what each may ask for. Several effects on one law are applied in the order of their names.
+"""
+
+from __future__ import annotations
+
+import importlib
+import inspect
+import math
+import pkgutil
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass, field, fields
+from functools import cache
+from types import ModuleType
+from typing import Any, ClassVar
+
+LAWS: dict[str, tuple[str, ...]] = {
+    # impact, once a collision
+    "restitution": ("normal_speed",),  # m/s, of approach along n
+    "spin_transfer": ("contact_speed",),  # m/s, of one touching surface over the other, |u_t|
+    # sliding: mu; the load on the plate over the mass (m/s^2)
+    "friction": (
+        "slip_speed",
+        "slip",
+        "position",
+        "velocity",
+        "spin",
+    ),  # slip: unit vector of the contact velocity
+    "normal_load": ("position", "velocity", "gravity"),
+    # rolling loss, m/s^2 against the motion
+    "rolling": ("speed", "position"),
+    # force over mass on the centre, m/s^2, shape (2,)
+    "push": ("position", "velocity", "gravity"),
+}
+
+
+def parameter(
+    unit: str,
+    *,
+    scale: float,
+    low: float = -math.inf,
+    high: float = math.inf,
+    fixed: bool = False,
+    default: float | None = None,
+) -> Any:
+    """Declare a parameter of an effect.
+
+    unit: SI, "1" for a pure number. scale: a realistic size. low, high: limits, inclusive.
+    fixed: a shape, which means nothing while the strengths are zero; it is scanned, not fitted, and defaults to
+    `scale`. All others are strengths: the effect is absent when every one of them is zero, their default.
+    """
+    value = default if default is not None else (scale if fixed else 0.0)
+    return field(default=value, metadata={"unit": unit, "scale": scale, "low": low, "high": high, "fixed": fixed})
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One parameter of an effect, as declared."""
+
+    name: str
+    unit: str
+    scale: float
+    low: float
+    high: float
+    fixed: bool
+    default: float
+
+
+@dataclass(frozen=True)
+class Effect:
+    """Base of all effects. A subclass holds parameters and the laws it bends, and lives in a file of its own name."""
+
+    laws: ClassVar[dict[str, tuple[str, ...]]] = {}
+
+    def __init_subclass__(cls) -> None:
+        super().__init_subclass__()
+        cls.laws = {}
+        for name, member in vars(cls).items():
+            if name.startswith("_") or not inspect.isfunction(member):
+                continue
+            if name not in LAWS:
+                raise TypeError(f"{cls.__name__}.{name}: no such law; there are {', '.join(LAWS)}")
+            asks = tuple(inspect.signature(member).parameters)[2:]
+            unknown = [a for a in asks if a not in LAWS[name]]
+            if unknown:
+                raise TypeError(
+                    f"{cls.__name__}.{name} asks for {', '.join(unknown)}; {name} may ask for {', '.join(LAWS[name])}"
+                )
+            cls.laws[name] = asks
+
+    def __post_init__(self) -> None:
+        for p in self.parameters():
+            value = getattr(self, p.name)
+            if not (math.isfinite(value) and p.low <= value <= p.high):
+                raise ValueError(
+                    f"{self.name()}.{p.name} = {value:g}: expected a number from {p.low:g} to {p.high:g} {p.unit}"
+                )
+
+    @classmethod
+    def name(cls) -> str:
+        """Its name in YAML: the name of its file."""
+        return cls.__module__.rpartition(".")[2]
+
+    @classmethod
+    def parameters(cls) -> tuple[Parameter, ...]:
+        """Its parameters in the order of declaration."""
+        return tuple(Parameter(name=f.name, default=f.default, **f.metadata) for f in fields(cls))  # type: ignore[arg-type]
+
+    @classmethod
+    def strengths(cls) -> tuple[Parameter, ...]:
+        """The parameters that are zero when the effect is absent."""
+        return tuple(p for p in cls.parameters() if not p.fixed)
+
+    @property
+    def active(self) -> bool:
+        """False when every strength is exactly zero: the effect is then left out, bit for bit."""
+        return any(getattr(self, p.name) != 0.0 for p in self.strengths())
+
+
+class Laws:
+    """The laws of a model with its active effects applied; one callable attribute for each law."""
+
+    def __init__(self, effects: Iterable[Effect]) -> None:
+        active = sorted((e for e in effects if e.active), key=lambda e: e.name())
+        self._bends: dict[str, list[tuple[Callable[..., Any], tuple[str, ...]]]] = {law: [] for law in LAWS}
+        for effect in active:
+            for law, asks in effect.laws.items():
+                self._bends[law].append((getattr(effect, law), asks))
+
+    def bent(self, *laws: str) -> bool:
+        """True when an active effect bends any of these laws."""
+        return any(self._bends[law] for law in laws)
+
+    def __call__(self, law: str, value: Any, instant: Mapping[str, Any]) -> Any:
+        """`value` after every effect on `law`; `instant` maps the names in LAWS[law] to what they are now."""
+        for bend, asks in self._bends[law]:
+            value = bend(value, *[instant[a] for a in asks])
+        return value
+
+
+def effects_in(package: ModuleType) -> Iterator[type[Effect]]:
+    """The effects of a package: each of its modules holds one subclass of Effect."""
+    for info in sorted(pkgutil.iter_modules(package.__path__), key=lambda i: i.name):
+        module = importlib.import_module(f"{package.__name__}.{info.name}")
+        own = [c for c in vars(module).values() if inspect.isclass(c) and issubclass(c, Effect)]
+        own = [c for c in own if c.__module__ == module.__name__]
+        if len(own) != 1:
+            raise TypeError(f"{module.__name__}: expected one effect in the file, found {len(own)}")
+        yield own[0]
+
+
+@cache
+def library() -> dict[str, type[Effect]]:
+    """Every effect found in the folder `effects`, by name."""
+    from synthcam import effects
+
+    return {e.name(): e for e in effects_in(effects)}

@@ -1,0 +1,1 @@
+"""The library: one file, one effect. Found by scanning this folder."""

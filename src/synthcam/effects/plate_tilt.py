@@ -1,0 +1,24 @@
+"""A plate that is not level."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from synthcam.effect import Effect, parameter
+
+
+@dataclass(frozen=True)
+class PlateTilt(Effect):
+    """g sin(x), g sin(y) along the plate: in full on a sliding ball, 5/7 of it on a rolling one.
+
+    x, y: slopes, positive where the plate falls towards +x, +y. A ball at rest is held by the rolling loss while
+    (5/7) g sin(tilt) stays under `rolling_decel`. The load's loss, 1 - cos(tilt), 5e-7 at 1 mrad, is left out.
+    """
+
+    x: float = parameter("rad", scale=1e-3, low=-0.1, high=0.1)
+    y: float = parameter("rad", scale=1e-3, low=-0.1, high=0.1)
+
+    def push(self, acceleration: Any, gravity: float) -> NDArray[np.float64]:
+        return np.asarray(acceleration + gravity * np.sin([self.x, self.y]))

@@ -1,0 +1,16 @@
+"""A rolling loss that grows with the square of the speed."""
+
+from dataclasses import dataclass
+from typing import Any
+
+from synthcam.effect import Effect, parameter
+
+
+@dataclass(frozen=True)
+class RollingQuadratic(Effect):
+    """a = -(drag v + decel + K v^2) while rolling; nothing while sliding, which tells it from the drag of air."""
+
+    K: float = parameter("1/m", scale=0.1, low=-1, high=10)
+
+    def rolling(self, loss: Any, speed: Any) -> Any:
+        return loss + self.K * speed**2

@@ -1,0 +1,165 @@
+"""The model: a ball, the numbers of the base model, the effects on top; YAML <-> object."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from functools import cache, cached_property
+from pathlib import Path
+from typing import Annotated, Any
+
+import yaml
+from pydantic import Field, ValidationError, create_model
+
+from synthcam.effect import Effect, Laws, library
+from synthcam.settings import Fraction, InputError, NotNegative, Positive, Settings, one_line, read_yaml
+
+
+class BallSettings(Settings):
+    """`ball:` the paper's steel ball."""
+
+    diameter: Positive = 2.38e-3
+    density: Positive = 7800.0
+
+
+class ModelSettings(Settings):
+    """`model:` the paper's numbers."""
+
+    gravity: Positive = 9.81
+    restitution: Fraction = 0.903
+    sliding_friction: Positive = 0.232
+    spin_transfer: Fraction = 0.347
+    rolling_drag: NotNegative = 0.135
+    rolling_decel: NotNegative = 0.0103
+
+
+@cache
+def effect_settings() -> type[Settings]:
+    """`effects:` a key for each effect of the library, its parameters below it."""
+    kinds: dict[str, Any] = {}
+    for name, effect in library().items():
+        numbers: dict[str, Any] = {}
+        for p in effect.parameters():
+            limits: Any = {k: v for k, v in (("ge", p.low), ("le", p.high)) if math.isfinite(v)}
+            numbers[p.name] = (Annotated[float, Field(**limits, description=f"{p.unit}")], p.default)
+        settings = create_model(f"{effect.__name__}Settings", __base__=Settings, **numbers)
+        kinds[name] = (settings | None, None)
+    return create_model("EffectSettings", __base__=Settings, __doc__="`effects:` the library.", **kinds)
+
+
+@dataclass(frozen=True)
+class Ball:
+    """A solid sphere. diameter in m, density in kg/m^3."""
+
+    diameter: float = 2.38e-3
+    density: float = 7800.0
+
+    @property
+    def radius(self) -> float:
+        return self.diameter / 2
+
+    @property
+    def mass(self) -> float:
+        return self.density * math.pi * self.diameter**3 / 6
+
+
+@dataclass(frozen=True)
+class Model:
+    """Everything that decides how balls move. `free` names what a fit may change ("restitution", "plate_tilt.x")."""
+
+    ball: Ball = field(default_factory=Ball)
+    gravity: float = 9.81
+    restitution: float = 0.903
+    sliding_friction: float = 0.232
+    spin_transfer: float = 0.347
+    rolling_drag: float = 0.135
+    rolling_decel: float = 0.0103
+    effects: tuple[Effect, ...] = ()
+    free: tuple[str, ...] = ()
+
+    @cached_property
+    def laws(self) -> Laws:
+        """The laws with the active effects applied."""
+        return Laws(self.effects)
+
+    def value(self, name: str) -> float:
+        """A parameter by its dotted name: "restitution" or "plate_tilt.x" (0 or its default when absent)."""
+        effect, dot, parameter = name.rpartition(".")
+        if not dot:
+            return float(getattr(self, name))
+        present = next((e for e in self.effects if e.name() == effect), None) or library()[effect]()
+        return float(getattr(present, parameter))
+
+    def replace(self, values: Mapping[str, float]) -> Model:
+        """A copy with parameters changed by dotted name; an effect not yet there is added."""
+        base = {k: v for k, v in values.items() if "." not in k}
+        effects = {e.name(): e for e in self.effects}
+        for name, value in values.items():
+            effect, dot, parameter = name.rpartition(".")
+            if dot:
+                here = effects.get(effect) or library()[effect]()
+                effects[effect] = dataclasses.replace(here, **{parameter: value})
+        return dataclasses.replace(self, effects=tuple(effects.values()), **base)  # type: ignore[arg-type]
+
+
+BASE = tuple(ModelSettings.model_fields)
+
+
+def build(settings: Mapping[str, Any], free: tuple[str, ...] = ()) -> Model:
+    """The model of checked plain settings with the keys ball, model and effects."""
+    effects = tuple(
+        library()[name](**values) for name, values in (settings.get("effects") or {}).items() if values is not None
+    )
+    return Model(ball=Ball(**settings["ball"]), effects=effects, free=free, **settings["model"])
+
+
+def settings_of(model: Model) -> dict[str, Any]:
+    """The inverse of `build`: plain ball, model, effects (and free, when there is any)."""
+    plain: dict[str, Any] = {
+        "ball": dataclasses.asdict(model.ball),
+        "model": {k: getattr(model, k) for k in BASE},
+        "effects": {e.name(): dataclasses.asdict(e) for e in model.effects},
+    }
+    return plain | ({"free": list(model.free)} if model.free else {})
+
+
+@cache
+def model_file() -> type[Settings]:
+    """What a model file may hold: a scene's ball, model and effects, and `free`."""
+    return create_model(
+        "ModelFile",
+        __base__=Settings,
+        ball=(BallSettings, BallSettings()),
+        model=(ModelSettings, ModelSettings()),
+        effects=(effect_settings(), effect_settings()()),
+        free=(list[str], []),
+    )
+
+
+def check_free(names: Iterable[str], where: str) -> tuple[str, ...]:
+    """The names as a tuple; InputError when one is no parameter of the model or of an effect."""
+    known = {*BASE, *(f"{n}.{p.name}" for n, e in library().items() for p in e.parameters())}
+    for name in names:
+        if name not in known:
+            raise InputError(f"{where}: free: {name} is no parameter; there are {', '.join(sorted(known))}")
+    return tuple(names)
+
+
+def read_model(path: Path) -> Model:
+    """Read a model file. A scene's other keys are ignored: a scene whose physics are numbers is a model too.
+
+    Raises InputError.
+    """
+    loaded = {k: v for k, v in read_yaml(path).items() if k in ("ball", "model", "effects", "free")}
+    try:
+        plain = model_file().model_validate(loaded).model_dump()
+    except ValidationError as e:
+        raise one_line(e, str(path)) from None
+    return build(plain, check_free(plain["free"], str(path)))
+
+
+def write_model(model: Model, path: Path) -> None:
+    """Write a model file that `read_model` gives back and `synthcam generate` takes."""
+    path.write_text(yaml.safe_dump(settings_of(model), sort_keys=False), encoding="utf-8")

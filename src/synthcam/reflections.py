@@ -1,0 +1,165 @@
+"""Where a small lamp is seen in a chain of mirror spheres: Fermat's principle, solved by Newton in float64.
+
+The length of a broken line lamp -> ball -> ... -> ball -> eye is a convex function of its corners, and its
+least value over solid balls has every corner on a surface, reflecting outwards, or none at all. So each order
+of balls has at most one path, and Newton on the spheres finds it.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+# A chain's glint is dropped once it falls under 1e-4 of the primary: the widest pair of a chain of
+# 2, 3, 4 balls, in mean radii between centres (measured for a lamp and an eye overhead).
+REACH = {2: 40.0, 3: 6.0, 4: 3.0}
+
+
+@dataclass(frozen=True)
+class Paths:
+    """Reflected paths of one order k.
+
+    points: (M, k, 3) reflection points, lamp side first, m.
+    transfer: (M, 3, 3) derivative of the last point by the lamp's place.
+    cosines: (M, k) cosine of the angle of incidence at each point.
+    exists: (M,) False where the straight line runs through a ball and nothing is reflected.
+    """
+
+    points: Array
+    transfer: Array
+    cosines: Array
+    exists: NDArray[np.bool_]
+
+
+def reflect(lamp: Array, eye: Array, centres: Array, radii: Array) -> Paths:
+    """Path from lamp (3,) by the spheres centres (M, k, 3), radii (M, k), in that order, to eye (3,); m."""
+    count, order = centres.shape[:2]
+    normals = _first_guess(lamp, eye, centres)
+    ends = np.empty((count, order + 2, 3))
+    ends[:, 0], ends[:, -1] = lamp, eye
+    step = np.full((count, order, 2), np.inf)
+    for _ in range(40):
+        ends[:, 1:-1] = centres + radii[..., None] * normals
+        tangents = _tangents(normals)
+        slope, curvature, pressure, first = _expand(ends, normals, tangents, radii)
+        # After a step this small the next is rounding. A settled path is left alone: its last bit is then
+        # the same in any company.
+        moving = np.abs(step).max(axis=(1, 2)) > 1e-10
+        if not moving.any():
+            break
+        step = np.linalg.solve(curvature, -slope[..., None]).reshape(count, order, 2) / radii[..., None]
+        step *= np.minimum(1, 0.4 / np.maximum(np.abs(step).max(axis=(1, 2), keepdims=True), 1e-30))
+        step *= moving[:, None, None]
+        moved = normals + (tangents @ step[..., None])[..., 0]
+        moved /= np.linalg.norm(moved, axis=2, keepdims=True)
+        normals = np.where(moving[:, None, None], moved, normals)
+    # Only the first corner feels the lamp: H dq + (dslope/dlamp) dlamp = 0.
+    push = np.zeros((count, 2 * order, 3))
+    push[:, :2] = first
+    moves = -np.linalg.solve(curvature, push)
+    transfer = tangents[:, -1] @ moves[:, -2:]
+    settled = np.abs(step).max(axis=(1, 2)) < 1e-6
+    return Paths(ends[:, 1:-1], transfer, pressure / 2, settled & (pressure > 1e-6).all(axis=1))
+
+
+def _first_guess(lamp: Array, eye: Array, centres: Array) -> Array:
+    """Normals (M, k, 3) half-way between the directions to the centres before and after."""
+    count, order = centres.shape[:2]
+    chain = np.empty((count, order + 2, 3))
+    chain[:, 0], chain[:, 1:-1], chain[:, -1] = lamp, centres, eye
+    legs = np.diff(chain, axis=1)
+    legs /= np.linalg.norm(legs, axis=2, keepdims=True)
+    normals = legs[:, 1:] - legs[:, :-1]
+    # A chain that turns back and forth rises out of its line towards lamp and eye.
+    normals += 0.2 * (legs[:, -1:] - legs[:, :1])
+    normals += [3e-9, 5e-9, 8e-9]  # a line straight through a centre has no half-way direction
+    return np.asarray(normals / np.linalg.norm(normals, axis=2, keepdims=True))
+
+
+def _tangents(normals: Array) -> Array:
+    """Two unit vectors across each normal: (..., 3) -> (..., 3, 2). Duff et al. 2017, JCGT 6(1)."""
+    x, y, z = np.moveaxis(normals, -1, 0)
+    sign = np.where(z < 0, -1.0, 1.0)
+    a = -1 / (sign + z)
+    b = x * y * a
+    first = np.stack([1 + sign * x * x * a, sign * b, -sign * x], axis=-1)
+    second = np.stack([b, sign + y * y * a, -y], axis=-1)
+    return np.stack([first, second], axis=-1)
+
+
+def _expand(ends: Array, normals: Array, tangents: Array, radii: Array) -> tuple[Array, Array, Array, Array]:
+    """Length of the broken line to second order in tangential moves of its corners.
+
+    Returns the slope (M, 2k), the curvature (M, 2k, 2k), the pressure n . (u_before + u_after) (M, k) and the
+    derivative of the first corner's slope by the lamp's place (M, 2, 3).
+    """
+    count, order = normals.shape[:2]
+    legs = np.diff(ends, axis=1)
+    lengths = np.linalg.norm(legs, axis=2)
+    units = legs / lengths[..., None]
+    across = (np.eye(3) - units[..., :, None] * units[..., None, :]) / lengths[..., None, None]
+    pull = units[:, :-1] - units[:, 1:]
+    turned = np.swapaxes(tangents, -1, -2)
+    slope = (turned @ pull[..., None])[..., 0].reshape(count, 2 * order)
+    pressure = -np.einsum("mkc,mkc->mk", normals, pull)
+    curvature = np.zeros((count, 2 * order, 2 * order))
+    for k in range(order):
+        here = slice(2 * k, 2 * k + 2)
+        bend = turned[:, k] @ (across[:, k] + across[:, k + 1]) @ tangents[:, k]
+        # Off the plane of contact the sphere falls away; the floor keeps a straight-through line solvable.
+        bend += (np.maximum(pressure[:, k], 1e-3) / radii[:, k])[:, None, None] * np.eye(2)
+        curvature[:, here, here] = bend
+        if k + 1 < order:
+            there = slice(2 * k + 2, 2 * k + 4)
+            cross = -turned[:, k] @ across[:, k + 1] @ tangents[:, k + 1]
+            curvature[:, here, there] = cross
+            curvature[:, there, here] = np.swapaxes(cross, 1, 2)
+    return slope, curvature, pressure, -turned[:, 0] @ across[:, 0]
+
+
+def hidden(
+    lamp: Array, eye: Array, paths: Paths, chain: tuple[int, ...], centres: Array, radii: Array
+) -> NDArray[np.bool_]:
+    """Whether a third ball stands in the way, (M,): centres (M, N, 3), radii (N,), chain the path's balls."""
+    count = len(paths.points)
+    ends = np.empty((count, len(chain) + 2, 3))
+    ends[:, 0], ends[:, 1:-1], ends[:, -1] = lamp, paths.points, eye
+    blocked = np.zeros(count, bool)
+    touching = [{chain[0]}, *({a, b} for a, b in pairwise(chain)), {chain[-1]}]
+    for leg, own in enumerate(touching):
+        start, way = ends[:, leg], ends[:, leg + 1] - ends[:, leg]
+        for ball in range(len(radii)):
+            if ball in own:
+                continue
+            offset = centres[:, ball] - start
+            along = np.clip((offset * way).sum(1) / (way * way).sum(1), 0, 1)
+            blocked |= np.linalg.norm(offset - along[:, None] * way, axis=1) < radii[ball]
+    return blocked
+
+
+def chains(centres: Array, radii: Array) -> Iterator[tuple[tuple[int, ...], NDArray[np.bool_]]]:
+    """Chains of 1 to 4 balls worth following, and when, (T,): for centres (T, N, 3), radii (N,)."""
+    times, balls = centres.shape[:2]
+    gaps = np.linalg.norm(centres[:, :, None] - centres[:, None], axis=-1)
+    gaps /= (radii[:, None] + radii) / 2
+    gaps[:, np.arange(balls), np.arange(balls)] = np.inf
+    growing: list[tuple[tuple[int, ...], NDArray[np.bool_], Array]]
+    growing = [((ball,), np.ones(times, bool), np.zeros(times)) for ball in range(balls)]
+    for order in range(1, 5):
+        for chain, mask, _ in growing:
+            yield chain, mask
+        if order == 4:
+            return
+        longer: list[tuple[tuple[int, ...], NDArray[np.bool_], Array]] = []
+        for chain, _, widest in growing:
+            for ball in range(balls):
+                if ball != chain[-1]:
+                    widened = np.maximum(widest, gaps[:, chain[-1], ball])
+                    mask = widened < REACH[order + 1]
+                    if mask.any():
+                        longer.append(((*chain, ball), mask, widened))
+        growing = longer

@@ -1,0 +1,88 @@
+"""Reading YAML: safely, strictly, and with one clear line when it is wrong."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Annotated, Any
+
+import yaml
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+
+class InputError(ValueError):
+    """Bad input: one line that names the file, the key, and what was expected."""
+
+
+class Settings(BaseModel):
+    """Base of everything read from YAML: unknown keys refused, numbers finite, nothing coerced from text."""
+
+    model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False, frozen=True)
+
+
+Positive = Annotated[float, Field(gt=0)]
+NotNegative = Annotated[float, Field(ge=0)]
+Fraction = Annotated[float, Field(ge=0, le=1)]
+
+
+def read_yaml(path: Path) -> dict[str, Any]:
+    """A YAML file's mapping, safely loaded. Raises InputError."""
+    try:
+        text = path.read_text(encoding="utf-8")
+    except FileNotFoundError:
+        raise InputError(f"{path}: no such file") from None
+    except (OSError, UnicodeDecodeError) as e:
+        raise InputError(f"{path}: cannot be read as text ({e.__class__.__name__})") from None
+    try:
+        loaded = parse_yaml(text)
+    except yaml.YAMLError as e:
+        mark = getattr(e, "problem_mark", None)
+        where = f", line {mark.line + 1}" if mark else ""
+        raise InputError(f"{path}{where}: not plain YAML ({getattr(e, 'problem', None) or 'unreadable'})") from None
+    except RecursionError:
+        raise InputError(f"{path}: nested too deeply") from None
+    if loaded is None:
+        return {}
+    if not isinstance(loaded, dict):
+        raise InputError(f"{path}: expected keys and values, found {type(loaded).__name__}")
+    return loaded
+
+
+def parse_yaml(text: str) -> Any:
+    """Plain YAML, safely: no tags, no aliases, no key twice."""
+    return yaml.load(text, Loader=_Loader)
+
+
+class _Loader(yaml.SafeLoader):
+    """SafeLoader that refuses a key given twice and reads 1e-3 as a number (YAML 1.1 wants 1.0e-3)."""
+
+    def construct_mapping(self, node: Any, deep: bool = False) -> dict[Any, Any]:
+        keys = [k for k, _ in node.value if isinstance(k, yaml.ScalarNode)]
+        for i, key in enumerate(keys):
+            if any(key.value == k.value for k in keys[:i]):
+                raise yaml.MarkedYAMLError(problem=f"key {key.value} given twice", problem_mark=key.start_mark)
+        return super().construct_mapping(node, deep)
+
+    def compose_node(self, parent: Any, index: Any) -> Any:
+        if self.check_event(yaml.AliasEvent):
+            raise yaml.MarkedYAMLError(problem="aliases are not taken", problem_mark=self.get_mark())
+        return super().compose_node(parent, index)
+
+
+def _number(loader: Any, node: Any) -> float:
+    return float(node.value)
+
+
+_Loader.add_implicit_resolver("!number", re.compile(r"^[-+]?[0-9]+(\.[0-9]*)?[eE][-+]?[0-9]+$"), list("-+0123456789"))
+_Loader.add_constructor("!number", _number)
+
+
+def one_line(error: ValidationError, where: str) -> InputError:
+    """The first complaint of pydantic as one line: file, dotted key, what was expected."""
+    first = error.errors()[0]
+    key = ".".join(str(p) for p in first["loc"])
+    if first["type"] == "extra_forbidden":
+        return InputError(f"{where}: {key}: unknown key")
+    found = repr(first["input"])
+    found = found if len(found) < 60 else found[:57] + "..."
+    return InputError(f"{where}: {key}: {first['msg'][0].lower()}{first['msg'][1:]}, found {found}")

@@ -1,0 +1,19 @@
+#version 330 core
+// One quad an instance. The instance matrix is no pose: its columns carry what the fragment shader needs.
+layout(location = 0) in vec3 corner;
+layout(location = INST_M_LOC) in mat4 job;
+
+uniform vec2 atlas;       // size of the buffer, samples
+
+flat out vec4 place;      // tile's corner in the buffer, centre in the tile; samples
+flat out vec4 lens;       // columns of the map from samples to ball radii, in the plane through the centre
+flat out vec4 eye;        // camera from the centre, radii, camera axes; weight
+flat out vec4 rest;       // number of neighbours (-1: this is the plate), half extent, row, plate's radiance
+
+void main() {
+    place = job[0];
+    lens = job[1];
+    eye = job[2];
+    rest = job[3];
+    gl_Position = vec4(2.0 * (place.xy + place.zw + corner.xy * rest.y) / atlas - 1.0, 0.0, 1.0);
+}

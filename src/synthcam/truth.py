@@ -1,0 +1,130 @@
+"""What really happened, in the contract's terms: scalars of a collision, tracks in the image, events."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from numpy.polynomial.legendre import leggauss
+
+from synthcam.launch import Launch
+from synthcam.model import Model
+from synthcam.optics import Camera, Lamp, glint_px
+from synthcam.trajectory import Array, Trajectory, rolling_velocity
+
+NAN = float("nan")
+COLLISION = (
+    "v0 b t_c r s mu_k C drag decel tau1 tau2 v1f v2f energy_fraction momentum_fraction final_angle w1n w1t w2n w2t"
+).split()
+
+
+def scalars(model: Model, launch: Launch, motion: Trajectory) -> dict[str, float]:
+    """The scalars of `truth/clips.parquet`, SI; NaN where there is no collision to speak of."""
+    row = dict.fromkeys(COLLISION, NAN)
+    row |= {"mu_k": model.sliding_friction, "drag": model.rolling_drag, "decel": model.rolling_decel}
+    hit = motion.first("contact")
+    if hit is None or hit.before is None or hit.after is None:
+        speeds = np.hypot(launch.states[:, 3], launch.states[:, 4])
+        return row | {"v0": float(speeds.max())}
+    n = np.array(hit.n)
+    t = np.array([-n[1], n[0]])
+    before, after = hit.before[:, 3:5], hit.after[:, 3:5]
+    approach, parting = before[1] - before[0], after[1] - after[0]
+    v0 = float(np.hypot(*approach))
+    d = approach / v0
+    b = float(d[1] * n[0] - d[0] * n[1])  # z . [d x (x2 - x1)] / 2R with x2 - x1 = -2R n
+    across = float(approach @ t)
+    row |= {
+        "v0": v0,
+        "b": b,
+        "t_c": hit.t,
+        "r": float(-(parting @ n) / (approach @ n)),
+        "s": float(parting @ t) / across if abs(across) > 1e-12 * v0 else NAN,
+        "C": _spin_transfer(model, hit.before, hit.after, n),
+        **{f"w{k + 1}{axis}": float(hit.after[k, 6:8] @ e) for k in (0, 1) for axis, e in (("n", n), ("t", t))},
+    }
+    finals = np.empty((2, 2))
+    for k, ball in enumerate((hit.i, hit.j)):
+        end = motion.first("slide_end", ball, hit.t)
+        row[f"tau{k + 1}"] = end.t - hit.t if end else 0.0
+        finals[k] = rolling_velocity(hit.after[k], model.ball.radius) if not end else end.after[0, 3:5]  # type: ignore[index]
+        row[f"v{k + 1}f"] = float(np.hypot(*finals[k]))
+    total = before.sum(axis=0)
+    row["energy_fraction"] = float((finals**2).sum() / (before**2).sum())
+    row["momentum_fraction"] = float(finals.sum(axis=0) @ total / (total @ total))
+    cross = float(finals[0, 0] * finals[1, 1] - finals[0, 1] * finals[1, 0])
+    row["final_angle"] = float(abs(np.arctan2(cross, (finals[0] * finals[1]).sum())))
+    return row
+
+
+def _spin_transfer(model: Model, before: Array, after: Array, n: Array) -> float:
+    """C from J = (2/5) C |u_t| and R dw = (5/2) n x J/m."""
+    radius, axis = model.ball.radius, np.array([*n, 0.0])
+    approach = before[1, 3:6] - before[0, 3:6]
+    spin = np.cross(before[0, 6:9] + before[1, 6:9], axis)
+    u_t = approach - (approach @ axis) * axis + radius * spin
+    return float(radius * np.linalg.norm(after[0, 6:9] - before[0, 6:9]) / np.linalg.norm(u_t))
+
+
+def exposures(camera: Camera, frames: int) -> Array:
+    """Start and end of each frame's exposure, s: (frames, 2)."""
+    starts = np.arange(frames) / camera.fps
+    return np.stack([starts, starts + camera.exposure], axis=1)
+
+
+def tracks(model: Model, motion: Trajectory, camera: Camera, lamp: Lamp, frames: int) -> pd.DataFrame:
+    """The table of `truth/tracks.parquet`: a row for each ball and frame, at mid-exposure, with the exposure's mean."""
+    spans = exposures(camera, frames)
+    middle = spans.mean(axis=1)
+    states, kinds = motion.at(middle), motion.motion(middle)
+    means = _mean_px(motion, camera, spans)
+    radius, tables = model.ball.radius, []
+    for ball in range(len(states)):
+        state = states[ball]
+        px, glint = camera.project(state[:, :3]), glint_px(camera, lamp, state[:, :3], radius)
+        columns: dict[str, Any] = {"frame": np.arange(frames), "t_s": middle, "particle": ball}
+        columns |= {"x_px": px[:, 0], "y_px": px[:, 1], "glint_x_px": glint[:, 0], "glint_y_px": glint[:, 1]}
+        columns |= dict(zip("x y z vx vy vz wx wy wz".split(), state.T, strict=True))
+        columns |= {"x_mean_px": means[ball, :, 0], "y_mean_px": means[ball, :, 1]}
+        columns |= {"state": kinds[ball], "visible": _whole(camera, state[:, :3], radius)}
+        tables.append(pd.DataFrame(columns))
+    return pd.concat(tables, ignore_index=True)
+
+
+def _mean_px(motion: Trajectory, camera: Camera, spans: Array) -> Array:
+    """Projected centres averaged over each exposure, (balls, frames, 2): Gauss quadrature between events."""
+    nodes, weights = leggauss(6)
+    breaks = np.array([e.t for e in motion.events])
+    out = np.empty((len(motion.legs), len(spans), 2))
+    plain = np.array([not np.any((breaks > a) & (breaks < b)) for a, b in spans])
+    times = spans[plain].mean(axis=1)[:, None] + np.diff(spans[plain]) / 2 * nodes
+    seen = camera.project(motion.at(times.ravel())[:, :, :3])
+    out[:, plain] = (seen.reshape(len(out), -1, len(nodes), 2) * weights[:, None] / 2).sum(axis=2)
+    for k in np.flatnonzero(~plain):
+        a, b = spans[k]
+        cuts = np.concatenate([[a], breaks[(breaks > a) & (breaks < b)], [b]])
+        times = (cuts[:-1] + cuts[1:])[:, None] / 2 + np.diff(cuts)[:, None] / 2 * nodes
+        share = (np.diff(cuts)[:, None] * weights / 2 / (b - a)).ravel()
+        out[:, k] = (camera.project(motion.at(times.ravel())[:, :, :3]) * share[:, None]).sum(axis=1)
+    return out
+
+
+def _whole(camera: Camera, centres: Array, radius: float) -> Any:
+    """True where the ball's whole outline lies in the picture: (n,)."""
+    angles = np.linspace(0, 2 * np.pi, 16, endpoint=False)
+    ring = radius * np.stack([np.cos(angles), np.sin(angles), 0 * angles], axis=1)
+    px = camera.project(centres[:, None] + ring)
+    width, height = camera.size
+    inside = (px > -0.5) & (px < np.array([width, height]) - 0.5)
+    return inside.all(axis=(1, 2))
+
+
+def events(model: Model, motion: Trajectory, fps: float) -> pd.DataFrame:
+    """The table of `truth/events.parquet`; impulses in N s."""
+    mass = model.ball.mass
+    columns = "t_s frame_float kind i j nx ny impulse_n impulse_t".split()
+    rows = [(e.t, e.t * fps, e.kind, e.i, e.j, *e.n, mass * e.impulse_n, mass * e.impulse_t) for e in motion.events]
+    table = pd.DataFrame(rows, columns=columns)
+    kinds = {"kind": "str", "i": "int64", "j": "int64"}
+    return table.astype({c: kinds.get(c, "float64") for c in columns})  # an empty table has its types too

@@ -1,0 +1,405 @@
+"""Camera, lamp and ball: where a point is seen, and how far a glint stands from its ball's centre.
+
+Axes and conventions are those of ``camera.json``: plate at z = 0, ball centres at z = R, pixel centres at
+integers, ``x_cam = R x_world + t`` and lens distortion as OpenCV defines them.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from .lens import Array, distort, mirror_normal, undistort
+
+DEFAULT_DIAMETER = 2.38e-3  # m: Painter & Behringer's balls
+DEFAULT_HEIGHT = 0.5  # m
+LOOKING_DOWN = ((1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, -1.0))
+
+
+class InputError(ValueError):
+    """Something the user gave cannot be used; one line naming file, key and what was expected."""
+
+
+@dataclass(frozen=True)
+class Sensor:
+    """Noise of one pixel in counts (EMVA 1288): shot, read-out, rounding and the fixed patterns.
+
+    ``gain`` e-/count, ``read_noise``, ``dsnu`` and ``full_well`` e-, ``dark`` e-/s, ``prnu`` a fraction,
+    ``black_level`` counts.
+    """
+
+    bits: int = 8
+    gain: float = 20.0
+    read_noise: float = 20.0
+    dark: float = 0.0
+    prnu: float = 0.0
+    dsnu: float = 0.0
+    full_well: float = math.inf
+    black_level: float = 0.0
+
+    def variance(self, mean: Array) -> Array:
+        """Variance, counts^2, of a pixel whose mean is ``mean`` counts (any shape)."""
+        signal = np.maximum(mean - self.black_level, 0.0)
+        floor = (self.read_noise**2 + self.dsnu**2) / self.gain**2 + 1.0 / 12.0
+        return floor + signal / self.gain + (self.prnu * signal) ** 2
+
+    def variance_slope(self, mean: Array) -> Array:
+        """d variance / d mean, counts."""
+        signal = np.maximum(mean - self.black_level, 0.0)
+        return 1.0 / self.gain + 2.0 * self.prnu**2 * signal
+
+    @property
+    def ceiling(self) -> float:
+        """Count from which a pixel says only "at least this".
+
+        The converter's last count, or, where the well fills first, four read-out deviations below the full
+        well: read-out noise spreads a full well, and a limit below that spread is an exact one.
+        """
+        top = 2.0**self.bits - 1.0
+        well = self.black_level + (self.full_well - 4.0 * self.read_noise) / self.gain
+        return math.floor(well) if self.black_level + self.full_well / self.gain < top else top
+
+
+@dataclass(frozen=True)
+class Lamp:
+    """A disc lamp: position of its centre and radius, m."""
+
+    position: tuple[float, float, float]
+    radius: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class Camera:
+    """All that ``camera.json`` tells; ``assumed`` names each key left to a default or an estimate.
+
+    ``metric`` is False where nothing ties pixels to metres (no camera file): then there are only pixels.
+    """
+
+    K: Array
+    dist: Array
+    R: Array
+    t: Array
+    size: tuple[int, int]
+    fps: float
+    exposure: float
+    scale: float
+    ball_diameter: float
+    striker: str = "b"
+    lamp: Lamp | None = None
+    psf_sigma: float | None = None
+    sensor: Sensor = field(default_factory=Sensor)
+    assumed: tuple[str, ...] = ()
+    metric: bool = True
+
+    @property
+    def radius(self) -> float:
+        """Ball radius, m."""
+        return self.ball_diameter / 2.0
+
+    @property
+    def diameter_px(self) -> float:
+        """Ball diameter as seen, px."""
+        return self.ball_diameter / self.scale
+
+    @property
+    def position(self) -> Array:
+        """(3,) the camera's own place in the world, m."""
+        return np.asarray(-self.R.T @ self.t, dtype=np.float64)
+
+    @property
+    def corrects_glint(self) -> bool:
+        """Whether glint -> centre is possible: lamp, ball diameter and camera height all given."""
+        return (
+            self.metric
+            and self.lamp is not None
+            and not {"ball_diameter", "height"} & set(self.assumed)
+            and self.lamp.position[2] > self.ball_diameter
+        )
+
+    @property
+    def lamp_image_radius(self) -> float:
+        """Radius of the lamp's mirror image, px (its disc widens the glint by radius^2 / 4 in variance)."""
+        if self.lamp is None or not self.metric:
+            return 0.0
+        return self.radius / 2.0 * self.lamp.radius / max(self.lamp.position[2], self.radius) / self.scale
+
+    @property
+    def sigma(self) -> float | None:
+        """Gaussian width of a resting glint, px, from optics and lamp image together; None if not known."""
+        if self.psf_sigma is None:
+            return None
+        return math.sqrt(self.psf_sigma**2 + self.lamp_image_radius**2 / 4.0)
+
+    def project(self, points: ArrayLike) -> Array:
+        """World points (..., 3), m -> pixels (..., 2)."""
+        cam = np.asarray(points, dtype=np.float64) @ self.R.T + self.t
+        bent, _ = distort(cam[..., :2] / cam[..., 2:3], self.dist)
+        return bent @ self.K[:2, :2].T + self.K[:2, 2]
+
+    def unproject(self, pixels: ArrayLike, z: float | None = None) -> tuple[Array, Array]:
+        """Pixels (..., 2) -> points of the plane at height z (default: ball centres), m.
+
+        Returns the places (..., 2) and the Jacobians d place / d pixel (..., 2, 2), m/px.
+        """
+        height = self.radius if z is None else z
+        bent = (np.asarray(pixels, dtype=np.float64) - self.K[:2, 2]) @ np.linalg.inv(self.K[:2, :2]).T
+        straight, bend = undistort(bent, self.dist)
+        ray = np.concatenate([straight, np.ones_like(straight[..., :1])], axis=-1) @ self.R
+        reach = (height - self.position[2]) / ray[..., 2:3]
+        place = self.position[:2] + reach * ray[..., :2]
+        # d straight / d place at this depth, from x_cam = R x_world + t
+        depth = reach[..., None]
+        slope = (self.R[:2, :2] - straight[..., :, None] * self.R[2, :2]) / depth
+        return place, np.linalg.inv(self.K[:2, :2] @ bend @ slope)
+
+    def glint_of_centre(self, centres: ArrayLike) -> Array:
+        """Ball centres (n, 2), m -> pixels (n, 2) at which the lamp's centre is mirrored."""
+        if self.lamp is None:
+            raise InputError("camera: lamp is missing, expected its position for the place of a glint")
+        xy = np.asarray(centres, dtype=np.float64)
+        middle = np.concatenate([xy, np.full_like(xy[..., :1], self.radius)], axis=-1)
+        light = np.array(self.lamp.position)
+        return self.project(middle + self.radius * mirror_normal(middle, self.radius, self.position, light))
+
+    def centre_of_glint(self, glints: ArrayLike) -> tuple[Array, Array]:
+        """Glint pixels (n, 2) -> ball-centre pixels (n, 2) and Jacobians d centre / d glint (n, 2, 2).
+
+        Without lamp, diameter or height it returns its input: see ``corrects_glint``.
+        """
+        seen = np.asarray(glints, dtype=np.float64)
+        if not self.corrects_glint or seen.size == 0:
+            return seen.copy(), np.broadcast_to(np.eye(2), (*seen.shape, 2)).copy()
+        centre = self._centre_place(seen)
+        ahead, behind = (
+            [self._centre_pixel(self._centre_place(seen + sign * axis)) for axis in np.eye(2)]
+            for sign in (0.5, -0.5)
+        )
+        jacobian = np.stack([a - b for a, b in zip(ahead, behind, strict=True)], axis=-1)
+        return self._centre_pixel(centre), jacobian
+
+    def _centre_place(self, seen: Array) -> Array:
+        target, _ = self.unproject(seen)
+        place = target
+        for _ in range(12):  # contracts by about R/height, .003, a step
+            miss = target - self.unproject(self.glint_of_centre(place))[0]
+            place = place + miss
+            if np.max(np.abs(miss)) < 1e-14:
+                break
+        return place
+
+    def _centre_pixel(self, place: Array) -> Array:
+        return self.project(np.concatenate([place, np.full_like(place[..., :1], self.radius)], axis=-1))
+
+    @staticmethod
+    def read(path: Path | str) -> Camera:
+        """Camera from a JSON file; InputError names the file and the key at fault."""
+        where = Path(path)
+        try:
+            data = json.loads(where.read_text(encoding="utf-8"))
+        except FileNotFoundError:
+            raise InputError(f"{where}: no such file, expected a camera.json") from None
+        except (OSError, UnicodeDecodeError, json.JSONDecodeError) as error:
+            raise InputError(f"{where}: cannot be read as JSON ({error})") from None
+        return Camera.from_dict(data, str(where))
+
+    @staticmethod
+    def from_dict(data: Any, where: str = "camera") -> Camera:
+        """Camera from the keys of camera.json; unknown keys are ignored."""
+        return _Reader(data, where).camera()
+
+    @staticmethod
+    def unknown(size: tuple[int, int], bits: int) -> Camera:
+        """A camera of which only the pictures are known: lengths in pixels, times in frames."""
+        guess = Camera.from_dict({"scale": 1.6e-4, "size": list(size), "fps": 1.0}, "no camera file")
+        return replace(
+            guess, sensor=replace(guess.sensor, bits=bits), metric=False, assumed=("camera", *guess.assumed)
+        )
+
+    def to_dict(self) -> dict[str, Any]:
+        """The keys of camera.json, and ``assumed``; None for an unknown lamp or PSF is left out."""
+        sensor = {k: v for k, v in vars(self.sensor).items() if math.isfinite(v)}
+        out: dict[str, Any] = {
+            "K": self.K.tolist(), "dist": self.dist.tolist(), "R": self.R.tolist(), "t": self.t.tolist(),
+            "size": list(self.size), "fps": self.fps, "exposure": self.exposure, "scale": self.scale,
+            "ball_diameter": self.ball_diameter, "striker": self.striker, "sensor": sensor,
+            "assumed": list(self.assumed), "metric": self.metric,
+        }  # fmt: skip
+        if self.lamp is not None:
+            out["lamp"] = {"position": list(self.lamp.position), "radius": self.lamp.radius}
+        if self.psf_sigma is not None:
+            out["psf"] = {"sigma_px": self.psf_sigma}
+        return out
+
+
+class _Reader:
+    """Reads the keys of one camera.json, collecting what had to be assumed."""
+
+    def __init__(self, data: Any, where: str) -> None:
+        self.where = where
+        self.assumed: list[str] = []
+        self.data: Mapping[str, Any] = self._table(data, "the file")
+
+    def camera(self) -> Camera:
+        size = self._size()
+        if "fps" not in self.data:
+            raise self._bad("fps", "frames per second, it is missing")
+        fps = self._number(self.data, "fps", low=0.0, open_low=True)
+        if "K" not in self.data and "scale" not in self.data:
+            raise self._bad("K", "the 3x3 camera matrix, or scale in m/px; both are missing")
+        diameter = self._maybe("ball_diameter", DEFAULT_DIAMETER, low=0.0, open_low=True)
+        exposure = self._maybe("exposure", 0.0, low=0.0)
+        if exposure > 1.0 / fps * (1 + 1e-9):
+            raise self._bad("exposure", f"at most one frame time, {1 / fps:g} s")
+        matrix, rotation, shift, scale = self._view(size, diameter)
+        return Camera(
+            K=matrix,
+            dist=self._array("dist", (5,), np.zeros(5)),
+            R=rotation,
+            t=shift,
+            size=size,
+            fps=fps,
+            exposure=exposure,
+            scale=scale,
+            ball_diameter=diameter,
+            striker=self._striker(),
+            lamp=self._lamp(),
+            psf_sigma=self._psf(),
+            sensor=self._sensor(),
+            assumed=tuple(dict.fromkeys([*self.assumed, *map(str, self.data.get("assumed", ()))])),
+            metric=bool(self.data.get("metric", True)),
+        )
+
+    def _view(self, size: tuple[int, int], diameter: float) -> tuple[Array, Array, Array, float]:
+        """K, R, t and scale, whichever of them are given: (height - R) / scale is the focal length in px."""
+        rotation = self._array("R", (3, 3), np.array(LOOKING_DOWN))
+        if np.max(np.abs(rotation @ rotation.T - np.eye(3))) > 1e-6 or np.linalg.det(rotation) < 0:
+            raise self._bad("R", "a rotation matrix")
+        scale = self._number(self.data, "scale", 0.0, open_low=True) if "scale" in self.data else None
+        middle = ((size[0] - 1) / 2, (size[1] - 1) / 2)
+        if "K" in self.data:
+            matrix = self._array("K", (3, 3), np.eye(3))
+            if matrix[0, 0] <= 0 or matrix[1, 1] <= 0 or not np.allclose(matrix[2], (0, 0, 1)):
+                raise self._bad("K", "positive focal lengths and a last row 0, 0, 1")
+            focal = float(matrix[0, 0])
+            height = focal * scale + diameter / 2 if scale is not None else DEFAULT_HEIGHT
+        else:
+            assert scale is not None
+            height = float(self.data["t"][2]) if self._has_shift() else DEFAULT_HEIGHT
+            focal = (height - diameter / 2) / scale
+            matrix = np.array([[focal, 0, middle[0]], [0, focal, middle[1]], [0, 0, 1.0]])
+            self.assumed.append("K")
+        if "t" not in self.data and ("K" not in self.data or scale is None):
+            self.assumed.append("height")
+        shift = self._array("t", (3,), np.array([0.0, 0.0, height]))
+        if scale is None:
+            depth = float((rotation @ np.array([0, 0, diameter / 2]) + shift)[2])
+            if depth <= 0:
+                raise self._bad("t", "a camera that has the plate before it")
+            scale = depth / focal
+            self.assumed.append("scale")
+        return matrix, rotation, shift, scale
+
+    def _has_shift(self) -> bool:
+        return "t" in self.data and self._array("t", (3,), np.zeros(3))[2] > 0
+
+    def _size(self) -> tuple[int, int]:
+        value = self.data.get("size")
+        if not (isinstance(value, list | tuple) and len(value) == 2):
+            raise self._bad("size", "[width, height] in pixels")
+        if not all(isinstance(v, int) and not isinstance(v, bool) and v > 0 for v in value):
+            raise self._bad("size", "two positive whole numbers")
+        return int(value[0]), int(value[1])
+
+    def _striker(self) -> str:
+        value = self.data.get("striker", "b")
+        if value not in ("a", "b"):
+            raise self._bad("striker", '"a" or "b"')
+        return str(value)
+
+    def _lamp(self) -> Lamp | None:
+        lamp = self._table(self.data.get("lamp", {}), "lamp")
+        if "position" not in lamp:
+            self.assumed.append("lamp")
+            return None
+        x, y, z = self._array("position", (3,), np.zeros(3), lamp, "lamp.").tolist()
+        radius = self._number(lamp, "radius", low=0.0, prefix="lamp.") if "radius" in lamp else 0.0
+        return Lamp((x, y, z), radius)
+
+    def _psf(self) -> float | None:
+        psf = self._table(self.data.get("psf", {}), "psf")
+        if "sigma_px" not in psf:
+            self.assumed.append("psf.sigma_px")
+            return None
+        return self._number(psf, "sigma_px", low=0.0, open_low=True, prefix="psf.")
+
+    def _sensor(self) -> Sensor:
+        table = self._table(self.data.get("sensor", {}), "sensor")
+        values: dict[str, Any] = {}
+        for key in ("bits", "gain", "read_noise", "dark", "prnu", "dsnu", "full_well", "black_level"):
+            if key in table:
+                positive = key in ("bits", "gain", "full_well")
+                values[key] = self._number(table, key, low=0.0, open_low=positive, prefix="sensor.")
+            elif key != "full_well":
+                self.assumed.append(f"sensor.{key}")
+        if "bits" in values:
+            if values["bits"] != int(values["bits"]) or values["bits"] > 16:
+                raise self._bad("sensor.bits", "a whole number from 1 to 16")
+            values["bits"] = int(values["bits"])
+        return Sensor(**values)
+
+    def _maybe(self, key: str, default: float, low: float, open_low: bool = False) -> float:
+        if key in self.data:
+            return self._number(self.data, key, low, open_low)
+        self.assumed.append(key)
+        return default
+
+    def _number(
+        self,
+        table: Mapping[str, Any],
+        key: str,
+        low: float = -math.inf,
+        open_low: bool = False,
+        prefix: str = "",
+    ) -> float:
+        value = table[key]
+        if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+            raise self._bad(prefix + key, f"a finite number, not {value!r}")
+        if value < low or (open_low and value == low):
+            least = "over" if open_low else "of at least"
+            raise self._bad(prefix + key, f"a number {least} {low:g}, not {value!r}")
+        return float(value)
+
+    def _array(
+        self,
+        key: str,
+        shape: tuple[int, ...],
+        default: Array,
+        table: Mapping[str, Any] | None = None,
+        prefix: str = "",
+    ) -> Array:
+        source = self.data if table is None else table
+        if key not in source:
+            return default
+        size = " x ".join(map(str, shape))
+        try:
+            value = np.asarray(source[key], dtype=np.float64)
+        except (TypeError, ValueError):
+            raise self._bad(prefix + key, f"{size} numbers") from None
+        if value.shape != shape or not np.all(np.isfinite(value)):
+            raise self._bad(prefix + key, f"{size} finite numbers")
+        return value
+
+    def _table(self, value: Any, key: str) -> Mapping[str, Any]:
+        if not isinstance(value, Mapping):
+            raise self._bad(key, "a table of keys and values")
+        return value
+
+    def _bad(self, key: str, expected: str) -> InputError:
+        return InputError(f"{self.where}: {key}: expected {expected}")

@@ -1,0 +1,69 @@
+"""Mirror and lens: where on a sphere an eye sees a lamp, and OpenCV's distortion with its inverse."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+def mirror_normal(centres: Array, radius: float, eye: Array, light: Array) -> Array:
+    """Unit normals (n, 3) of spheres (n, 3) at which an eye sees a point of light.
+
+    The normal halves the angle between the ways to light and eye; iterated, for the ways start on the
+    surface.
+    """
+    normal = np.zeros_like(centres)
+    normal[..., 2] = 1.0
+    for _ in range(20):
+        point = centres + radius * normal
+        fresh = _unit(_unit(eye - point) + _unit(light - point))
+        change = float(np.max(np.abs(fresh - normal), initial=0.0))
+        normal = fresh
+        if change < 1e-15:
+            break
+    return normal
+
+
+def distort(straight: Array, dist: Array) -> tuple[Array, Array]:
+    """OpenCV's lens model on normalised coordinates (..., 2): bent ones, and
+    d bent / d straight (..., 2, 2).
+    """
+    k1, k2, p1, p2, k3 = dist
+    x, y = straight[..., 0], straight[..., 1]
+    q = x * x + y * y
+    radial = 1 + q * (k1 + q * (k2 + q * k3))
+    slope = k1 + q * (2 * k2 + q * 3 * k3)  # d radial / d q
+    bent = np.stack(
+        [
+            x * radial + 2 * p1 * x * y + p2 * (q + 2 * x * x),
+            y * radial + p1 * (q + 2 * y * y) + 2 * p2 * x * y,
+        ],
+        axis=-1,
+    )
+    cross = 2 * x * y * slope + 2 * p1 * x + 2 * p2 * y
+    jacobian = np.stack(
+        [
+            np.stack([radial + 2 * x * x * slope + 2 * p1 * y + 6 * p2 * x, cross], axis=-1),
+            np.stack([cross, radial + 2 * y * y * slope + 6 * p1 * y + 2 * p2 * x], axis=-1),
+        ],
+        axis=-2,
+    )
+    return bent, jacobian
+
+
+def undistort(bent: Array, dist: Array) -> tuple[Array, Array]:
+    """Inverse of ``distort`` by Newton's method; the Jacobian is still d bent / d straight."""
+    straight = bent.copy()
+    for _ in range(30):
+        image, jacobian = distort(straight, dist)
+        miss = bent - image
+        if np.max(np.abs(miss), initial=0.0) < 1e-15:
+            return straight, jacobian
+        straight = straight + np.linalg.solve(jacobian, miss[..., None])[..., 0]
+    return straight, distort(straight, dist)[1]
+
+
+def _unit(vectors: Array) -> Array:
+    return np.asarray(vectors / np.linalg.norm(vectors, axis=-1, keepdims=True), dtype=np.float64)

@@ -1,0 +1,115 @@
+"""What a fitted motion says: r, mu_k, C, slide times, energies, spins, each with its standard error.
+
+Everything is a function of the free parameters of `motion`, so the tied and the free fit share one definition;
+errors follow from the parameters' covariance to first order.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .motion import AFTER, GRAVITY, release
+
+Floats = NDArray[np.float64]
+
+NAMES = (
+    *("v0", "b", "t_c", "r", "s", "mu_k", "C", "tau1", "tau2", "v1f", "v2f"),
+    *("energy_fraction", "momentum_fraction", "final_angle", "drag", "decel", "w1n", "w1t", "w2n", "w2t"),
+)
+STEP = 0.01  # of a standard error, for derivatives: second-order terms cancel, rounding stays below 1e-6
+
+
+@dataclass(frozen=True)
+class Values:
+    """Quantities in the order of NAMES: value (20,) and covariance (20, 20)."""
+
+    value: Floats
+    cov: Floats
+
+    @property
+    def std(self) -> Floats:
+        """(20,) standard errors."""
+        return np.sqrt(np.diag(self.cov))
+
+
+def of_free(free: Floats, cov: Floats, diameter: float) -> Values:
+    """Quantities of a free motion (18,) with covariance (18, 18); diameter in m.
+
+    Friction and spin transfer are each told by either ball; the two are weighed by their errors.
+    """
+    twice, slope = _with_slope(lambda p: _both(p, diameter), free, cov)
+    spread = slope @ cov @ slope.T
+    merge = np.zeros((len(NAMES), len(NAMES) + 2))
+    for row, name in enumerate(NAMES):
+        column = row + (row > NAMES.index("mu_k")) + (row > NAMES.index("C"))
+        if name in ("mu_k", "C"):
+            pair = slice(column, column + 2)
+            merge[row, pair] = _weights(spread[pair, pair])
+        else:
+            merge[row, column] = 1.0
+    return Values(merge @ twice, merge @ spread @ merge.T)
+
+
+def of_tied(tied: Floats, cov: Floats, diameter: float) -> Values:
+    """Quantities of a tied motion (11,) with covariance (11, 11)."""
+
+    def single(p: Floats) -> Floats:
+        both = _both(np.asarray(release(p), dtype=np.float64), diameter)
+        return np.delete(both, [NAMES.index("mu_k") + 1, NAMES.index("C") + 2], axis=-1)
+
+    value, slope = _with_slope(single, tied, cov)
+    spin = NAMES.index("w1n")  # nothing turns the resting ball about n: zero by the model, not by measurement
+    value[spin], slope[spin] = 0.0, 0.0
+    return Values(value, slope @ cov @ slope.T)
+
+
+def _with_slope(function, at: Floats, cov: Floats) -> tuple[Floats, Floats]:  # type: ignore[no-untyped-def]
+    steps = np.diag(STEP * np.sqrt(np.diag(cov)))
+    high, low = function(at + steps), function(at - steps)
+    return function(at), ((high - low) / (2 * np.diag(steps)[:, None])).T
+
+
+def _weights(cov: Floats) -> Floats:
+    """Weights (2,), summing to one, of the best mean of two measurements of one thing."""
+    first = (cov[1, 1] - cov[0, 1]) / (cov[0, 0] + cov[1, 1] - 2 * cov[0, 1])
+    return np.array([first, 1 - first])
+
+
+def _both(free: Floats, diameter: float) -> Floats:
+    """(..., 22): NAMES, with mu_k and C twice, once from each ball."""
+    radius = diameter / 2
+    heading, beta, v0 = free[..., 3], free[..., 4], free[..., 5]
+    d = np.stack([np.cos(heading), np.sin(heading)], -1)
+    n = np.stack([np.cos(heading - beta), np.sin(heading - beta)], -1)
+    t = np.stack([-n[..., 1], n[..., 0]], -1)
+    v, f, tau, spin = {}, {}, {}, {}
+    for ball, at in AFTER.items():
+        v[ball], f[ball] = free[..., at : at + 2], free[..., at + 2 : at + 4]
+        tau[ball] = np.exp(free[..., at + 4])
+        carried = (7 * f[ball] - 5 * v[ball]) / 2  # R w x z just after the impact: (5v + 2R w x z)/7 is kept
+        spin[ball] = (-_dot(carried, t), _dot(carried, n))  # R w along n and t
+    along, across = v0 * np.cos(beta), v0 * np.sin(beta)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        columns = [
+            v0, np.sin(beta), free[..., 0],
+            _dot(v[1] - v[2], n) / along, _dot(v[2] - v[1], t) / across,
+            *(_norm(f[i] - v[i]) / (GRAVITY * tau[i]) for i in (1, 2)),
+            -spin[1][1] / along, 1 - spin[2][1] / along,
+            tau[1], tau[2], _norm(f[1]), _norm(f[2]),
+            (_dot(f[1], f[1]) + _dot(f[2], f[2])) / v0**2, _dot(f[1] + f[2], d) / v0,
+            np.arctan2(np.abs(f[1][..., 0] * f[2][..., 1] - f[1][..., 1] * f[2][..., 0]), _dot(f[1], f[2])),
+            free[..., 6], free[..., 7],
+            *(spin[i][axis] / radius for i in (1, 2) for axis in (0, 1)),
+        ]  # fmt: skip
+    return np.stack(columns, -1)
+
+
+def _dot(a: Floats, b: Floats) -> Floats:
+    return np.asarray((a * b).sum(-1))
+
+
+def _norm(a: Floats) -> Floats:
+    return np.asarray(np.hypot(a[..., 0], a[..., 1]))
