@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
+from functools import lru_cache
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -21,6 +22,7 @@ import pandas as pd
 from synthcam import truth
 from synthcam.dataset import Frames, clip_folders, finish, motion_of, write_clip
 from synthcam.scene import Clip, Scene, check_scene
+from synthcam.sensor import Chip, Sensor
 from synthcam.settings import InputError
 from synthcam.trajectory import Trajectory
 
@@ -185,9 +187,8 @@ def make_clip(plan: Plan, number: int, folder: Path) -> str:
 def film(clip: Clip, motion: Trajectory, seed: int) -> Frames:
     """The clip's frames as the sensor gives them, one at a time."""
     from synthcam.render import Film  # here alone: everything else works without OpenGL
-    from synthcam.sensor import Chip
 
-    chip = Chip(clip.sensor, clip.camera.size, clip.camera.exposure, seed)
+    chip = _chip(clip.sensor, clip.camera.size, clip.camera.exposure, seed)
     radii = [clip.model.ball.radius] * len(motion.legs)
     breaks = np.array([e.t for e in motion.events])
     with Film(clip.camera, clip.lamp, radii, clip.room) as drawing:
@@ -198,6 +199,12 @@ def film(clip: Clip, motion: Trajectory, seed: int) -> Frames:
         )
         for k, picture in enumerate(pictures):
             yield chip.expose(picture, clip.number, k)
+
+
+@lru_cache(maxsize=2)
+def _chip(sensor: Sensor, size: tuple[int, int], exposure: float, seed: int) -> Chip:
+    """One chip serves all clips of a camera: its fixed pattern takes as long to draw as many frames."""
+    return Chip(sensor, size, exposure, seed)
 
 
 def _gl() -> dict[str, str]:

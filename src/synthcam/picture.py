@@ -154,14 +154,15 @@ def blur_matrix(width: int, margin: int, fineness: int, sigma: float) -> NDArray
 class Patches:
     """Pixel squares, one for each frame and ball in view, wide enough for body, streak and blur.
 
-    frame, ball: (P,). origins: (P, 2) first column and row. widths: (P,) px. number: (F, N) the patch of a frame and ball, -1 out of view. Each depends on its own frame alone.
+    frame, ball: (P,). origins: (P, 2) first column and row. widths: (P,) px. number: (F, N) the patch of a frame
+    and ball, -1 out of view. Each depends on its own frame alone.
     """
 
-    def __init__(self, camera: Camera, moments: Moments, pixels: Array, reach: Array, frames: int) -> None:
+    def __init__(self, camera: Camera, moments: Moments, pixels: Array, extent: Array, frames: int) -> None:
         self.margin = int(np.ceil(4.5 * camera.psf_sigma_px))
         balls = pixels.shape[1]
         low, high = np.full((frames, balls, 2), np.inf), np.full((frames, balls, 2), -np.inf)
-        around = reach[..., None] + self.margin
+        around = extent[..., None] + self.margin
         np.minimum.at(low, moments.frames, pixels - around)
         np.maximum.at(high, moments.frames, pixels + around)
         self.frame, self.ball = np.nonzero(((high > 0) & (low < np.array(camera.size) - 1)).all(axis=2))

@@ -247,9 +247,8 @@ class Film:
         unit = self.lamp.position[2]
         jobs = self._jobs(np.zeros((1, 3)), np.array([unit]), fineness=1)
         jobs[0, 0, 2:] = self.camera.project(np.zeros(3)) + 0.5
-        jobs[0, 3, :2] = -1, 2 * max(w, h)
+        jobs[0, 3] = -1, 2 * max(w, h), 0, PLATE * self.room
         uniforms = self._uniforms | {"lamp": self.camera.R @ self.lamp.position / unit}
-        # Lambert's plate under a small lamp facing down: cos^4 of the angle, 1 just below.
         return self._canvas.draw(jobs, np.zeros((1, 1, 4), np.float32), (h, w), uniforms).copy()
 
     def _jobs(self, centres: Array, radii: Array, fineness: int) -> Float32:
@@ -261,7 +260,10 @@ class Film:
         jobs[:, 1] = np.swapaxes(maps, 1, 2).reshape(-1, 4)
         jobs[:, 2, :3] = (camera.centre - centres) @ camera.R.T / radii[:, None]
         jobs[:, 2, 3] = 1
-        jobs[:, 3, 3] = PLATE * self.room
+        to_lamp = self.lamp.position - centres * [1, 1, 0]
+        # Lambert's plate under a small lamp facing down: cos^4 of the angle.
+        fall = (self.lamp.position[2] / np.linalg.norm(to_lamp, axis=1)) ** 4
+        jobs[:, 3, 3] = PLATE * self.room * fall
         return jobs
 
     def frames(self, centres: Centres, intervals: ArrayLike, breaks: ArrayLike = ()) -> Iterator[Picture]:

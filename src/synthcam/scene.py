@@ -56,10 +56,7 @@ class TimingSettings(Settings):
 class CameraSettings(Settings):
     """`camera:` known to the experimenter."""
 
-    size: Annotated[list[Annotated[int, Field(ge=16, le=8192)]], Field(min_length=2, max_length=2)] = [
-        640,
-        480,
-    ]
+    size: Annotated[list[Annotated[int, Field(ge=16, le=8192)]], Field(min_length=2, max_length=2)] = Field([640, 480])
     scale: Positive = 1.6e-4
     height: Positive = 0.5
     tilt: Pair = Field([0.0, 0.0])

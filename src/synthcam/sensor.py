@@ -102,7 +102,7 @@ class Chip:
 def digitise(values: NDArray[Any], bits: int) -> Counts:
     """Nearest counts (half to even), clipped to the converter's range."""
     counts = np.clip(np.rint(values), 0, (1 << bits) - 1)
-    return counts.astype(np.uint8 if bits <= 8 else np.uint16)
+    return np.asarray(counts, dtype=np.uint8 if bits <= 8 else np.uint16)
 
 
 class _Background:

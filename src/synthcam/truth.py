@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from numpy.polynomial.legendre import leggauss
 
 from synthcam.launch import Launch
 from synthcam.model import Model
@@ -78,7 +77,7 @@ def tracks(model: Model, motion: Trajectory, camera: Camera, lamp: Lamp, frames:
     spans = exposures(camera, frames)
     middle = spans.mean(axis=1)
     states, kinds = motion.at(middle), motion.motion(middle)
-    means = _mean_px(motion, camera, spans)
+    means = motion.mean(spans, lambda states: camera.project(states[..., :3]))
     radius, tables = model.ball.radius, []
     for ball in range(len(states)):
         state = states[ball]
@@ -90,24 +89,6 @@ def tracks(model: Model, motion: Trajectory, camera: Camera, lamp: Lamp, frames:
         columns |= {"state": kinds[ball], "visible": _whole(camera, state[:, :3], radius)}
         tables.append(pd.DataFrame(columns))
     return pd.concat(tables, ignore_index=True)
-
-
-def _mean_px(motion: Trajectory, camera: Camera, spans: Array) -> Array:
-    """Projected centres averaged over each exposure, (balls, frames, 2): Gauss quadrature between events."""
-    nodes, weights = leggauss(6)
-    breaks = np.array([e.t for e in motion.events])
-    out = np.empty((len(motion.legs), len(spans), 2))
-    plain = np.array([not np.any((breaks > a) & (breaks < b)) for a, b in spans])
-    times = spans[plain].mean(axis=1)[:, None] + np.diff(spans[plain]) / 2 * nodes
-    seen = camera.project(motion.at(times.ravel())[:, :, :3])
-    out[:, plain] = (seen.reshape(len(out), -1, len(nodes), 2) * weights[:, None] / 2).sum(axis=2)
-    for k in np.flatnonzero(~plain):
-        a, b = spans[k]
-        cuts = np.concatenate([[a], breaks[(breaks > a) & (breaks < b)], [b]])
-        times = (cuts[:-1] + cuts[1:])[:, None] / 2 + np.diff(cuts)[:, None] / 2 * nodes
-        share = (np.diff(cuts)[:, None] * weights / 2 / (b - a)).ravel()
-        out[:, k] = (camera.project(motion.at(times.ravel())[:, :, :3]) * share[:, None]).sum(axis=1)
-    return out
 
 
 def _whole(camera: Camera, centres: Array, radius: float) -> Any:

@@ -14,8 +14,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.special import log_ndtr, ndtr
 
-from .geometry import Camera, Sensor
+from .geometry import Camera
 from .lens import Array
+from .sensor import Sensor
 
 ROOT_TWO_PI = math.sqrt(2.0 * math.pi)
 REACH = 4.0  # widths of the glint that a window must hold on each side
@@ -85,13 +86,15 @@ def _censored(z: Array, root: Array, k: Array) -> Array:
     return np.asarray(open_part + phi * hazard * (root + k * z) ** 2, dtype=np.float64)
 
 
-def fisher(weight: Array, shape: Shape, flux: Array) -> Array:
-    """(n, 4, 4) information on x, y, log flux and background, from the pixels' ``weight`` (n, h, w)."""
+def slopes(shape: Shape, flux: Array) -> Array:
+    """(n, 4, h, w) derivatives of the pixels' means by x, y, log flux and background."""
     grown = flux[:, None, None]
-    parts = np.stack(
-        [grown * shape.by_x, grown * shape.by_y, grown * shape.value, np.ones_like(shape.value)], 1
-    )
-    flat = parts.reshape(len(parts), 4, -1)
+    return np.stack([grown * shape.by_x, grown * shape.by_y, grown * shape.value, np.ones_like(shape.value)], 1)
+
+
+def fisher(weight: Array, parts: Array) -> Array:
+    """(n, p, p) information on p parameters from the pixels' own (n, h, w) and derivatives (n, p, h, w)."""
+    flat = parts.reshape(*parts.shape[:2], -1)
     return np.asarray((flat * weight.reshape(len(parts), 1, -1)) @ flat.transpose(0, 2, 1), dtype=np.float64)
 
 
@@ -121,6 +124,6 @@ def localisation_bound(
         part = slice(start, start + 2048)
         shape = glint_shape(places[part] - np.round(places[part]), lines[part], camera.sigma, half)
         mean = ground[part, None, None] + flux_[part, None, None] * shape.value
-        told = fisher(information(mean, camera.sensor), shape, flux_[part])
+        told = fisher(information(mean, camera.sensor), slopes(shape, flux_[part]))
         out[part] = np.linalg.inv(told)[:, :2, :2]
     return out

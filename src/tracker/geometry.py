@@ -17,54 +17,18 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .lens import Array, distort, mirror_normal, undistort
+from .sensor import Sensor
+
+__all__ = ["Camera", "InputError", "Lamp", "Sensor"]
 
 DEFAULT_DIAMETER = 2.38e-3  # m: Painter & Behringer's balls
 DEFAULT_HEIGHT = 0.5  # m
+FAR = 1e6  # m, of a point as good as straight overhead
 LOOKING_DOWN = ((1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, -1.0))
 
 
 class InputError(ValueError):
     """Something the user gave cannot be used; one line naming file, key and what was expected."""
-
-
-@dataclass(frozen=True)
-class Sensor:
-    """Noise of one pixel in counts (EMVA 1288): shot, read-out, rounding and the fixed patterns.
-
-    ``gain`` e-/count, ``read_noise``, ``dsnu`` and ``full_well`` e-, ``dark`` e-/s, ``prnu`` a fraction,
-    ``black_level`` counts.
-    """
-
-    bits: int = 8
-    gain: float = 20.0
-    read_noise: float = 20.0
-    dark: float = 0.0
-    prnu: float = 0.0
-    dsnu: float = 0.0
-    full_well: float = math.inf
-    black_level: float = 0.0
-
-    def variance(self, mean: Array) -> Array:
-        """Variance, counts^2, of a pixel whose mean is ``mean`` counts (any shape)."""
-        signal = np.maximum(mean - self.black_level, 0.0)
-        floor = (self.read_noise**2 + self.dsnu**2) / self.gain**2 + 1.0 / 12.0
-        return floor + signal / self.gain + (self.prnu * signal) ** 2
-
-    def variance_slope(self, mean: Array) -> Array:
-        """d variance / d mean, counts."""
-        signal = np.maximum(mean - self.black_level, 0.0)
-        return 1.0 / self.gain + 2.0 * self.prnu**2 * signal
-
-    @property
-    def ceiling(self) -> float:
-        """Count from which a pixel says only "at least this".
-
-        The converter's last count, or, where the well fills first, four read-out deviations below the full
-        well: read-out noise spreads a full well, and a limit below that spread is an exact one.
-        """
-        top = 2.0**self.bits - 1.0
-        well = self.black_level + (self.full_well - 4.0 * self.read_noise) / self.gain
-        return math.floor(well) if self.black_level + self.full_well / self.gain < top else top
 
 
 @dataclass(frozen=True)
@@ -178,11 +142,23 @@ class Camera:
             return seen.copy(), np.broadcast_to(np.eye(2), (*seen.shape, 2)).copy()
         centre = self._centre_place(seen)
         ahead, behind = (
-            [self._centre_pixel(self._centre_place(seen + sign * axis)) for axis in np.eye(2)]
-            for sign in (0.5, -0.5)
+            [self._centre_pixel(self._centre_place(seen + sign * axis)) for axis in np.eye(2)] for sign in (0.5, -0.5)
         )
         jacobian = np.stack([a - b for a, b in zip(ahead, behind, strict=True)], axis=-1)
         return self._centre_pixel(centre), jacobian
+
+    def zenith_of_glint(self, glints: ArrayLike) -> Array:
+        """Glint pixels (n, 2) -> pixels (n, 2) at which their balls mirror what is straight overhead.
+
+        What a ball mirrors of a room that is the same all round is symmetric about that point.
+        """
+        seen = np.asarray(glints, dtype=np.float64)
+        if not self.corrects_glint or seen.size == 0:
+            return seen.copy()
+        place = self._centre_place(seen)
+        middle = np.concatenate([place, np.full_like(place[..., :1], self.radius)], axis=-1)
+        overhead = np.concatenate([place, np.full_like(place[..., :1], FAR)], axis=-1)
+        return self.project(middle + self.radius * mirror_normal(middle, self.radius, self.position, overhead))
 
     def _centre_place(self, seen: Array) -> Array:
         target, _ = self.unproject(seen)
@@ -218,9 +194,7 @@ class Camera:
     def unknown(size: tuple[int, int], bits: int) -> Camera:
         """A camera of which only the pictures are known: lengths in pixels, times in frames."""
         guess = Camera.from_dict({"scale": 1.6e-4, "size": list(size), "fps": 1.0}, "no camera file")
-        return replace(
-            guess, sensor=replace(guess.sensor, bits=bits), metric=False, assumed=("camera", *guess.assumed)
-        )
+        return replace(guess, sensor=replace(guess.sensor, bits=bits), metric=False, assumed=("camera", *guess.assumed))
 
     def to_dict(self) -> dict[str, Any]:
         """The keys of camera.json, and ``assumed``; None for an unknown lamp or PSF is left out."""

@@ -1,26 +1,56 @@
-"""Maximum likelihood of glints in small windows, all at once: place, flux and background of each.
+"""Maximum likelihood of glints in small windows, all at once: place, flux and what lies under the glint.
 
 Each pixel's count is normal about the pixel-integrated model, its variance that of the sensor at that mean; a
-pixel at the ceiling says only that it is at least there. Newton steps use the expected information (Fisher
-scoring), whose inverse is the covariance.
+pixel at the ceiling says only that it is at least there. Under the glint lies the ball's body, a mirror of the
+room: to second order a level and a bowl about the ball's centre, both free. Newton steps use the expected
+information (Fisher scoring), whose inverse is the covariance.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy.special import log_ndtr
 
-from .bound import ROOT_TWO_PI, Shape, fisher, glint_shape, information
-from .geometry import Sensor
+from .bound import ROOT_TWO_PI, fisher, glint_shape, information, slopes
 from .lens import Array
+from .sensor import Sensor
 
 STEPS = 30
+SWINGING = 8  # steps, after which a glint still on the move is swinging about its place: half steps from there
 CLOSE = 2e-4  # px and log flux: a step this small ends the search
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
+class Windows:
+    """What is fitted: ``counts`` (n, s, s), ``used`` (n, s, s) 1 where a pixel counts, ``start`` (n, 2) px from
+    the central pixel, ``streak`` (n, 2) px the way during the exposure, ``bowl`` (n, 2) px from glint to the
+    body's centre. ``ghosts`` (n, g, 3): places from the central pixel, px, of weaker glints and 1 where there
+    is one, else 0.
+    """
+
+    counts: Array
+    used: Array
+    start: Array
+    streak: Array
+    bowl: Array
+    ghosts: Array
+
+    def __len__(self) -> int:
+        return len(self.counts)
+
+    @property
+    def half(self) -> int:
+        return int(self.counts.shape[1]) // 2
+
+    def take(self, rows: Any) -> Windows:
+        """The windows of ``rows``."""
+        return Windows(*(getattr(self, name)[rows] for name in self.__dataclass_fields__))
+
+
+@dataclass(frozen=True, eq=False)
 class Fit:
     """Of n windows: ``xy`` (n, 2) px from the central pixel, ``flux`` and ``background`` (n,) counts, ``cov``
     (n, 2, 2) px^2, ``flux_std``, ``chi2`` a degree of freedom over open pixels, ``loglik``, ``settled`` (n,).
@@ -36,54 +66,79 @@ class Fit:
     settled: Array
 
 
-def fit(
-    windows: Array,
-    used: Array,
-    xy: Array,
-    streaks: Array,
-    sigma: float,
-    sensor: Sensor,
-) -> Fit:
-    """Fits glints of width ``sigma`` to ``windows`` (n, s, s), counts, where ``used`` (n, s, s) is 1.
-
-    ``xy`` (n, 2) px from the central pixel: where to start; ``streaks`` (n, 2) px: way during the exposure.
-    """
-    half = windows.shape[1] // 2
-    theta = _start(windows, used, xy, streaks, sigma, sensor)
+def fit(windows: Windows, sigma: float, sensor: Sensor) -> Fit:
+    """Fits a glint of width ``sigma`` px to each window."""
+    theta = _start(windows, sigma, sensor)
     active = np.arange(len(windows))
     settled = np.zeros(len(windows))
-    for _ in range(STEPS):
+    for number in range(STEPS):
         if len(active) == 0:
             break
-        now, counts, use = theta[active], windows[active], used[active]
-        shape = glint_shape(now[:, :2], streaks[active], sigma, half)
-        flux = np.exp(now[:, 2])
-        mean = now[:, 3, None, None] + flux[:, None, None] * shape.value
-        told = fisher(information(mean, sensor) * use, shape, flux)
-        slope = _gradient(_score(counts, mean, sensor) * use, shape, flux)
-        step = _solve(told, slope)
-        limit = np.array([0.7 * sigma, 0.7 * sigma, 0.7])
-        step[:, :3] = np.clip(step[:, :3], -limit, limit)
-        theta[active] = now + step
-        theta[active, :2] = np.clip(theta[active, :2], -half, half)
+        part = windows.take(active)
+        step = _step(theta[active], part, sigma, sensor)
+        if number >= SWINGING:
+            step *= 0.5
+        theta[active] += step
+        theta[active, :2] = np.clip(theta[active, :2], -part.half, part.half)
         still = np.max(np.abs(step[:, :3]), axis=1) > CLOSE
         settled[active[~still]] = 1.0
         active = active[still]
-    return _result(theta, windows, used, streaks, sigma, sensor, settled)
+    return _result(theta, windows, sigma, sensor, settled)
 
 
-def _start(windows: Array, used: Array, xy: Array, streaks: Array, sigma: float, sensor: Sensor) -> Array:
-    """Places as given; flux and background by weighted linear least squares at those places."""
-    shape = glint_shape(xy, streaks, sigma, windows.shape[1] // 2)
-    weight = used / np.maximum(sensor.variance(windows), 1e-9)
-    total = weight.sum(axis=(1, 2))
+def _model(theta: Array, windows: Windows, sigma: float) -> tuple[Array, Array]:
+    """Means (n, s, s) and their derivatives (n, p, s, s) by x, y, log flux, level, bowl and the ghosts' fluxes."""
+    half = windows.half
+    shape = glint_shape(theta[:, :2], windows.streak, sigma, half)
+    flux = np.exp(theta[:, 2])
+    offsets = np.arange(-half, half + 1.0)
+    middle = theta[:, :2] + windows.bowl
+    square = (offsets - middle[:, :1]) ** 2
+    bowl = (offsets - middle[:, 1:])[:, :, None] ** 2 + square[:, None, :]
+    linear = [np.ones_like(bowl), bowl / half**2]
+    for g in range(windows.ghosts.shape[1]):
+        ghost = windows.ghosts[:, g]
+        lit = glint_shape(ghost[:, :2], windows.streak, sigma, half).value
+        linear.append(lit * ghost[:, 2, None, None])
+    mean = flux[:, None, None] * shape.value
+    for i, basis in enumerate(linear):
+        mean = mean + theta[:, 3 + i, None, None] * basis
+    parts = np.concatenate([slopes(shape, flux)[:, :3], np.stack(linear, axis=1)], axis=1)
+    return mean, parts
+
+
+def _step(theta: Array, windows: Windows, sigma: float, sensor: Sensor) -> Array:
+    mean, parts = _model(theta, windows, sigma)
+    told = fisher(information(mean, sensor) * windows.used, parts)
+    score = _score(windows.counts, mean, sensor) * windows.used
+    flat = parts.reshape(*parts.shape[:2], -1)
+    slope = (flat @ score.reshape(len(flat), -1, 1))[..., 0]
+    step = np.linalg.solve(_loaded(told), slope[..., None])[..., 0]
+    limit = np.array([0.7 * sigma, 0.7 * sigma, 0.7])
+    step[:, :3] = np.clip(step[:, :3], -limit, limit)
+    return np.asarray(step, dtype=np.float64)
+
+
+def _loaded(told: Array) -> Array:
+    """A trace of ridge, so that a window that lacks a glint or a ghost stays solvable."""
+    size = np.diagonal(told, axis1=1, axis2=2)
+    ridge = 1e-9 * size + 1e-12
+    return np.asarray(told + np.eye(told.shape[1]) * ridge[:, None, :], dtype=np.float64)
+
+
+def _start(windows: Windows, sigma: float, sensor: Sensor) -> Array:
+    """Places as given; flux and level by weighted linear least squares of the open pixels at those places."""
+    shape = glint_shape(windows.start, windows.streak, sigma, windows.half)
+    weight = windows.used * (windows.counts < sensor.ceiling) / np.maximum(sensor.variance(windows.counts), 1e-9)
+    total = np.maximum(weight.sum(axis=(1, 2)), 1e-300)
     mean_shape = (weight * shape.value).sum(axis=(1, 2)) / total
-    mean_count = (weight * windows).sum(axis=(1, 2)) / total
+    mean_count = (weight * windows.counts).sum(axis=(1, 2)) / total
     spread = shape.value - mean_shape[:, None, None]
-    power = (weight * spread * spread).sum(axis=(1, 2))
-    flux = (weight * spread * windows).sum(axis=(1, 2)) / np.maximum(power, 1e-300)
-    flux = np.maximum(flux, 3.0 / np.sqrt(np.maximum(power, 1e-300)))
-    return np.column_stack([xy, np.log(flux), mean_count - flux * mean_shape])
+    power = np.maximum((weight * spread * spread).sum(axis=(1, 2)), 1e-300)
+    flux = (weight * spread * windows.counts).sum(axis=(1, 2)) / power
+    flux = np.maximum(flux, 3.0 / np.sqrt(power))
+    rest = np.zeros((len(windows), 1 + windows.ghosts.shape[1]))
+    return np.column_stack([windows.start, np.log(flux), mean_count - flux * mean_shape, rest])
 
 
 def _score(counts: Array, mean: Array, sensor: Sensor) -> Array:
@@ -101,35 +156,18 @@ def _score(counts: Array, mean: Array, sensor: Sensor) -> Array:
     return np.asarray(score, dtype=np.float64)
 
 
-def _gradient(score: Array, shape: Shape, flux: Array) -> Array:
-    n = len(flux)
-    flat = score.reshape(n, -1, 1)
-    sums = [(part.reshape(n, 1, -1) @ flat)[:, 0, 0] for part in (shape.by_x, shape.by_y, shape.value)]
-    return np.column_stack([flux * sums[0], flux * sums[1], flux * sums[2], flat.sum(axis=1)[:, 0]])
-
-
-def _solve(told: Array, slope: Array) -> Array:
-    """Steps; a trace of ridge keeps a window without a glint solvable."""
-    ridge = 1e-9 * np.trace(told, axis1=1, axis2=2)[:, None] / 4.0 + 1e-12
-    loaded = told + np.eye(4) * ridge[..., None]
-    return np.asarray(np.linalg.solve(loaded, slope[..., None])[..., 0], dtype=np.float64)
-
-
-def _result(
-    theta: Array, windows: Array, used: Array, streaks: Array, sigma: float, sensor: Sensor, settled: Array
-) -> Fit:
+def _result(theta: Array, windows: Windows, sigma: float, sensor: Sensor, settled: Array) -> Fit:
+    mean, parts = _model(theta, windows, sigma)
+    cov = np.linalg.inv(_loaded(fisher(information(mean, sensor) * windows.used, parts)))
     flux = np.exp(theta[:, 2])
-    shape = glint_shape(theta[:, :2], streaks, sigma, windows.shape[1] // 2)
-    mean = theta[:, 3, None, None] + flux[:, None, None] * shape.value
-    told = fisher(information(mean, sensor) * used, shape, flux)
-    told = told + np.eye(4) * (1e-9 * np.trace(told, axis1=1, axis2=2)[:, None, None] / 4.0 + 1e-12)
-    cov = np.linalg.inv(told)
     variance = sensor.variance(mean)
-    is_open = used * (windows < sensor.ceiling)
-    square = (windows - mean) ** 2 / variance
-    freedom = np.maximum(is_open.sum(axis=(1, 2)) - 4.0, 1.0)
-    z = (sensor.ceiling - 0.5 - mean) / np.sqrt(variance)
-    loglik = is_open * (-0.5 * square - 0.5 * np.log(variance)) + (used - is_open) * log_ndtr(-z)
+    is_open = windows.used * (windows.counts < sensor.ceiling)
+    square = (windows.counts - mean) ** 2 / variance
+    freedom = np.maximum(is_open.sum(axis=(1, 2)) - theta.shape[1], 1.0)
+    tail = np.zeros_like(mean)
+    full = (windows.used > 0) & (is_open == 0)
+    tail[full] = log_ndtr((mean[full] - sensor.ceiling + 0.5) / np.sqrt(variance[full]))
+    loglik = is_open * (-0.5 * square - 0.5 * np.log(variance)) + tail
     return Fit(
         xy=theta[:, :2].copy(),
         flux=flux,

@@ -1,6 +1,6 @@
 """What a fitted motion says: r, mu_k, C, slide times, energies, spins, each with its standard error.
 
-Everything is a function of the free parameters of `motion`, so the tied and the free fit share one definition;
+Everything is a function of the free parameters of `motion`, so that both fits share one definition;
 errors follow from the parameters' covariance to first order.
 """
 

@@ -91,9 +91,7 @@ class Source:
         size = (frames.shape[2], frames.shape[1])
         if chosen is None:
             camera = Camera.unknown(size, bits=8 * frames.dtype.itemsize)
-            return Clip(
-                number, camera, frames, "; ".join(filter(None, [note, "no camera file: pixels only"]))
-            )
+            return Clip(number, camera, frames, "; ".join(filter(None, [note, "no camera file: pixels only"])))
         camera = Camera.read(chosen)
         if camera.size != size:
             asked = "x".join(map(str, camera.size))
@@ -117,14 +115,10 @@ def open_source(path: Path | str, camera: Path | str | None = None) -> Source:
     if given is not None:
         Camera.read(given)
     if not place.exists():
-        raise InputError(
-            f"{place}: no such file or folder, expected a dataset, clip, stack, video or pictures"
-        )
+        raise InputError(f"{place}: no such file or folder, expected a dataset, clip, stack, video or pictures")
     if place.is_file():
         if place.suffix.lower() not in TIFF + VIDEOS:
-            raise InputError(
-                f"{place}: expected a TIFF stack or a video, not a {place.suffix or 'nameless'} file"
-            )
+            raise InputError(f"{place}: expected a TIFF stack or a video, not a {place.suffix or 'nameless'} file")
         return Source(place, ((0, place),), given)
     if (place / "clips").is_dir():
         return _dataset(place, given)
@@ -132,9 +126,7 @@ def open_source(path: Path | str, camera: Path | str | None = None) -> Source:
         number = int(place.name) if place.name.isdigit() else 0
         return Source(place, ((number, place / "frames.tif"),), given)
     if not _pictures(place):
-        raise InputError(
-            f"{place}: an empty folder, expected clips/, frames.tif or pictures ({' '.join(PICTURES)})"
-        )
+        raise InputError(f"{place}: an empty folder, expected clips/, frames.tif or pictures ({' '.join(PICTURES)})")
     return Source(place, ((0, place),), given)
 
 
@@ -257,9 +249,7 @@ def _picture(path: Path) -> Any:
         try:
             return np.asarray(tifffile.imread(path))
         except Exception as error:
-            raise InputError(
-                f"{path}: cannot be read as TIFF, truncated or damaged ({_line(error)})"
-            ) from None
+            raise InputError(f"{path}: cannot be read as TIFF, truncated or damaged ({_line(error)})") from None
     picture = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
     if picture is None:
         raise InputError(f"{path}: cannot be read as a picture, truncated or damaged")
@@ -288,9 +278,7 @@ def _video(path: Path) -> tuple[Frames, str]:
 
     def fetch(k: int) -> Any:
         if state["next"] < 0 or k < state["next"]:
-            state["reader"] = (
-                cv2.VideoCapture(str(path), cv2.CAP_FFMPEG, raw) if raw else cv2.VideoCapture(str(path))
-            )
+            state["reader"] = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG, raw) if raw else cv2.VideoCapture(str(path))
             state["next"] = 0
         while state["next"] < k:
             state["reader"].grab()
@@ -323,9 +311,7 @@ def _grey(
 
 def _pixel_type(path: Path, dtype: Any) -> None:
     if dtype.kind == "f":
-        raise InputError(
-            f"{path}: float pixels, expected counts as uint8 or uint16 (NaN has no place in them)"
-        )
+        raise InputError(f"{path}: float pixels, expected counts as uint8 or uint16 (NaN has no place in them)")
     if dtype not in (np.uint8, np.uint16):
         raise InputError(f"{path}: pixels of type {dtype}, expected uint8 or uint16")
 

@@ -1,0 +1,110 @@
+"""The noise of measured tracks, from the tracks themselves, and the filter that makes it white.
+
+Within one phase of motion (before, sliding, rolling) a track is smooth; a cubic there leaves the noise, whatever the
+physics. Its autocovariance is read off with the cubic's own correlation undone, pooled over clips, balls and axes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import solve_toeplitz
+
+Array = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+ORDER = 5  # of the autoregression; Yule-Walker
+SMOOTH = 4  # coefficients of the cubic
+SHORTEST = 12  # frames: a shorter stretch says little about noise
+
+
+@dataclass(frozen=True)
+class Noise:
+    """Autocovariance at lags 0 to ORDER of residuals over their claimed standard deviation: (ORDER + 1,)."""
+
+    covariance: Array
+
+    @property
+    def scale(self) -> float:
+        """How many times larger the noise is than claimed."""
+        return float(np.sqrt(self.covariance[0]))
+
+    @property
+    def correlation(self) -> float:
+        """Between neighbouring frames."""
+        return float(self.covariance[1] / self.covariance[0])
+
+    def filter(self, frame: Ints, ball: Ints) -> Array:
+        """The matrix (n, n) that whitens residuals of one axis; rows sorted by ball, then frame.
+
+        Each row predicts its residual from up to ORDER unbroken predecessors, the exact best predictor of that length.
+        """
+        out = np.zeros((len(frame), len(frame)))
+        predictors = [self._predictor(m) for m in range(ORDER + 1)]
+        behind = 0
+        for k in range(len(frame)):
+            unbroken = k > 0 and ball[k] == ball[k - 1] and frame[k] == frame[k - 1] + 1
+            behind = min(behind + 1, ORDER) if unbroken else 0
+            weights, spread = predictors[behind]
+            out[k, k] = 1 / spread
+            out[k, k - behind : k] = -weights[::-1] / spread
+        return out
+
+    def _predictor(self, m: int) -> tuple[Array, float]:
+        """Weights of the m residuals before, nearest first, and the standard deviation of what they leave."""
+        if m == 0:
+            return np.empty(0), float(np.sqrt(self.covariance[0]))
+        weights = solve_toeplitz(self.covariance[:m], self.covariance[1 : m + 1])
+        left = self.covariance[0] - weights @ self.covariance[1 : m + 1]
+        return weights, float(np.sqrt(max(left, 1e-6 * self.covariance[0])))
+
+
+def estimate(stretches: Iterable[Array]) -> Noise:
+    """Noise from unbroken stretches (n, axes) of residuals, each within one phase. Raises ValueError with too few."""
+    sums = np.zeros(ORDER + 1)
+    mixing = np.zeros((ORDER + 1, ORDER + 1))
+    for stretch in stretches:
+        n = len(stretch)
+        if n < SHORTEST:
+            continue
+        remover = _remover(n)
+        left = remover @ stretch
+        axes = stretch.shape[1]
+        for lag in range(ORDER + 1):
+            sums[lag] += (left[: n - lag] * left[lag:]).sum()
+        mixing += axes * _mixing(n)
+    if mixing[0, 0] <= 0:
+        raise ValueError("too few unbroken frames to read the noise from")
+    return Noise(_definite(np.asarray(np.linalg.solve(mixing, sums))))
+
+
+def _remover(n: int) -> Array:
+    basis, _ = np.linalg.qr(np.vander(np.linspace(-1, 1, n), SMOOTH))
+    return np.asarray(np.eye(n) - basis @ basis.T)
+
+
+_CACHE: dict[int, Array] = {}
+
+
+def _mixing(n: int) -> Array:
+    """E[sum of r_i r_(i+lag)] = sum over m of mixing[lag, m] covariance[m] for residuals r of the cubic."""
+    if n not in _CACHE:
+        remover, out = _remover(n), np.zeros((ORDER + 1, ORDER + 1))
+        for m in range(ORDER + 1):
+            shifted = np.eye(n) if m == 0 else np.eye(n, k=m) + np.eye(n, k=-m)
+            expected = remover @ shifted @ remover
+            out[:, m] = [np.trace(expected, offset=lag) for lag in range(ORDER + 1)]
+        _CACHE[n] = out
+    return _CACHE[n]
+
+
+def _definite(covariance: Array) -> Array:
+    """Shrink the lags until the autocovariance is one that a process can have."""
+    lags = np.abs(np.subtract.outer(np.arange(ORDER + 1), np.arange(ORDER + 1)))
+    out = covariance.copy()
+    while np.linalg.eigvalsh(out[lags]).min() < 1e-3 * out[0]:
+        out[1:] *= 0.95
+    return out

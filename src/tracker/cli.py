@@ -1,0 +1,137 @@
+"""tracker: track, measure, score."""
+
+from __future__ import annotations
+
+import json
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from .geometry import InputError
+
+if TYPE_CHECKING:
+    from .track import Outcome
+
+app = typer.Typer(
+    help="Finds rolling steel balls by their glint, follows them, and measures the collision with honest errors.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+)
+Results = Annotated[Path, typer.Option("-o", "--output", metavar="RESULTS", help="Folder to make.")]
+Json = Annotated[bool, typer.Option("--json", help="Print a machine-readable summary.")]
+
+
+@contextmanager
+def progress(what: str) -> Iterator[Callable[[int, int], None]]:
+    """A bar with an estimate on a terminal; nothing elsewhere."""
+    if not sys.stderr.isatty():
+        yield lambda done, total: None
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+    columns = (TextColumn(what), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=Console(stderr=True)) as bar:
+        task = bar.add_task(what, total=None)
+        yield lambda done, total: bar.update(task, completed=done, total=total)
+
+
+@app.command()
+def track(
+    source: Annotated[Path, typer.Argument(metavar="SOURCE", help="Dataset, clip, stack, video or pictures.")],
+    output: Results,
+    camera: Annotated[Path | None, typer.Option(help="camera.json, in place of the source's own.")] = None,
+    detector: Annotated[str, typer.Option(help="How glints are found.")] = "maximum_likelihood",
+    workers: Annotated[int | None, typer.Option(min=1, help="Processes; default: one a core.")] = None,
+    as_json: Json = False,
+) -> None:
+    """Find, follow and measure the balls of every clip. Interrupted, the same command goes on.
+
+    Example: tracker track out/benchmark -o out/results
+    """
+    from .track import default_workers, run
+
+    started = time.monotonic()
+    with progress("clips") as tick:
+        outcome = run(source, output, camera, detector, workers or default_workers(), tick)
+    seconds = time.monotonic() - started
+    extra: dict[str, Any] = {"frames": outcome.frames, "seconds": round(seconds, 2)}
+    if outcome.frames:
+        extra["ms_per_frame"] = round(1e3 * seconds / outcome.frames, 3)
+    _report(outcome, output, extra, as_json)
+
+
+@app.command()
+def measure(
+    tracks: Annotated[Path, typer.Argument(metavar="TRACKS", help="CSV or Parquet: clip, frame, particle, x, y.")],
+    camera: Annotated[Path, typer.Option(help="camera.json of the tracks.")],
+    output: Results,
+    point: Annotated[str, typer.Option(help="What x, y are: centre (mean over the exposure) or glint.")] = "centre",
+    as_json: Json = False,
+) -> None:
+    """Measure the collisions in tracks that any program made.
+
+    Example: tracker measure tracks.csv --camera camera.json -o out/measured
+    """
+    from .track import measure_tables
+
+    if point not in ("centre", "glint"):
+        raise InputError(f"--point: expected centre or glint, not {point!r}")
+    _report(measure_tables(tracks, output, camera, point), output, {}, as_json)
+
+
+@app.command()
+def score(
+    results: Annotated[Path, typer.Argument(metavar="RESULTS", help="What tracker track made.")],
+    truth: Annotated[Path, typer.Option(metavar="DATASET", help="The dataset, with its truth.")],
+    output: Annotated[Path, typer.Option("-o", "--output", metavar="REPORT", help="Folder to make.")],
+    name: Annotated[str, typer.Option(help="What to call the detector in the report.")] = "",
+    as_json: Json = False,
+) -> None:
+    """Hold results to the truth: localisation against its bound, tracking measures, bias and coverage.
+
+    Example: tracker score out/results --truth out/benchmark -o out/report
+    """
+    from .results import RUN
+    from .score import score as compare
+
+    if not name and (results / RUN).is_file():
+        name = str(json.loads((results / RUN).read_text(encoding="utf-8")).get("detector", ""))
+    verdict = compare(results, truth, name or "default")
+    path = verdict.write(output)
+    print(json.dumps(verdict.to_dict()) if as_json else f"{path}")
+
+
+def _report(outcome: Outcome, output: Path, extra: dict[str, Any], as_json: bool) -> None:
+    states = {str(k): int(v) for k, v in outcome.estimates["status"].value_counts().sort_index().items()}
+    if as_json:
+        summary = {"results": str(output), "clips": outcome.clips, "fresh": outcome.fresh, "status": states, **extra}
+        print(json.dumps(summary))
+        return
+    told = ", ".join(f"{count} {state}" for state, count in states.items())
+    made = f"{outcome.fresh} made now" if outcome.fresh else "complete before"
+    print(f"{output}: {outcome.clips} clips, {made}: {told}")
+    if "ms_per_frame" in extra:
+        print(f"{extra['frames']} frames, {extra['ms_per_frame']} ms a frame")
+
+
+def main() -> None:
+    """Entry point: 0 done, whatever the clips' status; 2 bad input; 130 interrupted."""
+    try:
+        app()
+    except InputError as error:
+        print(f"tracker: {error}", file=sys.stderr)
+        sys.exit(2)
+    except KeyboardInterrupt:
+        print("tracker: interrupted; the same command goes on where it stopped", file=sys.stderr)
+        sys.exit(130)
+    except OSError as error:
+        print(f"tracker: {error.filename or 'file'}: {error.strerror or error}", file=sys.stderr)
+        sys.exit(2)

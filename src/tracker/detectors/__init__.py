@@ -1,0 +1,1 @@
+"""One file a detector: a callable class made from a View. The folder is the list."""

@@ -1,0 +1,208 @@
+"""Maximum likelihood of the pixel-integrated glint, clipped pixels censored, motion in the exposure modelled."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..detect import CLIPPED, EDGE, MISFIT, NEAR, STREAK, Glints, View
+from ..lens import Array
+from ..likelihood import Fit, Windows, fit
+from ..link import FASTEST, assign, velocities
+from ..search import Search, coarse_place
+
+Ints = NDArray[np.int64]
+
+WIDTHS = 3.5  # of the glint, that a window holds on each side
+BLOCK = 4096  # frames whose windows are held at once
+SIGNIFICANT = 5.0  # deviations of the flux, for a glint on the free background
+LIKE = 0.58  # of the ball's radius: out to .71 a ball mirrors what is above the plate, less the blur
+
+
+@dataclass(frozen=True, eq=False)
+class _Patches:
+    """Candidates of many frames: ``frame``, ``column``, ``row`` (n,), raw ``counts`` (n, p, p), ``inside``."""
+
+    frame: Ints
+    column: Ints
+    row: Ints
+    strength: Array
+    counts: NDArray[Any]
+    inside: NDArray[np.bool_]
+
+
+class MaximumLikelihood:
+    """Finds candidates frame by frame, then fits all of a block's at once."""
+
+    def __init__(self, view: View) -> None:
+        self.camera = view.camera
+        self.sigma = view.sigma
+        self.size = (view.plate.level.shape[1], view.plate.level.shape[0])
+        radius = self.camera.diameter_px / 2.0
+        # A ball's own secondary glints stand .7 R from its centre, the next ball's glint at least 2 R away.
+        self.search = Search(view.plate, self.sigma, apart=max(1.6 * radius, 4.0 * self.sigma))
+        self.half = max(2, round(WIDTHS * self.sigma + 0.5))
+        self.limit = LIKE * radius
+        self.bounded = self.limit > 2.5 * self.sigma
+        travel = FASTEST * self.camera.exposure / self.camera.scale if self.camera.metric else 4.0
+        self.reach = self.half + math.ceil(min(travel, 60.0) / 2.0) + 1
+
+    def __call__(self, frame: NDArray[Any]) -> Glints:
+        """Glints of one frame, taken as at rest during the exposure."""
+        return self.many([(0, frame)])
+
+    def many(self, frames: Iterable[tuple[int, NDArray[Any]]]) -> Glints:
+        """Glints of numbered frames, their streaks taken from the glints' own motion from frame to frame."""
+        parts: list[Glints] = []
+        held: list[_Patches] = []
+        for number, frame in frames:
+            patches = self._candidates(number, frame)
+            if patches is not None:
+                held.append(patches)
+            if len(held) == BLOCK:
+                parts.append(self._block(held))
+                held = []
+        if held:
+            parts.append(self._block(held))
+        return Glints.join(parts)
+
+    def _candidates(self, number: int, frame: NDArray[Any]) -> _Patches | None:
+        finds = self.search(frame)
+        if len(finds.row) == 0:
+            return None
+        span = np.arange(-self.reach, self.reach + 1)
+        rows, columns = finds.row[:, None] + span, finds.column[:, None] + span
+        h, w = frame.shape
+        low, high = (rows >= 0) & (rows < h), (columns >= 0) & (columns < w)
+        counts = frame[np.clip(rows, 0, h - 1)[:, :, None], np.clip(columns, 0, w - 1)[:, None, :]]
+        inside = low[:, :, None] & high[:, None, :]
+        return _Patches(np.full(len(finds.row), number), finds.column, finds.row, finds.strength, counts, inside)
+
+    def _block(self, held: list[_Patches]) -> Glints:
+        names = _Patches.__dataclass_fields__
+        patches = _Patches(*(np.concatenate([getattr(p, n) for p in held]) for n in names))
+        corner = np.column_stack([patches.column, patches.row]).astype(np.float64)
+        place = corner + coarse_place(patches.counts, self.reach)
+        rough = self._rough(patches, place)
+        streak = self._streaks(rough)
+        found, good = self._fit(patches, place, streak)
+        if float(np.max(np.abs(streak), initial=0.0)) > self.sigma:
+            # Long streaks: their middles were rough, and with them the velocities.
+            better = np.zeros_like(streak)
+            better[good] = self._streaks(found.take(good))
+            place = np.where(good[:, None], found.xy, place)
+            found, good = self._fit(patches, place, better)
+        return found.take(good)
+
+    def _rough(self, patches: _Patches, place: Array) -> Glints:
+        n = len(place)
+        return Glints(
+            patches.frame, place[:, 0], place[:, 1], np.tile(np.eye(2), (n, 1, 1)), patches.strength,
+            np.zeros(n), np.zeros(n, np.int64),
+        )  # fmt: skip
+
+    def _streaks(self, glints: Glints) -> Array:
+        if self.camera.exposure == 0.0:
+            return np.zeros((len(glints), 2))
+        moved = velocities(glints.frame, assign(glints, self.camera), glints.xy)
+        return moved * (self.camera.exposure * self.camera.fps)
+
+    def _fit(self, patches: _Patches, place: Array, streak: Array) -> tuple[Glints, NDArray[np.bool_]]:
+        """Fits in groups of one window size; returns all glints and which of them are good."""
+        longest = np.max(np.abs(streak), axis=1)
+        halves = np.minimum(self.half + np.floor(longest / 2.0 + 0.35).astype(np.int64), self.reach)
+        bowl = self.camera.zenith_of_glint(place) - place
+        out = self._rough(patches, place)
+        out = replace(out, cov=out.cov.copy(), flux=out.flux.copy(), x=out.x.copy(), y=out.y.copy())
+        good = np.zeros(len(place), dtype=bool)
+        for half in np.unique(halves).tolist():
+            rows = np.flatnonzero(halves == half)
+            windows, origin = self._windows(patches, place, streak, bowl, rows, half)
+            result = fit(windows, self.sigma, self.camera.sensor)
+            out.x[rows], out.y[rows] = (origin + result.xy).T
+            out.cov[rows] = result.cov * _inflation(result, windows)[:, None, None]
+            out.flux[rows], out.background[rows] = result.flux, result.background
+            out.flags[rows] = self._flags(result, windows, streak[rows])
+            good[rows] = self._good(result, out.xy[rows], half)
+        out.flags[self._crowded(out, good)] |= NEAR
+        return out, good
+
+    def _windows(
+        self, patches: _Patches, place: Array, streak: Array, bowl: Array, rows: Ints, half: int
+    ) -> tuple[Windows, Array]:
+        """Windows of 2 half + 1 pixels about the pixels nearest to ``place``, and those pixels' places."""
+        corner = np.column_stack([patches.column[rows], patches.row[rows]])
+        room = self.reach - half
+        shift = np.clip(np.round(place[rows] - corner).astype(np.int64), -room, room)
+        index = np.arange(-half, half + 1) + self.reach
+        across = index + shift[:, :1]
+        down = index + shift[:, 1:]
+        each = np.arange(len(rows))[:, None, None]
+        counts = patches.counts[rows][each, down[:, :, None], across[:, None, :]].astype(np.float64)
+        inside = patches.inside[rows][each, down[:, :, None], across[:, None, :]].astype(np.float64)
+        origin = (corner + shift).astype(np.float64)
+        start = np.clip(place[rows] - origin, -half, half)
+        offsets = np.abs(np.arange(-half, half + 1) - start[..., None])  # (n, axis, pixel)
+        limit = self.half + 0.5 + np.abs(streak[rows]) / 2.0
+        near = (offsets <= limit[..., None]).astype(np.float64)
+        used = inside * near[:, 1, :, None] * near[:, 0, None, :]
+        used *= self._on_body(start + bowl[rows], streak[rows], half)
+        ghosts = np.zeros((len(rows), 0, 3))
+        return Windows(counts, used, start, streak[rows], bowl[rows], ghosts), origin
+
+    def _on_body(self, middle: Array, streak: Array, half: int) -> Array:
+        """1 where a pixel sees the part of the ball that mirrors the room, in which the body is a smooth bowl."""
+        if not self.bounded:
+            return np.ones((len(middle), 1, 1))
+        offsets = np.arange(-half, half + 1.0)
+        across, down = (offsets - middle[:, :1])[:, None, :], (offsets - middle[:, 1:])[:, :, None]
+        length = np.hypot(streak[:, 0], streak[:, 1])[:, None, None]
+        way = streak[..., None, None] / np.maximum(np.hypot(streak[:, 0], streak[:, 1]), 1e-9)[:, None, None, None]
+        along = way[:, 0] * across + way[:, 1] * down
+        along -= np.clip(along, -length / 2.0, length / 2.0)
+        aside = way[:, 0] * down - way[:, 1] * across
+        aside = np.where(length > 0, aside, np.hypot(across, down))
+        return np.asarray(along**2 + aside**2 <= self.limit**2, dtype=np.float64)
+
+    def _flags(self, result: Fit, windows: Windows, streak: Array) -> Ints:
+        full = ((windows.counts >= self.camera.sensor.ceiling) & (windows.used > 0)).any(axis=(1, 2))
+        flags = np.where(full, CLIPPED, 0)
+        flags |= np.where(np.hypot(streak[:, 0], streak[:, 1]) > 0.5 * self.sigma, STREAK, 0)
+        flags |= np.where(_inflation(result, windows) > 1.0, MISFIT, 0)
+        cut = windows.used[:, windows.half, windows.half] == 0
+        edge = windows.used.sum(axis=(1, 2)) < 0.8 * min((2 * self.half + 1) ** 2, math.pi * self.limit**2)
+        return np.asarray(flags | np.where(edge | cut, EDGE, 0), dtype=np.int64)
+
+    def _good(self, result: Fit, xy: Array, half: int) -> NDArray[np.bool_]:
+        in_view = np.all((xy > -0.5) & (xy < np.array(self.size) - 0.5), axis=1)
+        kept_place = np.max(np.abs(result.xy), axis=1) < half
+        bright = result.flux > SIGNIFICANT * result.flux_std
+        return np.asarray(in_view & kept_place & bright & (result.settled > 0))
+
+    def _crowded(self, glints: Glints, good: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """Glints that have another within one and a half ball diameters in the same frame."""
+        out = np.zeros(len(glints), dtype=bool)
+        rows = np.flatnonzero(good)
+        order = rows[np.argsort(glints.frame[rows], kind="stable")]
+        frame, xy = glints.frame[order], glints.xy[order]
+        for lag in range(1, 8):
+            if lag >= len(order):
+                break
+            same = frame[lag:] == frame[:-lag]
+            if not same.any():
+                break
+            close = np.hypot(*(xy[lag:] - xy[:-lag]).T) < 1.5 * self.camera.diameter_px
+            hit = np.flatnonzero(same & close)
+            out[order[hit]] = out[order[hit + lag]] = True
+        return out
+
+
+def _inflation(result: Fit, windows: Windows) -> Array:
+    """What the covariance is multiplied by where residuals are beyond doubt larger than the noise."""
+    freedom = np.maximum(windows.used.sum(axis=(1, 2)) - 5.0, 1.0)
+    return np.where(result.chi2 > 1.0 + 4.0 * np.sqrt(2.0 / freedom), result.chi2, 1.0)

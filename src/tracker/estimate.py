@@ -1,0 +1,232 @@
+"""From the tracks of one clip to its physics: r, mu_k, C, slide times, energy, momentum, with honest errors.
+
+Three readings stand beside each other: NAME from the tied fit (one physical model of impact, sliding and rolling),
+NAME_free from the free fit (any velocities and slide times after the hit), NAME_paper from the paper's finite
+differences. Where the first two disagree the model is wrong. What a clip cannot tell is NaN.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from . import paper
+from .encounter import Encounter, encounters, first_guess
+from .fitting import Fit, fit_motion
+from .kinetics import motion_table
+from .motion import AFTER, FREE, TIED, release
+from .places import Course, courses
+from .pooled import fit_all
+from .quantities import NAMES, Values, of_free, of_tied
+from .single import roll_alone
+
+if TYPE_CHECKING:
+    from .geometry import Camera
+    from .link import Tracks
+
+__all__ = ["fit_all", "interpret", "measure", "motion_table", "told"]
+
+Floats = NDArray[np.float64]
+
+SEEN = 25.0  # chi^2 by which the end of a slide must beat a slide without end: five standard errors
+TELLING = 0.2  # a relative error above this, and first-order errors no longer describe the estimate
+# quantities whose size may be zero have limits of their own, in their own units
+LIMITS = {"b": 0.05, "t_c": np.inf, "s": 0.1, "r": 0.05, "C": 0.05, "final_angle": 0.1}
+LIMITS |= {"energy_fraction": 0.05, "momentum_fraction": 0.05, "drag": 2.0, "decel": 0.2}
+FREE_LIMITS = LIMITS | {"r": 0.02}
+NEEDS = {  # what falls with a slide end that the clip does not show, by ball
+    1: ("tau1", "v1f", "w1n", "w1t"),
+    2: ("tau2", "v2f", "w2n", "w2t"),
+}
+NEEDS_BOTH = ("energy_fraction", "momentum_fraction", "final_angle")
+POOR_FIT = 1e4  # chi^2 per degree of freedom: 100 sigma off everywhere is no description of the motion
+
+
+@dataclass(frozen=True)
+class Reading:
+    """Both fits of one collision and what they say."""
+
+    meeting: Encounter
+    tied: Fit
+    free: Fit
+    slides_seen: tuple[bool, bool]
+    of_tied: Values
+    of_free: Values
+
+
+def measure(tracks: Tracks, camera: Camera) -> list[dict[str, Any]]:
+    """One row per collision of a clip, in the columns of estimates.parquet without `clip`; never empty.
+
+    SI units. status: "ok", "no_collision" (then v0, drag and decel of the ball that rolls), or the reason
+    why nothing can be told.
+    """
+    if not camera.metric:
+        return [_row(camera, 0, "no scale: lengths need a camera file")]
+    balls = courses(tracks, camera)
+    if not any(len(course) >= 2 for course in balls):
+        return [_row(camera, 0, "too few detections")]
+    meetings = encounters(balls, camera.ball_diameter)
+    if not meetings:
+        return [_row(camera, 0, "no_collision") | _alone(balls)]
+    return [_collision(meeting, camera, i) for i, meeting in enumerate(meetings)]
+
+
+def _collision(meeting: Encounter, camera: Camera, index: int) -> dict[str, Any]:
+    row = _row(camera, index, meeting.reason or "ok")
+    row |= {"particle1": meeting.struck.particle, "particle2": meeting.striker.particle}
+    if meeting.reason:
+        return row
+    read = interpret(meeting, camera.ball_diameter)
+    if isinstance(read, str):
+        return row | {"status": read}
+    tied, free = told(read)
+    readings = paper.read(meeting, camera.ball_diameter, camera.fps)
+    for i, name in enumerate(NAMES):
+        row[name], row[f"{name}_std"] = tied.value[i], tied.std[i]
+        row[f"{name}_free"], row[f"{name}_free_std"] = free.value[i], free.std[i]
+        row[f"{name}_paper"], row[f"{name}_paper_std"] = readings[name]
+    row["cov"] = _as_json({"tied": read.of_tied.cov, "free": read.of_free.cov})
+    row |= dict(zip(("heading", "x1", "y1"), read.tied.parameters[[3, 1, 2]].tolist(), strict=True))
+    for suffix, fit in (("", read.tied), ("_free", read.free)):
+        row |= {f"chi2{suffix}": fit.chi2, f"dof{suffix}": fit.dof, f"dropped{suffix}": fit.dropped}
+    return row
+
+
+def interpret(meeting: Encounter, diameter: float) -> Reading | str:
+    """Tied and free fit of one collision; or the reason why there is none."""
+    guess = first_guess(meeting, diameter)
+    if guess is None:
+        return "the approach does not lead to the resting ball"
+    struck, striker = meeting.struck, meeting.striker
+    tied = fit_motion(struck, striker, diameter, True, [guess])
+    free, seen = _free(meeting, diameter, tied)
+    if tied.chi2 > free.chi2 + 50:  # the free fit has no impact to get wrong: let it lead
+        again = fit_motion(struck, striker, diameter, True, [_tied_from(free, diameter)])
+        if again.chi2 < tied.chi2:
+            tied = again
+            free, seen = _free(meeting, diameter, tied)
+    if not (tied.converged and free.converged):
+        return "the fit did not converge"
+    if tied.chi2 > POOR_FIT * tied.dof:
+        return "no collision of two rolling balls fits the tracks"
+    return Reading(
+        meeting, tied, free, seen,
+        of_tied(tied.parameters, tied.cov, diameter), of_free(free.parameters, free.cov, diameter),
+    )  # fmt: skip
+
+
+def _free(meeting: Encounter, diameter: float, tied: Fit) -> tuple[Fit, tuple[bool, bool]]:
+    """The free fit, and for each ball whether its slide's end shows.
+
+    Short slides have several minima: other slide times are tried. One without end is the null hypothesis.
+    """
+    start = np.asarray(release(tied.parameters), dtype=np.float64)
+    ends = [FREE.index(name) for name in ("log_tau1", "log_tau2")]
+    balls = (meeting.struck, meeting.striker)
+    starts = [start]
+    for shift in (-0.5, 0.5):
+        other = start.copy()
+        other[ends] += shift
+        starts.append(other)
+    best = fit_motion(*balls, diameter, False, starts)
+    seen = [True, True]
+    for i, (end, course) in enumerate(zip(ends, balls, strict=True)):
+        left = course.start[-1] + course.exposure - best.parameters[0]
+        if np.exp(best.parameters[end]) > left:
+            seen[i] = False
+        elif np.exp(best.parameters[end]) > 0.5 * left:
+            endless = _endless(best.parameters, 1 + i, left)
+            without = fit_motion(*balls, diameter, False, [endless])
+            if without.chi2 < best.chi2:
+                best = without
+            seen[i] = (
+                without.chi2 - best.chi2 > SEEN * (best.chi2 / best.dof if not course.weighed else 1)
+                and np.exp(best.parameters[end]) < left
+            )
+    return best, (seen[0], seen[1])
+
+
+def _endless(free: Floats, ball: int, left: float) -> Floats:
+    """The same start of a slide, but one that goes on after the ball is last seen."""
+    out, at = free.copy(), AFTER[ball]
+    tau, longer = np.exp(free[at + 4]), 1.5 * left
+    out[at + 2 : at + 4] = free[at : at + 2] + (free[at + 2 : at + 4] - free[at : at + 2]) * longer / tau
+    out[at + 4] = np.log(longer)
+    return out
+
+
+def _tied_from(free: Fit, diameter: float) -> Floats:
+    """Tied parameters nearest to a free motion: its launch, and the r, mu_k and C it implies."""
+    said = dict(zip(NAMES, of_free(free.parameters, free.cov, diameter).value, strict=True))
+    impact = [np.clip(said["r"], 0, 1), np.log(np.clip(said["mu_k"], 1e-3, 10)), np.clip(said["C"], -0.5, 1)]
+    start = np.concatenate([free.parameters[:8], impact])
+    assert len(start) == len(TIED)
+    return start
+
+
+def told(read: Reading) -> tuple[Values, Values]:
+    """What each fit claims: NaN where the clip cannot tell."""
+    free_nan = {name for ball, seen in enumerate(read.slides_seen, 1) if not seen for name in NEEDS[ball]}
+    if not all(read.slides_seen):
+        free_nan |= {*NEEDS_BOTH, "mu_k", "C"}
+    if not _bent(read.of_free.value, read.of_free.std):
+        free_nan |= {"s"}
+    return _claimed(read.of_tied, LIMITS, set()), _claimed(read.of_free, FREE_LIMITS, free_nan)
+
+
+def _bent(value: Floats, std: Floats) -> bool:
+    """Whether the hit is oblique enough for a tangential restitution, a ratio by b, to have a meaning."""
+    b = NAMES.index("b")
+    return bool(abs(value[b]) > 10 * std[b])
+
+
+def _claimed(values: Values, limits: dict[str, float], unseen: set[str]) -> Values:
+    value, cov = values.value.copy(), values.cov.copy()
+    lost = []
+    for i, name in enumerate(NAMES):
+        std = values.std[i]
+        limit = limits.get(name, TELLING * abs(value[i]) if not name.startswith("w") else np.inf)
+        folded = name == "final_angle" and value[i] < 3 * std  # an angle cannot be negative: near zero it is biased
+        if name in unseen or not np.isfinite(value[i]) or not std <= limit or folded:
+            lost.append(i)
+    value[lost] = np.nan
+    cov[lost, :] = np.nan
+    cov[:, lost] = np.nan
+    return Values(value, cov)
+
+
+def _alone(balls: list[Course]) -> dict[str, Any]:
+    """What a rolling ball tells without a collision: its speed when first seen, drag and decel."""
+    fits = [f for f in map(roll_alone, balls) if f is not None]
+    if not fits:
+        return {}
+    best = max(fits, key=lambda f: f.speed)
+    out: dict[str, Any] = {"particle2": best.particle, "chi2": best.chi2, "dof": best.dof}
+    for name, value, std in best.table():
+        told_it = std <= LIMITS.get(name, np.inf)
+        out[name], out[f"{name}_std"] = (value, std) if told_it else (np.nan, np.nan)
+    out["cov"] = _as_json({"rolling": best.cov[-3:, -3:]})
+    return out
+
+
+def _row(camera: Camera, index: int, status: str) -> dict[str, Any]:
+    row: dict[str, Any] = {"collision": index, "striker": camera.striker, "status": status}
+    for name in NAMES:
+        for kind in ("", "_free", "_paper"):
+            row[f"{name}{kind}"] = row[f"{name}{kind}_std"] = np.nan
+    row |= {"cov": "{}", "particle1": -1, "particle2": -1, "heading": np.nan, "x1": np.nan, "y1": np.nan}
+    for suffix in ("", "_free"):
+        row |= {f"chi2{suffix}": np.nan, f"dof{suffix}": 0, f"dropped{suffix}": 0}
+    return row
+
+
+def _as_json(blocks: dict[str, Floats]) -> str:
+    """Covariances by fit, in the order of `names`; seven digits, which keeps them positive definite enough."""
+    out: dict[str, Any] = {"names": list(NAMES)}
+    for fit, cov in blocks.items():
+        out[fit] = [[float(f"{v:.7g}") if np.isfinite(v) else None for v in line] for line in cov]
+    return json.dumps(out, separators=(",", ":"))

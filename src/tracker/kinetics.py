@@ -1,0 +1,69 @@
+"""Velocity, energy and momentum frame by frame, as the paper plots them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from .motion import AFTER, release
+from .places import Course, courses
+
+if TYPE_CHECKING:
+    from .geometry import Camera
+    from .link import Tracks
+
+Floats = NDArray[np.float64]
+COLUMNS = ("t_s", "particle", "vx", "vy", "energy", "p_along", "p_across")
+
+
+def motion_table(tracks: Tracks, camera: Camera, row: Mapping[str, Any]) -> pd.DataFrame:
+    """Per frame and ball: t_s, particle, vx, vy, energy, p_along, p_across; SI, per unit mass.
+
+    Velocities are differences between the neighbouring frames. energy is v^2/2 less what noise adds to it, so it
+    is unbiased and may fall below zero at rest. p_along and p_across are along the ball's own direction of slip
+    after the collision of `row` (a row of `measure`) and across it (z x that): the paper's x and y. NaN for a
+    ball that took no part in it.
+    """
+    slips = slip_directions(row)
+    tables = [_of_ball(c, slips.get(c.particle)) for c in courses(tracks, camera) if len(c) >= 2]
+    if not tables or not camera.metric:
+        return pd.DataFrame({name: np.empty(0, np.int64 if name == "particle" else float) for name in COLUMNS})
+    return pd.concat(tables, ignore_index=True)
+
+
+def slip_directions(row: Mapping[str, Any]) -> dict[int, Floats]:
+    """particle -> unit vector (2,) of its contact velocity just after the impact; empty without a collision."""
+    launch = [row.get(name, np.nan) for name in ("heading", "b", "v0", "r", "C")]
+    if row.get("status") != "ok" or not np.all(np.isfinite(launch)):
+        return {}
+    heading, b, v0, r, c = map(float, launch)
+    tied = np.array([0, 0, 0, heading, np.arcsin(np.clip(b, -1, 1)), v0, 0, 0, r, 0, c])
+    free = np.asarray(release(tied), dtype=np.float64)
+    out = {}
+    for ball, at in AFTER.items():
+        lost = free[at : at + 2] - free[at + 2 : at + 4]
+        out[int(row[f"particle{ball}"])] = lost / max(float(np.hypot(*lost)), 1e-300)
+    return out
+
+
+def differences(course: Course) -> tuple[Floats, Floats]:
+    """Velocity (n, 2) m/s at each frame from its neighbours, and what noise adds to v^2 (n,)."""
+    last = len(course) - 1
+    ahead, behind = np.minimum(np.arange(last + 1) + 1, last), np.maximum(np.arange(last + 1) - 1, 0)
+    span = (course.start[ahead] - course.start[behind])[:, None]
+    velocity = (course.place[ahead] - course.place[behind]) / span
+    noise = np.trace(course.cov[ahead] + course.cov[behind], axis1=1, axis2=2) / span[:, 0] ** 2
+    return velocity, noise
+
+
+def _of_ball(course: Course, slip: Floats | None) -> pd.DataFrame:
+    velocity, noise = differences(course)
+    along = np.full(2, np.nan) if slip is None else slip
+    across = np.array([-along[1], along[0]])
+    values = [course.time, np.full(len(course), course.particle), velocity[:, 0], velocity[:, 1]]
+    values += [((velocity**2).sum(axis=1) - noise) / 2, velocity @ along, velocity @ across]
+    return pd.DataFrame(dict(zip(COLUMNS, values, strict=True)))

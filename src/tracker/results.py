@@ -1,0 +1,247 @@
+"""The files of RESULTS, written and read, and tables of tracks made by other programs.
+
+Everything is written aside and moved into place, and holds neither times nor paths: the same input gives the
+same bytes.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import shutil
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pyarrow as pa
+import pyarrow.csv
+import pyarrow.parquet
+
+from .geometry import Camera, InputError
+from .link import Tracks
+
+RUN = "run.json"
+NEEDED = ("frame", "particle", "x", "y")
+
+
+def clip_folder(results: Path, number: int) -> Path:
+    """Where a clip's results lie."""
+    return results / "clips" / f"{number:06d}"
+
+
+def is_done(results: Path, number: int) -> bool:
+    """Whether a clip's results are there, whole."""
+    return clip_folder(results, number).is_dir()
+
+
+def write_clip(
+    results: Path,
+    number: int,
+    tracks: Tracks,
+    motion: pd.DataFrame,
+    rows: Sequence[Mapping[str, Any]],
+    camera: Camera,
+) -> None:
+    """Writes one clip's folder aside and moves it into place."""
+    final = clip_folder(results, number)
+    aside = final.with_suffix(".tmp")
+    shutil.rmtree(aside, ignore_errors=True)
+    aside.mkdir(parents=True)
+    table = tracks_table(tracks)
+    pyarrow.parquet.write_table(table, aside / "tracks.parquet")
+    pyarrow.csv.write_csv(table, aside / "tracks.csv", pyarrow.csv.WriteOptions(quoting_style="needed"))
+    pyarrow.parquet.write_table(_plain(motion), aside / "motion.parquet")
+    write_json(aside / "estimates.json", list(rows))
+    write_json(aside / "camera.json", camera.to_dict())
+    os.replace(aside, final)
+
+
+def finish(partial: Path, final: Path, numbers: Iterable[int]) -> pd.DataFrame:
+    """Gathers the clips' estimates, fits them together, and moves the whole into place. Returns the estimates."""
+    from .estimate import fit_all
+
+    order = sorted(numbers)
+    table = gather(partial, order)
+    pyarrow.parquet.write_table(_plain(table), partial / "estimates.parquet")
+    write_json(partial / "fit.json", fit_all(table))
+    shutil.copyfile(clip_folder(partial, order[0]) / "camera.json", partial / "camera.json")
+    os.replace(partial, final)
+    return table
+
+
+def gather(results: Path, numbers: Iterable[int]) -> pd.DataFrame:
+    """All clips' estimates, one row a collision, ``clip`` first."""
+    rows = []
+    for number in numbers:
+        text = (clip_folder(results, number) / "estimates.json").read_text(encoding="utf-8")
+        rows += [{"clip": number, **row} for row in json.loads(text, parse_constant=lambda _: math.nan)]
+    table = pd.DataFrame(rows)
+    for name in table.columns:  # null stands for NaN in the clips' files
+        if table[name].dtype == object and name not in ("cov", "status", "striker"):
+            table[name] = table[name].astype(float)
+    return table
+
+
+def tracks_table(tracks: Tracks) -> pa.Table:
+    """The columns of tracks.parquet."""
+    return pa.table(
+        {
+            "frame": tracks.frame,
+            "particle": tracks.particle,
+            "x": tracks.x,
+            "y": tracks.y,
+            "x_std": np.sqrt(tracks.cov[:, 0, 0]),
+            "y_std": np.sqrt(tracks.cov[:, 1, 1]),
+            "cov_xy": np.ascontiguousarray(tracks.cov[:, 0, 1]),
+            "flux": tracks.flux,
+            "flags": pa.array(tracks.flags.tolist(), pa.string()),
+            "glint_x": tracks.glint_x,
+            "glint_y": tracks.glint_y,
+        }
+    )
+
+
+def write_json(path: Path, value: Any) -> None:
+    """JSON with null for what is not finite."""
+    path.write_text(json.dumps(_finite(value), indent=1, sort_keys=False) + "\n", encoding="utf-8")
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {str(k): _finite(v) for k, v in value.items()}
+    if isinstance(value, list | tuple | np.ndarray):
+        return [_finite(v) for v in value]
+    if isinstance(value, bool | np.bool_):
+        return bool(value)
+    if isinstance(value, int | np.integer):
+        return int(value)
+    if isinstance(value, float | np.floating):
+        return float(value) if math.isfinite(value) else None
+    return value
+
+
+def _plain(table: pd.DataFrame) -> pa.Table:
+    """Without pandas' own metadata, which names the versions of libraries."""
+    return pa.Table.from_pandas(table, preserve_index=False).replace_schema_metadata(None)
+
+
+def read_clip(results: Path, number: int) -> tuple[Tracks, Camera]:
+    """Tracks and camera of one clip of RESULTS."""
+    folder = clip_folder(results, number)
+    own = folder / "camera.json"
+    camera = Camera.read(own if own.is_file() else results / "camera.json")
+    table = _load(folder / "tracks.parquet")
+    return _to_tracks(table, str(folder / "tracks.parquet")), camera
+
+
+def result_clips(results: Path) -> list[int]:
+    """Numbers of the clips that RESULTS holds."""
+    folder = results / "clips"
+    if not folder.is_dir():
+        raise InputError(f"{results}: expected a folder of results with clips/ in it")
+    return sorted(int(p.name) for p in folder.iterdir() if p.is_dir() and p.name.isdigit())
+
+
+def read_tracks(path: Path) -> dict[int, tuple[Tracks, str | None]]:
+    """Tracks by clip, with the clip's striker where the table says it; InputError for what is no such table.
+
+    CSV or Parquet with frame, particle, x, y in px; clip (0 if missing), striker, x_std, y_std, cov_xy may be
+    there. Rows without a finite place are left out.
+    """
+    table = _load(path)
+    clips = table["clip"] if "clip" in table else pd.Series(0, index=table.index)
+    out: dict[int, tuple[Tracks, str | None]] = {}
+    numbers = _whole(clips, "clip", str(path))
+    for number in np.unique(numbers).tolist():
+        part = table[numbers == number]
+        striker = None
+        if "striker" in part:
+            names = part["striker"].unique().tolist()
+            if len(names) != 1 or names[0] not in ("a", "b"):
+                raise InputError(f"{path}: striker: clip {number} has {names}, expected one of a, b")
+            striker = str(names[0])
+        out[number] = (_to_tracks(part, str(path)), striker)
+    return out
+
+
+def _load(path: Path) -> pd.DataFrame:
+    if not path.is_file():
+        raise InputError(f"{path}: no such file, expected a table of tracks (CSV or Parquet)")
+    try:
+        table = pd.read_parquet(path) if path.suffix.lower() in (".parquet", ".pq") else pd.read_csv(path)
+    except Exception as error:  # readers raise their own kinds
+        reason = (str(error).splitlines() or [type(error).__name__])[0][:120]
+        raise InputError(f"{path}: cannot be read as a table of tracks ({reason})") from None
+    missing = [name for name in NEEDED if name not in table]
+    if missing:
+        raise InputError(f"{path}: no column {', '.join(missing)}, expected {', '.join(NEEDED)}")
+    if len(table) == 0:
+        raise InputError(f"{path}: no rows, expected a row for each ball and frame")
+    return table
+
+
+def _to_tracks(table: pd.DataFrame, where: str) -> Tracks:
+    frame, particle = _whole(table["frame"], "frame", where), _whole(table["particle"], "particle", where)
+    x, y = _real(table["x"], "x", where), _real(table["y"], "y", where)
+    kept = np.flatnonzero(np.isfinite(x) & np.isfinite(y))
+    kept = kept[np.lexsort((frame[kept], particle[kept]))]
+    twice = (np.diff(frame[kept]) == 0) & (np.diff(particle[kept]) == 0)
+    if twice.any():
+        row = kept[np.flatnonzero(twice)[0]]
+        raise InputError(f"{where}: particle {particle[row]} is twice in frame {frame[row]}, expected once")
+
+    def column(name: str, default: float) -> Any:
+        values = _real(table[name], name, where) if name in table else np.full(len(table), default)
+        return values[kept]
+
+    cov = np.empty((len(kept), 2, 2))
+    cov[:, 0, 0], cov[:, 1, 1] = column("x_std", math.nan) ** 2, column("y_std", math.nan) ** 2
+    cov[:, 0, 1] = cov[:, 1, 0] = column("cov_xy", 0.0)
+    words = table["flags"].fillna("").astype(str).to_numpy()[kept] if "flags" in table else [""] * len(kept)
+    return Tracks(
+        frame=frame[kept],
+        particle=particle[kept],
+        x=x[kept],
+        y=y[kept],
+        cov=cov,
+        flux=column("flux", math.nan),
+        flags=np.array(list(words), dtype=np.str_),
+        glint_x=column("glint_x", math.nan),
+        glint_y=column("glint_y", math.nan),
+    )
+
+
+def _real(values: Any, name: str, where: str) -> Any:
+    try:
+        return pd.to_numeric(values).to_numpy(dtype=np.float64)
+    except (ValueError, TypeError):
+        raise InputError(f"{where}: {name}: expected numbers") from None
+
+
+def _whole(values: Any, name: str, where: str) -> Any:
+    numbers = _real(values, name, where)
+    if not np.all(np.isfinite(numbers)) or np.any(numbers != np.round(numbers)) or np.any(numbers < 0):
+        raise InputError(f"{where}: {name}: expected whole numbers from 0")
+    return numbers.astype(np.int64)
+
+
+def to_centres(tracks: Tracks, camera: Camera) -> Tracks:
+    """Tracks of glints as tracks of ball centres, where the camera allows; else flagged 'glint'."""
+    seen = tracks.xy
+    centre, jacobian = camera.centre_of_glint(seen)
+    flags = tracks.flags
+    if not camera.corrects_glint:
+        flags = np.array(["|".join(filter(None, ["glint", *f.split("|")])) for f in flags.tolist()], dtype=np.str_)
+    return replace(
+        tracks,
+        x=centre[:, 0].copy(),
+        y=centre[:, 1].copy(),
+        cov=jacobian @ tracks.cov @ jacobian.transpose(0, 2, 1),
+        flags=flags,
+        glint_x=seen[:, 0].copy(),
+        glint_y=seen[:, 1].copy(),
+    )

@@ -1,0 +1,172 @@
+"""Clips through the whole chain, in parallel, resumable: read, detect, link, measure, write."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import multiprocessing
+import os
+import shutil
+from collections.abc import Callable, Iterator
+from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import cv2
+import pandas as pd
+
+from . import results
+from .detect import DEFAULT, detect, detector, look
+from .geometry import Camera, InputError
+from .link import Tracks, link
+from .video import Clip, Source, open_source
+
+ENDS = 1 << 16  # bytes at either end of a file that tell one recording from another
+Tick = Callable[[int, int], None]
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What a run did: the estimates, how many clips, how many of them now, frames tracked now."""
+
+    estimates: pd.DataFrame
+    clips: int
+    fresh: int
+    frames: int
+
+
+def track_clip(clip: Clip, name: str = DEFAULT) -> tuple[Tracks, Camera]:
+    """Tracks of one clip, and its camera with what was estimated from the clip filled in."""
+    view = look(clip)
+    return link(detect(clip, view, name), view.camera), view.camera
+
+
+def measure_clip(tracks: Tracks, camera: Camera) -> tuple[list[dict[str, Any]], pd.DataFrame]:
+    """Rows of estimates, and the table of motion about the first collision."""
+    from .estimate import measure, motion_table
+
+    rows = measure(tracks, camera)
+    return rows, motion_table(tracks, camera, rows[0])
+
+
+def run(
+    path: Path, output: Path, camera: Path | None, name: str, workers: int, tick: Tick = lambda done, of: None
+) -> Outcome:
+    """Tracks every clip of a source into RESULTS; continues what an interrupted run left in RESULTS.partial."""
+    detector(name)
+    source = open_source(path, camera)
+    plan = _plan(source, name)
+    numbers = [number for number, _ in source.clips]
+    if output.exists():
+        _same_or_refuse(output, plan)
+        return Outcome(results.gather(output, numbers), len(source), 0, 0)
+    partial = open_partial(output, plan)
+    todo = [i for i, number in enumerate(numbers) if not results.is_done(partial, number)]
+    frames = 0
+    tick(len(source) - len(todo), len(source))
+    for done, count in enumerate(_each(source, todo, partial, name, workers), 1):
+        frames += count
+        tick(len(source) - len(todo) + done, len(source))
+    table = results.finish(partial, output, numbers)
+    return Outcome(table, len(source), len(todo), frames)
+
+
+def measure_tables(path: Path, output: Path, camera: Path, point: str = "centre") -> Outcome:
+    """Measures tracks made by any program, as ``run`` does its own."""
+    base = Camera.read(camera)
+    tables = results.read_tracks(path)
+    digest = hashlib.sha256(path.read_bytes() + camera.read_bytes() + point.encode()).hexdigest()
+    plan = {"made_by": "tracker measure", "input": digest}
+    numbers = sorted(tables)
+    if output.exists():
+        _same_or_refuse(output, plan)
+        return Outcome(results.gather(output, numbers), len(numbers), 0, 0)
+    partial = open_partial(output, plan)
+    todo = [n for n in numbers if not results.is_done(partial, n)]
+    for number in todo:
+        tracks, striker = tables[number]
+        own = replace(base, striker=striker) if striker is not None else base
+        if point == "glint":
+            tracks = results.to_centres(tracks, own)
+        rows, motion = measure_clip(tracks, own)
+        results.write_clip(partial, number, tracks, motion, rows, own)
+    return Outcome(results.finish(partial, output, numbers), len(numbers), len(todo), 0)
+
+
+def open_partial(output: Path, plan: dict[str, Any]) -> Path:
+    """The folder in which results grow: a new one, or the one that the same command left behind."""
+    partial = output.with_name(output.name + ".partial")
+    note = partial / results.RUN
+    if partial.exists():
+        _same_or_refuse(partial, plan)
+    else:
+        (partial / "clips").mkdir(parents=True)
+        results.write_json(note, plan)
+    for leftover in (partial / "clips").glob("*.tmp"):
+        shutil.rmtree(leftover)
+    return partial
+
+
+def _same_or_refuse(folder: Path, plan: dict[str, Any]) -> None:
+    """An output folder may hold the same run, whole or in part, and nothing else."""
+    note = folder / results.RUN
+    if not folder.is_dir() or not note.is_file():
+        raise InputError(f"{folder}: exists and holds something else, expected a new folder for the results")
+    try:
+        known = json.loads(note.read_text(encoding="utf-8"))
+    except ValueError:
+        known = None
+    if known != plan:
+        raise InputError(f"{folder}: holds the results of another run, expected a new folder for the results")
+
+
+def _plan(source: Source, name: str) -> dict[str, Any]:
+    """What tells one run from another, without paths or times."""
+    mark = hashlib.sha256()
+    for number, place in source.clips:
+        mark.update(f"{number}".encode())
+        files = [place] if place.is_file() else sorted(p for p in place.iterdir() if p.is_file())
+        for file in files:
+            size = file.stat().st_size
+            mark.update(f"|{size}".encode())
+            with file.open("rb") as stream:
+                mark.update(stream.read(ENDS))
+                stream.seek(max(0, size - ENDS))
+                mark.update(stream.read(ENDS))
+    for file in source.camera_files():
+        mark.update(file.read_bytes())
+    return {"made_by": "tracker track", "detector": name, "clips": len(source), "input": mark.hexdigest()}
+
+
+def _each(source: Source, todo: list[int], partial: Path, name: str, workers: int) -> Iterator[int]:
+    """Frames of each clip done, in whatever order; results do not depend on it."""
+    if workers <= 1 or len(todo) <= 1:
+        for index in todo:
+            yield _one(source, index, partial, name)
+        return
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(min(workers, len(todo)), mp_context=context) as pool:
+        waiting = {pool.submit(_one, source, index, partial, name) for index in todo}
+        try:
+            while waiting:
+                done, waiting = wait(waiting, return_when=FIRST_COMPLETED)
+                for future in done:
+                    yield future.result()
+        except BaseException:
+            pool.shutdown(wait=True, cancel_futures=True)
+            raise
+
+
+def _one(source: Source, index: int, partial: Path, name: str) -> int:
+    cv2.setNumThreads(1)  # clips run side by side
+    clip = source.clip(index)
+    tracks, camera = track_clip(clip, name)
+    rows, motion = measure_clip(tracks, camera)
+    results.write_clip(partial, clip.number, tracks, motion, rows, camera)
+    return len(clip.frames)
+
+
+def default_workers() -> int:
+    """One a core that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
