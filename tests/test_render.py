@@ -60,11 +60,11 @@ def trace(camera, centres, pixels, radii):
 
 
 def lamp_images(camera, centres, radii, highest=3):
-    """Images of order 1 to highest as (order, pixel, flux in px^2, variance), found by scanning the balls and zooming in."""
+    """Images of order 1 to highest: (order, pixel, flux in px^2, variance); the balls are scanned, then zoomed in."""
     found = []
     for centre, radius in zip(centres, radii, strict=True):
         middle = cv2.projectPoints(np.array(centre), cv2.Rodrigues(camera.R)[0], camera.t, camera.K, camera.dist)[0]
-        side = np.arange(-1.03, 1.03, 0.008) * radius / camera.scale
+        side = np.arange(-1.03, 1.03, 0.01) * radius / camera.scale
         grid = square(middle.ravel(), side)
         bounces, _, miss, _ = trace(camera, centres, grid, radii)
         for order in range(1, highest + 1):
@@ -96,15 +96,15 @@ def zoom(camera, centres, radii, order, middle):
         half *= 1.5
         bounces, _, miss, _ = trace(camera, centres, square(middle, np.linspace(-half, half, 41)), radii)
         lit = (bounces == order) & (miss < LAMP.radius)
-    side = (np.arange(400) + 0.5) / 200 * half - half
+    side = (np.arange(240) + 0.5) / 120 * half - half
     grid = square(middle, side)
     bounces, kept, miss, _ = trace(camera, centres, grid, radii)
     weight = kept * ((bounces == order) & (miss < LAMP.radius))
     place = weight @ grid / weight.sum()
-    return order, place, weight.sum() * (half / 200) ** 2, weight @ (grid - place) ** 2 / weight.sum()
+    return order, place, weight.sum() * (half / 120) ** 2, weight @ (grid - place) ** 2 / weight.sum()
 
 
-def brute_picture(camera, centres, radii, room, unit, plate, fine, fineness=12):
+def brute_picture(camera, centres, radii, room, unit, plate, fine, fineness=8):
     """The whole picture by one ray a sub-sample, body and plate only, blurred and integrated over pixels."""
     w, h = camera.size
     x, y = (np.arange(w * fineness) + 0.5) / fineness - 0.5, (np.arange(h * fineness) + 0.5) / fineness - 0.5

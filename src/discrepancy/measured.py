@@ -50,15 +50,15 @@ class Measured:
         out[(opens >= self.launch[2]) & (opens >= end)] = 2
         return out
 
-    def stretches(self) -> Iterator[Array]:
-        """Unbroken stretches (n, 2) of one ball in one phase, in units of the claimed standard deviation."""
-        phase, roots = self.phase(), np.linalg.inv(np.linalg.cholesky(self.covariance))
-        scaled = np.einsum("nij,nj->ni", roots, self.xy)
+    def stretches(self) -> Iterator[tuple[Array, Array]]:
+        """Unbroken stretches of one ball in one phase: places (n, 2) and claimed standard deviations (n,), m."""
+        phase, claimed = self.phase(), np.sqrt(np.trace(self.covariance, axis1=1, axis2=2) / 2)
         for p in range(3):
             for b in range(2):
                 rows = np.flatnonzero((phase == p) & (self.ball == b))
                 for part in np.split(rows, np.flatnonzero(np.diff(self.frame[rows]) != 1) + 1):
-                    yield scaled[part[MARGIN : len(part) - MARGIN]]
+                    kept = part[MARGIN : len(part) - MARGIN]
+                    yield self.xy[kept], claimed[kept]
 
 
 def read_results(results: Path) -> tuple[list[Measured], list[str]]:

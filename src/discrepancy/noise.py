@@ -62,43 +62,36 @@ class Noise:
         return weights, float(np.sqrt(max(left, 1e-6 * self.covariance[0])))
 
 
-def estimate(stretches: Iterable[Array]) -> Noise:
-    """Noise from unbroken stretches (n, axes) of residuals, each within one phase. Raises ValueError with too few."""
+def estimate(stretches: Iterable[tuple[Array, Array]]) -> Noise:
+    """Noise from unbroken stretches, each within one phase: places (n, axes) and claimed standard deviations (n,).
+
+    Raises ValueError when they are too few.
+    """
     sums = np.zeros(ORDER + 1)
     mixing = np.zeros((ORDER + 1, ORDER + 1))
-    for stretch in stretches:
-        n = len(stretch)
+    for places, claimed in stretches:
+        n, axes = places.shape
         if n < SHORTEST:
             continue
-        remover = _remover(n)
-        left = remover @ stretch
-        axes = stretch.shape[1]
-        for lag in range(ORDER + 1):
-            sums[lag] += (left[: n - lag] * left[lag:]).sum()
-        mixing += axes * _mixing(n)
+        basis, _ = np.linalg.qr(np.vander(np.linspace(-1, 1, n), SMOOTH) / claimed[:, None])
+        scaled = (places - places.mean(axis=0)) / claimed[:, None]
+        left = scaled - basis @ (basis.T @ scaled)
+        sums += [(left[: n - lag] * left[lag:]).sum() for lag in range(ORDER + 1)]
+        mixing += axes * _mixing(basis)
     if mixing[0, 0] <= 0:
         raise ValueError("too few unbroken frames to read the noise from")
     return Noise(_definite(np.asarray(np.linalg.solve(mixing, sums))))
 
 
-def _remover(n: int) -> Array:
-    basis, _ = np.linalg.qr(np.vander(np.linspace(-1, 1, n), SMOOTH))
-    return np.asarray(np.eye(n) - basis @ basis.T)
-
-
-_CACHE: dict[int, Array] = {}
-
-
-def _mixing(n: int) -> Array:
-    """E[sum of r_i r_(i+lag)] = sum over m of mixing[lag, m] covariance[m] for residuals r of the cubic."""
-    if n not in _CACHE:
-        remover, out = _remover(n), np.zeros((ORDER + 1, ORDER + 1))
-        for m in range(ORDER + 1):
-            shifted = np.eye(n) if m == 0 else np.eye(n, k=m) + np.eye(n, k=-m)
-            expected = remover @ shifted @ remover
-            out[:, m] = [np.trace(expected, offset=lag) for lag in range(ORDER + 1)]
-        _CACHE[n] = out
-    return _CACHE[n]
+def _mixing(basis: Array) -> Array:
+    """E[sum of r_i r_(i+lag)] = sum over m of mixing[lag, m] covariance[m], r what a projection on `basis` leaves."""
+    n = len(basis)
+    remover, out = np.eye(n) - basis @ basis.T, np.zeros((ORDER + 1, ORDER + 1))
+    for m in range(ORDER + 1):
+        shifted = np.eye(n) if m == 0 else np.eye(n, k=m) + np.eye(n, k=-m)
+        expected = remover @ shifted @ remover
+        out[:, m] = [np.trace(expected, offset=lag) for lag in range(ORDER + 1)]
+    return out
 
 
 def _definite(covariance: Array) -> Array:

@@ -97,8 +97,11 @@ def _write_tiff(path: Path, clip: Clip, frames: Frames) -> str:
     return digest.hexdigest()
 
 
-def finish(folder: Path, about: dict[str, Any]) -> pd.DataFrame:
-    """Write what covers all clips: clips.parquet, dataset.json, the card, the checksums. Returns the scalars."""
+def finish(folder: Path, about: dict[str, Any], unlisted: str = "") -> pd.DataFrame:
+    """Write what covers all clips: clips.parquet, dataset.json, the card, the checksums (without the file `unlisted`).
+
+    Returns the scalars.
+    """
     rows = [json.loads((c / "truth" / "scene.json").read_text())["row"] for c in clip_folders(folder)]
     table = pd.DataFrame(rows)
     table[truth.COLLISION] = table[truth.COLLISION].astype(float)
@@ -106,7 +109,7 @@ def finish(folder: Path, about: dict[str, Any]) -> pd.DataFrame:
     table.to_parquet(folder / "truth" / "clips.parquet", index=False)
     _write_json(folder / "truth" / "dataset.json", about)
     (folder / "README.md").write_text(_card(about, table))
-    files = sorted(p for p in folder.rglob("*") if p.is_file() and p.name != SUMS)
+    files = sorted(p for p in folder.rglob("*") if p.is_file() and p.name not in (SUMS, unlisted))
     (folder / SUMS).write_text("".join(f"{sha256(p)}  {p.relative_to(folder).as_posix()}\n" for p in files))
     return table
 

@@ -10,6 +10,7 @@ import numpy as np
 
 from synthcam.settings import InputError
 
+LARGEST = float(np.finfo(float).max)  # YAML has integers beyond it
 WIDEST = 4.0  # a normal distribution is cut at so many standard deviations
 
 
@@ -19,7 +20,7 @@ def as_distribution(value: Any, key: str, where: str) -> tuple[str, list[Any]] |
         return None
     kind, args = next(iter(value.items()))
     numbers = isinstance(args, list) and all(
-        isinstance(a, int | float) and not isinstance(a, bool) and np.isfinite(a) for a in args
+        isinstance(a, int | float) and not isinstance(a, bool) and abs(a) <= LARGEST for a in args
     )
     if kind == "choice":
         if not isinstance(args, list) or not args:

@@ -77,6 +77,8 @@ def _before(model: Model, state: Array, start: float, time: float) -> list[Leg]:
     if np.hypot(*contact_velocity(state, model.ball.radius)) > STILL:
         raise ValueError("a ball that slides at its launch has no past: start the run at the launch")
     leg = _leg(model, state, time, start)
+    if leg.motion == "roll" and start < leg.t0 < time:
+        raise ValueError(f"a ball has no past before {leg.t0:.6g} s: the push set it rolling from rest there")
     return [dataclasses.replace(leg, t0=start, t1=time)]  # type: ignore[type-var]
 
 
@@ -167,6 +169,10 @@ def _contact(a: Leg, b: Leg, t: float, horizon: float, diameter: float) -> float
         step = _safe_step(gap, rate, steepest)
         if t + step > horizon:
             return None
+        if t + step == t:  # less than the last bit of the time
+            if rate < 0:
+                return t
+            raise ValueError(f"balls stay in contact from {t:.6g} s on: impacts that never end are not modelled")
         t += step
 
 

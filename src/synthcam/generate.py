@@ -81,13 +81,18 @@ def run(plan: Plan, output: Path, workers: int, tick: Callable[[int, int], None]
     on where it was. Raises InputError when either folder holds something else, NoGL when nothing can draw.
     """
     partial = output.with_name(output.name + ".partial")
-    if output.exists():
+    if output.exists() and not _empty(output):
         _same_or_refuse(plan, output, output / "truth" / "dataset.json")
         tick(plan.total, plan.total)
         return Outcome(0, (), pd.read_parquet(output / "truth" / "clips.parquet"))
-    _same_or_refuse(plan, partial, partial / PLAN)
-    (partial / "clips").mkdir(parents=True, exist_ok=True)
-    (partial / PLAN).write_text(json.dumps(plan.document(), indent=1))
+    # a run killed at its very end has left no plan any more, but a dataset.json
+    about = partial / "truth" / "dataset.json"
+    _same_or_refuse(plan, partial, about if about.is_file() and not (partial / PLAN).exists() else partial / PLAN)
+    partial.mkdir(parents=True, exist_ok=True)
+    aside = partial.with_name(partial.name + ".plan")
+    aside.write_text(json.dumps(plan.document(), indent=1))
+    aside.replace(partial / PLAN)
+    (partial / "clips").mkdir(exist_ok=True)
     for leftover in (partial / "clips").glob("*.tmp"):
         shutil.rmtree(leftover)
     done = {int(c.name) for c in clip_folders(partial)}
@@ -99,14 +104,19 @@ def run(plan: Plan, output: Path, workers: int, tick: Callable[[int, int], None]
         tick(len(done) + k, plan.total)
     if failed:
         return Outcome(len(todo) - len(failed), tuple(failed), None)
+    about_all = plan.document() | {"gl": _gl() if plan.video else {}, "machine": _machine()}
+    table = finish(partial, about_all, unlisted=PLAN)
     (partial / PLAN).unlink()
-    table = finish(partial, plan.document() | {"gl": _gl() if plan.video else {}, "machine": _machine()})
     partial.rename(output)
     return Outcome(len(todo), (), table)
 
 
+def _empty(folder: Path) -> bool:
+    return folder.is_dir() and not any(folder.iterdir())
+
+
 def _same_or_refuse(plan: Plan, folder: Path, document: Path) -> None:
-    if not folder.exists() or (folder.is_dir() and not any(folder.iterdir())):
+    if not folder.exists() or _empty(folder):
         return
     if not document.is_file():
         raise InputError(f"{folder}: holds something else; expected a dataset of this scene, or nothing")
@@ -116,7 +126,7 @@ def _same_or_refuse(plan: Plan, folder: Path, document: Path) -> None:
         raise InputError(f"{document}: not JSON; remove the folder to start anew") from None
     wanted = json.loads(json.dumps(plan.document()))
     for key, value in wanted.items():
-        if found.get(key) != value:
+        if not isinstance(found, dict) or found.get(key) != value:
             raise InputError(f"{folder}: holds a dataset with another {key}; choose another folder")
 
 

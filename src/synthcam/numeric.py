@@ -88,7 +88,7 @@ def numeric_roll(model: Model, state: Array, t: float, until: float) -> Numeric:
 
     y, now, pieces = np.array([*state[0:2], *state[3:5]]), t, []
     target = until if until < t else until + PIECE
-    while now != target and np.hypot(y[2], y[3]) > SLOWEST:
+    while now != target and (not pieces or np.hypot(y[2], y[3]) > SLOWEST):
         stopping = 0.5 * np.hypot(y[2], y[3]) / max(np.hypot(*acceleration(y[None])[0]), 1e-300)
         step = max(target - now, -stopping) if target < now else min(target - now, stopping)
         end = target if step == target - now else now + float(step)
@@ -96,11 +96,19 @@ def numeric_roll(model: Model, state: Array, t: float, until: float) -> Numeric:
         y, now = pieces[-1](np.array([end]))[0], end
     path = Path(np.concatenate([[t], *[p.ends[1:] for p in pieces]]), np.concatenate([p.coefficients for p in pieces]))
 
+    speed = np.hypot(y[2], y[3])
+    slowing = -float(acceleration(y[None])[0] @ y[2:4]) / max(speed, 1e-300)
+    rest = speed / slowing if until >= t and speed <= SLOWEST and slowing > 0 else 0.0
+
     def states(times: Array) -> Array:
-        y = path(times)
+        y = path(times if until < t else np.minimum(times, now))
+        if rest > 0:
+            late = np.clip(times - now, 0.0, rest)[:, None]
+            y[:, :2] += y[:, 2:] * late * (1 - late / (2 * rest))
+            y[:, 2:] *= 1 - late / rest
         return rolling_state(y[:, :2], y[:, 2:], wz, radius)
 
-    return Numeric(min(t, now), max(t, now), "roll", states, _steepest(states, t, now - t))
+    return Numeric(min(t, now), max(t, now) + rest, "roll", states, _steepest(states, t, now + rest - t))
 
 
 def _sliding_state(position: Array, q: Array, contact: Array, wz: float, radius: float) -> Array:

@@ -63,7 +63,7 @@ def sample(bounds: Array, weights: Array, frames: NDArray[np.intp], travel: Arra
     The number of moments keeps the streak within 1e-4 of its peak; its centroid is exact for any of them
     as long as the motion is a polynomial of low degree.
     """
-    counts = np.select([travel < 0.02, travel < 0.25], [1, 2], 2 + np.ceil(travel)).astype(int)
+    counts = np.select([travel < 0.02, travel < 0.5], [1, 2], 2 + np.ceil(travel)).astype(int)
     rules = {n: np.polynomial.legendre.leggauss(n) for n in set(counts.tolist())}
     middles, halves = bounds.mean(axis=1), np.diff(bounds, axis=1)[:, 0] / 2
     times, parts = [], []

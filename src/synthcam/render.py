@@ -50,7 +50,7 @@ Index = NDArray[np.intp]
 Centres = Callable[[Array], Array]
 
 PLATE = 0.05  # radiance of the black plate under the lamp, over that of the room seen in a ball
-FINENESS = 4  # body samples a pixel, each way
+FINENESS = 3  # body samples a pixel, each way
 SIDE = 1024  # usual side of the buffer, samples
 BATCH = 64  # exposures gathered at a time
 MOST = 2048  # bodies in one draw call
@@ -277,7 +277,7 @@ class Film:
             yield from self._gather(centres, spans[first : first + BATCH], cuts)
 
     def _gather(self, centres: Centres, spans: Array, cuts: Array) -> Iterator[Picture]:
-        moments = self._moments(centres, spans, cuts)
+        moments, coarse = self._moments(centres, spans, cuts)
         places = np.asarray(centres(moments.times), float)
         pixels, slope = self.camera.project_with_slope(places)
         extent = reach(self.camera, places, self.radii, slope)
@@ -286,7 +286,7 @@ class Film:
         drawn: dict[int, Float32] = {}
         for width in np.unique(patches.widths):
             alike = np.flatnonzero(patches.widths == width)
-            bodies = self._bodies(moments, places, pixels, extent, patches, alike)
+            bodies = self._bodies(centres, coarse, patches, alike)
             self._add_glints(bodies, glints, moments, patches, alike)
             drawn |= zip(alike.tolist(), bodies, strict=True)
         for frame in range(len(spans)):
@@ -298,7 +298,8 @@ class Film:
                 boxes.append(box)
             yield Picture(image, self.plate, merge(boxes))
 
-    def _moments(self, centres: Centres, spans: Array, cuts: Array) -> Moments:
+    def _moments(self, centres: Centres, spans: Array, cuts: Array) -> tuple[Moments, Moments]:
+        """Sub-exposures for the glints and, as a body is wide and faint, fewer for the bodies."""
         bounds, weights, frames = pieces(spans, cuts)
         ends = self.camera.project(np.asarray(centres(bounds.ravel()), float))
         ends = ends.reshape(len(bounds), 2, -1, 2)
@@ -306,12 +307,14 @@ class Film:
         near = np.all((ends > [-w, -h]) & (ends < [2 * w, 2 * h]), axis=(1, 3))
         travel = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=2)
         farthest = np.where(near, travel, 0).max(axis=1, initial=0)
-        return sample(bounds, weights, frames, farthest / np.hypot(self.camera.psf_sigma_px, 12**-0.5))
+        farthest /= np.hypot(self.camera.psf_sigma_px, 12**-0.5)
+        return sample(bounds, weights, frames, farthest), sample(bounds, weights, frames, farthest / 4)
 
-    def _bodies(
-        self, moments: Moments, places: Array, pixels: Array, extent: Array, patches: Patches, alike: Index
-    ) -> Float32:
+    def _bodies(self, centres: Centres, moments: Moments, patches: Patches, alike: Index) -> Float32:
         """Blurred bodies less the plate behind them, (n, width, width) for n patches of one width."""
+        places = np.asarray(centres(moments.times), float)
+        pixels, slope = self.camera.project_with_slope(places)
+        extent = reach(self.camera, places, self.radii, slope)
         width, margin = int(patches.widths[alike[0]]), patches.margin
         tile = (width - 2 * margin) * FINENESS
         across = max(1, SIDE // tile)

@@ -48,7 +48,7 @@ class TimingSettings(Settings):
     """`timing:` contact_frame is t_c x fps, any real number."""
 
     fps: Positive = 250.0
-    frames: Annotated[int, Field(ge=1)] = 100
+    frames: Annotated[int, Field(ge=1, le=1_000_000)] = 100
     exposure: NotNegative = 5e-4
     contact_frame: float = 25.0
 
@@ -138,19 +138,20 @@ class Scene:
 
     def draw(self, number: int, seed: int) -> Clip:
         """Clip `number`. Each value is drawn from its own stream: (seed, clip, key), so that no value moves another."""
-        return clip_of(number, _checked(drawn(self.settings, number, seed), f"{self.where}, clip {number}"))
+        where = f"{self.where}, clip {number}"
+        return clip_of(number, _checked(drawn(self.settings, number, seed), where), where)
 
 
-def clip_of(number: int, drawn: dict[str, Any]) -> Clip:
+def clip_of(number: int, drawn: dict[str, Any], where: str = "") -> Clip:
     """The clip of plain, checked settings. Raises InputError when they contradict each other."""
-    model = build(drawn)
+    model, where = build(drawn), where or drawn["name"]
     timing, launch, camera = drawn["timing"], drawn["launch"], drawn["camera"]
     if timing["exposure"] > 1 / timing["fps"]:
-        raise InputError(f"{drawn['name']}: timing.exposure: expected at most 1/fps, {1 / timing['fps']:g} s")
+        raise InputError(f"{where}: timing.exposure: expected at most 1/fps, {1 / timing['fps']:g} s")
     if camera["height"] <= 2 * model.ball.diameter:
-        raise InputError(f"{drawn['name']}: camera.height: expected more than two ball diameters")
+        raise InputError(f"{where}: camera.height: expected more than two ball diameters")
     if drawn["lamp"]["position"][2] <= 2 * model.ball.diameter:
-        raise InputError(f"{drawn['name']}: lamp.position: expected z above the balls")
+        raise InputError(f"{where}: lamp.position: expected z above the balls")
     return Clip(
         number=number,
         drawn=drawn,
@@ -193,12 +194,11 @@ def check_scene(loaded: dict[str, Any], where: str, overrides: tuple[str, ...] =
     for text in overrides:
         _override(settings, text)
     for end in ("low", "high"):
-        _checked(corner(settings, end, "", where), where)
+        clip_of(0, _checked(corner(settings, end, "", where), where), where)
     for key, options in choices(settings):
         for option in options:
             _checked(replaced(corner(settings, "low", "", where), key, option), where)
     check_free(settings.get("free") or (), where)
-    clip_of(0, _checked(corner(settings, "low", "", where), where))
     return Scene(str(settings.get("name", "scene")), settings, where)
 
 

@@ -39,8 +39,6 @@ def read_yaml(path: Path) -> dict[str, Any]:
         mark = getattr(e, "problem_mark", None)
         where = f", line {mark.line + 1}" if mark else ""
         raise InputError(f"{path}{where}: not plain YAML ({getattr(e, 'problem', None) or 'unreadable'})") from None
-    except RecursionError:
-        raise InputError(f"{path}: nested too deeply") from None
     if loaded is None:
         return {}
     if not isinstance(loaded, dict):
@@ -49,8 +47,13 @@ def read_yaml(path: Path) -> dict[str, Any]:
 
 
 def parse_yaml(text: str) -> Any:
-    """Plain YAML, safely: no tags, no aliases, no key twice."""
-    return yaml.load(text, Loader=_Loader)
+    """Plain YAML, safely: no tags, no aliases, no key twice. Raises YAMLError."""
+    try:
+        return yaml.load(text, Loader=_Loader)
+    except RecursionError:
+        raise yaml.MarkedYAMLError(problem="nested too deeply") from None
+    except ValueError as e:  # a date without its month, a number of 5000 digits
+        raise yaml.MarkedYAMLError(problem=str(e).partition(";")[0]) from None
 
 
 class _Loader(yaml.SafeLoader):
@@ -80,9 +83,15 @@ _Loader.add_constructor("!number", _number)
 def one_line(error: ValidationError, where: str) -> InputError:
     """The first complaint of pydantic as one line: file, dotted key, what was expected."""
     first = error.errors()[0]
-    key = ".".join(str(p) for p in first["loc"])
+    place = [p for p in first["loc"] if not re.fullmatch(r"(literal|list)\[.*\]", str(p))]
+    key = ".".join(repr(p)[1:-1] if isinstance(p, str) else str(p) for p in place) or "the whole"
     if first["type"] == "extra_forbidden":
         return InputError(f"{where}: {key}: unknown key")
+    either = [
+        first,
+        *(e for e in error.errors()[1:] if len(place) < len(first["loc"]) and e["loc"][: len(place)] == tuple(place)),
+    ]
+    expected = " or ".join(f"{e['msg'][0].lower()}{e['msg'][1:]}" for e in either)
     found = repr(first["input"])
     found = found if len(found) < 60 else found[:57] + "..."
-    return InputError(f"{where}: {key}: {first['msg'][0].lower()}{first['msg'][1:]}, found {found}")
+    return InputError(f"{where}: {key}: {expected}, found {found}")

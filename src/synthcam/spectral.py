@@ -75,7 +75,8 @@ def _piece(right: Right, a: float, b: float, start: Array) -> Array | None:
     x = (a + b) / 2 + (b - a) / 2 * nodes
     y = np.repeat(start[None], NODES, axis=0)
     for _ in range(40):
-        new = start + (b - a) / 2 * (integral @ right(x, y))
+        with np.errstate(over="ignore", invalid="ignore"):  # a piece that is too long may run away
+            new = start + (b - a) / 2 * (integral @ right(x, y))
         size = np.abs(new).max(axis=0) + 1e-9
         change = float((np.abs(new - y) / size).max())
         y = new

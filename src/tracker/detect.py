@@ -52,6 +52,13 @@ class Glints:
         """The glints of ``rows``: indices or a mask."""
         return Glints(*(getattr(self, name)[rows] for name in self.__dataclass_fields__))
 
+    def put(self, rows: Any, part: Glints) -> Glints:
+        """The same glints, ``part`` in the place of ``rows``."""
+        changed = {name: getattr(self, name).copy() for name in self.__dataclass_fields__}
+        for name, values in changed.items():
+            values[rows] = getattr(part, name)
+        return Glints(**changed)
+
     @staticmethod
     def none() -> Glints:
         """No glints."""

@@ -109,7 +109,7 @@ def interpret(meeting: Encounter, diameter: float) -> Reading | str:
         if again.chi2 < tied.chi2:
             tied = again
             free, seen = _free(meeting, diameter, tied)
-    if not (tied.converged and free.converged):
+    if not tied.converged:
         return "the fit did not converge"
     if tied.chi2 > POOR_FIT * tied.dof:
         return "no collision of two rolling balls fits the tracks"
@@ -170,6 +170,9 @@ def _tied_from(free: Fit, diameter: float) -> Floats:
 
 def told(read: Reading) -> tuple[Values, Values]:
     """What each fit claims: NaN where the clip cannot tell."""
+    # without an end in view, slide time and final velocity trade freely: no minimum, and none is needed
+    if all(read.slides_seen) and not read.free.converged:
+        return _claimed(read.of_tied, LIMITS, set()), _claimed(read.of_free, FREE_LIMITS, set(NAMES))
     free_nan = {name for ball, seen in enumerate(read.slides_seen, 1) if not seen for name in NEEDS[ball]}
     if not all(read.slides_seen):
         free_nan |= {*NEEDS_BOTH, "mu_k", "C"}

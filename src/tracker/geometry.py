@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .lens import Array, distort, mirror_normal, undistort
+from .lens import Array, distort, mirror_normal, pair_normal, undistort
 from .sensor import Sensor
 
 __all__ = ["Camera", "InputError", "Lamp", "Sensor"]
@@ -159,6 +159,16 @@ class Camera:
         middle = np.concatenate([place, np.full_like(place[..., :1], self.radius)], axis=-1)
         overhead = np.concatenate([place, np.full_like(place[..., :1], FAR)], axis=-1)
         return self.project(middle + self.radius * mirror_normal(middle, self.radius, self.position, overhead))
+
+    def secondary_of_pair(self, glints: ArrayLike, others: ArrayLike) -> Array:
+        """Pixels (n, 2) at which balls of primary glints (n, 2) show the lamp as their neighbours mirror it."""
+        if self.lamp is None:
+            raise InputError("camera: lamp is missing, expected its position for the place of a glint")
+        one, two = (self._centre_place(np.asarray(g, dtype=np.float64)) for g in (glints, others))
+        height = np.full_like(one[..., :1], self.radius)
+        middle, other = np.concatenate([one, height], axis=-1), np.concatenate([two, height], axis=-1)
+        light = np.array(self.lamp.position)
+        return self.project(middle + self.radius * pair_normal(middle, other, self.radius, self.position, light))
 
     def _centre_place(self, seen: Array) -> Array:
         target, _ = self.unproject(seen)

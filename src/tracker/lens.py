@@ -67,3 +67,24 @@ def undistort(bent: Array, dist: Array) -> tuple[Array, Array]:
 
 def _unit(vectors: Array) -> Array:
     return np.asarray(vectors / np.linalg.norm(vectors, axis=-1, keepdims=True), dtype=np.float64)
+
+
+def pair_normal(centres: Array, others: Array, radius: float, eye: Array, light: Array) -> Array:
+    """Unit normals (n, 3) of spheres (n, 3) at which an eye sees a light by way of another sphere ``others``.
+
+    Both reflections halve their angles; steps are damped, for close spheres turn each other's rays strongly.
+    """
+    along = _unit(others - centres)
+    up = np.zeros_like(centres)
+    up[..., 2] = 1.0
+    normal, other = _unit(up + along), _unit(up - along)
+    for _ in range(80):
+        point, from_ = centres + radius * normal, others + radius * other
+        way = _unit(from_ - point)
+        fresh = _unit(_unit(eye - point) + way)
+        fresh_other = _unit(_unit(light - from_) - way)
+        change = float(np.max(np.abs(fresh - normal), initial=0.0))
+        normal, other = _unit(normal + 0.5 * (fresh - normal)), _unit(other + 0.5 * (fresh_other - other))
+        if change < 1e-7:
+            break
+    return normal

@@ -21,6 +21,9 @@ Ints = NDArray[np.int64]
 WIDTHS = 3.5  # of the glint, that a window holds on each side
 BLOCK = 4096  # frames whose windows are held at once
 SIGNIFICANT = 5.0  # deviations of the flux, for a glint on the free background
+NEARBY = 1.5  # ball diameters between glints, within which a ball shows its neighbour's glint too
+CROWD = 12  # balls in a frame, among which neighbours are looked for
+SHOWS = 0.03  # of the glint's width, a change of the streak that shows in its place
 LIKE = 0.58  # of the ball's radius: out to .71 a ball mirrors what is above the plate, less the blur
 
 
@@ -34,6 +37,9 @@ class _Patches:
     strength: Array
     counts: NDArray[Any]
     inside: NDArray[np.bool_]
+
+    def take(self, rows: Ints) -> _Patches:
+        return _Patches(*(getattr(self, name)[rows] for name in self.__dataclass_fields__))
 
 
 class MaximumLikelihood:
@@ -90,13 +96,19 @@ class MaximumLikelihood:
         place = corner + coarse_place(patches.counts, self.reach)
         rough = self._rough(patches, place)
         streak = self._streaks(rough)
-        found, good = self._fit(patches, place, streak)
-        if float(np.max(np.abs(streak), initial=0.0)) > self.sigma:
-            # Long streaks: their middles were rough, and with them the velocities.
-            better = np.zeros_like(streak)
-            better[good] = self._streaks(found.take(good))
+        found, good = self._fit(patches, place, streak, np.zeros((len(place), 3)))
+        # The first places were rough, and with them velocities and neighbours: once more where that shows.
+        better = streak.copy()
+        better[good] = self._streaks(found.take(good))
+        near, ghosts = self._neighbours(found, good)
+        again = np.max(np.abs(better - streak), axis=1) > SHOWS * self.sigma
+        rows = np.flatnonzero(again | near)
+        if len(rows):
             place = np.where(good[:, None], found.xy, place)
-            found, good = self._fit(patches, place, better)
+            redone, kept = self._fit(patches.take(rows), place[rows], better[rows], ghosts[rows])
+            good[rows] = kept
+            found = found.put(rows, redone)
+        found.flags[near] |= NEAR
         return found.take(good)
 
     def _rough(self, patches: _Patches, place: Array) -> Glints:
@@ -112,24 +124,27 @@ class MaximumLikelihood:
         moved = velocities(glints.frame, assign(glints, self.camera), glints.xy)
         return moved * (self.camera.exposure * self.camera.fps)
 
-    def _fit(self, patches: _Patches, place: Array, streak: Array) -> tuple[Glints, NDArray[np.bool_]]:
-        """Fits in groups of one window size; returns all glints and which of them are good."""
+    def _fit(self, patches: _Patches, place: Array, streak: Array, ghosts: Array) -> tuple[Glints, NDArray[np.bool_]]:
+        """Fits in groups of one window size, with and without a ghost; all glints, and which are good."""
         longest = np.max(np.abs(streak), axis=1)
         halves = np.minimum(self.half + np.floor(longest / 2.0 + 0.35).astype(np.int64), self.reach)
+        groups = 2 * halves + (ghosts[:, 2] > 0)
         bowl = self.camera.zenith_of_glint(place) - place
         out = self._rough(patches, place)
-        out = replace(out, cov=out.cov.copy(), flux=out.flux.copy(), x=out.x.copy(), y=out.y.copy())
         good = np.zeros(len(place), dtype=bool)
-        for half in np.unique(halves).tolist():
-            rows = np.flatnonzero(halves == half)
+        for group in np.unique(groups).tolist():
+            rows = np.flatnonzero(groups == group)
+            half, haunted = divmod(group, 2)
             windows, origin = self._windows(patches, place, streak, bowl, rows, half)
+            if haunted:
+                spots = ghosts[rows] - np.column_stack([origin, np.zeros(len(rows))])
+                windows = replace(windows, ghosts=spots[:, None, :])
             result = fit(windows, self.sigma, self.camera.sensor)
             out.x[rows], out.y[rows] = (origin + result.xy).T
             out.cov[rows] = result.cov * _inflation(result, windows)[:, None, None]
             out.flux[rows], out.background[rows] = result.flux, result.background
             out.flags[rows] = self._flags(result, windows, streak[rows])
             good[rows] = self._good(result, out.xy[rows], half)
-        out.flags[self._crowded(out, good)] |= NEAR
         return out, good
 
     def _windows(
@@ -184,22 +199,28 @@ class MaximumLikelihood:
         bright = result.flux > SIGNIFICANT * result.flux_std
         return np.asarray(in_view & kept_place & bright & (result.settled > 0))
 
-    def _crowded(self, glints: Glints, good: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """Glints that have another within one and a half ball diameters in the same frame."""
-        out = np.zeros(len(glints), dtype=bool)
+    def _neighbours(self, glints: Glints, good: NDArray[np.bool_]) -> tuple[NDArray[np.bool_], Array]:
+        """Which glints (n,) have another ball near, and where that one makes a secondary glint (n, 3) on theirs."""
+        nearest = np.full(len(glints), np.inf)
+        other = np.zeros((len(glints), 2))
         rows = np.flatnonzero(good)
         order = rows[np.argsort(glints.frame[rows], kind="stable")]
         frame, xy = glints.frame[order], glints.xy[order]
-        for lag in range(1, 8):
-            if lag >= len(order):
+        for lag in range(1, min(len(order), CROWD)):
+            pairs = np.flatnonzero(frame[lag:] == frame[:-lag])
+            if len(pairs) == 0:
                 break
-            same = frame[lag:] == frame[:-lag]
-            if not same.any():
-                break
-            close = np.hypot(*(xy[lag:] - xy[:-lag]).T) < 1.5 * self.camera.diameter_px
-            hit = np.flatnonzero(same & close)
-            out[order[hit]] = out[order[hit + lag]] = True
-        return out
+            gap = np.hypot(*(xy[pairs + lag] - xy[pairs]).T)
+            for one, two in ((pairs, pairs + lag), (pairs + lag, pairs)):
+                closer = gap < nearest[order[one]]
+                nearest[order[one[closer]]] = gap[closer]
+                other[order[one[closer]]] = xy[two[closer]]
+        near = nearest < NEARBY * self.camera.diameter_px
+        ghosts = np.zeros((len(glints), 3))
+        if self.camera.corrects_glint and near.any():
+            ghosts[near, :2] = self.camera.secondary_of_pair(glints.xy[near], other[near])
+            ghosts[near, 2] = 1.0
+        return near, ghosts
 
 
 def _inflation(result: Fit, windows: Windows) -> Array:
