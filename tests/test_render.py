@@ -11,7 +11,7 @@ from scipy.ndimage import correlate1d, minimum_filter
 from scipy.special import ndtr
 
 from synthcam.optics import Camera, Lamp
-from synthcam.picture import STEEL, find_glints
+from synthcam.picture import STEEL, find_glints, merge
 from synthcam.render import Film, gl_info
 
 R = 1.19e-3
@@ -191,9 +191,9 @@ def test_the_whole_picture_is_the_traced_one(name):
     expected = brute_picture(window, centres, radii, 0.1, film._unit, plate, name == "touching")
     got = picture.image[top : top + 48, left : left + 48]
     inner = (slice(4, -4), slice(4, -4))
-    assert np.abs(got - expected)[inner].max() < (5e-4 if name == "touching" else 1e-3)
+    assert np.abs(got - expected)[inner].max() < 1.5e-3  # of which the body's edge, at room = .1
     shifted = np.roll(expected, 1, axis=1)[inner] * 0.01 + expected[inner] * 0.99  # .01 px off would be seen
-    assert np.abs(shifted - expected[inner]).max() > 1e-3
+    assert np.abs(shifted - expected[inner]).max() > 1.5e-3
 
 
 def test_the_unit_is_the_peak_of_a_centred_glint():
@@ -225,6 +225,37 @@ def test_the_plate_is_black_and_only_boxes_differ_from_it():
     reach = LAMP.position - [0.02, 0.03, 0]
     cosine = reach[2] / np.linalg.norm(reach)
     assert film.plate[y, x] == pytest.approx(0.001 * cosine**4, rel=2e-3)
+
+
+def test_a_balls_dark_ring_mirrors_the_plate_around_it():
+    """Outside sin 45 deg of its radius a ball shows the plate: Schlick's share of Lambert's radiance there."""
+    low = Lamp(np.array([0.3, 0.0, 0.4]), 0.002)
+    camera = overhead(scale=4e-5, size=(101, 101))
+    film = Film(camera, low, [R], room=1)
+    image = one_frame(film, [0, 0, R]).image
+    seen_at = np.round(0.85 * R / camera.scale)
+    cosine = np.sqrt(1 - (seen_at * camera.scale / R) ** 2)
+    plate = 0.05 * (0.4 / 0.5) ** 4
+    assert film.plate[50, 50] == pytest.approx(plate, rel=1e-3)
+    assert image[50 + int(seen_at), 50] == pytest.approx((0.55 + 0.45 * (1 - cosine) ** 5) * plate, rel=0.01)
+    assert image[50, 50] == pytest.approx(1, abs=0.02)
+
+
+def test_boxes_never_overlap():
+    """The sensor draws each box once; a pixel in two of them would be drawn twice."""
+    film = Film(overhead(), LAMP, [R] * 4)
+    picture = one_frame(film, [0, 0, R], [2 * R, 0, R], [0, 5.5 * R, R], [0.02, 0, R])
+    count = np.zeros(picture.image.shape, int)
+    for box in picture.boxes:
+        count[box] += 1
+    assert count.max() == 1
+    assert len(picture.boxes) < 4
+    bridged = merge([(0, 2, 0, 2), (5, 7, 0, 2), (20, 22, 0, 2), (1, 6, 1, 3), (7, 9, 0, 2)])
+    assert sorted((b[0].start, b[0].stop, b[1].start, b[1].stop) for b in bridged) == [
+        (0, 7, 0, 3),
+        (7, 9, 0, 2),
+        (20, 22, 0, 2),
+    ]
 
 
 def kick(times):
@@ -295,6 +326,12 @@ def test_settings_it_cannot_draw_are_refused():
         Film(overhead(), Lamp(np.array([0.0, 0.0, 0.3]), 0.01), [R])
     with pytest.raises(ValueError, match="lamp radius"):
         Film(overhead(), Lamp(LAMP.position, 0.2), [R])
+    with pytest.raises(ValueError, match="distortion"):
+        Film(overhead(distortion=(-20, 0, 0, 0, 0)), LAMP, [R])
+    with pytest.raises(ValueError, match="radii"):
+        Film(overhead(), LAMP, [R, -R])
+    with pytest.raises(ValueError, match="ends before"):
+        next(Film(overhead(), LAMP, [R]).frames(still([0, 0, R]), [[1.0, 0.0]]))
 
 
 def test_gl_info_names_the_renderer():

@@ -115,7 +115,7 @@ def test_exposure_mean_is_the_integral_of_the_instants():
                 kinks = [t for t in (theta[0], *ends) if begin < t < begin + 5e-4] or None
                 instant = lambda t, ball=ball, axis=axis: path(free, ball, np.array([t]), 0.0, 2 * R)[0][
                     0, axis
-                ]  # noqa: E731
+                ]
                 area, _ = quad(instant, begin, begin + 5e-4, points=kinks, epsabs=1e-16)
                 assert mean[k, axis] == pytest.approx(area / 5e-4, abs=1e-9)
 

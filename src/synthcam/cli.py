@@ -80,9 +80,8 @@ def generate(
     }
     _say(summary, as_json, f"{output}: {plan.total} clips, {outcome.made} made now in {seconds:.1f} s")
     if outcome.failed:
-        raise InputError(
-            f"{output}: {len(outcome.failed)} clips could not be made; the rest are kept in {output}.partial"
-        )
+        kept = f"; the rest are kept in {output}.partial" if len(outcome.failed) < plan.total else ""
+        raise InputError(f"{output}: {len(outcome.failed)} of {plan.total} clips could not be made{kept}")
 
 
 @app.command()

@@ -26,6 +26,7 @@ from synthcam.trajectory import (
 
 STILL = 1e-12  # m/s: slower than this is rest, or rolling for a contact velocity
 TOUCHING = 1e-12  # of a radius
+LINGERING = 1e-9  # m/s: an impact softer than this is one of an endless row, as restitution under 0.4 may bring
 LIMIT = 10_000  # events: more means that something never settles
 
 
@@ -124,6 +125,8 @@ def _settle(model: Model, leg: Leg, ball: int) -> tuple[Array, Event | None]:
 def _impact(model: Model, legs: list[Leg], i: int, j: int, t: float) -> tuple[Array, Event]:
     before = np.stack([legs[k].at(np.array([t]))[0] for k in (i, j)])
     hit = collide(model, before[0], before[1])
+    if hit.impulse_n < LINGERING:
+        raise ValueError(f"balls {i} and {j} stay in contact from {t:.6g} s on: only separate impacts are modelled")
     event = Event(t, "contact", i, j, before, hit.states, hit.n, hit.impulse_n, hit.impulse_t)
     return hit.states, event
 
@@ -172,7 +175,7 @@ def _contact(a: Leg, b: Leg, t: float, horizon: float, diameter: float) -> float
         if t + step == t:  # less than the last bit of the time
             if rate < 0:
                 return t
-            raise ValueError(f"balls stay in contact from {t:.6g} s on: impacts that never end are not modelled")
+            raise ValueError(f"balls stay in contact from {t:.6g} s on: only separate impacts are modelled")
         t += step
 
 

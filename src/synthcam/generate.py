@@ -103,6 +103,8 @@ def run(plan: Plan, output: Path, workers: int, tick: Callable[[int, int], None]
         failed += [trouble] if trouble else []
         tick(len(done) + k, plan.total)
     if failed:
+        if not clip_folders(partial):
+            shutil.rmtree(partial)
         return Outcome(len(todo) - len(failed), tuple(failed), None)
     about_all = plan.document() | {"gl": _gl() if plan.video else {}, "machine": _machine()}
     table = finish(partial, about_all, unlisted=PLAN)

@@ -86,7 +86,8 @@ def numeric_roll(model: Model, state: Array, t: float, until: float) -> Numeric:
     def right(_: Array, y: Array) -> Array:
         return np.column_stack([y[:, 2:4], acceleration(y)])
 
-    y, now, pieces = np.array([*state[0:2], *state[3:5]]), t, []
+    y, now = np.array([*state[0:2], *state[3:5]]), t
+    pieces: list[Path] = []
     target = until if until < t else until + PIECE
     while now != target and (not pieces or np.hypot(y[2], y[3]) > SLOWEST):
         stopping = 0.5 * np.hypot(y[2], y[3]) / max(np.hypot(*acceleration(y[None])[0]), 1e-300)

@@ -181,7 +181,7 @@ class Patches:
 
     def box(self, number: int, size: tuple[int, int]) -> tuple[int, int, int, int]:
         """Top, bottom, left, right of a patch within an image of size (w, h)."""
-        (left, top), width, (w, h) = self.origins[number], self.widths[number], size
+        (left, top), width, (w, h) = self.origins[number].tolist(), int(self.widths[number]), size
         return max(top, 0), min(top + width, h), max(left, 0), min(left + width, w)
 
 

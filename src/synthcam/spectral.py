@@ -69,14 +69,14 @@ def integrate(right: Right, a: float, b: float, start: Array) -> Path:
     return Path(np.array(ends), np.array(coefficients))
 
 
+@np.errstate(over="ignore", invalid="ignore")  # a piece that is too long may run away
 def _piece(right: Right, a: float, b: float, start: Array) -> Array | None:
     """Coefficients (NODES, k) on [a, b], or None when the piece is too long."""
     nodes, to_coefficients, integral = _matrices()
     x = (a + b) / 2 + (b - a) / 2 * nodes
     y = np.repeat(start[None], NODES, axis=0)
     for _ in range(40):
-        with np.errstate(over="ignore", invalid="ignore"):  # a piece that is too long may run away
-            new = start + (b - a) / 2 * (integral @ right(x, y))
+        new = start + (b - a) / 2 * (integral @ right(x, y))
         size = np.abs(new).max(axis=0) + 1e-9
         change = float((np.abs(new - y) / size).max())
         y = new

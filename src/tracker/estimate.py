@@ -43,6 +43,7 @@ NEEDS = {  # what falls with a slide end that the clip does not show, by ball
     2: ("tau2", "v2f", "w2n", "w2t"),
 }
 NEEDS_BOTH = ("energy_fraction", "momentum_fraction", "final_angle")
+UNLIKELY = 10.0  # standard deviations of chi^2 beyond which a lone ball was not rolling freely
 POOR_FIT = 1e4  # chi^2 per degree of freedom: 100 sigma off everywhere is no description of the motion
 
 
@@ -208,6 +209,8 @@ def _alone(balls: list[Course]) -> dict[str, Any]:
     if not fits:
         return {}
     best = max(fits, key=lambda f: f.speed)
+    if balls[0].weighed and best.chi2 > best.dof + UNLIKELY * np.sqrt(2 * best.dof):
+        return {"status": "no collision in view, and no ball rolls freely", "chi2": best.chi2, "dof": best.dof}
     out: dict[str, Any] = {"particle2": best.particle, "chi2": best.chi2, "dof": best.dof}
     for name, value, std in best.table():
         told_it = std <= LIMITS.get(name, np.inf)

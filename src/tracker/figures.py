@@ -77,11 +77,11 @@ def frame_figure(image: Floats, spots: pd.DataFrame, frame: int, camera: Camera)
     grid = figure.add_gridspec(1, 2, width_ratios=[1.55, 1])
     whole, close = figure.add_subplot(grid[0]), figure.add_subplot(grid[1])
     radius = camera.diameter_px / 2
-    top = float(np.percentile(image, 99.99)) or 1.0
+    top = float(image.max()) or 1.0
     centre, glint = spots[["x", "y"]].to_numpy(float), spots[["glint_x", "glint_y"]].to_numpy(float)
     left, low = middle = centre.mean(axis=0)
     reach = max(2.2 * radius, float(np.ptp(centre, axis=0).max()) / 2 + 1.6 * radius)
-    for axes, root in ((whole, 1.0), (close, 0.45)):
+    for axes, root in ((whole, 0.7), (close, 0.5)):
         axes.imshow((image / top).clip(0, 1) ** root, cmap="gray", vmin=0, vmax=1, interpolation="nearest")
         for x, y in centre:
             axes.add_patch(Circle((x, y), radius, fill=False, ec="#4db8ff", lw=0.9))
@@ -154,7 +154,7 @@ def separation_figure(specimen: Specimen) -> Figure:
         time * 1e3, (apart - fitted) * 1e6, np.sqrt(variance) * 1e6, fmt="o", color=STYLE[2][0], ms=2.5, lw=0.7
     )
     rest.axhline(0, color=MODEL, lw=0.8)
-    rest.set_ylabel("measured − fit / µm")
+    rest.set_ylabel("residual / µm")
     rest.set_xlabel("time / ms")
     _mark_times((axes, rest), specimen)
     axes.legend(fontsize=8, loc="best")
@@ -181,7 +181,7 @@ def energy_figure(specimen: Specimen, tracks: object, camera: Camera) -> Figure:
     axes.hlines(row["energy_fraction"], *after, color="0.4", ls=":", lw=1.2, label="tied fit, both at slide end")
     _mark_times((axes,), specimen)
     axes.set(xlabel="time / ms", ylabel="translational energy / $m v_0^2/2$", ylim=(-0.05, 1.15))
-    axes.legend(fontsize=8, loc="center right", framealpha=0.9)
+    axes.legend(fontsize=8, loc="center right", bbox_to_anchor=(1.0, 0.61), ncols=2)
     return figure
 
 
@@ -199,9 +199,9 @@ def residual_figure(table: pd.DataFrame, kind: str) -> Figure:
         speed, off, std = claims
         axes.errorbar(speed * 100, off * factor, std * factor, fmt="o", ms=2, lw=0.7, color=colour, mfc="white")
         axes.axhline(0, color="0.2", lw=0.8)
-        spread = np.percentile(np.abs(off) + std, 97) * factor * 1.35
-        if spread > 0:
-            axes.set_ylim(-spread, spread)
+        low, high = (float(np.percentile(off + sign * std, q)) * factor for sign, q in ((-1, 2), (1, 98)))
+        low, high = min(low, 0.0), max(high, 0.0)
+        axes.set_ylim(low - 0.2 * (high - low), high + 0.2 * (high - low))
         axes.set_title(f"{symbol}: error / {unit}", fontsize=9)
         axes.tick_params(labelsize=7)
     for axes in panels[len(names) :]:
@@ -246,8 +246,8 @@ def _mark_times(panels: tuple[Axes, ...], specimen: Specimen) -> None:
         for ball in (1, 2):
             axes.axvline((t_c + float(specimen.row[f"tau{ball}"])) * 1e3, color=STYLE[ball][0], lw=0.8, ls=":")
     places = [(t_c, "$t_c$")] + [(t_c + float(specimen.row[f"tau{k}"]), rf"$t_c+\tau_{k}$") for k in (1, 2)]
-    for x, label in places:
-        at = (x * 1e3, 1.0)
+    for line, (x, label) in enumerate(places, start=1):  # one below the other: the slides' ends may be close
+        at, shift = (x * 1e3, 1.0), (2, -11 * line)
         panels[0].annotate(
-            label, at, xycoords=("data", "axes fraction"), xytext=(2, -9), textcoords="offset points", fontsize=8
+            label, at, xycoords=("data", "axes fraction"), xytext=shift, textcoords="offset points", fontsize=8
         )

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
-from scipy.optimize import least_squares
+from scipy.optimize import brentq, least_squares
 
 from .motion import GRAVITY, SLIP_RATE
 
@@ -101,18 +101,21 @@ def _whiten(covs: Floats, v0: Floats, b: Floats, shared: Floats) -> Floats:
 def _between(rows: pd.DataFrame, name: str) -> dict[str, Any]:
     """Weighted mean over clips, its error, and the scatter between clips beyond their errors.
 
-    The scatter is the one that makes the weighted sum of squares its own expectation (DerSimonian & Laird 1986).
+    The scatter makes the weighted sum of squares its own expectation, n - 1 (Paule & Mandel 1982).
     """
     columns = [name, f"{name}_std"]
     kept = rows.dropna(subset=columns) if set(columns) <= set(rows.columns) else rows.iloc[:0]
     if not len(kept):
         return {"mean": None, "std": None, "scatter": None, "n": 0}
     x, s2 = kept[name].to_numpy(float), kept[f"{name}_std"].to_numpy(float) ** 2
-    s2 = np.maximum(s2, 1e-300)
-    w = 1 / s2
-    excess = float((w * (x - (w @ x) / w.sum()) ** 2).sum()) - (len(x) - 1)
-    scale = float(w.sum() - (w**2).sum() / w.sum())
-    spread = max(0.0, excess / scale) if len(x) > 1 else 0.0
+
+    def excess(spread: float) -> float:
+        w = 1 / (s2 + spread)
+        return float(w @ (x - w @ x / w.sum()) ** 2) - (len(x) - 1)
+
+    tiny, wide = float(np.finfo(float).tiny), float(np.var(x) * len(x))
+    s2 = np.maximum(s2, tiny)
+    spread = float(brentq(excess, 0.0, wide)) if len(x) > 1 and wide > tiny and excess(0.0) > 0 else 0.0
     w = 1 / (s2 + spread)
     mean = float(w @ x / w.sum())
     return {"mean": mean, "std": float(w.sum() ** -0.5), "scatter": float(np.sqrt(spread)), "n": len(x)}

@@ -85,7 +85,8 @@ def shown_clip(score: Score) -> int | None:
         table = table.dropna(subset=[n for n in NAMES if n in table and n != "final_angle"])
     if not len(table):
         return None
-    return int(table.loc[(table["v0"] - TYPICAL_SPEED).abs().idxmin(), "clip"])
+    nearest = int(np.argmin(np.abs(table["v0"].to_numpy(float) - TYPICAL_SPEED)))
+    return int(table["clip"].to_numpy(int)[nearest])
 
 
 def tables(score: Score) -> dict[str, Any]:

@@ -16,7 +16,7 @@ from .lens import Array
 
 SIGNIFICANCE = 6.5  # noise deviations of a box sum; one false find in some 10^10 pixels
 MOST = 64  # finds a frame: beyond that it is no picture of a few balls
-CROWDED = 0.02  # share of a frame's pixels over the threshold that is too much to be balls
+CROWDED = 0.3  # share of a frame's pixels over the threshold that is too much to be balls
 CELL = 8  # px, of the coarse picture that gives the plate's smooth part
 # Sorting network for the median of nine (Paeth 1990, Graphics Gems): exact, and as fast as the minimum.
 MEDIAN_OF_NINE = (
@@ -113,7 +113,7 @@ class Search:
         hits = np.flatnonzero(sums.ravel() > self.threshold)
         if len(hits) == 0:
             return NONE
-        if len(hits) > CROWDED * sums.size + 400:
+        if len(hits) > CROWDED * sums.size:
             return Finds(NONE.column, NONE.row, NONE.strength, crowded=True)
         values = sums.ravel()[hits]
         order = np.argsort(-values.astype(np.int64), kind="stable")

@@ -1,0 +1,171 @@
+"""The regression gate: has a tracking error grown by more than its own sampling scatter allows?
+
+Two suites, both made anew each time. Video: a few filmed clips, for detection, localisation and identities. Tracks:
+many collisions whose true centres get noise of a known size, for bias and spread of every estimated quantity.
+`baseline.json` holds, for each figure, its accepted mean and its scatter from seed to seed. A figure fails when it is
+worse than the mean by more than LIMIT scatters.
+
+    benchmarks/gate.py                    check (exit status 1 when something has grown)
+    benchmarks/gate.py --seeds 10         check ten times, with other seeds
+    benchmarks/gate.py --accept           measure ten seeds and make theirs the accepted figures
+    benchmarks/gate.py --shift 0.02       show that it can fail: a detector off by so many px
+    benchmarks/gate.py --off 0.5          the same: estimates off by so many of their standard errors
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import shutil
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+ROOT = Path(__file__).resolve().parent.parent
+BASELINE = Path(__file__).with_name("baseline.json")
+SCENE = "scenes/benchmark.yaml"
+VIDEO, TRACKS = 6, 200  # clips
+NOISE_PX = 0.01  # about what a glint of 200 counts gives
+LIMIT = 4.0  # scatters; some 80 figures are looked at
+ACCEPT = tuple(range(100, 110))
+QUANTITIES = "v0 b t_c r s tau1 tau2 mu_k C v1f v2f energy_fraction momentum_fraction final_angle drag decel".split()
+
+Figures = dict[str, float]
+
+
+def run(*command: str) -> None:
+    program = Path(sys.executable).with_name(command[0])
+    done = subprocess.run([program, *command[1:]], cwd=ROOT, stdout=subprocess.DEVNULL)
+    if done.returncode:
+        sys.exit(f"gate: {' '.join(command)} ended with status {done.returncode}")
+
+
+def scored(results: Path, dataset: Path, report: Path) -> dict[str, dict[str, dict[str, float]]]:
+    run("tracker", "score", str(results), "--truth", str(dataset), "-o", str(report))
+    detectors = json.loads((report / "score.json").read_text())["detectors"]
+    return dict(next(iter(detectors.values())))
+
+
+def video(folder: Path, seed: int, shift: float) -> Figures:
+    """Detection and localisation on filmed clips."""
+    run("synthcam", "generate", SCENE, "-o", str(folder / "film"), "--clips", str(VIDEO), "--seed", str(seed))
+    run("tracker", "track", str(folder / "film"), "-o", str(folder / "tracked"))
+    for path in (folder / "tracked").glob("clips/*/tracks.parquet") if shift else ():
+        table = pd.read_parquet(path)
+        table.assign(x=table["x"] + shift).to_parquet(path)
+    found = scored(folder / "tracked", folder / "film", folder / "film_score")
+    place, links = found["localisation"], found["tracking"]
+    return {
+        "video.missed": place["missed"],
+        "video.false": place["false"],
+        "video.swaps": links["swaps"],
+        "video.rmse_over_bound": place["ratio"],
+        "video.phase_bias_px": place["phase_bias_px"],
+    }
+
+
+def tracks(folder: Path, seed: int, off: float) -> Figures:
+    """Every quantity of the tied and the free fit, from true centres with noise."""
+    truth = folder / "motion"
+    run("synthcam", "generate", SCENE, "-o", str(truth), "--clips", str(TRACKS), "--seed", str(seed), "--no-video")
+    rng = np.random.Generator(np.random.PCG64(np.random.SeedSequence(seed, spawn_key=(1,))))
+    tables = []
+    for number in range(TRACKS):
+        table = pd.read_parquet(truth / f"clips/{number:06d}/truth/tracks.parquet").query("visible")
+        noisy = table[["x_mean_px", "y_mean_px"]] + NOISE_PX * rng.standard_normal((len(table), 2))
+        tables.append(
+            pd.DataFrame({"clip": number, "frame": table["frame"], "particle": table["particle"]}).assign(
+                x=noisy["x_mean_px"], y=noisy["y_mean_px"], x_std=NOISE_PX, y_std=NOISE_PX, cov_xy=0.0
+            )
+        )
+    pd.concat(tables).to_parquet(folder / "tracks.parquet")
+    camera = truth / "clips/000000/camera.json"
+    run("tracker", "measure", str(folder / "tracks.parquet"), "--camera", str(camera), "-o", str(folder / "measured"))
+    if off:
+        path = folder / "measured" / "estimates.parquet"
+        table = pd.read_parquet(path)
+        names = [q + suffix for q in QUANTITIES for suffix in ("", "_free")]
+        table.assign(**{q: table[q] + off * table[f"{q}_std"] for q in names}).to_parquet(path)
+    found = scored(folder / "measured", truth, folder / "motion_score")["quantities"]
+    figures = {}
+    for name in (q + suffix for q in QUANTITIES for suffix in ("", "_free")):
+        row = found[name]
+        if row["n"] < TRACKS / 10:
+            continue
+        figures[f"{name}.n"] = row["n"]
+        figures |= {f"{name}.{k}": row[k] for k in ("z_mean", "z_std") if row[k] is not None}
+    return figures
+
+
+def measure(seed: int, shift: float, off: float) -> Figures:
+    folder = Path(tempfile.mkdtemp(prefix="gate-"))
+    try:
+        return video(folder, seed, shift) | tracks(folder, seed, off)
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+def worse(name: str, value: float, accepted: dict[str, float]) -> bool:
+    """Has a figure moved the wrong way by more than LIMIT scatters?"""
+    allowed = LIMIT * accepted["scatter"]
+    if name.endswith(".z_mean"):
+        return abs(value - accepted["mean"]) > allowed
+    if name.endswith(".n"):
+        return value < accepted["mean"] - allowed
+    return value > accepted["mean"] + allowed
+
+
+def accept(results: list[Figures]) -> None:
+    """Mean and scatter of every figure over the seeds, the scatter not under what so many clips must have."""
+    floors = {"z_mean": 1 / math.sqrt(TRACKS), "z_std": 1 / math.sqrt(2 * TRACKS), "n": 0.5}
+    table = {}
+    for name in results[0]:
+        values = [r[name] for r in results if name in r]
+        floor = floors.get(name.rpartition(".")[2], 0.0)
+        table[name] = {
+            "mean": round(float(np.mean(values)), 5),
+            "scatter": round(max(float(np.std(values, ddof=1)), floor), 5),
+        }
+    BASELINE.write_text(json.dumps(table, indent=1) + "\n")
+    print(f"{BASELINE}: {len(table)} figures accepted; say why in CHANGELOG.md")
+
+
+def check(figures: Figures) -> list[str]:
+    accepted = json.loads(BASELINE.read_text())
+    missing = [f"{name}: no longer measured" for name in accepted if name not in figures]
+    return missing + [
+        f"{name} = {value:.4g}, accepted {accepted[name]['mean']:.4g} with a scatter of {accepted[name]['scatter']:.2g}"
+        for name, value in figures.items()
+        if name in accepted and worse(name, value, accepted[name])
+    ]
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description="The regression gate on tracking error.")
+    parser.add_argument("--accept", action="store_true", help="make today's figures the accepted ones")
+    parser.add_argument("--seeds", type=int, default=1, help="how many seeds to check, from --seed on")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--shift", type=float, default=0.0, help="px added to every x, to see the gate fail")
+    parser.add_argument("--off", type=float, default=0.0, help="standard errors added to every estimate, likewise")
+    options = parser.parse_args()
+    seeds = ACCEPT if options.accept else range(options.seed, options.seed + options.seeds)
+    results = []
+    for seed in seeds:
+        results.append(measure(seed, options.shift, options.off))
+        if not options.accept:
+            grown = check(results[-1])
+            print(f"gate, seed {seed}: {'passed' if not grown else 'FAILED'}, {len(results[-1])} figures", flush=True)
+            print(*(f"  {line}" for line in grown), sep="\n", end="\n" if grown else "")
+            if grown:
+                sys.exit(1)
+    if options.accept:
+        accept(results)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,142 @@
+"""How fast, and where the time goes. Whole commands by their margin (more clips, same start-up), stages in one process.
+
+benchmarks/speed.py [--clips 12] [-o out/speed.json]
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+ROOT = Path(__file__).resolve().parent.parent
+SCENE = ROOT / "scenes" / "painter_behringer.yaml"
+
+
+def timed(work: Callable[[], Any], repeat: int = 3) -> float:
+    """Seconds of the fastest of a few runs."""
+    best = np.inf
+    for _ in range(repeat):
+        started = time.perf_counter()
+        work()
+        best = min(best, time.perf_counter() - started)
+    return float(best)
+
+
+def command(*words: str) -> float:
+    program = Path(sys.executable).with_name(words[0])
+    started = time.perf_counter()
+    subprocess.run([program, *words[1:]], cwd=ROOT, check=True, stdout=subprocess.DEVNULL)
+    return time.perf_counter() - started
+
+
+def commands(clips: int, folder: Path) -> dict[str, float]:
+    """Start-up and margin of the whole commands, all cores."""
+    out, few = {}, 2
+    seconds: dict[str, list[float]] = {"generate": [], "track": []}
+    for n in (few, clips):
+        film, tracked = folder / f"film{n}", folder / f"tracked{n}"
+        seconds["generate"].append(command("synthcam", "generate", str(SCENE), "-o", str(film), "--clips", str(n)))
+        seconds["track"].append(command("tracker", "track", str(film), "-o", str(tracked)))
+    for name, (short, long) in seconds.items():
+        a_frame = (long - short) / (clips - few) / 100
+        out[f"{name}: frames a second, at the margin"] = 1 / a_frame
+        out[f"{name}: ms a frame, at the margin"] = 1e3 * a_frame
+        out[f"{name}: start-up, s"] = short - few * 100 * a_frame
+    return out
+
+
+def stages(folder: Path) -> dict[str, float]:
+    """Seconds a clip of 100 frames in each stage, one process."""
+    from synthcam import truth
+    from synthcam.dataset import motion_of, write_clip
+    from synthcam.generate import film
+    from synthcam.scene import read_scene
+    from tracker.detect import DEFAULT, detect, look
+    from tracker.link import link
+    from tracker.track import measure_clip
+    from tracker.video import open_source
+
+    clip = read_scene(SCENE).draw(0, 0)
+    motion = motion_of(clip)
+    frames = list(film(clip, motion, 0))
+
+    def exhaust(items: Iterable[Any]) -> None:
+        for _ in items:
+            pass
+
+    def write() -> None:
+        shutil.rmtree(folder / "one", ignore_errors=True)
+        write_clip(folder / "one" / "clips" / "000000", clip, motion, iter(frames), {"seed": 0})
+
+    out = {
+        "simulate": timed(lambda: motion_of(clip), 20),
+        "truth tables": timed(lambda: truth.tracks(clip.model, motion, clip.camera, clip.lamp, clip.frames)),
+        "draw and expose": timed(lambda: exhaust(film(clip, motion, 0))),
+        "write and hash": timed(write),
+    }
+    source = open_source(folder / "one")
+    video = source.clip(0)
+    view = look(video)
+    glints = detect(video, view, DEFAULT)
+    tracks = link(glints, view.camera)
+    out |= {
+        "read": timed(lambda: exhaust(source.clip(0).frames)),
+        "background, noise": timed(lambda: look(video)),
+        "detect": timed(lambda: detect(video, view, DEFAULT)),
+        "link": timed(lambda: link(glints, view.camera)),
+        "fits": timed(lambda: measure_clip(tracks, view.camera)),
+    }
+    return out
+
+
+def collisions() -> dict[str, float]:
+    """Collisions solved a second, one at a time."""
+    from synthcam.dynamics import solve
+    from synthcam.launch import Launch
+    from synthcam.model import Model
+
+    model = Model()
+    launch = Launch.pair(model.ball.radius, 0.1, 0.3, 0.2, 0.0, (0.0, 0.0))
+    tilted = model.replace({"plate_tilt.x": 1e-3})
+    return {
+        "collisions a second, closed form": 100 / timed(lambda: [solve(model, launch, 0, 0.4) for _ in range(100)]),
+        "collisions a second, with a tilt": 20 / timed(lambda: [solve(tilted, launch, 0, 0.4) for _ in range(20)]),
+    }
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description="Speed of simulation, filming and tracking.")
+    parser.add_argument("--clips", type=int, default=12)
+    parser.add_argument("-o", "--output", type=Path, default=ROOT / "out" / "speed.json")
+    options = parser.parse_args()
+    folder = Path(tempfile.mkdtemp(prefix="speed-"))
+    try:
+        figures = {"cores": os.cpu_count(), **collisions(), **commands(options.clips, folder)}
+        spent = stages(folder)
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+    table = Table("figure", "value", title="640 x 480, two balls, 250 fps")
+    for name, value in figures.items():
+        table.add_row(name, f"{value:.3g}")
+    for name, seconds in spent.items():
+        table.add_row(f"{name}, ms a clip of 100 frames, one process", f"{1e3 * seconds:.1f}")
+    Console(width=100).print(table)
+    options.output.parent.mkdir(parents=True, exist_ok=True)
+    options.output.write_text(json.dumps(figures | {"stages": spent}, indent=1) + "\n")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,222 @@
+"""Glints of known place found again: precision against the bound, honest errors, no bias, nothing that is not there."""
+
+import math
+
+import numpy as np
+import pytest
+
+from tracker import detect as detect_module
+from tracker.bound import localisation_bound
+from tracker.detect import CLIPPED, MISFIT, NEAR, STREAK, detect, detectors, look
+from tracker.geometry import Camera, InputError
+from tracker.link import assign
+from tracker.video import Clip, Frames
+from tracker_film import CAMERA, collision, disc, expose, film, spot
+
+CAM = Camera.from_dict({k: v for k, v in CAMERA.items() if k != "lamp"})  # no lamp: the body is centred on the glint
+GRID = [(x, y) for y in range(20, 150, 26) for x in range(20, 190, 26)]
+
+
+def clip(frames, camera=CAM):
+    return Clip(0, camera, Frames(len(frames), frames.shape[1:], frames.dtype, lambda k: frames[k]))
+
+
+def many_glints(rng, peak, frames=14, streak=(0.0, 0.0), body=4.0, sigma=1.0):
+    """Frames of balls at rest, each anywhere within its pixel, and their places; the first frames are blank."""
+    pictures, places = [], []
+    for k in range(frames):
+        picture = np.full((160, 200), 0.5)
+        for x, y in GRID if k else ():
+            at = np.array([x, y]) + rng.uniform(-0.5, 0.5, 2)
+            part = picture[y - 12 : y + 13, x - 12 : x + 13]
+            local = at - [x - 12, y - 12]
+            part += peak * 2 * math.pi * sigma**2 * spot(part.shape, *local, sigma, streak, steps=30)
+            part += body * peak / 200 * disc(part.shape, *local, 7.44)
+            places.append((k, *at))
+        pictures.append(expose(rng, picture))
+    return np.array(pictures), np.array(places)
+
+
+def errors(found, places):
+    """Errors (n, 2) in the order of `places`; every place must be found once, and nothing else."""
+    assert len(found) == len(places)
+    order = [int(np.argmin((found.frame != k) * 1e9 + (found.x - x) ** 2 + (found.y - y) ** 2)) for k, x, y in places]
+    assert len(set(order)) == len(places)
+    return found.xy[order] - places[:, 1:], found.take(order)
+
+
+@pytest.mark.parametrize(("peak", "limit"), [(700, 1.12), (200, 1.08), (100, 1.08), (25, 1.10), (12, 1.12)])
+def test_precision_is_the_bounds_and_errors_are_honest(peak, limit):
+    rng = np.random.default_rng(peak)
+    frames, places = many_glints(rng, peak)
+    view = look(clip(frames))
+    miss, found = errors(detect(clip(frames), view), places)
+    flux = np.full(len(places), peak * 2 * math.pi)
+    bound = localisation_bound(CAM, flux, places[:, 1:], background=8.5 + 4.0 * peak / 200)
+    ratio = math.sqrt(np.mean(miss**2) / (np.trace(bound, axis1=1, axis2=2).mean() / 2))
+    assert 0.9 < ratio < limit
+    z = np.linalg.solve(np.linalg.cholesky(found.cov), miss[..., None])[..., 0]
+    assert abs(z.mean()) < 4 / math.sqrt(z.size)
+    assert abs(z.std() - 1) < 4 / math.sqrt(2 * z.size)
+    assert ((found.flags & CLIPPED) > 0).all() == (peak == 700)
+
+
+def test_a_centroid_is_far_from_the_bound():
+    """The test above can fail: a plain centroid does, and worst where the glint clips."""
+    for peak, least in ((200, 1.3), (700, 1.5)):
+        frames, places = many_glints(np.random.default_rng(peak), peak)
+        miss, _ = errors(detect(clip(frames), look(clip(frames)), "centroid"), places)
+        bound = localisation_bound(CAM, np.full(len(places), peak * 2 * math.pi), places[:, 1:], background=12.5)
+        assert math.sqrt(np.mean(miss**2) / (np.trace(bound, axis1=1, axis2=2).mean() / 2)) > least
+
+
+def test_place_does_not_depend_on_the_place_within_the_pixel():
+    frames, places = many_glints(np.random.default_rng(9), 200, frames=20)
+    miss, found = errors(detect(clip(frames), look(clip(frames))), places)
+    phase = 2 * math.pi * places[:, 1:]
+    for axis in range(2):
+        wave = np.column_stack([np.cos(phase[:, axis]), np.sin(phase[:, axis]), np.ones(len(places))])
+        fit = np.linalg.lstsq(wave, miss[:, axis], rcond=None)[0]
+        assert 2 * math.hypot(fit[0], fit[1]) < 0.005
+    assert (found.flags & MISFIT).mean() < 0.01
+
+
+def two_rolling(rng, speed, **more):
+    """Two balls far from each other, and the middle of their glints in each frame."""
+    time = np.arange(25.0)
+    paths = np.stack(
+        [
+            np.column_stack([20.3 + speed * time, 40 + 0.3 * time]),
+            np.column_stack([180 - 0.4 * speed * time, 120.2 - 0.2 * time]),
+        ],
+        axis=1,
+    )
+    paths = paths[paths[:, 0, 0] < 180]
+    return film(rng, paths, **more), paths
+
+
+def test_a_streak_is_measured_at_its_middle():
+    rng = np.random.default_rng(3)
+    camera = Camera.from_dict({**{k: v for k, v in CAMERA.items() if k != "lamp"}, "exposure": 2e-3})
+    misses, covs = [], []
+    for _ in range(3):
+        frames, paths = two_rolling(rng, 9.0, exposure_share=0.5)
+        shown = clip(frames, camera)
+        found = detect(shown, look(shown))
+        places = np.array([(k, *p) for k in range(len(paths)) for p in paths[k]])
+        miss, ordered = errors(found, places)
+        assert (ordered.flags[::2] & STREAK).all()
+        misses.append(miss)
+        covs.append(ordered.cov)
+    z = np.linalg.solve(np.linalg.cholesky(np.concatenate(covs)), np.concatenate(misses)[..., None])[..., 0]
+    assert abs(z.mean()) < 4 / math.sqrt(z.size)
+    assert abs(z.std() - 1) < 4 / math.sqrt(2 * z.size)
+
+
+def test_ball_at_rest_through_the_whole_clip_is_found_in_every_frame():
+    rng = np.random.default_rng(4)
+    paths = np.tile(np.array([[[60.3, 70.2], [130.4, 90.1]]]), (30, 1, 1))
+    frames = film(rng, paths)
+    found = detect(clip(frames), look(clip(frames)))
+    assert len(found) == 60
+    assert np.bincount(found.frame).tolist() == [2] * 30
+
+
+@pytest.mark.parametrize("gap", [14.9, 15.5, 18.0])
+def test_neighbour_and_its_secondary_glints_do_not_pull(gap):
+    rng = np.random.default_rng(int(gap * 10))
+    misses = []
+    for _ in range(24):
+        angle = rng.uniform(0, 2 * math.pi)
+        way = np.array([math.cos(angle), math.sin(angle)])
+        one = np.array([100.0, 80.0]) + rng.uniform(-0.5, 0.5, 2)
+        centres = np.array([one, one + gap * way])
+        seen = CAM_LAMP.glint_of_centre(CAM_LAMP.unproject(centres)[0])
+        picture = np.full((160, 200), 0.5)
+        for k, (glint, centre) in enumerate(zip(seen, centres, strict=True)):
+            picture += 200 * 2 * math.pi * spot(picture.shape, *glint, 1.0)
+            picture += 4 * disc(picture.shape, *centre, 7.44)
+            side = way if k == 0 else -way
+            picture += 0.055 * 200 * 2 * math.pi * spot(picture.shape, *(centre + 0.7 * 7.44 * side), 1.0)
+        blank = np.full((160, 200), 0.5)
+        frames = np.array([expose(rng, p) for p in (blank, picture, blank)])
+        shown = clip(frames, CAM_LAMP)
+        found = detect(shown, look(shown))
+        assert len(found) == 2
+        assert ((found.flags & NEAR) > 0).all()
+        order = np.argsort(np.hypot(*(found.xy - seen[0]).T))
+        miss = found.xy[order] - seen
+        misses.append([miss[0] @ way, -miss[1] @ way])
+    along = np.array(misses)
+    assert np.abs(along.mean(axis=0)).max() < 0.005 + 4 * 0.009 / math.sqrt(len(along))
+    assert np.abs(along).max() < 0.05
+
+
+CAM_LAMP = Camera.from_dict(CAMERA)
+
+
+def test_two_balls_two_detections_through_a_collision():
+    frames = film(np.random.default_rng(5), collision(60, speed=2.5))
+    shown = clip(frames)
+    found = detect(shown, look(shown))
+    assert np.bincount(found.frame, minlength=60).tolist() == [2] * 60
+    assert set(assign(found, CAM).tolist()) == {0, 1}
+
+
+@pytest.mark.parametrize("level", [0, 3, 250])
+def test_empty_frames_have_nothing(level):
+    rng = np.random.default_rng(6)
+    frames = np.array([expose(rng, np.full((160, 200), float(level))) for _ in range(20)])
+    shown = clip(frames)
+    assert len(detect(shown, look(shown))) == 0
+
+
+def test_body_without_its_glint_is_no_glint():
+    rng = np.random.default_rng(7)
+    picture = np.full((160, 200), 0.5) + 20 * disc((160, 200), 80.2, 70.3, 7.44)
+    frames = np.array([expose(rng, np.full((160, 200), 0.5))] * 8 + [expose(rng, picture) for _ in range(12)])
+    shown = clip(frames)
+    assert len(detect(shown, look(shown))) == 0
+
+
+def test_sixteen_bit_frames():
+    rng = np.random.default_rng(8)
+    data = {**CAMERA, "sensor": {**CAMERA["sensor"], "bits": 12, "gain": 2.0, "read_noise": 4.0, "full_well": 1e5}}
+    camera = Camera.from_dict(data)
+    pictures = []
+    for k in range(12):
+        picture = np.full((160, 200), 3.0) + 2500 * 2 * math.pi * spot((160, 200), 60.25 + 5 * k, 80.4, 1.0)
+        pictures.append(expose(rng, picture, gain=2.0, read=4.0, black=8.0, bits=12))
+    shown = clip(np.array(pictures), Camera.from_dict({**data, "exposure": 0.0}))
+    found = detect(shown, look(shown))
+    miss = found.x - (60.25 + 5 * np.arange(12))
+    assert np.abs(miss).max() < 4 * np.sqrt(found.cov[:, 0, 0]).min() < 0.03
+    assert camera.sensor.ceiling == 4095
+
+
+def test_every_detector_keeps_the_promise():
+    """One contract over all that the folder holds."""
+    frames = film(np.random.default_rng(10), collision(12, contact=30.0, speed=2.0))
+    shown = clip(frames)
+    view = look(shown)
+    assert {"maximum_likelihood", "centroid"} <= set(detectors())
+    for name, make in detectors().items():
+        one = make(view)(frames[3])
+        assert len(one) == 2, name
+        assert one.cov.shape == (2, 2, 2)
+        assert (np.linalg.eigvalsh(one.cov) > 0).all()
+        whole = detect(shown, view, name)
+        assert sorted(whole.frame.tolist()) == sorted([*range(12)] * 2)
+
+
+def test_outsiders_come_by_entry_point(monkeypatch):
+    class Point:
+        name = "outsider"
+
+        def load(self):
+            return lambda view: None
+
+    monkeypatch.setattr(detect_module, "entry_points", lambda group: [Point()] if group == "tracker.detectors" else [])
+    assert "outsider" in detectors()
+    with pytest.raises(InputError, match="expected one of centroid, maximum_likelihood, outsider"):
+        detect_module.detector("nobody")

@@ -1,0 +1,183 @@
+"""Whatever a camera leaves behind opens alike, a frame at a time; what is damaged is named in one line."""
+
+import json
+import tracemalloc
+
+import cv2
+import numpy as np
+import pytest
+import tifffile
+
+from tracker.geometry import InputError
+from tracker.video import open_frames, open_source
+from tracker_film import CAMERA, write_clip
+
+RNG = np.random.default_rng(0)
+MOVIE = RNG.integers(0, 255, (6, 48, 64), dtype=np.uint8)
+SMALL = {**CAMERA, "size": [64, 48]}
+
+
+def held(frames):
+    return np.array(list(frames))
+
+
+def one_line(call, *words):
+    with pytest.raises(InputError) as error:
+        call()
+    text = str(error.value)
+    assert "\n" not in text
+    for word in words:
+        assert word in text, text
+
+
+@pytest.mark.parametrize(
+    "how",
+    [
+        {"imagej": True},
+        {},
+        {"compression": "zlib"},
+        {"byteorder": ">"},
+        {"bigtiff": True, "metadata": None},
+        {"rowsperstrip": 7},
+    ],
+)
+@pytest.mark.parametrize("deep", [False, True])
+def test_stacks_of_all_kinds(tmp_path, how, deep):
+    movie = MOVIE.astype(np.uint16) * 16 if deep else MOVIE
+    path = tmp_path / "stack.tif"
+    tifffile.imwrite(path, movie, photometric=None if "imagej" in how else "minisblack", **how)
+    frames, note = open_frames(path)
+    assert np.array_equal(held(frames), movie)
+    assert np.array_equal(frames[-1], movie[-1])
+    assert len(frames[1:3]) == 2
+    assert frames.dtype == movie.dtype
+    assert note == ""
+
+
+def test_pages_written_one_by_one(tmp_path):
+    path = tmp_path / "stack.tif"
+    with tifffile.TiffWriter(path) as writer:
+        for frame in MOVIE:
+            writer.write(frame, contiguous=False)
+    frames, _ = open_frames(path)
+    assert len(frames) == 6
+    assert np.array_equal(held(frames), MOVIE)
+
+
+def test_dataset_opens_frames_and_camera_only(tmp_path):
+    for number in (0, 3):
+        folder = write_clip(tmp_path / "clips" / f"{number:06d}", MOVIE, SMALL)
+        (folder / "truth").write_text("a file where a folder should be: it is not looked at")
+    source = open_source(tmp_path)
+    assert [source.clip(i).number for i in range(len(source))] == [0, 3]
+    assert np.array_equal(held(source.clip(1).frames), MOVIE)
+    assert source.clip(0).camera.fps == 250
+    single = open_source(tmp_path / "clips" / "000003")
+    assert single.clip(0).number == 3
+
+
+def test_pictures_come_in_natural_order(tmp_path):
+    for k, frame in enumerate(MOVIE):
+        cv2.imwrite(str(tmp_path / f"frame{k + 7}.png"), frame)
+    frames, _ = open_frames(tmp_path)
+    assert np.array_equal(held(frames), MOVIE)  # frame10 after frame9
+
+
+@pytest.mark.parametrize("kind", ["stack", "pictures"])
+def test_colour_becomes_grey_and_is_said_so(tmp_path, kind):
+    colour = np.zeros((3, 20, 30, 3), np.uint8)
+    colour[..., 0], colour[..., 1], colour[..., 2] = 200, 100, 50  # red, green, blue
+    if kind == "stack":
+        path = tmp_path / "stack.tif"
+        tifffile.imwrite(path, colour, photometric="rgb")
+    else:
+        path = tmp_path
+        for k in range(3):
+            cv2.imwrite(str(path / f"{k}.png"), colour[k, :, :, ::-1])
+    frames, note = open_frames(path)
+    assert "colour converted to grey" in note
+    assert frames.shape == (3, 20, 30)
+    assert (frames[1] == round(0.299 * 200 + 0.587 * 100 + 0.114 * 50)).all()
+
+
+def test_lossless_video(tmp_path):
+    path = tmp_path / "film.avi"
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"FFV1"), 25, (64, 48), isColor=False)
+    if not writer.isOpened():
+        pytest.skip("this OpenCV cannot write FFV1")
+    for frame in MOVIE:
+        writer.write(frame)
+    writer.release()
+    frames, _ = open_frames(path)
+    assert len(frames) == 6
+    assert np.abs(held(frames).astype(int) - MOVIE).max() <= 1
+    assert np.array_equal(frames[4], held(frames)[4])  # backwards and forwards
+
+
+def test_memory_does_not_grow_with_length(tmp_path):
+    path = tmp_path / "long.tif"
+    with tifffile.TiffWriter(path, bigtiff=True) as writer:
+        writer.write(np.zeros((400, 200, 250), np.uint8))
+    frames, _ = open_frames(path)
+    tracemalloc.start()
+    total = sum(int(frame.shape[0]) for frame in frames)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert total == 400 * 200
+    assert peak < 10 * 200 * 250 < frames.shape[0] * 200 * 250 / 10
+
+
+def test_no_camera_file_is_said(tmp_path):
+    path = tmp_path / "stack.tif"
+    tifffile.imwrite(path, MOVIE, imagej=True)
+    clip = open_source(path).clip(0)
+    assert not clip.camera.metric
+    assert "no camera file" in clip.note
+    (tmp_path / "camera.json").write_text(json.dumps(SMALL))
+    assert open_source(path).clip(0).camera.metric  # one beside it is taken
+    other = tmp_path / "other.json"
+    other.write_text(json.dumps({**SMALL, "fps": 100}))
+    assert open_source(path, other).clip(0).camera.fps == 100
+
+
+def test_bad_sources(tmp_path):
+    one_line(lambda: open_source(tmp_path / "none"), "none", "no such file")
+    (tmp_path / "empty").mkdir()
+    one_line(lambda: open_source(tmp_path / "empty"), "empty folder", "expected")
+    (tmp_path / "set" / "clips").mkdir(parents=True)
+    one_line(lambda: open_source(tmp_path / "set"), "no clips")
+    (tmp_path / "set" / "clips" / "000000").mkdir()
+    one_line(lambda: open_source(tmp_path / "set"), "frames.tif", "no such file")
+    (tmp_path / "notes.txt").write_text("hello")
+    one_line(lambda: open_source(tmp_path / "notes.txt"), "notes.txt", "expected a TIFF stack")
+    (tmp_path / "film.avi").write_bytes(b"no film at all")
+    one_line(lambda: open_frames(tmp_path / "film.avi"), "film.avi", "no frame can be decoded")
+
+
+def test_damaged_stacks(tmp_path):
+    path = tmp_path / "stack.tif"
+    (tmp_path / "stack.tif").write_bytes(b"")
+    one_line(lambda: open_frames(path), "stack.tif", "cannot be read as TIFF")
+    for how in ({"imagej": True}, {"compression": "zlib"}):
+        tifffile.imwrite(path, MOVIE, **how)
+        whole = path.read_bytes()
+        open_frames(path)
+        path.write_bytes(whole[: int(len(whole) * 0.7)])
+        one_line(lambda: held(open_frames(path)[0]), "stack.tif", "truncated")
+    tifffile.imwrite(path, MOVIE[:1])
+    one_line(lambda: open_frames(path), "one frame only", "at least two")
+    tifffile.imwrite(path, np.full((3, 8, 8), np.nan, np.float32))
+    one_line(lambda: open_frames(path), "float", "uint8 or uint16")
+    tifffile.imwrite(path, MOVIE.astype(np.int32))
+    one_line(lambda: open_frames(path), "int32", "uint8 or uint16")
+
+
+def test_pictures_of_unequal_size(tmp_path):
+    cv2.imwrite(str(tmp_path / "1.png"), MOVIE[0])
+    cv2.imwrite(str(tmp_path / "2.png"), MOVIE[1, :20])
+    one_line(lambda: held(open_frames(tmp_path)[0]), "2.png", "64x20", "64x48")
+
+
+def test_camera_of_another_size(tmp_path):
+    write_clip(tmp_path, MOVIE, CAMERA)
+    one_line(lambda: open_source(tmp_path).clip(0), "64x48", "200x160", "size", "camera.json")

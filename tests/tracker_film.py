@@ -1,0 +1,108 @@
+"""Small films of glints for the tracker's tests, drawn without any of its code."""
+
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import tifffile
+
+CAMERA = {
+    "scale": 1.6e-4,
+    "K": [[3117.5625, 0, 99.5], [0, 3117.5625, 79.5], [0, 0, 1]],
+    "dist": [0, 0, 0, 0, 0],
+    "R": [[1, 0, 0], [0, -1, 0], [0, 0, -1]],
+    "t": [0, 0, 0.5],
+    "size": [200, 160],
+    "fps": 250.0,
+    "exposure": 5e-4,
+    "ball_diameter": 2.38e-3,
+    "lamp": {"position": [0.05, 0.0, 0.45], "radius": 0.0},
+    "psf": {"sigma_px": 1.0},
+    "sensor": {"bits": 8, "gain": 20, "read_noise": 20, "prnu": 0.0, "dsnu": 0.0, "full_well": 6000, "black_level": 8},
+}
+
+
+def spot(shape, x, y, sigma, streak=(0.0, 0.0), steps=60):
+    """Unit-flux Gaussian over square pixels, drawn out along `streak`, by a plain sum of many short exposures."""
+    erf = np.vectorize(math.erf)
+    total = np.zeros(shape)
+    count = steps if max(map(abs, streak)) > 0 else 1
+    for k in range(count):
+        share = (k + 0.5) / count - 0.5
+        edges = [
+            (np.arange(n + 1) - 0.5 - c) / sigma / math.sqrt(2)
+            for n, c in ((shape[0], y + share * streak[1]), (shape[1], x + share * streak[0]))
+        ]
+        rows, columns = (np.diff(erf(e)) / 2 for e in edges)
+        total += np.outer(rows, columns) / count
+    return total
+
+
+def disc(shape, x, y, radius):
+    """A ball's dim body: brightest in its middle, nothing beyond .71 of its radius."""
+    rows, columns = np.mgrid[: shape[0], : shape[1]]
+    square = ((columns - x) ** 2 + (rows - y) ** 2) / radius**2
+    return np.clip(1 - 2 * square, 0, None)
+
+
+def expose(rng, picture, gain=20.0, read=20.0, black=8.0, bits=8):
+    """Counts from a picture in counts over black: Poisson, read-out, rounding, clipping."""
+    electrons = rng.poisson(np.maximum(picture, 0) * gain) + read * rng.standard_normal(picture.shape)
+    return np.clip(np.rint(electrons / gain + black), 0, 2**bits - 1).astype(np.uint8 if bits <= 8 else np.uint16)
+
+
+def film(rng, paths, shape=(160, 200), peak=200.0, sigma=1.0, exposure_share=0.125, body=4.0, blank=()):
+    """Frames (n, h, w) of glints along paths (n, balls, 2) px, a slope of the way being each frame's streak."""
+    steps = np.gradient(paths, axis=0) * exposure_share
+    frames = []
+    for k, places in enumerate(paths):
+        picture = np.full(shape, 0.5)
+        for ball, (x, y) in enumerate(places):
+            if np.isfinite(x) and (k, ball) not in blank:
+                reach = 12
+                c, r = round(x), round(y)
+                rows = slice(max(0, r - reach), min(shape[0], r + reach + 1))
+                columns = slice(max(0, c - reach), min(shape[1], c + reach + 1))
+                part = picture[rows, columns]
+                if part.size:
+                    at = (x - columns.start, y - rows.start)
+                    part += peak * 2 * math.pi * sigma**2 * spot(part.shape, *at, sigma, steps[k, ball])
+                    part += body * disc(part.shape, *at, 7.44)
+        frames.append(expose(rng, picture))
+    return np.array(frames)
+
+
+def collision(frames=60, contact=25.3, speed=9.0, angle=0.4, offset=0.2, centre=(100.0, 80.0), diameter=14.875):
+    """Paths (n, 2, 2) px: ball 0 rests and is hit by ball 1, which hands on most of its speed along the normal."""
+    way = np.array([math.cos(angle), math.sin(angle)])
+    turn = math.asin(offset)
+    normal = np.array([math.cos(angle + turn), math.sin(angle + turn)])
+    rest = np.array(centre)
+    meet = rest - diameter * normal
+    time = np.arange(frames) - contact
+    along = speed * (way @ normal)
+    struck, striker = 0.8 * along * normal, speed * way - 0.8 * along * normal
+    before, after = np.minimum(time, 0)[:, None], np.maximum(time, 0)[:, None]
+    one = rest + after * struck
+    two = meet + before * speed * way + after * striker
+    return np.stack([one, two], axis=1)
+
+
+def write_clip(folder: Path, frames, camera=None):
+    """A clip folder: frames.tif and camera.json."""
+    folder.mkdir(parents=True, exist_ok=True)
+    tifffile.imwrite(folder / "frames.tif", frames, imagej=True)
+    (folder / "camera.json").write_text(json.dumps(CAMERA if camera is None else camera))
+    return folder
+
+
+def write_dataset(folder: Path, rng, clips=2, frames=40):
+    """A dataset of collisions, with something secret under truth/."""
+    for number in range(clips):
+        paths = collision(frames, contact=18.4 + number, angle=0.4 + number)
+        place = write_clip(folder / "clips" / f"{number:06d}", film(rng, paths))
+        (place / "truth").mkdir()
+        (place / "truth" / "tracks.parquet").write_bytes(b"not for the tracker")
+    (folder / "truth").mkdir()
+    return folder
