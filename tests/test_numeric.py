@@ -115,7 +115,7 @@ def test_a_roll_stops_on_the_dot():
     start = rolling_state(np.zeros(2), np.array([0.03, 0.04]), 0.0, R)
     leg = numeric_roll(Model(), start, 0.0, 20.0)
     assert leg.t1 == pytest.approx(np.log1p(0.135 * 0.05 / 0.0103) / 0.135, abs=1e-11)
-    assert not leg.at(np.array([leg.t1]))[0, 3:].any()
+    np.testing.assert_allclose(leg.at(np.array([leg.t1]))[0, 3:], 0, atol=1e-15)
     late = leg.at(leg.t1 - np.geomspace(1e-8, 1e-3, 50))
     np.testing.assert_allclose(np.hypot(*late[:, 3:5].T), 0.0103 * np.geomspace(1e-8, 1e-3, 50), rtol=2e-4)
 

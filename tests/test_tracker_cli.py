@@ -68,7 +68,7 @@ def test_tracks_are_the_balls_centres(dataset, tracked):
     """The film's paths are those of the glints: the centres stand off by what physics says, R (...) / 2."""
     for number in (0, 1):
         table = pd.read_parquet(tracked / f"clips/00000{number}/tracks.parquet")
-        paths = collision(40, contact=18.4 + number, angle=0.4 + number)
+        paths = collision(40, contact=18.4 + number, speed=2.5, angle=0.4 + number)
         free = np.abs(np.arange(40) - 18.4 - number) > 1.6
         for particle in (0, 1):
             own = table[table["particle"] == particle]

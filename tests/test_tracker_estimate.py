@@ -174,9 +174,9 @@ def test_without_a_collision_the_rolling_loss_is_told(tmp_path):
 @pytest.mark.parametrize(
     ("spoil", "reason"),
     [
-        (lambda t: without(t, t.frame > 26), "no_collision"),
+        (lambda t: without(t, t.frame > 25), "no_collision"),
         (lambda t: without(t, t.frame < 24), "no collision in view, and no ball rolls freely"),
-        (lambda t: without(t, t.particle == 0), "no_collision"),
+        (lambda t: without(t, t.particle == 0), "no collision in view, and no ball rolls freely"),
         (lambda t: without(t, t.frame > 0), "too few detections"),
     ],
 )

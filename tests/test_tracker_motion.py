@@ -91,9 +91,7 @@ def spring_collision(theta, when):
     return out
 
 
-@pytest.mark.parametrize(
-    "changes", [{}, {"beta": -0.9, "C": 0.12, "r": 0.78, "heading": 4.0}, {"beta": 1e-9}]
-)
+@pytest.mark.parametrize("changes", [{}, {"beta": -0.9, "C": 0.12, "r": 0.78, "heading": 4.0}, {"beta": 1e-9}])
 def test_path_agrees_with_integrated_forces(changes):
     theta = tied(**changes)
     when = np.linspace(0.0, 0.4, 41)
@@ -108,15 +106,16 @@ def test_exposure_mean_is_the_integral_of_the_instants():
     free = release(theta)
     ends = [theta[0] + np.exp(part(free, name)) for name in ("log_tau1", "log_tau2")]
     start = np.array([0.0, 0.08, *(e - 2e-4 for e in ends), 0.3])
+
+    def instant(t, ball, axis):
+        return path(free, ball, np.array([t]), 0.0, 2 * R)[0][0, axis]
+
     for ball in (1, 2):
         mean, _ = path(free, ball, start, 5e-4, 2 * R)
         for k, begin in enumerate(start):
             for axis in (0, 1):
                 kinks = [t for t in (theta[0], *ends) if begin < t < begin + 5e-4] or None
-                instant = lambda t, ball=ball, axis=axis: path(free, ball, np.array([t]), 0.0, 2 * R)[0][
-                    0, axis
-                ]
-                area, _ = quad(instant, begin, begin + 5e-4, points=kinks, epsabs=1e-16)
+                area, _ = quad(instant, begin, begin + 5e-4, args=(ball, axis), points=kinks, epsabs=1e-16)
                 assert mean[k, axis] == pytest.approx(area / 5e-4, abs=1e-9)
 
 
@@ -130,9 +129,7 @@ def test_derivatives_are_those_of_the_path(decel):
             h = 1e-5 * max(abs(free[j]), 0.1)
             step = h * np.eye(len(FREE))[j]
             high, low = (path(free + s * step, ball, start, 5e-4, 2 * R)[0] for s in (1, -1))
-            np.testing.assert_allclose(
-                slope[:, :, j], (high - low) / (2 * h), rtol=1e-6, atol=1e-7, err_msg=FREE[j]
-            )
+            np.testing.assert_allclose(slope[:, :, j], (high - low) / (2 * h), rtol=1e-6, atol=1e-7, err_msg=FREE[j])
 
 
 def test_tied_derivative_is_that_of_the_release():
@@ -142,9 +139,7 @@ def test_tied_derivative_is_that_of_the_release():
         np.testing.assert_allclose(column, (release(theta + step) - release(theta - step)) / 2e-6, atol=1e-8)
 
 
-@pytest.mark.parametrize(
-    ("drag", "decel"), [(0.135, 0.0103), (0.0, 0.02), (30.0, 0.05), (-0.2, 0.3), (4.0, 0.0)]
-)
+@pytest.mark.parametrize(("drag", "decel"), [(0.135, 0.0103), (0.0, 0.02), (30.0, 0.05), (-0.2, 0.3), (4.0, 0.0)])
 def test_rolling_solves_its_equation(drag, decel):
     times = np.array([-0.05, 0.0, 0.1, 1.0, 40.0])
     roll = rolled(0.3, drag, decel, times)

@@ -166,7 +166,7 @@ def test_damaged_stacks(tmp_path):
         one_line(lambda: held(open_frames(path)[0]), "stack.tif", "truncated")
     tifffile.imwrite(path, MOVIE[:1])
     one_line(lambda: open_frames(path), "one frame only", "at least two")
-    tifffile.imwrite(path, np.full((3, 8, 8), np.nan, np.float32))
+    tifffile.imwrite(path, np.full((5, 8, 8), np.nan, np.float32))
     one_line(lambda: open_frames(path), "float", "uint8 or uint16")
     tifffile.imwrite(path, MOVIE.astype(np.int32))
     one_line(lambda: open_frames(path), "int32", "uint8 or uint16")

@@ -100,7 +100,7 @@ def write_clip(folder: Path, frames, camera=None):
 def write_dataset(folder: Path, rng, clips=2, frames=40):
     """A dataset of collisions, with something secret under truth/."""
     for number in range(clips):
-        paths = collision(frames, contact=18.4 + number, angle=0.4 + number)
+        paths = collision(frames, contact=18.4 + number, speed=2.5, angle=0.4 + number)
         place = write_clip(folder / "clips" / f"{number:06d}", film(rng, paths))
         (place / "truth").mkdir()
         (place / "truth" / "tracks.parquet").write_bytes(b"not for the tracker")

@@ -32,7 +32,8 @@ def write_preview(clip: Clip, seed: int, path: Path, frame: int | None, magnify:
     picture = _grey(counts, clip.sensor.bits)
     if magnify:
         middle = clip.camera.project(motion.at(k / clip.camera.fps)[:, 0, :3]).mean(axis=0)
-        picture = _with_inset(picture, middle, magnify)
+        black = clip.sensor.black_level / 2 ** (clip.sensor.bits - 8)
+        picture = _with_inset(picture, middle, magnify, black)
     ok, data = cv2.imencode(".png", picture)
     if not ok:
         raise OSError(f"{path}: could not be encoded as PNG")
@@ -43,14 +44,16 @@ def _grey(counts: Counts, bits: int) -> NDArray[np.uint8]:
     return (counts >> (bits - 8)).astype(np.uint8) if bits > 8 else counts.astype(np.uint8)
 
 
-def _with_inset(picture: NDArray[np.uint8], middle: NDArray[np.float64], magnify: int) -> NDArray[np.uint8]:
-    """The frame, and below it a strip round `middle`, magnified, with gamma 1/2.2 to show what is dark."""
+def _with_inset(
+    picture: NDArray[np.uint8], middle: NDArray[np.float64], magnify: int, black: float
+) -> NDArray[np.uint8]:
+    """The frame, and below it a strip round `middle`, magnified, black subtracted, cube root to show what is dark."""
     width = picture.shape[1]
     across, down = width // magnify, max(width // magnify // 2, 1)
     left = int(np.clip(round(middle[0]) - across // 2, 0, picture.shape[1] - across))
     top = int(np.clip(round(middle[1]) - down // 2, 0, max(picture.shape[0] - down, 0)))
     patch = picture[top : top + down, left : left + across]
-    lifted = (255 * (patch / 255) ** (1 / 2.2)).astype(np.uint8)
+    lifted = (255 * np.cbrt(np.clip((patch - black) / (255 - black), 0, 1))).astype(np.uint8)
     large = np.kron(lifted, np.ones((magnify, magnify), np.uint8))
     strip = np.zeros((large.shape[0] + 4, width), np.uint8)
     strip[:4] = 90

@@ -106,7 +106,8 @@ class Roll:
         """Seconds until a ball of this speed stops; infinite when decel is 0."""
         if decel == 0:
             return np.inf
-        return float(np.log1p(drag * speed / decel) / drag) if drag > 0 else speed / decel
+        x = drag * speed / decel
+        return float(speed / decel * (np.log1p(x) / x if x > 0 else 1.0))
 
 
 def _decay(drag: float, t: Array) -> tuple[Array, Array]:

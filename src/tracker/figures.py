@@ -190,7 +190,9 @@ def residual_figure(table: pd.DataFrame, kind: str) -> Figure:
     colour = {"": TIED_COLOUR, "_free": FREE_COLOUR, "_paper": PAPER_COLOUR}[kind]
     names = [n for n in NAMES if f"{n}_true" in table and _claims(table, n, kind) is not None]
     columns, rows = 4, max(1, -(-len(names) // 4))
-    figure = Figure(figsize=(10.2, 1.9 * rows), layout="constrained")
+    height = 1.9 * rows + 0.3
+    figure = Figure(figsize=(10.2, height))
+    figure.subplots_adjust(0.055, 0.5 / height, 0.99, 1 - 0.25 / height, wspace=0.3, hspace=0.32)
     panels = np.atleast_1d(figure.subplots(rows, columns, sharex=True)).ravel()
     for axes, name in zip(panels, names, strict=False):
         symbol, unit, factor = SHOWN[name]

@@ -6,9 +6,11 @@ dataset only ``frames.tif`` and ``camera.json`` are ever opened.
 
 from __future__ import annotations
 
+import logging
 import re
-import warnings
+import struct
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, overload
@@ -163,14 +165,10 @@ def _pictures(folder: Path) -> list[Path]:
 
 def _stack(path: Path) -> tuple[Frames, str]:
     try:
-        with warnings.catch_warnings(), tifffile.TiffFile(path) as tif:
-            warnings.simplefilter("ignore")
-            series = tif.series[0]
-            shape, dtype = tuple(series.shape), np.dtype(series.dtype)
-            colour = series.axes[-1:] == "S" and shape[-1] in (3, 4)
-            offset = series.dataoffset
+        with _complaints(path), tifffile.TiffFile(path) as tif:
+            shape, dtype, colour, offset = _layout(path, tif)
             order = tif.byteorder
-    except (tifffile.TiffFileError, OSError, IndexError, ValueError, KeyError) as error:
+    except (tifffile.TiffFileError, OSError, IndexError, KeyError, struct.error) as error:
         raise InputError(f"{path}: cannot be read as TIFF, truncated or damaged ({_line(error)})") from None
     plane = shape[-3:] if colour else shape[-2:]
     if len(shape) < len(plane) or 0 in shape:
@@ -178,55 +176,89 @@ def _stack(path: Path) -> tuple[Frames, str]:
     count = int(np.prod(shape[: len(shape) - len(plane)], dtype=np.int64))
     _pixel_type(path, dtype)
     if offset is not None:
-        fetch, missing = _contiguous(path, int(offset), count, plane, dtype.newbyteorder(order))
-        if missing:
-            raise InputError(f"{path}: truncated, {missing} bytes short of {count} frames")
+        fetch = _contiguous(path, offset, count, plane, dtype.newbyteorder(order))
     else:
-        fetch = _paged(path, plane)
-        _check_end(path, count, fetch)
+        fetch = _Pages(path, plane)
+        try:
+            fetch(count - 1)
+        except InputError:
+            raise InputError(f"{path}: truncated, frame {count - 1} of {count} cannot be read") from None
     return _grey(path, count, plane, dtype, fetch)
 
 
-def _check_end(path: Path, count: int, fetch: Callable[[int], Any]) -> None:
+@contextmanager
+def _complaints(path: Path) -> Iterator[None]:
+    """tifffile logs a broken chain of pages and goes on with the pages it has: here that is an error."""
+    heard, logger = _Heard(logging.ERROR), logging.getLogger("tifffile")
+    passed_on = logger.propagate
+    logger.addHandler(heard)
+    logger.propagate = False
     try:
-        fetch(count - 1)
-    except InputError:
-        raise InputError(f"{path}: truncated, frame {count - 1} of {count} cannot be read") from None
+        yield
+    finally:
+        logger.propagate = passed_on
+        logger.removeHandler(heard)
+    if heard.said:
+        raise InputError(f"{path}: truncated or damaged ({heard.said[0].splitlines()[0][:120]})")
 
 
-def _contiguous(
-    path: Path, offset: int, count: int, plane: tuple[int, ...], dtype: Any
-) -> tuple[Callable[[int], Any], int]:
+class _Heard(logging.Handler):
+    """Keeps what is logged."""
+
+    def __init__(self, level: int) -> None:
+        super().__init__(level)
+        self.said: list[str] = []
+
+    def emit(self, record: logging.LogRecord) -> None:
+        self.said.append(record.getMessage())
+
+
+def _layout(path: Path, tif: tifffile.TiffFile) -> tuple[tuple[int, ...], Any, bool, int | None]:
+    """Shape, type, whether in colour, and where the pixels start if they lie in one piece."""
+    series = tif.series[0]
+    shape, dtype, offset = tuple(series.shape), np.dtype(series.dtype), series.dataoffset
+    colour = series.axes[-1:] == "S" and shape[-1] in (3, 4)
+    if len(tif.series) > 1:  # pages that no program declared to be one stack
+        if any(s.shape != shape or s.dtype != dtype for s in tif.series):
+            raise InputError(f"{path}: pages of unequal size or type, expected all alike")
+        plane = shape[-3:] if colour else shape[-2:]
+        return (len(tif.pages), *plane), dtype, colour, None
+    return shape, dtype, colour, None if offset is None else int(offset)
+
+
+def _contiguous(path: Path, offset: int, count: int, plane: tuple[int, ...], dtype: Any) -> Callable[[int], Any]:
     """Frames that lie one after the other: read by their place, so that no more than one is held."""
-    size = int(np.prod(plane)) * dtype.itemsize
-    missing = max(0, offset + count * size - path.stat().st_size)
-    handle: list[Any] = []
+    pixels = int(np.prod(plane))
+    missing = offset + count * pixels * dtype.itemsize - path.stat().st_size
+    if missing > 0:
+        raise InputError(f"{path}: truncated, {missing} bytes short of {count} frames")
 
     def fetch(k: int) -> Any:
-        if not handle:
-            handle.append(path.open("rb", buffering=0))
-        handle[0].seek(offset + k * size)
-        flat = np.fromfile(handle[0], dtype=dtype, count=size // dtype.itemsize)
-        if flat.nbytes < size:
+        place = offset + k * pixels * dtype.itemsize
+        flat = np.fromfile(path, dtype=dtype, count=pixels, offset=place)
+        if len(flat) < pixels:
             raise InputError(f"{path}: truncated, frame {k} of {count} cannot be read")
         return flat.reshape(plane).astype(dtype.newbyteorder("="), copy=False)
 
-    return fetch, missing
-
-
-def _paged(path: Path, plane: tuple[int, ...]) -> Callable[[int], Any]:
-    """Compressed frames or frames apart: one page of the file each."""
-    handle: list[tifffile.TiffFile] = []
-
-    def fetch(k: int) -> Any:
-        try:
-            if not handle:
-                handle.append(tifffile.TiffFile(path))
-            return np.asarray(handle[0].pages[k].asarray()).reshape(plane)
-        except Exception as error:  # decoders raise their own kinds
-            raise InputError(f"{path}: frame {k} cannot be read ({_line(error)})") from None
-
     return fetch
+
+
+class _Pages:
+    """Compressed frames or frames apart: one page of the file each; the file stays open between them."""
+
+    def __init__(self, path: Path, plane: tuple[int, ...]) -> None:
+        self.path, self.plane = path, plane
+        self.file = tifffile.TiffFile(path)
+
+    def __call__(self, k: int) -> Any:
+        try:
+            return np.asarray(self.file.pages[k].asarray()).reshape(self.plane)
+        except Exception as error:  # decoders raise their own kinds
+            raise InputError(f"{self.path}: frame {k} cannot be read ({_line(error)})") from None
+
+    def __del__(self) -> None:
+        if hasattr(self, "file"):
+            self.file.close()
 
 
 def _folder(folder: Path) -> tuple[Frames, str]:
