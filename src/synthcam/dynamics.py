@@ -172,11 +172,9 @@ def _contact(a: Leg, b: Leg, t: float, horizon: float, diameter: float) -> float
         step = _safe_step(gap, rate, steepest)
         if t + step > horizon:
             return None
-        if t + step == t:  # less than the last bit of the time
-            if rate < 0:
-                return t
-            raise ValueError(f"balls stay in contact from {t:.6g} s on: only separate impacts are modelled")
-        t += step
+        if t + step == t and rate < 0:  # nearer than the last bit of the time can tell
+            return t
+        t = max(t + step, float(np.nextafter(t, np.inf)))
 
 
 def _safe_step(gap: float, rate: float, steepest: float) -> float:

@@ -7,6 +7,8 @@ import multiprocessing
 import os
 import platform
 import shutil
+import signal
+import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
@@ -167,12 +169,19 @@ _PLAN: Plan | None = None
 
 def _prepare(document: dict[str, Any]) -> None:
     """In a worker: the plan, once."""
-    import signal
-
     global _PLAN
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent decides
+    threading.Thread(target=_leave_with_parent, daemon=True).start()
     scenes = tuple(check_scene(s, "scene") for s in document["scenes"])
     _PLAN = Plan(scenes, document["clips_per_scene"], document["seed"], document["video"])
+
+
+def _leave_with_parent() -> None:
+    """A killed parent tells nobody: its workers would wait for ever, and write into the folder of the next run."""
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(1)
 
 
 def _make_in_worker(number: int, folder: str) -> str:
