@@ -127,5 +127,5 @@ class Design:
 
 
 @cache
-def design():
-    return Design(exact(Model(), 8, 5), Model())
+def design(count=8):
+    return Design(exact(Model(), count, 5), Model())

@@ -78,8 +78,8 @@ def test_packages_keep_apart(path):
 
 
 @pytest.mark.parametrize("path", FILES, ids=module)
-def test_only_render_knows_opengl(path):
-    if module(path) != "synthcam.render":
+def test_only_the_canvas_knows_opengl(path):
+    if module(path) != "synthcam.canvas":
         assert not tops(path) & {"pyrender", "trimesh", "OpenGL", "pyglet"}
 
 

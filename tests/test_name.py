@@ -41,10 +41,10 @@ def test_with_nothing_hidden_the_score_is_a_standard_normal(effect, rho):
 
 
 def test_noise_that_remembers_raises_no_false_alarm_but_would_without_whitening():
-    z = design().nulls(30, 0.9)
+    z = design(16).nulls(25, 0.9)  # slow noise is hard to read off eight clips: its scale is then known to 20 %
     assert np.abs(z).max() < CLAIM
     assert z @ z < 1.5 * chi2_law.ppf(1 - 1e-3, len(z))
-    wolf = np.abs(design().nulls(30, 0.9, whitened=False))
+    wolf = np.abs(design().nulls(25, 0.9, whitened=False))
     assert np.mean(wolf > CLAIM) > 0.2
 
 

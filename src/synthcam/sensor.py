@@ -16,10 +16,12 @@ from synthcam.picture import Picture
 
 Array = NDArray[np.float64]
 Float32 = NDArray[np.float32]
+Part = slice | NDArray[np.intp]
 Counts = NDArray[np.unsignedinteger[Any]]  # uint8 or uint16
 
-PATTERN, NOISE = 0, 1  # streams of random numbers
+PATTERN, NOISE, HOT = 0, 1, 2  # streams of random numbers
 CELLS = 1 << 16
+TABLES = 96  # tables kept, .8 MB each: mains light at 250 frames a second shows 5 to 25 plates
 UNEVEN = 0.01  # plate pixels share a table of noise while their variance differs by less
 
 
@@ -28,8 +30,9 @@ class Sensor:
     """A camera's chip. bits: of its converter. gain: e-/count. read_noise: e-. dark: e-/s. full_well: e-.
 
     prnu: spread of the pixels' response, relative. dsnu: spread of their offset, e-. black_level: counts.
-    glint_peak: counts above black at the peak of a resting ball's glint, before clipping. Raises ValueError
-    for settings no camera has.
+    glint_peak: counts above black at the peak of a resting ball's glint, before clipping. hot_pixels: share of the
+    pixels that leak; hot_dark: e-/s, mean of their exponentially distributed dark currents. Raises ValueError for
+    settings no camera has.
     """
 
     bits: int = 8
@@ -41,6 +44,8 @@ class Sensor:
     dsnu: float = 4.0
     black_level: float = 8.0
     glint_peak: float = 200.0
+    hot_pixels: float = 0.0
+    hot_dark: float = 1e6
 
     def __post_init__(self) -> None:
         if not 1 <= self.bits <= 16:
@@ -48,7 +53,7 @@ class Sensor:
         for name in ("gain", "full_well"):
             if not getattr(self, name) > 0:
                 raise ValueError(f"sensor {name}: expected more than 0, got {getattr(self, name)}")
-        for name in ("read_noise", "dark", "prnu", "dsnu", "glint_peak"):
+        for name in ("read_noise", "dark", "prnu", "dsnu", "glint_peak", "hot_pixels", "hot_dark"):
             if not getattr(self, name) >= 0:
                 raise ValueError(f"sensor {name}: expected 0 or more, got {getattr(self, name)}")
 
@@ -65,7 +70,13 @@ class Chip:
         rng = _generator(root_seed, (PATTERN,))
         self.response = 1 + sensor.prnu * rng.standard_normal((h, w))
         self.offset = sensor.dsnu * rng.standard_normal((h, w))
-        self._background: _Background | None = None
+        self.hot = np.zeros(0, np.intp)
+        if sensor.hot_pixels:
+            rng = _generator(root_seed, (HOT,))
+            self.hot = np.flatnonzero(rng.random((h, w)) < sensor.hot_pixels)
+            self.leak = np.zeros((h, w))
+            self.leak.flat[self.hot] = sensor.hot_dark * rng.exponential(size=len(self.hot))
+        self._backgrounds: list[_Background] = []
 
     def expose(self, picture: Picture | Float32, clip: int, frame: int) -> Counts:
         """Counts (h, w), uint8 up to 8 bits, else uint16; the noise depends on (root_seed, clip, frame) only.
@@ -76,23 +87,35 @@ class Chip:
         counts: Counts
         if not isinstance(picture, Picture):
             return self._exact(np.asarray(picture), slice(None), slice(None), rng)
-        background = self._background
-        if background is None or not background.fits(picture.plate):
-            background = self._background = _Background(self, picture.plate)
+        background = self._tables(picture.plate)
         if background.deep:
             return self._exact(picture.image, slice(None), slice(None), rng)
         counts = background.expose(rng)
         for rows, columns in picture.boxes:
             counts[rows, columns] = self._exact(picture.image[rows, columns], rows, columns, rng)
+        if len(self.hot):  # too unlike their neighbours for tables
+            at = np.unravel_index(self.hot, counts.shape)
+            counts[at] = self._exact(picture.image[at], at[0], at[1], rng)
         return counts
 
-    def electrons(self, picture: NDArray[Any], rows: slice, columns: slice) -> Array:
+    def electrons(self, picture: NDArray[Any], rows: Part, columns: Part) -> Array:
         """Mean number of electrons in the pixels of a part of the picture."""
         sensor = self.sensor
         signal = picture * (sensor.glint_peak * sensor.gain)
-        return np.maximum(signal * self.response[rows, columns], 0) + sensor.dark * self.exposure
+        mean = np.maximum(signal * self.response[rows, columns], 0) + sensor.dark * self.exposure
+        return mean + self.leak[rows, columns] * self.exposure if len(self.hot) else mean
 
-    def _exact(self, picture: NDArray[Any], rows: slice, columns: slice, rng: np.random.Generator) -> Counts:
+    def _tables(self, plate: Float32) -> "_Background":
+        for same in (_Background.holds, _Background.fits):
+            for background in self._backgrounds:
+                if same(background, plate):
+                    return background
+        self._backgrounds.append(_Background(self, plate))
+        while len(self._backgrounds) > 1 and sum(len(b.groups) for b in self._backgrounds) > TABLES:
+            del self._backgrounds[0]
+        return self._backgrounds[-1]
+
+    def _exact(self, picture: NDArray[Any], rows: Part, columns: Part, rng: np.random.Generator) -> Counts:
         sensor = self.sensor
         charge = rng.poisson(self.electrons(picture, rows, columns)) + self.offset[rows, columns]
         charge = np.minimum(charge, sensor.full_well) + sensor.read_noise * rng.standard_normal(charge.shape)
@@ -117,8 +140,10 @@ class _Background:
         sensor = chip.sensor
         self.plate, self.sensor = plate, sensor
         means = chip.electrons(plate, slice(None), slice(None))
+        means.flat[chip.hot] = np.median(means)  # drawn apart
         top = means.max() + 9 * np.sqrt(means.max() + 1) + chip.offset.max()
         self.deep = bool(top > sensor.full_well)
+        self.groups: list[tuple[NDArray[np.intp], Float32, Float32]] = []
         if self.deep:
             return
         variance = means + sensor.read_noise**2
@@ -128,7 +153,6 @@ class _Background:
         if levels > 1:
             level = np.minimum(levels * np.log(variance / base) / np.log(ratio), levels - 1).astype(int)
         shift = np.empty(means.shape)
-        self.groups: list[tuple[NDArray[np.intp], Float32, Float32]] = []
         for k in range(levels):
             members = np.flatnonzero(level == k)
             if len(members):
@@ -138,8 +162,11 @@ class _Background:
                 self.groups.append((members, _scaled(body, sensor.gain), _scaled(tails, sensor.gain)))
         self.level = ((shift + chip.offset) / sensor.gain + sensor.black_level).astype(np.float32)
 
+    def holds(self, plate: Float32) -> bool:
+        return plate is self.plate
+
     def fits(self, plate: Float32) -> bool:
-        return plate is self.plate or bool(np.array_equal(plate, self.plate))
+        return bool(np.array_equal(plate, self.plate))
 
     def expose(self, rng: np.random.Generator) -> Counts:
         shape, bits = self.level.shape, self.sensor.bits

@@ -14,9 +14,8 @@ NODE = 0.5 / np.sqrt(3.0)  # of a streak, on either side of its middle (Gauss-Le
 
 @dataclass(frozen=True, eq=False)
 class Body:
-    """One clip's balls: ``coefficients`` (3,) counts of the powers of 1 - q, q = (distance from the middle / ``end``)^2.
-
-    ``end`` px: beyond, the ball mirrors no room.
+    """One clip's balls: ``coefficients`` (3,) counts of the powers of 1 - q, with q = (distance / ``end``)^2 from the
+    middle; beyond ``end``, px, the ball mirrors no room.
     """
 
     end: float

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -35,8 +36,13 @@ def line_nodes(streaks: Array, sigma: float) -> tuple[Array, Array]:
     """Gauss-Legendre places (n, k, 2), px, and weights (k,) along lines (n, 2), px, centred on 0."""
     longest = float(np.max(np.hypot(streaks[:, 0], streaks[:, 1]), initial=0.0))
     count = 1 if longest < 0.02 * sigma else 2 + math.ceil(0.8 * longest / sigma)
-    nodes, weights = np.polynomial.legendre.leggauss(count)
+    nodes, weights = _legendre(count)
     return 0.5 * nodes[:, None] * streaks[:, None, :], weights / 2.0
+
+
+@lru_cache(maxsize=256)
+def _legendre(count: int) -> tuple[Array, Array]:
+    return np.polynomial.legendre.leggauss(count)
 
 
 def glint_shape(xy: Array, streaks: Array, sigma: float, half: int) -> Shape:

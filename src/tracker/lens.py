@@ -70,7 +70,8 @@ def undistort(bent: Array, dist: Array) -> tuple[Array, Array]:
 
 
 def _unit(vectors: Array) -> Array:
-    return np.asarray(vectors / np.linalg.norm(vectors, axis=-1, keepdims=True), dtype=np.float64)
+    x, y, z = vectors[..., 0], vectors[..., 1], vectors[..., 2]
+    return np.asarray(vectors / np.sqrt(x * x + y * y + z * z)[..., None], dtype=np.float64)
 
 
 def pair_normal(centres: Array, others: Array, radius: float, eye: Array, light: Array) -> Array:

@@ -10,14 +10,13 @@ from typing import Any
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import median_filter
 
 from .lens import Array
 
 SIGNIFICANCE = 6.5  # noise deviations of a box sum; one false find in some 10^10 pixels
 MOST = 64  # finds a frame: beyond that it is no picture of a few balls
 CROWDED = 0.3  # share of a frame's pixels over the threshold that is too much to be balls
-CELL = 8  # px, of the coarse picture that gives the plate's smooth part
+CELL = 12  # px, of the coarse picture that gives the plate's smooth part
 # Sorting network for the median of nine (Paeth 1990, Graphics Gems): exact, and as fast as the minimum.
 MEDIAN_OF_NINE = (
     (1, 2), (4, 5), (7, 8), (0, 1), (3, 4), (6, 7), (1, 2), (4, 5), (7, 8), (0, 3), (5, 8), (4, 7), (3, 6), (1, 4),
@@ -44,10 +43,10 @@ def ground(frames: Sequence[Any]) -> Ground:
     noise = _noise(sample)
     middle = _median_of_nine(sample)
     smooth = _smooth(middle)
-    risen = cv2.subtract(middle, np.floor(smooth + 4.0 * noise / 3.0 + 1.0).astype(middle.dtype))
+    risen = (middle >= smooth + np.float32(4.0 * noise / 3.0 + 1.0)).astype(np.uint8)
     wide = cv2.dilate(risen, np.ones((7, 7), np.uint8))
-    level = np.where(wide > 0, np.round(smooth), middle).astype(middle.dtype)
-    return Ground(level, noise)
+    np.copyto(middle, np.rint(smooth), where=wide.view(np.bool_), casting="unsafe")
+    return Ground(middle, noise)
 
 
 def _median_of_nine(sample: list[NDArray[Any]]) -> NDArray[Any]:
@@ -55,14 +54,14 @@ def _median_of_nine(sample: list[NDArray[Any]]) -> NDArray[Any]:
     for low, high in MEDIAN_OF_NINE:
         pair = sheets[low], sheets[high]
         sheets[low], sheets[high] = cv2.min(*pair), cv2.max(*pair)
-    return sheets[4]
+    return np.asarray(sheets[4])
 
 
 def _smooth(picture: NDArray[Any]) -> NDArray[np.float32]:
     h, w = picture.shape
     rows, columns = max(h // CELL, 1), max(w // CELL, 1)
     coarse = cv2.resize(picture.astype(np.float32), (columns, rows), interpolation=cv2.INTER_AREA)
-    calm = median_filter(coarse, size=7, mode="nearest")
+    calm = cv2.medianBlur(coarse, 5)
     return np.asarray(cv2.resize(calm, (w, h), interpolation=cv2.INTER_LINEAR), dtype=np.float32)
 
 

@@ -1,0 +1,188 @@
+"""The commands: from files to a verdict, and one clear line for bad input."""
+
+import json
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pandas as pd
+import pytest
+
+from discrepancy import cli
+from discrepancy_files import SCENE, TRUTH, record
+from synthcam.model import read_model
+
+ROOT = Path(__file__).resolve().parent.parent
+MODEL = ROOT / SCENE
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory):
+    return record(tmp_path_factory.mktemp("cli"), MODEL)
+
+
+@pytest.fixture(scope="module")
+def report(recorded):
+    assert command("find", recorded / "results", "--model", MODEL, "-o", recorded / "report") == 0
+    return recorded / "report"
+
+
+def command(*words):
+    """Exit status, in this process."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(sys, "argv", ["discrepancy", *map(str, words)])
+        with pytest.raises(SystemExit) as left:
+            cli.main()
+    return left.value.code
+
+
+def document(report):
+    return json.loads((report / "discrepancy.json").read_text())
+
+
+def test_find_names_what_was_hidden(report):
+    found = document(report)
+    assert found["verdict"] == "named"
+    assert [n["effect"] for n in found["named"]] == ["velocity_restitution"]
+    named = found["named"][0]
+    value, std = named["parameters"]["velocity_restitution.e"], named["std"]["velocity_restitution.e"]
+    assert abs(value - TRUTH) < 3.5 * std
+    assert found["gap"]["closure"] > 0.99
+
+
+def test_a_table_and_results_give_the_same_without_any_truth(recorded, report, tmp_path):
+    for name in ("tracks.csv", "camera.json"):
+        shutil.copy(recorded / name, tmp_path)
+    words = (tmp_path / "tracks.csv", "--camera", tmp_path / "camera.json", "--model", MODEL, "-o", tmp_path / "report")
+    assert command("find", *words) == 0
+    one, other = document(report), document(tmp_path / "report")
+    assert one["verdict"] == other["verdict"]
+    assert one["named"][0]["parameters"] == pytest.approx(other["named"][0]["parameters"], rel=1e-4)
+    assert one["gap"] == pytest.approx(other["gap"], rel=1e-4)
+
+
+def test_the_found_model_lacks_nothing(recorded, report, tmp_path, capsys):
+    words = (recorded / "results", "--model", report / "model.yaml", "-o", tmp_path / "again", "--json")
+    assert command("find", *words) == 0
+    said = json.loads(capsys.readouterr().out)
+    assert said["verdict"] == "none"
+    assert said["named"] == []
+
+
+def test_the_found_model_is_a_scene(report, tmp_path):
+    words = ["generate", str(report / "model.yaml"), "-o", str(tmp_path / "set"), "--no-video"]
+    done = subprocess.run([sys.executable, "-c", "from synthcam.cli import main; main()", *words], check=False)
+    assert done.returncode == 0
+
+
+def test_add_fits_a_suspect(recorded, tmp_path, capsys):
+    table = (recorded / "tracks.csv", "--camera", recorded / "camera.json")
+    words = ("add", "velocity_restitution", "--model", MODEL, "-o", tmp_path / "new.yaml", "--json", "--fit", *table)
+    assert command(*words) == 0
+    fitted = json.loads(capsys.readouterr().out)["parameters"]["e"]
+    assert fitted == pytest.approx(TRUTH, rel=0.02)
+    assert read_model(tmp_path / "new.yaml").value("velocity_restitution.e") == fitted
+
+
+def test_an_earlier_report_is_replaced_and_nothing_else(recorded, report, tmp_path):
+    old = shutil.copytree(report, tmp_path / "report")
+    (old / "notes.txt").write_text("mine")
+    assert command("find", recorded / "results", "--model", MODEL, "-o", old) == 2
+    assert (old / "notes.txt").read_text() == "mine"
+
+
+def no_folder(recorded, tmp):
+    return tmp / "nowhere", (), "no such file or folder"
+
+
+def no_estimates(recorded, tmp):
+    (tmp / "empty").mkdir()
+    return tmp / "empty", (), "no estimates.parquet"
+
+
+def damaged(recorded, tmp):
+    results = shutil.copytree(recorded / "results", tmp / "results")
+    (results / "estimates.parquet").write_bytes(b"PAR1 no more")
+    return results, (), "cannot be read as Parquet"
+
+
+def a_column_short(recorded, tmp):
+    results = shutil.copytree(recorded / "results", tmp / "results")
+    table = pd.read_parquet(results / "estimates.parquet").drop(columns="t_c")
+    table.to_parquet(results / "estimates.parquet")
+    return results, (), "no column t_c"
+
+
+def a_clip_short(recorded, tmp):
+    results = shutil.copytree(recorded / "results", tmp / "results")
+    shutil.rmtree(results / "clips" / "000002")
+    return results, (), "tracks.parquet"
+
+
+def few(recorded, tmp):
+    pd.read_csv(recorded / "tracks.csv").query("clip < 2").to_csv(tmp / "t.csv", index=False)
+    return tmp / "t.csv", ("--camera", recorded / "camera.json"), "2 measured collisions: expected 6"
+
+
+def none_at_all(recorded, tmp):
+    pd.read_csv(recorded / "tracks.csv").query("clip < 2 and particle == 1").to_csv(tmp / "t.csv", index=False)
+    return tmp / "t.csv", ("--camera", recorded / "camera.json"), "no_collision"
+
+
+def nothing_finite(recorded, tmp):
+    pd.read_csv(recorded / "tracks.csv").query("clip < 2").assign(x=float("nan")).to_csv(tmp / "t.csv", index=False)
+    return tmp / "t.csv", ("--camera", recorded / "camera.json"), "no clip with a measured collision"
+
+
+def no_camera(recorded, tmp):
+    return recorded / "tracks.csv", (), "expected --camera"
+
+
+def one_camera_too_many(recorded, tmp):
+    return recorded / "results", ("--camera", recorded / "camera.json"), "holds its own"
+
+
+BAD = [no_folder, no_estimates, damaged, a_column_short, a_clip_short, few, none_at_all, nothing_finite, no_camera]
+
+
+@pytest.mark.parametrize("bad", [*BAD, one_camera_too_many], ids=lambda f: f.__name__)
+def test_bad_input_is_one_line_and_leaves_nothing(bad, recorded, tmp_path, capsys):
+    measured, more, expected = bad(recorded, tmp_path)
+    before = sorted(tmp_path.rglob("*"))
+    assert command("find", measured, *more, "--model", MODEL, "-o", tmp_path / "report") == 2
+    out, err = capsys.readouterr()
+    assert (out, err.count("\n")) == ("", 1)
+    assert err.startswith("discrepancy: ")
+    assert expected in err
+    assert sorted(tmp_path.rglob("*")) == before
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [("effects: {plate_tillt: {x: 1.0e-3}}", "plate_tillt"), ("free: [weight]", "weight"), ("{", "YAML")],
+)
+def test_a_bad_model(recorded, tmp_path, capsys, text, expected):
+    (tmp_path / "model.yaml").write_text(text)
+    words = ("find", recorded / "results", "--model", tmp_path / "model.yaml", "-o", tmp_path / "report")
+    assert command(*words) == 2
+    err = capsys.readouterr().err
+    assert err.count("\n") == 1
+    assert expected in err
+    assert not (tmp_path / "report").exists()
+
+
+def test_an_output_that_holds_something_else(recorded, tmp_path, monkeypatch, capsys):
+    (tmp_path / "notes.txt").write_text("mine")
+    monkeypatch.chdir(tmp_path)
+    for output in (tmp_path, ".", "notes.txt"):
+        assert command("find", recorded / "results", "--model", MODEL, "-o", output) == 2
+        assert "holds something else" in capsys.readouterr().err
+    assert [p.name for p in tmp_path.iterdir()] == ["notes.txt"]
+
+
+def test_an_unknown_suspect(recorded, tmp_path, capsys):
+    words = ("add", "gremlins", "--model", MODEL, "--fit", recorded / "results", "-o", tmp_path / "new.yaml")
+    assert command(*words) == 2
+    assert "gremlins: no such effect" in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []

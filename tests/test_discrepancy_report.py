@@ -1,0 +1,58 @@
+"""The report: the contract's keys, a model that reads back, and a page that needs nothing but itself."""
+
+import json
+import re
+
+import pytest
+
+from discrepancy import report
+from discrepancy_clips import searched
+from synthcam.model import read_model
+from synthcam.scene import read_scene
+
+
+@pytest.fixture(scope="module", params=["nothing", "velocity_restitution"])
+def written(request, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("report")
+    report.write(searched(request.param), folder, ["clip 9: <b>no</b> collision"])
+    return searched(request.param), folder
+
+
+def test_three_files_and_no_more(written):
+    assert sorted(p.name for p in written[1].iterdir()) == ["discrepancy.json", "index.html", "model.yaml"]
+
+
+def test_the_document_is_strict_json_with_every_key(written):
+    def refuse(word):
+        raise AssertionError(word)
+
+    found, folder = written
+    document = json.loads((folder / "discrepancy.json").read_text(), parse_constant=refuse)
+    assert {"verdict", "named", "aliases", "outside", "where", "ranking", "gap", "experiment"} <= document.keys()
+    assert document["verdict"] == found.verdict
+
+
+def test_the_page_needs_no_network(written):
+    page = (written[1] / "index.html").read_text()
+    assert re.findall(r'(?:src|href)\s*=\s*["\'](?!data:)', page) == []
+    assert "http" not in re.sub(r"base64,[A-Za-z0-9+/=]*", "", page)
+    assert page.count("data:image/png;base64,") == 3
+    assert "<script" not in page
+
+
+def test_the_page_says_the_sentence_and_what_was_left_out(written):
+    page = (written[1] / "index.html").read_text()
+    assert written[0].sentence().split(".")[0] in page
+    assert "clip 9: &lt;b&gt;no" in page
+
+
+def test_the_model_reads_back_and_is_a_scene(written):
+    found, folder = written
+    assert read_model(folder / "model.yaml") == found.model
+    assert read_scene(folder / "model.yaml").draw(0, 0).model.laws.bent("restitution") == bool(found.search.named)
+
+
+def test_the_same_search_gives_the_same_files(written, tmp_path):
+    report.write(written[0], tmp_path, ["clip 9: <b>no</b> collision"])
+    for path in written[1].iterdir():
+        assert path.read_bytes() == (tmp_path / path.name).read_bytes()

@@ -1,0 +1,117 @@
+"""Measured collisions: the same from a table as from results, in metres, and nothing doubtful taken along."""
+
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from discrepancy.measured import UNCLAIMED, read_measured
+from discrepancy_files import NOISE, SCENE, record
+from tracker.geometry import InputError
+
+ROOT = Path(__file__).resolve().parent.parent
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory):
+    return record(tmp_path_factory.mktemp("measured"), ROOT / SCENE)
+
+
+@pytest.fixture(scope="module")
+def clips(recorded):
+    return read_measured(recorded / "results")[0]
+
+
+def read_table(recorded, tmp_path, change):
+    """The collisions of the table after a change of it, for the first two clips."""
+    changed = change(pd.read_csv(recorded / "tracks.csv").query("clip < 2"))
+    changed.to_csv(tmp_path / "t.csv", index=False)
+    return read_measured(tmp_path / "t.csv", recorded / "camera.json")
+
+
+def test_first_guesses_are_near_the_truth(recorded, clips):
+    truth = pd.read_parquet(recorded / "dataset/truth/clips.parquet").set_index("clip")
+    for clip in clips:
+        true = truth.loc[clip.clip]
+        _, _, t_c, v0, _, b = clip.launch
+        assert [t_c, v0, b] == pytest.approx([true["t_c"], true["v0"], true["b"]], rel=0.02, abs=2e-3)
+        assert clip.ends - t_c == pytest.approx([true["tau1"], true["tau2"]], rel=0.1)
+        assert clip.striker == true["striker"]
+
+
+def test_ball_1_rests_until_it_is_struck(clips):
+    for clip in clips:
+        early = clip.phase() == 0
+        spread = [np.ptp(clip.xy[early & (clip.ball == k)], axis=0).max() for k in (0, 1)]
+        assert spread[0] < 2e-5 < spread[1]
+
+
+def test_places_are_in_metres(recorded, clips):
+    for clip in clips:
+        path = recorded / f"dataset/clips/{clip.clip:06d}/truth/tracks.parquet"
+        true = pd.read_parquet(path).set_index(["particle", "frame"])
+        mid = true.loc[list(zip(clip.ball.tolist(), clip.frame.tolist(), strict=True)), ["x", "y"]].to_numpy()
+        off = clip.xy - mid
+        assert np.sqrt((off**2).mean()) == pytest.approx(1.6e-4 * NOISE, rel=0.25)
+        assert np.allclose(np.sqrt(clip.covariance[:, 0, 0]), 1.6e-4 * NOISE, rtol=1e-3)
+
+
+def test_no_exposure_with_an_event_counts_to_a_phase(clips):
+    for clip in clips:
+        opens = clip.frame / clip.fps
+        for event, balls in ((clip.launch[2], (0, 1)), (clip.ends[0], (0,)), (clip.ends[1], (1,))):
+            inside = (opens < event) & (event < opens + clip.exposure) & np.isin(clip.ball, balls)
+            assert np.all(clip.phase()[inside] == -1)
+
+
+def test_a_table_gives_what_results_give(recorded, clips):
+    again, left_out = read_measured(recorded / "tracks.csv", recorded / "camera.json")
+    assert left_out == []
+    for one, other in zip(clips, again, strict=True):
+        assert np.allclose(one.xy, other.xy, rtol=0, atol=1e-12)
+        assert np.allclose(one.launch, other.launch, rtol=1e-6, atol=1e-9)
+        assert (one.clip, one.striker) == (other.clip, other.striker)
+
+
+def test_rows_without_a_place_are_left_out(recorded, tmp_path, clips):
+    read, _ = read_table(recorded, tmp_path, lambda t: t.assign(x=t["x"].where(t["frame"] != 40)))
+    assert all(40 not in c.frame for c in read)
+    assert len(read[0].frame) == len(clips[0].frame) - 2
+
+
+def test_tracks_that_claim_no_error_get_one(recorded, tmp_path):
+    read, _ = read_table(recorded, tmp_path, lambda t: t.drop(columns=["x_std", "y_std", "cov_xy"]))
+    assert np.allclose(np.sqrt(read[0].covariance[:, 0, 0]), 1.6e-4 * UNCLAIMED, rtol=1e-3)
+
+
+def test_a_speck_that_never_moves_is_no_ball(recorded, tmp_path, clips):
+    speck = pd.DataFrame({"frame": np.arange(100), "particle": 7, "x": 20.0, "y": 20.0, "x_std": 0.01, "y_std": 0.01})
+    both = [speck.assign(clip=k, cov_xy=0.0) for k in (0, 1)]
+    read, _ = read_table(recorded, tmp_path, lambda t: pd.concat([t, *both]))
+    for one, other in zip(clips, read, strict=False):
+        assert np.allclose(one.xy, other.xy, rtol=0, atol=1e-12)
+
+
+def test_what_cannot_be_used_is_left_out_and_said(recorded, tmp_path):
+    def alone(t):
+        return t[(t["clip"] > 0) | (t["particle"] == 1)]
+
+    read, left_out = read_table(recorded, tmp_path, alone)
+    assert [c.clip for c in read] == [1]
+    assert left_out == ["clip 0: no_collision"]
+
+
+def test_a_recording_of_several_collisions_is_left_out(recorded, tmp_path):
+    results = shutil.copytree(recorded / "results", tmp_path / "results")
+    table = pd.read_parquet(results / "estimates.parquet")
+    pd.concat([table, table[table["clip"] == 3].assign(collision=1)]).to_parquet(results / "estimates.parquet")
+    read, left_out = read_measured(results)
+    assert 3 not in [c.clip for c in read]
+    assert left_out == ["clip 3: 2 collisions in one recording"]
+
+
+def test_no_clip_of_use(recorded, tmp_path):
+    with pytest.raises(InputError, match="no clip with a measured collision; clip 0: no_collision"):
+        read_table(recorded, tmp_path, lambda t: t[t["particle"] == 1])
