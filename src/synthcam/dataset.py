@@ -68,8 +68,8 @@ def write_clip(folder: Path, clip: Clip, motion: Trajectory, frames: Frames | No
     }
     _write_json(folder / "truth" / "scene.json", {**meta, "clip": clip.number, "drawn": clip.drawn, "row": row})
     tables = {
-        "tracks": truth.tracks(clip.model, motion, clip.camera, clip.lamp, clip.frames),
-        "events": truth.events(clip.model, motion, clip.camera.fps),
+        "tracks": truth.tracks(clip.launch.bodies, motion, clip.camera, clip.lamp, clip.frames),
+        "events": truth.events(motion, clip.camera.fps),
     }
     for name, table in tables.items():
         table.to_parquet(folder / "truth" / f"{name}.parquet", index=False)

@@ -201,7 +201,7 @@ def film(clip: Clip, motion: Trajectory, seed: int) -> Frames:
     from synthcam.render import Film  # here alone: everything else works without OpenGL
 
     chip = _chip(clip.sensor, clip.camera.size, clip.camera.exposure, seed)
-    radii = [clip.model.ball.radius] * len(motion.legs)
+    radii = clip.launch.bodies.radius.tolist()
     breaks = np.array([e.t for e in motion.events])
     with Film(clip.camera, clip.lamp, radii, clip.room) as drawing:
         pictures = drawing.frames(
