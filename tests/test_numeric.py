@@ -28,7 +28,7 @@ class Everything(Effect):
         return load * (1 + self.size * 5 * position[..., 0])
 
     def push(self, acceleration, position, velocity):
-        return acceleration + self.size * (0.05 * np.sin(300 * position) - 0.02 * velocity)
+        return acceleration + self.size * (0.5 * np.sin(300 * position) - 0.02 * velocity)
 
     def rolling(self, loss, speed, position):
         return loss + self.size * (0.1 * speed**2 + 0.005 * np.sin(200 * position[..., 1]))
@@ -45,16 +45,14 @@ def slide_by_hand(times, start=START):
         hat = u / s
         mu = 0.232 * (1 + 0.3 * np.exp(-s / 0.1) + 0.1 * hat[0] * hat[1])
         f = -mu * G * (1 + 5 * y[0]) * hat
-        return [*v, *(f + 0.05 * np.sin(300 * y[:2]) - 0.02 * v), 2.5 / R * f[1], -2.5 / R * f[0]]
+        return [*v, *(f + 0.5 * np.sin(300 * y[:2]) - 0.02 * v), 2.5 / R * f[1], -2.5 / R * f[0]]
 
     def slip(_, y):
         return np.hypot(y[2] - R * y[5], y[3] + R * y[4]) - 1e-7
 
     slip.terminal = True
     y = start[[0, 1, 3, 4, 6, 7]]
-    return solve_ivp(
-        right, (times[0], times[-1]), y, "DOP853", events=slip, rtol=1e-12, atol=1e-14, dense_output=True
-    )
+    return solve_ivp(right, (times[0], times[-1]), y, "DOP853", events=slip, rtol=1e-12, atol=1e-14, dense_output=True)
 
 
 def test_a_slide_with_everything_bent():
@@ -100,7 +98,7 @@ def test_a_roll_with_everything_bent_both_ways_in_time(until):
         v = y[2:]
         s = np.hypot(*v)
         loss = 0.135 * s + 0.0103 + 0.1 * s * s + 0.005 * np.sin(200 * y[1])
-        return [*v, *(5 / 7 * (0.05 * np.sin(300 * y[:2]) - 0.02 * v) - loss / s * v)]
+        return [*v, *(5 / 7 * (0.5 * np.sin(300 * y[:2]) - 0.02 * v) - loss / s * v)]
 
     run = solve_ivp(right, (0.1, until), [*start[:2], *start[3:5]], "DOP853", rtol=1e-12, atol=1e-14, dense_output=True)
     leg = numeric_roll(BENT, start, 0.1, until)
@@ -127,7 +125,10 @@ def test_a_roll_slower_than_the_slowest():
 
 
 def test_no_acceleration_beats_the_bound():
-    for leg in (numeric_slide(BENT, START, 0.0), numeric_roll(BENT, rolling_state(START[:2], START[3:5], 0.0, R), 0, 1)):
+    for leg in (
+        numeric_slide(BENT, START, 0.0),
+        numeric_roll(BENT, rolling_state(START[:2], START[3:5], 0.0, R), 0, 1),
+    ):
         times = np.linspace(leg.t0, leg.t1, 5000)
         v = leg.at(times)[:, 3:5]
         a = np.linalg.norm(np.diff(v, axis=0), axis=1) / np.diff(times)

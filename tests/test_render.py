@@ -140,7 +140,6 @@ def one_frame(film, *centres):
 
 
 SCENES = {
-    "apart": (overhead(), [[0, 0, R], [4 * R, 3 * R, R]]),
     "touching": (overhead(), [[0, 0, R], [2 * R * np.cos(0.7), 2 * R * np.sin(0.7), R]]),
     "touching in a corner": (overhead(), [[0.045, 0.03, R], [0.045, 0.03 + 2 * R, R]]),
     "tilted": (overhead(tilt=(0.1, -0.15)), [[0.01, -0.02, R], [0.01 + 2.2 * R, -0.02, R]]),
@@ -272,7 +271,7 @@ def kick(times):
 def test_a_blurred_frame_is_the_mean_of_many_sharp_ones():
     film = Film(overhead(), LAMP, [R, R], room=0.05)
     (blurred,) = film.frames(kick, [[0.0, 1e-3]], breaks=[-1.0, 5e-4, 7.0])
-    instants = (np.arange(400) + 0.5) / 400 * 1e-3
+    instants = (np.arange(200) + 0.5) / 200 * 1e-3
     mean = np.mean([p.image for p in film.frames(kick, np.c_[instants, instants])], axis=0)
     assert np.abs(blurred.image - mean).max() < 5e-4
     y, x = np.mgrid[:480, :640]

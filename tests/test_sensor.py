@@ -139,7 +139,7 @@ def test_the_fixed_pattern_is_that_of_the_camera():
 def test_an_uneven_plate_is_drawn_with_each_pixels_own_noise():
     sensor = Sensor(bits=12, gain=1, read_noise=2, black_level=20, glint_peak=1000, full_well=1e5, **EVEN)
     chip = Chip(sensor, SIZE, 5e-4, root_seed=8)
-    plate = np.tile(np.linspace(0.001, 0.1, SIZE[0], dtype=np.float32), (SIZE[1], 1))
+    plate = np.tile(np.linspace(0.075, 0.1, SIZE[0], dtype=np.float32), (SIZE[1], 1))
     counts = np.stack([chip.expose(Picture(plate, plate, ()), 0, k) for k in range(30)]).astype(float)
     for column in (0, 100, 319):
         mean = float(plate[0, column]) * 1000

@@ -17,7 +17,22 @@ from tracker import cli, results, track
 from tracker.geometry import InputError
 from tracker_film import CAMERA, collision, film, write_clip, write_dataset
 
-COLUMNS = ["frame", "particle", "x", "y", "x_std", "y_std", "cov_xy", "flux", "flags", "glint_x", "glint_y"]
+COLUMNS = [
+    "frame",
+    "particle",
+    "x",
+    "y",
+    "x_std",
+    "y_std",
+    "cov_xy",
+    "flux",
+    "flags",
+    "glint_x",
+    "glint_y",
+    "x_fixed_std",
+    "y_fixed_std",
+    "cov_xy_fixed",
+]
 
 
 @pytest.fixture(scope="module")
@@ -184,6 +199,8 @@ def test_status_two_and_one_line(tmp_path):
         (["track", "{tmp}/two.tif", "-o", "{tmp}/out", "--camera", "{tmp}/no.json"], "no such file"),
         (["measure", "{tmp}/none.csv", "--camera", "{tmp}/no.json", "-o", "{tmp}/out"], "no such file"),
         (["score", "{tmp}/none", "--truth", "{tmp}/none", "-o", "{tmp}/out"], "no such file"),
+        (["score", "{tmp}/none", "--truth", "{tmp}/none", "-o", "{tmp}"], "holds something else"),
+        (["measure", "{tmp}/one.tif", "--camera", "{tmp}/no.json", "-o", "{tmp}/out", "--point", "rim"], "--point"),
     ],
 )
 def test_bad_input_by_command(tmp_path, words, said, monkeypatch, capsys):

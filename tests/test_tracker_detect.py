@@ -81,6 +81,34 @@ def test_place_does_not_depend_on_the_place_within_the_pixel():
     assert (found.flags & MISFIT).mean() < 0.01
 
 
+def test_what_a_resting_ball_shares_between_frames():
+    """One fixed pattern: a ball's errors average out over frames only down to the part called fixed."""
+    rng = np.random.default_rng(12)
+    data = {k: v for k, v in CAMERA.items() if k != "lamp"}
+    camera = Camera.from_dict({**data, "sensor": {**CAMERA["sensor"], "prnu": 0.02, "dsnu": 10.0}})
+    response, offset = 1 + 0.02 * rng.standard_normal((160, 200)), 0.5 * rng.standard_normal((160, 200))
+    means, fixed, whole = [], [], []
+    for _ in range(3):
+        picture, places = np.full((160, 200), 0.5), []
+        for x, y in GRID:
+            places.append(np.array([x, y]) + rng.uniform(-0.5, 0.5, 2))
+            part = picture[y - 12 : y + 13, x - 12 : x + 13]
+            part += 200 * 2 * math.pi * spot(part.shape, *(places[-1] - [x - 12, y - 12]), 1.0)
+        frames = np.array([expose(rng, picture * response + offset) for _ in range(30)])
+        found = detect(clip(frames, camera), look(clip(frames, camera)))
+        for place in places:
+            own = found.take(np.hypot(*(found.xy - place).T) < 2)
+            assert len(own) == 30
+            means.append(own.xy.mean(axis=0) - place)
+            fixed.append(np.diagonal(own.fixed.mean(axis=0)))
+            whole.append(np.diagonal(own.cov.mean(axis=0)))
+    fixed, whole = np.array(fixed), np.array(whole)
+    shared = fixed + (whole - fixed) / 30
+    z = np.array(means) / np.sqrt(shared)
+    assert abs(z.std() - 1) < 4 / math.sqrt(2 * z.size)
+    assert (np.array(means) / np.sqrt(whole / 30)).std() > 2  # taken as independent they would be far too sure
+
+
 def two_rolling(rng, speed, **more):
     """Two balls far from each other, and the middle of their glints in each frame."""
     time = np.arange(25.0)

@@ -114,6 +114,19 @@ def test_rows_may_come_in_any_order_with_gaps_and_other_names(plain):
     assert abs(less["r"] - whole["r"]) < 4 * less["r_std"]
 
 
+def test_half_of_all_detections_missing(benchmark):
+    rng = np.random.default_rng(8)
+    rows = []
+    for clip in range(12):
+        truth, camera = truth_of(benchmark, clip)
+        tracks = noisy(truth, rng)
+        found = measure(without(tracks, rng.uniform(size=len(tracks)) < 0.5), camera)
+        true = scalars_of(benchmark).iloc[clip]
+        rows += [(r["r"] - true["r"]) / r["r_std"] for r in found if r["status"] == "ok"]
+    assert len(rows) >= 11
+    assert np.abs(rows).max() < 4
+
+
 def test_one_wrong_detection_is_left_out(plain):
     truth, camera = truth_of(plain, 0)
     tracks = noisy(truth, np.random.default_rng(1))
@@ -169,6 +182,16 @@ def test_without_a_collision_the_rolling_loss_is_told(tmp_path):
     loss = row["drag"] * v + row["decel"] if np.isfinite(row["drag"]) else np.nan
     std = np.sqrt(np.array([v, 1]) @ cov[1:, 1:] @ np.array([v, 1]))
     assert abs(loss - (0.135 * v + 0.0103)) < 4 * std + 1e-4
+
+
+def test_single_balls_together_give_the_rolling_loss(tmp_path):
+    settings = {"launch": {"kind": "single", "v0": {"uniform": [0.05, 0.4]}}, "timing": {"frames": 60}}
+    together = fit_all(measured(dataset(tmp_path / "data", settings, 10), 10))
+    found = together["rolling"]
+    assert (together["clips"], found["n"]) == (0, 10)
+    for name, true in (("drag", 0.135), ("decel", 0.0103)):
+        assert abs(found[name] - true) < 4 * found[f"{name}_std"]
+        assert found[f"{name}_std"] < 0.1 * true
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,7 @@ import pytest
 from synthcam.dynamics import solve
 from synthcam.launch import Launch
 from synthcam.model import Model
-from synthcam.trajectory import Roll, contact_velocity, rolling_state, rolling_velocity
+from synthcam.trajectory import Roll, Slide, contact_velocity, rolling_state, rolling_velocity
 
 R = Model().ball.radius
 
@@ -72,6 +72,20 @@ def test_the_contact_velocity_is_that_of_the_lowest_point():
     np.testing.assert_allclose(rolls[3:6] + np.cross(rolls[6:9], [0, 0, -R]), 0, atol=1e-15)
     invariant = (5 * state[3:6] + 2 * R * np.cross(state[6:9], [0, 0, -1]) * -1) / 7
     np.testing.assert_allclose(rolling_velocity(state, R), invariant[:2], rtol=1e-13)
+
+
+def test_a_slide_is_a_parabola_in_long_arithmetic():
+    state = np.array([0.01, 0.02, R, 0.3, -0.1, 0, 10.0, 20.0, 30.0])
+    leg = Slide(0.5, 0.6, state, R, 2.3)
+    t = np.linspace(0, 0.03, 5).astype(np.longdouble)
+    u = np.array([0.3 - R * 20, -0.1 + R * 10], np.longdouble)
+    a = -2.3 * u / np.sqrt(u @ u)
+    states = leg.at(0.5 + t.astype(float))
+    place = np.array([0.01, 0.02]) + np.outer(t, [0.3, -0.1]) + np.outer(t**2, a) / 2
+    spin = np.array([10.0, 20.0]) + 2.5 / R * np.outer(t, [a[1], -a[0]])  # I dw/dt = -R z x F
+    np.testing.assert_allclose(states[:, :2], place.astype(float), atol=1e-16)
+    np.testing.assert_allclose(states[:, 6:8], spin.astype(float), rtol=1e-12)
+    np.testing.assert_array_equal(states[:, [2, 5, 8]], [[R, 0, 30.0]] * 5)
 
 
 @pytest.mark.parametrize("drag", [0.0, 1e-12, 1e-6, 0.0199, 0.0201, 0.135, 5.0])

@@ -27,7 +27,11 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
-MeasuredPath = Annotated[Path, typer.Argument(metavar="MEASURED", help="RESULTS of a tracker.")]
+REPORT = ("discrepancy.json", "index.html", "model.yaml")
+MeasuredPath = Annotated[
+    Path, typer.Argument(metavar="MEASURED", help="RESULTS of a tracker, or a table of tracks (CSV or Parquet).")
+]
+CameraPath = Annotated[Path | None, typer.Option("--camera", metavar="camera.json", help="The camera of a table.")]
 ModelPath = Annotated[Path, typer.Option("--model", metavar="MODEL.yaml", help="The model to hold against the tracks.")]
 Json = Annotated[bool, typer.Option("--json", help="Print a machine-readable summary.")]
 
@@ -44,9 +48,8 @@ def stages() -> Iterator[Progress]:
 @contextmanager
 def aside(output: Path) -> Iterator[Path]:
     """A folder to write into that becomes `output` when all went well. Refuses a folder that holds something else."""
-    if output.exists() and (
-        not output.is_dir() or (any(output.iterdir()) and not (output / "discrepancy.json").is_file())
-    ):
+    output = output.absolute()
+    if output.exists() and (not output.is_dir() or any(p.name not in REPORT for p in output.iterdir())):
         raise InputError(f"{output}: holds something else; expected a report of an earlier search, or nothing")
     folder = output.with_name(f"{output.name}.{os.getpid()}.tmp")
     folder.mkdir(parents=True)
@@ -63,6 +66,7 @@ def find(
     measured: MeasuredPath,
     model: ModelPath,
     output: Annotated[Path, typer.Option("-o", "--output", metavar="REPORT", help="Folder to write.")],
+    camera: CameraPath = None,
     as_json: Json = False,
 ) -> None:
     """Search for what the model lacks, name it, and show the gap shrink on collisions kept out of every fit.
@@ -71,11 +75,11 @@ def find(
     """
     from discrepancy import report
     from discrepancy.find import find as search
-    from discrepancy.measured import read_results
+    from discrepancy.measured import read_measured
 
     started = time.monotonic()
     suspect = read_model(model)
-    clips, left_out = read_results(measured)
+    clips, left_out = read_measured(measured, camera)
     with aside(output) as folder:
         with stages() as bar:
             task = bar.add_task("fit")
@@ -93,8 +97,9 @@ def find(
 def add(
     effect: Annotated[str, typer.Argument(metavar="EFFECT", help="An effect of the library (synthcam effects).")],
     model: ModelPath,
-    fit: Annotated[Path, typer.Option("--fit", metavar="MEASURED", help="RESULTS of a tracker to fit it to.")],
+    fit: Annotated[Path, typer.Option("--fit", metavar="MEASURED", help="RESULTS or tracks to fit it to.")],
     output: Annotated[Path, typer.Option("-o", "--output", metavar="NEW.yaml", help="Model file to write.")],
+    camera: CameraPath = None,
     as_json: Json = False,
 ) -> None:
     """Add an effect that you suspect to a model and fit its strength, with everything else, to measured tracks.
@@ -102,12 +107,12 @@ def add(
     Example: discrepancy add plate_tilt --model model.yaml --fit out/results -o tilted.yaml
     """
     from discrepancy.find import add as fitted
-    from discrepancy.measured import read_results
+    from discrepancy.measured import read_measured
 
     suspect = read_model(model)
     if output.is_dir():
         raise InputError(f"{output}: a folder; expected the name of a model file")
-    clips, _ = read_results(fit)
+    clips, _ = read_measured(fit, camera)
     with stages() as bar:
         bar.add_task("fit")
         new = fitted(clips, suspect, effect)

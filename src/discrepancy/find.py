@@ -92,30 +92,44 @@ def find(clips: Sequence[Measured], model: Model, tick: Callable[[str], None] = 
     """
     if len(clips) < FEWEST:
         raise InputError(f"{len(clips)} measured collisions: expected {FEWEST} or more, some to fit, some to keep out")
-    noise = estimate(stretch for clip in clips for stretch in clip.stretches())
+    noise = _noise(clips)
     fitted, kept_out = split(clips)
     names = list(dict.fromkeys([*BASE, *model.free]))
     base = fit(fitted, model, names, noise, tick=lambda: tick("fit"))
     where = locate(fitted, base, noise)
     outcome = search(fitted, base, noise, lambda: tick("search"))
     left = locate(fitted, outcome.best, noise) if outcome.named else where
+    if outcome.named and _unexplained(left):
+        outcome = outcome.trusted()
+        left = locate(fitted, outcome.best, noise) if outcome.named else where
     shown = show(kept_out, base, outcome.best, noise, lambda: tick("gap"))
     return Found(_verdict(outcome, left), noise, tuple(fitted), tuple(kept_out), outcome, where, left, shown)
 
 
+def _unexplained(left: Sequence[Place]) -> bool:
+    return bool(left) and left[0].sigma > UNEXPLAINED
+
+
 def _verdict(outcome: Search, left: Sequence[Place]) -> str:
-    if left and left[0].sigma > UNEXPLAINED:
+    if _unexplained(left):
         return "outside_library"
     if not outcome.named:
         return "none"
     return "ambiguous" if any(len(n.aliases) > 1 for n in outcome.named) else "named"
 
 
+def _noise(clips: Sequence[Measured]) -> Noise:
+    try:
+        return estimate(stretch for clip in clips for stretch in clip.stretches())
+    except ValueError as e:
+        raise InputError(f"the tracks: {e}") from None
+
+
 def add(clips: Sequence[Measured], model: Model, effect: str, tick: Callable[[], None] = lambda: None) -> Model:
     """The model with `effect` added and refitted to all clips with everything else. Raises InputError."""
     if effect not in library():
         raise InputError(f"{effect}: no such effect; there are {', '.join(library())}")
-    noise = estimate(stretch for clip in clips for stretch in clip.stretches())
+    noise = _noise(clips)
     strengths = strengths_of(library()[effect])
     names = list(dict.fromkeys([*BASE, *model.free, *strengths]))
     return fit(clips, model, names, noise, tick=tick).model

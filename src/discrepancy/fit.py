@@ -127,11 +127,20 @@ def limits_of(name: str) -> tuple[float, float]:
 
 
 def derivative(model: Model, launch: Array, clip: Measured, name: str) -> Array:
-    """d prediction / d a shared parameter, (n, 2): central, one-sided at a limit."""
+    """d prediction / d a shared parameter, (n, 2): central, one-sided at a limit.
+
+    A limit may also be where the motion ends to exist, as when a tilt sets the resting ball rolling; zero when there is
+    none to either side.
+    """
     value, step, (low, high) = model.value(name), step_of(name), limits_of(name)
-    up, down = min(value + step, high), max(value - step, low)
-    ahead = predict(model.replace({name: up}), launch, clip)
-    return (ahead - predict(model.replace({name: down}), launch, clip)) / (up - down)
+    ends = []
+    for end in (min(value + step, high), max(value - step, low)):
+        try:
+            ends.append((end, predict(model.replace({name: end}), launch, clip)))
+        except ValueError:
+            ends.append((value, predict(model, launch, clip)))
+    (up, ahead), (down, behind) = ends
+    return (ahead - behind) / (up - down) if up > down else np.zeros_like(ahead)
 
 
 def fit(

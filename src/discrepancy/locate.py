@@ -66,7 +66,7 @@ def _corrected(chi2: float, dof: int, looks: int) -> float:
     p = looks * float(chi2_law.sf(chi2, dof))
     if p >= 1:
         return 0.0
-    return float(norm.isf(p / 2)) if p > 1e-290 else sigmas(chi2, dof)
+    return float(norm.isf(p / 2)) if p > 1e-250 else sigmas(chi2, dof)
 
 
 def _directions(clip: Measured, path: Array) -> Array:

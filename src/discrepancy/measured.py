@@ -2,21 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from tracker.estimate import measure
 from tracker.geometry import Camera, InputError
+from tracker.link import Tracks
+from tracker.results import read_clip, read_tracks
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 MARGIN = 2  # frames at the ends of a phase that may hold a misplaced event
 FEWEST = 3  # frames a ball must be seen before the contact
+UNCLAIMED = 0.01  # px: stands in where tracks claim no error; the noise is then read off all the same
+ESTIMATES = "clip striker status t_c v0 b tau1 tau2 particle1 particle2".split()
 
 
 @dataclass(frozen=True)
@@ -61,62 +67,87 @@ class Measured:
                     yield self.xy[kept], claimed[kept]
 
 
-def read_results(results: Path) -> tuple[list[Measured], list[str]]:
-    """The collisions of a tracker's RESULTS, and a line for each that is left out. Raises InputError."""
-    camera = Camera.read(results / "camera.json")
-    if not (results / "estimates.parquet").is_file():
-        raise InputError(f"{results}: expected RESULTS of a tracker (no estimates.parquet)")
-    table = pd.read_parquet(results / "estimates.parquet")
+def read_measured(measured: Path, camera: Path | None = None) -> tuple[list[Measured], list[str]]:
+    """The collisions of a tracker's RESULTS, or of a table of tracks, and a line for each that is left out.
+
+    camera: a table's camera.json; RESULTS have their own. Raises InputError.
+    """
+    if measured.is_dir():
+        if camera is not None:
+            raise InputError(f"--camera {camera}: {measured} holds its own; expected it with a table of tracks only")
+        source = _results(measured)
+    elif camera is None:
+        if not measured.exists():
+            raise InputError(f"{measured}: no such file or folder, expected RESULTS of a tracker or a table of tracks")
+        raise InputError(f"{measured}: expected --camera camera.json with a table of tracks")
+    else:
+        source = _table(measured, camera)
     kept, left_out = [], []
-    for row in table.to_dict("records"):
-        tracks = pd.read_parquet(results / "clips" / f"{row['clip']:06d}" / "tracks.parquet")
-        outcome = collision(tracks, row, camera)
+    for number, tracks, own, rows in source:
+        if len(rows) > 1:
+            left_out.append(f"clip {number}: {len(rows)} collisions in one recording")
+            continue
+        outcome = collision(tracks, {"clip": number} | rows[0], own)
         if isinstance(outcome, Measured):
             kept.append(outcome)
         else:
-            left_out.append(f"clip {row['clip']}: {outcome}")
+            left_out.append(f"clip {number}: {outcome}")
     if not kept:
-        raise InputError(f"{results}: no clip with a measured collision" + "".join(f"; {x}" for x in left_out[:1]))
+        raise InputError(f"{measured}: no clip with a measured collision" + "".join(f"; {x}" for x in left_out[:1]))
     return kept, left_out
 
 
-def collision(tracks: pd.DataFrame, row: Mapping[Hashable, object], camera: Camera) -> Measured | str:
-    """The collision that `row` of the estimates describes, or why it cannot be used.
+Source = Iterator[tuple[int, Tracks, Camera, list[dict[Any, Any]]]]
 
-    tracks: columns frame, particle, x, y, x_std, y_std, cov_xy (px).
-    """
+
+def _results(folder: Path) -> Source:
+    path = folder / "estimates.parquet"
+    if not path.is_file():
+        raise InputError(f"{folder}: expected RESULTS of a tracker (no estimates.parquet)")
+    try:
+        table = pd.read_parquet(path)
+    except (OSError, ValueError) as e:  # pyarrow's are ValueErrors
+        raise InputError(f"{path}: cannot be read as Parquet ({str(e).partition(chr(10))[0][:100]})") from None
+    missing = [name for name in ESTIMATES if name not in table]
+    if missing:
+        raise InputError(f"{path}: no column {', '.join(missing)}")
+    for number, rows in table.groupby("clip"):
+        clip = int(str(number))
+        yield clip, *read_clip(folder, clip), rows.to_dict("records")
+
+
+def _table(path: Path, camera: Path) -> Source:
+    base = Camera.read(camera)
+    for number, (tracks, striker) in sorted(read_tracks(path).items()):
+        own = replace(base, striker=striker) if striker is not None else base
+        yield number, tracks, own, list(measure(tracks, own))
+
+
+def collision(tracks: Tracks, row: Mapping[Any, Any], camera: Camera) -> Measured | str:
+    """The collision that `row` of the estimates describes, or why it cannot be used."""
     if row["status"] != "ok":
         return str(row["status"])
-    guess = np.array([float(str(row[name])) for name in ("t_c", "v0", "b", "tau1", "tau2")])
+    guess = np.array([float(row[name]) for name in ("t_c", "v0", "b", "tau1", "tau2")])
     if not np.all(np.isfinite(guess)):
         return "no estimate of the contact"
     t_c, v0, b, *taus = guess
-    opens = tracks["frame"] / camera.fps
-    before = tracks[opens + camera.exposure <= t_c]
-    counts = before["particle"].value_counts()
-    if len(counts) < 2 or counts.iloc[1] < FEWEST:
+    pair = {ball: tracks.particle == row[name] for ball, name in enumerate(("particle1", "particle2"))}
+    early = tracks.frame / camera.fps + camera.exposure <= t_c
+    if any((early & rows).sum() < FEWEST for rows in pair.values()):
         return f"a ball is seen in fewer than {FEWEST} frames before the contact"
-    pair = counts.index[:2].tolist()
-    travels = [float(np.ptp(before.loc[before["particle"] == p, ["x", "y"]].to_numpy(), axis=0).max()) for p in pair]
-    target, striker = (pair[0], pair[1]) if travels[0] < travels[1] else (pair[1], pair[0])
-
-    rows = pd.concat([tracks[tracks["particle"] == p].sort_values("frame") for p in (target, striker)])
-    pixels = rows[["x", "y"]].to_numpy(dtype=float)
-    good = np.isfinite(pixels).all(axis=1)
-    rows, pixels = rows[good], pixels[good]
-    xy, slope = camera.unproject(pixels)
-    spread = np.empty((len(rows), 2, 2))
-    spread[:, 0, 0], spread[:, 1, 1] = rows["x_std"] ** 2, rows["y_std"] ** 2
-    spread[:, 0, 1] = spread[:, 1, 0] = rows["cov_xy"]
-    frame = rows["frame"].to_numpy(dtype=np.int64)
-    ball = (rows["particle"] == striker).to_numpy(dtype=np.int64)
-    early = (frame / camera.fps + camera.exposure) <= t_c
+    rows = np.concatenate([np.flatnonzero(pair[ball]) for ball in (0, 1)])
+    frame, early = tracks.frame[rows], early[rows]
+    ball = np.repeat([0, 1], [pair[0].sum(), pair[1].sum()])
+    xy, slope = camera.unproject(tracks.xy[rows])
+    spread = tracks.cov[rows]
+    if not np.all(spread[:, 0, 0] * spread[:, 1, 1] > spread[:, 0, 1] ** 2):  # NaN too
+        spread = np.tile(UNCLAIMED**2 * np.eye(2), (len(rows), 1, 1))
     heading = _heading(frame[early & (ball == 1)], xy[early & (ball == 1)])
     d = np.array([np.cos(heading), np.sin(heading)])
     n = np.sqrt(max(1 - b * b, 0.0)) * d - b * np.array([-d[1], d[0]])
     place = xy[early & (ball == 0)].mean(axis=0) - camera.radius * n
     return Measured(
-        clip=int(str(row["clip"])),
+        clip=int(row["clip"]),
         striker=str(row["striker"]),
         fps=camera.fps,
         exposure=camera.exposure,

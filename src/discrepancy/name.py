@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import dataclasses
+import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import brentq
+from scipy.special import gammaln
 from scipy.stats import chi2 as chi2_law
 from scipy.stats import norm
 
@@ -21,6 +24,7 @@ Array = NDArray[np.float64]
 CLAIM = 4.0  # sigma: one claim in a thousand searches with nothing hidden, for a library of this size
 ALIAS = 0.9  # of the cosine between two signatures: beyond it the data hardly part them
 PART = 9.5  # of chi^2: a rival that fits worse by less is not excluded
+TRUST = 10.0  # where much stays unexplained, what an effect must explain, in units of that
 
 
 def sigmas(chi2: float, dof: int) -> float:
@@ -28,11 +32,12 @@ def sigmas(chi2: float, dof: int) -> float:
     if dof == 1:
         return float(np.sqrt(max(chi2, 0.0)))
     log_p = float(chi2_law.logsf(chi2, dof))
-    if not np.isfinite(log_p):
-        return float(np.sqrt(2 * chi2) - np.sqrt(2 * dof - 1))  # Fisher's approximation, for beyond 1e-300
+    if not log_p > -600:  # beyond 1e-300: the leading term of the tail
+        half, x = dof / 2, chi2 / 2
+        log_p = float(half * np.log(x) - x - gammaln(half) - np.log(x - half + 1))
     if log_p > np.log(0.999):
         return 0.0
-    return float(brentq(lambda z: norm.logsf(z) + np.log(2) - log_p, 0, 60))
+    return float(brentq(lambda z: norm.logsf(z) + np.log(2) - log_p, 0, np.sqrt(chi2) + 1))
 
 
 @dataclass(frozen=True)
@@ -58,12 +63,40 @@ class Named:
 
 @dataclass(frozen=True)
 class Search:
-    """The outcome of a search. base: the fit before; best: after the named effects. ranking: scores of the base fit."""
+    """The outcome of a search. steps: the fits, before any effect and after each named one. ranking: the base's."""
 
-    base: Fit
-    best: Fit
+    steps: tuple[Fit, ...]
     ranking: tuple[Candidate, ...]
     named: tuple[Named, ...]
+
+    @property
+    def base(self) -> Fit:
+        return self.steps[0]
+
+    @property
+    def best(self) -> Fit:
+        return self.steps[-1]
+
+    def trusted(self) -> Search:
+        """Without the effects, from the first that explains too little of what they all leave unexplained.
+
+        For use where the library does not suffice: an effect outside it leans on some effect inside it.
+        """
+        excess = self.best.chi2 - (self.best.points - self.best.parameters)
+        gains = [a.chi2 - b.chi2 for a, b in itertools.pairwise(self.steps)]
+        kept = list(itertools.takewhile(lambda gain: gain > TRUST * excess, gains))
+        return Search(
+            self.steps[: len(kept) + 1], self.ranking, _refreshed(self.named[: len(kept)], self.steps[len(kept)])
+        )
+
+
+def _refreshed(named: Sequence[Named], last: Fit) -> tuple[Named, ...]:
+    """The named effects with their strengths as the last fit has them."""
+    errors = dict(zip(last.names, np.sqrt(np.diag(last.covariance)).tolist(), strict=True))
+    return tuple(
+        dataclasses.replace(n, values={s: last.model.value(s) for s in n.values}, std={s: errors[s] for s in n.values})
+        for n in named
+    )
 
 
 def strengths_of(effect: type[Effect]) -> tuple[str, ...]:
@@ -71,15 +104,14 @@ def strengths_of(effect: type[Effect]) -> tuple[str, ...]:
 
 
 def rank(clips: Sequence[Measured], now: Fit, noise: Noise, tick: Callable[[], None]) -> tuple[Candidate, ...]:
-    """Rao's score test of every effect that the model does not hold yet, from one fit; most significant first."""
-    present = {e.name() for e in now.model.effects if e.active}
+    """Rao's score test of every effect whose strengths the fit has not fitted; most significant first."""
     whiteners = [Whitener.of(c, noise) for c in clips]
     left = np.concatenate(now.residuals)
     found = []
     for name, effect in library().items():
-        if name in present:
+        strengths, columns = tuple(s for s in strengths_of(effect) if s not in now.names), []
+        if not strengths:
             continue
-        strengths, columns = strengths_of(effect), []
         for clip, launch, white in zip(clips, now.launches, whiteners, strict=True):
             slopes = [derivative(now.model, launch, clip, s) for s in strengths]
             columns.append(white(np.stack(slopes, axis=-1)))
@@ -103,7 +135,7 @@ def likeness(one: Array, other: Array) -> float:
 
 def search(clips: Sequence[Measured], base: Fit, noise: Noise, tick: Callable[[], None] = lambda: None) -> Search:
     """Name effects one by one until none scores CLAIM. Each leader and its aliases are refitted; the best fit stays."""
-    now, named = base, []
+    now, named, steps = base, [], [base]
     ranking = first = rank(clips, base, noise, tick)
     while ranking and ranking[0].sigma > CLAIM:
         leader = ranking[0]
@@ -116,9 +148,8 @@ def search(clips: Sequence[Measured], base: Fit, noise: Noise, tick: Callable[[]
             break
         aliases = tuple(c.effect for f, c in tries if f.chi2 - best.chi2 < PART)
         values = {s: best.model.value(s) for s in winner.strengths}
-        errors = np.sqrt(np.diag(best.covariance))
-        std = {s: float(errors[best.names.index(s)]) for s in winner.strengths}
-        named.append(Named(winner.effect, values, std, gain, aliases))
+        named.append(Named(winner.effect, values, values, gain, aliases))
         now = best
+        steps.append(now)
         ranking = rank(clips, now, noise, tick)
-    return Search(base, now, first, tuple(named))
+    return Search(tuple(steps), first, _refreshed(named, now))

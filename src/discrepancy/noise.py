@@ -1,7 +1,8 @@
 """The noise of measured tracks, from the tracks themselves, and the filter that makes it white.
 
 Within one phase of motion (before, sliding, rolling) a track is smooth; a cubic there leaves the noise, whatever the
-physics. Its autocovariance is read off with the cubic's own correlation undone, pooled over clips, balls and axes.
+physics. Its autocovariance is read off with the cubic's own correlation undone, pooled over clips, balls and axes; what
+lies beyond the lags read off is taken from the autoregression that they make, until both agree.
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import solve_toeplitz
+from scipy.linalg import solve_toeplitz, toeplitz
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -19,6 +20,8 @@ Ints = NDArray[np.int64]
 ORDER = 5  # of the autoregression; Yule-Walker
 SMOOTH = 4  # coefficients of the cubic
 SHORTEST = 12  # frames: a shorter stretch says little about noise
+ROUNDS = 100  # of the lags beyond ORDER; .9 from frame to frame needs about 60
+SETTLED = 1e-4  # of the variance
 
 
 @dataclass(frozen=True)
@@ -69,6 +72,7 @@ def estimate(stretches: Iterable[tuple[Array, Array]]) -> Noise:
     """
     sums = np.zeros(ORDER + 1)
     mixing = np.zeros((ORDER + 1, ORDER + 1))
+    removers: list[tuple[Array, int]] = []
     for places, claimed in stretches:
         n, axes = places.shape
         if n < SHORTEST:
@@ -77,25 +81,49 @@ def estimate(stretches: Iterable[tuple[Array, Array]]) -> Noise:
         scaled = (places - places.mean(axis=0)) / claimed[:, None]
         left = scaled - basis @ (basis.T @ scaled)
         sums += [(left[: n - lag] * left[lag:]).sum() for lag in range(ORDER + 1)]
-        mixing += axes * _mixing(basis)
-    if mixing[0, 0] <= 0:
+        remover = np.eye(n) - basis @ basis.T
+        mixing += axes * _mixing(remover)
+        removers.append((remover, axes))
+    if not removers:
         raise ValueError("too few unbroken frames to read the noise from")
-    return Noise(_definite(np.asarray(np.linalg.solve(mixing, sums))))
+    longest = max(len(r) for r, _ in removers)
+    covariance = _definite(np.asarray(np.linalg.solve(mixing, sums)))
+    for _ in range(ROUNDS):
+        beyond = _continued(covariance, longest)
+        beyond[: ORDER + 1] = 0
+        unread = sum((axes * _lags(r @ toeplitz(beyond[: len(r)]) @ r) for r, axes in removers), np.zeros(ORDER + 1))
+        last, covariance = covariance, _definite(np.asarray(np.linalg.solve(mixing, sums - unread)))
+        if np.abs(covariance - last).max() < SETTLED * covariance[0]:
+            break
+    return Noise(covariance)
 
 
-def _mixing(basis: Array) -> Array:
-    """E[sum of r_i r_(i+lag)] = sum over m of mixing[lag, m] covariance[m], r what a projection on `basis` leaves."""
-    n = len(basis)
-    remover, out = np.eye(n) - basis @ basis.T, np.zeros((ORDER + 1, ORDER + 1))
-    for m in range(ORDER + 1):
-        shifted = np.eye(n) if m == 0 else np.eye(n, k=m) + np.eye(n, k=-m)
-        expected = remover @ shifted @ remover
-        out[:, m] = [np.trace(expected, offset=lag) for lag in range(ORDER + 1)]
+def _mixing(remover: Array) -> Array:
+    """E[sum of r_i r_(i+lag)] = sum over m of mixing[lag, m] covariance[m], r what the remover leaves of noise."""
+    n = len(remover)
+    shifted = [np.eye(n) if m == 0 else np.eye(n, k=m) + np.eye(n, k=-m) for m in range(ORDER + 1)]
+    return np.stack([_lags(remover @ s @ remover) for s in shifted], axis=1)
+
+
+def _lags(matrix: Array) -> Array:
+    """The sums along the diagonal and the ORDER diagonals beside it."""
+    return np.array([np.trace(matrix, offset=lag) for lag in range(ORDER + 1)])
+
+
+def _continued(covariance: Array, length: int) -> Array:
+    """The autocovariance at lags 0 to length - 1 of the autoregression that has these first lags."""
+    weights = solve_toeplitz(covariance[:-1], covariance[1:])[::-1]
+    out = np.zeros(max(length, ORDER + 1))
+    out[: ORDER + 1] = covariance
+    for lag in range(ORDER + 1, length):
+        out[lag] = weights @ out[lag - ORDER : lag]
     return out
 
 
 def _definite(covariance: Array) -> Array:
     """Shrink the lags until the autocovariance is one that a process can have."""
+    if not covariance[0] > 0:
+        raise ValueError("no noise to be seen between the frames")
     lags = np.abs(np.subtract.outer(np.arange(ORDER + 1), np.arange(ORDER + 1)))
     out = covariance.copy()
     while np.linalg.eigvalsh(out[lags]).min() < 1e-3 * out[0]:

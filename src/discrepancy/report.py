@@ -77,10 +77,12 @@ def _story(found: Found) -> list[str]:
         if worst and worst.sigma > 0
         else f"The base model leaves chi^2 = {base.chi2 / base.points:.3f} a point and no place that stands out."
     )
-    top = found.search.ranking[0]
+    ranking = found.search.ranking
     fourth = (
-        f"Of the {len(found.search.ranking)} candidates {top.effect} scores highest, {top.sigma:.1f} sigma; "
+        f"Of the {len(ranking)} candidates {ranking[0].effect} scores highest, {ranking[0].sigma:.1f} sigma; "
         f"{CLAIM:.0f} are needed for a claim."
+        if ranking
+        else "Every effect of the library is in the model and free already: there was no candidate."
     )
     um = f"{gap.before_um:.2f} um to {gap.after_um:.2f} um rms, where noise alone leaves {gap.floor_um:.2f} um"
     fifth = found.sentence() + (f" That is {um}." if found.search.named else "")
@@ -134,7 +136,7 @@ def _ranking(found: Found) -> Figure:
     ax.barh([c.effect for c in ranking], [c.sigma for c in ranking], color=colours)
     ax.axvline(CLAIM, color=BEFORE, lw=1, ls="--", label=f"needed for a claim, {CLAIM:.0f}")
     ax.set(xlabel="score against the base model (sigma)")
-    if max(c.sigma for c in ranking) > 50:
+    if max((c.sigma for c in ranking), default=0.0) > 50:
         ax.set_xscale("symlog", linthresh=10)
     ax.legend(loc="lower right")
     return figure

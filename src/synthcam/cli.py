@@ -201,9 +201,10 @@ def main() -> None:
     except InputError as e:
         print(f"synthcam: {e}", file=sys.stderr)
         sys.exit(2)
-    except KeyboardInterrupt:
-        print("synthcam: interrupted; the same command goes on where it stopped", file=sys.stderr)
-        sys.exit(130)
+    except SystemExit as e:
+        if e.code == 130:  # typer makes this of Ctrl-C, and says nothing
+            print("synthcam: interrupted; the same command goes on where it stopped", file=sys.stderr)
+        raise
     except OSError as e:
         print(f"synthcam: {e.filename or 'file'}: {e.strerror or e}", file=sys.stderr)
         sys.exit(2)

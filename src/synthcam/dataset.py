@@ -16,10 +16,9 @@ import tifffile
 from numpy.typing import NDArray
 
 from synthcam import truth
-from synthcam.dynamics import solve
 from synthcam.scene import Clip
 from synthcam.settings import InputError
-from synthcam.trajectory import Trajectory
+from synthcam.view import View
 
 Frames = Iterator[NDArray[np.uint8] | NDArray[np.uint16]]
 SUMS = "SHA256SUMS"
@@ -27,7 +26,7 @@ SUMS = "SHA256SUMS"
 
 def camera_json(clip: Clip) -> dict[str, Any]:
     """What the experimenter knows: the nominal camera, lamp and sensor, and which ball was launched."""
-    camera, sensor = clip.camera, clip.drawn["sensor"]
+    camera, sensor = clip.nominal, clip.drawn["sensor"]
     return {
         "K": camera.K.tolist(),
         "dist": camera.dist.tolist(),
@@ -45,12 +44,12 @@ def camera_json(clip: Clip) -> dict[str, Any]:
     }
 
 
-def motion_of(clip: Clip) -> Trajectory:
-    """The clip's motion over all its frames and to the last slide's end."""
-    return solve(clip.model, clip.launch, 0.0, clip.frames / clip.camera.fps)
+def view_of(clip: Clip) -> View:
+    """The clip's motion, over all its frames and to the last slide's end, as its camera takes it."""
+    return View.of(clip.model, clip.launch, clip.camera, clip.frames)
 
 
-def write_clip(folder: Path, clip: Clip, motion: Trajectory, frames: Frames | None, meta: dict[str, Any]) -> None:
+def write_clip(folder: Path, clip: Clip, view: View, frames: Frames | None, meta: dict[str, Any]) -> None:
     """Write one clip's folder; `frames` None: no video. `meta` goes into its scene.json."""
     (folder / "truth").mkdir(parents=True)
     _write_json(folder / "camera.json", camera_json(clip))
@@ -59,7 +58,7 @@ def write_clip(folder: Path, clip: Clip, motion: Trajectory, frames: Frames | No
         pixels = _write_tiff(folder / "frames.tif", clip, frames)
         file = sha256(folder / "frames.tif")
     row = {"clip": clip.number, "seed_key": f"{meta['seed']}/{clip.number}", "scene": clip.drawn["name"]}
-    row |= truth.scalars(clip.model, clip.launch, motion)
+    row |= truth.scalars(clip.model, clip.launch, view.motion)
     row |= {
         "striker": clip.drawn["launch"]["striker"],
         "effects": json.dumps(clip.drawn["effects"], sort_keys=True),
@@ -68,8 +67,8 @@ def write_clip(folder: Path, clip: Clip, motion: Trajectory, frames: Frames | No
     }
     _write_json(folder / "truth" / "scene.json", {**meta, "clip": clip.number, "drawn": clip.drawn, "row": row})
     tables = {
-        "tracks": truth.tracks(clip.launch.bodies, motion, clip.camera, clip.lamp, clip.frames),
-        "events": truth.events(motion, clip.camera.fps),
+        "tracks": truth.tracks(clip.launch.bodies, view, clip.lamp, clip.frames),
+        "events": truth.events(view.motion, clip.camera.fps),
     }
     for name, table in tables.items():
         table.to_parquet(folder / "truth" / f"{name}.parquet", index=False)

@@ -249,6 +249,8 @@ class _Run:
         speeds = {k: float(np.hypot(*states[k][0, 3:5])) for k in (i, j)}
         i, j = (j, i) if speeds[i] > speeds[j] else (i, j)  # the slower ball is the target
         hit = collide(self.model, states[i], states[j], self._body(i), self._body(j))
+        if hit.impulse_n[0] < LINGERING * self.bodies.mass[i]:
+            raise ValueError(f"balls {i} and {j} stay in contact from {t:.6g} s on: only separate impacts are modelled")
         n = (float(hit.n[0, 0]), float(hit.n[0, 1]))
         before, after = np.concatenate([states[i], states[j]]), np.concatenate([hit.target, hit.striker])
         after[:, 5] = np.where(np.abs(after[:, 5]) < LOWEST, 0.0, after[:, 5])
@@ -295,7 +297,7 @@ def _contact(a: Leg, b: Leg, t: float, horizon: float, reach: float) -> float | 
         gap = distance - reach
         rate = float(relative[:3] @ relative[3:6]) / distance
         if gap <= touching:
-            if rate < -LINGERING:
+            if rate < 0:
                 return t
             if gap < -1e-6 * reach:
                 raise ValueError(f"balls overlap by {-gap:.3g} m at {t:.6g} s")
@@ -303,9 +305,9 @@ def _contact(a: Leg, b: Leg, t: float, horizon: float, reach: float) -> float | 
         step = _safe_step(gap, rate, steepest)
         if t + step > horizon:
             return None
-        if t + step == t:  # less than the last bit of the time
-            raise ValueError(f"balls stay in contact from {t:.6g} s on: only separate impacts are modelled")
-        t += step
+        if t + step == t and rate < 0:  # nearer than the last bit of the time can tell
+            return t
+        t = max(t + step, float(np.nextafter(t, np.inf)))
 
 
 def _safe_step(gap: float, rate: float, steepest: float) -> float:

@@ -7,6 +7,8 @@ import multiprocessing
 import os
 import platform
 import shutil
+import signal
+import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
@@ -19,12 +21,11 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from synthcam import truth
-from synthcam.dataset import Frames, clip_folders, finish, motion_of, write_clip
+from synthcam.dataset import Frames, clip_folders, finish, view_of, write_clip
 from synthcam.scene import Clip, Scene, check_scene
 from synthcam.sensor import Chip, Sensor
 from synthcam.settings import InputError
-from synthcam.trajectory import Trajectory
+from synthcam.view import View
 
 PLAN = "plan.json"
 
@@ -167,12 +168,19 @@ _PLAN: Plan | None = None
 
 def _prepare(document: dict[str, Any]) -> None:
     """In a worker: the plan, once."""
-    import signal
-
     global _PLAN
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent decides
+    threading.Thread(target=_leave_with_parent, daemon=True).start()
     scenes = tuple(check_scene(s, "scene") for s in document["scenes"])
     _PLAN = Plan(scenes, document["clips_per_scene"], document["seed"], document["video"])
+
+
+def _leave_with_parent() -> None:
+    """A killed parent tells nobody: its workers would wait for ever, and write into the folder of the next run."""
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(1)
 
 
 def _make_in_worker(number: int, folder: str) -> str:
@@ -186,9 +194,9 @@ def make_clip(plan: Plan, number: int, folder: Path) -> str:
     aside = final.with_suffix(".tmp")
     try:
         clip = plan.clip(number)
-        motion = motion_of(clip)
-        frames = film(clip, motion, plan.seed) if plan.video else None
-        write_clip(aside, clip, motion, frames, {"seed": plan.seed})
+        view = view_of(clip)
+        frames = film(clip, view, plan.seed) if plan.video else None
+        write_clip(aside, clip, view, frames, {"seed": plan.seed})
         aside.rename(final)
     except (ValueError, OSError) as e:
         shutil.rmtree(aside, ignore_errors=True)
@@ -196,18 +204,17 @@ def make_clip(plan: Plan, number: int, folder: Path) -> str:
     return ""
 
 
-def film(clip: Clip, motion: Trajectory, seed: int) -> Frames:
+def film(clip: Clip, view: View, seed: int) -> Frames:
     """The clip's frames as the sensor gives them, one at a time."""
     from synthcam.render import Film  # here alone: everything else works without OpenGL
 
     chip = _chip(clip.sensor, clip.camera.size, clip.camera.exposure, seed)
     radii = clip.launch.bodies.radius.tolist()
-    breaks = np.array([e.t for e in motion.events])
     with Film(clip.camera, clip.lamp, radii, clip.room) as drawing:
         pictures = drawing.frames(
-            lambda t: motion.at(t)[:, :, :3].transpose(1, 0, 2),
-            truth.exposures(clip.camera, clip.frames),
-            breaks,
+            lambda t: view.at(t)[:, :, :3].transpose(1, 0, 2),
+            view.spans(clip.frames),
+            view.breaks(),
         )
         for k, picture in enumerate(pictures):
             yield chip.expose(picture, clip.number, k)

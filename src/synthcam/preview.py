@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from synthcam.dataset import motion_of
+from synthcam.dataset import view_of
 from synthcam.generate import film
 from synthcam.scene import Clip, check_scene
 
@@ -23,15 +23,15 @@ def write_preview(clip: Clip, seed: int, path: Path, frame: int | None, magnify:
 
     magnify > 0: the balls so many times larger stand below the frame, with their faint bodies brought out.
     """
-    motion = motion_of(clip)
-    hit = motion.first("contact")
+    view = view_of(clip)
+    hit = view.motion.first("contact")
     when = hit.t if hit else 0.5 * clip.frames / clip.camera.fps
     k = frame if frame is not None else int((when - clip.camera.exposure) * clip.camera.fps)
     k = min(max(k, 0), clip.frames - 1)
-    counts = next(itertools.islice(film(clip, motion, seed), k, None))
+    counts = next(itertools.islice(film(clip, view, seed), k, None))
     picture = _grey(counts, clip.sensor.bits)
     if magnify:
-        middle = clip.camera.project(motion.at(k / clip.camera.fps)[:, 0, :3]).mean(axis=0)
+        middle = clip.camera.project(view.at(np.array([k / clip.camera.fps]))[:, 0, :3]).mean(axis=0)
         black = clip.sensor.black_level / 2 ** (clip.sensor.bits - 8)
         picture = _with_inset(picture, middle, magnify, black)
     ok, data = cv2.imencode(".png", picture)
@@ -67,7 +67,7 @@ def speed() -> float:
     clip = check_scene(settings, "doctor").draw(0, 0)
     for _ in range(2):
         started = time.perf_counter()
-        for _ in film(clip, motion_of(clip), 0):
+        for _ in film(clip, view_of(clip), 0):
             pass
         seconds = time.perf_counter() - started
     return TIMED / seconds

@@ -268,8 +268,9 @@ class Film:
         w, h = self.camera.size
         unit = self.lamp.position[2]
         jobs = self._jobs(np.zeros((1, 3)), np.array([unit]), fineness=1)
-        jobs[0, 0, 2:] = self.camera.project(np.zeros(3)) + 0.5
-        jobs[0, 3] = -1, 2 * max(w, h), 0, PLATE * self.room
+        middle = self.camera.project(np.zeros(3)) + 0.5
+        jobs[0, 0, 2:] = middle
+        jobs[0, 3] = -1, np.maximum(middle, [w, h] - middle).max() + 1, 0, PLATE * self.room
         uniforms = self._uniforms | {"lamp": self.camera.R @ self.lamp.position / unit}
         return self._canvas.draw(jobs, np.zeros((1, 1, 4), np.float32), (h, w), uniforms).copy()
 

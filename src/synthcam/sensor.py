@@ -110,7 +110,7 @@ class _Background:
 
     A 16-bit uniform number picks one of 65536 equally likely cells of (shot + read noise), each represented
     by its median; the two outermost are divided into 65536 once more, so that the tails reach 6.2 sigma.
-    Only the fixed pattern is approximated: pixels within UNEVEN of one variance share a table.
+    Only the fixed pattern is approximated: pixels within UNEVEN of one variance share one of at most 64 tables.
     """
 
     def __init__(self, chip: Chip, plate: Float32) -> None:
@@ -199,7 +199,7 @@ def noise_tables(mean: float, read_noise: float) -> tuple[Array, Array]:
         low = numbers[np.minimum(np.searchsorted(below, at / CELLS), last)]
         high = numbers[np.maximum(len(numbers) - 1 - np.searchsorted(above[::-1], at / CELLS), 0)]
         return middle, np.stack([low, high])
-    grid = np.linspace(max(mean - 9 * spread, -9 * read_noise), mean + 9 * spread + 20, 8192)
+    grid = np.linspace(max(mean - 9 * spread, -9 * read_noise), mean + 9 * spread + 20, 4096)
     scores = (grid[:, None] - numbers) / read_noise
     below, above = ndtr(scores) @ weights, ndtr(-scores) @ weights
     middle = np.interp(at, below, grid)

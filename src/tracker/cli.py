@@ -24,6 +24,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
+SCORE = "score.json"
 Results = Annotated[Path, typer.Option("-o", "--output", metavar="RESULTS", help="Folder to make.")]
 Json = Annotated[bool, typer.Option("--json", help="Print a machine-readable summary.")]
 
@@ -89,24 +90,45 @@ def measure(
 
 @app.command()
 def score(
-    results: Annotated[Path, typer.Argument(metavar="RESULTS", help="What tracker track made.")],
+    results: Annotated[Path, typer.Argument(metavar="RESULTS|TRACKS", help="What tracker track made, or a table.")],
     truth: Annotated[Path, typer.Option(metavar="DATASET", help="The dataset, with its truth.")],
     output: Annotated[Path, typer.Option("-o", "--output", metavar="REPORT", help="Folder to make.")],
     name: Annotated[str, typer.Option(help="What to call the detector in the report.")] = "",
+    point: Annotated[str, typer.Option(help="Of a table: x, y are centre or glint.")] = "centre",
     as_json: Json = False,
 ) -> None:
     """Hold results to the truth: localisation against its bound, tracking measures, bias and coverage.
 
     Example: tracker score out/results --truth out/benchmark -o out/report
     """
+    from .report import write_report
     from .results import RUN
     from .score import score as compare
 
+    if output.exists() and not (output.is_dir() and (not any(output.iterdir()) or (output / SCORE).is_file())):
+        raise InputError(f"{output}: exists and holds something else, expected a new folder for the report")
+    if results.is_file():
+        name = name or results.stem
+        results = _measured(results, truth, output, point)
     if not name and (results / RUN).is_file():
         name = str(json.loads((results / RUN).read_text(encoding="utf-8")).get("detector", ""))
     verdict = compare(results, truth, name or "default")
+    write_report(verdict, results, truth, output)
     path = verdict.write(output)
     print(json.dumps(verdict.to_dict()) if as_json else f"{path}")
+
+
+def _measured(tracks: Path, truth: Path, output: Path, point: str) -> Path:
+    """RESULTS of a table of tracks, kept in the report, by the dataset's own camera."""
+    from .track import measure_tables
+    from .video import open_source
+
+    cameras = open_source(truth).camera_files()
+    if not cameras:
+        raise InputError(f"{truth}: no camera.json in it, expected one for the tracks")
+    place = output / "results"
+    measure_tables(tracks, place, cameras[0], point)
+    return place
 
 
 def _report(outcome: Outcome, output: Path, extra: dict[str, Any], as_json: bool) -> None:

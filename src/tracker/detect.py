@@ -6,7 +6,7 @@ import importlib
 import inspect
 import pkgutil
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from importlib.metadata import entry_points
 from typing import Any, Protocol
 
@@ -16,11 +16,11 @@ from numpy.typing import NDArray
 from .geometry import Camera, InputError
 from .lens import Array
 from .search import Ground, ground
+from .unknowns import completed
 from .video import Clip
 
 GROUP = "tracker.detectors"
 DEFAULT = "maximum_likelihood"
-DEFAULT_SIGMA = 1.0  # px, where neither the camera file nor the clip tells
 
 CLIPPED, STREAK, NEAR, MISFIT, EDGE = 1, 2, 4, 8, 16
 WORDS = {CLIPPED: "clipped", STREAK: "streak", NEAR: "near", MISFIT: "misfit", EDGE: "edge"}
@@ -29,7 +29,8 @@ WORDS = {CLIPPED: "clipped", STREAK: "streak", NEAR: "near", MISFIT: "misfit", E
 @dataclass(frozen=True, eq=False)
 class Glints:
     """Glints found; flat arrays (n,): ``frame``, ``x``, ``y`` px, ``cov`` (n, 2, 2) px^2, ``flux`` and
-    ``background`` counts, ``flags`` sums of the bits above.
+    ``background`` counts, ``flags`` sums of the bits above; ``fixed`` (n, 2, 2) px^2 the part of ``cov`` that a
+    ball at rest has in every frame alike (zero where a detector does not know).
     """
 
     frame: NDArray[np.int64]
@@ -39,6 +40,11 @@ class Glints:
     flux: Array
     background: Array
     flags: NDArray[np.int64]
+    fixed: Array = field(default_factory=lambda: np.empty(0))
+
+    def __post_init__(self) -> None:
+        if len(self.fixed) == 0:
+            object.__setattr__(self, "fixed", np.zeros_like(self.cov))
 
     def __len__(self) -> int:
         return len(self.frame)
@@ -85,7 +91,8 @@ class View:
     @property
     def sigma(self) -> float:
         """Width of a resting glint, px."""
-        return self.camera.sigma or DEFAULT_SIGMA
+        assert self.camera.sigma is not None  # filled in by ``completed``
+        return self.camera.sigma
 
 
 class Detector(Protocol):
@@ -141,20 +148,7 @@ def look(clip: Clip) -> View:
     plate = ground(clip.frames)
     if plate.level.shape != clip.frames.shape[1:]:
         raise InputError(f"clip {clip.number}: frames of unequal sizes")
-    return View(_completed(clip.camera, plate), plate)
-
-
-def _completed(camera: Camera, plate: Ground) -> Camera:
-    """Noise that the camera file leaves out, from the plate's level and flicker; what is measured is said so."""
-    sensor = camera.sensor
-    level = float(np.median(plate.level))
-    if "sensor.black_level" in camera.assumed:
-        sensor = replace(sensor, black_level=level)
-    if "sensor.read_noise" in camera.assumed:
-        shot = max(level - sensor.black_level, 0.0) / sensor.gain
-        rest = max(plate.noise**2 - 1.0 / 12.0 - shot, 1e-4)
-        sensor = replace(sensor, read_noise=sensor.gain * rest**0.5)
-    return replace(camera, sensor=sensor)
+    return View(completed(clip.camera, plate, clip.frames), plate)
 
 
 def detect(clip: Clip, view: View, name: str = DEFAULT) -> Glints:

@@ -22,7 +22,7 @@ from .motion import AFTER, FREE, TIED, release
 from .places import Course, courses
 from .pooled import fit_all
 from .quantities import NAMES, Values, of_free, of_tied
-from .single import roll_alone
+from .single import PARAMETERS, roll_alone
 
 if TYPE_CHECKING:
     from .geometry import Camera
@@ -215,7 +215,7 @@ def _alone(balls: list[Course]) -> dict[str, Any]:
     for name, value, std in best.table():
         told_it = std <= LIMITS.get(name, np.inf)
         out[name], out[f"{name}_std"] = (value, std) if told_it else (np.nan, np.nan)
-    out["cov"] = _as_json({"rolling": best.cov[-3:, -3:]})
+    out["cov"] = _as_json({"rolling": best.cov[-3:, -3:]}, PARAMETERS[-3:])
     return out
 
 
@@ -230,9 +230,9 @@ def _row(camera: Camera, index: int, status: str) -> dict[str, Any]:
     return row
 
 
-def _as_json(blocks: dict[str, Floats]) -> str:
+def _as_json(blocks: dict[str, Floats], names: tuple[str, ...] = NAMES) -> str:
     """Covariances by fit, in the order of `names`; seven digits, which keeps them positive definite enough."""
-    out: dict[str, Any] = {"names": list(NAMES)}
+    out: dict[str, Any] = {"names": list(names)}
     for fit, cov in blocks.items():
         out[fit] = [[float(f"{v:.7g}") if np.isfinite(v) else None for v in line] for line in cov]
     return json.dumps(out, separators=(",", ":"))

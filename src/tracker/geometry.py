@@ -123,6 +123,14 @@ class Camera:
         slope = (self.R[:2, :2] - straight[..., :, None] * self.R[2, :2]) / depth
         return place, np.linalg.inv(self.K[:2, :2] @ bend @ slope)
 
+    def _place(self, pixels: Array) -> Array:
+        """``unproject`` without its Jacobian."""
+        bent = (pixels - self.K[:2, 2]) @ np.linalg.inv(self.K[:2, :2]).T
+        straight, _ = undistort(bent, self.dist)
+        ray = np.concatenate([straight, np.ones_like(straight[..., :1])], axis=-1) @ self.R
+        reach = (self.radius - self.position[2]) / ray[..., 2:3]
+        return np.asarray(self.position[:2] + reach * ray[..., :2], dtype=np.float64)
+
     def glint_of_centre(self, centres: ArrayLike) -> Array:
         """Ball centres (n, 2), m -> pixels (n, 2) at which the lamp's centre is mirrored."""
         if self.lamp is None:
@@ -171,12 +179,12 @@ class Camera:
         return self.project(middle + self.radius * pair_normal(middle, other, self.radius, self.position, light))
 
     def _centre_place(self, seen: Array) -> Array:
-        target, _ = self.unproject(seen)
+        target = self._place(seen)
         place = target
         for _ in range(12):  # contracts by about R/height, .003, a step
-            miss = target - self.unproject(self.glint_of_centre(place))[0]
+            miss = target - self._place(self.glint_of_centre(place))
             place = place + miss
-            if np.max(np.abs(miss)) < 1e-14:
+            if np.max(np.abs(miss)) < 1e-12:
                 break
         return place
 

@@ -21,7 +21,7 @@ def mirror_normal(centres: Array, radius: float, eye: Array, light: Array) -> Ar
         fresh = _unit(_unit(eye - point) + _unit(light - point))
         change = float(np.max(np.abs(fresh - normal), initial=0.0))
         normal = fresh
-        if change < 1e-15:
+        if change < 1e-13:
             break
     return normal
 
@@ -30,6 +30,8 @@ def distort(straight: Array, dist: Array) -> tuple[Array, Array]:
     """OpenCV's lens model on normalised coordinates (..., 2): bent ones, and
     d bent / d straight (..., 2, 2).
     """
+    if not dist.any():
+        return straight, np.broadcast_to(np.eye(2), (*straight.shape, 2))
     k1, k2, p1, p2, k3 = dist
     x, y = straight[..., 0], straight[..., 1]
     q = x * x + y * y
@@ -56,6 +58,8 @@ def distort(straight: Array, dist: Array) -> tuple[Array, Array]:
 def undistort(bent: Array, dist: Array) -> tuple[Array, Array]:
     """Inverse of ``distort`` by Newton's method; the Jacobian is still d bent / d straight."""
     straight = bent.copy()
+    if not dist.any():
+        return distort(straight, dist)
     for _ in range(30):
         image, jacobian = distort(straight, dist)
         miss = bent - image

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.special import log_ndtr
 
 from .bound import ROOT_TWO_PI, fisher, glint_shape, information, slopes
@@ -19,6 +20,8 @@ from .lens import Array
 from .sensor import Sensor
 
 STEPS = 30
+LOG_FLUX = (-5.0, 18.0)
+MOST = 1e6  # counts, of anything under a glint
 SWINGING = 8  # steps, after which a glint still on the move is swinging about its place: half steps from there
 CLOSE = 2e-4  # px and log flux: a step this small ends the search
 
@@ -53,13 +56,15 @@ class Windows:
 @dataclass(frozen=True, eq=False)
 class Fit:
     """Of n windows: ``xy`` (n, 2) px from the central pixel, ``flux`` and ``background`` (n,) counts, ``cov``
-    (n, 2, 2) px^2, ``flux_std``, ``chi2`` a degree of freedom over open pixels, ``loglik``, ``settled`` (n,).
+    (n, 2, 2) px^2 and ``fixed``, the part of it that a resting ball has in every frame alike, ``flux_std``,
+    ``chi2`` a degree of freedom over open pixels, ``loglik``, ``settled`` (n,).
     """
 
     xy: Array
     flux: Array
     background: Array
     cov: Array
+    fixed: Array
     flux_std: Array
     chi2: Array
     loglik: Array
@@ -79,11 +84,18 @@ def fit(windows: Windows, sigma: float, sensor: Sensor) -> Fit:
         if number >= SWINGING:
             step *= 0.5
         theta[active] += step
-        theta[active, :2] = np.clip(theta[active, :2], -part.half, part.half)
+        _bounded(theta, active, part.half)
         still = np.max(np.abs(step[:, :3]), axis=1) > CLOSE
         settled[active[~still]] = 1.0
         active = active[still]
     return _result(theta, windows, sigma, sensor, settled)
+
+
+def _bounded(theta: Array, active: NDArray[np.int64], half: int) -> None:
+    """Keeps runaway fits where they can still be computed; they never settle."""
+    theta[active, :2] = np.clip(theta[active, :2], -half, half)
+    theta[active, 2] = np.clip(theta[active, 2], *LOG_FLUX)
+    theta[active, 3:] = np.clip(theta[active, 3:], -MOST, MOST)
 
 
 def _model(theta: Array, windows: Windows, sigma: float) -> tuple[Array, Array]:
@@ -163,6 +175,8 @@ def _result(theta: Array, windows: Windows, sigma: float, sensor: Sensor, settle
     variance = sensor.variance(mean)
     is_open = windows.used * (windows.counts < sensor.ceiling)
     square = (windows.counts - mean) ** 2 / variance
+    # A fixed error of a pixel shifts the place by cov d_a m / v: its covariance is that of these shifts.
+    pattern = cov @ fisher(is_open * sensor.fixed_variance(mean) / variance**2, parts) @ cov
     freedom = np.maximum(is_open.sum(axis=(1, 2)) - theta.shape[1], 1.0)
     tail = np.zeros_like(mean)
     full = (windows.used > 0) & (is_open == 0)
@@ -173,6 +187,7 @@ def _result(theta: Array, windows: Windows, sigma: float, sensor: Sensor, settle
         flux=flux,
         background=theta[:, 3].copy(),
         cov=np.ascontiguousarray(cov[:, :2, :2]),
+        fixed=np.ascontiguousarray(pattern[:, :2, :2]),
         flux_std=flux * np.sqrt(cov[:, 2, 2]),
         chi2=(is_open * square).sum(axis=(1, 2)) / freedom,
         loglik=loglik.sum(axis=(1, 2)),

@@ -7,7 +7,7 @@ bounce takes it if they would meet on the way. Glints go to expectations by leas
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,7 +32,8 @@ class Tracks:
     """Balls followed through one clip; flat arrays (n,) sorted by (particle, frame).
 
     ``x``, ``y`` px: ball centre, mean over the exposure, or the glint where ``flags`` says 'glint'; ``cov``
-    (n, 2, 2) px^2; ``flux`` counts; ``flags`` words joined by '|'; ``glint_x``, ``glint_y`` px.
+    (n, 2, 2) px^2, and ``fixed`` the part of it that a ball at rest has in every frame alike; ``flux`` counts;
+    ``flags`` words joined by '|'; ``glint_x``, ``glint_y`` px.
     """
 
     frame: Ints
@@ -44,6 +45,11 @@ class Tracks:
     flags: NDArray[np.str_]
     glint_x: Array
     glint_y: Array
+    fixed: Array = field(default_factory=lambda: np.empty(0))
+
+    def __post_init__(self) -> None:
+        if len(self.fixed) == 0:
+            object.__setattr__(self, "fixed", np.zeros_like(self.cov))
 
     def __len__(self) -> int:
         return len(self.frame)
@@ -88,6 +94,7 @@ def link(glints: Glints, camera: Camera) -> Tracks:
         flags=words,
         glint_x=seen[:, 0].copy(),
         glint_y=seen[:, 1].copy(),
+        fixed=jacobian @ chosen.fixed @ jacobian.transpose(0, 2, 1),
     )
 
 

@@ -168,9 +168,7 @@ def _approach(free: Floats, s: Floats, area: Floats, slope: Floats, rows: NDArra
     slope[rows] = part
 
 
-def _departure(
-    free: Floats, at: int, s: Floats, area: Floats, slope: Floats, rows: NDArray[np.bool_]
-) -> None:
+def _departure(free: Floats, at: int, s: Floats, area: Floats, slope: Floats, rows: NDArray[np.bool_]) -> None:
     """A ball sliding, then rolling, after the contact; `at` is where its numbers begin in FREE."""
     v, f, tau = free[at : at + 2], free[at + 2 : at + 4], float(np.exp(free[at + 4]))
     speed = float(np.hypot(f[0], f[1]))

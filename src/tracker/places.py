@@ -64,8 +64,6 @@ def courses(tracks: Tracks, camera: Camera) -> list[Course]:
     found = []
     for ball in np.unique(particle):
         rows = np.flatnonzero(particle == ball)
-        rows = rows[np.argsort(frame[rows], kind="stable")]
-        found.append(
-            Course(int(ball), frame[rows], start[rows], place[rows], cov[rows], camera.exposure, weighed)
-        )
+        rows = rows[np.unique(frame[rows], return_index=True)[1]]  # in order; a frame given twice counts once
+        found.append(Course(int(ball), frame[rows], start[rows], place[rows], cov[rows], camera.exposure, weighed))
     return found

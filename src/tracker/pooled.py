@@ -16,6 +16,7 @@ Floats = NDArray[np.float64]
 SHARED = ("r", "mu_k", "C")
 OBSERVED = ("v1f", "v2f", "tau1", "tau2")
 GIVEN = ("v0", "b")
+ROLLING = ("drag", "decel")
 
 
 def fit_all(estimates: pd.DataFrame) -> dict[str, Any]:
@@ -23,13 +24,13 @@ def fit_all(estimates: pd.DataFrame) -> dict[str, Any]:
 
     chi2: r, mu_k, C that minimise the paper's chi^2 over v1f, v2f, tau1 and tau2 of the free fits, against v0 and
     b, for any b; errors from its curvature, widened by sqrt(chi2/dof) where that exceeds one. scatter: the tied
-    fits' weighted mean, and the standard deviation between clips beyond their own errors.
+    fits' weighted mean, and the standard deviation between clips beyond their own errors. rolling: drag and decel
+    together, for one clip tells their sum far better than either; clips without a collision count here too.
     """
     ok = estimates[estimates["status"] == "ok"] if len(estimates) else estimates
-    out: dict[str, Any] = {"clips": len(ok), "chi2": _paper_chi2(ok), "scatter": {}}
-    for name in (*SHARED, "drag", "decel"):
-        out["scatter"][name] = _between(ok, name)
-    return out
+    roll = estimates[estimates["status"].isin(["ok", "no_collision"])] if len(estimates) else estimates
+    scatter = {name: _between(ok, name) for name in SHARED} | {name: _between(roll, name) for name in ROLLING}
+    return {"clips": len(ok), "chi2": _paper_chi2(ok), "scatter": scatter, "rolling": _rolling(roll)}
 
 
 def predicted(v0: Floats, b: Floats, shared: Floats) -> Floats:
@@ -96,6 +97,28 @@ def _whiten(covs: Floats, v0: Floats, b: Floats, shared: Floats) -> Floats:
         slope[:, :, column] = -(predicted(v0 + dv, b + db, shared) - predicted(v0 - dv, b - db, shared)) / 2e-6
     cov = slope @ covs @ np.swapaxes(slope, 1, 2)
     return np.asarray(np.linalg.inv(np.linalg.cholesky(cov)))
+
+
+def _rolling(rows: pd.DataFrame) -> dict[str, Any]:
+    """drag and decel of all clips, weighed by the inverse of their joint covariances."""
+    information, pull, n = np.zeros((2, 2)), np.zeros(2), 0
+    for _, row in rows.iterrows():
+        value = np.array([row[name] for name in ROLLING], dtype=np.float64)
+        table = json.loads(row["cov"]) if isinstance(row.get("cov"), str) else {}
+        block = table.get("tied", table.get("rolling"))
+        if block is None:
+            continue
+        pick = [table["names"].index(name) for name in ROLLING]
+        cov = np.array(block, dtype=np.float64)[np.ix_(pick, pick)]
+        if np.isfinite(value).all() and np.isfinite(cov).all():
+            weight = np.linalg.inv(cov)
+            information, pull, n = information + weight, pull + weight @ value, n + 1
+    if not n:
+        return dict.fromkeys([*ROLLING, *(f"{name}_std" for name in ROLLING)]) | {"n": 0}
+    joint = np.linalg.inv(information)
+    values = dict(zip(ROLLING, map(float, joint @ pull), strict=True))
+    errors = {f"{name}_std": float(s) for name, s in zip(ROLLING, np.sqrt(np.diag(joint)), strict=True)}
+    return values | errors | {"n": n}
 
 
 def _between(rows: pd.DataFrame, name: str) -> dict[str, Any]:

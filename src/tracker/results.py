@@ -101,6 +101,9 @@ def tracks_table(tracks: Tracks) -> pa.Table:
             "flags": pa.array(tracks.flags.tolist(), pa.string()),
             "glint_x": tracks.glint_x,
             "glint_y": tracks.glint_y,
+            "x_fixed_std": np.sqrt(tracks.fixed[:, 0, 0]),
+            "y_fixed_std": np.sqrt(tracks.fixed[:, 1, 1]),
+            "cov_xy_fixed": np.ascontiguousarray(tracks.fixed[:, 0, 1]),
         }
     )
 
@@ -198,20 +201,24 @@ def _to_tracks(table: pd.DataFrame, where: str) -> Tracks:
         values = _real(table[name], name, where) if name in table else np.full(len(table), default)
         return values[kept]
 
-    cov = np.empty((len(kept), 2, 2))
-    cov[:, 0, 0], cov[:, 1, 1] = column("x_std", math.nan) ** 2, column("y_std", math.nan) ** 2
-    cov[:, 0, 1] = cov[:, 1, 0] = column("cov_xy", 0.0)
+    def covariance(x_std: str, y_std: str, cov_xy: str, default: float) -> Any:
+        cov = np.empty((len(kept), 2, 2))
+        cov[:, 0, 0], cov[:, 1, 1] = column(x_std, default) ** 2, column(y_std, default) ** 2
+        cov[:, 0, 1] = cov[:, 1, 0] = column(cov_xy, 0.0)
+        return cov
+
     words = table["flags"].fillna("").astype(str).to_numpy()[kept] if "flags" in table else [""] * len(kept)
     return Tracks(
         frame=frame[kept],
         particle=particle[kept],
         x=x[kept],
         y=y[kept],
-        cov=cov,
+        cov=covariance("x_std", "y_std", "cov_xy", math.nan),
         flux=column("flux", math.nan),
         flags=np.array(list(words), dtype=np.str_),
         glint_x=column("glint_x", math.nan),
         glint_y=column("glint_y", math.nan),
+        fixed=covariance("x_fixed_std", "y_fixed_std", "cov_xy_fixed", 0.0),
     )
 
 
@@ -241,6 +248,7 @@ def to_centres(tracks: Tracks, camera: Camera) -> Tracks:
         x=centre[:, 0].copy(),
         y=centre[:, 1].copy(),
         cov=jacobian @ tracks.cov @ jacobian.transpose(0, 2, 1),
+        fixed=jacobian @ tracks.fixed @ jacobian.transpose(0, 2, 1),
         flags=flags,
         glint_x=seen[:, 0].copy(),
         glint_y=seen[:, 1].copy(),

@@ -69,11 +69,11 @@ def _smooth(picture: NDArray[Any]) -> NDArray[np.float32]:
 def _noise(sample: list[NDArray[Any]]) -> float:
     """Noise of one pixel in one frame, counts, from differences of frames; balls are too few to matter."""
     h, w = sample[0].shape
-    step = max(1, math.isqrt(h * w // 20000))
+    step = max(1, math.isqrt(h * w // 4000))
     thin = np.stack([s[::step, ::step] for s in sample]).astype(np.float32)
     differences = np.diff(thin, axis=0).ravel()
     spread = float(np.std(differences))
-    for _ in range(6):  # leave out what moved
+    for _ in range(4):  # leave out what moved
         kept = differences[np.abs(differences) <= 4.0 * spread + 1.0]
         spread = float(np.std(kept)) if len(kept) else 0.0
     return max(spread / math.sqrt(2.0), 0.29)  # rounding alone is .29
@@ -103,7 +103,8 @@ class Search:
         self.floor = cv2.subtract(plate.level, np.full_like(plate.level, drop))
         area = self.box * self.box
         self.small = plate.level.dtype == np.uint8 and area * 255 < 2**15
-        self.threshold = area * drop + SIGNIFICANCE * self.box * plate.noise * math.sqrt(1.0 + 1.0 / 6.0)
+        least = area * drop + SIGNIFICANCE * self.box * plate.noise * math.sqrt(1.0 + 1.0 / 6.0)
+        self.threshold = math.floor(least)  # whole, so that whole sums are compared as they are
         self.base = float(area * drop)
 
     def __call__(self, frame: NDArray[Any]) -> Finds:

@@ -33,6 +33,11 @@ class Sensor:
         floor = (self.read_noise**2 + self.dsnu**2) / self.gain**2 + 1.0 / 12.0
         return floor + signal / self.gain + (self.prnu * signal) ** 2
 
+    def fixed_variance(self, mean: Array) -> Array:
+        """The part of ``variance`` that is the same in every frame: the pixels' own response and offset."""
+        signal = np.maximum(mean - self.black_level, 0.0)
+        return (self.dsnu / self.gain) ** 2 + (self.prnu * signal) ** 2
+
     def variance_slope(self, mean: Array) -> Array:
         """d variance / d mean, counts."""
         signal = np.maximum(mean - self.black_level, 0.0)

@@ -19,12 +19,12 @@ from ..search import Search, coarse_place
 Ints = NDArray[np.int64]
 
 WIDTHS = 3.5  # of the glint, that a window holds on each side
-BLOCK = 4096  # frames whose windows are held at once
+BLOCK = 1024  # frames whose windows are held at once
 SIGNIFICANT = 5.0  # deviations of the flux, for a glint on the free background
 NEARBY = 1.5  # ball diameters between glints, within which a ball shows its neighbour's glint too
 CROWD = 12  # balls in a frame, among which neighbours are looked for
 SHOWS = 0.03  # of the glint's width, a change of the streak that shows in its place
-LIKE = 0.58  # of the ball's radius: out to .71 a ball mirrors what is above the plate, less the blur
+LIKE = 0.55  # of the ball's radius: out to .71 a ball mirrors what is above the plate, less the blur
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,6 +142,7 @@ class MaximumLikelihood:
             result = fit(windows, self.sigma, self.camera.sensor)
             out.x[rows], out.y[rows] = (origin + result.xy).T
             out.cov[rows] = result.cov * _inflation(result, windows)[:, None, None]
+            out.fixed[rows] = result.fixed
             out.flux[rows], out.background[rows] = result.flux, result.background
             out.flags[rows] = self._flags(result, windows, streak[rows])
             good[rows] = self._good(result, out.xy[rows], half)

@@ -1,0 +1,122 @@
+"""Who may import whom: arrows run one way."""
+
+import ast
+from graphlib import TopologicalSorter
+from pathlib import Path
+
+import pytest
+
+SRC = Path(__file__).parent.parent / "src"
+FILES = sorted(SRC.rglob("*.py"))
+PACKAGES = ("synthcam", "tracker", "discrepancy")
+
+# A file of synthcam may import those of earlier rows, never of its own or a later one.
+ROWS = [
+    "settings effect reflections",
+    "distribution model",
+    "trajectory optics",
+    "launch impact spectral picture",
+    "numeric sensor render",
+    "dynamics scene",
+    "truth",
+    "dataset",
+    "generate",
+    "preview",
+    "cli",
+]
+LAZY = {("effect", "effects")}  # the folder scan of `library`, when it is called
+
+
+def module(path):
+    parts = path.relative_to(SRC).with_suffix("").parts
+    return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+
+
+def imports(path):
+    """Dotted names a file imports; `from a import b` counts as a.b, relative ones resolved."""
+    here = module(path).split(".")
+    inside = here if path.name == "__init__.py" else here[:-1]
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            base = inside[: len(inside) - node.level + 1] if node.level else []
+            base = ".".join([*base, *([node.module] if node.module else [])])
+            yield from (f"{base}.{alias.name}" for alias in node.names)
+
+
+def tops(path):
+    return {name.partition(".")[0] for name in imports(path)}
+
+
+def ours(path):
+    """The modules of its own package a file imports."""
+    known = {module(p) for p in FILES}
+    for name in imports(path):
+        while name and name not in known:
+            name = name.rpartition(".")[0]
+        if name and name != module(path):
+            yield name
+
+
+def test_there_is_something_to_read():
+    assert {"synthcam.dynamics", "tracker.motion", "discrepancy"} <= {module(p) for p in FILES}
+    assert "synthcam.trajectory" in set(ours(SRC / "synthcam/impact.py"))
+
+
+@pytest.mark.parametrize("path", FILES, ids=module)
+def test_packages_keep_apart(path):
+    package = module(path).partition(".")[0]
+    forbidden = {
+        "synthcam": {"tracker", "discrepancy"},
+        "tracker": {"synthcam", "discrepancy"},
+        "discrepancy": set(),
+    }
+    assert not tops(path) & forbidden[package]
+    if package == "discrepancy":
+        assert not any(name.startswith("synthcam.render") for name in ours(path))
+
+
+@pytest.mark.parametrize("path", FILES, ids=module)
+def test_only_render_knows_opengl(path):
+    if module(path) != "synthcam.render":
+        assert not tops(path) & {"pyrender", "trimesh", "OpenGL", "pyglet"}
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_no_circles(package):
+    graph = {
+        module(p): {n for n in ours(p) if n.startswith(f"{package}.")} for p in FILES if module(p).startswith(package)
+    }
+    for importer, scanned in LAZY:
+        graph.get(f"synthcam.{importer}", set()).discard(f"synthcam.{scanned}")
+    TopologicalSorter(graph).prepare()  # raises CycleError
+
+
+def test_synthcams_arrows_run_one_way():
+    row = {name: k for k, names in enumerate(ROWS) for name in names.split()}
+    for path in FILES:
+        name = module(path).removeprefix("synthcam.")
+        if not module(path).startswith("synthcam.") or name == "effects":
+            continue
+        seen = {n.removeprefix("synthcam.") for n in ours(path) if n.startswith("synthcam.")}
+        if name.startswith("effects."):
+            assert seen == {"effect"}, f"{name}: an effect knows of effect alone"
+            continue
+        assert name in row, f"{name}: give it a place in ROWS"
+        for other in seen:
+            assert (name, other) in LAZY or row[other] < row[name], f"{name} may not import {other}"
+
+
+def test_effects_are_listed_nowhere():
+    """No file but its own names an effect's module."""
+    for path in (SRC / "synthcam").rglob("*.py"):
+        if path.parent.name != "effects":
+            assert not [n for n in imports(path) if n.startswith("synthcam.effects.")]
+    assert not list(imports(SRC / "synthcam/effects/__init__.py"))
+
+
+@pytest.mark.parametrize("path", FILES, ids=module)
+def test_files_stay_small_and_well_named(path):
+    assert path.stem not in {"utils", "helpers", "types", "base", "constants", "common", "misc"}
+    assert len(path.read_text().splitlines()) < 400

@@ -1,0 +1,71 @@
+"""The model: its numbers, its file, and changes by name."""
+
+import math
+
+import pytest
+
+from synthcam.effects.plate_tilt import PlateTilt
+from synthcam.model import Ball, Model, check_free, read_model, write_model
+from synthcam.settings import InputError
+
+
+def test_the_defaults_are_the_papers():
+    m = Model()
+    assert (m.restitution, m.sliding_friction, m.spin_transfer) == (0.903, 0.232, 0.347)
+    assert (m.rolling_drag, m.rolling_decel, m.ball.diameter) == (0.135, 1.03e-2, 2.38e-3)
+
+
+def test_an_empty_file_is_the_default_model(tmp_path):
+    (tmp_path / "m.yaml").write_text("")
+    assert read_model(tmp_path / "m.yaml") == Model()
+
+
+def test_a_ball_weighs_its_volume():
+    assert Ball(2e-3, 1000).mass == pytest.approx(1000 * 4 / 3 * math.pi * 1e-9)
+    assert Ball(2e-3).radius == 1e-3
+
+
+def test_value_and_replace_by_dotted_name():
+    m = Model().replace({"restitution": 0.8, "plate_tilt.x": 1e-3})
+    assert m.restitution == 0.8
+    assert m.value("plate_tilt.x") == 1e-3
+    assert m.value("plate_tilt.y") == 0
+    assert m.value("rolling_quadratic.K") == 0
+    assert m.replace({"plate_tilt.y": 2e-3}).effects == (PlateTilt(x=1e-3, y=2e-3),)
+    assert Model().effects == ()
+    assert Model().laws.bent("push") is False
+    assert m.laws.bent("push") is True
+
+
+def test_a_scene_of_numbers_is_a_model_too(tmp_path):
+    (tmp_path / "s.yaml").write_text("launch: {v0: 0.1}\nmodel: {restitution: 0.8}\nfree: [plate_tilt.x]\n")
+    assert read_model(tmp_path / "s.yaml") == Model(restitution=0.8, free=("plate_tilt.x",))
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("model: {restitution: {uniform: [0.8, 0.9]}}", r"m\.yaml: model\.restitution: input should be a valid number"),
+        ("model: {restitution: 1.2}", r"model\.restitution: input should be less than or equal to 1, found 1.2"),
+        ("model: {bounce: 1}", r"m\.yaml: model\.bounce: unknown key"),
+        ("free: [bounce]", r"m\.yaml: free: bounce is no parameter; there are gravity, "),
+        ("effects: {plate_tilt: {x: 3}}", r"effects\.plate_tilt\.x: input should be less than or equal to 0\.1"),
+    ],
+)
+def test_a_wrong_model_file(tmp_path, text, message):
+    (tmp_path / "m.yaml").write_text(text)
+    with pytest.raises(InputError, match=message) as e:
+        read_model(tmp_path / "m.yaml")
+    assert "\n" not in str(e.value)
+
+
+def test_round_trip_with_everything(tmp_path):
+    m = Model(ball=Ball(3e-3, 7700.0), gravity=9.8, effects=(PlateTilt(x=1 / 3e3),), free=("gravity", "plate_tilt.x"))
+    write_model(m, tmp_path / "m.yaml")
+    assert read_model(tmp_path / "m.yaml") == m
+
+
+def test_free_names():
+    assert check_free(["restitution", "plate_tilt.x"], "here") == ("restitution", "plate_tilt.x")
+    with pytest.raises(InputError, match="here: free: plate_tilt is no parameter"):
+        check_free(["plate_tilt"], "here")
