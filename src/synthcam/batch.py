@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from synthcam import rolling, sliding
-from synthcam.dynamics import STILL, solve
+from synthcam.dynamics import AGREED, STILL, SWEEPS, solve, uncoupled
 from synthcam.impact import collide, land
 from synthcam.kinematics import (
     Array,
@@ -81,29 +81,34 @@ class Batch:
         return out.reshape(2, self.size, own.shape[-1], 9)
 
     def means(self, starts: Array, exposure: float) -> Array:
-        """Centres (2, n, frames, 2) averaged over exposures that open at `starts` (frames,), split at every kink."""
+        """Centres (2, n, frames, 2) averaged over exposures, split at every kink.
+
+        starts: when they open, rising, (frames,) or of each ball's own, (2n, frames).
+        """
         nodes, weights = np.polynomial.legendre.leggauss(GAUSS)
         nodes, weights = (1 + nodes) / 2, weights / 2
-        plain = self.at((starts[:, None] + exposure * nodes).ravel())[..., :2]
-        out = (plain.reshape(2 * self.size, len(starts), GAUSS, 2) * weights[:, None]).sum(axis=2)
+        frames = starts.shape[-1]
+        plain = self.at((starts[..., None] + exposure * nodes).reshape(*starts.shape[:-1], -1))[..., :2]
+        out = (plain.reshape(2 * self.size, frames, GAUSS, 2) * weights[:, None]).sum(axis=2)
         if exposure > 0:
+            own = np.broadcast_to(starts, (2 * self.size, frames))
             for kink in range(self.breaks.shape[1]):
-                self._split(out, kink, starts, exposure, nodes, weights)
-        return np.asarray(out.reshape(2, self.size, len(starts), 2))
+                self._split(out, kink, own, exposure, nodes, weights)
+        return np.asarray(out.reshape(2, self.size, frames, 2))
 
     def _split(self, out: Array, kink: int, starts: Array, exposure: float, nodes: Array, weights: Array) -> None:
         """Do again the exposures in which each ball's `kink`-th break falls, in pieces between all its breaks."""
         when = self.breaks[:, kink]
-        frame = np.searchsorted(starts, when, side="right") - 1
-        inside = (frame >= 0) & (when < starts[np.maximum(frame, 0)] + exposure)
+        frame = (starts <= when[:, None]).sum(axis=1) - 1
+        inside = (frame >= 0) & (when < starts[np.arange(len(when)), frame] + exposure)
         rows = np.flatnonzero(inside)
         if len(rows) == 0:
             return
-        opens = starts[frame[rows]][:, None]
+        opens = starts[rows, frame[rows]][:, None]
         cuts = np.sort(np.clip(self.breaks[rows], opens, opens + exposure), axis=1)
         edges = np.concatenate([opens, cuts, opens + exposure], axis=1)
         width = np.diff(edges, axis=1)
-        times = np.full((2 * self.size, width.shape[1] * GAUSS), starts[0])
+        times = np.repeat(starts[:, :1], width.shape[1] * GAUSS, axis=1)
         times[rows] = (edges[:, :-1, None] + width[..., None] * nodes).reshape(len(rows), -1)
         states = self.at(times)[..., :2].reshape(2 * self.size, width.shape[1], GAUSS, 2)[rows]
         share = (width / exposure)[..., None] * weights
@@ -113,7 +118,7 @@ class Batch:
 def collisions(model: Model, launches: Array, start: float, end: float, striker_is_a: Any = False) -> Batch:
     """The collisions of `launches` (n, 6), columns LAUNCH, from `start` to `end`, s.
 
-    striker_is_a: (n,) or one for all: whether the experimenter's ball a was launched. Raises ValueError as `solve` does.
+    striker_is_a: (n,) or one for all: was the experimenter's ball a launched? Raises ValueError as `solve` does.
     """
     count = len(launches)
     is_a = np.broadcast_to(np.asarray(striker_is_a, dtype=bool), (count,))
@@ -122,13 +127,30 @@ def collisions(model: Model, launches: Array, start: float, end: float, striker_
     both = Bodies(*(np.concatenate([getattr(one, f), getattr(two, f)]) for f in ("radius", "mass", "of_a")))
     t_c = launches[:, 2].astype(float)
     target, striker = touching(one, two, launches[:, 3], launches[:, 5], launches[:, 4], launches[:, :2])
-    run = _Run(model, both, Batch(start, end), np.concatenate([t_c, t_c]))
-    run.before(target, striker)
-    hit = collide(model, target, striker, one, two)
-    run.after(np.concatenate([hit.target, hit.striker]))
-    if model.laws.asks("push", "other"):
-        return _by_solve(model, launches, is_a, run.out, np.arange(count))
-    return _by_solve(model, launches, is_a, run.out, _met_again(run.out, both))
+
+    def motion(model: Model, known: Batch | None) -> Batch:
+        run = _Run(model, both, Batch(float(start), float(end)), np.concatenate([t_c, t_c]), known)
+        run.before(target, striker)
+        hit = collide(model, target, striker, one, two)
+        run.after(np.concatenate([hit.target, hit.striker]))
+        return run.out
+
+    out = _swept(motion, model) if model.laws.asks("push", "other") else motion(model, None)
+    return _by_solve(model, launches, is_a, out, _met_again(out, both))
+
+
+def _swept(motion: Callable[[Model, Batch | None], Batch], model: Model) -> Batch:
+    """Balls that push each other: each in the other's last known path, until both agree."""
+    grid = np.linspace(0, 1, 64)
+    out = motion(uncoupled(model), None)
+    for _ in range(SWEEPS):
+        new = motion(model, out)
+        times = out.start + grid * (out.end - out.start)
+        change = np.abs(new.at(times)[..., :2] - out.at(times)[..., :2]).max()
+        out = new
+        if change < AGREED:
+            break
+    return out
 
 
 def _met_again(out: Batch, both: Bodies) -> Ints:
@@ -181,8 +203,8 @@ def _without(segment: Segment, gone: Ints) -> Segment:
 class _Run:
     """Builds the segments of a batch, round by round, all balls that are in one state together."""
 
-    def __init__(self, model: Model, bodies: Bodies, out: Batch, t_c: Array) -> None:
-        self.model, self.bodies, self.out, self.t_c = model, bodies, out, t_c
+    def __init__(self, model: Model, bodies: Bodies, out: Batch, t_c: Array, known: Batch | None) -> None:
+        self.model, self.bodies, self.out, self.t_c, self.known = model, bodies, out, t_c, known
         self.kinks = [t_c.copy()]
         out.slide_ends = t_c.copy()
 
@@ -190,7 +212,7 @@ class _Run:
         """The approach: targets at rest, strikers rolling."""
         n, start = len(target), np.full(len(self.t_c), self.out.start)
         early = np.flatnonzero(self.t_c > self.out.start)
-        self._rest(early[early < n], target[early[early < n]], start)
+        self._rest(early[early < n], target[early[early < n]], start, self.t_c)
         who = early[early >= n]
         if len(who):
             self._roll(who, striker[who - n], self.t_c[who], start[who], back=True)
@@ -222,7 +244,7 @@ class _Run:
                 states[moving], now[moving] = self._roll(moving, states[moving], now[moving], until)
             still = plain[speed[plain] <= STILL]
             if len(still):
-                self._rest(still, states[still], now)
+                self._rest(still, states[still], now, np.full(len(now), np.inf))
                 now[still] = end
         else:
             raise ValueError(f"the motion does not settle: {ROUNDS} legs after an impact")
@@ -231,17 +253,31 @@ class _Run:
     def _add(self, who: Ints, begins: Array, ends: Array, states: Callable[[Array], Array]) -> None:
         self.out.segments.append(Segment(who, begins, ends, states))
 
+    def _other(self, who: Ints) -> sliding.Other | None:
+        """Where the partners of balls `who` were in the last sweep."""
+        known = self.known
+        if known is None:
+            return None
+        partners = (who + known.size) % (2 * known.size)
+
+        def places(times: Array, which: Any) -> Array:
+            own = np.full((2 * known.size, times.shape[1]), known.start)
+            own[partners[which]] = np.clip(times, known.start, known.end)
+            return np.asarray(known.at(own)[..., :2].reshape(len(own), -1, 2)[partners[which]])
+
+        return places
+
     def _kink(self, who: Ints, when: Array) -> None:
         column = np.full(len(self.t_c), np.inf)
         column[who] = when
         self.kinks.append(column)
 
-    def _rest(self, who: Ints, states: Array, now: Array) -> None:
+    def _rest(self, who: Ints, states: Array, now: Array, until: Array) -> None:
         held = states.copy()
         held[:, 3:8] = 0.0
         if self.model.laws.bent("push") and len(who):
             self._check_held(who, held)
-        self._add(who, now[who], np.full(len(who), np.inf), lambda t: np.repeat(held[:, None], t.shape[1], axis=1))
+        self._add(who, now[who], until[who], lambda t: np.repeat(held[:, None], t.shape[1], axis=1))
 
     def _check_held(self, who: Ints, held: Array) -> None:
         if self.model.laws.asks("push", "other"):
@@ -271,7 +307,11 @@ class _Run:
     def _fly(self, who: Ints, states: Array, now: Array) -> None:
         model, begins, from_ = self.model, now[who], states[who]
         ends = begins + 2 * from_[:, 5] / model.gravity
-        plane = rolling.flights(model, from_, self.bodies[who], begins, ends) if model.laws.bent("push") else None
+        plane = (
+            rolling.flights(model, from_, self.bodies[who], begins, ends, self._other(who))
+            if model.laws.bent("push")
+            else None
+        )
 
         def path(times: Array) -> Array:
             out = fly(from_, model.gravity, times - begins[:, None])
@@ -289,7 +329,7 @@ class _Run:
         model, begins, from_, bodies = self.model, now[who], states[who], self.bodies[who]
         path: Callable[[Array], Array]
         if model.laws.bent(*sliding.LAWS):
-            found = sliding.slides(model, from_, bodies, begins, None)
+            found = sliding.slides(model, from_, bodies, begins, self._other(who))
             lasts, last = found.lasts, found.ends()
 
             def path(times: Array) -> Array:
@@ -303,9 +343,7 @@ class _Run:
                 return slide(from_, bodies.radius, slowing, times - begins[:, None])
 
         self._add(who, begins, begins + lasts, path)
-        states[who] = rolling_state(
-            last[:, :2], rolling_velocity(last, bodies.radius), last[:, 8], bodies.radius
-        )
+        states[who] = rolling_state(last[:, :2], rolling_velocity(last, bodies.radius), last[:, 8], bodies.radius)
         now[who] = begins + lasts
         self.out.slide_ends[who] = now[who]
         self._kink(who, now[who])
@@ -315,7 +353,7 @@ class _Run:
         model, bodies = self.model, self.bodies[who]
         path: Callable[[Array], Array]
         if model.laws.bent(*rolling.LAWS):
-            found = rolling.rolls(model, states, bodies, now, until)
+            found = rolling.rolls(model, states, bodies, now, until, self._other(who))
             ends, path = found.until, found.states
             stopped = ends != until
         else:

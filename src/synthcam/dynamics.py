@@ -47,8 +47,7 @@ def solve(model: Model, launch: Launch, start: float = 0.0, end: float = 0.0) ->
 
 def _coupled(model: Model, launch: Launch, start: float, end: float) -> Trajectory:
     """Balls that push each other: each moves in the other's last known path, again and again until both agree."""
-    alone = dataclasses.replace(model, effects=tuple(e for e in model.effects if "other" not in e.laws.get("push", ())))
-    path = _Run(alone, launch, start, end, [None, None]).motion()
+    path = _Run(uncoupled(model), launch, start, end, [None, None]).motion()
     grid = np.linspace(start, path.t1, 200)
     for _ in range(SWEEPS):
         others: list[Others | None] = [_path_of(path, 1), _path_of(path, 0)]
@@ -61,8 +60,20 @@ def _coupled(model: Model, launch: Launch, start: float, end: float) -> Trajecto
     return path
 
 
+def uncoupled(model: Model) -> Model:
+    """The model without the effects by which balls push each other."""
+    return dataclasses.replace(model, effects=tuple(e for e in model.effects if "other" not in e.laws.get("push", ())))
+
+
 def _path_of(path: Trajectory, ball: int) -> Others:
-    return lambda t: path.at(np.clip(t, path.t0, path.t1))[ball, :, :2]
+    """Where a ball is; beyond the ends of what is known it goes straight on."""
+
+    def places(t: Array) -> Array:
+        inside = np.clip(t, path.t0, path.t1)
+        states = path.at(inside)[ball]
+        return np.asarray(states[:, :2] + (t - inside)[:, None] * states[:, 3:5])
+
+    return places
 
 
 class _Run:
@@ -73,7 +84,10 @@ class _Run:
         self.start, self.t = start, launch.time
         self.events: list[Event] = []
         self.past: list[list[Leg]] = [self._before(k, s, launch.time) for k, s in enumerate(launch.states)]
+        # a launch at the contact: these legs are replaced at once, and would lead one ball through the other
+        self.model = uncoupled(model) if _touching(launch) else model
         self.legs: list[Leg] = [self._leg(k, s.copy(), launch.time) for k, s in enumerate(launch.states)]
+        self.model = model
 
     def motion(self) -> Trajectory:
         for _ in range(LIMIT):
@@ -115,8 +129,13 @@ class _Run:
         if np.hypot(*contact_velocity(state, radius)) > STILL or state[5] != 0:
             raise ValueError("a ball that slides or flies at its launch has no past: start the run at the launch")
         if np.hypot(state[3], state[4]) <= STILL:
-            return [Rest(self.start, time, rolling_state(state[:2], np.zeros(2), state[8], radius))]
+            still = rolling_state(state[:2], np.zeros(2), state[8], radius)
+            if not self.model.laws.asks("push", "other") and self._excess(k, still, time) > 0:
+                raise ValueError("a ball cannot rest before its launch: 5/7 of the push on it exceeds rolling_decel")
+            return [Rest(self.start, time, still)]
         leg = self._roll(k, state, time, self.start)
+        if leg.t0 > self.start:
+            raise ValueError(f"a ball has no past before {leg.t0:g} s: it would have had to come from rest")
         return [dataclasses.replace(leg, t0=self.start, t1=time)]  # type: ignore[type-var]
 
     def _leg(self, k: int, state: Array, t: float) -> Leg:
@@ -140,7 +159,7 @@ class _Run:
         lasts = float(found.lasts[0])
 
         def states(times: Array) -> Array:
-            return found.states((times - t)[None])[0]
+            return np.asarray(found.states((times - t)[None])[0])
 
         return Numeric(t, t + lasts, "slide", states, _steepest(states, t, lasts))
 
@@ -153,7 +172,7 @@ class _Run:
         ended = float(found.until[0])
 
         def states(times: Array) -> Array:
-            return found.states(times[None])[0]
+            return np.asarray(found.states(times[None])[0])
 
         return Numeric(min(t, ended), max(t, ended), "roll", states, _steepest(states, t, ended - t))
 
@@ -180,8 +199,6 @@ class _Run:
         if not self.model.laws.bent("push"):
             return Rest(t, np.inf, still)
         if self._excess(k, still, t) > 0:
-            if not self.model.laws.asks("push", "other"):
-                raise ValueError("a ball cannot rest: 5/7 of the push on it exceeds rolling_decel")
             return Rest(t, t, still)
         if self.others[k] is None:
             return Rest(t, np.inf, still)
@@ -280,6 +297,12 @@ def _rolling(state: Array, radius: float) -> Array:
     out = rolling_state(state[:2], rolling_velocity(state, radius), state[8], radius)
     out[5] = state[5]
     return out
+
+
+def _touching(launch: Launch) -> bool:
+    reach = launch.bodies.radius[:, None] + launch.bodies.radius
+    apart = np.linalg.norm(launch.states[:, None, :3] - launch.states[:, :3], axis=-1) - reach
+    return bool(np.any(apart[~np.eye(len(apart), dtype=bool)] <= TOUCHING * launch.bodies.radius.min()))
 
 
 def _contact(a: Leg, b: Leg, t: float, horizon: float, reach: float) -> float | None:

@@ -20,7 +20,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, fields
 from functools import cache
 from types import ModuleType
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Self
 
 # All balls, or all nodes of an integration, come together: numbers are arrays (balls, n) or broadcast with them,
 # vectors have a last axis of two. "slip" is the unit vector of the contact velocity; "of_a" is 1 for the experimenter's
@@ -127,6 +127,11 @@ class Effect:
     def strengths(cls) -> tuple[Parameter, ...]:
         """The parameters that are zero when the effect is absent."""
         return tuple(p for p in cls.parameters() if not p.fixed)
+
+    @classmethod
+    def absent(cls) -> Self:
+        """The effect with every strength zero and every shape at its default."""
+        return cls(**{p.name: 0.0 for p in cls.strengths()})
 
     @property
     def active(self) -> bool:

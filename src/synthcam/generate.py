@@ -18,7 +18,6 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pandas as pd
 
 from synthcam.dataset import Frames, clip_folders, finish, view_of, write_clip

@@ -94,7 +94,9 @@ def stop_time(speed: Real, drag: float, decel: float) -> Any:
     """Seconds until a rolling ball of this speed stops; infinite when decel is 0."""
     if decel == 0:
         return np.full(np.shape(speed), np.inf)
-    return np.log1p(drag * speed / decel) / drag if drag > 0 else np.asarray(speed / decel)
+    x = drag * np.asarray(speed, dtype=float) / decel
+    small = x < 1e-9
+    return speed / decel * np.where(small, 1 - x / 2, np.log1p(x) / np.where(small, 1, x))
 
 
 def _decay(drag: float, t: Array) -> tuple[Array, Array]:

@@ -26,7 +26,8 @@ class Launch:
         v0 in m/s, heading in rad from x to y; b is the impact parameter over the sum of the radii, |b| < 1: with d the
         heading, b = z . [d x (x2 - x1)] / (R1 + R2).
         """
-        states = touching(bodies[:1], bodies[1:], *(np.array([x]) for x in (v0, b, heading)), np.array([contact]))
+        numbers = np.array([v0]), np.array([b]), np.array([heading])
+        states = touching(bodies[:1], bodies[1:], *numbers, np.array([contact]))
         return cls(time, np.concatenate(states), bodies)
 
     @classmethod

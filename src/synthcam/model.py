@@ -34,7 +34,7 @@ class ModelSettings(Settings):
     gravity: Positive = 9.81
     restitution: Fraction = 0.903
     sliding_friction: Positive = 0.232
-    spin_transfer: Fraction = 0.347
+    spin_transfer: Annotated[float, Field(ge=0, le=5 / 7)] = 0.347  # more would make energy
     rolling_drag: NotNegative = 0.135
     rolling_decel: NotNegative = 0.0103
 
@@ -105,14 +105,15 @@ class Model:
         of_a = np.array([float(label == "a") for label in labels])
         a = self.laws("radius", self.ball.radius, {}), self.laws("mass", self.ball.mass, {})
         b = self.ball.radius, self.ball.mass
-        return Bodies(*(np.where(of_a == 1, x, y) for x, y in zip(a, b, strict=True)), of_a)
+        radius, mass = (np.where(of_a == 1, x, y) for x, y in zip(a, b, strict=True))
+        return Bodies(radius, mass, of_a)
 
     def value(self, name: str) -> float:
-        """A parameter by its dotted name: "restitution" or "plate_tilt.x" (0 or its default when absent)."""
+        """A parameter by its dotted name: "restitution" or "plate_tilt.x"; of an absent effect, a strength is 0."""
         effect, dot, parameter = name.rpartition(".")
         if not dot:
             return float(getattr(self, name))
-        present = next((e for e in self.effects if e.name() == effect), None) or library()[effect]()
+        present = next((e for e in self.effects if e.name() == effect), None) or library()[effect].absent()
         return float(getattr(present, parameter))
 
     def replace(self, values: Mapping[str, float]) -> Model:
@@ -122,7 +123,7 @@ class Model:
         for name, value in values.items():
             effect, dot, parameter = name.rpartition(".")
             if dot:
-                here = effects.get(effect) or library()[effect]()
+                here = effects.get(effect) or library()[effect].absent()
                 effects[effect] = dataclasses.replace(here, **{parameter: value})
         return dataclasses.replace(self, effects=tuple(effects.values()), **base)  # type: ignore[arg-type]
 

@@ -28,10 +28,14 @@ class Piece:
 
 @dataclass(frozen=True)
 class Rolls:
-    """k rolls that begin at `time` (k,). until (k,): when each was solved to, or stopped. ends (k, 4): x, y, vx, vy."""
+    """k rolls that begin at `time` (k,). until (k,): when each was solved to, or stopped. ends (k, 4): x, y, vx, vy.
+
+    slow (k,): when the speed fell under SLOWEST; from there to `until` the deceleration is uniform.
+    """
 
     time: Array
     until: Array
+    slow: Array
     ends: Array
     pieces: tuple[Piece, ...]
     radius: Array
@@ -40,7 +44,11 @@ class Rolls:
     def plane(self, times: Array) -> Array:
         """(x, y, vx, vy) at times (k, m): (k, m, 4)."""
         out = np.repeat(self.ends[:, None], times.shape[1], axis=1)
-        out[..., 2:] = np.where((times > self.until[:, None])[..., None], 0.0, out[..., 2:])
+        left = self.until - self.slow
+        share = np.clip((times - self.slow[:, None]) / np.where(left > 0, left, 1)[:, None], 0.0, 1.0)[..., None]
+        tail = np.where(left > 0, left, 0.0)[:, None, None] * self.ends[:, None, 2:] * (share - share**2 / 2)
+        out[..., :2] += tail
+        out[..., 2:] = np.where((left > 0)[:, None, None], out[..., 2:] * (1 - share), out[..., 2:])
         for piece in self.pieces:
             share = (times[piece.who] - piece.begins[:, None]) / piece.spans[:, None]
             here = (share >= 0) & (share <= 1)
@@ -106,10 +114,16 @@ def _march(acceleration: Any, state: Array, bodies: Bodies, time: Array, until: 
 
         def right(share: Array, z: Array, who: Any = who, begins: Any = begins, spans: Any = spans) -> Array:
             a = acceleration(who, begins[:, None] + spans[:, None] * share, z)
-            return np.concatenate([z[..., 2:4], a], axis=-1) * spans[:, None, None]
+            return np.asarray(np.concatenate([z[..., 2:4], a], axis=-1) * spans[:, None, None])
 
         path = integrate(right, 0.0, 1.0, y[who])
         y[who] = path(np.ones((len(who), 1)))[:, 0]
         now[who] = np.where(last, goal, begins + spans)
         pieces.append(Piece(who, begins, spans, path))
-    return Rolls(time, now, y, tuple(pieces), bodies.radius, state[:, 8])
+    stopping = stops & (np.hypot(y[:, 2], y[:, 3]) <= SLOWEST) & (target > now)
+    slow = now.copy()
+    if np.any(stopping):
+        who = np.flatnonzero(stopping)
+        force = acceleration(who, now[who][:, None], y[who][:, None])[:, 0]
+        now[who] += np.hypot(y[who, 2], y[who, 3]) / np.maximum(np.hypot(force[:, 0], force[:, 1]), 1e-300)
+    return Rolls(time, now, slow, y, tuple(pieces), bodies.radius, state[:, 8])

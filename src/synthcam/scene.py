@@ -182,7 +182,7 @@ def clip_of(number: int, drawn: dict[str, Any], where: str = "") -> Clip:
 
 
 def _as_it_is(model: Model, nominal: Camera) -> Camera:
-    bent = model.laws("camera", nominal, {})
+    bent: Camera = model.laws("camera", nominal, {})
     return replace(bent, exposure=float(model.laws("exposure", nominal.exposure, {"fps": nominal.fps})))
 
 

@@ -46,7 +46,7 @@ class Path:
 
     def _scaled(self, k: int, x: Array) -> Array:
         a, b = self.ends[k], self.ends[k + 1]
-        return (2 * x - a - b) / (b - a)
+        return np.asarray((2 * x - a - b) / (b - a))
 
 
 def _series(c: Array, x: Array) -> Array:
@@ -95,7 +95,8 @@ def _piece(right: Right, a: float, b: float, start: Array, tolerance: float) -> 
     x = (a + b) / 2 + (b - a) / 2 * nodes
     y = np.repeat(start[:, None], NODES, axis=1)
     for _ in range(40):
-        new = start[:, None] + (b - a) / 2 * (integral @ right(x, y))
+        with np.errstate(all="ignore"):  # a runaway piece is halved below
+            new = start[:, None] + (b - a) / 2 * (integral @ right(x, y))
         size = np.abs(new).max(axis=1, keepdims=True) + 1e-9
         change = float((np.abs(new - y) / size).max())
         y = new

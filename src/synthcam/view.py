@@ -1,4 +1,4 @@
-"""A motion as a camera takes it: which moments each frame holds, when clock and shutter are not what they are said to be."""
+"""A motion as a camera takes it: which moments a frame holds, where clock or shutter are not as stated."""
 
 from __future__ import annotations
 
@@ -74,4 +74,4 @@ class View:
         rows = self.camera.project(places[..., :3])[..., 1]
         rows = np.clip(rows, 0, self.camera.size[1] - 1)
         bent = self.model.laws("clock", film + 0 * rows, {"fps": self.camera.fps, "row": rows})
-        return np.clip(bent, self.motion.t0, self.motion.t1)
+        return np.asarray(np.clip(bent, self.motion.t0, self.motion.t1))

@@ -19,7 +19,9 @@ class EccentricMass(Effect):
     c: float = parameter("m", scale=1e-6, low=-5e-6, high=5e-6)
     d: float = parameter("m", scale=1e-6, low=-5e-6, high=5e-6)
 
-    def rolling(self, loss: Any, speed: Any, position: Any, velocity: Any, gravity: float, radius: Any, of_a: Any) -> Any:
+    def rolling(
+        self, loss: Any, speed: Any, position: Any, velocity: Any, gravity: float, radius: Any, of_a: Any
+    ) -> Any:
         angle = (position * velocity).sum(axis=-1) / np.maximum(speed, 1e-300) / radius
         ripple = self.c * np.cos(angle) + self.d * np.sin(angle)
         return loss - of_a * 5 / 7 * gravity / radius * ripple
