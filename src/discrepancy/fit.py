@@ -30,6 +30,7 @@ BASE_STEP = {
     "rolling_decel": 1e-5,
 }
 BASE = tuple(BASE_STEP)
+_LIMITS = {"restitution": (0.0, 1.0), "spin_transfer": (0.0, 5 / 7)}
 ITERATIONS = 25
 SETTLED = 1e-3  # of chi^2
 
@@ -110,7 +111,7 @@ def limits_of(name: str) -> tuple[float, float]:
     effect, dot, parameter = name.rpartition(".")
     if dot:
         return next((p.low, p.high) for p in library()[effect].parameters() if p.name == parameter)
-    return (0.0, 1.0) if name in ("restitution", "spin_transfer") else (0.0, np.inf)
+    return _LIMITS.get(name, (0.0, np.inf))
 
 
 def derivative(model: Model, launches: Array, clips: Sequence[Measured], name: str) -> list[Array]:

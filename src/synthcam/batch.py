@@ -34,6 +34,7 @@ from synthcam.trajectory import GAUSS
 Ints = NDArray[np.intp]
 LAUNCH = ("x", "y", "t_c", "v0", "heading", "b")  # the contact's place, m; s; m/s; rad; over the sum of the radii
 AGAIN = 1e-7  # m: balls that come closer than touching by more have met again
+LOOKS = 24  # at whether balls overlap: one that catches up takes tens of ms to pass through
 ROUNDS = 400  # legs after an impact, at most
 
 
@@ -156,7 +157,7 @@ def _swept(motion: Callable[[Model, Batch | None], Batch], model: Model) -> Batc
 def _met_again(out: Batch, both: Bodies) -> Ints:
     """Collisions whose balls overlap after the impact, so that a second impact is missing."""
     n = out.size
-    places = out.at(np.linspace(out.start, out.end, 64))[..., :3]
+    places = out.at(np.linspace(out.start, out.end, LOOKS))[..., :3]
     gap = np.linalg.norm(places[0] - places[1], axis=-1) - (both.radius[:n] + both.radius[n:])[:, None]
     return np.flatnonzero(gap.min(axis=1) < -AGAIN)
 
@@ -355,6 +356,8 @@ class _Run:
         if model.laws.bent(*rolling.LAWS):
             found = rolling.rolls(model, states, bodies, now, until, self._other(who))
             ends, path = found.until, found.states
+            if back and np.any(ends > until):
+                raise ValueError("a ball would have had to come from rest within the run")
             stopped = ends != until
         else:
             speed = np.hypot(states[:, 3], states[:, 4])

@@ -9,8 +9,8 @@ import numpy as np
 
 from synthcam.kinematics import Array, rolling_state
 from synthcam.model import Bodies, Model
-from synthcam.sliding import Other
-from synthcam.spectral import Path, integrate
+from synthcam.sliding import ROUGH, Other
+from synthcam.spectral import TOLERANCE, Path, integrate
 
 SLOWEST = 1e-7  # m/s: a ball slower than this has stopped
 LAWS = ("rolling", "push")
@@ -74,7 +74,7 @@ def rolls(model: Model, state: Array, bodies: Bodies, time: Array, until: Array,
         push = model.laws("push", np.zeros_like(v), instant)
         return np.asarray(5 / 7 * push - (loss / np.maximum(speed, 1e-300))[..., None] * v)
 
-    return _march(acceleration, state, bodies, time, until, stops=True)
+    return _march(acceleration, state, bodies, time, until, True, TOLERANCE if other is None else ROUGH)
 
 
 def flights(model: Model, state: Array, bodies: Bodies, time: Array, until: Array, other: Other | None = None) -> Rolls:
@@ -84,7 +84,7 @@ def flights(model: Model, state: Array, bodies: Bodies, time: Array, until: Arra
         instant = _instant(model, bodies[which], t, y, other, which)
         return np.asarray(model.laws("push", np.zeros_like(y[..., 2:4]), instant))
 
-    return _march(acceleration, state, bodies, time, until, stops=False)
+    return _march(acceleration, state, bodies, time, until, False, TOLERANCE if other is None else ROUGH)
 
 
 def _instant(model: Model, bodies: Bodies, t: Array, y: Array, other: Other | None, which: Any) -> dict[str, Any]:
@@ -95,7 +95,9 @@ def _instant(model: Model, bodies: Bodies, t: Array, y: Array, other: Other | No
     return instant
 
 
-def _march(acceleration: Any, state: Array, bodies: Bodies, time: Array, until: Array, stops: bool) -> Rolls:
+def _march(
+    acceleration: Any, state: Array, bodies: Bodies, time: Array, until: Array, stops: bool, tolerance: float
+) -> Rolls:
     """Pieces no longer than half of what would stop the ball, so that the speed never passes through zero in one."""
     y = np.concatenate([state[:, 0:2], state[:, 3:5]], axis=1)
     now, pieces = time.astype(float).copy(), []
@@ -116,7 +118,7 @@ def _march(acceleration: Any, state: Array, bodies: Bodies, time: Array, until: 
             a = acceleration(who, begins[:, None] + spans[:, None] * share, z)
             return np.asarray(np.concatenate([z[..., 2:4], a], axis=-1) * spans[:, None, None])
 
-        path = integrate(right, 0.0, 1.0, y[who])
+        path = integrate(right, 0.0, 1.0, y[who], tolerance)
         y[who] = path(np.ones((len(who), 1)))[:, 0]
         now[who] = np.where(last, goal, begins + spans)
         pieces.append(Piece(who, begins, spans, path))

@@ -16,10 +16,11 @@ import numpy as np
 
 from synthcam.kinematics import Array, contact_velocity, plate_state, rolling_velocity
 from synthcam.model import Bodies, Model
-from synthcam.spectral import Path, integrate
+from synthcam.spectral import TOLERANCE, Path, integrate
 
 FINISH = 1e-4  # of the first slip: the rest of the slide, some us, is taken as a uniform deceleration
 LAST = float(np.log(FINISH))
+ROUGH = 1e-11  # tolerance in the path of another ball, which has kinks
 LAWS = ("friction", "normal_load", "push", "drilling")
 Other = Callable[[Array, Any], Array]  # times (k, n), which k balls -> places of the other ball, (k, n, 2)
 
@@ -109,7 +110,7 @@ def slides(model: Model, state: Array, bodies: Bodies, time: Array, other: Other
         return out
 
     start = np.column_stack([np.zeros(len(state)), state[:, 0:2], q, np.arctan2(u[:, 1], u[:, 0]), state[:, 8]])
-    path = integrate(right, 0.0, LAST, start)
+    path = integrate(right, 0.0, LAST, start, TOLERANCE if other is None else ROUGH)
     last = path(np.full((len(state), 1), LAST))
     slip = (first * FINISH)[:, None]
     slowing, _, push, _, _ = forces(slip / 2, last)

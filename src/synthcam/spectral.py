@@ -20,6 +20,7 @@ Array = NDArray[np.float64]
 Right = Callable[[Array, Array], Array]  # x (n,), y (problems, n, k) -> (problems, n, k)
 
 NODES = 32
+TOLERANCE = 1e-14
 DEEPEST = 12
 
 
@@ -68,7 +69,7 @@ def _matrices() -> tuple[Any, Any, Any]:
     return nodes, to_coefficients, chebyshev.chebvander(nodes, NODES) @ integral
 
 
-def integrate(right: Right, a: float, b: float, start: Array, tolerance: float = 1e-14) -> Path:
+def integrate(right: Right, a: float, b: float, start: Array, tolerance: float = TOLERANCE) -> Path:
     """y' = right(x, y) from a to b (b < a is allowed), y(a) = start (problems, k).
 
     Raises ValueError when a law of motion is not smooth.
