@@ -89,9 +89,9 @@ def test_an_empty_scene_is_the_papers_experiment():
 
 def test_upstream_is_15_mm_at_60_cm_a_second():
     clip = check_scene({"launch": {"v0": 0.3, "heading": np.pi / 2, "b": 0.4}}, "x").draw(0, 0)
-    np.testing.assert_allclose(clip.launch.states[:, :2].mean(axis=0), [0, -7.5e-3], atol=1e-12)
+    np.testing.assert_allclose(clip.launch.states[:, :2].mean(axis=0), [0, -7.5e-3], rtol=0, atol=1e-12)
     fixed = check_scene({"launch": {"contact": [0.01, 0]}}, "x").draw(0, 0)
-    np.testing.assert_allclose(fixed.launch.states[:, :2].mean(axis=0), [0.01, 0], atol=1e-15)
+    np.testing.assert_allclose(fixed.launch.states[:, :2].mean(axis=0), [0.01, 0], rtol=0, atol=1e-15)
 
 
 def test_whole_numbers_do_for_real_ones():

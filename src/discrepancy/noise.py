@@ -20,6 +20,7 @@ Ints = NDArray[np.int64]
 ORDER = 5  # of the autoregression; Yule-Walker
 SMOOTH = 4  # coefficients of the cubic
 SHORTEST = 12  # frames: a shorter stretch says little about noise
+LONG = 24  # frames: only a stretch as long as this can tell slow noise from motion
 ROUNDS = 100  # of the lags beyond ORDER; .9 from frame to frame needs about 60
 SETTLED = 1e-4  # of the variance
 
@@ -88,12 +89,17 @@ def estimate(stretches: Iterable[tuple[Array, Array]]) -> Noise:
         raise ValueError("too few unbroken frames to read the noise from")
     longest = max(len(r) for r, _ in removers)
     covariance = _definite(np.asarray(np.linalg.solve(mixing, sums)))
-    for _ in range(ROUNDS):
+    change = np.inf
+    for _ in range(ROUNDS if longest >= LONG else 0):
         beyond = _continued(covariance, longest)
         beyond[: ORDER + 1] = 0
         unread = sum((axes * _lags(r @ toeplitz(beyond[: len(r)]) @ r) for r, axes in removers), np.zeros(ORDER + 1))
-        last, covariance = covariance, _definite(np.asarray(np.linalg.solve(mixing, sums - unread)))
-        if np.abs(covariance - last).max() < SETTLED * covariance[0]:
+        step = np.asarray(np.linalg.solve(mixing, sums - unread)) - covariance
+        last, change = change, float(np.abs(step).max())
+        if change > last:  # slow noise cannot be told from motion any further
+            break
+        covariance = _definite(covariance + step)
+        if change < SETTLED * covariance[0]:
             break
     return Noise(covariance)
 

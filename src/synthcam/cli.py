@@ -1,7 +1,8 @@
-"""synthcam: generate, preview, verify, schema, effects, doctor."""
+"""synthcam: generate, merge, verify, preview, export, schema, effects, doctor."""
 
 from __future__ import annotations
 
+import importlib.util
 import json
 import os
 import sys
@@ -25,6 +26,11 @@ app = typer.Typer(
     rich_markup_mode=None,
 )
 Json = Annotated[bool, typer.Option("--json", help="Print a machine-readable summary.")]
+Withhold = Annotated[
+    Path | None,
+    typer.Option(metavar="TRUTH", help="Another folder for the truth: a challenge, which gives nothing away."),
+]
+SHOWN = 20  # failed clips told of, one line each; --json has them all
 Set = Annotated[list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Override a value of the scene.")]
 
 
@@ -48,9 +54,13 @@ def generate(
     scenes: Annotated[list[Path], typer.Argument(metavar="SCENE...", help="Scene files (YAML).")],
     output: Annotated[Path, typer.Option("-o", "--output", metavar="DATASET", help="Folder to make.")],
     clips: Annotated[int, typer.Option(min=1, help="Clips of each scene.")] = 1,
-    seed: Annotated[int, typer.Option(min=0, help="Seed of everything drawn.")] = 0,
+    seed: Annotated[int | None, typer.Option(min=0, help="Seed of everything drawn; default: 0.")] = None,
     workers: Annotated[int | None, typer.Option(min=1, help="Processes; default: one a core.")] = None,
+    shard: Annotated[str, typer.Option(metavar="I/N", help="Make every N-th clip from the I-th, to merge later.")] = "",
+    scheduler: Annotated[str, typer.Option(metavar="ADDRESS", help="A Dask scheduler, whose workers do it.")] = "",
     no_video: Annotated[bool, typer.Option("--no-video", help="Truth and camera only, nothing drawn.")] = False,
+    compression: Annotated[str, typer.Option(help="Of the frames: none, or zstd (lossless).")] = "none",
+    withhold_truth: Withhold = None,
     set_: Set = None,
     as_json: Json = False,
 ) -> None:
@@ -62,20 +72,27 @@ def generate(
     from synthcam.scene import read_scene
 
     started = time.monotonic()
-    plan = Plan(tuple(read_scene(s, tuple(set_ or ())) for s in scenes), clips, seed, not no_video)
-    size = plan.bytes()
-    if sys.stderr.isatty():
-        print(f"{plan.total} clips, about {size / 1e6:,.0f} MB", file=sys.stderr)
+    _check_withheld(output, withhold_truth)
+    if withhold_truth and seed is None:
+        raise InputError("--withhold-truth: expected --seed too, one nobody guesses: scene and seed give the truth")
+    read = tuple(read_scene(s, tuple(set_ or ())) for s in scenes)
+    plan = Plan(read, clips, seed or 0, not no_video, _compression(compression), _shard(shard))
+    if plan.shard and withhold_truth:
+        raise InputError("--shard: a shard keeps its truth; give --withhold-truth to `synthcam merge`")
     with progress("clips") as tick:
-        outcome = run(plan, output, workers or os.cpu_count() or 1, tick)
-    for line in outcome.failed:
+        tell = _say_first if sys.stderr.isatty() and not scheduler else None
+        outcome = run(plan, output, workers or os.cpu_count() or 1, tick, withhold_truth, scheduler, tell)
+    for line in outcome.failed[:SHOWN]:
         print(f"synthcam: {line}", file=sys.stderr)
+    if len(outcome.failed) > SHOWN:
+        print(f"synthcam: and {len(outcome.failed) - SHOWN} clips more", file=sys.stderr)
     seconds = time.monotonic() - started
     summary = {
         "dataset": str(output),
         "clips": plan.total,
         "made": outcome.made,
         "failed": len(outcome.failed),
+        "failures": list(outcome.failed),
         "seconds": round(seconds, 2),
     }
     _say(summary, as_json, f"{output}: {plan.total} clips, {outcome.made} made now in {seconds:.1f} s")
@@ -84,27 +101,81 @@ def generate(
         raise InputError(f"{output}: {len(outcome.failed)} of {plan.total} clips could not be made{kept}")
 
 
+def _check_withheld(output: Path, withheld: Path | None) -> None:
+    if withheld is not None:
+        a, b = output.absolute(), withheld.absolute()
+        if a == b or a in b.parents or b in a.parents:
+            raise InputError(f"--withhold-truth {withheld}: expected a folder apart from {output}")
+
+
+def _shard(text: str) -> tuple[int, int] | None:
+    if not text:
+        return None
+    which, slash, of = text.partition("/")
+    if slash and which.isdecimal() and of.isdecimal() and 1 <= int(which) <= int(of):
+        return int(which), int(of)
+    raise InputError(f"--shard {text}: expected I/N with I from 1 to N, as in 1/3")
+
+
+def _compression(name: str) -> str:
+    if name not in ("none", "zstd"):
+        raise InputError(f"--compression {name}: expected none or zstd")
+    if name == "zstd" and importlib.util.find_spec("imagecodecs") is None:
+        raise InputError("--compression zstd: imagecodecs is not installed; type: pip install 'synthcam[zstd]'")
+    return name
+
+
+def _say_first(text: str) -> None:
+    print(text, file=sys.stderr)
+
+
+@app.command()
+def merge(
+    shards: Annotated[list[Path], typer.Argument(metavar="SHARD...", help="Finished shards, in any order.")],
+    output: Annotated[Path, typer.Option("-o", "--output", metavar="DATASET", help="Folder to make.")],
+    withhold_truth: Withhold = None,
+    as_json: Json = False,
+) -> None:
+    """Put shards together: the same dataset, byte for byte, as one process makes. The shards stay as they are.
+
+    Example: synthcam merge out/part1 out/part2 out/part3 -o out/benchmark
+    """
+    from synthcam.merge import merge as put_together
+
+    _check_withheld(output, withhold_truth)
+    with progress("clips") as tick:
+        clips = put_together(shards, output, tick, withhold_truth)
+    _say({"dataset": str(output), "clips": clips}, as_json, f"{output}: {clips} clips of {len(shards)} shards")
+
+
 @app.command()
 def preview(
     scene: Annotated[Path, typer.Argument(metavar="SCENE", help="A scene file (YAML).")],
-    output: Annotated[Path, typer.Option("-o", "--output", metavar="FILE", help="A .png to write.")],
+    output: Annotated[Path, typer.Option("-o", "--output", metavar="FILE", help="A .png, .gif or .mp4 to write.")],
     clip: Annotated[int, typer.Option(min=0, help="Which clip to draw.")] = 0,
     seed: Annotated[int, typer.Option(min=0, help="Seed of everything drawn.")] = 0,
     frame: Annotated[int | None, typer.Option(min=0, help="Which frame; default: the one before the contact.")] = None,
     magnify: Annotated[int, typer.Option(min=0, help="Also show the balls so many times larger; 0: not.")] = 12,
     set_: Set = None,
 ) -> None:
-    """Draw one frame of a scene, as the sensor gives it, with the balls magnified beside it.
+    """Draw one frame of a scene, as the sensor gives it, with the balls magnified beside it (.png).
+
+    Or all its frames, slowed down, cropped to the balls' paths and magnified (.gif, .mp4).
 
     Example: synthcam preview scenes/painter_behringer.yaml -o frame.png
     """
-    from synthcam.preview import write_preview
+    from synthcam.preview import write_film, write_preview
     from synthcam.scene import read_scene
 
-    if output.suffix.lower() != ".png":
-        raise InputError(f"{output}: expected a name that ends in .png")
-    write_preview(read_scene(scene, tuple(set_ or ())).draw(clip, seed), seed, output, frame, magnify)
-    print(output)
+    kind = output.suffix.lower()
+    if kind not in (".png", ".gif", ".mp4"):
+        raise InputError(f"{output}: expected a name that ends in .png, .gif or .mp4")
+    drawn = read_scene(scene, tuple(set_ or ())).draw(clip, seed)
+    if kind == ".png":
+        write_preview(drawn, seed, output, frame, magnify)
+        print(output)
+    else:
+        print(f"{output}: {write_film(drawn, seed, output):.3g} times slower than it was")
 
 
 @app.command()
@@ -118,7 +189,8 @@ def verify(
     """
     from synthcam.dataset import verify as check
 
-    found = check(dataset)
+    with progress("files") as tick:
+        found = check(dataset, tick)
     for problem in found.problems:
         print(problem, file=sys.stderr)
     ok = not found.problems
@@ -129,6 +201,25 @@ def verify(
     )
     if not ok:
         raise typer.Exit(1)
+
+
+@app.command()
+def export(
+    dataset: Annotated[Path, typer.Argument(metavar="DATASET")],
+    kind: Annotated[str, typer.Option("--format", metavar="NAME", help="mot, ptc, trackmate, zarr, ffv1, ...")],
+    output: Annotated[Path, typer.Option("-o", "--output", metavar="DIR", help="Folder to make.")],
+    truth: Annotated[Path | None, typer.Option(metavar="TRUTH", help="The truth, where it was withheld.")] = None,
+    as_json: Json = False,
+) -> None:
+    """Write a dataset in another program's format.
+
+    Example: synthcam export out/benchmark --format mot -o out/benchmark_mot
+    """
+    from synthcam.export import export as write
+
+    with progress("clips") as tick:
+        clips = write(dataset, kind, output, tick, truth)
+    _say({"output": str(output), "format": kind, "clips": clips}, as_json, f"{output}: {clips} clips")
 
 
 @app.command()

@@ -4,24 +4,30 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
+import pyarrow as pa
+import pyarrow.parquet as pq
 import tifffile
 from numpy.typing import NDArray
 
 from synthcam import truth
+from synthcam.card import card
 from synthcam.scene import Clip
 from synthcam.settings import InputError
 from synthcam.view import View
 
 Frames = Iterator[NDArray[np.uint8] | NDArray[np.uint16]]
 SUMS = "SHA256SUMS"
+ROWS = 1024  # of clips.parquet, written at a time
+IMAGEJ_LIMIT = 4_000_000_000  # bytes of a stack; a longer one is a plain BigTIFF
 
 
 def camera_json(clip: Clip) -> dict[str, Any]:
@@ -49,13 +55,26 @@ def view_of(clip: Clip) -> View:
     return View.of(clip.model, clip.launch, clip.camera, clip.frames)
 
 
-def write_clip(folder: Path, clip: Clip, view: View, frames: Frames | None, meta: dict[str, Any]) -> None:
-    """Write one clip's folder; `frames` None: no video. `meta` goes into its scene.json."""
-    (folder / "truth").mkdir(parents=True)
+def write_clip(
+    folder: Path,
+    clip: Clip,
+    view: View,
+    frames: Frames | None,
+    meta: dict[str, Any],
+    secret: Path | None = None,
+    compression: str = "none",
+) -> None:
+    """Write one clip's folder; `frames` None: no video. `meta` goes into its scene.json.
+
+    secret: another folder for the clip's truth. compression: "none", or "zstd", lossless.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    secret = secret or folder / "truth"
+    secret.mkdir(parents=True)
     _write_json(folder / "camera.json", camera_json(clip))
     pixels, file = "", ""
     if frames is not None:
-        pixels = _write_tiff(folder / "frames.tif", clip, frames)
+        pixels = _write_tiff(folder / "frames.tif", clip, frames, compression)
         file = sha256(folder / "frames.tif")
     row = {"clip": clip.number, "seed_key": f"{meta['seed']}/{clip.number}", "scene": clip.drawn["name"]}
     row |= truth.scalars(clip.model, clip.launch, view.motion)
@@ -65,17 +84,17 @@ def write_clip(folder: Path, clip: Clip, view: View, frames: Frames | None, meta
         "frames_sha256": file,
         "pixels_sha256": pixels,
     }
-    _write_json(folder / "truth" / "scene.json", {**meta, "clip": clip.number, "drawn": clip.drawn, "row": row})
+    _write_json(secret / "scene.json", {**meta, "clip": clip.number, "drawn": clip.drawn, "row": row})
     tables = {
         "tracks": truth.tracks(clip.launch.bodies, view, clip.lamp, clip.frames),
         "events": truth.events(view.motion, clip.camera.fps),
     }
     for name, table in tables.items():
-        table.to_parquet(folder / "truth" / f"{name}.parquet", index=False)
+        table.to_parquet(secret / f"{name}.parquet", index=False)
 
 
-def _write_tiff(path: Path, clip: Clip, frames: Frames) -> str:
-    """Write an uncompressed ImageJ stack, frame by frame; the hash of its pixels."""
+def _write_tiff(path: Path, clip: Clip, frames: Frames, compression: str) -> str:
+    """Write a stack frame by frame, uncompressed as ImageJ likes it; the hash of its pixels."""
     width, height = clip.camera.size
     dtype = np.uint8 if clip.sensor.bits == 8 else np.uint16
     digest = hashlib.sha256()
@@ -85,32 +104,75 @@ def _write_tiff(path: Path, clip: Clip, frames: Frames) -> str:
             digest.update(frame.tobytes())
             yield frame
 
+    plain = compression == "none" and clip.frames * width * height * dtype().itemsize < IMAGEJ_LIMIT
+    about = {"axes": "TYX", "fps": clip.camera.fps}
+    kind: dict[str, Any] = {"imagej": True} if plain else {"photometric": "minisblack"}
+    if compression != "none":
+        kind["compression"] = compression
     tifffile.imwrite(
         path,
         hashed(),
         shape=(clip.frames, height, width),
         dtype=dtype,
-        imagej=True,
-        metadata={"axes": "TYX", "finterval": 1 / clip.camera.fps, "fps": clip.camera.fps},
+        metadata=about | ({"finterval": 1 / clip.camera.fps} if plain else {}),
+        **kind,
     )
     return digest.hexdigest()
 
 
-def finish(folder: Path, about: dict[str, Any], unlisted: str = "") -> pd.DataFrame:
+def finish(folder: Path, about: dict[str, Any], unlisted: str = "", secret: Path | None = None) -> None:
     """Write what covers all clips: clips.parquet, dataset.json, the card, the checksums (without the file `unlisted`).
 
-    Returns the scalars.
+    secret: the folder with the truth, where it is another. One clip at a time: memory does not grow with their number.
     """
-    rows = [json.loads((c / "truth" / "scene.json").read_text())["row"] for c in clip_folders(folder)]
-    table = pd.DataFrame(rows)
-    table[truth.COLLISION] = table[truth.COLLISION].astype(float)
+    root = secret or folder
+    (root / "truth").mkdir(exist_ok=True)
+    count, names = _write_rows(root)
+    _write_json(root / "truth" / "dataset.json", about)
+    holds = ("frames", "truth") if secret else ("all", "all")
+    for place, what in {folder: holds[0], root: holds[1]}.items():
+        (place / "README.md").write_text(card(about, count, names, what), encoding="utf-8")
+        write_sums(place, unlisted)
+
+
+def finish_shard(folder: Path, about: dict[str, Any], unlisted: str = "") -> None:
+    """Write what makes a shard complete: shard.json and the checksums."""
     (folder / "truth").mkdir(exist_ok=True)
-    table.to_parquet(folder / "truth" / "clips.parquet", index=False)
-    _write_json(folder / "truth" / "dataset.json", about)
-    (folder / "README.md").write_text(_card(about, table))
-    files = sorted(p for p in folder.rglob("*") if p.is_file() and p.name not in (SUMS, unlisted))
-    (folder / SUMS).write_text("".join(f"{sha256(p)}  {p.relative_to(folder).as_posix()}\n" for p in files))
-    return table
+    _write_json(folder / "truth" / "shard.json", about)
+    write_sums(folder, unlisted)
+
+
+def _write_rows(root: Path) -> tuple[int, list[str]]:
+    """Gather the clips' rows into truth/clips.parquet; how many, and the names of their scenes."""
+    text = ("seed_key", "scene", "striker", "effects", "frames_sha256", "pixels_sha256")
+    before = [("clip", pa.int64()), ("seed_key", pa.string()), ("scene", pa.string())]
+    schema = pa.schema([*before, *((c, pa.float64()) for c in truth.COLLISION), *((c, pa.string()) for c in text[2:])])
+    clips, names = clip_folders(root), dict[str, None]()
+    with pq.ParquetWriter(root / "truth" / "clips.parquet", schema) as writer:
+        for start in range(0, len(clips), ROWS):
+            batch = clips[start : start + ROWS]
+            rows = [json.loads((c / "truth" / "scene.json").read_text())["row"] for c in batch]
+            rows = [{k: math.nan if v is None else v for k, v in row.items()} for row in rows]
+            names |= dict.fromkeys(row["scene"] for row in rows)
+            writer.write_table(pa.Table.from_pylist(rows, schema=schema))
+    return len(clips), list(names)
+
+
+def write_sums(folder: Path, unlisted: str = "") -> None:
+    """Write SHA256SUMS of all files but itself and `unlisted`."""
+    with (folder / SUMS).open("w", encoding="utf-8") as sums:
+        for path in _files(folder):
+            if path.name not in (SUMS, unlisted):
+                sums.write(f"{sha256(path)}  {path.relative_to(folder).as_posix()}\n")
+
+
+def _files(folder: Path) -> Iterator[Path]:
+    """All files below a folder, one folder at a time, each in order."""
+    for path in sorted(folder.iterdir()):
+        if path.is_dir():
+            yield from _files(path)
+        else:
+            yield path
 
 
 def clip_folders(folder: Path) -> list[Path]:
@@ -144,72 +206,54 @@ class Check:
     problems: tuple[str, ...]
 
 
-def verify(folder: Path) -> Check:
+def verify(folder: Path, tick: Callable[[int, int], None] = lambda done, total: None) -> Check:
     """Hold a dataset to its checksums and its counts. Raises InputError when it is no finished dataset."""
-    if not (folder / SUMS).is_file():
-        raise InputError(f"{folder}: not a finished dataset (no {SUMS})")
-    problems, listed = [], {}
-    for number, line in enumerate((folder / SUMS).read_text(errors="replace").splitlines(), 1):
-        digest, gap, name = line.partition("  ")
+    listed = read_sums(folder)
+    problems = []
+    for k, (name, digest) in enumerate(listed.items(), 1):
         path = folder / name
-        if not gap or len(digest) != 64 or os.path.isabs(name) or ".." in Path(name).parts:
-            raise InputError(f"{folder / SUMS}, line {number}: expected a SHA-256 and a path inside the dataset")
-        listed[name] = digest
         if not path.is_file():
             problems.append(f"{name}: missing")
         elif sha256(path) != digest:
             problems.append(f"{name}: changed (its SHA-256 is not the one recorded)")
-    for path in sorted(folder.rglob("*")):
+        tick(k, len(listed))
+    for path in _files(folder):
         name = path.relative_to(folder).as_posix()
-        if path.is_file() and name != SUMS and name not in listed:
+        if name != SUMS and name not in listed:
             problems.append(f"{name}: not listed in {SUMS}")
     if not problems:
         problems += _counts(folder)
     return Check(len(listed), tuple(problems))
 
 
+def read_sums(folder: Path) -> dict[str, str]:
+    """SHA-256 by file. Raises InputError when the folder is no finished dataset, or its list leads elsewhere."""
+    if not (folder / SUMS).is_file():
+        raise InputError(f"{folder}: not a finished dataset (no {SUMS})")
+    listed = {}
+    for number, line in enumerate((folder / SUMS).read_text(errors="replace").splitlines(), 1):
+        digest, gap, name = line.partition("  ")
+        if not gap or len(digest) != 64 or os.path.isabs(name) or ".." in Path(name).parts:
+            raise InputError(f"{folder / SUMS}, line {number}: expected a SHA-256 and a path inside the dataset")
+        listed[name] = digest
+    return listed
+
+
 def _counts(folder: Path) -> list[str]:
+    """Files may agree with a list that was shortened with them: the tables tell how many clips there were."""
+    clips, problems = clip_folders(folder), []
+    numbers = [int(c.name) for c in clips]
+    shard = folder / "truth" / "shard.json"
+    if shard.is_file():
+        wanted = json.loads(shard.read_text())["clips"]
+        return [] if numbers == wanted else [f"clips/: {len(numbers)} folders for {len(wanted)} clips of the shard"]
     if not (folder / "truth" / "clips.parquet").is_file():
-        return []
-    table, problems = pd.read_parquet(folder / "truth" / "clips.parquet"), []
-    clips = clip_folders(folder)
-    if [int(c.name) for c in clips] != table["clip"].tolist():
+        return [] if numbers == list(range(len(clips))) else [f"clips/: {len(clips)} folders, with gaps between them"]
+    table = pd.read_parquet(folder / "truth" / "clips.parquet", columns=["clip", "frames_sha256"])
+    if numbers != table["clip"].tolist():
         problems.append(f"clips/: {len(clips)} folders for {len(table)} rows of truth/clips.parquet")
     for path, digest in zip(clips, table["frames_sha256"], strict=False):
-        if digest and digest != sha256(path / "frames.tif"):
+        withheld = not (path / "camera.json").exists()
+        if digest and not withheld and digest != sha256(path / "frames.tif"):
             problems.append(f"clips/{path.name}/frames.tif: not the frames of truth/clips.parquet")
     return problems
-
-
-def _card(about: dict[str, Any], table: pd.DataFrame) -> str:
-    names = ", ".join(dict.fromkeys(table["scene"]))
-    video = bool((table["frames_sha256"] != "").all())
-    reading = [
-        "| file | in one line |",
-        "|---|---|",
-        *(
-            ['| `clips/000000/frames.tif` | `tifffile.imread("clips/000000/frames.tif")`, (frames, height, width) |']
-            if video
-            else []
-        ),
-        '| `clips/000000/camera.json` | `json.load(open("clips/000000/camera.json"))` |',
-        '| `truth/clips.parquet` | `pandas.read_parquet("truth/clips.parquet")`, a row a clip |',
-        '| `clips/000000/truth/tracks.parquet` | `pandas.read_parquet("clips/000000/truth/tracks.parquet")` |',
-        '| `clips/000000/truth/events.parquet` | `pandas.read_parquet("clips/000000/truth/events.parquet")` |',
-    ]
-    return "\n".join(
-        [
-            f"# {names}: {len(table)} clips of rolling steel balls",
-            "",
-            f"Made by synthcam {about['version']}, seed {about['seed']}"
-            + (f", drawn by {about['gl']['renderer']}." if about["gl"] else ", without video."),
-            "Synthetic: every position, spin and event is known and lies under `truth/`; a tracker may open the frames",
-            "and camera.json only. SI units; x right and y down in the image, (0, 0) the centre of the top-left pixel.",
-            "Licence: CC0 1.0.",
-            "",
-            *reading,
-            "",
-            "`synthcam verify DATASET` holds every file to SHA256SUMS.",
-            "",
-        ]
-    )

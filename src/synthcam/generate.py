@@ -2,205 +2,269 @@
 
 from __future__ import annotations
 
+import errno
 import json
-import multiprocessing
-import os
 import platform
 import shutil
-import signal
-import threading
+import time
 from collections.abc import Callable, Iterator
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
-from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, partial
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pandas as pd
 
-from synthcam.dataset import Frames, clip_folders, finish, view_of, write_clip
+from synthcam.dataset import Frames, finish, finish_shard, view_of, write_clip
+from synthcam.partial import PLAN, Partial, aside, begin, settle
+from synthcam.pool import each
 from synthcam.scene import Clip, Scene, check_scene
 from synthcam.sensor import Chip, Sensor
 from synthcam.settings import InputError
 from synthcam.view import View
 
-PLAN = "plan.json"
+FULL = {errno.ENOSPC, errno.EDQUOT, errno.EROFS}  # what will happen to the next clip as well
+TRIALS = 3  # clips made before the others to tell how long these will take
 
 
 @dataclass(frozen=True)
 class Plan:
-    """What a dataset is made of: scenes with `clips` clips each, numbered on from one to the next."""
+    """What a dataset is made of: scenes with `clips` clips each, numbered on from one to the next.
+
+    shard (I, N): only every N-th clip, from the I-th, so that each shard has its share of each scene.
+    """
 
     scenes: tuple[Scene, ...]
     clips: int
     seed: int
     video: bool = True
+    compression: str = "none"
+    shard: tuple[int, int] | None = None
+
+    @property
+    def numbers(self) -> range:
+        first, step = self.shard or (1, 1)
+        return range(first - 1, self.clips * len(self.scenes), step)
 
     @property
     def total(self) -> int:
-        return self.clips * len(self.scenes)
+        return len(self.numbers)
 
     def clip(self, number: int) -> Clip:
         return self.scenes[number // self.clips].draw(number, self.seed)
 
     def document(self) -> dict[str, Any]:
-        """What must agree for two runs to be the same dataset."""
+        """What must agree for two runs to be the same dataset, or the same shard of it."""
         return {
             "scenes": [s.settings for s in self.scenes],
             "clips_per_scene": self.clips,
             "seed": self.seed,
             "video": self.video,
             "version": version("synthcam"),
+            **({"compression": self.compression} if self.compression != "none" else {}),
+            **({"shard": list(self.shard)} if self.shard else {}),
         }
 
-    def bytes(self) -> int:
-        """Disk the frames will take, about."""
+    @classmethod
+    def of(cls, document: dict[str, Any]) -> Plan:
+        """The plan that a document tells of, shards aside."""
+        scenes = tuple(check_scene(s, "scene") for s in document["scenes"])
+        wanted = {"clips_per_scene", "seed", "video"}
+        clips, seed, video = (document[k] for k in sorted(wanted))
+        return cls(scenes, clips, seed, video, document.get("compression", "none"))
+
+    def bytes(self, clips: int) -> int:
+        """Disk the frames of so many clips will take, before compression."""
         sizes = []
         for k in range(len(self.scenes)):
             clip = self.clip(k * self.clips)
             width, height = clip.camera.size
             sizes.append(width * height * clip.frames * (1 if clip.sensor.bits == 8 else 2))
-        return sum(sizes) * self.clips if self.video else 0
+        return int(np.mean(sizes) * clips) if self.video else 0
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """made: clips written by this run. failed: what went wrong, a line a clip. table: None while clips are missing."""
+    """made: clips written by this run. failed: what went wrong, a line a clip. root: of the truth, if complete."""
 
     made: int
     failed: tuple[str, ...]
-    table: pd.DataFrame | None
+    root: Path | None
+
+    @property
+    def table(self) -> pd.DataFrame | None:
+        """The scalars, a row a clip; None while clips are missing."""
+        return None if self.root is None else pd.read_parquet(self.root / "truth" / "clips.parquet")
 
 
-def run(plan: Plan, output: Path, workers: int, tick: Callable[[int, int], None]) -> Outcome:
+def run(
+    plan: Plan,
+    output: Path,
+    workers: int,
+    tick: Callable[[int, int], None],
+    withheld: Path | None = None,
+    scheduler: str = "",
+    tell: Callable[[str], None] | None = None,
+) -> Outcome:
     """Make the dataset at `output`; `tick(done, total)` after each clip.
 
     All is made in a folder beside it, `output`.partial, and moved into place when complete, so that a killed run goes
-    on where it was. Raises InputError when either folder holds something else, NoGL when nothing can draw.
+    on where it was. withheld: another folder, for the truth. scheduler: address of a Dask scheduler, whose workers see
+    the same folders. tell: hears an estimate of time and disk before the start. Raises InputError when a folder holds
+    something else or the disk is full, NoGL when nothing can draw.
     """
-    partial = output.with_name(output.name + ".partial")
-    if output.exists() and not _empty(output):
-        _same_or_refuse(plan, output, output / "truth" / "dataset.json")
+    made = begin(output, plan.document(), withheld)
+    if made is None:
         tick(plan.total, plan.total)
-        return Outcome(0, (), pd.read_parquet(output / "truth" / "clips.parquet"))
-    # a run killed at its very end has left no plan any more, but a dataset.json
-    about = partial / "truth" / "dataset.json"
-    _same_or_refuse(plan, partial, about if about.is_file() and not (partial / PLAN).exists() else partial / PLAN)
-    partial.mkdir(parents=True, exist_ok=True)
-    aside = partial.with_name(partial.name + ".plan")
-    aside.write_text(json.dumps(plan.document(), indent=1))
-    aside.replace(partial / PLAN)
-    (partial / "clips").mkdir(exist_ok=True)
-    for leftover in (partial / "clips").glob("*.tmp"):
-        shutil.rmtree(leftover)
-    done = {int(c.name) for c in clip_folders(partial)}
-    todo = [k for k in range(plan.total) if k not in done]
+        return Outcome(0, (), withheld or output)
+    try:
+        return _make(plan, made, workers, tick, scheduler, tell)
+    except Exception as e:
+        if not made.done():
+            made.discard()
+        if isinstance(e, OSError):
+            where = e.filename or made.folder
+            raise InputError(f"{where}: {_why(e)}; the same command goes on where it stopped") from None
+        raise
+    finally:
+        made.close()
+
+
+def _make(
+    plan: Plan,
+    made: Partial,
+    workers: int,
+    tick: Callable[[int, int], None],
+    scheduler: str,
+    tell: Callable[[str], None] | None,
+) -> Outcome:
+    done = made.done()
+    todo = [k for k in plan.numbers if k not in done]
+    _check_disk(plan, made.folder, len(todo))
+    drawn_by: list[dict[str, Any]] = []
+    if scheduler:
+        from synthcam.cluster import Cluster  # here alone: Dask is an extra
+
+        cluster = Cluster(scheduler)
+        drawn_by = cluster.everywhere(partial(drawing, plan.video))
+        results = cluster.each(todo, partial(_make_anywhere, json.dumps(plan.document()), *_folders(made)))
+    else:
+        results = _here(plan, made, todo, workers, tell)
     tick(len(done), plan.total)
     failed = []
-    for k, trouble in enumerate(_each(plan, partial, todo, workers), 1):
-        failed += [trouble] if trouble else []
+    for k, (number, trouble) in enumerate(results, 1):
+        failed += [f"clip {number}: {trouble}"] if trouble else []
         tick(len(done) + k, plan.total)
+    made.tidy()
     if failed:
-        if not clip_folders(partial):
-            shutil.rmtree(partial)
+        if not made.done():
+            made.discard()
         return Outcome(len(todo) - len(failed), tuple(failed), None)
-    about_all = plan.document() | {"gl": _gl() if plan.video else {}, "machine": _machine()}
-    table = finish(partial, about_all, unlisted=PLAN)
-    (partial / PLAN).unlink()
-    partial.rename(output)
-    return Outcome(len(todo), (), table)
+    complete(plan, made, drawn_by or [drawing(plan.video)])
+    return Outcome(len(todo), (), made.withheld or made.output)
 
 
-def _empty(folder: Path) -> bool:
-    return folder.is_dir() and not any(folder.iterdir())
+def complete(plan: Plan, made: Partial, drawn_by: list[dict[str, Any]]) -> None:
+    """Write what covers all clips and move the dataset into its place. drawn_by: each kind of machine once."""
+    about = plan.document() | drawn_by[0] | ({"drawn_by": drawn_by} if len(drawn_by) > 1 else {})
+    if plan.shard:
+        finish_shard(made.folder, about | {"clips": list(plan.numbers)}, unlisted=PLAN)
+    else:
+        finish(made.folder, about, unlisted=PLAN, secret=made.truth if made.withheld else None)
+    made.publish()
 
 
-def _same_or_refuse(plan: Plan, folder: Path, document: Path) -> None:
-    if not folder.exists() or _empty(folder):
-        return
-    if not document.is_file():
-        raise InputError(f"{folder}: holds something else; expected a dataset of this scene, or nothing")
-    try:
-        found = json.loads(document.read_text())
-    except ValueError:
-        raise InputError(f"{document}: not JSON; remove the folder to start anew") from None
-    wanted = json.loads(json.dumps(plan.document()))
-    for key, value in wanted.items():
-        if not isinstance(found, dict) or found.get(key) != value:
-            raise InputError(f"{folder}: holds a dataset with another {key}; choose another folder")
+def _here(
+    plan: Plan, made: Partial, todo: list[int], workers: int, tell: Callable[[str], None] | None
+) -> Iterator[tuple[int, str]]:
+    """Make the clips on this machine: (number, '' or what went wrong), in the order in which they end."""
+    folders = _folders(made)
+    if tell and todo:
+        trials = todo[:TRIALS]
+        for number in trials:  # the first loads libraries, draws the chip and starts OpenGL
+            started = time.perf_counter()
+            yield number, make_clip(plan, number, *folders)
+        tell(_estimate(plan, made.folder, todo[len(trials) :], time.perf_counter() - started, workers))
+        todo = todo[len(trials) :]
+    if min(workers, len(todo)) > 1:
+        document = json.dumps(plan.document())
+        yield from each(todo, min(workers, len(todo)), partial(_ready, document, *folders))
+    else:
+        yield from ((number, make_clip(plan, number, *folders)) for number in todo)
 
 
-def _each(plan: Plan, folder: Path, todo: list[int], workers: int) -> Iterator[str]:
-    """Make the clips; '' or what went wrong, in the order in which they end."""
-    workers = min(workers, len(todo))
-    if workers <= 1:
-        for number in todo:
-            yield make_clip(plan, number, folder)
-        return
-    # llvmpipe with its own threads, or BLAS with its own, would fight over the same cores
-    os.environ |= {"LP_NUM_THREADS": "0", "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
-    context = multiprocessing.get_context("spawn")
-    pool = ProcessPoolExecutor(workers, mp_context=context, initializer=_prepare, initargs=(plan.document(),))
-    queue, running = iter(todo), dict[Future[str], int]()
-    try:
-        while True:
-            for number in queue:
-                running[pool.submit(_make_in_worker, number, str(folder))] = number
-                if len(running) >= 3 * workers:
-                    break
-            if not running:
-                break
-            ended, _ = wait(running, return_when=FIRST_COMPLETED)
-            for future in ended:
-                running.pop(future)
-                yield future.result()
-    except BrokenProcessPool:
-        raise InputError("a worker was killed; run the same command again to go on where it stopped") from None
-    finally:
-        pool.shutdown(wait=True, cancel_futures=True)
+def _estimate(plan: Plan, folder: Path, todo: list[int], seconds: float, workers: int) -> str:
+    left = seconds * len(todo) / max(min(workers, len(todo)), 1)
+    unit = f"{left / 60:.0f} min" if left > 90 else f"{left:.0f} s"
+    need, free = (b / 1e6 for b in (plan.bytes(len(todo)), shutil.disk_usage(folder).free))
+    return f"{len(todo)} clips to come: about {unit}, {need:,.0f} MB of {free:,.0f} MB free"
 
 
-_PLAN: Plan | None = None
+def _check_disk(plan: Plan, folder: Path, clips: int) -> None:
+    need, free = plan.bytes(clips), shutil.disk_usage(folder).free
+    if need > free and plan.compression == "none":
+        raise InputError(f"{folder}: {clips} clips take {need / 1e6:,.0f} MB, and {free / 1e6:,.0f} MB are free there")
 
 
-def _prepare(document: dict[str, Any]) -> None:
-    """In a worker: the plan, once."""
-    global _PLAN
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent decides
-    threading.Thread(target=_leave_with_parent, daemon=True).start()
-    scenes = tuple(check_scene(s, "scene") for s in document["scenes"])
-    _PLAN = Plan(scenes, document["clips_per_scene"], document["seed"], document["video"])
+def _folders(made: Partial) -> tuple[Path, Path]:
+    return made.folder.absolute(), made.truth.absolute()
 
 
-def _leave_with_parent() -> None:
-    """A killed parent tells nobody: its workers would wait for ever, and write into the folder of the next run."""
-    parent = multiprocessing.parent_process()
-    if parent is not None:
-        parent.join()
-        os._exit(1)
+def _ready(document: str, folder: Path, secret: Path) -> Callable[[int], str]:
+    """In a worker: what makes a clip."""
+    return partial(_make_anywhere, document, folder, secret)
 
 
-def _make_in_worker(number: int, folder: str) -> str:
-    assert _PLAN is not None
-    return make_clip(_PLAN, number, Path(folder))
+@lru_cache(maxsize=2)
+def _plan(document: str) -> Plan:
+    return Plan.of(json.loads(document))
 
 
-def make_clip(plan: Plan, number: int, folder: Path) -> str:
-    """Make one clip of a plan in `folder`/clips; '' or one line on why it could not be made."""
-    final = folder / "clips" / f"{number:06d}"
-    aside = final.with_suffix(".tmp")
+def _make_anywhere(document: str, folder: Path, secret: Path, number: int) -> str:
+    """In a worker, perhaps on another machine: make one clip of the plan that `document` tells of."""
+    wanted = json.loads(document)["version"]
+    if version("synthcam") != wanted:
+        return f"its worker has synthcam {version('synthcam')}, expected {wanted}"
+    if not (folder / "clips").is_dir():
+        return f"{folder}: no such folder on {platform.node()}; workers must see the dataset's folder at the same path"
+    return make_clip(_plan(document), number, folder, secret)
+
+
+def make_clip(plan: Plan, number: int, folder: Path, secret: Path | None = None) -> str:
+    """Make one clip of a plan in `folder`/clips; '' or one line on why it could not be made.
+
+    secret: another folder for the truth. A full disk is raised, for no clip would fare better.
+    """
+    name = f"{number:06d}"
+    final, secret = folder / "clips" / name, secret or folder
+    hidden = None if secret == folder else secret / "clips" / name / "truth"
+    made, kept = aside(final), aside(hidden) if hidden else None
     try:
         clip = plan.clip(number)
         view = view_of(clip)
         frames = film(clip, view, plan.seed) if plan.video else None
-        write_clip(aside, clip, view, frames, {"seed": plan.seed})
-        aside.rename(final)
-    except (ValueError, OSError) as e:
-        shutil.rmtree(aside, ignore_errors=True)
-        return f"clip {number}: {e}"
+        write_clip(made, clip, view, frames, {"seed": plan.seed}, kept, plan.compression)
+        if kept and hidden:
+            settle(kept, hidden)
+        settle(made, final)
+    except Exception as e:
+        for leftover in (made, kept):
+            if leftover:
+                shutil.rmtree(leftover, ignore_errors=True)
+        if type(e).__name__ == "NoGL" or (isinstance(e, OSError) and e.errno in FULL):
+            raise
+        return _why(e)
     return ""
+
+
+def _why(error: Exception) -> str:
+    """One line; an error nobody foresaw keeps its name."""
+    if isinstance(error, OSError):
+        return f"{error.strerror or error}"
+    said = " ".join(str(error).split())
+    return said if isinstance(error, ValueError) else f"{type(error).__name__}: {said}"
 
 
 def film(clip: Clip, view: View, seed: int) -> Frames:
@@ -225,10 +289,14 @@ def _chip(sensor: Sensor, size: tuple[int, int], exposure: float, seed: int) -> 
     return Chip(sensor, size, exposure, seed)
 
 
-def _gl() -> dict[str, str]:
-    from synthcam.render import gl_info
+def drawing(video: bool) -> dict[str, Any]:
+    """What, beside the plan, decides the pixels: OpenGL's renderer and this machine."""
+    gl: dict[str, str] = {}
+    if video:
+        from synthcam.render import gl_info
 
-    return dict(gl_info())
+        gl = dict(gl_info())
+    return {"gl": gl, "machine": _machine()}
 
 
 def _machine() -> dict[str, str]:

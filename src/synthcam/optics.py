@@ -11,6 +11,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from synthcam import reflections
+from synthcam.lamp import Lamp
+
+__all__ = ["Camera", "Lamp", "glint", "glint_px"]
 
 Array = NDArray[np.float64]
 
@@ -21,6 +24,9 @@ class Camera:
 
     K: (3, 3) px. dist: (5,). R: (3, 3), t: (3,) m, world to camera. size: (w, h) px. fps: 1/s. exposure: s.
     scale: m/px at the height of the balls' centres. psf_sigma_px: standard deviation of the optics' blur, px.
+    defocus_px: radius of the disc to which defocus spreads a point, px. airy_px: wavelength x f-number over the
+    pixel pitch, 0 without diffraction. vignetting: share of the light lost in the picture's corners. line_time: s
+    from one row's exposure to the next row's below, 0 for a global shutter.
     """
 
     K: Array
@@ -32,6 +38,10 @@ class Camera:
     exposure: float
     scale: float
     psf_sigma_px: float
+    defocus_px: float = 0.0
+    airy_px: float = 0.0
+    vignetting: float = 0.0
+    line_time: float = 0.0
 
     @classmethod
     def overhead(
@@ -46,12 +56,13 @@ class Camera:
         fps: float,
         exposure: float,
         psf_sigma_px: float,
+        **more: float,
     ) -> "Camera":
         """Camera `height` m from the world's origin, looking at it; `scale` m/px holds at z = ball_radius.
 
         tilt = (a, b): the camera is carried round the origin by a rad about the world's x axis, then by b
-        about y, and keeps its distance and its aim: its centre is Ry(b) Rx(a) (0, 0, height). Raises
-        ValueError where height does not exceed ball_radius.
+        about y, and keeps its distance and its aim: its centre is Ry(b) Rx(a) (0, 0, height). more: defocus_px,
+        airy_px, vignetting, line_time. Raises ValueError where height does not exceed ball_radius.
         """
         if height <= ball_radius:
             raise ValueError(f"camera height {height} m must be over the balls' centres at {ball_radius} m")
@@ -70,6 +81,7 @@ class Camera:
             exposure=float(exposure),
             scale=float(scale),
             psf_sigma_px=float(psf_sigma_px),
+            **more,
         )
 
     @property
@@ -116,14 +128,6 @@ class Camera:
         yy = radial + rise * y * y + 6 * p1 * y + 2 * p2 * x
         bend = np.stack([np.stack([xx, mixed], -1), np.stack([mixed, yy], -1)], -2)
         return bent, bend
-
-
-@dataclass(frozen=True)
-class Lamp:
-    """A disc of uniform radiance facing straight down. position: (3,) m, its centre. radius: m."""
-
-    position: Array
-    radius: float
 
 
 def glint(camera: Camera, lamp: Lamp, centre: ArrayLike, radius: float) -> Array:

@@ -1,4 +1,4 @@
-"""One exposure as a picture, and what it takes to gather it: sub-exposures, the optics' blur, glints.
+"""One exposure as a picture, and what it takes to gather it: sub-exposures, spots, the patches they fall in.
 
 A picture's unit is the peak pixel of a resting ball's primary glint, seen at the world's origin with the
 glint on a pixel's centre, blur and pixel integration included.
@@ -12,15 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr
 
-from synthcam import reflections
-from synthcam.optics import Camera, Lamp
+from synthcam.optics import Camera
 
 Array = NDArray[np.float64]
 Box = tuple[slice, slice]
-
-# Chrome steel in green light; Schlick's law for the angle. The lamp's images of order 2, 3, 4 between balls
-# in contact then carry 5.3, .9, .2 % of the primary.
-STEEL = 0.55
 
 
 @dataclass(frozen=True)
@@ -57,13 +52,15 @@ def pieces(intervals: Array, breaks: Array) -> tuple[Array, Array, NDArray[np.in
     return np.array(bounds).reshape(-1, 2), np.array(weights), np.array(frames, dtype=np.intp)
 
 
-def sample(bounds: Array, weights: Array, frames: NDArray[np.intp], travel: Array) -> Moments:
-    """Gauss-Legendre moments of each piece; travel (P,) is how far its balls move over the blur's sigma.
+def sample(bounds: Array, weights: Array, frames: NDArray[np.intp], travel: Array, wave: Array | float = 0) -> Moments:
+    """Gauss-Legendre moments of each piece; travel (P,) is how far its balls move over the blur's sigma, wave by
+    how much the light's phase turns, rad.
 
     The number of moments keeps the streak within 1e-4 of its peak; its centroid is exact for any of them
     as long as the motion is a polynomial of low degree.
     """
     counts = np.select([travel < 0.02, travel < 0.5], [1, 2], 2 + np.ceil(travel)).astype(int)
+    counts = np.maximum(counts, np.where(np.asarray(wave) > 0, 2 + np.ceil(wave), 1).astype(int))
     rules = {n: np.polynomial.legendre.leggauss(n) for n in set(counts.tolist())}
     middles, halves = bounds.mean(axis=1), np.diff(bounds, axis=1)[:, 0] / 2
     times, parts = [], []
@@ -76,79 +73,30 @@ def sample(bounds: Array, weights: Array, frames: NDArray[np.intp], travel: Arra
     return Moments(np.concatenate(times), np.concatenate(parts), np.repeat(frames, counts))
 
 
-@dataclass(frozen=True)
-class Glints:
-    """Images of the lamp in the balls.
+def spots(pixels: Array, variances: Array, origins: Array, width: int, steps: int = 1) -> tuple[Array, Array]:
+    """Gaussian spots of unit flux integrated over square pixels: rows and columns, each (G, width steps).
 
-    moment, ball: (G,) which sub-exposure, and the ball it is seen on. pixels: (G, 2). spread: (G, 2) px^2,
-    variance of the lamp's image along columns and rows. flux: (G,) solid angle in px^2 times reflectance.
-    order: (G,) number of bounces.
+    Their outer product is the spot in the box whose first pixel is origins (G, 2) (column, row), sampled at `steps`
+    places a pixel.
     """
-
-    moment: NDArray[np.intp]
-    ball: NDArray[np.intp]
-    pixels: Array
-    spread: Array
-    flux: Array
-    order: NDArray[np.intp]
-
-
-def find_glints(camera: Camera, lamp: Lamp, centres: Array, radii: Array, wanted: NDArray[np.bool_]) -> Glints:
-    """Every lamp image of order 1 to 4 on the wanted (T, N) balls, for centres (T, N, 3), radii (N,), m.
-
-    The lamp's image is its disc under the exact derivative of the reflected path, so its flux and its second
-    moments are exact to first order in the lamp's size; its centre's path decides whether it is hidden.
-    """
-    eye = camera.centre
-    found = []
-    for chain, active in reflections.chains(centres, radii):
-        moment = np.flatnonzero(active & wanted[:, chain[-1]])
-        if not len(moment):
-            continue
-        balls = np.array(chain)
-        spheres = np.broadcast_to(radii[balls], (len(moment), len(chain)))
-        paths = reflections.reflect(lamp.position, eye, centres[moment][:, balls], spheres)
-        pixels, slope = camera.project_with_slope(paths.points[:, -1])
-        shape = (slope @ paths.transfer)[:, :, :2]  # the disc lies flat: x and y only
-        area = np.pi * lamp.radius**2 * np.abs(np.linalg.det(shape))
-        flux = area * np.prod(mirror(paths.cosines), axis=1)
-        spread = (shape**2).sum(axis=2) * lamp.radius**2 / 4
-        seen = paths.exists & ~reflections.hidden(lamp.position, eye, paths, chain, centres[moment], radii)
-        order = np.full(len(moment), len(chain), dtype=np.intp)
-        ball = np.full(len(moment), chain[-1], dtype=np.intp)
-        found.append([part[seen] for part in (moment, ball, pixels, spread, flux, order)])
-    if not found:
-        none, flat, nowhere = np.zeros(0, np.intp), np.zeros(0), np.zeros((0, 2))
-        return Glints(none, none, nowhere, nowhere, flat, none)
-    return Glints(*[np.concatenate(parts) for parts in zip(*found, strict=True)])
-
-
-def mirror(cosines: Array) -> Array:
-    """Reflectance of steel at an angle of incidence (Schlick 1994, Comput. Graph. Forum 13)."""
-    return np.asarray(STEEL + (1 - STEEL) * np.clip(1 - cosines, 0, 1) ** 5)
-
-
-def spots(pixels: Array, variances: Array, origins: Array, width: int) -> tuple[Array, Array]:
-    """Gaussian spots of unit flux integrated over square pixels: rows (G, width) and columns (G, width).
-
-    Their outer product is the spot in the box whose first pixel is origins (G, 2) (column, row).
-    """
-    edges = np.arange(width + 1) - 0.5
+    edges = np.arange(width * steps + steps) / steps - 0.5
     sides = []
     for axis in (1, 0):
         place = (pixels - origins)[:, axis, None]
-        sides.append(np.diff(ndtr((edges - place) / np.sqrt(variances[:, axis, None])), axis=1))
+        below = ndtr((edges - place) / np.sqrt(variances[:, axis, None]))
+        sides.append(below[:, steps:] - below[:, :-steps])
     return sides[0], sides[1]
 
 
-def blur_matrix(width: int, margin: int, fineness: int, sigma: float) -> NDArray[np.float32]:
-    """Matrix (width, (width - 2 margin) fineness): samples of a line to pixels that lie `margin` further out.
+def blur_matrix(width: int, margin: int, fineness: int, sigma: float, steps: int = 1) -> NDArray[np.float32]:
+    """Matrix (width steps, (width - 2 margin) fineness): samples of a line to pixels that lie `margin` further out.
 
-    Each sample, 1/fineness px wide, is blurred by a Gaussian and integrated over each pixel.
+    Each sample, 1/fineness px wide, is blurred by a Gaussian and integrated over each pixel, at `steps` places a pixel.
     """
     at = (np.arange((width - 2 * margin) * fineness) + 0.5) / fineness - 0.5 + margin
-    edges = np.arange(width + 1)[:, None] - 0.5
-    return (np.diff(ndtr((edges - at) / sigma), axis=0) / fineness).astype(np.float32)
+    edges = np.arange(width * steps + steps)[:, None] / steps - 0.5
+    below = ndtr((edges - at) / sigma)
+    return ((below[steps:] - below[:-steps]) / fineness).astype(np.float32)
 
 
 class Patches:
@@ -158,8 +106,10 @@ class Patches:
     and ball, -1 out of view. Each depends on its own frame alone.
     """
 
-    def __init__(self, camera: Camera, moments: Moments, pixels: Array, extent: Array, frames: int) -> None:
-        self.margin = int(np.ceil(4.5 * camera.psf_sigma_px))
+    def __init__(
+        self, camera: Camera, margin: int, moments: Moments, pixels: Array, extent: Array, frames: int
+    ) -> None:
+        self.margin = margin
         balls = pixels.shape[1]
         low, high = np.full((frames, balls, 2), np.inf), np.full((frames, balls, 2), -np.inf)
         around = extent[..., None] + self.margin

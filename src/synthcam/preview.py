@@ -1,12 +1,16 @@
-"""One frame of a scene as a picture for people, and how fast frames are made."""
+"""A scene as a picture or a film for people, and how fast frames are made."""
 
 from __future__ import annotations
 
 import itertools
+import os
+import tempfile
 import time
+from collections.abc import Iterator
 from pathlib import Path
 
 import cv2
+import imageio.v3 as iio
 import numpy as np
 from numpy.typing import NDArray
 
@@ -16,6 +20,9 @@ from synthcam.scene import Clip, check_scene
 
 Counts = NDArray[np.uint8] | NDArray[np.uint16]
 TIMED = 40  # frames
+SHOWN_FPS = 20  # of a film for people: GIF counts in hundredths of a second
+WIDTH = 640  # px of a film, about
+MARGIN = 2.0  # ball diameters round the balls' paths
 
 
 def write_preview(clip: Clip, seed: int, path: Path, frame: int | None, magnify: int) -> None:
@@ -40,6 +47,72 @@ def write_preview(clip: Clip, seed: int, path: Path, frame: int | None, magnify:
     path.write_bytes(data.tobytes())
 
 
+def write_film(clip: Clip, seed: int, path: Path) -> float:
+    """Write a clip as .gif or .mp4, cropped to where the balls pass and magnified; how many times slower it plays.
+
+    What is dark is brought out, as in `write_preview`. A strip below the picture tells the speed and the time.
+    """
+    view = view_of(clip)
+    slower = clip.camera.fps / SHOWN_FPS
+    places = view.at(np.arange(clip.frames) / clip.camera.fps)[:, :, :3]
+    rows, columns = _crop(clip, places)
+    size = max(rows.stop - rows.start, columns.stop - columns.start)
+    zoom = max(1, round(WIDTH / size))
+    black = clip.sensor.black_level / 2 ** (clip.sensor.bits - 8)
+
+    def shown() -> Iterator[NDArray[np.uint8]]:
+        for k, counts in enumerate(film(clip, view, seed)):
+            patch = _lifted(_grey(counts, clip.sensor.bits)[rows, columns], black)
+            large = np.kron(patch, np.ones((zoom, zoom), np.uint8))
+            yield _with_caption(large, f"{slower:.3g} x slower   {1e3 * k / clip.camera.fps:.0f} ms")
+
+    with tempfile.TemporaryDirectory(dir=path.parent, prefix=f".{path.name}-") as folder:
+        aside = Path(folder) / f"film{path.suffix.lower()}"
+        if aside.suffix == ".gif":
+            iio.imwrite(aside, list(shown()), duration=1000 / SHOWN_FPS, loop=0)
+        else:
+            _write_mp4(aside, shown())
+        aside.replace(path)
+    return slower
+
+
+def _write_mp4(path: Path, frames: Iterator[NDArray[np.uint8]]) -> None:
+    first = next(frames)
+    size = (first.shape[1], first.shape[0])
+    writer = cv2.VideoWriter(os.fspath(path), cv2.VideoWriter.fourcc(*"mp4v"), SHOWN_FPS, size, False)
+    if not writer.isOpened():
+        raise OSError(f"{path.suffix}: this OpenCV cannot write MPEG-4")
+    for frame in itertools.chain([first], frames):
+        writer.write(frame)
+    writer.release()
+
+
+def _crop(clip: Clip, places: NDArray[np.float64]) -> tuple[slice, slice]:
+    """Rows and columns round the paths (N, T, 3) of the balls, within the picture; even, as MPEG wants it."""
+    px = clip.camera.project(places.reshape(-1, 3))
+    width, height = clip.camera.size
+    inside = px[((px >= 0) & (px < [width, height])).all(axis=1)]
+    if not len(inside):
+        return slice(0, height), slice(0, width)
+    margin = MARGIN * float(clip.model.ball.diameter * clip.camera.K[0, 0] / abs(clip.camera.t[2]))
+    low = np.clip(np.floor(inside.min(axis=0) - margin), 0, None).astype(int)
+    high = np.clip(np.ceil(inside.max(axis=0) + margin), None, [width, height]).astype(int)
+    high -= (high - low) % 2
+    return slice(int(low[1]), int(high[1])), slice(int(low[0]), int(high[0]))
+
+
+def _with_caption(picture: NDArray[np.uint8], text: str) -> NDArray[np.uint8]:
+    strip = np.full((24, picture.shape[1]), 40, np.uint8)
+    scale = min(0.5, picture.shape[1] / 480)
+    cv2.putText(strip, text, (6, 17), cv2.FONT_HERSHEY_SIMPLEX, scale, 230, 1, cv2.LINE_AA)
+    return np.vstack([picture, strip])
+
+
+def _lifted(picture: NDArray[np.uint8], black: float) -> NDArray[np.uint8]:
+    """Black subtracted, cube root to show what is dark."""
+    return np.asarray(255 * np.cbrt(np.clip((picture - black) / (255 - black), 0, 1))).astype(np.uint8)
+
+
 def _grey(counts: Counts, bits: int) -> NDArray[np.uint8]:
     return (counts >> (bits - 8)).astype(np.uint8) if bits > 8 else counts.astype(np.uint8)
 
@@ -47,13 +120,12 @@ def _grey(counts: Counts, bits: int) -> NDArray[np.uint8]:
 def _with_inset(
     picture: NDArray[np.uint8], middle: NDArray[np.float64], magnify: int, black: float
 ) -> NDArray[np.uint8]:
-    """The frame, and below it a strip round `middle`, magnified, black subtracted, cube root to show what is dark."""
+    """The frame, and below it a strip round `middle`, magnified, with what is dark brought out."""
     width = picture.shape[1]
     across, down = width // magnify, max(width // magnify // 2, 1)
     left = int(np.clip(round(middle[0]) - across // 2, 0, picture.shape[1] - across))
     top = int(np.clip(round(middle[1]) - down // 2, 0, max(picture.shape[0] - down, 0)))
-    patch = picture[top : top + down, left : left + across]
-    lifted = (255 * np.cbrt(np.clip((patch - black) / (255 - black), 0, 1))).astype(np.uint8)
+    lifted = _lifted(picture[top : top + down, left : left + across], black)
     large = np.kron(lifted, np.ones((magnify, magnify), np.uint8))
     strip = np.zeros((large.shape[0] + 4, width), np.uint8)
     strip[:4] = 90

@@ -36,7 +36,7 @@ class Paths:
 
 
 def reflect(lamp: Array, eye: Array, centres: Array, radii: Array) -> Paths:
-    """Path from lamp (3,) by the spheres centres (M, k, 3), radii (M, k), in that order, to eye (3,); m."""
+    """Path from lamp (3,) or (M, 3) by the spheres centres (M, k, 3), radii (M, k), in that order, to eye (3,); m."""
     count, order = centres.shape[:2]
     normals = _first_guess(lamp, eye, centres)
     ends = np.empty((count, order + 2, 3))
@@ -65,6 +65,21 @@ def reflect(lamp: Array, eye: Array, centres: Array, radii: Array) -> Paths:
     transfer = tangents[:, -1] @ moves[:, -2:]
     settled = np.abs(step).max(axis=(1, 2)) < 1e-6
     return Paths(ends[:, 1:-1], transfer, pressure / 2, settled & (pressure > 1e-6).all(axis=1))
+
+
+def tilted(lamp: Array, eye: Array, paths: Paths, centres: Array, radii: Array) -> Array:
+    """Derivative (M, 3, 2k) of a path's last point by tilts of the surface, rad, two ways at each point.
+
+    A facet tilted by a has the line's pull along it changed by a times the pressure: H dq = -a pressure.
+    """
+    count, order = centres.shape[:2]
+    ends = np.empty((count, order + 2, 3))
+    ends[:, 0], ends[:, 1:-1], ends[:, -1] = lamp, paths.points, eye
+    normals = (paths.points - centres) / radii[..., None]
+    tangents = _tangents(normals)
+    _, curvature, pressure, _ = _expand(ends, normals, tangents, radii)
+    push = np.eye(2 * order) * np.repeat(pressure, 2, axis=1)[:, None, :]
+    return np.asarray(-tangents[:, -1] @ np.linalg.solve(curvature, push)[:, -2:])
 
 
 def _first_guess(lamp: Array, eye: Array, centres: Array) -> Array:

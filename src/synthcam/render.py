@@ -1,230 +1,90 @@
 """A film of rolling mirror balls: bodies drawn by pyrender, the lamp's images added in closed form.
 
-The only importer of pyrender, trimesh and PyOpenGL. The bodies are ray-traced by our own shader into one
-float32 channel, without the lamp: its image is far under a pixel, and `picture` integrates it exactly.
+The bodies are ray-traced by our own shader into one float32 channel, without the lamp: its images are small and
+bright, and are added from their exact places, fluxes and moments.
 """
 
-import os
-import warnings
 from collections.abc import Callable, Iterator, Sequence
-from pathlib import Path
 from types import TracebackType
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from synthcam.canvas import SIDE, Float32, NoGL, gl_info, shared_canvas
+from synthcam.glints import PLAIN, Glints, find_glints, join
 from synthcam.optics import Camera, Lamp
-from synthcam.picture import (
-    STEEL,
-    Array,
-    Glints,
-    Moments,
-    Patches,
-    Picture,
-    blur_matrix,
-    find_glints,
-    merge,
-    pieces,
-    reach,
-    sample,
-    spots,
-)
+from synthcam.picture import Array, Moments, Patches, Picture, blur_matrix, merge, pieces, reach, sample, spots
+from synthcam.psf import Psf
+from synthcam.shutter import rolled
+from synthcam.surface import STEEL, Surface
 
-# Read when the libraries load. Rasterising in the calling thread leaves the other cores to worker processes.
-os.environ.setdefault("PYOPENGL_PLATFORM", "egl")
-os.environ.setdefault("LP_NUM_THREADS", "0")
-_missing = ""
-try:
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        import pyrender
-        import trimesh
-        from OpenGL import GL
-except Exception as error:  # PyOpenGL raises whatever its loader happens to trip over
-    pyrender = None
-    _missing = " ".join(str(error).split()) or type(error).__name__
+__all__ = ["Film", "NoGL", "gl_info"]
 
-Float32 = NDArray[np.float32]
 Index = NDArray[np.intp]
 Centres = Callable[[Array], Array]
 
 PLATE = 0.05  # radiance of the black plate under the lamp, over that of the room seen in a ball
 FINENESS = 3  # body samples a pixel, each way
-SIDE = 1024  # usual side of the buffer, samples
 BATCH = 64  # exposures gathered at a time
-MOST = 2048  # bodies in one draw call
-
-
-class NoGL(RuntimeError):
-    """OpenGL cannot draw off-screen here; the message says in one line why and what would help."""
-
-
-class _Renderer(pyrender.Renderer if pyrender else object):  # type: ignore[misc]
-    """pyrender's renderer with a float32 buffer, our shaders and bodies that add up where they overlap."""
-
-    def __init__(self) -> None:
-        super().__init__(SIDE, SIDE)
-        shaders = Path(__file__).with_name("shaders")
-        self._program_cache = pyrender.shader_program.ShaderProgramCache(shader_dir=str(shaders))
-        self.uniforms: dict[str, Any] = {}
-        self.jobs = np.zeros((0, 4, 4), np.float32)
-        self.rows = SIDE
-        self._others: Any = None
-        self._main_fb: Any
-        self._main_fb_dims: tuple[int, int]
-
-    def _configure_main_framebuffer(self) -> None:
-        size = (self.viewport_width, self.viewport_height)
-        if self._main_fb is not None and self._main_fb_dims != size:
-            self._delete_main_framebuffer()
-        if self._main_fb is None:
-            self._main_cb = self._main_cb_ms = GL.glGenRenderbuffers(1)
-            GL.glBindRenderbuffer(GL.GL_RENDERBUFFER, self._main_cb)
-            GL.glRenderbufferStorage(GL.GL_RENDERBUFFER, GL.GL_R32F, *size)
-            self._main_fb = self._main_fb_ms = GL.glGenFramebuffers(1)
-            GL.glBindFramebuffer(GL.GL_FRAMEBUFFER, self._main_fb)
-            GL.glFramebufferRenderbuffer(GL.GL_FRAMEBUFFER, GL.GL_COLOR_ATTACHMENT0, GL.GL_RENDERBUFFER, self._main_cb)
-            self._main_fb_dims = size
-
-    def _bind_lighting(self, scene: Any, program: Any, node: Any, flags: int) -> None:
-        for name, value in self.uniforms.items():
-            program.set_uniform(name, value)
-        GL.glActiveTexture(GL.GL_TEXTURE0)
-        GL.glBindTexture(GL.GL_TEXTURE_2D, self._others)
-
-    def _bind_and_draw_primitive(self, primitive: Any, pose: Any, program: Any, flags: int) -> None:
-        primitive._bind()
-        GL.glBindBuffer(GL.GL_ARRAY_BUFFER, primitive._buffers[1])  # pyrender's instance matrices
-        GL.glBufferSubData(GL.GL_ARRAY_BUFFER, 0, self.jobs.nbytes, self.jobs)
-        GL.glDisable(GL.GL_CULL_FACE)
-        GL.glDisable(GL.GL_DEPTH_TEST)
-        GL.glEnable(GL.GL_BLEND)
-        GL.glBlendFunc(GL.GL_ONE, GL.GL_ONE)
-        count = primitive.indices.size
-        GL.glDrawElementsInstanced(primitive.mode, count, GL.GL_UNSIGNED_INT, None, len(self.jobs))
-        primitive._unbind()
-
-    def _read_main_framebuffer(self, scene: Any, flags: int) -> Float32:
-        GL.glBindFramebuffer(GL.GL_READ_FRAMEBUFFER, self._main_fb)
-        read = GL.glReadPixels(0, 0, self.viewport_width, self.rows, GL.GL_RED, GL.GL_FLOAT)
-        return np.frombuffer(read, np.float32).reshape(self.rows, self.viewport_width)
-
-    def load_others(self, others: Float32) -> None:
-        """Neighbours (n, k, 4) of each body, read by the shader as the rows of a texture."""
-        if self._others is None:
-            self._others = GL.glGenTextures(1)
-        GL.glBindTexture(GL.GL_TEXTURE_2D, self._others)
-        for setting in (GL.GL_TEXTURE_MIN_FILTER, GL.GL_TEXTURE_MAG_FILTER):
-            GL.glTexParameteri(GL.GL_TEXTURE_2D, setting, GL.GL_NEAREST)
-        rows, columns = others.shape[:2]
-        GL.glTexImage2D(GL.GL_TEXTURE_2D, 0, GL.GL_RGBA32F, columns, rows, 0, GL.GL_RGBA, GL.GL_FLOAT, others)
-
-
-class _Canvas:
-    """The process's one OpenGL context with its scene: a quad, drawn once for every body."""
-
-    def __init__(self) -> None:
-        if pyrender is None:
-            raise NoGL(_no_gl(_missing))
-        try:
-            self._screen = pyrender.OffscreenRenderer(SIDE, SIDE)
-            self._screen._renderer = self._renderer = _Renderer()
-            self.info = {
-                name.lower(): GL.glGetString(getattr(GL, f"GL_{name}")).decode()
-                for name in ("RENDERER", "VERSION", "VENDOR")
-            }
-        except Exception as error:
-            raise NoGL(_no_gl(" ".join(str(error).split()) or type(error).__name__)) from error
-        self.info["platform"] = os.environ["PYOPENGL_PLATFORM"]
-        quad = trimesh.Trimesh([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]], [[0, 1, 2], [0, 2, 3]])
-        room_for_jobs = np.zeros((MOST, 4, 4), np.float32)
-        self._scene = pyrender.Scene(bg_color=np.zeros(4))
-        self._scene.add(pyrender.Mesh.from_trimesh(quad, poses=room_for_jobs))
-        self._scene.add(pyrender.IntrinsicsCamera(1, 1, 0, 0))  # pyrender asks for one; the shader does not
-
-    def draw(self, jobs: Float32, others: Float32, size: tuple[int, int], uniforms: dict[str, Any]) -> Float32:
-        """Buffer (rows, columns) of that size after all jobs (n, 4, 4) with their neighbours (n, k, 4)."""
-        total: Float32 | None = None
-        screen = self._screen
-        screen.viewport_height, screen.viewport_width = max(SIDE, size[0]), max(SIDE, size[1])
-        self._renderer.rows = size[0]
-        columns = screen.viewport_width
-        self._renderer.uniforms = uniforms | {"atlas": np.array([columns, screen.viewport_height], float)}
-        self._renderer.uniforms["others"] = 0
-        for first in range(0, len(jobs), MOST):
-            batch = slice(first, first + MOST)
-            jobs[batch, 3, 2] = np.arange(len(jobs[batch]))
-            self._renderer.jobs = np.ascontiguousarray(jobs[batch])
-            screen._platform.make_current()
-            self._renderer.load_others(np.ascontiguousarray(others[batch]))
-            drawn = screen.render(self._scene)
-            total = drawn if total is None else total + drawn
-        assert total is not None
-        return total[:, : size[1]]
-
-
-_canvas: tuple[int, _Canvas] | None = None
-
-
-def _shared_canvas() -> _Canvas:
-    """A second context in one process, or one carried over a fork, crashes some drivers."""
-    global _canvas
-    if _canvas is None:
-        _canvas = (os.getpid(), _Canvas())
-    if _canvas[0] != os.getpid():
-        raise NoGL("OpenGL was started before this process was forked: start workers by spawn instead")
-    return _canvas[1]
-
-
-def _no_gl(why: str) -> str:
-    return (
-        f"no off-screen OpenGL ({os.environ.get('PYOPENGL_PLATFORM')}): {why}; "
-        "Mesa's software renderer is enough (Debian, Ubuntu: apt install libegl1 libgl1-mesa-dri)"
-    )
-
-
-def gl_info() -> dict[str, str]:
-    """Renderer, version, vendor and platform of the OpenGL in use. Raises NoGL where there is none."""
-    return dict(_shared_canvas().info)
+CELL = 0.4  # half-width of a lamp's cells as they are seen, over the blur's sigma
 
 
 class Film:
-    """The view of one camera on a black plate under one lamp, with any number of steel balls.
+    """The view of one camera on a black plate under one lamp or two, with any number of steel balls.
 
-    camera, lamp: as in `optics`. radii: m, one a ball. room: radiance of the dim surroundings, such that a
-    ball shows it at its top at `room` times its glint's peak; it fades to the plate's towards the horizon.
-    Raises NoGL without OpenGL, ValueError where the lamp stands in view or its image is not small against
-    the optics' blur, or where the lens bends too strongly within one ball.
+    camera, lamp, surface: as in `optics`, `lamp`, `surface`. radii: m, one a ball. room: radiance of the dim
+    surroundings, such that a ball shows it at its top at `room` times its glint's peak; it fades to the plate's
+    towards the horizon. Raises NoGL without OpenGL, ValueError where a lamp stands in view, or where the lens bends
+    too strongly within one ball.
     """
 
-    def __init__(self, camera: Camera, lamp: Lamp, radii: Sequence[float], room: float = 0.02) -> None:
-        self._canvas = _shared_canvas()
-        self.camera, self.lamp, self.room = camera, lamp, room
+    def __init__(
+        self, camera: Camera, lamp: Lamp, radii: Sequence[float], room: float = 0.02, surface: Surface = PLAIN
+    ) -> None:
+        self._canvas = shared_canvas()
+        self.camera, self.lamp, self.room, self.surface = camera, lamp, room, surface
         self.radii = np.array(radii, float)
         if not (len(self.radii) and np.all(self.radii > 0)):
             raise ValueError(f"radii: expected at least one ball, all larger than 0, got {self.radii.tolist()}")
-        self._check_lamp()
+        for each in lamp.all:
+            self._check_lamp(each)
         self._check_lens()
-        rest = np.array([[[0, 0, self.radii[0]]]])
-        primary = find_glints(camera, lamp, rest, self.radii[:1], np.ones((1, 1), bool))
-        spread = primary.spread + camera.psf_sigma_px**2
-        rows, columns = spots(np.zeros((1, 2)), spread, np.zeros((1, 2)), 1)
-        self._unit = float(1 / (primary.flux * rows[0, 0] * columns[0, 0])[0])
-        radius = 2 * np.sqrt(primary.spread.max())
-        if radius > camera.psf_sigma_px:
-            raise ValueError(
-                f"lamp radius {lamp.radius} m: its image in a ball has a radius of {radius:.2g} px, "
-                f"which must be under the blur's sigma, {camera.psf_sigma_px:g} px"
-            )
+        self.psf = Psf(camera.psf_sigma_px, camera.defocus_px, camera.airy_px)
+        self._cells = [self._cell(each) for each in lamp.all]
+        self._unit = self._measure()
+        self._vignette = _vignette(camera)
+        self._plates: dict[float, Float32] = {}
         self._uniforms = {
             "up": camera.R[:, 2].copy(),
-            "zenith": float(room / STEEL),
+            "zenith": float(room / surface.head_on),
             "steel": float(STEEL),
+            "metal": np.array(surface.steel or (0.0, 0.0)),
             "lamp": np.zeros(3),
         }
         self.plate = self._draw_plate()
         self.plate.flags.writeable = False
+
+    def _resting(self, lamp: Lamp, cell: float) -> Glints:
+        rest, one = np.array([[[0, 0, self.radii[0]]]]), np.ones((1, 1), bool)
+        return find_glints(self.camera, lamp, rest, self.radii[:1], one, self.surface, cell)
+
+    def _cell(self, lamp: Lamp) -> float:
+        """Half-width, m, of the cells of a lamp that look small against the blur."""
+        seen, spread = self._resting(lamp, np.inf).spread, lamp.cells(np.inf).spread[0, :2]
+        return float(CELL * self.camera.psf_sigma_px * np.sqrt(spread.sum() / max(seen.sum(), 1e-30)))
+
+    def _measure(self) -> float:
+        """What makes the peak of a resting ball's glint one."""
+        whole, glints = self._resting(self.lamp, np.inf), self._resting(self.lamp, self._cells[0])
+        lone = len(glints.flux) == 1 and self.psf.plain
+        half = 0 if lone else self.psf.margin + int(np.ceil(np.abs(glints.pixels - whole.pixels[:1]).max()))
+        place = glints.pixels - whole.pixels[0] + half
+        spread = glints.spread + self.camera.psf_sigma_px**2
+        rows, columns = spots(place, spread, np.zeros((1, 2)), 2 * half + 1, self.psf.steps)
+        if lone:
+            return float(1 / (glints.flux * rows[0, 0] * columns[0, 0])[0])
+        spot = ((rows * glints.flux[:, None]).T @ columns)[None].astype(np.float32)
+        return float(1 / (spot if self.psf.plain else self.psf.spread(spot)).max())
 
     def __enter__(self) -> "Film":
         return self
@@ -237,11 +97,11 @@ class Film:
     def close(self) -> None:
         """Nothing to free: the OpenGL context belongs to the process."""
 
-    def _check_lamp(self) -> None:
+    def _check_lamp(self, lamp: Lamp) -> None:
         w, h = self.camera.size
-        at = self.camera.project(self.lamp.position)
+        at = self.camera.project(lamp.position)
         if np.all((at > -0.5) & (at < [w - 0.5, h - 0.5])):
-            where = self.lamp.position.tolist()
+            where = lamp.position.tolist()
             raise ValueError(f"lamp position {where} stands between the camera and the plate")
 
     def _check_lens(self) -> None:
@@ -272,7 +132,8 @@ class Film:
         jobs[0, 0, 2:] = middle
         jobs[0, 3] = -1, np.maximum(middle, [w, h] - middle).max() + 1, 0, PLATE * self.room
         uniforms = self._uniforms | {"lamp": self.camera.R @ self.lamp.position / unit}
-        return self._canvas.draw(jobs, np.zeros((1, 1, 4), np.float32), (h, w), uniforms).copy()
+        plate = self._canvas.draw(jobs, np.zeros((1, 1, 4), np.float32), (h, w), uniforms)
+        return plate.copy() if self._vignette is None else plate * self._vignette
 
     def _jobs(self, centres: Array, radii: Array, fineness: int) -> Float32:
         """Instance matrices (n, 4, 4) for bodies (n, 3), (n,), place and neighbours still to be filled in."""
@@ -298,16 +159,45 @@ class Film:
         spans, cuts = np.asarray(intervals, float).reshape(-1, 2), np.sort(np.asarray(breaks, float))
         if (spans[:, 1] < spans[:, 0]).any():
             raise ValueError("intervals: an exposure ends before it starts")
+        if self.camera.line_time:
+            yield from (self._rolled(centres, span, cuts) for span in spans)
+            return
         for first in range(0, len(spans), BATCH):
             yield from self._gather(centres, spans[first : first + BATCH], cuts)
+
+    def _rolled(self, centres: Centres, span: Array, cuts: Array) -> Picture:
+        def seen(times: Array) -> tuple[Array, Array]:
+            places = np.asarray(centres(times), float)
+            pixels, slope = self.camera.project_with_slope(places)
+            return pixels, reach(self.camera, places, self.radii, slope) + self.psf.margin
+
+        starts = span[0] + np.arange(self.camera.size[1]) * self.camera.line_time
+        light = self.lamp.flicker.mean(starts, starts + span[1] - span[0])
+        plate = (self.plate * light[:, None]).astype(np.float32) if self.lamp.flicker.depth else self.plate
+        return rolled(self.camera, seen, span, cuts, lambda spans: list(self._gather(centres, spans, cuts)), plate)
+
+    def _plate_in(self, light: float) -> Float32:
+        """The plate in so much light; the same array for the same light, to 1e-5, as the sensor's tables like it."""
+        if not self.lamp.flicker.depth:
+            return self.plate
+        light = round(light, 5)
+        if light not in self._plates:
+            self._plates[light] = self.plate * np.float32(light)
+            self._plates[light].flags.writeable = False
+        return self._plates[light]
 
     def _gather(self, centres: Centres, spans: Array, cuts: Array) -> Iterator[Picture]:
         moments, coarse = self._moments(centres, spans, cuts)
         places = np.asarray(centres(moments.times), float)
         pixels, slope = self.camera.project_with_slope(places)
         extent = reach(self.camera, places, self.radii, slope)
-        patches = Patches(self.camera, moments, pixels, extent, len(spans))
-        glints = find_glints(self.camera, self.lamp, places, self.radii, patches.number[moments.frames] >= 0)
+        patches = Patches(self.camera, self.psf.margin, moments, pixels, extent, len(spans))
+        wanted = patches.number[moments.frames] >= 0
+        found = []
+        for lamp, cell in zip(self.lamp.all, self._cells, strict=True):
+            light = lamp.light(moments.times)
+            found.append(find_glints(self.camera, lamp, places, self.radii, wanted, self.surface, cell, light))
+        glints = join(found)
         drawn: dict[int, Float32] = {}
         for width in np.unique(patches.widths):
             same = np.flatnonzero(patches.widths == width)
@@ -317,15 +207,20 @@ class Film:
                 alike = same[first : first + room_for]
                 bodies = self._bodies(centres, coarse, patches, alike)
                 self._add_glints(bodies, glints, moments, patches, alike)
+                if not self.psf.plain:
+                    bodies = self.psf.spread(bodies)
                 drawn |= zip(alike.tolist(), bodies, strict=True)
-        for frame in range(len(spans)):
-            image, boxes = self.plate.copy(), []
+        for frame, bright in enumerate(self.lamp.flicker.mean(*spans.T).tolist()):
+            plate = self._plate_in(bright)
+            image, boxes = plate.copy(), []
             for number in patches.number[frame][patches.number[frame] >= 0].tolist():
                 box = top, bottom, left, right = patches.box(number, self.camera.size)
                 x, y = patches.origins[number]
-                image[top:bottom, left:right] += drawn[number][top - y : bottom - y, left - x : right - x]
+                part = drawn[number][top - y : bottom - y, left - x : right - x]
+                shade = self._vignette
+                image[top:bottom, left:right] += part if shade is None else part * shade[top:bottom, left:right]
                 boxes.append(box)
-            yield Picture(image, self.plate, merge(boxes))
+            yield Picture(image, plate, merge(boxes))
 
     def _moments(self, centres: Centres, spans: Array, cuts: Array) -> tuple[Moments, Moments]:
         """Sub-exposures for the glints and, as a body is wide and faint, fewer for the bodies."""
@@ -337,7 +232,9 @@ class Film:
         travel = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=2)
         farthest = np.where(near, travel, 0).max(axis=1, initial=0)
         farthest /= np.hypot(self.camera.psf_sigma_px, 12**-0.5)
-        return sample(bounds, weights, frames, farthest), sample(bounds, weights, frames, farthest / 4)
+        waves = [2 * np.pi * lamp.flicker.frequency for lamp in self.lamp.all if lamp.flicker.depth]
+        wave = np.diff(bounds, axis=1)[:, 0] * max(waves, default=0.0)
+        return tuple(sample(bounds, weights, frames, far, wave) for far in (farthest, farthest / 4))  # type: ignore[return-value]
 
     def _bodies(self, centres: Centres, moments: Moments, patches: Patches, alike: Index) -> Float32:
         """Blurred bodies less the plate behind them, (n, width, width) for n patches of one width."""
@@ -353,13 +250,13 @@ class Film:
         jobs = self._jobs(places[moment, ball], self.radii[ball], FINENESS)
         jobs[:, 0, :2] = np.stack([slot % across, slot // across], axis=1) * tile
         jobs[:, 0, 2:] = (place - patches.origins[alike[slot]] - margin + 0.5) * FINENESS
-        jobs[:, 2, 3] = moments.weights[moment]
+        jobs[:, 2, 3] = (moments.weights * self.lamp.light(moments.times))[moment]
         jobs[:, 3, 1] = extent[moment, ball] * FINENESS
         others = self._neighbours(jobs, places, moment, ball)
         rows = -(-len(alike) // across)
         drawn = self._canvas.draw(jobs, others, (rows * tile, across * tile), self._uniforms)
         tiles = drawn.reshape(rows, tile, across, tile).swapaxes(1, 2).reshape(-1, tile, tile)[: len(alike)]
-        blur = blur_matrix(width, margin, FINENESS, self.camera.psf_sigma_px)
+        blur = blur_matrix(width, margin, FINENESS, self.camera.psf_sigma_px, self.psf.steps)
         return np.asarray(blur @ tiles @ blur.T)
 
     def _neighbours(self, jobs: Float32, places: Array, moment: Index, ball: Index) -> Float32:
@@ -384,9 +281,20 @@ class Film:
         slots, moment = slots[order], glints.moment[order]
         variances = glints.spread[order] + self.camera.psf_sigma_px**2
         origins = patches.origins[alike[slots]]
-        rows, columns = spots(glints.pixels[order], variances, origins, bodies.shape[1])
+        width = int(patches.widths[alike[0]])
+        rows, columns = spots(glints.pixels[order], variances, origins, width, self.psf.steps)
         rows *= (glints.flux[order] * moments.weights[moment] * self._unit)[:, None]
         bounds = np.searchsorted(slots, np.arange(len(bodies) + 1))
         for k, body in enumerate(bodies):
             own = slice(bounds[k], bounds[k + 1])
             body += rows[own].T @ columns[own]
+
+
+def _vignette(camera: Camera) -> Float32 | None:
+    """Share (h, w) of the light that reaches each pixel: one in the middle, falling with the distance's square."""
+    if not camera.vignetting:
+        return None
+    w, h = camera.size
+    across, down = (2 * np.arange(n) / (n - 1) - 1 for n in (w, h))
+    square = (w * w * across**2 + (h * h * down**2)[:, None]) / (w * w + h * h)
+    return (1 - camera.vignetting * square).astype(np.float32)

@@ -2,7 +2,8 @@
 
 Each pixel's count is normal about the pixel-integrated model, its variance that of the sensor at that mean; a
 pixel at the ceiling says only that it is at least there. Under the glint lies the ball's body, a mirror of the
-room: to second order a level and a bowl about the ball's centre, both free. Newton steps use the expected
+room. Its shape is given, learnt from all of a clip's glints (``learn``), and moves with the glint, on a free level;
+where it is not, to second order a level and a bowl about its middle, both free. Newton steps use the expected
 information (Fisher scoring), whose inverse is the covariance.
 """
 
@@ -15,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import log_ndtr
 
+from .body import POWERS, Body
 from .bound import ROOT_TWO_PI, fisher, glint_shape, information, slopes
 from .lens import Array
 from .sensor import Sensor
@@ -23,6 +25,7 @@ STEPS = 30
 LOG_FLUX = (-5.0, 18.0)
 MOST = 1e6  # counts, of anything under a glint
 SWINGING = 8  # steps, after which a glint still on the move is swinging about its place: half steps from there
+LESSONS = 5  # steps of the shared body
 CLOSE = 2e-4  # px and log flux: a step this small ends the search
 
 
@@ -71,16 +74,16 @@ class Fit:
     settled: Array
 
 
-def fit(windows: Windows, sigma: float, sensor: Sensor) -> Fit:
-    """Fits a glint of width ``sigma`` px to each window."""
-    theta = _start(windows, sigma, sensor)
+def fit(windows: Windows, sigma: float, sensor: Sensor, body: Body | None = None) -> Fit:
+    """Fits a glint of width ``sigma`` px to each window, on a body of known shape or on a bowl of its own."""
+    theta = _start(windows, sigma, sensor, body)
     active = np.arange(len(windows))
     settled = np.zeros(len(windows))
     for number in range(STEPS):
         if len(active) == 0:
             break
         part = windows.take(active)
-        step = _step(theta[active], part, sigma, sensor)
+        step = _step(theta[active], part, sigma, sensor, body)
         if number >= SWINGING:
             step *= 0.5
         theta[active] += step
@@ -88,7 +91,7 @@ def fit(windows: Windows, sigma: float, sensor: Sensor) -> Fit:
         still = np.max(np.abs(step[:, :3]), axis=1) > CLOSE
         settled[active[~still]] = 1.0
         active = active[still]
-    return _result(theta, windows, sigma, sensor, settled)
+    return _result(theta, windows, sigma, sensor, body, settled)
 
 
 def _bounded(theta: Array, active: NDArray[np.int64], half: int) -> None:
@@ -98,29 +101,34 @@ def _bounded(theta: Array, active: NDArray[np.int64], half: int) -> None:
     theta[active, 3:] = np.clip(theta[active, 3:], -MOST, MOST)
 
 
-def _model(theta: Array, windows: Windows, sigma: float) -> tuple[Array, Array]:
-    """Means (n, s, s) and their derivatives (n, p, s, s) by x, y, log flux, level, bowl and the ghosts' fluxes."""
+def _model(theta: Array, windows: Windows, sigma: float, body: Body | None) -> tuple[Array, Array]:
+    """Means (n, s, s) and their derivatives (n, p, s, s) by x, y, log flux, level, a free bowl, the ghosts' fluxes."""
     half = windows.half
     shape = glint_shape(theta[:, :2], windows.streak, sigma, half)
     flux = np.exp(theta[:, 2])
-    offsets = np.arange(-half, half + 1.0)
     middle = theta[:, :2] + windows.bowl
-    square = (offsets - middle[:, :1]) ** 2
-    bowl = (offsets - middle[:, 1:])[:, :, None] ** 2 + square[:, None, :]
-    linear = [np.ones_like(bowl), bowl / half**2]
+    linear = [np.ones_like(shape.value)]
+    if body is None:
+        square = (np.arange(-half, half + 1.0) - middle[..., None]) ** 2
+        linear.append((square[:, 1, :, None] + square[:, 0, None, :]) / half**2)
     for g in range(windows.ghosts.shape[1]):
         ghost = windows.ghosts[:, g]
         lit = glint_shape(ghost[:, :2], windows.streak, sigma, half).value
         linear.append(lit * ghost[:, 2, None, None])
     mean = flux[:, None, None] * shape.value
     for i, basis in enumerate(linear):
-        mean = mean + theta[:, 3 + i, None, None] * basis
+        mean += theta[:, 3 + i, None, None] * basis
     parts = np.concatenate([slopes(shape, flux)[:, :3], np.stack(linear, axis=1)], axis=1)
+    if body is not None:
+        height, by_x, by_y = body.height(middle, windows.streak, half)
+        mean += height
+        parts[:, 0] += by_x
+        parts[:, 1] += by_y
     return mean, parts
 
 
-def _step(theta: Array, windows: Windows, sigma: float, sensor: Sensor) -> Array:
-    mean, parts = _model(theta, windows, sigma)
+def _step(theta: Array, windows: Windows, sigma: float, sensor: Sensor, body: Body | None) -> Array:
+    mean, parts = _model(theta, windows, sigma, body)
     told = fisher(information(mean, sensor) * windows.used, parts)
     score = _score(windows.counts, mean, sensor) * windows.used
     flat = parts.reshape(*parts.shape[:2], -1)
@@ -138,7 +146,7 @@ def _loaded(told: Array) -> Array:
     return np.asarray(told + np.eye(told.shape[1]) * ridge[:, None, :], dtype=np.float64)
 
 
-def _start(windows: Windows, sigma: float, sensor: Sensor) -> Array:
+def _start(windows: Windows, sigma: float, sensor: Sensor, body: Body | None) -> Array:
     """Places as given; flux and level by weighted linear least squares of the open pixels at those places."""
     shape = glint_shape(windows.start, windows.streak, sigma, windows.half)
     weight = windows.used * (windows.counts < sensor.ceiling) / np.maximum(sensor.variance(windows.counts), 1e-9)
@@ -149,7 +157,7 @@ def _start(windows: Windows, sigma: float, sensor: Sensor) -> Array:
     power = np.maximum((weight * spread * spread).sum(axis=(1, 2)), 1e-300)
     flux = (weight * spread * windows.counts).sum(axis=(1, 2)) / power
     flux = np.maximum(flux, 3.0 / np.sqrt(power))
-    rest = np.zeros((len(windows), 1 + windows.ghosts.shape[1]))
+    rest = np.zeros((len(windows), (body is None) + windows.ghosts.shape[1]))
     return np.column_stack([windows.start, np.log(flux), mean_count - flux * mean_shape, rest])
 
 
@@ -168,8 +176,36 @@ def _score(counts: Array, mean: Array, sensor: Sensor) -> Array:
     return np.asarray(score, dtype=np.float64)
 
 
-def _result(theta: Array, windows: Windows, sigma: float, sensor: Sensor, settled: Array) -> Fit:
-    mean, parts = _model(theta, windows, sigma)
+def learn(windows: Windows, sigma: float, sensor: Sensor, end: float) -> Body:
+    """The one body under which all the windows are likeliest, each with a place, flux and level of its own.
+
+    The windows' own parameters are eliminated (Schur complement); their problem is nearly linear in the body.
+    """
+    theta = _start(windows, sigma, sensor, Body(end, np.zeros(len(POWERS))))
+    own = fit(windows, sigma, sensor)
+    theta[:, :3] = np.column_stack([own.xy, np.log(own.flux)])
+    body = Body(end, np.zeros(len(POWERS)))
+    for _ in range(LESSONS):
+        mean, parts = _model(theta, windows, sigma, body)
+        shared = body.basis(theta[:, :2] + windows.bowl, windows.half)
+        told = fisher(information(mean, sensor) * windows.used, np.concatenate([parts, shared], axis=1))
+        score = (_score(windows.counts, mean, sensor) * windows.used).reshape(len(theta), -1, 1)
+        slope = np.concatenate([parts, shared], axis=1).reshape(len(theta), told.shape[1], -1) @ score
+        of_own, across, of_body = _loaded(told)[:, :4, :4], told[:, :4, 4:], told[:, 4:, 4:]
+        solved = np.linalg.solve(of_own, np.concatenate([across, slope[:, :4]], axis=2))
+        left = (of_body - across.transpose(0, 2, 1) @ solved[:, :, :-1]).sum(axis=0)
+        push = (slope[:, 4:] - across.transpose(0, 2, 1) @ solved[:, :, -1:]).sum(axis=0)
+        change = np.linalg.solve(left + 1e-9 * np.diag(np.diag(left)) + 1e-12 * np.eye(len(left)), push)
+        theta += np.clip(solved[:, :, -1:] - solved[:, :, :-1] @ change, -MOST, MOST)[..., 0]
+        _bounded(theta, np.arange(len(theta)), windows.half)
+        body = Body(end, np.clip(body.coefficients + change[:, 0], -MOST, MOST))
+    return body
+
+
+def _result(
+    theta: Array, windows: Windows, sigma: float, sensor: Sensor, body: Body | None, settled: Array
+) -> Fit:
+    mean, parts = _model(theta, windows, sigma, body)
     cov = np.linalg.inv(_loaded(fisher(information(mean, sensor) * windows.used, parts)))
     flux = np.exp(theta[:, 2])
     variance = sensor.variance(mean)

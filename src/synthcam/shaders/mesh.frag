@@ -7,7 +7,8 @@ uniform sampler2D others; // one row an instance: neighbours' centres and radii
 uniform vec3 up;          // the plate's normal
 uniform vec3 lamp;        // from the centre of the plate's quad
 uniform float zenith;     // radiance of the room overhead
-uniform float steel;      // reflectance at normal incidence
+uniform float steel;      // reflectance at normal incidence, by Schlick's law
+uniform vec2 metal;       // n and k; n = 0: Schlick's law
 
 flat in vec4 place;
 flat in vec4 lens;
@@ -32,8 +33,17 @@ float entry(vec3 from, vec3 way, vec4 sphere) {
     return h > 0.0 ? -b - sqrt(h) : NOTHING;
 }
 
-// Schlick 1994, Comput. Graph. Forum 13.
+// Schlick 1994, Comput. Graph. Forum 13; or Fresnel's laws for a metal, Born & Wolf, Principles of Optics, 14.2.
 float mirror(float cosine) {
+    if (metal.x > 0.0) {
+        float square = cosine * cosine, sine = 1.0 - square;
+        float t = metal.x * metal.x - metal.y * metal.y - sine;
+        float both = sqrt(t * t + 4.0 * metal.x * metal.x * metal.y * metal.y);
+        float a = 2.0 * cosine * sqrt((both + t) / 2.0);
+        float rest = both * square + sine * sine;
+        float across = (both + square - a) / (both + square + a);
+        return across * (1.0 + (rest - a * sine) / (rest + a * sine)) / 2.0;
+    }
     return steel + (1.0 - steel) * pow(clamp(1.0 - cosine, 0.0, 1.0), 5.0);
 }
 

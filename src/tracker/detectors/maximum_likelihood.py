@@ -10,9 +10,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..body import Body
 from ..detect import CLIPPED, EDGE, MISFIT, NEAR, STREAK, Glints, View
 from ..lens import Array
-from ..likelihood import Fit, Windows, fit
+from ..likelihood import Fit, Windows, fit, learn
 from ..link import FASTEST, assign, velocities
 from ..search import Search, coarse_place
 
@@ -21,9 +22,15 @@ Ints = NDArray[np.int64]
 WIDTHS = 3.5  # of the glint, that a window holds on each side
 BLOCK = 1024  # frames whose windows are held at once
 SIGNIFICANT = 5.0  # deviations of the flux, for a glint on the free background
-NEARBY = 1.5  # ball diameters between glints, within which a ball shows its neighbour's glint too
+NEARBY = 1.5  # ball diameters between glints, within which a neighbour alters the body
+HAUNTED = 2.5  # the same, within which a ball shows its neighbour's glint too
 CROWD = 12  # balls in a frame, among which neighbours are looked for
 SHOWS = 0.03  # of the glint's width, a change of the streak that shows in its place
+PUPILS = 128  # windows from which the body is learnt, and
+FEWEST = 24  # the fewest
+SMEARED = 0.3  # of the ball's radius: after a longer way in the exposure the body is no longer the one learnt
+CLEAR = 0.68  # of the ball's radius, out to which the learnt shape holds
+END = 0.9  # of the ball's radius: .71, and the blur
 LIKE = 0.55  # of the ball's radius: out to .71 a ball mirrors what is above the plate, less the blur
 
 
@@ -56,6 +63,8 @@ class MaximumLikelihood:
         self.limit = LIKE * radius
         self.bounded = self.limit > 2.5 * self.sigma
         travel = FASTEST * self.camera.exposure / self.camera.scale if self.camera.metric else 4.0
+        self.body: Body | None = None
+        self.end, self.clear = END * radius, CLEAR * radius
         self.reach = self.half + math.ceil(min(travel, 60.0) / 2.0) + 1
 
     def __call__(self, frame: NDArray[Any]) -> Glints:
@@ -96,16 +105,19 @@ class MaximumLikelihood:
         place = corner + coarse_place(patches.counts, self.reach)
         rough = self._rough(patches, place)
         streak = self._streaks(rough)
-        found, good = self._fit(patches, place, streak, np.zeros((len(place), 3)))
+        if self.body is None and self.bounded:
+            self._learn(patches, place, streak)
+        alone = np.zeros(len(place), dtype=bool)
+        found, good = self._fit(patches, place, streak, alone, np.zeros((len(place), 3)))
         # The first places were rough, and with them velocities and neighbours: once more where that shows.
         better = streak.copy()
         better[good] = self._streaks(found.take(good))
         near, ghosts = self._neighbours(found, good)
         again = np.max(np.abs(better - streak), axis=1) > SHOWS * self.sigma
-        rows = np.flatnonzero(again | near)
+        rows = np.flatnonzero(again | near | (ghosts[:, 2] > 0))
         if len(rows):
             place = np.where(good[:, None], found.xy, place)
-            redone, kept = self._fit(patches.take(rows), place[rows], better[rows], ghosts[rows])
+            redone, kept = self._fit(patches.take(rows), place[rows], better[rows], near[rows], ghosts[rows])
             good[rows] = kept
             found = found.put(rows, redone)
         found.flags[near] |= NEAR
@@ -124,22 +136,29 @@ class MaximumLikelihood:
         moved = velocities(glints.frame, assign(glints, self.camera), glints.xy)
         return moved * (self.camera.exposure * self.camera.fps)
 
-    def _fit(self, patches: _Patches, place: Array, streak: Array, ghosts: Array) -> tuple[Glints, NDArray[np.bool_]]:
+    def _fit(
+        self, patches: _Patches, place: Array, streak: Array, near: NDArray[np.bool_], ghosts: Array
+    ) -> tuple[Glints, NDArray[np.bool_]]:
         """Fits in groups of one window size, with and without a ghost; all glints, and which are good."""
         longest = np.max(np.abs(streak), axis=1)
         halves = np.minimum(self.half + np.floor(longest / 2.0 + 0.35).astype(np.int64), self.reach)
-        groups = 2 * halves + (ghosts[:, 2] > 0)
+        # Beside a neighbour, or smeared, the body is another than the one learnt.
+        own = near | (np.hypot(*streak.T) > SMEARED * self.camera.diameter_px / 2.0)
+        groups = 4 * halves + 2 * own + (ghosts[:, 2] > 0)
         bowl = self.camera.zenith_of_glint(place) - place
         out = self._rough(patches, place)
         good = np.zeros(len(place), dtype=bool)
         for group in np.unique(groups).tolist():
             rows = np.flatnonzero(groups == group)
-            half, haunted = divmod(group, 2)
-            windows, origin = self._windows(patches, place, streak, bowl, rows, half)
-            if haunted:
+            half, kind = divmod(group, 4)
+            known = self.body if kind < 2 else None
+            windows, origin = self._windows(
+                patches, place, streak, bowl, rows, half, self.limit if known is None else self.clear
+            )
+            if kind % 2:
                 spots = ghosts[rows] - np.column_stack([origin, np.zeros(len(rows))])
                 windows = replace(windows, ghosts=spots[:, None, :])
-            result = fit(windows, self.sigma, self.camera.sensor)
+            result = fit(windows, self.sigma, self.camera.sensor, known)
             out.x[rows], out.y[rows] = (origin + result.xy).T
             out.cov[rows] = result.cov * _inflation(result, windows)[:, None, None]
             out.fixed[rows] = result.fixed
@@ -148,8 +167,33 @@ class MaximumLikelihood:
             good[rows] = self._good(result, out.xy[rows], half)
         return out, good
 
+    def _learn(self, patches: _Patches, place: Array, streak: Array) -> None:
+        """The clip's body, from bright single glints spread over the block."""
+        clear = patches.strength > 0.5 * float(np.median(patches.strength))
+        clear &= np.hypot(*streak.T) < SMEARED * self.camera.diameter_px / 2.0
+        rows = np.flatnonzero(clear & self._apart(patches.frame, place))
+        if len(rows) < FEWEST:
+            return
+        rows = rows[np.unique(np.linspace(0, len(rows) - 1, PUPILS).round().astype(np.int64))]
+        bowl = self.camera.zenith_of_glint(place[rows]) - place[rows]
+        whole = np.zeros((len(place), 2))
+        whole[rows] = bowl
+        windows, _ = self._windows(patches, place, streak, whole, rows, self.half + 1, self.clear)
+        self.body = learn(windows, self.sigma, self.camera.sensor, self.end)
+
+    def _apart(self, frame: Ints, place: Array) -> NDArray[np.bool_]:
+        """Which candidates have no other within three diameters in their frame; sorted by frame."""
+        alone = np.ones(len(frame), dtype=bool)
+        for lag in range(1, min(len(frame), CROWD)):
+            same = np.flatnonzero(frame[lag:] == frame[:-lag])
+            if len(same) == 0:
+                break
+            close = same[np.hypot(*(place[same + lag] - place[same]).T) < 3.0 * self.camera.diameter_px]
+            alone[close] = alone[close + lag] = False
+        return alone
+
     def _windows(
-        self, patches: _Patches, place: Array, streak: Array, bowl: Array, rows: Ints, half: int
+        self, patches: _Patches, place: Array, streak: Array, bowl: Array, rows: Ints, half: int, limit: float
     ) -> tuple[Windows, Array]:
         """Windows of 2 half + 1 pixels about the pixels nearest to ``place``, and those pixels' places."""
         corner = np.column_stack([patches.column[rows], patches.row[rows]])
@@ -164,14 +208,14 @@ class MaximumLikelihood:
         origin = (corner + shift).astype(np.float64)
         start = np.clip(place[rows] - origin, -half, half)
         offsets = np.abs(np.arange(-half, half + 1) - start[..., None])  # (n, axis, pixel)
-        limit = self.half + 0.5 + np.abs(streak[rows]) / 2.0
-        near = (offsets <= limit[..., None]).astype(np.float64)
+        side = half + 0.5 if limit == self.clear else self.half + 0.5 + np.abs(streak[rows][..., None]) / 2.0
+        near = (offsets <= side).astype(np.float64)
         used = inside * near[:, 1, :, None] * near[:, 0, None, :]
-        used *= self._on_body(start + bowl[rows], streak[rows], half)
+        used *= self._on_body(start + bowl[rows], streak[rows], half, limit)
         ghosts = np.zeros((len(rows), 0, 3))
         return Windows(counts, used, start, streak[rows], bowl[rows], ghosts), origin
 
-    def _on_body(self, middle: Array, streak: Array, half: int) -> Array:
+    def _on_body(self, middle: Array, streak: Array, half: int, limit: float) -> Array:
         """1 where a pixel sees the part of the ball that mirrors the room, in which the body is a smooth bowl."""
         if not self.bounded:
             return np.ones((len(middle), 1, 1))
@@ -183,7 +227,7 @@ class MaximumLikelihood:
         along -= np.clip(along, -length / 2.0, length / 2.0)
         aside = way[:, 0] * down - way[:, 1] * across
         aside = np.where(length > 0, aside, np.hypot(across, down))
-        return np.asarray(along**2 + aside**2 <= self.limit**2, dtype=np.float64)
+        return np.asarray(along**2 + aside**2 <= limit**2, dtype=np.float64)
 
     def _flags(self, result: Fit, windows: Windows, streak: Array) -> Ints:
         full = ((windows.counts >= self.camera.sensor.ceiling) & (windows.used > 0)).any(axis=(1, 2))
@@ -216,12 +260,12 @@ class MaximumLikelihood:
                 closer = gap < nearest[order[one]]
                 nearest[order[one[closer]]] = gap[closer]
                 other[order[one[closer]]] = xy[two[closer]]
-        near = nearest < NEARBY * self.camera.diameter_px
+        haunted = nearest < HAUNTED * self.camera.diameter_px
         ghosts = np.zeros((len(glints), 3))
-        if self.camera.corrects_glint and near.any():
-            ghosts[near, :2] = self.camera.secondary_of_pair(glints.xy[near], other[near])
-            ghosts[near, 2] = 1.0
-        return near, ghosts
+        if self.camera.corrects_glint and haunted.any():
+            ghosts[haunted, :2] = self.camera.secondary_of_pair(glints.xy[haunted], other[haunted])
+            ghosts[haunted, 2] = 1.0
+        return nearest < NEARBY * self.camera.diameter_px, ghosts
 
 
 def _inflation(result: Fit, windows: Windows) -> Array:

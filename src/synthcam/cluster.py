@@ -1,0 +1,79 @@
+"""The same work on the workers of a Dask scheduler. Needs the extra `synthcam[dask]`."""
+
+from __future__ import annotations
+
+import uuid
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from functools import cache
+from itertools import islice
+from typing import Any
+
+from synthcam.settings import InputError
+
+try:
+    from distributed import Client, KilledWorker, as_completed
+    from distributed.client import FutureCancelledError
+except ImportError:
+    Client = None
+AHEAD = 3  # clips handed out for each thread of a worker
+
+
+class Cluster:
+    """A scheduler that answers and has workers. Raises InputError when it does not."""
+
+    def __init__(self, address: str) -> None:
+        if Client is None:
+            raise InputError("--scheduler: Dask is not installed; type: pip install 'synthcam[dask]'")
+        try:
+            self.client = Client(address, timeout=10, set_as_default=False)
+        except (OSError, ValueError) as e:
+            said = " ".join(str(e).split())[:120]
+            raise InputError(f"--scheduler {address}: expected a Dask scheduler's address ({said})") from None
+        self.address = address
+        if not self.client.nthreads():
+            self.client.close()
+            raise InputError(f"--scheduler {address}: the scheduler has no workers")
+
+    def everywhere(self, question: Callable[[], dict[str, Any]]) -> list[dict[str, Any]]:
+        """The workers' answers, each different one once."""
+        answers: list[dict[str, Any]] = []
+        for answer in dict(sorted(self.client.run(_in_lane, question).items())).values():
+            answers += [answer] if answer not in answers else []
+        return answers
+
+    def each(self, todo: list[int], work: Callable[[int], str]) -> Iterator[tuple[int, str]]:
+        """Do the work of each number: (number, '' or what went wrong), in the order in which they end.
+
+        A worker that is lost has its numbers done by others; one that loses three workers is given up.
+        """
+        queue, run = iter(todo), uuid.uuid4().hex
+        numbers: dict[str, int] = {}
+
+        def submit(number: int) -> Any:
+            future = self.client.submit(_in_lane, work, number, key=f"clip-{number}-{run}", pure=False)
+            numbers[future.key] = number
+            return future
+
+        with self.client:
+            threads = max(sum(self.client.nthreads().values()), 1)
+            running = as_completed([submit(k) for k in islice(queue, AHEAD * threads)])
+            for future in running:
+                number = numbers.pop(future.key)
+                try:
+                    said = str(future.result())
+                except (KilledWorker, FutureCancelledError):
+                    said = "its workers were lost"
+                yield number, said
+                for k in islice(queue, 1):
+                    running.add(submit(k))
+
+
+@cache
+def _lane() -> ThreadPoolExecutor:
+    """An OpenGL context belongs to one thread, and a Dask worker has several."""
+    return ThreadPoolExecutor(1)
+
+
+def _in_lane(work: Callable[..., Any], *arguments: Any) -> Any:
+    return _lane().submit(work, *arguments).result()

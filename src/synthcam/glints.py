@@ -1,0 +1,94 @@
+"""The lamp's images in the balls: where they are seen, how wide and how bright, without drawing anything."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from synthcam import reflections
+from synthcam.optics import Camera, Lamp
+from synthcam.surface import Surface
+
+Array = NDArray[np.float64]
+PLAIN = Surface()
+
+
+@dataclass(frozen=True)
+class Glints:
+    """Images of a lamp, or of a part of one, in the balls.
+
+    moment, ball: (G,) which sub-exposure, and the ball it is seen on. pixels: (G, 2). spread: (G, 2) px^2,
+    variance of the lamp's image along columns and rows. flux: (G,) solid angle in px^2 times reflectance.
+    order: (G,) number of bounces.
+    """
+
+    moment: NDArray[np.intp]
+    ball: NDArray[np.intp]
+    pixels: Array
+    spread: Array
+    flux: Array
+    order: NDArray[np.intp]
+
+
+def find_glints(
+    camera: Camera,
+    lamp: Lamp,
+    centres: Array,
+    radii: Array,
+    wanted: NDArray[np.bool_],
+    surface: Surface = PLAIN,
+    cell: float = np.inf,
+    light: Array | None = None,
+) -> Glints:
+    """Every lamp image of order 1 to 4 on the wanted (T, N) balls, for centres (T, N, 3), radii (N,), m.
+
+    A lamp wider than `cell` m is cut into cells of that half-width, each with an image of its own. light: (T,) its
+    brightness at each moment. A cell's image is the cell under the exact derivative of the reflected path, so its
+    flux and its second moments are exact to first order in its size; its middle's path decides whether it is hidden.
+    """
+    eye, cells, axes = camera.centre, lamp.cells(cell), lamp.axes
+    lit = np.ones(len(centres)) if light is None else light
+    found = []
+    for chain, active in reflections.chains(centres, radii):
+        when = np.flatnonzero(active & wanted[:, chain[-1]])
+        if not len(when):
+            continue
+        part = np.tile(np.arange(len(cells.areas)), len(when))
+        moment = np.repeat(when, len(cells.areas))
+        source, (uu, vv, uv) = cells.places[part], cells.spread[part].T[..., None]
+        balls = np.array(chain)
+        spheres = np.broadcast_to(radii[balls], (len(moment), len(chain)))
+        paths = reflections.reflect(source, eye, centres[moment][:, balls], spheres)
+        pixels, slope = camera.project_with_slope(paths.points[:, -1])
+        shape = (slope @ paths.transfer) @ axes[:, :2]
+        area = cells.areas[part] * lamp.radiance * np.abs(np.linalg.det(shape))
+        flux = area * np.prod(surface.mirror(paths.cosines), axis=1) * lit[moment]
+        u, v = shape[..., 0], shape[..., 1]
+        spread = u * u * uu + v * v * vv + 2 * u * v * uv
+        seen = paths.exists & ~reflections.hidden(source, eye, paths, chain, centres[moment], radii)
+        if lamp.towards is not None:
+            seen &= (paths.points[:, 0] - source) @ axes[:, 2] > 0
+        order = np.full(len(moment), len(chain), dtype=np.intp)
+        ball = np.full(len(moment), chain[-1], dtype=np.intp)
+        lobes = [(spread, flux)]
+        if surface.roughness or surface.scratches:
+            tilted = ((slope @ reflections.tilted(source, eye, paths, centres[moment][:, balls], spheres)) ** 2).sum(2)
+            lobes = [
+                (spread + slope_rms**2 * tilted, share * flux)
+                for slope_rms, share in (
+                    (surface.roughness, 1 - surface.scratches),
+                    (np.hypot(surface.roughness, surface.scratch_slope), surface.scratches),
+                )
+            ]
+        found += [[x[seen] for x in (moment, ball, pixels, wide, bright, order)] for wide, bright in lobes]
+    if not found:
+        none, flat, nowhere = np.zeros(0, np.intp), np.zeros(0), np.zeros((0, 2))
+        return Glints(none, none, nowhere, nowhere, flat, none)
+    return Glints(*[np.concatenate(parts) for parts in zip(*found, strict=True)])
+
+
+def join(many: list[Glints]) -> Glints:
+    """All glints of several lamps."""
+    if len(many) == 1:
+        return many[0]
+    return Glints(*[np.concatenate([getattr(g, name) for g in many]) for name in Glints.__dataclass_fields__])

@@ -1,0 +1,109 @@
+"""Numbered work in processes of one's own; a worker that is killed loses its number and nobody else's."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import signal
+import threading
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import suppress
+from multiprocessing.connection import Connection, wait
+from multiprocessing.process import BaseProcess
+
+from synthcam.settings import InputError
+
+Work = Callable[[int], str]
+Worker = tuple[BaseProcess, int]
+IN_A_ROW = 3  # workers lost one after the other, with nothing done in between, before all is given up
+
+
+def each(todo: Iterable[int], workers: int, prepare: Callable[[], Work]) -> Iterator[tuple[int, str]]:
+    """Do the work of each number: (number, '' or what went wrong), in the order in which they end.
+
+    `prepare`, which must pickle, is called once in each worker and gives the work. What the work raises is raised
+    here. Raises InputError when no worker lives long enough to do anything.
+    """
+    queue, busy, lost = iter(todo), dict[Connection, Worker](), 0
+    try:
+        for _ in range(workers):
+            _hand_out(queue, busy, *_start(prepare))
+        while busy:
+            for pipe in wait(list(busy)):
+                assert isinstance(pipe, Connection)
+                process, number = busy.pop(pipe)
+                said = _hear(pipe, process)
+                lost = 0 if said is not None else lost + 1
+                if said is not None:
+                    _hand_out(queue, busy, pipe, process)
+                elif lost < IN_A_ROW:
+                    pipe.close()
+                    _hand_out(queue, busy, *_start(prepare))
+                else:
+                    raise InputError(f"clip {number}: {_end(process)}, the {lost}th in a row; is there enough memory?")
+                yield number, said if said is not None else f"its {_end(process)}"
+    finally:
+        for pipe, (process, _) in busy.items():
+            process.terminate()
+            process.join()
+            pipe.close()
+
+
+def _start(prepare: Callable[[], Work]) -> tuple[Connection, BaseProcess]:
+    # llvmpipe with its own threads, or BLAS with its own, would fight over the same cores
+    os.environ |= {"LP_NUM_THREADS": "0", "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
+    context = multiprocessing.get_context("spawn")
+    here, there = context.Pipe()
+    process = context.Process(target=_serve, args=(there, prepare), daemon=True)
+    process.start()
+    there.close()  # so that the worker's end is the only one, and its death is heard
+    return here, process
+
+
+def _hand_out(queue: Iterator[int], busy: dict[Connection, Worker], pipe: Connection, process: BaseProcess) -> None:
+    number = next(queue, None)
+    with suppress(OSError):  # died meanwhile: heard as soon as one listens
+        pipe.send(number)
+    if number is None:
+        process.join()
+        pipe.close()
+    else:
+        busy[pipe] = (process, number)
+
+
+def _hear(pipe: Connection, process: BaseProcess) -> str | None:
+    """What a worker says of its number; None: it is dead."""
+    try:
+        said = pipe.recv()
+    except (EOFError, OSError):
+        process.join()
+        return None
+    if isinstance(said, BaseException):
+        raise said
+    return str(said)
+
+
+def _end(process: BaseProcess) -> str:
+    code = process.exitcode or 0
+    return f"worker was killed ({signal.Signals(-code).name})" if code < 0 else f"worker ended (status {code})"
+
+
+def _serve(pipe: Connection, prepare: Callable[[], Work]) -> None:
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent decides
+    threading.Thread(target=_leave_with_parent, daemon=True).start()
+    try:
+        work = prepare()
+        while (number := pipe.recv()) is not None:
+            pipe.send(work(number))
+    except (EOFError, BrokenPipeError):
+        return
+    except Exception as error:
+        pipe.send(error)
+
+
+def _leave_with_parent() -> None:
+    """A killed parent tells nobody: its workers would wait for ever, and write into the folder of the next run."""
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(1)

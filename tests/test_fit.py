@@ -1,0 +1,114 @@
+"""The fit: parameters recovered, errors that are the scatter, and the arrow-shaped solution the dense one."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from scipy.stats import chi2 as chi2_law
+
+from discrepancy.fit import BASE, Fit, _solve, derivative, fit, limits_of, predict
+from discrepancy.noise import ORDER, Noise
+from discrepancy_clips import collisions, exact, noisy
+from synthcam.model import Model
+
+WHITE = Noise((np.arange(ORDER + 1) == 0).astype(float))
+TRUTH = Model().replace(
+    {
+        "restitution": 0.88,
+        "sliding_friction": 0.25,
+        "spin_transfer": 0.3,
+        "rolling_drag": 0.16,
+        "rolling_decel": 0.013,
+    }
+)
+
+
+def far(now, truth):
+    """The shared parameters' distance to the truth, chi^2 with as many degrees of freedom."""
+    off = np.array([now.model.value(n) - truth.value(n) for n in now.names])
+    return float(off @ np.linalg.solve(now.covariance, off))
+
+
+@pytest.fixture(scope="module")
+def fitted():
+    return fit(collisions(TRUTH, 6, 11), Model(), BASE, WHITE)
+
+
+def test_known_parameters_are_recovered_within_their_errors(fitted):
+    off = [fitted.model.value(n) - TRUTH.value(n) for n in BASE]
+    assert np.all(np.abs(off) < 3.5 * np.sqrt(np.diag(fitted.covariance)))
+    assert fitted.covariance[0, 0] < 1e-3**2  # the errors are no excuse
+
+
+def test_chi2_is_what_noise_leaves(fitted):
+    dof = fitted.points - fitted.parameters
+    assert fitted.parameters == 5 + 6 * 6
+    assert abs(fitted.chi2 / dof - 1) < 4 * np.sqrt(2 / dof)
+
+
+def test_errors_are_the_scatter_over_repeats():
+    clips, repeats = exact(Model(), 4, 12), 12
+    distances = [far(fit(noisy(clips, seed), Model(), BASE, WHITE), Model()) for seed in range(repeats)]
+    low, high = chi2_law.ppf([1e-3, 1 - 1e-3], repeats * len(BASE))
+    assert low < sum(distances) < high
+
+
+def test_eliminating_the_launches_equals_dense_least_squares():
+    now = fit(collisions(Model(), 3, 13), Model(), BASE, WHITE)
+    moved = dataclasses.replace(now, residuals=tuple(np.cos(np.arange(len(r))) for r in now.residuals))
+    rows = [len(r) for r in now.residuals]
+    dense, at = np.zeros((sum(rows), len(BASE) + 18)), np.cumsum([0, *rows])
+    for k in range(3):
+        dense[at[k] : at[k + 1], :5] = now.slopes[k]
+        dense[at[k] : at[k + 1], 5 + 6 * k : 11 + 6 * k] = now.launch_slopes[k]
+    scale = np.linalg.norm(dense, axis=0)
+    best = np.linalg.lstsq(dense / scale, np.concatenate(moved.residuals), rcond=None)[0] / scale
+    shared, own = _solve(moved, 0.0)
+    error = np.sqrt(np.diag(now.covariance))
+    assert np.allclose(shared / error, best[:5] / error, atol=1e-5)
+    assert np.allclose(own, best[5:].reshape(3, 6), rtol=1e-4, atol=1e-9)
+    inverse = np.linalg.inv((dense / scale).T @ (dense / scale)) / np.outer(scale, scale)
+    assert np.allclose(now.covariance / np.outer(error, error), inverse[:5, :5] / np.outer(error, error), atol=1e-5)
+
+
+def test_what_is_projected_holds_nothing_that_the_fit_can_absorb(fitted):
+    columns = [np.sin(np.outer(np.arange(len(r)), [0.1, 0.2])) for r in fitted.residuals]
+    left = fitted.projected(columns)
+    absorbed = np.concatenate(fitted.slopes)
+    launch = np.zeros((fitted.points, 6))
+    launch[: len(columns[0])] = fitted.launch_slopes[0]
+    for basis in (absorbed, launch):
+        unit = basis / np.linalg.norm(basis, axis=0)
+        assert np.abs(unit.T @ left).max() < 1e-6 * np.linalg.norm(left)
+
+
+def test_a_derivative_keeps_to_the_limits():
+    clip = exact(Model(), 1, 14)[0]
+    edge = Model().replace({"restitution": 1.0})
+    inside = derivative(Model().replace({"restitution": 1 - 1e-4}), clip.launch, clip, "restitution")
+    assert limits_of("restitution") == (0.0, 1.0)
+    assert np.allclose(derivative(edge, clip.launch, clip, "restitution"), inside, atol=1e-4)
+
+
+def test_a_derivative_where_the_motion_ends_to_exist():
+    clip = exact(Model(), 1, 15)[0]
+    frictionless = Model().replace({"rolling_decel": 0.0})  # there no tilt lets the target rest
+    assert np.all(derivative(frictionless, clip.launch, clip, "plate_tilt.x") == 0)
+    steepest = 7 / 5 * 0.0103 / 9.81  # one side only
+    tilted = Model().replace({"plate_tilt.x": steepest * (1 - 1e-6)})
+    assert np.abs(derivative(tilted, clip.launch, clip, "plate_tilt.x")).max() > 1e-3
+
+
+def test_an_exposure_without_length_is_an_instant():
+    clip = dataclasses.replace(exact(Model(), 1, 16)[0], exposure=0.0)
+    short = dataclasses.replace(clip, exposure=1e-7)
+    assert np.allclose(predict(Model(), clip.launch, clip), predict(Model(), clip.launch, short), atol=1e-7)
+
+
+def test_with_nothing_shared_only_the_launches_are_fitted():
+    clips = collisions(Model(), 2, 17)
+    now = fit(clips, Model(), (), WHITE)
+    assert isinstance(now, Fit)
+    assert now.model == Model()
+    assert now.covariance.shape == (0, 0)
+    assert abs(now.chi2 / (now.points - 12) - 1) < 4 * np.sqrt(2 / now.points)
