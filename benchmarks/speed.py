@@ -61,7 +61,7 @@ def commands(clips: int, folder: Path) -> dict[str, float]:
 def stages(folder: Path) -> dict[str, float]:
     """Seconds a clip of 100 frames in each stage, one process."""
     from synthcam import truth
-    from synthcam.dataset import motion_of, write_clip
+    from synthcam.dataset import view_of, write_clip
     from synthcam.generate import film
     from synthcam.scene import read_scene
     from tracker.detect import DEFAULT, detect, look
@@ -70,8 +70,8 @@ def stages(folder: Path) -> dict[str, float]:
     from tracker.video import open_source
 
     clip = read_scene(SCENE).draw(0, 0)
-    motion = motion_of(clip)
-    frames = list(film(clip, motion, 0))
+    view = view_of(clip)
+    frames = list(film(clip, view, 0))
 
     def exhaust(items: Iterable[Any]) -> None:
         for _ in items:
@@ -79,12 +79,12 @@ def stages(folder: Path) -> dict[str, float]:
 
     def write() -> None:
         shutil.rmtree(folder / "one", ignore_errors=True)
-        write_clip(folder / "one" / "clips" / "000000", clip, motion, iter(frames), {"seed": 0})
+        write_clip(folder / "one" / "clips" / "000000", clip, view, iter(frames), {"seed": 0})
 
     out = {
-        "simulate": timed(lambda: motion_of(clip), 20),
-        "truth tables": timed(lambda: truth.tracks(clip.model, motion, clip.camera, clip.lamp, clip.frames)),
-        "draw and expose": timed(lambda: exhaust(film(clip, motion, 0))),
+        "simulate": timed(lambda: view_of(clip), 20),
+        "truth tables": timed(lambda: truth.tracks(clip.launch.bodies, view, clip.lamp, clip.frames)),
+        "draw and expose": timed(lambda: exhaust(film(clip, view, 0))),
         "write and hash": timed(write),
     }
     source = open_source(folder / "one")
@@ -109,7 +109,7 @@ def collisions() -> dict[str, float]:
     from synthcam.model import Model
 
     model = Model()
-    launch = Launch.pair(model.ball.radius, 0.1, 0.3, 0.2, 0.0, (0.0, 0.0))
+    launch = Launch.pair(model.bodies("ab"), 0.1, 0.3, 0.2, 0.0, (0.0, 0.0))
     tilted = model.replace({"plate_tilt.x": 1e-3})
     return {
         "collisions a second, closed form": 100 / timed(lambda: [solve(model, launch, 0, 0.4) for _ in range(100)]),

@@ -13,16 +13,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from discrepancy.forecast import forecast
 from discrepancy.measured import Measured
 from discrepancy.noise import Noise
-from synthcam.dynamics import solve
 from synthcam.effect import library
-from synthcam.launch import Launch
 from synthcam.model import Model
 
 Array = NDArray[np.float64]
 
-LAUNCH = ("x", "y", "t_c", "v0", "heading", "b")  # the contact's place, m; s; m/s; rad; over the diameter
 LAUNCH_STEP = np.array([1e-6, 1e-6, 1e-6, 1e-5, 1e-5, 1e-5])
 BASE_STEP = {
     "restitution": 1e-5,
@@ -32,19 +30,9 @@ BASE_STEP = {
     "rolling_decel": 1e-5,
 }
 BASE = tuple(BASE_STEP)
+_LIMITS = {"restitution": (0.0, 1.0), "spin_transfer": (0.0, 5 / 7)}
 ITERATIONS = 25
 SETTLED = 1e-3  # of chi^2
-
-
-def predict(model: Model, launch: Array, clip: Measured) -> Array:
-    """Centres averaged over each exposure, where the clip has measurements: (n, 2), m."""
-    start = Launch.pair(model.ball.radius, launch[2], launch[3], launch[5], launch[4], launch[:2])
-    opens = clip.frame / clip.fps
-    first, last = min(float(opens.min()), launch[2]), float(opens.max()) + clip.exposure
-    motion = solve(model, start, first, last)
-    frames, where = np.unique(clip.frame, return_inverse=True)
-    spans = np.stack([frames / clip.fps, frames / clip.fps + clip.exposure], axis=1)
-    return motion.mean(spans, lambda states: states[..., :2])[clip.ball, where]
 
 
 @dataclass(frozen=True)
@@ -123,24 +111,29 @@ def limits_of(name: str) -> tuple[float, float]:
     effect, dot, parameter = name.rpartition(".")
     if dot:
         return next((p.low, p.high) for p in library()[effect].parameters() if p.name == parameter)
-    return (0.0, 1.0) if name in ("restitution", "spin_transfer") else (0.0, np.inf)
+    return _LIMITS.get(name, (0.0, np.inf))
 
 
-def derivative(model: Model, launch: Array, clip: Measured, name: str) -> Array:
-    """d prediction / d a shared parameter, (n, 2): central, one-sided at a limit.
-
-    A limit may also be where the motion ends to exist, as when a tilt sets the resting ball rolling; zero when there is
-    none to either side.
-    """
+def derivative(model: Model, launches: Array, clips: Sequence[Measured], name: str) -> list[Array]:
+    """d forecast / d a shared parameter, (n_k, 2) each: central, one-sided at a limit."""
     value, step, (low, high) = model.value(name), step_of(name), limits_of(name)
-    ends = []
-    for end in (min(value + step, high), max(value - step, low)):
-        try:
-            ends.append((end, predict(model.replace({name: end}), launch, clip)))
-        except ValueError:
-            ends.append((value, predict(model, launch, clip)))
-    (up, ahead), (down, behind) = ends
-    return (ahead - behind) / (up - down) if up > down else np.zeros_like(ahead)
+    up, down = min(value + step, high), max(value - step, low)
+    ahead = forecast(model.replace({name: up}), launches, clips)
+    behind = forecast(model.replace({name: down}), launches, clips)
+    return [(a - b) / (up - down) for a, b in zip(ahead, behind, strict=True)]
+
+
+def launch_derivatives(model: Model, launches: Array, clips: Sequence[Measured]) -> tuple[list[Array], list[Array]]:
+    """The forecast (n_k, 2) and its derivatives (n_k, 2, 6) by each clip's own launch, all in one batch."""
+    k = len(clips)
+    nudges = np.concatenate([np.zeros((1, 6)), np.diag(LAUNCH_STEP), -np.diag(LAUNCH_STEP)])
+    many = (launches[None] + nudges[:, None]).reshape(-1, 6)
+    all_ = forecast(model, many, list(clips) * len(nudges))
+    slopes = [
+        np.stack([(all_[(1 + j) * k + i] - all_[(7 + j) * k + i]) / (2 * LAUNCH_STEP[j]) for j in range(6)], axis=-1)
+        for i in range(k)
+    ]
+    return all_[:k], slopes
 
 
 def fit(
@@ -180,32 +173,27 @@ def fit(
 
 def _chi2(clips: Sequence[Measured], model: Model, launches: Array, whiteners: Sequence[Whitener]) -> float:
     """chi^2, or infinity where the model has no motion for such a launch."""
-    total = 0.0
-    for clip, launch, white in zip(clips, launches, whiteners, strict=True):
-        if not (abs(launch[5]) < 1 and launch[3] > 0):
-            return np.inf
-        try:
-            left = white(clip.xy - predict(model, launch, clip))
-        except ValueError:
-            return np.inf
-        total += float(left @ left)
-    return total
+    if not (np.all(np.abs(launches[:, 5]) < 1) and np.all(launches[:, 3] > 0)):
+        return np.inf
+    try:
+        expected = forecast(model, launches, clips)
+    except ValueError:
+        return np.inf
+    left = [white(clip.xy - e) for clip, e, white in zip(clips, expected, whiteners, strict=True)]
+    return float(sum(x @ x for x in left))
 
 
 def _linearise(
     clips: Sequence[Measured], model: Model, names: tuple[str, ...], launches: Array, whiteners: Sequence[Whitener]
 ) -> Fit:
+    expected, own = launch_derivatives(model, launches, clips)
+    shared = [derivative(model, launches, clips, name) for name in names]
     residuals, slopes, launch_slopes = [], [], []
-    for clip, launch, white in zip(clips, launches, whiteners, strict=True):
-        residuals.append(white(clip.xy - predict(model, launch, clip)))
-        own = []
-        for k, step in enumerate(LAUNCH_STEP):
-            nudge = np.zeros(6)
-            nudge[k] = step
-            own.append((predict(model, launch + nudge, clip) - predict(model, launch - nudge, clip)) / (2 * step))
-        launch_slopes.append(white(np.stack(own, axis=-1)))
-        shared = [derivative(model, launch, clip, name) for name in names]
-        slopes.append(white(np.stack(shared, axis=-1)) if names else np.zeros((2 * len(clip.frame), 0)))
+    for k, (clip, white) in enumerate(zip(clips, whiteners, strict=True)):
+        residuals.append(white(clip.xy - expected[k]))
+        launch_slopes.append(white(own[k]))
+        columns = [s[k] for s in shared]
+        slopes.append(white(np.stack(columns, axis=-1)) if names else np.zeros((2 * len(clip.frame), 0)))
     result = Fit(
         model, names, launches, tuple(residuals), tuple(slopes), tuple(launch_slopes), np.zeros((len(names),) * 2)
     )

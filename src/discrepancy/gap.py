@@ -8,7 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from discrepancy.fit import Fit, fit, predict
+from discrepancy.fit import Fit, fit
+from discrepancy.forecast import forecast
 from discrepancy.measured import Measured
 from discrepancy.noise import Noise
 
@@ -50,7 +51,8 @@ def show(
 
 
 def _rms_um(clips: Sequence[Measured], now: Fit) -> float:
-    squares = [(c.xy - predict(now.model, launch, c)) ** 2 for c, launch in zip(clips, now.launches, strict=True)]
+    expected = forecast(now.model, now.launches, clips)
+    squares = [(c.xy - e) ** 2 for c, e in zip(clips, expected, strict=True)]
     return 1e6 * float(np.sqrt(np.mean(np.concatenate(squares))))
 
 

@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from scipy.stats import chi2 as chi2_law
 from scipy.stats import norm
 
-from discrepancy.fit import Fit, Whitener, predict
+from discrepancy.fit import Fit, Whitener
+from discrepancy.forecast import forecast
 from discrepancy.measured import Measured
 from discrepancy.name import sigmas
 from discrepancy.noise import Noise
@@ -40,9 +41,10 @@ def locate(clips: Sequence[Measured], now: Fit, noise: Noise) -> tuple[Place, ..
     across) its motion; the squares add up over clips. What the fit absorbed makes the test a little mild.
     """
     sums = {(p, b, a): [0.0, 0] for p in range(3) for b in range(2) for a in range(2)}
+    expected = forecast(now.model, now.launches, clips)
     for k, clip in enumerate(clips):
         white = Whitener.of(clip, noise)
-        phase, motion = clip.phase(), _directions(clip, predict(now.model, now.launches[k], clip))
+        phase, motion = clip.phase(), _directions(clip, expected[k])
         for p, b, a in sums:
             rows = (phase == p) & (clip.ball == b)
             if rows.sum() < 2 * TERMS:

@@ -36,14 +36,21 @@ class Measured:
 
     clip: int
     striker: str
-    fps: float
-    exposure: float
+    camera: Camera
     frame: Ints
     ball: Ints
     xy: Array
     covariance: Array
     launch: Array
     ends: Array
+
+    @property
+    def fps(self) -> float:
+        return self.camera.fps
+
+    @property
+    def exposure(self) -> float:
+        return self.camera.exposure
 
     def phase(self) -> Ints:
         """0 before the contact, 1 sliding, 2 rolling, -1 in an exposure that holds an event: (n,)."""
@@ -149,8 +156,7 @@ def collision(tracks: Tracks, row: Mapping[Any, Any], camera: Camera) -> Measure
     return Measured(
         clip=int(row["clip"]),
         striker=str(row["striker"]),
-        fps=camera.fps,
-        exposure=camera.exposure,
+        camera=camera,
         frame=frame,
         ball=ball,
         xy=xy,

@@ -109,12 +109,11 @@ def rank(clips: Sequence[Measured], now: Fit, noise: Noise, tick: Callable[[], N
     left = np.concatenate(now.residuals)
     found = []
     for name, effect in library().items():
-        strengths, columns = tuple(s for s in strengths_of(effect) if s not in now.names), []
+        strengths = tuple(s for s in strengths_of(effect) if s not in now.names)
         if not strengths:
             continue
-        for clip, launch, white in zip(clips, now.launches, whiteners, strict=True):
-            slopes = [derivative(now.model, launch, clip, s) for s in strengths]
-            columns.append(white(np.stack(slopes, axis=-1)))
+        slopes = [derivative(now.model, now.launches, clips, s) for s in strengths]
+        columns = [white(np.stack([s[k] for s in slopes], axis=-1)) for k, white in enumerate(whiteners)]
         tick()
         found.append(_score(name, strengths, now.projected(columns), left))
     return tuple(sorted(found, key=lambda c: -c.sigma))

@@ -22,7 +22,8 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from discrepancy.find import Found
-from discrepancy.fit import Fit, predict
+from discrepancy.fit import Fit
+from discrepancy.forecast import forecast
 from discrepancy.measured import Measured
 from discrepancy.name import CLAIM
 from synthcam.model import write_model
@@ -120,9 +121,10 @@ def _residuals(found: Found) -> Figure:
 
 def _stacked(clips: Sequence[Measured], now: Fit, ball: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     times, errors = [], []
-    for clip, launch in zip(clips, now.launches, strict=True):
+    expected = forecast(now.model, now.launches, clips)
+    for clip, launch, centres in zip(clips, now.launches, expected, strict=True):
         rows = clip.ball == ball
-        left = (clip.xy - predict(now.model, launch, clip))[rows]
+        left = (clip.xy - centres)[rows]
         times.append(clip.frame[rows] / clip.fps - launch[2])
         errors.append(np.sqrt((left**2).mean(axis=1)))
     return np.concatenate(times), np.concatenate(errors)

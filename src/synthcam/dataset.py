@@ -20,10 +20,9 @@ from numpy.typing import NDArray
 
 from synthcam import truth
 from synthcam.card import card
-from synthcam.dynamics import solve
 from synthcam.scene import Clip
 from synthcam.settings import InputError
-from synthcam.trajectory import Trajectory
+from synthcam.view import View
 
 Frames = Iterator[NDArray[np.uint8] | NDArray[np.uint16]]
 SUMS = "SHA256SUMS"
@@ -33,7 +32,7 @@ IMAGEJ_LIMIT = 4_000_000_000  # bytes of a stack; a longer one is a plain BigTIF
 
 def camera_json(clip: Clip) -> dict[str, Any]:
     """What the experimenter knows: the nominal camera, lamp and sensor, and which ball was launched."""
-    camera, sensor = clip.camera, clip.drawn["sensor"]
+    camera, sensor = clip.nominal, clip.drawn["sensor"]
     return {
         "K": camera.K.tolist(),
         "dist": camera.dist.tolist(),
@@ -51,15 +50,15 @@ def camera_json(clip: Clip) -> dict[str, Any]:
     }
 
 
-def motion_of(clip: Clip) -> Trajectory:
-    """The clip's motion over all its frames and to the last slide's end."""
-    return solve(clip.model, clip.launch, 0.0, clip.frames / clip.camera.fps)
+def view_of(clip: Clip) -> View:
+    """The clip's motion, over all its frames and to the last slide's end, as its camera takes it."""
+    return View.of(clip.model, clip.launch, clip.camera, clip.frames)
 
 
 def write_clip(
     folder: Path,
     clip: Clip,
-    motion: Trajectory,
+    view: View,
     frames: Frames | None,
     meta: dict[str, Any],
     secret: Path | None = None,
@@ -78,7 +77,7 @@ def write_clip(
         pixels = _write_tiff(folder / "frames.tif", clip, frames, compression)
         file = sha256(folder / "frames.tif")
     row = {"clip": clip.number, "seed_key": f"{meta['seed']}/{clip.number}", "scene": clip.drawn["name"]}
-    row |= truth.scalars(clip.model, clip.launch, motion)
+    row |= truth.scalars(clip.model, clip.launch, view.motion)
     row |= {
         "striker": clip.drawn["launch"]["striker"],
         "effects": json.dumps(clip.drawn["effects"], sort_keys=True),
@@ -87,8 +86,8 @@ def write_clip(
     }
     _write_json(secret / "scene.json", {**meta, "clip": clip.number, "drawn": clip.drawn, "row": row})
     tables = {
-        "tracks": truth.tracks(clip.model, motion, clip.camera, clip.lamp, clip.frames),
-        "events": truth.events(clip.model, motion, clip.camera.fps),
+        "tracks": truth.tracks(clip.launch.bodies, view, clip.lamp, clip.frames),
+        "events": truth.events(view.motion, clip.camera.fps),
     }
     for name, table in tables.items():
         table.to_parquet(secret / f"{name}.parquet", index=False)

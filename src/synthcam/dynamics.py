@@ -4,169 +4,325 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
+from collections.abc import Callable
 
 import numpy as np
 
-from synthcam.impact import collide
-from synthcam.launch import Launch
-from synthcam.model import Model
-from synthcam.numeric import SLOWEST, numeric_roll, numeric_slide
-from synthcam.trajectory import (
+from synthcam import rolling, sliding
+from synthcam.impact import LOWEST, collide, land
+from synthcam.kinematics import (
     Array,
-    Event,
-    Leg,
-    Rest,
-    Roll,
-    Slide,
-    Trajectory,
     contact_velocity,
+    fly,
     rolling_state,
     rolling_velocity,
+    slide_time,
+    stop_time,
 )
+from synthcam.launch import Launch
+from synthcam.model import Bodies, Model
+from synthcam.trajectory import Event, Fly, Leg, Numeric, Rest, Roll, Slide, Trajectory
 
 STILL = 1e-12  # m/s: slower than this is rest, or rolling for a contact velocity
 TOUCHING = 1e-12  # of a radius
 LINGERING = 1e-9  # m/s: an impact softer than this is one of an endless row, as restitution under 0.4 may bring
 LIMIT = 10_000  # events: more means that something never settles
+AHEAD = 0.2  # s of numerical rolling beyond what was asked for
+SWEEPS = 12  # over balls that push each other, at most
+AGREED = 1e-11  # m between sweeps
+
+Others = Callable[[Array], Array]  # times (m,) -> places of the other ball (m, 2)
 
 
 def solve(model: Model, launch: Launch, start: float = 0.0, end: float = 0.0) -> Trajectory:
     """The motion from `start` to `end` (s) or to the last slide's end, whichever is later.
 
     Legs are closed forms where no active effect bends them, numerical solutions elsewhere. Raises ValueError when a
-    ball that should be at rest cannot stay there, or when balls overlap at the launch.
+    ball that should be at rest cannot stay there, when balls overlap, or when the motion does not settle.
     """
-    states = [state.copy() for state in launch.states]
-    legs: list[list[Leg]] = [_before(model, s, start, launch.time) for s in states]
-    events: list[Event] = []
-    t = launch.time
-    open_legs: list[Leg] = [_leg(model, s, t, end) for s in states]
-    for _ in range(LIMIT):
-        sliding = any(leg.motion == "slide" for leg in open_legs)
-        horizon = min([leg.t1 for leg in open_legs] + ([] if sliding else [max(end, t)]))
-        contact = _first_contact(open_legs, t, horizon, 2 * model.ball.radius)
-        event: Event | None
-        if contact is not None:
-            t, i, j = contact
-            i, j = _target_first(open_legs, i, j, t)
-            new, event = _impact(model, open_legs, i, j, t)
-            changed = {i: new[0], j: new[1]}
-        else:
-            t = horizon
-            ending = [k for k, leg in enumerate(open_legs) if leg.t1 <= t]
+    if model.laws.asks("push", "other") and len(launch.states) == 2:
+        return _coupled(model, launch, start, end)
+    return _Run(model, launch, start, end, [None] * len(launch.states)).motion()
+
+
+def _coupled(model: Model, launch: Launch, start: float, end: float) -> Trajectory:
+    """Balls that push each other: each moves in the other's last known path, again and again until both agree."""
+    path = _Run(uncoupled(model), launch, start, end, [None, None]).motion()
+    grid = np.linspace(start, path.t1, 200)
+    for _ in range(SWEEPS):
+        others: list[Others | None] = [_path_of(path, 1), _path_of(path, 0)]
+        new = _Run(model, launch, start, end, others).motion()
+        common = grid[grid <= min(new.t1, path.t1)]
+        change = np.abs(new.at(common)[:, :, :2] - path.at(common)[:, :, :2]).max()
+        path = new
+        if change < AGREED:
+            return path
+    return path
+
+
+def uncoupled(model: Model) -> Model:
+    """The model without the effects by which balls push each other."""
+    return dataclasses.replace(model, effects=tuple(e for e in model.effects if "other" not in e.laws.get("push", ())))
+
+
+def _path_of(path: Trajectory, ball: int) -> Others:
+    """Where a ball is; beyond the ends of what is known it goes straight on."""
+
+    def places(t: Array) -> Array:
+        inside = np.clip(t, path.t0, path.t1)
+        states = path.at(inside)[ball]
+        return np.asarray(states[:, :2] + (t - inside)[:, None] * states[:, 3:5])
+
+    return places
+
+
+class _Run:
+    """One run of the event loop. others[k]: where the ball that pushes ball k is."""
+
+    def __init__(self, model: Model, launch: Launch, start: float, end: float, others: list[Others | None]) -> None:
+        self.model, self.bodies, self.end, self.others = model, launch.bodies, end, others
+        self.start, self.t = start, launch.time
+        self.events: list[Event] = []
+        self.past: list[list[Leg]] = [self._before(k, s, launch.time) for k, s in enumerate(launch.states)]
+        # a launch at the contact: these legs are replaced at once, and would lead one ball through the other
+        self.model = uncoupled(model) if _touching(launch) else model
+        self.legs: list[Leg] = [self._leg(k, s.copy(), launch.time) for k, s in enumerate(launch.states)]
+        self.model = model
+
+    def motion(self) -> Trajectory:
+        for _ in range(LIMIT):
+            busy = any(leg.motion in ("slide", "fly") for leg in self.legs)
+            horizon = min([leg.t1 for leg in self.legs] + ([] if busy else [max(self.end, self.t)]))
+            contact = self._first_contact(horizon)
+            if contact is not None:
+                self._collide(*contact)
+                continue
+            self.t = horizon
+            ending = [k for k, leg in enumerate(self.legs) if leg.t1 <= self.t]
             if not ending:
                 break
-            k = ending[0]
-            state, event = _settle(model, open_legs[k], k)
-            changed = {k: state}
-        if event is not None:
-            events.append(event)
-        for k, state in changed.items():
-            legs[k].append(dataclasses.replace(open_legs[k], t1=t))  # type: ignore[type-var]
-            open_legs[k] = _leg(model, state, t, max(end, t))
-    else:
-        raise ValueError(f"the motion does not settle: {LIMIT} events by {t:g} s")
-    for k, leg in enumerate(open_legs):
-        legs[k].append(dataclasses.replace(leg, t1=t))  # type: ignore[type-var]
-    return Trajectory(start, t, tuple(tuple(x) for x in legs), tuple(events))
+            self._settle(ending[0])
+        else:
+            raise ValueError(f"the motion does not settle: {LIMIT} events by {self.t:g} s")
+        for k, leg in enumerate(self.legs):
+            self.past[k].append(dataclasses.replace(leg, t1=self.t))  # type: ignore[type-var]
+        return Trajectory(self.start, self.t, tuple(tuple(x) for x in self.past), tuple(self.events))
+
+    def _go_on(self, k: int, state: Array) -> None:
+        self.past[k].append(dataclasses.replace(self.legs[k], t1=self.t))  # type: ignore[type-var]
+        self.legs[k] = self._leg(k, state, self.t)
+
+    # legs
+
+    def _body(self, k: int) -> Bodies:
+        return self.bodies[k : k + 1]
+
+    def _other(self, k: int) -> sliding.Other | None:
+        path = self.others[k]
+        return None if path is None else lambda t, _: path(t.ravel()).reshape(*t.shape, 2)
+
+    def _before(self, k: int, state: Array, time: float) -> list[Leg]:
+        """The leg that leads to a launch: a ball rolling, or at rest."""
+        if self.start >= time:
+            return []
+        radius = float(self.bodies.radius[k])
+        if np.hypot(*contact_velocity(state, radius)) > STILL or state[5] != 0:
+            raise ValueError("a ball that slides or flies at its launch has no past: start the run at the launch")
+        if np.hypot(state[3], state[4]) <= STILL:
+            still = rolling_state(state[:2], np.zeros(2), state[8], radius)
+            if not self.model.laws.asks("push", "other") and self._excess(k, still, time) > 0:
+                raise ValueError("a ball cannot rest before its launch: 5/7 of the push on it exceeds rolling_decel")
+            return [Rest(self.start, time, still)]
+        leg = self._roll(k, state, time, self.start)
+        if isinstance(leg, Numeric) and leg.t0 > self.start:
+            raise ValueError(f"a ball has no past before {leg.t0:g} s: it would have had to come from rest")
+        return [dataclasses.replace(leg, t0=self.start, t1=time)]  # type: ignore[type-var]
+
+    def _leg(self, k: int, state: Array, t: float) -> Leg:
+        """The leg of a ball that has this state at t, to its own next event."""
+        radius = float(self.bodies.radius[k])
+        if state[5] > 0:
+            return self._fly(k, state, t)
+        u = float(np.hypot(*contact_velocity(state, radius)))
+        if u > STILL:
+            return self._slide(k, state, t)
+        if np.hypot(state[3], state[4]) > STILL:
+            return self._roll(k, state, t, max(self.end, t) + AHEAD)
+        return self._rest(k, state, t)
+
+    def _slide(self, k: int, state: Array, t: float) -> Leg:
+        radius = float(self.bodies.radius[k])
+        if not self.model.laws.bent(*sliding.LAWS):
+            slowing = self.model.sliding_friction * self.model.gravity
+            return Slide(t, t + float(slide_time(state, radius, slowing)), state, radius, slowing)
+        found = sliding.slides(self.model, state[None], self._body(k), np.array([t]), self._other(k))
+        lasts = float(found.lasts[0])
+
+        def states(times: Array) -> Array:
+            return np.asarray(found.states((times - t)[None])[0])
+
+        return Numeric(t, t + lasts, "slide", states, _steepest(states, t, lasts))
+
+    def _roll(self, k: int, state: Array, t: float, until: float) -> Leg:
+        model, radius = self.model, float(self.bodies.radius[k])
+        if not model.laws.bent(*rolling.LAWS):
+            stop = t + float(stop_time(np.hypot(state[3], state[4]), model.rolling_drag, model.rolling_decel))
+            return Roll(t, stop, t, state, radius, model.rolling_drag, model.rolling_decel)
+        found = rolling.rolls(model, state[None], self._body(k), np.array([t]), np.array([until]), self._other(k))
+        ended = float(found.until[0])
+
+        def states(times: Array) -> Array:
+            return np.asarray(found.states(times[None])[0])
+
+        return Numeric(min(t, ended), max(t, ended), "roll", states, _steepest(states, t, ended - t))
+
+    def _fly(self, k: int, state: Array, t: float) -> Leg:
+        model = self.model
+        lasts = 2 * float(state[5]) / model.gravity
+        leg = Fly(t, t + lasts, state, model.gravity)
+        if not model.laws.bent("push"):
+            return leg
+        times = np.array([t]), np.array([t + lasts])
+        found = rolling.flights(model, state[None], self._body(k), *times, self._other(k))
+
+        def states(at: Array) -> Array:
+            out = fly(state, model.gravity, at - t)
+            plane = found.plane(at[None])[0]
+            out[:, 0:2], out[:, 3:5] = plane[:, :2], plane[:, 2:]
+            return out
+
+        return Numeric(t, t + lasts, "fly", states, model.gravity + _steepest(states, t, lasts))
+
+    def _rest(self, k: int, state: Array, t: float) -> Leg:
+        """Rest, until a push that depends on the other ball overcomes what holds the ball."""
+        still = rolling_state(state[:2], np.zeros(2), state[8], float(self.bodies.radius[k]))
+        if not self.model.laws.bent("push"):
+            return Rest(t, np.inf, still)
+        if self._excess(k, still, t) > 0:
+            return Rest(t, t, still)
+        if self.others[k] is None:
+            return Rest(t, np.inf, still)
+        return Rest(t, self._loosened(k, still, t), still)
+
+    def _excess(self, k: int, state: Array, t: float) -> float:
+        """By how much 5/7 of the push on a ball at rest exceeds what holds it, m/s^2."""
+        return float(np.hypot(*self._push(k, state, t))) * 5 / 7 - self.model.rolling_decel
+
+    def _push(self, k: int, state: Array, t: float) -> Array:
+        body, other = self._body(k), self._other(k)
+        instant = dict(position=state[:2], velocity=np.zeros(2), gravity=self.model.gravity)
+        instant |= dict(radius=body.radius[0], mass=body.mass[0], of_a=body.of_a[0])
+        instant["other"] = np.full(2, np.inf) if other is None else other(np.array([[t]]), 0)[0, 0] - state[:2]
+        return np.asarray(self.model.laws("push", np.zeros(2), instant))
+
+    def _loosened(self, k: int, state: Array, t: float) -> float:
+        """When a ball at rest starts to roll, or infinity: looked for every ms, then halved."""
+        for a in np.arange(t, max(self.end, t) + AHEAD, 1e-3):
+            if self._excess(k, state, a + 1e-3) > 0:
+                low, high = a, a + 1e-3
+                while high - low > 1e-12:
+                    middle = (low + high) / 2
+                    low, high = (low, middle) if self._excess(k, state, middle) > 0 else (middle, high)
+                return float(high)
+        return np.inf
+
+    # events
+
+    def _settle(self, k: int) -> None:
+        """The end of a leg: of a slide, a roll, a rest, a flight; no event where a numerical roll was solved to."""
+        leg, radius = self.legs[k], float(self.bodies.radius[k])
+        before = leg.at(np.array([leg.t1]))[0]
+        if leg.motion == "roll" and np.hypot(before[3], before[4]) > 2 * rolling.SLOWEST:
+            self._go_on(k, before)
+        elif leg.motion == "fly":
+            self._land(k, before)
+        elif leg.motion == "rest":
+            push = self._push(k, before, self.t)
+            nudge = 2 * rolling.SLOWEST * push / np.hypot(*push)
+            self._happen("start", k, before, rolling_state(before[:2], nudge, before[8], radius))
+        else:
+            velocity = rolling_velocity(before, radius) if leg.motion == "slide" else np.zeros(2)
+            after = rolling_state(before[:2], velocity, before[8], radius)
+            self._happen("slide_end" if leg.motion == "slide" else "stop", k, before, after)
+
+    def _land(self, k: int, before: Array) -> None:
+        radius = float(self.bodies.radius[k])
+        before[2] = radius
+        after = land(self.model, before[None], self._body(k))[0]
+        slips = [float(np.hypot(*contact_velocity(s, radius))) for s in (before, after)]
+        self.events.append(Event(self.t, "land", k, before=before[None], after=after[None]))
+        if slips[0] > STILL and slips[1] <= 1e-9 * slips[0]:
+            after = _rolling(after, radius)
+            self.events.append(Event(self.t, "slide_end", k, before=before[None], after=after[None]))
+        self._go_on(k, after)
+
+    def _happen(self, kind: str, k: int, before: Array, after: Array) -> None:
+        self.events.append(Event(self.t, kind, k, before=before[None], after=after[None]))  # type: ignore[arg-type]
+        self._go_on(k, after)
+
+    def _collide(self, t: float, i: int, j: int) -> None:
+        self.t = t
+        states = {k: self.legs[k].at(np.array([t])) for k in (i, j)}
+        speeds = {k: float(np.hypot(*states[k][0, 3:5])) for k in (i, j)}
+        i, j = (j, i) if speeds[i] > speeds[j] else (i, j)  # the slower ball is the target
+        hit = collide(self.model, states[i], states[j], self._body(i), self._body(j))
+        if hit.impulse_n[0] < LINGERING * self.bodies.mass[i]:
+            raise ValueError(f"balls {i} and {j} stay in contact from {t:.6g} s on: only separate impacts are modelled")
+        n = (float(hit.n[0, 0]), float(hit.n[0, 1]))
+        before, after = np.concatenate([states[i], states[j]]), np.concatenate([hit.target, hit.striker])
+        after[:, 5] = np.where(np.abs(after[:, 5]) < LOWEST, 0.0, after[:, 5])
+        impulses = float(hit.impulse_n[0]), float(hit.impulse_t[0])
+        self.events.append(Event(t, "contact", i, j, before, after, n, *impulses))
+        for k, state in ((i, after[0]), (j, after[1])):
+            if state[5] < 0:
+                self._land(k, state.copy())
+            else:
+                self._go_on(k, state)
+
+    def _first_contact(self, horizon: float) -> tuple[float, int, int] | None:
+        """Time and balls of the first contact in [now, horizon], or None."""
+        found = None
+        for i, j in itertools.combinations(range(len(self.legs)), 2):
+            if self.legs[i].motion == self.legs[j].motion == "rest":
+                continue
+            reach = float(self.bodies.radius[i] + self.bodies.radius[j])
+            when = _contact(self.legs[i], self.legs[j], self.t, horizon, reach)
+            if when is not None:
+                found, horizon = (when, i, j), when
+        return found
 
 
-def _before(model: Model, state: Array, start: float, time: float) -> list[Leg]:
-    """The leg that leads to a launch: a ball rolling, or at rest."""
-    if start >= time:
-        return []
-    if np.hypot(*contact_velocity(state, model.ball.radius)) > STILL:
-        raise ValueError("a ball that slides at its launch has no past: start the run at the launch")
-    leg = _leg(model, state, time, start)
-    if leg.motion == "roll" and start < leg.t0 < time:
-        raise ValueError(f"a ball has no past before {leg.t0:.6g} s: the push set it rolling from rest there")
-    return [dataclasses.replace(leg, t0=start, t1=time)]  # type: ignore[type-var]
+def _rolling(state: Array, radius: float) -> Array:
+    """The same state with the last rounding of its slip taken out; a flight's vertical velocity is kept."""
+    out = rolling_state(state[:2], rolling_velocity(state, radius), state[8], radius)
+    out[5] = state[5]
+    return out
 
 
-def _leg(model: Model, state: Array, t: float, until: float) -> Leg:
-    """The leg of a ball that has this state at t, to its own next event; a numerical roll is solved to `until`."""
-    radius = model.ball.radius
-    u = float(np.hypot(*contact_velocity(state, radius)))
-    if u > STILL:
-        if model.laws.bent("friction", "normal_load", "push"):
-            return numeric_slide(model, state, t)
-        slowing = model.sliding_friction * model.gravity
-        return Slide(t, t + u / (3.5 * slowing), state, radius, slowing)
-    speed = float(np.hypot(state[3], state[4]))
-    pushed = model.laws.bent("push")
-    if speed <= STILL:
-        if pushed:
-            instant = {"position": state[:2], "velocity": np.zeros(2), "gravity": model.gravity}
-            push = float(np.hypot(*model.laws("push", np.zeros(2), instant)))
-            if 5 / 7 * push > model.rolling_decel:
-                raise ValueError(
-                    f"a ball cannot rest: 5/7 of the push, {5 / 7 * push:.3g} m/s^2, exceeds rolling_decel"
-                )
-        state = rolling_state(state[:2], np.zeros(2), state[8], radius)
-        return Rest(t, np.inf, state)
-    if pushed or model.laws.bent("rolling"):
-        return numeric_roll(model, state, t, until)
-    stop = t + Roll.stop_after(speed, model.rolling_drag, model.rolling_decel)
-    return Roll(t, stop, t, state, radius, model.rolling_drag, model.rolling_decel)
+def _touching(launch: Launch) -> bool:
+    reach = launch.bodies.radius[:, None] + launch.bodies.radius
+    apart = np.linalg.norm(launch.states[:, None, :3] - launch.states[:, :3], axis=-1) - reach
+    return bool(np.any(apart[~np.eye(len(apart), dtype=bool)] <= TOUCHING * launch.bodies.radius.min()))
 
 
-def _settle(model: Model, leg: Leg, ball: int) -> tuple[Array, Event | None]:
-    """The end of a slide or of a roll; no event where a numerical roll was merely not solved further."""
-    radius = model.ball.radius
-    before = leg.at(np.array([leg.t1]))[0]
-    if leg.motion == "roll" and np.hypot(before[3], before[4]) > 2 * SLOWEST:
-        return before, None
-    velocity = rolling_velocity(before, radius) if leg.motion == "slide" else np.zeros(2)
-    after = rolling_state(before[:2], velocity, before[8], radius)
-    kind = "slide_end" if leg.motion == "slide" else "stop"
-    return after, Event(leg.t1, kind, ball, before=before[None], after=after[None])  # type: ignore[arg-type]
-
-
-def _impact(model: Model, legs: list[Leg], i: int, j: int, t: float) -> tuple[Array, Event]:
-    before = np.stack([legs[k].at(np.array([t]))[0] for k in (i, j)])
-    hit = collide(model, before[0], before[1])
-    if hit.impulse_n < LINGERING:
-        raise ValueError(f"balls {i} and {j} stay in contact from {t:.6g} s on: only separate impacts are modelled")
-    event = Event(t, "contact", i, j, before, hit.states, hit.n, hit.impulse_n, hit.impulse_t)
-    return hit.states, event
-
-
-def _target_first(legs: list[Leg], i: int, j: int, t: float) -> tuple[int, int]:
-    """The slower ball is the target, i; the lower index when they are equally fast."""
-    speeds = [float(np.hypot(*legs[k].at(np.array([t]))[0, 3:5])) for k in (i, j)]
-    return (j, i) if speeds[0] > speeds[1] else (i, j)
-
-
-def _first_contact(legs: list[Leg], t: float, horizon: float, diameter: float) -> tuple[float, int, int] | None:
-    """Time and balls of the first contact in [t, horizon], or None."""
-    found = None
-    for i, j in itertools.combinations(range(len(legs)), 2):
-        if legs[i].motion == legs[j].motion == "rest":
-            continue
-        when = _contact(legs[i], legs[j], t, horizon, diameter)
-        if when is not None:
-            found, horizon = (when, i, j), when
-    return found
-
-
-def _contact(a: Leg, b: Leg, t: float, horizon: float, diameter: float) -> float | None:
-    """First time in [t, horizon] at which two balls touch and approach.
+def _contact(a: Leg, b: Leg, t: float, horizon: float, reach: float) -> float | None:
+    """First time in [t, horizon] at which two balls touch and approach; reach: the sum of their radii.
 
     Steps that cannot pass a contact: the gap h(t) stays above h + h' s - A s^2/2 where A bounds both accelerations,
     for the distance of two points in free motion is convex. On a contact they converge like Newton's method.
     """
     steepest = a.bound(t) + b.bound(t)
-    touching = TOUCHING * diameter / 2
+    touching = TOUCHING * reach / 2
     while True:
         at = np.array([t])
         relative = a.at(at)[0] - b.at(at)[0]
-        distance = float(np.hypot(relative[0], relative[1]))
-        gap = distance - diameter
-        rate = float(relative[:2] @ relative[3:5]) / distance
+        distance = float(np.linalg.norm(relative[:3]))
+        gap = distance - reach
+        rate = float(relative[:3] @ relative[3:6]) / distance
         if gap <= touching:
             if rate < 0:
                 return t
-            if gap < -1e-6 * diameter:
+            if gap < -1e-6 * reach:
                 raise ValueError(f"balls overlap by {-gap:.3g} m at {t:.6g} s")
             gap = touching if rate == 0 else max(gap, 0.0)
         step = _safe_step(gap, rate, steepest)
@@ -183,3 +339,10 @@ def _safe_step(gap: float, rate: float, steepest: float) -> float:
         return gap / -rate if rate < 0 else np.inf
     root = np.sqrt(rate * rate + 2 * steepest * gap)
     return float((rate + root) / steepest if rate > 0 else 2 * gap / (root - rate))
+
+
+def _steepest(states: Others, t: float, lasts: float) -> float:
+    """A bound of the acceleration along a leg: twice the largest found between samples."""
+    times = np.linspace(t, t + lasts, 65)
+    v = states(times)[:, 3:5]
+    return float(2 * np.max(np.linalg.norm(np.diff(v, axis=0), axis=1)) / max(abs(lasts) / 64, 1e-300))

@@ -20,25 +20,34 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, fields
 from functools import cache
 from types import ModuleType
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Self
 
+# All balls, or all nodes of an integration, come together: numbers are arrays (balls, n) or broadcast with them,
+# vectors have a last axis of two. "slip" is the unit vector of the contact velocity; "of_a" is 1 for the experimenter's
+# ball a, 0 for ball b; "other" is the place of the other ball relative to this one.
 LAWS: dict[str, tuple[str, ...]] = {
-    # impact, once a collision
-    "restitution": ("normal_speed",),  # m/s, of approach along n
-    "spin_transfer": ("contact_speed",),  # m/s, of one touching surface over the other, |u_t|
-    # sliding: mu; the load on the plate over the mass (m/s^2)
-    "friction": (
-        "slip_speed",
-        "slip",
-        "position",
-        "velocity",
-        "spin",
-    ),  # slip: unit vector of the contact velocity
-    "normal_load": ("position", "velocity", "gravity"),
+    # the balls, once a run; bends ball a's
+    "mass": (),
+    "radius": (),
+    # impact, once a collision; normal_speed and contact_speed in m/s, normal_impulse over twice the reduced mass
+    "restitution": ("normal_speed", "heading"),
+    "spin_transfer": ("contact_speed", "normal_impulse", "striker_speed"),
+    "loft": (),  # the share of the vertical impulse that the plate does not hold back
+    "rebound": (),  # the plate's restitution
+    # sliding: mu; the load on the plate over the mass, m/s^2; the torque about the vertical, as dwz/dt
+    "friction": ("slip_speed", "slip", "position", "velocity", "spin", "radius"),
+    "normal_load": ("gravity", "position", "velocity"),
+    "drilling": ("spin", "slip_speed", "friction", "gravity", "radius"),
     # rolling loss, m/s^2 against the motion
-    "rolling": ("speed", "position"),
-    # force over mass on the centre, m/s^2, shape (2,)
-    "push": ("position", "velocity", "gravity"),
+    "rolling": ("speed", "position", "velocity", "gravity", "radius", "of_a"),
+    # force over mass on the centre, m/s^2
+    "push": ("position", "velocity", "gravity", "radius", "mass", "of_a", "other"),
+    # the picture: the camera as it is; when a moment of the film really was; how long the shutter was open
+    "camera": (),
+    "clock": ("fps", "row"),
+    "exposure": ("fps",),
+    # a defect of the tracker, which no scene may have: where it puts a centre that is seen at (x, y) px
+    "measure": ("glint",),  # a function: where a ball's glint is seen whose centre is seen at (x, y)
 }
 
 
@@ -119,6 +128,11 @@ class Effect:
         """The parameters that are zero when the effect is absent."""
         return tuple(p for p in cls.parameters() if not p.fixed)
 
+    @classmethod
+    def absent(cls) -> Self:
+        """The effect with every strength zero and every shape at its default."""
+        return cls(**{p.name: 0.0 for p in cls.strengths()})
+
     @property
     def active(self) -> bool:
         """False when every strength is exactly zero: the effect is then left out, bit for bit."""
@@ -138,6 +152,10 @@ class Laws:
     def bent(self, *laws: str) -> bool:
         """True when an active effect bends any of these laws."""
         return any(self._bends[law] for law in laws)
+
+    def asks(self, law: str, what: str) -> bool:
+        """True when an active effect on `law` wants to know `what`."""
+        return any(what in asks for _, asks in self._bends[law])
 
     def __call__(self, law: str, value: Any, instant: Mapping[str, Any]) -> Any:
         """`value` after every effect on `law`; `instant` maps the names in LAWS[law] to what they are now."""

@@ -17,14 +17,13 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from synthcam import truth
-from synthcam.dataset import Frames, finish, finish_shard, motion_of, write_clip
+from synthcam.dataset import Frames, finish, finish_shard, view_of, write_clip
 from synthcam.partial import PLAN, Partial, aside, begin, settle
 from synthcam.pool import each
 from synthcam.scene import Clip, Scene, check_scene
 from synthcam.sensor import Chip, Sensor
 from synthcam.settings import InputError
-from synthcam.trajectory import Trajectory
+from synthcam.view import View
 
 FULL = {errno.ENOSPC, errno.EDQUOT, errno.EROFS}  # what will happen to the next clip as well
 TRIALS = 3  # clips made before the others to tell how long these will take
@@ -244,9 +243,9 @@ def make_clip(plan: Plan, number: int, folder: Path, secret: Path | None = None)
     made, kept = aside(final), aside(hidden) if hidden else None
     try:
         clip = plan.clip(number)
-        motion = motion_of(clip)
-        frames = film(clip, motion, plan.seed) if plan.video else None
-        write_clip(made, clip, motion, frames, {"seed": plan.seed}, kept, plan.compression)
+        view = view_of(clip)
+        frames = film(clip, view, plan.seed) if plan.video else None
+        write_clip(made, clip, view, frames, {"seed": plan.seed}, kept, plan.compression)
         if kept and hidden:
             settle(kept, hidden)
         settle(made, final)
@@ -268,18 +267,17 @@ def _why(error: Exception) -> str:
     return said if isinstance(error, ValueError) else f"{type(error).__name__}: {said}"
 
 
-def film(clip: Clip, motion: Trajectory, seed: int) -> Frames:
+def film(clip: Clip, view: View, seed: int) -> Frames:
     """The clip's frames as the sensor gives them, one at a time."""
     from synthcam.render import Film  # here alone: everything else works without OpenGL
 
     chip = _chip(clip.sensor, clip.camera.size, clip.camera.exposure, seed)
-    radii = [clip.model.ball.radius] * len(motion.legs)
-    breaks = np.array([e.t for e in motion.events])
+    radii = clip.launch.bodies.radius.tolist()
     with Film(clip.camera, clip.lamp, radii, clip.room) as drawing:
         pictures = drawing.frames(
-            lambda t: motion.at(t)[:, :, :3].transpose(1, 0, 2),
-            truth.exposures(clip.camera, clip.frames),
-            breaks,
+            lambda t: view.at(t)[:, :, :3].transpose(1, 0, 2),
+            view.spans(clip.frames),
+            view.breaks(),
         )
         for k, picture in enumerate(pictures):
             yield chip.expose(picture, clip.number, k)

@@ -7,32 +7,43 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from synthcam.trajectory import Array, rolling_state
+from synthcam.kinematics import Array, rolling_state
+from synthcam.model import Bodies
 
 
 @dataclass(frozen=True)
 class Launch:
-    """States (balls, 9) at `time`, s. Before it every ball has been rolling or at rest; after it anything goes."""
+    """States (balls, 9) of `bodies` at `time`, s. Before it every ball rolled or was at rest."""
 
     time: float
     states: Array
+    bodies: Bodies
 
     @classmethod
-    def pair(cls, radius: float, time: float, v0: float, b: float, heading: float, contact: ArrayLike) -> Launch:
-        """Ball 1 at rest is touched by the rolling ball 2 at `time`, at the point `contact` (x, y) between them.
+    def pair(cls, bodies: Bodies, time: float, v0: float, b: float, heading: float, contact: ArrayLike) -> Launch:
+        """Ball 1, bodies[0], at rest is touched by the rolling ball 2 at `time`, at the place `contact` between them.
 
-        v0 in m/s, heading in rad from x to y; b is the impact parameter over the diameter, |b| < 1: with d the heading,
-        b = z . [d x (x2 - x1)] / 2R.
+        v0 in m/s, heading in rad from x to y; b is the impact parameter over the sum of the radii, |b| < 1: with d the
+        heading, b = z . [d x (x2 - x1)] / (R1 + R2).
         """
-        d = np.array([np.cos(heading), np.sin(heading)])
-        n = np.sqrt(1 - b * b) * d - b * np.array([-d[1], d[0]])
-        touch = np.asarray(contact, dtype=float)
-        target = rolling_state(touch + radius * n, np.zeros(2), 0.0, radius)
-        striker = rolling_state(touch - radius * n, v0 * d, 0.0, radius)
-        return cls(time, np.stack([target, striker]))
+        numbers = np.array([v0]), np.array([b]), np.array([heading])
+        states = touching(bodies[:1], bodies[1:], *numbers, np.array([contact]))
+        return cls(time, np.concatenate(states), bodies)
 
     @classmethod
-    def single(cls, radius: float, time: float, v0: float, heading: float, place: ArrayLike) -> Launch:
+    def single(cls, bodies: Bodies, time: float, v0: float, heading: float, place: ArrayLike) -> Launch:
         """One ball that rolls through `place` (x, y) at `time`."""
         v = v0 * np.array([np.cos(heading), np.sin(heading)])
-        return cls(time, rolling_state(np.asarray(place, dtype=float), v, 0.0, radius)[None])
+        return cls(time, rolling_state(np.array([place], dtype=float), v[None], 0.0, bodies.radius), bodies)
+
+
+def touching(one: Bodies, two: Bodies, v0: Array, b: Array, heading: Array, contact: Array) -> tuple[Array, Array]:
+    """States (k, 9) of targets at rest and of strikers that touch them; v0, b, heading (k,), contact (k, 2)."""
+    d = np.stack([np.cos(heading), np.sin(heading)], axis=-1)
+    apart = 2 * np.sqrt(one.radius * two.radius)  # of the centres, seen from above
+    sine = -b * (one.radius + two.radius) / apart
+    n = np.sqrt(1 - sine * sine)[:, None] * d + sine[:, None] * np.stack([-d[:, 1], d[:, 0]], axis=-1)
+    share = (one.radius / (one.radius + two.radius))[:, None]
+    target = rolling_state(contact + share * apart[:, None] * n, np.zeros_like(n), 0.0, one.radius)
+    striker = rolling_state(contact - (1 - share) * apart[:, None] * n, v0[:, None] * d, 0.0, two.radius)
+    return target, striker

@@ -4,17 +4,21 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache, cached_property
 from pathlib import Path
 from typing import Annotated, Any
 
+import numpy as np
 import yaml
+from numpy.typing import NDArray
 from pydantic import Field, ValidationError, create_model
 
 from synthcam.effect import Effect, Laws, library
 from synthcam.settings import Fraction, InputError, NotNegative, Positive, Settings, one_line, read_yaml
+
+Array = NDArray[np.float64]
 
 
 class BallSettings(Settings):
@@ -30,7 +34,7 @@ class ModelSettings(Settings):
     gravity: Positive = 9.81
     restitution: Fraction = 0.903
     sliding_friction: Positive = 0.232
-    spin_transfer: Fraction = 0.347
+    spin_transfer: Annotated[float, Field(ge=0, le=5 / 7)] = 0.347  # more would make energy
     rolling_drag: NotNegative = 0.135
     rolling_decel: NotNegative = 0.0103
 
@@ -66,6 +70,18 @@ class Ball:
 
 
 @dataclass(frozen=True)
+class Bodies:
+    """Balls in a row: radius (n,) m, mass (n,) kg, of_a (n,): 1 for the experimenter's ball a, 0 for ball b."""
+
+    radius: Array
+    mass: Array
+    of_a: Array
+
+    def __getitem__(self, which: Any) -> Bodies:
+        return Bodies(self.radius[which], self.mass[which], self.of_a[which])
+
+
+@dataclass(frozen=True)
 class Model:
     """Everything that decides how balls move. `free` names what a fit may change ("restitution", "plate_tilt.x")."""
 
@@ -84,12 +100,20 @@ class Model:
         """The laws with the active effects applied."""
         return Laws(self.effects)
 
+    def bodies(self, labels: Sequence[str]) -> Bodies:
+        """The balls with these labels, "a" or "b"."""
+        of_a = np.array([float(label == "a") for label in labels])
+        a = self.laws("radius", self.ball.radius, {}), self.laws("mass", self.ball.mass, {})
+        b = self.ball.radius, self.ball.mass
+        radius, mass = (np.where(of_a == 1, x, y) for x, y in zip(a, b, strict=True))
+        return Bodies(radius, mass, of_a)
+
     def value(self, name: str) -> float:
-        """A parameter by its dotted name: "restitution" or "plate_tilt.x" (0 or its default when absent)."""
+        """A parameter by its dotted name: "restitution" or "plate_tilt.x"; of an absent effect, a strength is 0."""
         effect, dot, parameter = name.rpartition(".")
         if not dot:
             return float(getattr(self, name))
-        present = next((e for e in self.effects if e.name() == effect), None) or library()[effect]()
+        present = next((e for e in self.effects if e.name() == effect), None) or library()[effect].absent()
         return float(getattr(present, parameter))
 
     def replace(self, values: Mapping[str, float]) -> Model:
@@ -99,7 +123,7 @@ class Model:
         for name, value in values.items():
             effect, dot, parameter = name.rpartition(".")
             if dot:
-                here = effects.get(effect) or library()[effect]()
+                here = effects.get(effect) or library()[effect].absent()
                 effects[effect] = dataclasses.replace(here, **{parameter: value})
         return dataclasses.replace(self, effects=tuple(effects.values()), **base)  # type: ignore[arg-type]
 

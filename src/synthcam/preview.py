@@ -14,7 +14,7 @@ import imageio.v3 as iio
 import numpy as np
 from numpy.typing import NDArray
 
-from synthcam.dataset import motion_of
+from synthcam.dataset import view_of
 from synthcam.generate import film
 from synthcam.scene import Clip, check_scene
 
@@ -30,15 +30,15 @@ def write_preview(clip: Clip, seed: int, path: Path, frame: int | None, magnify:
 
     magnify > 0: the balls so many times larger stand below the frame, with their faint bodies brought out.
     """
-    motion = motion_of(clip)
-    hit = motion.first("contact")
+    view = view_of(clip)
+    hit = view.motion.first("contact")
     when = hit.t if hit else 0.5 * clip.frames / clip.camera.fps
     k = frame if frame is not None else int((when - clip.camera.exposure) * clip.camera.fps)
     k = min(max(k, 0), clip.frames - 1)
-    counts = next(itertools.islice(film(clip, motion, seed), k, None))
+    counts = next(itertools.islice(film(clip, view, seed), k, None))
     picture = _grey(counts, clip.sensor.bits)
     if magnify:
-        middle = clip.camera.project(motion.at(k / clip.camera.fps)[:, 0, :3]).mean(axis=0)
+        middle = clip.camera.project(view.at(np.array([k / clip.camera.fps]))[:, 0, :3]).mean(axis=0)
         black = clip.sensor.black_level / 2 ** (clip.sensor.bits - 8)
         picture = _with_inset(picture, middle, magnify, black)
     ok, data = cv2.imencode(".png", picture)
@@ -52,16 +52,16 @@ def write_film(clip: Clip, seed: int, path: Path) -> float:
 
     What is dark is brought out, as in `write_preview`. A strip below the picture tells the speed and the time.
     """
-    motion = motion_of(clip)
+    view = view_of(clip)
     slower = clip.camera.fps / SHOWN_FPS
-    places = motion.at(np.arange(clip.frames) / clip.camera.fps)[:, :, :3]
+    places = view.at(np.arange(clip.frames) / clip.camera.fps)[:, :, :3]
     rows, columns = _crop(clip, places)
     size = max(rows.stop - rows.start, columns.stop - columns.start)
     zoom = max(1, round(WIDTH / size))
     black = clip.sensor.black_level / 2 ** (clip.sensor.bits - 8)
 
     def shown() -> Iterator[NDArray[np.uint8]]:
-        for k, counts in enumerate(film(clip, motion, seed)):
+        for k, counts in enumerate(film(clip, view, seed)):
             patch = _lifted(_grey(counts, clip.sensor.bits)[rows, columns], black)
             large = np.kron(patch, np.ones((zoom, zoom), np.uint8))
             yield _with_caption(large, f"{slower:.3g} x slower   {1e3 * k / clip.camera.fps:.0f} ms")
@@ -139,7 +139,7 @@ def speed() -> float:
     clip = check_scene(settings, "doctor").draw(0, 0)
     for _ in range(2):
         started = time.perf_counter()
-        for _ in film(clip, motion_of(clip), 0):
+        for _ in film(clip, view_of(clip), 0):
             pass
         seconds = time.perf_counter() - started
     return TIMED / seconds

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import copy
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -28,6 +28,7 @@ from synthcam.settings import (
     read_yaml,
 )
 
+LABELS = {"a": ("b", "a"), "b": ("a", "b")}  # of ball 1 and ball 2, by the striker
 UPSTREAM = 0.015 / 0.6  # s: at 0.6 m/s the contact lies 15 mm before the centre, so that the slide's end is in view
 Pair = Annotated[list[float], Field(min_length=2, max_length=2)]
 Place = Annotated[list[float], Field(min_length=3, max_length=3)]
@@ -112,12 +113,16 @@ def scene_file() -> type[Settings]:
 
 @dataclass(frozen=True)
 class Clip:
-    """One drawn clip: everything that decides its frames, and `drawn`, the plain settings it came from."""
+    """One drawn clip: everything that decides its frames, and `drawn`, the plain settings it came from.
+
+    nominal: the camera that the experimenter knows; camera: as it is, with the effects on it.
+    """
 
     number: int
     drawn: dict[str, Any]
     model: Model
     launch: Launch
+    nominal: Camera
     camera: Camera
     lamp: Lamp
     sensor: Sensor
@@ -152,35 +157,44 @@ def clip_of(number: int, drawn: dict[str, Any], where: str = "") -> Clip:
         raise InputError(f"{where}: camera.height: expected more than two ball diameters")
     if drawn["lamp"]["position"][2] <= 2 * model.ball.diameter:
         raise InputError(f"{where}: lamp.position: expected z above the balls")
+    nominal = Camera.overhead(
+        size=tuple(camera["size"]),
+        scale=camera["scale"],
+        height=camera["height"],
+        tilt=camera["tilt"],
+        distortion=camera["distortion"],
+        ball_radius=model.ball.radius,
+        fps=timing["fps"],
+        exposure=timing["exposure"],
+        psf_sigma_px=camera["psf_sigma_px"],
+    )
     return Clip(
         number=number,
         drawn=drawn,
         model=model,
         launch=_launch(model, launch, timing["contact_frame"] / timing["fps"]),
-        camera=Camera.overhead(
-            size=tuple(camera["size"]),
-            scale=camera["scale"],
-            height=camera["height"],
-            tilt=camera["tilt"],
-            distortion=camera["distortion"],
-            ball_radius=model.ball.radius,
-            fps=timing["fps"],
-            exposure=timing["exposure"],
-            psf_sigma_px=camera["psf_sigma_px"],
-        ),
+        nominal=nominal,
+        camera=_as_it_is(model, nominal),
         lamp=Lamp(np.array(drawn["lamp"]["position"]), drawn["lamp"]["radius"]),
         sensor=Sensor(**drawn["sensor"]),
         frames=timing["frames"],
     )
 
 
+def _as_it_is(model: Model, nominal: Camera) -> Camera:
+    bent: Camera = model.laws("camera", nominal, {})
+    return replace(bent, exposure=float(model.laws("exposure", nominal.exposure, {"fps": nominal.fps})))
+
+
 def _launch(model: Model, launch: dict[str, Any], time: float) -> Launch:
     heading, v0, place = launch["heading"], launch["v0"], launch["contact"]
     if place == "upstream":
         place = -UPSTREAM * v0 * np.array([np.cos(heading), np.sin(heading)])
+    labels = (launch["striker"],) if launch["kind"] == "single" else LABELS[launch["striker"]]
+    bodies = model.bodies(labels)
     if launch["kind"] == "single":
-        return Launch.single(model.ball.radius, time, v0, heading, place)
-    return Launch.pair(model.ball.radius, time, v0, launch["b"], heading, place)
+        return Launch.single(bodies, time, v0, heading, place)
+    return Launch.pair(bodies, time, v0, launch["b"], heading, place)
 
 
 def read_scene(path: Path, overrides: tuple[str, ...] = ()) -> Scene:

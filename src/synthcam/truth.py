@@ -7,10 +7,12 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from synthcam.kinematics import Array, rolling_velocity
 from synthcam.launch import Launch
-from synthcam.model import Model
+from synthcam.model import Bodies, Model
 from synthcam.optics import Camera, Lamp, glint_px
-from synthcam.trajectory import Array, Trajectory, rolling_velocity
+from synthcam.trajectory import Event, Trajectory
+from synthcam.view import View
 
 NAN = float("nan")
 COLLISION = (
@@ -26,13 +28,14 @@ def scalars(model: Model, launch: Launch, motion: Trajectory) -> dict[str, float
     if hit is None or hit.before is None or hit.after is None:
         speeds = np.hypot(launch.states[:, 3], launch.states[:, 4])
         return row | {"v0": float(speeds.max())}
-    n = np.array(hit.n)
+    side = np.array(hit.n)  # of unit length but for unequal balls, which touch off their equators
+    n = side / np.hypot(*side)
     t = np.array([-n[1], n[0]])
     before, after = hit.before[:, 3:5], hit.after[:, 3:5]
     approach, parting = before[1] - before[0], after[1] - after[0]
     v0 = float(np.hypot(*approach))
     d = approach / v0
-    b = float(d[1] * n[0] - d[0] * n[1])  # z . [d x (x2 - x1)] / 2R with x2 - x1 = -2R n
+    b = float(d[1] * side[0] - d[0] * side[1])  # z . [d x (x2 - x1)] / (R1 + R2), x2 - x1 = -(R1 + R2) n
     across = float(approach @ t)
     row |= {
         "v0": v0,
@@ -40,14 +43,14 @@ def scalars(model: Model, launch: Launch, motion: Trajectory) -> dict[str, float
         "t_c": hit.t,
         "r": float(-(parting @ n) / (approach @ n)),
         "s": float(parting @ t) / across if abs(across) > 1e-12 * v0 else NAN,
-        "C": _spin_transfer(model, hit.before, hit.after, n),
+        "C": _spin_transfer(launch.bodies, hit),
         **{f"w{k + 1}{axis}": float(hit.after[k, 6:8] @ e) for k in (0, 1) for axis, e in (("n", n), ("t", t))},
     }
     finals = np.empty((2, 2))
     for k, ball in enumerate((hit.i, hit.j)):
         end = motion.first("slide_end", ball, hit.t)
         row[f"tau{k + 1}"] = end.t - hit.t if end else 0.0
-        finals[k] = rolling_velocity(hit.after[k], model.ball.radius) if not end else end.after[0, 3:5]  # type: ignore[index]
+        finals[k] = rolling_velocity(hit.after[k], launch.bodies.radius[ball]) if not end else end.after[0, 3:5]  # type: ignore[index]
         row[f"v{k + 1}f"] = float(np.hypot(*finals[k]))
     total = before.sum(axis=0)
     row["energy_fraction"] = float((finals**2).sum() / (before**2).sum())
@@ -57,32 +60,30 @@ def scalars(model: Model, launch: Launch, motion: Trajectory) -> dict[str, float
     return row
 
 
-def _spin_transfer(model: Model, before: Array, after: Array, n: Array) -> float:
-    """C from J = (2/5) C |u_t| and R dw = (5/2) n x J/m."""
-    radius, axis = model.ball.radius, np.array([*n, 0.0])
+def _spin_transfer(bodies: Bodies, hit: Event) -> float:
+    """C from J = (2/5) C |u_t| 2 m and dw = (5/2) n x J / (mass R), read off the striker; m the reduced mass."""
+    before, after = np.asarray(hit.before), np.asarray(hit.after)
+    radius, mass = bodies.radius[[hit.i, hit.j]], bodies.mass[[hit.i, hit.j]]
+    n = before[0, :3] - before[1, :3]
+    n = n / np.linalg.norm(n)
     approach = before[1, 3:6] - before[0, 3:6]
-    spin = np.cross(before[0, 6:9] + before[1, 6:9], axis)
-    u_t = approach - (approach @ axis) * axis + radius * spin
-    return float(radius * np.linalg.norm(after[0, 6:9] - before[0, 6:9]) / np.linalg.norm(u_t))
+    u_t = approach - (approach @ n) * n + np.cross((radius[:, None] * before[:, 6:9]).sum(axis=0), n)
+    impulse = mass[1] * radius[1] / 2.5 * np.linalg.norm(after[1, 6:9] - before[1, 6:9])
+    return float(impulse / (0.8 * mass[0] * mass[1] / mass.sum() * np.linalg.norm(u_t)))
 
 
-def exposures(camera: Camera, frames: int) -> Array:
-    """Start and end of each frame's exposure, s: (frames, 2)."""
-    starts = np.arange(frames) / camera.fps
-    return np.stack([starts, starts + camera.exposure], axis=1)
-
-
-def tracks(model: Model, motion: Trajectory, camera: Camera, lamp: Lamp, frames: int) -> pd.DataFrame:
+def tracks(bodies: Bodies, view: View, lamp: Lamp, frames: int) -> pd.DataFrame:
     """The table of `truth/tracks.parquet`: a row for each ball and frame, at mid-exposure, with the exposure's mean."""
-    spans = exposures(camera, frames)
-    middle = spans.mean(axis=1)
-    states, kinds = motion.at(middle), motion.motion(middle)
-    means = motion.mean(spans, lambda states: camera.project(states[..., :3]))
-    radius, tables = model.ball.radius, []
+    spans, camera = view.spans(frames), view.camera
+    times = view.times(spans.mean(axis=1))
+    states = np.stack([view.motion.at(t)[k] for k, t in enumerate(times)])
+    kinds = [view.motion.motion(t)[k] for k, t in enumerate(times)]
+    means = view.mean(spans, lambda states: camera.project(states[..., :3]))
+    tables = []
     for ball in range(len(states)):
-        state = states[ball]
+        state, radius = states[ball], float(bodies.radius[ball])
         px, glint = camera.project(state[:, :3]), glint_px(camera, lamp, state[:, :3], radius)
-        columns: dict[str, Any] = {"frame": np.arange(frames), "t_s": middle, "particle": ball}
+        columns: dict[str, Any] = {"frame": np.arange(frames), "t_s": times[ball], "particle": ball}
         columns |= {"x_px": px[:, 0], "y_px": px[:, 1], "glint_x_px": glint[:, 0], "glint_y_px": glint[:, 1]}
         columns |= dict(zip("x y z vx vy vz wx wy wz".split(), state.T, strict=True))
         columns |= {"x_mean_px": means[ball, :, 0], "y_mean_px": means[ball, :, 1]}
@@ -101,11 +102,10 @@ def _whole(camera: Camera, centres: Array, radius: float) -> Any:
     return inside.all(axis=(1, 2))
 
 
-def events(model: Model, motion: Trajectory, fps: float) -> pd.DataFrame:
+def events(motion: Trajectory, fps: float) -> pd.DataFrame:
     """The table of `truth/events.parquet`; impulses in N s."""
-    mass = model.ball.mass
     columns = "t_s frame_float kind i j nx ny impulse_n impulse_t".split()
-    rows = [(e.t, e.t * fps, e.kind, e.i, e.j, *e.n, mass * e.impulse_n, mass * e.impulse_t) for e in motion.events]
+    rows = [(e.t, e.t * fps, e.kind, e.i, e.j, *e.n, e.impulse_n, e.impulse_t) for e in motion.events]
     table = pd.DataFrame(rows, columns=columns)
     kinds = {"kind": "str", "i": "int64", "j": "int64"}
     return table.astype({c: kinds.get(c, "float64") for c in columns})  # an empty table has its types too

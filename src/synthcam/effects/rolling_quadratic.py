@@ -10,7 +10,7 @@ from synthcam.effect import Effect, parameter
 class RollingQuadratic(Effect):
     """a = -(drag v + decel + K v^2) while rolling; nothing while sliding, which tells it from the drag of air."""
 
-    K: float = parameter("1/m", scale=0.1, low=-1, high=10)
+    K: float = parameter("1/m", scale=0.1, low=-0.1, high=10)
 
     def rolling(self, loss: Any, speed: Any) -> Any:
         return loss + self.K * speed**2

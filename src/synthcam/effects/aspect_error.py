@@ -1,0 +1,20 @@
+"""Pixels that are not square."""
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from synthcam.effect import Effect, parameter
+
+
+@dataclass(frozen=True)
+class AspectError(Effect):
+    """The picture is wider by the fraction e/2 and lower by e/2 than the camera's file says."""
+
+    e: float = parameter("1", scale=1e-3, low=-0.3, high=0.3)
+
+    def camera(self, camera: Any) -> Any:
+        matrix = camera.K.copy()
+        matrix[:2, :2] = matrix[:2, :2] * np.array([[1 + self.e / 2], [1 - self.e / 2]])
+        return replace(camera, K=matrix)

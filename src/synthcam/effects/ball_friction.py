@@ -1,0 +1,27 @@
+"""Friction between the balls that follows Coulomb's law."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from synthcam.effect import Effect, parameter
+
+STICK = 2.5 / 7  # J/m = (1 + beta)|u_t|/7 is C = (1 + beta) 5/14: with beta = 0 the touching surfaces end at rest
+
+
+@dataclass(frozen=True)
+class BallFriction(Effect):
+    """J = min(mu P, what turns u_t into -beta u_t): slip, or stick with tangential restitution.
+
+    share: of this law in place of the model's fixed spin transfer, 0 (absent) to 1. mu: friction between the balls.
+    beta: 0 sticks (C = 5/14). Walton & Braun, J. Rheol. 30 (1986) 949; Foerster et al., Phys. Fluids 6 (1994) 1108.
+    """
+
+    share: float = parameter("1", scale=1.0, low=0, high=1, default=1.0)
+    mu: float = parameter("1", scale=0.15, low=0, high=1, fixed=True)
+    beta: float = parameter("1", scale=0.0, low=-1, high=1, fixed=True)
+
+    def spin_transfer(self, c: Any, contact_speed: Any, normal_impulse: Any) -> Any:
+        slipping = 2.5 * self.mu * normal_impulse / np.maximum(contact_speed, 1e-300)
+        return (1 - self.share) * c + self.share * np.minimum((1 + self.beta) * STICK, slipping)

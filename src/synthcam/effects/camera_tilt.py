@@ -1,0 +1,30 @@
+"""A camera that does not look straight down, unknown to its file."""
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from synthcam.effect import Effect, parameter
+
+
+@dataclass(frozen=True)
+class CameraTilt(Effect):
+    """The camera, in its place, is turned about the world's x axis by `x`, then about y by `y`, and re-aimed.
+
+    Re-aimed: the picture is shifted back so that the middle of the plate is seen where the file says; what is left is
+    the keystone.
+    """
+
+    x: float = parameter("rad", scale=5e-3, low=-0.3, high=0.3)
+    y: float = parameter("rad", scale=5e-3, low=-0.3, high=0.3)
+
+    def camera(self, camera: Any) -> Any:
+        (sx, sy), (cx, cy) = np.sin([self.x, self.y]), np.cos([self.x, self.y])
+        about_x = np.array([[1, 0, 0], [0, cx, -sx], [0, sx, cx]])
+        about_y = np.array([[cy, 0, sy], [0, 1, 0], [-sy, 0, cy]])
+        turned = camera.R @ about_y @ about_x
+        tilted = replace(camera, R=turned, t=turned @ camera.R.T @ camera.t)
+        matrix = camera.K.copy()
+        matrix[:2, 2] += (camera.project(np.zeros(3)) - tilted.project(np.zeros(3))).ravel()
+        return replace(tilted, K=matrix)

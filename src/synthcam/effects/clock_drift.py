@@ -1,0 +1,16 @@
+"""A frame rate that changes while the camera warms up."""
+
+from dataclasses import dataclass
+from typing import Any
+
+from synthcam.effect import Effect, parameter
+
+
+@dataclass(frozen=True)
+class ClockDrift(Effect):
+    """Frame k is taken at t (1 + e t), t = k/fps: the rate falls by 2 e a second."""
+
+    e: float = parameter("1/s", scale=1e-3, low=-0.2, high=0.2)
+
+    def clock(self, t: Any) -> Any:
+        return t * (1 + self.e * t)

@@ -1,0 +1,19 @@
+"""Balls of unequal diameter."""
+
+from dataclasses import dataclass
+from typing import Any
+
+from synthcam.effect import Effect, parameter
+
+
+@dataclass(frozen=True)
+class DiameterMismatch(Effect):
+    """Ball a is larger by the fraction `excess`, of the same steel: its mass goes with the cube."""
+
+    excess: float = parameter("1", scale=1e-3, low=-0.2, high=0.2)
+
+    def radius(self, radius: Any) -> Any:
+        return radius * (1 + self.excess)
+
+    def mass(self, mass: Any) -> Any:
+        return mass * (1 + self.excess) ** 3

@@ -1,0 +1,16 @@
+"""A shutter that stays open longer than the camera's file says."""
+
+from dataclasses import dataclass
+from typing import Any
+
+from synthcam.effect import Effect, parameter
+
+
+@dataclass(frozen=True)
+class ExposureBlur(Effect):
+    """The exposure is longer by `longer`: moving glints become streaks, and their middles come later by half of it."""
+
+    longer: float = parameter("s", scale=5e-4, low=-1e-3, high=4e-3)
+
+    def exposure(self, exposure: Any) -> Any:
+        return max(exposure + self.longer, 0.0)

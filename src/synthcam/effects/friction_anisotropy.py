@@ -1,0 +1,21 @@
+"""A plate with a grain: sliding friction that depends on the direction of the slip."""
+
+from dataclasses import dataclass
+from typing import Any
+
+from synthcam.effect import Effect, parameter
+
+
+@dataclass(frozen=True)
+class FrictionAnisotropy(Effect):
+    """mu(th) = mu [1 + c cos 2 th + s sin 2 th], th the direction of the slip from x.
+
+    The friction stays opposite to the slip; of a grain at th0 with the size e, c = e cos 2 th0 and s = e sin 2 th0.
+    """
+
+    c: float = parameter("1", scale=0.1, low=-0.45, high=0.45)
+    s: float = parameter("1", scale=0.1, low=-0.45, high=0.45)
+
+    def friction(self, mu: Any, slip: Any) -> Any:
+        cos, sin = slip[..., 0], slip[..., 1]
+        return mu * (1 + self.c * (cos * cos - sin * sin) + self.s * 2 * cos * sin)

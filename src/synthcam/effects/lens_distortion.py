@@ -1,0 +1,18 @@
+"""A lens that bends straight lines, unknown to the camera's file."""
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from synthcam.effect import Effect, parameter
+
+
+@dataclass(frozen=True)
+class LensDistortion(Effect):
+    """OpenCV's k1 differs from the file's by `k1`: r' = r (1 + k1 r^2), r over the focal length."""
+
+    k1: float = parameter("1", scale=0.05, low=-5, high=5)
+
+    def camera(self, camera: Any) -> Any:
+        return replace(camera, dist=camera.dist + self.k1 * np.array([1.0, 0, 0, 0, 0]))

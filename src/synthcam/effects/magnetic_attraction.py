@@ -1,0 +1,24 @@
+"""Magnetised balls, their moments upright: they attract or repel each other."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from synthcam.effect import Effect, parameter
+
+
+@dataclass(frozen=True)
+class MagneticAttraction(Effect):
+    """An acceleration of `pull` (2R/r)^4 towards the other ball, r the distance of the centres; pull < 0 repels.
+
+    3 mu0 m^2 / (2 pi r^4) of two aligned dipoles. A ball at rest stays while 5/7 of it is under `rolling_decel`.
+    """
+
+    pull: float = parameter("m/s^2", scale=0.1, low=-0.5, high=0.5)
+
+    def push(self, acceleration: Any, other: Any, radius: Any) -> NDArray[np.float64]:
+        r = np.hypot(other[..., 0], other[..., 1])
+        near = (2 * radius / r) ** 4 / r
+        return np.asarray(acceleration + self.pull * np.where(np.isfinite(r), near, 0.0)[..., None] * other)

@@ -1,0 +1,16 @@
+"""Balls of unequal mass."""
+
+from dataclasses import dataclass
+from typing import Any
+
+from synthcam.effect import Effect, parameter
+
+
+@dataclass(frozen=True)
+class MassMismatch(Effect):
+    """Ball a is heavier by the fraction `excess`, with the same diameter."""
+
+    excess: float = parameter("1", scale=0.01, low=-0.5, high=1)
+
+    def mass(self, mass: Any) -> Any:
+        return mass * (1 + self.excess)

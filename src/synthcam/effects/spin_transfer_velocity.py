@@ -1,0 +1,18 @@
+"""Spin transfer that depends on the speed of the impact."""
+
+from dataclasses import dataclass
+from typing import Any
+
+from synthcam.effect import Effect, parameter
+
+REFERENCE = 0.3  # m/s: there the model's own spin transfer holds
+
+
+@dataclass(frozen=True)
+class SpinTransferVelocity(Effect):
+    """C(v) = C [1 + c (v/v_ref - 1)], v the striker's speed, v_ref = 0.3 m/s."""
+
+    c: float = parameter("1", scale=0.1, low=-0.9, high=0.9)
+
+    def spin_transfer(self, c: Any, striker_speed: Any) -> Any:
+        return c * (1 + self.c * (striker_speed / REFERENCE - 1))

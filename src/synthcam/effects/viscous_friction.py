@@ -1,0 +1,16 @@
+"""Sliding friction that grows in proportion to slip speed, as with a film of oil."""
+
+from dataclasses import dataclass
+from typing import Any
+
+from synthcam.effect import Effect, parameter
+
+
+@dataclass(frozen=True)
+class ViscousFriction(Effect):
+    """mu(u) = mu (1 + k u)."""
+
+    k: float = parameter("s/m", scale=0.2, low=-0.5, high=10)
+
+    def friction(self, mu: Any, slip_speed: Any) -> Any:
+        return mu * (1 + self.k * slip_speed)

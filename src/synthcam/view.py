@@ -1,0 +1,77 @@
+"""A motion as a camera takes it: which moments a frame holds, where clock or shutter are not as stated."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from synthcam.dynamics import solve
+from synthcam.kinematics import Array
+from synthcam.launch import Launch
+from synthcam.model import Model
+from synthcam.optics import Camera
+from synthcam.trajectory import Trajectory, mean
+
+TURNS = 4  # of the fixed points below; each gains the ratio of line time to flight time, 1e-3 and less
+
+
+@dataclass(frozen=True)
+class View:
+    """The camera as it is, and the motion against film time: frame k opens at k/fps by the film's own count."""
+
+    model: Model
+    camera: Camera
+    motion: Trajectory
+
+    @classmethod
+    def of(cls, model: Model, launch: Launch, camera: Camera, frames: int) -> View:
+        """Solve the motion for as long as `frames` frames last."""
+        corners = np.array([[0.0], [frames / camera.fps]])
+        rows = np.array([0.0, camera.size[1] - 1.0])
+        times = model.laws("clock", corners, {"fps": camera.fps, "row": rows}) + np.zeros((2, 2))
+        return cls(model, camera, solve(model, launch, min(float(times.min()), 0.0), float(times.max())))
+
+    def spans(self, frames: int) -> Array:
+        """Film time at which each exposure opens and closes, (frames, 2)."""
+        starts = np.arange(frames) / self.camera.fps
+        return np.stack([starts, starts + self.camera.exposure], axis=1)
+
+    def times(self, film: Array) -> Array:
+        """The moments (balls, m) at which film time (m,) really shows each ball."""
+        out = np.repeat(film[None], len(self.motion.legs), axis=0)
+        for _ in range(TURNS if self.model.laws.asks("clock", "row") else 1):
+            out = self._clock(film, out)
+        return out
+
+    def at(self, film: Array) -> Array:
+        """States (balls, m, 9) at film time (m,)."""
+        times = self.times(film)
+        if not self.model.laws.bent("clock"):
+            return self.motion.at(times[0])
+        return np.stack([self.motion.at(t)[k] for k, t in enumerate(times)])
+
+    def breaks(self) -> Array:
+        """Film time of every event, rising."""
+        out = []
+        for event in self.motion.events:
+            film = event.t
+            for _ in range(TURNS):
+                film += event.t - float(self.times(np.array([film]))[event.i, 0])
+            out.append(film)
+        return np.sort(np.array(out))
+
+    def mean(self, spans: Array, of: Callable[[Array], Array]) -> Array:
+        """Means over spans of film time (n, 2) of a function of the states: (balls, n, k)."""
+        return mean(self.at, self.breaks(), spans, of)
+
+    def _clock(self, film: Array, times: Array) -> Array:
+        if not self.model.laws.bent("clock"):
+            return times
+        inside = np.clip(times, self.motion.t0, self.motion.t1)
+        places = np.stack([self.motion.at(t)[k] for k, t in enumerate(inside)])
+        rows = self.camera.project(places[..., :3])[..., 1]
+        rows = np.clip(rows, 0, self.camera.size[1] - 1)
+        bent = self.model.laws("clock", film + 0 * rows, {"fps": self.camera.fps, "row": rows})
+        return np.asarray(np.clip(bent, self.motion.t0, self.motion.t1))
