@@ -8,7 +8,7 @@ import pandas as pd
 import pytest
 import tifffile
 
-from synthcam.dataset import camera_json, clip_folders, finish, motion_of, sha256, verify, write_clip
+from synthcam.dataset import camera_json, clip_folders, finish, sha256, verify, view_of, write_clip
 from synthcam.scene import check_scene
 from synthcam.settings import InputError
 
@@ -36,7 +36,7 @@ def frames_of(clip, seed=0):
 def dataset(tmp_path):
     for k in range(2):
         clip = SCENE.draw(k, 3)
-        write_clip(tmp_path / "clips" / f"{k:06d}", clip, motion_of(clip), frames_of(clip), {"seed": 3})
+        write_clip(tmp_path / "clips" / f"{k:06d}", clip, view_of(clip), frames_of(clip), {"seed": 3})
     finish(tmp_path, ABOUT)
     return tmp_path
 
@@ -97,13 +97,13 @@ def test_scene_json_makes_the_clip_again(dataset):
     again = check_scene(drawn, "again").draw(0, 99)
     tracks = pd.read_parquet(dataset / "clips/000001/truth/tracks.parquet")
     np.testing.assert_array_equal(
-        motion_of(again).at(tracks.t_s[:12].to_numpy())[0, :, 0], tracks.x[tracks.particle == 0]
+        view_of(again).motion.at(tracks.t_s[:12].to_numpy())[0, :, 0], tracks.x[tracks.particle == 0]
     )
 
 
 def test_one_ball_alone_has_gaps_not_zeros(tmp_path):
     clip = check_scene({"launch": {"kind": "single"}, "timing": {"frames": 3, "contact_frame": 1}}, "x").draw(0, 0)
-    write_clip(tmp_path / "clips" / "000000", clip, motion_of(clip), None, {"seed": 0})
+    write_clip(tmp_path / "clips" / "000000", clip, view_of(clip), None, {"seed": 0})
     finish(tmp_path, ABOUT | {"gl": {}})
     table = pd.read_parquet(tmp_path / "truth/clips.parquet")
     assert table.r.isna().all()

@@ -9,11 +9,12 @@ from scipy.integrate import solve_ivp
 from synthcam.dynamics import solve
 from synthcam.effects.plate_tilt import PlateTilt
 from synthcam.effects.rolling_quadratic import RollingQuadratic
+from synthcam.kinematics import contact_velocity, rolling_state, rolling_velocity
 from synthcam.launch import Launch
 from synthcam.model import Model
-from synthcam.trajectory import contact_velocity, rolling_state, rolling_velocity
 
 R = Model().ball.radius
+PAIR, ALONE = Model().bodies("ab"), Model().bodies("b")
 G = 9.81
 exact = pytest.approx
 angle = st.floats(0, 2 * np.pi)
@@ -39,7 +40,7 @@ def energy(states):
 @given(models, speed, angle)
 def test_head_on_is_the_papers(model, v0, heading):
     r, c, mu = model.restitution, model.spin_transfer, model.sliding_friction
-    motion = solve(model, Launch.pair(R, 0.1, v0, 0.0, heading, (0.001, -0.002)), 0.0, 0.4)
+    motion = solve(model, Launch.pair(PAIR, 0.1, v0, 0.0, heading, (0.001, -0.002)), 0.0, 0.4)
     d = np.array([np.cos(heading), np.sin(heading)])
     ratio = 5 / 2  # m R^2 / I
     v1f = v0 / (2 * (1 + ratio)) * ((1 + r) * ratio - 2 * c)
@@ -56,7 +57,7 @@ def test_head_on_is_the_papers(model, v0, heading):
 
 @given(models, speed, st.floats(-0.9, 0.9), angle)
 def test_what_friction_at_the_plate_cannot_change(model, v0, b, heading):
-    motion = solve(model, Launch.pair(R, 0.1, v0, b, heading, (0, 0)), 0.0, 0.2)
+    motion = solve(model, Launch.pair(PAIR, 0.1, v0, b, heading, (0, 0)), 0.0, 0.2)
     hit = motion.first("contact")
     push = np.zeros(2)
     for ball in (0, 1):
@@ -77,7 +78,7 @@ def test_what_friction_at_the_plate_cannot_change(model, v0, b, heading):
 @given(models, speed, st.floats(-0.9, 0.9))
 @settings(max_examples=30)
 def test_energy_never_rises(model, v0, b):
-    motion = solve(model, Launch.pair(R, 0.1, v0, b, 0.0, (0, 0)), 0.0, 0.3)
+    motion = solve(model, Launch.pair(PAIR, 0.1, v0, b, 0.0, (0, 0)), 0.0, 0.3)
     times = np.sort([*np.linspace(0, 0.3, 300), *(e.t for e in motion.events if e.t <= 0.3)])
     assert np.all(np.diff(energy(motion.at(times))) <= 1e-13 * v0**2)
 
@@ -87,7 +88,7 @@ def test_the_instant_of_contact_on_straight_lines(b, v, heading, away):
     model = Model(rolling_drag=0, rolling_decel=0)
     turn = np.array([[np.cos(heading), -np.sin(heading)], [np.sin(heading), np.cos(heading)]])
     start = -away - 2 * R * np.sqrt(1 - b * b)
-    launch = Launch(0.0, np.stack([rolling(0, 0, 0, 0), rolling(*turn @ [start, 2 * R * b], *turn @ [v, 0])]))
+    launch = Launch(0.0, np.stack([rolling(0, 0, 0, 0), rolling(*turn @ [start, 2 * R * b], *turn @ [v, 0])]), PAIR)
     hit = solve(model, launch, 0.0, 2.0).first("contact")
     assert hit.t == exact(away / v, rel=1e-12, abs=1e-12 * R / v / np.sqrt(1 - b * b))
     assert np.hypot(*(hit.before[0] - hit.before[1])[:2]) == exact(2 * R, rel=1e-11)
@@ -96,7 +97,7 @@ def test_the_instant_of_contact_on_straight_lines(b, v, heading, away):
 @pytest.mark.parametrize(("offset", "hits"), [(1 - 1e-9, True), (1 + 1e-9, False), (1.5, False), (-1 + 1e-9, True)])
 @pytest.mark.parametrize("drag", [0.0, 0.135])
 def test_a_graze_and_a_near_miss(offset, hits, drag):
-    launch = Launch(0.0, np.stack([rolling(0, 0, 0, 0), rolling(-0.02, 2 * R * offset, 0.3, 0)]))
+    launch = Launch(0.0, np.stack([rolling(0, 0, 0, 0), rolling(-0.02, 2 * R * offset, 0.3, 0)]), PAIR)
     motion = solve(Model(rolling_drag=drag, rolling_decel=0), launch, 0.0, 0.3)
     assert (motion.first("contact") is not None) == hits
 
@@ -108,7 +109,7 @@ def test_two_that_move_meet_where_the_quadratic_says(v1, v2, crossing, b):
     d = rel / w
     start = -(0.004 + 2 * R) * d + 2 * R * b * np.array([-d[1], d[0]])
     one = rolling(0, 0, v1 * np.cos(crossing), v1 * np.sin(crossing))
-    launch = Launch(0.0, np.stack([one, rolling(*start, v2, 0)]))
+    launch = Launch(0.0, np.stack([one, rolling(*start, v2, 0)]), PAIR)
     hit = solve(Model(rolling_drag=0, rolling_decel=0), launch, 0.0, 1.0).first("contact")
     away = 0.004 + 2 * R - 2 * R * np.sqrt(1 - b * b)
     if w < 0.02:
@@ -118,7 +119,7 @@ def test_two_that_move_meet_where_the_quadratic_says(v1, v2, crossing, b):
 
 
 def test_contact_of_a_ball_that_slows_down():
-    launch = Launch(0.0, np.stack([rolling(0, 0, 0, 0), rolling(-0.02 - 2 * R, 0, 0.3, 0)]))
+    launch = Launch(0.0, np.stack([rolling(0, 0, 0, 0), rolling(-0.02 - 2 * R, 0, 0.3, 0)]), PAIR)
     hit = solve(Model(rolling_decel=0, rolling_drag=2.0), launch, 0.0, 1.0).first("contact")
     assert hit.t == exact(-np.log(1 - 2.0 * 0.02 / 0.3) / 2.0, rel=1e-12)
     hit = solve(Model(rolling_decel=0.5, rolling_drag=0.0), launch, 0.0, 1.0).first("contact")
@@ -128,7 +129,7 @@ def test_contact_of_a_ball_that_slows_down():
 
 def test_the_launch_says_what_the_contract_says():
     v0, b, heading, place = 0.3, -0.4, 1.1, np.array([0.01, 0.02])
-    motion = solve(Model(), Launch.pair(R, 0.1, v0, b, heading, place), 0.0, 0.2)
+    motion = solve(Model(), Launch.pair(PAIR, 0.1, v0, b, heading, place), 0.0, 0.2)
     hit = motion.first("contact")
     d = np.array([np.cos(heading), np.sin(heading)])
     apart = hit.before[1, :2] - hit.before[0, :2]
@@ -137,7 +138,7 @@ def test_the_launch_says_what_the_contract_says():
     np.testing.assert_allclose(hit.n, -apart / (2 * R), rtol=0, atol=1e-12)
     np.testing.assert_allclose(hit.before[:, :2].mean(0), place, rtol=0, atol=1e-15)
     np.testing.assert_allclose(hit.before[:, 3:5], [[0, 0], v0 * d], rtol=0, atol=1e-12)
-    past = solve(Model(), Launch(0.0, motion.at(0.0)[:, 0]), 0.0, 0.2)
+    past = solve(Model(), Launch(0.0, motion.at(0.0)[:, 0], PAIR), 0.0, 0.2)
     times = np.linspace(0, 0.2, 40)
     np.testing.assert_allclose(past.at(times), motion.at(times), rtol=1e-8, atol=1e-8)
     assert past.first("contact").t == exact(hit.t, rel=1e-11)
@@ -145,7 +146,7 @@ def test_the_launch_says_what_the_contract_says():
 
 @pytest.mark.parametrize(("drag", "decel"), [(0.135, 0.0103), (0.0, 0.0103), (1e-9, 0.0103), (3.0, 0.5)])
 def test_a_rolling_ball_stops_in_finite_time(drag, decel):
-    motion = solve(Model(rolling_drag=drag, rolling_decel=decel), Launch.single(R, 0, 0.1, 0.4, (0, 0)), 0, 20)
+    motion = solve(Model(rolling_drag=drag, rolling_decel=decel), Launch.single(ALONE, 0, 0.1, 0.4, (0, 0)), 0, 20)
     stop = motion.first("stop")
     time = np.log1p(drag * 0.1 / decel) / drag if drag > 1e-6 else 0.1 / decel
     path = (0.1 - decel * time) / drag if drag > 1e-6 else 0.1**2 / (2 * decel)
@@ -157,7 +158,7 @@ def test_a_rolling_ball_stops_in_finite_time(drag, decel):
 
 @pytest.mark.parametrize("effects", [(), (RollingQuadratic(K=1e-9),)])
 def test_without_decel_it_never_stops(effects):
-    launch = Launch.single(R, 0, 0.1, 0.0, (0, 0))
+    launch = Launch.single(ALONE, 0, 0.1, 0.0, (0, 0))
     coasting = solve(Model(rolling_decel=0, effects=effects), launch, 0, 30)
     assert coasting.events == ()
     assert coasting.at(30.0)[0, 0, 3] == exact(0.1 * np.exp(-0.135 * 30), rel=1e-7)
@@ -169,7 +170,7 @@ def test_one_after_the_other_in_a_row():
     """The middle ball, struck, slides 1 mm and strikes the third: momentum passes on, order is kept."""
     gap = 1e-3
     states = [rolling(0, 0, 0, 0), rolling(2 * R + gap, 0, 0, 0), rolling(-2 * R - gap, 0, 0.4, 0)]
-    motion = solve(Model(), Launch(0.0, np.stack(states)), 0.0, 1.0)
+    motion = solve(Model(), Launch(0.0, np.stack(states), Model().bodies("abb")), 0.0, 1.0)
     contacts = [(e.i, e.j) for e in motion.events if e.kind == "contact"]
     assert contacts[:2] == [(0, 2), (1, 0)]
     times = np.linspace(0, 1, 500)
@@ -177,7 +178,7 @@ def test_one_after_the_other_in_a_row():
     assert np.all(x[0] - x[2] > 2 * R * (1 - 1e-9))
     assert np.all(x[1] - x[0] > 2 * R * (1 - 1e-9))
     assert np.all(np.diff(energy(motion.at(times))) <= 1e-15)
-    pair = solve(Model(), Launch(0.0, np.stack([states[0], states[2]])), 0.0, 1.0)
+    pair = solve(Model(), Launch(0.0, np.stack([states[0], states[2]]), PAIR), 0.0, 1.0)
     early = times < motion.events[1].t
     np.testing.assert_array_equal(motion.at(times[early])[[0, 2]], pair.at(times[early]))
 
@@ -185,15 +186,16 @@ def test_one_after_the_other_in_a_row():
 def test_a_lasting_contact_is_refused_not_looped_over():
     """In a touching row the struck ball stops against the striker, whose spin then presses on."""
     states = [rolling(0, 0, 0, 0), rolling(2 * R, 0, 0, 0), rolling(-0.01, 0, 0.4, 0)]
+    launch = Launch(0.0, np.stack(states), Model().bodies("abb"))
     with pytest.raises(ValueError, match="stay in contact"):
-        solve(Model(spin_transfer=0, restitution=1), Launch(0.0, np.stack(states)), 0.0, 0.3)
+        solve(Model(spin_transfer=0, restitution=1), launch, 0.0, 0.3)
 
 
 def sliding_tilt(side):
     """Along the slope, head-on: uniform accelerations until the slide ends."""
     tilt, v0, mu = 1e-3, 0.3, Model().sliding_friction
     model = Model(effects=(PlateTilt(x=side * tilt),))
-    motion = solve(model, Launch.pair(R, 0.0, v0, 0.0, 0.0, (0, 0)), 0.0, 0.2)
+    motion = solve(model, Launch.pair(PAIR, 0.0, v0, 0.0, 0.0, (0, 0)), 0.0, 0.2)
     pull = side * G * np.sin(tilt)
     return motion, motion.first("contact").after, pull, mu
 
@@ -215,7 +217,7 @@ def test_tilt_along_the_slope_is_uniform(side):
 
 def test_a_tilted_plate_gives_a_roller_five_sevenths():
     model = Model(rolling_drag=0, rolling_decel=0, effects=(PlateTilt(x=2e-3, y=-1e-3),))
-    motion = solve(model, Launch.single(R, 0, 0.2, 0.3, (0, 0)), 0.0, 0.5)
+    motion = solve(model, Launch.single(ALONE, 0, 0.2, 0.3, (0, 0)), 0.0, 0.5)
     times = np.linspace(0, 0.5, 11)
     v = 0.2 * np.array([np.cos(0.3), np.sin(0.3)])
     a = 5 / 7 * G * np.sin([2e-3, -1e-3])
@@ -227,7 +229,7 @@ def test_a_tilted_plate_gives_a_roller_five_sevenths():
 @pytest.mark.parametrize("K", [0.05, 2.0])
 def test_quadratic_loss_alone(K):
     model = Model(rolling_drag=0, rolling_decel=0, effects=(RollingQuadratic(K=K),))
-    motion = solve(model, Launch.single(R, 0.2, 0.3, 1.0, (0, 0)), 0.0, 3.0)
+    motion = solve(model, Launch.single(ALONE, 0.2, 0.3, 1.0, (0, 0)), 0.0, 3.0)
     t = np.linspace(0, 3, 20)
     states = motion.at(t)[0]
     np.testing.assert_allclose(np.hypot(*states[:, 3:5].T), 0.3 / (1 + K * 0.3 * (t - 0.2)), rtol=1e-12)
@@ -261,7 +263,7 @@ def by_hand(model, push, loss, state, t0, t1, until):
 
 def test_tilt_and_quadratic_loss_in_an_oblique_collision():
     model = Model(effects=(PlateTilt(x=-0.9e-3, y=0.5e-3), RollingQuadratic(K=0.3)))
-    motion = solve(model, Launch.pair(R, 0.0, 0.4, 0.35, 2.0, (0, 0)), 0.0, 0.4)
+    motion = solve(model, Launch.pair(PAIR, 0.0, 0.4, 0.35, 2.0, (0, 0)), 0.0, 0.4)
     push = G * np.sin([-0.9e-3, 0.5e-3])
     for ball in (0, 1):
         start = motion.first("contact").after[ball]
@@ -272,7 +274,7 @@ def test_tilt_and_quadratic_loss_in_an_oblique_collision():
 
 @pytest.mark.parametrize("strength", [1e-5, 1e-8, 1e-11])
 def test_numerical_legs_become_the_closed_form(strength):
-    launch = Launch.pair(R, 0.1, 0.3, 0.3, 1.0, (0, 0))
+    launch = Launch.pair(PAIR, 0.1, 0.3, 0.3, 1.0, (0, 0))
     bent = Model(effects=(PlateTilt(x=strength), RollingQuadratic(K=strength)))
     base, near = solve(Model(), launch, 0.0, 12.0), solve(bent, launch, 0.0, 12.0)
     times = np.linspace(0, 1, 200)
@@ -284,7 +286,7 @@ def test_numerical_legs_become_the_closed_form(strength):
 
 def test_a_curved_roll_stops_when_scipy_says():
     tilt = np.array([-1e-3, 0.5e-3])
-    motion = solve(Model(effects=(PlateTilt(*tilt),)), Launch.single(R, 0.0, 0.05, 0.0, (0, 0)), 0.0, 6.0)
+    motion = solve(Model(effects=(PlateTilt(*tilt),)), Launch.single(ALONE, 0.0, 0.05, 0.0, (0, 0)), 0.0, 6.0)
 
     def roll(_, y):
         s = np.hypot(*y[2:])
@@ -304,12 +306,12 @@ def test_a_curved_roll_stops_when_scipy_says():
 @pytest.mark.parametrize(
     ("model", "launch", "message"),
     [
-        (Model(effects=(PlateTilt(x=2e-3),)), Launch.pair(R, 0.1, 0.3, 0, 0, (0, 0)), "cannot rest"),
-        (Model(effects=(PlateTilt(x=0.05),)), Launch.single(R, 0.6, 0.1, 0, (0, 0)), "no past before"),
+        (Model(effects=(PlateTilt(x=2e-3),)), Launch.pair(PAIR, 0.1, 0.3, 0, 0, (0, 0)), "cannot rest"),
+        (Model(effects=(PlateTilt(x=0.05),)), Launch.single(ALONE, 0.6, 0.1, 0, (0, 0)), "no past before"),
         (Model(sliding_friction=1e-3, effects=(PlateTilt(x=0.09),)), "sliding", "does not end"),
-        (Model(restitution=0.0), Launch.pair(R, 0.1, 0.3, 0, 0, (0, 0)), "stay in contact"),
-        (Model(restitution=0.05), Launch.pair(R, 0.1, 0.3, 0, 0, (0, 0)), "stay in contact"),
-        (Model(), Launch(0.0, np.stack([rolling(0, 0, 0, 0), rolling(R, 0, 0.1, 0)])), "overlap"),
+        (Model(restitution=0.0), Launch.pair(PAIR, 0.1, 0.3, 0, 0, (0, 0)), "stay in contact"),
+        (Model(restitution=0.05), Launch.pair(PAIR, 0.1, 0.3, 0, 0, (0, 0)), "stay in contact"),
+        (Model(), Launch(0.0, np.stack([rolling(0, 0, 0, 0), rolling(R, 0, 0.1, 0)]), PAIR), "overlap"),
         (Model(), "sliding past", "no past"),
     ],
 )
@@ -318,18 +320,18 @@ def test_what_has_no_solution_says_so(model, launch, message):
     if isinstance(launch, str):
         state = rolling(0, 0, 0.3, 0)
         state[7] = 0
-        launch, start = Launch(0.0, state[None]), -0.1 if "past" in launch else 0.0
+        launch, start = Launch(0.0, state[None], ALONE), -0.1 if "past" in launch else 0.0
     with pytest.raises(ValueError, match=message):
         solve(model, launch, start, 0.7)
 
 
 def test_the_run_lasts_until_the_last_slide_ends():
-    motion = solve(Model(), Launch.pair(R, 0.1, 0.6, 0.2, 0.0, (0, 0)), 0.0, 0.11)
+    motion = solve(Model(), Launch.pair(PAIR, 0.1, 0.6, 0.2, 0.0, (0, 0)), 0.0, 0.11)
     assert motion.t1 == max(motion.first("slide_end", ball).t for ball in (0, 1)) > 0.11
 
 
 def test_a_slow_catch_up_collides_again():
     """Head-on the striker overtakes the target where 5 r < 2."""
     for r, again in ((0.36, True), (0.42, False)):
-        motion = solve(Model(restitution=r), Launch.pair(R, 0.0, 0.3, 0, 0, (0, 0)), 0.0, 0.3)
+        motion = solve(Model(restitution=r), Launch.pair(PAIR, 0.0, 0.3, 0, 0, (0, 0)), 0.0, 0.3)
         assert (len([e for e in motion.events if e.kind == "contact"]) > 1) == again

@@ -19,7 +19,7 @@ from synthcam.scene import check_scene
 from synthcam.settings import InputError
 
 R = Model().ball.radius
-LAUNCH = Launch.pair(R, 0.1, 0.5, 0.4, 0.7, (0.003, -0.001))
+LAUNCH = Launch.pair(Model().bodies("ab"), 0.1, 0.5, 0.4, 0.7, (0.003, -0.001))
 TIMES = np.linspace(0, 0.3, 151)
 every = pytest.mark.parametrize("kind", library().values(), ids=list(library()))
 each = pytest.mark.parametrize(

@@ -4,15 +4,17 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
+from synthcam.kinematics import contact_velocity
 from synthcam.launch import Launch
-from synthcam.trajectory import contact_velocity
+from synthcam.model import Model
 
-R = 1.19e-3
+R = Model().ball.radius
+PAIR, ALONE = Model().bodies("ab"), Model().bodies("b")
 
 
 @given(st.floats(-0.999999, 0.999999), st.floats(0.01, 1), st.floats(-10, 10))
 def test_a_pair_touches_and_one_rolls(b, v0, heading):
-    launch = Launch.pair(R, 0.3, v0, b, heading, (0.01, -0.02))
+    launch = Launch.pair(PAIR, 0.3, v0, b, heading, (0.01, -0.02))
     target, striker = launch.states
     d = np.array([np.cos(heading), np.sin(heading)])
     apart = striker[:2] - target[:2]
@@ -27,7 +29,7 @@ def test_a_pair_touches_and_one_rolls(b, v0, heading):
 
 
 def test_one_ball_alone():
-    launch = Launch.single(R, 0.1, 0.2, np.pi / 2, (0.01, 0.02))
+    launch = Launch.single(ALONE, 0.1, 0.2, np.pi / 2, (0.01, 0.02))
     assert launch.states.shape == (1, 9)
     np.testing.assert_allclose(launch.states[0, :6], [0.01, 0.02, R, 0, 0.2, 0], rtol=0, atol=1e-16)
     np.testing.assert_allclose(launch.states[0, 6:], [-0.2 / R, 0, 0], rtol=0, atol=1e-12)

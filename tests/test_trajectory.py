@@ -4,16 +4,17 @@ import numpy as np
 import pytest
 
 from synthcam.dynamics import solve
+from synthcam.kinematics import contact_velocity, rolling_state, rolling_velocity
 from synthcam.launch import Launch
 from synthcam.model import Model
-from synthcam.trajectory import Roll, Slide, contact_velocity, rolling_state, rolling_velocity
+from synthcam.trajectory import Roll, Slide
 
 R = Model().ball.radius
 
 
 @pytest.fixture(scope="module")
 def motion():
-    return solve(Model(), Launch.pair(R, 0.1, 0.4, 0.2, 0.5, (0, 0)), 0.0, 0.3)
+    return solve(Model(), Launch.pair(Model().bodies("ab"), 0.1, 0.4, 0.2, 0.5, (0, 0)), 0.0, 0.3)
 
 
 def test_any_times_in_any_order(motion):

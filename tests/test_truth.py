@@ -8,13 +8,15 @@ from hypothesis import strategies as st
 from synthcam import truth
 from synthcam.dynamics import solve
 from synthcam.effects.velocity_restitution import VelocityRestitution
+from synthcam.kinematics import contact_velocity, rolling_state, rolling_velocity
 from synthcam.launch import Launch
 from synthcam.model import Model
 from synthcam.optics import Camera, Lamp
 from synthcam.scene import check_scene
-from synthcam.trajectory import contact_velocity, rolling_state, rolling_velocity
+from synthcam.view import View
 
 R = Model().ball.radius
+PAIR, ALONE = Model().bodies("ab"), Model().bodies("b")
 G = 9.81
 LAMP = Lamp(np.array([0.05, 0.0, 0.45]), 0.01)
 
@@ -40,7 +42,7 @@ def scalars(model, launch, end=0.3):
 def test_scalars_of_an_oblique_collision(r, c, mu, v0, b, heading):
     """Everything from the contract's formulas in the frame of n and t, by hand."""
     row = scalars(
-        Model(restitution=r, spin_transfer=c, sliding_friction=mu), Launch.pair(R, 0.1, v0, b, heading, (0, 0))
+        Model(restitution=r, spin_transfer=c, sliding_friction=mu), Launch.pair(PAIR, 0.1, v0, b, heading, (0, 0))
     )
     d = np.array([np.sqrt(1 - b * b), b])  # along n and t: b = z . [d x (x2 - x1)] / 2R with x2 - x1 = -2R n
     w0 = np.array([-d[1], d[0]]) * v0 / R  # of the roller, along n and t
@@ -81,7 +83,7 @@ def test_scalars_of_an_oblique_collision(r, c, mu, v0, b, heading):
 
 
 def test_the_papers_figures():
-    row = scalars(Model(), Launch.pair(R, 0.1, 0.2, 0, 0, (0, 0)))
+    row = scalars(Model(), Launch.pair(PAIR, 0.1, 0.2, 0, 0, (0, 0)))
     assert row["v1f"] / 0.2 == pytest.approx(0.5805, abs=5e-5)
     assert row["v2f"] / 0.2 == pytest.approx(0.2212, abs=5e-5)
     assert row["energy_fraction"] == pytest.approx(0.386, abs=5e-4)
@@ -94,7 +96,7 @@ def test_the_angle_in_free_space():
     """The paper's cos theta_f, just after a collision that passes on no spin."""
     for r, b in ((0.903, 0.25), (0.9, 0.096), (1.0, 0.5)):
         model = Model(restitution=r, spin_transfer=0)
-        after = solve(model, Launch.pair(R, 0.1, 0.3, b, 0, (0, 0)), 0.0, 0.2).first("contact").after[:, 3:5]
+        after = solve(model, Launch.pair(PAIR, 0.1, 0.3, b, 0, (0, 0)), 0.0, 0.2).first("contact").after[:, 3:5]
         q = 1 - b * b
         cosine = (1 - r) * q / np.sqrt(((1 - r) ** 2 * q + 4 * b * b) * q)
         assert after[0] @ after[1] / np.prod(np.hypot(*after.T)) == pytest.approx(cosine, abs=1e-12)
@@ -102,7 +104,7 @@ def test_the_angle_in_free_space():
 
 def test_no_slide_is_tau_0():
     """A ball struck without spin along its roll keeps rolling: head-on at r = -1 + 2C there is no slip; here b -> 1."""
-    row = scalars(Model(restitution=0, spin_transfer=0), Launch.pair(R, 0.1, 0.3, 0.9999999999999999, 0, (0, 0)))
+    row = scalars(Model(restitution=0, spin_transfer=0), Launch.pair(PAIR, 0.1, 0.3, 0.9999999999999999, 0, (0, 0)))
     assert row["tau1"] < 1e-8
     assert row["tau2"] < 1e-8
     assert row["v2f"] == pytest.approx(0.3)
@@ -118,14 +120,15 @@ def test_relaxation_beyond_the_clip():
     assert short == pytest.approx(long, rel=1e-12, nan_ok=True)
     late = solve(clip.model, clip.launch, 0.0, 27 / 250)
     assert late.t1 > 27 / 250
-    assert truth.tracks(clip.model, late, clip.camera, clip.lamp, 27)["t_s"].max() < 27 / 250
+    view = View.of(clip.model, clip.launch, clip.camera, 27)
+    assert truth.tracks(clip.launch.bodies, view, clip.lamp, 27)["t_s"].max() < 27 / 250
 
 
 def test_both_moving():
     """Ball 2 is the faster; fractions lean on both initial velocities."""
     one = rolling_state(np.array([0.0, 0.0]), np.array([0.1, 0.05]), 0.0, R)
     two = rolling_state(np.array([-0.02, 0.001]), np.array([0.5, 0.05]), 0.0, R)
-    launch = Launch(0.0, np.stack([one, two]))
+    launch = Launch(0.0, np.stack([one, two]), PAIR)
     model = Model(rolling_drag=0, rolling_decel=0)
     motion = solve(model, launch, 0.0, 0.5)
     row = truth.scalars(model, launch, motion)
@@ -142,12 +145,12 @@ def test_both_moving():
 def test_r_is_the_balls_own_at_the_instant():
     model = Model(effects=(VelocityRestitution(e=0.2),))
     for b in (0.0, 0.5):
-        row = scalars(model, Launch.pair(R, 0.1, 0.2, b, 0.3, (0, 0)))
+        row = scalars(model, Launch.pair(PAIR, 0.1, 0.2, b, 0.3, (0, 0)))
         assert row["r"] == pytest.approx(1 - 0.097 * (0.2 * np.sqrt(1 - b * b) / 0.3) ** 0.2, rel=1e-12)
 
 
 def test_without_a_collision():
-    row = scalars(Model(), Launch.single(R, 0.1, 0.2, 0.3, (0, 0)))
+    row = scalars(Model(), Launch.single(ALONE, 0.1, 0.2, 0.3, (0, 0)))
     assert row["v0"] == pytest.approx(0.2)
     assert (row["mu_k"], row["drag"], row["decel"]) == (0.232, 0.135, 0.0103)
     assert all(np.isnan(row[k]) for k in set(truth.COLLISION) - {"v0", "mu_k", "drag", "decel"})
@@ -158,8 +161,8 @@ def test_without_a_collision():
 def test_the_mean_over_the_exposure(exposure, distortion):
     seen = camera(exposure=exposure, distortion=distortion, tilt=(0.05, -0.02))
     t_c = (10 + 0.4 * exposure * 250) / 250  # within frame 10's exposure
-    motion = solve(Model(), Launch.pair(R, t_c, 0.6, 0.3, 0.7, (0.01, 0.0)), 0.0, 0.4)
-    table = truth.tracks(Model(), motion, seen, LAMP, 40)
+    motion = solve(Model(), Launch.pair(PAIR, t_c, 0.6, 0.3, 0.7, (0.01, 0.0)), 0.0, 0.4)
+    table = truth.tracks(PAIR, View(Model(), seen, motion), LAMP, 40)
     slides = [e.t for e in motion.events if e.kind == "slide_end"]
     frames = [0, 9, 10, 11, *(int(t * 250) for t in slides)]
     for k in frames:
@@ -174,15 +177,15 @@ def test_the_mean_over_the_exposure(exposure, distortion):
 
 
 def test_no_exposure_has_its_instant_for_a_mean():
-    motion = solve(Model(), Launch.pair(R, 0.04, 0.6, 0.3, 0.7, (0, 0)), 0.0, 0.4)
-    table = truth.tracks(Model(), motion, camera(exposure=0.0), LAMP, 20)
+    motion = solve(Model(), Launch.pair(PAIR, 0.04, 0.6, 0.3, 0.7, (0, 0)), 0.0, 0.4)
+    table = truth.tracks(PAIR, View(Model(), camera(exposure=0.0), motion), LAMP, 20)
     np.testing.assert_allclose(table.x_mean_px, table.x_px, rtol=0, atol=1e-10)
     np.testing.assert_allclose(table.t_s[:20], np.arange(20) / 250, rtol=0, atol=1e-15)
 
 
 def test_tracks_columns_and_states():
-    motion = solve(Model(), Launch.pair(R, 0.1, 0.3, 0.2, 0.0, (0, 0)), 0.0, 0.4)
-    table = truth.tracks(Model(), motion, camera(), LAMP, 100)
+    motion = solve(Model(), Launch.pair(PAIR, 0.1, 0.3, 0.2, 0.0, (0, 0)), 0.0, 0.4)
+    table = truth.tracks(PAIR, View(Model(), camera(), motion), LAMP, 100)
     columns = (
         "frame t_s particle x_px y_px glint_x_px glint_y_px x y z vx vy vz wx wy wz x_mean_px y_mean_px state visible"
     )
@@ -206,13 +209,13 @@ def test_visible_means_the_whole_ball():
     """By column: a ball of 7.44 px radius is whole between 6.94 and 631.06 px from the left."""
     for x, seen in ((7.0, True), (6.8, False), (632.0, True), (632.2, False), (-50, False), (900, False)):
         place = ((x - 319.5) * 1.6e-4, 0.0)
-        motion = solve(Model(rolling_decel=0), Launch.single(R, 0.0, 1e-9, 0, place), 0.0, 0.01)
-        assert truth.tracks(Model(), motion, camera(), LAMP, 1).visible[0] == seen
+        motion = solve(Model(rolling_decel=0), Launch.single(ALONE, 0.0, 1e-9, 0, place), 0.0, 0.01)
+        assert truth.tracks(ALONE, View(Model(), camera(), motion), LAMP, 1).visible[0] == seen
 
 
 def test_events_table():
-    motion = solve(Model(), Launch.pair(R, 0.1, 0.3, 0.2, 0.4, (0, 0)), 0.0, 0.4)
-    table = truth.events(Model(), motion, 250)
+    motion = solve(Model(), Launch.pair(PAIR, 0.1, 0.3, 0.2, 0.4, (0, 0)), 0.0, 0.4)
+    table = truth.events(motion, 250)
     assert list(table) == "t_s frame_float kind i j nx ny impulse_n impulse_t".split()
     hit = table.iloc[0]
     mass = 7800 * np.pi / 6 * 2.38e-3**3
@@ -223,5 +226,5 @@ def test_events_table():
     assert sorted(table.kind[1:]) == ["slide_end", "slide_end"]
     assert (table.j[1:] == -1).all()
     assert table.impulse_n[1:].isna().all()
-    alone = solve(Model(), Launch.single(R, 0.1, 0.3, 0.4, (0, 0)), 0.0, 0.4)
-    assert truth.events(Model(), alone, 250).dtypes.to_dict() == table.dtypes.to_dict()
+    alone = solve(Model(), Launch.single(ALONE, 0.1, 0.3, 0.4, (0, 0)), 0.0, 0.4)
+    assert truth.events(alone, 250).dtypes.to_dict() == table.dtypes.to_dict()

@@ -57,7 +57,7 @@ class Cluster:
 
         with self.client:
             threads = max(sum(self.client.nthreads().values()), 1)
-            running = as_completed([submit(k) for k in islice(queue, AHEAD * threads)])
+            running = as_completed([submit(k) for k in islice(queue, AHEAD * threads)], loop=self.client.loop)
             for future in running:
                 number = numbers.pop(future.key)
                 try:

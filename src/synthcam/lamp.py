@@ -86,7 +86,10 @@ class Lamp:
         return np.stack([u, np.cross(u, shine), shine], axis=1)
 
     def cells(self, largest: float) -> Cells:
-        """The lamp in cells of half-width `largest` m or less; whole where it is as small as that itself."""
+        """The lamp whole where its half-width is `largest` m or less, else in cells of half that.
+
+        Cells half as wide, for a lamp's edge shows where its middle would not.
+        """
         if self.shape == "bar":
             at, areas, spread = _bar(self.length, self.width, self.angle, largest)
         else:
@@ -99,6 +102,7 @@ def _disc(radius: float, inner: float, largest: float) -> tuple[Array, Array, Ar
     if radius <= largest:
         square = (radius**2 + inner**2) / 4
         return np.zeros((1, 2)), np.array([np.pi * (radius**2 - inner**2)]), np.array([[square, square, 0]])
+    largest /= 2
     edges = np.linspace(inner, radius, int(np.ceil((radius - inner) / (2 * largest))) + 1)
     at, areas, spread = [], [], []
     for low, high in pairwise(edges.tolist()):
@@ -119,7 +123,7 @@ def _disc(radius: float, inner: float, largest: float) -> tuple[Array, Array, Ar
 
 def _bar(length: float, width: float, angle: float, largest: float) -> tuple[Array, Array, Array]:
     """Rectangles: centroids (C, 2), areas (C,), second moments (C, 3)."""
-    n, m = (max(1, int(np.ceil(side / (2 * largest)))) for side in (length, width))
+    n, m = (int(np.ceil(side / largest)) if side > 2 * largest else 1 for side in (length, width))
     x = ((np.arange(n) + 0.5) / n - 0.5) * length
     y = ((np.arange(m) + 0.5) / m - 0.5) * width
     c, s = np.cos(angle), np.sin(angle)

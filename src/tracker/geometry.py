@@ -148,12 +148,10 @@ class Camera:
         seen = np.asarray(glints, dtype=np.float64)
         if not self.corrects_glint or seen.size == 0:
             return seen.copy(), np.broadcast_to(np.eye(2), (*seen.shape, 2)).copy()
-        centre = self._centre_place(seen)
-        ahead, behind = (
-            [self._centre_pixel(self._centre_place(seen + sign * axis)) for axis in np.eye(2)] for sign in (0.5, -0.5)
-        )
-        jacobian = np.stack([a - b for a, b in zip(ahead, behind, strict=True)], axis=-1)
-        return self._centre_pixel(centre), jacobian
+        around = np.concatenate([np.zeros((1, 2)), 0.5 * np.eye(2), -0.5 * np.eye(2)])
+        pixels = self._centre_pixel(self._centre_place(seen + around.reshape(5, *[1] * (seen.ndim - 1), 2)))
+        jacobian = np.stack([pixels[1] - pixels[3], pixels[2] - pixels[4]], axis=-1)
+        return pixels[0], jacobian
 
     def zenith_of_glint(self, glints: ArrayLike) -> Array:
         """Glint pixels (n, 2) -> pixels (n, 2) at which their balls mirror what is straight overhead.

@@ -25,7 +25,7 @@ STEPS = 30
 LOG_FLUX = (-5.0, 18.0)
 MOST = 1e6  # counts, of anything under a glint
 SWINGING = 8  # steps, after which a glint still on the move is swinging about its place: half steps from there
-LESSONS = 5  # steps of the shared body
+LESSONS = 3  # steps of the shared body
 CLOSE = 2e-4  # px and log flux: a step this small ends the search
 
 
@@ -202,9 +202,7 @@ def learn(windows: Windows, sigma: float, sensor: Sensor, end: float) -> Body:
     return body
 
 
-def _result(
-    theta: Array, windows: Windows, sigma: float, sensor: Sensor, body: Body | None, settled: Array
-) -> Fit:
+def _result(theta: Array, windows: Windows, sigma: float, sensor: Sensor, body: Body | None, settled: Array) -> Fit:
     mean, parts = _model(theta, windows, sigma, body)
     cov = np.linalg.inv(_loaded(fisher(information(mean, sensor) * windows.used, parts)))
     flux = np.exp(theta[:, 2])
