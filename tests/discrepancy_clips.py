@@ -5,23 +5,39 @@ from functools import cache
 
 import numpy as np
 
+import discrepancy.fit
+import discrepancy.name
+import synthcam.model
 from discrepancy.find import find
-from discrepancy.fit import BASE, LAUNCH_STEP, Whitener, _off, derivative, predict
+from discrepancy.fit import BASE, Whitener, _off, derivative, launch_derivatives
+from discrepancy.forecast import forecast
 from discrepancy.measured import Measured
 from discrepancy.name import strengths_of
 from discrepancy.noise import estimate
-from synthcam.dynamics import solve
+from synthcam import batch
 from synthcam.effect import library
-from synthcam.launch import Launch
 from synthcam.model import Model
+from tracker.geometry import Camera
 
 STD = 1.6e-6  # m, 0.01 px
 FPS, EXPOSURE, FRAMES = 250.0, 5e-4, 80
+CAMERA = Camera.from_dict(
+    {"scale": 1.6e-4, "size": [640, 480], "fps": FPS, "exposure": EXPOSURE, "ball_diameter": 2.38e-3, "t": [0, 0, 0.5]}
+    | {"lamp": {"position": [0.05, 0.0, 0.45], "radius": 0.01}}
+)
+EFFECTS = ("velocity_restitution", "rolling_quadratic")
 HIDDEN = {
     "nothing": {},
     "velocity_restitution": {"velocity_restitution.e": 0.05},
     "rolling_quadratic": {"rolling_quadratic.K": 0.1},
 }
+
+
+def only(monkeypatch, **effects):
+    """For a test: a library of these effects by name; with none, of EFFECTS."""
+    few = effects or {name: library()[name] for name in EFFECTS}
+    for module in (discrepancy.fit, discrepancy.name, synthcam.model):
+        monkeypatch.setattr(module, "library", lambda: few)
 
 
 def correlated(rng, frames, rho, axes=2):
@@ -48,18 +64,15 @@ def blank(number, launch, ends, frames=FRAMES):
     """A clip with both balls in every frame, and nothing measured yet."""
     frame, ball = np.tile(np.arange(frames), 2), np.repeat([0, 1], frames)
     claimed = np.tile(STD**2 * np.eye(2), (2 * frames, 1, 1))
-    return Measured(number, "b", FPS, EXPOSURE, frame, ball, np.zeros((2 * frames, 2)), claimed, launch, ends)
+    return Measured(number, "b", CAMERA, frame, ball, np.zeros((2 * frames, 2)), claimed, launch, ends)
 
 
 def exact(model, count, seed):
     """Clips without noise."""
-    rng, clips = np.random.default_rng(seed), []
-    for number, launch in enumerate(launches(rng, count)):
-        start = Launch.pair(model.ball.radius, launch[2], launch[3], launch[5], launch[4], launch[:2])
-        motion = solve(model, start, 0.0, FRAMES / FPS)
-        clip = blank(number, launch, np.array([motion.first("slide_end", ball).t for ball in (0, 1)]))
-        clips.append(dataclasses.replace(clip, xy=predict(model, launch, clip)))
-    return clips
+    starts = np.array(list(launches(np.random.default_rng(seed), count)))
+    ends = batch.collisions(model, starts, 0.0, FRAMES / FPS).slide_ends.reshape(2, -1).T
+    clips = [blank(k, *both) for k, both in enumerate(zip(starts, ends, strict=True))]
+    return [dataclasses.replace(c, xy=xy) for c, xy in zip(clips, forecast(model, starts, clips), strict=True)]
 
 
 def noisy(clips, seed, rho=0.0):
@@ -88,17 +101,14 @@ class Design:
 
     def __init__(self, clips, model):
         self.clips, self.model = clips, model
-        self.own = [np.stack([self._by_launch(c, k) for k in range(6)], axis=-1) for c in clips]
-        self.shared = [self._slopes(c, BASE) for c in clips]
-        self.effects = {n: [self._slopes(c, strengths_of(e)) for c in clips] for n, e in library().items()}
+        self.launches = np.array([c.launch for c in clips])
+        _, self.own = launch_derivatives(model, self.launches, clips)
+        self.shared = self._slopes(BASE)
+        self.effects = {n: self._slopes(strengths_of(library()[n])) for n in EFFECTS}
 
-    def _by_launch(self, clip, k):
-        step = np.eye(6)[k] * LAUNCH_STEP[k]
-        ahead, behind = (predict(self.model, clip.launch + s, clip) for s in (step, -step))
-        return (ahead - behind) / (2 * LAUNCH_STEP[k])
-
-    def _slopes(self, clip, names):
-        return np.stack([derivative(self.model, clip.launch, clip, n) for n in names], axis=-1)
+    def _slopes(self, names):
+        each = [derivative(self.model, self.launches, self.clips, n) for n in names]
+        return [np.stack(columns, axis=-1) for columns in zip(*each, strict=True)]
 
     def scores(self, errors, whitened=True):
         """{effect: (signature, residuals)} for errors (n, 2) of each clip; the noise is read off their tracks."""

@@ -8,6 +8,7 @@ import numpy as np
 import pandas as pd
 import pytest
 import tifffile
+
 from synthcam_stub import make
 
 
@@ -80,7 +81,7 @@ def test_tables(dataset):
     assert result(lines["pandas, a row a clip"])["clip"].tolist() == [0, 1]
     assert result(lines["contacts, slide ends"])["kind"].iloc[0] == "contact"
     tracks = result(lines["where the balls were, in trackpy's columns"])
-    assert {"frame", "particle", "x", "y"} <= set(tracks.columns)
+    assert list(tracks.columns) == ["frame", "particle", "x", "y"]
     raw = pd.read_parquet(dataset / "clips/000000/truth/tracks.parquet")
     np.testing.assert_array_equal(tracks[["x", "y"]], raw[["x_mean_px", "y_mean_px"]])
 

@@ -10,6 +10,7 @@ import pandas as pd
 import pytest
 
 from discrepancy import cli
+from discrepancy_clips import only
 from discrepancy_files import SCENE, TRUTH, record
 from synthcam.model import read_model
 
@@ -51,7 +52,8 @@ def test_find_names_what_was_hidden(report):
     assert found["gap"]["closure"] > 0.99
 
 
-def test_a_table_and_results_give_the_same_without_any_truth(recorded, report, tmp_path):
+def test_a_table_and_results_give_the_same_without_any_truth(recorded, report, tmp_path, monkeypatch):
+    only(monkeypatch)
     for name in ("tracks.csv", "camera.json"):
         shutil.copy(recorded / name, tmp_path)
     words = (tmp_path / "tracks.csv", "--camera", tmp_path / "camera.json", "--model", MODEL, "-o", tmp_path / "report")

@@ -21,7 +21,7 @@ class Rough(Effect):
 
 
 def test_a_misspelt_law_is_an_error_when_the_class_is_made():
-    with pytest.raises(TypeError, match=r"Wrong\.fricton: no such law; there are restitution, .*friction"):
+    with pytest.raises(TypeError, match=r"Wrong\.fricton: no such law; there are mass, .*restitution, .*friction"):
 
         class Wrong(Effect):
             def fricton(self, mu):

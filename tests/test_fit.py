@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from scipy.stats import chi2 as chi2_law
 
-from discrepancy.fit import BASE, Fit, _solve, derivative, fit, limits_of, predict
+from discrepancy.fit import BASE, Fit, _solve, derivative, fit, limits_of
+from discrepancy.forecast import forecast
 from discrepancy.noise import ORDER, Noise
 from discrepancy_clips import collisions, exact, noisy
 from synthcam.model import Model
@@ -82,27 +83,31 @@ def test_what_is_projected_holds_nothing_that_the_fit_can_absorb(fitted):
         assert np.abs(unit.T @ left).max() < 1e-6 * np.linalg.norm(left)
 
 
+def slope(model, clip, name):
+    return derivative(model, clip.launch[None], [clip], name)[0]
+
+
 def test_a_derivative_keeps_to_the_limits():
     clip = exact(Model(), 1, 14)[0]
-    edge = Model().replace({"restitution": 1.0})
-    inside = derivative(Model().replace({"restitution": 1 - 1e-4}), clip.launch, clip, "restitution")
+    inside = slope(Model().replace({"restitution": 1 - 1e-4}), clip, "restitution")
     assert limits_of("restitution") == (0.0, 1.0)
-    assert np.allclose(derivative(edge, clip.launch, clip, "restitution"), inside, atol=1e-4)
+    assert np.allclose(slope(Model().replace({"restitution": 1.0}), clip, "restitution"), inside, atol=1e-4)
 
 
 def test_a_derivative_where_the_motion_ends_to_exist():
     clip = exact(Model(), 1, 15)[0]
     frictionless = Model().replace({"rolling_decel": 0.0})  # there no tilt lets the target rest
-    assert np.all(derivative(frictionless, clip.launch, clip, "plate_tilt.x") == 0)
+    assert np.all(slope(frictionless, clip, "plate_tilt.x") == 0)
     steepest = 7 / 5 * 0.0103 / 9.81  # one side only
     tilted = Model().replace({"plate_tilt.x": steepest * (1 - 1e-6)})
-    assert np.abs(derivative(tilted, clip.launch, clip, "plate_tilt.x")).max() > 1e-3
+    assert np.abs(slope(tilted, clip, "plate_tilt.x")).max() > 1e-3
 
 
 def test_an_exposure_without_length_is_an_instant():
-    clip = dataclasses.replace(exact(Model(), 1, 16)[0], exposure=0.0)
-    short = dataclasses.replace(clip, exposure=1e-7)
-    assert np.allclose(predict(Model(), clip.launch, clip), predict(Model(), clip.launch, short), atol=1e-7)
+    clip = exact(Model(), 1, 16)[0]
+    times = [dataclasses.replace(clip, camera=dataclasses.replace(clip.camera, exposure=e)) for e in (0.0, 1e-7)]
+    instant, short = (forecast(Model(), clip.launch[None], [c])[0] for c in times)
+    assert np.allclose(instant, short, atol=1e-7)
 
 
 def test_with_nothing_shared_only_the_launches_are_fitted():

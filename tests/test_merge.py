@@ -4,12 +4,12 @@ import json
 import shutil
 
 import pytest
-from synthcam_stub import make, plan, quiet, sums
 
 from synthcam.dataset import clip_folders, verify
 from synthcam.generate import run
 from synthcam.merge import merge
 from synthcam.settings import InputError
+from synthcam_stub import make, plan, quiet, sums
 
 
 @pytest.fixture

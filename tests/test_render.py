@@ -10,8 +10,8 @@ import pytest
 from scipy.ndimage import correlate1d, minimum_filter
 from scipy.special import ndtr
 
-from synthcam.optics import Camera, Lamp
 from synthcam.glints import find_glints
+from synthcam.optics import Camera, Lamp
 from synthcam.picture import merge
 from synthcam.render import Film, gl_info
 from synthcam.surface import STEEL
@@ -348,7 +348,8 @@ def test_without_opengl_there_is_one_clear_line():
         "try: gl_info()\n"
         "except NoGL as error: print(error)\n"
     )
-    for broken in ({"__EGL_VENDOR_LIBRARY_DIRS": "/nonexistent", "PYOPENGL_PLATFORM": "egl"}, {"PYOPENGL_PLATFORM": "nonsense"}):
+    no_driver = {"__EGL_VENDOR_LIBRARY_DIRS": "/nonexistent", "PYOPENGL_PLATFORM": "egl"}
+    for broken in (no_driver, {"PYOPENGL_PLATFORM": "nonsense"}):
         done = subprocess.run(
             [sys.executable, "-c", code], env=os.environ | broken, capture_output=True, text=True, check=True
         )

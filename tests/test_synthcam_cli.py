@@ -187,7 +187,7 @@ def test_effects_and_schema(command):
     assert json.loads(out)["properties"]["launch"]
 
 
-@pytest.mark.parametrize("name", ["generate", "verify", "effects", "schema", "preview", "doctor"])
+@pytest.mark.parametrize("name", ["generate", "merge", "verify", "preview", "export", "effects", "schema", "doctor"])
 def test_every_command_has_help_with_an_example(command, name):
     status, out, _ = command(name, "--help")
     assert status == 0
@@ -199,6 +199,63 @@ def test_wrong_usage_is_status_2(command, arguments):
     status, _, err = command(*arguments)
     assert status == 2
     assert "Traceback" not in err
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--shard", "0/3"], "--shard 0/3: expected I/N with I from 1 to N"),
+        (["--shard", "4/3"], "--shard 4/3: expected I/N"),
+        (["--shard", "x"], "--shard x: expected I/N"),
+        (["--compression", "lzma"], "--compression lzma: expected none or zstd"),
+        (["--withhold-truth", "{out}", "--seed", "1"], "expected a folder apart from"),
+        (["--withhold-truth", "{out}/truth", "--seed", "1"], "expected a folder apart from"),
+        (["--withhold-truth", "{out}_truth"], "expected --seed too"),
+        (["--withhold-truth", "{out}_truth", "--seed", "1", "--shard", "1/2"], "a shard keeps its truth"),
+    ],
+)
+def test_options_that_contradict(command, scene, tmp_path, options, message):
+    out = tmp_path / "d"
+    options = [option.format(out=out) for option in options]
+    status, printed, err = command("generate", scene, "-o", out, "--no-video", "--workers", 1, *options)
+    assert (status, printed) == (2, "")
+    one_line(err, message)
+    assert [p.name for p in tmp_path.iterdir()] == ["s.yaml"]
+
+
+def test_shards_merged_by_commands(command, scene, tmp_path):
+    common = ("--no-video", "--clips", 5, "--workers", 1, "--json")
+    command("generate", scene, "-o", tmp_path / "whole", *common)
+    parts = [tmp_path / f"p{k}" for k in (1, 2)]
+    for k, part in enumerate(parts, 1):
+        status, printed, _ = command("generate", scene, "-o", part, "--shard", f"{k}/2", *common)
+        assert (status, json.loads(printed)["clips"]) == (0, 4 - k)
+    status, _, err = command("merge", parts[1], "-o", tmp_path / "d")
+    assert status == 2
+    one_line(err, "shard 1/2 is missing among the 1 given")
+    status, printed, err = command("merge", *parts, "-o", tmp_path / "d", "--json")
+    assert (status, err, json.loads(printed)["clips"]) == (0, "", 5)
+    assert (tmp_path / "d/SHA256SUMS").read_text() == (tmp_path / "whole/SHA256SUMS").read_text()
+
+
+def test_a_challenge_by_commands(command, scene, tmp_path):
+    out, secret = tmp_path / "d", tmp_path / "t"
+    options = ("--withhold-truth", secret, "--seed", 99, "--no-video", "--clips", 2, "--workers", 1)
+    assert command("generate", scene, "-o", out, *options)[0] == 0
+    assert not list(out.rglob("truth"))
+    for folder in (out, secret):
+        assert command("verify", folder)[0] == 0
+    status, printed, _ = command("export", out, "--format", "ptc", "--truth", secret, "-o", tmp_path / "x", "--json")
+    assert (status, json.loads(printed)["clips"]) == (0, 2)
+    status, _, err = command("export", out, "--format", "ptc", "-o", tmp_path / "y")
+    assert status == 2
+    one_line(err, "truth/clips.parquet: no such file")
+
+
+def test_a_film_of_another_kind(command, scene, tmp_path):
+    status, _, err = command("preview", scene, "-o", tmp_path / "f.avi")
+    assert status == 2
+    one_line(err, tmp_path / "f.avi", "expected a name that ends in .png, .gif or .mp4")
 
 
 def test_no_video_needs_no_opengl(scene, tmp_path):

@@ -19,7 +19,7 @@ from tracker.motion import (
 
 R = 1.19e-3
 TYPICAL = {"t_c": 0.0913, "x": 2e-3, "y": -1e-3, "heading": 0.7, "beta": 0.2, "v0": 0.3, "drag": 0.135}
-TYPICAL |= {"decel": 0.0103, "r": 0.903, "log_mu": np.log(0.232), "C": 0.347}
+TYPICAL |= {"decel": 0.0103, "r": 0.903, "log_mu": np.log(0.232), "C": 0.347, "wx": 0.0, "wy": 0.0}
 
 
 def tied(**changes):
@@ -42,14 +42,17 @@ def test_head_on_finals_and_slide_times_are_the_papers(v0, r, mu, c):
 
 def spring_collision(theta, when):
     """Both balls' centres by integrating forces: a stiff contact impulse as initial data, then friction."""
-    t_c, x, y, heading, beta, v0, drag, decel, r, log_mu, c = theta
+    t_c, x, y, heading, beta, v0, drag, decel, r, log_mu, c, *target = theta
     z = np.array([0.0, 0.0, 1.0])
     d = np.array([np.cos(heading), np.sin(heading), 0])
     n = np.array([np.cos(heading - beta), np.sin(heading - beta), 0])
-    v2, w2, v1, w1 = v0 * d, np.cross(z, d) * v0 / R, np.zeros(3), np.zeros(3)
+    v1 = np.array([*target, 0.0])
+    v2 = v1 + v0 * d
+    early = {1: v1, 2: v2}
+    w1, w2 = (np.cross(z, v) / R for v in (v1, v2))
     slip = v2 - v1 + np.cross(w2 + w1, n) * R
     slip -= slip @ n * n
-    impulse = (1 + r) / 2 * (v2 @ n) * n + 0.4 * c * slip  # on ball 1, per unit mass
+    impulse = (1 + r) / 2 * ((v2 - v1) @ n) * n + 0.4 * c * slip  # on ball 1, per unit mass
     impulse_flat = impulse - impulse @ z * z
     spin = 2.5 / R * np.cross(n, -0.4 * c * slip)
     first = np.array([x, y, 0.0])
@@ -59,7 +62,7 @@ def spring_collision(theta, when):
         v, w = state[3:6], state[6:9]
         if rolling:
             speed = np.linalg.norm(v)
-            a = -(drag * speed + decel) * v / max(speed, 1e-12)
+            a = -(drag * speed + decel) * v / speed if speed > 1e-9 else np.zeros(3)
             return np.concatenate([v, a, np.cross(z, a) / R])
         u = v - R * np.cross(w, z)
         u[2] = 0
@@ -79,19 +82,24 @@ def spring_collision(theta, when):
         slide = solve_ivp(force, (t_c, 9), np.concatenate(start), events=slip_gone, args=(False,), **options)
         end = slide.t[-1]
         roll = solve_ivp(force, (end, when.max() + 1), slide.y[:, -1], args=(True,), max_step=0.01, **options)
+        spin = np.cross(z, early[ball]) / R
         back = solve_ivp(
             lambda t, s: force(t, s, True),
             (t_c, -0.1),
-            np.concatenate([first - 2 * R * n, v0 * d, w2]),
+            np.concatenate([start[0], early[ball], spin]),
             **options,
         )
-        earlier = back.sol if ball == 2 else lambda t: np.concatenate([first, np.zeros(6)])
-        legs = [earlier(t) if t < t_c else (slide.sol if t < end else roll.sol)(t) for t in when]
+        legs = [back.sol(t) if t < t_c else (slide.sol if t < end else roll.sol)(t) for t in when]
         out[ball] = np.array(legs)[:, :2]
     return out
 
 
-@pytest.mark.parametrize("changes", [{}, {"beta": -0.9, "C": 0.12, "r": 0.78, "heading": 4.0}, {"beta": 1e-9}])
+MOVING = {"wx": 0.11, "wy": -0.06}
+
+
+@pytest.mark.parametrize(
+    "changes", [{}, {"beta": -0.9, "C": 0.12, "r": 0.78, "heading": 4.0}, {"beta": 1e-9}, MOVING | {"beta": 0.6}]
+)
 def test_path_agrees_with_integrated_forces(changes):
     theta = tied(**changes)
     when = np.linspace(0.0, 0.4, 41)
@@ -121,7 +129,7 @@ def test_exposure_mean_is_the_integral_of_the_instants():
 
 @pytest.mark.parametrize("decel", [0.0103, 0.4])  # at .4 the balls come to rest within view
 def test_derivatives_are_those_of_the_path(decel):
-    free = release(tied(decel=decel))
+    free = release(tied(decel=decel, **MOVING))
     start = np.arange(0, 0.8, 0.0041)
     for ball in (1, 2):
         _, slope = path(free, ball, start, 5e-4, 2 * R)
@@ -133,7 +141,7 @@ def test_derivatives_are_those_of_the_path(decel):
 
 
 def test_tied_derivative_is_that_of_the_release():
-    theta = tied()
+    theta = tied(**MOVING)
     for j, column in enumerate(release_slope(theta).T):
         step = 1e-6 * np.eye(len(TIED))[j]
         np.testing.assert_allclose(column, (release(theta + step) - release(theta - step)) / 2e-6, atol=1e-8)
@@ -159,13 +167,16 @@ def test_rolling_solves_its_equation(drag, decel):
 def test_conserved_combination_and_momentum():
     rng = np.random.default_rng(3)
     for _ in range(50):
-        theta = tied(beta=rng.uniform(-1.3, 1.3), heading=rng.uniform(0, 7), C=rng.uniform(0, 0.4))
+        w = rng.uniform(-0.2, 0.2, 2) * rng.integers(0, 2)
+        theta = tied(beta=rng.uniform(-1.3, 1.3), heading=rng.uniform(0, 7), C=rng.uniform(0, 0.4), wx=w[0], wy=w[1])
         free = release(theta)
         v0, (d, n, _) = theta[5], directions(theta[3], theta[4])
         v1, v2 = free[8:10], free[13:15]
-        np.testing.assert_allclose(v1 + v2, v0 * d, rtol=1e-12, atol=1e-13)
+        np.testing.assert_allclose(v1 + v2, v0 * d + 2 * w, rtol=1e-12, atol=1e-13)
         assert (v1 - v2) @ n == pytest.approx(theta[8] * v0 * (d @ n), rel=1e-12)
-        # spin handed over is the same for both: w1 = -C w0 along t, w2 = (1 - C) w0 along t
-        for ball, share in ((1, -theta[10]), (2, 1 - theta[10])):
+        # spin along t: both lose C times their sum, of a resting target w1 = -C w0 and w2 = (1 - C) w0
+        before = {1: w @ n, 2: (w + v0 * d) @ n}
+        for ball in (1, 2):
             v, f = free[AFTER[ball] : AFTER[ball] + 2], free[AFTER[ball] + 2 : AFTER[ball] + 4]
-            assert (7 * f - 5 * v) @ n / 2 == pytest.approx(share * v0 * (d @ n), rel=1e-11)
+            left = before[ball] - theta[10] * (before[1] + before[2])
+            assert (7 * f - 5 * v) @ n / 2 == pytest.approx(left, rel=1e-11)

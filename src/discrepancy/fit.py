@@ -115,12 +115,20 @@ def limits_of(name: str) -> tuple[float, float]:
 
 
 def derivative(model: Model, launches: Array, clips: Sequence[Measured], name: str) -> list[Array]:
-    """d forecast / d a shared parameter, (n_k, 2) each: central, one-sided at a limit."""
+    """d forecast / d a shared parameter, (n_k, 2) each: central, one-sided at a limit.
+
+    A limit may also be where the motion ends to exist, as when a tilt sets the resting ball rolling; zero when there is
+    none to either side.
+    """
     value, step, (low, high) = model.value(name), step_of(name), limits_of(name)
-    up, down = min(value + step, high), max(value - step, low)
-    ahead = forecast(model.replace({name: up}), launches, clips)
-    behind = forecast(model.replace({name: down}), launches, clips)
-    return [(a - b) / (up - down) for a, b in zip(ahead, behind, strict=True)]
+    ends = []
+    for end in (min(value + step, high), max(value - step, low)):
+        try:
+            ends.append((end, forecast(model.replace({name: end}), launches, clips)))
+        except ValueError:
+            ends.append((value, forecast(model, launches, clips)))
+    (up, ahead), (down, behind) = ends
+    return [(a - b) / (up - down) if up > down else 0 * a for a, b in zip(ahead, behind, strict=True)]
 
 
 def launch_derivatives(model: Model, launches: Array, clips: Sequence[Measured]) -> tuple[list[Array], list[Array]]:

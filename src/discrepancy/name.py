@@ -14,7 +14,7 @@ from scipy.special import gammaln
 from scipy.stats import chi2 as chi2_law
 from scipy.stats import norm
 
-from discrepancy.fit import Fit, Whitener, derivative, fit
+from discrepancy.fit import Fit, Whitener, derivative, fit, limits_of
 from discrepancy.measured import Measured
 from discrepancy.noise import Noise
 from synthcam.effect import Effect, library
@@ -22,6 +22,8 @@ from synthcam.effect import Effect, library
 Array = NDArray[np.float64]
 
 CLAIM = 4.0  # sigma: one claim in a thousand searches with nothing hidden, for a library of this size
+MOST = 4  # effects named in one search: more together can imitate what is in nobody's library
+SEEN = 1e-4  # of a signature's length that must be left when all that the fit absorbs is taken out
 ALIAS = 0.9  # of the cosine between two signatures: beyond it the data hardly part them
 PART = 9.5  # of chi^2: a rival that fits worse by less is not excluded
 TRUST = 10.0  # where much stays unexplained, what an effect must explain, in units of that
@@ -115,15 +117,26 @@ def rank(clips: Sequence[Measured], now: Fit, noise: Noise, tick: Callable[[], N
         slopes = [derivative(now.model, now.launches, clips, s) for s in strengths]
         columns = [white(np.stack([s[k] for s in slopes], axis=-1)) for k, white in enumerate(whiteners)]
         tick()
-        found.append(_score(name, strengths, now.projected(columns), left))
+        length = np.linalg.norm(np.concatenate(columns), axis=0)
+        found.append(_score(name, strengths, now.projected(columns), length, left))
     return tuple(sorted(found, key=lambda c: -c.sigma))
 
 
-def _score(name: str, strengths: tuple[str, ...], signature: Array, left: Array) -> Candidate:
-    pull, information = signature.T @ left, signature.T @ signature
-    if np.linalg.matrix_rank(information, hermitian=True) < len(strengths):
+def _score(name: str, strengths: tuple[str, ...], signature: Array, length: Array, left: Array) -> Candidate:
+    """The score of one candidate; directions that the fit absorbs, as it does a wrong clock, count for nothing.
+
+    length (k,): of the signature's columns before the fit took its part. A strength that has one sign scores nothing
+    when the data ask for the other.
+    """
+    unit = signature / np.where(length > 0, length, 1)
+    values, axes = np.linalg.eigh(unit.T @ unit)
+    seen = values > SEEN**2
+    if not seen.any():
         return Candidate(name, strengths, 0.0, signature)
-    return Candidate(name, strengths, sigmas(float(pull @ np.linalg.solve(information, pull)), len(pull)), signature)
+    pulls = (axes[:, seen].T @ (unit.T @ left)) / np.sqrt(values[seen])
+    if len(strengths) == 1 and limits_of(strengths[0])[0] == 0 and signature[:, 0] @ left < 0:
+        return Candidate(name, strengths, 0.0, signature)
+    return Candidate(name, strengths, sigmas(float(pulls @ pulls), int(seen.sum())), signature)
 
 
 def likeness(one: Array, other: Array) -> float:
@@ -134,9 +147,10 @@ def likeness(one: Array, other: Array) -> float:
 
 def search(clips: Sequence[Measured], base: Fit, noise: Noise, tick: Callable[[], None] = lambda: None) -> Search:
     """Name effects one by one until none scores CLAIM. Each leader and its aliases are refitted; the best fit stays."""
-    now, named, steps = base, [], [base]
+    now, steps = base, [base]
+    named: list[Named] = []
     ranking = first = rank(clips, base, noise, tick)
-    while ranking and ranking[0].sigma > CLAIM:
+    while ranking and ranking[0].sigma > CLAIM and len(named) < MOST:
         leader = ranking[0]
         rivals = [c for c in ranking if likeness(leader.signature, c.signature) > ALIAS]
         tries = [(fit(clips, now.model, [*now.names, *c.strengths], noise, now.launches, tick), c) for c in rivals]

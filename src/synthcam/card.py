@@ -18,7 +18,8 @@ TRUTH = (
     ("pandas, a row a clip", '`import pandas; clips = pandas.read_parquet("truth/clips.parquet")`'),
     (
         "where the balls were, in trackpy's columns",
-        '`import pandas; tracks = pandas.read_parquet("clips/000000/truth/tracks.parquet")'
+        '`import pandas; tracks = pandas.read_parquet("clips/000000/truth/tracks.parquet", '
+        'columns=["frame", "particle", "x_mean_px", "y_mean_px"])'
         '.rename(columns={"x_mean_px": "x", "y_mean_px": "y"})`',
     ),
     ("contacts, slide ends", '`import pandas; events = pandas.read_parquet("clips/000000/truth/events.parquet")`'),

@@ -17,6 +17,7 @@ try:
 except ImportError:
     Client = None
 AHEAD = 3  # clips handed out for each thread of a worker
+PATIENCE = 10.0  # s, for the scheduler to answer
 
 
 class Cluster:
@@ -26,7 +27,7 @@ class Cluster:
         if Client is None:
             raise InputError("--scheduler: Dask is not installed; type: pip install 'synthcam[dask]'")
         try:
-            self.client = Client(address, timeout=10, set_as_default=False)
+            self.client = Client(address, timeout=PATIENCE, set_as_default=False)
         except (OSError, ValueError) as e:
             said = " ".join(str(e).split())[:120]
             raise InputError(f"--scheduler {address}: expected a Dask scheduler's address ({said})") from None

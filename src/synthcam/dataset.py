@@ -19,6 +19,7 @@ import tifffile
 from numpy.typing import NDArray
 
 from synthcam import truth
+from synthcam.apparatus import set_otherwise
 from synthcam.card import card
 from synthcam.scene import Clip
 from synthcam.settings import InputError
@@ -33,7 +34,7 @@ IMAGEJ_LIMIT = 4_000_000_000  # bytes of a stack; a longer one is a plain BigTIF
 def camera_json(clip: Clip) -> dict[str, Any]:
     """What the experimenter knows: the nominal camera, lamp and sensor, and which ball was launched."""
     camera, sensor = clip.nominal, clip.drawn["sensor"]
-    return {
+    known: dict[str, Any] = {
         "K": camera.K.tolist(),
         "dist": camera.dist.tolist(),
         "R": camera.R.tolist(),
@@ -46,8 +47,11 @@ def camera_json(clip: Clip) -> dict[str, Any]:
         "striker": clip.drawn["launch"]["striker"],
         "lamp": {"position": list(clip.drawn["lamp"]["position"]), "radius": clip.drawn["lamp"]["radius"]},
         "psf": {"sigma_px": camera.psf_sigma_px},
-        "sensor": {k: v for k, v in sensor.items() if k != "glint_peak"},
+        "sensor": {k: v for k, v in sensor.items() if k not in ("glint_peak", "hot_pixels", "hot_dark")},
     }
+    for section, values in set_otherwise(clip.drawn).items():
+        known[section] = known.get(section, {}) | values
+    return known
 
 
 def view_of(clip: Clip) -> View:
@@ -90,7 +94,8 @@ def write_clip(
         "events": truth.events(view.motion, clip.camera.fps),
     }
     for name, table in tables.items():
-        table.to_parquet(secret / f"{name}.parquet", index=False)
+        # by way of memory, so that a full disk is the same error as for other files
+        (secret / f"{name}.parquet").write_bytes(table.to_parquet(index=False))
 
 
 def _write_tiff(path: Path, clip: Clip, frames: Frames, compression: str) -> str:
@@ -148,7 +153,7 @@ def _write_rows(root: Path) -> tuple[int, list[str]]:
     before = [("clip", pa.int64()), ("seed_key", pa.string()), ("scene", pa.string())]
     schema = pa.schema([*before, *((c, pa.float64()) for c in truth.COLLISION), *((c, pa.string()) for c in text[2:])])
     clips, names = clip_folders(root), dict[str, None]()
-    with pq.ParquetWriter(root / "truth" / "clips.parquet", schema) as writer:
+    with (root / "truth" / "clips.parquet").open("wb") as file, pq.ParquetWriter(file, schema) as writer:
         for start in range(0, len(clips), ROWS):
             batch = clips[start : start + ROWS]
             rows = [json.loads((c / "truth" / "scene.json").read_text())["row"] for c in batch]

@@ -320,11 +320,12 @@ def _contact(a: Leg, b: Leg, t: float, horizon: float, reach: float) -> float | 
         gap = distance - reach
         rate = float(relative[:3] @ relative[3:6]) / distance
         if gap <= touching:
-            if rate < 0:
+            passing = float(relative[3:6] @ relative[3:6]) / distance > steepest  # what parts them outgrows all else
+            if rate < 0 and not (passing and rate > -LINGERING):
                 return t
             if gap < -1e-6 * reach:
                 raise ValueError(f"balls overlap by {-gap:.3g} m at {t:.6g} s")
-            gap = touching if rate == 0 else max(gap, 0.0)
+            gap, rate = (touching, 0.0) if rate <= 0 else (max(gap, 0.0), rate)
         step = _safe_step(gap, rate, steepest)
         if t + step > horizon:
             return None

@@ -273,7 +273,8 @@ def film(clip: Clip, view: View, seed: int) -> Frames:
 
     chip = _chip(clip.sensor, clip.camera.size, clip.camera.exposure, seed)
     radii = clip.launch.bodies.radius.tolist()
-    with Film(clip.camera, clip.lamp, radii, clip.room) as drawing:
+    view = view.as_drawn()
+    with Film(clip.camera, clip.lamp, radii, clip.room, clip.surface) as drawing:
         pictures = drawing.frames(
             lambda t: view.at(t)[:, :, :3].transpose(1, 0, 2),
             view.spans(clip.frames),

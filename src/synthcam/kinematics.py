@@ -80,14 +80,12 @@ def slide_time(state: Array, radius: Real, slowing: Real) -> Any:
 
 def roll(state: Array, radius: Real, drag: float, decel: float, elapsed: Array) -> Array:
     """Rolling on a straight line with the loss a = -(drag v + decel); elapsed may be negative. Speeds over zero."""
-    speed = np.hypot(state[..., 3], state[..., 4])
-    along = state[..., 3:5] / speed[..., None]
+    slowing = decel / np.hypot(state[..., 3], state[..., 4])[..., None]
     decay, slack = _decay(drag, elapsed)
-    path = speed[..., None] * decay - decel * slack
-    v = speed[..., None] * (1 - drag * decay) - decel * decay
-    position = state[..., None, 0:2] + path[..., None] * along[..., None, :]
+    start = state[..., None, 3:5]
+    position = state[..., None, 0:2] + (decay - slowing * slack)[..., None] * start
     wz, size = state[..., None, 8], np.asarray(radius)[..., None]
-    return rolling_state(position, v[..., None] * along[..., None, :], wz, size)
+    return rolling_state(position, (1 - (drag + slowing) * decay)[..., None] * start, wz, size)
 
 
 def stop_time(speed: Real, drag: float, decel: float) -> Any:

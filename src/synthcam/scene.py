@@ -12,13 +12,22 @@ import numpy as np
 from pydantic import Field, ValidationError, create_model
 from yaml import YAMLError
 
+from synthcam.apparatus import (
+    CameraSettings,
+    LampSettings,
+    Pair,
+    SensorSettings,
+    SurfaceSettings,
+    camera_of,
+    lamp_of,
+    surface_of,
+)
 from synthcam.distribution import choices, corner, drawn, replaced
 from synthcam.launch import Launch
 from synthcam.model import BallSettings, Model, ModelSettings, build, check_free, effect_settings
 from synthcam.optics import Camera, Lamp
 from synthcam.sensor import Sensor
 from synthcam.settings import (
-    Fraction,
     InputError,
     NotNegative,
     Positive,
@@ -27,11 +36,10 @@ from synthcam.settings import (
     parse_yaml,
     read_yaml,
 )
+from synthcam.surface import Surface
 
 LABELS = {"a": ("b", "a"), "b": ("a", "b")}  # of ball 1 and ball 2, by the striker
 UPSTREAM = 0.015 / 0.6  # s: at 0.6 m/s the contact lies 15 mm before the centre, so that the slide's end is in view
-Pair = Annotated[list[float], Field(min_length=2, max_length=2)]
-Place = Annotated[list[float], Field(min_length=3, max_length=3)]
 
 
 class LaunchSettings(Settings):
@@ -54,39 +62,6 @@ class TimingSettings(Settings):
     contact_frame: float = 25.0
 
 
-class CameraSettings(Settings):
-    """`camera:` known to the experimenter."""
-
-    size: Annotated[list[Annotated[int, Field(ge=16, le=8192)]], Field(min_length=2, max_length=2)] = Field([640, 480])
-    scale: Positive = 1.6e-4
-    height: Positive = 0.5
-    tilt: Pair = Field([0.0, 0.0])
-    distortion: Annotated[list[float], Field(min_length=5, max_length=5)] = [0.0] * 5
-    psf_sigma_px: Annotated[float, Field(ge=0.3, le=10)] = 1.0
-
-
-class LampSettings(Settings):
-    """`lamp:` a disc that faces the plate. room: what a ball mirrors beside the lamp, over the glint's peak."""
-
-    position: Place = Field([0.05, 0.0, 0.45])
-    radius: Positive = 0.01
-    room: NotNegative = 0.02
-
-
-class SensorSettings(Settings):
-    """`sensor:` EMVA 1288's numbers. glint_peak: counts above black at a resting ball's glint, before clipping."""
-
-    bits: Annotated[int, Field(ge=8, le=16)] = 8
-    gain: Positive = 20.0
-    read_noise: NotNegative = 20.0
-    dark: NotNegative = 0.0
-    full_well: Positive = 6000.0
-    prnu: Fraction = 0.005
-    dsnu: NotNegative = 4.0
-    black_level: NotNegative = 8.0
-    glint_peak: Positive = 200.0
-
-
 @cache
 def scene_file() -> type[Settings]:
     """What a scene may hold, as numbers; any number may be a distribution instead."""
@@ -98,6 +73,7 @@ def scene_file() -> type[Settings]:
         "timing": TimingSettings,
         "camera": CameraSettings,
         "lamp": LampSettings,
+        "surface": SurfaceSettings,
         "sensor": SensorSettings,
     }
     fields: dict[str, Any] = {k: (v, v()) for k, v in sections.items()}
@@ -125,6 +101,7 @@ class Clip:
     nominal: Camera
     camera: Camera
     lamp: Lamp
+    surface: Surface
     sensor: Sensor
     frames: int
 
@@ -157,17 +134,11 @@ def clip_of(number: int, drawn: dict[str, Any], where: str = "") -> Clip:
         raise InputError(f"{where}: camera.height: expected more than two ball diameters")
     if drawn["lamp"]["position"][2] <= 2 * model.ball.diameter:
         raise InputError(f"{where}: lamp.position: expected z above the balls")
-    nominal = Camera.overhead(
-        size=tuple(camera["size"]),
-        scale=camera["scale"],
-        height=camera["height"],
-        tilt=camera["tilt"],
-        distortion=camera["distortion"],
-        ball_radius=model.ball.radius,
-        fps=timing["fps"],
-        exposure=timing["exposure"],
-        psf_sigma_px=camera["psf_sigma_px"],
-    )
+    try:
+        lamp = lamp_of(drawn["lamp"])
+    except ValueError as e:
+        raise InputError(f"{where}: {str(e).replace(' ', '.', 1)}") from None
+    nominal = camera_of(drawn, model.ball.radius)
     return Clip(
         number=number,
         drawn=drawn,
@@ -175,7 +146,8 @@ def clip_of(number: int, drawn: dict[str, Any], where: str = "") -> Clip:
         launch=_launch(model, launch, timing["contact_frame"] / timing["fps"]),
         nominal=nominal,
         camera=_as_it_is(model, nominal),
-        lamp=Lamp(np.array(drawn["lamp"]["position"]), drawn["lamp"]["radius"]),
+        lamp=lamp,
+        surface=surface_of(drawn["surface"]),
         sensor=Sensor(**drawn["sensor"]),
         frames=timing["frames"],
     )

@@ -18,7 +18,7 @@ from synthcam.kinematics import Array, contact_velocity, plate_state, rolling_ve
 from synthcam.model import Bodies, Model
 from synthcam.spectral import TOLERANCE, Path, integrate
 
-FINISH = 1e-4  # of the first slip: the rest of the slide, some us, is taken as a uniform deceleration
+FINISH = 1e-6  # of the first slip: the rest of the slide, some 0.1 us, is taken as a uniform deceleration
 LAST = float(np.log(FINISH))
 ROUGH = 1e-11  # tolerance in the path of another ball, which has kinks
 LAWS = ("friction", "normal_load", "push", "drilling")
@@ -29,7 +29,7 @@ Other = Callable[[Array, Any], Array]  # times (k, n), which k balls -> places o
 class Slides:
     """k slides that begin together at elapsed time 0. path: (t, x, y, qx, qy, th, wz) against ln(|u|/|u0|).
 
-    lasts (k,): how long, s. cut: when the uniform end begins; slowing (k,), push (k, 2) in it.
+    lasts (k,): how long, s. cut: when the uniform end begins; slowing (k,), push (k, 2), twist (k,) in it.
     """
 
     path: Path
@@ -39,6 +39,7 @@ class Slides:
     lasts: Array
     slowing: Array
     push: Array
+    twist: Array
 
     def states(self, elapsed: Array) -> Array:
         """States (k, m, 9) at elapsed times (k, m) from 0 to `lasts`."""
@@ -51,7 +52,8 @@ class Slides:
         hat = np.stack([np.cos(y[..., 5]), np.sin(y[..., 5])], axis=-1)
         q = y[..., 3:5] + 5 / 7 * self.push[:, None] * late[..., None]
         mean = y[..., 3:5] + 5 / 14 * self.push[:, None] * late[..., None] + ((left + slip) / 7)[..., None] * hat
-        return plate_state(y[..., 1:3] + mean * late[..., None], q, slip[..., None] * hat, y[..., 6], radius)
+        spin = y[..., 6] + self.twist[:, None] * late
+        return plate_state(y[..., 1:3] + mean * late[..., None], q, slip[..., None] * hat, spin, radius)
 
     def ends(self) -> Array:
         """States (k, 9) of the balls when they stop sliding."""
@@ -93,7 +95,7 @@ def slides(model: Model, state: Array, bodies: Bodies, time: Array, other: Other
         push = model.laws("push", np.zeros_like(v), instant)
         friction = model.laws("friction", model.sliding_friction, instant)
         load = model.laws("normal_load", model.gravity, instant)
-        twist = model.laws("drilling", 0.0, instant | {"friction": friction})
+        twist = np.asarray(model.laws("drilling", 0.0, instant | {"friction": friction}))
         slowing = 3.5 * friction * load - (push * hat).sum(axis=-1)
         if not np.all(slowing > 0):
             raise ValueError("sliding friction does not end the slide: the push along the slip is too strong")
@@ -113,6 +115,6 @@ def slides(model: Model, state: Array, bodies: Bodies, time: Array, other: Other
     path = integrate(right, 0.0, LAST, start, TOLERANCE if other is None else ROUGH)
     last = path(np.full((len(state), 1), LAST))
     slip = (first * FINISH)[:, None]
-    slowing, _, push, _, _ = forces(slip / 2, last)
+    slowing, _, push, _, twist = (np.broadcast_to(f, (*slip.shape, *f.shape[2:]))[:, 0] for f in forces(slip / 2, last))
     cut = last[:, 0, 0]
-    return Slides(path, first, bodies.radius, cut, cut + (slip / slowing)[:, 0], slowing[:, 0], push[:, 0])
+    return Slides(path, first, bodies.radius, cut, cut + slip[:, 0] / slowing, slowing, push, twist)

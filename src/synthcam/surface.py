@@ -10,14 +10,14 @@ Array = NDArray[np.float64]
 # Chrome steel in green light by Schlick's law. The lamp's images of order 2, 3, 4 between balls in contact then
 # carry 5.3, .9, .2 % of the primary.
 STEEL = 0.55
+IRON = (2.95, 2.93)  # n and k at 549 nm: Johnson & Christy 1974, Phys. Rev. B 9, 5056
 
 
 @dataclass(frozen=True)
 class Surface:
     """Balls and plate.
 
-    steel: n and k of the balls' metal, or None for Schlick's law with 55 % at normal incidence. Iron at 549 nm has
-    2.95, 2.93 (Johnson & Christy 1974, Phys. Rev. B 9, 5056) and 51 %.
+    steel: n and k of the balls' metal (IRON: 51 % head-on), or None for Schlick's law with 55 % head-on.
     roughness: rms slope of the balls' surface, each way. scratches: share of the light that goes into a wider
     lobe, of rms slope scratch_slope. Both broaden a glint by a Gaussian; what it carries stays the same.
     plate_gloss: reflectance of the plate as a mirror, head-on. plate_roughness: rms slope of that mirror.

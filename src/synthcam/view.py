@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -30,7 +30,9 @@ class View:
         """Solve the motion for as long as `frames` frames last."""
         corners = np.array([[0.0], [frames / camera.fps]])
         rows = np.array([0.0, camera.size[1] - 1.0])
-        times = model.laws("clock", corners, {"fps": camera.fps, "row": rows}) + np.zeros((2, 2))
+        times = model.laws("clock", corners + camera.line_time * rows, {"fps": camera.fps, "row": rows}) + np.zeros(
+            (2, 2)
+        )
         return cls(model, camera, solve(model, launch, min(float(times.min()), 0.0), float(times.max())))
 
     def spans(self, frames: int) -> Array:
@@ -38,17 +40,26 @@ class View:
         starts = np.arange(frames) / self.camera.fps
         return np.stack([starts, starts + self.camera.exposure], axis=1)
 
+    def as_drawn(self) -> View:
+        """The same for a renderer, which sees to the delay of each row itself."""
+        return replace(self, camera=replace(self.camera, line_time=0.0))
+
+    @property
+    def _bent(self) -> bool:
+        return bool(self.camera.line_time) or self.model.laws.bent("clock")
+
     def times(self, film: Array) -> Array:
         """The moments (balls, m) at which film time (m,) really shows each ball."""
         out = np.repeat(film[None], len(self.motion.legs), axis=0)
-        for _ in range(TURNS if self.model.laws.asks("clock", "row") else 1):
+        by_row = self.camera.line_time or self.model.laws.asks("clock", "row")
+        for _ in range(TURNS if by_row else 1):
             out = self._clock(film, out)
         return out
 
     def at(self, film: Array) -> Array:
         """States (balls, m, 9) at film time (m,)."""
         times = self.times(film)
-        if not self.model.laws.bent("clock"):
+        if not self._bent:
             return self.motion.at(times[0])
         return np.stack([self.motion.at(t)[k] for k, t in enumerate(times)])
 
@@ -67,11 +78,11 @@ class View:
         return mean(self.at, self.breaks(), spans, of)
 
     def _clock(self, film: Array, times: Array) -> Array:
-        if not self.model.laws.bent("clock"):
+        if not self._bent:
             return times
         inside = np.clip(times, self.motion.t0, self.motion.t1)
         places = np.stack([self.motion.at(t)[k] for k, t in enumerate(inside)])
         rows = self.camera.project(places[..., :3])[..., 1]
         rows = np.clip(rows, 0, self.camera.size[1] - 1)
-        bent = self.model.laws("clock", film + 0 * rows, {"fps": self.camera.fps, "row": rows})
+        bent = self.model.laws("clock", film + self.camera.line_time * rows, {"fps": self.camera.fps, "row": rows})
         return np.asarray(np.clip(bent, self.motion.t0, self.motion.t1))

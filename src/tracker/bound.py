@@ -117,6 +117,20 @@ def localisation_bound(
     number, counts (default the black level). Place, flux and a flat background are free; width and noise are
     known. Returns (n, 2, 2). Needs the PSF's width in the camera (ValueError).
     """
+    return _bound(camera, flux, xy, streak, background)[0]
+
+
+def fixed_part(camera: Camera, flux: ArrayLike, xy: ArrayLike) -> Array:
+    """The part (n, 2, 2) px^2 of a resting glint's bound that is the same in every frame: of the pixels' own
+    response and offset. A fixed error of a pixel shifts the place by cov d_a m / v. Arguments as above.
+    """
+    return _bound(camera, flux, xy, None, None)[1]
+
+
+def _bound(
+    camera: Camera, flux: ArrayLike, xy: ArrayLike, streak: ArrayLike | None, background: ArrayLike | None
+) -> tuple[Array, Array]:
+    """Bound and its fixed part, (n, 2, 2) px^2 each."""
     if camera.sigma is None:
         raise ValueError("the bound needs psf.sigma_px")
     flux_ = np.atleast_1d(np.asarray(flux, dtype=np.float64))
@@ -125,11 +139,13 @@ def localisation_bound(
     level = camera.sensor.black_level if background is None else background
     ground = np.broadcast_to(np.asarray(level, dtype=np.float64), flux_.shape)
     half = math.ceil(REACH * camera.sigma + 0.5 + float(np.max(np.abs(lines), initial=0.0)) / 2.0)
-    out = np.empty((len(flux_), 2, 2))
+    out, fixed = np.empty((2, len(flux_), 2, 2))
     for start in range(0, len(flux_), 2048):  # blocks, so that memory stays small
         part = slice(start, start + 2048)
         shape = glint_shape(places[part] - np.round(places[part]), lines[part], camera.sigma, half)
         mean = ground[part, None, None] + flux_[part, None, None] * shape.value
-        told = fisher(information(mean, camera.sensor), slopes(shape, flux_[part]))
-        out[part] = np.linalg.inv(told)[:, :2, :2]
-    return out
+        told, parts = information(mean, camera.sensor), slopes(shape, flux_[part])
+        cov = np.linalg.inv(fisher(told, parts))
+        pattern = cov @ fisher(told**2 * camera.sensor.fixed_variance(mean), parts) @ cov
+        out[part], fixed[part] = cov[:, :2, :2], pattern[:, :2, :2]
+    return out, fixed

@@ -9,9 +9,10 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from .fitting import Whitened, covariance
+from .bound import fixed_part
+from .fitting import Pair, Whitened, covariance
 from .localisation import Matched
-from .motion import release
+from .motion import TARGET, release
 from .places import Course
 from .quantities import NAMES, of_free, of_tied
 
@@ -65,42 +66,62 @@ def figures(value: Floats, std: Floats, true: Floats, bound: Floats) -> dict[str
 
 
 def true_motion(truth: pd.DataFrame, scalars: Mapping[str, float]) -> Floats | None:
-    """Tied parameters (11,) of a clip's truth; None unless ball 2 rolls at a resting ball 1 in its tracks."""
+    """Tied parameters (13,) of a clip's truth; None unless both balls are in its tracks before the contact.
+
+    Places and velocities are those of the last frame before it, carried on for less than a frame.
+    """
     t_c = float(scalars["t_c"])
     early = truth[truth["t_s"] < t_c] if np.isfinite(t_c) else truth.iloc[:0]
     first, second = (early[early["particle"] == k] for k in (0, 1))
-    if not (len(first) and len(second)) or np.hypot(first["vx"], first["vy"]).max() > 0:
+    if not (len(first) and len(second)):
         return None
-    x, y = first[["x", "y"]].iloc[-1]
-    vx, vy = second[["vx", "vy"]].iloc[-1]
+    w, v = (ball[["vx", "vy"]].iloc[-1].to_numpy(float) for ball in (first, second))
+    x, y = first[["x", "y"]].iloc[-1].to_numpy(float) + w * (t_c - float(first["t_s"].iloc[-1]))
     b = float(np.clip(scalars["b"], -HEAVIEST, HEAVIEST))
-    launch = [t_c, x, y, np.arctan2(vy, vx), np.arcsin(b), scalars["v0"], scalars["drag"], scalars["decel"]]
-    tied = np.array([*launch, scalars["r"], np.log(scalars["mu_k"]), scalars["C"]], dtype=np.float64)
+    heading = np.arctan2(*(v - w)[::-1])
+    launch = [t_c, x, y, heading, np.arcsin(b), scalars["v0"], scalars["drag"], scalars["decel"]]
+    tied = np.array([*launch, scalars["r"], np.log(scalars["mu_k"]), scalars["C"], *w], dtype=np.float64)
     return tied if np.isfinite(tied).all() else None
 
 
 def quantity_bounds(matched: Matched, cov: Floats, tied: Floats, camera: Camera) -> dict[str, float]:
     """Q_bound and Q_free_bound of a clip: Fisher bounds of either fit at the true motion, on the places found.
 
-    cov (n, 2, 2) px^2: the localisation bound of each pair, not what the tracker claims. tied (11,): the truth.
+    cov (n, 2, 2) px^2: the localisation bound of each pair, not what the tracker claims; what a resting ball shares
+    of it from frame to frame is counted. tied (13,): the truth.
     """
     if len(cov) == 0 or not np.isfinite(cov).all():
         return {}
+    balls = _bounded_courses(matched, cov, camera)
+    if not all(len(course) for course in balls):
+        return {}
+    moving = bool(tied[-len(TARGET) :].any())
+    free = np.asarray(release(tied), dtype=np.float64)
+    out: dict[str, float] = {}
+    for kind, at, reading in (("", tied, of_tied), ("_free", free, of_free)):
+        problem = Whitened(Pair(balls[0], balls[1], camera.ball_diameter, moving), kind == "")
+        p = len(problem.names)
+        whole = np.zeros((len(at), len(at)))
+        whole[:p, :p] = covariance(problem.slope(at[:p]))
+        values = reading(at, whole, camera.ball_diameter)
+        out |= {f"{n}{kind}_bound": float(s) for n, s in zip(NAMES, values.std, strict=True)}
+    return out
+
+
+def _bounded_courses(matched: Matched, cov: Floats, camera: Camera) -> list[Course]:
+    """Both balls' true courses with the errors of the localisation bound; px to m at each place."""
     rows = matched.truth.iloc[matched.pairs[:, 0]]
     _, slope = camera.unproject(rows[["x_mean_px", "y_mean_px"]].to_numpy(float))
-    metres = slope @ cov @ np.swapaxes(slope, 1, 2)
+    found, fixed = matched.found.iloc[matched.pairs[:, 1]], np.zeros_like(cov)
+    if "flux" in found and camera.sigma is not None:
+        fixed = fixed_part(camera, found["flux"].to_numpy(float), rows[["glint_x_px", "glint_y_px"]].to_numpy(float))
+    metres, shared = (slope @ c @ np.swapaxes(slope, 1, 2) for c in (cov, fixed))
+    width = (camera.sigma or 0.0) * camera.scale
     balls = []
     for particle in (0, 1):
         mine = (rows["particle"] == particle).to_numpy()
         frame = rows["frame"].to_numpy(np.int64)[mine]
-        if not len(frame):
-            return {}
         place = rows[["x", "y"]].to_numpy(float)[mine]  # only how they depend on the motion matters
-        balls.append(Course(particle, frame, frame / camera.fps, place, metres[mine], camera.exposure))
-    free = np.asarray(release(tied), dtype=np.float64)
-    out: dict[str, float] = {}
-    for kind, at, reading in (("", tied, of_tied), ("_free", free, of_free)):
-        problem = Whitened(balls[0], balls[1], camera.ball_diameter, tied=kind == "")
-        values = reading(at, covariance(problem.slope(at)), camera.ball_diameter)
-        out |= {f"{n}{kind}_bound": float(s) for n, s in zip(NAMES, values.std, strict=True)}
-    return out
+        start = frame / camera.fps
+        balls.append(Course(particle, frame, start, place, metres[mine], camera.exposure, shared[mine], width))
+    return balls

@@ -1,4 +1,4 @@
-"""tracker: track, measure, score."""
+"""tracker: track, measure, score, compare, calibrate."""
 
 from __future__ import annotations
 
@@ -31,7 +31,17 @@ Json = Annotated[bool, typer.Option("--json", help="Print a machine-readable sum
 
 @contextmanager
 def progress(what: str) -> Iterator[Callable[[int, int], None]]:
-    """A bar with an estimate on a terminal; nothing elsewhere."""
+    """A bar with an estimate on a terminal, nothing elsewhere; interrupted, it says how to go on."""
+    try:
+        with _bar(what) as tick:
+            yield tick
+    except KeyboardInterrupt:
+        print("tracker: interrupted; the same command goes on where it stopped", file=sys.stderr)
+        raise typer.Exit(130) from None
+
+
+@contextmanager
+def _bar(what: str) -> Iterator[Callable[[int, int], None]]:
     if not sys.stderr.isatty():
         yield lambda done, total: None
         return
@@ -116,6 +126,55 @@ def score(
     write_report(verdict, results, truth, output)
     path = verdict.write(output)
     print(json.dumps(verdict.to_dict()) if as_json else f"{path}")
+
+
+@app.command()
+def compare(
+    dataset: Annotated[Path, typer.Argument(metavar="DATASET", help="Clips with their truth.")],
+    detectors: Annotated[str, typer.Option(help="Names, with commas between them.")],
+    output: Annotated[Path, typer.Option("-o", "--output", metavar="REPORT", help="Folder to make.")],
+    as_json: Json = False,
+) -> None:
+    """Track a dataset with several detectors and set them beside each other. Interrupted, the same command goes on.
+
+    Example: tracker compare out/benchmark --detectors maximum_likelihood,centroid -o out/compared
+    """
+    from .compare import compare as run_all
+    from .compare import tables
+
+    with progress("clips") as tick:
+        whole = run_all(dataset, detectors.split(","), output, tick)
+    if as_json:
+        print(json.dumps(whole))
+        return
+    _, head, rows = tables(whole["detectors"])[0]
+    widths = [max(len(row[i]) for row in [head, *rows]) for i in range(len(head))]
+    for row in [head, *rows]:
+        print(
+            "  ".join(
+                cell.ljust(w) if i == 0 else cell.rjust(w) for i, (cell, w) in enumerate(zip(row, widths, strict=True))
+            )
+        )
+
+
+@app.command()
+def calibrate(
+    video: Annotated[Path, typer.Argument(metavar="VIDEO", help="Video, stack, pictures or clips of the balls.")],
+    diameter: Annotated[float, typer.Option(help="Of the balls, m.")],
+    fps: Annotated[float, typer.Option(help="Frames a second.")],
+    output: Annotated[Path, typer.Option("-o", "--output", metavar="CAMERA.JSON", help="File to write.")],
+    exposure: Annotated[float | None, typer.Option(help="Of a frame, s, if known.")] = None,
+    as_json: Json = False,
+) -> None:
+    """Write a camera file: scale from balls that touch or are seen whole, glint width, noise, and what is not known.
+
+    Example: tracker calibrate collision.avi --diameter 2.38e-3 --fps 250 -o camera.json
+    """
+    from . import calibrate as work
+
+    result = work.calibrate(video, diameter, fps, exposure)
+    result.write(output)
+    print(work.as_json(result, output) if as_json else "\n".join([*work.summary(result), f"{output}"]))
 
 
 def _measured(tracks: Path, truth: Path, output: Path, point: str) -> Path:

@@ -2,43 +2,83 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from itertools import combinations, product
 
 import numpy as np
 from numpy.typing import NDArray
 
-from .fitting import Whitened
+from .fitting import Pair, Whitened
 from .places import Course
 
 Floats = NDArray[np.float64]
 APPROACH = 6  # places from which the approach is read
 LONGEST = 15  # frames; older places tell nothing of the moment of contact
-AT_REST = 0.03  # of the striker's speed
+CREEPING = 0.002  # of the relative speed: a target this slow is at rest for every purpose
+STILL = 150  # frames at rest, beyond which more of them tell nothing new: what they share is their limit
+SAME = 0.3  # of a glint's width, within which a ball that has not moved is seen
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Encounter:
-    """Two balls about one contact, `frame` that of least separation, `reason` why it cannot be fitted."""
+    """Two balls about one contact, `frame` that of least separation; ball 2, the striker, is the faster.
 
-    struck: Course
-    striker: Course
+    reason: why it cannot be fitted.
+    """
+
+    pair: Pair
     frame: int
     reason: str = ""
 
 
-def encounters(balls: list[Course], diameter: float) -> list[Encounter]:
-    """All collisions of a recording, in order; each with the stretch in which neither ball meets another."""
-    meetings = [(frame, a, b) for a, b in combinations(balls, 2) for frame in _contact_frames(a, b, diameter)]
-    meetings.sort(key=lambda m: m[0])
-    found = []
-    for frame, a, b in meetings:
-        others = [f for f, *pair in meetings if f != frame and (a in pair or b in pair)]
-        first = max((f for f in others if f < frame), default=-1)
-        last = min((f for f in others if f > frame), default=np.iinfo(np.int64).max)
-        a_cut, b_cut = (c.where((c.frame > first) & (c.frame < last)) for c in (a, b))
-        found.append(_roles(a_cut, b_cut, frame))
-    return found
+@dataclass(frozen=True)
+class Past:
+    """What earlier hits left of a ball: it slides until rolls_from, s (inf: not known), and R w_z is spin, m/s."""
+
+    rolls_from: float = -np.inf
+    spin: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class Meeting:
+    """A contact as it is found: two balls, each with the stretch in which it meets no third or again the other."""
+
+    one: Course
+    other: Course
+    frame: int
+
+
+def meetings(balls: list[Course], diameter: float) -> list[Meeting]:
+    """All contacts of a recording, in order."""
+    found = [(k, a, b) for a, b in combinations(balls, 2) for k in _contact_frames(a, b, diameter)]
+    found.sort(key=lambda m: m[0])
+    out = []
+    for i, (frame, a, b) in enumerate(found):
+        cut = []
+        for course in (a, b):
+            others = [f for j, (f, *pair) in enumerate(found) if j != i and course in pair]
+            first = max((f for f in others if f < frame), default=-1)
+            last = min((f for f in others if f > frame), default=np.iinfo(np.int64).max)
+            cut.append(course.where((course.frame > first) & (course.frame < last)))
+        out.append(Meeting(cut[0], cut[1], frame))
+    return out
+
+
+def encounter(meeting: Meeting, diameter: float, pasts: Mapping[int, Past]) -> Encounter:
+    """Which of the two is ball 2, and what is left to fit; pasts by particle, of balls that were hit before."""
+    balls, spin = [], 0.0
+    for course in (meeting.one, meeting.other):
+        past = pasts.get(course.particle, Past())
+        rolls = course.where(course.start > past.rolls_from)
+        if not (rolls.frame < meeting.frame).any() and (course.frame < meeting.frame).any():
+            reason = "a ball still slides when it is hit again"
+            if np.isinf(past.rolls_from):
+                reason = "an earlier hit of a ball could not be measured"
+            return Encounter(Pair(meeting.one, meeting.other, diameter), meeting.frame, reason)
+        balls.append(_thinned(rolls, meeting.frame))
+        spin += past.spin
+    return _roles(Pair(balls[0], balls[1], diameter, spin=spin), meeting.frame)
 
 
 def velocity(course: Course) -> tuple[Floats, Floats, float]:
@@ -108,68 +148,97 @@ def _kicked(a: Course, b: Course, frame: int) -> bool:
     return False
 
 
-def _roles(a: Course, b: Course, frame: int) -> Encounter:
+def _roles(pair: Pair, frame: int) -> Encounter:
     """Ball 2 is the faster before contact; says why where a clip shows too little."""
-    early = [_before(c, frame) for c in (a, b)]
+    early = [_before(c, frame) for _, c in pair.balls]
     if min(len(e) for e in early) < 2:
-        return Encounter(a, b, frame, "the approach is not in view")
-    speeds = [velocity(e) for e in early]
-    if np.linalg.norm(speeds[0][0]) > np.linalg.norm(speeds[1][0]):
-        a, b, speeds = b, a, speeds[::-1]
-    rest, fast = float(np.linalg.norm(speeds[0][0])), float(np.linalg.norm(speeds[1][0]))
-    if rest > max(AT_REST * fast, 6 * speeds[0][2]) and _moves(a, frame - 2, AT_REST * fast):
-        return Encounter(a, b, frame, "both balls move before they meet")
-    if min(int((c.frame > frame).sum()) for c in (a, b)) < 4:
-        return Encounter(a, b, frame, "too few frames after the contact")
-    return Encounter(a, b, frame)
+        return Encounter(pair, frame, "the approach is not in view")
+    speeds = [float(np.linalg.norm(velocity(e)[0])) for e in early]
+    if speeds[0] > speeds[1]:
+        pair = replace(pair, struck=pair.striker, striker=pair.struck)
+    rest = _at_rest(pair.struck, frame, CREEPING * max(speeds))
+    if rest is not None:
+        pair = replace(pair, struck=pair.struck.where(pair.struck.frame >= rest))
+    if min(int((c.frame > frame).sum()) for _, c in pair.balls) < 4:
+        return Encounter(pair, frame, "too few frames after the contact")
+    return Encounter(replace(pair, moving=rest is None), frame)
 
 
-def _moves(course: Course, until: int, slow: float) -> bool:
-    """Whether a ball moved well before the contact, whose frame is uncertain where others are missing."""
-    early = _before(course, until)
-    if len(early) < 2:
-        return True
-    v, _, std = velocity(early)
-    return bool(np.linalg.norm(v) > max(slow, 6 * std))
+def _at_rest(course: Course, frame: int, slow: float) -> int | None:
+    """First frame from which a ball rests until the contact; None if it moves then.
+
+    The stretch grows from the contact outwards for as long as one place describes it, so that a ball which rolled
+    to a stop before is taken from there on. The frame next to the contact may be late where others are missing.
+    """
+    rows = np.flatnonzero(course.frame < frame - 1)
+    if len(rows) < 2:
+        rows = np.flatnonzero(course.frame < frame)
+    first = None
+    count = min(APPROACH, len(rows))
+    while count <= len(rows):
+        mask = np.zeros(len(course), dtype=bool)
+        mask[rows[-count:]] = True
+        part = course.where(mask)
+        v, _, std = velocity(part)
+        if np.linalg.norm(v) > max(slow, 5 * std):
+            break
+        first = int(part.frame[0])
+        if count == len(rows):
+            break
+        count = min(2 * count, len(rows))
+    return first
 
 
-def first_guess(meeting: Encounter, diameter: float) -> Floats | None:
-    """Tied parameters (11,) to start from; None where the approach leads past the resting ball.
+def _thinned(course: Course, frame: int) -> Course:
+    """Without the far end of a long rest."""
+    if len(course) <= STILL or course.width <= 0:
+        return course
+    keep = np.ones(len(course), dtype=bool)
+    still = np.hypot(*(course.place[STILL:] - course.place[:-STILL]).T) < SAME * course.width
+    keep[:-STILL] &= ~(still & (course.frame[STILL:] < frame))
+    keep[STILL:] &= ~(still & (course.frame[:-STILL] > frame))
+    return course.where(keep)
 
-    The launch comes from the approach alone: a straight line, and the time at which it is one diameter from
-    the resting ball. What the impact did comes from a coarse grid over all that is physical. Where frames about
-    the contact are missing, it may have been a frame earlier or later than it seems.
+
+def first_guess(meeting: Encounter) -> Floats | None:
+    """Tied parameters (13,) to start from; None where the approach leads past the other ball.
+
+    The launch comes from the approach alone: straight lines, and the time at which the balls are one diameter
+    apart. What the impact did comes from a coarse grid over all that is physical. Where frames about the contact
+    are missing, it may have been a frame earlier or later than it seems.
     """
     near = np.arange(meeting.frame - 2, meeting.frame + 3)
-    whole = all(np.isin(near, course.frame).all() for course in (meeting.struck, meeting.striker))
-    problem = Whitened(meeting.struck, meeting.striker, diameter, tied=True)
+    whole = all(np.isin(near, course.frame).all() for _, course in meeting.pair.balls)
+    problem = Whitened(replace(meeting.pair, moving=True), tied=True)
     starts = []
     for frame in (meeting.frame,) if whole else (meeting.frame - 1, meeting.frame, meeting.frame + 1):
-        launch = _launch(meeting, frame, diameter)
+        launch = _launch(meeting.pair, frame)
         if launch is not None:
             grid = product((0.5, 0.75, 0.95), (0.1, 0.2, 0.4), (0.1, 0.35))
-            starts += [np.array([*launch, r, np.log(mu), c]) for r, mu, c in grid]
+            starts += [np.array([*launch[:8], r, np.log(mu), c, *launch[8:]]) for r, mu, c in grid]
     if not starts:
         return None
     return starts[int(np.argmin([float((problem.residual(start) ** 2).sum()) for start in starts]))]
 
 
-def _launch(meeting: Encounter, frame: int, diameter: float) -> list[float] | None:
-    """The first eight of the tied parameters, from what lies before `frame`."""
-    line = _before(meeting.striker, frame)
-    still = meeting.struck.place[meeting.struck.frame < frame]
-    if len(line) < 2 or not len(still):
+def _launch(pair: Pair, frame: int) -> list[float] | None:
+    """The first eight of the tied parameters and ball 1's velocity, from what lies before `frame`."""
+    line, target = _before(pair.striker, frame), _before(pair.struck, frame)
+    if len(line) < 2 or len(target) < 1 + pair.moving:
         return None
     v, middle, _ = velocity(line)
-    rest = still.mean(axis=0)
-    v0 = float(np.linalg.norm(v))
+    w, place = velocity(target)[:2] if pair.moving else (np.zeros(2), target.place.mean(axis=0))
+    late = float(line.time.mean() - target.time.mean()) if pair.moving else 0.0
+    v0 = float(np.linalg.norm(v - w))
     if v0 == 0:
         return None
-    d = v / v0
-    gap = rest - middle
-    sine = float(d[1] * gap[0] - d[0] * gap[1]) / diameter  # b/2R = -z . (d x gap) / 2R
+    d = (v - w) / v0
+    gap = place + w * late - middle  # when ball 2 is at `middle`
+    sine = float(d[1] * gap[0] - d[0] * gap[1]) / pair.diameter  # b/2R = -z . (d x gap) / 2R
     if abs(sine) > 1.05:
         return None
     beta = float(np.arcsin(np.clip(sine, -0.98, 0.98)))
-    t_c = float(line.time.mean() + (d @ gap - diameter * np.cos(beta)) / v0)
-    return [t_c, *map(float, rest), float(np.arctan2(d[1], d[0])), beta, v0, 0.1, 0.01]
+    ahead = float(d @ gap - pair.diameter * np.cos(beta)) / v0
+    x, y = place + w * (late + ahead)
+    heading = float(np.arctan2(d[1], d[0]))
+    return [float(line.time.mean()) + ahead, float(x), float(y), heading, beta, v0, 0.1, 0.01, *map(float, w)]

@@ -53,10 +53,10 @@ class Specimen:
 
     @property
     def tied(self) -> Floats:
-        """Tied parameters (11,) from the row."""
+        """Tied parameters (13,) from the row."""
         r = self.row
         launch = [r["t_c"], r["x1"], r["y1"], r["heading"], np.arcsin(r["b"]), r["v0"], r["drag"], r["decel"]]
-        return np.array([*launch, r["r"], np.log(r["mu_k"]), r["C"]], dtype=np.float64)
+        return np.array([*launch, r["r"], np.log(r["mu_k"]), r["C"], r["v1ix"], r["v1iy"]], dtype=np.float64)
 
     def model(self, ball: int, start: Floats) -> Floats:
         """Places (n, 2) m of the tied fit, averaged over exposures that begin at start (n,)."""

@@ -8,14 +8,14 @@ itself, and is then not claimed.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-from .motion import FREE, TIED, path, release, release_slope
+from .motion import FREE, TARGET, TIED, path, release, release_slope
 from .places import Course
 
 Floats = NDArray[np.float64]
@@ -37,30 +37,50 @@ BROAD: Mapping[str, tuple[float, float]] = {
 
 @dataclass(frozen=True)
 class Fit:
-    """Best parameters (p,), covariance (p, p), chi^2 of the data alone, degrees of freedom.
-
-    residuals: (n, 2) whitened, ball 1's rows then ball 2's; dropped: places left out as outliers.
+    """Best parameters (p,), covariance (p, p), zero where a parameter is held; chi^2 of the data alone, degrees of
+    freedom; places dropped as outliers.
     """
 
     parameters: Floats
     cov: Floats
     chi2: float
     dof: int
-    residuals: Floats
     dropped: int = 0
     converged: bool = True
 
 
-class Whitened:
-    """The two balls' places, in units of their own error, against a motion: residuals and derivatives."""
+@dataclass(frozen=True, eq=False)
+class Pair:
+    """Two balls about one contact: their places, and what is known beforehand.
 
-    def __init__(self, struck: Course, striker: Course, diameter: float, tied: bool) -> None:
-        self.balls = ((1, struck), (2, striker))
-        self.diameter = diameter
-        self.names = TIED if tied else FREE
-        self.tied = tied
-        self.weight = np.concatenate([whitener(course.cov) for _, course in self.balls])
-        self.place = np.concatenate([course.place for _, course in self.balls])
+    diameter m; moving: whether ball 1 (struck) moves before the hit; spin m/s: see `release`.
+    """
+
+    struck: Course
+    striker: Course
+    diameter: float
+    moving: bool = False
+    spin: float = 0.0
+
+    @property
+    def balls(self) -> tuple[tuple[int, Course], tuple[int, Course]]:
+        """(1, struck), (2, striker)."""
+        return (1, self.struck), (2, self.striker)
+
+    def __len__(self) -> int:
+        return len(self.struck) + len(self.striker)
+
+
+class Whitened:
+    """The two balls' places, in units of their own error, against a motion: residuals and derivatives.
+
+    x: the parameters that are fitted, all of TIED or FREE but, where ball 1 rests, its velocity.
+    """
+
+    def __init__(self, pair: Pair, tied: bool) -> None:
+        self.pair, self.tied = pair, tied
+        names = TIED if tied else FREE
+        self.names = names if pair.moving else names[: -len(TARGET)]
         centres = np.array([BROAD.get(name, (0.0, np.inf)) for name in self.names])
         self.prior, self.prior_weight = centres[:, 0], 1.0 / centres[:, 1]
         self._last: tuple[bytes, Floats, Floats] | None = None
@@ -80,23 +100,36 @@ class Whitened:
         """Derivatives (2n + p, p) of `residual`."""
         return self(x)[1]
 
+    def whole(self, x: Floats) -> Floats:
+        """All parameters (13,) or (20,) from the fitted ones."""
+        return x if self.pair.moving else np.concatenate([x, np.zeros(len(TARGET))])
+
+    def _free(self, full: Floats) -> Floats:
+        return np.asarray(release(full, self.pair.spin), dtype=np.float64) if self.tied else full
+
     def _evaluate(self, x: Floats) -> tuple[Floats, Floats]:
-        free = np.asarray(release(x), dtype=np.float64) if self.tied else x
-        exposure = self.balls[0][1].exposure
-        parts = [path(free, ball, course.start, exposure, self.diameter) for ball, course in self.balls]
-        place, slope = (np.concatenate([p[i] for p in parts]) for i in (0, 1))
-        if self.tied:
-            slope = slope @ release_slope(x)
-        residual = np.matmul(self.weight, (place - self.place)[..., None])[..., 0].ravel()
-        rows = np.matmul(self.weight, slope).reshape(len(residual), len(x))
-        residual = np.concatenate([residual, (x - self.prior) * self.prior_weight])
-        rows = np.concatenate([rows, np.diag(self.prior_weight)])
-        return np.clip(np.nan_to_num(residual, nan=1e9), -1e9, 1e9), np.nan_to_num(rows)
+        full = self.whole(x)
+        free = self._free(full)
+        inner = release_slope(full, self.pair.spin) if self.tied else None
+        residuals, rows = [], []
+        for ball, course in self.pair.balls:
+            place, slope = path(free, ball, course.start, course.exposure, self.pair.diameter)
+            if inner is not None:
+                slope = slope @ inner
+            residuals.append(course.whiten(place - course.place))
+            rows.append(course.whiten(slope[:, :, : len(x)]))
+        residual = np.concatenate([*residuals, (x - self.prior) * self.prior_weight])
+        slopes = np.concatenate([*rows, np.diag(self.prior_weight)])
+        return np.clip(np.nan_to_num(residual, nan=1e9), -1e9, 1e9), np.nan_to_num(slopes)
 
-
-def whitener(cov: Floats) -> Floats:
-    """Matrices W (n, 2, 2) with W^T W = cov^-1."""
-    return np.asarray(np.linalg.inv(np.linalg.cholesky(cov)))
+    def distances(self, x: Floats) -> Floats:
+        """Squared Mahalanobis distance (n,) of each place by itself, ball 1's first."""
+        free = self._free(self.whole(x))
+        parts = []
+        for ball, course in self.pair.balls:
+            place = path(free, ball, course.start, course.exposure, self.pair.diameter)[0]
+            parts.append(course.whiten.distance(place - course.place))
+        return np.concatenate(parts)
 
 
 class Problem(Protocol):
@@ -121,20 +154,22 @@ def fit(problem: Problem, starts: Iterable[Floats]) -> tuple[Floats, bool]:
     return best, converged
 
 
-def fit_motion(struck: Course, striker: Course, diameter: float, tied: bool, starts: list[Floats]) -> Fit:
-    """Tied (11) or free (18) motion of two balls; outliers are dropped once, if they are few."""
-    problem = Whitened(struck, striker, diameter, tied)
-    best, converged = fit(problem, starts)
+def fit_motion(pair: Pair, tied: bool, starts: list[Floats]) -> Fit:
+    """Tied (13) or free (20) motion of two balls, from starts of that length; a few outliers are dropped once."""
+    problem = Whitened(pair, tied)
+    p = len(problem.names)
+    best, converged = fit(problem, [start[:p] for start in starts])
     problem, dropped = _without_outliers(problem, best)
     if dropped:
         best, converged = fit(problem, [best])
     best, converged = _across_frame_edges(problem, best, converged)
     residual, rows = problem(best)
-    n = len(problem.place) * 2
-    cov, chi2, dof = covariance(rows), float(residual[:n] @ residual[:n]), n - len(best)
-    if not struck.weighed:
-        cov = cov * chi2 / max(dof, 1)
-    return Fit(best, cov, chi2, dof, residual[:n].reshape(-1, 2), dropped, converged)
+    n = 2 * len(problem.pair)
+    cov, chi2, dof = covariance(rows), float(residual[:n] @ residual[:n]), n - p
+    whole = problem.whole(best)
+    full = np.zeros((len(whole), len(whole)))
+    full[:p, :p] = cov
+    return Fit(whole, full, chi2, dof, dropped, converged)
 
 
 def covariance(rows: Floats) -> Floats:
@@ -147,7 +182,7 @@ def covariance(rows: Floats) -> Floats:
 
 def _across_frame_edges(problem: Whitened, best: Floats, converged: bool) -> tuple[Floats, bool]:
     """chi^2 has a kink where t_c crosses an exposure: look at the other side when one is near."""
-    struck = problem.balls[0][1]
+    struck = problem.pair.struck
     residual, rows = problem(best)
     reach = max(8 * float(np.sqrt(covariance(rows)[0, 0])), 1e-6)
     edges = np.concatenate([struck.start, struck.start + struck.exposure])
@@ -162,15 +197,10 @@ def _across_frame_edges(problem: Whitened, best: Floats, converged: bool) -> tup
 
 
 def _without_outliers(problem: Whitened, best: Floats) -> tuple[Whitened, int]:
-    n = len(problem.place)
-    distance = (problem(best)[0][: 2 * n].reshape(n, 2) ** 2).sum(axis=1)
-    (_, struck), (_, striker) = problem.balls
-    if not struck.weighed:  # the scale of the errors is not known: take the places' own
-        distance = distance / max(float(np.median(distance)) / 1.39, 1e-12)
+    distance = problem.distances(best)
     far = distance > OUTLIER
-    if not far.any() or far.sum() > OUTLIER_SHARE * n:
+    if not far.any() or far.sum() > OUTLIER_SHARE * len(far):
         return problem, 0
-    near = ~far
-    cut = len(struck)
-    kept = struck.where(near[:cut]), striker.where(near[cut:])
-    return Whitened(*kept, problem.diameter, problem.tied), int(far.sum())
+    cut, pair = len(problem.pair.struck), problem.pair
+    kept = replace(pair, struck=pair.struck.where(~far[:cut]), striker=pair.striker.where(~far[cut:]))
+    return Whitened(kept, problem.tied), int(far.sum())

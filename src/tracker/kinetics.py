@@ -41,7 +41,8 @@ def slip_directions(row: Mapping[str, Any]) -> dict[int, Floats]:
     if row.get("status") != "ok" or not np.all(np.isfinite(launch)):
         return {}
     heading, b, v0, r, c = map(float, launch)
-    tied = np.array([0, 0, 0, heading, np.arcsin(np.clip(b, -1, 1)), v0, 0, 0, r, 0, c])
+    target = [float(np.nan_to_num(row.get(name, 0.0))) for name in ("v1ix", "v1iy")]
+    tied = np.array([0, 0, 0, heading, np.arcsin(np.clip(b, -1, 1)), v0, 0, 0, r, 0, c, *target])
     free = np.asarray(release(tied), dtype=np.float64)
     out = {}
     for ball, at in AFTER.items():

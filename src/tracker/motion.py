@@ -1,16 +1,18 @@
 """How two balls move before and after they collide: the tracker's own closed-form model.
 
-Ball 1 rests, ball 2 rolls at it. At t_c they exchange an impulse; then each ball slides on a parabola until
-its slip is used up, and rolls on. Positions are averages over the camera's exposure, because that is what a
-streaked image measures, and come with exact derivatives.
+Ball 1 rests or rolls, ball 2 rolls at it. At t_c they exchange an impulse; then each ball slides on a parabola
+until its slip is used up, and rolls on. Positions are averages over the camera's exposure, because that is what
+a streaked image measures, and come with exact derivatives.
 
 Two parameter vectors describe the same path:
 
-- **free** (18 numbers, `FREE`): after the hit each ball has any velocity, any slide time, any final velocity;
-- **tied** (11 numbers, `TIED`): restitution, friction and spin transfer decide them (`release`).
+- **free** (20 numbers, `FREE`): after the hit each ball has any velocity, any slide time, any final velocity;
+- **tied** (13 numbers, `TIED`): restitution, friction and spin transfer decide them (`release`).
 
-The impact parameter enters as an angle beta, b/2R = sin(beta); friction and slide times as logarithms, so
-that every real vector is a valid motion. Source: Painter & Behringer 2000, eqs 1-4 for the head-on case.
+Both end with ball 1's velocity before the hit (`TARGET`), which a fit holds at zero where that ball rests; v0
+and heading are those of ball 2's velocity relative to it. The impact parameter enters as an angle beta, b/2R =
+sin(beta); friction and slide times as logarithms, so that every real vector is a valid motion. Source: Painter &
+Behringer 2000, eqs 1-4 for the head-on case; the impulse of two rolling balls is derived in `release`.
 """
 
 from __future__ import annotations
@@ -28,11 +30,13 @@ SLIP_RATE = 3.5  # |u| falls at 7/2 mu g: friction slows a sphere by mu g and sp
 SHORTEST_EXPOSURE = 1e-8  # s; stands for an instant: below any jitter, above the integrals' rounding
 
 LAUNCH = ("t_c", "x", "y", "heading", "beta", "v0", "drag", "decel")
-TIED = (*LAUNCH, "r", "log_mu", "C")
+TARGET = ("wx", "wy")  # m/s, ball 1's velocity just before the hit
+TIED = (*LAUNCH, "r", "log_mu", "C", *TARGET)
 FREE = (
     *LAUNCH,
     *("v1x", "v1y", "f1x", "f1y", "log_tau1"),
     *("v2x", "v2y", "f2x", "f2y", "log_tau2"),
+    *TARGET,
 )
 AFTER = {1: 8, 2: 13}  # where a ball's own five numbers begin in FREE
 
@@ -105,7 +109,7 @@ def stopping_time(speed: float, drag: float, decel: float) -> float:
 
 
 def directions(heading: float, beta: float) -> tuple[Floats, Floats, Floats]:
-    """Unit vectors d (ball 2's motion), n (from ball 2 to ball 1 at contact), t = z x n."""
+    """Unit vectors d (ball 2's motion relative to ball 1), n (from ball 2 to ball 1 at contact), t = z x n."""
     d = np.array([np.cos(heading), np.sin(heading)])
     n = np.array([np.cos(heading - beta), np.sin(heading - beta)])
     return d, n, np.array([-n[1], n[0]])
@@ -114,8 +118,8 @@ def directions(heading: float, beta: float) -> tuple[Floats, Floats, Floats]:
 def path(free: Floats, ball: int, start: Floats, exposure: float, diameter: float) -> tuple[Floats, Floats]:
     """Mean positions of one ball over [start, start + exposure], and their derivatives.
 
-    free: (18,) in the order of FREE. ball: 1 (struck) or 2 (striker). start: (n,) s. exposure: s, 0 for
-    instants. diameter: m. Returns positions (n, 2) m and derivatives (n, 2, 18). Exact: closed-form
+    free: (20,) in the order of FREE. ball: 1 (struck) or 2 (striker). start: (n,) s. exposure: s, 0 for
+    instants. diameter: m. Returns positions (n, 2) m and derivatives (n, 2, 20). Exact: closed-form
     integrals over each leg, so an exposure that holds the impact or the end of a slide needs no care.
     """
     if exposure < SHORTEST_EXPOSURE:
@@ -130,7 +134,7 @@ def path(free: Floats, ball: int, start: Floats, exposure: float, diameter: floa
 
 
 def _contact_place(free: Floats, ball: int, diameter: float) -> tuple[Floats, Floats]:
-    """Centre of a ball at t_c and its derivatives (2, 18)."""
+    """Centre of a ball at t_c and its derivatives (2, 20)."""
     place, slope = free[1:3].copy(), np.zeros((2, len(FREE)))
     slope[0, 1] = slope[1, 2] = 1.0
     if ball == 2:
@@ -141,31 +145,43 @@ def _contact_place(free: Floats, ball: int, diameter: float) -> tuple[Floats, Fl
 
 
 def _areas(free: Floats, ball: int, when: Floats) -> tuple[Floats, Floats]:
-    """Integral over time, from t_c, of the displacement since t_c; (n, 2) m s and derivatives (n, 2, 18)."""
+    """Integral over time, from t_c, of the displacement since t_c; (n, 2) m s and derivatives (n, 2, 20)."""
     since = when - free[0]
     area, slope = np.zeros((len(when), 2)), np.zeros((len(when), 2, len(FREE)))
     before = since < 0
-    if ball == 2 and before.any():
-        _approach(free, since[before], area, slope, before)
+    if before.any() and (ball == 2 or free[-2:].any()):
+        _approach(free, ball, since[before], area, slope, before)
     if not before.all():
         _departure(free, AFTER[ball], since[~before], area, slope, ~before)
     return area, slope
 
 
-def _approach(free: Floats, s: Floats, area: Floats, slope: Floats, rows: NDArray[np.bool_]) -> None:
-    """Ball 2 rolling up to the contact."""
-    _, _, _, heading, _, v0, drag, decel = free[:8]
+def _approach(free: Floats, ball: int, s: Floats, area: Floats, slope: Floats, rows: NDArray[np.bool_]) -> None:
+    """A ball rolling up to the contact."""
+    heading, v0, drag, decel = free[[3, 5, 6, 7]]
     d = np.array([np.cos(heading), np.sin(heading)])
-    across = np.array([-d[1], d[0]])
-    roll = rolled(v0, drag, decel, s)
-    area[rows] = roll.area[:, None] * d
+    velocity = free[-2:] + v0 * d if ball == 2 else free[-2:]
+    speed = float(np.hypot(velocity[0], velocity[1]))
+    along = velocity / max(speed, 1e-300)
+    roll = rolled(speed, drag, decel, s)
+    area[rows] = roll.area[:, None] * along
     part = np.zeros((len(s), 2, len(FREE)))
-    part[:, :, 0] = -roll.way[:, None] * d
-    part[:, :, 3] = roll.area[:, None] * across
-    part[:, :, 5] = roll.area_speed[:, None] * d
-    part[:, :, 6] = roll.area_drag[:, None] * d
-    part[:, :, 7] = roll.area_decel[:, None] * d
+    part[:, :, 0] = -roll.way[:, None] * along
+    part[:, :, 6] = roll.area_drag[:, None] * along
+    part[:, :, 7] = roll.area_decel[:, None] * along
+    turned = _by_velocity(roll, speed, along)
+    part[:, :, -2:] = turned
+    if ball == 2:
+        part[:, :, 3] = turned @ (v0 * np.array([-d[1], d[0]]))
+        part[:, :, 5] = turned @ d
     slope[rows] = part
+
+
+def _by_velocity(roll: Rolled, speed: float, along: Floats) -> Floats:
+    """d(area)/d(velocity), (n, 2, 2): a velocity that turns takes the whole rolled way with it."""
+    projector = np.outer(along, along)
+    turn = roll.area / max(speed, 1e-300)
+    return roll.area_speed[:, None, None] * projector + turn[:, None, None] * (np.eye(2) - projector)
 
 
 def _departure(free: Floats, at: int, s: Floats, area: Floats, slope: Floats, rows: NDArray[np.bool_]) -> None:
@@ -184,10 +200,7 @@ def _departure(free: Floats, at: int, s: Floats, area: Floats, slope: Floats, ro
     part = np.zeros((len(s), 2, len(FREE)))
     way = slide[:, None] * v + (slide**2 / (2 * tau))[:, None] * change + roll.way[:, None] * along
     part[:, :, 0] = -way
-    turn = roll.area / max(speed, 1e-300)  # turning f turns the whole rolled way with it
-    projector = np.outer(along, along)
-    across = np.eye(2) - projector
-    part[:, :, at + 2 : at + 4] = roll.area_speed[:, None, None] * projector + turn[:, None, None] * across
+    part[:, :, at + 2 : at + 4] = _by_velocity(roll, speed, along)
     for axis in (0, 1):
         part[:, axis, at + axis] = both - gain
         part[:, axis, at + 2 + axis] += gain
@@ -202,31 +215,34 @@ def _departure(free: Floats, at: int, s: Floats, area: Floats, slope: Floats, ro
 # --- the impact ---
 
 
-def release(tied: NDArray[np.inexact]) -> NDArray[np.inexact]:
-    """The free vector (..., 18) that restitution, friction and spin transfer make of a tied one (..., 11).
+def release(tied: NDArray[np.inexact], spin: float = 0.0) -> NDArray[np.inexact]:
+    """The free vector (..., 20) that restitution, friction and spin transfer make of a tied one (..., 13).
 
-    Equal balls, the struck one at rest, the striker rolling. P/m = (1 + r) v_n / 2 along n; J = -(2/5) C u_t
-    on the striker, whose vertical part spins the balls and lifts nothing. With u the velocity of the ball's
-    lowest point, tau = |u| / (3.5 mu g) and v_f = v - 2u/7: a force there leaves (5v + 2R w x z)/7 as it is.
-    Accepts complex input, for derivatives by complex steps.
+    Equal balls, both rolling or ball 1 at rest. P/m = (1 + r) v_n / 2 along n; J/m = -(2/5) C u_t on ball 2, u_t
+    the relative velocity of the touching surfaces: its part in the plane is the relative velocity along t, its
+    vertical part -S, S the sum of both balls' speeds along n, for a rolling ball's surface moves there at v_n; spin,
+    m/s, is R times the sum of their spins about the vertical, which an earlier oblique hit leaves. The
+    vertical impulse spins the balls, R dw = -C S t, and lifts nothing. A ball's lowest point then slips at
+    u = dv + C S n, dv its change of velocity; tau = |u| / (3.5 mu g) and v_f = v - 2u/7, for a force there leaves
+    (5v + 2R w x z)/7 as it is. Accepts complex input, for derivatives by complex steps.
     """
-    heading, beta, v0 = tied[..., 3], tied[..., 4], tied[..., 5]
-    r, mu, c = tied[..., 8], np.exp(tied[..., 9]), tied[..., 10]
+    heading, beta, v0, target = tied[..., 3], tied[..., 4], tied[..., 5], tied[..., -2:]
+    r, mu, c = tied[..., 8, None], np.exp(tied[..., 9]), tied[..., 10, None]
+    d = np.stack([np.cos(heading), np.sin(heading)], -1)
     n = np.stack([np.cos(heading - beta), np.sin(heading - beta)], -1)
     t = np.stack([-n[..., 1], n[..., 0]], -1)
     normal, tangent = (v0 * np.cos(beta))[..., None] * n, (v0 * np.sin(beta))[..., None] * t
-    r, c = r[..., None], c[..., None]
-    rub = 0.4 * c * tangent  # tangential velocity handed over
-    v1, v2 = (1 + r) / 2 * normal + rub, (1 - r) / 2 * normal + tangent - rub
-    u1, u2 = ((1 + r) / 2 + c) * normal + rub, -(((1 + r) / 2 - c) * normal + rub)
+    twist = c * (normal + 2 * (target * n).sum(-1)[..., None] * n)  # C S n
+    kick = (1 + r) / 2 * normal + 0.4 * c * (tangent + spin * t)  # ball 1's change of velocity
     parts = [tied[..., :8]]
-    for v, u in ((v1, u1), (v2, u2)):
+    for v, change in ((target, kick), (target + v0[..., None] * d, -kick)):
+        u = change + twist
         slip = np.sqrt((u**2).sum(-1) + 1e-30)  # keeps the logarithm when there is no slip at all
-        parts += [v, v - 2 * u / 7, np.log(slip / (SLIP_RATE * mu * GRAVITY))[..., None]]
-    return np.concatenate(parts, -1)
+        parts += [v + change, v + change - 2 * u / 7, np.log(slip / (SLIP_RATE * mu * GRAVITY))[..., None]]
+    return np.concatenate([*parts, target], -1)
 
 
-def release_slope(tied: Floats) -> Floats:
-    """d(free)/d(tied), (18, 11), exact to rounding (complex step)."""
+def release_slope(tied: Floats, spin: float = 0.0) -> Floats:
+    """d(free)/d(tied), (20, 13), exact to rounding (complex step)."""
     steps = tied + 1e-30j * np.eye(len(TIED))
-    return np.asarray(release(steps).imag.T / 1e-30, dtype=np.float64)
+    return np.asarray(release(steps, spin).imag.T / 1e-30, dtype=np.float64)

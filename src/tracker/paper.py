@@ -21,17 +21,17 @@ SETTLED = 0.3  # of its peak: acceleration under this means that sliding is over
 READING = float(np.sqrt(2 / 12))  # frames; std of a time between two instants, each known to one frame
 
 
-def read(meeting: Encounter, diameter: float, fps: float) -> dict[str, tuple[float, float]]:
+def read(meeting: Encounter, fps: float) -> dict[str, tuple[float, float]]:
     """NAME -> (value, standard error) for all of NAMES; NaN where the frames it needs are missing.
 
     Errors propagate those of the places through the differences; a time is known to a frame.
     """
-    balls = (meeting.struck, meeting.striker)
+    balls, diameter = (meeting.pair.struck, meeting.pair.striker), meeting.pair.diameter
     ends = [slide_end(course, meeting.frame, fps) for course in balls]
     places, covs = zip(*(_sample(c, meeting.frame, end) for c, end in zip(balls, ends, strict=True)), strict=True)
     taus = np.array([np.nan if end is None else (end - meeting.frame) / fps for end in ends])
     sample, cov = np.stack(places), np.stack(covs)  # (2, 7, 2), (2, 7, 2, 2)
-    value = _read(sample, taus, diameter, fps)
+    value = _read(sample, taus, diameter, fps, meeting.pair.moving)
     spread = np.zeros(len(value))
     for ball, row in np.ndindex(2, 7):
         if not np.isfinite(sample[ball, row]).all():
@@ -39,7 +39,7 @@ def read(meeting: Encounter, diameter: float, fps: float) -> dict[str, tuple[flo
         for step in np.linalg.cholesky(cov[ball, row]).T:
             moved = sample.copy()
             moved[ball, row] += step
-            spread += np.nan_to_num(_read(moved, taus, diameter, fps) - value) ** 2
+            spread += np.nan_to_num(_read(moved, taus, diameter, fps, meeting.pair.moving) - value) ** 2
     table = {name: (float(v), float(s)) for name, v, s in zip(_READ, value, np.sqrt(spread), strict=True)}
     for name, tau in zip(("tau1", "tau2"), taus, strict=True):
         table[name] = (float(tau), READING / fps if np.isfinite(tau) else np.nan)
@@ -112,8 +112,8 @@ _READ = (
 )
 
 
-def _read(sample: Floats, taus: Floats, diameter: float, fps: float) -> Floats:
-    """The quantities of _READ from places (2, 7, 2)."""
+def _read(sample: Floats, taus: Floats, diameter: float, fps: float, moving: bool) -> Floats:
+    """The quantities of _READ from places (2, 7, 2); moving: whether ball 1 was, before the hit."""
     before, after, final = ((sample[:, i] - sample[:, j]) * fps / 2 for i, j in ((1, 0), (4, 3), (6, 5)))
     apart = sample[0, 2] - sample[1, 2]
     n = apart / np.hypot(*apart)
@@ -123,15 +123,17 @@ def _read(sample: Floats, taus: Floats, diameter: float, fps: float) -> Floats:
     d = launch / v0
     carried = (7 * final - 5 * after) / 2  # R w x z just after the impact
     w_n, w_t = -carried @ t / (diameter / 2), carried @ n / (diameter / 2)
-    w_0 = launch @ n / (diameter / 2)
+    start = before.sum(axis=0) if moving else launch
+    energy = (before**2).sum() if moving else v0**2
+    w_0 = start @ n / (diameter / 2)  # along t, of rolling balls
     friction = np.hypot(*(final - after).T) / (GRAVITY * taus)
     speed = np.hypot(*final.T)
     with np.errstate(divide="ignore", invalid="ignore"):
         s = (after[0] - after[1]) @ t / (-launch @ t)
     return np.array([
         v0, d[1] * n[0] - d[0] * n[1], (after[0] - after[1]) @ n / (launch @ n), s,
-        friction.mean(), (1 - (w_t[0] + w_t[1]) / w_0) / 2, *speed, (speed**2).sum() / v0**2,
-        final.sum(axis=0) @ d / v0,
+        friction.mean(), (1 - (w_t[0] + w_t[1]) / w_0) / 2, *speed, (speed**2).sum() / energy,
+        final.sum(axis=0) @ start / (start @ start),
         np.arctan2(abs(final[0, 0] * final[1, 1] - final[0, 1] * final[1, 0]), final[0] @ final[1]),
         w_n[0], w_t[0], w_n[1], w_t[1],
     ])  # fmt: skip

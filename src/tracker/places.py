@@ -2,26 +2,32 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, fields
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
+
+from .scatter import scatter
+from .whitening import Whitener
 
 if TYPE_CHECKING:
     from .geometry import Camera
     from .link import Tracks
 
 Floats = NDArray[np.float64]
-UNKNOWN_STD_PX = 0.1  # stands in where a table gives no covariance; the fit then finds the true scale itself
+UNKNOWN_PX = 0.1  # of a place, where a table gives no errors and is too short to show them
+GLINT_PX = 1.0  # width of a glint where the camera file does not tell it
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Course:
     """One ball's way over the plate, by frame.
 
     frame (n,) int; start (n,) s, start of the frame's exposure; place (n, 2) m, mean over the exposure;
-    cov (n, 2, 2) m^2; weighed: False where the covariances are a stand-in whose scale is not known.
+    cov (n, 2, 2) m^2, and fixed the part of it that a ball at rest has in every frame alike; width m, of a
+    glint; weighed: False where the errors were found from the tracks' own scatter.
     """
 
     particle: int
@@ -30,7 +36,13 @@ class Course:
     place: Floats
     cov: Floats
     exposure: float
+    fixed: Floats = field(default_factory=lambda: np.empty(0))
+    width: float = 0.0
     weighed: bool = True
+
+    def __post_init__(self) -> None:
+        if len(self.fixed) == 0:
+            object.__setattr__(self, "fixed", np.zeros_like(self.cov))
 
     def __len__(self) -> int:
         return len(self.frame)
@@ -40,30 +52,51 @@ class Course:
         """(n,) s, middle of each exposure."""
         return self.start + self.exposure / 2
 
+    @cached_property
+    def whiten(self) -> Whitener:
+        """By the places' full covariance."""
+        return Whitener(self.place, self.cov, self.fixed, self.width)
+
     def where(self, rows: NDArray[np.bool_]) -> Course:
         """The same ball, only those rows."""
-        return Course(
-            self.particle, self.frame[rows], self.start[rows], self.place[rows], self.cov[rows],
-            self.exposure, self.weighed,
-        )  # fmt: skip
+        if rows.all():
+            return self
+        parts = {f.name: getattr(self, f.name) for f in fields(self)}
+        rowed = {name: v[rows] for name, v in parts.items() if isinstance(v, np.ndarray)}
+        return Course(**(parts | rowed))
 
 
 def courses(tracks: Tracks, camera: Camera) -> list[Course]:
-    """One Course per particle, in order of particle number; rows without a finite place are left out."""
+    """One Course per particle, in order of particle number; rows without a finite place are left out.
+
+    Without a covariance for every row, all get that of the tracks' own scatter (`Course.weighed` is False).
+    """
     xy = np.column_stack([tracks.x, tracks.y]).astype(np.float64)
     keep = np.isfinite(xy).all(axis=1)
-    frame, particle = np.asarray(tracks.frame)[keep].astype(np.int64), np.asarray(tracks.particle)[keep]
-    place, slope = camera.unproject(xy[keep])
-    pixel = np.asarray(tracks.cov, dtype=np.float64)[keep]
-    determinant = pixel[:, 0, 0] * pixel[:, 1, 1] - pixel[:, 0, 1] * pixel[:, 1, 0]
-    weighed = len(pixel) > 0 and bool(np.all((determinant > 0) & (pixel[:, 0, 0] > 0)))  # NaN fails both
+    xy, frame, particle = xy[keep], np.asarray(tracks.frame)[keep].astype(np.int64), np.asarray(tracks.particle)[keep]
+    place, slope = camera.unproject(xy)
+    pixel, fixed = (np.asarray(c, dtype=np.float64)[keep] for c in (tracks.cov, tracks.fixed))
+    weighed = _usable(pixel)
     if not weighed:
-        pixel = np.broadcast_to(np.eye(2) * UNKNOWN_STD_PX**2, pixel.shape)
-    cov = slope @ pixel @ np.swapaxes(slope, 1, 2)
-    start = frame / camera.fps
+        noise = scatter(frame, particle, xy)
+        pixel = np.broadcast_to(np.eye(2) * (noise if np.isfinite(noise) else UNKNOWN_PX) ** 2, pixel.shape)
+        fixed = np.zeros_like(pixel)
+    cov, shared = (slope @ c @ np.swapaxes(slope, 1, 2) for c in (pixel, np.nan_to_num(fixed)))
+    start, width = frame / camera.fps, (camera.sigma or GLINT_PX) * camera.scale
     found = []
     for ball in np.unique(particle):
         rows = np.flatnonzero(particle == ball)
         rows = rows[np.unique(frame[rows], return_index=True)[1]]  # in order; a frame given twice counts once
-        found.append(Course(int(ball), frame[rows], start[rows], place[rows], cov[rows], camera.exposure, weighed))
+        found.append(
+            Course(
+                int(ball), frame[rows], start[rows], place[rows], cov[rows], camera.exposure, shared[rows], width,
+                weighed,
+            )
+        )  # fmt: skip
     return found
+
+
+def _usable(pixel: Floats) -> bool:
+    """Whether all the covariances (n, 2, 2) are ones: NaN fails."""
+    determinant = pixel[:, 0, 0] * pixel[:, 1, 1] - pixel[:, 0, 1] * pixel[:, 1, 0]
+    return len(pixel) > 0 and bool(np.all((determinant > 0) & (pixel[:, 0, 0] > 0)))

@@ -36,7 +36,7 @@ class Values:
 
 
 def of_free(free: Floats, cov: Floats, diameter: float) -> Values:
-    """Quantities of a free motion (18,) with covariance (18, 18); diameter in m.
+    """Quantities of a free motion (20,) with covariance (20, 20); diameter in m.
 
     Friction and spin transfer are each told by either ball; the two are weighed by their errors.
     """
@@ -53,23 +53,28 @@ def of_free(free: Floats, cov: Floats, diameter: float) -> Values:
     return Values(merge @ twice, merge @ spread @ merge.T)
 
 
-def of_tied(tied: Floats, cov: Floats, diameter: float) -> Values:
-    """Quantities of a tied motion (11,) with covariance (11, 11)."""
+def of_tied(tied: Floats, cov: Floats, diameter: float, spin: float = 0.0) -> Values:
+    """Quantities of a tied motion (13,) with covariance (13, 13); spin: see `release`."""
 
     def single(p: Floats) -> Floats:
-        both = _both(np.asarray(release(p), dtype=np.float64), diameter)
+        both = _both(np.asarray(release(p, spin), dtype=np.float64), diameter)
         return np.delete(both, [NAMES.index("mu_k") + 1, NAMES.index("C") + 2], axis=-1)
 
     value, slope = _with_slope(single, tied, cov)
-    spin = NAMES.index("w1n")  # nothing turns the resting ball about n: zero by the model, not by measurement
-    value[spin], slope[spin] = 0.0, 0.0
+    if not tied[-2:].any():
+        spin = NAMES.index("w1n")  # nothing turns a resting ball about n: zero by the model, not by measurement
+        value[spin], slope[spin] = 0.0, 0.0
     return Values(value, slope @ cov @ slope.T)
 
 
 def _with_slope(function, at: Floats, cov: Floats) -> tuple[Floats, Floats]:  # type: ignore[no-untyped-def]
-    steps = np.diag(STEP * np.sqrt(np.diag(cov)))
+    size = STEP * np.sqrt(np.diag(cov))
+    steps = np.diag(size)
     high, low = function(at + steps), function(at - steps)
-    return function(at), ((high - low) / (2 * np.diag(steps)[:, None])).T
+    with np.errstate(invalid="ignore"):
+        slope = (high - low) / (2 * size[:, None])
+    slope[size == 0] = 0.0  # held
+    return function(at), slope.T
 
 
 def _weights(cov: Floats) -> Floats:
@@ -91,15 +96,19 @@ def _both(free: Floats, diameter: float) -> Floats:
         tau[ball] = np.exp(free[..., at + 4])
         carried = (7 * f[ball] - 5 * v[ball]) / 2  # R w x z just after the impact: (5v + 2R w x z)/7 is kept
         spin[ball] = (-_dot(carried, t), _dot(carried, n))  # R w along n and t
+    first = free[..., -2:]
+    second = first + v0[..., None] * d
     along, across = v0 * np.cos(beta), v0 * np.sin(beta)
+    rolls = _dot(first, n), _dot(second, n)  # R w_t before: a rolling ball's spin along t is its speed along n
+    total, start = _dot(first, first) + _dot(second, second), first + second
     with np.errstate(divide="ignore", invalid="ignore"):
         columns = [
             v0, np.sin(beta), free[..., 0],
             _dot(v[1] - v[2], n) / along, _dot(v[2] - v[1], t) / across,
             *(_norm(f[i] - v[i]) / (GRAVITY * tau[i]) for i in (1, 2)),
-            -spin[1][1] / along, 1 - spin[2][1] / along,
+            *((rolls[i - 1] - spin[i][1]) / (rolls[0] + rolls[1]) for i in (1, 2)),
             tau[1], tau[2], _norm(f[1]), _norm(f[2]),
-            (_dot(f[1], f[1]) + _dot(f[2], f[2])) / v0**2, _dot(f[1] + f[2], d) / v0,
+            (_dot(f[1], f[1]) + _dot(f[2], f[2])) / total, _dot(f[1] + f[2], start) / _dot(start, start),
             np.arctan2(np.abs(f[1][..., 0] * f[2][..., 1] - f[1][..., 1] * f[2][..., 0]), _dot(f[1], f[2])),
             free[..., 6], free[..., 7],
             *(spin[i][axis] / radius for i in (1, 2) for axis in (0, 1)),

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from .fitting import BROAD, covariance, fit, whitener
+from .fitting import BROAD, covariance, fit
 from .motion import SHORTEST_EXPOSURE, rolled
 from .places import Course
 
@@ -41,7 +41,7 @@ class _Rolling:
     """Residuals of a straight, slowing way, averaged over each exposure."""
 
     def __init__(self, course: Course) -> None:
-        self.weight, self.place = whitener(course.cov), course.place
+        self.whiten, self.place = course.whiten, course.place
         self.exposure = max(course.exposure, SHORTEST_EXPOSURE)
         start = course.start - course.start[0]
         self.edges = np.concatenate([start, start + self.exposure])
@@ -65,11 +65,11 @@ class _Rolling:
         return place, slope
 
     def residual(self, x: Floats) -> Floats:
-        off = np.matmul(self.weight, (self._model(x)[0] - self.place)[..., None])[..., 0].ravel()
+        off = self.whiten(self._model(x)[0] - self.place)
         return np.concatenate([off, [(v - c) / w for v, (c, w) in zip(x, self.prior, strict=True)]])
 
     def slope(self, x: Floats) -> Floats:
-        rows = np.matmul(self.weight, self._model(x)[1]).reshape(-1, 6)
+        rows = self.whiten(self._model(x)[1])
         return np.concatenate([rows, np.diag([1 / w for _, w in self.prior])])
 
 
@@ -84,4 +84,4 @@ def roll_alone(course: Course) -> Alone | None:
     best, _ = fit(problem, [begin])
     off = problem.residual(best)[: 2 * len(course)]
     cov, chi2, dof = covariance(problem.slope(best)), float(off @ off), 2 * len(course) - 6
-    return Alone(course.particle, best, cov if course.weighed else cov * chi2 / max(dof, 1), chi2, dof)
+    return Alone(course.particle, best, cov, chi2, dof)

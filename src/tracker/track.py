@@ -20,6 +20,7 @@ from . import results
 from .detect import DEFAULT, detect, detector, look
 from .geometry import Camera, InputError
 from .link import Tracks, link
+from .reasons import why_nothing
 from .video import Clip, Source, open_source
 
 ENDS = 1 << 16  # bytes at either end of a file that tell one recording from another
@@ -36,10 +37,11 @@ class Outcome:
     frames: int
 
 
-def track_clip(clip: Clip, name: str = DEFAULT) -> tuple[Tracks, Camera]:
-    """Tracks of one clip, and its camera with what was estimated from the clip filled in."""
+def track_clip(clip: Clip, name: str = DEFAULT) -> tuple[Tracks, Camera, str]:
+    """Tracks of one clip, its camera with what was estimated from the clip filled in, and why nothing was seen, or ''."""
     view = look(clip)
-    return link(detect(clip, view, name), view.camera), view.camera
+    glints = detect(clip, view, name)
+    return link(glints, view.camera), view.camera, why_nothing(clip.frames, view, glints)
 
 
 def measure_clip(tracks: Tracks, camera: Camera) -> tuple[list[dict[str, Any]], pd.DataFrame]:
@@ -161,8 +163,10 @@ def _each(source: Source, todo: list[int], partial: Path, name: str, workers: in
 def _one(source: Source, index: int, partial: Path, name: str) -> int:
     cv2.setNumThreads(1)  # clips run side by side
     clip = source.clip(index)
-    tracks, camera = track_clip(clip, name)
+    tracks, camera, reason = track_clip(clip, name)
     rows, motion = measure_clip(tracks, camera)
+    if reason:
+        rows = [row | {"status": reason} if row["status"] != "ok" else row for row in rows]
     results.write_clip(partial, clip.number, tracks, motion, rows, camera)
     return len(clip.frames)
 

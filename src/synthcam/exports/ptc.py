@@ -17,9 +17,10 @@ def write(clips: Iterator[Recorded], folder: Path) -> None:
         name = "".join(c if c.isalnum() or c in "-_." else "_" for c in clip.scene)
         about = {"snr": f"{_snr(clip):.1f}", "density": "low", "scenario": name}
         contest = ET.SubElement(root, "TrackContestISBI2012", about)
-        for _, ball in clip.tracks.groupby("particle"):
-            particle = ET.SubElement(contest, "particle")
-            for row in clip.in_view(ball).itertuples():
+        tracks = [clip.in_view(ball) for _, ball in clip.tracks.groupby("particle")]
+        for track in tracks:
+            particle = ET.SubElement(contest, "particle") if len(track) else contest
+            for row in track.itertuples():
                 place = {"x": f"{row.x_mean_px:.6f}", "y": f"{row.y_mean_px:.6f}", "z": "0"}
                 ET.SubElement(particle, "detection", {"t": str(row.frame), **place})
         ET.indent(root)

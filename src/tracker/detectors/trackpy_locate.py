@@ -12,7 +12,11 @@ from numpy.typing import NDArray
 from ..detect import CLIPPED, Glints, View
 from ..geometry import InputError
 
-MASS = 33.0  # noise deviations of a pixel that a feature must sum up to
+BRIGHT = 80.0  # noise deviations, of a glint's peak, over which a wide mask is the better one
+MASK = {
+    False: (4.0, 68.0),
+    True: (5.0, 107.0),
+}  # its half width over the glint's, and the mass that noise alone stays under
 BRIGHTEST = 99.9  # percentile of the pixels that may hold a feature: two balls, and not the thousand of the defaults
 
 
@@ -27,21 +31,24 @@ class TrackpyLocate:
                 "detector trackpy_locate: trackpy is not installed, expected pip install synthcam[peers]"
             ) from None
         self.view = view
-        self.diameter = 2 * max(2, round(4.0 * view.sigma)) + 1
-        self.apart = max(0.7 * view.camera.diameter_px, self.diameter + 1.0)
+        self.apart = 0.8 * view.camera.diameter_px
 
     def __call__(self, frame: NDArray[Any]) -> Glints:
         """Glints of one frame; trackpy's static error for covariance, .1 px where it gives none."""
+        wide, mass = MASK[float(np.max(frame)) - float(np.median(frame)) > BRIGHT * self.view.plate.noise]
+        diameter = 2 * max(2, round(wide * self.view.sigma)) + 1
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of features it drops, and of what pandas will drop
             found = self.trackpy.locate(
                 frame,
-                self.diameter,
-                minmass=MASS * self.view.plate.noise,
-                separation=self.apart,
+                diameter,
+                minmass=mass * self.view.plate.noise,
+                separation=max(self.apart, diameter + 1.0),
                 percentile=BRIGHTEST,
             )
         n = len(found)
+        if n == 0:
+            return Glints.none()
         x, y, mass, error = (found[name].to_numpy(np.float64) for name in ("x", "y", "mass", "ep"))
         error = np.where(np.isfinite(error) & (error > 0), error, 0.1)
         cov = np.zeros((n, 2, 2))

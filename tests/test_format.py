@@ -1,0 +1,122 @@
+"""docs/format.md against what the commands really write."""
+
+import json
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pandas as pd
+import pytest
+
+ROOT = Path(__file__).resolve().parent.parent
+PAGE = (ROOT / "docs" / "format.md").read_text()
+
+
+def run(*words: str, cwd: Path = ROOT) -> str:
+    program = Path(sys.executable).with_name(words[0])
+    done = subprocess.run([program, *words[1:]], cwd=cwd, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A dataset, its results, its score and a search, by the public commands."""
+    folder = tmp_path_factory.mktemp("format")
+    scene = "scenes/painter_behringer.yaml"
+    run("synthcam", "generate", scene, "-o", str(folder / "film"), "--clips", "8", "--set", "camera.size=[400, 300]")
+    run("tracker", "track", str(folder / "film"), "-o", str(folder / "results"))
+    run("tracker", "score", str(folder / "results"), "--truth", str(folder / "film"), "-o", str(folder / "score"))
+    run("discrepancy", "find", str(folder / "results"), "--model", scene, "-o", str(folder / "search"))
+    return folder
+
+
+def listed(name: str) -> list[str]:
+    """The names that follow **name** on the page, up to the end of the sentence."""
+    text = re.search(rf"\*\*{re.escape(name)}\*\*:(.*?)(?:\.\s|\.$|\n\n)", PAGE, re.S)
+    assert text, f"docs/format.md does not tell of {name}"
+    return re.sub(r"\([^)]*\)", "", " ".join(text[1].split())).replace(",", " ").split()
+
+
+@pytest.mark.parametrize(
+    ("name", "path"),
+    [
+        ("truth/clips.parquet", "film/truth/clips.parquet"),
+        ("truth/tracks.parquet", "film/clips/000000/truth/tracks.parquet"),
+        ("truth/events.parquet", "film/clips/000000/truth/events.parquet"),
+        ("motion.parquet", "results/clips/000000/motion.parquet"),
+    ],
+)
+def test_columns_stand_on_the_page_in_order(made: Path, name: str, path: str) -> None:
+    assert pd.read_parquet(made / path).columns.tolist() == listed(name)
+
+
+def test_tracks_have_the_columns_of_the_page(made: Path) -> None:
+    columns = pd.read_parquet(made / "results/clips/000000/tracks.parquet").columns.tolist()
+    names = listed("tracks")
+    assert columns[: len(names)] == names
+    assert pd.read_csv(made / "results/clips/000000/tracks.csv").columns.tolist() == columns
+
+
+def test_estimates_hold_every_quantity_three_ways(made: Path) -> None:
+    table = pd.read_parquet(made / "results/estimates.parquet")
+    assert {"clip", "collision", "striker", "status", "cov"} <= set(table.columns)
+    text = re.search(r"for each of (.*?): NAME", " ".join(PAGE.split()))
+    assert text
+    names = text[1].split()
+    assert len(names) == 20
+    missing = [n + s + e for n in names for s in ("", "_free", "_paper") for e in ("", "_std")]
+    assert [m for m in missing if m not in table.columns] == []
+
+
+def test_camera_file_holds_what_the_page_tells(made: Path) -> None:
+    camera = json.loads((made / "film/clips/000000/camera.json").read_text())
+    text = re.search(r"\*\*camera\.json\*\*:(.*?)K or scale", PAGE, re.S)
+    assert text
+    named = set(re.findall(r"`(\w+)`", text[1]))
+    assert set(camera) <= named
+    assert set(camera["sensor"]) <= named
+    assert {"K", "R", "t", "size", "fps", "exposure", "scale", "lamp", "psf", "sensor", "striker"} <= set(camera)
+
+
+def test_score_and_search_hold_their_keys(made: Path) -> None:
+    score = json.loads((made / "score/score.json").read_text())
+    found = next(iter(score["detectors"].values()))
+    assert set(found["localisation"]) == {"n", "missed", "false", "rmse_px", "bound_px", "ratio", "phase_bias_px"}
+    tracking = {"alpha", "beta", "jsc", "jsc_theta", "mota", "idf1", "hota", "swaps"}
+    assert set(found["tracking"]) == tracking
+    quantity = {"n", "bias", "rmse", "bound", "ratio", "z_mean", "z_std", "cover68", "cover95"}
+    assert set(found["quantities"]["r_free"]) == quantity
+    search = json.loads((made / "search/discrepancy.json").read_text())
+    keys = {"verdict", "named", "aliases", "outside", "where", "ranking", "gap", "experiment"}
+    assert keys <= set(search)
+    assert set(search["gap"]) == {"before", "after", "floor", "closure", "before_um", "after_um", "floor_um"}
+    for page in ("score/index.html", "search/index.html"):
+        assert "http" not in re.sub(r"http://www.w3.org\S*", "", (made / page).read_text())
+
+
+def test_results_without_any_truth_are_the_same_bytes(made: Path, tmp_path: Path) -> None:
+    """The tracker opens frames and camera.json only."""
+    import shutil
+
+    bare = tmp_path / "film"
+    shutil.copytree(made / "film", bare, ignore=shutil.ignore_patterns("truth"))
+    assert not list(bare.rglob("truth"))
+    run("tracker", "track", str(bare), "-o", str(tmp_path / "results"))
+    files = [p.relative_to(made / "results") for p in sorted((made / "results").rglob("*")) if p.is_file()]
+    assert len(files) > 20
+    for name in files:
+        if name.name != "run.json":
+            assert (tmp_path / "results" / name).read_bytes() == (made / "results" / name).read_bytes(), name
+
+
+def test_readme_commands_run(tmp_path: Path) -> None:
+    """Every command of the README, with fewer clips."""
+    blocks = re.findall(r"```\n(.*?)```", (ROOT / "README.md").read_text(), re.S)
+    commands = [line for block in blocks for line in block.splitlines() if not line.startswith("make")]
+    assert len(commands) >= 6
+    (tmp_path / "scenes").symlink_to(ROOT / "scenes")
+    for command in commands:
+        words = re.sub(r"--clips \d+", "--clips 8", command).split()
+        run(*words, cwd=tmp_path)
