@@ -4,10 +4,10 @@
     benchmarks/coverage.py --from-tracks      no video: true centres with noise at the localisation bound
 
 Film and tracks are kept in the output and used again; the measuring is done anew each time. Exit status 1 when a
-figure misses. For each quantity and fit: RMSE over the Fisher bound of that fit on those positions, each clip against its
-own bound (the ratio of the two root mean squares stands beside it: the few slowest clips decide that one, and its own
-sampling error says how few); mean and standard deviation of z = error / claimed standard error; how often the 68 and
-95 % intervals hold the truth; how many clips claim a value, and which share of those that can tell: a clip can tell
+figure misses. For each quantity and fit: RMSE over the Fisher bound of that fit on those positions, each clip against
+its own bound (the ratio of the two root mean squares stands beside it: the few slowest clips decide that one, and its
+own sampling error says how few); mean and standard deviation of z = error / claimed standard error; how often the 68
+and 95 % intervals hold the truth; how many clips claim a value, and which share of those that can tell: a clip can tell
 where its bound is under 0.8 of what the fit may claim.
 """
 
@@ -39,7 +39,7 @@ OTHERS = "v0 b t_c final_angle drag decel w1n w1t w2n w2t".split()  # shown, and
 RATIO, ERRORS, SPREAD = 1.15, 3.5, 0.07  # of the bound; sampling errors; of the standard deviation of z
 SHARE, EXEMPT = 0.6, ("s_free",)  # of the clips, at least, that claim a value
 TOLD = 0.95  # at least, of the clips that can tell
-FLUX = 200 * 2 * math.pi * 1.3**2  # counts, of a glint of 200 at its peak
+PEAK = 200  # counts, of a drawn glint
 
 
 def run(*command: str) -> None:
@@ -72,15 +72,19 @@ def drawn(folder: Path, options: argparse.Namespace) -> tuple[Path, pd.DataFrame
 def noisy(clip: Path, rng: np.random.Generator) -> pd.DataFrame:
     """One clip's tracks: noise of the bound's covariance, the fixed pattern's share common to places alike."""
     camera = Camera.read(clip / "camera.json")
+    sigma = camera.sigma or 1.0
     whole = pd.read_parquet(clip / "truth" / "tracks.parquet").query("visible").sort_values(["particle", "frame"])
     parts = []
     for _, true in whole.groupby("particle"):
-        glint, flux = true[["glint_x_px", "glint_y_px"]].to_numpy(float), np.full(len(true), FLUX)
+        glint, flux = (
+            true[["glint_x_px", "glint_y_px"]].to_numpy(float),
+            np.full(len(true), PEAK * 2 * math.pi * sigma**2),
+        )
         here = true[["x", "y", "z"]].to_numpy(float)
         there = here + true[["vx", "vy", "vz"]].to_numpy(float) * camera.exposure
         streak = camera.project(there) - camera.project(here)
         cov, fixed = localisation_bound(camera, flux, glint, streak), fixed_part(camera, flux, glint)
-        root = np.linalg.cholesky(covariance(glint, cov, fixed, camera.sigma or 1.0))
+        root = np.linalg.cholesky(covariance(glint, cov, fixed, sigma))
         xy = true[["x_mean_px", "y_mean_px"]].to_numpy() + (root @ rng.standard_normal(len(root))).reshape(-1, 2)
         table = {"frame": true["frame"], "particle": true["particle"], "x": xy[:, 0], "y": xy[:, 1], "flux": flux}
         for end, part in (("", cov), ("_fixed", fixed)):
@@ -185,7 +189,7 @@ def main() -> None:
     table = found.table.assign(last_s=last_seen(tracks, found.table, fps))
     table.to_parquet(options.output / f"table_{mode}.parquet")
     rows = judge(table, found.quantities)
-    Console(width=130).print(shown(rows))
+    Console(width=150).print(shown(rows))
     place = found.localisation
     print(f"{len(table)} clips, status {found.statuses}; rmse of a place over its bound {place['ratio']:.3f}")
     missed = [name for name, row in rows.items() if row["missed"]]

@@ -16,8 +16,9 @@ def test_clips_kept_out_are_in_no_fit():
     assert (len(fitted), len(kept)) == (6, 2)
     for fit, clips in ((found.search.best, found.clips), (found.shown.after, found.kept_out)):
         assert [len(r) for r in fit.residuals] == [2 * len(c.frame) for c in clips]
-    assert found.shown.after.names == ()
-    assert found.shown.after.model == found.model
+    for shown, model in ((found.shown.before, found.search.base.model), (found.shown.after, found.model)):
+        assert shown.names == ()
+        assert shown.model == model
 
 
 def test_kept_out_clips_cover_the_speeds():

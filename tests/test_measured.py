@@ -39,6 +39,10 @@ def test_first_guesses_are_near_the_truth(recorded, clips):
         assert [t_c, v0, b] == pytest.approx([true["t_c"], true["v0"], true["b"]], rel=0.02, abs=2e-3)
         assert clip.ends - t_c == pytest.approx([true["tau1"], true["tau2"]], rel=0.1)
         assert clip.striker == true["striker"]
+        free = [np.flatnonzero((clip.phase() == 0) & (clip.ball == k))[-8:] for k in (0, 1)]
+        met = [np.polynomial.Polynomial.fit(clip.frame[r], clip.xy[r, k], 1) for r in free for k in (0, 1)]
+        x1, y1, x2, y2 = (line(t_c * clip.fps) for line in met)
+        assert clip.launch[:2] == pytest.approx([(x1 + x2) / 2, (y1 + y2) / 2], abs=5e-5)
 
 
 def test_ball_1_rests_until_it_is_struck(clips):

@@ -26,6 +26,8 @@ def test_sigmas_do_not_jump_where_probabilities_underflow(dof):
     assert np.all(np.diff(ratio) > 0)
     assert ratio[-1] == pytest.approx(1, abs=1e-3)
     assert ratio.max() <= 1
+    fine = [sigmas(x, dof) for x in np.linspace(1150, 1450, 600)]  # 1e-300 lies here
+    assert np.abs(np.diff(fine, 2)).max() < 1e-3
 
 
 @pytest.mark.parametrize("effect", EFFECTS)

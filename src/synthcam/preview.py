@@ -50,19 +50,20 @@ def write_preview(clip: Clip, seed: int, path: Path, frame: int | None, magnify:
 def write_film(clip: Clip, seed: int, path: Path) -> float:
     """Write a clip as .gif or .mp4, cropped to where the balls pass and magnified; how many times slower it plays.
 
-    What is dark is brought out, as in `write_preview`. A strip below the picture tells the speed and the time.
+    What is dark is brought out, as in `write_preview`, and the noise taken out. A strip below the picture tells the
+    speed and the time.
     """
     view = view_of(clip)
     slower = clip.camera.fps / SHOWN_FPS
     places = view.at(np.arange(clip.frames) / clip.camera.fps)[:, :, :3]
     rows, columns = _crop(clip, places)
     size = max(rows.stop - rows.start, columns.stop - columns.start)
-    zoom = max(1, round(WIDTH / size))
-    black = clip.sensor.black_level / 2 ** (clip.sensor.bits - 8)
+    zoom = max(1, -(-WIDTH // size))
+    black, noise = (c / 2 ** (clip.sensor.bits - 8) for c in (clip.sensor.black_level, _noise(clip)))
 
     def shown() -> Iterator[NDArray[np.uint8]]:
         for k, counts in enumerate(film(clip, view, seed)):
-            patch = _lifted(_grey(counts, clip.sensor.bits)[rows, columns], black)
+            patch = _lifted(_quiet(_grey(counts, clip.sensor.bits)[rows, columns], black + noise), black)
             large = np.kron(patch, np.ones((zoom, zoom), np.uint8))
             yield _with_caption(large, f"{slower:.3g} x slower   {1e3 * k / clip.camera.fps:.0f} ms")
 
@@ -99,6 +100,18 @@ def _crop(clip: Clip, places: NDArray[np.float64]) -> tuple[slice, slice]:
     high = np.clip(np.ceil(inside.max(axis=0) + margin), None, [width, height]).astype(int)
     high -= (high - low) % 2
     return slice(int(low[1]), int(high[1])), slice(int(low[0]), int(high[0]))
+
+
+def _noise(clip: Clip) -> float:
+    """Standard deviation of the dark plate, counts."""
+    electrons = np.hypot(clip.sensor.read_noise, clip.sensor.dsnu)
+    return float(electrons / clip.sensor.gain) + 0.5
+
+
+def _quiet(picture: NDArray[np.uint8], floor: float) -> NDArray[np.uint8]:
+    """Smoothed a little, and black below `floor`: moving noise hides what a film is to show, and fills its file."""
+    smooth = cv2.GaussianBlur(picture.astype(np.float32), (0, 0), 0.8)
+    return np.where(smooth > floor, np.rint(smooth), 0).astype(np.uint8)
 
 
 def _with_caption(picture: NDArray[np.uint8], text: str) -> NDArray[np.uint8]:

@@ -10,7 +10,9 @@ from types import TracebackType
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from synthcam import floor
 from synthcam.canvas import SIDE, Float32, NoGL, gl_info, shared_canvas
+from synthcam.floor import PLATE
 from synthcam.glints import PLAIN, Glints, find_glints, join
 from synthcam.optics import Camera, Lamp
 from synthcam.picture import Array, Moments, Patches, Picture, blur_matrix, merge, pieces, reach, sample, spots
@@ -23,8 +25,8 @@ __all__ = ["Film", "NoGL", "gl_info"]
 Index = NDArray[np.intp]
 Centres = Callable[[Array], Array]
 
-PLATE = 0.05  # radiance of the black plate under the lamp, over that of the room seen in a ball
 FINENESS = 3  # body samples a pixel, each way
+BODIES, ON_PLATE, SHADES = 0, 1, 2  # what the shader draws
 BATCH = 64  # exposures gathered at a time
 CELL = 0.4  # half-width of a lamp's cells as they are seen, over the blur's sigma
 
@@ -59,9 +61,14 @@ class Film:
             "zenith": float(room / surface.head_on),
             "steel": float(STEEL),
             "metal": np.array(surface.steel or (0.0, 0.0)),
+            "gloss": surface.plate_gloss,
+            "scene": BODIES,
             "lamp": np.zeros(3),
         }
-        self.plate = self._draw_plate()
+        self._plain = floor.plain(lamp, surface)
+        self._slope = 0.0 if self._plain else self._steepest()
+        self._lit = np.zeros((1, 1), np.float32)
+        self.plate = self._draw_plate() if self._plain else self._compute_plate()
         self.plate.flags.writeable = False
 
     def _resting(self, lamp: Lamp, cell: float) -> Glints:
@@ -135,6 +142,39 @@ class Film:
         plate = self._canvas.draw(jobs, np.zeros((1, 1, 4), np.float32), (h, w), uniforms)
         return plate.copy() if self._vignette is None else plate * self._vignette
 
+    def _compute_plate(self) -> Float32:
+        points, surface = floor.on_plate(self.camera), self.surface
+        lit = PLATE * self.room * floor.irradiance(self.lamp, points)
+        mirrored = np.zeros(1)
+        if surface.plate_texture:
+            lit *= floor.grain(surface, points)
+        if surface.plate_gloss:
+            lit += self._unit * floor.gloss(self.lamp, surface, self.camera.centre, points)
+            way = self.camera.centre - points
+            up = way[..., 2] / np.linalg.norm(way, axis=-1)
+            dull = PLATE * self.room * floor.irradiance(self.lamp, points)
+            mirrored = surface.plate_gloss * (dull + (self.room / surface.head_on - dull) * up)
+        shade: Array | Float32 = np.ones(1) if self._vignette is None else self._vignette
+        self._lit = (lit * shade).astype(np.float32)
+        return ((lit + mirrored) * shade).astype(np.float32)
+
+    def _steepest(self) -> float:
+        """Tangent of the lamps' lowest light on the plate in view."""
+        w, h = self.camera.size
+        corners = floor.on_plate(self.camera)[:: h - 1, :: w - 1].reshape(-1, 3)
+        ways = [lamp.position - corner for corner in corners for lamp in self.lamp.all]
+        return float(max(np.hypot(way[0], way[1]) / way[2] for way in ways))
+
+    def _reach(self, places: Array, slope: Array) -> Array:
+        """Half width (T, N) px of what a ball changes: itself, its mirror image in the plate, its shadow."""
+        extent = reach(self.camera, places, self.radii, slope)
+        if self._plain:
+            return extent
+        far = 1.5 + 0.3 * (places[..., 2] / self.radii - 1)
+        if self.surface.plate_shadow:
+            far = np.maximum(far, self._slope * places[..., 2] / self.radii + np.hypot(self._slope, 1) + 0.3)
+        return np.asarray(extent * np.minimum(far, 12))
+
     def _jobs(self, centres: Array, radii: Array, fineness: int) -> Float32:
         """Instance matrices (n, 4, 4) for bodies (n, 3), (n,), place and neighbours still to be filled in."""
         camera = self.camera
@@ -147,6 +187,8 @@ class Film:
         to_lamp = self.lamp.position - centres * [1, 1, 0]
         # Lambert's plate under a small lamp facing down: cos^4 of the angle.
         fall = (self.lamp.position[2] / np.linalg.norm(to_lamp, axis=1)) ** 4
+        if not self._plain:
+            fall = floor.irradiance(self.lamp, centres * [1, 1, 0])
         jobs[:, 3, 3] = PLATE * self.room * fall
         return jobs
 
@@ -190,7 +232,7 @@ class Film:
         moments, coarse = self._moments(centres, spans, cuts)
         places = np.asarray(centres(moments.times), float)
         pixels, slope = self.camera.project_with_slope(places)
-        extent = reach(self.camera, places, self.radii, slope)
+        extent = self._reach(places, slope)
         patches = Patches(self.camera, self.psf.margin, moments, pixels, extent, len(spans))
         wanted = patches.number[moments.frames] >= 0
         found = []
@@ -199,26 +241,33 @@ class Film:
             found.append(find_glints(self.camera, lamp, places, self.radii, wanted, self.surface, cell, light))
         glints = join(found)
         drawn: dict[int, Float32] = {}
+        shades: dict[int, Float32] = {}
         for width in np.unique(patches.widths):
             same = np.flatnonzero(patches.widths == width)
             tile = (width - 2 * patches.margin) * FINENESS
             room_for = max(1, SIDE // tile) ** 2
             for first in range(0, len(same), room_for):
                 alike = same[first : first + room_for]
-                bodies = self._bodies(centres, coarse, patches, alike)
+                bodies = self._bodies(centres, coarse, patches, alike, BODIES if self._plain else ON_PLATE)
                 self._add_glints(bodies, glints, moments, patches, alike)
                 if not self.psf.plain:
                     bodies = self.psf.spread(bodies)
                 drawn |= zip(alike.tolist(), bodies, strict=True)
+                if not self._plain:
+                    shade = self._bodies(centres, coarse, patches, alike, SHADES)
+                    shade = shade if self.psf.plain else self.psf.spread(shade)
+                    shades |= zip(alike.tolist(), shade, strict=True)
         for frame, bright in enumerate(self.lamp.flicker.mean(*spans.T).tolist()):
             plate = self._plate_in(bright)
             image, boxes = plate.copy(), []
             for number in patches.number[frame][patches.number[frame] >= 0].tolist():
                 box = top, bottom, left, right = patches.box(number, self.camera.size)
                 x, y = patches.origins[number]
-                part = drawn[number][top - y : bottom - y, left - x : right - x]
-                shade = self._vignette
-                image[top:bottom, left:right] += part if shade is None else part * shade[top:bottom, left:right]
+                here, there = np.s_[top:bottom, left:right], np.s_[top - y : bottom - y, left - x : right - x]
+                part = drawn[number][there]
+                image[here] += part if self._vignette is None else part * self._vignette[here]
+                if number in shades:
+                    image[here] += self._lit[here] * shades[number][there]
                 boxes.append(box)
             yield Picture(image, plate, merge(boxes))
 
@@ -236,11 +285,14 @@ class Film:
         wave = np.diff(bounds, axis=1)[:, 0] * max(waves, default=0.0)
         return tuple(sample(bounds, weights, frames, far, wave) for far in (farthest, farthest / 4))  # type: ignore[return-value]
 
-    def _bodies(self, centres: Centres, moments: Moments, patches: Patches, alike: Index) -> Float32:
-        """Blurred bodies less the plate behind them, (n, width, width) for n patches of one width."""
+    def _bodies(self, centres: Centres, moments: Moments, patches: Patches, alike: Index, scene: int) -> Float32:
+        """Blurred bodies less the plate behind them, (n, width, width) for n patches of one width.
+
+        scene: BODIES; or ON_PLATE, with their images in the plate, where SHADES are what they take of its light.
+        """
         places = np.asarray(centres(moments.times), float)
         pixels, slope = self.camera.project_with_slope(places)
-        extent = reach(self.camera, places, self.radii, slope)
+        extent = self._reach(places, slope)
         width, margin = int(patches.widths[alike[0]]), patches.margin
         tile = (width - 2 * margin) * FINENESS
         across = max(1, SIDE // tile)
@@ -252,15 +304,20 @@ class Film:
         jobs[:, 0, 2:] = (place - patches.origins[alike[slot]] - margin + 0.5) * FINENESS
         jobs[:, 2, 3] = (moments.weights * self.lamp.light(moments.times))[moment]
         jobs[:, 3, 1] = extent[moment, ball] * FINENESS
-        others = self._neighbours(jobs, places, moment, ball)
+        others = self._neighbours(jobs, places, moment, ball, ordered=scene == SHADES)
+        if scene != BODIES:
+            others = self._with_notes(jobs, others, places[moment, ball], ball, scene)
         rows = -(-len(alike) // across)
-        drawn = self._canvas.draw(jobs, others, (rows * tile, across * tile), self._uniforms)
+        drawn = self._canvas.draw(jobs, others, (rows * tile, across * tile), self._uniforms | {"scene": scene})
         tiles = drawn.reshape(rows, tile, across, tile).swapaxes(1, 2).reshape(-1, tile, tile)[: len(alike)]
         blur = blur_matrix(width, margin, FINENESS, self.camera.psf_sigma_px, self.psf.steps)
         return np.asarray(blur @ tiles @ blur.T)
 
-    def _neighbours(self, jobs: Float32, places: Array, moment: Index, ball: Index) -> Float32:
-        """Neighbours (n, N - 1, 4) of each body in its own radii, nearest first; counts go into the jobs."""
+    def _neighbours(self, jobs: Float32, places: Array, moment: Index, ball: Index, ordered: bool) -> Float32:
+        """Neighbours (n, N - 1, 4) of each body in its own radii, nearest first; counts go into the jobs.
+
+        ordered: balls of lower number have negative radii.
+        """
         total = len(self.radii)
         if total == 1:
             return np.zeros((len(jobs), 1, 4), np.float32)
@@ -270,9 +327,29 @@ class Film:
         order = np.argsort(distance, axis=1, kind="stable")
         found = np.concatenate([offsets @ self.camera.R.T, self.radii[others][..., None]], axis=2)
         found /= self.radii[ball][:, None, None]
+        if ordered:
+            found[..., 3] *= np.where(others < ball[:, None], -1, 1)
         # Beyond this a neighbour's image is under 1e-5 of the body and single precision thins out.
         jobs[:, 3, 0] = (distance < 60 * self.radii[ball][:, None]).sum(axis=1)
         return np.take_along_axis(found, order[..., None], axis=1).astype(np.float32)
+
+    def _with_notes(self, jobs: Float32, others: Float32, places: Array, ball: Index, scene: int) -> Float32:
+        """Neighbours followed by the depth of the plate and the lamps, as the shader reads them."""
+        radii, count, camera = self.radii[ball], jobs[:, 3, 0].astype(int), self.camera
+        casting = self.surface.plate_shadow and scene == SHADES
+        discs = [floor.casters(self.lamp, p * [1, 1, 0]) if casting else np.zeros((0, 5)) for p in places]
+        notes = np.zeros((len(jobs), 1 + 2 * max(len(d) for d in discs), 4), np.float32)
+        notes[:, 0, 0] = places[:, 2] / radii
+        for k, disc in enumerate(discs):
+            notes[k, 0, 2] = len(disc)
+            notes[k, 1 : 1 + 2 * len(disc) : 2, :3] = (disc[:, :3] - places[k]) @ camera.R.T / radii[k]
+            notes[k, 1 : 1 + 2 * len(disc) : 2, 3] = disc[:, 3] / radii[k]
+            notes[k, 2 : 2 + 2 * len(disc) : 2, 0] = disc[:, 4]
+        rows = np.zeros((len(jobs), others.shape[1] + notes.shape[1], 4), np.float32)
+        rows[:, : others.shape[1]] = others
+        for k, near in enumerate(count):
+            rows[k, near : near + notes.shape[1]] = notes[k]
+        return rows
 
     def _add_glints(self, bodies: Float32, glints: Glints, moments: Moments, patches: Patches, alike: Index) -> None:
         slots = patches.slots(alike)[patches.number[moments.frames[glints.moment], glints.ball]]

@@ -18,7 +18,7 @@ from synthcam.kinematics import Array, contact_velocity, plate_state, rolling_ve
 from synthcam.model import Bodies, Model
 from synthcam.spectral import TOLERANCE, Path, integrate
 
-FINISH = 1e-6  # of the first slip: the rest of the slide, some 0.1 us, is taken as a uniform deceleration
+FINISH = 1e-5  # of the first slip: the rest of the slide, a microsecond, is taken as a uniform deceleration
 LAST = float(np.log(FINISH))
 ROUGH = 1e-11  # tolerance in the path of another ball, which has kinks
 LAWS = ("friction", "normal_load", "push", "drilling")

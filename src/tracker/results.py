@@ -81,7 +81,7 @@ def gather(results: Path, numbers: Iterable[int]) -> pd.DataFrame:
         rows += [{"clip": number, **row} for row in json.loads(text, parse_constant=lambda _: math.nan)]
     table = pd.DataFrame(rows)
     for name in table.columns:  # null stands for NaN in the clips' files
-        if table[name].dtype == object and name not in ("cov", "status", "striker"):
+        if table[name].dtype == object and name not in ("cov", "status", "striker", "noise"):
             table[name] = table[name].astype(float)
     return table
 

@@ -16,6 +16,7 @@ from .lens import Array
 SIGNIFICANCE = 6.5  # noise deviations of a box sum; one false find in some 10^10 pixels
 MOST = 64  # finds a frame: beyond that it is no picture of a few balls
 CROWDED = 0.3  # share of a frame's pixels over the threshold that is too much to be balls
+ROUNDING = 0.29  # counts, the noise of rounding alone
 CELL = 12  # px, of the coarse picture that gives the plate's smooth part
 # Sorting network for the median of nine (Paeth 1990, Graphics Gems): exact, and as fast as the minimum.
 MEDIAN_OF_NINE = (
@@ -70,12 +71,15 @@ def _noise(sample: list[NDArray[Any]]) -> float:
     h, w = sample[0].shape
     step = max(1, math.isqrt(h * w // 4000))
     thin = np.stack([s[::step, ::step] for s in sample]).astype(np.float32)
-    differences = np.diff(thin, axis=0).ravel()
+    steps = np.diff(thin, axis=0)
+    differences = steps[np.any(steps != 0.0, axis=(1, 2))].ravel()  # a frame that came twice tells nothing
+    if len(differences) == 0:
+        return ROUNDING
     spread = float(np.std(differences))
     for _ in range(4):  # leave out what moved
         kept = differences[np.abs(differences) <= 4.0 * spread + 1.0]
         spread = float(np.std(kept)) if len(kept) else 0.0
-    return max(spread / math.sqrt(2.0), 0.29)  # rounding alone is .29
+    return max(spread / math.sqrt(2.0), ROUNDING)
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,35 +14,54 @@ from scipy.linalg import solve_triangular
 
 Floats = NDArray[np.float64]
 LONGEST = 200  # rows whitened together; beyond them a moving ball has long left its pixels
+FAR = 5.0  # widths; a shift that correlates by less than .002
+FEW = 2**17  # multiplications in one go: more, and the linear algebra library takes all cores for a trifle
 OWN = 1e-3  # least share of the covariance that is a frame's own: keeps the matrix regular
 
 
 class Whitener:
-    """Turns errors of n places into independent ones of unit size; one block where nothing is shared."""
+    """Turns errors of n places into independent ones of unit size.
+
+    Blocks are stretches of rows none of which is far from the next; a row by itself needs no block.
+    """
 
     def __init__(self, place: Floats, cov: Floats, fixed: Floats, width: float) -> None:
         """place (n, 2) m, cov (n, 2, 2) m^2, fixed (n, 2, 2) the shared part of it, width m of a glint."""
         self.alone = _inverse_root(cov) if len(cov) else cov
         self.blocks: list[tuple[slice, Floats]] = []
         if width > 0 and len(cov) and fixed.any():
-            for start in range(0, len(cov), LONGEST):
-                rows = slice(start, start + LONGEST)
-                whole = covariance(place[rows], cov[rows], fixed[rows], width)
-                lower = np.linalg.cholesky(whole)
+            step = np.hypot(*np.diff(place, axis=0).T)
+            for start, end in _stretches(step > FAR * width):
+                rows = slice(start, end)
+                lower = np.linalg.cholesky(covariance(place[rows], cov[rows], fixed[rows], width))
                 self.blocks.append((rows, solve_triangular(lower, np.eye(len(lower)), lower=True)))
 
     def __call__(self, errors: Floats) -> Floats:
         """errors (n, 2) or (n, 2, p) -> (2n,) or (2n, p)."""
-        flat = (2 * len(errors), *errors.shape[2:])
-        if not self.blocks:
-            tall = errors[..., None] if errors.ndim == 2 else errors
-            return np.asarray((self.alone @ tall).reshape(flat), dtype=np.float64)
-        parts = [root @ errors[rows].reshape(-1, *errors.shape[2:]) for rows, root in self.blocks]
-        return np.concatenate(parts)
+        tall = errors[..., None] if errors.ndim == 2 else errors
+        out = np.matmul(self.alone, tall).reshape(2 * len(errors), -1)
+        for rows, root in self.blocks:
+            block = tall[rows].reshape(len(root), -1)
+            size = max(1, FEW // block.size)
+            for k in range(0, len(root), size):  # lower triangular: what lies above row k + size is zero
+                low = slice(k, k + size)
+                out[2 * rows.start + k : 2 * rows.start + k + len(root[low])] = (
+                    root[low, : k + size] @ block[: k + size]
+                )
+        return out.reshape(2 * len(errors), *errors.shape[2:])
 
     def distance(self, errors: Floats) -> Floats:
         """(n,) squared Mahalanobis distance of each place by itself."""
         return np.asarray(((self.alone @ errors[..., None])[..., 0] ** 2).sum(axis=1), dtype=np.float64)
+
+
+def _stretches(breaks: NDArray[np.bool_]) -> list[tuple[int, int]]:
+    """(first, beyond last) of the stretches of two or more rows between breaks, none longer than LONGEST."""
+    edges = [0, *(np.flatnonzero(breaks) + 1).tolist(), len(breaks) + 1]
+    out = []
+    for first, last in zip(edges[:-1], edges[1:], strict=True):
+        out += [(k, min(k + LONGEST, last)) for k in range(first, last, LONGEST)]
+    return [(first, last) for first, last in out if last - first > 1]
 
 
 def covariance(place: Floats, cov: Floats, fixed: Floats, width: float) -> Floats:

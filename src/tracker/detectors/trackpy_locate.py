@@ -13,10 +13,7 @@ from ..detect import CLIPPED, Glints, View
 from ..geometry import InputError
 
 BRIGHT = 80.0  # noise deviations, of a glint's peak, over which a wide mask is the better one
-MASK = {
-    False: (4.0, 68.0),
-    True: (5.0, 107.0),
-}  # its half width over the glint's, and the mass that noise alone stays under
+MASK = {False: (4.0, 68.0), True: (5.0, 107.0)}  # mask's half width over the glint's, and a mass that noise stays under
 BRIGHTEST = 99.9  # percentile of the pixels that may hold a feature: two balls, and not the thousand of the defaults
 
 
@@ -35,14 +32,14 @@ class TrackpyLocate:
 
     def __call__(self, frame: NDArray[Any]) -> Glints:
         """Glints of one frame; trackpy's static error for covariance, .1 px where it gives none."""
-        wide, mass = MASK[float(np.max(frame)) - float(np.median(frame)) > BRIGHT * self.view.plate.noise]
+        wide, least = MASK[float(np.max(frame)) - float(np.median(frame)) > BRIGHT * self.view.plate.noise]
         diameter = 2 * max(2, round(wide * self.view.sigma)) + 1
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of features it drops, and of what pandas will drop
             found = self.trackpy.locate(
                 frame,
                 diameter,
-                minmass=mass * self.view.plate.noise,
+                minmass=least * self.view.plate.noise,
                 separation=max(self.apart, diameter + 1.0),
                 percentile=BRIGHTEST,
             )
