@@ -1,9 +1,9 @@
-# make install | demo | test | lint | gate | bench-*    each does its own set-up; doing it twice costs nothing.
+# make install | demo | test | lint | types | gate | bench-NAME    each does its own set-up; doing it twice costs nothing.
 PYTHON ?= python3
 BIN := .venv/bin
 READY := .venv/ready
 
-.PHONY: install demo test lint types gate bench-accuracy bench-speed clean
+.PHONY: install demo test lint types gate clean
 
 install: $(READY)
 
@@ -27,11 +27,9 @@ test: lint types
 gate: $(READY)
 	$(BIN)/python benchmarks/gate.py
 
-bench-accuracy: $(READY)
-	$(BIN)/python benchmarks/accuracy.py
-
-bench-speed: $(READY)
-	$(BIN)/python benchmarks/speed.py
+# long studies: benchmarks/NAME.py, results in out/
+bench-%: $(READY)
+	$(BIN)/python benchmarks/$(subst -,_,$*).py
 
 clean:
 	rm -rf .venv demo

@@ -64,20 +64,24 @@ def dask(scene: Path, output: Path, clips: int) -> None:
 
 
 def killed(scene: Path, output: Path, clips: int, seconds: float, seed: int) -> list[int]:
-    """Kill the command five times at random instants, every other time with its workers, then let it end.
+    """Kill the command five times, every other time with its workers, then let it end.
 
-    Returns how many clips there were at each kill.
+    The first instant is anywhere in its start, the others anywhere after its first new clip. Returns how many clips
+    there were at each kill.
     """
-    rng, found = random.Random(seed), []
+    rng, found = random.Random(seed), list[int]()
     for k in range(KILLS):
+        before = count(output)
         run = subprocess.Popen(
             generate(scene, output, clips, "--workers", "2"), stdout=subprocess.DEVNULL, start_new_session=True
         )
-        try:
-            run.wait(timeout=rng.uniform(0.1, 1) * seconds / 2)
-        except subprocess.TimeoutExpired:
-            os.killpg(run.pid, signal.SIGKILL) if k % 2 else run.kill()
-            run.wait()
+        while k and run.poll() is None and count(output) == before:
+            time.sleep(0.01)
+        time.sleep(rng.uniform(0, seconds / (6 * KILLS)))
+        if run.poll() is not None:
+            raise SystemExit("generate ended before it was killed: more clips are needed")
+        os.killpg(run.pid, signal.SIGKILL) if k % 2 else run.kill()
+        run.wait()
         found.append(count(output))
     call(generate(scene, output, clips, "--workers", "2"))
     return found

@@ -48,6 +48,10 @@ def blurred(factor: float) -> Callable[[Known], None]:
     return fault
 
 
+def without_psf(known: Known) -> None:
+    del known["psf"]
+
+
 def gained(factor: float) -> Callable[[Known], None]:
     def fault(known: Known) -> None:
         known["sensor"]["gain"] *= factor
@@ -62,6 +66,7 @@ FAULTS: dict[str, Callable[[Known], None]] = {
     "lamp 2 cm up": moved(2),
     "PSF +30 %": blurred(1.3),
     "PSF -30 %": blurred(0.7),
+    "no PSF": without_psf,
     "gain +30 %": gained(1.3),
     "gain -30 %": gained(0.7),
 }
@@ -76,7 +81,7 @@ def run(*command: str) -> None:
 
 def tracked(film: Path, folder: Path, name: str, known: Known) -> tuple[pd.DataFrame, pd.DataFrame]:
     """Estimates and tracks of the film by one camera file."""
-    slug = "".join(c if c.isalnum() else "_" for c in name)
+    slug = "_".join(name.replace("+", "plus_").replace("-", "minus_").replace("%", "percent").split())
     camera, out = folder / f"{slug}.json", folder / slug
     camera.write_text(json.dumps(known))
     run("tracker", "track", str(film), "--camera", str(camera), "-o", str(out))

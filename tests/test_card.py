@@ -51,7 +51,10 @@ def test_frames(dataset, what):
     if "pims" in what and importlib.util.find_spec("pims") is None:
         pytest.skip("pims is not installed")
     truth = np.fromfile(dataset / "clips/000000/frames.tif", np.uint8, 20 * 64 * 128, offset=offset(dataset))
-    np.testing.assert_array_equal(np.array(result(readers(dataset)[what])), truth.reshape(20, 64, 128))
+    frames = result(readers(dataset)[what])
+    np.testing.assert_array_equal(np.array(frames), truth.reshape(20, 64, 128))
+    if "pims" in what:
+        frames.close()
 
 
 def offset(dataset):

@@ -226,6 +226,20 @@ def test_a_tilted_plate_gives_a_roller_five_sevenths():
     )
 
 
+def test_a_ball_that_stops_uphill_rolls_back():
+    tilt, decel, v0 = 0.01, 0.02, 0.1
+    model = Model(rolling_drag=0, rolling_decel=decel, effects=(PlateTilt(x=-tilt),))
+    motion = solve(model, Launch.single(ALONE, 0.0, v0, 0.0, (0, 0)), 0.0, 4.0)
+    fall = 5 / 7 * G * np.sin(tilt)
+    top, height = v0 / (fall + decel), v0**2 / (2 * (fall + decel))
+    assert [e.kind for e in motion.events] == ["stop", "start"]
+    assert [e.t for e in motion.events] == exact([top, top], abs=1e-9)
+    times = np.linspace(top, 4.0, 30)
+    down = height - (fall - decel) * (times - top) ** 2 / 2
+    np.testing.assert_allclose(motion.at(times)[0, :, 0], down, rtol=0, atol=2e-6)  # pushed off at 2e-7 m/s
+    np.testing.assert_allclose(motion.at(top / 2)[0, 0, 0], 0.75 * height, rtol=1e-9)
+
+
 @pytest.mark.parametrize("K", [0.05, 2.0])
 def test_quadratic_loss_alone(K):
     model = Model(rolling_drag=0, rolling_decel=0, effects=(RollingQuadratic(K=K),))

@@ -1,6 +1,7 @@
 """One contract over every effect in the library."""
 
 import dataclasses
+import re
 import sys
 
 import numpy as np
@@ -11,16 +12,24 @@ import synthcam.effects
 from synthcam import effect as effect_module
 from synthcam import model as model_module
 from synthcam import scene as scene_module
+from synthcam.batch import collisions
 from synthcam.dynamics import solve
 from synthcam.effect import LAWS, library
 from synthcam.launch import Launch
 from synthcam.model import Model, build, read_model, settings_of, write_model
+from synthcam.optics import Camera, Lamp, glint_px
 from synthcam.scene import check_scene
 from synthcam.settings import InputError
+from synthcam.view import View
 
-R = Model().ball.radius
-LAUNCH = Launch.pair(Model().bodies("ab"), 0.1, 0.5, 0.4, 0.7, (0.003, -0.001))
+SETUP = {"time": 0.1, "v0": 0.5, "b": 0.4, "heading": 0.7, "contact": (0.003, -0.001)}
+ROW = np.array([[0.003, -0.001, 0.1, 0.5, 0.7, 0.4]])
 TIMES = np.linspace(0, 0.3, 151)
+FRAMES = 75
+NOMINAL = Camera.overhead(
+    (640, 480), 1.6e-4, 0.5, ball_radius=Model().ball.radius, fps=250, exposure=5e-4, psf_sigma_px=1.0
+)
+LAMP = Lamp(np.array([0.05, 0.0, 0.45]), 0.01)
 every = pytest.mark.parametrize("kind", library().values(), ids=list(library()))
 each = pytest.mark.parametrize(
     ("kind", "name"), [(k, p.name) for k in library().values() for p in k.parameters()], ids=lambda x: str(x)
@@ -28,7 +37,23 @@ each = pytest.mark.parametrize(
 
 
 def track(*effects):
-    return solve(Model(effects=effects), LAUNCH, 0.0, 0.3).at(TIMES)
+    model = Model(effects=effects)
+    return solve(model, Launch.pair(model.bodies("ab"), **SETUP), 0.0, 0.3).at(TIMES)
+
+
+def picture(*effects):
+    """Where a tracker sees the balls, px (2, frames, 2), means over the exposure."""
+    model = Model(effects=effects)
+    bent = model.laws("camera", NOMINAL, {})
+    bent = dataclasses.replace(bent, exposure=float(model.laws("exposure", bent.exposure, {"fps": bent.fps})))
+    view = View.of(model, Launch.pair(model.bodies("ab"), **SETUP), bent, FRAMES)
+    px = view.mean(view.spans(FRAMES), lambda states: bent.project(states[..., :3]))
+
+    def glint(px):
+        centres = view.at(view.spans(FRAMES).mean(axis=1))[..., :3]
+        return px + glint_px(bent, LAMP, centres, Model().ball.radius) - bent.project(centres)
+
+    return model.laws("measure", px, {"glint": glint})
 
 
 def present(kind, **values):
@@ -36,25 +61,45 @@ def present(kind, **values):
     return kind(**{p.name: p.scale for p in kind.parameters()} | values)
 
 
-def test_the_library_is_not_empty():
-    assert {"plate_tilt", "velocity_restitution", "rolling_quadratic"} <= set(library())
+def defect(kind):
+    """A tracker's, which no scene may have."""
+    return "measure" in kind.laws
+
+
+def test_the_library_holds_what_was_asked_for():
+    asked = """velocity_restitution ball_friction hop stribeck viscous_friction friction_anisotropy adhesion plate_tilt
+        air_drag rolling_quadratic magnetic_attraction mass_mismatch diameter_mismatch eccentric_mass
+        spin_transfer_velocity plate_waviness drilling_spin scale_error aspect_error lens_distortion camera_tilt
+        clock_error clock_drift dropped_frame exposure_blur rolling_shutter glint_parallax pixel_locking"""
+    assert set(asked.split()) <= set(library())
 
 
 @every
 def test_null_is_absence_bit_for_bit(kind):
     null = present(kind, **{p.name: 0.0 for p in kind.strengths()})
-    np.testing.assert_array_equal(track(null), track())
     assert not null.active
+    np.testing.assert_array_equal(track(null), track())
+    np.testing.assert_array_equal(picture(null), picture())
+    starts = np.arange(FRAMES) / 250
+    many = [collisions(Model(effects=e), ROW, 0.0, 0.31).means(starts, 5e-4) for e in ((null,), ())]
+    np.testing.assert_array_equal(*many)
 
 
 @each
-def test_every_parameter_moves_a_track(kind, name):
-    scale = next(p.scale for p in kind.parameters() if p.name == name)
+def test_every_parameter_moves_a_track_or_a_picture(kind, name):
+    rule = next(p for p in kind.parameters() if p.name == name)
     others = {p.name: 0.0 for p in kind.strengths() if p.name != name}
-    fixed = name not in [p.name for p in kind.strengths()]
-    near, far = present(kind, **({} if fixed else others)), present(kind, **({name: 0.5 * scale} if fixed else others))
-    reference = track(near) if fixed else track()
-    assert np.abs(track(far) - reference)[..., :2].max() > 1e-8
+    if rule.fixed:  # a shape, beside strengths of realistic size
+        near, far = present(kind), present(kind, **{name: 1.5 * rule.scale or 0.3})
+        if (kind.name(), name) == ("ball_friction", "beta"):  # means something where the contact sticks
+            near, far = present(kind, mu=0.9), present(kind, mu=0.9, beta=0.3)
+        assert np.abs(picture(far) - picture(near)).max() > 1e-4
+    else:
+        far = present(kind, **others)
+        assert np.abs(picture(far) - picture()).max() > 1e-4
+    physical = any(law not in ("camera", "clock", "exposure", "measure") for law in kind.laws)
+    reference = track(near) if rule.fixed else track()
+    assert (np.abs(track(far) - reference)[..., :2].max() > 1e-8) == physical
 
 
 @every
@@ -62,8 +107,13 @@ def test_it_survives_yaml_and_back(kind, tmp_path):
     model = Model(restitution=0.8, effects=(present(kind),), free=("restitution",))
     write_model(model, tmp_path / "m.yaml")
     assert read_model(tmp_path / "m.yaml") == model
-    scene = check_scene(settings_of(model), "here")
-    assert scene.draw(0, 0).model == dataclasses.replace(model, free=())
+    if defect(kind):
+        line = rf"^here: effects\.{kind.name()}: a defect of trackers; expected none in a scene$"
+        with pytest.raises(InputError, match=line):
+            check_scene(settings_of(model), "here")
+    else:
+        scene = check_scene(settings_of(model), "here")
+        assert scene.draw(0, 0).model == dataclasses.replace(model, free=())
     assert build(yaml.safe_load(yaml.safe_dump(settings_of(model))), model.free) == model
 
 
@@ -91,8 +141,9 @@ def test_it_is_declared_in_full(kind):
     for p in kind.parameters():
         assert p.low <= p.default <= p.high
         assert p.low <= p.scale <= p.high
-        assert p.scale > 0
+        assert p.scale > 0 or p.fixed
         assert p.unit
+        assert re.search(rf"(?<!\w){p.name}(?!\w)", kind.__doc__), f"its docstring does not say what {p.name} does"
     assert "".join(part.title() for part in kind.name().split("_")) == kind.__name__
 
 

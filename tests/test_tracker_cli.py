@@ -126,6 +126,19 @@ def test_an_interrupted_run_goes_on_to_the_same_bytes(dataset, tracked, tmp_path
     assert track.run(dataset, output, None, "maximum_likelihood", 1).fresh == 0
 
 
+def test_interrupted_it_says_how_to_go_on(dataset, tmp_path, monkeypatch, capsys):
+    def stop(clip, name):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(track, "track_clip", stop)
+    words = ["tracker", "track", str(dataset), "-o", str(tmp_path / "out"), "--workers", "1"]
+    monkeypatch.setattr(sys, "argv", words)
+    with pytest.raises(SystemExit) as stopped:
+        cli.main()
+    assert stopped.value.code == 130
+    assert capsys.readouterr().err == "tracker: interrupted; the same command goes on where it stopped\n"
+
+
 def test_results_of_anything_else_are_refused(dataset, tracked, tmp_path):
     with pytest.raises(InputError, match="another run"):
         track.run(dataset, tracked, None, "centroid", 1)
@@ -197,6 +210,16 @@ def test_status_two_and_one_line(tmp_path):
         (["track", "{tmp}/one.tif", "-o", "{tmp}/out"], "one frame only"),
         (["track", "{tmp}/two.tif", "-o", "{tmp}/out", "--detector", "magic"], "expected one of centroid"),
         (["track", "{tmp}/two.tif", "-o", "{tmp}/out", "--camera", "{tmp}/no.json"], "no such file"),
+        (["compare", "{tmp}/none", "--detectors", "centroid,magic", "-o", "{tmp}/out"], "no detector 'magic'"),
+        (
+            ["compare", "{tmp}/none", "--detectors", "centroid,centroid", "-o", "{tmp}/out"],
+            "--detectors: expected different",
+        ),
+        (["compare", "{tmp}/none", "--detectors", "centroid", "-o", "{tmp}"], "holds something else"),
+        (["calibrate", "{tmp}/none", "--diameter", "2e-3", "--fps", "250", "-o", "{tmp}/out"], "no such file"),
+        (["calibrate", "{tmp}/two.tif", "--diameter", "0", "--fps", "250", "-o", "{tmp}/out"], "--diameter: expected"),
+        (["calibrate", "{tmp}/two.tif", "--diameter", "2e-3", "--fps", "nan", "-o", "{tmp}/out"], "--fps: expected"),
+        (["calibrate", "{tmp}/two.tif", "--diameter", "2e-3", "--fps", "250", "-o", "{tmp}/out"], "0 glints found"),
         (["measure", "{tmp}/none.csv", "--camera", "{tmp}/no.json", "-o", "{tmp}/out"], "no such file"),
         (["score", "{tmp}/none", "--truth", "{tmp}/none", "-o", "{tmp}/out"], "no such file"),
         (["score", "{tmp}/none", "--truth", "{tmp}/none", "-o", "{tmp}"], "holds something else"),
@@ -226,22 +249,13 @@ def test_a_stack_without_a_camera_is_tracked_in_pixels(tmp_path):
     assert outcome.estimates["status"].tolist() != ["ok"]
 
 
-@pytest.mark.parametrize("level", [8, 250])
-def test_frames_without_balls_are_an_answer(tmp_path, level):
-    rng = np.random.default_rng(2)
-    frames = np.clip(level + rng.normal(0, 1, (12, 160, 200)), 0, 255).astype(np.uint8)
-    write_clip(tmp_path / "clip", frames)
-    outcome = track.run(tmp_path / "clip", tmp_path / "out", None, "maximum_likelihood", 1)
-    assert outcome.estimates["status"].tolist() == ["too few detections"]
-
-
 def test_summaries_and_help(dataset, tmp_path):
     runner = CliRunner()
     done = runner.invoke(cli.app, ["track", str(dataset), "-o", str(tmp_path / "out"), "--workers", "1", "--json"])
     summary = json.loads(done.stdout)
     assert (summary["clips"], summary["fresh"], summary["frames"]) == (2, 2, 80)
     assert sum(summary["status"].values()) == 2
-    for name in ("track", "measure", "score"):
+    for name in ("track", "measure", "score", "compare", "calibrate"):
         told = runner.invoke(cli.app, [name, "--help"])
         assert told.exit_code == 0
         assert f"Example: tracker {name}" in told.stdout

@@ -61,6 +61,7 @@ class Batch:
     segments: list[Segment] = field(default_factory=list)
     breaks: Array = field(default_factory=lambda: np.empty((0, 0)))
     slide_ends: Array = field(default_factory=lambda: np.empty(0))
+    odd: set[int] = field(default_factory=set)  # collisions in which a ball stops and starts again: left to `solve`
 
     @property
     def size(self) -> int:
@@ -137,7 +138,8 @@ def collisions(model: Model, launches: Array, start: float, end: float, striker_
         return run.out
 
     out = _swept(motion, model) if model.laws.asks("push", "other") else motion(model, None)
-    return _by_solve(model, launches, is_a, out, _met_again(out, both))
+    odd = sorted({*_met_again(out, both).tolist(), *out.odd})
+    return _by_solve(model, launches, is_a, out, np.array(odd, dtype=np.intp))
 
 
 def _swept(motion: Callable[[Model, Batch | None], Batch], model: Model) -> Batch:
@@ -276,19 +278,18 @@ class _Run:
     def _rest(self, who: Ints, states: Array, now: Array, until: Array) -> None:
         held = states.copy()
         held[:, 3:8] = 0.0
-        if self.model.laws.bent("push") and len(who):
-            self._check_held(who, held)
+        self.out.odd |= set((who[self._loose(who, held)] % (len(self.t_c) // 2)).tolist())
         self._add(who, now[who], until[who], lambda t: np.repeat(held[:, None], t.shape[1], axis=1))
 
-    def _check_held(self, who: Ints, held: Array) -> None:
-        if self.model.laws.asks("push", "other"):
-            return
+    def _loose(self, who: Ints, held: Array) -> NDArray[np.bool_]:
+        """Which balls at rest would not stay there."""
+        if not self.model.laws.bent("push") or self.model.laws.asks("push", "other"):
+            return np.zeros(len(who), dtype=bool)
         some = self.bodies[who]
         instant = dict(position=held[:, :2], velocity=held[:, 3:5], gravity=self.model.gravity)
         instant |= dict(radius=some.radius, mass=some.mass, of_a=some.of_a)
         push = self.model.laws("push", np.zeros((len(who), 2)), instant)
-        if np.any(5 / 7 * np.hypot(push[:, 0], push[:, 1]) > self.model.rolling_decel):
-            raise ValueError("a ball cannot rest: 5/7 of the push on it exceeds rolling_decel")
+        return np.asarray(5 / 7 * np.hypot(push[:, 0], push[:, 1]) > self.model.rolling_decel)
 
     def _land(self, who: Ints, states: Array, now: Array) -> None:
         before = contact_velocity(states[who], self.bodies.radius[who])

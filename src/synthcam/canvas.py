@@ -7,7 +7,7 @@ import ctypes
 import os
 import warnings
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,13 +39,22 @@ class NoGL(RuntimeError):
     """OpenGL cannot draw off-screen here; the message says in one line why and what would help."""
 
 
+class _Programs(pyrender.shader_program.ShaderProgramCache if pyrender else object):  # type: ignore[misc]
+    """pyrender's shader programs, each compiled for what it is to draw."""
+
+    wanted: ClassVar[dict[str, int]] = {}
+
+    def get_program(self, defines: dict[str, int], **shaders: str) -> Any:
+        return super().get_program(defines=defines | self.wanted, **shaders)
+
+
 class _Renderer(pyrender.Renderer if pyrender else object):  # type: ignore[misc]
     """pyrender's renderer with a float32 buffer, our shaders and bodies that add up where they overlap."""
 
     def __init__(self) -> None:
         super().__init__(SIDE, SIDE)
         shaders = Path(__file__).with_name("shaders")
-        self._program_cache = pyrender.shader_program.ShaderProgramCache(shader_dir=str(shaders))
+        self._program_cache: Any = _Programs(shader_dir=str(shaders))
         self.uniforms: dict[str, Any] = {}
         self.jobs = np.zeros((0, 4, 4), np.float32)
         self.rows = SIDE
@@ -68,7 +77,8 @@ class _Renderer(pyrender.Renderer if pyrender else object):  # type: ignore[misc
 
     def _bind_lighting(self, scene: Any, program: Any, node: Any, flags: int) -> None:
         for name, value in self.uniforms.items():
-            program.set_uniform(name, value)
+            if GL.glGetUniformLocation(program._program_id, name) >= 0:  # else this program has no use for it
+                program.set_uniform(name, value)
         GL.glActiveTexture(GL.GL_TEXTURE0)
         GL.glBindTexture(GL.GL_TEXTURE_2D, self._others)
 
@@ -137,8 +147,14 @@ class Canvas:
         self._scene.add(pyrender.Mesh.from_trimesh(quad, poses=room_for_jobs))
         self._scene.add(pyrender.IntrinsicsCamera(1, 1, 0, 0))  # pyrender asks for one; the shader does not
 
-    def draw(self, jobs: Float32, others: Float32, size: tuple[int, int], uniforms: dict[str, Any]) -> Float32:
-        """Buffer (rows, columns) of that size after all jobs (n, 4, 4) with their neighbours (n, k, 4)."""
+    def draw(
+        self, jobs: Float32, others: Float32, size: tuple[int, int], uniforms: dict[str, Any], **defines: int
+    ) -> Float32:
+        """Buffer (rows, columns) of that size after all jobs (n, 4, 4) with their neighbours (n, k, 4).
+
+        uniforms, defines: of the shader.
+        """
+        self._renderer._program_cache.wanted = defines
         total: Float32 | None = None
         screen = self._screen
         screen.viewport_height, screen.viewport_width = max(SIDE, size[0]), max(SIDE, size[1])

@@ -26,7 +26,6 @@ from synthcam.settings import InputError
 from synthcam.view import View
 
 FULL = {errno.ENOSPC, errno.EDQUOT, errno.EROFS}  # what will happen to the next clip as well
-TRIALS = 3  # clips made before the others to tell how long these will take
 
 
 @dataclass(frozen=True)
@@ -182,12 +181,14 @@ def _here(
     """Make the clips on this machine: (number, '' or what went wrong), in the order in which they end."""
     folders = _folders(made)
     if tell and todo:
-        trials = todo[:TRIALS]
+        trials = sorted({todo[0], todo[len(todo) // 2], todo[-1]})  # of several scenes, where there are several
+        ends = []
         for number in trials:  # the first loads libraries, draws the chip and starts OpenGL
-            started = time.perf_counter()
             yield number, make_clip(plan, number, *folders)
-        tell(_estimate(plan, made.folder, todo[len(trials) :], time.perf_counter() - started, workers))
-        todo = todo[len(trials) :]
+            ends.append(time.perf_counter())
+        todo = [k for k in todo if k not in trials]
+        if todo:
+            tell(_estimate(made, trials, (ends[-1] - ends[0]) / (len(ends) - 1), len(todo), workers))
     if min(workers, len(todo)) > 1:
         document = json.dumps(plan.document())
         yield from each(todo, min(workers, len(todo)), partial(_ready, document, *folders))
@@ -195,11 +196,14 @@ def _here(
         yield from ((number, make_clip(plan, number, *folders)) for number in todo)
 
 
-def _estimate(plan: Plan, folder: Path, todo: list[int], seconds: float, workers: int) -> str:
-    left = seconds * len(todo) / max(min(workers, len(todo)), 1)
+def _estimate(made: Partial, trials: list[int], seconds: float, clips: int, workers: int) -> str:
+    """What so many clips will take. seconds: of one on one worker."""
+    left = seconds * clips / min(workers, clips)
     unit = f"{left / 60:.0f} min" if left > 90 else f"{left:.0f} s"
-    need, free = (b / 1e6 for b in (plan.bytes(len(todo)), shutil.disk_usage(folder).free))
-    return f"{len(todo)} clips to come: about {unit}, {need:,.0f} MB of {free:,.0f} MB free"
+    folders = {folder for number in trials for folder in made.clip(number)}
+    size = sum(file.stat().st_size for folder in folders for file in folder.glob("*") if file.is_file())
+    need, free = size / len(trials) * clips / 1e6, shutil.disk_usage(made.folder).free / 1e6
+    return f"{clips} clips to come: about {unit}, {need:,.1f} MB of {free:,.0f} MB free"
 
 
 def _check_disk(plan: Plan, folder: Path, clips: int) -> None:

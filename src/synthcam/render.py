@@ -15,7 +15,7 @@ from synthcam.canvas import SIDE, Float32, NoGL, gl_info, shared_canvas
 from synthcam.floor import PLATE
 from synthcam.glints import PLAIN, Glints, find_glints, join
 from synthcam.optics import Camera, Lamp
-from synthcam.picture import Array, Moments, Patches, Picture, blur_matrix, merge, pieces, reach, sample, spots
+from synthcam.picture import Array, Moments, Patches, Picture, blur_matrix, blurred, merge, pieces, reach, sample, spots
 from synthcam.psf import Psf
 from synthcam.shutter import rolled
 from synthcam.surface import STEEL, Surface
@@ -62,7 +62,6 @@ class Film:
             "steel": float(STEEL),
             "metal": np.array(surface.steel or (0.0, 0.0)),
             "gloss": surface.plate_gloss,
-            "scene": BODIES,
             "lamp": np.zeros(3),
         }
         self._plain = floor.plain(lamp, surface)
@@ -139,7 +138,7 @@ class Film:
         jobs[0, 0, 2:] = middle
         jobs[0, 3] = -1, np.maximum(middle, [w, h] - middle).max() + 1, 0, PLATE * self.room
         uniforms = self._uniforms | {"lamp": self.camera.R @ self.lamp.position / unit}
-        plate = self._canvas.draw(jobs, np.zeros((1, 1, 4), np.float32), (h, w), uniforms)
+        plate = self._canvas.draw(jobs, np.zeros((1, 1, 4), np.float32), (h, w), uniforms, **self._defines(BODIES))
         return plate.copy() if self._vignette is None else plate * self._vignette
 
     def _compute_plate(self) -> Float32:
@@ -174,6 +173,9 @@ class Film:
         if self.surface.plate_shadow:
             far = np.maximum(far, self._slope * places[..., 2] / self.radii + np.hypot(self._slope, 1) + 0.3)
         return np.asarray(extent * np.minimum(far, 12))
+
+    def _defines(self, scene: int) -> dict[str, int]:
+        return {"SCENE": scene} | ({"METAL": 1} if self.surface.steel else {})
 
     def _jobs(self, centres: Array, radii: Array, fineness: int) -> Float32:
         """Instance matrices (n, 4, 4) for bodies (n, 3), (n,), place and neighbours still to be filled in."""
@@ -308,10 +310,10 @@ class Film:
         if scene != BODIES:
             others = self._with_notes(jobs, others, places[moment, ball], ball, scene)
         rows = -(-len(alike) // across)
-        drawn = self._canvas.draw(jobs, others, (rows * tile, across * tile), self._uniforms | {"scene": scene})
+        drawn = self._canvas.draw(jobs, others, (rows * tile, across * tile), self._uniforms, **self._defines(scene))
         tiles = drawn.reshape(rows, tile, across, tile).swapaxes(1, 2).reshape(-1, tile, tile)[: len(alike)]
         blur = blur_matrix(width, margin, FINENESS, self.camera.psf_sigma_px, self.psf.steps)
-        return np.asarray(blur @ tiles @ blur.T)
+        return blurred(tiles, blur)
 
     def _neighbours(self, jobs: Float32, places: Array, moment: Index, ball: Index, ordered: bool) -> Float32:
         """Neighbours (n, N - 1, 4) of each body in its own radii, nearest first; counts go into the jobs.

@@ -10,9 +10,10 @@ import numpy as np
 from synthcam.kinematics import Array, rolling_state
 from synthcam.model import Bodies, Model
 from synthcam.sliding import ROUGH, Other
-from synthcam.spectral import TOLERANCE, Path, integrate
+from synthcam.spectral import DEEPEST, TOLERANCE, Path, integrate
 
 SLOWEST = 1e-7  # m/s: a ball slower than this has stopped
+SHALLOW, SHORTEST = 7, 1e-4  # halvings of a piece; its share of what would stop the ball
 LAWS = ("rolling", "push")
 
 
@@ -100,7 +101,7 @@ def _march(
 ) -> Rolls:
     """Pieces no longer than half of what would stop the ball, so that the speed never passes through zero in one."""
     y = np.concatenate([state[:, 0:2], state[:, 3:5]], axis=1)
-    now, pieces = time.astype(float).copy(), []
+    now, pieces, share_of_stop = time.astype(float).copy(), [], 0.5
     target = np.broadcast_to(until, now.shape).astype(float)
     while True:
         speed = np.hypot(y[:, 2], y[:, 3])
@@ -109,7 +110,7 @@ def _march(
             break
         begins, goal = now[who], target[who]
         force = acceleration(who, begins[:, None], y[who][:, None])[:, 0]
-        longest = 0.5 * speed[who] / np.maximum(np.hypot(force[:, 0], force[:, 1]), 1e-300)
+        longest = share_of_stop * speed[who] / np.maximum(np.hypot(force[:, 0], force[:, 1]), 1e-300)
         longest = np.where(stops, longest, np.inf)
         last = np.abs(goal - begins) <= longest
         spans = np.where(last, goal - begins, np.sign(goal - begins) * np.where(last, 1.0, longest))
@@ -118,7 +119,14 @@ def _march(
             a = acceleration(who, begins[:, None] + spans[:, None] * share, z)
             return np.asarray(np.concatenate([z[..., 2:4], a], axis=-1) * spans[:, None, None])
 
-        path = integrate(right, 0.0, 1.0, y[who], tolerance)
+        try:
+            path = integrate(right, 0.0, 1.0, y[who], tolerance, DEEPEST if share_of_stop < SHORTEST else SHALLOW)
+        except ValueError:
+            if not stops or share_of_stop < SHORTEST:
+                raise
+            share_of_stop /= 4  # a force that grew has stopped a ball earlier than the one at the start would
+            continue
+        share_of_stop = min(2 * share_of_stop, 0.5)
         y[who] = path(np.ones((len(who), 1)))[:, 0]
         now[who] = np.where(last, goal, begins + spans)
         pieces.append(Piece(who, begins, spans, path))

@@ -128,6 +128,9 @@ def clip_of(number: int, drawn: dict[str, Any], where: str = "") -> Clip:
     """The clip of plain, checked settings. Raises InputError when they contradict each other."""
     model, where = build(drawn), where or drawn["name"]
     timing, launch, camera = drawn["timing"], drawn["launch"], drawn["camera"]
+    for effect in model.effects:
+        if effect.active and "measure" in effect.laws:
+            raise InputError(f"{where}: effects.{effect.name()}: a defect of trackers; expected none in a scene")
     if timing["exposure"] > 1 / timing["fps"]:
         raise InputError(f"{where}: timing.exposure: expected at most 1/fps, {1 / timing['fps']:g} s")
     if camera["height"] <= 2 * model.ball.diameter:

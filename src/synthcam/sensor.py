@@ -109,6 +109,7 @@ class Chip:
         for same in (_Background.holds, _Background.fits):
             for background in self._backgrounds:
                 if same(background, plate):
+                    background.plate = plate  # known by its identity the next time
                     return background
         self._backgrounds.append(_Background(self, plate))
         while len(self._backgrounds) > 1 and sum(len(b.groups) for b in self._backgrounds) > TABLES:

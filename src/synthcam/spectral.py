@@ -69,10 +69,12 @@ def _matrices() -> tuple[Any, Any, Any]:
     return nodes, to_coefficients, chebyshev.chebvander(nodes, NODES) @ integral
 
 
-def integrate(right: Right, a: float, b: float, start: Array, tolerance: float = TOLERANCE) -> Path:
+def integrate(
+    right: Right, a: float, b: float, start: Array, tolerance: float = TOLERANCE, deepest: int = DEEPEST
+) -> Path:
     """y' = right(x, y) from a to b (b < a is allowed), y(a) = start (problems, k).
 
-    Raises ValueError when a law of motion is not smooth.
+    Raises ValueError when a law of motion is not smooth: a piece halved `deepest` times is still too long.
     """
     ends, coefficients = [a], []
     y, stack = np.asarray(start, dtype=float), [(b, 0)]
@@ -83,7 +85,7 @@ def integrate(right: Right, a: float, b: float, start: Array, tolerance: float =
             y = piece.sum(axis=-2)  # every Chebyshev polynomial is 1 at the right end
             ends.append(end)
             coefficients.append(piece)
-        elif depth == DEEPEST:
+        elif depth == deepest:
             raise ValueError("a leg could not be integrated: a law of motion is not smooth there")
         else:
             stack += [(end, depth + 1), ((ends[-1] + end) / 2, depth + 1)]

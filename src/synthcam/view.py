@@ -14,7 +14,8 @@ from synthcam.model import Model
 from synthcam.optics import Camera
 from synthcam.trajectory import Trajectory, mean
 
-TURNS = 4  # of the fixed points below; each gains the ratio of line time to flight time, 1e-3 and less
+TURNS = 20  # of the fixed points below, at most; each gains a factor, how many rows a ball passes while one is read
+SETTLED = 1e-14  # s
 
 
 @dataclass(frozen=True)
@@ -53,7 +54,9 @@ class View:
         out = np.repeat(film[None], len(self.motion.legs), axis=0)
         by_row = self.camera.line_time or self.model.laws.asks("clock", "row")
         for _ in range(TURNS if by_row else 1):
-            out = self._clock(film, out)
+            before, out = out, self._clock(film, out)
+            if np.abs(out - before).max(initial=0.0) < SETTLED:
+                break
         return out
 
     def at(self, film: Array) -> Array:
@@ -66,10 +69,13 @@ class View:
     def breaks(self) -> Array:
         """Film time of every event, rising."""
         out = []
-        for event in self.motion.events:
+        for event, ball in ((e, k) for e in self.motion.events for k in {e.i, e.j} - {-1}):
             film = event.t
             for _ in range(TURNS):
-                film += event.t - float(self.times(np.array([film]))[event.i, 0])
+                late = event.t - float(self.times(np.array([film]))[ball, 0])
+                film += late
+                if abs(late) < SETTLED:
+                    break
             out.append(film)
         return np.sort(np.array(out))
 

@@ -26,7 +26,8 @@ LOG_FLUX = (-5.0, 18.0)
 MOST = 1e6  # counts, of anything under a glint
 SWINGING = 8  # steps, after which a glint still on the move is swinging about its place: half steps from there
 LESSONS = 3  # steps of the shared body
-CLOSE = 2e-4  # px and log flux: a step this small ends the search
+ROUGH = 0.02  # px and log flux, a first fit before them
+CLOSE = 2e-4  # px and log flux: a step this small usually ends the search
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,8 +75,11 @@ class Fit:
     settled: Array
 
 
-def fit(windows: Windows, sigma: float, sensor: Sensor, body: Body | None = None) -> Fit:
-    """Fits a glint of width ``sigma`` px to each window, on a body of known shape or on a bowl of its own."""
+def fit(windows: Windows, sigma: float, sensor: Sensor, body: Body | None = None, close: float = CLOSE) -> Fit:
+    """Fits a glint of width ``sigma`` px to each window, on a body of known shape or on a bowl of its own.
+
+    A step under ``close``, px and log flux, ends the search.
+    """
     theta = _start(windows, sigma, sensor, body)
     active = np.arange(len(windows))
     settled = np.zeros(len(windows))
@@ -88,7 +92,7 @@ def fit(windows: Windows, sigma: float, sensor: Sensor, body: Body | None = None
             step *= 0.5
         theta[active] += step
         _bounded(theta, active, part.half)
-        still = np.max(np.abs(step[:, :3]), axis=1) > CLOSE
+        still = np.max(np.abs(step[:, :3]), axis=1) > close
         settled[active[~still]] = 1.0
         active = active[still]
     return _result(theta, windows, sigma, sensor, body, settled)
@@ -182,7 +186,7 @@ def learn(windows: Windows, sigma: float, sensor: Sensor, end: float) -> Body:
     The windows' own parameters are eliminated (Schur complement); their problem is nearly linear in the body.
     """
     theta = _start(windows, sigma, sensor, Body(end, np.zeros(len(POWERS))))
-    own = fit(windows, sigma, sensor)
+    own = fit(windows, sigma, sensor, close=ROUGH)
     theta[:, :3] = np.column_stack([own.xy, np.log(own.flux)])
     body = Body(end, np.zeros(len(POWERS)))
     for _ in range(LESSONS):

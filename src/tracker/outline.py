@@ -26,6 +26,8 @@ FEWEST = 20
 CORE = 3.6  # widths of the glint, left out about it
 VISIBLE = 20.0  # standard errors of the radius over which it must stand
 SIZES = (2.5, 4, 5.5, 7.5, 10, 14, 19, 25)  # px, first guesses of the radius
+ANOTHER = 0.1  # of the radius: a different one
+SURE = 15.0  # half the chi^2 by which it must be worse
 SYSTEMATIC = 0.01  # of the radius: rooms are not even, and balls no ideal mirrors
 
 
@@ -44,11 +46,8 @@ def outline(frames: Sequence[Any], plate: Ground, glints: Glints, sigma: float) 
         return None
     picture, weight = stack
     blur = math.sqrt(sigma**2 + 1.0 / 12.0)  # windows are centred on the nearest pixel
-    best: Any = None
-    for size in SIZES:
-        found = _fit(picture, weight, blur, float(size))
-        if best is None or found.cost < best.cost:
-            best = found
+    fits = sorted((_fit(picture, weight, blur, float(size)) for size in SIZES), key=lambda fit: float(fit.cost))
+    best = fits[0]
     freedom = max(int(np.count_nonzero(weight)) - 6, 1)
     try:
         cov = np.linalg.inv(best.jac.T @ best.jac) * (2.0 * best.cost / freedom)
@@ -57,6 +56,10 @@ def outline(frames: Sequence[Any], plate: Ground, glints: Glints, sigma: float) 
     radius = math.exp(best.x[0])
     std = radius * math.sqrt(max(float(cov[0, 0]), 0.0))
     inside = SIZES[0] < radius < 0.8 * HALF and math.hypot(*best.x[1:]) < 0.4 * radius
+    # With the glint over most of the body, a small disc and the rim of a larger ball's bowl can look the same.
+    rivals = [fit.cost for fit in fits if abs(fit.x[0] - best.x[0]) > ANOTHER]
+    if rivals and min(rivals) - best.cost < SURE * max(1.0, 2.0 * best.cost / freedom):
+        return None
     if not inside or not std < radius / VISIBLE or not _needed(picture, weight, best.cost, freedom):
         return None
     return Outline(radius, math.hypot(std, SYSTEMATIC * radius))

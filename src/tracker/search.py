@@ -44,18 +44,20 @@ def ground(frames: Sequence[Any]) -> Ground:
     noise = _noise(sample)
     middle = _median_of_nine(sample)
     smooth = _smooth(middle)
-    risen = (middle >= smooth + np.float32(4.0 * noise / 3.0 + 1.0)).astype(np.uint8)
-    wide = cv2.dilate(risen, np.ones((7, 7), np.uint8))
-    np.copyto(middle, np.rint(smooth), where=wide.view(np.bool_), casting="unsafe")
+    risen = cv2.subtract(middle, smooth, dtype=cv2.CV_32F) >= 4.0 * noise / 3.0 + 1.0
+    wide = np.flatnonzero(cv2.dilate(risen.view(np.uint8), np.ones((7, 7), np.uint8)))
+    middle.ravel()[wide] = np.rint(smooth.ravel()[wide]).astype(middle.dtype)
     return Ground(middle, noise)
 
 
-def _median_of_nine(sample: list[NDArray[Any]]) -> NDArray[Any]:
-    sheets = list(sample)
+def _median_of_nine(sheets: list[NDArray[Any]]) -> NDArray[Any]:
+    """The median; the nine are overwritten, for fresh memory costs more than the sorting."""
+    spare = np.empty_like(sheets[0])
     for low, high in MEDIAN_OF_NINE:
-        pair = sheets[low], sheets[high]
-        sheets[low], sheets[high] = cv2.min(*pair), cv2.max(*pair)
-    return np.asarray(sheets[4])
+        one, two = sheets[low], sheets[high]
+        sheets[low], spare = np.asarray(cv2.min(one, two, dst=spare)), one
+        sheets[high] = np.asarray(cv2.max(one, two, dst=two))
+    return sheets[4]
 
 
 def _smooth(picture: NDArray[Any]) -> NDArray[np.float32]:
@@ -105,16 +107,21 @@ class Search:
         drop = math.ceil(3.0 * plate.noise)
         self.floor = cv2.subtract(plate.level, np.full_like(plate.level, drop))
         area = self.box * self.box
-        self.small = plate.level.dtype == np.uint8 and area * 255 < 2**15
+        small = plate.level.dtype == np.uint8 and area * 255 < 2**15
+        self.depth = cv2.CV_16S if small else cv2.CV_32F
+        # Kept between frames: fresh memory of this size costs more than the sums.
+        self.lifted = np.empty_like(plate.level)
+        self.sums = np.empty(plate.level.shape, np.int16 if small else np.float32)
+        self.over = np.empty(plate.level.shape, np.bool_)
         least = area * drop + SIGNIFICANCE * self.box * plate.noise * math.sqrt(1.0 + 1.0 / 6.0)
         self.threshold = math.floor(least)  # whole, so that whole sums are compared as they are
         self.base = float(area * drop)
 
     def __call__(self, frame: NDArray[Any]) -> Finds:
-        lifted = cv2.subtract(frame, self.floor)
-        depth = cv2.CV_16S if self.small else cv2.CV_32F
-        sums = cv2.boxFilter(lifted, depth, (self.box, self.box), normalize=False, borderType=cv2.BORDER_REFLECT)
-        hits = np.flatnonzero(sums.ravel() > self.threshold)
+        lifted = cv2.subtract(frame, self.floor, dst=self.lifted)
+        box, edge = (self.box, self.box), cv2.BORDER_REFLECT
+        sums = cv2.boxFilter(lifted, self.depth, box, dst=self.sums, normalize=False, borderType=edge)
+        hits = np.flatnonzero(np.greater(sums, self.threshold, out=self.over).ravel())
         if len(hits) == 0:
             return NONE
         if len(hits) > CROWDED * sums.size:

@@ -38,7 +38,7 @@ class Outcome:
 
 
 def track_clip(clip: Clip, name: str = DEFAULT) -> tuple[Tracks, Camera, str]:
-    """Tracks of one clip, its camera with what was estimated from the clip filled in, and why nothing was seen, or ''."""
+    """Tracks of one clip, its camera with what the clip itself tells filled in, and why there is nothing, or ''."""
     view = look(clip)
     glints = detect(clip, view, name)
     return link(glints, view.camera), view.camera, why_nothing(clip.frames, view, glints)

@@ -8,14 +8,16 @@ pixels gives a Gaussian glint is the gradient of a smooth random field: shifts a
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import solve_triangular
 
 Floats = NDArray[np.float64]
 LONGEST = 200  # rows whitened together; beyond them a moving ball has long left its pixels
 FAR = 5.0  # widths; a shift that correlates by less than .002
 FEW = 2**17  # multiplications in one go: more, and the linear algebra library takes all cores for a trifle
+SMALL = 24  # rows of a matrix that is taken in one go
 OWN = 1e-3  # least share of the covariance that is a frame's own: keeps the matrix regular
 
 
@@ -33,8 +35,8 @@ class Whitener:
             step = np.hypot(*np.diff(place, axis=0).T)
             for start, end in _stretches(step > FAR * width):
                 rows = slice(start, end)
-                lower = np.linalg.cholesky(covariance(place[rows], cov[rows], fixed[rows], width))
-                self.blocks.append((rows, solve_triangular(lower, np.eye(len(lower)), lower=True)))
+                whole = covariance(place[rows], cov[rows], fixed[rows], width)
+                self.blocks.append((rows, _lower_root(whole)))
 
     def __call__(self, errors: Floats) -> Floats:
         """errors (n, 2) or (n, 2, p) -> (2n,) or (2n, p)."""
@@ -42,13 +44,8 @@ class Whitener:
         out = np.matmul(self.alone, tall).reshape(2 * len(errors), -1)
         for rows, root in self.blocks:
             block = tall[rows].reshape(len(root), -1)
-            size = max(1, FEW // block.size)
-            for k in range(0, len(root), size):  # lower triangular: what lies above row k + size is zero
-                low = slice(k, k + size)
-                out[2 * rows.start + k : 2 * rows.start + k + len(root[low])] = (
-                    root[low, : k + size] @ block[: k + size]
-                )
-        return out.reshape(2 * len(errors), *errors.shape[2:])
+            out[2 * rows.start : 2 * rows.start + len(root)] = _product(root, block)
+        return np.asarray(out.reshape(2 * len(errors), *errors.shape[2:]), dtype=np.float64)
 
     def distance(self, errors: Floats) -> Floats:
         """(n,) squared Mahalanobis distance of each place by itself."""
@@ -59,7 +56,7 @@ def _stretches(breaks: NDArray[np.bool_]) -> list[tuple[int, int]]:
     """(first, beyond last) of the stretches of two or more rows between breaks, none longer than LONGEST."""
     edges = [0, *(np.flatnonzero(breaks) + 1).tolist(), len(breaks) + 1]
     out = []
-    for first, last in zip(edges[:-1], edges[1:], strict=True):
+    for first, last in pairwise(edges):
         out += [(k, min(k + LONGEST, last)) for k in range(first, last, LONGEST)]
     return [(first, last) for first, last in out if last - first > 1]
 
@@ -73,7 +70,7 @@ def covariance(place: Floats, cov: Floats, fixed: Floats, width: float) -> Float
     apart = (place[:, None] - place[None]) / width
     near = np.exp(-(apart**2).sum(-1) / 4)[..., None, None]
     kernel = near * (np.eye(2) - apart[..., :, None] * apart[..., None, :] / 2)
-    shared = np.einsum("iab,ijbc,jcd->iajd", root, kernel, root, optimize=True)
+    shared = np.einsum("ijac,jcd->iajd", np.einsum("iab,ijbc->ijac", root, kernel), root)
     shared[range(n), :, range(n), :] += cov - fixed
     return np.asarray(shared.reshape(2 * n, 2 * n), dtype=np.float64)
 
@@ -83,6 +80,25 @@ def _admitted(cov: Floats, fixed: Floats) -> Floats:
     root = _inverse_root(cov)
     most = np.linalg.eigvalsh(root @ fixed @ np.swapaxes(root, 1, 2))[:, -1]
     return np.asarray(np.minimum(1.0, (1 - OWN) / np.maximum(most, 1e-300)), dtype=np.float64)
+
+
+def _lower_root(cov: Floats) -> Floats:
+    """Lower triangular W with W^T W = cov^-1, by halves: small products stay on one core."""
+    half = len(cov) // 2
+    if half < SMALL:
+        return np.asarray(np.linalg.inv(np.linalg.cholesky(cov)), dtype=np.float64)
+    out = np.zeros_like(cov)
+    first = out[:half, :half] = _lower_root(cov[:half, :half])
+    below = _product(cov[half:, :half], first.T)
+    second = out[half:, half:] = _lower_root(cov[half:, half:] - _product(below, below.T))
+    out[half:, :half] = -_product(second, _product(below, first))
+    return out
+
+
+def _product(a: Floats, b: Floats) -> Floats:
+    """a @ b, a few rows at a time."""
+    rows = max(1, FEW // b.size)
+    return np.concatenate([a[k : k + rows] @ b for k in range(0, len(a), rows)])
 
 
 def _inverse_root(cov: Floats) -> Floats:

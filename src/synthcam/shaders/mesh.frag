@@ -6,11 +6,12 @@
 uniform sampler2D others; // one row an instance: neighbours' centres and radii
 uniform vec3 up;          // the plate's normal
 uniform vec3 lamp;        // from the centre of the plate's quad
-uniform int scene;        // 0: bodies on an even plate; 1: bodies, and in the plate; 2: what they take from its light
+// SCENE is 0 for bodies on an even plate, 1 for bodies and their images in the plate, 2 for what they take from its
+// light: programs of their own, for software OpenGL runs every branch there is.
 uniform float gloss;      // reflectance of the plate
 uniform float zenith;     // radiance of the room overhead
 uniform float steel;      // reflectance at normal incidence, by Schlick's law
-uniform vec2 metal;       // n and k; n = 0: Schlick's law
+uniform vec2 metal;       // or n and k
 
 flat in vec4 place;
 flat in vec4 lens;
@@ -43,16 +44,17 @@ float entry(vec3 from, vec3 way, vec4 sphere) {
 
 // Schlick 1994, Comput. Graph. Forum 13; or Fresnel's laws for a metal, Born & Wolf, Principles of Optics, 14.2.
 float mirror(float cosine) {
-    if (metal.x > 0.0) {
-        float square = cosine * cosine, sine = 1.0 - square;
-        float t = metal.x * metal.x - metal.y * metal.y - sine;
-        float both = sqrt(t * t + 4.0 * metal.x * metal.x * metal.y * metal.y);
-        float a = 2.0 * cosine * sqrt((both + t) / 2.0);
-        float rest = both * square + sine * sine;
-        float across = (both + square - a) / (both + square + a);
-        return across * (1.0 + (rest - a * sine) / (rest + a * sine)) / 2.0;
-    }
+#ifdef METAL
+    float square = cosine * cosine, sine = 1.0 - square;
+    float t = metal.x * metal.x - metal.y * metal.y - sine;
+    float both = sqrt(t * t + 4.0 * metal.x * metal.x * metal.y * metal.y);
+    float a = 2.0 * cosine * sqrt((both + t) / 2.0);
+    float rest = both * square + sine * sine;
+    float across = (both + square - a) / (both + square + a);
+    return across * (1.0 + (rest - a * sine) / (rest + a * sine)) / 2.0;
+#else
     return steel + (1.0 - steel) * pow(clamp(1.0 - cosine, 0.0, 1.0), 5.0);
+#endif
 }
 
 // Room: brightest overhead, fading into the plate at the horizon.
@@ -67,6 +69,7 @@ float lit_plate(vec3 from, vec3 way) {
     return rest.w * height * height / (square * square);
 }
 
+#if SCENE > 0
 // Radiance that comes back along a ray which meets a ball at `near`.
 float seen(vec3 from, vec3 way, float near, int here) {
     int neighbours = int(rest.x);
@@ -175,7 +178,7 @@ float shade(vec3 from, vec3 way) {
     }
     return before * (passed(from, way, at, ball(SELF)) - 1.0);
 }
-
+#else
 float body(vec3 from, vec3 way) {
     int neighbours = int(rest.x);
     float near = entry(from, way, ball(SELF));
@@ -207,16 +210,19 @@ float body(vec3 from, vec3 way) {
     }
     return kept * radiance(way) - rest.w;
 }
+#endif
 
 void main() {
     // In this order the first difference is exact, and a body the same wherever its tile lies.
     vec2 sample_at = (gl_FragCoord.xy - place.xy) - place.zw;
     vec3 from = vec3(lens.xy * sample_at.x + lens.zw * sample_at.y, 0.0);
     vec3 way = normalize(from - eye.xyz);
-    float value;
-    if (rest.x < 0.0) value = lit_plate(from, way);
-    else if (scene == 0) value = body(from, way);
-    else if (scene == 1) value = body_and_image(from, way);
-    else value = shade(from, way);
+#if SCENE == 0
+    float value = rest.x < 0.0 ? lit_plate(from, way) : body(from, way);
+#elif SCENE == 1
+    float value = body_and_image(from, way);
+#else
+    float value = shade(from, way);
+#endif
     picture = vec4(eye.w * value);
 }

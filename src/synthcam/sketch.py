@@ -1,0 +1,71 @@
+"""A drawing of what an effect does: a collision without and with it, and how far the tracks part."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from synthcam.effect import Effect
+from synthcam.kinematics import Array
+from synthcam.launch import Launch
+from synthcam.model import Model
+from synthcam.optics import Camera, Lamp, glint_px
+from synthcam.view import View
+
+LAUNCH = {"time": 0.04, "v0": 0.4, "b": 0.35, "heading": 0.0, "contact": (-0.01, 0.0)}
+FRAMES, FPS = 80, 250.0
+NAMES, COLOURS = ("ball 1, at rest", "ball 2"), ("tab:blue", "tab:red")
+
+
+def realistic(kind: type[Effect]) -> Effect:
+    """The effect with every parameter at its realistic size."""
+    return kind(**{p.name: p.scale for p in kind.parameters()})
+
+
+def tracks(model: Model) -> Array:
+    """Where the nominal camera, mistaken for the real one, puts the centres: mm, (2, FRAMES, 2)."""
+    radius = model.ball.radius
+    nominal = Camera.overhead(
+        (640, 480), 1.6e-4, 0.5, ball_radius=radius, fps=FPS, exposure=5e-4, psf_sigma_px=1.0
+    )
+    lamp = Lamp(np.array([0.05, 0.0, 0.45]), 0.01)
+    camera = model.laws("camera", nominal, {})
+    camera = replace(camera, exposure=float(model.laws("exposure", camera.exposure, {"fps": FPS})))
+    view = View.of(model, Launch.pair(model.bodies("ab"), **LAUNCH), camera, FRAMES)  # type: ignore[arg-type]
+    pixels = view.mean(view.spans(FRAMES), lambda states: camera.project(states[..., :3]))
+
+    def glint(pixels: Array) -> Array:
+        centres = view.at(view.spans(FRAMES).mean(axis=1))[..., :3]
+        return pixels + glint_px(camera, lamp, centres, radius) - camera.project(centres)
+
+    seen = model.laws("measure", pixels, {"glint": glint}) - nominal.K[:2, 2]
+    return np.asarray(1e3 * nominal.scale * seen * [1, -1])
+
+
+def sketch(effect: Effect, path: Path) -> float:
+    """Draw the effect on a collision like the paper's; the largest distance between the tracks, um."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    base, bent = tracks(Model()), tracks(Model(effects=(effect,)))
+    apart = 1e3 * (bent - base)
+    figure = Figure(figsize=(9, 3.8), layout="constrained")
+    FigureCanvasAgg(figure)
+    left, right = figure.subplots(1, 2)
+    time = np.arange(FRAMES) / FPS * 1e3
+    for k in (0, 1):
+        left.plot(*base[k].T, color="0.6", lw=3, label="without" if k else None)
+        left.plot(*bent[k].T, color=COLOURS[k], lw=1, label=NAMES[k])
+        for axis, style in ((0, "-"), (1, "--")):
+            right.plot(time, apart[k, :, axis], style, color=COLOURS[k], lw=1, label=f"{NAMES[k]}, {'xy'[axis]}")
+    right.axvline(1e3 * float(LAUNCH["time"]), color="0.6", lw=0.8)  # type: ignore[arg-type]
+    left.set(xlabel="x, mm", ylabel="y, mm", aspect="equal", title="where the balls are seen")
+    right.set(xlabel="time, ms", ylabel="with less without, um", title="and how far from there without it")
+    left.legend(fontsize="small")
+    right.legend(fontsize="small")
+    values = ", ".join(f"{p.name} = {getattr(effect, p.name):g} {p.unit}".removesuffix(" 1") for p in effect.parameters())
+    figure.suptitle(f"{effect.name()}: {values}")
+    figure.savefig(path, dpi=120, metadata={"Software": None} if path.suffix.lower() == ".png" else None)
+    return float(np.abs(apart).max())
