@@ -93,9 +93,7 @@ def bounced(slip, up, pressed, bounce, mu):
     return t
 
 
-@given(
-    st.floats(0.05, 0.6), st.floats(-0.95, 0.95), st.floats(0, 0.9), st.floats(0, 0.7), st.floats(0.1, 1.5)
-)
+@given(st.floats(0.05, 0.6), st.floats(-0.95, 0.95), st.floats(0, 0.9), st.floats(0, 0.7), st.floats(0.1, 1.5))
 @settings(max_examples=60)
 def test_right_where_the_bounces_outlast_the_slip_too(v0, b, bounce, c, mu):
     motion = run(hopping(bounce, spin_transfer=c, sliding_friction=mu), v0, b, end=0.2)

@@ -22,7 +22,7 @@ ROWS = [
     "truth",
     "dataset",
     "generate",
-    "preview",
+    "preview sketch",
     "cli",
 ]
 LAZY = {("effect", "effects")}  # the folder scan of `library`, when it is called

@@ -25,6 +25,14 @@ def ready(deadly):
     return functools.partial(work, deadly)
 
 
+def deaf(number):
+    return str(signal.SIGINT in signal.pthread_sigmask(signal.SIG_BLOCK, ()))
+
+
+def ready_deaf():
+    return deaf
+
+
 def dead():
     os._exit(3)
 
@@ -69,3 +77,9 @@ def test_left_in_the_middle_no_worker_stays():
         time.sleep(0.02)
     assert pids
     assert not pids & running()
+
+
+def test_workers_never_hear_ctrl_c():
+    """Not even while they start: blocked from before they were, and here only for that long."""
+    assert dict(each([1, 2], 2, ready_deaf)) == {1: "True", 2: "True"}
+    assert signal.SIGINT not in signal.pthread_sigmask(signal.SIG_BLOCK, ())

@@ -61,9 +61,7 @@ def test_a_slide_unbent_is_the_parabola():
     lasts = np.hypot(*contact_velocity(START, R).T) / (3.5 * slowing)
     np.testing.assert_allclose(found.lasts, lasts, rtol=1e-13)
     times = np.linspace(0, 1, 33) * lasts[:, None]
-    np.testing.assert_allclose(
-        found.states(times), slide(START, R, np.full(3, slowing), times), rtol=1e-11, atol=1e-14
-    )
+    np.testing.assert_allclose(found.states(times), slide(START, R, np.full(3, slowing), times), rtol=1e-11, atol=1e-14)
     np.testing.assert_allclose(rolling_velocity(found.ends(), R), rolling_velocity(START, R), rtol=1e-13)
 
 

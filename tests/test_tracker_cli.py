@@ -215,7 +215,7 @@ def test_status_two_and_one_line(tmp_path):
             ["compare", "{tmp}/none", "--detectors", "centroid,centroid", "-o", "{tmp}/out"],
             "--detectors: expected different",
         ),
-        (["compare", "{tmp}/none", "--detectors", "centroid", "-o", "{tmp}"], "holds something else"),
+        (["compare", "{tmp}/none", "--detectors", "centroid", "-o", "{tmp}/out"], "expected a dataset with its truth"),
         (["calibrate", "{tmp}/none", "--diameter", "2e-3", "--fps", "250", "-o", "{tmp}/out"], "no such file"),
         (["calibrate", "{tmp}/two.tif", "--diameter", "0", "--fps", "250", "-o", "{tmp}/out"], "--diameter: expected"),
         (["calibrate", "{tmp}/two.tif", "--diameter", "2e-3", "--fps", "nan", "-o", "{tmp}/out"], "--fps: expected"),

@@ -77,6 +77,13 @@ def test_asked_again_it_tracks_nothing_again(filmed, compared, monkeypatch):
     assert compare(filmed, ["maximum_likelihood", "centroid"], report) == whole
 
 
+def test_a_folder_of_anything_else_is_left_alone(filmed, tmp_path):
+    (tmp_path / "thesis.tex").write_text("precious")
+    with pytest.raises(InputError, match="holds something else"):
+        compare(filmed, ["centroid"], tmp_path)
+    assert [p.name for p in tmp_path.iterdir()] == ["thesis.tex"]
+
+
 def test_a_peer_that_is_not_installed_is_one_line(filmed, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "trackpy", None)
     assert "trackpy_locate" in detectors()

@@ -128,4 +128,6 @@ def test_those_defects_act_on_what_is_measured():
     px = np.array([[10.25, 20.5], [3.0, 4.75]])
     seen = px + 0.5 * np.array([0.4, -0.2])  # half of the way to the glint; then drawn to the middles
     expected = seen - 0.1 * np.sin(2 * np.pi * seen)
-    np.testing.assert_allclose(model.laws("measure", px, {"glint": lambda x: x + [0.4, -0.2]}), expected, rtol=1e-14)
+    np.testing.assert_allclose(
+        model.laws("measure", px, {"glint": lambda x: x + np.array([0.4, -0.2])}), expected, rtol=1e-14
+    )

@@ -75,7 +75,7 @@ def hit(two, one, p):
 def play(balls, until, p):
     """Legs [(time, states)] from one hit to the next, and the hits [(time, two, one, before, after)]."""
     legs, hits, now = [(0.0, balls)], [], 0.0
-    step = 2e-4
+    step = 1e-3
     while now < until:
         nxt = [moved(b, step, p) for b in balls]
         for i in range(len(balls)):

@@ -225,17 +225,20 @@ def export(
 @app.command()
 def effects(
     name: Annotated[str | None, typer.Argument(metavar="NAME", help="One effect; default: all.")] = None,
+    output: Annotated[Path | None, typer.Option("-o", "--output", metavar="FILE", help="A .png to draw.")] = None,
     as_json: Json = False,
 ) -> None:
-    """The library of effects: laws, parameters, realistic sizes.
+    """The library of effects: laws, parameters, realistic sizes. With -o, what one of them does to the tracks.
 
-    Example: synthcam effects plate_tilt
+    Example: synthcam effects hop -o hop.png
     """
     from synthcam.effect import library
 
     known = library()
     if name is not None and name not in known:
         raise InputError(f"{name}: no such effect; there are {', '.join(known)}")
+    if output is not None and (name is None or output.suffix.lower() != ".png"):
+        raise InputError(f"-o {output}: expected the NAME of one effect, and a file that ends in .png")
     for effect in known.values() if name is None else [known[name]]:
         doc = (effect.__doc__ or "").strip()
         if as_json:
@@ -249,6 +252,12 @@ def effects(
             for p in effect.parameters():
                 kind = "shape" if p.fixed else "strength"
                 print(f"    {p.name}: {kind}, {p.unit}, realistic {p.scale:g}, from {p.low:g} to {p.high:g}")
+    if output is not None and name is not None:
+        from synthcam.sketch import realistic, sketch
+
+        apart = sketch(realistic(known[name]), output)
+        if not as_json:
+            print(f"    {output}: it moves what is seen by up to {apart:.3g} um")
 
 
 def _limit(x: float) -> float | None:

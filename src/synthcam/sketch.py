@@ -27,9 +27,7 @@ def realistic(kind: type[Effect]) -> Effect:
 def tracks(model: Model) -> Array:
     """Where the nominal camera, mistaken for the real one, puts the centres: mm, (2, FRAMES, 2)."""
     radius = model.ball.radius
-    nominal = Camera.overhead(
-        (640, 480), 1.6e-4, 0.5, ball_radius=radius, fps=FPS, exposure=5e-4, psf_sigma_px=1.0
-    )
+    nominal = Camera.overhead((640, 480), 1.6e-4, 0.5, ball_radius=radius, fps=FPS, exposure=5e-4, psf_sigma_px=1.0)
     lamp = Lamp(np.array([0.05, 0.0, 0.45]), 0.01)
     camera = model.laws("camera", nominal, {})
     camera = replace(camera, exposure=float(model.laws("exposure", camera.exposure, {"fps": FPS})))
@@ -38,7 +36,7 @@ def tracks(model: Model) -> Array:
 
     def glint(pixels: Array) -> Array:
         centres = view.at(view.spans(FRAMES).mean(axis=1))[..., :3]
-        return pixels + glint_px(camera, lamp, centres, radius) - camera.project(centres)
+        return np.asarray(pixels + glint_px(camera, lamp, centres, radius) - camera.project(centres))
 
     seen = model.laws("measure", pixels, {"glint": glint}) - nominal.K[:2, 2]
     return np.asarray(1e3 * nominal.scale * seen * [1, -1])
@@ -62,10 +60,12 @@ def sketch(effect: Effect, path: Path) -> float:
             right.plot(time, apart[k, :, axis], style, color=COLOURS[k], lw=1, label=f"{NAMES[k]}, {'xy'[axis]}")
     right.axvline(1e3 * float(LAUNCH["time"]), color="0.6", lw=0.8)  # type: ignore[arg-type]
     left.set(xlabel="x, mm", ylabel="y, mm", aspect="equal", title="where the balls are seen")
-    right.set(xlabel="time, ms", ylabel="with less without, um", title="and how far from there without it")
+    right.set(xlabel="time, ms", ylabel="with less without, µm", title="and how far from where they are without it")
     left.legend(fontsize="small")
     right.legend(fontsize="small")
-    values = ", ".join(f"{p.name} = {getattr(effect, p.name):g} {p.unit}".removesuffix(" 1") for p in effect.parameters())
+    values = ", ".join(
+        f"{p.name} = {getattr(effect, p.name):g} {p.unit}".removesuffix(" 1") for p in effect.parameters()
+    )
     figure.suptitle(f"{effect.name()}: {values}")
     figure.savefig(path, dpi=120, metadata={"Software": None} if path.suffix.lower() == ".png" else None)
     return float(np.abs(apart).max())

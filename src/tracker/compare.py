@@ -37,6 +37,9 @@ def compare(dataset: Path, names: Sequence[str], report: Path, tick: Tick = lamb
         )
     for name in chosen:
         detector(name)
+    known = dataset / "truth" / "clips.parquet"
+    if not known.is_file():
+        raise InputError(f"{known}: no such file, expected a dataset with its truth")
     if report.exists() and not (report.is_dir() and (not any(report.iterdir()) or (report / "results").is_dir())):
         raise InputError(f"{report}: exists and holds something else, expected a new folder for the report")
     (report / "results").mkdir(parents=True, exist_ok=True)
