@@ -355,3 +355,34 @@ def test_without_opengl_there_is_one_clear_line():
         )
         assert done.stdout.startswith("no off-screen OpenGL")
         assert done.stdout.count("\n") == 1
+
+
+def test_a_wide_lamp_is_the_sum_of_its_parts():
+    """A ring as 400 small discs of its plane."""
+    camera = overhead(size=(101, 81), scale=8e-5)
+    ring = Lamp(LAMP.position, 0.12, "ring", 0.1)
+    whole = one_frame(Film(camera, ring, [R], room=0), [0, 0, R]).image
+    parts, ball = np.zeros((81, 101)), (np.array([[[0, 0, R]]]), np.array([R]), np.ones((1, 1), bool))
+    columns, rows = np.arange(102) - 0.5, np.arange(82) - 0.5
+    for radius in np.sqrt(np.linspace(0.1**2, 0.12**2, 9)[1::2]):
+        for turn in np.arange(100) * 2 * np.pi / 100:
+            place = LAMP.position + radius * np.array([np.cos(turn), np.sin(turn), 0])
+            glints = find_glints(camera, Lamp(place, 0.002), *ball)
+            px, py = glints.pixels[0]
+            parts += glints.flux[0] * np.outer(np.diff(ndtr(rows - py)), np.diff(ndtr(columns - px)))
+    parts *= whole.sum() / parts.sum()
+    assert np.abs(whole - parts).max() < 5e-3
+    assert whole.max() == pytest.approx(1, abs=0.05)
+    disc = one_frame(Film(camera, Lamp(LAMP.position, 0.12), [R], room=0), [0, 0, R]).image
+    assert np.abs(disc * whole.sum() / disc.sum() - parts).max() > 0.1
+
+
+def test_vignetting_takes_its_share_in_the_corners():
+    plain, dark = (Film(overhead(vignetting=v), LAMP, [R], room=0.1) for v in (0.0, 0.4))
+    for place in ([0.0, 0, R], [0.045, 0.03, R]):
+        before, after = one_frame(plain, place).image, one_frame(dark, place).image
+        y, x = np.unravel_index(before.argmax(), before.shape)
+        box = np.s_[y - 3 : y + 4, x - 3 : x + 4]
+        share = 1 - 0.4 * ((x - 319.5) ** 2 + (y - 239.5) ** 2) / (320**2 + 240**2)
+        assert after[box].sum() / before[box].sum() == pytest.approx(share, rel=0.01)
+    assert dark.plate[0, 0] == pytest.approx(0.6 * plain.plate[0, 0], rel=0.01)

@@ -181,3 +181,35 @@ def test_saturation_and_types():
 def test_impossible_settings_are_refused(name, value):
     with pytest.raises(ValueError, match=name):
         Sensor(**{name: value})
+
+
+def test_hot_pixels_leak_their_share():
+    hot = {"hot_pixels": 0.02, "hot_dark": 1e6}
+    sensor = Sensor(bits=16, gain=1, read_noise=2, black_level=100, full_well=1e6, **hot, **EVEN)
+    chip = Chip(sensor, SIZE, 5e-4, root_seed=13)
+    mean = np.mean([chip.expose(flat(0.001), 0, k) for k in range(20)], axis=0) - 100
+    usual = np.median(mean)
+    leaking = mean > usual + 5
+    assert leaking.mean() == pytest.approx(0.02, rel=0.1)
+    assert (mean[leaking] - usual).mean() == pytest.approx(500, rel=0.1)  # 1e6 e-/s for half a millisecond
+    again = np.mean([chip.expose(flat(0.001), 7, k) for k in range(20)], axis=0) - 100
+    np.testing.assert_array_equal(leaking, again > usual + 5)
+    boxed = chip.expose(flat(0.001, ((slice(0, 90), slice(0, 320)),)), 0, 0).astype(float) - 100
+    assert boxed[leaking].mean() == pytest.approx(mean[leaking].mean(), rel=0.05)
+    cool = chip.expose(flat(0.5), 0, 0).astype(float)
+    assert cool[leaking].mean() - cool[~leaking].mean() == pytest.approx(500, rel=0.1)
+
+
+def test_plates_in_changing_light_keep_their_tables(monkeypatch):
+    monkeypatch.setattr(module, "TABLES", 4)
+    chip = Chip(Sensor(), SIZE, 5e-4, root_seed=14)
+    plates = [np.full(SIZE[::-1], level, np.float32) for level in (0.02, 0.03)]
+    first = [chip.expose(Picture(p, p, ()), 0, k) for k, p in enumerate(plates)]
+    kept = list(chip._backgrounds)
+    again = [chip.expose(Picture(p.copy(), p.copy(), ()), 0, k) for k, p in enumerate(plates)]
+    for a, b in zip(first, again, strict=True):
+        np.testing.assert_array_equal(a, b)
+    assert chip._backgrounds == kept
+    for level in np.linspace(0.02, 0.05, 8):
+        chip.expose(flat(level), 1, 0)
+    assert 1 < sum(len(b.groups) for b in chip._backgrounds) <= 4

@@ -79,6 +79,7 @@ def find_glints(
                     (surface.roughness, 1 - surface.scratches),
                     (np.hypot(surface.roughness, surface.scratch_slope), surface.scratches),
                 )
+                if share
             ]
         found += [[x[seen] for x in (moment, ball, pixels, wide, bright, order)] for wide, bright in lobes]
     if not found:

@@ -102,8 +102,8 @@ def blur_matrix(width: int, margin: int, fineness: int, sigma: float, steps: int
 def blurred(tiles: NDArray[np.float32], blur: NDArray[np.float32]) -> NDArray[np.float32]:
     """blur @ tiles @ blur.T for tiles (n, s, s), blur (w, s), by its band and in pieces.
 
-    OpenBLAS starts threads for products over 2.6e5 multiplications: the last bit then depends on their number, and where
-    others hold the cores they wait for one another, 25 to 90 ms for what one core does in 2.
+    OpenBLAS starts threads for products over 2.6e5 multiplications: the last bit then depends on their number, and
+    where others hold the cores they wait for one another, 25 to 90 ms for what one core does in 2.
     """
     if blur.size * blur.shape[1] < 2e5:
         return np.asarray(blur @ tiles @ blur.T)

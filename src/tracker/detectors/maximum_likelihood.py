@@ -104,14 +104,15 @@ class MaximumLikelihood:
         corner = np.column_stack([patches.column, patches.row]).astype(np.float64)
         place = corner + coarse_place(patches.counts, self.reach)
         rough = self._rough(patches, place)
-        streak = self._streaks(rough)
+        ids = assign(rough, self.camera)
+        streak = self._streaks(rough, ids)
         if self.body is None and self.bounded:
             self._learn(patches, place, streak)
         alone = np.zeros(len(place), dtype=bool)
         found, good = self._fit(patches, place, streak, alone, np.zeros((len(place), 3)))
         # The first places were rough, and with them velocities and neighbours: once more where that shows.
         better = streak.copy()
-        better[good] = self._streaks(found.take(good))
+        better[good] = self._streaks(found.take(good), ids[good])
         near, ghosts = self._neighbours(found, good)
         again = np.max(np.abs(better - streak), axis=1) > SHOWS * self.sigma
         rows = np.flatnonzero(again | near | (ghosts[:, 2] > 0))
@@ -130,11 +131,10 @@ class MaximumLikelihood:
             np.zeros(n), np.zeros(n, np.int64),
         )  # fmt: skip
 
-    def _streaks(self, glints: Glints) -> Array:
+    def _streaks(self, glints: Glints, ids: Ints) -> Array:
         if self.camera.exposure == 0.0:
             return np.zeros((len(glints), 2))
-        moved = velocities(glints.frame, assign(glints, self.camera), glints.xy)
-        return moved * (self.camera.exposure * self.camera.fps)
+        return velocities(glints.frame, ids, glints.xy) * (self.camera.exposure * self.camera.fps)
 
     def _fit(
         self, patches: _Patches, place: Array, streak: Array, near: NDArray[np.bool_], ghosts: Array
