@@ -2,8 +2,8 @@
 
 benchmarks/random_scenes.py [--runs 10000] [--seed 0] [-o out/random_scenes.json]
 
-A run may be refused with a ValueError that says why (a ball that cannot rest, balls that stay in contact); anything else
-is a failure. Energy is the two balls' kinetic energy, rolling and height included; it may rise only where an effect
+A run may be refused with a ValueError that says why (a ball that cannot rest, balls that stay in contact); all else is
+a failure. Energy is the two balls' kinetic energy, rolling and height included; it may rise only where an effect
 pushes. Prints a line for each failure, with the seed that repeats it.
 """
 
@@ -12,6 +12,7 @@ from __future__ import annotations
 import argparse
 import collections
 import json
+import signal
 import sys
 import time
 from concurrent.futures import ProcessPoolExecutor
@@ -29,6 +30,7 @@ from synthcam.trajectory import Trajectory
 
 ROOT = Path(__file__).resolve().parent.parent
 MOST = 4  # effects at once
+LONGEST = 20  # s, for one run
 OVERLAP = 1e-9  # of a radius
 MOTION = ("camera", "clock", "exposure", "measure")
 
@@ -95,17 +97,25 @@ def examine(model: Model, launch: Launch, motion: Trajectory) -> dict[str, float
     return {"overlap": deepest, "rise": rise, "events": len(motion.events), "finite": float(np.isfinite(states).all())}
 
 
+def _too_long(*_: Any) -> None:
+    raise TimeoutError(f"not solved within {LONGEST} s")
+
+
 def one(seed: int) -> dict[str, Any]:
     """Run number `seed`."""
     model, launch, end = draw(np.random.default_rng(seed))
     about = {"seed": seed, "effects": [e.name() for e in model.effects if e.active], "balls": len(launch.states)}
     started = time.perf_counter()
+    signal.signal(signal.SIGALRM, _too_long)
+    signal.alarm(LONGEST)
     try:
         motion = solve(model, launch, 0.0, end)
     except ValueError as e:
         return about | {"refused": str(e), "seconds": time.perf_counter() - started}
     except Exception as e:  # whatever it is, it is what we look for
         return about | {"crash": repr(e), "seconds": time.perf_counter() - started}
+    finally:
+        signal.alarm(0)
     return about | examine(model, launch, motion) | {"seconds": time.perf_counter() - started}
 
 

@@ -110,6 +110,6 @@ def test_no_exposure_is_an_instant():
 def test_what_has_no_solution_says_so():
     with pytest.raises(ValueError, match="cannot rest"):
         collisions(Model().replace({"plate_tilt.x": 2e-3}), launches(3), 0.0, END)
+    downhill = Model().replace({"plate_waviness.a": -5e-5, "plate_waviness.wavelength": 0.1})
     with pytest.raises(ValueError, match="come from rest"):
-        downhill = Model().replace({"plate_waviness.a": -5e-5, "plate_waviness.wavelength": 0.1})
         collisions(downhill, np.array([[-1.19e-3, 0.0, 2.9, 0.01, 0.0, 0.0]]), 0.0, 3.0)

@@ -75,7 +75,7 @@ def test_final_velocities_know_nothing_of_the_hop(v0, b, heading, bounce, c):
 
 
 def bounced(slip, up, pressed, bounce, mu):
-    """When a ball that slips (2,) and leaves the plate at `up`, or is pressed on it at `pressed`, rolls: event by event."""
+    """When a ball that slips, and leaves the plate at `up` or is pressed on it at `pressed`, rolls: event by event."""
     t, first = 0.0, True
     speed = np.hypot(*slip)
     while speed > 0:

@@ -40,7 +40,9 @@ def solve(model: Model, launch: Launch, start: float = 0.0, end: float = 0.0) ->
     Legs are closed forms where no active effect bends them, numerical solutions elsewhere. Raises ValueError when a
     ball that should be at rest cannot stay there, when balls overlap, or when the motion does not settle.
     """
-    if model.laws.asks("push", "other") and len(launch.states) == 2:
+    if model.laws.asks("push", "other") and len(launch.states) > 1:
+        if len(launch.states) > 2:
+            raise ValueError(f"balls that push each other are modelled in twos, not {len(launch.states)} at a time")
         return _coupled(model, launch, start, end)
     return _Run(model, launch, start, end, [None] * len(launch.states)).motion()
 
@@ -212,7 +214,7 @@ class _Run:
         body, other = self._body(k), self._other(k)
         instant = dict(position=state[:2], velocity=np.zeros(2), gravity=self.model.gravity)
         instant |= dict(radius=body.radius[0], mass=body.mass[0], of_a=body.of_a[0])
-        instant["other"] = np.full(2, np.inf) if other is None else other(np.array([[t]]), 0)[0, 0] - state[:2]
+        instant["other"] = sliding.NOWHERE if other is None else other(np.array([[t]]), 0)[0, 0] - state[:2]
         return np.asarray(self.model.laws("push", np.zeros(2), instant))
 
     def _loosened(self, k: int, state: Array, t: float) -> float:

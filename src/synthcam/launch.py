@@ -42,6 +42,8 @@ def touching(one: Bodies, two: Bodies, v0: Array, b: Array, heading: Array, cont
     d = np.stack([np.cos(heading), np.sin(heading)], axis=-1)
     apart = 2 * np.sqrt(one.radius * two.radius)  # of the centres, seen from above
     sine = -b * (one.radius + two.radius) / apart
+    if np.any(np.abs(sine) >= 1):
+        raise ValueError(f"b = {b[np.abs(sine).argmax()]:.6g}: balls of these sizes pass each other without touching")
     n = np.sqrt(1 - sine * sine)[:, None] * d + sine[:, None] * np.stack([-d[:, 1], d[:, 0]], axis=-1)
     share = (one.radius / (one.radius + two.radius))[:, None]
     target = rolling_state(contact + share * apart[:, None] * n, np.zeros_like(n), 0.0, one.radius)

@@ -9,7 +9,7 @@ import numpy as np
 
 from synthcam.kinematics import Array, rolling_state
 from synthcam.model import Bodies, Model
-from synthcam.sliding import ROUGH, Other
+from synthcam.sliding import NOWHERE, ROUGH, Other
 from synthcam.spectral import DEEPEST, TOLERANCE, Path, integrate
 
 SLOWEST = 1e-7  # m/s: a ball slower than this has stopped
@@ -91,8 +91,7 @@ def flights(model: Model, state: Array, bodies: Bodies, time: Array, until: Arra
 def _instant(model: Model, bodies: Bodies, t: Array, y: Array, other: Other | None, which: Any) -> dict[str, Any]:
     instant: dict[str, Any] = dict(position=y[..., :2], velocity=y[..., 2:4], gravity=model.gravity)
     instant |= dict(radius=bodies.radius[:, None], mass=bodies.mass[:, None], of_a=bodies.of_a[:, None])
-    if other is not None:
-        instant["other"] = other(t, which) - y[..., :2]
+    instant["other"] = NOWHERE if other is None else other(t, which) - y[..., :2]
     return instant
 
 

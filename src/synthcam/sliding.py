@@ -22,6 +22,7 @@ FINISH = 1e-5  # of the first slip: the rest of the slide, a microsecond, is tak
 LAST = float(np.log(FINISH))
 ROUGH = 1e-11  # tolerance in the path of another ball, which has kinks
 LAWS = ("friction", "normal_load", "push", "drilling")
+NOWHERE = np.full(2, np.inf)  # where the other ball is when there is none
 Other = Callable[[Array, Any], Array]  # times (k, n), which k balls -> places of the other ball, (k, n, 2)
 
 
@@ -90,8 +91,7 @@ def slides(model: Model, state: Array, bodies: Bodies, time: Array, other: Other
         v = y[..., 3:5] + 2 / 7 * slip[..., None] * hat
         instant: dict[str, Any] = dict(slip_speed=slip, slip=hat, position=y[..., 1:3], velocity=v, spin=y[..., 6])
         instant |= dict(gravity=model.gravity, radius=radius, mass=bodies.mass[:, None], of_a=bodies.of_a[:, None])
-        if other is not None:
-            instant["other"] = other(time[:, None] + y[..., 0], slice(None)) - y[..., 1:3]
+        instant["other"] = NOWHERE if other is None else other(time[:, None] + y[..., 0], slice(None)) - y[..., 1:3]
         push = model.laws("push", np.zeros_like(v), instant)
         friction = model.laws("friction", model.sliding_friction, instant)
         load = model.laws("normal_load", model.gravity, instant)

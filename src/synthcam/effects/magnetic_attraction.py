@@ -19,6 +19,6 @@ class MagneticAttraction(Effect):
     pull: float = parameter("m/s^2", scale=0.1, low=-0.5, high=0.5)
 
     def push(self, acceleration: Any, other: Any, radius: Any) -> NDArray[np.float64]:
-        r = np.hypot(other[..., 0], other[..., 1])
-        near = (2 * radius / r) ** 4 / r
-        return np.asarray(acceleration + self.pull * np.where(np.isfinite(r), near, 0.0)[..., None] * other)
+        r = np.hypot(other[..., 0], other[..., 1])  # infinite where there is no other
+        towards = np.where(np.isfinite(other), other, 1.0) / r[..., None]
+        return np.asarray(acceleration + (self.pull * (2 * radius / r) ** 4)[..., None] * towards)
