@@ -5,9 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from synthcam import truth
+from synthcam.dataset import view_of
 from synthcam.lamp import Flicker, Lamp
 from synthcam.optics import Camera
 from synthcam.render import Film
+from synthcam.scene import check_scene
 
 R = 1.19e-3
 LAMP = Lamp(np.array([0.05, 0.0, 0.45]), 0.01)
@@ -57,3 +60,20 @@ def test_flicker_over_a_long_exposure():
     assert np.abs(long.image - mean).max() < 1e-3
     (steady,) = Film(overhead(), LAMP, [R, R], 0.1).frames(collision, [[0, 4e-3]], [1.2e-3])
     assert np.abs(long.image - steady.image).max() > 0.02
+
+
+@pytest.mark.parametrize("shutter", ["global", "rolling"])
+def test_the_truth_stands_where_the_picture_shows_it(shutter):
+    camera = {"shutter": shutter, "line_time": 2e-5, "size": [320, 240]}
+    launch = {"kind": "single", "v0": 0.5, "heading": 1.1, "contact": [0, 0]}
+    settings = {"name": "r", "camera": camera, "launch": launch, "timing": {"frames": 8, "contact_frame": 4.2}}
+    clip = check_scene(settings | {"lamp": {"room": 0.0}}, "r").draw(0, 0)
+    view = view_of(clip)
+    table = truth.tracks(clip.launch.bodies, view, clip.lamp, clip.frames)
+    drawn, (down, across) = view.as_drawn(), np.mgrid[:240, :320]
+    film = Film(clip.camera, clip.lamp, [clip.model.ball.radius], clip.room)
+    pictures = film.frames(lambda t: drawn.at(t)[:, :, :3].transpose(1, 0, 2), drawn.spans(8), drawn.breaks())
+    for picture, (_, row) in zip(pictures, table.iterrows(), strict=True):
+        light = picture.image - picture.plate
+        seen = np.array([(light * across).sum(), (light * down).sum()]) / light.sum()
+        np.testing.assert_allclose(seen, [row["glint_x_px"], row["glint_y_px"]], atol=1e-3)

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from synthcam import rolling, sliding
 from synthcam.dynamics import AGREED, STILL, SWEEPS, solve, uncoupled
+from synthcam.hermite import Table, around
 from synthcam.impact import collide, land
 from synthcam.kinematics import (
     Array,
@@ -156,6 +157,12 @@ def _swept(motion: Callable[[Model, Batch | None], Batch], model: Model) -> Batc
     return out
 
 
+def _table(known: Batch, t_c: Array) -> Table:
+    """Where all balls were in the last sweep."""
+    knots = np.concatenate([around(t_c, known.start, known.end), np.clip(known.breaks, known.start, known.end)], axis=1)
+    return Table.of(lambda times: known.at(times)[..., [0, 1, 3, 4]].reshape(len(times), -1, 4), knots)
+
+
 def _met_again(out: Batch, both: Bodies) -> Ints:
     """Collisions whose balls overlap after the impact, so that a second impact is missing."""
     n = out.size
@@ -207,8 +214,9 @@ class _Run:
     """Builds the segments of a batch, round by round, all balls that are in one state together."""
 
     def __init__(self, model: Model, bodies: Bodies, out: Batch, t_c: Array, known: Batch | None) -> None:
-        self.model, self.bodies, self.out, self.t_c, self.known = model, bodies, out, t_c, known
+        self.model, self.bodies, self.out, self.t_c = model, bodies, out, t_c
         self.kinks = [t_c.copy()]
+        self.table = _table(known, t_c) if known else None
         out.slide_ends = t_c.copy()
 
     def before(self, target: Array, striker: Array) -> None:
@@ -258,17 +266,11 @@ class _Run:
 
     def _other(self, who: Ints) -> sliding.Other | None:
         """Where the partners of balls `who` were in the last sweep."""
-        known = self.known
-        if known is None:
+        table = self.table
+        if table is None:
             return None
-        partners = (who + known.size) % (2 * known.size)
-
-        def places(times: Array, which: Any) -> Array:
-            own = np.full((2 * known.size, times.shape[1]), known.start)
-            own[partners[which]] = np.clip(times, known.start, known.end)
-            return np.asarray(known.at(own)[..., :2].reshape(len(own), -1, 2)[partners[which]])
-
-        return places
+        partners = (who + len(self.t_c) // 2) % len(self.t_c)
+        return lambda times, which: table(partners[which], np.broadcast_to(times, (len(partners[which]), times.shape[1])))
 
     def _kink(self, who: Ints, when: Array) -> None:
         column = np.full(len(self.t_c), np.inf)

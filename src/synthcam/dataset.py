@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import hashlib
+import itertools
 import json
 import math
 import os
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -28,6 +30,7 @@ from synthcam.view import View
 Frames = Iterator[NDArray[np.uint8] | NDArray[np.uint16]]
 SUMS = "SHA256SUMS"
 ROWS = 1024  # of clips.parquet, written at a time
+HASHED = 256  # files given to the threads at a time
 IMAGEJ_LIMIT = 4_000_000_000  # bytes of a stack; a longer one is a plain BigTIFF
 
 
@@ -165,10 +168,12 @@ def _write_rows(root: Path) -> tuple[int, list[str]]:
 
 def write_sums(folder: Path, unlisted: str = "") -> None:
     """Write SHA256SUMS of all files but itself and `unlisted`."""
-    with (folder / SUMS).open("w", encoding="utf-8") as sums:
-        for path in _files(folder):
-            if path.name not in (SUMS, unlisted):
-                sums.write(f"{sha256(path)}  {path.relative_to(folder).as_posix()}\n")
+    paths = (path for path in _files(folder) if path.name not in (SUMS, unlisted))
+    # The workers have ended: hashing, a seventh of a frame's work, may use their cores.
+    with (folder / SUMS).open("w", encoding="utf-8") as sums, ThreadPoolExecutor() as pool:
+        while batch := list(itertools.islice(paths, HASHED)):
+            for path, digest in zip(batch, pool.map(sha256, batch), strict=True):
+                sums.write(f"{digest}  {path.relative_to(folder).as_posix()}\n")
 
 
 def _files(folder: Path) -> Iterator[Path]:

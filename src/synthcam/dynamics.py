@@ -9,6 +9,7 @@ from collections.abc import Callable
 import numpy as np
 
 from synthcam import rolling, sliding
+from synthcam.hermite import Table, around
 from synthcam.impact import LOWEST, collide, land
 from synthcam.kinematics import (
     Array,
@@ -52,8 +53,7 @@ def _coupled(model: Model, launch: Launch, start: float, end: float) -> Trajecto
     path = _Run(uncoupled(model), launch, start, end, [None, None]).motion()
     grid = np.linspace(start, path.t1, 200)
     for _ in range(SWEEPS):
-        others: list[Others | None] = [_path_of(path, 1), _path_of(path, 0)]
-        new = _Run(model, launch, start, end, others).motion()
+        new = _Run(model, launch, start, end, _paths(path)).motion()
         common = grid[grid <= min(new.t1, path.t1)]
         change = np.abs(new.at(common)[:, :, :2] - path.at(common)[:, :, :2]).max()
         path = new
@@ -67,15 +67,17 @@ def uncoupled(model: Model) -> Model:
     return dataclasses.replace(model, effects=tuple(e for e in model.effects if "other" not in e.laws.get("push", ())))
 
 
-def _path_of(path: Trajectory, ball: int) -> Others:
-    """Where a ball is; beyond the ends of what is known it goes straight on."""
+def _paths(path: Trajectory) -> list[Others | None]:
+    """Where the other ball of each of two is; beyond the ends of what is known it goes straight on."""
+    meetings = np.array([e.t for e in path.events if e.kind == "contact"] or [path.t0])
+    grid = around(meetings, path.t0, path.t1).ravel()
+    knots = np.tile([path.t0, path.t1, *(e.t for e in path.events), *grid], (2, 1))
+    table = Table.of(lambda times: path.at(times[0])[..., [0, 1, 3, 4]], np.unique(knots, axis=1))
 
-    def places(t: Array) -> Array:
-        inside = np.clip(t, path.t0, path.t1)
-        states = path.at(inside)[ball]
-        return np.asarray(states[:, :2] + (t - inside)[:, None] * states[:, 3:5])
+    def of(ball: int) -> Others:
+        return lambda t: table(np.array([ball]), t[None])[0]
 
-    return places
+    return [of(1), of(0)]
 
 
 class _Run:

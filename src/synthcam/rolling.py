@@ -10,7 +10,7 @@ import numpy as np
 from synthcam.kinematics import Array, rolling_state
 from synthcam.model import Bodies, Model
 from synthcam.sliding import NOWHERE, ROUGH, Other
-from synthcam.spectral import DEEPEST, TOLERANCE, Path, integrate
+from synthcam.spectral import DEEPEST, RESOLVED, Path, integrate
 
 SLOWEST = 1e-7  # m/s: a ball slower than this has stopped
 SHALLOW, SHORTEST = 7, 1e-4  # halvings of a piece; its share of what would stop the ball
@@ -75,7 +75,7 @@ def rolls(model: Model, state: Array, bodies: Bodies, time: Array, until: Array,
         push = model.laws("push", np.zeros_like(v), instant)
         return np.asarray(5 / 7 * push - (loss / np.maximum(speed, 1e-300))[..., None] * v)
 
-    return _march(acceleration, state, bodies, time, until, True, TOLERANCE if other is None else ROUGH)
+    return _march(acceleration, state, bodies, time, until, True, RESOLVED if other is None else ROUGH)
 
 
 def flights(model: Model, state: Array, bodies: Bodies, time: Array, until: Array, other: Other | None = None) -> Rolls:
@@ -85,7 +85,7 @@ def flights(model: Model, state: Array, bodies: Bodies, time: Array, until: Arra
         instant = _instant(model, bodies[which], t, y, other, which)
         return np.asarray(model.laws("push", np.zeros_like(y[..., 2:4]), instant))
 
-    return _march(acceleration, state, bodies, time, until, False, TOLERANCE if other is None else ROUGH)
+    return _march(acceleration, state, bodies, time, until, False, RESOLVED if other is None else ROUGH)
 
 
 def _instant(model: Model, bodies: Bodies, t: Array, y: Array, other: Other | None, which: Any) -> dict[str, Any]:
@@ -96,7 +96,7 @@ def _instant(model: Model, bodies: Bodies, t: Array, y: Array, other: Other | No
 
 
 def _march(
-    acceleration: Any, state: Array, bodies: Bodies, time: Array, until: Array, stops: bool, tolerance: float
+    acceleration: Any, state: Array, bodies: Bodies, time: Array, until: Array, stops: bool, resolved: float
 ) -> Rolls:
     """Pieces no longer than half of what would stop the ball, so that the speed never passes through zero in one."""
     y = np.concatenate([state[:, 0:2], state[:, 3:5]], axis=1)
@@ -119,7 +119,7 @@ def _march(
             return np.asarray(np.concatenate([z[..., 2:4], a], axis=-1) * spans[:, None, None])
 
         try:
-            path = integrate(right, 0.0, 1.0, y[who], tolerance, DEEPEST if share_of_stop < SHORTEST else SHALLOW)
+            path = integrate(right, 0.0, 1.0, y[who], resolved, DEEPEST if share_of_stop < SHORTEST else SHALLOW)
         except ValueError:
             if not stops or share_of_stop < SHORTEST:
                 raise

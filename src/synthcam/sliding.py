@@ -16,11 +16,11 @@ import numpy as np
 
 from synthcam.kinematics import Array, contact_velocity, plate_state, rolling_velocity
 from synthcam.model import Bodies, Model
-from synthcam.spectral import TOLERANCE, Path, integrate
+from synthcam.spectral import RESOLVED, Path, integrate
 
 FINISH = 1e-5  # of the first slip: the rest of the slide, a microsecond, is taken as a uniform deceleration
 LAST = float(np.log(FINISH))
-ROUGH = 1e-11  # tolerance in the path of another ball, which has kinks
+ROUGH = 1e-8  # of the last coefficients in the path of another ball: its kinks make pushes unsmooth, but hardly
 LAWS = ("friction", "normal_load", "push", "drilling")
 NOWHERE = np.full(2, np.inf)  # where the other ball is when there is none
 Other = Callable[[Array, Any], Array]  # times (k, n), which k balls -> places of the other ball, (k, n, 2)
@@ -64,14 +64,12 @@ class Slides:
         """ln(|u|/|u0|) at which the slide has lasted `elapsed`: Newton on the path's own time, kept in brackets."""
         log = np.clip(np.log1p(-elapsed / self.cut[:, None] * (1 - FINISH)), LAST, 0.0)  # exact for constant friction
         low, high = np.full(elapsed.shape, LAST), np.zeros(elapsed.shape)
-        times = Path(self.path.ends, self.path.coefficients[..., :1])
+        times = self.path.with_slope(0)
         for _ in range(60):
-            time = times(log)[..., 0]
+            time, slope = np.moveaxis(times(log), -1, 0)
             late = time > elapsed
             low, high = np.where(late, log, low), np.where(late, high, log)
-            h = np.where(log < LAST / 2, 1e-6, -1e-6)
-            slope = (times(log + h)[..., 0] - time) / h
-            new = log - (time - elapsed) / slope
+            new = log - (time - elapsed) / np.where(slope < 0, slope, -np.inf)
             new = np.where((new >= low) & (new <= high), new, (low + high) / 2)
             if np.all(np.abs(new - log) * np.exp(log) < 1e-14):
                 return np.asarray(new)
@@ -112,7 +110,7 @@ def slides(model: Model, state: Array, bodies: Bodies, time: Array, other: Other
         return out
 
     start = np.column_stack([np.zeros(len(state)), state[:, 0:2], q, np.arctan2(u[:, 1], u[:, 0]), state[:, 8]])
-    path = integrate(right, 0.0, LAST, start, TOLERANCE if other is None else ROUGH)
+    path = integrate(right, 0.0, LAST, start, RESOLVED if other is None else ROUGH)
     last = path(np.full((len(state), 1), LAST))
     slip = (first * FINISH)[:, None]
     slowing, _, push, _, twist = (np.broadcast_to(f, (*slip.shape, *f.shape[2:]))[:, 0] for f in forces(slip / 2, last))

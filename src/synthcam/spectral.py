@@ -20,7 +20,9 @@ Array = NDArray[np.float64]
 Right = Callable[[Array, Array], Array]  # x (n,), y (problems, n, k) -> (problems, n, k)
 
 NODES = 32
-TOLERANCE = 1e-14
+TOLERANCE = 1e-14  # of the iteration
+SETTLED = 1e-12  # what rounding may leave of the iteration's changes
+RESOLVED = 1e-13  # of the last coefficients
 DEEPEST = 12
 
 
@@ -33,81 +35,107 @@ class Path:
 
     def __call__(self, x: Array) -> Array:
         """Values (problems, m, k) at x (problems, m); outside the ends the outermost piece is continued."""
-        if len(self.ends) == 2:
-            return _series(self.coefficients[0], self._scaled(0, x))
-        rising = self.ends[-1] >= self.ends[0]
-        inner = self.ends[1:-1]
+        ends = self.ends
+        if len(ends) == 2:
+            return np.asarray(_polynomials((2 * x - ends[0] - ends[1]) / (ends[1] - ends[0])) @ self.coefficients[0])
+        rising = ends[-1] >= ends[0]
+        inner = ends[1:-1]
         which = np.searchsorted(inner, x) if rising else len(inner) - np.searchsorted(inner[::-1], x)
+        a, b = ends[which], ends[which + 1]
+        polynomials = _polynomials((2 * x - a - b) / (b - a))
         out = np.empty((*x.shape, self.coefficients.shape[-1]))
-        for k in range(len(self.ends) - 1):
+        for k in range(len(ends) - 1):
             here = which == k
-            if np.any(here):
-                out = np.where(here[..., None], _series(self.coefficients[k], self._scaled(k, x)), out)
+            columns = np.flatnonzero(here.any(axis=0))
+            if len(columns):
+                first, last = columns[0], columns[-1] + 1
+                values = polynomials[:, first:last] @ self.coefficients[k]
+                out[:, first:last] = np.where(here[:, first:last, None], values, out[:, first:last])
         return out
 
-    def _scaled(self, k: int, x: Array) -> Array:
-        a, b = self.ends[k], self.ends[k + 1]
-        return np.asarray((2 * x - a - b) / (b - a))
+    def with_slope(self, k: int) -> Path:
+        """The k-th value and its derivative."""
+        c = self.coefficients[..., k]
+        slope = np.zeros_like(c)
+        slope[..., :-1] = chebyshev.chebder(c, axis=-1) * (2 / np.diff(self.ends))[:, None, None]
+        return Path(self.ends, np.stack([c, slope], axis=-1))
 
 
-def _series(c: Array, x: Array) -> Array:
-    """Clenshaw's recurrence: c (problems, n, k) at x (problems, m) -> (problems, m, k)."""
-    x2 = 2 * x[..., None]
-    c = c[:, None]
-    one, two = c[..., -2, :], c[..., -1, :]
-    for k in range(3, c.shape[-2] + 1):
-        one, two = c[..., -k, :] - two, one + two * x2
-    return np.asarray(one + two * x[..., None])
+def _polynomials(x: Array) -> Array:
+    """Chebyshev polynomials (..., NODES) at x."""
+    out = np.empty((NODES, *x.shape))
+    out[0], out[1] = 1.0, x
+    twice = 2 * x
+    for k in range(2, NODES):
+        np.multiply(twice, out[k - 1], out=out[k])
+        out[k] -= out[k - 2]
+    return np.moveaxis(out, 0, -1)
+
+
+@dataclass(frozen=True)
+class Matrices:
+    """On the nodes of [-1, 1]: values -> coefficients, -> integrals from -1, -> values on the nodes of either half."""
+
+    nodes: Array
+    coefficients: Array
+    integral: Array
+    halves: tuple[Array, Array]
 
 
 @cache
-def _matrices() -> tuple[Any, Any, Any]:
-    """Nodes on [-1, 1]; values -> coefficients; values -> integral from -1 at the nodes."""
+def matrices() -> Matrices:
     nodes = -np.cos(np.pi * np.arange(NODES) / (NODES - 1))
-    to_coefficients = np.linalg.inv(chebyshev.chebvander(nodes, NODES - 1))
-    integral = chebyshev.chebint(to_coefficients, lbnd=-1, axis=0)
-    return nodes, to_coefficients, chebyshev.chebvander(nodes, NODES) @ integral
+    coefficients = np.asarray(np.linalg.inv(chebyshev.chebvander(nodes, NODES - 1)), dtype=np.float64)
+    integral = np.asarray(chebyshev.chebvander(nodes, NODES) @ chebyshev.chebint(coefficients, lbnd=-1, axis=0))
+    left, right = (chebyshev.chebvander((nodes + side) / 2, NODES - 1) @ coefficients for side in (-1, 1))
+    return Matrices(nodes, coefficients, integral, (left, right))
 
 
 def integrate(
-    right: Right, a: float, b: float, start: Array, tolerance: float = TOLERANCE, deepest: int = DEEPEST
+    right: Right, a: float, b: float, start: Array, resolved: float = RESOLVED, deepest: int = DEEPEST
 ) -> Path:
     """y' = right(x, y) from a to b (b < a is allowed), y(a) = start (problems, k).
 
-    Raises ValueError when a law of motion is not smooth: a piece halved `deepest` times is still too long.
+    resolved: how small the last coefficients must be, over the largest value. Raises ValueError when a law of motion is
+    not smooth: a piece halved `deepest` times is still too long.
     """
     ends, coefficients = [a], []
-    y, stack = np.asarray(start, dtype=float), [(b, 0)]
+    y = np.asarray(start, dtype=float)
+    stack = [(b, 0, np.repeat(y[:, None], NODES, axis=1))]
     while stack:
-        end, depth = stack.pop()
-        piece = _piece(right, ends[-1], end, y, tolerance)
-        if piece is not None:
+        end, depth, guess = stack.pop()
+        values, good = _piece(right, ends[-1], end, y, guess, resolved)
+        if good:
+            piece = matrices().coefficients @ values
             y = piece.sum(axis=-2)  # every Chebyshev polynomial is 1 at the right end
             ends.append(end)
             coefficients.append(piece)
         elif depth == deepest:
             raise ValueError("a leg could not be integrated: a law of motion is not smooth there")
         else:
-            stack += [(end, depth + 1), ((ends[-1] + end) / 2, depth + 1)]
+            usable = bool(np.all(np.abs(values) < 1e6))  # False for infinite ones too
+            first, second = (half @ (values if usable else guess) for half in matrices().halves)
+            stack += [(end, depth + 1, second), ((ends[-1] + end) / 2, depth + 1, first)]
     return Path(np.array(ends), np.array(coefficients))
 
 
-def _piece(right: Right, a: float, b: float, start: Array, tolerance: float) -> Array | None:
-    """Coefficients (problems, NODES, k) on [a, b], or None when the piece is too long."""
-    nodes, to_coefficients, integral = _matrices()
-    x = (a + b) / 2 + (b - a) / 2 * nodes
-    y = np.repeat(start[:, None], NODES, axis=1)
+def _piece(right: Right, a: float, b: float, start: Array, guess: Array, resolved: float) -> tuple[Array, bool]:
+    """Values at the nodes of [a, b], (problems, NODES, k), and whether they are the solution."""
+    on = matrices()
+    x = (a + b) / 2 + (b - a) / 2 * on.nodes
+    y, change = guess, np.inf
     for _ in range(40):
-        with np.errstate(all="ignore"):  # a runaway piece is halved below
-            new = start[:, None] + (b - a) / 2 * (integral @ right(x, y))
-        size = np.abs(new).max(axis=1, keepdims=True) + 1e-9
-        change = float((np.abs(new - y) / size).max())
+        with np.errstate(all="ignore"):  # a runaway piece is halved
+            new = start[:, None] + (b - a) / 2 * (on.integral @ right(x, y))
+            size = np.abs(new).max(axis=1, keepdims=True) + 1e-9
+            last, change = change, float((np.abs(new - y) / size).max())
         y = new
         if not np.isfinite(change):
-            return None
-        if change < tolerance:
-            break
-    else:
-        return None
-    c: Array = to_coefficients @ y
-    return c if float((np.abs(c[:, -3:]) / size).max()) < 10 * tolerance else None
+            return y, False
+        if change < 1e-3:
+            tail = float((np.abs(on.coefficients[-3:] @ y) / size).max())
+            if tail > 10 * change + resolved:  # no further turn will mend it
+                return y, False
+            if change < TOLERANCE or (change < SETTLED and change > last / 2):
+                return y, tail < resolved
+    return y, False

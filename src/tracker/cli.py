@@ -76,6 +76,10 @@ def track(
     extra: dict[str, Any] = {"frames": outcome.frames, "seconds": round(seconds, 2)}
     if outcome.frames:
         extra["ms_per_frame"] = round(1e3 * seconds / outcome.frames, 3)
+    if as_json:
+        extra["notes"] = outcome.notes
+    for note, clips in outcome.notes.items():
+        print(f"tracker: {note} ({clips} clips)", file=sys.stderr)
     _report(outcome, output, extra, as_json)
 
 

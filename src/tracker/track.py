@@ -7,9 +7,10 @@ import json
 import multiprocessing
 import os
 import shutil
+from collections import Counter
 from collections.abc import Callable, Iterator
 from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -29,12 +30,16 @@ Tick = Callable[[int, int], None]
 
 @dataclass(frozen=True)
 class Outcome:
-    """What a run did: the estimates, how many clips, how many of them now, frames tracked now."""
+    """What a run did: the estimates, how many clips, how many of them now, frames tracked now.
+
+    notes: what was converted or assumed, each with the number of clips.
+    """
 
     estimates: pd.DataFrame
     clips: int
     fresh: int
     frames: int
+    notes: dict[str, int] = field(default_factory=dict)
 
 
 def track_clip(clip: Clip, name: str = DEFAULT) -> tuple[Tracks, Camera, str]:
@@ -65,13 +70,19 @@ def run(
         return Outcome(results.gather(output, numbers), len(source), 0, 0)
     partial = open_partial(output, plan)
     todo = [i for i, number in enumerate(numbers) if not results.is_done(partial, number)]
-    frames = 0
+    frames, notes = 0, Counter[str]()
     tick(len(source) - len(todo), len(source))
-    for done, count in enumerate(_each(source, todo, partial, name, workers), 1):
-        frames += count
-        tick(len(source) - len(todo) + done, len(source))
+    try:
+        for done, (count, note) in enumerate(_each(source, todo, partial, name, workers), 1):
+            frames += count
+            notes.update([note] if note else [])
+            tick(len(source) - len(todo) + done, len(source))
+    except InputError:
+        if not any((partial / "clips").glob("*")):  # nothing worth going on from, and the input is at fault
+            shutil.rmtree(partial, ignore_errors=True)
+        raise
     table = results.finish(partial, output, numbers)
-    return Outcome(table, len(source), len(todo), frames)
+    return Outcome(table, len(source), len(todo), frames, dict(notes))
 
 
 def measure_tables(path: Path, output: Path, camera: Path, point: str = "centre") -> Outcome:
@@ -141,8 +152,8 @@ def _plan(source: Source, name: str) -> dict[str, Any]:
     return {"made_by": "tracker track", "detector": name, "clips": len(source), "input": mark.hexdigest()}
 
 
-def _each(source: Source, todo: list[int], partial: Path, name: str, workers: int) -> Iterator[int]:
-    """Frames of each clip done, in whatever order; results do not depend on it."""
+def _each(source: Source, todo: list[int], partial: Path, name: str, workers: int) -> Iterator[tuple[int, str]]:
+    """Frames and note of each clip done, in whatever order; results do not depend on it."""
     if workers <= 1 or len(todo) <= 1:
         for index in todo:
             yield _one(source, index, partial, name)
@@ -160,7 +171,7 @@ def _each(source: Source, todo: list[int], partial: Path, name: str, workers: in
             raise
 
 
-def _one(source: Source, index: int, partial: Path, name: str) -> int:
+def _one(source: Source, index: int, partial: Path, name: str) -> tuple[int, str]:
     cv2.setNumThreads(1)  # clips run side by side
     clip = source.clip(index)
     tracks, camera, reason = track_clip(clip, name)
@@ -168,7 +179,8 @@ def _one(source: Source, index: int, partial: Path, name: str) -> int:
     if reason:
         rows = [row | {"status": reason} if row["status"] != "ok" else row for row in rows]
     results.write_clip(partial, clip.number, tracks, motion, rows, camera)
-    return len(clip.frames)
+    assumed = f"assumed or estimated: {', '.join(camera.assumed)}" if camera.assumed else ""
+    return len(clip.frames), "; ".join(filter(None, [clip.note, assumed]))
 
 
 def default_workers() -> int:

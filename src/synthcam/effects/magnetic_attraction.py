@@ -8,6 +8,8 @@ from numpy.typing import NDArray
 
 from synthcam.effect import Effect, parameter
 
+NEAREST = 0.8  # diameters: no two centres are nearer but in a path that is only tried
+
 
 @dataclass(frozen=True)
 class MagneticAttraction(Effect):
@@ -20,5 +22,6 @@ class MagneticAttraction(Effect):
 
     def push(self, acceleration: Any, other: Any, radius: Any) -> NDArray[np.float64]:
         r = np.hypot(other[..., 0], other[..., 1])  # infinite where there is no other
+        r = np.maximum(r, NEAREST * 2 * radius)
         towards = np.where(np.isfinite(other), other, 1.0) / r[..., None]
         return np.asarray(acceleration + (self.pull * (2 * radius / r) ** 4)[..., None] * towards)
