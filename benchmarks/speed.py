@@ -21,6 +21,8 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
+from collisions import figures as collisions
+
 ROOT = Path(__file__).resolve().parent.parent
 SCENE = ROOT / "scenes" / "painter_behringer.yaml"
 
@@ -102,19 +104,9 @@ def stages(folder: Path) -> dict[str, float]:
     return out
 
 
-def collisions() -> dict[str, float]:
-    """Collisions solved a second, one at a time."""
-    from synthcam.dynamics import solve
-    from synthcam.launch import Launch
-    from synthcam.model import Model
-
-    model = Model()
-    launch = Launch.pair(model.bodies("ab"), 0.1, 0.3, 0.2, 0.0, (0.0, 0.0))
-    tilted = model.replace({"plate_tilt.x": 1e-3})
-    return {
-        "collisions a second, closed form": 100 / timed(lambda: [solve(model, launch, 0, 0.4) for _ in range(100)]),
-        "collisions a second, with a tilt": 20 / timed(lambda: [solve(tilted, launch, 0, 0.4) for _ in range(20)]),
-    }
+def rates() -> dict[str, float]:
+    """Collisions solved a second."""
+    return {f"collisions a second, {name}": value for name, value in collisions(2000).items() if value is not None}
 
 
 def main() -> None:
@@ -124,7 +116,7 @@ def main() -> None:
     options = parser.parse_args()
     folder = Path(tempfile.mkdtemp(prefix="speed-"))
     try:
-        figures = {"cores": os.cpu_count(), **collisions(), **commands(options.clips, folder)}
+        figures = {"cores": os.cpu_count(), **rates(), **commands(options.clips, folder)}
         spent = stages(folder)
     finally:
         shutil.rmtree(folder, ignore_errors=True)

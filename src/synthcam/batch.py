@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from synthcam import rolling, sliding
 from synthcam.dynamics import AGREED, STILL, SWEEPS, solve, uncoupled
-from synthcam.hermite import Table, around
+from synthcam.hermite import Table, around, between
 from synthcam.impact import collide, land
 from synthcam.kinematics import (
     Array,
@@ -67,6 +67,9 @@ class Batch:
     @property
     def size(self) -> int:
         return len(self.breaks) // 2
+
+    def add(self, who: Ints, begins: Array, ends: Array, states: Callable[[Array], Array]) -> None:
+        self.segments.append(Segment(who, begins, ends, states))
 
     def at(self, times: Array) -> Array:
         """States (2, n, m, 9) at times (m,), or at times (2n, m) of each ball's own, within [start, end]."""
@@ -164,11 +167,28 @@ def _table(known: Batch, t_c: Array) -> Table:
 
 
 def _met_again(out: Batch, both: Bodies) -> Ints:
-    """Collisions whose balls overlap after the impact, so that a second impact is missing."""
+    """Collisions whose balls overlap after the impact, so that a second impact is missing.
+
+    Looked for between the kinks, where paths are parabolas or nearly; where they come near, at many instants.
+    """
     n = out.size
-    places = out.at(np.linspace(out.start, out.end, LOOKS))[..., :3]
-    gap = np.linalg.norm(places[0] - places[1], axis=-1) - (both.radius[:n] + both.radius[n:])[:, None]
-    return np.flatnonzero(gap.min(axis=1) < -AGAIN)
+    reach = (both.radius[:n] + both.radius[n:])[:, None]
+    kinks = np.clip(np.concatenate([out.breaks[:n], out.breaks[n:]], axis=1), out.start, out.end)
+    suspects = np.arange(n)
+    if kinks.shape[1] < LOOKS // 2:
+        knots = np.sort(np.concatenate([kinks, np.full((n, 1), out.end)], axis=1), axis=1)
+        states = out.at(np.concatenate([knots, knots]))
+        apart = states[0, ..., :6] - states[1, ..., :6]
+        places = between(apart[..., [0, 1, 3, 4]], np.diff(knots), np.linspace(0, 1, 9))
+        suspects = np.flatnonzero(np.hypot(places[..., 0], places[..., 1]).min(axis=(1, 2)) < reach[:, 0] - AGAIN / 2)
+    if len(suspects) == 0:
+        return suspects
+    every = np.full((2 * n, LOOKS), out.start)
+    rows = np.concatenate([suspects, suspects + n])
+    every[rows] = np.linspace(out.start, out.end, LOOKS)
+    places = out.at(every)[:, suspects, :, :3]
+    gap = np.linalg.norm(places[0] - places[1], axis=-1) - reach[suspects]
+    return np.asarray(suspects[gap.min(axis=1) < -AGAIN])
 
 
 def _by_solve(model: Model, launches: Array, is_a: NDArray[np.bool_], out: Batch, which: Ints) -> Batch:
@@ -188,12 +208,12 @@ def _by_solve(model: Model, launches: Array, is_a: NDArray[np.bool_], out: Batch
                 return np.asarray(motion.at(times.ravel())[ball].reshape(*times.shape, 9))
 
             row = np.array([k + ball * n])
-            out.segments.append(Segment(row, np.array([out.start]), np.array([out.end]), states))
+            out.add(row, np.array([out.start]), np.array([out.end]), states)
             kinks[row[0]] = [e.t for e in motion.events if ball in (e.i, e.j)]
             ends = [e.t for e in motion.events if e.kind == "slide_end" and e.i == ball]
             out.slide_ends[row[0]] = ends[0] if ends else t_c
-    widest = max(len(row) for row in kinks)
-    out.breaks = np.array([row + [np.inf] * (widest - len(row)) for row in kinks])
+    most = max(map(len, kinks))
+    out.breaks = np.array([row + [np.inf] * (most - len(row)) for row in kinks])
     return out
 
 
@@ -261,27 +281,26 @@ class _Run:
             raise ValueError(f"the motion does not settle: {ROUNDS} legs after an impact")
         self.out.breaks = np.stack(self.kinks, axis=1)
 
-    def _add(self, who: Ints, begins: Array, ends: Array, states: Callable[[Array], Array]) -> None:
-        self.out.segments.append(Segment(who, begins, ends, states))
-
     def _other(self, who: Ints) -> sliding.Other | None:
         """Where the partners of balls `who` were in the last sweep."""
         table = self.table
         if table is None:
             return None
         partners = (who + len(self.t_c) // 2) % len(self.t_c)
-        return lambda times, which: table(partners[which], np.broadcast_to(times, (len(partners[which]), times.shape[1])))
+        return lambda times, which: table(
+            partners[which], np.broadcast_to(times, (len(partners[which]), times.shape[1]))
+        )
 
     def _kink(self, who: Ints, when: Array) -> None:
-        column = np.full(len(self.t_c), np.inf)
-        column[who] = when
-        self.kinks.append(column)
+        if len(who):
+            self.kinks.append(np.full(len(self.t_c), np.inf))
+            self.kinks[-1][who] = when
 
     def _rest(self, who: Ints, states: Array, now: Array, until: Array) -> None:
         held = states.copy()
         held[:, 3:8] = 0.0
         self.out.odd |= set((who[self._loose(who, held)] % (len(self.t_c) // 2)).tolist())
-        self._add(who, now[who], until[who], lambda t: np.repeat(held[:, None], t.shape[1], axis=1))
+        self.out.add(who, now[who], until[who], lambda t: np.repeat(held[:, None], t.shape[1], axis=1))
 
     def _loose(self, who: Ints, held: Array) -> NDArray[np.bool_]:
         """Which balls at rest would not stay there."""
@@ -324,7 +343,7 @@ class _Run:
                 out[..., 0:2], out[..., 3:5] = y[..., :2], y[..., 2:]
             return out
 
-        self._add(who, begins, ends, path)
+        self.out.add(who, begins, ends, path)
         states[who] = path(ends[:, None])[:, 0]
         states[who, 2] = self.bodies.radius[who]
         now[who] = ends
@@ -346,7 +365,7 @@ class _Run:
             def path(times: Array) -> Array:
                 return slide(from_, bodies.radius, slowing, times - begins[:, None])
 
-        self._add(who, begins, begins + lasts, path)
+        self.out.add(who, begins, begins + lasts, path)
         states[who] = rolling_state(last[:, :2], rolling_velocity(last, bodies.radius), last[:, 8], bodies.radius)
         now[who] = begins + lasts
         self.out.slide_ends[who] = now[who]
@@ -371,11 +390,10 @@ class _Run:
             def path(times: Array) -> Array:
                 return roll(states, bodies.radius, model.rolling_drag, model.rolling_decel, times - now[:, None])
 
-        self._add(who, np.minimum(now, ends), np.maximum(now, ends), path)
+        self.out.add(who, np.minimum(now, ends), np.maximum(now, ends), path)
         if back:
             return states, now
         last = path(ends[:, None])[:, 0]
         last[stopped, 3:8] = 0.0
-        if np.any(stopped):
-            self._kink(who[stopped], ends[stopped])
+        self._kink(who[stopped], ends[stopped])
         return last, np.asarray(ends).copy()

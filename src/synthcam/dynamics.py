@@ -31,6 +31,7 @@ LIMIT = 10_000  # events: more means that something never settles
 AHEAD = 0.2  # s of numerical rolling beyond what was asked for
 SWEEPS = 12  # over balls that push each other, at most
 AGREED = 1e-11  # m between sweeps
+WINDOWS = (0.1, 0.01, 1e-3, 1e-4)  # s: how far ahead balls that push each other are led
 
 Others = Callable[[Array], Array]  # times (m,) -> places of the other ball (m, 2)
 
@@ -41,25 +42,9 @@ def solve(model: Model, launch: Launch, start: float = 0.0, end: float = 0.0) ->
     Legs are closed forms where no active effect bends them, numerical solutions elsewhere. Raises ValueError when a
     ball that should be at rest cannot stay there, when balls overlap, or when the motion does not settle.
     """
-    if model.laws.asks("push", "other") and len(launch.states) > 1:
-        if len(launch.states) > 2:
-            raise ValueError(f"balls that push each other are modelled in twos, not {len(launch.states)} at a time")
-        return _coupled(model, launch, start, end)
-    return _Run(model, launch, start, end, [None] * len(launch.states)).motion()
-
-
-def _coupled(model: Model, launch: Launch, start: float, end: float) -> Trajectory:
-    """Balls that push each other: each moves in the other's last known path, again and again until both agree."""
-    path = _Run(uncoupled(model), launch, start, end, [None, None]).motion()
-    grid = np.linspace(start, path.t1, 200)
-    for _ in range(SWEEPS):
-        new = _Run(model, launch, start, end, _paths(path)).motion()
-        common = grid[grid <= min(new.t1, path.t1)]
-        change = np.abs(new.at(common)[:, :, :2] - path.at(common)[:, :, :2]).max()
-        path = new
-        if change < AGREED:
-            return path
-    return path
+    if model.laws.asks("push", "other") and len(launch.states) > 2:
+        raise ValueError(f"balls that push each other are modelled in twos, not {len(launch.states)} at a time")
+    return _Run(model, launch, start, end).motion()
 
 
 def uncoupled(model: Model) -> Model:
@@ -67,31 +52,36 @@ def uncoupled(model: Model) -> Model:
     return dataclasses.replace(model, effects=tuple(e for e in model.effects if "other" not in e.laws.get("push", ())))
 
 
-def _paths(path: Trajectory) -> list[Others | None]:
-    """Where the other ball of each of two is; beyond the ends of what is known it goes straight on."""
-    meetings = np.array([e.t for e in path.events if e.kind == "contact"] or [path.t0])
-    grid = around(meetings, path.t0, path.t1).ravel()
-    knots = np.tile([path.t0, path.t1, *(e.t for e in path.events), *grid], (2, 1))
-    table = Table.of(lambda times: path.at(times[0])[..., [0, 1, 3, 4]], np.unique(knots, axis=1))
-
-    def of(ball: int) -> Others:
-        return lambda t: table(np.array([ball]), t[None])[0]
-
-    return [of(1), of(0)]
+def _path_of(leg: Leg, t: float) -> Others:
+    """Where a ball is about the time t; beyond the ends of its leg it goes straight on."""
+    if leg.motion == "rest":
+        place = leg.at(np.array([t]))[0, :2]
+        return lambda times: np.broadcast_to(place, (len(times), 2))
+    knots = np.unique(around(np.array([t]), leg.t0, leg.t1), axis=1)
+    table = Table.of(lambda times: leg.at(times[0])[None][..., [0, 1, 3, 4]], knots)
+    return lambda times: table(np.array([0]), times[None])[0]
 
 
 class _Run:
-    """One run of the event loop. others[k]: where the ball that pushes ball k is."""
+    """One run of the event loop.
 
-    def __init__(self, model: Model, launch: Launch, start: float, end: float, others: list[Others | None]) -> None:
-        self.model, self.bodies, self.end, self.others = model, launch.bodies, end, others
+    Two balls that push each other are led from event to event: each in the other's last known leg, until both agree.
+    """
+
+    def __init__(self, model: Model, launch: Launch, start: float, end: float) -> None:
+        self.model, self.bodies, self.end = model, launch.bodies, end
         self.start, self.t = start, launch.time
         self.events: list[Event] = []
-        self.past: list[list[Leg]] = [self._before(k, s, launch.time) for k, s in enumerate(launch.states)]
-        # a launch at the contact: these legs are replaced at once, and would lead one ball through the other
-        self.model = uncoupled(model) if _touching(launch) else model
-        self.legs: list[Leg] = [self._leg(k, s.copy(), launch.time) for k, s in enumerate(launch.states)]
-        self.model = model
+        self.mutual = model.laws.asks("push", "other") and len(launch.states) == 2
+        self.others: list[Others | None] = [None] * len(launch.states)
+        self.window = np.inf
+        states = dict(enumerate(launch.states.copy()))
+        before = self._agreed(lambda k: self._before(k, states[k], launch.time), states)
+        self.past: list[list[Leg]] = [[leg] if leg.t1 > leg.t0 else [] for leg in before]
+        if _touching(launch):  # these legs are replaced at once, and would lead one ball through the other
+            self.model, self.mutual = uncoupled(model), False
+        self.legs = self._agreed(lambda k: self._leg(k, states[k].copy(), launch.time), states)
+        self.model, self.mutual = model, model.laws.asks("push", "other") and len(launch.states) == 2
 
     def motion(self) -> Trajectory:
         for _ in range(LIMIT):
@@ -112,9 +102,40 @@ class _Run:
             self.past[k].append(dataclasses.replace(leg, t1=self.t))  # type: ignore[type-var]
         return Trajectory(self.start, self.t, tuple(tuple(x) for x in self.past), tuple(self.events))
 
-    def _go_on(self, k: int, state: Array) -> None:
-        self.past[k].append(dataclasses.replace(self.legs[k], t1=self.t))  # type: ignore[type-var]
-        self.legs[k] = self._leg(k, state, self.t)
+    def _go_on(self, states: dict[int, Array]) -> None:
+        """Begin new legs: of these balls, and of those that they push."""
+        if self.mutual:
+            states = {k: self.legs[k].at(np.array([self.t]))[0] for k in (0, 1)} | states
+        for k in states:
+            self.past[k].append(dataclasses.replace(self.legs[k], t1=self.t))  # type: ignore[type-var]
+        for k, leg in zip(states, self._agreed(lambda k: self._leg(k, states[k], self.t), states), strict=True):
+            self.legs[k] = leg
+
+    def _agreed(self, leg: Callable[[int], Leg], states: dict[int, Array]) -> list[Leg]:
+        """The legs of these balls from now, or until now; of balls that push each other when they fit each other."""
+        if not self.mutual:
+            return [leg(k) for k in states]
+        for self.window in WINDOWS:
+            try:
+                return self._fitted(leg, states)
+            except ValueError:  # a leg that is tried may lead through the other ball, in a contact yet to be found
+                if self.window == WINDOWS[-1]:
+                    raise
+        raise AssertionError
+
+    def _fitted(self, leg: Callable[[int], Leg], states: dict[int, Array]) -> list[Leg]:
+        self.others = [_path_of(Rest(self.t, self.t, states[1 - k]), self.t) for k in (0, 1)]
+        seen = np.empty(0)
+        for _ in range(SWEEPS):
+            legs = [leg(k) for k in states]
+            first, last = max(x.t0 for x in legs), min(x.t1 for x in legs)
+            times = np.linspace(first, min(last, max(self.t, self.end) + AHEAD), 33)
+            places = np.array([x.at(times)[:, :2] for x in legs])
+            if seen.shape == places.shape and np.abs(places - seen).max() < AGREED:
+                break
+            seen = places
+            self.others = [_path_of(legs[1 - k], self.t) for k in (0, 1)]
+        return legs
 
     # legs
 
@@ -125,10 +146,10 @@ class _Run:
         path = self.others[k]
         return None if path is None else lambda t, _: path(t.ravel()).reshape(*t.shape, 2)
 
-    def _before(self, k: int, state: Array, time: float) -> list[Leg]:
+    def _before(self, k: int, state: Array, time: float) -> Leg:
         """The leg that leads to a launch: a ball rolling, or at rest."""
         if self.start >= time:
-            return []
+            return Rest(time, time, state)
         radius = float(self.bodies.radius[k])
         if np.hypot(*contact_velocity(state, radius)) > STILL or state[5] != 0:
             raise ValueError("a ball that slides or flies at its launch has no past: start the run at the launch")
@@ -136,22 +157,22 @@ class _Run:
             still = rolling_state(state[:2], np.zeros(2), state[8], radius)
             if not self.model.laws.asks("push", "other") and self._excess(k, still, time) > 0:
                 raise ValueError("a ball cannot rest before its launch: 5/7 of the push on it exceeds rolling_decel")
-            return [Rest(self.start, time, still)]
+            return Rest(self.start, time, still)
         leg = self._roll(k, state, time, self.start)
         if isinstance(leg, Numeric) and leg.t0 > self.start:
             raise ValueError(f"a ball has no past before {leg.t0:g} s: it would have had to come from rest")
-        return [dataclasses.replace(leg, t0=self.start, t1=time)]  # type: ignore[type-var]
+        return dataclasses.replace(leg, t0=self.start, t1=time)  # type: ignore[type-var]
 
     def _leg(self, k: int, state: Array, t: float) -> Leg:
         """The leg of a ball that has this state at t, to its own next event."""
         radius = float(self.bodies.radius[k])
-        if state[5] > 0:
+        if state[5] > 0 or _aloft(state, radius):
             return self._fly(k, state, t)
         u = float(np.hypot(*contact_velocity(state, radius)))
         if u > STILL:
             return self._slide(k, state, t)
         if np.hypot(state[3], state[4]) > STILL:
-            return self._roll(k, state, t, max(self.end, t) + AHEAD)
+            return self._roll(k, state, t, min(max(self.end, t) + AHEAD, t + self.window))
         return self._rest(k, state, t)
 
     def _slide(self, k: int, state: Array, t: float) -> Leg:
@@ -182,7 +203,8 @@ class _Run:
 
     def _fly(self, k: int, state: Array, t: float) -> Leg:
         model = self.model
-        lasts = 2 * float(state[5]) / model.gravity
+        up, height = float(state[5]), max(float(state[2] - self.bodies.radius[k]), 0.0)
+        lasts = (up + float(np.sqrt(up * up + 2 * model.gravity * height))) / model.gravity
         leg = Fly(t, t + lasts, state, model.gravity)
         if not model.laws.bent("push"):
             return leg
@@ -237,9 +259,9 @@ class _Run:
         leg, radius = self.legs[k], float(self.bodies.radius[k])
         before = leg.at(np.array([leg.t1]))[0]
         if leg.motion == "roll" and np.hypot(before[3], before[4]) > 2 * rolling.SLOWEST:
-            self._go_on(k, before)
+            self._go_on({k: before})
         elif leg.motion == "fly":
-            self._land(k, before)
+            self._go_on({k: self._landed(k, before)})
         elif leg.motion == "rest":
             push = self._push(k, before, self.t)
             nudge = 2 * rolling.SLOWEST * push / np.hypot(*push)
@@ -249,7 +271,7 @@ class _Run:
             after = rolling_state(before[:2], velocity, before[8], radius)
             self._happen("slide_end" if leg.motion == "slide" else "stop", k, before, after)
 
-    def _land(self, k: int, before: Array) -> None:
+    def _landed(self, k: int, before: Array) -> Array:
         radius = float(self.bodies.radius[k])
         before[2] = radius
         after = land(self.model, before[None], self._body(k))[0]
@@ -258,11 +280,11 @@ class _Run:
         if slips[0] > STILL and slips[1] <= 1e-9 * slips[0]:
             after = _rolling(after, radius)
             self.events.append(Event(self.t, "slide_end", k, before=before[None], after=after[None]))
-        self._go_on(k, after)
+        return np.asarray(after)
 
     def _happen(self, kind: str, k: int, before: Array, after: Array) -> None:
         self.events.append(Event(self.t, kind, k, before=before[None], after=after[None]))  # type: ignore[arg-type]
-        self._go_on(k, after)
+        self._go_on({k: after})
 
     def _collide(self, t: float, i: int, j: int) -> None:
         self.t = t
@@ -277,11 +299,11 @@ class _Run:
         after[:, 5] = np.where(np.abs(after[:, 5]) < LOWEST, 0.0, after[:, 5])
         impulses = float(hit.impulse_n[0]), float(hit.impulse_t[0])
         self.events.append(Event(t, "contact", i, j, before, after, n, *impulses))
-        for k, state in ((i, after[0]), (j, after[1])):
-            if state[5] < 0:
-                self._land(k, state.copy())
-            else:
-                self._go_on(k, state)
+        new = {i: after[0], j: after[1]}
+        for k, state in new.items():
+            if state[5] < 0 and not _aloft(state, float(self.bodies.radius[k])):
+                new[k] = self._landed(k, state.copy())
+        self._go_on(new)
 
     def _first_contact(self, horizon: float) -> tuple[float, int, int] | None:
         """Time and balls of the first contact in [now, horizon], or None."""
@@ -301,6 +323,10 @@ def _rolling(state: Array, radius: float) -> Array:
     out = rolling_state(state[:2], rolling_velocity(state, radius), state[8], radius)
     out[5] = state[5]
     return out
+
+
+def _aloft(state: Array, radius: float) -> bool:
+    return bool(state[2] > radius * (1 + TOUCHING))
 
 
 def _touching(launch: Launch) -> bool:

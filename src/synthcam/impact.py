@@ -9,6 +9,8 @@ import numpy as np
 from synthcam.kinematics import Array, contact_velocity, push_back
 from synthcam.model import Bodies, Model
 
+MOST = 5 / 7  # spin transfer: more would make energy
+
 
 @dataclass(frozen=True)
 class Impact:
@@ -40,14 +42,16 @@ def collide(model: Model, target: Array, striker: Array, one: Bodies, two: Bodie
     heading = np.stack([approach[:, 0], approach[:, 1]], axis=-1) / np.hypot(approach[:, 0], approach[:, 1])[:, None]
 
     r = np.clip(
-        model.laws("restitution", model.restitution, {"normal_speed": v_n, "heading": heading}), 0.0, 1.0
+        model.laws("restitution", model.restitution, {"normal_speed": np.maximum(v_n, 0.0), "heading": heading}),
+        0.0,
+        1.0,
     ) * np.ones(len(n))
     instant = {
         "contact_speed": np.linalg.norm(u_t, axis=1),
         "normal_impulse": (1 + r) * v_n / 2,
         "striker_speed": np.hypot(striker[:, 3], striker[:, 4]),
     }
-    c = model.laws("spin_transfer", model.spin_transfer, instant) * np.ones(len(n))
+    c = np.clip(model.laws("spin_transfer", model.spin_transfer, instant), 0.0, MOST) * np.ones(len(n))
 
     normal = (1 + r) * v_n * reduced
     tangential = (0.8 * c * reduced)[:, None] * u_t  # on the target; the striker gets its opposite

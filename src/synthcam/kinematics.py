@@ -97,6 +97,9 @@ def stop_time(speed: Real, drag: float, decel: float) -> Any:
     return speed / decel * np.where(small, 1 - x / 2, np.log1p(x) / np.where(small, 1, x))
 
 
+TERMS = 6
+
+
 def _decay(drag: float, t: Array) -> tuple[Array, Array]:
     """(1 - e^(-drag t))/drag and its integral, without cancellation at small drag t."""
     x = drag * t
@@ -109,12 +112,11 @@ def _decay(drag: float, t: Array) -> tuple[Array, Array]:
 
 def _series(x: Array, n: int) -> Array:
     """Sum of (-x)^k / (k + n)!, good to the last bit for |x| < 0.01."""
-    out = np.zeros_like(x)
-    term = np.ones_like(x) / (1 if n == 1 else 2)
-    for k in range(8):
-        out = out + term
-        term = -term * x / (k + n + 1)
-    return out
+    out = 1 - x / (n + TERMS)
+    for k in range(TERMS - 1, 0, -1):
+        out *= -x / (n + k)
+        out += 1
+    return out if n == 1 else out / 2
 
 
 def fly(state: Array, gravity: float, elapsed: Array) -> Array:

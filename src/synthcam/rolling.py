@@ -14,6 +14,7 @@ from synthcam.spectral import DEEPEST, RESOLVED, Path, integrate
 
 SLOWEST = 1e-7  # m/s: a ball slower than this has stopped
 SHALLOW, SHORTEST = 7, 1e-4  # halvings of a piece; its share of what would stop the ball
+MOST = 500  # pieces of a roll
 LAWS = ("rolling", "push")
 
 
@@ -100,13 +101,18 @@ def _march(
 ) -> Rolls:
     """Pieces no longer than half of what would stop the ball, so that the speed never passes through zero in one."""
     y = np.concatenate([state[:, 0:2], state[:, 3:5]], axis=1)
-    now, pieces, share_of_stop = time.astype(float).copy(), [], 0.5
+    now, share_of_stop = time.astype(float).copy(), 0.5
+    pieces: list[Piece] = []
     target = np.broadcast_to(until, now.shape).astype(float)
+    # led by another ball, a path may lead nowhere: that is to be said soon
+    shallow, deepest, most = (SHALLOW, DEEPEST, MOST) if resolved == RESOLVED else (4, 8, MOST // 10)
     while True:
         speed = np.hypot(y[:, 2], y[:, 3])
         who = np.flatnonzero((now != target) & ((speed > SLOWEST) | (not stops)))
         if len(who) == 0:
             break
+        if len(pieces) > most:
+            raise ValueError(f"a rolling ball does not settle: {most} pieces of its path")
         begins, goal = now[who], target[who]
         force = acceleration(who, begins[:, None], y[who][:, None])[:, 0]
         longest = share_of_stop * speed[who] / np.maximum(np.hypot(force[:, 0], force[:, 1]), 1e-300)
@@ -119,7 +125,8 @@ def _march(
             return np.asarray(np.concatenate([z[..., 2:4], a], axis=-1) * spans[:, None, None])
 
         try:
-            path = integrate(right, 0.0, 1.0, y[who], resolved, DEEPEST if share_of_stop < SHORTEST else SHALLOW)
+            depth = deepest if share_of_stop < SHORTEST or not stops else shallow
+            path = integrate(right, 0.0, 1.0, y[who], resolved, depth, few=True)
         except ValueError:
             if not stops or share_of_stop < SHORTEST:
                 raise
