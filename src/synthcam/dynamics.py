@@ -31,7 +31,7 @@ LIMIT = 10_000  # events: more means that something never settles
 AHEAD = 0.2  # s of numerical rolling beyond what was asked for
 SWEEPS = 12  # over balls that push each other, at most
 AGREED = 1e-11  # m between sweeps
-WINDOWS = (0.1, 0.01, 1e-3, 1e-4)  # s: how far ahead balls that push each other are led
+WINDOW, SHORTEST = 0.1, 2e-4  # s: how far ahead balls that push each other are led, at most and at least
 
 Others = Callable[[Array], Array]  # times (m,) -> places of the other ball (m, 2)
 
@@ -115,13 +115,14 @@ class _Run:
         """The legs of these balls from now, or until now; of balls that push each other when they fit each other."""
         if not self.mutual:
             return [leg(k) for k in states]
-        for self.window in WINDOWS:
+        self.window = min(10 * self.window, WINDOW)
+        while True:
             try:
                 return self._fitted(leg, states)
             except ValueError:  # a leg that is tried may lead through the other ball, in a contact yet to be found
-                if self.window == WINDOWS[-1]:
+                if self.window < SHORTEST:
                     raise
-        raise AssertionError
+                self.window /= 10
 
     def _fitted(self, leg: Callable[[int], Leg], states: dict[int, Array]) -> list[Leg]:
         self.others = [_path_of(Rest(self.t, self.t, states[1 - k]), self.t) for k in (0, 1)]
@@ -292,7 +293,7 @@ class _Run:
         speeds = {k: float(np.hypot(*states[k][0, 3:5])) for k in (i, j)}
         i, j = (j, i) if speeds[i] > speeds[j] else (i, j)  # the slower ball is the target
         hit = collide(self.model, states[i], states[j], self._body(i), self._body(j))
-        if hit.impulse_n[0] < LINGERING * self.bodies.mass[i]:
+        if hit.impulse_n[0] < (1e3 if self.mutual else 1) * LINGERING * self.bodies.mass[i]:  # who attract go on longer
             raise ValueError(f"balls {i} and {j} stay in contact from {t:.6g} s on: only separate impacts are modelled")
         n = (float(hit.n[0, 0]), float(hit.n[0, 1]))
         before, after = np.concatenate([states[i], states[j]]), np.concatenate([hit.target, hit.striker])
