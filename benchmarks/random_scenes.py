@@ -34,7 +34,7 @@ from synthcam.trajectory import Trajectory
 
 ROOT = Path(__file__).resolve().parent.parent
 MOST = 4  # effects at once
-LONGEST = 20  # s, for one run
+LONGEST = 60  # s, for one run
 OVERLAP = 1e-9  # of a radius
 MOTION = ("camera", "clock", "exposure", "measure")
 

@@ -394,4 +394,5 @@ def random_scenes():
     spec = importlib.util.spec_from_file_location("random_scenes", path)
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
+    module.LONGEST = 3600  # no test asserts a time
     return module

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import itertools
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 
@@ -27,6 +28,7 @@ from synthcam.trajectory import Event, Fly, Leg, Numeric, Rest, Roll, Slide, Tra
 STILL = 1e-12  # m/s: slower than this is rest, or rolling for a contact velocity
 TOUCHING = 1e-12  # of a radius
 LINGERING = 1e-9  # m/s: an impact softer than this is one of an endless row, as restitution under 0.4 may bring
+CLINGING = 1e-4  # m/s: the same for balls that push each other, whose row is long
 LIMIT = 10_000  # events: more means that something never settles
 AHEAD = 0.2  # s of numerical rolling beyond what was asked for
 SWEEPS = 12  # over balls that push each other, at most
@@ -232,15 +234,20 @@ class _Run:
         return Rest(t, self._loosened(k, still, t), still)
 
     def _excess(self, k: int, state: Array, t: float) -> float:
-        """By how much 5/7 of the push on a ball at rest exceeds what holds it, m/s^2."""
-        return float(np.hypot(*self._push(k, state, t))) * 5 / 7 - self.model.rolling_decel
+        """By how much 5/7 of the push on a ball at rest exceeds what holds it, or would were it to roll, m/s^2."""
+        instant = self._at_rest(k, state, t)
+        push = self.model.laws("push", np.zeros(2), instant)
+        size, decel = float(np.hypot(*push)), self.model.rolling_decel
+        nudge = rolling.SLOWEST * push / (size or 1.0)
+        loss = self.model.laws("rolling", decel, instant | {"velocity": nudge, "speed": rolling.SLOWEST})
+        return size * 5 / 7 - max(decel, float(loss))
 
-    def _push(self, k: int, state: Array, t: float) -> Array:
+    def _at_rest(self, k: int, state: Array, t: float) -> dict[str, Any]:
         body, other = self._body(k), self._other(k)
-        instant = dict(position=state[:2], velocity=np.zeros(2), gravity=self.model.gravity)
+        instant: dict[str, Any] = dict(position=state[:2], velocity=np.zeros(2), gravity=self.model.gravity)
         instant |= dict(radius=body.radius[0], mass=body.mass[0], of_a=body.of_a[0])
         instant["other"] = sliding.NOWHERE if other is None else other(np.array([[t]]), 0)[0, 0] - state[:2]
-        return np.asarray(self.model.laws("push", np.zeros(2), instant))
+        return instant
 
     def _loosened(self, k: int, state: Array, t: float) -> float:
         """When a ball at rest starts to roll, or infinity: looked for every ms, then halved."""
@@ -264,7 +271,7 @@ class _Run:
         elif leg.motion == "fly":
             self._go_on({k: self._landed(k, before)})
         elif leg.motion == "rest":
-            push = self._push(k, before, self.t)
+            push = self.model.laws("push", np.zeros(2), self._at_rest(k, before, self.t))
             nudge = 2 * rolling.SLOWEST * push / np.hypot(*push)
             self._happen("start", k, before, rolling_state(before[:2], nudge, before[8], radius))
         else:
@@ -293,7 +300,7 @@ class _Run:
         speeds = {k: float(np.hypot(*states[k][0, 3:5])) for k in (i, j)}
         i, j = (j, i) if speeds[i] > speeds[j] else (i, j)  # the slower ball is the target
         hit = collide(self.model, states[i], states[j], self._body(i), self._body(j))
-        if hit.impulse_n[0] < (1e3 if self.mutual else 1) * LINGERING * self.bodies.mass[i]:  # who attract go on longer
+        if hit.impulse_n[0] < (CLINGING if self.mutual else LINGERING) * self.bodies.mass[i]:
             raise ValueError(f"balls {i} and {j} stay in contact from {t:.6g} s on: only separate impacts are modelled")
         n = (float(hit.n[0, 0]), float(hit.n[0, 1]))
         before, after = np.concatenate([states[i], states[j]]), np.concatenate([hit.target, hit.striker])
