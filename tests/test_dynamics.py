@@ -1,8 +1,5 @@
 """Whole motions against the paper's equations, closed forms, and another integrator."""
 
-import importlib.util
-from pathlib import Path
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -371,28 +368,3 @@ def test_a_ball_struck_in_flight_goes_on_from_where_it_is():
     assert struck
     height = model.ball.mass * G * (z - R).sum(axis=0)
     assert np.all(np.diff(model.ball.mass * energy(motion.at(times)) + height) <= 1e-13 * model.ball.mass)
-
-
-@pytest.mark.parametrize("seed", [320, 1114, 1485, 1778, 1841, 3879, 4192])
-def test_the_worst_of_the_random_runs(seed, random_scenes):
-    """Each went wrong once: balls that attract each other from rest, flights met in the air, C beyond 5/7, grazes."""
-    row = random_scenes.one(seed)
-    assert not random_scenes.wrong(row), row
-
-
-@pytest.mark.parametrize("start", [20_000, 20_030])
-def test_random_runs(start, random_scenes):
-    for seed in range(start, start + 30):
-        if "magnetic_attraction" not in str(random_scenes.draw(np.random.default_rng(seed))[0].effects):
-            row = random_scenes.one(seed)
-            assert not random_scenes.wrong(row), row
-
-
-@pytest.fixture(scope="module")
-def random_scenes():
-    path = Path(__file__).parent.parent / "benchmarks" / "random_scenes.py"
-    spec = importlib.util.spec_from_file_location("random_scenes", path)
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    module.LONGEST = 3600  # no test asserts a time
-    return module

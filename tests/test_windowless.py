@@ -8,7 +8,7 @@ import sys
 
 import pytest
 
-from synthcam import windowless
+from synthcam.render import windowless
 
 DRAW = """
 import hashlib, json, numpy as np

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import hashlib
-import itertools
 import json
 import math
 import os
 from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -29,8 +28,8 @@ from synthcam.view import View
 
 Frames = Iterator[NDArray[np.uint8] | NDArray[np.uint16]]
 SUMS = "SHA256SUMS"
+VIDEO = "frames.tif"
 ROWS = 1024  # of clips.parquet, written at a time
-HASHED = 256  # files given to the threads at a time
 IMAGEJ_LIMIT = 4_000_000_000  # bytes of a stack; a longer one is a plain BigTIFF
 
 
@@ -81,8 +80,7 @@ def write_clip(
     _write_json(folder / "camera.json", camera_json(clip))
     pixels, file = "", ""
     if frames is not None:
-        pixels = _write_tiff(folder / "frames.tif", clip, frames, compression)
-        file = sha256(folder / "frames.tif")
+        pixels, file = _write_tiff(folder / VIDEO, clip, frames, compression)
     row = {"clip": clip.number, "seed_key": f"{meta['seed']}/{clip.number}", "scene": clip.drawn["name"]}
     row |= truth.scalars(clip.model, clip.launch, view.motion)
     row |= {
@@ -101,31 +99,34 @@ def write_clip(
         (secret / f"{name}.parquet").write_bytes(table.to_parquet(index=False))
 
 
-def _write_tiff(path: Path, clip: Clip, frames: Frames, compression: str) -> str:
-    """Write a stack frame by frame, uncompressed as ImageJ likes it; the hash of its pixels."""
+def _write_tiff(path: Path, clip: Clip, frames: Frames, compression: str) -> tuple[str, str]:
+    """Write a stack frame by frame, uncompressed as ImageJ likes it; SHA-256 of its pixels and of the file."""
     width, height = clip.camera.size
     dtype = np.uint8 if clip.sensor.bits == 8 else np.uint16
-    digest = hashlib.sha256()
+    pixels, whole = hashlib.sha256(), hashlib.sha256()
 
     def hashed() -> Frames:
         for frame in frames:
-            digest.update(frame.tobytes())
+            pixels.update(frame.data)
             yield frame
 
     plain = compression == "none" and clip.frames * width * height * dtype().itemsize < IMAGEJ_LIMIT
-    about = {"axes": "TYX", "fps": clip.camera.fps}
-    kind: dict[str, Any] = {"imagej": True} if plain else {"photometric": "minisblack"}
+    about = {"axes": "TYX", "fps": clip.camera.fps} | ({"finterval": 1 / clip.camera.fps} if plain else {})
+    write = partial(tifffile.imwrite, path, shape=(clip.frames, height, width), dtype=dtype, metadata=about)
     if compression != "none":
-        kind["compression"] = compression
-    tifffile.imwrite(
-        path,
-        hashed(),
-        shape=(clip.frames, height, width),
-        dtype=dtype,
-        metadata=about | ({"finterval": 1 / clip.camera.fps} if plain else {}),
-        **kind,
-    )
-    return digest.hexdigest()
+        write(data=hashed(), photometric="minisblack", compression=compression)
+        return pixels.hexdigest(), sha256(path)
+    kind: dict[str, Any] = {"imagej": True} if plain else {"photometric": "minisblack"}
+    placed = write(data=None, returnoffset=True, **kind)
+    assert placed is not None
+    # Into the space left for them, hashed on the way: reading the file again takes as long as writing it.
+    with path.open("r+b") as file:
+        whole.update(file.read(placed[0]))
+        for frame in hashed():
+            whole.update(frame.data)
+            file.write(frame.data)
+        whole.update(file.read())
+    return pixels.hexdigest(), whole.hexdigest()
 
 
 def finish(folder: Path, about: dict[str, Any], unlisted: str = "", secret: Path | None = None) -> None:
@@ -140,14 +141,14 @@ def finish(folder: Path, about: dict[str, Any], unlisted: str = "", secret: Path
     holds = ("frames", "truth") if secret else ("all", "all")
     for place, what in {folder: holds[0], root: holds[1]}.items():
         (place / "README.md").write_text(card(about, count, names, what), encoding="utf-8")
-        write_sums(place, unlisted)
+        write_sums(place, root, unlisted)
 
 
 def finish_shard(folder: Path, about: dict[str, Any], unlisted: str = "") -> None:
     """Write what makes a shard complete: shard.json and the checksums."""
     (folder / "truth").mkdir(exist_ok=True)
     _write_json(folder / "truth" / "shard.json", about)
-    write_sums(folder, unlisted)
+    write_sums(folder, folder, unlisted)
 
 
 def _write_rows(root: Path) -> tuple[int, list[str]]:
@@ -166,14 +167,20 @@ def _write_rows(root: Path) -> tuple[int, list[str]]:
     return len(clips), list(names)
 
 
-def write_sums(folder: Path, unlisted: str = "") -> None:
-    """Write SHA256SUMS of all files but itself and `unlisted`."""
-    paths = (path for path in _files(folder) if path.name not in (SUMS, unlisted))
-    # The workers have ended: hashing, a seventh of a frame's work, may use their cores.
-    with (folder / SUMS).open("w", encoding="utf-8") as sums, ThreadPoolExecutor() as pool:
-        while batch := list(itertools.islice(paths, HASHED)):
-            for path, digest in zip(batch, pool.map(sha256, batch), strict=True):
+def write_sums(folder: Path, root: Path, unlisted: str = "") -> None:
+    """Write SHA256SUMS of all files but itself and `unlisted`. root: the folder with the truth."""
+    with (folder / SUMS).open("w", encoding="utf-8") as sums:
+        for path in _files(folder):
+            if path.name not in (SUMS, unlisted):
+                digest = _as_written(path, root) if path.name == VIDEO else sha256(path)
                 sums.write(f"{digest}  {path.relative_to(folder).as_posix()}\n")
+
+
+def _as_written(video: Path, root: Path) -> str:
+    """A video's SHA-256 from its clip's truth: hashing all again would take a tenth of the whole time, and miss what
+    has happened to the file since."""
+    scene = root / "clips" / video.parent.name / "truth" / "scene.json"
+    return str(json.loads(scene.read_text())["row"]["frames_sha256"])
 
 
 def _files(folder: Path) -> Iterator[Path]:
@@ -264,6 +271,6 @@ def _counts(folder: Path) -> list[str]:
         problems.append(f"clips/: {len(clips)} folders for {len(table)} rows of truth/clips.parquet")
     for path, digest in zip(clips, table["frames_sha256"], strict=False):
         withheld = not (path / "camera.json").exists()
-        if digest and not withheld and digest != sha256(path / "frames.tif"):
-            problems.append(f"clips/{path.name}/frames.tif: not the frames of truth/clips.parquet")
+        if digest and not withheld and digest != sha256(path / VIDEO):
+            problems.append(f"clips/{path.name}/{VIDEO}: not the frames of truth/clips.parquet")
     return problems

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import json
+import pickle
 import platform
 import shutil
 import time
@@ -12,7 +13,7 @@ from dataclasses import dataclass
 from functools import lru_cache, partial
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
@@ -24,6 +25,9 @@ from synthcam.scene import Clip, Scene, check_scene
 from synthcam.sensor import Chip, Sensor
 from synthcam.settings import InputError
 from synthcam.view import View
+
+if TYPE_CHECKING:
+    from synthcam.render import Film
 
 FULL = {errno.ENOSPC, errno.EDQUOT, errno.EROFS}  # what will happen to the next clip as well
 
@@ -273,19 +277,28 @@ def _why(error: Exception) -> str:
 
 def film(clip: Clip, view: View, seed: int) -> Frames:
     """The clip's frames as the sensor gives them, one at a time."""
-    from synthcam.render import Film  # here alone: everything else works without OpenGL
-
     chip = _chip(clip.sensor, clip.camera.size, clip.camera.exposure, seed)
     radii = clip.launch.bodies.radius.tolist()
+    drawn = _film(pickle.dumps((clip.camera, clip.lamp, radii, clip.room, clip.surface)))
     view = view.as_drawn()
-    with Film(clip.camera, clip.lamp, radii, clip.room, clip.surface) as drawing:
-        pictures = drawing.frames(
-            lambda t: view.at(t)[:, :, :3].transpose(1, 0, 2),
-            view.spans(clip.frames),
-            view.breaks(),
-        )
-        for k, picture in enumerate(pictures):
-            yield chip.expose(picture, clip.number, k)
+    pictures = drawn.frames(
+        lambda t: view.at(t)[:, :, :3].transpose(1, 0, 2),
+        view.spans(clip.frames),
+        view.breaks(),
+    )
+    for k, picture in enumerate(pictures):
+        yield chip.expose(picture, clip.number, k)
+
+
+@lru_cache(maxsize=2)
+def _film(seen: bytes) -> Film:
+    """One film serves all clips that are seen alike: its plate and its unit take as long as ten frames.
+
+    seen: what a Film is made of, pickled, as arrays have no hash.
+    """
+    from synthcam.render import Film  # here alone: everything else works without OpenGL
+
+    return Film(*pickle.loads(seen))
 
 
 @lru_cache(maxsize=2)

@@ -1,6 +1,8 @@
 """The lamp's images in the balls: where they are seen, how wide and how bright, without drawing anything."""
 
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from itertools import groupby
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +13,7 @@ from synthcam.surface import Surface
 
 Array = NDArray[np.float64]
 PLAIN = Surface()
+PATHS = 4096  # after so many at once, more save no time
 
 
 @dataclass(frozen=True)
@@ -49,30 +52,25 @@ def find_glints(
     eye, cells, axes = camera.centre, lamp.cells(cell), lamp.axes
     lit = np.ones(len(centres)) if light is None else light
     found = []
-    for chain, active in reflections.chains(centres, radii):
-        when = np.flatnonzero(active & wanted[:, chain[-1]])
-        if not len(when):
-            continue
+    for balls, when in _gathered(reflections.chains(centres, radii), wanted, len(cells.areas)):
         part = np.tile(np.arange(len(cells.areas)), len(when))
-        moment = np.repeat(when, len(cells.areas))
+        moment, balls = (np.repeat(x, len(cells.areas), axis=0) for x in (when, balls))
         source, (uu, vv, uv) = cells.places[part], cells.spread[part].T[..., None]
-        balls = np.array(chain)
-        spheres = np.broadcast_to(radii[balls], (len(moment), len(chain)))
-        paths = reflections.reflect(source, eye, centres[moment][:, balls], spheres)
+        spheres, places = radii[balls], centres[moment[:, None], balls]
+        paths = reflections.reflect(source, eye, places, spheres)
         pixels, slope = camera.project_with_slope(paths.points[:, -1])
         shape = (slope @ paths.transfer) @ axes[:, :2]
         area = cells.areas[part] * lamp.radiance * np.abs(np.linalg.det(shape))
         flux = area * np.prod(surface.mirror(paths.cosines), axis=1) * lit[moment]
         u, v = shape[..., 0], shape[..., 1]
         spread = u * u * uu + v * v * vv + 2 * u * v * uv
-        seen = paths.exists & ~reflections.hidden(source, eye, paths, chain, centres[moment], radii)
+        seen = paths.exists & ~reflections.hidden(source, eye, paths, balls, centres[moment], radii)
         if lamp.towards is not None:
             seen &= (paths.points[:, 0] - source) @ axes[:, 2] > 0
-        order = np.full(len(moment), len(chain), dtype=np.intp)
-        ball = np.full(len(moment), chain[-1], dtype=np.intp)
+        order, ball = np.full(len(moment), balls.shape[1]), balls[:, -1]
         lobes = [(spread, flux)]
         if surface.roughness or surface.scratches:
-            tilted = ((slope @ reflections.tilted(source, eye, paths, centres[moment][:, balls], spheres)) ** 2).sum(2)
+            tilted = ((slope @ reflections.tilted(source, eye, paths, places, spheres)) ** 2).sum(2)
             lobes = [
                 (spread + slope_rms**2 * tilted, share * flux)
                 for slope_rms, share in (
@@ -86,6 +84,25 @@ def find_glints(
         none, flat, nowhere = np.zeros(0, np.intp), np.zeros(0), np.zeros((0, 2))
         return Glints(none, none, nowhere, nowhere, flat, none)
     return Glints(*[np.concatenate(parts) for parts in zip(*found, strict=True)])
+
+
+def _gathered(
+    chains: Iterable[tuple[tuple[int, ...], NDArray[np.bool_]]], wanted: NDArray[np.bool_], cells: int
+) -> Iterator[tuple[NDArray[np.intp], NDArray[np.intp]]]:
+    """Chains of one length together, as many as make a good batch: balls (n, k) and sub-exposures (n,)."""
+    for _, alike in groupby(chains, key=lambda found: len(found[0])):
+        balls: list[NDArray[np.intp]] = []
+        moments: list[NDArray[np.intp]] = []
+        for chain, active in alike:
+            when = np.flatnonzero(active & wanted[:, chain[-1]])
+            if len(when):
+                balls.append(np.tile(np.array(chain, np.intp), (len(when), 1)))
+                moments.append(when)
+            if sum(map(len, moments)) * cells > PATHS:
+                yield np.concatenate(balls), np.concatenate(moments)
+                balls, moments = [], []
+        if moments:
+            yield np.concatenate(balls), np.concatenate(moments)
 
 
 def join(many: list[Glints]) -> Glints:

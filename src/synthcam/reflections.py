@@ -7,7 +7,6 @@ of balls has at most one path, and Newton on the spheres finds it.
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -138,22 +137,22 @@ def _expand(ends: Array, normals: Array, tangents: Array, radii: Array) -> tuple
 
 
 def hidden(
-    lamp: Array, eye: Array, paths: Paths, chain: tuple[int, ...], centres: Array, radii: Array
+    lamp: Array, eye: Array, paths: Paths, balls: NDArray[np.intp], centres: Array, radii: Array
 ) -> NDArray[np.bool_]:
-    """Whether a third ball stands in the way, (M,): centres (M, N, 3), radii (N,), chain the path's balls."""
-    count = len(paths.points)
-    ends = np.empty((count, len(chain) + 2, 3))
+    """Whether a third ball stands in the way, (M,): balls (M, k) of each path, centres (M, N, 3), radii (N,)."""
+    count, order = balls.shape
+    ends = np.empty((count, order + 2, 3))
     ends[:, 0], ends[:, 1:-1], ends[:, -1] = lamp, paths.points, eye
     blocked = np.zeros(count, bool)
-    touching = [{chain[0]}, *({a, b} for a, b in pairwise(chain)), {chain[-1]}]
-    for leg, own in enumerate(touching):
+    for leg in range(order + 1):
+        touching = balls[:, max(leg - 1, 0) : leg + 1]
         start, way = ends[:, leg], ends[:, leg + 1] - ends[:, leg]
         for ball in range(len(radii)):
-            if ball in own:
-                continue
-            offset = centres[:, ball] - start
-            along = np.clip((offset * way).sum(1) / (way * way).sum(1), 0, 1)
-            blocked |= np.linalg.norm(offset - along[:, None] * way, axis=1) < radii[ball]
+            third = ~(touching == ball).any(axis=1)
+            if third.any():
+                offset = centres[:, ball] - start
+                along = np.clip((offset * way).sum(1) / (way * way).sum(1), 0, 1)
+                blocked |= third & (np.linalg.norm(offset - along[:, None] * way, axis=1) < radii[ball])
     return blocked
 
 

@@ -79,17 +79,17 @@ def tracks(bodies: Bodies, view: View, lamp: Lamp, frames: int) -> pd.DataFrame:
     states = np.stack([view.motion.at(t)[k] for k, t in enumerate(times)])
     kinds = [view.motion.motion(t)[k] for k, t in enumerate(times)]
     means = view.mean(spans, lambda states: camera.project(states[..., :3]))
-    tables = []
+    balls = []
     for ball in range(len(states)):
         state, radius = states[ball], float(bodies.radius[ball])
         px, glint = camera.project(state[:, :3]), glint_px(camera, lamp, state[:, :3], radius)
-        columns: dict[str, Any] = {"frame": np.arange(frames), "t_s": times[ball], "particle": ball}
+        columns: dict[str, Any] = {"frame": np.arange(frames), "t_s": times[ball], "particle": np.full(frames, ball)}
         columns |= {"x_px": px[:, 0], "y_px": px[:, 1], "glint_x_px": glint[:, 0], "glint_y_px": glint[:, 1]}
         columns |= dict(zip("x y z vx vy vz wx wy wz".split(), state.T, strict=True))
         columns |= {"x_mean_px": means[ball, :, 0], "y_mean_px": means[ball, :, 1]}
         columns |= {"state": kinds[ball], "visible": _whole(camera, state[:, :3], radius)}
-        tables.append(pd.DataFrame(columns))
-    return pd.concat(tables, ignore_index=True)
+        balls.append(columns)
+    return pd.DataFrame({name: np.concatenate([each[name] for each in balls]) for name in balls[0]})
 
 
 def _whole(camera: Camera, centres: Array, radius: float) -> Any:
@@ -104,8 +104,10 @@ def _whole(camera: Camera, centres: Array, radius: float) -> Any:
 
 def events(motion: Trajectory, fps: float) -> pd.DataFrame:
     """The table of `truth/events.parquet`; impulses in N s."""
-    columns = "t_s frame_float kind i j nx ny impulse_n impulse_t".split()
-    rows = [(e.t, e.t * fps, e.kind, e.i, e.j, *e.n, e.impulse_n, e.impulse_t) for e in motion.events]
-    table = pd.DataFrame(rows, columns=columns)
+    names = "t_s frame_float kind i j nx ny impulse_n impulse_t".split()
     kinds = {"kind": "str", "i": "int64", "j": "int64"}
-    return table.astype({c: kinds.get(c, "float64") for c in columns})  # an empty table has its types too
+    rows = [(e.t, e.t * fps, e.kind, e.i, e.j, *e.n, e.impulse_n, e.impulse_t) for e in motion.events]
+    columns = zip(*rows, strict=True) if rows else [()] * len(names)  # an empty table has its types too
+    return pd.DataFrame(
+        {name: pd.Series(list(c), dtype=kinds.get(name, "float64")) for name, c in zip(names, columns, strict=True)}
+    )

@@ -4,16 +4,19 @@ layout(location = 0) in vec3 corner;
 layout(location = INST_M_LOC) in mat4 job;
 
 uniform vec2 atlas;       // size of the buffer, samples
+uniform sampler2D others; // one row an instance: neighbours' centres and radii
 
 flat out vec4 place;      // tile's corner in the buffer, centre in the tile; samples
 flat out vec4 lens;       // columns of the map from samples to ball radii, in the plane through the centre
 flat out vec4 eye;        // camera from the centre, radii, camera axes; weight
-flat out vec4 rest;       // number of neighbours (-1: this is the plate), half extent, row, plate's radiance
+flat out vec4 rest;       // number of neighbours, half extent, row, plate's radiance
+flat out vec4 nearest;    // neighbour
 
 void main() {
     place = job[0];
     lens = job[1];
     eye = job[2];
     rest = job[3];
+    nearest = texelFetch(others, ivec2(0, int(rest.z)), 0);
     gl_Position = vec4(2.0 * (place.xy + place.zw + corner.xy * rest.y) / atlas - 1.0, 0.0, 1.0);
 }

@@ -5,29 +5,26 @@ bright, and are added from their exact places, fluxes and moments.
 """
 
 from collections.abc import Callable, Iterator, Sequence
-from types import TracebackType
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from synthcam import floor
-from synthcam.canvas import SIDE, Float32, NoGL, gl_info, shared_canvas
 from synthcam.floor import PLATE
 from synthcam.glints import PLAIN, Glints, find_glints, join
 from synthcam.optics import Camera, Lamp
 from synthcam.picture import Array, Moments, Patches, Picture, blur_matrix, blurred, merge, pieces, reach, sample, spots
 from synthcam.psf import Psf
+from synthcam.render.canvas import SIDE, Float32, shared_canvas
 from synthcam.shutter import rolled
 from synthcam.surface import STEEL, Surface
-
-__all__ = ["Film", "NoGL", "gl_info"]
 
 Index = NDArray[np.intp]
 Centres = Callable[[Array], Array]
 
 FINENESS = 3  # body samples a pixel, each way
-BODIES, ON_PLATE, SHADES = 0, 1, 2  # what the shader draws
-BATCH = 64  # exposures gathered at a time
+BODIES, ON_PLATE, SHADES, PLATE_ALONE = 0, 1, 2, 3  # what the shader draws
+BATCH = 128  # exposures gathered at a time
 CELL = 0.4  # half-width of a lamp's cells as they are seen, over the blur's sigma
 
 
@@ -92,17 +89,6 @@ class Film:
         spot = ((rows * glints.flux[:, None]).T @ columns)[None].astype(np.float32)
         return float(1 / (spot if self.psf.plain else self.psf.spread(spot)).max())
 
-    def __enter__(self) -> "Film":
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
-
-    def close(self) -> None:
-        """Nothing to free: the OpenGL context belongs to the process."""
-
     def _check_lamp(self, lamp: Lamp) -> None:
         w, h = self.camera.size
         at = self.camera.project(lamp.position)
@@ -136,9 +122,9 @@ class Film:
         jobs = self._jobs(np.zeros((1, 3)), np.array([unit]), fineness=1)
         middle = self.camera.project(np.zeros(3)) + 0.5
         jobs[0, 0, 2:] = middle
-        jobs[0, 3] = -1, np.maximum(middle, [w, h] - middle).max() + 1, 0, PLATE * self.room
+        jobs[0, 3] = 0, np.maximum(middle, [w, h] - middle).max() + 1, 0, PLATE * self.room
         uniforms = self._uniforms | {"lamp": self.camera.R @ self.lamp.position / unit}
-        plate = self._canvas.draw(jobs, np.zeros((1, 1, 4), np.float32), (h, w), uniforms, **self._defines(BODIES))
+        plate = self._canvas.draw(jobs, np.zeros((1, 1, 4), np.float32), (h, w), uniforms, SCENE=PLATE_ALONE)
         return plate.copy() if self._vignette is None else plate * self._vignette
 
     def _compute_plate(self) -> Float32:
@@ -175,7 +161,8 @@ class Film:
         return np.asarray(extent * np.minimum(far, 12))
 
     def _defines(self, scene: int) -> dict[str, int]:
-        return {"SCENE": scene} | ({"METAL": 1} if self.surface.steel else {})
+        pair = {"PAIR": 1} if len(self.radii) <= 2 else {}
+        return {"SCENE": scene} | pair | ({"METAL": 1} if self.surface.steel else {})
 
     def _jobs(self, centres: Array, radii: Array, fineness: int) -> Float32:
         """Instance matrices (n, 4, 4) for bodies (n, 3), (n,), place and neighbours still to be filled in."""

@@ -7,7 +7,8 @@ uniform sampler2D others; // one row an instance: neighbours' centres and radii
 uniform vec3 up;          // the plate's normal
 uniform vec3 lamp;        // from the centre of the plate's quad
 // SCENE is 0 for bodies on an even plate, 1 for bodies and their images in the plate, 2 for what they take from its
-// light: programs of their own, for software OpenGL runs every branch there is.
+// light, 3 for the even plate itself; PAIR says that no ball has two neighbours. Programs of their own, for software
+// OpenGL runs every branch there is, and a fetch costs as much as a bounce.
 uniform float gloss;      // reflectance of the plate
 uniform float zenith;     // radiance of the room overhead
 uniform float steel;      // reflectance at normal incidence, by Schlick's law
@@ -17,6 +18,7 @@ flat in vec4 place;
 flat in vec4 lens;
 flat in vec4 eye;
 flat in vec4 rest;
+flat in vec4 nearest;
 
 out vec4 picture;
 
@@ -25,7 +27,12 @@ const int SELF = -1;
 const int NOBODY = -2;
 
 vec4 ball(int k) {
-    return k == SELF ? vec4(0.0, 0.0, 0.0, 1.0) : texelFetch(others, ivec2(k, int(rest.z)), 0);
+#ifdef PAIR
+    vec4 neighbour = nearest;
+#else
+    vec4 neighbour = texelFetch(others, ivec2(k, int(rest.z)), 0);
+#endif
+    return k == SELF ? vec4(0.0, 0.0, 0.0, 1.0) : neighbour;
 }
 
 // What follows the neighbours in their row: the plate's depth under the centre, unused, the number of lamps; then for
@@ -53,7 +60,8 @@ float mirror(float cosine) {
     float across = (both + square - a) / (both + square + a);
     return across * (1.0 + (rest - a * sine) / (rest + a * sine)) / 2.0;
 #else
-    return steel + (1.0 - steel) * pow(clamp(1.0 - cosine, 0.0, 1.0), 5.0);
+    float slant = clamp(1.0 - cosine, 0.0, 1.0), square = slant * slant;
+    return steel + (1.0 - steel) * square * square * slant;
 #endif
 }
 
@@ -69,42 +77,59 @@ float lit_plate(vec3 from, vec3 way) {
     return rest.w * height * height / (square * square);
 }
 
-#if SCENE > 0
+// The first ball but `here` that a line enters further on than `after`, and how far on.
+int next_ball(vec3 point, vec3 way, int here, float after, out float near) {
+    int next = NOBODY;
+    near = NOTHING;
+#ifdef PAIR
+    int other = here == SELF ? 0 : SELF;
+    float far = entry(point, way, ball(other));
+    if (rest.x > 0.0 && far > after && far < near) {
+        near = far;
+        next = other;
+    }
+#else
+    for (int k = SELF; k < int(rest.x); k++) {
+        if (k == here) continue;
+        float far = entry(point, way, ball(k));
+        if (far > after && far < near) {
+            near = far;
+            next = k;
+        }
+    }
+#endif
+    return next;
+}
+
 // Radiance that comes back along a ray which meets a ball at `near`.
-float seen(vec3 from, vec3 way, float near, int here) {
-    int neighbours = int(rest.x);
+float seen(vec3 from, vec3 way, float near) {
     vec3 point = from + near * way;
+    int here = SELF;
     float kept = 1.0;
-    for (int bounce = 0; bounce < 4 && here != NOBODY; bounce++) {
+    // No constant, or the loop would be unrolled, and every sample run through every bounce.
+    int most = rest.x > 0.0 ? 4 : 1;
+    for (int bounce = 0; bounce < most; bounce++) {
         vec4 hit = ball(here);
         vec3 normal = (point - hit.xyz) / hit.w;
         kept *= mirror(-dot(way, normal));
         way = reflect(way, normal);
-        int next = NOBODY;
-        near = NOTHING;
-        for (int k = SELF; k < neighbours; k++) {
-            if (k == here) continue;
-            float far = entry(point, way, ball(k));
-            if (far > 0.0 && far < near) {
-                near = far;
-                next = k;
-            }
-        }
-        here = next;
-        if (here != NOBODY) point += near * way;
+        here = next_ball(point, way, here, 0.0, near);
+        if (here == NOBODY) break;
+        point += near * way;
     }
     return kept * radiance(way);
 }
 
-// Share of a sample that a ball covers: its outline is a ramp one sample wide. inset: the way to the middle of what
-// is covered.
-float cover(vec3 from, vec3 way, vec4 sphere, out vec3 inset) {
+// Way from a line to a ball's centre.
+vec3 aside(vec3 from, vec3 way, vec4 sphere) {
     vec3 offset = sphere.xyz - from;
-    offset -= dot(offset, way) * way;
-    float miss = length(offset), wide = length(vec2(dFdx(miss), dFdy(miss)));
-    float share = clamp((sphere.w - miss) / wide + 0.5, 0.0, 1.0);
-    inset = share < 1.0 ? offset / miss * (miss - sphere.w + share * wide / 2.0) : vec3(0.0);
-    return share;
+    return offset - dot(offset, way) * way;
+}
+
+// Share of a sample that a ball covers: its outline is a ramp one sample wide.
+float cover(vec3 from, vec3 way, vec4 sphere) {
+    float miss = length(aside(from, way, sphere)), wide = length(vec2(dFdx(miss), dFdy(miss)));
+    return clamp((sphere.w - miss) / wide + 0.5, 0.0, 1.0);
 }
 
 // Distance to a ball along a ray that hits it, or passes it so closely that the sample is partly covered.
@@ -114,32 +139,48 @@ float touch(vec3 from, vec3 way, vec4 sphere) {
     return -b - sqrt(max(b * b - dot(offset, offset) + sphere.w * sphere.w, 0.0));
 }
 
-// Bodies with soft outlines, less the mirrored room they hide, and their mirror images in the plate.
-float body_and_image(vec3 from, vec3 way) {
-    int neighbours = int(rest.x);
-    vec3 inset, unused;
-    float own = cover(from, way, ball(SELF), inset), open = 1.0 - own;
-    float near = touch(from, way, ball(SELF));
-    for (int k = 0; k < neighbours; k++) {
-        float share = cover(from, way, ball(k), unused);
+// Shares of a sample in which this ball is in front, and in which there is none.
+vec2 shares(vec3 from, vec3 way) {
+    float own = cover(from, way, ball(SELF)), open = 1.0 - own, near = touch(from, way, ball(SELF));
+    for (int k = 0; k < int(rest.x); k++) {
+        float share = cover(from, way, ball(k));
         open *= 1.0 - share;
         if (touch(from, way, ball(k)) < near) own *= 1.0 - share;
     }
-    vec3 back = reflect(way, up);
-    float room = gloss * radiance(back);
-    float value = own > 0.0 ? own * (seen(from + inset, way, touch(from + inset, way, ball(SELF)), SELF) - room) : 0.0;
-    if (gloss > 0.0 && open > 0.0) {
-        vec3 at = from - way * (dot(from, up) + note(0).x) / dot(way, up);
-        float hit = entry(at, back, ball(SELF));
-        for (int k = 0; k < neighbours; k++) {
-            float far = entry(at, back, ball(k));
-            if (far > 0.0 && far < hit) hit = NOTHING;
-        }
-        if (hit != NOTHING && hit > 0.0) value += open * (gloss * seen(at, back, hit, SELF) - room);
-    }
-    return value;
+    return vec2(own, open);
 }
 
+// What this ball shows in the part of a sample that it covers. At the rim it changes too fast for one ray: there are
+// two, by Gauss's rule straight inwards over the cosine of incidence, in which it is smooth.
+float face(vec3 from, vec3 way) {
+    vec3 inward = aside(from, way, ball(SELF));
+    float miss = length(inward), wide = length(vec2(dFdx(miss), dFdy(miss)));
+    float low = miss - wide / 2.0, high = min(miss + wide / 2.0, 1.0);
+    float outer = sqrt(1.0 - high * high), inner = sqrt(max(1.0 - low * low, 1e-9));
+    int rays = high > 1.0 - wide ? 2 : 1;
+    float total = 0.0, weights = 0.0;
+    for (int k = 0;; k++) {  // left at its end: from its head it would be run once more
+        float cosine = mix(outer, inner, 0.5 + (float(k) - 0.5) * 0.57735027), radius = sqrt(1.0 - cosine * cosine);
+        float weight = rays == 1 ? 1.0 : cosine / radius;
+        vec3 at = rays == 1 ? from : from + inward * (1.0 - radius / miss);
+        total += weight * seen(at, way, touch(at, way, ball(SELF)));
+        weights += weight;
+        if (k + 1 >= rays) break;
+    }
+    return total / weights;
+}
+
+#if SCENE == 1
+// The ball's mirror image in the plate, less the mirrored room it hides.
+float image(vec3 from, vec3 way) {
+    vec3 back = reflect(way, up), at = from - way * (dot(from, up) + note(0).x) / dot(way, up);
+    float hit = entry(at, back, ball(SELF)), far;
+    next_ball(at, back, SELF, 0.0, far);
+    return hit > 0.0 && hit < NOTHING && !(far < hit) ? gloss * (seen(at, back, hit) - radiance(back)) : 0.0;
+}
+#endif
+
+#if SCENE == 2
 // Share of a lamp's disc that a ball leaves in view: circles of angular radii a and b, t apart.
 float left_of(float a, float b, float t) {
     if (t >= a + b) return 1.0;
@@ -164,8 +205,7 @@ float passed(vec3 from, vec3 way, vec3 at, vec4 sphere) {
         float wide = asin(clamp(sphere.w / far, 0.0, 1.0));
         light += note(2 + 2 * k).x * left_of(place.w / range, wide, apart);
     }
-    vec3 unused;
-    return light * (1.0 - cover(from, way, sphere, unused));
+    return light * (1.0 - cover(from, way, sphere));
 }
 
 // Balls in a fixed order, each times what those before it let through: the sum over all of them is their product's.
@@ -178,38 +218,6 @@ float shade(vec3 from, vec3 way) {
     }
     return before * (passed(from, way, at, ball(SELF)) - 1.0);
 }
-#else
-float body(vec3 from, vec3 way) {
-    int neighbours = int(rest.x);
-    float near = entry(from, way, ball(SELF));
-    if (near == NOTHING) return 0.0;
-    for (int k = 0; k < neighbours; k++)
-        if (entry(from, way, ball(k)) < near) return 0.0;
-
-    vec3 point = from + near * way;
-    vec3 normal = point;
-    int here = SELF;
-    float kept = 1.0;
-    for (int bounce = 0; bounce < 4 && here != NOBODY; bounce++) {
-        kept *= mirror(-dot(way, normal));
-        way = reflect(way, normal);
-        int next = NOBODY;
-        near = NOTHING;
-        for (int k = SELF; k < neighbours; k++) {
-            if (k == here) continue;
-            float far = entry(point, way, ball(k));
-            if (far > 0.0 && far < near) {
-                near = far;
-                next = k;
-            }
-        }
-        here = next;
-        if (here == NOBODY) break;
-        point += near * way;
-        normal = (point - ball(here).xyz) / ball(here).w;
-    }
-    return kept * radiance(way) - rest.w;
-}
 #endif
 
 void main() {
@@ -217,12 +225,19 @@ void main() {
     vec2 sample_at = (gl_FragCoord.xy - place.xy) - place.zw;
     vec3 from = vec3(lens.xy * sample_at.x + lens.zw * sample_at.y, 0.0);
     vec3 way = normalize(from - eye.xyz);
-#if SCENE == 0
-    float value = rest.x < 0.0 ? lit_plate(from, way) : body(from, way);
-#elif SCENE == 1
-    float value = body_and_image(from, way);
-#else
+#if SCENE == 2
     float value = shade(from, way);
+#elif SCENE == 3
+    float value = lit_plate(from, way);
+#else
+    vec2 share = shares(from, way);
+#if SCENE == 0
+    float value = share.x > 0.0 ? share.x * (face(from, way) - rest.w) : 0.0;
+#else
+    float hidden = gloss * radiance(reflect(way, up));
+    float value = share.x > 0.0 ? share.x * (face(from, way) - hidden) : 0.0;
+    value += gloss > 0.0 && share.y > 0.0 ? share.y * image(from, way) : 0.0;
+#endif
 #endif
     picture = vec4(eye.w * value);
 }

@@ -12,7 +12,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from synthcam import windowless
+from synthcam.render import windowless
 
 # Read when the libraries load. Rasterising in the calling thread leaves the other cores to worker processes.
 os.environ.setdefault("LP_NUM_THREADS", "0")
