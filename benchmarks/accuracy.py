@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -39,6 +40,7 @@ def main() -> None:
     options = parser.parse_args()
     film, tracked, report = (str(options.output / name) for name in ("film", "tracked", "score"))
     run("synthcam", "generate", options.scene, "-o", film, "--clips", str(options.clips), "--seed", str(options.seed))
+    shutil.rmtree(tracked, ignore_errors=True)  # another version of the tracker may have made it
     run("tracker", "track", film, "-o", tracked)
     run("tracker", "score", tracked, "--truth", film, "-o", report)
 

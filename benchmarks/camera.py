@@ -1,6 +1,6 @@
 """How true and how fast is the camera? Pictures against float64 rays, noise against EMVA 1288, frames a second.
 
-benchmarks/camera.py [--pairs 60] [--clips 40] [-o out/camera.json]
+benchmarks/camera.py [--pairs 60] [--balls 12] [--clips 60] [-o out/camera.json]    about three minutes
 """
 
 from __future__ import annotations
@@ -9,10 +9,12 @@ import argparse
 import json
 import os
 import resource
+import shutil
 import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -25,10 +27,12 @@ import camera_reference as reference
 from synthcam.glints import find_glints
 from synthcam.lamp import Lamp
 from synthcam.optics import Camera
+from synthcam.picture import Picture
 from synthcam.render import FINENESS, Film, gl_info
 from synthcam.sensor import Chip, Sensor
-from synthcam.surface import Surface
+from synthcam.surface import IRON, Surface
 
+BLACK = {"metal": np.array([1.0, 1e-9]), "zenith": 0.0}  # the refractive index of air: no reflection
 ROOT = Path(__file__).resolve().parent.parent
 Array = NDArray[np.float64]
 R = 1.19e-3
@@ -39,12 +43,12 @@ SCENE = {
     "launch": {"v0": {"uniform": [0.1, 0.6]}, "b": {"uniform": [-0.3, 0.3]}, "heading": {"uniform": [0, 6.2832]}},
     "timing": {"contact_frame": {"uniform": [20, 30]}},
 }
-LIMITS = {
+AT_MOST = {
     "primary place, px rms": 0.002,
     "primary flux, relative": 0.01,
     "secondary place, px rms": 0.01,
     "secondary flux, relative": 0.02,
-    "outline, px rms": 0.005,
+    "outline": 0.005,  # of each case
     "gain, relative": 0.02,
     "read noise, relative": 0.02,
     "PRNU, relative": 0.02,
@@ -52,6 +56,8 @@ LIMITS = {
     "noise shared by two frames": 0.01,
     "fixed pattern not shared by clips": 0.02,
 }
+AT_LEAST = {"generate: frames a second at the margin": 1000.0, "generate: faster than the experiment ran": 4.0}
+FPS, FRAMES = 250, 100  # of a clip
 
 
 def overhead(**changes: Any) -> Camera:
@@ -100,21 +106,95 @@ def glints(pairs: int, rng: np.random.Generator) -> dict[str, float]:
 
 
 def outline(balls: int, rng: np.random.Generator) -> dict[str, float]:
-    """A ball that mirrors nothing on a bright plate: its edge as drawn less the sphere's, by the optics' own slope."""
-    camera = overhead()
-    film = Film(camera, LAMP, [R], room=1.0, surface=Surface(steel=(2.95, 2.93), plate_texture=1e-9))
-    film._uniforms |= {"metal": np.array([1.0, 1e-3]), "zenith": 0.0}  # refractive index of air: no reflection
-    errors, shifts = [], []
-    for _ in range(balls):
-        centre = np.array([*rng.uniform([-0.023, -0.01], [0.023, 0.01]), R])
-        (picture,) = film.frames(still(centre[None]), [[0.0, 0.0]])
-        error, shift = reference.edge(camera, centre, R, 1 - picture.image / picture.plate)
-        errors.append(error)
-        shifts.append(shift)
-    return {
-        "outline, px rms": float(np.sqrt(np.mean(np.concatenate(errors) ** 2))),
-        "outline's middle, px rms": float(np.sqrt(np.mean(np.square(shifts)))),
+    """Edges of balls that mirror nothing, on a bright plate, less the spheres' own: in each way that films take."""
+    even, drawn_plate = Surface(steel=IRON), Surface(steel=IRON, plate_texture=1e-9)
+    cases: dict[str, tuple[dict[str, Any], Surface, int, float]] = {  # camera, surface, balls, travel in px
+        "even plate": ({}, even, 1, 0.0),
+        "drawn plate": ({}, drawn_plate, 1, 0.0),
+        "pairs at contact": ({}, even, 2, 0.0),
+        "pairs, drawn plate": ({}, drawn_plate, 2, 0.0),
+        "moving 3 px": ({}, even, 1, 3.0),
+        "moving 12 px": ({}, even, 1, 12.0),
+        "tilted, distorted": ({"tilt": (0.15, -0.1), "distortion": (-0.2, 0.1, 1e-3, 1e-3, 0)}, even, 1, 0.0),
+        "defocused by 2 px": ({"defocus_px": 2.0}, even, 1, 0.0),
+        "rolling shutter": ({"line_time": 1e-5}, even, 1, 1.5),
     }
+    out = {}
+    for name, (settings, surface, many, travel) in cases.items():
+        camera = overhead(**settings)
+        film = Film(camera, LAMP, [R] * many, room=1.0, surface=surface)
+        film._uniforms |= BLACK
+        film._unit = 0.0
+        errors = []
+        for _ in range(balls if not travel else -(-balls // 4)):
+            start, way = together(many, rng), travel * camera.scale * direction(rng)
+            path = moving(start, way / camera.exposure)
+            (picture,) = film.frames(path, [[0.0, camera.exposure if travel else 0.0]])
+            nodes, weights = np.polynomial.legendre.leggauss(3 + int(2 * travel))
+            times, shares = ((nodes + 1) / 2 * camera.exposure, weights / 2) if travel else (np.zeros(1), np.ones(1))
+            bottom = camera.size[1] * camera.line_time
+            low, high = reference.window(camera, np.concatenate(path(np.array([0.0, camera.exposure + bottom]))))
+            anchors = np.arange(low[1], high[1] + 3, 3) if camera.line_time else np.zeros(1)
+            seen = [
+                np.tensordot(
+                    shares,
+                    [reference.hidden(camera, c, R, low, high, camera.defocus_px) for c in path(times + late)],
+                    axes=1,
+                )
+                for late in anchors * camera.line_time
+            ]
+            true: Array = seen[0] if len(seen) == 1 else by_rows(anchors - low[1], seen)
+            drawn = (1 - picture.image / picture.plate)[low[1] : high[1], low[0] : high[0]]
+            errors.append(reference.displaced(drawn, true))
+        out[f"outline, {name}, px rms"] = rms(np.concatenate(errors))
+    return out
+
+
+def by_rows(anchors: Array, pictures: list[Array]) -> Array:
+    """Row r of the picture that is interpolated at r between those of the anchors."""
+    rows = np.arange(len(pictures[0]))
+    before = np.minimum(np.searchsorted(anchors, rows, "right") - 1, len(anchors) - 2)
+    share = ((rows - anchors[before]) / np.diff(anchors)[before])[:, None]
+    stack = np.stack(pictures)
+    return np.asarray((1 - share) * stack[before, rows] + share * stack[before + 1, rows])
+
+
+def lit_outline(balls: int, rng: np.random.Generator) -> dict[str, float]:
+    """Lines of equal light at the rim of a ball that mirrors its room, less those of float64 rays."""
+    film = Film(overhead(), LAMP, [R], room=1.0)
+    film._unit = 0.0
+    errors = []
+    for _ in range(balls):
+        centres = together(1, rng)
+        (picture,) = film.frames(still(centres), [[0.0, 0.0]])
+        low, high = reference.window(film.camera, centres)
+        dark = 0.05 * (LAMP.position[2] ** 2 / np.sum((LAMP.position - centres * [1, 1, 0]) ** 2, axis=1)) ** 2
+        true = reference.lit(film.camera, LAMP, centres, film.radii, dark, 1.0, low, high)
+        drawn = (picture.image - picture.plate)[low[1] : high[1], low[0] : high[0]]
+        across, down = np.meshgrid(*[np.arange(a, b) for a, b in zip(low, high, strict=True)])
+        at = film.camera.project(centres[0])
+        rim = np.abs(np.hypot(across - at[0], down - at[1]) - R / film.camera.scale) < 1.5
+        errors.append(reference.displaced(drawn, true, rim))
+    return {"outline, as lit, px rms": rms(np.concatenate(errors))}
+
+
+def together(many: int, rng: np.random.Generator) -> Array:
+    """A ball anywhere in view, or that and others in a row at contact."""
+    first = np.array([*rng.uniform([-0.02, -0.008], [0.02, 0.008]), R])
+    return first + 2 * R * np.arange(many)[:, None] * direction(rng)
+
+
+def direction(rng: np.random.Generator) -> Array:
+    turn = rng.uniform(0, 2 * np.pi)
+    return np.array([np.cos(turn), np.sin(turn), 0.0])
+
+
+def moving(start: Array, velocity: Array) -> Callable[[Array], Array]:
+    return lambda times: start + times[:, None, None] * velocity
+
+
+def rms(values: Array) -> float:
+    return float(np.sqrt(np.mean(np.square(values))))
 
 
 def photon_transfer() -> dict[str, float]:
@@ -128,7 +208,8 @@ def photon_transfer() -> dict[str, float]:
     chip = Chip(sensor, size, 5e-4, root_seed=1)
 
     def frame(level: float, clip: int, k: int) -> Array:
-        return chip.expose(np.full(size[::-1], level, np.float32), clip, k).astype(float)
+        plate = np.full(size[::-1], level, np.float32)
+        return chip.expose(plate if level else Picture(plate, (), ()), clip, k).astype(float)  # by pixel, or by tables
 
     means, variances = [], []
     for step, level in enumerate(np.linspace(0, 0.9, 13)):
@@ -168,26 +249,35 @@ def _shared_pattern(one: Array, other: Array, sensor: Sensor, n: int, m: int) ->
 
 
 def speed(clips: int) -> dict[str, float]:
-    """Whole `synthcam generate` with two workers: start-up, and what one more clip costs, by clock and by processor."""
-    few, out = 4, {}
-    seconds, processor = [], []
+    """Whole `synthcam generate` with two workers: start-up, and what one more clip costs, by clock and by processor.
+
+    Each of two runs, of few and of many clips, is made twice and the better one counts.
+    """
+    few = 4
+    runs = dict.fromkeys((few, few + clips), (np.inf, np.inf))
     with tempfile.TemporaryDirectory() as folder:
         scene = Path(folder, "scene.yaml")
         scene.write_text(json.dumps(SCENE))
-        for n in (few, few + clips):
+        for n in [*runs, *runs]:
             used, started = _children(), time.perf_counter()
-            words = ["generate", str(scene), "-o", str(Path(folder, f"film{n}")), "--clips", str(n), "--workers", "2"]
+            dataset = Path(folder, "film")
+            words = ["generate", str(scene), "-o", str(dataset), "--clips", str(n), "--workers", "2"]
             program = Path(sys.executable).with_name("synthcam")
             subprocess.run([program, *words], check=True, stdout=subprocess.DEVNULL)
-            seconds.append(time.perf_counter() - started)
-            processor.append(_children() - used)
-    frames = 100 * clips
-    out["generate: frames a second at the margin"] = frames / (seconds[1] - seconds[0])
-    out["generate: processor ms a frame"] = 1e3 * (processor[1] - processor[0]) / frames
-    out["generate: frames a second by processor time, two cores"] = 2 * frames / (processor[1] - processor[0])
-    out["generate: ms for one more clip of 100 frames"] = 1e3 * (seconds[1] - seconds[0]) / clips
-    out["generate: start-up, s"] = seconds[0] - few * (seconds[1] - seconds[0]) / clips
-    return out
+            taken = time.perf_counter() - started, _children() - used
+            runs[n] = min(runs[n][0], taken[0]), min(runs[n][1], taken[1])
+            shutil.rmtree(dataset)
+    (start, start_work), (end, end_work) = runs.values()
+    clip, work = (end - start) / clips, (end_work - start_work) / clips
+    return {
+        "generate: start-up, s": start - few * clip,
+        "generate: start-up, processor s": start_work - few * work,
+        "generate: ms for one more clip of 100 frames": 1e3 * clip,
+        "generate: frames a second at the margin": FRAMES / clip,
+        "generate: faster than the experiment ran": FRAMES / clip / FPS,
+        "generate: processor ms a frame": 1e3 * work / FRAMES,
+        "generate: frames a second by processor time, two cores": 2 * FRAMES / work,
+    }
 
 
 def _children() -> float:
@@ -198,9 +288,15 @@ def _children() -> float:
 def stock(frames: int = 12) -> dict[str, float]:
     """Our drawing, and stock pyrender's at the samples of our bodies and at 8 x 8, one process each, without noise."""
     found: dict[str, float] = {}
+    places = []
     for fine in (FINENESS, 8):
         words = [sys.executable, str(Path(__file__).with_name("stock_pyrender.py")), str(frames), str(fine)]
-        found |= json.loads(subprocess.run(words, check=True, capture_output=True, text=True).stdout)
+        told = json.loads(subprocess.run(words, check=True, capture_output=True, text=True).stdout)
+        places.append(told.pop("places"))
+        found |= told
+    found[f"stock pyrender, {FINENESS} x {FINENESS} samples: highlight off that of 8 x 8, px rms"] = rms(
+        np.subtract(*places)
+    )
     film = Film(overhead(), LAMP, [R, R])
     times = np.arange(100) / 250
 
@@ -215,33 +311,44 @@ def stock(frames: int = 12) -> dict[str, float]:
         for _ in film.frames(roll, np.c_[times, times + 5e-4], [0.2]):
             pass
         best = min(best, time.process_time() - started)
-    return {"drawn alone: processor ms a frame": 1e3 * best / len(times)} | found
+    return {"ours, drawn alone: processor ms a frame": 1e3 * best / len(times)} | found
+
+
+def goal(name: str) -> tuple[str, float]:
+    if name in AT_LEAST:
+        return "at least", AT_LEAST[name]
+    kind = "outline" if name.startswith("outline") else name
+    return ("at most", AT_MOST[kind]) if kind in AT_MOST else ("", np.nan)
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description="Truth and speed of the camera.")
     parser.add_argument("--pairs", type=int, default=60)
-    parser.add_argument("--clips", type=int, default=40)
+    parser.add_argument("--balls", type=int, default=12)
+    parser.add_argument("--clips", type=int, default=60)
     parser.add_argument("-o", "--output", type=Path, default=ROOT / "out" / "camera.json")
     options = parser.parse_args()
+    load = os.getloadavg()[0] if hasattr(os, "getloadavg") else np.nan
+    figures = speed(options.clips)  # first, while this process holds nothing
+    figures |= stock()
     rng = np.random.default_rng(0)
-    figures: dict[str, float] = glints(options.pairs, rng) | outline(20, rng) | photon_transfer()
-    figures |= speed(options.clips) | stock()
-    table = Table("figure", "value", "at most", "", title="512 x 256, .1 mm a pixel, two balls")
-    good = True
+    figures |= glints(options.pairs, rng) | outline(options.balls, rng) | lit_outline(options.balls, rng)
+    figures |= photon_transfer()
+    table = Table("figure", "value", "goal", "", title="512 x 256, .1 mm a pixel, two balls")
+    missed = []
     for name, value in figures.items():
-        limit = LIMITS.get(name)
-        good &= limit is None or value <= limit
-        verdict = "" if limit is None else "ok" if value <= limit else "MISS"
-        table.add_row(name, f"{value:.3g}", "" if limit is None else f"{limit:g}", verdict)
-    console = Console(width=100)
+        which, limit = goal(name)
+        good = not which or (value >= limit if which == "at least" else value <= limit)
+        missed += [] if good else [name]
+        table.add_row(name, f"{value:.3g}", *([f"{which} {limit:g}", "ok" if good else "MISS"] if which else []))
+    console = Console(width=110)
     console.print(table)
-    load = os.getloadavg()[0] if hasattr(os, "getloadavg") else float("nan")
-    console.print(f"OpenGL: {gl_info()}; load before the end: {load:.1f}", highlight=False)
+    console.print(f"OpenGL: {gl_info()}; {os.cpu_count()} cores, load before the start: {load:.1f}", highlight=False)
     options.output.parent.mkdir(parents=True, exist_ok=True)
-    document = {"figures": figures, "limits": LIMITS, "gl": gl_info(), "cores": os.cpu_count(), "load": load}
+    goals = {name: goal(name) for name in figures if goal(name)[0]}
+    document = {"figures": figures, "goals": goals, "gl": gl_info(), "cores": os.cpu_count(), "load": load}
     options.output.write_text(json.dumps(document, indent=1) + "\n")
-    sys.exit(0 if good else 1)
+    sys.exit(f"missed: {', '.join(missed)}" if missed else 0)
 
 
 if __name__ == "__main__":

@@ -6,13 +6,15 @@ bisection, and area, reflectance and moments are integrated inside it by Gauss a
 
 import cv2
 import numpy as np
+from scipy.signal import fftconvolve
 from scipy.special import ndtr
 
 DIRECTIONS, NODES = 128, 12
+FINE = 24  # cells a pixel, each way, of an outline's area
 
 
-def trace(camera, centres, radii, pixels, order):
-    """Rays through pixels (M, 2): where they meet z = the lamp's, and reflectance kept; NaN unless `order` bounces."""
+def trace(camera, centres, radii, pixels, most):
+    """Rays through pixels (M, 2): last points and ways (M, 3), reflectance kept, bounces, the first ball or -1."""
     flat = cv2.undistortPoints(
         pixels.reshape(-1, 1, 2), camera.K, camera.dist, criteria=(cv2.TERM_CRITERIA_MAX_ITER, 100, 0)
     ).reshape(-1, 2)
@@ -20,7 +22,8 @@ def trace(camera, centres, radii, pixels, order):
     way /= np.linalg.norm(way, axis=1, keepdims=True)
     point = np.tile(-camera.R.T @ camera.t, (len(way), 1))
     kept, last, bounces = np.ones(len(way)), np.full(len(way), -1), np.zeros(len(way), int)
-    for _ in range(order + 1):
+    first = None
+    for _ in range(most):
         nearest, ball = np.full(len(way), np.inf), np.full(len(way), -1)
         for k, (centre, radius) in enumerate(zip(centres, radii, strict=True)):
             offset = point - centre
@@ -35,13 +38,14 @@ def trace(camera, centres, radii, pixels, order):
         kept = np.where(hit, kept * (0.55 + 0.45 * (1 - cosine) ** 5), kept)
         way = np.where(hit[:, None], way + 2 * cosine[:, None] * normal, way)
         bounces, last = bounces + hit, np.where(hit, ball, -2)
-    good = (bounces == order) & (way[:, 2] > 0)
-    return point, np.where(good[:, None], way, np.nan), kept
+        first = ball if first is None else first
+    return point, way, kept, bounces, first
 
 
 def missed(camera, lamp, centres, radii, pixels, order):
-    """How far (M, 2), m, rays pass the lamp's middle in its plane, and reflectance kept."""
-    point, way, kept = trace(camera, centres, radii, pixels, order)
+    """How far (M, 2), m, rays pass the lamp's middle in its plane, and reflectance kept; NaN unless `order` bounces."""
+    point, way, kept, bounces, _ = trace(camera, centres, radii, pixels, order + 1)
+    way = np.where(((bounces == order) & (way[:, 2] > 0))[:, None], way, np.nan)
     over = point + ((lamp.position[2] - point[:, 2]) / way[:, 2])[:, None] * way
     return (over - lamp.position)[:, :2], kept
 
@@ -99,13 +103,68 @@ def separate(image, spots, places):
     return found[:, 1:] / found[:, :1], found[:, 0]
 
 
-def edge(camera, centre, radius, cover):
-    """Offsets (n,) px, outwards, of a drawn ball's edge from the sphere's own; and of their middle (2,) px.
+def window(camera, centres):
+    """First and last (column, row) of a box around balls (N, 3) and their blur."""
+    at, half = camera.project(centres), 1.3 * centres[0, 2] / camera.scale + 8
+    return np.floor(at.min(axis=0) - half).astype(int), np.ceil(at.max(axis=0) + half).astype(int)
 
-    cover: (h, w) share of the plate that the ball hides. The edge's true profile is the outline's polygon of 720
-    corners, blurred: Gaussian and pixel are applied to its exact area in cells of 1/24 px.
+
+def hidden(camera, centres, radius, low, high, defocus=0.0):
+    """Share (h, w) of the plate that balls (N, 3) hide in the box `low` to `high`.
+
+    The outline is a polygon of 720 corners; Gaussian, pixel and disc are applied to its exact area in cells of
+    1/FINE px. Balls may touch in the picture but not overlap.
     """
-    fine = 24
+    size, lines = high - low, 8
+    area = np.zeros(size[::-1] * FINE)
+    heights = (np.arange(size[1] * FINE * lines) + 0.5) / (FINE * lines) - 0.5 + low[1]
+    cells = np.arange(size[0] * FINE + 1) / FINE - 0.5 + low[0]
+    for centre in centres:
+        left, right = _chords(_corners(camera, centre, radius), heights)
+        length = np.clip(np.minimum(right[:, None], cells[1:]) - np.maximum(left[:, None], cells[:-1]), 0, None) * FINE
+        area += length.reshape(size[1] * FINE, lines, -1).mean(axis=1)
+    return blurred(np.minimum(area, 1), camera.psf_sigma_px, defocus)
+
+
+def lit(camera, lamp, centres, radii, dark, room, low, high, fine=16):
+    """Light (h, w) of balls in a dim room less that of the plate behind them, in the box `low` to `high`.
+
+    By fine x fine rays a pixel, four bounces; dark: (N,) the plate's radiance under each ball.
+    """
+    size = high - low
+    x, y = ((np.arange(n * fine) + 0.5) / fine - 0.5 + start for n, start in zip(size, low, strict=True))
+    grid = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
+    _, way, kept, bounces, first = trace(camera, centres, radii, grid, 4)
+    plate = np.asarray(dark)[np.maximum(first, 0)]
+    light = kept * (plate + (room / 0.55 - plate) * np.maximum(way[:, 2], 0)) - plate
+    return blurred(np.where(bounces > 0, light, 0).reshape(size[::-1] * fine), camera.psf_sigma_px, fine=fine)
+
+
+def blurred(cells, sigma, defocus=0.0, fine=FINE):
+    """Cells of 1/fine px through the Gaussian, the square pixel and, summed in real space, the disc of defocus."""
+    if defocus:
+        side = np.arange(-np.ceil(defocus * fine) - 1, np.ceil(defocus * fine) + 2)
+        part = (np.arange(8) + 0.5) / 8 - 0.5
+        inside = np.hypot(*np.meshgrid(*[(side[:, None] + part).ravel() / fine] * 2)) < defocus
+        disc = inside.reshape(len(side), 8, len(side), 8).mean(axis=(1, 3))
+        cells = fftconvolve(cells, disc / disc.sum(), mode="same")
+    kernels = []
+    for count in cells.shape:
+        at = (np.arange(count) + 0.5) / fine - 0.5
+        edges = np.arange(count // fine + 1)[:, None] - 0.5
+        kernels.append(np.diff(ndtr((edges - at) / sigma), axis=0) / fine)
+    return kernels[0] @ cells @ kernels[1].T
+
+
+def displaced(drawn, true, where=True):
+    """Offsets (n,) px, towards the brighter side, of a drawn edge from the true one, where that is steep."""
+    down, across = np.gradient(true)
+    steep = np.hypot(down, across) * where
+    on = steep > 0.6 * steep.max()
+    return (drawn - true)[on] / steep[on]
+
+
+def _corners(camera, centre, radius):
     eye = camera.centre - centre
     far = np.linalg.norm(eye)
     axis = eye / far
@@ -115,30 +174,7 @@ def edge(camera, centre, radius, cover):
     ring = radius**2 / far * axis + radius * np.sqrt(1 - (radius / far) ** 2) * (
         np.cos(turn)[:, None] * side + np.sin(turn)[:, None] * np.cross(axis, side)
     )
-    corners = camera.project(centre + ring)
-    low = np.floor(corners.min(axis=0)).astype(int) - 7
-    high = np.ceil(corners.max(axis=0)).astype(int) + 8
-    size = high - low
-    # A convex outline's area in each cell, row by row of cells: chord ends on a grid finer still.
-    lines = 8
-    heights = (np.arange(size[1] * fine * lines) + 0.5) / (fine * lines) - 0.5 + low[1]
-    left, right = _chords(corners, heights)
-    cells = (np.arange(size[0] * fine + 1)) / fine - 0.5 + low[0]
-    length = np.clip(np.minimum(right[:, None], cells[1:]) - np.maximum(left[:, None], cells[:-1]), 0, None) * fine
-    area = length.reshape(size[1] * fine, lines, -1).mean(axis=1)
-    kernels = []
-    for count in (size[1], size[0]):
-        at = (np.arange(count * fine) + 0.5) / fine - 0.5
-        edges = np.arange(count + 1)[:, None] - 0.5
-        kernels.append(np.diff(ndtr((edges - at) / camera.psf_sigma_px), axis=0) / fine)
-    true = kernels[0] @ area @ kernels[1].T
-    drawn = cover[low[1] : high[1], low[0] : high[0]]
-    down, across = np.gradient(true)
-    steep = np.hypot(down, across)
-    on = steep > 0.6 * steep.max()
-    error = (drawn - true)[on] / steep[on]
-    outward = -np.stack([across[on], down[on]], axis=1) / steep[on][:, None]
-    return error, np.linalg.lstsq(outward, error, rcond=None)[0]
+    return camera.project(centre + ring)
 
 
 def _chords(corners, heights):

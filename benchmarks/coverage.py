@@ -2,8 +2,9 @@
 
     benchmarks/coverage.py [--clips 500] [--seed 0] [--scene scenes/benchmark.yaml] [-o out/coverage]
     benchmarks/coverage.py --from-tracks      no video: true centres with noise at the localisation bound
+    benchmarks/coverage.py --scene scenes/dim.yaml --clips 200      its dim kin, and with saturated.yaml the clipped one
 
-Film and tracks are kept in the output and used again; the measuring is done anew each time. Exit status 1 when a
+The film is kept in the output and used again; tracking and measuring are done anew each time. Exit status 1 when a
 figure misses. For each quantity and fit: RMSE over the Fisher bound of that fit on those positions, each clip against
 its own bound (the ratio of the two root mean squares stands beside it: the few slowest clips decide that one, and its
 own sampling error says how few); mean and standard deviation of z = error / claimed standard error; how often the 68
@@ -39,7 +40,6 @@ OTHERS = "v0 b t_c final_angle drag decel w1n w1t w2n w2t".split()  # shown, and
 RATIO, ERRORS, SPREAD = 1.15, 3.5, 0.07  # of the bound; sampling errors; of the standard deviation of z
 SHARE, EXEMPT = 0.6, ("s_free",)  # of the clips, at least, that claim a value
 TOLD = 0.95  # at least, of the clips that can tell
-PEAK = 200  # counts, of a drawn glint
 
 
 def run(*command: str) -> None:
@@ -54,6 +54,7 @@ def filmed(folder: Path, options: argparse.Namespace) -> tuple[Path, pd.DataFram
     film, tracked = folder / "film", folder / "tracked"
     size = ("--clips", str(options.clips), "--seed", str(options.seed))
     run("synthcam", "generate", options.scene, "-o", str(film), *size)
+    shutil.rmtree(tracked, ignore_errors=True)
     run("tracker", "track", str(film), "-o", str(tracked))
     paths = sorted(tracked.glob("clips/*/tracks.parquet"))
     return film, pd.concat(pd.read_parquet(p).assign(clip=int(p.parent.name)) for p in paths)
@@ -73,12 +74,13 @@ def noisy(clip: Path, rng: np.random.Generator) -> pd.DataFrame:
     """One clip's tracks: noise of the bound's covariance, the fixed pattern's share common to places alike."""
     camera = Camera.read(clip / "camera.json")
     sigma = camera.sigma or 1.0
+    peak = json.loads((clip / "truth" / "scene.json").read_text())["drawn"]["sensor"]["glint_peak"]
     whole = pd.read_parquet(clip / "truth" / "tracks.parquet").query("visible").sort_values(["particle", "frame"])
     parts = []
     for _, true in whole.groupby("particle"):
         glint, flux = (
             true[["glint_x_px", "glint_y_px"]].to_numpy(float),
-            np.full(len(true), PEAK * 2 * math.pi * sigma**2),
+            np.full(len(true), peak * 2 * math.pi * sigma**2),
         )
         here = true[["x", "y", "z"]].to_numpy(float)
         there = here + true[["vx", "vy", "vz"]].to_numpy(float) * camera.exposure
@@ -172,8 +174,10 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--scene", default="scenes/benchmark.yaml")
     parser.add_argument("--from-tracks", action="store_true", help="no video: noise at the localisation bound")
-    parser.add_argument("-o", "--output", type=Path, default=ROOT / "out" / "coverage")
+    parser.add_argument("-o", "--output", type=Path, help="default: out/coverage, and _SCENE for others")
     options = parser.parse_args()
+    kin = Path(options.scene).stem.replace("benchmark", "")
+    options.output = options.output or ROOT / "out" / "_".join(filter(None, ["coverage", kin]))
     options.output.mkdir(parents=True, exist_ok=True)
     way = drawn if options.from_tracks else filmed
     data, tracks = way(options.output, options)

@@ -59,7 +59,7 @@ PICTURES: dict[str, tuple[dict[str, Any], int, float]] = {
         1.6,
     ),
     "saturated": (TWO | {"camera": CLOSE, "sensor": {"glint_peak": 2500, "full_well": 60000}}, 1, 1.0),
-    "dim": (TWO | {"camera": CLOSE, "sensor": {"glint_peak": 12}}, 1, 1.0),
+    "dim": (TWO | {"camera": CLOSE, "sensor": {"glint_peak": 12}}, 1, 2.2),
     "blurred": (TWO | {"camera": CLOSE, "timing": {"exposure": 4e-3}}, 1, 1.0),
     "rolling_shutter": (
         TWO
@@ -72,7 +72,16 @@ PICTURES: dict[str, tuple[dict[str, Any], int, float]] = {
         1.6,
     ),
     "defocus": (TWO | {"camera": CLOSE | {"defocus_px": 4.0, "psf_sigma_px": 0.6}, "lamp": ROOM}, 1, 1.6),
-    "diffraction": (ONE | {"camera": CLOSE | {"f_number": 22.0, "psf_sigma_px": 0.5}}, 1, 2.5),
+    "diffraction": (
+        ONE
+        | {
+            "camera": CLOSE | {"f_number": 32.0, "psf_sigma_px": 0.5},
+            "lamp": {"room": 0.0},
+            "sensor": {"glint_peak": 4000, "full_well": 90000},
+        },
+        1,
+        1.6,
+    ),
     "rough_and_scratched": (
         ONE | {"camera": CLOSE | {"scale": 4e-5}, "surface": {"roughness": 0.02, "scratches": 0.4}},
         1,

@@ -8,7 +8,7 @@ worse than the mean by more than LIMIT scatters.
 
     benchmarks/gate.py                    check (exit status 1 when something has grown)
     benchmarks/gate.py --seeds 10         check ten times, with other seeds
-    benchmarks/gate.py --accept           measure ten seeds and make theirs the accepted figures
+    benchmarks/gate.py --accept WHY       measure ten seeds, make theirs the accepted figures, say why in CHANGELOG.md
     benchmarks/gate.py --shift 0.02       show that it can fail: a detector off by so many px
     benchmarks/gate.py --off 0.5          the same: estimates off by so many of their standard errors
 """
@@ -29,6 +29,7 @@ import pandas as pd
 
 ROOT = Path(__file__).resolve().parent.parent
 BASELINE = Path(__file__).with_name("baseline.json")
+CHANGELOG = ROOT / "CHANGELOG.md"
 SCENE = "scenes/benchmark.yaml"
 VIDEO, TRACKS = 6, 200  # clips
 NOISE_PX = 0.01  # about what a glint of 200 counts gives
@@ -126,8 +127,8 @@ def worse(name: str, value: float, accepted: dict[str, float]) -> bool:
     return value > accepted["mean"] + allowed
 
 
-def accept(results: list[Figures]) -> None:
-    """Mean and scatter of every figure over the seeds, the scatter not under what so many clips must have."""
+def accept(results: list[Figures], why: str) -> None:
+    """Mean and scatter of every figure over the seeds, the scatter not under what so many clips must have; and why."""
     floors = {"z_mean": 1 / math.sqrt(TRACKS), "z_std": 1 / math.sqrt(2 * TRACKS), "n": 0.5}
     table = {}
     for name in results[0]:
@@ -138,7 +139,10 @@ def accept(results: list[Figures]) -> None:
             "scatter": float(f"{max(float(np.std(values, ddof=1)), floor):.3g}"),
         }
     BASELINE.write_text(json.dumps(table, indent=1) + "\n")
-    print(f"{BASELINE}: {len(table)} figures accepted; say why in CHANGELOG.md")
+    before, heading, log = CHANGELOG.read_text().partition("\n## Unreleased\n")
+    newest, older, rest = log.partition("\n## ")
+    CHANGELOG.write_text(f"{before}{heading}{newest.rstrip()}\n- **gate**: new figures accepted: {why}\n{older}{rest}")
+    print(f"{BASELINE}: {len(table)} figures accepted, and {CHANGELOG} says why")
 
 
 def check(figures: Figures) -> list[str]:
@@ -153,12 +157,14 @@ def check(figures: Figures) -> list[str]:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description="The regression gate on tracking error.")
-    parser.add_argument("--accept", action="store_true", help="make today's figures the accepted ones")
+    parser.add_argument("--accept", metavar="WHY", help="make today's figures the accepted ones, for a reason")
     parser.add_argument("--seeds", type=int, default=1, help="how many seeds to check, from --seed on")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--shift", type=float, default=0.0, help="px added to every x, to see the gate fail")
     parser.add_argument("--off", type=float, default=0.0, help="standard errors added to every estimate, likewise")
     options = parser.parse_args()
+    if options.accept is not None and not options.accept.strip():
+        parser.error("--accept: expected the reason, for CHANGELOG.md")
     seeds = ACCEPT if options.accept else range(options.seed, options.seed + options.seeds)
     results = []
     for seed in seeds:
@@ -170,7 +176,7 @@ def main() -> None:
             if grown:
                 sys.exit(1)
     if options.accept:
-        accept(results)
+        accept(results, options.accept)
 
 
 if __name__ == "__main__":

@@ -36,6 +36,7 @@ ROOT = Path(__file__).resolve().parent.parent
 SCENE = "scenes/benchmark.yaml"
 PEERS = ("trackpy_locate", "opencv_components", "centroid")
 EVERY = 5  # frames, that the peers see
+FRAMES = 100  # of a clip
 GATE = 5.0  # px
 RATIO, PHASE, TOUCHING, PACE, TIMES = 1.05, 0.01, 0.02, 1.0, 15.0  # to be shown
 ALONE = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
@@ -135,7 +136,7 @@ def judged(folder: Path, peak: int) -> dict[str, dict[str, float]]:
 
 
 def command(film: Path, output: Path) -> tuple[float, float]:
-    """Wall and processor seconds of `tracker track` with one worker."""
+    """Wall and processor seconds of `tracker track` on one core."""
     shutil.rmtree(output, ignore_errors=True)
     before, started = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter()
     words = [Path(sys.executable).with_name("tracker"), "track", film, "-o", output, "--workers", "1"]
@@ -145,16 +146,26 @@ def command(film: Path, output: Path) -> tuple[float, float]:
     return time.perf_counter() - started, cpu
 
 
-def pace(film: Path, folder: Path, repeat: int = 3) -> dict[str, float]:
-    """ms a frame of the whole command at the margin: all clips less the first two, the fastest of a few."""
+def pace(film: Path, folder: Path, repeat: int = 5) -> dict[str, float]:
+    """The whole command, reading and writing included, on one core: its start-up, s, and ms a frame at the margin.
+
+    The margin: all clips less the first two, the fastest of a few runs each, in turn.
+    """
     few = folder / "few"
     shutil.rmtree(few, ignore_errors=True)
     clips = sorted((film / "clips").iterdir())
     for clip in clips[:2]:
         shutil.copytree(clip, few / "clips" / clip.name)
-    times = np.array([[command(place, folder / "tracked") for place in (few, film)] for _ in range(repeat)])
-    wall, cpu = (times.min(axis=0)[1] - times.min(axis=0)[0]) / (len(clips) - 2) / 100 * 1e3
-    return {"ms_per_frame": float(wall), "cpu_ms_per_frame": float(cpu)}
+    mine = os.sched_getaffinity(0)
+    os.sched_setaffinity(0, {max(mine)})  # children keep to it
+    try:
+        times = np.array([[command(place, folder / "tracked") for place in (few, film)] for _ in range(repeat)])
+    finally:
+        os.sched_setaffinity(0, mine)
+    short, long = times.min(axis=0)
+    wall, cpu = margin = (long - short) / (len(clips) - 2) / FRAMES * 1e3
+    start = short - 2 * FRAMES * margin / 1e3
+    return {"ms": float(wall), "cpu_ms": float(cpu), "start_s": float(start[0]), "start_cpu_s": float(start[1])}
 
 
 def main() -> None:
@@ -170,7 +181,9 @@ def main() -> None:
     films = {peak: generate(options.output, peak, options.clips, options.seed) for peak in peaks}
     found = {str(peak): judged(film, peak) for peak, film in films.items()}
     speed = pace(films.get(200, films[peaks[0]]), options.output)
-    Console(width=120).print(_table(found))
+    console = Console(width=120)
+    console.print(_table(found))
+    console.print(_pace_table(found, speed))
     verdicts = _verdicts(found, speed)
     for text, good in verdicts:
         print(f"{'ok  ' if good else 'MISS'} {text}")
@@ -189,17 +202,31 @@ def _verdicts(found: dict[str, Any], speed: dict[str, float]) -> list[tuple[str,
         out.append((f"peak {peak}: phase bias {phase:.4f} px peak to peak (under {PHASE})", phase < PHASE))
         touch = abs(own["at_contact_px"])
         out.append((f"peak {peak}: {touch:.4f} px off at contact (within {TOUCHING})", touch < TOUCHING))
-    ms, wall = speed["cpu_ms_per_frame"], speed["ms_per_frame"]
-    tuned = float(np.median([d["trackpy_locate"]["ms_per_frame"] for d in found.values()]))
-    text = f"whole command, one worker, at the margin: {ms:.2f} ms of processor a frame ({wall:.2f} ms by the clock)"
-    out.append((f"{text} (at most {PACE:g})", ms <= PACE))
-    text = f"tuned trackpy, detection alone: {tuned:.1f} ms of processor a frame, {tuned / ms:.0f} times as much"
-    out.append((f"{text} (at least {TIMES:g})", tuned >= TIMES * ms))
+    clock, cpu, tuned = speed["ms"], speed["cpu_ms"], _tuned(found)
+    text = f"whole command on one core, at the margin: {clock:.2f} ms a frame by the clock"
+    out.append((f"{text} (at most {PACE:g}), {cpu:.2f} ms of processor", clock <= PACE))
+    text = f"tuned trackpy, detection alone: {tuned:.1f} ms of processor a frame, {tuned / cpu:.0f} times as much"
+    out.append((f"{text} (at least {TIMES:g})", tuned >= TIMES * cpu))
     return out
 
 
+def _tuned(found: dict[str, Any]) -> float:
+    """ms of processor a frame of tuned trackpy, the median over the peaks."""
+    return float(np.median([detectors["trackpy_locate"]["ms_per_frame"] for detectors in found.values()]))
+
+
+def _pace_table(found: dict[str, Any], speed: dict[str, float]) -> Table:
+    title = f"`tracker track --workers 1`, 640 x 480, two balls, one core: at most {PACE:g} ms at the margin"
+    table = Table("", "start-up s", "margin, ms a frame", f"tuned trackpy over it (at least {TIMES:g})", title=title)
+    tuned = _tuned(found)
+    for name, start, ms in (("clock", "start_s", "ms"), ("processor", "start_cpu_s", "cpu_ms")):
+        table.add_row(name, f"{speed[start]:.2f}", f"{speed[ms]:.3f}", f"{tuned / speed[ms]:.1f}")
+    return table
+
+
 def _table(found: dict[str, Any]) -> Table:
-    heads = ("peak", "detector", "bound px", "rmse/bound", "missed", "false", "phase px", "at contact px", "ms a frame")
+    goals = (f"rmse/bound\n<= {RATIO}", "missed\n0", "false", f"phase px\n< {PHASE}", f"at contact px\n< {TOUCHING}")
+    heads = ("peak", "detector", "bound px", *goals, "ms a frame")
     table = Table(*heads, title="640 x 480, two balls; ms: reading, ground and detection, processor time")
     for peak, detectors in found.items():
         for name, d in detectors.items():

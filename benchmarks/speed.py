@@ -106,7 +106,8 @@ def stages(folder: Path) -> dict[str, float]:
 
 def rates() -> dict[str, float]:
     """Collisions solved a second."""
-    return {f"collisions a second, {name}": value for name, value in collisions(2000).items() if value is not None}
+    found = collisions(2000)
+    return {f"collisions a second, {name}, {k}": v for name, both in found.items() for k, v in both.items()}
 
 
 def main() -> None:

@@ -13,6 +13,7 @@ from __future__ import annotations
 import argparse
 import copy
 import json
+import shutil
 import subprocess
 import sys
 from collections.abc import Callable
@@ -84,6 +85,7 @@ def tracked(film: Path, folder: Path, name: str, known: Known) -> tuple[pd.DataF
     slug = "_".join(name.replace("+", "plus_").replace("-", "minus_").replace("%", "percent").split())
     camera, out = folder / f"{slug}.json", folder / slug
     camera.write_text(json.dumps(known))
+    shutil.rmtree(out, ignore_errors=True)  # another version of the tracker may have made it
     run("tracker", "track", str(film), "--camera", str(camera), "-o", str(out))
     paths = sorted(out.glob("clips/*/tracks.parquet"))
     tracks = pd.concat(pd.read_parquet(p).assign(clip=int(p.parent.name)) for p in paths)

@@ -1,8 +1,12 @@
-"""Property tests draw the same cases everywhere; HYPOTHESIS_PROFILE=random draws new ones."""
+"""Property tests draw the same cases everywhere, HYPOTHESIS_PROFILE=random new ones; tests find benchmarks/sealed."""
 
 import os
+import sys
+from pathlib import Path
 
 from hypothesis import settings
+
+sys.path.append(str(Path(__file__).parent.parent / "benchmarks"))
 
 settings.register_profile("same", derandomize=True, deadline=None)
 settings.register_profile("random", deadline=None)

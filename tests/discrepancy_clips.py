@@ -5,15 +5,15 @@ from functools import cache
 
 import numpy as np
 
-import discrepancy.fit
-import discrepancy.name
+import discrepancy.parameter
 import synthcam.model
 from discrepancy.find import find
-from discrepancy.fit import BASE, Whitener, _off, derivative, launch_derivatives
+from discrepancy.fit import BASE, derivative, launch_derivatives, off
 from discrepancy.forecast import forecast
 from discrepancy.measured import Measured
 from discrepancy.name import strengths_of
-from discrepancy.noise import estimate
+from discrepancy.noise import Component, Noise, estimate
+from discrepancy.whiten import Whitener
 from synthcam import batch
 from synthcam.effect import library
 from synthcam.model import Model
@@ -36,7 +36,7 @@ HIDDEN = {
 def only(monkeypatch, **effects):
     """For a test: a library of these effects by name; with none, of EFFECTS."""
     few = effects or {name: library()[name] for name in EFFECTS}
-    for module in (discrepancy.fit, discrepancy.name, synthcam.model):
+    for module in (discrepancy.parameter, synthcam.model):
         monkeypatch.setattr(module, "library", lambda: few)
 
 
@@ -111,31 +111,36 @@ class Design:
         return [np.stack(columns, axis=-1) for columns in zip(*each, strict=True)]
 
     def scores(self, errors, whitened=True):
-        """{effect: (signature, residuals)} for errors (n, 2) of each clip; the noise is read off their tracks."""
+        """{effect: (signature, residuals)} for errors (n, 2) of each clip; the noise is read off their tracks.
+
+        Not whitened: taken for white, and as large as it is.
+        """
         measured = [dataclasses.replace(c, xy=c.xy + e) for c, e in zip(self.clips, errors, strict=True)]
-        noise = estimate(s for c in measured for s in c.stretches())
-        if not whitened:
-            noise = dataclasses.replace(noise, covariance=noise.covariance * (np.arange(6) == 0))
+        noise = estimate(measured) if whitened else Noise(Component(1.0))
         white = [Whitener.of(c, noise) for c in self.clips]
         own = [w(a) for w, a in zip(white, self.own, strict=True)]
 
         def cleaned(columns):
-            return np.concatenate([_off(a, w(c)) for a, w, c in zip(own, white, columns, strict=True)])
+            return np.concatenate([off(a, w(c)) for a, w, c in zip(own, white, columns, strict=True)])
 
         shared = cleaned(self.shared)
-        left = _off(shared, cleaned([e[..., None] for e in errors]))[:, 0]
-        return {name: (_off(shared, cleaned(columns)), left) for name, columns in self.effects.items()}
+        left = off(shared, cleaned([e[..., None] for e in errors]))[:, 0]
+        return {name: (off(shared, cleaned(columns)), left) for name, columns in self.effects.items()}
 
     def z(self, errors, effect, whitened=True):
         signature, left = self.scores(errors, whitened)[effect]
         return float(signature[:, 0] @ left / np.linalg.norm(signature[:, 0]))
 
-    def nulls(self, count, rho, effect="velocity_restitution", whitened=True):
-        rng = np.random.default_rng(int(1000 * rho))
-        draws = [[noise_of_pair(rng, rho) for _ in self.clips] for _ in range(count)]
-        return np.array([self.z(d, effect, whitened) for d in draws])
-
 
 @cache
 def design(count=8):
     return Design(exact(Model(), count, 5), Model())
+
+
+@cache
+def nulls(clips, count, rho, whitened=True):
+    """z of every effect, (count,), in draws of noise alone on so many clips."""
+    rng, where = np.random.default_rng(int(1000 * rho)), design(clips)
+    draws = [[noise_of_pair(rng, rho) for _ in where.clips] for _ in range(count)]
+    scores = [where.scores(d, whitened) for d in draws]
+    return {e: np.array([s[e][0][:, 0] @ s[e][1] / np.linalg.norm(s[e][0][:, 0]) for s in scores]) for e in EFFECTS}

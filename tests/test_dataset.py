@@ -77,6 +77,13 @@ def test_frames_come_back_bit_for_bit(dataset):
     np.testing.assert_array_equal(stack, np.array(list(frames_of(SCENE.draw(1, 3)))))
 
 
+@pytest.mark.parametrize("wrong", [lambda frames: frames[1:], lambda frames: [f.astype("u1") for f in frames]])
+def test_frames_that_are_not_the_clips_are_refused(tmp_path, wrong):
+    clip = SCENE.draw(0, 3)
+    with pytest.raises(RuntimeError, match="expected 12 frames of uint16, 64 x 48"):
+        write_clip(tmp_path / "0", clip, view_of(clip), iter(wrong(list(frames_of(clip)))), {"seed": 3})
+
+
 def test_clips_parquet(dataset):
     table = pd.read_parquet(dataset / "truth/clips.parquet")
     columns = (
@@ -136,6 +143,12 @@ def test_verify_finds_a_flipped_bit_and_a_missing_file(dataset, name):
     assert verify(dataset).problems == (f"{name}: changed (its SHA-256 is not the one recorded)",)
     (dataset / name).unlink()
     assert verify(dataset).problems == (f"{name}: missing",)
+
+
+def test_verify_finds_a_bit_that_flipped_before_the_checksums_were_written(dataset):
+    flip(dataset / "clips/000001/frames.tif")
+    finish(dataset, ABOUT)
+    assert verify(dataset).problems == ("clips/000001/frames.tif: changed (its SHA-256 is not the one recorded)",)
 
 
 def test_verify_finds_what_is_new(dataset):

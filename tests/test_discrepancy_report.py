@@ -1,21 +1,26 @@
 """The report: the contract's keys, a model that reads back, and a page that needs nothing but itself."""
 
+import html
 import json
 import re
 
 import pytest
 
 from discrepancy import report
+from discrepancy.figures import drawn
+from discrepancy.story import story
 from discrepancy_clips import searched
+from discrepancy_outsiders import OUTSIDERS, outsider
 from synthcam.model import read_model
 from synthcam.scene import read_scene
 
 
-@pytest.fixture(scope="module", params=["nothing", "velocity_restitution"])
+@pytest.fixture(scope="module", params=["nothing", "velocity_restitution", "friction_place", "restitution_speed"])
 def written(request, tmp_path_factory):
     folder = tmp_path_factory.mktemp("report")
-    report.write(searched(request.param), folder, ["clip 9: <b>no</b> collision"])
-    return searched(request.param), folder
+    found = outsider(request.param) if request.param in OUTSIDERS else searched(request.param)
+    report.write(found, folder, ["clip 9: <b>no</b> collision"])
+    return found, folder
 
 
 def test_three_files_and_no_more(written):
@@ -36,23 +41,31 @@ def test_the_page_needs_no_network(written):
     page = (written[1] / "index.html").read_text()
     assert re.findall(r'(?:src|href)\s*=\s*["\'](?!data:)', page) == []
     assert "http" not in re.sub(r"base64,[A-Za-z0-9+/=]*", "", page)
-    assert page.count("data:image/png;base64,") == 3
+    assert page.count("data:image/png;base64,") == 5 + bool(written[0].slot)
     assert "<script" not in page
 
 
 def test_the_page_says_the_sentence_and_what_was_left_out(written):
     page = (written[1] / "index.html").read_text()
-    assert written[0].sentence().split(".")[0] in page
+    plain = html.unescape(page)
+    assert all(sentence in plain for sentence in story(written[0]))
     assert "clip 9: &lt;b&gt;no" in page
 
 
 def test_the_model_reads_back_and_is_a_scene(written):
     found, folder = written
     assert read_model(folder / "model.yaml") == found.model
-    assert read_scene(folder / "model.yaml").draw(0, 0).model.laws.bent("restitution") == bool(found.search.named)
+    assert read_scene(folder / "model.yaml").draw(0, 0).model.laws.bent("restitution") == bool(found.named)
 
 
 def test_the_same_search_gives_the_same_files(written, tmp_path):
     report.write(written[0], tmp_path, ["clip 9: <b>no</b> collision"])
     for path in written[1].iterdir():
         assert path.read_bytes() == (tmp_path / path.name).read_bytes()
+
+
+def test_the_formula_and_its_curve_are_on_the_page():
+    found = outsider("restitution_speed")
+    figures = {f["title"]: f["png"] for f in drawn(found)}
+    assert found.answer.formula in figures
+    assert len(figures) == 6

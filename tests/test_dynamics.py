@@ -8,6 +8,7 @@ from scipy.integrate import solve_ivp
 
 from synthcam.dynamics import solve
 from synthcam.effects.hop import Hop
+from synthcam.effects.magnetic_attraction import MagneticAttraction
 from synthcam.effects.plate_tilt import PlateTilt
 from synthcam.effects.rolling_quadratic import RollingQuadratic
 from synthcam.kinematics import contact_velocity, rolling_state, rolling_velocity
@@ -338,6 +339,27 @@ def test_what_has_no_solution_says_so(model, launch, message):
         launch, start = Launch(0.0, state[None], ALONE), -0.1 if "past" in launch else 0.0
     with pytest.raises(ValueError, match=message):
         solve(model, launch, start, 0.7)
+
+
+FIELD = MagneticAttraction(pull=0.01)
+
+
+@pytest.mark.parametrize(
+    ("model", "time", "start", "end", "message"),
+    [
+        (Model(), 1e300, 0.0, 0.4, "launch is at 1e\\+300 s: a motion is solved within 10000 s of 0"),
+        (Model(), -np.inf, 0.0, 0.4, "launch is at -inf s"),
+        (Model(), 0.1, 0.0, np.nan, "end is at nan s"),
+        (Model(), 0.1, -1e5, 0.4, "start is at -100000 s"),
+        (Model(), 100.0, 0.0, 0.4, "faster than 1000 m/s, 100 s earlier"),
+        (Model(), 9000.0, 0.0, 0.4, "faster than 1000 m/s, 9000 s earlier"),
+        (Model(effects=(PlateTilt(x=1e-4),)), 9000.0, 0.0, 0.4, "does not settle"),
+        (Model(effects=(FIELD,)), -100.0, 0.0, 0.4, "push each other are followed for 60 s, not for 100.4 s"),
+    ],
+)
+def test_the_far_past_and_future_are_refused(model, time, start, end, message):
+    with pytest.raises(ValueError, match=message):
+        solve(model, Launch.pair(PAIR, time, 0.3, 0.1, 0, (0, 0)), start, end)
 
 
 def test_the_run_lasts_until_the_last_slide_ends():

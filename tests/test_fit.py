@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from scipy.stats import chi2 as chi2_law
 
-from discrepancy.fit import BASE, Fit, _solve, derivative, fit, limits_of
-from discrepancy.forecast import forecast
-from discrepancy.noise import ORDER, Noise
+from discrepancy.fit import BASE, Evidence, Fit, derivative, fit, launch_derivatives, settle, solve
+from discrepancy.noise import Component, Noise
+from discrepancy.parameter import limits_of
 from discrepancy_clips import collisions, exact, noisy
 from synthcam.model import Model
 
-WHITE = Noise((np.arange(ORDER + 1) == 0).astype(float))
+WHITE = Noise(Component(1.0))
 TRUTH = Model().replace(
     {
         "restitution": 0.88,
@@ -64,7 +64,7 @@ def test_eliminating_the_launches_equals_dense_least_squares():
         dense[at[k] : at[k + 1], 5 + 6 * k : 11 + 6 * k] = now.launch_slopes[k]
     scale = np.linalg.norm(dense, axis=0)
     best = np.linalg.lstsq(dense / scale, np.concatenate(moved.residuals), rcond=None)[0] / scale
-    shared, own = _solve(moved, 0.0)
+    shared, own = solve(moved, 0.0, np.full(5, -np.inf), np.full(5, np.inf))
     error = np.sqrt(np.diag(now.covariance))
     assert np.allclose(shared / error, best[:5] / error, atol=1e-5)
     assert np.allclose(own, best[5:].reshape(3, 6), rtol=1e-4, atol=1e-9)
@@ -90,7 +90,7 @@ def slope(model, clip, name):
 def test_a_derivative_keeps_to_the_limits():
     clip = exact(Model(), 1, 14)[0]
     inside = slope(Model().replace({"restitution": 1 - 1e-4}), clip, "restitution")
-    assert limits_of("restitution") == (0.0, 1.0)
+    assert limits_of(Model(), "restitution") == (0.0, 1.0)
     assert np.allclose(slope(Model().replace({"restitution": 1.0}), clip, "restitution"), inside, atol=1e-4)
 
 
@@ -103,11 +103,54 @@ def test_a_derivative_where_the_motion_ends_to_exist():
     assert np.abs(slope(tilted, clip, "plate_tilt.x")).max() > 1e-3
 
 
-def test_an_exposure_without_length_is_an_instant():
+def test_a_forward_difference_is_the_derivative():
     clip = exact(Model(), 1, 16)[0]
-    times = [dataclasses.replace(clip, camera=dataclasses.replace(clip.camera, exposure=e)) for e in (0.0, 1e-7)]
-    instant, short = (forecast(Model(), clip.launch[None], [c])[0] for c in times)
-    assert np.allclose(instant, short, atol=1e-7)
+    for name in ("sliding_friction", "stribeck.rise", "plate_tilt.x", "magnetic_attraction.pull"):
+        central = slope(Model(), clip, name)
+        forward = derivative(Model(), clip.launch[None], [clip], name, [clip.xy])[0]
+        assert np.abs(forward - central).max() < 2e-3 * np.abs(central).max()
+
+
+def test_launch_derivatives_of_many_clips_are_those_of_each(monkeypatch):
+    clips = exact(Model(), 3, 18)
+    launches = np.array([c.launch for c in clips])
+    here, slopes = launch_derivatives(Model(), launches, clips)
+    monkeypatch.setattr("discrepancy.fit.AT_ONCE", 2)
+    again, parts = launch_derivatives(Model(), launches, clips)
+    for clip, a, b, s, p in zip(clips, here, again, slopes, parts, strict=True):
+        assert np.allclose(a, b, atol=1e-13)
+        assert np.allclose(s, p, atol=1e-7)
+        before = clip.phase() == 0
+        assert np.allclose(s[before & (clip.ball == 0), :, :2], np.eye(2), atol=1e-6)  # a target at rest is displaced
+
+
+def test_a_parameter_stops_at_its_limit_and_the_rest_are_fitted_as_without_it():
+    """A friction that falls with speed, where only a rising one, or none, is allowed: none."""
+    clips = collisions(Model().replace({"velocity_restitution.e": -0.01}), 4, 19)
+    without = fit(clips, Model(), BASE, WHITE)
+    hop = fit(clips, Model(), (*BASE, "hop.share"), WHITE)
+    air = fit(clips, Model(), (*BASE, "air_drag.share"), WHITE)
+    stopped = [f for f, name in ((hop, "hop.share"), (air, "air_drag.share")) if f.model.value(name) == 0]
+    assert stopped
+    assert all(f.chi2 == pytest.approx(without.chi2, abs=0.05) for f in stopped)
+    assert all(f.model.value(n) >= 0 for f, n in ((hop, "hop.share"), (air, "air_drag.share")))
+
+
+def test_a_fit_that_starts_from_another_ends_where_a_fresh_one_does():
+    truth = Model().replace({"velocity_restitution.e": 0.05, "rolling_quadratic.K": 0.2})
+    clips = collisions(truth, 4, 20)
+    names = (*BASE, "velocity_restitution.e", "rolling_quadratic.K")
+    fresh = fit(clips, Model(), names, WHITE)
+    evidence = Evidence.of(clips, WHITE)
+    base = fit(clips, Model(), BASE, WHITE)
+    slopes = [derivative(base.model, base.launches, clips, n) for n in names[5:]]
+    columns = evidence.white([np.stack([s[k] for s in slopes], axis=-1) for k in range(4)])
+    stale = settle(evidence, base.extended(base.model, names[5:], columns), fresh=False)
+    assert stale.chi2 == pytest.approx(fresh.chi2, abs=0.01)
+    error = np.sqrt(np.diag(fresh.covariance))
+    assert np.allclose(stale.covariance / np.outer(error, error), fresh.covariance / np.outer(error, error), atol=1e-3)
+    rough = settle(evidence, base.extended(base.model, names[5:], columns), fresh=False, rough=True)
+    assert rough.chi2 == pytest.approx(fresh.chi2, abs=1.0)
 
 
 def test_with_nothing_shared_only_the_launches_are_fitted():

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.special import ndtr
 
 from synthcam import floor
 from synthcam.lamp import Lamp
@@ -70,10 +71,12 @@ def test_two_shadows_in_any_order():
     assert a.image.min() > -1e-6  # two shadows on one place take its light once
 
 
-def test_the_outline_stands_where_the_sphere_ends():
+@pytest.mark.parametrize("texture", [0.0, 1e-9], ids=["even plate", "drawn plate"])
+def test_the_outline_stands_where_the_sphere_ends(texture):
     """A ball that mirrors nothing hides a bright plate: the area and the middle of what is hidden."""
-    film = Film(CAMERA, Lamp(np.array([0.05, 0.0, 0.45]), 1e-9), [R], 1.0, Surface(steel=IRON, plate_texture=1e-9))
-    film._uniforms |= {"metal": np.array([1.0, 1e-3]), "zenith": 0.0}
+    far_off = Lamp(np.array([5.0, 0.0, 45.0]), 1e-9)  # the same light everywhere
+    film = Film(CAMERA, far_off, [R], 1.0, Surface(steel=IRON, plate_texture=texture))
+    film._uniforms |= {"metal": np.array([1.0, 1e-9]), "zenith": 0.0}  # refracts as air does
     film._unit = 0.0
     cover = 1 - one_frame(film, [0.2e-3, -0.1e-3, R]).image / film.plate
     far = 0.5 - R
@@ -82,6 +85,43 @@ def test_the_outline_stands_where_the_sphere_ends():
     down, across = np.mgrid[:100, :160]
     middle = np.array([(cover * across).sum(), (cover * down).sum()]) / cover.sum()
     np.testing.assert_allclose(middle, CAMERA.project([0.2e-3, -0.1e-3, R]), atol=2e-3)
+    # Everywhere along the edge: a disc by 24 x 24 points a pixel, through the Gaussian and the pixel.
+    sides = [(np.arange(n * 24) + 0.5) / 24 - 0.5 for n in (160, 100)]
+    disc = np.hypot(sides[0] - 83.5, sides[1][:, None] - 51.5) < width
+    kernels = [np.diff(ndtr(np.arange(len(at) // 24 + 1)[:, None] - 0.5 - at), axis=0) / 24 for at in sides]
+    true = kernels[1] @ disc @ kernels[0].T
+    steep = np.hypot(*np.gradient(true))
+    edge = steep > 0.6 * steep.max()
+    assert np.sqrt(np.mean(((cover - true)[edge] / steep[edge]) ** 2)) < 5e-3  # px
+
+
+def test_the_plate_mirrors_the_ball():
+    """Beside the ball, looked at aslant: rays by way of the plate to the ball and on, less the mirrored room there."""
+    far_off = Lamp(np.array([5.0, 0.0, 45.0]), 1e-9)
+    camera = Camera.overhead((160, 100), 5e-5, 0.5, (0.9, 0), ball_radius=R, fps=250, exposure=0, psf_sigma_px=0.3)
+    film = Film(camera, far_off, [R], 1.0, Surface(plate_gloss=0.3, plate_roughness=0.5))
+    film._unit = 0.0
+    centre = np.array([0, 0, R])
+    got = one_frame(film, centre).image - film.plate
+    points = floor.on_plate(camera)
+    way = points - camera.centre
+    way /= np.linalg.norm(way, axis=-1, keepdims=True)
+    miss = np.linalg.norm(np.cross(way, centre - points), axis=-1)
+    up = way * [1, 1, -1]  # off the plate
+    offset = points - centre
+    b = (offset * up).sum(-1)
+    root = b * b - (offset * offset).sum(-1) + R**2
+    seen = (root > 0) & (b < 0) & (miss > R + 4 * camera.scale)  # in the plate, and the ball itself is not in the way
+    normal = (offset + (-b - np.sqrt(np.maximum(root, 0)))[..., None] * up) / R
+    cosine = -(up * normal).sum(-1)
+    last = up + 2 * cosine[..., None] * normal
+    dark, zenith = floor.PLATE, 1 / Surface().head_on
+    room = dark + (zenith - dark) * np.maximum(np.stack([last, up])[..., 2], 0)
+    expected = 0.3 * ((0.55 + 0.45 * (1 - cosine) ** 5) * room[0] - room[1])
+    inside = seen & (cosine > 0.4)  # well off the image's own outline
+    assert inside.sum() > 30
+    np.testing.assert_allclose(got[inside], expected[inside], atol=0.01)
+    assert np.abs(expected[inside]).min() > 0.02
 
 
 def test_gloss_throws_the_lamp_to_the_eye():

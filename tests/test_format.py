@@ -91,7 +91,9 @@ def test_score_and_search_hold_their_keys(made: Path) -> None:
     search = json.loads((made / "search/discrepancy.json").read_text())
     keys = {"verdict", "named", "aliases", "outside", "where", "ranking", "gap", "experiment"}
     assert keys <= set(search)
-    assert set(search["gap"]) == {"before", "after", "floor", "closure", "before_um", "after_um", "floor_um"}
+    part = {"before", "after", "floor", "before_um", "after_um", "floor_um"}
+    assert set(search["gap"]) == part | {"closure", "by_phase"}
+    assert all(set(p) == part for p in search["gap"]["by_phase"].values())
     for page in ("score/index.html", "search/index.html"):
         assert "http" not in re.sub(r"http://www.w3.org\S*", "", (made / page).read_text())
 

@@ -4,7 +4,9 @@ import numpy as np
 import pytest
 
 from discrepancy.measured import split
-from discrepancy_clips import searched
+from discrepancy.whiten import Whitener
+from discrepancy_clips import exact, searched
+from synthcam.model import Model
 
 EFFECTS = ("velocity_restitution", "rolling_quadratic")
 
@@ -21,11 +23,19 @@ def test_clips_kept_out_are_in_no_fit():
         assert shown.model == model
 
 
-def test_kept_out_clips_cover_the_speeds():
-    found = searched("nothing")
-    _, kept = split(sorted(found.clips + found.kept_out, key=lambda c: c.clip))
-    speeds = sorted(c.launch[3] for c in found.clips + found.kept_out)
-    assert [speeds.index(c.launch[3]) for c in sorted(kept, key=lambda c: c.launch[3])] == [2, 6]
+@pytest.mark.parametrize(("count", "out"), [(6, 1), (8, 2), (12, 3), (30, 7)])
+def test_kept_out_clips_cover_the_speeds_and_the_extremes(count, out):
+    clips = exact(Model(), count, 7)
+    fitted, kept = split(clips)
+    assert (len(fitted), len(kept)) == (count - out, out)
+    assert {c.clip for c in fitted + kept} == set(range(count))
+    by_speed = sorted(clips, key=lambda c: c.launch[3])
+    if count >= 8:
+        fastest, numbers = by_speed[-1].clip, {c.clip for c in kept}
+        slower = sorted(by_speed[:-1], key=lambda c: abs(c.launch[5]))
+        assert {fastest, slower[-1].clip} <= numbers
+    if count == 30:
+        assert all(any(c.clip in numbers for c in by_speed[k : k + 10]) for k in (0, 10, 20))
 
 
 @pytest.mark.parametrize("hidden", EFFECTS)
@@ -51,3 +61,29 @@ def test_with_nothing_hidden_there_is_no_gap(rho):
 def test_the_floor_is_what_six_numbers_a_clip_leave_of_noise():
     found = searched("nothing")
     assert found.shown.gap.floor == pytest.approx(1 - 6 / np.mean([2 * len(c.frame) for c in found.kept_out]))
+
+
+@pytest.mark.parametrize("rho", [0.0, 0.5])
+def test_the_floor_of_each_phase_is_what_drawn_noise_leaves(rho):
+    found, rng = searched("nothing", rho), np.random.default_rng(8)
+    before, gap = found.shown.before, found.shown.gap
+    left, metres = [], []
+    for clip, launch in zip(found.kept_out, before.launch_slopes, strict=True):
+        drawn = rng.standard_normal((len(launch), 2000))
+        rest = drawn - launch @ np.linalg.lstsq(launch, drawn, rcond=None)[0]
+        left.append((rest.reshape(-1, 2, 2000) ** 2).mean(axis=(1, 2)))
+        metres.append((Whitener.of(clip, found.noise).undo(rest) ** 2).mean(axis=(1, 2)))
+    phase = np.concatenate([c.phase() for c in found.kept_out])
+    assert set(gap.by_phase) == {"before", "sliding", "rolling"}
+    for k, part in enumerate(gap.by_phase.values()):
+        assert part.floor == pytest.approx(np.concatenate(left)[phase == k].mean(), rel=0.01)
+        assert part.floor_um == pytest.approx(1e6 * np.sqrt(np.concatenate(metres)[phase == k].mean()), rel=0.02)
+
+
+def test_the_gap_lies_in_the_phases_of_what_is_hidden():
+    parts = searched("velocity_restitution").shown.gap.by_phase
+    for name in ("sliding", "rolling"):
+        assert parts[name].before > 3 * parts[name].floor
+        assert parts[name].before_um > parts[name].after_um
+    for part in parts.values():
+        assert part.after == pytest.approx(part.floor, rel=0.25)

@@ -1,5 +1,7 @@
 """Measured collisions: the same from a table as from results, in metres, and nothing doubtful taken along."""
 
+import dataclasses
+import json
 import shutil
 from pathlib import Path
 
@@ -7,8 +9,10 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from discrepancy.measured import UNCLAIMED, read_measured
+from discrepancy.measured import UNCLAIMED, cannot_tell, read_measured
+from discrepancy_clips import exact
 from discrepancy_files import NOISE, SCENE, record
+from synthcam.model import Model
 from tracker.geometry import InputError
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -90,6 +94,18 @@ def test_tracks_that_claim_no_error_get_one(recorded, tmp_path):
     assert np.allclose(np.sqrt(read[0].covariance[:, 0, 0]), 1.6e-4 * UNCLAIMED, rtol=1e-3)
 
 
+def test_what_a_ball_at_rest_has_alike_in_every_frame_is_kept_apart(recorded, tmp_path, clips):
+    results = shutil.copytree(recorded / "results", tmp_path / "results")
+    for path in (results / "clips").glob("*/tracks.parquet"):
+        table = pd.read_parquet(path)
+        table.assign(x_fixed_std=0.006, y_fixed_std=0.006, cov_xy_fixed=0.0).to_parquet(path)
+    for one, other in zip(clips, read_measured(results)[0], strict=True):
+        rests = (one.phase() == 0) & (one.ball == 0)
+        assert (one.offset, other.offset) == (0, pytest.approx(1.6e-4 * 0.006, rel=1e-3))
+        assert np.sqrt(other.covariance[rests, 0, 0]) == pytest.approx(1.6e-4 * np.sqrt(NOISE**2 - 0.006**2), rel=1e-3)
+        assert np.array_equal(other.covariance[~rests], one.covariance[~rests])
+
+
 def test_a_speck_that_never_moves_is_no_ball(recorded, tmp_path, clips):
     speck = pd.DataFrame({"frame": np.arange(100), "particle": 7, "x": 20.0, "y": 20.0, "x_std": 0.01, "y_std": 0.01})
     both = [speck.assign(clip=k, cov_xy=0.0) for k in (0, 1)]
@@ -119,3 +135,73 @@ def test_a_recording_of_several_collisions_is_left_out(recorded, tmp_path):
 def test_no_clip_of_use(recorded, tmp_path):
     with pytest.raises(InputError, match="no clip with a measured collision; clip 0: no_collision"):
         read_table(recorded, tmp_path, lambda t: t[(t["particle"] == 1) & (t["frame"] < 15)])
+
+
+@pytest.mark.parametrize(("unit", "factor"), [("m", 1.6e-4), ("mm", 0.16), ("um", 160.0)])
+def test_places_that_are_not_in_pixels_are_refused(recorded, tmp_path, unit, factor):
+    with pytest.raises(
+        InputError, match=rf"t.csv: the places look like {unit}: the balls come as near as .* expected px"
+    ):
+        read_table(recorded, tmp_path, lambda t: t.assign(x=factor * t["x"], y=factor * t["y"]))
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"fps": 1000.0, "exposure": 0.0}, r"speeds of .* m/s; are scale and fps of the camera right\?"),
+        ({"scale": 1000.0}, "the balls come as near as .*; expected px, and 0.0149 of them, a diameter"),
+    ],
+)
+def test_a_camera_with_wrong_units_is_refused(recorded, tmp_path, change, said):
+    camera = json.loads((recorded / "camera.json").read_text())
+    camera |= {name: factor * camera[name] for name, factor in change.items()}
+    if "scale" in change:
+        del camera["K"]
+    (tmp_path / "camera.json").write_text(json.dumps(camera))
+    with pytest.raises(InputError, match=said):
+        read_measured(recorded / "tracks.csv", tmp_path / "camera.json")
+
+
+@pytest.mark.parametrize("frame", [8, 45, 70])
+def test_a_clip_whose_balls_exchange_names_is_left_out_and_said(recorded, tmp_path, frame):
+    def swap(t):
+        late = (t["clip"] == 0) & (t["frame"] >= frame)
+        return t.assign(particle=t["particle"].where(~late, 1 - t["particle"]))
+
+    read, left_out = read_table(recorded, tmp_path, swap)
+    assert [c.clip for c in read] == [1]
+    assert left_out == [f"clip 0: the balls have exchanged their names at frame {frame}"]
+
+
+def test_places_that_are_no_numbers_do_no_harm(recorded, tmp_path, clips):
+    def holed(t):
+        x = t["x"].where((t["frame"] + t["particle"]) % 9 != 4)
+        return t.assign(x=x.where(t["frame"] != 50, np.inf), x_std=t["x_std"].where(t["frame"] != 30))
+
+    read, left_out = read_table(recorded, tmp_path, holed)
+    assert left_out == []
+    for one, other in zip(clips, read, strict=False):
+        assert np.all(np.isfinite(other.xy))
+        assert np.all(np.isfinite(other.covariance))
+        assert other.launch == pytest.approx(one.launch, rel=2e-3, abs=2e-5)
+
+
+def alike(**same):
+    """Clips all alike in some columns of the launch."""
+    columns = ("x", "y", "t_c", "speed", "heading", "b")
+    out = []
+    for c in exact(Model(), 8, 5):
+        launch = c.launch.copy()
+        for name, value in same.items():
+            launch[columns.index(name)] = value * (1 + 1e-3 * c.clip)
+        out.append(dataclasses.replace(c, launch=launch))
+    return out
+
+
+def test_what_clips_that_are_all_alike_cannot_tell():
+    assert cannot_tell(alike()) == []
+    for same, word in (({"speed": 0.3}, "at 0.3 m/s"), ({"b": 0.1}, "b near 0.10"), ({"heading": 3.14}, "one way")):
+        said = cannot_tell(alike(**same))
+        assert len(said) == 1
+        assert word in said[0]
+    assert len(cannot_tell(alike(speed=0.3, b=0.0, heading=0.0))) == 3

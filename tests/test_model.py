@@ -42,6 +42,11 @@ def test_a_scene_of_numbers_is_a_model_too(tmp_path):
     assert read_model(tmp_path / "s.yaml") == Model(restitution=0.8, free=("plate_tilt.x",))
 
 
+def test_a_model_to_be_searched_may_lack_sliding_friction(tmp_path):
+    (tmp_path / "m.yaml").write_text("model: {sliding_friction: 0, spin_transfer: 0}\n")
+    assert read_model(tmp_path / "m.yaml") == Model(sliding_friction=0, spin_transfer=0)
+
+
 @pytest.mark.parametrize(
     ("text", "message"),
     [

@@ -1,51 +1,46 @@
-"""The score test: N(0, 1) when nothing is hidden, as large as it should be when something is."""
+"""The search: effects added, dropped and exchanged; shapes; what each may be confused with; parameters held at zero."""
+
+import dataclasses
+from functools import cache
 
 import numpy as np
 import pytest
 from scipy.stats import chi2 as chi2_law
-from scipy.stats import kstest, norm
+from scipy.stats import kstest
 
-from discrepancy.name import CLAIM, likeness, sigmas
-from discrepancy_clips import EFFECTS, design, exact, noise_of_pair, searched
+from discrepancy.claim import FLOOR
+from discrepancy.fit import BASE, fit
+from discrepancy.name import _Hunt, search
+from discrepancy.noise import estimate
+from discrepancy.parameter import fitted, suspects
+from discrepancy_clips import EFFECTS, collisions, design, exact, noise_of_pair, nulls, only
+from synthcam.effect import library
 from synthcam.model import Model
 
-
-def test_sigmas_are_those_of_a_normal_variable():
-    assert sigmas(9.0, 1) == 3.0
-    assert sigmas(0.0, 2) == 0.0
-    for dof in (2, 5, 45):
-        for z in (1.0, 4.0, 8.0):
-            assert sigmas(chi2_law.isf(2 * norm.sf(z), dof), dof) == pytest.approx(z, rel=1e-6)
+FEW = ("velocity_restitution", "spin_transfer_velocity", "rolling_quadratic", "mass_mismatch", "hop")
+SLIDING = ("stribeck", "viscous_friction", "drilling_spin", "rolling_quadratic")
 
 
-@pytest.mark.parametrize("dof", [2, 5, 45])
-def test_sigmas_do_not_jump_where_probabilities_underflow(dof):
-    chi2 = np.geomspace(500, 1e6, 400)
-    z = np.array([sigmas(x, dof) for x in chi2])
-    ratio = z / np.sqrt(chi2)  # tends to 1 from below: more freedom never makes a chi^2 less likely
-    assert np.all(np.diff(ratio) > 0)
-    assert ratio[-1] == pytest.approx(1, abs=1e-3)
-    assert ratio.max() <= 1
-    fine = [sigmas(x, dof) for x in np.linspace(1150, 1450, 600)]  # 1e-300 lies here
-    assert np.abs(np.diff(fine, 2)).max() < 1e-3
+def few(monkeypatch, names=FEW):
+    only(monkeypatch, **{n: library()[n] for n in names})
 
 
 @pytest.mark.parametrize("effect", EFFECTS)
 @pytest.mark.parametrize("rho", [0.0, 0.5])
 def test_with_nothing_hidden_the_score_is_a_standard_normal(effect, rho):
-    z = design().nulls(60, rho, effect)
+    z = nulls(8, 24, rho)[effect]
     assert kstest(z, "norm").pvalue > 1e-3
-    assert np.abs(z).max() < CLAIM
+    assert np.abs(z).max() < FLOOR
     low, high = chi2_law.ppf([1e-3, 1 - 1e-3], len(z))
     assert low < z @ z < 1.2 * high  # the noise itself is estimated too
 
 
 def test_noise_that_remembers_raises_no_false_alarm_but_would_without_whitening():
-    z = design(16).nulls(20, 0.9)  # so slow a noise is hard to read off: its scale is known to 20 %
-    assert np.mean(np.abs(z) > CLAIM) <= 0.05
+    z = nulls(16, 8, 0.9)["velocity_restitution"]  # so slow a noise is hard to read off: its scale is known to 20 %
+    assert np.abs(z).max() < FLOOR
     assert z @ z < 1.5 * chi2_law.ppf(1 - 1e-3, len(z))
-    wolf = np.abs(design().nulls(20, 0.9, whitened=False))
-    assert np.mean(wolf > CLAIM) > 0.2
+    wolf = np.abs(nulls(8, 60, 0.9, whitened=False)["velocity_restitution"])
+    assert np.mean(wolf > FLOOR) > 0.2
 
 
 @pytest.mark.parametrize("effect", EFFECTS)
@@ -63,14 +58,131 @@ def test_a_hidden_effect_scores_what_its_strength_is_worth(effect, expected):
     assert clean.z(moved, effect) == pytest.approx(expected, abs=3.5)
 
 
-def test_likeness_is_a_cosine():
-    rng = np.random.default_rng(4)
-    one, other = np.linalg.qr(rng.standard_normal((50, 2)))[0].T
-    assert likeness(one[:, None], 3 * one[:, None]) == pytest.approx(1)
-    assert likeness(one[:, None], other[:, None]) == pytest.approx(0, abs=1e-12)
-    assert likeness(one[:, None], (0.6 * one + 0.8 * other)[:, None]) == pytest.approx(0.6)
+def started(truth, base=None, count=6, seed=9):
+    base = base or Model()
+    clips = collisions(truth, count, seed)
+    noise = estimate(clips)
+    return clips, fit(clips, base, fitted(base), noise), noise
 
 
-def test_signatures_of_the_library_can_be_told_apart():
-    ranking = {c.effect: c.signature for c in searched("nothing").search.ranking}
-    assert likeness(ranking["velocity_restitution"], ranking["rolling_quadratic"]) < 0.9
+def hunted(truth, *state):
+    """A hunt that stands at a model with these suspects."""
+    clips, base, noise = started(truth)
+    hunt = _Hunt(clips, noise, base, lambda: None)
+    known = {s.name: s for s in suspects(base.model, base.names)}
+    chosen = tuple(known[n] for n in state)
+    strengths = [s for k in chosen for s in k.strengths]
+    hunt.fits[frozenset(chosen)] = fit(clips, base.model, [*base.names, *strengths], noise)
+    return hunt, chosen
+
+
+def test_a_wrong_effect_is_exchanged_for_the_right_one(monkeypatch):
+    few(monkeypatch)
+    hunt, state = hunted(Model().replace({"velocity_restitution.e": 0.01}), "spin_transfer_velocity")
+    better = hunt._better(state, hunt._contest(state), FLOOR)
+    assert [s.name for s in better] == ["velocity_restitution"]
+    assert hunt._better(better, hunt._contest(better), FLOOR) is None
+
+
+def test_an_effect_that_is_not_needed_is_dropped(monkeypatch):
+    few(monkeypatch)
+    hunt, state = hunted(Model().replace({"velocity_restitution.e": 0.01}), "rolling_quadratic", "velocity_restitution")
+    better = hunt._better(state, hunt._contest(state), FLOOR)
+    assert [s.name for s in better] == ["velocity_restitution"]
+
+
+def test_every_step_holds_the_effects_named_so_far(monkeypatch):
+    few(monkeypatch)
+    clips, base, noise = started(Model().replace({"velocity_restitution.e": 0.02, "rolling_quadratic.K": 0.3}))
+    found = search(clips, base, noise)
+    assert {n.effect for n in found.named} == {"velocity_restitution", "rolling_quadratic"}
+    for k, step in enumerate(found.steps):
+        assert {e.name() for e in step.model.effects} == {n.effect for n in found.named[:k]}
+    assert found.steps[0].chi2 > found.steps[1].chi2 + 16 > found.steps[2].chi2 + 32
+
+
+@cache
+def stribeck():
+    """Ten times its limit, as far from linear as it gets in this many clips."""
+    truth = Model().replace({"stribeck.rise": 0.1, "stribeck.slip": 0.07})
+    with pytest.MonkeyPatch.context() as patch:
+        few(patch, SLIDING)
+        clips, base, noise = started(truth, count=8)
+        return clips, noise, search(clips, base, noise)
+
+
+def test_a_shape_is_fitted_so_that_nothing_is_left_for_a_second_effect():
+    _, _, found = stribeck()
+    assert [n.effect for n in found.named] == ["stribeck"]
+    (named,) = found.named
+    assert abs(named.shapes["stribeck.slip"] - 0.07) < 3.5 * named.shape_std["stribeck.slip"] < 0.07
+    assert abs(named.values["stribeck.rise"] - 0.1) < 3.5 * named.std["stribeck.rise"]
+
+
+def test_the_strengths_error_includes_the_shapes_freedom():
+    clips, noise, found = stribeck()
+    alone = fit(clips, found.best.model, [*BASE, "stribeck.rise"], noise)
+    assert found.named[0].std["stribeck.rise"] > 1.05 * alone.std["stribeck.rise"]
+    assert found.best.chi2 == pytest.approx(alone.chi2, abs=0.1)
+
+
+def test_the_simpler_of_two_that_fit_as_well_is_named(monkeypatch):
+    """Stribeck's law with a large slip speed is the viscous one."""
+    few(monkeypatch, SLIDING)
+    clips, base, noise = started(Model().replace({"viscous_friction.k": 0.03}))
+    (named,) = search(clips, base, noise).named
+    assert named.aliases == ("viscous_friction", "stribeck")
+
+
+def test_a_shape_that_says_nothing_is_undetermined(monkeypatch):
+    few(monkeypatch)
+    clips, base, noise = started(Model().replace({"hop.share": 0.012, "hop.bounce": 0.4}))
+    found = search(clips, base, noise)
+    assert [n.effect for n in found.named] == ["hop"]
+    assert found.named[0].shape_std == {"hop.bounce": np.inf}
+
+
+def test_limits_are_the_strengths_that_are_seen_at_five_sigma(monkeypatch):
+    few(monkeypatch)
+    clips, base, noise = started(Model().replace({"velocity_restitution.e": 0.02}))
+    (named,) = search(clips, base, noise).named
+    limit = named.limit["velocity_restitution.e"]
+    assert named.sigma == pytest.approx(5 * named.values["velocity_restitution.e"] / limit, rel=0.1)
+    assert named.naming["velocity_restitution.e"] > limit
+
+
+def test_what_cannot_be_told_apart_is_a_class(monkeypatch):
+    few(monkeypatch, ("mass_mismatch", "diameter_mismatch", "rolling_quadratic"))
+    clips, base, noise = started(Model().replace({"mass_mismatch.excess": 0.0004}))
+    (named,) = search(clips, base, noise).named
+    assert named.effect in ("mass_mismatch", "diameter_mismatch")
+    assert set(named.aliases) == {"mass_mismatch", "diameter_mismatch"}
+    (((rival,), cosine),) = named.alike
+    assert {rival, named.effect} == set(named.aliases)
+    assert cosine > 0.9
+
+
+def test_friction_and_spin_are_found_one_after_the_other_in_a_textbook_collision(monkeypatch):
+    """The discovery of Behringer and Painter: balls that collide also slide, and turn each other."""
+    few(monkeypatch, (*FEW, "ball_friction", "stribeck", "air_drag"))
+    textbook = Model().replace({"sliding_friction": 0.0, "spin_transfer": 0.0})
+    clips, base, noise = started(Model(), textbook)
+    found = search(clips, base, noise)
+    assert [n.effect for n in found.named] == ["sliding_friction", "spin_transfer"]
+    assert all(n.aliases == (n.effect,) for n in found.named)
+    for n in found.named:
+        assert abs(n.values[n.effect] - getattr(Model(), n.effect)) < 3.5 * n.std[n.effect]
+    best = found.best
+    assert base.chi2 > 1e4 * best.chi2
+    assert abs(best.chi2 / (best.points - best.parameters) - 1) < 0.1
+    assert dataclasses.replace(best.model, **{k: getattr(Model(), k) for k in BASE}) == Model()
+
+
+def test_a_search_is_as_strict_as_its_library_is_large(monkeypatch):
+    clips, base, noise = started(Model())
+    whole = search(clips, base, noise)
+    assert whole.named == ()
+    assert whole.claim > FLOOR
+    assert {"clock_error", "adhesion"} <= set(whole.untold)
+    few(monkeypatch, EFFECTS)
+    assert search(clips, base, noise).claim == FLOOR

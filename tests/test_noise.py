@@ -1,43 +1,76 @@
-"""The noise is what the tracks show, no matter how smooth the motion below it or how long it remembers."""
+"""The noise is what the tracks show, however smooth the motion below it, however long it lasts, whoever shares it."""
+
+import dataclasses
 
 import numpy as np
 import pytest
+from scipy.linalg import null_space, toeplitz
+from scipy.stats import multivariate_normal
 
-from discrepancy.noise import ORDER, SMOOTH, Noise, estimate
-from discrepancy_clips import correlated
+from discrepancy.noise import SMOOTH, Bundle, Component, Noise, Pairs, estimate, own_noise
+from discrepancy_clips import FRAMES, STD, correlated, exact, noise_of_pair
+from synthcam.model import Model
 
 
-def stretches(rng, rho, count=100, frames=(14, 60), std=1.0):
+def stretches(rng, rho, count=60, frames=(14, 22, 37, 59), std=1.0):
     for _ in range(count):
-        n = int(rng.integers(*frames))
+        n = int(rng.choice(frames))
         yield std * correlated(rng, n, rho), np.ones(n)
 
 
 def agree(values, truth):
     """The mean of repeats is the truth to within four of its standard errors, with a floor of 2 %."""
-    return abs(np.mean(values) - truth) < max(4 * np.std(values, ddof=1) / np.sqrt(len(values)), 0.02)
+    return abs(np.mean(values) - truth) < max(4 * np.std(values, ddof=1) / np.sqrt(len(values)), 0.02 * truth)
+
+
+def test_lags_of_an_autoregression_are_those_of_yule_and_walker():
+    assert Component(2.0, (0.9,)).lags(40) == pytest.approx(2 * 0.9 ** np.arange(40))
+    one, two = 0.6, -0.3
+    phi = np.array([one * (1 - two), two])
+    lags = Component(1.0, (one, two)).lags(30)
+    assert lags[1] == pytest.approx(phi[0] / (1 - phi[1]))
+    assert lags[2:] == pytest.approx(phi[0] * lags[1:-1] + phi[1] * lags[:-2])
+    assert Component(3.0, (0.5,), 0.25).lags(3) == pytest.approx([3.0, 3 * 0.75 * 0.5, 3 * 0.75 * 0.25])
+
+
+def test_restricted_likelihood_is_that_of_the_contrasts_that_no_cubic_touches():
+    """-2 ln p of A'y, A' X = 0, differs between two covariances as the restricted likelihood does (Harville 1974)."""
+    rng, n = np.random.default_rng(1), 15
+    values = correlated(rng, n, 0.5)
+    claimed = rng.uniform(0.5, 2, n)
+    basis = np.vander(np.linspace(-1, 1, n), SMOOTH) / claimed[:, None]
+    bundle = Bundle(values[None], basis[None])
+    contrasts, costs, exact_costs = null_space(basis.T), [], []
+    for rho in (0.2, 0.8):
+        covariance = toeplitz(rho ** np.arange(n))
+        costs.append(sum(bundle.restricted(covariance)))
+        law = multivariate_normal(cov=contrasts.T @ covariance @ contrasts)
+        exact_costs.append(-2 * law.logpdf((contrasts.T @ values).T).sum())
+    assert costs[1] - costs[0] == pytest.approx(exact_costs[1] - exact_costs[0])
 
 
 @pytest.mark.parametrize("rho", [0.0, 0.5, 0.9])
 def test_scale_and_correlation_are_recovered(rho):
-    found = [estimate(stretches(np.random.default_rng(s), rho, std=2.0)) for s in range(8)]
-    assert agree([n.scale / 2 for n in found], 1.0)
-    for lag in range(1, ORDER + 1):
-        assert agree([n.covariance[lag] / n.covariance[0] for n in found], rho**lag)
+    found = [own_noise(stretches(np.random.default_rng(s), rho, std=2.0)) for s in range(4)]
+    assert agree([np.sqrt(c.variance) / 2 for c in found], 1.0)
+    if rho:
+        assert agree([c.lags(2)[1] / c.variance for c in found], rho)
+    else:
+        assert all(c.partial == () for c in found)
 
 
-def test_the_cubic_leaves_correlation_of_its_own_and_it_is_undone():
-    repeats = [list(stretches(np.random.default_rng(s), 0.0, count=200, frames=(25, 26))) for s in range(8)]
-    basis = np.vander(np.linspace(-1, 1, 25), SMOOTH)
-    left = np.stack([p - basis @ np.linalg.lstsq(basis, p, rcond=None)[0] for r in repeats for p, _ in r])
-    assert (left[:, 1:] * left[:, :-1]).mean() / (left**2).mean() < -0.1
-    assert agree([estimate(r).correlation for r in repeats], 0.0)
+def test_white_noise_beside_slow_noise_is_told_apart():
+    rng = np.random.default_rng(2)
+    both = [(p + rng.standard_normal(p.shape), c) for p, c in stretches(rng, 0.95, count=200, frames=(40, 59))]
+    found = own_noise(both)
+    assert found.white * found.variance == pytest.approx(1.0, rel=0.1)
+    assert found.partial[0] == pytest.approx(0.95, abs=0.06)
 
 
 def test_smooth_motion_is_no_noise():
     plain = list(stretches(np.random.default_rng(2), 0.5))
     moved = [(p + 1e4 * np.vander(np.linspace(-1, 1, len(p)), SMOOTH) @ np.ones((SMOOTH, 2)), c) for p, c in plain]
-    assert np.allclose(estimate(moved).covariance, estimate(plain).covariance, rtol=1e-6)
+    assert own_noise(moved).lags(6) == pytest.approx(own_noise(plain).lags(6), rel=1e-4)
 
 
 def test_noise_is_counted_in_claimed_standard_deviations():
@@ -45,35 +78,69 @@ def test_noise_is_counted_in_claimed_standard_deviations():
     rng = np.random.default_rng(4)
     claims = [rng.uniform(0.5, 2, len(p)) for p, _ in plain]
     scaled = [(p * c[:, None] * 1e-6, c * 1e-6) for (p, _), c in zip(plain, claims, strict=True)]
-    assert estimate(scaled).scale == pytest.approx(1, abs=4 / np.sqrt(2 * sum(p.size for p, _ in plain)))
+    assert np.sqrt(own_noise(scaled).variance) == pytest.approx(1, abs=4 / np.sqrt(2 * sum(p.size for p, _ in plain)))
 
 
-@pytest.mark.parametrize("rho", [0.0, 0.5, 0.9])
-def test_whitened_noise_is_white(rho):
-    noise = Noise(rho ** np.arange(ORDER + 1.0))
-    rng = np.random.default_rng(5)
-    frame = np.concatenate([np.arange(60), np.r_[0:25, 26:31, 40:60]])  # the second ball is missed twice
-    ball = np.repeat([0, 1], [60, 50])
-    white = []
-    for _ in range(400):
-        seen = np.concatenate([correlated(rng, 60, rho, 1), correlated(rng, 60, rho, 1)[frame[60:]]])
-        white.append(noise.filter(frame, ball) @ seen[:, 0])
-    each = np.array(white)
-    assert np.all(np.abs((each**2).mean(axis=0) - 1) < 5 * np.sqrt(2 / 400))
-    assert np.mean(each**2) == pytest.approx(1, abs=4 * np.sqrt(2 / each.size))
-    for lag in range(1, ORDER + 1):
-        inside = frame[lag:] - frame[:-lag] == lag  # across a gap nothing is claimed
-        assert abs((each[:, lag:] * each[:, :-lag])[:, inside & (ball[lag:] == ball[:-lag])].mean()) < 0.02
+def shaken(clips, seed, walk=0.0, jitter=0.0, rho=0.0, axes=(1, 1)):
+    """Clips with noise of their own and with a random walk or jitter that both balls share, in units of STD."""
+    rng, out = np.random.default_rng(seed), []
+    for c in clips:
+        shake = walk * np.cumsum(rng.standard_normal((FRAMES, 2)), axis=0) + jitter * rng.standard_normal((FRAMES, 2))
+        shake = STD * shake * axes
+        out.append(dataclasses.replace(c, xy=c.xy + noise_of_pair(rng, rho) + np.concatenate([shake, shake])))
+    return out
 
 
-def test_the_filter_never_looks_across_a_gap_or_to_the_other_ball():
-    frame, ball = np.array([0, 1, 2, 5, 6, 7, 8]), np.array([0, 0, 0, 0, 0, 1, 1])
-    used = Noise(0.9 ** np.arange(ORDER + 1.0)).filter(frame, ball) != 0
-    assert [np.flatnonzero(row)[0] for row in used] == [0, 0, 1, 3, 3, 5, 5]
+CLIPS = exact(Model(), 8, 5)
+
+
+def test_jitter_that_both_balls_share_is_measured():
+    noise = estimate(shaken(CLIPS, 1, jitter=2.0, axes=(1, 0.5)))
+    x, y = (s.variance / STD**2 for s in noise.shared)
+    assert (x, y) == (pytest.approx(4, rel=0.25), pytest.approx(1, rel=0.25))
+    assert noise.shared[0].lags(2)[1] / noise.shared[0].variance == pytest.approx(0, abs=0.15)
+    assert noise.scale == pytest.approx(1, rel=0.1)
+    assert noise.shake == pytest.approx(STD * np.sqrt(2.5), rel=0.2)
+
+
+def test_a_shared_random_walk_has_its_increments():
+    noise = estimate(shaken(CLIPS, 2, walk=1.0))
+    assert noise.scale == pytest.approx(1, rel=0.1)
+    for s in noise.shared:
+        lags = s.lags(2)
+        assert 2 * (lags[0] - lags[1]) / STD**2 == pytest.approx(1, rel=0.25)
+
+
+def test_balls_that_share_nothing_are_not_taken_for_shaken():
+    scores = []
+    for seed in range(20):
+        clips = shaken(CLIPS, seed)
+        scores.append(Pairs(pair for c in clips for pair in c.together()).shaken(Component(1.0)))
+    assert max(scores) < 4
+    assert 0 < np.mean(scores) < 1.49 + 3 / np.sqrt(20)  # nine independent normal scores: the largest is 1.49
+    assert estimate(shaken(CLIPS, 3, rho=0.9)).shared == ()
+
+
+def test_missing_frames_break_a_stretch_and_no_more():
+    rng = np.random.default_rng(9)
+    whole = shaken(CLIPS, 4, jitter=2.0)
+    holed = []
+    for c in whole:
+        kept = rng.uniform(size=len(c.frame)) > 0.02
+        parts = {name: getattr(c, name)[kept] for name in ("frame", "ball", "xy", "covariance")}
+        holed.append(dataclasses.replace(c, **parts))
+    one, other = estimate(whole), estimate(holed)
+    assert other.scale == pytest.approx(one.scale, rel=0.15)
+    assert other.shake == pytest.approx(one.shake, rel=0.25)
 
 
 def test_too_little_to_read_noise_from():
     with pytest.raises(ValueError, match="too few"):
-        estimate(stretches(np.random.default_rng(6), 0.0, frames=(8, 11)))
+        own_noise(stretches(np.random.default_rng(6), 0.0, frames=(8, 11)))
     with pytest.raises(ValueError, match="no noise"):
-        estimate([(np.zeros((40, 2)), np.ones(40))])
+        own_noise([(np.zeros((40, 2)), np.ones(40))])
+
+
+def test_a_noise_says_its_scale_and_correlation():
+    noise = Noise(Component(4.0, (0.5,)))
+    assert (noise.scale, noise.correlation, noise.shake) == (2.0, 0.5, 0.0)

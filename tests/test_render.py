@@ -310,11 +310,20 @@ def test_any_number_of_balls_in_any_order():
     assert sorted(found.order[found.order < 3].tolist()) == expected == [1] * 3 + [2] * 6
 
 
-def test_frames_do_not_depend_on_their_company():
+def test_a_pair_is_drawn_as_balls_in_any_number_are():
+    """Two balls have a shader of their own."""
+    centres = np.array([[0, 0, R], [1.7 * R, 1.1 * R, R], [1.0, 0, R]])
+    pair, many = (one_frame(Film(overhead(), LAMP, [R] * n), *centres[:n]).image for n in (2, 3))
+    np.testing.assert_allclose(pair, many, atol=1e-7)
+
+
+def test_frames_do_not_depend_on_their_company(monkeypatch):
     film = Film(overhead(), LAMP, [R, R])
     starts = np.arange(70) * 1e-4
     spans = np.c_[starts, starts + 5e-4]
     together = list(film.frames(kick, spans, breaks=[5e-4]))
+    monkeypatch.setattr("synthcam.render.film.BATCH", 16)
+    monkeypatch.setattr("synthcam.glints.PATHS", 40)
     again = list(Film(overhead(), LAMP, [R, R]).frames(kick, spans, breaks=[5e-4]))
     for k in range(0, 70, 3):
         (alone,) = film.frames(kick, spans[k : k + 1], breaks=[5e-4])

@@ -47,6 +47,10 @@ def test_a_roll_stops_on_the_dot():
     back = np.geomspace(1e-8, 1e-3, 50)
     late = found.states((stop - back)[None])[0]
     np.testing.assert_allclose(np.hypot(*late[:, 3:5].T), 0.0103 * back, rtol=2e-4)
+    final = found.states(np.array([[stop]]))[0, 0, :2]
+    left = 0.0103 * back[:, None] ** 2 / 2 * [0.6, 0.8]
+    np.testing.assert_allclose(final - late[:, :2], left, rtol=2e-4, atol=1e-16)
+    np.testing.assert_allclose(found.ends[:2, 0], final, rtol=1e-15)
 
 
 def test_a_roll_slower_than_the_slowest():
@@ -64,4 +68,4 @@ def test_a_flight_is_pushed_in_full_and_loses_nothing():
     for k in (0, 1):
         run = solve_ivp(right, (BEGIN[k], BEGIN[k] + 0.05), START[k][[0, 1, 3, 4]], **TIGHT)
         times = BEGIN[:, None] + np.linspace(0, 0.05, 9)
-        np.testing.assert_allclose(found.plane(times)[k], run.sol(times[k]).T, rtol=0, atol=1e-12)
+        np.testing.assert_allclose(found.plane(times)[:, k], run.sol(times[k]), rtol=0, atol=1e-12)

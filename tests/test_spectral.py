@@ -3,56 +3,90 @@
 import numpy as np
 import pytest
 
-from synthcam.spectral import Path, integrate
+from synthcam.spectral import Path, integrate, matrices, series
 
 
 def test_harmonic_oscillators_for_ten_turns():
     def right(_, y):
-        return np.stack([y[..., 1], -y[..., 0]], axis=-1)
+        return np.stack([y[1], -y[0]])
 
-    path = integrate(right, 0.0, 20 * np.pi, np.array([[0.0, 1.0], [1.0, 0.0]]))
+    path = integrate(right, (0.0, 20 * np.pi), np.array([[0.0, 1.0], [1.0, 0.0]]))
     x = np.linspace(0, 20 * np.pi, 500)
-    sine, cosine = np.column_stack([np.sin(x), np.cos(x)]), np.column_stack([np.cos(x), -np.sin(x)])
-    np.testing.assert_allclose(path(np.stack([x, x])), [sine, cosine], rtol=0, atol=2e-12)
+    expected = [[np.sin(x), np.cos(x)], [np.cos(x), -np.sin(x)]]
+    np.testing.assert_allclose(path(np.stack([x, x])), expected, rtol=0, atol=2e-12)
+    np.testing.assert_allclose(path.last(), [[0, 1], [1, 0]], rtol=0, atol=2e-12)
 
 
 @pytest.mark.parametrize("end", [3.0, -3.0])
-def test_both_ways(end):
-    path = integrate(lambda x, y: np.cos(x)[:, None] * y, 0.0, end, np.array([[2.0]]))
+@pytest.mark.parametrize("inner", [(), (0.2,), (0.1, 0.5)])
+def test_both_ways_and_in_pieces(end, inner):
+    knots = (0.0, *(share * end for share in inner), end)
+    path = integrate(lambda x, y: np.cos(x) * y, knots, np.array([[2.0]]))
     x = np.linspace(0, end, 100)
-    np.testing.assert_allclose(path(x[None])[0, :, 0], 2 * np.exp(np.sin(x)), rtol=1e-13)
-    assert path.ends[0] == 0
-    assert path.ends[-1] == end
+    np.testing.assert_allclose(path(x[None])[0, 0], 2 * np.exp(np.sin(x)), rtol=1e-13)
+    assert set(knots) <= set(path.ends)
+
+
+@pytest.mark.parametrize("off", [0.0, 1e-3, 50.0, np.nan])
+def test_a_guess_changes_nothing(off):
+    path = integrate(lambda x, y: y, (0.0, 2.0), np.array([[1.0]]), lambda x: np.exp(x)[None, None] + off)
+    x = np.linspace(0, 2, 50)
+    np.testing.assert_allclose(path(x[None])[0, 0], np.exp(x), rtol=1e-13)
 
 
 def test_each_problem_at_times_of_its_own():
-    path = integrate(lambda x, y: y, 0.0, 1.0, np.array([[1.0], [2.0], [-3.0]]))
+    path = integrate(lambda x, y: y, (0.0, 1.0), np.array([[1.0, 2.0, -3.0]]))
     x = np.random.default_rng(0).uniform(0, 1, (3, 40))
-    np.testing.assert_allclose(path(x)[..., 0], np.exp(x) * [[1], [2], [-3]], rtol=1e-13)
+    np.testing.assert_allclose(path(x)[0], np.exp(x) * [[1], [2], [-3]], rtol=1e-13)
+
+
+def test_few_nodes_where_few_will_do():
+    sizes = [integrate(lambda x, y, f=f: np.cos(f * x) + 0 * y, (0.0, 1.0), np.zeros((1, 1))) for f in (1, 15)]
+    assert [p.coefficients[0].shape[-1] for p in sizes] == [14, 32]
+    x = np.linspace(0, 1, 50)
+    for path, f in zip(sizes, (1, 15), strict=True):
+        np.testing.assert_allclose(path(x[None])[0, 0], np.sin(f * x) / f, rtol=0, atol=1e-14)
 
 
 def test_a_sharp_bend_is_halved_until_it_is_smooth():
     def right(x, y):
-        return np.array([1.0, 2.0])[:, None, None] * 100 / np.cosh(100 * (x - 0.3))[:, None] ** 2
+        return np.array([1.0, 2.0])[None, :, None] * 100 / np.cosh(100 * (x - 0.3)) ** 2
 
-    path = integrate(right, 0.0, 1.0, np.zeros((2, 1)))
+    path = integrate(right, (0.0, 1.0), np.zeros((1, 2)))
     x = np.linspace(0, 1, 333)
     exact = np.tanh(100 * (x - 0.3)) + np.tanh(30)
-    np.testing.assert_allclose(path(np.stack([x, x]))[..., 0], [exact, 2 * exact], rtol=0, atol=2e-11)
+    np.testing.assert_allclose(path(np.stack([x, x]))[0], [exact, 2 * exact], rtol=0, atol=2e-11)
     assert len(path.ends) > 3
 
 
 def test_a_step_is_refused():
     with pytest.raises(ValueError, match="not smooth"):
-        integrate(lambda x, y: np.where(x > np.pi / 10, 1.0, 0.0)[:, None] + 0 * y, 0.0, 1.0, np.zeros((1, 1)))
+        integrate(lambda x, y: np.where(x > np.pi / 10, 1.0, 0.0) + 0 * y, (0.0, 1.0), np.zeros((1, 1)))
+
+
+def test_a_kink_passes_where_a_coarse_solution_was_asked_for():
+    def right(x, y):
+        return np.abs(x - 0.3) + 0 * y
+
+    path = integrate(right, (0.0, 1.0), np.zeros((1, 1)), resolved=1e-8, deepest=6)
+    assert path.last()[0, 0] == pytest.approx((0.3**2 + 0.7**2) / 2, abs=1e-6)
+    with pytest.raises(ValueError, match="not smooth"):
+        integrate(right, (0.0, 1.0), np.zeros((1, 1)), deepest=6)
 
 
 def test_a_runaway_is_refused_quietly():
     with pytest.raises(ValueError, match="not smooth"):
-        integrate(lambda _, y: y**2, 0.0, 1.1, np.ones((1, 1)))
+        integrate(lambda _, y: y**2, (0.0, 1.1), np.ones((1, 1)))
 
 
 def test_outside_the_ends_it_goes_on():
-    path = integrate(lambda _, y: np.ones_like(y), 0.0, 1.0, np.zeros((1, 1)))
+    path = integrate(lambda _, y: np.ones_like(y), (0.0, 1.0), np.zeros((1, 1)))
     assert isinstance(path, Path)
-    np.testing.assert_allclose(path(np.array([[-0.01, 1.01]]))[0, :, 0], [-0.01, 1.01], rtol=0, atol=1e-12)
+    np.testing.assert_allclose(path(np.array([[-0.01, 1.01]]))[0, 0], [-0.01, 1.01], rtol=0, atol=1e-12)
+
+
+def test_slope_and_curvature_of_a_series():
+    on, x = matrices(20), np.linspace(-1, 1, 30)
+    c = (np.exp(1.5 * on.nodes) @ on.coefficients)[None, None]
+    np.testing.assert_allclose(series(c @ on.slope, x[None])[0, 0], 1.5 * np.exp(1.5 * x), rtol=1e-11)
+    np.testing.assert_allclose(series(c @ on.curvature, x[None])[0, 0], 2.25 * np.exp(1.5 * x), rtol=1e-9)

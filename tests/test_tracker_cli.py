@@ -249,6 +249,21 @@ def test_a_stack_without_a_camera_is_tracked_in_pixels(tmp_path):
     assert outcome.estimates["status"].tolist() != ["ok"]
 
 
+def test_what_was_assumed_and_what_is_not_modelled_is_said(tmp_path):
+    second = {"position": [-0.1, 0.0, 0.4], "radius": 0.01}
+    camera = {**CAMERA, "lamp": CAMERA["lamp"] | {"second": second}, "psf": CAMERA["psf"] | {"defocus_px": 0.5}}
+    frames = film(np.random.default_rng(2), collision(20, contact=9.3, speed=4.0))
+    write_clip(tmp_path / "clip", frames, camera)
+    words = ["track", str(tmp_path / "clip"), "-o", str(tmp_path / "out"), "--workers", "1"]
+    done = CliRunner().invoke(cli.app, words)
+    assert done.exit_code == 0
+    assert "assumed or estimated: psf.sigma_px" in done.stderr
+    assert "lamp.second: places are drawn towards its glints" in done.stderr
+    assert "psf.defocus_px: glints are taken as Gaussian" in done.stderr
+    kept = json.loads((tmp_path / "out/clips/000000/camera.json").read_text())
+    assert kept["psf"]["sigma_px"] == pytest.approx(1.0, rel=0.05)  # as wide as drawn
+
+
 def test_summaries_and_help(dataset, tmp_path):
     runner = CliRunner()
     done = runner.invoke(cli.app, ["track", str(dataset), "-o", str(tmp_path / "out"), "--workers", "1", "--json"])

@@ -192,6 +192,27 @@ def test_two_balls_two_detections_through_a_collision():
     assert set(assign(found, CAM).tolist()) == {0, 1}
 
 
+def test_hot_pixels_are_no_balls_and_pull_none():
+    rng = np.random.default_rng(11)
+    paths = collision(60, speed=3.0)
+    frames = film(rng, paths)
+    on_the_way = np.rint(paths[::4, 1]).astype(int) + rng.integers(-2, 3, (15, 2))
+    x, y = np.concatenate([on_the_way, rng.integers(5, 155, (25, 2))]).T
+    lone = np.hypot(x - 100, y - 80) > 8  # not under the ball at rest
+    x, y = x[lone], y[lone]
+    leak = np.zeros(frames.shape[1:], np.int64)
+    leak[y, x] = rng.integers(15, 90, len(x))
+    frames = np.clip(frames + leak, 0, 255).astype(np.uint8)
+    view = look(clip(frames))
+    assert set((y * 200 + x).tolist()) <= set(view.plate.hot.tolist())
+    found = detect(clip(frames), view)
+    assert np.bincount(found.frame, minlength=60).tolist() == [2] * 60
+    assert (found.flags & MISFIT).sum() == 0
+    for k in range(60):
+        own = found.xy[found.frame == k]
+        assert max(np.hypot(*(own - place).T).min() for place in paths[k]) < 0.06
+
+
 @pytest.mark.parametrize("level", [0, 3, 250])
 def test_empty_frames_have_nothing(level):
     rng = np.random.default_rng(6)

@@ -100,18 +100,37 @@ def test_colour_becomes_grey_and_is_said_so(tmp_path, kind):
     assert (frames[1] == round(0.299 * 200 + 0.587 * 100 + 0.114 * 50)).all()
 
 
-def test_lossless_video(tmp_path):
-    path = tmp_path / "film.avi"
-    writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"FFV1"), 25, (64, 48), isColor=False)
+def video(path, movie, code, colour=False):
+    """Writes a video with OpenCV; above 8 bits the counts stand in the low bits of 16."""
+    depth = cv2.CV_8U if movie.dtype == np.uint8 else cv2.CV_16U
+    kind = [cv2.VIDEOWRITER_PROP_IS_COLOR, int(colour), cv2.VIDEOWRITER_PROP_DEPTH, depth]
+    writer = cv2.VideoWriter(str(path), cv2.CAP_FFMPEG, cv2.VideoWriter.fourcc(*code), 25.0, (64, 48), kind)
     if not writer.isOpened():
-        pytest.skip("this OpenCV cannot write FFV1")
-    for frame in MOVIE:
+        pytest.skip(f"this OpenCV cannot write {code}")
+    for frame in movie:
         writer.write(frame)
     writer.release()
-    frames, _ = open_frames(path)
-    assert len(frames) == 6
-    assert np.abs(held(frames).astype(int) - MOVIE).max() <= 1
-    assert np.array_equal(frames[4], held(frames)[4])  # backwards and forwards
+    return path
+
+
+@pytest.mark.parametrize("bits", [8, 10, 12, 16])
+def test_lossless_video_keeps_every_bit(tmp_path, bits, capfd):
+    movie = RNG.integers(0, 2**bits, MOVIE.shape).astype(np.uint8 if bits == 8 else np.uint16)
+    frames, note = open_frames(video(tmp_path / "film.mkv", movie, "FFV1"))
+    assert frames.dtype == movie.dtype
+    assert np.array_equal(held(frames), movie)
+    assert np.array_equal(frames[4], movie[4])  # backwards and forwards
+    assert note == ""
+    assert capfd.readouterr().err == ""  # OpenCV warns of reading what is stored
+
+
+@pytest.mark.parametrize("code", ["FFV1", "HFYU"])
+def test_colour_video_becomes_grey_and_is_said_so(tmp_path, code):
+    colour = np.zeros((3, 48, 64, 3), np.uint8)
+    colour[..., 2], colour[..., 1], colour[..., 0] = 200, 100, 50  # red, green, blue
+    frames, note = open_frames(video(tmp_path / "film.avi", colour, code, colour=True))
+    assert note == "colour converted to grey"
+    assert np.abs(held(frames) - (0.299 * 200 + 0.587 * 100 + 0.114 * 50)).max() < 2
 
 
 def test_memory_does_not_grow_with_length(tmp_path):

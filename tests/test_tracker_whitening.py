@@ -41,7 +41,7 @@ def test_whitening_leaves_unit_errors():
     white = Whitener(place, cov, 0.6 * cov, SIGMA)
     unit = np.stack([white(e) for e in np.eye(60).reshape(60, 30, 2)], axis=1)
     np.testing.assert_allclose(unit @ covariance(place, cov, 0.6 * cov, SIGMA) @ unit.T, np.eye(60), atol=1e-9)
-    np.testing.assert_allclose(white(np.eye(60).reshape(30, 2, 60)), unit)
+    np.testing.assert_allclose(white(np.eye(60).reshape(60, 30, 2)), unit.T)
     errors = rng.normal(size=(30, 2))
     np.testing.assert_allclose(white.distance(errors), np.einsum("ni,nij,nj->n", errors, np.linalg.inv(cov), errors))
 
@@ -54,8 +54,8 @@ def test_a_shared_part_as_large_as_the_whole_stays_regular():
 
 def test_a_resting_ball_is_known_no_better_than_its_shared_error():
     cov = np.tile(np.eye(2), (100, 1, 1))
-    ones = np.tile(np.eye(2), (100, 1, 1))
-    told = Whitener(np.zeros((100, 2)), cov, 0.07 * cov, SIGMA)(ones)
+    ones = np.tile(np.eye(2)[:, None], (1, 100, 1))
+    told = Whitener(np.zeros((100, 2)), cov, 0.07 * cov, SIGMA)(ones).T
     std = np.sqrt(np.diag(np.linalg.inv(told.T @ told)))
     np.testing.assert_allclose(std, np.sqrt(0.07 + 0.93 / 100), rtol=1e-6)
 

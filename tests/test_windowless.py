@@ -51,6 +51,30 @@ def test_osmesa_when_asked_or_when_egl_is_missing_and_the_same_bytes():
         assert egl["seen"] == asked["seen"] == fallen["seen"]
 
 
+def doctor(**environment):
+    clean = {k: v for k, v in os.environ.items() if k not in ("PYOPENGL_PLATFORM", "EGL_DEVICE_ID")}
+    words = [sys.executable, "-c", "from synthcam.cli import main; main()", "doctor", "--json"]
+    return subprocess.run(words, env=clean | environment, capture_output=True, text=True)
+
+
+@pytest.mark.skipif(windowless.osmesa() is None, reason="no OSMesa here")
+def test_the_doctor_tells_what_draws_and_why():
+    told = json.loads(doctor(__EGL_VENDOR_LIBRARY_DIRS="/nonexistent").stdout)
+    assert told["platform"] == "osmesa"
+    assert told["why"].startswith("EGL")
+    assert told["why"].endswith("OSMesa is there")
+    assert told["renderer"]
+    assert told["frames_per_second"] > 0
+
+
+def test_the_doctor_finds_nothing_that_draws():
+    done = doctor(__EGL_VENDOR_LIBRARY_DIRS="/nonexistent", PYOPENGL_PLATFORM="egl")
+    assert done.returncode == 2
+    assert len(done.stderr.splitlines()) == 1
+    assert "no off-screen OpenGL (egl)" in done.stderr
+    assert "apt install" in done.stderr
+
+
 def test_without_a_library_there_is_none(monkeypatch):
     def nothing(*_, **__):
         raise OSError("no such file")

@@ -6,121 +6,222 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from discrepancy.fit import BASE, fit
+import numpy as np
+
+from discrepancy.answer import Answer
+from discrepancy.fit import Evidence, Fit, fit
 from discrepancy.gap import Shown, as_dict, show
 from discrepancy.locate import Place, locate
 from discrepancy.measured import Measured, split
-from discrepancy.name import Search, search, strengths_of
+from discrepancy.name import Named, Search, search
 from discrepancy.noise import Noise, estimate
+from discrepancy.odd import odd
+from discrepancy.outside import Filled, Slots, unseen
+from discrepancy.parameter import fitted, strengths_of
+from discrepancy.parting import advice, designs
+from discrepancy.refine import refined
 from synthcam.effect import library
 from synthcam.model import Model
 from tracker.geometry import InputError
 
 FEWEST = 6  # collisions: with fewer, some would not be left to show the gap on
-UNEXPLAINED = 5.0  # sigma of disagreement left after the library: something outside it
+ROUNDS = 4  # searches, at most: again without clips that are unlike all others, again with the noise read anew
+UNEXPLAINED = 5.0  # sigma of disagreement left after everything: something that no slot holds
+Tick = Callable[[str], None]
 
 
 @dataclass(frozen=True)
 class Found:
-    """The outcome. verdict: none, named, ambiguous or outside_library. where: before; left: after the named effects."""
+    """The outcome. verdict: none, named, ambiguous or outside_library. where: before; left: after all that was found.
+
+    slot: the law left free that explains what no effect of the library does; answer: its curve and formula. left_out:
+    why clips had no part in it.
+    """
 
     verdict: str
     noise: Noise
     clips: tuple[Measured, ...]
     kept_out: tuple[Measured, ...]
     search: Search
+    slot: Filled | None
+    answer: Answer | None
+    named: tuple[Named, ...]
     where: tuple[Place, ...]
     left: tuple[Place, ...]
     shown: Shown
+    experiment: str
+    left_out: tuple[str, ...]
+
+    @property
+    def best(self) -> Fit:
+        """The fit with everything that was found."""
+        return self.slot.now if self.slot else self.search.best
 
     @property
     def model(self) -> Model:
-        """The model with the named effects, refitted."""
-        return self.search.best.model
+        """The model with the named effects, refitted. A slot is no effect: no file can hold it."""
+        return self.slot.library if self.slot else self.search.best.model
 
     def sentence(self) -> str:
         """The outcome in one sentence."""
         gap = self.shown.gap
         if self.verdict == "none":
             return "Nothing is missing: simulation and measurement agree to within the noise."
-        if self.verdict == "outside_library":
-            place = self.left[0]
-            return (
-                f"Something is missing that the library does not hold: {place.ball} {place.phase}, {place.observable} "
-                f"its motion, disagrees by {place.sigma:.0f} sigma."
-            )
-        parts = []
-        for n in self.search.named:
-            values = ", ".join(f"{k.rpartition('.')[2]} = {v:.3g} +- {n.std[k]:.1g}" for k, v in n.values.items())
-            rivals = f" or {' or '.join(n.aliases[1:])}" if len(n.aliases) > 1 else ""
-            parts.append(f"{n.effect}{rivals} ({values}; {n.sigma:.0f} sigma)")
-        return (
-            f"Missing: {'; '.join(parts)}. On collisions kept out, the gap falls from {gap.before:.3g} to "
-            f"{gap.after:.3g} in chi^2 a point; noise alone leaves {gap.floor:.3g}."
+        closed = (
+            f"On collisions kept out, the gap falls from {gap.before:.3g} to {gap.after:.3g} in chi^2 a point; "
+            f"noise alone leaves {gap.floor:.3g}."
         )
+        parts = [_said(n) for n in self.named]
+        if self.slot and self.answer:
+            parts.insert(0, f"{self.answer.law}, which no effect of the library makes ({self.slot.sigma:.0f} sigma)")
+            closed = f"Proposed: {self.answer.formula}. model.yaml cannot hold it. {closed}"
+        elif self.verdict == "outside_library":
+            what = f"{self.left[0]} ({self.left[0].sigma:.0f} sigma)"
+            closed = f"Something else is missing that neither the library nor a free law holds: {what}. {closed}"
+        return (f"Missing: {'; '.join(parts)}. " if parts else "") + closed
 
     def document(self) -> dict[str, Any]:
         """The contract's discrepancy.json."""
         return {
             "verdict": self.verdict,
             "named": [
-                {"effect": n.effect, "parameters": n.values, "std": n.std, "sigma": n.sigma} for n in self.search.named
+                {
+                    "effect": n.effect,
+                    "parameters": n.values | n.shapes,
+                    "std": n.std | n.shape_std,
+                    "sigma": n.sigma,
+                    "limit": n.limit,
+                    "naming_limit": n.naming,
+                    "alike": [{"effects": list(names), "cosine": cosine} for names, cosine in n.alike],
+                }
+                for n in self.named
             ],
-            "aliases": [list(n.aliases) for n in self.search.named if len(n.aliases) > 1],
-            "outside": [],
+            "aliases": [list(n.aliases) for n in self.named if len(n.aliases) > 1],
+            "outside": [self.answer.document()] if self.answer else [],
             "where": [vars(p) for p in self.where],
+            "left": [vars(p) for p in self.left],
             "ranking": [{"effect": c.effect, "sigma": c.sigma} for c in self.search.ranking],
+            "claim": self.search.claim,
+            "untold": list(self.search.untold),
             "gap": as_dict(self.shown.gap),
-            "experiment": self._experiment(),
-            "noise": {"scale": self.noise.scale, "correlation": self.noise.correlation},
-            "clips": {"fitted": len(self.clips), "kept_out": len(self.kept_out)},
+            "experiment": self.experiment,
+            "noise": {"scale": self.noise.scale, "correlation": self.noise.correlation, "shake": self.noise.shake},
+            "clips": {"fitted": len(self.clips), "kept_out": len(self.kept_out), "left_out": list(self.left_out)},
         }
 
-    def _experiment(self) -> str:
-        if self.verdict != "ambiguous":
-            return ""
-        return (
-            "Collisions with |b| up to 0.6, speeds from 0.1 to 0.6 m/s in all directions, and the two balls exchanged "
-            "in half of them give these effects their most different signatures."
-        )
+
+def _said(n: Named) -> str:
+    values = [f"{k.rpartition('.')[2]} = {v:.3g} +- {n.std[k]:.1g}" for k, v in n.values.items()]
+    values += [
+        f"{k.rpartition('.')[2]} = {v:.3g} +- {n.shape_std[k]:.1g}"
+        if np.isfinite(n.shape_std[k])
+        else f"{k.rpartition('.')[2]} undetermined"
+        for k, v in n.shapes.items()
+    ]
+    rivals = f" or {' or '.join(n.aliases[1:])}" if len(n.aliases) > 1 else ""
+    return f"{n.effect}{rivals} ({', '.join(values)}; {n.sigma:.0f} sigma)"
 
 
-def find(clips: Sequence[Measured], model: Model, tick: Callable[[str], None] = lambda stage: None) -> Found:
-    """Search for what `model` lacks. Its base parameters and those in `model.free` are fitted.
+def find(clips: Sequence[Measured], model: Model, tick: Tick = lambda stage: None) -> Found:
+    """Search for what `model` lacks. Its base parameters that are not zero and those in `model.free` are fitted.
 
     Raises InputError with fewer than FEWEST collisions.
     """
     if len(clips) < FEWEST:
         raise InputError(f"{len(clips)} measured collisions: expected {FEWEST} or more, some to fit, some to keep out")
     noise = _noise(clips)
-    fitted, kept_out = split(clips)
-    names = list(dict.fromkeys([*BASE, *model.free]))
-    base = fit(fitted, model, names, noise, tick=lambda: tick("fit"))
-    where = locate(fitted, base, noise)
-    outcome = search(fitted, base, noise, lambda: tick("search"))
-    left = locate(fitted, outcome.best, noise) if outcome.named else where
-    if outcome.named and _unexplained(left):
-        outcome = outcome.trusted()
-        left = locate(fitted, outcome.best, noise) if outcome.named else where
-    shown = show(kept_out, base, outcome.best, noise, lambda: tick("gap"))
-    return Found(_verdict(outcome, left), noise, tuple(fitted), tuple(kept_out), outcome, where, left, shown)
+    some, kept_out = split(clips)
+    # read without any claim first: one made with too little noise could explain the rest of the noise away
+    noise = refined(some, fit(some, model, fitted(model), noise, tick=lambda: tick("fit")), noise, least=0.0)
+    left_out: list[str] = []
+    for _ in range(ROUNDS):
+        hunt, slot = _hunt(some, model, noise, tick)
+        best, cleaned = (slot.whole, slot.evidence.clips) if slot else (hunt.best, some)
+        strange = odd(cleaned, hunt.base, best)
+        if strange:
+            left_out += strange.values()
+            some = [c for k, c in enumerate(some) if k not in strange]
+            continue
+        better = refined(cleaned, best, noise)
+        if better is noise:
+            break
+        noise = better
+    tick("where")
+    where = locate(some, hunt.base, noise)
+    left = locate(cleaned, best, noise) if best is not hunt.base else where
+    tick("gap")
+    shown = show(kept_out, hunt.base, hunt.best, noise, lambda: tick("gap"), _after(slot, kept_out, noise))
+    named = _beside(slot, hunt) if slot else hunt.named
+    verdict = _verdict(slot, named, left)
+    experiment = _experiment(hunt, some, noise) if verdict == "ambiguous" else ""
+    answer = Answer.of(slot) if slot else None
+    return Found(
+        verdict,
+        noise,
+        tuple(some),
+        tuple(kept_out),
+        hunt,
+        slot,
+        answer,
+        named,
+        where,
+        left,
+        shown,
+        experiment,
+        tuple(left_out),
+    )
 
 
-def _unexplained(left: Sequence[Place]) -> bool:
-    return bool(left) and left[0].sigma > UNEXPLAINED
+def _hunt(clips: Sequence[Measured], model: Model, noise: Noise, tick: Tick) -> tuple[Search, Filled | None]:
+    base = fit(clips, model, fitted(model), noise, tick=lambda: tick("fit"))
+    free = Slots(Evidence.of(clips, noise), base, lambda: tick("slots"))
+    found = search(clips, base, noise, lambda: tick("search"), free.beat)
+    return found, free.outcome(found.best)
 
 
-def _verdict(outcome: Search, left: Sequence[Place]) -> str:
-    if _unexplained(left):
+def _after(
+    slot: Filled | None, clips: Sequence[Measured], noise: Noise
+) -> Callable[[Fit], tuple[Sequence[Measured], Fit]] | None:
+    return None if slot is None else lambda before: unseen(slot, clips, before, noise)
+
+
+def _beside(slot: Filled, hunt: Search) -> tuple[Named, ...]:
+    """The library's effects that are claimed beside a slot."""
+    now, known = slot.whole, {c.effect: c.suspect for c in hunt.ranking}
+    found = []
+    for effect, sigma in slot.beside(hunt.base).items():
+        suspect = known[effect]
+        values = {s: now.model.value(s) for s in suspect.strengths}
+        shapes = {s: now.model.value(s) for s in suspect.shapes}
+        std = {s: now.std.get(s, np.inf) for s in (*values, *shapes)}
+        own = {s: std[s] for s in values}
+        found.append(Named(effect, values, own, sigma, (effect,), shapes, {s: std[s] for s in shapes}))
+    return tuple(found)
+
+
+def _verdict(slot: Filled | None, named: Sequence[Named], left: Sequence[Place]) -> str:
+    if slot or (left and left[0].sigma > UNEXPLAINED):
         return "outside_library"
-    if not outcome.named:
+    if not named:
         return "none"
-    return "ambiguous" if any(len(n.aliases) > 1 for n in outcome.named) else "named"
+    return "ambiguous" if any(len(n.aliases) > 1 for n in named) else "named"
+
+
+def _experiment(hunt: Search, clips: Sequence[Measured], noise: Noise) -> str:
+    """What would part each class's effect from its nearest alias."""
+    known = {c.effect: c for c in hunt.ranking}
+    said = []
+    for n in hunt.named:
+        for rival in n.aliases[1:2]:
+            one, other = known[n.effect], known[rival]
+            pair = (one.suspect, n.shapes), (other.suspect, other.shapes)
+            said.append(advice(one.suspect, other.suspect, designs(clips, noise, hunt.best, *pair)))
+    return " ".join(said)
 
 
 def _noise(clips: Sequence[Measured]) -> Noise:
     try:
-        return estimate(stretch for clip in clips for stretch in clip.stretches())
+        return estimate(clips)
     except ValueError as e:
         raise InputError(f"the tracks: {e}") from None
 
@@ -129,7 +230,5 @@ def add(clips: Sequence[Measured], model: Model, effect: str, tick: Callable[[],
     """The model with `effect` added and refitted to all clips with everything else. Raises InputError."""
     if effect not in library():
         raise InputError(f"{effect}: no such effect; there are {', '.join(library())}")
-    noise = _noise(clips)
-    strengths = strengths_of(library()[effect])
-    names = list(dict.fromkeys([*BASE, *model.free, *strengths]))
-    return fit(clips, model, names, noise, tick=tick).model
+    names = list(dict.fromkeys([*fitted(model), *strengths_of(library()[effect])]))
+    return fit(clips, model, names, _noise(clips), tick=tick).model

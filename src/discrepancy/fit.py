@@ -1,56 +1,58 @@
 """One model, all clips: shared physics and each clip's own launch, by Gauss-Newton on whitened residuals.
 
 The normal equations have an arrow's shape: the launches are eliminated clip by clip (variable projection), so the cost
-grows linearly with the number of clips.
+grows linearly with the number of clips. Derivatives are kept for as long as chi^2 falls as they foretell.
 """
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import lsq_linear
 
 from discrepancy.forecast import forecast
 from discrepancy.measured import Measured
 from discrepancy.noise import Noise
-from synthcam.effect import library
+from discrepancy.parameter import BASE, FINE, limits_of, step_of
+from discrepancy.whiten import Whitener
 from synthcam.model import Model
 
 Array = NDArray[np.float64]
+__all__ = ["BASE", "Evidence", "Fit", "Whitener", "derivative", "fit", "settle"]
 
-LAUNCH_STEP = np.array([1e-6, 1e-6, 1e-6, 1e-5, 1e-5, 1e-5])
-BASE_STEP = {
-    "restitution": 1e-5,
-    "sliding_friction": 1e-5,
-    "spin_transfer": 1e-5,
-    "rolling_drag": 1e-4,
-    "rolling_decel": 1e-5,
-}
-BASE = tuple(BASE_STEP)
-_LIMITS = {"restitution": (0.0, 1.0), "spin_transfer": (0.0, 5 / 7)}
-ITERATIONS = 25
+LAUNCH_STEP = 1e-6  # m, s, m/s, rad, 1
+AT_ONCE = 64  # clips whose launches are nudged in one batch
+ITERATIONS = 40
 SETTLED = 1e-3  # of chi^2
+ROUGH = 0.1  # of chi^2: enough to see which of two models fits better
+FORETOLD = 0.2  # of what the derivatives foretell: chi^2 falling so much more or less calls for new ones
+DAMPED = 1e6  # the strongest damping
 
 
 @dataclass(frozen=True)
-class Whitener:
-    """Turns residuals of one clip into numbers that noise alone would draw from N(0, 1)."""
+class Evidence:
+    """Measured clips, and what makes the noise of each white."""
 
-    roots: Array  # (n, 2, 2): inverse Cholesky factors of the claimed covariances
-    filter: Array  # (n, n)
+    clips: tuple[Measured, ...]
+    whiteners: tuple[Whitener, ...]
 
     @classmethod
-    def of(cls, clip: Measured, noise: Noise) -> Whitener:
-        return cls(np.linalg.inv(np.linalg.cholesky(clip.covariance)), noise.filter(clip.frame, clip.ball))
+    def of(cls, clips: Sequence[Measured], noise: Noise) -> Evidence:
+        return cls(tuple(clips), tuple(Whitener.of(c, noise) for c in clips))
 
-    def __call__(self, residuals: Array) -> Array:
-        """(n, 2, ...) -> (2 n, ...)"""
-        scaled = np.einsum("nij,nj...->ni...", self.roots, residuals)
-        white = np.tensordot(self.filter, scaled, axes=1)
-        return np.asarray(white.reshape(-1, *residuals.shape[2:]))
+    def white(self, columns: Sequence[Array]) -> tuple[Array, ...]:
+        """(n, 2, ...) of each clip -> (2 n, ...)"""
+        return tuple(white(c) for white, c in zip(self.whiteners, columns, strict=True))
+
+    def left(self, model: Model, launches: Array) -> tuple[Array, ...]:
+        """Whitened residuals (2n,) of each clip. Raises ValueError when the model has no motion for such a launch."""
+        expected = forecast(model, launches, self.clips)
+        return self.white([c.xy - e for c, e in zip(self.clips, expected, strict=True)])
 
 
 @dataclass(frozen=True)
@@ -66,7 +68,6 @@ class Fit:
     residuals: tuple[Array, ...]
     slopes: tuple[Array, ...]
     launch_slopes: tuple[Array, ...]
-    covariance: Array
 
     @property
     def chi2(self) -> float:
@@ -81,47 +82,68 @@ class Fit:
     def parameters(self) -> int:
         return len(self.names) + self.launches.size
 
+    @cached_property
+    def covariance(self) -> Array:
+        """Of the shared parameters, (S, S); zero for one that changes nothing."""
+        if not self.names:
+            return np.zeros((0, 0))
+        cleaned = np.concatenate([off(a, s) for a, s in zip(self.launch_slopes, self.slopes, strict=True)])
+        scale = np.linalg.norm(cleaned, axis=0)
+        unit = cleaned / np.where(scale > 0, scale, 1)
+        inverse = np.linalg.pinv(unit.T @ unit, hermitian=True)
+        return np.asarray(inverse / np.outer(*[np.where(scale > 0, scale, np.inf)] * 2))
+
+    @property
+    def std(self) -> dict[str, float]:
+        return dict(zip(self.names, np.sqrt(np.diag(self.covariance)).tolist(), strict=True))
+
     def projected(self, columns: Sequence[Array]) -> Array:
         """Columns (2n, k) of every clip with all that the fit can absorb taken out, stacked: (points, k)."""
-        cleaned = [_off(launch, c) for launch, c in zip(self.launch_slopes, columns, strict=True)]
-        stacked = np.concatenate(cleaned)
+        stacked = np.concatenate([off(a, c) for a, c in zip(self.launch_slopes, columns, strict=True)])
         if not self.names:
             return stacked
-        shared = np.concatenate([_off(a, s) for a, s in zip(self.launch_slopes, self.slopes, strict=True)])
-        return _off(shared, stacked)
+        return off(np.concatenate([off(a, s) for a, s in zip(self.launch_slopes, self.slopes, strict=True)]), stacked)
+
+    def extended(self, model: Model, names: Sequence[str], columns: Sequence[Array]) -> Fit:
+        """With more shared parameters: their derivatives, (2n, k) for each clip, taken where this fit stands."""
+        slopes = tuple(np.concatenate(both, axis=1) for both in zip(self.slopes, columns, strict=True))
+        return dataclasses.replace(self, model=model, names=(*self.names, *names), slopes=slopes)
+
+    def reduced(self, model: Model, names: Sequence[str]) -> Fit:
+        """With fewer shared parameters."""
+        kept = [k for k, n in enumerate(self.names) if n not in names]
+        slopes = tuple(s[:, kept] for s in self.slopes)
+        return dataclasses.replace(self, model=model, names=tuple(self.names[k] for k in kept), slopes=slopes)
 
 
-def _off(basis: Array, columns: Array) -> Array:
-    """Columns less their projection on the span of a basis."""
-    scale = np.linalg.norm(basis, axis=0)
-    q, _ = np.linalg.qr(basis / np.where(scale > 0, scale, 1))
+def basis(columns: Array) -> Array:
+    """An orthonormal basis of the span of columns (n, k)."""
+    scale = np.linalg.norm(columns, axis=0)
+    return np.asarray(np.linalg.qr(columns[:, scale > 0] / scale[scale > 0])[0])
+
+
+def off(absorbing: Array, columns: Array) -> Array:
+    """Columns less their projection on the span of others."""
+    q = basis(absorbing)
     return np.asarray(columns - q @ (q.T @ columns))
 
 
-def step_of(name: str) -> float:
-    """A step for the numerical derivative by a shared parameter."""
-    effect, dot, parameter = name.rpartition(".")
-    if not dot:
-        return BASE_STEP[name]
-    return 1e-2 * next(p.scale for p in library()[effect].parameters() if p.name == parameter)
-
-
-def limits_of(name: str) -> tuple[float, float]:
-    """What values a shared parameter may have."""
-    effect, dot, parameter = name.rpartition(".")
-    if dot:
-        return next((p.low, p.high) for p in library()[effect].parameters() if p.name == parameter)
-    return _LIMITS.get(name, (0.0, np.inf))
-
-
-def derivative(model: Model, launches: Array, clips: Sequence[Measured], name: str) -> list[Array]:
+def derivative(
+    model: Model, launches: Array, clips: Sequence[Measured], name: str, here: Sequence[Array] | None = None
+) -> list[Array]:
     """d forecast / d a shared parameter, (n_k, 2) each: central, one-sided at a limit.
 
     A limit may also be where the motion ends to exist, as when a tilt sets the resting ball rolling; zero when there is
-    none to either side.
+    none to either side. here: the forecast itself; a short forward difference from there then serves where it can.
     """
-    value, step, (low, high) = model.value(name), step_of(name), limits_of(name)
+    value, step, (low, high) = model.value(name), step_of(model, name), limits_of(model, name)
     ends = []
+    if here is not None and value + FINE * step <= high:
+        try:
+            ahead = forecast(model.replace({name: value + FINE * step}), launches, clips)
+            return [(a - b) / (FINE * step) for a, b in zip(ahead, here, strict=True)]
+        except ValueError:
+            pass
     for end in (min(value + step, high), max(value - step, low)):
         try:
             ends.append((end, forecast(model.replace({name: end}), launches, clips)))
@@ -132,16 +154,19 @@ def derivative(model: Model, launches: Array, clips: Sequence[Measured], name: s
 
 
 def launch_derivatives(model: Model, launches: Array, clips: Sequence[Measured]) -> tuple[list[Array], list[Array]]:
-    """The forecast (n_k, 2) and its derivatives (n_k, 2, 6) by each clip's own launch, all in one batch."""
-    k = len(clips)
-    nudges = np.concatenate([np.zeros((1, 6)), np.diag(LAUNCH_STEP), -np.diag(LAUNCH_STEP)])
-    many = (launches[None] + nudges[:, None]).reshape(-1, 6)
-    all_ = forecast(model, many, list(clips) * len(nudges))
-    slopes = [
-        np.stack([(all_[(1 + j) * k + i] - all_[(7 + j) * k + i]) / (2 * LAUNCH_STEP[j]) for j in range(6)], axis=-1)
-        for i in range(k)
-    ]
-    return all_[:k], slopes
+    """The forecast (n_k, 2) and its derivatives (n_k, 2, 6) by each clip's own launch, many in one batch."""
+    nudges = LAUNCH_STEP * np.concatenate([np.zeros((1, 6)), np.eye(6)])
+    here: list[Array] = []
+    slopes: list[Array] = []
+    for first in range(0, len(clips), AT_ONCE):
+        some = list(clips[first : first + AT_ONCE])
+        many = (launches[None, first : first + AT_ONCE] + nudges[:, None]).reshape(-1, 6)
+        every, k = forecast(model, many, some * len(nudges)), len(some)
+        here += every[:k]
+        slopes += [
+            np.stack([(every[(1 + j) * k + i] - every[i]) / LAUNCH_STEP for j in range(6)], axis=-1) for i in range(k)
+        ]
+    return here, slopes
 
 
 def fit(
@@ -156,63 +181,99 @@ def fit(
 
     launches: (clips, 6) to start from; default: the clips' own first guesses. Levenberg's damping when a step fails.
     """
-    names = tuple(names)
+    evidence = Evidence.of(clips, noise)
     places = np.array([c.launch for c in clips] if launches is None else launches, dtype=float)
-    whiteners = [Whitener.of(c, noise) for c in clips]
-    now = _linearise(clips, model, names, places, whiteners)
-    damping = 0.0
+    return settle(evidence, linearised(evidence, model, tuple(names), places), tick)
+
+
+def settle(
+    evidence: Evidence, now: Fit, tick: Callable[[], None] = lambda: None, fresh: bool = True, rough: bool = False
+) -> Fit:
+    """The least chi^2, from `now`. fresh: its derivatives are those of the place where it stands.
+
+    rough: stop within ROUGH or so of the least chi^2, with derivatives of somewhere near.
+    """
+    damping, settled, last = 0.0, ROUGH if rough else SETTLED, False
     for _ in range(ITERATIONS):
         tick()
-        shared, own = _solve(now, damping)
-        values = {n: float(np.clip(model.value(n) + d, *limits_of(n))) for n, d in zip(names, shared, strict=True)}
-        trial, moved = model.replace(values), now.launches + own
-        chi2 = _chi2(clips, trial, moved, whiteners)
-        if not chi2 <= now.chi2 * (1 + 1e-12):
-            damping = max(10 * damping, 1e-3)
-            if damping > 1e6:
+        values, own = _step(now, damping)
+        foretold = now.chi2 - _foretold(now, values, own)
+        if last or foretold < settled:
+            if fresh or rough:
                 break
+            now, fresh, last = linearised(evidence, now.model, now.names, now.launches), True, False
             continue
-        gained, damping, model = now.chi2 - chi2, damping / 10 if damping > 1e-4 else 0.0, trial
-        now = _linearise(clips, model, names, moved, whiteners)
-        if gained < SETTLED:
-            break
+        moved = _moved(evidence, now, values, own)
+        gained = now.chi2 - moved.chi2 if moved else -np.inf
+        if moved is None or not gained > 0:
+            if fresh:
+                damping = max(10 * damping, 1e-3)
+                if damping > DAMPED:
+                    break
+            else:
+                now, fresh = linearised(evidence, now.model, now.names, now.launches), True
+            continue
+        damping = damping / 10 if damping > 1e-4 else 0.0
+        last = gained < settled
+        if last and fresh:
+            return moved if rough else linearised(evidence, moved.model, moved.names, moved.launches)
+        now, fresh = moved, False
+        if not last and abs(gained - foretold) > FORETOLD * foretold:
+            now, fresh = linearised(evidence, now.model, now.names, now.launches), True
     return now
 
 
-def _chi2(clips: Sequence[Measured], model: Model, launches: Array, whiteners: Sequence[Whitener]) -> float:
-    """chi^2, or infinity where the model has no motion for such a launch."""
+def linearised(evidence: Evidence, model: Model, names: tuple[str, ...], launches: Array) -> Fit:
+    """The residuals and their derivatives at one place."""
+    expected, own = launch_derivatives(model, launches, evidence.clips)
+    shared = [derivative(model, launches, evidence.clips, name, expected) for name in names]
+    residuals = evidence.white([c.xy - e for c, e in zip(evidence.clips, expected, strict=True)])
+    if names:
+        slopes = evidence.white([np.stack([s[k] for s in shared], axis=-1) for k in range(len(expected))])
+    else:
+        slopes = tuple(np.zeros((len(r), 0)) for r in residuals)
+    return Fit(model, names, launches, residuals, slopes, evidence.white(own))
+
+
+def nudged(evidence: Evidence, now: Fit, model: Model) -> Fit | None:
+    """One step from `now` with another model: what it fits shared and the launches give way. None without a motion."""
+    there = _moved(evidence, dataclasses.replace(now, model=model), {}, np.zeros_like(now.launches))
+    if there is None:
+        return None
+    further = _moved(evidence, there, *_step(there, 0.0))
+    return further if further and further.chi2 < there.chi2 else there
+
+
+def _moved(evidence: Evidence, now: Fit, values: Mapping[str, float], own: Array) -> Fit | None:
+    """`now` a step further, its derivatives as they were; None where the model has no motion for such a launch."""
+    launches = now.launches + own
     if not (np.all(np.abs(launches[:, 5]) < 1) and np.all(launches[:, 3] > 0)):
-        return np.inf
+        return None
+    model = now.model.replace(values)
     try:
-        expected = forecast(model, launches, clips)
+        return dataclasses.replace(now, model=model, launches=launches, residuals=evidence.left(model, launches))
     except ValueError:
-        return np.inf
-    left = [white(clip.xy - e) for clip, e, white in zip(clips, expected, whiteners, strict=True)]
-    return float(sum(x @ x for x in left))
+        return None
 
 
-def _linearise(
-    clips: Sequence[Measured], model: Model, names: tuple[str, ...], launches: Array, whiteners: Sequence[Whitener]
-) -> Fit:
-    expected, own = launch_derivatives(model, launches, clips)
-    shared = [derivative(model, launches, clips, name) for name in names]
-    residuals, slopes, launch_slopes = [], [], []
-    for k, (clip, white) in enumerate(zip(clips, whiteners, strict=True)):
-        residuals.append(white(clip.xy - expected[k]))
-        launch_slopes.append(white(own[k]))
-        columns = [s[k] for s in shared]
-        slopes.append(white(np.stack(columns, axis=-1)) if names else np.zeros((2 * len(clip.frame), 0)))
-    result = Fit(
-        model, names, launches, tuple(residuals), tuple(slopes), tuple(launch_slopes), np.zeros((len(names),) * 2)
-    )
-    if not names:
-        return result
-    cleaned = np.concatenate([_off(a, s) for a, s in zip(result.launch_slopes, result.slopes, strict=True)])
-    return dataclasses.replace(result, covariance=np.linalg.pinv(cleaned.T @ cleaned, hermitian=True))
+def _foretold(now: Fit, values: Mapping[str, float], own: Array) -> float:
+    """chi^2 after a step, to first order."""
+    shared = np.array([values[n] - now.model.value(n) for n in now.names])
+    parts = zip(now.residuals, now.slopes, now.launch_slopes, own, strict=True)
+    return float(sum(((r - s @ shared - a @ o) ** 2).sum() for r, s, a, o in parts))
 
 
-def _solve(now: Fit, damping: float) -> tuple[Array, Array]:
-    """The Gauss-Newton step: shared (S,), launches (clips, 6)."""
+def _step(now: Fit, damping: float) -> tuple[dict[str, float], Array]:
+    """The Gauss-Newton step within the limits: new values of the shared parameters, changes of the launches."""
+    limits = [limits_of(now.model, n) for n in now.names]
+    value = np.array([now.model.value(n) for n in now.names])
+    low, high = np.array(limits).reshape(-1, 2).T
+    shared, own = solve(now, damping, low - value, high - value)
+    return dict(zip(now.names, np.clip(value + shared, low, high).tolist(), strict=True)), own
+
+
+def solve(now: Fit, damping: float, least: Array, most: Array) -> tuple[Array, Array]:
+    """The Gauss-Newton step: shared (S,), within bounds, and launches (clips, 6)."""
     size = len(now.names)
     matrix, right, blocks = np.zeros((size, size)), np.zeros(size), []
     for r, s, a in zip(now.residuals, now.slopes, now.launch_slopes, strict=True):
@@ -224,6 +285,21 @@ def _solve(now: Fit, damping: float) -> tuple[Array, Array]:
         matrix += s.T @ s - coupling.T @ solved[:, :-1]
         right += s.T @ r - coupling.T @ solved[:, -1]
     matrix[np.diag_indices(size)] *= 1 + damping
-    shared = np.linalg.lstsq(matrix, right, rcond=1e-14)[0] if size else np.zeros(0)
+    shared = _bounded(matrix, right, least, most) if size else np.zeros(0)
     own_steps = np.array([b[:, -1] - b[:, :-1] @ shared for b in blocks])
-    return np.asarray(shared), own_steps
+    return shared, own_steps
+
+
+def _bounded(matrix: Array, right: Array, least: Array, most: Array) -> Array:
+    """The x within bounds that makes x' matrix x / 2 - right' x least; what changes nothing stays."""
+    scale = np.sqrt(np.diag(matrix).clip(0))
+    scale = np.where(scale > 0, scale, 1)
+    values, axes = np.linalg.eigh(matrix / np.outer(scale, scale))
+    seen = values > 1e-13 * values[-1]
+    root = np.sqrt(values[seen])[:, None] * axes[:, seen].T
+    target = (axes[:, seen].T @ (right / scale)) / np.sqrt(values[seen])
+    x = np.linalg.lstsq(root, target, rcond=None)[0]
+    if np.any((x < least * scale) | (x > most * scale)):
+        narrow = 1e-12 * scale  # lsq_linear wants room
+        x = lsq_linear(root, target, (least * scale - narrow, most * scale + narrow), method="bvls").x
+    return np.asarray(np.clip(x / scale, least, most))

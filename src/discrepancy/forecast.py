@@ -17,12 +17,16 @@ from tracker.geometry import Camera
 Array = NDArray[np.float64]
 __all__ = ["LAUNCH", "forecast"]
 
+FRICTIONLESS = 1e-9  # stands in for no sliding friction: a slide then outlasts every film, but ends
+
 
 def forecast(model: Model, launches: Array, clips: Sequence[Measured]) -> list[Array]:
     """Predicted centres (n_k, 2), m, where each clip has measurements; launches (clips, 6), columns LAUNCH.
 
     All clips are of one camera. Raises ValueError when the model has no motion for such a launch.
     """
+    if model.sliding_friction == 0:
+        model = model.replace({"sliding_friction": FRICTIONLESS})
     camera = clips[0].camera
     frames = np.arange(min(int(c.frame.min()) for c in clips), max(int(c.frame.max()) for c in clips) + 1)
     film = frames / camera.fps
@@ -63,7 +67,7 @@ def _seen(model: Model, camera: Camera, places: Array) -> Array:
         psf_sigma_px=float("nan"),
     )
     pixels = replace(model.laws("camera", nominal, {})).project(_spatial(camera, places))
-    pixels = model.laws("measure", pixels, {"glint": camera.glint_of_centre})
+    pixels = model.laws("measure", pixels, {"glint": lambda seen: camera.glint_of_centre(camera.unproject(seen)[0])})
     return np.asarray(camera.unproject(pixels)[0])
 
 

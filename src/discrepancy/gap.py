@@ -5,26 +5,39 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from discrepancy.fit import Fit, fit
-from discrepancy.forecast import forecast
+from discrepancy.fit import Fit, basis, fit
 from discrepancy.measured import Measured
 from discrepancy.noise import Noise
+from discrepancy.whiten import Whitener
+
+Array = NDArray[np.float64]
+
+PHASES = ("before", "sliding", "rolling")
 
 
 @dataclass(frozen=True)
-class Gap:
-    """chi^2 a point, and rms in um, on the clips kept out; the floor is what noise alone leaves of the same fit."""
+class Part:
+    """chi^2 a point, and rms in um, in one phase of the clips kept out; the floor is what noise alone leaves."""
 
     before: float
     after: float
     floor: float
-    closure: float
     before_um: float
     after_um: float
     floor_um: float
+
+
+@dataclass(frozen=True)
+class Gap(Part):
+    """The same in all phases together. closure: the share of the gap between before and floor that is closed."""
+
+    closure: float
+    by_phase: dict[str, Part]
 
 
 @dataclass(frozen=True)
@@ -37,24 +50,53 @@ class Shown:
 
 
 def show(
-    clips: Sequence[Measured], base: Fit, best: Fit, noise: Noise, tick: Callable[[], None] = lambda: None
+    clips: Sequence[Measured],
+    base: Fit,
+    best: Fit,
+    noise: Noise,
+    tick: Callable[[], None] = lambda: None,
+    outside: Callable[[Fit], tuple[Sequence[Measured], Fit]] | None = None,
 ) -> Shown:
-    """The gap on `clips`, kept out of both fits: shared parameters frozen, each clip's launch refitted."""
+    """The gap on `clips`, kept out of both fits: shared parameters frozen, each clip's launch refitted.
+
+    outside: from the fit before, the fit after, where no model file holds what was found; with what it moved taken out
+    of the clips.
+    """
     before = fit(clips, base.model, (), noise, tick=tick)
-    after = before if best is base else fit(clips, best.model, (), noise, before.launches, tick)
-    floor = 1 - before.launches.size / before.points
-    one, two = before.chi2 / before.points, after.chi2 / after.points
-    closure = (one - two) / (one - floor) if one > floor else float("nan")
-    spread = [float(np.sqrt(np.trace(c.covariance, axis1=1, axis2=2).mean() / 2)) for c in clips]
-    noise_um = 1e6 * noise.scale * float(np.sqrt(np.mean(np.square(spread)) * floor))
-    return Shown(Gap(one, two, floor, closure, _rms_um(clips, before), _rms_um(clips, after), noise_um), before, after)
+    if outside:
+        _, after = outside(before)
+    else:
+        after = before if best is base else fit(clips, best.model, (), noise, before.launches, tick)
+    rows = [_squares(c, one, two, a, noise) for c, one, two, a in _by_clip(clips, before, after)]
+    squares = np.concatenate(rows)
+    phase = np.concatenate([c.phase() for c in clips])
+    whole = _part(squares)
+    by_phase = {name: _part(squares[phase == k]) for k, name in enumerate(PHASES) if np.any(phase == k)}
+    room = whole.before - whole.floor
+    closure = (whole.before - whole.after) / room if room > 0 else float("nan")
+    return Shown(Gap(**vars(whole), closure=closure, by_phase=by_phase), before, after)
 
 
-def _rms_um(clips: Sequence[Measured], now: Fit) -> float:
-    expected = forecast(now.model, now.launches, clips)
-    squares = [(c.xy - e) ** 2 for c, e in zip(clips, expected, strict=True)]
-    return 1e6 * float(np.sqrt(np.mean(np.concatenate(squares))))
+def _by_clip(clips: Sequence[Measured], before: Fit, after: Fit) -> Sequence[tuple[Measured, Array, Array, Array]]:
+    return list(zip(clips, before.residuals, after.residuals, before.launch_slopes, strict=True))
 
 
-def as_dict(gap: Gap) -> dict[str, float]:
+def _squares(clip: Measured, before: Array, after: Array, launch: Array, noise: Noise) -> Array:
+    """Of each row: white residual^2 before, after and as noise alone leaves it; the same in m^2: (n, 6), axes' means.
+
+    What noise leaves: its covariance less the part that the six numbers of the launch take.
+    """
+    white, q = Whitener.of(clip, noise), basis(launch)
+    left = np.eye(len(q)) - q @ q.T
+    chi2 = (before**2, after**2, np.diag(left))
+    metres = (white.undo(before) ** 2, white.undo(after) ** 2, (white.undo(left) ** 2).sum(axis=2))
+    return np.stack([np.mean(np.reshape(x, (-1, 2)), axis=1) for x in (*chi2, *metres)], axis=1)
+
+
+def _part(squares: Array) -> Part:
+    means = squares.mean(axis=0)
+    return Part(*means[:3].tolist(), *(1e6 * np.sqrt(means[3:])).tolist())
+
+
+def as_dict(gap: Gap) -> dict[str, Any]:
     return dataclasses.asdict(gap)

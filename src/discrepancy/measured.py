@@ -11,6 +11,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from discrepancy.doubt import exchanged, wrong_units
 from tracker.estimate import measure
 from tracker.geometry import Camera, InputError
 from tracker.link import Tracks
@@ -21,6 +22,9 @@ Ints = NDArray[np.int64]
 
 MARGIN = 2  # frames at the ends of a phase that may hold a misplaced event
 FEWEST = 3  # frames a ball must be seen before the contact
+FASTEST = 20.0  # m/s: no ball is launched faster
+ALIKE, FEW_DEGREES, HEAD_ON = 1.2, np.radians(30), 0.05  # when speeds, headings and b count as all the same
+EXTREMES = 8  # clips from which on the extremes can be spared
 UNCLAIMED = 0.01  # px: stands in where tracks claim no error; the noise is then read off all the same
 ESTIMATES = "clip striker status t_c v0 b tau1 tau2 particle1 particle2".split()
 
@@ -31,7 +35,8 @@ class Measured:
 
     frame (n,); ball (n,); xy (n, 2) centres on the plate, m, means over the exposure; covariance (n, 2, 2) m^2 as
     claimed; launch (6,) a first guess of place x, y (m), t_c (s), v0 (m/s), heading (rad), b. ends (2,): when each ball
-    is thought to stop sliding, s.
+    is thought to stop sliding, s. offset: error of the target's place while it rests, alike in all frames and beside
+    the covariance, each axis, m.
     """
 
     clip: int
@@ -43,6 +48,7 @@ class Measured:
     covariance: Array
     launch: Array
     ends: Array
+    offset: float = 0.0
 
     @property
     def fps(self) -> float:
@@ -65,13 +71,35 @@ class Measured:
 
     def stretches(self) -> Iterator[tuple[Array, Array]]:
         """Unbroken stretches of one ball in one phase: places (n, 2) and claimed standard deviations (n,), m."""
-        phase, claimed = self.phase(), np.sqrt(np.trace(self.covariance, axis1=1, axis2=2) / 2)
+        phase, claimed = self.phase(), self.claimed()
         for p in range(3):
             for b in range(2):
                 rows = np.flatnonzero((phase == p) & (self.ball == b))
-                for part in np.split(rows, np.flatnonzero(np.diff(self.frame[rows]) != 1) + 1):
-                    kept = part[MARGIN : len(part) - MARGIN]
+                for kept in _unbroken(rows, self.frame[rows]):
                     yield self.xy[kept], claimed[kept]
+
+    def together(self) -> Iterator[tuple[Array, Array, Array, Array]]:
+        """Unbroken stretches of both balls, each in one phase: places (n, 2) and (n, 2), claimed (n,) and (n,), m."""
+        phase, claimed = self.phase(), self.claimed()
+        split = int(np.sum(self.ball == 0))
+        frame, one, two = np.intersect1d(self.frame[:split], self.frame[split:], return_indices=True)
+        two = two + split
+        for p in range(3):
+            for q in range(3):
+                rows = np.flatnonzero((phase[one] == p) & (phase[two] == q))
+                for kept in _unbroken(rows, frame[rows]):
+                    i, j = one[kept], two[kept]
+                    yield self.xy[i], self.xy[j], claimed[i], claimed[j]
+
+    def claimed(self) -> Array:
+        """Standard deviation of each row that the tracks claim, (n,), m: rms of the axes."""
+        return np.asarray(np.sqrt(np.trace(self.covariance, axis1=1, axis2=2) / 2))
+
+
+def _unbroken(rows: Ints, frame: Ints) -> Iterator[Ints]:
+    """Rows in runs of successive frames, less MARGIN at either end."""
+    for part in np.split(rows, np.flatnonzero(np.diff(frame) != 1) + 1):
+        yield part[MARGIN : len(part) - MARGIN]
 
 
 def read_measured(measured: Path, camera: Path | None = None) -> tuple[list[Measured], list[str]]:
@@ -91,6 +119,9 @@ def read_measured(measured: Path, camera: Path | None = None) -> tuple[list[Meas
         source = _table(measured, camera)
     kept, left_out = [], []
     for number, tracks, own, rows in source:
+        if (frame := exchanged(tracks, own)) is not None:
+            left_out.append(f"clip {number}: the balls have exchanged their names at frame {frame}")
+            continue
         if len(rows) > 1:
             left_out.append(f"clip {number}: {len(rows)} collisions in one recording")
             continue
@@ -101,6 +132,9 @@ def read_measured(measured: Path, camera: Path | None = None) -> tuple[list[Meas
             left_out.append(f"clip {number}: {outcome}")
     if not kept:
         raise InputError(f"{measured}: no clip with a measured collision" + "".join(f"; {x}" for x in left_out[:1]))
+    typical = float(np.median([c.launch[3] for c in kept]))
+    if typical > FASTEST:
+        raise InputError(f"{measured}: speeds of {typical:.3g} m/s; are scale and fps of the camera right?")
     return kept, left_out
 
 
@@ -125,7 +159,10 @@ def _results(folder: Path) -> Source:
 
 def _table(path: Path, camera: Path) -> Source:
     base = Camera.read(camera)
-    for number, (tracks, striker) in sorted(read_tracks(path).items()):
+    tables = read_tracks(path)
+    if why := wrong_units((tracks, base) for tracks, _ in tables.values()):
+        raise InputError(f"{path}: {why}")
+    for number, (tracks, striker) in sorted(tables.items()):
         own = replace(base, striker=striker) if striker is not None else base
         yield number, tracks, own, list(measure(tracks, own))
 
@@ -146,9 +183,12 @@ def collision(tracks: Tracks, row: Mapping[Any, Any], camera: Camera) -> Measure
     frame, early = tracks.frame[rows], early[rows]
     ball = np.repeat([0, 1], [pair[0].sum(), pair[1].sum()])
     xy, slope = camera.unproject(tracks.xy[rows])
-    spread = tracks.cov[rows]
-    if not np.all(spread[:, 0, 0] * spread[:, 1, 1] > spread[:, 0, 1] ** 2):  # NaN too
-        spread = np.tile(UNCLAIMED**2 * np.eye(2), (len(rows), 1, 1))
+    spread, steady = tracks.cov[rows], tracks.fixed[rows]
+    if not np.all(np.linalg.eigvalsh(np.nan_to_num(spread - steady))[:, 0] > 0):  # NaN too
+        spread, steady = np.tile(UNCLAIMED**2 * np.eye(2), (len(rows), 1, 1)), np.zeros_like(spread)
+    resting = early & (ball == 0)
+    covariance, fixed = (slope @ c @ np.swapaxes(slope, 1, 2) for c in (spread, steady))
+    covariance[resting] -= fixed[resting]
     heading = _heading(frame[early & (ball == 1)], xy[early & (ball == 1)])
     d = np.array([np.cos(heading), np.sin(heading)])
     n = np.sqrt(max(1 - b * b, 0.0)) * d - b * np.array([-d[1], d[0]])
@@ -160,9 +200,10 @@ def collision(tracks: Tracks, row: Mapping[Any, Any], camera: Camera) -> Measure
         frame=frame,
         ball=ball,
         xy=xy,
-        covariance=slope @ spread @ np.swapaxes(slope, 1, 2),
+        covariance=covariance,
         launch=np.array([*place, t_c, v0, heading, b]),
         ends=t_c + np.array(taus),
+        offset=float(np.sqrt(np.trace(fixed[resting], axis1=1, axis2=2).mean() / 2)),
     )
 
 
@@ -171,8 +212,39 @@ def _heading(frame: Ints, xy: Array) -> float:
     return float(np.arctan2(velocity[1], velocity[0]))
 
 
+def cannot_tell(clips: Sequence[Measured]) -> list[str]:
+    """A line for each thing that these clips cannot tell, however many they are, because they are all alike in it."""
+    _, _, _, speeds, headings, b = np.array([c.launch for c in clips]).T
+    said = []
+    if speeds.max() < ALIKE * speeds.min():
+        said.append(
+            f"all clips are at {np.median(speeds):.2g} m/s: how restitution, friction or spin transfer change with the "
+            "speed cannot be told"
+        )
+    if np.ptp(b) < HEAD_ON:
+        said.append(
+            f"all clips have b near {np.median(b):.2f}: nothing that changes with it can be told, and "
+            "hop and mass_mismatch look alike"
+        )
+    mean = np.exp(1j * headings).mean()
+    if np.abs(np.angle(np.exp(1j * headings) / mean)).max() < FEW_DEGREES:
+        said.append(
+            "all clips go one way: a tilt of the plate, a grain or a tilted camera can hardly be told from drag"
+        )
+    return said
+
+
 def split(clips: Sequence[Measured]) -> tuple[list[Measured], list[Measured]]:
-    """(to fit, to keep out): every fourth clip in order of speed is kept out, so that both cover the speeds."""
+    """(to fit, to keep out): a quarter is kept out, evenly over the speeds.
+
+    With EXTREMES clips or more the fastest and the most oblique are among it: what the fit never saw.
+    """
     order = sorted(clips, key=lambda c: float(c.launch[3]))
-    kept_out = {id(c) for c in order[2::4]}
+    count = max(len(clips) // 4, 1)
+    kept_out: set[int] = set()
+    if len(clips) >= EXTREMES:
+        kept_out = {id(order[-1]), id(max(order[:-1], key=lambda c: abs(float(c.launch[5]))))}
+    rest = [c for c in order if id(c) not in kept_out]
+    more = max(count - len(kept_out), 0)
+    kept_out |= {id(rest[(2 * k + 1) * len(rest) // (2 * more)]) for k in range(more)}
     return [c for c in clips if id(c) not in kept_out], [c for c in clips if id(c) in kept_out]

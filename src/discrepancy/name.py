@@ -1,75 +1,71 @@
-"""Which effect is missing: score tests of the whole library, alias classes, refits, and when to stop."""
+"""Which effects are missing: added, dropped and exchanged until nothing improves; what each may be confused with."""
 
 from __future__ import annotations
 
 import dataclasses
 import itertools
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import brentq
-from scipy.special import gammaln
-from scipy.stats import chi2 as chi2_law
-from scipy.stats import norm
 
-from discrepancy.fit import Fit, Whitener, derivative, fit, limits_of
+from discrepancy.claim import FLOOR, sigmas
+from discrepancy.fit import Evidence, Fit, derivative, linearised, nudged, settle
+from discrepancy.forecast import forecast
 from discrepancy.measured import Measured
 from discrepancy.noise import Noise
-from synthcam.effect import Effect, library
+from discrepancy.parameter import Suspect, limits_of, parameter_of, strengths_of
+from discrepancy.rank import LIMIT, Candidate, Contest, likeness
 
 Array = NDArray[np.float64]
+__all__ = ["Candidate", "Named", "Search", "likeness", "search", "sigmas", "strengths_of"]
 
-CLAIM = 4.0  # sigma: one claim in a thousand searches with nothing hidden, for a library of this size
 MOST = 4  # effects named in one search: more together can imitate what is in nobody's library
-SEEN = 1e-4  # of a signature's length that must be left when all that the fit absorbs is taken out
 ALIAS = 0.9  # of the cosine between two signatures: beyond it the data hardly part them
-PART = 9.5  # of chi^2: a rival that fits worse by less is not excluded
-TRUST = 10.0  # where much stays unexplained, what an effect must explain, in units of that
-
-
-def sigmas(chi2: float, dof: int) -> float:
-    """The |z| of a normal variable as improbable as chi^2 with so many degrees of freedom."""
-    if dof == 1:
-        return float(np.sqrt(max(chi2, 0.0)))
-    log_p = float(chi2_law.logsf(chi2, dof))
-    if not log_p > -600:  # beyond 1e-300: the leading term of the tail
-        half, x = dof / 2, chi2 / 2
-        log_p = float(half * np.log(x) - x - gammaln(half) - np.log(x - half + 1))
-    if log_p > np.log(0.999):
-        return 0.0
-    return float(brentq(lambda z: norm.logsf(z) + np.log(2) - log_p, 0, np.sqrt(chi2) + 1))
-
-
-@dataclass(frozen=True)
-class Candidate:
-    """A score test. signature (points, k): the derivative at zero strength less all that the fit absorbs."""
-
-    effect: str
-    strengths: tuple[str, ...]
-    sigma: float
-    signature: Array
+PAIRS = 0.98  # the same for the span of two others
+PART = 9.5  # of chi^2, a strength's price: a rival that fits worse by less is not excluded
+SHAPE = 4.0  # of chi^2, a shape's price: one that means nothing gains less, 19 times in 20
+NEAR, LOOSE = 15.0, 0.2  # of chi^2, and of what an effect explains: what the score may be wrong by
+RIVALS, SWAPS = 8, 4  # refitted, at most, beside a leader and in the place of a named effect
+KEPT = 0.5  # of the gain that the score promises
+STARTS, FAR = (0.1, 0.3, 1.0), 2  # of a realistic size, where the way is too far for the score; that many are followed
 
 
 @dataclass(frozen=True)
 class Named:
-    """An effect added to the model. values, std: by dotted name. aliases: what fits as well, itself first."""
+    """An effect added to the model.
+
+    values, std: of its strengths, by dotted name. shapes, shape_std: likewise; infinite where the data leave a shape
+    undetermined. sigma: of what it explains. aliases: what fits as well, itself first. alike: what has nearly its
+    signature, one effect or the sum of two, with the cosine. limit: the detection limits of its strengths; naming: the
+    strengths from which it is told from the likest that it can be told from.
+    """
 
     effect: str
     values: dict[str, float]
     std: dict[str, float]
     sigma: float
     aliases: tuple[str, ...]
+    shapes: dict[str, float] = field(default_factory=dict)
+    shape_std: dict[str, float] = field(default_factory=dict)
+    alike: tuple[tuple[tuple[str, ...], float], ...] = ()
+    limit: dict[str, float] = field(default_factory=dict)
+    naming: dict[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
 class Search:
-    """The outcome of a search. steps: the fits, before any effect and after each named one. ranking: the base's."""
+    """The outcome of a search. steps: the fits, before any effect and after each named one. ranking: the base's.
+
+    claim: the sigma needed. untold: effects that these collisions could not show, however real.
+    """
 
     steps: tuple[Fit, ...]
     ranking: tuple[Candidate, ...]
     named: tuple[Named, ...]
+    claim: float
+    untold: tuple[str, ...]
 
     @property
     def base(self) -> Fit:
@@ -79,90 +75,240 @@ class Search:
     def best(self) -> Fit:
         return self.steps[-1]
 
-    def trusted(self) -> Search:
-        """Without the effects, from the first that explains too little of what they all leave unexplained.
 
-        For use where the library does not suffice: an effect outside it leans on some effect inside it.
-        """
-        excess = self.best.chi2 - (self.best.points - self.best.parameters)
-        gains = [a.chi2 - b.chi2 for a, b in itertools.pairwise(self.steps)]
-        kept = list(itertools.takewhile(lambda gain: gain > TRUST * excess, gains))
-        return Search(
-            self.steps[: len(kept) + 1], self.ranking, _refreshed(self.named[: len(kept)], self.steps[len(kept)])
+def search(
+    clips: Sequence[Measured],
+    base: Fit,
+    noise: Noise,
+    tick: Callable[[], None] = lambda: None,
+    enough: Callable[[Fit], bool] = lambda now: False,
+) -> Search:
+    """Name effects one by one until none scores what chance may; each time drop or exchange what then fits better.
+
+    Base parameters held at zero are suspects too: those that `base` has not fitted. enough: asked of each fit on the
+    way, ends the search.
+    """
+    return _Hunt(clips, noise, base, tick).outcome(enough)
+
+
+def added(evidence: Evidence, now: Fit, candidate: Candidate, tick: Callable[[], None] = lambda: None) -> Fit:
+    """The fit with a candidate's strengths, and its shapes once they mean something, fitted too; roughly settled.
+
+    From where the score leads; if that keeps less than it promised, from realistic sizes as well. A base parameter held
+    at zero is far from there.
+    """
+    tries = [] if candidate.suspect.kind is None else [_from_here(evidence, now, candidate, tick)]
+    if not tries or tries[0].chi2 > now.chi2 - KEPT * candidate.gain:
+        tries += [settle(evidence, start, tick, rough=True) for start in _far(evidence, now, candidate)]
+    return min(tries, key=lambda f: f.chi2, default=now)
+
+
+def _from_here(evidence: Evidence, now: Fit, candidate: Candidate, tick: Callable[[], None]) -> Fit:
+    suspect, model = candidate.suspect, now.model.replace(candidate.shapes)
+    grown = settle(evidence, now.extended(model, candidate.strengths, candidate.columns), tick, fresh=False, rough=True)
+    if not suspect.shapes or all(grown.model.value(s) == 0 for s in candidate.strengths):
+        return grown
+    here = forecast(grown.model, grown.launches, evidence.clips)
+    slopes = [derivative(grown.model, grown.launches, evidence.clips, s, here) for s in suspect.shapes]
+    columns = evidence.white([np.stack([s[k] for s in slopes], axis=-1) for k in range(len(here))])
+    return settle(evidence, grown.extended(grown.model, suspect.shapes, columns), tick, fresh=False, rough=True)
+
+
+def _far(evidence: Evidence, now: Fit, candidate: Candidate) -> list[Fit]:
+    """Places to start from with a single strength at realistic sizes: those that fit best when the rest gives way."""
+    suspect = candidate.suspect
+    if len(suspect.strengths) > 1:
+        return []
+    name = suspect.strengths[0]
+    size, (low, high) = parameter_of(now.model, name).scale, limits_of(now.model, name)
+    looks: list[Fit] = []
+    for shapes in suspect.grid(now.model):
+        for value in (sign * share * size for share in STARTS for sign in (1, -1)):
+            if low <= value <= high:
+                look = nudged(evidence, now, now.model.replace({**shapes, name: value}))
+                looks += [look] if look else []
+    best = sorted(looks, key=lambda f: f.chi2)[:FAR]
+    names = (*now.names, name, *suspect.shapes)
+    return [linearised(evidence, f.model, names, f.launches) for f in best]
+
+
+class _Hunt:
+    """The models visited, by the suspects in them, and the way through them."""
+
+    def __init__(self, clips: Sequence[Measured], noise: Noise, base: Fit, tick: Callable[[], None]) -> None:
+        self.evidence, self.tick = Evidence.of(clips, noise), tick
+        self.fits: dict[frozenset[Suspect], Fit] = {frozenset(): base}
+        self.last: Contest | None = None  # the only one kept: it holds every suspect's derivatives
+        self.blind: set[str] = set()  # what the base fit absorbs is no rival; beside another effect it only seems to be
+        self.sure: set[frozenset[Suspect]] = {frozenset()}  # whose fits are settled to the end
+
+    def outcome(self, enough: Callable[[Fit], bool]) -> Search:
+        state: tuple[Suspect, ...] = ()
+        contest = first = self._contest(state)
+        ranking = contest.ranking()
+        self.blind = {c.effect for c in ranking if c.absorbed}
+        claim = max(first.claim(), FLOOR)
+        while len(state) < MOST:
+            winner = self._winner(state, contest, claim)
+            if winner is None:
+                break
+            grown = (*state, winner)
+            while True:
+                contest = self._contest(grown)
+                better = self._better(grown, contest, claim)
+                if better is None:
+                    break
+                grown = better
+            if len(grown) <= len(state):  # added and dropped again: round in a circle
+                break
+            state = grown
+            if enough(self._settled(state)):
+                break
+        steps = [self._settled(state[:k]) for k in range(len(state) + 1)]
+        contest = self._contest(state)
+        named = tuple(self._named(state, k, contest) for k in range(len(state)))
+        return Search(tuple(steps), ranking, named, claim, tuple(c.effect for c in contest.ranking() if not c.telling))
+
+    def _contest(self, state: Sequence[Suspect]) -> Contest:
+        now = self._settled(state)
+        if self.last is None or self.last.now is not now:
+            self.last = Contest.of(self.evidence, now, self.tick)
+        return self.last
+
+    def _settled(self, state: Sequence[Suspect]) -> Fit:
+        key = frozenset(state)
+        if key not in self.fits:
+            self.fits[key] = self._reduced(state)
+        if key not in self.sure:
+            self.fits[key] = settle(self.evidence, self.fits[key], self.tick, fresh=False)
+            self.sure.add(key)
+        return self.fits[key]
+
+    def _reduced(self, state: Sequence[Suspect]) -> Fit:
+        """A fit of a part of some model visited."""
+        larger = min((k for k in self.fits if k > frozenset(state)), key=len)
+        now = self.fits[larger]
+        for suspect in larger - frozenset(state):
+            now = self._without(now, suspect)
+        return now
+
+    def _without(self, now: Fit, suspect: Suspect) -> Fit:
+        reduced = now.reduced(suspect.without(now.model), suspect.strengths + suspect.shapes)
+        return dataclasses.replace(reduced, residuals=self.evidence.left(reduced.model, reduced.launches))
+
+    def _price(self, state: Iterable[Suspect]) -> float:
+        """chi^2 with what strengths and shapes cost; base parameters belong to the model and are free."""
+        state = frozenset(state)
+        effects = [s for s in state if s.kind is not None]
+        return self.fits[state].chi2 + sum(PART * len(s.strengths) + SHAPE * len(s.shapes) for s in effects)
+
+    def _winner(self, state: tuple[Suspect, ...], contest: Contest, claim: float) -> Suspect | None:
+        """What is to be added: the leader, or the rival that fits best with it. None when nothing is claimed."""
+        ranking = contest.ranking()
+        if not ranking or ranking[0].sigma <= claim:
+            return None
+        now = contest.now
+        rivals = self._contenders(contest, ranking, claim)
+        for c in rivals:
+            key = frozenset({*state, c.suspect})
+            if key not in self.fits:
+                self.fits[key] = added(self.evidence, now, c, self.tick)
+        keys = sorted((frozenset({*state, c.suspect}) for c in rivals), key=self._price)
+        for key in keys:
+            if self._price(key) < self._price(keys[0]) + NEAR:
+                self._settled(tuple(key))
+        best = min(keys, key=self._price)
+        (winner,) = best - frozenset(state)
+        gain = sigmas(now.chi2 - self.fits[best].chi2, len(winner.strengths))
+        return winner if gain > claim else None
+
+    def _contenders(self, contest: Contest, ranking: Sequence[Candidate], claim: float) -> list[Candidate]:
+        """Those that may fit as well as the leader, or better; their shapes made out more finely."""
+        most = ranking[0].gain
+        chosen = [contest.sharper(self.evidence, c) if c.gain > most / 2 - NEAR else c for c in ranking if c.gain > 0]
+        leader = max(chosen, key=lambda c: c.sigma)
+        near = [
+            c
+            for c in chosen
+            if c.gain > (1 - LOOSE) * leader.gain - NEAR
+            or likeness(leader.signature, c.signature) > ALIAS
+            or (c.suspect.kind is None and c.sigma > claim)
+        ]
+        return sorted(near, key=lambda c: (c.suspect.kind is not None, -c.gain))[:RIVALS]
+
+    def _better(self, state: tuple[Suspect, ...], contest: Contest, claim: float) -> tuple[Suspect, ...] | None:
+        """The model with one named effect dropped, or exchanged for a rival, if that is better."""
+        now = contest.now
+        for k, suspect in enumerate(state):
+            rest, rise = state[:k] + state[k + 1 :], contest.chi2(suspect) - now.chi2
+            if rest and sigmas(rise, len(suspect.strengths)) < 2 * claim:
+                kept = self._settled(rest)
+                if sigmas(kept.chi2 - now.chi2, len(suspect.strengths)) < claim:
+                    return rest
+            reduced = None
+            for c in self._rivals(contest, suspect):
+                key = frozenset({*rest, c.suspect})
+                if key not in self.fits:
+                    reduced = reduced or self._without(now, suspect)
+                    self.fits[key] = added(
+                        self.evidence, reduced, contest.sharper(self.evidence, c, suspect), self.tick
+                    )
+                if self._price(key) < self._price(state) + NEAR:
+                    self._settled(tuple(key))
+                if self._price(key) < self._price(state) - 0.1:
+                    return (*state[:k], c.suspect, *state[k + 1 :])
+        return None
+
+    def _rivals(self, contest: Contest, suspect: Suspect) -> list[Candidate]:
+        """Those that may do as well in the place of a named effect."""
+        total = contest.chi2(suspect)
+        rise = total - contest.now.chi2
+        near = contest.now.chi2 + NEAR + LOOSE * rise
+        rivals = [c for c in contest.ranking(suspect) if total - c.gain < near and c.effect not in self.blind]
+        return sorted(rivals, key=lambda c: -c.gain)[:SWAPS]
+
+    def _named(self, state: tuple[Suspect, ...], k: int, contest: Contest) -> Named:
+        suspect, now = state[k], contest.now
+        rest = frozenset(state) - {suspect}
+        worse = self._settled(tuple(rest)).chi2 - now.chi2
+        others = {key - rest: self._price(key) for key in self.fits if len(key) == len(state) and key > rest}
+        near = sorted((p, next(iter(s)).name) for s, p in others.items() if p < self._price(state) + PART)
+        ranking = tuple(c for c in contest.ranking(suspect) if c.telling and c.effect not in self.blind)
+        if suspect.kind is None:  # an effect can always bend a law to a constant: no rival to the constant itself
+            ranking = tuple(c for c in ranking if c.suspect.kind is None)
+            near = [(p, n) for p, n in near if n in {c.effect for c in ranking}]
+        aliases = (suspect.name, *(n for _, n in near if n != suspect.name))
+        std, own = now.std, contest.signature(suspect)
+        cosines = sorted(((likeness(own, c.signature), c.effect) for c in ranking), reverse=True)
+        told = max((c for c, effect in cosines if effect not in aliases), default=0.0)
+        limit = {s: LIMIT * std[s] for s in suspect.strengths}
+        return Named(
+            suspect.name,
+            {s: now.model.value(s) for s in suspect.strengths},
+            {s: std[s] for s in suspect.strengths},
+            sigmas(worse, len(suspect.strengths)),
+            aliases,
+            {s: now.model.value(s) for s in suspect.shapes},
+            {s: _determined(now, s) for s in suspect.shapes},
+            (*(((e,), c) for c, e in cosines if c > ALIAS), *_sums(own, ranking)),
+            limit,
+            {s: x / float(np.sqrt(max(1 - told**2, 1e-12))) for s, x in limit.items()},
         )
 
 
-def _refreshed(named: Sequence[Named], last: Fit) -> tuple[Named, ...]:
-    """The named effects with their strengths as the last fit has them."""
-    errors = dict(zip(last.names, np.sqrt(np.diag(last.covariance)).tolist(), strict=True))
-    return tuple(
-        dataclasses.replace(n, values={s: last.model.value(s) for s in n.values}, std={s: errors[s] for s in n.values})
-        for n in named
-    )
+def _determined(now: Fit, shape: str) -> float:
+    """A fitted shape's standard deviation; infinite where it says nothing."""
+    std, p = now.std.get(shape, 0.0), parameter_of(now.model, shape)
+    size = max(abs(now.model.value(shape)), p.scale) if p.low >= 0 else (p.high - p.low) / 2
+    return std if 0 < std < size / 2 else np.inf
 
 
-def strengths_of(effect: type[Effect]) -> tuple[str, ...]:
-    return tuple(f"{effect.name()}.{p.name}" for p in effect.strengths())
-
-
-def rank(clips: Sequence[Measured], now: Fit, noise: Noise, tick: Callable[[], None]) -> tuple[Candidate, ...]:
-    """Rao's score test of every effect whose strengths the fit has not fitted; most significant first."""
-    whiteners = [Whitener.of(c, noise) for c in clips]
-    left = np.concatenate(now.residuals)
+def _sums(own: Array, ranking: Sequence[Candidate]) -> tuple[tuple[tuple[str, ...], float], ...]:
+    """Pairs of effects that together have nearly the signature, where neither has it alone."""
+    alone = [c for c in ranking if c.signature.shape[1] == 1 and 0 < likeness(own, c.signature) <= ALIAS]
     found = []
-    for name, effect in library().items():
-        strengths = tuple(s for s in strengths_of(effect) if s not in now.names)
-        if not strengths:
-            continue
-        slopes = [derivative(now.model, now.launches, clips, s) for s in strengths]
-        columns = [white(np.stack([s[k] for s in slopes], axis=-1)) for k, white in enumerate(whiteners)]
-        tick()
-        length = np.linalg.norm(np.concatenate(columns), axis=0)
-        found.append(_score(name, strengths, now.projected(columns), length, left))
-    return tuple(sorted(found, key=lambda c: -c.sigma))
-
-
-def _score(name: str, strengths: tuple[str, ...], signature: Array, length: Array, left: Array) -> Candidate:
-    """The score of one candidate; directions that the fit absorbs, as it does a wrong clock, count for nothing.
-
-    length (k,): of the signature's columns before the fit took its part. A strength that has one sign scores nothing
-    when the data ask for the other.
-    """
-    unit = signature / np.where(length > 0, length, 1)
-    values, axes = np.linalg.eigh(unit.T @ unit)
-    seen = values > SEEN**2
-    if not seen.any():
-        return Candidate(name, strengths, 0.0, signature)
-    pulls = (axes[:, seen].T @ (unit.T @ left)) / np.sqrt(values[seen])
-    if len(strengths) == 1 and limits_of(strengths[0])[0] == 0 and signature[:, 0] @ left < 0:
-        return Candidate(name, strengths, 0.0, signature)
-    return Candidate(name, strengths, sigmas(float(pulls @ pulls), int(seen.sum())), signature)
-
-
-def likeness(one: Array, other: Array) -> float:
-    """The largest cosine between two signatures' spans."""
-    a, b = np.linalg.qr(one)[0], np.linalg.qr(other)[0]
-    return float(np.linalg.svd(a.T @ b, compute_uv=False).max())
-
-
-def search(clips: Sequence[Measured], base: Fit, noise: Noise, tick: Callable[[], None] = lambda: None) -> Search:
-    """Name effects one by one until none scores CLAIM. Each leader and its aliases are refitted; the best fit stays."""
-    now, steps = base, [base]
-    named: list[Named] = []
-    ranking = first = rank(clips, base, noise, tick)
-    while ranking and ranking[0].sigma > CLAIM and len(named) < MOST:
-        leader = ranking[0]
-        rivals = [c for c in ranking if likeness(leader.signature, c.signature) > ALIAS]
-        tries = [(fit(clips, now.model, [*now.names, *c.strengths], noise, now.launches, tick), c) for c in rivals]
-        tries.sort(key=lambda t: t[0].chi2)
-        best, winner = tries[0]
-        gain = sigmas(now.chi2 - best.chi2, len(winner.strengths))
-        if gain < CLAIM:
-            break
-        aliases = tuple(c.effect for f, c in tries if f.chi2 - best.chi2 < PART)
-        values = {s: best.model.value(s) for s in winner.strengths}
-        named.append(Named(winner.effect, values, values, gain, aliases))
-        now = best
-        steps.append(now)
-        ranking = rank(clips, now, noise, tick)
-    return Search(tuple(steps), first, _refreshed(named, now))
+    for one, other in itertools.combinations(alone, 2):
+        cosine = likeness(own, np.concatenate([one.signature, other.signature], axis=1))
+        if cosine > PAIRS:
+            found.append(((one.effect, other.effect), cosine))
+    return tuple(sorted(found, key=lambda f: -f[1])[:3])

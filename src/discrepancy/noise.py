@@ -1,137 +1,306 @@
-"""The noise of measured tracks, from the tracks themselves, and the filter that makes it white.
+"""The noise of measured tracks, from the tracks themselves: each ball's own, and what both balls share.
 
 Within one phase of motion (before, sliding, rolling) a track is smooth; a cubic there leaves the noise, whatever the
-physics. Its autocovariance is read off with the cubic's own correlation undone, pooled over clips, balls and axes; what
-lies beyond the lags read off is taken from the autoregression that they make, until both agree.
+physics. A low-order autoregression, with or without white noise beside it, is fitted to what is left by restricted
+maximum likelihood (REML; Patterson & Thompson, Biometrika 58 (1971) 545), which counts what the cubic took. What both
+balls share, as when the camera shakes, is in their sum and not in their difference.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from functools import partial
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import solve_toeplitz, toeplitz
+from scipy.linalg import toeplitz
+from scipy.optimize import minimize
+from scipy.special import expit, logit
 
+from discrepancy.measured import Measured
+
+T = TypeVar("T")
 Array = NDArray[np.float64]
-Ints = NDArray[np.int64]
+Shape = tuple[int, bool]  # order of an autoregression; whether there is white noise beside it
+Stretch = tuple[Array, Array]  # places (n, axes) and claimed standard deviations (n,)
+Pair = tuple[Array, Array, Array, Array]  # places of both balls (n, 2) in the same frames, and what they claim (n,)
 
-ORDER = 5  # of the autoregression; Yule-Walker
 SMOOTH = 4  # coefficients of the cubic
 SHORTEST = 12  # frames: a shorter stretch says little about noise
-LONG = 24  # frames: only a stretch as long as this can tell slow noise from motion
-ROUNDS = 100  # of the lags beyond ORDER; .9 from frame to frame needs about 60
-SETTLED = 1e-4  # of the variance
+SHAPES: tuple[Shape, ...] = ((0, False), (1, False), (1, True), (2, False), (3, False), (5, False))
+SHAKES: tuple[Shape, ...] = ((0, False), (1, False), (1, True), (2, False))  # of what the balls share
+SLOWEST = 0.999  # the largest partial autocorrelation: beyond it a clip cannot tell it from 1
+KERNELS = (0.0, 0.7, 0.97)  # correlations from frame to frame at which shared noise is looked for
+SHAKEN = 4.0  # sigma under independence: shared noise is used only beyond it
+STEP = 1e-4  # of the transformed parameters, for numerical derivatives
+FLOOR, CEILING = 1e-9, 0.99  # of a part that is white
+
+
+@dataclass(frozen=True)
+class Component:
+    """A stationary random error: an autoregression with white noise beside it.
+
+    partial: the autoregression's partial autocorrelations, lag 1 first; white: the part of the variance that is white.
+    """
+
+    variance: float
+    partial: tuple[float, ...] = ()
+    white: float = 0.0
+
+    def lags(self, count: int) -> Array:
+        """Autocovariance at lags 0 to count - 1."""
+        out = np.ones(max(count, len(self.partial) + 1))
+        weights = np.zeros(0)
+        for m, p in enumerate(self.partial, 1):  # Durbin & Levinson
+            out[m] = weights @ out[m - 1 : 0 : -1] + p * (1 - weights @ out[1:m])
+            weights = np.append(weights - p * weights[::-1], p)
+        order = len(weights)
+        for lag in range(order + 1, len(out)):
+            out[lag] = weights @ out[lag - order : lag][::-1]
+        out[1:] *= 1 - self.white
+        return np.asarray(self.variance * out[:count])
 
 
 @dataclass(frozen=True)
 class Noise:
-    """Autocovariance at lags 0 to ORDER of residuals over their claimed standard deviation: (ORDER + 1,)."""
+    """own: of each ball and axis by itself, in claimed standard deviations. shared: of x and of y, m^2, or nothing."""
 
-    covariance: Array
+    own: Component
+    shared: tuple[Component, ...] = ()
 
     @property
     def scale(self) -> float:
-        """How many times larger the noise is than claimed."""
-        return float(np.sqrt(self.covariance[0]))
+        """How many times larger a ball's own noise is than claimed."""
+        return float(np.sqrt(self.own.variance))
 
     @property
     def correlation(self) -> float:
-        """Between neighbouring frames."""
-        return float(self.covariance[1] / self.covariance[0])
+        """Of a ball's own noise between neighbouring frames."""
+        lags = self.own.lags(2)
+        return float(lags[1] / lags[0])
 
-    def filter(self, frame: Ints, ball: Ints) -> Array:
-        """The matrix (n, n) that whitens residuals of one axis; rows sorted by ball, then frame.
+    @property
+    def shake(self) -> float:
+        """rms of what both balls share, each axis, m."""
+        return float(np.sqrt(np.mean([s.variance for s in self.shared]))) if self.shared else 0.0
 
-        Each row predicts its residual from up to ORDER unbroken predecessors, the exact best predictor of that length.
+
+def estimate(clips: Sequence[Measured]) -> Noise:
+    """The noise of these clips. Raises ValueError when their unbroken stretches are too few."""
+    own = own_noise(stretch for clip in clips for stretch in clip.stretches())
+    pairs = Pairs(pair for clip in clips for pair in clip.together())
+    return pairs.noise() if pairs.shaken(own) > SHAKEN else Noise(own)
+
+
+@dataclass(frozen=True)
+class Bundle:
+    """Stretches of equal length. values (k, n, d) and the cubic's basis (k, n, SMOOTH), over claimed deviations."""
+
+    values: Array
+    basis: Array
+
+    def restricted(self, covariance: Array) -> tuple[float, float]:
+        """(log determinants, sum of squares) of REML's -2 log likelihood; covariance (n, n) or of each (k, n, n)."""
+        d = self.values.shape[2]
+        factor = np.linalg.cholesky(covariance)
+        both = np.concatenate([self.basis, self.values], axis=2)
+        white = np.linalg.inv(factor) @ both
+        q, r = np.linalg.qr(white[..., :SMOOTH])
+        seen = white[..., SMOOTH:]
+        left = seen - q @ (q.swapaxes(1, 2) @ seen)
+        spreads = np.broadcast_to(np.diagonal(factor, axis1=-2, axis2=-1), (len(both), factor.shape[-1]))
+        logs = np.log(spreads).sum() + np.log(np.abs(np.diagonal(r, axis1=1, axis2=2))).sum()
+        return float(2 * d * logs), float((left**2).sum())
+
+    @property
+    def freedom(self) -> int:
+        k, n, d = self.values.shape
+        return int(k * d * (n - SMOOTH))
+
+
+def _bundles(stretches: Iterable[Stretch]) -> list[Bundle]:
+    by_length: dict[int, list[Stretch]] = {}
+    for places, claimed in stretches:
+        if len(places) >= SHORTEST:
+            by_length.setdefault(len(places), []).append((places, claimed))
+    out = []
+    for n, members in by_length.items():
+        claims = np.array([claimed for _, claimed in members])[..., None]
+        values = np.array([places - places.mean(axis=0) for places, _ in members]) / claims
+        out.append(Bundle(values, np.vander(np.linspace(-1, 1, n), SMOOTH) / claims))
+    return out
+
+
+def own_noise(stretches: Iterable[Stretch]) -> Component:
+    """The noise of single tracks from unbroken stretches, each within one phase. Raises ValueError when too few."""
+    bundles = _bundles(stretches)
+    if not bundles:
+        raise ValueError("too few unbroken frames to read the noise from")
+    longest = max(b.values.shape[1] for b in bundles)
+    freedom = sum(b.freedom for b in bundles)
+
+    def profiled(component: Component) -> tuple[float, float]:
+        """(-2 log likelihood at the best variance, that variance)."""
+        lags = component.lags(longest)
+        parts = [b.restricted(toeplitz(lags[: b.values.shape[1]])) for b in bundles]
+        logs, squares = (sum(p[k] for p in parts) for k in (0, 1))
+        if not squares > 0:
+            raise ValueError("no noise to be seen between the frames")
+        return logs + freedom * np.log(squares / freedom), squares / freedom
+
+    def build(shape: Shape, x: Array) -> Component:
+        return component_of(shape, 1.0, x)
+
+    unit = chosen(SHAPES, build, lambda c: profiled(c)[0], np.log(freedom))
+    return Component(profiled(unit)[1], unit.partial, unit.white)
+
+
+def component_of(shape: Shape, variance: float, x: Array) -> Component:
+    """From free numbers: the partial autocorrelations' arctanh, then the white part's logit if there is one."""
+    order, white = shape
+    part = FLOOR + (CEILING - FLOOR) * float(expit(x[order])) if white else 0.0
+    return Component(variance, tuple((SLOWEST * np.tanh(x[:order])).tolist()), part)
+
+
+def free_numbers(component: Component) -> Array:
+    """The inverse of `component_of`, without the variance."""
+    x = np.arctanh(np.clip(np.array(component.partial) / SLOWEST, -1 + 1e-9, 1 - 1e-9))
+    return np.append(x, logit((component.white - FLOOR) / (CEILING - FLOOR))) if component.white else x
+
+
+def shape_of(component: Component) -> Shape:
+    return len(component.partial), component.white > 0
+
+
+def noise_of(shape: Shape, shake: Shape | None, x: Array) -> Noise:
+    """From free numbers: own log variance and the own component's, both log shared variances and their component's."""
+    own = component_of(shape, float(np.exp(x[0])), x[1:])
+    if shake is None:
+        return Noise(own)
+    rest = x[1 + sum(shape) :]
+    return Noise(own, tuple(component_of(shake, float(np.exp(v)), rest[2:]) for v in rest[:2]))
+
+
+def chosen(
+    shapes: Sequence[Shape],
+    build: Callable[[Shape, Array], T],
+    cost: Callable[[T], float],
+    price: float,
+    common: Array | None = None,
+) -> T:
+    """What is built of the shape with the least cost + price a number (Schwarz); two in a row that lose end the search.
+
+    cost: -2 log likelihood; common: first values of the numbers that every shape has, before its own.
+    """
+    head = np.zeros(0) if common is None else common
+    best, winner, last, tail, lost = np.inf, build(shapes[0], head), shapes[0], np.zeros(0), 0
+    for shape in shapes:
+        start = np.concatenate([head, _start(shape, last, tail)])
+        x = descend(partial(_cost, cost, build, shape), start)
+        paid = cost(build(shape, x)) + price * len(x)
+        lost = 0 if paid < best else lost + 1
+        if paid < best:
+            best, winner, last = paid, build(shape, x), shape
+            head, tail = x[: len(head)], x[len(head) :]
+        if lost == 2:
+            break
+    return winner
+
+
+def _cost(cost: Callable[[T], float], build: Callable[[Shape, Array], T], shape: Shape, x: Array) -> float:
+    return cost(build(shape, x))
+
+
+def _start(shape: Shape, last: Shape, x: Array) -> Array:
+    order, white = shape
+    if white:
+        return np.array([*np.ones(order), 0.0])
+    known = x[: min(last[0], order)]
+    return np.append(known, np.zeros(order - len(known)))
+
+
+def descend(cost: Callable[[Array], float], start: Array) -> Array:
+    """Where a smooth cost is least, from `start`."""
+    if not len(start):
+        return start
+    found = minimize(cost, start, method="BFGS", options={"eps": STEP, "gtol": 0.3, "maxiter": 40})
+    return np.asarray(found.x)
+
+
+class Pairs:
+    """Both balls in the same frames, each in one phase: their sum holds what they share, their difference does not."""
+
+    def __init__(self, pairs: Iterable[Pair]):
+        by_length: dict[int, list[tuple[Array, Array, float, float]]] = {}
+        for one, two, claim_one, claim_two in pairs:
+            if len(one) >= SHORTEST:
+                first, second = (float(np.sqrt(np.mean(c**2))) for c in (claim_one, claim_two))
+                members = by_length.setdefault(len(one), [])
+                members.append((one - one.mean(axis=0), two - two.mean(axis=0), first, second))
+        self.both = [np.array([m[:2] for m in members]) for members in by_length.values()]  # (k, 2, n, 2)
+        self.claims = [np.array([m[2:] for m in members]) for members in by_length.values()]  # (k, 2)
+        self.longest = max(by_length, default=0)
+        self.differences, self.sums, self.weights = [], [], []
+        for both, claims in zip(self.both, self.claims, strict=True):
+            size = np.sqrt((claims**2).sum(axis=1))[:, None, None]
+            cubic = np.broadcast_to(np.vander(np.linspace(-1, 1, both.shape[2]), SMOOTH), (*both.shape[::2], SMOOTH))
+            self.differences.append(Bundle((both[:, 0] - both[:, 1]) / size, cubic))
+            self.sums.append([Bundle((both[:, 0] + both[:, 1])[..., [a]] / size, cubic) for a in (0, 1)])
+            self.weights.append(4 / size**2)  # of the shared variance in the sum's, a ball's own being 1
+
+    def shaken(self, own: Component) -> float:
+        """The most significant score of shared noise, in sigma under independence, over KERNELS and axes.
+
+        Score: sum of u0' K u1, u the whitened, detrended places of each ball weighted by the inverse covariance; under
+        independence its mean is zero and its variance the sum of tr(K A K A), A that weight.
         """
-        out = np.zeros((len(frame), len(frame)))
-        predictors = [self._predictor(m) for m in range(ORDER + 1)]
-        behind = 0
-        for k in range(len(frame)):
-            unbroken = k > 0 and ball[k] == ball[k - 1] and frame[k] == frame[k - 1] + 1
-            behind = min(behind + 1, ORDER) if unbroken else 0
-            weights, spread = predictors[behind]
-            out[k, k] = 1 / spread
-            out[k, k - behind : k] = -weights[::-1] / spread
+        scores, variances = np.zeros((len(KERNELS), 2)), np.zeros(len(KERNELS))
+        for both, claims in zip(self.both, self.claims, strict=True):
+            n = both.shape[2]
+            factor = np.linalg.cholesky(toeplitz(own.lags(n)))
+            q, _ = np.linalg.qr(np.linalg.solve(factor, np.vander(np.linspace(-1, 1, n), SMOOTH)))
+            root = np.linalg.inv(factor) - q @ np.linalg.solve(factor.T, q).T
+            weight = root.T @ root
+            pulls = weight @ both / (claims**2)[..., None, None]
+            for j, rho in enumerate(KERNELS):
+                kernel = toeplitz(rho ** np.arange(n))
+                scores[j] += np.einsum("kma,mn,kna->a", pulls[:, 0], kernel, pulls[:, 1])
+                variances[j] += np.trace(kernel @ weight @ kernel @ weight) * float(
+                    np.sum(1 / claims.prod(axis=1) ** 2)
+                )
+        if not self.both:
+            return 0.0
+        single = scores / np.sqrt(variances)[:, None]
+        return float(max(single.max(), (single.sum(axis=1) / np.sqrt(2)).max()))
+
+    def cost(self, noise: Noise) -> float:
+        """-2 log likelihood, up to a constant."""
+        own = noise.own.lags(self.longest)
+        shared = [s.lags(self.longest) for s in noise.shared]
+        out = 0.0
+        for difference, sums, weight in zip(self.differences, self.sums, self.weights, strict=True):
+            n = difference.values.shape[1]
+            alone = toeplitz(own[:n])
+            out += sum(difference.restricted(alone))
+            if not shared:
+                out += sum(sum(s.restricted(alone)) for s in sums)
+            else:
+                out += sum(
+                    sum(s.restricted(alone + weight * toeplitz(lags[:n]))) for s, lags in zip(sums, shared, strict=True)
+                )
         return out
 
-    def _predictor(self, m: int) -> tuple[Array, float]:
-        """Weights of the m residuals before, nearest first, and the standard deviation of what they leave."""
-        if m == 0:
-            return np.empty(0), float(np.sqrt(self.covariance[0]))
-        weights = solve_toeplitz(self.covariance[:m], self.covariance[1 : m + 1])
-        left = self.covariance[0] - weights @ self.covariance[1 : m + 1]
-        return weights, float(np.sqrt(max(left, 1e-6 * self.covariance[0])))
+    def own(self) -> Component:
+        """What the balls do not share, from their differences."""
+        return own_noise((v, np.ones(len(v))) for d in self.differences for v in d.values)
 
-
-def estimate(stretches: Iterable[tuple[Array, Array]]) -> Noise:
-    """Noise from unbroken stretches, each within one phase: places (n, axes) and claimed standard deviations (n,).
-
-    Raises ValueError when they are too few.
-    """
-    sums = np.zeros(ORDER + 1)
-    mixing = np.zeros((ORDER + 1, ORDER + 1))
-    removers: list[tuple[Array, int]] = []
-    for places, claimed in stretches:
-        n, axes = places.shape
-        if n < SHORTEST:
-            continue
-        basis, _ = np.linalg.qr(np.vander(np.linspace(-1, 1, n), SMOOTH) / claimed[:, None])
-        scaled = (places - places.mean(axis=0)) / claimed[:, None]
-        left = scaled - basis @ (basis.T @ scaled)
-        sums += [(left[: n - lag] * left[lag:]).sum() for lag in range(ORDER + 1)]
-        remover = np.eye(n) - basis @ basis.T
-        mixing += axes * _mixing(remover)
-        removers.append((remover, axes))
-    if not removers:
-        raise ValueError("too few unbroken frames to read the noise from")
-    longest = max(len(r) for r, _ in removers)
-    covariance = _definite(np.asarray(np.linalg.solve(mixing, sums)))
-    change = np.inf
-    for _ in range(ROUNDS if longest >= LONG else 0):
-        beyond = _continued(covariance, longest)
-        beyond[: ORDER + 1] = 0
-        unread = sum((axes * _lags(r @ toeplitz(beyond[: len(r)]) @ r) for r, axes in removers), np.zeros(ORDER + 1))
-        step = np.asarray(np.linalg.solve(mixing, sums - unread)) - covariance
-        last, change = change, float(np.abs(step).max())
-        if change > last:  # slow noise cannot be told from motion any further
-            break
-        covariance = _definite(covariance + step)
-        if change < SETTLED * covariance[0]:
-            break
-    return Noise(covariance)
-
-
-def _mixing(remover: Array) -> Array:
-    """E[sum of r_i r_(i+lag)] = sum over m of mixing[lag, m] covariance[m], r what the remover leaves of noise."""
-    n = len(remover)
-    shifted = [np.eye(n) if m == 0 else np.eye(n, k=m) + np.eye(n, k=-m) for m in range(ORDER + 1)]
-    return np.stack([_lags(remover @ s @ remover) for s in shifted], axis=1)
-
-
-def _lags(matrix: Array) -> Array:
-    """The sums along the diagonal and the ORDER diagonals beside it."""
-    return np.array([np.trace(matrix, offset=lag) for lag in range(ORDER + 1)])
-
-
-def _continued(covariance: Array, length: int) -> Array:
-    """The autocovariance at lags 0 to length - 1 of the autoregression that has these first lags."""
-    weights = solve_toeplitz(covariance[:-1], covariance[1:])[::-1]
-    out = np.zeros(max(length, ORDER + 1))
-    out[: ORDER + 1] = covariance
-    for lag in range(ORDER + 1, length):
-        out[lag] = weights @ out[lag - ORDER : lag]
-    return out
-
-
-def _definite(covariance: Array) -> Array:
-    """Shrink the lags until the autocovariance is one that a process can have."""
-    if not covariance[0] > 0:
-        raise ValueError("no noise to be seen between the frames")
-    lags = np.abs(np.subtract.outer(np.arange(ORDER + 1), np.arange(ORDER + 1)))
-    out = covariance.copy()
-    while np.linalg.eigvalsh(out[lags]).min() < 1e-3 * out[0]:
-        out[1:] *= 0.95
-    return out
+    def noise(self) -> Noise:
+        """Own and shared noise together."""
+        alone = self.own()
+        shape = shape_of(alone)
+        shared = 0.5 * alone.variance * float(np.mean(np.concatenate(self.claims) ** 2))
+        start = np.array([np.log(alone.variance), *free_numbers(alone), np.log(shared), np.log(shared)])
+        freedom = 2 * sum(d.freedom for d in self.differences)
+        return chosen(SHAKES, lambda shake, x: noise_of(shape, shake, x), self.cost, np.log(freedom), start)

@@ -6,6 +6,7 @@ balls would touch again, or push each other, that collision is handed to `solve`
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
@@ -15,13 +16,11 @@ from numpy.typing import NDArray
 
 from synthcam import rolling, sliding
 from synthcam.dynamics import AGREED, STILL, SWEEPS, solve, uncoupled
-from synthcam.hermite import Table, around, between
+from synthcam.hermite import Follower, Table, around, between
 from synthcam.impact import collide, land
 from synthcam.kinematics import (
     Array,
     contact_velocity,
-    fly,
-    roll,
     rolling_state,
     rolling_velocity,
     slide,
@@ -30,23 +29,15 @@ from synthcam.kinematics import (
 )
 from synthcam.launch import Launch, touching
 from synthcam.model import Bodies, Model
-from synthcam.trajectory import GAUSS
+from synthcam.packed import Packed
+from synthcam.rolling import roller
+from synthcam.segment import Alone, BentRolling, BentSliding, Flying, Ints, Resting, Rolling, Segment, Sliding
 
-Ints = NDArray[np.intp]
 LAUNCH = ("x", "y", "t_c", "v0", "heading", "b")  # the contact's place, m; s; m/s; rad; over the sum of the radii
 AGAIN = 1e-7  # m: balls that come closer than touching by more have met again
+STEADY = 0.1  # of the first speed of parting: balls that at the ends of their legs part faster do not meet again
 LOOKS = 24  # at whether balls overlap: one that catches up takes tens of ms to pass through
 ROUNDS = 400  # legs after an impact, at most
-
-
-@dataclass(frozen=True)
-class Segment:
-    """Legs of one kind: balls `who` (k,) from `begins` to `ends`; states(times (k, m)) -> (k, m, 9)."""
-
-    who: Ints
-    begins: Array
-    ends: Array
-    states: Callable[[Array], Array]
 
 
 @dataclass
@@ -63,62 +54,47 @@ class Batch:
     breaks: Array = field(default_factory=lambda: np.empty((0, 0)))
     slide_ends: Array = field(default_factory=lambda: np.empty(0))
     odd: set[int] = field(default_factory=set)  # collisions in which a ball stops and starts again: left to `solve`
+    near: Ints = field(default_factory=lambda: np.empty(0, dtype=np.intp))  # collisions whose balls may meet again
 
     @property
     def size(self) -> int:
         return len(self.breaks) // 2
-
-    def add(self, who: Ints, begins: Array, ends: Array, states: Callable[[Array], Array]) -> None:
-        self.segments.append(Segment(who, begins, ends, states))
 
     def at(self, times: Array) -> Array:
         """States (2, n, m, 9) at times (m,), or at times (2n, m) of each ball's own, within [start, end]."""
         own = np.broadcast_to(times, (2 * self.size, times.shape[-1]))
         out = np.empty((*own.shape, 9))
         for segment in self.segments:
-            mine = own[segment.who]
-            here = (mine >= segment.begins[:, None]) & (mine <= segment.ends[:, None])
-            columns = np.flatnonzero(here.any(axis=0))
-            if len(columns) == 0:
-                continue
-            inside = np.clip(mine[:, columns], segment.begins[:, None], segment.ends[:, None])
-            rows, cols = np.nonzero(here[:, columns])
-            out[segment.who[rows], columns[cols]] = segment.states(inside)[rows, cols]
+            mine, begins, ends = own[segment.who], segment.begins[:, None], segment.ends[:, None]
+            here = Packed((mine >= begins) & (mine <= ends))
+            if here.any:
+                states = segment.states(np.clip(here.gather(mine), begins, ends))
+                out[segment.who[here.rows], here.columns] = states[here.rows, here.places]
         return out.reshape(2, self.size, own.shape[-1], 9)
 
     def means(self, starts: Array, exposure: float) -> Array:
-        """Centres (2, n, frames, 2) averaged over exposures, split at every kink.
+        """Centres (2, n, frames, 2) averaged over exposures, exact across every kink.
 
-        starts: when they open, rising, (frames,) or of each ball's own, (2n, frames).
+        starts: when they open, (frames,) or of each ball's own, (2n, frames); all within [start, end].
         """
-        nodes, weights = np.polynomial.legendre.leggauss(GAUSS)
-        nodes, weights = (1 + nodes) / 2, weights / 2
-        frames = starts.shape[-1]
-        plain = self.at((starts[..., None] + exposure * nodes).reshape(*starts.shape[:-1], -1))[..., :2]
-        out = (plain.reshape(2 * self.size, frames, GAUSS, 2) * weights[:, None]).sum(axis=2)
-        if exposure > 0:
-            own = np.broadcast_to(starts, (2 * self.size, frames))
-            for kink in range(self.breaks.shape[1]):
-                self._split(out, kink, own, exposure, nodes, weights)
-        return np.asarray(out.reshape(2, self.size, frames, 2))
-
-    def _split(self, out: Array, kink: int, starts: Array, exposure: float, nodes: Array, weights: Array) -> None:
-        """Do again the exposures in which each ball's `kink`-th break falls, in pieces between all its breaks."""
-        when = self.breaks[:, kink]
-        frame = (starts <= when[:, None]).sum(axis=1) - 1
-        inside = (frame >= 0) & (when < starts[np.arange(len(when)), frame] + exposure)
-        rows = np.flatnonzero(inside)
-        if len(rows) == 0:
-            return
-        opens = starts[rows, frame[rows]][:, None]
-        cuts = np.sort(np.clip(self.breaks[rows], opens, opens + exposure), axis=1)
-        edges = np.concatenate([opens, cuts, opens + exposure], axis=1)
-        width = np.diff(edges, axis=1)
-        times = np.repeat(starts[:, :1], width.shape[1] * GAUSS, axis=1)
-        times[rows] = (edges[:, :-1, None] + width[..., None] * nodes).reshape(len(rows), -1)
-        states = self.at(times)[..., :2].reshape(2 * self.size, width.shape[1], GAUSS, 2)[rows]
-        share = (width / exposure)[..., None] * weights
-        out[rows, frame[rows]] = (states * share[..., None]).sum(axis=(1, 2))
+        own = np.broadcast_to(starts, (2 * self.size, starts.shape[-1]))
+        out = np.zeros((2, *own.shape))
+        for segment in self.segments:
+            opens, begins, ends = own[segment.who], segment.begins[:, None], segment.ends[:, None]
+            whole = (opens >= begins) & (opens + exposure <= ends)
+            here = Packed(whole)
+            if here.any:
+                middle = np.clip(here.gather(opens) + exposure / 2, begins, ends)
+                found = segment.means(middle, exposure)
+                out[:, segment.who[here.rows], here.columns] = found[:, here.rows, here.places]
+            if exposure > 0:
+                here = Packed(~whole & (opens < ends) & (opens + exposure > begins))
+                if here.any:
+                    opens = here.gather(opens)
+                    a, b = np.clip(opens, begins, ends), np.clip(opens + exposure, begins, ends)
+                    found = segment.means((a + b) / 2, b - a) * ((b - a) / exposure)
+                    out[:, segment.who[here.rows], here.columns] += found[:, here.rows, here.places]
+        return np.moveaxis(out.reshape(2, 2, self.size, own.shape[-1]), 0, -1)
 
 
 def collisions(model: Model, launches: Array, start: float, end: float, striker_is_a: Any = False) -> Batch:
@@ -138,7 +114,7 @@ def collisions(model: Model, launches: Array, start: float, end: float, striker_
         run = _Run(model, both, Batch(float(start), float(end)), np.concatenate([t_c, t_c]), known)
         run.before(target, striker)
         hit = collide(model, target, striker, one, two)
-        run.after(np.concatenate([hit.target, hit.striker]))
+        run.after(np.concatenate([hit.target, hit.striker]), hit.n[:, :2])
         return run.out
 
     out = _swept(motion, model) if model.laws.asks("push", "other") else motion(model, None)
@@ -148,14 +124,16 @@ def collisions(model: Model, launches: Array, start: float, end: float, striker_
 
 def _swept(motion: Callable[[Model, Batch | None], Batch], model: Model) -> Batch:
     """Balls that push each other: each in the other's last known path, until both agree."""
-    grid = np.linspace(0, 1, 64)
+    grid, change = np.linspace(0, 1, 64), np.inf
     out = motion(uncoupled(model), None)
     for _ in range(SWEEPS):
         new = motion(model, out)
         times = out.start + grid * (out.end - out.start)
-        change = np.abs(new.at(times)[..., :2] - out.at(times)[..., :2]).max()
+        last, change = change, float(np.abs(new.at(times)[..., :2] - out.at(times)[..., :2]).max())
         out = new
-        if change < AGREED:
+        if (
+            change * (min(change / last, 1.0) if last < np.inf else 1.0) < AGREED
+        ):  # the next sweep gains that factor too
             break
     return out
 
@@ -172,15 +150,18 @@ def _met_again(out: Batch, both: Bodies) -> Ints:
     Looked for between the kinks, where paths are parabolas or nearly; where they come near, at many instants.
     """
     n = out.size
+    if len(out.near) == 0:
+        return out.near
     reach = (both.radius[:n] + both.radius[n:])[:, None]
     kinks = np.clip(np.concatenate([out.breaks[:n], out.breaks[n:]], axis=1), out.start, out.end)
-    suspects = np.arange(n)
+    suspects = out.near
     if kinks.shape[1] < LOOKS // 2:
         knots = np.sort(np.concatenate([kinks, np.full((n, 1), out.end)], axis=1), axis=1)
         states = out.at(np.concatenate([knots, knots]))
         apart = states[0, ..., :6] - states[1, ..., :6]
         places = between(apart[..., [0, 1, 3, 4]], np.diff(knots), np.linspace(0, 1, 9))
-        suspects = np.flatnonzero(np.hypot(places[..., 0], places[..., 1]).min(axis=(1, 2)) < reach[:, 0] - AGAIN / 2)
+        least = np.hypot(places[..., 0], places[..., 1]).min(axis=(1, 2))
+        suspects = suspects[least[suspects] < reach[suspects, 0] - AGAIN / 2]
     if len(suspects) == 0:
         return suspects
     every = np.full((2 * n, LOOKS), out.start)
@@ -196,19 +177,14 @@ def _by_solve(model: Model, launches: Array, is_a: NDArray[np.bool_], out: Batch
     if len(which) == 0:
         return out
     n, kinks = out.size, [list(row) for row in out.breaks]
-    gone = np.concatenate([which, which + n])
-    out.segments = [s for s in (_without(s, gone) for s in out.segments) if len(s.who)]
+    out.segments = [_without(s, np.isin(s.who % n, which)) for s in out.segments]
     for k in which:
         x, y, t_c, v0, heading, b = launches[k]
         labels = ("b", "a") if is_a[k] else ("a", "b")
         motion = solve(model, Launch.pair(model.bodies(labels), t_c, v0, b, heading, (x, y)), out.start, out.end)
         for ball in (0, 1):
-
-            def states(times: Array, motion: Any = motion, ball: int = ball) -> Array:
-                return np.asarray(motion.at(times.ravel())[ball].reshape(*times.shape, 9))
-
             row = np.array([k + ball * n])
-            out.add(row, np.array([out.start]), np.array([out.end]), states)
+            out.segments.append(Alone(row, np.array([out.start]), np.array([out.end]), motion, ball))
             kinks[row[0]] = [e.t for e in motion.events if ball in (e.i, e.j)]
             ends = [e.t for e in motion.events if e.kind == "slide_end" and e.i == ball]
             out.slide_ends[row[0]] = ends[0] if ends else t_c
@@ -217,17 +193,10 @@ def _by_solve(model: Model, launches: Array, is_a: NDArray[np.bool_], out: Batch
     return out
 
 
-def _without(segment: Segment, gone: Ints) -> Segment:
-    kept = np.flatnonzero(~np.isin(segment.who, gone))
-    if len(kept) == len(segment.who):
-        return segment
-
-    def states(times: Array) -> Array:
-        full = np.repeat(segment.begins[:, None], times.shape[1], axis=1)
-        full[kept] = times
-        return segment.states(full)[kept]
-
-    return Segment(segment.who[kept], segment.begins[kept], segment.ends[kept], states)
+def _without(segment: Segment, gone: NDArray[np.bool_]) -> Segment:
+    """Of some balls no time is left in it."""
+    ends = np.where(gone, segment.begins, segment.ends)
+    return dataclasses.replace(segment, ends=ends) if np.any(gone) else segment  # type: ignore[type-var]
 
 
 class _Run:
@@ -248,11 +217,13 @@ class _Run:
         if len(who):
             self._roll(who, striker[who - n], self.t_c[who], start[who], back=True)
 
-    def after(self, states: Array) -> None:
-        """From the impact on, to the end."""
+    def after(self, states: Array, n: Array) -> None:
+        """From the impact on, to the end. n (collisions, 2): the impact's normal, from striker to target."""
         states, now = states.copy(), self.t_c.copy()
-        end = self.out.end
+        end, out = self.out.end, np.concatenate([n, -n])
+        parting = slowest = (states[:, 3:5] * out).sum(axis=1)  # of each ball from the other, along the normal
         for _ in range(ROUNDS):
+            slowest = np.minimum(slowest, (states[:, 3:5] * out).sum(axis=1))
             down = np.flatnonzero(states[:, 5] < 0)
             if len(down):
                 self._land(down, states, now)
@@ -280,16 +251,15 @@ class _Run:
         else:
             raise ValueError(f"the motion does not settle: {ROUNDS} legs after an impact")
         self.out.breaks = np.stack(self.kinks, axis=1)
+        both = [one[: len(n)] + one[len(n) :] for one in (parting, slowest)]
+        self.out.near = np.flatnonzero(both[1] < STEADY * both[0])
 
     def _other(self, who: Ints) -> sliding.Other | None:
         """Where the partners of balls `who` were in the last sweep."""
         table = self.table
         if table is None:
             return None
-        partners = (who + len(self.t_c) // 2) % len(self.t_c)
-        return lambda times, which: table(
-            partners[which], np.broadcast_to(times, (len(partners[which]), times.shape[1]))
-        )
+        return Follower(table, (who + len(self.t_c) // 2) % len(self.t_c))
 
     def _kink(self, who: Ints, when: Array) -> None:
         if len(who):
@@ -300,7 +270,7 @@ class _Run:
         held = states.copy()
         held[:, 3:8] = 0.0
         self.out.odd |= set((who[self._loose(who, held)] % (len(self.t_c) // 2)).tolist())
-        self.out.add(who, now[who], until[who], lambda t: np.repeat(held[:, None], t.shape[1], axis=1))
+        self.out.segments.append(Resting(who, now[who], until[who], held))
 
     def _loose(self, who: Ints, held: Array) -> NDArray[np.bool_]:
         """Which balls at rest would not stay there."""
@@ -330,70 +300,53 @@ class _Run:
     def _fly(self, who: Ints, states: Array, now: Array) -> None:
         model, begins, from_ = self.model, now[who], states[who]
         ends = begins + 2 * from_[:, 5] / model.gravity
-        plane = (
-            rolling.flights(model, from_, self.bodies[who], begins, ends, self._other(who))
-            if model.laws.bent("push")
-            else None
-        )
-
-        def path(times: Array) -> Array:
-            out = fly(from_, model.gravity, times - begins[:, None])
-            if plane is not None:
-                y = plane.plane(times)
-                out[..., 0:2], out[..., 3:5] = y[..., :2], y[..., 2:]
-            return out
-
-        self.out.add(who, begins, ends, path)
-        states[who] = path(ends[:, None])[:, 0]
+        plane = None
+        if model.laws.bent("push"):
+            plane = rolling.flights(model, from_, self.bodies[who], begins, ends, self._other(who))
+        leg = Flying(who, begins, ends, from_, model.gravity, plane)
+        self.out.segments.append(leg)
+        states[who] = leg.states(ends[:, None])[:, 0]
         states[who, 2] = self.bodies.radius[who]
         now[who] = ends
 
     def _slide(self, who: Ints, states: Array, now: Array) -> None:
         model, begins, from_, bodies = self.model, now[who], states[who], self.bodies[who]
-        path: Callable[[Array], Array]
         if model.laws.bent(*sliding.LAWS):
             found = sliding.slides(model, from_, bodies, begins, self._other(who))
-            lasts, last = found.lasts, found.ends()
-
-            def path(times: Array) -> Array:
-                return found.states(times - begins[:, None])
+            ends, last = begins + found.lasts, found.ends()
+            self.out.segments.append(BentSliding(who, begins, ends, found))
         else:
             slowing = np.full(len(who), model.sliding_friction * model.gravity)
             lasts = slide_time(from_, bodies.radius, slowing)
-            last = slide(from_, bodies.radius, slowing, lasts[:, None])[:, 0]
-
-            def path(times: Array) -> Array:
-                return slide(from_, bodies.radius, slowing, times - begins[:, None])
-
-        self.out.add(who, begins, begins + lasts, path)
+            ends, last = begins + lasts, slide(from_, bodies.radius, slowing, lasts[:, None])[:, 0]
+            self.out.segments.append(Sliding(who, begins, ends, from_, bodies.radius, slowing))
         states[who] = rolling_state(last[:, :2], rolling_velocity(last, bodies.radius), last[:, 8], bodies.radius)
-        now[who] = begins + lasts
-        self.out.slide_ends[who] = now[who]
-        self._kink(who, now[who])
+        now[who] = ends
+        self.out.slide_ends[who] = ends
+        self._kink(who, ends)
 
     def _roll(self, who: Ints, states: Array, now: Array, until: Array, back: bool = False) -> tuple[Array, Array]:
         """Roll until `until` or the stop; the states and times there."""
         model, bodies = self.model, self.bodies[who]
-        path: Callable[[Array], Array]
         if model.laws.bent(*rolling.LAWS):
             found = rolling.rolls(model, states, bodies, now, until, self._other(who))
-            ends, path = found.until, found.states
+            ends = found.until
             if back and np.any(ends > until):
                 raise ValueError("a ball would have had to come from rest within the run")
-            stopped = ends != until
+            self.out.segments += BentRolling.of(found, who)
+            last = roller(found.ends[..., None], found.wz, found.radius)[:, 0]
         else:
             speed = np.hypot(states[:, 3], states[:, 4])
-            stop = now + stop_time(speed, model.rolling_drag, model.rolling_decel)
-            stopped = stop < until
-            ends = until if back else np.minimum(until, stop)
-
-            def path(times: Array) -> Array:
-                return roll(states, bodies.radius, model.rolling_drag, model.rolling_decel, times - now[:, None])
-
-        self.out.add(who, np.minimum(now, ends), np.maximum(now, ends), path)
+            ends = until
+            if not back:
+                ends = np.minimum(until, now + stop_time(speed, model.rolling_drag, model.rolling_decel))
+            span = np.minimum(now, ends), np.maximum(now, ends)
+            leg = Rolling(who, *span, now, states, bodies.radius, model.rolling_drag, model.rolling_decel)
+            self.out.segments.append(leg)
+            last = leg.states(ends[:, None])[:, 0]
         if back:
             return states, now
-        last = path(ends[:, None])[:, 0]
+        stopped = ends != until
         last[stopped, 3:8] = 0.0
         self._kink(who[stopped], ends[stopped])
-        return last, np.asarray(ends).copy()
+        return last, ends.copy()

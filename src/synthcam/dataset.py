@@ -110,7 +110,8 @@ def _write_tiff(path: Path, clip: Clip, frames: Frames, compression: str) -> tup
             pixels.update(frame.data)
             yield frame
 
-    plain = compression == "none" and clip.frames * width * height * dtype().itemsize < IMAGEJ_LIMIT
+    size = clip.frames * width * height * dtype().itemsize
+    plain = compression == "none" and size < IMAGEJ_LIMIT
     about = {"axes": "TYX", "fps": clip.camera.fps} | ({"finterval": 1 / clip.camera.fps} if plain else {})
     write = partial(tifffile.imwrite, path, shape=(clip.frames, height, width), dtype=dtype, metadata=about)
     if compression != "none":
@@ -125,6 +126,8 @@ def _write_tiff(path: Path, clip: Clip, frames: Frames, compression: str) -> tup
         for frame in hashed():
             whole.update(frame.data)
             file.write(frame.data)
+        if file.tell() != placed[0] + size:
+            raise RuntimeError(f"{path}: expected {clip.frames} frames of {dtype.__name__}, {width} x {height}")
         whole.update(file.read())
     return pixels.hexdigest(), whole.hexdigest()
 

@@ -153,6 +153,10 @@ class Laws:
         """True when an active effect bends any of these laws."""
         return any(self._bends[law] for law in laws)
 
+    def asked(self, law: str) -> set[str]:
+        """What the active effects on `law` want to know."""
+        return {what for _, asks in self._bends[law] for what in asks}
+
     def asks(self, law: str, what: str) -> bool:
         """True when an active effect on `law` wants to know `what`."""
         return any(what in asks for _, asks in self._bends[law])

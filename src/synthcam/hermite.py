@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,7 +12,8 @@ from numpy.typing import NDArray
 from synthcam.kinematics import Array
 
 Ints = NDArray[np.intp]
-FINE, COARSE = 2.5e-4, 0.02  # s near a meeting; of the time from it, further off
+FINE, COARSE = 5e-4, 0.04  # s near a meeting; of the time from it, further off
+NEARBY = 2e-5  # s
 
 
 @dataclass(frozen=True)
@@ -31,6 +33,17 @@ class Table:
 
     def __call__(self, rows: Ints, times: Array) -> Array:
         """Places (r, m, 2) of the balls `rows` (r,) at times (r, m); beyond the knots they go straight on."""
+        return self._look(rows, times)[0]
+
+    def motion(self, rows: Ints, times: Array) -> tuple[Array, Array, Array]:
+        """The same with velocities and accelerations."""
+        place, s, h, a, b, beyond = self._look(rows, times)
+        gap, wide = a[..., :2] - b[..., :2], np.where(h > 0, h, np.inf)
+        rise = 6 * s * (s - 1) * gap + h * ((1 - s) * (1 - 3 * s) * a[..., 2:] + s * (3 * s - 2) * b[..., 2:])
+        bend = 6 * (2 * s - 1) * gap + h * ((6 * s - 4) * a[..., 2:] + (6 * s - 2) * b[..., 2:])
+        return place, rise / wide, np.where(beyond == 0, bend / wide**2, 0.0)
+
+    def _look(self, rows: Ints, times: Array) -> tuple[Array, Array, Array, Array, Array, Array]:
         knots, last = self.knots, self.knots.shape[1] - 2
         apart = 2 * (np.ptp(knots) + 1.0)  # rows one after the other make one rising line, to be searched at once
         line = (knots[:, :-1] - knots.min() + apart * np.arange(len(knots))[:, None]).ravel()
@@ -45,7 +58,30 @@ class Table:
         place = (1 - s) ** 2 * ((1 + 2 * s) * a[..., :2] + s * h * a[..., 2:])
         place += s**2 * ((3 - 2 * s) * b[..., :2] + (s - 1) * h * b[..., 2:])
         beyond = (times - inside)[..., None]
-        return np.asarray(place + beyond * np.where(beyond > 0, b[..., 2:], a[..., 2:]))
+        return place + beyond * np.where(beyond > 0, b[..., 2:], a[..., 2:]), s, h, a, b, beyond
+
+
+class Follower:
+    """Where balls `rows` of a table are, for an iteration that asks for nearly the same times again and again.
+
+    Times within NEARBY of those last looked up are reached by velocity and acceleration.
+    """
+
+    def __init__(self, table: Table, rows: Ints) -> None:
+        self._table, self._rows = table, rows
+        self._last: tuple[Ints, Array, Array, Array, Array] | None = None
+
+    def __call__(self, times: Array, which: Any) -> Array:
+        """Places (r, m, 2) of the balls rows[which] (r,) at times (r, m) or (1, m)."""
+        rows = self._rows[which]
+        times = np.broadcast_to(times, (len(rows), times.shape[1]))
+        if self._last is not None and self._last[1].shape == times.shape and np.array_equal(self._last[0], rows):
+            _, then, place, velocity, acceleration = self._last
+            later = (times - then)[..., None]
+            if np.abs(later).max() < NEARBY:
+                return np.asarray(place + (velocity + acceleration / 2 * later) * later)
+        self._last = (rows, times, *self._table.motion(rows, times))
+        return self._last[2]
 
 
 def around(meeting: Array, start: float, end: float) -> Array:

@@ -1,12 +1,13 @@
-"""The two kinds of impact: ball on ball, and ball on plate. Instants; many at once."""
+"""The two kinds of impact: ball on ball, of one pair or of many, and ball on plate. Instants."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
-from synthcam.kinematics import Array, contact_velocity, push_back
+from synthcam.kinematics import Array, Real, State, contact_velocity, push_back
 from synthcam.model import Bodies, Model
 
 MOST = 5 / 7  # spin transfer: more would make energy
@@ -24,48 +25,70 @@ class Impact:
 
 
 def collide(model: Model, target: Array, striker: Array, one: Bodies, two: Bodies) -> Impact:
-    """Balls at contact: states (k, 9) of the targets, bodies `one`, and of the strikers, bodies `two`.
+    """`strike` of many: states (k, 9) of the targets, bodies `one`, and of the strikers, bodies `two`."""
+    first, second = (tuple(np.ascontiguousarray(states.T)) for states in (target, striker))
+    *vectors, along_n, along_t = strike(model, first, second, (one.radius, one.mass), (two.radius, two.mass))
+    a, b, n = (np.stack(np.broadcast_arrays(*parts), axis=-1) for parts in vectors)
+    return Impact(a, b, n, along_n, along_t)
 
-    With m the reduced mass. Normal: P = (1 + r) v_n m along n, from striker to target. Tangential:
+
+def strike(
+    model: Model, target: State, striker: State, one: tuple[Real, Real], two: tuple[Real, Real]
+) -> tuple[State, State, tuple[Real, Real, Real], Real, Real]:
+    """Balls at contact: their states, as floats or arrays, and radii and masses.
+
+    Returns the states just after, the normal n from striker to target, and the impulses on the target, N s, along n and
+    along z x n. With m the reduced mass. Normal: P = (1 + r) v_n m along n. Tangential:
     J = (2/5) C |u_t| 2 m against u_t, the velocity of the striker's touching surface over the target's, its vertical
     part included; both balls turn by dw = (5/2) n x J / (mass R). Of the vertical impulse the plate holds back all but
     the share `loft`: what it holds back spins the balls but lifts neither. A ball may come out with vz < 0, pressed on
     the plate: it then lands in the same instant.
     """
-    n = target[:, :3] - striker[:, :3]
-    n = n / np.linalg.norm(n, axis=1, keepdims=True)
-    approach = striker[:, 3:6] - target[:, 3:6]
-    v_n = (approach * n).sum(axis=1)
-    spin = one.radius[:, None] * target[:, 6:9] + two.radius[:, None] * striker[:, 6:9]
-    u_t = approach - v_n[:, None] * n + np.cross(spin, n)
-    reduced = one.mass * two.mass / (one.mass + two.mass)
-    heading = np.stack([approach[:, 0], approach[:, 1]], axis=-1) / np.hypot(approach[:, 0], approach[:, 1])[:, None]
+    (r1, m1), (r2, m2) = one, two
+    nx, ny, nz = target[0] - striker[0], target[1] - striker[1], target[2] - striker[2]
+    apart = (nx * nx + ny * ny + nz * nz) ** 0.5
+    nx, ny, nz = nx / apart, ny / apart, nz / apart
+    ax, ay, az = striker[3] - target[3], striker[4] - target[4], striker[5] - target[5]
+    v_n = ax * nx + ay * ny + az * nz
+    sx, sy, sz = (r1 * target[k] + r2 * striker[k] for k in (6, 7, 8))
+    ux = ax - v_n * nx + sy * nz - sz * ny
+    uy = ay - v_n * ny + sz * nx - sx * nz
+    uz = az - v_n * nz + sx * ny - sy * nx
+    r, c = _laws(model, striker, v_n, (ux, uy, uz), (ax, ay))
+    reduced = m1 * m2 / (m1 + m2)
+    normal, pull = (1 + r) * v_n * reduced, 0.8 * c * reduced
+    tx, ty, tz = pull * ux, pull * uy, pull * uz  # on the target; the striker gets its opposite
+    px, py, pz = normal * nx + tx, normal * ny + ty, (normal * nz + tz) * model.laws("loft", 0.0, {})
+    turn = -2.5 * (ny * tz - nz * ty), -2.5 * (nz * tx - nx * tz), -2.5 * (nx * ty - ny * tx)
 
-    r = np.clip(
-        model.laws("restitution", model.restitution, {"normal_speed": np.maximum(v_n, 0.0), "heading": heading}),
-        0.0,
-        1.0,
-    ) * np.ones(len(n))
-    instant = {
-        "contact_speed": np.linalg.norm(u_t, axis=1),
-        "normal_impulse": (1 + r) * v_n / 2,
-        "striker_speed": np.hypot(striker[:, 3], striker[:, 4]),
-    }
-    c = np.clip(model.laws("spin_transfer", model.spin_transfer, instant), 0.0, MOST) * np.ones(len(n))
+    def after(state: State, radius: Real, mass: Real) -> State:
+        x, y, z, vx, vy, vz, wx, wy, wz = state
+        size = abs(mass) * radius
+        wx, wy, wz = wx + turn[0] / size, wy + turn[1] / size, wz + turn[2] / size
+        return x, y, z, vx + px / mass, vy + py / mass, vz + pz / mass, wx, wy, wz
 
-    normal = (1 + r) * v_n * reduced
-    tangential = (0.8 * c * reduced)[:, None] * u_t  # on the target; the striker gets its opposite
-    total = normal[:, None] * n + tangential
-    total[:, 2] *= model.laws("loft", 0.0, {})
-    turn = -2.5 * np.cross(n, tangential)
-    after = []
-    for state, body, sign in ((target, one, 1), (striker, two, -1)):
-        new = state.copy()
-        new[:, 3:6] += sign * total / body.mass[:, None]
-        new[:, 6:9] += turn / (body.mass * body.radius)[:, None]
-        after.append(new)
-    along_t = tangential[:, 1] * n[:, 0] - tangential[:, 0] * n[:, 1]
-    return Impact(after[0], after[1], n, normal, along_t)
+    return after(target, r1, m1), after(striker, r2, -m2), (nx, ny, nz), normal, ty * nx - tx * ny
+
+
+def _laws(model: Model, striker: State, v_n: Real, u: tuple[Real, ...], approach: tuple[Real, Real]) -> tuple[Any, Any]:
+    """The restitution and the spin transfer of these impacts."""
+    r, c = model.restitution, model.spin_transfer
+    if model.laws.bent("restitution"):
+        ax, ay = np.atleast_1d(*approach)
+        heading = np.stack([ax, ay], axis=-1) / np.hypot(ax, ay)[:, None]
+        r = model.laws("restitution", r, {"normal_speed": np.maximum(np.atleast_1d(v_n), 0.0), "heading": heading})
+    if model.laws.bent("spin_transfer"):
+        instant = {
+            "contact_speed": np.sqrt(sum(np.atleast_1d(x * x) for x in u)),
+            "normal_impulse": np.atleast_1d((1 + r) * v_n / 2),
+            "striker_speed": np.hypot(*np.atleast_1d(striker[3], striker[4])),
+        }
+        c = model.laws("spin_transfer", c, instant)
+    limits = ((r, 1.0), (c, MOST))
+    if isinstance(v_n, float):
+        one, two = (min(max(float(np.ravel(x)[0]) if isinstance(x, np.ndarray) else x, 0.0), top) for x, top in limits)
+        return one, two
+    return np.clip(r, 0.0, 1.0), np.clip(c, 0.0, MOST)
 
 
 LOWEST = 1e-7  # m/s: a bounce lower than this, some 10 ns, and all that follow it are taken together

@@ -1,12 +1,14 @@
-"""Closed forms of motion on the plate, for many balls at once.
+"""Closed forms of motion on the plate, for one ball or for many at once.
 
 The state of a ball is nine numbers: position x, y, z (m), velocity vx, vy, vz (m/s), spin wx, wy, wz (rad/s).
 On the plate z = R. The contact velocity u = v - R (w x z) is that of the ball's lowest point; rolling is u = 0.
-Shapes: states (..., 9), radii and the like (...), elapsed times (..., m), results (..., m, 9).
+`slip`, `after_sliding`, `after_rolling`, `after_flight` take the nine as floats, which numpy would make slow, or as
+arrays alike. The others take states (..., 9), radii and the like (...), elapsed times (..., m), and give (..., m, 9).
 """
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -14,6 +16,51 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 Real = Any  # a float or an array
+State = tuple[Real, ...]  # nine of them
+
+
+def slip(state: State, radius: Real) -> tuple[Real, Real]:
+    """u, the velocity of the lowest point of a ball."""
+    return state[3] - radius * state[7], state[4] + radius * state[6]
+
+
+def after_sliding(state: State, radius: Real, slowing: Real, t: Real) -> State:
+    """Sliding with constant friction: a parabola. slowing: mu times the load over the mass, m/s^2; u over zero."""
+    x, y, z, vx, vy, vz, wx, wy, wz = state
+    ux, uy = slip(state, radius)
+    rate = -slowing / (ux * ux + uy * uy) ** 0.5
+    ax, ay = rate * ux, rate * uy
+    turn = 2.5 / radius * t  # I dw/dt = -R z x F
+    half = 0.5 * t * t
+    out = (x + vx * t + ax * half, y + vy * t + ay * half, z)
+    return (*out, vx + ax * t, vy + ay * t, vz, wx + turn * ay, wy - turn * ax, wz)
+
+
+def after_rolling(state: State, radius: Real, drag: float, decel: float, t: Real) -> State:
+    """Rolling straight on with the loss a = -(drag v + decel); t may be negative. Speeds over zero."""
+    x, y, _, vx, vy, _, _, _, wz = state
+    slowing = decel / (vx * vx + vy * vy) ** 0.5
+    decay, slack = coast(drag, t)
+    path, left = decay - slowing * slack, 1 - (drag + slowing) * decay
+    return x + path * vx, y + path * vy, radius, left * vx, left * vy, 0.0, -left * vy / radius, left * vx / radius, wz
+
+
+def after_flight(state: State, gravity: float, t: Real) -> State:
+    """Free flight: no friction, spin kept."""
+    x, y, z, vx, vy, vz, *w = state
+    return (x + vx * t, y + vy * t, z + vz * t - 0.5 * gravity * t * t, vx, vy, vz - gravity * t, *w)
+
+
+def _many(state: Array) -> State:
+    """States (..., 9) as nine arrays that broadcast with times (..., m)."""
+    return tuple(np.moveaxis(state[..., None, :], -1, 0))
+
+
+def _stacked(state: State, elapsed: Array) -> Array:
+    out = np.empty((*elapsed.shape, 9))
+    for k, values in enumerate(state):
+        out[..., k] = values
+    return out
 
 
 def contact_velocity(state: Array, radius: Real) -> Array:
@@ -60,16 +107,9 @@ def push_back(state: Array, impulse: Real, radius: Real) -> Array:
 
 
 def slide(state: Array, radius: Real, slowing: Real, elapsed: Array) -> Array:
-    """Sliding with constant friction: a parabola. slowing: mu times the load over the mass, m/s^2."""
-    u = contact_velocity(state, radius)
-    a = -np.asarray(slowing)[..., None] * u / np.hypot(u[..., 0], u[..., 1])[..., None]
-    dt = elapsed[..., None]
-    out = np.repeat(state[..., None, :], elapsed.shape[-1], axis=-2)
-    out[..., 0:2] += state[..., None, 3:5] * dt + 0.5 * a[..., None, :] * dt**2
-    out[..., 3:5] += a[..., None, :] * dt
-    turning = -2.5 / np.asarray(radius)[..., None] * np.stack([-a[..., 1], a[..., 0]], axis=-1)  # I dw/dt = -R z x F
-    out[..., 6:8] += turning[..., None, :] * dt
-    return out
+    """`after_sliding` of many, at many times."""
+    radius, slowing = np.asarray(radius)[..., None], np.asarray(slowing)[..., None]
+    return _stacked(after_sliding(_many(state), radius, slowing, elapsed), elapsed)
 
 
 def slide_time(state: Array, radius: Real, slowing: Real) -> Any:
@@ -79,17 +119,17 @@ def slide_time(state: Array, radius: Real, slowing: Real) -> Any:
 
 
 def roll(state: Array, radius: Real, drag: float, decel: float, elapsed: Array) -> Array:
-    """Rolling on a straight line with the loss a = -(drag v + decel); elapsed may be negative. Speeds over zero."""
-    slowing = decel / np.hypot(state[..., 3], state[..., 4])[..., None]
-    decay, slack = _decay(drag, elapsed)
-    start = state[..., None, 3:5]
-    position = state[..., None, 0:2] + (decay - slowing * slack)[..., None] * start
-    wz, size = state[..., None, 8], np.asarray(radius)[..., None]
-    return rolling_state(position, (1 - (drag + slowing) * decay)[..., None] * start, wz, size)
+    """`after_rolling` of many, at many times."""
+    return _stacked(after_rolling(_many(state), np.asarray(radius)[..., None], drag, decel, elapsed), elapsed)
 
 
 def stop_time(speed: Real, drag: float, decel: float) -> Any:
     """Seconds until a rolling ball of this speed stops; infinite when decel is 0."""
+    if isinstance(speed, float):
+        if decel == 0:
+            return math.inf
+        fast = drag * speed / decel
+        return speed / decel * (math.log1p(fast) / fast if fast > 1e-9 else 1 - fast / 2)
     if decel == 0:
         return np.full(np.shape(speed), np.inf)
     x = drag * np.asarray(speed, dtype=float) / decel
@@ -98,11 +138,17 @@ def stop_time(speed: Real, drag: float, decel: float) -> Any:
 
 
 TERMS = 6
+GENTLE = 1e-3  # 1/s: with less drag than this the closed form would cancel
 
 
-def _decay(drag: float, t: Array) -> tuple[Array, Array]:
-    """(1 - e^(-drag t))/drag and its integral, without cancellation at small drag t."""
+def coast(drag: float, t: Real) -> tuple[Real, Real]:
+    """(1 - e^(-drag t))/drag and its integral, without cancellation at small drag t; t a float or an array."""
     x = drag * t
+    if isinstance(t, float) and drag <= GENTLE and abs(x) < 1e-2:
+        return t * _series(x, 1), t * t * _series(x, 2)
+    if isinstance(t, float) or drag > GENTLE:
+        decay = (math.expm1(-x) if isinstance(t, float) else np.expm1(-x)) / -drag
+        return decay, (t - decay) / drag
     small = np.abs(x) < 1e-2
     safe = np.where(small, 1.0, x)
     one = np.where(small, _series(x, 1), -np.expm1(-safe) / safe)
@@ -110,7 +156,7 @@ def _decay(drag: float, t: Array) -> tuple[Array, Array]:
     return t * one, t**2 * two
 
 
-def _series(x: Array, n: int) -> Array:
+def _series(x: Real, n: int) -> Any:
     """Sum of (-x)^k / (k + n)!, good to the last bit for |x| < 0.01."""
     out = 1 - x / (n + TERMS)
     for k in range(TERMS - 1, 0, -1):
@@ -120,10 +166,5 @@ def _series(x: Array, n: int) -> Array:
 
 
 def fly(state: Array, gravity: float, elapsed: Array) -> Array:
-    """Free flight: no friction, spin kept."""
-    dt = elapsed[..., None]
-    out = np.repeat(state[..., None, :], elapsed.shape[-1], axis=-2)
-    out[..., 0:3] += state[..., None, 3:6] * dt
-    out[..., 2] -= 0.5 * gravity * elapsed**2
-    out[..., 5] -= gravity * elapsed
-    return out
+    """`after_flight` of many, at many times."""
+    return _stacked(after_flight(_many(state), gravity, elapsed), elapsed)

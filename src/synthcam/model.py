@@ -39,6 +39,12 @@ class ModelSettings(Settings):
     rolling_decel: NotNegative = 0.0103
 
 
+class SuspectSettings(ModelSettings):
+    """A model file's `model:`; what a search is to discover may be zero."""
+
+    sliding_friction: NotNegative = 0.232
+
+
 @cache
 def effect_settings() -> type[Settings]:
     """`effects:` a key for each effect of the library, its parameters below it."""
@@ -156,7 +162,7 @@ def model_file() -> type[Settings]:
         "ModelFile",
         __base__=Settings,
         ball=(BallSettings, BallSettings()),
-        model=(ModelSettings, ModelSettings()),
+        model=(SuspectSettings, SuspectSettings()),
         effects=(effect_settings(), effect_settings()()),
         free=(list[str], []),
     )

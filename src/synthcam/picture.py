@@ -6,6 +6,7 @@ glint on a pixel's centre, blur and pixel integration included.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache, cached_property
 from itertools import pairwise
 
 import numpy as np
@@ -22,13 +23,21 @@ Box = tuple[slice, slice]
 class Picture:
     """A mean image over one exposure.
 
-    image: (h, w) float32. plate: (h, w) float32, the same without balls, one array for a whole film.
-    boxes: disjoint (rows, columns) slices outside which image equals plate.
+    plate: (h, w) float32, what is seen without balls, one array for a whole film. boxes: disjoint (rows, columns)
+    slices outside which the image is the plate. parts: the image in each, float32.
     """
 
-    image: NDArray[np.float32]
     plate: NDArray[np.float32]
     boxes: tuple[Box, ...]
+    parts: tuple[NDArray[np.float32], ...]
+
+    @cached_property
+    def image(self) -> NDArray[np.float32]:
+        """(h, w)."""
+        image = self.plate.copy()
+        for box, part in zip(self.boxes, self.parts, strict=True):
+            image[box] = part
+        return image
 
 
 @dataclass(frozen=True)
@@ -61,16 +70,20 @@ def sample(bounds: Array, weights: Array, frames: NDArray[np.intp], travel: Arra
     """
     counts = np.select([travel < 0.02, travel < 0.5], [1, 2], 2 + np.ceil(travel)).astype(int)
     counts = np.maximum(counts, np.where(np.asarray(wave) > 0, 2 + np.ceil(wave), 1).astype(int))
-    rules = {n: np.polynomial.legendre.leggauss(n) for n in set(counts.tolist())}
     middles, halves = bounds.mean(axis=1), np.diff(bounds, axis=1)[:, 0] / 2
     times, parts = [], []
     for middle, half, weight, n in zip(middles, halves, weights, counts, strict=True):
-        nodes, shares = rules[n]
+        nodes, shares = _rule(int(n))
         times.append(middle + half * nodes)
         parts.append(weight / 2 * shares)
     if not times:
         return Moments(np.zeros(0), np.zeros(0), frames)
     return Moments(np.concatenate(times), np.concatenate(parts), np.repeat(frames, counts))
+
+
+@cache
+def _rule(nodes: int) -> tuple[Array, Array]:
+    return np.polynomial.legendre.leggauss(nodes)
 
 
 def spots(pixels: Array, variances: Array, origins: Array, width: int, steps: int = 1) -> tuple[Array, Array]:

@@ -45,9 +45,9 @@ def reflect(lamp: Array, eye: Array, centres: Array, radii: Array) -> Paths:
         ends[:, 1:-1] = centres + radii[..., None] * normals
         tangents = _tangents(normals)
         slope, curvature, pressure, first = _expand(ends, normals, tangents, radii)
-        # After a step this small the next is rounding. A settled path is left alone: its last bit is then
-        # the same in any company.
-        moving = np.abs(step).max(axis=(1, 2)) > 1e-10
+        # After a step this small the next is rounding, its square. A settled path is left alone: its last bit is
+        # then the same in any company.
+        moving = np.abs(step).max(axis=(1, 2)) > 1e-8
         if not moving.any():
             break
         step = np.linalg.solve(curvature, -slope[..., None]).reshape(count, order, 2) / radii[..., None]

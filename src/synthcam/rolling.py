@@ -10,71 +10,95 @@ import numpy as np
 from synthcam.kinematics import Array, rolling_state
 from synthcam.model import Bodies, Model
 from synthcam.sliding import NOWHERE, ROUGH, Other
-from synthcam.spectral import DEEPEST, RESOLVED, Path, integrate
+from synthcam.spectral import DEEPEST, RESOLVED, integrate, matrices, product, series
 
 SLOWEST = 1e-7  # m/s: a ball slower than this has stopped
 SHALLOW, SHORTEST = 7, 1e-4  # halvings of a piece; its share of what would stop the ball
-MOST = 500  # pieces of a roll
+MOST = 1000  # stretches of a roll
 LAWS = ("rolling", "push")
 
 
 @dataclass(frozen=True)
-class Piece:
-    """Balls `who` from `begins` on for `spans` (both (k,), s); path: (x, y, vx, vy) against the share of the span."""
+class Stretch:
+    """Balls `who` (indices (k,)) between the times `begins` and `ends`, (k,), in this order or the other.
+
+    coefficients (4, k, n): x, y, vx, vy as Chebyshev series over that time.
+    """
 
     who: Any
     begins: Array
-    spans: Array
-    path: Path
+    ends: Array
+    coefficients: Array
+
+    def plane(self, times: Array) -> Array:
+        """(x, y, vx, vy) at times (k, m): (4, k, m)."""
+        return series(self.coefficients, self._local(times))
+
+    def places(self, times: Array) -> Array:
+        """Centres (2, k, m)."""
+        return series(self.coefficients[:2], self._local(times))
+
+    def means(self, middle: Array, wide: float) -> Array:
+        """Centres (2, k, m) averaged over the time `wide` about `middle` (k, m), exactly.
+
+        The mean of f over x +- h is the sum of h^(2j)/(2j+1)! f^(2j)(x).
+        """
+        half = np.abs(wide / (self.ends - self.begins))[:, None]
+        term = mean = self.coefficients[:2]
+        curvature = matrices(term.shape[-1]).curvature
+        for j in range(1, (term.shape[-1] + 1) // 2):
+            term = product(term, curvature) * (half * half / (2 * j * (2 * j + 1)))
+            mean = mean + term
+            if np.abs(term).max() < 1e-18:
+                break
+        return series(mean, self._local(middle))
+
+    def _local(self, times: Array) -> Array:
+        return (2 * times - (self.begins + self.ends)[:, None]) / (self.ends - self.begins)[:, None]
 
 
 @dataclass(frozen=True)
 class Rolls:
-    """k rolls that begin at `time` (k,). until (k,): when each was solved to, or stopped. ends (k, 4): x, y, vx, vy.
-
-    slow (k,): when the speed fell under SLOWEST; from there to `until` the deceleration is uniform.
-    """
+    """k rolls that begin at `time` (k,). until (k,): when each was solved to, or stopped. ends (4, k): x, y, vx, vy."""
 
     time: Array
     until: Array
-    slow: Array
     ends: Array
-    pieces: tuple[Piece, ...]
+    stretches: tuple[Stretch, ...]
     radius: Array
     wz: Array
 
     def plane(self, times: Array) -> Array:
-        """(x, y, vx, vy) at times (k, m): (k, m, 4)."""
-        out = np.repeat(self.ends[:, None], times.shape[1], axis=1)
-        left = self.until - self.slow
-        share = np.clip((times - self.slow[:, None]) / np.where(left > 0, left, 1)[:, None], 0.0, 1.0)[..., None]
-        tail = np.where(left > 0, left, 0.0)[:, None, None] * self.ends[:, None, 2:] * (share - share**2 / 2)
-        out[..., :2] += tail
-        out[..., 2:] = np.where((left > 0)[:, None, None], out[..., 2:] * (1 - share), out[..., 2:])
-        for piece in self.pieces:
-            share = (times[piece.who] - piece.begins[:, None]) / piece.spans[:, None]
-            here = (share >= 0) & (share <= 1)
+        """(x, y, vx, vy) at times (k, m): (4, k, m)."""
+        out = np.repeat(self.ends[..., None], times.shape[1], axis=-1)
+        for stretch in self.stretches:
+            mine, a, b = times[stretch.who], stretch.begins[:, None], stretch.ends[:, None]
+            here = (mine >= np.minimum(a, b)) & (mine <= np.maximum(a, b))
             if np.any(here):
-                values = piece.path(np.clip(share, 0, 1))
-                out[piece.who] = np.where(here[..., None], values, out[piece.who])
+                values = stretch.plane(np.clip(mine, np.minimum(a, b), np.maximum(a, b)))
+                out[:, stretch.who] = np.where(here, values, out[:, stretch.who])
         return out
 
     def states(self, times: Array) -> Array:
         """States (k, m, 9) of balls that roll."""
-        y = self.plane(times)
-        return rolling_state(y[..., :2], y[..., 2:], self.wz[:, None], self.radius[:, None])
+        return roller(self.plane(times), self.wz, self.radius)
+
+
+def roller(plane: Array, wz: Array, radius: Array) -> Array:
+    """States (k, m, 9) of balls that roll, from (x, y, vx, vy), (4, k, m); wz and radius (k,)."""
+    x, v = np.moveaxis(plane[:2], 0, -1), np.moveaxis(plane[2:], 0, -1)
+    return rolling_state(x, v, wz[:, None], radius[:, None])
 
 
 def rolls(model: Model, state: Array, bodies: Bodies, time: Array, until: Array, other: Other | None = None) -> Rolls:
     """Rolls from `time` to `until` (k,), or to the stop; with until < time, back. States (k, 9), speeds over zero."""
 
     def acceleration(which: Any, t: Array, y: Array) -> Array:
-        v = y[..., 2:4]
-        speed = np.hypot(v[..., 0], v[..., 1])
+        speed = np.hypot(y[2], y[3])
         instant = _instant(model, bodies[which], t, y, other, which) | {"speed": speed}
         loss = model.laws("rolling", model.rolling_drag * speed + model.rolling_decel, instant)
-        push = model.laws("push", np.zeros_like(v), instant)
-        return np.asarray(5 / 7 * push - (loss / np.maximum(speed, 1e-300))[..., None] * v)
+        out = y[2:4] * (-loss / np.maximum(speed, 1e-300))
+        return np.asarray(out + 5 / 7 * _push(model, y, instant) if model.laws.bent("push") else out)
 
     return _march(acceleration, state, bodies, time, until, True, RESOLVED if other is None else ROUGH)
 
@@ -83,16 +107,21 @@ def flights(model: Model, state: Array, bodies: Bodies, time: Array, until: Arra
     """The plane part of flights from `time` to `until` (k,), with the push in full and no loss."""
 
     def acceleration(which: Any, t: Array, y: Array) -> Array:
-        instant = _instant(model, bodies[which], t, y, other, which)
-        return np.asarray(model.laws("push", np.zeros_like(y[..., 2:4]), instant))
+        return _push(model, y, _instant(model, bodies[which], t, y, other, which))
 
     return _march(acceleration, state, bodies, time, until, False, RESOLVED if other is None else ROUGH)
 
 
+def _push(model: Model, y: Array, instant: dict[str, Any]) -> Array:
+    nothing = np.zeros_like(y[2:4]).transpose(1, 2, 0)
+    return np.asarray(model.laws("push", nothing, instant)).transpose(2, 0, 1)
+
+
 def _instant(model: Model, bodies: Bodies, t: Array, y: Array, other: Other | None, which: Any) -> dict[str, Any]:
-    instant: dict[str, Any] = dict(position=y[..., :2], velocity=y[..., 2:4], gravity=model.gravity)
+    place = y[:2].transpose(1, 2, 0)
+    instant: dict[str, Any] = dict(position=place, velocity=y[2:4].transpose(1, 2, 0), gravity=model.gravity)
     instant |= dict(radius=bodies.radius[:, None], mass=bodies.mass[:, None], of_a=bodies.of_a[:, None])
-    instant["other"] = NOWHERE if other is None else other(t, which) - y[..., :2]
+    instant["other"] = NOWHERE if other is None else other(t, which) - place
     return instant
 
 
@@ -100,46 +129,63 @@ def _march(
     acceleration: Any, state: Array, bodies: Bodies, time: Array, until: Array, stops: bool, resolved: float
 ) -> Rolls:
     """Pieces no longer than half of what would stop the ball, so that the speed never passes through zero in one."""
-    y = np.concatenate([state[:, 0:2], state[:, 3:5]], axis=1)
+    y = np.stack([state[:, 0], state[:, 1], state[:, 3], state[:, 4]])
     now, share_of_stop = time.astype(float).copy(), 0.5
-    pieces: list[Piece] = []
+    stretches: list[Stretch] = []
     target = np.broadcast_to(until, now.shape).astype(float)
     # led by another ball, a path may lead nowhere: that is to be said soon
     shallow, deepest, most = (SHALLOW, DEEPEST, MOST) if resolved == RESOLVED else (4, 8, MOST // 10)
-    while True:
-        speed = np.hypot(y[:, 2], y[:, 3])
+    while len(stretches) <= most:
+        speed = np.hypot(y[2], y[3])
         who = np.flatnonzero((now != target) & ((speed > SLOWEST) | (not stops)))
         if len(who) == 0:
             break
-        if len(pieces) > most:
-            raise ValueError(f"a rolling ball does not settle: {most} pieces of its path")
-        begins, goal = now[who], target[who]
-        force = acceleration(who, begins[:, None], y[who][:, None])[:, 0]
-        longest = share_of_stop * speed[who] / np.maximum(np.hypot(force[:, 0], force[:, 1]), 1e-300)
+        begins, goal, start = now[who], target[who], y[:, who]
+        force = acceleration(who, begins[:, None], start[..., None])
+        longest = share_of_stop * speed[who] / np.maximum(np.hypot(force[0, :, 0], force[1, :, 0]), 1e-300)
         longest = np.where(stops, longest, np.inf)
         last = np.abs(goal - begins) <= longest
         spans = np.where(last, goal - begins, np.sign(goal - begins) * np.where(last, 1.0, longest))
 
         def right(share: Array, z: Array, who: Any = who, begins: Any = begins, spans: Any = spans) -> Array:
             a = acceleration(who, begins[:, None] + spans[:, None] * share, z)
-            return np.asarray(np.concatenate([z[..., 2:4], a], axis=-1) * spans[:, None, None])
+            return np.asarray(np.concatenate([z[2:4], a]) * spans[:, None])
+
+        def guess(share: Array, start: Any = start, force: Any = force, spans: Any = spans) -> Array:
+            t = spans[:, None] * share
+            v = start[2:, :, None] + force * t
+            return np.concatenate([start[:2, :, None] + (start[2:, :, None] + v) / 2 * t, v])
 
         try:
             depth = deepest if share_of_stop < SHORTEST or not stops else shallow
-            path = integrate(right, 0.0, 1.0, y[who], resolved, depth, few=True)
+            path = integrate(right, (0.0, 1.0), start, guess, resolved, depth)
         except ValueError:
             if not stops or share_of_stop < SHORTEST:
                 raise
             share_of_stop /= 4  # a force that grew has stopped a ball earlier than the one at the start would
             continue
         share_of_stop = min(2 * share_of_stop, 0.5)
-        y[who] = path(np.ones((len(who), 1)))[:, 0]
-        now[who] = np.where(last, goal, begins + spans)
-        pieces.append(Piece(who, begins, spans, path))
-    stopping = stops & (np.hypot(y[:, 2], y[:, 3]) <= SLOWEST) & (target > now)
-    slow = now.copy()
-    if np.any(stopping):
-        who = np.flatnonzero(stopping)
-        force = acceleration(who, now[who][:, None], y[who][:, None])[:, 0]
-        now[who] += np.hypot(y[who, 2], y[who, 3]) / np.maximum(np.hypot(force[:, 0], force[:, 1]), 1e-300)
-    return Rolls(time, now, slow, y, tuple(pieces), bodies.radius, state[:, 8])
+        knots = begins + path.ends[:, None] * spans
+        knots[-1] = np.where(last, goal, knots[-1])
+        stretches += [Stretch(who, knots[k], knots[k + 1], c) for k, c in enumerate(path.coefficients)]
+        y[:, who], now[who] = path.last(), knots[-1]
+    else:
+        raise ValueError(f"a rolling ball does not settle: {most} stretches of its path")
+    stopping = np.flatnonzero(stops & (np.hypot(y[2], y[3]) <= SLOWEST) & (target > now))
+    if len(stopping):
+        begins, start = now[stopping], y[:, stopping]
+        force = acceleration(stopping, begins[:, None], start[..., None])[..., 0]
+        left = np.hypot(start[2], start[3]) / np.maximum(np.hypot(force[0], force[1]), 1e-300)
+        now[stopping] += left
+        stretches.append(_stop(stopping, begins, begins + left, start))
+        y[:2, stopping] += left / 2 * start[2:]
+        y[2:, stopping] = 0.0
+    return Rolls(time, now, y, tuple(stretches), bodies.radius, state[:, 8])
+
+
+def _stop(who: Any, begins: Array, ends: Array, start: Array) -> Stretch:
+    """A uniform deceleration to rest, as series: x + v t (s - s^2/2), v (1 - s), with s = (1 + z)/2."""
+    far = (ends - begins) * start[2:]
+    places = np.stack([start[:2] + 5 / 16 * far, far / 4, -far / 16], axis=-1)
+    speeds = np.stack([start[2:] / 2, -start[2:] / 2, 0 * far], axis=-1)
+    return Stretch(who, begins, ends, np.concatenate([places, speeds]))

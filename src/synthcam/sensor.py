@@ -91,8 +91,8 @@ class Chip:
         if background.deep:
             return self._exact(picture.image, slice(None), slice(None), rng)
         counts = background.expose(rng)
-        for rows, columns in picture.boxes:
-            counts[rows, columns] = self._exact(picture.image[rows, columns], rows, columns, rng)
+        for (rows, columns), part in zip(picture.boxes, picture.parts, strict=True):
+            counts[rows, columns] = self._exact(part, rows, columns, rng)
         if len(self.hot):  # too unlike their neighbours for tables
             at = np.unravel_index(self.hot, counts.shape)
             counts[at] = self._exact(picture.image[at], at[0], at[1], rng)

@@ -50,7 +50,8 @@ def rolled(
                 top, bottom = max(at_rows.start, rows_from), min(at_rows.stop, rows_to)
                 if top < bottom:
                     boxes.append((top, bottom, columns.start, columns.stop))
-    return Picture(image, plate, merge(boxes))
+    disjoint = merge(boxes)
+    return Picture(plate, disjoint, tuple(image[box] for box in disjoint))
 
 
 def _strips(
@@ -60,8 +61,8 @@ def _strips(
     height, delay = camera.size[1], camera.line_time
     probes = np.linspace(span[0], span[1] + height * delay, PROBES)
     inside = cuts[(cuts > probes[0]) & (cuts < probes[-1])]
-    pixels, half = seen(np.sort(np.concatenate([probes, inside])))
-    times = np.sort(np.concatenate([probes, inside]))
+    times = np.unique(np.concatenate([probes, inside]))
+    pixels, half = seen(times)
     strips: list[list[float]] = []
     for ball in range(half.shape[1]):
         y, reach = pixels[:, ball, 1], half[:, ball]
@@ -72,7 +73,7 @@ def _strips(
         if there.any():
             low, high = (y - reach)[there].min() - 1, (y + reach)[there].max() + 2
             speed = np.linalg.norm(np.diff(pixels[:, ball], axis=0), axis=1) / np.diff(times)
-            strips.append([max(low, 0), min(high, height), float(np.nanmax(speed))])
+            strips.append([max(low, 0), min(high, height), float(speed.max())])
     merged: list[list[float]] = []
     for low, high, speed in sorted(s for s in strips if s[0] < s[1]):
         if merged and low <= merged[-1][1]:

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal, Protocol
+from typing import Literal, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from synthcam import kinematics
+from synthcam.kinematics import State
 
 Array = NDArray[np.float64]
 Motion = Literal["rest", "roll", "slide", "fly"]
@@ -31,84 +33,110 @@ class Leg(Protocol):
     def at(self, t: Array) -> Array:
         """States (len(t), 9) at times within the leg."""
 
+    def now(self, t: float) -> State:
+        """The state at one instant, nine floats."""
+
     def bound(self, t: float) -> float:
         """No acceleration after t within the leg is larger, m/s^2."""
 
+    def spanning(self, t0: float, t1: float) -> Leg:
+        """The same motion, between other times."""
 
-@dataclass(frozen=True)
-class Rest:
-    """A ball that stays where it is; it may spin about the vertical."""
+
+class Rest(NamedTuple):
+    """A ball that stays where it is; it may spin about the vertical. state: nine floats, here and below."""
 
     t0: float
     t1: float
-    state: Array
+    state: State
     motion: Motion = "rest"
 
     def at(self, t: Array) -> Array:
-        return np.broadcast_to(self.state, (len(t), 9))
+        return np.broadcast_to(np.array(self.state), (len(t), 9))
+
+    def now(self, t: float) -> State:
+        return self.state
 
     def bound(self, t: float) -> float:
         return 0.0
 
+    def spanning(self, t0: float, t1: float) -> Rest:
+        return self._replace(t0=t0, t1=t1)
 
-@dataclass(frozen=True)
-class Roll:
+
+class Roll(NamedTuple):
     """Rolling on a straight line with the loss a = -(drag v + decel); `time` is when `state` holds."""
 
     t0: float
     t1: float
     time: float
-    state: Array
+    state: State
     radius: float
     drag: float
     decel: float
     motion: Motion = "roll"
 
     def at(self, t: Array) -> Array:
-        return kinematics.roll(self.state, self.radius, self.drag, self.decel, t - self.time)
+        return kinematics.roll(np.array(self.state), self.radius, self.drag, self.decel, t - self.time)
+
+    def now(self, t: float) -> State:
+        return kinematics.after_rolling(self.state, self.radius, self.drag, self.decel, t - self.time)
 
     def bound(self, t: float) -> float:
-        speed = float(np.hypot(*self.at(np.array([t]))[0, 3:5]))
-        return self.drag * speed + self.decel
+        return float(self.drag * math.hypot(*self.now(t)[3:5]) + self.decel)
+
+    def spanning(self, t0: float, t1: float) -> Roll:
+        return self._replace(t0=t0, t1=t1)
 
 
-@dataclass(frozen=True)
-class Slide:
-    """Sliding with constant friction: a parabola. `slowing` is mu g, m/s^2."""
+class Slide(NamedTuple):
+    """Sliding with constant friction: a parabola. `state` holds at `time`; `slowing` is mu g, m/s^2."""
 
     t0: float
     t1: float
-    state: Array
+    time: float
+    state: State
     radius: float
     slowing: float
     motion: Motion = "slide"
 
     def at(self, t: Array) -> Array:
-        return kinematics.slide(self.state, self.radius, self.slowing, t - self.t0)
+        return kinematics.slide(np.array(self.state), self.radius, self.slowing, t - self.time)
+
+    def now(self, t: float) -> State:
+        return kinematics.after_sliding(self.state, self.radius, self.slowing, t - self.time)
 
     def bound(self, t: float) -> float:
         return self.slowing
 
+    def spanning(self, t0: float, t1: float) -> Slide:
+        return self._replace(t0=t0, t1=t1)
 
-@dataclass(frozen=True)
-class Fly:
-    """Free flight above the plate."""
+
+class Fly(NamedTuple):
+    """Free flight above the plate; `state` holds at `time`."""
 
     t0: float
     t1: float
-    state: Array
+    time: float
+    state: State
     gravity: float
     motion: Motion = "fly"
 
     def at(self, t: Array) -> Array:
-        return kinematics.fly(self.state, self.gravity, t - self.t0)
+        return kinematics.fly(np.array(self.state), self.gravity, t - self.time)
+
+    def now(self, t: float) -> State:
+        return kinematics.after_flight(self.state, self.gravity, t - self.time)
 
     def bound(self, t: float) -> float:
         return self.gravity
 
+    def spanning(self, t0: float, t1: float) -> Fly:
+        return self._replace(t0=t0, t1=t1)
 
-@dataclass(frozen=True)
-class Numeric:
+
+class Numeric(NamedTuple):
     """A leg without closed form: `states` maps times (m,) to states (m, 9)."""
 
     t0: float
@@ -120,8 +148,14 @@ class Numeric:
     def at(self, t: Array) -> Array:
         return self.states(t)
 
+    def now(self, t: float) -> State:
+        return tuple(self.states(np.array([t]))[0].tolist())
+
     def bound(self, t: float) -> float:
         return self.steepest
+
+    def spanning(self, t0: float, t1: float) -> Numeric:
+        return self._replace(t0=t0, t1=t1)
 
 
 @dataclass(frozen=True)

@@ -39,8 +39,15 @@ class Body:
     def _height(self, middle: Array, half: int) -> tuple[Array, Array, Array]:
         left, across, down = self._left(middle, half)
         c2, c3, c4 = self.coefficients.tolist()
-        fall = left * (2.0 * c2 + left * (3.0 * c3 + 4.0 * c4 * left)) * (2.0 / self.end)
-        return left * left * (c2 + left * (c3 + c4 * left)), fall * across, fall * down
+        height = c4 * left
+        fall = height * (8.0 / self.end)
+        for out, one, two in ((height, c3, c2), (fall, 6.0 * c3 / self.end, 4.0 * c2 / self.end)):
+            out += one
+            out *= left
+            out += two
+            out *= left
+        height *= left
+        return height, fall * across, fall * down
 
     def _left(self, middle: Array, half: int) -> tuple[Array, Array, Array]:
         """1 - q (n, s, s), no less than 0, and the offsets over ``end`` (n, 1, s), (n, s, 1)."""

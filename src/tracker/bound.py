@@ -20,6 +20,7 @@ from .lens import Array
 from .sensor import Sensor
 
 ROOT_TWO_PI = math.sqrt(2.0 * math.pi)
+CLEAR = 6.0  # deviations under the ceiling, from where on it does not matter
 REACH = 4.0  # widths of the glint that a window must hold on each side
 
 
@@ -53,8 +54,9 @@ def glint_shape(xy: Array, streaks: Array, sigma: float, half: int) -> Shape:
     offsets, weights = line_nodes(streaks, sigma)
     edges = np.arange(-half, half + 2) - 0.5
     u = (edges - (xy[:, None, :] + offsets)[..., None]) / sigma  # (n, k, axis, edge)
-    step = np.diff(ndtr(u), axis=-1)
-    slope = -np.diff(np.exp(-0.5 * u * u), axis=-1) / (ROOT_TWO_PI * sigma)
+    below, height = ndtr(u), np.exp(-0.5 * u * u)
+    step = below[..., 1:] - below[..., :-1]
+    slope = (height[..., :-1] - height[..., 1:]) / (ROOT_TWO_PI * sigma)
     col, row = step[:, :, 0], step[:, :, 1] * weights[:, None]
     col_slope, row_slope = slope[:, :, 0], slope[:, :, 1] * weights[:, None]
     if len(weights) == 1:
@@ -64,21 +66,26 @@ def glint_shape(xy: Array, streaks: Array, sigma: float, half: int) -> Shape:
     return Shape(up @ col, up @ col_slope, up_slope @ col)
 
 
-def information(mean: Array, sensor: Sensor) -> Array:
+def spread(mean: Array, sensor: Sensor) -> tuple[Array, Array]:
+    """Variance of pixels at their means, counts^2, and k = v'/(2v), 1/counts; any shape."""
+    variance = sensor.variance(mean)
+    return variance, sensor.variance_slope(mean) / (2.0 * variance)
+
+
+def information(mean: Array, sensor: Sensor, noise: tuple[Array, Array] | None = None) -> Array:
     """Fisher information of one pixel about its own mean, 1/counts^2, any shape; clipping included.
 
     Open pixel: 1/v + (v'/v)^2 / 2. At the ceiling c a pixel says only that it is over c - 1/2, and the
-    integrals of the squared score up to there, and of the tail beyond, take its place.
+    integrals of the squared score up to there, and of the tail beyond, take its place. noise: ``spread`` there.
     """
-    variance = sensor.variance(mean)
-    k = sensor.variance_slope(mean) / (2.0 * variance)
-    told = 1.0 / variance + 2.0 * k * k
-    z = (sensor.ceiling - 0.5 - mean) / np.sqrt(variance)
-    near = z < 6.0
-    if np.any(near):
-        told = np.array(told)
+    variance, k = spread(mean, sensor) if noise is None else noise
+    told = np.asarray(1.0 / variance + 2.0 * k * k, dtype=np.float64)
+    room = sensor.ceiling - 0.5 - mean
+    if np.min(room, initial=np.inf) < CLEAR * math.sqrt(np.max(variance, initial=0.0)):
+        z = room / np.sqrt(variance)
+        near = z < CLEAR
         told[near] = _censored(z[near], 1.0 / np.sqrt(variance[near]), k[near])
-    return np.asarray(told, dtype=np.float64)
+    return told
 
 
 def _censored(z: Array, root: Array, k: Array) -> Array:

@@ -88,16 +88,16 @@ def calibrate(video: Path, diameter: float, fps: float, exposure: float | None =
     if exposure is not None and not 0 <= exposure <= 1.0 / fps * (1 + 1e-9):
         raise InputError(f"--exposure: expected 0 to one frame time, {1 / fps:g} s, not {exposure!r}")
     source = open_source(video)
-    clips = [source.clip(i) for i in range(len(source))]
-    given: dict[str, Any] = {"fps": fps, "ball_diameter": diameter, "size": list(clips[0].frames.shape[:0:-1])}
+    width, height = source.clip(0).frames.shape[:0:-1]
+    given: dict[str, Any] = {"fps": fps, "ball_diameter": diameter, "size": [width, height]}
     if exposure is not None:
         given["exposure"] = exposure
     seen: list[_Seen] = []
-    scale = Camera.unknown((clips[0].frames.shape[2], clips[0].frames.shape[1]), 8).diameter_px
+    scale = Camera.unknown((width, height), 8).diameter_px
     ways: dict[str, tuple[float, float]] = {}
     for _ in range(2):  # the second time with the size of the balls known
         known = {**given, "scale": diameter / scale}
-        seen = [_look(clip, known) for clip in clips]
+        seen = [_look(source.clip(i), known) for i in range(len(source))]
         ways = _ways(seen, diameter)
         if not ways:
             break

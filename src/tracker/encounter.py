@@ -9,7 +9,8 @@ from itertools import combinations, product
 import numpy as np
 from numpy.typing import NDArray
 
-from .fitting import Pair, Whitened
+from .fitting import Pair
+from .motion import AFTER, directions, release
 from .places import Course
 
 Floats = NDArray[np.float64]
@@ -17,6 +18,7 @@ APPROACH = 6  # places from which the approach is read
 LONGEST = 15  # frames; older places tell nothing of the moment of contact
 CREEPING = 0.002  # of the relative speed: a target this slow is at rest for every purpose
 STILL = 150  # frames at rest, beyond which more of them tell nothing new: what they share is their limit
+GRID = (0.5, 0.75, 0.95), (0.1, 0.2, 0.4), (0.1, 0.35)  # r, mu_k and C, from which a fit starts
 SAME = 0.3  # of a glint's width, within which a ball that has not moved is seen
 
 
@@ -72,7 +74,7 @@ def encounter(meeting: Meeting, diameter: float, pasts: Mapping[int, Past]) -> E
         past = pasts.get(course.particle, Past())
         rolls = course.where(course.start > past.rolls_from)
         if not (rolls.frame < meeting.frame).any() and (course.frame < meeting.frame).any():
-            reason = "a ball still slides when it is hit again"
+            reason = "a ball still slides when it is hit again: how it spins then is not known well enough"
             if np.isinf(past.rolls_from):
                 reason = "an earlier hit of a ball could not be measured"
             return Encounter(Pair(meeting.one, meeting.other, diameter), meeting.frame, reason)
@@ -209,16 +211,38 @@ def first_guess(meeting: Encounter) -> Floats | None:
     """
     near = np.arange(meeting.frame - 2, meeting.frame + 3)
     whole = all(np.isin(near, course.frame).all() for _, course in meeting.pair.balls)
-    problem = Whitened(replace(meeting.pair, moving=True), tied=True)
     starts = []
     for frame in (meeting.frame,) if whole else (meeting.frame - 1, meeting.frame, meeting.frame + 1):
         launch = _launch(meeting.pair, frame)
         if launch is not None:
-            grid = product((0.5, 0.75, 0.95), (0.1, 0.2, 0.4), (0.1, 0.35))
-            starts += [np.array([*launch[:8], r, np.log(mu), c, *launch[8:]]) for r, mu, c in grid]
+            starts += [[*launch[:8], r, np.log(mu), c, *launch[8:]] for r, mu, c in product(*GRID)]
     if not starts:
         return None
-    return starts[int(np.argmin([float((problem.residual(start) ** 2).sum()) for start in starts]))]
+    guesses = np.array(starts)
+    return np.asarray(guesses[int(np.argmin(_misfit(meeting.pair, guesses)))])
+
+
+def _misfit(pair: Pair, tied: Floats) -> Floats:
+    """Sums (k,) of squared distances, in their errors, between the places after the hit and the guesses (k, 13).
+
+    Rough: instants for exposures, and a rolling ball loses speed evenly.
+    """
+    free = np.asarray(release(tied, pair.spin), dtype=np.float64)
+    _, normal, _ = directions(tied[:, 3], tied[:, 4])
+    total = np.zeros(len(tied))
+    for ball, course in pair.balls:
+        at, contact = AFTER[ball], free[:, 1:3] - (ball - 1) * pair.diameter * normal
+        v, f, tau = free[:, at : at + 2], free[:, at + 2 : at + 4], np.exp(free[:, at + 4 : at + 5])
+        since = course.time - free[:, :1]  # (k, n)
+        slide = np.clip(since, 0.0, tau)
+        speed = np.maximum(np.hypot(f[:, 0], f[:, 1]), 1e-9)[:, None]
+        loss = free[:, 6:7] * speed + free[:, 7:8]
+        roll = np.clip(since - tau, 0.0, speed / loss)
+        grown = roll - loss * roll**2 / (2 * speed) + slide**2 / (2 * tau)  # weight of f
+        way = (slide - slide**2 / (2 * tau))[..., None] * v[:, None] + grown[..., None] * f[:, None]
+        off = contact[:, None] + way - course.place
+        total += np.where(since > 0, course.whiten.distance(off), 0.0).sum(-1)
+    return total
 
 
 def _launch(pair: Pair, frame: int) -> list[float] | None:

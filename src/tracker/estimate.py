@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from . import paper
 from .encounter import Encounter, Meeting, Past, encounter, first_guess, meetings
-from .fitting import Fit, Pair, fit_motion
+from .fitting import COARSE, Fit, Pair, fit_motion
 from .kinetics import motion_table
 from .motion import AFTER, FREE, TARGET, TIED, release
 from .places import Course, courses
@@ -174,9 +174,9 @@ def _free(pair: Pair, tied: Fit) -> tuple[Fit, tuple[bool, bool]]:
             seen[i] = False
         elif np.exp(best.parameters[end]) > 0.5 * left:
             endless = _endless(best.parameters, 1 + i, left)
-            without = fit_motion(pair, False, [endless])
+            without = fit_motion(pair, False, [endless], COARSE)
             if without.chi2 < best.chi2:
-                best = without
+                best = without = fit_motion(pair, False, [without.parameters])
             seen[i] = without.chi2 - best.chi2 > SEEN and bool(np.exp(best.parameters[end]) < left)
     return best, (seen[0], seen[1])
 

@@ -7,13 +7,13 @@ itself, and is then not claimed.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import least_squares
+from scipy.optimize import leastsq
 
 from .motion import FREE, TARGET, TIED, path, release, release_slope
 from .places import Course
@@ -21,6 +21,8 @@ from .places import Course
 Floats = NDArray[np.float64]
 OUTLIER = 36.0  # Mahalanobis distance squared: 6 sigma, one in 10^8 for an honest place
 OUTLIER_SHARE = 0.05
+FINE, COARSE = 1e-10, 1e-4  # steps and gains, as shares, that end a descent
+WORTH = 1e-3  # of half the chi^2: less is the same minimum again
 
 # name: (centre, width). Wide enough to weigh nothing against data, stated here and nowhere else.
 BROAD: Mapping[str, tuple[float, float]] = {
@@ -84,6 +86,10 @@ class Whitened:
         centres = np.array([BROAD.get(name, (0.0, np.inf)) for name in self.names])
         self.prior, self.prior_weight = centres[:, 0], 1.0 / centres[:, 1]
         self._last: tuple[bytes, Floats, Floats] | None = None
+        courses = [course for _, course in pair.balls]
+        self.ball = np.repeat([1, 2], [len(course) for course in courses])
+        self.start = np.concatenate([course.start for course in courses])
+        self.seen = np.concatenate([course.place for course in courses])
 
     def __call__(self, x: Floats) -> tuple[Floats, Floats]:
         """Residuals (2n + p,) and derivatives (2n + p, p), priors last; kept for the last x."""
@@ -109,27 +115,32 @@ class Whitened:
 
     def _evaluate(self, x: Floats) -> tuple[Floats, Floats]:
         full = self.whole(x)
-        free = self._free(full)
-        inner = release_slope(full, self.pair.spin) if self.tied else None
-        residuals, rows = [], []
-        for ball, course in self.pair.balls:
-            place, slope = path(free, ball, course.start, course.exposure, self.pair.diameter)
-            if inner is not None:
-                slope = slope @ inner
-            residuals.append(course.whiten(place - course.place))
-            rows.append(course.whiten(slope[:, :, : len(x)]))
-        residual = np.concatenate([*residuals, (x - self.prior) * self.prior_weight])
-        slopes = np.concatenate([*rows, np.diag(self.prior_weight)])
-        return np.clip(np.nan_to_num(residual, nan=1e9), -1e9, 1e9), np.nan_to_num(slopes)
+        place, slope = self._path(self._free(full))
+        slopes = np.moveaxis(slope, -1, 0)
+        if self.tied:
+            slopes = (release_slope(full, self.pair.spin).T @ slopes.reshape(len(slopes), -1)).reshape(-1, *place.shape)
+        rows = np.concatenate([(place - self.seen)[None], slopes[: len(x)]])
+        cut = len(self.pair.struck)
+        white = np.concatenate(
+            [self.pair.struck.whiten(rows[:, :cut]), self.pair.striker.whiten(rows[:, cut:])], axis=1
+        )
+        residual = np.concatenate([white[0], (x - self.prior) * self.prior_weight])
+        columns = np.concatenate([white[1:], np.diag(self.prior_weight)], axis=1)
+        if not (np.isfinite(residual).all() and np.isfinite(columns).all()):
+            residual, columns = np.nan_to_num(residual, nan=1e9), np.nan_to_num(columns)
+        return np.clip(residual, -1e9, 1e9), columns.T
+
+    def _path(self, free: Floats) -> tuple[Floats, Floats]:
+        """Positions (n, 2) of both balls, ball 1's first, and derivatives (n, 2, 20)."""
+        pair = self.pair
+        return path(free, self.ball, self.start, pair.struck.exposure, pair.diameter)
 
     def distances(self, x: Floats) -> Floats:
         """Squared Mahalanobis distance (n,) of each place by itself, ball 1's first."""
-        free = self._free(self.whole(x))
-        parts = []
-        for ball, course in self.pair.balls:
-            place = path(free, ball, course.start, course.exposure, self.pair.diameter)[0]
-            parts.append(course.whiten.distance(place - course.place))
-        return np.concatenate(parts)
+        off, cut = self._path(self._free(self.whole(x)))[0] - self.seen, len(self.pair.struck)
+        return np.concatenate(
+            [self.pair.struck.whiten.distance(off[:cut]), self.pair.striker.whiten.distance(off[cut:])]
+        )
 
 
 class Problem(Protocol):
@@ -139,26 +150,36 @@ class Problem(Protocol):
     def slope(self, x: Floats) -> Floats: ...
 
 
-def fit(problem: Problem, starts: Iterable[Floats]) -> tuple[Floats, bool]:
-    """The best of several descents: parameters, and whether that descent converged."""
-    best, cost, converged = None, np.inf, False
-    for start in starts:
-        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # a long step may overflow
-            found = least_squares(
-                problem.residual, start, jac=problem.slope, method="lm", x_scale="jac",
-                xtol=1e-10, ftol=1e-10, gtol=1e-10, max_nfev=100,
-            )  # fmt: skip
-        if found.cost < cost:
-            best, cost, converged = np.asarray(found.x, dtype=np.float64), found.cost, bool(found.success)
-    assert best is not None
+def fit(problem: Problem, starts: Sequence[Floats], close: float = FINE) -> tuple[Floats, bool]:
+    """The best of several descents (Levenberg-Marquardt, MINPACK): parameters, and whether that descent converged.
+
+    The first start's minimum is found to `close`; from the others only so far as to tell it from that one.
+    """
+    best, cost, converged = _descend(problem, starts[0], close)
+    for start in starts[1:]:
+        other, rough, _ = _descend(problem, start, COARSE)
+        if rough < cost - WORTH:
+            found, better, fine = _descend(problem, other, FINE)
+            if better < cost:
+                best, cost, converged = found, better, fine
     return best, converged
 
 
-def fit_motion(pair: Pair, tied: bool, starts: list[Floats]) -> Fit:
+def _descend(problem: Problem, start: Floats, close: float) -> tuple[Floats, float, bool]:
+    """Parameters, half their chi^2, whether a step or a gain under `close`, as a share, ended it."""
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # a long step may overflow
+        x, _, found, _, ended = leastsq(  # type: ignore[call-overload]
+            problem.residual, start, Dfun=lambda x: problem.slope(x).T, col_deriv=True, full_output=True, xtol=close,
+            ftol=close, gtol=FINE, maxfev=100,
+        )  # fmt: skip
+    return np.asarray(x, dtype=np.float64), float(found["fvec"] @ found["fvec"]) / 2, ended in (1, 2, 3, 4)
+
+
+def fit_motion(pair: Pair, tied: bool, starts: list[Floats], close: float = FINE) -> Fit:
     """Tied (13) or free (20) motion of two balls, from starts of that length; a few outliers are dropped once."""
     problem = Whitened(pair, tied)
     p = len(problem.names)
-    best, converged = fit(problem, [start[:p] for start in starts])
+    best, converged = fit(problem, [start[:p] for start in starts], close)
     problem, dropped = _without_outliers(problem, best)
     if dropped:
         best, converged = fit(problem, [best])

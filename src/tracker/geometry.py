@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -16,27 +15,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from .camerafile import InputError, Lamp, parse
 from .lens import Array, distort, mirror_normal, pair_normal, undistort
 from .sensor import Sensor
 
 __all__ = ["Camera", "InputError", "Lamp", "Sensor"]
 
-DEFAULT_DIAMETER = 2.38e-3  # m: Painter & Behringer's balls
-DEFAULT_HEIGHT = 0.5  # m
 FAR = 1e6  # m, of a point as good as straight overhead
-LOOKING_DOWN = ((1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, -1.0))
-
-
-class InputError(ValueError):
-    """Something the user gave cannot be used; one line naming file, key and what was expected."""
-
-
-@dataclass(frozen=True)
-class Lamp:
-    """A disc lamp: position of its centre and radius, m."""
-
-    position: tuple[float, float, float]
-    radius: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,6 +29,8 @@ class Camera:
     """All that ``camera.json`` tells; ``assumed`` names each key left to a default or an estimate.
 
     ``metric`` is False where nothing ties pixels to metres (no camera file): then there are only pixels.
+    ``line_time`` s: by so much later each row of a rolling shutter is exposed. ``unmodelled`` says what the file tells
+    that is not accounted for.
     """
 
     K: Array
@@ -61,6 +48,8 @@ class Camera:
     sensor: Sensor = field(default_factory=Sensor)
     assumed: tuple[str, ...] = ()
     metric: bool = True
+    line_time: float = 0.0
+    unmodelled: tuple[str, ...] = ()
 
     @property
     def radius(self) -> float:
@@ -204,7 +193,7 @@ class Camera:
     @staticmethod
     def from_dict(data: Any, where: str = "camera") -> Camera:
         """Camera from the keys of camera.json; unknown keys are ignored."""
-        return _Reader(data, where).camera()
+        return Camera(**parse(data, where))
 
     @staticmethod
     def unknown(size: tuple[int, int], bits: int) -> Camera:
@@ -225,171 +214,6 @@ class Camera:
             out["lamp"] = {"position": list(self.lamp.position), "radius": self.lamp.radius}
         if self.psf_sigma is not None:
             out["psf"] = {"sigma_px": self.psf_sigma}
+        if self.line_time:
+            out["shutter"] = {"kind": "rolling", "line_time": self.line_time}
         return out
-
-
-class _Reader:
-    """Reads the keys of one camera.json, collecting what had to be assumed."""
-
-    def __init__(self, data: Any, where: str) -> None:
-        self.where = where
-        self.assumed: list[str] = []
-        self.data: Mapping[str, Any] = self._table(data, "the file")
-
-    def camera(self) -> Camera:
-        size = self._size()
-        if "fps" not in self.data:
-            raise self._bad("fps", "frames per second, it is missing")
-        fps = self._number(self.data, "fps", low=0.0, open_low=True)
-        if "K" not in self.data and "scale" not in self.data:
-            raise self._bad("K", "the 3x3 camera matrix, or scale in m/px; both are missing")
-        diameter = self._maybe("ball_diameter", DEFAULT_DIAMETER, low=0.0, open_low=True)
-        exposure = self._maybe("exposure", 0.0, low=0.0)
-        if exposure > 1.0 / fps * (1 + 1e-9):
-            raise self._bad("exposure", f"at most one frame time, {1 / fps:g} s")
-        matrix, rotation, shift, scale = self._view(size, diameter)
-        return Camera(
-            K=matrix,
-            dist=self._array("dist", (5,), np.zeros(5)),
-            R=rotation,
-            t=shift,
-            size=size,
-            fps=fps,
-            exposure=exposure,
-            scale=scale,
-            ball_diameter=diameter,
-            striker=self._striker(),
-            lamp=self._lamp(),
-            psf_sigma=self._psf(),
-            sensor=self._sensor(),
-            assumed=tuple(dict.fromkeys([*self.assumed, *map(str, self.data.get("assumed", ()))])),
-            metric=bool(self.data.get("metric", True)),
-        )
-
-    def _view(self, size: tuple[int, int], diameter: float) -> tuple[Array, Array, Array, float]:
-        """K, R, t and scale, whichever of them are given: (height - R) / scale is the focal length in px."""
-        rotation = self._array("R", (3, 3), np.array(LOOKING_DOWN))
-        if np.max(np.abs(rotation @ rotation.T - np.eye(3))) > 1e-6 or np.linalg.det(rotation) < 0:
-            raise self._bad("R", "a rotation matrix")
-        scale = self._number(self.data, "scale", 0.0, open_low=True) if "scale" in self.data else None
-        middle = ((size[0] - 1) / 2, (size[1] - 1) / 2)
-        if "K" in self.data:
-            matrix = self._array("K", (3, 3), np.eye(3))
-            if matrix[0, 0] <= 0 or matrix[1, 1] <= 0 or not np.allclose(matrix[2], (0, 0, 1)):
-                raise self._bad("K", "positive focal lengths and a last row 0, 0, 1")
-            focal = float(matrix[0, 0])
-            height = focal * scale + diameter / 2 if scale is not None else DEFAULT_HEIGHT
-        else:
-            assert scale is not None
-            height = float(self.data["t"][2]) if self._has_shift() else DEFAULT_HEIGHT
-            focal = (height - diameter / 2) / scale
-            matrix = np.array([[focal, 0, middle[0]], [0, focal, middle[1]], [0, 0, 1.0]])
-            self.assumed.append("K")
-        if "t" not in self.data and ("K" not in self.data or scale is None):
-            self.assumed.append("height")
-        shift = self._array("t", (3,), np.array([0.0, 0.0, height]))
-        if scale is None:
-            depth = float((rotation @ np.array([0, 0, diameter / 2]) + shift)[2])
-            if depth <= 0:
-                raise self._bad("t", "a camera that has the plate before it")
-            scale = depth / focal
-            self.assumed.append("scale")
-        return matrix, rotation, shift, scale
-
-    def _has_shift(self) -> bool:
-        return "t" in self.data and self._array("t", (3,), np.zeros(3))[2] > 0
-
-    def _size(self) -> tuple[int, int]:
-        value = self.data.get("size")
-        if not (isinstance(value, list | tuple) and len(value) == 2):
-            raise self._bad("size", "[width, height] in pixels")
-        if not all(isinstance(v, int) and not isinstance(v, bool) and v > 0 for v in value):
-            raise self._bad("size", "two positive whole numbers")
-        return int(value[0]), int(value[1])
-
-    def _striker(self) -> str:
-        value = self.data.get("striker", "b")
-        if value not in ("a", "b"):
-            raise self._bad("striker", '"a" or "b"')
-        return str(value)
-
-    def _lamp(self) -> Lamp | None:
-        lamp = self._table(self.data.get("lamp", {}), "lamp")
-        if "position" not in lamp:
-            self.assumed.append("lamp")
-            return None
-        x, y, z = self._array("position", (3,), np.zeros(3), lamp, "lamp.").tolist()
-        radius = self._number(lamp, "radius", low=0.0, prefix="lamp.") if "radius" in lamp else 0.0
-        return Lamp((x, y, z), radius)
-
-    def _psf(self) -> float | None:
-        psf = self._table(self.data.get("psf", {}), "psf")
-        if "sigma_px" not in psf:
-            self.assumed.append("psf.sigma_px")
-            return None
-        return self._number(psf, "sigma_px", low=0.0, open_low=True, prefix="psf.")
-
-    def _sensor(self) -> Sensor:
-        table = self._table(self.data.get("sensor", {}), "sensor")
-        values: dict[str, Any] = {}
-        for key in ("bits", "gain", "read_noise", "dark", "prnu", "dsnu", "full_well", "black_level"):
-            if key in table:
-                positive = key in ("bits", "gain", "full_well")
-                values[key] = self._number(table, key, low=0.0, open_low=positive, prefix="sensor.")
-            elif key != "full_well":
-                self.assumed.append(f"sensor.{key}")
-        if "bits" in values:
-            if values["bits"] != int(values["bits"]) or values["bits"] > 16:
-                raise self._bad("sensor.bits", "a whole number from 1 to 16")
-            values["bits"] = int(values["bits"])
-        return Sensor(**values)
-
-    def _maybe(self, key: str, default: float, low: float, open_low: bool = False) -> float:
-        if key in self.data:
-            return self._number(self.data, key, low, open_low)
-        self.assumed.append(key)
-        return default
-
-    def _number(
-        self,
-        table: Mapping[str, Any],
-        key: str,
-        low: float = -math.inf,
-        open_low: bool = False,
-        prefix: str = "",
-    ) -> float:
-        value = table[key]
-        if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-            raise self._bad(prefix + key, f"a finite number, not {value!r}")
-        if value < low or (open_low and value == low):
-            least = "over" if open_low else "of at least"
-            raise self._bad(prefix + key, f"a number {least} {low:g}, not {value!r}")
-        return float(value)
-
-    def _array(
-        self,
-        key: str,
-        shape: tuple[int, ...],
-        default: Array,
-        table: Mapping[str, Any] | None = None,
-        prefix: str = "",
-    ) -> Array:
-        source = self.data if table is None else table
-        if key not in source:
-            return default
-        size = " x ".join(map(str, shape))
-        try:
-            value = np.asarray(source[key], dtype=np.float64)
-        except (TypeError, ValueError):
-            raise self._bad(prefix + key, f"{size} numbers") from None
-        if value.shape != shape or not np.all(np.isfinite(value)):
-            raise self._bad(prefix + key, f"{size} finite numbers")
-        return value
-
-    def _table(self, value: Any, key: str) -> Mapping[str, Any]:
-        if not isinstance(value, Mapping):
-            raise self._bad(key, "a table of keys and values")
-        return value
-
-    def _bad(self, key: str, expected: str) -> InputError:
-        return InputError(f"{self.where}: {key}: expected {expected}")

@@ -29,10 +29,11 @@ def motion_table(tracks: Tracks, camera: Camera, row: Mapping[str, Any]) -> pd.D
     ball that took no part in it.
     """
     slips = slip_directions(row)
-    tables = [_of_ball(c, slips.get(c.particle)) for c in courses(tracks, camera) if len(c) >= 2]
-    if not tables or not camera.metric:
-        return pd.DataFrame({name: np.empty(0, np.int64 if name == "particle" else float) for name in COLUMNS})
-    return pd.concat(tables, ignore_index=True)
+    balls = [c for c in courses(tracks, camera) if len(c) >= 2] if camera.metric else []
+    empty = [np.empty(0, np.int64 if name == "particle" else float) for name in COLUMNS]
+    parts = [empty, *(_of_ball(course, slips.get(course.particle)) for course in balls)]
+    whole = map(np.concatenate, zip(*parts, strict=True))
+    return pd.DataFrame(dict(zip(COLUMNS, whole, strict=True)))
 
 
 def slip_directions(row: Mapping[str, Any]) -> dict[int, Floats]:
@@ -61,10 +62,10 @@ def differences(course: Course) -> tuple[Floats, Floats]:
     return velocity, noise
 
 
-def _of_ball(course: Course, slip: Floats | None) -> pd.DataFrame:
+def _of_ball(course: Course, slip: Floats | None) -> list[NDArray[Any]]:
+    """The columns of one ball."""
     velocity, noise = differences(course)
     along = np.full(2, np.nan) if slip is None else slip
     across = np.array([-along[1], along[0]])
     values = [course.time, np.full(len(course), course.particle), velocity[:, 0], velocity[:, 1]]
-    values += [((velocity**2).sum(axis=1) - noise) / 2, velocity @ along, velocity @ across]
-    return pd.DataFrame(dict(zip(COLUMNS, values, strict=True)))
+    return [*values, ((velocity**2).sum(axis=1) - noise) / 2, velocity @ along, velocity @ across]

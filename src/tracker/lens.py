@@ -90,6 +90,6 @@ def pair_normal(centres: Array, others: Array, radius: float, eye: Array, light:
         fresh_other = _unit(_unit(light - from_) - way)
         change = float(np.max(np.abs(fresh - normal), initial=0.0))
         normal, other = _unit(normal + 0.5 * (fresh - normal)), _unit(other + 0.5 * (fresh_other - other))
-        if change < 1e-7:
+        if change < 1e-5:  # of the radius, 1e-4 px
             break
     return normal

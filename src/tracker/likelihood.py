@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from scipy.special import log_ndtr
 
 from .body import POWERS, Body
-from .bound import ROOT_TWO_PI, fisher, glint_shape, information, slopes
+from .bound import ROOT_TWO_PI, fisher, glint_shape, information, spread
 from .lens import Array
 from .sensor import Sensor
 
@@ -25,9 +25,9 @@ STEPS = 30
 LOG_FLUX = (-5.0, 18.0)
 MOST = 1e6  # counts, of anything under a glint
 SWINGING = 8  # steps, after which a glint still on the move is swinging about its place: half steps from there
-LESSONS = 3  # steps of the shared body
-ROUGH = 0.02  # px and log flux, a first fit before them
-CLOSE = 2e-4  # px and log flux: a step this small usually ends the search
+LESSONS = 2  # steps of the shared body
+ROUGH = 0.02  # px and log flux, a first fit before them: clipped glints need one
+CLOSE = 0.003  # px and log flux: a step this small is the last one, for the next would be a hundredth of it
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,24 +78,41 @@ class Fit:
 def fit(windows: Windows, sigma: float, sensor: Sensor, body: Body | None = None, close: float = CLOSE) -> Fit:
     """Fits a glint of width ``sigma`` px to each window, on a body of known shape or on a bowl of its own.
 
-    A step under ``close``, px and log flux, ends the search.
+    A step under ``close``, px and log flux, is the last one; covariances are those before it.
     """
-    theta = _start(windows, sigma, sensor, body)
-    active = np.arange(len(windows))
-    settled = np.zeros(len(windows))
+    theta, n = _start(windows, sigma, sensor, body), len(windows)
+    active = np.arange(n)
+    _bounded(theta, active, windows.half)
+    part, values = windows, np.full((n, 12), np.nan)
+    limit = _longest(sigma)
     for number in range(STEPS):
         if len(active) == 0:
             break
-        part = windows.take(active)
-        step = _step(theta[active], part, sigma, sensor, body)
+        seen = _see(theta[active], part, sigma, sensor, body)
+        step = np.asarray(np.linalg.solve(seen.told, seen.slope[..., None])[..., 0], dtype=np.float64)
+        step[:, :3] = np.clip(step[:, :3], -limit, limit)
         if number >= SWINGING:
             step *= 0.5
         theta[active] += step
         _bounded(theta, active, part.half)
         still = np.max(np.abs(step[:, :3]), axis=1) > close
-        settled[active[~still]] = 1.0
-        active = active[still]
-    return _result(theta, windows, sigma, sensor, body, settled)
+        if number == STEPS - 1 or not still.all():
+            ended = np.flatnonzero(~still) if number < STEPS - 1 else np.arange(len(active))
+            values[active[ended]] = _figures(seen.take(ended), part.take(ended), step[ended], ~still[ended], sensor)
+        if not still.all():
+            active = active[still]
+            part = windows.take(active)
+    cov, fixed = values[:, :4].reshape(n, 2, 2).copy(), values[:, 4:8].reshape(n, 2, 2).copy()
+    flux = np.exp(theta[:, 2])
+    return Fit(
+        theta[:, :2].copy(), flux, theta[:, 3].copy(), cov, fixed, flux * values[:, 8], values[:, 9], values[:, 10],
+        values[:, 11],
+    )  # fmt: skip
+
+
+def _longest(sigma: float) -> Array:
+    """Of a step: px, px and log flux."""
+    return 0.7 * np.array([sigma, sigma, 1.0])
 
 
 def _bounded(theta: Array, active: NDArray[np.int64], half: int) -> None:
@@ -105,42 +122,68 @@ def _bounded(theta: Array, active: NDArray[np.int64], half: int) -> None:
     theta[active, 3:] = np.clip(theta[active, 3:], -MOST, MOST)
 
 
-def _model(theta: Array, windows: Windows, sigma: float, body: Body | None) -> tuple[Array, Array]:
-    """Means (n, s, s) and their derivatives (n, p, s, s) by x, y, log flux, level, a free bowl, the ghosts' fluxes."""
-    half = windows.half
+def _model(theta: Array, windows: Windows, sigma: float, body: Body | None, room: int = 0) -> tuple[Array, Array]:
+    """Means (n, s, s) and their derivatives (n, p, s, s) by x, y, log flux, level, a free bowl, the ghosts' fluxes;
+    room: for how many further derivatives, not filled in.
+    """
+    half, ghosts = windows.half, windows.ghosts.shape[1]
     shape = glint_shape(theta[:, :2], windows.streak, sigma, half)
-    flux = np.exp(theta[:, 2])
+    flux = np.exp(theta[:, 2])[:, None, None]
     middle = theta[:, :2] + windows.bowl
-    linear = [np.ones_like(shape.value)]
+    parts = np.empty((len(theta), 4 + (body is None) + ghosts + room, *shape.value.shape[1:]))
+    for i, one in enumerate((shape.by_x, shape.by_y, shape.value)):
+        np.multiply(flux, one, out=parts[:, i])
+    parts[:, 3] = 1.0
+    mean = parts[:, 2] + theta[:, 3, None, None]
     if body is None:
-        square = (np.arange(-half, half + 1.0) - middle[..., None]) ** 2
-        linear.append((square[:, 1, :, None] + square[:, 0, None, :]) / half**2)
-    for g in range(windows.ghosts.shape[1]):
-        ghost = windows.ghosts[:, g]
-        lit = glint_shape(ghost[:, :2], windows.streak, sigma, half).value
-        linear.append(lit * ghost[:, 2, None, None])
-    mean = flux[:, None, None] * shape.value
-    for i, basis in enumerate(linear):
-        mean += theta[:, 3 + i, None, None] * basis
-    parts = np.concatenate([slopes(shape, flux)[:, :3], np.stack(linear, axis=1)], axis=1)
-    if body is not None:
+        square = (np.arange(-half, half + 1.0) - middle[..., None]) ** 2 / half**2
+        np.add(square[:, 1, :, None], square[:, 0, None, :], out=parts[:, 4])
+        mean += theta[:, 4, None, None] * parts[:, 4]
+    else:
         height, by_x, by_y = body.height(middle, windows.streak, half)
         mean += height
         parts[:, 0] += by_x
         parts[:, 1] += by_y
+    for g in range(ghosts):
+        ghost, at = windows.ghosts[:, g], 4 + (body is None) + g
+        lit = glint_shape(ghost[:, :2], windows.streak, sigma, half).value
+        np.multiply(lit, ghost[:, 2, None, None], out=parts[:, at])
+        mean += theta[:, at, None, None] * parts[:, at]
     return mean, parts
 
 
-def _step(theta: Array, windows: Windows, sigma: float, sensor: Sensor, body: Body | None) -> Array:
-    mean, parts = _model(theta, windows, sigma, body)
-    told = fisher(information(mean, sensor) * windows.used, parts)
-    score = _score(windows.counts, mean, sensor) * windows.used
-    flat = parts.reshape(*parts.shape[:2], -1)
-    slope = (flat @ score.reshape(len(flat), -1, 1))[..., 0]
-    step = np.linalg.solve(_loaded(told), slope[..., None])[..., 0]
-    limit = np.array([0.7 * sigma, 0.7 * sigma, 0.7])
-    step[:, :3] = np.clip(step[:, :3], -limit, limit)
-    return np.asarray(step, dtype=np.float64)
+@dataclass(frozen=True, eq=False)
+class _Seen:
+    """A model beside its windows: ``mean`` and ``variance`` (n, s, s), ``parts`` (n, p, s, s), the information
+    ``told`` (n, p, p) and the score ``slope`` (n, p) of the parameters.
+    """
+
+    mean: Array
+    variance: Array
+    parts: Array
+    told: Array
+    slope: Array
+
+    def take(self, rows: NDArray[np.int64]) -> _Seen:
+        if len(rows) == len(self.mean):
+            return self
+        return _Seen(*(getattr(self, name)[rows] for name in self.__dataclass_fields__))
+
+
+def _see(
+    theta: Array, windows: Windows, sigma: float, sensor: Sensor, body: Body | None, shared: bool = False
+) -> _Seen:
+    """shared: by the body's coefficients too, last of the parameters."""
+    room = len(POWERS) if shared else 0
+    mean, parts = _model(theta, windows, sigma, body, room)
+    if shared and body is not None:
+        parts[:, -room:] = body.basis(theta[:, :2] + windows.bowl, windows.half)
+    noise = spread(mean, sensor)
+    told = fisher(information(mean, sensor, noise) * windows.used, parts)
+    score = _score(windows.counts, mean, sensor, noise)
+    score *= windows.used
+    slope = parts.reshape(*parts.shape[:2], -1) @ score.reshape(len(theta), -1, 1)
+    return _Seen(mean, noise[0], parts, _loaded(told), slope[..., 0])
 
 
 def _loaded(told: Array) -> Array:
@@ -157,77 +200,73 @@ def _start(windows: Windows, sigma: float, sensor: Sensor, body: Body | None) ->
     total = np.maximum(weight.sum(axis=(1, 2)), 1e-300)
     mean_shape = (weight * shape.value).sum(axis=(1, 2)) / total
     mean_count = (weight * windows.counts).sum(axis=(1, 2)) / total
-    spread = shape.value - mean_shape[:, None, None]
-    power = np.maximum((weight * spread * spread).sum(axis=(1, 2)), 1e-300)
-    flux = (weight * spread * windows.counts).sum(axis=(1, 2)) / power
+    rise = shape.value - mean_shape[:, None, None]
+    power = np.maximum((weight * rise * rise).sum(axis=(1, 2)), 1e-300)
+    flux = (weight * rise * windows.counts).sum(axis=(1, 2)) / power
     flux = np.maximum(flux, 3.0 / np.sqrt(power))
     rest = np.zeros((len(windows), (body is None) + windows.ghosts.shape[1]))
     return np.column_stack([windows.start, np.log(flux), mean_count - flux * mean_shape, rest])
 
 
-def _score(counts: Array, mean: Array, sensor: Sensor) -> Array:
+def _score(counts: Array, mean: Array, sensor: Sensor, noise: tuple[Array, Array]) -> Array:
     """d log likelihood / d mean of each pixel."""
-    variance = sensor.variance(mean)
-    k = sensor.variance_slope(mean) / (2.0 * variance)
+    variance, k = noise
     miss = counts - mean
-    score = miss / variance + k * (miss * miss / variance - 1.0)
+    score = miss / variance
+    score += k * (miss * score - 1.0)
     full = counts >= sensor.ceiling
     if np.any(full):
         root = 1.0 / np.sqrt(variance[full])
         z = (sensor.ceiling - 0.5 - mean[full]) * root
         hazard = np.exp(-0.5 * z * z - log_ndtr(-z)) / ROOT_TWO_PI
         score[full] = hazard * (root + k[full] * z)
-    return np.asarray(score, dtype=np.float64)
+    return score
 
 
-def learn(windows: Windows, sigma: float, sensor: Sensor, end: float) -> Body:
-    """The one body under which all the windows are likeliest, each with a place, flux and level of its own.
+def learn(windows: Windows, sigma: float, sensor: Sensor, end: float) -> tuple[Body, Array]:
+    """The one body under which all the windows are likeliest, and their places (n, 2) px from the central pixel.
 
-    The windows' own parameters are eliminated (Schur complement); their problem is nearly linear in the body.
+    Each has a place, flux and level of its own; these are eliminated (Schur complement), and the rest is nearly linear.
     """
-    theta = _start(windows, sigma, sensor, Body(end, np.zeros(len(POWERS))))
-    own = fit(windows, sigma, sensor, close=ROUGH)
+    body, limit = Body(end, np.zeros(len(POWERS))), _longest(sigma)
+    theta, own = _start(windows, sigma, sensor, body), fit(windows, sigma, sensor, close=ROUGH)
     theta[:, :3] = np.column_stack([own.xy, np.log(own.flux)])
-    body = Body(end, np.zeros(len(POWERS)))
     for _ in range(LESSONS):
-        mean, parts = _model(theta, windows, sigma, body)
-        shared = body.basis(theta[:, :2] + windows.bowl, windows.half)
-        told = fisher(information(mean, sensor) * windows.used, np.concatenate([parts, shared], axis=1))
-        score = (_score(windows.counts, mean, sensor) * windows.used).reshape(len(theta), -1, 1)
-        slope = np.concatenate([parts, shared], axis=1).reshape(len(theta), told.shape[1], -1) @ score
-        of_own, across, of_body = _loaded(told)[:, :4, :4], told[:, :4, 4:], told[:, 4:, 4:]
+        seen = _see(theta, windows, sigma, sensor, body, shared=True)
+        of_own, across, of_body = seen.told[:, :4, :4], seen.told[:, :4, 4:], seen.told[:, 4:, 4:]
+        slope = seen.slope[..., None]
         solved = np.linalg.solve(of_own, np.concatenate([across, slope[:, :4]], axis=2))
         left = (of_body - across.transpose(0, 2, 1) @ solved[:, :, :-1]).sum(axis=0)
         push = (slope[:, 4:] - across.transpose(0, 2, 1) @ solved[:, :, -1:]).sum(axis=0)
         change = np.linalg.solve(left + 1e-9 * np.diag(np.diag(left)) + 1e-12 * np.eye(len(left)), push)
-        theta += np.clip(solved[:, :, -1:] - solved[:, :, :-1] @ change, -MOST, MOST)[..., 0]
+        step = (solved[:, :, -1:] - solved[:, :, :-1] @ change)[..., 0]
+        step[:, :3] = np.clip(step[:, :3], -limit, limit)
+        theta += step
         _bounded(theta, np.arange(len(theta)), windows.half)
         body = Body(end, np.clip(body.coefficients + change[:, 0], -MOST, MOST))
-    return body
+    return body, theta[:, :2]
 
 
-def _result(theta: Array, windows: Windows, sigma: float, sensor: Sensor, body: Body | None, settled: Array) -> Fit:
-    mean, parts = _model(theta, windows, sigma, body)
-    cov = np.linalg.inv(_loaded(fisher(information(mean, sensor) * windows.used, parts)))
-    flux = np.exp(theta[:, 2])
-    variance = sensor.variance(mean)
-    is_open = windows.used * (windows.counts < sensor.ceiling)
+def _figures(seen: _Seen, windows: Windows, step: Array, settled: NDArray[np.bool_], sensor: Sensor) -> Array:
+    """(n, 12): cov and fixed of the place, error of log flux, chi^2 a degree of freedom, log likelihood, settled.
+
+    The last ``step`` (n, p) raises the likelihood by half of step . slope.
+    """
+    n, mean, variance = len(step), seen.mean, seen.variance
+    cov = np.linalg.inv(seen.told)
+    full = windows.counts >= sensor.ceiling
+    is_open = windows.used * ~full if full.any() else windows.used
     square = (windows.counts - mean) ** 2 / variance
     # A fixed error of a pixel shifts the place by cov d_a m / v: its covariance is that of these shifts.
-    pattern = cov @ fisher(is_open * sensor.fixed_variance(mean) / variance**2, parts) @ cov
-    freedom = np.maximum(is_open.sum(axis=(1, 2)) - theta.shape[1], 1.0)
-    tail = np.zeros_like(mean)
-    full = (windows.used > 0) & (is_open == 0)
-    tail[full] = log_ndtr((mean[full] - sensor.ceiling + 0.5) / np.sqrt(variance[full]))
-    loglik = is_open * (-0.5 * square - 0.5 * np.log(variance)) + tail
-    return Fit(
-        xy=theta[:, :2].copy(),
-        flux=flux,
-        background=theta[:, 3].copy(),
-        cov=np.ascontiguousarray(cov[:, :2, :2]),
-        fixed=np.ascontiguousarray(pattern[:, :2, :2]),
-        flux_std=flux * np.sqrt(cov[:, 2, 2]),
-        chi2=(is_open * square).sum(axis=(1, 2)) / freedom,
-        loglik=loglik.sum(axis=(1, 2)),
-        settled=settled,
-    )
+    pattern = cov @ fisher(is_open * sensor.fixed_variance(mean) / variance**2, seen.parts) @ cov
+    freedom = np.maximum(is_open.sum(axis=(1, 2)) - step.shape[1], 1.0)
+    gain = np.where(settled, (step * seen.slope).sum(axis=1), 0.0)
+    loglik = is_open * (-0.5 * square - 0.5 * np.log(variance))
+    beyond = full & (windows.used > 0)
+    if beyond.any():
+        loglik[beyond] = log_ndtr((mean[beyond] - sensor.ceiling + 0.5) / np.sqrt(variance[beyond]))
+    chi2 = ((is_open * square).sum(axis=(1, 2)) - gain) / freedom
+    return np.column_stack([
+        cov[:, :2, :2].reshape(n, 4), pattern[:, :2, :2].reshape(n, 4), np.sqrt(cov[:, 2, 2]), chi2,
+        loglik.sum(axis=(1, 2)) + gain / 2, settled,
+    ])  # fmt: skip

@@ -49,16 +49,17 @@ def _phis(z: Floats) -> list[Floats]:
 
     A series where those terms would cancel, the recurrence phi_k = 1/k! - z phi_(k+1) elsewhere.
     """
-    wide = np.abs(z) > 1.0
-    near = np.where(wide, 0.0, z)
-    terms = 4 + int(14 * min(1.0, float(np.max(np.abs(near), initial=0.0)) + 0.15))
+    size = float(np.abs(z).max(initial=0.0))
+    wide = np.abs(z) > 1.0 if size > 1.0 else None
+    near = z if wide is None else np.where(wide, 0.0, z)
+    terms = 4 + int(14 * min(1.0, size + 0.15))
     phi4 = np.full(z.shape, 1.0 / factorial(terms + 4))
     for j in range(terms - 1, -1, -1):
         phi4 = 1.0 / factorial(j + 4) - near * phi4
     phis = [phi4]
     for k in (3, 2, 1, 0):
         phis.insert(0, 1.0 / factorial(k) - near * phis[0])
-    if wide.any():
+    if wide is not None:
         far = np.where(wide, z, 1.0)
         upward = np.exp(-far)
         for k in range(5):
@@ -78,138 +79,163 @@ class Rolled:
     area_decel: Floats
 
 
-def rolled(speed: float, drag: float, decel: float, t: Floats) -> Rolled:
+def rolled(speed: float | Floats, drag: float, decel: float, t: Floats) -> Rolled:
     """Rolling under a = -(drag v + decel), at `speed` (m/s) at t = 0, until it stops; t may be negative.
 
-    Everything is written with phi functions, so drag = 0 needs no special case.
+    speed: one, or one for each t. Everything is written with phi functions, so drag = 0 needs no special case.
     """
     stop = stopping_time(speed, drag, decel)
-    run, rest = np.minimum(t, stop), np.maximum(t - stop, 0.0)
+    run = np.minimum(t, stop)
     _, p1, p2, p3, p4 = _phis(drag * run)
+    square = run * run
     way = run * (speed * p1 - decel * run * p2)
-    way_drag = run**2 * (speed * (p2 - p1) - decel * run * (2 * p3 - p2))  # phi_k' = k phi_(k+1) - phi_k
-    return Rolled(
-        way=way,
-        area=run**2 * (speed * p2 - decel * run * p3) + way * rest,
-        area_speed=run**2 * p2 + run * p1 * rest,
-        area_drag=run**3 * (speed * (2 * p3 - p2) - decel * run * (3 * p4 - p3)) + way_drag * rest,
-        area_decel=-(run**3) * p3 - run**2 * p2 * rest,
-    )
+    area = square * (speed * p2 - decel * run * p3)
+    area_speed = square * p2
+    area_drag = square * run * (speed * (2 * p3 - p2) - decel * run * (3 * p4 - p3))
+    area_decel = -square * run * p3
+    rest = t - run
+    if rest.any():  # it stands still from then on
+        way_drag = square * (speed * (p2 - p1) - decel * run * (2 * p3 - p2))  # phi_k' = k phi_(k+1) - phi_k
+        area += way * rest
+        area_speed += run * p1 * rest
+        area_drag += way_drag * rest
+        area_decel -= square * p2 * rest
+    return Rolled(way, area, area_speed, area_drag, area_decel)
 
 
-def stopping_time(speed: float, drag: float, decel: float) -> float:
-    """Seconds until a = -(drag v + decel) brings `speed` to rest; inf if it never does."""
-    if decel <= 0 or speed <= 0 or drag * speed <= -decel:
-        return np.inf
-    ratio = drag * speed / decel
-    return speed / decel * (np.log1p(ratio) / ratio if abs(ratio) > 1e-8 else 1 - ratio / 2)
+def stopping_time(speed: float | Floats, drag: float, decel: float) -> Floats:
+    """Seconds until a = -(drag v + decel) brings `speed`, one or many, to rest; inf if it never does."""
+    fast = np.asarray(speed, dtype=np.float64)
+    if decel <= 0:
+        return np.full(fast.shape, np.inf)
+    stops = (fast > 0) & (drag * fast > -decel)
+    ratio = np.where(stops, drag * fast / decel, 0.0)
+    small = np.abs(ratio) < 1e-8
+    share = np.where(small, 1 - ratio / 2, np.log1p(ratio) / np.where(small, 1.0, ratio))
+    return np.where(stops, fast / decel * share, np.inf)
 
 
 # --- the path of both balls ---
 
 
-def directions(heading: float, beta: float) -> tuple[Floats, Floats, Floats]:
-    """Unit vectors d (ball 2's motion relative to ball 1), n (from ball 2 to ball 1 at contact), t = z x n."""
-    d = np.array([np.cos(heading), np.sin(heading)])
-    n = np.array([np.cos(heading - beta), np.sin(heading - beta)])
-    return d, n, np.array([-n[1], n[0]])
+def directions(
+    heading: NDArray[np.inexact] | float, beta: NDArray[np.inexact] | float
+) -> tuple[NDArray[np.inexact], NDArray[np.inexact], NDArray[np.inexact]]:
+    """Unit vectors (..., 2): d (ball 2's motion relative to ball 1), n (from ball 2 to ball 1 at contact), z x n."""
+    d = np.stack([np.cos(heading), np.sin(heading)], -1)
+    n = np.stack([np.cos(heading - beta), np.sin(heading - beta)], -1)
+    return d, n, np.stack([-n[..., 1], n[..., 0]], -1)
 
 
-def path(free: Floats, ball: int, start: Floats, exposure: float, diameter: float) -> tuple[Floats, Floats]:
-    """Mean positions of one ball over [start, start + exposure], and their derivatives.
+def path(
+    free: Floats, ball: int | NDArray[np.int64], start: Floats, exposure: float, diameter: float
+) -> tuple[Floats, Floats]:
+    """Mean positions of balls over [start, start + exposure], and their derivatives.
 
-    free: (20,) in the order of FREE. ball: 1 (struck) or 2 (striker). start: (n,) s. exposure: s, 0 for
-    instants. diameter: m. Returns positions (n, 2) m and derivatives (n, 2, 20). Exact: closed-form
+    free: (20,) in the order of FREE. ball: 1 (struck) or 2 (striker), or (n,) of them. start: (n,) s. exposure: s, 0
+    for instants. diameter: m. Returns positions (n, 2) m and derivatives (n, 2, 20). Exact: closed-form
     integrals over each leg, so an exposure that holds the impact or the end of a slide needs no care.
     """
     if exposure < SHORTEST_EXPOSURE:
         start = start - SHORTEST_EXPOSURE / 2
         exposure = SHORTEST_EXPOSURE
-    edges = np.concatenate([start, start + exposure])
-    area, slope = _areas(free, ball, edges)
-    n = len(start)
-    place, slope_place = _contact_place(free, ball, diameter)
-    position = place + (area[n:] - area[:n]) / exposure
-    return position, slope_place + (slope[n:] - slope[:n]) / exposure
+    n, second = len(start), np.broadcast_to(ball, len(start)) == 2
+    since = np.concatenate([start, start + exposure]) - free[0]
+    area, slope = _areas(free, np.concatenate([second, second]).astype(np.int64), since)
+    position, derivative = (area[n:] - area[:n]) / exposure, (slope[:, n:] - slope[:, :n]) / exposure
+    position += free[1:3]
+    derivative[1, :, 0] += 1.0
+    derivative[2, :, 1] += 1.0
+    _, normal, tangent = directions(free[3], free[4])
+    position -= second[:, None] * (diameter * normal)
+    turn = second[:, None] * (diameter * tangent)
+    derivative[3] -= turn
+    derivative[4] += turn
+    return position, derivative.transpose(1, 2, 0)
 
 
-def _contact_place(free: Floats, ball: int, diameter: float) -> tuple[Floats, Floats]:
-    """Centre of a ball at t_c and its derivatives (2, 20)."""
-    place, slope = free[1:3].copy(), np.zeros((2, len(FREE)))
-    slope[0, 1] = slope[1, 2] = 1.0
-    if ball == 2:
-        _, n, t = directions(free[3], free[4])
-        place = place - diameter * n
-        slope[:, 3], slope[:, 4] = -diameter * t, diameter * t
-    return place, slope
+def _areas(free: Floats, second: NDArray[np.int64], since: Floats) -> tuple[Floats, Floats]:
+    """Integral over time, from t_c, of the displacement since t_c; (n, 2) m s and derivatives (20, n, 2).
 
-
-def _areas(free: Floats, ball: int, when: Floats) -> tuple[Floats, Floats]:
-    """Integral over time, from t_c, of the displacement since t_c; (n, 2) m s and derivatives (n, 2, 20)."""
-    since = when - free[0]
-    area, slope = np.zeros((len(when), 2)), np.zeros((len(when), 2, len(FREE)))
-    before = since < 0
-    if before.any() and (ball == 2 or free[-2:].any()):
-        _approach(free, ball, since[before], area, slope, before)
-    if not before.all():
-        _departure(free, AFTER[ball], since[~before], area, slope, ~before)
+    second (n,): 1 for ball 2, else 0.
+    """
+    area, slope = np.zeros((len(since), 2)), np.zeros((len(FREE), len(since), 2))
+    came = since < 0
+    rows = np.flatnonzero(came & (second > 0) if not free[-2:].any() else came)
+    if len(rows):
+        area[rows], slope[:, rows] = _approach(free, second[rows], since[rows])
+    rows = np.flatnonzero(~came)
+    if len(rows):
+        area[rows], slope[:, rows] = _departure(free, second[rows], since[rows])
     return area, slope
 
 
-def _approach(free: Floats, ball: int, s: Floats, area: Floats, slope: Floats, rows: NDArray[np.bool_]) -> None:
-    """A ball rolling up to the contact."""
+def _approach(free: Floats, second: NDArray[np.int64], s: Floats) -> tuple[Floats, Floats]:
+    """Balls rolling up to the contact."""
     heading, v0, drag, decel = free[[3, 5, 6, 7]]
     d = np.array([np.cos(heading), np.sin(heading)])
-    velocity = free[-2:] + v0 * d if ball == 2 else free[-2:]
-    speed = float(np.hypot(velocity[0], velocity[1]))
-    along = velocity / max(speed, 1e-300)
+    speed, along = _polar(np.stack([free[-2:], free[-2:] + v0 * d]))
+    speed, along = speed[second], along[second]
     roll = rolled(speed, drag, decel, s)
-    area[rows] = roll.area[:, None] * along
-    part = np.zeros((len(s), 2, len(FREE)))
-    part[:, :, 0] = -roll.way[:, None] * along
-    part[:, :, 6] = roll.area_drag[:, None] * along
-    part[:, :, 7] = roll.area_decel[:, None] * along
-    turned = _by_velocity(roll, speed, along)
-    part[:, :, -2:] = turned
-    if ball == 2:
-        part[:, :, 3] = turned @ (v0 * np.array([-d[1], d[0]]))
-        part[:, :, 5] = turned @ d
-    slope[rows] = part
+    part = np.zeros((len(FREE), len(s), 2))
+    part[0] = -roll.way[:, None] * along
+    part[6] = roll.area_drag[:, None] * along
+    part[7] = roll.area_decel[:, None] * along
+    part[-2:] = turned = _by_velocity(roll, speed, along)
+    launched = turned * second[:, None]
+    part[3] = v0 * (launched[1] * d[0] - launched[0] * d[1])
+    part[5] = launched[0] * d[0] + launched[1] * d[1]
+    return roll.area[:, None] * along, part
 
 
-def _by_velocity(roll: Rolled, speed: float, along: Floats) -> Floats:
-    """d(area)/d(velocity), (n, 2, 2): a velocity that turns takes the whole rolled way with it."""
-    projector = np.outer(along, along)
-    turn = roll.area / max(speed, 1e-300)
-    return roll.area_speed[:, None, None] * projector + turn[:, None, None] * (np.eye(2) - projector)
+def _polar(velocities: Floats) -> tuple[Floats, Floats]:
+    """Speeds (k,) and directions (k, 2); of a ball at rest the direction is 0."""
+    speed = np.hypot(velocities[:, 0], velocities[:, 1])
+    return speed, velocities / np.maximum(speed, 1e-300)[:, None]
 
 
-def _departure(free: Floats, at: int, s: Floats, area: Floats, slope: Floats, rows: NDArray[np.bool_]) -> None:
-    """A ball sliding, then rolling, after the contact; `at` is where its numbers begin in FREE."""
-    v, f, tau = free[at : at + 2], free[at + 2 : at + 4], float(np.exp(free[at + 4]))
-    speed = float(np.hypot(f[0], f[1]))
-    along = f / speed if speed > 0 else np.zeros(2)
-    slide, roll_time = np.minimum(s, tau), np.maximum(s - tau, 0.0)
+def _by_velocity(roll: Rolled, speed: Floats, along: Floats) -> Floats:
+    """d(area)/d(velocity), by its component (2, n, 2): a velocity that turns takes the whole rolled way with it."""
+    turn = roll.area / np.maximum(speed, 1e-300)
+    x, y = along[:, 0], along[:, 1]
+    off = roll.area_speed - turn
+    out = np.empty((2, len(turn), 2))
+    out[0, :, 0] = turn + off * x * x
+    out[0, :, 1] = out[1, :, 0] = off * x * y
+    out[1, :, 1] = turn + off * y * y
+    return out
+
+
+def _departure(free: Floats, second: NDArray[np.int64], s: Floats) -> tuple[Floats, Floats]:
+    """Balls sliding, then rolling, after the contact."""
+    own = np.stack([free[at : at + 5] for at in (AFTER[1], AFTER[2])])
+    speed, along = (x[second] for x in _polar(own[:, 2:4]))
+    tau = np.exp(own[:, 4])[second]
+    v, change = own[second, :2], (own[:, 2:4] - own[:, :2])[second]
+    slide = np.minimum(s, tau)
+    roll_time = s - slide
     roll = rolled(speed, free[6], free[7], roll_time)
 
-    both = slide**2 / 2 + slide * roll_time  # weight of the velocity a ball keeps throughout
-    gain = slide**2 * (slide / 6 + roll_time / 2) / tau  # weight of the change from v to f
-    change = f - v
-    area[rows] = both[:, None] * v + gain[:, None] * change + roll.area[:, None] * along
+    square = slide * slide
+    both = square / 2 + slide * roll_time  # weight of the velocity a ball keeps throughout
+    gain = square * (slide / 6 + roll_time / 2) / tau  # weight of the change from v to its final one
+    area = both[:, None] * v + gain[:, None] * change + roll.area[:, None] * along
 
-    part = np.zeros((len(s), 2, len(FREE)))
-    way = slide[:, None] * v + (slide**2 / (2 * tau))[:, None] * change + roll.way[:, None] * along
-    part[:, :, 0] = -way
-    part[:, :, at + 2 : at + 4] = _by_velocity(roll, speed, along)
-    for axis in (0, 1):
-        part[:, axis, at + axis] = both - gain
-        part[:, axis, at + 2 + axis] += gain
-    late = np.where(roll_time > 0, roll_time / 2 - tau / 6, -(slide**3) / (6 * tau**2))
-    by_tau = roll_time[:, None] * v + late[:, None] * change - roll.way[:, None] * along
-    part[:, :, at + 4] = by_tau * tau
-    part[:, :, 6] = roll.area_drag[:, None] * along
-    part[:, :, 7] = roll.area_decel[:, None] * along
-    slope[rows] = part
+    by_final = _by_velocity(roll, speed, along)
+    by_final[0, :, 0] += gain
+    by_final[1, :, 1] += gain
+    late = np.where(roll_time > 0, tau * (roll_time / 2 - tau / 6), -square * slide / (6 * tau))
+    by_tau = (tau * roll_time)[:, None] * v + late[:, None] * change - (tau * roll.way)[:, None] * along
+    part = np.zeros((len(FREE), len(s), 2))
+    part[0] = -slide[:, None] * v - (square / (2 * tau))[:, None] * change - roll.way[:, None] * along
+    part[6] = roll.area_drag[:, None] * along
+    part[7] = roll.area_decel[:, None] * along
+    for ball, at in enumerate((AFTER[1], AFTER[2])):
+        own_rows = (second == ball).astype(np.float64)
+        part[at, :, 0] = part[at + 1, :, 1] = (both - gain) * own_rows
+        np.multiply(by_final, own_rows[:, None], out=part[at + 2 : at + 4])
+        np.multiply(by_tau, own_rows[:, None], out=part[at + 4])
+    return area, part
 
 
 # --- the impact ---
@@ -228,9 +254,7 @@ def release(tied: NDArray[np.inexact], spin: float = 0.0) -> NDArray[np.inexact]
     """
     heading, beta, v0, target = tied[..., 3], tied[..., 4], tied[..., 5], tied[..., -2:]
     r, mu, c = tied[..., 8, None], np.exp(tied[..., 9]), tied[..., 10, None]
-    d = np.stack([np.cos(heading), np.sin(heading)], -1)
-    n = np.stack([np.cos(heading - beta), np.sin(heading - beta)], -1)
-    t = np.stack([-n[..., 1], n[..., 0]], -1)
+    d, n, t = directions(heading, beta)
     normal, tangent = (v0 * np.cos(beta))[..., None] * n, (v0 * np.sin(beta))[..., None] * t
     twist = c * (normal + 2 * (target * n).sum(-1)[..., None] * n)  # C S n
     kick = (1 + r) / 2 * normal + 0.4 * c * (tangent + spin * t)  # ball 1's change of velocity

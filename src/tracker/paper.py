@@ -31,15 +31,12 @@ def read(meeting: Encounter, fps: float) -> dict[str, tuple[float, float]]:
     places, covs = zip(*(_sample(c, meeting.frame, end) for c, end in zip(balls, ends, strict=True)), strict=True)
     taus = np.array([np.nan if end is None else (end - meeting.frame) / fps for end in ends])
     sample, cov = np.stack(places), np.stack(covs)  # (2, 7, 2), (2, 7, 2, 2)
-    value = _read(sample, taus, diameter, fps, meeting.pair.moving)
-    spread = np.zeros(len(value))
-    for ball, row in np.ndindex(2, 7):
-        if not np.isfinite(sample[ball, row]).all():
-            continue
-        for step in np.linalg.cholesky(cov[ball, row]).T:
-            moved = sample.copy()
-            moved[ball, row] += step
-            spread += np.nan_to_num(_read(moved, taus, diameter, fps, meeting.pair.moving) - value) ** 2
+    steps = np.zeros((2, 7, 2, *sample.shape))  # by ball, frame and column of the covariance's root
+    for ball, row in np.argwhere(np.isfinite(sample).all(axis=2)):
+        steps[ball, row, :, ball, row] = np.linalg.cholesky(cov[ball, row]).T
+    moved = np.concatenate([sample[None], sample + steps.reshape(-1, *sample.shape)])
+    value, *others = _read(moved, taus, diameter, fps, meeting.pair.moving)
+    spread = np.nansum((np.array(others) - value) ** 2, axis=0)
     table = {name: (float(v), float(s)) for name, v, s in zip(_READ, value, np.sqrt(spread), strict=True)}
     for name, tau in zip(("tau1", "tau2"), taus, strict=True):
         table[name] = (float(tau), READING / fps if np.isfinite(tau) else np.nan)
@@ -113,27 +110,35 @@ _READ = (
 
 
 def _read(sample: Floats, taus: Floats, diameter: float, fps: float, moving: bool) -> Floats:
-    """The quantities of _READ from places (2, 7, 2); moving: whether ball 1 was, before the hit."""
-    before, after, final = ((sample[:, i] - sample[:, j]) * fps / 2 for i, j in ((1, 0), (4, 3), (6, 5)))
-    apart = sample[0, 2] - sample[1, 2]
-    n = apart / np.hypot(*apart)
-    t = np.array([-n[1], n[0]])
-    launch = before[1] - before[0]
-    v0 = float(np.hypot(*launch))
-    d = launch / v0
+    """The quantities of _READ (k, 15) from places (k, 2, 7, 2); moving: whether ball 1 was, before the hit."""
+    before, after, final = ((sample[:, :, i] - sample[:, :, j]) * fps / 2 for i, j in ((1, 0), (4, 3), (6, 5)))
+    apart = sample[:, 0, 2] - sample[:, 1, 2]
+    launch = before[:, 1] - before[:, 0]
+    v0 = np.hypot(launch[:, 0], launch[:, 1])
+    n, d = apart / np.hypot(apart[:, 0], apart[:, 1])[:, None], launch / v0[:, None]
+    t = np.column_stack([-n[:, 1], n[:, 0]])
     carried = (7 * final - 5 * after) / 2  # R w x z just after the impact
-    w_n, w_t = -carried @ t / (diameter / 2), carried @ n / (diameter / 2)
-    start = before.sum(axis=0) if moving else launch
-    energy = (before**2).sum() if moving else v0**2
-    w_0 = start @ n / (diameter / 2)  # along t, of rolling balls
-    friction = np.hypot(*(final - after).T) / (GRAVITY * taus)
-    speed = np.hypot(*final.T)
+    w_n, w_t = -_dot(carried, t[:, None]) / (diameter / 2), _dot(carried, n[:, None]) / (diameter / 2)
+    start = before.sum(axis=1) if moving else launch
+    energy = (before**2).sum(axis=(1, 2)) if moving else v0**2
+    w_0 = _dot(start, n) / (diameter / 2)  # along t, of rolling balls
+    friction = np.hypot(*np.moveaxis(final - after, -1, 0)) / (GRAVITY * taus)
+    speed, (one, two) = np.hypot(final[..., 0], final[..., 1]), (final[:, 0], final[:, 1])
+    parted = after[:, 0] - after[:, 1]
     with np.errstate(divide="ignore", invalid="ignore"):
-        s = (after[0] - after[1]) @ t / (-launch @ t)
-    return np.array([
-        v0, d[1] * n[0] - d[0] * n[1], (after[0] - after[1]) @ n / (launch @ n), s,
-        friction.mean(), (1 - (w_t[0] + w_t[1]) / w_0) / 2, *speed, (speed**2).sum() / energy,
-        final.sum(axis=0) @ start / (start @ start),
-        np.arctan2(abs(final[0, 0] * final[1, 1] - final[0, 1] * final[1, 0]), final[0] @ final[1]),
-        w_n[0], w_t[0], w_n[1], w_t[1],
+        s = _dot(parted, t) / -_dot(launch, t)
+    return np.column_stack([
+        v0, _cross(n, d), _dot(parted, n) / _dot(launch, n), s,
+        friction.mean(axis=1), (1 - w_t.sum(axis=1) / w_0) / 2, speed, (speed**2).sum(axis=1) / energy,
+        _dot(one + two, start) / _dot(start, start), np.arctan2(np.abs(_cross(one, two)), _dot(one, two)),
+        w_n[:, 0], w_t[:, 0], w_n[:, 1], w_t[:, 1],
     ])  # fmt: skip
+
+
+def _dot(a: Floats, b: Floats) -> Floats:
+    return np.asarray((a * b).sum(-1))
+
+
+def _cross(a: Floats, b: Floats) -> Floats:
+    """z . (a x b)."""
+    return np.asarray(a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0])

@@ -82,7 +82,7 @@ def courses(tracks: Tracks, camera: Camera) -> list[Course]:
         pixel = np.broadcast_to(np.eye(2) * (noise if np.isfinite(noise) else UNKNOWN_PX) ** 2, pixel.shape)
         fixed = np.zeros_like(pixel)
     cov, shared = (slope @ c @ np.swapaxes(slope, 1, 2) for c in (pixel, np.nan_to_num(fixed)))
-    start, width = frame / camera.fps, (camera.sigma or GLINT_PX) * camera.scale
+    start, width = frame / camera.fps + camera.line_time * xy[:, 1], (camera.sigma or GLINT_PX) * camera.scale
     found = []
     for ball in np.unique(particle):
         rows = np.flatnonzero(particle == ball)

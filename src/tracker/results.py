@@ -54,7 +54,8 @@ def write_clip(
     table = tracks_table(tracks)
     pyarrow.parquet.write_table(table, aside / "tracks.parquet")
     pyarrow.csv.write_csv(table, aside / "tracks.csv", pyarrow.csv.WriteOptions(quoting_style="needed"))
-    pyarrow.parquet.write_table(_plain(motion), aside / "motion.parquet")
+    columns = {name: pa.array(motion[name].to_numpy(), from_pandas=True) for name in motion.columns}
+    pyarrow.parquet.write_table(pa.table(columns), aside / "motion.parquet")
     write_json(aside / "estimates.json", list(rows))
     write_json(aside / "camera.json", camera.to_dict())
     os.replace(aside, final)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import cv2
@@ -17,6 +17,7 @@ SIGNIFICANCE = 6.5  # noise deviations of a box sum; one false find in some 10^1
 MOST = 64  # finds a frame: beyond that it is no picture of a few balls
 CROWDED = 0.3  # share of a frame's pixels over the threshold that is too much to be balls
 ROUNDING = 0.29  # counts, the noise of rounding alone
+ALONE = 0.25  # of a pixel's height, what its neighbours have at least beside a glint of width .55 px
 CELL = 12  # px, of the coarse picture that gives the plate's smooth part
 # Sorting network for the median of nine (Paeth 1990, Graphics Gems): exact, and as fast as the minimum.
 MEDIAN_OF_NINE = (
@@ -27,10 +28,13 @@ MEDIAN_OF_NINE = (
 
 @dataclass(frozen=True, eq=False)
 class Ground:
-    """The plate without balls: ``level`` (h, w) counts in the frames' type, ``noise`` counts a pixel a frame."""
+    """The plate without balls: ``level`` (h, w) counts in the frames' type, ``noise`` counts a pixel a frame, and
+    ``hot``: which pixels (k,) of the flattened plate stand out alone and tell nothing of a ball.
+    """
 
     level: NDArray[Any]
     noise: float
+    hot: NDArray[np.int64] = field(default_factory=lambda: np.empty(0, np.int64))
 
 
 def ground(frames: Sequence[Any]) -> Ground:
@@ -44,10 +48,26 @@ def ground(frames: Sequence[Any]) -> Ground:
     noise = _noise(sample)
     middle = _median_of_nine(sample)
     smooth = _smooth(middle)
-    risen = cv2.subtract(middle, smooth, dtype=cv2.CV_32F) >= 4.0 * noise / 3.0 + 1.0
+    over = np.asarray(cv2.subtract(middle, smooth, dtype=cv2.CV_32F), dtype=np.float32)
+    risen = over >= 4.0 * noise / 3.0 + 1.0
+    hot = _lone(over, np.flatnonzero(risen), noise)
+    risen.ravel()[hot] = False
     wide = np.flatnonzero(cv2.dilate(risen.view(np.uint8), np.ones((7, 7), np.uint8)))
+    kept = middle.ravel()[hot]
     middle.ravel()[wide] = np.rint(smooth.ravel()[wide]).astype(middle.dtype)
-    return Ground(middle, noise)
+    middle.ravel()[hot] = kept
+    return Ground(middle, noise, hot)
+
+
+def _lone(over: NDArray[np.float32], risen: NDArray[np.int64], noise: float) -> NDArray[np.int64]:
+    """Which of the risen pixels (k,) have only neighbours too dark for a glint, however sharp the optics."""
+    h, w = over.shape
+    row, column = risen // w, risen % w
+    around = [
+        over[np.clip(row + down, 0, h - 1), np.clip(column + right, 0, w - 1)]
+        for down, right in ((-1, 0), (1, 0), (0, -1), (0, 1))
+    ]
+    return np.asarray(risen[np.max(around, axis=0) < ALONE * over.ravel()[risen] + noise])
 
 
 def _median_of_nine(sheets: list[NDArray[Any]]) -> NDArray[Any]:
@@ -126,20 +146,20 @@ class Search:
             return NONE
         if len(hits) > CROWDED * sums.size:
             return Finds(NONE.column, NONE.row, NONE.strength, crowded=True)
-        values = sums.ravel()[hits]
-        order = np.argsort(-values.astype(np.int64), kind="stable")
-        rows, columns = np.divmod(hits[order], sums.shape[1])
-        return self._strongest(columns, rows, values[order].astype(np.float64) - self.base)
+        rows, columns = np.divmod(hits, sums.shape[1])
+        return self._strongest(columns, rows, sums.ravel()[hits].astype(np.float64))
 
     def _strongest(self, columns: NDArray[np.int64], rows: NDArray[np.int64], values: Array) -> Finds:
-        left = np.arange(len(columns))
+        left = values.copy()
         chosen: list[int] = []
-        while len(left) and len(chosen) < MOST:
-            best = left[0]
-            chosen.append(int(best))
-            far = (columns[left] - columns[best]) ** 2 + (rows[left] - rows[best]) ** 2 > self.apart**2
-            left = left[far]
-        return Finds(columns[chosen], rows[chosen], values[chosen])
+        while len(chosen) < MOST:
+            best = int(left.argmax())  # the first of equals
+            if left[best] <= 0:
+                break
+            chosen.append(best)
+            across, down = columns - columns[best], rows - rows[best]
+            left[across * across + down * down <= self.apart**2] = 0.0
+        return Finds(columns[chosen], rows[chosen], values[chosen] - self.base)
 
 
 def coarse_place(windows: Array, half: int) -> Array:

@@ -31,7 +31,7 @@ class Sensor:
         """Variance, counts^2, of a pixel whose mean is ``mean`` counts (any shape)."""
         signal = np.maximum(mean - self.black_level, 0.0)
         floor = (self.read_noise**2 + self.dsnu**2) / self.gain**2 + 1.0 / 12.0
-        return floor + signal / self.gain + (self.prnu * signal) ** 2
+        return np.asarray(floor + signal * (1.0 / self.gain + self.prnu**2 * signal))
 
     def fixed_variance(self, mean: Array) -> Array:
         """The part of ``variance`` that is the same in every frame: the pixels' own response and offset."""

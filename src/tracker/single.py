@@ -69,7 +69,7 @@ class _Rolling:
         return np.concatenate([off, [(v - c) / w for v, (c, w) in zip(x, self.prior, strict=True)]])
 
     def slope(self, x: Floats) -> Floats:
-        rows = self.whiten(self._model(x)[1])
+        rows = self.whiten(np.moveaxis(self._model(x)[1], -1, 0)).T
         return np.concatenate([rows, np.diag([1 / w for _, w in self.prior])])
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import hashlib
 import json
 import multiprocessing
@@ -10,6 +11,7 @@ import shutil
 from collections import Counter
 from collections.abc import Callable, Iterator
 from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -24,6 +26,8 @@ from .link import Tracks, link
 from .reasons import why_nothing
 from .video import Clip, Source, open_source
 
+MALLOPT = (-1, -3)  # M_TRIM_THRESHOLD, M_MMAP_THRESHOLD of malloc.h
+KEPT = 32 << 20  # bytes
 ENDS = 1 << 16  # bytes at either end of a file that tell one recording from another
 Tick = Callable[[int, int], None]
 
@@ -173,6 +177,7 @@ def _each(source: Source, todo: list[int], partial: Path, name: str, workers: in
 
 def _one(source: Source, index: int, partial: Path, name: str) -> tuple[int, str]:
     cv2.setNumThreads(1)  # clips run side by side
+    _keep_memory()
     clip = source.clip(index)
     tracks, camera, reason = track_clip(clip, name)
     rows, motion = measure_clip(tracks, camera)
@@ -180,7 +185,14 @@ def _one(source: Source, index: int, partial: Path, name: str) -> tuple[int, str
         rows = [row | {"status": reason} if row["status"] != "ok" else row for row in rows]
     results.write_clip(partial, clip.number, tracks, motion, rows, camera)
     assumed = f"assumed or estimated: {', '.join(camera.assumed)}" if camera.assumed else ""
-    return len(clip.frames), "; ".join(filter(None, [clip.note, assumed]))
+    return len(clip.frames), "; ".join(filter(None, [clip.note, assumed, *camera.unmodelled]))
+
+
+def _keep_memory() -> None:
+    """Lets glibc keep what is freed: to take arrays anew from the system costs more than their arithmetic."""
+    with suppress(AttributeError, OSError, TypeError):  # another C library
+        for option in MALLOPT:
+            ctypes.CDLL(None).mallopt(option, KEPT)
 
 
 def default_workers() -> int:

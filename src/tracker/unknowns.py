@@ -29,8 +29,12 @@ BRIGHT = 20.0  # deviations of a box sum over the plate, for a glint worth measu
 
 def completed(camera: Camera, plate: Ground, frames: Sequence[Any]) -> Camera:
     """The camera with black level, read noise, gain and PSF filled in where its file does not give them."""
-    level = float(np.median(plate.level))
     sensor = camera.sensor
+    if not {"sensor.bits", "sensor.black_level", "sensor.read_noise", "sensor.gain", "psf.sigma_px"} & {
+        *camera.assumed
+    }:
+        return camera
+    level = float(np.median(plate.level))
     if "sensor.bits" in camera.assumed:
         sensor = replace(sensor, bits=_bits(8 * plate.level.dtype.itemsize, frames))
     if "sensor.black_level" in camera.assumed:

@@ -27,6 +27,7 @@ Frame = NDArray[np.uint8] | NDArray[np.uint16]
 TIFF = (".tif", ".tiff")
 PICTURES = (".png", ".tif", ".tiff", ".jpg", ".jpeg", ".bmp")
 VIDEOS = (".avi", ".mkv", ".mp4", ".mov", ".m4v", ".mpg", ".webm")
+GREY = (b"Y800", b"GREY", b"I420", b"Y1\0\n", b"Y1\0\x0c", b"Y1\0\x0e", b"Y1\0\x10")  # of I420 the grey plane
 GREY_WEIGHTS = (
     0.299,
     0.587,
@@ -176,7 +177,7 @@ def _stack(path: Path) -> tuple[Frames, str]:
     count = int(np.prod(shape[: len(shape) - len(plane)], dtype=np.int64))
     _pixel_type(path, dtype)
     if offset is not None:
-        fetch = _contiguous(path, offset, count, plane, dtype.newbyteorder(order))
+        fetch: Callable[[int], Any] = _Pieces(path, offset, count, plane, dtype.newbyteorder(order))
     else:
         fetch = _Pages(path, plane)
         try:
@@ -226,21 +227,27 @@ def _layout(path: Path, tif: tifffile.TiffFile) -> tuple[tuple[int, ...], Any, b
     return shape, dtype, colour, None if offset is None else int(offset)
 
 
-def _contiguous(path: Path, offset: int, count: int, plane: tuple[int, ...], dtype: Any) -> Callable[[int], Any]:
+class _Pieces:
     """Frames that lie one after the other: read by their place, so that no more than one is held."""
-    pixels = int(np.prod(plane))
-    missing = offset + count * pixels * dtype.itemsize - path.stat().st_size
-    if missing > 0:
-        raise InputError(f"{path}: truncated, {missing} bytes short of {count} frames")
 
-    def fetch(k: int) -> Any:
-        place = offset + k * pixels * dtype.itemsize
-        flat = np.fromfile(path, dtype=dtype, count=pixels, offset=place)
-        if len(flat) < pixels:
-            raise InputError(f"{path}: truncated, frame {k} of {count} cannot be read")
-        return flat.reshape(plane).astype(dtype.newbyteorder("="), copy=False)
+    def __init__(self, path: Path, offset: int, count: int, plane: tuple[int, ...], dtype: Any) -> None:
+        self.path, self.offset, self.count, self.plane, self.dtype = path, offset, count, plane, dtype
+        self.pixels = int(np.prod(plane))
+        missing = offset + count * self.pixels * dtype.itemsize - path.stat().st_size
+        if missing > 0:
+            raise InputError(f"{path}: truncated, {missing} bytes short of {count} frames")
+        self.file = path.open("rb", buffering=0)
 
-    return fetch
+    def __call__(self, k: int) -> Any:
+        flat = np.empty(self.pixels, dtype=self.dtype)
+        self.file.seek(self.offset + k * flat.nbytes)
+        if self.file.readinto(flat.view(np.uint8).data) < flat.nbytes:
+            raise InputError(f"{self.path}: truncated, frame {k} of {self.count} cannot be read")
+        return flat.reshape(self.plane).astype(self.dtype.newbyteorder("="), copy=False)
+
+    def __del__(self) -> None:
+        if hasattr(self, "file"):
+            self.file.close()
 
 
 class _Pages:
@@ -289,28 +296,20 @@ def _picture(path: Path) -> Any:
 
 
 def _video(path: Path) -> tuple[Frames, str]:
-    # Without this OpenCV turns 12-bit FFV1 into 8 bits and says nothing.
-    raw = [cv2.CAP_PROP_CONVERT_RGB, 0]
-    reader = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG, raw)
+    reader, note = _reader(path)
     ok, first = reader.read()
-    if not ok or first is None or first.ndim not in (2, 3) or first.shape[0] < 2 or first.shape[1] < 2:
-        reader = cv2.VideoCapture(str(path))
-        raw = []
-        ok, first = reader.read()
     if not ok or first is None:
         raise InputError(f"{path}: no frame can be decoded, expected a video that FFmpeg reads")
     count = 1  # containers' own counts are guesses: count what can be decoded
     while reader.grab():
         count += 1
     reader.release()
-    if first.ndim == 3 and first.shape[-1] == 1:
-        first = first[..., 0]
-    plane = first.shape
+    plane = first.shape[:2] if first.shape[2:] == (1,) else first.shape
     state: dict[str, Any] = {"next": -1}
 
     def fetch(k: int) -> Any:
         if state["next"] < 0 or k < state["next"]:
-            state["reader"] = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG, raw) if raw else cv2.VideoCapture(str(path))
+            state["reader"], _ = _reader(path)
             state["next"] = 0
         while state["next"] < k:
             state["reader"].grab()
@@ -322,7 +321,24 @@ def _video(path: Path) -> tuple[Frames, str]:
         frame = frame.reshape(plane)
         return frame[..., 2::-1] if frame.ndim == 3 else frame
 
-    return _grey(path, count, plane, first.dtype, fetch)
+    frames, grey = _grey(path, count, plane, first.dtype, fetch)
+    return frames, "; ".join(filter(None, [note, grey]))
+
+
+def _reader(path: Path) -> tuple[cv2.VideoCapture, str]:
+    """A video from its start, and a note of what is lost: grey as it is stored, all else as 8 bits of colour."""
+    logs = cv2.utils.logging
+    level = logs.setLogLevel(logs.LOG_LEVEL_ERROR)  # it warns of what is done here on purpose
+    try:
+        raw = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG, [cv2.CAP_PROP_CONVERT_RGB, 0])
+        code = int(raw.get(cv2.CAP_PROP_CODEC_PIXEL_FORMAT)) & 0xFFFFFFFF
+        kind = code.to_bytes(4, "little")
+        if kind in GREY:
+            return raw, ""
+        deep = kind[:1] == b"Y" and 8 < kind[3] <= 16  # FFmpeg's codes end with the depth
+        return cv2.VideoCapture(str(path)), f"{kind[3]} bits of colour read as 8" if deep else ""
+    finally:
+        logs.setLogLevel(level)
 
 
 def _grey(

@@ -39,17 +39,21 @@ class Whitener:
                 self.blocks.append((rows, _lower_root(whole)))
 
     def __call__(self, errors: Floats) -> Floats:
-        """errors (n, 2) or (n, 2, p) -> (2n,) or (2n, p)."""
-        tall = errors[..., None] if errors.ndim == 2 else errors
-        out = np.matmul(self.alone, tall).reshape(2 * len(errors), -1)
-        for rows, root in self.blocks:
-            block = tall[rows].reshape(len(root), -1)
-            out[2 * rows.start : 2 * rows.start + len(root)] = _product(root, block)
-        return np.asarray(out.reshape(2 * len(errors), *errors.shape[2:]), dtype=np.float64)
+        """errors (..., n, 2) -> (..., 2n)."""
+        root, out = self.alone, np.empty(errors.shape)
+        out[..., 0] = root[:, 0, 0] * errors[..., 0]
+        out[..., 1] = root[:, 1, 0] * errors[..., 0] + root[:, 1, 1] * errors[..., 1]
+        out = out.reshape(*errors.shape[:-2], -1)
+        for rows, whole in self.blocks:
+            block = errors[..., rows, :].reshape(-1, len(whole))
+            part = slice(2 * rows.start, 2 * rows.start + len(whole))
+            out[..., part] = _product(whole, block.T).T.reshape(*errors.shape[:-2], -1)
+        return out
 
     def distance(self, errors: Floats) -> Floats:
-        """(n,) squared Mahalanobis distance of each place by itself."""
-        return np.asarray(((self.alone @ errors[..., None])[..., 0] ** 2).sum(axis=1), dtype=np.float64)
+        """(..., n) squared Mahalanobis distance of each place by itself, errors (..., n, 2)."""
+        root, x, y = self.alone, errors[..., 0], errors[..., 1]
+        return np.asarray((root[:, 0, 0] * x) ** 2 + (root[:, 1, 0] * x + root[:, 1, 1] * y) ** 2)
 
 
 def _stretches(breaks: NDArray[np.bool_]) -> list[tuple[int, int]]:
@@ -68,11 +72,16 @@ def covariance(place: Floats, cov: Floats, fixed: Floats, width: float) -> Float
     size, axes = np.linalg.eigh(fixed)
     root = axes * np.sqrt(np.maximum(size, 0.0))[:, None, :] @ np.swapaxes(axes, 1, 2)
     apart = (place[:, None] - place[None]) / width
-    near = np.exp(-(apart**2).sum(-1) / 4)[..., None, None]
-    kernel = near * (np.eye(2) - apart[..., :, None] * apart[..., None, :] / 2)
-    shared = np.einsum("ijac,jcd->iajd", np.einsum("iab,ijbc->ijac", root, kernel), root)
-    shared[range(n), :, range(n), :] += cov - fixed
-    return np.asarray(shared.reshape(2 * n, 2 * n), dtype=np.float64)
+    near = np.exp(-(apart**2).sum(-1) / 4)
+    kernel = np.empty((n, 2, n, 2))
+    for axis in (0, 1):
+        kernel[:, axis, :, axis] = near * (1 - apart[..., axis] ** 2 / 2)
+    kernel[:, 0, :, 1] = kernel[:, 1, :, 0] = near * apart[..., 0] * apart[..., 1] / -2
+    half = (root @ kernel.reshape(n, 2, 2 * n)).reshape(2 * n, n, 2)
+    shared = (root @ half.transpose(1, 2, 0)).reshape(2 * n, 2 * n)  # both symmetric: so is the transpose
+    each = np.arange(n)
+    shared.reshape(n, 2, n, 2)[each, :, each, :] += cov - fixed
+    return np.asarray(shared, dtype=np.float64)
 
 
 def _admitted(cov: Floats, fixed: Floats) -> Floats:
@@ -102,5 +111,5 @@ def _product(a: Floats, b: Floats) -> Floats:
 
 
 def _inverse_root(cov: Floats) -> Floats:
-    """Matrices W (n, 2, 2) with W^T W = cov^-1."""
+    """Lower triangular matrices W (n, 2, 2) with W^T W = cov^-1."""
     return np.asarray(np.linalg.inv(np.linalg.cholesky(cov)), dtype=np.float64)

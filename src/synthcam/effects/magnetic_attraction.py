@@ -15,7 +15,9 @@ NEAREST = 0.8  # diameters: no two centres are nearer but in a path that is only
 class MagneticAttraction(Effect):
     """An acceleration of `pull` (2R/r)^4 towards the other ball, r the distance of the centres; pull < 0 repels.
 
-    3 mu0 m^2 / (2 pi r^4) of two aligned dipoles. A ball at rest stays while 5/7 of it is under `rolling_decel`.
+    3 mu0 m^2 / (2 pi r^4) of two aligned dipoles. A ball at rest stays while 5/7 of it is under `rolling_decel`. The
+    target of a pair (Launch.pair, and every scene) is held where it rests until the contact, as in a dimple, and is
+    free from then on; of states given at the start of a run both are free.
     """
 
     pull: float = parameter("m/s^2", scale=0.1, low=-0.5, high=0.5)

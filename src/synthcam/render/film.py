@@ -153,12 +153,14 @@ class Film:
     def _reach(self, places: Array, slope: Array) -> Array:
         """Half width (T, N) px of what a ball changes: itself, its mirror image in the plate, its shadow."""
         extent = reach(self.camera, places, self.radii, slope)
-        if self._plain:
-            return extent
-        far = 1.5 + 0.3 * (places[..., 2] / self.radii - 1)
+        far = extent
+        if self.surface.plate_gloss:
+            image = self.camera.project(places * [1, 1, -1]) - self.camera.project(places)
+            far = np.maximum(far, np.linalg.norm(image, axis=-1) + extent)
         if self.surface.plate_shadow:
-            far = np.maximum(far, self._slope * places[..., 2] / self.radii + np.hypot(self._slope, 1) + 0.3)
-        return np.asarray(extent * np.minimum(far, 12))
+            shadow = self._slope * places[..., 2] / self.radii + np.hypot(self._slope, 1) + 0.3
+            far = np.maximum(far, extent * shadow)
+        return np.asarray(np.minimum(far, 12 * extent))
 
     def _defines(self, scene: int) -> dict[str, int]:
         pair = {"PAIR": 1} if len(self.radii) <= 2 else {}
@@ -248,17 +250,22 @@ class Film:
                     shades |= zip(alike.tolist(), shade, strict=True)
         for frame, bright in enumerate(self.lamp.flicker.mean(*spans.T).tolist()):
             plate = self._plate_in(bright)
-            image, boxes = plate.copy(), []
-            for number in patches.number[frame][patches.number[frame] >= 0].tolist():
-                box = top, bottom, left, right = patches.box(number, self.camera.size)
+            numbers = patches.number[frame][patches.number[frame] >= 0].tolist()
+            corners = [patches.box(number, self.camera.size) for number in numbers]
+            boxes = merge(corners)
+            parts = [plate[box].copy() for box in boxes]
+            for number, (top, bottom, left, right) in zip(numbers, corners, strict=True):
+                here = np.s_[top:bottom, left:right]
+                (k,) = (k for k, (r, c) in enumerate(boxes) if r.start <= top < r.stop and c.start <= left < c.stop)
+                rows, columns = boxes[k]
+                spot = parts[k][top - rows.start : bottom - rows.start, left - columns.start : right - columns.start]
                 x, y = patches.origins[number]
-                here, there = np.s_[top:bottom, left:right], np.s_[top - y : bottom - y, left - x : right - x]
-                part = drawn[number][there]
-                image[here] += part if self._vignette is None else part * self._vignette[here]
+                there = np.s_[top - y : bottom - y, left - x : right - x]
+                body = drawn[number][there]
+                spot += body if self._vignette is None else body * self._vignette[here]
                 if number in shades:
-                    image[here] += self._lit[here] * shades[number][there]
-                boxes.append(box)
-            yield Picture(image, plate, merge(boxes))
+                    spot += self._lit[here] * shades[number][there]
+            yield Picture(plate, boxes, tuple(parts))
 
     def _moments(self, centres: Centres, spans: Array, cuts: Array) -> tuple[Moments, Moments]:
         """Sub-exposures for the glints and, as a body is wide and faint, fewer for the bodies."""

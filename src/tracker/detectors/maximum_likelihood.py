@@ -20,10 +20,10 @@ from ..search import Search, coarse_place
 Ints = NDArray[np.int64]
 
 WIDTHS = 3.5  # of the glint, that a window holds on each side
-BLOCK = 1024  # frames whose windows are held at once
+BLOCK = 1024  # windows held at once: of 512 frames with two balls
 SIGNIFICANT = 5.0  # deviations of the flux, for a glint on the free background
 NEARBY = 1.5  # ball diameters between glints, within which a neighbour alters the body
-HAUNTED = 2.5  # the same, within which a ball shows its neighbour's glint too
+HAUNTED = 5.0  # the same, within which a ball shows its neighbour's glint too
 CROWD = 12  # balls in a frame, among which neighbours are looked for
 SHOWS = 0.03  # of the glint's width, a change of the streak that shows in its place
 PUPILS = 128  # windows from which the body is learnt, and
@@ -66,6 +66,8 @@ class MaximumLikelihood:
         self.body: Body | None = None
         self.end, self.clear = END * radius, CLEAR * radius
         self.reach = self.half + math.ceil(min(travel, 60.0) / 2.0) + 1
+        self.sound = np.ones(view.plate.level.shape, dtype=np.bool_)
+        self.sound.ravel()[view.plate.hot] = False
 
     def __call__(self, frame: NDArray[Any]) -> Glints:
         """Glints of one frame, taken as at rest during the exposure."""
@@ -75,13 +77,15 @@ class MaximumLikelihood:
         """Glints of numbered frames, their streaks taken from the glints' own motion from frame to frame."""
         parts: list[Glints] = []
         held: list[_Patches] = []
+        windows = 0
         for number, frame in frames:
             patches = self._candidates(number, frame)
             if patches is not None:
                 held.append(patches)
-            if len(held) == BLOCK:
+                windows += len(patches.frame)
+            if windows >= BLOCK:
                 parts.append(self._block(held))
-                held = []
+                held, windows = [], 0
         if held:
             parts.append(self._block(held))
         return Glints.join(parts)
@@ -90,13 +94,20 @@ class MaximumLikelihood:
         finds = self.search(frame)
         if len(finds.row) == 0:
             return None
-        span = np.arange(-self.reach, self.reach + 1)
-        rows, columns = finds.row[:, None] + span, finds.column[:, None] + span
-        h, w = frame.shape
-        low, high = (rows >= 0) & (rows < h), (columns >= 0) & (columns < w)
-        counts = frame[np.clip(rows, 0, h - 1)[:, :, None], np.clip(columns, 0, w - 1)[:, None, :]]
-        inside = low[:, :, None] & high[:, None, :]
+        cuts = [self._cut(frame, *at) for at in zip(finds.row.tolist(), finds.column.tolist(), strict=True)]
+        counts, inside = (np.stack(part) for part in zip(*cuts, strict=True))
         return _Patches(np.full(len(finds.row), number), finds.column, finds.row, finds.strength, counts, inside)
+
+    def _cut(self, frame: NDArray[Any], row: int, column: int) -> tuple[NDArray[Any], NDArray[np.bool_]]:
+        """The pixels (p, p) about one, those of the rim beyond it, and which are in the frame and not hot."""
+        reach, (h, w) = self.reach, frame.shape
+        if reach <= row < h - reach and reach <= column < w - reach:
+            part = slice(row - reach, row + reach + 1), slice(column - reach, column + reach + 1)
+            return frame[part].copy(), self.sound[part]
+        span = np.arange(-reach, reach + 1)
+        rows, columns = np.clip(row + span, 0, h - 1), np.clip(column + span, 0, w - 1)
+        inside = np.logical_and.outer(rows == row + span, columns == column + span)
+        return frame[np.ix_(rows, columns)], inside & self.sound[np.ix_(rows, columns)]
 
     def _block(self, held: list[_Patches]) -> Glints:
         names = _Patches.__dataclass_fields__
@@ -106,10 +117,11 @@ class MaximumLikelihood:
         rough = self._rough(patches, place)
         ids = assign(rough, self.camera)
         streak = self._streaks(rough, ids)
+        bowl = self.camera.zenith_of_glint(place) - place  # hardly changes from place to place
         if self.body is None and self.bounded:
-            self._learn(patches, place, streak)
+            self._learn(patches, place, streak, bowl)
         alone = np.zeros(len(place), dtype=bool)
-        found, good = self._fit(patches, place, streak, alone, np.zeros((len(place), 3)))
+        found, good = self._fit(patches, place, streak, bowl, alone, np.zeros((len(place), 3)))
         # The first places were rough, and with them velocities and neighbours: once more where that shows.
         better = streak.copy()
         better[good] = self._streaks(found.take(good), ids[good])
@@ -118,7 +130,9 @@ class MaximumLikelihood:
         rows = np.flatnonzero(again | near | (ghosts[:, 2] > 0))
         if len(rows):
             place = np.where(good[:, None], found.xy, place)
-            redone, kept = self._fit(patches.take(rows), place[rows], better[rows], near[rows], ghosts[rows])
+            redone, kept = self._fit(
+                patches.take(rows), place[rows], better[rows], bowl[rows], near[rows], ghosts[rows]
+            )
             good[rows] = kept
             found = found.put(rows, redone)
         found.flags[near] |= NEAR
@@ -137,7 +151,7 @@ class MaximumLikelihood:
         return velocities(glints.frame, ids, glints.xy) * (self.camera.exposure * self.camera.fps)
 
     def _fit(
-        self, patches: _Patches, place: Array, streak: Array, near: NDArray[np.bool_], ghosts: Array
+        self, patches: _Patches, place: Array, streak: Array, bowl: Array, near: NDArray[np.bool_], ghosts: Array
     ) -> tuple[Glints, NDArray[np.bool_]]:
         """Fits in groups of one window size, with and without a ghost; all glints, and which are good."""
         longest = np.max(np.abs(streak), axis=1)
@@ -145,7 +159,6 @@ class MaximumLikelihood:
         # Beside a neighbour, or smeared, the body is another than the one learnt.
         own = near | (np.hypot(*streak.T) > SMEARED * self.camera.diameter_px / 2.0)
         groups = 4 * halves + 2 * own + (ghosts[:, 2] > 0)
-        bowl = self.camera.zenith_of_glint(place) - place
         out = self._rough(patches, place)
         good = np.zeros(len(place), dtype=bool)
         for group in np.unique(groups).tolist():
@@ -167,19 +180,17 @@ class MaximumLikelihood:
             good[rows] = self._good(result, out.xy[rows], half)
         return out, good
 
-    def _learn(self, patches: _Patches, place: Array, streak: Array) -> None:
-        """The clip's body, from bright single glints spread over the block."""
+    def _learn(self, patches: _Patches, place: Array, streak: Array, bowl: Array) -> None:
+        """The clip's body, from bright single glints spread over the block; their better places go into ``place``."""
         clear = patches.strength > 0.5 * float(np.median(patches.strength))
         clear &= np.hypot(*streak.T) < SMEARED * self.camera.diameter_px / 2.0
         rows = np.flatnonzero(clear & self._apart(patches.frame, place))
         if len(rows) < FEWEST:
             return
         rows = rows[np.unique(np.linspace(0, len(rows) - 1, PUPILS).round().astype(np.int64))]
-        bowl = self.camera.zenith_of_glint(place[rows]) - place[rows]
-        whole = np.zeros((len(place), 2))
-        whole[rows] = bowl
-        windows, _ = self._windows(patches, place, streak, whole, rows, self.half + 1, self.clear)
-        self.body = learn(windows, self.sigma, self.camera.sensor, self.end)
+        windows, origin = self._windows(patches, place, streak, bowl, rows, self.half + 1, self.clear)
+        self.body, found = learn(windows, self.sigma, self.camera.sensor, self.end)
+        place[rows] = origin + found
 
     def _apart(self, frame: Ints, place: Array) -> NDArray[np.bool_]:
         """Which candidates have no other within three diameters in their frame; sorted by frame."""

@@ -126,10 +126,16 @@ vec3 aside(vec3 from, vec3 way, vec4 sphere) {
     return offset - dot(offset, way) * way;
 }
 
+// How wide a sample is, straight towards the ball's centre. To be called for all samples alike: it compares neighbours.
+float breadth(vec3 from, vec3 way, vec4 sphere) {
+    float miss = length(aside(from, way, sphere));
+    return length(vec2(dFdx(miss), dFdy(miss)));
+}
+
 // Share of a sample that a ball covers: its outline is a ramp one sample wide.
 float cover(vec3 from, vec3 way, vec4 sphere) {
-    float miss = length(aside(from, way, sphere)), wide = length(vec2(dFdx(miss), dFdy(miss)));
-    return clamp((sphere.w - miss) / wide + 0.5, 0.0, 1.0);
+    float miss = length(aside(from, way, sphere));
+    return clamp((sphere.w - miss) / breadth(from, way, sphere) + 0.5, 0.0, 1.0);
 }
 
 // Distance to a ball along a ray that hits it, or passes it so closely that the sample is partly covered.
@@ -152,17 +158,16 @@ vec2 shares(vec3 from, vec3 way) {
 
 // What this ball shows in the part of a sample that it covers. At the rim it changes too fast for one ray: there are
 // two, by Gauss's rule straight inwards over the cosine of incidence, in which it is smooth.
-float face(vec3 from, vec3 way) {
+float face(vec3 from, vec3 way, float wide) {
     vec3 inward = aside(from, way, ball(SELF));
-    float miss = length(inward), wide = length(vec2(dFdx(miss), dFdy(miss)));
-    float low = miss - wide / 2.0, high = min(miss + wide / 2.0, 1.0);
+    float miss = length(inward), low = miss - wide / 2.0, high = min(miss + wide / 2.0, 1.0);
     float outer = sqrt(1.0 - high * high), inner = sqrt(max(1.0 - low * low, 1e-9));
     int rays = high > 1.0 - wide ? 2 : 1;
     float total = 0.0, weights = 0.0;
     for (int k = 0;; k++) {  // left at its end: from its head it would be run once more
         float cosine = mix(outer, inner, 0.5 + (float(k) - 0.5) * 0.57735027), radius = sqrt(1.0 - cosine * cosine);
         float weight = rays == 1 ? 1.0 : cosine / radius;
-        vec3 at = rays == 1 ? from : from + inward * (1.0 - radius / miss);
+        vec3 at = rays == 1 ? from : from + inward * (1.0 - radius / max(miss, 1e-6));
         total += weight * seen(at, way, touch(at, way, ball(SELF)));
         weights += weight;
         if (k + 1 >= rays) break;
@@ -231,11 +236,12 @@ void main() {
     float value = lit_plate(from, way);
 #else
     vec2 share = shares(from, way);
+    float wide = breadth(from, way, ball(SELF));
 #if SCENE == 0
-    float value = share.x > 0.0 ? share.x * (face(from, way) - rest.w) : 0.0;
+    float value = share.x > 0.0 ? share.x * (face(from, way, wide) - rest.w) : 0.0;
 #else
     float hidden = gloss * radiance(reflect(way, up));
-    float value = share.x > 0.0 ? share.x * (face(from, way) - hidden) : 0.0;
+    float value = share.x > 0.0 ? share.x * (face(from, way, wide) - hidden) : 0.0;
     value += gloss > 0.0 && share.y > 0.0 ? share.y * image(from, way) : 0.0;
 #endif
 #endif

@@ -1,0 +1,196 @@
+"""What an opened box shows: was the answer right, and how far off."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from synthcam.effect import library
+
+from .boxes import DEFECTS
+from .outsiders import OUTSIDERS
+
+INSIDE = 0.9  # of a true curve's places must lie in the 95 % band
+OWNERS = {"friction": "sliding_friction", "restitution": "restitution", "spin_transfer": "spin_transfer"}
+CENTRED = ("lag_speed", "warp_place")
+NAMES = ("none", "one", "two", "outside", "defect")
+
+
+@dataclass(frozen=True)
+class Row:
+    """One opened box, judged. A claim is true when it, or its reported alias class, holds what is hidden.
+
+    called: the claims, "outside the library" among them. name, kin: all names right, all classes right, none too many.
+    z: errors of the rightly named strengths over their claimed standard deviations.
+    """
+
+    kind: str
+    filmed: bool
+    study: str
+    hidden: tuple[str, ...]
+    ratio: float
+    naming: float
+    nearest: float
+    verdict: str
+    called: tuple[str, ...]
+    classes: tuple[tuple[str, ...], ...]
+    false: tuple[str, ...]
+    name: bool
+    kin: bool
+    noise: str
+    source: str
+    slot: bool = False
+    curve: bool | None = None
+    z: tuple[float, ...] = ()
+    gap: dict[str, float] = field(default_factory=dict)
+    seconds: float = math.nan
+    cpu: float = math.nan
+    box: int = -1
+    code: str = ""  # a fingerprint of the search that answered
+
+    @property
+    def worked(self) -> bool:
+        return self.verdict not in ("refused", "crashed")
+
+    @property
+    def detected(self) -> bool:
+        return self.worked and self.verdict != "none"
+
+    @property
+    def right(self) -> bool:
+        """By name; of an outsider: declared, and of a defect: no false claim."""
+        if self.kind == "outside":
+            return self.declared and not self.false
+        return self.worked and (not self.false if self.kind == "defect" else self.name)
+
+    @property
+    def declared(self) -> bool:
+        """Said to lie outside the library."""
+        return OUTSIDE in self.called
+
+    @property
+    def closure(self) -> float:
+        """(base - augmented)/(base - oracle) on the clips kept out."""
+        g = self.gap
+        return (g["base"] - g["augmented"]) / (g["base"] - g["oracle"]) if g else math.nan
+
+    @property
+    def left(self) -> float:
+        """augmented / oracle."""
+        return self.gap["augmented"] / self.gap["oracle"] if self.gap else math.nan
+
+
+OUTSIDE = "outside the library"
+
+
+def judge(line: dict[str, Any]) -> Row:
+    """A line of NAME.jsonl, judged."""
+    truth, answer = line["truth"], line["answer"]
+    hidden, about = tuple(truth["effects"]), truth.get("about", [])
+    named = [n["effect"] for n in answer.get("named", [])]
+    classes = [next((tuple(a) for a in answer.get("aliases", []) if n in a), (n,)) for n in named]
+    outside = answer["verdict"] == "outside_library"
+    allowed = {*hidden, *(n for d in truth["defect"] for n in DEFECTS[d])}
+    false = [n for n, kin in zip(named, classes, strict=True) if not allowed & {n, *kin}]
+    if outside and truth["kind"] != "outside":
+        false.append(OUTSIDE)
+    ours = [h for h in hidden if h not in OUTSIDERS]
+    ratio = min((a["ratio"] for a in about), default=0.0)
+    nearest = max((a["nearest"] for a in about), default=0.0)
+    slot, curve = _outside(truth, answer)
+    return Row(
+        kind=truth["kind"],
+        filmed=truth["source"] == "video",
+        study=truth["study"],
+        hidden=hidden,
+        ratio=ratio,
+        naming=ratio * math.sqrt(max(1 - nearest**2, 0.0)),
+        nearest=nearest,
+        verdict=answer["verdict"],
+        called=(*named, *([OUTSIDE] if outside else [])),
+        classes=tuple(classes),
+        false=tuple(false),
+        name=not outside and sorted(named) == sorted(ours) and len(ours) == len(hidden),
+        kin=not outside and len(ours) == len(hidden) and _matched(ours, named, classes),
+        noise=truth["noise"],
+        source=truth["source"],
+        slot=slot,
+        curve=curve,
+        z=tuple(_errors(truth, answer)),
+        gap=line.get("gap", {}),
+        seconds=answer.get("seconds", math.nan),
+        cpu=answer.get("cpu", math.nan),
+        box=truth["box"],
+        code=line.get("code", ""),
+    )
+
+
+def _matched(hidden: list[str], named: list[str], classes: list[tuple[str, ...]]) -> bool:
+    """Is each claim, by its class, another hidden effect, and none left?"""
+    if len(hidden) != len(named):
+        return False
+    if not hidden:
+        return True
+    first, *rest = hidden
+    for k, (n, kin) in enumerate(zip(named, classes, strict=True)):
+        if (first == n or first in kin) and _matched(rest, named[:k] + named[k + 1 :], classes[:k] + classes[k + 1 :]):
+            return True
+    return False
+
+
+def _errors(truth: dict[str, Any], answer: dict[str, Any]) -> list[float]:
+    """(value - truth)/std of each strength that is named rightly; where all is right."""
+    named = answer.get("named", [])
+    if sorted(n["effect"] for n in named) != sorted(truth["effects"]):
+        return []
+    out = []
+    for n in named:
+        for key, value in n["parameters"].items():
+            dotted = key if "." in key else f"{n['effect']}.{key}"
+            std = (n.get("std") or {}).get(key)
+            if std and dotted in truth["hidden"] and dotted in strengths_of(n["effect"]):
+                out.append((value - truth["hidden"][dotted]) / std)
+    return out
+
+
+def strengths_of(effect: str) -> set[str]:
+    """Dotted names; shapes, which mean little near the limit, are not judged."""
+    kind = library().get(effect)
+    return {f"{effect}.{p.name}" for p in kind.strengths()} if kind else set()
+
+
+def _outside(truth: dict[str, Any], answer: dict[str, Any]) -> tuple[bool, bool | None]:
+    """Is the first slot the right one, and does the true curve lie in its band? None: there is no curve to hold."""
+    entries = answer.get("outside") or []
+    if truth["kind"] != "outside" or not entries:
+        return False, None
+    kind = OUTSIDERS[truth["effects"][0]]
+    first = entries[0]
+    slot = first["slot"] == kind.SLOT
+    own = {k.partition(".")[2]: v for k, v in truth["hidden"].items()}
+    effect = kind(**own)
+    if not slot or not hasattr(effect, "_curve"):
+        return slot, None
+    x = np.asarray(first["x"], dtype=float)
+    axes = x.T if x.ndim == 2 else (x,)
+    law = effect._curve(*axes) + _owned(kind.SLOT, axes[0], truth["base"])
+    curve, band = (np.asarray(first[k], dtype=float) for k in ("curve", "band"))
+    return slot, curve.shape == law.shape and inside(law, band, kind.SLOT in CENTRED)
+
+
+def _owned(slot: str, x: Any, base: dict[str, float]) -> Any:
+    """What the base model itself makes of the law."""
+    if slot.startswith("rolling"):
+        return base["rolling_decel"] + base["rolling_drag"] * x
+    name = next((n for start, n in OWNERS.items() if slot.startswith(start)), None)
+    return base[name] if name else 0.0
+
+
+def inside(law: Any, band: Any, centred: bool) -> bool:
+    """Does the true law, of the curve's shape, lie in the band (..., 2)? centred: the launches absorb a constant."""
+    if centred:
+        law = law - law.mean(axis=0)
+    return bool(np.mean((law >= band[..., 0]) & (law <= band[..., 1])) >= INSIDE)

@@ -1,0 +1,109 @@
+"""Sealed boxes: the hash of a truth is on record before the analysis, and each box is opened once.
+
+Of a study NAME: NAME.ledger.jsonl, a line when a box is sealed (the truth's hash) and one when it is answered (the
+answer's); NAME.sealed/, the truths with their salt; NAME.jsonl, the opened boxes. The line that opens a box is its
+result: a run killed at any moment leaves a box either unopened or done.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import hashlib
+import json
+import os
+import secrets
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+Json = dict[str, Any]
+
+
+class Broken(Exception):
+    """The protocol was not kept."""
+
+
+def digest(value: Json) -> str:
+    """SHA-256 of the canonical JSON."""
+    text = json.dumps(value, sort_keys=True, separators=(",", ":"), allow_nan=False)
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+class Ledger:
+    """The files of one study."""
+
+    def __init__(self, folder: Path, name: str) -> None:
+        self.record, self.results = folder / f"{name}.ledger.jsonl", folder / f"{name}.jsonl"
+        self.sealed = folder / f"{name}.sealed"
+        self.sealed.mkdir(parents=True, exist_ok=True)
+
+    def opened(self) -> list[Json]:
+        """The boxes opened so far."""
+        return list(lines(self.results))
+
+    def seal(self, box: int, truth: Json) -> None:
+        """Put the truth of a box on record. A box sealed before, and not opened, stays as it was."""
+        if self._hash(box, "truth") is None:
+            salted = truth | {"salt": secrets.token_hex(16)}
+            path = self._path(box)
+            beside = path.with_suffix(f".{os.getpid()}.tmp")
+            beside.write_text(json.dumps(salted, allow_nan=False))
+            beside.replace(path)
+            _append(self.record, {"box": box, "truth": digest(salted)})
+
+    def answer(self, box: int, answer: Json) -> None:
+        """Put the answer on record, before the truth is looked at."""
+        if self._hash(box, "truth") is None:
+            raise Broken(f"box {box}: answered before it was sealed")
+        _append(self.record, {"box": box, "answer": digest(answer)})
+
+    def open(self, box: int, answer: Json, beside: Json) -> Json:
+        """Open a box and write its result, `beside` with it; the truth. Raises Broken."""
+        if any(row["box"] == box for row in self.opened()):
+            raise Broken(f"box {box}: opened before")
+        if self._hash(box, "answer") != digest(answer):
+            raise Broken(f"box {box}: this is not the answer on record")
+        truth = self.truth(box)
+        _append(self.results, {"box": box, "truth": truth, "answer": answer} | beside)
+        return truth
+
+    def truth(self, box: int) -> Json:
+        """The sealed truth, for what makes the tracks, held against its hash. Raises Broken."""
+        truth: Json = json.loads(self._path(box).read_text())
+        if digest(truth) != self._hash(box, "truth"):
+            raise Broken(f"box {box}: the truth is not the one that was sealed")
+        return truth
+
+    def _path(self, box: int) -> Path:
+        return self.sealed / f"{box:05d}.json"
+
+    def _hash(self, box: int, what: str) -> str | None:
+        """The first hash of a truth on record, the last of an answer: a killed run may answer again."""
+        found = [line[what] for line in lines(self.record) if line["box"] == box and what in line]
+        if not found:
+            return None
+        return str(found[0] if what == "truth" else found[-1])
+
+
+def lines(path: Path) -> Iterator[Json]:
+    """The whole lines of a file; a last one cut off by a kill is no line."""
+    if not path.exists():
+        return
+    for line in path.read_text().splitlines(keepends=True):
+        if line.endswith("\n"):
+            yield json.loads(line)
+
+
+def _append(path: Path, value: Json) -> None:
+    """One line, whole or not at all, whoever else writes."""
+    with path.open("a+b") as file:
+        fcntl.flock(file, fcntl.LOCK_EX)
+        size = file.seek(0, os.SEEK_END)
+        if size:
+            file.seek(-1, os.SEEK_END)
+            if file.read(1) != b"\n":  # a line cut off by a kill
+                text = path.read_bytes()
+                file.truncate(text.rfind(b"\n") + 1)
+        file.write(json.dumps(value, allow_nan=False).encode() + b"\n")
+        file.flush()
+        os.fsync(file.fileno())

@@ -1,0 +1,316 @@
+"""Something that no effect of the library is: a law left free explains it better than any of them.
+
+Every slot is held against the base model, the best model of the library, and each of its effects alone, to first order;
+the leaders are fitted in full. A second library effect is believed only where it beats the slots.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from discrepancy.fit import Evidence, Fit, fit, linearised, settle, solve
+from discrepancy.measured import Measured
+from discrepancy.noise import Noise
+from discrepancy.parameter import limits_of, parameter_of
+from discrepancy.rank import Candidate, Contest
+from discrepancy.slots import Slot, columns, slots
+from discrepancy.weight import Prior, Weight, significance, weigh
+from synthcam.model import Model
+
+Array = NDArray[np.float64]
+
+LEVEL = 4.5  # sigma of a slot, needed to declare
+PRICE = 9.5  # of chi^2, of a parameter of the library
+LEADERS = 3  # fitted in full
+NEAR, LOOSE = 15.0, 0.01  # of chi^2, and of what a slot explains: what the first order may be wrong by
+MOST = 2  # library effects claimed beside a slot, after it was found
+ROUNDS = 30
+SETTLED = 0.05  # of chi^2: what a further step would gain
+SHORTER = (1.0, 0.5, 0.25, 0.1, 0.02)  # shares of a step that are tried
+
+
+@dataclass(frozen=True)
+class Look:
+    """A slot held against a fit, to first order."""
+
+    slot: Slot
+    now: Fit
+    sigma: float
+    weight: Weight
+
+    def score(self, base: Fit) -> float:
+        """What it would cost, in chi^2."""
+        return price(self.now, base) - self.weight.gain
+
+
+@dataclass(frozen=True)
+class Filled:
+    """A slot fitted in full. now: the fit beside it, its model with the slot filled where an effect can hold it.
+
+    library: the model without the slot. sigma: of the slot against the fit without it. score: chi^2 with all freedom
+    paid for.
+    """
+
+    slot: Slot
+    coefs: Array
+    prior: Prior
+    now: Fit
+    library: Model
+    evidence: Evidence
+    moves: tuple[Array, ...]
+    sigma: float
+    score: float
+
+    @property
+    def whole(self) -> Fit:
+        """The fit with the coefficients among its parameters."""
+        names = [f"{self.slot.name} {j}" for j in range(self.slot.size)]
+        return self.now.extended(self.now.model, names, self.moves)
+
+    @property
+    def owners(self) -> list[tuple[str, int]]:
+        """Those of the law's own parameters that the fit changed."""
+        return [(name, power) for name, power in self.slot.owners if name in self.now.names]
+
+    def curve(self, *x: Array) -> tuple[Array, Array]:
+        """The law at x: values (n, parts), and their covariances over the places, (parts, n, n)."""
+        values = self.slot.values(self.coefs, *x).reshape(len(x[0]), self.slot.parts)
+        for name, power in self.slot.owners:
+            values = values + (self.now.model.value(name) * x[0] ** power)[:, None]
+        spread, extra, one = self._covariance(), len(self.owners), self.slot.size // self.slot.parts
+        own = np.stack([x[0] ** power for _, power in self.owners], axis=-1) if extra else np.zeros((len(x[0]), 0))
+        covariances = []
+        for part in range(self.slot.parts):
+            rows = np.r_[np.arange(extra), extra + part * one + np.arange(one)]
+            design = np.concatenate([own, self.slot.basis(*x)], axis=1)
+            if self.slot.centred:
+                design = design - design.mean(axis=0)
+            covariances.append(design @ spread[np.ix_(rows, rows)] @ design.T)
+        return (values - values.mean(axis=0) if self.slot.centred else values), np.stack(covariances)
+
+    def _covariance(self) -> Array:
+        """Of the law's own parameters and the coefficients, all else marginal."""
+        names = [name for name, _ in self.owners]
+        own = [s[:, [self.now.names.index(n) for n in names]] for s in self.now.slopes]
+        both = [np.concatenate(pair, axis=1) for pair in zip(own, self.moves, strict=True)]
+        seen = self.now.reduced(self.now.model, names).projected(both)
+        matrix = seen.T @ seen
+        matrix[len(names) :, len(names) :] += self.prior.precision
+        scale = np.sqrt(np.diag(matrix))
+        return np.asarray(np.linalg.inv(matrix / np.outer(scale, scale)) / np.outer(scale, scale))
+
+    def beside(self, base: Fit) -> dict[str, float]:
+        """Sigma of each library effect that is fitted beside the slot and not in the base, the slot being free."""
+        now, found = self.whole, {}
+        added = [n for n in self.now.names if n not in base.names]
+        for effect in dict.fromkeys(n.rpartition(".")[0] or n for n in added):
+            own = [n for n in added if (n.rpartition(".")[0] or n) == effect]
+            own = [n for n in own if "." not in n or not parameter_of(now.model, n).fixed]
+            rows, size = [now.names.index(n) for n in own], np.array([now.model.value(n) for n in own])
+            found[effect] = float(np.sqrt(size @ np.linalg.pinv(now.covariance[np.ix_(rows, rows)]) @ size))
+        return found
+
+    def needed(self, base: Fit) -> bool:
+        """Is every library effect beside the slot needed, or does the slot hold it too?"""
+        return all(sigma > LEVEL for sigma in self.beside(base).values())
+
+    def likelihood(self) -> tuple[Array, Array]:
+        """Of the whole law as coefficients, its own parameters among them: where it is largest, and its information.
+
+        (J,) and (J, J), no prior in either; relative to the law's own parameters as fitted.
+        """
+        names = [name for name, _ in self.owners]
+        seen = self.now.reduced(self.now.model, names).projected(self.moves)
+        information = seen.T @ seen
+        pull = seen.T @ np.concatenate(self.now.residuals) + information @ self.coefs
+        return np.asarray(np.linalg.pinv(information, rcond=1e-10, hermitian=True) @ pull), information
+
+
+def price(now: Fit, base: Fit) -> float:
+    """chi^2 with the strengths that the base lacks paid for. Shapes, and base parameters held at zero, are free."""
+    added = [n for n in now.names if n not in base.names and "." in n]
+    return now.chi2 + PRICE * sum(not parameter_of(now.model, n).fixed for n in added)
+
+
+def _moves(evidence: Evidence, slot: Slot, model: Model, launches: Array) -> tuple[Array, ...]:
+    """Whitened derivatives by the coefficients, (2n, J) of each clip."""
+    return evidence.white(columns(slot, model, launches, evidence.clips))
+
+
+def _look(slot: Slot, now: Fit, moves: Sequence[Array]) -> Look:
+    signature = now.projected(moves)
+    information, pull = signature.T @ signature, signature.T @ np.concatenate(now.residuals)
+    return Look(slot, now, significance(slot, information, pull), weigh(slot, information, pull))
+
+
+def fill(evidence: Evidence, look: Look, base: Fit, tick: Callable[[], None] = lambda: None) -> Filled:
+    """The slot fitted together with everything that `look.now` fits, its prior's size and smoothness by the data."""
+    slot, library, now = look.slot, look.now.model, look.now
+    moves = _moves(evidence, slot, library, now.launches)
+    coefs, here, fresh = np.zeros(slot.size), evidence, False
+    for _ in range(ROUNDS):
+        tick()
+        signature = now.projected(moves)
+        information = signature.T @ signature
+        weight = weigh(slot, information, signature.T @ np.concatenate(now.residuals) + information @ coefs)
+        precision, step = weight.prior.precision, weight.coefs - coefs
+        moved = None
+        if step @ (information + precision) @ step > SETTLED:
+            before = now.chi2 + coefs @ precision @ coefs
+            for share in SHORTER:
+                moved = _moved(evidence, slot, library, now, moves, coefs, share * step)
+                if moved and moved[1].chi2 + (coefs + share * step) @ precision @ (coefs + share * step) < before:
+                    coefs = coefs + share * step
+                    here, now, library = moved
+                    fresh = False
+                    break
+                moved = None
+        if moved is None:
+            if fresh:
+                break
+            now = linearised(here, now.model, now.names, now.launches)
+            moves = _moves(evidence, slot, slot.bent(library, coefs), now.launches)
+            fresh = True
+    freedom = np.linalg.slogdet(np.eye(slot.size) + information / np.diag(weight.prior.precision)[:, None])
+    score = price(now, base) + float(coefs @ weight.prior.precision @ coefs + freedom[1])
+    return Filled(slot, coefs, weight.prior, now, library, here, moves, look.sigma, score)
+
+
+def _moved(
+    evidence: Evidence, slot: Slot, library: Model, now: Fit, moves: Sequence[Array], coefs: Array, step: Array
+) -> tuple[Evidence, Fit, Model] | None:
+    """A step of the coefficients, and of all else as then fits best to first order; None where there is no motion."""
+    rest = dataclasses.replace(now, residuals=tuple(r - c @ step for r, c in zip(now.residuals, moves, strict=True)))
+    value = np.array([library.value(n) for n in now.names])
+    low, high = np.array([limits_of(library, n) for n in now.names]).reshape(-1, 2).T
+    shared, own = solve(rest, 0.0, low - value, high - value)
+    launches = now.launches + own
+    if not (np.all(np.abs(launches[:, 5]) < 1) and np.all(launches[:, 3] > 0)):
+        return None
+    library = library.replace(dict(zip(now.names, np.clip(value + shared, low, high).tolist(), strict=True)))
+    model = slot.bent(library, coefs + step)
+    try:
+        here = dataclasses.replace(evidence, clips=tuple(slot.undone(evidence.clips, library, launches, coefs + step)))
+        residuals = here.left(model, launches)
+    except ValueError:
+        return None
+    return here, dataclasses.replace(now, model=model, launches=launches, residuals=residuals), library
+
+
+def alone(evidence: Evidence, base: Fit, best: Fit, tick: Callable[[], None] = lambda: None) -> list[Fit]:
+    """Where the best model has several effects that the base has not fitted: the fit of each of them alone."""
+    added = dict.fromkeys(n.rpartition(".")[0] or n for n in best.names if n not in base.names)
+    if len(added) < 2:
+        return []
+    fits = []
+    for effect in added:
+        own = [n for n in best.names if n not in base.names and (n.rpartition(".")[0] or n) == effect]
+        effects = tuple(e for e in best.model.effects if e.name() == effect or e.name() not in added)
+        values = {n: best.model.value(n) for n in own}
+        model = dataclasses.replace(base.model, effects=effects).replace(values)
+        fits.append(settle(evidence, linearised(evidence, model, (*base.names, *own), base.launches), tick, rough=True))
+    return fits
+
+
+class Slots:
+    """The slots, held against the library's models as the search goes from one to the next.
+
+    A named effect is preferred to a free law in its place: against a model of the library a slot counts only where
+    that model leaves a slot significant, or needs two effects more than the slot does, or is worse by a PRICE.
+    """
+
+    def __init__(self, evidence: Evidence, base: Fit, tick: Callable[[], None] = lambda: None) -> None:
+        self.evidence, self.base, self.tick = evidence, base, tick
+        self.slots = slots(base.model, base.launches, evidence.clips)
+        self.filled: list[Filled] = []
+        self.asked: tuple[Filled, Candidate | None] | None = None
+        self.refuted = self._consider([base])
+
+    def beat(self, now: Fit) -> bool:
+        """Does a slot beside a smaller model explain more than the library's latest?
+
+        A slot may bend to hold two effects of the library: beside none, it must leave nothing for a second.
+        """
+        self.refuted = self._consider([*alone(self.evidence, self.base, now, self.tick), now])
+        best = self._best(now, 1)
+        return best is not None and (self._count(now) > 1 or self._next(best) is None)
+
+    def outcome(self, now: Fit) -> Filled | None:
+        """The slot that explains the clips better than the library's best model, and than chance; None if none does.
+
+        With such library effects beside it as it still needs.
+        """
+        best = self._best(now, 0)
+        for _ in range(MOST if best else 0):
+            beside = self._next(best) if best else None
+            if best is None or beside is None:
+                break
+            model = best.library.replace(beside.shapes | dict.fromkeys(beside.strengths, 0.0))
+            names = (*best.now.names, *beside.strengths)
+            start = settle(self.evidence, linearised(self.evidence, model, names, best.now.launches), self.tick)
+            look = _look(best.slot, start, _moves(self.evidence, best.slot, start.model, start.launches))
+            trial = fill(self.evidence, look, self.base, self.tick)
+            if trial.score >= best.score or look.sigma < LEVEL:
+                break
+            best = trial
+        return best
+
+    def _best(self, now: Fit, fewer: int) -> Filled | None:
+        """The best slot, if better, of those beside a model of `fewer` effects less than the library's latest."""
+        cost, most = price(now, self.base), self._count(now)
+        few = [f for f in self.filled if most - self._count(f.now) >= fewer and f.needed(self.base)]
+        fair = [f for f in few if self.refuted or most - self._count(f.now) > 1 or f.score < cost - PRICE]
+        best = min(fair, key=lambda f: f.score, default=None)
+        return best if best and best.score < cost else None
+
+    def _count(self, now: Fit) -> int:
+        """Effects in a fit that are not in the base."""
+        return len({n.rpartition(".")[0] or n for n in now.names if n not in self.base.names})
+
+    def _consider(self, fits: Sequence[Fit]) -> bool:
+        """Fill those slots that to first order may be the best. Is any significant beside the last of the fits?"""
+        seen = []
+        for slot in self.slots:
+            moves = _moves(self.evidence, slot, self.base.model, self.base.launches)  # near enough for all fits
+            seen += [_look(slot, now, moves) for now in fits]
+            self.tick()
+        leaders = sorted((look for look in seen if look.sigma > LEVEL), key=lambda look: look.score(self.base))
+        for look in leaders[:LEADERS]:
+            slack = NEAR + LOOSE * (price(look.now, self.base) - look.score(self.base))
+            if all(look.score(self.base) < f.score + slack for f in self.filled):
+                with suppress(ValueError):  # a curve on whose way there is no motion
+                    self.filled.append(fill(self.evidence, look, self.base, self.tick))
+        return any(look.now is fits[-1] for look in leaders)
+
+    def _next(self, filled: Filled) -> Candidate | None:
+        """The library's effect that is still to be claimed beside a slot."""
+        if self.asked is None or self.asked[0] is not filled:
+            contest = Contest.of(filled.evidence, filled.whole, self.tick)
+            ranking = contest.ranking()
+            claimed = ranking and ranking[0].sigma > max(contest.claim(), LEVEL)
+            self.asked = filled, ranking[0] if claimed else None
+        return self.asked[1]
+
+
+def unseen(filled: Filled, clips: Sequence[Measured], before: Fit, noise: Noise) -> tuple[list[Measured], Fit]:
+    """Clips that the slot was not fitted to, with it: what it moved taken out, and the fit of their launches.
+
+    before: their fit without it. Numbers of each clip are fitted to each.
+    """
+    library = filled.library
+    if filled.slot.axes[0].kind == "set":
+        evidence = Evidence.of(clips, noise)
+        there = settle(evidence, linearised(evidence, library, (), before.launches))
+        axis = dataclasses.replace(filled.slot.axes[0], high=len(clips) - 1.0, count=len(clips))
+        slot = dataclasses.replace(filled.slot, axes=(axis,))
+        look = _look(slot, there, _moves(evidence, slot, library, there.launches))
+        own = fill(evidence, look, there)
+        return list(own.evidence.clips), own.now
+    left = filled.slot.undone(clips, library, before.launches, filled.coefs)
+    return left, fit(left, filled.now.model, (), noise, before.launches)

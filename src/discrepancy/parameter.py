@@ -1,0 +1,116 @@
+"""The numbers that a fit may change, by dotted name, and the suspects: what a model may lack."""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from synthcam.effect import Effect, Parameter, library
+from synthcam.model import Model
+
+_UNLIMITED = {"gravity": 1e-4, "sliding_friction": 1e-5, "rolling_drag": 1e-4, "rolling_decel": 1e-5}  # their steps
+_LIMITED = {"restitution": (1e-5, 1.0), "spin_transfer": (1e-5, 5 / 7)}
+BASE = ("restitution", "sliding_friction", "spin_transfer", "rolling_drag", "rolling_decel")
+FINE = 0.1  # of a step: for a derivative by a forward difference
+SPREAD = 5.0  # shapes are tried from so many times under their realistic size to so many times over it
+FRACTIONS = (0.25, 0.5, 1.0, 1.5, 2.0)  # the same where zero is allowed
+MULTIPLIES = {"friction", "normal_load", "drilling"}  # laws that bend sliding friction: of none they make none
+
+
+@dataclass(frozen=True)
+class Suspect:
+    """An effect that a model may lack, or a base parameter that it holds at zero.
+
+    strengths, shapes: dotted names. kind: the effect's class.
+    """
+
+    name: str
+    strengths: tuple[str, ...]
+    shapes: tuple[str, ...] = ()
+    kind: type[Effect] | None = None
+
+    def without(self, model: Model) -> Model:
+        """The model with this suspect's strengths at zero and its shapes where they are by default."""
+        if self.kind is None:
+            return model.replace(dict.fromkeys(self.strengths, 0.0))
+        kept = tuple(e for e in model.effects if e.name() != self.name)
+        return dataclasses.replace(model, effects=kept)
+
+    def grid(self, model: Model) -> Iterator[dict[str, float]]:
+        """Values of the shapes to try; those it has where the effect is in the model already."""
+        if not self.shapes or any(model.value(s) != 0 for s in self.strengths):
+            return iter([{}])
+        tries = [_tries(parameter_of(model, s), 3 if len(self.shapes) > 1 else len(FRACTIONS)) for s in self.shapes]
+        return (dict(zip(self.shapes, values, strict=True)) for values in itertools.product(*tries))
+
+
+def _tries(p: Parameter, count: int) -> list[float]:
+    """Values of a shape to try."""
+    if p.low > 0:
+        ends = max(p.low, p.scale / SPREAD), min(p.high, p.scale * SPREAD)
+        return [float(x) for x in np.geomspace(*ends, count)]
+    if p.scale == 0:
+        return [float(x) for x in np.linspace(p.low, p.high, count)]
+    fractions = FRACTIONS if count == len(FRACTIONS) else FRACTIONS[::2]
+    return [f * p.scale for f in fractions if f * p.scale <= p.high]
+
+
+def between(p: Parameter, value: float, closer: int) -> list[float]:
+    """Values of a shape about one of those to try; the higher `closer`, the nearer."""
+    tries = _tries(p, len(FRACTIONS))
+    steps = [k / 3 / 3**closer for k in (-2, -1, 1, 2)]
+    if p.low > 0:
+        near = [value * (tries[1] / tries[0]) ** k for k in steps]
+    else:
+        near = [value + (tries[1] - tries[0]) * k for k in steps]
+    return [x for x in near if p.low <= x <= p.high]
+
+
+def suspects(model: Model, fitted: Sequence[str]) -> tuple[Suspect, ...]:
+    """What `model` may lack beside the parameters `fitted`: base parameters held at zero, and the library's effects."""
+    held = [n for n in BASE if n not in fitted and model.value(n) == 0]
+    found = [Suspect(n, (n,)) for n in held]
+    for kind in library().values():
+        strengths = tuple(s for s in strengths_of(kind) if s not in fitted)
+        if strengths and not (model.sliding_friction == 0 and set(kind.laws) <= MULTIPLIES):
+            shapes = tuple(f"{kind.name()}.{p.name}" for p in kind.parameters() if p.fixed)
+            found.append(Suspect(kind.name(), strengths, tuple(s for s in shapes if s not in fitted), kind))
+    return tuple(found)
+
+
+def strengths_of(effect: type[Effect]) -> tuple[str, ...]:
+    return tuple(f"{effect.name()}.{p.name}" for p in effect.strengths())
+
+
+def fitted(model: Model) -> tuple[str, ...]:
+    """What a fit of this model changes: the base parameters that are not zero, and those that it calls free."""
+    return tuple(dict.fromkeys([*(n for n in BASE if model.value(n) != 0), *model.free]))
+
+
+def parameter_of(model: Model, name: str) -> Parameter:
+    """A parameter by its dotted name, with its unit, its realistic size and its limits."""
+    effect, dot, own = name.rpartition(".")
+    if not dot:
+        high = _LIMITED[name][1] if name in _LIMITED else math.inf
+        return Parameter(name, "", getattr(Model(), name), 0.0, high, fixed=False, default=0.0)
+    kind = next((type(e) for e in model.effects if e.name() == effect), None) or library()[effect]
+    return next(p for p in kind.parameters() if p.name == own)
+
+
+def step_of(model: Model, name: str) -> float:
+    """A step for the numerical derivative by a parameter."""
+    if "." not in name:
+        return _LIMITED[name][0] if name in _LIMITED else _UNLIMITED[name]
+    p = parameter_of(model, name)
+    return 1e-2 * (p.scale or min(p.high - p.low, 1.0) / 10)
+
+
+def limits_of(model: Model, name: str) -> tuple[float, float]:
+    """What values a parameter may have."""
+    p = parameter_of(model, name)
+    return p.low, p.high

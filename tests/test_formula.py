@@ -1,0 +1,59 @@
+"""Short formulas: what was put in comes back, with its numbers."""
+
+import re
+
+import numpy as np
+import pytest
+
+from discrepancy.formula import propose
+from discrepancy_outsiders import outsider
+
+
+def numbers(text):
+    return [float(x) for x in re.findall(r"(?<![\w.])\d+\.?\d*(?:e-?\d+)?", text)]
+
+
+def test_waves_of_friction():
+    """0.232 (1 + 0.02 sin(x / 3 mm))"""
+    formula = outsider("friction_place").answer.formula
+    mean, one, depth, length, phase = numbers(formula)[:5]
+    assert formula.startswith("mu = ")
+    assert "sin(x / " in formula
+    assert (mean, one) == (pytest.approx(0.232, abs=1e-3), 1)
+    assert (depth, length) == (pytest.approx(0.02, rel=0.05), pytest.approx(3, rel=0.02))
+    assert phase < 0.1
+
+
+def test_a_step():
+    """0.903 - 0.004 (1 + tanh((v - 0.2) / 0.03)) / 2"""
+    formula = outsider("restitution_speed").answer.formula
+    found = re.fullmatch(r"r = (.+) \(1 - (.+) \(1 \+ tanh\(\(v_n - (.+)\) / (.+)\)\) / 2\), v_n in m/s", formula)
+    mean, drop, at, width = map(float, found.groups())
+    assert mean == pytest.approx(0.903, abs=1e-3)
+    assert drop * mean == pytest.approx(0.004, rel=0.2)
+    assert (at, width) == (pytest.approx(0.2, abs=0.02), pytest.approx(0.03, rel=0.6))
+
+
+def test_a_resonance():
+    formula = outsider("spin_transfer_speed").answer.formula
+    mean, one, size, at, *_, width, _ = numbers(formula)
+    assert "exp(-(v - " in formula
+    assert mean * size == pytest.approx(0.01, rel=0.1)
+    assert (mean, at) == (pytest.approx(0.347, abs=2e-3), pytest.approx(0.3, abs=0.02))
+    assert (one, width) == (1, pytest.approx(0.06, rel=0.3))
+
+
+def test_a_power():
+    """-0.01 v^0.5"""
+    formula = outsider("force_speed").answer.formula
+    size, power = numbers(formula)[:2]
+    assert "= - " in formula
+    assert "m/s^2" in formula
+    assert (size, power) == (pytest.approx(0.01, rel=0.1), pytest.approx(0.5, abs=0.1))
+
+
+def test_a_formula_that_suffices_is_not_refused():
+    proposed = propose(outsider("spin_transfer_speed").slot)
+    assert not proposed.refused
+    assert proposed.parameters == 4
+    assert np.isfinite(proposed.chi2)

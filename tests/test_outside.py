@@ -1,0 +1,118 @@
+"""The slots in the contest: fitted in full they give back what was put in; beside the right effect they are silent."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from discrepancy.fit import BASE, Evidence, fit
+from discrepancy.noise import Component, Noise
+from discrepancy.outside import PRICE, Slots, price, unseen
+from discrepancy.slots import slots
+from discrepancy_clips import collisions, exact
+from synthcam.model import Model
+
+NOISE = Noise(Component(1.0))
+
+
+def based(clips, model=None):
+    return fit(clips, model or Model(), BASE, NOISE)
+
+
+def filled_with(name, curve, clips=8, seed=6):
+    """Collisions in which one slot is filled with a curve, and the contest's best slot."""
+    plain = exact(Model(), clips, seed)
+    launches = np.array([c.launch for c in plain])
+    slot = next(s for s in slots(Model(), launches, plain) if s.name == name)
+    x = slot.axes[0].grid(200)
+    coefs = np.linalg.lstsq(slot.basis(x), curve(x), rcond=None)[0]
+    measured = collisions(slot.bent(Model(), coefs), clips, seed)
+    base = based(measured)
+    contest = Slots(Evidence.of(measured, NOISE), base)
+    return measured, base, contest
+
+
+@pytest.fixture(scope="module")
+def wavy():
+    return filled_with("restitution_heading", lambda th: 2e-3 * np.cos(3 * th), 10)
+
+
+def test_the_slot_that_was_filled_is_the_best_and_the_noise_is_left(wavy):
+    _, base, contest = wavy
+    best = min(contest.filled, key=lambda f: f.score)
+    assert best.slot.name == "restitution_heading"
+    assert best.sigma > 20
+    assert best.score < price(base, base) - PRICE
+    freedom = best.now.points - best.now.parameters - best.slot.size
+    assert abs(best.now.chi2 / freedom - 1) < 4 * np.sqrt(2 / freedom)
+
+
+def test_its_curve_is_the_truth_within_the_band(wavy):
+    best = min(wavy[2].filled, key=lambda f: f.score)
+    th = best.slot.axes[0].grid(40)
+    values, spread = best.curve(th)
+    off = values[:, 0] - Model().restitution - 2e-3 * np.cos(3 * th)
+    std = np.sqrt(np.diag(spread[0]))
+    assert np.mean(np.abs(off) < 1.96 * std) >= 0.9
+    assert np.median(std) < 5e-4
+    peak, information = best.likelihood()
+    assert best.slot.basis(th) @ peak == pytest.approx(best.slot.basis(th) @ best.coefs, abs=1e-3)
+    assert np.linalg.eigvalsh(information).min() > -1e-6 * np.linalg.eigvalsh(information).max()
+
+
+def test_a_fit_of_the_truth_leaves_no_slot_significant():
+    truth = Model().replace({"velocity_restitution.e": 0.02})
+    clips = collisions(truth, 8, 7)
+    base = based(clips)
+    contest = Slots(Evidence.of(clips, NOISE), base)
+    right = fit(clips, Model(), (*BASE, "velocity_restitution.e"), NOISE)
+    assert contest.refuted  # the base is
+    assert not contest.beat(right)
+    assert not contest.refuted
+    assert contest.outcome(right) is None
+
+
+def test_a_slot_that_beats_the_base_alone_is_the_outcome(wavy):
+    _, base, contest = wavy
+    outcome = contest.outcome(base)
+    assert outcome is not None
+    assert outcome.slot.name == "restitution_heading"
+    assert outcome.beside(base) == {}
+    assert outcome.library.effects == ()
+
+
+def test_a_strength_is_paid_for_and_a_shape_is_not():
+    clips = collisions(Model(), 6, 7)
+    base = based(clips)
+    model = Model().replace({"stribeck.rise": 1e-3})
+    bare = dataclasses.replace(base, model=model, names=(*base.names, "stribeck.rise"))
+    both = dataclasses.replace(bare, names=(*bare.names, "stribeck.slip"))
+    assert price(bare, base) == price(both, base) == base.chi2 + PRICE
+
+
+def test_a_number_of_each_clip_is_fitted_to_clips_kept_out():
+    """Restitution that is another in each clip: the slot is told, and clips that it never saw fit as well with it."""
+    plain = exact(Model(), 12, 9)
+    launches = np.array([c.launch for c in plain])
+    slot = next(s for s in slots(Model(), launches, plain) if s.name == "restitution_clip")
+    coefs = 3e-3 * np.random.default_rng(3).standard_normal(12)
+    shifted = slot.undone(plain, Model(), launches, -coefs)
+    rng = np.random.default_rng(4)
+    clips = [dataclasses.replace(c, xy=c.xy + 1.6e-6 * rng.standard_normal(c.xy.shape)) for c in shifted]
+    some, kept_out = clips[:8], clips[8:]
+    base = based(some)
+    best = Slots(Evidence.of(some, NOISE), base).outcome(base)
+    assert best is not None
+    assert best.slot.name == "restitution_clip"
+    assert best.prior.size == pytest.approx(3e-3, rel=0.7)
+    before = fit(kept_out, base.model, (), NOISE)
+    _, after = unseen(best, kept_out, before, NOISE)
+    assert before.chi2 > 3 * before.points
+    assert after.chi2 < 1.1 * after.points
+
+
+def test_nothing_hidden_fills_no_slot():
+    clips = collisions(Model(), 8, 12)
+    contest = Slots(Evidence.of(clips, NOISE), based(clips))
+    assert contest.filled == []
+    assert not contest.refuted

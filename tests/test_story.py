@@ -1,0 +1,45 @@
+"""Five sentences, each of which says what the numbers say."""
+
+import dataclasses
+
+import pytest
+
+from discrepancy.story import rest, story
+from discrepancy_clips import searched
+from discrepancy_outsiders import outsider
+
+
+@pytest.fixture(params=["nothing", "velocity_restitution", "restitution_speed"])
+def found(request):
+    return outsider(request.param) if request.param == "restitution_speed" else searched(request.param)
+
+
+def test_five_sentences_with_the_numbers(found):
+    fitted, where, what, closed, still = story(found)
+    assert fitted.startswith(f"{len(found.clips)} collisions")
+    assert f"{len(found.kept_out)} more were kept out" in fitted
+    assert "converged" in fitted
+    assert "The base model leaves chi^2" in where
+    assert what == found.sentence()
+    assert f"{found.shown.gap.floor_um:.2f} um" in closed
+    assert still.startswith(("These collisions cannot tell", "Every effect"))
+
+
+def test_what_is_missing_is_said_with_its_numbers():
+    what = story(searched("velocity_restitution"))[2]
+    assert "velocity_restitution (e = 0.05" in what
+    outside = story(outsider("restitution_speed"))[2]
+    assert "r that depends on the normal speed, which no effect of the library makes" in outside
+    assert "model.yaml cannot hold it" in outside
+    assert "Nothing is missing" in story(searched("nothing"))[2]
+
+
+def test_a_fit_that_did_not_converge_is_said():
+    """The base fit of one noise, put where chi^2 still falls."""
+    base = searched("nothing").search.base
+    slope = base.slopes[0][:, 0]
+    off = dataclasses.replace(
+        base, residuals=(base.residuals[0] + 20 * slope / (slope @ slope) ** 0.5, *base.residuals[1:])
+    )
+    assert rest(base) < 0.1
+    assert rest(off) > 1

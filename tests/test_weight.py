@@ -1,0 +1,58 @@
+"""What a free curve explains: against the marginal likelihood written out, and against noise alone."""
+
+import numpy as np
+import pytest
+from scipy.stats import multivariate_normal
+
+from discrepancy.slots import Axis, Slot
+from discrepancy.weight import significance, weigh
+
+SLOT = Slot("restitution_speed", "r", "1", (Axis("normal speed", "m/s", 0.1, 0.6, 8),))
+RNG = np.random.default_rng(5)
+DESIGN = SLOT.basis(RNG.uniform(0.1, 0.6, 30)) @ np.diag(RNG.uniform(1, 4, 8))
+
+
+def evidence(left, prior, size):
+    """-2 ln of no curve's likelihood less that of a curve of this size."""
+    none = multivariate_normal(np.zeros(30), np.eye(30))
+    some = multivariate_normal(np.zeros(30), np.eye(30) + size**2 * DESIGN @ np.diag(prior.spread) @ DESIGN.T)
+    return 2 * (some.logpdf(left) - none.logpdf(left))
+
+
+def test_the_gain_is_the_marginal_likelihood_and_its_size_the_best():
+    left = DESIGN @ RNG.standard_normal(8) + RNG.standard_normal(30)
+    weight = weigh(SLOT, DESIGN.T @ DESIGN, DESIGN.T @ left)
+    prior = weight.prior
+    assert weight.gain == pytest.approx(evidence(left, prior, prior.size))
+    for other in (0.7, 1.4):
+        assert evidence(left, prior, other * prior.size) < weight.gain
+    matrix = DESIGN.T @ DESIGN + prior.precision
+    assert weight.coefs == pytest.approx(np.linalg.solve(matrix, DESIGN.T @ left))
+
+
+def test_a_curve_that_is_there_is_worth_its_freedom_and_noise_is_not():
+    noise = RNG.standard_normal((200, 30))
+    gains = [weigh(SLOT, DESIGN.T @ DESIGN, DESIGN.T @ n).gain for n in noise]
+    assert np.quantile(gains, 0.99) < 9.5
+    curve = DESIGN @ (3 * np.eye(8)[1])
+    assert np.quantile([weigh(SLOT, DESIGN.T @ DESIGN, DESIGN.T @ (n + curve)).gain for n in noise], 0.01) > 9.5
+
+
+def test_significance_is_rare_in_noise():
+    scores = np.array([significance(SLOT, DESIGN.T @ DESIGN, DESIGN.T @ n) for n in RNG.standard_normal((600, 30))])
+    assert 0.01 < np.mean(scores > 1.96) < 0.06  # 5 % of a normal variable; the looks overlap
+    assert scores.max() < 4
+
+
+def test_a_smooth_map_is_found_among_many_coefficients():
+    """10 sigma in one smooth direction of 144 are 10 sigma, less what the looks cost; all 144 together are five."""
+    axis = Axis("x", "m", 0.0, 1.0, 12)
+    plate = Slot("friction_place", "mu", "1", (axis, axis))
+    x, y = RNG.uniform(0, 1, (2, 400))
+    design = plate.basis(x, y)
+    smooth = 10 * design[:, 1] / np.linalg.norm(design[:, 1])
+    assert 8.5 < significance(plate, design.T @ design, design.T @ smooth) <= 10
+
+
+def test_nothing_seen_is_nothing():
+    assert significance(SLOT, np.zeros((8, 8)), np.zeros(8)) == 0
