@@ -36,6 +36,7 @@ from synthcam.segment import Alone, BentRolling, BentSliding, Flying, Ints, Rest
 LAUNCH = ("x", "y", "t_c", "v0", "heading", "b")  # the contact's place, m; s; m/s; rad; over the sum of the radii
 AGAIN = 1e-7  # m: balls that come closer than touching by more have met again
 STEADY = 0.1  # of the first speed of parting: balls that at the ends of their legs part faster do not meet again
+WAVER = 5e-3  # m/s: by so much pushes may slow a ball within a leg, at neither end of it
 LOOKS = 24  # at whether balls overlap: one that catches up takes tens of ms to pass through
 ROUNDS = 400  # legs after an impact, at most
 
@@ -252,7 +253,8 @@ class _Run:
             raise ValueError(f"the motion does not settle: {ROUNDS} legs after an impact")
         self.out.breaks = np.stack(self.kinks, axis=1)
         both = [one[: len(n)] + one[len(n) :] for one in (parting, slowest)]
-        self.out.near = np.flatnonzero(both[1] < STEADY * both[0])
+        waver = WAVER if self.model.laws.bent(*rolling.LAWS) else 0.0
+        self.out.near = np.flatnonzero(both[1] < STEADY * both[0] + waver)
 
     def _other(self, who: Ints) -> sliding.Other | None:
         """Where the partners of balls `who` were in the last sweep."""
