@@ -156,8 +156,9 @@ def verdicts(found: dict[str, dict[str, float]]) -> list[str]:
     for kind in ("solved", "seen"):
         ratio = {name: both[kind] / peer[kind] for name, both in found.items()}
         effects = {n: r for n, r in ratio.items() if n.startswith("together, ")}
-        worst = min(effects, key=lambda n: effects[n])
-        for name, goal in (("one at a time", ONE), ("together", BASE), (worst, EFFECT)):
+        worst = sorted(effects, key=lambda n: effects[n])
+        below = [n for n in worst if effects[n] < EFFECT]
+        for name, goal in (("one at a time", ONE), ("together", BASE), *((n, EFFECT) for n in below or worst[:1])):
             met = "met" if ratio[name] >= goal else "MISSED"
             lines.append(f"{kind:7s}{name:42s}{ratio[name]:8.1f} x pooltool, goal {goal}: {met}")
     return lines

@@ -151,7 +151,7 @@ def test_ball_at_rest_through_the_whole_clip_is_found_in_every_frame():
     assert np.bincount(found.frame).tolist() == [2] * 30
 
 
-@pytest.mark.parametrize("gap", [14.9, 15.5, 18.0, 45.0])
+@pytest.mark.parametrize("gap", [14.9, 15.5, 18.0])
 def test_neighbour_and_its_secondary_glints_do_not_pull(gap):
     rng = np.random.default_rng(int(gap * 10))
     misses = []
@@ -172,13 +172,34 @@ def test_neighbour_and_its_secondary_glints_do_not_pull(gap):
         shown = clip(frames, CAM_LAMP)
         found = detect(shown, look(shown))
         assert len(found) == 2
-        assert ((found.flags & NEAR) > 0).all() == (gap < 20)
+        assert ((found.flags & NEAR) > 0).all()
         order = np.argsort(np.hypot(*(found.xy - seen[0]).T))
         miss = found.xy[order] - seen
         misses.append([miss[0] @ way, -miss[1] @ way])
     along = np.array(misses)
     assert np.abs(along.mean(axis=0)).max() < 0.005 + 4 * 0.009 / math.sqrt(len(along))
     assert np.abs(along).max() < 0.05
+
+
+def test_a_neighbour_three_diameters_off_does_not_pull_either():
+    """Without noise, for it is a matter of a few thousandths of a pixel."""
+    rng, pulls = np.random.default_rng(3), []
+    for _ in range(12):
+        angle = rng.uniform(0, 2 * math.pi)
+        way = np.array([math.cos(angle), math.sin(angle)])
+        one = np.array([80.0, 80.0]) + rng.uniform(-0.5, 0.5, 2)
+        centres = np.array([one, one + 45 * way])
+        seen = CAM_LAMP.glint_of_centre(CAM_LAMP.unproject(centres)[0])
+        picture = np.full((160, 200), 8.5)
+        for glint, centre, second in zip(seen, centres, CAM_LAMP.secondary_of_pair(seen, seen[::-1]), strict=True):
+            picture += 1500 * spot(picture.shape, *glint, 1.0) + 80 * spot(picture.shape, *second, 1.0)
+            picture += 4 * disc(picture.shape, *centre, 7.44)
+        blank = np.full((160, 200), 8.0)
+        shown = clip(np.rint([blank, picture, blank]).clip(0, 255).astype(np.uint8), CAM_LAMP)
+        found = detect(shown, look(shown))
+        miss = found.xy[np.argsort(np.hypot(*(found.xy - seen[0]).T))] - seen
+        pulls += [miss[0] @ way, -miss[1] @ way]
+    assert abs(np.mean(pulls)) < 0.0015
 
 
 CAM_LAMP = Camera.from_dict(CAMERA)
