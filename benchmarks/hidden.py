@@ -1,6 +1,6 @@
 """Each effect of the library hidden alone, at a realistic size: is it named, is the gap closed, is the strength right?
 
-    benchmarks/hidden.py [--effects hop,stribeck] [--clips 20] [--times 1.0] [-o out/hidden.json]
+    benchmarks/hidden.py [--effects hop,stribeck] [--clips 30] [--times 1.0] [-o out/hidden.json]
     benchmarks/hidden.py --video              from rendered film through the tracker, a list of ten and the paper's own
 
 Without --video the tracks are those of `synthcam generate --no-video` with noise, measured by the tracker's own fits.
@@ -149,7 +149,7 @@ def main() -> None:
     searched = [n for n, e in library().items() if "measure" not in e.laws and n != "clock_error"]
     parser.add_argument("--video", action="store_true", help="film, track, search")
     parser.add_argument("--effects", help="separated by commas; default all, with --video a list of ten")
-    parser.add_argument("--clips", type=int, default=20)
+    parser.add_argument("--clips", type=int, default=30)
     parser.add_argument("--times", type=float, default=1.0, help="of the realistic size")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("-o", "--output", type=Path, help="default out/hidden.json, out/hidden_video.json")

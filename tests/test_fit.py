@@ -7,6 +7,7 @@ import pytest
 from scipy.stats import chi2 as chi2_law
 
 from discrepancy.fit import BASE, Evidence, Fit, derivative, fit, launch_derivatives, settle, solve
+from discrepancy.forecast import forecast
 from discrepancy.noise import Component, Noise
 from discrepancy.parameter import limits_of
 from discrepancy_clips import collisions, exact, noisy
@@ -122,6 +123,27 @@ def test_launch_derivatives_of_many_clips_are_those_of_each(monkeypatch):
         assert np.allclose(s, p, atol=1e-7)
         before = clip.phase() == 0
         assert np.allclose(s[before & (clip.ball == 0), :, :2], np.eye(2), atol=1e-6)  # a target at rest is displaced
+
+
+def test_launch_derivatives_at_the_edge_of_where_a_ball_can_rest():
+    """On a waving plate: just inside the edge, some nudges of the place take the target to where it rolls off."""
+    clip = exact(Model(), 1, 18)[0]
+    inside, edge = 0.0, 1e-3
+    for _ in range(40):
+        middle = (inside + edge) / 2
+        try:
+            forecast(waving(middle), clip.launch[None], [clip])
+            inside = middle
+        except ValueError:
+            edge = middle
+    here, (slopes,) = launch_derivatives(waving(inside), clip.launch[None], [clip])
+    _, (safe,) = launch_derivatives(waving(inside * (1 - 1e-3)), clip.launch[None], [clip])
+    assert np.all(np.isfinite(here))
+    assert np.allclose(slopes, safe, atol=1e-2 * np.abs(safe).max())
+
+
+def waving(height):
+    return Model().replace({"plate_waviness.a": height, "plate_waviness.wavelength": 0.02})
 
 
 def test_a_parameter_stops_at_its_limit_and_the_rest_are_fitted_as_without_it():

@@ -39,7 +39,7 @@ def test_restricted_likelihood_is_that_of_the_contrasts_that_no_cubic_touches():
     values = correlated(rng, n, 0.5)
     claimed = rng.uniform(0.5, 2, n)
     basis = np.vander(np.linspace(-1, 1, n), SMOOTH) / claimed[:, None]
-    bundle = Bundle(values[None], basis[None])
+    bundle = Bundle.of([values * claimed[:, None]], [claimed])
     contrasts, costs, exact_costs = null_space(basis.T), [], []
     for rho in (0.2, 0.8):
         covariance = toeplitz(rho ** np.arange(n))

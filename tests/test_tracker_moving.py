@@ -124,7 +124,7 @@ def test_a_ball_hit_while_it_slides_is_no_rolling_one(camera):
     legs, hits = chain(camera, rng, p, gap=0.011)
     assert hits[1][0] - hits[0][0] < truth(hits[0], p)["tau1"]
     rows = measure(seen(legs, 125, camera, rng, p), camera)
-    assert [row["status"] for row in rows][1] .startswith("a ball still slides when it is hit again")
+    assert [row["status"] for row in rows][1].startswith("a ball still slides when it is hit again")
     assert np.isnan(rows[1]["r"])
 
 

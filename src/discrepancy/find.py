@@ -132,7 +132,7 @@ def find(clips: Sequence[Measured], model: Model, tick: Tick = lambda stage: Non
     noise = _noise(clips)
     some, kept_out = split(clips)
     # read without any claim first: one made with too little noise could explain the rest of the noise away
-    noise = refined(some, fit(some, model, fitted(model), noise, tick=lambda: tick("fit")), noise, least=0.0)
+    noise = refined(some, fit(some, model, fitted(model), noise, tick=lambda: tick("fit")), noise, explained=False)
     left_out: list[str] = []
     for _ in range(ROUNDS):
         hunt, slot = _hunt(some, model, noise, tick)

@@ -7,7 +7,9 @@ grows linearly with the number of clips. Derivatives are kept for as long as chi
 from __future__ import annotations
 
 import dataclasses
+import itertools
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -154,19 +156,38 @@ def derivative(
 
 
 def launch_derivatives(model: Model, launches: Array, clips: Sequence[Measured]) -> tuple[list[Array], list[Array]]:
-    """The forecast (n_k, 2) and its derivatives (n_k, 2, 6) by each clip's own launch, many in one batch."""
-    nudges = LAUNCH_STEP * np.concatenate([np.zeros((1, 6)), np.eye(6)])
+    """The forecast (n_k, 2) and its derivatives (n_k, 2, 6) by each clip's own launch, many in one batch.
+
+    At the edge of where a ball can rest they are taken to the side that has a motion; zero where neither has.
+    """
     here: list[Array] = []
     slopes: list[Array] = []
     for first in range(0, len(clips), AT_ONCE):
-        some = list(clips[first : first + AT_ONCE])
-        many = (launches[None, first : first + AT_ONCE] + nudges[:, None]).reshape(-1, 6)
-        every, k = forecast(model, many, some * len(nudges)), len(some)
-        here += every[:k]
-        slopes += [
-            np.stack([(every[(1 + j) * k + i] - every[i]) / LAUNCH_STEP for j in range(6)], axis=-1) for i in range(k)
-        ]
+        some, places = clips[first : first + AT_ONCE], launches[first : first + AT_ONCE]
+        try:
+            parts = [_nudged(model, places, some)]
+        except ValueError:
+            parts = [_at_the_edge(model, place, clip) for place, clip in zip(places, some, strict=True)]
+        here += [h for part, _ in parts for h in part]
+        slopes += [s for _, part in parts for s in part]
     return here, slopes
+
+
+def _nudged(model: Model, launches: Array, clips: Sequence[Measured]) -> tuple[list[Array], list[Array]]:
+    nudges, k = LAUNCH_STEP * np.concatenate([np.zeros((1, 6)), np.eye(6)]), len(clips)
+    every = forecast(model, (launches[None] + nudges[:, None]).reshape(-1, 6), list(clips) * len(nudges))
+    slopes = [np.stack([(every[(1 + j) * k + i] - every[i]) / LAUNCH_STEP for j in range(6)], axis=-1) for i in range(k)]
+    return every[:k], slopes
+
+
+def _at_the_edge(model: Model, launch: Array, clip: Measured) -> tuple[list[Array], list[Array]]:
+    (here,) = forecast(model, launch[None], [clip])
+    slopes = np.zeros((*here.shape, 6))
+    for j, step in itertools.product(range(6), (-LAUNCH_STEP, LAUNCH_STEP)):  # the later counts
+        with suppress(ValueError):
+            (there,) = forecast(model, (launch + step * np.eye(6)[j])[None], [clip])
+            slopes[..., j] = (there - here) / step
+    return [here], [slopes]
 
 
 def fit(

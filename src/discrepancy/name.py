@@ -194,7 +194,13 @@ class _Hunt:
 
     def _without(self, now: Fit, suspect: Suspect) -> Fit:
         reduced = now.reduced(suspect.without(now.model), suspect.strengths + suspect.shapes)
-        return dataclasses.replace(reduced, residuals=self.evidence.left(reduced.model, reduced.launches))
+        try:
+            return dataclasses.replace(reduced, residuals=self.evidence.left(reduced.model, reduced.launches))
+        except ValueError:  # two effects held the ball at rest together: begin without either
+            base = self.fits[frozenset()]
+            gone = [n for n in reduced.names if n not in base.names and not parameter_of(reduced.model, n).fixed]
+            model = reduced.model.replace({n: base.model.value(n) for n in base.names} | dict.fromkeys(gone, 0.0))
+            return linearised(self.evidence, model, reduced.names, base.launches)
 
     def _price(self, state: Iterable[Suspect]) -> float:
         """chi^2 with what strengths and shapes cost; base parameters belong to the model and are free."""

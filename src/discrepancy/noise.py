@@ -23,6 +23,7 @@ from discrepancy.measured import Measured
 
 T = TypeVar("T")
 Array = NDArray[np.float64]
+Ints = NDArray[np.int64]
 Shape = tuple[int, bool]  # order of an autoregression; whether there is white noise beside it
 Stretch = tuple[Array, Array]  # places (n, axes) and claimed standard deviations (n,)
 Pair = tuple[Array, Array, Array, Array]  # places of both balls (n, 2) in the same frames, and what they claim (n,)
@@ -34,6 +35,8 @@ SHAKES: tuple[Shape, ...] = ((0, False), (1, False), (1, True), (2, False))  # o
 SLOWEST = 0.999  # the largest partial autocorrelation: beyond it a clip cannot tell it from 1
 KERNELS = (0.0, 0.7, 0.97)  # correlations from frame to frame at which shared noise is looked for
 SHAKEN = 4.0  # sigma under independence: shared noise is used only beyond it
+IMPOSSIBLE = 1e12  # of -2 log likelihood, where a covariance is singular
+FEWER = 1.4  # a bundle's stretches are longer than its longest over this
 STEP = 1e-4  # of the transformed parameters, for numerical derivatives
 FLOOR, CEILING = 1e-9, 0.99  # of a part that is white
 
@@ -96,41 +99,62 @@ def estimate(clips: Sequence[Measured]) -> Noise:
 
 @dataclass(frozen=True)
 class Bundle:
-    """Stretches of equal length. values (k, n, d) and the cubic's basis (k, n, SMOOTH), over claimed deviations."""
+    """k stretches of much the same length. values (k, n, d) without their cubics, and the cubic's basis (k, n, SMOOTH).
+
+    Both over claimed deviations, and zero beyond each one's own length. lengths (k,); n is the longest.
+    """
 
     values: Array
     basis: Array
+    lengths: Ints
+
+    @classmethod
+    def of(cls, values: Sequence[Array], claims: Sequence[Array]) -> Bundle:
+        """From each one's places (n, d) and claimed deviations (n,)."""
+        lengths = np.array([len(v) for v in values])
+        cubics, rest = (np.zeros((len(values), int(lengths.max()), m)) for m in (SMOOTH, values[0].shape[1]))
+        for k, (places, claimed) in enumerate(zip(values, claims, strict=True)):
+            n = len(places)
+            cubic, own = np.vander(np.linspace(-1, 1, n), SMOOTH) / claimed[:, None], places / claimed[:, None]
+            q, _ = np.linalg.qr(cubic)
+            cubics[k, :n], rest[k, :n] = q, own - q @ (q.T @ own)
+        return cls(rest, cubics, lengths)
 
     def restricted(self, covariance: Array) -> tuple[float, float]:
-        """(log determinants, sum of squares) of REML's -2 log likelihood; covariance (n, n) or of each (k, n, n)."""
-        d = self.values.shape[2]
+        """(log determinants, sum of squares) of REML's -2 log likelihood; covariance (n, n) or of each (k, n, n).
+
+        Of a shorter stretch only the first rows and columns count: their inverse Cholesky factor is the first part of
+        the whole one's.
+        """
+        inside = np.arange(self.values.shape[1]) < self.lengths[:, None]
         factor = np.linalg.cholesky(covariance)
-        both = np.concatenate([self.basis, self.values], axis=2)
-        white = np.linalg.inv(factor) @ both
-        q, r = np.linalg.qr(white[..., :SMOOTH])
-        seen = white[..., SMOOTH:]
-        left = seen - q @ (q.swapaxes(1, 2) @ seen)
-        spreads = np.broadcast_to(np.diagonal(factor, axis1=-2, axis2=-1), (len(both), factor.shape[-1]))
-        logs = np.log(spreads).sum() + np.log(np.abs(np.diagonal(r, axis1=1, axis2=2))).sum()
-        return float(2 * d * logs), float((left**2).sum())
+        white = np.linalg.inv(factor) @ np.concatenate([self.basis, self.values], axis=2) * inside[..., None]
+        cubic, seen = white[..., :SMOOTH], white[..., SMOOTH:]
+        gram, pull = cubic.swapaxes(1, 2) @ cubic, cubic.swapaxes(1, 2) @ seen
+        squares = (seen**2).sum() - (pull * np.linalg.solve(gram, pull)).sum()
+        logs = (np.log(np.diagonal(factor, axis1=-2, axis2=-1)) * inside).sum() + np.linalg.slogdet(gram)[1].sum() / 2
+        return float(2 * self.values.shape[2] * logs), float(squares)
 
     @property
     def freedom(self) -> int:
-        k, n, d = self.values.shape
-        return int(k * d * (n - SMOOTH))
+        return int((self.lengths - SMOOTH).sum()) * self.values.shape[2]
+
+
+def _alike(lengths: Sequence[int]) -> list[list[int]]:
+    """Which stretches to put into one bundle."""
+    out: list[list[int]] = []
+    for k in sorted(range(len(lengths)), key=lambda k: -lengths[k]):
+        if lengths[k] >= SHORTEST:
+            if not out or lengths[out[-1][0]] > FEWER * lengths[k]:
+                out.append([])
+            out[-1].append(k)
+    return out
 
 
 def _bundles(stretches: Iterable[Stretch]) -> list[Bundle]:
-    by_length: dict[int, list[Stretch]] = {}
-    for places, claimed in stretches:
-        if len(places) >= SHORTEST:
-            by_length.setdefault(len(places), []).append((places, claimed))
-    out = []
-    for n, members in by_length.items():
-        claims = np.array([claimed for _, claimed in members])[..., None]
-        values = np.array([places - places.mean(axis=0) for places, _ in members]) / claims
-        out.append(Bundle(values, np.vander(np.linspace(-1, 1, n), SMOOTH) / claims))
-    return out
+    every = list(stretches)
+    groups = _alike([len(places) for places, _ in every])
+    return [Bundle.of([every[k][0] for k in group], [every[k][1] for k in group]) for group in groups]
 
 
 def own_noise(stretches: Iterable[Stretch]) -> Component:
@@ -199,7 +223,7 @@ def chosen(
     for shape in shapes:
         start = np.concatenate([head, _start(shape, last, tail)])
         x = descend(partial(_cost, cost, build, shape), start)
-        paid = cost(build(shape, x)) + price * len(x)
+        paid = _cost(cost, build, shape, x) + price * len(x)
         lost = 0 if paid < best else lost + 1
         if paid < best:
             best, winner, last = paid, build(shape, x), shape
@@ -210,7 +234,16 @@ def chosen(
 
 
 def _cost(cost: Callable[[T], float], build: Callable[[Shape, Array], T], shape: Shape, x: Array) -> float:
-    return cost(build(shape, x))
+    return possible(lambda y: cost(build(shape, y)), x)
+
+
+def possible(cost: Callable[[Array], float], x: Array) -> float:
+    """The cost; IMPOSSIBLE so far from what the tracks say that a covariance is singular."""
+    try:
+        value = cost(x)
+    except np.linalg.LinAlgError:
+        return IMPOSSIBLE
+    return value if np.isfinite(value) else IMPOSSIBLE
 
 
 def _start(shape: Shape, last: Shape, x: Array) -> Array:
@@ -225,7 +258,7 @@ def descend(cost: Callable[[Array], float], start: Array) -> Array:
     """Where a smooth cost is least, from `start`."""
     if not len(start):
         return start
-    found = minimize(cost, start, method="BFGS", options={"eps": STEP, "gtol": 0.3, "maxiter": 40})
+    found = minimize(partial(possible, cost), start, method="BFGS", options={"eps": STEP, "gtol": 0.3, "maxiter": 40})
     return np.asarray(found.x)
 
 
@@ -233,22 +266,21 @@ class Pairs:
     """Both balls in the same frames, each in one phase: their sum holds what they share, their difference does not."""
 
     def __init__(self, pairs: Iterable[Pair]):
-        by_length: dict[int, list[tuple[Array, Array, float, float]]] = {}
-        for one, two, claim_one, claim_two in pairs:
-            if len(one) >= SHORTEST:
-                first, second = (float(np.sqrt(np.mean(c**2))) for c in (claim_one, claim_two))
-                members = by_length.setdefault(len(one), [])
-                members.append((one - one.mean(axis=0), two - two.mean(axis=0), first, second))
-        self.both = [np.array([m[:2] for m in members]) for members in by_length.values()]  # (k, 2, n, 2)
-        self.claims = [np.array([m[2:] for m in members]) for members in by_length.values()]  # (k, 2)
-        self.longest = max(by_length, default=0)
+        every = [
+            (one - one.mean(axis=0), two - two.mean(axis=0), *(float(np.sqrt(np.mean(c**2))) for c in claims))
+            for one, two, *claims in pairs
+            if len(one) >= SHORTEST
+        ]
+        self.pairs = every
+        self.longest = max((len(one) for one, *_ in every), default=0)
         self.differences, self.sums, self.weights = [], [], []
-        for both, claims in zip(self.both, self.claims, strict=True):
-            size = np.sqrt((claims**2).sum(axis=1))[:, None, None]
-            cubic = np.broadcast_to(np.vander(np.linspace(-1, 1, both.shape[2]), SMOOTH), (*both.shape[::2], SMOOTH))
-            self.differences.append(Bundle((both[:, 0] - both[:, 1]) / size, cubic))
-            self.sums.append([Bundle((both[:, 0] + both[:, 1])[..., [a]] / size, cubic) for a in (0, 1)])
-            self.weights.append(4 / size**2)  # of the shared variance in the sum's, a ball's own being 1
+        for group in _alike([len(one) for one, *_ in every]):
+            size = np.array([np.hypot(*every[k][2:]) for k in group])
+            claimed = [np.full(len(every[k][0]), s) for k, s in zip(group, size, strict=True)]
+            self.differences.append(Bundle.of([every[k][0] - every[k][1] for k in group], claimed))
+            together = [every[k][0] + every[k][1] for k in group]
+            self.sums.append([Bundle.of([t[:, [a]] for t in together], claimed) for a in (0, 1)])
+            self.weights.append(4 / size[:, None, None] ** 2)  # of the shared variance in the sum's, own being 1
 
     def shaken(self, own: Component) -> float:
         """The most significant score of shared noise, in sigma under independence, over KERNELS and axes.
@@ -257,8 +289,9 @@ class Pairs:
         independence its mean is zero and its variance the sum of tr(K A K A), A that weight.
         """
         scores, variances = np.zeros((len(KERNELS), 2)), np.zeros(len(KERNELS))
-        for both, claims in zip(self.both, self.claims, strict=True):
-            n = both.shape[2]
+        for n in {len(one) for one, *_ in self.pairs}:
+            members = [p for p in self.pairs if len(p[0]) == n]
+            both, claims = np.array([p[:2] for p in members]), np.array([p[2:] for p in members])
             factor = np.linalg.cholesky(toeplitz(own.lags(n)))
             q, _ = np.linalg.qr(np.linalg.solve(factor, np.vander(np.linspace(-1, 1, n), SMOOTH)))
             root = np.linalg.inv(factor) - q @ np.linalg.solve(factor.T, q).T
@@ -270,7 +303,7 @@ class Pairs:
                 variances[j] += np.trace(kernel @ weight @ kernel @ weight) * float(
                     np.sum(1 / claims.prod(axis=1) ** 2)
                 )
-        if not self.both:
+        if not self.pairs:
             return 0.0
         single = scores / np.sqrt(variances)[:, None]
         return float(max(single.max(), (single.sum(axis=1) / np.sqrt(2)).max()))
@@ -281,7 +314,7 @@ class Pairs:
         shared = [s.lags(self.longest) for s in noise.shared]
         out = 0.0
         for difference, sums, weight in zip(self.differences, self.sums, self.weights, strict=True):
-            n = difference.values.shape[1]
+            n = int(difference.lengths.max())
             alone = toeplitz(own[:n])
             out += sum(difference.restricted(alone))
             if not shared:
@@ -294,13 +327,16 @@ class Pairs:
 
     def own(self) -> Component:
         """What the balls do not share, from their differences."""
-        return own_noise((v, np.ones(len(v))) for d in self.differences for v in d.values)
+        size = [float(np.hypot(*claims)) for _, _, *claims in self.pairs]
+        return own_noise(
+            ((one - two) / s, np.ones(len(one))) for (one, two, *_), s in zip(self.pairs, size, strict=True)
+        )
 
     def noise(self) -> Noise:
         """Own and shared noise together."""
         alone = self.own()
         shape = shape_of(alone)
-        shared = 0.5 * alone.variance * float(np.mean(np.concatenate(self.claims) ** 2))
+        shared = 0.5 * alone.variance * float(np.mean([np.square(p[2:]) for p in self.pairs]))
         start = np.array([np.log(alone.variance), *free_numbers(alone), np.log(shared), np.log(shared)])
         freedom = 2 * sum(d.freedom for d in self.differences)
         return chosen(SHAKES, lambda shake, x: noise_of(shape, shake, x), self.cost, np.log(freedom), start)

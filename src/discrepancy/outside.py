@@ -214,7 +214,9 @@ def alone(evidence: Evidence, base: Fit, best: Fit, tick: Callable[[], None] = l
         effects = tuple(e for e in best.model.effects if e.name() == effect or e.name() not in added)
         values = {n: best.model.value(n) for n in own}
         model = dataclasses.replace(base.model, effects=effects).replace(values)
-        fits.append(settle(evidence, linearised(evidence, model, (*base.names, *own), base.launches), tick, rough=True))
+        with suppress(ValueError):  # alone it has no motion
+            start = linearised(evidence, model, (*base.names, *own), base.launches)
+            fits.append(settle(evidence, start, tick, rough=True))
     return fits
 
 
@@ -253,9 +255,12 @@ class Slots:
                 break
             model = best.library.replace(beside.shapes | dict.fromkeys(beside.strengths, 0.0))
             names = (*best.now.names, *beside.strengths)
-            start = settle(self.evidence, linearised(self.evidence, model, names, best.now.launches), self.tick)
-            look = _look(best.slot, start, _moves(self.evidence, best.slot, start.model, start.launches))
-            trial = fill(self.evidence, look, self.base, self.tick)
+            try:
+                start = settle(self.evidence, linearised(self.evidence, model, names, best.now.launches), self.tick)
+                look = _look(best.slot, start, _moves(self.evidence, best.slot, start.model, start.launches))
+                trial = fill(self.evidence, look, self.base, self.tick)
+            except ValueError:  # without the slot there is no motion
+                break
             if trial.score >= best.score or look.sigma < LEVEL:
                 break
             best = trial

@@ -17,36 +17,50 @@ from numpy.typing import NDArray
 
 from discrepancy.fit import Fit
 from discrepancy.measured import Measured
-from discrepancy.noise import KERNELS, SHAKEN, Component, Noise, Pairs, descend, free_numbers, noise_of, shape_of
+from discrepancy.noise import (
+    KERNELS,
+    SHAKEN,
+    Component,
+    Noise,
+    Pairs,
+    descend,
+    free_numbers,
+    noise_of,
+    possible,
+    shape_of,
+)
 from discrepancy.whiten import Whitener
 
 Array = NDArray[np.float64]
 
+CLIPS = 12  # read, at most: enough to know the noise by
 EXCLUDED = 20.0  # of -2 log likelihood within the phases: one chance in a thousand for five numbers
 SLIGHT = 9.0  # of -2 log likelihood: less gain is no reason to fit everything again
-IMPOSSIBLE = 1e12  # of -2 log likelihood
 SEEN = 1e-8  # of a shared parameter's information: where the others leave less it counts for nothing
 SLOW = (0.95,)  # the correlation from frame to frame of slow noise, to start from
 
 
-def refined(clips: Sequence[Measured], fit: Fit, noise: Noise, least: float = SLIGHT) -> Noise:
-    """A better reading of the noise from the residuals of the best fit, which was made with `noise`.
+def refined(clips: Sequence[Measured], fit: Fit, noise: Noise, explained: bool = True) -> Noise:
+    """A better reading of the noise from the residuals of a fit, which was made with `noise`.
 
-    `noise` itself when that gains less than `least` of -2 log likelihood, or is what the phases by themselves exclude.
+    explained: the fit lacks nothing that is known. Where it may, what it lacks moves both balls, as a shaking camera
+    does: then only each ball's own noise is read. `noise` itself when that gains little, or is what the phases exclude.
     """
-    left = _Left.of(clips, fit, noise)
-    within = Pairs(pair for clip in clips for pair in clip.together())
-    sigma, rho = (0.0, 0.0) if noise.shared else left.shaken(noise)
+    if noise.shared and not explained:
+        return noise
+    places = np.unique(np.linspace(0, len(clips) - 1, min(CLIPS, len(clips))).astype(int)).tolist()
+    left, within = _Left.of(clips, fit, noise, places), Pairs(pair for k in places for pair in clips[k].together())
+    sigma, rho = (0.0, 0.0) if noise.shared or not explained else left.shaken(noise)
     if noise.shared:
         new = left.best(noise)[1]
-    elif sigma > SHAKEN and within.both:
-        own, size = within.own(), float(np.mean([np.mean(c.claimed() ** 2) for c in clips]))
+    elif sigma > SHAKEN and within.pairs:
+        own, size = within.own(), float(np.mean([np.mean(c.claimed() ** 2) for c in left.clips]))
         slow = Component(0.2 * own.variance * size, (rho,))
         new = left.best(Noise(own, (slow, slow)))[1]
     else:
         slow = Component(noise.own.variance, SLOW, 0.5)
         new = min((left.best(n) for n in (noise, Noise(slow))), key=lambda pair: pair[0])[1]
-    if left.cost(noise) - left.cost(new) < least:
+    if left.cost(noise) - left.cost(new) < (SLIGHT if explained else 0.0):
         return noise
     return new if within.cost(new) - within.cost(noise) < EXCLUDED else noise
 
@@ -60,12 +74,15 @@ class _Left:
     price: float  # of a number more, Schwarz
 
     @classmethod
-    def of(cls, clips: Sequence[Measured], fit: Fit, noise: Noise) -> _Left:
+    def of(cls, clips: Sequence[Measured], fit: Fit, noise: Noise, places: Sequence[int]) -> _Left:
+        """Of the clips at these places."""
         size = np.sqrt(sum((s**2).sum(axis=0) for s in fit.slopes))
-        unit = 1 / np.where(size > 0, size, 1)
-        parts = zip(clips, fit.launch_slopes, fit.slopes, fit.residuals, strict=True)
-        columns = [Whitener.of(c, noise).undo(np.column_stack([a, s * unit, r])) for c, a, s, r in parts]
-        return cls(clips, tuple(columns), float(np.log(fit.points - fit.parameters)))
+        unit, columns = 1 / np.where(size > 0, size, 1), []
+        for k in places:
+            both = np.column_stack([fit.launch_slopes[k], fit.slopes[k] * unit, fit.residuals[k]])
+            columns.append(Whitener.of(clips[k], noise).undo(both))
+        some = tuple(clips[k] for k in places)
+        return cls(some, tuple(columns), float(np.log(sum(2 * len(c.frame) - 6 for c in some))))
 
     def cost(self, noise: Noise) -> float:
         """-2 log restricted likelihood, up to a constant."""
@@ -92,13 +109,10 @@ class _Left:
         build = partial(noise_of, shape, shake)
 
         def cost(y: Array) -> float:
-            try:
-                return self.cost(build(y))
-            except np.linalg.LinAlgError:  # so far from what the tracks say that the covariance is singular
-                return IMPOSSIBLE
+            return self.cost(build(y))
 
         x = descend(cost, np.concatenate(numbers))
-        return cost(x) + self.price * len(x), build(x)
+        return possible(cost, x) + self.price * len(x), build(x)
 
     def shaken(self, noise: Noise) -> tuple[float, float]:
         """The most significant score of shared noise over KERNELS and axes, in sigma, and its kernel's correlation.
