@@ -76,9 +76,10 @@ def trial(study: Study, box: int, output: Path) -> str:
         ledger.answer(box, said)
         beside = {"gap": oracle.gap(ledger.truth(box), said, folder), "code": version}
         row = judge({"truth": ledger.open(box, said, beside), "answer": said} | beside)
+    word = "right" if row.right else "right class" if row.kin else "WRONG"
     return (
         f"{study.name} {box}: {row.kind} {'+'.join(row.hidden)} {row.ratio:.1f} {row.noise} {row.source} -> "
-        f"{row.verdict} {'+'.join(row.called)} {'right' if row.right else 'WRONG'} ({row.cpu:.0f} s)"
+        f"{row.verdict} {'+'.join(row.called)} {word} ({row.cpu:.0f} s)"
     )
 
 
@@ -86,6 +87,8 @@ def analysed(measured: Path, camera: Path | None, model: Path, folder: Path) -> 
     """The answer of a process that is given the evidence and the textbook model, and nothing else."""
     command = [sys.executable, str(ROOT / "benchmarks/sealed/analysis.py"), str(measured), str(camera or "-")]
     done = subprocess.run([*command, str(model), str(folder)], capture_output=True, text=True, env=alone(), check=False)
+    if done.returncode < 0:  # killed, as the whole study may be: the box stays shut
+        raise RuntimeError(f"the analysis was ended by signal {-done.returncode}")
     path = folder / "answer.json"
     if not path.exists():
         return {"verdict": "crashed", "why": done.stderr[-500:]}

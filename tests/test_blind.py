@@ -175,14 +175,14 @@ SMALL = {"clips": 6, "size": (320, 240), "filmed": True}
     "study",
     [
         Study("nothing", {"none": 1}, 1, **TINY, integrated=0),
-        Study("another integrator", {"one": 1}, 1, **TINY, integrated=1, effects=("friction_anisotropy",)),
+        Study("another integrator", {"one": 1}, 1, **TINY, integrated=1, effects=("spin_transfer_velocity",)),
         Study("outsider", {"outside": 1}, 1, **TINY, effects=("root_drag",)),
         Study("film", {"one": 1}, 1, **TINY | SMALL, effects=("velocity_restitution",)),
     ],
     ids=lambda study: study.name,
 )
 def test_a_box_from_sealing_to_opening(study, tmp_path, monkeypatch):
-    if not study.filmed:  # the film alone pays for the whole library, and a process of its own
+    if study.name != "nothing":  # it alone pays for the whole library, and for a process of its own
         only(monkeypatch, **{name: library()[name] for name in FEW})
         monkeypatch.setattr(blind, "analysed", analysis.analysed)
     blind.trial(study, 0, tmp_path)

@@ -5,7 +5,8 @@ import dataclasses
 import numpy as np
 import pytest
 
-from discrepancy.find import find
+from discrepancy.find import add, find
+from discrepancy.measured import split
 from discrepancy_clips import EXPOSURE, FPS, HIDDEN, STD, blank, collisions, launches, only, searched
 from discrepancy_outsiders import FEW, OUTSIDERS, outsider
 from sealed.integrator import Plate, collision, means
@@ -194,3 +195,44 @@ def test_clips_too_short_to_read_noise_from():
     ]
     with pytest.raises(InputError, match="too few unbroken frames"):
         find(cut, Model())
+
+
+def one_way(clip):
+    """The collision turned until the striker goes along x."""
+    c, s = np.cos(clip.launch[4]), np.sin(clip.launch[4])
+    back = np.array([[c, s], [-s, c]])
+    launch = np.concatenate([back @ clip.launch[:2], clip.launch[2:4], [0.0], clip.launch[5:]])
+    return dataclasses.replace(clip, xy=clip.xy @ back.T, launch=launch)
+
+
+def test_clips_all_alike_are_said(monkeypatch):
+    only(monkeypatch)
+    found = find([one_way(c) for c in collisions(Model(), 6, 5)], Model())
+    assert found.verdict == "none"
+    assert [line.partition(":")[0] for line in found.document()["alike"]] == ["all clips go one way"]
+
+
+def test_a_bad_recording_does_not_spoil_the_gap(monkeypatch):
+    """One clip of those kept out has noise ten times as large."""
+    only(monkeypatch)
+    clips = collisions(Model(), 12, 3)
+    bad = split(clips)[1][1].clip
+    rough = STD * 10 * np.random.default_rng(1).standard_normal(clips[bad].xy.shape)
+    clips[bad] = dataclasses.replace(clips[bad], xy=clips[bad].xy + rough)
+    found = find(clips, Model())
+    assert bad not in [c.clip for c in found.kept_out]
+    assert [line.partition(":")[0] for line in found.left_out] == [f"clip {bad}"]
+    assert found.shown.gap.before == pytest.approx(found.shown.gap.floor, rel=0.15)
+
+
+def test_a_model_without_a_motion_is_refused():
+    steep = Model().replace({"plate_tilt.x": 5e-3})
+    with pytest.raises(InputError, match="no motion for these collisions"):
+        find(collisions(Model(), 6, 5), steep)
+
+
+def test_an_added_effect_gets_its_shape(monkeypatch):
+    only(monkeypatch, stribeck=library()["stribeck"])
+    truth = {"stribeck.rise": 0.1, "stribeck.slip": 0.2}
+    new = add(collisions(Model().replace(truth), 6, 4), Model(), "stribeck")
+    assert {k: new.value(k) for k in truth} == pytest.approx(truth, rel=0.1)

@@ -7,7 +7,18 @@ import pytest
 from scipy.linalg import null_space, toeplitz
 from scipy.stats import multivariate_normal
 
-from discrepancy.noise import SMOOTH, Bundle, Component, Noise, Pairs, estimate, own_noise
+from discrepancy.noise import (
+    IMPOSSIBLE,
+    SMOOTH,
+    Bundle,
+    Component,
+    Noise,
+    Pairs,
+    descend,
+    estimate,
+    own_noise,
+    possible,
+)
 from discrepancy_clips import FRAMES, STD, correlated, exact, noise_of_pair
 from synthcam.model import Model
 
@@ -132,6 +143,31 @@ def test_missing_frames_break_a_stretch_and_no_more():
     one, other = estimate(whole), estimate(holed)
     assert other.scale == pytest.approx(one.scale, rel=0.15)
     assert other.shake == pytest.approx(one.shake, rel=0.25)
+
+
+def test_a_bundle_of_unequal_stretches_counts_each_by_its_own_length():
+    rng = np.random.default_rng(11)
+    values = [correlated(rng, n, 0.5) for n in (19, 15, 14)]
+    together, covariance = Bundle.of(values, [np.ones(len(v)) for v in values]), toeplitz(0.7 ** np.arange(19))
+    each = [Bundle.of([v], [np.ones(len(v))]).restricted(covariance[: len(v), : len(v)]) for v in values]
+    assert together.restricted(covariance) == pytest.approx(np.sum(each, axis=0))
+    assert together.restricted(np.tile(covariance, (3, 1, 1))) == pytest.approx(np.sum(each, axis=0))
+
+
+def test_one_bad_recording_does_not_count_for_all():
+    clips = shaken(CLIPS, 5)
+    bad = dataclasses.replace(clips[0], xy=CLIPS[0].xy + 10 * (clips[0].xy - CLIPS[0].xy))
+    noise = estimate([bad, *clips[1:]])
+    assert noise == estimate(clips[1:])
+    assert noise.scale == pytest.approx(1, rel=0.1)
+
+
+def test_a_noise_far_from_the_tracks_has_a_cost_too():
+    def singular(x):
+        return float(np.linalg.cholesky(np.array([[1.0, x[0]], [x[0], 1.0]])).sum()) if x[0] > 1.5 else float(x[0] ** 2)
+
+    assert possible(singular, np.array([2.0])) == possible(lambda x: float("nan"), np.zeros(1)) == IMPOSSIBLE
+    assert abs(descend(singular, np.array([1.4]))[0]) <= 1.01
 
 
 def test_too_little_to_read_noise_from():

@@ -43,3 +43,8 @@ def test_a_fit_that_did_not_converge_is_said():
     )
     assert rest(base) < 0.1
     assert rest(off) > 1
+
+
+def test_what_clips_all_alike_cannot_tell_is_said():
+    found = dataclasses.replace(searched("nothing"), alike=("all clips go one way: no tilt can be told",))
+    assert story(found)[4].endswith("; all clips go one way: no tilt can be told.")

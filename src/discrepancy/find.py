@@ -9,16 +9,17 @@ from typing import Any
 import numpy as np
 
 from discrepancy.answer import Answer
-from discrepancy.fit import Evidence, Fit, fit
+from discrepancy.fit import Evidence, Fit, fit, settle
 from discrepancy.gap import Shown, as_dict, show
 from discrepancy.locate import Place, locate
-from discrepancy.measured import Measured, split
-from discrepancy.name import Named, Search, search
+from discrepancy.measured import Measured, cannot_tell, split
+from discrepancy.name import Named, Search, added, search
 from discrepancy.noise import Noise, estimate
 from discrepancy.odd import odd
 from discrepancy.outside import Filled, Slots, unseen
-from discrepancy.parameter import fitted, strengths_of
+from discrepancy.parameter import fitted
 from discrepancy.parting import advice, designs
+from discrepancy.rank import Contest
 from discrepancy.refine import refined
 from synthcam.effect import library
 from synthcam.model import Model
@@ -34,8 +35,8 @@ Tick = Callable[[str], None]
 class Found:
     """The outcome. verdict: none, named, ambiguous or outside_library. where: before; left: after all that was found.
 
-    slot: the law left free that explains what no effect of the library does; answer: its curve and formula. left_out:
-    why clips had no part in it.
+    slot: the law left free that explains what no effect of the library does; answer: its curve and formula. alike: what
+    no such clips can tell, because they are all alike in it. left_out: why clips had no part in it.
     """
 
     verdict: str
@@ -50,6 +51,7 @@ class Found:
     left: tuple[Place, ...]
     shown: Shown
     experiment: str
+    alike: tuple[str, ...]
     left_out: tuple[str, ...]
 
     @property
@@ -103,6 +105,7 @@ class Found:
             "ranking": [{"effect": c.effect, "sigma": c.sigma} for c in self.search.ranking],
             "claim": self.search.claim,
             "untold": list(self.search.untold),
+            "alike": list(self.alike),
             "gap": as_dict(self.shown.gap),
             "experiment": self.experiment,
             "noise": {"scale": self.noise.scale, "correlation": self.noise.correlation, "shake": self.noise.shake},
@@ -132,11 +135,13 @@ def find(clips: Sequence[Measured], model: Model, tick: Tick = lambda stage: Non
     noise = _noise(clips)
     some, kept_out = split(clips)
     # read without any claim first: one made with too little noise could explain the rest of the noise away
-    noise = refined(some, fit(some, model, fitted(model), noise, tick=lambda: tick("fit")), noise, explained=False)
+    noise = refined(some, _base(some, model, noise, tick), noise, explained=False)
     left_out: list[str] = []
-    for _ in range(ROUNDS):
+    for turn in range(ROUNDS):
         hunt, slot = _hunt(some, model, noise, tick)
         best, cleaned = (slot.whole, slot.evidence.clips) if slot else (hunt.best, some)
+        if turn == ROUNDS - 1:
+            break
         strange = odd(cleaned, hunt.base, best)
         if strange:
             left_out += strange.values()
@@ -150,7 +155,12 @@ def find(clips: Sequence[Measured], model: Model, tick: Tick = lambda stage: Non
     where = locate(some, hunt.base, noise)
     left = locate(cleaned, best, noise) if best is not hunt.base else where
     tick("gap")
-    shown = show(kept_out, hunt.base, hunt.best, noise, lambda: tick("gap"), _after(slot, kept_out, noise))
+    shown = _shown(kept_out, hunt, slot, noise, tick)
+    strange = odd(kept_out, shown.before, shown.after)
+    if strange:
+        left_out += [f"{line} (kept out)" for line in strange.values()]
+        kept_out = [c for k, c in enumerate(kept_out) if k not in strange]
+        shown = _shown(kept_out, hunt, slot, noise, tick)
     named = _beside(slot, hunt) if slot else hunt.named
     verdict = _verdict(slot, named, left)
     experiment = _experiment(hunt, some, noise) if verdict == "ambiguous" else ""
@@ -168,12 +178,24 @@ def find(clips: Sequence[Measured], model: Model, tick: Tick = lambda stage: Non
         left,
         shown,
         experiment,
+        tuple(cannot_tell(clips)),
         tuple(left_out),
     )
 
 
+def _base(clips: Sequence[Measured], model: Model, noise: Noise, tick: Tick) -> Fit:
+    try:
+        return fit(clips, model, fitted(model), noise, tick=lambda: tick("fit"))
+    except ValueError as e:
+        raise InputError(f"the model has no motion for these collisions: {e}") from None
+
+
+def _shown(clips: Sequence[Measured], hunt: Search, slot: Filled | None, noise: Noise, tick: Tick) -> Shown:
+    return show(clips, hunt.base, hunt.best, noise, lambda: tick("gap"), _after(slot, clips, noise))
+
+
 def _hunt(clips: Sequence[Measured], model: Model, noise: Noise, tick: Tick) -> tuple[Search, Filled | None]:
-    base = fit(clips, model, fitted(model), noise, tick=lambda: tick("fit"))
+    base = _base(clips, model, noise, tick)
     free = Slots(Evidence.of(clips, noise), base, lambda: tick("slots"))
     found = search(clips, base, noise, lambda: tick("search"), free.beat)
     return found, free.outcome(found.best)
@@ -230,5 +252,10 @@ def add(clips: Sequence[Measured], model: Model, effect: str, tick: Callable[[],
     """The model with `effect` added and refitted to all clips with everything else. Raises InputError."""
     if effect not in library():
         raise InputError(f"{effect}: no such effect; there are {', '.join(library())}")
-    names = list(dict.fromkeys([*fitted(model), *strengths_of(library()[effect])]))
-    return fit(clips, model, names, _noise(clips), tick=tick).model
+    noise = _noise(clips)
+    evidence, base = Evidence.of(clips, noise), _base(clips, model, noise, lambda stage: tick())
+    contest = Contest.of(evidence, base, tick)
+    candidate = next((c for c in contest.ranking() if c.effect == effect), None)
+    if candidate is None:  # it is fitted already, or bends a friction that is not there
+        return base.model
+    return settle(evidence, added(evidence, base, contest.sharper(evidence, candidate), tick), tick, fresh=False).model

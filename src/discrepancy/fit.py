@@ -176,7 +176,9 @@ def launch_derivatives(model: Model, launches: Array, clips: Sequence[Measured])
 def _nudged(model: Model, launches: Array, clips: Sequence[Measured]) -> tuple[list[Array], list[Array]]:
     nudges, k = LAUNCH_STEP * np.concatenate([np.zeros((1, 6)), np.eye(6)]), len(clips)
     every = forecast(model, (launches[None] + nudges[:, None]).reshape(-1, 6), list(clips) * len(nudges))
-    slopes = [np.stack([(every[(1 + j) * k + i] - every[i]) / LAUNCH_STEP for j in range(6)], axis=-1) for i in range(k)]
+    slopes = [
+        np.stack([(every[(1 + j) * k + i] - every[i]) / LAUNCH_STEP for j in range(6)], axis=-1) for i in range(k)
+    ]
     return every[:k], slopes
 
 

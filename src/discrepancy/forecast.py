@@ -35,25 +35,38 @@ def forecast(model: Model, launches: Array, clips: Sequence[Measured]) -> list[A
     extent = model.laws("clock", film[[0, -1]], {"fps": camera.fps, "row": rows}) + np.array([0.0, exposure])
     start = min(float(extent.min()), float(launches[:, 2].min()))
     motion = collisions(model, launches, start, float(extent.max()), [c.striker == "a" for c in clips])
-    places = _seen(model, camera, _exposed(model, motion, camera, film, exposure))
+    places, opens = _exposed(model, motion, camera, film, exposure)
+    height = _heights(motion, opens, exposure) if model.laws.bent("loft") else camera.radius
+    places = _seen(model, camera, places, height)
     return [places[c.ball, k, c.frame - frames[0]] for k, c in enumerate(clips)]
 
 
-def _exposed(model: Model, motion: Batch, camera: Camera, film: Array, exposure: float) -> Array:
-    """Means over the exposures, (2, clips, frames, 2), m; each ball by the clock of its own row where that matters."""
+def _exposed(model: Model, motion: Batch, camera: Camera, film: Array, exposure: float) -> tuple[Array, Array]:
+    """Means over the exposures, (2, clips, frames, 2), m; each ball by the clock of its own row where that matters.
+
+    And when the exposures open, (frames,) or (2 clips, frames).
+    """
     if not model.laws.asks("clock", "row"):
-        return motion.means(model.laws("clock", film, {"fps": camera.fps, "row": 0.0}), exposure)
-    places = motion.means(film, exposure)
+        opens = model.laws("clock", film, {"fps": camera.fps, "row": 0.0})
+        return motion.means(opens, exposure), opens
+    places, opens = motion.means(film, exposure), film
     for _ in range(2):
         rows = np.clip(_project(camera, places)[..., 1], 0, camera.size[1] - 1).reshape(-1, len(film))
         own = model.laws("clock", film + 0 * rows, {"fps": camera.fps, "row": rows})
-        places = motion.means(np.clip(own, motion.start, motion.end - exposure), exposure)
-    return places
+        opens = np.clip(own, motion.start, motion.end - exposure)
+        places = motion.means(opens, exposure)
+    return places, opens
 
 
-def _seen(model: Model, camera: Camera, places: Array) -> Array:
-    """Where the tracker, which knows the nominal camera, puts centres that are at `places`."""
-    if not model.laws.bent("camera", "measure"):
+def _heights(motion: Batch, opens: Array, exposure: float) -> Array:
+    """Of the centres, means over the exposures by Simpson's rule, (2, clips, frames, 1), m: some hop."""
+    first, middle, last = (motion.at(opens + share * exposure)[..., 2:3] for share in (0.0, 0.5, 1.0))
+    return np.asarray((first + 4 * middle + last) / 6)
+
+
+def _seen(model: Model, camera: Camera, places: Array, height: Array | float) -> Array:
+    """Where the tracker, which knows the nominal camera and no hop, puts centres that are at `places` and `height`."""
+    if not model.laws.bent("camera", "measure", "loft"):
         return places
     nominal = Optics(
         K=camera.K,
@@ -66,14 +79,14 @@ def _seen(model: Model, camera: Camera, places: Array) -> Array:
         scale=float("nan"),
         psf_sigma_px=float("nan"),
     )
-    pixels = replace(model.laws("camera", nominal, {})).project(_spatial(camera, places))
+    pixels = replace(model.laws("camera", nominal, {})).project(_spatial(places, height))
     pixels = model.laws("measure", pixels, {"glint": lambda seen: camera.glint_of_centre(camera.unproject(seen)[0])})
     return np.asarray(camera.unproject(pixels)[0])
 
 
 def _project(camera: Camera, places: Array) -> Array:
-    return np.asarray(camera.project(_spatial(camera, places)))
+    return np.asarray(camera.project(_spatial(places, camera.radius)))
 
 
-def _spatial(camera: Camera, places: Array) -> Array:
-    return np.concatenate([places, np.full((*places.shape[:-1], 1), camera.radius)], axis=-1)
+def _spatial(places: Array, height: Array | float) -> Array:
+    return np.concatenate([places, np.broadcast_to(height, (*places.shape[:-1], 1))], axis=-1)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -152,11 +152,12 @@ class _Hunt:
             winner = self._winner(state, contest, claim)
             if winner is None:
                 break
-            grown = (*state, winner)
+            grown, before = (*state, winner), set()
             while True:
+                before.add(frozenset(grown))
                 contest = self._contest(grown)
                 better = self._better(grown, contest, claim)
-                if better is None:
+                if better is None or frozenset(better) in before:
                     break
                 grown = better
             if len(grown) <= len(state):  # added and dropped again: round in a circle
@@ -223,10 +224,19 @@ class _Hunt:
         for key in keys:
             if self._price(key) < self._price(keys[0]) + NEAR:
                 self._settled(tuple(key))
-        best = min(keys, key=self._price)
-        (winner,) = best - frozenset(state)
-        gain = sigmas(now.chi2 - self.fits[best].chi2, len(winner.strengths))
-        return winner if gain > claim else None
+        said = {key: next(iter(key - frozenset(state))) for key in keys}
+        claimed = [k for k in keys if sigmas(now.chi2 - self.fits[k].chi2, len(said[k].strengths)) > claim]
+        return said[self._simplest(claimed)] if min(keys, key=self._price) in claimed else None
+
+    def _simplest(self, keys: Collection[frozenset[Suspect]]) -> frozenset[Suspect]:
+        """Of models that fit as well as the best, the one with the fewest strengths, then shapes, then the best fit."""
+        near = min(map(self._price, keys)) + PART
+
+        def order(key: frozenset[Suspect]) -> tuple[int, int, float]:
+            effects = [s for s in key if s.kind is not None]
+            return sum(len(s.strengths) for s in effects), sum(len(s.shapes) for s in effects), self._price(key)
+
+        return min((k for k in keys if self._price(k) <= near), key=order)
 
     def _contenders(self, contest: Contest, ranking: Sequence[Candidate], claim: float) -> list[Candidate]:
         """Those that may fit as well as the leader, or better; their shapes made out more finely."""
@@ -251,9 +261,10 @@ class _Hunt:
                 kept = self._settled(rest)
                 if sigmas(kept.chi2 - now.chi2, len(suspect.strengths)) < claim:
                     return rest
-            reduced = None
+            reduced, keys = None, {frozenset(state): suspect}
             for c in self._rivals(contest, suspect):
                 key = frozenset({*rest, c.suspect})
+                keys[key] = c.suspect
                 if key not in self.fits:
                     reduced = reduced or self._without(now, suspect)
                     self.fits[key] = added(
@@ -261,8 +272,11 @@ class _Hunt:
                     )
                 if self._price(key) < self._price(state) + NEAR:
                     self._settled(tuple(key))
-                if self._price(key) < self._price(state) - 0.1:
+                if self._price(key) < self._price(state) - PART:
                     return (*state[:k], c.suspect, *state[k + 1 :])
+            best = self._simplest(keys)
+            if best != frozenset(state):
+                return (*state[:k], keys[best], *state[k + 1 :])
         return None
 
     def _rivals(self, contest: Contest, suspect: Suspect) -> list[Candidate]:

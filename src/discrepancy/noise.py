@@ -34,9 +34,11 @@ SHAPES: tuple[Shape, ...] = ((0, False), (1, False), (1, True), (2, False), (3, 
 SHAKES: tuple[Shape, ...] = ((0, False), (1, False), (1, True), (2, False))  # of what the balls share
 SLOWEST = 0.999  # the largest partial autocorrelation: beyond it a clip cannot tell it from 1
 KERNELS = (0.0, 0.7, 0.97)  # correlations from frame to frame at which shared noise is looked for
+UNUSUAL = 9.0  # times the median clip's noise power: one bad recording would count for all others
 SHAKEN = 4.0  # sigma under independence: shared noise is used only beyond it
 IMPOSSIBLE = 1e12  # of -2 log likelihood, where a covariance is singular
 FEWER = 1.4  # a bundle's stretches are longer than its longest over this
+FLAT = 2.0  # of the cost's slope: its curvature is some hundreds
 STEP = 1e-4  # of the transformed parameters, for numerical derivatives
 FLOOR, CEILING = 1e-9, 0.99  # of a part that is white
 
@@ -92,6 +94,7 @@ class Noise:
 
 def estimate(clips: Sequence[Measured]) -> Noise:
     """The noise of these clips. Raises ValueError when their unbroken stretches are too few."""
+    clips = _usual(clips)
     own = own_noise(stretch for clip in clips for stretch in clip.stretches())
     pairs = Pairs(pair for clip in clips for pair in clip.together())
     return pairs.noise() if pairs.shaken(own) > SHAKEN else Noise(own)
@@ -137,7 +140,7 @@ class Bundle:
 
     @property
     def freedom(self) -> int:
-        return int((self.lengths - SMOOTH).sum()) * self.values.shape[2]
+        return int((self.lengths - SMOOTH).sum()) * int(self.values.shape[2])
 
 
 def _alike(lengths: Sequence[int]) -> list[list[int]]:
@@ -155,6 +158,17 @@ def _bundles(stretches: Iterable[Stretch]) -> list[Bundle]:
     every = list(stretches)
     groups = _alike([len(places) for places, _ in every])
     return [Bundle.of([every[k][0] for k in group], [every[k][1] for k in group]) for group in groups]
+
+
+def _usual(clips: Sequence[Measured]) -> list[Measured]:
+    """The clips whose noise is of the usual size."""
+    sizes = []
+    for clip in clips:
+        bundles = _bundles(clip.stretches())
+        freedom = sum(b.freedom for b in bundles)
+        sizes.append(sum(float((b.values**2).sum()) for b in bundles) / freedom if freedom else 0.0)
+    most = UNUSUAL * float(np.median([s for s in sizes if s > 0] or [0.0]))
+    return [c for c, s in zip(clips, sizes, strict=True) if s <= most]
 
 
 def own_noise(stretches: Iterable[Stretch]) -> Component:
@@ -258,7 +272,7 @@ def descend(cost: Callable[[Array], float], start: Array) -> Array:
     """Where a smooth cost is least, from `start`."""
     if not len(start):
         return start
-    found = minimize(partial(possible, cost), start, method="BFGS", options={"eps": STEP, "gtol": 0.3, "maxiter": 40})
+    found = minimize(partial(possible, cost), start, method="BFGS", options={"eps": STEP, "gtol": FLAT, "maxiter": 40})
     return np.asarray(found.x)
 
 

@@ -82,9 +82,11 @@ def _open(found: Found) -> str:
         parts.append(f"the value of {_listed(undetermined, 'and')}")
     if found.search.untold:
         parts.append(f"whether there is any {_listed(found.search.untold, 'or')}")
-    if not parts:
-        return "Every effect of the library would have shown at a realistic size."
-    return f"These collisions cannot tell {'; nor '.join(parts)}."
+    if parts:
+        said = f"These collisions cannot tell {'; nor '.join(parts)}"
+    else:
+        said = "Every effect of the library would have shown at a realistic size"
+    return "; ".join([said, *found.alike]) + "."
 
 
 def _listed(words: Sequence[str], last: str) -> str:

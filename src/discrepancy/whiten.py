@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -46,8 +47,10 @@ class Whitener:
         total = np.zeros((n, 2, n, 2))
         for axis, component in enumerate(noise.shared):
             total[:, axis, :, axis] += own
-            push = roots[:, :, axis]  # of a displacement along this axis, in scaled residuals
-            total += component.lags(longest)[apart][:, None, :, None] * push[:, :, None, None] * push
+            push, lags = roots[:, :, axis], component.lags(longest)[apart]  # of a displacement, in scaled residuals
+            for a, b in itertools.product(range(2), range(2)):
+                if push[:, a].any() and push[:, b].any():
+                    total[:, a, :, b] += lags * np.outer(push[:, a], push[:, b])
         order = np.argsort(np.repeat(frame, 2), kind="stable")
         factor = np.linalg.cholesky(total.reshape(2 * n, 2 * n)[np.ix_(order, order)])
         return cls(roots, (_inverse(factor),), order)
