@@ -1,10 +1,12 @@
 """Glints of known place found again: precision against the bound, honest errors, no bias, nothing that is not there."""
 
+import copy
 import importlib.util
 import math
 
 import numpy as np
 import pytest
+from scipy.ndimage import gaussian_filter
 
 from tracker import detect as detect_module
 from tracker.bound import localisation_bound
@@ -211,6 +213,56 @@ def test_two_balls_two_detections_through_a_collision():
     found = detect(shown, look(shown))
     assert np.bincount(found.frame, minlength=60).tolist() == [2] * 60
     assert set(assign(found, CAM).tolist()) == {0, 1}
+
+
+def test_a_neighbour_takes_the_learnt_body_from_no_clipped_glint():
+    """Beside another ball clipped glints are known as well as alone, and are where they say."""
+    paths, stds, misses = collision(60, speed=2.5), [], []
+    for seed in range(4):
+        shown = clip(film(np.random.default_rng(seed), paths, peak=700.0, body=14.0))
+        found = detect(shown, look(shown))
+        off = found.xy[:, None] - paths[found.frame]
+        pick = np.argmin(np.hypot(*np.moveaxis(off, 2, 0)), axis=1)
+        std = np.sqrt(np.trace(found.cov, axis1=1, axis2=2) / 2)
+        near = (found.flags & NEAR) > 0
+        stds.append([np.median(std[near]), np.median(std[~near])])
+        misses.append((off[np.arange(len(off)), pick] / std[:, None])[near])
+    beside, alone = np.mean(stds, axis=0)
+    assert beside < 1.02 * alone
+    z = np.concatenate(misses)
+    assert abs(z.std() - 1) < 4 / math.sqrt(2 * z.size)
+    assert np.abs(z.mean(axis=0)).max() < 4 / math.sqrt(len(z))
+
+
+def mirrored_sky(camera, centre, shape):
+    """cos of the angle from the zenith, of what each pixel's ray meets by a ball at ``centre`` (2,) m; 0 elsewhere."""
+    rows, columns = np.mgrid[: shape[0], : shape[1]]
+    way = np.stack([columns - camera.K[0, 2], rows - camera.K[1, 2], np.full(shape, camera.K[0, 0])], axis=-1)
+    way = way @ camera.R / np.linalg.norm(way, axis=-1, keepdims=True)
+    offset = camera.position - np.array([*centre, camera.radius])
+    half = way @ offset
+    root = half**2 - (offset @ offset - camera.radius**2)
+    normal = (offset + way * (-half - np.sqrt(np.maximum(root, 0)))[..., None]) / camera.radius
+    up = way[..., 2] - 2 * np.sum(way * normal, axis=-1) * normal[..., 2]
+    return np.where(root > 0, np.clip(up, 0, None), 0)
+
+
+def test_far_from_the_axis_the_body_pulls_no_clipped_glint():
+    """Without noise: balls seen at a slant, that mirror a sky brightest overhead."""
+    data = copy.deepcopy(CAMERA)
+    data["K"][0][2], data["K"][1][2] = -300.0, -250.0
+    camera, rng = Camera.from_dict(data), np.random.default_rng(8)
+    frames, true = [np.full((160, 200), 8, np.uint8)], []
+    for _ in range(40):
+        centre = camera.unproject(np.array([[100.0, 80.0]]) + rng.uniform(-20, 20, 2))[0]
+        glint = camera.glint_of_centre(centre)[0]
+        picture = 8.5 + 14 * gaussian_filter(mirrored_sky(camera, centre[0], (160, 200)), 1.0)
+        picture += 700 * 2 * math.pi * spot(picture.shape, *glint, 1.0)
+        frames.append(np.rint(picture).clip(0, 255).astype(np.uint8))
+        true.append(glint)
+    shown = clip(np.array([*frames, frames[0]]), camera)
+    off = detect(shown, look(shown)).xy - np.array(true)
+    assert np.abs(off.mean(axis=0)).max() < 0.0008
 
 
 def test_hot_pixels_are_no_balls_and_pull_none():

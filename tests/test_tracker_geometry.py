@@ -99,6 +99,23 @@ def test_centre_of_glint_undoes_glint_of_centre():
     assert np.allclose(moved, 0.1 * jacobian[:, :, 0], atol=1e-7)
 
 
+def test_rings_of_the_mirrored_sky_stand_between_zenith_and_centre():
+    """Points of the ball that mirror the sky 60 degrees from the zenith, by the law of reflection."""
+    camera, place = Camera.from_dict(CAMERA), np.array([[0.05, -0.04]])
+    glint, middle = camera.glint_of_centre(place), np.array([*place[0], camera.radius])
+    turn, lean = np.meshgrid(np.arange(0, 2 * np.pi, np.pi / 18), np.radians(np.linspace(25, 35, 2001)), indexing="ij")
+    normal = np.stack([np.cos(turn) * np.sin(lean), np.sin(turn) * np.sin(lean), np.cos(lean)], axis=-1)
+    way = middle + camera.radius * normal - camera.position
+    way /= np.linalg.norm(way, axis=-1, keepdims=True)
+    up = (way - 2 * np.sum(way * normal, axis=-1, keepdims=True) * normal)[..., 2]
+    each, ring = np.arange(len(up)), np.argmin(np.abs(up - 0.5), axis=1)
+    seen = camera.project(middle + camera.radius * normal[each, ring])
+    rows = np.column_stack([2 * seen, np.ones(len(seen))])
+    circle = np.linalg.lstsq(rows, np.sum(seen**2, axis=1), rcond=None)[0][:2]
+    assert np.abs(camera.zenith_of_glint(glint, np.cos(np.pi / 6))[0] - circle).max() < 0.003
+    assert np.abs(camera.zenith_of_glint(glint)[0] - circle).max() > 0.04
+
+
 @pytest.mark.parametrize("missing", ["lamp", "ball_diameter"])
 def test_no_correction_without_what_it_needs(missing):
     data = {k: v for k, v in CAMERA.items() if k != missing}

@@ -142,10 +142,11 @@ class Camera:
         jacobian = np.stack([pixels[1] - pixels[3], pixels[2] - pixels[4]], axis=-1)
         return pixels[0], jacobian
 
-    def zenith_of_glint(self, glints: ArrayLike) -> Array:
+    def zenith_of_glint(self, glints: ArrayLike, share: float = 1.0) -> Array:
         """Glint pixels (n, 2) -> pixels (n, 2) at which their balls mirror what is straight overhead.
 
-        What a ball mirrors of a room that is the same all round is symmetric about that point.
+        What a ball mirrors of a room that is the same all round is symmetric about that point. share: of the way
+        there from the ball's centre.
         """
         seen = np.asarray(glints, dtype=np.float64)
         if not self.corrects_glint or seen.size == 0:
@@ -153,7 +154,11 @@ class Camera:
         place = self._centre_place(seen)
         middle = np.concatenate([place, np.full_like(place[..., :1], self.radius)], axis=-1)
         overhead = np.concatenate([place, np.full_like(place[..., :1], FAR)], axis=-1)
-        return self.project(middle + self.radius * mirror_normal(middle, self.radius, self.position, overhead))
+        zenith = self.project(middle + self.radius * mirror_normal(middle, self.radius, self.position, overhead))
+        if share == 1.0:
+            return zenith
+        centre = self.project(middle)
+        return np.asarray(centre + share * (zenith - centre), dtype=np.float64)
 
     def secondary_of_pair(self, glints: ArrayLike, others: ArrayLike) -> Array:
         """Pixels (n, 2) at which balls of primary glints (n, 2) show the lamp as their neighbours mirror it."""

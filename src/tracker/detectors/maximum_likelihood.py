@@ -22,12 +22,13 @@ Ints = NDArray[np.int64]
 WIDTHS = 3.5  # of the glint, that a window holds on each side
 BLOCK = 1024  # windows held at once: of 512 frames with two balls
 SIGNIFICANT = 5.0  # deviations of the flux, for a glint on the free background
-NEARBY = 1.5  # ball diameters between glints, within which a neighbour alters the body
+NEARBY = 1.5  # ball diameters between glints, within which a neighbour alters the body of an open glint
 HAUNTED = 5.0  # the same, within which a ball shows its neighbour's glint too
 CROWD = 12  # balls in a frame, among which neighbours are looked for
 SHOWS = 0.03  # of the glint's width, a change of the streak that shows in its place
 PUPILS = 128  # windows from which the body is learnt, and
 FEWEST = 24  # the fewest
+MIDDLE = 0.866  # of the way from the ball's centre to its zenith: cos 30 degrees, at half the ball's radius
 SMEARED = 0.3  # of the ball's radius: after a longer way in the exposure the body is no longer the one learnt
 CLEAR = 0.68  # of the ball's radius, out to which the learnt shape holds
 END = 0.9  # of the ball's radius: .71, and the blur
@@ -117,7 +118,8 @@ class MaximumLikelihood:
         rough = self._rough(patches, place)
         ids = assign(rough, self.camera)
         streak = self._streaks(rough, ids)
-        bowl = self.camera.zenith_of_glint(place) - place  # hardly changes from place to place
+        clipped = np.any((patches.counts >= self.camera.sensor.ceiling) & patches.inside, axis=(1, 2))
+        bowl = self._bowl(place, clipped)
         if self.body is None and self.bounded:
             self._learn(patches, place, streak, bowl)
         alone = np.zeros(len(place), dtype=bool)
@@ -131,12 +133,22 @@ class MaximumLikelihood:
         if len(rows):
             place = np.where(good[:, None], found.xy, place)
             redone, kept = self._fit(
-                patches.take(rows), place[rows], better[rows], bowl[rows], near[rows], ghosts[rows]
+                patches.take(rows), place[rows], better[rows], bowl[rows], (near & ~clipped)[rows], ghosts[rows]
             )
             good[rows] = kept
             found = found.put(rows, redone)
         found.flags[near] |= NEAR
         return found.take(good)
+
+    def _bowl(self, place: Array, clipped: NDArray[np.bool_]) -> Array:
+        """From the glints to the middles of their bodies, px; hardly changes from place to place.
+
+        What mirrors the sky at an angle a from the zenith is a circle about cos(a/2) of the way from the ball's
+        centre to where it mirrors the zenith. Clipped glints show the difference; in open ones it is lost in the noise.
+        """
+        middle = self.camera.zenith_of_glint(place)
+        middle[clipped] = self.camera.zenith_of_glint(place[clipped], MIDDLE)
+        return middle - place
 
     def _rough(self, patches: _Patches, place: Array) -> Glints:
         n = len(place)
@@ -156,7 +168,8 @@ class MaximumLikelihood:
         """Fits in groups of one window size, with and without a ghost; all glints, and which are good."""
         longest = np.max(np.abs(streak), axis=1)
         halves = np.minimum(self.half + np.floor(longest / 2.0 + 0.35).astype(np.int64), self.reach)
-        # Beside a neighbour, or smeared, the body is another than the one learnt.
+        # Beside a neighbour, or smeared, the body is another than the one learnt; a clipped glint's own
+        # bowl would cost more than a neighbour does.
         own = near | (np.hypot(*streak.T) > SMEARED * self.camera.diameter_px / 2.0)
         groups = 4 * halves + 2 * own + (ghosts[:, 2] > 0)
         out = self._rough(patches, place)
