@@ -116,7 +116,10 @@ def test_an_effect_outside_the_library_gets_its_slot_and_no_name(slot):
     assert found.model.effects == ()
     assert found.slot.slot.name == slot
     assert found.search.ranking[0].sigma > found.search.claim  # the nearest of the library would have been claimed
-    assert found.shown.gap.closure > 0.7  # of a map, other clips see other places; of the others two are kept out
+    gap, points = found.shown.gap, found.shown.after.points
+    chance = 4 * np.sqrt(2 / points) / (gap.before - gap.floor)  # in chi^2 a point of so few clips kept out
+    assert gap.closure > (0.7 if slot == "friction_place" else 0.95) - chance  # other clips see other places of a map
+    assert chance < 0.2
 
 
 @pytest.mark.parametrize("slot", list(OUTSIDERS))

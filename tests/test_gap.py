@@ -1,9 +1,14 @@
 """The gap is shown on collisions that no fit has seen."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
+from discrepancy.fit import fit
+from discrepancy.gap import show
 from discrepancy.measured import split
+from discrepancy.noise import Component, Noise
 from discrepancy.whiten import Whitener
 from discrepancy_clips import exact, searched
 from synthcam.model import Model
@@ -16,8 +21,8 @@ def test_clips_kept_out_are_in_no_fit():
     fitted, kept = ({c.clip for c in clips} for clips in (found.clips, found.kept_out))
     assert not fitted & kept
     assert (len(fitted), len(kept)) == (6, 2)
-    for fit, clips in ((found.search.best, found.clips), (found.shown.after, found.kept_out)):
-        assert [len(r) for r in fit.residuals] == [2 * len(c.frame) for c in clips]
+    for now, clips in ((found.search.best, found.clips), (found.shown.after, found.kept_out)):
+        assert [len(r) for r in now.residuals] == [2 * len(c.frame) for c in clips]
     for shown, model in ((found.shown.before, found.search.base.model), (found.shown.after, found.model)):
         assert shown.names == ()
         assert shown.model == model
@@ -87,3 +92,11 @@ def test_the_gap_lies_in_the_phases_of_what_is_hidden():
         assert parts[name].before_um > parts[name].after_um
     for part in parts.values():
         assert part.after == pytest.approx(part.floor, rel=0.25)
+
+
+def test_a_model_without_a_motion_closes_nothing():
+    clips, white = exact(Model(), 2, 5), Noise(Component(1.0))
+    base = fit(clips, Model(), (), white)
+    steep = dataclasses.replace(base, model=Model().replace({"plate_tilt.x": 5e-3}))
+    shown = show(clips, base, steep, white)
+    assert shown.gap.after == shown.gap.before

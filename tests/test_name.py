@@ -9,7 +9,7 @@ from scipy.stats import chi2 as chi2_law
 from scipy.stats import kstest
 
 from discrepancy.claim import FLOOR
-from discrepancy.fit import BASE, fit
+from discrepancy.fit import BASE, fit, linearised
 from discrepancy.name import _Hunt, search
 from discrepancy.noise import estimate
 from discrepancy.parameter import fitted, suspects
@@ -132,6 +132,30 @@ def test_the_simpler_of_two_that_fit_as_well_is_named(monkeypatch):
     clips, base, noise = started(Model().replace({"viscous_friction.k": 0.03}))
     (named,) = search(clips, base, noise).named
     assert named.aliases == ("viscous_friction", "stribeck")
+
+
+def test_a_slightly_better_fit_is_no_reason_for_more_parameters(monkeypatch):
+    """A wave of 1 m is a tilt: which of the two fits better is chance."""
+    tilt, wave = (frozenset({s}) for s in suspects(Model(), BASE) if s.name in ("plate_tilt", "plate_waviness"))
+    hunt = object.__new__(_Hunt)
+    for better, simplest in ((-5.0, tilt), (5.0, tilt), (20.0, wave)):
+        monkeypatch.setattr(_Hunt, "_price", lambda self, key, b=better: 100.0 - b * (key == wave))
+        assert hunt._simplest([wave, tilt]) == simplest
+
+
+def test_one_of_two_that_together_hold_the_ball_at_rest_can_be_taken_away(monkeypatch):
+    """A tilt too steep for a ball to rest, against the slope of a wave."""
+    few(monkeypatch, ("plate_tilt", "plate_waviness"))
+    clips, base, noise = started(Model())
+    hunt, names = _Hunt(clips, noise, base, lambda: None), (*BASE, "plate_tilt.x", "plate_waviness.b")
+    values = {"plate_tilt.x": 2e-3, "plate_waviness.b": 3.2e-5, "plate_waviness.wavelength": 0.1}
+    both = linearised(hunt.evidence, base.model.replace(values), names, base.launches)
+    (wave,) = (s for s in suspects(Model(), BASE) if s.name == "plate_waviness")
+    with pytest.raises(ValueError, match="rest"):
+        hunt.evidence.left(wave.without(both.model), both.launches)
+    left = hunt._without(both, wave)
+    assert left.names == (*BASE, "plate_tilt.x")
+    assert left.chi2 == pytest.approx(base.chi2)
 
 
 def test_a_shape_that_says_nothing_is_undetermined(monkeypatch):

@@ -9,7 +9,7 @@ import pytest
 from discrepancy.fit import BASE, fit
 from discrepancy.noise import Component, Noise, estimate
 from discrepancy.refine import refined
-from discrepancy_clips import FRAMES, STD, exact, noise_of_pair
+from discrepancy_clips import FRAMES, STD, collisions, exact, noise_of_pair
 from synthcam.model import Model
 
 
@@ -69,6 +69,17 @@ def test_what_is_unexplained_is_not_hidden_by_noise(hidden):
     left = fit(clips, Model(), BASE, worse).chi2 - fit(clips, Model(), names, worse).chi2
     assert left > 0.8 * z2 / (1 + z2 / (8 * len(clips)))
     assert left > 4.5**2
+
+
+def test_what_a_model_lacks_is_not_taken_for_a_camera_that_shakes():
+    """A tilt pushes both balls alike. Where it is in the model, nothing is left to be shared."""
+    tilted = Model().replace({"plate_tilt.x": 3e-5, "plate_tilt.y": 2e-5})
+    clips = collisions(tilted, 8, 3)
+    noise = estimate(clips)
+    base = fit(clips, Model(), BASE, noise)
+    assert base.chi2 > 1.1 * base.points
+    assert refined(clips, base, noise, explained=False).shared == ()
+    assert refined(clips, fit(clips, tilted, BASE, noise), noise) is noise
 
 
 def test_noise_that_the_phases_exclude_is_refused():

@@ -60,13 +60,16 @@ def show(
     """The gap on `clips`, kept out of both fits: shared parameters frozen, each clip's launch refitted.
 
     outside: from the fit before, the fit after, where no model file holds what was found; with what it moved taken out
-    of the clips.
+    of the clips. A best model that has no motion for one of them closes nothing.
     """
     before = fit(clips, base.model, (), noise, tick=tick)
-    if outside:
-        _, after = outside(before)
-    else:
-        after = before if best is base else fit(clips, best.model, (), noise, before.launches, tick)
+    try:
+        if outside:
+            _, after = outside(before)
+        else:
+            after = before if best is base else fit(clips, best.model, (), noise, before.launches, tick)
+    except ValueError:  # no motion
+        after = before
     rows = [_squares(c, one, two, a, noise) for c, one, two, a in _by_clip(clips, before, after)]
     squares = np.concatenate(rows)
     phase = np.concatenate([c.phase() for c in clips])
