@@ -210,3 +210,18 @@ def test_a_search_is_as_strict_as_its_library_is_large(monkeypatch):
     assert {"clock_error", "adhesion"} <= set(whole.untold)
     few(monkeypatch, EFFECTS)
     assert search(clips, base, noise).claim == FLOOR
+
+
+def test_a_shape_that_went_astray_is_found_again():
+    truth = {"hop.share": 1.0, "hop.bounce": 0.4}
+    clips = collisions(Model().replace(truth), 4, 3)
+    noise = estimate(clips)
+    base = fit(clips, Model(), BASE, noise)
+    hunt, hop = _Hunt(clips, noise, base, lambda: None), next(s for s in suspects(Model(), BASE) if s.name == "hop")
+    lost = linearised(hunt.evidence, Model().replace(truth | {"hop.bounce": 0.0}), (*BASE, *truth), base.launches)
+    blind = np.append(np.ones(len(BASE) + 1), 0.0)  # nothing tells that a higher bounce would be better
+    lost = dataclasses.replace(lost, slopes=tuple(x * blind for x in lost.slopes))
+    found = hunt._astray((hop,), lost)
+    assert found.model.value("hop.bounce") == pytest.approx(0.4, abs=3.5 * found.std["hop.bounce"])
+    assert found.std["hop.bounce"] < 0.1
+    assert found.chi2 < lost.chi2 - 100

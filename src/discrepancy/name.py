@@ -181,9 +181,23 @@ class _Hunt:
         if key not in self.fits:
             self.fits[key] = self._reduced(state)
         if key not in self.sure:
-            self.fits[key] = settle(self.evidence, self.fits[key], self.tick, fresh=False)
+            self.fits[key] = self._astray(state, settle(self.evidence, self.fits[key], self.tick, fresh=False))
             self.sure.add(key)
         return self.fits[key]
+
+    def _astray(self, state: Iterable[Suspect], now: Fit) -> Fit:
+        """The fit, begun again from other shapes where one says nothing: far from the truth chi^2 may be flat in it."""
+        for suspect in state:
+            if all(np.isfinite(_determined(now, s)) for s in suspect.shapes):
+                continue
+            looks = [
+                nudged(self.evidence, now, now.model.replace(shapes))
+                for shapes in suspect.grid(suspect.without(now.model))
+            ]
+            best = min((f for f in looks if f), key=lambda f: f.chi2, default=now)
+            if best.chi2 < now.chi2:
+                now = settle(self.evidence, best, self.tick, fresh=False)
+        return now
 
     def _reduced(self, state: Sequence[Suspect]) -> Fit:
         """A fit of a part of some model visited."""
