@@ -22,7 +22,7 @@ types: $(READY)
 	$(BIN)/mypy
 
 test: lint types
-	$(BIN)/python -m pytest -n 2
+	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 2
 
 gate: $(READY)
 	$(BIN)/python benchmarks/gate.py
