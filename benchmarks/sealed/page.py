@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import base64
 import collections
-import io
 import math
 from collections.abc import Sequence
 from pathlib import Path
@@ -19,6 +17,8 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.figure import Figure
 from scipy.stats import norm
+
+from discrepancy.figures import inline
 
 from .goals import goals, share
 from .judge import NAMES, OUTSIDE, Row, judge
@@ -41,7 +41,7 @@ def write(folder: Path) -> Path:
     """Write index.html from what lies beside it; its path."""
     rows = rows_in(folder)
     with plt.rc_context(STYLE):
-        figures = [_png(title, figure, note) for title, figure, note in _figures(rows)]
+        figures = [inline(title, figure, note) for title, figure, note in _figures(rows)]
     template = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined).from_string(
         (Path(__file__).parent / "page.html").read_text(encoding="utf-8")
     )
@@ -61,13 +61,6 @@ def write(folder: Path) -> Path:
     )
     path.write_text(text, encoding="utf-8")
     return path
-
-
-def _png(title: str, figure: Figure, note: str) -> dict[str, str]:
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", dpi=110, bbox_inches="tight", metadata={"Software": ""})
-    plt.close(figure)
-    return {"title": title, "note": note, "png": base64.b64encode(buffer.getvalue()).decode()}
 
 
 def _figures(rows: Sequence[Row]) -> list[tuple[str, Figure, str]]:

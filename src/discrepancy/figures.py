@@ -37,13 +37,13 @@ def drawn(found: Found) -> list[dict[str, str]]:
     """title, note and png of each."""
     with plt.rc_context(STYLE):
         out = [
-            _inline(
+            inline(
                 "What is left, before and after",
                 _stacked(found),
                 "Residuals of the collisions fitted, mean over clips with its standard error. Each stage from its "
                 "beginning to its end; across: to the side that the ball is deflected to.",
             ),
-            _inline(
+            inline(
                 "Its size",
                 _sizes(found),
                 "Root mean square of the same residuals. What changes sign from clip to clip shows here only.",
@@ -55,17 +55,18 @@ def drawn(found: Found) -> list[dict[str, str]]:
                 note = (
                     "The law left free, and the half width of its band of 68 %; where no ball came by the band is wide."
                 )
-            out.append(_inline(found.answer.formula, _curve(found.answer), note))
+            out.append(inline(found.answer.formula, _curve(found.answer), note))
         if found.search.ranking:
             note = "Score of every effect of the library against the base model alone, before any refit."
-            out.append(_inline("Candidates", _ranking(found), note))
+            out.append(inline("Candidates", _ranking(found), note))
         note = "Collisions that no fit has seen, each one's launch refitted."
-        out.append(_inline("The gap by phase", _by_phase(found), note))
-        out.append(_inline("The gap, clip by clip", _by_clip(found), note))
+        out.append(inline("The gap by phase", _by_phase(found), note))
+        out.append(inline("The gap, clip by clip", _by_clip(found), note))
     return out
 
 
-def _inline(title: str, figure: Figure, note: str) -> dict[str, str]:
+def inline(title: str, figure: Figure, note: str) -> dict[str, str]:
+    """A figure for a self-contained page, closed; title and note (what it shows) stand beside it."""
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png", dpi=150, bbox_inches="tight", metadata={"Software": ""})
     plt.close(figure)
