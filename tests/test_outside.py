@@ -7,7 +7,7 @@ import pytest
 
 from discrepancy.fit import BASE, Evidence, fit
 from discrepancy.noise import Component, Noise
-from discrepancy.outside import PRICE, Slots, price, unseen
+from discrepancy.outside import EFFECTS, MARGIN, Slots, price, unseen
 from discrepancy.slots import slots
 from discrepancy_clips import collisions, exact
 from synthcam.model import Model
@@ -42,7 +42,7 @@ def test_the_slot_that_was_filled_is_the_best_and_the_noise_is_left(wavy):
     best = min(contest.filled, key=lambda f: f.score)
     assert best.slot.name == "restitution_heading"
     assert best.sigma > 20
-    assert best.score < price(base, base) - PRICE
+    assert best.score < price(base, base) - MARGIN
     freedom = best.now.points - best.now.parameters - best.slot.size
     assert abs(best.now.chi2 / freedom - 1) < 4 * np.sqrt(2 / freedom)
 
@@ -81,13 +81,16 @@ def test_a_slot_that_beats_the_base_alone_is_the_outcome(wavy):
     assert outcome.library.effects == ()
 
 
-def test_a_strength_is_paid_for_and_a_shape_is_not():
-    clips = collisions(Model(), 6, 7)
+def test_a_strength_is_paid_for_and_a_shape_by_how_well_it_is_known():
+    truth = Model().replace({"stribeck.rise": 0.1, "stribeck.slip": 0.1})
+    clips = collisions(truth, 6, 7)
     base = based(clips)
-    model = Model().replace({"stribeck.rise": 1e-3})
-    bare = dataclasses.replace(base, model=model, names=(*base.names, "stribeck.rise"))
-    both = dataclasses.replace(bare, names=(*bare.names, "stribeck.slip"))
-    assert price(bare, base) == price(both, base) == base.chi2 + PRICE
+    now = fit(clips, truth, (*BASE, "stribeck.rise", "stribeck.slip"), NOISE)
+    z, known = (now.model.value(n) / now.std[n] for n in ("stribeck.rise", "stribeck.slip"))
+    shape = 2 * np.log(np.log(25) * known / np.sqrt(2 * np.pi))  # of a range 1 : 25
+    wanted = EFFECTS + 1 + np.log(z**2) + shape
+    assert price(now, base) - now.chi2 == pytest.approx(wanted, abs=0.05)
+    assert price(base, base) == base.chi2
 
 
 def test_a_number_of_each_clip_is_fitted_to_clips_kept_out():

@@ -5,8 +5,9 @@ import dataclasses
 import numpy as np
 import pytest
 
+from discrepancy.axis import Axis
 from discrepancy.forecast import forecast
-from discrepancy.slots import Axis, Slot, columns, slots
+from discrepancy.slots import Slot, columns, slots
 from discrepancy_clips import exact
 from synthcam.effect import library
 from synthcam.model import Model

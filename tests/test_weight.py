@@ -5,7 +5,7 @@ import pytest
 from scipy.stats import multivariate_normal
 
 from discrepancy.slots import Axis, Slot
-from discrepancy.weight import significance, weigh
+from discrepancy.weight import freedom, significance, weigh
 
 SLOT = Slot("restitution_speed", "r", "1", (Axis("normal speed", "m/s", 0.1, 0.6, 8),))
 RNG = np.random.default_rng(5)
@@ -56,3 +56,16 @@ def test_a_smooth_map_is_found_among_many_coefficients():
 
 def test_nothing_seen_is_nothing():
     assert significance(SLOT, np.zeros((8, 8)), np.zeros(8)) == 0
+
+
+@pytest.mark.parametrize("z", [2.0, 10.0, 300.0])
+def test_the_price_of_freedom_in_closed_form(z):
+    """One number, z standard deviations from zero: 1 + ln z^2. Two alike: twice that. Units are nothing to it."""
+    one = 1 + np.log(z**2)
+    assert freedom(np.eye(1), np.array([z])) == pytest.approx(one, abs=0.02)
+    assert freedom(np.eye(2), np.array([z, -z])) == pytest.approx(2 * one, abs=0.04)
+    assert freedom(1e6 * np.eye(2), np.array([z, z]) / 1e3) == pytest.approx(2 * one, abs=0.04)
+
+
+def test_nothing_found_costs_nothing_more_than_it_gains():
+    assert freedom(np.eye(1), np.array([0.5])) == pytest.approx(0.25)

@@ -27,7 +27,9 @@ LIMIT = 5.0  # expected |z| at the detection limit
 CLASS = 0.9  # of the cosine: beyond it two effects are a class
 FREE = ("restitution", "sliding_friction", "spin_transfer", "rolling_drag", "rolling_decel")
 NUDGES = np.array([1e-6, 1e-6, 1e-6, 1e-5, 1e-5, 1e-5])  # of a launch
-PART = 1e-4  # of a signature's length; what the base model leaves of one it absorbs
+PART = (
+    5e-4  # of a signature's length: of one that the base model absorbs the second order leaves no more when it is weak
+)
 
 
 @dataclass(frozen=True)
@@ -118,7 +120,7 @@ class Fisher:
         return left if np.linalg.norm(left) > PART * whole else 0 * left
 
     def limit(self, hidden: Callable[[float], Model], first: float, most: float) -> float | None:
-        """The strength at which `hidden(strength)` is seen with |z| = LIMIT; None beyond `most`."""
+        """The strength seen with |z| = LIMIT; None beyond `most`, or where the base model absorbs it."""
         strength = first
         for _ in range(4):
             try:

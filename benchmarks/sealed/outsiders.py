@@ -158,11 +158,15 @@ class RootDrag(Outsider):
 class GrainDrag(Outsider):
     """A drag on the x component of the velocity alone, sliding or rolling."""
 
-    SLOT: ClassVar[str] = "force_speed"
+    SLOT: ClassVar[str] = "force_heading"
     rate: float = parameter("1/s", scale=0.05, low=-1, high=1)
 
     def push(self, acceleration: Any, velocity: Any) -> Any:
         return acceleration - self.rate * velocity * np.array([1.0, 0.0])
+
+    def _curve(self, x: Any) -> Any:
+        """Along the motion and across it, over the speed."""
+        return -self.rate * np.stack([np.cos(x), -np.sin(x)], axis=-1) * np.cos(x)[..., None]
 
 
 @dataclass(frozen=True)

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import brentq
-from scipy.special import gammaln
-from scipy.stats import chi2 as chi2_law
-from scipy.stats import norm
+from scipy.special import chdtrc, ndtri_exp
 
 Array = NDArray[np.float64]
 
@@ -24,13 +22,13 @@ def sigmas(chi2: float, dof: int) -> float:
     """The |z| of a normal variable as improbable as chi^2 with so many degrees of freedom."""
     if dof == 1:
         return float(np.sqrt(max(chi2, 0.0)))
-    log_p = float(chi2_law.logsf(chi2, dof))
-    if not log_p > -600:  # beyond 1e-300: the leading term of the tail
+    p = float(chdtrc(dof, max(chi2, 0.0)))
+    if p > 1e-290:
+        log_p = math.log(p)
+    else:  # the leading term of the tail
         half, x = dof / 2, chi2 / 2
-        log_p = float(half * np.log(x) - x - gammaln(half) - np.log(x - half + 1))
-    if log_p > np.log(0.999):
-        return 0.0
-    return float(brentq(lambda z: norm.logsf(z) + np.log(2) - log_p, 0, np.sqrt(chi2) + 1))
+        log_p = half * math.log(x) - x - math.lgamma(half) - math.log(x - half + 1)
+    return max(-float(ndtri_exp(log_p - math.log(2))), 0.0)
 
 
 def by_chance(axes: Sequence[Array], one_sided: Sequence[bool], level: float = LEVEL) -> float:
@@ -46,12 +44,12 @@ def by_chance(axes: Sequence[Array], one_sided: Sequence[bool], level: float = L
     together = np.concatenate(axes, axis=1)
     values, turn = np.linalg.eigh(together.T @ together)
     kept = values > 1e-9 * values[-1]
-    root = (turn[:, kept] * np.sqrt(values[kept])).T
+    root = (turn[:, kept] * np.sqrt(values[kept])).T.astype(np.float32)
     starts = np.cumsum([0, *sizes[:-1]])
     owners = np.flatnonzero(np.array(sizes) > 0)
     rng, best = np.random.default_rng(SEED), []
     for _ in range(DRAWS // AT_ONCE):
-        pulls = rng.standard_normal((AT_ONCE, len(root))) @ root
+        pulls = rng.standard_normal((AT_ONCE, len(root))).astype(np.float32) @ root
         single = np.flatnonzero([sizes[k] == 1 and one_sided[k] for k in range(len(sizes))])
         pulls[:, starts[single]] = np.maximum(pulls[:, starts[single]], 0.0)
         chi2 = np.add.reduceat(pulls**2, starts[owners], axis=1)

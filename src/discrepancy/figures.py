@@ -161,13 +161,17 @@ def _curve(answer: Answer) -> Figure:
     if len(answer.x) == 2:
         return _map(answer)
     figure, ax = plt.subplots(figsize=(6, 3.2), constrained_layout=True)
-    axis, x, y, std = slot.axes[0], answer.x[0], answer.curve[:, 0], answer.std[:, 0]
-    if axis.kind == "set":
-        ax.errorbar(x, y, 1.96 * std, fmt="o", ms=3, lw=1, color=AFTER)
-    else:
+    axis, x, words = slot.axes[0], answer.x[0], ("along", "across") if slot.parts > 1 else ("",)
+    for part, (word, colour) in enumerate(zip(words, (AFTER, BEFORE), strict=False)):
+        y, std = answer.curve[:, part], answer.std[:, part]
+        if axis.kind == "set":
+            ax.errorbar(x, y, 1.96 * std, fmt="o", ms=3, lw=1, color=colour)
+            continue
         for times, alpha in ((1.96, 0.2), (1.0, 0.35)):
-            ax.fill_between(x, y - times * std, y + times * std, color=AFTER, alpha=alpha, lw=0)
-        ax.plot(x, y, color=AFTER, lw=1.2)
+            ax.fill_between(x, y - times * std, y + times * std, color=colour, alpha=alpha, lw=0)
+        ax.plot(x, y, color=colour, lw=1.2, label=word)
+    if slot.parts > 1:
+        ax.legend()
     unit = "" if axis.unit == "1" else f" ({axis.unit})"
     ax.set(xlabel=f"{axis.name}{unit}", ylabel=f"{slot.symbol}" + ("" if slot.unit == "1" else f" ({slot.unit})"))
     return figure

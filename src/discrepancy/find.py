@@ -138,7 +138,7 @@ def find(clips: Sequence[Measured], model: Model, tick: Tick = lambda stage: Non
     noise = refined(some, _base(some, model, noise, tick), noise, explained=False)
     left_out: list[str] = []
     for turn in range(ROUNDS):
-        hunt, slot = _hunt(some, model, noise, tick)
+        hunt, slot, nearly = _hunt(some, model, noise, tick)
         best, cleaned = (slot.whole, slot.evidence.clips) if slot else (hunt.best, some)
         if turn == ROUNDS - 1:
             break
@@ -148,6 +148,8 @@ def find(clips: Sequence[Measured], model: Model, tick: Tick = lambda stage: Non
             some = [c for k, c in enumerate(some) if k not in strange]
             continue
         better = refined(cleaned, best, noise)
+        if better is noise and nearly:  # the library's model may lack what the slot has, and call it noise
+            better = refined(nearly.evidence.clips, nearly.whole, noise)
         if better is noise:
             break
         noise = better
@@ -194,11 +196,15 @@ def _shown(clips: Sequence[Measured], hunt: Search, slot: Filled | None, noise: 
     return show(clips, hunt.base, hunt.best, noise, lambda: tick("gap"), _after(slot, clips, noise))
 
 
-def _hunt(clips: Sequence[Measured], model: Model, noise: Noise, tick: Tick) -> tuple[Search, Filled | None]:
+def _hunt(
+    clips: Sequence[Measured], model: Model, noise: Noise, tick: Tick
+) -> tuple[Search, Filled | None, Filled | None]:
+    """What the library names; the slot that explains more, if one does; one that explains nearly as much."""
     base = _base(clips, model, noise, tick)
     free = Slots(Evidence.of(clips, noise), base, lambda: tick("slots"))
     found = search(clips, base, noise, lambda: tick("search"), free.beat)
-    return found, free.outcome(found.best)
+    slot = free.outcome(found.best)
+    return found, slot, None if slot else free.nearly(found.best)
 
 
 def _after(

@@ -15,9 +15,10 @@ from synthcam.optics import Camera as Optics
 from tracker.geometry import Camera
 
 Array = NDArray[np.float64]
-__all__ = ["LAUNCH", "forecast"]
+__all__ = ["LAUNCH", "forecast", "velocities"]
 
 FRICTIONLESS = 1e-9  # stands in for no sliding friction: a slide then outlasts every film, but ends
+LATE = 1e-4  # s, the step of a numerical derivative
 
 
 def forecast(model: Model, launches: Array, clips: Sequence[Measured]) -> list[Array]:
@@ -90,3 +91,10 @@ def _project(camera: Camera, places: Array) -> Array:
 
 def _spatial(places: Array, height: Array | float) -> Array:
     return np.concatenate([places, np.broadcast_to(height, (*places.shape[:-1], 1))], axis=-1)
+
+
+def velocities(model: Model, launches: Array, clips: Sequence[Measured]) -> list[Array]:
+    """How fast the measured places move, (n_k, 2) m/s."""
+    nudge = LATE * (np.arange(6) == 2)
+    ahead, behind = (forecast(model, launches + way * nudge, clips) for way in (-1, 1))
+    return [(a - b) / (2 * LATE) for a, b in zip(ahead, behind, strict=True)]

@@ -14,8 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize
 
+from discrepancy.axis import Axis
 from discrepancy.outside import Filled
-from discrepancy.slots import Axis, Slot
+from discrepancy.slots import Slot
 
 Array = NDArray[np.float64]
 Terms = list[tuple[str, Array]]  # in words, and drawn on the grid: (n,) of a number, (n, 2) of a vector
@@ -145,14 +146,14 @@ def _shown(axis: Axis) -> float:
 def _units(slot: Slot) -> str:
     unit = "" if slot.unit == "1" else f" {slot.unit}"
     if slot.axes[0].kind == "circle":
-        return f"{unit}, th the direction"
+        return f"{unit}, th the direction" + (", t along it, n a quarter turn on" if slot.parts > 1 else "")
     where = "mm" if slot.axes[0].unit == "m" else slot.axes[0].unit
     return f"{unit}, {' and '.join(LETTERS.get(a.name, a.name) for a in slot.axes)} in {where}"
 
 
 def _shapes(slot: Slot, x: list[Array]) -> Iterator[Shape]:
     if slot.axes[0].kind == "circle":
-        return _turns(x[0])
+        return _turns(x[0]) if slot.parts == 1 else _pulls(x[0])
     if len(x) == 1:
         return _curves(LETTERS[slot.axes[0].name], x[0], [power for _, power in slot.owners])
     return _maps(*x) if slot.parts == 1 else _fields(*x)
@@ -167,6 +168,23 @@ def _turns(th: Array) -> Iterator[Shape]:
     for orders in ((), (1,), (2,), (3,), (4,), (1, 2), (1, 2, 3)):
         sines = [t for n in orders for t in _sines(f"{n} th" if n > 1 else "th", n * th)]
         yield Shape(lambda sines=sines: [one, *sines])
+
+
+def _pulls(th: Array) -> Iterator[Shape]:
+    """A vector of the heading, in t along the motion and n a quarter turn from it."""
+    zero = np.zeros(len(th))
+
+    def both(word: str, column: Array) -> Terms:
+        return [(f"{word} t".strip(), np.stack([column, zero], 1)), (f"{word} n".strip(), np.stack([zero, column], 1))]
+
+    constant = both("", zero + 1)
+    for orders in ((), (1,), (2,), (3,), (1, 2), (1, 2, 3)):
+        sines = [t for n in orders for w, c in _sines(f"{n} th" if n > 1 else "th", n * th) for t in both(w, c)]
+        yield Shape(lambda sines=sines: [*constant, *sines])
+    one = np.stack([np.cos(th), -np.sin(th)], 1)  # a drag on one component of the velocity alone
+    other = np.stack([np.sin(th), np.cos(th)], 1)
+    yield Shape(lambda: [("cos(th) ex", one * np.cos(th)[:, None])])
+    yield Shape(lambda: [("sin(th) ey", other * np.sin(th)[:, None])])
 
 
 def _curves(v: str, x: Array, owned: list[int]) -> Iterator[Shape]:

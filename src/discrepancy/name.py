@@ -17,6 +17,7 @@ from discrepancy.measured import Measured
 from discrepancy.noise import Noise
 from discrepancy.parameter import Suspect, limits_of, parameter_of, strengths_of
 from discrepancy.rank import LIMIT, Candidate, Contest, likeness
+from discrepancy.scan import scannable
 
 Array = NDArray[np.float64]
 __all__ = ["Candidate", "Named", "Search", "likeness", "search", "sigmas", "strengths_of"]
@@ -28,6 +29,7 @@ PART = 9.5  # of chi^2, a strength's price: a rival that fits worse by less is n
 SHAPE = 4.0  # of chi^2, a shape's price: one that means nothing gains less, 19 times in 20
 NEAR, LOOSE = 15.0, 0.2  # of chi^2, and of what an effect explains: what the score may be wrong by
 RIVALS, SWAPS = 8, 4  # refitted, at most, beside a leader and in the place of a named effect
+GAINED = 2.0  # of chi^2, by other shapes: less is not worth another fit
 KEPT = 0.5  # of the gain that the score promises
 STARTS, FAR = (0.1, 0.3, 1.0), 2  # of a realistic size, where the way is too far for the score; that many are followed
 
@@ -81,12 +83,12 @@ def search(
     base: Fit,
     noise: Noise,
     tick: Callable[[], None] = lambda: None,
-    enough: Callable[[Fit], bool] = lambda now: False,
+    enough: Callable[[Fit, Sequence[Fit]], bool] = lambda now, rivals: False,
 ) -> Search:
     """Name effects one by one until none scores what chance may; each time drop or exchange what then fits better.
 
     Base parameters held at zero are suspects too: those that `base` has not fitted. enough: asked of each fit on the
-    way, ends the search.
+    way and of those of as many suspects, ends the search.
     """
     return _Hunt(clips, noise, base, tick).outcome(enough)
 
@@ -142,7 +144,7 @@ class _Hunt:
         self.blind: set[str] = set()  # what the base fit absorbs is no rival; beside another effect it only seems to be
         self.sure: set[frozenset[Suspect]] = {frozenset()}  # whose fits are settled to the end
 
-    def outcome(self, enough: Callable[[Fit], bool]) -> Search:
+    def outcome(self, enough: Callable[[Fit, Sequence[Fit]], bool]) -> Search:
         state: tuple[Suspect, ...] = ()
         contest = first = self._contest(state)
         ranking = contest.ranking()
@@ -163,7 +165,7 @@ class _Hunt:
             if len(grown) <= len(state):  # added and dropped again: round in a circle
                 break
             state = grown
-            if enough(self._settled(state)):
+            if enough(self._settled(state), [f for key, f in self.fits.items() if len(key) == len(state)]):
                 break
         steps = [self._settled(state[:k]) for k in range(len(state) + 1)]
         contest = self._contest(state)
@@ -186,17 +188,23 @@ class _Hunt:
         return self.fits[key]
 
     def _astray(self, state: Iterable[Suspect], now: Fit) -> Fit:
-        """The fit, begun again from other shapes where one says nothing: far from the truth chi^2 may be flat in it."""
+        """The fit, or one from other shapes where that is better: far from the truth chi^2 may be flat in them."""
         for suspect in state:
-            if all(np.isfinite(_determined(now, s)) for s in suspect.shapes):
+            tries = list(suspect.grid(suspect.without(now.model)))
+            if len(tries) < 2:
                 continue
-            looks = [
-                nudged(self.evidence, now, now.model.replace(shapes))
-                for shapes in suspect.grid(suspect.without(now.model))
-            ]
-            best = min((f for f in looks if f), key=lambda f: f.chi2, default=now)
+            if scannable(suspect, tries):
+                reduced = self._without(now, suspect)
+                contest = Contest.of(self.evidence, reduced, self.tick, [suspect])
+                candidate = contest.sharper(self.evidence, contest.ranking()[0])
+                if contest.chi2() - candidate.gain > now.chi2 - GAINED:
+                    continue
+                best = added(self.evidence, reduced, candidate, self.tick)
+            else:
+                looks = [nudged(self.evidence, now, now.model.replace(shapes)) for shapes in tries]
+                best = min((f for f in looks if f), key=lambda f: f.chi2, default=now)
             if best.chi2 < now.chi2:
-                now = settle(self.evidence, best, self.tick, fresh=False)
+                now = min(now, settle(self.evidence, best, self.tick, fresh=False), key=lambda f: f.chi2)
         return now
 
     def _reduced(self, state: Sequence[Suspect]) -> Fit:

@@ -7,6 +7,7 @@ the leaders are fitted in full. A second library effect is believed only where i
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -17,16 +18,18 @@ from numpy.typing import NDArray
 from discrepancy.fit import Evidence, Fit, fit, linearised, settle, solve
 from discrepancy.measured import Measured
 from discrepancy.noise import Noise
-from discrepancy.parameter import limits_of, parameter_of
+from discrepancy.parameter import limits_of, parameter_of, span_of
 from discrepancy.rank import Candidate, Contest
 from discrepancy.slots import Slot, columns, slots
-from discrepancy.weight import Prior, Weight, significance, weigh
+from discrepancy.weight import Prior, Weight, freedom, significance, weigh
 from synthcam.model import Model
 
 Array = NDArray[np.float64]
 
 LEVEL = 4.5  # sigma of a slot, needed to declare
-PRICE = 9.5  # of chi^2, of a parameter of the library
+EFFECTS, LAWS = 2 * math.log(28), 2 * math.log(14)  # of chi^2: of one effect chosen among so many, of one slot
+MARGIN = 5.5  # of chi^2: so much likelier is an effect of the library beforehand than a law that nobody knows
+CLOSE = 10.0  # of chi^2: a slot so near to the library's model may be the truth, once the noise is known better
 LEADERS = 3  # fitted in full
 NEAR, LOOSE = 15.0, 0.01  # of chi^2, and of what a slot explains: what the first order may be wrong by
 MOST = 2  # library effects claimed beside a slot, after it was found
@@ -46,7 +49,7 @@ class Look:
 
     def score(self, base: Fit) -> float:
         """What it would cost, in chi^2."""
-        return price(self.now, base) - self.weight.gain
+        return price(self.now, base) + LAWS - self.weight.gain
 
 
 @dataclass(frozen=True)
@@ -133,9 +136,27 @@ class Filled:
 
 
 def price(now: Fit, base: Fit) -> float:
-    """chi^2 with the strengths that the base lacks paid for. Shapes, and base parameters held at zero, are free."""
+    """chi^2 with the freedom of each effect that the base lacks paid for, as of a slot; base parameters are free.
+
+    A shape costs what looking for it in all its range does: twice the logarithm of the range over the width of its
+    likelihood.
+    """
+    paid = now.chi2
     added = [n for n in now.names if n not in base.names and "." in n]
-    return now.chi2 + PRICE * sum(not parameter_of(now.model, n).fixed for n in added)
+    for effect in dict.fromkeys(n.partition(".")[0] for n in added):
+        own = {n: parameter_of(now.model, n) for n in added if n.startswith(f"{effect}.")}
+        paid += EFFECTS
+        strengths = [n for n, p in own.items() if not p.fixed]
+        rows = [now.names.index(n) for n in strengths]
+        size = np.array([own[n].scale or 1.0 for n in strengths])
+        information = np.linalg.pinv(now.covariance[np.ix_(rows, rows)] / np.outer(size, size), hermitian=True)
+        paid += freedom(
+            np.asarray(information, dtype=np.float64), np.array([now.model.value(n) for n in strengths]) / size
+        )
+        for name in set(own) - set(strengths):
+            width = np.sqrt(2 * np.pi) * now.std[name] / (now.model.value(name) if own[name].low > 0 else 1.0)
+            paid += max(2 * np.log(span_of(own[name]) / width), 0.0) if width > 0 else 0.0
+    return float(paid)
 
 
 def _moves(evidence: Evidence, slot: Slot, model: Model, launches: Array) -> tuple[Array, ...]:
@@ -178,7 +199,7 @@ def fill(evidence: Evidence, look: Look, base: Fit, tick: Callable[[], None] = l
             moves = _moves(evidence, slot, slot.bent(library, coefs), now.launches)
             fresh = True
     freedom = np.linalg.slogdet(np.eye(slot.size) + information / np.diag(weight.prior.precision)[:, None])
-    score = price(now, base) + float(coefs @ weight.prior.precision @ coefs + freedom[1])
+    score = price(now, base) + LAWS + float(coefs @ weight.prior.precision @ coefs + freedom[1])
     return Filled(slot, coefs, weight.prior, now, library, here, moves, look.sigma, score)
 
 
@@ -224,24 +245,35 @@ class Slots:
     """The slots, held against the library's models as the search goes from one to the next.
 
     A named effect is preferred to a free law in its place: against a model of the library a slot counts only where
-    that model leaves a slot significant, or needs two effects more than the slot does, or is worse by a PRICE.
+    that model leaves a slot significant, or needs two effects more than the slot does, or is worse by a MARGIN. rivals:
+    other models of the library with as many effects, which may be less simple than the latest but fit better.
     """
 
     def __init__(self, evidence: Evidence, base: Fit, tick: Callable[[], None] = lambda: None) -> None:
         self.evidence, self.base, self.tick = evidence, base, tick
         self.slots = slots(base.model, base.launches, evidence.clips)
         self.filled: list[Filled] = []
+        self.rivals: Sequence[Fit] = ()
+        self.beaten = False
         self.asked: tuple[Filled, Candidate | None] | None = None
         self.refuted = self._consider([base])
 
-    def beat(self, now: Fit) -> bool:
-        """Does a slot beside a smaller model explain more than the library's latest?
+    def beat(self, now: Fit, rivals: Sequence[Fit] = ()) -> bool:
+        """Does a slot beside a smaller model explain more than the library's latest, and than the one before it?
 
-        A slot may bend to hold two effects of the library: beside none, it must leave nothing for a second.
+        A slot may bend to hold two effects of the library: beside none, it must leave nothing for a second. And the
+        library has one more effect to answer with.
         """
+        self.rivals, before = rivals, self.beaten
         self.refuted = self._consider([*alone(self.evidence, self.base, now, self.tick), now])
         best = self._best(now, 1)
-        return best is not None and (self._count(now) > 1 or self._next(best) is None)
+        self.beaten = best is not None and (self._count(now) > 1 or self._next(best) is None)
+        return self.beaten and before
+
+    def nearly(self, now: Fit) -> Filled | None:
+        """The slot that explains nearly as much as the library's best model, or more."""
+        best = min(self.filled, key=lambda f: f.score, default=None)
+        return best if best and best.score < self._cost(now) + CLOSE else None
 
     def outcome(self, now: Fit) -> Filled | None:
         """The slot that explains the clips better than the library's best model, and than chance; None if none does.
@@ -268,11 +300,14 @@ class Slots:
 
     def _best(self, now: Fit, fewer: int) -> Filled | None:
         """The best slot, if better, of those beside a model of `fewer` effects less than the library's latest."""
-        cost, most = price(now, self.base), self._count(now)
+        cost, most = self._cost(now), self._count(now)
         few = [f for f in self.filled if most - self._count(f.now) >= fewer and f.needed(self.base)]
-        fair = [f for f in few if self.refuted or most - self._count(f.now) > 1 or f.score < cost - PRICE]
+        fair = [f for f in few if self.refuted or most - self._count(f.now) > 1 or f.score < cost - MARGIN]
         best = min(fair, key=lambda f: f.score, default=None)
         return best if best and best.score < cost else None
+
+    def _cost(self, now: Fit) -> float:
+        return min(price(f, self.base) for f in (now, *self.rivals))
 
     def _count(self, now: Fit) -> int:
         """Effects in a fit that are not in the base."""
@@ -298,7 +333,7 @@ class Slots:
         if self.asked is None or self.asked[0] is not filled:
             contest = Contest.of(filled.evidence, filled.whole, self.tick)
             ranking = contest.ranking()
-            claimed = ranking and ranking[0].sigma > max(contest.claim(), LEVEL)
+            claimed = ranking and ranking[0].sigma > LEVEL and ranking[0].sigma > contest.claim()
             self.asked = filled, ranking[0] if claimed else None
         return self.asked[1]
 

@@ -51,6 +51,8 @@ class Suspect:
 
 def _tries(p: Parameter, count: int) -> list[float]:
     """Values of a shape to try."""
+    if p.tries:
+        return list(p.tries)
     if p.low > 0:
         ends = max(p.low, p.scale / SPREAD), min(p.high, p.scale * SPREAD)
         return [float(x) for x in np.geomspace(*ends, count)]
@@ -60,14 +62,19 @@ def _tries(p: Parameter, count: int) -> list[float]:
     return [f * p.scale for f in fractions if f * p.scale <= p.high]
 
 
+def span_of(p: Parameter) -> float:
+    """The range in which a shape is tried, of its logarithm where it is always positive."""
+    tries = _tries(p, len(FRACTIONS))
+    return math.log(tries[-1] / tries[0]) if p.low > 0 else tries[-1] - tries[0]
+
+
 def between(p: Parameter, value: float, closer: int) -> list[float]:
     """Values of a shape about one of those to try; the higher `closer`, the nearer."""
     tries = _tries(p, len(FRACTIONS))
     steps = [k / 3 / 3**closer for k in (-2, -1, 1, 2)]
-    if p.low > 0:
-        near = [value * (tries[1] / tries[0]) ** k for k in steps]
-    else:
-        near = [value + (tries[1] - tries[0]) * k for k in steps]
+    at = min(int(np.searchsorted(tries, value, side="right")), len(tries) - 1)
+    low, high = tries[max(at - 1, 0)], tries[max(at, 1)]
+    near = [value * (high / low) ** k for k in steps] if p.low > 0 else [value + (high - low) * k for k in steps]
     return [x for x in near if p.low <= x <= p.high]
 
 

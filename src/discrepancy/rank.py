@@ -13,6 +13,7 @@ from discrepancy.claim import LEVEL, by_chance, sigmas
 from discrepancy.fit import Evidence, Fit, basis, derivative
 from discrepancy.forecast import forecast
 from discrepancy.parameter import Suspect, between, limits_of, parameter_of, suspects
+from discrepancy.scan import scannable, scanned
 from synthcam.dynamics import uncoupled
 from synthcam.model import Model
 
@@ -21,6 +22,7 @@ Array = NDArray[np.float64]
 SEEN = 1e-4  # of a signature's length that must be left when all that the fit absorbs is taken out
 LIMIT = 5.0  # sigma expected of a strength at its detection limit
 ZOOMS = 2  # times that the grid of a shape is made finer about the best
+MOST = 20_000_000  # numbers in the derivatives by one suspect's strengths
 UNSEEN = 10.0  # realistic sizes: what only shows beyond them, or beyond what is allowed, cannot be told
 
 
@@ -80,16 +82,20 @@ class Contest:
         evidence: Evidence,
         now: Fit,
         tick: Callable[[], None] = lambda: None,
+        only: Sequence[Suspect] = (),
     ) -> Contest:
-        """Of the library's effects and the base parameters held at zero.
+        """Of the library's effects and the base parameters held at zero, or of some of them.
 
         Where balls push each other their motion takes forty times as long; derivatives are then those without that.
         """
         plain, trials = uncoupled(now.model), []
         here = forecast(plain, now.launches, evidence.clips)
-        for suspect in suspects(now.model, now.names):
-            for shapes in suspect.grid(now.model):
-                trials.append(tried(evidence, plain, now.launches, suspect, shapes, here))
+        for suspect in only or suspects(now.model, now.names):
+            grid = list(suspect.grid(now.model))
+            if scannable(suspect, grid):
+                trials += _scanned(evidence, plain, now.launches, suspect, grid)
+            else:
+                trials += [tried(evidence, plain, now.launches, suspect, shapes, here) for shapes in grid]
             tick()
         return cls(now, tuple(trials))
 
@@ -126,8 +132,8 @@ class Contest:
         kept = basis(np.delete(self._shared, gone, axis=1))
         return left - kept @ (kept.T @ left), kept
 
-    def chi2(self, without: Suspect) -> float:
-        """What is left when a named effect is taken away and all else fitted again, to first order."""
+    def chi2(self, without: Suspect | None = None) -> float:
+        """What is left when all is fitted again, a named effect taken away if one is given, to first order."""
         left, _ = self._left(without)
         return float(left @ left)
 
@@ -224,6 +230,19 @@ def tried(
     slopes = [derivative(bent, launches, evidence.clips, s, here) for s in suspect.strengths]
     columns = [np.stack([s[k] for s in slopes], axis=-1) for k in range(len(here))]
     return Trial(suspect, shapes, tuple(white(c) for white, c in zip(evidence.whiteners, columns, strict=True)))
+
+
+def _scanned(
+    evidence: Evidence, model: Model, launches: Array, suspect: Suspect, grid: Sequence[dict[str, float]]
+) -> list[Trial]:
+    """Those of many shapes that show at all, or the first. Of very many clips fewer shapes are tried, for memory."""
+    numbers = sum(2 * len(c.frame) for c in evidence.clips) * len(suspect.strengths)
+    grid = grid[:: 1 + numbers * len(grid) // MOST]
+    every = scanned(model, launches, evidence.clips, suspect, grid)
+    white = evidence.white([e.reshape(*e.shape[:2], -1) for e in every])
+    parts = [np.split(w, len(grid), axis=1) for w in white]
+    trials = [Trial(suspect, shapes, columns) for shapes, columns in zip(grid, zip(*parts, strict=True), strict=True)]
+    return [t for t in trials if any(c.any() for c in t.columns)] or trials[:1]
 
 
 def rank(evidence: Evidence, now: Fit, tick: Callable[[], None] = lambda: None) -> tuple[Candidate, ...]:

@@ -12,8 +12,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from discrepancy.axis import Axis
 from discrepancy.fit import derivative
-from discrepancy.forecast import forecast
+from discrepancy.forecast import forecast, velocities
 from discrepancy.measured import Measured
 from discrepancy.response import Leg, responses
 from synthcam.batch import collisions
@@ -25,62 +26,8 @@ Array = NDArray[np.float64]
 
 CURVE, TURN, MAP, FIELD = 20, 9, 12, 8  # coefficients: of a curve, of one of angles, a side of a map, and of a field
 EACH = 120  # clips: of more, no number of each is fitted
-WIDER = 1.2  # the cosines' range over the data's
-LEAST = 1e-6  # of a smooth curve's variance: that of every coefficient at least
-LATE = 1e-4  # s, the step of a numerical derivative
 SLIPS = 1e-5  # m/s: a ball whose contact is slower rolls
 SAMPLES = 300  # instants at which the base fit's motion is looked at for the ranges that it covers
-
-
-@dataclass(frozen=True)
-class Axis:
-    """What a law is left free in. kind: line, circle (an angle, rad) or set (of clips: a number for each).
-
-    On a line, cosines of a range somewhat wider than the data's, so that no slope is forced on its ends; on a circle
-    sines and cosines of the angle. All are smooth, as the integration of motion wants its laws.
-    """
-
-    name: str
-    unit: str
-    low: float
-    high: float
-    count: int
-    kind: str = "line"
-
-    @property
-    def _waves(self) -> Array:
-        """Wave numbers, (count,)."""
-        if self.kind == "circle":
-            return np.asarray((np.arange(self.count) + 1) // 2, dtype=float)
-        return np.asarray(np.arange(self.count) * np.pi / (WIDER * max(self.high - self.low, 1e-12)), dtype=float)
-
-    def basis(self, x: Any) -> Array:
-        """(..., count) at x."""
-        x = np.asarray(x)[..., None]
-        if self.kind == "set":
-            return np.asarray(x == np.arange(self.count), dtype=float)
-        if self.kind == "circle":
-            return np.asarray(np.cos(self._waves * x - np.pi / 2 * (np.arange(self.count) % 2)))
-        start = (self.low + self.high) / 2 - WIDER * (self.high - self.low) / 2
-        return np.asarray(np.cos(self._waves * (x - start)))
-
-    def spread(self, length: float) -> Array:
-        """Prior variances (count,) of the coefficients of a curve that changes over `length`, of the range or of a
-        radian; its own variance is about one.
-
-        The spectrum of a Gaussian process: Solin & Saerkkae, Statistics and Computing 30 (2020) 419.
-        """
-        if self.kind == "set":
-            return np.ones(self.count)
-        range_ = 1.0 if self.kind == "circle" else self.high - self.low
-        out = np.exp(-((self._waves * length * range_) ** 2) / 2) + LEAST
-        return np.asarray(out / out.sum())
-
-    def grid(self, count: int) -> Array:
-        """Places (count,) over the range, or each member of the set."""
-        if self.kind == "set":
-            return np.arange(self.count, dtype=float)
-        return np.linspace(self.low, self.high, count)
 
 
 @dataclass(frozen=True)
@@ -180,6 +127,11 @@ def _angle(vector: Any) -> Array:
     return np.asarray(np.arctan2(vector[..., 1], vector[..., 0]))
 
 
+def _turned(vector: Array) -> Array:
+    """A quarter turn on."""
+    return np.stack([-vector[..., 1], vector[..., 0]], axis=-1)
+
+
 class FrictionSpeed(Free):
     def friction(self, mu: Any, slip_speed: Any) -> Any:
         return mu + self._at(slip_speed)
@@ -222,6 +174,14 @@ class ForceSpeed(Free):
         return acceleration + self._at(speed)[..., None] * along
 
 
+class ForceHeading(Free):
+    """Along the velocity and a quarter turn from it, in proportion to it: a ball that stops feels none."""
+
+    def push(self, acceleration: Any, velocity: Any) -> Any:
+        own = self._at(_angle(velocity))[..., None]
+        return acceleration + own[..., 0, :] * velocity + own[..., 1, :] * _turned(velocity)
+
+
 class ForcePlace(Free):
     def push(self, acceleration: Any, position: Any) -> Any:
         return acceleration + self._at(position[..., 0], position[..., 1])
@@ -241,6 +201,7 @@ _EFFECTS: dict[str, type[Free]] = {
     "spin_transfer_speed": SpinTransferSpeed,
     "rolling_speed": RollingSpeed,
     "force_speed": ForceSpeed,
+    "force_heading": ForceHeading,
     "force_place": ForcePlace,
     "warp_place": WarpPlace,
 }
@@ -296,6 +257,7 @@ def slots(model: Model, launches: Array, clips: Sequence[Measured]) -> tuple[Slo
         Slot("restitution_heading", "r", "1", (turn,), owners=r),
         Slot("spin_transfer_speed", "C", "1", (over("contact speed", speed),), owners=c),
         Slot("force_speed", "force over mass along the motion", "m/s^2", (over("speed", track.speeds, 0.0),)),
+        Slot("force_heading", "force over mass and speed", "1/s", (turn,), parts=2),
         Slot("force_place", "force over mass", "m/s^2", plate(track.places, FIELD), parts=2),
         Slot("lag_speed", "lag of the picture", "s", (over("speed", track.speeds, 0.0),), centred=True),
         Slot("warp_place", "shift of the picture", "px", plate(camera.project(spatial), FIELD, "px"), 2, centred=True),
@@ -341,13 +303,8 @@ def _at_impact(slot: Slot, launches: Array) -> Array:
 
 def lagging(slot: Slot, model: Model, launches: Array, clips: Sequence[Measured]) -> list[Array]:
     """Of a picture that lags behind the motion by so many seconds: -v times each spline at |v|."""
-    nudge = LATE * (np.arange(6) == 2)
-    ahead, behind = (forecast(model, launches + way * nudge, clips) for way in (-1, 1))
-    out = []
-    for a, b in zip(ahead, behind, strict=True):
-        v = (a - b) / (2 * LATE)
-        out.append(-v[..., None] * slot.basis(np.hypot(v[:, 0], v[:, 1]))[:, None])
-    return out
+    seen = velocities(model, launches, clips)
+    return [-v[..., None] * slot.basis(np.hypot(v[:, 0], v[:, 1]))[:, None] for v in seen]
 
 
 def _warped(slot: Slot, model: Model, launches: Array, clips: Sequence[Measured]) -> list[Array]:
@@ -369,19 +326,16 @@ def _answered(slot: Slot, model: Model, launches: Array, clips: Sequence[Measure
             "friction_heading": (_angle(leg.slip),),
             "rolling_speed": (leg.speed,),
             "force_speed": (leg.speed,),
+            "force_heading": (_angle(leg.velocity),),
         }.get(slot.name, (leg.place[..., 0], leg.place[..., 1]))
-        weights = slot.basis(*x)
+        weights = slot.basis(*x)[..., None, :]
+        if law != "push":
+            return np.asarray(weights[..., 0, :])
         if slot.name == "force_speed":
-            return np.asarray(leg.way[..., None] * weights[..., None, :])
-        return (
-            weights
-            if slot.parts == 1
-            else np.asarray(
-                np.stack(
-                    [np.concatenate([weights, 0 * weights], axis=-1), np.concatenate([0 * weights, weights], axis=-1)],
-                    axis=-2,
-                )
-            )
-        )
+            return np.asarray(leg.way[..., None] * weights)
+        ways = np.broadcast_to(np.eye(2), (*leg.velocity.shape, 2))
+        if slot.name == "force_heading":
+            ways = np.stack([leg.velocity, _turned(leg.velocity)], axis=-1)
+        return np.concatenate([ways[..., :1] * weights, ways[..., 1:] * weights], axis=-1)
 
     return responses(model, launches, clips, {law: change}, slot.size)

@@ -46,6 +46,19 @@ class Weight:
     coefs: Array
 
 
+def freedom(information: Array, found: Array) -> float:
+    """What the freedom of numbers fitted to be `found` costs, in chi^2: the same price as of a slot's coefficients.
+
+    information: (k, k), in units in which realistic numbers are one.
+    """
+    values, axes = np.linalg.eigh(information)
+    values = np.maximum(values, 1e-300)
+    pulls = values * (axes.T @ found)
+    sizes = np.exp(SIZES)[:, None] / np.sqrt(values[-1])
+    gains = (sizes**2 * pulls**2 / (1 + sizes**2 * values) - np.log1p(sizes**2 * values)).sum(axis=1)
+    return float((pulls**2 / values).sum() - max(gains.max(), 0.0))
+
+
 def weigh(slot: Slot, information: Array, pull: Array) -> Weight:
     """The best of the priors for coefficients with this information F (J, J) and pull g (J,)."""
     best: Weight | None = None

@@ -59,15 +59,19 @@ def parameter(
     high: float = math.inf,
     fixed: bool = False,
     default: float | None = None,
+    tries: Iterable[float] = (),
 ) -> Any:
     """Declare a parameter of an effect.
 
     unit: SI, "1" for a pure number. scale: a realistic size. low, high: limits, inclusive.
     fixed: a shape, which means nothing while the strengths are zero; it is scanned, not fitted, and defaults to
     `scale`. All others are strengths: the effect is absent when every one of them is zero, their default.
+    tries: of a shape, so close together that a search beginning from each of them overlooks nothing; a few about
+    `scale` if none are given.
     """
     value = default if default is not None else (scale if fixed else 0.0)
-    return field(default=value, metadata={"unit": unit, "scale": scale, "low": low, "high": high, "fixed": fixed})
+    said = {"unit": unit, "scale": scale, "low": low, "high": high, "fixed": fixed, "tries": tuple(map(float, tries))}
+    return field(default=value, metadata=said)
 
 
 @dataclass(frozen=True)
@@ -81,6 +85,7 @@ class Parameter:
     high: float
     fixed: bool
     default: float
+    tries: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True)

@@ -19,8 +19,8 @@ class BallFriction(Effect):
     """
 
     share: float = parameter("1", scale=1.0, low=0, high=1, default=1.0)
-    mu: float = parameter("1", scale=0.15, low=0, high=1, fixed=True)
-    beta: float = parameter("1", scale=0.0, low=-1, high=1, fixed=True)
+    mu: float = parameter("1", scale=0.15, low=0, high=1, fixed=True, tries=(0.06, 0.1, 0.15, 0.25))
+    beta: float = parameter("1", scale=0.0, low=-1, high=1, fixed=True, tries=(-0.1, 0.05, 0.2, 0.5))
 
     def spin_transfer(self, c: Any, contact_speed: Any, normal_impulse: Any) -> Any:
         slipping = 2.5 * self.mu * normal_impulse / np.maximum(contact_speed, 1e-300)

@@ -19,12 +19,11 @@ class PlateWaviness(Effect):
 
     a: float = parameter("m", scale=2e-6, low=-5e-5, high=5e-5)
     b: float = parameter("m", scale=2e-6, low=-5e-5, high=5e-5)
-    wavelength: float = parameter("m", scale=0.02, low=0.003, high=1, fixed=True)
-    angle: float = parameter("rad", scale=0.0, low=-4, high=4, fixed=True)
+    wavelength: float = parameter("m", scale=0.02, low=0.003, high=1, fixed=True, tries=np.geomspace(0.006, 0.08, 12))
+    angle: float = parameter("rad", scale=0.0, low=-4, high=4, fixed=True, tries=np.pi / 12 * np.arange(12))
 
     def push(self, acceleration: Any, position: Any, gravity: float) -> NDArray[np.float64]:
-        k = 2 * np.pi / self.wavelength
-        along = np.array([np.cos(self.angle), np.sin(self.angle)])
-        s = k * (position @ along)
-        slope = k * (self.b * np.cos(s) - self.a * np.sin(s))
-        return np.asarray(acceleration - gravity * slope[..., None] * along)
+        k, x, y = 2 * np.pi / self.wavelength, np.cos(self.angle), np.sin(self.angle)
+        phase = k * (x * position[..., 0] + y * position[..., 1]) + np.arctan2(self.a, self.b)  # one cosine is quicker
+        fall = gravity * k * np.hypot(self.a, self.b) * np.cos(phase)
+        return np.asarray(acceleration - np.stack([x * fall, y * fall], axis=-1))

@@ -1,0 +1,87 @@
+"""Derivatives of the tracks by an effect's strengths at many values of its shapes, all at once and to first order."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from discrepancy.forecast import velocities
+from discrepancy.measured import Measured
+from discrepancy.parameter import Suspect, parameter_of
+from discrepancy.response import Leg, responses
+from synthcam.effect import Effect
+from synthcam.model import Model
+
+Array = NDArray[np.float64]
+Shapes = dict[str, float]
+
+MOTION = {"friction", "rolling", "push"}  # laws whose small changes are integrals over the motion
+KNOWN = {"position", "velocity", "speed", "slip", "slip_speed", "gravity", "radius"}  # of a leg
+MANY = 30  # fewer shapes are tried one by one, exactly
+AT_ONCE = 64  # columns, for memory
+
+
+def scannable(suspect: Suspect, tries: Sequence[Shapes]) -> bool:
+    """Are there many shapes to try, of an effect on one law that asks for no more than is known here?"""
+    laws = suspect.kind.laws if suspect.kind else {}
+    if len(tries) < MANY or len(laws) != 1:
+        return False
+    ((law, asks),) = laws.items()
+    return (law == "clock" and asks == ("fps",)) or (law in MOTION and set(asks) <= KNOWN)
+
+
+def scanned(
+    model: Model, launches: Array, clips: Sequence[Measured], suspect: Suspect, tries: Sequence[Shapes]
+) -> list[Array]:
+    """d tracks (n_k, 2, tries, strengths) of each clip, about a model without the suspect."""
+    kind = suspect.kind
+    assert kind is not None
+    (law,) = kind.laws
+    sizes = {_short(s): parameter_of(model, s).scale for s in suspect.strengths}
+    nothing = dict.fromkeys(sizes, 0.0)
+    filled = [
+        (kind(**nothing | {_short(n): v for n, v in shapes.items()} | {s: size}), size)
+        for shapes in tries
+        for s, size in sizes.items()
+    ]
+    if law == "clock":
+        found = _later(velocities(model, launches, clips), clips, filled)
+    else:
+        parts = [filled[k : k + AT_ONCE] for k in range(0, len(filled), AT_ONCE)]
+        every = [responses(model, launches, clips, {law: _change(law, p, model)}, len(p)) for p in parts]
+        found = [np.concatenate(own, axis=-1) for own in zip(*every, strict=True)]
+    return [f.reshape(*f.shape[:2], len(tries), len(sizes)) for f in found]
+
+
+def _short(name: str) -> str:
+    return name.rpartition(".")[2]
+
+
+def _change(law: str, filled: Sequence[tuple[Effect, float]], model: Model) -> Callable[[Leg], Array]:
+    def change(leg: Leg) -> Array:
+        instant: dict[str, Any] = {
+            "position": leg.place,
+            "velocity": leg.velocity,
+            "speed": leg.speed,
+            "slip": leg.slip,
+        }
+        instant |= {"slip_speed": leg.slip_speed, "gravity": model.gravity, "radius": model.ball.radius}
+        value = {"friction": model.sliding_friction, "rolling": 0.0}.get(law, np.zeros_like(leg.velocity))
+        asks = filled[0][0].laws[law]
+        each = [(getattr(e, law)(value, *[instant[a] for a in asks]) - value) / size for e, size in filled]
+        return np.stack(each, axis=-1)
+
+    return change
+
+
+def _later(moving: Sequence[Array], clips: Sequence[Measured], filled: Sequence[tuple[Effect, float]]) -> list[Array]:
+    """Of a clock: (n_k, 2, columns)."""
+    out = []
+    for v, clip in zip(moving, clips, strict=True):
+        t = clip.frame / clip.fps
+        late = np.stack([(e.clock(t, clip.fps) - t) / size for e, size in filled], axis=-1)  # type: ignore[attr-defined]
+        out.append(v[..., None] * late[:, None])
+    return out
