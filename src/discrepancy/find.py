@@ -193,7 +193,10 @@ def _base(clips: Sequence[Measured], model: Model, noise: Noise, tick: Tick) -> 
 
 
 def _shown(clips: Sequence[Measured], hunt: Search, slot: Filled | None, noise: Noise, tick: Tick) -> Shown:
-    return show(clips, hunt.base, hunt.best, noise, lambda: tick("gap"), _after(slot, clips, noise))
+    try:
+        return show(clips, hunt.base, hunt.best, noise, lambda: tick("gap"), _after(slot, clips, noise))
+    except ValueError as e:
+        raise InputError(f"the fitted base model has no motion for the collisions kept out: {e}") from None
 
 
 def _hunt(
