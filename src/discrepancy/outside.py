@@ -331,7 +331,7 @@ class Slots:
     def _next(self, filled: Filled) -> Candidate | None:
         """The library's effect that is still to be claimed beside a slot."""
         if self.asked is None or self.asked[0] is not filled:
-            contest = Contest.of(filled.evidence, filled.whole, self.tick)
+            contest = Contest.of(filled.evidence, filled.whole, self.tick, about=filled.library)
             ranking = contest.ranking()
             claimed = ranking and ranking[0].sigma > LEVEL and ranking[0].sigma > contest.claim()
             self.asked = filled, ranking[0] if claimed else None

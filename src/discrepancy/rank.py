@@ -83,12 +83,15 @@ class Contest:
         now: Fit,
         tick: Callable[[], None] = lambda: None,
         only: Sequence[Suspect] = (),
+        about: Model | None = None,
     ) -> Contest:
         """Of the library's effects and the base parameters held at zero, or of some of them.
 
+        about: a model near the fit's, with a quicker motion, to take the derivatives about.
+
         Where balls push each other their motion takes forty times as long; derivatives are then those without that.
         """
-        plain, trials = uncoupled(now.model), []
+        plain, trials = uncoupled(about or now.model), []
         here = forecast(plain, now.launches, evidence.clips)
         for suspect in only or suspects(now.model, now.names):
             grid = list(suspect.grid(now.model))
