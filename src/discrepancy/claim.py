@@ -18,10 +18,12 @@ AT_ONCE = 4_000
 SEED = 20_260
 
 
-def sigmas(chi2: float, dof: int) -> float:
-    """The |z| of a normal variable as improbable as chi^2 with so many degrees of freedom."""
+def sigmas(chi2: float, dof: int, looks: float = 1.0) -> float:
+    """The |z| of a normal variable as improbable as chi^2 of so many degrees of freedom, the best of so many looks."""
+    if looks > 1:
+        return math.sqrt(max(sigmas(chi2, dof) ** 2 - 2 * math.log(looks), 0.0))
     if dof == 1:
-        return float(np.sqrt(max(chi2, 0.0)))
+        return math.sqrt(max(chi2, 0.0))
     p = float(chdtrc(dof, max(chi2, 0.0)))
     if p > 1e-290:
         log_p = math.log(p)
@@ -31,12 +33,25 @@ def sigmas(chi2: float, dof: int) -> float:
     return max(-float(ndtri_exp(log_p - math.log(2))), 0.0)
 
 
-def by_chance(axes: Sequence[Array], one_sided: Sequence[bool], level: float = LEVEL) -> float:
+def looks_of(every: Sequence[Array]) -> float:
+    """How many independent looks there are in these, each a basis (points, k): 1 for one, or many that are alike."""
+    columns = np.concatenate(every, axis=1)
+    length = np.linalg.norm(columns, axis=0)
+    unit = columns[:, length > 0] / length[length > 0]
+    alike = ((unit.T @ unit) ** 2).sum()
+    most = max(a.shape[1] for a in every)
+    return max(unit.shape[1] ** 2 / float(alike) / most, 1.0) if unit.size else 1.0
+
+
+def by_chance(
+    axes: Sequence[Array], one_sided: Sequence[bool], level: float = LEVEL, looks: Sequence[float] = ()
+) -> float:
     """The sigma that the best of all candidates exceeds in a share `level` of cases when nothing is hidden.
 
     axes: of each candidate an orthonormal basis (points, k) of what its signature leaves after the fit took its part.
     Their products with white noise are Gaussian with the products of the axes among themselves as covariance, so they
     are drawn at once, the same draws every time. one_sided: candidates of one strength that only scores when positive.
+    looks: that each candidate is the best of, and corrected for.
     """
     sizes = [a.shape[1] for a in axes]
     if not sum(sizes):
@@ -47,6 +62,9 @@ def by_chance(axes: Sequence[Array], one_sided: Sequence[bool], level: float = L
     root = (turn[:, kept] * np.sqrt(values[kept])).T.astype(np.float32)
     starts = np.cumsum([0, *sizes[:-1]])
     owners = np.flatnonzero(np.array(sizes) > 0)
+    alike: dict[tuple[int, float], list[int]] = {}
+    for i, k in enumerate(owners):
+        alike.setdefault((sizes[int(k)], looks[int(k)] if looks else 1.0), []).append(i)
     rng, best = np.random.default_rng(SEED), []
     for _ in range(DRAWS // AT_ONCE):
         pulls = rng.standard_normal((AT_ONCE, len(root))).astype(np.float32) @ root
@@ -54,15 +72,14 @@ def by_chance(axes: Sequence[Array], one_sided: Sequence[bool], level: float = L
         pulls[:, starts[single]] = np.maximum(pulls[:, starts[single]], 0.0)
         chi2 = np.add.reduceat(pulls**2, starts[owners], axis=1)
         each = np.zeros(AT_ONCE)
-        for dof in {sizes[k] for k in owners}:
-            largest = chi2[:, [i for i, k in enumerate(owners) if sizes[k] == dof]].max(axis=1)
-            each = np.maximum(each, _interpolated(largest, dof))
+        for (dof, look), rows in alike.items():
+            each = np.maximum(each, _interpolated(chi2[:, rows].max(axis=1), dof, look))
         best.append(each)
     return float(np.quantile(np.concatenate(best), 1 - level))
 
 
-def _interpolated(chi2: Array, dof: int) -> Array:
+def _interpolated(chi2: Array, dof: int, looks: float) -> Array:
     """`sigmas` of many, from a table."""
     roots = np.sqrt(chi2)
     knots = np.linspace(0, roots.max(), 64)
-    return np.asarray(np.interp(roots, knots, [sigmas(x * x, dof) for x in knots]))
+    return np.asarray(np.interp(roots, knots, [sigmas(x * x, dof, looks) for x in knots]))

@@ -141,13 +141,14 @@ class _Hunt:
         self.evidence, self.tick = Evidence.of(clips, noise), tick
         self.fits: dict[frozenset[Suspect], Fit] = {frozenset(): base}
         self.last: Contest | None = None  # the only one kept: it holds every suspect's derivatives
+        self.looks: dict[str, float] = {}  # at the shapes of each suspect
         self.blind: set[str] = set()  # what the base fit absorbs is no rival; beside another effect it only seems to be
         self.sure: set[frozenset[Suspect]] = {frozenset()}  # whose fits are settled to the end
 
     def outcome(self, enough: Callable[[Fit, Sequence[Fit]], bool]) -> Search:
         state: tuple[Suspect, ...] = ()
         contest = first = self._contest(state)
-        ranking = contest.ranking()
+        ranking, self.looks = contest.ranking(), contest.looks
         self.blind = {c.effect for c in ranking if c.absorbed}
         claim = max(first.claim(), FLOOR)
         while len(state) < MOST:
@@ -171,6 +172,10 @@ class _Hunt:
         contest = self._contest(state)
         named = tuple(self._named(state, k, contest) for k in range(len(state)))
         return Search(tuple(steps), ranking, named, claim, tuple(c.effect for c in contest.ranking() if not c.telling))
+
+    def _sigma(self, chi2: float, suspect: Suspect) -> float:
+        """Of what a suspect explains, corrected for the looks at its shapes."""
+        return sigmas(chi2, len(suspect.strengths), self.looks.get(suspect.name, 1.0))
 
     def _contest(self, state: Sequence[Suspect]) -> Contest:
         now = self._settled(state)
@@ -247,7 +252,7 @@ class _Hunt:
             if self._price(key) < self._price(keys[0]) + NEAR:
                 self._settled(tuple(key))
         said = {key: next(iter(key - frozenset(state))) for key in keys}
-        claimed = [k for k in keys if sigmas(now.chi2 - self.fits[k].chi2, len(said[k].strengths)) > claim]
+        claimed = [k for k in keys if self._sigma(now.chi2 - self.fits[k].chi2, said[k]) > claim]
         return said[self._simplest(claimed)] if min(keys, key=self._price) in claimed else None
 
     def _simplest(self, keys: Collection[frozenset[Suspect]]) -> frozenset[Suspect]:
@@ -279,9 +284,9 @@ class _Hunt:
         now = contest.now
         for k, suspect in enumerate(state):
             rest, rise = state[:k] + state[k + 1 :], contest.chi2(suspect) - now.chi2
-            if rest and sigmas(rise, len(suspect.strengths)) < 2 * claim:
+            if rest and self._sigma(rise, suspect) < 2 * claim:
                 kept = self._settled(rest)
-                if sigmas(kept.chi2 - now.chi2, len(suspect.strengths)) < claim:
+                if self._sigma(kept.chi2 - now.chi2, suspect) < claim:
                     return rest
             reduced, keys = None, {frozenset(state): suspect}
             for c in self._rivals(contest, suspect):
@@ -328,7 +333,7 @@ class _Hunt:
             suspect.name,
             {s: now.model.value(s) for s in suspect.strengths},
             {s: std[s] for s in suspect.strengths},
-            sigmas(worse, len(suspect.strengths)),
+            self._sigma(worse, suspect),
             aliases,
             {s: now.model.value(s) for s in suspect.shapes},
             {s: _determined(now, s) for s in suspect.shapes},

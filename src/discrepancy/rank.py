@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from discrepancy.claim import LEVEL, by_chance, sigmas
+from discrepancy.claim import LEVEL, by_chance, looks_of, sigmas
 from discrepancy.fit import Evidence, Fit, basis, derivative
 from discrepancy.forecast import forecast
 from discrepancy.parameter import Suspect, between, limits_of, parameter_of, suspects
@@ -22,6 +22,7 @@ Array = NDArray[np.float64]
 SEEN = 1e-4  # of a signature's length that must be left when all that the fit absorbs is taken out
 LIMIT = 5.0  # sigma expected of a strength at its detection limit
 ZOOMS = 2  # times that the grid of a shape is made finer about the best
+ROWS = 1500  # of the signatures, to count independent looks by
 MOST = 20_000_000  # numbers in the derivatives by one suspect's strengths
 UNSEEN = 10.0  # realistic sizes: what only shows beyond them, or beyond what is allowed, cannot be told
 
@@ -30,11 +31,11 @@ UNSEEN = 10.0  # realistic sizes: what only shows beyond them, or beyond what is
 class Candidate:
     """A score test.
 
-    shapes: the best of those tried. gain: the chi^2 that adding it would take, to first order. limit: the detection
-    limit, in realistic sizes of the strength that shows best; infinite where the fit absorbs all. telling: False where
-    that limit is absurd, or more than the effect allows. signature (points, m): the derivative at zero strength less
-    all that the fit absorbs, made orthonormal; m <= k directions leave something to be seen. columns: the derivative of
-    each clip's whitened forecast, (2n, k), before anything is taken out.
+    shapes: the best of those tried, for whose number sigma is corrected. gain: the chi^2 that adding it would take, to
+    first order. limit: the detection limit, in realistic sizes of the strength that shows best; infinite where the fit
+    absorbs all. telling: False where that limit is absurd, or more than the effect allows. signature (points, m): the
+    derivative at zero strength less all that the fit absorbs, made orthonormal; m <= k directions leave something to be
+    seen. columns: the derivative of each clip's whitened forecast, (2n, k), before anything is taken out.
     """
 
     suspect: Suspect
@@ -121,6 +122,24 @@ class Contest:
         cuts = np.cumsum([t.columns[0].shape[1] for t in self.trials])[:-1]
         return np.split(every, cuts, axis=1)
 
+    @cached_property
+    def _axes(self) -> list[Array]:
+        """Of each trial an orthonormal basis (points, m) of its signature."""
+        _, absorbed = self._left(None)
+        every = []
+        for trial, cleaned in zip(self.trials, self._cleaned, strict=True):
+            signature = cleaned - absorbed @ (absorbed.T @ cleaned)
+            every.append(signature @ _axes(signature, _lengths(trial.columns))[0])
+        return every
+
+    @cached_property
+    def looks(self) -> dict[str, float]:
+        """How many independent looks at the data all the shapes of a suspect are, by its name."""
+        by_name: dict[str, list[Array]] = {}
+        for trial, axes in zip(self.trials, self._axes, strict=True):
+            by_name.setdefault(trial.suspect.name, []).append(axes[:: 1 + len(axes) // ROWS])
+        return {name: looks_of(every) for name, every in by_name.items()}
+
     def _left(self, without: Suspect | None) -> tuple[Array, Array]:
         """Residuals, and a basis of what the shared parameters absorb: as they are, or with a named effect taken away.
 
@@ -197,7 +216,7 @@ class Contest:
         return Candidate(
             suspect,
             trial.shapes,
-            sigmas(chi2, spread) if spread else 0.0,
+            sigmas(chi2, spread, self.looks.get(suspect.name, 1.0)) if spread else 0.0,
             chi2,
             limit,
             limit <= min(UNSEEN, allowed),
@@ -209,15 +228,10 @@ class Contest:
         """The sigma that the best candidate exceeds by chance in a share `level` of searches."""
         if not self.trials:
             return 0.0
-        _, absorbed = self._left(None)
-        every, sides = [], []
-        for trial, cleaned in zip(self.trials, self._cleaned, strict=True):
-            signature = cleaned - absorbed @ (absorbed.T @ cleaned)
-            axes, _ = _axes(signature, _lengths(trial.columns))
-            side = _side(trial.suspect, self.now) if len(trial.suspect.strengths) == 1 else 0
-            every.append(signature @ axes * (side or 1))
-            sides.append(side != 0)
-        return by_chance(every, sides, level)
+        sides = [_side(t.suspect, self.now) if len(t.suspect.strengths) == 1 else 0 for t in self.trials]
+        every = [axes * (side or 1) for axes, side in zip(self._axes, sides, strict=True)]
+        looks = [self.looks[t.suspect.name] for t in self.trials]
+        return by_chance(every, [side != 0 for side in sides], level, looks)
 
 
 def tried(
