@@ -142,13 +142,24 @@ def _hide(truth: Truth, rng: np.random.Generator, study: Study, count: int, cand
         if entry is not None:
             entries.append(entry)
         if len(entries) == count:
-            break
+            if count == 1 or _moves(fisher, entries):
+                break
+            entries.clear()  # together they leave no motion
     else:
         raise ValueError(f"{truth['study']}, box {truth['box']}: no effect can be seen in it")
     for entry in entries:
         truth["hidden"] |= entry.pop("values")
     truth["effects"] = [e["effect"] for e in entries]
     truth["about"] = entries
+
+
+def _moves(fisher: Fisher, entries: list[dict[str, Any]]) -> bool:
+    """Has the experiment a motion with all these effects of the library?"""
+    try:
+        fisher.signature(fisher.model.replace({k: v for e in entries for k, v in e["values"].items()}))
+    except ValueError:
+        return False
+    return True
 
 
 def _shapes(kind: type[Effect], rng: np.random.Generator) -> dict[str, float]:
