@@ -113,7 +113,7 @@ def test_rings_of_the_mirrored_sky_stand_between_zenith_and_centre():
     rows = np.column_stack([2 * seen, np.ones(len(seen))])
     circle = np.linalg.lstsq(rows, np.sum(seen**2, axis=1), rcond=None)[0][:2]
     assert np.abs(camera.zenith_of_glint(glint, np.cos(np.pi / 6))[0] - circle).max() < 0.003
-    assert np.abs(camera.zenith_of_glint(glint)[0] - circle).max() > 0.04
+    assert np.abs(camera.zenith_of_glint(glint, 1.0)[0] - circle).max() > 0.04
 
 
 @pytest.mark.parametrize("missing", ["lamp", "ball_diameter"])

@@ -142,11 +142,9 @@ class Camera:
         jacobian = np.stack([pixels[1] - pixels[3], pixels[2] - pixels[4]], axis=-1)
         return pixels[0], jacobian
 
-    def zenith_of_glint(self, glints: ArrayLike, share: float = 1.0) -> Array:
-        """Glint pixels (n, 2) -> pixels (n, 2) at which their balls mirror what is straight overhead.
-
-        What a ball mirrors of a room that is the same all round is symmetric about that point. share: of the way
-        there from the ball's centre.
+    def zenith_of_glint(self, glints: ArrayLike, share: float) -> Array:
+        """Glint pixels (n, 2) -> pixels (n, 2), a share of the way from their balls' centres to where these mirror what
+        is straight overhead. What a ball mirrors of a room that is the same all round is symmetric about that line.
         """
         seen = np.asarray(glints, dtype=np.float64)
         if not self.corrects_glint or seen.size == 0:
@@ -155,8 +153,6 @@ class Camera:
         middle = np.concatenate([place, np.full_like(place[..., :1], self.radius)], axis=-1)
         overhead = np.concatenate([place, np.full_like(place[..., :1], FAR)], axis=-1)
         zenith = self.project(middle + self.radius * mirror_normal(middle, self.radius, self.position, overhead))
-        if share == 1.0:
-            return zenith
         centre = self.project(middle)
         return np.asarray(centre + share * (zenith - centre), dtype=np.float64)
 

@@ -26,7 +26,7 @@ LOG_FLUX = (-5.0, 18.0)
 MOST = 1e6  # counts, of anything under a glint
 SWINGING = 8  # steps, after which a glint still on the move is swinging about its place: half steps from there
 LESSONS = 2  # steps of the shared body
-ROUGH = 0.02  # px and log flux, a first fit before them: clipped glints need one
+ROUGH = 0.1  # px and log flux, a first fit before them: clipped glints need one
 CLOSE = 0.003  # px and log flux: a step this small is the last one, for the next would be a hundredth of it
 
 
@@ -61,7 +61,8 @@ class Windows:
 class Fit:
     """Of n windows: ``xy`` (n, 2) px from the central pixel, ``flux`` and ``background`` (n,) counts, ``cov``
     (n, 2, 2) px^2 and ``fixed``, the part of it that a resting ball has in every frame alike, ``flux_std``,
-    ``chi2`` a degree of freedom over open pixels, ``loglik``, ``settled`` (n,).
+    ``chi2`` a degree of freedom over open pixels, ``loglik``, ``settled`` (n,), ``lean`` (n, 2) px the covariance
+    of place and log flux.
     """
 
     xy: Array
@@ -73,6 +74,7 @@ class Fit:
     chi2: Array
     loglik: Array
     settled: Array
+    lean: Array
 
 
 def fit(windows: Windows, sigma: float, sensor: Sensor, body: Body | None = None, close: float = CLOSE) -> Fit:
@@ -83,7 +85,7 @@ def fit(windows: Windows, sigma: float, sensor: Sensor, body: Body | None = None
     theta, n = _start(windows, sigma, sensor, body), len(windows)
     active = np.arange(n)
     _bounded(theta, active, windows.half)
-    part, values = windows, np.full((n, 12), np.nan)
+    part, values = windows, np.full((n, 14), np.nan)
     limit = _longest(sigma)
     for number in range(STEPS):
         if len(active) == 0:
@@ -106,7 +108,7 @@ def fit(windows: Windows, sigma: float, sensor: Sensor, body: Body | None = None
     flux = np.exp(theta[:, 2])
     return Fit(
         theta[:, :2].copy(), flux, theta[:, 3].copy(), cov, fixed, flux * values[:, 8], values[:, 9], values[:, 10],
-        values[:, 11],
+        values[:, 11], values[:, 12:],
     )  # fmt: skip
 
 
@@ -248,7 +250,8 @@ def learn(windows: Windows, sigma: float, sensor: Sensor, end: float) -> tuple[B
 
 
 def _figures(seen: _Seen, windows: Windows, step: Array, settled: NDArray[np.bool_], sensor: Sensor) -> Array:
-    """(n, 12): cov and fixed of the place, error of log flux, chi^2 a degree of freedom, log likelihood, settled.
+    """(n, 14): cov and fixed of the place, error of log flux, chi^2 a degree of freedom, log likelihood, settled,
+    covariance of place and log flux.
 
     The last ``step`` (n, p) raises the likelihood by half of step . slope.
     """
@@ -268,5 +271,5 @@ def _figures(seen: _Seen, windows: Windows, step: Array, settled: NDArray[np.boo
     chi2 = ((is_open * square).sum(axis=(1, 2)) - gain) / freedom
     return np.column_stack([
         cov[:, :2, :2].reshape(n, 4), pattern[:, :2, :2].reshape(n, 4), np.sqrt(cov[:, 2, 2]), chi2,
-        loglik.sum(axis=(1, 2)) + gain / 2, settled,
+        loglik.sum(axis=(1, 2)) + gain / 2, settled, cov[:, :2, 2],
     ])  # fmt: skip

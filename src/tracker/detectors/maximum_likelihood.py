@@ -15,7 +15,9 @@ from ..detect import CLIPPED, EDGE, MISFIT, NEAR, STREAK, Glints, View
 from ..lens import Array
 from ..likelihood import Fit, Windows, fit, learn
 from ..link import FASTEST, assign, velocities
+from ..offsets import Bare
 from ..search import Search, coarse_place
+from ..steady import steadied
 
 Ints = NDArray[np.int64]
 
@@ -32,12 +34,15 @@ MIDDLE = 0.866  # of the way from the ball's centre to its zenith: cos 30 degree
 SMEARED = 0.3  # of the ball's radius: after a longer way in the exposure the body is no longer the one learnt
 CLEAR = 0.68  # of the ball's radius, out to which the learnt shape holds
 END = 0.9  # of the ball's radius: .71, and the blur
+HIDES = 1.5  # of the ball's radius about its glint, what a ball hides of the plate at most
 LIKE = 0.55  # of the ball's radius: out to .71 a ball mirrors what is above the plate, less the blur
 
 
 @dataclass(frozen=True, eq=False)
 class _Patches:
-    """Candidates of many frames: ``frame``, ``column``, ``row`` (n,), raw ``counts`` (n, p, p), ``inside``."""
+    """Candidates of many frames: ``frame``, ``column``, ``row`` (n,), ``counts`` (n, p, p), ``inside``, and
+    which are ``level`` (n,): less their pixels' own offsets.
+    """
 
     frame: Ints
     column: Ints
@@ -45,6 +50,7 @@ class _Patches:
     strength: Array
     counts: NDArray[Any]
     inside: NDArray[np.bool_]
+    level: NDArray[np.bool_]
 
     def take(self, rows: Ints) -> _Patches:
         return _Patches(*(getattr(self, name)[rows] for name in self.__dataclass_fields__))
@@ -67,6 +73,8 @@ class MaximumLikelihood:
         self.body: Body | None = None
         self.end, self.clear = END * radius, CLEAR * radius
         self.reach = self.half + math.ceil(min(travel, 60.0) / 2.0) + 1
+        self.levelled = self.sensor = self.camera.sensor
+        self.bare = Bare(view.plate, math.ceil(HIDES * radius) + 2) if self.sensor.dsnu else None
         self.sound = np.ones(view.plate.level.shape, dtype=np.bool_)
         self.sound.ravel()[view.plate.hot] = False
 
@@ -93,11 +101,21 @@ class MaximumLikelihood:
 
     def _candidates(self, number: int, frame: NDArray[Any]) -> _Patches | None:
         finds = self.search(frame)
+        if self.bare and not finds.crowded:
+            self.bare.add(frame, finds.row, finds.column)
         if len(finds.row) == 0:
             return None
         cuts = [self._cut(frame, *at) for at in zip(finds.row.tolist(), finds.column.tolist(), strict=True)]
         counts, inside = (np.stack(part) for part in zip(*cuts, strict=True))
-        return _Patches(np.full(len(finds.row), number), finds.column, finds.row, finds.strength, counts, inside)
+        return _Patches(
+            np.full(len(finds.row), number),
+            finds.column,
+            finds.row,
+            finds.strength,
+            counts,
+            inside,
+            np.zeros(len(counts), bool),
+        )
 
     def _cut(self, frame: NDArray[Any], row: int, column: int) -> tuple[NDArray[Any], NDArray[np.bool_]]:
         """The pixels (p, p) about one, those of the rim beyond it, and which are in the frame and not hot."""
@@ -118,12 +136,13 @@ class MaximumLikelihood:
         rough = self._rough(patches, place)
         ids = assign(rough, self.camera)
         streak = self._streaks(rough, ids)
-        clipped = np.any((patches.counts >= self.camera.sensor.ceiling) & patches.inside, axis=(1, 2))
-        bowl = self._bowl(place, clipped)
+        clipped = np.any((patches.counts >= self.sensor.ceiling) & patches.inside, axis=(1, 2))
+        patches = self._level(patches)
+        bowl = self._bowl(place)
         if self.body is None and self.bounded:
             self._learn(patches, place, streak, bowl)
         alone = np.zeros(len(place), dtype=bool)
-        found, good = self._fit(patches, place, streak, bowl, alone, np.zeros((len(place), 3)))
+        found, good, light = self._fit(patches, place, streak, bowl, alone, np.zeros((len(place), 3)))
         # The first places were rough, and with them velocities and neighbours: once more where that shows.
         better = streak.copy()
         better[good] = self._streaks(found.take(good), ids[good])
@@ -132,23 +151,38 @@ class MaximumLikelihood:
         rows = np.flatnonzero(again | near | (ghosts[:, 2] > 0))
         if len(rows):
             place = np.where(good[:, None], found.xy, place)
-            redone, kept = self._fit(
+            redone, kept, light[rows] = self._fit(
                 patches.take(rows), place[rows], better[rows], bowl[rows], (near & ~clipped)[rows], ghosts[rows]
             )
             good[rows] = kept
             found = found.put(rows, redone)
         found.flags[near] |= NEAR
-        return found.take(good)
+        found, light = found.take(good), light[good]
+        if not clipped.any():  # place and flux of an open glint hardly know of each other
+            return found
+        xy, cov = steadied(found.xy, found.cov, np.log(found.flux), light[:, :2], light[:, 2])
+        return replace(found, x=xy[:, 0], y=xy[:, 1], cov=cov)
 
-    def _bowl(self, place: Array, clipped: NDArray[np.bool_]) -> Array:
+    def _level(self, patches: _Patches) -> _Patches:
+        """Open counts less their pixels' own offsets, where these are known all over a patch."""
+        if not self.bare:
+            return patches
+        span, (w, h) = np.arange(-self.reach, self.reach + 1), self.size
+        rows, columns = (np.clip(at[:, None] + span, 0, n - 1) for at, n in ((patches.row, h), (patches.column, w)))
+        own, left = self.bare.offsets(rows[:, :, None], columns[:, None, :], self.sensor.dsnu / self.sensor.gain)
+        known = np.logical_not(np.isnan(own).any(axis=(1, 2)))
+        own[~known] = 0.0
+        own[patches.counts >= self.sensor.ceiling] = 0.0
+        self.levelled = replace(self.sensor, dsnu=left * self.sensor.gain)
+        return replace(patches, counts=patches.counts - own, level=known)
+
+    def _bowl(self, place: Array) -> Array:
         """From the glints to the middles of their bodies, px; hardly changes from place to place.
 
         What mirrors the sky at an angle a from the zenith is a circle about cos(a/2) of the way from the ball's
-        centre to where it mirrors the zenith. Clipped glints show the difference; in open ones it is lost in the noise.
+        centre to where it mirrors the zenith.
         """
-        middle = self.camera.zenith_of_glint(place)
-        middle[clipped] = self.camera.zenith_of_glint(place[clipped], MIDDLE)
-        return middle - place
+        return self.camera.zenith_of_glint(place, MIDDLE) - place
 
     def _rough(self, patches: _Patches, place: Array) -> Glints:
         n = len(place)
@@ -164,34 +198,40 @@ class MaximumLikelihood:
 
     def _fit(
         self, patches: _Patches, place: Array, streak: Array, bowl: Array, near: NDArray[np.bool_], ghosts: Array
-    ) -> tuple[Glints, NDArray[np.bool_]]:
-        """Fits in groups of one window size, with and without a ghost; all glints, and which are good."""
+    ) -> tuple[Glints, NDArray[np.bool_], Array]:
+        """Fits in groups of one window size, with and without a ghost; all glints, which are good, and (n, 3): the
+        covariance of their places with log flux, and its variance.
+        """
         longest = np.max(np.abs(streak), axis=1)
         halves = np.minimum(self.half + np.floor(longest / 2.0 + 0.35).astype(np.int64), self.reach)
         # Beside a neighbour, or smeared, the body is another than the one learnt; a clipped glint's own
         # bowl would cost more than a neighbour does.
         own = near | (np.hypot(*streak.T) > SMEARED * self.camera.diameter_px / 2.0)
-        groups = 4 * halves + 2 * own + (ghosts[:, 2] > 0)
+        groups = 8 * halves + 4 * patches.level + 2 * own + (ghosts[:, 2] > 0)
+        light = np.zeros((len(place), 3))
         out = self._rough(patches, place)
         good = np.zeros(len(place), dtype=bool)
         for group in np.unique(groups).tolist():
             rows = np.flatnonzero(groups == group)
-            half, kind = divmod(group, 4)
-            known = self.body if kind < 2 else None
+            half, kind = divmod(group, 8)
+            known = self.body if kind & 2 == 0 else None
             windows, origin = self._windows(
                 patches, place, streak, bowl, rows, half, self.limit if known is None else self.clear
             )
-            if kind % 2:
+            if kind & 1:
                 spots = ghosts[rows] - np.column_stack([origin, np.zeros(len(rows))])
                 windows = replace(windows, ghosts=spots[:, None, :])
-            result = fit(windows, self.sigma, self.camera.sensor, known)
+            result = fit(windows, self.sigma, self.levelled if kind & 4 else self.sensor, known)
+            inflation = _inflation(result, windows)
             out.x[rows], out.y[rows] = (origin + result.xy).T
-            out.cov[rows] = result.cov * _inflation(result, windows)[:, None, None]
+            out.cov[rows] = result.cov * inflation[:, None, None]
             out.fixed[rows] = result.fixed
             out.flux[rows], out.background[rows] = result.flux, result.background
+            relative = result.flux_std / result.flux
+            light[rows] = np.column_stack([result.lean, relative**2]) * inflation[:, None]
             out.flags[rows] = self._flags(result, windows, streak[rows])
             good[rows] = self._good(result, out.xy[rows], half)
-        return out, good
+        return out, good, light
 
     def _learn(self, patches: _Patches, place: Array, streak: Array, bowl: Array) -> None:
         """The clip's body, from bright single glints spread over the block; their better places go into ``place``."""
@@ -202,7 +242,7 @@ class MaximumLikelihood:
             return
         rows = rows[np.unique(np.linspace(0, len(rows) - 1, PUPILS).round().astype(np.int64))]
         windows, origin = self._windows(patches, place, streak, bowl, rows, self.half + 1, self.clear)
-        self.body, found = learn(windows, self.sigma, self.camera.sensor, self.end)
+        self.body, found = learn(windows, self.sigma, self.levelled, self.end)
         place[rows] = origin + found
 
     def _apart(self, frame: Ints, place: Array) -> NDArray[np.bool_]:
@@ -254,7 +294,7 @@ class MaximumLikelihood:
         return np.asarray(along**2 + aside**2 <= limit**2, dtype=np.float64)
 
     def _flags(self, result: Fit, windows: Windows, streak: Array) -> Ints:
-        full = ((windows.counts >= self.camera.sensor.ceiling) & (windows.used > 0)).any(axis=(1, 2))
+        full = ((windows.counts >= self.sensor.ceiling) & (windows.used > 0)).any(axis=(1, 2))
         flags = np.where(full, CLIPPED, 0)
         flags |= np.where(np.hypot(streak[:, 0], streak[:, 1]) > 0.5 * self.sigma, STREAK, 0)
         flags |= np.where(_inflation(result, windows) > 1.0, MISFIT, 0)
