@@ -27,7 +27,7 @@ def legs():
     gone[:, 5] = 0.1
     slowing = np.full(2, 0.232 * 9.81)
     lasts = np.hypot(*contact_velocity(SLIPPING, R).T) / 3.5 / slowing
-    found = slides(BENT, SLIPPING, BODIES, START, None)
+    found = slides(BENT, SLIPPING, BODIES)
     flight = flights(BENT, SLIPPING, BODIES, START, START + 0.02)
     radius, end = BODIES.radius, START + 0.02
     yield Resting(WHO, START, end, ROLLING * [1, 1, 1, 0, 0, 0, 0, 0, 1])

@@ -17,12 +17,11 @@ START = np.array(
     ]
 )
 BALLS = Model().bodies("bbb")
-BEGIN = np.array([0.5, 0.0, 2.0])
 
 
 @pytest.fixture(scope="module")
 def bent():
-    return slides(BENT, START, BALLS, BEGIN, None)
+    return slides(BENT, START, BALLS)
 
 
 @pytest.mark.parametrize("k", [0, 1, 2])
@@ -49,7 +48,7 @@ def test_a_slide_is_smooth_over_its_tail(bent):
 
 def test_together_is_one_by_one(bent):
     for k in range(3):
-        alone = slides(BENT, START[k : k + 1], BALLS[k : k + 1], BEGIN[k : k + 1], None)
+        alone = slides(BENT, START[k : k + 1], BALLS[k : k + 1])
         times = np.linspace(0, 1, 20) * alone.lasts[:, None]
         together = bent.states(np.tile(times, (3, 1)).clip(0, bent.lasts[:, None]))[k]
         np.testing.assert_allclose(alone.states(times)[0], together, rtol=1e-11, atol=1e-13)
@@ -57,7 +56,7 @@ def test_together_is_one_by_one(bent):
 
 def test_a_slide_unbent_is_the_parabola():
     slowing = 0.232 * 9.81
-    found = slides(Model(), START, BALLS, BEGIN, None)
+    found = slides(Model(), START, BALLS)
     lasts = np.hypot(*contact_velocity(START, R).T) / (3.5 * slowing)
     np.testing.assert_allclose(found.lasts, lasts, rtol=1e-13)
     times = np.linspace(0, 1, 33) * lasts[:, None]
@@ -67,4 +66,4 @@ def test_a_slide_unbent_is_the_parabola():
 
 def test_a_push_that_friction_cannot_end_is_refused():
     with pytest.raises(ValueError, match="does not end the slide"):
-        slides(Model(sliding_friction=0.01, effects=(PlateTilt(x=0.09),)), START, BALLS, BEGIN, None)
+        slides(Model(sliding_friction=0.01, effects=(PlateTilt(x=0.09),)), START, BALLS)

@@ -3,7 +3,17 @@
 import numpy as np
 import pytest
 
-from synthcam.spectral import Path, integrate, matrices, series
+from synthcam.spectral import SIZES, Path, matrices, reread, series
+from synthcam.spectral import integrate as in_parts
+
+
+def integrate(right, *rest, **more):
+    """With the derivative of everything at once."""
+
+    def whole(x, y):
+        yield slice(len(y)), right(x, y)
+
+    return in_parts(whole, *rest, **more)
 
 
 def test_harmonic_oscillators_for_ten_turns():
@@ -41,10 +51,13 @@ def test_each_problem_at_times_of_its_own():
 
 
 def test_few_nodes_where_few_will_do():
-    sizes = [integrate(lambda x, y, f=f: np.cos(f * x) + 0 * y, (0.0, 1.0), np.zeros((1, 1))) for f in (1, 15)]
-    assert [p.coefficients[0].shape[-1] for p in sizes] == [14, 32]
+    paths = [integrate(lambda x, y, f=f: np.cos(f * x) + 0 * y, (0.0, 1.0), np.zeros((1, 1))) for f in (1, 15, 30)]
+    sizes = [p.coefficients[0].shape[-1] for p in paths]
+    assert sizes == sorted(sizes)
+    assert sizes[0] == SIZES[0]
+    assert sizes[1] > SIZES[1]
     x = np.linspace(0, 1, 50)
-    for path, f in zip(sizes, (1, 15), strict=True):
+    for path, f in zip(paths, (1, 15, 30), strict=True):
         np.testing.assert_allclose(path(x[None])[0, 0], np.sin(f * x) / f, rtol=0, atol=1e-14)
 
 
@@ -64,14 +77,14 @@ def test_a_step_is_refused():
         integrate(lambda x, y: np.where(x > np.pi / 10, 1.0, 0.0) + 0 * y, (0.0, 1.0), np.zeros((1, 1)))
 
 
-def test_a_kink_passes_where_a_coarse_solution_was_asked_for():
+def test_a_kink_passes_only_between_pieces():
     def right(x, y):
         return np.abs(x - 0.3) + 0 * y
 
-    path = integrate(right, (0.0, 1.0), np.zeros((1, 1)), resolved=1e-8, deepest=6)
-    assert path.last()[0, 0] == pytest.approx((0.3**2 + 0.7**2) / 2, abs=1e-6)
     with pytest.raises(ValueError, match="not smooth"):
         integrate(right, (0.0, 1.0), np.zeros((1, 1)), deepest=6)
+    path = integrate(right, (0.0, 0.3, 1.0), np.zeros((1, 1)), deepest=0)
+    assert path.last()[0, 0] == pytest.approx((0.3**2 + 0.7**2) / 2, abs=1e-14)
 
 
 def test_a_runaway_is_refused_quietly():
@@ -90,3 +103,36 @@ def test_slope_and_curvature_of_a_series():
     c = (np.exp(1.5 * on.nodes) @ on.coefficients)[None, None]
     np.testing.assert_allclose(series(c @ on.slope, x[None])[0, 0], 1.5 * np.exp(1.5 * x), rtol=1e-11)
     np.testing.assert_allclose(series(c @ on.curvature, x[None])[0, 0], 2.25 * np.exp(1.5 * x), rtol=1e-9)
+
+
+def test_parts_one_after_the_other():
+    """x'' = -x, v first, then x by the new v; their product feeds nothing, and is right all the same."""
+    calls = {"v": 0, "x": 0, "xv": 0}
+
+    def right(_, y):
+        calls["v"] += 1
+        yield slice(0, 1), -y[1:2]
+        calls["x"] += 1
+        yield slice(1, 2), y[0:1]
+        calls["xv"] += 1
+        yield slice(2, 3), y[0:1] * y[1:2]
+
+    path = in_parts(right, (0.0, 2.0), np.array([[1.0], [0.0], [0.0]]), few=26, feed=2)
+    x = np.linspace(0, 2, 50)
+    expected = np.stack([np.cos(x), np.sin(x), np.sin(x) ** 2 / 2])
+    np.testing.assert_allclose(path(x[None])[:, 0], expected, rtol=0, atol=1e-14)
+    assert calls["v"] == calls["x"] > calls["xv"]
+
+
+def test_values_at_images_of_nodes_are_read_on_nodes():
+    z = matrices(32).nodes
+    places = np.stack([z, np.tanh(0.8 * z) / np.tanh(0.8), (z + 0.2 * (z * z - 1))])
+    read = reread(np.exp(np.stack([places, -2 * places])), places, 20)
+    on = matrices(20).nodes
+    np.testing.assert_allclose(read, np.exp([[on] * 3, [-2 * on] * 3]), rtol=0, atol=2e-13)
+
+
+def test_values_at_nodes():
+    path = integrate(lambda x, y: np.cos(x) * y, (0.0, 1.0, 2.0), np.array([[1.0, 3.0]]))
+    for x, y in path.nodes():
+        np.testing.assert_allclose(y[0], np.exp(np.sin(x)) * [[1], [3]], rtol=1e-13)

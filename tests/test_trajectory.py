@@ -27,6 +27,20 @@ def test_any_times_in_any_order(motion):
     assert motion.at([0]).dtype == float
 
 
+def test_means_up_to_a_sudden_end():
+    """Where a spin drills, friction gives way shortly before the slide ends; against a sum over small parts."""
+    model = Model().replace({"drilling_spin.a": 2e-5})
+    motion = solve(model, Launch.pair(model.bodies("ab"), 0.1, 0.4, 0.3, 0.5, (0, 0)), 0.0, 0.3)
+    for ball in (0, 1):
+        end = motion.first("slide_end", ball).t
+        for a, b in ((end - 3e-3, end + 1e-3), (end - 4e-3, end), (end - 4.2e-3, end - 2e-4)):
+            near = np.minimum(end - np.geomspace(1e-8, 4e-3, 60), b)
+            cuts = np.unique(np.concatenate([[a, b], near[near > a], [min(end, b)]]))
+            parts = motion.mean(np.stack([cuts[:-1], cuts[1:]], axis=1), lambda s: s[..., :2])
+            whole = motion.mean(np.array([[a, b]]), lambda s: s[..., :2])[ball, 0]
+            np.testing.assert_allclose(whole, np.diff(cuts) @ parts[ball] / (b - a), rtol=0, atol=1e-12)
+
+
 def test_on_an_event_it_is_just_after(motion):
     hit = motion.first("contact")
     np.testing.assert_array_equal(motion.at(hit.t)[[hit.i, hit.j], 0], hit.after)

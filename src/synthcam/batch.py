@@ -1,22 +1,22 @@
 """Thousands of two-ball collisions at once: the motion of `dynamics.solve`, vectorised over collisions.
 
 A collision here is one impact of a rolling ball on a ball at rest, and what follows: flights, slides, rolls. Where two
-balls would touch again, or push each other, that collision is handed to `solve`.
+balls would touch again, that collision is handed to `solve`; balls that push each other are led by `together`.
 """
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from synthcam import rolling, sliding
-from synthcam.dynamics import AGREED, STILL, SWEEPS, solve, uncoupled
-from synthcam.hermite import Follower, Table, around, between
+from synthcam import rolling, sliding, together
+from synthcam.coupled import STILL
+from synthcam.dynamics import solve
+from synthcam.hermite import between
 from synthcam.impact import collide, land
 from synthcam.kinematics import (
     Array,
@@ -39,6 +39,7 @@ STEADY = 0.1  # of the first speed of parting: balls that at the ends of their l
 WAVER = 5e-3  # m/s: by so much pushes may slow a ball within a leg, at neither end of it
 LOOKS = 24  # at whether balls overlap: one that catches up takes tens of ms to pass through
 ROUNDS = 400  # legs after an impact, at most
+AT_ONCE = 400  # balls, at most, that are integrated together: more leave the processor's cache
 
 
 @dataclass
@@ -111,38 +112,18 @@ def collisions(model: Model, launches: Array, start: float, end: float, striker_
     t_c = launches[:, 2].astype(float)
     target, striker = touching(one, two, launches[:, 3], launches[:, 5], launches[:, 4], launches[:, :2])
 
-    def motion(model: Model, known: Batch | None) -> Batch:
-        run = _Run(model, both, Batch(float(start), float(end)), np.concatenate([t_c, t_c]), known)
+    if model.laws.asks("push", "other"):
+        led = together.collisions(model, (one, two), np.stack([target, striker]), t_c, float(start), float(end))
+        breaks = np.stack(led.kinks, axis=1)
+        out = Batch(float(start), float(end), led.segments, breaks, led.slide_ends, led.odd)
+    else:
+        run = _Run(model, both, Batch(float(start), float(end)), np.concatenate([t_c, t_c]))
         run.before(target, striker)
         hit = collide(model, target, striker, one, two)
         run.after(np.concatenate([hit.target, hit.striker]), hit.n[:, :2])
-        return run.out
-
-    out = _swept(motion, model) if model.laws.asks("push", "other") else motion(model, None)
+        out = run.out
     odd = sorted({*_met_again(out, both).tolist(), *out.odd})
     return _by_solve(model, launches, is_a, out, np.array(odd, dtype=np.intp))
-
-
-def _swept(motion: Callable[[Model, Batch | None], Batch], model: Model) -> Batch:
-    """Balls that push each other: each in the other's last known path, until both agree."""
-    grid, change = np.linspace(0, 1, 64), np.inf
-    out = motion(uncoupled(model), None)
-    for _ in range(SWEEPS):
-        new = motion(model, out)
-        times = out.start + grid * (out.end - out.start)
-        last, change = change, float(np.abs(new.at(times)[..., :2] - out.at(times)[..., :2]).max())
-        out = new
-        if (
-            change * (min(change / last, 1.0) if last < np.inf else 1.0) < AGREED
-        ):  # the next sweep gains that factor too
-            break
-    return out
-
-
-def _table(known: Batch, t_c: Array) -> Table:
-    """Where all balls were in the last sweep."""
-    knots = np.concatenate([around(t_c, known.start, known.end), np.clip(known.breaks, known.start, known.end)], axis=1)
-    return Table.of(lambda times: known.at(times)[..., [0, 1, 3, 4]].reshape(len(times), -1, 4), knots)
 
 
 def _met_again(out: Batch, both: Bodies) -> Ints:
@@ -200,13 +181,17 @@ def _without(segment: Segment, gone: NDArray[np.bool_]) -> Segment:
     return dataclasses.replace(segment, ends=ends) if np.any(gone) else segment  # type: ignore[type-var]
 
 
+def _alike(who: Ints, size: Array) -> list[Ints]:
+    """Balls `who` in groups of about the same size: they ask for the same pieces, and are seen in as many frames."""
+    return np.array_split(who[np.argsort(size)], -(-len(who) // AT_ONCE)) if len(who) else []
+
+
 class _Run:
     """Builds the segments of a batch, round by round, all balls that are in one state together."""
 
-    def __init__(self, model: Model, bodies: Bodies, out: Batch, t_c: Array, known: Batch | None) -> None:
+    def __init__(self, model: Model, bodies: Bodies, out: Batch, t_c: Array) -> None:
         self.model, self.bodies, self.out, self.t_c = model, bodies, out, t_c
         self.kinks = [t_c.copy()]
-        self.table = _table(known, t_c) if known else None
         out.slide_ends = t_c.copy()
 
     def before(self, target: Array, striker: Array) -> None:
@@ -215,8 +200,8 @@ class _Run:
         early = np.flatnonzero(self.t_c > self.out.start)
         self._rest(early[early < n], target[early[early < n]], start, self.t_c)
         who = early[early >= n]
-        if len(who):
-            self._roll(who, striker[who - n], self.t_c[who], start[who], back=True)
+        for some in _alike(who, np.hypot(striker[who - n, 3], striker[who - n, 4])):
+            self._roll(some, striker[some - n], self.t_c[some], start[some], back=True)
 
     def after(self, states: Array, n: Array) -> None:
         """From the impact on, to the end. n (collisions, 2): the impact's normal, from striker to target."""
@@ -232,19 +217,19 @@ class _Run:
             flying = np.flatnonzero(live & (states[:, 5] > 0))
             u = contact_velocity(states, self.bodies.radius)
             speed = np.hypot(states[:, 3], states[:, 4])
-            slips = np.hypot(u[:, 0], u[:, 1]) > STILL
-            sliding_ = np.flatnonzero(live & (states[:, 5] == 0) & slips)
-            plain = np.flatnonzero(live & (states[:, 5] == 0) & ~slips)
+            slip = np.hypot(u[:, 0], u[:, 1])
+            sliding_ = np.flatnonzero(live & (states[:, 5] == 0) & (slip > STILL))
+            plain = np.flatnonzero(live & (states[:, 5] == 0) & (slip <= STILL))
             if len(flying) + len(sliding_) + len(plain) == 0:
                 break
             if len(flying):
                 self._fly(flying, states, now)
-            if len(sliding_):
-                self._slide(sliding_, states, now)
+            for some in _alike(sliding_, slip[sliding_]):
+                self._slide(some, states, now)
             moving = plain[speed[plain] > STILL]
-            if len(moving):
-                until = np.full(len(moving), end)
-                states[moving], now[moving] = self._roll(moving, states[moving], now[moving], until)
+            for some in _alike(moving, speed[moving] * (end - now[moving])):
+                until = np.full(len(some), end)
+                states[some], now[some] = self._roll(some, states[some], now[some], until)
             still = plain[speed[plain] <= STILL]
             if len(still):
                 self._rest(still, states[still], now, np.full(len(now), np.inf))
@@ -256,17 +241,10 @@ class _Run:
         waver = WAVER if self.model.laws.bent(*rolling.LAWS) else 0.0
         self.out.near = np.flatnonzero(both[1] < STEADY * both[0] + waver)
 
-    def _other(self, who: Ints) -> sliding.Other | None:
-        """Where the partners of balls `who` were in the last sweep."""
-        table = self.table
-        if table is None:
-            return None
-        return Follower(table, (who + len(self.t_c) // 2) % len(self.t_c))
-
     def _kink(self, who: Ints, when: Array) -> None:
-        if len(who):
+        if np.any(np.isfinite(self.kinks[-1][who])):
             self.kinks.append(np.full(len(self.t_c), np.inf))
-            self.kinks[-1][who] = when
+        self.kinks[-1][who] = when
 
     def _rest(self, who: Ints, states: Array, now: Array, until: Array) -> None:
         held = states.copy()
@@ -276,7 +254,7 @@ class _Run:
 
     def _loose(self, who: Ints, held: Array) -> NDArray[np.bool_]:
         """Which balls at rest would not stay there."""
-        if not self.model.laws.bent("push") or self.model.laws.asks("push", "other"):
+        if not self.model.laws.bent("push"):
             return np.zeros(len(who), dtype=bool)
         some = self.bodies[who]
         instant = dict(position=held[:, :2], velocity=held[:, 3:5], gravity=self.model.gravity)
@@ -304,7 +282,7 @@ class _Run:
         ends = begins + 2 * from_[:, 5] / model.gravity
         plane = None
         if model.laws.bent("push"):
-            plane = rolling.flights(model, from_, self.bodies[who], begins, ends, self._other(who))
+            plane = rolling.flights(model, from_, self.bodies[who], begins, ends)
         leg = Flying(who, begins, ends, from_, model.gravity, plane)
         self.out.segments.append(leg)
         states[who] = leg.states(ends[:, None])[:, 0]
@@ -314,7 +292,7 @@ class _Run:
     def _slide(self, who: Ints, states: Array, now: Array) -> None:
         model, begins, from_, bodies = self.model, now[who], states[who], self.bodies[who]
         if model.laws.bent(*sliding.LAWS):
-            found = sliding.slides(model, from_, bodies, begins, self._other(who))
+            found = sliding.slides(model, from_, bodies)
             ends, last = begins + found.lasts, found.ends()
             self.out.segments.append(BentSliding(who, begins, ends, found))
         else:
@@ -331,7 +309,7 @@ class _Run:
         """Roll until `until` or the stop; the states and times there."""
         model, bodies = self.model, self.bodies[who]
         if model.laws.bent(*rolling.LAWS):
-            found = rolling.rolls(model, states, bodies, now, until, self._other(who))
+            found = rolling.rolls(model, states, bodies, now, until)
             ends = found.until
             if back and np.any(ends > until):
                 raise ValueError("a ball would have had to come from rest within the run")

@@ -4,32 +4,24 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 
 from synthcam import rolling, sliding
 from synthcam.contact import LINGERING, TOUCHING, first_contact
-from synthcam.hermite import Table, around
+from synthcam.coupled import STILL, excess
 from synthcam.impact import LOWEST, land, strike
-from synthcam.kinematics import Array, State, fly, slip, stop_time
+from synthcam.kinematics import Array, State, fly, made_rolling, resting, slip, stop_time
 from synthcam.launch import Launch
 from synthcam.model import Bodies, Model
+from synthcam.pairing import AHEAD, FASTEST, Pairing, start_of
+from synthcam.sliding import NOWHERE
 from synthcam.trajectory import Event, Fly, Leg, Numeric, Rest, Roll, Slide, Trajectory
 
-STILL = 1e-12  # m/s: slower than this is rest, or rolling for a contact velocity
 CLINGING = 1e-4  # m/s: as LINGERING for balls that push each other, whose row is long
 LIMIT = 10_000  # events: more means that something never settles
 FAR = 1e4  # s: beyond it the clock's last bit is too coarse for an event
 LONG = 60.0  # s: balls that push each other are led in small steps
-FASTEST = 1e3  # m/s: a ball that must have come faster did not come
-AHEAD = 0.2  # s of numerical rolling beyond what was asked for
-SWEEPS = 12  # over balls that push each other, at most
-AGREED = 1e-11  # m between sweeps
-WINDOW, SHORTEST = 0.1, 2e-4  # s: how far ahead balls that push each other are led, at most and at least
-
-Others = Callable[[Array], Array]  # times (m,) -> places of the other ball (m, 2)
 
 
 def solve(model: Model, launch: Launch, start: float = 0.0, end: float = 0.0) -> Trajectory:
@@ -56,21 +48,8 @@ def uncoupled(model: Model) -> Model:
     return dataclasses.replace(model, effects=tuple(e for e in model.effects if "other" not in e.laws.get("push", ())))
 
 
-def _path_of(leg: Leg, t: float) -> Others:
-    """Where a ball is about the time t; beyond the ends of its leg it goes straight on."""
-    if leg.motion == "rest":
-        place = leg.at(np.array([t]))[0, :2]
-        return lambda times: np.broadcast_to(place, (len(times), 2))
-    knots = np.unique(around(np.array([t]), leg.t0, leg.t1), axis=1)
-    table = Table.of(lambda times: leg.at(times[0])[None][..., [0, 1, 3, 4]], knots)
-    return lambda times: table(np.array([0]), times[None])[0]
-
-
 class _Run:
-    """One run of the event loop; states are nine floats.
-
-    Two balls that push each other are led from event to event: each in the other's last known leg, until both agree.
-    """
+    """One run of the event loop; states are nine floats. Two balls that push each other are led together."""
 
     def __init__(self, model: Model, launch: Launch, start: float, end: float) -> None:
         self.model, self.bodies, self.end = model, launch.bodies, end
@@ -80,93 +59,68 @@ class _Run:
         laws = model.laws
         self.slides, self.rolls = laws.bent(*sliding.LAWS), laws.bent(*rolling.LAWS)  # without closed form
         self.pushes = laws.bent("push")
-        self.mutual = laws.asks("push", "other") and len(launch.states) == 2
-        self.others: list[Others | None] = [None] * len(launch.states)
-        self.asleep = [False] * len(launch.states)  # is the other at rest?
-        self.window = math.inf
+        mutual = laws.asks("push", "other") and len(launch.states) == 2
+        self.pairing = Pairing(model, launch.bodies, start, end) if mutual else None
+        self.until = math.inf  # how far balls that push each other have been led
         states = {k: tuple(row) for k, row in enumerate(launch.states.tolist())}
-        before = self._agreed(lambda k: self._before(k, states[k], launch.time), states)
-        self.past: list[list[Leg]] = [[leg] if leg.t1 > leg.t0 else [] for leg in before]
-        if self.mutual and _touching(
-            launch
-        ):  # these legs are replaced at once, and would lead one ball through the other
-            self.model, self.mutual = uncoupled(model), False
-            self.legs = self._agreed(lambda k: self._leg(k, states[k], launch.time), states)
-            self.model, self.mutual = model, True
+        self.past: list[list[Leg]] = [[] for _ in states]
+        if self.pairing:
+            states, self.past, self.events = self.pairing.before(launch)
         else:
-            self.legs = self._agreed(lambda k: self._leg(k, states[k], launch.time), states)
+            before = [self._before(k, states[k], launch.time) for k in states]
+            self.past = [[leg] if leg.t1 > leg.t0 else [] for leg in before]
+        self.legs = self._begin(states)
 
     def motion(self) -> Trajectory:
         for _ in range(LIMIT):
             busy = any(leg.motion in ("slide", "fly") for leg in self.legs)
-            horizon = min([leg.t1 for leg in self.legs] + ([] if busy else [max(self.end, self.t)]))
+            horizon = min([self.until, *(leg.t1 for leg in self.legs)] + ([] if busy else [max(self.end, self.t)]))
             contact = first_contact(self.legs, self.radius, self.t, horizon)
             if contact is not None:
                 self._collide(*contact)
                 continue
             self.t = horizon
             ending = [k for k, leg in enumerate(self.legs) if leg.t1 <= self.t]
-            if not ending:
+            if ending:
+                self._settle(ending[0])
+            elif self.t >= self.until:
+                self._go_on({})
+            else:
                 break
-            self._settle(ending[0])
         else:
             raise ValueError(f"the motion does not settle: {LIMIT} events by {self.t:g} s")
-        for k, leg in enumerate(self.legs):
-            self.past[k].append(leg.spanning(leg.t0, self.t))
+        for k in range(len(self.legs)):
+            self._keep(k)
         return Trajectory(self.start, self.t, tuple(tuple(x) for x in self.past), tuple(self.events))
 
     def _go_on(self, states: dict[int, State]) -> None:
         """Begin new legs: of these balls, and of those that they push."""
-        if self.mutual:
+        if self.pairing:
             states = {k: self.legs[k].now(self.t) for k in (0, 1)} | states
         for k in states:
-            self.past[k].append(self.legs[k].spanning(self.legs[k].t0, self.t))
-        for k, leg in zip(states, self._agreed(lambda k: self._leg(k, states[k], self.t), states), strict=True):
+            self._keep(k)
+        for k, leg in zip(states, self._begin(states), strict=True):
             self.legs[k] = leg
 
-    def _agreed(self, leg: Callable[[int], Leg], states: dict[int, State]) -> list[Leg]:
-        """The legs of these balls from now, or until now; of balls that push each other when they fit each other."""
-        if not self.mutual:
-            return [leg(k) for k in states]
-        self.window = min(10 * self.window, WINDOW)
-        while True:
-            try:
-                return self._fitted(leg, states)
-            except ValueError:  # a leg that is tried may lead through the other ball, in a contact yet to be found
-                if self.window < SHORTEST:
-                    raise
-                self.window /= 10
+    def _keep(self, k: int) -> None:
+        """A ball's leg is past; a rest that went on is one leg."""
+        leg, past = self.legs[k].spanning(self.legs[k].t0, self.t), self.past[k]
+        if past and isinstance(leg, Rest) and isinstance(past[-1], Rest) and leg.state == past[-1].state:
+            leg = leg.spanning(past.pop().t0, self.t)
+        past.append(leg)
 
-    def _fitted(self, leg: Callable[[int], Leg], states: dict[int, State]) -> list[Leg]:
-        self._lead([Rest(self.t, self.t, states[k]) for k in (0, 1)])
-        seen, change = np.empty(0), np.inf
-        for _ in range(SWEEPS):
-            legs = [leg(k) for k in states]
-            first, last = max(x.t0 for x in legs), min(x.t1 for x in legs)
-            times = np.linspace(first, min(last, max(self.t, self.end) + AHEAD), 33)
-            places = np.array([x.at(times)[:, :2] for x in legs])
-            if seen.shape == places.shape:
-                last_change, change = change, float(np.abs(places - seen).max())
-                gain = min(change / last_change, 1.0) if last_change < math.inf else 1.0
-                if change * gain < AGREED:  # the next sweep gains that factor too
-                    break
-            seen = places
-            self._lead(legs)
+    def _begin(self, states: dict[int, State]) -> list[Leg]:
+        """The legs of balls in these states now; of balls that push each other those of both."""
+        if self.pairing is None:
+            return [self._leg(k, states[k], self.t) for k in states]
+        legs, self.until, started = self.pairing.legs(states, self.t)
+        self.events += started
         return legs
-
-    def _lead(self, legs: list[Leg]) -> None:
-        """From now on each of two balls is pushed by the other on this leg."""
-        self.others = [_path_of(leg, self.t) for leg in reversed(legs)]
-        self.asleep = [leg.motion == "rest" for leg in reversed(legs)]
 
     # legs
 
     def _body(self, k: int) -> Bodies:
         return self.bodies[k : k + 1]
-
-    def _other(self, k: int) -> sliding.Other | None:
-        path = self.others[k]
-        return None if path is None else lambda t, _: path(t.ravel()).reshape(*t.shape, 2)
 
     def _before(self, k: int, state: State, time: float) -> Leg:
         """The leg that leads to a launch: a ball rolling, or at rest."""
@@ -175,8 +129,8 @@ class _Run:
         if math.hypot(*slip(state, self.radius[k])) > STILL or state[5] != 0:
             raise ValueError("a ball that slides or flies at its launch has no past: start the run at the launch")
         if math.hypot(state[3], state[4]) <= STILL:
-            still = _still(state, self.radius[k])
-            if not self.model.laws.asks("push", "other") and self._excess(k, still, time) > 0:
+            still = resting(state, self.radius[k])
+            if self._excess(k, still) > 0:
                 raise ValueError("a ball cannot rest before its launch: 5/7 of the push on it exceeds rolling_decel")
             return Rest(self.start, time, still)
         leg = self._roll(k, state, time, self.start)
@@ -200,7 +154,7 @@ class _Run:
         if math.hypot(*slip(state, radius)) > STILL:
             return self._slide(k, state, t)
         if math.hypot(state[3], state[4]) > STILL:
-            return self._roll(k, state, t, min(max(self.end, t) + AHEAD, t + self.window))
+            return self._roll(k, state, t, max(self.end, t) + AHEAD)
         return self._rest(k, state, t)
 
     def _slide(self, k: int, state: State, t: float) -> Leg:
@@ -208,27 +162,26 @@ class _Run:
             slowing = self.model.sliding_friction * self.model.gravity
             lasts = math.hypot(*slip(state, self.radius[k])) / (3.5 * slowing)
             return Slide(t, t + lasts, t, state, self.radius[k], slowing)
-        found = sliding.slides(self.model, np.array([state]), self._body(k), np.array([t]), self._other(k))
+        found = sliding.slides(self.model, np.array([state]), self._body(k))
         lasts = float(found.lasts[0])
 
         def states(times: Array) -> Array:
             return np.asarray(found.states((times - t)[None])[0])
 
-        return Numeric(t, t + lasts, "slide", states, _steepest(states, t, lasts))
+        return Numeric.of(t, t + lasts, "slide", states)
 
     def _roll(self, k: int, state: State, t: float, until: float) -> Leg:
         model = self.model
         if not self.rolls:
             stop = t + stop_time(math.hypot(state[3], state[4]), model.rolling_drag, model.rolling_decel)
             return Roll(t, stop, t, state, self.radius[k], model.rolling_drag, model.rolling_decel)
-        times = np.array([t]), np.array([until])
-        found = rolling.rolls(model, np.array([state]), self._body(k), *times, self._other(k))
+        found = rolling.rolls(model, np.array([state]), self._body(k), np.array([t]), np.array([until]))
         ended = float(found.until[0])
 
         def states(times: Array) -> Array:
             return np.asarray(found.states(times[None])[0])
 
-        return Numeric(min(t, ended), max(t, ended), "roll", states, _steepest(states, t, ended - t))
+        return Numeric.of(min(t, ended), max(t, ended), "roll", states)
 
     def _fly(self, k: int, state: State, t: float) -> Leg:
         model = self.model
@@ -237,8 +190,7 @@ class _Run:
         leg = Fly(t, t + lasts, t, state, model.gravity)
         if not self.pushes:
             return leg
-        times = np.array([t]), np.array([t + lasts])
-        found = rolling.flights(model, np.array([state]), self._body(k), *times, self._other(k))
+        found = rolling.flights(model, np.array([state]), self._body(k), np.array([t]), np.array([t + lasts]))
 
         def states(at: Array) -> Array:
             out = fly(np.array(state), model.gravity, at - t)
@@ -246,48 +198,17 @@ class _Run:
             out[:, 0:2], out[:, 3:5] = plane[:, :2], plane[:, 2:]
             return out
 
-        return Numeric(t, t + lasts, "fly", states, model.gravity + _steepest(states, t, lasts))
+        return Numeric.of(t, t + lasts, "fly", states, model.gravity)
 
     def _rest(self, k: int, state: State, t: float) -> Leg:
-        """Rest, until a push that depends on the other ball overcomes what holds the ball."""
-        still = _still(state, self.radius[k])
-        if not self.pushes:
-            return Rest(t, math.inf, still)
-        if self._excess(k, still, t) > 0:
-            return Rest(t, t, still)
-        if self.others[k] is None or self.asleep[k]:
-            return Rest(t, math.inf, still)
-        return Rest(t, self._loosened(k, still, t), still)
+        still = resting(state, self.radius[k])
+        return Rest(t, t if self._excess(k, still) > 0 else math.inf, still)
 
-    def _excess(self, k: int, state: State, t: float) -> float:
-        """By how much 5/7 of the push on a ball at rest exceeds what holds it, or would were it to roll, m/s^2."""
+    def _excess(self, k: int, state: State) -> float:
+        """By how much 5/7 of the push on a ball at rest exceeds what holds it, m/s^2."""
         if not self.pushes:
             return -self.model.rolling_decel
-        instant = self._at_rest(k, state, t)
-        push = self.model.laws("push", np.zeros(2), instant)
-        size, decel = float(np.hypot(*push)), self.model.rolling_decel
-        nudge = rolling.SLOWEST * push / (size or 1.0)
-        loss = self.model.laws("rolling", decel, instant | {"velocity": nudge, "speed": rolling.SLOWEST})
-        return size * 5 / 7 - max(decel, float(loss))
-
-    def _at_rest(self, k: int, state: State, t: float) -> dict[str, Any]:
-        body, other, place = self._body(k), self._other(k), np.array(state[:2])
-        instant: dict[str, Any] = dict(position=place, velocity=np.zeros(2), gravity=self.model.gravity)
-        instant |= dict(radius=body.radius[0], mass=body.mass[0], of_a=body.of_a[0])
-        instant["other"] = sliding.NOWHERE if other is None else other(np.array([[t]]), 0)[0, 0] - place
-        return instant
-
-    def _loosened(self, k: int, state: State, t: float) -> float:
-        """When a ball at rest starts to roll, or infinity: looked for every ms, then halved."""
-        for step in range(math.ceil((max(self.end, t) + AHEAD - t) / 1e-3)):
-            a = t + 1e-3 * step
-            if self._excess(k, state, a + 1e-3) > 0:
-                low, high = a, a + 1e-3
-                while high - low > 1e-12:
-                    middle = (low + high) / 2
-                    low, high = (low, middle) if self._excess(k, state, middle) > 0 else (middle, high)
-                return float(high)
-        return np.inf
+        return float(excess(self.model, self._body(k), np.array([state]), NOWHERE[:, None, None])[0, 0])
 
     # events
 
@@ -300,13 +221,13 @@ class _Run:
         elif leg.motion == "fly":
             self._go_on({k: self._landed(k, before)})
         elif leg.motion == "rest":
-            push = self.model.laws("push", np.zeros(2), self._at_rest(k, before, self.t))
-            nudge = 2 * rolling.SLOWEST * push / np.hypot(*push)
-            self._happen("start", k, before, _rolling((*before[:3], *nudge.tolist(), *before[5:]), radius))
+            started = [] if self.pairing else [start_of(self.model, self._body(k), k, before, self.t, NOWHERE)]
+            self.events += started  # a pairing tells of its own
+            self._go_on({e.i: tuple(np.asarray(e.after)[0].tolist()) for e in started})
         elif leg.motion == "slide":
             self._happen("slide_end", k, before, _rolled_out(before, radius))
         else:
-            self._happen("stop", k, before, _still(before, radius))
+            self._happen("stop", k, before, resting(before, radius))
 
     def _landed(self, k: int, before: State) -> State:
         radius = self.radius[k]
@@ -333,7 +254,7 @@ class _Run:
             i, j = j, i  # the slower ball is the target
         bodies = (self.radius[i], self.mass[i]), (self.radius[j], self.mass[j])
         target, striker, n, along_n, along_t = strike(self.model, states[i], states[j], *bodies)
-        if along_n < (CLINGING if self.mutual else LINGERING) * self.mass[i]:
+        if along_n < (CLINGING if self.pairing else LINGERING) * self.mass[i]:
             raise ValueError(f"balls {i} and {j} stay in contact from {t:.6g} s on: only separate impacts are modelled")
         new = {k: s if abs(s[5]) >= LOWEST else (*s[:5], 0.0, *s[6:]) for k, s in ((i, target), (j, striker))}
         before: Array = np.array((states[i], states[j]))
@@ -345,35 +266,11 @@ class _Run:
         self._go_on(new)
 
 
-def _still(state: State, radius: float) -> State:
-    """At rest, but for a spin about the vertical."""
-    return state[0], state[1], radius, 0.0, 0.0, 0.0, 0.0, 0.0, state[8]
-
-
-def _rolling(state: State, radius: float) -> State:
-    """Rolling with the state's velocity; a vertical one is kept."""
-    x, y, _, vx, vy, vz, _, _, wz = state
-    return x, y, radius, vx, vy, vz, -vy / radius, vx / radius, wz
-
-
 def _rolled_out(state: State, radius: float) -> State:
     """Rolling as when the slip is over, (5 v + 2 R w x z)/7; a flight's vertical velocity is kept."""
     ux, uy = slip(state, radius)
-    return _rolling((*state[:3], state[3] - 2 / 7 * ux, state[4] - 2 / 7 * uy, *state[5:]), radius)
+    return made_rolling((*state[:3], state[3] - 2 / 7 * ux, state[4] - 2 / 7 * uy, *state[5:]), radius)
 
 
 def _aloft(state: State, radius: float) -> bool:
     return bool(state[2] > radius * (1 + TOUCHING))
-
-
-def _touching(launch: Launch) -> bool:
-    reach = launch.bodies.radius[:, None] + launch.bodies.radius
-    apart = np.linalg.norm(launch.states[:, None, :3] - launch.states[:, :3], axis=-1) - reach
-    return bool(np.any(apart[~np.eye(len(apart), dtype=bool)] <= TOUCHING * launch.bodies.radius.min()))
-
-
-def _steepest(states: Others, t: float, lasts: float) -> float:
-    """A bound of the acceleration along a leg: twice the largest found between samples."""
-    times = np.linspace(t, t + lasts, 65)
-    v = states(times)[:, 3:5]
-    return float(2 * np.max(np.linalg.norm(np.diff(v, axis=0), axis=1)) / max(abs(lasts) / 64, 1e-300))

@@ -51,6 +51,17 @@ def after_flight(state: State, gravity: float, t: Real) -> State:
     return (x + vx * t, y + vy * t, z + vz * t - 0.5 * gravity * t * t, vx, vy, vz - gravity * t, *w)
 
 
+def resting(state: State, radius: Real) -> State:
+    """At rest, but for a spin about the vertical."""
+    return state[0], state[1], radius, 0.0, 0.0, 0.0, 0.0, 0.0, state[8]
+
+
+def made_rolling(state: State, radius: Real) -> State:
+    """Rolling with the state's velocity; a vertical one is kept."""
+    x, y, _, vx, vy, vz, _, _, wz = state
+    return x, y, radius, vx, vy, vz, -vy / radius, vx / radius, wz
+
+
 def _many(state: Array) -> State:
     """States (..., 9) as nine arrays that broadcast with times (..., m)."""
     return tuple(np.moveaxis(state[..., None, :], -1, 0))

@@ -7,24 +7,36 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from synthcam.contact import TOUCHING
 from synthcam.kinematics import Array, rolling_state
 from synthcam.model import Bodies
 
 
 @dataclass(frozen=True)
 class Launch:
-    """States (balls, 9) of `bodies` at `time`, s. Before it every ball rolled or was at rest."""
+    """States (balls, 9) of `bodies` at `time`, s. Before it every ball rolled or was at rest.
+
+    Where balls push each other, one that rests while another touches it was at rest long before, until it was pulled
+    off: its place here is that of the contact, its velocity then follows.
+    """
 
     time: float
     states: Array
     bodies: Bodies
+
+    @property
+    def touches(self) -> bool:
+        """Does any ball touch another?"""
+        reach = self.bodies.radius[:, None] + self.bodies.radius
+        gap = np.linalg.norm(self.states[:, None, :3] - self.states[:, :3], axis=-1) - reach
+        return bool(np.any(gap[~np.eye(len(gap), dtype=bool)] <= TOUCHING * self.bodies.radius.min()))
 
     @classmethod
     def pair(cls, bodies: Bodies, time: float, v0: float, b: float, heading: float, contact: ArrayLike) -> Launch:
         """Ball 1, bodies[0], at rest is touched by the rolling ball 2 at `time`, at the place `contact` between them.
 
         v0 in m/s, heading in rad from x to y; b is the impact parameter over the sum of the radii, |b| < 1: with d the
-        heading, b = z . [d x (x2 - x1)] / (R1 + R2).
+        heading, b = z . [d x (x2 - x1)] / (R1 + R2). All are those of ball 2, whatever ball 1 does by then.
         """
         numbers = np.array([v0]), np.array([b]), np.array([heading])
         states = touching(bodies[:1], bodies[1:], *numbers, np.array([contact]))

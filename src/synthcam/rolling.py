@@ -9,13 +9,14 @@ import numpy as np
 
 from synthcam.kinematics import Array, rolling_state
 from synthcam.model import Bodies, Model
-from synthcam.sliding import NOWHERE, ROUGH, Other
-from synthcam.spectral import DEEPEST, RESOLVED, integrate, matrices, product, series
+from synthcam.sliding import NOWHERE
+from synthcam.spectral import DEEPEST, Parts, integrate, matrices, product, series
 
 SLOWEST = 1e-7  # m/s: a ball slower than this has stopped
 SHALLOW, SHORTEST = 7, 1e-4  # halvings of a piece; its share of what would stop the ball
 MOST = 1000  # stretches of a roll
 LAWS = ("rolling", "push")
+SLIGHT = 1e-17  # m: coefficients that are not worth their time
 
 
 @dataclass(frozen=True)
@@ -51,7 +52,8 @@ class Stretch:
             mean = mean + term
             if np.abs(term).max() < 1e-18:
                 break
-        return series(mean, self._local(middle))
+        worth = np.flatnonzero(np.abs(mean).max(axis=(0, 1)) > SLIGHT).max(initial=1)
+        return series(mean[..., : worth + 1], self._local(middle))
 
     def _local(self, times: Array) -> Array:
         return (2 * times - (self.begins + self.ends)[:, None]) / (self.ends - self.begins)[:, None]
@@ -90,26 +92,27 @@ def roller(plane: Array, wz: Array, radius: Array) -> Array:
     return rolling_state(x, v, wz[:, None], radius[:, None])
 
 
-def rolls(model: Model, state: Array, bodies: Bodies, time: Array, until: Array, other: Other | None = None) -> Rolls:
+def rolls(model: Model, state: Array, bodies: Bodies, time: Array, until: Array) -> Rolls:
     """Rolls from `time` to `until` (k,), or to the stop; with until < time, back. States (k, 9), speeds over zero."""
 
-    def acceleration(which: Any, t: Array, y: Array) -> Array:
+    def acceleration(which: Any, y: Array) -> Array:
         speed = np.hypot(y[2], y[3])
-        instant = _instant(model, bodies[which], t, y, other, which) | {"speed": speed}
+        instant = _instant(model, bodies[which], y) | {"speed": speed}
         loss = model.laws("rolling", model.rolling_drag * speed + model.rolling_decel, instant)
         out = y[2:4] * (-loss / np.maximum(speed, 1e-300))
         return np.asarray(out + 5 / 7 * _push(model, y, instant) if model.laws.bent("push") else out)
 
-    return _march(acceleration, state, bodies, time, until, True, RESOLVED if other is None else ROUGH)
+    placed = "position" in model.laws.asked("rolling") | model.laws.asked("push")
+    return _march(acceleration, state, bodies, time, until, True, None if placed else 1)
 
 
-def flights(model: Model, state: Array, bodies: Bodies, time: Array, until: Array, other: Other | None = None) -> Rolls:
+def flights(model: Model, state: Array, bodies: Bodies, time: Array, until: Array) -> Rolls:
     """The plane part of flights from `time` to `until` (k,), with the push in full and no loss."""
 
-    def acceleration(which: Any, t: Array, y: Array) -> Array:
-        return _push(model, y, _instant(model, bodies[which], t, y, other, which))
+    def acceleration(which: Any, y: Array) -> Array:
+        return _push(model, y, _instant(model, bodies[which], y))
 
-    return _march(acceleration, state, bodies, time, until, False, RESOLVED if other is None else ROUGH)
+    return _march(acceleration, state, bodies, time, until, False)
 
 
 def _push(model: Model, y: Array, instant: dict[str, Any]) -> Array:
@@ -117,39 +120,41 @@ def _push(model: Model, y: Array, instant: dict[str, Any]) -> Array:
     return np.asarray(model.laws("push", nothing, instant)).transpose(2, 0, 1)
 
 
-def _instant(model: Model, bodies: Bodies, t: Array, y: Array, other: Other | None, which: Any) -> dict[str, Any]:
-    place = y[:2].transpose(1, 2, 0)
-    instant: dict[str, Any] = dict(position=place, velocity=y[2:4].transpose(1, 2, 0), gravity=model.gravity)
-    instant |= dict(radius=bodies.radius[:, None], mass=bodies.mass[:, None], of_a=bodies.of_a[:, None])
-    instant["other"] = NOWHERE if other is None else other(t, which) - place
-    return instant
+def _instant(model: Model, bodies: Bodies, y: Array) -> dict[str, Any]:
+    place, velocity = y[:2].transpose(1, 2, 0), y[2:4].transpose(1, 2, 0)
+    instant: dict[str, Any] = dict(position=place, velocity=velocity, gravity=model.gravity, other=NOWHERE)
+    return instant | dict(radius=bodies.radius[:, None], mass=bodies.mass[:, None], of_a=bodies.of_a[:, None])
 
 
 def _march(
-    acceleration: Any, state: Array, bodies: Bodies, time: Array, until: Array, stops: bool, resolved: float
+    acceleration: Any,
+    state: Array,
+    bodies: Bodies,
+    time: Array,
+    until: Array,
+    stops: bool,
+    feed: int | None = None,
 ) -> Rolls:
     """Pieces no longer than half of what would stop the ball, so that the speed never passes through zero in one."""
     y = np.stack([state[:, 0], state[:, 1], state[:, 3], state[:, 4]])
     now, share_of_stop = time.astype(float).copy(), 0.5
     stretches: list[Stretch] = []
     target = np.broadcast_to(until, now.shape).astype(float)
-    # led by another ball, a path may lead nowhere: that is to be said soon
-    shallow, deepest, most = (SHALLOW, DEEPEST, MOST) if resolved == RESOLVED else (4, 8, MOST // 10)
-    while len(stretches) <= most:
+    while len(stretches) <= MOST:
         speed = np.hypot(y[2], y[3])
         who = np.flatnonzero((now != target) & ((speed > SLOWEST) | (not stops)))
         if len(who) == 0:
             break
         begins, goal, start = now[who], target[who], y[:, who]
-        force = acceleration(who, begins[:, None], start[..., None])
+        force = acceleration(who, start[..., None])
         longest = share_of_stop * speed[who] / np.maximum(np.hypot(force[0, :, 0], force[1, :, 0]), 1e-300)
         longest = np.where(stops, longest, np.inf)
         last = np.abs(goal - begins) <= longest
         spans = np.where(last, goal - begins, np.sign(goal - begins) * np.where(last, 1.0, longest))
 
-        def right(share: Array, z: Array, who: Any = who, begins: Any = begins, spans: Any = spans) -> Array:
-            a = acceleration(who, begins[:, None] + spans[:, None] * share, z)
-            return np.asarray(np.concatenate([z[2:4], a]) * spans[:, None])
+        def right(_: Array, z: Array, who: Any = who, spans: Any = spans) -> Parts:
+            yield slice(2, 4), acceleration(who, z) * spans[:, None]
+            yield slice(0, 2), z[2:4] * spans[:, None]
 
         def guess(share: Array, start: Any = start, force: Any = force, spans: Any = spans) -> Array:
             t = spans[:, None] * share
@@ -157,8 +162,8 @@ def _march(
             return np.concatenate([start[:2, :, None] + (start[2:, :, None] + v) / 2 * t, v])
 
         try:
-            depth = deepest if share_of_stop < SHORTEST or not stops else shallow
-            path = integrate(right, (0.0, 1.0), start, guess, resolved, depth)
+            depth = DEEPEST if share_of_stop < SHORTEST or not stops else SHALLOW
+            path = integrate(right, (0.0, 1.0), start, guess, depth, feed=feed)
         except ValueError:
             if not stops or share_of_stop < SHORTEST:
                 raise
@@ -170,11 +175,11 @@ def _march(
         stretches += [Stretch(who, knots[k], knots[k + 1], c) for k, c in enumerate(path.coefficients)]
         y[:, who], now[who] = path.last(), knots[-1]
     else:
-        raise ValueError(f"a rolling ball does not settle: {most} stretches of its path")
+        raise ValueError(f"a rolling ball does not settle: {MOST} stretches of its path")
     stopping = np.flatnonzero(stops & (np.hypot(y[2], y[3]) <= SLOWEST) & (target > now))
     if len(stopping):
         begins, start = now[stopping], y[:, stopping]
-        force = acceleration(stopping, begins[:, None], start[..., None])[..., 0]
+        force = acceleration(stopping, start[..., None])[..., 0]
         left = np.hypot(start[2], start[3]) / np.maximum(np.hypot(force[0], force[1]), 1e-300)
         now[stopping] += left
         stretches.append(_stop(stopping, begins, begins + left, start))

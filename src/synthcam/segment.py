@@ -15,6 +15,7 @@ from synthcam.sliding import Slides
 from synthcam.trajectory import GAUSS, Trajectory
 
 Ints = NDArray[np.intp]
+NODES, WEIGHTS = np.polynomial.legendre.leggauss(GAUSS)
 
 
 class Segment(Protocol):
@@ -135,7 +136,7 @@ class BentSliding:
         return self.found.states(times - self.begins[:, None])
 
     def means(self, middle: Array, wide: Real) -> Array:
-        return averaged(self.found.places, middle - self.begins[:, None], wide)
+        return self.found.means(middle - self.begins[:, None], wide)
 
 
 @dataclass(frozen=True)
@@ -190,10 +191,9 @@ def averaged(places: Callable[[Array], Array], middle: Array, wide: Any) -> Arra
     """Means (2, k, m) of places (2, k, times) over the times `wide` about `middle`, by Gauss quadrature."""
     if np.ndim(wide) == 0 and wide == 0:
         return places(middle)
-    nodes, weights = np.polynomial.legendre.leggauss(GAUSS)
-    times = middle[:, None] + nodes[:, None] * (np.asarray(wide) / 2 + 0 * middle)[:, None]
+    times = middle[:, None] + NODES[:, None] * (np.asarray(wide) / 2 + 0 * middle)[:, None]
     found = places(times.reshape(len(middle), -1)).reshape(2, *times.shape)
-    return np.asarray(np.tensordot(found, weights / 2, axes=(2, 0)))
+    return np.asarray(np.tensordot(found, WEIGHTS / 2, axes=(2, 0)))
 
 
 def _plane(vectors: Array) -> Array:

@@ -1,33 +1,37 @@
 """Smooth initial-value problems, many at once: Chebyshev collocation, solved by Picard iteration.
 
 The right-hand side is called on all nodes of all problems together, so laws written for arrays cost little. A piece
-that few nodes do not resolve is done again with more; one that the most do not, or on which the iteration does not
-settle, is halved, for all problems alike. Arrays are (components, problems, nodes): long last axes make numpy fast.
+that few nodes do not resolve is done again with as many as the fall of its coefficients asks for; one that the most do
+not, or on which the iteration does not settle, is halved, for all problems alike: put together what is alike.
+Arrays are (components, problems, nodes): long last axes make numpy fast.
 See Clenshaw & Norton, Comput. J. 6 (1963) 88; Trefethen, Approximation Theory and Practice (2013).
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache
+from itertools import islice
 
 import numpy as np
 from numpy.polynomial import chebyshev
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
-Right = Callable[[Array, Array], Array]  # x (n,), y (c, problems, n) -> (c, problems, n)
+# Right: x (n,), y (c, problems, n) -> some components after the other, and their derivatives. Between them y is led on:
+# what comes later may lean on what has been integrated already, which saves turns.
+Parts = Iterator[tuple[slice, Array]]
+Right = Callable[[Array, Array], Parts]
 
-FEWEST, MOST = 14, 32  # nodes of a piece
+SIZES = 14, 20, 26, 32, 40  # nodes of a piece
 TOLERANCE = 1e-14  # of the iteration
 SETTLED = 1e-12  # what rounding may leave of the iteration's changes
-RESOLVED = 1e-13  # of the last coefficients
-LENIENT = 100  # with the shortest pieces, where a coarser resolution was asked for: a kink is in it
+RESOLVED = 1e-13  # of the last coefficients, over the largest value
 DEEPEST = 12
 HOPELESS = 100  # times what is to be resolved
 TURNS = 40
-BLOCK = 240  # problems; OpenBLAS shares out products of over 2^18 multiplications
+ALONE = 2**18  # multiplications; OpenBLAS shares out products of more
 
 
 @dataclass(frozen=True)
@@ -56,6 +60,12 @@ class Path:
                 out[..., part] = np.where(here[:, part], values, out[..., part])
         return out
 
+    def nodes(self) -> Iterator[tuple[Array, Array]]:
+        """Of each piece its nodes and the values (c, problems, nodes) there."""
+        for a, b, c in zip(self.ends[:-1], self.ends[1:], self.coefficients, strict=True):
+            on = matrices(c.shape[-1])
+            yield (a + b) / 2 + (b - a) / 2 * on.nodes, product(c, on.values)
+
     def last(self) -> Array:
         """Values (c, problems) at the end."""
         return np.asarray(self.coefficients[-1].sum(axis=-1))  # every Chebyshev polynomial is 1 there
@@ -63,27 +73,44 @@ class Path:
 
 def series(coefficients: Array, x: Array) -> Array:
     """Chebyshev series (c, problems, nodes) at x (problems, m): (c, problems, m)."""
-    size = coefficients.shape[-1]
+    size, known = coefficients.shape[-1], 1
     polynomials = np.empty((len(x), size, x.shape[1]))
     polynomials[:, 0], polynomials[:, 1] = 1.0, x
-    twice = 2 * x
-    for k in range(2, size):
-        np.multiply(twice, polynomials[:, k - 1], out=polynomials[:, k])
-        polynomials[:, k] -= polynomials[:, k - 2]
+    while known + 1 < size:  # T_(k + j) = 2 T_k T_j - T_(k - j), for j = 1 to k at once
+        more = min(known, size - 1 - known)
+        new, last = polynomials[:, known + 1 : known + 1 + more], polynomials[:, known : known + 1]
+        np.multiply(polynomials[:, 1 : more + 1], 2 * last, out=new)
+        new -= polynomials[:, known - more : known][:, ::-1]
+        known += more
     return (np.ascontiguousarray(coefficients.swapaxes(0, 1)) @ polynomials).swapaxes(0, 1)
+
+
+def reread(values: Array, places: Array, size: int) -> Array:
+    """Values (c, k, n) at rising places (k, n) from -1 to 1 -> (c, k, size) on nodes.
+
+    Places that are a smooth function of nodes: the interpolant is rational, with the signs of the nodes for weights.
+    Baltensperger, Berrut & Noel, Math. Comp. 68 (1999) 1109.
+    """
+    signs = (-1.0) ** np.arange(places.shape[-1])
+    signs[[0, -1]] /= 2
+    gap = matrices(size).nodes - places[..., None]
+    gap += 1e-300  # a node that is met takes all the weight
+    all_ = np.concatenate([values, np.ones((1, *places.shape))]).swapaxes(0, 1)
+    found = (all_ @ np.divide(signs[:, None], gap, out=gap)).swapaxes(0, 1)
+    return np.asarray(found[:-1] / found[-1])
 
 
 @dataclass(frozen=True)
 class Matrices:
-    """On the nodes of [-1, 1]: values -> coefficients, -> integrals from -1, -> values on the nodes of either half.
+    """On the nodes of [-1, 1]: values -> coefficients and back, values -> integrals from -1.
 
     All are to be multiplied from the right. slope, curvature: of a series' coefficients.
     """
 
     nodes: Array
     coefficients: Array
+    values: Array
     integral: Array
-    halves: tuple[Array, Array]
     slope: Array
     curvature: Array
 
@@ -91,21 +118,21 @@ class Matrices:
 @cache
 def matrices(size: int) -> Matrices:
     nodes = -np.cos(np.pi * np.arange(size) / (size - 1))
-    coefficients = np.asarray(np.linalg.inv(chebyshev.chebvander(nodes, size - 1)), dtype=np.float64)
+    values = chebyshev.chebvander(nodes, size - 1)
+    coefficients = np.linalg.inv(values)
     integral = np.asarray(chebyshev.chebvander(nodes, size) @ chebyshev.chebint(coefficients, lbnd=-1, axis=0))
-    left, right = (chebyshev.chebvander((nodes + side) / 2, size - 1) @ coefficients for side in (-1, 1))
     slope = np.zeros((size, size))
     slope[:-1] = chebyshev.chebder(np.eye(size), axis=0)
-    lines = coefficients, integral, left, right, slope, slope @ slope
-    c, i, a, b, s, ss = (np.ascontiguousarray(x.T) for x in lines)
-    return Matrices(nodes, c, i, (a, b), s, ss)
+    lines = coefficients, values, integral, slope, slope @ slope
+    c, v, i, s, ss = (np.ascontiguousarray(x.T, dtype=np.float64) for x in lines)
+    return Matrices(nodes, c, v, i, s, ss)
 
 
 @cache
-def finer(few: int, more: int) -> Array:
-    """Values on few nodes -> on more."""
-    onto = chebyshev.chebvander(matrices(more).nodes, few - 1)
-    return np.asarray(matrices(few).coefficients @ onto.T)
+def onto(old: int, new: int, side: int) -> Array:
+    """Values on `old` nodes -> on `new` ones of all of [-1, 1], side 0, or of its left or right half, side -1 or 1."""
+    nodes = (matrices(new).nodes + side) / (2 if side else 1)
+    return np.ascontiguousarray(matrices(old).coefficients @ chebyshev.chebvander(nodes, old - 1).T)
 
 
 def integrate(
@@ -113,87 +140,102 @@ def integrate(
     knots: Sequence[float],
     start: Array,
     guess: Callable[[Array], Array] | None = None,
-    resolved: float = RESOLVED,
     deepest: int = DEEPEST,
-    few: int = FEWEST,
+    few: int = SIZES[0],
+    feed: int | None = None,
 ) -> Path:
     """y' = right(x, y) from the first knot to the last, piece by piece between them (falling ones are allowed).
 
-    y = start (c, problems) at the first. guess: x (n,) -> (c, problems, n), what y may be like. resolved: how small the
-    last coefficients must be, over the largest value. few: the nodes to try first. Raises ValueError when a law of
-    motion is not smooth: a piece halved `deepest` times is still too long.
+    y = start (c, problems) at the first. guess: x (n,) -> (c, problems, n), what y may be like. few: the nodes to try
+    first. feed: how many of the parts that `right` yields, the first, it makes use of itself; all if None. The others
+    are integrated when these are known.
+    Raises ValueError when a law of motion is not smooth: a piece halved `deepest` times is still too long.
     """
     y = np.asarray(start, dtype=float)
     ends, coefficients = [float(knots[0])], []
-    stack: list[tuple[float, int, Array | None]] = [(float(end), 0, None) for end in reversed(knots[1:])]
+    stack: list[tuple[float, int, int, Array | None]] = [(float(end), 0, few, None) for end in reversed(knots[1:])]
     while stack:
-        end, depth, values = stack.pop()
-        begin = ends[-1]
-        enough = resolved if depth < deepest or resolved == RESOLVED else LENIENT * resolved
-        good, tail = False, 0.0
-        for size in (few, MOST) if values is None else (MOST,):
-            if tail ** (MOST / few) > HOPELESS * enough:  # so much would more nodes leave
-                break
-            if values is None:
-                x = (begin + end) / 2 + (end - begin) / 2 * matrices(size).nodes
-                values = np.repeat(y[..., None], size, axis=-1) if guess is None else guess(x)
-            elif values.shape[-1] < size:
-                values = product(values, finer(values.shape[-1], size))
-            values, good, tail = _piece(right, begin, end, y, values, enough)
-            if good:
-                break
-            if not np.all(np.abs(values) < 1e6):  # False for infinite ones too
-                values, guess = None, None
+        end, depth, size, values = stack.pop()
+        begin, middle = ends[-1], (ends[-1] + end) / 2
+        if values is None:
+            x = middle + (end - begin) / 2 * matrices(size).nodes
+            values = np.repeat(y[..., None], size, axis=-1) if guess is None else guess(x)
+            values += (y - values[..., 0])[..., None]
+        values, good, tail = _piece(right, begin, end, y, values, feed)
         if good:
-            assert values is not None
-            piece = product(values, matrices(values.shape[-1]).coefficients)
+            piece = product(values, matrices(size).coefficients)
             y = piece.sum(axis=-1)
             ends.append(end)
             coefficients.append(piece)
-        elif depth == deepest:
-            raise ValueError("a leg could not be integrated: a law of motion is not smooth there")
-        elif values is None or values.shape[-1] < MOST:
-            stack += [(end, depth + 1, None), ((begin + end) / 2, depth + 1, None)]
+            continue
+        runaway = not np.all(np.abs(values) < 1e6)  # True for infinite ones too
+        if runaway:
+            guess = None
+        wanted = size * np.log(RESOLVED) / np.log(tail) if RESOLVED < tail < 1 else np.inf  # were their fall geometric
+        more = next((n for n in SIZES if n >= max(wanted, size + 1)), None)
+        if more is not None:
+            stack.append((end, depth, more, None if runaway else product(values, onto(size, more, 0))))
+        elif depth < deepest:
+            more = next((n for n in SIZES if n >= wanted / 2), SIZES[-1])
+            halves = [None if runaway else product(values, onto(size, more, side)) for side in (-1, 1)]
+            stack += [(end, depth + 1, more, halves[1]), (middle, depth + 1, more, halves[0])]
         else:
-            first, second = (product(values, half) for half in matrices(MOST).halves)
-            stack += [(end, depth + 1, second), ((begin + end) / 2, depth + 1, first)]
+            raise ValueError("a leg could not be integrated: a law of motion is not smooth there")
     return Path(np.array(ends), tuple(coefficients))
 
 
-def _piece(right: Right, a: float, b: float, start: Array, guess: Array, resolved: float) -> tuple[Array, bool, float]:
+def _piece(right: Right, a: float, b: float, start: Array, guess: Array, feed: int | None) -> tuple[Array, bool, float]:
     """Values at the nodes of [a, b], (c, problems, nodes) like the guess; are they the solution; the last coefficients.
 
     Gives up at once where already the guess leads to more than these nodes hold.
     """
     on = matrices(guess.shape[-1])
     x = (a + b) / 2 + (b - a) / 2 * on.nodes
-    integral, ending = (b - a) / 2 * on.integral, on.coefficients[:, -3:]
-    y, size, change = guess, np.empty(0), np.inf
-    for turn in range(TURNS):
-        with np.errstate(all="ignore"):  # a runaway piece is halved
-            new = start[..., None] + product(right(x, y), integral)
-            size = _norm(new) / np.sqrt(len(x)) + 1e-9 if turn < 2 else size
-            last, change = change, float((_norm(new - y) / size).max())
-        y = new
-        if not np.isfinite(change):
-            return y, False, 0.0
-        if change < 1e-3 or turn == 0:
-            tail = float((_norm(product(y, ending)) / size).max())
-            if tail > 10 * change + resolved or (turn == 0 and tail > HOPELESS * resolved):
-                return y, False, tail  # no further turn will mend it
-            to_come = change * min(change / last, 1.0) if turn else change
-            if to_come < TOLERANCE or (change < SETTLED and change > last / 2):
-                return y, tail < resolved, tail
+    integral = (b - a) / 2 * on.integral
+    y, change, fed = guess.copy(), np.inf, slice(None)
+
+    def turn(parts: int | None) -> slice:
+        """Integrate these parts, in y; which components feed back."""
+        fed = slice(0)
+        for k, (part, slope) in enumerate(islice(right(x, y), parts)):
+            np.add(product(slope, integral), start[part, :, None], out=y[part])
+            fed = slice(part.stop) if feed is None or k < feed else fed
+        return fed
+
+    def last_ones(of: slice) -> float:
+        return float((_norm(product(y[of], on.coefficients[:, -3:])) / size[of]).max())
+
+    with np.errstate(all="ignore"):  # a runaway piece is halved
+        for k in range(TURNS):
+            old = y[fed].copy()
+            fed = turn(feed if k else None)
+            if k < 2:
+                size = _norm(y) / np.sqrt(len(x)) + 1e-9
+            last, change = change, float((_norm(y[fed] - old[fed]) / size[fed]).max())
+            if not np.isfinite(change):
+                return y, False, 0.0
+            if change < 1e-3 or k == 0:
+                tail = last_ones(fed if k else slice(None))
+                if tail > 10 * change + RESOLVED or (k == 0 and tail > HOPELESS * RESOLVED):
+                    return y, False, tail  # no further turn will mend it
+            gain = min(change / last, 1.0) if k else 1.0
+            more = gain if feed is None else gain * gain  # one more turn is to come
+            if change * more < TOLERANCE or (change < SETTLED and change > last / 2):
+                if feed is not None:
+                    turn(None)
+                    tail = last_ones(slice(None))
+                return y, tail < RESOLVED, tail
     return y, False, 0.0
 
 
 def product(values: Array, matrix: Array) -> Array:
     """values (c, k, n) @ matrix (n, m), in blocks that BLAS leaves to one core: sharing them out costs far more."""
-    if values.shape[1] <= BLOCK:
+    block = ALONE // matrix.size
+    if values.shape[1] <= block:
         return np.asarray(values @ matrix)
     out = np.empty((*values.shape[:-1], matrix.shape[-1]))
-    for first in range(0, values.shape[1], BLOCK):
-        np.matmul(values[:, first : first + BLOCK], matrix, out=out[:, first : first + BLOCK])
+    for first in range(0, values.shape[1], block):
+        np.matmul(values[:, first : first + block], matrix, out=out[:, first : first + block])
     return out
 
 

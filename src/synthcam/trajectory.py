@@ -16,6 +16,7 @@ from synthcam.kinematics import State
 Array = NDArray[np.float64]
 Motion = Literal["rest", "roll", "slide", "fly"]
 GAUSS = 4  # nodes a span: exact for a parabola, 1e-15 m for a roll
+CLOSE = 32  # likewise, where an event cuts or follows: the friction before a slide's end may change all but suddenly
 
 
 class Leg(Protocol):
@@ -145,6 +146,14 @@ class Numeric(NamedTuple):
     states: Callable[[Array], Array]
     steepest: float
 
+    @classmethod
+    def of(cls, t0: float, t1: float, motion: Motion, states: Callable[[Array], Array], lift: float = 0.0) -> Numeric:
+        """No acceleration is larger than twice the largest found between samples, and a vertical `lift`."""
+        times = np.linspace(t0, t1, 65)
+        v = states(times)[:, 3:5]
+        steepest = 2 * np.max(np.linalg.norm(np.diff(v, axis=0), axis=1)) / max(abs(t1 - t0) / 64, 1e-300)
+        return cls(t0, t1, motion, states, lift + float(steepest))
+
     def at(self, t: Array) -> Array:
         return self.states(t)
 
@@ -233,22 +242,30 @@ class Trajectory:
 
 def mean(at: Callable[[Array], Array], breaks: Array, spans: Array, of: Callable[[Array], Array]) -> Array:
     """Means over time spans (n, 2) of a function of the states `at` gives: (balls, n, k); see Trajectory.mean."""
-    nodes, weights = np.polynomial.legendre.leggauss(GAUSS)
-    split = np.searchsorted(breaks, spans[:, 0], "right") < np.searchsorted(breaks, spans[:, 1], "left")
-    cuts, owners = [spans[~split]], [np.flatnonzero(~split)]
-    for k in np.flatnonzero(split):
+    after = 2 * spans[:, 1] - spans[:, 0]
+    near = np.searchsorted(breaks, spans[:, 0], "right") < np.searchsorted(breaks, after, "left")
+    cuts, owners = [], []
+    for k in np.flatnonzero(near):
         a, b = spans[k]
         inner = np.concatenate([[a], breaks[(breaks > a) & (breaks < b)], [b]])
         cuts.append(np.stack([inner[:-1], inner[1:]], axis=1))
         owners.append(np.full(len(inner) - 1, k))
-    pieces, owner = np.concatenate(cuts), np.concatenate(owners)
-    width = np.diff(pieces)
-    times = pieces.mean(axis=1)[:, None] + width / 2 * nodes
-    whole = np.diff(spans)[owner]
-    share = np.where(whole > 0, width / np.where(whole > 0, whole, 1), 1.0) * weights / 2
-    values = of(at(times.ravel()))
-    parts = (values.reshape(len(values), *times.shape, -1) * share[..., None]).sum(axis=2)
-    out = np.zeros((len(values), len(spans), parts.shape[-1]))
-    for ball in range(len(values)):
-        np.add.at(out[ball], owner, parts[ball])
+    smooth = _means(at, spans[~near], of, GAUSS)
+    out = np.zeros((len(smooth), len(spans), smooth.shape[-1]))
+    out[:, ~near] = smooth
+    if np.any(near):
+        pieces, owner = np.concatenate(cuts), np.concatenate(owners)
+        width, whole = np.diff(pieces), np.diff(spans)[owner]
+        parts = _means(at, pieces, of, CLOSE) * np.where(whole > 0, width / np.where(whole > 0, whole, 1), 1.0)
+        for ball in range(len(out)):
+            np.add.at(out[ball], owner, parts[ball])
     return out
+
+
+def _means(at: Callable[[Array], Array], spans: Array, of: Callable[[Array], Array], count: int) -> Array:
+    """Over smooth spans (n, 2), by Gauss quadrature: (balls, n, k)."""
+    nodes, weights = np.polynomial.legendre.leggauss(count)
+    times = spans.mean(axis=1)[:, None] + np.diff(spans) / 2 * nodes
+    found = of(at(times.ravel()))
+    found = found.reshape(len(found), *times.shape, found.shape[-1])
+    return np.asarray(np.einsum("bmnk,n->bmk", found, weights / 2))

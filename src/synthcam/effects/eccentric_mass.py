@@ -23,5 +23,5 @@ class EccentricMass(Effect):
         self, loss: Any, speed: Any, position: Any, velocity: Any, gravity: float, radius: Any, of_a: Any
     ) -> Any:
         angle = (position * velocity).sum(axis=-1) / np.maximum(speed, 1e-300) / radius
-        ripple = self.c * np.cos(angle) + self.d * np.sin(angle)
+        ripple = np.hypot(self.c, self.d) * np.cos(angle - np.arctan2(self.d, self.c))  # one cosine is quicker than two
         return loss - of_a * 5 / 7 * gravity / radius * ripple

@@ -1,0 +1,137 @@
+"""The two balls of one run that push each other: what led to their launch, and their next legs, both together."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from synthcam.coupled import Course, Piece, approach, excess, mode_of, opening, push_at_rest, step
+from synthcam.kinematics import Array, State, made_rolling, resting
+from synthcam.launch import Launch
+from synthcam.model import Bodies, Model
+from synthcam.rolling import SLOWEST
+from synthcam.trajectory import Event, Leg, Numeric, Rest
+
+FASTEST = 1e3  # m/s: a ball that must have come faster did not come
+AHEAD = 0.2  # s of motion beyond what was asked for
+LOOKS = 33  # within a piece at whether a ball at rest is pulled off
+NEVER = "these balls have no past: pushing each other so, they do not come to such a contact"
+
+
+class Pairing:
+    """From `start` to `end`, s, or beyond; states are nine floats."""
+
+    def __init__(self, model: Model, bodies: Bodies, start: float, end: float) -> None:
+        self.model, self.start, self.end = model, start, end
+        self.bodies = bodies[:1], bodies[1:]
+
+    def before(self, launch: Launch) -> tuple[dict[int, State], list[list[Leg]], list[Event]]:
+        """The states at the launch, the legs that led there from the start, and when a ball was pulled from its rest.
+
+        Of two balls that touch, one that rests has been pulled by the one that comes: its velocity is what follows.
+        """
+        rows, now, order = launch.states[:, None].copy(), np.array([launch.time]), [0, 1]
+        modes = self._modes(rows)
+        if launch.touches and sorted(modes) == ["rest", "roll"] and opening(rows)[0] < 0:
+            order = [modes.index("rest"), modes.index("roll")]
+            pair = self.bodies[order[0]], self.bodies[order[1]]
+            rows[order], pieces, lost = approach(self.model, pair, rows[order], now, np.array([self.start]))
+            if len(lost):
+                raise ValueError(NEVER)
+            if opening(rows)[0] >= 0:
+                raise ValueError("the ball at rest would be pushed away faster than the other comes")
+        else:
+            pieces = self._back(rows, modes, now)
+        past: list[list[Leg]] = [[], []]
+        events = []
+        for piece in pieces:
+            for k, course in zip(order, piece.courses, strict=True):
+                begins, ends = max(float(course.begins[0]), self.start), float(course.ends[0])
+                if begins < ends:
+                    past[k].insert(0, _led(course).spanning(begins, ends))
+            if self.start < piece.then[0] and {c.motion for c in piece.courses} == {"roll"} and "rest" in modes:
+                onset, (still, other) = float(piece.then[0]), piece.last[:, 0]
+                events.append(
+                    start_of(self.model, self.bodies[order[0]], order[0], tuple(still.tolist()), onset, other)
+                )
+        return {k: tuple(rows[k, 0].tolist()) for k in (0, 1)}, past, events
+
+    def _back(self, rows: Array, modes: list[str], now: Array) -> list[Piece]:
+        """Balls that roll or rest, led back to the start."""
+        if self.start < now[0] and not set(modes) <= {"rest", "roll"}:
+            raise ValueError("a ball that slides or flies at its launch has no past: start the run at the launch")
+        pieces: list[Piece] = []
+        while now[0] > self.start and modes != ["rest", "rest"]:
+            found, failed = step(self.model, self.bodies, (modes[0], modes[1]), rows, now, np.array([self.start]))
+            if len(failed):
+                raise ValueError(f"a ball has no past before {now[0]:g} s: it would have had to come from rest")
+            pieces += found
+            rows, now = found[0].last, found[0].then
+            if not np.abs(rows[..., 3:5]).max() <= FASTEST:
+                raise ValueError(f"a ball would have had to come faster than {FASTEST:g} m/s")
+        return pieces
+
+    def legs(self, states: dict[int, State], t: float) -> tuple[list[Leg], float, list[Event]]:
+        """Legs from t on, and how far both are known: none leads beyond that. And which balls just begin to roll."""
+        rows = np.array([[states[k]] for k in (0, 1)])
+        modes, started = self._modes(rows), []
+        for k in (0, 1):
+            if modes[k] == "rest" and self._pull(k, rows[k], rows[1 - k, :, :2]) > 0:
+                modes[k] = "creep"
+                started.append(start_of(self.model, self.bodies[k], k, states[k], t, rows[1 - k, 0]))
+        still = [resting(states[k], float(self.bodies[k].radius[0])) for k in (0, 1)]
+        if modes == ["rest", "rest"]:
+            return [Rest(t, math.inf, state) for state in still], math.inf, []
+        goal = np.array([max(self.end, t) + AHEAD])
+        found, failed = step(self.model, self.bodies, (modes[0], modes[1]), rows, np.array([t]), goal)
+        if len(failed):
+            raise ValueError(f"balls that push each other could not be followed from {t:.9g} s on")
+        piece = found[0]
+        legs, until = [_led(course) for course in piece.courses], float(piece.then[0])
+        for k in (0, 1):
+            if modes[k] == "rest":
+                legs[k] = Rest(t, self._loosened(k, rows[k], legs[1 - k], t, until), still[k])
+            elif not piece.over[k, 0]:
+                legs[k] = legs[k].spanning(t, math.inf)
+        return legs, until, started
+
+    def _modes(self, rows: Array) -> list[str]:
+        return [str(mode_of(row, body.radius)[0]) for row, body in zip(rows, self.bodies, strict=True)]
+
+    def _pull(self, k: int, row: Array, other: Array) -> float:
+        return float(excess(self.model, self.bodies[k], row, other.T[..., None])[0, 0])
+
+    def _loosened(self, k: int, row: Array, other: Leg, t: float, until: float) -> float:
+        """When a ball at rest starts to roll, or infinity."""
+        times = np.linspace(t, until, LOOKS)
+        places = other.at(times)[:, :2].T[:, None]
+        late = np.flatnonzero(excess(self.model, self.bodies[k], row, places)[0] > 0)
+        if len(late) == 0:
+            return math.inf
+        low, high = times[max(late[0] - 1, 0)], times[late[0]]
+        while high - low > 1e-12:
+            middle = (low + high) / 2
+            loose = self._pull(k, row, other.at(np.array([middle]))[:, :2]) > 0
+            low, high = (low, middle) if loose else (middle, high)
+        return float(high)
+
+
+def start_of(model: Model, body: Bodies, k: int, state: State, t: float, other: Array) -> Event:
+    """Ball k at rest begins to roll, the other being at `other` (2 or more,): afterwards with a little speed."""
+    still = resting(state, float(body.radius[0]))
+    push = push_at_rest(model, body, np.array([still]), other[:2, None, None])[0, 0]
+    nudge = 2 * SLOWEST * push / np.hypot(*push)
+    after = made_rolling((*still[:3], *nudge.tolist(), *still[5:]), still[2])
+    return Event(t, "start", k, before=np.array([still]), after=np.array([after]))
+
+
+def _led(course: Course) -> Leg:
+    begins, ends = float(course.begins[0]), float(course.ends[0])
+
+    def states(times: Array) -> Array:
+        return np.asarray(course.states(times[None])[0])
+
+    if course.motion == "rest":
+        return Rest(begins, ends, resting(tuple(course.state[0].tolist()), float(course.radius[0])))
+    return Numeric.of(begins, ends, course.motion, states, course.gravity if course.motion == "fly" else 0.0)

@@ -1,0 +1,173 @@
+"""Balls that push each other, against a plain integration of both by scipy, their energy book, and plain limits."""
+
+import itertools
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from synthcam.batch import collisions
+from synthcam.dynamics import solve
+from synthcam.kinematics import rolling_state
+from synthcam.launch import Launch
+from synthcam.model import Model
+from synthcam.truth import scalars
+
+R, DECEL, DRAG = 1.19e-3, 0.0103, 0.135
+T_C = 0.1
+
+
+def launched(pull, v0, b, start=0.0, end=0.4, **others):
+    model = Model().replace({"magnetic_attraction.pull": pull} | others)
+    launch = Launch.pair(model.bodies("ab"), T_C, v0, b, 0.7, (0.003, -0.002))
+    return model, launch, solve(model, launch, start, end)
+
+
+def pull_on(pull, gap):
+    """3 mu0 m^2/(2 pi r^4), towards `gap`."""
+    r = np.hypot(*gap)
+    return pull * (2 * R / r) ** 4 * gap / r
+
+
+def forward(pull, states):
+    """From a ball at rest and one that rolls, by hand to their contact: when, and x, y, vx, vy of both."""
+
+    def loss(v, towards):
+        speed = np.hypot(*v)
+        way = v / speed if speed > 1e-9 else towards / np.hypot(*towards)  # just let go
+        return (DRAG * speed + DECEL) * way
+
+    def right(held):
+        def rates(_, y):
+            push = 5 / 7 * pull_on(pull, y[4:6] - y[:2])
+            one = np.zeros(4) if held else np.concatenate([y[2:4], push - loss(y[2:4], push)])
+            return np.concatenate([one, y[6:8], -push - loss(y[6:8], y[6:8])])
+
+        return rates
+
+    def pulled_off(_, y):
+        return 5 / 7 * np.hypot(*pull_on(pull, y[4:6] - y[:2])) - DECEL
+
+    def touch(_, y):
+        return np.hypot(*(y[4:6] - y[:2])) - 2 * R
+
+    pulled_off.terminal = touch.terminal = True
+    how = {"method": "DOP853", "rtol": 1e-12, "atol": 1e-16}
+    first = solve_ivp(right(True), (0, 1), states[:, [0, 1, 3, 4]].ravel(), events=(pulled_off, touch), **how)
+    if first.t_events[1].size:
+        return first.t[-1], first.y[:, -1].reshape(2, 4), None
+    then = solve_ivp(right(False), (first.t[-1], 1), first.y[:, -1], events=touch, max_step=1e-4, **how)
+    return then.t[-1], then.y[:, -1].reshape(2, 4), first.t[-1]
+
+
+@pytest.mark.parametrize(
+    ("pull", "v0", "b"), [(0.03, 0.3, 0.0), (0.1, 0.3, 0.5), (0.4, 0.15, -0.7), (-0.2, 0.2, 0.4), (0.012, 0.3, 0.2)]
+)
+def test_the_approach_led_forward_by_scipy(pull, v0, b):
+    _, launch, motion = launched(pull, v0, b)
+    hit = motion.first("contact")
+    when, states, onset = forward(pull, motion.at(0.0)[:, 0])
+    assert when == pytest.approx(T_C, abs=1e-10)
+    np.testing.assert_allclose(states[:, :2], launch.states[:, :2], rtol=0, atol=2e-11)
+    np.testing.assert_allclose(states[:, :2], hit.before[:, :2], rtol=0, atol=2e-11)
+    np.testing.assert_allclose(states[:, 2:], hit.before[:, 3:5], rtol=0, atol=1e-9)
+    np.testing.assert_allclose(hit.before[1], launch.states[1], rtol=0, atol=1e-12)  # the striker is as stated
+    starts = [e for e in motion.events if e.kind == "start"]
+    assert len(starts) == (onset is not None)
+    if onset is not None:
+        assert starts[0].t == pytest.approx(onset, abs=1e-9)
+        assert starts[0].i == 0
+        assert np.hypot(*hit.before[0, 3:5]) > 1e-6
+        towards = (hit.before[1] - hit.before[0])[:2] * np.sign(pull)
+        assert hit.before[0, 3:5] @ towards > 0
+
+
+def test_the_target_stays_where_friction_holds_it():
+    """5/7 of the pull is under rolling_decel as long as the balls do not touch."""
+    _, launch, motion = launched(0.0144, 0.3, 0.3)
+    assert not [e for e in motion.events if e.kind == "start"]
+    np.testing.assert_array_equal(motion.first("contact").before[0], launch.states[0])
+
+
+def test_what_led_to_a_contact_does_not_hang_on_when_the_run_starts():
+    whole, late, after = (launched(0.2, 0.2, 0.4, start)[2] for start in (0.0, T_C - 1e-3, T_C))
+    times = np.linspace(T_C, 0.4, 20)
+    for motion in (late, after):
+        np.testing.assert_allclose(motion.at(times), whole.at(times), rtol=0, atol=1e-9)
+        np.testing.assert_allclose(motion.at(times)[..., :3], whole.at(times)[..., :3], rtol=0, atol=1e-12)
+    near = np.linspace(T_C - 1e-3, T_C, 5)
+    np.testing.assert_allclose(late.at(near)[..., :3], whole.at(near)[..., :3], rtol=0, atol=1e-13)
+
+
+def test_truth_tells_of_the_balls_relative_speed():
+    model, launch, motion = launched(0.4, 0.15, 0.6)
+    before = motion.first("contact").before
+    row = scalars(model, launch, motion)
+    assert row["v0"] == pytest.approx(np.hypot(*(before[1] - before[0])[3:5]), rel=1e-14)
+    assert row["v0"] - 0.15 > 1e-4  # the target came to meet the striker
+    assert row["r"] == pytest.approx(model.restitution, abs=1e-12)
+
+
+@pytest.mark.parametrize("pull", [0.3, -0.3])
+def test_the_energy_book(pull):
+    """Without friction of sliding what the balls lose is their rolling loss; with it, nothing is ever gained."""
+    model, _, motion = launched(pull, 0.2, 0.5)
+    mass = model.ball.mass
+    times = np.unique(np.concatenate([np.linspace(0, 0.4, 4000), [e.t for e in motion.events]]))
+    states = motion.at(times)
+    gap = np.hypot(*(states[1] - states[0])[:, :2].T)
+    kinetic = mass * ((states[..., 3:6] ** 2).sum(-1) / 2 + 0.2 * R**2 * (states[..., 6:9] ** 2).sum(-1)).sum(axis=0)
+    energy = kinetic - mass * pull * (2 * R) ** 4 / (3 * gap**3)
+    assert np.diff(energy).max() < 1e-14 * energy[0]
+    assert np.ptp(energy - kinetic) > 1e-3 * energy[0]  # the pull matters here
+    spent = 0.0
+    spans = np.array([0.0, *(e.t for e in motion.events if e.t < T_C), T_C])
+    for a, b in itertools.pairwise(spans):
+        nodes, weights = np.polynomial.legendre.leggauss(60)
+        v = motion.at(np.clip((a + b) / 2 + (b - a) / 2 * nodes, a, b - 1e-15))[..., 3:5]
+        speed = np.hypot(v[..., 0], v[..., 1])
+        spent += 1.4 * mass * (b - a) / 2 * float(((DRAG * speed + DECEL) * speed * weights).sum())
+    before = motion.first("contact").before
+    last = 0.7 * mass * (before[:, 3:5] ** 2).sum() - mass * pull * 2 * R / 3
+    assert energy[0] - last == pytest.approx(spent, rel=1e-9)
+
+
+@pytest.mark.parametrize("pull", [1e-6, 1e-9])
+def test_without_a_pull_the_closed_form_is_left(pull):
+    times = np.linspace(0, 0.4, 81)
+    near, base = (launched(p, 0.3, 0.4)[2].at(times) for p in (pull, 0.0))
+    np.testing.assert_allclose(near[..., :2], base[..., :2], rtol=0, atol=0.1 * pull + 1e-13)
+
+
+def test_free_balls_at_rest_are_free():
+    """States given at the start: a ball that rests is pulled off once the other is near enough, not before."""
+    model = Model().replace({"magnetic_attraction.pull": 0.2})
+    pair = model.bodies("ab")
+    states = rolling_state(np.array([[0, 0], [-0.02, 0.5e-3]]), np.array([[0, 0], [0.2, 0]]), 0.0, pair.radius)
+    motion = solve(model, Launch(0.0, states, pair), 0.0, 0.4)
+    when, both, onset = forward(0.2, states)
+    hit, start = motion.first("contact"), motion.first("start")
+    assert (hit.t, start.t) == (pytest.approx(when, abs=1e-9), pytest.approx(onset, abs=1e-9))
+    np.testing.assert_allclose(hit.before[:, :2], both[:, :2], rtol=0, atol=1e-10)
+    # seen from its contact, the same run
+    again = solve(model, Launch(hit.t, hit.before, pair), hit.t, 0.4)
+    np.testing.assert_allclose(again.at(0.35)[..., :2], motion.at(0.35)[..., :2], rtol=0, atol=1e-9)
+
+
+def test_a_target_that_is_pushed_away_faster_than_it_is_chased_is_refused():
+    row = np.array([[0, 0, T_C, 0.1, 0.0, 0.9999]])
+    model = Model().replace({"magnetic_attraction.pull": -0.3})
+    with pytest.raises(ValueError, match="pushed away"):
+        collisions(model, row, 0.0, 0.4)
+
+
+def test_strong_pulls_and_other_effects_in_the_batch():
+    """As `solve`: what the batch leads in pieces of its own."""
+    numbers = {"magnetic_attraction.pull": 0.1, "hop.share": 1.0, "hop.bounce": 0.5, "mass_mismatch.excess": 0.02}
+    model = Model().replace(numbers | {"plate_tilt.x": 3e-4, "stribeck.rise": 0.2, "diameter_mismatch.excess": 1e-3})
+    rows = np.array([[0, 0, T_C, 0.1, 1.0, 0.8], [0, 0, T_C, 0.5, 2.0, -0.3], [0, 0, T_C, 0.25, 4.0, 0.05]])
+    batch, times = collisions(model, rows, 0.0, 0.4, True), np.linspace(0, 0.4, 41)
+    found = batch.at(times)
+    for k, (x, y, t_c, v0, heading, b) in enumerate(rows):
+        motion = solve(model, Launch.pair(model.bodies("ba"), t_c, v0, b, heading, (x, y)), 0.0, 0.4)
+        np.testing.assert_allclose(found[:, k, :, :3], motion.at(times)[..., :3], rtol=0, atol=2e-12)
