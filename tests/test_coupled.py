@@ -154,11 +154,109 @@ def test_free_balls_at_rest_are_free():
     np.testing.assert_allclose(again.at(0.35)[..., :2], motion.at(0.35)[..., :2], rtol=0, atol=1e-9)
 
 
-def test_a_target_that_is_pushed_away_faster_than_it_is_chased_is_refused():
-    row = np.array([[0, 0, T_C, 0.1, 0.0, 0.9999]])
+def test_a_ball_is_pulled_off_late_too():
+    """Where the clock's last bit is 2 ps."""
+    model = Model().replace({"magnetic_attraction.pull": 0.2})
+    pair = model.bodies("ab")
+    states = rolling_state(np.array([[0, 0], [-0.02, 0.5e-3]]), np.array([[0, 0], [0.2, 0]]), 0.0, pair.radius)
+    early, late = (solve(model, Launch(t, states, pair), t, t + 0.4).first("start").t - t for t in (0.0, 9990.0))
+    assert late == pytest.approx(early, abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("b", "said"), [(0.9999, "pushed away"), (0.9996, "pushed away"), (0.99956, "stay in contact")]
+)
+def test_a_target_that_is_pushed_away_all_but_as_fast_as_it_is_chased_is_refused(b, said):
     model = Model().replace({"magnetic_attraction.pull": -0.3})
-    with pytest.raises(ValueError, match="pushed away"):
-        collisions(model, row, 0.0, 0.4)
+    with pytest.raises(ValueError, match=said):
+        solve(model, Launch.pair(model.bodies("ab"), T_C, 0.1, b, 0.3, (0, 0)), 0.0, 0.4)
+    with pytest.raises(ValueError, match=said):
+        collisions(model, np.array([[0, 0, T_C, 0.1, 0.3, b]]), 0.0, 0.4)
+
+
+def test_a_striker_that_the_pull_alone_outruns_is_refused():
+    """Let go at rest where 5/7 of the pull is what holds them, the balls would meet faster than this one rolls."""
+    pull, v0 = 0.3, 0.01
+    gained = 5 / 7 * pull * 2 * R / 3  # of the square of each one's speed, from infinity
+    lost = 2 * DECEL * R * (5 / 7 * pull / DECEL) ** 0.25  # at most
+    assert v0**2 < gained - lost
+    with pytest.raises(ValueError, match=r"at 0[.]01 m/s, is too slow"):
+        launched(pull, v0, 0.0)
+
+
+def test_two_that_roll_are_led_back_and_one_that_would_have_been_pulled_off_is_refused():
+    model = Model().replace({"magnetic_attraction.pull": 0.1})
+    pair = model.bodies("ab")
+    places = np.array([[0, 0], [-0.012, 4e-3]])
+    states = rolling_state(places, np.array([[0.05, 0.02], [0.1, -0.04]]), 0.0, pair.radius)
+    motion = solve(model, Launch(T_C, states, pair), 0.0, T_C)
+    again = solve(model, Launch(0.0, motion.at(0.0)[:, 0], pair), 0.0, T_C)
+    times = np.linspace(0, T_C, 20)
+    np.testing.assert_allclose(again.at(times)[..., :6], motion.at(times)[..., :6], rtol=0, atol=1e-11)
+    np.testing.assert_allclose(again.at(T_C)[:, 0], states, rtol=0, atol=1e-8)
+    with pytest.raises(ValueError, match="cannot rest before its launch"):
+        solve(model, Launch(0.2, rolling_state(0.2 * places, np.zeros((2, 2)), 0.0, pair.radius), pair), 0.1, 0.2)
+    gone = np.array([[0, 0], [0.02, 3e-3]])  # the one that rolls has passed the other, at 3 mm
+    states = rolling_state(gone, np.array([[0, 0], [0.2, 0]]), 0.0, pair.radius)
+    solve(model, Launch(0.2, states, pair), 0.19, 0.2)
+    for start, at in ((0.0, gone), (0.19, gone * 0.15)):
+        states = rolling_state(at, np.array([[0, 0], [0.2, 0]]), 0.0, pair.radius)
+        with pytest.raises(ValueError, match="cannot rest before its launch"):
+            solve(model, Launch(0.2, states, pair), start, 0.2)
+
+
+@pytest.mark.parametrize("up", [1e-300, 1e-150, 1e-12])
+def test_a_flight_however_short_is_followed(up):
+    model = Model().replace({"magnetic_attraction.pull": 0.05})
+    pair = model.bodies("ab")
+    states = rolling_state(np.array([[0, 0], [0.01, 0]]), np.array([[0.1, 0], [0, 0]]), 0.0, pair.radius)
+    plain = solve(model, Launch(0.0, states, pair), 0.0, 0.1)
+    states[0, 5] = up
+    motion = solve(model, Launch(0.0, states, pair), 0.0, 0.1)
+    assert motion.events[0].kind == "land"
+    assert motion.first("contact").t == pytest.approx(plain.first("contact").t, abs=1e-12)
+
+
+def by_hand(pull, a, model):
+    """One slides and drills, the other too or, once its slip is over, rolls: rates of (2, 9), raveled."""
+    mu, g = model.sliding_friction, model.gravity
+
+    def rates(_, y, rolls):
+        y, out = y.reshape(2, 9), np.zeros((2, 9))
+        for k, s in enumerate(y):
+            push, out[k, :2] = pull_on(pull, y[1 - k, :2] - s[:2]), s[3:5]
+            if k == rolls:
+                speed = np.hypot(*s[3:5])
+                out[k, 3:5] = 5 / 7 * push - (DRAG * speed + DECEL) * s[3:5] / speed
+                continue
+            u = s[3:5] + R * np.array([-s[7], s[6]])
+            fade = np.hypot(*u) + 8 / (3 * np.pi) * a * abs(s[8])
+            grip = mu * g * u / fade
+            out[k, 3:5], out[k, 6:8] = push - grip, 2.5 / R * np.array([-grip[1], grip[0]])
+            twist = a * abs(s[8]) + 16 / (3 * np.pi) * np.hypot(*u)
+            out[k, 8] = -2.5 * mu * g * a * a * s[8] / twist / R**2
+        return out.ravel()
+
+    return rates
+
+
+@pytest.mark.parametrize(("pull", "a"), [(0.3, 5e-5), (0.1, 2e-5)])  # the other's slip nearly vanishes, and turns
+def test_a_slip_that_a_push_keeps_creeping_until_the_balls_are_apart(pull, a):
+    """Friction fades with the slip while a ball spins: stiff equations, for scipy's Radau."""
+    drill, rates = {"drilling_spin.a": a}, by_hand(pull, a, Model())
+    model, _, motion = launched(pull, 0.12, -0.676, T_C, 0.5, **drill)
+    first, last = (e for e in motion.events if e.kind == "slide_end")
+    assert first.t > launched(0.0, 0.12, -0.676, T_C, 0.5, **drill)[2].first("slide_end", first.i).t + 0.01
+    for t0, t1, rolls in (T_C, first.t, -1), (first.t, last.t, first.i):
+        y = motion.at(t0)[:, 0].ravel()
+        run = solve_ivp(rates, (t0, t1), y, args=(rolls,), method="Radau", rtol=1e-9, atol=1e-13)
+        np.testing.assert_allclose(
+            motion.at(t1 - 1e-12)[:, 0, :6], run.y[:, -1].reshape(2, 9)[:, :6], rtol=0, atol=1e-9
+        )
+    for e in (first, last):  # where friction at 1 um/s begins to exceed the push
+        assert np.hypot(*(e.before[0, 3:5] + R * np.array([-e.before[0, 7], e.before[0, 6]]))) == pytest.approx(1e-6)
+    batch = collisions(model, np.array([[0.003, -0.002, T_C, 0.12, 0.7, -0.676]]), T_C, 0.5)
+    assert batch.slide_ends == pytest.approx([motion.first("slide_end", k).t for k in (0, 1)], abs=1e-10)
 
 
 def test_strong_pulls_and_other_effects_in_the_batch():

@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from synthcam import rolling, sliding, together
-from synthcam.coupled import STILL
 from synthcam.dynamics import solve
 from synthcam.hermite import between
 from synthcam.impact import collide, land
@@ -30,6 +29,7 @@ from synthcam.kinematics import (
 from synthcam.launch import Launch, touching
 from synthcam.model import Bodies, Model
 from synthcam.packed import Packed
+from synthcam.pulled import STILL
 from synthcam.rolling import roller
 from synthcam.segment import Alone, BentRolling, BentSliding, Flying, Ints, Resting, Rolling, Segment, Sliding
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from synthcam.contact import TOUCHING
 from synthcam.kinematics import Array, Real, contact_velocity, fly, plate_state, rolling_state
 from synthcam.model import Bodies, Model
-from synthcam.pulled import SMALLEST, STEADY, Ball, Flags, Mesh, last_axis, mesh
+from synthcam.pulled import SMALLEST, STEADY, STILL, Ball, Flags, Mesh, last_axis, mesh
 from synthcam.rolling import SLOWEST, Stretch
 from synthcam.spectral import series
 from synthcam.trajectory import Motion
@@ -25,7 +25,7 @@ HALVINGS = 30  # of a piece
 SETTLED = 2e-13  # m/s, of an iteration's change
 AWAY = 8.0  # distances of touching: a ball at rest is let go when the other comes so near, if not yet pulled off
 FAINT = 1e-30  # m/s, m/s^2: stands in for nothing
-STILL = 1e-12  # m/s: slower than this is rest, or rolling for a contact velocity
+CLINGING = 1e-4  # m/s: a softer impact of balls that push each other is one of an endless row
 
 Ints = NDArray[np.intp]
 Pair = tuple[Bodies, Bodies]
@@ -167,11 +167,9 @@ def step(
 
     None leads beyond the first end of a slide, roll or flight. And the pairs for which no piece is short enough.
     """
-    balls = [Ball(model, *each) for each in zip(modes, bodies, states, strict=True)]
-    _feel(balls)
+    balls = _begin(model, bodies, modes, states)
     lasts, ender = _plan(balls, now, goal)
-    endless = np.any([ball.endless(other.x) for ball, other in zip(balls, balls[::-1], strict=True)], axis=0)
-    todo, found = np.flatnonzero(~endless), []
+    todo, found = np.arange(len(now)), []
     for _ in range(HALVINGS):
         left = [todo[:0]]
         for which in (-1, 0, 1):
@@ -185,7 +183,14 @@ def step(
         if len(todo) == 0:
             break
         lasts[todo], ender[todo] = lasts[todo] / 2, -1
-    return found, np.concatenate([todo, np.flatnonzero(endless)])
+    return found, todo
+
+
+def _begin(model: Model, bodies: Pair, modes: tuple[str, str], states: Array) -> list[Ball]:
+    balls = [Ball(model, *each) for each in zip(modes, bodies, states, strict=True)]
+    for ball, other in zip(balls, balls[::-1], strict=True):
+        ball.begin(other.x)
+    return balls
 
 
 def _feel(balls: Sequence[Ball]) -> None:
@@ -214,7 +219,8 @@ def _plan(balls: Sequence[Ball], now: Array, goal: Array) -> tuple[Array, Ints]:
     rest = np.full((2, len(now)), np.inf)
     for k, ball in enumerate(balls):
         if ball.mode in ("slide", "roll"):
-            rest[k] = np.where((ball.slowing > 0)[:, 0] & (sign > 0), ball.first[:, 0] / ball.slowing[:, 0], np.inf)
+            ends = (ball.slowing > 0)[:, 0] & (sign > 0) & ball.holds
+            rest[k] = np.where(ends, ball.first[:, 0] / ball.slowing[:, 0], np.inf)
     soon = rest.min(axis=0)
     ends = soon <= lasts
     lasts = np.where(ends, soon, np.where(soon < 2 * lasts, soon / 2, lasts))
@@ -238,8 +244,7 @@ def _lead(
     onset (k,): pairs whose ball 0 starts, at the piece's far end, where the pull on it overcomes what holds it.
     """
     on, anchor, long = mesh(size), -1 if onset is not None else 0, lasts[:, None]
-    balls = [Ball(model, *each) for each in zip(modes, bodies, states, strict=True)]
-    _feel(balls)
+    balls = _begin(model, bodies, modes, states)
     for k, ball in enumerate(balls):
         ball.guess(on, long, k == ender, anchor)
     change, some = np.full(len(lasts), np.inf), slice(size // 2 - 1, None, size // 2)
@@ -247,7 +252,7 @@ def _lead(
         for turn in range(TURNS if size <= NODES else PATIENCE):
             _feel(balls)
             if ender >= 0:
-                long = balls[ender].ending()
+                long = balls[ender].ending(long)
             if onset is not None:
                 long = np.where(onset[:, None], long * (1 - _beyond(balls[0].excess(), on)), long)
             worst = np.zeros(len(lasts))
@@ -257,7 +262,7 @@ def _lead(
                 worst = np.maximum(worst, np.abs(ball.away[..., some] - before[..., some]).max(axis=(0, 2)))
             last, change = change, worst / np.abs(long[:, 0])
             to_come = change * np.minimum(change / np.maximum(last, FAINT), 1.0)
-            good = (to_come < np.inf) & (long[:, 0] * lasts > 0)
+            good = (to_come < np.inf) & (np.sign(long[:, 0]) == np.sign(lasts))
             for ball in balls:
                 good &= ball.stays | (ball.mode == "creep")  # whose start may yet be found
             if turn > 0 and to_come.max(initial=0.0, where=good) < SETTLED:
@@ -270,7 +275,8 @@ def _lead(
             if ball.mode == "fly":
                 over[k] = long[:, 0] >= ball.flies()
             elif ball.mode in ("slide", "roll"):
-                over[k] = (k == ender) | (ball.s[:, -1] <= ball.floor[:, 0] + STILL)
+                over[k], passed = ball.over(long, balls[1 - k].x[..., -1:])
+                good &= ~passed
             motion: Any = "roll" if ball.mode == "creep" else ball.mode
             series = Stretch(who, now, then, coefficients)
             whole = np.minimum(now, then), np.maximum(now, then), motion, series, ball.state, bodies[k].radius

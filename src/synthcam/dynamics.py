@@ -9,16 +9,16 @@ import numpy as np
 
 from synthcam import rolling, sliding
 from synthcam.contact import LINGERING, TOUCHING, first_contact
-from synthcam.coupled import STILL, excess
+from synthcam.coupled import CLINGING, excess
 from synthcam.impact import LOWEST, land, strike
 from synthcam.kinematics import Array, State, fly, made_rolling, resting, slip, stop_time
 from synthcam.launch import Launch
 from synthcam.model import Bodies, Model
-from synthcam.pairing import AHEAD, FASTEST, Pairing, start_of
+from synthcam.pairing import AHEAD, FASTEST, HELD, Pairing, start_of
+from synthcam.pulled import STILL
 from synthcam.sliding import NOWHERE
 from synthcam.trajectory import Event, Fly, Leg, Numeric, Rest, Roll, Slide, Trajectory
 
-CLINGING = 1e-4  # m/s: as LINGERING for balls that push each other, whose row is long
 LIMIT = 10_000  # events: more means that something never settles
 FAR = 1e4  # s: beyond it the clock's last bit is too coarse for an event
 LONG = 60.0  # s: balls that push each other are led in small steps
@@ -131,7 +131,7 @@ class _Run:
         if math.hypot(state[3], state[4]) <= STILL:
             still = resting(state, self.radius[k])
             if self._excess(k, still) > 0:
-                raise ValueError("a ball cannot rest before its launch: 5/7 of the push on it exceeds rolling_decel")
+                raise ValueError(HELD)
             return Rest(self.start, time, still)
         leg = self._roll(k, state, time, self.start)
         if isinstance(leg, Numeric) and leg.t0 > self.start:

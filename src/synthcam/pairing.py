@@ -16,7 +16,11 @@ from synthcam.trajectory import Event, Leg, Numeric, Rest
 FASTEST = 1e3  # m/s: a ball that must have come faster did not come
 AHEAD = 0.2  # s of motion beyond what was asked for
 LOOKS = 33  # within a piece at whether a ball at rest is pulled off
-NEVER = "these balls have no past: pushing each other so, they do not come to such a contact"
+NEVER = (
+    "no approach was found to such a contact: for a push so strong the ball that comes, at {:.4g} m/s, is too slow, "
+    "or the one at rest is held again on its way"
+)
+HELD = "a ball cannot rest before its launch: 5/7 of the push on it exceeds rolling_decel"
 
 
 class Pairing:
@@ -38,7 +42,7 @@ class Pairing:
             pair = self.bodies[order[0]], self.bodies[order[1]]
             rows[order], pieces, lost = approach(self.model, pair, rows[order], now, np.array([self.start]))
             if len(lost):
-                raise ValueError(NEVER)
+                raise ValueError(NEVER.format(np.hypot(*rows[order[1], 0, 3:5])))
             if opening(rows)[0] >= 0:
                 raise ValueError("the ball at rest would be pushed away faster than the other comes")
         else:
@@ -59,13 +63,18 @@ class Pairing:
 
     def _back(self, rows: Array, modes: list[str], now: Array) -> list[Piece]:
         """Balls that roll or rest, led back to the start."""
+        still = [k for k in (0, 1) if modes[k] == "rest"]
         if self.start < now[0] and not set(modes) <= {"rest", "roll"}:
             raise ValueError("a ball that slides or flies at its launch has no past: start the run at the launch")
+        if self.start < now[0] and any(self._pulls(k, rows[k], rows[1 - k, :, :2].T[..., None]) for k in still):
+            raise ValueError(HELD)
         pieces: list[Piece] = []
         while now[0] > self.start and modes != ["rest", "rest"]:
             found, failed = step(self.model, self.bodies, (modes[0], modes[1]), rows, now, np.array([self.start]))
             if len(failed):
                 raise ValueError(f"a ball has no past before {now[0]:g} s: it would have had to come from rest")
+            if any(self._pulls(k, rows[k], found[0].places[1 - k]) for k in still):
+                raise ValueError(HELD)
             pieces += found
             rows, now = found[0].last, found[0].then
             if not np.abs(rows[..., 3:5]).max() <= FASTEST:
@@ -77,7 +86,7 @@ class Pairing:
         rows = np.array([[states[k]] for k in (0, 1)])
         modes, started = self._modes(rows), []
         for k in (0, 1):
-            if modes[k] == "rest" and self._pull(k, rows[k], rows[1 - k, :, :2]) > 0:
+            if modes[k] == "rest" and self._pulls(k, rows[k], rows[1 - k, :, :2].T[..., None]):
                 modes[k] = "creep"
                 started.append(start_of(self.model, self.bodies[k], k, states[k], t, rows[1 - k, 0]))
         still = [resting(states[k], float(self.bodies[k].radius[0])) for k in (0, 1)]
@@ -99,8 +108,9 @@ class Pairing:
     def _modes(self, rows: Array) -> list[str]:
         return [str(mode_of(row, body.radius)[0]) for row, body in zip(rows, self.bodies, strict=True)]
 
-    def _pull(self, k: int, row: Array, other: Array) -> float:
-        return float(excess(self.model, self.bodies[k], row, other.T[..., None])[0, 0])
+    def _pulls(self, k: int, row: Array, other: Array) -> bool:
+        """Does the push overcome what holds ball k, with the other at any of (2, 1, n)?"""
+        return bool(np.any(excess(self.model, self.bodies[k], row, other) > 0))
 
     def _loosened(self, k: int, row: Array, other: Leg, t: float, until: float) -> float:
         """When a ball at rest starts to roll, or infinity."""
@@ -110,9 +120,8 @@ class Pairing:
         if len(late) == 0:
             return math.inf
         low, high = times[max(late[0] - 1, 0)], times[late[0]]
-        while high - low > 1e-12:
-            middle = (low + high) / 2
-            loose = self._pull(k, row, other.at(np.array([middle]))[:, :2]) > 0
+        while high - low > 1e-12 and low < (middle := (low + high) / 2) < high:  # late clocks are coarse
+            loose = self._pulls(k, row, other.at(np.array([middle]))[:, :2].T[..., None])
             low, high = (low, middle) if loose else (middle, high)
         return float(high)
 

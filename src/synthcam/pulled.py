@@ -7,6 +7,10 @@ with f the push, of which a rolling ball takes 5/7. So each ball feels the other
 of both gains digits at every turn. A piece on which s comes to zero ends there: with x the share of its unknown length
 T, s = T (1 - x) M(x), where M is the mean of A over what is left of the piece, and s(0) gives T.
 
+Where a spin drills, friction fades with the slip u and a push may keep it creeping, until the spin is gone. Then
+    u' = f - (loss/s) u
+is solved for u as a whole, loss/s as it was: a drag so strong that Picard iteration would need tiny pieces.
+
 A ball that starts from rest goes after the push: its lag d behind the push's direction phi obeys
     (s/f) d' + sin d = (s/f) phi',
 which has one smooth solution.
@@ -28,8 +32,9 @@ from synthcam.spectral import matrices, product
 
 Flags = NDArray[np.bool_]
 SMALLEST = 1e-300
+STILL = 1e-12  # m/s: slower than this is rest, or rolling for a contact velocity
 TRUE, STEADY = 3e-14, 5e-13  # m, m/s: of the last coefficients
-GONE = 1e-6  # m/s: where a slide ends with a spin to drill, for friction fades with the slip and never ends it
+GONE = 1e-6  # m/s: where a slide ends with a spin to drill, if friction there still exceeds the push
 
 
 @dataclass(frozen=True)
@@ -84,12 +89,22 @@ class Ball:
         self.hat = counted / np.maximum(self.first, SMALLEST)
         self.q0 = rolling_velocity(state, body.radius).T[..., None] if mode == "slide" else velocity
         self.drills = mode == "slide" and model.laws.bent("drilling")
-        self.floor = np.minimum(GONE, self.first / 2) if self.drills else 0 * self.first
+        self.floor, self.holds = 0 * self.first, np.ones(len(state), dtype=bool)
         self.x, self.v, self.s, self.e = self.place, velocity, self.first, self.hat
         self.q, self.wz = self.q0, state[:, 8][:, None]
         self.away = np.zeros_like(self.place)
         self.stays = np.ones(len(state), dtype=bool)  # s over zero
         self.size = 1
+
+    def begin(self, other: Array) -> None:
+        """What acts on it, and whether friction could end its slide here, or fades before the push does: `holds`."""
+        if self.drills:
+            self.s = np.full_like(self.first, GONE)
+            self.feel(other)
+            self.holds = (self.loss > np.hypot(*self.push))[:, 0]
+            self.s = self.first
+            self.floor = np.where(self.holds[:, None] & (self.first > GONE + STILL), GONE, 0.0)
+        self.feel(other)
 
     def feel(self, other: Array) -> None:
         """Everything that acts on it, the other ball being at `other`."""
@@ -118,26 +133,21 @@ class Ball:
         if mode == "creep":
             self.pull, self.loss = push, loss + 0 * self.s
             return
+        self.loss = loss
         self.slowing = loss - (push[0] * self.e[0] + push[1] * self.e[1])
         self.across = self.e[0] * push[1] - self.e[1] * push[0]
-
-    def endless(self, other: Array) -> Flags:
-        """Which slides, (k,), friction would never end: it fades with the slip, and the push is stronger."""
-        if not self.drills:
-            return np.zeros(len(self.state), dtype=bool)
-        ball = Ball(self.model, self.mode, self.body, self.state)
-        ball.s = self.floor
-        ball.feel(other)
-        return np.asarray(ball.slowing[:, 0] <= 0)
 
     def excess(self) -> Array:
         """By how much the pull on a creeping ball exceeds what would hold it."""
         return np.asarray(np.hypot(*self.pull) - np.maximum(self.loss, self.model.rolling_decel))
 
-    def ending(self) -> Array:
-        """How long until s is down, (k, 1)."""
+    def ending(self, lasts: Array) -> Array:
+        """How long until s is down, (k, 1), if it was tried for so long."""
+        if self.drills:
+            late = (self.s[:, -1:] - self.floor) / self.slowing[:, -1:]
+            return np.asarray(np.clip(late, lasts / -2, lasts) + lasts)
         self.left = product(self.slowing[None] + np.zeros((1, 1, self.size)), self.on.rest)[0]
-        return np.asarray((self.first - self.floor) / self.left[:, :1])
+        return np.asarray(self.first / self.left[:, :1])
 
     def go(self, lasts: Array, ends: bool, anchor: int = 0) -> None:
         """The next iterate, of a piece that lasts so long, (k, 1)."""
@@ -152,18 +162,16 @@ class Ball:
             self._creep(lasts, anchor)
             self._moved(lasts)
             return
-        if ends:
-            self.s = self.floor + lasts * self.left * (1 - on.x)
-            if self.drills:
-                psi = lasts * product((self.across / self.s)[None], on.integral)[0]
-            else:
-                psi = product((self.across / self.left)[None], on.turn)[0]
+        if self.drills:
+            self._drag(lasts)
+        elif ends:
+            self.s = lasts * self.left * (1 - on.x)
+            self._turn(product((self.across / self.left)[None], on.turn)[0])
         else:
             s = self.first - lasts * product(self.slowing[None], on.integral)[0]
-            self.stays = s[:, -1] > self.floor[:, 0]
+            self.stays = s[:, -1] > 0
             self.s = np.maximum(s, 1e-3 * self.first)  # a path that is only tried
-            psi = lasts * product((self.across / self.s)[None], on.integral)[0]
-        self._turn(psi)
+            self._turn(lasts * product((self.across / self.s)[None], on.integral)[0])
         if mode == "slide":
             self.q = self.q0 + 5 / 7 * lasts * product(self.push, on.integral)
             self.v = self.q + 2 / 7 * self.s * self.e
@@ -172,6 +180,16 @@ class Ball:
         else:
             self.v = self.s * self.e
         self._moved(lasts)
+
+    def _drag(self, lasts: Array) -> None:
+        lines = (lasts * (self.loss / self.s))[:, None, :] * self.on.integral.T
+        lines[:, range(self.size), range(self.size)] += 1
+        pushed = self.first * self.hat + lasts * product(self.push, self.on.integral)
+        u = np.linalg.solve(lines, pushed.transpose(1, 2, 0)).transpose(2, 0, 1)
+        s = np.hypot(u[0], u[1])
+        self.stays = s[:, -1] >= self.floor[:, 0] - STILL
+        self.s = np.maximum(s, SMALLEST)
+        self.e = u / self.s
 
     def _turn(self, psi: Array) -> None:
         s = np.sin(psi)
@@ -200,7 +218,7 @@ class Ball:
             self.v = self.s * self.e
         else:
             self.s = self.floor + (self.first - self.floor) * (1 - x) if ends else self.first - self.slowing * lasts * x
-            self.s = np.maximum(self.s, 0.0)
+            self.s = np.maximum(self.s, 1e-3 * self.first if self.drills else 0.0)
             self.e = np.repeat(self.hat, self.size, axis=-1)
             self.q = np.repeat(self.q0, self.size, axis=-1)
             self.v = self.q + 2 / 7 * self.s * self.e if self.mode == "slide" else self.s * self.e
@@ -225,6 +243,15 @@ class Ball:
     def sound(self) -> Any:
         """Is s over zero all along, (k,)?"""
         return self.stays & (self.s.min(axis=1) >= 0) if self.mode in ("creep", "roll", "slide") else self.stays
+
+    def over(self, lasts: Array, other: Array) -> tuple[Flags, Flags]:
+        """Has its slide or roll ended with the piece, the other ball being at (2, k, 1)? And before it, (k,)?"""
+        s, first = self.s[:, -1], self.first[:, 0]
+        if not self.drills:
+            return s <= STILL, np.zeros(len(s), dtype=bool)
+        ball = Ball(self.model, self.mode, self.body, self.last(lasts))
+        ball.begin(other)
+        return (s <= GONE + STILL) & ball.holds, (s < GONE - STILL) & (first > GONE + STILL) & ball.holds
 
     def last(self, lasts: Array) -> Array:
         """States (k, 9) at the piece's end."""

@@ -7,11 +7,11 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from synthcam.coupled import STILL, Ints, Pair, Piece, approach, excess, mode_of, opening, step
+from synthcam.coupled import CLINGING, Ints, Pair, Piece, approach, excess, mode_of, step
 from synthcam.impact import collide, land
 from synthcam.kinematics import Array, contact_velocity, rolling_state, rolling_velocity
 from synthcam.model import Bodies, Model
-from synthcam.pulled import Flags
+from synthcam.pulled import STILL, Flags
 from synthcam.segment import Resting, Segment
 
 BLOCK = 2000  # pairs led together
@@ -60,8 +60,8 @@ class _Block:
         rested[:, 3:8] = 0.0
         early = np.flatnonzero(onset > start)
         self.out.segments.append(Resting(self.who[early], np.full(len(early), start), onset[early], rested[early]))
-        self._odd_if(opening(hit) >= 0)
         after = collide(self.model, hit[0], hit[1], *self.bodies)
+        self._odd_if(after.impulse_n < CLINGING * np.maximum(self.bodies[0].mass, self.bodies[1].mass))  # if any
         self._after(np.stack([after.target, after.striker]), t_c.copy(), end)
         self.out.odd |= set(self.who[self.odd].tolist())
 
@@ -96,8 +96,8 @@ class _Block:
         for ball, name in enumerate(names):
             over = who[piece.over[ball]]
             if name == "rest":
-                other = states[1 - ball, who, :2].T[..., None]
-                self._odd_if(excess(self.model, self.bodies[ball][who], states[ball, who], other)[:, 0] > 0, who)
+                loose = excess(self.model, self.bodies[ball][who], states[ball, who], piece.places[1 - ball]) > 0
+                self._odd_if(np.any(loose, axis=1), who)
             elif name == "fly":
                 self._land(ball, over, states, now)
             elif len(over):
