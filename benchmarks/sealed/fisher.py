@@ -27,9 +27,8 @@ LIMIT = 5.0  # expected |z| at the detection limit
 CLASS = 0.9  # of the cosine: beyond it two effects are a class
 FREE = ("restitution", "sliding_friction", "spin_transfer", "rolling_drag", "rolling_decel")
 NUDGES = np.array([1e-6, 1e-6, 1e-6, 1e-5, 1e-5, 1e-5])  # of a launch
-PART = (
-    5e-4  # of a signature's length: of one that the base model absorbs the second order leaves no more when it is weak
-)
+PART = 5e-4  # of a signature's length: less is the second order, and rounding, of one that the base model absorbs
+BENT = 8.0  # times the length at four times the strength: 4 of the first order, 16 of the second
 
 
 @dataclass(frozen=True)
@@ -122,6 +121,12 @@ class Fisher:
     def limit(self, hidden: Callable[[float], Model], first: float, most: float) -> float | None:
         """The strength seen with |z| = LIMIT; None beyond `most`, or where the base model absorbs it."""
         strength = first
+        try:
+            lengths = [float(np.linalg.norm(self.signature(hidden(part * first)))) for part in (0.25, 1.0)]
+        except ValueError:
+            return None
+        if lengths[1] > BENT * lengths[0]:  # only the second order shows: a larger base parameter would hide that too
+            return None
         for _ in range(4):
             try:
                 length = float(np.linalg.norm(self.signature(hidden(strength))))
