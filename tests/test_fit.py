@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2 as chi2_law
 
-from discrepancy.fit import BASE, Evidence, Fit, derivative, fit, launch_derivatives, settle, solve
+from discrepancy.fit import BASE, Evidence, Fit, derivative, fit, launch_derivatives, linearised, settle, solve
 from discrepancy.forecast import forecast
 from discrepancy.noise import Component, Noise
 from discrepancy.parameter import limits_of
@@ -182,3 +182,15 @@ def test_with_nothing_shared_only_the_launches_are_fitted():
     assert now.model == Model()
     assert now.covariance.shape == (0, 0)
     assert abs(now.chi2 / (now.points - 12) - 1) < 4 * np.sqrt(2 / now.points)
+
+
+def test_a_lost_frame_is_fitted_where_it_was_found():
+    """Where in the gap between two frames it was lost means nothing: no step of the fit may carry it away."""
+    truth = TRUTH.replace({"dropped_frame.lost": 0.5, "dropped_frame.frame": 40.0})
+    clips = collisions(truth, 6, 11)
+    start = truth.replace({"dropped_frame.lost": 0.3, "dropped_frame.frame": 40.3})
+    evidence, launches = Evidence.of(clips, WHITE), np.array([c.launch for c in clips])
+    names = (*BASE, "dropped_frame.lost", "dropped_frame.frame")
+    now = settle(evidence, linearised(evidence, start, names, launches))
+    assert now.model.value("dropped_frame.frame") == 40.3
+    assert now.model.value("dropped_frame.lost") == pytest.approx(0.5, abs=4 * now.std["dropped_frame.lost"])

@@ -20,7 +20,7 @@ from scipy.optimize import lsq_linear
 from discrepancy.forecast import forecast
 from discrepancy.measured import Measured
 from discrepancy.noise import Noise
-from discrepancy.parameter import BASE, FINE, limits_of, step_of
+from discrepancy.parameter import BASE, FINE, limits_of, parameter_of, span_of, step_of
 from discrepancy.whiten import Whitener
 from synthcam.model import Model
 
@@ -253,9 +253,21 @@ def linearised(evidence: Evidence, model: Model, names: tuple[str, ...], launche
     residuals = evidence.white([c.xy - e for c, e in zip(evidence.clips, expected, strict=True)])
     if names:
         slopes = evidence.white([np.stack([s[k] for s in shared], axis=-1) for k in range(len(expected))])
+        slopes = telling(model, names, slopes)
     else:
         slopes = tuple(np.zeros((len(r), 0)) for r in residuals)
     return Fit(model, names, launches, residuals, slopes, evidence.white(own))
+
+
+def telling(model: Model, names: Sequence[str], slopes: tuple[Array, ...]) -> tuple[Array, ...]:
+    """Whitened derivatives (2n, S) of each clip, those of shapes that all their range would not show set to zero.
+
+    In the gap between two frames a lost one may be anywhere: no step should carry it away from there.
+    """
+    shapes = [parameter_of(model, n) if "." in n else None for n in names]
+    spans = np.array([span_of(p) if p and p.fixed else np.inf for p in shapes])
+    silent = np.sqrt(sum((s**2).sum(axis=0) for s in slopes)) < 1 / spans
+    return tuple(np.where(silent, 0.0, s) for s in slopes) if silent.any() else slopes
 
 
 def nudged(evidence: Evidence, now: Fit, model: Model) -> Fit | None:

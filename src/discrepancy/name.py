@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from discrepancy.claim import FLOOR, sigmas
-from discrepancy.fit import Evidence, Fit, derivative, linearised, nudged, settle
+from discrepancy.fit import Evidence, Fit, derivative, linearised, nudged, settle, telling
 from discrepancy.forecast import forecast
 from discrepancy.measured import Measured
 from discrepancy.noise import Noise
@@ -113,6 +113,7 @@ def _from_here(evidence: Evidence, now: Fit, candidate: Candidate, tick: Callabl
     here = forecast(grown.model, grown.launches, evidence.clips)
     slopes = [derivative(grown.model, grown.launches, evidence.clips, s, here) for s in suspect.shapes]
     columns = evidence.white([np.stack([s[k] for s in slopes], axis=-1) for k in range(len(here))])
+    columns = telling(grown.model, suspect.shapes, columns)
     return settle(evidence, grown.extended(grown.model, suspect.shapes, columns), tick, fresh=False, rough=True)
 
 

@@ -114,7 +114,8 @@ def step_of(model: Model, name: str) -> float:
     if "." not in name:
         return _LIMITED[name][0] if name in _LIMITED else _UNLIMITED[name]
     p = parameter_of(model, name)
-    return 1e-2 * (p.scale or min(p.high - p.low, 1.0) / 10)
+    apart = min((b - a for a, b in itertools.pairwise(p.tries)), default=0.0)  # a law may jump between them
+    return 1e-2 * (apart or p.scale or min(p.high - p.low, 1.0) / 10)
 
 
 def limits_of(model: Model, name: str) -> tuple[float, float]:
