@@ -1,5 +1,6 @@
 """Generating: the same bytes whatever the workers, the order, and the interruptions. Without video: no OpenGL."""
 
+import functools
 import json
 import os
 import shutil
@@ -191,7 +192,8 @@ def test_killed_or_interrupted_it_goes_on(many, tmp_path, how, workers):
     out, partial = tmp_path / "d", tmp_path / "d.partial"
     options = ["-o", str(out), "--no-video", "--clips", str(MANY), "--seed", "5", "--workers", str(workers)]
     command = [*COMMAND, "generate", str(tmp_path / "s.yaml"), *options]
-    first = subprocess.Popen(command, stderr=subprocess.PIPE, text=True, start_new_session=True)
+    heard = functools.partial(signal.signal, signal.SIGINT, signal.default_int_handler)  # a shell's background job ignores it
+    first = subprocess.Popen(command, stderr=subprocess.PIPE, text=True, start_new_session=True, preexec_fn=heard)
     while first.poll() is None and len(list(partial.glob("clips/[0-9]*[0-9]"))) < 10:
         time.sleep(0.002)
     os.killpg(first.pid, how) if how == signal.SIGINT else first.send_signal(how)  # Ctrl-C reaches all
