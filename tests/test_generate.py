@@ -192,7 +192,8 @@ def test_killed_or_interrupted_it_goes_on(many, tmp_path, how, workers):
     out, partial = tmp_path / "d", tmp_path / "d.partial"
     options = ["-o", str(out), "--no-video", "--clips", str(MANY), "--seed", "5", "--workers", str(workers)]
     command = [*COMMAND, "generate", str(tmp_path / "s.yaml"), *options]
-    heard = functools.partial(signal.signal, signal.SIGINT, signal.default_int_handler)  # a shell's background job ignores it
+    # A shell's background job ignores it, and what it starts would.
+    heard = functools.partial(signal.signal, signal.SIGINT, signal.default_int_handler)
     first = subprocess.Popen(command, stderr=subprocess.PIPE, text=True, start_new_session=True, preexec_fn=heard)
     while first.poll() is None and len(list(partial.glob("clips/[0-9]*[0-9]"))) < 10:
         time.sleep(0.002)
