@@ -88,9 +88,8 @@ class Contest:
     ) -> Contest:
         """Of the library's effects and the base parameters held at zero, or of some of them.
 
-        about: a model near the fit's, with a quicker motion, to take the derivatives about.
-
-        Where balls push each other their motion takes forty times as long; derivatives are then those without that.
+        about: a model near the fit's, with a quicker motion, to take the derivatives about. Where balls push each other
+        their motion takes some eight times as long; derivatives are then those without that.
         """
         plain, trials = uncoupled(about or now.model), []
         here = forecast(plain, now.launches, evidence.clips)
@@ -123,7 +122,7 @@ class Contest:
         return np.split(every, cuts, axis=1)
 
     @cached_property
-    def _axes(self) -> list[Array]:
+    def _bases(self) -> list[Array]:
         """Of each trial an orthonormal basis (points, m) of its signature."""
         _, absorbed = self._left(None)
         every = []
@@ -136,7 +135,7 @@ class Contest:
     def looks(self) -> dict[str, float]:
         """How many independent looks at the data all the shapes of a suspect are, by its name."""
         by_name: dict[str, list[Array]] = {}
-        for trial, axes in zip(self.trials, self._axes, strict=True):
+        for trial, axes in zip(self.trials, self._bases, strict=True):
             by_name.setdefault(trial.suspect.name, []).append(axes[:: 1 + len(axes) // ROWS])
         return {name: looks_of(every) for name, every in by_name.items()}
 
@@ -229,7 +228,7 @@ class Contest:
         if not self.trials:
             return 0.0
         sides = [_side(t.suspect, self.now) if len(t.suspect.strengths) == 1 else 0 for t in self.trials]
-        every = [axes * (side or 1) for axes, side in zip(self._axes, sides, strict=True)]
+        every = [axes * (side or 1) for axes, side in zip(self._bases, sides, strict=True)]
         looks = [self.looks[t.suspect.name] for t in self.trials]
         return by_chance(every, [side != 0 for side in sides], level, looks)
 
