@@ -6,7 +6,7 @@
 A study goes on where it stopped; another round has other boxes. The hash of each truth is on record before the
 analysis, which runs in a process of its own and is given tracks and camera. Studies: tracks and video draw nothing,
 one effect, two, one from outside the library or a tracker's defect, at 1 to 20 times its own detection limit; nulls,
-power, naming, pairs, outside and filmed put one question each. index.html in the output is the page.
+power, naming, pairs, outside, filmed and defects put one question each. index.html in the output is the page.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from pathlib import Path
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # before numpy: its matrices here are too small to share out
 
 from sealed import oracle, page
-from sealed.boxes import Study, draw
+from sealed.boxes import Study, Truth, draw
 from sealed.evidence import alone, prepare
 from sealed.judge import judge
 from sealed.ledger import Ledger
@@ -46,15 +46,20 @@ STUDIES = {
         Study("outside", {"outside": 1}, 100, ratios=(2, 5)),
         Study("video", ALL, 40, filmed=True),
         Study("filmed", {"none": 0.2, "one": 0.8}, 40, ratios=(1.5, 5), filmed=True),
+        Study("defects", {"defect": 1}, 20, filmed=True),
     )
 }
 
 
+SOURCES = ("src/discrepancy", "src/synthcam", "src/tracker", "benchmarks/sealed")
+
+
 def code() -> str:
-    """A fingerprint of the search that answered."""
+    """A fingerprint of all that makes the boxes, answers them and judges."""
     digest = hashlib.sha256()
-    for path in sorted((ROOT / "src" / "discrepancy").rglob("*.py")):
-        digest.update(path.read_bytes())
+    for folder in SOURCES:
+        for path in sorted((ROOT / folder).rglob("*.py")):
+            digest.update(path.relative_to(ROOT).as_posix().encode() + path.read_bytes())
     return digest.hexdigest()[:8]
 
 
@@ -62,25 +67,30 @@ def trial(study: Study, box: int, output: Path) -> str:
     """Seal, analyse and open one box; a line that tells of it."""
     ledger = Ledger(output, study.name)
     ledger.seal(box, draw(study, box))
-    version = code()
     with tempfile.TemporaryDirectory(prefix="box-") as temporary:
         folder = Path(temporary)
-        try:
-            measured, camera = prepare(ledger.truth(box), folder / "evidence")
-        except RuntimeError as e:
-            said = {"verdict": "refused", "why": f"tracker: {e}"}
-        else:
-            model = folder / "model.yaml"
-            write_model(Model(), model)
-            said = analysed(measured, camera, model, folder)
-        ledger.answer(box, said)
-        beside = {"gap": oracle.gap(ledger.truth(box), said, folder), "code": version}
+        said = ledger.answered(box)
+        if said is None:
+            said = {"code": code()} | answered(ledger.truth(box), folder)
+            ledger.answer(box, said)
+        beside = {"gap": oracle.gap(ledger.truth(box), said, folder)}  # {} of an answer by a run that was killed
         row = judge({"truth": ledger.open(box, said, beside), "answer": said} | beside)
     word = "right" if row.right else "right class" if row.kin else "WRONG"
     return (
         f"{study.name} {box}: {row.kind} {'+'.join(row.hidden)} {row.ratio:.1f} {row.noise} {row.source} -> "
         f"{row.verdict} {'+'.join(row.called)} {word} ({row.cpu:.0f} s)"
     )
+
+
+def answered(truth: Truth, folder: Path) -> dict[str, object]:
+    """Make the evidence of a box and have it analysed; the answer."""
+    try:
+        measured, camera = prepare(truth, folder / "evidence")
+    except RuntimeError as e:
+        return {"verdict": "refused", "why": f"tracker: {e}"}
+    model = folder / "model.yaml"
+    write_model(Model(), model)
+    return analysed(measured, camera, model, folder)
 
 
 def analysed(measured: Path, camera: Path | None, model: Path, folder: Path) -> dict[str, object]:

@@ -32,31 +32,37 @@ def orthonormal(count, points=60):
     return np.linalg.qr(np.random.default_rng(1).standard_normal((points, count)))[0]
 
 
+def chance(axes, *rest, **more):
+    """Of candidates with these orthonormal bases (points, k)."""
+    together = np.concatenate(axes, axis=1)
+    return by_chance(together.T @ together, [a.shape[1] for a in axes], *rest, **more)
+
+
 @pytest.mark.parametrize("level", [1e-3, 0.05])
 def test_the_best_of_independent_candidates(level):
     axes = [a[:, None] for a in orthonormal(20).T]
     each = 1 - (1 - level) ** (1 / 20)
-    assert by_chance(axes, [False] * 20, level) == pytest.approx(norm.isf(each / 2), rel=0.02)
-    assert by_chance(axes, [True] * 20, level) == pytest.approx(norm.isf(each), rel=0.02)
+    assert chance(axes, [False] * 20, level) == pytest.approx(norm.isf(each / 2), rel=0.02)
+    assert chance(axes, [True] * 20, level) == pytest.approx(norm.isf(each), rel=0.02)
 
 
 def test_the_same_candidate_many_times_is_one():
     axis = orthonormal(1)
-    assert by_chance([axis] * 30, [False] * 30) == pytest.approx(norm.isf(5e-4), rel=0.02)
-    assert by_chance([axis, -axis], [True, True]) == pytest.approx(norm.isf(5e-4), rel=0.02)
+    assert chance([axis] * 30, [False] * 30) == pytest.approx(norm.isf(5e-4), rel=0.02)
+    assert chance([axis, -axis], [True, True]) == pytest.approx(norm.isf(5e-4), rel=0.02)
 
 
 def test_candidates_of_several_strengths_count_once():
     both = orthonormal(5)
-    assert by_chance([both], [False]) == pytest.approx(norm.isf(5e-4), rel=0.02)  # whatever its freedom
-    single = by_chance([both[:, :3], both[:, 3:4], both[:, 4:]], [False] * 3)
+    assert chance([both], [False]) == pytest.approx(norm.isf(5e-4), rel=0.02)  # whatever its freedom
+    single = chance([both[:, :3], both[:, 3:4], both[:, 4:]], [False] * 3)
     assert single == pytest.approx(norm.isf((1 - (1 - 1e-3) ** (1 / 3)) / 2), rel=0.02)
 
 
 def test_what_the_fit_absorbs_scores_nothing():
-    assert by_chance([np.zeros((9, 0))], [False]) == 0.0
+    assert chance([np.zeros((9, 0))], [False]) == 0.0
     axis = orthonormal(1)
-    assert by_chance([axis[:, :0], axis], [False, False]) == by_chance([axis], [False])
+    assert chance([axis[:, :0], axis], [False, False]) == chance([axis], [False])
 
 
 def test_looks_are_counted_and_paid_for():
@@ -67,6 +73,6 @@ def test_looks_are_counted_and_paid_for():
     assert looks_of([many[:, :2], many[:, 2:4], many[:, :2]]) == pytest.approx(9 / 5)
     assert sigmas(50.0, 3, 20) == pytest.approx(np.sqrt(sigmas(50.0, 3) ** 2 - 2 * np.log(20)))
     each = norm.isf((1 - (1 - 1e-3) ** (1 / 20)) / 2)
-    paid = by_chance([a[:, None] for a in many.T], [False] * 20, looks=[20.0] * 20)
+    paid = chance([a[:, None] for a in many.T], [False] * 20, looks=[20.0] * 20)
     assert paid == pytest.approx(np.sqrt(each**2 - 2 * np.log(20)), rel=0.03)
     assert paid < norm.isf(5e-4)  # no further price among other candidates

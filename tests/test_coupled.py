@@ -174,6 +174,17 @@ def test_a_target_that_is_pushed_away_all_but_as_fast_as_it_is_chased_is_refused
         collisions(model, np.array([[0, 0, T_C, 0.1, 0.3, b]]), 0.0, 0.4)
 
 
+@pytest.mark.parametrize(("pull", "v0"), [(0.1, 0.0063), (0.3, 0.013), (0.5, 0.0175)])
+def test_a_striker_hardly_faster_than_the_pull_makes_it(pull, v0):
+    """Where its start is hard to find: led forward by scipy from well before the onset."""
+    _, launch, motion = launched(pull, v0, 0.1, -0.4, T_C)
+    when, states, onset = forward(pull, motion.at(-0.4)[:, 0])
+    assert when - 0.4 == pytest.approx(T_C, abs=1e-7)
+    assert motion.first("start").t == pytest.approx(onset - 0.4, abs=1e-8)
+    np.testing.assert_allclose(states[:, :2], launch.states[:, :2], rtol=0, atol=1e-9)
+    np.testing.assert_allclose(states[1, 2:], launch.states[1, 3:5], rtol=0, atol=1e-8)
+
+
 def test_a_striker_that_the_pull_alone_outruns_is_refused():
     """Let go at rest where 5/7 of the pull is what holds them, the balls would meet faster than this one rolls."""
     pull, v0 = 0.3, 0.01

@@ -1,5 +1,7 @@
 """The commands: from files to a verdict, and one clear line for bad input."""
 
+import functools
+import io
 import json
 import re
 import shutil
@@ -9,6 +11,7 @@ from pathlib import Path
 
 import pandas as pd
 import pytest
+from rich.console import Console
 
 from discrepancy import cli
 from discrepancy_clips import only
@@ -104,6 +107,64 @@ def test_add_fits_a_suspect(recorded, tmp_path, capsys):
     assert read_model(tmp_path / "new.yaml").value("velocity_restitution.e") == fitted
 
 
+def test_add_tells_what_it_fitted(recorded, tmp_path, capsys):
+    words = ("--model", MODEL, "-o", tmp_path / "new.yaml", "--fit", recorded / "results")
+    assert command("add", "velocity_restitution", *words, "--json") == 0
+    said = json.loads(capsys.readouterr().out)
+    assert abs(said["parameters"]["e"] - TRUTH) < 3.5 * said["std"]["e"] < 0.1 * TRUTH
+    assert said["sigma"] > 100
+    assert said["chi2"]["before"] > 10 > said["chi2"]["after"]
+    assert command("add", "velocity_restitution", *words) == 0
+    told = capsys.readouterr().out
+    assert re.search(r"velocity_restitution \(e = 0\.\d+ \+- 0\.\d+; \d+ sigma\); chi\^2 .* goes from", told)
+    assert "(6 of 6)" in told
+
+
+def test_add_of_what_cannot_be_told_is_one_line(recorded, tmp_path, capsys):
+    words = ("add", "clock_error", "--model", MODEL, "--fit", recorded / "results", "-o", tmp_path / "new.yaml")
+    assert command(*words) == 2
+    assert capsys.readouterr().err.count("\n") == 1
+    assert list(tmp_path.iterdir()) == []
+
+
+def swapped(recorded, tmp, *clips):
+    """The table and its first clip once more, balls exchanged in some clips: where that divides by zero if measured."""
+    table = pd.read_csv(recorded / "tracks.csv")
+    table = pd.concat([table, table[table["clip"] == 0].assign(clip=6)])
+    late = table["clip"].isin(clips) & (table["frame"] >= 39)
+    table.assign(particle=table["particle"].where(~late, 1 - table["particle"])).to_csv(tmp / "t.csv", index=False)
+    return tmp / "t.csv", "--camera", recorded / "camera.json"
+
+
+def test_clips_left_out_are_told_and_written(recorded, tmp_path, capsys, monkeypatch):
+    only(monkeypatch)
+    table, why = swapped(recorded, tmp_path, 6), "clip 6: the balls have exchanged their names at frame 39"
+    assert command("find", *table, "--model", MODEL, "-o", tmp_path / "report") == 0
+    out, err = capsys.readouterr()
+    assert f"1 left out: {why}\n" in out
+    assert "(6 of 7 collisions, " in out
+    assert err == ""
+    assert document(tmp_path / "report")["clips"]["left_out"] == [why]
+    assert why in (tmp_path / "report/index.html").read_text()
+    words = ("add", "velocity_restitution", "--model", MODEL, "-o", tmp_path / "new.yaml", "--fit", *table)
+    assert command(*words) == 0
+    assert f"(6 of 7)\n1 left out: {why}\n" in capsys.readouterr().out
+
+
+def test_the_bar_goes_through_the_stages_and_back(monkeypatch):
+    screen = io.StringIO()
+    monkeypatch.setattr(cli, "Console", functools.partial(Console, file=screen, force_terminal=True, width=80))
+    for told, shown in (
+        (("noise", "fit", "slots", "search", "slots"), r"slots .* 3/7 "),
+        (("noise", "fit", "fit", "search", "fit"), r"fit, round 2 .* 1/7 "),
+    ):
+        screen.truncate(0)
+        with cli.stages(cli.STAGES) as tick:
+            for stage in told:
+                tick(stage)
+        assert re.search(shown, re.sub(r"\x1b\[[0-9;?]*\w", "", screen.getvalue()))
+
+
 def test_an_earlier_report_is_replaced_and_nothing_else(recorded, report, tmp_path):
     old = shutil.copytree(report, tmp_path / "report")
     (old / "notes.txt").write_text("mine")
@@ -163,10 +224,15 @@ def one_camera_too_many(recorded, tmp):
     return recorded / "results", ("--camera", recorded / "camera.json"), "holds its own"
 
 
+def all_swapped(recorded, tmp):
+    table, *camera = swapped(recorded, tmp, *range(7))
+    return table, camera, "exchanged"
+
+
 BAD = [no_folder, no_estimates, damaged, a_column_short, a_clip_short, few, none_at_all, nothing_finite, no_camera]
 
 
-@pytest.mark.parametrize("bad", [*BAD, one_camera_too_many], ids=lambda f: f.__name__)
+@pytest.mark.parametrize("bad", [*BAD, one_camera_too_many, all_swapped], ids=lambda f: f.__name__)
 def test_bad_input_is_one_line_and_leaves_nothing(bad, recorded, tmp_path, capsys):
     measured, more, expected = bad(recorded, tmp_path)
     before = sorted(tmp_path.rglob("*"))

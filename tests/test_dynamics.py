@@ -290,14 +290,17 @@ def test_tilt_and_quadratic_loss_in_an_oblique_collision():
 
 @pytest.mark.parametrize("strength", [1e-5, 1e-8, 1e-11])
 def test_numerical_legs_become_the_closed_form(strength):
-    launch = Launch.pair(PAIR, 0.1, 0.3, 0.3, 1.0, (0, 0))
+    launch = Launch(0.0, np.stack([rolling(0, 0, 0, 0), rolling(-0.01, 7e-4, 0.3, 0)]), PAIR)
     bent = Model(effects=(PlateTilt(x=strength), RollingQuadratic(K=strength)))
     base, near = solve(Model(), launch, 0.0, 12.0), solve(bent, launch, 0.0, 12.0)
     times = np.linspace(0, 1, 200)
     np.testing.assert_allclose(near.at(times)[..., :6], base.at(times)[..., :6], rtol=0, atol=10 * strength + 1e-14)
     assert [e.kind for e in near.events] == [e.kind for e in base.events]
-    gaps = [abs(a.t - b.t) for a, b in zip(near.events, base.events, strict=True)]
-    assert max(gaps) < 2e4 * strength + 1e-8  # stops, at 5 s, lean on the tilt a thousandfold
+    for a, b in zip(near.events, base.events, strict=True):
+        if a.kind == "stop":  # at 5 s they lean on the tilt a thousandfold
+            assert abs(a.t - b.t) < 4e3 * strength + 1e-9
+        else:
+            assert abs(a.t - b.t) < 0.1 * strength + 1e-12
 
 
 def test_a_curved_roll_stops_when_scipy_says():

@@ -11,7 +11,7 @@ from discrepancy_clips import EXPOSURE, FPS, HIDDEN, STD, blank, collisions, lau
 from discrepancy_outsiders import FEW, OUTSIDERS, outsider
 from sealed.integrator import Plate, collision, means
 from synthcam.effect import library
-from synthcam.model import Model
+from synthcam.model import Ball, Model
 from tracker.geometry import InputError
 
 KEYS = {"verdict", "named", "aliases", "outside", "where", "ranking", "gap", "experiment"}
@@ -98,10 +98,10 @@ def test_two_hidden_effects_are_both_named_with_the_strengths_of_the_last_fit(mo
     assert all(found.model.value(k) == v for n in found.named for k, v in n.values.items())
 
 
-def test_what_the_library_holds_is_not_called_outside_it(monkeypatch):
-    """Friction with a shape of its own, which a slot could bend to."""
-    hidden = {"stribeck.rise": 0.03}
-    only(monkeypatch, **{name: library()[name] for name in FEW})
+@pytest.mark.parametrize("hidden", [{"stribeck.rise": 0.03}, {"plate_tilt.x": 1e-3}])
+def test_what_the_library_holds_is_not_called_outside_it(monkeypatch, hidden):
+    """Friction with a shape of its own, or one strength of two, which a slot could bend to."""
+    only(monkeypatch, **{name: library()[name] for name in {*FEW, "plate_tilt"}})
     found = find(collisions(Model().replace(hidden), 10, 4), Model())
     assert found.slot is None
     assert found.verdict == "named"
@@ -170,13 +170,18 @@ def test_the_order_of_the_clips_does_not_matter(monkeypatch):
     assert one["gap"] == pytest.approx(other["gap"], rel=1e-4)
 
 
-def test_an_effect_in_the_model_with_a_wrong_strength_is_named_again(monkeypatch):
+@pytest.mark.parametrize("truth", [0.05, 0.0])
+def test_an_effect_in_the_model_with_a_wrong_strength_is_named_again(monkeypatch, truth):
     only(monkeypatch)
     wrong = Model().replace({"velocity_restitution.e": 0.03})
-    found = find(collisions(Model().replace(HIDDEN["velocity_restitution"]), 8, 3), wrong)
+    found = find(collisions(Model().replace({"velocity_restitution.e": truth}), 8, 3), wrong)
     assert found.verdict == "named"
-    assert names(found) == ["velocity_restitution"]
-    within(found, HIDDEN["velocity_restitution"])
+    (named,) = found.named
+    assert named.effect == "velocity_restitution"
+    assert abs(named.values["velocity_restitution.e"] - truth) < 3.5 * 2.4e-4
+    assert named.std["velocity_restitution.e"] == pytest.approx(2.3e-4, rel=0.1)
+    assert found.sentence().startswith("Wrong: velocity_restitution.e is not 0.03 but ")
+    assert "Missing" not in found.sentence()
 
 
 def test_a_model_without_rolling_loss_is_searched_too():
@@ -238,4 +243,58 @@ def test_an_added_effect_gets_its_shape(monkeypatch):
     only(monkeypatch, stribeck=library()["stribeck"])
     truth = {"stribeck.rise": 0.1, "stribeck.slip": 0.2}
     new = add(collisions(Model().replace(truth), 6, 4), Model(), "stribeck")
-    assert {k: new.value(k) for k in truth} == pytest.approx(truth, rel=0.1)
+    assert {k: new.now.model.value(k) for k in truth} == pytest.approx(truth, rel=0.1)
+    for key, std in (new.named.std | new.named.shape_std).items():
+        assert abs(new.now.model.value(key) - truth[key]) < 3.5 * std
+    assert new.named.sigma > 20
+    assert new.chi2[0] > 1.2
+    assert new.chi2[1] == pytest.approx(1, abs=0.1)
+
+
+def test_what_cannot_be_told_is_not_added(monkeypatch):
+    only(monkeypatch, clock_error=library()["clock_error"])
+    clips = collisions(Model(), 6, 4)
+    with pytest.raises(InputError, match="clock_error: these collisions cannot tell it"):
+        add(clips, Model(), "clock_error")
+    with pytest.raises(InputError, match="5 measured collisions: expected 6"):
+        add(clips[:5], Model(), "clock_error")
+
+
+class Narrow(library()["velocity_restitution"]):
+    """The same law, its strength allowed in a narrow range only."""
+
+    @classmethod
+    def name(cls):
+        return "velocity_restitution"
+
+    @classmethod
+    def parameters(cls):
+        return tuple(dataclasses.replace(p, low=-0.02, high=0.02) for p in super().parameters())
+
+
+def test_a_strength_at_its_limit_has_no_error(monkeypatch):
+    clips, found = collisions(Model().replace(HIDDEN["velocity_restitution"]), 6, 3), searched("velocity_restitution")
+    Narrow.laws = library()["velocity_restitution"].laws
+    only(monkeypatch, velocity_restitution=Narrow)
+    new = add(clips, Model(), "velocity_restitution")
+    assert "(e = 0.02 at its limit; " in new.sentence()
+    assert new.document()["std"] == {"e": None}
+    named = dataclasses.replace(found, named=(new.named,))
+    (said,) = named.document()["named"]
+    assert np.isnan(said["std"]["velocity_restitution.e"])
+    assert said["at_limit"] == ["velocity_restitution.e"]
+    assert "(e = 0.02 at its limit; " in named.sentence()
+    assert found.document()["named"][0]["at_limit"] == []
+
+
+@pytest.mark.parametrize("wide", ["camera", "model"])
+def test_a_camera_and_a_model_of_different_balls_are_refused(wide):
+    clips, model, sizes = collisions(Model(), 6, 5), Model(), ("2.38", "2.5")
+    if wide == "camera":
+        camera = dataclasses.replace(clips[0].camera, ball_diameter=2.5e-3)
+        clips[-1], sizes = dataclasses.replace(clips[-1], camera=camera), sizes[::-1]
+    else:
+        model = dataclasses.replace(model, ball=Ball(diameter=2.5e-3))
+    for asked in (lambda: find(clips, model), lambda: add(clips, model, "hop")):
+        with pytest.raises(InputError, match=r"camera.json is {} mm wide .*, that of the model {} mm".format(*sizes)):
+            asked()

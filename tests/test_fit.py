@@ -82,6 +82,9 @@ def test_what_is_projected_holds_nothing_that_the_fit_can_absorb(fitted):
     for basis in (absorbed, launch):
         unit = basis / np.linalg.norm(basis, axis=0)
         assert np.abs(unit.T @ left).max() < 1e-6 * np.linalg.norm(left)
+    gram, pull = fitted.information(columns)
+    assert np.allclose(gram, left.T @ left, rtol=1e-9, atol=1e-9 * np.trace(gram))
+    assert np.allclose(pull, left.T @ np.concatenate(fitted.residuals), atol=1e-9 * np.trace(gram))
 
 
 def slope(model, clip, name):

@@ -61,6 +61,7 @@ def test_with_nothing_hidden_there_is_no_gap(rho):
     assert gap.before == gap.after
     assert gap.after == pytest.approx(gap.floor, rel=0.12)
     assert gap.floor_um == pytest.approx(1.6, rel=0.1)
+    assert np.isnan(gap.closure)  # a share of chance
 
 
 def test_the_floor_is_what_six_numbers_a_clip_leave_of_noise():

@@ -162,7 +162,7 @@ def test_a_camera_with_wrong_units_is_refused(recorded, tmp_path, change, said):
         read_measured(recorded / "tracks.csv", tmp_path / "camera.json")
 
 
-@pytest.mark.parametrize("frame", [8, 45, 70])
+@pytest.mark.parametrize("frame", [8, 39, 45, 70])  # measured nevertheless, that at 39 would divide by zero
 def test_a_clip_whose_balls_exchange_names_is_left_out_and_said(recorded, tmp_path, frame):
     def swap(t):
         late = (t["clip"] == 0) & (t["frame"] >= frame)
@@ -205,3 +205,13 @@ def test_what_clips_that_are_all_alike_cannot_tell():
         assert len(said) == 1
         assert word in said[0]
     assert len(cannot_tell(alike(speed=0.3, b=0.0, heading=0.0))) == 3
+
+
+def test_one_speed_hides_what_hangs_on_it():
+    """Restitution hangs on the speed along the line of centres; friction on one that falls to zero in a clip."""
+    same = alike(speed=0.3)
+    (said,) = cannot_tell(same)
+    assert "how restitution or spin transfer changes with the speed can hardly be told" in said
+    wide = [dataclasses.replace(c, launch=np.r_[c.launch[:5], 0.2 * c.clip - 0.7]) for c in same]
+    (said,) = cannot_tell(wide)
+    assert "how spin transfer changes with the speed can hardly be told" in said

@@ -91,14 +91,14 @@ def test_an_effect_that_is_not_needed_is_dropped(monkeypatch):
     assert [s.name for s in better] == ["velocity_restitution"]
 
 
-def test_every_step_holds_the_effects_named_so_far(monkeypatch):
+def test_the_best_fit_holds_the_named_effects_and_no_other(monkeypatch):
     few(monkeypatch)
     clips, base, noise = started(Model().replace({"velocity_restitution.e": 0.02, "rolling_quadratic.K": 0.3}))
     found = search(clips, base, noise)
     assert {n.effect for n in found.named} == {"velocity_restitution", "rolling_quadratic"}
-    for k, step in enumerate(found.steps):
-        assert {e.name() for e in step.model.effects} == {n.effect for n in found.named[:k]}
-    assert found.steps[0].chi2 > found.steps[1].chi2 + 16 > found.steps[2].chi2 + 32
+    assert found.base.model.effects == ()
+    assert {e.name() for e in found.best.model.effects} == {n.effect for n in found.named}
+    assert found.base.chi2 > found.best.chi2 + 48
 
 
 @cache

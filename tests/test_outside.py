@@ -7,9 +7,11 @@ import pytest
 
 from discrepancy.fit import BASE, Evidence, fit
 from discrepancy.noise import Component, Noise
-from discrepancy.outside import EFFECTS, MARGIN, Slots, price, unseen
+from discrepancy.outside import MARGIN, Slots, unseen
+from discrepancy.price import price
 from discrepancy.slots import slots
 from discrepancy_clips import collisions, exact
+from synthcam.effect import library
 from synthcam.model import Model
 
 NOISE = Noise(Component(1.0))
@@ -88,7 +90,7 @@ def test_a_strength_is_paid_for_and_a_shape_by_how_well_it_is_known():
     now = fit(clips, truth, (*BASE, "stribeck.rise", "stribeck.slip"), NOISE)
     z, known = (now.model.value(n) / now.std[n] for n in ("stribeck.rise", "stribeck.slip"))
     shape = 2 * np.log(np.log(25) * known / np.sqrt(2 * np.pi))  # of a range 1 : 25
-    wanted = EFFECTS + 1 + np.log(z**2) + shape
+    wanted = 2 * np.log(len(library())) + 1 + np.log(z**2) + shape
     assert price(now, base) - now.chi2 == pytest.approx(wanted, abs=0.05)
     assert price(base, base) == base.chi2
 

@@ -15,6 +15,7 @@ def test_each_row_keeps_its_own_in_order(mask):
     packed = some.gather(values)
     assert packed.shape == (len(mask), mask.sum(axis=1).max())
     assert some.any == mask.any()
-    for row, own, kept in zip(values, mask, packed, strict=True):
+    for row, own, kept, taken in zip(values, mask, packed, some.inside, strict=True):
         np.testing.assert_array_equal(kept[: own.sum()], row[own])
-    np.testing.assert_array_equal(packed[some.rows, some.places], values[some.rows, some.columns])
+        np.testing.assert_array_equal(kept[own.sum() :], 0.0)
+        np.testing.assert_array_equal(taken, np.arange(len(taken)) < own.sum())

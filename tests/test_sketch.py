@@ -3,6 +3,7 @@
 import cv2
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 from typer.testing import CliRunner
 
 from synthcam.cli import app
@@ -30,6 +31,18 @@ def test_it_draws(name, tmp_path):
     drawn = cv2.imread(str(tmp_path / "e.png"))
     assert drawn.shape[0] > 300
     assert 0.02 < (drawn < 250).any(axis=2).mean() < 0.5
+
+
+def test_no_legend_covers_an_axis(tmp_path, monkeypatch):
+    drawn = []
+    monkeypatch.setattr(Figure, "savefig", lambda figure, *path, **settings: drawn.append(figure))
+    sketch(realistic(library()["plate_tilt"]), tmp_path / "t.png")
+    (figure,) = drawn
+    figure.draw_without_rendering()
+    boxes = [axes.get_tightbbox() for axes in figure.get_axes()]
+    legends = [legend.get_window_extent() for half in figure.subfigs for legend in half.legends]
+    assert (len(boxes), len(legends)) == (2, 2)
+    assert not any(legend.overlaps(box) for legend in legends for box in boxes)
 
 
 def test_the_command(tmp_path):

@@ -34,6 +34,14 @@ def test_what_is_missing_is_said_with_its_numbers():
     assert "Nothing is missing" in story(searched("nothing"))[2]
 
 
+def test_a_share_of_chance_is_not_told():
+    found = searched("velocity_restitution")
+    assert "% of the gap in chi^2 is closed." in story(found)[3]
+    gap = dataclasses.replace(found.shown.gap, closure=float("nan"))
+    none = dataclasses.replace(found, shown=dataclasses.replace(found.shown, gap=gap))
+    assert story(none)[3].endswith("too small a gap to tell what share of it is closed.")
+
+
 def test_a_fit_that_did_not_converge_is_said():
     """The base fit of one noise, put where chi^2 still falls."""
     base = searched("nothing").search.base

@@ -177,6 +177,9 @@ def test_effects_and_schema(command):
     assert "plate_tilt: " in out
     status, out, _ = command("effects", "plate_tilt")
     assert "x: strength, rad, realistic 0.001, from -0.1 to 0.1" in out
+    assert all(line == line.rstrip() for line in out.splitlines())
+    assert "    x, y: slopes, positive where the plate falls" in out
+    assert out.endswith("drawn with -o: synthcam effects plate_tilt -o plate_tilt.png\n")
     status, out, _ = command("effects", "--json")
     assert {json.loads(line)["effect"] for line in out.splitlines()} >= {"plate_tilt", "rolling_quadratic"}
     status, _, err = command("effects", "plate_tlit")

@@ -38,6 +38,25 @@ def test_a_curve_that_is_there_is_worth_its_freedom_and_noise_is_not():
     assert np.quantile([weigh(SLOT, DESIGN.T @ DESIGN, DESIGN.T @ (n + curve)).gain for n in noise], 0.01) > 9.5
 
 
+def test_a_field_that_acts_and_changes_along_one_axis_costs_less_freedom():
+    axes = Axis("x", "px", 0.0, 1.0, 8), Axis("y", "px", 0.0, 1.0, 8)
+    slot = Slot("warp_place", "shift of the picture", "px", axes, parts=2)
+    one = slot.basis(*RNG.uniform(0, 1, (2, 400)))
+    x = np.linspace(0, 1, 50)
+    along = np.linalg.lstsq(axes[0].basis(x), x**4, rcond=None)[0]  # a function of x alone, along x alone
+    truth = np.outer(along, np.arange(8) == 0).ravel()
+    design = np.kron(np.eye(2), one)
+    signal = np.concatenate([one @ truth, np.zeros(400)])
+    pull = design.T @ (10 * signal / np.linalg.norm(signal - signal.mean()))
+    weight = weigh(slot, design.T @ design, pull)
+    spread = slot.spread(weight.prior.length)
+    matrix = np.eye(128) + weight.prior.size**2 * spread[:, None] * (design.T @ design)
+    alike = pull @ np.linalg.solve(matrix, weight.prior.size**2 * spread * pull) - np.linalg.slogdet(matrix)[1]
+    assert weight.prior.cost == pytest.approx(4 * np.log(3))
+    assert weight.gain > alike + 10
+    assert np.abs(weight.coefs[64:]).max() < 1e-6 * np.abs(weight.coefs).max()
+
+
 def test_significance_is_rare_in_noise():
     scores = np.array([significance(SLOT, DESIGN.T @ DESIGN, DESIGN.T @ n) for n in RNG.standard_normal((600, 30))])
     assert 0.01 < np.mean(scores > 1.96) < 0.06  # 5 % of a normal variable; the looks overlap
@@ -65,6 +84,9 @@ def test_the_price_of_freedom_in_closed_form(z):
     assert freedom(np.eye(1), np.array([z])) == pytest.approx(one, abs=0.02)
     assert freedom(np.eye(2), np.array([z, -z])) == pytest.approx(2 * one, abs=0.04)
     assert freedom(1e6 * np.eye(2), np.array([z, z]) / 1e3) == pytest.approx(2 * one, abs=0.04)
+    assert freedom(np.eye(2), np.array([0, z])) == pytest.approx(
+        min(one + 2 * np.log(3), 2 + 2 * np.log(z**2 / 2)), abs=0.04
+    )
 
 
 def test_nothing_found_costs_nothing_more_than_it_gains():

@@ -49,7 +49,7 @@ class Row:
     seconds: float = math.nan
     cpu: float = math.nan
     box: int = -1
-    code: str = ""  # a fingerprint of the search that answered
+    code: str = ""  # a fingerprint of what made the box and answered it
 
     @property
     def worked(self) -> bool:
@@ -124,7 +124,7 @@ def judge(line: dict[str, Any]) -> Row:
         seconds=answer.get("seconds", math.nan),
         cpu=answer.get("cpu", math.nan),
         box=truth["box"],
-        code=line.get("code", ""),
+        code=answer.get("code", ""),
     )
 
 

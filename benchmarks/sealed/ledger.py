@@ -1,8 +1,8 @@
 """Sealed boxes: the hash of a truth is on record before the analysis, and each box is opened once.
 
 Of a study NAME: NAME.ledger.jsonl, a line when a box is sealed (the truth's hash) and one when it is answered (the
-answer's); NAME.sealed/, the truths with their salt; NAME.jsonl, the opened boxes. The line that opens a box is its
-result: a run killed at any moment leaves a box either unopened or done.
+answer's); NAME.sealed/, the truths with their salt, and the answers; NAME.jsonl, the opened boxes. The line that opens
+a box is its result: a run killed at any moment leaves a box without an answer, with its one answer, or done.
 """
 
 from __future__ import annotations
@@ -45,24 +45,31 @@ class Ledger:
         """Put the truth of a box on record. A box sealed before, and not opened, stays as it was."""
         if self._hash(box, "truth") is None:
             salted = truth | {"salt": secrets.token_hex(16)}
-            path = self._path(box)
-            beside = path.with_suffix(f".{os.getpid()}.tmp")
-            beside.write_text(json.dumps(salted, allow_nan=False))
-            beside.replace(path)
+            _write(self._path(box), salted)
             _append(self.record, {"box": box, "truth": digest(salted)})
 
     def answer(self, box: int, answer: Json) -> None:
-        """Put the answer on record, before the truth is looked at."""
+        """Put the one answer on record, before the truth is looked at. Raises Broken."""
         if self._hash(box, "truth") is None:
             raise Broken(f"box {box}: answered before it was sealed")
+        if self._hash(box, "answer") is not None:
+            raise Broken(f"box {box}: answered before")
+        _write(self._path(box, ".answer"), answer)
         _append(self.record, {"box": box, "answer": digest(answer)})
+
+    def answered(self, box: int) -> Json | None:
+        """The answer on record, held against its hash, for a run that goes on after a kill. Raises Broken."""
+        if self._hash(box, "answer") is None:
+            return None
+        answer: Json = json.loads(self._path(box, ".answer").read_text())
+        self._hold(box, answer)
+        return answer
 
     def open(self, box: int, answer: Json, beside: Json) -> Json:
         """Open a box and write its result, `beside` with it; the truth. Raises Broken."""
         if any(row["box"] == box for row in self.opened()):
             raise Broken(f"box {box}: opened before")
-        if self._hash(box, "answer") != digest(answer):
-            raise Broken(f"box {box}: this is not the answer on record")
+        self._hold(box, answer)
         truth = self.truth(box)
         _append(self.results, {"box": box, "truth": truth, "answer": answer} | beside)
         return truth
@@ -74,15 +81,16 @@ class Ledger:
             raise Broken(f"box {box}: the truth is not the one that was sealed")
         return truth
 
-    def _path(self, box: int) -> Path:
-        return self.sealed / f"{box:05d}.json"
+    def _hold(self, box: int, answer: Json) -> None:
+        if self._hash(box, "answer") != digest(answer):
+            raise Broken(f"box {box}: this is not the answer on record")
+
+    def _path(self, box: int, what: str = "") -> Path:
+        return self.sealed / f"{box:05d}{what}.json"
 
     def _hash(self, box: int, what: str) -> str | None:
-        """The first hash of a truth on record, the last of an answer: a killed run may answer again."""
-        found = [line[what] for line in lines(self.record) if line["box"] == box and what in line]
-        if not found:
-            return None
-        return str(found[0] if what == "truth" else found[-1])
+        """The first hash on record of a box's truth or answer."""
+        return next((str(line[what]) for line in lines(self.record) if line["box"] == box and what in line), None)
 
 
 def lines(path: Path) -> Iterator[Json]:
@@ -92,6 +100,13 @@ def lines(path: Path) -> Iterator[Json]:
     for line in path.read_text().splitlines(keepends=True):
         if line.endswith("\n"):
             yield json.loads(line)
+
+
+def _write(path: Path, value: Json) -> None:
+    """The whole file, or none."""
+    beside = path.with_suffix(f".{os.getpid()}.tmp")
+    beside.write_text(json.dumps(value, allow_nan=False))
+    beside.replace(path)
 
 
 def _append(path: Path, value: Json) -> None:

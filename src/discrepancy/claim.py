@@ -44,20 +44,18 @@ def looks_of(every: Sequence[Array]) -> float:
 
 
 def by_chance(
-    axes: Sequence[Array], one_sided: Sequence[bool], level: float = LEVEL, looks: Sequence[float] = ()
+    gram: Array, sizes: Sequence[int], one_sided: Sequence[bool], level: float = LEVEL, looks: Sequence[float] = ()
 ) -> float:
     """The sigma that the best of all candidates exceeds in a share `level` of cases when nothing is hidden.
 
-    axes: of each candidate an orthonormal basis (points, k) of what its signature leaves after the fit took its part.
-    Their products with white noise are Gaussian with the products of the axes among themselves as covariance, so they
-    are drawn at once, the same draws every time. one_sided: candidates of one strength that only scores when positive.
-    looks: that each candidate is the best of, and corrected for.
+    gram (K, K): products of the axes of all candidates among themselves. Each has of its own an orthonormal basis of
+    `sizes` axes, of what its signature leaves after the fit took its part. Their products with white noise are Gaussian
+    with this covariance, so they are drawn at once, the same draws every time. one_sided: candidates of one strength
+    that only scores when positive. looks: that each candidate is the best of, and corrected for.
     """
-    sizes = [a.shape[1] for a in axes]
     if not sum(sizes):
         return 0.0
-    together = np.concatenate(axes, axis=1)
-    values, turn = np.linalg.eigh(together.T @ together)
+    values, turn = np.linalg.eigh(gram)
     kept = values > 1e-9 * values[-1]
     root = (turn[:, kept] * np.sqrt(values[kept])).T.astype(np.float32)
     starts = np.cumsum([0, *sizes[:-1]])

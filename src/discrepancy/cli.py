@@ -7,14 +7,14 @@ import os
 import shutil
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated
 
 import typer
 from rich.console import Console
-from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
 from synthcam.model import read_model, write_model
 from synthcam.settings import InputError as ModelError
@@ -28,6 +28,7 @@ app = typer.Typer(
     rich_markup_mode=None,
 )
 REPORT = ("discrepancy.json", "index.html", "model.yaml")
+STAGES = ("noise", "fit", "slots", "search", "where", "gap", "report")
 MeasuredPath = Annotated[
     Path, typer.Argument(metavar="MEASURED", help="RESULTS of a tracker, or a table of tracks (CSV or Parquet).")
 ]
@@ -37,12 +38,26 @@ Json = Annotated[bool, typer.Option("--json", help="Print a machine-readable sum
 
 
 @contextmanager
-def stages() -> Iterator[Progress]:
-    """A line that tells the stage and the time, on a terminal; nothing elsewhere."""
+def stages(names: Sequence[str]) -> Iterator[Callable[[str], None]]:
+    """A bar of the stages passed, and the time, on a terminal; nothing elsewhere. Yields what is told the stage.
+
+    How long a stage takes is not known beforehand, so there is no estimate. Where a search begins again, the bar goes
+    back to the fit.
+    """
     console = Console(stderr=True)
-    columns = (SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn())
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
     with Progress(*columns, console=console, disable=not console.is_terminal, transient=True) as bar:
-        yield bar
+        task, passed, turn = bar.add_task(names[0], total=len(names)), 0, 1
+
+        def tick(stage: str) -> None:
+            nonlocal passed, turn
+            at = names.index(stage)
+            if stage == "fit" and at < passed:
+                passed, turn = at, turn + 1
+            passed = max(passed, at)
+            bar.update(task, completed=passed, description=stage + (f", round {turn}" if turn > 1 else ""))
+
+        yield tick
 
 
 @contextmanager
@@ -81,16 +96,17 @@ def find(
     suspect = read_model(model)
     clips, left_out = read_measured(measured, camera)
     with aside(output) as folder:
-        with stages() as bar:
-            task = bar.add_task("fit")
-            found = search(clips, suspect, lambda stage: bar.update(task, description=stage))
-            bar.update(task, description="report")
+        with stages(STAGES) as tick:
+            found = search(clips, suspect, tick)
+            tick("report")
             report.write(found, folder, left_out)
         document = json.loads((folder / "discrepancy.json").read_text())
     seconds = time.monotonic() - started
     print(json.dumps(document | {"seconds": round(seconds, 2)}) if as_json else found.sentence())
     if not as_json:
-        print(f"{output / 'index.html'}  ({len(clips)} collisions, {seconds:.0f} s)")
+        _say_lost(document["clips"]["left_out"])
+        used = f"{len(found.clips) + len(found.kept_out)} of {len(clips) + len(left_out)}"
+        print(f"{output / 'index.html'}  ({used} collisions, {seconds:.0f} s)")
 
 
 @app.command()
@@ -112,17 +128,22 @@ def add(
     suspect = read_model(model)
     if output.is_dir():
         raise InputError(f"{output}: a folder; expected the name of a model file")
-    clips, _ = read_measured(fit, camera)
-    with stages() as bar:
-        bar.add_task("fit")
-        new = fitted(clips, suspect, effect)
+    clips, left_out = read_measured(fit, camera)
+    with stages(("noise", "fit", "search")) as tick:
+        new = fitted(clips, suspect, effect, tick)
     beside = output.with_name(f"{output.name}.{os.getpid()}.tmp")
-    write_model(new, beside)
+    write_model(new.now.model, beside)
     beside.replace(output)
-    values = {k: v for e in new.effects if e.name() == effect for k, v in vars(e).items()}
-    summary = {"model": str(output), "effect": effect, "parameters": values}
-    said = f"{output}: {effect}: " + ", ".join(f"{k} = {v:.4g}" for k, v in values.items())
-    print(json.dumps(summary) if as_json else said)
+    if as_json:
+        print(json.dumps({"model": str(output)} | new.document() | {"clips": len(clips), "left_out": left_out}))
+    else:
+        print(f"{output}: {new.sentence()} ({len(clips)} of {len(clips) + len(left_out)})")
+        _say_lost(left_out)
+
+
+def _say_lost(left_out: Sequence[str]) -> None:
+    if left_out:
+        print(f"{len(left_out)} left out: {'; '.join(left_out)}")
 
 
 def main() -> None:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from discrepancy.answer import Answer
+from discrepancy.claim import sigmas
 from discrepancy.fit import Evidence, Fit, fit, settle
 from discrepancy.gap import Shown, as_dict, show
 from discrepancy.locate import Place, locate
@@ -17,7 +18,7 @@ from discrepancy.name import Named, Search, added, search
 from discrepancy.noise import Noise, estimate
 from discrepancy.odd import odd
 from discrepancy.outside import Filled, Slots, unseen
-from discrepancy.parameter import fitted
+from discrepancy.parameter import Suspect, fitted, limits_of, parameter_of
 from discrepancy.parting import advice, designs
 from discrepancy.rank import Contest
 from discrepancy.refine import refined
@@ -27,6 +28,7 @@ from tracker.geometry import InputError
 
 FEWEST = 6  # collisions: with fewer, some would not be left to show the gap on
 ROUNDS = 4  # searches, at most: again without clips that are unlike all others, again with the noise read anew
+ONE_BALL = 1e-3  # relative, between the camera file's diameter of the ball and the model's
 UNEXPLAINED = 5.0  # sigma of disagreement left after everything: something that no slot holds
 Tick = Callable[[str], None]
 
@@ -73,14 +75,17 @@ class Found:
             f"On collisions kept out, the gap falls from {gap.before:.3g} to {gap.after:.3g} in chi^2 a point; "
             f"noise alone leaves {gap.floor:.3g}."
         )
-        parts = [_said(n) for n in self.named]
+        base = self.search.base.model
+        parts = [said(n, base) for n in self.named if not _held(n, base)]
+        wrong = [said(n, base) for n in self.named if _held(n, base)]
         if self.slot and self.answer:
             parts.insert(0, f"{self.answer.law}, which no effect of the library makes ({self.slot.sigma:.0f} sigma)")
             closed = f"Proposed: {self.answer.formula}. model.yaml cannot hold it. {closed}"
         elif self.verdict == "outside_library":
             what = f"{self.left[0]} ({self.left[0].sigma:.0f} sigma)"
             closed = f"Something else is missing that neither the library nor a free law holds: {what}. {closed}"
-        return (f"Missing: {'; '.join(parts)}. " if parts else "") + closed
+        told = [f"{word}: {'; '.join(lines)}." for word, lines in (("Missing", parts), ("Wrong", wrong)) if lines]
+        return " ".join([*told, closed])
 
     def document(self) -> dict[str, Any]:
         """The contract's discrepancy.json."""
@@ -90,7 +95,8 @@ class Found:
                 {
                     "effect": n.effect,
                     "parameters": n.values | n.shapes,
-                    "std": n.std | n.shape_std,
+                    "std": {k: np.nan if at_limit(n, k) else std for k, std in (n.std | n.shape_std).items()},
+                    "at_limit": [k for k in n.values if at_limit(n, k)],
                     "sigma": n.sigma,
                     "limit": n.limit,
                     "naming_limit": n.naming,
@@ -113,25 +119,45 @@ class Found:
         }
 
 
-def _said(n: Named) -> str:
-    values = [f"{k.rpartition('.')[2]} = {v:.3g} +- {n.std[k]:.1g}" for k, v in n.values.items()]
-    values += [
+def at_limit(n: Named, name: str) -> bool:
+    """Whether a strength stands at the end of what its effect allows: it might lie beyond, so it has no error."""
+    if name not in n.values:
+        return False
+    value, p = n.values[name], parameter_of(Model(), name)
+    return any(abs(value - end) < 1e-6 * max(abs(end), p.scale) for end in limits_of(Model(), name))
+
+
+def _held(n: Named, base: Model) -> bool:
+    """Whether the base model has this effect, with another strength."""
+    return any(base.value(k) != 0 for k in n.values)
+
+
+def said(n: Named, base: Model) -> str:
+    """An effect with its numbers; where the base model holds a strength, that it is another."""
+    rivals = f" or {' or '.join(n.aliases[1:])}" if len(n.aliases) > 1 else ""
+    errors = {k: "at its limit" if at_limit(n, k) else f"+- {n.std[k]:.1g}" for k in n.values}
+    shapes = [
         f"{k.rpartition('.')[2]} = {v:.3g} +- {n.shape_std[k]:.1g}"
         if np.isfinite(n.shape_std[k])
         else f"{k.rpartition('.')[2]} undetermined"
         for k, v in n.shapes.items()
     ]
-    rivals = f" or {' or '.join(n.aliases[1:])}" if len(n.aliases) > 1 else ""
-    return f"{n.effect}{rivals} ({', '.join(values)}; {n.sigma:.0f} sigma)"
+    if _held(n, base):
+        strengths = [f"{k} is not {base.value(k):.3g} but {v:.3g} {errors[k]}" for k, v in n.values.items()]
+        return f"{', '.join([*strengths, *shapes])} ({n.sigma:.0f} sigma){rivals}"
+    strengths = [f"{k.rpartition('.')[2]} = {v:.3g} {errors[k]}" for k, v in n.values.items()]
+    return f"{n.effect}{rivals} ({', '.join([*strengths, *shapes])}; {n.sigma:.0f} sigma)"
 
 
 def find(clips: Sequence[Measured], model: Model, tick: Tick = lambda stage: None) -> Found:
     """Search for what `model` lacks. Its base parameters that are not zero and those in `model.free` are fitted.
 
-    Raises InputError with fewer than FEWEST collisions.
+    tick: told the stage, many times. Raises InputError with fewer than FEWEST collisions, or a ball of another size.
     """
     if len(clips) < FEWEST:
         raise InputError(f"{len(clips)} measured collisions: expected {FEWEST} or more, some to fit, some to keep out")
+    _one_ball(clips, model)
+    tick("noise")
     noise = _noise(clips)
     some, kept_out = split(clips)
     # read without any claim first: one made with too little noise could explain the rest of the noise away
@@ -219,15 +245,14 @@ def _after(
 def _beside(slot: Filled, hunt: Search) -> tuple[Named, ...]:
     """The library's effects that are claimed beside a slot."""
     now, known = slot.whole, {c.effect: c.suspect for c in hunt.ranking}
-    found = []
-    for effect, sigma in slot.beside(hunt.base).items():
-        suspect = known[effect]
-        values = {s: now.model.value(s) for s in suspect.strengths}
-        shapes = {s: now.model.value(s) for s in suspect.shapes}
-        std = {s: now.std.get(s, np.inf) for s in (*values, *shapes)}
-        own = {s: std[s] for s in values}
-        found.append(Named(effect, values, own, sigma, (effect,), shapes, {s: std[s] for s in shapes}))
-    return tuple(found)
+    return tuple(_named(known[effect], now, sigma) for effect, sigma in slot.beside(hunt.base).items())
+
+
+def _named(suspect: Suspect, now: Fit, sigma: float) -> Named:
+    """A suspect with the numbers that a fit gives it."""
+    values, shapes = ({k: now.model.value(k) for k in names} for names in (suspect.strengths, suspect.shapes))
+    own, bent = ({k: now.std.get(k, np.inf) for k in names} for names in (values, shapes))
+    return Named(suspect.name, values, own, sigma, (suspect.name,), shapes, bent)
 
 
 def _verdict(slot: Filled | None, named: Sequence[Named], left: Sequence[Place]) -> str:
@@ -257,14 +282,72 @@ def _noise(clips: Sequence[Measured]) -> Noise:
         raise InputError(f"the tracks: {e}") from None
 
 
-def add(clips: Sequence[Measured], model: Model, effect: str, tick: Callable[[], None] = lambda: None) -> Model:
-    """The model with `effect` added and refitted to all clips with everything else. Raises InputError."""
+def _one_ball(clips: Sequence[Measured], model: Model) -> None:
+    """The ball that the tracks are measured by must be the model's: the difference would pass for a discovery."""
+    held = 2 * model.ball.radius
+    for c in clips:
+        if abs(c.camera.ball_diameter / held - 1) > ONE_BALL:
+            raise InputError(
+                f"the ball of camera.json is {1e3 * c.camera.ball_diameter:.6g} mm wide (clip {c.clip}), that of the "
+                f"model {1e3 * held:.6g} mm; expected the same"
+            )
+
+
+@dataclass(frozen=True)
+class Added:
+    """A suspect fitted with everything else. before, now: the fits without and with it, all clips in both."""
+
+    before: Fit
+    now: Fit
+    named: Named
+
+    @property
+    def chi2(self) -> tuple[float, float]:
+        """A degree of freedom: without and with it."""
+        one, other = (f.chi2 / (f.points - f.parameters) for f in (self.before, self.now))
+        return one, other
+
+    def sentence(self) -> str:
+        """Its strength, and how far chi^2 falls."""
+        one, other = self.chi2
+        return (
+            f"{said(self.named, self.before.model)}; chi^2 a degree of freedom goes from {one:.4g} to {other:.4g} on "
+            "the collisions fitted"
+        )
+
+    def document(self) -> dict[str, Any]:
+        """For other programs; parameters by their own names. std: None where there is none to give."""
+        n = self.named
+        std = {k: None if at_limit(n, k) or not np.isfinite(x) else x for k, x in (n.std | n.shape_std).items()}
+        return {
+            "effect": n.effect,
+            "parameters": {k.rpartition(".")[2]: x for k, x in (n.values | n.shapes).items()},
+            "std": {k.rpartition(".")[2]: x for k, x in std.items()},
+            "sigma": n.sigma,
+            "chi2": dict(zip(("before", "after"), self.chi2, strict=True)),
+        }
+
+
+def add(clips: Sequence[Measured], model: Model, effect: str, tick: Tick = lambda stage: None) -> Added:
+    """`effect` added to the model and fitted to all clips with everything else.
+
+    Raises InputError: no such effect, too few collisions, a ball of another size, or these collisions cannot tell it.
+    """
     if effect not in library():
         raise InputError(f"{effect}: no such effect; there are {', '.join(library())}")
+    if len(clips) < FEWEST:
+        raise InputError(f"{len(clips)} measured collisions: expected {FEWEST} or more")
+    _one_ball(clips, model)
+    tick("noise")
     noise = _noise(clips)
-    evidence, base = Evidence.of(clips, noise), _base(clips, model, noise, lambda stage: tick())
-    contest = Contest.of(evidence, base, tick)
+    evidence, base = Evidence.of(clips, noise), _base(clips, model, noise, tick)
+    if any(n.startswith(f"{effect}.") for n in base.names):
+        raise InputError(f"{effect}: the model calls it free, so that every fit has it; `discrepancy find` shows it")
+    contest = Contest.of(evidence, base, lambda: tick("search"))
     candidate = next((c for c in contest.ranking() if c.effect == effect), None)
-    if candidate is None:  # it is fitted already, or bends a friction that is not there
-        return base.model
-    return settle(evidence, added(evidence, base, contest.sharper(evidence, candidate), tick), tick, fresh=False).model
+    if candidate is None or not candidate.telling:
+        raise InputError(f"{effect}: these collisions cannot tell it: the fit absorbs it, or it hardly shows")
+    suspect, best = candidate.suspect, contest.sharper(evidence, candidate)
+    now = settle(evidence, added(evidence, base, best, lambda: tick("search")), lambda: tick("search"), fresh=False)
+    sigma = sigmas(base.chi2 - now.chi2, len(suspect.strengths), contest.looks[effect])
+    return Added(base, now, _named(suspect, now, sigma))

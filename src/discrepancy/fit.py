@@ -89,10 +89,10 @@ class Fit:
         """Of the shared parameters, (S, S); zero for one that changes nothing."""
         if not self.names:
             return np.zeros((0, 0))
-        cleaned = np.concatenate([off(a, s) for a, s in zip(self.launch_slopes, self.slopes, strict=True)])
-        scale = np.linalg.norm(cleaned, axis=0)
-        unit = cleaned / np.where(scale > 0, scale, 1)
-        inverse = np.linalg.pinv(unit.T @ unit, hermitian=True)
+        cleaned = [off(a, s) for a, s in zip(self.launch_slopes, self.slopes, strict=True)]
+        scale = np.sqrt(sum((c**2).sum(axis=0) for c in cleaned))
+        units = (c / np.where(scale > 0, scale, 1) for c in cleaned)
+        inverse = np.linalg.pinv(sum(u.T @ u for u in units), hermitian=True)
         return np.asarray(inverse / np.outer(*[np.where(scale > 0, scale, np.inf)] * 2))
 
     @property
@@ -105,6 +105,21 @@ class Fit:
         if not self.names:
             return stacked
         return off(np.concatenate([off(a, s) for a, s in zip(self.launch_slopes, self.slopes, strict=True)]), stacked)
+
+    def information(self, columns: Sequence[Array]) -> tuple[Array, Array]:
+        """Products of columns so `projected` with themselves, (k, k), and with the residuals, (k,).
+
+        Clip by clip: many columns in one piece take much memory.
+        """
+        cleaned = [off(a, s) for a, s in zip(self.launch_slopes, self.slopes, strict=True)]
+        shared = np.split(basis(np.concatenate(cleaned)), np.cumsum([len(r) for r in self.residuals])[:-1])
+        taken = np.asarray(sum(q.T @ c for q, c in zip(shared, columns, strict=True)))  # q is off the launches already
+        gram, pull = np.zeros((len(taken.T), len(taken.T))), np.zeros(len(taken.T))
+        for q, a, c, r in zip(shared, self.launch_slopes, columns, self.residuals, strict=True):
+            left = off(a, c) - q @ taken
+            gram += left.T @ left
+            pull += left.T @ r
+        return gram, pull
 
     def extended(self, model: Model, names: Sequence[str], columns: Sequence[Array]) -> Fit:
         """With more shared parameters: their derivatives, (2n, k) for each clip, taken where this fit stands."""

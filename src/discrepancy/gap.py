@@ -18,6 +18,7 @@ from discrepancy.whiten import Whitener
 Array = NDArray[np.float64]
 
 PHASES = ("before", "sliding", "rolling")
+CHANCE = 3.0  # standard deviations of chi^2 a point: a share of a smaller gap would be a share of noise
 
 
 @dataclass(frozen=True)
@@ -34,7 +35,10 @@ class Part:
 
 @dataclass(frozen=True)
 class Gap(Part):
-    """The same in all phases together. closure: the share of the gap between before and floor that is closed."""
+    """The same in all phases together. closure: the share of the gap between before and floor that is closed.
+
+    NaN where that gap is no larger than chance makes it.
+    """
 
     closure: float
     by_phase: dict[str, Part]
@@ -76,7 +80,8 @@ def show(
     whole = _part(squares)
     by_phase = {name: _part(squares[phase == k]) for k, name in enumerate(PHASES) if np.any(phase == k)}
     room = whole.before - whole.floor
-    closure = (whole.before - whole.after) / room if room > 0 else float("nan")
+    chance = CHANCE * float(np.sqrt(2 / before.points))
+    closure = (whole.before - whole.after) / room if room > chance else float("nan")
     return Shown(Gap(**vars(whole), closure=closure, by_phase=by_phase), before, after)
 
 

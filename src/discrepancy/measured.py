@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
@@ -95,6 +96,16 @@ class Measured:
         """Standard deviation of each row that the tracks claim, (n,), m: rms of the axes."""
         return np.asarray(np.sqrt(np.trace(self.covariance, axis1=1, axis2=2) / 2))
 
+    @cached_property
+    def roots(self) -> Array:
+        """Inverse Cholesky factors of the claimed covariances, (n, 2, 2)."""
+        return np.asarray(np.linalg.inv(np.linalg.cholesky(self.covariance)))
+
+    @cached_property
+    def resting_offset(self) -> Array:
+        """The offset of the target where it rests, in claimed standard deviations, and zero elsewhere: (n,)."""
+        return np.where((self.ball == 0) & (self.phase() == 0), self.offset / self.claimed(), 0.0)
+
 
 def _unbroken(rows: Ints, frame: Ints) -> Iterator[Ints]:
     """Rows in runs of successive frames, less MARGIN at either end."""
@@ -118,10 +129,11 @@ def read_measured(measured: Path, camera: Path | None = None) -> tuple[list[Meas
     else:
         source = _table(measured, camera)
     kept, left_out = [], []
-    for number, tracks, own, rows in source:
+    for number, tracks, own, measured_rows in source:
         if (frame := exchanged(tracks, own)) is not None:
             left_out.append(f"clip {number}: the balls have exchanged their names at frame {frame}")
             continue
+        rows = measured_rows()
         if len(rows) > 1:
             left_out.append(f"clip {number}: {len(rows)} collisions in one recording")
             continue
@@ -138,7 +150,7 @@ def read_measured(measured: Path, camera: Path | None = None) -> tuple[list[Meas
     return kept, left_out
 
 
-Source = Iterator[tuple[int, Tracks, Camera, list[dict[Any, Any]]]]
+Source = Iterator[tuple[int, Tracks, Camera, Callable[[], list[dict[Any, Any]]]]]  # the last measures, when asked
 
 
 def _results(folder: Path) -> Source:
@@ -154,7 +166,7 @@ def _results(folder: Path) -> Source:
         raise InputError(f"{path}: no column {', '.join(missing)}")
     for number, rows in table.groupby("clip"):
         clip = int(str(number))
-        yield clip, *read_clip(folder, clip), rows.to_dict("records")
+        yield clip, *read_clip(folder, clip), partial(rows.to_dict, "records")
 
 
 def _table(path: Path, camera: Path) -> Source:
@@ -164,7 +176,7 @@ def _table(path: Path, camera: Path) -> Source:
         raise InputError(f"{path}: {why}")
     for number, (tracks, striker) in sorted(tables.items()):
         own = replace(base, striker=striker) if striker is not None else base
-        yield number, tracks, own, list(measure(tracks, own))
+        yield number, tracks, own, partial(measure, tracks, own)
 
 
 def collision(tracks: Tracks, row: Mapping[Any, Any], camera: Camera) -> Measured | str:
@@ -213,13 +225,14 @@ def _heading(frame: Ints, xy: Array) -> float:
 
 
 def cannot_tell(clips: Sequence[Measured]) -> list[str]:
-    """A line for each thing that these clips cannot tell, however many they are, because they are all alike in it."""
+    """A line for each thing that these clips can hardly tell, however many, because they are all alike in it."""
     _, _, _, speeds, headings, b = np.array([c.launch for c in clips]).T
-    said = []
-    if speeds.max() < ALIKE * speeds.min():
+    said, normal = [], speeds * np.sqrt(1 - b**2)
+    laws = {"restitution": normal, "spin transfer": speeds}  # the speeds that they hang on; friction's falls in a clip
+    if same := [law for law, v in laws.items() if v.max() < ALIKE * v.min()]:
         said.append(
-            f"all clips are at {np.median(speeds):.2g} m/s: how restitution, friction or spin transfer change with the "
-            "speed cannot be told"
+            f"all clips are at {np.median(speeds):.2g} m/s: how {' or '.join(same)} changes with the speed can hardly "
+            "be told"
         )
     if np.ptp(b) < HEAD_ON:
         said.append(

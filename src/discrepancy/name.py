@@ -6,6 +6,7 @@ import dataclasses
 import itertools
 from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +17,7 @@ from discrepancy.forecast import forecast
 from discrepancy.measured import Measured
 from discrepancy.noise import Noise
 from discrepancy.parameter import Suspect, limits_of, parameter_of, strengths_of
+from discrepancy.price import price
 from discrepancy.rank import LIMIT, Candidate, Contest, likeness
 from discrepancy.scan import scannable
 
@@ -25,8 +27,7 @@ __all__ = ["Candidate", "Named", "Search", "likeness", "search", "sigmas", "stre
 MOST = 4  # effects named in one search: more together can imitate what is in nobody's library
 ALIAS = 0.9  # of the cosine between two signatures: beyond it the data hardly part them
 PAIRS = 0.98  # the same for the span of two others
-PART = 9.5  # of chi^2, a strength's price: a rival that fits worse by less is not excluded
-SHAPE = 4.0  # of chi^2, a shape's price: one that means nothing gains less, 19 times in 20
+PART = 9.5  # of chi^2, all freedom paid for: a rival that is worse by less is not excluded
 NEAR, LOOSE = 15.0, 0.2  # of chi^2, and of what an effect explains: what the score may be wrong by
 RIVALS, SWAPS = 8, 4  # refitted, at most, beside a leader and in the place of a named effect
 GAINED = 2.0  # of chi^2, by other shapes: less is not worth another fit
@@ -58,24 +59,26 @@ class Named:
 
 @dataclass(frozen=True)
 class Search:
-    """The outcome of a search. steps: the fits, before any effect and after each named one. ranking: the base's.
+    """The outcome of a search: the fits before any effect and with all named ones, and the base's ranking.
 
-    claim: the sigma needed. untold: effects that these collisions could not show, however real.
+    claim: the sigma needed.
     """
 
-    steps: tuple[Fit, ...]
+    base: Fit
+    best: Fit
     ranking: tuple[Candidate, ...]
-    named: tuple[Named, ...]
     claim: float
-    untold: tuple[str, ...]
+    state: tuple[Suspect, ...]
+    hunt: _Hunt = field(repr=False)
 
-    @property
-    def base(self) -> Fit:
-        return self.steps[0]
+    @cached_property
+    def named(self) -> tuple[Named, ...]:
+        return self.hunt.named(self.state)
 
-    @property
-    def best(self) -> Fit:
-        return self.steps[-1]
+    @cached_property
+    def untold(self) -> tuple[str, ...]:
+        """Effects that these collisions could not show, however real."""
+        return self.hunt.untold(self.state)
 
 
 def search(
@@ -148,19 +151,17 @@ class _Hunt:
 
     def outcome(self, enough: Callable[[Fit, Sequence[Fit]], bool]) -> Search:
         state: tuple[Suspect, ...] = ()
-        contest = first = self._contest(state)
-        ranking, self.looks = contest.ranking(), contest.looks
+        ranking, self.looks = self._contest(state).ranking(), self._contest(state).looks
         self.blind = {c.effect for c in ranking if c.absorbed}
-        claim = max(first.claim(), FLOOR)
+        claim = max(self._contest(state).claim(), FLOOR)
         while len(state) < MOST:
-            winner = self._winner(state, contest, claim)
+            winner = self._winner(state, self._contest(state), claim)
             if winner is None:
                 break
             grown, before = (*state, winner), set()
             while True:
                 before.add(frozenset(grown))
-                contest = self._contest(grown)
-                better = self._better(grown, contest, claim)
+                better = self._better(grown, self._contest(grown), claim)
                 if better is None or frozenset(better) in before:
                     break
                 grown = better
@@ -169,10 +170,15 @@ class _Hunt:
             state = grown
             if enough(self._settled(state), [f for key, f in self.fits.items() if len(key) == len(state)]):
                 break
-        steps = [self._settled(state[:k]) for k in range(len(state) + 1)]
-        contest = self._contest(state)
-        named = tuple(self._named(state, k, contest) for k in range(len(state)))
-        return Search(tuple(steps), ranking, named, claim, tuple(c.effect for c in contest.ranking() if not c.telling))
+        return Search(self._settled(()), self._settled(state), ranking, claim, state, self)
+
+    def named(self, state: tuple[Suspect, ...]) -> tuple[Named, ...]:
+        """What is known of each of the effects in a model."""
+        return tuple(self._named(state, k, self._contest(state)) for k in range(len(state)))
+
+    def untold(self, state: tuple[Suspect, ...]) -> tuple[str, ...]:
+        """Effects that the collisions could not show beside those of a model."""
+        return tuple(c.effect for c in self._contest(state).ranking() if not c.telling)
 
     def _sigma(self, chi2: float, suspect: Suspect) -> float:
         """Of what a suspect explains, corrected for the looks at its shapes."""
@@ -181,6 +187,7 @@ class _Hunt:
     def _contest(self, state: Sequence[Suspect]) -> Contest:
         now = self._settled(state)
         if self.last is None or self.last.now is not now:
+            self.last = None  # before there is another
             self.last = Contest.of(self.evidence, now, self.tick)
         return self.last
 
@@ -232,10 +239,8 @@ class _Hunt:
             return linearised(self.evidence, model, reduced.names, base.launches)
 
     def _price(self, state: Iterable[Suspect]) -> float:
-        """chi^2 with what strengths and shapes cost; base parameters belong to the model and are free."""
-        state = frozenset(state)
-        effects = [s for s in state if s.kind is not None]
-        return self.fits[state].chi2 + sum(PART * len(s.strengths) + SHAPE * len(s.shapes) for s in effects)
+        """chi^2 with what strengths and shapes cost."""
+        return price(self.fits[frozenset(state)], self.fits[frozenset()])
 
     def _winner(self, state: tuple[Suspect, ...], contest: Contest, claim: float) -> Suspect | None:
         """What is to be added: the leader, or the rival that fits best with it. None when nothing is claimed."""

@@ -7,7 +7,6 @@ the leaders are fitted in full. A second library effect is believed only where i
 from __future__ import annotations
 
 import dataclasses
-import math
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -18,16 +17,16 @@ from numpy.typing import NDArray
 from discrepancy.fit import Evidence, Fit, fit, linearised, settle, solve
 from discrepancy.measured import Measured
 from discrepancy.noise import Noise
-from discrepancy.parameter import limits_of, parameter_of, span_of
+from discrepancy.parameter import limits_of, parameter_of
+from discrepancy.price import LAW, price
 from discrepancy.rank import Candidate, Contest
 from discrepancy.slots import Slot, columns, slots
-from discrepancy.weight import Prior, Weight, freedom, significance, weigh
+from discrepancy.weight import Prior, Weight, significance, weigh
 from synthcam.model import Model
 
 Array = NDArray[np.float64]
 
 LEVEL = 4.5  # sigma of a slot, needed to declare
-EFFECTS, LAWS = 2 * math.log(28), 2 * math.log(14)  # of chi^2: of one effect chosen among so many, of one slot
 MARGIN = 5.5  # of chi^2: so much likelier is an effect of the library beforehand than a law that nobody knows
 CLOSE = 10.0  # of chi^2: a slot so near to the library's model may be the truth, once the noise is known better
 LEADERS = 3  # fitted in full
@@ -49,7 +48,7 @@ class Look:
 
     def score(self, base: Fit) -> float:
         """What it would cost, in chi^2."""
-        return price(self.now, base) + LAWS - self.weight.gain
+        return price(self.now, base) + LAW - self.weight.gain
 
 
 @dataclass(frozen=True)
@@ -102,8 +101,7 @@ class Filled:
         names = [name for name, _ in self.owners]
         own = [s[:, [self.now.names.index(n) for n in names]] for s in self.now.slopes]
         both = [np.concatenate(pair, axis=1) for pair in zip(own, self.moves, strict=True)]
-        seen = self.now.reduced(self.now.model, names).projected(both)
-        matrix = seen.T @ seen
+        matrix, _ = self.now.reduced(self.now.model, names).information(both)
         matrix[len(names) :, len(names) :] += self.prior.precision
         scale = np.sqrt(np.diag(matrix))
         return np.asarray(np.linalg.inv(matrix / np.outer(scale, scale)) / np.outer(scale, scale))
@@ -129,34 +127,9 @@ class Filled:
         (J,) and (J, J), no prior in either; relative to the law's own parameters as fitted.
         """
         names = [name for name, _ in self.owners]
-        seen = self.now.reduced(self.now.model, names).projected(self.moves)
-        information = seen.T @ seen
-        pull = seen.T @ np.concatenate(self.now.residuals) + information @ self.coefs
+        information, pull = self.now.reduced(self.now.model, names).information(self.moves)
+        pull = pull + information @ self.coefs
         return np.asarray(np.linalg.pinv(information, rcond=1e-10, hermitian=True) @ pull), information
-
-
-def price(now: Fit, base: Fit) -> float:
-    """chi^2 with the freedom of each effect that the base lacks paid for, as of a slot; base parameters are free.
-
-    A shape costs what looking for it in all its range does: twice the logarithm of the range over the width of its
-    likelihood.
-    """
-    paid = now.chi2
-    added = [n for n in now.names if n not in base.names and "." in n]
-    for effect in dict.fromkeys(n.partition(".")[0] for n in added):
-        own = {n: parameter_of(now.model, n) for n in added if n.startswith(f"{effect}.")}
-        paid += EFFECTS
-        strengths = [n for n, p in own.items() if not p.fixed]
-        rows = [now.names.index(n) for n in strengths]
-        size = np.array([own[n].scale or 1.0 for n in strengths])
-        information = np.linalg.pinv(now.covariance[np.ix_(rows, rows)] / np.outer(size, size), hermitian=True)
-        paid += freedom(
-            np.asarray(information, dtype=np.float64), np.array([now.model.value(n) for n in strengths]) / size
-        )
-        for name in set(own) - set(strengths):
-            width = np.sqrt(2 * np.pi) * now.std[name] / (now.model.value(name) if own[name].low > 0 else 1.0)
-            paid += max(2 * np.log(span_of(own[name]) / width), 0.0) if width > 0 else 0.0
-    return float(paid)
 
 
 def _moves(evidence: Evidence, slot: Slot, model: Model, launches: Array) -> tuple[Array, ...]:
@@ -165,8 +138,7 @@ def _moves(evidence: Evidence, slot: Slot, model: Model, launches: Array) -> tup
 
 
 def _look(slot: Slot, now: Fit, moves: Sequence[Array]) -> Look:
-    signature = now.projected(moves)
-    information, pull = signature.T @ signature, signature.T @ np.concatenate(now.residuals)
+    information, pull = now.information(moves)
     return Look(slot, now, significance(slot, information, pull), weigh(slot, information, pull))
 
 
@@ -177,9 +149,8 @@ def fill(evidence: Evidence, look: Look, base: Fit, tick: Callable[[], None] = l
     coefs, here, fresh = np.zeros(slot.size), evidence, False
     for _ in range(ROUNDS):
         tick()
-        signature = now.projected(moves)
-        information = signature.T @ signature
-        weight = weigh(slot, information, signature.T @ np.concatenate(now.residuals) + information @ coefs)
+        information, pull = now.information(moves)
+        weight = weigh(slot, information, pull + information @ coefs)
         precision, step = weight.prior.precision, weight.coefs - coefs
         moved = None
         if step @ (information + precision) @ step > SETTLED:
@@ -199,8 +170,8 @@ def fill(evidence: Evidence, look: Look, base: Fit, tick: Callable[[], None] = l
             moves = _moves(evidence, slot, slot.bent(library, coefs), now.launches)
             fresh = True
     freedom = np.linalg.slogdet(np.eye(slot.size) + information / np.diag(weight.prior.precision)[:, None])
-    score = price(now, base) + LAWS + float(coefs @ weight.prior.precision @ coefs + freedom[1])
-    return Filled(slot, coefs, weight.prior, now, library, here, moves, look.sigma, score)
+    paid = LAW + weight.prior.cost + float(coefs @ weight.prior.precision @ coefs + freedom[1])
+    return Filled(slot, coefs, weight.prior, now, library, here, moves, look.sigma, price(now, base) + paid)
 
 
 def _moved(

@@ -26,16 +26,19 @@ MULTIPLIES = {"friction", "normal_load", "drilling"}  # laws that bend sliding f
 class Suspect:
     """An effect that a model may lack, or a base parameter that it holds at zero.
 
-    strengths, shapes: dotted names. kind: the effect's class.
+    strengths, shapes: dotted names. kind: the effect's class. held: their values where the given model has the effect.
     """
 
     name: str
     strengths: tuple[str, ...]
     shapes: tuple[str, ...] = ()
     kind: type[Effect] | None = None
+    held: tuple[float, ...] = ()
 
     def without(self, model: Model) -> Model:
-        """The model with this suspect's strengths at zero and its shapes where they are by default."""
+        """The model with this suspect's numbers where the model that was given has them."""
+        if any(self.held):
+            return model.replace(dict(zip((*self.strengths, *self.shapes), self.held, strict=True)))
         if self.kind is None:
             return model.replace(dict.fromkeys(self.strengths, 0.0))
         kept = tuple(e for e in model.effects if e.name() != self.name)
@@ -80,13 +83,15 @@ def between(p: Parameter, value: float, closer: int) -> list[float]:
 
 def suspects(model: Model, fitted: Sequence[str]) -> tuple[Suspect, ...]:
     """What `model` may lack beside the parameters `fitted`: base parameters held at zero, and the library's effects."""
-    held = [n for n in BASE if n not in fitted and model.value(n) == 0]
-    found = [Suspect(n, (n,)) for n in held]
+    found = [Suspect(n, (n,)) for n in BASE if n not in fitted and model.value(n) == 0]
     for kind in library().values():
         strengths = tuple(s for s in strengths_of(kind) if s not in fitted)
         if strengths and not (model.sliding_friction == 0 and set(kind.laws) <= MULTIPLIES):
-            shapes = tuple(f"{kind.name()}.{p.name}" for p in kind.parameters() if p.fixed)
-            found.append(Suspect(kind.name(), strengths, tuple(s for s in shapes if s not in fitted), kind))
+            every = (f"{kind.name()}.{p.name}" for p in kind.parameters() if p.fixed)
+            shapes = tuple(s for s in every if s not in fitted)
+            there = any(model.value(s) for s in strengths)
+            held = tuple(model.value(s) for s in (*strengths, *shapes)) if there else ()
+            found.append(Suspect(kind.name(), strengths, shapes, kind, held))
     return tuple(found)
 
 

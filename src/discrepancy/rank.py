@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import block_diag
 
 from discrepancy.claim import LEVEL, by_chance, looks_of, sigmas
 from discrepancy.fit import Evidence, Fit, basis, derivative
 from discrepancy.forecast import forecast
-from discrepancy.parameter import Suspect, between, limits_of, parameter_of, suspects
+from discrepancy.parameter import Suspect, between, parameter_of, suspects
 from discrepancy.scan import scannable, scanned
 from synthcam.dynamics import uncoupled
 from synthcam.model import Model
@@ -71,6 +72,53 @@ class Trial:
 
 
 @dataclass(frozen=True)
+class Score:
+    """Of a trial, as a Candidate's. axes (k, m): what makes of its signature an orthonormal basis."""
+
+    trial: Trial
+    sigma: float
+    gain: float
+    limit: float
+    telling: bool
+    axes: Array
+
+    def candidate(self, signature: Array) -> Candidate:
+        """signature (points, k): the trial's columns less all that the fit absorbs."""
+        columns = tuple(np.array(c) for c in self.trial.columns)  # no views, which would keep all trials alive
+        return Candidate(
+            self.trial.suspect,
+            self.trial.shapes,
+            self.sigma,
+            self.gain,
+            self.limit,
+            self.telling,
+            signature @ self.axes,
+            columns,
+        )
+
+
+@dataclass(frozen=True)
+class _Way:
+    """Realistic sizes (k,) of a suspect's strengths, and how many of them its limits allow.
+
+    side: 1 where a single strength stands at its lower limit and can only grow, -1 at its upper, else 0.
+    """
+
+    sizes: Array
+    allowed: float
+    side: int
+
+    @classmethod
+    def of(cls, suspect: Suspect, now: Fit) -> _Way:
+        ways = [parameter_of(now.model, s) for s in suspect.strengths]
+        sizes = np.array([p.scale or 1.0 for p in ways])
+        allowed = max(max(abs(p.low), abs(p.high)) / size for p, size in zip(ways, sizes, strict=True))
+        value, p = now.model.value(suspect.strengths[0]), ways[0]
+        side = int(value <= p.low) - int(value >= p.high) if len(ways) == 1 else 0
+        return cls(sizes, allowed, side)
+
+
+@dataclass(frozen=True)
 class Contest:
     """All suspects at one fit."""
 
@@ -116,27 +164,62 @@ class Contest:
         return self._stacked(self.now.slopes)
 
     @cached_property
-    def _cleaned(self) -> list[Array]:
-        every = self._stacked([np.concatenate(c, axis=1) for c in zip(*(t.columns for t in self.trials), strict=True)])
-        cuts = np.cumsum([t.columns[0].shape[1] for t in self.trials])[:-1]
-        return np.split(every, cuts, axis=1)
+    def _spans(self) -> list[slice]:
+        """Of each trial, its columns among those of all trials."""
+        ends = np.cumsum([t.columns[0].shape[1] for t in self.trials]).tolist()
+        return [slice(a, b) for a, b in zip([0, *ends[:-1]], ends, strict=True)]
+
+    def _every(self) -> Iterator[Array]:
+        """Of each clip the columns of all trials, (2n, K)."""
+        return (np.concatenate(c, axis=1) for c in zip(*(t.columns for t in self.trials), strict=True))
 
     @cached_property
-    def _bases(self) -> list[Array]:
-        """Of each trial an orthonormal basis (points, m) of its signature."""
-        _, absorbed = self._left(None)
-        every = []
-        for trial, cleaned in zip(self.trials, self._cleaned, strict=True):
-            signature = cleaned - absorbed @ (absorbed.T @ cleaned)
-            every.append(signature @ _axes(signature, _lengths(trial.columns))[0])
-        return every
+    def _products(self) -> tuple[Array, Array, Array]:
+        """Of all trials' columns less what the launches absorb: products (K, K), and some rows; and whole lengths (K,).
+
+        All that is asked of a trial but the best: a second copy of the columns would take more memory than all else.
+        """
+        count, step = self._spans[-1].stop, self._step
+        gram, squares, rows, first = np.zeros((count, count)), np.zeros(count), [], 0
+        for q, columns in zip(self._own, self._every(), strict=True):
+            squares += np.einsum("nk,nk->k", columns, columns)
+            columns -= q @ (q.T @ columns)
+            gram += columns.T @ columns
+            rows.append(columns[-first % step :: step])
+            first += len(columns)
+        return gram, np.concatenate(rows), np.sqrt(squares)
+
+    @property
+    def _step(self) -> int:
+        return 1 + self.now.points // ROWS
+
+    def _against(self, absorbed: Array, left: Array) -> tuple[Array, Array, Array]:
+        """Products of all trials' signatures with themselves (K, K), with `left` (K,), and of columns with `absorbed`.
+
+        Neither `left` nor what is `absorbed` has a part in the launches' span.
+        """
+        cuts = np.cumsum([len(r) for r in self.now.residuals])[:-1]
+        both = np.split(np.column_stack([absorbed, left]), cuts)
+        every = np.asarray(sum(b.T @ columns for b, columns in zip(both, self._every(), strict=True)))
+        return self._products[0] - every[:-1].T @ every[:-1], every[-1], every[:-1]
+
+    @cached_property
+    def _bases(self) -> tuple[Array, list[Array]]:
+        """Products of all trials' signatures, each made an orthonormal basis; and of each basis some rows."""
+        left, absorbed = self._left(None)
+        _, rows, lengths = self._products
+        gram, _, taken = self._against(absorbed, left)
+        axes = [_axes(gram[s, s], lengths[s]) for s in self._spans]
+        rows = rows - absorbed[:: self._step] @ taken
+        whole = block_diag(*axes)
+        return whole.T @ gram @ whole, [rows[:, s] @ a for s, a in zip(self._spans, axes, strict=True)]
 
     @cached_property
     def looks(self) -> dict[str, float]:
         """How many independent looks at the data all the shapes of a suspect are, by its name."""
         by_name: dict[str, list[Array]] = {}
-        for trial, axes in zip(self.trials, self._bases, strict=True):
-            by_name.setdefault(trial.suspect.name, []).append(axes[:: 1 + len(axes) // ROWS])
+        for trial, rows in zip(self.trials, self._bases[1], strict=True):
+            by_name.setdefault(trial.suspect.name, []).append(rows)
         return {name: looks_of(every) for name, every in by_name.items()}
 
     def _left(self, without: Suspect | None) -> tuple[Array, Array]:
@@ -149,7 +232,8 @@ class Contest:
         gone = [] if without is None else [k for k, n in enumerate(names) if n in without.strengths + without.shapes]
         for k in gone:
             if without is not None and names[k] in without.strengths:
-                left = left + self._shared[:, k] * self.now.model.value(names[k])
+                held = dict(zip(without.strengths, without.held, strict=False)).get(names[k], 0.0)
+                left = left + self._shared[:, k] * (self.now.model.value(names[k]) - held)
         kept = basis(np.delete(self._shared, gone, axis=1))
         return left - kept @ (kept.T @ left), kept
 
@@ -178,8 +262,11 @@ class Contest:
             for name in suspect.shapes:
                 for value in between(parameter_of(model, name), candidate.shapes[name], closer):
                     trial = tried(evidence, plain, launches, suspect, candidate.shapes | {name: value}, here)
-                    scored = self._score(trial, self._stacked(trial.columns), absorbed, left)
-                    candidate = max(candidate, scored, key=lambda c: c.gain)
+                    columns = self._stacked(trial.columns)
+                    signature = columns - absorbed @ (absorbed.T @ columns)
+                    score = self._score(trial, signature.T @ signature, signature.T @ left, _lengths(trial.columns))
+                    if score.gain > candidate.gain:
+                        candidate = score.candidate(signature)
         return candidate
 
     def ranking(self, without: Suspect | None = None) -> tuple[Candidate, ...]:
@@ -187,50 +274,50 @@ class Contest:
         if not self.trials:
             return ()
         left, absorbed = self._left(without)
-        best: dict[str, Candidate] = {}
-        for trial, cleaned in zip(self.trials, self._cleaned, strict=True):
-            scored = self._score(trial, cleaned, absorbed, left)
+        gram, pulls, _ = self._against(absorbed, left)
+        lengths, best = self._products[2], dict[str, Score]()
+        for trial, s in zip(self.trials, self._spans, strict=True):
+            score = self._score(trial, gram[s, s], pulls[s], lengths[s])
             known = best.get(trial.suspect.name)
-            if known is None or (scored.sigma, -scored.limit) > (known.sigma, -known.limit):
-                best[trial.suspect.name] = scored
-        return tuple(sorted(best.values(), key=lambda c: -c.sigma))
+            if known is None or (score.sigma, -score.limit) > (known.sigma, -known.limit):
+                best[trial.suspect.name] = score
+        found = []
+        for score in sorted(best.values(), key=lambda c: -c.sigma):
+            columns = self._stacked(score.trial.columns)
+            found.append(score.candidate(columns - absorbed @ (absorbed.T @ columns)))
+        return tuple(found)
 
-    def _score(self, trial: Trial, cleaned: Array, absorbed: Array, left: Array) -> Candidate:
+    def _score(self, trial: Trial, gram: Array, pull: Array, length: Array) -> Score:
         """The score of one trial; directions that the fit absorbs, as it does a wrong clock, count for nothing.
 
-        A strength that has one sign scores nothing when the data ask for the other.
+        gram (k, k), pull (k,): products of its signature with itself and the residuals; length (k,) of its columns. A
+        strength that has one sign scores nothing when the data ask for the other.
         """
-        signature = cleaned - absorbed @ (absorbed.T @ cleaned)
-        length = _lengths(trial.columns)
-        axes, spread = _axes(signature, length)
-        suspect, model = trial.suspect, self.now.model
-        pulls = axes.T @ (signature.T @ left)
-        chi2 = float(pulls @ pulls)
-        if len(suspect.strengths) == 1 and _forbidden(suspect, self.now, float((signature.T @ left)[0])):
+        axes = _axes(gram, length)
+        spread = axes.shape[1]
+        suspect, way = trial.suspect, self._ways[trial.suspect]
+        chi2 = float(((axes.T @ pull) ** 2).sum())
+        if way.side * pull[0] < 0:
             chi2 = 0.0
-        ways = [parameter_of(model, s) for s in suspect.strengths]
-        sizes = np.array([p.scale or 1.0 for p in ways])
-        limit = LIMIT / max(float((sizes * np.linalg.norm(signature, axis=0)).max()), 1e-300) if spread else np.inf
-        allowed = max(max(abs(p.low), abs(p.high)) / size for p, size in zip(ways, sizes, strict=True))
-        return Candidate(
-            suspect,
-            trial.shapes,
-            sigmas(chi2, spread, self.looks.get(suspect.name, 1.0)) if spread else 0.0,
-            chi2,
-            limit,
-            limit <= min(UNSEEN, allowed),
-            signature @ axes,
-            trial.columns,
-        )
+        seen = float((way.sizes * np.sqrt(np.diag(gram).clip(0))).max())
+        limit = LIMIT / max(seen, 1e-300) if spread else np.inf
+        sigma = sigmas(chi2, spread, self.looks.get(suspect.name, 1.0)) if spread else 0.0
+        return Score(trial, sigma, chi2, limit, limit <= min(UNSEEN, way.allowed), axes)
+
+    @cached_property
+    def _ways(self) -> dict[Suspect, _Way]:
+        return {suspect: _Way.of(suspect, self.now) for suspect in {t.suspect for t in self.trials}}
 
     def claim(self, level: float = LEVEL) -> float:
         """The sigma that the best candidate exceeds by chance in a share `level` of searches."""
         if not self.trials:
             return 0.0
-        sides = [_side(t.suspect, self.now) if len(t.suspect.strengths) == 1 else 0 for t in self.trials]
-        every = [axes * (side or 1) for axes, side in zip(self._bases, sides, strict=True)]
+        gram, rows = self._bases
+        sides = [self._ways[t.suspect].side for t in self.trials]
+        signs = np.concatenate([np.full(r.shape[1], side or 1) for r, side in zip(rows, sides, strict=True)])
         looks = [self.looks[t.suspect.name] for t in self.trials]
-        return by_chance(every, [side != 0 for side in sides], level, looks)
+        sizes = [r.shape[1] for r in rows]
+        return by_chance(gram * np.outer(signs, signs), sizes, [side != 0 for side in sides], level, looks)
 
 
 def tried(
@@ -255,10 +342,12 @@ def _scanned(
     numbers = sum(2 * len(c.frame) for c in evidence.clips) * len(suspect.strengths)
     grid = grid[:: 1 + numbers * len(grid) // MOST]
     every = scanned(model, launches, evidence.clips, suspect, grid)
-    white = evidence.white([e.reshape(*e.shape[:2], -1) for e in every])
-    parts = [np.split(w, len(grid), axis=1) for w in white]
-    trials = [Trial(suspect, shapes, columns) for shapes, columns in zip(grid, zip(*parts, strict=True), strict=True)]
-    return [t for t in trials if any(c.any() for c in t.columns)] or trials[:1]
+    shown = np.flatnonzero(np.any([e.any(axis=(0, 1, 3)) for e in every], axis=0))
+    kept = shown.tolist() or [0]
+    both = zip(evidence.whiteners, every, strict=True)
+    white = [whiten(e[:, :, kept].reshape(*e.shape[:2], -1)) for whiten, e in both]
+    parts = [np.split(w, len(kept), axis=1) for w in white]
+    return [Trial(suspect, grid[k], columns) for k, columns in zip(kept, zip(*parts, strict=True), strict=True)]
 
 
 def rank(evidence: Evidence, now: Fit, tick: Callable[[], None] = lambda: None) -> tuple[Candidate, ...]:
@@ -271,23 +360,12 @@ def _lengths(columns: Sequence[Array]) -> Array:
     return np.asarray(np.sqrt(sum((c**2).sum(axis=0) for c in columns)))
 
 
-def _axes(signature: Array, length: Array) -> tuple[Array, int]:
-    """(k, m) that makes an orthonormal basis of the signature's columns, and m: in directions that are seen."""
+def _axes(gram: Array, length: Array) -> Array:
+    """(k, m) that makes an orthonormal basis of the m directions of a signature that are seen; gram: its products."""
     scale = np.where(length > 0, length, 1)
-    unit = signature / scale
-    values, axes = np.linalg.eigh(unit.T @ unit)
+    values, axes = np.linalg.eigh(gram / np.outer(scale, scale))
     seen = values > SEEN**2
-    return axes[:, seen] / np.sqrt(values[seen]) / scale[:, None], int(seen.sum())
-
-
-def _side(suspect: Suspect, now: Fit) -> int:
-    """1 where a single strength stands at its lower limit and can only grow, -1 at its upper, else 0."""
-    value, (low, high) = now.model.value(suspect.strengths[0]), limits_of(now.model, suspect.strengths[0])
-    return int(value <= low) - int(value >= high)
-
-
-def _forbidden(suspect: Suspect, now: Fit, pull: float) -> bool:
-    return _side(suspect, now) * pull < 0
+    return np.asarray(axes[:, seen] / np.sqrt(values[seen]) / scale[:, None])
 
 
 def likeness(one: Array, other: Array) -> float:

@@ -12,15 +12,16 @@ import jinja2
 import numpy as np
 
 from discrepancy.figures import drawn
-from discrepancy.find import Found
+from discrepancy.find import Found, at_limit
 from discrepancy.story import story
 from synthcam.model import write_model
 
 
 def write(found: Found, folder: Path, left_out: Sequence[str]) -> None:
-    """Write the report's three files into a folder, made if need be."""
+    """Write the report's three files into a folder, made if need be. left_out: those of `read_measured`."""
     folder.mkdir(parents=True, exist_ok=True)
     document = found.document()
+    document["clips"]["left_out"] = [*left_out, *found.left_out]
     (folder / "discrepancy.json").write_text(json.dumps(_plain(document), indent=1, allow_nan=False) + "\n")
     write_model(found.model, folder / "model.yaml")
     template = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined).from_string(
@@ -31,8 +32,8 @@ def write(found: Found, folder: Path, left_out: Sequence[str]) -> None:
         document=document,
         story=story(found),
         figures=drawn(found),
-        left_out=[*left_out, *found.left_out],
         finite=np.isfinite,
+        at_limit=at_limit,
     )
     (folder / "index.html").write_text(page, encoding="utf-8")
 

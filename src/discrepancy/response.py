@@ -9,8 +9,10 @@ A slide's end comes later by dT = du_along / |u|', and the ball rolls off with d
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +27,7 @@ Change = Callable[["Leg"], Array]  # (k, m, J) of friction and loss, (k, m, 2, J
 
 POINTS = 65  # of a leg
 AT_ONCE = 32  # clips
+NUMBERS = 250_000  # at once, for the processor's cache
 
 
 @dataclass(frozen=True)
@@ -45,6 +48,9 @@ class Leg:
         inside = np.clip(times, motion.start, motion.end)
         states = motion.at(inside).reshape(len(times), POINTS, 9)
         return cls(times, states[..., :2], states[..., 3:5], contact_velocity(states, radius))
+
+    def __getitem__(self, rows: slice) -> Leg:
+        return Leg(self.times[rows], self.place[rows], self.velocity[rows], self.contact[rows])
 
     @property
     def speed(self) -> Array:
@@ -82,19 +88,11 @@ def _some(
     fps, exposure = clips[0].fps, clips[0].exposure
     start = min(min(int(c.frame.min()) for c in clips) / fps, float(launches[:, 2].min()))
     end = (max(int(c.frame.max()) for c in clips) + 1) / fps + exposure
-    motion = collisions(model, launches, start, end, [c.striker == "a" for c in clips])
-    contact = np.tile(launches[:, 2], 2)
-    over = np.minimum(motion.slide_ends, end)
-    early = Leg.of(motion, model.ball.radius, contact, np.full(len(contact), start))
-    slide = Leg.of(motion, model.ball.radius, contact, over)
-    roll = Leg.of(motion, model.ball.radius, over, np.full(len(contact), end))
-    nothing = np.zeros((len(contact), 2, size))
-    slid, left = _sliding(model, slide, roll, changes, size)
-    shifts = (
-        _rolling(model, early, changes, size, nothing, nothing),
-        slid,
-        _rolling(model, roll, changes, size, slid[:, -1], left),
-    )
+    early, slide, roll = _legs(model, launches.tobytes(), tuple(c.striker == "a" for c in clips), start, end)
+    contact, over = slide.times[:, 0], roll.times[:, 0]
+    parts = -(-len(contact) * POINTS * 2 * size // NUMBERS)
+    blocks = [_shifts(model, early[r], slide[r], roll[r], changes, size) for r in _runs(len(contact), parts)]
+    shifts = [np.concatenate(leg) for leg in zip(*blocks, strict=True)]
     out = []
     for k, clip in enumerate(clips):
         ball = k + clip.ball * len(clips)
@@ -106,6 +104,36 @@ def _some(
             xy[rows] = _between(leg.times[ball[rows]], shift, ball[rows], when[rows])
         out.append(xy)
     return out
+
+
+@lru_cache(maxsize=16)
+def _legs(model: Model, launches: bytes, a_strikes: tuple[bool, ...], start: float, end: float) -> tuple[Leg, Leg, Leg]:
+    """Before the contact, sliding and rolling; launches: (clips, 6). Many laws are tried on one motion."""
+    places = np.frombuffer(launches).reshape(-1, 6)
+    motion = collisions(model, places, start, end, a_strikes)
+    contact = np.tile(places[:, 2], 2)
+    over, whole = np.minimum(motion.slide_ends, end), np.ones(len(contact))
+    ends = (contact, start * whole), (contact, over), (over, end * whole)
+    early, slide, roll = (Leg.of(motion, model.ball.radius, *e) for e in ends)
+    return early, slide, roll
+
+
+def _runs(count: int, parts: int) -> list[slice]:
+    cuts = np.linspace(0, count, min(parts, count) + 1).astype(int).tolist()
+    return [slice(a, b) for a, b in itertools.pairwise(cuts)]
+
+
+def _shifts(
+    model: Model, early: Leg, slide: Leg, roll: Leg, changes: Mapping[str, Change], size: int
+) -> tuple[Array, Array, Array]:
+    """Of some balls, (k, m, 2, J) in each leg."""
+    nothing = np.zeros((len(early.times), 2, size))
+    slid, left = _sliding(model, slide, roll, changes, size)
+    return (
+        _rolling(model, early, changes, size, nothing, nothing),
+        slid,
+        _rolling(model, roll, changes, size, slid[:, -1], left),
+    )
 
 
 def _sliding(model: Model, leg: Leg, after: Leg, changes: Mapping[str, Change], size: int) -> tuple[Array, Array]:
@@ -149,10 +177,13 @@ def _of(changes: Mapping[str, Change], law: str, leg: Leg, shape: tuple[int, ...
 
 
 def _integral(times: Array, values: Array) -> Array:
-    """From the first instant, by trapezia: (k, m) and (k, m, ...) -> (k, m, ...)."""
-    out = np.zeros_like(values)
-    steps = np.diff(times).reshape(*times[:, 1:].shape, *[1] * (values.ndim - 2))
-    np.cumsum((values[:, 1:] + values[:, :-1]) / 2 * steps, axis=1, out=out[:, 1:])
+    """From the first instant, by trapezia: (k, m), evenly spaced, and (k, m, ...) -> (k, m, ...)."""
+    out = np.empty_like(values)
+    out[:, 0] = 0
+    sums = out[:, 1:]
+    np.add(values[:, 1:], values[:, :-1], out=sums)
+    sums *= ((times[:, -1] - times[:, 0]) / (2 * (POINTS - 1))).reshape(-1, *[1] * (values.ndim - 1))
+    np.cumsum(sums, axis=1, out=sums)
     return out
 
 

@@ -79,9 +79,7 @@ def _change(law: str, filled: Sequence[tuple[Effect, float]], model: Model) -> C
 
 def _later(moving: Sequence[Array], clips: Sequence[Measured], filled: Sequence[tuple[Effect, float]]) -> list[Array]:
     """Of a clock: (n_k, 2, columns)."""
-    out = []
-    for v, clip in zip(moving, clips, strict=True):
-        t = clip.frame / clip.fps
-        late = np.stack([(e.clock(t, clip.fps) - t) / size for e, size in filled], axis=-1)  # type: ignore[attr-defined]
-        out.append(v[..., None] * late[:, None])
-    return out
+    t, fps = np.concatenate([c.frame for c in clips]) / clips[0].fps, clips[0].fps
+    late = np.stack([(e.clock(t, fps) - t) / size for e, size in filled], axis=-1)  # type: ignore[attr-defined]
+    cuts = np.cumsum([len(c.frame) for c in clips])[:-1]
+    return [v[..., None] * own[:, None] for v, own in zip(moving, np.split(late, cuts), strict=True)]

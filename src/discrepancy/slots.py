@@ -69,10 +69,10 @@ class Slot:
             out = self.axes[0].basis(x[0]) @ parts.T
         return np.asarray(out[..., 0] if self.parts == 1 else out)
 
-    def spread(self, length: float) -> Array:
-        """Prior variances of all coefficients, (size,)."""
-        out = self.axes[0].spread(length)
-        for axis in self.axes[1:]:
+    def spread(self, *lengths: float) -> Array:
+        """Prior variances of all coefficients, (size,), of a law that changes over a length, or one of each axis."""
+        out = np.ones(1)
+        for axis, length in zip(self.axes, lengths * (len(self.axes) // len(lengths)), strict=True):
             out = np.outer(out, axis.spread(length)).ravel()
         return np.tile(out, self.parts)
 
@@ -205,6 +205,8 @@ _EFFECTS: dict[str, type[Free]] = {
     "force_place": ForcePlace,
     "warp_place": WarpPlace,
 }
+_NO_EFFECTS = ("lag_speed", "restitution_clip", "spin_transfer_clip")
+SLOTS = len(_EFFECTS) + len(_NO_EFFECTS)
 
 
 @dataclass(frozen=True)

@@ -64,9 +64,13 @@ def _closed(found: Found) -> str:
             f"On collisions that no fit has seen it leaves {gap.before_um:.2f} um rms, where noise alone leaves "
             f"{gap.floor_um:.2f} um."
         )
+    if np.isfinite(gap.closure):
+        closed = f"{100 * gap.closure:.1f} % of the gap in chi^2 is closed"
+    else:
+        closed = "too small a gap to tell what share of it is closed"
     return (
-        f"On collisions that no fit has seen, residuals fall from {gap.before_um:.2f} to {gap.after_um:.2f} um rms, "
-        f"where noise alone leaves {gap.floor_um:.2f} um: {100 * gap.closure:.1f} % of the gap in chi^2 is closed."
+        f"On collisions that no fit has seen, residuals go from {gap.before_um:.2f} to {gap.after_um:.2f} um rms, "
+        f"where noise alone leaves {gap.floor_um:.2f} um: {closed}."
     )
 
 

@@ -7,6 +7,8 @@ MacKay, Neural Computation 4 (1992) 415; Rasmussen & Williams, Gaussian Processe
 
 from __future__ import annotations
 
+import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,18 +20,24 @@ from discrepancy.slots import Slot
 Array = NDArray[np.float64]
 
 LENGTHS = (0.05, 0.12, 0.35, 1.0)  # over which the prior's curves change, shares of the range
+FLAT = 5.0  # likewise, of a field that hardly changes along an axis
 SMOOTH = 0.35  # likewise, of the curves that a slot's significance is looked for in first
 SEEN = 1e-8  # of the largest information: directions that show less count for nothing
+IDLE = 1e-9  # times the variance of a part that acts: of one that does not
 SIZES = np.linspace(-4, 9, 79)  # ln of the prior's size over what the data could just see
 
 
 @dataclass(frozen=True)
 class Prior:
-    """Independent coefficients: a curve of the standard deviation `size` that changes over `length`; spread: (J,)."""
+    """Independent coefficients: a curve of the standard deviation `size` that changes over `length`; spread: (J,).
+
+    cost: of its choice, in chi^2.
+    """
 
     length: float
     size: float
     spread: Array
+    cost: float = 0.0
 
     @property
     def precision(self) -> Array:
@@ -49,32 +57,57 @@ class Weight:
 def freedom(information: Array, found: Array) -> float:
     """What the freedom of numbers fitted to be `found` costs, in chi^2: the same price as of a slot's coefficients.
 
-    information: (k, k), in units in which realistic numbers are one.
+    information: (k, k), in units in which realistic numbers are one. All may differ from zero, or one of them.
     """
-    values, axes = np.linalg.eigh(information)
-    values = np.maximum(values, 1e-300)
-    pulls = values * (axes.T @ found)
-    sizes = np.exp(SIZES)[:, None] / np.sqrt(values[-1])
-    gains = (sizes**2 * pulls**2 / (1 + sizes**2 * values) - np.log1p(sizes**2 * values)).sum(axis=1)
-    return float((pulls**2 / values).sum() - max(gains.max(), 0.0))
+    pull, one = information @ found, 2 * math.log(1 + len(found))
+    ways = [(np.arange(len(found)), 0.0)] + [(np.array([k]), one) for k in range(len(found)) if len(found) > 1]
+    gains = []
+    for way, cost in ways:
+        values, axes = np.linalg.eigh(information[np.ix_(way, way)])
+        values = np.maximum(values, 1e-300)
+        _, each = _gains(values, axes.T @ pull[way])
+        gains.append(each.max() - cost)
+    return float(found @ pull - max(*gains, 0.0))
+
+
+def _gains(values: Array, pulls: Array) -> tuple[Array, Array]:
+    """The sizes tried of a prior, and the gain of each, from the information (rising) and the pull along its axes."""
+    sizes = np.exp(SIZES) / np.sqrt(max(values[-1], 1e-300))
+    square = sizes[:, None] ** 2
+    return sizes, (square * pulls**2 / (1 + square * values) - np.log1p(square * values)).sum(axis=1)
+
+
+def priors(slot: Slot) -> Iterator[tuple[float, Array, float]]:
+    """What the coefficients may be like: the length of change, their variances (J,), and the cost of the choice.
+
+    A field changes along both axes or along one, and acts along both or along one: three ways of each.
+    """
+    one = 2 * math.log(3)
+    for length in LENGTHS:
+        ways = [(slot.spread(length), 0.0)]
+        if len(slot.axes) == 2:
+            ways += [(slot.spread(length, FLAT), one), (slot.spread(FLAT, length), one)]
+        for spread, cost in ways:
+            yield length, spread, cost
+            for part in range(slot.parts if slot.parts > 1 else 0):
+                acts = np.repeat(np.arange(slot.parts) == part, slot.size // slot.parts)
+                yield length, np.where(acts, spread, IDLE * spread), cost + one
 
 
 def weigh(slot: Slot, information: Array, pull: Array) -> Weight:
     """The best of the priors for coefficients with this information F (J, J) and pull g (J,)."""
     best: Weight | None = None
-    for length in LENGTHS:
-        root = np.sqrt(slot.spread(length))
+    for length, spread, cost in priors(slot):
+        root = np.sqrt(spread)
         values, axes = np.linalg.eigh(root[:, None] * information * root)
         values = np.maximum(values, 0.0)
         pulls = axes.T @ (root * pull)
-        unit = 1 / np.sqrt(max(values[-1], 1e-300))
-        sizes = unit * np.exp(SIZES)[:, None]
-        gains = (sizes**2 * pulls**2 / (1 + sizes**2 * values) - np.log1p(sizes**2 * values)).sum(axis=1)
+        sizes, gains = _gains(values, pulls)
         k = int(gains.argmax())
-        if best is None or gains[k] > best.gain:
-            size = float(sizes[k, 0])
+        if best is None or gains[k] - cost > best.gain:
+            size = float(sizes[k])
             coefs = root * (axes @ (size**2 / (1 + size**2 * values) * pulls))
-            best = Weight(float(gains[k]), Prior(length, size, root**2), coefs)
+            best = Weight(float(gains[k]) - cost, Prior(length, size, spread, cost), coefs)
     assert best is not None
     return best
 

@@ -71,7 +71,8 @@ class Batch:
             here = Packed((mine >= begins) & (mine <= ends))
             if here.any:
                 states = segment.states(np.clip(here.gather(mine), begins, ends))
-                out[segment.who[here.rows], here.columns] = states[here.rows, here.places]
+                rows, columns = np.nonzero(here.mask)
+                out[segment.who[rows], columns] = states[here.inside]
         return out.reshape(2, self.size, own.shape[-1], 9)
 
     def means(self, starts: Array, exposure: float) -> Array:
@@ -80,22 +81,32 @@ class Batch:
         starts: when they open, (frames,) or of each ball's own, (2n, frames); all within [start, end].
         """
         own = np.broadcast_to(starts, (2 * self.size, starts.shape[-1]))
+        first, last = (of(np.atleast_2d(starts), axis=0) for of in (np.min, np.max))
         out = np.zeros((2, *own.shape))
         for segment in self.segments:
-            opens, begins, ends = own[segment.who], segment.begins[:, None], segment.ends[:, None]
-            whole = (opens >= begins) & (opens + exposure <= ends)
-            here = Packed(whole)
-            if here.any:
-                middle = np.clip(here.gather(opens) + exposure / 2, begins, ends)
-                found = segment.means(middle, exposure)
-                out[:, segment.who[here.rows], here.columns] = found[:, here.rows, here.places]
-            if exposure > 0:
-                here = Packed(~whole & (opens < ends) & (opens + exposure > begins))
-                if here.any:
-                    opens = here.gather(opens)
-                    a, b = np.clip(opens, begins, ends), np.clip(opens + exposure, begins, ends)
-                    found = segment.means((a + b) / 2, b - a) * ((b - a) / exposure)
-                    out[:, segment.who[here.rows], here.columns] += found[:, here.rows, here.places]
+            begins, ends = segment.begins[:, None], segment.ends[:, None]
+            near = np.flatnonzero((first <= ends.max()) & (last >= begins.min() - exposure))
+            if len(near) == 0:
+                continue
+            where = segment.who, slice(near[0], near[-1] + 1)
+            here = Packed((own[where] <= ends) & (own[where] >= begins - exposure))
+            if not here.any:
+                continue
+            opens = here.gather(own[where])
+            whole = np.clip(opens + exposure / 2, begins, ends)
+            found = segment.means(whole, exposure)
+            some = Packed(here.inside & ((opens < begins) | (opens + exposure > ends)))
+            if some.any:  # a kink cuts them
+                a = np.clip(some.gather(opens), begins, ends)
+                b = np.clip(some.gather(opens) + exposure, begins, ends)
+                parts = segment.means((a + b) / 2, b - a) * ((b - a) / exposure)
+            for axis in (0, 1):
+                rows, new = out[axis][where], found[axis]
+                if some.any:
+                    new = new.copy()
+                    new[some.mask] = here.gather(rows)[some.mask] + parts[axis][some.inside]
+                rows[here.mask] = new[here.inside]
+                out[axis][where] = rows
         return np.moveaxis(out.reshape(2, 2, self.size, own.shape[-1]), 0, -1)
 
 

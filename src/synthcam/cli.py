@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import importlib.util
+import inspect
 import json
 import os
 import sys
+import textwrap
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -240,7 +242,7 @@ def effects(
     if output is not None and (name is None or output.suffix.lower() != ".png"):
         raise InputError(f"-o {output}: expected the NAME of one effect, and a file that ends in .png")
     for effect in known.values() if name is None else [known[name]]:
-        doc = (effect.__doc__ or "").strip()
+        doc = inspect.cleandoc(effect.__doc__ or "")
         if as_json:
             parameters = [vars(p) | {"low": _limit(p.low), "high": _limit(p.high)} for p in effect.parameters()]
             laws = list(effect.laws)
@@ -248,7 +250,7 @@ def effects(
             continue
         print(f"{effect.name()}: {doc.splitlines()[0]}")
         if name is not None:
-            print(*(f"    {line.strip()}" for line in doc.splitlines()[1:]), sep="\n")
+            print(textwrap.indent("\n".join(doc.splitlines()[1:]), "    "))
             for p in effect.parameters():
                 kind = "shape" if p.fixed else "strength"
                 print(f"    {p.name}: {kind}, {p.unit}, realistic {p.scale:g}, from {p.low:g} to {p.high:g}")
@@ -258,6 +260,8 @@ def effects(
         apart = sketch(realistic(known[name]), output)
         if not as_json:
             print(f"    {output}: it moves what is seen by up to {apart:.3g} um")
+    elif name is not None and not as_json:
+        print(f"    what it does to the tracks is drawn with -o: synthcam effects {name} -o {name}.png")
 
 
 def _limit(x: float) -> float | None:

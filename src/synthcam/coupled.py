@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from synthcam.contact import TOUCHING
 from synthcam.kinematics import Array, Real, contact_velocity, fly, plate_state, rolling_state
 from synthcam.model import Bodies, Model
-from synthcam.pulled import SMALLEST, STEADY, STILL, Ball, Flags, Mesh, last_axis, mesh
+from synthcam.pulled import SMALLEST, STEADY, STILL, Ball, Flags, Mesh, last_axis, mesh, most
 from synthcam.rolling import SLOWEST, Stretch
 from synthcam.spectral import series
 from synthcam.trajectory import Motion
@@ -21,6 +21,7 @@ NODES = 24  # of a piece
 STARTS = (12, 20, 32, 56)  # nodes of a piece that begins at rest: tried in this order
 BOOST = 5.0  # times the last coefficients that a pole leaves
 TURNS, PATIENCE = 25, 120  # of the iteration; of a start that many nodes are spent on
+QUICK = 5  # turns in which a start is looked for in whole steps
 HALVINGS = 30  # of a piece
 SETTLED = 2e-13  # m/s, of an iteration's change
 AWAY = 8.0  # distances of touching: a ball at rest is let go when the other comes so near, if not yet pulled off
@@ -71,15 +72,20 @@ class Course:
         return self._between(middle - np.asarray(wide) / 2, middle + np.asarray(wide) / 2)
 
     def _between(self, early: Array, late: Array) -> Array:
-        """Centres (2, k, m) averaged from `early` to `late`, (k, m): by the series' integral."""
-        c, n = self.series.coefficients[:2], self.series.coefficients.shape[-1]
+        """Centres (2, k, m) averaged from `early` to `late`, (k, m): by the series' integral. Nothing over no time."""
+        some = np.flatnonzero((late > early).any(axis=1))
+        c, n = self.series.coefficients[:2, some], self.series.coefficients.shape[-1]
         padded = np.zeros((*c.shape[:-1], n + 2))
         padded[..., 1:n] = c[..., 1:]
         whole = np.zeros((*c.shape[:-1], n + 1))
         whole[..., 1:] = (padded[..., :n] - padded[..., 2:]) / (2 * np.arange(1, n + 1))
-        first, last = self.series.begins[:, None], self.series.ends[:, None]
-        a, b = ((2 * times - first - last) / (last - first) for times in (early, late))
-        return np.asarray(c[..., :1] + (series(whole, b) - series(whole, a)) / np.where(b == a, 1.0, b - a))
+        first, last = self.series.begins[some, None], self.series.ends[some, None]
+        a, b = ((2 * times[some] - first - last) / (last - first) for times in (early, late))
+        sums = series(whole, np.concatenate([a, b], axis=1))
+        gain = sums[..., a.shape[1] :] - sums[..., : a.shape[1]]
+        out = np.zeros((2, *early.shape))
+        out[:, some] = np.where(b == a, 0.0, c[..., :1] + gain / np.where(b == a, 1.0, b - a))
+        return out
 
     def of(self, which: Any) -> Course:
         """Some of them."""
@@ -177,7 +183,7 @@ def step(
             if len(some):
                 pair = bodies[0][some], bodies[1][some]
                 piece, good = _lead(model, pair, modes, states[:, some], some, now[some], lasts[some], which)
-                found += [piece.of(good)] if np.any(good) else []
+                found += [piece if np.all(good) else piece.of(good)] if np.any(good) else []
                 left.append(some[~good])
         todo = np.concatenate(left)
         if len(todo) == 0:
@@ -254,17 +260,18 @@ def _lead(
             if ender >= 0:
                 long = balls[ender].ending(long)
             if onset is not None:
-                long = np.where(onset[:, None], long * (1 - _beyond(balls[0].excess(), on)), long)
+                share = 1.0 if turn < QUICK else 0.5  # near the slowest that can come, whole steps go to and fro
+                long = np.where(onset[:, None], long * (1 - share * _beyond(balls[0].excess(), on)), long)
             worst = np.zeros(len(lasts))
             for k, ball in enumerate(balls):
                 before = ball.away
                 ball.go(long, k == ender, anchor)
-                worst = np.maximum(worst, np.abs(ball.away[..., some] - before[..., some]).max(axis=(0, 2)))
+                worst = np.maximum(worst, most(ball.away[..., some] - before[..., some]))
             last, change = change, worst / np.abs(long[:, 0])
             to_come = change * np.minimum(change / np.maximum(last, FAINT), 1.0)
             good = (to_come < np.inf) & (np.sign(long[:, 0]) == np.sign(lasts))
             for ball in balls:
-                good &= ball.stays | (ball.mode == "creep")  # whose start may yet be found
+                good &= ball.stays | (onset is not None)  # whose start may yet be found
             if turn > 0 and to_come.max(initial=0.0, where=good) < SETTLED:
                 break
         good &= (to_come < SETTLED) & balls[0].sound() & balls[1].sound()
@@ -318,7 +325,7 @@ def approach(model: Model, bodies: Pair, touching: Array, time: Array, start: Ar
             pair = bodies[0][todo], bodies[1][todo]
             some = todo, time[todo], -lasts[todo], -1, size, ~held[todo]
             piece, good = _lead(model, pair, ("creep", "roll"), touching[:, todo], *some)
-            piece, todo = piece.of(good), todo[~good]
+            piece, todo = piece if np.all(good) else piece.of(good), todo[~good]
             pieces += [piece] if len(piece.who) else []
             then[:, piece.who], now[piece.who] = piece.last, piece.then
             at = hit[0, piece.who, :2], piece.velocities[0, ..., 0].T, hit[0, piece.who, 8:]

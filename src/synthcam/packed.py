@@ -7,16 +7,15 @@ from numpy.typing import NDArray
 
 
 class Packed:
-    """Of a mask (k, m): rows, columns of its true places, their place (p,) in the packed array. any: is there one?"""
+    """Of a mask (k, m): inside (k, most in a row), which places of the packed array are taken; any: is one?"""
 
     def __init__(self, mask: NDArray[np.bool_]) -> None:
-        self.rows, self.columns = np.nonzero(mask)
-        counts = np.bincount(self.rows, minlength=len(mask))
-        self.places = np.arange(len(self.rows)) - (np.cumsum(counts) - counts)[self.rows]
-        self.any = len(self.rows) > 0
-        self._index = np.zeros((len(mask), counts.max(initial=0)), dtype=np.intp)
-        self._index[self.rows, self.places] = self.columns
+        counts = np.count_nonzero(mask, axis=1)
+        self.mask, self.any = mask, bool(counts.any())
+        self.inside = np.arange(counts.max(initial=0)) < counts[:, None]
 
     def gather(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Of values (k, m) the packed ones, (k, most in a row); rows with fewer are filled up with any."""
-        return np.take_along_axis(values, self._index, axis=1)
+        """Of values (k, m) the packed ones, (k, most in a row); rows with fewer are filled up with zeros."""
+        out = np.zeros(self.inside.shape)
+        out[self.inside] = values[self.mask]
+        return out

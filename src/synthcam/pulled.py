@@ -28,13 +28,13 @@ from numpy.typing import NDArray
 from synthcam.kinematics import Array, contact_velocity, fly, plate_state, rolling_velocity
 from synthcam.model import Bodies, Model
 from synthcam.rolling import SLOWEST
+from synthcam.sliding import GONE
 from synthcam.spectral import matrices, product
 
 Flags = NDArray[np.bool_]
 SMALLEST = 1e-300
 STILL = 1e-12  # m/s: slower than this is rest, or rolling for a contact velocity
 TRUE, STEADY = 3e-14, 5e-13  # m, m/s: of the last coefficients
-GONE = 1e-6  # m/s: where a slide ends with a spin to drill, if friction there still exceeds the push
 
 
 @dataclass(frozen=True)
@@ -192,9 +192,12 @@ class Ball:
         self.e = u / self.s
 
     def _turn(self, psi: Array) -> None:
-        s = np.sin(psi)
-        c = np.sqrt(1 - s * s) if np.abs(psi).max() < 1 else np.cos(psi)
-        self.e = np.stack([c * self.hat[0] - s * self.hat[1], s * self.hat[0] + c * self.hat[1]])
+        half = np.tan(psi / 2)  # numpy's sine and cosine take longer
+        double = 2 / (1 + half * half)
+        s, c = double * half, double - 1
+        self.e = np.empty((2, *psi.shape))
+        np.subtract(c * self.hat[0], s * self.hat[1], out=self.e[0])
+        np.add(s * self.hat[0], c * self.hat[1], out=self.e[1])
 
     def _moved(self, lasts: Array) -> None:
         self.away = lasts * product(self.v, self.on.integral)
@@ -277,8 +280,16 @@ class Ball:
             more = np.concatenate([self.q, self.wz[None] + np.zeros((1, 1, self.size))])
             found = np.concatenate([found, product(more, self.on.coefficients)])
             counted = found[4:6]
-        rough = np.abs(found[:2, :, -2:]).max(axis=(0, 2)) / TRUE
-        return found, np.maximum(rough, np.abs(counted[..., -2:]).max(axis=(0, 2)) / STEADY)
+        return found, np.maximum(most(found[:2, :, -2:]) / TRUE, most(counted[..., -2:]) / STEADY)
+
+
+def most(vectors: Array) -> Array:
+    """The largest part of any of (2, k, few): (k,)."""
+    each = np.abs(vectors).max(axis=0)
+    out = each[:, 0]
+    for column in each.T[1:]:  # quicker than a maximum over a short axis
+        out = np.maximum(out, column)
+    return np.asarray(out)
 
 
 def last_axis(vectors: Array) -> Array:

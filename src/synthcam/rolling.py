@@ -16,7 +16,7 @@ SLOWEST = 1e-7  # m/s: a ball slower than this has stopped
 SHALLOW, SHORTEST = 7, 1e-4  # halvings of a piece; its share of what would stop the ball
 MOST = 1000  # stretches of a roll
 LAWS = ("rolling", "push")
-SLIGHT = 1e-17  # m: coefficients that are not worth their time
+SLIGHT = 1e-16  # m: coefficients of all balls that together are not worth their time
 
 
 @dataclass(frozen=True)
@@ -45,18 +45,23 @@ class Stretch:
         The mean of f over x +- h is the sum of h^(2j)/(2j+1)! f^(2j)(x).
         """
         half = np.abs(wide / (self.ends - self.begins))[:, None]
-        term = mean = self.coefficients[:2]
+        worth = np.flatnonzero(_sizes(self.coefficients[:2]) > SLIGHT).max(initial=1)
+        term = mean = self.coefficients[:2, :, : worth + 1]
         curvature = matrices(term.shape[-1]).curvature
         for j in range(1, (term.shape[-1] + 1) // 2):
             term = product(term, curvature) * (half * half / (2 * j * (2 * j + 1)))
             mean = mean + term
-            if np.abs(term).max() < 1e-18:
+            if _sizes(term).max() < SLIGHT:
                 break
-        worth = np.flatnonzero(np.abs(mean).max(axis=(0, 1)) > SLIGHT).max(initial=1)
-        return series(mean[..., : worth + 1], self._local(middle))
+        return series(mean, self._local(middle))
 
     def _local(self, times: Array) -> Array:
         return (2 * times - (self.begins + self.ends)[:, None]) / (self.ends - self.begins)[:, None]
+
+
+def _sizes(coefficients: Array) -> Array:
+    """(c, k, n) -> (n,): roots of sums of squares, no less than any; a maximum takes numpy longer."""
+    return np.asarray(np.sqrt(np.einsum("ckn,ckn->n", coefficients, coefficients)))
 
 
 @dataclass(frozen=True)

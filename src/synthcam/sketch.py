@@ -49,9 +49,11 @@ def sketch(effect: Effect, path: Path) -> float:
 
     base, bent = tracks(Model()), tracks(Model(effects=(effect,)))
     apart = 1e3 * (bent - base)
-    figure = Figure(figsize=(9, 3.8), layout="constrained")
+    figure = Figure(figsize=(9, 4.2), layout="constrained")
     FigureCanvasAgg(figure)
-    left, right = figure.subplots(1, 2)
+    grid = figure.add_gridspec(1, 2)
+    halves = [figure.add_subfigure(grid[0, k]) for k in (0, 1)]
+    left, right = (half.subplots() for half in halves)
     time = np.arange(FRAMES) / FPS * 1e3
     for k in (0, 1):
         left.plot(*base[k].T, color="0.6", lw=3, label="without" if k else None)
@@ -61,8 +63,8 @@ def sketch(effect: Effect, path: Path) -> float:
     right.axvline(1e3 * float(LAUNCH["time"]), color="0.6", lw=0.8)  # type: ignore[arg-type]
     left.set(xlabel="x, mm", ylabel="y, mm", aspect="equal", title="where the balls are seen")
     right.set(xlabel="time, ms", ylabel="with less without, µm", title="and how far from where they are without it")
-    left.legend(fontsize="small")
-    right.legend(fontsize="small")
+    for half in halves:
+        half.legend(fontsize="small", loc="outside lower center", ncols=2)
     values = ", ".join(
         f"{p.name} = {getattr(effect, p.name):g} {p.unit}".removesuffix(" 1") for p in effect.parameters()
     )

@@ -22,6 +22,7 @@ from synthcam.reading import Reading
 from synthcam.spectral import RESOLVED, SIZES, Parts, Path, integrate, matrices, product
 
 FINISH = 1e-5  # of the first slip: the rest of the slide, a microsecond, is taken as a uniform deceleration
+GONE = 1e-6  # m/s: where a spin drills, friction fades with the slip, and what is left at this slip ends as without it
 KNOTS = (0.0, -3.8, float(np.log(FINISH)))  # of ln(|u|/|u0|)
 SHARES = (1.0, 0.0)  # of |u|/|u0|
 LAWS = ("friction", "normal_load", "push", "drilling")
@@ -35,13 +36,14 @@ CLOSING = 1 - ((1 - matrices(10).nodes) / 2) ** 3  # of the uniform end's time: 
 class Slides:
     """k slides that begin together at elapsed time 0, solved: (cos th, sin th, wz, qx, qy, x, y, t) against `knots`.
 
-    lasts (k,): how long, s. cut: when the uniform end begins; slowing (k,), push (2, k), twist (k,) in it. of: what the
-    path runs over, to |u|/|u0| and its logarithm.
+    lasts (k,): how long, s. cut: when the uniform end begins; slowing (k,), push (2, k), twist (k,) in it. The path runs
+    over |u|/|u0| where it is straight, else over the logarithm of that divided by `stretch` (k,).
     """
 
     path: Path
     straight: bool
     first: Array
+    stretch: Array
     radius: Array
     cut: Array
     lasts: Array
@@ -57,8 +59,7 @@ class Slides:
 
     def ends(self) -> Array:
         """States (k, 9) of the balls when they stop sliding."""
-        last, slip = self.path.last()[..., None], self.first[:, None] * (0.0 if self.straight else FINISH)
-        plane = self._closing(last, slip, (self.lasts - self.cut)[:, None])[..., 0]
+        plane = self._closing(self.path.last()[..., None], self._slip(), (self.lasts - self.cut)[:, None])[..., 0]
         return plate_state(plane[0:2].T, plane[2:4].T, plane[4:6].T, plane[6], self.radius)
 
     def means(self, middle: Array, wide: Any) -> Array:
@@ -70,10 +71,17 @@ class Slides:
         pieces = [(y[7], y[5:7]) for _, y in self.path.nodes()]
         if self.straight:
             return Reading.of(pieces, 1)
-        last, slip = self.path.last()[..., None], self.first[:, None] * FINISH
         late = (self.lasts - self.cut)[:, None] * CLOSING
-        pieces.append((self.cut[:, None] + late, self._closing(last, slip, late)[:2]))
-        return Reading.of(pieces, 3)
+        pieces.append((self.cut[:, None] + late, self._closing(self.path.last()[..., None], self._slip(), late)[:2]))
+        return Reading.of(pieces, 1 if self.drills else 3)  # where friction fades, the end is as smooth as the rest
+
+    @property
+    def drills(self) -> bool:
+        return bool(np.any(self.stretch != 1))
+
+    def _slip(self) -> Array:
+        """At the path's end, (k, 1)."""
+        return np.asarray(self.first * (0.0 if self.straight else FINISH**self.stretch))[:, None]
 
     def _closing(self, y: Array, slip: Array, late: Array) -> Array:
         """(x, y, qx, qy, ux, uy, wz), (7, k, m), the times `late` (k, m) after such y (8, k, m) and |u| (k, m)."""
@@ -87,7 +95,7 @@ class Slides:
         """(x, y, qx, qy, ux, uy, wz), (7, k, m)."""
         cut = self.cut[:, None]
         along = self._when(np.minimum(elapsed, cut))
-        slip = self.first[:, None] * (along if self.straight else np.exp(along))
+        slip = self.first[:, None] * (along if self.straight else np.exp(along * self.stretch[:, None]))
         return self._closing(self.path(along), slip, np.clip(elapsed - cut, 0.0, (self.lasts - self.cut)[:, None]))
 
     @cached_property
@@ -108,7 +116,7 @@ class Slides:
             low, high = np.where(late, along, low), np.where(late, high, along)
             new = along - (time - elapsed) / np.where(slope < 0, slope, -np.inf)
             new = np.where((new >= low) & (new <= high), new, (low + high) / 2)
-            if np.all(np.abs(new - along) * (1.0 if self.straight else np.exp(along)) < 1e-8):  # squared by this turn
+            if np.all(np.abs((new - along) * slope) < 1e-8 * self.cut[:, None]):  # squared by this turn
                 return np.asarray(new)
             along = new
         return np.asarray(along)
@@ -141,39 +149,58 @@ def slides(model: Model, state: Array, bodies: Bodies) -> Slides:
             push = laws("push", _last(np.zeros_like(v)), instant).transpose(2, 0, 1)
             slowing -= push[0] * hat[0] + push[1] * hat[1]
             across = hat[0] * push[1] - hat[1] * push[0]
-        if not np.all(slowing > 0):
-            raise ValueError("sliding friction does not end the slide: the push along the slip is too strong")
         return slowing, across, push, twist
 
+    def slowed(slip: Array, y: Array) -> tuple[Array, Any, Any, Any]:
+        """The same where they end the slide."""
+        found = forces(slip, y)
+        if not np.all(found[0] > 0):
+            raise ValueError("sliding friction does not end the slide: the push along the slip is too strong")
+        return found
+
+    def gone() -> Array:
+        """The slip at which a slide with a spin ends, (k,): the larger, the sooner friction fades before a push."""
+        slowing, _, push, _ = forces(np.full((len(first), 1), GONE), start[..., None])
+        push = push + np.zeros((2, len(first), 1))
+        friction = slowing + (push * start[:2, :, None]).sum(axis=0)
+        return np.asarray(GONE * (1 + 2 * np.hypot(*push) / friction))[:, 0]
+
     def right(log: Array, y: Array) -> Parts:
-        slip = first[:, None] * np.exp(log)
-        slowing, across, push, twist = forces(slip, y)
-        rate, turn = -slip / slowing, across / slowing  # dt/dln|u|, -dth/dln|u|
-        out = np.empty((3, *rate.shape))
-        np.multiply(turn, y[1], out=out[0])
-        np.multiply(-turn, y[0], out=out[1])
-        out[2] = twist * rate
-        yield slice(0, 3), out
-        yield slice(3, 5), 5 / 7 * push * rate + np.zeros((2, 1, 1))
+        slip = first[:, None] * np.exp(log * stretch[:, None])
+        slowing, across, push, twist = slowed(slip, y)
+        per = stretch[:, None] / slowing
+        rate, turn = -slip * per, across * per  # dt and -dth by the path's logarithm
+        if pushes:
+            out = np.empty((2, *rate.shape))
+            np.multiply(turn, y[1], out=out[0])
+            np.multiply(-turn, y[0], out=out[1])
+            yield slice(0, 2), out
+        if drills:
+            yield slice(2, 3), (twist * rate)[None]
+        if pushes:
+            yield slice(3, 5), 5 / 7 * push * rate
         v = y[3:5] + (2 / 7 * slip) * y[:2]
         yield slice(5, 7), v * rate
         yield slice(7, 8), rate[None]
 
     start = np.stack([*u.T / first, state[:, 8], *q.T, *state[:, 0:2].T, np.zeros(len(state))])
+    stretch = np.log(np.minimum(gone() / first, 0.1)) / KNOTS[-1] if drills else np.ones_like(first)
     if not pushes and not drills and all(laws.asked(law) <= STRAIGHT for law in ("friction", "normal_load")):
-        path = _straight(lambda slip, y: forces(slip, y)[0], first, start)
+        path = _straight(lambda slip, y: slowed(slip, y)[0], first, start)
         if path is not None:
             lasts, nothing = path.last()[7], np.zeros_like(first)
-            return Slides(path, True, first, bodies.radius, lasts, lasts, nothing, np.zeros((2, len(first))), nothing)
-    slowing0, across0, push0, twist0 = forces(first[:, None], start[..., None])
+            ending = lasts, lasts, nothing, np.zeros((2, len(first))), nothing
+            return Slides(path, True, first, stretch, bodies.radius, *ending)
+    slowing0, across0, push0, twist0 = slowed(first[:, None], start[..., None])
 
     def guess(log: Array) -> Array:
         """The slide were all forces what they are at its start."""
+        log = log * stretch[:, None]
         share = np.exp(log)
         t = first[:, None] * (1 - share) / slowing0
         half = across0 / slowing0 / -2 * log  # of the angle turned, or its tangent
         cos, sin = (1 - half * half) / (1 + half * half), 2 * half / (1 + half * half)
-        y = np.repeat(start[..., None], len(log), axis=-1)
+        y = np.repeat(start[..., None], log.shape[-1], axis=-1)
         y[5:7] += (y[3:5] + first[:, None] * (1 + share) / 7 * y[:2]) * t
         y[0], y[1] = y[0] * cos - y[1] * sin, y[1] * cos + y[0] * sin
         y[2], y[7] = y[2] + twist0 * t, t
@@ -181,13 +208,15 @@ def slides(model: Model, state: Array, bodies: Bodies) -> Slides:
         return y
 
     asked = set().union(*(laws.asked(law) for law in LAWS))
-    feed = None if "position" in asked else 2 if "velocity" in asked else 1
+    turning = pushes + drills
+    feed = None if "position" in asked else max(turning + (pushes and "velocity" in asked), 1)
     path = integrate(right, KNOTS, start, guess, few=FEW, feed=feed)
-    last, slip = path.last(), first * FINISH
-    slowing, _, push, twist = forces(slip[:, None] / 2, last[..., None])
+    last, slip = path.last(), first * FINISH**stretch
+    still = np.where((np.arange(8) == 2)[:, None], 0.0, last) if drills else last  # no spin
+    slowing, _, push, twist = slowed(slip[:, None] / 2, still[..., None])
     push, twist = (np.broadcast_to(f, (*lead, len(slip), 1))[..., 0] for f, lead in ((push, (2,)), (twist, ())))
     cut, slowing = last[7], slowing[:, 0]
-    return Slides(path, False, first, bodies.radius, cut, cut + slip / slowing, slowing, push, twist)
+    return Slides(path, False, first, stretch, bodies.radius, cut, cut + slip / slowing, slowing, push, twist)
 
 
 def _last(vectors: Array) -> Array:

@@ -25,12 +25,14 @@ Parts = Iterator[tuple[slice, Array]]
 Right = Callable[[Array, Array], Parts]
 
 SIZES = 14, 20, 26, 32, 40  # nodes of a piece
-TOLERANCE = 1e-14  # of the iteration
+TOLERANCE = 3e-14  # of the iteration
 SETTLED = 1e-12  # what rounding may leave of the iteration's changes
 RESOLVED = 1e-13  # of the last coefficients, over the largest value
 DEEPEST = 12
 HOPELESS = 100  # times what is to be resolved
 TURNS = 40
+CLOSE = 1e-3  # a change so small tells whether the nodes are enough
+SOME = slice(1, None, 2)  # nodes at which changes are looked for
 ALONE = 2**18  # multiplications; OpenBLAS shares out products of more
 
 
@@ -72,17 +74,39 @@ class Path:
 
 
 def series(coefficients: Array, x: Array) -> Array:
-    """Chebyshev series (c, problems, nodes) at x (problems, m): (c, problems, m)."""
-    size, known = coefficients.shape[-1], 1
-    polynomials = np.empty((len(x), size, x.shape[1]))
-    polynomials[:, 0], polynomials[:, 1] = 1.0, x
-    while known + 1 < size:  # T_(k + j) = 2 T_k T_j - T_(k - j), for j = 1 to k at once
-        more = min(known, size - 1 - known)
-        new, last = polynomials[:, known + 1 : known + 1 + more], polynomials[:, known : known + 1]
-        np.multiply(polynomials[:, 1 : more + 1], 2 * last, out=new)
-        new -= polynomials[:, known - more : known][:, ::-1]
-        known += more
-    return (np.ascontiguousarray(coefficients.swapaxes(0, 1)) @ polynomials).swapaxes(0, 1)
+    """Chebyshev series (c, problems, nodes) at x (problems, m): (c, problems, m).
+
+    T_2k(x) = T_k(y) and T_(2k+1)(x) = x W_k(y), y = 2 x^2 - 1: half as many polynomials, in y, of E and O in E + x O.
+    """
+    c, problems, size = coefficients.shape
+    half = (size + 1) // 2
+    y = 2 * x * x - 1
+    polynomials = np.empty((half, *x.shape))
+    polynomials[0], polynomials[1:2] = 1.0, y
+    for k in range(2, half):
+        np.multiply(polynomials[1], polynomials[k - 1], out=polynomials[k])
+        polynomials[k] *= 2
+        polynomials[k] -= polynomials[k - 2]
+    parts = product(coefficients, _halves(size)).reshape(c, problems, 2, half).transpose(1, 0, 2, 3)
+    found = parts.reshape(problems, 2 * c, half) @ polynomials.transpose(1, 0, 2)
+    found = found.reshape(problems, c, 2, x.shape[1])
+    out = np.empty((c, *x.shape))
+    for one, two in zip(out, found.swapaxes(0, 1), strict=True):
+        np.multiply(two[:, 1], x, out=one)
+        one += two[:, 0]
+    return out
+
+
+@cache
+def _halves(size: int) -> Array:
+    """A series' coefficients -> those in T_k(y) of E, then of O: from W_k = 2 T_k - W_(k-1)."""
+    half = (size + 1) // 2
+    out = np.zeros((size, 2 * half))
+    out[::2, :half] = np.eye(half)
+    for k in range(1, size, 2):
+        out[k, half : half + k // 2 + 1] = 2 * (-1.0) ** (k // 2 - np.arange(k // 2 + 1))
+        out[k, half] /= 2
+    return out
 
 
 def reread(values: Array, places: Array, size: int) -> Array:
@@ -95,8 +119,8 @@ def reread(values: Array, places: Array, size: int) -> Array:
     signs[[0, -1]] /= 2
     gap = matrices(size).nodes - places[..., None]
     gap += 1e-300  # a node that is met takes all the weight
-    all_ = np.concatenate([values, np.ones((1, *places.shape))]).swapaxes(0, 1)
-    found = (all_ @ np.divide(signs[:, None], gap, out=gap)).swapaxes(0, 1)
+    weighed = np.concatenate([values * signs, np.broadcast_to(signs, (1, *places.shape))]).swapaxes(0, 1)
+    found = (weighed @ np.reciprocal(gap, out=gap)).swapaxes(0, 1)
     return np.asarray(found[:-1] / found[-1])
 
 
@@ -207,20 +231,21 @@ def _piece(right: Right, a: float, b: float, start: Array, guess: Array, feed: i
 
     with np.errstate(all="ignore"):  # a runaway piece is halved
         for k in range(TURNS):
-            old = y[fed].copy()
+            old = y[fed][..., SOME].copy()
             fed = turn(feed if k else None)
             if k < 2:
-                size = _norm(y) / np.sqrt(len(x)) + 1e-9
-            last, change = change, float((_norm(y[fed] - old[fed]) / size[fed]).max())
+                size = _norm(y).mean(axis=1, keepdims=True) / np.sqrt(len(x)) + 1e-9  # no coordinate is small by chance
+            last, change = change, SOME.step * float((_norm(y[fed][..., SOME] - old[fed]) / size[fed]).max())
             if not np.isfinite(change):
                 return y, False, 0.0
-            if change < 1e-3 or k == 0:
+            gain = min(change / last, 1.0) if k else 1.0
+            more = gain if feed is None else gain * gain  # one more turn is to come
+            settled = change * more < TOLERANCE or (change < SETTLED and change > last / 2)
+            if k == 0 or settled or change < CLOSE <= last:
                 tail = last_ones(fed if k else slice(None))
                 if tail > 10 * change + RESOLVED or (k == 0 and tail > HOPELESS * RESOLVED):
                     return y, False, tail  # no further turn will mend it
-            gain = min(change / last, 1.0) if k else 1.0
-            more = gain if feed is None else gain * gain  # one more turn is to come
-            if change * more < TOLERANCE or (change < SETTLED and change > last / 2):
+            if settled:
                 if feed is not None:
                     turn(None)
                     tail = last_ones(slice(None))

@@ -22,6 +22,8 @@ class EccentricMass(Effect):
     def rolling(
         self, loss: Any, speed: Any, position: Any, velocity: Any, gravity: float, radius: Any, of_a: Any
     ) -> Any:
-        angle = (position * velocity).sum(axis=-1) / np.maximum(speed, 1e-300) / radius
-        ripple = np.hypot(self.c, self.d) * np.cos(angle - np.arctan2(self.d, self.c))  # one cosine is quicker than two
+        way = position[..., 0] * velocity[..., 0] + position[..., 1] * velocity[..., 1]
+        angle = way / np.maximum(speed, 1e-300) / radius - np.arctan2(self.d, self.c)  # one cosine will do
+        half = np.tan(angle / 2)  # where numpy is quick at tangents, it is not at cosines
+        ripple = np.hypot(self.c, self.d) * (2 / (1 + half * half) - 1)
         return loss - of_a * 5 / 7 * gravity / radius * ripple

@@ -25,8 +25,10 @@ class MagneticAttraction(Effect):
         x, y = other[..., 0], other[..., 1]
         size = 4 * radius * radius
         square = np.maximum(x * x + y * y, NEAREST * NEAREST * size)  # infinite where there is no other
-        near = size / square
-        strength = self.pull * near * near / np.sqrt(square)
+        strength = size / square
+        strength *= strength
+        strength /= np.sqrt(square)
+        strength *= self.pull
         if not np.all(strength):
             other = np.where(np.isfinite(other), other, 0.0)
         return np.asarray(acceleration + strength[..., None] * other)

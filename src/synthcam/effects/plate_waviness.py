@@ -24,6 +24,7 @@ class PlateWaviness(Effect):
 
     def push(self, acceleration: Any, position: Any, gravity: float) -> NDArray[np.float64]:
         k, x, y = 2 * np.pi / self.wavelength, np.cos(self.angle), np.sin(self.angle)
-        phase = k * (x * position[..., 0] + y * position[..., 1]) + np.arctan2(self.a, self.b)  # one cosine is quicker
-        fall = gravity * k * np.hypot(self.a, self.b) * np.cos(phase)
-        return np.asarray(acceleration - np.stack([x * fall, y * fall], axis=-1))
+        phase = k * (x * position[..., 0] + y * position[..., 1]) + np.arctan2(self.a, self.b)  # one cosine will do
+        half = np.tan(phase / 2)  # where numpy is quick at tangents, it is not at cosines
+        fall = gravity * k * np.hypot(self.a, self.b) * (2 / (1 + half * half) - 1)
+        return np.asarray(acceleration - np.moveaxis(np.stack([x * fall, y * fall]), 0, -1))

@@ -1,0 +1,38 @@
+"""What a model's freedom costs, in chi^2: the same price for every effect of the library and every slot."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from discrepancy.fit import Fit
+from discrepancy.parameter import parameter_of, span_of
+from discrepancy.slots import SLOTS
+from discrepancy.weight import freedom
+from synthcam.effect import library
+
+LAW = 2 * math.log(SLOTS)  # of one law chosen to be left free
+
+
+def price(now: Fit, base: Fit) -> float:
+    """chi^2 with the freedom of each effect that the base lacks paid for, as of a slot; base parameters are free.
+
+    A shape costs what looking for it in all its range does: twice the logarithm of the range over the width of its
+    likelihood.
+    """
+    paid, chosen = now.chi2, 2 * math.log(len(library()))
+    added = [n for n in now.names if n not in base.names and "." in n]
+    for effect in dict.fromkeys(n.partition(".")[0] for n in added):
+        own = {n: parameter_of(now.model, n) for n in added if n.startswith(f"{effect}.")}
+        paid += chosen
+        strengths = [n for n, p in own.items() if not p.fixed]
+        rows = [now.names.index(n) for n in strengths]
+        size = np.array([own[n].scale or 1.0 for n in strengths])
+        information = np.linalg.pinv(now.covariance[np.ix_(rows, rows)] / np.outer(size, size), hermitian=True)
+        moved = np.array([now.model.value(n) - base.model.value(n) for n in strengths]) / size
+        paid += freedom(np.asarray(information, dtype=np.float64), moved)
+        for name in set(own) - set(strengths):
+            width = np.sqrt(2 * np.pi) * now.std[name] / (now.model.value(name) if own[name].low > 0 else 1.0)
+            paid += max(2 * np.log(span_of(own[name]) / width), 0.0) if width > 0 else 0.0
+    return float(paid)
