@@ -36,8 +36,8 @@ CLOSING = 1 - ((1 - matrices(10).nodes) / 2) ** 3  # of the uniform end's time: 
 class Slides:
     """k slides that begin together at elapsed time 0, solved: (cos th, sin th, wz, qx, qy, x, y, t) against `knots`.
 
-    lasts (k,): how long, s. cut: when the uniform end begins; slowing (k,), push (2, k), twist (k,) in it. The path runs
-    over |u|/|u0| where it is straight, else over the logarithm of that divided by `stretch` (k,).
+    lasts (k,): how long, s. cut: when the uniform end begins; slowing (k,), push (2, k), twist (k,) in it. The path
+    runs over |u|/|u0| where it is straight, else over the logarithm of that divided by `stretch` (k,).
     """
 
     path: Path
