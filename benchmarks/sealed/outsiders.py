@@ -120,8 +120,8 @@ class TransferScatter(Outsider):
     SLOT: ClassVar[str] = "spin_transfer_clip"
     size: float = parameter("1", scale=0.02, low=0, high=0.3)
 
-    def spin_transfer(self, c: Any, striker_speed: Any) -> Any:
-        return c + self.size * dice(striker_speed)
+    def spin_transfer(self, c: Any, approach_speed: Any) -> Any:
+        return c + self.size * dice(approach_speed)
 
 
 @dataclass(frozen=True)

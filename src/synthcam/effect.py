@@ -29,9 +29,9 @@ LAWS: dict[str, tuple[str, ...]] = {
     # the balls, once a run; bends ball a's
     "mass": (),
     "radius": (),
-    # impact, once a collision; normal_speed and contact_speed in m/s, normal_impulse over twice the reduced mass
+    # impact, once a collision; speeds in m/s, approach_speed of the centres, normal_impulse over twice the reduced mass
     "restitution": ("normal_speed", "heading"),
-    "spin_transfer": ("contact_speed", "normal_impulse", "striker_speed"),
+    "spin_transfer": ("contact_speed", "normal_impulse", "approach_speed"),
     "loft": (),  # the share of the vertical impulse that the plate does not hold back
     "rebound": (),  # the plate's restitution
     # sliding: mu; the load on the plate over the mass, m/s^2; the torque about the vertical, as dwz/dt

@@ -54,7 +54,7 @@ def strike(
     ux = ax - v_n * nx + sy * nz - sz * ny
     uy = ay - v_n * ny + sz * nx - sx * nz
     uz = az - v_n * nz + sx * ny - sy * nx
-    r, c = _laws(model, striker, v_n, (ux, uy, uz), (ax, ay))
+    r, c = _laws(model, v_n, (ux, uy, uz), (ax, ay))
     reduced = m1 * m2 / (m1 + m2)
     normal, pull = (1 + r) * v_n * reduced, 0.8 * c * reduced
     tx, ty, tz = pull * ux, pull * uy, pull * uz  # on the target; the striker gets its opposite
@@ -70,7 +70,7 @@ def strike(
     return after(target, r1, m1), after(striker, r2, -m2), (nx, ny, nz), normal, ty * nx - tx * ny
 
 
-def _laws(model: Model, striker: State, v_n: Real, u: tuple[Real, ...], approach: tuple[Real, Real]) -> tuple[Any, Any]:
+def _laws(model: Model, v_n: Real, u: tuple[Real, ...], approach: tuple[Real, Real]) -> tuple[Any, Any]:
     """The restitution and the spin transfer of these impacts."""
     r, c = model.restitution, model.spin_transfer
     if model.laws.bent("restitution"):
@@ -81,7 +81,7 @@ def _laws(model: Model, striker: State, v_n: Real, u: tuple[Real, ...], approach
         instant = {
             "contact_speed": np.sqrt(sum(np.atleast_1d(x * x) for x in u)),
             "normal_impulse": np.atleast_1d((1 + r) * v_n / 2),
-            "striker_speed": np.hypot(*np.atleast_1d(striker[3], striker[4])),
+            "approach_speed": np.hypot(*np.atleast_1d(*approach)),
         }
         c = model.laws("spin_transfer", c, instant)
     limits = ((r, 1.0), (c, MOST))

@@ -16,8 +16,8 @@ import numpy as np
 from synthcam.kinematics import Array
 from synthcam.spectral import matrices, product, reread, series
 
-SIZES = 10, 16, 20, 24, 32, 40, 64  # nodes of a series; the first piece, the longest, begins with the second
-TRUE = 1e-15  # m, of the last coefficients
+SIZES = 10, 16, 20, 24, 32, 40, 48, 64  # nodes of a series; the first piece begins with the second
+TRUE = 3e-15  # m, of the last coefficients
 ROUNDING = 3e-16
 NARROW = 3e-4  # of a slide: over so little time a parabola says as much, and a difference of sums would be rounded
 
@@ -58,7 +58,8 @@ class Reading:
                 tail, most = np.abs(c[..., -2:]).max(), np.abs(c[..., :2]).max()
                 if tail < limit:
                     break
-                wanted = min(size * np.log(limit / most) / np.log(tail / most), SIZES[-1])  # were their fall geometric
+                guess = 1.1 * size * np.log(limit / most) / np.log(tail / most)  # were their fall all but geometric
+                wanted = min(guess, SIZES[-1])
             more = matrices(size + power)
             w = first - wide / 2 * (1 + more.nodes)
             rate = product(c, more.values[:size]) * (power * w ** (power - 1) * wide / 2)

@@ -44,7 +44,7 @@ class Stretch:
 
         The mean of f over x +- h is the sum of h^(2j)/(2j+1)! f^(2j)(x).
         """
-        half = np.abs(wide / (self.ends - self.begins))[:, None]
+        half = np.minimum(np.abs(wide / (self.ends - self.begins)), 1.0)[:, None]  # a longer one does not lie within
         worth = np.flatnonzero(_sizes(self.coefficients[:2]) > SLIGHT).max(initial=1)
         term = mean = self.coefficients[:2, :, : worth + 1]
         curvature = matrices(term.shape[-1]).curvature

@@ -10,7 +10,8 @@ from synthcam.effect import Effect, parameter
 class Adhesion(Effect):
     """A load of (1 + pull) m g while in contact with the plate: an attraction of `pull` weights.
 
-    In flight it is gone. Of a magnet under the plate, a film of water, or static charge.
+    In flight it is gone. Of a magnet under the plate, a film of water, or static charge. Newton's second law: friction
+    is mu times the load.
     """
 
     pull: float = parameter("1", scale=0.1, low=-0.5, high=5)

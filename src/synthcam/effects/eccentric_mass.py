@@ -14,6 +14,8 @@ class EccentricMass(Effect):
 
     c, d: the two parts of the offset in the plane of rolling; its phase is that of the place on the plate. First order
     in the offset over R: of 1 um at 0.1 m/s the speed ripples by 0.07 mm/s with the period 2 pi R. Sliding is unmoved.
+    From the energy of a rolling sphere whose centre of mass rises and falls; a ball laid down anyhow has another phase
+    in each clip, which one c and d cannot hold.
     """
 
     c: float = parameter("m", scale=1e-6, low=-5e-6, high=5e-6)

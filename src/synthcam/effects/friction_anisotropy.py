@@ -10,7 +10,8 @@ from synthcam.effect import Effect, parameter
 class FrictionAnisotropy(Effect):
     """mu(th) = mu [1 + c cos 2 th + s sin 2 th], th the direction of the slip from x.
 
-    The friction stays opposite to the slip; of a grain at th0 with the size e, c = e cos 2 th0 and s = e sin 2 th0.
+    The first harmonic of Zmitrowicz, Wear 73 (1981) 9. The friction stays opposite to the slip; of a grain at th0 with
+    the size e, c = e cos 2 th0 and s = e sin 2 th0.
     """
 
     c: float = parameter("1", scale=0.1, low=-0.45, high=0.45)

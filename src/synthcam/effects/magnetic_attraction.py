@@ -15,8 +15,9 @@ NEAREST = 0.8  # diameters: no two centres are nearer but in a path that is only
 class MagneticAttraction(Effect):
     """An acceleration of `pull` (2R/r)^4 towards the other ball, r the distance of the centres; pull < 0 repels.
 
-    3 mu0 m^2 / (2 pi r^4) of two aligned dipoles. A ball at rest stays while 5/7 of it is under `rolling_decel`. So the
-    target of a pair (Launch.pair, and every scene) is pulled off before it is hit, and comes to meet the striker.
+    3 mu0 m^2 / (2 pi r^4) of two aligned dipoles: Jackson, Classical Electrodynamics (1999), ch. 5. A ball at rest
+    stays while 5/7 of it is under `rolling_decel`. So the target of a pair (Launch.pair, and every scene) is pulled off
+    before it is hit, and comes to meet the striker.
     """
 
     pull: float = parameter("m/s^2", scale=0.1, low=-0.5, high=0.5)

@@ -13,8 +13,8 @@ from synthcam.effect import Effect, parameter
 class PlateWaviness(Effect):
     """Height a cos(k s) + b sin(k s), k = 2 pi / wavelength, s along the direction `angle` from x: a push of -g h'.
 
-    In full on a sliding ball, 5/7 of it on a rolling one. A ball at rest is held while 5/7 of it is under
-    `rolling_decel`.
+    Gravity along the slope, to its first order: in full on a sliding ball, 5/7 of it on a rolling one. A ball at rest
+    is held while 5/7 of it is under `rolling_decel`.
     """
 
     a: float = parameter("m", scale=2e-6, low=-5e-5, high=5e-5)

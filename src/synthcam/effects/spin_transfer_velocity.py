@@ -10,9 +10,12 @@ REFERENCE = 0.3  # m/s: there the model's own spin transfer holds
 
 @dataclass(frozen=True)
 class SpinTransferVelocity(Effect):
-    """C(v) = C [1 + c (v/v_ref - 1)], v the striker's speed, v_ref = 0.3 m/s."""
+    """C(v) = C [1 + c (v/v_ref - 1)], v the speed of approach, v_ref = 0.3 m/s; never over 5/7, nor under zero.
+
+    No published law: the first term of any.
+    """
 
     c: float = parameter("1", scale=0.1, low=-0.9, high=0.9)
 
-    def spin_transfer(self, c: Any, striker_speed: Any) -> Any:
-        return c * (1 + self.c * (striker_speed / REFERENCE - 1))
+    def spin_transfer(self, c: Any, approach_speed: Any) -> Any:
+        return c * (1 + self.c * (approach_speed / REFERENCE - 1))

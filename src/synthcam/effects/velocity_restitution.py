@@ -13,7 +13,8 @@ REFERENCE = 0.3  # m/s: there the law gives the model's own restitution
 class VelocityRestitution(Effect):
     """1 - r(v) = (1 - r) [1 + e ((v/v_ref)^(1/5) - 1) 5], v the normal speed of approach, v_ref = 0.3 m/s.
 
-    e = 0.2 is the viscoelastic sphere, 1 - r ~ v^(1/5): Ramirez, Poeschel, Brilliantov & Schwager, PRE 60 (1999) 4465.
+    Never over 1, which e = 1 would reach under 0.1 m/s. e = 0.2 is the viscoelastic sphere, 1 - r ~ v^(1/5): Ramirez,
+    Poeschel, Brilliantov & Schwager, PRE 60 (1999) 4465.
     """
 
     e: float = parameter("1", scale=0.2, low=-1, high=1)

@@ -8,7 +8,7 @@ from synthcam.effect import Effect, parameter
 
 @dataclass(frozen=True)
 class ViscousFriction(Effect):
-    """mu(u) = mu (1 + k u)."""
+    """mu(u) = mu (1 + k u).  Armstrong-Helouvry, Dupont & Canudas de Wit, Automatica 30 (1994) 1083."""
 
     k: float = parameter("s/m", scale=0.2, low=-0.5, high=10)
 

@@ -1,0 +1,25 @@
+"""The price of a model's freedom, in closed form."""
+
+import numpy as np
+import pytest
+
+from discrepancy.fit import BASE, fit
+from discrepancy.noise import Component, Noise
+from discrepancy.price import price
+from discrepancy_clips import collisions
+from synthcam.effect import library
+from synthcam.model import Model
+
+NOISE = Noise(Component(1.0))
+
+
+def test_a_strength_is_paid_for_and_a_shape_by_how_well_it_is_known():
+    truth = Model().replace({"stribeck.rise": 0.1, "stribeck.slip": 0.1})
+    clips = collisions(truth, 6, 7)
+    base = fit(clips, Model(), BASE, NOISE)
+    now = fit(clips, truth, (*BASE, "stribeck.rise", "stribeck.slip"), NOISE)
+    z, known = (now.model.value(n) / now.std[n] for n in ("stribeck.rise", "stribeck.slip"))
+    shape = 2 * np.log(np.log(25) * known / np.sqrt(2 * np.pi))  # of a range 1 : 25
+    wanted = 2 * np.log(len(library())) + 1 + np.log(z**2) + shape
+    assert price(now, base) - now.chi2 == pytest.approx(wanted, abs=0.05)
+    assert price(base, base) == base.chi2
