@@ -5,7 +5,7 @@ import re
 import numpy as np
 import pytest
 
-from discrepancy.formula import propose
+from discrepancy.formula import _written, propose
 from discrepancy_outsiders import outsider
 
 
@@ -22,6 +22,13 @@ def test_waves_of_friction():
     assert (mean, one) == (pytest.approx(0.232, abs=1e-3), 1)
     assert (depth, length) == (pytest.approx(0.02, rel=0.05), pytest.approx(3, rel=0.02))
     assert phase < 0.1
+
+
+def test_a_sine_and_a_cosine_are_one_sine_of_a_field_too():
+    """3 sin w + 4 cos w = 5 sin(w + atan(4/3))"""
+    for way in ("", " ex"):
+        words = [f"sin(x / 3){way}", f"cos(x / 3){way}"]
+        assert _written(words, np.array([3.0, 4.0]), relative=False) == f"5 sin(x / 3 + 0.93){way}"
 
 
 def test_a_step():

@@ -67,6 +67,19 @@ def test_ranges_are_those_of_the_data():
     assert SLOTS["warp_place"].axes[0].unit == "px"
 
 
+def test_a_warp_is_looked_for_where_balls_were_seen():
+    """Their motion goes on where no camera looks."""
+    near = [np.abs(c.xy[:, 0]) < 5e-3 for c in CLIPS]
+    cut = [
+        dataclasses.replace(c, frame=c.frame[k], ball=c.ball[k], xy=c.xy[k], covariance=c.covariance[k])
+        for c, k in zip(CLIPS, near, strict=True)
+    ]
+    x, _ = next(s for s in slots(Model(), LAUNCHES, cut) if s.name == "warp_place").axes
+    xy = np.concatenate([c.xy for c in cut])
+    seen = cut[0].camera.project(np.concatenate([xy, np.full((len(xy), 1), cut[0].camera.radius)], axis=1))[:, 0]
+    assert (x.low, x.high) == (pytest.approx(seen.min()), pytest.approx(seen.max()))
+
+
 def test_a_picture_that_lags_is_a_later_contact():
     slot, late = SLOTS["lag_speed"], 1e-4
     coefs = late * (np.arange(slot.size) == 0)  # the first cosine is a constant

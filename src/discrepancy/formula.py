@@ -124,7 +124,8 @@ def _written(words: list[str], factors: Array, relative: bool) -> str:
         if word.startswith("sin(") and rest and rest[0][0] == "cos(" + word[4:]:
             other = rest.pop(0)[1]
             phase = float(np.arctan2(other, factor))
-            factor, word = float(np.hypot(factor, other)), f"{word[:-1]} {_signed(phase, 2)})"
+            inside, _, way = word.rpartition(")")
+            factor, word = float(np.hypot(factor, other)), f"{inside} {_signed(phase, 2)}){way}"
         parts.append(f"{_signed(factor, 4 if not word else 3)} {word}".strip())
     text = " ".join(parts).removeprefix("+ ")
     return f"{lead:.4g} ({text})" if relative else text

@@ -253,7 +253,8 @@ def slots(model: Model, launches: Array, clips: Sequence[Measured]) -> tuple[Slo
         return one, two
 
     camera = clips[0].camera
-    spatial = np.concatenate([track.places, np.full((len(track.places), 1), camera.radius)], axis=1)
+    seen = np.concatenate([c.xy for c in clips])  # a ball may move where no camera looks
+    spatial = np.concatenate([seen, np.full((len(seen), 1), camera.radius)], axis=1)
     found = [
         Slot("restitution_speed", "r", "1", (over("normal speed", normal),), owners=r),
         Slot("restitution_heading", "r", "1", (turn,), owners=r),
