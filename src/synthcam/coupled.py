@@ -226,7 +226,7 @@ def _plan(balls: Sequence[Ball], now: Array, goal: Array) -> tuple[Array, Ints]:
     for k, ball in enumerate(balls):
         if ball.mode in ("slide", "roll"):
             ends = (ball.slowing > 0)[:, 0] & (sign > 0) & ball.holds
-            rest[k] = np.where(ends, ball.first[:, 0] / ball.slowing[:, 0], np.inf)
+            rest[k] = np.where(ends, ball.first[:, 0] / np.where(ends, ball.slowing[:, 0], 1.0), np.inf)
     soon = rest.min(axis=0)
     ends = soon <= lasts
     lasts = np.where(ends, soon, np.where(soon < 2 * lasts, soon / 2, lasts))
