@@ -6,7 +6,7 @@
 A study goes on where it stopped; another round has other boxes. The hash of each truth is on record before the
 analysis, which runs in a process of its own and is given tracks and camera. Studies: tracks and video draw nothing,
 one effect, two, one from outside the library or a tracker's defect, at 1 to 20 times its own detection limit; nulls,
-power, naming, pairs, outside, filmed and defects put one question each. index.html in the output is the page.
+power, naming, pairs, outside, those filmed and defects put one question each. index.html in the output is the page.
 """
 
 from __future__ import annotations
@@ -46,6 +46,8 @@ STUDIES = {
         Study("outside", {"outside": 1}, 100, ratios=(2, 5)),
         Study("video", ALL, 40, filmed=True),
         Study("filmed", {"none": 0.2, "one": 0.8}, 40, ratios=(1.5, 5), filmed=True),
+        Study("filmed_pairs", {"two": 1}, 20, ratios=(5,), filmed=True),
+        Study("filmed_outside", {"outside": 1}, 20, ratios=(2, 5), filmed=True),
         Study("defects", {"defect": 1}, 20, filmed=True),
     )
 }
