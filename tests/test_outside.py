@@ -79,7 +79,7 @@ def test_a_slot_that_beats_the_base_alone_is_the_outcome(wavy):
     assert outcome is not None
     assert outcome.slot.name == "restitution_heading"
     assert outcome.beside(base) == {}
-    assert outcome.library.effects == ()
+    assert outcome.plain.effects == ()
 
 
 def test_a_number_of_each_clip_is_fitted_to_clips_kept_out():

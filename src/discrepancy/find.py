@@ -64,7 +64,7 @@ class Found:
     @property
     def model(self) -> Model:
         """The model with the named effects, refitted. A slot is no effect: no file can hold it."""
-        return self.slot.library if self.slot else self.search.best.model
+        return self.slot.plain if self.slot else self.search.best.model
 
     def sentence(self) -> str:
         """The outcome in one sentence."""

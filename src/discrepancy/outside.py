@@ -55,7 +55,7 @@ class Look:
 class Filled:
     """A slot fitted in full. now: the fit beside it, its model with the slot filled where an effect can hold it.
 
-    library: the model without the slot. sigma: of the slot against the fit without it. score: chi^2 with all freedom
+    plain: the model without the slot. sigma: of the slot against the fit without it. score: chi^2 with all freedom
     paid for.
     """
 
@@ -63,7 +63,7 @@ class Filled:
     coefs: Array
     prior: Prior
     now: Fit
-    library: Model
+    plain: Model
     evidence: Evidence
     moves: tuple[Array, ...]
     sigma: float
@@ -144,8 +144,8 @@ def _look(slot: Slot, now: Fit, moves: Sequence[Array]) -> Look:
 
 def fill(evidence: Evidence, look: Look, base: Fit, tick: Callable[[], None] = lambda: None) -> Filled:
     """The slot fitted together with everything that `look.now` fits, its prior's size and smoothness by the data."""
-    slot, library, now = look.slot, look.now.model, look.now
-    moves = _moves(evidence, slot, library, now.launches)
+    slot, plain, now = look.slot, look.now.model, look.now
+    moves = _moves(evidence, slot, plain, now.launches)
     coefs, here, fresh = np.zeros(slot.size), evidence, False
     for _ in range(ROUNDS):
         tick()
@@ -156,10 +156,10 @@ def fill(evidence: Evidence, look: Look, base: Fit, tick: Callable[[], None] = l
         if step @ (information + precision) @ step > SETTLED:
             before = now.chi2 + coefs @ precision @ coefs
             for share in SHORTER:
-                moved = _moved(evidence, slot, library, now, moves, coefs, share * step)
+                moved = _moved(evidence, slot, plain, now, moves, coefs, share * step)
                 if moved and moved[1].chi2 + (coefs + share * step) @ precision @ (coefs + share * step) < before:
                     coefs = coefs + share * step
-                    here, now, library = moved
+                    here, now, plain = moved
                     fresh = False
                     break
                 moved = None
@@ -167,32 +167,32 @@ def fill(evidence: Evidence, look: Look, base: Fit, tick: Callable[[], None] = l
             if fresh:
                 break
             now = linearised(here, now.model, now.names, now.launches)
-            moves = _moves(evidence, slot, slot.bent(library, coefs), now.launches)
+            moves = _moves(evidence, slot, slot.bent(plain, coefs), now.launches)
             fresh = True
     freedom = np.linalg.slogdet(np.eye(slot.size) + information / np.diag(weight.prior.precision)[:, None])
     paid = LAW + weight.prior.cost + float(coefs @ weight.prior.precision @ coefs + freedom[1])
-    return Filled(slot, coefs, weight.prior, now, library, here, moves, look.sigma, price(now, base) + paid)
+    return Filled(slot, coefs, weight.prior, now, plain, here, moves, look.sigma, price(now, base) + paid)
 
 
 def _moved(
-    evidence: Evidence, slot: Slot, library: Model, now: Fit, moves: Sequence[Array], coefs: Array, step: Array
+    evidence: Evidence, slot: Slot, plain: Model, now: Fit, moves: Sequence[Array], coefs: Array, step: Array
 ) -> tuple[Evidence, Fit, Model] | None:
     """A step of the coefficients, and of all else as then fits best to first order; None where there is no motion."""
     rest = dataclasses.replace(now, residuals=tuple(r - c @ step for r, c in zip(now.residuals, moves, strict=True)))
-    value = np.array([library.value(n) for n in now.names])
-    low, high = np.array([limits_of(library, n) for n in now.names]).reshape(-1, 2).T
+    value = np.array([plain.value(n) for n in now.names])
+    low, high = np.array([limits_of(plain, n) for n in now.names]).reshape(-1, 2).T
     shared, own = solve(rest, 0.0, low - value, high - value)
     launches = now.launches + own
     if not (np.all(np.abs(launches[:, 5]) < 1) and np.all(launches[:, 3] > 0)):
         return None
-    library = library.replace(dict(zip(now.names, np.clip(value + shared, low, high).tolist(), strict=True)))
-    model = slot.bent(library, coefs + step)
+    plain = plain.replace(dict(zip(now.names, np.clip(value + shared, low, high).tolist(), strict=True)))
+    model = slot.bent(plain, coefs + step)
     try:
-        here = dataclasses.replace(evidence, clips=tuple(slot.undone(evidence.clips, library, launches, coefs + step)))
+        here = dataclasses.replace(evidence, clips=tuple(slot.undone(evidence.clips, plain, launches, coefs + step)))
         residuals = here.left(model, launches)
     except ValueError:
         return None
-    return here, dataclasses.replace(now, model=model, launches=launches, residuals=residuals), library
+    return here, dataclasses.replace(now, model=model, launches=launches, residuals=residuals), plain
 
 
 def alone(evidence: Evidence, base: Fit, best: Fit, tick: Callable[[], None] = lambda: None) -> list[Fit]:
@@ -256,7 +256,7 @@ class Slots:
             beside = self._next(best) if best else None
             if best is None or beside is None:
                 break
-            model = best.library.replace(beside.shapes | dict.fromkeys(beside.strengths, 0.0))
+            model = best.plain.replace(beside.shapes | dict.fromkeys(beside.strengths, 0.0))
             names = (*best.now.names, *beside.strengths)
             try:
                 start = settle(self.evidence, linearised(self.evidence, model, names, best.now.launches), self.tick)
@@ -302,7 +302,7 @@ class Slots:
     def _next(self, filled: Filled) -> Candidate | None:
         """The library's effect that is still to be claimed beside a slot."""
         if self.asked is None or self.asked[0] is not filled:
-            contest = Contest.of(filled.evidence, filled.whole, self.tick, about=filled.library)
+            contest = Contest.of(filled.evidence, filled.whole, self.tick, about=filled.plain)
             ranking = contest.ranking()
             claimed = ranking and ranking[0].sigma > LEVEL and ranking[0].sigma > contest.claim()
             self.asked = filled, ranking[0] if claimed else None
@@ -314,14 +314,14 @@ def unseen(filled: Filled, clips: Sequence[Measured], before: Fit, noise: Noise)
 
     before: their fit without it. Numbers of each clip are fitted to each.
     """
-    library = filled.library
+    plain = filled.plain
     if filled.slot.axes[0].kind == "set":
         evidence = Evidence.of(clips, noise)
-        there = settle(evidence, linearised(evidence, library, (), before.launches))
+        there = settle(evidence, linearised(evidence, plain, (), before.launches))
         axis = dataclasses.replace(filled.slot.axes[0], high=len(clips) - 1.0, count=len(clips))
         slot = dataclasses.replace(filled.slot, axes=(axis,))
-        look = _look(slot, there, _moves(evidence, slot, library, there.launches))
+        look = _look(slot, there, _moves(evidence, slot, plain, there.launches))
         own = fill(evidence, look, there)
         return list(own.evidence.clips), own.now
-    left = filled.slot.undone(clips, library, before.launches, filled.coefs)
+    left = filled.slot.undone(clips, plain, before.launches, filled.coefs)
     return left, fit(left, filled.now.model, (), noise, before.launches)

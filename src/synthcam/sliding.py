@@ -127,47 +127,82 @@ def _with_slope(c: Array, wide: float) -> Array:
     return np.stack([c, product(c[None], matrices(c.shape[-1]).slope)[0] * (2 / wide)])
 
 
-def slides(model: Model, state: Array, bodies: Bodies) -> Slides:
-    """The slides that start from states (k, 9), each ball alone. Raises ValueError when a slip would grow, not end."""
-    u, q = contact_velocity(state, bodies.radius), rolling_velocity(state, bodies.radius)
-    first = np.hypot(u[:, 0], u[:, 1])
-    laws, radius = model.laws, bodies.radius[:, None]
-    pushes, drills = laws.bent("push"), laws.bent("drilling")
-    fixed: dict[str, Any] = dict(gravity=model.gravity, radius=radius)
-    fixed |= dict(mass=bodies.mass[:, None], of_a=bodies.of_a[:, None], other=NOWHERE)
+@dataclass(frozen=True)
+class _Forces:
+    """What acts on k sliding balls. fixed: what the laws may ask for that does not change."""
 
-    def forces(slip: Array, y: Array) -> tuple[Array, Any, Any, Any]:
+    model: Model
+    fixed: dict[str, Any]
+    pushes: bool
+    drills: bool
+
+    @classmethod
+    def of(cls, model: Model, bodies: Bodies) -> _Forces:
+        fixed: dict[str, Any] = dict(gravity=model.gravity, radius=bodies.radius[:, None])
+        fixed |= dict(mass=bodies.mass[:, None], of_a=bodies.of_a[:, None], other=NOWHERE)
+        return cls(model, fixed, model.laws.bent("push"), model.laws.bent("drilling"))
+
+    def at(self, slip: Array, y: Array) -> tuple[Array, Any, Any, Any]:
         """A (k, n), u_hat x p, p (2, k, n) and dwz/dt for slip speeds (k, n) and y (8, k, n)."""
-        hat = y[:2]
+        model, laws, hat = self.model, self.model.laws, y[:2]
         v = y[3:5] + (2 / 7 * slip) * hat
-        instant = fixed | dict(slip_speed=slip, slip=_last(hat), position=_last(y[5:7]), velocity=_last(v), spin=y[2])
+        instant = self.fixed | dict(slip_speed=slip, slip=_last(hat), position=_last(y[5:7]), velocity=_last(v))
+        instant |= dict(spin=y[2])
         friction = laws("friction", model.sliding_friction, instant)
         slowing = 3.5 * friction * laws("normal_load", model.gravity, instant) + np.zeros_like(slip)
-        twist = laws("drilling", 0.0, instant | {"friction": friction}) if drills else 0.0
+        twist = laws("drilling", 0.0, instant | {"friction": friction}) if self.drills else 0.0
         push, across = 0.0, 0.0
-        if pushes:
+        if self.pushes:
             push = laws("push", _last(np.zeros_like(v)), instant).transpose(2, 0, 1)
             slowing -= push[0] * hat[0] + push[1] * hat[1]
             across = hat[0] * push[1] - hat[1] * push[0]
         return slowing, across, push, twist
 
-    def slowed(slip: Array, y: Array) -> tuple[Array, Any, Any, Any]:
-        """The same where they end the slide."""
-        found = forces(slip, y)
+    def ending(self, slip: Array, y: Array) -> tuple[Array, Any, Any, Any]:
+        """The same where they end the slide. Raises ValueError where they do not."""
+        found = self.at(slip, y)
         if not np.all(found[0] > 0):
             raise ValueError("sliding friction does not end the slide: the push along the slip is too strong")
         return found
 
-    def gone() -> Array:
-        """The slip at which a slide with a spin ends, (k,): the larger, the sooner friction fades before a push."""
-        slowing, _, push, _ = forces(np.full((len(first), 1), GONE), start[..., None])
-        push = push + np.zeros((2, len(first), 1))
-        friction = slowing + (push * start[:2, :, None]).sum(axis=0)
+    def gone(self, y: Array) -> Array:
+        """The slip at which slides with a spin end, (k,), from y (8, k): larger where a push outdoes friction sooner."""
+        slowing, _, push, _ = self.at(np.full((y.shape[1], 1), GONE), y[..., None])
+        push = push + np.zeros((2, y.shape[1], 1))
+        friction = slowing + (push * y[:2, :, None]).sum(axis=0)
         return np.asarray(GONE * (1 + 2 * np.hypot(*push) / friction))[:, 0]
+
+
+def _guess(forces: _Forces, first: Array, stretch: Array, start: Array) -> Callable[[Array], Array]:
+    """The slides were all forces what they are at their start (8, k)."""
+    slowing, across, push, twist = forces.ending(first[:, None], start[..., None])
+
+    def guess(log: Array) -> Array:
+        log = log * stretch[:, None]
+        share = np.exp(log)
+        t = first[:, None] * (1 - share) / slowing
+        half = across / slowing / -2 * log  # of the angle turned, or its tangent
+        cos, sin = (1 - half * half) / (1 + half * half), 2 * half / (1 + half * half)
+        y = np.repeat(start[..., None], log.shape[-1], axis=-1)
+        y[5:7] += (y[3:5] + first[:, None] * (1 + share) / 7 * y[:2]) * t
+        y[0], y[1] = y[0] * cos - y[1] * sin, y[1] * cos + y[0] * sin
+        y[2], y[7] = y[2] + twist * t, t
+        y[3:5] += 5 / 7 * push * t
+        return y
+
+    return guess
+
+
+def slides(model: Model, state: Array, bodies: Bodies) -> Slides:
+    """The slides that start from states (k, 9), each ball alone. Raises ValueError when a slip would grow, not end."""
+    u, q = contact_velocity(state, bodies.radius), rolling_velocity(state, bodies.radius)
+    first = np.hypot(u[:, 0], u[:, 1])
+    laws, forces = model.laws, _Forces.of(model, bodies)
+    pushes, drills = forces.pushes, forces.drills
 
     def right(log: Array, y: Array) -> Parts:
         slip = first[:, None] * np.exp(log * stretch[:, None])
-        slowing, across, push, twist = slowed(slip, y)
+        slowing, across, push, twist = forces.ending(slip, y)
         per = stretch[:, None] / slowing
         rate, turn = -slip * per, across * per  # dt and -dth by the path's logarithm
         if pushes:
@@ -184,36 +219,20 @@ def slides(model: Model, state: Array, bodies: Bodies) -> Slides:
         yield slice(7, 8), rate[None]
 
     start = np.stack([*u.T / first, state[:, 8], *q.T, *state[:, 0:2].T, np.zeros(len(state))])
-    stretch = np.log(np.minimum(gone() / first, 0.1)) / KNOTS[-1] if drills else np.ones_like(first)
+    stretch = np.log(np.minimum(forces.gone(start) / first, 0.1)) / KNOTS[-1] if drills else np.ones_like(first)
     if not pushes and not drills and all(laws.asked(law) <= STRAIGHT for law in ("friction", "normal_load")):
-        path = _straight(lambda slip, y: slowed(slip, y)[0], first, start)
+        path = _straight(lambda slip, y: forces.ending(slip, y)[0], first, start)
         if path is not None:
             lasts, nothing = path.last()[7], np.zeros_like(first)
             ending = lasts, lasts, nothing, np.zeros((2, len(first))), nothing
             return Slides(path, True, first, stretch, bodies.radius, *ending)
-    slowing0, across0, push0, twist0 = slowed(first[:, None], start[..., None])
-
-    def guess(log: Array) -> Array:
-        """The slide were all forces what they are at its start."""
-        log = log * stretch[:, None]
-        share = np.exp(log)
-        t = first[:, None] * (1 - share) / slowing0
-        half = across0 / slowing0 / -2 * log  # of the angle turned, or its tangent
-        cos, sin = (1 - half * half) / (1 + half * half), 2 * half / (1 + half * half)
-        y = np.repeat(start[..., None], log.shape[-1], axis=-1)
-        y[5:7] += (y[3:5] + first[:, None] * (1 + share) / 7 * y[:2]) * t
-        y[0], y[1] = y[0] * cos - y[1] * sin, y[1] * cos + y[0] * sin
-        y[2], y[7] = y[2] + twist0 * t, t
-        y[3:5] += 5 / 7 * push0 * t
-        return y
-
     asked = set().union(*(laws.asked(law) for law in LAWS))
     turning = pushes + drills
     feed = None if "position" in asked else max(turning + (pushes and "velocity" in asked), 1)
-    path = integrate(right, KNOTS, start, guess, few=FEW, feed=feed)
+    path = integrate(right, KNOTS, start, _guess(forces, first, stretch, start), few=FEW, feed=feed)
     last, slip = path.last(), first * FINISH**stretch
     still = np.where((np.arange(8) == 2)[:, None], 0.0, last) if drills else last  # no spin
-    slowing, _, push, twist = slowed(slip[:, None] / 2, still[..., None])
+    slowing, _, push, twist = forces.ending(slip[:, None] / 2, still[..., None])
     push, twist = (np.broadcast_to(f, (*lead, len(slip), 1))[..., 0] for f, lead in ((push, (2,)), (twist, ())))
     cut, slowing = last[7], slowing[:, 0]
     return Slides(path, False, first, stretch, bodies.radius, cut, cut + slip / slowing, slowing, push, twist)
