@@ -166,7 +166,7 @@ class _Forces:
         return found
 
     def gone(self, y: Array) -> Array:
-        """The slip at which slides with a spin end, (k,), from y (8, k): larger where a push outdoes friction sooner."""
+        """The slip at which slides with a spin end, (k,), from y (8, k): larger where a push soon outdoes friction."""
         slowing, _, push, _ = self.at(np.full((y.shape[1], 1), GONE), y[..., None])
         push = push + np.zeros((2, y.shape[1], 1))
         friction = slowing + (push * y[:2, :, None]).sum(axis=0)
