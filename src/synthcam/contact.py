@@ -11,12 +11,17 @@ from synthcam.trajectory import Leg
 TOUCHING = 1e-12  # of a radius
 LINGERING = 1e-9  # m/s: an impact softer than this is one of an endless row, as restitution under 0.4 may bring
 DEEP = 1e-6  # of the distance of touching: an overlap
+PATIENCE = 10_000  # steps at touch: balls that an impact leaves with one velocity may go on side by side
+STAYING = "stay in contact from {:.6g} s on: only separate impacts are modelled"
 
 
 def first_contact(
     legs: Sequence[Leg], radius: Sequence[float], t: float, horizon: float
 ) -> tuple[float, int, int] | None:
-    """Time and balls of the first contact in [t, horizon], or None. Raises ValueError when balls overlap."""
+    """Time and balls of the first contact in [t, horizon], or None.
+
+    Raises ValueError when balls overlap, and when they touch and do not part.
+    """
     found = None
     for i, j in itertools.combinations(range(len(legs)), 2):
         if legs[i].motion == legs[j].motion == "rest":
@@ -34,7 +39,7 @@ def _contact(a: Leg, b: Leg, t: float, horizon: float, reach: float) -> float | 
     for the distance of two points in free motion is convex. On a contact they converge like Newton's method.
     """
     steepest = a.bound(t) + b.bound(t)
-    touching = TOUCHING * reach / 2
+    touching, begun, touched = TOUCHING * reach / 2, t, 0
     while True:
         one, two = a.now(t), b.now(t)
         x, y, z = one[0] - two[0], one[1] - two[1], one[2] - two[2]
@@ -49,6 +54,9 @@ def _contact(a: Leg, b: Leg, t: float, horizon: float, reach: float) -> float | 
             if gap < -DEEP * reach:
                 raise ValueError(f"balls overlap by {-gap:.3g} m at {t:.6g} s")
             gap, rate = (touching, 0.0) if rate <= 0 else (max(gap, 0.0), rate)
+            touched += 1
+            if touched > PATIENCE:
+                raise ValueError("two balls " + STAYING.format(begun))
         step = _safe_step(gap, rate, steepest)
         if t + step > horizon:
             return None

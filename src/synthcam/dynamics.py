@@ -8,7 +8,7 @@ import math
 import numpy as np
 
 from synthcam import rolling, sliding
-from synthcam.contact import LINGERING, TOUCHING, first_contact
+from synthcam.contact import LINGERING, STAYING, TOUCHING, first_contact
 from synthcam.coupled import CLINGING, excess
 from synthcam.impact import LOWEST, land, strike
 from synthcam.kinematics import Array, State, fly, made_rolling, resting, slip, stop_time
@@ -255,7 +255,7 @@ class _Run:
         bodies = (self.radius[i], self.mass[i]), (self.radius[j], self.mass[j])
         target, striker, n, along_n, along_t = strike(self.model, states[i], states[j], *bodies)
         if along_n < (CLINGING if self.pairing else LINGERING) * self.mass[i]:
-            raise ValueError(f"balls {i} and {j} stay in contact from {t:.6g} s on: only separate impacts are modelled")
+            raise ValueError(f"balls {i} and {j} " + STAYING.format(t))
         new = {k: s if abs(s[5]) >= LOWEST else (*s[:5], 0.0, *s[6:]) for k, s in ((i, target), (j, striker))}
         before: Array = np.array((states[i], states[j]))
         after: Array = np.array((new[i], new[j]))
