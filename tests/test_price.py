@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from discrepancy.fit import BASE, fit
+from discrepancy.fit import BASE, Evidence, fit, linearised
 from discrepancy.noise import Component, Noise
 from discrepancy.price import price
 from discrepancy_clips import collisions
@@ -18,8 +18,21 @@ def test_a_strength_is_paid_for_and_a_shape_by_how_well_it_is_known():
     clips = collisions(truth, 6, 7)
     base = fit(clips, Model(), BASE, NOISE)
     now = fit(clips, truth, (*BASE, "stribeck.rise", "stribeck.slip"), NOISE)
-    z, known = (now.model.value(n) / now.std[n] for n in ("stribeck.rise", "stribeck.slip"))
+    alone = fit(clips, now.model, (*BASE, "stribeck.rise"), NOISE)  # where the shape is known
+    z, known = (f.model.value(n) / f.std[n] for f, n in ((alone, "stribeck.rise"), (now, "stribeck.slip")))
     shape = 2 * np.log(np.log(25) * known / np.sqrt(2 * np.pi))  # of a range 1 : 25
     wanted = 2 * np.log(len(library())) + 1 + np.log(z**2) + shape
     assert price(now, base) - now.chi2 == pytest.approx(wanted, abs=0.05)
     assert price(base, base) == base.chi2
+
+
+def test_what_no_data_tell_apart_is_paid_for_once():
+    """Where all contacts slip, a share and a friction between the balls act as their product."""
+    truth = Model().replace({"ball_friction.share": 0.1, "ball_friction.mu": 0.03})
+    clips = collisions(truth, 6, 7)
+    base = fit(clips, Model(), BASE, NOISE)
+    held, free = (*BASE, "ball_friction.share"), (*BASE, "ball_friction.share", "ball_friction.mu")
+    one = fit(clips, truth, held, NOISE)
+    both = linearised(Evidence.of(clips, NOISE), one.model, free, one.launches)
+    assert both.std["ball_friction.share"] > 5 * one.std["ball_friction.share"]
+    assert price(both, base) == pytest.approx(price(one, base), abs=0.05)

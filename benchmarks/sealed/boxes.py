@@ -39,7 +39,6 @@ SHAPES: dict[str, tuple[float, float]] = {
     "plate_waviness.wavelength": (0.01, 0.05),
     "plate_waviness.angle": (0.1, 3.1),
     "ball_friction.mu": (0.1, 0.2),
-    "ball_friction.beta": (0.01, 0.5),
     "dropped_frame.frame": (30, 60),
 }
 DEFECTS = {
@@ -166,7 +165,7 @@ def _moves(fisher: Fisher, entries: list[dict[str, Any]]) -> bool:
 def _shapes(kind: type[Effect], rng: np.random.Generator) -> dict[str, float]:
     out = {}
     for p in kind.parameters():
-        if p.fixed:
+        if p.fixed and not p.given:
             low, high = SHAPES.get(f"{kind.name()}.{p.name}") or (0.8 * p.scale, 1.25 * p.scale)
             out[p.name] = float(np.exp(rng.uniform(np.log(low), np.log(high))))
     return out
@@ -201,8 +200,11 @@ def _entry(
         ratio /= math.sqrt(max(1 - nearest**2, 1e-12))
         if nearest > ALIKE or limit * ratio > most:
             return None
+    truth, camera = hidden(limit * ratio), fisher.rows[0].camera
+    if truth.laws("exposure", camera.exposure, {"fps": camera.fps}) <= 0:  # no shutter opens for less than no time
+        return None
     try:
-        fisher.signature(hidden(limit * ratio))
+        fisher.signature(truth)
     except ValueError:
         return None
     return {

@@ -147,11 +147,11 @@ def _axes(axes: Any, titles: Sequence[str]) -> None:
         ax.set_xticks([1, 2, 5, 10, 20], ["1", "2", "5", "10", "20"])
         ax.minorticks_off()
         if ax.get_legend_handles_labels()[0]:
-            ax.legend(loc="lower right", fontsize=7)
+            ax.legend(loc="upper center", bbox_to_anchor=(0.5, -0.2), ncols=2, fontsize=7)
 
 
 def _power(rows: Sequence[Row]) -> Figure:
-    figure, axes = plt.subplots(1, 3, figsize=(11, 3.2), sharey=True, constrained_layout=True)
+    figure, axes = plt.subplots(1, 3, figsize=(11, 3.6), sharey=True, constrained_layout=True)
     for filmed, colour, label in ((False, BLUE, "tracks"), (True, RED, "video")):
         for ax, kind in zip(axes, ("one", "two", "outside"), strict=True):
             points = [(r.ratio, r.detected) for r in rows if r.kind == kind and r.filmed == filmed]
@@ -168,7 +168,7 @@ def _power(rows: Sequence[Row]) -> Figure:
 
 
 def _names(rows: Sequence[Row]) -> Figure:
-    figure, axes = plt.subplots(1, 3, figsize=(11, 3.2), sharey=True, constrained_layout=True)
+    figure, axes = plt.subplots(1, 3, figsize=(11, 3.6), sharey=True, constrained_layout=True)
     for filmed, colour, label in ((False, BLUE, "tracks"), (True, RED, "video")):
         one = [r for r in rows if r.kind == "one" and r.filmed == filmed and r.detected]
         two = [r for r in rows if r.kind == "two" and r.filmed == filmed and r.detected]

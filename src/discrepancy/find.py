@@ -20,6 +20,7 @@ from discrepancy.odd import odd
 from discrepancy.outside import Filled, Slots, unseen
 from discrepancy.parameter import Suspect, fitted, limits_of, parameter_of
 from discrepancy.parting import advice, designs
+from discrepancy.price import price
 from discrepancy.rank import Contest
 from discrepancy.refine import refined
 from synthcam.effect import library
@@ -233,6 +234,11 @@ def _hunt(
     free = Slots(Evidence.of(clips, noise), base, lambda: tick("slots"))
     found = search(clips, base, noise, lambda: tick("search"), free.beat)
     slot = free.outcome(found.best)
+    plain = free.without(slot) if slot else None
+    if plain:  # the slot led to effects that the library's search has not begun with
+        again = found.from_here(plain, free.beat)
+        if price(again.best, base) < price(found.best, base):
+            found, slot = again, free.outcome(again.best)
     return found, slot, None if slot else free.nearly(found.best)
 
 

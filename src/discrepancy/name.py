@@ -75,6 +75,10 @@ class Search:
     def named(self) -> tuple[Named, ...]:
         return self.hunt.named(self.state)
 
+    def from_here(self, now: Fit, enough: Callable[[Fit, Sequence[Fit]], bool]) -> Search:
+        """Another search, from a model with some of the library's effects."""
+        return self.hunt.outcome(enough, self.hunt.begin(now))
+
     @cached_property
     def untold(self) -> tuple[str, ...]:
         """Effects that these collisions could not show, however real."""
@@ -149,11 +153,9 @@ class _Hunt:
         self.blind: set[str] = set()  # what the base fit absorbs is no rival; beside another effect it only seems to be
         self.sure: set[frozenset[Suspect]] = {frozenset()}  # whose fits are settled to the end
 
-    def outcome(self, enough: Callable[[Fit, Sequence[Fit]], bool]) -> Search:
-        state: tuple[Suspect, ...] = ()
-        ranking, self.looks = self._contest(state).ranking(), self._contest(state).looks
-        self.blind = {c.effect for c in ranking if c.absorbed}
-        claim = max(self._contest(state).claim(), FLOOR)
+    def outcome(self, enough: Callable[[Fit, Sequence[Fit]], bool], state: tuple[Suspect, ...] = ()) -> Search:
+        """state: named before the search."""
+        ranking, claim = self._first
         while len(state) < MOST:
             winner = self._winner(state, self._contest(state), claim)
             if winner is None:
@@ -171,6 +173,22 @@ class _Hunt:
             if enough(self._settled(state), [f for key, f in self.fits.items() if len(key) == len(state)]):
                 break
         return Search(self._settled(()), self._settled(state), ranking, claim, state, self)
+
+    @cached_property
+    def _first(self) -> tuple[tuple[Candidate, ...], float]:
+        """The base's ranking, and the sigma needed; what is known before any search."""
+        contest = self._contest(())
+        ranking, self.looks = contest.ranking(), contest.looks
+        self.blind = {c.effect for c in ranking if c.absorbed}
+        return ranking, max(contest.claim(), FLOOR)
+
+    def begin(self, now: Fit) -> tuple[Suspect, ...]:
+        """The library's effects that a fit has and the base has not, as a state to search on from."""
+        base, known = self.fits[frozenset()], {c.effect: c.suspect for c in self._first[0]}
+        added = [n.rpartition(".")[0] or n for n in now.names if n not in base.names]
+        state = tuple(known[effect] for effect in dict.fromkeys(added))
+        self.fits.setdefault(frozenset(state), now)
+        return state
 
     def named(self, state: tuple[Suspect, ...]) -> tuple[Named, ...]:
         """What is known of each of the effects in a model."""
@@ -259,7 +277,7 @@ class _Hunt:
                 self._settled(tuple(key))
         said = {key: next(iter(key - frozenset(state))) for key in keys}
         claimed = [k for k in keys if self._sigma(now.chi2 - self.fits[k].chi2, said[k]) > claim]
-        return said[self._simplest(claimed)] if min(keys, key=self._price) in claimed else None
+        return said[self._simplest(claimed)] if claimed else None
 
     def _simplest(self, keys: Collection[frozenset[Suspect]]) -> frozenset[Suspect]:
         """Of models that fit as well as the best, the one with the fewest strengths, then shapes, then the best fit."""

@@ -205,7 +205,9 @@ def component_of(shape: Shape, variance: float, x: Array) -> Component:
 def free_numbers(component: Component) -> Array:
     """The inverse of `component_of`, without the variance."""
     x = np.arctanh(np.clip(np.array(component.partial) / SLOWEST, -1 + 1e-9, 1 - 1e-9))
-    return np.append(x, logit((component.white - FLOOR) / (CEILING - FLOOR))) if component.white else x
+    if not component.white:
+        return x
+    return np.append(x, logit(np.clip((component.white - FLOOR) / (CEILING - FLOOR), 1e-9, 1 - 1e-9)))
 
 
 def shape_of(component: Component) -> Shape:

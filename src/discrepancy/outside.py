@@ -266,8 +266,19 @@ class Slots:
                 break
             if trial.score >= best.score or look.sigma < LEVEL:
                 break
+            self.filled.append(trial)
             best = trial
         return best
+
+    def without(self, filled: Filled) -> Fit | None:
+        """The fit of the library's effects that stand beside a slot, where there are any and the slot is not needed."""
+        if not self._count(filled.now):
+            return None
+        try:
+            start = linearised(self.evidence, filled.plain, filled.now.names, self.base.launches)
+            return settle(self.evidence, start, self.tick)
+        except ValueError:  # without the slot there is no motion
+            return None
 
     def _best(self, now: Fit, fewer: int) -> Filled | None:
         """The best slot, if better, of those beside a model of `fewer` effects less than the library's latest."""

@@ -87,7 +87,7 @@ def suspects(model: Model, fitted: Sequence[str]) -> tuple[Suspect, ...]:
     for kind in library().values():
         strengths = tuple(s for s in strengths_of(kind) if s not in fitted)
         if strengths and not (model.sliding_friction == 0 and set(kind.laws) <= MULTIPLIES):
-            every = (f"{kind.name()}.{p.name}" for p in kind.parameters() if p.fixed)
+            every = (f"{kind.name()}.{p.name}" for p in kind.parameters() if p.fixed and not p.given)
             shapes = tuple(s for s in every if s not in fitted)
             there = any(model.value(s) for s in strengths)
             held = tuple(model.value(s) for s in (*strengths, *shapes)) if there else ()

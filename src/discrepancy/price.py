@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from discrepancy.fit import Fit
 from discrepancy.parameter import parameter_of, span_of
@@ -19,7 +21,7 @@ def price(now: Fit, base: Fit) -> float:
     """chi^2 with the freedom of each effect that the base lacks paid for, as of a slot; base parameters are free.
 
     A shape costs what looking for it in all its range does: twice the logarithm of the range over the width of its
-    likelihood.
+    likelihood; the strengths what they do where the shapes are known. So what no data tell apart is paid for once.
     """
     paid, chosen = now.chi2, 2 * math.log(len(library()))
     added = [n for n in now.names if n not in base.names and "." in n]
@@ -27,12 +29,21 @@ def price(now: Fit, base: Fit) -> float:
         own = {n: parameter_of(now.model, n) for n in added if n.startswith(f"{effect}.")}
         paid += chosen
         strengths = [n for n, p in own.items() if not p.fixed]
-        rows = [now.names.index(n) for n in strengths]
         size = np.array([own[n].scale or 1.0 for n in strengths])
-        information = np.linalg.pinv(now.covariance[np.ix_(rows, rows)] / np.outer(size, size), hermitian=True)
+        information = _information(now, (*strengths, *(n for n in own if n not in strengths)))[: len(size), : len(size)]
+        information *= np.outer(size, size)
         moved = np.array([now.model.value(n) - base.model.value(n) for n in strengths]) / size
-        paid += freedom(np.asarray(information, dtype=np.float64), moved)
+        paid += freedom(information, moved)
         for name in set(own) - set(strengths):
             width = np.sqrt(2 * np.pi) * now.std[name] / (now.model.value(name) if own[name].low > 0 else 1.0)
             paid += max(2 * np.log(span_of(own[name]) / width), 0.0) if width > 0 else 0.0
     return float(paid)
+
+
+def _information(now: Fit, names: Sequence[str]) -> NDArray[np.float64]:
+    """Of these numbers (k, k), all others being fitted."""
+    rows = [now.names.index(n) for n in names]
+    covariance = now.covariance[np.ix_(rows, rows)]
+    std = np.sqrt(np.diag(covariance))
+    std = np.where(std > 0, std, 1.0)
+    return np.asarray(np.linalg.pinv(covariance / np.outer(std, std), hermitian=True) / np.outer(std, std))

@@ -252,7 +252,7 @@ def effects(
         if name is not None:
             print(textwrap.indent("\n".join(doc.splitlines()[1:]), "    "))
             for p in effect.parameters():
-                kind = "shape" if p.fixed else "strength"
+                kind = ("shape, given" if p.given else "shape") if p.fixed else "strength"
                 print(f"    {p.name}: {kind}, {p.unit}, realistic {p.scale:g}, from {p.low:g} to {p.high:g}")
     if output is not None and name is not None:
         from synthcam.sketch import realistic, sketch

@@ -48,8 +48,8 @@ def _contact(a: Leg, b: Leg, t: float, horizon: float, reach: float) -> float | 
         gap = distance - reach
         rate = (x * vx + y * vy + z * vz) / distance
         if gap <= touching:
-            passing = (vx * vx + vy * vy + vz * vz) / distance > steepest  # what parts them outgrows all else
-            if rate < 0 and not (passing and rate > -LINGERING):
+            parting = (vx * vx + vy * vy + vz * vz - rate * rate) / distance - steepest  # as they pass each other
+            if rate < 0 and not (rate > -LINGERING and rate * rate < 2 * parting * touching):
                 return t
             if gap < -DEEP * reach:
                 raise ValueError(f"balls overlap by {-gap:.3g} m at {t:.6g} s")

@@ -58,6 +58,7 @@ def parameter(
     low: float = -math.inf,
     high: float = math.inf,
     fixed: bool = False,
+    given: bool = False,
     default: float | None = None,
     tries: Iterable[float] = (),
 ) -> Any:
@@ -66,12 +67,13 @@ def parameter(
     unit: SI, "1" for a pure number. scale: a realistic size. low, high: limits, inclusive.
     fixed: a shape, which means nothing while the strengths are zero; it is scanned, not fitted, and defaults to
     `scale`. All others are strengths: the effect is absent when every one of them is zero, their default.
+    given: a shape that no tracks tell from the other parameters; a search leaves it as it is.
     tries: of a shape, so close together that a search beginning from each of them overlooks nothing; a few about
     `scale` if none are given.
     """
     value = default if default is not None else (scale if fixed else 0.0)
-    said = {"unit": unit, "scale": scale, "low": low, "high": high, "fixed": fixed, "tries": tuple(map(float, tries))}
-    return field(default=value, metadata=said)
+    said = {"unit": unit, "scale": scale, "low": low, "high": high, "fixed": fixed, "given": given}
+    return field(default=value, metadata=said | {"tries": tuple(map(float, tries))})
 
 
 @dataclass(frozen=True)
@@ -85,6 +87,7 @@ class Parameter:
     high: float
     fixed: bool
     default: float
+    given: bool = False
     tries: tuple[float, ...] = ()
 
 

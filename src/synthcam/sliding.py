@@ -37,11 +37,13 @@ class Slides:
     """k slides that begin together at elapsed time 0, solved: (cos th, sin th, wz, qx, qy, x, y, t) against `knots`.
 
     lasts (k,): how long, s. cut: when the uniform end begins; slowing (k,), push (2, k), twist (k,) in it. The path
-    runs over |u|/|u0| where it is straight, else over the logarithm of that divided by `stretch` (k,).
+    runs over |u|/|u0| where it is straight, else over the logarithm of that divided by `stretch` (k,). drills: a
+    spin drills, and friction fades with the slip.
     """
 
     path: Path
     straight: bool
+    drills: bool
     first: Array
     stretch: Array
     radius: Array
@@ -74,10 +76,6 @@ class Slides:
         late = (self.lasts - self.cut)[:, None] * CLOSING
         pieces.append((self.cut[:, None] + late, self._closing(self.path.last()[..., None], self._slip(), late)[:2]))
         return Reading.of(pieces, 1 if self.drills else 3)  # where friction fades, the end is as smooth as the rest
-
-    @property
-    def drills(self) -> bool:
-        return bool(np.any(self.stretch != 1))
 
     def _slip(self) -> Array:
         """At the path's end, (k, 1)."""
@@ -225,7 +223,7 @@ def slides(model: Model, state: Array, bodies: Bodies) -> Slides:
         if path is not None:
             lasts, nothing = path.last()[7], np.zeros_like(first)
             ending = lasts, lasts, nothing, np.zeros((2, len(first))), nothing
-            return Slides(path, True, first, stretch, bodies.radius, *ending)
+            return Slides(path, True, False, first, stretch, bodies.radius, *ending)
     asked = set().union(*(laws.asked(law) for law in LAWS))
     turning = pushes + drills
     feed = None if "position" in asked else max(turning + (pushes and "velocity" in asked), 1)
@@ -235,7 +233,7 @@ def slides(model: Model, state: Array, bodies: Bodies) -> Slides:
     slowing, _, push, twist = forces.ending(slip[:, None] / 2, still[..., None])
     push, twist = (np.broadcast_to(f, (*lead, len(slip), 1))[..., 0] for f, lead in ((push, (2,)), (twist, ())))
     cut, slowing = last[7], slowing[:, 0]
-    return Slides(path, False, first, stretch, bodies.radius, cut, cut + slip / slowing, slowing, push, twist)
+    return Slides(path, False, drills, first, stretch, bodies.radius, cut, cut + slip / slowing, slowing, push, twist)
 
 
 def _last(vectors: Array) -> Array:

@@ -14,13 +14,15 @@ STICK = 2.5 / 7  # J/m = (1 + beta)|u_t|/7 is C = (1 + beta) 5/14: with beta = 0
 class BallFriction(Effect):
     """J = min(mu P, what turns u_t into -beta u_t): slip, or stick with tangential restitution.
 
-    share: of this law in place of the model's fixed spin transfer, 0 (absent) to 1. mu: friction between the balls.
-    beta: 0 sticks (C = 5/14). Walton & Braun, J. Rheol. 30 (1986) 949; Foerster et al., Phys. Fluids 6 (1994) 1108.
+    share: of this law in place of the model's fixed spin transfer C, from 0, absent. mu: friction between the balls.
+    beta: 0 sticks (C = 5/14). Where C is fitted too, tracks tell share (1 + beta) and mu / (1 + beta): a search keeps
+    the beta that it is given, and a share of 1.2 with beta = 0 may be a whole law with beta = .2. C never under zero.
+    Walton & Braun, J. Rheol. 30 (1986) 949; Foerster et al., Phys. Fluids 6 (1994) 1108.
     """
 
-    share: float = parameter("1", scale=1.0, low=0, high=1, default=1.0)
+    share: float = parameter("1", scale=1.0, low=0, high=2, default=1.0)
     mu: float = parameter("1", scale=0.15, low=0, high=1, fixed=True, tries=(0.06, 0.1, 0.15, 0.25))
-    beta: float = parameter("1", scale=0.0, low=-1, high=1, fixed=True, tries=(-0.1, 0.05, 0.2, 0.5))
+    beta: float = parameter("1", scale=0.0, low=-1, high=1, fixed=True, given=True)
 
     def spin_transfer(self, c: Any, contact_speed: Any, normal_impulse: Any) -> Any:
         slipping = 2.5 * self.mu * normal_impulse / np.maximum(contact_speed, 1e-300)
