@@ -302,6 +302,17 @@ def test_a_curve_in_its_band(name):
     assert not judged(law + 3 * half * np.sign(law - np.median(law))).curve
 
 
+@pytest.mark.parametrize(("longer", "allowed"), [(6e-4, True), (-4e-4, True), (-5e-4, False), (-6e-4, False)])
+def test_no_box_has_a_shutter_that_opens_for_no_time(tilted, longer, allowed, monkeypatch):
+    truth, rows = tilted
+    assert rows[0].camera.exposure == 5e-4
+    design = Fisher(boxes.base_model(truth), rows, NOISES["white"])
+    for name, said in (("limit", 1.0), ("signature", np.ones(9)), ("likeness", {"other": 0.5})):
+        monkeypatch.setattr(design, name, lambda *_, said=said: said)
+    entry = boxes._entry(design, library()["exposure_blur"], {}, {"longer": longer}, 1.0, naming=False)
+    assert (entry is not None) == allowed
+
+
 def test_bounds_of_shares_in_closed_form():
     assert goals.bounds([True] * 20) == pytest.approx((0.05 ** (1 / 20), 1), rel=1e-12)
     assert goals.bounds([False] * 20) == pytest.approx((0, 1 - 0.05 ** (1 / 20)), rel=1e-12)

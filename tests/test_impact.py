@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from synthcam.effects.ball_friction import BallFriction
@@ -210,3 +210,21 @@ def test_a_landing(down, vx, vy, wx, wy, wz, bounce, mu):
     lowest = np.cross(-R * UP, [*(after[0, 3:5] - before[0, 3:5]), 0.0]) / (0.4 * R**2)
     np.testing.assert_allclose(after[0, 6:9] - before[0, 6:9], lowest, rtol=0, atol=1e-9)
     np.testing.assert_array_equal(after[0, [0, 1, 2, 8]], before[0, [0, 1, 2, 8]])
+
+
+@given(encounters(), st.floats(0, 0.9), st.floats(0.01, 0.3), st.floats(0, 0.5), st.floats(0.1, 0.7))
+def test_no_impact_tells_a_tangential_restitution_from_a_larger_share(encounter, share, mu, beta, c):
+    """Where C is free: share (1 + beta) and mu / (1 + beta) do the same, and what C does beside them."""
+    before, bodies, _ = encounter
+    wider = share * (1 + beta)
+    assume(wider < 0.95)
+    rest = (1 - share) * c / (1 - wider)
+    assume(rest <= 5 / 7)
+    one, other = (
+        struck(Model(spin_transfer=own, effects=(effect,)), before, bodies)[1]
+        for own, effect in (
+            (c, BallFriction(share=share, mu=mu, beta=beta)),
+            (rest, BallFriction(share=wider, mu=mu / (1 + beta))),
+        )
+    )
+    np.testing.assert_allclose(one, other, rtol=1e-9, atol=1e-12)

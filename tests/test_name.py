@@ -91,6 +91,17 @@ def test_an_effect_that_is_not_needed_is_dropped(monkeypatch):
     assert [s.name for s in better] == ["velocity_restitution"]
 
 
+def test_a_search_goes_on_from_effects_that_a_fit_has(monkeypatch):
+    few(monkeypatch)
+    clips, base, noise = started(Model().replace({"velocity_restitution.e": 0.05, "rolling_quadratic.K": 0.1}))
+    found = search(clips, base, noise, enough=lambda now, rivals: True)  # stopped at the first
+    assert len(found.state) == 1
+    here = fit(clips, Model(), (*BASE, "velocity_restitution.e"), noise)
+    again = found.from_here(here, lambda now, rivals: False)
+    assert {n.effect for n in again.named} == {"velocity_restitution", "rolling_quadratic"}
+    assert found.from_here(here, lambda now, rivals: True).state[0].name == "velocity_restitution"
+
+
 def test_the_best_fit_holds_the_named_effects_and_no_other(monkeypatch):
     few(monkeypatch)
     clips, base, noise = started(Model().replace({"velocity_restitution.e": 0.02, "rolling_quadratic.K": 0.3}))

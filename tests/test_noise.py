@@ -8,14 +8,18 @@ from scipy.linalg import null_space, toeplitz
 from scipy.stats import multivariate_normal
 
 from discrepancy.noise import (
+    CEILING,
+    FLOOR,
     IMPOSSIBLE,
     SMOOTH,
     Bundle,
     Component,
     Noise,
     Pairs,
+    component_of,
     descend,
     estimate,
+    free_numbers,
     own_noise,
     possible,
 )
@@ -180,3 +184,10 @@ def test_too_little_to_read_noise_from():
 def test_a_noise_says_its_scale_and_correlation():
     noise = Noise(Component(4.0, (0.5,)))
     assert (noise.scale, noise.correlation, noise.shake) == (2.0, 0.5, 0.0)
+
+
+@pytest.mark.parametrize("part", [FLOOR, CEILING])
+def test_noise_at_the_end_of_its_range_is_a_start_like_any_other(part):
+    numbers = free_numbers(Component(1.0, (0.5,), part))
+    assert np.isfinite(numbers).all()
+    assert component_of((1, True), 1.0, numbers).white == pytest.approx(part, abs=2e-9)

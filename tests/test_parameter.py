@@ -30,6 +30,13 @@ def test_every_effect_of_the_library_is_a_suspect_until_it_is_fitted():
     assert "plate_tilt" not in {s.name for s in suspects(Model(), both)}
 
 
+def test_a_shape_that_no_track_tells_is_not_looked_for():
+    friction = next(s for s in suspects(Model(), BASE) if s.name == "ball_friction")
+    assert friction.shapes == ("ball_friction.mu",)
+    kept = Model().replace({"ball_friction.share": 0.0, "ball_friction.beta": 0.2})
+    assert kept.replace({"ball_friction.share": 0.1, **next(friction.grid(kept))}).value("ball_friction.beta") == 0.2
+
+
 def test_laws_that_bend_friction_mean_nothing_without_any():
     names = {s.name for s in suspects(TEXTBOOK, fitted(TEXTBOOK))}
     assert {"stribeck", "viscous_friction", "adhesion", "drilling_spin"} & names == set()
