@@ -13,10 +13,10 @@ import argparse
 import json
 import math
 import os
-import resource
 import subprocess
 import sys
 import tempfile
+import time
 from pathlib import Path
 from typing import Any
 
@@ -39,13 +39,22 @@ VIDEO = (
 LACKED = {"sliding_friction": Model().sliding_friction, "spin_transfer": Model().spin_transfer}
 
 
-def run(*command: str) -> str:
+def run(*command: str) -> dict[str, float]:
+    """What the command took: processor time and time by the clock, s, and the most memory at once, MB."""
     program = Path(sys.executable).with_name(command[0])
     alone = os.environ | {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
-    done = subprocess.run([program, *command[1:]], cwd=ROOT, capture_output=True, text=True, check=False, env=alone)
-    if done.returncode:
-        raise RuntimeError(done.stderr.strip().rpartition("\n")[2] or f"{command[0]} ended with {done.returncode}")
-    return done.stdout
+    began = time.monotonic()
+    with tempfile.TemporaryFile("w+") as said:
+        done = subprocess.Popen([program, *command[1:]], cwd=ROOT, stdout=subprocess.DEVNULL, stderr=said, env=alone)
+        _, status, used = os.wait4(done.pid, 0)
+        done.returncode = os.waitstatus_to_exitcode(status)
+        if done.returncode:
+            said.seek(0)
+            why = said.read().strip().rpartition("\n")[2]
+            raise RuntimeError(why or f"{command[0]} ended with {done.returncode}")
+    most = used.ru_maxrss / (1024 if sys.platform == "linux" else 1024**2)
+    took = {"cpu": used.ru_utime + used.ru_stime, "seconds": time.monotonic() - began, "MB": most}
+    return {key: round(value, 1) for key, value in took.items()}
 
 
 def hidden_in(name: str, times: float) -> dict[str, float]:
@@ -97,9 +106,7 @@ def trial(name: str, options: argparse.Namespace) -> dict[str, Any]:
             model = str(folder / "textbook.yaml")
             Path(model).write_text(yaml.safe_dump({"model": dict.fromkeys(LACKED, 0.0)}))
         measured = results(folder, words, options)
-        before = resource.getrusage(resource.RUSAGE_CHILDREN)
-        run("discrepancy", "find", str(measured), "--model", model, "-o", str(folder / "search"))
-        after = resource.getrusage(resource.RUSAGE_CHILDREN)
+        took = run("discrepancy", "find", str(measured), "--model", model, "-o", str(folder / "search"))
         found = json.loads((folder / "search/discrepancy.json").read_text())
     claimed = {n["effect"]: next((a for a in found["aliases"] if n["effect"] in a), []) for n in found["named"]}
     wanted = list(LACKED) if name == "paper" else [name] * (name != "none")
@@ -115,8 +122,7 @@ def trial(name: str, options: argparse.Namespace) -> dict[str, Any]:
         "closure": gap["closure"],
         "after over floor": gap["after"] / gap["floor"],
         "z": z_of(found["named"], hidden),
-        "cpu": round(after.ru_utime - before.ru_utime, 1),
-    }
+    } | took
 
 
 def z_of(named: list[dict[str, Any]], hidden: dict[str, float]) -> dict[str, float]:
@@ -141,7 +147,8 @@ def row(r: dict[str, Any]) -> list[str]:
     classes = "; ".join(" / ".join(a) for a in r.get("aliases", []))
     named = ", ".join(r.get("named", []))
     front = [r["hidden"], r["verdict"], named, str(r.get("right", "no")), classes]
-    return [*front, number("closure"), number("after over floor"), z, str(r.get("cpu", ""))]
+    took = [str(r.get(key, "")) for key in ("cpu", "seconds", "MB")]
+    return [*front, number("closure"), number("after over floor"), z, *took]
 
 
 def main() -> None:
@@ -165,7 +172,7 @@ def main() -> None:
             done.append({"hidden": name, "verdict": f"failed: {e}"})
         print(json.dumps(done[-1]), flush=True)
         output.write_text(json.dumps(done, indent=1) + "\n")
-    table = Table("hidden", "verdict", "named", "right", "class", "gap closed", "after/floor", "z", "CPU s")
+    table = Table("hidden", "verdict", "named", "right", "class", "gap closed", "after/floor", "z", "CPU s", "s", "MB")
     for r in done:
         table.add_row(*row(r))
     Console(width=160).print(table)
