@@ -11,8 +11,8 @@ from discrepancy.find import find
 from discrepancy.fit import BASE, derivative, launch_derivatives, off
 from discrepancy.forecast import forecast
 from discrepancy.measured import Measured
-from discrepancy.name import strengths_of
 from discrepancy.noise import Component, Noise, estimate
+from discrepancy.parameter import strengths_of
 from discrepancy.whiten import Whitener
 from synthcam import batch
 from synthcam.effect import library

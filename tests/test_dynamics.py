@@ -328,6 +328,7 @@ def test_a_curved_roll_stops_when_scipy_says():
         (Model(effects=(PlateTilt(x=2e-3),)), Launch.pair(PAIR, 0.1, 0.3, 0, 0, (0, 0)), "cannot rest"),
         (Model(effects=(PlateTilt(x=0.05),)), Launch.single(ALONE, 0.6, 0.1, 0, (0, 0)), "no past before"),
         (Model(sliding_friction=1e-3, effects=(PlateTilt(x=0.09),)), "sliding", "does not end"),
+        (Model(sliding_friction=0.0), Launch.pair(PAIR, 0.1, 0.3, 0, 0, (0, 0)), "does not end the slide"),
         (Model(restitution=0.0), Launch.pair(PAIR, 0.1, 0.3, 0, 0, (0, 0)), "stay in contact"),
         (Model(restitution=0.05), Launch.pair(PAIR, 0.1, 0.3, 0, 0, (0, 0)), "stay in contact"),
         (Model(), Launch(0.0, np.stack([rolling(0, 0, 0, 0), rolling(R, 0, 0.1, 0)]), PAIR), "overlap"),

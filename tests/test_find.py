@@ -7,6 +7,7 @@ import pytest
 
 from discrepancy.find import add, find
 from discrepancy.measured import split
+from discrepancy.name import Search, search
 from discrepancy_clips import EXPOSURE, FPS, HIDDEN, STD, blank, collisions, launches, only, searched
 from discrepancy_outsiders import FEW, OUTSIDERS, outsider
 from sealed.integrator import Plate, collision, means
@@ -96,6 +97,32 @@ def test_two_hidden_effects_are_both_named_with_the_strengths_of_the_last_fit(mo
     assert sorted(names(found)) == ["rolling_quadratic", "velocity_restitution"]
     within(found, truth)
     assert all(found.model.value(k) == v for n in found.named for k, v in n.values.items())
+
+
+def test_the_library_is_asked_again_for_what_stands_in_a_slots_place(monkeypatch):
+    """Its own search stopped too early here; the slot is then no effect that it lacks."""
+    only(monkeypatch)
+    truth = {"velocity_restitution.e": 0.05, "rolling_quadratic.K": 0.3}
+
+    def early(clips, base, noise, tick, enough):
+        return search(clips, base, noise, tick, lambda now, rivals: enough(now, rivals) or True)
+
+    monkeypatch.setattr("discrepancy.find.search", early)
+    found = find(collisions(Model().replace(truth), 8, 3), Model())
+    assert found.verdict == "named"
+    assert sorted(names(found)) == ["rolling_quadratic", "velocity_restitution"]
+    within(found, truth)
+    monkeypatch.setattr(Search, "from_here", lambda *_: None)
+    assert find(collisions(Model().replace(truth), 8, 3), Model()).slot is not None
+
+
+def test_an_effect_that_needs_friction_may_be_an_alias_in_a_textbook_collision(monkeypatch):
+    only(monkeypatch, **{n: library()[n] for n in ("stribeck", "viscous_friction", "rolling_quadratic")})
+    clips = collisions(Model().replace({"stribeck.rise": 0.004, "stribeck.slip": 0.3}), 10, 3)
+    found = find(clips, Model(sliding_friction=0.0))
+    assert "sliding_friction" in names(found)
+    assert found.verdict == "ambiguous"
+    assert "stribeck" in found.experiment
 
 
 @pytest.mark.parametrize("hidden", [{"stribeck.rise": 0.03}, {"plate_tilt.x": 1e-3}])

@@ -91,15 +91,34 @@ def test_an_effect_that_is_not_needed_is_dropped(monkeypatch):
     assert [s.name for s in better] == ["velocity_restitution"]
 
 
-def test_a_search_goes_on_from_effects_that_a_fit_has(monkeypatch):
+def test_a_search_goes_on_from_other_effects(monkeypatch):
     few(monkeypatch)
-    clips, base, noise = started(Model().replace({"velocity_restitution.e": 0.05, "rolling_quadratic.K": 0.1}))
+    truth = Model().replace({"velocity_restitution.e": 0.05, "rolling_quadratic.K": 0.1})
+    clips, base, noise = started(truth)
     found = search(clips, base, noise, enough=lambda now, rivals: True)  # stopped at the first
-    assert len(found.state) == 1
-    here = fit(clips, Model(), (*BASE, "velocity_restitution.e"), noise)
-    again = found.from_here(here, lambda now, rivals: False)
-    assert {n.effect for n in again.named} == {"velocity_restitution", "rolling_quadratic"}
-    assert found.from_here(here, lambda now, rivals: True).state[0].name == "velocity_restitution"
+    assert [s.name for s in found.state] == ["velocity_restitution"]
+    again = found.from_here(["rolling_quadratic"], truth)
+    assert [s.name for s in again.state] == ["rolling_quadratic", "velocity_restitution"]
+    assert again.best.chi2 < found.best.chi2 - 50
+    assert again.from_here(["velocity_restitution"], truth) is None  # comes to the same
+
+
+def test_a_wrong_beginning_is_shed_and_what_is_not_claimed_dropped(monkeypatch):
+    few(monkeypatch, (*FEW, "stribeck"))
+    truth = Model().replace({"stribeck.rise": 0.1, "stribeck.slip": 0.07})
+    clips, base, noise = started(truth)
+    found = search(clips, base, noise)
+    hunt = found.hunt
+    assert [s.name for s in hunt.outcome(lambda *_: False, hunt.begin(["rolling_quadratic"], Model())).state] == [
+        "stribeck"
+    ]
+    (own,) = hunt.begin(["stribeck"], Model().replace({"stribeck.rise": 0.1, "stribeck.slip": 0.2}))
+    fitted = hunt.fits[frozenset([own])]
+    assert "stribeck.slip" in fitted.names
+    assert fitted.chi2 == pytest.approx(found.best.chi2, abs=0.1)
+    clips, base, noise = started(Model())
+    hunt = search(clips, base, noise).hunt
+    assert hunt.outcome(lambda *_: False, hunt.begin(["velocity_restitution"], Model())).state == ()
 
 
 def test_the_best_fit_holds_the_named_effects_and_no_other(monkeypatch):

@@ -201,7 +201,8 @@ def _entry(
         if nearest > ALIKE or limit * ratio > most:
             return None
     truth, camera = hidden(limit * ratio), fisher.rows[0].camera
-    if truth.laws("exposure", camera.exposure, {"fps": camera.fps}) <= 0:  # no shutter opens for less than no time
+    shutter = truth.laws("exposure", camera.exposure, {"fps": camera.fps})
+    if not 0 < shutter <= 1 / camera.fps:  # no shutter opens for less than no time, nor into the next frame
         return None
     try:
         fisher.signature(truth)

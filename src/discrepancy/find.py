@@ -14,13 +14,13 @@ from discrepancy.fit import Evidence, Fit, fit, settle
 from discrepancy.gap import Shown, as_dict, show
 from discrepancy.locate import Place, locate
 from discrepancy.measured import Measured, cannot_tell, split
-from discrepancy.name import Named, Search, added, search
+from discrepancy.name import Search, added, search
+from discrepancy.named import Named
 from discrepancy.noise import Noise, estimate
 from discrepancy.odd import odd
 from discrepancy.outside import Filled, Slots, unseen
-from discrepancy.parameter import Suspect, fitted, limits_of, parameter_of
+from discrepancy.parameter import Suspect, fitted, limits_of, parameter_of, suspects_of
 from discrepancy.parting import advice, designs
-from discrepancy.price import price
 from discrepancy.rank import Contest
 from discrepancy.refine import refined
 from synthcam.effect import library
@@ -234,11 +234,10 @@ def _hunt(
     free = Slots(Evidence.of(clips, noise), base, lambda: tick("slots"))
     found = search(clips, base, noise, lambda: tick("search"), free.beat)
     slot = free.outcome(found.best)
-    plain = free.without(slot) if slot else None
-    if plain:  # the slot led to effects that the library's search has not begun with
-        again = found.from_here(plain, free.beat)
-        if price(again.best, base) < price(found.best, base):
-            found, slot = again, free.outcome(again.best)
+    again = found.from_here(slot.beside(base), slot.plain) if slot and slot.beside(base) else None
+    if again:  # the slot led to effects that the library's search has not begun with
+        free.beat(again.best, again.rivals)
+        found, slot = again, free.outcome(again.best)
     return found, slot, None if slot else free.nearly(found.best)
 
 
@@ -250,7 +249,7 @@ def _after(
 
 def _beside(slot: Filled, hunt: Search) -> tuple[Named, ...]:
     """The library's effects that are claimed beside a slot."""
-    now, known = slot.whole, {c.effect: c.suspect for c in hunt.ranking}
+    now, known = slot.whole, suspects_of(slot.plain, hunt.base.model, hunt.base.names)
     return tuple(_named(known[effect], now, sigma) for effect, sigma in slot.beside(hunt.base).items())
 
 
@@ -271,13 +270,14 @@ def _verdict(slot: Filled | None, named: Sequence[Named], left: Sequence[Place])
 
 def _experiment(hunt: Search, clips: Sequence[Measured], noise: Noise) -> str:
     """What would part each class's effect from its nearest alias."""
-    known = {c.effect: c for c in hunt.ranking}
+    known = suspects_of(hunt.best.model, hunt.base.model, hunt.base.names)
+    shapes = {c.effect: c.shapes for c in hunt.ranking}
     said = []
     for n in hunt.named:
         for rival in n.aliases[1:2]:
             one, other = known[n.effect], known[rival]
-            pair = (one.suspect, n.shapes), (other.suspect, other.shapes)
-            said.append(advice(one.suspect, other.suspect, designs(clips, noise, hunt.best, *pair)))
+            pair = (one, n.shapes), (other, shapes.get(rival, {}))
+            said.append(advice(one, other, designs(clips, noise, hunt.best, *pair)))
     return " ".join(said)
 
 

@@ -1,9 +1,8 @@
-"""Which effects are missing: added, dropped and exchanged until nothing improves; what each may be confused with."""
+"""Which effects are missing: added, dropped and exchanged until nothing improves."""
 
 from __future__ import annotations
 
 import dataclasses
-import itertools
 from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -15,46 +14,23 @@ from discrepancy.claim import FLOOR, sigmas
 from discrepancy.fit import Evidence, Fit, derivative, linearised, nudged, settle, telling
 from discrepancy.forecast import forecast
 from discrepancy.measured import Measured
+from discrepancy.named import ALIAS, Named, determined, sums
 from discrepancy.noise import Noise
-from discrepancy.parameter import Suspect, limits_of, parameter_of, strengths_of
+from discrepancy.parameter import Suspect, limits_of, parameter_of, suspects_of
 from discrepancy.price import price
 from discrepancy.rank import LIMIT, Candidate, Contest, likeness
 from discrepancy.scan import scannable
+from synthcam.model import Model
 
 Array = NDArray[np.float64]
-__all__ = ["Candidate", "Named", "Search", "likeness", "search", "sigmas", "strengths_of"]
 
 MOST = 4  # effects named in one search: more together can imitate what is in nobody's library
-ALIAS = 0.9  # of the cosine between two signatures: beyond it the data hardly part them
-PAIRS = 0.98  # the same for the span of two others
 PART = 9.5  # of chi^2, all freedom paid for: a rival that is worse by less is not excluded
 NEAR, LOOSE = 15.0, 0.2  # of chi^2, and of what an effect explains: what the score may be wrong by
 RIVALS, SWAPS = 8, 4  # refitted, at most, beside a leader and in the place of a named effect
 GAINED = 2.0  # of chi^2, by other shapes: less is not worth another fit
 KEPT = 0.5  # of the gain that the score promises
 STARTS, FAR = (0.1, 0.3, 1.0), 2  # of a realistic size, where the way is too far for the score; that many are followed
-
-
-@dataclass(frozen=True)
-class Named:
-    """An effect added to the model.
-
-    values, std: of its strengths, by dotted name. shapes, shape_std: likewise; infinite where the data leave a shape
-    undetermined. sigma: of what it explains. aliases: what fits as well, itself first. alike: what has nearly its
-    signature, one effect or the sum of two, with the cosine. limit: the detection limits of its strengths; naming: the
-    strengths from which it is told from the likest that it can be told from.
-    """
-
-    effect: str
-    values: dict[str, float]
-    std: dict[str, float]
-    sigma: float
-    aliases: tuple[str, ...]
-    shapes: dict[str, float] = field(default_factory=dict)
-    shape_std: dict[str, float] = field(default_factory=dict)
-    alike: tuple[tuple[tuple[str, ...], float], ...] = ()
-    limit: dict[str, float] = field(default_factory=dict)
-    naming: dict[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -75,9 +51,22 @@ class Search:
     def named(self) -> tuple[Named, ...]:
         return self.hunt.named(self.state)
 
-    def from_here(self, now: Fit, enough: Callable[[Fit, Sequence[Fit]], bool]) -> Search:
-        """Another search, from a model with some of the library's effects."""
-        return self.hunt.outcome(enough, self.hunt.begin(now))
+    def from_here(self, effects: Iterable[str], model: Model) -> Search | None:
+        """The better search, where one that begins with these effects, as a model has them, comes to a better model.
+
+        With more effects it must be better by PART, as always.
+        """
+        try:
+            again = self.hunt.outcome(lambda now, rivals: False, self.hunt.begin(effects, model))
+        except ValueError:  # alone they have no motion
+            return None
+        less = price(self.best, self.base) - price(again.best, self.base)
+        return again if less > (PART if len(again.state) > len(self.state) else 0.0) else None
+
+    @property
+    def rivals(self) -> list[Fit]:
+        """All models visited with as many effects as are named."""
+        return self.hunt.rivals(self.state)
 
     @cached_property
     def untold(self) -> tuple[str, ...]:
@@ -154,24 +143,21 @@ class _Hunt:
         self.sure: set[frozenset[Suspect]] = {frozenset()}  # whose fits are settled to the end
 
     def outcome(self, enough: Callable[[Fit, Sequence[Fit]], bool], state: tuple[Suspect, ...] = ()) -> Search:
-        """state: named before the search."""
+        """state: what to begin with."""
         ranking, claim = self._first
+        begun = state
         while len(state) < MOST:
             winner = self._winner(state, self._contest(state), claim)
             if winner is None:
                 break
-            grown, before = (*state, winner), set()
-            while True:
-                before.add(frozenset(grown))
-                better = self._better(grown, self._contest(grown), claim)
-                if better is None or frozenset(better) in before:
-                    break
-                grown = better
-            if len(grown) <= len(state):  # added and dropped again: round in a circle
+            grown = self._bettered((*state, winner), claim)
+            if len(grown) <= len(state) and self._price(grown) >= self._price(state):  # round in a circle
                 break
             state = grown
-            if enough(self._settled(state), [f for key, f in self.fits.items() if len(key) == len(state)]):
+            if enough(self._settled(state), self.rivals(state)):
                 break
+        if state == begun:
+            state = self._bettered(state, claim)
         return Search(self._settled(()), self._settled(state), ranking, claim, state, self)
 
     @cached_property
@@ -182,12 +168,30 @@ class _Hunt:
         self.blind = {c.effect for c in ranking if c.absorbed}
         return ranking, max(contest.claim(), FLOOR)
 
-    def begin(self, now: Fit) -> tuple[Suspect, ...]:
-        """The library's effects that a fit has and the base has not, as a state to search on from."""
-        base, known = self.fits[frozenset()], {c.effect: c.suspect for c in self._first[0]}
-        added = [n.rpartition(".")[0] or n for n in now.names if n not in base.names]
-        state = tuple(known[effect] for effect in dict.fromkeys(added))
-        self.fits.setdefault(frozenset(state), now)
+    def begin(self, effects: Iterable[str], model: Model) -> tuple[Suspect, ...]:
+        """A state to search on from: these effects, as a model has them, fitted. Raises ValueError without a motion."""
+        base = self.fits[frozenset()]
+        known = suspects_of(model, base.model, base.names)
+        state = tuple(known[effect] for effect in effects)
+        names = (*base.names, *(n for s in state for n in s.strengths + s.shapes))
+        begun = base.model.replace({n: model.value(n) for n in names})
+        start = linearised(self.evidence, begun, names, base.launches)
+        self.fits[frozenset(state)] = settle(self.evidence, start, self.tick)
+        return state
+
+    def rivals(self, state: Collection[Suspect]) -> list[Fit]:
+        """All models visited with as many suspects."""
+        return [f for key, f in self.fits.items() if len(key) == len(state)]
+
+    def _bettered(self, state: tuple[Suspect, ...], claim: float) -> tuple[Suspect, ...]:
+        """A state with suspects dropped and exchanged until nothing is better."""
+        before: set[frozenset[Suspect]] = set()
+        while state:
+            before.add(frozenset(state))
+            better = self._better(state, self._contest(state), claim)
+            if better is None or frozenset(better) in before:
+                break
+            state = better
         return state
 
     def named(self, state: tuple[Suspect, ...]) -> tuple[Named, ...]:
@@ -277,7 +281,7 @@ class _Hunt:
                 self._settled(tuple(key))
         said = {key: next(iter(key - frozenset(state))) for key in keys}
         claimed = [k for k in keys if self._sigma(now.chi2 - self.fits[k].chi2, said[k]) > claim]
-        return said[self._simplest(claimed)] if claimed else None
+        return said[self._simplest(claimed)] if min(keys, key=self._price) in claimed else None
 
     def _simplest(self, keys: Collection[frozenset[Suspect]]) -> frozenset[Suspect]:
         """Of models that fit as well as the best, the one with the fewest strengths, then shapes, then the best fit."""
@@ -308,7 +312,7 @@ class _Hunt:
         now = contest.now
         for k, suspect in enumerate(state):
             rest, rise = state[:k] + state[k + 1 :], contest.chi2(suspect) - now.chi2
-            if rest and self._sigma(rise, suspect) < 2 * claim:
+            if self._sigma(rise, suspect) < 2 * claim:
                 kept = self._settled(rest)
                 if self._sigma(kept.chi2 - now.chi2, suspect) < claim:
                     return rest
@@ -360,26 +364,8 @@ class _Hunt:
             self._sigma(worse, suspect),
             aliases,
             {s: now.model.value(s) for s in suspect.shapes},
-            {s: _determined(now, s) for s in suspect.shapes},
-            (*(((e,), c) for c, e in cosines if c > ALIAS), *_sums(own, ranking)),
+            {s: determined(now, s) for s in suspect.shapes},
+            (*(((e,), c) for c, e in cosines if c > ALIAS), *sums(own, ranking)),
             limit,
             {s: x / float(np.sqrt(max(1 - told**2, 1e-12))) for s, x in limit.items()},
         )
-
-
-def _determined(now: Fit, shape: str) -> float:
-    """A fitted shape's standard deviation; infinite where it says nothing."""
-    std, p = now.std.get(shape, 0.0), parameter_of(now.model, shape)
-    size = max(abs(now.model.value(shape)), p.scale) if p.low >= 0 else (p.high - p.low) / 2
-    return std if 0 < std < size / 2 else np.inf
-
-
-def _sums(own: Array, ranking: Sequence[Candidate]) -> tuple[tuple[tuple[str, ...], float], ...]:
-    """Pairs of effects that together have nearly the signature, where neither has it alone."""
-    alone = [c for c in ranking if c.signature.shape[1] == 1 and 0 < likeness(own, c.signature) <= ALIAS]
-    found = []
-    for one, other in itertools.combinations(alone, 2):
-        cosine = likeness(own, np.concatenate([one.signature, other.signature], axis=1))
-        if cosine > PAIRS:
-            found.append(((one.effect, other.effect), cosine))
-    return tuple(sorted(found, key=lambda f: -f[1])[:3])

@@ -207,7 +207,7 @@ def free_numbers(component: Component) -> Array:
     x = np.arctanh(np.clip(np.array(component.partial) / SLOWEST, -1 + 1e-9, 1 - 1e-9))
     if not component.white:
         return x
-    return np.append(x, logit(np.clip((component.white - FLOOR) / (CEILING - FLOOR), 1e-9, 1 - 1e-9)))
+    return np.append(x, logit(np.clip((component.white - FLOOR) / (CEILING - FLOOR), 1e-3, 1 - 1e-3)))
 
 
 def shape_of(component: Component) -> Shape:

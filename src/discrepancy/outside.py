@@ -257,9 +257,11 @@ class Slots:
             if best is None or beside is None:
                 break
             model = best.plain.replace(beside.shapes | dict.fromkeys(beside.strengths, 0.0))
-            names = (*best.now.names, *beside.strengths)
+            start = dataclasses.replace(best.now, model=model)
             try:
-                start = settle(self.evidence, linearised(self.evidence, model, names, best.now.launches), self.tick)
+                for names in (beside.strengths, tuple(beside.shapes)):  # shapes mean nothing before
+                    whole = linearised(self.evidence, start.model, (*start.names, *names), start.launches)
+                    start = settle(self.evidence, whole, self.tick) if names else start
                 look = _look(best.slot, start, _moves(self.evidence, best.slot, start.model, start.launches))
                 trial = fill(self.evidence, look, self.base, self.tick)
             except ValueError:  # without the slot there is no motion
@@ -269,16 +271,6 @@ class Slots:
             self.filled.append(trial)
             best = trial
         return best
-
-    def without(self, filled: Filled) -> Fit | None:
-        """The fit of the library's effects that stand beside a slot, where there are any and the slot is not needed."""
-        if not self._count(filled.now):
-            return None
-        try:
-            start = linearised(self.evidence, filled.plain, filled.now.names, self.base.launches)
-            return settle(self.evidence, start, self.tick)
-        except ValueError:  # without the slot there is no motion
-            return None
 
     def _best(self, now: Fit, fewer: int) -> Filled | None:
         """The best slot, if better, of those beside a model of `fewer` effects less than the library's latest."""

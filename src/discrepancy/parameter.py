@@ -41,6 +41,8 @@ class Suspect:
             return model.replace(dict(zip((*self.strengths, *self.shapes), self.held, strict=True)))
         if self.kind is None:
             return model.replace(dict.fromkeys(self.strengths, 0.0))
+        if any(p.given and model.value(f"{self.name}.{p.name}") != p.default for p in self.kind.parameters()):
+            return model.replace(dict.fromkeys(self.strengths, 0.0))
         kept = tuple(e for e in model.effects if e.name() != self.name)
         return dataclasses.replace(model, effects=kept)
 
@@ -93,6 +95,12 @@ def suspects(model: Model, fitted: Sequence[str]) -> tuple[Suspect, ...]:
             held = tuple(model.value(s) for s in (*strengths, *shapes)) if there else ()
             found.append(Suspect(kind.name(), strengths, shapes, kind, held))
     return tuple(found)
+
+
+def suspects_of(found: Model, given: Model, fitted: Sequence[str]) -> dict[str, Suspect]:
+    """By name, what a given model may lack when base parameters are as they were found: some effects need friction."""
+    grown = given.replace({n: found.value(n) for n in BASE})
+    return {s.name: s for model in (grown, given) for s in suspects(model, fitted)}
 
 
 def strengths_of(effect: type[Effect]) -> tuple[str, ...]:

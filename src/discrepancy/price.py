@@ -20,7 +20,7 @@ LAW = 2 * math.log(SLOTS)  # of one law chosen to be left free
 def price(now: Fit, base: Fit) -> float:
     """chi^2 with the freedom of each effect that the base lacks paid for, as of a slot; base parameters are free.
 
-    A shape costs what looking for it in all its range does: twice the logarithm of the range over the width of its
+    Shapes cost what looking for them in all their range does: twice the logarithm of the range over the width of their
     likelihood; the strengths what they do where the shapes are known. So what no data tell apart is paid for once.
     """
     paid, chosen = now.chi2, 2 * math.log(len(library()))
@@ -28,20 +28,21 @@ def price(now: Fit, base: Fit) -> float:
     for effect in dict.fromkeys(n.partition(".")[0] for n in added):
         own = {n: parameter_of(now.model, n) for n in added if n.startswith(f"{effect}.")}
         paid += chosen
-        strengths = [n for n, p in own.items() if not p.fixed]
+        strengths, shapes = ([n for n, p in own.items() if p.fixed == fixed] for fixed in (False, True))
         size = np.array([own[n].scale or 1.0 for n in strengths])
-        information = _information(now, (*strengths, *(n for n in own if n not in strengths)))[: len(size), : len(size)]
-        information *= np.outer(size, size)
+        information = _information(now, strengths + shapes)[: len(size), : len(size)] * np.outer(size, size)
         moved = np.array([now.model.value(n) - base.model.value(n) for n in strengths]) / size
         paid += freedom(information, moved)
-        for name in set(own) - set(strengths):
-            width = np.sqrt(2 * np.pi) * now.std[name] / (now.model.value(name) if own[name].low > 0 else 1.0)
-            paid += max(2 * np.log(span_of(own[name]) / width), 0.0) if width > 0 else 0.0
+        span = np.array([span_of(own[n]) * (now.model.value(n) if own[n].low > 0 else 1.0) for n in shapes])
+        known = _information(now, shapes) * np.outer(span, span) / (2 * np.pi)
+        paid += np.linalg.slogdet(np.eye(len(span)) + known)[1]
     return float(paid)
 
 
 def _information(now: Fit, names: Sequence[str]) -> NDArray[np.float64]:
     """Of these numbers (k, k), all others being fitted."""
+    if not names:
+        return np.zeros((0, 0))
     rows = [now.names.index(n) for n in names]
     covariance = now.covariance[np.ix_(rows, rows)]
     std = np.sqrt(np.diag(covariance))

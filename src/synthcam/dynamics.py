@@ -28,8 +28,8 @@ def solve(model: Model, launch: Launch, start: float = 0.0, end: float = 0.0) ->
     """The motion from `start` to `end` (s) or to the last slide's end, whichever is later.
 
     Legs are closed forms where no active effect bends them, numerical solutions elsewhere. Raises ValueError when a
-    ball that should be at rest cannot stay there, when balls overlap, when the motion does not settle, and when it is
-    asked for at times or speeds beyond FAR and FASTEST.
+    ball that should be at rest cannot stay there, when balls overlap, when a slide or the motion does not end, and when
+    it is asked for at times or speeds beyond FAR and FASTEST.
     """
     for what, t in (("its launch", launch.time), ("its start", start), ("its end", end)):
         if not abs(t) <= FAR:
@@ -160,6 +160,8 @@ class _Run:
     def _slide(self, k: int, state: State, t: float) -> Leg:
         if not self.slides:
             slowing = self.model.sliding_friction * self.model.gravity
+            if slowing == 0:
+                raise ValueError("sliding friction does not end the slide: there is none")
             lasts = math.hypot(*slip(state, self.radius[k])) / (3.5 * slowing)
             return Slide(t, t + lasts, t, state, self.radius[k], slowing)
         found = sliding.slides(self.model, np.array([state]), self._body(k))

@@ -124,9 +124,9 @@ def slide(state: Array, radius: Real, slowing: Real, elapsed: Array) -> Array:
 
 
 def slide_time(state: Array, radius: Real, slowing: Real) -> Any:
-    """How long a slide with constant friction lasts, s."""
+    """How long a slide with constant friction lasts, s; years where there is none."""
     u = contact_velocity(state, radius)
-    return np.hypot(u[..., 0], u[..., 1]) / (3.5 * slowing)
+    return np.hypot(u[..., 0], u[..., 1]) / np.where(slowing > 0, 3.5 * slowing, 1e-9)
 
 
 def roll(state: Array, radius: Real, drag: float, decel: float, elapsed: Array) -> Array:

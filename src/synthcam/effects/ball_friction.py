@@ -15,8 +15,9 @@ class BallFriction(Effect):
     """J = min(mu P, what turns u_t into -beta u_t): slip, or stick with tangential restitution.
 
     share: of this law in place of the model's fixed spin transfer C, from 0, absent. mu: friction between the balls.
-    beta: 0 sticks (C = 5/14). Where C is fitted too, tracks tell share (1 + beta) and mu / (1 + beta): a search keeps
-    the beta that it is given, and a share of 1.2 with beta = 0 may be a whole law with beta = .2. C never under zero.
+    beta: 0 sticks: J/m = |u_t|/7, C = 5/14. Where C is fitted too, tracks tell share (1 + beta), mu / (1 + beta) and
+    (1 - share) C, no more; a search keeps the beta that it is given. A share over 1 stands for a larger beta: 1.2
+    without any C for .2. Beside a C it is no law of contact.
     Walton & Braun, J. Rheol. 30 (1986) 949; Foerster et al., Phys. Fluids 6 (1994) 1108.
     """
 
