@@ -22,7 +22,7 @@ class BallFriction(Effect):
     """
 
     share: float = parameter("1", scale=1.0, low=0, high=2, default=1.0)
-    mu: float = parameter("1", scale=0.15, low=0, high=1, fixed=True, tries=(0.06, 0.1, 0.15, 0.25))
+    mu: float = parameter("1", scale=0.15, low=0, high=1, fixed=True, tries=np.geomspace(0.04, 0.4, 17))
     beta: float = parameter("1", scale=0.0, low=-1, high=1, fixed=True, given=True)
 
     def spin_transfer(self, c: Any, contact_speed: Any, normal_impulse: Any) -> Any:
