@@ -9,7 +9,7 @@ from scipy.stats import chi2 as chi2_law
 from scipy.stats import kstest
 
 from discrepancy.claim import FLOOR
-from discrepancy.fit import BASE, fit, linearised
+from discrepancy.fit import BASE, fit, linearised, settle
 from discrepancy.name import _Hunt, search
 from discrepancy.noise import estimate
 from discrepancy.parameter import fitted, suspects
@@ -255,3 +255,30 @@ def test_a_shape_that_went_astray_is_found_again():
     assert found.model.value("hop.bounce") == pytest.approx(0.4, abs=3.5 * found.std["hop.bounce"])
     assert found.std["hop.bounce"] < 0.1
     assert found.chi2 < lost.chi2 - 100
+
+
+def test_a_neighbouring_minimum_is_left_once_another_effect_is_in():
+    """Friction that rises steeply in the slowest slip looks, without the drag, like one that rises gently."""
+    truth = {"stribeck.rise": 0.0825, "stribeck.slip": 0.0613, "air_drag.share": 0.59}
+    clips = collisions(Model().replace(truth), 12, 3)
+    noise = estimate(clips)
+    base = fit(clips, Model(), BASE, noise)
+    hunt = _Hunt(clips, noise, base, lambda: None)
+    state = tuple(s for s in suspects(Model(), BASE) if s.name in ("stribeck", "air_drag"))
+    steep = truth | {"stribeck.rise": 1.9, "stribeck.slip": 0.0116}
+    stuck = settle(hunt.evidence, linearised(hunt.evidence, Model().replace(steep), (*BASE, *truth), base.launches))
+    found = hunt._astray(state, stuck)
+    assert found.chi2 < stuck.chi2 - 10
+    assert found.model.value("stribeck.slip") == pytest.approx(0.0613, abs=3.5 * found.std["stribeck.slip"])
+
+
+def test_the_error_of_a_law_with_a_kink_reaches_to_its_other_minima(monkeypatch):
+    """Where all impacts slip, only share times mu is known; at a kink chi^2 bends sharply all the same."""
+    few(monkeypatch, ("ball_friction", "velocity_restitution"))
+    truth = {"ball_friction.share": 0.18, "ball_friction.mu": 0.105}
+    clips, base, noise = started(Model().replace(truth), count=16, seed=22)
+    found = search(clips, base, noise)
+    (named,) = found.named
+    off = abs(named.values["ball_friction.share"] - truth["ball_friction.share"])
+    assert off > 10 * found.best.std["ball_friction.share"]
+    assert off < 2 * named.std["ball_friction.share"]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,6 +10,7 @@ import numpy as np
 
 from discrepancy.answer import Answer
 from discrepancy.claim import sigmas
+from discrepancy.elsewhere import spread
 from discrepancy.fit import Evidence, Fit, fit, settle
 from discrepancy.gap import Shown, as_dict, show
 from discrepancy.locate import Place, locate
@@ -234,7 +235,8 @@ def _hunt(
     free = Slots(Evidence.of(clips, noise), base, lambda: tick("slots"))
     found = search(clips, base, noise, lambda: tick("search"), free.beat)
     slot = free.outcome(found.best)
-    again = found.from_here(slot.beside(base), slot.plain) if slot and slot.beside(base) else None
+    beside = slot.beside(base) if slot else {}
+    again = found.from_here(beside, slot.plain) if slot and beside else None
     if again:  # the slot led to effects that the library's search has not begun with
         free.beat(again.best, again.rivals)
         found, slot = again, free.outcome(again.best)
@@ -250,13 +252,13 @@ def _after(
 def _beside(slot: Filled, hunt: Search) -> tuple[Named, ...]:
     """The library's effects that are claimed beside a slot."""
     now, known = slot.whole, suspects_of(slot.plain, hunt.base.model, hunt.base.names)
-    return tuple(_named(known[effect], now, sigma) for effect, sigma in slot.beside(hunt.base).items())
+    return tuple(_named(known[effect], now, now.std, sigma) for effect, sigma in slot.beside(hunt.base).items())
 
 
-def _named(suspect: Suspect, now: Fit, sigma: float) -> Named:
+def _named(suspect: Suspect, now: Fit, std: Mapping[str, float], sigma: float) -> Named:
     """A suspect with the numbers that a fit gives it."""
     values, shapes = ({k: now.model.value(k) for k in names} for names in (suspect.strengths, suspect.shapes))
-    own, bent = ({k: now.std.get(k, np.inf) for k in names} for names in (values, shapes))
+    own, bent = ({k: std.get(k, np.inf) for k in names} for names in (values, shapes))
     return Named(suspect.name, values, own, sigma, (suspect.name,), shapes, bent)
 
 
@@ -356,4 +358,5 @@ def add(clips: Sequence[Measured], model: Model, effect: str, tick: Tick = lambd
     suspect, best = candidate.suspect, contest.sharper(evidence, candidate)
     now = settle(evidence, added(evidence, base, best, lambda: tick("search")), lambda: tick("search"), fresh=False)
     sigma = sigmas(base.chi2 - now.chi2, len(suspect.strengths), contest.looks[effect])
-    return Added(base, now, _named(suspect, now, sigma))
+    std = now.std | spread(evidence, base, now, suspect)
+    return Added(base, now, _named(suspect, now, std, sigma))

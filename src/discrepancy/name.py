@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from discrepancy.claim import FLOOR, sigmas
+from discrepancy.elsewhere import spread
 from discrepancy.fit import Evidence, Fit, derivative, linearised, nudged, settle, telling
 from discrepancy.forecast import forecast
 from discrepancy.measured import Measured
@@ -57,9 +58,10 @@ class Search:
         With more effects it must be better by PART, as always.
         """
         try:
-            again = self.hunt.outcome(lambda now, rivals: False, self.hunt.begin(effects, model))
+            begun = self.hunt.begin(effects, model)
         except ValueError:  # alone they have no motion
             return None
+        again = self.hunt.outcome(lambda now, rivals: False, begun)
         less = price(self.best, self.base) - price(again.best, self.base)
         return again if less > (PART if len(again.state) > len(self.state) else 0.0) else None
 
@@ -141,6 +143,7 @@ class _Hunt:
         self.looks: dict[str, float] = {}  # at the shapes of each suspect
         self.blind: set[str] = set()  # what the base fit absorbs is no rival; beside another effect it only seems to be
         self.sure: set[frozenset[Suspect]] = {frozenset()}  # whose fits are settled to the end
+        self.latest: dict[frozenset[Suspect], Suspect] = {}  # added with a look at all its shapes
 
     def outcome(self, enough: Callable[[Fit, Sequence[Fit]], bool], state: tuple[Suspect, ...] = ()) -> Search:
         """state: what to begin with."""
@@ -226,21 +229,23 @@ class _Hunt:
         """The fit, or one from other shapes where that is better: far from the truth chi^2 may be flat in them."""
         for suspect in state:
             tries = list(suspect.grid(suspect.without(now.model)))
-            if len(tries) < 2:
+            if len(tries) < 2 or suspect is self.latest.get(frozenset(state)):
                 continue
-            if scannable(suspect, tries):
-                reduced = self._without(now, suspect)
-                contest = Contest.of(self.evidence, reduced, self.tick, [suspect])
-                candidate = contest.sharper(self.evidence, contest.ranking()[0])
-                if contest.chi2() - candidate.gain > now.chi2 - GAINED:
-                    continue
-                best = added(self.evidence, reduced, candidate, self.tick)
-            else:
+            if not scannable(suspect, tries):  # a strong effect's shapes show only at that strength
                 looks = [nudged(self.evidence, now, now.model.replace(shapes)) for shapes in tries]
-                best = min((f for f in looks if f), key=lambda f: f.chi2, default=now)
-            if best.chi2 < now.chi2:
-                now = min(now, settle(self.evidence, best, self.tick, fresh=False), key=lambda f: f.chi2)
+                now = self._or_better(now, min((f for f in looks if f), key=lambda f: f.chi2, default=now))
+            reduced = self._without(now, suspect)
+            contest = Contest.of(self.evidence, reduced, self.tick, [suspect])
+            candidate = contest.sharper(self.evidence, contest.ranking()[0])
+            if contest.chi2() - candidate.gain < now.chi2 - GAINED:
+                now = self._or_better(now, added(self.evidence, reduced, candidate, self.tick))
         return now
+
+    def _or_better(self, now: Fit, other: Fit) -> Fit:
+        """The other fit, settled, where it is better."""
+        if other.chi2 >= now.chi2:
+            return now
+        return min(now, settle(self.evidence, other, self.tick, fresh=False), key=lambda f: f.chi2)
 
     def _reduced(self, state: Sequence[Suspect]) -> Fit:
         """A fit of a part of some model visited."""
@@ -274,7 +279,7 @@ class _Hunt:
         for c in rivals:
             key = frozenset({*state, c.suspect})
             if key not in self.fits:
-                self.fits[key] = added(self.evidence, now, c, self.tick)
+                self.fits[key], self.latest[key] = added(self.evidence, now, c, self.tick), c.suspect
         keys = sorted((frozenset({*state, c.suspect}) for c in rivals), key=self._price)
         for key in keys:
             if self._price(key) < self._price(keys[0]) + NEAR:
@@ -322,16 +327,15 @@ class _Hunt:
                 keys[key] = c.suspect
                 if key not in self.fits:
                     reduced = reduced or self._without(now, suspect)
-                    self.fits[key] = added(
-                        self.evidence, reduced, contest.sharper(self.evidence, c, suspect), self.tick
-                    )
+                    best = contest.sharper(self.evidence, c, suspect)
+                    self.fits[key], self.latest[key] = added(self.evidence, reduced, best, self.tick), c.suspect
                 if self._price(key) < self._price(state) + NEAR:
                     self._settled(tuple(key))
                 if self._price(key) < self._price(state) - PART:
                     return (*state[:k], c.suspect, *state[k + 1 :])
-            best = self._simplest(keys)
-            if best != frozenset(state):
-                return (*state[:k], keys[best], *state[k + 1 :])
+            simplest = self._simplest(keys)
+            if simplest != frozenset(state):
+                return (*state[:k], keys[simplest], *state[k + 1 :])
         return None
 
     def _rivals(self, contest: Contest, suspect: Suspect) -> list[Candidate]:
@@ -353,10 +357,11 @@ class _Hunt:
             ranking = tuple(c for c in ranking if c.suspect.kind is None)
             near = [(p, n) for p, n in near if n in {c.effect for c in ranking}]
         aliases = (suspect.name, *(n for _, n in near if n != suspect.name))
-        std, own = now.std, contest.signature(suspect)
+        own = contest.signature(suspect)
         cosines = sorted(((likeness(own, c.signature), c.effect) for c in ranking), reverse=True)
         told = max((c for c, effect in cosines if effect not in aliases), default=0.0)
-        limit = {s: LIMIT * std[s] for s in suspect.strengths}
+        limit = {s: LIMIT * now.std[s] for s in suspect.strengths}
+        std = spread(self.evidence, self._without(now, suspect), now, suspect, self.tick)
         return Named(
             suspect.name,
             {s: now.model.value(s) for s in suspect.strengths},
@@ -364,7 +369,7 @@ class _Hunt:
             self._sigma(worse, suspect),
             aliases,
             {s: now.model.value(s) for s in suspect.shapes},
-            {s: determined(now, s) for s in suspect.shapes},
+            {s: determined(now, s, std.get(s, 0.0)) for s in suspect.shapes},
             (*(((e,), c) for c, e in cosines if c > ALIAS), *sums(own, ranking)),
             limit,
             {s: x / float(np.sqrt(max(1 - told**2, 1e-12))) for s, x in limit.items()},

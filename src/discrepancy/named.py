@@ -40,9 +40,9 @@ class Named:
     naming: dict[str, float] = field(default_factory=dict)
 
 
-def determined(now: Fit, shape: str) -> float:
+def determined(now: Fit, shape: str, std: float) -> float:
     """A fitted shape's standard deviation; infinite where it says nothing."""
-    std, p = now.std.get(shape, 0.0), parameter_of(now.model, shape)
+    p = parameter_of(now.model, shape)
     size = max(abs(now.model.value(shape)), p.scale) if p.low >= 0 else (p.high - p.low) / 2
     return std if 0 < std < size / 2 else np.inf
 

@@ -259,9 +259,9 @@ class Slots:
             model = best.plain.replace(beside.shapes | dict.fromkeys(beside.strengths, 0.0))
             start = dataclasses.replace(best.now, model=model)
             try:
-                for names in (beside.strengths, tuple(beside.shapes)):  # shapes mean nothing before
+                for names in filter(None, (beside.strengths, tuple(beside.shapes))):  # shapes mean nothing before
                     whole = linearised(self.evidence, start.model, (*start.names, *names), start.launches)
-                    start = settle(self.evidence, whole, self.tick) if names else start
+                    start = settle(self.evidence, whole, self.tick)
                 look = _look(best.slot, start, _moves(self.evidence, best.slot, start.model, start.launches))
                 trial = fill(self.evidence, look, self.base, self.tick)
             except ValueError:  # without the slot there is no motion
