@@ -30,6 +30,7 @@ STYLE: Any = {"font.size": 9, "axes.spines.top": False, "axes.spines.right": Fal
 EDGES = np.array([1, 1.4, 2, 2.8, 4, 5.7, 8, 11.3, 20.01])  # of ratios
 CLAIM = 4.0
 OPEN = (-0.1, 0.4)  # shown of 1 - closure
+MARKER = 70.0  # pt^2, the largest
 
 
 def rows_in(folder: Path) -> list[Row]:
@@ -129,8 +130,8 @@ def _confusion(rows: Sequence[Row]) -> Figure:
 
 
 def _curve(ax: Any, points: Sequence[tuple[float, bool]], label: str, colour: str, marker: str = "o") -> None:
-    """Shares of hits in bins of the ratio."""
-    x, y, e = [], [], []
+    """Shares of hits in bins of the ratio, no line between them: a marker is as large as its bin is full."""
+    x, y, e, full = [], [], [], []
     for low, high in zip(EDGES[:-1] * 0.999, EDGES[1:] * 0.999, strict=True):
         inside = [(r, h) for r, h in points if low <= r < high]
         if inside:
@@ -138,7 +139,9 @@ def _curve(ax: Any, points: Sequence[tuple[float, bool]], label: str, colour: st
             x.append(float(np.exp(np.mean(np.log([r for r, _ in inside])))))
             y.append(100 * p)
             e.append(100 * error)
-    ax.errorbar(x, y, e, fmt=marker + "-", ms=4, lw=1, color=colour, label=f"{label} ({len(points)})")
+            full.append(6.0 + 2.0 * len(inside))
+    ax.errorbar(x, y, e, fmt="none", lw=1, color=colour, alpha=0.6)
+    ax.scatter(x, y, np.minimum(full, MARKER), color=colour, marker=marker, alpha=0.8, label=f"{label} ({len(points)})")
 
 
 def _axes(axes: Any, titles: Sequence[str]) -> None:
