@@ -203,6 +203,13 @@ def test_a_draw_is_the_same_again_and_within_its_bounds():
         assert boxes.model_of(truth).effects
 
 
+def test_no_box_hides_a_lamp_that_its_camera_file_tells_of():
+    for filmed in (False, True):
+        drawn = boxes._candidates(Study("any", {"one": 1}, 1, filmed=filmed), "one", False)
+        assert set(library()) - set(drawn) >= {"unknown_lamp"}
+        assert "plate_tilt" in drawn
+
+
 def test_outsiders_are_in_no_library():
     assert len(OUTSIDERS) >= 8
     assert not set(OUTSIDERS) & set(library())

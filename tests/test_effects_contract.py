@@ -23,13 +23,13 @@ from synthcam.settings import InputError
 from synthcam.view import View
 
 SETUP = {"time": 0.1, "v0": 0.5, "b": 0.4, "heading": 0.7, "contact": (0.003, -0.001)}
+LAMP = (0.05, 0.0, 0.45)
 ROW = np.array([[0.003, -0.001, 0.1, 0.5, 0.7, 0.4]])
 TIMES = np.linspace(0, 0.3, 151)
 FRAMES = 75
 NOMINAL = Camera.overhead(
     (640, 480), 1.6e-4, 0.5, ball_radius=Model().ball.radius, fps=250, exposure=5e-4, psf_sigma_px=1.0
 )
-LAMP = Lamp(np.array([0.05, 0.0, 0.45]), 0.01)
 every = pytest.mark.parametrize("kind", library().values(), ids=list(library()))
 each = pytest.mark.parametrize(
     ("kind", "name"), [(k, p.name) for k in library().values() for p in k.parameters()], ids=lambda x: str(x)
@@ -49,11 +49,11 @@ def picture(*effects):
     view = View.of(model, Launch.pair(model.bodies("ab"), **SETUP), bent, FRAMES)
     px = view.mean(view.spans(FRAMES), lambda states: bent.project(states[..., :3]))
 
-    def glint(px):
+    def mirrored(px, lamp=LAMP):
         centres = view.at(view.spans(FRAMES).mean(axis=1))[..., :3]
-        return px + glint_px(bent, LAMP, centres, Model().ball.radius) - bent.project(centres)
+        return px + glint_px(bent, Lamp(np.array(lamp), 0.01), centres, Model().ball.radius) - bent.project(centres)
 
-    return model.laws("measure", px, {"glint": glint})
+    return model.laws("measure", px, {"glint": mirrored, "mirrored": mirrored})
 
 
 def present(kind, **values):
@@ -70,7 +70,8 @@ def test_the_library_holds_what_was_asked_for():
     asked = """velocity_restitution ball_friction hop stribeck viscous_friction friction_anisotropy adhesion plate_tilt
         air_drag rolling_quadratic magnetic_attraction mass_mismatch diameter_mismatch eccentric_mass
         spin_transfer_velocity plate_waviness drilling_spin scale_error aspect_error lens_distortion camera_tilt
-        clock_error clock_drift dropped_frame exposure_blur rolling_shutter glint_parallax pixel_locking"""
+        clock_error clock_drift dropped_frame exposure_blur rolling_shutter glint_parallax pixel_locking
+        unknown_lamp"""
     assert set(asked.split()) <= set(library())
 
 

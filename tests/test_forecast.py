@@ -25,6 +25,17 @@ def test_a_tracker_that_takes_the_glint_for_the_centre_sees_the_glint():
     assert np.abs(pixels(clip, glint) - pixels(clip, clip.xy)).max() > 0.1
 
 
+def test_of_a_lamp_that_nobody_told_of_it_sees_the_glint_too():
+    clip = exact(Model(), 1, 15)[0]
+    x, y, height = clip.camera.lamp.position
+    lamp = Model().replace({"unknown_lamp.share": 1.0, "unknown_lamp.x": x, "unknown_lamp.y": y})
+    lamp = lamp.replace({"unknown_lamp.height": height})
+    dark = dataclasses.replace(clip, camera=dataclasses.replace(clip.camera, lamp=None))
+    glint = forecast(lamp, clip.launch[None], [dark])[0]
+    assert np.allclose(pixels(clip, glint), clip.camera.glint_of_centre(clip.xy), atol=1e-6)
+    assert np.allclose(forecast(lamp, clip.launch[None], [clip])[0], clip.xy, rtol=0, atol=1e-12)
+
+
 def test_a_lens_that_nobody_knows_moves_what_is_far_from_the_middle():
     clip = exact(Model(), 1, 15)[0]
     bent = forecast(Model().replace({"lens_distortion.k1": 0.05}), clip.launch[None], [clip])[0]

@@ -44,10 +44,11 @@ SHAPES: dict[str, tuple[float, float]] = {
 DEFECTS = {
     "pixel_locking": ("pixel_locking", "aspect_error"),  # what the library may call it; or nothing at all
     # a slanting lamp's glints stretch the picture, and by 1.6e-5 more along one axis
-    "glint": ("glint_parallax", "scale_error", "aspect_error", "lens_distortion"),
+    "glint": ("unknown_lamp", "glint_parallax", "scale_error", "aspect_error", "lens_distortion"),
     "lamp": ("glint_parallax", "scale_error", "lens_distortion"),
     "scale": ("scale_error", "glint_parallax", "lens_distortion"),
 }
+IDLE = {"unknown_lamp"}  # effects that show nothing here: every camera file tells of its lamp
 ALIKE = 0.98  # of the cosine: beyond it no data of this size part two effects
 TRIES = 60
 
@@ -107,7 +108,7 @@ def _one_of(rng: np.random.Generator, weights: Mapping[str, float]) -> str:
 
 
 def _candidates(study: Study, kind: str, integrated: bool) -> list[str]:
-    known = [n for n, e in library().items() if not (study.filmed and "measure" in e.laws)]
+    known = [n for n, e in library().items() if n not in IDLE and not (study.filmed and "measure" in e.laws)]
     if kind == "outside":
         known = [n for n, e in OUTSIDERS.items() if e.VIDEO or not study.filmed]
     known = [n for n in known if n in (study.effects or known)]

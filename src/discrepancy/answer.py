@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from discrepancy.band import Mixture
 from discrepancy.formula import propose
 from discrepancy.outside import Filled
 from discrepancy.slots import Slot
@@ -15,18 +16,21 @@ from discrepancy.slots import Slot
 Array = NDArray[np.float64]
 
 PLACES, SIDE = 41, 25  # at which a curve is given; along each side of a map
-BANDS = {"band68": 1.0, "band": 1.96}  # standard deviations
+BANDS = {"band68": 1.0, "band": 1.96}  # standard deviations of a normal
 
 
 @dataclass(frozen=True)
 class Answer:
-    """law: in words. x: an array (n,) for each axis. curve, std: (n, parts). refused: the data want more than it."""
+    """law: in words. x: an array (n,) for each axis. curve: (n, parts). bands: by name, low and high, (n, parts, 2).
+
+    refused: the data want more than the formula.
+    """
 
     slot: Slot
     law: str
     x: tuple[Array, ...]
     curve: Array
-    std: Array
+    bands: dict[str, Array]
     formula: str
     refused: bool
     sigma: float
@@ -38,20 +42,15 @@ class Answer:
             x: tuple[Array, ...] = (slot.axes[0].grid(PLACES),)
         else:
             x = tuple(side.ravel() for side in np.meshgrid(*(a.grid(SIDE) for a in slot.axes), indexing="ij"))
-        curve, covariance = filled.curve(*x)
-        std = np.sqrt(np.maximum(np.diagonal(covariance, axis1=1, axis2=2), 0.0)).T
-        formula = propose(filled)
-        return cls(slot, words(slot), x, curve, std, formula.text, formula.refused, filled.sigma)
+        law, formula = Mixture.of(filled, *x), propose(filled)
+        bands = {k: np.stack([law.quantile(-times), law.quantile(times)], axis=-1) for k, times in BANDS.items()}
+        return cls(slot, words(slot), x, law.quantile(0.0), bands, formula.text, formula.refused, filled.sigma)
 
     def document(self) -> dict[str, Any]:
         """Its part in discrepancy.json. Of a curve x is a list of numbers, of a map a list of pairs; of a force or a
         warp the curve is a list of pairs. A band holds [low, high], of each number of the curve.
         """
         one = self.slot.parts == 1
-        bands = {
-            name: np.stack([self.curve - times * self.std, self.curve + times * self.std], axis=-1)
-            for name, times in BANDS.items()
-        }
         return {
             "slot": self.slot.name,
             "law": self.law,
@@ -60,7 +59,7 @@ class Answer:
             "axes": [{"name": a.name, "unit": a.unit} for a in self.slot.axes],
             "x": (self.x[0] if len(self.x) == 1 else np.stack(self.x, axis=-1)).tolist(),
             "curve": (self.curve[:, 0] if one else self.curve).tolist(),
-            **{name: (band[:, 0] if one else band).tolist() for name, band in bands.items()},
+            **{name: (band[:, 0] if one else band).tolist() for name, band in self.bands.items()},
             "formula": self.formula,
             "formula_suffices": not self.refused,
             "sigma": self.sigma,

@@ -163,12 +163,12 @@ def _curve(answer: Answer) -> Figure:
     figure, ax = plt.subplots(figsize=(6, 3.2), constrained_layout=True)
     axis, x, words = slot.axes[0], answer.x[0], ("along", "across") if slot.parts > 1 else ("",)
     for part, (word, colour) in enumerate(zip(words, (AFTER, BEFORE), strict=False)):
-        y, std = answer.curve[:, part], answer.std[:, part]
+        y = answer.curve[:, part]
         if axis.kind == "set":
-            ax.errorbar(x, y, 1.96 * std, fmt="o", ms=3, lw=1, color=colour)
+            ax.errorbar(x, y, np.abs(answer.bands["band"][:, part].T - y), fmt="o", ms=3, lw=1, color=colour)
             continue
-        for times, alpha in ((1.96, 0.2), (1.0, 0.35)):
-            ax.fill_between(x, y - times * std, y + times * std, color=colour, alpha=alpha, lw=0)
+        for name, alpha in (("band", 0.2), ("band68", 0.35)):
+            ax.fill_between(x, *answer.bands[name][:, part].T, color=colour, alpha=alpha, lw=0)
         ax.plot(x, y, color=colour, lw=1.2, label=word)
     if slot.parts > 1:
         ax.legend()
@@ -183,7 +183,7 @@ def _map(answer: Answer) -> Figure:
     scale = 1e3 if slot.axes[0].unit == "m" else 1.0
     extent = tuple(scale * v for a in slot.axes for v in (a.low, a.high))
     shown = [(answer.curve[:, p], "xy"[p] if slot.parts > 1 else "") for p in range(slot.parts)]
-    shown.append((answer.std.max(axis=1), "+-"))
+    shown.append((np.ptp(answer.bands["band68"], axis=-1).max(axis=1) / 2, "+-"))
     figure, axes = plt.subplots(1, len(shown), figsize=(3.4 * len(shown), 3), constrained_layout=True)
     for ax, (values, label) in zip(axes, shown, strict=True):
         picture = ax.imshow(values.reshape(side, side).T, origin="lower", extent=extent, aspect="equal")

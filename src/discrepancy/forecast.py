@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,10 +13,10 @@ from discrepancy.measured import Measured
 from synthcam.batch import LAUNCH, Batch, collisions
 from synthcam.model import Model
 from synthcam.optics import Camera as Optics
-from tracker.geometry import Camera
+from tracker.geometry import Camera, Lamp
 
 Array = NDArray[np.float64]
-__all__ = ["LAUNCH", "forecast", "velocities"]
+__all__ = ["LAUNCH", "forecast", "known_to_measure", "velocities"]
 
 FRICTIONLESS = 1e-9  # stands in for no sliding friction: a slide then outlasts every film, but ends
 LATE = 1e-4  # s, the step of a numerical derivative
@@ -81,8 +82,22 @@ def _seen(model: Model, camera: Camera, places: Array, height: Array | float) ->
         psf_sigma_px=float("nan"),
     )
     pixels = replace(model.laws("camera", nominal, {})).project(_spatial(places, height))
-    pixels = model.laws("measure", pixels, {"glint": lambda seen: camera.glint_of_centre(camera.unproject(seen)[0])})
+    pixels = model.laws("measure", pixels, known_to_measure(camera))
     return np.asarray(camera.unproject(pixels)[0])
+
+
+def known_to_measure(camera: Camera) -> dict[str, Any]:
+    """What a defect of a tracker with this camera file may ask for, as LAWS has it."""
+
+    def glint(seen: Array) -> Array:
+        return camera.glint_of_centre(camera.unproject(seen)[0])
+
+    def mirrored(seen: Array, lamp: tuple[float, float, float]) -> Array:
+        if camera.lamp is not None:
+            return seen
+        return replace(camera, lamp=Lamp(lamp)).glint_of_centre(camera.unproject(seen)[0])
+
+    return {"glint": glint, "mirrored": mirrored}
 
 
 def _project(camera: Camera, places: Array) -> Array:

@@ -144,7 +144,7 @@ class Contest:
         for suspect in only or suspects(now.model, now.names):
             grid = list(suspect.grid(now.model))
             if scannable(suspect, grid):
-                trials += _scanned(evidence, plain, now.launches, suspect, grid)
+                trials += _scanned(evidence, plain, now.launches, suspect, grid, here)
             else:
                 trials += [tried(evidence, plain, now.launches, suspect, shapes, here) for shapes in grid]
             tick()
@@ -287,6 +287,17 @@ class Contest:
             found.append(score.candidate(columns - absorbed @ (absorbed.T @ columns)))
         return tuple(found)
 
+    def estimates(self) -> list[tuple[dict[str, float], float, Array]]:
+        """Of each trial its shapes, the chi^2 that it takes, and the strengths (k,) with which it does; first order."""
+        left, absorbed = self._left(None)
+        gram, pulls, _ = self._against(absorbed, left)
+        found = []
+        for trial, s in zip(self.trials, self._spans, strict=True):
+            score = self._score(trial, gram[s, s], pulls[s], self._products[2][s])
+            strengths = score.axes @ (score.axes.T @ pulls[s])
+            found.append((trial.shapes, score.gain, strengths if score.gain else 0 * strengths))
+        return found
+
     def _score(self, trial: Trial, gram: Array, pull: Array, length: Array) -> Score:
         """The score of one trial; directions that the fit absorbs, as it does a wrong clock, count for nothing.
 
@@ -336,12 +347,20 @@ def tried(
 
 
 def _scanned(
-    evidence: Evidence, model: Model, launches: Array, suspect: Suspect, grid: Sequence[dict[str, float]]
+    evidence: Evidence,
+    model: Model,
+    launches: Array,
+    suspect: Suspect,
+    grid: Sequence[dict[str, float]],
+    here: Sequence[Array],
 ) -> list[Trial]:
-    """Those of many shapes that show at all, or the first. Of very many clips fewer shapes are tried, for memory."""
+    """Those of many shapes that show at all, or the first. Of very many clips fewer shapes are tried, for memory.
+
+    here: the forecast of the model.
+    """
     numbers = sum(2 * len(c.frame) for c in evidence.clips) * len(suspect.strengths)
     grid = grid[:: 1 + numbers * len(grid) // MOST]
-    every = scanned(model, launches, evidence.clips, suspect, grid)
+    every = scanned(model, launches, evidence.clips, suspect, grid, here)
     shown = np.flatnonzero(np.any([e.any(axis=(0, 1, 3)) for e in every], axis=0))
     kept = shown.tolist() or [0]
     both = zip(evidence.whiteners, every, strict=True)

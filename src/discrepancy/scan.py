@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from discrepancy.forecast import velocities
+from discrepancy.forecast import known_to_measure, velocities
 from discrepancy.measured import Measured
 from discrepancy.parameter import Suspect, parameter_of
 from discrepancy.response import Leg, responses
@@ -21,22 +21,30 @@ Shapes = dict[str, float]
 MOTION = {"friction", "rolling", "push"}  # laws whose small changes are integrals over the motion
 KNOWN = {"position", "velocity", "speed", "slip", "slip_speed", "gravity", "radius"}  # of a leg
 MANY = 30  # fewer shapes are tried one by one, exactly
+FEW = 2  # the same where nothing but the last step, from pixel to pixel, is taken again
 AT_ONCE = 64  # columns, for memory
 
 
 def scannable(suspect: Suspect, tries: Sequence[Shapes]) -> bool:
     """Are there many shapes to try, of an effect on one law that asks for no more than is known here?"""
     laws = suspect.kind.laws if suspect.kind else {}
-    if len(tries) < MANY or len(laws) != 1:
+    if len(tries) < (FEW if "measure" in laws else MANY) or len(laws) != 1:
         return False
     ((law, asks),) = laws.items()
+    if law == "measure":
+        return True
     return (law == "clock" and asks == ("fps",)) or (law in MOTION and set(asks) <= KNOWN)
 
 
 def scanned(
-    model: Model, launches: Array, clips: Sequence[Measured], suspect: Suspect, tries: Sequence[Shapes]
+    model: Model,
+    launches: Array,
+    clips: Sequence[Measured],
+    suspect: Suspect,
+    tries: Sequence[Shapes],
+    here: Sequence[Array],
 ) -> list[Array]:
-    """d tracks (n_k, 2, tries, strengths) of each clip, about a model without the suspect."""
+    """d tracks (n_k, 2, tries, strengths) of each clip, about a model without the suspect. here: its forecast."""
     kind = suspect.kind
     assert kind is not None
     (law,) = kind.laws
@@ -49,6 +57,8 @@ def scanned(
     ]
     if law == "clock":
         found = _later(velocities(model, launches, clips), clips, filled)
+    elif law == "measure":
+        found = _mistaken(here, clips, filled)
     else:
         parts = [filled[k : k + AT_ONCE] for k in range(0, len(filled), AT_ONCE)]
         every = [responses(model, launches, clips, {law: _change(law, p, model)}, len(p)) for p in parts]
@@ -83,3 +93,15 @@ def _later(moving: Sequence[Array], clips: Sequence[Measured], filled: Sequence[
     late = np.stack([(e.clock(t, fps) - t) / size for e, size in filled], axis=-1)  # type: ignore[attr-defined]
     cuts = np.cumsum([len(c.frame) for c in clips])[:-1]
     return [v[..., None] * own[:, None] for v, own in zip(moving, np.split(late, cuts), strict=True)]
+
+
+def _mistaken(here: Sequence[Array], clips: Sequence[Measured], filled: Sequence[tuple[Effect, float]]) -> list[Array]:
+    """Of what is measured: (n_k, 2, columns)."""
+    camera, places = clips[0].camera, np.concatenate(here)
+    pixels = camera.project(np.concatenate([places, np.full((len(places), 1), camera.radius)], axis=1))
+    slope, known = camera.unproject(pixels)[1], known_to_measure(camera)
+    columns = []
+    for effect, size in filled:
+        seen = effect.measure(pixels, *[known[a] for a in effect.laws["measure"]])  # type: ignore[attr-defined]
+        columns.append((slope @ ((seen - pixels) / size)[..., None])[..., 0])
+    return np.split(np.stack(columns, axis=-1), np.cumsum([len(h) for h in here])[:-1])

@@ -47,7 +47,9 @@ LAWS: dict[str, tuple[str, ...]] = {
     "clock": ("fps", "row"),
     "exposure": ("fps",),
     # a defect of the tracker, which no scene may have: where it puts a centre that is seen at (x, y) px
-    "measure": ("glint",),  # a function: where a ball's glint is seen whose centre is seen at (x, y)
+    # functions of pixels (x, y) at which a centre is seen: where its glint is; and where, were the lamp at (x, y, z) m,
+    # which is (x, y) itself where camera.json tells of a lamp
+    "measure": ("glint", "mirrored"),
 }
 
 

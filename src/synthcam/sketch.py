@@ -16,6 +16,7 @@ from synthcam.view import View
 
 LAUNCH = {"time": 0.04, "v0": 0.4, "b": 0.35, "heading": 0.0, "contact": (-0.01, 0.0)}
 FRAMES, FPS = 80, 250.0
+LAMP = (0.05, 0.0, 0.45)
 NAMES, COLOURS = ("ball 1, at rest", "ball 2"), ("tab:blue", "tab:red")
 
 
@@ -28,17 +29,17 @@ def tracks(model: Model) -> Array:
     """Where the nominal camera, mistaken for the real one, puts the centres: mm, (2, FRAMES, 2)."""
     radius = model.ball.radius
     nominal = Camera.overhead((640, 480), 1.6e-4, 0.5, ball_radius=radius, fps=FPS, exposure=5e-4, psf_sigma_px=1.0)
-    lamp = Lamp(np.array([0.05, 0.0, 0.45]), 0.01)
     camera = model.laws("camera", nominal, {})
     camera = replace(camera, exposure=float(model.laws("exposure", camera.exposure, {"fps": FPS})))
     view = View.of(model, Launch.pair(model.bodies("ab"), **LAUNCH), camera, FRAMES)  # type: ignore[arg-type]
     pixels = view.mean(view.spans(FRAMES), lambda states: camera.project(states[..., :3]))
 
-    def glint(pixels: Array) -> Array:
+    def mirrored(pixels: Array, lamp: tuple[float, float, float] = LAMP) -> Array:
         centres = view.at(view.spans(FRAMES).mean(axis=1))[..., :3]
-        return np.asarray(pixels + glint_px(camera, lamp, centres, radius) - camera.project(centres))
+        glints = glint_px(camera, Lamp(np.array(lamp), 0.01), centres, radius)
+        return np.asarray(pixels + glints - camera.project(centres))
 
-    seen = model.laws("measure", pixels, {"glint": glint}) - nominal.K[:2, 2]
+    seen = model.laws("measure", pixels, {"glint": mirrored, "mirrored": mirrored}) - nominal.K[:2, 2]
     return np.asarray(1e3 * nominal.scale * seen * [1, -1])
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import inspect
+import math
 import pkgutil
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
@@ -16,10 +17,13 @@ from numpy.typing import NDArray
 from .geometry import Camera, InputError
 from .lens import Array
 from .search import Ground, ground
+from .streaks import CURIOUS, PLAIN, SETTLED, SURE, Streaks
 from .unknowns import completed
 from .video import Clip
 
 GROUP = "tracker.detectors"
+LOOKS = 5  # again at a clip, until its streaks are as long as they are taken to be
+SWINGS = 0.8  # of the last change's logarithm, one back again that is too large
 DEFAULT = "maximum_likelihood"
 
 CLIPPED, STREAK, NEAR, MISFIT, EDGE = 1, 2, 4, 8, 16
@@ -157,7 +161,39 @@ def look(clip: Clip) -> View:
 
 def detect(clip: Clip, view: View, name: str = DEFAULT) -> Glints:
     """All glints of a clip by the detector ``name``, in the order of frames."""
+    return _searched(clip, detector(name)(view))
+
+
+def settled(clip: Clip, view: View, name: str = DEFAULT) -> tuple[Glints, View]:
+    """All glints, and the view with the exposure that their streaks tell where that is not the camera file's.
+
+    That is so where they differ by more than SURE of its errors and by PLAIN. Else, or where the looks do not come to
+    an end, the view is the one given, and the glints are those of `detect`.
+    """
     finder: Any = detector(name)(view)
+    first = _searched(clip, finder)
+    streaks = getattr(finder, "streaks", None)
+    if not isinstance(streaks, Streaks):
+        return first, view
+    length, error, hint = streaks.length()
+    if hint < CURIOUS or abs(length - 1.0) < PLAIN:
+        return first, view
+    now = view
+    for _ in range(LOOKS):
+        seen = min(now.camera.exposed * length, 1.0 / now.camera.fps)
+        now = replace(now, camera=replace(now.camera, exposure_seen=seen))
+        finder, last = detector(name)(now), length
+        glints = _searched(clip, finder)
+        length, error, _ = finder.streaks.length()
+        if abs(length - 1.0) < SETTLED:
+            change = abs(1.0 - view.camera.exposure / seen)
+            return (glints, now) if change > max(PLAIN, SURE * error) else (first, view)
+        if (length > 1.0) != (last > 1.0) and abs(math.log(length)) > SWINGS * abs(math.log(last)):
+            break  # it swings about and will not settle: something else is wrong with the glints
+    return first, view
+
+
+def _searched(clip: Clip, finder: Any) -> Glints:
     frames = enumerate(clip.frames)
     if hasattr(finder, "many"):
         found: Glints = finder.many(frames)

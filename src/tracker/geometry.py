@@ -30,7 +30,8 @@ class Camera:
 
     ``metric`` is False where nothing ties pixels to metres (no camera file): then there are only pixels.
     ``line_time`` s: by so much later each row of a rolling shutter is exposed. ``unmodelled`` says what the file tells
-    that is not accounted for.
+    that is not accounted for. ``exposure_seen`` s: the exposure that the streaks of moving glints tell, where that is
+    not ``exposure``.
     """
 
     K: Array
@@ -50,6 +51,12 @@ class Camera:
     metric: bool = True
     line_time: float = 0.0
     unmodelled: tuple[str, ...] = ()
+    exposure_seen: float | None = None
+
+    @property
+    def exposed(self) -> float:
+        """Seconds for which glints are drawn out."""
+        return self.exposure if self.exposure_seen is None else self.exposure_seen
 
     @property
     def radius(self) -> float:
@@ -217,4 +224,6 @@ class Camera:
             out["psf"] = {"sigma_px": self.psf_sigma}
         if self.line_time:
             out["shutter"] = {"kind": "rolling", "line_time": self.line_time}
+        if self.exposure_seen is not None:
+            out["exposure_seen_s"] = self.exposure_seen
         return out

@@ -9,6 +9,7 @@ information (Fisher scoring), whose inverse is the covariance.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -26,6 +27,8 @@ LOG_FLUX = (-5.0, 18.0)
 MOST = 1e6  # counts, of anything under a glint
 SWINGING = 8  # steps, after which a glint still on the move is swinging about its place: half steps from there
 LESSONS = 2  # steps of the shared body
+NUDGE = 0.05  # of the glint's width and of its streak, over which its change is taken
+WIDER = (-0.5, 0.5)  # logarithm of a glint's width over the one given, at most
 ROUGH = 0.1  # px and log flux, a first fit before them: clipped glints need one
 CLOSE = 0.003  # px and log flux: a step this small is the last one, for the next would be a hundredth of it
 
@@ -166,6 +169,15 @@ class _Seen:
     told: Array
     slope: Array
 
+    @staticmethod
+    def of(windows: Windows, mean: Array, parts: Array, sensor: Sensor) -> _Seen:
+        noise = spread(mean, sensor)
+        told = fisher(information(mean, sensor, noise) * windows.used, parts)
+        score = _score(windows.counts, mean, sensor, noise)
+        score *= windows.used
+        slope = parts.reshape(*parts.shape[:2], -1) @ score.reshape(len(parts), -1, 1)
+        return _Seen(mean, noise[0], parts, _loaded(told), slope[..., 0])
+
     def take(self, rows: NDArray[np.int64]) -> _Seen:
         if len(rows) == len(self.mean):
             return self
@@ -180,12 +192,7 @@ def _see(
     mean, parts = _model(theta, windows, sigma, body, room)
     if shared and body is not None:
         parts[:, -room:] = body.basis(theta[:, :2] + windows.bowl, windows.half)
-    noise = spread(mean, sensor)
-    told = fisher(information(mean, sensor, noise) * windows.used, parts)
-    score = _score(windows.counts, mean, sensor, noise)
-    score *= windows.used
-    slope = parts.reshape(*parts.shape[:2], -1) @ score.reshape(len(theta), -1, 1)
-    return _Seen(mean, noise[0], parts, _loaded(told), slope[..., 0])
+    return _Seen.of(windows, mean, parts, sensor)
 
 
 def _loaded(told: Array) -> Array:
@@ -247,6 +254,53 @@ def learn(windows: Windows, sigma: float, sensor: Sensor, end: float) -> tuple[B
         _bounded(theta, np.arange(len(theta)), windows.half)
         body = Body(end, np.clip(body.coefficients + change[:, 0], -MOST, MOST))
     return body, theta[:, :2]
+
+
+def stretch(
+    windows: Windows, known: Array, still: NDArray[np.bool_], sigma: float, sensor: Sensor
+) -> tuple[Array, Array]:
+    """What each window tells about the length of streaks: score (n,) and information (n,) on its logarithm.
+
+    known (n, 4): places from the central pixel, log fluxes and levels; still (n,): which hardly move. Eliminated
+    (Schur complement) are, of each window, these, a bowl and the glint's width, and of all together a glint that is
+    longer one way than across it even at rest. The width may be another than sigma: those that hardly move tell.
+    """
+    theta = np.column_stack([known, np.zeros(len(windows))])
+    mean, parts = _model(theta, windows, sigma, None, room=1)
+    along, twist, across = _bends(theta, windows, sigma)
+    parts[:, 5] = wider = sigma**2 * (along + across)
+    seen = _Seen.of(windows, mean, parts, sensor)
+    step = np.linalg.solve(seen.told, seen.slope[..., None])[..., 0]
+    theta += step[:, :5]
+    _bounded(theta, np.arange(len(theta)), windows.half)
+    sigma *= math.exp(float(np.clip(np.median(step[still, 5]), *WIDER)))
+    mean, parts = _model(theta, windows, sigma, None, room=4)
+    parts[:, 5], parts[:, 6], parts[:, 7] = wider, along - across, twist
+    one, other = (
+        glint_shape(theta[:, :2], (1.0 + by) * windows.streak, sigma, windows.half).value for by in (-NUDGE, NUDGE)
+    )
+    parts[:, 8] = np.exp(theta[:, 2])[:, None, None] * (other - one) / (2.0 * NUDGE)
+    seen = _Seen.of(windows, mean, parts, sensor)
+    mixed = seen.told[:, :6, 6:]
+    solved = np.linalg.solve(seen.told[:, :6, :6], np.concatenate([mixed, seen.slope[:, :6, None]], axis=2))
+    left = seen.told[:, 6:, 6:] - mixed.transpose(0, 2, 1) @ solved[..., :3]
+    score = seen.slope[:, 6:] - (mixed.transpose(0, 2, 1) @ solved[..., 3:])[..., 0]
+    whole = left.sum(axis=0)
+    by = np.append(-np.linalg.solve(whole[:2, :2], whole[:2, 2]), 1.0)
+    return score @ by, np.einsum("i,nij,j->n", by, left, by)
+
+
+def _bends(theta: Array, windows: Windows, sigma: float) -> tuple[Array, Array, Array]:
+    """Second derivatives of glints by xx, xy and yy, counts/px^2, (n, s, s) each."""
+    flux, by = np.exp(theta[:, 2])[:, None, None], NUDGE * sigma
+    left, right, up, down = (
+        glint_shape(theta[:, :2] + shift, windows.streak, sigma, windows.half)
+        for shift in ((-by, 0.0), (by, 0.0), (0.0, -by), (0.0, by))
+    )
+    scale = flux / (2.0 * by)
+    return (
+        scale * (right.by_x - left.by_x), scale * (right.by_y - left.by_y), scale * (down.by_y - up.by_y),
+    )  # fmt: skip
 
 
 def _figures(seen: _Seen, windows: Windows, step: Array, settled: NDArray[np.bool_], sensor: Sensor) -> Array:

@@ -25,6 +25,7 @@ from .geometry import Camera, InputError
 from .link import Tracks
 
 RUN = "run.json"
+SEEN = "exposure_seen_s"  # of clips whose streaks are not as long as the camera file's exposure makes them
 NEEDED = ("frame", "particle", "x", "y")
 
 
@@ -69,9 +70,19 @@ def finish(partial: Path, final: Path, numbers: Iterable[int]) -> pd.DataFrame:
     table = gather(partial, order)
     pyarrow.parquet.write_table(_plain(table), partial / "estimates.parquet")
     write_json(partial / "fit.json", fit_all(table))
+    _note_exposures(partial, order)
     shutil.copyfile(clip_folder(partial, order[0]) / "camera.json", partial / "camera.json")
     os.replace(partial, final)
     return table
+
+
+def _note_exposures(results: Path, numbers: Sequence[int]) -> None:
+    """Adds to run.json what the clips' cameras tell of exposures that are not the camera file's, s by clip."""
+    cameras = {n: json.loads((clip_folder(results, n) / "camera.json").read_text(encoding="utf-8")) for n in numbers}
+    seen = {n: camera[SEEN] for n, camera in cameras.items() if SEEN in camera}
+    if seen:
+        note = results / RUN
+        write_json(note, json.loads(note.read_text(encoding="utf-8")) | {SEEN: seen})
 
 
 def gather(results: Path, numbers: Iterable[int]) -> pd.DataFrame:

@@ -20,7 +20,7 @@ import cv2
 import pandas as pd
 
 from . import results
-from .detect import DEFAULT, detect, detector, look
+from .detect import DEFAULT, detector, look, settled
 from .geometry import Camera, InputError
 from .link import Tracks, link
 from .reasons import why_nothing
@@ -49,7 +49,7 @@ class Outcome:
 def track_clip(clip: Clip, name: str = DEFAULT) -> tuple[Tracks, Camera, str]:
     """Tracks of one clip, its camera with what the clip itself tells filled in, and why there is nothing, or ''."""
     view = look(clip)
-    glints = detect(clip, view, name)
+    glints, view = settled(clip, view, name)
     return link(glints, view.camera), view.camera, why_nothing(clip.frames, view, glints)
 
 
@@ -134,7 +134,7 @@ def _same_or_refuse(folder: Path, plan: dict[str, Any]) -> None:
         known = json.loads(note.read_text(encoding="utf-8"))
     except ValueError:
         known = None
-    if known != plan:
+    if not isinstance(known, dict) or {k: v for k, v in known.items() if k != results.SEEN} != plan:
         raise InputError(f"{folder}: holds the results of another run, expected a new folder for the results")
 
 
@@ -185,7 +185,14 @@ def _one(source: Source, index: int, partial: Path, name: str) -> tuple[int, str
         rows = [row | {"status": reason} if row["status"] != "ok" else row for row in rows]
     results.write_clip(partial, clip.number, tracks, motion, rows, camera)
     assumed = f"assumed or estimated: {', '.join(camera.assumed)}" if camera.assumed else ""
-    return len(clip.frames), "; ".join(filter(None, [clip.note, assumed, *camera.unmodelled]))
+    return len(clip.frames), "; ".join(filter(None, [clip.note, assumed, *camera.unmodelled, _streaks(camera)]))
+
+
+def _streaks(camera: Camera) -> str:
+    if camera.exposure_seen is None:
+        return ""
+    kind = "longer" if camera.exposure_seen > camera.exposure else "shorter"
+    return f"exposure: streaks are {kind} than it makes them; taken as they are seen ({results.SEEN} in {results.RUN})"
 
 
 def _keep_memory() -> None:

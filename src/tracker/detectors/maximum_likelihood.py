@@ -13,11 +13,12 @@ from numpy.typing import NDArray
 from ..body import Body
 from ..detect import CLIPPED, EDGE, MISFIT, NEAR, STREAK, Glints, View
 from ..lens import Array
-from ..likelihood import Fit, Windows, fit, learn
+from ..likelihood import Fit, Windows, fit, learn, stretch
 from ..link import FASTEST, assign, velocities
 from ..offsets import Bare
 from ..search import Search, coarse_place
 from ..steady import steadied
+from ..streaks import Streaks
 
 Ints = NDArray[np.int64]
 
@@ -31,6 +32,8 @@ SHOWS = 0.03  # of the glint's width, a change of the streak that shows in its p
 PUPILS = 128  # windows from which the body is learnt, and
 FEWEST = 24  # the fewest
 MIDDLE = 0.866  # of the way from the ball's centre to its zenith: cos 30 degrees, at half the ball's radius
+MOVED, STILL = 24, 24  # glints of a block, the fastest and the slowest, from which the streaks' length is told, and
+LEAST = 0.05  # of the glint's width, the shortest streak that tells
 SMEARED = 0.3  # of the ball's radius: after a longer way in the exposure the body is no longer the one learnt
 CLEAR = 0.68  # of the ball's radius, out to which the learnt shape holds
 END = 0.9  # of the ball's radius: .71, and the blur
@@ -69,8 +72,9 @@ class MaximumLikelihood:
         self.half = max(2, round(WIDTHS * self.sigma + 0.5))
         self.limit = LIKE * radius
         self.bounded = self.limit > 2.5 * self.sigma
-        travel = FASTEST * self.camera.exposure / self.camera.scale if self.camera.metric else 4.0
+        travel = FASTEST * self.camera.exposed / self.camera.scale if self.camera.metric else 4.0
         self.body: Body | None = None
+        self.streaks = Streaks()
         self.end, self.clear = END * radius, CLEAR * radius
         self.reach = self.half + math.ceil(min(travel, 60.0) / 2.0) + 1
         self.levelled = self.sensor = self.camera.sensor
@@ -146,6 +150,7 @@ class MaximumLikelihood:
         # The first places were rough, and with them velocities and neighbours: once more where that shows.
         better = streak.copy()
         better[good] = self._streaks(found.take(good), ids[good])
+        self._stretch(patches, found, better, bowl, good & ~clipped)
         near, ghosts = self._neighbours(found, good)
         again = np.max(np.abs(better - streak), axis=1) > SHOWS * self.sigma
         rows = np.flatnonzero(again | near | (ghosts[:, 2] > 0))
@@ -192,9 +197,22 @@ class MaximumLikelihood:
         )  # fmt: skip
 
     def _streaks(self, glints: Glints, ids: Ints) -> Array:
-        if self.camera.exposure == 0.0:
+        if self.camera.exposed == 0.0:
             return np.zeros((len(glints), 2))
-        return velocities(glints.frame, ids, glints.xy) * (self.camera.exposure * self.camera.fps)
+        return velocities(glints.frame, ids, glints.xy) * (self.camera.exposed * self.camera.fps)
+
+    def _stretch(self, patches: _Patches, found: Glints, streak: Array, bowl: Array, good: NDArray[np.bool_]) -> None:
+        """Gathers what the block's fastest single glints tell of the length of streaks."""
+        length = np.hypot(*streak.T)
+        rows = np.flatnonzero(good & self._apart(patches.frame, found.xy))
+        rows = rows[np.argsort(-length[rows], kind="stable")]
+        if len(rows) < MOVED + STILL or length[rows[MOVED - 1]] < LEAST * self.sigma:
+            return
+        rows = np.concatenate([rows[:MOVED], rows[-STILL:]])
+        half = min(self.half + math.floor(float(np.max(np.abs(streak[rows]))) / 2.0 + 0.35), self.reach)
+        windows, origin = self._windows(patches, found.xy, streak, bowl, rows, half, self.limit)
+        known = np.column_stack([found.xy[rows] - origin, np.log(found.flux[rows]), found.background[rows]])
+        self.streaks.add(*stretch(windows, known, np.arange(len(rows)) >= MOVED, self.sigma, self.sensor))
 
     def _fit(
         self, patches: _Patches, place: Array, streak: Array, bowl: Array, near: NDArray[np.bool_], ghosts: Array

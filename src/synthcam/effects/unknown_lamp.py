@@ -1,0 +1,23 @@
+"""A tracker that takes the glint for the ball's centre, because camera.json tells of no lamp."""
+
+from dataclasses import dataclass
+from typing import Any
+
+from synthcam.effect import Effect, parameter
+
+
+@dataclass(frozen=True)
+class UnknownLamp(Effect):
+    """The share `share` of the way from the centre to the glint of a lamp at `x`, `y`, `height` that nobody told of.
+
+    A small share of a lamp far from the camera looks like all of one near it: few tracks tell the share, which is 1.
+    A defect of the tracker: no scene may have it. Nothing where camera.json tells of a lamp: see glint_parallax.
+    """
+
+    share: float = parameter("1", scale=1.0, low=0, high=1)
+    x: float = parameter("m", scale=0.1, low=-1, high=1, fixed=True, tries=(-0.1, 0, 0.1))
+    y: float = parameter("m", scale=0.1, low=-1, high=1, fixed=True, tries=(-0.1, 0, 0.1))
+    height: float = parameter("m", scale=0.4, low=0.05, high=10, fixed=True, tries=(0.4, 0.6, 1.5))
+
+    def measure(self, pixels: Any, mirrored: Any) -> Any:
+        return pixels + self.share * (mirrored(pixels, (self.x, self.y, self.height)) - pixels)
