@@ -282,3 +282,13 @@ def test_the_error_of_a_law_with_a_kink_reaches_to_its_other_minima(monkeypatch)
     off = abs(named.values["ball_friction.share"] - truth["ball_friction.share"])
     assert off > 10 * found.best.std["ball_friction.share"]
     assert off < 2 * named.std["ball_friction.share"]
+
+
+@pytest.mark.parametrize("rise", [0.02, 0.3, 1.5])
+def test_the_error_of_a_law_without_a_kink_is_that_of_its_one_minimum(monkeypatch, rise):
+    few(monkeypatch, ("stribeck",))
+    clips, base, noise = started(Model().replace({"stribeck.rise": rise, "stribeck.slip": 0.1}), count=12)
+    found = search(clips, base, noise)
+    (named,) = found.named
+    for name, std in (named.std | named.shape_std).items():
+        assert std == pytest.approx(found.best.std[name], rel=0.1)

@@ -30,6 +30,7 @@ AT_ONCE = 60  # columns
 ENOUGH = 12.0  # steps that share the weight: the tries are close enough
 ZOOMS = 6  # at most, into where the weight is
 LEAST = 1e-6  # of the weight: components with less have no part
+SEEN = 1e-8  # of the largest information: a step with less is in the span of the law's own parameters
 HALVINGS = 60  # of an interval in which a quantile lies
 
 
@@ -114,7 +115,7 @@ def _tried(bare: Filled, where: Array, x: Array) -> tuple[Array, Array, Array]:
     step = replace(slot, axes=(_Steps(axis.name, axis.unit, axis.low, axis.high, len(where), where=where),))
     moves = bare.evidence.white(columns(step, now.model, now.launches, bare.evidence.clips))
     information, pull, own, spread, back = _seen(bare, moves)
-    seen = np.maximum(np.diag(information), 1e-300)
+    seen = np.maximum(np.diag(information), SEEN * np.diag(information).max())
     z2 = np.maximum(pull**2 / seen, 1.0)
     size = (1 - 1 / z2) / seen  # the height's variance: none of a step that hardly shows
     here = np.array([x**power for _, power in bare.owners]).reshape(-1, len(x)).T
@@ -135,7 +136,7 @@ def _seen(filled: Filled, moves: Sequence[Array]) -> tuple[Array, Array, Array, 
     both = [np.concatenate(pair, axis=1) for pair in zip(own, moves, strict=True)]
     information, pull = now.reduced(now.model, names).information(both)
     first, rest = slice(len(names)), slice(len(names), None)
-    spread = np.asarray(np.linalg.inv(information[first, first]))
+    spread = np.asarray(np.linalg.pinv(information[first, first], hermitian=True))
     back = np.asarray(spread @ information[first, rest])
     free = information[rest, rest] - information[rest, first] @ back
     return free, pull[rest] - pull[first] @ back, spread @ pull[first], spread, back

@@ -11,10 +11,13 @@ import numpy as np
 
 from discrepancy.fit import Evidence, Fit
 from discrepancy.forecast import forecast
-from discrepancy.parameter import Suspect
+from discrepancy.parameter import Suspect, limits_of
 from discrepancy.rank import Contest, tried
+from discrepancy.scan import scannable
 from synthcam.dynamics import uncoupled
+from synthcam.model import Model
 
+GAINED = 2.0  # of chi^2, by other shapes: as where the search lets a fit stand
 LIKELY = 3.0  # sigma: shapes that are less likely say nothing of an interval of one or two
 
 
@@ -23,23 +26,33 @@ def spread(
 ) -> dict[str, float]:
     """Standard deviations of a suspect's strengths and shapes: what `now` says, or more if likely shapes lie further.
 
-    reduced: the fit without the suspect. A parabola as wide as chi^2 to first order wherever shapes are tried.
+    reduced: the fit without the suspect. A parabola as wide as chi^2 to first order wherever shapes are tried, where
+    few are. An effect so strong that first order is far off says nothing of them.
     """
     std = {n: s for n, s in now.std.items() if n in suspect.strengths + suspect.shapes}
+    tries = list(suspect.grid(reduced.model))
+    if len(tries) < 2 or scannable(suspect, tries):
+        return std
     found = {s: now.model.value(s) for s in suspect.shapes}
     contest = Contest.of(evidence, reduced, tick, [suspect])
-    if len(contest.trials) < 2:
-        return std
     plain = uncoupled(reduced.model)
     here = forecast(plain, reduced.launches, evidence.clips)
     own = tried(evidence, plain, reduced.launches, suspect, found, here)
-    seen = Contest(reduced, (*contest.trials, own)).estimates()
-    most = max(gain for _, gain, _ in seen)
-    for shapes, gain, strengths in seen:
-        if most - gain > LIKELY**2:
-            continue
+    *others, (_, most, strengths) = Contest(reduced, (*contest.trials, own)).estimates()
+    middle = dict(zip(suspect.strengths, strengths, strict=True)) | found
+    if any(gain - most > GAINED for _, gain, _ in others) or abs(contest.chi2() - most - now.chi2) > LIKELY**2:
+        return std
+    for shapes, gain, strengths in others:
         values = dict(zip(suspect.strengths, strengths, strict=True)) | shapes
+        if most - gain > LIKELY**2 or any(not _inside(now.model, n, values[n]) for n in suspect.strengths):
+            continue
         for name in std:
-            away = abs(values[name] - now.model.value(name))
+            away = abs(values[name] - middle[name])
             std[name] = max(std[name], float(away / np.sqrt(max(most - gain, 1.0))))
     return std
+
+
+def _inside(model: Model, name: str, value: float) -> bool:
+    """Whether a parameter may have a value."""
+    low, high = limits_of(model, name)
+    return low <= value <= high

@@ -16,7 +16,7 @@ from discrepancy.gap import Shown, as_dict, show
 from discrepancy.locate import Place, locate
 from discrepancy.measured import Measured, cannot_tell, split
 from discrepancy.name import Search, added, search
-from discrepancy.named import Named
+from discrepancy.named import Named, determined
 from discrepancy.noise import Noise, estimate
 from discrepancy.odd import odd
 from discrepancy.outside import Filled, Slots, unseen
@@ -258,7 +258,7 @@ def _beside(slot: Filled, hunt: Search) -> tuple[Named, ...]:
 def _named(suspect: Suspect, now: Fit, std: Mapping[str, float], sigma: float) -> Named:
     """A suspect with the numbers that a fit gives it."""
     values, shapes = ({k: now.model.value(k) for k in names} for names in (suspect.strengths, suspect.shapes))
-    own, bent = ({k: std.get(k, np.inf) for k in names} for names in (values, shapes))
+    own, bent = {k: std.get(k, np.inf) for k in values}, {k: determined(now, k, std.get(k, 0.0)) for k in shapes}
     return Named(suspect.name, values, own, sigma, (suspect.name,), shapes, bent)
 
 
