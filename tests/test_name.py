@@ -292,3 +292,14 @@ def test_the_error_of_a_law_without_a_kink_is_that_of_its_one_minimum(monkeypatc
     (named,) = found.named
     for name, std in (named.std | named.shape_std).items():
         assert std == pytest.approx(found.best.std[name], rel=0.1)
+
+
+def test_what_first_order_leaves_over_of_an_absorbed_effect_leads_no_search():
+    """A wrong clock is absorbed but for what the step of a derivative leaves; in whitened residuals that may score."""
+    clips = collisions(Model().replace({"exposure_blur.longer": 9e-4}), 10, 9, 0.9)
+    noise = estimate(clips)
+    found = search(clips, fit(clips, Model(), BASE, noise), noise)
+    assert max(found.ranking, key=lambda c: c.sigma).effect == "clock_error"
+    assert found.ranking[0].effect == "exposure_blur"
+    assert "exposure_blur" in [n.effect for n in found.named]
+    assert "clock_error" in found.untold

@@ -82,6 +82,11 @@ class Score:
     telling: bool
     axes: Array
 
+    @property
+    def order(self) -> tuple[bool, float, float]:
+        """The least is the best."""
+        return not self.telling, -self.sigma, self.limit
+
     def candidate(self, signature: Array) -> Candidate:
         """signature (points, k): the trial's columns less all that the fit absorbs."""
         columns = tuple(np.array(c) for c in self.trial.columns)  # no views, which would keep all trials alive
@@ -270,7 +275,10 @@ class Contest:
         return candidate
 
     def ranking(self, without: Suspect | None = None) -> tuple[Candidate, ...]:
-        """The best of each suspect, most significant first; with a named effect taken away if one is given."""
+        """The best of each suspect, most significant first; with a named effect taken away if one is given.
+
+        What is not telling comes last: however well it scores, first order left that over.
+        """
         if not self.trials:
             return ()
         left, absorbed = self._left(without)
@@ -279,10 +287,10 @@ class Contest:
         for trial, s in zip(self.trials, self._spans, strict=True):
             score = self._score(trial, gram[s, s], pulls[s], lengths[s])
             known = best.get(trial.suspect.name)
-            if known is None or (score.sigma, -score.limit) > (known.sigma, -known.limit):
+            if known is None or score.order < known.order:
                 best[trial.suspect.name] = score
         found = []
-        for score in sorted(best.values(), key=lambda c: -c.sigma):
+        for score in sorted(best.values(), key=lambda c: c.order):
             columns = self._stacked(score.trial.columns)
             found.append(score.candidate(columns - absorbed @ (absorbed.T @ columns)))
         return tuple(found)
