@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from scipy.stats import binom, norm
 
-from discrepancy.band import Mixture
+from discrepancy.band import Mixture, stepped
+from discrepancy.filled import Filled
 from discrepancy.fit import BASE, Evidence, derivative, linearised, solve
 from discrepancy.noise import Component, Noise
-from discrepancy.outside import Filled
 from discrepancy.slots import columns, slots
 from discrepancy.weight import weigh
 from discrepancy_clips import exact
@@ -110,3 +110,10 @@ def test_quantiles_of_a_mixture():
     about = Mixture(np.array([0.5, 0.5]), np.zeros((2, 1, 1)), np.array([[[1.0]], [[2.0]]]))
     at = float(about.quantile(1.0)[0, 0])
     assert (norm.cdf(at) + norm.cdf(at / 2)) / 2 == pytest.approx(norm.cdf(1.0))
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_slot_is_worth_more_where_the_law_steps_and_a_little_less_where_it_does_not(seed):
+    """With a clear step the clips are a hundred times as likely, and more; of a smooth law, the one half is lost."""
+    assert stepped(drawn(step, 30, seed)[0]) > 2 * np.log(100)
+    assert stepped(drawn(smooth, 10, seed)[0]) == pytest.approx(-2 * np.log(2), abs=0.2)

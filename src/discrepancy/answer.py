@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from discrepancy.band import Mixture
+from discrepancy.filled import Filled
 from discrepancy.formula import propose
-from discrepancy.outside import Filled
 from discrepancy.slots import Slot
 
 Array = NDArray[np.float64]

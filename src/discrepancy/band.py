@@ -4,6 +4,7 @@ A smooth curve cannot follow a step, and its covariance does not know that. So t
 smooth curve, and steps at many places and of some widths, each with its marginal likelihood for a weight. Either sort
 is as likely beforehand, and so is every step of its sort. A step's height has a Gaussian prior of the size that makes
 the data likeliest, as the curve's coefficients have: z standard deviations from zero, it costs 1 + ln z^2 of chi^2.
+The same weights say what the slot as a whole is worth beside the library's models.
 Bayesian model averaging: Hoeting et al., Statistical Science 14 (1999) 382.
 """
 
@@ -18,7 +19,7 @@ from numpy.typing import NDArray
 from scipy.special import logsumexp, ndtr
 
 from discrepancy.axis import Axis
-from discrepancy.outside import Filled
+from discrepancy.filled import Filled
 from discrepancy.slots import columns
 from discrepancy.weight import weigh
 
@@ -47,7 +48,7 @@ class Mixture:
         """The law at x. Maps, laws of an angle and numbers of each clip have no steps."""
         mean, covariance = filled.curve(*x)
         std = np.sqrt(np.maximum(np.diagonal(covariance, axis1=1, axis2=2), 0.0)).T
-        if len(x) > 1 or filled.slot.axes[0].kind != "line":
+        if not _may_step(filled):
             return cls(np.ones(1), mean[None], std[None])
         odds, means, stds = _steps(filled, x[0])
         odds = np.array([0.0, *odds])
@@ -66,6 +67,18 @@ class Mixture:
             below = np.tensordot(self.weight, ndtr((middle - self.mean) / spread), 1) < ndtr(deviations)
             low, high = np.where(below, middle, low), np.where(below, high, middle)
         return np.asarray((low + high) / 2)
+
+
+def stepped(filled: Filled) -> float:
+    """How much likelier, in chi^2, the clips are where the law may be smooth or have a step than where it is smooth."""
+    if not _may_step(filled):
+        return 0.0
+    odds, _, _ = _steps(filled, filled.slot.axes[0].grid(1))
+    return float(2 * (logsumexp([0.0, *odds]) - np.log(2)))
+
+
+def _may_step(filled: Filled) -> bool:
+    return len(filled.slot.axes) == 1 and filled.slot.axes[0].kind == "line"
 
 
 @dataclass(frozen=True)

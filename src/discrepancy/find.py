@@ -11,6 +11,7 @@ import numpy as np
 from discrepancy.answer import Answer
 from discrepancy.claim import sigmas
 from discrepancy.elsewhere import spread
+from discrepancy.filled import Filled
 from discrepancy.fit import Evidence, Fit, fit, settle
 from discrepancy.gap import Shown, as_dict, show
 from discrepancy.locate import Place, locate
@@ -19,7 +20,7 @@ from discrepancy.name import Search, added, search
 from discrepancy.named import Named, determined
 from discrepancy.noise import Noise, estimate
 from discrepancy.odd import odd
-from discrepancy.outside import Filled, Slots, unseen
+from discrepancy.outside import Slots, unseen
 from discrepancy.parameter import Suspect, fitted, limits_of, parameter_of, suspects_of
 from discrepancy.parting import advice, designs
 from discrepancy.rank import Contest

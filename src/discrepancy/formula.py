@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize
 
 from discrepancy.axis import Axis
-from discrepancy.outside import Filled
+from discrepancy.filled import Filled
 from discrepancy.slots import Slot
 
 Array = NDArray[np.float64]

@@ -10,6 +10,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from discrepancy.candidate import Candidate
 from discrepancy.claim import FLOOR, sigmas
 from discrepancy.elsewhere import spread
 from discrepancy.fit import Evidence, Fit, derivative, linearised, nudged, settle, telling
@@ -19,7 +20,7 @@ from discrepancy.named import ALIAS, Named, determined, sums
 from discrepancy.noise import Noise
 from discrepancy.parameter import Suspect, limits_of, parameter_of, suspects_of
 from discrepancy.price import price
-from discrepancy.rank import LIMIT, Candidate, Contest, likeness
+from discrepancy.rank import LIMIT, Contest, likeness
 from discrepancy.scan import scannable
 from synthcam.model import Model
 

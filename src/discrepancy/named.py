@@ -9,9 +9,10 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from discrepancy.candidate import Candidate
 from discrepancy.fit import Fit
 from discrepancy.parameter import parameter_of
-from discrepancy.rank import Candidate, likeness
+from discrepancy.rank import likeness
 
 Array = NDArray[np.float64]
 ALIAS = 0.9  # of the cosine between two signatures: beyond it the data hardly part them

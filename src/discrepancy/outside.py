@@ -14,14 +14,17 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from discrepancy.band import stepped
+from discrepancy.candidate import Candidate
+from discrepancy.filled import Filled
 from discrepancy.fit import Evidence, Fit, fit, linearised, settle, solve
 from discrepancy.measured import Measured
 from discrepancy.noise import Noise
-from discrepancy.parameter import limits_of, parameter_of
+from discrepancy.parameter import limits_of
 from discrepancy.price import LAW, price
-from discrepancy.rank import Candidate, Contest
+from discrepancy.rank import Contest
 from discrepancy.slots import Slot, columns, slots
-from discrepancy.weight import Prior, Weight, significance, weigh
+from discrepancy.weight import Weight, significance, weigh
 from synthcam.model import Model
 
 Array = NDArray[np.float64]
@@ -49,87 +52,6 @@ class Look:
     def score(self, base: Fit) -> float:
         """What it would cost, in chi^2."""
         return price(self.now, base) + LAW - self.weight.gain
-
-
-@dataclass(frozen=True)
-class Filled:
-    """A slot fitted in full. now: the fit beside it, its model with the slot filled where an effect can hold it.
-
-    plain: the model without the slot. sigma: of the slot against the fit without it. score: chi^2 with all freedom
-    paid for.
-    """
-
-    slot: Slot
-    coefs: Array
-    prior: Prior
-    now: Fit
-    plain: Model
-    evidence: Evidence
-    moves: tuple[Array, ...]
-    sigma: float
-    score: float
-
-    @property
-    def whole(self) -> Fit:
-        """The fit with the coefficients among its parameters."""
-        names = [f"{self.slot.name} {j}" for j in range(self.slot.size)]
-        return self.now.extended(self.now.model, names, self.moves)
-
-    @property
-    def owners(self) -> list[tuple[str, int]]:
-        """Those of the law's own parameters that the fit changed."""
-        return [(name, power) for name, power in self.slot.owners if name in self.now.names]
-
-    def curve(self, *x: Array) -> tuple[Array, Array]:
-        """The law at x: values (n, parts), and their covariances over the places, (parts, n, n)."""
-        values = self.slot.values(self.coefs, *x).reshape(len(x[0]), self.slot.parts)
-        for name, power in self.slot.owners:
-            values = values + (self.now.model.value(name) * x[0] ** power)[:, None]
-        spread, extra, one = self._covariance(), len(self.owners), self.slot.size // self.slot.parts
-        own = np.stack([x[0] ** power for _, power in self.owners], axis=-1) if extra else np.zeros((len(x[0]), 0))
-        covariances = []
-        for part in range(self.slot.parts):
-            rows = np.r_[np.arange(extra), extra + part * one + np.arange(one)]
-            design = np.concatenate([own, self.slot.basis(*x)], axis=1)
-            if self.slot.centred:
-                design = design - design.mean(axis=0)
-            covariances.append(design @ spread[np.ix_(rows, rows)] @ design.T)
-        return (values - values.mean(axis=0) if self.slot.centred else values), np.stack(covariances)
-
-    def _covariance(self) -> Array:
-        """Of the law's own parameters and the coefficients, all else marginal."""
-        names = [name for name, _ in self.owners]
-        own = [s[:, [self.now.names.index(n) for n in names]] for s in self.now.slopes]
-        both = [np.concatenate(pair, axis=1) for pair in zip(own, self.moves, strict=True)]
-        matrix, _ = self.now.reduced(self.now.model, names).information(both)
-        matrix[len(names) :, len(names) :] += self.prior.precision
-        scale = np.sqrt(np.diag(matrix))
-        return np.asarray(np.linalg.inv(matrix / np.outer(scale, scale)) / np.outer(scale, scale))
-
-    def beside(self, base: Fit) -> dict[str, float]:
-        """Sigma of each library effect that is fitted beside the slot and not in the base, the slot being free."""
-        now, found = self.whole, {}
-        added = [n for n in self.now.names if n not in base.names]
-        for effect in dict.fromkeys(n.rpartition(".")[0] or n for n in added):
-            own = [n for n in added if (n.rpartition(".")[0] or n) == effect]
-            own = [n for n in own if "." not in n or not parameter_of(now.model, n).fixed]
-            rows, size = [now.names.index(n) for n in own], np.array([now.model.value(n) for n in own])
-            found[effect] = float(np.sqrt(size @ np.linalg.pinv(now.covariance[np.ix_(rows, rows)]) @ size))
-        return found
-
-    def needed(self, base: Fit) -> bool:
-        """Is every library effect beside the slot needed, or does the slot hold it too?"""
-        return all(sigma > LEVEL for sigma in self.beside(base).values())
-
-    def likelihood(self) -> tuple[Array, Array]:
-        """Of the whole law as coefficients, its own parameters among them: where it is largest, and its information.
-
-        (J,) and (J, J), no prior in either; relative to the law's own parameters as fitted.
-        """
-        names = [name for name, _ in self.owners]
-        information, pull = self.now.reduced(self.now.model, names).information(self.moves)
-        pull = pull + information @ self.coefs
-        return np.asarray(np.linalg.pinv(information, rcond=1e-10, hermitian=True) @ pull), information
 
 
 def _moves(evidence: Evidence, slot: Slot, model: Model, launches: Array) -> tuple[Array, ...]:
@@ -171,7 +93,8 @@ def fill(evidence: Evidence, look: Look, base: Fit, tick: Callable[[], None] = l
             fresh = True
     freedom = np.linalg.slogdet(np.eye(slot.size) + information / np.diag(weight.prior.precision)[:, None])
     paid = LAW + weight.prior.cost + float(coefs @ weight.prior.precision @ coefs + freedom[1])
-    return Filled(slot, coefs, weight.prior, now, plain, here, moves, look.sigma, price(now, base) + paid)
+    smooth = Filled(slot, coefs, weight.prior, now, plain, here, moves, look.sigma, price(now, base) + paid)
+    return dataclasses.replace(smooth, score=smooth.score - stepped(smooth))
 
 
 def _moved(
@@ -275,10 +198,14 @@ class Slots:
     def _best(self, now: Fit, fewer: int) -> Filled | None:
         """The best slot, if better, of those beside a model of `fewer` effects less than the library's latest."""
         cost, most = self._cost(now), self._count(now)
-        few = [f for f in self.filled if most - self._count(f.now) >= fewer and f.needed(self.base)]
+        few = [f for f in self.filled if most - self._count(f.now) >= fewer and self._needed(f)]
         fair = [f for f in few if self.refuted or most - self._count(f.now) > 1 or f.score < cost - MARGIN]
         best = min(fair, key=lambda f: f.score, default=None)
         return best if best and best.score < cost else None
+
+    def _needed(self, filled: Filled) -> bool:
+        """Is every library effect beside a slot needed, or does the slot hold it too?"""
+        return all(sigma > LEVEL for sigma in filled.beside(self.base).values())
 
     def _cost(self, now: Fit) -> float:
         return min(price(f, self.base) for f in (now, *self.rivals))
