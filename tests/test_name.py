@@ -303,3 +303,13 @@ def test_what_first_order_leaves_over_of_an_absorbed_effect_leads_no_search():
     assert found.ranking[0].effect == "exposure_blur"
     assert "exposure_blur" in [n.effect for n in found.named]
     assert "clock_error" in found.untold
+
+
+def test_shapes_that_show_only_at_full_strength_are_found(monkeypatch):
+    """To first order a hop does not know how high the ball bounces."""
+    few(monkeypatch)
+    truth = {"hop.share": 1.0, "hop.bounce": 0.4}
+    clips, base, noise = started(Model().replace(truth), count=12, seed=3)
+    (named,) = search(clips, base, noise).named
+    assert named.shapes["hop.bounce"] == pytest.approx(0.4, abs=3.5 * named.shape_std["hop.bounce"])
+    assert named.shape_std["hop.bounce"] < 0.1

@@ -230,11 +230,13 @@ class _Hunt:
         """The fit, or one from other shapes where that is better: far from the truth chi^2 may be flat in them."""
         for suspect in state:
             tries = list(suspect.grid(suspect.without(now.model)))
-            if len(tries) < 2 or suspect is self.latest.get(frozenset(state)):
+            if len(tries) < 2:
                 continue
             if not scannable(suspect, tries):  # a strong effect's shapes show only at that strength
                 looks = [nudged(self.evidence, now, now.model.replace(shapes)) for shapes in tries]
                 now = self._or_better(now, min((f for f in looks if f), key=lambda f: f.chi2, default=now))
+            if suspect is self.latest.get(frozenset(state)):
+                continue
             reduced = self._without(now, suspect)
             contest = Contest.of(self.evidence, reduced, self.tick, [suspect])
             candidate = contest.sharper(self.evidence, contest.ranking()[0])
