@@ -274,7 +274,7 @@ class _Hunt:
 
     def _winner(self, state: tuple[Suspect, ...], contest: Contest, claim: float) -> Suspect | None:
         """What is to be added: the leader, or the rival that fits best with it. None when nothing is claimed."""
-        ranking = [c for c in contest.ranking() if c.telling]
+        ranking = contest.leaders(claim)
         if not ranking or ranking[0].sigma <= claim:
             return None
         now = contest.now
@@ -346,9 +346,7 @@ class _Hunt:
         total = contest.chi2(suspect)
         rise = total - contest.now.chi2
         near = contest.now.chi2 + NEAR + LOOSE * rise
-        rivals = [
-            c for c in contest.ranking(suspect) if total - c.gain < near and c.telling and c.effect not in self.blind
-        ]
+        rivals = [c for c in contest.ranking(suspect) if total - c.gain < near and c.effect not in self.blind]
         return sorted(rivals, key=lambda c: -c.gain)[:SWAPS]
 
     def _named(self, state: tuple[Suspect, ...], k: int, contest: Contest) -> Named:

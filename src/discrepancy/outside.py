@@ -233,7 +233,7 @@ class Slots:
         """The library's effect that is still to be claimed beside a slot."""
         if self.asked is None or self.asked[0] is not filled:
             contest = Contest.of(filled.evidence, filled.whole, self.tick, about=filled.plain)
-            ranking = [c for c in contest.ranking() if c.telling]
+            ranking = contest.leaders(LEVEL)
             claimed = ranking and ranking[0].sigma > LEVEL and ranking[0].sigma > contest.claim()
             self.asked = filled, ranking[0] if claimed else None
         return self.asked[1]

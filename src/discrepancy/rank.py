@@ -222,6 +222,12 @@ class Contest:
             found.append(score.candidate(columns - absorbed @ (absorbed.T @ columns)))
         return tuple(found)
 
+    def leaders(self, claim: float) -> tuple[Candidate, ...]:
+        """Most significant first: of what is telling if that holds a claim, else of all, for a refit may tell more."""
+        ranking = self.ranking()
+        told = tuple(c for c in ranking if c.telling)
+        return told if told and told[0].sigma > claim else tuple(sorted(ranking, key=lambda c: -c.sigma))
+
     def estimates(self) -> list[tuple[dict[str, float], float, Array]]:
         """Of each trial its shapes, the chi^2 that it takes, and the strengths (k,) with which it does; first order."""
         left, absorbed = self._left(None)
