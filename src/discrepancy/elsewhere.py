@@ -5,8 +5,6 @@ A law with a kink, as slip and stick, has several, and the strength is another a
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 
 from discrepancy.fit import Evidence, Fit
@@ -17,13 +15,11 @@ from discrepancy.scan import scannable
 from synthcam.dynamics import uncoupled
 from synthcam.model import Model
 
-GAINED = 2.0  # of chi^2, by other shapes: as where the search lets a fit stand
+GAINED = 2.0  # of chi^2, by other shapes: less is not worth another fit
 LIKELY = 3.0  # sigma: shapes that are less likely say nothing of an interval of one or two
 
 
-def spread(
-    evidence: Evidence, reduced: Fit, now: Fit, suspect: Suspect, tick: Callable[[], None] = lambda: None
-) -> dict[str, float]:
+def spread(evidence: Evidence, reduced: Fit, now: Fit, suspect: Suspect) -> dict[str, float]:
     """Standard deviations of a suspect's strengths and shapes: what `now` says, or more if likely shapes lie further.
 
     reduced: the fit without the suspect. A parabola as wide as chi^2 to first order wherever shapes are tried, where
@@ -34,11 +30,11 @@ def spread(
     if len(tries) < 2 or scannable(suspect, tries):
         return std
     found = {s: now.model.value(s) for s in suspect.shapes}
-    contest = Contest.of(evidence, reduced, tick, [suspect])
     plain = uncoupled(reduced.model)
     here = forecast(plain, reduced.launches, evidence.clips)
-    own = tried(evidence, plain, reduced.launches, suspect, found, here)
-    *others, (_, most, strengths) = Contest(reduced, (*contest.trials, own)).estimates()
+    trials = [tried(evidence, plain, reduced.launches, suspect, shapes, here) for shapes in (*tries, found)]
+    contest = Contest(reduced, tuple(trials))
+    *others, (_, most, strengths) = contest.estimates()
     middle = dict(zip(suspect.strengths, strengths, strict=True)) | found
     if any(gain - most > GAINED for _, gain, _ in others) or abs(contest.chi2() - most - now.chi2) > LIKELY**2:
         return std

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from discrepancy.candidate import Candidate
 from discrepancy.claim import FLOOR, sigmas
-from discrepancy.elsewhere import spread
+from discrepancy.elsewhere import GAINED, spread
 from discrepancy.fit import Evidence, Fit, derivative, linearised, nudged, settle, telling
 from discrepancy.forecast import forecast
 from discrepancy.measured import Measured
@@ -30,7 +30,6 @@ MOST = 4  # effects named in one search: more together can imitate what is in no
 PART = 9.5  # of chi^2, all freedom paid for: a rival that is worse by less is not excluded
 NEAR, LOOSE = 15.0, 0.2  # of chi^2, and of what an effect explains: what the score may be wrong by
 RIVALS, SWAPS = 8, 4  # refitted, at most, beside a leader and in the place of a named effect
-GAINED = 2.0  # of chi^2, by other shapes: less is not worth another fit
 KEPT = 0.5  # of the gain that the score promises
 STARTS, FAR = (0.1, 0.3, 1.0), 2  # of a realistic size, where the way is too far for the score; that many are followed
 
@@ -364,7 +363,7 @@ class _Hunt:
         cosines = sorted(((likeness(own, c.signature), c.effect) for c in ranking), reverse=True)
         told = max((c for c, effect in cosines if effect not in aliases), default=0.0)
         limit = {s: LIMIT * now.std[s] for s in suspect.strengths}
-        std = spread(self.evidence, self._without(now, suspect), now, suspect, self.tick)
+        std = spread(self.evidence, self._without(now, suspect), now, suspect)
         return Named(
             suspect.name,
             {s: now.model.value(s) for s in suspect.strengths},

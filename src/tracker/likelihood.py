@@ -298,9 +298,7 @@ def _bends(theta: Array, windows: Windows, sigma: float) -> tuple[Array, Array, 
         for shift in ((-by, 0.0), (by, 0.0), (0.0, -by), (0.0, by))
     )
     scale = flux / (2.0 * by)
-    return (
-        scale * (right.by_x - left.by_x), scale * (right.by_y - left.by_y), scale * (down.by_y - up.by_y),
-    )  # fmt: skip
+    return scale * (right.by_x - left.by_x), scale * (right.by_y - left.by_y), scale * (down.by_y - up.by_y)
 
 
 def _figures(seen: _Seen, windows: Windows, step: Array, settled: NDArray[np.bool_], sensor: Sensor) -> Array:
