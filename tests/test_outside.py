@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 
 from discrepancy.fit import BASE, Evidence, fit
+from discrepancy.forecast import forecast
 from discrepancy.noise import Component, Noise
 from discrepancy.outside import MARGIN, Slots, unseen
 from discrepancy.price import price
 from discrepancy.slots import slots
-from discrepancy_clips import collisions, exact
+from discrepancy_clips import CAMERA, FPS, collisions, exact, noisy
 from synthcam.model import Model
 
 NOISE = Noise(Component(1.0))
@@ -18,6 +19,19 @@ NOISE = Noise(Component(1.0))
 
 def based(clips, model=None):
     return fit(clips, model or Model(), BASE, NOISE)
+
+
+def test_a_contact_at_the_edge_of_an_exposure_that_is_too_short_is_no_lag():
+    """There the tracks bend sharply with the instant of contact, and launches do not absorb a constant lag."""
+    true = np.array([c.launch for c in exact(Model(), 8, 6)])
+    true[0, 2] = round(true[0, 2] * FPS) / FPS + 2e-4
+    clips = [dataclasses.replace(c, launch=launch) for c, launch in zip(exact(Model(), 8, 6), true, strict=True)]
+    seen = [dataclasses.replace(c, xy=xy) for c, xy in zip(clips, forecast(Model(), true, clips), strict=True)]
+    short = dataclasses.replace(CAMERA, exposure=2e-4)
+    base = based([dataclasses.replace(c, camera=short) for c in noisy(seen, 6)])
+    assert base.chi2 > base.points  # the contact is seen
+    evidence = Evidence.of([dataclasses.replace(c, camera=short) for c in noisy(seen, 6)], NOISE)
+    assert "lag_speed" not in [f.slot.name for f in Slots(evidence, base).filled]
 
 
 def filled_with(name, curve, clips=8, seed=6):

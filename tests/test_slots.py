@@ -81,13 +81,24 @@ def test_a_warp_is_looked_for_where_balls_were_seen():
 
 
 def test_a_picture_that_lags_is_a_later_contact():
-    slot, late = SLOTS["lag_speed"], 1e-4
+    slot, late = dataclasses.replace(SLOTS["lag_speed"], centred=False), 1e-4
     coefs = late * (np.arange(slot.size) == 0)  # the first cosine is a constant
     cleaned = slot.undone(CLIPS, Model(), LAUNCHES, coefs)
     shift = np.concatenate([c.xy - d.xy for c, d in zip(CLIPS, cleaned, strict=True)])
     later = LAUNCHES + late * (np.arange(6) == 2)
     true = np.concatenate(forecast(Model(), later, CLIPS)) - moved(Model())
     assert np.linalg.norm(shift - true) < 0.02 * np.linalg.norm(true)
+
+
+@pytest.mark.parametrize("name", ["lag_speed", "warp_place"])
+def test_a_law_whose_constant_means_nothing_has_none(name):
+    slot, one = SLOTS[name], SLOTS[name].size // SLOTS[name].parts
+    places = np.stack([p.ravel() for p in np.meshgrid(*(a.grid(200) for a in slot.axes))])
+    coefs = np.random.default_rng(1).standard_normal(slot.size)
+    assert np.abs(slot.values(coefs, *places).mean(axis=0)).max() < 1e-12
+    assert not slot.values(1.0 * (np.arange(slot.size) % one == 0), *places).any()  # the first cosine is a constant
+    parts = [slot.basis(*places[:, :9]) @ part for part in coefs.reshape(slot.parts, -1)]
+    assert slot.values(coefs, *places[:, :9]) == pytest.approx(np.squeeze(np.stack(parts, axis=-1)))
 
 
 @pytest.mark.parametrize("name", ["restitution_clip", "spin_transfer_clip"])

@@ -1,11 +1,14 @@
 """What a free curve explains: against the marginal likelihood written out, and against noise alone."""
 
+import dataclasses
+
 import numpy as np
 import pytest
+from scipy.optimize import minimize_scalar
 from scipy.stats import multivariate_normal
 
 from discrepancy.slots import Axis, Slot
-from discrepancy.weight import freedom, significance, weigh
+from discrepancy.weight import LENGTHS, freedom, significance, weigh
 
 SLOT = Slot("restitution_speed", "r", "1", (Axis("normal speed", "m/s", 0.1, 0.6, 8),))
 RNG = np.random.default_rng(5)
@@ -19,13 +22,22 @@ def evidence(left, prior, size):
     return 2 * (some.logpdf(left) - none.logpdf(left))
 
 
-def test_the_gain_is_the_marginal_likelihood_and_its_size_the_best():
+def test_the_gain_is_the_mean_marginal_likelihood_of_all_lengths_each_of_its_best_size():
     left = DESIGN @ RNG.standard_normal(8) + RNG.standard_normal(30)
     weight = weigh(SLOT, DESIGN.T @ DESIGN, DESIGN.T @ left)
     prior = weight.prior
-    assert weight.gain == pytest.approx(evidence(left, prior, prior.size))
+
+    def best(length):
+        some = dataclasses.replace(prior, spread=SLOT.spread(length))
+        found = minimize_scalar(lambda s: -evidence(left, some, np.exp(s)), bounds=(-6, 6), method="bounded")
+        return -found.fun
+
+    every = np.array([best(length) for length in LENGTHS])
+    assert weight.gain == pytest.approx(2 * np.log(np.exp((every - every.max()) / 2).mean()) + every.max(), abs=0.1)
+    assert prior.length == LENGTHS[every.argmax()]
+    assert evidence(left, prior, prior.size) - prior.cost == pytest.approx(weight.gain)
     for other in (0.7, 1.4):
-        assert evidence(left, prior, other * prior.size) < weight.gain
+        assert evidence(left, prior, other * prior.size) < evidence(left, prior, prior.size)
     matrix = DESIGN.T @ DESIGN + prior.precision
     assert weight.coefs == pytest.approx(np.linalg.solve(matrix, DESIGN.T @ left))
 
@@ -52,7 +64,7 @@ def test_a_field_that_acts_and_changes_along_one_axis_costs_less_freedom():
     spread = slot.spread(weight.prior.length)
     matrix = np.eye(128) + weight.prior.size**2 * spread[:, None] * (design.T @ design)
     alike = pull @ np.linalg.solve(matrix, weight.prior.size**2 * spread * pull) - np.linalg.slogdet(matrix)[1]
-    assert weight.prior.cost == pytest.approx(4 * np.log(3))
+    assert 0 < weight.prior.cost - 4 * np.log(3) < 2 * np.log(len(LENGTHS))
     assert weight.gain > alike + 10
     assert np.abs(weight.coefs[64:]).max() < 1e-6 * np.abs(weight.coefs).max()
 

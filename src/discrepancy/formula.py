@@ -55,7 +55,7 @@ def propose(filled: Filled) -> Formula:
         text = f"{slot.symbol} = {mean:.4g}, and other in each clip, by {filled.prior.size:.2g} rms"
         return Formula(text, 0.0, 2, False)
     drawn = _Drawn(filled)
-    found = [drawn.best(shape) for shape in _shapes(slot, drawn.x)]
+    found = [drawn.best(shape) for shape in _shapes(slot, drawn.x) if drawn.terms(shape, *(t[0] for t in shape.tries))]
     return min(found, key=lambda f: f.chi2 + float(np.log(filled.now.points)) * f.parameters)
 
 
@@ -83,9 +83,13 @@ class _Drawn:
     def seen(self, column: Array) -> Array:
         return np.asarray(self.weight @ (self.inverse @ column.reshape(len(column), -1)).T.ravel())
 
+    def terms(self, shape: Shape, *extra: float) -> Terms:
+        """Those that say anything: of a centred law no constant."""
+        return [t for t in shape.terms(*extra) if not self.slot.centred or np.ptp(t[1], axis=0).any()]
+
     def fitted(self, shape: Shape, extra: Array) -> tuple[float, Array]:
         """chi^2 and factors."""
-        matrix = np.stack([self.seen(c) for _, c in shape.terms(*extra)], axis=1)
+        matrix = np.stack([self.seen(c) for _, c in self.terms(shape, *extra)], axis=1)
         scale = np.maximum(np.linalg.norm(matrix, axis=0), 1e-300)
         factors = np.linalg.lstsq(matrix / scale, self.target, rcond=1e-9)[0]
         left = self.target - matrix / scale @ factors
@@ -108,7 +112,7 @@ class _Drawn:
         chi2, factors = self.fitted(shape, extra)
         count = len(factors) + len(extra)
         dof = max(len(self.target) - count, 1)
-        words = _written([word for word, _ in shape.terms(*extra)], factors, bool(self.slot.owners))
+        words = _written([word for word, _ in self.terms(shape, *extra)], factors, bool(self.slot.owners))
         text = f"{self.slot.symbol} = {words}{_units(self.slot)}"
         return Formula(text, chi2, count, chi2 > dof + max(REFUSED * float(np.sqrt(2 * dof)), self.slight))
 

@@ -1,4 +1,4 @@
-"""Slots: laws left free. A B-spline over the range that the data cover bends one law inside the forward model.
+"""Slots: laws left free. A series over the range that the data cover bends one law inside the forward model.
 
 Each slot knows its derivative at any model: what one unit of each of its coefficients moves the tracks by.
 """
@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -25,6 +26,7 @@ from synthcam.model import Model
 Array = NDArray[np.float64]
 
 CURVE, TURN, MAP, FIELD = 20, 9, 12, 8  # coefficients: of a curve, of one of angles, a side of a map, and of a field
+MEAN = 200  # places on each axis, to take a mean over
 EACH = 120  # clips: of more, no number of each is fitted
 SLIPS = 1e-5  # m/s: a ball whose contact is slower rolls
 SAMPLES = 300  # instants at which the base fit's motion is looked at for the ranges that it covers
@@ -35,7 +37,7 @@ class Slot:
     """A law left free: `symbol`, in `unit`, over its axes (two for a map of places). parts: of a vector.
 
     owners: the base parameters that make the law, each times the axis to a power; what the slot adds to. centred: a
-    constant means nothing, since the launches absorb it.
+    constant means nothing, since the launches absorb it, but for what their derivatives are wrong by: there is none.
     """
 
     name: str
@@ -51,12 +53,20 @@ class Slot:
         """How many coefficients; those of the second part follow those of the first."""
         return self.parts * int(np.prod([a.count for a in self.axes]))
 
+    @cached_property
+    def _middle(self) -> Array | float:
+        """What is taken out of the series where it is centred: its mean over the range, (coefficients of one part,)."""
+        if not self.centred:
+            return 0.0
+        means = [a.basis(a.grid(MEAN)).mean(axis=0) for a in self.axes]
+        return np.asarray(means[0] if len(means) == 1 else np.outer(*means).ravel())
+
     def basis(self, *x: Any) -> Array:
         """(..., coefficients of one part) at x, one array for each axis."""
         if len(self.axes) == 1:
-            return self.axes[0].basis(x[0])
+            return self.axes[0].basis(x[0]) - self._middle
         first, second = (a.basis(v) for a, v in zip(self.axes, x, strict=True))
-        return np.asarray((first[..., :, None] * second[..., None, :]).reshape(*first.shape[:-1], -1))
+        return np.asarray((first[..., :, None] * second[..., None, :]).reshape(*first.shape[:-1], -1)) - self._middle
 
     def values(self, coefs: Array, *x: Any) -> Array:
         """What the slot adds to the law: (...), or (..., 2) of a vector."""
@@ -67,6 +77,8 @@ class Slot:
             out = np.einsum("...i,...j,pij->...p", first, second, grid, optimize=True)
         else:
             out = self.axes[0].basis(x[0]) @ parts.T
+        if self.centred:
+            out = out - parts @ self._middle
         return np.asarray(out[..., 0] if self.parts == 1 else out)
 
     def spread(self, *lengths: float) -> Array:

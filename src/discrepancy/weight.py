@@ -9,10 +9,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import logsumexp
 
 from discrepancy.claim import sigmas
 from discrepancy.slots import Slot
@@ -95,21 +96,29 @@ def priors(slot: Slot) -> Iterator[tuple[float, Array, float]]:
 
 
 def weigh(slot: Slot, information: Array, pull: Array) -> Weight:
-    """The best of the priors for coefficients with this information F (J, J) and pull g (J,)."""
+    """The best of the priors for coefficients with this information F (J, J) and pull g (J,).
+
+    All lengths are as likely beforehand: the gain is that of their mean likelihood, which the best one's choice costs.
+    """
     best: Weight | None = None
+    gains = dict.fromkeys(LENGTHS, -math.inf)
     for length, spread, cost in priors(slot):
         root = np.sqrt(spread)
         values, axes = np.linalg.eigh(root[:, None] * information * root)
         values = np.maximum(values, 0.0)
         pulls = axes.T @ (root * pull)
-        sizes, gains = _gains(values, pulls)
-        k = int(gains.argmax())
-        if best is None or gains[k] - cost > best.gain:
+        sizes, each = _gains(values, pulls)
+        k = int(each.argmax())
+        gain = float(each[k]) - cost
+        gains[length] = max(gains[length], gain)
+        if best is None or gain > best.gain:
             size = float(sizes[k])
             coefs = root * (axes @ (size**2 / (1 + size**2 * values) * pulls))
-            best = Weight(float(gains[k]) - cost, Prior(length, size, spread, cost), coefs)
+            best = Weight(gain, Prior(length, size, spread, cost), coefs)
     assert best is not None
-    return best
+    mean = 2 * float(logsumexp(np.array(list(gains.values())) / 2) - np.log(len(gains)))
+    prior = replace(best.prior, cost=best.prior.cost + best.gain - mean)
+    return replace(best, gain=mean, prior=prior)
 
 
 def significance(slot: Slot, information: Array, pull: Array) -> float:
