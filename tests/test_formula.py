@@ -1,12 +1,19 @@
 """Short formulas: what was put in comes back, with its numbers."""
 
+import dataclasses
 import re
 
 import numpy as np
 import pytest
 
-from discrepancy.formula import _written, propose
+from discrepancy.fit import BASE, Evidence, fit
+from discrepancy.formula import _Drawn, _shapes, _written, propose
+from discrepancy.noise import Component, Noise
+from discrepancy.outside import Slots
+from discrepancy.slots import lagging, slots
+from discrepancy_clips import exact, noisy
 from discrepancy_outsiders import outsider
+from synthcam.model import Model
 
 
 def numbers(text):
@@ -57,6 +64,26 @@ def test_a_power():
     assert "= - " in formula
     assert "m/s^2" in formula
     assert (size, power) == (pytest.approx(0.01, rel=0.1), pytest.approx(0.5, abs=0.1))
+
+
+def test_a_lag_is_told_but_for_a_constant():
+    """2e-4 v^2"""
+    clips = exact(Model(), 8, 6)
+    launches = np.array([c.launch for c in clips])
+    late = dataclasses.replace(next(s for s in slots(Model(), launches, clips) if s.name == "lag_speed"), centred=False)
+    x = late.axes[0].grid(200)
+    moves = lagging(late, Model(), launches, clips)
+    coefs = np.linalg.lstsq(late.basis(x), 2e-4 * x**2, rcond=None)[0]
+    seen = noisy([dataclasses.replace(c, xy=c.xy + m @ coefs) for c, m in zip(clips, moves, strict=True)], 6)
+    noise = Noise(Component(1.0))
+    base = fit(seen, Model(), BASE, noise)
+    found = min(Slots(Evidence.of(seen, noise), base).filled, key=lambda f: f.score)
+    formula = propose(found)
+    assert (found.slot.name, formula.refused) == ("lag_speed", False)
+    factor = float(re.fullmatch(r"lag of the picture = (\S+) v\^2 s, v in m/s", formula.text).group(1))
+    assert factor == pytest.approx(2e-4, rel=0.1)
+    drawn = _Drawn(found)
+    assert "" not in {w for s in _shapes(found.slot, drawn.x) for w, _ in drawn.terms(s, *(t[0] for t in s.tries))}
 
 
 def test_a_formula_that_suffices_is_not_refused():
