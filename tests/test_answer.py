@@ -1,12 +1,19 @@
 """What a slot found, as files have it."""
 
+import dataclasses
 import json
 
 import numpy as np
 import pytest
 
-from discrepancy.answer import SIDE, words
+from discrepancy.answer import SIDE, Answer, words
+from discrepancy.fit import BASE, Evidence, fit
+from discrepancy.noise import Component, Noise
+from discrepancy.outside import Slots
+from discrepancy.slots import slots
+from discrepancy_clips import exact, noisy
 from discrepancy_outsiders import OUTSIDERS, outsider
+from synthcam.model import Model
 
 
 @pytest.mark.parametrize("slot", list(OUTSIDERS))
@@ -29,3 +36,15 @@ def test_a_map_is_given_at_pairs_within_its_ranges():
 def test_words():
     assert words(outsider("friction_place").slot.slot) == "mu that depends on the place"
     assert words(outsider("restitution_speed").slot.slot) == "r that depends on the normal speed"
+
+
+def test_a_number_for_each_clip_is_given_with_the_clips_own_number():
+    numbers = [0, 2, 3, 7, 9, 20]
+    plain = [dataclasses.replace(c, clip=n) for c, n in zip(exact(Model(), 6, 9), numbers, strict=True)]
+    starts, noise = np.array([c.launch for c in plain]), Noise(Component(1.0))
+    slot = next(s for s in slots(Model(), starts, plain) if s.name == "restitution_clip")
+    clips = noisy(slot.undone(plain, Model(), starts, 3e-3 * np.array([1, -1, 0, 2, -2, 0])), 9)
+    filled = Slots(Evidence.of(clips, noise), fit(clips, Model(), BASE, noise)).filled
+    answer = Answer.of(next(f for f in filled if f.slot.name == "restitution_clip"))
+    assert answer.x[0].tolist() == answer.document()["x"] == numbers
+    assert len(answer.curve) == len(numbers)

@@ -3,6 +3,7 @@
 import dataclasses
 import json
 from functools import partial
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,7 +12,7 @@ from scipy.stats import binom
 import blind
 from discrepancy_clips import only
 from discrepancy_outsiders import FEW
-from sealed import analysis, boxes, evidence, goals, judge, page
+from sealed import analysis, boxes, evidence, goals, judge, oracle, page
 from sealed.boxes import NOISES, Study
 from sealed.fisher import LIMIT, Fisher
 from sealed.integrator import PHYSICS
@@ -19,6 +20,7 @@ from sealed.ledger import Broken, Ledger
 from sealed.outsiders import OUTSIDERS
 from synthcam.dataset import camera_json
 from synthcam.effect import library
+from synthcam.model import settings_of
 from tracker.geometry import Camera
 
 TRUTH = {"kind": "one", "hidden": {"stribeck.rise": 0.1}}
@@ -370,3 +372,21 @@ def test_the_page(tmp_path):
     html = page.write(tmp_path).read_text()
     assert html.count("data:image/png") >= 4
     assert "stribeck" in html
+
+
+def test_a_model_without_a_motion_closes_nothing(tilted, tmp_path):
+    """Of the clips kept out, that is; a truth that leaves the noise alone closes all."""
+    truth, rows = tilted
+    truth = truth | {"hidden": {"rolling_quadratic.K": 0.1}, "effects": ["rolling_quadratic"]}
+    places = Fisher.places(boxes.model_of(truth), rows)
+    kept = []
+    for k, (r, xy) in enumerate(zip(rows, places, strict=True)):
+        claimed = np.tile(25e-12 * np.eye(2), (len(xy), 1, 1))
+        kept.append(SimpleNamespace(clip=k, frame=r.frame, ball=r.ball, xy=xy, covariance=claimed, launch=r.launch))
+    analysis.keep(kept, tmp_path / "kept_out.npz")
+    base = boxes.base_model(truth)
+    said = {"base": settings_of(base), "model": settings_of(base.replace({"plate_tilt.x": 5e-3}))}
+    found = oracle.gap(truth, said, tmp_path)
+    assert found["augmented"] == found["base"] > 1
+    assert found["oracle"] < 1e-6
+    assert oracle.gap(truth, said | {"base": said["model"]}, tmp_path) == {}

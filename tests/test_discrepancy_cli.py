@@ -141,14 +141,14 @@ def test_clips_left_out_are_told_and_written(recorded, tmp_path, capsys, monkeyp
     table, why = swapped(recorded, tmp_path, 6), "clip 6: the balls have exchanged their names at frame 39"
     assert command("find", *table, "--model", MODEL, "-o", tmp_path / "report") == 0
     out, err = capsys.readouterr()
-    assert f"1 left out: {why}\n" in out
+    assert f"Left out: {why}\n" in out
     assert "(6 of 7 collisions, " in out
     assert err == ""
     assert document(tmp_path / "report")["clips"]["left_out"] == [why]
     assert why in (tmp_path / "report/index.html").read_text()
-    words = ("add", "velocity_restitution", "--model", MODEL, "-o", tmp_path / "new.yaml", "--fit", *table)
+    words = ("add", "velocity_restitution", "--model", MODEL, "-o", tmp_path / "a/new.yaml", "--fit", *table)
     assert command(*words) == 0
-    assert f"(6 of 7)\n1 left out: {why}\n" in capsys.readouterr().out
+    assert f"(6 of 7)\nLeft out: {why}\n" in capsys.readouterr().out
 
 
 def test_the_bar_goes_through_the_stages_and_back(monkeypatch):

@@ -8,12 +8,12 @@ import pytest
 from discrepancy.find import add, find
 from discrepancy.measured import split
 from discrepancy.name import Search, search
-from discrepancy_clips import EXPOSURE, FPS, HIDDEN, STD, blank, collisions, launches, only, searched
+from discrepancy_clips import CAMERA, EXPOSURE, FPS, HIDDEN, STD, blank, collisions, launches, only, searched
 from discrepancy_outsiders import FEW, OUTSIDERS, outsider
 from sealed.integrator import Plate, collision, means
 from synthcam.effect import library
 from synthcam.model import Ball, Model
-from tracker.geometry import InputError
+from tracker.geometry import InputError, Lamp
 
 KEYS = {"verdict", "named", "aliases", "outside", "where", "ranking", "gap", "experiment"}
 
@@ -325,3 +325,64 @@ def test_a_camera_and_a_model_of_different_balls_are_refused(wide):
     for asked in (lambda: find(clips, model), lambda: add(clips, model, "hop")):
         with pytest.raises(InputError, match=r"camera.json is {} mm wide .*, that of the model {} mm".format(*sizes)):
             asked()
+
+
+OTHER = dataclasses.replace(CAMERA, fps=260.0)
+MOVED = dataclasses.replace(CAMERA, lamp=Lamp((0.05, 0.01, 0.45), 0.01))
+WIDER = dataclasses.replace(CAMERA, K=CAMERA.K * [[1.01, 1, 1], [1, 1.01, 1], [1, 1, 1]])
+
+
+@pytest.mark.parametrize(("key", "camera"), [("fps", OTHER), ("lamp", MOVED), ("K", WIDER)])
+def test_clips_of_two_cameras_are_refused(key, camera):
+    clips = collisions(Model(), 6, 5)
+    clips[4] = dataclasses.replace(clips[4], camera=camera)
+    for asked in (lambda: find(clips, Model()), lambda: add(clips, Model(), "hop")):
+        with pytest.raises(InputError, match=f"camera.json: {key} of clip 4 is not that of clip 0; expected clips of"):
+            asked()
+
+
+def test_what_is_measured_anew_of_each_clip_makes_no_other_camera(monkeypatch):
+    only(monkeypatch)
+    clips = collisions(Model(), 6, 5)
+    anew = {"psf_sigma": 1.3, "sensor": dataclasses.replace(CAMERA.sensor, gain=3.0), "exposure_seen": 6e-4}
+    clips[4] = dataclasses.replace(clips[4], camera=dataclasses.replace(CAMERA, **anew))
+    assert find(clips, Model()).verdict == "none"
+
+
+def test_what_is_kept_out_has_no_part_in_the_noise(monkeypatch):
+    only(monkeypatch)
+    clips = collisions(Model(), 8, 3)
+    found, kept_out = find(clips, Model()), {c.clip for c in split(clips)[1]}
+    rng = np.random.default_rng(1)
+    rough = [
+        dataclasses.replace(c, xy=c.xy + 3 * STD * rng.standard_normal(c.xy.shape) * (c.clip in kept_out))
+        for c in clips
+    ]
+    again = find(rough, Model())
+    assert again.shown.before.chi2 > 5 * found.shown.before.chi2
+    assert again.noise == found.noise
+    assert again.search.base.chi2 == found.search.base.chi2
+
+
+def test_it_is_counted_how_many_clips_are_gone(monkeypatch):
+    only(monkeypatch)
+    asked = []
+
+    def first(clips, base, best, gone=0):
+        asked.append((len(clips), gone))
+        return {0: "one"} if (len(clips), gone) == (6, 0) else {}
+
+    monkeypatch.setattr("discrepancy.find.odd", first)
+    assert find(collisions(Model(), 8, 3), Model()).left_out == ("one",)
+    assert asked[:2] == [(6, 0), (5, 1)]
+
+
+@pytest.mark.parametrize(
+    ("after", "said"),
+    [(0.9, "falls from 1 to 0.9"), (0.9999, "stays at 1"), (1.2, "does not fall but goes from 1 to 1.2")],
+)
+def test_how_the_gap_goes_is_said_as_it_is(after, said):
+    found = searched("velocity_restitution")
+    gap = dataclasses.replace(found.shown.gap, before=1.0, after=after)
+    moved = dataclasses.replace(found, shown=dataclasses.replace(found.shown, gap=gap))
+    assert f"On collisions kept out, the gap {said} in chi^2 a point" in moved.sentence()

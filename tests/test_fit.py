@@ -6,10 +6,21 @@ import numpy as np
 import pytest
 from scipy.stats import chi2 as chi2_law
 
-from discrepancy.fit import BASE, Evidence, Fit, derivative, fit, launch_derivatives, linearised, settle, solve
+from discrepancy.fit import (
+    BASE,
+    Evidence,
+    Fit,
+    derivative,
+    fit,
+    launch_derivatives,
+    linearised,
+    settle,
+    solve,
+    telling,
+)
 from discrepancy.forecast import forecast
 from discrepancy.noise import Component, Noise
-from discrepancy.parameter import limits_of
+from discrepancy.parameter import limits_of, suspects
 from discrepancy_clips import collisions, exact, noisy
 from synthcam.model import Model
 
@@ -197,3 +208,15 @@ def test_a_lost_frame_is_fitted_where_it_was_found():
     now = settle(evidence, linearised(evidence, start, names, launches))
     assert now.model.value("dropped_frame.frame") == 40.3
     assert now.model.value("dropped_frame.lost") == pytest.approx(0.5, abs=4 * now.std["dropped_frame.lost"])
+
+
+@pytest.mark.parametrize(("seen", "silent"), [(0.9, True), (1.1, False)])
+def test_a_positive_shape_that_its_whole_range_hardly_shows_is_silent(seen, silent):
+    """Its range is of factors: the derivative by its logarithm is its value times that by itself."""
+    model = Model().replace({"stribeck.rise": 1e-3, "stribeck.slip": 0.07})
+    stribeck = next(s for s in suspects(Model(), ()) if s.name == "stribeck")
+    tried = [shapes["stribeck.slip"] for shapes in stribeck.grid(Model())]
+    slope = seen / (0.07 * np.log(max(tried) / min(tried)))
+    (left,) = telling(model, ["stribeck.rise", "stribeck.slip"], (np.array([[1e-9, 0.6 * slope], [0, 0.8 * slope]]),))
+    assert left[0, 0] == 1e-9  # a strength has no range
+    assert left[:, 1].any() != silent

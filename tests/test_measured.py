@@ -94,6 +94,11 @@ def test_tracks_that_claim_no_error_get_one(recorded, tmp_path):
     assert np.allclose(np.sqrt(read[0].covariance[:, 0, 0]), 1.6e-4 * UNCLAIMED, rtol=1e-3)
 
 
+def test_a_negative_error_is_refused(recorded, tmp_path):
+    with pytest.raises(InputError, match=r"x_std: expected 0 or more"):
+        read_table(recorded, tmp_path, lambda t: t.assign(x_std=-t["x_std"]))
+
+
 def test_what_a_ball_at_rest_has_alike_in_every_frame_is_kept_apart(recorded, tmp_path, clips):
     results = shutil.copytree(recorded / "results", tmp_path / "results")
     for path in (results / "clips").glob("*/tracks.parquet"):

@@ -313,3 +313,15 @@ def test_shapes_that_show_only_at_full_strength_are_found(monkeypatch):
     (named,) = search(clips, base, noise).named
     assert named.shapes["hop.bounce"] == pytest.approx(0.4, abs=3.5 * named.shape_std["hop.bounce"])
     assert named.shape_std["hop.bounce"] < 0.1
+
+
+def test_a_begun_state_keeps_a_better_fit_that_is_known(monkeypatch):
+    """From a slip far from the truth the fit ends in another minimum."""
+    few(monkeypatch, ("stribeck", "rolling_quadratic"))
+    clips, base, noise = started(Model().replace({"stribeck.rise": 0.1, "stribeck.slip": 0.06}))
+    found = search(clips, base, noise)
+    alone = _Hunt(clips, noise, base, lambda: None)
+    for hunt in (alone, found.hunt):
+        state = hunt.begin(["stribeck"], Model().replace({"stribeck.rise": 0.01, "stribeck.slip": 0.004}))
+    assert alone.fits[frozenset(state)].chi2 > found.best.chi2 + 10
+    assert found.hunt.fits[frozenset(state)] is found.best

@@ -64,3 +64,11 @@ def test_noise_makes_no_clip_bad():
     for seed in range(4):
         clips = collisions(Model(), 10, 20 + seed)
         assert odd(clips, *fits(clips, "rolling_quadratic.K")) == {}
+
+
+def test_one_clip_in_ten_may_be_odd_in_all():
+    """Of twelve one, and none once one is gone."""
+    clips = collisions(Model(), 12, 6)
+    clips[3] = pushed(clips[3], 8e-3)
+    both = fits(clips, "rolling_quadratic.K")
+    assert [list(odd(clips, *both, gone)) for gone in (0, 1)] == [[3], []]

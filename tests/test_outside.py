@@ -8,7 +8,7 @@ import pytest
 from discrepancy.fit import BASE, Evidence, fit
 from discrepancy.forecast import forecast
 from discrepancy.noise import Component, Noise
-from discrepancy.outside import MARGIN, Slots, unseen
+from discrepancy.outside import MARGIN, Slots, _look, _moves, fill, unseen
 from discrepancy.price import price
 from discrepancy.slots import slots
 from discrepancy_clips import CAMERA, FPS, collisions, exact, noisy
@@ -112,7 +112,7 @@ def test_a_number_of_each_clip_is_fitted_to_clips_kept_out():
     assert best.slot.name == "restitution_clip"
     assert best.prior.size == pytest.approx(3e-3, rel=0.7)
     before = fit(kept_out, base.model, (), NOISE)
-    _, after = unseen(best, kept_out, before, NOISE)
+    after = unseen(best, kept_out, before, NOISE)
     assert before.chi2 > 3 * before.points
     assert after.chi2 < 1.1 * after.points
 
@@ -122,3 +122,16 @@ def test_nothing_hidden_fills_no_slot():
     contest = Slots(Evidence.of(clips, NOISE), based(clips))
     assert contest.filled == []
     assert not contest.refuted
+
+
+def test_what_the_base_holds_rightly_is_no_effect_beside_a_slot():
+    """A strength fitted beside a slot is measured from where the base holds it, here at the truth."""
+    held = Model().replace({"rolling_quadratic.K": 0.1})
+    clips = collisions(held, 8, 3)
+    base, now = based(clips, held), fit(clips, held, (*BASE, "rolling_quadratic.K"), NOISE)
+    evidence = Evidence.of(clips, NOISE)
+    slot = next(s for s in slots(base.model, base.launches, clips) if s.name == "restitution_speed")
+    look = _look(slot, now, _moves(evidence, slot, base.model, base.launches))
+    filled = fill(evidence, look, base)
+    assert 0.1 / filled.whole.std["rolling_quadratic.K"] > 30
+    assert filled.beside(base)["rolling_quadratic"] < 3.5

@@ -41,3 +41,12 @@ def test_the_advice_is_the_best_of_the_designs():
     hopeless = advice(SUSPECTS["mass_mismatch"], SUSPECTS["diameter_mismatch"], [Design("these collisions", 1.0)] * 3)
     assert "No collisions" in hopeless
     assert "weigh the balls" in hopeless
+
+
+def test_nothing_parts_an_effect_from_one_that_the_fit_absorbs():
+    """A wrong clock is another friction and other speeds: it has no signature to be told by."""
+    pair = ("clock_error", "rolling_quadratic")
+    cosines = found(*pair)
+    assert set(cosines.values()) == {1.0}
+    said = advice(*(SUSPECTS[n] for n in pair), [Design(w, c) for w, c in cosines.items()])
+    assert said.startswith("No collisions of two balls part ")

@@ -2,11 +2,15 @@
 
 import dataclasses
 
+import numpy as np
 import pytest
 
+from discrepancy.fit import BASE, fit, solve
+from discrepancy.noise import Component, Noise
 from discrepancy.story import rest, story
-from discrepancy_clips import searched
+from discrepancy_clips import collisions, searched
 from discrepancy_outsiders import outsider
+from synthcam.model import Model
 
 
 @pytest.fixture(params=["nothing", "velocity_restitution", "restitution_speed"])
@@ -51,6 +55,20 @@ def test_a_fit_that_did_not_converge_is_said():
     )
     assert rest(base) < 0.1
     assert rest(off) > 1
+    found = searched("nothing")
+    moved = dataclasses.replace(found, search=dataclasses.replace(found.search, base=off))
+    assert "the fit converged" in story(found)[0]
+    assert "the fit did not fully converge: a further step would gain" in story(moved)[0]
+
+
+def test_a_parameter_that_stands_at_its_limit_has_converged():
+    """Noise asks for less rolling drag than none: that is no step to take."""
+    clips = collisions(Model().replace({"rolling_drag": 0.0}), 6, 8)
+    now = fit(clips, Model(), BASE, Noise(Component(1.0)))
+    assert now.model.rolling_drag == 0
+    shared, _ = solve(now, 0.0, np.full(len(BASE), -np.inf), np.full(len(BASE), np.inf))
+    assert shared[BASE.index("rolling_drag")] < 0
+    assert rest(now) < 0.1
 
 
 def test_what_clips_all_alike_cannot_tell_is_said():

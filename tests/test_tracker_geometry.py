@@ -1,6 +1,7 @@
 """Projection against OpenCV, glints against the shortest path of light, and what a camera file may be."""
 
 import copy
+import dataclasses
 import json
 
 import cv2
@@ -213,3 +214,36 @@ def test_what_is_no_camera_file(tmp_path, text):
         Camera.read(path)
     with pytest.raises(InputError, match="no such file"):
         Camera.read(tmp_path / "none.json")
+
+
+@pytest.mark.parametrize(
+    ("key", "told"),
+    [
+        ("K", [[3117.6, 0, 99.5], [0, 3117.5625, 79.5], [0, 0, 1]]),
+        ("dist", [1e-4, 0, 0, 0, 0]),
+        ("t", [0, 1e-5, 0.5]),
+        ("size", [200, 162]),
+        ("fps", 260.0),
+        ("exposure", 6e-4),
+        ("shutter", {"kind": "rolling", "line_time": 1e-6}),
+        ("ball_diameter", 2.4e-3),
+        ("lamp", {"position": [0.05, 1e-4, 0.45], "radius": 0.0}),
+        ("lamp", None),
+    ],
+)
+def test_another_camera_differs_in_what_places_a_ball(key, told):
+    other = {k: v for k, v in (CAMERA | {key: told}).items() if v is not None}
+    one, two = Camera.from_dict(CAMERA), Camera.from_dict(other)
+    named = "line_time" if key == "shutter" else key
+    assert one.differs(two) == two.differs(one) == named
+
+
+def test_a_turned_camera_differs():
+    straight, turned = bent_camera((0, 0), (0,) * 5), bent_camera((0, 1e-4), (0,) * 5)
+    assert straight.differs(turned) == "R"
+
+
+def test_a_camera_differs_from_none_that_places_a_ball_alike():
+    anew = {"psf": {"sigma_px": 1.2}, "sensor": CAMERA["sensor"] | {"gain": 21}, "fps": 250.0 * (1 + 1e-9)}
+    one, two = Camera.from_dict(CAMERA), Camera.from_dict(CAMERA | anew)
+    assert one.differs(dataclasses.replace(two, exposure_seen=6e-4, striker="a")) == ""

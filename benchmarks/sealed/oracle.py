@@ -77,10 +77,15 @@ def gap(truth: Truth, answer: dict[str, Any], folder: Path) -> dict[str, float]:
         return {}
     clips = held(path, truth, camera_of(truth))
     models = {"base": build(answer["base"]), "augmented": build(answer["model"]), "oracle": model_of(truth)}
-    try:
-        return {name: chi2(model, clips) for name, model in models.items()} | {"points": 2.0 * sum(map(_n, clips))}
-    except ValueError:
-        return {}
+    found = {"points": 2.0 * sum(map(_n, clips))}
+    for name, model in models.items():
+        try:
+            found[name] = chi2(model, clips)
+        except ValueError:  # no motion: such a model closes nothing
+            if name != "augmented":
+                return {}
+            found[name] = found["base"]
+    return found
 
 
 def _n(clip: Held) -> int:

@@ -43,6 +43,8 @@ class Answer:
         else:
             x = tuple(side.ravel() for side in np.meshgrid(*(a.grid(SIDE) for a in slot.axes), indexing="ij"))
         law, formula = Mixture.of(filled, *x), propose(filled)
+        if slot.axes[0].kind == "set":
+            x = (np.array([float(c.clip) for c in filled.evidence.clips]),)
         bands = {k: np.stack([law.quantile(-times), law.quantile(times)], axis=-1) for k, times in BANDS.items()}
         return cls(slot, words(slot), x, law.quantile(0.0), bands, formula.text, formula.refused, filled.sigma)
 

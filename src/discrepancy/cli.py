@@ -131,19 +131,21 @@ def add(
     clips, left_out = read_measured(fit, camera)
     with stages(("noise", "fit", "search")) as tick:
         new = fitted(clips, suspect, effect, tick)
+    output.parent.mkdir(parents=True, exist_ok=True)
     beside = output.with_name(f"{output.name}.{os.getpid()}.tmp")
     write_model(new.now.model, beside)
     beside.replace(output)
     if as_json:
-        print(json.dumps({"model": str(output)} | new.document() | {"clips": len(clips), "left_out": left_out}))
+        lost = [*left_out, *new.left_out]
+        print(json.dumps({"model": str(output)} | new.document() | {"clips": len(clips), "left_out": lost}))
     else:
         print(f"{output}: {new.sentence()} ({len(clips)} of {len(clips) + len(left_out)})")
-        _say_lost(left_out)
+        _say_lost([*left_out, *new.left_out])
 
 
 def _say_lost(left_out: Sequence[str]) -> None:
     if left_out:
-        print(f"{len(left_out)} left out: {'; '.join(left_out)}")
+        print(f"Left out: {'; '.join(left_out)}")
 
 
 def main() -> None:

@@ -11,7 +11,7 @@ from discrepancy.fit import Evidence, Fit
 from discrepancy.forecast import forecast
 from discrepancy.parameter import Suspect, limits_of
 from discrepancy.rank import Contest, tried
-from discrepancy.scan import scannable
+from discrepancy.scan import MANY, scannable
 from synthcam.dynamics import uncoupled
 from synthcam.model import Model
 
@@ -27,11 +27,14 @@ def spread(evidence: Evidence, reduced: Fit, now: Fit, suspect: Suspect) -> dict
     """
     std = {n: s for n, s in now.std.items() if n in suspect.strengths + suspect.shapes}
     tries = list(suspect.grid(reduced.model))
-    if len(tries) < 2 or scannable(suspect, tries):
+    if len(tries) < 2 or (len(tries) >= MANY and scannable(suspect, tries)):
         return std
     found = {s: now.model.value(s) for s in suspect.shapes}
     plain = uncoupled(reduced.model)
     here = forecast(plain, reduced.launches, evidence.clips)
+    if len(found) > 1:  # along a valley that runs between the places of a coarse grid
+        near = [found | {s: shapes[s]} for s in found for shapes in tries]
+        tries += [shapes for k, shapes in enumerate(near) if shapes not in near[:k]]
     trials = [tried(evidence, plain, reduced.launches, suspect, shapes, here) for shapes in (*tries, found)]
     contest = Contest(reduced, tuple(trials))
     *others, (_, most, strengths) = contest.estimates()

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from discrepancy.claim import sigmas
 from discrepancy.fit import Evidence, Fit
 from discrepancy.parameter import parameter_of
 from discrepancy.slots import Slot
@@ -72,14 +73,19 @@ class Filled:
         return np.asarray(np.linalg.inv(matrix / np.outer(scale, scale)) / np.outer(scale, scale))
 
     def beside(self, base: Fit) -> dict[str, float]:
-        """Sigma of each library effect that is fitted beside the slot and not in the base, the slot being free."""
+        """Sigma of what is fitted beside the slot and not in the base, by effect, the slot being free.
+
+        How far its strengths are from what the base holds them at.
+        """
         now, found = self.whole, {}
         added = [n for n in self.now.names if n not in base.names]
         for effect in dict.fromkeys(n.rpartition(".")[0] or n for n in added):
             own = [n for n in added if (n.rpartition(".")[0] or n) == effect]
             own = [n for n in own if "." not in n or not parameter_of(now.model, n).fixed]
-            rows, size = [now.names.index(n) for n in own], np.array([now.model.value(n) for n in own])
-            found[effect] = float(np.sqrt(size @ np.linalg.pinv(now.covariance[np.ix_(rows, rows)]) @ size))
+            rows = [now.names.index(n) for n in own]
+            moved = np.array([now.model.value(n) - base.model.value(n) for n in own])
+            covariance = now.covariance[np.ix_(rows, rows)]
+            found[effect] = sigmas(float(moved @ np.linalg.pinv(covariance, hermitian=True) @ moved), len(own))
         return found
 
     def likelihood(self) -> tuple[Array, Array]:

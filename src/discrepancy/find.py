@@ -25,6 +25,7 @@ from discrepancy.parameter import Suspect, fitted, limits_of, parameter_of, susp
 from discrepancy.parting import advice, designs
 from discrepancy.rank import Contest
 from discrepancy.refine import refined
+from discrepancy.spike import without_spikes
 from synthcam.effect import library
 from synthcam.model import Model
 from tracker.geometry import InputError
@@ -32,6 +33,7 @@ from tracker.geometry import InputError
 FEWEST = 6  # collisions: with fewer, some would not be left to show the gap on
 ROUNDS = 4  # searches, at most: again without clips that are unlike all others, again with the noise read anew
 ONE_BALL = 1e-3  # relative, between the camera file's diameter of the ball and the model's
+POOR = 2.0  # chi^2 a degree of freedom of a fit that lacks more than what noise may
 UNEXPLAINED = 5.0  # sigma of disagreement left after everything: something that no slot holds
 Tick = Callable[[str], None]
 
@@ -41,7 +43,8 @@ class Found:
     """The outcome. verdict: none, named, ambiguous or outside_library. where: before; left: after all that was found.
 
     slot: the law left free that explains what no effect of the library does; answer: its curve and formula. alike: what
-    no such clips can tell, because they are all alike in it. left_out: why clips had no part in it.
+    no such clips can tell, because they are all alike in it. left_out: why clips, or some of their
+    places, had no part in it.
     """
 
     verdict: str
@@ -75,8 +78,8 @@ class Found:
         if self.verdict == "none":
             return "Nothing is missing: simulation and measurement agree to within the noise."
         closed = (
-            f"On collisions kept out, the gap falls from {gap.before:.3g} to {gap.after:.3g} in chi^2 a point; "
-            f"noise alone leaves {gap.floor:.3g}."
+            f"On collisions kept out, the gap {_moved(gap.before, gap.after)} in chi^2 a point; noise alone leaves "
+            f"{gap.floor:.3g}."
         )
         base = self.search.base.model
         parts = [said(n, base) for n in self.named if not _held(n, base)]
@@ -122,6 +125,13 @@ class Found:
         }
 
 
+def _moved(before: float, after: float) -> str:
+    one, other = f"{before:.3g}", f"{after:.3g}"
+    if one == other:
+        return f"stays at {one}"
+    return f"{'falls' if after < before else 'does not fall but goes'} from {one} to {other}"
+
+
 def at_limit(n: Named, name: str) -> bool:
     """Whether a strength stands at the end of what its effect allows: it might lie beyond, so it has no error."""
     if name not in n.values:
@@ -155,24 +165,26 @@ def said(n: Named, base: Model) -> str:
 def find(clips: Sequence[Measured], model: Model, tick: Tick = lambda stage: None) -> Found:
     """Search for what `model` lacks. Its base parameters that are not zero and those in `model.free` are fitted.
 
-    tick: told the stage, many times. Raises InputError with fewer than FEWEST collisions, or a ball of another size.
+    tick: told the stage, many times. Raises InputError with fewer than FEWEST collisions, or what _one_setup refuses.
     """
     if len(clips) < FEWEST:
         raise InputError(f"{len(clips)} measured collisions: expected {FEWEST} or more, some to fit, some to keep out")
-    _one_ball(clips, model)
+    _one_setup(clips, model)
     tick("noise")
-    noise = _noise(clips)
+    clips, left_out = without_spikes(clips)
     some, kept_out = split(clips)
+    noise = _noise(some)
     # read without any claim first: one made with too little noise could explain the rest of the noise away
     noise = refined(some, _base(some, model, noise, tick), noise, explained=False)
-    left_out: list[str] = []
+    gone = 0
     for turn in range(ROUNDS):
         hunt, slot, nearly = _hunt(some, model, noise, tick)
         best, cleaned = (slot.whole, slot.evidence.clips) if slot else (hunt.best, some)
         if turn == ROUNDS - 1:
             break
-        strange = odd(cleaned, hunt.base, best)
+        strange = odd(cleaned, hunt.base, best, gone)
         if strange:
+            gone += len(strange)
             left_out += strange.values()
             some = [c for k, c in enumerate(some) if k not in strange]
             continue
@@ -244,9 +256,7 @@ def _hunt(
     return found, slot, None if slot else free.nearly(found.best)
 
 
-def _after(
-    slot: Filled | None, clips: Sequence[Measured], noise: Noise
-) -> Callable[[Fit], tuple[Sequence[Measured], Fit]] | None:
+def _after(slot: Filled | None, clips: Sequence[Measured], noise: Noise) -> Callable[[Fit], Fit] | None:
     return None if slot is None else lambda before: unseen(slot, clips, before, noise)
 
 
@@ -291,24 +301,36 @@ def _noise(clips: Sequence[Measured]) -> Noise:
         raise InputError(f"the tracks: {e}") from None
 
 
-def _one_ball(clips: Sequence[Measured], model: Model) -> None:
-    """The ball that the tracks are measured by must be the model's: the difference would pass for a discovery."""
-    held = 2 * model.ball.radius
+def _one_setup(clips: Sequence[Measured], model: Model) -> None:
+    """All clips are of one camera, and the ball that they are measured by is the model's.
+
+    What the balls differ by would pass for a discovery.
+    """
+    first, held = clips[0].camera, 2 * model.ball.radius
     for c in clips:
         if abs(c.camera.ball_diameter / held - 1) > ONE_BALL:
             raise InputError(
                 f"the ball of camera.json is {1e3 * c.camera.ball_diameter:.6g} mm wide (clip {c.clip}), that of the "
                 f"model {1e3 * held:.6g} mm; expected the same"
             )
+        if other := c.camera.differs(first):
+            raise InputError(
+                f"camera.json: {other} of clip {c.clip} is not that of clip {clips[0].clip}; expected clips of one "
+                "camera; search those of each by themselves"
+            )
 
 
 @dataclass(frozen=True)
 class Added:
-    """A suspect fitted with everything else. before, now: the fits without and with it, all clips in both."""
+    """A suspect fitted with everything else. before, now: the fits without and with it, all clips in both.
+
+    left_out: a line for each clip of which some places had no part in them.
+    """
 
     before: Fit
     now: Fit
     named: Named
+    left_out: tuple[str, ...] = ()
 
     @property
     def chi2(self) -> tuple[float, float]:
@@ -319,9 +341,10 @@ class Added:
     def sentence(self) -> str:
         """Its strength, and how far chi^2 falls."""
         one, other = self.chi2
+        poor = "; more is missing, and its error holds only if nothing is" if other > POOR else ""
         return (
             f"{said(self.named, self.before.model)}; chi^2 a degree of freedom goes from {one:.4g} to {other:.4g} on "
-            "the collisions fitted"
+            f"the collisions fitted{poor}"
         )
 
     def document(self) -> dict[str, Any]:
@@ -340,14 +363,15 @@ class Added:
 def add(clips: Sequence[Measured], model: Model, effect: str, tick: Tick = lambda stage: None) -> Added:
     """`effect` added to the model and fitted to all clips with everything else.
 
-    Raises InputError: no such effect, too few collisions, a ball of another size, or these collisions cannot tell it.
+    Raises InputError: no such effect, too few collisions, what _one_setup refuses, or these collisions cannot tell it.
     """
     if effect not in library():
         raise InputError(f"{effect}: no such effect; there are {', '.join(library())}")
     if len(clips) < FEWEST:
         raise InputError(f"{len(clips)} measured collisions: expected {FEWEST} or more")
-    _one_ball(clips, model)
+    _one_setup(clips, model)
     tick("noise")
+    clips, left_out = without_spikes(clips)
     noise = _noise(clips)
     evidence, base = Evidence.of(clips, noise), _base(clips, model, noise, tick)
     if any(n.startswith(f"{effect}.") for n in base.names):
@@ -355,9 +379,11 @@ def add(clips: Sequence[Measured], model: Model, effect: str, tick: Tick = lambd
     contest = Contest.of(evidence, base, lambda: tick("search"))
     candidate = next((c for c in contest.ranking() if c.effect == effect), None)
     if candidate is None or not candidate.telling:
-        raise InputError(f"{effect}: these collisions cannot tell it: the fit absorbs it, or it hardly shows")
+        far = base.chi2 / (base.points - base.parameters)
+        why = f"; without it chi^2 is {far:.3g} a degree of freedom: something larger is missing" if far > POOR else ""
+        raise InputError(f"{effect}: these collisions cannot tell it: the fit absorbs it, or it hardly shows{why}")
     suspect, best = candidate.suspect, contest.sharper(evidence, candidate)
     now = settle(evidence, added(evidence, base, best, lambda: tick("search")), lambda: tick("search"), fresh=False)
     sigma = sigmas(base.chi2 - now.chi2, len(suspect.strengths), contest.looks[effect])
     std = now.std | spread(evidence, base, now, suspect)
-    return Added(base, now, _named(suspect, now, std, sigma))
+    return Added(base, now, _named(suspect, now, std, sigma), tuple(left_out))

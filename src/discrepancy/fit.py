@@ -280,7 +280,12 @@ def telling(model: Model, names: Sequence[str], slopes: tuple[Array, ...]) -> tu
     In the gap between two frames a lost one may be anywhere: no step should carry it away from there.
     """
     shapes = [parameter_of(model, n) if "." in n else None for n in names]
-    spans = np.array([span_of(p) if p and p.fixed else np.inf for p in shapes])
+    spans = np.array(
+        [
+            span_of(p) * (model.value(n) if p.low > 0 else 1.0) if p and p.fixed else np.inf
+            for n, p in zip(names, shapes, strict=True)
+        ]
+    )
     silent = np.sqrt(sum((s**2).sum(axis=0) for s in slopes)) < 1 / spans
     return tuple(np.where(silent, 0.0, s) for s in slopes) if silent.any() else slopes
 

@@ -59,17 +59,17 @@ def show(
     best: Fit,
     noise: Noise,
     tick: Callable[[], None] = lambda: None,
-    outside: Callable[[Fit], tuple[Sequence[Measured], Fit]] | None = None,
+    outside: Callable[[Fit], Fit] | None = None,
 ) -> Shown:
     """The gap on `clips`, kept out of both fits: shared parameters frozen, each clip's launch refitted.
 
-    outside: from the fit before, the fit after, where no model file holds what was found; with what it moved taken out
-    of the clips. A best model that has no motion for one of them closes nothing.
+    outside: from the fit before, the fit after, where no model file holds what was found. A best model that has no
+    motion for one of the clips closes nothing.
     """
     before = fit(clips, base.model, (), noise, tick=tick)
     try:
         if outside:
-            _, after = outside(before)
+            after = outside(before)
         else:
             after = before if best is base else fit(clips, best.model, (), noise, before.launches, tick)
     except ValueError:  # no motion

@@ -59,6 +59,11 @@ class Measured:
     def exposure(self) -> float:
         return self.camera.exposure
 
+    def of(self, rows: Ints) -> Measured:
+        """Some of its rows."""
+        some = {name: getattr(self, name)[rows] for name in ("frame", "ball", "xy", "covariance")}
+        return replace(self, **some)
+
     def phase(self) -> Ints:
         """0 before the contact, 1 sliding, 2 rolling, -1 in an exposure that holds an event: (n,)."""
         opens = self.frame / self.fps

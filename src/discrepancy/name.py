@@ -179,7 +179,10 @@ class _Hunt:
         names = (*base.names, *(n for s in state for n in s.strengths + s.shapes))
         begun = base.model.replace({n: model.value(n) for n in names})
         start = linearised(self.evidence, begun, names, base.launches)
-        self.fits[frozenset(state)] = settle(self.evidence, start, self.tick)
+        key, found = frozenset(state), settle(self.evidence, start, self.tick)
+        if key not in self.fits or found.chi2 < self.fits[key].chi2:
+            self.fits[key] = found
+            self.sure.discard(key)
         return state
 
     def rivals(self, state: Collection[Suspect]) -> list[Fit]:

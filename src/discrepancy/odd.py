@@ -19,14 +19,16 @@ SHARE = 10  # one clip in so many may be odd: where more are, the model is wrong
 SEEN = 1e-9  # of a parameter's information: directions that show less count for nothing
 
 
-def odd(clips: Sequence[Measured], base: Fit, best: Fit) -> dict[int, str]:
+def odd(clips: Sequence[Measured], base: Fit, best: Fit, gone: int = 0) -> dict[int, str]:
     """Clips to leave out before a search is done again, by their place in `clips`, each with a line that says why.
+
+    gone: how many have been left out already.
 
     Either a clip's chi^2 is far beyond the others' in the base fit and in the best fit alike; or it contradicts all
     others about the shared parameters of the best fit, and without it they agree. Where they do not, something is
     missing in the model, and no clip is to blame.
     """
-    most = max(len(clips) // SHARE, 1)
+    most = max((len(clips) + gone) // SHARE, 1) - gone
     out = {}
     far = np.minimum(_unlike(base), _unlike(best))
     for k in np.flatnonzero(far > UNLIKE).tolist():

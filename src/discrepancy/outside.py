@@ -239,8 +239,8 @@ class Slots:
         return self.asked[1]
 
 
-def unseen(filled: Filled, clips: Sequence[Measured], before: Fit, noise: Noise) -> tuple[list[Measured], Fit]:
-    """Clips that the slot was not fitted to, with it: what it moved taken out, and the fit of their launches.
+def unseen(filled: Filled, clips: Sequence[Measured], before: Fit, noise: Noise) -> Fit:
+    """The fit of the launches of clips that the slot was not fitted to, what it moves taken out of them.
 
     before: their fit without it. Numbers of each clip are fitted to each.
     """
@@ -251,7 +251,6 @@ def unseen(filled: Filled, clips: Sequence[Measured], before: Fit, noise: Noise)
         axis = dataclasses.replace(filled.slot.axes[0], high=len(clips) - 1.0, count=len(clips))
         slot = dataclasses.replace(filled.slot, axes=(axis,))
         look = _look(slot, there, _moves(evidence, slot, plain, there.launches))
-        own = fill(evidence, look, there)
-        return list(own.evidence.clips), own.now
+        return fill(evidence, look, there).now
     left = filled.slot.undone(clips, plain, before.launches, filled.coefs)
-    return left, fit(left, filled.now.model, (), noise, before.launches)
+    return fit(left, filled.now.model, (), noise, before.launches)

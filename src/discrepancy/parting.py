@@ -124,7 +124,7 @@ def _cosine(
     one: Shaped,
     other: Shaped,
 ) -> float:
-    """1 where the model has no such motion."""
+    """1 where the model has no such motion, or the fit absorbs one of the two."""
     try:
         here = linearised(evidence, now.model, now.names, launches)
         expected = forecast(here.model, launches, evidence.clips)
@@ -133,8 +133,8 @@ def _cosine(
         )
     except ValueError:
         return 1.0
-    first, second = Contest(here, trials).ranking()
-    return likeness(first.signature, second.signature)
+    first, second = Contest(here, trials).ranking()  # what is absorbed comes last
+    return 1.0 if second.absorbed else likeness(first.signature, second.signature)
 
 
 def advice(one: Suspect, other: Suspect, found: Sequence[Design]) -> str:

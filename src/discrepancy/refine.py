@@ -98,7 +98,8 @@ class _Left:
         values, axes = np.linalg.eigh(gram[:-1, :-1])
         values = np.maximum(values, SEEN)
         pulls = axes.T @ gram[:-1, -1]
-        return float(logs + np.log(values).sum() + gram[-1, -1] - (pulls**2 / values).sum())
+        with np.errstate(over="ignore"):  # of columns that hardly show: infinite, and never the best
+            return float(logs + np.log(values).sum() + gram[-1, -1] - (pulls**2 / values).sum())
 
     def best(self, start: Noise) -> tuple[float, Noise]:
         """The likeliest noise of the same shape, found from `start`; first its cost with the price of its numbers."""

@@ -317,7 +317,7 @@ def _at_impact(slot: Slot, launches: Array) -> Array:
 
 
 def lagging(slot: Slot, model: Model, launches: Array, clips: Sequence[Measured]) -> list[Array]:
-    """Of a picture that lags behind the motion by so many seconds: -v times each spline at |v|."""
+    """Of a picture that lags behind the motion by so many seconds: -v times each cosine at |v|."""
     seen = velocities(model, launches, clips)
     return [-v[..., None] * slot.basis(np.hypot(v[:, 0], v[:, 1]))[:, None] for v in seen]
 

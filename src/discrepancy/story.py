@@ -7,7 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from discrepancy.find import Found
-from discrepancy.fit import Fit
+from discrepancy.fit import Fit, solve
+from discrepancy.parameter import limits_of
 
 SETTLED = 0.1  # of chi^2 that a further step may gain
 
@@ -18,10 +19,12 @@ def story(found: Found) -> list[str]:
 
 
 def rest(now: Fit) -> float:
-    """What a further step of everything fitted would gain, in chi^2, to first order."""
-    left = np.concatenate(now.residuals)
-    projected = now.projected([r[:, None] for r in now.residuals])[:, 0]
-    return float(left @ left - projected @ projected)
+    """What a further step of everything fitted would gain, in chi^2, to first order and within its limits."""
+    value = np.array([now.model.value(n) for n in now.names])
+    low, high = np.array([limits_of(now.model, n) for n in now.names]).reshape(-1, 2).T
+    shared, own = solve(now, 0.0, low - value, high - value)
+    steps = [s @ shared + a @ o for s, a, o in zip(now.slopes, now.launch_slopes, own, strict=True)]
+    return now.chi2 - sum(float((r - s) @ (r - s)) for r, s in zip(now.residuals, steps, strict=True))
 
 
 def _fitted(found: Found) -> str:

@@ -21,6 +21,8 @@ from .sensor import Sensor
 
 __all__ = ["Camera", "InputError", "Lamp", "Sensor"]
 
+PLACING = ("K", "dist", "R", "t", "size", "fps", "exposure", "line_time", "ball_diameter", "lamp")
+ALIKE = 1e-6  # relative: numbers of two camera files that differ by less are the same
 FAR = 1e6  # m, of a point as good as straight overhead
 
 
@@ -57,6 +59,19 @@ class Camera:
     def exposed(self) -> float:
         """Seconds for which glints are drawn out."""
         return self.exposure if self.exposure_seen is None else self.exposure_seen
+
+    def differs(self, other: Camera) -> str:
+        """The first key of camera.json in which another camera places the same balls elsewhere; empty where none does.
+
+        In what is measured anew of each clip (the exposure as seen, the glints' width) it may differ.
+        """
+        for key in PLACING:
+            one, two = (getattr(c, key) for c in (self, other))
+            if key == "lamp":
+                one, two = (lamp.position if lamp else () for lamp in (one, two))
+            if np.shape(one) != np.shape(two) or not np.allclose(one, two, rtol=ALIKE, atol=ALIKE**2):
+                return key
+        return ""
 
     @property
     def radius(self) -> float:

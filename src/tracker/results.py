@@ -215,7 +215,11 @@ def _to_tracks(table: pd.DataFrame, where: str) -> Tracks:
 
     def covariance(x_std: str, y_std: str, cov_xy: str, default: float) -> Any:
         cov = np.empty((len(kept), 2, 2))
-        cov[:, 0, 0], cov[:, 1, 1] = column(x_std, default) ** 2, column(y_std, default) ** 2
+        for axis, name in enumerate((x_std, y_std)):
+            std = column(name, default)
+            if np.any(std < 0):
+                raise InputError(f"{where}: {name}: expected 0 or more")
+            cov[:, axis, axis] = std**2
         cov[:, 0, 1] = cov[:, 1, 0] = column(cov_xy, 0.0)
         return cov
 
