@@ -33,6 +33,13 @@ def test_noise_has_none(rho):
     assert not any(spikes(clip) for clip in collisions(Model(), 12, 4, rho))
 
 
+def test_errors_that_are_claimed_to_vary_make_none():
+    rng = np.random.default_rng(2)
+    for clip in CLIPS:
+        claimed = clip.covariance * rng.uniform(0.9, 1.1, (len(clip.frame), 1, 1))
+        assert not spikes(dataclasses.replace(clip, covariance=claimed))
+
+
 def test_a_jump_is_none():
     """As where a frame is lost: all that follows stands elsewhere."""
     for clip in CLIPS:

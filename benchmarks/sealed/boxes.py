@@ -48,7 +48,7 @@ DEFECTS = {
     "lamp": ("glint_parallax", "scale_error", "lens_distortion"),
     "scale": ("scale_error", "glint_parallax", "lens_distortion"),
 }
-IDLE = {"unknown_lamp"}  # effects that show nothing here: every camera file tells of its lamp
+IDLE = {"unknown_lamp"}  # effects that show nothing here: camera files tell of the lamp, but for the defect "glint"
 ALIKE = 0.98  # of the cosine: beyond it no data of this size part two effects
 TRIES = 60
 

@@ -39,7 +39,7 @@ def spikes(clip: Measured) -> set[int]:
         looks = []
         for path in paths:
             rows = np.array([k for k in path.tolist() if k not in gone], dtype=int)
-            looks += list(_looks(clip.frame[rows], clip.xy[rows] / claimed[rows, None], rows))
+            looks += list(_looks(clip.frame[rows], clip.xy[rows], claimed[rows], rows))
         if not looks:
             return gone
         off = np.array([far for _, far, _ in looks])
@@ -52,7 +52,9 @@ def spikes(clip: Measured) -> set[int]:
         gone.add(looks[max(wrong, key=lambda k: float(most[k]))][0])
 
 
-def _looks(frame: NDArray[np.int64], xy: Array, rows: NDArray[np.int64]) -> Iterator[tuple[int, Array, float]]:
+def _looks(
+    frame: NDArray[np.int64], xy: Array, claimed: Array, rows: NDArray[np.int64]
+) -> Iterator[tuple[int, Array, float]]:
     """Of each place with enough neighbours: its row, how far it is off their parabola (2,), and their own rms off it.
 
     Both in claimed standard deviations, what the parabola itself is uncertain by allowed for.
@@ -66,5 +68,5 @@ def _looks(frame: NDArray[np.int64], xy: Array, rows: NDArray[np.int64]) -> Iter
         inverse = np.linalg.pinv(design)
         fitted = inverse @ xy[near]
         left = xy[near] - design @ fitted
-        rest = float(np.sqrt((left**2).sum() / (2 * (len(near) - 3))))
-        yield int(rows[k]), (xy[k] - fitted[0]) / np.sqrt(1 + inverse[0] @ inverse[0]), rest
+        rest = float(np.sqrt(((left / claimed[near, None]) ** 2).sum() / (2 * (len(near) - 3))))
+        yield int(rows[k]), (xy[k] - fitted[0]) / np.hypot(claimed[k], np.linalg.norm(claimed[near] * inverse[0])), rest
