@@ -30,7 +30,7 @@ from synthcam.model import Model
 Array = NDArray[np.float64]
 
 LEVEL = 4.5  # sigma of a slot, needed to declare
-MARGIN = 5.5  # of chi^2: so much likelier is an effect of the library beforehand than a law that nobody knows
+MARGIN = 5.0  # of chi^2: so much likelier is an effect of the library beforehand than a law that nobody knows
 CLOSE = 10.0  # of chi^2: a slot so near to the library's model may be the truth, once the noise is known better
 LEADERS = 3  # fitted in full
 NEAR, LOOSE = 15.0, 0.01  # of chi^2, and of what a slot explains: what the first order may be wrong by
