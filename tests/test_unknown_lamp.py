@@ -4,7 +4,7 @@ import dataclasses
 
 import numpy as np
 
-from discrepancy.find import find
+from discrepancy.find import add, find
 from discrepancy_clips import CAMERA, EFFECTS, exact, noisy, only
 from synthcam.effect import library
 from synthcam.model import Model
@@ -53,3 +53,11 @@ def test_a_lamp_that_is_told_of_is_not_unknown(monkeypatch):
     found = find(noisy(exact(Model(), 8, 4), 4), Model())
     assert found.named == ()
     assert "unknown_lamp" in found.search.untold
+
+
+def test_errors_reach_along_the_valley_of_share_and_height(monkeypatch):
+    """A small share of a lamp aside is nearly as likely: eight clips tell little more."""
+    only(monkeypatch, unknown_lamp=library()["unknown_lamp"])
+    new = add(noisy(without_a_lamp(exact(Model(), 8, 7), Lamp((0.05, 0.0, 0.45))), 7), Model(), "unknown_lamp")
+    assert new.named.shapes["unknown_lamp.x"] > 0.12
+    assert new.named.shape_std["unknown_lamp.x"] > 1.3 * new.now.std["unknown_lamp.x"]
