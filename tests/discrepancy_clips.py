@@ -7,8 +7,9 @@ import numpy as np
 
 import discrepancy.parameter
 import synthcam.model
+from discrepancy.derivative import derivative, launch_derivatives
 from discrepancy.find import find
-from discrepancy.fit import BASE, derivative, launch_derivatives, off
+from discrepancy.fit import BASE, off
 from discrepancy.forecast import forecast
 from discrepancy.measured import Measured
 from discrepancy.noise import Component, Noise, estimate

@@ -8,8 +8,9 @@ import pytest
 from scipy.stats import binom, norm
 
 from discrepancy.band import Mixture, stepped
+from discrepancy.derivative import derivative
 from discrepancy.filled import Filled
-from discrepancy.fit import BASE, Evidence, derivative, linearised, solve
+from discrepancy.fit import BASE, Evidence, linearised, solve
 from discrepancy.noise import Component, Noise
 from discrepancy.slots import columns, slots
 from discrepancy.weight import weigh

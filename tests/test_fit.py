@@ -6,18 +6,8 @@ import numpy as np
 import pytest
 from scipy.stats import chi2 as chi2_law
 
-from discrepancy.fit import (
-    BASE,
-    Evidence,
-    Fit,
-    derivative,
-    fit,
-    launch_derivatives,
-    linearised,
-    settle,
-    solve,
-    telling,
-)
+from discrepancy.derivative import derivative, launch_derivatives
+from discrepancy.fit import BASE, Evidence, Fit, fit, linearised, settle, solve, telling
 from discrepancy.forecast import forecast
 from discrepancy.noise import Component, Noise
 from discrepancy.parameter import limits_of, suspects
@@ -130,7 +120,7 @@ def test_launch_derivatives_of_many_clips_are_those_of_each(monkeypatch):
     clips = exact(Model(), 3, 18)
     launches = np.array([c.launch for c in clips])
     here, slopes = launch_derivatives(Model(), launches, clips)
-    monkeypatch.setattr("discrepancy.fit.AT_ONCE", 2)
+    monkeypatch.setattr("discrepancy.derivative.AT_ONCE", 2)
     again, parts = launch_derivatives(Model(), launches, clips)
     for clip, a, b, s, p in zip(clips, here, again, slopes, parts, strict=True):
         assert np.allclose(a, b, atol=1e-13)

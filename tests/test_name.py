@@ -9,16 +9,21 @@ from scipy.stats import chi2 as chi2_law
 from scipy.stats import kstest
 
 from discrepancy.claim import FLOOR
-from discrepancy.fit import BASE, fit, linearised, settle
+from discrepancy.fit import BASE, Evidence, fit
 from discrepancy.name import _Hunt, search
 from discrepancy.noise import estimate
 from discrepancy.parameter import fitted, suspects
+from discrepancy.visited import Visited
 from discrepancy_clips import EFFECTS, collisions, design, exact, noise_of_pair, nulls, only
 from synthcam.effect import library
 from synthcam.model import Model
 
 FEW = ("velocity_restitution", "spin_transfer_velocity", "rolling_quadratic", "mass_mismatch", "hop")
 SLIDING = ("stribeck", "viscous_friction", "drilling_spin", "rolling_quadratic")
+
+
+def visited(clips, base, noise):
+    return Visited(Evidence.of(clips, noise), base, lambda: None)
 
 
 def few(monkeypatch, names=FEW):
@@ -68,26 +73,26 @@ def started(truth, base=None, count=6, seed=9):
 def hunted(truth, *state):
     """A hunt that stands at a model with these suspects."""
     clips, base, noise = started(truth)
-    hunt = _Hunt(clips, noise, base, lambda: None)
+    hunt = _Hunt(visited(clips, base, noise))
     known = {s.name: s for s in suspects(base.model, base.names)}
     chosen = tuple(known[n] for n in state)
     strengths = [s for k in chosen for s in k.strengths]
-    hunt.fits[frozenset(chosen)] = fit(clips, base.model, [*base.names, *strengths], noise)
+    hunt.seen.fits[frozenset(chosen)] = fit(clips, base.model, [*base.names, *strengths], noise)
     return hunt, chosen
 
 
 def test_a_wrong_effect_is_exchanged_for_the_right_one(monkeypatch):
     few(monkeypatch)
     hunt, state = hunted(Model().replace({"velocity_restitution.e": 0.01}), "spin_transfer_velocity")
-    better = hunt._better(state, hunt._contest(state), FLOOR)
+    better = hunt._better(state, hunt.seen.contest(state), FLOOR)
     assert [s.name for s in better] == ["velocity_restitution"]
-    assert hunt._better(better, hunt._contest(better), FLOOR) is None
+    assert hunt._better(better, hunt.seen.contest(better), FLOOR) is None
 
 
 def test_an_effect_that_is_not_needed_is_dropped(monkeypatch):
     few(monkeypatch)
     hunt, state = hunted(Model().replace({"velocity_restitution.e": 0.01}), "rolling_quadratic", "velocity_restitution")
-    better = hunt._better(state, hunt._contest(state), FLOOR)
+    better = hunt._better(state, hunt.seen.contest(state), FLOOR)
     assert [s.name for s in better] == ["velocity_restitution"]
 
 
@@ -113,7 +118,7 @@ def test_a_wrong_beginning_is_shed_and_what_is_not_claimed_dropped(monkeypatch):
         "stribeck"
     ]
     (own,) = hunt.begin(["stribeck"], Model().replace({"stribeck.rise": 0.1, "stribeck.slip": 0.2}))
-    fitted = hunt.fits[frozenset([own])]
+    fitted = hunt.seen.fits[frozenset([own])]
     assert "stribeck.slip" in fitted.names
     assert fitted.chi2 == pytest.approx(found.best.chi2, abs=0.1)
     clips, base, noise = started(Model())
@@ -167,25 +172,9 @@ def test_the_simpler_of_two_that_fit_as_well_is_named(monkeypatch):
 def test_a_slightly_better_fit_is_no_reason_for_more_parameters(monkeypatch):
     """A wave of 1 m is a tilt: which of the two fits better is chance."""
     tilt, wave = (frozenset({s}) for s in suspects(Model(), BASE) if s.name in ("plate_tilt", "plate_waviness"))
-    hunt = object.__new__(_Hunt)
     for better, simplest in ((-5.0, tilt), (5.0, tilt), (20.0, wave)):
-        monkeypatch.setattr(_Hunt, "_price", lambda self, key, b=better: 100.0 - b * (key == wave))
-        assert hunt._simplest([wave, tilt]) == simplest
-
-
-def test_one_of_two_that_together_hold_the_ball_at_rest_can_be_taken_away(monkeypatch):
-    """A tilt too steep for a ball to rest, against the slope of a wave."""
-    few(monkeypatch, ("plate_tilt", "plate_waviness"))
-    clips, base, noise = started(Model())
-    hunt, names = _Hunt(clips, noise, base, lambda: None), (*BASE, "plate_tilt.x", "plate_waviness.b")
-    values = {"plate_tilt.x": 2e-3, "plate_waviness.b": 3.2e-5, "plate_waviness.wavelength": 0.1}
-    both = linearised(hunt.evidence, base.model.replace(values), names, base.launches)
-    (wave,) = (s for s in suspects(Model(), BASE) if s.name == "plate_waviness")
-    with pytest.raises(ValueError, match="rest"):
-        hunt.evidence.left(wave.without(both.model), both.launches)
-    left = hunt._without(both, wave)
-    assert left.names == (*BASE, "plate_tilt.x")
-    assert left.chi2 == pytest.approx(base.chi2)
+        monkeypatch.setattr(Visited, "price", lambda self, key, b=better: 100.0 - b * (key == wave))
+        assert _Hunt(object.__new__(Visited))._simplest([wave, tilt]) == simplest
 
 
 def test_a_shape_that_says_nothing_is_undetermined(monkeypatch):
@@ -242,36 +231,6 @@ def test_a_search_is_as_strict_as_its_library_is_large(monkeypatch):
     assert search(clips, base, noise).claim == FLOOR
 
 
-def test_a_shape_that_went_astray_is_found_again():
-    truth = {"hop.share": 1.0, "hop.bounce": 0.4}
-    clips = collisions(Model().replace(truth), 4, 3)
-    noise = estimate(clips)
-    base = fit(clips, Model(), BASE, noise)
-    hunt, hop = _Hunt(clips, noise, base, lambda: None), next(s for s in suspects(Model(), BASE) if s.name == "hop")
-    lost = linearised(hunt.evidence, Model().replace(truth | {"hop.bounce": 0.0}), (*BASE, *truth), base.launches)
-    blind = np.append(np.ones(len(BASE) + 1), 0.0)  # nothing tells that a higher bounce would be better
-    lost = dataclasses.replace(lost, slopes=tuple(x * blind for x in lost.slopes))
-    found = hunt._astray((hop,), lost)
-    assert found.model.value("hop.bounce") == pytest.approx(0.4, abs=3.5 * found.std["hop.bounce"])
-    assert found.std["hop.bounce"] < 0.1
-    assert found.chi2 < lost.chi2 - 100
-
-
-def test_a_neighbouring_minimum_is_left_once_another_effect_is_in():
-    """Friction that rises steeply in the slowest slip looks, without the drag, like one that rises gently."""
-    truth = {"stribeck.rise": 0.0825, "stribeck.slip": 0.0613, "air_drag.share": 0.59}
-    clips = collisions(Model().replace(truth), 12, 3)
-    noise = estimate(clips)
-    base = fit(clips, Model(), BASE, noise)
-    hunt = _Hunt(clips, noise, base, lambda: None)
-    state = tuple(s for s in suspects(Model(), BASE) if s.name in ("stribeck", "air_drag"))
-    steep = truth | {"stribeck.rise": 1.9, "stribeck.slip": 0.0116}
-    stuck = settle(hunt.evidence, linearised(hunt.evidence, Model().replace(steep), (*BASE, *truth), base.launches))
-    found = hunt._astray(state, stuck)
-    assert found.chi2 < stuck.chi2 - 10
-    assert found.model.value("stribeck.slip") == pytest.approx(0.0613, abs=3.5 * found.std["stribeck.slip"])
-
-
 def test_the_error_of_a_law_with_a_kink_reaches_to_its_other_minima(monkeypatch):
     """Where all impacts slip, only share times mu is known; at a kink chi^2 bends sharply all the same."""
     few(monkeypatch, ("ball_friction", "velocity_restitution"))
@@ -320,8 +279,8 @@ def test_a_begun_state_keeps_a_better_fit_that_is_known(monkeypatch):
     few(monkeypatch, ("stribeck", "rolling_quadratic"))
     clips, base, noise = started(Model().replace({"stribeck.rise": 0.1, "stribeck.slip": 0.06}))
     found = search(clips, base, noise)
-    alone = _Hunt(clips, noise, base, lambda: None)
+    alone = _Hunt(visited(clips, base, noise))
     for hunt in (alone, found.hunt):
         state = hunt.begin(["stribeck"], Model().replace({"stribeck.rise": 0.01, "stribeck.slip": 0.004}))
-    assert alone.fits[frozenset(state)].chi2 > found.best.chi2 + 10
-    assert found.hunt.fits[frozenset(state)] is found.best
+    assert alone.seen.fits[frozenset(state)].chi2 > found.best.chi2 + 10
+    assert found.hunt.seen.fits[frozenset(state)] is found.best

@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from discrepancy.fit import derivative
+from discrepancy.derivative import derivative
 from discrepancy.forecast import forecast
 from discrepancy.parameter import fitted, suspects
 from discrepancy.scan import scannable, scanned

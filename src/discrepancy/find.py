@@ -14,9 +14,10 @@ from discrepancy.elsewhere import spread
 from discrepancy.filled import Filled
 from discrepancy.fit import Evidence, Fit, fit, settle
 from discrepancy.gap import Shown, as_dict, show
+from discrepancy.grow import grown
 from discrepancy.locate import Place, locate
 from discrepancy.measured import Measured, cannot_tell, split
-from discrepancy.name import Search, added, search
+from discrepancy.name import Search, search
 from discrepancy.named import Named, determined
 from discrepancy.noise import Noise, estimate
 from discrepancy.odd import odd
@@ -176,9 +177,9 @@ def find(clips: Sequence[Measured], model: Model, tick: Tick = lambda stage: Non
     noise = _noise(some)
     # read without any claim first: one made with too little noise could explain the rest of the noise away
     noise = refined(some, _base(some, model, noise, tick), noise, explained=False)
-    gone = 0
+    gone, former = 0, None
     for turn in range(ROUNDS):
-        hunt, slot, nearly = _hunt(some, model, noise, tick)
+        hunt, slot, nearly = _hunt(some, model, noise, tick, former)
         best, cleaned = (slot.whole, slot.evidence.clips) if slot else (hunt.best, some)
         if turn == ROUNDS - 1:
             break
@@ -186,14 +187,14 @@ def find(clips: Sequence[Measured], model: Model, tick: Tick = lambda stage: Non
         if strange:
             gone += len(strange)
             left_out += strange.values()
-            some = [c for k, c in enumerate(some) if k not in strange]
+            some, former = [c for k, c in enumerate(some) if k not in strange], None
             continue
         better = refined(cleaned, best, noise)
         if better is noise and nearly:  # the library's model may lack what the slot has, and call it noise
             better = refined(nearly.evidence.clips, nearly.whole, noise)
         if better is noise:
             break
-        noise = better
+        noise, former = better, hunt
     tick("where")
     where = locate(some, hunt.base, noise)
     left = locate(cleaned, best, noise) if best is not hunt.base else where
@@ -241,12 +242,15 @@ def _shown(clips: Sequence[Measured], hunt: Search, slot: Filled | None, noise: 
 
 
 def _hunt(
-    clips: Sequence[Measured], model: Model, noise: Noise, tick: Tick
+    clips: Sequence[Measured], model: Model, noise: Noise, tick: Tick, former: Search | None
 ) -> tuple[Search, Filled | None, Filled | None]:
-    """What the library names; the slot that explains more, if one does; one that explains nearly as much."""
+    """What the library names; the slot that explains more, if one does; one that explains nearly as much.
+
+    former: the search of the same clips with another noise.
+    """
     base = _base(clips, model, noise, tick)
     free = Slots(Evidence.of(clips, noise), base, lambda: tick("slots"))
-    found = search(clips, base, noise, lambda: tick("search"), free.beat)
+    found = search(clips, base, noise, lambda: tick("search"), free.beat, former)
     slot = free.outcome(found.best)
     beside = slot.beside(base) if slot else {}
     again = found.from_here(beside, slot.plain) if slot and beside else None
@@ -383,7 +387,7 @@ def add(clips: Sequence[Measured], model: Model, effect: str, tick: Tick = lambd
         why = f"; without it chi^2 is {far:.3g} a degree of freedom: something larger is missing" if far > POOR else ""
         raise InputError(f"{effect}: these collisions cannot tell it: the fit absorbs it, or it hardly shows{why}")
     suspect, best = candidate.suspect, contest.sharper(evidence, candidate)
-    now = settle(evidence, added(evidence, base, best, lambda: tick("search")), lambda: tick("search"), fresh=False)
+    now = settle(evidence, grown(evidence, base, best, lambda: tick("search")), lambda: tick("search"), fresh=False)
     sigma = sigmas(base.chi2 - now.chi2, len(suspect.strengths), contest.looks[effect])
     std = now.std | spread(evidence, base, now, suspect)
     return Added(base, now, _named(suspect, now, std, sigma), tuple(left_out))

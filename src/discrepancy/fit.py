@@ -7,9 +7,7 @@ grows linearly with the number of clips. Derivatives are kept for as long as chi
 from __future__ import annotations
 
 import dataclasses
-import itertools
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -17,18 +15,18 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
+from discrepancy.derivative import coupling, derivatives, launch_derivatives
 from discrepancy.forecast import forecast
 from discrepancy.measured import Measured
 from discrepancy.noise import Noise
-from discrepancy.parameter import BASE, FINE, limits_of, parameter_of, span_of, step_of
+from discrepancy.parameter import BASE, limits_of, parameter_of, span_of
 from discrepancy.whiten import Whitener
+from synthcam.dynamics import uncoupled
 from synthcam.model import Model
 
 Array = NDArray[np.float64]
-__all__ = ["BASE", "Evidence", "Fit", "Whitener", "derivative", "fit", "settle"]
+__all__ = ["BASE", "Evidence", "Fit", "Whitener", "fit", "settle"]
 
-LAUNCH_STEP = 1e-6  # m, s, m/s, rad, 1
-AT_ONCE = 64  # clips whose launches are nudged in one batch
 ITERATIONS = 40
 SETTLED = 1e-3  # of chi^2
 ROUGH = 0.1  # of chi^2: enough to see which of two models fits better
@@ -121,6 +119,15 @@ class Fit:
             pull += left.T @ r
         return gram, pull
 
+    def seen_by(self, before: Evidence, evidence: Evidence) -> Fit:
+        """The same place with the same clips' noise read anew; before: as it was."""
+        size, parts = len(self.names), []
+        every = zip(before.whiteners, self.launch_slopes, self.slopes, self.residuals, strict=True)
+        for white, (old, *columns) in zip(evidence.whiteners, every, strict=True):
+            parts.append(white(old.undo(np.column_stack(columns))))
+        own, shared, left = (tuple(p[:, s] for p in parts) for s in (slice(6), slice(6, 6 + size), -1))
+        return dataclasses.replace(self, residuals=left, slopes=shared, launch_slopes=own)
+
     def extended(self, model: Model, names: Sequence[str], columns: Sequence[Array]) -> Fit:
         """With more shared parameters: their derivatives, (2n, k) for each clip, taken where this fit stands."""
         slopes = tuple(np.concatenate(both, axis=1) for both in zip(self.slopes, columns, strict=True))
@@ -143,68 +150,6 @@ def off(absorbing: Array, columns: Array) -> Array:
     """Columns less their projection on the span of others."""
     q = basis(absorbing)
     return np.asarray(columns - q @ (q.T @ columns))
-
-
-def derivative(
-    model: Model, launches: Array, clips: Sequence[Measured], name: str, here: Sequence[Array] | None = None
-) -> list[Array]:
-    """d forecast / d a shared parameter, (n_k, 2) each: central, one-sided at a limit.
-
-    A limit may also be where the motion ends to exist, as when a tilt sets the resting ball rolling; zero when there is
-    none to either side. here: the forecast itself; a short forward difference from there then serves where it can.
-    """
-    value, step, (low, high) = model.value(name), step_of(model, name), limits_of(model, name)
-    ends = []
-    if here is not None and value + FINE * step <= high:
-        try:
-            ahead = forecast(model.replace({name: value + FINE * step}), launches, clips)
-            return [(a - b) / (FINE * step) for a, b in zip(ahead, here, strict=True)]
-        except ValueError:
-            pass
-    for end in (min(value + step, high), max(value - step, low)):
-        try:
-            ends.append((end, forecast(model.replace({name: end}), launches, clips)))
-        except ValueError:
-            ends.append((value, forecast(model, launches, clips)))
-    (up, ahead), (down, behind) = ends
-    return [(a - b) / (up - down) if up > down else 0 * a for a, b in zip(ahead, behind, strict=True)]
-
-
-def launch_derivatives(model: Model, launches: Array, clips: Sequence[Measured]) -> tuple[list[Array], list[Array]]:
-    """The forecast (n_k, 2) and its derivatives (n_k, 2, 6) by each clip's own launch, many in one batch.
-
-    At the edge of where a ball can rest they are taken to the side that has a motion; zero where neither has.
-    """
-    here: list[Array] = []
-    slopes: list[Array] = []
-    for first in range(0, len(clips), AT_ONCE):
-        some, places = clips[first : first + AT_ONCE], launches[first : first + AT_ONCE]
-        try:
-            parts = [_nudged(model, places, some)]
-        except ValueError:
-            parts = [_at_the_edge(model, place, clip) for place, clip in zip(places, some, strict=True)]
-        here += [h for part, _ in parts for h in part]
-        slopes += [s for _, part in parts for s in part]
-    return here, slopes
-
-
-def _nudged(model: Model, launches: Array, clips: Sequence[Measured]) -> tuple[list[Array], list[Array]]:
-    nudges, k = LAUNCH_STEP * np.concatenate([np.zeros((1, 6)), np.eye(6)]), len(clips)
-    every = forecast(model, (launches[None] + nudges[:, None]).reshape(-1, 6), list(clips) * len(nudges))
-    slopes = [
-        np.stack([(every[(1 + j) * k + i] - every[i]) / LAUNCH_STEP for j in range(6)], axis=-1) for i in range(k)
-    ]
-    return every[:k], slopes
-
-
-def _at_the_edge(model: Model, launch: Array, clip: Measured) -> tuple[list[Array], list[Array]]:
-    (here,) = forecast(model, launch[None], [clip])
-    slopes = np.zeros((*here.shape, 6))
-    for j, step in itertools.product(range(6), (-LAUNCH_STEP, LAUNCH_STEP)):  # the later counts
-        with suppress(ValueError):
-            (there,) = forecast(model, (launch + step * np.eye(6)[j])[None], [clip])
-            slopes[..., j] = (there - here) / step
-    return [here], [slopes]
 
 
 def fit(
@@ -264,7 +209,7 @@ def settle(
 def linearised(evidence: Evidence, model: Model, names: tuple[str, ...], launches: Array) -> Fit:
     """The residuals and their derivatives at one place."""
     expected, own = launch_derivatives(model, launches, evidence.clips)
-    shared = [derivative(model, launches, evidence.clips, name, expected) for name in names]
+    shared = derivatives(model, launches, evidence.clips, names, expected)
     residuals = evidence.white([c.xy - e for c, e in zip(evidence.clips, expected, strict=True)])
     if names:
         slopes = evidence.white([np.stack([s[k] for s in shared], axis=-1) for k in range(len(expected))])
@@ -297,6 +242,34 @@ def nudged(evidence: Evidence, now: Fit, model: Model) -> Fit | None:
         return None
     further = _moved(evidence, there, *_step(there, 0.0))
     return further if further and further.chi2 < there.chi2 else there
+
+
+def likeliest(evidence: Evidence, now: Fit, tries: Sequence[Mapping[str, float]]) -> Mapping[str, float] | None:
+    """Of values of the same parameters those that fit best when all else gives way, to first order. None: no motion."""
+    names = tuple(tries[0])
+    kept, (here, *there) = now.reduced(now.model, names), _beside(now, evidence.clips, names, [{}, *tries])
+    best, least = None, np.inf
+    for values, places in zip(tries, there, strict=True):
+        if here is None or places is None:
+            continue
+        off = evidence.white([a - b for a, b in zip(here, places, strict=True)])
+        look = dataclasses.replace(kept, residuals=tuple(r + o for r, o in zip(now.residuals, off, strict=True)))
+        if (chi2 := _foretold(look, *_step(look, 0.0))) < least:
+            best, least = values, chi2
+    return best
+
+
+def _beside(
+    now: Fit, clips: Sequence[Measured], names: Sequence[str], tries: Sequence[Mapping[str, float]]
+) -> Iterator[list[Array] | None]:
+    """The forecasts with other values of some parameters; without the push between balls where they are not of it."""
+    plain = uncoupled(now.model)
+    model = now.model if coupling(now.model, plain) & {n.partition(".")[0] for n in names} else plain
+    for values in tries:
+        try:
+            yield forecast(model.replace(values), now.launches, clips)
+        except ValueError:
+            yield None
 
 
 def _moved(evidence: Evidence, now: Fit, values: Mapping[str, float], own: Array) -> Fit | None:

@@ -62,7 +62,7 @@ def _exposed(model: Model, motion: Batch, camera: Camera, film: Array, exposure:
 
 def _heights(motion: Batch, opens: Array, exposure: float) -> Array:
     """Of the centres, means over the exposures by Simpson's rule, (2, clips, frames, 1), m: some hop."""
-    first, middle, last = (motion.at(opens + share * exposure)[..., 2:3] for share in (0.0, 0.5, 1.0))
+    first, middle, last = (motion.heights(opens + share * exposure)[..., None] for share in (0.0, 0.5, 1.0))
     return np.asarray((first + 4 * middle + last) / 6)
 
 

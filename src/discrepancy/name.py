@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -12,16 +11,15 @@ from numpy.typing import NDArray
 
 from discrepancy.candidate import Candidate
 from discrepancy.claim import FLOOR, sigmas
-from discrepancy.elsewhere import GAINED, spread
-from discrepancy.fit import Evidence, Fit, derivative, linearised, nudged, settle, telling
-from discrepancy.forecast import forecast
+from discrepancy.elsewhere import spread
+from discrepancy.fit import Evidence, Fit, linearised, settle
 from discrepancy.measured import Measured
 from discrepancy.named import ALIAS, Named, determined, sums
 from discrepancy.noise import Noise
-from discrepancy.parameter import Suspect, limits_of, parameter_of, suspects_of
+from discrepancy.parameter import Suspect, suspects_of
 from discrepancy.price import price
 from discrepancy.rank import LIMIT, Contest, likeness
-from discrepancy.scan import scannable
+from discrepancy.visited import Visited
 from synthcam.model import Model
 
 Array = NDArray[np.float64]
@@ -30,8 +28,6 @@ MOST = 4  # effects named in one search: more together can imitate what is in no
 PART = 9.5  # of chi^2, all freedom paid for: a rival that is worse by less is not excluded
 NEAR, LOOSE = 15.0, 0.2  # of chi^2, and of what an effect explains: what the score may be wrong by
 RIVALS, SWAPS = 8, 4  # refitted, at most, beside a leader and in the place of a named effect
-KEPT = 0.5  # of the gain that the score promises
-STARTS, FAR = (0.1, 0.3, 1.0), 2  # of a realistic size, where the way is too far for the score; that many are followed
 
 
 @dataclass(frozen=True)
@@ -68,7 +64,7 @@ class Search:
     @property
     def rivals(self) -> list[Fit]:
         """All models visited with as many effects as are named."""
-        return self.hunt.rivals(self.state)
+        return self.hunt.seen.rivals(self.state)
 
     @cached_property
     def untold(self) -> tuple[str, ...]:
@@ -82,119 +78,69 @@ def search(
     noise: Noise,
     tick: Callable[[], None] = lambda: None,
     enough: Callable[[Fit, Sequence[Fit]], bool] = lambda now, rivals: False,
+    former: Search | None = None,
 ) -> Search:
     """Name effects one by one until none scores what chance may; each time drop or exchange what then fits better.
 
     Base parameters held at zero are suspects too: those that `base` has not fitted. enough: asked of each fit on the
-    way and of those of as many suspects, ends the search.
+    way and of those of as many suspects, ends the search. former: of the same clips with another noise; models that it
+    has fitted are fitted from where they then stood.
     """
-    return _Hunt(clips, noise, base, tick).outcome(enough)
-
-
-def added(evidence: Evidence, now: Fit, candidate: Candidate, tick: Callable[[], None] = lambda: None) -> Fit:
-    """The fit with a candidate's strengths, and its shapes once they mean something, fitted too; roughly settled.
-
-    From where the score leads; if that keeps less than it promised, from realistic sizes as well. A base parameter held
-    at zero is far from there.
-    """
-    tries = [] if candidate.suspect.kind is None else [_from_here(evidence, now, candidate, tick)]
-    if not tries or tries[0].chi2 > now.chi2 - KEPT * candidate.gain:
-        tries += [settle(evidence, start, tick, rough=True) for start in _far(evidence, now, candidate)]
-    return min(tries, key=lambda f: f.chi2, default=now)
-
-
-def _from_here(evidence: Evidence, now: Fit, candidate: Candidate, tick: Callable[[], None]) -> Fit:
-    suspect, model = candidate.suspect, now.model.replace(candidate.shapes)
-    grown = settle(evidence, now.extended(model, candidate.strengths, candidate.columns), tick, fresh=False, rough=True)
-    if not suspect.shapes or all(grown.model.value(s) == 0 for s in candidate.strengths):
-        return grown
-    here = forecast(grown.model, grown.launches, evidence.clips)
-    slopes = [derivative(grown.model, grown.launches, evidence.clips, s, here) for s in suspect.shapes]
-    columns = evidence.white([np.stack([s[k] for s in slopes], axis=-1) for k in range(len(here))])
-    columns = telling(grown.model, suspect.shapes, columns)
-    return settle(evidence, grown.extended(grown.model, suspect.shapes, columns), tick, fresh=False, rough=True)
-
-
-def _far(evidence: Evidence, now: Fit, candidate: Candidate) -> list[Fit]:
-    """Places to start from with a single strength at realistic sizes: those that fit best when the rest gives way."""
-    suspect = candidate.suspect
-    if len(suspect.strengths) > 1:
-        return []
-    name = suspect.strengths[0]
-    size, (low, high) = parameter_of(now.model, name).scale, limits_of(now.model, name)
-    looks: list[Fit] = []
-    for shapes in suspect.grid(now.model):
-        for value in (sign * share * size for share in STARTS for sign in (1, -1)):
-            if low <= value <= high:
-                look = nudged(evidence, now, now.model.replace({**shapes, name: value}))
-                looks += [look] if look else []
-    best = sorted(looks, key=lambda f: f.chi2)[:FAR]
-    names = (*now.names, name, *suspect.shapes)
-    return [linearised(evidence, f.model, names, f.launches) for f in best]
+    seen = Visited(Evidence.of(clips, noise), base, tick, former.hunt.seen if former else None)
+    return _Hunt(seen).outcome(enough)
 
 
 class _Hunt:
-    """The models visited, by the suspects in them, and the way through them."""
+    """The way through the models visited."""
 
-    def __init__(self, clips: Sequence[Measured], noise: Noise, base: Fit, tick: Callable[[], None]) -> None:
-        self.evidence, self.tick = Evidence.of(clips, noise), tick
-        self.fits: dict[frozenset[Suspect], Fit] = {frozenset(): base}
-        self.last: Contest | None = None  # the only one kept: it holds every suspect's derivatives
+    def __init__(self, seen: Visited) -> None:
+        self.seen = seen
         self.looks: dict[str, float] = {}  # at the shapes of each suspect
         self.blind: set[str] = set()  # what the base fit absorbs is no rival; beside another effect it only seems to be
-        self.sure: set[frozenset[Suspect]] = {frozenset()}  # whose fits are settled to the end
-        self.latest: dict[frozenset[Suspect], Suspect] = {}  # added with a look at all its shapes
 
     def outcome(self, enough: Callable[[Fit, Sequence[Fit]], bool], state: tuple[Suspect, ...] = ()) -> Search:
         """state: what to begin with."""
         ranking, claim = self._first
         begun = state
         while len(state) < MOST:
-            winner = self._winner(state, self._contest(state), claim)
+            winner = self._winner(state, self.seen.contest(state), claim)
             if winner is None:
                 break
-            grown = self._bettered((*state, winner), claim)
-            if len(grown) <= len(state) and self._price(grown) >= self._price(state):  # round in a circle
+            more = self._bettered((*state, winner), claim)
+            if len(more) <= len(state) and self.seen.price(more) >= self.seen.price(state):  # round in a circle
                 break
-            state = grown
-            if enough(self._settled(state), self.rivals(state)):
+            state = more
+            if enough(self.seen.settled(state), self.seen.rivals(state)):
                 break
         if state == begun:
             state = self._bettered(state, claim)
-        return Search(self._settled(()), self._settled(state), ranking, claim, state, self)
+        return Search(self.seen.settled(()), self.seen.settled(state), ranking, claim, state, self)
 
     @cached_property
     def _first(self) -> tuple[tuple[Candidate, ...], float]:
         """The base's ranking, and the sigma needed; what is known before any search."""
-        contest = self._contest(())
+        contest = self.seen.contest(())
         ranking, self.looks = contest.ranking(), contest.looks
         self.blind = {c.effect for c in ranking if c.absorbed}
         return ranking, max(contest.claim(), FLOOR)
 
     def begin(self, effects: Iterable[str], model: Model) -> tuple[Suspect, ...]:
         """A state to search on from: these effects, as a model has them, fitted. Raises ValueError without a motion."""
-        base = self.fits[frozenset()]
+        base = self.seen.base
         known = suspects_of(model, base.model, base.names)
         state = tuple(known[effect] for effect in effects)
         names = (*base.names, *(n for s in state for n in s.strengths + s.shapes))
         begun = base.model.replace({n: model.value(n) for n in names})
-        start = linearised(self.evidence, begun, names, base.launches)
-        key, found = frozenset(state), settle(self.evidence, start, self.tick)
-        if key not in self.fits or found.chi2 < self.fits[key].chi2:
-            self.fits[key] = found
-            self.sure.discard(key)
+        start = linearised(self.seen.evidence, begun, names, base.launches)
+        self.seen.offer(frozenset(state), settle(self.seen.evidence, start, self.seen.tick))
         return state
-
-    def rivals(self, state: Collection[Suspect]) -> list[Fit]:
-        """All models visited with as many suspects."""
-        return [f for key, f in self.fits.items() if len(key) == len(state)]
 
     def _bettered(self, state: tuple[Suspect, ...], claim: float) -> tuple[Suspect, ...]:
         """A state with suspects dropped and exchanged until nothing is better."""
         before: set[frozenset[Suspect]] = set()
         while state:
             before.add(frozenset(state))
-            better = self._better(state, self._contest(state), claim)
+            better = self._better(state, self.seen.contest(state), claim)
             if better is None or frozenset(better) in before:
                 break
             state = better
@@ -202,77 +148,15 @@ class _Hunt:
 
     def named(self, state: tuple[Suspect, ...]) -> tuple[Named, ...]:
         """What is known of each of the effects in a model."""
-        return tuple(self._named(state, k, self._contest(state)) for k in range(len(state)))
+        return tuple(self._named(state, k, self.seen.contest(state)) for k in range(len(state)))
 
     def untold(self, state: tuple[Suspect, ...]) -> tuple[str, ...]:
         """Effects that the collisions could not show beside those of a model."""
-        return tuple(c.effect for c in self._contest(state).ranking() if not c.telling)
+        return tuple(c.effect for c in self.seen.contest(state).ranking() if not c.telling)
 
     def _sigma(self, chi2: float, suspect: Suspect) -> float:
         """Of what a suspect explains, corrected for the looks at its shapes."""
         return sigmas(chi2, len(suspect.strengths), self.looks.get(suspect.name, 1.0))
-
-    def _contest(self, state: Sequence[Suspect]) -> Contest:
-        now = self._settled(state)
-        if self.last is None or self.last.now is not now:
-            self.last = None  # before there is another
-            self.last = Contest.of(self.evidence, now, self.tick)
-        return self.last
-
-    def _settled(self, state: Sequence[Suspect]) -> Fit:
-        key = frozenset(state)
-        if key not in self.fits:
-            self.fits[key] = self._reduced(state)
-        if key not in self.sure:
-            self.fits[key] = self._astray(state, settle(self.evidence, self.fits[key], self.tick, fresh=False))
-            self.sure.add(key)
-        return self.fits[key]
-
-    def _astray(self, state: Iterable[Suspect], now: Fit) -> Fit:
-        """The fit, or one from other shapes where that is better: far from the truth chi^2 may be flat in them."""
-        for suspect in state:
-            tries = list(suspect.grid(suspect.without(now.model)))
-            if len(tries) < 2:
-                continue
-            if not scannable(suspect, tries):  # a strong effect's shapes show only at that strength
-                looks = [nudged(self.evidence, now, now.model.replace(shapes)) for shapes in tries]
-                now = self._or_better(now, min((f for f in looks if f), key=lambda f: f.chi2, default=now))
-            if suspect is self.latest.get(frozenset(state)):
-                continue
-            reduced = self._without(now, suspect)
-            contest = Contest.of(self.evidence, reduced, self.tick, [suspect])
-            candidate = contest.sharper(self.evidence, contest.ranking()[0])
-            if contest.chi2() - candidate.gain < now.chi2 - GAINED:
-                now = self._or_better(now, added(self.evidence, reduced, candidate, self.tick))
-        return now
-
-    def _or_better(self, now: Fit, other: Fit) -> Fit:
-        """The other fit, settled, where it is better."""
-        if other.chi2 >= now.chi2:
-            return now
-        return min(now, settle(self.evidence, other, self.tick, fresh=False), key=lambda f: f.chi2)
-
-    def _reduced(self, state: Sequence[Suspect]) -> Fit:
-        """A fit of a part of some model visited."""
-        larger = min((k for k in self.fits if k > frozenset(state)), key=len)
-        now = self.fits[larger]
-        for suspect in larger - frozenset(state):
-            now = self._without(now, suspect)
-        return now
-
-    def _without(self, now: Fit, suspect: Suspect) -> Fit:
-        reduced = now.reduced(suspect.without(now.model), suspect.strengths + suspect.shapes)
-        try:
-            return dataclasses.replace(reduced, residuals=self.evidence.left(reduced.model, reduced.launches))
-        except ValueError:  # two effects held the ball at rest together: begin without either
-            base = self.fits[frozenset()]
-            gone = [n for n in reduced.names if n not in base.names and not parameter_of(reduced.model, n).fixed]
-            model = reduced.model.replace({n: base.model.value(n) for n in base.names} | dict.fromkeys(gone, 0.0))
-            return linearised(self.evidence, model, reduced.names, base.launches)
-
-    def _price(self, state: Iterable[Suspect]) -> float:
-        """chi^2 with what strengths and shapes cost."""
-        return price(self.fits[frozenset(state)], self.fits[frozenset()])
 
     def _winner(self, state: tuple[Suspect, ...], contest: Contest, claim: float) -> Suspect | None:
         """What is to be added: the leader, or the rival that fits best with it. None when nothing is claimed."""
@@ -283,30 +167,30 @@ class _Hunt:
         rivals = self._contenders(contest, ranking, claim)
         for c in rivals:
             key = frozenset({*state, c.suspect})
-            if key not in self.fits:
-                self.fits[key], self.latest[key] = added(self.evidence, now, c, self.tick), c.suspect
-        keys = sorted((frozenset({*state, c.suspect}) for c in rivals), key=self._price)
+            if not self.seen.known(key):
+                self.seen.grow(key, now, c)
+        keys = sorted((frozenset({*state, c.suspect}) for c in rivals), key=self.seen.price)
         for key in keys:
-            if self._price(key) < self._price(keys[0]) + NEAR:
-                self._settled(tuple(key))
+            if self.seen.price(key) < self.seen.price(keys[0]) + NEAR:
+                self.seen.settled(tuple(key))
         said = {key: next(iter(key - frozenset(state))) for key in keys}
-        claimed = [k for k in keys if self._sigma(now.chi2 - self.fits[k].chi2, said[k]) > claim]
-        return said[self._simplest(claimed)] if min(keys, key=self._price) in claimed else None
+        claimed = [k for k in keys if self._sigma(now.chi2 - self.seen.fits[k].chi2, said[k]) > claim]
+        return said[self._simplest(claimed)] if min(keys, key=self.seen.price) in claimed else None
 
     def _simplest(self, keys: Collection[frozenset[Suspect]]) -> frozenset[Suspect]:
         """Of models that fit as well as the best, the one with the fewest strengths, then shapes, then the best fit."""
-        near = min(map(self._price, keys)) + PART
+        near = min(map(self.seen.price, keys)) + PART
 
         def order(key: frozenset[Suspect]) -> tuple[int, int, float]:
             effects = [s for s in key if s.kind is not None]
-            return sum(len(s.strengths) for s in effects), sum(len(s.shapes) for s in effects), self._price(key)
+            return sum(len(s.strengths) for s in effects), sum(len(s.shapes) for s in effects), self.seen.price(key)
 
-        return min((k for k in keys if self._price(k) <= near), key=order)
+        return min((k for k in keys if self.seen.price(k) <= near), key=order)
 
     def _contenders(self, contest: Contest, ranking: Sequence[Candidate], claim: float) -> list[Candidate]:
         """Those that may fit as well as the leader, or better; their shapes made out more finely."""
-        most = ranking[0].gain
-        chosen = [contest.sharper(self.evidence, c) if c.gain > most / 2 - NEAR else c for c in ranking if c.gain > 0]
+        evidence, least = self.seen.evidence, ranking[0].gain / 2 - NEAR
+        chosen = [contest.sharper(evidence, c) if c.gain > least else c for c in ranking if c.gain > 0]
         leader = max(chosen, key=lambda c: c.sigma)
         near = [
             c
@@ -323,20 +207,20 @@ class _Hunt:
         for k, suspect in enumerate(state):
             rest, rise = state[:k] + state[k + 1 :], contest.chi2(suspect) - now.chi2
             if self._sigma(rise, suspect) < 2 * claim:
-                kept = self._settled(rest)
+                kept = self.seen.settled(rest)
                 if self._sigma(kept.chi2 - now.chi2, suspect) < claim:
                     return rest
             reduced, keys = None, {frozenset(state): suspect}
             for c in self._rivals(contest, suspect):
                 key = frozenset({*rest, c.suspect})
                 keys[key] = c.suspect
-                if key not in self.fits:
-                    reduced = reduced or self._without(now, suspect)
-                    best = contest.sharper(self.evidence, c, suspect)
-                    self.fits[key], self.latest[key] = added(self.evidence, reduced, best, self.tick), c.suspect
-                if self._price(key) < self._price(state) + NEAR:
-                    self._settled(tuple(key))
-                if self._price(key) < self._price(state) - PART:
+                if not self.seen.known(key):
+                    reduced = reduced or self.seen.without(now, suspect)
+                    best = contest.sharper(self.seen.evidence, c, suspect)
+                    self.seen.grow(key, reduced, best)
+                if self.seen.price(key) < self.seen.price(state) + NEAR:
+                    self.seen.settled(tuple(key))
+                if self.seen.price(key) < self.seen.price(state) - PART:
                     return (*state[:k], c.suspect, *state[k + 1 :])
             simplest = self._simplest(keys)
             if simplest != frozenset(state):
@@ -354,9 +238,9 @@ class _Hunt:
     def _named(self, state: tuple[Suspect, ...], k: int, contest: Contest) -> Named:
         suspect, now = state[k], contest.now
         rest = frozenset(state) - {suspect}
-        worse = self._settled(tuple(rest)).chi2 - now.chi2
-        others = {key - rest: self._price(key) for key in self.fits if len(key) == len(state) and key > rest}
-        near = sorted((p, next(iter(s)).name) for s, p in others.items() if p < self._price(state) + PART)
+        worse = self.seen.settled(tuple(rest)).chi2 - now.chi2
+        others = {key - rest: self.seen.price(key) for key in self.seen.fits if len(key) == len(state) and key > rest}
+        near = sorted((p, next(iter(s)).name) for s, p in others.items() if p < self.seen.price(state) + PART)
         ranking = tuple(c for c in contest.ranking(suspect) if c.telling and c.effect not in self.blind)
         if suspect.kind is None:  # an effect can always bend a law to a constant: no rival to the constant itself
             ranking = tuple(c for c in ranking if c.suspect.kind is None)
@@ -366,7 +250,7 @@ class _Hunt:
         cosines = sorted(((likeness(own, c.signature), c.effect) for c in ranking), reverse=True)
         told = max((c for c, effect in cosines if effect not in aliases), default=0.0)
         limit = {s: LIMIT * now.std[s] for s in suspect.strengths}
-        std = spread(self.evidence, self._without(now, suspect), now, suspect)
+        std = spread(self.seen.evidence, self.seen.without(now, suspect), now, suspect)
         return Named(
             suspect.name,
             {s: now.model.value(s) for s in suspect.strengths},

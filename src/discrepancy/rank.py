@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -12,7 +12,8 @@ from scipy.linalg import block_diag
 
 from discrepancy.candidate import Candidate, Score, Trial
 from discrepancy.claim import LEVEL, by_chance, looks_of, sigmas
-from discrepancy.fit import Evidence, Fit, basis, derivative
+from discrepancy.derivative import derivative
+from discrepancy.fit import Evidence, Fit, basis
 from discrepancy.forecast import forecast
 from discrepancy.parameter import Suspect, between, parameter_of, suspects
 from discrepancy.scan import scannable, scanned
@@ -81,6 +82,19 @@ class Contest:
                 trials += [tried(evidence, plain, now.launches, suspect, shapes, here) for shapes in grid]
             tick()
         return cls(now, tuple(trials))
+
+    def seen_by(self, now: Fit, before: Evidence, evidence: Evidence) -> Contest:
+        """The same derivatives with the noise read anew, at the fit with that; before: with which they are white."""
+        ends, parts = [s.stop for s in self._spans[:-1]], []
+        for white, old, columns in zip(evidence.whiteners, before.whiteners, self._every(), strict=True):
+            parts.append(np.split(white(old.undo(columns)), ends, axis=1))
+        every = zip(self.trials, zip(*parts, strict=True), strict=True)
+        return Contest(now, tuple(replace(trial, columns=columns) for trial, columns in every))
+
+    @property
+    def numbers(self) -> int:
+        """In all derivatives."""
+        return sum(c.size for t in self.trials for c in t.columns)
 
     @cached_property
     def _own(self) -> list[Array]:

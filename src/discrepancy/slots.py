@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from discrepancy.axis import Axis
-from discrepancy.fit import derivative
+from discrepancy.derivative import derivative
 from discrepancy.forecast import forecast, velocities
 from discrepancy.measured import Measured
 from discrepancy.response import Leg, responses

@@ -57,6 +57,7 @@ class Batch:
     slide_ends: Array = field(default_factory=lambda: np.empty(0))
     odd: set[int] = field(default_factory=set)  # collisions in which a ball stops and starts again: left to `solve`
     near: Ints = field(default_factory=lambda: np.empty(0, dtype=np.intp))  # collisions whose balls may meet again
+    radius: Array = field(default_factory=lambda: np.empty(0))  # (2n,)
 
     @property
     def size(self) -> int:
@@ -67,13 +68,17 @@ class Batch:
         own = np.broadcast_to(times, (2 * self.size, times.shape[-1]))
         out = np.empty((*own.shape, 9))
         for segment in self.segments:
-            mine, begins, ends = own[segment.who], segment.begins[:, None], segment.ends[:, None]
-            here = Packed((mine >= begins) & (mine <= ends))
-            if here.any:
-                states = segment.states(np.clip(here.gather(mine), begins, ends))
-                rows, columns = np.nonzero(here.mask)
-                out[segment.who[rows], columns] = states[here.inside]
+            _put(segment, own, out, slice(9))
         return out.reshape(2, self.size, own.shape[-1], 9)
+
+    def heights(self, times: Array) -> Array:
+        """Of the centres over the plate, m: (2, n, m), arguments as for `at`."""
+        own = np.broadcast_to(times, (2 * self.size, times.shape[-1]))
+        out = np.repeat(self.radius, own.shape[-1]).reshape(*own.shape, 1)
+        for segment in self.segments:
+            if segment.aloft:
+                _put(segment, own, out, slice(2, 3))
+        return out.reshape(2, self.size, own.shape[-1])
 
     def means(self, starts: Array, exposure: float) -> Array:
         """Centres (2, n, frames, 2) averaged over exposures, exact across every kink.
@@ -110,6 +115,16 @@ class Batch:
         return np.moveaxis(out.reshape(2, 2, self.size, own.shape[-1]), 0, -1)
 
 
+def _put(segment: Segment, times: Array, out: Array, part: slice) -> None:
+    """A part of the states of a segment's balls into out (2n, m, ...), at those of the times (2n, m) within it."""
+    mine, begins, ends = times[segment.who], segment.begins[:, None], segment.ends[:, None]
+    here = Packed((mine >= begins) & (mine <= ends))
+    if here.any:
+        states = segment.states(np.clip(here.gather(mine), begins, ends))
+        rows, columns = np.nonzero(here.mask)
+        out[segment.who[rows], columns] = states[here.inside, part]
+
+
 def collisions(model: Model, launches: Array, start: float, end: float, striker_is_a: Any = False) -> Batch:
     """The collisions of `launches` (n, 6), columns LAUNCH, from `start` to `end`, s.
 
@@ -126,9 +141,9 @@ def collisions(model: Model, launches: Array, start: float, end: float, striker_
     if model.laws.asks("push", "other"):
         led = together.collisions(model, (one, two), np.stack([target, striker]), t_c, float(start), float(end))
         breaks = np.stack(led.kinks, axis=1)
-        out = Batch(float(start), float(end), led.segments, breaks, led.slide_ends, led.odd)
+        out = Batch(float(start), float(end), led.segments, breaks, led.slide_ends, led.odd, radius=both.radius)
     else:
-        run = _Run(model, both, Batch(float(start), float(end)), np.concatenate([t_c, t_c]))
+        run = _Run(model, both, Batch(float(start), float(end), radius=both.radius), np.concatenate([t_c, t_c]))
         run.before(target, striker)
         hit = collide(model, target, striker, one, two)
         run.after(np.concatenate([hit.target, hit.striker]), hit.n[:, :2])

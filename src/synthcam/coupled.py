@@ -49,6 +49,10 @@ class Course:
     radius: Array
     gravity: float
 
+    @property
+    def aloft(self) -> bool:
+        return self.motion == "fly"
+
     def states(self, times: Array) -> Array:
         """(k, m, 9) at times (k, m)."""
         if self.motion == "rest":

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, ClassVar, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,6 +30,10 @@ class Segment(Protocol):
     @property
     def ends(self) -> Array: ...
 
+    @property
+    def aloft(self) -> bool:
+        """Whether a ball may be off the plate."""
+
     def states(self, times: Array) -> Array:
         """(k, m, 9) at times (k, m)."""
 
@@ -43,6 +47,7 @@ class Resting:
     begins: Array
     ends: Array
     state: Array
+    aloft: ClassVar[bool] = False
 
     def states(self, times: Array) -> Array:
         return np.repeat(self.state[:, None], times.shape[1], axis=1)
@@ -61,6 +66,7 @@ class Sliding:
     state: Array
     radius: Array
     slowing: Array
+    aloft: ClassVar[bool] = False
 
     def states(self, times: Array) -> Array:
         return slide(self.state, self.radius, self.slowing, times - self.begins[:, None])
@@ -84,6 +90,7 @@ class Rolling:
     radius: Array
     drag: float
     decel: float
+    aloft: ClassVar[bool] = False
 
     def states(self, times: Array) -> Array:
         return roll(self.state, self.radius, self.drag, self.decel, times - self.time[:, None])
@@ -108,6 +115,7 @@ class Flying:
     state: Array
     gravity: float
     plane: Rolls | None
+    aloft: ClassVar[bool] = True
 
     def states(self, times: Array) -> Array:
         out = fly(self.state, self.gravity, times - self.begins[:, None])
@@ -131,6 +139,7 @@ class BentSliding:
     begins: Array
     ends: Array
     found: Slides
+    aloft: ClassVar[bool] = False
 
     def states(self, times: Array) -> Array:
         return self.found.states(times - self.begins[:, None])
@@ -149,6 +158,7 @@ class BentRolling:
     stretch: Stretch
     radius: Array
     wz: Array
+    aloft: ClassVar[bool] = False
 
     @classmethod
     def of(cls, found: Rolls, who: Ints) -> list[BentRolling]:
@@ -177,6 +187,7 @@ class Alone:
     ends: Array
     motion: Trajectory
     ball: int
+    aloft: ClassVar[bool] = True
 
     def states(self, times: Array) -> Array:
         return self.motion.at(times[0])[self.ball : self.ball + 1]
