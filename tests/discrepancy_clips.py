@@ -68,11 +68,11 @@ def blank(number, launch, ends, frames=FRAMES):
     return Measured(number, "b", CAMERA, frame, ball, np.zeros((2 * frames, 2)), claimed, launch, ends)
 
 
-def exact(model, count, seed):
+def exact(model, count, seed, frames=FRAMES):
     """Clips without noise."""
     starts = np.array(list(launches(np.random.default_rng(seed), count)))
-    ends = batch.collisions(model, starts, 0.0, FRAMES / FPS).slide_ends.reshape(2, -1).T
-    clips = [blank(k, *both) for k, both in enumerate(zip(starts, ends, strict=True))]
+    ends = batch.collisions(model, starts, 0.0, frames / FPS).slide_ends.reshape(2, -1).T
+    clips = [blank(k, *both, frames) for k, both in enumerate(zip(starts, ends, strict=True))]
     return [dataclasses.replace(c, xy=xy) for c, xy in zip(clips, forecast(model, starts, clips), strict=True)]
 
 
@@ -82,13 +82,13 @@ def noisy(clips, seed, rho=0.0):
     for clip in clips:
         off = rng.standard_normal(6) * [1e-6, 1e-6, 2e-5, 2e-4, 3e-4, 3e-4]
         late = 1e-3 * rng.standard_normal(2)
-        xy = clip.xy + noise_of_pair(rng, rho)
+        xy = clip.xy + noise_of_pair(rng, rho, len(clip.frame) // 2)
         out.append(dataclasses.replace(clip, xy=xy, launch=clip.launch + off, ends=clip.ends + late))
     return out
 
 
-def collisions(model, count, seed, rho=0.0):
-    return noisy(exact(model, count, seed), seed, rho)
+def collisions(model, count, seed, rho=0.0, frames=FRAMES):
+    return noisy(exact(model, count, seed, frames), seed, rho)
 
 
 @cache

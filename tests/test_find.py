@@ -5,7 +5,8 @@ import dataclasses
 import numpy as np
 import pytest
 
-from discrepancy.find import add, find
+from discrepancy.add import add
+from discrepancy.find import find
 from discrepancy.measured import split
 from discrepancy.name import Search, search
 from discrepancy_clips import CAMERA, EXPOSURE, FPS, HIDDEN, STD, blank, collisions, launches, only, searched
@@ -104,7 +105,7 @@ def test_the_library_is_asked_again_for_what_stands_in_a_slots_place(monkeypatch
     only(monkeypatch)
     truth = {"velocity_restitution.e": 0.05, "rolling_quadratic.K": 0.3}
 
-    def early(clips, base, noise, tick, enough):
+    def early(clips, base, noise, tick, enough, former):
         return search(clips, base, noise, tick, lambda now, rivals: enough(now, rivals) or True)
 
     monkeypatch.setattr("discrepancy.find.search", early)

@@ -4,7 +4,8 @@ import dataclasses
 
 import numpy as np
 
-from discrepancy.find import add, find
+from discrepancy.add import add
+from discrepancy.find import find
 from discrepancy_clips import CAMERA, EFFECTS, exact, noisy, only
 from synthcam.effect import library
 from synthcam.model import Model

@@ -122,7 +122,7 @@ def add(
 
     Example: discrepancy add plate_tilt --model model.yaml --fit out/results -o tilted.yaml
     """
-    from discrepancy.find import add as fitted
+    from discrepancy.add import add as fitted
     from discrepancy.measured import read_measured
 
     suspect = read_model(model)

@@ -31,6 +31,7 @@ ITERATIONS = 40
 SETTLED = 1e-3  # of chi^2
 ROUGH = 0.1  # of chi^2: enough to see which of two models fits better
 FORETOLD = 0.2  # of what the derivatives foretell: chi^2 falling so much more or less calls for new ones
+SHARES = (1.0, 0.3, 0.1)  # of a step, tried in turn: along a valley that bends, a part of it still leads down
 DAMPED = 1e6  # the strongest damping
 
 
@@ -186,8 +187,11 @@ def settle(
                 break
             now, fresh, last = linearised(evidence, now.model, now.names, now.launches), True, False
             continue
-        moved = _moved(evidence, now, values, own)
-        gained = now.chi2 - moved.chi2 if moved else -np.inf
+        for share in SHARES if fresh else (1.0,):
+            moved = _moved(evidence, now, _part(now, values, share), share * own)
+            gained = now.chi2 - moved.chi2 if moved else -np.inf
+            if gained > 0:
+                break
         if moved is None or not gained > 0:
             if fresh:
                 damping = max(10 * damping, 1e-3)
@@ -204,6 +208,11 @@ def settle(
         if not last and abs(gained - foretold) > FORETOLD * foretold:
             now, fresh = linearised(evidence, now.model, now.names, now.launches), True
     return now
+
+
+def _part(now: Fit, values: Mapping[str, float], share: float) -> dict[str, float]:
+    """A share of the way to new values."""
+    return {n: (1 - share) * now.model.value(n) + share * v for n, v in values.items()} if share < 1 else dict(values)
 
 
 def linearised(evidence: Evidence, model: Model, names: tuple[str, ...], launches: Array) -> Fit:

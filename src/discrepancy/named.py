@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 
 from discrepancy.candidate import Candidate
 from discrepancy.fit import Fit
-from discrepancy.parameter import parameter_of
+from discrepancy.parameter import Suspect, limits_of, parameter_of
 from discrepancy.rank import likeness
+from synthcam.model import Model
 
 Array = NDArray[np.float64]
 ALIAS = 0.9  # of the cosine between two signatures: beyond it the data hardly part them
@@ -39,6 +40,40 @@ class Named:
     alike: tuple[tuple[tuple[str, ...], float], ...] = ()
     limit: dict[str, float] = field(default_factory=dict)
     naming: dict[str, float] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, suspect: Suspect, now: Fit, std: Mapping[str, float], sigma: float) -> Named:
+        """A suspect with the numbers that a fit gives it."""
+        values, shapes = ({k: now.model.value(k) for k in names} for names in (suspect.strengths, suspect.shapes))
+        own, bent = {k: std.get(k, np.inf) for k in values}, {k: determined(now, k, std.get(k, 0.0)) for k in shapes}
+        return cls(suspect.name, values, own, sigma, (suspect.name,), shapes, bent)
+
+    def at_limit(self, name: str) -> bool:
+        """Whether a strength stands at the end of what its effect allows: it might lie beyond, so it has no error."""
+        if name not in self.values:
+            return False
+        value, p = self.values[name], parameter_of(Model(), name)
+        return any(abs(value - end) < 1e-6 * max(abs(end), p.scale) for end in limits_of(Model(), name))
+
+    def held(self, base: Model) -> bool:
+        """Whether the base model has this effect, with another strength."""
+        return any(base.value(k) != 0 for k in self.values)
+
+    def said(self, base: Model) -> str:
+        """The effect with its numbers; where the base model holds a strength, that it is another."""
+        rivals = f" or {' or '.join(self.aliases[1:])}" if len(self.aliases) > 1 else ""
+        errors = {k: "at its limit" if self.at_limit(k) else f"+- {self.std[k]:.1g}" for k in self.values}
+        shapes = [
+            f"{k.rpartition('.')[2]} = {v:.3g} +- {self.shape_std[k]:.1g}"
+            if np.isfinite(self.shape_std[k])
+            else f"{k.rpartition('.')[2]} undetermined"
+            for k, v in self.shapes.items()
+        ]
+        if self.held(base):
+            strengths = [f"{k} is not {base.value(k):.3g} but {v:.3g} {errors[k]}" for k, v in self.values.items()]
+            return f"{', '.join([*strengths, *shapes])} ({self.sigma:.0f} sigma){rivals}"
+        strengths = [f"{k.rpartition('.')[2]} = {v:.3g} {errors[k]}" for k, v in self.values.items()]
+        return f"{self.effect}{rivals} ({', '.join([*strengths, *shapes])}; {self.sigma:.0f} sigma)"
 
 
 def determined(now: Fit, shape: str, std: float) -> float:

@@ -12,7 +12,7 @@ import jinja2
 import numpy as np
 
 from discrepancy.figures import drawn
-from discrepancy.find import Found, at_limit
+from discrepancy.find import Found
 from discrepancy.story import story
 from synthcam.model import write_model
 
@@ -33,7 +33,6 @@ def write(found: Found, folder: Path, left_out: Sequence[str]) -> None:
         story=story(found),
         figures=drawn(found),
         finite=np.isfinite,
-        at_limit=at_limit,
     )
     (folder / "index.html").write_text(page, encoding="utf-8")
 

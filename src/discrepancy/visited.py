@@ -15,16 +15,19 @@ from discrepancy.rank import Contest
 from discrepancy.scan import scannable
 
 Key = frozenset[Suspect]
+ALIKE = 1.5  # times chi^2 of the base model: noise that differs by more makes other minima
 KEPT = 5_000_000  # numbers in a contest, at most, for one to be kept beside the last
 
 
 class Visited:
-    """The models fitted. former: those of the same clips with another noise, from which the same are fitted again."""
+    """The models fitted. former: those of the same clips with a noise that may be alike; the same go on from there."""
 
     def __init__(self, evidence: Evidence, base: Fit, tick: Callable[[], None], former: Visited | None = None) -> None:
-        self.evidence, self.tick, self.former = evidence, tick, former
+        self.evidence, self.tick, self.former = evidence, tick, None
         if former:
             former.former = None  # memory
+            if 1 / ALIKE < base.chi2 / former.base.chi2 < ALIKE:
+                self.former = former
         self.fits: dict[Key, Fit] = {frozenset(): base}
         self.last: Contest | None = None
         self.contests: dict[Key, Contest] = {}  # small ones; each holds every suspect's derivatives
@@ -57,7 +60,7 @@ class Visited:
         if not self.known(key):
             self.fits[key] = self._reduced(state)
         if key not in self.sure:
-            now = settle(self.evidence, self.fits[key], self.tick, fresh=key in self.stood)
+            now = settle(self.evidence, self.fits[key], self.tick, fresh=False)
             self.fits[key] = now if key in self.stood else self._astray(state, now)
             self.sure.add(key)
         return self.fits[key]
@@ -65,8 +68,9 @@ class Visited:
     def known(self, key: frozenset[Suspect]) -> bool:
         """Whether a model was fitted before, here or by the former hunt."""
         if key not in self.fits and self.former and key in self.former.fits:
-            self.fits[key] = self.former.fits[key].seen_by(self.former.evidence, self.evidence)
-            if key in self.former.sure:
+            now, sure = self.former.fits[key].seen_by(self.former.evidence, self.evidence), key in self.former.sure
+            self.fits[key] = settle(self.evidence, now, self.tick, fresh=sure, rough=True)
+            if sure:
                 self.stood.add(key)
             if key in self.former.latest:
                 self.latest[key] = self.former.latest[key]

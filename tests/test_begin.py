@@ -1,0 +1,29 @@
+"""What a search begins with: the base fit finds its way from a friction a hundred times too large."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from discrepancy.begin import base_fit, noise_of
+from discrepancy_clips import collisions
+from synthcam.model import Model
+
+
+def slower(clip, factor):
+    """The same tracks as if filmed at so many times fewer frames a second."""
+    camera = dataclasses.replace(clip.camera, fps=clip.fps / factor, exposure=clip.exposure * factor)
+    launch = clip.launch * np.array([1, 1, factor, 1 / factor, 1, 1])
+    return dataclasses.replace(clip, camera=camera, launch=launch, ends=clip.ends * factor)
+
+
+def test_the_clock_ten_times_slower_is_friction_a_hundred_times_less():
+    """Lengths alone do not tell time: all laws of the base model but gravity scale, and fit as well as before."""
+    clips = collisions(Model(), 8, 4, frames=150)
+    noise, stages = noise_of(clips), []
+    one, other = (base_fit(c, Model(), noise, stages.append) for c in (clips, [slower(c, 10) for c in clips]))
+    assert one.chi2 == pytest.approx(other.chi2, abs=0.01)
+    by = {"restitution": 1, "sliding_friction": 100, "spin_transfer": 1, "rolling_drag": 10, "rolling_decel": 100}
+    for name, factor in by.items():
+        assert other.model.value(name) * factor == pytest.approx(one.model.value(name), abs=0.02 * one.std[name])
+    assert set(stages) == {"fit"}
