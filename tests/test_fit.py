@@ -210,3 +210,17 @@ def test_a_positive_shape_that_its_whole_range_hardly_shows_is_silent(seen, sile
     (left,) = telling(model, ["stribeck.rise", "stribeck.slip"], (np.array([[1e-9, 0.6 * slope], [0, 0.8 * slope]]),))
     assert left[0, 0] == 1e-9  # a strength has no range
     assert left[:, 1].any() != silent
+
+
+@pytest.mark.parametrize(("rise", "slip"), [(1.9, 0.0116), (5, 0.004), (0.02, 0.004), (0.3, 0.5)])
+def test_a_valley_that_bends_is_followed_to_its_end(rise, slip):
+    """Friction that rises steeply in the slowest slip looks like one that rises gently."""
+    truth = {"stribeck.rise": 0.0825, "stribeck.slip": 0.0613, "air_drag.share": 0.59}
+    clips = collisions(Model().replace(truth), 12, 3)
+    evidence, launches = Evidence.of(clips, Noise(Component(1.0))), np.array([c.launch for c in clips])
+    ends = []
+    for start in (truth, truth | {"stribeck.rise": rise, "stribeck.slip": slip}):
+        ends.append(settle(evidence, linearised(evidence, Model().replace(start), (*BASE, *truth), launches)))
+    assert ends[1].chi2 == pytest.approx(ends[0].chi2, abs=0.01)
+    for name, value in truth.items():
+        assert ends[1].model.value(name) == pytest.approx(value, abs=3.5 * ends[1].std[name])

@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from discrepancy.fit import BASE, Evidence, fit, linearised, settle
+from discrepancy.fit import BASE, Evidence, fit, linearised
 from discrepancy.name import search
 from discrepancy.noise import estimate
 from discrepancy.parameter import suspects
@@ -33,21 +33,6 @@ def test_a_shape_that_went_astray_is_found_again():
     assert found.model.value("hop.bounce") == pytest.approx(0.4, abs=3.5 * found.std["hop.bounce"])
     assert found.std["hop.bounce"] < 0.1
     assert found.chi2 < lost.chi2 - 100
-
-
-def test_a_neighbouring_minimum_is_left_once_another_effect_is_in():
-    """Friction that rises steeply in the slowest slip looks, without the drag, like one that rises gently."""
-    truth = {"stribeck.rise": 0.0825, "stribeck.slip": 0.0613, "air_drag.share": 0.59}
-    clips = collisions(Model().replace(truth), 12, 3)
-    noise = estimate(clips)
-    base = fit(clips, Model(), BASE, noise)
-    seen = visited(clips, base, noise)
-    state = tuple(s for s in suspects(Model(), BASE) if s.name in ("stribeck", "air_drag"))
-    steep = truth | {"stribeck.rise": 1.9, "stribeck.slip": 0.0116}
-    stuck = settle(seen.evidence, linearised(seen.evidence, Model().replace(steep), (*BASE, *truth), base.launches))
-    found = seen._astray(state, stuck)
-    assert found.chi2 < stuck.chi2 - 10
-    assert found.model.value("stribeck.slip") == pytest.approx(0.0613, abs=3.5 * found.std["stribeck.slip"])
 
 
 def test_one_of_two_that_together_hold_the_ball_at_rest_can_be_taken_away(monkeypatch):

@@ -104,7 +104,7 @@ def find(
     seconds = time.monotonic() - started
     print(json.dumps(document | {"seconds": round(seconds, 2)}) if as_json else found.sentence())
     if not as_json:
-        _say_lost(document["clips"]["left_out"])
+        _say_lost(document["clips"]["left_out"], len(left_out) > len(clips))
         used = f"{len(found.clips) + len(found.kept_out)} of {len(clips) + len(left_out)}"
         print(f"{output / 'index.html'}  ({used} collisions, {seconds:.0f} s)")
 
@@ -140,10 +140,12 @@ def add(
         print(json.dumps({"model": str(output)} | new.document() | {"clips": len(clips), "left_out": lost}))
     else:
         print(f"{output}: {new.sentence()} ({len(clips)} of {len(clips) + len(left_out)})")
-        _say_lost([*left_out, *new.left_out])
+        _say_lost([*left_out, *new.left_out], len(left_out) > len(clips))
 
 
-def _say_lost(left_out: Sequence[str]) -> None:
+def _say_lost(left_out: Sequence[str], most: bool) -> None:
+    if most:
+        print("Most collisions are left out; are fps, scale and ball_diameter of the camera right?")
     if left_out:
         print(f"Left out: {'; '.join(left_out)}")
 
