@@ -151,6 +151,21 @@ def test_clips_left_out_are_told_and_written(recorded, tmp_path, capsys, monkeyp
     assert f"(6 of 7)\nLeft out: {why}\n" in capsys.readouterr().out
 
 
+def test_the_camera_is_doubted_when_most_collisions_are_left_out(recorded, tmp_path, capsys, monkeypatch):
+    only(monkeypatch)
+    table = pd.read_csv(recorded / "tracks.csv")
+    copies = [table.assign(clip=table["clip"] + 6 * k) for k in range(3)]
+    copies[1:] = [c.assign(particle=c["particle"].where(c["frame"] < 39, 1 - c["particle"])) for c in copies[1:]]
+    pd.concat(copies).to_csv(tmp_path / "t.csv", index=False)
+    words = (tmp_path / "t.csv", "--camera", recorded / "camera.json", "--model", MODEL, "-o", tmp_path / "report")
+    assert command("find", *words) == 0
+    out = capsys.readouterr().out
+    assert "Most collisions are left out; are fps, scale and ball_diameter of the camera right?\n" in out
+    assert "(6 of 18 collisions, " in out
+    assert command("find", recorded / "tracks.csv", *words[1:5], "-o", tmp_path / "again") == 0
+    assert "Most" not in capsys.readouterr().out
+
+
 def test_the_bar_goes_through_the_stages_and_back(monkeypatch):
     screen = io.StringIO()
     monkeypatch.setattr(cli, "Console", functools.partial(Console, file=screen, force_terminal=True, width=80))

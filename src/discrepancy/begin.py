@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 
 import numpy as np
 
@@ -60,11 +61,12 @@ def base_fit(clips: Sequence[Measured], model: Model, noise: Noise, tick: Tick) 
     names = fitted(model)
     try:
         found = fit(clips, model, names, noise, tick=lambda: tick("fit"))
-        if found.chi2 > LOST * (found.points - found.parameters) and "sliding_friction" in names:
-            start = _rescaled(clips, model)
-            found = min(found, fit(clips, start, names, noise, tick=lambda: tick("fit")), key=lambda f: f.chi2)
     except ValueError as e:
         raise InputError(f"the model has no motion for these collisions: {e}") from None
+    if found.chi2 > LOST * (found.points - found.parameters) and "sliding_friction" in names:
+        with suppress(ValueError):
+            again = fit(clips, _rescaled(clips, model), names, noise, tick=lambda: tick("fit"))
+            return min(found, again, key=lambda f: f.chi2)
     return found
 
 

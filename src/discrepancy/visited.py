@@ -40,6 +40,7 @@ class Visited:
         return self.fits[frozenset()]
 
     def contest(self, state: Sequence[Suspect]) -> Contest:
+        """Of all suspects beside those of a model."""
         now, key = self.settled(state), frozenset(state)
         if self.last is None or self.last.now is not now:
             self.last = None  # before there is another
@@ -56,6 +57,7 @@ class Visited:
         return Contest.of(self.evidence, now, self.tick)
 
     def settled(self, state: Sequence[Suspect]) -> Fit:
+        """The best fit of a model."""
         key = frozenset(state)
         if not self.known(key):
             self.fits[key] = self._reduced(state)
@@ -66,7 +68,7 @@ class Visited:
         return self.fits[key]
 
     def known(self, key: frozenset[Suspect]) -> bool:
-        """Whether a model was fitted before, here or by the former hunt."""
+        """Whether a model was fitted before, here or by the former."""
         if key not in self.fits and self.former and key in self.former.fits:
             now, sure = self.former.fits[key].seen_by(self.former.evidence, self.evidence), key in self.former.sure
             self.fits[key] = settle(self.evidence, now, self.tick, fresh=sure, rough=True)
@@ -120,6 +122,7 @@ class Visited:
         return now
 
     def without(self, now: Fit, suspect: Suspect) -> Fit:
+        """A fit less a suspect, all else as it was; where that has no motion, nearer to the base."""
         reduced = now.reduced(suspect.without(now.model), suspect.strengths + suspect.shapes)
         try:
             return dataclasses.replace(reduced, residuals=self.evidence.left(reduced.model, reduced.launches))
