@@ -16,7 +16,7 @@ from discrepancy.grow import grown
 from discrepancy.measured import Measured
 from discrepancy.named import Named
 from discrepancy.rank import Contest
-from discrepancy.spike import without_spikes
+from discrepancy.spike import taken_out, without_spikes
 from synthcam.effect import library
 from synthcam.model import Model
 from tracker.geometry import InputError
@@ -73,8 +73,7 @@ def add(clips: Sequence[Measured], model: Model, effect: str, tick: Tick = lambd
         raise InputError(f"{effect}: no such effect; there are {', '.join(library())}")
     check(clips, model)
     tick("noise")
-    clips, left_out = without_spikes(clips)
-    clips, _, more = smoothed(clips, [], model, tick)
+    given, (clips, _) = clips, smoothed(without_spikes(clips), [], model, tick)
     noise = noise_of(clips)
     evidence, base = Evidence.of(clips, noise), base_fit(clips, model, noise, tick)
     if any(n.startswith(f"{effect}.") for n in base.names):
@@ -89,4 +88,4 @@ def add(clips: Sequence[Measured], model: Model, effect: str, tick: Tick = lambd
     now = settle(evidence, grown(evidence, base, best, lambda: tick("search")), lambda: tick("search"), fresh=False)
     sigma = sigmas(base.chi2 - now.chi2, len(suspect.strengths), contest.looks[effect])
     std = now.std | spread(evidence, base, now, suspect)
-    return Added(base, now, Named.of(suspect, now, std, sigma), (*left_out, *more))
+    return Added(base, now, Named.of(suspect, now, std, sigma), tuple(taken_out(given, clips)))

@@ -72,21 +72,19 @@ def base_fit(clips: Sequence[Measured], model: Model, noise: Noise, tick: Tick) 
 
 def smoothed(
     clips: Sequence[Measured], kept_out: Sequence[Measured], model: Model, tick: Tick
-) -> tuple[list[Measured], list[Measured], list[str]]:
-    """Both without their spikes, and a line for each clip that had some. Only `clips` are fitted, but for launches.
+) -> tuple[list[Measured], list[Measured]]:
+    """Both without what are spikes beside the base model. Only `clips` are fitted, but for launches.
 
-    Before their noise is read: spikes would be taken for noise.
+    To be done before their noise is read: spikes would be taken for noise.
     """
     base = base_fit(clips, model, CLAIMED, tick)
-    kept, lines = without_spikes(clips, forecast(base.model, base.launches, clips))
-    if not kept_out:
-        return kept, [], lines
-    try:
-        there = forecast(base.model, fit(kept_out, base.model, (), CLAIMED).launches, kept_out)
-    except ValueError:  # the model has no motion for one of them
-        return kept, list(kept_out), lines
-    others, more = without_spikes(kept_out, there)
-    return kept, others, lines + more
+    every, places = [*clips, *kept_out], base.launches
+    with suppress(ValueError):  # the model has no motion for one of them
+        if kept_out:
+            places = np.concatenate([places, fit(kept_out, base.model, (), CLAIMED).launches])
+    told = every[: len(places)]
+    kept = [*without_spikes(told, forecast(base.model, places, told)), *every[len(places) :]]
+    return kept[: len(clips)], kept[len(clips) :]
 
 
 def _rescaled(clips: Sequence[Measured], model: Model) -> Model:
@@ -98,6 +96,6 @@ def _rescaled(clips: Sequence[Measured], model: Model) -> Model:
     if not known.any():
         return model
     friction = float(np.median(2 / 7 * slip[known] / (model.gravity * lasts[known])))
-    slower = friction / model.sliding_friction
+    slower = friction / model.sliding_friction if model.sliding_friction else 1.0
     rolling = {"rolling_drag": model.rolling_drag * slower**0.5, "rolling_decel": model.rolling_decel * slower}
     return model.replace({"sliding_friction": friction} | rolling)

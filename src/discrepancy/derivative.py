@@ -47,14 +47,19 @@ def derivative(
 
 
 def derivatives(
-    model: Model, launches: Array, clips: Sequence[Measured], names: Sequence[str], here: Sequence[Array]
+    model: Model,
+    launches: Array,
+    clips: Sequence[Measured],
+    names: Sequence[str],
+    here: Sequence[Array],
+    exact: bool = False,
 ) -> list[list[Array]]:
     """`derivative` of each name; here: the forecast.
 
-    Where balls push each other their motion takes some eight times as long, and hardly bends what the other parameters
-    do: theirs are then those without that.
+    Where balls push each other their motion takes some eight times as long, and bends little what the other parameters
+    do: theirs are then those without that, unless they are to be exact.
     """
-    plain = uncoupled(model)
+    plain = model if exact else uncoupled(model)
     there = here if plain.effects == model.effects else forecast(plain, launches, clips)
     pushing = coupling(model, plain)
     return [

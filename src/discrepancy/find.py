@@ -23,7 +23,7 @@ from discrepancy.outside import Slots, unseen
 from discrepancy.parameter import suspects_of
 from discrepancy.parting import advice, designs
 from discrepancy.refine import refined
-from discrepancy.spike import without_spikes
+from discrepancy.spike import taken_out, without_spikes
 from synthcam.model import Model
 from tracker.geometry import InputError
 
@@ -132,10 +132,8 @@ def find(clips: Sequence[Measured], model: Model, tick: Tick = lambda stage: Non
     """
     check(clips, model)
     tick("noise")
-    clips, left_out = without_spikes(clips)
-    some, kept_out = split(clips)
-    some, kept_out, more = smoothed(some, kept_out, model, tick)
-    left_out += more
+    some, kept_out = smoothed(*split(without_spikes(clips)), model, tick)
+    left_out = taken_out(clips, [*some, *kept_out])
     noise = noise_of(some)
     # read without any claim first: one made with too little noise could explain the rest of the noise away
     noise = refined(some, base_fit(some, model, noise, tick), noise, explained=False)

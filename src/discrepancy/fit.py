@@ -201,7 +201,7 @@ def settle(
                 now, fresh = linearised(evidence, now.model, now.names, now.launches), True
             continue
         damping = damping / 10 if damping > 1e-4 else 0.0
-        last = gained < settled
+        last = gained < settled and share == 1
         if last and fresh:
             return moved if rough else linearised(evidence, moved.model, moved.names, moved.launches)
         now, fresh = moved, False
@@ -215,10 +215,10 @@ def _part(now: Fit, values: Mapping[str, float], share: float) -> dict[str, floa
     return {n: (1 - share) * now.model.value(n) + share * v for n, v in values.items()} if share < 1 else dict(values)
 
 
-def linearised(evidence: Evidence, model: Model, names: tuple[str, ...], launches: Array) -> Fit:
-    """The residuals and their derivatives at one place."""
+def linearised(evidence: Evidence, model: Model, names: tuple[str, ...], launches: Array, exact: bool = False) -> Fit:
+    """The residuals and their derivatives at one place; exact: the push between balls in all of them."""
     expected, own = launch_derivatives(model, launches, evidence.clips)
-    shared = derivatives(model, launches, evidence.clips, names, expected)
+    shared = derivatives(model, launches, evidence.clips, names, expected, exact)
     residuals = evidence.white([c.xy - e for c, e in zip(evidence.clips, expected, strict=True)])
     if names:
         slopes = evidence.white([np.stack([s[k] for s in shared], axis=-1) for k in range(len(expected))])

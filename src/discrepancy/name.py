@@ -114,7 +114,8 @@ class _Hunt:
                 break
         if state == begun:
             state = self._bettered(state, claim)
-        return Search(self.seen.settled(()), self.seen.settled(state), ranking, claim, state, self)
+        self.seen.former = None  # memory
+        return Search(self.seen.settled(()), self.seen.exact(state), ranking, claim, state, self)
 
     @cached_property
     def _first(self) -> tuple[tuple[Candidate, ...], float]:

@@ -13,10 +13,11 @@ from discrepancy.parameter import Suspect, parameter_of
 from discrepancy.price import price
 from discrepancy.rank import Contest
 from discrepancy.scan import scannable
+from synthcam.dynamics import uncoupled
 
 Key = frozenset[Suspect]
 ALIKE = 1.5  # times chi^2 of the base model: noise that differs by more makes other minima
-KEPT = 5_000_000  # numbers in a contest, at most, for one to be kept beside the last
+KEPT = 8_000_000  # numbers in all contests kept beside the last
 
 
 class Visited:
@@ -25,14 +26,14 @@ class Visited:
     def __init__(self, evidence: Evidence, base: Fit, tick: Callable[[], None], former: Visited | None = None) -> None:
         self.evidence, self.tick, self.former = evidence, tick, None
         if former:
-            former.former = None  # memory
+            former.former = former.last = None  # memory
             if 1 / ALIKE < base.chi2 / former.base.chi2 < ALIKE:
                 self.former = former
         self.fits: dict[Key, Fit] = {frozenset(): base}
         self.last: Contest | None = None
         self.contests: dict[Key, Contest] = {}  # small ones; each holds every suspect's derivatives
         self.sure: set[Key] = {frozenset()}  # whose fits are settled to the end
-        self.stood: set[Key] = set()  # settled to the end by the former
+        self.stood: set[Key] = {frozenset()} if self.former else set()  # settled to the end by the former
         self.latest: dict[Key, Suspect] = {}  # added with a look at all its shapes
 
     @property
@@ -45,15 +46,16 @@ class Visited:
         if self.last is None or self.last.now is not now:
             self.last = None  # before there is another
             self.last = self._contest(now, key)
-            if self.last.numbers <= KEPT:
+            if self.last.numbers + sum(c.numbers for c in self.contests.values()) <= KEPT:
                 self.contests[key] = self.last
         return self.last
 
     def _contest(self, now: Fit, key: Key) -> Contest:
         if key in self.contests and self.contests[key].now is now:
             return self.contests[key]
-        if self.former and key in self.former.contests:
-            return self.former.contests.pop(key).seen_by(now, self.former.evidence, self.evidence)
+        former = self.former.contests.pop(key, None) if self.former and key in self.stood else None
+        if self.former and former and former.now is self.former.fits[key]:
+            return former.seen_by(now, self.former.evidence, self.evidence)
         return Contest.of(self.evidence, now, self.tick)
 
     def settled(self, state: Sequence[Suspect]) -> Fit:
@@ -65,6 +67,18 @@ class Visited:
             now = settle(self.evidence, self.fits[key], self.tick, fresh=False)
             self.fits[key] = now if key in self.stood else self._astray(state, now)
             self.sure.add(key)
+        return self.fits[key]
+
+    def exact(self, state: Sequence[Suspect]) -> Fit:
+        """`settled`, all derivatives with the push between balls, where there is one: errors are read off them."""
+        now, key = self.settled(state), frozenset(state)
+        if uncoupled(now.model).effects != now.model.effects:
+            self.last = dataclasses.replace(
+                self.contest(state), now=linearised(self.evidence, now.model, now.names, now.launches, exact=True)
+            )
+            self.fits[key] = self.last.now
+            if key in self.contests:
+                self.contests[key] = self.last
         return self.fits[key]
 
     def known(self, key: frozenset[Suspect]) -> bool:
@@ -84,9 +98,10 @@ class Visited:
 
     def offer(self, key: Key, fit: Fit) -> None:
         """A fit of some model, kept if it is better than the one known."""
-        if key not in self.fits or fit.chi2 < self.fits[key].chi2:
+        if not self.known(key) or fit.chi2 < self.fits[key].chi2:
             self.fits[key] = fit
             self.sure.discard(key)
+            self.stood.discard(key)
 
     def _astray(self, state: Iterable[Suspect], now: Fit) -> Fit:
         """The fit, or one from other shapes where that is better: far from the truth chi^2 may be flat in them."""
