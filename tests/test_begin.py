@@ -27,3 +27,10 @@ def test_a_clock_thirty_times_slower_is_friction_nine_hundred_times_less():
     for name, factor in by.items():
         assert other.model.value(name) * factor == pytest.approx(one.model.value(name), abs=0.02 * one.std[name])
     assert set(stages) == {"fit"}
+
+
+def test_friction_may_be_free_from_zero():
+    """A model without any friction that asks for it to be fitted."""
+    clips = collisions(Model(), 8, 4)
+    base = base_fit(clips, Model(sliding_friction=0.0, free=("sliding_friction",)), noise_of(clips), lambda stage: None)
+    assert base.model.value("sliding_friction") == pytest.approx(0.232, abs=3.5 * base.std["sliding_friction"])

@@ -224,3 +224,47 @@ def test_a_valley_that_bends_is_followed_to_its_end(rise, slip):
     assert ends[1].chi2 == pytest.approx(ends[0].chi2, abs=0.01)
     for name, value in truth.items():
         assert ends[1].model.value(name) == pytest.approx(value, abs=3.5 * ends[1].std[name])
+
+
+@dataclasses.dataclass(frozen=True)
+class Banana:
+    """Rosenbrock's valley in the place of a motion: residuals 1 - x and steep (y - x^2)."""
+
+    x: float
+    y: float
+    steep: float
+
+    def value(self, name):
+        return getattr(self, name)
+
+    def replace(self, values):
+        return dataclasses.replace(self, **values)
+
+    def fit(self):
+        residuals = np.array([1 - self.x, -self.steep * (self.y - self.x**2)])
+        slopes = np.array([[1.0, 0.0], [-2 * self.steep * self.x, self.steep]])
+        return Fit(self, ("x", "y"), np.zeros((0, 6)), (residuals,), (slopes,), (np.zeros((2, 6)),))
+
+
+def test_a_part_of_a_step_that_gains_nearly_nothing_is_not_the_end(monkeypatch):
+    def step(now, damping):
+        (j,), (r,) = now.slopes, now.residuals
+        matrix = j.T @ j
+        far = np.linalg.solve(matrix + damping * np.diag(np.diag(matrix)), j.T @ r)
+        return {"x": now.model.x + far[0], "y": now.model.y + far[1]}, 0.0
+
+    def moved(evidence, now, values, own):
+        return dataclasses.replace(now, model=(there := now.model.replace(values)), residuals=there.fit().residuals)
+
+    def foretold(now, values, own):
+        far = np.array([values["x"] - now.model.x, values["y"] - now.model.y])
+        return float(((now.residuals[0] - now.slopes[0] @ far) ** 2).sum())
+
+    monkeypatch.setattr("discrepancy.fit._step", step)
+    monkeypatch.setattr("discrepancy.fit._moved", moved)
+    monkeypatch.setattr("discrepancy.fit._foretold", foretold)
+    monkeypatch.setattr("discrepancy.fit.linearised", lambda evidence, model, names, launches: model.fit())
+    ends = [
+        settle(None, Banana(x, x**2, steep).fit()).chi2 for steep in (2.0, 5.0, 9.7) for x in np.linspace(-6, 0, 40)
+    ]
+    assert np.mean(np.array(ends) > 0.01) < 0.02

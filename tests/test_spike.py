@@ -11,6 +11,7 @@ from discrepancy.forecast import forecast
 from discrepancy.parameter import parameter_of
 from discrepancy.spike import spikes, taken_out, without_spikes
 from discrepancy_clips import FRAMES, STD, collisions, exact, noisy, only
+from synthcam.effect import library
 from synthcam.model import Model
 
 CLIPS = collisions(Model(), 8, 3)
@@ -99,6 +100,15 @@ def test_what_is_left_is_the_clip_without_them_and_it_is_said():
     assert np.array_equal(kept[2].covariance, np.delete(CLIPS[2].covariance, row, axis=0))
     (said,) = taken_out(given, kept)
     assert said == "clip 2: 1 of 160 places, in frame 70, far off the path through those before and after"
+
+
+@pytest.mark.parametrize("frame", [1.0, 40.0, 78.0, 79.0])
+def test_a_lost_frame_is_none_however_near_the_end(monkeypatch, frame):
+    only(monkeypatch, **{n: library()[n] for n in ("dropped_frame", "rolling_quadratic", "stribeck")})
+    found = find(collisions(Model().replace({"dropped_frame.lost": 1.0, "dropped_frame.frame": frame}), 8, 3), Model())
+    assert [n.effect for n in found.named] == ["dropped_frame"]
+    assert found.model.value("dropped_frame.lost") == pytest.approx(1, abs=0.01)
+    assert found.left_out == ()
 
 
 def test_three_wrong_places_make_no_discovery(monkeypatch):

@@ -87,3 +87,39 @@ def test_derivatives_made_white_anew_are_those_taken_anew(monkeypatch):
         assert (one.effect, one.shapes) == (other.effect, other.shapes)
         assert one.sigma == pytest.approx(other.sigma, abs=0.02)
         assert one.limit == pytest.approx(other.limit, rel=1e-3)
+
+
+def test_errors_are_those_of_the_whole_motion_where_balls_push_each_other(monkeypatch):
+    """A strong pull: derivatives without it would give an error a tenth too large."""
+    only(monkeypatch, magnetic_attraction=library()["magnetic_attraction"])
+    clips = collisions(Model().replace({"magnetic_attraction.pull": 0.4}), 6, 3)
+    noise = estimate(clips)
+    found = search(clips, fit(clips, Model(), BASE, noise), noise)
+    (named,) = found.named
+    step, best = 0.5 * named.std["magnetic_attraction.pull"], found.best
+    chi2 = []
+    for value in (best.model.value("magnetic_attraction.pull") + k * step for k in (-1, 0, 1)):
+        held = best.model.replace({"magnetic_attraction.pull": value})
+        chi2.append(fit(clips, held, BASE, noise, best.launches).chi2)
+    curved = (chi2[0] - 2 * chi2[1] + chi2[2]) / step**2
+    assert named.std["magnetic_attraction.pull"] == pytest.approx(np.sqrt(2 / curved), rel=0.03)
+
+
+def test_a_fit_that_is_offered_is_held_against_the_formers():
+    clips = collisions(Model(), 6, 3)
+    noise, key = estimate(clips), frozenset(s for s in suspects(Model(), BASE) if s.name == "air_drag")
+    base = fit(clips, Model(), BASE, noise)
+    before = visited(clips, base, noise)
+    before.settled(())
+    before.fits[key] = fit(clips, Model(), [*BASE, "air_drag.share"], noise)
+    before.sure.add(key)
+    poor = linearised(
+        before.evidence, Model().replace({"air_drag.share": 5.0}), (*BASE, "air_drag.share"), base.launches
+    )
+    after = visited(clips, base, noise, before)
+    after.offer(key, poor)
+    assert after.fits[key].chi2 == pytest.approx(before.fits[key].chi2, abs=0.01)
+    better = dataclasses.replace(poor, residuals=tuple(0 * r for r in poor.residuals))
+    after.offer(key, better)
+    assert after.fits[key] is better
+    assert key not in after.stood | after.sure
