@@ -26,11 +26,15 @@ print(json.dumps(gl_info() | {"seen": seen.hexdigest()}))
 """
 
 
-def draw(**environment):
+def run_python(code, **environment):
     clean = {k: v for k, v in os.environ.items() if k not in ("PYOPENGL_PLATFORM", "EGL_DEVICE_ID")}
-    done = subprocess.run([sys.executable, "-c", DRAW], env=clean | environment, capture_output=True, text=True)
+    done = subprocess.run([sys.executable, "-c", code], env=clean | environment, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
-    return json.loads(done.stdout)
+    return done
+
+
+def draw(**environment):
+    return json.loads(run_python(DRAW, **environment).stdout)
 
 
 def test_egl_is_the_default():
@@ -72,7 +76,25 @@ def test_the_doctor_finds_nothing_that_draws():
     assert done.returncode == 2
     assert len(done.stderr.splitlines()) == 1
     assert "no off-screen OpenGL (egl)" in done.stderr
-    assert "apt install" in done.stderr
+    assert "apt install libgl1-mesa-dri" in done.stderr  # the libraries are there, but no driver
+
+
+def test_drawing_loads_no_window_library():
+    found = json.loads(run_python(f"import sys; sys.modules['pyglet'] = None\n{DRAW}").stdout)
+    assert found["platform"] == "egl"
+
+
+def test_what_is_missing_is_named_by_its_package(monkeypatch):
+    real = ctypes.CDLL
+    monkeypatch.setenv("PYOPENGL_PLATFORM", "egl")
+
+    def without_opengl(name, *args, **kwargs):
+        if name == "libOpenGL.so.0":
+            raise OSError(f"{name}: cannot open shared object file")
+        return real(name, *args, **kwargs)
+
+    monkeypatch.setattr(ctypes, "CDLL", without_opengl)
+    assert windowless.missing_packages() == ["libopengl0"]
 
 
 def test_without_a_library_there_is_none(monkeypatch):

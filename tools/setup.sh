@@ -1,5 +1,5 @@
 #!/bin/sh
-# Set-up: a virtual environment in .venv with the locked packages, and Mesa's EGL where it is missing.
+# Set-up: a virtual environment in .venv with the locked packages, and Mesa's EGL where nothing draws without it.
 set -eu
 python=$1
 
@@ -14,11 +14,11 @@ python=$1
 .venv/bin/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements.lock
 .venv/bin/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation -e .
 
-if ! .venv/bin/python -c 'import ctypes; ctypes.CDLL("libEGL.so.1"); ctypes.CDLL("libGL.so.1")' 2>/dev/null; then
-    packages="libegl1 libegl-mesa0 libgl1 libgl1-mesa-dri libopengl0"
+# The last word is synthcam's own: a frame drawn, or one line that names what is missing.
+if ! .venv/bin/synthcam doctor >/dev/null 2>&1; then
     if [ "$(id -u)" = 0 ] && command -v apt-get >/dev/null; then
-        apt-get update -qq && apt-get install -qq -y --no-install-recommends $packages >/dev/null
-    else
-        echo "OpenGL is missing; type: sudo apt-get install $packages" >&2
+        apt-get update -qq && apt-get install -qq -y --no-install-recommends \
+            libegl1 libegl-mesa0 libgl1 libgl1-mesa-dri libopengl0 >/dev/null
     fi
+    .venv/bin/synthcam doctor >/dev/null
 fi

@@ -19,7 +19,7 @@ os.environ.setdefault("LP_NUM_THREADS", "0")
 WHY = windowless.choose()
 _missing = ""
 try:
-    with warnings.catch_warnings():
+    with warnings.catch_warnings(), windowless.without_viewer():
         warnings.simplefilter("ignore")
         import pyrender
         import trimesh
@@ -188,10 +188,9 @@ def shared_canvas() -> Canvas:
 
 
 def _no_gl(why: str) -> str:
-    return (
-        f"no off-screen OpenGL ({os.environ.get('PYOPENGL_PLATFORM')}): {why}; "
-        "Mesa's software renderer is enough (Debian, Ubuntu: apt install libegl1 libgl1-mesa-dri, or libosmesa6)"
-    )
+    absent = windowless.missing_packages()
+    advice = f"missing (Debian, Ubuntu): apt install {' '.join(absent)}" if absent else "its libraries are all there"
+    return f"no off-screen OpenGL ({os.environ.get('PYOPENGL_PLATFORM')}): {why}; {advice}"
 
 
 def gl_info() -> dict[str, str]:

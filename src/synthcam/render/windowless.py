@@ -6,12 +6,54 @@ PyOpenGL reads PYOPENGL_PLATFORM when it is first imported, so the choice comes 
 import ctypes
 import ctypes.util
 import os
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from types import ModuleType
 
 EGL_EXTENSIONS, EGL_PLATFORM_DEVICE = 0x3055, 0x313F  # EGL 1.5, EGL_EXT_platform_device
 # OSMesa's own constants (GL/osmesa.h, Mesa 11.2 and later)
 OSMESA_FORMAT, OSMESA_RGBA, OSMESA_DEPTH_BITS = 0x22, 0x1908, 0x30
 OSMESA_PROFILE, OSMESA_CORE_PROFILE, OSMESA_MAJOR, OSMESA_MINOR = 0x33, 0x34, 0x36, 0x37
 GL_UNSIGNED_BYTE = 0x1401
+
+# Debian's and Ubuntu's packages, by the library that each brings
+PACKAGES = {
+    "libEGL.so.1": "libegl1",
+    "libEGL_mesa.so.0": "libegl-mesa0",
+    "libGL.so.1": "libgl1",
+    "libOpenGL.so.0": "libopengl0",
+}
+DRIVERS = "libgl1-mesa-dri"
+
+
+@contextmanager
+def without_viewer() -> Iterator[None]:
+    """Let pyrender be imported without its interactive viewer, which would load pyglet and with it X11's libraries."""
+    name = "pyrender.viewer"
+    if name in sys.modules:
+        yield
+        return
+    stand_in = ModuleType(name)
+    stand_in.Viewer = None  # type: ignore[attr-defined]
+    sys.modules[name] = stand_in
+    try:
+        yield
+    finally:
+        del sys.modules[name]
+
+
+def missing_packages() -> list[str]:
+    """Debian's packages whose libraries are wanted and not found here; EGL's drivers where all else is there."""
+    if os.environ.get("PYOPENGL_PLATFORM") == "osmesa":
+        return [] if osmesa() is not None else ["libosmesa6"]
+    absent = []
+    for library, package in PACKAGES.items():
+        try:
+            ctypes.CDLL(library)
+        except OSError:
+            absent.append(package)
+    return absent or ([DRIVERS] if egl_device()[0] is None else [])
 
 
 def choose() -> str:
