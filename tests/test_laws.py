@@ -50,9 +50,9 @@ def magnet(k, x, v, other):
 
 
 def lopsided(k, x, v):
-    """Ball a, the target, 2 um off: (5/7) (g/R) 2 um sin(s/R) helps it on."""
+    """Ball a, the target, 2 um off: (5/7) (g + v^2/R) (2 um/R) sin(s/R) helps it on."""
     s = x @ v / np.hypot(*v)
-    ripple = 5 / 7 * G / R * 2e-6 * np.sin(s / R) if k == 0 else 0.0
+    ripple = 5 / 7 * (G + v @ v / R) / R * 2e-6 * np.sin(s / R) if k == 0 else 0.0
     return 0.135 * np.hypot(*v) + 0.0103 - ripple
 
 
