@@ -71,7 +71,7 @@ def test_the_library_holds_what_was_asked_for():
         air_drag rolling_quadratic magnetic_attraction mass_mismatch diameter_mismatch eccentric_mass
         spin_transfer_velocity plate_waviness drilling_spin scale_error aspect_error lens_distortion camera_tilt
         clock_error clock_drift dropped_frame exposure_blur rolling_shutter glint_parallax pixel_locking
-        unknown_lamp"""
+        unknown_lamp rolling_mismatch friction_mismatch drag_mismatch"""
     assert set(asked.split()) <= set(library())
 
 

@@ -25,16 +25,16 @@ HOW: Any = {"method": "DOP853", "rtol": 1e-10, "atol": 1e-13, "dense_output": Tr
 GAUSS = np.polynomial.legendre.leggauss(6)
 
 PHYSICS = (
-    "air_drag friction_anisotropy mass_mismatch plate_tilt plate_waviness rolling_quadratic spin_transfer_velocity "
-    "stribeck velocity_restitution viscous_friction"
+    "air_drag drag_mismatch friction_anisotropy friction_mismatch mass_mismatch plate_tilt plate_waviness "
+    "rolling_mismatch rolling_quadratic spin_transfer_velocity stribeck velocity_restitution viscous_friction"
 ).split()
 
 
 class Plate:
-    """The numbers of a base model and of effects by dotted name, and the laws that they make."""
+    """The numbers of a base model and of effects by dotted name, and the laws that they make for one of the balls."""
 
-    def __init__(self, numbers: Mapping[str, float]) -> None:
-        self.all = numbers
+    def __init__(self, numbers: Mapping[str, float], is_a: bool = False) -> None:
+        self.all, self.is_a = numbers, is_a
         unknown = {k.partition(".")[0] for k in numbers if "." in k} - set(PHYSICS)
         if unknown:
             raise ValueError(f"this integrator knows nothing of {', '.join(sorted(unknown))}")
@@ -43,6 +43,10 @@ class Plate:
 
     def __getitem__(self, name: str) -> float:
         return self.all.get(name, 0.0)
+
+    def under(self, is_a: bool) -> Plate:
+        """The laws for the other ball, or for the same."""
+        return Plate(self.all, is_a)
 
     def mass_of(self, is_a: bool) -> float:
         return self.mass * (1 + self["mass_mismatch.excess"] * is_a)
@@ -59,7 +63,8 @@ class Plate:
         twice = 2 * math.atan2(u[1], u[0])
         grain = self["friction_anisotropy.c"] * math.cos(twice) + self["friction_anisotropy.s"] * math.sin(twice)
         weak = self["stribeck.rise"] and self["stribeck.rise"] * math.exp(-slip / self["stribeck.slip"])
-        return self["sliding_friction"] * (1 + weak) * (1 + self["viscous_friction.k"] * slip) * (1 + grain)
+        own = 1 + self["friction_mismatch.excess"] * self.is_a
+        return self["sliding_friction"] * own * (1 + weak) * (1 + self["viscous_friction.k"] * slip) * (1 + grain)
 
     def push(self, x: Array, v: Array, mass: float) -> Array:
         out = self["gravity"] * np.sin([self["plate_tilt.x"], self["plate_tilt.y"]])
@@ -75,11 +80,12 @@ class Plate:
             coefficient = 24 / reynolds + 3.6 * reynolds**-0.313
             force = coefficient * 1.204 * speed**2 / 2 * math.pi * self.radius**2
             out = out - self["air_drag.share"] * force / mass * v / speed
-        return np.asarray(out)
+        return np.asarray(out - self["drag_mismatch.a" if self.is_a else "drag_mismatch.b"] * v)
 
     def loss(self, speed: float) -> float:
         k = self["rolling_quadratic.K"]
-        return self["rolling_drag"] * speed + self["rolling_decel"] + k * speed**2
+        own = self.is_a * (self["rolling_mismatch.drag"] * speed + self["rolling_mismatch.decel"])
+        return self["rolling_drag"] * speed + self["rolling_decel"] + k * speed**2 + own
 
 
 def collision(plate: Plate, launch: Array, striker_is_a: bool, end: float) -> list[list[Piece]]:
@@ -104,7 +110,7 @@ def collision(plate: Plate, launch: Array, striker_is_a: bool, end: float) -> li
     rest = where + radius * n[:2]
     paths: list[list[Piece]] = [
         [(0.0, t_c, lambda t: np.repeat(rest[:, None], len(t), axis=1))],
-        [_rolling(plate, before, t_c, 0.0, masses[1])[0]],
+        [_rolling(plate.under(striker_is_a), before, t_c, 0.0, masses[1])[0]],
     ]
     for ball, (mass, sign, place, came, span) in enumerate(
         ((masses[0], 1, rest, 0 * v, 0 * w), (masses[1], -1, before[:2], v, w))
@@ -113,7 +119,8 @@ def collision(plate: Plate, launch: Array, striker_is_a: bool, end: float) -> li
         spin = span + turn / mass
         u = (flat - radius * np.cross(spin, up))[:2]
         q = flat[:2] - 2 / 7 * u
-        paths[ball] += _after(plate, np.array([*place, *q, *u]), t_c, end, mass)
+        own = plate.under(striker_is_a == bool(ball))
+        paths[ball] += _after(own, np.array([*place, *q, *u]), t_c, end, mass)
     return paths
 
 

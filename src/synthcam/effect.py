@@ -35,9 +35,9 @@ LAWS: dict[str, tuple[str, ...]] = {
     "loft": (),  # the share of the vertical impulse that the plate does not hold back
     "rebound": (),  # the plate's restitution
     # sliding: mu; the load on the plate over the mass, m/s^2; the torque about the vertical, as dwz/dt
-    "friction": ("slip_speed", "slip", "position", "velocity", "spin", "radius"),
-    "normal_load": ("gravity", "position", "velocity"),
-    "drilling": ("spin", "slip_speed", "friction", "gravity", "radius"),
+    "friction": ("slip_speed", "slip", "position", "velocity", "spin", "radius", "of_a"),
+    "normal_load": ("gravity", "position", "velocity", "of_a"),
+    "drilling": ("spin", "slip_speed", "friction", "gravity", "radius", "of_a"),
     # rolling loss, m/s^2 against the motion
     "rolling": ("speed", "position", "velocity", "gravity", "radius", "of_a"),
     # force over mass on the centre, m/s^2

@@ -112,6 +112,7 @@ def land(model: Model, state: Array, body: Bodies) -> Array:
         "velocity": state[:, 3:5],
         "spin": state[:, 8],
         "radius": body.radius,
+        "of_a": body.of_a,
     }
     mu = model.laws("friction", model.sliding_friction, instant)
     out = push_back(state, mu * (1 + rebound) * down, body.radius)

@@ -1,0 +1,21 @@
+"""A ball that rolls worse than the other."""
+
+from dataclasses import dataclass
+from typing import Any
+
+from synthcam.effect import Effect, parameter
+
+
+@dataclass(frozen=True)
+class RollingMismatch(Effect):
+    """Ball a loses more in rolling: its loss is (rolling_drag + drag) v + rolling_decel + decel, ball b's as ever.
+
+    Negative where ball a rolls better. Rolling loss is hysteresis where ball and plate deform, Tabor, Proc. R. Soc. A
+    229 (1955) 198; a ball that is dented, soft or dirty has its own. Nothing while sliding, unlike a drag on one ball.
+    """
+
+    drag: float = parameter("1/s", scale=0.01, low=-0.1, high=10)
+    decel: float = parameter("m/s^2", scale=1e-3, low=-0.01, high=1)
+
+    def rolling(self, loss: Any, speed: Any, of_a: Any) -> Any:
+        return loss + of_a * (self.drag * speed + self.decel)
