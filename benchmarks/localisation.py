@@ -34,7 +34,7 @@ from tracker.video import open_source
 
 ROOT = Path(__file__).resolve().parent.parent
 SCENE = "scenes/benchmark.yaml"
-PEERS = ("trackpy_locate", "opencv_components", "centroid")
+PEERS = ("trackpy_locate", "opencv_components", "skimage_regionprops", "skimage_blob_log", "centroid")
 EVERY = 5  # frames, that the peers see
 FRAMES = 100  # of a clip
 GATE = 5.0  # px

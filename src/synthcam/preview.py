@@ -13,6 +13,7 @@ import cv2
 import imageio.v3 as iio
 import numpy as np
 from numpy.typing import NDArray
+from skimage.exposure import adjust_gamma, rescale_intensity
 
 from synthcam.dataset import view_of
 from synthcam.generate import film
@@ -122,8 +123,9 @@ def _with_caption(picture: NDArray[np.uint8], text: str) -> NDArray[np.uint8]:
 
 
 def _lifted(picture: NDArray[np.uint8], black: float) -> NDArray[np.uint8]:
-    """Black subtracted, cube root to show what is dark."""
-    return np.asarray(255 * np.cbrt(np.clip((picture - black) / (255 - black), 0, 1))).astype(np.uint8)
+    """Black subtracted, gamma 1/3 to show what is dark."""
+    stretched = rescale_intensity(picture.astype(np.float64), in_range=(black, 255.0), out_range=(0.0, 1.0))
+    return np.asarray(255 * adjust_gamma(stretched, 1 / 3)).astype(np.uint8)
 
 
 def _grey(counts: Counts, bits: int) -> NDArray[np.uint8]:
