@@ -8,6 +8,7 @@ from scipy.integrate import solve_ivp
 
 from synthcam.batch import collisions
 from synthcam.dynamics import solve
+from synthcam.effects.drilling_spin import DrillingSpin
 from synthcam.kinematics import rolling_state
 from synthcam.launch import Launch
 from synthcam.model import Model
@@ -230,7 +231,7 @@ def test_a_flight_however_short_is_followed(up):
 
 def by_hand(pull, a, model):
     """One slides and drills, the other too or, once its slip is over, rolls: rates of (2, 9), raveled."""
-    mu, g = model.sliding_friction, model.gravity
+    mu, g, law = model.sliding_friction, model.gravity, DrillingSpin(a)
 
     def rates(_, y, rolls):
         y, out = y.reshape(2, 9), np.zeros((2, 9))
@@ -241,11 +242,10 @@ def by_hand(pull, a, model):
                 out[k, 3:5] = 5 / 7 * push - (DRAG * speed + DECEL) * s[3:5] / speed
                 continue
             u = s[3:5] + R * np.array([-s[7], s[6]])
-            fade = np.hypot(*u) + 8 / (3 * np.pi) * a * abs(s[8])
-            grip = mu * g * u / fade
+            fades = law.friction(mu, np.hypot(*u), s[8])
+            grip = fades * g * u / np.hypot(*u)
             out[k, 3:5], out[k, 6:8] = push - grip, 2.5 / R * np.array([-grip[1], grip[0]])
-            twist = a * abs(s[8]) + 16 / (3 * np.pi) * np.hypot(*u)
-            out[k, 8] = -2.5 * mu * g * a * a * s[8] / twist / R**2
+            out[k, 8] = law.drilling(0.0, s[8], np.hypot(*u), fades, g, R)
         return out.ravel()
 
     return rates

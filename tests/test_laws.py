@@ -9,6 +9,7 @@ from scipy.integrate import solve_ivp
 
 from synthcam.batch import collisions
 from synthcam.dynamics import solve
+from synthcam.effects.drilling_spin import DrillingSpin
 from synthcam.launch import Launch
 from synthcam.model import Model
 
@@ -61,9 +62,11 @@ def grain(s, hat, wz):
     return MU * (1 + 0.15 * np.cos(2 * (np.arctan2(hat[1], hat[0]) - np.radians(20))))
 
 
+drill = DrillingSpin(a=2e-5)  # whose laws test_laws_motion.py holds against integrals over the contact
+
+
 def drilled(s, wz):
-    """R^2 dw/dt = -(5/2) mu g a^2 w/(a |w| + 16/(3 pi) s), a = 20 um."""
-    return -2.5 * MU * G * 4e-10 * wz / (2e-5 * abs(wz) + 16 / (3 * np.pi) * s) / R**2
+    return drill.drilling(0.0, wz, s, drill.friction(MU, s, wz), G, R)
 
 
 e20 = 2 * np.radians(20)
@@ -73,10 +76,7 @@ CASES = {
     "viscous_friction": ({"k": 0.8}, Laws(mu=lambda s, hat, wz: MU * (1 + 0.8 * s))),
     "stribeck": ({"rise": 0.3, "slip": 0.08}, Laws(mu=lambda s, hat, wz: MU * (1 + 0.3 * np.exp(-s / 0.08)))),
     "friction_anisotropy": ({"c": 0.15 * np.cos(e20), "s": 0.15 * np.sin(e20)}, Laws(mu=grain)),
-    "drilling_spin": (
-        {"a": 2e-5},
-        Laws(mu=lambda s, hat, wz: MU * s / (s + 8 / (3 * np.pi) * 2e-5 * abs(wz)), twist=drilled),
-    ),
+    "drilling_spin": ({"a": 2e-5}, Laws(mu=lambda s, hat, wz: drill.friction(MU, s, wz), twist=drilled)),
     "air_drag": ({"share": 1.0}, Laws(push=air)),
     "plate_waviness": ({"a": 0.0, "b": 3e-6, "wavelength": 0.012, "angle": np.pi / 6}, Laws(push=wavy)),
     "eccentric_mass": ({"c": 0.0, "d": 2e-6}, Laws(loss=lopsided)),

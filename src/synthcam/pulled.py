@@ -122,9 +122,10 @@ class Ball:
         if mode == "slide":
             instant |= dict(slip_speed=self.s, slip=last_axis(self.e), spin=self.wz)
             friction = laws("friction", self.model.sliding_friction, instant)
-            loss = 3.5 * friction * laws("normal_load", self.model.gravity, instant)
+            load = laws("normal_load", self.model.gravity, instant)
+            loss = 3.5 * friction * load
             if self.drills:
-                self.twist = laws("drilling", 0.0, instant | {"friction": friction}) + 0 * self.s
+                self.twist = laws("drilling", 0.0, instant | {"friction": friction, "load": load}) + 0 * self.s
         else:
             push = 5 / 7 * push
             base = self.model.rolling_drag * np.maximum(self.s, 0.0) + self.model.rolling_decel

@@ -147,8 +147,9 @@ class _Forces:
         instant = self.fixed | dict(slip_speed=slip, slip=_last(hat), position=_last(y[5:7]), velocity=_last(v))
         instant |= dict(spin=y[2])
         friction = laws("friction", model.sliding_friction, instant)
-        slowing = 3.5 * friction * laws("normal_load", model.gravity, instant) + np.zeros_like(slip)
-        twist = laws("drilling", 0.0, instant | {"friction": friction}) if self.drills else 0.0
+        load = laws("normal_load", model.gravity, instant)
+        slowing = 3.5 * friction * load + np.zeros_like(slip)
+        twist = laws("drilling", 0.0, instant | {"friction": friction, "load": load}) if self.drills else 0.0
         push, across = 0.0, 0.0
         if self.pushes:
             push = laws("push", _last(np.zeros_like(v)), instant).transpose(2, 0, 1)
