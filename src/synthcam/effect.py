@@ -37,7 +37,7 @@ LAWS: dict[str, tuple[str, ...]] = {
     # sliding: mu; the load on the plate over the mass, m/s^2; the torque about the vertical, as dwz/dt
     "friction": ("slip_speed", "slip", "position", "velocity", "spin", "radius", "of_a"),
     "normal_load": ("gravity", "position", "velocity", "of_a"),
-    "drilling": ("spin", "slip_speed", "friction", "load", "radius", "of_a"),  # of this load, and friction as it is bent
+    "drilling": ("spin", "slip_speed", "friction", "load", "radius", "of_a"),  # of friction as it is bent
     # rolling loss, m/s^2 against the motion
     "rolling": ("speed", "position", "velocity", "gravity", "radius", "of_a"),
     # force over mass on the centre, m/s^2
