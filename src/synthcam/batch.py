@@ -284,7 +284,7 @@ class _Run:
             return np.zeros(len(who), dtype=bool)
         some = self.bodies[who]
         instant = dict(position=held[:, :2], velocity=held[:, 3:5], gravity=self.model.gravity)
-        instant |= dict(radius=some.radius, mass=some.mass, of_a=some.of_a)
+        instant |= dict(radius=some.radius, mass=some.mass, of_a=some.of_a, ball=self.model.ball)
         push = self.model.laws("push", np.zeros((len(who), 2)), instant)
         return np.asarray(5 / 7 * np.hypot(push[:, 0], push[:, 1]) > self.model.rolling_decel)
 

@@ -150,7 +150,7 @@ def opening(states: Array) -> Array:
 
 def push_at_rest(model: Model, body: Bodies, state: Array, other: Array) -> Array:
     """The push on balls at rest, states (k, 9), while the others are at (2, k, n): (k, n, 2), m/s^2."""
-    instant = _at_rest(body, state, other) | {"gravity": model.gravity}
+    instant = _at_rest(body, state, other) | {"gravity": model.gravity, "ball": model.ball}
     return np.asarray(model.laws("push", np.zeros_like(instant["position"]), instant))
 
 
@@ -159,7 +159,7 @@ def excess(model: Model, body: Bodies, state: Array, other: Array) -> Array:
     push = push_at_rest(model, body, state, other)
     size = np.hypot(push[..., 0], push[..., 1])
     nudge = {"velocity": SLOWEST * push / np.maximum(size, SMALLEST)[..., None], "speed": np.full(size.shape, SLOWEST)}
-    instant = _at_rest(body, state, other) | {"gravity": model.gravity} | nudge
+    instant = _at_rest(body, state, other) | {"gravity": model.gravity, "ball": model.ball} | nudge
     loss = model.laws("rolling", model.rolling_decel, instant)
     return np.asarray(size * 5 / 7 - np.maximum(model.rolling_decel, loss))
 

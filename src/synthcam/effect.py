@@ -24,7 +24,8 @@ from typing import Any, ClassVar, Self
 
 # All balls, or all nodes of an integration, come together: numbers are arrays (balls, n) or broadcast with them,
 # vectors have a last axis of two. "slip" is the unit vector of the contact velocity; "of_a" is 1 for the experimenter's
-# ball a, 0 for ball b; "other" is the place of the other ball relative to this one.
+# ball a, 0 for ball b; "other" is the place of the other ball relative to this one; "ball" is the model's,
+# whose radius and mass no effect has bent.
 LAWS: dict[str, tuple[str, ...]] = {
     # the balls, once a run; bends ball a's
     "mass": (),
@@ -41,7 +42,7 @@ LAWS: dict[str, tuple[str, ...]] = {
     # rolling loss, m/s^2 against the motion
     "rolling": ("speed", "position", "velocity", "gravity", "radius", "of_a"),
     # force over mass on the centre, m/s^2
-    "push": ("position", "velocity", "gravity", "radius", "mass", "of_a", "other"),
+    "push": ("position", "velocity", "gravity", "radius", "mass", "of_a", "other", "ball"),
     # the picture: the camera as it is; when a moment of the film really was; how long the shutter was open
     "camera": (),
     "clock": ("fps", "row"),

@@ -82,7 +82,7 @@ class Ball:
     def __init__(self, model: Model, mode: str, body: Bodies, state: Array) -> None:
         self.model, self.mode, self.state, self.body = model, mode, state, body
         self.fixed: dict[str, Any] = dict(gravity=model.gravity, radius=body.radius[:, None], mass=body.mass[:, None])
-        self.fixed["of_a"] = body.of_a[:, None]
+        self.fixed |= dict(of_a=body.of_a[:, None], ball=model.ball)
         self.place, velocity = state[:, :2].T[..., None], state[:, 3:5].T[..., None]
         counted = contact_velocity(state, body.radius).T[..., None] if mode == "slide" else velocity
         self.first = np.hypot(counted[0], counted[1])

@@ -128,7 +128,9 @@ def _push(model: Model, y: Array, instant: dict[str, Any]) -> Array:
 def _instant(model: Model, bodies: Bodies, y: Array) -> dict[str, Any]:
     place, velocity = y[:2].transpose(1, 2, 0), y[2:4].transpose(1, 2, 0)
     instant: dict[str, Any] = dict(position=place, velocity=velocity, gravity=model.gravity, other=NOWHERE)
-    return instant | dict(radius=bodies.radius[:, None], mass=bodies.mass[:, None], of_a=bodies.of_a[:, None])
+    return instant | dict(
+        ball=model.ball, radius=bodies.radius[:, None], mass=bodies.mass[:, None], of_a=bodies.of_a[:, None]
+    )
 
 
 def _march(

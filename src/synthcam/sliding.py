@@ -137,7 +137,7 @@ class _Forces:
     @classmethod
     def of(cls, model: Model, bodies: Bodies) -> _Forces:
         fixed: dict[str, Any] = dict(gravity=model.gravity, radius=bodies.radius[:, None])
-        fixed |= dict(mass=bodies.mass[:, None], of_a=bodies.of_a[:, None], other=NOWHERE)
+        fixed |= dict(mass=bodies.mass[:, None], of_a=bodies.of_a[:, None], other=NOWHERE, ball=model.ball)
         return cls(model, fixed, model.laws.bent("push"), model.laws.bent("drilling"))
 
     def at(self, slip: Array, y: Array) -> tuple[Array, Any, Any, Any]:
