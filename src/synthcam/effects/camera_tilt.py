@@ -10,7 +10,9 @@ from synthcam.effect import Effect, parameter
 
 @dataclass(frozen=True)
 class CameraTilt(Effect):
-    """The camera, in its place, is turned about the world's x axis by `x`, then about y by `y`, and re-aimed.
+    """The camera, in its place, is turned about the world's x axis by `x`, then about its y by `y`, and re-aimed.
+
+    Right-handed, as a scene's `camera.tilt`: the axes of the camera become Ry Rx times what they were.
 
     Re-aimed: the picture is shifted back so that the middle of the plate is seen where the file says; what is left is
     the keystone.
@@ -23,7 +25,7 @@ class CameraTilt(Effect):
         (sx, sy), (cx, cy) = np.sin([self.x, self.y]), np.cos([self.x, self.y])
         about_x = np.array([[1, 0, 0], [0, cx, -sx], [0, sx, cx]])
         about_y = np.array([[cy, 0, sy], [0, 1, 0], [-sy, 0, cy]])
-        turned = camera.R @ about_y @ about_x
+        turned = camera.R @ (about_y @ about_x).T
         tilted = replace(camera, R=turned, t=turned @ camera.R.T @ camera.t)
         matrix = camera.K.copy()
         matrix[:2, 2] += (camera.project(np.zeros(3)) - tilted.project(np.zeros(3))).ravel()
