@@ -16,6 +16,7 @@ from synthcam.truth import scalars
 
 R, DECEL, DRAG = 1.19e-3, 0.0103, 0.135
 T_C = 0.1
+LAUNCHED = np.array([[0.003, -0.002, T_C, 0.12, 0.7, -0.676]])
 
 
 def launched(pull, v0, b, start=0.0, end=0.4, **others):
@@ -140,6 +141,36 @@ def test_without_a_pull_the_closed_form_is_left(pull):
     np.testing.assert_allclose(near[..., :2], base[..., :2], rtol=0, atol=0.1 * pull + 1e-13)
 
 
+SPIN, TILT, HOP = {"drilling_spin.a": 2e-5}, {"plate_tilt.x": 1e-3}, {"hop.share": 1.0, "hop.bounce": 0.4}
+CROWDS = [
+    (0.3, 0.55, SPIN | TILT),
+    (0.6, 0.55, SPIN | TILT | {"mass_mismatch.excess": 0.02}),
+    (0.2, -0.8, SPIN | {"plate_tilt.y": -4e-4, "stribeck.rise": 0.3, "plate_waviness.a": 6e-7}),
+    (0.4, 0.75, SPIN | TILT | HOP | {"adhesion.pull": 0.1}),
+    (0.25, 0.3, HOP | TILT | {"eccentric_mass.c": 1e-6, "viscous_friction.k": 0.5}),
+    (0.15, -0.5, {"air_drag.share": 1.0, "friction_anisotropy.c": 0.1, "ball_friction.share": 1.0}),
+]
+
+
+@pytest.mark.parametrize(("v0", "b", "others"), CROWDS)
+def test_without_a_pull_the_motion_with_other_effects_is_left(v0, b, others):
+    """One solver goes over into the other: no jump, in places or in their derivative."""
+    times = np.linspace(0, 0.4, 81)
+
+    def run(pull):
+        motion = launched(pull, v0, b, **others)[2]
+        return motion.at(times)[..., :2], [e.t for e in motion.events if e.kind == "slide_end"]
+
+    places, ends = run(0.0)
+    for pull in (1e-12, 1e-9, -1e-6, 1e-6):
+        near, then = run(pull)
+        np.testing.assert_allclose(near, places, rtol=0, atol=0.1 * abs(pull) + 3e-11)
+        np.testing.assert_allclose(then, ends, rtol=0, atol=0.1 * abs(pull) + 3e-9)
+    step = 1e-4
+    ahead, back = (run(step)[0] - places) / step, (places - run(-step)[0]) / step
+    np.testing.assert_allclose(ahead, back, rtol=0, atol=3e-3 * np.abs(ahead).max())
+
+
 def test_free_balls_at_rest_are_free():
     """States given at the start: a ball that rests is pulled off once the other is near enough, not before."""
     model = Model().replace({"magnetic_attraction.pull": 0.2})
@@ -230,43 +261,63 @@ def test_a_flight_however_short_is_followed(up):
 
 
 def by_hand(pull, a, model):
-    """One slides and drills, the other too or, once its slip is over, rolls: rates of (2, 9), raveled."""
+    """Each ball drills and slides, slides or rolls, as `modes` tells: rates of (2, 9), raveled."""
     mu, g, law = model.sliding_friction, model.gravity, DrillingSpin(a)
 
-    def rates(_, y, rolls):
+    def rates(_, y, modes):
         y, out = y.reshape(2, 9), np.zeros((2, 9))
         for k, s in enumerate(y):
             push, out[k, :2] = pull_on(pull, y[1 - k, :2] - s[:2]), s[3:5]
-            if k == rolls:
+            if modes[k] == "roll":
                 speed = np.hypot(*s[3:5])
                 out[k, 3:5] = 5 / 7 * push - (DRAG * speed + DECEL) * s[3:5] / speed
                 continue
-            u = s[3:5] + R * np.array([-s[7], s[6]])
-            fades = law.friction(mu, np.hypot(*u), s[8])
-            grip = fades * g * u / np.hypot(*u)
+            u, spin = slip_of(s), s[8] * (modes[k] == "drill")
+            slip = np.hypot(*u)
+            fades = law.friction(mu, slip, spin)
+            grip = fades * g * u / slip
             out[k, 3:5], out[k, 6:8] = push - grip, 2.5 / R * np.array([-grip[1], grip[0]])
-            out[k, 8] = law.drilling(0.0, s[8], np.hypot(*u), fades, g, R)
+            out[k, 8] = law.drilling(0.0, spin, slip, fades, g, R)
         return out.ravel()
 
     return rates
 
 
-@pytest.mark.parametrize(("pull", "a"), [(0.3, 5e-5), (0.1, 2e-5)])  # the other's slip nearly vanishes, and turns
-def test_a_slip_that_a_push_keeps_creeping_until_the_balls_are_apart(pull, a):
-    """Friction fades with the slip while a ball spins: stiff equations, for scipy's Radau."""
-    drill, rates = {"drilling_spin.a": a}, by_hand(pull, a, Model())
-    model, _, motion = launched(pull, 0.12, -0.676, T_C, 0.5, **drill)
-    first, last = (e for e in motion.events if e.kind == "slide_end")
-    assert first.t > launched(0.0, 0.12, -0.676, T_C, 0.5, **drill)[2].first("slide_end", first.i).t + 0.01
-    for t0, t1, rolls in (T_C, first.t, -1), (first.t, last.t, first.i):
-        y = motion.at(t0)[:, 0].ravel()
-        run = solve_ivp(rates, (t0, t1), y, args=(rolls,), method="Radau", rtol=1e-9, atol=1e-13)
-        np.testing.assert_allclose(
-            motion.at(t1 - 1e-12)[:, 0, :6], run.y[:, -1].reshape(2, 9)[:, :6], rtol=0, atol=1e-9
-        )
-    for e in (first, last):  # where friction at 1 um/s begins to exceed the push
-        assert np.hypot(*(e.before[0, 3:5] + R * np.array([-e.before[0, 7], e.before[0, 6]]))) == pytest.approx(1e-6)
-    batch = collisions(model, np.array([[0.003, -0.002, T_C, 0.12, 0.7, -0.676]]), T_C, 0.5)
+def slip_of(state):
+    return state[3:5] + R * np.array([-state[7], state[6]])
+
+
+@pytest.mark.parametrize(("pull", "a"), [(0.3, 5e-5), (0.1, 2e-5), (-0.2, 2e-6)])
+def test_a_slip_that_a_push_would_keep_creeping_ends(pull, a):
+    """Friction F u/(u + c) fades while a ball spins, and the slip creeps: stiff equations, for scipy's Radau.
+
+    The slide is over where friction is a tenth, or at twice the creeping slip; the rest ends as without a spin.
+    """
+    rates, how = by_hand(pull, a, Model()), {"method": "Radau", "rtol": 1e-10, "atol": 1e-13}
+    _, _, motion = launched(pull, 0.12, -0.676, T_C, 0.5, **{"drilling_spin.a": a})
+    t, y, modes, ends = T_C, motion.first("contact").after.ravel(), ["drill", "drill"], [np.nan, np.nan]
+    grip, c = 3.5 * 0.232 * 9.81, 8 / (3 * np.pi) * a * np.abs(y.reshape(2, 9)[:, 8])
+    late = c * np.sqrt(0.1**2 + 4 * (abs(pull) / (grip - abs(pull))) ** 2)
+    while modes != ["roll", "roll"]:
+        events = []
+        for k in (0, 1):
+            least = {"drill": late[k], "slide": 1e-9, "roll": -1.0}[modes[k]]
+            events.append(lambda _, y, modes, k=k, least=least: np.hypot(*slip_of(y.reshape(2, 9)[k])) - least)
+            events[-1].terminal = True
+        run = solve_ivp(rates, (t, 0.5), y, args=(modes,), events=events, **how)
+        k = [len(when) > 0 for when in run.t_events].index(True)
+        t, y = run.t[-1], run.y[:, -1].copy()
+        if modes[k] == "drill":
+            on = solve_ivp(rates, (t, t + 0.01), y, args=(modes,), **how).y[:, -1].reshape(2, 9)
+            assert np.hypot(*slip_of(on[k])) > 1e-3 * late[k]  # by itself the slip creeps on
+            modes[k] = "slide"
+        else:
+            modes[k], ends[k] = "roll", t
+        found = motion.at(t)[:, 0]
+        np.testing.assert_allclose(found[:, :2], y.reshape(2, 9)[:, :2], rtol=0, atol=1e-10)
+        np.testing.assert_allclose(found[:, 3:5], y.reshape(2, 9)[:, 3:5], rtol=0, atol=3e-9)
+    assert ends == pytest.approx([motion.first("slide_end", k).t for k in (0, 1)], abs=2e-9)
+    batch = collisions(Model().replace({"drilling_spin.a": a, "magnetic_attraction.pull": pull}), LAUNCHED, T_C, 0.5)
     assert batch.slide_ends == pytest.approx([motion.first("slide_end", k).t for k in (0, 1)], abs=1e-10)
 
 

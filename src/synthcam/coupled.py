@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 from synthcam.contact import TOUCHING
 from synthcam.kinematics import Array, Real, contact_velocity, fly, plate_state, rolling_state
 from synthcam.model import Bodies, Model
-from synthcam.pulled import SMALLEST, STEADY, STILL, Ball, Flags, Mesh, last_axis, mesh, most
+from synthcam.pulled import FAINT, SMALLEST, STEADY, STILL, Ball, Flags, Mesh, last_axis, mesh, most
 from synthcam.rolling import SLOWEST, Stretch
+from synthcam.sliding import ending_slip
 from synthcam.spectral import series
 from synthcam.trajectory import Motion
 
@@ -22,10 +23,10 @@ STARTS = (12, 20, 32, 56)  # nodes of a piece that begins at rest: tried in this
 BOOST = 5.0  # times the last coefficients that a pole leaves
 TURNS, PATIENCE = 25, 120  # of the iteration; of a start that many nodes are spent on
 QUICK = 5  # turns in which a start is looked for in whole steps
+NEARLY = 8.0  # times the slip at which it no longer drills: from here one piece leads there
 HALVINGS = 30  # of a piece
 SETTLED = 2e-13  # m/s, of an iteration's change
 AWAY = 8.0  # distances of touching: a ball at rest is let go when the other comes so near, if not yet pulled off
-FAINT = 1e-30  # m/s, m/s^2: stands in for nothing
 CLINGING = 1e-4  # m/s: a softer impact of balls that push each other is one of an endless row
 
 Ints = NDArray[np.intp]
@@ -134,10 +135,22 @@ class Piece:
         return replace(self, who=pairs[self.who], courses=(courses[0], courses[1]))
 
 
-def mode_of(states: Array, radius: Array) -> NDArray[np.str_]:
-    """What balls in states (k, 9) do: rest, roll, slide or fly."""
+def floors(model: Model, bodies: Pair, states: Array) -> Array:
+    """The slips (2, k) at which balls that begin to slide in states (2, k, 9) no longer drill; inf if none does."""
+    out = np.full(states.shape[:2], np.inf)
+    if model.laws.bent("drilling"):
+        for ball, body in enumerate(bodies):
+            other = (states[1 - ball] - states[ball])[:, None, :2]
+            late = ending_slip(model, states[ball], body, other)
+            out[ball] = np.where(late < np.hypot(*contact_velocity(states[ball], body.radius).T), late, np.inf)
+    return out
+
+
+def mode_of(states: Array, radius: Array, floor: Array) -> NDArray[np.str_]:
+    """What balls in states (k, 9) do: rest, roll, drill (down to the slip `floor`, (k,)), slide or fly."""
     slips = np.hypot(*contact_velocity(states, radius).T) > STILL
-    plain = np.where(slips, "slide", np.where(np.hypot(states[:, 3], states[:, 4]) > STILL, "roll", "rest"))
+    moves = np.hypot(states[:, 3], states[:, 4]) > STILL
+    plain = np.where(slips, np.where(np.isfinite(floor), "drill", "slide"), np.where(moves, "roll", "rest"))
     aloft = (states[:, 5] > 0) | (states[:, 2] > radius * (1 + TOUCHING))
     return np.asarray(np.where(aloft, "fly", plain))
 
@@ -171,13 +184,14 @@ def _at_rest(body: Bodies, state: Array, other: Array) -> dict[str, Any]:
 
 
 def step(
-    model: Model, bodies: Pair, modes: tuple[str, str], states: Array, now: Array, goal: Array
+    model: Model, bodies: Pair, modes: tuple[str, str], states: Array, floor: Array, now: Array, goal: Array
 ) -> tuple[list[Piece], Ints]:
     """The next pieces of k pairs, both balls in these modes, states (2, k, 9) at `now`, on the way to `goal`, (k,).
 
-    None leads beyond the first end of a slide, roll or flight. And the pairs for which no piece is short enough.
+    floor (2, k): slips at which they no longer drill. None leads beyond the first end of a slide, of its drilling, of a
+    roll or flight. And the pairs for which no piece is short enough.
     """
-    balls = _begin(model, bodies, modes, states)
+    balls = _begin(model, bodies, modes, states, floor)
     lasts, ender = _plan(balls, now, goal)
     todo, found = np.arange(len(now)), []
     for _ in range(HALVINGS):
@@ -186,7 +200,8 @@ def step(
             some = todo[ender[todo] == which]
             if len(some):
                 pair = bodies[0][some], bodies[1][some]
-                piece, good = _lead(model, pair, modes, states[:, some], some, now[some], lasts[some], which)
+                begin = _begin(model, pair, modes, states[:, some], floor[:, some])
+                piece, good = _lead(begin, some, now[some], lasts[some], which)
                 found += [piece if np.all(good) else piece.of(good)] if np.any(good) else []
                 left.append(some[~good])
         todo = np.concatenate(left)
@@ -196,10 +211,9 @@ def step(
     return found, todo
 
 
-def _begin(model: Model, bodies: Pair, modes: tuple[str, str], states: Array) -> list[Ball]:
-    balls = [Ball(model, *each) for each in zip(modes, bodies, states, strict=True)]
-    for ball, other in zip(balls, balls[::-1], strict=True):
-        ball.begin(other.x)
+def _begin(model: Model, bodies: Pair, modes: tuple[str, str], states: Array, floor: Array) -> list[Ball]:
+    balls = [Ball(model, *each) for each in zip(modes, bodies, states, floor, strict=True)]
+    _feel(balls)
     return balls
 
 
@@ -210,7 +224,7 @@ def _feel(balls: Sequence[Ball]) -> None:
 
 
 def _plan(balls: Sequence[Ball], now: Array, goal: Array) -> tuple[Array, Ints]:
-    """How long the next piece may be, (k,), negative where it leads back; which ball comes to s = 0 with it, or -1."""
+    """How long the next piece may be, (k,), negative where it leads back; of which ball s is down with it, or -1."""
     apart, drift = (balls[1].x - balls[0].x)[..., 0], (balls[1].v - balls[0].v)[..., 0]
     sign = np.sign(goal - now)
     far, speed = np.hypot(*apart), np.maximum(np.hypot(*drift), FAINT)
@@ -228,9 +242,13 @@ def _plan(balls: Sequence[Ball], now: Array, goal: Array) -> tuple[Array, Ints]:
             lasts = np.minimum(lasts, ball.flies())
     rest = np.full((2, len(now)), np.inf)
     for k, ball in enumerate(balls):
-        if ball.mode in ("slide", "roll"):
-            ends = (ball.slowing > 0)[:, 0] & (sign > 0) & ball.holds
-            rest[k] = np.where(ends, ball.first[:, 0] / np.where(ends, ball.slowing[:, 0], 1.0), np.inf)
+        if ball.mode in ("slide", "drill", "roll"):
+            ends = (ball.slowing > 0)[:, 0] & (sign > 0)
+            rest[k] = np.where(ends, (ball.first - ball.floor)[:, 0] / np.where(ends, ball.slowing[:, 0], 1.0), np.inf)
+            if ball.mode == "drill":
+                early = ends & (ball.first > NEARLY * ball.floor)[:, 0]
+                lasts = np.where(early, np.minimum(lasts, 0.75 * rest[k]), lasts)
+                rest[k, early] = np.inf
     soon = rest.min(axis=0)
     ends = soon <= lasts
     lasts = np.where(ends, soon, np.where(soon < 2 * lasts, soon / 2, lasts))
@@ -238,10 +256,7 @@ def _plan(balls: Sequence[Ball], now: Array, goal: Array) -> tuple[Array, Ints]:
 
 
 def _lead(
-    model: Model,
-    bodies: Pair,
-    modes: tuple[str, str],
-    states: Array,
+    balls: list[Ball],
     who: Ints,
     now: Array,
     lasts: Array,
@@ -249,12 +264,11 @@ def _lead(
     size: int = NODES,
     onset: Flags | None = None,
 ) -> tuple[Piece, Flags]:
-    """Both balls for a time `lasts`, (k,), or until ball `ender` comes to s = 0; and for which that is their motion.
+    """Both balls for a time `lasts`, (k,), or until s of ball `ender` is down; and for which that is their motion.
 
     onset (k,): pairs whose ball 0 starts, at the piece's far end, where the pull on it overcomes what holds it.
     """
     on, anchor, long = mesh(size), -1 if onset is not None else 0, lasts[:, None]
-    balls = _begin(model, bodies, modes, states)
     for k, ball in enumerate(balls):
         ball.guess(on, long, k == ender, anchor)
     change, some = np.full(len(lasts), np.inf), slice(size // 2 - 1, None, size // 2)
@@ -262,7 +276,7 @@ def _lead(
         for turn in range(TURNS if size <= NODES else PATIENCE):
             _feel(balls)
             if ender >= 0:
-                long = balls[ender].ending(long)
+                long = balls[ender].ending()
             if onset is not None:
                 share = 1.0 if turn < QUICK else 0.5  # near the slowest that can come, whole steps go to and fro
                 long = np.where(onset[:, None], long * (1 - share * _beyond(balls[0].excess(), on)), long)
@@ -285,13 +299,12 @@ def _lead(
             good &= rough < 1
             if ball.mode == "fly":
                 over[k] = long[:, 0] >= ball.flies()
-            elif ball.mode in ("slide", "roll"):
-                over[k], passed = ball.over(long, balls[1 - k].x[..., -1:])
-                good &= ~passed
-            motion: Any = "roll" if ball.mode == "creep" else ball.mode
+            elif ball.mode in ("slide", "drill", "roll"):
+                over[k] = ball.over()
+            motion: Any = {"creep": "roll", "drill": "slide"}.get(ball.mode, ball.mode)
             series = Stretch(who, now, then, coefficients)
-            whole = np.minimum(now, then), np.maximum(now, then), motion, series, ball.state, bodies[k].radius
-            courses.append(Course(who, *whole, model.gravity))
+            whole = np.minimum(now, then), np.maximum(now, then), motion, series, ball.state, ball.body.radius
+            courses.append(Course(who, *whole, ball.model.gravity))
     ways = (np.stack([ball.x for ball in balls]), np.stack([ball.v for ball in balls]))
     last_states = np.stack([ball.last(long) for ball in balls])
     return Piece(who, now, then, *ways, last_states, over, (courses[0], courses[1])), good
@@ -327,8 +340,8 @@ def approach(model: Model, bodies: Pair, touching: Array, time: Array, start: Ar
     for size in STARTS:
         if len(todo):
             pair = bodies[0][todo], bodies[1][todo]
-            some = todo, time[todo], -lasts[todo], -1, size, ~held[todo]
-            piece, good = _lead(model, pair, ("creep", "roll"), touching[:, todo], *some)
+            begin = _begin(model, pair, ("creep", "roll"), touching[:, todo], np.zeros((2, len(todo))))
+            piece, good = _lead(begin, todo, time[todo], -lasts[todo], -1, size, ~held[todo])
             piece, todo = piece if np.all(good) else piece.of(good), todo[~good]
             pieces += [piece] if len(piece.who) else []
             then[:, piece.who], now[piece.who] = piece.last, piece.then
@@ -339,7 +352,8 @@ def approach(model: Model, bodies: Pair, touching: Array, time: Array, start: Ar
     todo = np.setdiff1d(np.flatnonzero(now > start), todo)
     while len(todo):
         pair = bodies[0][todo], bodies[1][todo]
-        found, failed = step(model, pair, ("rest", "roll"), then[:, todo], now[todo], start[todo])
+        nothing = np.zeros((2, len(todo)))
+        found, failed = step(model, pair, ("rest", "roll"), then[:, todo], nothing, now[todo], start[todo])
         lost.append(todo[failed])
         for piece in found:
             piece = piece.among(todo)

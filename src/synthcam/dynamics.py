@@ -69,7 +69,7 @@ class _Run:
         else:
             before = [self._before(k, states[k], launch.time) for k in states]
             self.past = [[leg] if leg.t1 > leg.t0 else [] for leg in before]
-        self.legs = self._begin(states)
+        self.legs = self._begin(states, tuple(states))
 
     def motion(self) -> Trajectory:
         for _ in range(LIMIT):
@@ -95,11 +95,12 @@ class _Run:
 
     def _go_on(self, states: dict[int, State]) -> None:
         """Begin new legs: of these balls, and of those that they push."""
+        anew = tuple(states)
         if self.pairing:
             states = {k: self.legs[k].now(self.t) for k in (0, 1)} | states
         for k in states:
             self._keep(k)
-        for k, leg in zip(states, self._begin(states), strict=True):
+        for k, leg in zip(states, self._begin(states, anew), strict=True):
             self.legs[k] = leg
 
     def _keep(self, k: int) -> None:
@@ -109,11 +110,11 @@ class _Run:
             leg = leg.spanning(past.pop().t0, self.t)
         past.append(leg)
 
-    def _begin(self, states: dict[int, State]) -> list[Leg]:
-        """The legs of balls in these states now; of balls that push each other those of both."""
+    def _begin(self, states: dict[int, State], anew: tuple[int, ...]) -> list[Leg]:
+        """The legs of balls in these states now; of balls that push each other those of both, `anew` after an event."""
         if self.pairing is None:
             return [self._leg(k, states[k], self.t) for k in states]
-        legs, self.until, started = self.pairing.legs(states, self.t)
+        legs, self.until, started = self.pairing.legs(states, self.t, anew)
         self.events += started
         return legs
 

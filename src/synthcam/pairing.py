@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 
 import numpy as np
 
-from synthcam.coupled import Course, Piece, approach, excess, mode_of, opening, push_at_rest, step
+from synthcam.coupled import Course, Piece, approach, excess, floors, mode_of, opening, push_at_rest, step
 from synthcam.kinematics import Array, State, made_rolling, resting
 from synthcam.launch import Launch
 from synthcam.model import Bodies, Model
@@ -28,7 +29,7 @@ class Pairing:
 
     def __init__(self, model: Model, bodies: Bodies, start: float, end: float) -> None:
         self.model, self.start, self.end = model, start, end
-        self.bodies = bodies[:1], bodies[1:]
+        self.bodies, self.floor = (bodies[:1], bodies[1:]), np.full((2, 1), np.inf)
 
     def before(self, launch: Launch) -> tuple[dict[int, State], list[list[Leg]], list[Event]]:
         """The states at the launch, the legs that led there from the start, and when a ball was pulled from its rest.
@@ -70,7 +71,8 @@ class Pairing:
             raise ValueError(HELD)
         pieces: list[Piece] = []
         while now[0] > self.start and modes != ["rest", "rest"]:
-            found, failed = step(self.model, self.bodies, (modes[0], modes[1]), rows, now, np.array([self.start]))
+            goal = np.array([self.start])
+            found, failed = step(self.model, self.bodies, (modes[0], modes[1]), rows, self.floor, now, goal)
             if len(failed):
                 raise ValueError(f"a ball has no past before {now[0]:g} s: it would have had to come from rest")
             if any(self._pulls(k, rows[k], found[0].places[1 - k]) for k in still):
@@ -81,9 +83,14 @@ class Pairing:
                 raise ValueError(f"a ball would have had to come faster than {FASTEST:g} m/s")
         return pieces
 
-    def legs(self, states: dict[int, State], t: float) -> tuple[list[Leg], float, list[Event]]:
-        """Legs from t on, and how far both are known: none leads beyond that. And which balls just begin to roll."""
+    def legs(self, states: dict[int, State], t: float, anew: Iterable[int]) -> tuple[list[Leg], float, list[Event]]:
+        """Legs from t on, and how far both are known: none leads beyond that. And which balls just begin to roll.
+
+        anew: balls to which something happened at t. The others go on, in a slide that began earlier.
+        """
         rows = np.array([[states[k]] for k in (0, 1)])
+        for k in anew:
+            self.floor[k] = floors(self.model, self.bodies, rows)[k]
         modes, started = self._modes(rows), []
         for k in (0, 1):
             if modes[k] == "rest" and self._pulls(k, rows[k], rows[1 - k, :, :2].T[..., None]):
@@ -93,7 +100,7 @@ class Pairing:
         if modes == ["rest", "rest"]:
             return [Rest(t, math.inf, state) for state in still], math.inf, []
         goal = np.array([max(self.end, t) + AHEAD])
-        found, failed = step(self.model, self.bodies, (modes[0], modes[1]), rows, np.array([t]), goal)
+        found, failed = step(self.model, self.bodies, (modes[0], modes[1]), rows, self.floor, np.array([t]), goal)
         if len(failed):
             raise ValueError(f"balls that push each other could not be followed from {t:.9g} s on")
         piece = found[0]
@@ -103,10 +110,13 @@ class Pairing:
                 legs[k] = Rest(t, self._loosened(k, rows[k], legs[1 - k], t, until), still[k])
             elif not piece.over[k, 0]:
                 legs[k] = legs[k].spanning(t, math.inf)
+            elif modes[k] == "drill":
+                legs[k], self.floor[k] = legs[k].spanning(t, math.inf), np.inf
         return legs, until, started
 
     def _modes(self, rows: Array) -> list[str]:
-        return [str(mode_of(row, body.radius)[0]) for row, body in zip(rows, self.bodies, strict=True)]
+        rows_of = zip(rows, self.bodies, self.floor, strict=True)
+        return [str(mode_of(row, body.radius, floor)[0]) for row, body, floor in rows_of]
 
     def _pulls(self, k: int, row: Array, other: Array) -> bool:
         """Does the push overcome what holds ball k, with the other at any of (2, 1, n)?"""

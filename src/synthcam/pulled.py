@@ -7,9 +7,8 @@ with f the push, of which a rolling ball takes 5/7. So each ball feels the other
 of both gains digits at every turn. A piece on which s comes to zero ends there: with x the share of its unknown length
 T, s = T (1 - x) M(x), where M is the mean of A over what is left of the piece, and s(0) gives T.
 
-Where a spin drills, friction fades with the slip u and a push may keep it creeping, until the spin is gone. Then
-    u' = f - (loss/s) u
-is solved for u as a whole, loss/s as it was: a drag so strong that Picard iteration would need tiny pieces.
+Where a spin drills, a slide has two parts: it drills until its slip is `sliding.ending_slip`; the rest is as if nothing
+drilled.
 
 A ball that starts from rest goes after the push: its lag d behind the push's direction phi obeys
     (s/f) d' + sin d = (s/f) phi',
@@ -28,11 +27,11 @@ from numpy.typing import NDArray
 from synthcam.kinematics import Array, contact_velocity, fly, plate_state, rolling_velocity
 from synthcam.model import Bodies, Model
 from synthcam.rolling import SLOWEST
-from synthcam.sliding import GONE
 from synthcam.spectral import matrices, product
 
 Flags = NDArray[np.bool_]
 SMALLEST = 1e-300
+FAINT = 1e-30  # m/s, m/s^2: stands in for nothing; friction that spins weaken divides by no less
 STILL = 1e-12  # m/s: slower than this is rest, or rolling for a contact velocity
 TRUE, STEADY = 3e-14, 5e-13  # m, m/s: of the last coefficients
 
@@ -76,35 +75,26 @@ def mesh(size: int) -> Mesh:
 class Ball:
     """One ball of each of k pairs in one piece, as the iteration has it: vectors (2, k, n), numbers (k, n).
 
-    It may rest, creep (roll, from rest or, at the piece's other end, to it), roll, slide or fly.
+    It may rest, creep (roll, from rest or, at the piece's other end, to it), roll, drill (slide while a spin has
+    friction fade, until the slip is `floor`, (k,)), slide or fly.
     """
 
-    def __init__(self, model: Model, mode: str, body: Bodies, state: Array) -> None:
+    def __init__(self, model: Model, mode: str, body: Bodies, state: Array, floor: Array) -> None:
         self.model, self.mode, self.state, self.body = model, mode, state, body
         self.fixed: dict[str, Any] = dict(gravity=model.gravity, radius=body.radius[:, None], mass=body.mass[:, None])
         self.fixed |= dict(of_a=body.of_a[:, None], ball=model.ball)
         self.place, velocity = state[:, :2].T[..., None], state[:, 3:5].T[..., None]
-        counted = contact_velocity(state, body.radius).T[..., None] if mode == "slide" else velocity
+        self.slides, self.drills = mode in ("slide", "drill"), mode == "drill"
+        counted = contact_velocity(state, body.radius).T[..., None] if self.slides else velocity
         self.first = np.hypot(counted[0], counted[1])
         self.hat = counted / np.maximum(self.first, SMALLEST)
-        self.q0 = rolling_velocity(state, body.radius).T[..., None] if mode == "slide" else velocity
-        self.drills = mode == "slide" and model.laws.bent("drilling")
-        self.floor, self.holds = 0 * self.first, np.ones(len(state), dtype=bool)
+        self.q0 = rolling_velocity(state, body.radius).T[..., None] if self.slides else velocity
+        self.floor = floor[:, None] if self.drills else 0 * self.first
         self.x, self.v, self.s, self.e = self.place, velocity, self.first, self.hat
         self.q, self.wz = self.q0, state[:, 8][:, None]
         self.away = np.zeros_like(self.place)
         self.stays = np.ones(len(state), dtype=bool)  # s over zero
         self.size = 1
-
-    def begin(self, other: Array) -> None:
-        """What acts on it, and whether friction could end its slide here, or fades before the push does: `holds`."""
-        if self.drills:
-            self.s = np.full_like(self.first, GONE)
-            self.feel(other)
-            self.holds = (self.loss > np.hypot(*self.push))[:, 0]
-            self.s = self.first
-            self.floor = np.where(self.holds[:, None] & (self.first > GONE + STILL), GONE, 0.0)
-        self.feel(other)
 
     def feel(self, other: Array) -> None:
         """Everything that acts on it, the other ball being at `other`."""
@@ -119,8 +109,9 @@ class Ball:
         self.push = push
         if mode == "fly":
             return
-        if mode == "slide":
-            instant |= dict(slip_speed=self.s, slip=last_axis(self.e), spin=self.wz)
+        if self.slides:
+            spin = self.wz if self.drills or not laws.bent("drilling") else 0 * self.wz
+            instant |= dict(slip_speed=np.maximum(self.s, FAINT), slip=last_axis(self.e), spin=spin)
             friction = laws("friction", self.model.sliding_friction, instant)
             load = laws("normal_load", self.model.gravity, instant)
             loss = 3.5 * friction * load
@@ -142,13 +133,10 @@ class Ball:
         """By how much the pull on a creeping ball exceeds what would hold it."""
         return np.asarray(np.hypot(*self.pull) - np.maximum(self.loss, self.model.rolling_decel))
 
-    def ending(self, lasts: Array) -> Array:
-        """How long until s is down, (k, 1), if it was tried for so long."""
-        if self.drills:
-            late = (self.s[:, -1:] - self.floor) / self.slowing[:, -1:]
-            return np.asarray(np.clip(late, lasts / -2, lasts) + lasts)
+    def ending(self) -> Array:
+        """How long until s is down, (k, 1)."""
         self.left = product(self.slowing[None] + np.zeros((1, 1, self.size)), self.on.rest)[0]
-        return np.asarray(self.first / self.left[:, :1])
+        return np.asarray((self.first - self.floor) / self.left[:, :1])
 
     def go(self, lasts: Array, ends: bool, anchor: int = 0) -> None:
         """The next iterate, of a piece that lasts so long, (k, 1)."""
@@ -163,17 +151,17 @@ class Ball:
             self._creep(lasts, anchor)
             self._moved(lasts)
             return
-        if self.drills:
-            self._drag(lasts)
-        elif ends:
-            self.s = lasts * self.left * (1 - on.x)
-            self._turn(product((self.across / self.left)[None], on.turn)[0])
+        if ends:
+            self.s = self.floor + lasts * self.left * (1 - on.x)
         else:
             s = self.first - lasts * product(self.slowing[None], on.integral)[0]
-            self.stays = s[:, -1] > 0
+            self.stays = s[:, -1] > self.floor[:, 0]
             self.s = np.maximum(s, 1e-3 * self.first)  # a path that is only tried
+        if ends and not self.drills:
+            self._turn(product((self.across / self.left)[None], on.turn)[0])
+        else:
             self._turn(lasts * product((self.across / self.s)[None], on.integral)[0])
-        if mode == "slide":
+        if self.slides:
             self.q = self.q0 + 5 / 7 * lasts * product(self.push, on.integral)
             self.v = self.q + 2 / 7 * self.s * self.e
             if self.drills:
@@ -181,16 +169,6 @@ class Ball:
         else:
             self.v = self.s * self.e
         self._moved(lasts)
-
-    def _drag(self, lasts: Array) -> None:
-        lines = (lasts * (self.loss / self.s))[:, None, :] * self.on.integral.T
-        lines[:, range(self.size), range(self.size)] += 1
-        pushed = self.first * self.hat + lasts * product(self.push, self.on.integral)
-        u = np.linalg.solve(lines, pushed.transpose(1, 2, 0)).transpose(2, 0, 1)
-        s = np.hypot(u[0], u[1])
-        self.stays = s[:, -1] >= self.floor[:, 0] - STILL
-        self.s = np.maximum(s, SMALLEST)
-        self.e = u / self.s
 
     def _turn(self, psi: Array) -> None:
         half = np.tan(psi / 2)  # numpy's sine and cosine take longer
@@ -225,7 +203,7 @@ class Ball:
             self.s = np.maximum(self.s, 1e-3 * self.first if self.drills else 0.0)
             self.e = np.repeat(self.hat, self.size, axis=-1)
             self.q = np.repeat(self.q0, self.size, axis=-1)
-            self.v = self.q + 2 / 7 * self.s * self.e if self.mode == "slide" else self.s * self.e
+            self.v = self.q + 2 / 7 * self.s * self.e if self.slides else self.s * self.e
             self.wz = np.repeat(self.wz, self.size, axis=-1)
         self._moved(lasts)
 
@@ -246,16 +224,11 @@ class Ball:
 
     def sound(self) -> Any:
         """Is s over zero all along, (k,)?"""
-        return self.stays & (self.s.min(axis=1) >= 0) if self.mode in ("creep", "roll", "slide") else self.stays
+        return self.stays & (self.s.min(axis=1) >= 0) if self.slides or self.mode in ("creep", "roll") else self.stays
 
-    def over(self, lasts: Array, other: Array) -> tuple[Flags, Flags]:
-        """Has its slide or roll ended with the piece, the other ball being at (2, k, 1)? And before it, (k,)?"""
-        s, first = self.s[:, -1], self.first[:, 0]
-        if not self.drills:
-            return s <= STILL, np.zeros(len(s), dtype=bool)
-        ball = Ball(self.model, self.mode, self.body, self.last(lasts))
-        ball.begin(other)
-        return (s <= GONE + STILL) & ball.holds, (s < GONE - STILL) & (first > GONE + STILL) & ball.holds
+    def over(self) -> Flags:
+        """Has its drilling, slide or roll ended with the piece, (k,)?"""
+        return np.asarray(self.s[:, -1] <= self.floor[:, 0] * (1 + 1e-12) + STILL)
 
     def last(self, lasts: Array) -> Array:
         """States (k, 9) at the piece's end."""
@@ -264,7 +237,7 @@ class Ball:
             out = fly(self.state, self.model.gravity, lasts)[:, 0]
             out[:, 0:2], out[:, 3:5] = x, v
             return out
-        if self.mode == "slide":
+        if self.slides:
             return plate_state(x, self.q[..., -1].T, (self.s * self.e)[..., -1].T, wz, radius)
         return plate_state(x, v, np.zeros(2), wz, radius)
 
@@ -277,10 +250,12 @@ class Ball:
         """Of the solution, (c, k, nodes), as in a Course; and the last ones over what they may be, (k,)."""
         found = product(np.concatenate([self.x, self.v]), self.on.coefficients)
         counted = found[2:]
-        if self.mode == "slide":
+        if self.slides:
             more = np.concatenate([self.q, self.wz[None] + np.zeros((1, 1, self.size))])
             found = np.concatenate([found, product(more, self.on.coefficients)])
-            counted = found[4:6]
+            counted = (
+                found[2:6] if self.drills else found[4:6]
+            )  # where it ends hangs on a slip that hardly falls any more
         return found, np.maximum(most(found[:2, :, -2:]) / TRUE, most(counted[..., -2:]) / STEADY)
 
 

@@ -5,10 +5,17 @@ Integrated in q = (5 v + 2 R w x z)/7 and the contact velocity u = |u| (cos th, 
 with p the push, N the load over the mass, and cos th, sin th in place of th. Towards the end of the slide th' grows as
 1/|u|; with ln|u| for the time every right-hand side is smooth, and the slide's end is a known place instead of an event
 to search for. Where nothing can turn the slip and A depends on |u| alone, t and x are integrals over |u|.
+
+Where a spin w drills, friction fades with the slip as F u/(u + c), c ~ |w|. A push p then keeps a slip of
+u = c p/(F - p) creeping, micrometres a second, until the spin is gone, perhaps a second later. For all that can be seen
+such a ball rolls, and what slows a rolling ball slows it: so a slide is over once its slip is small beside the
+drilling, at `ending_slip`, and what is left of the slip ends as if nothing drilled. That slip is fixed when the slide
+begins, and is the same whether the ball is solved alone or with another.
 """
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
@@ -22,7 +29,8 @@ from synthcam.reading import Reading
 from synthcam.spectral import RESOLVED, SIZES, Parts, Path, integrate, matrices, product
 
 FINISH = 1e-5  # of the first slip: the rest of the slide, a microsecond, is taken as a uniform deceleration
-GONE = 1e-6  # m/s: where a spin drills, friction fades with the slip, and what is left at this slip ends as without it
+PROBE = 1e-9  # m/s: a slip at which it is seen how far a spin has friction fade
+SMALL = 0.1  # of c: so small a slip beside the drilling, friction being a tenth, is no longer a slide
 KNOTS = (0.0, -3.8, float(np.log(FINISH)))  # of ln(|u|/|u0|)
 SHARES = (1.0, 0.0)  # of |u|/|u0|
 LAWS = ("friction", "normal_load", "push", "drilling")
@@ -133,11 +141,12 @@ class _Forces:
     fixed: dict[str, Any]
     pushes: bool
     drills: bool
+    spins: Any = 1.0  # (k, 1): 0 for a ball whose spin no longer matters
 
     @classmethod
-    def of(cls, model: Model, bodies: Bodies) -> _Forces:
+    def of(cls, model: Model, bodies: Bodies, other: Array = NOWHERE) -> _Forces:
         fixed: dict[str, Any] = dict(gravity=model.gravity, radius=bodies.radius[:, None])
-        fixed |= dict(mass=bodies.mass[:, None], of_a=bodies.of_a[:, None], other=NOWHERE, ball=model.ball)
+        fixed |= dict(mass=bodies.mass[:, None], of_a=bodies.of_a[:, None], other=other, ball=model.ball)
         return cls(model, fixed, model.laws.bent("push"), model.laws.bent("drilling"))
 
     def at(self, slip: Array, y: Array) -> tuple[Array, Any, Any, Any]:
@@ -145,7 +154,7 @@ class _Forces:
         model, laws, hat = self.model, self.model.laws, y[:2]
         v = y[3:5] + (2 / 7 * slip) * hat
         instant = self.fixed | dict(slip_speed=slip, slip=_last(hat), position=_last(y[5:7]), velocity=_last(v))
-        instant |= dict(spin=y[2])
+        instant |= dict(spin=y[2] * self.spins)
         friction = laws("friction", model.sliding_friction, instant)
         load = laws("normal_load", model.gravity, instant)
         slowing = 3.5 * friction * load + np.zeros_like(slip)
@@ -164,12 +173,26 @@ class _Forces:
             raise ValueError("sliding friction does not end the slide: the push along the slip is too strong")
         return found
 
-    def gone(self, y: Array) -> Array:
-        """The slip at which slides with a spin end, (k,), from y (8, k): larger where a push soon outdoes friction."""
-        slowing, _, push, _ = self.at(np.full((y.shape[1], 1), GONE), y[..., None])
-        push = push + np.zeros((2, y.shape[1], 1))
-        friction = slowing + (push * y[:2, :, None]).sum(axis=0)
-        return np.asarray(GONE * (1 + 2 * np.hypot(*push) / friction))[:, 0]
+
+def ending_slip(model: Model, state: Array, bodies: Bodies, other: Array = NOWHERE) -> Array:
+    """Where a spin drills: the slips (k,), m/s, at which slides that begin in these states (k, 9) are as good as over.
+
+    c sqrt(SMALL^2 + (2 p/(F - p))^2), no less than FINISH of the first one: small beside the drilling, twice the creep
+    at least. other: places relative to these balls, (k, 1, 2) or NOWHERE.
+    """
+    u, q = contact_velocity(state, bodies.radius), rolling_velocity(state, bodies.radius)
+    first = np.hypot(u[:, 0], u[:, 1])
+    hat = u.T / np.maximum(first, 1e-300)
+    y = np.stack([*hat, state[:, 8], *q.T, *state[:, 0:2].T, np.zeros(len(state))])[..., None]
+    slip, forces = np.full((len(state), 1), PROBE), _Forces.of(model, bodies, other)
+    found = [dataclasses.replace(forces, spins=spins).at(slip, y) for spins in (0.0, 1.0)]
+    push = found[0][2] + np.zeros((2, len(state), 1))
+    along = push[0] * y[0] + push[1] * y[1]
+    whole, faded = (np.maximum(slowing + along, 1e-300) for slowing, *_ in found)
+    size = np.hypot(push[0], push[1])
+    creep = size / np.maximum(whole - size, SMALL * whole)
+    beside = PROBE * (whole / faded - 1) * np.sqrt(SMALL**2 + 4 * creep**2)
+    return np.asarray(np.maximum(beside[:, 0], FINISH * first))
 
 
 def _guess(forces: _Forces, first: Array, stretch: Array, start: Array) -> Callable[[Array], Array]:
@@ -197,7 +220,11 @@ def slides(model: Model, state: Array, bodies: Bodies) -> Slides:
     u, q = contact_velocity(state, bodies.radius), rolling_velocity(state, bodies.radius)
     first = np.hypot(u[:, 0], u[:, 1])
     laws, forces = model.laws, _Forces.of(model, bodies)
-    pushes, drills = forces.pushes, forces.drills
+    pushes, drills, cut = forces.pushes, forces.drills, FINISH * first
+    if drills:
+        late = ending_slip(model, state, bodies)
+        cut = np.where(late < first, late, cut)
+        forces = dataclasses.replace(forces, spins=1.0 * (late < first)[:, None])
 
     def right(log: Array, y: Array) -> Parts:
         slip = first[:, None] * np.exp(log * stretch[:, None])
@@ -218,7 +245,7 @@ def slides(model: Model, state: Array, bodies: Bodies) -> Slides:
         yield slice(7, 8), rate[None]
 
     start = np.stack([*u.T / first, state[:, 8], *q.T, *state[:, 0:2].T, np.zeros(len(state))])
-    stretch = np.log(np.minimum(forces.gone(start) / first, 0.1)) / KNOTS[-1] if drills else np.ones_like(first)
+    stretch = np.log(cut / first) / KNOTS[-1] if drills else np.ones_like(first)
     if not pushes and not drills and all(laws.asked(law) <= STRAIGHT for law in ("friction", "normal_load")):
         path = _straight(lambda slip, y: forces.ending(slip, y)[0], first, start)
         if path is not None:
@@ -233,8 +260,8 @@ def slides(model: Model, state: Array, bodies: Bodies) -> Slides:
     still = np.where((np.arange(8) == 2)[:, None], 0.0, last) if drills else last  # no spin
     slowing, _, push, twist = forces.ending(slip[:, None] / 2, still[..., None])
     push, twist = (np.broadcast_to(f, (*lead, len(slip), 1))[..., 0] for f, lead in ((push, (2,)), (twist, ())))
-    cut, slowing = last[7], slowing[:, 0]
-    return Slides(path, False, drills, first, stretch, bodies.radius, cut, cut + slip / slowing, slowing, push, twist)
+    when, slowing = last[7], slowing[:, 0]
+    return Slides(path, False, drills, first, stretch, bodies.radius, when, when + slip / slowing, slowing, push, twist)
 
 
 def _last(vectors: Array) -> Array:

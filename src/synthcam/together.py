@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from synthcam.coupled import CLINGING, Ints, Pair, Piece, approach, excess, mode_of, step
+from synthcam.coupled import CLINGING, Ints, Pair, Piece, approach, excess, floors, mode_of, step
 from synthcam.impact import collide, land
 from synthcam.kinematics import Array, contact_velocity, rolling_state, rolling_velocity
 from synthcam.model import Bodies, Model
@@ -62,14 +62,17 @@ class _Block:
         self.out.segments.append(Resting(self.who[early], np.full(len(early), start), onset[early], rested[early]))
         after = collide(self.model, hit[0], hit[1], *self.bodies)
         self._odd_if(after.impulse_n < CLINGING * np.maximum(self.bodies[0].mass, self.bodies[1].mass))  # if any
-        self._after(np.stack([after.target, after.striker]), t_c.copy(), end)
+        states = np.stack([after.target, after.striker])
+        self.floor = floors(self.model, self.bodies, states)
+        self._after(states, t_c.copy(), end)
         self.out.odd |= set(self.who[self.odd].tolist())
 
     def _after(self, states: Array, now: Array, end: float) -> None:
         for ball in (0, 1):
             self._land(ball, np.flatnonzero(states[ball, :, 5] < 0), states, now)
+        radii = [body.radius for body in self.bodies]
         for _ in range(ROUNDS):
-            one, two = (mode_of(s, b.radius) for s, b in zip(states, self.bodies, strict=True))
+            one, two = (mode_of(*each) for each in zip(states, radii, self.floor, strict=True))
             live = (now < end) & ~self.odd
             kinds = sorted(set(zip(one[live].tolist(), two[live].tolist(), strict=True)))
             if len(kinds) == 0:
@@ -81,7 +84,8 @@ class _Block:
                     now[todo] = end
                     continue
                 pair = self.bodies[0][todo], self.bodies[1][todo]
-                found, failed = step(self.model, pair, names, states[:, todo], now[todo], np.full(len(todo), end))
+                goal = np.full(len(todo), end)
+                found, failed = step(self.model, pair, names, states[:, todo], self.floor[:, todo], now[todo], goal)
                 self.odd[todo[failed]] = True
                 for piece in found:
                     self._on(piece.among(todo), names, states, now)
@@ -100,6 +104,8 @@ class _Block:
                 self._odd_if(np.any(loose, axis=1), who)
             elif name == "fly":
                 self._land(ball, over, states, now)
+            elif name == "drill":
+                self.floor[ball, over] = np.inf
             elif len(over):
                 some, radius = states[ball, over], self.bodies[ball].radius[over]
                 velocity = rolling_velocity(some, radius) if name == "slide" else np.zeros((len(over), 2))
@@ -122,6 +128,8 @@ class _Block:
         )
         up[:, 5] = vertical
         states[ball, who] = up
+        pair = self.bodies[0][who], self.bodies[1][who]
+        self.floor[ball, who] = floors(self.model, pair, states[:, who])[ball]
         self.out.slide_ends[self.who[who[rolls]] + ball * self.n] = now[who[rolls]]
         self._kink(ball, who, now[who])
 
