@@ -1,12 +1,16 @@
 """Blind trials of the search: sealed boxes, opened once; every goal of the search with the figure reached.
 
-    benchmarks/blind.py [STUDY ...] [--boxes N] [--round R] [--jobs J] [--minutes M] [-o out/blind]
-    benchmarks/blind.py --page                the page alone, of all boxes opened so far
+    benchmarks/blind.py [STUDY ...] [--boxes N] [--round R] [--jobs J] [--minutes M] [--secret FILE] [-o out/blind]
+    benchmarks/blind.py round --round R       200 boxes of all kinds, each effect and each outsider among them
+    benchmarks/blind.py publish --round R     the round and its secret into benchmarks/rounds/R; no box is opened after
+    benchmarks/blind.py verify [R ...]        holds published rounds against their ledgers; --redraw: and their secrets
+    benchmarks/blind.py table [R] [--write]   the tables of docs/blind.md; --write puts them there
+    benchmarks/blind.py --page [--round R]    the page alone, of all boxes opened so far, or of a published round
 
-A study goes on where it stopped; another round has other boxes. The hash of each truth is on record before the
-analysis, which runs in a process of its own and is given tracks and camera. Studies: tracks and video draw nothing,
-one effect, two, one from outside the library or a tracker's defect, at 1 to 20 times its own detection limit; nulls,
-power, naming, pairs, outside, those filmed and defects put one question each. index.html in the output is the page.
+A study goes on where it stopped; another round has other boxes. They are drawn from a secret, made at the first box:
+its hash, and that of each truth, is on record before the analysis, which runs in a process of its own and is given
+tracks and camera. Studies: tracks and video draw all kinds at .85 to 20 times the detection limit; the others put one
+question each. index.html in the output is the page.
 """
 
 from __future__ import annotations
@@ -17,6 +21,7 @@ import hashlib
 import json
 import multiprocessing
 import os
+import secrets
 import subprocess
 import sys
 import tempfile
@@ -26,36 +31,17 @@ from pathlib import Path
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # before numpy: its matrices here are too small to share out
 
-from sealed import oracle, page
+from sealed import oracle, page, rounds
 from sealed.boxes import Study, Truth, draw
 from sealed.evidence import alone, prepare
 from sealed.judge import judge
-from sealed.ledger import Ledger
+from sealed.ledger import Broken, Ledger
+from sealed.studies import ROUND, STUDIES
 from synthcam.model import Model, write_model
 
 ROOT = Path(__file__).resolve().parent.parent
-ALL = {"none": 0.2, "one": 0.4, "two": 0.15, "outside": 0.15, "defect": 0.1}
-STUDIES = {
-    s.name: s
-    for s in (
-        Study("tracks", ALL, 300),
-        Study("nulls", {"none": 0.8, "defect": 0.2}, 300),
-        Study("power", {"one": 1}, 200, ratios=(1, 2, 5, 10)),
-        Study("naming", {"one": 1}, 100, ratios=(2,), naming=True),
-        Study("pairs", {"two": 1}, 100, ratios=(5,)),
-        Study("outside", {"outside": 1}, 100, ratios=(2, 5)),
-        Study("video", ALL, 40, filmed=True),
-        Study("filmed", {"none": 0.2, "one": 0.8}, 40, ratios=(1.5, 5), filmed=True),
-        Study("filmed_nulls", {"none": 1}, 30, filmed=True),
-        Study("filmed_power", {"one": 1}, 20, ratios=(2,), filmed=True),
-        Study("filmed_naming", {"one": 1}, 20, ratios=(2,), naming=True, filmed=True),
-        Study("filmed_pairs", {"two": 1}, 20, ratios=(5,), filmed=True),
-        Study("filmed_outside", {"outside": 1}, 20, ratios=(2, 5), filmed=True),
-        Study("defects", {"defect": 1}, 20, filmed=True),
-    )
-}
-
-
+ROUNDS = ROOT / "benchmarks" / "rounds"
+DOCS = ROOT / "docs" / "blind.md"
 SOURCES = ("src/discrepancy", "src/synthcam", "src/tracker", "benchmarks/sealed")
 
 
@@ -68,10 +54,11 @@ def code() -> str:
     return digest.hexdigest()[:8]
 
 
-def trial(study: Study, box: int, output: Path) -> str:
+def trial(study: Study, box: int, output: Path, secret: str) -> str:
     """Seal, analyse and open one box; a line that tells of it."""
     ledger = Ledger(output, study.name)
-    ledger.seal(box, draw(study, box))
+    ledger.commit(secret)
+    ledger.seal(box, draw(study, box, secret))
     with tempfile.TemporaryDirectory(prefix="box-") as temporary:
         folder = Path(temporary)
         said = ledger.answered(box)
@@ -116,37 +103,102 @@ def main() -> None:
     parser.add_argument("studies", nargs="*", metavar="STUDY", help=f"of {', '.join(STUDIES)}; default all")
     parser.add_argument("--boxes", type=int, help="how many of each study; default its own number")
     parser.add_argument("--round", default="", help="a name for boxes that have not been opened before")
+    parser.add_argument("--secret", type=Path, help="what boxes are drawn from; default secret.txt in the output")
     parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument("--nice", type=int, default=10)
     parser.add_argument("--minutes", type=float, default=float("inf"), help="begin no box after so long")
     parser.add_argument("--page", action="store_true", help="only write the page")
+    parser.add_argument("--redraw", action="store_true", help="verify: draw every box again from the secret")
+    parser.add_argument("--write", action="store_true", help="table: into docs/blind.md")
     parser.add_argument("-o", "--output", type=Path, default=ROOT / "out" / "blind")
     options = parser.parse_args()
-    options.output.mkdir(parents=True, exist_ok=True)
-    unknown = set(options.studies) - set(STUDIES)
-    if unknown:
-        parser.error(f"no study {', '.join(unknown)}; there are {', '.join(STUDIES)}")
-    if not options.page:
-        os.nice(options.nice)
-        run(options)
-    print(page.write(options.output))
+    command = {"publish": publish, "verify": verify, "table": table}.get(options.studies[0] if options.studies else "")
+    try:
+        if command:
+            options.studies = options.studies[1:]
+            command(options)
+        elif options.page and (ROUNDS / options.round / rounds.ABOUT).exists():
+            options.output.mkdir(parents=True, exist_ok=True)
+            print(page.write(options.output, rounds.rows_of(ROUNDS / options.round)))
+        else:
+            unknown = set(options.studies) - set(STUDIES) - {"round"}
+            if unknown:
+                parser.error(f"no study {', '.join(unknown)}; there are {', '.join(STUDIES)}")
+            options.output.mkdir(parents=True, exist_ok=True)
+            if not options.page:
+                os.nice(options.nice)
+                run(options)
+            print(page.write(options.output))
+    except Broken as e:
+        sys.exit(str(e))
+
+
+def secret_of(options: argparse.Namespace, make: bool = False) -> str:
+    """The secret's text. make: a new one where there is none yet; readable by its owner alone."""
+    path = options.secret or options.output / "secret.txt"
+    if make and not path.exists():
+        with os.fdopen(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "w") as file:
+            file.write(secrets.token_hex(32) + "\n")
+    if not path.exists():
+        raise Broken(f"{path}: there is no secret; --secret FILE names one")
+    return str(path.read_text().strip())
+
+
+def publish(options: argparse.Namespace) -> None:
+    print(rounds.publish(options.output, options.round, secret_of(options), ROUNDS))
+
+
+def verify(options: argparse.Namespace) -> None:
+    faults = []
+    for place in [ROUNDS / name for name in options.studies] or rounds.published(ROUNDS):
+        if not (place / rounds.ABOUT).exists():
+            raise Broken(f"{place}: there is no such round")
+        found = rounds.verify(place) + (rounds.redrawn(place) if options.redraw else [])
+        count, left = len(rounds.opened_in(place)), rounds.shut(place)
+        print(f"{place.name}: {count} boxes, {len(found)} faults; never opened: {', '.join(left) or 'none'}")
+        faults += found
+    if faults:
+        sys.exit("\n".join(faults))
+
+
+def table(options: argparse.Namespace) -> None:
+    """Of a published round, by default the last one."""
+    chosen = [ROUNDS / name for name in options.studies] or rounds.published(ROUNDS)[-1:]
+    text = rounds.told([row for place in chosen for row in rounds.rows_of(place)], ROUNDS)
+    if options.write:
+        DOCS.write_text(rounds.within(DOCS.read_text(), text))
+    else:
+        print(text)
+
+
+def plan(options: argparse.Namespace) -> list[tuple[str, int]]:
+    """The studies asked for, and how many boxes of each."""
+    if "round" not in options.studies:
+        return [(name, options.boxes or STUDIES[name].boxes) for name in options.studies or STUDIES]
+    if not options.round:
+        raise Broken("a round wants a name: --round NAME")
+    return list(ROUND.items())
 
 
 def run(options: argparse.Namespace) -> None:
-    todo = []
-    for name in options.studies or STUDIES:
+    if options.round and (ROUNDS / options.round).exists():
+        raise Broken(f"round {options.round} is published, its secret with it: no box of it can be blind any more")
+    todo, asked = [], plan(options)
+    for name, boxes in asked:
         study = STUDIES[name]
         study = dataclasses.replace(study, name=f"{name}-{options.round}" if options.round else name)
         done = {row["box"] for row in Ledger(options.output, study.name).opened()}
-        todo += [(study, k) for k in range(options.boxes or study.boxes) if k not in done]
-    todo.sort(key=lambda t: t[1])  # a little of each study first
-    last = time.monotonic() + 60 * options.minutes
+        todo += [(study, k, boxes) for k in range(boxes) if k not in done]
+    todo.sort(key=lambda t: t[1] / t[2])  # a stopped run has its share of each study
+    secret, last = secret_of(options, make=True), time.monotonic() + 60 * options.minutes
+    for name in dict.fromkeys(study.name for study, _, _ in todo):
+        Ledger(options.output, name).commit(secret)
     with ProcessPoolExecutor(options.jobs, multiprocessing.get_context("spawn")) as pool:
         busy = set()
-        for study, box in todo:
+        for study, box, _ in todo:
             if time.monotonic() > last:
                 break
-            busy.add(pool.submit(trial, study, box, options.output))
+            busy.add(pool.submit(trial, study, box, options.output, secret))
             while len(busy) >= options.jobs:
                 busy -= _ended(busy)
         while busy:

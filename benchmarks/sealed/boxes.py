@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
+import hashlib
 import math
-import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
@@ -20,19 +20,24 @@ from tracker.geometry import Camera
 
 from .fisher import CLASS, FREE, Fisher, Noise, Rows
 from .integrator import PHYSICS
-from .outsiders import OUTSIDERS, Outsider
+from .ordinary import ORDINARY
+from .outsiders import OUTSIDERS, Outsider, in_clip
 
 Truth = dict[str, Any]
+FOREIGN = OUTSIDERS | ORDINARY
 
 STD = 5e-6  # m, of the tracks' noise
 VIDEO_STD = 1.5e-6  # m, .009 px: what the tracker reaches
 SCALE, SIZE = 1.6e-4, (640, 480)
+AT = (0.85, 1.2)  # a strength within this factor of another counts as that one, here and in every goal
 NOISES = {
     "white": Noise(STD),
     "correlated .5": Noise(STD, rho=0.5),
     "correlated .9": Noise(STD, rho=0.9),
     "shake": Noise(STD, shake=0.6 * STD),
 }
+LAMP = (0.05, 0.0, 0.45)  # m, the scene's own
+LOW = (0.08, 0.2)  # m: so low stands the lamp where glints are to lie far from the centres
 SHAPES: dict[str, tuple[float, float]] = {
     "stribeck.slip": (0.03, 0.3),
     "hop.bounce": (0.2, 0.6),
@@ -40,6 +45,7 @@ SHAPES: dict[str, tuple[float, float]] = {
     "plate_waviness.angle": (0.1, 3.1),
     "ball_friction.mu": (0.1, 0.2),
     "dropped_frame.frame": (30, 60),
+    "unknown_lamp.height": LOW,
 }
 DEFECTS = {
     "pixel_locking": ("pixel_locking", "aspect_error"),  # what the library may call it; or nothing at all
@@ -48,22 +54,31 @@ DEFECTS = {
     "lamp": ("glint_parallax", "scale_error", "lens_distortion"),
     "scale": ("scale_error", "glint_parallax", "lens_distortion"),
 }
-IDLE = {"unknown_lamp"}  # effects that show nothing here: camera files tell of the lamp, but for the defect "glint"
+UNDRAWN = {  # effects of the library that no box hides, and why
+    "adhesion": "a sliding friction of mu (1 + pull) makes the same tracks",
+    "clock_error": "v0 and drag times f, mu and decel times f^2 make the same tracks",
+}
+LIT = {"unknown_lamp": "untold", "glint_parallax": "low"}  # the light in which these effects show
+LIGHTS = {"usual": 0.8, "untold": 0.1, "low": 0.1}  # and how often others have it, so that it tells nothing
+STRONGEST = 20.0  # times its limit
 ALIKE = 0.98  # of the cosine: beyond it no data of this size part two effects
 TRIES = 60
+STUBBORN = 8  # of them for the effect whose turn it is
 
 
 @dataclass(frozen=True)
 class Study:
-    """What the boxes of a study are drawn from. Weights by name; ratios: of strength to limit, none: 1 to 20.
+    """What the boxes of a study are drawn from. Weights by name; ratios: of strength to limit, none: `within`.
 
     naming: ratios are of the naming limit, where the nearest rival would be 5 sigma off. filmed: through the tracker.
+    The effects take turns: box k of a study hides the k-th of them first, in an order that its seed makes.
     """
 
     name: str
     kinds: Mapping[str, float]
     boxes: int
     ratios: tuple[float, ...] = ()
+    within: tuple[float, float] = (AT[0], STRONGEST)
     noises: Mapping[str, float] = field(
         default_factory=lambda: {"white": 0.4, "correlated .5": 0.2, "correlated .9": 0.2, "shake": 0.2}
     )
@@ -75,31 +90,44 @@ class Study:
     naming: bool = False
     filmed: bool = False
     effects: tuple[str, ...] = ()  # to hide; none: all that the search could find
+    all: bool = False  # each of them: the integrator makes the tracks only where it knows the effect
 
-    @property
-    def seed(self) -> int:
-        return zlib.crc32(self.name.encode())
+    def seed(self, secret: str) -> int:
+        """What its boxes are drawn with: nobody who lacks the secret can know them."""
+        return int(hashlib.sha256(f"{secret}/{self.name}".encode()).hexdigest(), 16)
 
 
-def draw(study: Study, box: int) -> Truth:
+def draw(study: Study, box: int, secret: str) -> Truth:
     """The truth of a box, plain enough for JSON."""
-    rng = np.random.default_rng([study.seed, box])
+    seed = study.seed(secret)
+    rng = np.random.default_rng([seed, box])
     kind, noise = _one_of(rng, study.kinds), _one_of(rng, study.noises)
     truth: Truth = {"study": study.name, "box": box, "kind": kind, "seed": int(rng.integers(2**31))}
     truth |= {"noise": "tracker" if study.filmed else noise, "claimed": 1.0, "clips": study.clips}
     truth |= {"frames": study.frames, "size": list(study.size), "exchanged": bool(rng.random() < study.exchanged)}
+    truth["exchanged"] |= kind == "ordinary"  # many are of one ball
     truth["base"] = {k: float(getattr(Model(), k) * rng.uniform(0.9, 1.1)) for k in FREE}
     truth |= {"hidden": {}, "effects": [], "source": "video" if study.filmed else "synthcam", "defect": {}}
+    truth["lamp"] = list(LAMP)
     integrated = rng.random() < study.integrated
     if not study.filmed:
         truth["claimed"] = float(np.exp(rng.uniform(np.log(0.8), np.log(1.25))))
+    turns = [str(n) for n in np.random.default_rng(seed).permutation(sorted(_candidates(study, kind, integrated)))]
+    if kind != "defect" and not study.filmed:
+        truth["lamp"] = _lamp(rng, LIT.get(turns[box % len(turns)]) or _one_of(rng, LIGHTS))
     if kind == "defect":
         truth["defect"] = _defect(rng, study.filmed)
     elif kind != "none":
-        _hide(truth, rng, study, 2 if kind == "two" else 1, _candidates(study, kind, integrated))
+        _hide(truth, rng, study, 2 if kind == "two" else 1, turns)
     if not study.filmed and integrated and set(truth["effects"]) <= set(PHYSICS):
         truth["source"] = "integrator"
     return truth
+
+
+def _lamp(rng: np.random.Generator, light: str) -> list[float] | None:
+    """Where camera.json says the lamp is; None: it does not say."""
+    low = [*(rng.choice([-1, 1], 2) * rng.uniform(0.05, 0.15, 2)), rng.uniform(*LOW)]
+    return {"usual": list(LAMP), "untold": None, "low": [float(x) for x in low]}[light]
 
 
 def _one_of(rng: np.random.Generator, weights: Mapping[str, float]) -> str:
@@ -108,12 +136,13 @@ def _one_of(rng: np.random.Generator, weights: Mapping[str, float]) -> str:
 
 
 def _candidates(study: Study, kind: str, integrated: bool) -> list[str]:
-    known = [n for n, e in library().items() if n not in IDLE and not (study.filmed and "measure" in e.laws)]
-    if kind == "outside":
-        known = [n for n, e in OUTSIDERS.items() if e.VIDEO or not study.filmed]
+    known = [n for n, e in library().items() if n not in UNDRAWN and not (study.filmed and "measure" in e.laws)]
+    if kind in ("outside", "ordinary"):
+        kinds = OUTSIDERS if kind == "outside" else ORDINARY
+        known = [n for n, e in kinds.items() if e.VIDEO or not study.filmed]
     known = [n for n in known if n in (study.effects or known)]
     ours = [n for n in known if n in PHYSICS]
-    return ours if integrated and ours and not study.filmed else known
+    return ours if integrated and ours and not study.filmed and not study.all else known
 
 
 def _defect(rng: np.random.Generator, filmed: bool) -> dict[str, float]:
@@ -129,16 +158,21 @@ def _defect(rng: np.random.Generator, filmed: bool) -> dict[str, float]:
     return {which: float(size[which])}
 
 
-def _hide(truth: Truth, rng: np.random.Generator, study: Study, count: int, candidates: list[str]) -> None:
-    """Draw `count` effects, and their strengths as ratios to the detection limits of this box's own design."""
+def _hide(truth: Truth, rng: np.random.Generator, study: Study, count: int, turns: list[str]) -> None:
+    """Draw `count` effects, and their strengths as ratios to the detection limits of this box's own design.
+
+    The first is the one whose turn it is, unless this design cannot show it.
+    """
     noise = Noise(VIDEO_STD) if study.filmed else NOISES[truth["noise"]]
     fisher = Fisher(base_model(truth), fitted(truth), noise)
     entries: list[dict[str, Any]] = []
-    for _ in range(TRIES):
-        name = str(rng.choice([c for c in candidates if c not in [e["effect"] for e in entries]]))
-        kind = library().get(name) or OUTSIDERS[name]
+    for attempt in range(TRIES):
+        name = turns[truth["box"] % len(turns)]
+        if entries or attempt >= STUBBORN:
+            name = str(rng.choice([c for c in turns if c not in [e["effect"] for e in entries]]))
+        kind = library().get(name) or FOREIGN[name]
         shapes, way = _shapes(kind, rng), _way(kind, rng)
-        ratio = float(rng.choice(study.ratios)) if study.ratios else float(np.exp(rng.uniform(0, np.log(20))))
+        ratio = float(rng.choice(study.ratios)) if study.ratios else float(np.exp(rng.uniform(*np.log(study.within))))
         entry = _entry(fisher, kind, shapes, way, ratio, study.naming)
         if entry is not None:
             entries.append(entry)
@@ -233,9 +267,9 @@ def model_of(truth: Truth) -> Model:
 def _foreign(truth: Truth) -> list[Outsider]:
     out = []
     for name in truth["effects"]:
-        if name in OUTSIDERS:
+        if name in FOREIGN:
             own = {k.partition(".")[2]: v for k, v in truth["hidden"].items() if k.startswith(f"{name}.")}
-            out.append(OUTSIDERS[name](**own))
+            out.append(FOREIGN[name](**own))
     return out
 
 
@@ -250,7 +284,8 @@ def scene_of(truth: Truth, effects: bool = True) -> Scene:
     launch["striker"] = {"choice": ["a", "b"] if truth["exchanged"] else ["b"]}  # type: ignore[dict-item]
     timing = {"frames": truth["frames"], "contact_frame": {"uniform": [20.0, 30.0]}}
     plain = {"name": "box", "model": truth["base"], "effects": hidden, "launch": launch, "timing": timing}
-    return check_scene(plain | {"camera": {"size": truth["size"]}}, "box")
+    plain |= {"camera": {"size": truth["size"]}, "lamp": {"position": list(truth.get("lamp") or LAMP)}}
+    return check_scene(plain, "box")
 
 
 def clips_of(truth: Truth) -> list[Clip]:
@@ -258,7 +293,12 @@ def clips_of(truth: Truth) -> list[Clip]:
     scene, foreign = scene_of(truth), _foreign(truth)
     clips = [scene.draw(k, truth["seed"]) for k in range(truth["clips"])]
     bent = [dataclasses.replace(c.model, effects=(*c.model.effects, *foreign)) for c in clips]
-    return [dataclasses.replace(c, model=m) for c, m in zip(clips, bent, strict=True)]
+    own = [in_clip(m, k, launched_a(c), launch_of(c)) for k, (c, m) in enumerate(zip(clips, bent, strict=True))]
+    return [dataclasses.replace(c, model=m) for c, m in zip(clips, own, strict=True)]
+
+
+def launched_a(clip: Clip) -> bool:
+    return bool(clip.drawn["launch"]["striker"] == "a")
 
 
 def launch_of(clip: Clip) -> Any:
@@ -270,7 +310,13 @@ def launch_of(clip: Clip) -> Any:
 
 def camera_of(truth: Truth) -> Camera:
     """The camera of a box, as its file has it."""
-    return Camera.from_dict(camera_json(scene_of(truth, effects=False).draw(0, truth["seed"])))
+    return Camera.from_dict(camera_file(truth, scene_of(truth, effects=False).draw(0, truth["seed"])))
+
+
+def camera_file(truth: Truth, clip: Clip) -> dict[str, Any]:
+    """camera.json, which may say nothing of the lamp."""
+    known = camera_json(clip)
+    return known if truth.get("lamp", LAMP) else {k: v for k, v in known.items() if k != "lamp"}
 
 
 def fitted(truth: Truth) -> list[Rows]:
@@ -280,7 +326,7 @@ def fitted(truth: Truth) -> list[Rows]:
     every = []
     for k in range(truth["clips"]):
         clip = scene.draw(k, truth["seed"])
-        every.append(Rows(clip.drawn["launch"]["striker"], camera, frame, ball, launch_of(clip)))
+        every.append(Rows(clip.drawn["launch"]["striker"], camera, frame, ball, launch_of(clip), k))
     places = Fisher.places(base_model(truth), every)
     half = np.array(truth["size"]) / 2 * SCALE - camera.radius
     seen = [(np.abs(xy) < half).all(axis=1) for xy in places]

@@ -15,13 +15,14 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from discrepancy.forecast import known_to_measure
 from synthcam import truth as exact
-from synthcam.dataset import camera_json, view_of, write_clip
+from synthcam.dataset import view_of, write_clip
 from synthcam.generate import film
 from synthcam.scene import Clip
 from tracker.geometry import Camera, Lamp
 
-from .boxes import NOISES, SCALE, Truth, camera_of, clips_of, launch_of, model_of
+from .boxes import NOISES, SCALE, Truth, camera_file, camera_of, clips_of, launch_of, model_of
 from .integrator import Plate, collision, means
 from .outsiders import moved
 
@@ -41,7 +42,7 @@ def _tabled(truth: Truth, folder: Path) -> tuple[Path, Path]:
     tables = [_tracks(truth, clip, camera, rng) for clip in clips]
     path = folder / "tracks.parquet"
     pd.concat(tables).to_parquet(path, index=False)
-    (folder / "camera.json").write_text(json.dumps(_as_believed(camera_json(clips[0]), truth["defect"])))
+    (folder / "camera.json").write_text(json.dumps(_as_believed(camera_file(truth, clips[0]), truth["defect"])))
     return path, folder / "camera.json"
 
 
@@ -67,7 +68,7 @@ def _by_synthcam(clip: Clip, camera: Camera) -> tuple[Array, NDArray[np.bool_]]:
     pixels = table[["x_mean_px", "y_mean_px"]].to_numpy().reshape(2, clip.frames, 2)
     velocity = table[["vx", "vy"]].to_numpy().reshape(2, clip.frames, 2)
     place = camera.unproject(pixels)[0]
-    shift = moved(clip.model.effects, place, velocity)
+    shift = moved(clip.model.effects, place, velocity, clip.launch.bodies.of_a[:, None])
     if np.any(shift):
         pixels = _projected(camera, place + shift)
     return pixels, table["visible"].to_numpy().reshape(2, clip.frames)
@@ -98,8 +99,7 @@ def _mismeasured(pixels: Array, truth: Truth, camera: Camera) -> Array:
     if "lamp" in defect:
         wrong = dataclasses.replace(camera, lamp=_moved_lamp(camera, defect["lamp"]))
         return wrong.centre_of_glint(camera.glint_of_centre(_on_plate(camera, pixels)))[0]
-    instant = {"glint": lambda px: camera.glint_of_centre(_on_plate(camera, px))}
-    bent = model_of(truth).laws("measure", pixels, instant)
+    bent = model_of(truth).laws("measure", pixels, known_to_measure(camera))
     return np.asarray(bent)
 
 

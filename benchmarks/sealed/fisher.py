@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from discrepancy.forecast import forecast
 from synthcam.effect import Effect, library
 from synthcam.model import Model
-from tracker.geometry import Camera
+from tracker.geometry import Camera, InputError
 
 from . import outsiders
 
@@ -40,6 +40,7 @@ class Rows:
     frame: Any
     ball: Any
     launch: Array
+    clip: int = 0
 
 
 @dataclass(frozen=True)
@@ -79,8 +80,8 @@ class Fisher:
         return forecast(model, np.array([r.launch for r in rows]), rows)
 
     def _tracks(self, model: Model) -> list[Array]:
-        """Places (n_k, 2) of every clip, with what an outsider does to the picture."""
-        places = forecast(model, self.launches, self.rows)
+        """Places (n_k, 2) of every clip, with what an outsider does to one clip or to the picture."""
+        places = self._places(model)
         if not any(hasattr(e, "_moved") for e in model.effects):
             return places
         out = []
@@ -88,8 +89,19 @@ class Fisher:
             velocity = np.zeros_like(xy)
             for b in (0, 1):
                 velocity[r.ball == b] = np.gradient(xy[r.ball == b], axis=0) * r.camera.fps
-            out.append(xy + outsiders.moved(model.effects, xy, velocity))
+            out.append(xy + outsiders.moved(model.effects, xy, velocity, (r.ball == 1) == (r.striker == "a")))
         return out
+
+    def _places(self, model: Model) -> list[Array]:
+        """Where the balls are; clips of one model together."""
+        alike: dict[Model, list[int]] = {}
+        for k, r in enumerate(self.rows):
+            alike.setdefault(outsiders.in_clip(model, r.clip, r.striker == "a", r.launch), []).append(k)
+        out: dict[int, Array] = {}
+        for own, which in alike.items():
+            found = forecast(own, self.launches[which], [self.rows[k] for k in which])
+            out |= dict(zip(which, found, strict=True))
+        return [out[k] for k in range(len(self.rows))]
 
     def _white(self, k: int, columns: Array) -> Array:
         white = np.tensordot(self.roots[k], columns, axes=1)
@@ -159,5 +171,5 @@ class Fisher:
         nudged = dataclasses.replace(effect.absent(), **own | {strength: 0.01 * scale})
         try:
             return self.signature(dataclasses.replace(self.model, effects=(*self.model.effects, nudged)))
-        except ValueError:
+        except (ValueError, InputError):  # no motion; or a camera file without a lamp
             return np.zeros(1)

@@ -10,20 +10,23 @@ from typing import Any
 import numpy as np
 from scipy.stats import beta
 
-from .boxes import ALIKE
-from .judge import OUTSIDE, Row
+from .boxes import ALIKE, AT
+from .judge import Row
 
-AT = (0.85, 1.2)  # a ratio within this factor counts as the one asked for
 SURE = 0.95  # of a bound on one side
 FEW = 10  # boxes: the scatter of fewer says nothing of a mean
 AGAIN = 2000  # draws of the bootstrap
 Z = 1.645  # errors to a bound
 FITS = 500  # whose coverage is asked for
+FROM = 0.999  # of a ratio: from there on it is "from that on", however it is rounded
 
 
 @dataclass(frozen=True)
 class Goal:
-    """text, where ("tracks" or "video"); reached of n trials, with its bounds; met: yes, no, or not shown."""
+    """text, where ("tracks" or "video"); reached of n trials, with its bounds; met: yes, no, or not shown.
+
+    beside: what must be known to read it, as the sizes of the classes that counted.
+    """
 
     text: str
     where: str
@@ -32,10 +35,11 @@ class Goal:
     n: int
     met: str
     bounds: str = ""
+    beside: str = ""
 
 
 def near(rows: Iterable[Row], ratio: float, naming: bool = False) -> list[Row]:
-    """Those whose strength is about `ratio` times the (naming) limit."""
+    """Those whose strength is .85 to 1.2 times `ratio` times the (naming) limit."""
     values = [(r, r.naming if naming else r.ratio) for r in rows]
     return [r for r, v in values if AT[0] * ratio <= v <= AT[1] * ratio]
 
@@ -58,9 +62,9 @@ def verdict(yes: bool, no: bool) -> str:
     return "yes" if yes else "no" if no else "not shown"
 
 
-def at_least(text: str, where: str, wanted: float, hits: Sequence[bool]) -> Goal:
+def at_least(text: str, where: str, wanted: float, hits: Sequence[bool], beside: str = "") -> Goal:
     low, high = bounds(hits)
-    return _share(text, where, f"{100 * wanted:g} %", hits, verdict(low >= wanted, high < wanted))
+    return _share(text, where, f"{100 * wanted:g} %", hits, verdict(low >= wanted, high < wanted), beside)
 
 
 def at_most(text: str, where: str, wanted: float, hits: Sequence[bool]) -> Goal:
@@ -75,13 +79,19 @@ def counted(text: str, where: str, most: int, of: int, hits: Sequence[bool]) -> 
     return _share(text, where, f"at most {most} in {of}", hits, met)
 
 
-def _share(text: str, where: str, wanted: str, hits: Sequence[bool], met: str) -> Goal:
+def _share(text: str, where: str, wanted: str, hits: Sequence[bool], met: str, beside: str = "") -> Goal:
     if not hits:
         return Goal(text, where, wanted, "-", 0, "not shown")
     p, error = share(hits)
     low, high = bounds(hits)
-    reached, held = f"{100 * p:.1f} +- {100 * error:.1f} %", f"{100 * low:.1f} to {100 * high:.1f} %"
-    return Goal(text, where, wanted, reached, len(hits), met, held)
+    reached = f"{sum(hits)} of {len(hits)}, {100 * p:.1f} +- {100 * error:.1f} %"
+    return Goal(text, where, wanted, reached, len(hits), met, f"{100 * low:.1f} to {100 * high:.1f} %", beside)
+
+
+def sizes(rows: Iterable[Row]) -> str:
+    """How many names the reported classes hold, where a class counted: a class of everything would always be right."""
+    many = [len(c) for r in rows if r.kin for c in r.classes]
+    return f"classes of {np.mean(many):.1f} names, {max(many)} at most" if many else ""
 
 
 def goals(every: Sequence[Row]) -> list[Goal]:
@@ -93,7 +103,8 @@ def goals(every: Sequence[Row]) -> list[Goal]:
         if asked:
             out.append(at_least("an answer at all", where, 1.0, [r.worked for r in asked]))
         if rows:
-            out += _claims(rows, where) + _names(rows, where) + _outside(rows, where) + _numbers(rows, where)
+            out += _claims(rows, where) + _names(rows, where) + _outside(rows, where)
+            out += _ordinary(rows, where) + _numbers(rows, where)
     return out
 
 
@@ -103,50 +114,72 @@ def _claims(rows: list[Row], where: str) -> list[Goal]:
     defects = [r for r in rows if r.kind == "defect"]
     one = [r for r in rows if r.kind == "one"]
     limit = 1.5 if where == "video" else 1.0
-    blind = [r for r in rows if r.study.partition("-")[0] in ("tracks", "video")]
-    claims = [c in r.false for r in blind for c in r.called]
+    claims = [c in r.false for r in rows for c in r.called]
+    seen = [r.detected for r in near(one, limit)]
     return [
         counted("a false claim, nothing hidden", where, 2, 300, [bool(r.false) for r in plain]),
         at_most("likewise with correlated noise or shake", where, 0.02, [bool(r.false) for r in hard]),
         at_most("likewise with a tracker's defect", where, 0.02, [bool(r.false) for r in defects]),
-        at_least(f"detected at {limit:g} x its limit", where, 0.8, [r.detected for r in near(one, limit)]),
-        at_most("false discoveries among the claims of the blind set", where, 0.03, claims),
+        at_least(f"detected at {limit:g} x its limit (.85 to 1.2 of that)", where, 0.8, seen),
+        at_most("false discoveries among all claims", where, 0.03, claims),
     ]
 
 
 def _names(rows: list[Row], where: str) -> list[Goal]:
     one, two = ([r for r in rows if r.kind == kind] for kind in ("one", "two"))
     parted = [r for r in one if r.nearest < ALIKE]
-    alike = [r for r in one if r.nearest >= ALIKE and r.ratio >= 2 and r.detected]
-    strong = [r for r in two if r.ratio >= 4.9 and r.nearest < ALIKE]
+    alike = [r for r in one if r.nearest >= ALIKE and r.ratio >= 2 * FROM and r.detected]
+    pairs = [r for r in two if r.ratio >= 5 * FROM]
+    strong = [r for r in pairs if r.nearest < ALIKE]
+    at_two, beyond = near(one, 2), [r for r in one if r.ratio >= 2 * FROM]
     return [
         at_least("right name at 2 x its naming limit", where, 0.98, [r.name for r in near(parted, 2, naming=True)]),
-        at_least("right name from there on", where, 0.98, [r.name for r in parted if r.naming >= 2]),
-        at_least("right class at 2 x its limit", where, 0.99, [r.kin for r in near(one, 2)]),
-        at_least("right class from there on", where, 0.99, [r.kin for r in one if r.ratio >= 2]),
+        at_least("right name from there on", where, 0.98, [r.name for r in parted if r.naming >= 2 * FROM]),
+        at_least("right class at 2 x its limit", where, 0.99, [r.kin for r in at_two], sizes(at_two)),
+        at_least("right class from there on", where, 0.99, [r.kin for r in beyond], sizes(beyond)),
         at_least(
             "aliases (cos over .98): always a class",
             where,
             1.0,
             [r.kin and any(len(c) > 1 for c in r.classes) for r in alike],
+            sizes(alike),
         ),
         at_least("two effects, from 5 x their limits: both right", where, 0.95, [r.name for r in strong]),
-        at_least("both classes right", where, 0.98, [r.kin for r in two if r.ratio >= 4.9]),
+        at_least("both classes right", where, 0.98, [r.kin for r in pairs], sizes(pairs)),
     ]
 
 
 def _outside(rows: list[Row], where: str) -> list[Goal]:
     out = [r for r in rows if r.kind == "outside"]
-    strong = [r for r in out if r.ratio >= 4.9]
-    at_two = near(out, 2)
+    strong = [r for r in out if r.ratio >= 5 * FROM]
+    curves = [bool(r.curve) for r in strong if r.curve is not None]
+    text = "outside the library, from 5 x: declared, with no false name"
     return [
-        at_least("outside the library, from 5 x: declared", where, 0.98, [r.declared for r in strong]),
+        at_least(text, where, 0.98, [r.right for r in strong], split(strong)),
         at_least("the right slot", where, 0.95, [r.slot for r in strong]),
-        at_least("the curve in its band", where, 0.9, [bool(r.curve) for r in strong if r.curve is not None]),
-        at_most(
-            "at 2 x: called by a name of the library", where, 0.1, [set(r.called) - {OUTSIDE} != set() for r in at_two]
-        ),
+        at_least("the curve in its band", where, 0.9, curves),
+        at_most("at 2 x: called by a name of the library", where, 0.1, [r.misnamed for r in near(out, 2)]),
     ]
+
+
+def _ordinary(rows: list[Row], where: str) -> list[Goal]:
+    out = [r for r in rows if r.kind == "ordinary"]
+    strong = [r for r in out if r.ratio >= 5 * FROM]
+    weak = [r.misnamed for r in near(out, 2)]
+    text = "an ordinary fault without a slot, from 5 x: declared, with no false name"
+    return [
+        at_least(text, where, 0.95, [r.right for r in strong], split(strong)),
+        at_most("an ordinary fault at 2 x: called by a name of the library", where, 0.1, weak),
+    ]
+
+
+def split(rows: Sequence[Row]) -> str:
+    """How many of these outsiders were declared at all, and how, and how many had a false name."""
+    if not rows:
+        return ""
+    told = sum(r.verdict == "inadequate" for r in rows)
+    declared = sum(r.declared for r in rows)
+    return f"declared {declared}, {told} of them inadequate; with a false name {sum(r.misnamed for r in rows)}"
 
 
 def with_gap(rows: Iterable[Row]) -> list[Row]:

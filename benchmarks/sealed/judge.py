@@ -10,21 +10,23 @@ import numpy as np
 
 from synthcam.effect import library
 
-from .boxes import DEFECTS
-from .outsiders import OUTSIDERS
+from .boxes import DEFECTS, FOREIGN
 
 INSIDE = 0.9  # of a true curve's places must lie in the 95 % band
 OWNERS = {"friction": "sliding_friction", "restitution": "restitution", "spin_transfer": "spin_transfer"}
 CENTRED = ("lag_speed", "warp_place")
-NAMES = ("none", "one", "two", "outside", "defect")
+NAMES = ("none", "one", "two", "outside", "ordinary", "defect")
+STRANGE = ("outside", "ordinary")  # kinds that no library holds
+WIDEST = 6  # names: a larger class says nothing, and counts as the first name alone
+OUTSIDE, INADEQUATE = "outside the library", "inadequate"
 
 
 @dataclass(frozen=True)
 class Row:
     """One opened box, judged. A claim is true when it, or its reported alias class, holds what is hidden.
 
-    called: the claims, "outside the library" among them. name, kin: all names right, all classes right, none too many.
-    z: errors of the rightly named strengths over their claimed standard deviations.
+    called: the claims, OUTSIDE and INADEQUATE among them. name, kin: all names right, all classes right, none too many.
+    classes: as reported, however wide. z: errors of the rightly named strengths over their claimed standard deviations.
     """
 
     kind: str
@@ -57,19 +59,25 @@ class Row:
 
     @property
     def detected(self) -> bool:
-        return self.worked and self.verdict != "none"
+        """Of what the library holds, `inadequate` is a miss."""
+        return self.worked and self.verdict != "none" and (self.kind in STRANGE or self.verdict != "inadequate")
 
     @property
     def right(self) -> bool:
-        """By name; of an outsider: declared, and of a defect: no false claim."""
-        if self.kind == "outside":
+        """By name; of an outsider: declared, with no name of the library beside it; of a defect: no false claim."""
+        if self.kind in STRANGE:
             return self.declared and not self.false
         return self.worked and (not self.false if self.kind == "defect" else self.name)
 
     @property
     def declared(self) -> bool:
-        """Said to lie outside the library."""
-        return OUTSIDE in self.called
+        """Said to lie outside the library, or that something is missing which nothing tried explains."""
+        return OUTSIDE in self.called or INADEQUATE in self.called
+
+    @property
+    def misnamed(self) -> bool:
+        """A false name of the library, whatever else was said."""
+        return bool(set(self.false) - {OUTSIDE, INADEQUATE})
 
     @property
     def closure(self) -> float:
@@ -83,21 +91,18 @@ class Row:
         return self.gap["augmented"] / self.gap["oracle"] if self.gap else math.nan
 
 
-OUTSIDE = "outside the library"
-
-
 def judge(line: dict[str, Any]) -> Row:
     """A line of NAME.jsonl, judged."""
-    truth, answer = line["truth"], line["answer"]
+    truth, answer = _known(line["truth"]), line["answer"]
     hidden, about = tuple(truth["effects"]), truth.get("about", [])
-    named = [n["effect"] for n in answer.get("named", [])]
+    named = [n["effect"] for n in _standing(answer)]
     classes = [next((tuple(a) for a in answer.get("aliases", []) if n in a), (n,)) for n in named]
-    outside = answer["verdict"] == "outside_library"
+    kins = [kin if len(kin) <= WIDEST else (n,) for n, kin in zip(named, classes, strict=True)]
+    said = [word for word, verdict in WORDS.items() if answer["verdict"] == verdict]
     allowed = {*hidden, *(n for d in truth["defect"] for n in DEFECTS[d])}
-    false = [n for n, kin in zip(named, classes, strict=True) if not allowed & {n, *kin}]
-    if outside and truth["kind"] != "outside":
-        false.append(OUTSIDE)
-    ours = [h for h in hidden if h not in OUTSIDERS]
+    false = [n for n, kin in zip(named, kins, strict=True) if not allowed & {n, *kin}]
+    false += [word for word in said if truth["kind"] in FALSE[word]]
+    ours = [h for h in hidden if h not in FOREIGN]
     ratio = min((a["ratio"] for a in about), default=0.0)
     nearest = max((a["nearest"] for a in about), default=0.0)
     slot, curve = _outside(truth, answer)
@@ -110,11 +115,11 @@ def judge(line: dict[str, Any]) -> Row:
         naming=ratio * math.sqrt(max(1 - nearest**2, 0.0)),
         nearest=nearest,
         verdict=answer["verdict"],
-        called=(*named, *([OUTSIDE] if outside else [])),
+        called=(*named, *said),
         classes=tuple(classes),
         false=tuple(false),
-        name=not outside and sorted(named) == sorted(ours) and len(ours) == len(hidden),
-        kin=not outside and len(ours) == len(hidden) and _matched(ours, named, classes),
+        name=not said and sorted(named) == sorted(ours) and len(ours) == len(hidden),
+        kin=not said and len(ours) == len(hidden) and _matched(ours, named, kins),
         noise=truth["noise"],
         source=truth["source"],
         slot=slot,
@@ -126,6 +131,31 @@ def judge(line: dict[str, Any]) -> Row:
         box=truth["box"],
         code=answer.get("code", ""),
     )
+
+
+WORDS = {OUTSIDE: "outside_library", INADEQUATE: "inadequate"}
+# Kinds of boxes in which a word is a false claim. Beside a hidden effect `inadequate` is a miss; and it is true of a
+# tracker's defect, of which no more than the library's nearest name could have been said.
+FALSE = {OUTSIDE: ("none", "one", "two", "defect"), INADEQUATE: ("none",)}
+
+
+def _known(truth: dict[str, Any]) -> dict[str, Any]:
+    """The truth; an outsider whose law the library has by now is a hidden effect like any other."""
+    names = [_same(n) for n in truth["effects"]]
+    if names == truth["effects"]:
+        return truth
+    return truth | {"kind": "one", "effects": names}
+
+
+def _same(name: str) -> str:
+    kind = FOREIGN.get(name)
+    return next((n for n in kind.SAME if n in library()), name) if kind else name
+
+
+def _standing(answer: dict[str, Any]) -> list[dict[str, Any]]:
+    """The names that the answer stands by: a claim that was withdrawn is none."""
+    gone = {w if isinstance(w, str) else w.get("effect", w.get("slot")) for w in answer.get("withdrawn") or []}
+    return [n for n in answer.get("named", []) if n["effect"] not in gone]
 
 
 def _matched(hidden: list[str], named: list[str], classes: list[tuple[str, ...]]) -> bool:
@@ -143,17 +173,31 @@ def _matched(hidden: list[str], named: list[str], classes: list[tuple[str, ...]]
 
 def _errors(truth: dict[str, Any], answer: dict[str, Any]) -> list[float]:
     """(value - truth)/std of each strength that is named rightly; where all is right."""
-    named = answer.get("named", [])
+    named = _standing(answer)
     if sorted(n["effect"] for n in named) != sorted(truth["effects"]):
         return []
     out = []
     for n in named:
-        for key, value in n["parameters"].items():
-            dotted = key if "." in key else f"{n['effect']}.{key}"
-            std = (n.get("std") or {}).get(key)
-            if std and dotted in truth["hidden"] and dotted in strengths_of(n["effect"]):
-                out.append((value - truth["hidden"][dotted]) / std)
+        found = {k if "." in k else f"{n['effect']}.{k}": v for k, v in n["parameters"].items()}
+        stds = {k if "." in k else f"{n['effect']}.{k}": v for k, v in (n.get("std") or {}).items()}
+        hidden = facing(n["effect"], truth["hidden"], found)
+        for dotted in found:
+            if stds.get(dotted) and dotted in hidden and dotted in strengths_of(n["effect"]):
+                out.append((found[dotted] - hidden[dotted]) / stds[dotted])
     return out
+
+
+def facing(effect: str, hidden: dict[str, float], found: dict[str, float]) -> dict[str, float]:
+    """The hidden values written as the found ones are, where two sets of numbers are one law.
+
+    A wave that runs along angle, and one along angle + pi whose sine has the other sign, are the same wave. No other
+    effect of the library has such a twin: their directions are pairs of components, their sizes bounded or odd.
+    """
+    if effect != "plate_waviness" or f"{effect}.angle" not in found:
+        return hidden
+    turns = round((found[f"{effect}.angle"] - hidden[f"{effect}.angle"]) / math.pi)
+    turned = {f"{effect}.angle": hidden[f"{effect}.angle"] + turns * math.pi}
+    return hidden | turned | {f"{effect}.b": hidden.get(f"{effect}.b", 0.0) * (-1) ** turns}
 
 
 def strengths_of(effect: str) -> set[str]:
@@ -164,10 +208,11 @@ def strengths_of(effect: str) -> set[str]:
 
 def _outside(truth: dict[str, Any], answer: dict[str, Any]) -> tuple[bool, bool | None]:
     """Is the first slot the right one, and does the true curve lie in its band? None: there is no curve to hold."""
-    entries = answer.get("outside") or []
+    gone = {w.get("slot") for w in answer.get("withdrawn") or [] if isinstance(w, dict)}
+    entries = [e for e in answer.get("outside") or [] if e["slot"] not in gone]
     if truth["kind"] != "outside" or not entries:
         return False, None
-    kind = OUTSIDERS[truth["effects"][0]]
+    kind = FOREIGN[truth["effects"][0]]
     first = entries[0]
     slot = first["slot"] == kind.SLOT
     own = {k.partition(".")[2]: v for k, v in truth["hidden"].items()}

@@ -1,8 +1,9 @@
 """Sealed boxes: the hash of a truth is on record before the analysis, and each box is opened once.
 
-Of a study NAME: NAME.ledger.jsonl, a line when a box is sealed (the truth's hash) and one when it is answered (the
-answer's); NAME.sealed/, the truths with their salt, and the answers; NAME.jsonl, the opened boxes. The line that opens
-a box is its result: a run killed at any moment leaves a box without an answer, with its one answer, or done.
+Of a study NAME: NAME.ledger.jsonl, first the hash of the secret that the boxes are drawn from, then a line when a box
+is sealed (the truth's hash) and one when it is answered (the answer's); NAME.sealed/, the truths with their salt, and
+the answers; NAME.jsonl, the opened boxes. The line that opens a box is its result: a run killed at any moment leaves a
+box without an answer, with its one answer, or done.
 """
 
 from __future__ import annotations
@@ -29,6 +30,11 @@ def digest(value: Json) -> str:
     return hashlib.sha256(text.encode()).hexdigest()
 
 
+def sealing(secret: str) -> str:
+    """SHA-256 of a secret."""
+    return hashlib.sha256(secret.encode()).hexdigest()
+
+
 class Ledger:
     """The files of one study."""
 
@@ -40,6 +46,14 @@ class Ledger:
     def opened(self) -> list[Json]:
         """The boxes opened so far."""
         return list(lines(self.results))
+
+    def commit(self, secret: str) -> None:
+        """Put the hash of the secret on record, before any box. Raises Broken when it is another than on record."""
+        said, known = sealing(secret), list(lines(self.record))
+        if not known:
+            _append(self.record, {"secret": said})
+        elif known[0].get("secret") != said:
+            raise Broken(f"{self.record.name}: these boxes were drawn from another secret")
 
     def seal(self, box: int, truth: Json) -> None:
         """Put the truth of a box on record. A box sealed before, and not opened, stays as it was."""
@@ -90,7 +104,7 @@ class Ledger:
 
     def _hash(self, box: int, what: str) -> str | None:
         """The first hash on record of a box's truth or answer."""
-        return next((str(line[what]) for line in lines(self.record) if line["box"] == box and what in line), None)
+        return next((str(line[what]) for line in lines(self.record) if line.get("box") == box and what in line), None)
 
 
 def lines(path: Path) -> Iterator[Json]:

@@ -7,6 +7,7 @@ of motion but defects of a picture, and move the tracks after the fact: see `mov
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -14,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from synthcam.effect import Effect, parameter
+from synthcam.model import Model
 
 Array = NDArray[np.float64]
 
@@ -37,10 +39,15 @@ class Outsider(Effect):
 
     SLOT: ClassVar[str] = ""
     VIDEO: ClassVar[bool] = True  # can it be filmed?
+    SAME: ClassVar[tuple[str, ...]] = ()  # effects that hold exactly this law, should the library have them
 
     @classmethod
     def name(cls) -> str:
         return "".join("_" + c.lower() if c.isupper() else c for c in cls.__name__).lstrip("_")
+
+    def _in(self, clip: int, a_strikes: bool, launch: Array) -> Outsider:
+        """What it is in one clip: its number, whether ball a is the launched one, and x, y, t_c, v0, heading, b."""
+        return self
 
 
 @dataclass(frozen=True)
@@ -210,7 +217,7 @@ class SpeedDelay(Outsider):
     VIDEO: ClassVar[bool] = False
     late: float = parameter("s", scale=1e-4, low=-2e-3, high=2e-3)
 
-    def _moved(self, xy: Array, velocity: Array) -> Array:
+    def _moved(self, xy: Array, velocity: Array, of_a: Array) -> Array:
         return -self._curve(np.hypot(velocity[..., 0], velocity[..., 1]))[..., None] * velocity
 
     def _curve(self, x: Any) -> Any:
@@ -225,7 +232,7 @@ class QuarticWarp(Outsider):
     VIDEO: ClassVar[bool] = False
     size: float = parameter("m", scale=2e-5, low=-1e-3, high=1e-3)
 
-    def _moved(self, xy: Array, velocity: Array) -> Array:
+    def _moved(self, xy: Array, velocity: Array, of_a: Array) -> Array:
         return np.stack([self.size * (xy[..., 0] / 0.05) ** 4, 0 * xy[..., 1]], axis=-1)
 
     def _curve(self, x: Any, y: Any) -> Any:
@@ -234,13 +241,19 @@ class QuarticWarp(Outsider):
         return np.stack([self.size / 1.6e-4 * (place / 0.05) ** 4, 0 * y], axis=-1)
 
 
-OUTSIDERS = {kind.name(): kind for kind in Outsider.__subclasses__()}
+OUTSIDERS = {kind.name(): kind for kind in Outsider.__subclasses__() if kind.SLOT}
 
 
-def moved(effects: Any, xy: Array, velocity: Array) -> Array:
-    """How far, m, defects of the picture move balls seen at xy (..., 2), m, with these velocities."""
+def in_clip(model: Model, clip: int, a_strikes: bool, launch: Array) -> Model:
+    """The model as it is in one clip: some outsiders are another in each."""
+    own = tuple(e._in(clip, a_strikes, launch) if isinstance(e, Outsider) else e for e in model.effects)
+    return model if own == model.effects else dataclasses.replace(model, effects=own)
+
+
+def moved(effects: Any, xy: Array, velocity: Array, of_a: Any) -> Array:
+    """How far, m, defects of the picture move balls at xy (..., 2), m, with these velocities. of_a: 1 of ball a."""
     out = np.zeros_like(xy)
     for effect in effects:
         if hasattr(effect, "_moved"):
-            out = out + effect._moved(xy, velocity)
+            out = out + effect._moved(xy, velocity, of_a)
     return out

@@ -19,29 +19,34 @@ from matplotlib.figure import Figure
 from scipy.stats import norm
 
 from discrepancy.figures import inline
+from synthcam.effect import library
 
+from .boxes import FOREIGN, UNDRAWN
 from .goals import goals, share, with_gap
-from .judge import NAMES, OUTSIDE, Row, judge
+from .judge import INADEQUATE, NAMES, OUTSIDE, STRANGE, WIDEST, Row, judge
 from .ledger import lines
-from .outsiders import OUTSIDERS
 
 BLUE, RED, GREY = "#2166ac", "#b2182b", "#4d4d4d"
 STYLE: Any = {"font.size": 9, "axes.spines.top": False, "axes.spines.right": False, "legend.frameon": False}
-EDGES = np.array([1, 1.4, 2, 2.8, 4, 5.7, 8, 11.3, 20.01])  # of ratios
+EDGES = np.array([0.85, 1.2, 1.7, 2.4, 3.4, 4.8, 6.8, 9.6, 13.6, 20.01])  # of ratios
 CLAIM = 4.0
 OPEN = (-0.1, 0.4)  # shown of 1 - closure
 MARKER = 70.0  # pt^2, the largest
 
 
+def results(folder: Path) -> list[Path]:
+    """The files of opened boxes, one for each study in a folder."""
+    return sorted(p for p in folder.glob("*.jsonl") if not p.name.endswith(".ledger.jsonl"))
+
+
 def rows_in(folder: Path) -> list[Row]:
     """All opened boxes of all studies in a folder."""
-    paths = sorted(p for p in folder.glob("*.jsonl") if not p.name.endswith(".ledger.jsonl"))
-    return [judge(line) for path in paths for line in lines(path)]
+    return [judge(line) for path in results(folder) for line in lines(path)]
 
 
-def write(folder: Path) -> Path:
-    """Write index.html from what lies beside it; its path."""
-    rows = rows_in(folder)
+def write(folder: Path, rows: Sequence[Row] | None = None) -> Path:
+    """Write index.html of these boxes, or of those that lie beside it; its path."""
+    rows = rows_in(folder) if rows is None else rows
     with plt.rc_context(STYLE):
         figures = [inline(title, figure, note) for title, figure, note in _figures(rows)]
     template = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined).from_string(
@@ -56,7 +61,10 @@ def write(folder: Path) -> Path:
         studies=table,
         kinds=NAMES,
         wrong=_wrong(rows),
-        outsiders=_outsiders(rows),
+        outsiders={kind: outsiders(rows, kind) for kind in STRANGE},
+        drawn=drawn(rows),
+        undrawn=UNDRAWN,
+        widest=WIDEST,
         boxes=len(rows),
         codes=collections.Counter(r.code for r in rows).most_common(),
         failed=[r for r in rows if not r.worked],
@@ -95,8 +103,9 @@ def _figures(rows: Sequence[Row]) -> list[tuple[str, Figure, str]]:
 def _called(r: Row) -> str:
     if not r.called:
         return "none"
-    if OUTSIDE in r.called:
-        return OUTSIDE
+    for word in (OUTSIDE, INADEQUATE):
+        if word in r.called:
+            return word
     if len(r.called) > 1:
         return "right pair" if r.name else "several"
     return r.called[0]
@@ -112,9 +121,9 @@ def _confusion(rows: Sequence[Row]) -> Figure:
     counts = collections.Counter((_hidden(r), _called(r)) for r in rows)
     first = ["nothing", "a tracker's defect", "a pair"]
     left = [h for h in first if any(c[0] == h for c in counts)]
-    left += sorted({h for h, _ in counts} - set(first) - set(OUTSIDERS))
-    left += sorted({h for h, _ in counts} & set(OUTSIDERS))
-    last = ["right pair", "several", OUTSIDE]
+    left += sorted({h for h, _ in counts} - set(first) - set(FOREIGN))
+    left += sorted({h for h, _ in counts} & set(FOREIGN))
+    last = ["right pair", "several", INADEQUATE, OUTSIDE]
     top = ["none", *sorted({c for _, c in counts} - {"none", *last}), *last]
     grid = np.array([[counts[h, c] for c in top] for h in left], dtype=float)
     shares = grid / np.maximum(grid.sum(axis=1, keepdims=True), 1)
@@ -154,19 +163,19 @@ def _axes(axes: Any, titles: Sequence[str]) -> None:
 
 
 def _power(rows: Sequence[Row]) -> Figure:
-    figure, axes = plt.subplots(1, 3, figsize=(11, 3.6), sharey=True, constrained_layout=True)
+    figure, axes = plt.subplots(1, 4, figsize=(13, 3.6), sharey=True, constrained_layout=True)
     for filmed, colour, label in ((False, BLUE, "tracks"), (True, RED, "video")):
-        for ax, kind in zip(axes, ("one", "two", "outside"), strict=True):
+        for ax, kind in zip(axes, ("one", "two", *STRANGE), strict=True):
             points = [(r.ratio, r.detected) for r in rows if r.kind == kind and r.filmed == filmed]
             if points:
                 _curve(ax, points, f"detected, {label}", colour)
-            if kind == "outside" and points:
+            if kind in STRANGE and points:
                 said = [(r.ratio, r.declared) for r in rows if r.kind == kind and r.filmed == filmed]
-                _curve(ax, said, f"declared outside, {label}", colour, "s")
+                _curve(ax, said, f"declared, {label}", colour, "s")
     ratio = np.geomspace(1, 20, 100)
     axes[0].plot(ratio, 100 * norm.cdf(5 * ratio - CLAIM), "--", color=GREY, lw=1, label="promised")
     axes[0].set_ylabel("%")
-    _axes(axes, ("one effect", "two, the weaker one's ratio", "outside the library"))
+    _axes(axes, ("one effect", "two, the weaker one's ratio", "outside the library", "ordinary faults"))
     return figure
 
 
@@ -232,22 +241,31 @@ def _wrong(rows: Sequence[Row]) -> list[dict[str, Any]]:
     out = []
     for r in rows:
         good = r.right or r.kin
-        weak = r.kind in ("one", "two", "outside") and r.ratio < 2 and not r.false
+        weak = r.kind in ("one", "two", *STRANGE) and r.ratio < 2 and not r.false
         if r.worked and not good and not weak:
             out.append({"row": r, "hidden": " + ".join(r.hidden) or r.kind, "called": " + ".join(r.called) or "none"})
     return out
 
 
-def _outsiders(rows: Sequence[Row]) -> list[dict[str, Any]]:
+def outsiders(rows: Sequence[Row], kind: str) -> list[dict[str, Any]]:
     """By outsider, from 2 x the limit: boxes, declared, right slot, curve in its band, called by a library name."""
     out = []
-    for name, kind in OUTSIDERS.items():
+    for name in sorted({r.hidden[0] for r in rows if r.kind == kind}):
         own = [r for r in rows if r.worked and r.hidden == (name,) and r.ratio >= 1.9]
         if own:
             curves = [r.curve for r in own if r.curve is not None]
+            told = sum(r.verdict == "inadequate" for r in own)
             out.append(
-                {"name": name, "slot": kind.SLOT, "n": len(own), "declared": sum(r.declared for r in own),
-                 "right": sum(r.slot for r in own), "curve": f"{sum(curves)} of {len(curves)}" if curves else "-",
-                 "library": sum(bool(set(r.called) - {OUTSIDE}) for r in own)}
+                {"name": name, "slot": FOREIGN[name].SLOT or "-", "n": len(own),
+                 "declared": sum(r.declared for r in own),
+                 "told": told, "right": sum(r.slot for r in own), "library": sum(r.misnamed for r in own),
+                 "curve": f"{sum(curves)} of {len(curves)}" if curves else "-",
+                 "nearest": f"{np.mean([r.nearest for r in own]):.2f}"}
             )  # fmt: skip
     return out
+
+
+def drawn(rows: Sequence[Row]) -> list[tuple[str, int]]:
+    """Each effect of the library and in how many boxes it was hidden."""
+    counts = collections.Counter(n for r in rows for n in r.hidden)
+    return [(n, counts[n]) for n in sorted(library()) if n not in UNDRAWN]
