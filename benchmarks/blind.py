@@ -149,8 +149,10 @@ def publish(options: argparse.Namespace) -> None:
 
 
 def verify(options: argparse.Namespace) -> None:
-    faults = []
-    for place in [ROUNDS / name for name in options.studies] or rounds.published(ROUNDS):
+    faults, chosen = [], [ROUNDS / name for name in options.studies] or rounds.published(ROUNDS)
+    if not chosen:
+        raise Broken(f"{ROUNDS}: no round is published")
+    for place in chosen:
         if not (place / rounds.ABOUT).exists():
             raise Broken(f"{place}: there is no such round")
         found = rounds.verify(place) + (rounds.redrawn(place) if options.redraw else [])

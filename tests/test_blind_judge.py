@@ -59,7 +59,7 @@ def reached(lines, text):
     ("kind", "text"), [("outside", "outside the library, from"), ("ordinary", "an ordinary fault w")]
 )
 def test_an_outsider_is_declared_without_a_false_name_beside_it(kind, text):
-    name = {"outside": "root_drag", "ordinary": "ball_dragged"}[kind]
+    name = {"outside": "root_drag", "ordinary": "ball_curves"}[kind]
     lines = [
         line([name], [], verdict="outside_library", kind=kind),
         line([name], [], verdict="inadequate", kind=kind),
@@ -84,14 +84,13 @@ def test_inadequate_is_false_of_nothing_and_a_miss_of_what_the_library_has():
 
 
 def test_a_withdrawn_claim_is_no_claim():
-    one = line([], ["hop"], verdict="none", kind="none")
-    assert judge.judge(one).false == ("hop",)
-    one["answer"]["withdrawn"] = [{"effect": "hop", "without": 1.0, "with": 1.1}]
-    assert judge.judge(one).false == ()
-    two = line(["hop", "stribeck"], ["hop", "stribeck"])
-    assert judge.judge(two).kin
-    two["answer"]["withdrawn"] = [{"effect": "stribeck"}]
-    assert not judge.judge(two).kin
+    """Whatever was claimed on the way: of nothing it is not false, of what is hidden it is a miss."""
+    for effects, kind in (([], "none"), (["hop"], "one")):
+        row = line(effects, [], verdict="none", kind=kind)
+        row["answer"]["withdrawn"] = [{"claim": "hop", "without": 1.0, "with": 1.1}]
+        judged = judge.judge(row)
+        assert (judged.called, judged.false, judged.withdrawn) == ((), (), ("hop",))
+        assert judged.right == (kind == "none")
 
 
 def test_a_class_of_everything_is_no_answer():
@@ -134,9 +133,9 @@ def test_one_wave_counted_from_its_other_side_is_the_same_wave():
 
 
 def test_an_outsider_that_the_library_takes_in_is_an_effect_like_any_other(monkeypatch):
-    row = line(["ball_dragged"], ["air_drag"], kind="ordinary")
+    row = line(["ball_curves"], ["air_drag"], kind="ordinary")
     assert judge.judge(row).false == ("air_drag",)
-    monkeypatch.setattr(ORDINARY["ball_dragged"], "SAME", ("no_such_effect", "air_drag"))
+    monkeypatch.setattr(ORDINARY["ball_curves"], "SAME", ("no_such_effect", "air_drag"))
     taken = judge.judge(row)
     assert (taken.kind, taken.hidden, taken.false, taken.kin) == ("one", ("air_drag",), (), True)
 

@@ -20,9 +20,11 @@ from discrepancy.measured import Measured, read_measured
 from synthcam.model import read_model, settings_of
 from tracker.geometry import InputError
 
+DIGITS = 7  # of an answer's numbers
+
 
 def plain(value: Any) -> Any:
-    """For JSON: no numpy, NaN as null."""
+    """For JSON: no numpy, NaN as null, numbers to seven digits."""
     if isinstance(value, dict):
         return {str(k): plain(v) for k, v in value.items()}
     if isinstance(value, list | tuple):
@@ -30,7 +32,7 @@ def plain(value: Any) -> Any:
     if isinstance(value, np.ndarray):
         return plain(value.tolist())
     if isinstance(value, float | np.floating):
-        return float(value) if math.isfinite(value) else None
+        return float(f"{value:.{DIGITS}g}") if math.isfinite(value) else None
     return int(value) if isinstance(value, np.integer) else value
 
 

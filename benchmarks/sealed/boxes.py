@@ -20,7 +20,7 @@ from tracker.geometry import Camera
 
 from .fisher import CLASS, FREE, Fisher, Noise, Rows
 from .integrator import PHYSICS
-from .ordinary import ORDINARY
+from .ordinary import ORDINARY, UNKNOWN
 from .outsiders import OUTSIDERS, Outsider, in_clip
 
 Truth = dict[str, Any]
@@ -138,8 +138,8 @@ def _one_of(rng: np.random.Generator, weights: Mapping[str, float]) -> str:
 def _candidates(study: Study, kind: str, integrated: bool) -> list[str]:
     known = [n for n, e in library().items() if n not in UNDRAWN and not (study.filmed and "measure" in e.laws)]
     if kind in ("outside", "ordinary"):
-        kinds = OUTSIDERS if kind == "outside" else ORDINARY
-        known = [n for n, e in kinds.items() if e.VIDEO or not study.filmed]
+        kinds = OUTSIDERS if kind == "outside" else UNKNOWN
+        known = [n for n in kinds if FOREIGN[n].VIDEO or not study.filmed]
     known = [n for n in known if n in (study.effects or known)]
     ours = [n for n in known if n in PHYSICS]
     return ours if integrated and ours and not study.filmed and not study.all else known

@@ -51,6 +51,7 @@ class Row:
     seconds: float = math.nan
     cpu: float = math.nan
     box: int = -1
+    withdrawn: tuple[str, ...] = ()  # claims that the answer takes back: none of its claims
     code: str = ""  # a fingerprint of what made the box and answered it
 
     @property
@@ -95,7 +96,7 @@ def judge(line: dict[str, Any]) -> Row:
     """A line of NAME.jsonl, judged."""
     truth, answer = _known(line["truth"]), line["answer"]
     hidden, about = tuple(truth["effects"]), truth.get("about", [])
-    named = [n["effect"] for n in _standing(answer)]
+    named = [n["effect"] for n in answer.get("named", [])]
     classes = [next((tuple(a) for a in answer.get("aliases", []) if n in a), (n,)) for n in named]
     kins = [kin if len(kin) <= WIDEST else (n,) for n, kin in zip(named, classes, strict=True)]
     said = [word for word, verdict in WORDS.items() if answer["verdict"] == verdict]
@@ -129,6 +130,7 @@ def judge(line: dict[str, Any]) -> Row:
         seconds=answer.get("seconds", math.nan),
         cpu=answer.get("cpu", math.nan),
         box=truth["box"],
+        withdrawn=tuple(w["claim"] for w in answer.get("withdrawn", [])),
         code=answer.get("code", ""),
     )
 
@@ -152,12 +154,6 @@ def _same(name: str) -> str:
     return next((n for n in kind.SAME if n in library()), name) if kind else name
 
 
-def _standing(answer: dict[str, Any]) -> list[dict[str, Any]]:
-    """The names that the answer stands by: a claim that was withdrawn is none."""
-    gone = {w if isinstance(w, str) else w.get("effect", w.get("slot")) for w in answer.get("withdrawn") or []}
-    return [n for n in answer.get("named", []) if n["effect"] not in gone]
-
-
 def _matched(hidden: list[str], named: list[str], classes: list[tuple[str, ...]]) -> bool:
     """Is each claim, by its class, another hidden effect, and none left?"""
     if len(hidden) != len(named):
@@ -173,7 +169,7 @@ def _matched(hidden: list[str], named: list[str], classes: list[tuple[str, ...]]
 
 def _errors(truth: dict[str, Any], answer: dict[str, Any]) -> list[float]:
     """(value - truth)/std of each strength that is named rightly; where all is right."""
-    named = _standing(answer)
+    named = answer.get("named", [])
     if sorted(n["effect"] for n in named) != sorted(truth["effects"]):
         return []
     out = []
@@ -208,8 +204,7 @@ def strengths_of(effect: str) -> set[str]:
 
 def _outside(truth: dict[str, Any], answer: dict[str, Any]) -> tuple[bool, bool | None]:
     """Is the first slot the right one, and does the true curve lie in its band? None: there is no curve to hold."""
-    gone = {w.get("slot") for w in answer.get("withdrawn") or [] if isinstance(w, dict)}
-    entries = [e for e in answer.get("outside") or [] if e["slot"] not in gone]
+    entries = answer.get("outside") or []
     if truth["kind"] != "outside" or not entries:
         return False, None
     kind = FOREIGN[truth["effects"][0]]

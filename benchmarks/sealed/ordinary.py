@@ -1,8 +1,8 @@
 """Ordinary faults that no free law of the search was made for: laws that mix speed, place, heading, ball and clip.
 
 As `outsiders`, in nobody's library, and without a slot of their own. Some differ from clip to clip: `_in` gives what
-such a fault is in one clip. SAME: effects of the library that hold exactly this law; where the library has one, a box
-of the fault is judged as a box of that effect.
+such a fault is in one clip. SAME: an effect that holds exactly this law. Where the library has it, the fault is no
+longer drawn, and a box of it is judged as one of that effect.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from synthcam.effect import parameter
+from synthcam.effect import library, parameter
 
 from .outsiders import Outsider, dice, step
 
@@ -61,6 +61,7 @@ def since(clip: int) -> float:
 class BallRollsWorse(Ordinary):
     """Ball a rolls with another drag and another deceleration than ball b."""
 
+    SAME = ("rolling_mismatch",)
     drag: float = parameter("1/s", scale=0.02, low=-0.1, high=0.5)
     decel: float = parameter("m/s^2", scale=0.002, low=-0.008, high=0.1)
 
@@ -72,6 +73,7 @@ class BallRollsWorse(Ordinary):
 class BallDragged(Ordinary):
     """Ball a is dragged against its motion, sliding or rolling."""
 
+    SAME = ("drag_mismatch",)
     rate: float = parameter("1/s", scale=0.02, low=-0.5, high=0.5)
 
     def push(self, acceleration: Any, velocity: Any, of_a: Any) -> Any:
@@ -321,3 +323,4 @@ class ClockScatter(Ordinary):
 
 
 ORDINARY = {kind.name(): kind for kind in Ordinary.__subclasses__()}
+UNKNOWN = [name for name, kind in ORDINARY.items() if not set(kind.SAME) & set(library())]  # to the library

@@ -5,7 +5,7 @@ from __future__ import annotations
 from synthcam.effect import library
 
 from .boxes import AT, UNDRAWN, Study
-from .ordinary import ORDINARY
+from .ordinary import UNKNOWN
 from .outsiders import OUTSIDERS
 
 ALL = {"none": 0.2, "one": 0.35, "two": 0.1, "outside": 0.1, "ordinary": 0.15, "defect": 0.1}
@@ -41,10 +41,10 @@ ROUND = {
     "nulls": 30,
     "every": EVERY,
     "limit": 18,
-    "naming": 14,
+    "naming": 15,
     "pairs": 15,
     "outside": 2 * len(OUTSIDERS) - 6,
-    "ordinary": 2 * len(ORDINARY) - 6,
+    "ordinary": 2 * len(UNKNOWN) - 6,
     "ordinary_weak": 12,
     "filmed_nulls": 5,
     "filmed": 9,
