@@ -6,6 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
+from synthcam.batch import collisions
 from synthcam.dynamics import solve
 from synthcam.effects.ball_friction import BallFriction
 from synthcam.effects.hop import Hop
@@ -201,3 +202,17 @@ def test_a_hop_in_small_steps_of_a_stiff_plate(b):
     ours = motion.at(0.1 + by_hand.t[-1])[1, 0]
     np.testing.assert_allclose(ours[:2], by_hand.y[:2, -1], rtol=0, atol=2e-7)
     np.testing.assert_allclose(ours[3:5], by_hand.y[3:5, -1], rtol=0, atol=3e-3 * 0.05)
+
+
+@pytest.mark.parametrize("push", [{}, {"plate_tilt.x": 1e-3}, {"magnetic_attraction.pull": 0.02}])
+def test_a_ball_that_stops_slipping_in_mid_bounce_ends_its_slide_once(push):
+    """Then it rolls on, in the air too; a push may make it slip a little in each flight, which is no slide."""
+    model = hopping(0.8, spin_transfer=0.35, sliding_friction=0.9).replace(push)
+    rows = np.array([[0, 0, 0.1, 0.3, 0.0, b] for b in (-0.5, 0.0, 0.3)])
+    batch = collisions(model, rows, 0.0, 0.3)
+    for k, b in enumerate(rows[:, 5]):
+        motion = run(model, 0.3, b)
+        for ball in (0, 1):
+            (end,) = (e for e in motion.events if e.kind == "slide_end" and e.i == ball)
+            assert any(e.kind == "land" and e.i == ball and e.t > end.t for e in motion.events)
+            assert batch.slide_ends[k + 3 * ball] == pytest.approx(end.t, abs=1e-9)

@@ -219,6 +219,7 @@ class _Run:
         self.model, self.bodies, self.out, self.t_c = model, bodies, out, t_c
         self.kinks = [t_c.copy()]
         out.slide_ends = t_c.copy()
+        self.rolled = np.zeros(len(t_c), dtype=bool)  # balls whose slide ended as they bounced
 
     def before(self, target: Array, striker: Array) -> None:
         """The approach: targets at rest, strikers rolling."""
@@ -300,7 +301,9 @@ class _Run:
         after[rolls] = rolling_state(after[rolls, :2], q[rolls], after[rolls, 8], radius[rolls])
         after[:, 5] = vertical
         states[who] = after
-        self.out.slide_ends[who[rolls]] = now[who[rolls]]
+        first = who[rolls & ~self.rolled[who]]
+        self.out.slide_ends[first] = now[first]
+        self.rolled[who[rolls]] = True
         self._kink(who, now[who])
 
     def _fly(self, who: Ints, states: Array, now: Array) -> None:

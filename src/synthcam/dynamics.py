@@ -56,6 +56,7 @@ class _Run:
         self.radius, self.mass = launch.bodies.radius.tolist(), launch.bodies.mass.tolist()
         self.start, self.t = start, launch.time
         self.events: list[Event] = []
+        self.rolled: set[int] = set()  # balls whose slide ended as they bounced: what slips in a flight is no slide
         laws = model.laws
         self.slides, self.rolls = laws.bent(*sliding.LAWS), laws.bent(*rolling.LAWS)  # without closed form
         self.pushes = laws.bent("push")
@@ -241,7 +242,9 @@ class _Run:
         self.events.append(Event(self.t, "land", k, before=down, after=up))
         if slips[0] > STILL and slips[1] <= 1e-9 * slips[0]:
             after = _rolled_out(after, radius)
-            self.events.append(Event(self.t, "slide_end", k, before=down, after=np.array([after])))
+            if k not in self.rolled:
+                self.events.append(Event(self.t, "slide_end", k, before=down, after=np.array([after])))
+            self.rolled.add(k)
         return after
 
     def _happen(self, kind: str, k: int, before: State, after: State) -> None:
@@ -263,6 +266,7 @@ class _Run:
         before: Array = np.array((states[i], states[j]))
         after: Array = np.array((new[i], new[j]))
         self.events.append(Event(t, "contact", i, j, before, after, n[:2], along_n, along_t))
+        self.rolled -= {i, j}
         for k, state in new.items():
             if state[5] < 0 and not _aloft(state, self.radius[k]):
                 new[k] = self._landed(k, state)

@@ -99,7 +99,7 @@ def land(model: Model, state: Array, body: Bodies) -> Array:
 
     The plate's impulse is (1 + e) |vz| a mass, with e its restitution; friction mu times that acts on the lowest
     point, until it no longer slips. Bounces that begin slower than LOWEST are summed: beside sliding for the same time
-    they lack a friction impulse of mu vz, which is given back.
+    they lack a friction impulse of mu vz, which this one is the smaller by.
     """
     down = np.maximum(-state[:, 5], 0.0)
     rebound = model.laws("rebound", 0.0, {})
@@ -115,10 +115,9 @@ def land(model: Model, state: Array, body: Bodies) -> Array:
         "of_a": body.of_a,
     }
     mu = model.laws("friction", model.sliding_friction, instant)
-    out = push_back(state, mu * (1 + rebound) * down, body.radius)
     up = rebound * down
     last = up < LOWEST
-    out = np.where(last[:, None], push_back(out, -mu * up, body.radius), out)
+    out = push_back(state, mu * (down + np.where(last, 0.0, up)), body.radius)
     out[:, 2] = body.radius
     out[:, 5] = np.where(last, 0.0, up)
     return out

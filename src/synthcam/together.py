@@ -45,6 +45,7 @@ class _Block:
     def __init__(self, model: Model, bodies: Pair, who: Ints, n: int, out: Led) -> None:
         self.model, self.bodies, self.who, self.n, self.out = model, bodies, who, n, out
         self.odd = np.zeros(len(who), dtype=bool)
+        self.rolled = np.zeros((2, len(who)), dtype=bool)  # balls whose slide ended as they bounced
 
     def run(self, touching: Array, t_c: Array, start: float, end: float) -> None:
         hit, pieces, lost = approach(self.model, self.bodies, touching, t_c, np.full(len(t_c), start))
@@ -130,7 +131,9 @@ class _Block:
         states[ball, who] = up
         pair = self.bodies[0][who], self.bodies[1][who]
         self.floor[ball, who] = floors(self.model, pair, states[:, who])[ball]
-        self.out.slide_ends[self.who[who[rolls]] + ball * self.n] = now[who[rolls]]
+        first = who[rolls & ~self.rolled[ball, who]]
+        self.out.slide_ends[self.who[first] + ball * self.n] = now[first]
+        self.rolled[ball, who[rolls]] = True
         self._kink(ball, who, now[who])
 
     def _rest(self, who: Ints, states: Array, now: Array) -> None:
