@@ -109,3 +109,12 @@ def test_a_challenge_gives_nothing_away(tmp_path, monkeypatch):
     lines = readers(tmp_path / "t")
     monkeypatch.chdir(tmp_path / "t")
     assert len(result(lines["pandas, a row a clip"])) == 2
+
+
+def test_a_name_is_no_html_and_no_markdown(tmp_path, monkeypatch):
+    name = "<script>alert(1)</script>\n# [x](http://x) `rm` " + 300 * "n"
+    make(tmp_path / "d", monkeypatch, clips=1, video=False, scene={"name": name})
+    said = (tmp_path / "d/README.md").read_text()
+    assert said.startswith("# &lt;script&gt;alert(1)&lt;/script&gt; \\# \\[x\\](http://x) \\`rm\\` nnn")
+    assert "<script" not in said
+    assert len(said.splitlines()[0]) < 300

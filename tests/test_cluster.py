@@ -57,7 +57,9 @@ def test_a_cluster_makes_the_same_bytes(tmp_path):
 
 
 @needs_dask
-@pytest.mark.parametrize("address", ["tcp://127.0.0.1:1", "nonsense"])
+@pytest.mark.parametrize(
+    "address", ["tcp://127.0.0.1:1", "nonsense", "tls://127.0.0.1:8786", "ucx://h:1", "tcp://", "h:99999"]
+)
 def test_an_address_without_a_scheduler(tmp_path, monkeypatch, address):
     from synthcam import cluster
 

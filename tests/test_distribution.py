@@ -7,6 +7,7 @@ import pytest
 from scipy import stats
 
 from synthcam.distribution import as_distribution, choices, corner, drawn, replaced
+from synthcam.scene import check_scene
 from synthcam.settings import InputError
 
 SCENE = {"launch": {"v0": {"uniform": [0.1, 0.6]}, "b": {"normal": [0.0, 0.1]}}, "ball": {"diameter": 2e-3}}
@@ -90,3 +91,19 @@ def test_choices_are_found_and_put_in():
     assert list(choices(plain)) == [(("a", "b"), [1, 2])]
     assert replaced(plain, ("a", "b"), 9) == {"a": {"b": 9, "c": 3}}
     assert plain["a"]["b"] == {"choice": [1, 2]}
+
+
+def test_a_long_choice_is_checked_by_its_extremes():
+    """200,000 values: one check for each would take hours, for each of them a new copy of all."""
+    values = [0.1 + 1e-6 * k for k in range(200_000)]
+    assert (
+        len(check_scene({"launch": {"v0": {"choice": values}}}, "s.yaml").settings["launch"]["v0"]["choice"]) == 200_000
+    )
+    with pytest.raises(InputError, match=r"launch\.v0: .*greater than 0"):
+        check_scene({"launch": {"v0": {"choice": [*values[:100_000], -1.0, *values[100_000:]]}}}, "s.yaml")
+    with pytest.raises(InputError, match=r"sensor\.bits"):
+        check_scene({"sensor": {"bits": {"choice": [8, 9.5, 12]}}}, "s.yaml")
+    with pytest.raises(InputError, match=r"launch\.v0"):
+        check_scene({"launch": {"v0": {"choice": [0.1, float("nan"), 0.2]}}}, "s.yaml")
+    with pytest.raises(InputError, match=r"name\.choice: expected at most 1000 different values, found 200000"):
+        check_scene({"name": {"choice": [f"{k}" for k in range(200_000)]}}, "s.yaml")

@@ -262,3 +262,57 @@ def test_stopped_it_leaves_nothing(dataset, tmp_path):
     with pytest.raises(KeyboardInterrupt):
         export(dataset, "mot", tmp_path / "out", stop)
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("name", ["..", ".", "", "../../x", "/tmp/x", "__x", "zarr.json", "a\0b", "<b>&"])
+@pytest.mark.parametrize("kind", ["zarr", "ptc"])
+def test_a_scenes_name_leads_nowhere(tmp_path, monkeypatch, kind, name):
+    if kind == "zarr":
+        pytest.importorskip("zarr", reason="zarr is not installed: synthcam[zarr]")
+    data = make(tmp_path / "d", monkeypatch, clips=1, scene=SCENE | {"name": name})
+    assert export(data, kind, tmp_path / "in/out", lambda done, total: None) == 1
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["d", "in"]
+    assert [p.name for p in (tmp_path / "in").iterdir()] == ["out"]
+    if kind == "zarr":
+        import zarr
+
+        (group,) = zarr.open_group(tmp_path / "in/out", mode="r").groups()
+        assert group[1]["frames"].shape[0] == 1
+
+
+@pytest.mark.parametrize(
+    ("file", "text"),
+    [
+        ("clips/000001/camera.json", "{"),
+        ("clips/000001/camera.json", "5"),
+        ("clips/000001/camera.json", '{"size": [1e400, 5]}'),
+        ("clips/000001/camera.json", "[" * 200_000),
+        ("clips/000001/truth/scene.json", "{}"),
+        ("clips/000001/truth/tracks.parquet", "no table"),
+        ("truth/clips.parquet", "no table"),
+        ("clips/000001/frames.tif", "no pictures"),
+    ],
+)
+def test_a_damaged_dataset_is_one_line(tmp_path, monkeypatch, file, text):
+    data = make(tmp_path / "d", monkeypatch, clips=2)
+    (data / file).write_text(text)
+    with pytest.raises(InputError, match="damaged") as error:
+        export(data, "mot", tmp_path / "out", lambda done, total: None)
+    assert "\n" not in str(error.value)
+    assert [p.name for p in tmp_path.iterdir()] == ["d"]
+
+
+def test_a_film_cut_short_is_no_film(dataset, tmp_path, monkeypatch):
+    """A full disk: OpenCV writes what it can and says nothing."""
+    seen = []
+
+    class Cut(cv2.VideoWriter):
+        def write(self, frame):
+            seen.append(frame)
+            if len(seen) < 15:
+                super().write(frame)
+
+    monkeypatch.setattr(cv2, "VideoWriter", Cut)
+    with pytest.raises(InputError, match="expected 20; is there room for it"):
+        export(dataset, "ffv1", tmp_path / "out", lambda done, total: None)
+    assert not list(tmp_path.iterdir())

@@ -1,5 +1,7 @@
 """Shards put together: the bytes of one process, and no other."""
 
+import errno
+import hashlib
 import json
 import shutil
 
@@ -117,3 +119,76 @@ def test_a_shard_does_not_go_on_as_the_whole(parts, tmp_path):
         run(plan(clips=5), parts[0], 1, quiet)
     with pytest.raises(InputError, match="holds a dataset with another shard"):
         run(plan(clips=5, shard=(2, 3)), parts[0], 1, quiet)
+
+
+HOSTILE = [
+    {"clips": 5},
+    {"clips": ["../../x"]},
+    {"clips": [0, 3, 6]},
+    {"shard": 5},
+    {"shard": [0, 3]},
+    {"shard": ["1", "3"]},
+    {"clips_per_scene": 10**30},
+    {"clips_per_scene": "5"},
+    {"scenes": 5},
+    {"scenes": [5]},
+    {"scenes": [{"name": 5}]},
+    {"gl": "a renderer"},
+    {"drawn_by": [1]},
+    {"seed": -1},
+    {"video": "yes"},
+    {"version": 5},
+]
+
+
+def test_a_hostile_shard_is_one_line(parts, tmp_path):
+    path = parts[0] / "truth/shard.json"
+    about = json.loads(path.read_text())
+    for text in (*(json.dumps(about | hostile) for hostile in HOSTILE), "[" * 200_000, "5", "[]", "1" * 5000):
+        path.write_text(text)
+        with pytest.raises(InputError, match=r"part1|shard\.json: damaged") as error:
+            merge(parts, tmp_path / "d", quiet)
+        assert "\n" not in str(error.value)
+    assert not list(tmp_path.glob("d*"))
+
+
+def test_a_link_out_of_a_shard_is_not_followed(parts, tmp_path):
+    for what in ("camera.json", "truth", ""):
+        inside, outside = parts[1] / "clips/000004" / what, tmp_path / "secret"
+        inside.rename(outside)
+        inside.symlink_to(outside)
+        with pytest.raises(InputError, match=r"000004/.*: leads out of its place by a link"):
+            merge(parts, tmp_path / "d", quiet)
+        inside.unlink()
+        outside.rename(inside)
+    assert not (tmp_path / "d").exists()
+
+
+def test_a_list_that_leads_elsewhere(parts, tmp_path):
+    """Two slashes made the rest of the name an absolute path, to which the file was copied."""
+    out, before = tmp_path / "stolen", sums(parts[1])
+    for name in (f"clips/000004/{out}/x", f"clips/000004//{out}/x", "clips/000004/x"):
+        source = parts[1] / "clips/000004" / name.removeprefix("clips/000004").lstrip("/")
+        source.parent.mkdir(parents=True, exist_ok=True)
+        source.write_bytes(b"payload")
+        (parts[1] / "SHA256SUMS").write_text(f"{before}{hashlib.sha256(b'payload').hexdigest()}  {name}\n")
+        with pytest.raises(InputError, match=r"expected a SHA-256 and a path inside the dataset|not a file of a clip"):
+            merge(parts, tmp_path / "d", quiet)
+        assert not out.exists()
+
+
+def test_shards_stay_as_they_are(parts):
+    with pytest.raises(InputError, match="expected a folder outside the shard"):
+        merge(parts, parts[0] / "whole", quiet)
+
+
+def test_a_full_disk_while_merging(parts, tmp_path, monkeypatch):
+    def full(source, target, digest):
+        target.write_bytes(b"half")
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    with monkeypatch.context() as patch:
+        patch.setattr("synthcam.merge._copy", full)
+        with pytest.raises(InputError, match=r"d\.partial: No space left on device; the same command goes on"):
+            merge(parts, tmp_path / "d", quiet)
+    assert not list(tmp_path.glob("d*"))

@@ -296,3 +296,28 @@ def test_zstd_holds_the_same_pixels(tmp_path, monkeypatch, wide):
 
 def test_a_name_that_nobody_else_uses(tmp_path):
     assert partial.aside(tmp_path / "000001") != partial.aside(tmp_path / "000001")
+
+
+@pytest.mark.parametrize(
+    "withheld", ["d/../d/secret", "link/secret", "d.partial/secret", "link.partial", "gone/secret", ".", "d/../dw/../d"]
+)
+def test_the_truth_never_comes_to_lie_in_the_dataset(tmp_path, monkeypatch, withheld):
+    """By whatever name: two dots, links, links to what is not there yet, the folder in which the dataset is made."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "dw").mkdir()
+    for link, to in (("link", "d"), ("link.partial", "d.partial"), ("gone", "d/below")):
+        Path(link).symlink_to(to)
+    (tmp_path / "d").mkdir()
+    with pytest.raises(InputError, match="expected a folder apart from"):
+        run(silent(), Path("d"), 1, quiet, Path(withheld))
+    assert not list(tmp_path.rglob("*.json"))
+
+
+def test_two_dots_lead_to_where_they_lead(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "d").mkdir()
+    (tmp_path / "dw").mkdir()
+    run(silent(1), Path("d"), 1, quiet, Path("d/../dw/secret"))
+    assert files(tmp_path / "d") == {"README.md", "SHA256SUMS", "clips/000000/camera.json"}
+    assert "truth/clips.parquet" in files(tmp_path / "dw/secret")
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["d", "dw"]

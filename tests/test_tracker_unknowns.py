@@ -23,13 +23,16 @@ def test_width_of_the_glints(sigma):
     assert "psf.sigma_px" in view.camera.assumed
 
 
-def test_noise_of_the_sensor():
-    frames = film(np.random.default_rng(1), collision(40, contact=18.3, speed=3.0), peak=220.0)
+@pytest.mark.parametrize(("gain", "read", "black"), [(20.0, 20.0, 8.0), (5.0, 12.0, 20.0), (70.0, 50.0, 3.0)])
+def test_noise_of_the_sensor(gain, read, black):
+    """Of sensors quieter and noisier than the one that a film's estimate starts from, too."""
+    paths = collision(40, contact=18.3, speed=3.0)
+    frames = film(np.random.default_rng(1), paths, peak=220.0, gain=gain, read=read, black=black)
     view = look(shown(frames, {"sensor"}, sensor={"bits": 8}))
     sensor = view.camera.sensor
-    assert sensor.black_level == pytest.approx(8.5, abs=1)
-    assert sensor.gain == pytest.approx(20, rel=0.35)
-    assert sensor.read_noise / sensor.gain == pytest.approx(1.0, rel=0.1)
+    assert sensor.black_level == pytest.approx(black + 0.5, abs=1)
+    assert sensor.gain == pytest.approx(gain, rel=0.35)
+    assert sensor.read_noise / sensor.gain == pytest.approx(read / gain, rel=0.1)
     assert {"sensor.gain", "sensor.read_noise", "sensor.black_level"} <= set(view.camera.assumed)
 
 
@@ -47,11 +50,15 @@ def test_what_is_given_is_left_alone():
     assert look(clip).camera.to_dict() == clip.camera.to_dict()
 
 
-def test_errors_stay_honest_with_estimated_noise_and_width():
+@pytest.mark.parametrize(
+    ("sensor", "sigma", "diameter"), [({}, 1.0, 14.875), ({"gain": 6.0, "read": 9.0, "black": 15.0}, 1.5, 26.0)]
+)
+def test_errors_stay_honest_with_estimated_noise_and_width(sensor, sigma, diameter):
+    """With no ball_diameter in the file either, which stands for nothing but the size of a search."""
     rng = np.random.default_rng(3)
-    paths = collision(60, contact=25.3, speed=2.5)
-    frames = film(rng, paths, exposure_share=1e-9)
-    clip = shown(frames, {"psf", "lamp"}, sensor={"bits": 8}, exposure=0.0)
+    paths = collision(60, contact=25.3, speed=2.5, diameter=diameter)
+    frames = film(rng, paths, exposure_share=1e-9, sigma=sigma, **sensor)
+    clip = shown(frames, {"psf", "lamp", "ball_diameter"}, sensor={"bits": 8}, exposure=0.0)
     found = detect(clip, look(clip))
     assert len(found) == 120
     truth = np.array(

@@ -19,6 +19,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from synthcam.model import read_model, write_model
 from synthcam.settings import InputError as ModelError
 from tracker.geometry import InputError
+from tracker.outputs import check_room, told
 
 app = typer.Typer(
     help="Where do simulation and measured tracks disagree, and which effect is missing from the model?",
@@ -63,17 +64,19 @@ def stages(names: Sequence[str]) -> Iterator[Callable[[str], None]]:
 @contextmanager
 def aside(output: Path) -> Iterator[Path]:
     """A folder to write into that becomes `output` when all went well. Refuses a folder that holds something else."""
-    output = output.absolute()
+    output = output.resolve()
     if output.exists() and (not output.is_dir() or any(p.name not in REPORT for p in output.iterdir())):
         raise InputError(f"{output}: holds something else; expected a report of an earlier search, or nothing")
+    check_room(output)
     folder = output.with_name(f"{output.name}.{os.getpid()}.tmp")
-    folder.mkdir(parents=True)
-    try:
-        yield folder
-        shutil.rmtree(output, ignore_errors=True)
-        folder.rename(output)
-    finally:
-        shutil.rmtree(folder, ignore_errors=True)
+    with told(output):
+        folder.mkdir(parents=True)
+        try:
+            yield folder
+            shutil.rmtree(output, ignore_errors=True)
+            folder.rename(output)
+        finally:
+            shutil.rmtree(folder, ignore_errors=True)
 
 
 @app.command()
@@ -128,13 +131,18 @@ def add(
     suspect = read_model(model)
     if output.is_dir():
         raise InputError(f"{output}: a folder; expected the name of a model file")
+    check_room(output)
     clips, left_out = read_measured(fit, camera)
     with stages(("noise", "fit", "search")) as tick:
         new = fitted(clips, suspect, effect, tick)
     output.parent.mkdir(parents=True, exist_ok=True)
     beside = output.with_name(f"{output.name}.{os.getpid()}.tmp")
-    write_model(new.now.model, beside)
-    beside.replace(output)
+    with told(output):
+        try:
+            write_model(new.now.model, beside)
+            beside.replace(output)
+        finally:
+            beside.unlink(missing_ok=True)
     if as_json:
         lost = [*left_out, *new.left_out]
         print(json.dumps({"model": str(output)} | new.document() | {"clips": len(clips), "left_out": lost}))

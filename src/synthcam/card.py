@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import html
+import re
 from typing import Any
 
+LONGEST = 200  # characters of a name
 TIFF = "clips/000000/frames.tif"
 FRAMES = (
     ("NumPy", f'`import tifffile; frames = tifffile.imread("{TIFF}")`'),
@@ -58,11 +61,17 @@ def _title(clips: int, names: list[str], holds: str) -> str:
     if holds == "frames":
         return f"A challenge: {clips} clips of rolling steel balls"
     what = "truth of " if holds == "truth" else ""
-    return f"{', '.join(names)}: {what}{clips} clips of rolling steel balls"
+    return f"{', '.join(map(_plain, names))}: {what}{clips} clips of rolling steel balls"
+
+
+def _plain(text: Any) -> str:
+    """A name as it stands: on one line, without HTML, links or other marks of Markdown."""
+    line = "".join(c if c.isprintable() else " " for c in str(text))[:LONGEST]
+    return re.sub(r"([\\`*\[\]!|#])", r"\\\1", html.escape(line, quote=False))
 
 
 def _told(about: dict[str, Any], holds: str) -> list[str]:
-    drawn = f"drawn by {about['gl']['renderer']}" if about["gl"] else "without video"
+    drawn = f"drawn by {_plain(about['gl']['renderer'])}" if about["gl"] else "without video"
     if holds == "frames":
         return [
             f"Made by synthcam {about['version']}, {drawn}. Every position, spin and event is known,",

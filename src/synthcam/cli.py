@@ -71,10 +71,12 @@ def generate(
     Example: synthcam generate scenes/benchmark.yaml -o out/benchmark --clips 100
     """
     from synthcam.generate import Plan, run
+    from synthcam.partial import check_apart
     from synthcam.scene import read_scene
 
     started = time.monotonic()
-    _check_withheld(output, withhold_truth)
+    if withhold_truth:
+        check_apart(output, withhold_truth)
     if withhold_truth and seed is None:
         raise InputError("--withhold-truth: expected --seed too, one nobody guesses: scene and seed give the truth")
     read = tuple(read_scene(s, tuple(set_ or ())) for s in scenes)
@@ -101,13 +103,6 @@ def generate(
     if outcome.failed:
         kept = f"; the rest are kept in {output}.partial" if len(outcome.failed) < plan.total else ""
         raise InputError(f"{output}: {len(outcome.failed)} of {plan.total} clips could not be made{kept}")
-
-
-def _check_withheld(output: Path, withheld: Path | None) -> None:
-    if withheld is not None:
-        a, b = output.absolute(), withheld.absolute()
-        if a == b or a in b.parents or b in a.parents:
-            raise InputError(f"--withhold-truth {withheld}: expected a folder apart from {output}")
 
 
 def _shard(text: str) -> tuple[int, int] | None:
@@ -144,7 +139,6 @@ def merge(
     """
     from synthcam.merge import merge as put_together
 
-    _check_withheld(output, withhold_truth)
     with progress("clips") as tick:
         clips = put_together(shards, output, tick, withhold_truth)
     _say({"dataset": str(output), "clips": clips}, as_json, f"{output}: {clips} clips of {len(shards)} shards")
@@ -309,6 +303,9 @@ def main() -> None:
         if e.code == 130:  # typer makes this of Ctrl-C, and says nothing
             print("synthcam: interrupted; the same command goes on where it stopped", file=sys.stderr)
         raise
+    except MemoryError:
+        print("synthcam: not enough memory", file=sys.stderr)
+        sys.exit(2)
     except OSError as e:
         print(f"synthcam: {e.filename or 'file'}: {e.strerror or e}", file=sys.stderr)
         sys.exit(2)

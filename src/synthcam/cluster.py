@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import uuid
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -17,6 +18,8 @@ try:
 except ImportError:
     Client = None
 AHEAD = 3  # clips handed out for each thread of a worker
+ADDRESS = re.compile(r"((tcp|tls|ws|wss)://)?[^/\s]+:[0-9]{1,5}")
+LAST_PORT = 65535
 PATIENCE = 10.0  # s, for the scheduler to answer
 
 
@@ -26,9 +29,11 @@ class Cluster:
     def __init__(self, address: str) -> None:
         if Client is None:
             raise InputError("--scheduler: Dask is not installed; type: pip install 'synthcam[dask]'")
+        if not ADDRESS.fullmatch(address) or int(address.rpartition(":")[2]) > LAST_PORT:
+            raise InputError(f"--scheduler {address}: expected a Dask scheduler's address, as in tcp://10.0.0.1:8786")
         try:
             self.client = Client(address, timeout=PATIENCE, set_as_default=False)
-        except (OSError, ValueError) as e:
+        except Exception as e:  # of a wrong address Dask raises what each of its ways to connect raises
             said = " ".join(str(e).split())[:120]
             raise InputError(f"--scheduler {address}: expected a Dask scheduler's address ({said})") from None
         self.address = address

@@ -197,7 +197,7 @@ def _files(folder: Path) -> Iterator[Path]:
 
 def clip_folders(folder: Path) -> list[Path]:
     """The complete clips of a dataset, in order."""
-    return sorted(p for p in (folder / "clips").glob("[0-9]*") if p.is_dir() and p.name.isdigit())
+    return sorted(p for p in (folder / "clips").glob("[0-9]*") if p.is_dir() and p.name.isascii() and p.name.isdigit())
 
 
 def sha256(path: Path) -> str:
@@ -253,7 +253,8 @@ def read_sums(folder: Path) -> dict[str, str]:
     listed = {}
     for number, line in enumerate((folder / SUMS).read_text(errors="replace").splitlines(), 1):
         digest, gap, name = line.partition("  ")
-        if not gap or len(digest) != 64 or os.path.isabs(name) or ".." in Path(name).parts:
+        inside = Path(name).as_posix() == name and not os.path.isabs(name) and ".." not in Path(name).parts
+        if not gap or len(digest) != 64 or not inside:
             raise InputError(f"{folder / SUMS}, line {number}: expected a SHA-256 and a path inside the dataset")
         listed[name] = digest
     return listed

@@ -11,6 +11,7 @@ import numpy as np
 from synthcam.settings import InputError
 
 LARGEST = float(np.finfo(float).max)  # YAML has integers beyond it
+MOST = 1000  # different options of a choice that are no numbers
 WIDEST = 4.0  # a normal distribution is cut at so many standard deviations
 
 
@@ -56,6 +57,19 @@ def choices(value: Any, key: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, 
         else:
             for k, v in value.items():
                 yield from choices(v, (*key, k))
+
+
+def telling(options: list[Any], key: str, where: str) -> list[Any]:
+    """Those options whose check is a check of all: of numbers the extremes, of others each once. Raises InputError."""
+    numbers: list[Any] = []
+    for kind in (int, float):
+        alike = [x for x in options if type(x) is kind]
+        numbers += {min(alike), max(alike)} if alike else set()
+        numbers += [x for x in alike if x != x][:1]
+    others = {repr(x): x for x in options if type(x) not in (int, float)}
+    if len(others) > MOST:
+        raise InputError(f"{where}: {key}.choice: expected at most {MOST} different values, found {len(others)}")
+    return [*numbers, *others.values()]
 
 
 def replaced(plain: Any, key: tuple[str, ...], value: Any) -> Any:

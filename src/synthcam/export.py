@@ -17,6 +17,7 @@ import tifffile
 from numpy.typing import NDArray
 
 from synthcam.dataset import clip_folders
+from synthcam.outputs import check_room, told
 from synthcam.settings import InputError
 
 
@@ -32,6 +33,12 @@ class Recorded:
     scalars: dict[str, Any]
     tracks: pd.DataFrame
     stack: Path
+
+    def check(self) -> None:
+        """Raises KeyError, TypeError or ValueError where what every format needs is not there."""
+        numbers = [*self.camera["size"], self.camera["fps"], self.bits, self.diameter_px, self.frames]
+        if not all(0 < float(x) < LARGEST for x in numbers):
+            raise ValueError("camera.json or tracks.parquet without size, rate, bits, ball or frames")
 
     @property
     def frames(self) -> int:
@@ -63,6 +70,7 @@ class Recorded:
         return kept
 
 
+LARGEST = 1e9  # of any number that a camera or a stack is told by
 Writer = Callable[[Iterator[Recorded], Path], None]
 
 
@@ -90,15 +98,31 @@ def export(dataset: Path, kind: str, output: Path, tick: Callable[[int, int], No
     table = (truth or dataset) / "truth" / "clips.parquet"
     if not table.is_file() or not (dataset / "clips").is_dir():
         raise InputError(f"{table}: no such file; expected a dataset with its truth (withheld: --truth TRUTH)")
+    output = output.resolve()
+    check_room(output)
     aside = output.with_name(f"{output.name}-{uuid.uuid4().hex[:12]}.tmp")
-    aside.mkdir(parents=True)
+    with told(output):
+        aside.mkdir(parents=True)
+        try:
+            rows = _rows(table)
+            _module(kind).write(_clips(dataset, truth or dataset, rows, tick), aside)
+            aside.rename(output)
+        finally:
+            shutil.rmtree(aside, ignore_errors=True)
+    return len(rows)
+
+
+def _rows(table: Path) -> pd.DataFrame:
+    """The truth's row of each clip. Raises InputError where the table is damaged."""
     try:
         rows = pd.read_parquet(table)
-        _module(kind).write(_clips(dataset, truth or dataset, rows, tick), aside)
-        aside.rename(output)
-    finally:
-        shutil.rmtree(aside, ignore_errors=True)
-    return len(rows)
+        return rows.astype({"clip": int, "scene": str})
+    except (KeyError, ValueError, TypeError, OSError) as error:  # pyarrow's are of all kinds
+        raise InputError(f"{table}: damaged ({_line(error)})") from None
+
+
+def _line(error: Exception) -> str:
+    return " ".join(str(error).split())[:100] or type(error).__name__
 
 
 def _clips(dataset: Path, truth: Path, rows: pd.DataFrame, tick: Callable[[int, int], None]) -> Iterator[Recorded]:
@@ -108,7 +132,7 @@ def _clips(dataset: Path, truth: Path, rows: pd.DataFrame, tick: Callable[[int, 
     for k, folder in enumerate(folders):
         secret, scalars = truth / "clips" / folder.name / "truth", {str(c): v for c, v in rows.iloc[k].items()}
         try:
-            yield Recorded(
+            clip = Recorded(
                 number=int(folder.name),
                 scene=str(scalars["scene"]),
                 of=int(each[scalars["scene"]]),
@@ -118,6 +142,10 @@ def _clips(dataset: Path, truth: Path, rows: pd.DataFrame, tick: Callable[[int, 
                 tracks=pd.read_parquet(secret / "tracks.parquet"),
                 stack=folder / "frames.tif",
             )
+            clip.check()
         except FileNotFoundError as e:
             raise InputError(f"{e.filename}: missing; `synthcam verify` tells what else is") from None
+        except (KeyError, ValueError, TypeError, OSError, RecursionError) as e:
+            raise InputError(f"{folder}: damaged ({_line(e)}); `synthcam verify` tells more") from None
+        yield clip
         tick(k + 1, len(rows))

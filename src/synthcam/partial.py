@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from synthcam.dataset import SUMS, clip_folders
+from synthcam.outputs import put, told
 from synthcam.settings import InputError
 
 PLAN = "plan.json"
@@ -65,8 +66,12 @@ class Partial:
 def begin(output: Path, document: dict[str, Any], withheld: Path | None = None) -> Partial | None:
     """The folder in which the dataset of `document` is made, or None when it is complete.
 
-    Raises InputError when a folder holds something else, or when another process is at work there.
+    Raises InputError when a folder holds something else, when another process is at work there, or when the truth to
+    be withheld would come to lie in the dataset.
     """
+    output, withheld = output.resolve(), withheld.resolve() if withheld else None
+    if withheld:
+        check_apart(output, withheld)
     partial = _beside(output)
     truth = _beside(withheld) if withheld else partial
     final = withheld or output
@@ -83,15 +88,29 @@ def begin(output: Path, document: dict[str, Any], withheld: Path | None = None) 
     plan = partial / PLAN
     for folder in {partial, truth}:
         _same_or_refuse(document, folder, plan if plan.exists() or not _about(truth).is_file() else _about(truth))
-    partial.mkdir(parents=True, exist_ok=True)
-    made = Partial(partial, truth, output, withheld, _locked(partial))
-    beside = partial.with_name(partial.name + ".plan")
-    beside.write_text(json.dumps(document, indent=1))
-    beside.replace(plan)  # before anything else: what has no plan is somebody else's
-    for folder in {partial, truth}:
-        (folder / "clips").mkdir(parents=True, exist_ok=True)
-    made.tidy()
+    new = not partial.exists()
+    with told(partial):
+        partial.mkdir(parents=True, exist_ok=True)
+        made = Partial(partial, truth, output, withheld, _locked(partial))
+        try:
+            beside = partial.with_name(partial.name + ".plan")
+            put(beside, json.dumps(document, indent=1).encode())
+            beside.replace(plan)  # before anything else: what has no plan is somebody else's
+            for folder in {partial, truth}:
+                (folder / "clips").mkdir(parents=True, exist_ok=True)
+            made.tidy()
+        except OSError:
+            made.discard() if new else made.close()
+            raise
     return made
+
+
+def check_apart(output: Path, withheld: Path) -> None:
+    """Raises InputError where one of two folders lies in the other, or where either is made, links followed."""
+    for one in (output.resolve(), _beside(output.resolve())):
+        for other in (withheld.resolve(), _beside(withheld.resolve())):
+            if one == other or one in other.parents or other in one.parents:
+                raise InputError(f"--withhold-truth {withheld}: expected a folder apart from {output}")
 
 
 def settle(aside: Path, final: Path) -> None:
@@ -133,6 +152,9 @@ def _locked(folder: Path) -> int:
     except OSError:  # a file system without locks
         os.close(handle)
         return -1
+    if not folder.is_dir() or not os.path.samestat(os.fstat(handle), folder.stat()):
+        os.close(handle)
+        raise InputError(f"{folder}: another process has just made this dataset")
     return handle
 
 

@@ -17,6 +17,7 @@ from skimage.exposure import adjust_gamma, rescale_intensity
 
 from synthcam.dataset import view_of
 from synthcam.generate import film
+from synthcam.outputs import check_film, check_room, put, told
 from synthcam.scene import Clip, check_scene
 
 Counts = NDArray[np.uint8] | NDArray[np.uint16]
@@ -31,6 +32,7 @@ def write_preview(clip: Clip, seed: int, path: Path, frame: int | None, magnify:
 
     magnify > 0: the balls so many times larger stand below the frame, with their faint bodies brought out.
     """
+    check_room(path)
     view = view_of(clip)
     hit = view.motion.first("contact")
     when = hit.t if hit else 0.5 * clip.frames / clip.camera.fps
@@ -45,7 +47,8 @@ def write_preview(clip: Clip, seed: int, path: Path, frame: int | None, magnify:
     ok, data = cv2.imencode(".png", picture)
     if not ok:
         raise OSError(f"{path}: could not be encoded as PNG")
-    path.write_bytes(data.tobytes())
+    with told(path):
+        put(path, data.tobytes())
 
 
 def write_film(clip: Clip, seed: int, path: Path) -> float:
@@ -68,12 +71,14 @@ def write_film(clip: Clip, seed: int, path: Path) -> float:
             large = np.kron(patch, np.ones((zoom, zoom), np.uint8))
             yield _with_caption(large, f"{slower:.3g} x slower   {1e3 * k / clip.camera.fps:.0f} ms")
 
-    with tempfile.TemporaryDirectory(dir=path.parent, prefix=f".{path.name}-") as folder:
+    check_room(path)
+    with told(path), tempfile.TemporaryDirectory(dir=path.parent, prefix=f".{path.name}-") as folder:
         aside = Path(folder) / f"film{path.suffix.lower()}"
         if aside.suffix == ".gif":
             iio.imwrite(aside, list(shown()), duration=1000 / SHOWN_FPS, loop=0)
         else:
             _write_mp4(aside, shown())
+            check_film(aside, clip.frames)
         aside.replace(path)
     return slower
 

@@ -22,7 +22,7 @@ from synthcam.apparatus import (
     lamp_of,
     surface_of,
 )
-from synthcam.distribution import choices, corner, drawn, replaced
+from synthcam.distribution import choices, corner, drawn, replaced, telling
 from synthcam.launch import Launch
 from synthcam.model import BallSettings, Model, ModelSettings, build, check_free, effect_settings
 from synthcam.optics import Camera, Lamp
@@ -184,9 +184,10 @@ def check_scene(loaded: dict[str, Any], where: str, overrides: tuple[str, ...] =
         _override(settings, text)
     for end in ("low", "high"):
         clip_of(0, _checked(corner(settings, end, "", where), where), where)
+    low = corner(settings, "low", "", where)
     for key, options in choices(settings):
-        for option in options:
-            _checked(replaced(corner(settings, "low", "", where), key, option), where)
+        for option in telling(options, ".".join(key), where):
+            _checked(replaced(low, key, option), where)
     check_free(settings.get("free") or (), where)
     return Scene(str(settings.get("name", "scene")), settings, where)
 

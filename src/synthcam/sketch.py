@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from io import BytesIO
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,7 @@ from synthcam.kinematics import Array
 from synthcam.launch import Launch
 from synthcam.model import Model
 from synthcam.optics import Camera, Lamp, glint_px
+from synthcam.outputs import check_room, put, told
 from synthcam.view import View
 
 LAUNCH = {"time": 0.04, "v0": 0.4, "b": 0.35, "heading": 0.0, "contact": (-0.01, 0.0)}
@@ -48,6 +50,7 @@ def sketch(effect: Effect, path: Path) -> float:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
+    check_room(path)
     base, bent = tracks(Model()), tracks(Model(effects=(effect,)))
     apart = 1e3 * (bent - base)
     figure = Figure(figsize=(9, 4.2), layout="constrained")
@@ -70,5 +73,9 @@ def sketch(effect: Effect, path: Path) -> float:
         f"{p.name} = {getattr(effect, p.name):g} {p.unit}".removesuffix(" 1") for p in effect.parameters()
     )
     figure.suptitle(f"{effect.name()}: {values}")
-    figure.savefig(path, dpi=120, metadata={"Software": None} if path.suffix.lower() == ".png" else None)
+    drawn = BytesIO()
+    kind = path.suffix.lower().lstrip(".")
+    figure.savefig(drawn, format=kind, dpi=120, metadata={"Software": None} if kind == "png" else None)
+    with told(path):
+        put(path, drawn.getvalue())
     return float(np.abs(apart).max())

@@ -11,10 +11,12 @@ from typing import Any
 
 import numpy as np
 
+from .camerakeys import read_json
 from .detect import detect, look
 from .geometry import Camera, InputError
 from .link import Tracks, link
 from .outline import Outline, outline
+from .outputs import check_room, told
 from .results import write_json
 from .touch import Touch, touches
 from .video import Clip, open_source
@@ -62,18 +64,23 @@ class Calibration:
         """The camera file, written aside and moved into place. InputError where no scale was found."""
         if not self.scale_from:
             raise InputError(f"{path}: not written, for no scale was found: {self.missing[0]}")
-        if path.exists() and not _made_here(path):
-            raise InputError(f"{path}: exists and was not made by tracker calibrate, expected a new file")
+        check_place(path)
         path.parent.mkdir(parents=True, exist_ok=True)
-        aside = path.with_name(path.name + ".part")
-        write_json(aside, self.to_dict())
-        aside.replace(path)
+        with told(path):
+            write_json(path, self.to_dict())
+
+
+def check_place(path: Path) -> None:
+    """Raises InputError where a camera file cannot be written, or would take another file's place."""
+    if path.exists() and not _made_here(path):
+        raise InputError(f"{path}: exists and was not made by tracker calibrate, expected a new file")
+    check_room(path)
 
 
 def _made_here(path: Path) -> bool:
     try:
-        return "calibration" in json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
+        return "calibration" in read_json(path)
+    except (OSError, ValueError, TypeError):
         return False
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 import sys
 import time
 from collections.abc import Callable, Iterator
@@ -78,8 +79,6 @@ def track(
         extra["ms_per_frame"] = round(1e3 * seconds / outcome.frames, 3)
     if as_json:
         extra["notes"] = outcome.notes
-    for note, clips in outcome.notes.items():
-        print(f"tracker: {note} ({clips} clips)", file=sys.stderr)
     _report(outcome, output, extra, as_json)
 
 
@@ -115,20 +114,29 @@ def score(
 
     Example: tracker score out/results --truth out/benchmark -o out/report
     """
+    from .outputs import check_room, held, told
     from .report import write_report
     from .results import RUN
     from .score import score as compare
 
     if output.exists() and not (output.is_dir() and (not any(output.iterdir()) or (output / SCORE).is_file())):
         raise InputError(f"{output}: exists and holds something else, expected a new folder for the report")
-    if results.is_file():
-        name = name or results.stem
-        results = _measured(results, truth, output, point)
-    if not name and (results / RUN).is_file():
-        name = str(json.loads((results / RUN).read_text(encoding="utf-8")).get("detector", ""))
-    verdict = compare(results, truth, name or "default")
-    write_report(verdict, results, truth, output)
-    path = verdict.write(output)
+    check_room(output)
+    new = not output.exists()
+    with held(output), told(output):
+        try:
+            if results.is_file():
+                name = name or results.stem
+                results = _measured(results, truth, output, point)
+            if not name and (results / RUN).is_file():
+                name = str(json.loads((results / RUN).read_text(encoding="utf-8")).get("detector", ""))
+            verdict = compare(results, truth, name or "default")
+            write_report(verdict, results, truth, output)
+            path = verdict.write(output)
+        except BaseException:
+            if new:
+                shutil.rmtree(output, ignore_errors=True)
+            raise
     print(json.dumps(verdict.to_dict()) if as_json else f"{path}")
 
 
@@ -176,6 +184,7 @@ def calibrate(
     """
     from . import calibrate as work
 
+    work.check_place(output)
     result = work.calibrate(video, diameter, fps, exposure)
     result.write(output)
     print(work.as_json(result, output) if as_json else "\n".join([*work.summary(result), f"{output}"]))
@@ -195,6 +204,8 @@ def _measured(tracks: Path, truth: Path, output: Path, point: str) -> Path:
 
 
 def _report(outcome: Outcome, output: Path, extra: dict[str, Any], as_json: bool) -> None:
+    for note, clips in outcome.notes.items():
+        print(f"tracker: {note} ({clips} clips)", file=sys.stderr)
     states = {str(k): int(v) for k, v in outcome.estimates["status"].value_counts().sort_index().items()}
     if as_json:
         summary = {"results": str(output), "clips": outcome.clips, "fresh": outcome.fresh, "status": states, **extra}
@@ -217,6 +228,9 @@ def main() -> None:
     except KeyboardInterrupt:
         print("tracker: interrupted; the same command goes on where it stopped", file=sys.stderr)
         sys.exit(130)
+    except MemoryError:
+        print("tracker: not enough memory", file=sys.stderr)
+        sys.exit(2)
     except OSError as error:
         print(f"tracker: {error.filename or 'file'}: {error.strerror or error}", file=sys.stderr)
         sys.exit(2)

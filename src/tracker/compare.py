@@ -15,6 +15,7 @@ import jinja2
 from . import results
 from .detect import detector
 from .geometry import InputError
+from .outputs import check_room, held, put, told
 from .score import Score, score
 from .track import run
 
@@ -42,19 +43,20 @@ def compare(dataset: Path, names: Sequence[str], report: Path, tick: Tick = lamb
         raise InputError(f"{known}: no such file, expected a dataset with its truth")
     if report.exists() and not (report.is_dir() and (not any(report.iterdir()) or (report / "results").is_dir())):
         raise InputError(f"{report}: exists and holds something else, expected a new folder for the report")
-    (report / "results").mkdir(parents=True, exist_ok=True)
-    scores = []
-    for k, name in enumerate(chosen):
-        scores.append(_scored(dataset, name, report, partial(_part, tick, k, len(chosen))))
-    whole = scores[0].to_dict()
-    for other in scores[1:]:
-        whole["detectors"] |= other.to_dict()["detectors"]
-    page = jinja2.Environment(loader=jinja2.FileSystemLoader(Path(__file__).parent), autoescape=True)
-    html = page.get_template("compare.html").render(suite=whole["suite"], tables=tables(whole["detectors"]))
-    for file, text in (("index.html", html), ("score.json", json.dumps(whole, indent=1, allow_nan=False) + "\n")):
-        aside = report / f"{file}.part"
-        aside.write_text(text, encoding="utf-8")
-        aside.replace(report / file)
+    report = report.resolve()
+    check_room(report)
+    with held(report), told(report, "; the same command goes on where it stopped"):
+        (report / "results").mkdir(exist_ok=True)
+        scores = []
+        for k, name in enumerate(chosen):
+            scores.append(_scored(dataset, name, report, partial(_part, tick, k, len(chosen))))
+        whole = scores[0].to_dict()
+        for other in scores[1:]:
+            whole["detectors"] |= other.to_dict()["detectors"]
+        page = jinja2.Environment(loader=jinja2.FileSystemLoader(Path(__file__).parent), autoescape=True)
+        html = page.get_template("compare.html").render(suite=whole["suite"], tables=tables(whole["detectors"]))
+        put(report / "index.html", html)
+        put(report / "score.json", json.dumps(whole, indent=1, allow_nan=False) + "\n")
     return whole
 
 

@@ -45,6 +45,7 @@ NEEDS = {  # what falls with a slide end that the clip does not show, by ball
 NEEDS_START = ("r", "s", "mu_k", "C")  # what falls with a slide too short to show the velocity just after the hit
 NEEDS_BOTH = ("energy_fraction", "momentum_fraction", "final_angle")
 UNLIKELY = 10.0  # standard deviations of chi^2 beyond which a lone ball was not rolling freely
+NO_DIAMETER = "no ball_diameter in the camera file: a collision is measured by where balls of that diameter touch"
 POOR_FIT = 1e4  # chi^2 per degree of freedom: 100 sigma off everywhere is no description of the motion
 
 
@@ -72,7 +73,9 @@ def measure(tracks: Tracks, camera: Camera) -> list[dict[str, Any]]:
     if not any(len(course) >= 2 for course in balls):
         return [_row(camera, 0, "too few detections")]
     noise = _noise(balls[0], camera)
-    met = meetings(balls, camera.ball_diameter)
+    if len(balls) > 1 and not camera.knows_diameter:
+        return [_row(camera, 0, NO_DIAMETER) | _noise(balls[0], camera)]
+    met = meetings(balls, camera.ball_diameter) if len(balls) > 1 else []
     if not met:
         return [_row(camera, 0, "no_collision") | noise | _alone(balls)]
     rows, pasts = [], dict[int, Past]()

@@ -6,7 +6,6 @@ integers, ``x_cam = R x_world + t`` and lens distortion as OpenCV defines them.
 
 from __future__ import annotations
 
-import json
 import math
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -16,6 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .camerafile import InputError, Lamp, parse
+from .camerakeys import read_json
 from .lens import Array, distort, mirror_normal, pair_normal, undistort
 from .sensor import Sensor
 
@@ -24,6 +24,10 @@ __all__ = ["Camera", "InputError", "Lamp", "Sensor"]
 PLACING = ("K", "dist", "R", "t", "size", "fps", "exposure", "line_time", "ball_diameter", "lamp")
 ALIKE = 1e-6  # relative: numbers of two camera files that differ by less are the same
 FAR = 1e6  # m, of a point as good as straight overhead
+USUAL_PX = 15.0  # px, of a ball whose diameter is not known, for the search of its glint
+CHECKED = 9  # pixels along each side of the picture at which a camera file is tried
+UNEVEN = 3.0  # between scale and what the view makes of it anywhere in the picture
+LOST = 0.01  # px between a pixel and what its place is projected to
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,6 +35,7 @@ class Camera:
     """All that ``camera.json`` tells; ``assumed`` names each key left to a default or an estimate.
 
     ``metric`` is False where nothing ties pixels to metres (no camera file): then there are only pixels.
+    ``ball_diameter`` is NaN where the file does not tell it; collisions are then not measured.
     ``line_time`` s: by so much later each row of a rolling shutter is exposed. ``unmodelled`` says what the file tells
     that is not accounted for. ``exposure_seen`` s: the exposure that the streaks of moving glints tell, where that is
     not ``exposure``.
@@ -69,19 +74,31 @@ class Camera:
             one, two = (getattr(c, key) for c in (self, other))
             if key == "lamp":
                 one, two = (lamp.position if lamp else () for lamp in (one, two))
-            if np.shape(one) != np.shape(two) or not np.allclose(one, two, rtol=ALIKE, atol=ALIKE**2):
+            if np.shape(one) != np.shape(two) or not np.allclose(one, two, ALIKE, ALIKE**2, equal_nan=True):
                 return key
         return ""
 
     @property
     def radius(self) -> float:
-        """Ball radius, m."""
-        return self.ball_diameter / 2.0
+        """Ball radius, m; 0 where it is not known."""
+        return self.ball_diameter / 2.0 if self.knows_diameter else 0.0
+
+    @property
+    def knows_diameter(self) -> bool:
+        """Whether the camera file tells the balls' diameter."""
+        return math.isfinite(self.ball_diameter)
 
     @property
     def diameter_px(self) -> float:
-        """Ball diameter as seen, px."""
-        return self.ball_diameter / self.scale
+        """Ball diameter as seen, px; where it is not known a usual one, good enough for a search."""
+        return self.ball_diameter / self.scale if self.knows_diameter else USUAL_PX
+
+    @property
+    def centre_height(self) -> float:
+        """Height of the balls' centres, m; where the diameter is not known that at which ``scale`` holds."""
+        if self.knows_diameter:
+            return self.radius
+        return float((self.position + self.R[2] * self.scale * self.K[0, 0])[2])
 
     @property
     def position(self) -> Array:
@@ -123,7 +140,7 @@ class Camera:
 
         Returns the places (..., 2) and the Jacobians d place / d pixel (..., 2, 2), m/px.
         """
-        height = self.radius if z is None else z
+        height = self.centre_height if z is None else z
         bent = (np.asarray(pixels, dtype=np.float64) - self.K[:2, 2]) @ np.linalg.inv(self.K[:2, :2]).T
         straight, bend = undistort(bent, self.dist)
         ray = np.concatenate([straight, np.ones_like(straight[..., :1])], axis=-1) @ self.R
@@ -206,17 +223,39 @@ class Camera:
         """Camera from a JSON file; InputError names the file and the key at fault."""
         where = Path(path)
         try:
-            data = json.loads(where.read_text(encoding="utf-8"))
+            data = read_json(where)
         except FileNotFoundError:
             raise InputError(f"{where}: no such file, expected a camera.json") from None
-        except (OSError, UnicodeDecodeError, json.JSONDecodeError) as error:
+        except (OSError, ValueError) as error:
             raise InputError(f"{where}: cannot be read as JSON ({error})") from None
         return Camera.from_dict(data, str(where))
 
     @staticmethod
     def from_dict(data: Any, where: str = "camera") -> Camera:
-        """Camera from the keys of camera.json; unknown keys are ignored."""
-        return Camera(**parse(data, where))
+        """Camera from the keys of camera.json; of unknown keys ``unmodelled`` tells. Raises InputError."""
+        camera = Camera(**parse(data, where))
+        if camera.position[2] <= camera.radius:
+            raise InputError(f"{where}: R, t: expected a camera above the plate, not at z = {camera.position[2]:g} m")
+        if not 1 / UNEVEN < (reach := camera._scales() / camera.scale).min() <= reach.max() < UNEVEN:
+            raise InputError(
+                f"{where}: K, dist, R, t: expected a view of about {camera.scale:.3g} m/px all over the picture, "
+                f"as scale says; they make it {camera.scale * reach.min():.3g} to {camera.scale * reach.max():.3g}"
+            )
+        return camera
+
+    def _scales(self) -> Array:
+        """m/px all over the picture; infinite at pixels that have no place, or whose place is another pixel's."""
+        across, down = (np.linspace(0, n - 1, CHECKED) for n in self.size)
+        pixels = np.stack(np.meshgrid(across, down), axis=-1).reshape(-1, 2)
+        level = np.full((len(pixels), 1), self.centre_height)
+        with np.errstate(all="ignore"):
+            try:
+                place, slope = self.unproject(pixels)
+            except np.linalg.LinAlgError:
+                return np.array([np.inf])
+            back = self.project(np.concatenate([place, level], axis=-1))
+            found = np.all(np.abs(back - pixels) < LOST, axis=1)
+            return np.where(found, np.sqrt(np.abs(np.linalg.det(slope))), np.inf)
 
     @staticmethod
     def unknown(size: tuple[int, int], bits: int) -> Camera:
@@ -230,9 +269,10 @@ class Camera:
         out: dict[str, Any] = {
             "K": self.K.tolist(), "dist": self.dist.tolist(), "R": self.R.tolist(), "t": self.t.tolist(),
             "size": list(self.size), "fps": self.fps, "exposure": self.exposure, "scale": self.scale,
-            "ball_diameter": self.ball_diameter, "striker": self.striker, "sensor": sensor,
-            "assumed": list(self.assumed), "metric": self.metric,
+            "striker": self.striker, "sensor": sensor, "assumed": list(self.assumed), "metric": self.metric,
         }  # fmt: skip
+        if self.knows_diameter:
+            out["ball_diameter"] = self.ball_diameter
         if self.lamp is not None:
             out["lamp"] = {"position": list(self.lamp.position), "radius": self.lamp.radius}
         if self.psf_sigma is not None:

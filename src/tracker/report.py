@@ -25,6 +25,7 @@ from .figures import (
     separation_figure,
     tracks_figure,
 )
+from .outputs import put
 from .places import courses
 from .quantities import NAMES
 from .results import read_clip
@@ -50,10 +51,8 @@ def write_report(score: Score, results: Path | str, dataset: Path | str, report:
     html = page.render(score=score, images=images, tables=tables(score), clip=shown_clip(score), kinds=KINDS)
     folder = Path(report)
     folder.mkdir(parents=True, exist_ok=True)
-    target, aside = folder / "index.html", folder / "index.html.part"
-    aside.write_text(html, encoding="utf-8")
-    aside.replace(target)
-    return target
+    put(folder / "index.html", html)
+    return folder / "index.html"
 
 
 def figures(score: Score, results: Path, dataset: Path) -> dict[str, Figure]:

@@ -12,6 +12,7 @@ import os
 import shutil
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -23,9 +24,12 @@ import pyarrow.parquet
 
 from .geometry import Camera, InputError
 from .link import Tracks
+from .outputs import put
 
 RUN = "run.json"
 SEEN = "exposure_seen_s"  # of clips whose streaks are not as long as the camera file's exposure makes them
+MOST = (1 << 31) - 1  # frames, particles, clips
+FARTHEST = 1e6  # px, of a place, or of its standard deviation
 NEEDED = ("frame", "particle", "x", "y")
 
 
@@ -53,13 +57,19 @@ def write_clip(
     shutil.rmtree(aside, ignore_errors=True)
     aside.mkdir(parents=True)
     table = tracks_table(tracks)
-    pyarrow.parquet.write_table(table, aside / "tracks.parquet")
-    pyarrow.csv.write_csv(table, aside / "tracks.csv", pyarrow.csv.WriteOptions(quoting_style="needed"))
     columns = {name: pa.array(motion[name].to_numpy(), from_pandas=True) for name in motion.columns}
-    pyarrow.parquet.write_table(pa.table(columns), aside / "motion.parquet")
-    write_json(aside / "estimates.json", list(rows))
-    write_json(aside / "camera.json", camera.to_dict())
-    os.replace(aside, final)
+    try:
+        _write_parquet(aside / "tracks.parquet", table)
+        with BytesIO() as text:
+            pyarrow.csv.write_csv(table, text, pyarrow.csv.WriteOptions(quoting_style="needed"))
+            put(aside / "tracks.csv", text.getvalue())
+        _write_parquet(aside / "motion.parquet", pa.table(columns))
+        write_json(aside / "estimates.json", list(rows))
+        write_json(aside / "camera.json", camera.to_dict())
+        os.replace(aside, final)
+    except BaseException:
+        shutil.rmtree(aside, ignore_errors=True)
+        raise
 
 
 def finish(partial: Path, final: Path, numbers: Iterable[int]) -> pd.DataFrame:
@@ -68,10 +78,10 @@ def finish(partial: Path, final: Path, numbers: Iterable[int]) -> pd.DataFrame:
 
     order = sorted(numbers)
     table = gather(partial, order)
-    pyarrow.parquet.write_table(_plain(table), partial / "estimates.parquet")
+    _write_parquet(partial / "estimates.parquet", _plain(table))
     write_json(partial / "fit.json", fit_all(table))
     _note_exposures(partial, order)
-    shutil.copyfile(clip_folder(partial, order[0]) / "camera.json", partial / "camera.json")
+    put(partial / "camera.json", (clip_folder(partial, order[0]) / "camera.json").read_bytes())
     os.replace(partial, final)
     return table
 
@@ -122,7 +132,13 @@ def tracks_table(tracks: Tracks) -> pa.Table:
 
 def write_json(path: Path, value: Any) -> None:
     """JSON with null for what is not finite."""
-    path.write_text(json.dumps(_finite(value), indent=1, sort_keys=False) + "\n", encoding="utf-8")
+    put(path, json.dumps(_finite(value), indent=1, sort_keys=False) + "\n")
+
+
+def _write_parquet(path: Path, table: pa.Table) -> None:
+    with BytesIO() as stream:
+        pyarrow.parquet.write_table(table, stream)
+        put(path, stream.getvalue())
 
 
 def _finite(value: Any) -> Any:
@@ -202,6 +218,9 @@ def _load(path: Path) -> pd.DataFrame:
 def _to_tracks(table: pd.DataFrame, where: str) -> Tracks:
     frame, particle = _whole(table["frame"], "frame", where), _whole(table["particle"], "particle", where)
     x, y = _real(table["x"], "x", where), _real(table["y"], "y", where)
+    for name, values in (("x", x), ("y", y)):
+        if np.any(np.abs(values) > FARTHEST):
+            raise InputError(f"{where}: {name}: expected places in px, not {values[np.abs(values) > FARTHEST][0]:g}")
     kept = np.flatnonzero(np.isfinite(x) & np.isfinite(y))
     kept = kept[np.lexsort((frame[kept], particle[kept]))]
     twice = (np.diff(frame[kept]) == 0) & (np.diff(particle[kept]) == 0)
@@ -217,8 +236,8 @@ def _to_tracks(table: pd.DataFrame, where: str) -> Tracks:
         cov = np.empty((len(kept), 2, 2))
         for axis, name in enumerate((x_std, y_std)):
             std = column(name, default)
-            if np.any(std < 0):
-                raise InputError(f"{where}: {name}: expected 0 or more")
+            if np.any((std < 0) | (std > FARTHEST)):
+                raise InputError(f"{where}: {name}: expected standard errors from 0 to {FARTHEST:g} px")
             cov[:, axis, axis] = std**2
         cov[:, 0, 1] = cov[:, 1, 0] = column(cov_xy, 0.0)
         return cov
@@ -247,8 +266,9 @@ def _real(values: Any, name: str, where: str) -> Any:
 
 def _whole(values: Any, name: str, where: str) -> Any:
     numbers = _real(values, name, where)
-    if not np.all(np.isfinite(numbers)) or np.any(numbers != np.round(numbers)) or np.any(numbers < 0):
-        raise InputError(f"{where}: {name}: expected whole numbers from 0")
+    wrong = ~((numbers >= 0) & (numbers <= MOST) & (numbers == np.round(numbers)))  # NaN too
+    if wrong.any():
+        raise InputError(f"{where}: {name}: expected whole numbers from 0 to {MOST}, not {numbers[wrong][0]:g}")
     return numbers.astype(np.int64)
 
 

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from .calibration import quantity_bounds, quantity_scores, true_motion
 from .geometry import Camera, InputError
 from .localisation import Matched, bounds, localisation, match
+from .outputs import put
 from .quantities import NAMES
 from .trackscores import GATE_PX, Dots, tracking_scores
 
@@ -56,10 +57,8 @@ class Score:
         """REPORT/score.json, written aside and moved into place; returns its path."""
         folder = Path(report)
         folder.mkdir(parents=True, exist_ok=True)
-        target, aside = folder / "score.json", folder / "score.json.part"
-        aside.write_text(json.dumps(self.to_dict(), indent=1, allow_nan=False) + "\n", encoding="utf-8")
-        aside.replace(target)
-        return target
+        put(folder / "score.json", json.dumps(self.to_dict(), indent=1, allow_nan=False) + "\n")
+        return folder / "score.json"
 
 
 def score(

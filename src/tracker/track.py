@@ -11,7 +11,8 @@ import shutil
 from collections import Counter
 from collections.abc import Callable, Iterator
 from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
-from contextlib import suppress
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -23,12 +24,14 @@ from . import results
 from .detect import DEFAULT, detector, look, settled
 from .geometry import Camera, InputError
 from .link import Tracks, link
+from .outputs import check_room, held, told
 from .reasons import why_nothing
 from .video import Clip, Source, open_source
 
 MALLOPT = (-1, -3)  # M_TRIM_THRESHOLD, M_MMAP_THRESHOLD of malloc.h
 KEPT = 32 << 20  # bytes
 ENDS = 1 << 16  # bytes at either end of a file that tell one recording from another
+UNSIZED = "ball_diameter: not told; collisions are not measured, and glints are not taken to centres"
 Tick = Callable[[int, int], None]
 
 
@@ -69,23 +72,19 @@ def run(
     source = open_source(path, camera)
     plan = _plan(source, name)
     numbers = [number for number, _ in source.clips]
+    output = output.resolve()
     if output.exists():
         _same_or_refuse(output, plan)
         return Outcome(results.gather(output, numbers), len(source), 0, 0)
-    partial = open_partial(output, plan)
-    todo = [i for i, number in enumerate(numbers) if not results.is_done(partial, number)]
     frames, notes = 0, Counter[str]()
-    tick(len(source) - len(todo), len(source))
-    try:
+    with _partial(output, plan) as partial:
+        todo = [i for i, number in enumerate(numbers) if not results.is_done(partial, number)]
+        tick(len(source) - len(todo), len(source))
         for done, (count, note) in enumerate(_each(source, todo, partial, name, workers), 1):
             frames += count
             notes.update([note] if note else [])
             tick(len(source) - len(todo) + done, len(source))
-    except InputError:
-        if not any((partial / "clips").glob("*")):  # nothing worth going on from, and the input is at fault
-            shutil.rmtree(partial, ignore_errors=True)
-        raise
-    table = results.finish(partial, output, numbers)
+        table = results.finish(partial, output, numbers)
     return Outcome(table, len(source), len(todo), frames, dict(notes))
 
 
@@ -96,33 +95,46 @@ def measure_tables(path: Path, output: Path, camera: Path, point: str = "centre"
     digest = hashlib.sha256(path.read_bytes() + camera.read_bytes() + point.encode()).hexdigest()
     plan = {"made_by": "tracker measure", "input": digest}
     numbers = sorted(tables)
+    output = output.resolve()
     if output.exists():
         _same_or_refuse(output, plan)
         return Outcome(results.gather(output, numbers), len(numbers), 0, 0)
-    partial = open_partial(output, plan)
-    todo = [n for n in numbers if not results.is_done(partial, n)]
-    for number in todo:
-        tracks, striker = tables[number]
-        own = replace(base, striker=striker) if striker is not None else base
-        if point == "glint":
-            tracks = results.to_centres(tracks, own)
-        rows, motion = measure_clip(tracks, own)
-        results.write_clip(partial, number, tracks, motion, rows, own)
-    return Outcome(results.finish(partial, output, numbers), len(numbers), len(todo), 0)
+    with _partial(output, plan) as partial:
+        todo = [n for n in numbers if not results.is_done(partial, n)]
+        for number in todo:
+            tracks, striker = tables[number]
+            own = replace(base, striker=striker) if striker is not None else base
+            if point == "glint":
+                tracks = results.to_centres(tracks, own)
+            rows, motion = measure_clip(tracks, own)
+            results.write_clip(partial, number, tracks, motion, rows, own)
+        table = results.finish(partial, output, numbers)
+    notes = {note: len(numbers) for note in _notes(base) if not note.startswith("assumed")}
+    return Outcome(table, len(numbers), len(todo), 0, notes)
 
 
-def open_partial(output: Path, plan: dict[str, Any]) -> Path:
-    """The folder in which results grow: a new one, or the one that the same command left behind."""
+@contextmanager
+def _partial(output: Path, plan: dict[str, Any]) -> Iterator[Path]:
+    """The folder in which results grow, ours alone: a new one, or the one that the same command left behind.
+
+    Where the input or the disk is at fault and nothing is there worth going on from, it is taken away again.
+    """
+    check_room(output)
     partial = output.with_name(output.name + ".partial")
-    note = partial / results.RUN
-    if partial.exists():
-        _same_or_refuse(partial, plan)
-    else:
-        (partial / "clips").mkdir(parents=True)
-        results.write_json(note, plan)
-    for leftover in (partial / "clips").glob("*.tmp"):
-        shutil.rmtree(leftover)
-    return partial
+    with held(partial):
+        if any(partial.iterdir()):
+            _same_or_refuse(partial, plan)
+        try:
+            with told(partial, "; the same command goes on where it stopped"):
+                results.write_json(partial / results.RUN, plan)
+                (partial / "clips").mkdir(exist_ok=True)
+                for leftover in (partial / "clips").glob("*.tmp"):
+                    shutil.rmtree(leftover)
+                yield partial
+        except InputError:
+            if not any((partial / "clips").glob("*")):
+                shutil.rmtree(partial, ignore_errors=True)
+            raise
 
 
 def _same_or_refuse(folder: Path, plan: dict[str, Any]) -> None:
@@ -170,6 +182,8 @@ def _each(source: Source, todo: list[int], partial: Path, name: str, workers: in
                 done, waiting = wait(waiting, return_when=FIRST_COMPLETED)
                 for future in done:
                     yield future.result()
+        except BrokenProcessPool:
+            raise InputError(f"{source.path}: a worker was killed; is there enough memory for each of them?") from None
         except BaseException:
             pool.shutdown(wait=True, cancel_futures=True)
             raise
@@ -179,13 +193,28 @@ def _one(source: Source, index: int, partial: Path, name: str) -> tuple[int, str
     cv2.setNumThreads(1)  # clips run side by side
     _keep_memory()
     clip = source.clip(index)
-    tracks, camera, reason = track_clip(clip, name)
+    try:
+        tracks, camera, reason = track_clip(clip, name)
+    except (MemoryError, cv2.error) as error:
+        if isinstance(error, cv2.error) and error.code != cv2.Error.StsNoMem:
+            raise
+        asked = " x ".join(map(str, clip.frames.shape))
+        raise InputError(f"{source.clips[index][1]}: not enough memory for its {asked} pixels") from None
     rows, motion = measure_clip(tracks, camera)
     if reason:
         rows = [row | {"status": reason} if row["status"] != "ok" else row for row in rows]
     results.write_clip(partial, clip.number, tracks, motion, rows, camera)
-    assumed = f"assumed or estimated: {', '.join(camera.assumed)}" if camera.assumed else ""
-    return len(clip.frames), "; ".join(filter(None, [clip.note, assumed, *camera.unmodelled, _streaks(camera)]))
+    return len(clip.frames), "; ".join(filter(None, [clip.note, *_notes(camera), _streaks(camera)]))
+
+
+def _notes(camera: Camera) -> list[str]:
+    """What the camera file did not tell, and what in it is not accounted for."""
+    assumed = [name for name in camera.assumed if name != "ball_diameter"]
+    return [
+        *([f"assumed or estimated: {', '.join(assumed)}"] if assumed else []),
+        *([] if camera.knows_diameter or not camera.metric else [UNSIZED]),
+        *camera.unmodelled,
+    ]
 
 
 def _streaks(camera: Camera) -> str:

@@ -20,6 +20,7 @@ import numpy as np
 import tifffile
 from numpy.typing import NDArray
 
+from .camerakeys import LONGEST_SIDE, MOST_PIXELS
 from .geometry import Camera, InputError
 
 Frame = NDArray[np.uint8] | NDArray[np.uint16]
@@ -174,6 +175,7 @@ def _stack(path: Path) -> tuple[Frames, str]:
     plane = shape[-3:] if colour else shape[-2:]
     if len(shape) < len(plane) or 0 in shape:
         raise InputError(f"{path}: expected a stack of pictures, not an array of {shape}")
+    _not_too_large(path, plane)
     count = int(np.prod(shape[: len(shape) - len(plane)], dtype=np.int64))
     _pixel_type(path, dtype)
     if offset is not None:
@@ -272,6 +274,7 @@ def _folder(folder: Path) -> tuple[Frames, str]:
     paths = _pictures(folder)
     first = _picture(paths[0])
     _pixel_type(paths[0], first.dtype)
+    _not_too_large(paths[0], first.shape)
 
     def fetch(k: int) -> Any:
         picture = _picture(paths[k])
@@ -289,7 +292,10 @@ def _picture(path: Path) -> Any:
             return np.asarray(tifffile.imread(path))
         except Exception as error:
             raise InputError(f"{path}: cannot be read as TIFF, truncated or damaged ({_line(error)})") from None
-    picture = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+    try:
+        picture = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+    except cv2.error as error:  # a header that promises more than there is memory for
+        raise InputError(f"{path}: cannot be read as a picture ({_line(error)})") from None
     if picture is None:
         raise InputError(f"{path}: cannot be read as a picture, truncated or damaged")
     return picture[..., 2::-1] if picture.ndim == 3 else picture  # OpenCV gives blue first
@@ -355,6 +361,12 @@ def _grey(
         return np.round(mix).astype(dtype)
 
     return Frames(count, (plane[0], plane[1]), dtype, grey), "colour converted to grey"
+
+
+def _not_too_large(path: Path, plane: tuple[int, ...]) -> None:
+    height, width = plane[:2]
+    if height * width > MOST_PIXELS or max(height, width) > LONGEST_SIDE:
+        raise InputError(f"{path}: pictures of {width} x {height}, expected at most {MOST_PIXELS} pixels")
 
 
 def _pixel_type(path: Path, dtype: Any) -> None:

@@ -11,6 +11,7 @@ from pathlib import Path
 import cv2
 
 from synthcam.export import Recorded
+from synthcam.outputs import check_film
 from synthcam.settings import InputError
 
 
@@ -31,3 +32,4 @@ def write(clips: Iterator[Recorded], folder: Path) -> None:
         for frame in clip.pictures():
             film.write(frame)
         film.release()
+        check_film(path, clip.frames)

@@ -44,6 +44,8 @@ class _Scene:
 
     def __init__(self, root: Any, first: Recorded) -> None:
         name = re.sub(r"[^\w.-]", "_", first.scene)
+        if not name.strip(".") or name.startswith("__") or name == "zarr.json":  # what Zarr keeps to itself
+            name = f"scene{name}"
         if name in root:
             raise InputError(f"clip {first.number}: a second scene of the name {first.scene}; expected names apart")
         self.group, self.first, self.count, self.cameras = root.create_group(name), first, 0, list[dict[str, Any]]()
