@@ -3,6 +3,7 @@
     benchmarks/coverage.py [--clips 500] [--seed 0] [--scene scenes/benchmark.yaml] [-o out/coverage]
     benchmarks/coverage.py --from-tracks      no video: true centres with noise at the localisation bound
     benchmarks/coverage.py --scene scenes/dim.yaml      its dim kin, and with saturated.yaml the clipped one
+    benchmarks/coverage.py --scene scenes/other_camera.yaml    another camera, lamp and sensor, and other balls
 
 The film is kept in the output and used again; tracking and measuring are done anew each time. Exit status 1 when a
 figure misses. For each quantity and fit: RMSE over the Fisher bound of that fit on those positions, each clip against

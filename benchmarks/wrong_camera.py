@@ -1,6 +1,7 @@
 """What a wrong camera file does to each quantity: the same films, tracked with one thing in camera.json off at a time.
 
     benchmarks/wrong_camera.py [--clips 100] [-o out/wrong_camera]
+    benchmarks/wrong_camera.py --scene scenes/other_camera.yaml --faults "diameter +1 %,bare"    only those faults
 
 For each quantity of the tied fit: by how much the wrong file moves it, in percent of the right file's result, the mean
 over the clips, and in brackets the root mean square of z, one where the error bars still hold. b, t_c and the angle,
@@ -60,6 +61,16 @@ def gained(factor: float) -> Callable[[Known], None]:
     return fault
 
 
+def widened(known: Known) -> None:
+    known["ball_diameter"] *= 1.01
+
+
+def bare(known: Known) -> None:
+    """What must be told for a collision, and no more."""
+    for key in set(known) - {"size", "fps", "exposure", "scale", "ball_diameter", "striker"}:
+        del known[key]
+
+
 FAULTS: dict[str, Callable[[Known], None]] = {
     "right": lambda known: None,
     "scale +1 %": scaled,
@@ -70,6 +81,8 @@ FAULTS: dict[str, Callable[[Known], None]] = {
     "no PSF": without_psf,
     "gain +30 %": gained(1.3),
     "gain -30 %": gained(0.7),
+    "diameter +1 %": widened,
+    "bare": bare,
 }
 
 
@@ -135,6 +148,7 @@ def main() -> None:
     parser.add_argument("--clips", type=int, default=100)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--scene", default="scenes/benchmark.yaml")
+    parser.add_argument("--faults", default=",".join(FAULTS), help="names of faults, with commas between them")
     parser.add_argument("-o", "--output", type=Path, default=ROOT / "out" / "wrong_camera")
     options = parser.parse_args()
     film = options.output / "film"
@@ -145,6 +159,8 @@ def main() -> None:
     rows: dict[str, dict[str, Any]] = {}
     reference: tuple[pd.DataFrame, pd.DataFrame] | None = None
     for name, fault in FAULTS.items():
+        if name not in ["right", *options.faults.split(",")]:
+            continue
         wrong = copy.deepcopy(known)
         fault(wrong)
         found, tracks = tracked(film, options.output, name, wrong)

@@ -72,7 +72,7 @@ def test_estimates_hold_every_quantity_three_ways(made: Path) -> None:
 
 def test_camera_file_holds_what_the_page_tells(made: Path) -> None:
     camera = json.loads((made / "film/clips/000000/camera.json").read_text())
-    text = re.search(r"\*\*camera\.json\*\*:(.*?)K or scale", PAGE, re.S)
+    text = re.search(r"\*\*camera\.json\*\*:(.*?)Needed are", PAGE, re.S)
     assert text
     named = set(re.findall(r"`(\w+)`", text[1]))
     assert set(camera) <= named

@@ -1,7 +1,12 @@
 """Whatever a camera leaves behind opens alike, a frame at a time; what is damaged is named in one line."""
 
 import json
+import shutil
+import struct
+import subprocess
+import sys
 import tracemalloc
+import zlib
 
 import cv2
 import numpy as np
@@ -200,3 +205,63 @@ def test_pictures_of_unequal_size(tmp_path):
 def test_camera_of_another_size(tmp_path):
     write_clip(tmp_path, MOVIE, CAMERA)
     one_line(lambda: open_source(tmp_path).clip(0), "64x48", "200x160", "size", "camera.json")
+
+
+def bomb(path, side):
+    """A small file that unpacks to side x side black pixels."""
+    if path.suffix == ".png":
+
+        def chunk(kind, data):
+            return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+
+        packer = zlib.compressobj(9)
+        rows = b"".join([*(packer.compress(bytes(side + 1)) for _ in range(side)), packer.flush()])
+        head = struct.pack(">IIBBBBB", side, side, 8, 0, 0, 0, 0)
+        path.write_bytes(b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", head) + chunk(b"IDAT", rows) + chunk(b"IEND", b""))
+        return
+    packed, entries = zlib.compress(bytes(1 << 20), 9), []
+    for tag, value in ((256, side), (257, side), (258, 8), (259, 8), (262, 1), (273, 8), (277, 1), (278, side)):
+        entries.append(struct.pack("<HHII", tag, 4 if value > 65535 or tag in (256, 257, 273, 278) else 3, 1, value))
+    entries.append(struct.pack("<HHII", 279, 4, 1, len(packed)))
+    pages, start = b"", 8 + len(packed)
+    for k in range(2):
+        size = 2 + 12 * len(entries) + 4
+        after = start + size if k == 0 else 0
+        pages += struct.pack("<H", len(entries)) + b"".join(entries) + struct.pack("<I", after)
+        start += size
+    path.write_bytes(b"II*\0" + struct.pack("<I", 8 + len(packed)) + packed + pages)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="limits of memory are Linux's")
+def test_pictures_larger_than_the_memory_are_one_line(tmp_path):
+    """Three ways to promise more than there is, opened with 100 MB more than at the start."""
+    for name, side in (("one", 12_000), ("two", 2_000_000)):
+        (tmp_path / name).mkdir()
+        if name == "one":
+            bomb(tmp_path / "one/0.png", side)
+        else:  # the header lies
+            data = bytearray((tmp_path / "one/0.png").read_bytes())
+            data[16:24] = struct.pack(">II", side, side)
+            data[29:33] = struct.pack(">I", zlib.crc32(bytes(data[12:29])))
+            (tmp_path / "two/0.png").write_bytes(bytes(data))
+        shutil.copy(tmp_path / name / "0.png", tmp_path / name / "1.png")
+        bomb(tmp_path / f"{name}.tif", side)
+    script = (
+        "import resource, sys\n"
+        "from tracker.track import _one\n"
+        "from tracker.video import InputError, open_source\n"
+        "import tracker.detectors.maximum_likelihood\n"
+        "held = next(line for line in open('/proc/self/status') if line.startswith('VmData'))\n"
+        "limit = (int(held.split()[1]) << 10) + (100 << 20)\n"
+        "resource.setrlimit(resource.RLIMIT_DATA, (limit, limit))\n"
+        "for place in sys.argv[1:]:\n"
+        "    try:\n"
+        "        _one(open_source(place), 0, None, 'centroid')\n"
+        "    except InputError as error:\n"
+        "        print(error)\n"
+    )
+    places = [tmp_path / name for name in ("one", "two", "one.tif", "two.tif")]
+    done = subprocess.run([sys.executable, "-c", script, *map(str, places)], capture_output=True, text=True)
+    said = done.stdout.splitlines()
+    assert (done.returncode, len(said)) == (0, 4), done.stderr
+    assert all(line.startswith(f"{place}") for line, place in zip(said, places, strict=True))

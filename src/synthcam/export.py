@@ -58,9 +58,12 @@ class Recorded:
 
     def pictures(self) -> Iterator[NDArray[Any]]:
         """The frames, one at a time, (h, w) uint8 or uint16."""
-        with tifffile.TiffFile(self.stack) as tif:
-            for page in tif.pages:
-                yield page.asarray()
+        try:
+            with tifffile.TiffFile(self.stack) as tif:
+                for page in tif.pages:
+                    yield page.asarray()
+        except Exception as error:  # decoders raise their own kinds
+            raise InputError(f"{self.stack}: damaged ({_line(error)}); `synthcam verify` tells more") from None
 
     def in_view(self, ball: pd.DataFrame) -> pd.DataFrame:
         """The rows of tracks at which the ball's centre lies in the picture."""
