@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from synthcam import preview
+from synthcam.settings import InputError
 from synthcam_stub import film, plan
 
 
@@ -84,7 +85,7 @@ def test_a_film_that_fails_leaves_nothing(clip, tmp_path, monkeypatch):
 
     monkeypatch.setattr(preview, "film", broken)
     for name in ("f.gif", "f.mp4"):
-        with pytest.raises(OSError, match="no more"):
+        with pytest.raises(InputError, match="no more"):
             preview.write_film(clip, 5, tmp_path / name)
         assert not list(tmp_path.iterdir())
 

@@ -74,7 +74,7 @@ def sketch(effect: Effect, path: Path) -> float:
     )
     figure.suptitle(f"{effect.name()}: {values}")
     drawn = BytesIO()
-    kind = path.suffix.lower().lstrip(".")
+    kind = path.suffix.lower().lstrip(".") or "png"
     figure.savefig(drawn, format=kind, dpi=120, metadata={"Software": None} if kind == "png" else None)
     with told(path):
         put(path, drawn.getvalue())
