@@ -17,6 +17,7 @@ def overhead(scale, **changes):
     return Camera.overhead(**settings | {"psf_sigma_px": 0.5} | changes)
 
 
+@pytest.mark.filterwarnings("ignore:.minkowski_distance:DeprecationWarning")  # scikit-image's, beside SciPy 1.18
 def test_half_the_body_s_light_lies_within_a_circle_of_half_its_radius():
     """Under a room as bright as the sine of the elevation a mirror ball shows cos 2q = 1 - 2 (r/R)^2 at r = R sin q.
 

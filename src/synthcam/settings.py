@@ -25,8 +25,17 @@ NotNegative = Annotated[float, Field(ge=0)]
 Fraction = Annotated[float, Field(ge=0, le=1)]
 
 
+SCENES = Path(__file__).with_name("scenes")  # the repository's own, carried by the package
+
+
 def read_yaml(path: Path) -> dict[str, Any]:
-    """A YAML file's mapping, safely loaded. Raises InputError."""
+    """A YAML file's mapping, safely loaded. Raises InputError.
+
+    A path scenes/NAME.yaml that is not there stands for the scene of that name that comes with the package.
+    """
+    carried = SCENES / path.name
+    if path.parent == Path("scenes") and not path.exists() and carried.is_file():
+        path = carried
     try:
         text = path.read_text(encoding="utf-8")
     except FileNotFoundError:

@@ -102,7 +102,8 @@ class _Renderer(pyrender.Renderer if pyrender else object):  # type: ignore[misc
     def load_others(self, others: Float32) -> None:
         """Neighbours (n, k, 4) of each body, read by the shader as the rows of a texture."""
         if self._others is None:
-            self._others = GL.glGenTextures(1)
+            # Two, for with one PyOpenGL 3.1.0, which pyrender wants, passes a ctypes pointer that Python 3.12 refuses.
+            self._others = int(GL.glGenTextures(2)[0])
         GL.glBindTexture(GL.GL_TEXTURE_2D, self._others)
         for setting in (GL.GL_TEXTURE_MIN_FILTER, GL.GL_TEXTURE_MAG_FILTER):
             GL.glTexParameteri(GL.GL_TEXTURE_2D, setting, GL.GL_NEAREST)
