@@ -1,9 +1,9 @@
-# make install | demo | test | lint | types | gate | bench-NAME    each does its own set-up; doing it twice costs nothing.
+# make install | demo | test | lint | types | gate | coverage | bench-NAME    each does its own set-up; doing it twice costs nothing.
 PYTHON ?= python3
 BIN := .venv/bin
 READY := .venv/ready
 
-.PHONY: install demo test lint types gate clean
+.PHONY: install demo test lint types gate coverage clean
 
 install: $(READY)
 
@@ -26,6 +26,9 @@ test: lint types
 
 gate: $(READY)
 	$(BIN)/python benchmarks/gate.py
+
+coverage: $(READY)
+	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --cov --cov-report=term:skip-covered --cov-report=html:out/coverage
 
 # long studies: benchmarks/NAME.py, results in out/
 bench-%: $(READY)

@@ -1,10 +1,12 @@
 """Reading YAML: what is taken, what is refused, in one line."""
 
+from pathlib import Path
+
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from synthcam.settings import InputError, parse_yaml, read_yaml
+from synthcam.settings import SCENES, InputError, parse_yaml, read_yaml
 
 REFUSED = {
     "python tag": ("a: !!python/object/apply:os.system ['true']", "line 1: not plain YAML"),
@@ -63,3 +65,16 @@ def test_any_text_is_taken_or_refused(tmp_path, text):
         read = {"refused": str(e)}
     assert isinstance(read, dict)
     assert "\n" not in str(read.get("refused", ""))
+
+
+def test_the_package_carries_the_repository_s_scenes(tmp_path, monkeypatch):
+    own = {p.name: p.read_text() for p in (Path(__file__).parent.parent / "scenes").glob("*.yaml")}
+    assert {p.name: p.read_text() for p in SCENES.glob("*.yaml")} == own
+    monkeypatch.chdir(tmp_path)
+    assert read_yaml(Path("scenes/dim.yaml")) == parse_yaml(own["dim.yaml"])
+    for absent in ("scenes/dimmer.yaml", "dim.yaml", "scenes/../dim.yaml"):
+        with pytest.raises(InputError, match="no such file"):
+            read_yaml(Path(absent))
+    (tmp_path / "scenes").mkdir()
+    (tmp_path / "scenes" / "dim.yaml").write_text("name: my own")
+    assert read_yaml(Path("scenes/dim.yaml")) == {"name": "my own"}
