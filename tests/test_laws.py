@@ -26,7 +26,7 @@ class Laws:
 
     push: Any = lambda k, x, v, other: np.zeros(2)
     mu: Any = lambda s, hat, wz: MU
-    load: float = G
+    load: Any = lambda x, v: G
     loss: Any = lambda k, x, v: 0.135 * np.hypot(*v) + 0.0103
     twist: Any = lambda s, wz: 0.0
     fades: float = 0.0  # c over |wz|
@@ -40,10 +40,17 @@ def air(k, x, v, other):
     return -0.5 * 1.204 * drag * np.pi * R**2 * speed * v / M
 
 
+ALONG, WAVES = np.array([np.cos(np.pi / 6), np.sin(np.pi / 6)]), 2 * np.pi / 0.012
+
+
 def wavy(k, x, v, other):
     """-g h' with h = A sin(2 pi s/L) along 30 degrees, A = 3 um, L = 12 mm."""
-    along = np.array([np.cos(np.pi / 6), np.sin(np.pi / 6)])
-    return -G * 3e-6 * 2 * np.pi / 0.012 * np.cos(2 * np.pi * (x @ along) / 0.012) * along
+    return -G * 3e-6 * WAVES * np.cos(WAVES * (x @ ALONG)) * ALONG
+
+
+def heaved(x, v):
+    """g + v_s^2 h'' of the same."""
+    return G - (v @ ALONG) ** 2 * 3e-6 * WAVES**2 * np.sin(WAVES * (x @ ALONG))
 
 
 def magnet(k, x, v, other):
@@ -75,13 +82,13 @@ FADES = 8 / (3 * np.pi) * 2e-5
 e20 = 2 * np.radians(20)
 CASES = {
     "plate_tilt": ({"x": -0.9e-3, "y": 0.5e-3}, Laws(push=lambda *_: G * np.sin([-0.9e-3, 0.5e-3]))),
-    "adhesion": ({"pull": 0.7}, Laws(load=1.7 * G)),
+    "adhesion": ({"pull": 0.7}, Laws(load=lambda x, v: 1.7 * G)),
     "viscous_friction": ({"k": 0.8}, Laws(mu=lambda s, hat, wz: MU * (1 + 0.8 * s))),
     "stribeck": ({"rise": 0.3, "slip": 0.08}, Laws(mu=lambda s, hat, wz: MU * (1 + 0.3 * np.exp(-s / 0.08)))),
     "friction_anisotropy": ({"c": 0.15 * np.cos(e20), "s": 0.15 * np.sin(e20)}, Laws(mu=grain)),
     "drilling_spin": ({"a": 2e-5}, Laws(mu=lambda s, hat, wz: drill.friction(MU, s, wz), twist=drilled, fades=FADES)),
     "air_drag": ({"share": 1.0}, Laws(push=air)),
-    "plate_waviness": ({"a": 0.0, "b": 3e-6, "wavelength": 0.012, "angle": np.pi / 6}, Laws(push=wavy)),
+    "plate_waviness": ({"a": 0.0, "b": 3e-6, "wavelength": 0.012, "angle": np.pi / 6}, Laws(push=wavy, load=heaved)),
     "eccentric_mass": ({"c": 0.0, "d": 2e-6}, Laws(loss=lopsided)),
     "rolling_quadratic": ({"K": 0.3}, Laws(loss=lambda k, x, v: 0.135 * np.hypot(*v) + 0.0103 + 0.3 * v @ v)),
     "magnetic_attraction": ({"pull": -0.02}, Laws(push=magnet)),
@@ -101,7 +108,7 @@ def rate(laws, k, y, other, rolling, spins):
         return [*v, *a, -a[1] / R, a[0] / R, 0.0]
     u = slip_of(y)
     s = np.hypot(*u)
-    f = -laws.mu(s, u / s, y[6] * spins) * laws.load * u / s
+    f = -laws.mu(s, u / s, y[6] * spins) * laws.load(x, v) * u / s
     return [*v, *(f + push), 2.5 / R * f[1], -2.5 / R * f[0], laws.twist(s, y[6] * spins)]
 
 

@@ -9,6 +9,7 @@ PHYSICS lists what it knows beside the base model, each law written from its for
 
 from __future__ import annotations
 
+import cmath
 import math
 from collections.abc import Callable, Mapping
 from typing import Any
@@ -66,14 +67,25 @@ class Plate:
         own = 1 + self["friction_mismatch.excess"] * self.is_a
         return self["sliding_friction"] * own * (1 + weak) * (1 + self["viscous_friction.k"] * slip) * (1 + grain)
 
+    def wave(self, x: Array) -> tuple[Array, float, complex]:
+        """Along which the plate's waves run, their number, and the height as a real part: each slope a factor of ik."""
+        angle, k = self["plate_waviness.angle"], 2 * math.pi / self["plate_waviness.wavelength"]
+        way = np.array([math.cos(angle), math.sin(angle)])
+        crest = complex(self["plate_waviness.a"], -self["plate_waviness.b"])
+        return way, k, crest * cmath.exp(1j * k * float(x @ way))
+
+    def load(self, x: Array, v: Array) -> float:
+        """On the plate, per mass: gravity, and what makes the ball rise and fall with it."""
+        if not (self["plate_waviness.a"] or self["plate_waviness.b"]):
+            return self["gravity"]
+        way, k, wave = self.wave(x)
+        return max(0.0, self["gravity"] + float(v @ way) ** 2 * ((1j * k) ** 2 * wave).real)
+
     def push(self, x: Array, v: Array, mass: float) -> Array:
         out = self["gravity"] * np.sin([self["plate_tilt.x"], self["plate_tilt.y"]])
         if self["plate_waviness.a"] or self["plate_waviness.b"]:
-            angle, k = self["plate_waviness.angle"], 2 * math.pi / self["plate_waviness.wavelength"]
-            way = np.array([math.cos(angle), math.sin(angle)])
-            s = k * float(x @ way)
-            rise = k * (self["plate_waviness.b"] * math.cos(s) - self["plate_waviness.a"] * math.sin(s))
-            out = out - self["gravity"] * rise * way
+            way, k, wave = self.wave(x)
+            out = out - self["gravity"] * (1j * k * wave).real * way
         speed = math.hypot(*v)
         if self["air_drag.share"] and speed > 0:
             reynolds = 2 * self.radius * speed / 1.516e-5
@@ -132,7 +144,7 @@ def _after(plate: Plate, state: Array, begin: float, end: float, mass: float) ->
         def rates(t: float, s: Array) -> Array:
             u, v = s[4:], s[2:4] + 2 / 7 * s[4:]
             p = plate.push(s[:2], v, mass)
-            rub = plate.friction(u) * plate["gravity"] / math.hypot(*u)
+            rub = plate.friction(u) * plate.load(s[:2], v) / math.hypot(*u)
             return np.array([*v, *(5 / 7 * p), *(p - 3.5 * rub * u)])
 
         def over(t: float, s: Array) -> float:
