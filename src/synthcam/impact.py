@@ -41,8 +41,9 @@ def strike(
     along z x n. With m the reduced mass. Normal: P = (1 + r) v_n m along n. Tangential:
     J = (2/5) C |u_t| 2 m against u_t, the velocity of the striker's touching surface over the target's, its vertical
     part included; both balls turn by dw = (5/2) n x J / (mass R). Of the vertical impulse the plate holds back all but
-    the share `loft`: what it holds back spins the balls but lifts neither. A ball may come out with vz < 0, pressed on
-    the plate: it then lands in the same instant.
+    the share `loft`: what it holds back spins the balls but lifts neither, as if the plate could pull too. C knows no
+    Coulomb cap mu P, which J exceeds at grazing hits; `ball_friction` has it. A ball may come out with vz < 0, pressed
+    on the plate: it then lands in the same instant.
     """
     (r1, m1), (r2, m2) = one, two
     nx, ny, nz = target[0] - striker[0], target[1] - striker[1], target[2] - striker[2]
