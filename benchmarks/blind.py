@@ -5,7 +5,7 @@
     benchmarks/blind.py publish --round R     the round and its secret into benchmarks/rounds/R; no box is opened after
     benchmarks/blind.py verify [R ...]        holds published rounds against their ledgers; --redraw: and their secrets
     benchmarks/blind.py table [R] [--write]   the tables of docs/blind.md; --write puts them there
-    benchmarks/blind.py --page [--round R]    the page alone, of all boxes opened so far, or of a published round
+    benchmarks/blind.py --page [--round R]    the page alone, of all boxes opened so far, or of one round
 
 A study goes on where it stopped; another round has other boxes. They are drawn from a secret, made at the first box:
 its hash, and that of each truth, is on record before the analysis, which runs in a process of its own and is given
@@ -128,7 +128,8 @@ def main() -> None:
             if not options.page:
                 os.nice(options.nice)
                 run(options)
-            print(page.write(options.output))
+            ending = f"-{options.round}" if options.round else ""
+            print(page.write(options.output, [r for r in page.rows_in(options.output) if r.study.endswith(ending)]))
     except Broken as e:
         sys.exit(str(e))
 
@@ -145,7 +146,8 @@ def secret_of(options: argparse.Namespace, make: bool = False) -> str:
 
 
 def publish(options: argparse.Namespace) -> None:
-    print(rounds.publish(options.output, options.round, secret_of(options), ROUNDS))
+    asked = subprocess.run(["git", "rev-parse", "HEAD"], cwd=ROOT, capture_output=True, text=True, check=False)
+    print(rounds.publish(options.output, options.round, secret_of(options), ROUNDS, asked.stdout.strip()))
 
 
 def verify(options: argparse.Namespace) -> None:
@@ -155,7 +157,14 @@ def verify(options: argparse.Namespace) -> None:
     for place in chosen:
         if not (place / rounds.ABOUT).exists():
             raise Broken(f"{place}: there is no such round")
-        found = rounds.verify(place) + (rounds.redrawn(place) if options.redraw else [])
+        found = rounds.verify(place)
+        if options.redraw:
+            codes = {row.code for row in rounds.rows_of(place)}
+            if codes != {code()}:
+                raise Broken(
+                    f"{place.name}: drawn by code {', '.join(codes)}, this is {code()}; {rounds.commit_of(place)}"
+                )
+            found += rounds.redrawn(place)
         count, left = len(rounds.opened_in(place)), rounds.shut(place)
         print(f"{place.name}: {count} boxes, {len(found)} faults; never opened: {', '.join(left) or 'none'}")
         faults += found

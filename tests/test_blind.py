@@ -3,6 +3,7 @@
 import dataclasses
 import json
 import lzma
+from types import SimpleNamespace
 
 import pytest
 
@@ -215,6 +216,23 @@ def test_published_boxes_are_those_that_the_secret_draws(finished):
         path.unlink()
     rounds.publish(out, "x", "s", place)
     assert rounds.redrawn(place / "x") == ["filmed_nulls-x 1: the secret draws another box"]
+
+
+def test_no_box_of_a_published_round_is_opened(tmp_path, monkeypatch):
+    monkeypatch.setattr(blind, "ROUNDS", tmp_path)
+    (tmp_path / "x").mkdir()
+    with pytest.raises(Broken, match="x is published"):
+        blind.run(SimpleNamespace(round="x"))
+
+
+def test_a_secret_is_made_once_and_for_its_owner_alone(tmp_path):
+    options = SimpleNamespace(secret=None, output=tmp_path)
+    with pytest.raises(Broken, match="there is no secret"):
+        blind.secret_of(options)
+    made = blind.secret_of(options, make=True)
+    assert len(made) == 64
+    assert blind.secret_of(options, make=True) == blind.secret_of(options) == made
+    assert (tmp_path / "secret.txt").stat().st_mode & 0o777 == 0o600
 
 
 def test_what_the_docs_tell_of_the_rounds_is_what_the_rounds_tell():

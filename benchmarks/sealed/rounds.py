@@ -26,8 +26,11 @@ BOXES, ABOUT, LEDGER = "boxes.jsonl.xz", "about.json", ".ledger.jsonl"
 BEGIN, END = "<!-- begin: blind.py table --write -->", "<!-- end -->"
 
 
-def publish(folder: Path, name: str, secret: str, rounds: Path) -> Path:
-    """Copy a round and its secret into the repository. Raises Broken: nothing is published that cannot be checked."""
+def publish(folder: Path, name: str, secret: str, rounds: Path, commit: str = "") -> Path:
+    """Copy a round and its secret into the repository. Raises Broken: nothing is published that cannot be checked.
+
+    commit: of the code that drew and answered the boxes.
+    """
     place = rounds / name
     if place.exists():
         raise Broken(f"round {name} is published already")
@@ -43,13 +46,19 @@ def publish(folder: Path, name: str, secret: str, rounds: Path) -> Path:
         shutil.copyfile(path, beside / path.name)
     text = "".join(json.dumps(line, allow_nan=False, separators=(",", ":")) + "\n" for line in opened)
     (beside / BOXES).write_bytes(lzma.compress(text.encode(), preset=9 | lzma.PRESET_EXTREME))
-    (beside / ABOUT).write_text(json.dumps({"secret": secret}) + "\n")
+    (beside / ABOUT).write_text(json.dumps({"secret": secret, "commit": commit}) + "\n")
     faults = verify(beside)
     if faults:
         shutil.rmtree(beside)
         raise Broken("; ".join(faults))
     beside.rename(place)
     return place
+
+
+def commit_of(place: Path) -> str:
+    """Which code a round wants to be drawn again, in words."""
+    commit = json.loads((place / ABOUT).read_text()).get("commit")
+    return f"that was commit {commit}" if commit else "its commit was not written down"
 
 
 def opened_in(place: Path) -> list[Json]:
