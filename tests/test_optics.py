@@ -87,7 +87,7 @@ def test_the_glint_is_where_the_path_is_shortest():
 
 
 @given(
-    st.integers(1, 4),
+    st.integers(1, 9),
     st.floats(2.0, 12),
     st.floats(0, 6.3),
     st.floats(-0.05, 0.05),

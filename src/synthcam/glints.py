@@ -43,16 +43,17 @@ def find_glints(
     cell: float = np.inf,
     light: Array | None = None,
 ) -> Glints:
-    """Every lamp image of order 1 to 4 on the wanted (T, N) balls, for centres (T, N, 3), radii (N,), m.
+    """Every lamp image on the wanted (T, N) balls, for centres (T, N, 3), radii (N,), m.
 
-    A lamp wider than `cell` m is cut into cells of that half-width, each with an image of its own. light: (T,) its
-    brightness at each moment. A cell's image is the cell under the exact derivative of the reflected path, so its
-    flux and its second moments are exact to first order in its size; its middle's path decides whether it is hidden.
+    Images weaker than 1e-4 of the primary are left out (`reflections.reach`). A lamp wider than `cell` m is cut into
+    cells of that half-width, each with an image of its own. light: (T,) its brightness at each moment. A cell's image
+    is the cell under the exact derivative of the reflected path, so its flux and its second moments are exact to first
+    order in its size; its middle's path decides whether it is hidden.
     """
     eye, cells, axes = camera.centre, lamp.cells(cell), lamp.axes
     lit = np.ones(len(centres)) if light is None else light
     found = []
-    for balls, when in _gathered(reflections.chains(centres, radii), wanted, len(cells.areas)):
+    for balls, when in _gathered(reflections.chains(centres, radii, surface.head_on), wanted, len(cells.areas)):
         part = np.tile(np.arange(len(cells.areas)), len(when))
         moment, balls = (np.repeat(x, len(cells.areas), axis=0) for x in (when, balls))
         source, (uu, vv, uv) = cells.places[part], cells.spread[part].T[..., None]

@@ -7,15 +7,17 @@ of balls has at most one path, and Newton on the spheres finds it.
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-# A chain's glint is dropped once it falls under 1e-4 of the primary: the widest pair of a chain of
-# 2, 3, 4 balls, in mean radii between centres (measured for a lamp and an eye overhead).
-REACH = {2: 40.0, 3: 6.0, 4: 3.0}
+FAINT = 1e-4  # of the primary: a glint weaker than this is dropped
+LONGEST = 24  # bounces
+MIXED = 4  # bounces, up to which chains of three balls and more are followed
+OVERHEAD = 400.0  # radii, of the lamp and the eye from which the reach of a chain is found
 
 
 @dataclass(frozen=True)
@@ -156,25 +158,53 @@ def hidden(
     return blocked
 
 
-def chains(centres: Array, radii: Array) -> Iterator[tuple[tuple[int, ...], NDArray[np.bool_]]]:
-    """Chains of 1 to 4 balls worth following, and when, (T,): for centres (T, N, 3), radii (N,)."""
+@cache
+def reach(mirror: float) -> dict[int, float]:
+    """By number of bounces, the widest pair that shows so many: mean radii between centres, for a reflectance.
+
+    Between touching mirrors the orders fall off slowly, more so the better they reflect. Found by following a pair
+    from contact outwards, lamp and eye overhead, until its glint is FAINT of the primary.
+    """
+    apart = 2 + np.append(0, np.geomspace(1e-3, 60, 90))
+    pair = np.zeros((len(apart), 2, 3))
+    pair[:, 0, 0], pair[:, 1, 0] = -apart / 2, apart / 2
+    far = np.array([0.0, 0.0, OVERHEAD])
+    widest: dict[int, float] = {}
+    for order in range(1, LONGEST + 1):
+        paths = reflect(far, far, pair[:, np.arange(order) % 2], np.ones((len(apart), order)))
+        bright = np.abs(np.linalg.det(paths.transfer[:, :2, :2])) * mirror**order * paths.exists
+        if order == 1:
+            primary = bright
+        elif bright[0] < FAINT * primary[0]:
+            break
+        else:
+            widest[order] = float(apart[np.argmin(bright > FAINT * primary)])
+    return widest
+
+
+def chains(centres: Array, radii: Array, mirror: float) -> Iterator[tuple[tuple[int, ...], NDArray[np.bool_]]]:
+    """Chains of balls worth following, and when, (T,): for centres (T, N, 3), radii (N,) and the balls' reflectance.
+
+    Beyond MIXED bounces only those to and fro between two balls: all others in a heap would be too many.
+    """
     times, balls = centres.shape[:2]
+    widest_pair = reach(mirror)
     gaps = np.linalg.norm(centres[:, :, None] - centres[:, None], axis=-1)
     gaps /= (radii[:, None] + radii) / 2
     gaps[:, np.arange(balls), np.arange(balls)] = np.inf
     growing: list[tuple[tuple[int, ...], NDArray[np.bool_], Array]]
     growing = [((ball,), np.ones(times, bool), np.zeros(times)) for ball in range(balls)]
-    for order in range(1, 5):
+    order = 1
+    while growing:
         for chain, mask, _ in growing:
             yield chain, mask
-        if order == 4:
-            return
+        order += 1
         longer: list[tuple[tuple[int, ...], NDArray[np.bool_], Array]] = []
-        for chain, _, widest in growing:
+        for chain, _, widest in growing if order in widest_pair else ():
             for ball in range(balls):
-                if ball != chain[-1]:
+                if ball != chain[-1] and (order <= MIXED or len({*chain, ball}) == 2):
                     widened = np.maximum(widest, gaps[:, chain[-1], ball])
-                    mask = widened < REACH[order + 1]
+                    mask = widened < widest_pair[order]
                     if mask.any():
                         longer.append(((*chain, ball), mask, widened))
         growing = longer
