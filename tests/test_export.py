@@ -47,7 +47,7 @@ def xy(table, ball):
 
 
 def test_formats_are_found():
-    assert set(formats()) >= {"mot", "ptc", "trackmate", "zarr", "ffv1"}
+    assert set(formats()) >= {"mot", "ptc", "trackmate", "zarr", "ffv1", "gltf"}
     assert formats()["mot"].startswith("MOTChallenge: ")
 
 

@@ -32,6 +32,7 @@ class Recorded:
     drawn: dict[str, Any]
     scalars: dict[str, Any]
     tracks: pd.DataFrame
+    events: pd.DataFrame
     stack: Path
 
     def check(self) -> None:
@@ -143,6 +144,7 @@ def _clips(dataset: Path, truth: Path, rows: pd.DataFrame, tick: Callable[[int, 
                 drawn=json.loads((secret / "scene.json").read_text())["drawn"],
                 scalars=scalars,
                 tracks=pd.read_parquet(secret / "tracks.parquet"),
+                events=pd.read_parquet(secret / "events.parquet"),
                 stack=folder / "frames.tif",
             )
             clip.check()

@@ -1,0 +1,75 @@
+"""glTF: a binary scene (glb) for each clip: plate, steel balls, lamp, camera, and the motion as an animation.
+
+For Blender and other programs that draw. Places are the truth's at mid-exposure and at impacts, joined by straight
+lines; turns are the integral of its spin.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from synthcam.export import Recorded
+
+Array = NDArray[np.float64]
+
+JUMPS = ("contact", "land")  # events at which velocity and spin jump
+STEP = 1.0  # rad between two keys of a turn, at most: players take the shorter way round
+
+
+def write(clips: Iterator[Recorded], folder: Path) -> None:
+    from synthcam.render.bodies import Motion, glb
+
+    for clip in clips:
+        balls = []
+        tracks = clip.tracks.sort_values("frame")
+        for number in range(int(tracks["particle"].max()) + 1):
+            ball = tracks[tracks["particle"] == number]
+            times, places, spins = _keys(ball, _jumps(clip.events, number))
+            resting = ball.loc[ball["state"] != "fly", "z"]
+            radius = float(resting.median()) if len(resting) else clip.camera["ball_diameter"] / 2
+            balls.append(Motion(radius, times, places, *_turns(times, spins)))
+        (folder / f"{clip.number:06d}.glb").write_bytes(glb(clip.camera, balls))
+
+
+def _jumps(events: pd.DataFrame, ball: int) -> Array:
+    """Times of a ball's impacts, s."""
+    own = events["kind"].isin(JUMPS) & ((events["i"] == ball) | (events["j"] == ball))
+    return events.loc[own, "t_s"].to_numpy(float)
+
+
+def _keys(ball: pd.DataFrame, jumps: Array) -> tuple[Array, Array, Array]:
+    """Times (T,) and places (T, 3) at the frames and at the first impact between two; spins (T - 1, 2, 3) rad/s at the
+    ends of each interval, as they are inside it."""
+    time, place, velocity, spin = (
+        ball[columns.split()].to_numpy(float) for columns in ("t_s", "x y z", "vx vy vz", "wx wy wz")
+    )
+    times, places, spins = [time[0, 0]], [place[0]], []
+    for k, (start, end) in enumerate(zip(time[:-1, 0], time[1:, 0], strict=True)):
+        inside = jumps[(jumps > start) & (jumps < end)]
+        if len(inside):
+            times.append(inside[0])
+            places.append(place[k] + velocity[k] * (inside[0] - start))
+            spins += [[spin[k], spin[k]], [spin[k + 1], spin[k + 1]]]
+        else:
+            spins.append([spin[k], spin[k + 1]])
+        times.append(end)
+        places.append(place[k + 1])
+    return np.array(times), np.array(places), np.array(spins).reshape(-1, 2, 3)
+
+
+def _turns(times: Array, spins: Array) -> tuple[Array, Array]:
+    """Times (S,) and unit quaternions (S, 4) from spins that change evenly within each interval."""
+    at, turns = [times[0]], [Rotation.identity()]
+    for start, end, (first, last) in zip(times[:-1], times[1:], spins, strict=True):
+        fastest = max(np.linalg.norm(first), np.linalg.norm(last))
+        count = max(1, int(np.ceil(fastest * (end - start) / STEP)))
+        for share in (np.arange(count) + 0.5) / count:
+            turns.append(Rotation.from_rotvec((first + share * (last - first)) * (end - start) / count) * turns[-1])
+            at.append(start + (share + 0.5 / count) * (end - start))
+    return np.array(at), np.array([turn.as_quat() for turn in turns])
