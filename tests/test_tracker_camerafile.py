@@ -179,6 +179,7 @@ def measured(folder, monkeypatch, capsys):
         ("clip,frame,particle,x,y\n1e18,0,1,1,2\n", "clip: expected whole numbers"),
         ("frame,particle,x,y\n0,1,1e300,2\n", "x: expected places in px, not 1e+300"),
         ("frame,particle,x,y,x_std,y_std\n0,1,1,2,1,1e300\n", "y_std: expected standard errors"),
+        ("frame,particle,x,y,x_std,y_std,cov_xy\n0,1,1,2,1,1,1e300\n", "cov_xy: expected covariances"),
     ],
 )
 def test_numbers_of_a_table_that_would_wrap_or_overflow(tmp_path, monkeypatch, capsys, table, said):

@@ -17,21 +17,23 @@ NOWHERE = Path("/proc/nowhere")  # nobody may write there, root neither
 SRC = Path(outputs.__file__).parent
 
 
-@pytest.fixture
-def table(tmp_path):
-    """Three clips of a hit, a table of tracks, and its camera."""
+def three_clips(folder):
+    """A table of tracks of three hits; its camera stands beside it."""
     rng = np.random.default_rng(3)
     rows = []
     for clip in range(3):
         paths = collision(40, contact=18.4 + clip, speed=2.5, angle=0.4 + clip)
         places = paths + 0.01 * rng.standard_normal(paths.shape)
-        rows += [
-            f"{clip},{k},{ball},{x:.4f},{y:.4f},.01,.01" for k in range(40) for ball, (x, y) in enumerate(places[k])
-        ]
-    (tmp_path / "in").mkdir()
-    (tmp_path / "in/camera.json").write_text(json.dumps(CAMERA))
-    (tmp_path / "in/tracks.csv").write_text("\n".join(["clip,frame,particle,x,y,x_std,y_std", *rows]) + "\n")
-    return tmp_path / "in/tracks.csv"
+        rows += [f"{clip},{k},{n},{x:.4f},{y:.4f},.01,.01" for k in range(40) for n, (x, y) in enumerate(places[k])]
+    (folder / "in").mkdir()
+    (folder / "in/camera.json").write_text(json.dumps(CAMERA))
+    (folder / "in/tracks.csv").write_text("\n".join(["clip,frame,particle,x,y,x_std,y_std", *rows]) + "\n")
+    return folder / "in/tracks.csv"
+
+
+@pytest.fixture
+def table(tmp_path):
+    return three_clips(tmp_path)
 
 
 def measure(table, output):
@@ -169,3 +171,30 @@ def test_all_that_the_tracker_writes_goes_by_way_of_one_function():
             if isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute) and node.func.attr in writers:
                 target = ast.unparse(node.args[-1] if node.func.attr == "write_table" else node)
                 assert path.name == "outputs.py" or "stream" in target or "text" in target, f"{path}:{node.lineno}"
+
+
+@pytest.mark.parametrize(
+    ("file", "text"),
+    [
+        ("run.json", "[" * 200_000),
+        ("run.json", "{"),
+        ("clips/000001/estimates.json", "5"),
+        ("clips/000001/estimates.json", "[5]"),
+        ("clips/000001/estimates.json", "[" * 200_000),
+    ],
+)
+def test_damaged_results_are_one_line(results_of, table, file, text):
+    path = results_of / file
+    before = path.read_text()
+    path.write_text(text)
+    with pytest.raises(InputError, match=r"\.json: damaged, expected") as error:
+        measure(table, results_of)
+    assert "\n" not in str(error.value)
+    path.write_text(before)
+
+
+@pytest.fixture(scope="module")
+def results_of(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("results")
+    measure(three_clips(folder), folder / "d")
+    return folder / "d"

@@ -1,6 +1,8 @@
 """Scores against hand-worked cases, Monte Carlo, and results spoiled on purpose."""
 
 import json
+import re
+import shutil
 
 import numpy as np
 import pandas as pd
@@ -197,3 +199,24 @@ def test_what_is_missing_is_named(found, data, tmp_path):
         score(found, tmp_path)
     with pytest.raises(InputError, match=r"estimates\.parquet: no such file"):
         score(tmp_path, data)
+
+
+def test_a_damaged_table_is_one_line(data, found, tmp_path):
+    folders = {"truth": shutil.copytree(data, tmp_path / "truth"), "found": shutil.copytree(found, tmp_path / "found")}
+    for where, file, said in (
+        ("truth", "truth/clips.parquet", "damaged, expected a dataset's truth"),
+        ("truth", "clips/000000/truth/tracks.parquet", "damaged, expected true tracks"),
+        ("found", "estimates.parquet", "damaged, expected results of tracker track"),
+        ("found", "clips/000000/tracks.parquet", "damaged, expected tracks"),
+    ):
+        path = folders[where] / file
+        before = path.read_bytes()
+        path.write_text("no table")
+        with pytest.raises(InputError, match=re.escape(f"{path}: {said}")) as error:
+            score(folders["found"], folders["truth"])
+        assert "\n" not in str(error.value)
+        path.write_bytes(before)
+    path = folders["truth"] / "truth/clips.parquet"
+    pd.read_parquet(path)[["clip", "scene", "b"]].to_parquet(path)
+    with pytest.raises(InputError, match="no column v0, t_c, r, mu_k, C, drag, decel, expected a dataset's truth"):
+        score(folders["found"], folders["truth"])

@@ -13,7 +13,7 @@ from synthcam.settings import Fraction, NotNegative, Positive, Settings
 from synthcam.surface import IRON, Surface
 
 Pair = Annotated[list[float], Field(min_length=2, max_length=2)]
-Place = Annotated[list[float], Field(min_length=3, max_length=3)]
+Place = Annotated[list[Annotated[float, Field(ge=-1e6, le=1e6)]], Field(min_length=3, max_length=3)]
 
 
 class CameraSettings(Settings):

@@ -55,10 +55,10 @@ LIMITS = {  # least and most, both included: wider than any apparatus, narrow en
 }
 
 
-def read_json(path: Path) -> Any:
-    """What a JSON file of a camera holds. Raises ValueError with a reason, or OSError."""
-    if path.stat().st_size > MOST_BYTES:
-        raise ValueError(f"more than {MOST_BYTES >> 20} MB")
+def read_json(path: Path, most: int = MOST_BYTES) -> Any:
+    """What a JSON file of at most so many bytes holds. Raises ValueError with a reason, or OSError."""
+    if path.stat().st_size > most:
+        raise ValueError(f"more than {most >> 20} MB")
     try:
         return json.loads(path.read_text(encoding="utf-8-sig"), object_pairs_hook=_once)
     except RecursionError:

@@ -116,7 +116,7 @@ def score(
     """
     from .outputs import check_room, held, told
     from .report import write_report
-    from .results import RUN
+    from .results import RUN, load_json
     from .score import score as compare
 
     if output.exists() and not (output.is_dir() and (not any(output.iterdir()) or (output / SCORE).is_file())):
@@ -129,7 +129,8 @@ def score(
                 name = name or results.stem
                 results = _measured(results, truth, output, point)
             if not name and (results / RUN).is_file():
-                name = str(json.loads((results / RUN).read_text(encoding="utf-8")).get("detector", ""))
+                run = load_json(results / RUN)
+                name = str(run.get("detector", "")) if isinstance(run, dict) else ""
             verdict = compare(results, truth, name or "default")
             write_report(verdict, results, truth, output)
             path = verdict.write(output)

@@ -25,6 +25,7 @@ from .figures import (
     separation_figure,
     tracks_figure,
 )
+from .geometry import InputError
 from .outputs import put
 from .places import courses
 from .quantities import NAMES
@@ -123,7 +124,10 @@ def _picture(dataset: Path, clip: int, frame: int) -> Floats | None:
     path = dataset / "clips" / f"{clip:06d}" / "frames.tif"
     if not path.is_file():
         return None
-    return np.asarray(tifffile.imread(path, key=frame), dtype=np.float64)
+    try:
+        return np.asarray(tifffile.imread(path, key=frame), dtype=np.float64)
+    except Exception as error:  # decoders raise their own kinds
+        raise InputError(f"{path}: damaged ({' '.join(str(error).split())[:120]})") from None
 
 
 def _text(value: float | None, digits: int = 3) -> str:

@@ -22,6 +22,7 @@ import pyarrow as pa
 import pyarrow.csv
 import pyarrow.parquet
 
+from .camerakeys import read_json
 from .geometry import Camera, InputError
 from .link import Tracks
 from .outputs import put
@@ -29,6 +30,7 @@ from .outputs import put
 RUN = "run.json"
 SEEN = "exposure_seen_s"  # of clips whose streaks are not as long as the camera file's exposure makes them
 MOST = (1 << 31) - 1  # frames, particles, clips
+MOST_BYTES = 1 << 30  # of a JSON file
 FARTHEST = 1e6  # px, of a place, or of its standard deviation
 NEEDED = ("frame", "particle", "x", "y")
 
@@ -88,24 +90,37 @@ def finish(partial: Path, final: Path, numbers: Iterable[int]) -> pd.DataFrame:
 
 def _note_exposures(results: Path, numbers: Sequence[int]) -> None:
     """Adds to run.json what the clips' cameras tell of exposures that are not the camera file's, s by clip."""
-    cameras = {n: json.loads((clip_folder(results, n) / "camera.json").read_text(encoding="utf-8")) for n in numbers}
+    cameras = {n: load_json(clip_folder(results, n) / "camera.json") for n in numbers}
     seen = {n: camera[SEEN] for n, camera in cameras.items() if SEEN in camera}
     if seen:
         note = results / RUN
-        write_json(note, json.loads(note.read_text(encoding="utf-8")) | {SEEN: seen})
+        write_json(note, load_json(note) | {SEEN: seen})
 
 
 def gather(results: Path, numbers: Iterable[int]) -> pd.DataFrame:
     """All clips' estimates, one row a collision, ``clip`` first."""
     rows = []
     for number in numbers:
-        text = (clip_folder(results, number) / "estimates.json").read_text(encoding="utf-8")
-        rows += [{"clip": number, **row} for row in json.loads(text, parse_constant=lambda _: math.nan)]
+        place = clip_folder(results, number) / "estimates.json"
+        found = load_json(place)
+        if not isinstance(found, list) or not all(isinstance(row, dict) and "status" in row for row in found):
+            raise InputError(f"{place}: damaged, expected a list of estimates; remove {results} to start anew")
+        rows += [{"clip": number, **row} for row in found]
     table = pd.DataFrame(rows)
     for name in table.columns:  # null stands for NaN in the clips' files
         if table[name].dtype == object and name not in ("cov", "status", "striker", "noise"):
             table[name] = table[name].astype(float)
     return table
+
+
+def load_json(path: Path) -> Any:
+    """A file of RESULTS. Raises InputError where it is missing or damaged."""
+    try:
+        return read_json(path, MOST_BYTES)
+    except OSError as error:
+        raise InputError(f"{path}: {error.strerror}; expected a file of results") from None
+    except ValueError as error:
+        raise InputError(f"{path}: damaged, expected JSON ({error})") from None
 
 
 def tracks_table(tracks: Tracks) -> pa.Table:
@@ -174,7 +189,7 @@ def result_clips(results: Path) -> list[int]:
     folder = results / "clips"
     if not folder.is_dir():
         raise InputError(f"{results}: expected a folder of results with clips/ in it")
-    return sorted(int(p.name) for p in folder.iterdir() if p.is_dir() and p.name.isdigit())
+    return sorted(int(p.name) for p in folder.iterdir() if p.is_dir() and p.name.isdecimal())
 
 
 def read_tracks(path: Path) -> dict[int, tuple[Tracks, str | None]]:
@@ -240,6 +255,8 @@ def _to_tracks(table: pd.DataFrame, where: str) -> Tracks:
                 raise InputError(f"{where}: {name}: expected standard errors from 0 to {FARTHEST:g} px")
             cov[:, axis, axis] = std**2
         cov[:, 0, 1] = cov[:, 1, 0] = column(cov_xy, 0.0)
+        if np.any(np.abs(cov[:, 0, 1]) > FARTHEST**2):
+            raise InputError(f"{where}: {cov_xy}: expected covariances from {-(FARTHEST**2):g} to {FARTHEST**2:g} px^2")
         return cov
 
     words = table["flags"].fillna("").astype(str).to_numpy()[kept] if "flags" in table else [""] * len(kept)

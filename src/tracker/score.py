@@ -21,6 +21,8 @@ from .quantities import NAMES
 from .trackscores import GATE_PX, Dots, tracking_scores
 
 Floats = NDArray[np.float64]
+TRUTH = "clip v0 b t_c r mu_k C drag decel"  # columns of clips.parquet that are needed, and of a clip's tracks
+TRACKS = "frame t_s particle visible x y z vx vy vz glint_x_px glint_y_px x_mean_px y_mean_px"
 OF_ONE_BALL = ("drag", "decel")  # what a clip without a collision is held to
 
 
@@ -69,8 +71,8 @@ def score(
     Raises InputError where either lacks what it must have. Clips of the truth without results count as missed.
     """
     results, dataset = Path(results), Path(dataset)
-    scalars = _table(dataset / "truth" / "clips.parquet", "a dataset's truth")
-    estimates = _table(results / "estimates.parquet", "results of tracker track")
+    scalars = _table(dataset / "truth" / "clips.parquet", "a dataset's truth", TRUTH)
+    estimates = _table(results / "estimates.parquet", "results of tracker track", "clip collision status")
     clips, dots, rows = [], [], []
     for clip, truth, found, camera in _clips(results, dataset, scalars):
         matched = match(truth, found, GATE_PX, camera.diameter_px)
@@ -91,10 +93,18 @@ def score(
     )
 
 
-def _table(path: Path, what: str) -> pd.DataFrame:
+def _table(path: Path, what: str, columns: str) -> pd.DataFrame:
+    """A table that holds at least these columns. Raises InputError."""
     if not path.is_file():
         raise InputError(f"{path}: no such file, expected {what}")
-    return pd.read_parquet(path)
+    try:
+        table = pd.read_parquet(path)
+    except Exception as error:  # readers raise their own kinds
+        reason = " ".join(str(error).split())[:120]
+        raise InputError(f"{path}: damaged, expected {what} ({reason})") from None
+    if missing := [name for name in columns.split() if name not in table]:
+        raise InputError(f"{path}: no column {', '.join(missing)}, expected {what}")
+    return table
 
 
 def _clips(
@@ -102,10 +112,12 @@ def _clips(
 ) -> Iterator[tuple[int, pd.DataFrame, pd.DataFrame, Camera]]:
     for clip in scalars["clip"].astype(int):
         name = f"{clip:06d}"
-        truth = _table(dataset / "clips" / name / "truth" / "tracks.parquet", "true tracks")
+        truth = _table(dataset / "clips" / name / "truth" / "tracks.parquet", "true tracks", TRACKS)
         path = results / "clips" / name / "tracks.parquet"
         empty = pd.DataFrame({"frame": np.empty(0, np.int64), "particle": np.empty(0, np.int64)})
-        found = pd.read_parquet(path) if path.is_file() else empty.assign(x=np.empty(0), y=np.empty(0))
+        found = empty.assign(x=np.empty(0), y=np.empty(0))
+        if path.is_file():
+            found = _table(path, "tracks", "frame particle x y")
         cameras = (dataset / "clips" / name, results / "clips" / name, results)
         known = next((c / "camera.json" for c in cameras if (c / "camera.json").is_file()), None)
         if known is None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import ctypes
 import hashlib
-import json
 import multiprocessing
 import os
 import shutil
@@ -142,10 +141,7 @@ def _same_or_refuse(folder: Path, plan: dict[str, Any]) -> None:
     note = folder / results.RUN
     if not folder.is_dir() or not note.is_file():
         raise InputError(f"{folder}: exists and holds something else, expected a new folder for the results")
-    try:
-        known = json.loads(note.read_text(encoding="utf-8"))
-    except ValueError:
-        known = None
+    known = results.load_json(note)
     if not isinstance(known, dict) or {k: v for k, v in known.items() if k != results.SEEN} != plan:
         raise InputError(f"{folder}: holds the results of another run, expected a new folder for the results")
 

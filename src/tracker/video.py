@@ -127,7 +127,7 @@ def open_source(path: Path | str, camera: Path | str | None = None) -> Source:
     if (place / "clips").is_dir():
         return _dataset(place, given)
     if (place / "frames.tif").is_file():
-        number = int(place.name) if place.name.isdigit() else 0
+        number = int(place.name) if place.name.isdecimal() else 0
         return Source(place, ((number, place / "frames.tif"),), given)
     if not _pictures(place):
         raise InputError(f"{place}: an empty folder, expected clips/, frames.tif or pictures ({' '.join(PICTURES)})")
@@ -137,7 +137,7 @@ def open_source(path: Path | str, camera: Path | str | None = None) -> Source:
 def _dataset(place: Path, camera: Path | None) -> Source:
     clips = []
     for folder in sorted((place / "clips").iterdir()):
-        if folder.is_dir() and folder.name.isdigit():
+        if folder.is_dir() and folder.name.isdecimal():
             if not (folder / "frames.tif").is_file():
                 raise InputError(f"{folder / 'frames.tif'}: no such file, expected the clip's frames")
             clips.append((int(folder.name), folder / "frames.tif"))
