@@ -239,7 +239,7 @@ def test_plate_tilt_gives_a_rolling_ball_the_height_that_it_loses():
     [(0.1, 240), (1, 26.5), (5, 6.9), (10, 4.1), (30, 2.0), (50, 1.5), (100, 1.07), (300, 0.65), (500, 0.55)],
 )
 def test_air_drag_is_the_tabulated_drag_of_spheres(reynolds, drag):
-    """Lapple & Shepherd, Ind. Eng. Chem. 32 (1940) 605: measured Cd(Re), in Perry's handbook; the law is known to 6 %."""
+    """Lapple & Shepherd, Ind. Eng. Chem. 32 (1940) 605, as in Perry's handbook: measured; the law is known to 6 %."""
     density, viscosity = 1.204, 1.516e-5
     speed = reynolds * viscosity / (2 * R)
     push = AirDrag(share=1.0).push(np.zeros((1, 2)), np.array([[speed, 0.0]]), np.array([R]), np.array([M]))
