@@ -161,8 +161,8 @@ def _curve(answer: Answer) -> Figure:
     if len(answer.x) == 2:
         return _map(answer)
     figure, ax = plt.subplots(figsize=(6, 3.2), constrained_layout=True)
-    axis, x, words = slot.axes[0], answer.x[0], ("along", "across") if slot.parts > 1 else ("",)
-    for part, (word, colour) in enumerate(zip(words, (AFTER, BEFORE), strict=False)):
+    axis, x = slot.axes[0], answer.x[0]
+    for part, (word, colour) in enumerate(zip(slot.part_names, (AFTER, BEFORE), strict=False)):
         y = answer.curve[:, part]
         if axis.kind == "set":
             ax.errorbar(x, y, np.abs(answer.bands["band"][:, part].T - y), fmt="o", ms=3, lw=1, color=colour)
@@ -182,7 +182,7 @@ def _map(answer: Answer) -> Figure:
     side = round(np.sqrt(len(answer.x[0])))
     scale = 1e3 if slot.axes[0].unit == "m" else 1.0
     extent = tuple(scale * v for a in slot.axes for v in (a.low, a.high))
-    shown = [(answer.curve[:, p], "xy"[p] if slot.parts > 1 else "") for p in range(slot.parts)]
+    shown = [(answer.curve[:, p], word) for p, word in enumerate(slot.part_names)]
     shown.append((np.ptp(answer.bands["band68"], axis=-1).max(axis=1) / 2, "+-"))
     figure, axes = plt.subplots(1, len(shown), figsize=(3.4 * len(shown), 3), constrained_layout=True)
     for ax, (values, label) in zip(axes, shown, strict=True):

@@ -16,6 +16,7 @@ from scipy.optimize import minimize
 
 from discrepancy.axis import Axis
 from discrepancy.filled import Filled
+from discrepancy.free import PACE
 from discrepancy.slots import Slot
 
 Array = NDArray[np.float64]
@@ -26,7 +27,14 @@ REFUSED = 4.0  # sigma at which the data tell a formula from the free curve
 SLIGHT = 0.01  # of what the curve explains: less is no reason to refuse a formula
 SEEN = 1e-10  # of the largest information
 REFINED = 200  # steps of the search for a shape's own parameters, at most
-LETTERS = {"slip speed": "u", "normal speed": "v_n", "contact speed": "v", "speed": "v", "heading": "th"}
+LETTERS = {
+    "slip speed": "u",
+    "normal speed": "v_n",
+    "contact speed": "v",
+    "speed": "v",
+    "heading": "th",
+    "obliqueness": "|b|",
+}
 
 
 @dataclass(frozen=True)
@@ -150,13 +158,19 @@ def _shown(axis: Axis) -> float:
 
 def _units(slot: Slot) -> str:
     unit = "" if slot.unit == "1" else f" {slot.unit}"
+    paced = f", v in m/s; {slot.symbol} of the model added" if slot.paced else ""
     if slot.axes[0].kind == "circle":
-        return f"{unit}, th the direction" + (", t along it, n a quarter turn on" if slot.parts > 1 else "")
+        turned = ", t along it, n a quarter turn on" if slot.parts > 1 and not slot.paced else ""
+        return f"{unit}, th the direction{turned}{paced}"
+    if slot.axes[0].unit == "1":
+        return unit
     where = "mm" if slot.axes[0].unit == "m" else slot.axes[0].unit
-    return f"{unit}, {' and '.join(LETTERS.get(a.name, a.name) for a in slot.axes)} in {where}"
+    return f"{unit}, {' and '.join(LETTERS.get(a.name, a.name) for a in slot.axes)} in {where}{paced}"
 
 
 def _shapes(slot: Slot, x: list[Array]) -> Iterator[Shape]:
+    if slot.paced:
+        return _paced(_turns(x[0]) if slot.axes[0].kind == "circle" else _maps(*x))
     if slot.axes[0].kind == "circle":
         return _turns(x[0]) if slot.parts == 1 else _pulls(x[0])
     if len(x) == 1:
@@ -173,6 +187,19 @@ def _turns(th: Array) -> Iterator[Shape]:
     for orders in ((), (1,), (2,), (3,), (4,), (1, 2), (1, 2, 3)):
         sines = [t for n in orders for t in _sines(f"{n} th" if n > 1 else "th", n * th)]
         yield Shape(lambda sines=sines: [one, *sines])
+
+
+def _paced(shapes: Iterator[Shape]) -> Iterator[Shape]:
+    """Of a rolling loss: each shape constant, in proportion to the speed, or both."""
+    words = "", f"v/{PACE:g}"
+    for shape, parts in itertools.product(list(shapes), ((0,), (1,), (0, 1))):
+
+        def terms(*extra: float, shape: Shape = shape, parts: tuple[int, ...] = parts) -> Terms:
+            return [
+                (f"{w} {words[p]}".strip(), c[:, None] * np.eye(2)[p]) for p in parts for w, c in shape.terms(*extra)
+            ]
+
+        yield Shape(terms, shape.tries)
 
 
 def _pulls(th: Array) -> Iterator[Shape]:

@@ -30,9 +30,10 @@ LAWS: dict[str, tuple[str, ...]] = {
     # the balls, once a run; bends ball a's
     "mass": (),
     "radius": (),
-    # impact, once a collision; speeds in m/s, approach_speed of the centres, normal_impulse over twice the reduced mass
-    "restitution": ("normal_speed", "heading"),
-    "spin_transfer": ("contact_speed", "normal_impulse", "approach_speed"),
+    # impact, once a collision; speeds in m/s, approach_speed of the centres, normal_impulse over twice the reduced
+    # mass, obliqueness of the approach: |b|, the sine of its angle with the normal
+    "restitution": ("normal_speed", "heading", "obliqueness"),
+    "spin_transfer": ("contact_speed", "normal_impulse", "approach_speed", "heading", "obliqueness"),
     "loft": (),  # the share of the vertical impulse that the plate does not hold back
     "rebound": (),  # the plate's restitution
     # sliding: mu; the load on the plate over the mass, m/s^2; the torque about the vertical, as dwz/dt
@@ -145,6 +146,11 @@ class Effect:
         return cls(**{p.name: 0.0 for p in cls.strengths()})
 
     @property
+    def bends(self) -> Iterator[tuple[str, Callable[..., Any], tuple[str, ...]]]:
+        """The laws that it bends, the method of each, and what that asks to know."""
+        return ((law, getattr(self, law), asks) for law, asks in self.laws.items())
+
+    @property
     def active(self) -> bool:
         """False when every strength is exactly zero: the effect is then left out, bit for bit."""
         return any(getattr(self, p.name) != 0.0 for p in self.strengths())
@@ -157,8 +163,8 @@ class Laws:
         active = sorted((e for e in effects if e.active), key=lambda e: e.name())
         self._bends: dict[str, list[tuple[Callable[..., Any], tuple[str, ...]]]] = {law: [] for law in LAWS}
         for effect in active:
-            for law, asks in effect.laws.items():
-                self._bends[law].append((getattr(effect, law), asks))
+            for law, bend, asks in effect.bends:
+                self._bends[law].append((bend, asks))
 
     def bent(self, *laws: str) -> bool:
         """True when an active effect bends any of these laws."""

@@ -55,7 +55,7 @@ def strike(
     ux = ax - v_n * nx + sy * nz - sz * ny
     uy = ay - v_n * ny + sz * nx - sx * nz
     uz = az - v_n * nz + sx * ny - sy * nx
-    r, c = _laws(model, v_n, (ux, uy, uz), (ax, ay))
+    r, c = _laws(model, v_n, (ux, uy, uz), (ax, ay), (nx, ny))
     reduced = m1 * m2 / (m1 + m2)
     normal, pull = (1 + r) * v_n * reduced, 0.8 * c * reduced
     tx, ty, tz = pull * ux, pull * uy, pull * uz  # on the target; the striker gets its opposite
@@ -71,18 +71,20 @@ def strike(
     return after(target, r1, m1), after(striker, r2, -m2), (nx, ny, nz), normal, ty * nx - tx * ny
 
 
-def _laws(model: Model, v_n: Real, u: tuple[Real, ...], approach: tuple[Real, Real]) -> tuple[Any, Any]:
+def _laws(
+    model: Model, v_n: Real, u: tuple[Real, ...], approach: tuple[Real, Real], normal: tuple[Real, Real]
+) -> tuple[Any, Any]:
     """The restitution and the spin transfer of these impacts."""
     r, c = model.restitution, model.spin_transfer
-    if model.laws.bent("restitution"):
-        ax, ay = np.atleast_1d(*approach)
-        heading = np.stack([ax, ay], axis=-1) / np.hypot(ax, ay)[:, None]
-        r = model.laws("restitution", r, {"normal_speed": np.maximum(np.atleast_1d(v_n), 0.0), "heading": heading})
-    if model.laws.bent("spin_transfer"):
-        instant = {
+    if model.laws.bent("restitution", "spin_transfer"):
+        ax, ay, nx, ny = (np.atleast_1d(x) for x in (*approach, *normal))
+        speed = np.hypot(ax, ay)
+        ways = {"heading": np.stack([ax, ay], axis=-1) / speed[:, None], "obliqueness": abs(ax * ny - ay * nx) / speed}
+        r = model.laws("restitution", r, ways | {"normal_speed": np.maximum(np.atleast_1d(v_n), 0.0)})
+        instant = ways | {
             "contact_speed": np.sqrt(sum(np.atleast_1d(x * x) for x in u)),
             "normal_impulse": np.atleast_1d((1 + r) * v_n / 2),
-            "approach_speed": np.hypot(*np.atleast_1d(*approach)),
+            "approach_speed": speed,
         }
         c = model.laws("spin_transfer", c, instant)
     limits = ((r, 1.0), (c, MOST))
