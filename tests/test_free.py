@@ -145,7 +145,7 @@ def test_a_loss_by_heading_is_found_and_written():
     best = contest(Grain(0.1))
     assert best.slot.name == "rolling_heading"
     answer = Answer.of(best)
-    assert answer.law == "rolling loss that depends on the heading"
+    assert answer.law == "added rolling loss that depends on the heading"
     assert "(2 th" in answer.formula
     assert "v in m/s" in answer.formula
     rest, pace = (0.1 * share * np.cos(2 * answer.x[0] - 0.7) for share in (0.0103, 0.135 * PACE))

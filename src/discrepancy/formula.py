@@ -158,7 +158,7 @@ def _shown(axis: Axis) -> float:
 
 def _units(slot: Slot) -> str:
     unit = "" if slot.unit == "1" else f" {slot.unit}"
-    paced = f", v in m/s; {slot.symbol} of the model added" if slot.paced else ""
+    paced = ", v in m/s" if slot.paced else ""
     if slot.axes[0].kind == "circle":
         turned = ", t along it, n a quarter turn on" if slot.parts > 1 and not slot.paced else ""
         return f"{unit}, th the direction{turned}{paced}"

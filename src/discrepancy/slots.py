@@ -121,8 +121,8 @@ def _along(track: Track, whose: str) -> list[Slot]:
     if len(track.rolls):
         found += [
             Slot("rolling_speed", loss, "m/s^2", (_over("speed", track.rolls, 0.0),), owners=LOSS),
-            Slot("rolling_place", loss, "m/s^2", _plate(track.ways, FIELD), parts=2, centred=True),
-            Slot("rolling_heading", loss, "m/s^2", (_turn(),), parts=2, centred=True),
+            Slot("rolling_place", f"added {loss}", "m/s^2", _plate(track.ways, FIELD), parts=2, centred=True),
+            Slot("rolling_heading", f"added {loss}", "m/s^2", (_turn(),), parts=2, centred=True),
         ]
     return found
 
