@@ -210,6 +210,7 @@ def test_wrong_usage_is_status_2(command, arguments):
         (["--shard", "0/3"], "--shard 0/3: expected I/N with I from 1 to N"),
         (["--shard", "4/3"], "--shard 4/3: expected I/N"),
         (["--shard", "x"], "--shard x: expected I/N"),
+        (["--clips", "9" * 30], "expected at most 1000000 clips in all"),
         (["--compression", "lzma"], "--compression lzma: expected none or zstd"),
         (["--withhold-truth", "{out}", "--seed", "1"], "expected a folder apart from"),
         (["--withhold-truth", "{out}/truth", "--seed", "1"], "expected a folder apart from"),

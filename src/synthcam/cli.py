@@ -32,6 +32,7 @@ Withhold = Annotated[
     Path | None,
     typer.Option(metavar="TRUTH", help="Another folder for the truth: a challenge, which gives nothing away."),
 ]
+MOST_CLIPS = 1_000_000
 SHOWN = 20  # failed clips told of, one line each; --json has them all
 Set = Annotated[list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Override a value of the scene.")]
 
@@ -75,6 +76,8 @@ def generate(
     from synthcam.scene import read_scene
 
     started = time.monotonic()
+    if clips * len(scenes) > MOST_CLIPS:
+        raise InputError(f"--clips {clips}: expected at most {MOST_CLIPS} clips in all, as six digits number them")
     if withhold_truth:
         check_apart(output, withhold_truth)
     if withhold_truth and seed is None:
