@@ -135,14 +135,16 @@ def test_a_place_where_nothing_can_be_written_is_named_at_once(table, words, mon
 
 def test_two_commands_do_not_make_the_same_results(table, tmp_path, monkeypatch):
     """The second is refused while the first is at work, and takes nothing of it away."""
-    write, refused = track.results.write_clip, []
+    write, refused, inside = track.results.write_clip, [], []
 
     def write_clip(folder, number, *rest):
+        assert not inside, "the second command is at work too"
+        inside.append(number)
         (folder / "clips" / "000009.tmp").mkdir()  # a clip that another worker of the first is writing
         with pytest.raises(InputError, match=r"d\.partial: another process is at work there"):
             measure(table, tmp_path / "d")
         (folder / "clips" / "000009.tmp").rmdir()
-        refused.append(number)
+        refused.append(inside.pop())
         write(folder, number, *rest)
 
     monkeypatch.setattr(track.results, "write_clip", write_clip)
