@@ -234,17 +234,18 @@ def test_plate_tilt_gives_a_rolling_ball_the_height_that_it_loses():
     np.testing.assert_allclose(across, across[0], rtol=0, atol=1e-12)
 
 
-@pytest.mark.parametrize(
-    ("reynolds", "drag"),
-    [(0.1, 240), (1, 26.5), (5, 6.9), (10, 4.1), (30, 2.0), (50, 1.5), (100, 1.07), (300, 0.65), (500, 0.55)],
-)
-def test_air_drag_is_the_tabulated_drag_of_spheres(reynolds, drag):
-    """Lapple & Shepherd, Ind. Eng. Chem. 32 (1940) 605, as in Perry's handbook: measured; the law is known to 6 %."""
+# Measured values, in the text "The drag on a sphere" of CalcDEMma, Indiana University of Pennsylvania; the last is Stokes.
+MEASURED_DRAG = [(3.02, 10.86), (7.015, 5.623), (15.49, 3.388), (57.54, 1.479), (144.5, 0.9204), (264.9, 0.7194)]
+MEASURED_DRAG += [(512.9, 0.5623), (1e-3, 24e3)]
+
+
+@pytest.mark.parametrize(("reynolds", "drag"), MEASURED_DRAG)
+def test_air_drag_is_the_measured_drag_of_spheres(reynolds, drag):
     density, viscosity = 1.204, 1.516e-5
     speed = reynolds * viscosity / (2 * R)
     push = AirDrag(share=1.0).push(np.zeros((1, 2)), np.array([[speed, 0.0]]), np.array([R]), np.array([M]))
     force = drag * np.pi * R**2 * density * speed**2 / 2
-    assert -push[0, 0] * M == pytest.approx(force, rel=0.06)
+    assert -push[0, 0] * M == pytest.approx(force, rel=0.10 if reynolds > 1 else 0.003)
     assert push[0, 1] == 0
 
 
