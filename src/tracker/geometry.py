@@ -197,13 +197,37 @@ class Camera:
 
     def secondary_of_pair(self, glints: ArrayLike, others: ArrayLike) -> Array:
         """Pixels (n, 2) at which balls of primary glints (n, 2) show the lamp as their neighbours mirror it."""
+        middle, other = self._middle(glints), self._middle(others)
+        return self._mirrored(middle, pair_normal(middle, other, self.radius, self.position, self._light()))
+
+    def secondary_share(self, glints: ArrayLike, others: ArrayLike) -> Array:
+        """Flux (n,) of those secondary glints over that of the primary ones, but for one reflectance.
+
+        The image of a small lamp is as large as the determinant of its pixel's derivative by the lamp's place.
+        """
+        middle, other = self._middle(glints), self._middle(others)
+        sides = [self._light(), *(self._light() + 0.03 * self._light()[2] * axis for axis in np.eye(3)[:2])]
+        areas = []
+        for normals in (
+            [pair_normal(middle, other, self.radius, self.position, light) for light in sides],
+            [mirror_normal(middle, self.radius, self.position, light) for light in sides],
+        ):
+            still, by_x, by_y = (self._mirrored(middle, normal) for normal in normals)
+            areas.append(np.abs(np.linalg.det(np.stack([by_x - still, by_y - still], axis=-1))))
+        return np.asarray(areas[0] / areas[1], dtype=np.float64)
+
+    def _light(self) -> Array:
         if self.lamp is None:
             raise InputError("camera: lamp is missing, expected its position for the place of a glint")
-        one, two = (self._centre_place(np.asarray(g, dtype=np.float64)) for g in (glints, others))
-        height = np.full_like(one[..., :1], self.radius)
-        middle, other = np.concatenate([one, height], axis=-1), np.concatenate([two, height], axis=-1)
-        light = np.array(self.lamp.position)
-        return self.project(middle + self.radius * pair_normal(middle, other, self.radius, self.position, light))
+        return np.array(self.lamp.position, dtype=np.float64)
+
+    def _middle(self, glints: ArrayLike) -> Array:
+        """Ball centres (n, 3), m, of primary glints (n, 2)."""
+        place = self._centre_place(np.asarray(glints, dtype=np.float64))
+        return np.concatenate([place, np.full_like(place[..., :1], self.radius)], axis=-1)
+
+    def _mirrored(self, middle: Array, normal: Array) -> Array:
+        return self.project(middle + self.radius * normal)
 
     def _centre_place(self, seen: Array) -> Array:
         target = self._place(seen)

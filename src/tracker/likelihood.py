@@ -65,7 +65,8 @@ class Fit:
     """Of n windows: ``xy`` (n, 2) px from the central pixel, ``flux`` and ``background`` (n,) counts, ``cov``
     (n, 2, 2) px^2 and ``fixed``, the part of it that a resting ball has in every frame alike, ``flux_std``,
     ``chi2`` a degree of freedom over open pixels, ``loglik``, ``settled`` (n,), ``lean`` (n, 2) px the covariance
-    of place and log flux.
+    of place and log flux. ``ghost`` (n, 4): the first ghost's flux, counts, its covariance with the place, its
+    variance; NaN where there is none.
     """
 
     xy: Array
@@ -78,6 +79,7 @@ class Fit:
     loglik: Array
     settled: Array
     lean: Array
+    ghost: Array
 
 
 def fit(windows: Windows, sigma: float, sensor: Sensor, body: Body | None = None, close: float = CLOSE) -> Fit:
@@ -88,7 +90,7 @@ def fit(windows: Windows, sigma: float, sensor: Sensor, body: Body | None = None
     theta, n = _start(windows, sigma, sensor, body), len(windows)
     active = np.arange(n)
     _bounded(theta, active, windows.half)
-    part, values = windows, np.full((n, 14), np.nan)
+    part, values = windows, np.full((n, 17), np.nan)
     limit = _longest(sigma)
     for number in range(STEPS):
         if len(active) == 0:
@@ -111,8 +113,13 @@ def fit(windows: Windows, sigma: float, sensor: Sensor, body: Body | None = None
     flux = np.exp(theta[:, 2])
     return Fit(
         theta[:, :2].copy(), flux, theta[:, 3].copy(), cov, fixed, flux * values[:, 8], values[:, 9], values[:, 10],
-        values[:, 11], values[:, 12:],
+        values[:, 11], values[:, 12:14], np.column_stack([_ghost(theta, windows, body), values[:, 14:]]),
     )  # fmt: skip
+
+
+def _ghost(theta: Array, windows: Windows, body: Body | None) -> Array:
+    """Flux (n,) of each window's first ghost."""
+    return theta[:, 4 + (body is None)] if windows.ghosts.shape[1] else np.full(len(theta), np.nan)
 
 
 def _longest(sigma: float) -> Array:
@@ -302,8 +309,8 @@ def _bends(theta: Array, windows: Windows, sigma: float) -> tuple[Array, Array, 
 
 
 def _figures(seen: _Seen, windows: Windows, step: Array, settled: NDArray[np.bool_], sensor: Sensor) -> Array:
-    """(n, 14): cov and fixed of the place, error of log flux, chi^2 a degree of freedom, log likelihood, settled,
-    covariance of place and log flux.
+    """(n, 17): cov and fixed of the place, error of log flux, chi^2 a degree of freedom, log likelihood, settled,
+    covariance of place and log flux; of the first ghost's flux its covariance with the place and its variance.
 
     The last ``step`` (n, p) raises the likelihood by half of step . slope.
     """
@@ -321,7 +328,9 @@ def _figures(seen: _Seen, windows: Windows, step: Array, settled: NDArray[np.boo
     if beyond.any():
         loglik[beyond] = log_ndtr((mean[beyond] - sensor.ceiling + 0.5) / np.sqrt(variance[beyond]))
     chi2 = ((is_open * square).sum(axis=(1, 2)) - gain) / freedom
+    ghosts = windows.ghosts.shape[1]
+    ghost = cov[:, [0, 1, -ghosts], -ghosts] if ghosts else np.full((n, 3), np.nan)
     return np.column_stack([
         cov[:, :2, :2].reshape(n, 4), pattern[:, :2, :2].reshape(n, 4), np.sqrt(cov[:, 2, 2]), chi2,
-        loglik.sum(axis=(1, 2)) + gain / 2, settled, cov[:, :2, 2],
+        loglik.sum(axis=(1, 2)) + gain / 2, settled, cov[:, :2, 2], ghost,
     ])  # fmt: skip

@@ -17,6 +17,7 @@ from ..likelihood import Fit, Windows, fit, learn, stretch
 from ..link import FASTEST, assign, velocities
 from ..offsets import Bare
 from ..search import Search, coarse_place
+from ..secondary import agreed
 from ..steady import steadied
 from ..streaks import Streaks
 
@@ -26,6 +27,7 @@ WIDTHS = 3.5  # of the glint, that a window holds on each side
 BLOCK = 1024  # windows held at once: of 512 frames with two balls
 SIGNIFICANT = 5.0  # deviations of the flux, for a glint on the free background
 NEARBY = 1.5  # ball diameters between glints, within which a neighbour alters the body of an open glint
+AGREE = 2.5  # the same, within which secondary glints are bright enough to tell the balls' reflectance
 HAUNTED = 5.0  # the same, within which a ball shows its neighbour's glint too
 CROWD = 12  # balls in a frame, among which neighbours are looked for
 SHOWS = 0.03  # of the glint's width, a change of the streak that shows in its place
@@ -70,12 +72,14 @@ class MaximumLikelihood:
         # A ball's own secondary glints stand .7 R from its centre, the next ball's glint at least 2 R away.
         self.search = Search(view.plate, self.sigma, apart=max(1.6 * radius, 4.0 * self.sigma))
         self.half = max(2, round(WIDTHS * self.sigma + 0.5))
-        self.limit = LIKE * radius
-        self.bounded = self.limit > 2.5 * self.sigma
+        self.end, self.clear = END * radius, CLEAR * radius
+        self.bounded = LIKE * radius > 2.5 * self.sigma
+        # On a small ball that would cut the glint itself, and the blur makes the body another than the one learnt.
+        self.small = self.bounded and LIKE * radius < WIDTHS * self.sigma
+        self.limit = min(self.clear, WIDTHS * self.sigma) if self.small else LIKE * radius
         travel = FASTEST * self.camera.exposed / self.camera.scale if self.camera.metric else 4.0
         self.body: Body | None = None
         self.streaks = Streaks()
-        self.end, self.clear = END * radius, CLEAR * radius
         self.reach = self.half + math.ceil(min(travel, 60.0) / 2.0) + 1
         self.levelled = self.sensor = self.camera.sensor
         self.bare = Bare(view.plate, math.ceil(HIDES * radius) + 2) if self.sensor.dsnu else None
@@ -145,8 +149,8 @@ class MaximumLikelihood:
         bowl = self._bowl(place)
         if self.body is None and self.bounded:
             self._learn(patches, place, streak, bowl)
-        alone = np.zeros(len(place), dtype=bool)
-        found, good, light = self._fit(patches, place, streak, bowl, alone, np.zeros((len(place), 3)))
+        own = ~clipped & self.small
+        found, good, light, _ = self._fit(patches, place, streak, bowl, own, np.zeros((len(place), 4)))
         # The first places were rough, and with them velocities and neighbours: once more where that shows.
         better = streak.copy()
         better[good] = self._streaks(found.take(good), ids[good])
@@ -156,10 +160,11 @@ class MaximumLikelihood:
         rows = np.flatnonzero(again | near | (ghosts[:, 2] > 0))
         if len(rows):
             place = np.where(good[:, None], found.xy, place)
-            redone, kept, light[rows] = self._fit(
-                patches.take(rows), place[rows], better[rows], bowl[rows], (near & ~clipped)[rows], ghosts[rows]
+            redone, kept, light[rows], second = self._fit(
+                patches.take(rows), place[rows], better[rows], bowl[rows], (own | near & ~clipped)[rows], ghosts[rows]
             )
             good[rows] = kept
+            self._agree(redone, second, ghosts[rows, 3], kept & ~clipped[rows])
             found = found.put(rows, redone)
         found.flags[near] |= NEAR
         found, light = found.take(good), light[good]
@@ -167,6 +172,15 @@ class MaximumLikelihood:
             return found
         xy, cov = steadied(found.xy, found.cov, np.log(found.flux), light[:, :2], light[:, 2])
         return replace(found, x=xy[:, 0], y=xy[:, 1], cov=cov)
+
+    def _agree(self, found: Glints, second: Array, share: Array, open_: NDArray[np.bool_]) -> None:
+        """Puts into places and covariances what secondary glints, of flux ``second`` (n, 4), tell of one another."""
+        rows = np.flatnonzero(open_ & (share > 0) & (second[:, 3] > 0))
+        unit = share[rows] * found.flux[rows]
+        told = second[rows] / np.column_stack([unit, unit, unit, unit**2])
+        xy, cov = agreed(found.xy[rows], found.cov[rows], told[:, 0], told[:, 1:3], told[:, 3])
+        found.x[rows], found.y[rows] = xy.T
+        found.cov[rows] = cov
 
     def _level(self, patches: _Patches) -> _Patches:
         """Open counts less their pixels' own offsets, where these are known all over a patch."""
@@ -215,18 +229,18 @@ class MaximumLikelihood:
         self.streaks.add(*stretch(windows, known, np.arange(len(rows)) >= MOVED, self.sigma, self.sensor))
 
     def _fit(
-        self, patches: _Patches, place: Array, streak: Array, bowl: Array, near: NDArray[np.bool_], ghosts: Array
-    ) -> tuple[Glints, NDArray[np.bool_], Array]:
-        """Fits in groups of one window size, with and without a ghost; all glints, which are good, and (n, 3): the
-        covariance of their places with log flux, and its variance.
+        self, patches: _Patches, place: Array, streak: Array, bowl: Array, own: NDArray[np.bool_], ghosts: Array
+    ) -> tuple[Glints, NDArray[np.bool_], Array, Array]:
+        """Fits in groups of one window size, with and without a ghost; all glints, which are good, (n, 3): the
+        covariance of their places with log flux, and its variance; (n, 4): a ghost's flux, and likewise.
         """
         longest = np.max(np.abs(streak), axis=1)
         halves = np.minimum(self.half + np.floor(longest / 2.0 + 0.35).astype(np.int64), self.reach)
         # Beside a neighbour, or smeared, the body is another than the one learnt; a clipped glint's own
         # bowl would cost more than a neighbour does.
-        own = near | (np.hypot(*streak.T) > SMEARED * self.camera.diameter_px / 2.0)
+        own = own | (np.hypot(*streak.T) > SMEARED * self.camera.diameter_px / 2.0)
         groups = 8 * halves + 4 * patches.level + 2 * own + (ghosts[:, 2] > 0)
-        light = np.zeros((len(place), 3))
+        light, second = np.zeros((len(place), 3)), np.zeros((len(place), 4))
         out = self._rough(patches, place)
         good = np.zeros(len(place), dtype=bool)
         for group in np.unique(groups).tolist():
@@ -237,7 +251,7 @@ class MaximumLikelihood:
                 patches, place, streak, bowl, rows, half, self.limit if known is None else self.clear
             )
             if kind & 1:
-                spots = ghosts[rows] - np.column_stack([origin, np.zeros(len(rows))])
+                spots = ghosts[rows, :3] - np.column_stack([origin, np.zeros(len(rows))])
                 windows = replace(windows, ghosts=spots[:, None, :])
             result = fit(windows, self.sigma, self.levelled if kind & 4 else self.sensor, known)
             inflation = _inflation(result, windows)
@@ -247,9 +261,10 @@ class MaximumLikelihood:
             out.flux[rows], out.background[rows] = result.flux, result.background
             relative = result.flux_std / result.flux
             light[rows] = np.column_stack([result.lean, relative**2]) * inflation[:, None]
+            second[rows] = result.ghost * np.column_stack([np.ones(len(rows)), *[inflation] * 3])
             out.flags[rows] = self._flags(result, windows, streak[rows])
             good[rows] = self._good(result, out.xy[rows], half)
-        return out, good, light
+        return out, good, light, second
 
     def _learn(self, patches: _Patches, place: Array, streak: Array, bowl: Array) -> None:
         """The clip's body, from bright single glints spread over the block; their better places go into ``place``."""
@@ -327,7 +342,9 @@ class MaximumLikelihood:
         return np.asarray(in_view & kept_place & bright & (result.settled > 0))
 
     def _neighbours(self, glints: Glints, good: NDArray[np.bool_]) -> tuple[NDArray[np.bool_], Array]:
-        """Which glints (n,) have another ball near, and where that one makes a secondary glint (n, 3) on theirs."""
+        """Which glints (n,) have another ball near, and where that one makes a secondary glint on theirs (n, 4): its
+        place, 1, and where it is bright its share of the flux, but for the balls' reflectance.
+        """
         nearest = np.full(len(glints), np.inf)
         other = np.zeros((len(glints), 2))
         rows = np.flatnonzero(good)
@@ -343,10 +360,13 @@ class MaximumLikelihood:
                 nearest[order[one[closer]]] = gap[closer]
                 other[order[one[closer]]] = xy[two[closer]]
         haunted = nearest < HAUNTED * self.camera.diameter_px
-        ghosts = np.zeros((len(glints), 3))
+        ghosts = np.zeros((len(glints), 4))
         if self.camera.corrects_glint and haunted.any():
             ghosts[haunted, :2] = self.camera.secondary_of_pair(glints.xy[haunted], other[haunted])
             ghosts[haunted, 2] = 1.0
+        bright = nearest < AGREE * self.camera.diameter_px
+        if self.camera.corrects_glint and bright.any():
+            ghosts[bright, 3] = self.camera.secondary_share(glints.xy[bright], other[bright])
         return nearest < NEARBY * self.camera.diameter_px, ghosts
 
 
