@@ -69,7 +69,7 @@ def test_bound_in_plain_noise_has_its_closed_form():
     data = {
         **CAMERA,
         "psf": {"sigma_px": 3.0},
-        "sensor": {"bits": 16, "gain": 1e6, "read_noise": 2e6, "full_well": 1e12, "black_level": 0},
+        "sensor": {"bits": 16, "gain": 1e5, "read_noise": 2e5, "full_well": 1e11, "black_level": 0},
     }
     camera = Camera.from_dict(data)
     cov = localisation_bound(camera, [500.0], [[50.2, 60.4]])[0]
