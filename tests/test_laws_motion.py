@@ -234,7 +234,7 @@ def test_plate_tilt_gives_a_rolling_ball_the_height_that_it_loses():
     np.testing.assert_allclose(across, across[0], rtol=0, atol=1e-12)
 
 
-# Measured values, in the text "The drag on a sphere" of CalcDEMma, Indiana University of Pennsylvania; the last is Stokes.
+# Measured values as listed by the course CalcDEMma, Indiana University of Pennsylvania (drag07); the last is Stokes's.
 MEASURED_DRAG = [(3.02, 10.86), (7.015, 5.623), (15.49, 3.388), (57.54, 1.479), (144.5, 0.9204), (264.9, 0.7194)]
 MEASURED_DRAG += [(512.9, 0.5623), (1e-3, 24e3)]
 

@@ -31,7 +31,7 @@ class BallSettings(Settings):
 class ModelSettings(Settings):
     """`model:` the paper's numbers."""
 
-    gravity: Positive = 9.81
+    gravity: Annotated[float, Field(ge=1e-3, le=1e5)] = 9.81  # from asteroids to centrifuges
     restitution: Fraction = 0.903
     sliding_friction: Positive = 0.232
     spin_transfer: Annotated[float, Field(ge=0, le=5 / 7)] = 0.347  # more would make energy

@@ -15,7 +15,6 @@ from yaml import YAMLError
 from synthcam.apparatus import (
     CameraSettings,
     LampSettings,
-    Pair,
     SensorSettings,
     SurfaceSettings,
     camera_of,
@@ -40,6 +39,7 @@ from synthcam.surface import Surface
 
 LABELS = {"a": ("b", "a"), "b": ("a", "b")}  # of ball 1 and ball 2, by the striker
 UPSTREAM = 0.015 / 0.6  # s: at 0.6 m/s the contact lies 15 mm before the centre, so that the slide's end is in view
+Place = Annotated[list[Annotated[float, Field(ge=-1e3, le=1e3)]], Field(min_length=2, max_length=2)]  # m, on the plate
 
 
 class LaunchSettings(Settings):
@@ -50,7 +50,7 @@ class LaunchSettings(Settings):
     b: Annotated[float, Field(gt=-1, lt=1)] = 0.0
     heading: float = 0.0
     striker: Literal["a", "b"] = "b"
-    contact: Literal["upstream"] | Pair = "upstream"
+    contact: Literal["upstream"] | Place = "upstream"
 
 
 class TimingSettings(Settings):
