@@ -22,7 +22,7 @@ BAD_SCENES = {
     "a\\nb: unknown key": '"a\\nb": 1',
     "clip 0: timing.frames: input should be a valid integer": "timing: {frames: {uniform: [5, 6]}}",
     "model.gravity: input should be greater than or equal to 0.001": "model: {gravity: 1.0e-300}",
-    "launch.contact: input should be 'upstream' or input should be less than or equal to 1000": "launch: {contact: [1.0e+300, 0.0]}",
+    "input should be 'upstream' or input should be less than or equal to 1000": "launch: {contact: [1.0e+300, 0.0]}",
     "camera.height: expected more than two ball diameters": "camera: {height: 1.0e-3}",
 }
 
