@@ -19,7 +19,7 @@ ROWS = [
     "rolling sensor render",
     "pulled",
     "coupled",
-    "pairing together",
+    "pairing",
     "dynamics scene",
     "batch view",
     "truth",

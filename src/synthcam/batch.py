@@ -1,7 +1,7 @@
 """Thousands of two-ball collisions at once: the motion of `dynamics.solve`, vectorised over collisions.
 
 A collision here is one impact of a rolling ball on a ball at rest, and what follows: flights, slides, rolls. Where two
-balls would touch again, that collision is handed to `solve`; balls that push each other are led by `together`.
+balls would touch again, or push each other, that collision is handed to `solve`.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from synthcam import rolling, sliding, together
+from synthcam import rolling, sliding
 from synthcam.dynamics import solve
 from synthcam.hermite import between
 from synthcam.impact import collide, land
@@ -139,9 +139,8 @@ def collisions(model: Model, launches: Array, start: float, end: float, striker_
     target, striker = touching(one, two, launches[:, 3], launches[:, 5], launches[:, 4], launches[:, :2])
 
     if model.laws.asks("push", "other"):
-        led = together.collisions(model, (one, two), np.stack([target, striker]), t_c, float(start), float(end))
-        breaks = np.stack(led.kinks, axis=1)
-        out = Batch(float(start), float(end), led.segments, breaks, led.slide_ends, led.odd, radius=both.radius)
+        contacts = np.concatenate([t_c, t_c])
+        out = Batch(float(start), float(end), [], contacts[:, None], contacts, set(range(count)), radius=both.radius)
     else:
         run = _Run(model, both, Batch(float(start), float(end), radius=both.radius), np.concatenate([t_c, t_c]))
         run.before(target, striker)
@@ -191,8 +190,8 @@ def _by_solve(model: Model, launches: Array, is_a: NDArray[np.bool_], out: Batch
         labels = ("b", "a") if is_a[k] else ("a", "b")
         motion = solve(model, Launch.pair(model.bodies(labels), t_c, v0, b, heading, (x, y)), out.start, out.end)
         for ball in (0, 1):
-            row = np.array([k + ball * n])
-            out.segments.append(Alone(row, np.array([out.start]), np.array([out.end]), motion, ball))
+            row, its = np.array([k + ball * n]), dataclasses.replace(motion, legs=motion.legs[ball : ball + 1])
+            out.segments.append(Alone(row, np.array([out.start]), np.array([out.end]), its))
             kinks[row[0]] = [e.t for e in motion.events if ball in (e.i, e.j)]
             ends = [e.t for e in motion.events if e.kind == "slide_end" and e.i == ball]
             out.slide_ends[row[0]] = ends[0] if ends else t_c

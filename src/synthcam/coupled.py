@@ -1,22 +1,21 @@
-"""Two balls that push each other, many pairs at once: both led together, piece by piece, from event to event."""
+"""Two balls that push each other: both led together, piece by piece, from event to event."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from synthcam.contact import TOUCHING
-from synthcam.kinematics import Array, Real, contact_velocity, fly, plate_state, rolling_state
+from synthcam.kinematics import Array, contact_velocity, fly, plate_state, resting, rolling_state
 from synthcam.model import Bodies, Model
-from synthcam.pulled import FAINT, SMALLEST, STEADY, STILL, Ball, Flags, Mesh, last_axis, mesh, most
+from synthcam.pulled import FAINT, SMALLEST, STEADY, STILL, Ball, Mesh, last_axis, mesh, most
 from synthcam.rolling import SLOWEST, Stretch
 from synthcam.sliding import ending_slip
-from synthcam.spectral import series
-from synthcam.trajectory import Motion
+from synthcam.trajectory import Leg, Numeric, Rest
 
 NODES = 24  # of a piece
 STARTS = (12, 20, 32, 56)  # nodes of a piece that begins at rest: tried in this order
@@ -29,136 +28,48 @@ SETTLED = 2e-13  # m/s, of an iteration's change
 AWAY = 8.0  # distances of touching: a ball at rest is let go when the other comes so near, if not yet pulled off
 CLINGING = 1e-4  # m/s: a softer impact of balls that push each other is one of an endless row
 
-Ints = NDArray[np.intp]
 Pair = tuple[Bodies, Bodies]
-
-
-@dataclass(frozen=True)
-class Course:
-    """Balls `who` (k,) on one piece of their motion, from `begins` to `ends`, (k,): a Segment.
-
-    series: x, y, vx, vy and, where they slide, qx, qy, wz. state (k, 9): at the piece's first end, which is the later
-    one where it leads back.
-    """
-
-    who: Ints
-    begins: Array
-    ends: Array
-    motion: Motion
-    series: Stretch
-    state: Array
-    radius: Array
-    gravity: float
-
-    @property
-    def aloft(self) -> bool:
-        return self.motion == "fly"
-
-    def states(self, times: Array) -> Array:
-        """(k, m, 9) at times (k, m)."""
-        if self.motion == "rest":
-            return np.repeat(self.state[:, None], times.shape[1], axis=1)
-        y = np.moveaxis(self.series.plane(times), 0, -1)
-        x, v, radius = y[..., 0:2], y[..., 2:4], self.radius[:, None]
-        if self.motion == "slide":
-            return plate_state(x, y[..., 4:6], 3.5 * (v - y[..., 4:6]), y[..., 6], radius)
-        if self.motion == "fly":
-            out = fly(self.state, self.gravity, times - self.series.begins[:, None])
-            out[..., 0:2], out[..., 3:5] = x, v
-            return out
-        return plate_state(x, v, np.zeros(2), self.state[:, 8:], radius)
-
-    def means(self, middle: Array, wide: Real) -> Array:
-        """Centres (2, k, m) averaged over the times `wide`, a number or (k, m), about `middle` (k, m)."""
-        if self.motion == "rest":
-            return np.broadcast_to(self.state[:, :2].T[..., None], (2, *middle.shape))
-        if np.ndim(wide) == 0:
-            return self.series.means(middle, wide)
-        return self._between(middle - np.asarray(wide) / 2, middle + np.asarray(wide) / 2)
-
-    def _between(self, early: Array, late: Array) -> Array:
-        """Centres (2, k, m) averaged from `early` to `late`, (k, m): by the series' integral. Nothing over no time."""
-        some = np.flatnonzero((late > early).any(axis=1))
-        c, n = self.series.coefficients[:2, some], self.series.coefficients.shape[-1]
-        padded = np.zeros((*c.shape[:-1], n + 2))
-        padded[..., 1:n] = c[..., 1:]
-        whole = np.zeros((*c.shape[:-1], n + 1))
-        whole[..., 1:] = (padded[..., :n] - padded[..., 2:]) / (2 * np.arange(1, n + 1))
-        first, last = self.series.begins[some, None], self.series.ends[some, None]
-        a, b = ((2 * times[some] - first - last) / (last - first) for times in (early, late))
-        sums = series(whole, np.concatenate([a, b], axis=1))
-        gain = sums[..., a.shape[1] :] - sums[..., : a.shape[1]]
-        out = np.zeros((2, *early.shape))
-        out[:, some] = np.where(b == a, 0.0, c[..., :1] + gain / np.where(b == a, 1.0, b - a))
-        return out
-
-    def of(self, which: Any) -> Course:
-        """Some of them."""
-        series = replace(
-            self.series,
-            who=self.who[which],
-            begins=self.series.begins[which],
-            ends=self.series.ends[which],
-            coefficients=self.series.coefficients[:, which],
-        )
-        some = dict(who=self.who[which], begins=self.begins[which], ends=self.ends[which], state=self.state[which])
-        return replace(self, series=series, radius=self.radius[which], **some)
+Modes = tuple[str, str]
 
 
 @dataclass(frozen=True)
 class Piece:
-    """Pairs `who` (indices, (k,)) from `now` to `then`, (k,), later or earlier.
+    """The motion of two balls to the time `then`, from an earlier or later one.
 
-    places, velocities (2 balls, 2, k, nodes): at times spread over it, ends among them; last (2, k, 9): states at its
-    end; over (2, k): whose slide, roll or flight ended with it. courses: of balls 0 and of balls 1, `who` as here.
+    places, velocities (2 balls, 2, n): at times spread over it, ends among them; last (2, 1, 9): states at its end;
+    over: whose slide, drilling, roll or flight ended with it.
     """
 
-    who: Ints
-    now: Array
-    then: Array
+    then: float
     places: Array
     velocities: Array
     last: Array
-    over: Flags
-    courses: tuple[Course, Course]
-
-    def of(self, which: Any) -> Piece:
-        """Some of them."""
-        courses = self.courses[0].of(which), self.courses[1].of(which)
-        times = self.now[which], self.then[which]
-        ways = self.places[:, :, which], self.velocities[:, :, which]
-        return Piece(self.who[which], *times, *ways, self.last[:, which], self.over[:, which], courses)
-
-    def among(self, pairs: Ints) -> Piece:
-        """The same, its pairs numbered anew: k is now pairs[k]."""
-        courses = [replace(course, who=pairs[self.who]) for course in self.courses]
-        return replace(self, who=pairs[self.who], courses=(courses[0], courses[1]))
+    over: tuple[bool, bool]
+    legs: tuple[Leg, Leg]
 
 
-def floors(model: Model, bodies: Pair, states: Array) -> Array:
-    """The slips (2, k) at which balls that begin to slide in states (2, k, 9) no longer drill; inf if none does."""
-    out = np.full(states.shape[:2], np.inf)
-    if model.laws.bent("drilling"):
-        for ball, body in enumerate(bodies):
-            other = (states[1 - ball] - states[ball])[:, None, :2]
-            late = ending_slip(model, states[ball], body, other)
-            out[ball] = np.where(late < np.hypot(*contact_velocity(states[ball], body.radius).T), late, np.inf)
-    return out
+def floor_of(model: Model, bodies: Pair, states: Array, ball: int) -> float:
+    """The slip at which a ball that begins to slide in states (2, 1, 9) no longer drills; inf if it never does."""
+    if not model.laws.bent("drilling"):
+        return math.inf
+    other = (states[1 - ball] - states[ball])[:, None, :2]
+    late = float(ending_slip(model, states[ball], bodies[ball], other)[0])
+    return late if late < math.hypot(*contact_velocity(states[ball], bodies[ball].radius)[0]) else math.inf
 
 
-def mode_of(states: Array, radius: Array, floor: Array) -> NDArray[np.str_]:
-    """What balls in states (k, 9) do: rest, roll, drill (down to the slip `floor`, (k,)), slide or fly."""
-    slips = np.hypot(*contact_velocity(states, radius).T) > STILL
-    moves = np.hypot(states[:, 3], states[:, 4]) > STILL
-    plain = np.where(slips, np.where(np.isfinite(floor), "drill", "slide"), np.where(moves, "roll", "rest"))
-    aloft = (states[:, 5] > 0) | (states[:, 2] > radius * (1 + TOUCHING))
-    return np.asarray(np.where(aloft, "fly", plain))
+def mode_of(state: Array, radius: Array, floor: float) -> str:
+    """What a ball in state (1, 9) does: rest, roll, drill (down to the slip `floor`), slide or fly."""
+    if state[0, 5] > 0 or state[0, 2] > radius[0] * (1 + TOUCHING):
+        return "fly"
+    if math.hypot(*contact_velocity(state, radius)[0]) > STILL:
+        return "drill" if math.isfinite(floor) else "slide"
+    return "roll" if math.hypot(*state[0, 3:5]) > STILL else "rest"
 
 
-def opening(states: Array) -> Array:
-    """How fast the balls of pairs, (2, k, 9), part, times their distance, m^2/s."""
-    apart = states[0] - states[1]
-    return np.asarray((apart[:, :3] * apart[:, 3:6]).sum(axis=1))
+def opening(states: Array) -> float:
+    """How fast balls in states (2, 1, 9) part, times their distance, m^2/s."""
+    apart = (states[0] - states[1])[0]
+    return float(apart[:3] @ apart[3:6])
 
 
 def push_at_rest(model: Model, body: Bodies, state: Array, other: Array) -> Array:
@@ -184,34 +95,25 @@ def _at_rest(body: Bodies, state: Array, other: Array) -> dict[str, Any]:
 
 
 def step(
-    model: Model, bodies: Pair, modes: tuple[str, str], states: Array, floor: Array, now: Array, goal: Array
-) -> tuple[list[Piece], Ints]:
-    """The next pieces of k pairs, both balls in these modes, states (2, k, 9) at `now`, on the way to `goal`, (k,).
+    model: Model, bodies: Pair, modes: Modes, states: Array, floor: Sequence[float], now: float, goal: float
+) -> Piece | None:
+    """The next piece of both balls in these modes, states (2, 1, 9) at `now`, on the way to `goal`.
 
-    floor (2, k): slips at which they no longer drill. None leads beyond the first end of a slide, of its drilling, of a
-    roll or flight. And the pairs for which no piece is short enough.
+    floor: slips at which they no longer drill. It leads no further than to the first end of a slide, of its drilling,
+    of a roll or flight. None if no piece is short enough.
     """
     balls = _begin(model, bodies, modes, states, floor)
-    lasts, ender = _plan(balls, now, goal)
-    todo, found = np.arange(len(now)), []
+    lasts, ender = _plan(balls, goal - now)
     for _ in range(HALVINGS):
-        left = [todo[:0]]
-        for which in (-1, 0, 1):
-            some = todo[ender[todo] == which]
-            if len(some):
-                pair = bodies[0][some], bodies[1][some]
-                begin = _begin(model, pair, modes, states[:, some], floor[:, some])
-                piece, good = _lead(begin, some, now[some], lasts[some], which)
-                found += [piece if np.all(good) else piece.of(good)] if np.any(good) else []
-                left.append(some[~good])
-        todo = np.concatenate(left)
-        if len(todo) == 0:
-            break
-        lasts[todo], ender[todo] = lasts[todo] / 2, -1
-    return found, todo
+        piece = _lead(balls, now, lasts, ender)
+        if piece is not None:
+            return piece
+        lasts, ender = lasts / 2, -1
+        balls = _begin(model, bodies, modes, states, floor)
+    return None
 
 
-def _begin(model: Model, bodies: Pair, modes: tuple[str, str], states: Array, floor: Array) -> list[Ball]:
+def _begin(model: Model, bodies: Pair, modes: Modes, states: Array, floor: Sequence[float]) -> list[Ball]:
     balls = [Ball(model, *each) for each in zip(modes, bodies, states, floor, strict=True)]
     _feel(balls)
     return balls
@@ -223,91 +125,103 @@ def _feel(balls: Sequence[Ball]) -> None:
         ball.feel(other)
 
 
-def _plan(balls: Sequence[Ball], now: Array, goal: Array) -> tuple[Array, Ints]:
-    """How long the next piece may be, (k,), negative where it leads back; of which ball s is down with it, or -1."""
-    apart, drift = (balls[1].x - balls[0].x)[..., 0], (balls[1].v - balls[0].v)[..., 0]
-    sign = np.sign(goal - now)
-    far, speed = np.hypot(*apart), np.maximum(np.hypot(*drift), FAINT)
-    nearing = (apart * drift).sum(axis=0) * sign < 0
-    forces = [np.hypot(*ball.push)[:, 0] for ball in balls if ball.mode != "rest"]
-    force = np.maximum(sum(forces), FAINT)
-    reach = balls[0].body.radius + balls[1].body.radius
-    rho = np.maximum(BOOST * force * far / speed / STEADY, 1.0) ** (1 / (NODES - 3))
-    wide = np.clip(4 / np.maximum(rho + 1 / rho - 2, 1e-3), 0.1, 10.0)  # a pole at r = 0 lets r grow by so much
-    room = np.where(nearing, np.minimum(wide / (1 + wide), np.maximum(1 - 0.85 * reach / far, 0.15)), wide)
-    lasts = np.minimum(room * far / speed, np.sqrt(far / force))
-    lasts = np.minimum(lasts, np.abs(goal - now))
-    for ball in balls:
-        if ball.mode == "fly":
-            lasts = np.minimum(lasts, ball.flies())
-    rest = np.full((2, len(now)), np.inf)
+def _plan(balls: Sequence[Ball], left: float) -> tuple[float, int]:
+    """How long the next piece may be, negative where it leads back; of which ball s is down with it, or -1."""
+    (x, y), drift = (balls[1].x - balls[0].x)[:, 0, 0], (balls[1].v - balls[0].v)[:, 0, 0]
+    far, speed = math.hypot(x, y), max(math.hypot(*drift), FAINT)
+    force = max(sum(float(np.hypot(*ball.push)[0, 0]) for ball in balls if ball.mode != "rest"), FAINT)
+    rho = max(BOOST * force * far / speed / STEADY, 1.0) ** (1 / (NODES - 3))
+    room = min(max(4 / max(rho + 1 / rho - 2, 1e-3), 0.1), 10.0)  # a pole at r = 0 lets r grow by so much
+    if (x * drift[0] + y * drift[1]) * left < 0:
+        reach = float(balls[0].body.radius[0] + balls[1].body.radius[0])
+        room = min(room / (1 + room), max(1 - 0.85 * reach / far, 0.15))
+    lasts = min(room * far / speed, math.sqrt(far / force), abs(left))
+    soon, ender = math.inf, -1
     for k, ball in enumerate(balls):
-        if ball.mode in ("slide", "drill", "roll"):
-            ends = (ball.slowing > 0)[:, 0] & (sign > 0)
-            rest[k] = np.where(ends, (ball.first - ball.floor)[:, 0] / np.where(ends, ball.slowing[:, 0], 1.0), np.inf)
-            if ball.mode == "drill":
-                early = ends & (ball.first > NEARLY * ball.floor)[:, 0]
-                lasts = np.where(early, np.minimum(lasts, 0.75 * rest[k]), lasts)
-                rest[k, early] = np.inf
-    soon = rest.min(axis=0)
-    ends = soon <= lasts
-    lasts = np.where(ends, soon, np.where(soon < 2 * lasts, soon / 2, lasts))
-    return lasts * sign, np.where(ends, rest.argmin(axis=0), -1)
+        if ball.mode == "fly":
+            lasts = min(lasts, ball.flies())
+        elif ball.mode in ("slide", "drill", "roll") and left > 0 and ball.slowing[0, 0] > 0:
+            ends = float((ball.first - ball.floor)[0, 0] / ball.slowing[0, 0])
+            if ball.mode == "drill" and ball.first[0, 0] > NEARLY * ball.floor[0, 0]:
+                lasts = min(lasts, 0.75 * ends)
+            elif ends < soon:
+                soon, ender = ends, k
+    if soon <= lasts:
+        return soon, ender
+    return math.copysign(soon / 2 if soon < 2 * lasts else lasts, left), -1
 
 
 def _lead(
-    balls: list[Ball],
-    who: Ints,
-    now: Array,
-    lasts: Array,
-    ender: int,
-    size: int = NODES,
-    onset: Flags | None = None,
-) -> tuple[Piece, Flags]:
-    """Both balls for a time `lasts`, (k,), or until s of ball `ender` is down; and for which that is their motion.
+    balls: list[Ball], now: float, lasts: float, ender: int, size: int = NODES, onset: bool | None = None
+) -> Piece | None:
+    """Both balls for a time `lasts`, or until s of ball `ender` is down; None if that is not their motion.
 
-    onset (k,): pairs whose ball 0 starts, at the piece's far end, where the pull on it overcomes what holds it.
+    onset: whether ball 0, which creeps, starts at the piece's far end, where the pull on it overcomes what holds it.
     """
-    on, anchor, long = mesh(size), -1 if onset is not None else 0, lasts[:, None]
+    on, anchor, long = mesh(size), 0 if onset is None else -1, np.full((1, 1), lasts)
     for k, ball in enumerate(balls):
         ball.guess(on, long, k == ender, anchor)
-    change, some = np.full(len(lasts), np.inf), slice(size // 2 - 1, None, size // 2)
+    change, some = math.inf, slice(size // 2 - 1, None, size // 2)
     with np.errstate(all="ignore"):  # a runaway piece is led again, shorter
         for turn in range(TURNS if size <= NODES else PATIENCE):
             _feel(balls)
             if ender >= 0:
                 long = balls[ender].ending()
-            if onset is not None:
+            if onset:
                 share = 1.0 if turn < QUICK else 0.5  # near the slowest that can come, whole steps go to and fro
-                long = np.where(onset[:, None], long * (1 - share * _beyond(balls[0].excess(), on)), long)
-            worst = np.zeros(len(lasts))
+                long = long * (1 - share * _beyond(balls[0].excess(), on))
+            before = [ball.away for ball in balls]
             for k, ball in enumerate(balls):
-                before = ball.away
                 ball.go(long, k == ender, anchor)
-                worst = np.maximum(worst, most(ball.away[..., some] - before[..., some]))
-            last, change = change, worst / np.abs(long[:, 0])
+            moved = [most((ball.away - old)[..., some])[0] for ball, old in zip(balls, before, strict=True)]
+            last, change = change, np.max(moved) / np.abs(long[0, 0])
             to_come = change * np.minimum(change / np.maximum(last, FAINT), 1.0)
-            good = (to_come < np.inf) & (np.sign(long[:, 0]) == np.sign(lasts))
-            for ball in balls:
-                good &= ball.stays | (onset is not None)  # whose start may yet be found
-            if turn > 0 and to_come.max(initial=0.0, where=good) < SETTLED:
+            good = to_come < np.inf and np.sign(long[0, 0]) == np.sign(lasts)
+            good = good and (onset is not None or all(ball.stays for ball in balls))  # a start may yet be found
+            if turn > 0 and (not good or to_come < SETTLED):
                 break
-        good &= (to_come < SETTLED) & balls[0].sound() & balls[1].sound()
-        then, over, courses = now + long[:, 0], np.zeros((2, len(now)), dtype=bool), []
-        for k, ball in enumerate(balls):
-            coefficients, rough = ball.coefficients()
-            good &= rough < 1
-            if ball.mode == "fly":
-                over[k] = long[:, 0] >= ball.flies()
-            elif ball.mode in ("slide", "drill", "roll"):
-                over[k] = ball.over()
-            motion: Any = {"creep": "roll", "drill": "slide"}.get(ball.mode, ball.mode)
-            series = Stretch(who, now, then, coefficients)
-            whole = np.minimum(now, then), np.maximum(now, then), motion, series, ball.state, ball.body.radius
-            courses.append(Course(who, *whole, ball.model.gravity))
-    ways = (np.stack([ball.x for ball in balls]), np.stack([ball.v for ball in balls]))
+        found = [ball.coefficients() for ball in balls]
+        if not (
+            good
+            and to_come < SETTLED
+            and all(ball.sound() and rough < 1 for ball, (_, rough) in zip(balls, found, strict=True))
+        ):
+            return None
+    then = now + float(long[0, 0])
+    places, velocities = (np.stack(ways)[:, :, 0] for ways in ([ball.x for ball in balls], [ball.v for ball in balls]))
+    over = [ball.over(float(long[0, 0])) for ball in balls]
+    legs = [_leg(ball, now, then, c) for ball, (c, _) in zip(balls, found, strict=True)]
     last_states = np.stack([ball.last(long) for ball in balls])
-    return Piece(who, now, then, *ways, last_states, over, (courses[0], courses[1])), good
+    return Piece(then, places, velocities, last_states, (over[0], over[1]), (legs[0], legs[1]))
+
+
+def _leg(ball: Ball, now: float, then: float, coefficients: Array) -> Leg:
+    begins, ends, state, radius, gravity = (
+        min(now, then),
+        max(now, then),
+        ball.state,
+        ball.body.radius,
+        ball.model.gravity,
+    )
+    if ball.mode == "rest":
+        return Rest(begins, ends, resting(tuple(state[0].tolist()), float(radius[0])))
+    path, slides = Stretch(0, np.array([now]), np.array([then]), coefficients), ball.slides
+
+    def states(times: Array) -> Array:
+        y = np.moveaxis(path.plane(times[None])[:, 0], 0, -1)
+        x, v = y[:, 0:2], y[:, 2:4]
+        if slides:
+            return plate_state(x, y[:, 4:6], 3.5 * (v - y[:, 4:6]), y[:, 6], radius)
+        return plate_state(x, v, np.zeros(2), state[:, 8], radius)
+
+    def aloft(times: Array) -> Array:
+        out, y = fly(state[0], gravity, times - now), path.plane(times[None])[:, 0].T
+        out[:, 0:2], out[:, 3:5] = y[:, :2], y[:, 2:]
+        return out
+
+    if ball.mode == "fly":
+        return Numeric.of(begins, ends, "fly", aloft, gravity)
+    return Numeric.of(begins, ends, "slide" if slides else "roll", states)
 
 
 def _beyond(early: Array, on: Mesh) -> Array:
@@ -315,49 +229,49 @@ def _beyond(early: Array, on: Mesh) -> Array:
     return np.asarray(np.clip(early[:, -1:] / (early @ on.slope[:, -1:]), -0.3, 0.3))
 
 
-def approach(model: Model, bodies: Pair, touching: Array, time: Array, start: Array) -> tuple[Array, list[Piece], Ints]:
-    """What leads to contacts at `time` (k,), states (2, k, 9), of balls 0 that rested with balls 1 that roll.
+def approach(
+    model: Model, bodies: Pair, touching: Array, time: float, start: float
+) -> tuple[Array, list[Piece]] | None:
+    """What leads to a contact at `time`, states (2, 1, 9), of ball 0 that rested with ball 1 that rolls.
 
     Ball 0 is let go where the pull on it overcomes what holds it, but when ball 1 is AWAY at the earliest. Returns the
-    states at the contact, of balls 0 with the velocity they then have; pieces that lead back from there, to `start` or
-    to the onset, whichever is earlier; the pairs that have no such past.
+    states at the contact, of ball 0 with the velocity that it then has; pieces that lead back from there, to `start` or
+    to the onset, whichever is earlier. None if there is no such past.
     """
-    one, two = touching
-    here, way = two[:, :2].T[..., None], two[:, 3:5].T[..., None]
+    hit, then, now, pieces = touching.copy(), touching.copy(), time, list[Piece]()
+    lasts, held = _pulled_for(model, bodies, touching)
+    if lasts > 0:
+        for size in STARTS:
+            balls = _begin(model, bodies, ("creep", "roll"), touching, (0.0, 0.0))
+            piece = _lead(balls, time, -lasts, -1, size, not held)
+            if piece is not None:
+                break
+        else:
+            return None
+        pieces, then, now = [piece], piece.last, piece.then
+        hit[0] = rolling_state(hit[0, :, :2], piece.velocities[0, :, 0], hit[0, :, 8], bodies[0].radius)
+    then[0, :, 3:8] = 0.0
+    while now > start:
+        piece = step(model, bodies, ("rest", "roll"), then, (0.0, 0.0), now, start)
+        if piece is None:
+            return None
+        pieces.append(piece)
+        then[1], now = piece.last[1], piece.then
+    return hit, pieces
 
-    def early(tau: Array) -> Array:
-        return excess(model, bodies[0], one, here - tau[:, None] * way)[:, 0]
 
-    far = AWAY * (bodies[0].radius + bodies[1].radius) / np.hypot(way[0], way[1])[:, 0]
+def _pulled_for(model: Model, bodies: Pair, touching: Array) -> tuple[float, bool]:
+    """How long ball 0 is pulled along before the contact, were ball 1's roll uniform; is it longer than we look?"""
+    here, way = touching[1, :, :2].T[..., None], touching[1, :, 3:5].T[..., None]
+
+    def early(tau: float) -> bool:
+        return bool(excess(model, bodies[0], touching[0], here - tau * way)[0, 0] > 0)
+
+    far = AWAY * float((bodies[0].radius + bodies[1].radius)[0]) / math.hypot(*way[:, 0, 0])
+    if not early(0.0) or early(far):
+        return (far, True) if early(0.0) else (0.0, False)
     low, high = 1e-4 * far, far
     for _ in range(12):
-        middle = np.sqrt(low * high)
-        pulled = early(middle) > 0
-        low, high = np.where(pulled, middle, low), np.where(pulled, high, middle)
-    held = early(far) > 0
-    lasts, todo = np.where(held, far, low), np.flatnonzero(early(0 * far) > 0)
-    hit, then, now, pieces = touching.copy(), touching.copy(), time.astype(float).copy(), []
-    for size in STARTS:
-        if len(todo):
-            pair = bodies[0][todo], bodies[1][todo]
-            begin = _begin(model, pair, ("creep", "roll"), touching[:, todo], np.zeros((2, len(todo))))
-            piece, good = _lead(begin, todo, time[todo], -lasts[todo], -1, size, ~held[todo])
-            piece, todo = piece if np.all(good) else piece.of(good), todo[~good]
-            pieces += [piece] if len(piece.who) else []
-            then[:, piece.who], now[piece.who] = piece.last, piece.then
-            at = hit[0, piece.who, :2], piece.velocities[0, ..., 0].T, hit[0, piece.who, 8:]
-            hit[0, piece.who] = rolling_state(at[0], at[1], at[2][:, 0], bodies[0].radius[piece.who])
-    lost = [todo]
-    then[0, :, 3:8] = 0.0
-    todo = np.setdiff1d(np.flatnonzero(now > start), todo)
-    while len(todo):
-        pair = bodies[0][todo], bodies[1][todo]
-        nothing = np.zeros((2, len(todo)))
-        found, failed = step(model, pair, ("rest", "roll"), then[:, todo], nothing, now[todo], start[todo])
-        lost.append(todo[failed])
-        for piece in found:
-            piece = piece.among(todo)
-            pieces.append(piece)
-            then[1, piece.who], now[piece.who] = piece.last[1], piece.then
-        todo = np.setdiff1d(todo[now[todo] > start[todo]], lost[-1])
-    return hit, pieces, np.concatenate(lost)
+        middle = math.sqrt(low * high)
+        low, high = (middle, high) if early(middle) else (low, middle)
+    return low, False

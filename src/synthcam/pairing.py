@@ -7,12 +7,12 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from synthcam.coupled import Course, Piece, approach, excess, floors, mode_of, opening, push_at_rest, step
+from synthcam.coupled import Modes, Piece, approach, excess, floor_of, mode_of, opening, push_at_rest, step
 from synthcam.kinematics import Array, State, made_rolling, resting
 from synthcam.launch import Launch
 from synthcam.model import Bodies, Model
 from synthcam.rolling import SLOWEST
-from synthcam.trajectory import Event, Leg, Numeric, Rest
+from synthcam.trajectory import Event, Leg, Rest
 
 FASTEST = 1e3  # m/s: a ball that must have come faster did not come
 AHEAD = 0.2  # s of motion beyond what was asked for
@@ -29,56 +29,54 @@ class Pairing:
 
     def __init__(self, model: Model, bodies: Bodies, start: float, end: float) -> None:
         self.model, self.start, self.end = model, start, end
-        self.bodies, self.floor = (bodies[:1], bodies[1:]), np.full((2, 1), np.inf)
+        self.bodies, self.floor = (bodies[:1], bodies[1:]), [math.inf, math.inf]
 
     def before(self, launch: Launch) -> tuple[dict[int, State], list[list[Leg]], list[Event]]:
         """The states at the launch, the legs that led there from the start, and when a ball was pulled from its rest.
 
         Of two balls that touch, one that rests has been pulled by the one that comes: its velocity is what follows.
         """
-        rows, now, order = launch.states[:, None].copy(), np.array([launch.time]), [0, 1]
+        rows, order = launch.states[:, None].copy(), [0, 1]
         modes = self._modes(rows)
-        if launch.touches and sorted(modes) == ["rest", "roll"] and opening(rows)[0] < 0:
+        if launch.touches and sorted(modes) == ["rest", "roll"] and opening(rows) < 0:
             order = [modes.index("rest"), modes.index("roll")]
             pair = self.bodies[order[0]], self.bodies[order[1]]
-            rows[order], pieces, lost = approach(self.model, pair, rows[order], now, np.array([self.start]))
-            if len(lost):
+            found = approach(self.model, pair, rows[order], launch.time, self.start)
+            if found is None:
                 raise ValueError(NEVER.format(np.hypot(*rows[order[1], 0, 3:5])))
-            if opening(rows)[0] >= 0:
+            rows[order], pieces = found
+            if opening(rows) >= 0:
                 raise ValueError("the ball at rest would be pushed away faster than the other comes")
         else:
-            pieces = self._back(rows, modes, now)
+            pieces = self._back(rows, modes, launch.time)
         past: list[list[Leg]] = [[], []]
         events = []
         for piece in pieces:
-            for k, course in zip(order, piece.courses, strict=True):
-                begins, ends = max(float(course.begins[0]), self.start), float(course.ends[0])
-                if begins < ends:
-                    past[k].insert(0, _led(course).spanning(begins, ends))
-            if self.start < piece.then[0] and {c.motion for c in piece.courses} == {"roll"} and "rest" in modes:
-                onset, (still, other) = float(piece.then[0]), piece.last[:, 0]
-                events.append(
-                    start_of(self.model, self.bodies[order[0]], order[0], tuple(still.tolist()), onset, other)
-                )
+            for k, leg in zip(order, piece.legs, strict=True):
+                begins = max(leg.t0, self.start)
+                if begins < leg.t1:
+                    past[k].insert(0, leg.spanning(begins, leg.t1))
+            if self.start < piece.then and {leg.motion for leg in piece.legs} == {"roll"} and "rest" in modes:
+                (still, other), k = piece.last[:, 0], order[0]
+                events.append(start_of(self.model, self.bodies[k], k, tuple(still.tolist()), piece.then, other))
         return {k: tuple(rows[k, 0].tolist()) for k in (0, 1)}, past, events
 
-    def _back(self, rows: Array, modes: list[str], now: Array) -> list[Piece]:
+    def _back(self, rows: Array, modes: Modes, now: float) -> list[Piece]:
         """Balls that roll or rest, led back to the start."""
         still = [k for k in (0, 1) if modes[k] == "rest"]
-        if self.start < now[0] and not set(modes) <= {"rest", "roll"}:
+        if self.start < now and not set(modes) <= {"rest", "roll"}:
             raise ValueError("a ball that slides or flies at its launch has no past: start the run at the launch")
-        if self.start < now[0] and any(self._pulls(k, rows[k], rows[1 - k, :, :2].T[..., None]) for k in still):
+        if self.start < now and any(self._pulls(k, rows[k], rows[1 - k, :, :2].T[..., None]) for k in still):
             raise ValueError(HELD)
         pieces: list[Piece] = []
-        while now[0] > self.start and modes != ["rest", "rest"]:
-            goal = np.array([self.start])
-            found, failed = step(self.model, self.bodies, (modes[0], modes[1]), rows, self.floor, now, goal)
-            if len(failed):
-                raise ValueError(f"a ball has no past before {now[0]:g} s: it would have had to come from rest")
-            if any(self._pulls(k, rows[k], found[0].places[1 - k]) for k in still):
+        while now > self.start and modes != ("rest", "rest"):
+            piece = step(self.model, self.bodies, modes, rows, self.floor, now, self.start)
+            if piece is None:
+                raise ValueError(f"a ball has no past before {now:g} s: it would have had to come from rest")
+            if any(self._pulls(k, rows[k], piece.places[1 - k][:, None]) for k in still):
                 raise ValueError(HELD)
-            pieces += found
-            rows, now = found[0].last, found[0].then
+            pieces.append(piece)
+            rows, now = piece.last, piece.then
             if not np.abs(rows[..., 3:5]).max() <= FASTEST:
                 raise ValueError(f"a ball would have had to come faster than {FASTEST:g} m/s")
         return pieces
@@ -90,8 +88,8 @@ class Pairing:
         """
         rows = np.array([[states[k]] for k in (0, 1)])
         for k in anew:
-            self.floor[k] = floors(self.model, self.bodies, rows)[k]
-        modes, started = self._modes(rows), []
+            self.floor[k] = floor_of(self.model, self.bodies, rows, k)
+        modes, started = list(self._modes(rows)), []
         for k in (0, 1):
             if modes[k] == "rest" and self._pulls(k, rows[k], rows[1 - k, :, :2].T[..., None]):
                 modes[k] = "creep"
@@ -99,24 +97,23 @@ class Pairing:
         still = [resting(states[k], float(self.bodies[k].radius[0])) for k in (0, 1)]
         if modes == ["rest", "rest"]:
             return [Rest(t, math.inf, state) for state in still], math.inf, []
-        goal = np.array([max(self.end, t) + AHEAD])
-        found, failed = step(self.model, self.bodies, (modes[0], modes[1]), rows, self.floor, np.array([t]), goal)
-        if len(failed):
+        goal = max(self.end, t) + AHEAD
+        piece = step(self.model, self.bodies, (modes[0], modes[1]), rows, self.floor, t, goal)
+        if piece is None:
             raise ValueError(f"balls that push each other could not be followed from {t:.9g} s on")
-        piece = found[0]
-        legs, until = [_led(course) for course in piece.courses], float(piece.then[0])
+        legs, until = list(piece.legs), piece.then
         for k in (0, 1):
             if modes[k] == "rest":
                 legs[k] = Rest(t, self._loosened(k, rows[k], legs[1 - k], t, until), still[k])
-            elif not piece.over[k, 0]:
+            elif not piece.over[k]:
                 legs[k] = legs[k].spanning(t, math.inf)
             elif modes[k] == "drill":
-                legs[k], self.floor[k] = legs[k].spanning(t, math.inf), np.inf
+                legs[k], self.floor[k] = legs[k].spanning(t, math.inf), math.inf
         return legs, until, started
 
-    def _modes(self, rows: Array) -> list[str]:
-        rows_of = zip(rows, self.bodies, self.floor, strict=True)
-        return [str(mode_of(row, body.radius, floor)[0]) for row, body, floor in rows_of]
+    def _modes(self, rows: Array) -> Modes:
+        one, two = (mode_of(rows[k], self.bodies[k].radius, self.floor[k]) for k in (0, 1))
+        return one, two
 
     def _pulls(self, k: int, row: Array, other: Array) -> bool:
         """Does the push overcome what holds ball k, with the other at any of (2, 1, n)?"""
@@ -143,14 +140,3 @@ def start_of(model: Model, body: Bodies, k: int, state: State, t: float, other: 
     nudge = 2 * SLOWEST * push / np.hypot(*push)
     after = made_rolling((*still[:3], *nudge.tolist(), *still[5:]), still[2])
     return Event(t, "start", k, before=np.array([still]), after=np.array([after]))
-
-
-def _led(course: Course) -> Leg:
-    begins, ends = float(course.begins[0]), float(course.ends[0])
-
-    def states(times: Array) -> Array:
-        return np.asarray(course.states(times[None])[0])
-
-    if course.motion == "rest":
-        return Rest(begins, ends, resting(tuple(course.state[0].tolist()), float(course.radius[0])))
-    return Numeric.of(begins, ends, course.motion, states, course.gravity if course.motion == "fly" else 0.0)

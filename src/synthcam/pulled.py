@@ -17,6 +17,7 @@ which has one smooth solution.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import cache
 from typing import Any
@@ -79,7 +80,7 @@ class Ball:
     friction fade, until the slip is `floor`, (k,)), slide or fly.
     """
 
-    def __init__(self, model: Model, mode: str, body: Bodies, state: Array, floor: Array) -> None:
+    def __init__(self, model: Model, mode: str, body: Bodies, state: Array, floor: float) -> None:
         self.model, self.mode, self.state, self.body = model, mode, state, body
         self.fixed: dict[str, Any] = dict(gravity=model.gravity, radius=body.radius[:, None], mass=body.mass[:, None])
         self.fixed |= dict(of_a=body.of_a[:, None], ball=model.ball)
@@ -89,7 +90,7 @@ class Ball:
         self.first = np.hypot(counted[0], counted[1])
         self.hat = counted / np.maximum(self.first, SMALLEST)
         self.q0 = rolling_velocity(state, body.radius).T[..., None] if self.slides else velocity
-        self.floor = floor[:, None] if self.drills else 0 * self.first
+        self.floor = np.full_like(self.first, floor if self.drills else 0.0)
         self.x, self.v, self.s, self.e = self.place, velocity, self.first, self.hat
         self.q, self.wz = self.q0, state[:, 8][:, None]
         self.away = np.zeros_like(self.place)
@@ -226,9 +227,12 @@ class Ball:
         """Is s over zero all along, (k,)?"""
         return self.stays & (self.s.min(axis=1) >= 0) if self.slides or self.mode in ("creep", "roll") else self.stays
 
-    def over(self) -> Flags:
-        """Has its drilling, slide or roll ended with the piece, (k,)?"""
-        return np.asarray(self.s[:, -1] <= self.floor[:, 0] * (1 + 1e-12) + STILL)
+    def over(self, lasts: float) -> bool:
+        """Has its drilling, slide, roll or flight ended with a piece that lasts so long?"""
+        if self.mode == "fly":
+            return lasts >= self.flies()
+        counts = self.slides or self.mode == "roll"
+        return counts and bool(self.s[0, -1] <= self.floor[0, 0] * (1 + 1e-12) + STILL)
 
     def last(self, lasts: Array) -> Array:
         """States (k, 9) at the piece's end."""
@@ -241,10 +245,10 @@ class Ball:
             return plate_state(x, self.q[..., -1].T, (self.s * self.e)[..., -1].T, wz, radius)
         return plate_state(x, v, np.zeros(2), wz, radius)
 
-    def flies(self) -> Array:
-        """How long it stays in the air, (k,)."""
-        up, height = self.state[:, 5], np.maximum(self.state[:, 2] - self.body.radius, 0.0)
-        return np.asarray((up + np.sqrt(up * up + 2 * self.model.gravity * height)) / self.model.gravity)
+    def flies(self) -> float:
+        """How long it stays in the air."""
+        up, height = float(self.state[0, 5]), max(float(self.state[0, 2] - self.body.radius[0]), 0.0)
+        return (up + math.sqrt(up * up + 2 * self.model.gravity * height)) / self.model.gravity
 
     def coefficients(self) -> tuple[Array, Array]:
         """Of the solution, (c, k, nodes), as in a Course; and the last ones over what they may be, (k,)."""

@@ -180,22 +180,21 @@ class BentRolling:
 
 @dataclass(frozen=True)
 class Alone:
-    """The whole motion of one ball of one run."""
+    """The whole motion of the one ball of a run."""
 
     who: Ints
     begins: Array
     ends: Array
     motion: Trajectory
-    ball: int
     aloft: ClassVar[bool] = True
 
     def states(self, times: Array) -> Array:
-        return self.motion.at(times[0])[self.ball : self.ball + 1]
+        return self.motion.at(times[0])
 
     def means(self, middle: Array, wide: Real) -> Array:
         half = wide / 2 + 0 * middle[0]
         spans = np.clip(np.stack([middle[0] - half, middle[0] + half], axis=1), self.motion.t0, self.motion.t1)
-        return np.asarray(self.motion.mean(spans, lambda states: states[..., :2])[self.ball].T[:, None])
+        return np.asarray(self.motion.mean(spans, lambda states: states[..., :2])[0].T[:, None])
 
 
 def averaged(places: Callable[[Array], Array], middle: Array, wide: Any) -> Array:
