@@ -92,7 +92,7 @@ def test_derivatives_made_white_anew_are_those_taken_anew(monkeypatch):
 def test_errors_are_those_of_the_whole_motion_where_balls_push_each_other(monkeypatch):
     """A strong pull: derivatives without it would give an error a tenth too large."""
     only(monkeypatch, magnetic_attraction=library()["magnetic_attraction"])
-    clips = collisions(Model().replace({"magnetic_attraction.pull": 0.4}), 6, 3)
+    clips = collisions(Model().replace({"magnetic_attraction.pull": 0.4}), 4, 3)
     noise = estimate(clips)
     found = search(clips, fit(clips, Model(), BASE, noise), noise)
     (named,) = found.named
