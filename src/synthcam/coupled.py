@@ -181,11 +181,8 @@ def _lead(
             if turn > 0 and (not good or to_come < SETTLED):
                 break
         found = [ball.coefficients() for ball in balls]
-        if not (
-            good
-            and to_come < SETTLED
-            and all(ball.sound() and rough < 1 for ball, (_, rough) in zip(balls, found, strict=True))
-        ):
+        fine = [ball.sound() and rough < 1 for ball, (_, rough) in zip(balls, found, strict=True)]
+        if not (good and to_come < SETTLED and all(fine)):
             return None
     then = now + float(long[0, 0])
     places, velocities = (np.stack(ways)[:, :, 0] for ways in ([ball.x for ball in balls], [ball.v for ball in balls]))
@@ -196,13 +193,8 @@ def _lead(
 
 
 def _leg(ball: Ball, now: float, then: float, coefficients: Array) -> Leg:
-    begins, ends, state, radius, gravity = (
-        min(now, then),
-        max(now, then),
-        ball.state,
-        ball.body.radius,
-        ball.model.gravity,
-    )
+    begins, ends, state, radius = min(now, then), max(now, then), ball.state, ball.body.radius
+    gravity = ball.model.gravity
     if ball.mode == "rest":
         return Rest(begins, ends, resting(tuple(state[0].tolist()), float(radius[0])))
     path, slides = Stretch(0, np.array([now]), np.array([then]), coefficients), ball.slides
