@@ -251,7 +251,7 @@ class Ball:
         return (up + math.sqrt(up * up + 2 * self.model.gravity * height)) / self.model.gravity
 
     def coefficients(self) -> tuple[Array, Array]:
-        """Of the solution, (c, k, nodes), as in a Course; and the last ones over what they may be, (k,)."""
+        """Of x, y, vx, vy and, in slides, qx, qy, wz: (c, k, nodes); and the last ones over what they may be, (k,)."""
         found = product(np.concatenate([self.x, self.v]), self.on.coefficients)
         counted = found[2:]
         if self.slides:
