@@ -13,6 +13,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from discrepancy.doubt import exchanged, wrong_units
+from tracker.adequacy import MEASURED
 from tracker.estimate import measure
 from tracker.geometry import Camera, InputError
 from tracker.link import Tracks
@@ -186,7 +187,7 @@ def _table(path: Path, camera: Path) -> Source:
 
 def collision(tracks: Tracks, row: Mapping[Any, Any], camera: Camera) -> Measured | str:
     """The collision that `row` of the estimates describes, or why it cannot be used."""
-    if row["status"] != "ok":
+    if row["status"] not in MEASURED:  # what a misfit lacks is what a search looks for
         return str(row["status"])
     guess = np.array([float(row[name]) for name in ("t_c", "v0", "b", "tau1", "tau2")])
     if not np.all(np.isfinite(guess)):

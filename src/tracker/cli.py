@@ -205,11 +205,17 @@ def _measured(tracks: Path, truth: Path, output: Path, point: str) -> Path:
 
 
 def _report(outcome: Outcome, output: Path, extra: dict[str, Any], as_json: bool) -> None:
+    from .adequacy import warnings
+
     for note, clips in outcome.notes.items():
         print(f"tracker: {note} ({clips} clips)", file=sys.stderr)
     states = {str(k): int(v) for k, v in outcome.estimates["status"].value_counts().sort_index().items()}
+    said = list(warnings(outcome.estimates))
+    for line in said:
+        print(f"tracker: {line}", file=sys.stderr)
     if as_json:
         summary = {"results": str(output), "clips": outcome.clips, "fresh": outcome.fresh, "status": states, **extra}
+        summary["warnings"] = said
         print(json.dumps(summary))
         return
     told = ", ".join(f"{count} {state}" for state, count in states.items())

@@ -8,13 +8,16 @@ differences. Where the first two disagree the model is wrong. What a clip cannot
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from . import paper
+from .adequacy import LEVEL, MISFIT, agreement, p_value, questioned
+from .correlation import lasting
 from .encounter import Encounter, Meeting, Past, encounter, first_guess, meetings
 from .fitting import COARSE, Fit, Pair, fit_motion
 from .kinetics import motion_table
@@ -22,6 +25,7 @@ from .motion import AFTER, FREE, TARGET, TIED, release
 from .places import Course, courses
 from .pooled import fit_all
 from .quantities import NAMES, Values, of_free, of_tied
+from .scatter import Size, scatter
 from .single import PARAMETERS, roll_alone
 
 if TYPE_CHECKING:
@@ -43,10 +47,15 @@ NEEDS = {  # what falls with a slide end that the clip does not show, by ball
     2: ("tau2", "v2f", "w2n", "w2t"),
 }
 NEEDS_START = ("r", "s", "mu_k", "C")  # what falls with a slide too short to show the velocity just after the hit
+BY_LAWS = ("C", "w1n", "w1t", "w2n", "w2t")  # what the free fit infers of spins by laws that a misfit puts in doubt
 NEEDS_BOTH = ("energy_fraction", "momentum_fraction", "final_angle")
 UNLIKELY = 10.0  # standard deviations of chi^2 beyond which a lone ball was not rolling freely
 NO_DIAMETER = "no ball_diameter in the camera file: a collision is measured by where balls of that diameter touch"
+UNLIKE = 5.0  # standard errors by which the tracks' own scatter differs from what a table claims
+BORNE_OUT = 1e-3  # p-value from which on whole fits bear out that errors are smaller than claimed
 POOR_FIT = 1e4  # chi^2 per degree of freedom: 100 sigma off everywhere is no description of the motion
+ENDLESS = (0.9, 0.5)  # restitutions from which a fit of balls that slide on all the while starts
+AS_GOOD = 10.0  # chi^2 by which a motion that is possible may fit worse than one that is not
 
 
 @dataclass(frozen=True)
@@ -60,37 +69,96 @@ class Reading:
     of_tied: Values
     of_free: Values
 
+    @property
+    def known(self) -> float:
+        """Degrees of freedom from which the errors' size was found; inf: it was given."""
+        return self.meeting.pair.striker.known
+
+    @cached_property
+    def adequate(self) -> float:
+        """p-value of the tied fit's chi^2."""
+        return p_value(self.tied.chi2, self.tied.dof, self.known)
+
+    @cached_property
+    def adequate_free(self) -> float:
+        """p-value of the free fit's chi^2."""
+        return p_value(self.free.chi2, self.free.dof, self.known)
+
+    @cached_property
+    def agree(self) -> float:
+        """p-value of what the tied fit's chi^2 has beyond the free one's."""
+        return agreement(self.tied, self.free, self.known)
+
+    @property
+    def borne(self) -> tuple[bool, bool]:
+        """Whether the data bear the tied and the free fit; nothing is rejected where the errors' size is not known."""
+        free = not self.adequate_free < LEVEL
+        return free and not (self.adequate < LEVEL or self.agree < LEVEL), free
+
 
 def measure(tracks: Tracks, camera: Camera) -> list[dict[str, Any]]:
     """One row per collision of a clip, in the columns of estimates.parquet without `clip`; never empty.
 
-    SI units. status: "ok", "no_collision" (then v0, drag and decel of the ball that rolls), or the reason
-    why nothing can be told.
+    SI units. status: "ok", "misfit" where the data reject the tied fit (then NAME has no error), "no_collision"
+    (then v0, drag and decel of the ball that rolls), or the reason why nothing can be told.
     """
     if not camera.metric:
-        return [_row(camera, 0, "no scale: lengths need a camera file")]
+        return [unmeasured(camera, "no scale: lengths need a camera file")]
     balls = courses(tracks, camera)
     if not any(len(course) >= 2 for course in balls):
-        return [_row(camera, 0, "too few detections")]
+        return [unmeasured(camera, "too few detections")]
+    size = scatter(balls) if balls[0].weighed else None
+    if size is None or abs(size.sigmas) < UNLIKE:
+        return _rows(balls, camera)
+    resized = [course.resized(size) for course in balls]
+    if size.ratio > 1:
+        rows = _rows(resized, camera)
+        return _rows(balls, camera) if _p_free(rows, size) > 1 - LEVEL else rows  # kinks were taken for scatter
+    rows = _rows(balls, camera)
+    slow = any(row["noise"] == "scatter" for row in rows)  # errors that last scatter little from frame to frame
+    return rows if slow or not _p_free(rows, size, size.ratio) > BORNE_OUT else _rows(resized, camera)
+
+
+def _p_free(rows: list[dict[str, Any]], size: Size, ratio: float = 1.0) -> float:
+    """p-value of all free fits together, were the errors' variance `ratio` times what they went by; NaN without any."""
+    fits = [(row["chi2_free"], row["dof_free"]) for row in rows if row["dof_free"] > 0]
+    square, dof = np.sum(fits, axis=0) if fits else (np.nan, 0)
+    return p_value(float(square) / ratio, float(dof), size.dof)
+
+
+def _rows(balls: list[Course], camera: Camera) -> list[dict[str, Any]]:
+    """The rows of a clip, its errors given."""
     noise = _noise(balls[0], camera)
     if len(balls) > 1 and not camera.knows_diameter:
-        return [_row(camera, 0, NO_DIAMETER) | _noise(balls[0], camera)]
+        return [unmeasured(camera, NO_DIAMETER) | noise]
     met = meetings(balls, camera.ball_diameter) if len(balls) > 1 else []
     if not met:
-        return [_row(camera, 0, "no_collision") | noise | _alone(balls)]
+        return [unmeasured(camera, "no_collision") | noise | _alone(balls)]
     rows, pasts = [], dict[int, Past]()
     for i, meeting in enumerate(met):
-        row, left = _collision(meeting, pasts, camera, i)
-        rows.append(row | noise)
+        try:
+            row, left = _collision(meeting, pasts, camera, i)
+        except (ArithmeticError, ValueError, IndexError) as error:  # one collision never costs the others
+            particles = [course.particle for course in (meeting.one, meeting.other)]
+            row = unmeasured(camera, failure(error), i) | dict(zip(("particle1", "particle2"), particles, strict=True))
+            left = {particle: Past(np.inf) for particle in particles}
+        rows.append(noise | row if row["noise"] == "scatter" else row | noise)
         pasts |= left
     return rows
 
 
+def failure(error: Exception) -> str:
+    """A status that says that the arithmetic failed, and how."""
+    return f"the fit failed: {(str(error).splitlines() or [type(error).__name__])[0][:80]}"
+
+
 def _noise(course: Course, camera: Camera) -> dict[str, Any]:
     """Where the places' errors come from: the table, or (then with their size, px) the tracks' own scatter."""
-    if course.weighed:
+    if np.isinf(course.known):
         return {}
-    return {"noise": "scatter", "noise_px": float(np.sqrt(np.trace(course.cov[0]) / 2) / camera.scale)}
+    size = float(np.sqrt(np.trace(course.cov[0]) / 2) / camera.scale)
+    ratio = course.stretch if course.weighed else np.nan
+    return {"noise": "scatter", "noise_px": size, "noise_ratio": ratio, "noise_rho": course.rho}
 
 
 def _collision(
@@ -98,7 +166,7 @@ def _collision(
 ) -> tuple[dict[str, Any], dict[int, Past]]:
     """The row of one collision, and what it leaves of its balls."""
     met = encounter(meeting, camera.ball_diameter, pasts)
-    row = _row(camera, index, met.reason or "ok")
+    row = unmeasured(camera, met.reason or "ok", index)
     row |= {f"particle{i}": course.particle for i, course in met.pair.balls}
     unknown = {course.particle: Past(np.inf) for _, course in met.pair.balls}
     if met.reason:
@@ -106,18 +174,33 @@ def _collision(
     read = interpret(met)
     if isinstance(read, str):
         return row | {"status": read}, unknown
+    row |= _values(read) | _judged(read) | _noise(read.meeting.pair.striker, camera)
+    for name, (value, std) in paper.read(met, camera.fps).items():
+        row[f"{name}_paper"], row[f"{name}_paper_std"] = value, std
+    return (row, unknown) if row["status"] == MISFIT else (row, _left(read, pasts))
+
+
+def _values(read: Reading) -> dict[str, Any]:
+    """What both fits say, with errors where the data bear the fit."""
     tied, free = told(read)
-    readings = paper.read(met, camera.fps)
-    for i, name in enumerate(NAMES):
-        row[name], row[f"{name}_std"] = tied.value[i], tied.std[i]
-        row[f"{name}_free"], row[f"{name}_free_std"] = free.value[i], free.std[i]
-        row[f"{name}_paper"], row[f"{name}_paper_std"] = readings[name]
-    row["cov"] = _as_json({"tied": read.of_tied.cov, "free": read.of_free.cov})
+    row: dict[str, Any] = {"cov": _as_json({"tied": tied.cov, "free": free.cov})}
+    for suffix, values in (("", tied), ("_free", free)):
+        for i, name in enumerate(NAMES):
+            row[f"{name}{suffix}"], row[f"{name}{suffix}_std"] = values.value[i], values.std[i]
     at = [TIED.index(name) for name in ("heading", "x", "y", *TARGET)]
     row |= dict(zip(("heading", "x1", "y1", "v1ix", "v1iy"), read.tied.parameters[at].tolist(), strict=True))
     for suffix, fit in (("", read.tied), ("_free", read.free)):
         row |= {f"chi2{suffix}": fit.chi2, f"dof{suffix}": fit.dof, f"dropped{suffix}": fit.dropped}
-    return row, _left(read, pasts)
+    return row
+
+
+def _judged(read: Reading) -> dict[str, Any]:
+    """Whether the data bear the fits, and what of the tied one cannot be."""
+    stretch = float(np.sqrt(max(1.0, read.tied.chi2 / read.tied.dof)))
+    return {
+        "status": "ok" if read.borne[0] else MISFIT, "adequate": read.adequate, "adequate_free": read.adequate_free,
+        "agree": read.agree, "flags": questioned(read.of_tied, stretch),
+    }  # fmt: skip
 
 
 def _left(read: Reading, pasts: dict[int, Past]) -> dict[int, Past]:
@@ -139,25 +222,64 @@ def interpret(meeting: Encounter) -> Reading | str:
     guess = first_guess(meeting)
     if guess is None:
         return "the approach does not lead to the other ball"
+    read = _fitted(meeting, [guess])
+    pair = None if isinstance(read, str) else lasting(meeting.pair, read.free)
+    if pair is None or isinstance(read, str):
+        return read
+    return _fitted(replace(meeting, pair=pair), [guess, read.tied.parameters])
+
+
+def _fitted(meeting: Encounter, starts: list[Floats]) -> Reading | str:
+    """Tied and free fit by the errors that the places have."""
     pair = meeting.pair
-    tied = fit_motion(pair, True, [guess])
+    tied = fit_motion(pair, True, starts)
     free, seen = _free(pair, tied)
     if tied.chi2 > free.chi2 + 50:  # the free fit has no impact to get wrong: let it lead
         again = fit_motion(pair, True, [_tied_from(free, pair.diameter)])
         if again.chi2 < tied.chi2:
             tied = again
             free, seen = _free(pair, tied)
-    if not tied.converged:
-        return "the fit did not converge"
-    if tied.chi2 > POOR_FIT * tied.dof:
-        return "no collision of two rolling balls fits the tracks"
-    return Reading(
+    tied = _possible(pair, tied)
+    if tied.dropped or free.dropped:
+        tied, free, seen = _on_the_same(tied, free, seen)
+    read = Reading(
         meeting, tied, free, seen,
         of_tied(tied.parameters, tied.cov, pair.diameter, pair.spin), of_free(free.parameters, free.cov, pair.diameter),
     )  # fmt: skip
+    if free.chi2 > POOR_FIT * free.dof:
+        return "no collision of two rolling balls fits the tracks"
+    return read if tied.converged or not read.borne[0] else "the fit did not converge"
 
 
-def _free(pair: Pair, tied: Fit) -> tuple[Fit, tuple[bool, bool]]:
+def _on_the_same(tied: Fit, free: Fit, seen: tuple[bool, bool]) -> tuple[Fit, Fit, tuple[bool, bool]]:
+    """Both fits, and the slide ends seen, of the same places: what only one fit cannot follow is no outlier."""
+    fewer = min(tied, free, key=lambda fit: fit.dropped)
+    if fewer is tied:
+        free, seen = _free(fewer.pair, tied, whole=True)
+    else:
+        tied = fit_motion(fewer.pair, True, [tied.parameters], whole=True)
+    return replace(tied, dropped=fewer.dropped), replace(free, dropped=fewer.dropped), seen
+
+
+def _possible(pair: Pair, tied: Fit) -> Fit:
+    """The tied fit, or one as good by which the balls slide on all the while.
+
+    Balls that go straight on after the hit either did all their sliding at once or never roll: the places cannot tell,
+    but the first may take a restitution that cannot be.
+    """
+    if not questioned(of_tied(tied.parameters, tied.cov, pair.diameter, pair.spin), 1.0):
+        return tied
+    start = tied.parameters.copy()
+    for r in ENDLESS:
+        start[[TIED.index(name) for name in ("r", "log_mu", "C")]] = r, np.log(1e-3), 0.0
+        other = fit_motion(pair, True, [start])
+        values = of_tied(other.parameters, other.cov, pair.diameter, pair.spin)
+        if other.dropped <= tied.dropped and other.chi2 < tied.chi2 + AS_GOOD and not questioned(values, 1.0):
+            return other
+    return tied
+
+
+def _free(pair: Pair, tied: Fit, whole: bool = False) -> tuple[Fit, tuple[bool, bool]]:
     """The free fit, and for each ball whether its slide's end shows.
 
     Short slides have several minima: other slide times are tried. One without end is the null hypothesis.
@@ -169,7 +291,7 @@ def _free(pair: Pair, tied: Fit) -> tuple[Fit, tuple[bool, bool]]:
         other = start.copy()
         other[ends] += shift
         starts.append(other)
-    best = fit_motion(pair, False, starts)
+    best = fit_motion(pair, False, starts, whole=whole)
     seen = [True, True]
     for i, (end, (_, course)) in enumerate(zip(ends, pair.balls, strict=True)):
         left = course.start[-1] + course.exposure - best.parameters[0]
@@ -177,9 +299,9 @@ def _free(pair: Pair, tied: Fit) -> tuple[Fit, tuple[bool, bool]]:
             seen[i] = False
         elif np.exp(best.parameters[end]) > 0.5 * left:
             endless = _endless(best.parameters, 1 + i, left)
-            without = fit_motion(pair, False, [endless], COARSE)
+            without = fit_motion(pair, False, [endless], COARSE, whole)
             if without.chi2 < best.chi2:
-                best = without = fit_motion(pair, False, [without.parameters])
+                best = without = fit_motion(pair, False, [without.parameters], whole=whole)
             seen[i] = without.chi2 - best.chi2 > SEEN and bool(np.exp(best.parameters[end]) < left)
     return best, (seen[0], seen[1])
 
@@ -201,20 +323,24 @@ def _tied_from(free: Fit, diameter: float) -> Floats:
 
 
 def told(read: Reading) -> tuple[Values, Values]:
-    """What each fit claims: NaN where the clip cannot tell."""
+    """What each fit claims: NaN where the clip cannot tell, no errors where the data reject the fit."""
     # without an end in view, slide time and final velocity trade freely: no minimum, and none is needed
     if all(read.slides_seen) and not read.free.converged:
-        return _claimed(read.of_tied, LIMITS, set()), _claimed(read.of_free, FREE_LIMITS, set(NAMES))
-    free_nan = {name for ball, seen in enumerate(read.slides_seen, 1) if not seen for name in NEEDS[ball]}
-    if not all(read.slides_seen):
-        free_nan |= {*NEEDS_BOTH, "mu_k", "C"}
-    for ball, name in ((1, "log_tau1"), (2, "log_tau2")):
-        k = FREE.index(name)
-        if read.slides_seen[ball - 1] and read.free.cov[k, k] > TELLING**2:  # too short to show how it began
-            free_nan |= {*NEEDS_START, f"w{ball}n", f"w{ball}t"}
-    if not _bent(read.of_free.value, read.of_free.std):
-        free_nan |= {"s"}
-    return _claimed(read.of_tied, LIMITS, set()), _claimed(read.of_free, FREE_LIMITS, free_nan)
+        free_nan = set(NAMES)
+    else:
+        free_nan = {name for ball, seen in enumerate(read.slides_seen, 1) if not seen for name in NEEDS[ball]}
+        if not all(read.slides_seen):
+            free_nan |= {*NEEDS_BOTH, "mu_k", "C"}
+        for ball, name in ((1, "log_tau1"), (2, "log_tau2")):
+            k = FREE.index(name)
+            if read.slides_seen[ball - 1] and read.free.cov[k, k] > TELLING**2:  # too short to show how it began
+                free_nan |= {*NEEDS_START, f"w{ball}n", f"w{ball}t"}
+        if not _bent(read.of_free.value, read.of_free.std):
+            free_nan |= {"s"}
+    tied, free = _claimed(read.of_tied, LIMITS, set()), _claimed(read.of_free, FREE_LIMITS, free_nan)
+    if not read.borne[0]:
+        tied, free = tied.without_errors(NAMES), free.without_errors(BY_LAWS)
+    return tied, free if read.borne[1] else free.without_errors(NAMES)
 
 
 def _bent(value: Floats, std: Floats) -> bool:
@@ -254,13 +380,15 @@ def _alone(balls: list[Course]) -> dict[str, Any]:
     return out
 
 
-def _row(camera: Camera, index: int, status: str) -> dict[str, Any]:
+def unmeasured(camera: Camera, status: str, index: int = 0) -> dict[str, Any]:
+    """A row in which nothing is told."""
     row: dict[str, Any] = {"collision": index, "striker": camera.striker, "status": status}
     for name in NAMES:
         for kind in ("", "_free", "_paper"):
             row[f"{name}{kind}"] = row[f"{name}{kind}_std"] = np.nan
     row |= {"cov": "{}", "particle1": -1, "particle2": -1, "heading": np.nan, "x1": np.nan, "y1": np.nan}
-    row |= {"v1ix": np.nan, "v1iy": np.nan, "noise": "given", "noise_px": np.nan}
+    row |= {"v1ix": np.nan, "v1iy": np.nan, "noise": "given", "noise_px": np.nan, "noise_ratio": np.nan}
+    row |= {"noise_rho": 0.0, "adequate": np.nan, "adequate_free": np.nan, "agree": np.nan, "flags": ""}
     for suffix in ("", "_free"):
         row |= {f"chi2{suffix}": np.nan, f"dof{suffix}": 0, f"dropped{suffix}": 0}
     return row

@@ -37,20 +37,6 @@ BROAD: Mapping[str, tuple[float, float]] = {
 }
 
 
-@dataclass(frozen=True)
-class Fit:
-    """Best parameters (p,), covariance (p, p), zero where a parameter is held; chi^2 of the data alone, degrees of
-    freedom; places dropped as outliers.
-    """
-
-    parameters: Floats
-    cov: Floats
-    chi2: float
-    dof: int
-    dropped: int = 0
-    converged: bool = True
-
-
 @dataclass(frozen=True, eq=False)
 class Pair:
     """Two balls about one contact: their places, and what is known beforehand.
@@ -71,6 +57,21 @@ class Pair:
 
     def __len__(self) -> int:
         return len(self.struck) + len(self.striker)
+
+
+@dataclass(frozen=True)
+class Fit:
+    """Best parameters (p,), covariance (p, p), zero where a parameter is held; chi^2 of the data alone, degrees of
+    freedom; the pair that was fitted, without the places dropped as outliers.
+    """
+
+    parameters: Floats
+    cov: Floats
+    chi2: float
+    dof: int
+    pair: Pair
+    dropped: int = 0
+    converged: bool = True
 
 
 class Whitened:
@@ -175,22 +176,25 @@ def _descend(problem: Problem, start: Floats, close: float) -> tuple[Floats, flo
     return np.asarray(x, dtype=np.float64), float(found["fvec"] @ found["fvec"]) / 2, ended in (1, 2, 3, 4)
 
 
-def fit_motion(pair: Pair, tied: bool, starts: list[Floats], close: float = FINE) -> Fit:
-    """Tied (13) or free (20) motion of two balls, from starts of that length; a few outliers are dropped once."""
+def fit_motion(pair: Pair, tied: bool, starts: list[Floats], close: float = FINE, whole: bool = False) -> Fit:
+    """Tied (13) or free (20) motion of two balls, from starts of that length.
+
+    A few outliers are dropped once, unless the pair is to be fitted whole.
+    """
     problem = Whitened(pair, tied)
     p = len(problem.names)
     best, converged = fit(problem, [start[:p] for start in starts], close)
-    problem, dropped = _without_outliers(problem, best)
+    problem, dropped = (problem, 0) if whole else _without_outliers(problem, best)
     if dropped:
         best, converged = fit(problem, [best])
     best, converged = _across_frame_edges(problem, best, converged)
     residual, rows = problem(best)
     n = 2 * len(problem.pair)
     cov, chi2, dof = covariance(rows), float(residual[:n] @ residual[:n]), n - p
-    whole = problem.whole(best)
-    full = np.zeros((len(whole), len(whole)))
+    found = problem.whole(best)
+    full = np.zeros((len(found), len(found)))
     full[:p, :p] = cov
-    return Fit(whole, full, chi2, dof, dropped, converged)
+    return Fit(found, full, chi2, dof, problem.pair, dropped, converged)
 
 
 def covariance(rows: Floats) -> Floats:
@@ -202,10 +206,14 @@ def covariance(rows: Floats) -> Floats:
 
 
 def _across_frame_edges(problem: Whitened, best: Floats, converged: bool) -> tuple[Floats, bool]:
-    """chi^2 has a kink where t_c crosses an exposure: look at the other side when one is near."""
+    """chi^2 has a kink where t_c crosses an exposure: look at the other side when one is near.
+
+    How near is told by the standard error, and where the fit is worse than its errors, as much more.
+    """
     struck = problem.pair.struck
     residual, rows = problem(best)
-    reach = max(8 * float(np.sqrt(covariance(rows)[0, 0])), 1e-6)
+    worse = max(1.0, float(residual @ residual) / len(residual))
+    reach = max(8 * float(np.sqrt(covariance(rows)[0, 0] * worse)), 1e-6)
     edges = np.concatenate([struck.start, struck.start + struck.exposure])
     near = edges[np.abs(edges - best[0]) < reach]
     if not len(near):

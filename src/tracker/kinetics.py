@@ -9,6 +9,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from .adequacy import MEASURED
 from .motion import AFTER, release
 from .places import Course, courses
 
@@ -39,7 +40,7 @@ def motion_table(tracks: Tracks, camera: Camera, row: Mapping[str, Any]) -> pd.D
 def slip_directions(row: Mapping[str, Any]) -> dict[int, Floats]:
     """particle -> unit vector (2,) of its contact velocity just after the impact; empty without a collision."""
     launch = [row.get(name, np.nan) for name in ("heading", "b", "v0", "r", "C")]
-    if row.get("status") != "ok" or not np.all(np.isfinite(launch)):
+    if row.get("status") not in MEASURED or not np.all(np.isfinite(launch)):
         return {}
     heading, b, v0, r, c = map(float, launch)
     target = [float(np.nan_to_num(row.get(name, 0.0))) for name in ("v1ix", "v1iy")]

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from .scatter import scatter
+from .scatter import Size, scatter
 from .whitening import Whitener
 
 if TYPE_CHECKING:
@@ -27,7 +27,9 @@ class Course:
 
     frame (n,) int; start (n,) s, start of the frame's exposure; place (n, 2) m, mean over the exposure;
     cov (n, 2, 2) m^2, and fixed the part of it that a ball at rest has in every frame alike; width m, of a
-    glint; weighed: False where the errors were found from the tracks' own scatter.
+    glint; weighed: whether the table claims errors; known: inf where these are kept, else the degrees of freedom of the
+    tracks' own scatter that gave them their size; stretch: that size over the size before; rho: correlation of the
+    errors from frame to frame, beyond what `fixed` tells.
     """
 
     particle: int
@@ -39,6 +41,9 @@ class Course:
     fixed: Floats = field(default_factory=lambda: np.empty(0))
     width: float = 0.0
     weighed: bool = True
+    known: float = np.inf
+    stretch: float = 1.0
+    rho: float = 0.0
 
     def __post_init__(self) -> None:
         if len(self.fixed) == 0:
@@ -55,7 +60,13 @@ class Course:
     @cached_property
     def whiten(self) -> Whitener:
         """By the places' full covariance."""
-        return Whitener(self.place, self.cov, self.fixed, self.width)
+        return Whitener(self.place, self.cov, self.fixed, self.width, self.frame, self.rho)
+
+    def resized(self, size: Size) -> Course:
+        """The same ball, its errors as large as its own scatter."""
+        longer = float(np.sqrt(size.ratio)) * self.stretch
+        cov, fixed = self.cov * size.ratio, self.fixed * size.ratio
+        return replace(self, cov=cov, fixed=fixed, known=size.dof, stretch=longer)
 
     def where(self, rows: NDArray[np.bool_]) -> Course:
         """The same ball, only those rows."""
@@ -69,7 +80,7 @@ class Course:
 def courses(tracks: Tracks, camera: Camera) -> list[Course]:
     """One Course per particle, in order of particle number; rows without a finite place are left out.
 
-    Without a covariance for every row, all get that of the tracks' own scatter (`Course.weighed` is False).
+    Without a covariance for every row, all get that of the tracks' own scatter.
     """
     xy = np.column_stack([tracks.x, tracks.y]).astype(np.float64)
     keep = np.isfinite(xy).all(axis=1)
@@ -78,9 +89,7 @@ def courses(tracks: Tracks, camera: Camera) -> list[Course]:
     pixel, fixed = (np.asarray(c, dtype=np.float64)[keep] for c in (tracks.cov, tracks.fixed))
     weighed = _usable(pixel)
     if not weighed:
-        noise = scatter(frame, particle, xy)
-        pixel = np.broadcast_to(np.eye(2) * (noise if np.isfinite(noise) else UNKNOWN_PX) ** 2, pixel.shape)
-        fixed = np.zeros_like(pixel)
+        pixel, fixed = np.broadcast_to(np.eye(2) * UNKNOWN_PX**2, pixel.shape), np.zeros_like(pixel)
     cov, shared = (slope @ c @ np.swapaxes(slope, 1, 2) for c in (pixel, np.nan_to_num(fixed)))
     start, width = frame / camera.fps + camera.line_time * xy[:, 1], (camera.sigma or GLINT_PX) * camera.scale
     found = []
@@ -90,10 +99,11 @@ def courses(tracks: Tracks, camera: Camera) -> list[Course]:
         found.append(
             Course(
                 int(ball), frame[rows], start[rows], place[rows], cov[rows], camera.exposure, shared[rows], width,
-                weighed,
+                weighed, np.inf if weighed else 0.0,
             )
         )  # fmt: skip
-    return found
+    size = None if weighed else scatter(found)
+    return found if size is None else [course.resized(size) for course in found]
 
 
 def _usable(pixel: Floats) -> bool:

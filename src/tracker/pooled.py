@@ -10,6 +10,7 @@ import pandas as pd
 from numpy.typing import NDArray
 from scipy.optimize import brentq, least_squares
 
+from .fitting import covariance
 from .motion import GRAVITY, SLIP_RATE
 
 Floats = NDArray[np.float64]
@@ -17,6 +18,8 @@ SHARED = ("r", "mu_k", "C")
 OBSERVED = ("v1f", "v2f", "tau1", "tau2")
 GIVEN = ("v0", "b")
 ROLLING = ("drag", "decel")
+ROUNDED = 1e-12  # least eigenvalue of a correlation matrix that is not one by rounding alone
+STEEPEST = 0.9999  # |b/2R|: the formulas need its neighbourhood
 
 
 def fit_all(estimates: pd.DataFrame) -> dict[str, Any]:
@@ -25,7 +28,8 @@ def fit_all(estimates: pd.DataFrame) -> dict[str, Any]:
     chi2: r, mu_k, C that minimise the paper's chi^2 over v1f, v2f, tau1 and tau2 of the free fits, against v0 and
     b, for any b; errors from its curvature, widened by sqrt(chi2/dof) where that exceeds one. scatter: the tied
     fits' weighted mean, and the standard deviation between clips beyond their own errors. rolling: drag and decel
-    together, for one clip tells their sum far better than either; clips without a collision count here too.
+    together, for one clip tells their sum far better than either; clips without a collision count here too. Nothing
+    of a misfit enters, and a clip whose covariance is none is left out of the sums that need it.
     """
     ok = estimates[estimates["status"] == "ok"] if len(estimates) else estimates
     roll = estimates[estimates["status"].isin(["ok", "no_collision"])] if len(estimates) else estimates
@@ -59,6 +63,10 @@ def _paper_chi2(ok: pd.DataFrame) -> dict[str, Any]:
     v0, b = (rows[f"{n}_free"].to_numpy(float) for n in GIVEN)
     start = np.array([0.8, 0.2, 0.2])
     weights = np.stack([_weight(row) for _, row in rows.iterrows()])
+    good = np.array([_positive(cov) for cov in weights])
+    if not good.any():
+        return {**nothing, "chi2": None, "dof": 0}
+    weights, seen, v0, b = weights[good], seen[good], v0[good], np.clip(b[good], -STEEPEST, STEEPEST)
     for _ in range(3):  # the errors of v0 and b count too, and how much depends on r, mu_k, C
         whiten = _whiten(weights, v0, b, start)
 
@@ -70,7 +78,7 @@ def _paper_chi2(ok: pd.DataFrame) -> dict[str, Any]:
     dof = max(seen.size - 3, 1)
     chi2 = float(2 * found.cost)
     slope = np.asarray(found.jac)
-    std = np.sqrt(np.diag(np.linalg.inv(slope.T @ slope)) * max(1.0, chi2 / dof))
+    std = np.sqrt(np.diag(covariance(slope)) * max(1.0, chi2 / dof))
     values = {name: float(v) for name, v in zip(SHARED, start, strict=True)}
     errors = {f"{name}_std": float(s) for name, s in zip(SHARED, std, strict=True)}
     return {**values, **errors, "chi2": chi2, "dof": seen.size - 3}
@@ -85,7 +93,15 @@ def _weight(row: pd.Series) -> Floats:
         return diagonal
     pick = [table["names"].index(n) for n in names]
     cov = np.array(table["free"], dtype=np.float64)[np.ix_(pick, pick)]
-    return cov if np.isfinite(cov).all() else diagonal
+    return cov if np.isfinite(cov).all() and _positive(cov) else diagonal
+
+
+def _positive(cov: Floats) -> bool:
+    """Whether a matrix is a covariance, rounding allowed for."""
+    if not np.isfinite(cov).all() or not (np.diag(cov) > 0).all():
+        return False
+    size = np.sqrt(np.diag(cov))
+    return bool(np.linalg.eigvalsh(cov / np.outer(size, size))[0] > ROUNDED)
 
 
 def _whiten(covs: Floats, v0: Floats, b: Floats, shared: Floats) -> Floats:
@@ -96,7 +112,9 @@ def _whiten(covs: Floats, v0: Floats, b: Floats, shared: Floats) -> Floats:
     for column, (dv, db) in enumerate(((1e-6, 0.0), (0.0, 1e-6)), start=4):
         slope[:, :, column] = -(predicted(v0 + dv, b + db, shared) - predicted(v0 - dv, b - db, shared)) / 2e-6
     cov = slope @ covs @ np.swapaxes(slope, 1, 2)
-    return np.asarray(np.linalg.inv(np.linalg.cholesky(cov)))
+    size, axes = np.linalg.eigh(cov)
+    least = np.maximum(size, ROUNDED * size[:, -1:])
+    return np.asarray(np.swapaxes(axes, 1, 2) / np.sqrt(least)[..., None])
 
 
 def _rolling(rows: pd.DataFrame) -> dict[str, Any]:
@@ -110,7 +128,7 @@ def _rolling(rows: pd.DataFrame) -> dict[str, Any]:
             continue
         pick = [table["names"].index(name) for name in ROLLING]
         cov = np.array(block, dtype=np.float64)[np.ix_(pick, pick)]
-        if np.isfinite(value).all() and np.isfinite(cov).all():
+        if np.isfinite(value).all() and _positive(cov):
             weight = np.linalg.inv(cov)
             information, pull, n = information + weight, pull + weight @ value, n + 1
     if not n:

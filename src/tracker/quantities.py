@@ -6,6 +6,7 @@ errors follow from the parameters' covariance to first order.
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,6 +20,7 @@ NAMES = (
     *("v0", "b", "t_c", "r", "s", "mu_k", "C", "tau1", "tau2", "v1f", "v2f"),
     *("energy_fraction", "momentum_fraction", "final_angle", "drag", "decel", "w1n", "w1t", "w2n", "w2t"),
 )
+APART = 5.0  # standard errors
 STEP = 0.01  # of a standard error, for derivatives: second-order terms cancel, rounding stays below 1e-6
 
 
@@ -34,23 +36,33 @@ class Values:
         """(20,) standard errors."""
         return np.sqrt(np.diag(self.cov))
 
+    def without_errors(self, names: Collection[str]) -> Values:
+        """The same, but of these names the values alone."""
+        lost, cov = [i for i, name in enumerate(NAMES) if name in names], self.cov.copy()
+        cov[lost, :] = np.nan
+        cov[:, lost] = np.nan
+        return Values(self.value, cov)
+
 
 def of_free(free: Floats, cov: Floats, diameter: float) -> Values:
     """Quantities of a free motion (20,) with covariance (20, 20); diameter in m.
 
-    Friction and spin transfer are each told by either ball; the two are weighed by their errors.
+    Friction and spin transfer are each told by either ball; the two are weighed by their errors. Where they differ by
+    more than APART of these, there is no one value, and its covariance is NaN.
     """
     twice, slope = _with_slope(lambda p: _both(p, diameter), free, cov)
     spread = slope @ cov @ slope.T
-    merge = np.zeros((len(NAMES), len(NAMES) + 2))
+    merge, apart = np.zeros((len(NAMES), len(NAMES) + 2)), list[str]()
     for row, name in enumerate(NAMES):
         column = row + (row > NAMES.index("mu_k")) + (row > NAMES.index("C"))
         if name in ("mu_k", "C"):
             pair = slice(column, column + 2)
             merge[row, pair] = _weights(spread[pair, pair])
+            if abs(twice[column] - twice[column + 1]) > APART * np.sqrt(_of_difference(spread[pair, pair])):
+                apart.append(name)
         else:
             merge[row, column] = 1.0
-    return Values(merge @ twice, merge @ spread @ merge.T)
+    return Values(merge @ twice, merge @ spread @ merge.T).without_errors(apart)
 
 
 def of_tied(tied: Floats, cov: Floats, diameter: float, spin: float = 0.0) -> Values:
@@ -79,8 +91,13 @@ def _with_slope(function, at: Floats, cov: Floats) -> tuple[Floats, Floats]:  # 
 
 def _weights(cov: Floats) -> Floats:
     """Weights (2,), summing to one, of the best mean of two measurements of one thing."""
-    first = (cov[1, 1] - cov[0, 1]) / (cov[0, 0] + cov[1, 1] - 2 * cov[0, 1])
+    first = (cov[1, 1] - cov[0, 1]) / _of_difference(cov)
     return np.array([first, 1 - first])
+
+
+def _of_difference(cov: Floats) -> float:
+    """Variance of the difference of two measurements."""
+    return float(cov[0, 0] + cov[1, 1] - 2 * cov[0, 1])
 
 
 def _both(free: Floats, diameter: float) -> Floats:

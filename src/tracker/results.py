@@ -108,7 +108,7 @@ def gather(results: Path, numbers: Iterable[int]) -> pd.DataFrame:
         rows += [{"clip": number, **row} for row in found]
     table = pd.DataFrame(rows)
     for name in table.columns:  # null stands for NaN in the clips' files
-        if table[name].dtype == object and name not in ("cov", "status", "striker", "noise"):
+        if table[name].dtype == object and name not in ("cov", "status", "striker", "noise", "flags"):
             table[name] = table[name].astype(float)
     return table
 

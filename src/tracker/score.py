@@ -13,6 +13,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from .adequacy import MEASURED, MISFIT
 from .calibration import quantity_bounds, quantity_scores, true_motion
 from .geometry import Camera, InputError
 from .localisation import Matched, bounds, localisation, match
@@ -146,7 +147,8 @@ def _clip_bounds(matched: Matched, cov: Floats, scalars: pd.DataFrame, clip: int
 
 def _joined(scalars: pd.DataFrame, estimates: pd.DataFrame, limits: pd.DataFrame) -> pd.DataFrame:
     """One row a clip: its first measured collision, the truth beside it, the bounds beside that."""
-    order = estimates.assign(_bad=estimates["status"] != "ok").sort_values(["clip", "_bad", "collision"], kind="stable")
+    bad = ~estimates["status"].isin(MEASURED)
+    order = estimates.assign(_bad=bad).sort_values(["clip", "_bad", "collision"], kind="stable")
     first = order.drop_duplicates("clip").drop(columns="_bad")
     names = [n for n in NAMES if n in scalars]
     truth = scalars[["clip", *names]].rename(columns={n: f"{n}_true" for n in names})
@@ -155,10 +157,14 @@ def _joined(scalars: pd.DataFrame, estimates: pd.DataFrame, limits: pd.DataFrame
 
 
 def _held_to(table: pd.DataFrame) -> pd.DataFrame:
-    """The rows' claims that a truth can be held against: without a collision only the rolling loss."""
+    """The rows' claims that a truth can be held against.
+
+    Without a collision only the rolling loss; of a misfit nothing of the tied fit, which claims nothing.
+    """
     held = table.copy()
     other = [f"{n}{kind}" for n in NAMES if n not in OF_ONE_BALL for kind in ("", "_free", "_paper")]
-    held.loc[held["status"] != "ok", [c for c in other if c in held]] = np.nan
+    held.loc[~held["status"].isin(MEASURED), [c for c in other if c in held]] = np.nan
+    held.loc[held["status"] == MISFIT, [n for n in NAMES if n in held]] = np.nan
     return held
 
 

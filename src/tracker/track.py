@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +20,7 @@ import cv2
 import pandas as pd
 
 from . import results
+from .adequacy import MEASURED
 from .detect import DEFAULT, detector, look, settled
 from .geometry import Camera, InputError
 from .link import Tracks, link
@@ -57,10 +58,16 @@ def track_clip(clip: Clip, name: str = DEFAULT) -> tuple[Tracks, Camera, str]:
 
 def measure_clip(tracks: Tracks, camera: Camera) -> tuple[list[dict[str, Any]], pd.DataFrame]:
     """Rows of estimates, and the table of motion about the first collision."""
-    from .estimate import measure, motion_table
+    from .estimate import failure, measure, motion_table, unmeasured
 
-    rows = measure(tracks, camera)
-    return rows, motion_table(tracks, camera, rows[0])
+    try:
+        rows = measure(tracks, camera)
+        return rows, motion_table(tracks, camera, rows[0])
+    except InputError:
+        raise
+    except (ArithmeticError, ValueError, IndexError) as error:  # one clip never costs the others
+        nothing = replace(tracks, **{f.name: getattr(tracks, f.name)[:0] for f in fields(tracks)})
+        return [unmeasured(camera, failure(error))], motion_table(nothing, camera, {})
 
 
 def run(
@@ -198,7 +205,7 @@ def _one(source: Source, index: int, partial: Path, name: str) -> tuple[int, str
         raise InputError(f"{source.clips[index][1]}: not enough memory for its {asked} pixels") from None
     rows, motion = measure_clip(tracks, camera)
     if reason:
-        rows = [row | {"status": reason} if row["status"] != "ok" else row for row in rows]
+        rows = [row if row["status"] in MEASURED else row | {"status": reason} for row in rows]
     results.write_clip(partial, clip.number, tracks, motion, rows, camera)
     return len(clip.frames), "; ".join(filter(None, [clip.note, *_notes(camera), _streaks(camera)]))
 

@@ -4,6 +4,7 @@ A pixel's own response and offset are the same in every frame, so a ball at rest
 them, and one that creeps shares some of it from frame to frame. Linearised, the shift that a random pattern of
 pixels gives a Gaussian glint is the gradient of a smooth random field: shifts at two places D apart correlate as
 (1 - D D^T / 2 s^2) exp(-|D|^2 / 4 s^2), s the glint's width. At D = 0 that is one, for a resting ball.
+Errors that are found to last from frame to frame beyond that are taken for a first-order autoregression.
 """
 
 from __future__ import annotations
@@ -27,8 +28,14 @@ class Whitener:
     Blocks are stretches of rows none of which is far from the next; a row by itself needs no block.
     """
 
-    def __init__(self, place: Floats, cov: Floats, fixed: Floats, width: float) -> None:
-        """place (n, 2) m, cov (n, 2, 2) m^2, fixed (n, 2, 2) the shared part of it, width m of a glint."""
+    def __init__(
+        self, place: Floats, cov: Floats, fixed: Floats, width: float,
+        frame: NDArray[np.int64] | None = None, rho: float = 0.0,
+    ) -> None:  # fmt: skip
+        """place (n, 2) m, cov (n, 2, 2) m^2, fixed (n, 2, 2) the shared part of it, width m of a glint; frame (n,).
+
+        rho: correlation of what is then left, from one frame to the next.
+        """
         self.alone = _inverse_root(cov) if len(cov) else cov
         self.blocks: list[tuple[slice, Floats]] = []
         if width > 0 and len(cov) and fixed.any():
@@ -37,6 +44,7 @@ class Whitener:
                 rows = slice(start, end)
                 whole = covariance(place[rows], cov[rows], fixed[rows], width)
                 self.blocks.append((rows, _lower_root(whole)))
+        self.kept = None if frame is None or rho == 0 else rho ** np.diff(frame)
 
     def __call__(self, errors: Floats) -> Floats:
         """errors (..., n, 2) -> (..., 2n)."""
@@ -48,12 +56,19 @@ class Whitener:
             block = errors[..., rows, :].reshape(-1, len(whole))
             part = slice(2 * rows.start, 2 * rows.start + len(whole))
             out[..., part] = _product(whole, block.T).T.reshape(*errors.shape[:-2], -1)
-        return out
+        return out if self.kept is None else fresh(out, self.kept)
 
     def distance(self, errors: Floats) -> Floats:
         """(..., n) squared Mahalanobis distance of each place by itself, errors (..., n, 2)."""
         root, x, y = self.alone, errors[..., 0], errors[..., 1]
         return np.asarray((root[:, 0, 0] * x) ** 2 + (root[:, 1, 0] * x + root[:, 1, 1] * y) ** 2)
+
+
+def fresh(errors: Floats, kept: Floats) -> Floats:
+    """What is new in each row of errors (..., 2n) of which shares kept (n - 1,) are the row before's: of unit size."""
+    rows = errors.reshape(*errors.shape[:-1], -1, 2)
+    new = (rows[..., 1:, :] - kept[:, None] * rows[..., :-1, :]) / np.sqrt(1 - kept**2)[:, None]
+    return np.concatenate([rows[..., :1, :], new], axis=-2).reshape(errors.shape)
 
 
 def _stretches(breaks: NDArray[np.bool_]) -> list[tuple[int, int]]:
