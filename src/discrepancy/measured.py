@@ -13,7 +13,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from discrepancy.doubt import exchanged, wrong_units
-from tracker.adequacy import MEASURED
+from tracker.adequacy import MEASURED, MISFIT
 from tracker.estimate import measure
 from tracker.geometry import Camera, InputError
 from tracker.link import Tracks
@@ -189,7 +189,7 @@ def collision(tracks: Tracks, row: Mapping[Any, Any], camera: Camera) -> Measure
     """The collision that `row` of the estimates describes, or why it cannot be used."""
     if row["status"] not in MEASURED:  # what a misfit lacks is what a search looks for
         return str(row["status"])
-    guess = np.array([float(row[name]) for name in ("t_c", "v0", "b", "tau1", "tau2")])
+    guess = np.array([_guess(row, name) for name in ("t_c", "v0", "b", "tau1", "tau2")])
     if not np.all(np.isfinite(guess)):
         return "no estimate of the contact"
     t_c, v0, b, *taus = guess
@@ -223,6 +223,12 @@ def collision(tracks: Tracks, row: Mapping[Any, Any], camera: Camera) -> Measure
         ends=t_c + np.array(taus),
         offset=float(np.sqrt(np.trace(fixed[resting], axis1=1, axis2=2).mean() / 2)),
     )
+
+
+def _guess(row: Mapping[Any, Any], name: str) -> float:
+    """A first guess of a quantity: where the tied fit is rejected the free fit comes nearer, if it tells it."""
+    free = float(row.get(f"{name}_free", np.nan)) if row["status"] == MISFIT else np.nan
+    return free if np.isfinite(free) else float(row[name])
 
 
 def _heading(frame: Ints, xy: Array) -> float:
