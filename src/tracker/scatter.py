@@ -32,12 +32,16 @@ STRIDE = 94  # windows whose covariance is made in one go
 class Ball(Protocol):
     """What is asked of a ball's places: see `places.Course`."""
 
-    frame: Ints
-    place: Floats
-    cov: Floats
-    fixed: Floats
-    width: float
-
+    @property
+    def frame(self) -> Ints: ...
+    @property
+    def place(self) -> Floats: ...
+    @property
+    def cov(self) -> Floats: ...
+    @property
+    def fixed(self) -> Floats: ...
+    @property
+    def width(self) -> float: ...
     def __len__(self) -> int: ...
 
 
