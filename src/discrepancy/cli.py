@@ -29,7 +29,7 @@ app = typer.Typer(
     rich_markup_mode=None,
 )
 REPORT = ("discrepancy.json", "index.html", "model.yaml")
-STAGES = ("noise", "fit", "slots", "search", "where", "gap", "report")
+STAGES = ("noise", "fit", "slots", "search", "gap", "where", "report")
 MeasuredPath = Annotated[
     Path, typer.Argument(metavar="MEASURED", help="RESULTS of a tracker, or a table of tracks (CSV or Parquet).")
 ]

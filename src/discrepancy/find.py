@@ -13,6 +13,7 @@ from discrepancy.begin import Tick, base_fit, check, noise_of, smoothed
 from discrepancy.filled import Filled
 from discrepancy.fit import Evidence, Fit
 from discrepancy.gap import Shown, as_dict, show
+from discrepancy.heldout import Claim
 from discrepancy.locate import Place, locate
 from discrepancy.measured import Measured, cannot_tell, split
 from discrepancy.name import Search, search
@@ -24,6 +25,7 @@ from discrepancy.parameter import suspects_of
 from discrepancy.parting import advice, designs
 from discrepancy.refine import refined
 from discrepancy.spike import taken_out, without_spikes
+from discrepancy.stand import Trial
 from synthcam.model import Model
 from tracker.geometry import InputError
 
@@ -33,7 +35,8 @@ UNEXPLAINED = 5.0  # sigma of disagreement left after everything: something that
 
 @dataclass(frozen=True)
 class Found:
-    """The outcome. verdict: none, named, ambiguous or outside_library. where: before; left: after all that was found.
+    """The outcome. verdict: none, named, ambiguous, outside_library or inadequate. where: before; left: after all that
+    was found. claims: those that stand; withdrawn: those that collisions which had no part in them did not bear.
 
     slot: the law left free that explains what no effect of the library does; answer: its curve and formula. alike: what
     no such clips can tell, because they are all alike in it. left_out: why clips, or some of their
@@ -54,6 +57,8 @@ class Found:
     experiment: str
     alike: tuple[str, ...]
     left_out: tuple[str, ...]
+    claims: tuple[Claim, ...] = ()
+    withdrawn: tuple[Claim, ...] = ()
 
     @property
     def best(self) -> Fit:
@@ -65,11 +70,20 @@ class Found:
         """The model with the named effects, refitted. A slot is no effect: no file can hold it."""
         return self.slot.plain if self.slot else self.search.best.model
 
+    @property
+    def sound(self) -> bool:
+        """Whether nothing more is missing: only then do errors of the strengths hold."""
+        return not _unexplained(self.left)
+
     def sentence(self) -> str:
         """The outcome in one sentence."""
         gap = self.shown.gap
+        dropped = f" Withdrawn: {'; '.join(f'{c.name} ({c.why})' for c in self.withdrawn)}." if self.withdrawn else ""
         if self.verdict == "none":
-            return "Nothing is missing: simulation and measurement agree to within the noise."
+            return f"Nothing is missing: simulation and measurement agree to within the noise.{dropped}"
+        if self.verdict == "inadequate":
+            most = f", most of all {self.left[0]} ({self.left[0].sigma:.0f} sigma)" if _unexplained(self.left) else ""
+            return f"Something is missing{most}, and nothing that was tried bears the collisions kept out.{dropped}"
         closed = (
             f"On collisions kept out, the gap {_moved(gap.before, gap.after)} in chi^2 a point; noise alone leaves "
             f"{gap.floor:.3g}."
@@ -84,7 +98,7 @@ class Found:
             what = f"{self.left[0]} ({self.left[0].sigma:.0f} sigma)"
             closed = f"Something else is missing that neither the library nor a free law holds: {what}. {closed}"
         told = [f"{word}: {'; '.join(lines)}." for word, lines in (("Missing", parts), ("Wrong", wrong)) if lines]
-        return " ".join([*told, closed])
+        return " ".join([*told, closed]) + dropped
 
     def document(self) -> dict[str, Any]:
         """The contract's discrepancy.json."""
@@ -94,7 +108,10 @@ class Found:
                 {
                     "effect": n.effect,
                     "parameters": n.values | n.shapes,
-                    "std": {k: np.nan if n.at_limit(k) else std for k, std in (n.std | n.shape_std).items()},
+                    "std": {
+                        k: np.nan if n.at_limit(k) or not self.sound else std
+                        for k, std in (n.std | n.shape_std).items()
+                    },
                     "at_limit": [k for k in n.values if n.at_limit(k)],
                     "sigma": n.sigma,
                     "limit": n.limit,
@@ -111,7 +128,8 @@ class Found:
             "claim": self.search.claim,
             "untold": list(self.search.untold),
             "alike": list(self.alike),
-            "gap": as_dict(self.shown.gap),
+            "withdrawn": [c.document() for c in self.withdrawn],
+            "gap": as_dict(self.shown.gap) | {"by_claim": {c.name: c.gap() for c in self.claims}},
             "experiment": self.experiment,
             "noise": {"scale": self.noise.scale, "correlation": self.noise.correlation, "shake": self.noise.shake},
             "clips": {"fitted": len(self.clips), "kept_out": len(self.kept_out), "left_out": list(self.left_out)},
@@ -155,9 +173,6 @@ def find(clips: Sequence[Measured], model: Model, tick: Tick = lambda stage: Non
         if better is noise:
             break
         noise, former = better, hunt
-    tick("where")
-    where = locate(some, hunt.base, noise)
-    left = locate(cleaned, best, noise) if best is not hunt.base else where
     tick("gap")
     shown = _shown(kept_out, hunt, slot, noise, tick)
     strange = odd(kept_out, shown.before, shown.after)
@@ -165,8 +180,17 @@ def find(clips: Sequence[Measured], model: Model, tick: Tick = lambda stage: Non
         left_out += [f"{line} (kept out)" for line in strange.values()]
         kept_out = [c for k, c in enumerate(kept_out) if k not in strange]
         shown = _shown(kept_out, hunt, slot, noise, tick)
-    named = _beside(slot, hunt) if slot else hunt.named
-    verdict = _verdict(slot, named, left)
+    trial = Trial(Evidence.of(some, noise), kept_out, shown.before, noise, lambda: tick("gap"))
+    stands = trial.standing(hunt, slot)
+    if stands.withdrawn:
+        hunt, slot = stands.search, stands.slot
+        shown = _shown(kept_out, hunt, slot, noise, tick)
+    tick("where")
+    best, cleaned = (slot.whole, slot.evidence.clips) if slot else (hunt.best, tuple(some))
+    where = locate(some, hunt.base, noise)
+    left = locate(cleaned, best, noise) if best is not hunt.base else where
+    named = stands.named
+    verdict = _verdict(slot, named, left, stands.withdrawn)
     experiment = _experiment(hunt, some, noise) if verdict == "ambiguous" else ""
     answer = Answer.of(slot) if slot else None
     return Found(
@@ -184,6 +208,8 @@ def find(clips: Sequence[Measured], model: Model, tick: Tick = lambda stage: Non
         experiment,
         tuple(cannot_tell(clips)),
         tuple(left_out),
+        stands.claims,
+        stands.withdrawn,
     )
 
 
@@ -217,17 +243,16 @@ def _after(slot: Filled | None, clips: Sequence[Measured], noise: Noise) -> Call
     return None if slot is None else lambda before: unseen(slot, clips, before, noise)
 
 
-def _beside(slot: Filled, hunt: Search) -> tuple[Named, ...]:
-    """The library's effects that are claimed beside a slot."""
-    now, known = slot.whole, suspects_of(slot.plain, hunt.base.model, hunt.base.names)
-    return tuple(Named.of(known[effect], now, now.std, sigma) for effect, sigma in slot.beside(hunt.base).items())
+def _unexplained(left: Sequence[Place]) -> bool:
+    return bool(left) and left[0].sigma > UNEXPLAINED
 
 
-def _verdict(slot: Filled | None, named: Sequence[Named], left: Sequence[Place]) -> str:
-    if slot or (left and left[0].sigma > UNEXPLAINED):
+def _verdict(slot: Filled | None, named: Sequence[Named], left: Sequence[Place], withdrawn: Sequence[Claim]) -> str:
+    if slot or (named and _unexplained(left)):
         return "outside_library"
     if not named:
-        return "none"
+        # what chance or a bad clip may do is no claim, and no sign that something is missing
+        return "inadequate" if _unexplained(left) or any(c.own > UNEXPLAINED for c in withdrawn) else "none"
     return "ambiguous" if any(len(n.aliases) > 1 for n in named) else "named"
 
 

@@ -19,7 +19,7 @@ from discrepancy.derivative import coupling, derivatives, launch_derivatives
 from discrepancy.forecast import forecast
 from discrepancy.measured import Measured
 from discrepancy.noise import Noise
-from discrepancy.parameter import BASE, limits_of, parameter_of, span_of
+from discrepancy.parameter import BASE, limits_of, parameter_of, span_of, within
 from discrepancy.whiten import Whitener
 from synthcam.dynamics import uncoupled
 from synthcam.model import Model
@@ -33,6 +33,7 @@ ROUGH = 0.1  # of chi^2: enough to see which of two models fits better
 FORETOLD = 0.2  # of what the derivatives foretell: chi^2 falling so much more or less calls for new ones
 SHARES = (1.0, 0.3, 0.1)  # of a step, tried in turn: along a valley that bends, a part of it still leads down
 DAMPED = 1e6  # the strongest damping
+FAILED = (ValueError, ArithmeticError)  # of a step: no motion, a singular matrix, an overflow
 
 
 @dataclass(frozen=True)
@@ -180,12 +181,15 @@ def settle(
     damping, settled, last = 0.0, ROUGH if rough else SETTLED, False
     for _ in range(ITERATIONS):
         tick()
-        values, own = _step(now, damping)
+        try:
+            values, own = _step(now, damping)
+        except FAILED:
+            break
         foretold = now.chi2 - _foretold(now, values, own)
         if last or foretold < settled:
-            if fresh or rough:
+            if fresh or rough or (here := _here(evidence, now)) is None:
                 break
-            now, fresh, last = linearised(evidence, now.model, now.names, now.launches), True, False
+            now, fresh, last = here, True, False
             continue
         for share in SHARES if fresh else (1.0,):
             moved = _moved(evidence, now, _part(now, values, share), share * own)
@@ -197,17 +201,29 @@ def settle(
                 damping = max(10 * damping, 1e-3)
                 if damping > DAMPED:
                     break
+            elif (here := _here(evidence, now)) is None:
+                break
             else:
-                now, fresh = linearised(evidence, now.model, now.names, now.launches), True
+                now, fresh = here, True
             continue
         damping = damping / 10 if damping > 1e-4 else 0.0
         last = gained < settled and share == 1
         if last and fresh:
-            return moved if rough else linearised(evidence, moved.model, moved.names, moved.launches)
+            return moved if rough else _here(evidence, moved) or moved
         now, fresh = moved, False
         if not last and abs(gained - foretold) > FORETOLD * foretold:
-            now, fresh = linearised(evidence, now.model, now.names, now.launches), True
+            if (here := _here(evidence, now)) is None:
+                break
+            now, fresh = here, True
     return now
+
+
+def _here(evidence: Evidence, now: Fit) -> Fit | None:
+    """With the derivatives of where it stands; None where there are none."""
+    try:
+        return linearised(evidence, now.model, now.names, now.launches)
+    except FAILED:
+        return None
 
 
 def _part(now: Fit, values: Mapping[str, float], share: float) -> dict[str, float]:
@@ -249,7 +265,10 @@ def nudged(evidence: Evidence, now: Fit, model: Model) -> Fit | None:
     there = _moved(evidence, dataclasses.replace(now, model=model), {}, np.zeros_like(now.launches))
     if there is None:
         return None
-    further = _moved(evidence, there, *_step(there, 0.0))
+    try:
+        further = _moved(evidence, there, *_step(there, 0.0))
+    except FAILED:
+        return there
     return further if further and further.chi2 < there.chi2 else there
 
 
@@ -277,7 +296,7 @@ def _beside(
     for values in tries:
         try:
             yield forecast(model.replace(values), now.launches, clips)
-        except ValueError:
+        except FAILED:
             yield None
 
 
@@ -286,10 +305,10 @@ def _moved(evidence: Evidence, now: Fit, values: Mapping[str, float], own: Array
     launches = now.launches + own
     if not (np.all(np.abs(launches[:, 5]) < 1) and np.all(launches[:, 3] > 0)):
         return None
-    model = now.model.replace(values)
     try:
+        model = within(now.model, values)
         return dataclasses.replace(now, model=model, launches=launches, residuals=evidence.left(model, launches))
-    except ValueError:
+    except FAILED:
         return None
 
 
@@ -306,7 +325,7 @@ def _step(now: Fit, damping: float) -> tuple[dict[str, float], Array]:
     value = np.array([now.model.value(n) for n in now.names])
     low, high = np.array(limits).reshape(-1, 2).T
     shared, own = solve(now, damping, low - value, high - value)
-    return dict(zip(now.names, np.clip(value + shared, low, high).tolist(), strict=True)), own
+    return dict(zip(now.names, (value + shared).tolist(), strict=True)), own
 
 
 def solve(now: Fit, damping: float, least: Array, most: Array) -> tuple[Array, Array]:
@@ -317,7 +336,7 @@ def solve(now: Fit, damping: float, least: Array, most: Array) -> tuple[Array, A
         own = a.T @ a
         own[np.diag_indices(6)] *= 1 + damping
         coupling, pull = a.T @ s, a.T @ r
-        solved = np.linalg.solve(own, np.column_stack([coupling, pull]))
+        solved = _solved(own, np.column_stack([coupling, pull]))
         blocks.append(solved)
         matrix += s.T @ s - coupling.T @ solved[:, :-1]
         right += s.T @ r - coupling.T @ solved[:, -1]
@@ -325,6 +344,14 @@ def solve(now: Fit, damping: float, least: Array, most: Array) -> tuple[Array, A
     shared = _bounded(matrix, right, least, most) if size else np.zeros(0)
     own_steps = np.array([b[:, -1] - b[:, :-1] @ shared for b in blocks])
     return shared, own_steps
+
+
+def _solved(matrix: Array, right: Array) -> Array:
+    """What solves it; the least that does where tracks do not show all of a launch."""
+    try:
+        return np.asarray(np.linalg.solve(matrix, right))
+    except np.linalg.LinAlgError:
+        return np.asarray(np.linalg.lstsq(matrix, right, rcond=None)[0])
 
 
 def _bounded(matrix: Array, right: Array, least: Array, most: Array) -> Array:

@@ -25,8 +25,17 @@ LATE = 1e-4  # s, the step of a numerical derivative
 def forecast(model: Model, launches: Array, clips: Sequence[Measured]) -> list[Array]:
     """Predicted centres (n_k, 2), m, where each clip has measurements; launches (clips, 6), columns LAUNCH.
 
-    All clips are of one camera. Raises ValueError when the model has no motion for such a launch.
+    All clips are of one camera. Raises ValueError when the model has no motion for such a launch, or one that no
+    number holds.
     """
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+        places = _forecast(model, launches, clips)
+    if not all(np.isfinite(p).all() for p in places):
+        raise ValueError("the motion is beyond all numbers")
+    return places
+
+
+def _forecast(model: Model, launches: Array, clips: Sequence[Measured]) -> list[Array]:
     if model.sliding_friction == 0:
         model = model.replace({"sliding_friction": FRICTIONLESS})
     camera = clips[0].camera

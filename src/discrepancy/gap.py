@@ -79,10 +79,13 @@ def show(
     phase = np.concatenate([c.phase() for c in clips])
     whole = _part(squares)
     by_phase = {name: _part(squares[phase == k]) for k, name in enumerate(PHASES) if np.any(phase == k)}
+    return Shown(Gap(**vars(whole), closure=_closure(whole, before.points), by_phase=by_phase), before, after)
+
+
+def _closure(whole: Part, points: int) -> float:
+    """The share of the gap that is closed; NaN of one that chance may make."""
     room = whole.before - whole.floor
-    chance = CHANCE * float(np.sqrt(2 / before.points))
-    closure = (whole.before - whole.after) / room if room > chance else float("nan")
-    return Shown(Gap(**vars(whole), closure=closure, by_phase=by_phase), before, after)
+    return (whole.before - whole.after) / room if room > CHANCE * float(np.sqrt(2 / points)) else float("nan")
 
 
 def _by_clip(clips: Sequence[Measured], before: Fit, after: Fit) -> Sequence[tuple[Measured, Array, Array, Array]]:

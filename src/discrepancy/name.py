@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -60,6 +61,15 @@ class Search:
         again = self.hunt.outcome(lambda now, rivals: False, begun)
         less = price(self.best, self.base) - price(again.best, self.base)
         return again if less > (PART if len(again.state) > len(self.state) else 0.0) else None
+
+    def less(self, suspect: Suspect) -> Search:
+        """Without one of the effects named, all else fitted again."""
+        state = tuple(s for s in self.state if s != suspect)
+        return Search(self.base, self.hunt.seen.exact(state), self.ranking, self.claim, state, self.hunt)
+
+    def paid(self, effect: str, sigma: float) -> float:
+        """Sigma of an effect, corrected for the looks at its shapes."""
+        return math.sqrt(max(sigma**2 - 2 * math.log(self.hunt.looks.get(effect, 1.0)), 0.0))
 
     @property
     def rivals(self) -> list[Fit]:

@@ -256,7 +256,8 @@ def _cost(cost: Callable[[T], float], build: Callable[[Shape, Array], T], shape:
 def possible(cost: Callable[[Array], float], x: Array) -> float:
     """The cost; IMPOSSIBLE so far from what the tracks say that a covariance is singular."""
     try:
-        value = cost(x)
+        with np.errstate(all="ignore"):
+            value = cost(x)
     except np.linalg.LinAlgError:
         return IMPOSSIBLE
     return value if np.isfinite(value) else IMPOSSIBLE

@@ -17,10 +17,10 @@ from numpy.typing import NDArray
 from discrepancy.band import stepped
 from discrepancy.candidate import Candidate
 from discrepancy.filled import Filled
-from discrepancy.fit import Evidence, Fit, fit, linearised, settle, solve
+from discrepancy.fit import FAILED, Evidence, Fit, fit, linearised, settle, solve
 from discrepancy.measured import Measured
 from discrepancy.noise import Noise
-from discrepancy.parameter import limits_of
+from discrepancy.parameter import Suspect, limits_of, within
 from discrepancy.price import LAW, price
 from discrepancy.rank import Contest
 from discrepancy.slots import Slot, columns, slots
@@ -108,12 +108,12 @@ def _moved(
     launches = now.launches + own
     if not (np.all(np.abs(launches[:, 5]) < 1) and np.all(launches[:, 3] > 0)):
         return None
-    plain = plain.replace(dict(zip(now.names, np.clip(value + shared, low, high).tolist(), strict=True)))
-    model = slot.bent(plain, coefs + step)
     try:
+        plain = within(plain, dict(zip(now.names, (value + shared).tolist(), strict=True)))
+        model = slot.bent(plain, coefs + step)
         here = dataclasses.replace(evidence, clips=tuple(slot.undone(evidence.clips, plain, launches, coefs + step)))
         residuals = here.left(model, launches)
-    except ValueError:
+    except FAILED:
         return None
     return here, dataclasses.replace(now, model=model, launches=launches, residuals=residuals), plain
 
@@ -237,6 +237,36 @@ class Slots:
             claimed = ranking and ranking[0].sigma > LEVEL and ranking[0].sigma > contest.claim()
             self.asked = filled, ranking[0] if claimed else None
         return self.asked[1]
+
+
+def refilled(evidence: Evidence, filled: Filled, gone: Suspect, base: Fit, tick: Callable[[], None]) -> Filled:
+    """The slot fitted again without one of the effects beside it. Raises ValueError: no motion."""
+    names = tuple(n for n in filled.now.names if n not in gone.strengths + gone.shapes)
+    start = linearised(evidence, gone.without(filled.plain), names, filled.now.launches)
+    now = settle(evidence, start, tick)
+    return fill(evidence, _look(filled.slot, now, _moves(evidence, filled.slot, now.model, now.launches)), base, tick)
+
+
+def emptied(evidence: Evidence, filled: Filled, tick: Callable[[], None]) -> Fit:
+    """The fit without the slot. Raises ValueError: no motion."""
+    return settle(evidence, linearised(evidence, filled.plain, filled.now.names, filled.now.launches), tick)
+
+
+def scatter(filled: Filled, clips: Sequence[Measured], without: Fit, noise: Noise) -> tuple[float, float, float]:
+    """Of numbers of each clip, in clips that the slot was not fitted to: the chi^2 that their likelihood gains.
+
+    And what it was to gain, and with which standard deviation. The numbers are as large as those of the clips fitted.
+    """
+    evidence = Evidence.of(clips, noise)
+    axis = dataclasses.replace(filled.slot.axes[0], high=len(clips) - 1.0, count=len(clips))
+    slot = dataclasses.replace(filled.slot, axes=(axis,))
+    now = linearised(evidence, without.model, (), without.launches)
+    information, pull = now.information(_moves(evidence, slot, now.model, now.launches))
+    size = filled.prior.size * np.sqrt(slot.spread(filled.prior.length))
+    values, axes = np.linalg.eigh(size[:, None] * information * size)
+    values, pulls = np.maximum(values, 0.0), axes.T @ (size * pull)
+    gain = float((pulls**2 / (1 + values) - np.log1p(values)).sum())
+    return gain, float((values - np.log1p(values)).sum()), float(np.sqrt(2 * (values**2).sum()))
 
 
 def unseen(filled: Filled, clips: Sequence[Measured], before: Fit, noise: Noise) -> Fit:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import itertools
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -135,3 +135,9 @@ def limits_of(model: Model, name: str) -> tuple[float, float]:
     """What values a parameter may have."""
     p = parameter_of(model, name)
     return p.low, p.high
+
+
+def within(model: Model, values: Mapping[str, float]) -> Model:
+    """The model with these values, each at the nearest that it may have: rounding leads past a limit."""
+    ends = {name: limits_of(model, name) for name in values}
+    return model.replace({name: min(max(v, ends[name][0]), ends[name][1]) for name, v in values.items()})

@@ -37,6 +37,7 @@ CLIPS = 12  # read, at most: enough to know the noise by
 EXCLUDED = 20.0  # of -2 log likelihood within the phases: one chance in a thousand for five numbers
 SLIGHT = 9.0  # of -2 log likelihood: less gain is no reason to fit everything again
 SEEN = 1e-8  # of a shared parameter's information: where the others leave less it counts for nothing
+TINY = 1e-300  # of a number of the launch that no track shows
 SLOW = (0.95,)  # the correlation from frame to frame of slow noise, to start from
 
 
@@ -94,7 +95,7 @@ class _Left:
             q, r = np.linalg.qr(seen[:, :6])
             rest = seen[:, 6:] - q @ (q.T @ seen[:, 6:])
             gram += rest.T @ rest
-            logs += white.log_determinant + 2 * float(np.log(np.abs(np.diag(r))).sum())
+            logs += white.log_determinant + 2 * float(np.log(np.maximum(np.abs(np.diag(r)), TINY)).sum())
         values, axes = np.linalg.eigh(gram[:-1, :-1])
         values = np.maximum(values, SEEN)
         pulls = axes.T @ gram[:-1, -1]

@@ -75,11 +75,15 @@ class Leg:
 def responses(
     model: Model, launches: Array, clips: Sequence[Measured], changes: Mapping[str, Change], size: int
 ) -> list[Array]:
-    """d tracks (n_k, 2, size) by each of `size` changes of a law; changes: of `friction`, `rolling` or `push`."""
+    """d tracks (n_k, 2, size) by each of `size` changes of a law; changes: of `friction`, `rolling` or `push`.
+
+    What no number holds tells nothing, and is zero.
+    """
     out: list[Array] = []
-    for first in range(0, len(clips), AT_ONCE):
-        out += _some(model, launches[first : first + AT_ONCE], clips[first : first + AT_ONCE], changes, size)
-    return out
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+        for first in range(0, len(clips), AT_ONCE):
+            out += _some(model, launches[first : first + AT_ONCE], clips[first : first + AT_ONCE], changes, size)
+    return [np.nan_to_num(xy, copy=False, nan=0.0, posinf=0.0, neginf=0.0) for xy in out]
 
 
 def _some(

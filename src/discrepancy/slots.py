@@ -55,7 +55,8 @@ class Track:
         first, last = min(int(c.frame.min()) for c in clips), max(int(c.frame.max()) for c in clips)
         times = np.linspace(min(first / clips[0].fps, launches[:, 2].min()), (last + 1) / clips[0].fps, SAMPLES)
         a_strikes = np.array([c.striker == "a" for c in clips])
-        states = collisions(model, launches, times[0], times[-1], a_strikes).at(times)
+        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+            states = np.nan_to_num(collisions(model, launches, times[0], times[-1], a_strikes).at(times))
         slip = np.hypot(*np.moveaxis(contact_velocity(states, model.ball.radius), -1, 0))
         speed, place = np.hypot(states[..., 3], states[..., 4]), states[..., :2]
 

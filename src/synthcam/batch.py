@@ -89,6 +89,8 @@ class Batch:
         first, last = (of(np.atleast_2d(starts), axis=0) for of in (np.min, np.max))
         out = np.zeros((2, *own.shape))
         for segment in self.segments:
+            if not len(segment.begins):
+                continue
             begins, ends = segment.begins[:, None], segment.ends[:, None]
             near = np.flatnonzero((first <= ends.max()) & (last >= begins.min() - exposure))
             if len(near) == 0:
