@@ -1,4 +1,4 @@
-"""The numbers that decide a verdict: a case on either side of each, so near that half of it or twice it decides wrongly."""
+"""The numbers that decide a verdict: a case on either side of each, so near that half of it or twice it is wrong."""
 
 import dataclasses
 from types import SimpleNamespace as Made
@@ -155,11 +155,6 @@ BORNE = Held((1.0, 0.9), 9.0, 9.0)
 def test_clips_kept_out_may_fall_short_by_two_sigma_of_what_is_promised(sigma, stands):
     assert (refused(Held((1.0, 1.01), sigma, 3.0), BORNE) == "") is stands
     assert refused(Held((1.0, 0.99), sigma, 3.0), BORNE) == ""  # foretold better, it is borne
-
-
-def test_half_of_two_sigma_would_refuse_what_noise_does():
-    assert refused(Held((1.0, 1.01), 1.4, 3.0), BORNE) == ""
-    assert refused(Held((1.0, 1.01), 0.6, 3.0), BORNE) != ""
 
 
 @pytest.mark.parametrize(("sigma", "stands"), [(2.4, False), (4.0, True)])

@@ -82,3 +82,11 @@ def test_what_the_clips_kept_out_do_not_bear_is_withdrawn(monkeypatch):
     assert said["gap"]["after"] <= said["gap"]["before"]
     assert "Something is missing" in found.sentence()
     assert gone["claim"] in found.sentence()
+
+
+def test_no_error_is_given_of_a_strength_where_more_is_missing():
+    (named,) = searched("velocity_restitution").named
+    found = dataclasses.replace(searched("velocity_restitution"), named=(named.unsure(),))
+    assert np.isnan(found.document()["named"][0]["std"][E])
+    assert "e = 0.05 without an error" in found.sentence()
+    assert "+-" not in found.sentence()

@@ -108,10 +108,7 @@ class Found:
                 {
                     "effect": n.effect,
                     "parameters": n.values | n.shapes,
-                    "std": {
-                        k: np.nan if n.at_limit(k) or not self.sound else std
-                        for k, std in (n.std | n.shape_std).items()
-                    },
+                    "std": {k: np.nan if n.at_limit(k) else std for k, std in (n.std | n.shape_std).items()},
                     "at_limit": [k for k in n.values if n.at_limit(k)],
                     "sigma": n.sigma,
                     "limit": n.limit,
@@ -189,7 +186,7 @@ def find(clips: Sequence[Measured], model: Model, tick: Tick = lambda stage: Non
     best, cleaned = (slot.whole, slot.evidence.clips) if slot else (hunt.best, tuple(some))
     where = locate(some, hunt.base, noise)
     left = locate(cleaned, best, noise) if best is not hunt.base else where
-    named = stands.named
+    named = tuple(n.unsure() for n in stands.named) if _unexplained(left) else stands.named
     verdict = _verdict(slot, named, left, stands.withdrawn)
     experiment = _experiment(hunt, some, noise) if verdict == "ambiguous" else ""
     answer = Answer.of(slot) if slot else None

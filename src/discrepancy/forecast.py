@@ -20,18 +20,19 @@ __all__ = ["LAUNCH", "forecast", "known_to_measure", "velocities"]
 
 FRICTIONLESS = 1e-9  # stands in for no sliding friction: a slide then outlasts every film, but ends
 LATE = 1e-4  # s, the step of a numerical derivative
+FAR = 1e9  # m: squares of such residuals are still numbers
 
 
 def forecast(model: Model, launches: Array, clips: Sequence[Measured]) -> list[Array]:
     """Predicted centres (n_k, 2), m, where each clip has measurements; launches (clips, 6), columns LAUNCH.
 
-    All clips are of one camera. Raises ValueError when the model has no motion for such a launch, or one that no
-    number holds.
+    All clips are of one camera. Raises ValueError when the model has no motion for such a launch, or one
+    that leads farther than any number should.
     """
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         places = _forecast(model, launches, clips)
-    if not all(np.isfinite(p).all() for p in places):
-        raise ValueError("the motion is beyond all numbers")
+    if not all(np.abs(p).max(initial=0.0) < FAR for p in places):  # NaN too
+        raise ValueError("the motion leads out of the world")
     return places
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -48,6 +48,10 @@ class Named:
         own, bent = {k: std.get(k, np.inf) for k in values}, {k: determined(now, k, std.get(k, 0.0)) for k in shapes}
         return cls(suspect.name, values, own, sigma, (suspect.name,), shapes, bent)
 
+    def unsure(self) -> Named:
+        """Without errors: they would hold only if nothing else were missing."""
+        return replace(self, std=dict.fromkeys(self.std, np.nan), shape_std=dict.fromkeys(self.shape_std, np.nan))
+
     def at_limit(self, name: str) -> bool:
         """Whether a strength stands at the end of what its effect allows: it might lie beyond, so it has no error."""
         if name not in self.values:
@@ -62,7 +66,8 @@ class Named:
     def said(self, base: Model) -> str:
         """The effect with its numbers; where the base model holds a strength, that it is another."""
         rivals = f" or {' or '.join(self.aliases[1:])}" if len(self.aliases) > 1 else ""
-        errors = {k: "at its limit" if self.at_limit(k) else f"+- {self.std[k]:.1g}" for k in self.values}
+        errors = {k: f"+- {self.std[k]:.1g}" if np.isfinite(self.std[k]) else "without an error" for k in self.values}
+        errors |= {k: "at its limit" for k in self.values if self.at_limit(k)}
         shapes = [
             f"{k.rpartition('.')[2]} = {v:.3g} +- {self.shape_std[k]:.1g}"
             if np.isfinite(self.shape_std[k])
