@@ -145,7 +145,12 @@ def test_five_sigma_left_are_something_more(sigma, verdict):
 
 @pytest.mark.parametrize(("own", "verdict"), [(4.0, "none"), (6.0, "inadequate")])
 def test_a_claim_withdrawn_that_chance_may_have_made_is_no_sign_of_more(own, verdict):
-    assert _verdict(None, (), [], [Made(own=own)]) == verdict
+    assert _verdict(None, (), [], [Made(own=own, free=False)]) == verdict
+
+
+@pytest.mark.parametrize(("own", "verdict"), [(4.0, "named"), (6.0, "outside_library")])
+def test_a_free_law_withdrawn_says_that_the_library_does_not_suffice(own, verdict):
+    assert _verdict(None, [Made(aliases=("hop",))], [], [Made(own=own, free=True)]) == verdict
 
 
 BORNE = Held((1.0, 0.9), 9.0, 9.0)
@@ -172,7 +177,7 @@ def test_beside_an_unknown_law_a_name_needs_nine_sigma(monkeypatch, sigma, stand
     base = Made(model=Model(), names=BASE)
     slot = Made(score=100.0, plain=Model(), slot=Made(name="law"), beside=lambda base: {"rolling_quadratic": sigma})
     looked = Made(base=base, claim=4.0, paid=lambda effect, sigma: sigma)
-    claims, _ = stand.Trial(None, (), None, NOISE, lambda: None)._claims(looked, slot)
+    claims, _ = stand.Trial(None, (), None, NOISE, lambda: None)._claims(looked, slot, stand.BESIDE)
     assert (claims[0].why == "") is stands
 
 

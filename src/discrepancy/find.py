@@ -73,7 +73,7 @@ class Found:
     @property
     def sound(self) -> bool:
         """Whether nothing more is missing: only then do errors of the strengths hold."""
-        return not _unexplained(self.left)
+        return not _more(self.left, self.withdrawn)
 
     def sentence(self) -> str:
         """The outcome in one sentence."""
@@ -95,8 +95,8 @@ class Found:
             parts.insert(0, f"{self.answer.law}, which no effect of the library makes ({self.slot.sigma:.0f} sigma)")
             closed = f"Proposed: {self.answer.formula}. model.yaml cannot hold it. {closed}"
         elif self.verdict == "outside_library":
-            what = f"{self.left[0]} ({self.left[0].sigma:.0f} sigma)"
-            closed = f"Something else is missing that neither the library nor a free law holds: {what}. {closed}"
+            what = f": {self.left[0]} ({self.left[0].sigma:.0f} sigma)" if _unexplained(self.left) else ""
+            closed = f"Something else is missing that neither the library nor a free law holds{what}. {closed}"
         told = [f"{word}: {'; '.join(lines)}." for word, lines in (("Missing", parts), ("Wrong", wrong)) if lines]
         return " ".join([*told, closed]) + dropped
 
@@ -186,7 +186,7 @@ def find(clips: Sequence[Measured], model: Model, tick: Tick = lambda stage: Non
     best, cleaned = (slot.whole, slot.evidence.clips) if slot else (hunt.best, tuple(some))
     where = locate(some, hunt.base, noise)
     left = locate(cleaned, best, noise) if best is not hunt.base else where
-    named = tuple(n.unsure() for n in stands.named) if _unexplained(left) else stands.named
+    named = tuple(n.unsure() for n in stands.named) if _more(left, stands.withdrawn) else stands.named
     verdict = _verdict(slot, named, left, stands.withdrawn)
     experiment = _experiment(hunt, some, noise) if verdict == "ambiguous" else ""
     answer = Answer.of(slot) if slot else None
@@ -244,8 +244,13 @@ def _unexplained(left: Sequence[Place]) -> bool:
     return bool(left) and left[0].sigma > UNEXPLAINED
 
 
+def _more(left: Sequence[Place], withdrawn: Sequence[Claim]) -> bool:
+    """Whether something is missing beside all that was found: a law left free that was not borne is a sign of it."""
+    return _unexplained(left) or any(c.free and c.own > UNEXPLAINED for c in withdrawn)
+
+
 def _verdict(slot: Filled | None, named: Sequence[Named], left: Sequence[Place], withdrawn: Sequence[Claim]) -> str:
-    if slot or (named and _unexplained(left)):
+    if slot or (named and _more(left, withdrawn)):
         return "outside_library"
     if not named:
         # what chance or a bad clip may do is no claim, and no sign that something is missing

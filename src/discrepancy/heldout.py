@@ -63,7 +63,7 @@ class Claim:
     """A claim, and what it is held to.
 
     own: sigma beside all else in the clips fitted; kept_out, turns: in the clips kept out, and in all, each held out
-    once. why: it is withdrawn; empty where it stands.
+    once. why: it is withdrawn; empty where it stands. free: a law left free, not an effect.
     """
 
     name: str
@@ -71,6 +71,7 @@ class Claim:
     kept_out: Held
     turns: Held
     why: str = ""
+    free: bool = False
 
     def gap(self) -> dict[str, float]:
         """For discrepancy.json."""

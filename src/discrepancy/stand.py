@@ -24,7 +24,7 @@ Parts = Sequence[Array]
 Pair = tuple[Parts, Parts]
 Left = dict[str, tuple[Search, Filled | None]]
 
-BESIDE = 2 * LEVEL  # sigma of an effect beside a law that nobody knows: what is weaker may be a part of that law
+BESIDE = 2 * LEVEL  # sigma of an effect where a law that nobody knows is missing: what is weaker may be a part of it
 UNSURE = "not significant beside all else"
 
 
@@ -61,7 +61,8 @@ class Trial:
         """The claims that stand: one that does not is withdrawn, and the others are held to the clips again."""
         withdrawn: list[Claim] = []
         while True:
-            claims, without = self._claims(search, slot)
+            level = BESIDE if slot or any(c.free for c in withdrawn) else search.claim
+            claims, without = self._claims(search, slot, level)
             falls = [c for c in claims if c.why]
             if not falls:
                 return Standing(search, slot, tuple(claims), tuple(withdrawn))
@@ -69,10 +70,10 @@ class Trial:
             withdrawn.append(worst)
             search, slot = without[worst.name]
 
-    def _claims(self, search: Search, slot: Filled | None) -> tuple[list[Claim], Left]:
-        """Each claim, and what is left without it."""
+    def _claims(self, search: Search, slot: Filled | None, level: float) -> tuple[list[Claim], Left]:
+        """Each claim, and what is left without it. level: the sigma that an effect needs."""
         if slot is None:
-            return self._named(search)
+            return self._named(search, level)
         claims, left = [], Left()
         with_, turned = self._unseen(slot), in_turn(slot)
         known = suspects_of(slot.plain, search.base.model, search.base.names)
@@ -83,20 +84,20 @@ class Trial:
             except ValueError:  # the clips have no motion without it
                 continue
             left[effect] = search, less
-            why = "" if own > max(BESIDE, search.claim) and less.score > slot.score else UNSURE
+            why = "" if own > max(level, search.claim) and less.score > slot.score else UNSURE
             held = self._held(own, (self._unseen(less), with_), (in_turn(less), turned))
             claims.append(Claim(effect, own, *held, why or refused(*held)))
         left[slot.slot.name] = search, None
         return [*claims, self._slot(search, slot, with_, turned)], left
 
-    def _named(self, search: Search) -> tuple[list[Claim], Left]:
+    def _named(self, search: Search, level: float) -> tuple[list[Claim], Left]:
         claims, left = [], Left()
         with_, turned = self._launched(search.best), foretold(search.best)
         for suspect, named in zip(search.state, search.named, strict=True):
             less = search.less(suspect)
             left[suspect.name] = less, None
             held = self._held(named.sigma, (self._launched(less.best), with_), (foretold(less.best), turned))
-            why = "" if named.sigma > search.claim else UNSURE
+            why = "" if named.sigma > max(level, search.claim) else UNSURE
             claims.append(Claim(suspect.name, named.sigma, *held, why or refused(*held)))
         return claims, left
 
@@ -106,17 +107,17 @@ class Trial:
             empty = emptied(self.evidence, slot, self.tick)
         except ValueError:  # no motion without the slot
             held = self._held(own, (None, with_), (turned, turned))
-            return Claim(name, own, *held, refused(*held))
+            return Claim(name, own, *held, refused(*held), free=True)
         without = self._launched(empty)
         if without is None or slot.slot.axes[0].kind != "set":
             held = self._held(own, (without, with_), (foretold(empty), turned))
-            return Claim(name, own, *held, refused(*held))
+            return Claim(name, own, *held, refused(*held), free=True)
         gain, promised, std = scatter(slot, self.kept_out, without, self.noise)
         before, std = without.chi2 / without.points, max(std, 1e-9)
         one = Held((before, before - gain / without.points), gain / std, promised / std)
         gain += price(empty, search.base) - slot.score  # in the clips fitted
         every = Held((before, before - gain / without.points), own, own)
-        return Claim(name, own, one, every, refused(one, every))
+        return Claim(name, own, one, every, refused(one, every), free=True)
 
     def _held(self, own: float, fits: tuple[Fit | None, Fit | None], turned: Pair) -> tuple[Held, Held]:
         """In the clips kept out, and in all. A model that has no motion for those kept out is refused by them."""
