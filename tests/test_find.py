@@ -119,7 +119,7 @@ def test_the_library_is_asked_again_for_what_stands_in_a_slots_place(monkeypatch
 
 def test_an_effect_that_needs_friction_may_be_an_alias_in_a_textbook_collision(monkeypatch):
     only(monkeypatch, **{n: library()[n] for n in ("stribeck", "viscous_friction", "rolling_quadratic")})
-    clips = collisions(Model().replace({"stribeck.rise": 0.004, "stribeck.slip": 0.3}), 10, 3)
+    clips = collisions(Model().replace({"stribeck.rise": 0.004, "stribeck.slip": 0.3}), 10, 4)
     found = find(clips, Model(sliding_friction=0.0))
     assert "sliding_friction" in names(found)
     assert found.verdict == "ambiguous"

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from discrepancy.filled import Filled
-from discrepancy.fit import Fit, basis
+from discrepancy.fit import Fit, basis, off
 from discrepancy.parameter import limits_of
 
 Array = NDArray[np.float64]
@@ -37,10 +37,14 @@ class Held:
     promised: float
 
     @classmethod
-    def of(cls, without: Parts, with_: Parts, known: float, scattered: bool = False) -> Held:
-        """White residuals of each clip. known: sigma of the claim in the clips fitted.
+    def of(
+        cls, without: Parts, with_: Parts, known: float, there: Fit | None = None, covariance: Array | None = None
+    ) -> Held:
+        """White residuals of each clip. known: sigma of the claim in the clips fitted; inf: these are among them.
 
-        scattered: where the clips scatter about it by more than noise makes them, its sigma is as much smaller.
+        there: the derivatives of the fit with the claim, in these clips, and the covariance that its numbers have from
+        the clips fitted: clips kept out go beyond those. Where clips fitted scatter about a claim by more than noise
+        makes them, its sigma is as much smaller.
         """
         apart = [p - q for p, q in zip(without, with_, strict=True)]
         size = sum(float(d @ d) for d in apart)
@@ -49,7 +53,12 @@ class Held:
             return cls((gap[0], gap[1]), 0.0, 0.0)
         asked = sum(float(p @ d) for p, d in zip(without, apart, strict=True)) / size**0.5
         scatter = sum(float(q @ d) ** 2 for q, d in zip(with_, apart, strict=True)) / size
-        noise = max(1 + size / max(known, 1.0) ** 2, scatter if scattered else 0.0) ** 0.5
+        loose = size / max(known, 1.0) ** 2
+        if there is not None and covariance is not None:
+            own = zip(there.launch_slopes, there.slopes, apart, strict=True)
+            pull = np.asarray(sum(off(a, s).T @ d for a, s, d in own))
+            loose = max(loose, float(pull @ covariance @ pull) / size)
+        noise = max(1 + loose, scatter if np.isinf(known) else 0.0) ** 0.5
         return cls((gap[0], gap[1]), asked / noise, size**0.5 / noise)
 
     @property

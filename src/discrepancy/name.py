@@ -67,6 +67,15 @@ class Search:
         state = tuple(s for s in self.state if s != suspect)
         return Search(self.base, self.hunt.seen.exact(state), self.ranking, self.claim, state, self.hunt)
 
+    def instead(self, suspect: Suspect, alias: str) -> Search | None:
+        """With one that fits as well in the place of an effect named; None where it was not fitted."""
+        rest = frozenset(self.state) - {suspect}
+        for key in list(self.hunt.seen.fits):
+            if len(key) == len(self.state) and key > rest and next(iter(key - rest)).name == alias:
+                state = tuple(next(iter(key - rest)) if s == suspect else s for s in self.state)
+                return Search(self.base, self.hunt.seen.exact(state), self.ranking, self.claim, state, self.hunt)
+        return None
+
     def paid(self, effect: str, sigma: float) -> float:
         """Sigma of an effect, corrected for the looks at its shapes."""
         return math.sqrt(max(sigma**2 - 2 * math.log(self.hunt.looks.get(effect, 1.0)), 0.0))

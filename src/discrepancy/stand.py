@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from discrepancy.filled import Filled
-from discrepancy.fit import Evidence, Fit, fit
+from discrepancy.fit import Evidence, Fit, fit, linearised
 from discrepancy.heldout import Claim, Held, foretold, in_turn, refused
 from discrepancy.measured import Measured
 from discrepancy.name import Search
@@ -26,6 +26,7 @@ Left = dict[str, tuple[Search, Filled | None]]
 
 BESIDE = 2 * LEVEL  # sigma of an effect where a law that nobody knows is missing: what is weaker may be a part of it
 UNSURE = "not significant beside all else"
+EXCHANGED = "another that fits as well is borne"  # a class is claimed, and collisions kept out may tell which of it
 
 
 @dataclass(frozen=True)
@@ -67,7 +68,8 @@ class Trial:
             if not falls:
                 return Standing(search, slot, tuple(claims), tuple(withdrawn))
             worst = min(falls, key=lambda c: c.turns.sigma)
-            withdrawn.append(worst)
+            if worst.why != EXCHANGED:
+                withdrawn.append(worst)
             search, slot = without[worst.name]
 
     def _claims(self, search: Search, slot: Filled | None, level: float) -> tuple[list[Claim], Left]:
@@ -92,14 +94,23 @@ class Trial:
 
     def _named(self, search: Search, level: float) -> tuple[list[Claim], Left]:
         claims, left = [], Left()
-        with_, turned = self._launched(search.best), foretold(search.best)
         for suspect, named in zip(search.state, search.named, strict=True):
             less = search.less(suspect)
             left[suspect.name] = less, None
-            held = self._held(named.sigma, (self._launched(less.best), with_), (foretold(less.best), turned))
-            why = "" if named.sigma > max(level, search.claim) else UNSURE
-            claims.append(Claim(suspect.name, named.sigma, *held, why or refused(*held)))
+            held = self._between(named.sigma, less.best, search.best)
+            why = refused(*held) if named.sigma > max(level, search.claim) else UNSURE
+            for alias in named.aliases[1:] if why and why != UNSURE else ():
+                other = search.instead(suspect, alias)
+                if other and not refused(*self._between(named.sigma, less.best, other.best)):
+                    left[suspect.name], why = (other, None), EXCHANGED
+                    break
+            claims.append(Claim(suspect.name, named.sigma, *held, why))
         return claims, left
+
+    def _between(self, own: float, without: Fit, with_: Fit) -> tuple[Held, Held]:
+        """Two models of the library."""
+        fits = self._launched(without), self._launched(with_)
+        return self._held(own, fits, (foretold(without), foretold(with_)), with_)
 
     def _slot(self, search: Search, slot: Filled, with_: Fit | None, turned: Parts) -> Claim:
         name, own = slot.slot.name, slot.sigma
@@ -119,7 +130,9 @@ class Trial:
         every = Held((before, before - gain / without.points), own, own)
         return Claim(name, own, one, every, refused(one, every), free=True)
 
-    def _held(self, own: float, fits: tuple[Fit | None, Fit | None], turned: Pair) -> tuple[Held, Held]:
+    def _held(
+        self, own: float, fits: tuple[Fit | None, Fit | None], turned: Pair, now: Fit | None = None
+    ) -> tuple[Held, Held]:
         """In the clips kept out, and in all. A model that has no motion for those kept out is refused by them."""
         without, with_ = fits
         if with_ is None:
@@ -130,7 +143,10 @@ class Trial:
             return nothing, nothing
         parts = without.residuals, with_.residuals
         every = [[*seen, *left] for seen, left in zip(turned, parts, strict=True)]
-        return Held.of(*parts, own), Held.of(every[0], every[1], np.inf, scattered=True)
+        there = (
+            linearised(Evidence.of(self.kept_out, self.noise), now.model, now.names, with_.launches) if now else None
+        )
+        return Held.of(*parts, own, there, now.covariance if now else None), Held.of(every[0], every[1], np.inf)
 
     def _launched(self, now: Fit) -> Fit | None:
         """The clips kept out, by a model of the library; None where it has no motion for them."""
