@@ -6,21 +6,22 @@ benchmarks/accuracy.py [--clips 100] [--scene scenes/benchmark.yaml] [-o out/acc
 from __future__ import annotations
 
 import argparse
-import json
 import shutil
 import subprocess
 import sys
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
 from rich.console import Console
 from rich.table import Table
+
+from tracker.score import Score, score
 
 ROOT = Path(__file__).resolve().parent.parent
 FAST = 0.2  # m/s
 GOALS = {"r": 1e-3, "energy_fraction": 1e-3, "tau1": 2e-4}  # rmse of the tied fit above FAST
 FREE = 1.5  # rmse over bound of the free fit, at most
+README = {"r": ("restitution r", 1, ""), "energy_fraction": ("energy fraction", 1, ""), "tau1": ("tau1", 1e3, " ms")}
 QUANTITIES = "r s tau1 tau2 mu_k C v1f v2f energy_fraction momentum_fraction".split()
 
 
@@ -44,9 +45,8 @@ def main() -> None:
     run("tracker", "track", film, "-o", tracked)
     run("tracker", "score", tracked, "--truth", film, "-o", report)
 
-    found = next(iter(json.loads(Path(report, "score.json").read_text())["detectors"].values()))
-    truth = pd.read_parquet(Path(film, "truth", "clips.parquet"))
-    table = truth.merge(pd.read_parquet(Path(tracked, "estimates.parquet")), on="clip", suffixes=("_true", ""))
+    scored = score(tracked, film)
+    found, table = next(iter(scored.to_dict()["detectors"].values())), scored.table
     console, verdicts = Console(width=100), []
 
     def judge(what: str, value: float, limit: float) -> None:
@@ -71,7 +71,23 @@ def main() -> None:
     bias = float((near["r_paper"] - near["r_true"]).mean())
     console.print(f"     r by the paper's differences at 0.25-0.35 m/s: {bias:+.3f} off ({len(near)} clips)")
     console.print(_table(found["quantities"]))
+    console.print("\n".join(readme_lines(scored)), markup=False, highlight=False, soft_wrap=True)
     sys.exit(0 if all(verdicts) else 1)
+
+
+def readme_lines(scored: Score) -> list[str]:
+    """README's table, in Markdown: errors and bounds of the same clips, the tied fit's and the free fit's."""
+    fast = scored.table[(scored.table["v0_true"] > FAST) & (scored.table["status"] == "ok")]
+    heads = ["tied fit: rmse", "bound", "free fit: rmse", "bound"]
+    lines = [f"| {len(fast)} clips over {100 * FAST:g} cm/s | {' | '.join(heads)} |", "|---" * 5 + "|"]
+    for name, (title, factor, unit) in README.items():
+        cells = []
+        for kind in ("", "_free"):
+            rows = fast[np.isfinite(fast[name + kind]) & np.isfinite(fast[f"{name}{kind}_bound"])]
+            for off in (rows[name + kind] - rows[f"{name}_true"], rows[f"{name}{kind}_bound"]):
+                cells.append(f"{factor * float(np.sqrt((off**2).mean())):.2g}{unit}")
+        lines.append(f"| {title} | {' | '.join(cells)} |")
+    return lines
 
 
 def _table(rows: dict[str, dict[str, float]]) -> Table:
