@@ -7,7 +7,6 @@ differences. Where the first two disagree the model is wrong. What a clip cannot
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -25,6 +24,7 @@ from .motion import AFTER, FREE, TARGET, TIED, release
 from .places import Course, courses
 from .pooled import fit_all
 from .quantities import NAMES, Values, of_free, of_tied
+from .row import covariances, unmeasured
 from .scatter import Size, scatter
 from .single import PARAMETERS, roll_alone
 
@@ -183,7 +183,7 @@ def _collision(
 def _values(read: Reading) -> dict[str, Any]:
     """What both fits say, with errors where the data bear the fit."""
     tied, free = told(read)
-    row: dict[str, Any] = {"cov": _as_json({"tied": tied.cov, "free": free.cov})}
+    row: dict[str, Any] = {"cov": covariances({"tied": tied.cov, "free": free.cov})}
     for suffix, values in (("", tied), ("_free", free)):
         for i, name in enumerate(NAMES):
             row[f"{name}{suffix}"], row[f"{name}{suffix}_std"] = values.value[i], values.std[i]
@@ -376,27 +376,5 @@ def _alone(balls: list[Course]) -> dict[str, Any]:
     for name, value, std in best.table():
         told_it = std <= LIMITS.get(name, np.inf)
         out[name], out[f"{name}_std"] = (value, std) if told_it else (np.nan, np.nan)
-    out["cov"] = _as_json({"rolling": best.cov[-3:, -3:]}, PARAMETERS[-3:])
+    out["cov"] = covariances({"rolling": best.cov[-3:, -3:]}, PARAMETERS[-3:])
     return out
-
-
-def unmeasured(camera: Camera, status: str, index: int = 0) -> dict[str, Any]:
-    """A row in which nothing is told."""
-    row: dict[str, Any] = {"collision": index, "striker": camera.striker, "status": status}
-    for name in NAMES:
-        for kind in ("", "_free", "_paper"):
-            row[f"{name}{kind}"] = row[f"{name}{kind}_std"] = np.nan
-    row |= {"cov": "{}", "particle1": -1, "particle2": -1, "heading": np.nan, "x1": np.nan, "y1": np.nan}
-    row |= {"v1ix": np.nan, "v1iy": np.nan, "noise": "given", "noise_px": np.nan, "noise_ratio": np.nan}
-    row |= {"noise_rho": 0.0, "adequate": np.nan, "adequate_free": np.nan, "agree": np.nan, "flags": ""}
-    for suffix in ("", "_free"):
-        row |= {f"chi2{suffix}": np.nan, f"dof{suffix}": 0, f"dropped{suffix}": 0}
-    return row
-
-
-def _as_json(blocks: dict[str, Floats], names: tuple[str, ...] = NAMES) -> str:
-    """Covariances by fit, in the order of `names`; seven digits, which keeps them positive definite enough."""
-    out: dict[str, Any] = {"names": list(names)}
-    for fit, cov in blocks.items():
-        out[fit] = [[float(f"{v:.7g}") if np.isfinite(v) else None for v in line] for line in cov]
-    return json.dumps(out, separators=(",", ":"))

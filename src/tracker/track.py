@@ -58,7 +58,8 @@ def track_clip(clip: Clip, name: str = DEFAULT) -> tuple[Tracks, Camera, str]:
 
 def measure_clip(tracks: Tracks, camera: Camera) -> tuple[list[dict[str, Any]], pd.DataFrame]:
     """Rows of estimates, and the table of motion about the first collision."""
-    from .estimate import failure, measure, motion_table, unmeasured
+    from .estimate import failure, measure, motion_table
+    from .row import unmeasured
 
     try:
         rows = measure(tracks, camera)
