@@ -15,7 +15,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from tracker.score import Score, score
+from tracker.score import score
 
 ROOT = Path(__file__).resolve().parent.parent
 FAST = 0.2  # m/s
@@ -71,22 +71,17 @@ def main() -> None:
     bias = float((near["r_paper"] - near["r_true"]).mean())
     console.print(f"     r by the paper's differences at 0.25-0.35 m/s: {bias:+.3f} off ({len(near)} clips)")
     console.print(_table(found["quantities"]))
-    console.print("\n".join(readme_lines(scored)), markup=False, highlight=False, soft_wrap=True)
+    console.print("\n".join(readme_lines(found["quantities"])), markup=False, highlight=False, soft_wrap=True)
     sys.exit(0 if all(verdicts) else 1)
 
 
-def readme_lines(scored: Score) -> list[str]:
-    """README's table, in Markdown: errors and bounds of the same clips, the tied fit's and the free fit's."""
-    fast = scored.table[(scored.table["v0_true"] > FAST) & (scored.table["status"] == "ok")]
-    heads = ["tied fit: rmse", "bound", "free fit: rmse", "bound"]
-    lines = [f"| {len(fast)} clips over {100 * FAST:g} cm/s | {' | '.join(heads)} |", "|---" * 5 + "|"]
+def readme_lines(quantities: dict[str, dict[str, float]]) -> list[str]:
+    """README's table, in Markdown: rmse and bound of the same clips, the tied fit's and the free fit's."""
+    lines = ["| | tied fit: rmse | bound | free fit: rmse | bound | clips |", "|---" * 6 + "|"]
     for name, (title, factor, unit) in README.items():
-        cells = []
-        for kind in ("", "_free"):
-            rows = fast[np.isfinite(fast[name + kind]) & np.isfinite(fast[f"{name}{kind}_bound"])]
-            for off in (rows[name + kind] - rows[f"{name}_true"], rows[f"{name}{kind}_bound"]):
-                cells.append(f"{factor * float(np.sqrt((off**2).mean())):.2g}{unit}")
-        lines.append(f"| {title} | {' | '.join(cells)} |")
+        fits = [quantities[name], quantities[f"{name}_free"]]
+        cells = [f"{factor * fit[key]:.2g}{unit}" for fit in fits for key in ("rmse", "bound")]
+        lines.append(f"| {title} | {' | '.join(cells)} | {fits[0]['n']}, {fits[1]['n']} |")
     return lines
 
 

@@ -95,7 +95,7 @@ def test_tracks_that_claim_no_error_get_one(recorded, tmp_path):
 
 
 def test_a_negative_error_is_refused(recorded, tmp_path):
-    with pytest.raises(InputError, match=r"x_std: expected 0 to"):
+    with pytest.raises(InputError, match=r"x_std: expected standard errors from 0 to"):
         read_table(recorded, tmp_path, lambda t: t.assign(x_std=-t["x_std"]))
 
 
