@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -18,7 +19,8 @@ from synthcam.model import Model
 Array = NDArray[np.float64]
 Shapes = dict[str, float]
 
-MOTION = {"friction", "rolling", "push"}  # laws whose small changes are integrals over the motion
+# laws whose small changes are integrals over the motion; a change of the load is one of friction, in proportion
+MOTION = {"friction": "friction", "normal_load": "friction", "rolling": "rolling", "push": "push"}
 KNOWN = {"position", "velocity", "speed", "slip", "slip_speed", "gravity", "radius"}  # of a leg
 MANY = 30  # fewer shapes are tried one by one, exactly
 FEW = 2  # the same where nothing but the last step, from pixel to pixel, is taken again
@@ -26,14 +28,13 @@ AT_ONCE = 64  # columns, for memory
 
 
 def scannable(suspect: Suspect, tries: Sequence[Shapes]) -> bool:
-    """Are there many shapes to try, of an effect on one law that asks for no more than is known here?"""
+    """Are there many shapes to try, of an effect on laws that ask for no more than is known here?"""
     laws = suspect.kind.laws if suspect.kind else {}
-    if len(tries) < (FEW if "measure" in laws else MANY) or len(laws) != 1:
+    if not laws or len(tries) < (FEW if "measure" in laws else MANY):
         return False
-    ((law, asks),) = laws.items()
-    if law == "measure":
-        return True
-    return (law == "clock" and asks == ("fps",)) or (law in MOTION and set(asks) <= KNOWN)
+    if "measure" in laws or "clock" in laws:
+        return len(laws) == 1 and laws.get("clock", ("fps",)) == ("fps",)
+    return all(law in MOTION and set(asks) <= KNOWN for law, asks in laws.items())
 
 
 def scanned(
@@ -47,7 +48,6 @@ def scanned(
     """d tracks (n_k, 2, tries, strengths) of each clip, about a model without the suspect. here: its forecast."""
     kind = suspect.kind
     assert kind is not None
-    (law,) = kind.laws
     sizes = {_short(s): parameter_of(model, s).scale for s in suspect.strengths}
     nothing = dict.fromkeys(sizes, 0.0)
     filled = [
@@ -55,13 +55,13 @@ def scanned(
         for shapes in tries
         for s, size in sizes.items()
     ]
-    if law == "clock":
+    if "clock" in kind.laws:
         found = _later(velocities(model, launches, clips), clips, filled)
-    elif law == "measure":
+    elif "measure" in kind.laws:
         found = _mistaken(here, clips, filled)
     else:
         parts = [filled[k : k + AT_ONCE] for k in range(0, len(filled), AT_ONCE)]
-        every = [responses(model, launches, clips, {law: _change(law, p, model)}, len(p)) for p in parts]
+        every = [responses(model, launches, clips, _changes(p, model), len(p)) for p in parts]
         found = [np.concatenate(own, axis=-1) for own in zip(*every, strict=True)]
     return [f.reshape(*f.shape[:2], len(tries), len(sizes)) for f in found]
 
@@ -70,21 +70,26 @@ def _short(name: str) -> str:
     return name.rpartition(".")[2]
 
 
-def _change(law: str, filled: Sequence[tuple[Effect, float]], model: Model) -> Callable[[Leg], Array]:
-    def change(leg: Leg) -> Array:
-        instant: dict[str, Any] = {
-            "position": leg.place,
-            "velocity": leg.velocity,
-            "speed": leg.speed,
-            "slip": leg.slip,
-        }
-        instant |= {"slip_speed": leg.slip_speed, "gravity": model.gravity, "radius": model.ball.radius}
-        value = {"friction": model.sliding_friction, "rolling": 0.0}.get(law, np.zeros_like(leg.velocity))
-        asks = filled[0][0].laws[law]
-        each = [(getattr(e, law)(value, *[instant[a] for a in asks]) - value) / size for e, size in filled]
-        return np.stack(each, axis=-1)
+def _changes(filled: Sequence[tuple[Effect, float]], model: Model) -> dict[str, Callable[[Leg], Array]]:
+    """What the effects, alike but for their numbers, change of friction, rolling loss and push."""
+    laws = filled[0][0].laws
 
-    return change
+    def change(kind: str, leg: Leg) -> Array:
+        return np.asarray(sum(_change(law, filled, model, leg) for law in laws if MOTION[law] == kind))
+
+    return {kind: partial(change, kind) for kind in {MOTION[law] for law in laws}}
+
+
+def _change(law: str, filled: Sequence[tuple[Effect, float]], model: Model, leg: Leg) -> Array:
+    instant: dict[str, Any] = {"position": leg.place, "velocity": leg.velocity, "speed": leg.speed, "slip": leg.slip}
+    instant |= {"slip_speed": leg.slip_speed, "gravity": model.gravity, "radius": model.ball.radius}
+    value: Any = {"friction": model.sliding_friction, "normal_load": model.gravity, "rolling": 0.0}.get(law)
+    if value is None:
+        value = np.zeros_like(leg.velocity)
+    asks = filled[0][0].laws[law]
+    each = [(getattr(e, law)(value, *[instant[a] for a in asks]) - value) / size for e, size in filled]
+    worth = model.sliding_friction / model.gravity if law == "normal_load" else 1.0
+    return np.asarray(worth * np.stack(each, axis=-1))
 
 
 def _later(moving: Sequence[Array], clips: Sequence[Measured], filled: Sequence[tuple[Effect, float]]) -> list[Array]:
