@@ -89,10 +89,10 @@ def test_score_and_search_hold_their_keys(made: Path) -> None:
     quantity = {"n", "bias", "rmse", "bound", "ratio", "z_mean", "z_std", "cover68", "cover95"}
     assert set(found["quantities"]["r_free"]) == quantity
     search = json.loads((made / "search/discrepancy.json").read_text())
-    keys = {"verdict", "named", "aliases", "outside", "where", "ranking", "gap", "experiment"}
+    keys = {"verdict", "named", "aliases", "outside", "where", "ranking", "gap", "experiment", "withdrawn"}
     assert keys <= set(search)
     part = {"before", "after", "floor", "before_um", "after_um", "floor_um"}
-    assert set(search["gap"]) == part | {"closure", "by_phase"}
+    assert set(search["gap"]) == part | {"closure", "by_phase", "by_claim"}
     assert all(set(p) == part for p in search["gap"]["by_phase"].values())
     for page in ("score/index.html", "search/index.html"):
         assert "http" not in re.sub(r"http://www.w3.org\S*", "", (made / page).read_text())

@@ -101,14 +101,17 @@ def test_a_rolling_shutter_is_accounted_for(tmp_path):
         "launch": {"v0": 0.3, "b": 0.1, "heading": {"uniform": [1.0, 2.0]}},
     }
     data = dataset(tmp_path / "data", settings, 4)
+    quantities = ["v0", "t_c", "r", "tau1", "v1f"]
     used, left_out = [], []
     for clip in range(4):
         truth, known = truth_of(data, clip)
         assert Camera.from_dict(known.to_dict()).line_time == known.line_time == 8e-6
         true = scalars_of(data).iloc[clip]
-        for scores, model in ((used, known), (left_out, replace(known, line_time=0.0))):
-            (row,) = measure(noisy(truth, np.random.default_rng(clip), NOISE), model)
-            scores.append([(row[q] - true[q]) / row[f"{q}_std"] for q in ("v0", "t_c", "r", "tau1", "v1f")])
+        seen = noisy(truth, np.random.default_rng(clip), NOISE)
+        (right,), (wrong,) = measure(seen, known), measure(seen, replace(known, line_time=0.0))
+        for scores, row in ((used, right), (left_out, wrong)):
+            scores.append([(row[q] - true[q]) / right[f"{q}_std"] for q in quantities])
+        assert (right["status"], wrong["status"]) == ("ok", "misfit")
     assert np.abs(used).max() < 4
     assert np.abs(left_out).max() > 30
 
