@@ -5,9 +5,10 @@ import dataclasses
 import numpy as np
 import pytest
 
-from discrepancy.begin import base_fit, noise_of
-from discrepancy_clips import collisions
+from discrepancy.begin import base_fit, check, noise_of
+from discrepancy_clips import collisions, exact
 from synthcam.model import Model
+from tracker.geometry import InputError
 
 
 def slower(clip, factor):
@@ -35,3 +36,15 @@ def test_friction_may_be_free_from_zero(monkeypatch):
     clips = collisions(Model(), 8, 4)
     base = base_fit(clips, Model(sliding_friction=0.0, free=("sliding_friction",)), noise_of(clips), lambda stage: None)
     assert base.model.value("sliding_friction") == pytest.approx(0.232, abs=3.5 * base.std["sliding_friction"])
+
+
+@pytest.mark.parametrize("off", [7e-4, -7e-4, 1.4e-3, -1.4e-3])
+def test_balls_that_differ_by_a_thousandth_are_two(off):
+    clips = exact(Model(), 6, 4)
+    camera = dataclasses.replace(clips[0].camera, ball_diameter=2 * Model().ball.radius * (1 + off))
+    clips = [dataclasses.replace(c, camera=camera) for c in clips]
+    if abs(off) < 1e-3:
+        check(clips, Model())
+    else:
+        with pytest.raises(InputError, match=r"the ball of camera\.json is"):
+            check(clips, Model())

@@ -6,17 +6,20 @@ from types import SimpleNamespace as Made
 import numpy as np
 import pytest
 
-from discrepancy import outside, stand
+from discrepancy import noise, outside, refine, stand
+from discrepancy.add import Added
+from discrepancy.candidate import Candidate
 from discrepancy.filled import Filled
 from discrepancy.find import _verdict
-from discrepancy.fit import BASE, Fit, fit
+from discrepancy.fit import BASE, Evidence, Fit, fit
 from discrepancy.gap import Part, _closure
 from discrepancy.heldout import Held, refused
 from discrepancy.name import _Hunt, search
-from discrepancy.noise import Component, Noise
+from discrepancy.noise import Component, Noise, estimate
 from discrepancy.odd import odd
 from discrepancy.outside import Look, Slots
-from discrepancy.parameter import suspects
+from discrepancy.parameter import Suspect, suspects
+from discrepancy.rank import Contest
 from discrepancy.slots import slots
 from discrepancy.weight import Weight
 from discrepancy_clips import exact, noisy, only
@@ -65,6 +68,107 @@ def made_slots(monkeypatch, cost, scores):
 def test_a_law_that_nobody_knows_must_be_better_by_five(monkeypatch, ahead, declared):
     contest, now = made_slots(monkeypatch, 100.0, [100.0 - ahead])
     assert (contest._best(now, 0) is not None) is declared
+
+
+@pytest.mark.parametrize(("behind", "near"), [(-3.0, True), (7.0, True), (14.0, False)])
+def test_the_noise_is_read_beside_a_slot_that_is_behind_by_ten_at_most(monkeypatch, behind, near):
+    contest, now = made_slots(monkeypatch, 100.0, [100.0 + behind, 130.0])
+    assert contest.nearly(now) is (contest.filled[0] if near else None)
+
+
+def test_two_effects_are_claimed_beside_a_slot_however_many_more_would_be_better(monkeypatch):
+    contest, now = made_slots(monkeypatch, 1000.0, [])
+    contest.evidence, contest.tick, scores = None, None, iter((400.0, 300.0, 200.0, 100.0))
+    begun = flat([1.0])
+
+    def law(score):
+        return Made(score=score, now=begun, plain=Model(), slot=None, beside=lambda base: {})
+
+    contest.filled = [law(500.0)]
+    for name in ("linearised", "settle", "_moves"):
+        monkeypatch.setattr(outside, name, lambda *_: begun)
+    monkeypatch.setattr(outside, "_look", lambda *_: Made(sigma=9.0))
+    monkeypatch.setattr(outside, "fill", lambda *_: law(next(scores)))
+    contest._next = lambda filled: Made(shapes={}, strengths=("hop.share",))
+    assert contest.outcome(now).score == 300.0
+
+
+def test_four_effects_are_named_at_most(monkeypatch):
+    """Each in its turn better by far."""
+    hunt = object.__new__(_Hunt)
+    vars(hunt)["_first"] = (), 4.0
+    hunt.seen = Made(contest=len, settled=len, exact=len, rivals=len, price=lambda state: -50.0 * len(state))
+    monkeypatch.setattr(_Hunt, "_winner", lambda self, state, contest, claim: f"effect {contest}")
+    monkeypatch.setattr(_Hunt, "_bettered", lambda self, state, claim: state)
+    assert hunt.outcome(lambda now, rivals: False).state == tuple(f"effect {k}" for k in range(4))
+
+
+@pytest.mark.parametrize(("cosine", "rival"), [(0.85, False), (0.94, True), (-0.94, True)])
+def test_what_looks_like_the_leader_by_nine_tenths_is_fitted_too(cosine, rival):
+    """Though it explains only half as much, to first order."""
+    one, other = np.eye(20)[:, :1], np.eye(20)[:, 1:2]
+    kind = library()["velocity_restitution"]
+
+    def of(name, gain, signature):
+        return Candidate(Suspect(name, (f"{name}.e",), (), kind), {}, gain**0.5, gain, 1.0, True, signature, ())
+
+    ranking = [of("leader", 400.0, one), of("rival", 200.0, cosine * one + (1 - cosine**2) ** 0.5 * other)]
+    hunt = object.__new__(_Hunt)
+    hunt.seen = Made(evidence=None)
+    found = hunt._contenders(Made(sharper=lambda evidence, c: c), ranking, 4.0)
+    assert [c.effect for c in found] == ["leader", "rival"][: 1 + rival]
+
+
+@pytest.mark.parametrize(
+    ("effect", "sizes", "told"),
+    [
+        ("rolling_quadratic", 7.0, True),
+        ("rolling_quadratic", 14.0, False),
+        ("velocity_restitution", 4.0, True),
+        ("velocity_restitution", 7.0, False),  # of 0.2, where 1 is allowed
+    ],
+)
+def test_what_only_shows_beyond_ten_realistic_sizes_or_what_is_allowed_is_not_told(monkeypatch, effect, sizes, told):
+    only(monkeypatch, **{effect: library()[effect]})
+    clips = noisy(exact(Model(), 4, 3), 3)
+    contest = Contest.of(Evidence.of(clips, NOISE), fit(clips, Model(), BASE, NOISE))
+    (trial,) = contest.trials
+    (seen,) = contest.ranking()
+    weaker = dataclasses.replace(trial, columns=tuple(c * seen.limit / sizes for c in trial.columns))
+    (found,) = Contest(contest.now, (weaker,)).ranking()
+    assert found.limit == pytest.approx(sizes)
+    assert found.telling == told
+
+
+@pytest.mark.parametrize(("sigma", "shaken"), [(3.0, False), (6.0, True)])
+def test_noise_is_shared_beyond_four_sigma(monkeypatch, sigma, shaken):
+    both = Noise(Component(1.0), (Component(1.0), Component(1.0)))
+    monkeypatch.setattr(noise.Pairs, "shaken", lambda self, own: sigma)
+    monkeypatch.setattr(noise.Pairs, "noise", lambda self: both)
+    assert (estimate(noisy(exact(Model(), 2, 3), 3)) is both) is shaken
+    assert bool(read_again(monkeypatch, gain=99.0, worse=0.0, sigma=sigma).shared) is shaken
+
+
+def read_again(monkeypatch, gain, worse, sigma=0.0, explained=True):
+    """The noise of residuals that prefer another by `gain`, where the phases make that one worse."""
+    left = Made(clips=[Made(claimed=lambda: np.ones(3))], shaken=lambda noise: (sigma, 0.9))
+    left.cost = lambda noise: gain * (noise is NOISE)
+    left.best = lambda start: (0.0, dataclasses.replace(start))
+    within = Made(pairs=[None], own=lambda: Component(1.0), cost=lambda noise: worse * (noise is not NOISE))
+    monkeypatch.setattr(refine._Left, "of", lambda *_: left)
+    monkeypatch.setattr(refine, "Pairs", lambda pairs: within)
+    return refine.refined((), None, NOISE, explained)
+
+
+@pytest.mark.parametrize(("gain", "new"), [(7.0, False), (13.0, True)])
+def test_noise_is_read_anew_for_a_gain_of_nine(monkeypatch, gain, new):
+    assert (read_again(monkeypatch, gain, worse=0.0) is not NOISE) is new
+    assert read_again(monkeypatch, gain, worse=0.0, explained=False) is not NOISE  # the first reading: always
+
+
+@pytest.mark.parametrize(("worse", "new"), [(15.0, True), (28.0, False)])
+def test_noise_that_the_phases_exclude_by_twenty_is_refused(monkeypatch, worse, new):
+    assert (read_again(monkeypatch, 99.0, worse) is not NOISE) is new
 
 
 @pytest.mark.parametrize(("sigma", "declared"), [(4.0, False), (5.0, True)])
@@ -185,6 +289,12 @@ def test_beside_an_unknown_law_a_name_needs_nine_sigma(monkeypatch, sigma, stand
 def test_a_share_is_told_of_a_gap_of_three_sigma(sigma, told):
     whole = Part(1 + sigma * np.sqrt(2 / 5000), 1.0, 1.0, 1.0, 1.0, 1.0)
     assert np.isfinite(_closure(whole, 5000)) == told
+
+
+@pytest.mark.parametrize(("chi2", "more"), [(1.5, False), (3.0, True)])
+def test_twice_the_noise_left_beside_an_effect_that_was_added_is_something_more(chi2, more):
+    fits = (Made(chi2=c * 900, points=1000, parameters=100, model=None) for c in (9.0, chi2))
+    assert ("more is missing" in Added(*fits, Made(said=lambda model: "hop")).sentence()) is more
 
 
 def test_the_fields_made_here_are_those_of_the_real_ones():

@@ -71,3 +71,36 @@ def test_balls_within_each_other_are_of_no_known_unit():
     one, two = head_on(0.3)
     said = wrong_units([(tracks(0.4 * one, 0.4 * two), CAMERA)])
     assert said == "the balls come as near as 6.49; expected px, and 14.9 of them, a diameter"
+
+
+@pytest.mark.parametrize(("lost", "told"), [(0, True), (2, True), (4, False), (6, False)])
+def test_an_exchange_is_told_where_both_balls_are_seen_again_within_three_frames(lost, told):
+    one, two = head_on(0.5)
+    late = np.arange(len(one))[:, None] >= 30
+    whole = tracks(np.where(late, two, one), np.where(late, one, two))
+    seen = ~((whole.frame >= 30 - lost) & (whole.frame < 30))
+    clip = Tracks(**{k: v[seen] for k, v in vars(whole).items()})
+    assert exchanged(clip, CAMERA) == (30 if told else None)
+
+
+@pytest.mark.parametrize(("nearest", "pixels"), [(0.7, False), (0.9, True), (22.0, True), (44.0, False)])
+def test_balls_of_which_the_nearest_places_are_no_diameter_apart_are_doubted(nearest, pixels):
+    """In diameters: nearer than .8, as no balls are, or never nearer than 30."""
+    along = np.linspace(0, 1, 40)[:, None] * [0.0, 100.0]
+    beside = along + np.array([nearest * DIAMETER, 0])
+    assert (wrong_units([(tracks(along, beside), CAMERA)] * 3) is None) is pixels
+
+
+@pytest.mark.parametrize(("share", "pixels"), [(1.4, True), (2.8, False)])
+def test_tracks_beyond_twice_the_picture_are_doubted(share, pixels):
+    one, two = head_on(0.3)
+    off = np.array([share * max(CAMERA.size) - max(one.max(), two.max()), 0])
+    assert (wrong_units([(tracks(one + off, two + off), CAMERA)] * 3) is None) is pixels
+
+
+@pytest.mark.parametrize(("factor", "unit"), [(1.22, True), (0.82, True), (1.55, False), (0.65, False)])
+def test_a_unit_is_told_where_the_nearest_places_are_a_diameter_apart_within_a_third(factor, unit):
+    """In cm; a diameter is .238."""
+    one, two = (100 * CAMERA.scale * factor * places for places in head_on(0.3))
+    said = wrong_units([(tracks(one, two), CAMERA)])
+    assert said.startswith("the places look like cm: ") is unit

@@ -166,6 +166,13 @@ def test_one_bad_recording_does_not_count_for_all():
     assert noise.scale == pytest.approx(1, rel=0.1)
 
 
+@pytest.mark.parametrize(("power", "counts"), [(6.0, True), (13.0, False)])
+def test_a_recording_of_nine_times_the_noise_does_not_count(power, counts):
+    clips = shaken(CLIPS[:4], 5)
+    bad = dataclasses.replace(clips[0], xy=CLIPS[0].xy + np.sqrt(power) * (clips[0].xy - CLIPS[0].xy))
+    assert (estimate([bad, *clips[1:]]) != estimate(clips[1:])) is counts
+
+
 def test_a_noise_far_from_the_tracks_has_a_cost_too():
     def singular(x):
         return float(np.linalg.cholesky(np.array([[1.0, x[0]], [x[0], 1.0]])).sum()) if x[0] > 1.5 else float(x[0] ** 2)

@@ -9,7 +9,7 @@ from discrepancy.begin import CLAIMED, base_fit
 from discrepancy.find import find
 from discrepancy.forecast import forecast
 from discrepancy.parameter import parameter_of
-from discrepancy.spike import spikes, taken_out, without_spikes
+from discrepancy.spike import _Look, spikes, taken_out, without_spikes
 from discrepancy_clips import FRAMES, STD, collisions, exact, noisy, only
 from synthcam.effect import library
 from synthcam.model import Model
@@ -38,6 +38,35 @@ def found_beside_a_model(clips):
     """What is found beside the base model fitted to the clips, spikes and all: rows."""
     base = base_fit(clips, Model(), CLAIMED, lambda stage: None)
     return [spikes(c, x) for c, x in zip(clips, forecast(base.model, base.launches, clips), strict=True)]
+
+
+@pytest.mark.parametrize(("sigma", "spike"), [(6.0, False), (11.0, True)])
+def test_a_place_is_a_spike_beyond_eight_sigma(sigma, spike):
+    """Of the place and of the parabola through four places on either side: its value in the middle has 708/2064."""
+    for clip, true in zip(CLIPS, exact(Model(), 8, 3), strict=True):
+        row = row_of(clip, 1, 70)
+        xy = clip.xy.copy()
+        xy[row] = true.xy[row] + [sigma * np.sqrt(1 + 708 / 2064) * STD, 0]
+        assert spikes(dataclasses.replace(clip, xy=xy)) == ({row} if spike else set())
+
+
+@pytest.mark.parametrize(("rough", "spike"), [(1.4, True), (2.8, False)])
+def test_places_that_are_twice_as_rough_as_noise_tell_of_no_spike(rough, spike):
+    assert _Look(np.array([0.0, -30.0]), 1.5 * rough).far(1.5) is spike
+
+
+@pytest.mark.parametrize(("off", "spike"), [(7.0, True), (14.0, False)])
+def test_a_model_that_is_ten_errors_off_tells_of_no_spike(off, spike):
+    clip, row = CLIPS[0], row_of(CLIPS[0], 1, 70)
+    expected = exact(Model(), 8, 3)[0].xy + off * STD
+    assert spikes(moved(clip, [row], 40 * STD), expected) == ({row} if spike else set())
+
+
+@pytest.mark.parametrize(("clips", "gone"), [(2, 2), (3, 0)])
+def test_what_three_clips_have_in_one_frame_is_kept(clips, gone):
+    wrong = [moved(c, [row_of(c, 1, 70)], 40 * STD) if k < clips else c for k, c in enumerate(CLIPS)]
+    kept = without_spikes(wrong, [c.xy for c in exact(Model(), 8, 3)])
+    assert sum(len(c.frame) for c in wrong) - sum(len(c.frame) for c in kept) == gone
 
 
 @pytest.mark.parametrize("shift", range(-2, 4))
