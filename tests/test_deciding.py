@@ -183,7 +183,7 @@ def test_a_slot_needs_four_and_a_half_sigma(monkeypatch, sigma, declared):
     assert len(contest.filled) == declared
 
 
-@pytest.mark.parametrize(("share", "better"), [(0.75, False), (1.4, True)])
+@pytest.mark.parametrize(("share", "better"), [(0.95, False), (1.05, True)])
 def test_one_of_so_many_slots_costs_its_choice(monkeypatch, share, better):
     """As likely as each other beforehand, one of n costs 2 ln n."""
     clips = exact(Model(), 4, 3)
@@ -283,6 +283,22 @@ def test_beside_an_unknown_law_a_name_needs_nine_sigma(monkeypatch, sigma, stand
     looked = Made(base=base, claim=4.0, paid=lambda effect, sigma: sigma)
     claims, _ = stand.Trial(None, (), None, NOISE, lambda: None)._claims(looked, slot, stand.BESIDE)
     assert (claims[0].why == "") is stands
+
+
+@pytest.mark.parametrize(
+    ("slot", "free", "levels"), [(None, False, [4.2, 4.2]), ("law", False, [9.0, 4.2]), ("law", True, [9.0, 9.0])]
+)
+def test_nine_sigma_are_asked_beside_an_unknown_law_and_where_one_was_withdrawn(monkeypatch, slot, free, levels):
+    asked = []
+
+    def claims(self, search, slot, level):
+        asked.append(level)
+        return [Made(name="x", free=free, turns=BORNE, why="" if asked[1:] else "not borne")], {"x": (search, None)}
+
+    monkeypatch.setattr(stand.Trial, "_claims", claims)
+    stands = stand.Trial(None, (), None, NOISE, lambda: None).standing(Made(claim=4.2), slot)
+    assert asked == levels
+    assert len(stands.withdrawn) == 1
 
 
 @pytest.mark.parametrize(("sigma", "told"), [(2.0, False), (4.5, True)])
