@@ -2,6 +2,9 @@
 
 import json
 import struct
+import subprocess
+import sys
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -10,6 +13,9 @@ import trimesh
 from scipy.spatial.transform import Rotation
 
 from synthcam.export import export
+from synthcam.glints import find_glints
+from synthcam.render import Film
+from synthcam.scene import check_scene
 from synthcam_stub import SCENE, make
 
 TYPES = {"SCALAR": 1, "VEC3": 3, "VEC4": 4}
@@ -147,3 +153,36 @@ def test_the_camera_sees_balls_where_ours_does(exported, truth):
     right = seen[:, 0] / -seen[:, 2] / (lens["aspectRatio"] * np.tan(lens["yfov"] / 2))
     columns, rows = (1 + right) * width / 2 - 0.5, (1 - up) * height / 2 - 0.5
     np.testing.assert_allclose(np.c_[columns, rows], tracks[["x_px", "y_px"]], atol=1e-3)
+
+
+LAMPS = {  # under a room so bright that the 255ths to which trimesh rounds colours do not count
+    "the paper's": {"room": 0.2},
+    "small, beside": {"position": [0.1, -0.05, 0.3], "radius": 0.004, "room": 0.2},
+    "two": {"room": 0.2, "second": {"position": [-0.2, 0.1, 0.4], "radius": 0.02, "radiance": 0.5}},
+}
+
+
+@pytest.mark.parametrize("lamp", LAMPS.values(), ids=LAMPS)
+def test_a_plain_renderer_shows_plate_and_glint_as_our_film_does(tmp_path, monkeypatch, lamp):
+    scene = SCENE | {"lamp": lamp, "launch": {"v0": 0.3}, "camera": {"size": [128, 96]}}
+    dataset = make(tmp_path / "d", monkeypatch, clips=1, scene=scene)
+    export(dataset, "gltf", tmp_path / "out", lambda done, total: None)
+    clip = check_scene(scene, "s.yaml").draw(0, 5)
+    film = Film(clip.camera, clip.lamp, [clip.model.ball.radius], clip.room, clip.surface)
+    full = clip.sensor.glint_peak / (2**clip.sensor.bits - 1)
+    viewer = Path(__file__).with_name("plain_viewer.py")  # a process of its own: pyrender ends OpenGL for all in its
+    told = subprocess.run(
+        [sys.executable, viewer, tmp_path / "out/000000.glb", *map(str, clip.camera.size)],
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    shown, ours = json.loads(told.stdout), film.plate * full
+    for (row, column), grey in zip(shown["at"], shown["plate"], strict=True):
+        assert grey == pytest.approx(ours[row, column], rel=0.1)
+    flux = full * 2 * np.pi * clip.camera.psf_sigma_px**2  # px^2: of a spot that peaks at `full`
+    rest = np.array([[[0, 0, clip.model.ball.radius]]]), np.array([clip.model.ball.radius]), np.ones((1, 1), bool)
+    lit = [find_glints(clip.camera, each, *rest).flux.sum() for each in clip.lamp.all]
+    flux *= sum(lit) / lit[0]
+    assert shown["flux"] == pytest.approx(flux, rel=0.1)
+    assert shown["brightest"] > 100 * ours.max()

@@ -8,7 +8,9 @@ from typing import Any
 
 import numpy as np
 import trimesh
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
+
+from synthcam.lamp import Lamp
 
 Array = NDArray[np.float64]
 untyped: Any = trimesh
@@ -18,10 +20,7 @@ FLOAT = 5126  # glTF's componentType of float32
 ROUND = 4  # subdivisions of an icosahedron: a ball's outline is then round to 1e-3 of its radius
 BEYOND = 1.5  # of the view's longer side, the plate's
 THICK = 1e-3  # m, of the plate
-STEEL = material(name="steel", baseColorFactor=[0.56, 0.57, 0.58, 1.0], metallicFactor=1.0, roughnessFactor=0.05)
-BLACK = material(name="plate", baseColorFactor=[0.02, 0.02, 0.02, 1.0], metallicFactor=0.0, roughnessFactor=0.9)
 LIGHT = material(name="lamp", baseColorFactor=[0.0, 0.0, 0.0, 1.0], emissiveFactor=[1.0, 1.0, 1.0])
-CANDELA = 1.0  # of the lamp: nothing in a scene tells it
 Z_UP = [-np.sqrt(0.5), 0.0, 0.0, np.sqrt(0.5)]  # turns the world's z to glTF's y
 
 
@@ -37,20 +36,38 @@ class Motion:
     turns: Array
 
 
-def glb(camera: dict[str, Any], balls: list[Motion]) -> bytes:
+@dataclass(frozen=True)
+class Look:
+    """What is seen, as glTF counts it: linear, 1 is white.
+
+    lamps: each with its candela. steel, plate: base colours of two metals. steel_roughness: glTF's.
+    """
+
+    lamps: tuple[tuple[Lamp, float], ...]
+    steel: float
+    steel_roughness: float
+    plate: float
+
+
+def glb(camera: dict[str, Any], balls: list[Motion], look: Look) -> bytes:
     """A binary glTF file of one clip. camera: the keys of camera.json; its lens distortion has no place in glTF."""
     width, height = camera["size"]
     scene = untyped.Scene(base_frame="scene")
     scene.graph.update(frame_from="scene", frame_to="table")
     side = BEYOND * max(width, height) * camera["scale"]
     plate = untyped.creation.box([side, side, THICK])
-    _add(scene, "plate", plate, BLACK, np.array([0.0, 0.0, -THICK / 2]))
+    plate.unmerge_vertices()  # corners shared by faces would have slanting normals, and the plate the light of a dome
+    metals = {"plate": (look.plate, 1.0), "steel": (look.steel, look.steel_roughness)}
+    black, steel = (
+        material(name=name, metallicFactor=1.0, roughnessFactor=rough) for name, (_, rough) in metals.items()
+    )
+    _add(scene, "plate", plate, black, _at([0.0, 0.0, -THICK / 2]))
     for k, ball in enumerate(balls):
-        _add(scene, f"ball{k}", untyped.creation.icosphere(ROUND, ball.radius), STEEL, ball.places[0])
-    lamp = camera["lamp"]
-    disc = untyped.creation.cylinder(lamp["radius"], lamp["radius"] / 100)
-    _add(scene, "lamp", disc, LIGHT, np.array(lamp["position"]))
-    for name in ("light", "camera"):
+        _add(scene, f"ball{k}", untyped.creation.icosphere(ROUND, ball.radius), steel, _at(ball.places[0]))
+    lights = {f"light{k or ''}": each for k, each in enumerate(look.lamps)}
+    for name, (lamp, _) in lights.items():
+        _add(scene, name.replace("light", "lamp"), _shape(lamp), LIGHT, _at(lamp.position, lamp.axes * [1, 1, -1]))
+    for name in (*lights, "camera"):
         scene.graph.update(frame_from="table", frame_to=name)
 
     def animate(buffers: dict[Any, bytes], tree: dict[str, Any]) -> None:
@@ -82,9 +99,14 @@ def glb(camera: dict[str, Any], balls: list[Motion]) -> bytes:
         ]
         nodes["camera"] |= {"camera": 0, "matrix": _pose(camera).T.ravel().tolist()}
         tree["extensionsUsed"] = [*tree.get("extensionsUsed", []), "KHR_lights_punctual"]
-        punctual = {"name": "lamp", "type": "point", "intensity": CANDELA, "color": [1.0, 1.0, 1.0]}
-        tree.setdefault("extensions", {})["KHR_lights_punctual"] = {"lights": [punctual]}
-        nodes["light"] |= {"extensions": {"KHR_lights_punctual": {"light": 0}}, "translation": lamp["position"]}
+        punctual = []
+        for k, (name, (lamp, candela)) in enumerate(lights.items()):
+            punctual.append({"name": name, "type": "point", "intensity": candela, "color": [1.0, 1.0, 1.0]})
+            nodes[name] |= {"extensions": {"KHR_lights_punctual": {"light": k}}, "translation": lamp.position.tolist()}
+        tree.setdefault("extensions", {})["KHR_lights_punctual"] = {"lights": punctual}
+        for made_of in tree["materials"]:  # trimesh would round colours to 255ths
+            if made_of["name"] in metals:
+                made_of["pbrMetallicRoughness"]["baseColorFactor"] = [*[metals[made_of["name"]][0]] * 3, 1.0]
 
     return bytes(
         untyped.exchange.gltf.export_glb(
@@ -93,10 +115,26 @@ def glb(camera: dict[str, Any], balls: list[Motion]) -> bytes:
     )
 
 
-def _add(scene: Any, name: str, mesh: Any, made_of: Any, place: Array) -> None:
-    mesh.visual = untyped.visual.TextureVisuals(material=made_of)
+def _shape(lamp: Lamp) -> Any:
+    """A lamp's body, flat along z."""
+    if lamp.shape == "bar":
+        turn = untyped.transformations.rotation_matrix(lamp.angle, [0, 0, 1])
+        return untyped.creation.box([lamp.length, lamp.width, lamp.width / 100], transform=turn)
+    if lamp.shape == "ring":
+        return untyped.creation.annulus(lamp.inner, lamp.radius, lamp.radius / 100)
+    return untyped.creation.cylinder(lamp.radius, lamp.radius / 100)
+
+
+def _at(place: ArrayLike, axes: Array | None = None) -> Array:
     pose = np.eye(4)
     pose[:3, 3] = place
+    if axes is not None:
+        pose[:3, :3] = axes
+    return pose
+
+
+def _add(scene: Any, name: str, mesh: Any, made_of: Any, pose: Array) -> None:
+    mesh.visual = untyped.visual.TextureVisuals(material=made_of)
     scene.add_geometry(mesh, node_name=name, geom_name=name, parent_node_name="table", transform=pose)
 
 
