@@ -108,6 +108,21 @@ def test_add_fits_a_suspect(recorded, tmp_path, capsys):
     assert read_model(tmp_path / "new.yaml").value("velocity_restitution.e") == fitted
 
 
+@pytest.mark.parametrize("name", ["find", "add"])
+def test_a_misspelt_key_of_the_tables_camera_is_named_as_the_tracker_names_it(name, recorded, tmp_path, capsys):
+    camera = json.loads((recorded / "camera.json").read_text()) | {"exposre": 5e-4, "operator": "me"}
+    (tmp_path / "camera.json").write_text(json.dumps(camera))
+    few = tmp_path / "few.csv"  # refused later: what is said of the camera comes first
+    pd.read_csv(recorded / "tracks.csv").query("clip < 2").to_csv(few, index=False)
+    words = ["--model", MODEL, "--camera", tmp_path / "camera.json", "-o", tmp_path / "out"]
+    words += [few] if name == "find" else ["velocity_restitution", "--fit", few]
+    assert command(name, *words) == 2
+    assert capsys.readouterr().err.splitlines()[:2] == [
+        "discrepancy: exposre: not a key of camera.json; did you mean exposure?",
+        "discrepancy: operator: not a key of camera.json",
+    ]
+
+
 def test_add_tells_what_it_fitted(recorded, tmp_path, capsys):
     words = ("--model", MODEL, "-o", tmp_path / "new.yaml", "--fit", recorded / "results")
     assert command("add", "velocity_restitution", *words, "--json") == 0

@@ -18,7 +18,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from synthcam.model import read_model, write_model
 from synthcam.settings import InputError as ModelError
-from tracker.geometry import InputError
+from tracker.geometry import Camera, InputError
 from tracker.outputs import check_room, told
 
 app = typer.Typer(
@@ -97,6 +97,7 @@ def find(
 
     started = time.monotonic()
     suspect = read_model(model)
+    _say_camera(measured, camera)
     clips, left_out = read_measured(measured, camera)
     with aside(output) as folder:
         with stages(STAGES) as tick:
@@ -132,6 +133,7 @@ def add(
     if output.is_dir():
         raise InputError(f"{output}: a folder; expected the name of a model file")
     check_room(output)
+    _say_camera(fit, camera)
     clips, left_out = read_measured(fit, camera)
     with stages(("noise", "fit", "search")) as tick:
         new = fitted(clips, suspect, effect, tick)
@@ -149,6 +151,13 @@ def add(
     else:
         print(f"{output}: {new.sentence()} ({len(clips)} of {len(clips) + len(left_out)})")
         _say_lost([*left_out, *new.left_out], len(left_out) > len(clips))
+
+
+def _say_camera(measured: Path, camera: Path | None) -> None:
+    """On stderr, what in a table's camera.json nothing reads or accounts for, as the tracker says it."""
+    if camera is not None and measured.is_file():
+        for note in Camera.read(camera).unmodelled:
+            print(f"discrepancy: {note}", file=sys.stderr)
 
 
 def _say_lost(left_out: Sequence[str], most: bool) -> None:
