@@ -1,5 +1,8 @@
 """Films for people: the right frames, slowed down, cropped to the balls."""
 
+import gc
+import resource
+
 import cv2
 import imageio.v3 as iio
 import numpy as np
@@ -88,6 +91,19 @@ def test_a_film_that_fails_leaves_nothing(clip, tmp_path, monkeypatch):
         with pytest.raises(InputError, match="no more"):
             preview.write_film(clip, 5, tmp_path / name)
         assert not list(tmp_path.iterdir())
+
+
+def test_a_gif_on_a_full_disk_leaves_nothing_and_says_no_more(clip, tmp_path):
+    """A limit on files stands in for the disk; what imageio tries again as it is collected would be a warning here."""
+    usual = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (1 << 16, usual[1]))  # what `check_room` wants, and no more
+    try:
+        with pytest.raises(InputError, match=r"f\.gif: File too large$"):
+            preview.write_film(clip, 5, tmp_path / "f.gif")
+        gc.collect()
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, usual)
+    assert not list(tmp_path.iterdir())
 
 
 def first(frames, count):

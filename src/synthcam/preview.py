@@ -75,7 +75,9 @@ def write_film(clip: Clip, seed: int, path: Path) -> float:
     with told(path), tempfile.TemporaryDirectory(dir=path.parent, prefix=f".{path.name}-") as folder:
         aside = Path(folder) / f"film{path.suffix.lower()}"
         if aside.suffix == ".gif":
-            iio.imwrite(aside, list(shown()), duration=1000 / SHOWN_FPS, loop=0)
+            # In memory first: on a full disk imageio would try again as it is collected, and print a traceback.
+            pace = 1000 / SHOWN_FPS
+            aside.write_bytes(iio.imwrite("<bytes>", list(shown()), extension=".gif", duration=pace, loop=0))
         else:
             _write_mp4(aside, shown())
             check_film(aside, clip.frames)
