@@ -137,14 +137,14 @@ def scaled(claims: pd.DataFrame, scale: float) -> pd.DataFrame:
 def spreads(claims: pd.DataFrame, truth: pd.DataFrame) -> Figures:
     """Mean square of the errors of each fit by its covariance, over their number; and that number."""
     table = claims.merge(truth[["clip", *QUANTITIES]], on="clip", suffixes=("", "_true"))
+    blocks = [json.loads(text) for text in table["cov"]]
     figures = {}
     for fit, names in TOGETHER.items():
-        squares = []
-        for _, row in table.iterrows():
-            block = json.loads(row["cov"])
+        suffix, squares = "_free" if fit == "free" else "", []
+        said, true = ([n + end for n in names] for end in (suffix, "_true"))
+        errors = table[said].to_numpy(dtype=float) - table[true].to_numpy(dtype=float)
+        for off, block in zip(errors, blocks, strict=True):
             pick = [block["names"].index(name) for name in names] if fit in block else []
-            suffix = "_free" if fit == "free" else ""
-            off = np.array([row[name + suffix] - row[f"{name}_true"] for name in names], dtype=float)
             cov = np.array(block.get(fit, []), dtype=float)[np.ix_(pick, pick)] if pick else np.full((1, 1), np.nan)
             if np.isfinite(off).all() and np.isfinite(cov).all():
                 size = np.sqrt(np.diag(cov))

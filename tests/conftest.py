@@ -1,13 +1,36 @@
-"""Property tests draw the same cases everywhere, HYPOTHESIS_PROFILE=random new ones; tests find benchmarks/sealed."""
+"""Property tests draw the same cases everywhere, HYPOTHESIS_PROFILE=random new ones; tests find benchmarks/sealed.
+
+With `--dist loadfile` the tests of a file run in one process, and so do those of all files that share searches.
+"""
 
 import os
+import re
 import sys
 from pathlib import Path
 
+import pytest
 from hypothesis import settings
 
 sys.path.append(str(Path(__file__).parent.parent / "benchmarks"))
 
+SHARED = re.compile(r"^from discrepancy_\w+ import .*\b(searched|outsider)\b", re.MULTILINE)
+
 settings.register_profile("same", derandomize=True, deadline=None)
 settings.register_profile("random", deadline=None)
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "same"))
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config, log):
+    if config.option.dist != "loadfile":
+        return None
+    from xdist.scheduler import LoadFileScheduling
+
+    searches = [p.name for p in Path(__file__).parent.glob("test_*.py") if SHARED.search(p.read_text())]
+
+    class Sharing(LoadFileScheduling):
+        def _split_scope(self, nodeid):
+            path = super()._split_scope(nodeid)
+            return "searches" if Path(path).name in searches else path
+
+    return Sharing(config, log)

@@ -91,9 +91,13 @@ def collisions(model, count, seed, rho=0.0, frames=FRAMES):
     return noisy(exact(model, count, seed, frames), seed, rho)
 
 
-@cache
 def searched(hidden, rho=0.0):
-    """A search of eight collisions in which something is hidden."""
+    """A search of eight collisions in which something is hidden: one search, however it is asked for."""
+    return _searched(hidden, rho)
+
+
+@cache
+def _searched(hidden, rho):
     return find(collisions(Model().replace(HIDDEN[hidden]), 8, 3, rho), Model())
 
 

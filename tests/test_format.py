@@ -1,7 +1,8 @@
-"""docs/format.md against what the commands really write."""
+"""docs/format.md against what the commands really write, those of the README as they stand but for fewer clips."""
 
 import json
 import re
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -13,23 +14,23 @@ ROOT = Path(__file__).resolve().parent.parent
 PAGE = (ROOT / "docs" / "format.md").read_text()
 
 
-def run(*words: str, cwd: Path = ROOT) -> str:
+def run(*words: str, cwd: Path) -> None:
     program = Path(sys.executable).with_name(words[0])
     done = subprocess.run([program, *words[1:]], cwd=cwd, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
-    return done.stdout
 
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A dataset, its results, its score and a search, by the public commands."""
+    """A dataset, its results, its score and a search: what every command of the README writes, with fewer clips."""
     folder = tmp_path_factory.mktemp("format")
-    scene = "scenes/painter_behringer.yaml"
-    run("synthcam", "generate", scene, "-o", str(folder / "film"), "--clips", "8", "--set", "camera.size=[400, 300]")
-    run("tracker", "track", str(folder / "film"), "-o", str(folder / "results"))
-    run("tracker", "score", str(folder / "results"), "--truth", str(folder / "film"), "-o", str(folder / "score"))
-    run("discrepancy", "find", str(folder / "results"), "--model", scene, "-o", str(folder / "search"))
-    return folder
+    blocks = re.findall(r"```\n(.*?)```", (ROOT / "README.md").read_text(), re.S)
+    commands = [line for block in blocks for line in block.splitlines() if not line.startswith("make")]
+    assert len(commands) >= 6
+    (folder / "scenes").symlink_to(ROOT / "scenes")
+    for command in commands:
+        run(*re.sub(r"--clips \d+", "--clips 6", command).split(), cwd=folder)
+    return folder / "out"
 
 
 def listed(name: str) -> list[str]:
@@ -42,9 +43,9 @@ def listed(name: str) -> list[str]:
 @pytest.mark.parametrize(
     ("name", "path"),
     [
-        ("truth/clips.parquet", "film/truth/clips.parquet"),
-        ("truth/tracks.parquet", "film/clips/000000/truth/tracks.parquet"),
-        ("truth/events.parquet", "film/clips/000000/truth/events.parquet"),
+        ("truth/clips.parquet", "benchmark/truth/clips.parquet"),
+        ("truth/tracks.parquet", "benchmark/clips/000000/truth/tracks.parquet"),
+        ("truth/events.parquet", "benchmark/clips/000000/truth/events.parquet"),
         ("motion.parquet", "results/clips/000000/motion.parquet"),
     ],
 )
@@ -71,7 +72,7 @@ def test_estimates_hold_every_quantity_three_ways(made: Path) -> None:
 
 
 def test_camera_file_holds_what_the_page_tells(made: Path) -> None:
-    camera = json.loads((made / "film/clips/000000/camera.json").read_text())
+    camera = json.loads((made / "benchmark/clips/000000/camera.json").read_text())
     text = re.search(r"\*\*camera\.json\*\*:(.*?)Needed are", PAGE, re.S)
     assert text
     named = set(re.findall(r"`(\w+)`", text[1]))
@@ -100,25 +101,12 @@ def test_score_and_search_hold_their_keys(made: Path) -> None:
 
 def test_results_without_any_truth_are_the_same_bytes(made: Path, tmp_path: Path) -> None:
     """The tracker opens frames and camera.json only."""
-    import shutil
-
-    bare = tmp_path / "film"
-    shutil.copytree(made / "film", bare, ignore=shutil.ignore_patterns("truth"))
+    bare = tmp_path / "benchmark"
+    shutil.copytree(made / "benchmark", bare, ignore=shutil.ignore_patterns("truth"))
     assert not list(bare.rglob("truth"))
-    run("tracker", "track", str(bare), "-o", str(tmp_path / "results"))
+    run("tracker", "track", "benchmark", "-o", "results", cwd=tmp_path)
     files = [p.relative_to(made / "results") for p in sorted((made / "results").rglob("*")) if p.is_file()]
     assert len(files) > 20
     for name in files:
         if name.name != "run.json":
             assert (tmp_path / "results" / name).read_bytes() == (made / "results" / name).read_bytes(), name
-
-
-def test_readme_commands_run(tmp_path: Path) -> None:
-    """Every command of the README, with fewer clips."""
-    blocks = re.findall(r"```\n(.*?)```", (ROOT / "README.md").read_text(), re.S)
-    commands = [line for block in blocks for line in block.splitlines() if not line.startswith("make")]
-    assert len(commands) >= 6
-    (tmp_path / "scenes").symlink_to(ROOT / "scenes")
-    for command in commands:
-        words = re.sub(r"--clips \d+", "--clips 8", command).split()
-        run(*words, cwd=tmp_path)

@@ -85,11 +85,11 @@ def watched(gate, claims, truth):
     return out
 
 
-@pytest.mark.parametrize("scale", [0.64, 0.8, 1.25, 1.5])
-def test_a_covariance_that_is_not_true_fails(gate, scale):
-    for seed in range(5):
-        claims, truth = drawn(gate, seed)
-        assert gate.dishonest(watched(gate, claims, truth)) == []
+@pytest.mark.parametrize("seed", range(5))
+def test_a_covariance_that_is_not_true_fails(gate, seed):
+    claims, truth = drawn(gate, seed)
+    assert gate.dishonest(watched(gate, claims, truth)) == []
+    for scale in (0.64, 0.8, 1.25, 1.5):
         said = {line.partition(" = ")[0] for line in gate.dishonest(watched(gate, gate.scaled(claims, scale), truth))}
         assert {"tied.spread", "free.spread"} <= said
         if scale == 0.64:  # a half more in the squares is seen in single quantities too
@@ -97,9 +97,9 @@ def test_a_covariance_that_is_not_true_fails(gate, scale):
 
 
 def test_true_error_bars_do_not_fail_by_chance(gate):
-    """The largest departure of 60 suites' pooled figures, in sampling errors, is what 120 normal draws give."""
+    """The largest departure of 20 suites' pooled figures, in sampling errors, is what 40 normal draws give."""
     worst = 0.0
-    for seed in range(60):
+    for seed in range(20):
         found = gate.spreads(*drawn(gate, 100 + seed))
         z = [(found[f"{fit}.spread"] - 1) / math.sqrt(2 / found[f"{fit}.errors"]) for fit in gate.TOGETHER]
         worst = max(worst, *map(abs, z))

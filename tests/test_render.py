@@ -29,8 +29,9 @@ def overhead(**changes):
 
 def trace(camera, centres, pixels, radii):
     """Rays through pixels (M, 2): bounces, reflectance kept, by how much the lamp's centre is missed, m, last rise."""
+    steps = 100 if np.any(camera.dist) else 1
     flat = cv2.undistortPoints(
-        pixels.reshape(-1, 1, 2), camera.K, camera.dist, criteria=(cv2.TERM_CRITERIA_MAX_ITER, 100, 0)
+        pixels.reshape(-1, 1, 2), camera.K, camera.dist, criteria=(cv2.TERM_CRITERIA_MAX_ITER, steps, 0)
     ).reshape(-1, 2)
     way = np.c_[flat, np.ones(len(flat))] @ camera.R
     way /= np.linalg.norm(way, axis=1, keepdims=True)
@@ -74,10 +75,10 @@ def lamp_images(camera, centres, radii, highest=3):
             gap = np.where(bounces == order, miss, np.inf).reshape(len(side), -1)
             lowest = (gap == minimum_filter(gap, 3)) & (gap < 0.4 * order)
             for start in grid[lowest.ravel()]:
-                image = zoom(camera, centres, radii, order, start)
+                middle = nearest(camera, centres, radii, order, start)
                 # Next to a touching ball the scan sees a part of that one too.
-                if image and not any(np.abs(image[1] - other[1]).max() < 0.05 for other in found):
-                    found.append(image)
+                if middle is not None and not any(np.abs(middle - other[1]).max() < 0.05 for other in found):
+                    found.append(zoom(camera, centres, radii, order, middle))
     return found
 
 
@@ -85,15 +86,18 @@ def square(middle, side):
     return np.stack(np.meshgrid(side, side), -1).reshape(-1, 2) + middle
 
 
-def zoom(camera, centres, radii, order, middle):
+def nearest(camera, centres, radii, order, middle):
+    """Where near a pixel the lamp is seen best by so many bounces, if at all."""
     half = 0.08
     for _ in range(8):
         grid = square(middle, np.linspace(-half, half, 41))
         bounces, _, miss, _ = trace(camera, centres, grid, radii)
         miss = np.where(bounces == order, miss, np.inf)
         middle, half = grid[miss.argmin()], half / 3
-    if miss.min() > LAMP.radius:
-        return None
+    return middle if miss.min() <= LAMP.radius else None
+
+
+def zoom(camera, centres, radii, order, middle):
     half, lit = 2e-4, np.ones(1681, bool)
     while lit.reshape(41, 41)[[0, -1]].any() or lit.reshape(41, 41)[:, [0, -1]].any():
         half *= 1.5
