@@ -4,10 +4,12 @@ import html
 import json
 import re
 
+import numpy as np
 import pytest
 
 from discrepancy import report
 from discrepancy.figures import drawn
+from discrepancy.named import as_sure
 from discrepancy.story import story
 from discrepancy_clips import searched
 from discrepancy_outsiders import OUTSIDERS, outsider
@@ -69,3 +71,29 @@ def test_the_formula_and_its_curve_are_on_the_page():
     figures = {f["title"]: f["png"] for f in drawn(found)}
     assert found.answer.formula in figures
     assert len(figures) == 6
+
+
+@pytest.mark.parametrize(
+    ("value", "std", "digits", "shown"),
+    [
+        (0.001001, 7.4e-7, 1, "0.0010010"),
+        (0.001001, 7.4e-7, 2, "0.00100100"),
+        (-0.4567, 0.0996, 1, "-0.5"),
+        (3.21e-6, 4e-8, 1, "3.21e-06"),
+        (31.4, 2.0, 1, "31"),
+        (0.02, 1.0, 1, "0.02"),
+        (0.5, np.inf, 1, "0.5"),
+    ],
+)
+def test_a_value_is_shown_as_far_as_its_error_goes(value, std, digits, shown):
+    assert as_sure(value, std, digits) == shown
+
+
+def test_strengths_and_fitted_parameters_have_their_units(written):
+    found, folder = written
+    page = (folder / "index.html").read_text()
+    rows = [re.findall(r"<td[^>]*>(.*?)</td>", line) for line in re.findall(r"<tr>(.*?)</tr>", page)]
+    units = {row[0]: row[1] for row in rows if len(row) == 4}
+    assert (units["rolling_drag"], units["rolling_decel"], units["restitution"]) == ("1/s", "m/s^2", "")
+    told = [row[3] for row in rows if row[:2] == ["velocity_restitution", "e"]]
+    assert told == [""] * len(found.named)

@@ -16,6 +16,7 @@ from tracker.cli import app
 from tracker.estimate import fit_all, measure
 from tracker.link import Tracks
 from tracker.quantities import NAMES
+from tracker.report import write_report
 from tracker.score import score
 from tracker.track import measure_clip
 from tracker_noisy import BENCHMARK, NOISE, dataset, measured, noisy, results, scalars_of, truth_of
@@ -254,3 +255,5 @@ def test_a_score_counts_misfits_and_holds_only_their_free_fit_to_the_truth(hoppi
     assert found.quantities["r"]["n"] == 0
     assert found.quantities["v0_free"]["n"] == 3
     assert found.quantities["v0_free"]["z_std"] < 3
+    page = write_report(found, tmp_path / "results", hopping, tmp_path / "page").read_text(encoding="utf-8")
+    assert "No clip has a collision that the tied fit describes (3 misfit)" in page

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
@@ -66,19 +67,31 @@ class Named:
     def said(self, base: Model) -> str:
         """The effect with its numbers; where the base model holds a strength, that it is another."""
         rivals = f" or {' or '.join(self.aliases[1:])}" if len(self.aliases) > 1 else ""
+        shown = {k: as_sure(v, self.std[k], 1) for k, v in self.values.items()}
         errors = {k: f"+- {self.std[k]:.1g}" if np.isfinite(self.std[k]) else "without an error" for k in self.values}
         errors |= {k: "at its limit" for k in self.values if self.at_limit(k)}
         shapes = [
-            f"{k.rpartition('.')[2]} = {v:.3g} +- {self.shape_std[k]:.1g}"
+            f"{k.rpartition('.')[2]} = {as_sure(v, self.shape_std[k], 1)} +- {self.shape_std[k]:.1g}"
             if np.isfinite(self.shape_std[k])
             else f"{k.rpartition('.')[2]} undetermined"
             for k, v in self.shapes.items()
         ]
         if self.held(base):
-            strengths = [f"{k} is not {base.value(k):.3g} but {v:.3g} {errors[k]}" for k, v in self.values.items()]
+            strengths = [f"{k} is not {base.value(k):.3g} but {v} {errors[k]}" for k, v in shown.items()]
             return f"{', '.join([*strengths, *shapes])} ({self.sigma:.0f} sigma){rivals}"
-        strengths = [f"{k.rpartition('.')[2]} = {v:.3g} {errors[k]}" for k, v in self.values.items()]
+        strengths = [f"{k.rpartition('.')[2]} = {v} {errors[k]}" for k, v in shown.items()]
         return f"{self.effect}{rivals} ({', '.join([*strengths, *shapes])}; {self.sigma:.0f} sigma)"
+
+
+def as_sure(value: float, std: float, digits: int) -> str:
+    """A value to the decimal place of so many digits of its error; to three digits where it has none."""
+    if not (np.isfinite(std) and std > 0 and value):
+        return f"{value:.3g}"
+    places = digits - 1 - math.floor(math.log10(float(f"{std:.{digits - 1}e}")))
+    figures = max(places + math.floor(math.log10(abs(value))) + 1, 1)
+    if abs(value) < 1e-4:
+        return f"{value:.{figures - 1}e}"
+    return f"{value:.{places}f}" if places > 0 else f"{value:.{figures}g}"
 
 
 def determined(now: Fit, shape: str, std: float) -> float:

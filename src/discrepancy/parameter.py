@@ -112,12 +112,15 @@ def fitted(model: Model) -> tuple[str, ...]:
     return tuple(dict.fromkeys([*(n for n in BASE if model.value(n) != 0), *model.free]))
 
 
+_UNITS = {"rolling_drag": "1/s", "rolling_decel": "m/s^2"}  # the other base parameters are pure numbers
+
+
 def parameter_of(model: Model, name: str) -> Parameter:
     """A parameter by its dotted name, with its unit, its realistic size and its limits."""
     effect, dot, own = name.rpartition(".")
     if not dot:
         high = _LIMITED[name][1] if name in _LIMITED else math.inf
-        return Parameter(name, "", getattr(Model(), name), 0.0, high, fixed=False, default=0.0)
+        return Parameter(name, _UNITS.get(name, "1"), getattr(Model(), name), 0.0, high, fixed=False, default=0.0)
     kind = next((type(e) for e in model.effects if e.name() == effect), None) or library()[effect]
     return next(p for p in kind.parameters() if p.name == own)
 

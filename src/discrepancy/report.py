@@ -13,8 +13,10 @@ import numpy as np
 
 from discrepancy.figures import drawn
 from discrepancy.find import Found
+from discrepancy.named import as_sure
+from discrepancy.parameter import parameter_of
 from discrepancy.story import story
-from synthcam.model import write_model
+from synthcam.model import Model, write_model
 
 
 def write(found: Found, folder: Path, left_out: Sequence[str]) -> None:
@@ -33,8 +35,16 @@ def write(found: Found, folder: Path, left_out: Sequence[str]) -> None:
         story=story(found),
         figures=drawn(found),
         finite=np.isfinite,
+        as_sure=as_sure,
+        unit=_unit,
     )
     (folder / "index.html").write_text(page, encoding="utf-8")
+
+
+def _unit(name: str) -> str:
+    """Of a parameter by its dotted name; empty for a pure number."""
+    unit = parameter_of(Model(), name).unit
+    return "" if unit == "1" else unit
 
 
 def _plain(value: Any) -> Any:

@@ -36,6 +36,7 @@ Floats = NDArray[np.float64]
 KINDS = {"": "tied fit", "_free": "free fit", "_paper": "the paper's differences"}
 FIGURE_NAMES = ("frame", "tracks", "separation", "energy", "tied", "free", "paper", "honesty")
 TYPICAL_SPEED = 0.3  # m/s; the clip shown is the one nearest to it
+RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
 def write_report(score: Score, results: Path | str, dataset: Path | str, report: Path | str) -> Path:
@@ -137,7 +138,7 @@ def _text(value: float | None, digits: int = 3) -> str:
         return str(value)
     if value != 0 and (abs(value) < 1e-3 or abs(value) >= 1e5):
         mantissa, exponent = f"{value:.{digits - 1}e}".split("e")
-        return f"{mantissa}·10^{int(exponent)}"
+        return f"{mantissa}·10{str(int(exponent)).translate(RAISED)}"
     return f"{value:.{digits}g}".replace("e+0", "e")
 
 
