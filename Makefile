@@ -25,14 +25,14 @@ test: lint types
 	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist loadfile
 
 gate: $(READY)
-	$(BIN)/python benchmarks/gate.py
+	$(BIN)/python benchmarks/regression/gate.py
 
 coverage: $(READY)
 	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist loadfile --cov --cov-report=term:skip-covered --cov-report=html:out/coverage
 
-# long studies: benchmarks/NAME.py, results in out/
+# long studies: benchmarks/*/NAME.py, results in out/
 bench-%: $(READY)
-	$(BIN)/python benchmarks/$(subst -,_,$*).py
+	$(BIN)/python benchmarks/*/$(subst -,_,$*).py
 
 clean:
 	rm -rf .venv demo

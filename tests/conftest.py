@@ -1,17 +1,14 @@
-"""Property tests draw the same cases everywhere, HYPOTHESIS_PROFILE=random new ones; tests find benchmarks/sealed.
+"""Property tests draw the same cases everywhere, HYPOTHESIS_PROFILE=random new ones.
 
 With `--dist loadfile` the tests of a file run in one process, and so do those of all files that share searches.
 """
 
 import os
 import re
-import sys
 from pathlib import Path
 
 import pytest
 from hypothesis import settings
-
-sys.path.append(str(Path(__file__).parent.parent / "benchmarks"))
 
 SHARED = re.compile(r"^from discrepancy_\w+ import .*\b(searched|outsider)\b", re.MULTILINE)
 
@@ -26,11 +23,12 @@ def pytest_xdist_make_scheduler(config, log):
         return None
     from xdist.scheduler import LoadFileScheduling
 
-    searches = [p.name for p in Path(__file__).parent.glob("test_*.py") if SHARED.search(p.read_text())]
+    every = Path(__file__).parent.rglob("test_*.py")
+    searches = {p.relative_to(config.rootpath).as_posix() for p in every if SHARED.search(p.read_text())}
 
     class Sharing(LoadFileScheduling):
         def _split_scope(self, nodeid):
             path = super()._split_scope(nodeid)
-            return "searches" if Path(path).name in searches else path
+            return "searches" if path in searches else path
 
     return Sharing(config, log)

@@ -8,18 +8,18 @@ from typing import Any
 
 import numpy as np
 
-from discrepancy.begin import Tick, base_fit, check, noise_of, smoothed
-from discrepancy.claim import sigmas
-from discrepancy.elsewhere import spread
-from discrepancy.fit import Evidence, Fit, settle
-from discrepancy.grow import grown
-from discrepancy.measured import Measured
-from discrepancy.named import Named
-from discrepancy.rank import Contest
-from discrepancy.spike import taken_out, without_spikes
+from discrepancy.data.collisions import Measured
+from discrepancy.data.outlier_points import taken_out, without_spikes
+from discrepancy.fitting.base_fit import Tick, base_fit, check, noise_of, smoothed
+from discrepancy.fitting.gauss_newton import Evidence, Fit, settle
+from discrepancy.fitting.significance import sigmas
+from discrepancy.selection.extend import grown
+from discrepancy.selection.named import Named
+from discrepancy.selection.profile_errors import spread
+from discrepancy.selection.score_test import Contest
 from synthcam.effect import library
 from synthcam.model import Model
-from tracker.geometry import InputError
+from tracker.camera.camera import InputError
 
 POOR = 2.0  # chi^2 a degree of freedom of a fit that lacks more than what noise may
 

@@ -18,7 +18,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from synthcam.model import read_model, write_model
 from synthcam.settings import InputError as ModelError
-from tracker.geometry import Camera, InputError
+from tracker.camera.camera import Camera, InputError
 from tracker.outputs import check_room, told
 
 app = typer.Typer(
@@ -91,9 +91,9 @@ def find(
 
     Example: discrepancy find out/results --model scenes/painter_behringer.yaml -o out/search
     """
-    from discrepancy import report
+    from discrepancy.data.collisions import read_measured
     from discrepancy.find import find as search
-    from discrepancy.measured import read_measured
+    from discrepancy.report import html as report
 
     started = time.monotonic()
     suspect = read_model(model)
@@ -127,7 +127,7 @@ def add(
     Example: discrepancy add plate_tilt --model model.yaml --fit out/results -o tilted.yaml
     """
     from discrepancy.add import add as fitted
-    from discrepancy.measured import read_measured
+    from discrepancy.data.collisions import read_measured
 
     suspect = read_model(model)
     if output.is_dir():

@@ -8,26 +8,26 @@ from typing import Any
 
 import numpy as np
 
-from discrepancy.answer import Answer
-from discrepancy.begin import Tick, base_fit, check, noise_of, smoothed
-from discrepancy.filled import Filled
-from discrepancy.fit import Evidence, Fit
-from discrepancy.gap import Shown, as_dict, show
-from discrepancy.heldout import Claim
-from discrepancy.locate import Place, locate
-from discrepancy.measured import Measured, cannot_tell, split
-from discrepancy.name import Search, search
-from discrepancy.named import Named
-from discrepancy.noise import Noise
-from discrepancy.odd import odd
-from discrepancy.outside import Slots, unseen
-from discrepancy.parameter import suspects_of
-from discrepancy.parting import advice, designs
-from discrepancy.refine import refined
-from discrepancy.spike import taken_out, without_spikes
-from discrepancy.stand import Trial
+from discrepancy.data.collisions import Measured, cannot_tell, split
+from discrepancy.data.outlier_points import taken_out, without_spikes
+from discrepancy.diagnostics.claims import Trial
+from discrepancy.diagnostics.gap import Shown, as_dict, show
+from discrepancy.diagnostics.held_out import Claim
+from discrepancy.diagnostics.outlier_clips import odd
+from discrepancy.diagnostics.residual_map import Place, locate
+from discrepancy.fitting.base_fit import Tick, base_fit, check, noise_of, smoothed
+from discrepancy.fitting.gauss_newton import Evidence, Fit
+from discrepancy.fitting.noise_refit import refined
+from discrepancy.fitting.parameters import suspects_of
+from discrepancy.free_laws.answer import Answer
+from discrepancy.free_laws.fitted_law import Filled
+from discrepancy.noise.model import Noise
+from discrepancy.selection.experiment_design import advice, designs
+from discrepancy.selection.free_law_contest import Slots, unseen
+from discrepancy.selection.named import Named
+from discrepancy.selection.stepwise import Search, search
 from synthcam.model import Model
-from tracker.geometry import InputError
+from tracker.camera.camera import InputError
 
 ROUNDS = 4  # searches, at most: again without clips that are unlike all others, again with the noise read anew
 UNEXPLAINED = 5.0  # sigma of disagreement left after everything: something that no slot holds

@@ -71,9 +71,9 @@ def generate(
 
     Example: synthcam generate scenes/benchmark.yaml -o out/benchmark --clips 100
     """
-    from synthcam.generate import Plan, run
-    from synthcam.partial import check_apart
-    from synthcam.scene import read_scene
+    from synthcam.dataset.generate import Plan, run
+    from synthcam.dataset.staging import check_apart
+    from synthcam.scene.scene import read_scene
 
     started = time.monotonic()
     if clips * len(scenes) > MOST_CLIPS:
@@ -140,7 +140,7 @@ def merge(
 
     Example: synthcam merge out/part1 out/part2 out/part3 -o out/benchmark
     """
-    from synthcam.merge import merge as put_together
+    from synthcam.dataset.merge import merge as put_together
 
     with progress("clips") as tick:
         clips = put_together(shards, output, tick, withhold_truth)
@@ -163,8 +163,8 @@ def preview(
 
     Example: synthcam preview scenes/painter_behringer.yaml -o frame.png
     """
-    from synthcam.preview import write_film, write_preview
-    from synthcam.scene import read_scene
+    from synthcam.dataset.preview import write_film, write_preview
+    from synthcam.scene.scene import read_scene
 
     kind = output.suffix.lower()
     if kind not in (".png", ".gif", ".mp4"):
@@ -186,7 +186,7 @@ def verify(
 
     Example: synthcam verify out/benchmark
     """
-    from synthcam.dataset import verify as check
+    from synthcam.dataset.files import verify as check
 
     with progress("files") as tick:
         found = check(dataset, tick)
@@ -214,7 +214,7 @@ def export(
 
     Example: synthcam export out/benchmark --format mot -o out/benchmark_mot
     """
-    from synthcam.export import export as write
+    from synthcam.dataset.export import export as write
 
     with progress("clips") as tick:
         clips = write(dataset, kind, output, tick, truth)
@@ -252,7 +252,7 @@ def effects(
                 kind = ("shape, given" if p.given else "shape") if p.fixed else "strength"
                 print(f"    {p.name}: {kind}, {p.unit}, realistic {p.scale:g}, from {p.low:g} to {p.high:g}")
     if output is not None and name is not None:
-        from synthcam.sketch import realistic, sketch
+        from synthcam.dataset.sketch import realistic, sketch
 
         apart = sketch(realistic(known[name]), output)
         if not as_json:
@@ -271,7 +271,7 @@ def schema() -> None:
 
     Example: synthcam schema > scene.schema.json
     """
-    from synthcam.scene import schema as make
+    from synthcam.scene.scene import schema as make
 
     print(json.dumps(make(), indent=1))
 
@@ -282,8 +282,8 @@ def doctor(as_json: Json = False) -> None:
 
     Example: synthcam doctor
     """
-    from synthcam.preview import speed
-    from synthcam.render import gl_info
+    from synthcam.camera.render import gl_info
+    from synthcam.dataset.preview import speed
 
     info: dict[str, Any] = dict(gl_info())
     info["frames_per_second"] = round(speed(), 1)

@@ -13,10 +13,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from .geometry import InputError
+from tracker.camera.camera import InputError
 
 if TYPE_CHECKING:
-    from .track import Outcome
+    from tracker.track import Outcome
 
 app = typer.Typer(
     help="Finds rolling steel balls by their glint, follows them, and measures the collision with honest errors.",
@@ -68,7 +68,7 @@ def track(
 
     Example: tracker track out/benchmark -o out/results
     """
-    from .track import default_workers, run
+    from tracker.track import default_workers, run
 
     started = time.monotonic()
     with progress("clips") as tick:
@@ -94,7 +94,7 @@ def measure(
 
     Example: tracker measure tracks.csv --camera camera.json -o out/measured
     """
-    from .track import measure_tables
+    from tracker.track import measure_tables
 
     if point not in ("centre", "glint"):
         raise InputError(f"--point: expected centre or glint, not {point!r}")
@@ -114,10 +114,10 @@ def score(
 
     Example: tracker score out/results --truth out/benchmark -o out/report
     """
-    from .outputs import check_room, held, told
-    from .report import write_report
-    from .results import RUN, load_json
-    from .score import score as compare
+    from tracker.outputs import check_room, held, told
+    from tracker.results import RUN, load_json
+    from tracker.scoring.report import write_report
+    from tracker.scoring.score import score as compare
 
     if output.exists() and not (output.is_dir() and (not any(output.iterdir()) or (output / SCORE).is_file())):
         raise InputError(f"{output}: exists and holds something else, expected a new folder for the report")
@@ -152,8 +152,8 @@ def compare(
 
     Example: tracker compare out/benchmark --detectors maximum_likelihood,centroid -o out/compared
     """
-    from .compare import compare as run_all
-    from .compare import tables
+    from tracker.scoring.compare import compare as run_all
+    from tracker.scoring.compare import tables
 
     with progress("clips") as tick:
         whole = run_all(dataset, detectors.split(","), output, tick)
@@ -183,7 +183,7 @@ def calibrate(
 
     Example: tracker calibrate collision.avi --diameter 2.38e-3 --fps 250 -o camera.json
     """
-    from . import calibrate as work
+    from tracker.calibration import calibrate as work
 
     work.check_place(output)
     result = work.calibrate(video, diameter, fps, exposure)
@@ -193,8 +193,8 @@ def calibrate(
 
 def _measured(tracks: Path, truth: Path, output: Path, point: str) -> Path:
     """RESULTS of a table of tracks, kept in the report, by the dataset's own camera."""
-    from .track import measure_tables
-    from .video import open_source
+    from tracker.camera.frames import open_source
+    from tracker.track import measure_tables
 
     cameras = open_source(truth).camera_files()
     if not cameras:
@@ -205,7 +205,7 @@ def _measured(tracks: Path, truth: Path, output: Path, point: str) -> Path:
 
 
 def _report(outcome: Outcome, output: Path, extra: dict[str, Any], as_json: bool) -> None:
-    from .adequacy import warnings
+    from tracker.measurement.adequacy import warnings
 
     for note, clips in outcome.notes.items():
         print(f"tracker: {note} ({clips} clips)", file=sys.stderr)

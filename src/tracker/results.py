@@ -22,10 +22,10 @@ import pyarrow as pa
 import pyarrow.csv
 import pyarrow.parquet
 
-from .camerakeys import read_json
-from .geometry import Camera, InputError
-from .link import Tracks
-from .outputs import put
+from tracker.camera.camera import Camera, InputError
+from tracker.camera.camera_keys import read_json
+from tracker.detection.link import Tracks
+from tracker.outputs import put
 
 RUN = "run.json"
 SEEN = "exposure_seen_s"  # of clips whose streaks are not as long as the camera file's exposure makes them
@@ -76,7 +76,7 @@ def write_clip(
 
 def finish(partial: Path, final: Path, numbers: Iterable[int]) -> pd.DataFrame:
     """Gathers the clips' estimates, fits them together, and moves the whole into place. Returns the estimates."""
-    from .estimate import fit_all
+    from tracker.measurement.estimate import fit_all
 
     order = sorted(numbers)
     table = gather(partial, order)

@@ -19,14 +19,14 @@ from typing import Any
 import cv2
 import pandas as pd
 
-from . import results
-from .adequacy import MEASURED
-from .detect import DEFAULT, detector, look, settled
-from .geometry import Camera, InputError
-from .link import Tracks, link
-from .outputs import check_room, held, told
-from .reasons import why_nothing
-from .video import Clip, Source, open_source
+from tracker import results
+from tracker.camera.camera import Camera, InputError
+from tracker.camera.frames import Clip, Source, open_source
+from tracker.detection.detect import DEFAULT, detector, look, settled
+from tracker.detection.diagnose import why_nothing
+from tracker.detection.link import Tracks, link
+from tracker.measurement.adequacy import MEASURED
+from tracker.outputs import check_room, held, told
 
 MALLOPT = (-1, -3)  # M_TRIM_THRESHOLD, M_MMAP_THRESHOLD of malloc.h
 KEPT = 32 << 20  # bytes
@@ -58,8 +58,8 @@ def track_clip(clip: Clip, name: str = DEFAULT) -> tuple[Tracks, Camera, str]:
 
 def measure_clip(tracks: Tracks, camera: Camera) -> tuple[list[dict[str, Any]], pd.DataFrame]:
     """Rows of estimates, and the table of motion about the first collision."""
-    from .estimate import failure, measure, motion_table
-    from .row import unmeasured
+    from tracker.measurement.estimate import failure, measure, motion_table
+    from tracker.measurement.estimate_row import unmeasured
 
     try:
         rows = measure(tracks, camera)

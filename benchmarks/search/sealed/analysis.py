@@ -1,0 +1,78 @@
+"""The analysis of a box, in a process of its own: tracks and camera in, an answer out; it sees nothing else.
+
+analysis.py MEASURED CAMERA|- MODEL.yaml FOLDER -> FOLDER/answer.json and FOLDER/kept_out.npz
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import sys
+import time
+import traceback
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from discrepancy.data.collisions import Measured, read_measured
+from discrepancy.find import Found, find
+from synthcam.model import read_model, settings_of
+from tracker.camera.camera import InputError
+
+DIGITS = 7  # of an answer's numbers
+
+
+def plain(value: Any) -> Any:
+    """For JSON: no numpy, NaN as null, numbers to seven digits."""
+    if isinstance(value, dict):
+        return {str(k): plain(v) for k, v in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain(v) for v in value]
+    if isinstance(value, np.ndarray):
+        return plain(value.tolist())
+    if isinstance(value, float | np.floating):
+        return float(f"{value:.{DIGITS}g}") if math.isfinite(value) else None
+    return int(value) if isinstance(value, np.integer) else value
+
+
+def answer(found: Found) -> dict[str, Any]:
+    """What is put on record: the report's document and both models."""
+    models = {"base": settings_of(found.shown.before.model), "model": settings_of(found.model)}
+    return found.document() | models
+
+
+def keep(clips: list[Measured] | tuple[Measured, ...], path: Path) -> None:
+    """The clips that no fit has seen, for the oracle."""
+    arrays = {}
+    for c in clips:
+        arrays |= {f"{c.clip}/{k}": getattr(c, k) for k in ("frame", "ball", "xy", "covariance", "launch")}
+    np.savez(path, **arrays)  # type: ignore[arg-type]
+
+
+def analysed(measured: Path, camera: Path | None, model: Path, folder: Path) -> dict[str, Any]:
+    """The answer to one box; the clips that no fit saw go into `folder`."""
+    try:
+        clips, left_out = read_measured(measured, camera)
+        suspect = read_model(model)
+        began, spent = time.monotonic(), time.process_time()
+        found = find(clips, suspect)
+        said = answer(found) | {"seconds": time.monotonic() - began, "cpu": time.process_time() - spent}
+        keep(found.kept_out, folder / "kept_out.npz")
+        return dict(plain(said | {"clips_used": len(clips), "left_out": left_out}))
+    except InputError as e:
+        return {"verdict": "refused", "why": str(e)}
+    except Exception as e:  # the study goes on, and the page says so
+        where = [f"{Path(f.filename).name}:{f.lineno} {f.name}" for f in traceback.extract_tb(e.__traceback__)]
+        return {"verdict": "crashed", "why": repr(e), "trace": where}
+
+
+def main() -> None:
+    measured, model, folder = (Path(sys.argv[k]) for k in (1, 3, 4))
+    camera = None if sys.argv[2] == "-" else Path(sys.argv[2])
+    said = analysed(measured, camera, model, folder)
+    (folder / "answer.json").write_text(json.dumps(said, allow_nan=False))
+
+
+if __name__ == "__main__":
+    main()

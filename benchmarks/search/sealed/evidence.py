@@ -1,0 +1,165 @@
+"""What the analysis is given of a box: a table of tracks and a camera file, or the results of a tracker on a film."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from discrepancy.fitting.predict import known_to_measure
+from synthcam.dataset.files import view_of, write_clip
+from synthcam.dataset.generate import film
+from synthcam.scene import ground_truth as exact
+from synthcam.scene.scene import Clip
+from tracker.camera.camera import Camera, Lamp
+
+from .boxes import NOISES, SCALE, Truth, camera_file, camera_of, clips_of, launch_of, model_of
+from .integrator import Plate, collision, means
+from .outsiders import moved
+
+Array = NDArray[np.float64]
+
+
+def prepare(truth: Truth, folder: Path) -> tuple[Path, Path | None]:
+    """Write the evidence of a box into an empty folder: (tracks, camera), or (results, None) of a film."""
+    folder.mkdir(parents=True, exist_ok=True)
+    return (_filmed(truth, folder), None) if truth["source"] == "video" else _tabled(truth, folder)
+
+
+def _tabled(truth: Truth, folder: Path) -> tuple[Path, Path]:
+    clips = clips_of(truth)
+    camera = camera_of(truth)
+    rng = np.random.default_rng([truth["seed"], 1])
+    tables = [_tracks(truth, clip, camera, rng) for clip in clips]
+    path = folder / "tracks.parquet"
+    pd.concat(tables).to_parquet(path, index=False)
+    (folder / "camera.json").write_text(json.dumps(_as_believed(camera_file(truth, clips[0]), truth["defect"])))
+    return path, folder / "camera.json"
+
+
+def _tracks(truth: Truth, clip: Clip, camera: Camera, rng: np.random.Generator) -> pd.DataFrame:
+    """Visible balls of one clip with noise, px, in the columns of TRACKS."""
+    if truth["source"] == "integrator":
+        pixels, seen = integrated(truth, clip, camera)
+    else:
+        pixels, seen = _by_synthcam(clip, camera)
+    pixels = _mismeasured(pixels.reshape(-1, 2), truth, camera).reshape(pixels.shape)
+    pixels = pixels + noise_of(truth["noise"], clip.frames, rng) / SCALE
+    std = NOISES[truth["noise"]].std / SCALE / truth["claimed"]
+    frame, particle = np.tile(np.arange(clip.frames), 2), np.repeat([0, 1], clip.frames)
+    columns = {"clip": clip.number, "frame": frame, "particle": particle}
+    columns |= {"x": pixels[..., 0].ravel(), "y": pixels[..., 1].ravel(), "x_std": std, "y_std": std, "cov_xy": 0.0}
+    table = pd.DataFrame(columns | {"striker": clip.drawn["launch"]["striker"]})
+    return table[seen.ravel()]
+
+
+def _by_synthcam(clip: Clip, camera: Camera) -> tuple[Array, NDArray[np.bool_]]:
+    """Centres (2, frames, 2), px, means over the exposure, and whether a ball is in view (2, frames)."""
+    table = exact.tracks(clip.launch.bodies, view_of(clip), clip.lamp, clip.frames)
+    pixels = table[["x_mean_px", "y_mean_px"]].to_numpy().reshape(2, clip.frames, 2)
+    velocity = table[["vx", "vy"]].to_numpy().reshape(2, clip.frames, 2)
+    place = camera.unproject(pixels)[0]
+    shift = moved(clip.model.effects, place, velocity, clip.launch.bodies.of_a[:, None])
+    if np.any(shift):
+        pixels = _projected(camera, place + shift)
+    return pixels, table["visible"].to_numpy().reshape(2, clip.frames)
+
+
+def integrated(truth: Truth, clip: Clip, camera: Camera) -> tuple[Array, NDArray[np.bool_]]:
+    """The same by the integrator that shares nothing with synthcam's motion."""
+    numbers = {"gravity": 9.81, "diameter": 2.38e-3, "density": 7800.0} | truth["base"] | truth["hidden"]
+    opens = np.arange(clip.frames) / camera.fps
+    end = clip.frames / camera.fps
+    paths = collision(Plate(numbers), launch_of(clip), clip.drawn["launch"]["striker"] == "a", end)
+    place = means(paths, opens, camera.exposure)
+    half = np.array(camera.size) / 2 * SCALE - camera.radius
+    return _projected(camera, place), (np.abs(place) < half).all(axis=-1)
+
+
+def _projected(camera: Camera, place: Array) -> Array:
+    return camera.project(np.concatenate([place, np.full((*place.shape[:-1], 1), camera.radius)], axis=-1))
+
+
+def _mismeasured(pixels: Array, truth: Truth, camera: Camera) -> Array:
+    """What a tracker at fault makes of centres (n, 2), px."""
+    defect = truth["defect"]
+    if "pixel_locking" in defect:
+        return pixels - defect["pixel_locking"] * np.sin(2 * np.pi * pixels)
+    if "glint" in defect:
+        return camera.glint_of_centre(_on_plate(camera, pixels))
+    if "lamp" in defect:
+        wrong = dataclasses.replace(camera, lamp=_moved_lamp(camera, defect["lamp"]))
+        return wrong.centre_of_glint(camera.glint_of_centre(_on_plate(camera, pixels)))[0]
+    bent = model_of(truth).laws("measure", pixels, known_to_measure(camera))
+    return np.asarray(bent)
+
+
+def _on_plate(camera: Camera, pixels: Array) -> Array:
+    return camera.unproject(pixels)[0]
+
+
+def _moved_lamp(camera: Camera, by: float) -> Lamp:
+    assert camera.lamp is not None
+    x, y, z = camera.lamp.position
+    return dataclasses.replace(camera.lamp, position=(x + by, y + by, z + by))
+
+
+def _as_believed(known: dict[str, Any], defect: dict[str, float]) -> dict[str, Any]:
+    """camera.json as an experimenter wrote it who is wrong about lamp or scale, or knows of no lamp."""
+    if "scale" in defect:
+        factor = 1 + defect["scale"]
+        matrix = np.array(known["K"])
+        matrix[:2, :2] /= factor
+        known |= {"K": matrix.tolist(), "scale": known["scale"] * factor}
+    if "lamp" in defect:
+        place = [p + defect["lamp"] for p in known["lamp"]["position"]]
+        known |= {"lamp": known["lamp"] | {"position": place}}
+    return known
+
+
+def noise_of(kind: str, frames: int, rng: np.random.Generator) -> Array:
+    """(2, frames, 2), m: drawn from the covariance that the detection limit was worked out with."""
+    noise = NOISES[kind]
+    own = noise.std * _chain(rng, (2, frames, 2), noise.rho)
+    return own + noise.shake * _chain(rng, (1, frames, 2), 0.9)
+
+
+def _chain(rng: np.random.Generator, shape: tuple[int, int, int], rho: float) -> Array:
+    out = rng.standard_normal(shape)
+    for k in range(1, shape[1]):
+        out[:, k] = rho * out[:, k - 1] + np.sqrt(1 - rho**2) * out[:, k]
+    return out
+
+
+def _filmed(truth: Truth, folder: Path) -> Path:
+    """Film every clip, let the tracker look at the film alone, and keep what it says."""
+    dataset, results, secret = folder / "film", folder / "results", folder / "truth"
+    for clip in clips_of(truth):
+        view = view_of(clip)
+        place = dataset / f"clips/{clip.number:06d}"
+        write_clip(place, clip, view, film(clip, view, truth["seed"]), {"seed": 0}, secret / f"{clip.number:06d}")
+        known = _as_believed(json.loads((place / "camera.json").read_text()), truth["defect"])
+        if "glint" in truth["defect"]:
+            known.pop("lamp")  # without it a tracker has nothing but the glint
+        (place / "camera.json").write_text(json.dumps(known))
+    shutil.rmtree(secret)
+    command = [str(Path(sys.executable).with_name("tracker")), "track", str(dataset), "-o", str(results)]
+    done = subprocess.run([*command, "--workers", "1"], capture_output=True, text=True, env=alone(), check=False)
+    if done.returncode:
+        raise RuntimeError(done.stderr.strip())
+    shutil.rmtree(dataset)
+    return results
+
+
+def alone() -> dict[str, str]:
+    """An environment in which numpy keeps to one core."""
+    return os.environ | {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}

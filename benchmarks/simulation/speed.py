@@ -1,0 +1,134 @@
+"""How fast, and where the time goes. Whole commands by their margin (more clips, same start-up), stages in one process.
+
+benchmarks/simulation/speed.py [--clips 12] [-o out/speed.json]
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from collisions import figures as collisions
+from rich.console import Console
+from rich.table import Table
+
+ROOT = Path(__file__).resolve().parents[2]
+SCENE = ROOT / "scenes" / "painter_behringer.yaml"
+
+
+def timed(work: Callable[[], Any], repeat: int = 3) -> float:
+    """Seconds of the fastest of a few runs."""
+    best = np.inf
+    for _ in range(repeat):
+        started = time.perf_counter()
+        work()
+        best = min(best, time.perf_counter() - started)
+    return float(best)
+
+
+def command(*words: str) -> float:
+    program = Path(sys.executable).with_name(words[0])
+    started = time.perf_counter()
+    subprocess.run([program, *words[1:]], cwd=ROOT, check=True, stdout=subprocess.DEVNULL)
+    return time.perf_counter() - started
+
+
+def commands(clips: int, folder: Path) -> dict[str, float]:
+    """Start-up and margin of the whole commands, all cores."""
+    out, few = {}, 2
+    seconds: dict[str, list[float]] = {"generate": [], "track": []}
+    for n in (few, clips):
+        film, tracked = folder / f"film{n}", folder / f"tracked{n}"
+        seconds["generate"].append(command("synthcam", "generate", str(SCENE), "-o", str(film), "--clips", str(n)))
+        seconds["track"].append(command("tracker", "track", str(film), "-o", str(tracked)))
+    for name, (short, long) in seconds.items():
+        a_frame = (long - short) / (clips - few) / 100
+        out[f"{name}: frames a second, at the margin"] = 1 / a_frame
+        out[f"{name}: ms a frame, at the margin"] = 1e3 * a_frame
+        out[f"{name}: start-up, s"] = short - few * 100 * a_frame
+    return out
+
+
+def stages(folder: Path) -> dict[str, float]:
+    """Seconds a clip of 100 frames in each stage, one process."""
+    from synthcam.dataset.files import view_of, write_clip
+    from synthcam.dataset.generate import film
+    from synthcam.scene import ground_truth as truth
+    from synthcam.scene.scene import read_scene
+    from tracker.camera.frames import open_source
+    from tracker.detection.detect import DEFAULT, detect, look
+    from tracker.detection.link import link
+    from tracker.track import measure_clip
+
+    clip = read_scene(SCENE).draw(0, 0)
+    view = view_of(clip)
+    frames = list(film(clip, view, 0))
+
+    def exhaust(items: Iterable[Any]) -> None:
+        for _ in items:
+            pass
+
+    def write() -> None:
+        shutil.rmtree(folder / "one", ignore_errors=True)
+        write_clip(folder / "one" / "clips" / "000000", clip, view, iter(frames), {"seed": 0})
+
+    out = {
+        "simulate": timed(lambda: view_of(clip), 20),
+        "truth tables": timed(lambda: truth.tracks(clip.launch.bodies, view, clip.lamp, clip.frames)),
+        "draw and expose": timed(lambda: exhaust(film(clip, view, 0))),
+        "write and hash": timed(write),
+    }
+    source = open_source(folder / "one")
+    video = source.clip(0)
+    view = look(video)
+    glints = detect(video, view, DEFAULT)
+    tracks = link(glints, view.camera)
+    out |= {
+        "read": timed(lambda: exhaust(source.clip(0).frames)),
+        "background, noise": timed(lambda: look(video)),
+        "detect": timed(lambda: detect(video, view, DEFAULT)),
+        "link": timed(lambda: link(glints, view.camera)),
+        "fits": timed(lambda: measure_clip(tracks, view.camera)),
+    }
+    return out
+
+
+def rates() -> dict[str, float]:
+    """Collisions solved a second."""
+    found = collisions(2000)
+    return {f"collisions a second, {name}, {k}": v for name, both in found.items() for k, v in both.items()}
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description="Speed of simulation, filming and tracking.")
+    parser.add_argument("--clips", type=int, default=12)
+    parser.add_argument("-o", "--output", type=Path, default=ROOT / "out" / "speed.json")
+    options = parser.parse_args()
+    folder = Path(tempfile.mkdtemp(prefix="speed-"))
+    try:
+        figures = {"cores": os.cpu_count(), **rates(), **commands(options.clips, folder)}
+        spent = stages(folder)
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+    table = Table("figure", "value", title="640 x 480, two balls, 250 fps")
+    for name, value in figures.items():
+        table.add_row(name, f"{value:.3g}")
+    for name, seconds in spent.items():
+        table.add_row(f"{name}, ms a clip of 100 frames, one process", f"{1e3 * seconds:.1f}")
+    Console(width=100).print(table)
+    options.output.parent.mkdir(parents=True, exist_ok=True)
+    options.output.write_text(json.dumps(figures | {"stages": spent}, indent=1) + "\n")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,1 @@
+"""Measured collisions, and what is wrong with tracks before anything is fitted."""

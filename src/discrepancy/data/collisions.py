@@ -1,0 +1,275 @@
+"""Measured collisions from a tracker's results: in metres, and with a first guess of each launch."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from discrepancy.data.sanity import exchanged, wrong_units
+from tracker.camera.camera import Camera, InputError
+from tracker.detection.link import Tracks
+from tracker.measurement.adequacy import MEASURED, MISFIT
+from tracker.measurement.estimate import measure
+from tracker.results import read_clip, read_tracks
+
+Array = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+MARGIN = 2  # frames at the ends of a phase that may hold a misplaced event
+FEWEST = 3  # frames a ball must be seen before the contact
+FASTEST = 20.0  # m/s: no ball is launched faster
+ALIKE, FEW_DEGREES, HEAD_ON = 1.2, np.radians(30), 0.05  # when speeds, headings and b count as all the same
+EXTREMES = 8  # clips from which on the extremes can be spared
+UNCLAIMED = 0.01  # px: stands in where tracks claim no error; the noise is then read off all the same
+ESTIMATES = "clip striker status t_c v0 b tau1 tau2 particle1 particle2".split()
+
+
+@dataclass(frozen=True)
+class Measured:
+    """One collision. Rows sorted by ball, then frame; ball 0 is the target (ball 1 of the contract), 1 the striker.
+
+    frame (n,); ball (n,); xy (n, 2) centres on the plate, m, means over the exposure; covariance (n, 2, 2) m^2 as
+    claimed; launch (6,) a first guess of place x, y (m), t_c (s), v0 (m/s), heading (rad), b. ends (2,): when each ball
+    is thought to stop sliding, s. offset: error of the target's place while it rests, alike in all frames and beside
+    the covariance, each axis, m.
+    """
+
+    clip: int
+    striker: str
+    camera: Camera
+    frame: Ints
+    ball: Ints
+    xy: Array
+    covariance: Array
+    launch: Array
+    ends: Array
+    offset: float = 0.0
+
+    @property
+    def fps(self) -> float:
+        return self.camera.fps
+
+    @property
+    def exposure(self) -> float:
+        return self.camera.exposure
+
+    def of(self, rows: Ints) -> Measured:
+        """Some of its rows."""
+        some = {name: getattr(self, name)[rows] for name in ("frame", "ball", "xy", "covariance")}
+        return replace(self, **some)
+
+    def phase(self) -> Ints:
+        """0 before the contact, 1 sliding, 2 rolling, -1 in an exposure that holds an event: (n,)."""
+        opens = self.frame / self.fps
+        closes = opens + self.exposure
+        end = self.ends[self.ball]
+        out = np.full(len(self.frame), -1)
+        out[closes <= self.launch[2]] = 0
+        out[(opens >= self.launch[2]) & (closes <= end)] = 1
+        out[(opens >= self.launch[2]) & (opens >= end)] = 2
+        return out
+
+    def stretches(self) -> Iterator[tuple[Array, Array]]:
+        """Unbroken stretches of one ball in one phase: places (n, 2) and claimed standard deviations (n,), m."""
+        phase, claimed = self.phase(), self.claimed()
+        for p in range(3):
+            for b in range(2):
+                rows = np.flatnonzero((phase == p) & (self.ball == b))
+                for kept in _unbroken(rows, self.frame[rows]):
+                    yield self.xy[kept], claimed[kept]
+
+    def together(self) -> Iterator[tuple[Array, Array, Array, Array]]:
+        """Unbroken stretches of both balls, each in one phase: places (n, 2) and (n, 2), claimed (n,) and (n,), m."""
+        phase, claimed = self.phase(), self.claimed()
+        split = int(np.sum(self.ball == 0))
+        frame, one, two = np.intersect1d(self.frame[:split], self.frame[split:], return_indices=True)
+        two = two + split
+        for p in range(3):
+            for q in range(3):
+                rows = np.flatnonzero((phase[one] == p) & (phase[two] == q))
+                for kept in _unbroken(rows, frame[rows]):
+                    i, j = one[kept], two[kept]
+                    yield self.xy[i], self.xy[j], claimed[i], claimed[j]
+
+    def claimed(self) -> Array:
+        """Standard deviation of each row that the tracks claim, (n,), m: rms of the axes."""
+        return np.asarray(np.sqrt(np.trace(self.covariance, axis1=1, axis2=2) / 2))
+
+    @cached_property
+    def roots(self) -> Array:
+        """Inverse Cholesky factors of the claimed covariances, (n, 2, 2)."""
+        return np.asarray(np.linalg.inv(np.linalg.cholesky(self.covariance)))
+
+    @cached_property
+    def resting_offset(self) -> Array:
+        """The offset of the target where it rests, in claimed standard deviations, and zero elsewhere: (n,)."""
+        return np.where((self.ball == 0) & (self.phase() == 0), self.offset / self.claimed(), 0.0)
+
+
+def _unbroken(rows: Ints, frame: Ints) -> Iterator[Ints]:
+    """Rows in runs of successive frames, less MARGIN at either end."""
+    for part in np.split(rows, np.flatnonzero(np.diff(frame) != 1) + 1):
+        yield part[MARGIN : len(part) - MARGIN]
+
+
+def read_measured(measured: Path, camera: Path | None = None) -> tuple[list[Measured], list[str]]:
+    """The collisions of a tracker's RESULTS, or of a table of tracks, and a line for each that is left out.
+
+    camera: a table's camera.json; RESULTS have their own. Raises InputError.
+    """
+    if measured.is_dir():
+        if camera is not None:
+            raise InputError(f"--camera {camera}: {measured} holds its own; expected it with a table of tracks only")
+        source = _results(measured)
+    elif camera is None:
+        if not measured.exists():
+            raise InputError(f"{measured}: no such file or folder, expected RESULTS of a tracker or a table of tracks")
+        raise InputError(f"{measured}: expected --camera camera.json with a table of tracks")
+    else:
+        source = _table(measured, camera)
+    kept, left_out = [], []
+    for number, tracks, own, measured_rows in source:
+        if (frame := exchanged(tracks, own)) is not None:
+            left_out.append(f"clip {number}: the balls have exchanged their names at frame {frame}")
+            continue
+        rows = measured_rows()
+        if len(rows) > 1:
+            left_out.append(f"clip {number}: {len(rows)} collisions in one recording")
+            continue
+        outcome = collision(tracks, {"clip": number} | rows[0], own)
+        if isinstance(outcome, Measured):
+            kept.append(outcome)
+        else:
+            left_out.append(f"clip {number}: {outcome}")
+    if not kept:
+        raise InputError(f"{measured}: no clip with a measured collision" + "".join(f"; {x}" for x in left_out[:1]))
+    typical = float(np.median([c.launch[3] for c in kept]))
+    if typical > FASTEST:
+        raise InputError(f"{measured}: speeds of {typical:.3g} m/s; are scale and fps of the camera right?")
+    return kept, left_out
+
+
+Source = Iterator[tuple[int, Tracks, Camera, Callable[[], list[dict[Any, Any]]]]]  # the last measures, when asked
+
+
+def _results(folder: Path) -> Source:
+    path = folder / "estimates.parquet"
+    if not path.is_file():
+        raise InputError(f"{folder}: expected RESULTS of a tracker (no estimates.parquet)")
+    try:
+        table = pd.read_parquet(path)
+    except (OSError, ValueError) as e:  # pyarrow's are ValueErrors
+        raise InputError(f"{path}: cannot be read as Parquet ({str(e).partition(chr(10))[0][:100]})") from None
+    missing = [name for name in ESTIMATES if name not in table]
+    if missing:
+        raise InputError(f"{path}: no column {', '.join(missing)}")
+    for number, rows in table.groupby("clip"):
+        clip = int(str(number))
+        yield clip, *read_clip(folder, clip), partial(rows.to_dict, "records")
+
+
+def _table(path: Path, camera: Path) -> Source:
+    base = Camera.read(camera)
+    tables = read_tracks(path)
+    if why := wrong_units((tracks, base) for tracks, _ in tables.values()):
+        raise InputError(f"{path}: {why}")
+    for number, (tracks, striker) in sorted(tables.items()):
+        own = replace(base, striker=striker) if striker is not None else base
+        yield number, tracks, own, partial(measure, tracks, own)
+
+
+def collision(tracks: Tracks, row: Mapping[Any, Any], camera: Camera) -> Measured | str:
+    """The collision that `row` of the estimates describes, or why it cannot be used."""
+    if row["status"] not in MEASURED:  # what a misfit lacks is what a search looks for
+        return str(row["status"])
+    guess = np.array([_guess(row, name) for name in ("t_c", "v0", "b", "tau1", "tau2")])
+    if not np.all(np.isfinite(guess)):
+        return "no estimate of the contact"
+    t_c, v0, b, *taus = guess
+    pair = {ball: tracks.particle == row[name] for ball, name in enumerate(("particle1", "particle2"))}
+    early = tracks.frame / camera.fps + camera.exposure <= t_c
+    if any((early & rows).sum() < FEWEST for rows in pair.values()):
+        return f"a ball is seen in fewer than {FEWEST} frames before the contact"
+    rows = np.concatenate([np.flatnonzero(pair[ball]) for ball in (0, 1)])
+    frame, early = tracks.frame[rows], early[rows]
+    ball = np.repeat([0, 1], [pair[0].sum(), pair[1].sum()])
+    xy, slope = camera.unproject(tracks.xy[rows])
+    spread, steady = tracks.cov[rows], tracks.fixed[rows]
+    if not np.all(np.linalg.eigvalsh(np.nan_to_num(spread - steady))[:, 0] > 0):  # NaN too
+        spread, steady = np.tile(UNCLAIMED**2 * np.eye(2), (len(rows), 1, 1)), np.zeros_like(spread)
+    resting = early & (ball == 0)
+    covariance, fixed = (slope @ c @ np.swapaxes(slope, 1, 2) for c in (spread, steady))
+    covariance[resting] -= fixed[resting]
+    heading = _heading(frame[early & (ball == 1)], xy[early & (ball == 1)])
+    d = np.array([np.cos(heading), np.sin(heading)])
+    n = np.sqrt(max(1 - b * b, 0.0)) * d - b * np.array([-d[1], d[0]])
+    place = xy[early & (ball == 0)].mean(axis=0) - camera.radius * n
+    return Measured(
+        clip=int(row["clip"]),
+        striker=str(row["striker"]),
+        camera=camera,
+        frame=frame,
+        ball=ball,
+        xy=xy,
+        covariance=covariance,
+        launch=np.array([*place, t_c, v0, heading, b]),
+        ends=t_c + np.array(taus),
+        offset=float(np.sqrt(np.trace(fixed[resting], axis1=1, axis2=2).mean() / 2)),
+    )
+
+
+def _guess(row: Mapping[Any, Any], name: str) -> float:
+    """A first guess of a quantity: where the tied fit is rejected the free fit comes nearer, if it tells it."""
+    free = float(row.get(f"{name}_free", np.nan)) if row["status"] == MISFIT else np.nan
+    return free if np.isfinite(free) else float(row[name])
+
+
+def _heading(frame: Ints, xy: Array) -> float:
+    velocity = np.polyfit(frame - frame.mean(), xy, 1)[0]
+    return float(np.arctan2(velocity[1], velocity[0]))
+
+
+def cannot_tell(clips: Sequence[Measured]) -> list[str]:
+    """A line for each thing that these clips can hardly tell, however many, because they are all alike in it."""
+    _, _, _, speeds, headings, b = np.array([c.launch for c in clips]).T
+    said, normal = [], speeds * np.sqrt(1 - b**2)
+    laws = {"restitution": normal, "spin transfer": speeds}  # the speeds that they hang on; friction's falls in a clip
+    if same := [law for law, v in laws.items() if v.max() < ALIKE * v.min()]:
+        said.append(
+            f"all clips are at {np.median(speeds):.2g} m/s: how {' or '.join(same)} changes with the speed can hardly "
+            "be told"
+        )
+    if np.ptp(b) < HEAD_ON:
+        said.append(
+            f"all clips have b near {np.median(b):.2f}: nothing that changes with it can be told, and "
+            "hop and mass_mismatch look alike"
+        )
+    mean = np.exp(1j * headings).mean()
+    if np.abs(np.angle(np.exp(1j * headings) / mean)).max() < FEW_DEGREES:
+        said.append(
+            "all clips go one way: a tilt of the plate, a grain or a tilted camera can hardly be told from drag"
+        )
+    return said
+
+
+def split(clips: Sequence[Measured]) -> tuple[list[Measured], list[Measured]]:
+    """(to fit, to keep out): a quarter is kept out, evenly over the speeds.
+
+    With EXTREMES clips or more the fastest and the most oblique are among it: what the fit never saw.
+    """
+    order = sorted(clips, key=lambda c: float(c.launch[3]))
+    count = max(len(clips) // 4, 1)
+    kept_out: set[int] = set()
+    if len(clips) >= EXTREMES:
+        kept_out = {id(order[-1]), id(max(order[:-1], key=lambda c: abs(float(c.launch[5]))))}
+    rest = [c for c in order if id(c) not in kept_out]
+    more = max(count - len(kept_out), 0)
+    kept_out |= {id(rest[(2 * k + 1) * len(rest) // (2 * more)]) for k in range(more)}
+    return [c for c in clips if id(c) not in kept_out], [c for c in clips if id(c) in kept_out]

@@ -1,0 +1,197 @@
+"""Single places far off the smooth path through those before and after: no motion makes such, a tracker may."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from discrepancy.data.collisions import Measured
+
+Array = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+REACH = 4  # frames to either side, of the same ball and phase, that say where a place should be
+BESIDE = 2  # of them on either side at least: where a phase ends, the path may bend
+FAR = 8.0  # sigma: noise never reaches that
+SMOOTH = 2.0  # sigma, rms: what its neighbours may be off a smooth path themselves; a jump is no spike
+NEAR = 10.0  # claimed standard deviations, median, that a model which is nearly right may be off
+SEVERAL = 3  # clips
+UNSURE = 0.25  # frames: by so much the contact may be misplaced
+ASIDE, FEWEST, WITHIN = 5, 4, 7  # places of one side, at most and at least, and from how many frames
+
+
+def without_spikes(clips: Sequence[Measured], expected: Sequence[Array] | None = None) -> list[Measured]:
+    """The clips without their spikes; arguments as for `spikes`.
+
+    Beside a model: but for those that both balls, or SEVERAL clips, have in the same frame. A clock does that.
+    """
+    found = [spikes(clip, expected[k] if expected else None) for k, clip in enumerate(clips)]
+    if expected:
+        both = [Counter(c.frame[sorted(rows)].tolist()) for c, rows in zip(clips, found, strict=True)]
+        often = Counter(frame for own in both for frame in own)
+        for c, own, rows in zip(clips, both, found, strict=True):
+            rows -= {k for k in rows if own[int(c.frame[k])] > 1 or often[int(c.frame[k])] >= SEVERAL}
+    return [c.of(np.delete(np.arange(len(c.frame)), sorted(r))) if r else c for c, r in zip(clips, found, strict=True)]
+
+
+def taken_out(clips: Sequence[Measured], kept: Sequence[Measured]) -> list[str]:
+    """A line for each clip of which some places are not kept."""
+    left, said = {c.clip: set(zip(c.ball.tolist(), c.frame.tolist(), strict=True)) for c in kept}, []
+    for c in clips:
+        gone = [f for b, f in zip(c.ball.tolist(), c.frame.tolist(), strict=True) if (b, f) not in left[c.clip]]
+        if gone:
+            frames = ", ".join(map(str, sorted(set(gone))))
+            places = f"{len(gone)} of {len(c.frame)} places, in frame {frames}"
+            said.append(f"clip {c.clip}: {places}, far off the path through those before and after")
+    return said
+
+
+def spikes(clip: Measured, expected: Array | None = None) -> set[int]:
+    """Rows that are spikes, the largest taken out first: what it does to its neighbours then goes too.
+
+    expected: where a model has the places, (n, 2). If it is nearly right, what is off it bends little, but at the
+    contact: spikes are then seen there too, where a slide ends, and at both ends of the clip.
+    """
+    paths, gone = _Paths.of(clip, expected), set[int]()
+    if expected is not None and float(np.median(np.abs(paths.xy) / paths.claimed[:, None])) > NEAR:
+        return gone
+    todo = range(len(clip.frame))
+    inner = paths.inner(todo, gone)
+    typical = max(1.4826 * float(np.median(np.abs([look.off for look in inner.values()]))), 1e-300) if inner else 1.0
+    outer: dict[int, _Look] | None = None
+    while True:
+        wrong = {row: look for row, look in inner.items() if look.far(typical)}
+        if expected is not None and not wrong:
+            if outer is None:
+                outer = paths.outer(todo, gone, SMOOTH * typical)
+            told = {row for row, look in inner.items() if look.rest < SMOOTH * typical}
+            wrong = {row: look for row, look in outer.items() if row not in told and look.far(typical)}
+        if not wrong:
+            return gone
+        worst = max(wrong, key=lambda row: float(np.abs(wrong[row].off).max()))
+        gone.add(worst)
+        near = paths.near(worst)
+        inner = {row: look for row, look in inner.items() if row not in near} | paths.inner(near, gone)
+        if outer is not None:
+            again = paths.outer(near, gone, SMOOTH * typical)
+            outer = {row: look for row, look in outer.items() if row not in near} | again
+
+
+@dataclass(frozen=True)
+class _Look:
+    """How far a place is off the path through others, (2,), and the rms of these; in claimed standard deviations."""
+
+    off: Array
+    rest: float
+
+    def far(self, typical: float) -> bool:
+        """typical: the size of such numbers where there are only errors."""
+        return bool(np.abs(self.off).max() > FAR * typical and self.rest < SMOOTH * typical)
+
+
+@dataclass(frozen=True)
+class _Path:
+    """A parabola through some places: where it is at a frame, (2,), how fast there, (2,) a frame, and errors."""
+
+    place: Array
+    velocity: Array
+    std: float
+    rest: float
+
+
+@dataclass(frozen=True)
+class _Paths:
+    """frame, ball (n,); xy (n, 2), m; phase (n,), -1 in an exposure that holds an event; claimed (n,), m.
+
+    unsure: in frames, a quarter of the time in which that event may be.
+    """
+
+    frame: Ints
+    ball: Ints
+    xy: Array
+    phase: Ints
+    claimed: Array
+    unsure: float = 0.0
+
+    @classmethod
+    def of(cls, clip: Measured, expected: Array | None) -> _Paths:
+        if expected is None:
+            return cls(clip.frame, clip.ball, clip.xy, clip.phase(), clip.claimed())
+        contact, wide = clip.launch[2] * clip.fps, clip.exposure * clip.fps
+        early, late = clip.frame + wide + UNSURE <= contact, clip.frame - UNSURE >= contact
+        phase = np.where(early, 0, np.where(late, 1, -1))
+        return cls(clip.frame, clip.ball, clip.xy - expected, phase, clip.claimed(), (wide + UNSURE) / 4)
+
+    def _through(self, rows: Ints, row: int) -> _Path:
+        """The smoothest path through them or through all but one, which may be a spike itself."""
+        path = self._path(rows, row)
+        if path.rest < SMOOTH or len(rows) <= FEWEST:
+            return path
+        return min((self._path(np.delete(rows, k), row) for k in range(len(rows))), key=lambda p: p.rest)
+
+    def _path(self, rows: Ints, row: int) -> _Path:
+        design = np.vander((self.frame[rows] - self.frame[row]) / REACH, 3, increasing=True)
+        inverse = np.linalg.pinv(design)
+        fitted = inverse @ self.xy[rows]
+        left = (self.xy[rows] - design @ fitted) / self.claimed[rows, None]
+        rest = float(np.sqrt((left**2).sum() / (2 * (len(rows) - 3))))
+        return _Path(fitted[0], fitted[1] / REACH, float(np.linalg.norm(self.claimed[rows] * inverse[0])), rest)
+
+    def near(self, row: int) -> list[int]:
+        """The rows whose look a spike there may have spoilt, itself among them."""
+        within = np.abs(self.frame - self.frame[row]) <= WITHIN
+        return np.flatnonzero(within & (self.ball == self.ball[row])).tolist()
+
+    def inner(self, rows: Iterable[int], gone: set[int]) -> dict[int, _Look]:
+        """Of the places that have neighbours of their phase on both sides, how far they are off the path through these.
+
+        What the path itself is uncertain by is allowed for.
+        """
+        found: dict[int, _Look] = {}
+        for row in rows:
+            if row in gone or self.phase[row] < 0:
+                continue
+            off = self.frame - self.frame[row]
+            same = (self.phase == self.phase[row]) & (self.ball == self.ball[row])
+            near = self._kept(same & (np.abs(off) <= REACH) & (off != 0), gone)
+            early = int(np.sum(off[near] < 0))
+            if min(early, len(near) - early) >= BESIDE and len(near) > 2 * BESIDE:
+                path = self._through(near, row)
+                std = np.hypot(self.claimed[row], path.std)
+                found[row] = _Look((self.xy[row] - path.place) / std, path.rest)
+        return found
+
+    def outer(self, rows: Iterable[int], gone: set[int], smooth: float) -> dict[int, _Look]:
+        """How far places are beyond where those before lead and where those after come from.
+
+        One of these is enough where there is no event between them. smooth: rms of those that tell.
+        """
+        found: dict[int, _Look] = {}
+        for row in rows:
+            if row in gone:
+                continue
+            sides = [s for s in (self._side(row, way, gone) for way in (-1, 1)) if s and s.rest < smooth]
+            event = self.phase[row] < 0
+            if len(sides) < 1 + event:
+                continue
+            places = np.array([s.place for s in sides])
+            bent = self.unsure * np.abs(sides[0].velocity - sides[-1].velocity) * event
+            x, std = self.xy[row], np.hypot(self.claimed[row], max(s.std for s in sides))
+            beyond = np.maximum(places.min(axis=0) - bent - x, x - places.max(axis=0) - bent)
+            found[row] = _Look(np.maximum(beyond, 0.0) / std, max(s.rest for s in sides))
+        return found
+
+    def _side(self, row: int, way: int, gone: set[int]) -> _Path | None:
+        """Through the next of the same ball on one side, in the same phase or beside an event; None: too few."""
+        phase = self.phase[row] if self.phase[row] >= 0 else (way + 1) // 2
+        off = way * (self.frame - self.frame[row])
+        near = self._kept((self.ball == self.ball[row]) & (self.phase == phase) & (off > 0) & (off <= WITHIN), gone)
+        kept = near[np.argsort(off[near], kind="stable")][:ASIDE]
+        return self._through(kept, row) if len(kept) >= FEWEST else None
+
+    def _kept(self, mask: NDArray[np.bool_], gone: set[int]) -> Ints:
+        return np.array([k for k in np.flatnonzero(mask).tolist() if k not in gone], dtype=np.int64)

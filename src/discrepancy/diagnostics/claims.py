@@ -1,0 +1,162 @@
+"""Which claims stand: each significant beside all others, and borne by collisions that it had no part in."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from discrepancy.data.collisions import Measured
+from discrepancy.diagnostics.held_out import Claim, Held, foretold, in_turn, refused
+from discrepancy.fitting.gauss_newton import Evidence, Fit, fit, linearised
+from discrepancy.fitting.parameters import suspects_of
+from discrepancy.free_laws.fitted_law import Filled
+from discrepancy.noise.model import Noise
+from discrepancy.selection.free_law_contest import LEVEL, emptied, refilled, scatter, unseen
+from discrepancy.selection.model_cost import price
+from discrepancy.selection.named import Named
+from discrepancy.selection.stepwise import Search
+
+Array = NDArray[np.float64]
+Parts = Sequence[Array]
+Pair = tuple[Parts, Parts]
+Left = dict[str, tuple[Search, Filled | None]]
+
+BESIDE = 2 * LEVEL  # sigma of an effect where a law that nobody knows is missing: what is weaker may be a part of it
+UNSURE = "not significant beside all else"
+EXCHANGED = "another that fits as well is borne"  # a class is claimed, and collisions kept out may tell which of it
+
+
+@dataclass(frozen=True)
+class Standing:
+    """What stands of a search. claims, withdrawn: those that stand and those that do not."""
+
+    search: Search
+    slot: Filled | None
+    claims: tuple[Claim, ...]
+    withdrawn: tuple[Claim, ...] = ()
+
+    @property
+    def named(self) -> tuple[Named, ...]:
+        """The effects that stand."""
+        if self.slot is None:
+            return self.search.named
+        now, base, sigmas = self.slot.whole, self.search.base, {c.name: c.own for c in self.claims}
+        known = suspects_of(self.slot.plain, base.model, base.names)
+        return tuple(Named.of(known[effect], now, now.std, sigmas[effect]) for effect in self.slot.beside(base))
+
+
+@dataclass(frozen=True)
+class Trial:
+    """Clips fitted and kept out, and how claims are held to them."""
+
+    evidence: Evidence
+    kept_out: Sequence[Measured]
+    before: Fit  # of the clips kept out, by the base model
+    noise: Noise
+    tick: Callable[[], None]
+
+    def standing(self, search: Search, slot: Filled | None) -> Standing:
+        """The claims that stand: one that does not is withdrawn, and the others are held to the clips again."""
+        withdrawn: list[Claim] = []
+        while True:
+            level = BESIDE if slot or any(c.free for c in withdrawn) else search.claim
+            claims, without = self._claims(search, slot, level)
+            falls = [c for c in claims if c.why]
+            if not falls:
+                return Standing(search, slot, tuple(claims), tuple(withdrawn))
+            worst = min(falls, key=lambda c: c.turns.sigma)
+            if worst.why != EXCHANGED:
+                withdrawn.append(worst)
+            search, slot = without[worst.name]
+
+    def _claims(self, search: Search, slot: Filled | None, level: float) -> tuple[list[Claim], Left]:
+        """Each claim, and what is left without it. level: the sigma that an effect needs."""
+        if slot is None:
+            return self._named(search, level)
+        claims, left = [], Left()
+        with_, turned = self._unseen(slot), in_turn(slot)
+        known = suspects_of(slot.plain, search.base.model, search.base.names)
+        for effect, sigma in slot.beside(search.base).items():
+            own = search.paid(effect, sigma)
+            try:
+                less = refilled(self.evidence, slot, known[effect], search.base, self.tick)
+            except ValueError:  # the clips have no motion without it
+                continue
+            left[effect] = search, less
+            why = "" if own > max(level, search.claim) and less.score > slot.score else UNSURE
+            held = self._held(own, (self._unseen(less), with_), (in_turn(less), turned))
+            claims.append(Claim(effect, own, *held, why or refused(*held)))
+        left[slot.slot.name] = search, None
+        return [*claims, self._slot(search, slot, with_, turned)], left
+
+    def _named(self, search: Search, level: float) -> tuple[list[Claim], Left]:
+        claims, left = [], Left()
+        for suspect, named in zip(search.state, search.named, strict=True):
+            less = search.less(suspect)
+            left[suspect.name] = less, None
+            held = self._between(named.sigma, less.best, search.best)
+            why = refused(*held) if named.sigma > max(level, search.claim) else UNSURE
+            for alias in named.aliases[1:] if why and why != UNSURE else ():
+                other = search.instead(suspect, alias)
+                if other and not refused(*self._between(named.sigma, less.best, other.best)):
+                    left[suspect.name], why = (other, None), EXCHANGED
+                    break
+            claims.append(Claim(suspect.name, named.sigma, *held, why))
+        return claims, left
+
+    def _between(self, own: float, without: Fit, with_: Fit) -> tuple[Held, Held]:
+        """Two models of the library."""
+        fits = self._launched(without), self._launched(with_)
+        return self._held(own, fits, (foretold(without), foretold(with_)), with_)
+
+    def _slot(self, search: Search, slot: Filled, with_: Fit | None, turned: Parts) -> Claim:
+        name, own = slot.slot.name, slot.sigma
+        try:
+            empty = emptied(self.evidence, slot, self.tick)
+        except ValueError:  # no motion without the slot
+            held = self._held(own, (None, with_), (turned, turned))
+            return Claim(name, own, *held, refused(*held), free=True)
+        without = self._launched(empty)
+        if without is None or slot.slot.axes[0].kind != "set":
+            held = self._held(own, (without, with_), (foretold(empty), turned))
+            return Claim(name, own, *held, refused(*held), free=True)
+        gain, promised, std = scatter(slot, self.kept_out, without, self.noise)
+        before, std = without.chi2 / without.points, max(std, 1e-9)
+        one = Held((before, before - gain / without.points), gain / std, promised / std)
+        gain += price(empty, search.base) - slot.score  # in the clips fitted
+        every = Held((before, before - gain / without.points), own, own)
+        return Claim(name, own, one, every, refused(one, every), free=True)
+
+    def _held(
+        self, own: float, fits: tuple[Fit | None, Fit | None], turned: Pair, now: Fit | None = None
+    ) -> tuple[Held, Held]:
+        """In the clips kept out, and in all. A model that has no motion for those kept out is refused by them."""
+        without, with_ = fits
+        if with_ is None:
+            nothing = Held((self.before.chi2 / self.before.points, np.inf), -np.inf, own)
+            return nothing, nothing
+        if without is None:
+            nothing = Held((np.inf, with_.chi2 / with_.points), own, own)
+            return nothing, nothing
+        parts = without.residuals, with_.residuals
+        every = [[*seen, *left] for seen, left in zip(turned, parts, strict=True)]
+        there = (
+            linearised(Evidence.of(self.kept_out, self.noise), now.model, now.names, with_.launches) if now else None
+        )
+        return Held.of(*parts, own, there, now.covariance if now else None), Held.of(every[0], every[1], np.inf)
+
+    def _launched(self, now: Fit) -> Fit | None:
+        """The clips kept out, by a model of the library; None where it has no motion for them."""
+        try:
+            return fit(self.kept_out, now.model, (), self.noise, self.before.launches, self.tick)
+        except ValueError:
+            return None
+
+    def _unseen(self, slot: Filled) -> Fit | None:
+        try:
+            return unseen(slot, self.kept_out, self.before, self.noise)
+        except ValueError:
+            return None

@@ -1,0 +1,113 @@
+"""How far simulation and measurement stand apart on collisions that no fit has seen, before and after."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from discrepancy.data.collisions import Measured
+from discrepancy.fitting.gauss_newton import Fit, basis, fit
+from discrepancy.noise.model import Noise
+from discrepancy.noise.whitening import Whitener
+
+Array = NDArray[np.float64]
+
+PHASES = ("before", "sliding", "rolling")
+CHANCE = 3.0  # standard deviations of chi^2 a point: a share of a smaller gap would be a share of noise
+
+
+@dataclass(frozen=True)
+class Part:
+    """chi^2 a point, and rms in um, in one phase of the clips kept out; the floor is what noise alone leaves."""
+
+    before: float
+    after: float
+    floor: float
+    before_um: float
+    after_um: float
+    floor_um: float
+
+
+@dataclass(frozen=True)
+class Gap(Part):
+    """The same in all phases together. closure: the share of the gap between before and floor that is closed.
+
+    NaN where that gap is no larger than chance makes it.
+    """
+
+    closure: float
+    by_phase: dict[str, Part]
+
+
+@dataclass(frozen=True)
+class Shown:
+    """The gap with the two fits of the clips kept out, for the figures."""
+
+    gap: Gap
+    before: Fit
+    after: Fit
+
+
+def show(
+    clips: Sequence[Measured],
+    base: Fit,
+    best: Fit,
+    noise: Noise,
+    tick: Callable[[], None] = lambda: None,
+    outside: Callable[[Fit], Fit] | None = None,
+) -> Shown:
+    """The gap on `clips`, kept out of both fits: shared parameters frozen, each clip's launch refitted.
+
+    outside: from the fit before, the fit after, where no model file holds what was found. A best model that has no
+    motion for one of the clips closes nothing.
+    """
+    before = fit(clips, base.model, (), noise, tick=tick)
+    try:
+        if outside:
+            after = outside(before)
+        else:
+            after = before if best is base else fit(clips, best.model, (), noise, before.launches, tick)
+    except ValueError:  # no motion
+        after = before
+    rows = [_squares(c, one, two, a, noise) for c, one, two, a in _by_clip(clips, before, after)]
+    squares = np.concatenate(rows)
+    phase = np.concatenate([c.phase() for c in clips])
+    whole = _part(squares)
+    by_phase = {name: _part(squares[phase == k]) for k, name in enumerate(PHASES) if np.any(phase == k)}
+    return Shown(Gap(**vars(whole), closure=_closure(whole, before.points), by_phase=by_phase), before, after)
+
+
+def _closure(whole: Part, points: int) -> float:
+    """The share of the gap that is closed; NaN of one that chance may make."""
+    room = whole.before - whole.floor
+    return (whole.before - whole.after) / room if room > CHANCE * float(np.sqrt(2 / points)) else float("nan")
+
+
+def _by_clip(clips: Sequence[Measured], before: Fit, after: Fit) -> Sequence[tuple[Measured, Array, Array, Array]]:
+    return list(zip(clips, before.residuals, after.residuals, before.launch_slopes, strict=True))
+
+
+def _squares(clip: Measured, before: Array, after: Array, launch: Array, noise: Noise) -> Array:
+    """Of each row: white residual^2 before, after and as noise alone leaves it; the same in m^2: (n, 6), axes' means.
+
+    What noise leaves: its covariance less the part that the six numbers of the launch take.
+    """
+    white, q = Whitener.of(clip, noise), basis(launch)
+    left = np.eye(len(q)) - q @ q.T
+    chi2 = (before**2, after**2, np.diag(left))
+    metres = (white.undo(before) ** 2, white.undo(after) ** 2, (white.undo(left) ** 2).sum(axis=2))
+    return np.stack([np.mean(np.reshape(x, (-1, 2)), axis=1) for x in (*chi2, *metres)], axis=1)
+
+
+def _part(squares: Array) -> Part:
+    means = squares.mean(axis=0)
+    return Part(*means[:3].tolist(), *(1e6 * np.sqrt(means[3:])).tolist())
+
+
+def as_dict(gap: Gap) -> dict[str, Any]:
+    return dataclasses.asdict(gap)

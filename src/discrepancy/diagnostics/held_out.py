@@ -1,0 +1,150 @@
+"""Do collisions bear a claim that they had no part in? Each is foretold with the claim and without it.
+
+Those kept out are foretold by the fits that never saw them, those fitted by all others of them (to first order). With
+y what is measured, p and q what is foretold without the claim and with it, d = q - p: y asks for y d / |d| sigma of the
+claim, which promised |d|; noise changes that by about one, and what is not known of the claim by |d| over its sigma.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from discrepancy.fitting.gauss_newton import Fit, basis, off
+from discrepancy.fitting.parameters import limits_of
+from discrepancy.free_laws.fitted_law import Filled
+
+Array = NDArray[np.float64]
+Parts = Sequence[Array]
+
+SHORT = 2.0  # sigma by which those kept out may fall short of what a claim promised, where they are foretold worse
+BEYOND = 3.0  # sigma of a claim in all collisions, each held out once: under it chance may do it
+
+
+@dataclass(frozen=True)
+class Held:
+    """What collisions that had no part in a claim say of it.
+
+    gap: chi^2 a point, without the claim and with it. sigma: so many of it do they ask for; promised: as it did itself.
+    """
+
+    gap: tuple[float, float]
+    sigma: float
+    promised: float
+
+    @classmethod
+    def of(
+        cls, without: Parts, with_: Parts, known: float, there: Fit | None = None, covariance: Array | None = None
+    ) -> Held:
+        """White residuals of each clip. known: sigma of the claim in the clips fitted; inf: these are among them.
+
+        there: the derivatives of the fit with the claim, in these clips, and the covariance that its numbers have from
+        the clips fitted: clips kept out go beyond those. Where clips fitted scatter about a claim by more than noise
+        makes them, its sigma is as much smaller.
+        """
+        apart = [p - q for p, q in zip(without, with_, strict=True)]
+        size = sum(float(d @ d) for d in apart)
+        gap = tuple(sum(float(r @ r) for r in every) / sum(map(len, every)) for every in (without, with_))
+        if not size > 0:
+            return cls((gap[0], gap[1]), 0.0, 0.0)
+        asked = sum(float(p @ d) for p, d in zip(without, apart, strict=True)) / size**0.5
+        scatter = sum(float(q @ d) ** 2 for q, d in zip(with_, apart, strict=True)) / size
+        loose = size / max(known, 1.0) ** 2
+        if there is not None and covariance is not None:
+            own = zip(there.launch_slopes, there.slopes, apart, strict=True)
+            pull = np.asarray(sum(off(a, s).T @ d for a, s, d in own))
+            loose = max(loose, float(pull @ covariance @ pull) / size)
+        noise = max(1 + loose, scatter if np.isinf(known) else 0.0) ** 0.5
+        return cls((gap[0], gap[1]), asked / noise, size**0.5 / noise)
+
+    @property
+    def worse(self) -> bool:
+        """Foretold no better with the claim."""
+        return self.gap[1] >= self.gap[0]
+
+
+@dataclass(frozen=True)
+class Claim:
+    """A claim, and what it is held to.
+
+    own: sigma beside all else in the clips fitted; kept_out, turns: in the clips kept out, and in all, each held out
+    once. why: it is withdrawn; empty where it stands. free: a law left free, not an effect.
+    """
+
+    name: str
+    own: float
+    kept_out: Held
+    turns: Held
+    why: str = ""
+    free: bool = False
+
+    def gap(self) -> dict[str, float]:
+        """For discrepancy.json."""
+        return {
+            "without": self.kept_out.gap[0],
+            "with": self.kept_out.gap[1],
+            "sigma": self.kept_out.sigma,
+            "promised": self.kept_out.promised,
+            "turns_without": self.turns.gap[0],
+            "turns_with": self.turns.gap[1],
+            "turns_sigma": self.turns.sigma,
+        }
+
+    def document(self) -> dict[str, Any]:
+        """A withdrawn one, for discrepancy.json."""
+        return {"claim": self.name, "own_sigma": self.own, "why": self.why} | self.gap()
+
+
+def refused(kept_out: Held, turns: Held) -> str:
+    """Why a claim is withdrawn; empty where the collisions bear it.
+
+    The clips kept out are a quarter: of a claim at the detection limit they see some 2.5 sigma, and one in ten true
+    ones makes their gap a little larger. So they refuse it only where they fall short of it by more than their noise;
+    and all clips, each held out once, must ask for it beyond chance.
+    """
+    if kept_out.worse and kept_out.sigma < kept_out.promised - SHORT:
+        return "collisions kept out are foretold worse with it"
+    if turns.worse:
+        return "collisions are foretold worse with it, each held out once"
+    if turns.sigma < BEYOND:
+        return "collisions, each held out once, do not ask for it beyond chance"
+    return ""
+
+
+def foretold(now: Fit, precision: Array | None = None) -> list[Array]:
+    """White residuals of each clip as all others foretell it, but for its launch; to first order.
+
+    precision: of the last parameters, beforehand (J, J). What stands at a limit stays there.
+    """
+    free = np.array([not _at_limit(now, n) for n in now.names], dtype=bool)
+    own = [basis(a) for a in now.launch_slopes]
+    slopes = [s[:, free] - q @ (q.T @ s[:, free]) for q, s in zip(own, now.slopes, strict=True)]
+    left = [r - q @ (q.T @ r) for q, r in zip(own, now.residuals, strict=True)]
+    if not free.any():
+        return left
+    known = np.zeros((len(free), len(free)))
+    if precision is not None:
+        known[-len(precision) :, -len(precision) :] = precision
+    told = np.array([s.T @ s for s in slopes])
+    whole = told.sum(axis=0) + known[np.ix_(free, free)]
+    scale = np.sqrt(np.where(np.diag(whole) > 0, np.diag(whole), 1.0))
+    out = []
+    for s, r, own_told in zip(slopes, left, told, strict=True):
+        inverse = np.linalg.pinv((whole - own_told) / np.outer(scale, scale), rcond=1e-10, hermitian=True)
+        out.append(r + s @ (inverse @ (s.T @ r / scale) / scale))
+    return out
+
+
+def _at_limit(now: Fit, name: str) -> bool:
+    if " " in name:  # a coefficient of a slot
+        return False
+    return now.model.value(name) in limits_of(now.model, name)
+
+
+def in_turn(filled: Filled) -> list[Array]:
+    """`foretold` by a model with a slot."""
+    return foretold(filled.whole, filled.prior.precision)

@@ -1,0 +1,1 @@
+"""One model fitted to all collisions: prediction, derivatives, Gauss-Newton, significance."""

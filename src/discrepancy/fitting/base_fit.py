@@ -1,0 +1,101 @@
+"""What a search begins with: collisions of one camera, their noise, and the fit of the model as it is given."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+
+import numpy as np
+
+from discrepancy.data.collisions import Measured
+from discrepancy.data.outlier_points import without_spikes
+from discrepancy.fitting.gauss_newton import Fit, fit
+from discrepancy.fitting.parameters import fitted
+from discrepancy.fitting.predict import forecast
+from discrepancy.noise.model import Component, Noise, estimate
+from synthcam.model import Model
+from tracker.camera.camera import InputError
+
+FEWEST = 6  # collisions: with fewer, some would not be left to show the gap on
+ONE_BALL = 1e-3  # relative, between the camera file's diameter of the ball and the model's
+CLAIMED = Noise(Component(1.0))  # white, and as large as is claimed
+LOST = 100.0  # chi^2 a degree of freedom of a fit that may have lost its way
+Tick = Callable[[str], None]
+
+
+def check(clips: Sequence[Measured], model: Model) -> None:
+    """Enough clips, all of one camera, and the ball that they are measured by is the model's. Raises InputError.
+
+    What the balls differ by would pass for a discovery.
+    """
+    if len(clips) < FEWEST:
+        raise InputError(f"{len(clips)} measured collisions: expected {FEWEST} or more, some to fit, some to keep out")
+    first, held = clips[0].camera, 2 * model.ball.radius
+    for c in clips:
+        if abs(c.camera.ball_diameter / held - 1) > ONE_BALL:
+            raise InputError(
+                f"the ball of camera.json is {1e3 * c.camera.ball_diameter:.6g} mm wide (clip {c.clip}), that of the "
+                f"model {1e3 * held:.6g} mm; expected the same"
+            )
+        if other := c.camera.differs(first):
+            raise InputError(
+                f"camera.json: {other} of clip {c.clip} is not that of clip {clips[0].clip}; expected clips of one "
+                "camera; search those of each by themselves"
+            )
+
+
+def noise_of(clips: Sequence[Measured]) -> Noise:
+    """As `estimate` reads it. Raises InputError."""
+    try:
+        return estimate(clips)
+    except ValueError as e:
+        raise InputError(f"the tracks: {e}") from None
+
+
+def base_fit(clips: Sequence[Measured], model: Model, noise: Noise, tick: Tick) -> Fit:
+    """The model's base parameters that are not zero and those in `model.free`, fitted. Raises InputError.
+
+    From their values in the model; where that leads nowhere, from friction as the slides' lengths tell it, and with
+    rolling resistance in proportion: a clock that is wrong would change them so.
+    """
+    names = fitted(model)
+    try:
+        found = fit(clips, model, names, noise, tick=lambda: tick("fit"))
+    except ValueError as e:
+        raise InputError(f"the model has no motion for these collisions: {e}") from None
+    if found.chi2 > LOST * (found.points - found.parameters) and "sliding_friction" in names:
+        with suppress(ValueError):
+            again = fit(clips, _rescaled(clips, model), names, noise, tick=lambda: tick("fit"))
+            return min(found, again, key=lambda f: f.chi2)
+    return found
+
+
+def smoothed(
+    clips: Sequence[Measured], kept_out: Sequence[Measured], model: Model, tick: Tick
+) -> tuple[list[Measured], list[Measured]]:
+    """Both without what are spikes beside the base model. Only `clips` are fitted, but for launches.
+
+    To be done before their noise is read: spikes would be taken for noise.
+    """
+    base = base_fit(clips, model, CLAIMED, tick)
+    every, places = [*clips, *kept_out], base.launches
+    with suppress(ValueError):  # the model has no motion for one of them
+        if kept_out:
+            places = np.concatenate([places, fit(kept_out, base.model, (), CLAIMED).launches])
+    told = every[: len(places)]
+    kept = [*without_spikes(told, forecast(base.model, places, told)), *every[len(places) :]]
+    return kept[: len(clips)], kept[len(clips) :]
+
+
+def _rescaled(clips: Sequence[Measured], model: Model) -> Model:
+    """With mu = 2 u / (7 g tau), from the speed u at which the hit target slips and from how long tau it does so."""
+    _, _, t_c, v0, _, b = np.array([c.launch for c in clips]).T
+    lasts = np.array([c.ends[0] for c in clips]) - t_c
+    slip = (1 + model.restitution) / 2 * v0 * np.sqrt(1 - b**2)
+    known = lasts > 0
+    if not known.any():
+        return model
+    friction = float(np.median(2 / 7 * slip[known] / (model.gravity * lasts[known])))
+    slower = friction / model.sliding_friction if model.sliding_friction else 1.0
+    rolling = {"rolling_drag": model.rolling_drag * slower**0.5, "rolling_decel": model.rolling_decel * slower}
+    return model.replace({"sliding_friction": friction} | rolling)

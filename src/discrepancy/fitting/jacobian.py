@@ -1,0 +1,112 @@
+"""Derivatives of the forecast by shared parameters and by the launches, by finite differences."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from contextlib import suppress
+
+import numpy as np
+from numpy.typing import NDArray
+
+from discrepancy.data.collisions import Measured
+from discrepancy.fitting.parameters import FINE, limits_of, step_of
+from discrepancy.fitting.predict import forecast
+from synthcam.dynamics.solve import uncoupled
+from synthcam.model import Model
+
+Array = NDArray[np.float64]
+
+LAUNCH_STEP = 1e-6  # m, s, m/s, rad, 1
+AT_ONCE = 64  # clips whose launches are nudged in one batch
+
+
+def derivative(
+    model: Model, launches: Array, clips: Sequence[Measured], name: str, here: Sequence[Array] | None = None
+) -> list[Array]:
+    """d forecast / d a shared parameter, (n_k, 2) each: central, one-sided at a limit.
+
+    A limit may also be where the motion ends to exist, as when a tilt sets the resting ball rolling; zero when there is
+    none to either side. here: the forecast itself; a short forward difference from there then serves where it can.
+    """
+    value, step, (low, high) = model.value(name), step_of(model, name), limits_of(model, name)
+    ends = []
+    if here is not None and value + FINE * step <= high:
+        try:
+            ahead = forecast(model.replace({name: value + FINE * step}), launches, clips)
+            return [(a - b) / (FINE * step) for a, b in zip(ahead, here, strict=True)]
+        except ValueError:
+            pass
+    for end in (min(value + step, high), max(value - step, low)):
+        try:
+            ends.append((end, forecast(model.replace({name: end}), launches, clips)))
+        except ValueError:
+            ends.append((value, forecast(model, launches, clips)))
+    (up, ahead), (down, behind) = ends
+    return [(a - b) / (up - down) if up > down else 0 * a for a, b in zip(ahead, behind, strict=True)]
+
+
+def derivatives(
+    model: Model,
+    launches: Array,
+    clips: Sequence[Measured],
+    names: Sequence[str],
+    here: Sequence[Array],
+    exact: bool = False,
+) -> list[list[Array]]:
+    """`derivative` of each name; here: the forecast.
+
+    Where balls push each other their motion takes some eight times as long, and bends little what the other parameters
+    do: theirs are then those without that, unless they are to be exact.
+    """
+    plain = model if exact else uncoupled(model)
+    there = here if plain.effects == model.effects else forecast(plain, launches, clips)
+    pushing = coupling(model, plain)
+    return [
+        derivative(model, launches, clips, name, here)
+        if name.partition(".")[0] in pushing
+        else derivative(plain, launches, clips, name, there)
+        for name in names
+    ]
+
+
+def coupling(model: Model, plain: Model) -> set[str]:
+    """The names of the effects by which balls push each other; plain: the model without them."""
+    return {e.name() for e in model.effects} - {e.name() for e in plain.effects}
+
+
+def launch_derivatives(model: Model, launches: Array, clips: Sequence[Measured]) -> tuple[list[Array], list[Array]]:
+    """The forecast (n_k, 2) and its derivatives (n_k, 2, 6) by each clip's own launch, many in one batch.
+
+    At the edge of where a ball can rest they are taken to the side that has a motion; zero where neither has.
+    """
+    here: list[Array] = []
+    slopes: list[Array] = []
+    for first in range(0, len(clips), AT_ONCE):
+        some, places = clips[first : first + AT_ONCE], launches[first : first + AT_ONCE]
+        try:
+            parts = [_nudged(model, places, some)]
+        except ValueError:
+            parts = [_at_the_edge(model, place, clip) for place, clip in zip(places, some, strict=True)]
+        here += [h for part, _ in parts for h in part]
+        slopes += [s for _, part in parts for s in part]
+    return here, slopes
+
+
+def _nudged(model: Model, launches: Array, clips: Sequence[Measured]) -> tuple[list[Array], list[Array]]:
+    nudges, k = LAUNCH_STEP * np.concatenate([np.zeros((1, 6)), np.eye(6)]), len(clips)
+    every = forecast(model, (launches[None] + nudges[:, None]).reshape(-1, 6), list(clips) * len(nudges))
+    slopes = [
+        np.stack([(every[(1 + j) * k + i] - every[i]) / LAUNCH_STEP for j in range(6)], axis=-1) for i in range(k)
+    ]
+    return every[:k], slopes
+
+
+def _at_the_edge(model: Model, launch: Array, clip: Measured) -> tuple[list[Array], list[Array]]:
+    (here,) = forecast(model, launch[None], [clip])
+    slopes = np.zeros((*here.shape, 6))
+    for j, step in itertools.product(range(6), (-LAUNCH_STEP, LAUNCH_STEP)):  # the later counts
+        with suppress(ValueError):
+            (there,) = forecast(model, (launch + step * np.eye(6)[j])[None], [clip])
+            slopes[..., j] = (there - here) / step
+    return [here], [slopes]

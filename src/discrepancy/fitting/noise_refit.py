@@ -1,0 +1,155 @@
+"""The noise read again from what a fitted model leaves over whole clips: slower noise shows there than within a phase.
+
+To be used when the model explains the data, after a search. The launches and the shared parameters take part of the
+noise; restricted maximum likelihood counts that. What is still unexplained cannot hide behind it. Noise that the phases
+by themselves exclude is refused; and what they allow is spread over some ten slow modes a clip, so that a disagreement
+of z sigma becomes one of z / sqrt(1 + z^2 / modes): still far beyond a claim.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from discrepancy.data.collisions import Measured
+from discrepancy.fitting.gauss_newton import Fit
+from discrepancy.noise.model import (
+    KERNELS,
+    SHAKEN,
+    Component,
+    Noise,
+    Pairs,
+    descend,
+    free_numbers,
+    noise_of,
+    possible,
+    shape_of,
+)
+from discrepancy.noise.whitening import Whitener
+
+Array = NDArray[np.float64]
+
+CLIPS = 12  # read, at most: enough to know the noise by
+EXCLUDED = 20.0  # of -2 log likelihood within the phases: one chance in a thousand for five numbers
+SLIGHT = 9.0  # of -2 log likelihood: less gain is no reason to fit everything again
+SEEN = 1e-8  # of a shared parameter's information: where the others leave less it counts for nothing
+TINY = 1e-300  # of a number of the launch that no track shows
+SLOW = (0.95,)  # the correlation from frame to frame of slow noise, to start from
+
+
+def refined(clips: Sequence[Measured], fit: Fit, noise: Noise, explained: bool = True) -> Noise:
+    """A better reading of the noise from the residuals of a fit, which was made with `noise`.
+
+    explained: the fit lacks nothing that is known. Where it may, what it lacks moves both balls, as a shaking camera
+    does: then only each ball's own noise is read. `noise` itself when that gains little, or is what the phases exclude.
+    """
+    if noise.shared and not explained:
+        return noise
+    places = np.unique(np.linspace(0, len(clips) - 1, min(CLIPS, len(clips))).astype(int)).tolist()
+    left, within = _Left.of(clips, fit, noise, places), Pairs(pair for k in places for pair in clips[k].together())
+    sigma, rho = (0.0, 0.0) if noise.shared or not explained else left.shaken(noise)
+    if noise.shared:
+        new = left.best(noise)[1]
+    elif sigma > SHAKEN and within.pairs:
+        own, size = within.own(), float(np.mean([np.mean(c.claimed() ** 2) for c in left.clips]))
+        slow = Component(0.2 * own.variance * size, (rho,))
+        new = left.best(Noise(own, (slow, slow)))[1]
+    else:
+        slow = Component(noise.own.variance, SLOW, 0.5)
+        new = min((left.best(n) for n in (noise, Noise(slow))), key=lambda pair: pair[0])[1]
+    if left.cost(noise) - left.cost(new) < (SLIGHT if explained else 0.0):
+        return noise
+    return new if within.cost(new) - within.cost(noise) < EXCLUDED else noise
+
+
+@dataclass(frozen=True)
+class _Left:
+    """columns (n, 2, 6 + S + 1) of each clip, m: derivatives by the launch and the shared parameters, and residuals."""
+
+    clips: Sequence[Measured]
+    columns: tuple[Array, ...]
+    price: float  # of a number more, Schwarz
+
+    @classmethod
+    def of(cls, clips: Sequence[Measured], fit: Fit, noise: Noise, places: Sequence[int]) -> _Left:
+        """Of the clips at these places."""
+        size = np.sqrt(sum((s**2).sum(axis=0) for s in fit.slopes))
+        unit, columns = 1 / np.where(size > 0, size, 1), []
+        for k in places:
+            both = np.column_stack([fit.launch_slopes[k], fit.slopes[k] * unit, fit.residuals[k]])
+            columns.append(Whitener.of(clips[k], noise).undo(both))
+        some = tuple(clips[k] for k in places)
+        return cls(some, tuple(columns), float(np.log(sum(2 * len(c.frame) - 6 for c in some))))
+
+    def cost(self, noise: Noise) -> float:
+        """-2 log restricted likelihood, up to a constant."""
+        size = self.columns[0].shape[2] - 6
+        gram, logs = np.zeros((size, size)), 0.0
+        for clip, columns in zip(self.clips, self.columns, strict=True):
+            white = Whitener.of(clip, noise)
+            seen = white(columns)
+            q, r = np.linalg.qr(seen[:, :6])
+            rest = seen[:, 6:] - q @ (q.T @ seen[:, 6:])
+            gram += rest.T @ rest
+            logs += white.log_determinant + 2 * float(np.log(np.maximum(np.abs(np.diag(r)), TINY)).sum())
+        values, axes = np.linalg.eigh(gram[:-1, :-1])
+        values = np.maximum(values, SEEN)
+        pulls = axes.T @ gram[:-1, -1]
+        with np.errstate(over="ignore"):  # of columns that hardly show: infinite, and never the best
+            return float(logs + np.log(values).sum() + gram[-1, -1] - (pulls**2 / values).sum())
+
+    def best(self, start: Noise) -> tuple[float, Noise]:
+        """The likeliest noise of the same shape, found from `start`; first its cost with the price of its numbers."""
+        shape, shake = shape_of(start.own), shape_of(start.shared[0]) if start.shared else None
+        numbers = [np.log([start.own.variance]), free_numbers(start.own)]
+        if start.shared:
+            numbers += [np.log([s.variance for s in start.shared]), free_numbers(start.shared[0])]
+        build = partial(noise_of, shape, shake)
+
+        def cost(y: Array) -> float:
+            return self.cost(build(y))
+
+        x = descend(cost, np.concatenate(numbers))
+        return possible(cost, x) + self.price * len(x), build(x)
+
+    def shaken(self, noise: Noise) -> tuple[float, float]:
+        """The most significant score of shared noise over KERNELS and axes, in sigma, and its kernel's correlation.
+
+        As within phases (`Pairs.shaken`), the launches' part taken out: with z the white residuals, P what the launches
+        leave and B the kernel between the balls, score z'Bz / 2 less its mean tr(PB) / 2, of variance tr(PBPB) / 2.
+        """
+        scores, means, variances = (np.zeros((len(KERNELS), 2)) for _ in range(3))
+        for clip, columns in zip(self.clips, self.columns, strict=True):
+            white = Whitener.of(clip, noise)
+            seen = white(columns)
+            q, _ = np.linalg.qr(seen[:, :6])
+            left = seen[:, -1] - q @ (q.T @ seen[:, -1])
+            rows = [np.flatnonzero(clip.ball == ball) for ball in (0, 1)]
+            apart = np.abs(np.subtract.outer(clip.frame[rows[0]], clip.frame[rows[1]]))
+            for axis in (0, 1):
+                pushes = [_pushed(white, r, axis) for r in rows]
+                pulls = [p.T @ left for p in pushes]
+                taken = [p.T @ q for p in pushes]
+                own = [p.T @ p - t @ t.T for p, t in zip(pushes, taken, strict=True)]
+                cross = -taken[1] @ taken[0].T
+                for j, rho in enumerate(KERNELS):
+                    kernel = rho**apart
+                    scores[j, axis] += pulls[0] @ kernel @ pulls[1]
+                    means[j, axis] += np.trace(kernel @ cross)
+                    variances[j, axis] += np.sum((kernel @ own[1]) * (own[0] @ kernel))
+                    variances[j, axis] += np.trace(kernel @ cross @ kernel @ cross)
+        off = scores - means
+        both = off.sum(axis=1) / np.sqrt(variances.sum(axis=1))
+        best = np.maximum((off / np.sqrt(variances)).max(axis=1), both)
+        return float(best.max()), float(KERNELS[int(best.argmax())])
+
+
+def _pushed(white: Whitener, rows: NDArray[np.intp], axis: int) -> Array:
+    """White residuals (2n, k) of a unit displacement of each of these k rows along an axis."""
+    units = np.zeros((len(white.roots), 2, len(rows)))
+    units[rows, axis, np.arange(len(rows))] = 1
+    return white(units)

@@ -1,0 +1,125 @@
+"""What a model says the tracks should be: exposure means of all clips at once, through camera, clock and tracker."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from discrepancy.data.collisions import Measured
+from synthcam.camera.pinhole import Camera as Optics
+from synthcam.dynamics.batch import LAUNCH, Batch, collisions
+from synthcam.model import Model
+from tracker.camera.camera import Camera, Lamp
+
+Array = NDArray[np.float64]
+__all__ = ["LAUNCH", "forecast", "known_to_measure", "velocities"]
+
+FRICTIONLESS = 1e-9  # stands in for no sliding friction: a slide then outlasts every film, but ends
+LATE = 1e-4  # s, the step of a numerical derivative
+FAR = 1e9  # m: squares of such residuals are still numbers
+
+
+def forecast(model: Model, launches: Array, clips: Sequence[Measured]) -> list[Array]:
+    """Predicted centres (n_k, 2), m, where each clip has measurements; launches (clips, 6), columns LAUNCH.
+
+    All clips are of one camera. Raises ValueError when the model has no motion for such a launch, or one
+    that leads farther than any number should.
+    """
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+        places = _forecast(model, launches, clips)
+    if not all(np.abs(p).max(initial=0.0) < FAR for p in places):  # NaN too
+        raise ValueError("the motion leads out of the world")
+    return places
+
+
+def _forecast(model: Model, launches: Array, clips: Sequence[Measured]) -> list[Array]:
+    if model.sliding_friction == 0:
+        model = model.replace({"sliding_friction": FRICTIONLESS})
+    camera = clips[0].camera
+    frames = np.arange(min(int(c.frame.min()) for c in clips), max(int(c.frame.max()) for c in clips) + 1)
+    film = frames / camera.fps
+    exposure = float(model.laws("exposure", camera.exposure, {"fps": camera.fps}))
+    rows = np.array([[0.0], [camera.size[1] - 1.0]])
+    extent = model.laws("clock", film[[0, -1]], {"fps": camera.fps, "row": rows}) + np.array([0.0, exposure])
+    start = min(float(extent.min()), float(launches[:, 2].min()))
+    motion = collisions(model, launches, start, float(extent.max()), [c.striker == "a" for c in clips])
+    places, opens = _exposed(model, motion, camera, film, exposure)
+    height = _heights(motion, opens, exposure) if model.laws.bent("loft") else camera.radius
+    places = _seen(model, camera, places, height)
+    return [places[c.ball, k, c.frame - frames[0]] for k, c in enumerate(clips)]
+
+
+def _exposed(model: Model, motion: Batch, camera: Camera, film: Array, exposure: float) -> tuple[Array, Array]:
+    """Means over the exposures, (2, clips, frames, 2), m; each ball by the clock of its own row where that matters.
+
+    And when the exposures open, (frames,) or (2 clips, frames).
+    """
+    if not model.laws.asks("clock", "row"):
+        opens = model.laws("clock", film, {"fps": camera.fps, "row": 0.0})
+        return motion.means(opens, exposure), opens
+    places, opens = motion.means(film, exposure), film
+    for _ in range(2):
+        rows = np.clip(_project(camera, places)[..., 1], 0, camera.size[1] - 1).reshape(-1, len(film))
+        own = model.laws("clock", film + 0 * rows, {"fps": camera.fps, "row": rows})
+        opens = np.clip(own, motion.start, motion.end - exposure)
+        places = motion.means(opens, exposure)
+    return places, opens
+
+
+def _heights(motion: Batch, opens: Array, exposure: float) -> Array:
+    """Of the centres, means over the exposures by Simpson's rule, (2, clips, frames, 1), m: some hop."""
+    first, middle, last = (motion.heights(opens + share * exposure)[..., None] for share in (0.0, 0.5, 1.0))
+    return np.asarray((first + 4 * middle + last) / 6)
+
+
+def _seen(model: Model, camera: Camera, places: Array, height: Array | float) -> Array:
+    """Where the tracker, which knows the nominal camera and no hop, puts centres that are at `places` and `height`."""
+    if not model.laws.bent("camera", "measure", "loft"):
+        return places
+    nominal = Optics(
+        K=camera.K,
+        dist=np.asarray(camera.dist),
+        R=camera.R,
+        t=camera.t,
+        size=camera.size,
+        fps=camera.fps,
+        exposure=camera.exposure,
+        scale=float("nan"),
+        psf_sigma_px=float("nan"),
+    )
+    pixels = replace(model.laws("camera", nominal, {})).project(_spatial(places, height))
+    pixels = model.laws("measure", pixels, known_to_measure(camera))
+    return np.asarray(camera.unproject(pixels)[0])
+
+
+def known_to_measure(camera: Camera) -> dict[str, Any]:
+    """What a defect of a tracker with this camera file may ask for, as LAWS has it."""
+
+    def glint(seen: Array) -> Array:
+        return camera.glint_of_centre(camera.unproject(seen)[0])
+
+    def mirrored(seen: Array, lamp: tuple[float, float, float]) -> Array:
+        if camera.lamp is not None:
+            return seen
+        return replace(camera, lamp=Lamp(lamp)).glint_of_centre(camera.unproject(seen)[0])
+
+    return {"glint": glint, "mirrored": mirrored}
+
+
+def _project(camera: Camera, places: Array) -> Array:
+    return np.asarray(camera.project(_spatial(places, camera.radius)))
+
+
+def _spatial(places: Array, height: Array | float) -> Array:
+    return np.concatenate([places, np.broadcast_to(height, (*places.shape[:-1], 1))], axis=-1)
+
+
+def velocities(model: Model, launches: Array, clips: Sequence[Measured]) -> list[Array]:
+    """How fast the measured places move, (n_k, 2) m/s."""
+    nudge = LATE * (np.arange(6) == 2)
+    ahead, behind = (forecast(model, launches + way * nudge, clips) for way in (-1, 1))
+    return [(a - b) / (2 * LATE) for a, b in zip(ahead, behind, strict=True)]

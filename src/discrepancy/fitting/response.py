@@ -1,0 +1,200 @@
+"""What a small change of a law does to the tracks, to first order: many changes at once, by integrals over the motion.
+
+Sliding, with u the contact velocity, q = v - (2/7) u and a change m of friction, p of the push:
+    du_along' = p_along - (7/2) N m,   du_across = |u| Int p_across/|u|,   dq' = (5/7) p
+Rolling, with a change l of the loss:
+    dv_along' + drag dv_along = (5/7) p_along - l,   dv_across = |v| Int (5/7) p_across/|v|
+A slide's end comes later by dT = du_along / |u|', and the ball rolls off with dq less its deceleration times dT.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from discrepancy.data.collisions import Measured
+from synthcam.dynamics.batch import Batch, collisions
+from synthcam.dynamics.kinematics import contact_velocity
+from synthcam.model import Model
+
+Array = NDArray[np.float64]
+Change = Callable[["Leg"], Array]  # (k, m, J) of friction and loss, (k, m, 2, J) of the push
+
+POINTS = 65  # of a leg
+AT_ONCE = 32  # clips
+NUMBERS = 250_000  # at once, for the processor's cache
+
+
+@dataclass(frozen=True)
+class Leg:
+    """A leg of k balls at m instants: place, velocity, contact velocity (k, m, 2); their sizes and directions.
+
+    slip and way stay defined where the motion ends.
+    """
+
+    times: Array
+    place: Array
+    velocity: Array
+    contact: Array
+
+    @classmethod
+    def of(cls, motion: Batch, radius: float, begins: Array, ends: Array) -> Leg:
+        times = begins[:, None] + (ends - begins)[:, None] * np.linspace(0, 1, POINTS)
+        inside = np.clip(times, motion.start, motion.end)
+        states = motion.at(inside).reshape(len(times), POINTS, 9)
+        return cls(times, states[..., :2], states[..., 3:5], contact_velocity(states, radius))
+
+    def __getitem__(self, rows: slice) -> Leg:
+        return Leg(self.times[rows], self.place[rows], self.velocity[rows], self.contact[rows])
+
+    @property
+    def speed(self) -> Array:
+        return np.asarray(np.hypot(self.velocity[..., 0], self.velocity[..., 1]))
+
+    @property
+    def slip_speed(self) -> Array:
+        return np.asarray(np.hypot(self.contact[..., 0], self.contact[..., 1]))
+
+    @property
+    def way(self) -> Array:
+        """Direction of the velocity."""
+        return np.asarray(self.velocity / np.maximum(self.speed, 1e-12)[..., None])
+
+    @property
+    def slip(self) -> Array:
+        """Direction of the contact velocity, as it was at first."""
+        first = self.contact[:, :1] / np.maximum(self.slip_speed[:, :1], 1e-12)[..., None]
+        return np.asarray(np.broadcast_to(first, self.contact.shape))
+
+
+def responses(
+    model: Model, launches: Array, clips: Sequence[Measured], changes: Mapping[str, Change], size: int
+) -> list[Array]:
+    """d tracks (n_k, 2, size) by each of `size` changes of a law; changes: of `friction`, `rolling` or `push`.
+
+    What no number holds tells nothing, and is zero.
+    """
+    out: list[Array] = []
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+        for first in range(0, len(clips), AT_ONCE):
+            out += _some(model, launches[first : first + AT_ONCE], clips[first : first + AT_ONCE], changes, size)
+    return [np.nan_to_num(xy, copy=False, nan=0.0, posinf=0.0, neginf=0.0) for xy in out]
+
+
+def _some(
+    model: Model, launches: Array, clips: Sequence[Measured], changes: Mapping[str, Change], size: int
+) -> list[Array]:
+    fps, exposure = clips[0].fps, clips[0].exposure
+    start = min(min(int(c.frame.min()) for c in clips) / fps, float(launches[:, 2].min()))
+    end = (max(int(c.frame.max()) for c in clips) + 1) / fps + exposure
+    early, slide, roll = _legs(model, launches.tobytes(), tuple(c.striker == "a" for c in clips), start, end)
+    contact, over = slide.times[:, 0], roll.times[:, 0]
+    parts = -(-len(contact) * POINTS * 2 * size // NUMBERS)
+    blocks = [_shifts(model, early[r], slide[r], roll[r], changes, size) for r in _runs(len(contact), parts)]
+    shifts = [np.concatenate(leg) for leg in zip(*blocks, strict=True)]
+    out = []
+    for k, clip in enumerate(clips):
+        ball = k + clip.ball * len(clips)
+        when = clip.frame / fps + exposure / 2
+        which = np.where(when < contact[ball], 0, np.where(when < over[ball], 1, 2))
+        xy = np.zeros((len(when), 2, size))
+        for part, (leg, shift) in enumerate(zip((early, slide, roll), shifts, strict=True)):
+            rows = np.flatnonzero(which == part)
+            xy[rows] = _between(leg.times[ball[rows]], shift, ball[rows], when[rows])
+        out.append(xy)
+    return out
+
+
+@lru_cache(maxsize=16)
+def _legs(model: Model, launches: bytes, a_strikes: tuple[bool, ...], start: float, end: float) -> tuple[Leg, Leg, Leg]:
+    """Before the contact, sliding and rolling; launches: (clips, 6). Many laws are tried on one motion."""
+    places = np.frombuffer(launches).reshape(-1, 6)
+    motion = collisions(model, places, start, end, a_strikes)
+    contact = np.tile(places[:, 2], 2)
+    over, whole = np.minimum(motion.slide_ends, end), np.ones(len(contact))
+    ends = (contact, start * whole), (contact, over), (over, end * whole)
+    early, slide, roll = (Leg.of(motion, model.ball.radius, *e) for e in ends)
+    return early, slide, roll
+
+
+def _runs(count: int, parts: int) -> list[slice]:
+    cuts = np.linspace(0, count, min(parts, count) + 1).astype(int).tolist()
+    return [slice(a, b) for a, b in itertools.pairwise(cuts)]
+
+
+def _shifts(
+    model: Model, early: Leg, slide: Leg, roll: Leg, changes: Mapping[str, Change], size: int
+) -> tuple[Array, Array, Array]:
+    """Of some balls, (k, m, 2, J) in each leg."""
+    nothing = np.zeros((len(early.times), 2, size))
+    slid, left = _sliding(model, slide, roll, changes, size)
+    return (
+        _rolling(model, early, changes, size, nothing, nothing),
+        slid,
+        _rolling(model, roll, changes, size, slid[:, -1], left),
+    )
+
+
+def _sliding(model: Model, leg: Leg, after: Leg, changes: Mapping[str, Change], size: int) -> tuple[Array, Array]:
+    """Shifts (k, m, 2, J) in a slide, and the change of the velocity (k, 2, J) with which the ball rolls off."""
+    slip, u = leg.slip, leg.slip_speed
+    across = np.stack([-slip[..., 1], slip[..., 0]], axis=-1)
+    push = _of(changes, "push", leg, (*u.shape, 2, size))
+    along = (push * slip[..., None]).sum(axis=2) - 3.5 * model.gravity * _of(changes, "friction", leg, (*u.shape, size))
+    aside = (push * across[..., None]).sum(axis=2) / np.maximum(u, 1e-3 * u[:, :1] + 1e-12)[..., None]
+    du_along, du_across = _integral(leg.times, along), u[..., None] * _integral(leg.times, aside)
+    du = du_along[..., None, :] * slip[..., None] + du_across[..., None, :] * across[..., None]
+    dq = 5 / 7 * _integral(leg.times, push)
+    shift = _integral(leg.times, dq + 2 / 7 * du)
+    lasts = np.maximum(leg.times[:, -1] - leg.times[:, 0], 1e-12)
+    slowing = np.maximum((u[:, 0] - u[:, -1]) / lasts, 1e-12)
+    later = np.where((lasts > 1e-9)[:, None], du_along[:, -1] / slowing[:, None], 0.0)
+    speed = after.speed[:, 0]
+    loss = (model.rolling_drag * speed + model.rolling_decel)[:, None] * after.way[:, 0]
+    return shift, dq[:, -1] + loss[..., None] * later[:, None, :]
+
+
+def _rolling(model: Model, leg: Leg, changes: Mapping[str, Change], size: int, place: Array, velocity: Array) -> Array:
+    """Shifts (k, m, 2, J) in a roll that begins with changes of place and velocity, (k, 2, J). A ball at rest stays."""
+    way, v = leg.way, leg.speed
+    moves = (v > 1e-7)[..., None]
+    across = np.stack([-way[..., 1], way[..., 0]], axis=-1)
+    push = 5 / 7 * _of(changes, "push", leg, (*v.shape, 2, size))
+    along = (push * way[..., None]).sum(axis=2) - _of(changes, "rolling", leg, (*v.shape, size))
+    aside = (push * across[..., None]).sum(axis=2) / np.maximum(v, 1e-3 * v[:, :1] + 1e-12)[..., None]
+    decay = np.exp(-model.rolling_drag * (leg.times - leg.times[:, :1]))[..., None]
+    first = (velocity * way[:, 0, :, None]).sum(axis=1)[:, None]
+    beside = (velocity * across[:, 0, :, None]).sum(axis=1)[:, None] / np.maximum(v[:, :1], 1e-12)[..., None]
+    dv_along = decay * (first + _integral(leg.times, np.where(moves, along / decay, 0.0)))
+    dv_across = v[..., None] * (beside + _integral(leg.times, np.where(moves, aside, 0.0)))
+    dv = dv_along[..., None, :] * way[..., None] + dv_across[..., None, :] * across[..., None]
+    return np.asarray(place[:, None] + _integral(leg.times, np.where(moves[..., None], dv, 0.0)))
+
+
+def _of(changes: Mapping[str, Change], law: str, leg: Leg, shape: tuple[int, ...]) -> Array:
+    return changes[law](leg) if law in changes else np.zeros(shape)
+
+
+def _integral(times: Array, values: Array) -> Array:
+    """From the first instant, by trapezia: (k, m), evenly spaced, and (k, m, ...) -> (k, m, ...)."""
+    out = np.empty_like(values)
+    out[:, 0] = 0
+    sums = out[:, 1:]
+    np.add(values[:, 1:], values[:, :-1], out=sums)
+    sums *= ((times[:, -1] - times[:, 0]) / (2 * (POINTS - 1))).reshape(-1, *[1] * (values.ndim - 1))
+    np.cumsum(sums, axis=1, out=sums)
+    return out
+
+
+def _between(times: Array, shift: Array, ball: NDArray[np.intp], when: Array) -> Array:
+    """Shifts (n, 2, J) of balls (n,) at `when`, between the instants (n, m)."""
+    span = times[:, -1] - times[:, 0]
+    place = np.clip((when - times[:, 0]) / np.where(span != 0, span, 1) * (POINTS - 1), 0, POINTS - 1)
+    low = np.minimum(place.astype(int), POINTS - 2)
+    share = (place - low)[:, None, None]
+    return np.asarray(shift[ball, low] * (1 - share) + shift[ball, low + 1] * share)

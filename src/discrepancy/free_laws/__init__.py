@@ -1,0 +1,1 @@
+"""Laws left free: their basis, evidence, bands, and short formulas for them."""

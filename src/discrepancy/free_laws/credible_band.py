@@ -1,0 +1,155 @@
+"""The band of a fitted curve: the law is smooth, or it has a step; the data weigh which.
+
+A smooth curve cannot follow a step, and its covariance does not know that. So the band is that of a mixture: the
+smooth curve, and steps at many places and of some widths, each with its marginal likelihood for a weight. Either sort
+is as likely beforehand, and so is every step of its sort. A step's height has a Gaussian prior of the size that makes
+the data likeliest, as the curve's coefficients have: z standard deviations from zero, it costs 1 + ln z^2 of chi^2.
+The same weights say what the slot as a whole is worth beside the library's models.
+Bayesian model averaging: Hoeting et al., Statistical Science 14 (1999) 382.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import logsumexp, ndtr
+
+from discrepancy.free_laws.basis import Axis
+from discrepancy.free_laws.evidence import weigh
+from discrepancy.free_laws.fitted_law import Filled
+from discrepancy.free_laws.slots import columns
+
+Array = NDArray[np.float64]
+
+PLACES, WIDTHS = 40, 6  # of steps that are tried at once
+WIDTH = (0.004, 0.15)  # of a step's tanh, from, to: shares of the range; by its logarithm
+AT_ONCE = 60  # columns
+ENOUGH = 12.0  # steps that share the weight: the tries are close enough
+ZOOMS = 6  # at most, into where the weight is
+LEAST = 1e-6  # of the weight: components with less have no part
+SEEN = 1e-8  # of the largest information: a step with less is in the span of the law's own parameters
+HALVINGS = 60  # of an interval in which a quantile lies
+
+
+@dataclass(frozen=True)
+class Mixture:
+    """A law at n places by normal components. weight: (k,), of sum one; mean, std: (k, n, parts)."""
+
+    weight: Array
+    mean: Array
+    std: Array
+
+    @classmethod
+    def of(cls, filled: Filled, *x: Array) -> Mixture:
+        """The law at x. Maps, laws of an angle and numbers of each clip have no steps."""
+        mean, covariance = filled.curve(*x)
+        std = np.sqrt(np.maximum(np.diagonal(covariance, axis1=1, axis2=2), 0.0)).T
+        if not _may_step(filled):
+            return cls(np.ones(1), mean[None], std[None])
+        odds, means, stds = _steps(filled, x[0])
+        odds = np.array([0.0, *odds])
+        weight = np.exp(odds - logsumexp(odds))
+        kept = weight > LEAST
+        mean, std = np.concatenate([mean[None], means]), np.concatenate([std[None], stds])
+        return cls(weight[kept] / weight[kept].sum(), mean[kept], std[kept])
+
+    def quantile(self, deviations: float) -> Array:
+        """(n, parts): below it lies as much as of a normal below so many standard deviations."""
+        ends = self.mean + deviations * self.std
+        low, high = ends.min(axis=0), ends.max(axis=0)
+        for _ in range(HALVINGS if len(self.weight) > 1 else 0):
+            middle = (low + high) / 2
+            spread = np.maximum(self.std, 1e-300)  # of a centred law some place may have none
+            below = np.tensordot(self.weight, ndtr((middle - self.mean) / spread), 1) < ndtr(deviations)
+            low, high = np.where(below, middle, low), np.where(below, high, middle)
+        return np.asarray((low + high) / 2)
+
+
+def stepped(filled: Filled) -> float:
+    """How much likelier, in chi^2, the clips are where the law may be smooth or have a step than where it is smooth."""
+    if not _may_step(filled):
+        return 0.0
+    odds, _, _ = _steps(filled, filled.slot.axes[0].grid(1))
+    return float(2 * (logsumexp([0.0, *odds]) - np.log(2)))
+
+
+def _may_step(filled: Filled) -> bool:
+    return len(filled.slot.axes) == 1 and filled.slot.axes[0].kind == "line"
+
+
+@dataclass(frozen=True)
+class _Steps(Axis):
+    """An axis whose series is steps. where: (count, 2), places and ln of widths, shares of the range."""
+
+    where: Array | None = None
+
+    def basis(self, x: Any) -> Array:
+        assert self.where is not None
+        share = (np.asarray(x)[..., None] - self.low) / (self.high - self.low)
+        return np.asarray((1 + np.tanh((share - self.where[:, 0]) / np.exp(self.where[:, 1]))) / 2)
+
+
+def _steps(filled: Filled, x: Array) -> tuple[Array, Array, Array]:
+    """ln of the odds (k,) of each step against the smooth curve; their laws at x: means and deviations, (k, n, 1).
+
+    Tried anew within the box of places and widths that holds the weight, until that is shared by enough of them.
+    """
+    left = [r + m @ filled.coefs for r, m in zip(filled.now.residuals, filled.moves, strict=True)]
+    bare = replace(filled, now=replace(filled.now, residuals=tuple(left)))  # of no curve
+    smooth = weigh(filled.slot, *_seen(bare, filled.moves)[:2]).gain
+    whole = box = np.array([[0.0, 1.0], np.log(WIDTH)])
+    counts = np.array([PLACES, WIDTHS])
+    for _ in range(ZOOMS):
+        cell = np.ptp(box, axis=1) / counts
+        sides = [low + side * (np.arange(n) + 0.5) for low, side, n in zip(box[:, 0], cell, counts, strict=True)]
+        where = np.stack(np.meshgrid(*sides, indexing="ij"), axis=-1).reshape(-1, 2)
+        tried = [_tried(bare, some, x) for some in np.array_split(where, -(-len(where) // AT_ONCE))]
+        gains, means, stds = (np.concatenate(each) for each in zip(*tried, strict=True))
+        odds = (gains - smooth) / 2 + np.log(np.prod(cell / np.ptp(whole, axis=1)))
+        weight = np.exp(odds - logsumexp(odds))
+        heavy = where[weight > LEAST]
+        closer = np.clip(np.stack([heavy.min(axis=0) - cell, heavy.max(axis=0) + cell], 1), whole[:, :1], whole[:, 1:])
+        if 1 / (weight @ weight) > ENOUGH or np.prod(np.ptp(closer, axis=1)) > 0.5 * np.prod(np.ptp(box, axis=1)):
+            break
+        box = closer
+    return odds, means, stds
+
+
+def _tried(bare: Filled, where: Array, x: Array) -> tuple[Array, Array, Array]:
+    """Of steps: what each gains over no curve, in chi^2, its freedom paid for; means and deviations, (k, n, 1), at x.
+
+    Like the curve, a step stands on those of the law's own parameters that are fitted.
+    """
+    slot, now, axis = bare.slot, bare.now, bare.slot.axes[0]
+    step = replace(slot, axes=(_Steps(axis.name, axis.unit, axis.low, axis.high, len(where), where=where),))
+    moves = bare.evidence.white(columns(step, now.model, now.launches, bare.evidence.clips))
+    information, pull, own, spread, back = _seen(bare, moves)
+    seen = np.maximum(np.diag(information), SEEN * np.diag(information).max())
+    z2 = np.maximum(pull**2 / seen, 1.0)
+    size = (1 - 1 / z2) / seen  # the height's variance: none of a step that hardly shows
+    here = np.array([x**power for _, power in bare.owners]).reshape(-1, len(x)).T
+    known = sum((now.model.value(name) * x**power for name, power in slot.owners), np.zeros(len(x)))
+    parts = [known + here @ own, here, step.basis(x) - here @ back]
+    middle, base, law = (p - p.mean(axis=0) for p in parts) if slot.centred else parts
+    mean = middle[:, None] + law * (size * pull)
+    std = np.sqrt(np.einsum("ni,ij,nj->n", base, spread, base)[:, None] + law**2 * size)
+    return z2 - 1 - np.log(z2), mean.T[..., None], std.T[..., None]
+
+
+def _seen(filled: Filled, moves: Sequence[Array]) -> tuple[Array, Array, Array, Array, Array]:
+    """Of columns, the law's own parameters marginal: information and pull; of those, without the columns: by how much
+    they change, and covariance; and by how much a unit of each column makes them less, (own, columns).
+    """
+    now, names = filled.now, [name for name, _ in filled.owners]
+    own = [s[:, [now.names.index(n) for n in names]] for s in now.slopes]
+    both = [np.concatenate(pair, axis=1) for pair in zip(own, moves, strict=True)]
+    information, pull = now.reduced(now.model, names).information(both)
+    first, rest = slice(len(names)), slice(len(names), None)
+    spread = np.asarray(np.linalg.pinv(information[first, first], hermitian=True))
+    back = np.asarray(spread @ information[first, rest])
+    free = information[rest, rest] - information[rest, first] @ back
+    return free, pull[rest] - pull[first] @ back, spread @ pull[first], spread, back

@@ -1,0 +1,139 @@
+"""How much a free curve explains, and what its freedom costs: Gaussian prior on the coefficients, size by the data.
+
+With F the coefficients' information (all that the fit absorbs taken out), g their pull and s^2 K their prior
+covariance, -2 ln of the marginal likelihood over that of no curve is  -g' (F + K^-1/s^2)^-1 g + ln det(1 + s^2 K F).
+MacKay, Neural Computation 4 (1992) 415; Rasmussen & Williams, Gaussian Processes for Machine Learning (2006), ch. 5.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import logsumexp
+
+from discrepancy.fitting.significance import sigmas
+from discrepancy.free_laws.slots import Slot
+
+Array = NDArray[np.float64]
+
+LENGTHS = (0.05, 0.12, 0.35, 1.0)  # over which the prior's curves change, shares of the range
+FLAT = 5.0  # likewise, of a field that hardly changes along an axis
+SMOOTH = 0.35  # likewise, of the curves that a slot's significance is looked for in first
+SEEN = 1e-8  # of the largest information: directions that show less count for nothing
+IDLE = 1e-9  # times the variance of a part that acts: of one that does not
+SIZES = np.linspace(-4, 9, 79)  # ln of the prior's size over what the data could just see
+
+
+@dataclass(frozen=True)
+class Prior:
+    """Independent coefficients: a curve of the standard deviation `size` that changes over `length`; spread: (J,).
+
+    cost: of its choice, in chi^2.
+    """
+
+    length: float
+    size: float
+    spread: Array
+    cost: float = 0.0
+
+    @property
+    def precision(self) -> Array:
+        """(J, J)"""
+        return np.diag(1 / (self.size**2 * self.spread))
+
+
+@dataclass(frozen=True)
+class Weight:
+    """What a slot's coefficients explain: gain > 0 is better than no slot, in units of chi^2, freedom paid for."""
+
+    gain: float
+    prior: Prior
+    coefs: Array
+
+
+def freedom(information: Array, found: Array) -> float:
+    """What the freedom of numbers fitted to be `found` costs, in chi^2: the same price as of a slot's coefficients.
+
+    information: (k, k), in units in which realistic numbers are one. All may differ from zero, or one of them.
+    """
+    pull, one = information @ found, 2 * math.log(1 + len(found))
+    ways = [(np.arange(len(found)), 0.0)] + [(np.array([k]), one) for k in range(len(found)) if len(found) > 1]
+    gains = []
+    for way, cost in ways:
+        values, axes = np.linalg.eigh(information[np.ix_(way, way)])
+        values = np.maximum(values, 1e-300)
+        _, each = _gains(values, axes.T @ pull[way])
+        gains.append(each.max() - cost)
+    return float(found @ pull - max(*gains, 0.0))
+
+
+def _gains(values: Array, pulls: Array) -> tuple[Array, Array]:
+    """The sizes tried of a prior, and the gain of each, from the information (rising) and the pull along its axes."""
+    sizes = np.exp(SIZES) / np.sqrt(max(values[-1], 1e-300))
+    square = sizes[:, None] ** 2
+    return sizes, (square * pulls**2 / (1 + square * values) - np.log1p(square * values)).sum(axis=1)
+
+
+def priors(slot: Slot) -> Iterator[tuple[float, Array, float]]:
+    """What the coefficients may be like: the length of change, their variances (J,), and the cost of the choice.
+
+    A field changes along both axes or along one, and acts along both or along one: three ways of each.
+    """
+    one = 2 * math.log(3)
+    for length in LENGTHS:
+        ways = [(slot.spread(length), 0.0)]
+        if len(slot.axes) == 2:
+            ways += [(slot.spread(length, FLAT), one), (slot.spread(FLAT, length), one)]
+        for spread, cost in ways:
+            yield length, spread, cost
+            for part in range(slot.parts if slot.parts > 1 else 0):
+                acts = np.repeat(np.arange(slot.parts) == part, slot.size // slot.parts)
+                yield length, np.where(acts, spread, IDLE * spread), cost + one
+
+
+def weigh(slot: Slot, information: Array, pull: Array) -> Weight:
+    """The best of the priors for coefficients with this information F (J, J) and pull g (J,).
+
+    All lengths are as likely beforehand: the gain is that of their mean likelihood, which the best one's choice costs.
+    """
+    best: Weight | None = None
+    gains = dict.fromkeys(LENGTHS, -math.inf)
+    for length, spread, cost in priors(slot):
+        root = np.sqrt(spread)
+        values, axes = np.linalg.eigh(root[:, None] * information * root)
+        values = np.maximum(values, 0.0)
+        pulls = axes.T @ (root * pull)
+        sizes, each = _gains(values, pulls)
+        k = int(each.argmax())
+        gain = float(each[k]) - cost
+        gains[length] = max(gains[length], gain)
+        if best is None or gain > best.gain:
+            size = float(sizes[k])
+            coefs = root * (axes @ (size**2 / (1 + size**2 * values) * pulls))
+            best = Weight(gain, Prior(length, size, spread, cost), coefs)
+    assert best is not None
+    mean = 2 * float(logsumexp(np.array(list(gains.values())) / 2) - np.log(len(gains)))
+    prior = replace(best.prior, cost=best.prior.cost + best.gain - mean)
+    return replace(best, gain=mean, prior=prior)
+
+
+def significance(slot: Slot, information: Array, pull: Array) -> float:
+    """The slot's sigma: the best of its chi^2 in the 1, 2, 4, ... directions that show most, corrected for these looks.
+
+    The directions are ordered by what a smooth curve would show in them. They are independent and of unit variance
+    with nothing hidden.
+    """
+    root = np.sqrt(slot.spread(SMOOTH))
+    values, axes = np.linalg.eigh(root[:, None] * information * root)
+    seen = values > SEEN * max(values[-1], 1e-300)
+    if not seen.any():
+        return 0.0
+    pulls = (axes[:, seen].T @ (root * pull)) / np.sqrt(values[seen])
+    chi2 = np.cumsum(pulls[::-1] ** 2)
+    looks = sorted({min(2**k, len(chi2)) for k in range(len(chi2).bit_length() + 1)})
+    best = max(sigmas(float(chi2[m - 1]), m) for m in looks)
+    return float(np.sqrt(max(best**2 - 2 * np.log(len(looks)), 0.0)))

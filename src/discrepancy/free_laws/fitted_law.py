@@ -1,0 +1,99 @@
+"""A slot fitted in full: the coefficients of its law with everything else, and the law's curve."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from discrepancy.fitting.gauss_newton import Evidence, Fit
+from discrepancy.fitting.parameters import parameter_of
+from discrepancy.fitting.significance import sigmas
+from discrepancy.free_laws.evidence import Prior
+from discrepancy.free_laws.slots import Slot
+from synthcam.model import Model
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Filled:
+    """A slot fitted in full. now: the fit beside it, its model with the slot filled where an effect can hold it.
+
+    plain: the model without the slot. sigma: of the slot against the fit without it. score: chi^2 with all freedom
+    paid for.
+    """
+
+    slot: Slot
+    coefs: Array
+    prior: Prior
+    now: Fit
+    plain: Model
+    evidence: Evidence
+    moves: tuple[Array, ...]
+    sigma: float
+    score: float
+
+    @property
+    def whole(self) -> Fit:
+        """The fit with the coefficients among its parameters."""
+        names = [f"{self.slot.name} {j}" for j in range(self.slot.size)]
+        return self.now.extended(self.now.model, names, self.moves)
+
+    @property
+    def owners(self) -> list[tuple[str, int]]:
+        """Those of the law's own parameters that the fit changed."""
+        return [(name, power) for name, power in self.slot.owners if name in self.now.names]
+
+    def curve(self, *x: Array) -> tuple[Array, Array]:
+        """The law at x: values (n, parts), and their covariances over the places, (parts, n, n)."""
+        values = self.slot.values(self.coefs, *x).reshape(len(x[0]), self.slot.parts)
+        for name, power in self.slot.owners:
+            values = values + (self.now.model.value(name) * x[0] ** power)[:, None]
+        spread, extra, one = self._covariance(), len(self.owners), self.slot.size // self.slot.parts
+        own = np.stack([x[0] ** power for _, power in self.owners], axis=-1) if extra else np.zeros((len(x[0]), 0))
+        covariances = []
+        for part in range(self.slot.parts):
+            rows = np.r_[np.arange(extra), extra + part * one + np.arange(one)]
+            design = np.concatenate([own, self.slot.basis(*x)], axis=1)
+            if self.slot.centred:
+                design = design - design.mean(axis=0)
+            covariances.append(design @ spread[np.ix_(rows, rows)] @ design.T)
+        return (values - values.mean(axis=0) if self.slot.centred else values), np.stack(covariances)
+
+    def _covariance(self) -> Array:
+        """Of the law's own parameters and the coefficients, all else marginal."""
+        names = [name for name, _ in self.owners]
+        own = [s[:, [self.now.names.index(n) for n in names]] for s in self.now.slopes]
+        both = [np.concatenate(pair, axis=1) for pair in zip(own, self.moves, strict=True)]
+        matrix, _ = self.now.reduced(self.now.model, names).information(both)
+        matrix[len(names) :, len(names) :] += self.prior.precision
+        scale = np.sqrt(np.diag(matrix))
+        return np.asarray(np.linalg.inv(matrix / np.outer(scale, scale)) / np.outer(scale, scale))
+
+    def beside(self, base: Fit) -> dict[str, float]:
+        """Sigma of what is fitted beside the slot and not in the base, by effect, the slot being free.
+
+        How far its strengths are from what the base holds them at.
+        """
+        now, found = self.whole, {}
+        added = [n for n in self.now.names if n not in base.names]
+        for effect in dict.fromkeys(n.rpartition(".")[0] or n for n in added):
+            own = [n for n in added if (n.rpartition(".")[0] or n) == effect]
+            own = [n for n in own if "." not in n or not parameter_of(now.model, n).fixed]
+            rows = [now.names.index(n) for n in own]
+            moved = np.array([now.model.value(n) - base.model.value(n) for n in own])
+            covariance = now.covariance[np.ix_(rows, rows)]
+            found[effect] = sigmas(float(moved @ np.linalg.pinv(covariance, hermitian=True) @ moved), len(own))
+        return found
+
+    def likelihood(self) -> tuple[Array, Array]:
+        """Of the whole law as coefficients, its own parameters among them: where it is largest, and its information.
+
+        (J,) and (J, J), no prior in either; relative to the law's own parameters as fitted.
+        """
+        names = [name for name, _ in self.owners]
+        information, pull = self.now.reduced(self.now.model, names).information(self.moves)
+        pull = pull + information @ self.coefs
+        return np.asarray(np.linalg.pinv(information, rcond=1e-10, hermitian=True) @ pull), information

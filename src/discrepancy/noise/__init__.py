@@ -1,0 +1,1 @@
+"""The noise of measured tracks, and whitening by it."""

@@ -1,0 +1,359 @@
+"""The noise of measured tracks, from the tracks themselves: each ball's own, and what both balls share.
+
+Within one phase of motion (before, sliding, rolling) a track is smooth; a cubic there leaves the noise, whatever the
+physics. A low-order autoregression, with or without white noise beside it, is fitted to what is left by restricted
+maximum likelihood (REML; Patterson & Thompson, Biometrika 58 (1971) 545), which counts what the cubic took. What both
+balls share, as when the camera shakes, is in their sum and not in their difference.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import toeplitz
+from scipy.optimize import minimize
+from scipy.special import expit, logit
+
+from discrepancy.data.collisions import Measured
+
+T = TypeVar("T")
+Array = NDArray[np.float64]
+Ints = NDArray[np.int64]
+Shape = tuple[int, bool]  # order of an autoregression; whether there is white noise beside it
+Stretch = tuple[Array, Array]  # places (n, axes) and claimed standard deviations (n,)
+Pair = tuple[Array, Array, Array, Array]  # places of both balls (n, 2) in the same frames, and what they claim (n,)
+
+SMOOTH = 4  # coefficients of the cubic
+SHORTEST = 12  # frames: a shorter stretch says little about noise
+SHAPES: tuple[Shape, ...] = ((0, False), (1, False), (1, True), (2, False), (3, False), (5, False))
+SHAKES: tuple[Shape, ...] = ((0, False), (1, False), (1, True), (2, False))  # of what the balls share
+SLOWEST = 0.999  # the largest partial autocorrelation: beyond it a clip cannot tell it from 1
+KERNELS = (0.0, 0.7, 0.97)  # correlations from frame to frame at which shared noise is looked for
+UNUSUAL = 9.0  # times the median clip's noise power: one bad recording would count for all others
+SHAKEN = 4.0  # sigma under independence: shared noise is used only beyond it
+IMPOSSIBLE = 1e12  # of -2 log likelihood, where a covariance is singular
+FEWER = 1.4  # a bundle's stretches are longer than its longest over this
+FLAT = 2.0  # of the cost's slope: its curvature is some hundreds
+STEP = 1e-4  # of the transformed parameters, for numerical derivatives
+FLOOR, CEILING = 1e-9, 0.99  # of a part that is white
+
+
+@dataclass(frozen=True)
+class Component:
+    """A stationary random error: an autoregression with white noise beside it.
+
+    partial: the autoregression's partial autocorrelations, lag 1 first; white: the part of the variance that is white.
+    """
+
+    variance: float
+    partial: tuple[float, ...] = ()
+    white: float = 0.0
+
+    def lags(self, count: int) -> Array:
+        """Autocovariance at lags 0 to count - 1."""
+        out = np.ones(max(count, len(self.partial) + 1))
+        weights = np.zeros(0)
+        for m, p in enumerate(self.partial, 1):  # Durbin & Levinson
+            out[m] = weights @ out[m - 1 : 0 : -1] + p * (1 - weights @ out[1:m])
+            weights = np.append(weights - p * weights[::-1], p)
+        order = len(weights)
+        for lag in range(order + 1, len(out)):
+            out[lag] = weights @ out[lag - order : lag][::-1]
+        out[1:] *= 1 - self.white
+        return np.asarray(self.variance * out[:count])
+
+
+@dataclass(frozen=True)
+class Noise:
+    """own: of each ball and axis by itself, in claimed standard deviations. shared: of x and of y, m^2, or nothing."""
+
+    own: Component
+    shared: tuple[Component, ...] = ()
+
+    @property
+    def scale(self) -> float:
+        """How many times larger a ball's own noise is than claimed."""
+        return float(np.sqrt(self.own.variance))
+
+    @property
+    def correlation(self) -> float:
+        """Of a ball's own noise between neighbouring frames."""
+        lags = self.own.lags(2)
+        return float(lags[1] / lags[0])
+
+    @property
+    def shake(self) -> float:
+        """rms of what both balls share, each axis, m."""
+        return float(np.sqrt(np.mean([s.variance for s in self.shared]))) if self.shared else 0.0
+
+
+def estimate(clips: Sequence[Measured]) -> Noise:
+    """The noise of these clips. Raises ValueError when their unbroken stretches are too few."""
+    clips = _usual(clips)
+    own = own_noise(stretch for clip in clips for stretch in clip.stretches())
+    pairs = Pairs(pair for clip in clips for pair in clip.together())
+    return pairs.noise() if pairs.shaken(own) > SHAKEN else Noise(own)
+
+
+@dataclass(frozen=True)
+class Bundle:
+    """k stretches of much the same length. values (k, n, d) without their cubics, and the cubic's basis (k, n, SMOOTH).
+
+    Both over claimed deviations, and zero beyond each one's own length. lengths (k,); n is the longest.
+    """
+
+    values: Array
+    basis: Array
+    lengths: Ints
+
+    @classmethod
+    def of(cls, values: Sequence[Array], claims: Sequence[Array]) -> Bundle:
+        """From each one's places (n, d) and claimed deviations (n,)."""
+        lengths = np.array([len(v) for v in values])
+        cubics, rest = (np.zeros((len(values), int(lengths.max()), m)) for m in (SMOOTH, values[0].shape[1]))
+        for k, (places, claimed) in enumerate(zip(values, claims, strict=True)):
+            n = len(places)
+            cubic, own = np.vander(np.linspace(-1, 1, n), SMOOTH) / claimed[:, None], places / claimed[:, None]
+            q, _ = np.linalg.qr(cubic)
+            cubics[k, :n], rest[k, :n] = q, own - q @ (q.T @ own)
+        return cls(rest, cubics, lengths)
+
+    def restricted(self, covariance: Array) -> tuple[float, float]:
+        """(log determinants, sum of squares) of REML's -2 log likelihood; covariance (n, n) or of each (k, n, n).
+
+        Of a shorter stretch only the first rows and columns count: their inverse Cholesky factor is the first part of
+        the whole one's.
+        """
+        inside = np.arange(self.values.shape[1]) < self.lengths[:, None]
+        factor = np.linalg.cholesky(covariance)
+        white = np.linalg.inv(factor) @ np.concatenate([self.basis, self.values], axis=2) * inside[..., None]
+        cubic, seen = white[..., :SMOOTH], white[..., SMOOTH:]
+        gram, pull = cubic.swapaxes(1, 2) @ cubic, cubic.swapaxes(1, 2) @ seen
+        squares = (seen**2).sum() - (pull * np.linalg.solve(gram, pull)).sum()
+        logs = (np.log(np.diagonal(factor, axis1=-2, axis2=-1)) * inside).sum() + np.linalg.slogdet(gram)[1].sum() / 2
+        return float(2 * self.values.shape[2] * logs), float(squares)
+
+    @property
+    def freedom(self) -> int:
+        return int((self.lengths - SMOOTH).sum()) * int(self.values.shape[2])
+
+
+def _alike(lengths: Sequence[int]) -> list[list[int]]:
+    """Which stretches to put into one bundle."""
+    out: list[list[int]] = []
+    for k in sorted(range(len(lengths)), key=lambda k: -lengths[k]):
+        if lengths[k] >= SHORTEST:
+            if not out or lengths[out[-1][0]] > FEWER * lengths[k]:
+                out.append([])
+            out[-1].append(k)
+    return out
+
+
+def _bundles(stretches: Iterable[Stretch]) -> list[Bundle]:
+    every = list(stretches)
+    groups = _alike([len(places) for places, _ in every])
+    return [Bundle.of([every[k][0] for k in group], [every[k][1] for k in group]) for group in groups]
+
+
+def _usual(clips: Sequence[Measured]) -> list[Measured]:
+    """The clips whose noise is of the usual size."""
+    sizes = []
+    for clip in clips:
+        bundles = _bundles(clip.stretches())
+        freedom = sum(b.freedom for b in bundles)
+        sizes.append(sum(float((b.values**2).sum()) for b in bundles) / freedom if freedom else 0.0)
+    most = UNUSUAL * float(np.median([s for s in sizes if s > 0] or [0.0]))
+    return [c for c, s in zip(clips, sizes, strict=True) if s <= most]
+
+
+def own_noise(stretches: Iterable[Stretch]) -> Component:
+    """The noise of single tracks from unbroken stretches, each within one phase. Raises ValueError when too few."""
+    bundles = _bundles(stretches)
+    if not bundles:
+        raise ValueError("too few unbroken frames to read the noise from")
+    longest = max(b.values.shape[1] for b in bundles)
+    freedom = sum(b.freedom for b in bundles)
+
+    def profiled(component: Component) -> tuple[float, float]:
+        """(-2 log likelihood at the best variance, that variance)."""
+        lags = component.lags(longest)
+        parts = [b.restricted(toeplitz(lags[: b.values.shape[1]])) for b in bundles]
+        logs, squares = (sum(p[k] for p in parts) for k in (0, 1))
+        if not squares > 0:
+            raise ValueError("no noise to be seen between the frames")
+        return logs + freedom * np.log(squares / freedom), squares / freedom
+
+    def build(shape: Shape, x: Array) -> Component:
+        return component_of(shape, 1.0, x)
+
+    unit = chosen(SHAPES, build, lambda c: profiled(c)[0], np.log(freedom))
+    return Component(profiled(unit)[1], unit.partial, unit.white)
+
+
+def component_of(shape: Shape, variance: float, x: Array) -> Component:
+    """From free numbers: the partial autocorrelations' arctanh, then the white part's logit if there is one."""
+    order, white = shape
+    part = FLOOR + (CEILING - FLOOR) * float(expit(x[order])) if white else 0.0
+    return Component(variance, tuple((SLOWEST * np.tanh(x[:order])).tolist()), part)
+
+
+def free_numbers(component: Component) -> Array:
+    """The inverse of `component_of`, without the variance."""
+    x = np.arctanh(np.clip(np.array(component.partial) / SLOWEST, -1 + 1e-9, 1 - 1e-9))
+    if not component.white:
+        return x
+    return np.append(x, logit(np.clip((component.white - FLOOR) / (CEILING - FLOOR), 1e-3, 1 - 1e-3)))
+
+
+def shape_of(component: Component) -> Shape:
+    return len(component.partial), component.white > 0
+
+
+def noise_of(shape: Shape, shake: Shape | None, x: Array) -> Noise:
+    """From free numbers: own log variance and the own component's, both log shared variances and their component's."""
+    own = component_of(shape, float(np.exp(x[0])), x[1:])
+    if shake is None:
+        return Noise(own)
+    rest = x[1 + sum(shape) :]
+    return Noise(own, tuple(component_of(shake, float(np.exp(v)), rest[2:]) for v in rest[:2]))
+
+
+def chosen(
+    shapes: Sequence[Shape],
+    build: Callable[[Shape, Array], T],
+    cost: Callable[[T], float],
+    price: float,
+    common: Array | None = None,
+) -> T:
+    """What is built of the shape with the least cost + price a number (Schwarz); two in a row that lose end the search.
+
+    cost: -2 log likelihood; common: first values of the numbers that every shape has, before its own.
+    """
+    head = np.zeros(0) if common is None else common
+    best, winner, last, tail, lost = np.inf, build(shapes[0], head), shapes[0], np.zeros(0), 0
+    for shape in shapes:
+        start = np.concatenate([head, _start(shape, last, tail)])
+        x = descend(partial(_cost, cost, build, shape), start)
+        paid = _cost(cost, build, shape, x) + price * len(x)
+        lost = 0 if paid < best else lost + 1
+        if paid < best:
+            best, winner, last = paid, build(shape, x), shape
+            head, tail = x[: len(head)], x[len(head) :]
+        if lost == 2:
+            break
+    return winner
+
+
+def _cost(cost: Callable[[T], float], build: Callable[[Shape, Array], T], shape: Shape, x: Array) -> float:
+    return possible(lambda y: cost(build(shape, y)), x)
+
+
+def possible(cost: Callable[[Array], float], x: Array) -> float:
+    """The cost; IMPOSSIBLE so far from what the tracks say that a covariance is singular."""
+    try:
+        with np.errstate(all="ignore"):
+            value = cost(x)
+    except np.linalg.LinAlgError:
+        return IMPOSSIBLE
+    return value if np.isfinite(value) else IMPOSSIBLE
+
+
+def _start(shape: Shape, last: Shape, x: Array) -> Array:
+    order, white = shape
+    if white:
+        return np.array([*np.ones(order), 0.0])
+    known = x[: min(last[0], order)]
+    return np.append(known, np.zeros(order - len(known)))
+
+
+def descend(cost: Callable[[Array], float], start: Array) -> Array:
+    """Where a smooth cost is least, from `start`."""
+    if not len(start):
+        return start
+    found = minimize(partial(possible, cost), start, method="BFGS", options={"eps": STEP, "gtol": FLAT, "maxiter": 40})
+    return np.asarray(found.x)
+
+
+class Pairs:
+    """Both balls in the same frames, each in one phase: their sum holds what they share, their difference does not."""
+
+    def __init__(self, pairs: Iterable[Pair]):
+        every = [
+            (one - one.mean(axis=0), two - two.mean(axis=0), *(float(np.sqrt(np.mean(c**2))) for c in claims))
+            for one, two, *claims in pairs
+            if len(one) >= SHORTEST
+        ]
+        self.pairs = every
+        self.longest = max((len(one) for one, *_ in every), default=0)
+        self.differences, self.sums, self.weights = [], [], []
+        for group in _alike([len(one) for one, *_ in every]):
+            size = np.array([np.hypot(*every[k][2:]) for k in group])
+            claimed = [np.full(len(every[k][0]), s) for k, s in zip(group, size, strict=True)]
+            self.differences.append(Bundle.of([every[k][0] - every[k][1] for k in group], claimed))
+            together = [every[k][0] + every[k][1] for k in group]
+            self.sums.append([Bundle.of([t[:, [a]] for t in together], claimed) for a in (0, 1)])
+            self.weights.append(4 / size[:, None, None] ** 2)  # of the shared variance in the sum's, own being 1
+
+    def shaken(self, own: Component) -> float:
+        """The most significant score of shared noise, in sigma under independence, over KERNELS and axes.
+
+        Score: sum of u0' K u1, u the whitened, detrended places of each ball weighted by the inverse covariance; under
+        independence its mean is zero and its variance the sum of tr(K A K A), A that weight.
+        """
+        scores, variances = np.zeros((len(KERNELS), 2)), np.zeros(len(KERNELS))
+        for n in {len(one) for one, *_ in self.pairs}:
+            members = [p for p in self.pairs if len(p[0]) == n]
+            both, claims = np.array([p[:2] for p in members]), np.array([p[2:] for p in members])
+            factor = np.linalg.cholesky(toeplitz(own.lags(n)))
+            q, _ = np.linalg.qr(np.linalg.solve(factor, np.vander(np.linspace(-1, 1, n), SMOOTH)))
+            root = np.linalg.inv(factor) - q @ np.linalg.solve(factor.T, q).T
+            weight = root.T @ root
+            pulls = weight @ both / (claims**2)[..., None, None]
+            for j, rho in enumerate(KERNELS):
+                kernel = toeplitz(rho ** np.arange(n))
+                scores[j] += np.einsum("kma,mn,kna->a", pulls[:, 0], kernel, pulls[:, 1])
+                variances[j] += np.trace(kernel @ weight @ kernel @ weight) * float(
+                    np.sum(1 / claims.prod(axis=1) ** 2)
+                )
+        if not self.pairs:
+            return 0.0
+        single = scores / np.sqrt(variances)[:, None]
+        return float(max(single.max(), (single.sum(axis=1) / np.sqrt(2)).max()))
+
+    def cost(self, noise: Noise) -> float:
+        """-2 log likelihood, up to a constant."""
+        own = noise.own.lags(self.longest)
+        shared = [s.lags(self.longest) for s in noise.shared]
+        out = 0.0
+        for difference, sums, weight in zip(self.differences, self.sums, self.weights, strict=True):
+            n = int(difference.lengths.max())
+            alone = toeplitz(own[:n])
+            out += sum(difference.restricted(alone))
+            if not shared:
+                out += sum(sum(s.restricted(alone)) for s in sums)
+            else:
+                out += sum(
+                    sum(s.restricted(alone + weight * toeplitz(lags[:n]))) for s, lags in zip(sums, shared, strict=True)
+                )
+        return out
+
+    def own(self) -> Component:
+        """What the balls do not share, from their differences."""
+        size = [float(np.hypot(*claims)) for _, _, *claims in self.pairs]
+        return own_noise(
+            ((one - two) / s, np.ones(len(one))) for (one, two, *_), s in zip(self.pairs, size, strict=True)
+        )
+
+    def noise(self) -> Noise:
+        """Own and shared noise together."""
+        alone = self.own()
+        shape = shape_of(alone)
+        shared = 0.5 * alone.variance * float(np.mean([np.square(p[2:]) for p in self.pairs]))
+        start = np.array([np.log(alone.variance), *free_numbers(alone), np.log(shared), np.log(shared)])
+        freedom = 2 * sum(d.freedom for d in self.differences)
+        return chosen(SHAKES, lambda shake, x: noise_of(shape, shake, x), self.cost, np.log(freedom), start)

@@ -1,0 +1,111 @@
+"""Turns residuals of one clip into numbers that noise alone would draw from N(0, 1), and back."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg.lapack import dtrtri, dtrtrs
+
+from discrepancy.data.collisions import Measured
+from discrepancy.noise.model import Component, Noise
+
+Array = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Whitener:
+    """The inverse Cholesky factor of the noise's covariance, exact with any frames missing.
+
+    Residuals are first scaled by the claimed covariances. Each ball's own noise, with the offset that the target has
+    where it rests, is then filtered by itself; with noise that both share, all rows and both axes are filtered
+    together, in order of frames. A white number belongs to the row and axis of its place: it is what that residual
+    brings beyond the ones before it.
+    """
+
+    roots: Array  # (n, 2, 2): inverse Cholesky factors of the claimed covariances
+    filters: tuple[Array, ...]  # of the rows of each ball; or one, (2n, 2n)
+    order: Ints | None  # (2n,), for the one
+
+    @classmethod
+    def of(cls, clip: Measured, noise: Noise) -> Whitener:
+        roots, offset = clip.roots, clip.resting_offset
+        if not noise.shared:
+            rows = (clip.ball == ball for ball in (0, 1))
+            filters = (_inverse_factor(noise.own, clip.frame[r].tobytes(), offset[r].tobytes()) for r in rows)
+            return cls(roots, tuple(filters), None)
+        frame, n = clip.frame, len(clip.frame)
+        apart = np.abs(frame[:, None] - frame)
+        longest = int(apart.max()) + 1
+        own = noise.own.lags(longest)[apart] * (clip.ball[:, None] == clip.ball) + np.outer(offset, offset)
+        total = np.zeros((n, 2, n, 2))
+        for axis, component in enumerate(noise.shared):
+            total[:, axis, :, axis] += own
+            push, lags = roots[:, :, axis], component.lags(longest)[apart]  # of a displacement, in scaled residuals
+            for a, b in itertools.product(range(2), range(2)):
+                if push[:, a].any() and push[:, b].any():
+                    total[:, a, :, b] += lags * np.outer(push[:, a], push[:, b])
+        order = np.argsort(np.repeat(frame, 2), kind="stable")
+        factor = np.linalg.cholesky(total.reshape(2 * n, 2 * n)[np.ix_(order, order)])
+        return cls(roots, (_inverse(factor),), order)
+
+    def __call__(self, residuals: Array) -> Array:
+        """(n, 2, ...) -> (2 n, ...)"""
+        flat = residuals.reshape(*residuals.shape[:2], -1)
+        scaled = np.empty(flat.shape)
+        for axis in (0, 1):  # far quicker than a product of so many matrices so small
+            np.multiply(self.roots[:, axis, :1], flat[:, 0], out=scaled[:, axis])
+            scaled[:, axis] += self.roots[:, axis, 1:] * flat[:, 1]
+        if self.order is None:
+            split = len(self.filters[0])
+            parts = (scaled[:split], scaled[split:])
+            white = [f @ part.reshape(len(part), -1) for f, part in zip(self.filters, parts, strict=True)]
+            return np.concatenate(white).reshape(-1, *residuals.shape[2:])
+        rows = scaled.reshape(2 * len(scaled), -1)
+        out: Array = np.empty_like(rows)
+        out[self.order] = self.filters[0] @ rows[self.order]
+        return out.reshape(-1, *residuals.shape[2:])
+
+    def undo(self, white: Array) -> Array:
+        """(2 n, ...) -> (n, 2, ...): the residuals of white numbers."""
+        n, rest = len(self.roots), white.shape[1:]
+        flat = white.reshape(2 * n, -1)
+        if self.order is None:
+            split = len(self.filters[0])
+            by_row = flat.reshape(n, -1)
+            parts = (by_row[:split], by_row[split:])
+            scaled = np.concatenate([_undone(f, part) for f, part in zip(self.filters, parts, strict=True)])
+        else:
+            scaled = np.empty_like(flat)
+            scaled[self.order] = _undone(self.filters[0], flat[self.order])
+        return np.asarray(np.linalg.solve(self.roots, scaled.reshape(n, 2, -1)).reshape(n, 2, *rest))
+
+    @property
+    def log_determinant(self) -> float:
+        """Of the covariance that is undone, less that of the claimed ones."""
+        times = 2 if self.order is None else 1
+        return -2 * times * float(sum(np.log(np.diagonal(f)).sum() for f in self.filters))
+
+
+@lru_cache(maxsize=256)
+def _inverse_factor(component: Component, frames: bytes, offsets: bytes) -> Array:
+    """Of one ball's rows and one axis; frames: int64, offsets: float64. Clips filmed alike share it."""
+    frame = np.frombuffer(frames, dtype=np.int64)
+    apart = np.abs(frame[:, None] - frame)
+    lags = component.lags(int(apart.max(initial=0)) + 1)
+    offset = np.frombuffer(offsets)
+    out = _inverse(np.linalg.cholesky(lags[apart] + np.outer(offset, offset)))
+    out.flags.writeable = False
+    return out
+
+
+def _inverse(lower: NDArray[np.floating]) -> Array:
+    return np.asarray(dtrtri(lower, lower=1)[0], dtype=np.float64)
+
+
+def _undone(lower: Array, columns: Array) -> Array:
+    return np.asarray(dtrtrs(lower, columns, lower=1)[0])

@@ -1,0 +1,1 @@
+"""The search told: narrative, figures, discrepancy.json and a self-contained page."""

@@ -1,0 +1,58 @@
+"""REPORT: discrepancy.json, model.yaml and a self-contained index.html."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+import jinja2
+import numpy as np
+
+from discrepancy.find import Found
+from discrepancy.fitting.parameters import parameter_of
+from discrepancy.report.figures import drawn
+from discrepancy.report.narrative import story
+from discrepancy.selection.named import as_sure
+from synthcam.model import Model, write_model
+
+
+def write(found: Found, folder: Path, left_out: Sequence[str]) -> None:
+    """Write the report's three files into a folder, made if need be. left_out: those of `read_measured`."""
+    folder.mkdir(parents=True, exist_ok=True)
+    document = found.document()
+    document["clips"]["left_out"] = [*left_out, *found.left_out]
+    (folder / "discrepancy.json").write_text(json.dumps(_plain(document), indent=1, allow_nan=False) + "\n")
+    write_model(found.model, folder / "model.yaml")
+    template = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined).from_string(
+        files("discrepancy.report").joinpath("report.html").read_text(encoding="utf-8")
+    )
+    page = template.render(
+        found=found,
+        document=document,
+        story=story(found),
+        figures=drawn(found),
+        finite=np.isfinite,
+        as_sure=as_sure,
+        unit=_unit,
+    )
+    (folder / "index.html").write_text(page, encoding="utf-8")
+
+
+def _unit(name: str) -> str:
+    """Of a parameter by its dotted name; empty for a pure number."""
+    unit = parameter_of(Model(), name).unit
+    return "" if unit == "1" else unit
+
+
+def _plain(value: Any) -> Any:
+    """For JSON: no numpy, NaN and infinity as null."""
+    if isinstance(value, dict):
+        return {k: _plain(v) for k, v in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(v) for v in value]
+    if isinstance(value, float | np.floating):
+        return float(value) if np.isfinite(value) else None
+    return value

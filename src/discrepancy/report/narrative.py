@@ -1,0 +1,100 @@
+"""The search in five plain sentences: what was fitted, where it disagrees, what lacks, what closes, what stays open."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from discrepancy.find import Found
+from discrepancy.fitting.gauss_newton import Fit, solve
+from discrepancy.fitting.parameters import limits_of
+
+SETTLED = 0.1  # of chi^2 that a further step may gain
+
+
+def story(found: Found) -> list[str]:
+    """Five sentences."""
+    return [_fitted(found), _where(found), found.sentence(), _closed(found), _open(found)]
+
+
+def rest(now: Fit) -> float:
+    """What a further step of everything fitted would gain, in chi^2, to first order and within its limits."""
+    value = np.array([now.model.value(n) for n in now.names])
+    low, high = np.array([limits_of(now.model, n) for n in now.names]).reshape(-1, 2).T
+    shared, own = solve(now, 0.0, low - value, high - value)
+    steps = [s @ shared + a @ o for s, a, o in zip(now.slopes, now.launch_slopes, own, strict=True)]
+    return now.chi2 - sum(float((r - s) @ (r - s)) for r, s in zip(now.residuals, steps, strict=True))
+
+
+def _fitted(found: Found) -> str:
+    base = found.search.base
+    speeds = [float(c.launch[3]) for c in found.clips]
+    widest = max(abs(float(c.launch[5])) for c in found.clips)
+    shared = ", ".join(base.names) or "nothing"
+    gain = rest(base)
+    settled = (
+        "converged" if gain < SETTLED else f"did not fully converge: a further step would gain {gain:.2g} in chi^2"
+    )
+    return (
+        f"{len(found.clips)} collisions at {min(speeds):.2f} to {max(speeds):.2f} m/s, |b| up to {widest:.2f}, were "
+        f"fitted together ({shared} shared, six numbers of launch each; the fit {settled}), and {len(found.kept_out)} "
+        f"more were kept out; noise is {found.noise.scale:.2f} times what the tracks claim, its correlation from frame "
+        f"to frame {found.noise.correlation:+.2f}{_shaken(found)}."
+    )
+
+
+def _shaken(found: Found) -> str:
+    return f", {1e6 * found.noise.shake:.2g} um of it common to both balls" if found.noise.shared else ""
+
+
+def _where(found: Found) -> str:
+    base = found.search.base
+    left = f"leaves chi^2 = {base.chi2 / (base.points - base.parameters):.3f} per degree of freedom"
+    worst = found.where[0] if found.where else None
+    if worst is None or worst.sigma == 0:
+        return f"The base model {left} and disagrees in no place that stands out."
+    return (
+        f"The base model {left} and disagrees most with {worst}: {worst.sigma:.1f} sigma after {len(found.where)} "
+        f"looks, {worst.size:.2g} um rms."
+    )
+
+
+def _closed(found: Found) -> str:
+    gap = found.shown.gap
+    if found.verdict == "none":
+        return (
+            f"On collisions that no fit has seen it leaves {gap.before_um:.2f} um rms, where noise alone leaves "
+            f"{gap.floor_um:.2f} um."
+        )
+    if np.isfinite(gap.closure):
+        closed = f"{100 * gap.closure:.1f} % of the gap in chi^2 is closed"
+    else:
+        closed = "too small a gap to tell what share of it is closed"
+    return (
+        f"On collisions that no fit has seen, residuals go from {gap.before_um:.2f} to {gap.after_um:.2f} um rms, "
+        f"where noise alone leaves {gap.floor_um:.2f} um: {closed}."
+    )
+
+
+def _open(found: Found) -> str:
+    parts = []
+    classes = [n.aliases for n in found.named if len(n.aliases) > 1]
+    if classes:
+        parts.append(f"{_listed([' from '.join(c) for c in classes], 'nor')} (see the experiment below)")
+    if found.answer and found.answer.refused:
+        parts.append("which short formula the free curve follows, since none of those tried does")
+    undetermined = [s for n in found.named for s, std in n.shape_std.items() if not np.isfinite(std)]
+    if undetermined:
+        parts.append(f"the value of {_listed(undetermined, 'and')}")
+    if found.search.untold:
+        parts.append(f"whether there is any {_listed(found.search.untold, 'or')}")
+    if parts:
+        said = f"These collisions cannot tell {'; nor '.join(parts)}"
+    else:
+        said = "Every effect of the library would have shown at a realistic size"
+    return "; ".join([said, *found.alike]) + "."
+
+
+def _listed(words: Sequence[str], last: str) -> str:
+    return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} {last} {words[-1]}"

@@ -1,0 +1,86 @@
+"""A suspect that is scored: with some values of its shapes, and what it would explain."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from discrepancy.fitting.parameters import Suspect
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A score test.
+
+    shapes: the best of those tried, for whose number sigma is corrected. gain: the chi^2 that adding it would take, to
+    first order. limit: the detection limit, in realistic sizes of the strength that shows best; infinite where the fit
+    absorbs all. telling: False where that limit is absurd, or more than the effect allows. signature (points, m): the
+    derivative at zero strength less all that the fit absorbs, made orthonormal; m <= k directions leave something to be
+    seen. columns: the derivative of each clip's whitened forecast, (2n, k), before anything is taken out.
+    """
+
+    suspect: Suspect
+    shapes: dict[str, float]
+    sigma: float
+    gain: float
+    limit: float
+    telling: bool
+    signature: Array
+    columns: tuple[Array, ...]
+
+    @property
+    def absorbed(self) -> bool:
+        """It moves the tracks, but in no way that the fit cannot imitate."""
+        return self.signature.shape[1] == 0 and any(c.any() for c in self.columns)
+
+    @property
+    def effect(self) -> str:
+        return self.suspect.name
+
+    @property
+    def strengths(self) -> tuple[str, ...]:
+        return self.suspect.strengths
+
+
+@dataclass(frozen=True)
+class Trial:
+    """A suspect with some values of its shapes, and the derivatives by its strengths, (2n, k) for each clip."""
+
+    suspect: Suspect
+    shapes: dict[str, float]
+    columns: tuple[Array, ...]
+
+
+@dataclass(frozen=True)
+class Score:
+    """Of a trial, as a Candidate's. axes (k, m): what makes of its signature an orthonormal basis."""
+
+    trial: Trial
+    sigma: float
+    gain: float
+    limit: float
+    telling: bool
+    axes: Array
+
+    @property
+    def order(self) -> tuple[bool, float, float]:
+        """The least is the best."""
+        return not self.telling, -self.sigma, self.limit
+
+    def candidate(self, signature: Array) -> Candidate:
+        """signature (points, k): the trial's columns less all that the fit absorbs."""
+        columns = tuple(np.array(c) for c in self.trial.columns)  # no views, which would keep all trials alive
+        return Candidate(
+            self.trial.suspect,
+            self.trial.shapes,
+            self.sigma,
+            self.gain,
+            self.limit,
+            self.telling,
+            signature @ self.axes,
+            columns,
+        )

@@ -1,0 +1,153 @@
+"""The experiment that would part two effects: how alike their signatures are in collisions yet to be filmed."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from discrepancy.data.collisions import Measured
+from discrepancy.fitting.gauss_newton import Evidence, Fit, linearised
+from discrepancy.fitting.parameters import Suspect
+from discrepancy.fitting.predict import forecast
+from discrepancy.noise.model import Noise
+from discrepancy.selection.score_test import Contest, likeness, tried
+
+Array = NDArray[np.float64]
+Shaped = tuple[Suspect, dict[str, float]]  # an effect, with values of its shapes
+
+MOST = 24  # collisions in a design
+PARTED = 0.9  # of the cosine: under it two effects can be told apart
+ASIDE = 0.25  # of the picture's size, from its middle
+OUTSIDE: dict[str, str] = {
+    "camera": "film a plate of known lengths with the same camera",
+    "measure": "film balls at rest at known places, or move the lamp",
+    "clock": "film a clock with the same camera",
+    "exposure": "film a flashing light with the same camera",
+    "mass": "weigh the balls",
+    "radius": "measure the balls' diameters",
+}
+
+
+@dataclass(frozen=True)
+class Design:
+    """Collisions that could be filmed. cosine: between the two effects' signatures in them."""
+
+    words: str
+    cosine: float
+
+
+@dataclass(frozen=True)
+class _Way:
+    words: str
+    change: Callable[[Measured, Array, float, int], tuple[Measured, Array]]  # clip, launch, share from 0 to 1, number
+
+
+def _exchanged(clip: Measured, launch: Array, share: float, number: int) -> tuple[Measured, Array]:
+    return dataclasses.replace(clip, striker="ab"[number % 2]), launch
+
+
+def _put(column: int, low: float, high: float) -> Callable[[Measured, Array, float, int], tuple[Measured, Array]]:
+    def change(clip: Measured, launch: Array, share: float, number: int) -> tuple[Measured, Array]:
+        new = launch.copy()
+        new[column] = low + (high - low) * share
+        return clip, new
+
+    return change
+
+
+def _longer(clip: Measured, launch: Array, share: float, number: int) -> tuple[Measured, Array]:
+    first, last = int(clip.frame.min()), int(clip.frame.max())
+    count = 2 * (last - first + 1)
+    spread = np.tile(clip.covariance.mean(axis=0), (2 * count, 1, 1))
+    frame, ball = np.tile(np.arange(first, first + count), 2), np.repeat([0, 1], count)
+    new = dataclasses.replace(clip, frame=frame, ball=ball, xy=np.zeros((2 * count, 2)), covariance=spread)
+    return new, launch
+
+
+def _aside(clip: Measured, launch: Array, share: float, number: int) -> tuple[Measured, Array]:
+    corner = np.array([1 if number & 1 else -1, 1 if number & 2 else -1]) * ASIDE
+    pixel = (0.5 + corner) * np.array(clip.camera.size)
+    return clip, np.concatenate([clip.camera.unproject(pixel)[0], launch[2:]])
+
+
+WAYS = (
+    _Way("the balls exchanged in half of the collisions", _exchanged),
+    _Way("oblique collisions, |b| up to 0.6", _put(5, -0.6, 0.6)),
+    _Way("speeds from 0.1 to 0.6 m/s", _put(3, 0.1, 0.6)),
+    _Way("headings all round", _put(4, 0.0, 2 * np.pi)),
+    _Way("films twice as long", _longer),
+    _Way("collisions spread over the picture", _aside),
+)
+
+
+def designs(
+    clips: Sequence[Measured],
+    noise: Noise,
+    now: Fit,
+    one: Shaped,
+    other: Shaped,
+) -> tuple[Design, ...]:
+    """How alike two effects, with their shapes, are in these collisions, then in each of WAYS, then in all together.
+
+    Both are taken at zero strength, everything else as it was fitted.
+    """
+    chosen = np.unique(np.linspace(0, len(clips) - 1, min(MOST, len(clips))).astype(int))
+    for suspect, _ in (one, other):
+        now = now.reduced(suspect.without(now.model), suspect.strengths + suspect.shapes)
+    mixed = np.random.default_rng(0)
+    found = []
+    for words, ways in (
+        ("these collisions", ()),
+        *((w.words, (w,)) for w in WAYS),
+        ("all of that together", WAYS),
+    ):
+        shares = [mixed.permutation(len(chosen)) / max(len(chosen) - 1, 1) for _ in ways]
+        some, launches = [], []
+        for number, k in enumerate(chosen):
+            clip, launch = clips[k], now.launches[k]
+            for way, share in zip(ways, shares, strict=True):
+                clip, launch = way.change(clip, launch, float(share[number]), number)
+            some.append(clip)
+            launches.append(launch)
+        found.append(Design(words, _cosine(Evidence.of(some, noise), now, np.array(launches), one, other)))
+    return tuple(found)
+
+
+def _cosine(
+    evidence: Evidence,
+    now: Fit,
+    launches: Array,
+    one: Shaped,
+    other: Shaped,
+) -> float:
+    """1 where the model has no such motion, or the fit absorbs one of the two."""
+    try:
+        here = linearised(evidence, now.model, now.names, launches)
+        expected = forecast(here.model, launches, evidence.clips)
+        trials = tuple(
+            tried(evidence, here.model, launches, suspect, shapes, expected) for suspect, shapes in (one, other)
+        )
+    except ValueError:
+        return 1.0
+    first, second = Contest(here, trials).ranking()  # what is absorbed comes last
+    return 1.0 if second.absorbed else likeness(first.signature, second.signature)
+
+
+def advice(one: Suspect, other: Suspect, found: Sequence[Design]) -> str:
+    """The experiment to do, in a sentence."""
+    now, *proposed = found
+    best = min(proposed, key=lambda d: d.cosine)
+    single = min(proposed[:-1], key=lambda d: d.cosine)
+    best = single if single.cosine < PARTED or single.cosine < best.cosine + 0.02 else best
+    pair = f"{one.name} and {other.name}"
+    if best.cosine < min(PARTED, now.cosine):
+        falls = f"the cosine of their signatures falls from {now.cosine:.3f} to {best.cosine:.3f}"
+        return f"To part {pair}: {best.words}; {falls}."
+    laws = [law for s in (one, other) if s.kind is not None for law in s.kind.laws]
+    means = list(dict.fromkeys(OUTSIDE[law] for law in laws if law in OUTSIDE))
+    elsewhere = "; ".join(means) if means else "one of the two must be measured by other means"
+    return f"No collisions of two balls part {pair} (cosine {best.cosine:.3f} at best): {elsewhere}."

@@ -1,0 +1,112 @@
+"""An effect as it is named: its numbers, and what it may be confused with."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from discrepancy.fitting.gauss_newton import Fit
+from discrepancy.fitting.parameters import Suspect, limits_of, parameter_of
+from discrepancy.selection.candidate import Candidate
+from discrepancy.selection.score_test import likeness
+from synthcam.model import Model
+
+Array = NDArray[np.float64]
+ALIAS = 0.9  # of the cosine between two signatures: beyond it the data hardly part them
+PAIRS = 0.98  # the same for the span of two others
+
+
+@dataclass(frozen=True)
+class Named:
+    """An effect added to the model.
+
+    values, std: of its strengths, by dotted name. shapes, shape_std: likewise; infinite where the data leave a shape
+    undetermined. sigma: of what it explains. aliases: what fits as well, itself first. alike: what has nearly its
+    signature, one effect or the sum of two, with the cosine. limit: the detection limits of its strengths; naming: the
+    strengths from which it is told from the likest that it can be told from.
+    """
+
+    effect: str
+    values: dict[str, float]
+    std: dict[str, float]
+    sigma: float
+    aliases: tuple[str, ...]
+    shapes: dict[str, float] = field(default_factory=dict)
+    shape_std: dict[str, float] = field(default_factory=dict)
+    alike: tuple[tuple[tuple[str, ...], float], ...] = ()
+    limit: dict[str, float] = field(default_factory=dict)
+    naming: dict[str, float] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, suspect: Suspect, now: Fit, std: Mapping[str, float], sigma: float) -> Named:
+        """A suspect with the numbers that a fit gives it."""
+        values, shapes = ({k: now.model.value(k) for k in names} for names in (suspect.strengths, suspect.shapes))
+        own, bent = {k: std.get(k, np.inf) for k in values}, {k: determined(now, k, std.get(k, 0.0)) for k in shapes}
+        return cls(suspect.name, values, own, sigma, (suspect.name,), shapes, bent)
+
+    def unsure(self) -> Named:
+        """Without errors: they would hold only if nothing else were missing."""
+        return replace(self, std=dict.fromkeys(self.std, np.nan), shape_std=dict.fromkeys(self.shape_std, np.nan))
+
+    def at_limit(self, name: str) -> bool:
+        """Whether a strength stands at the end of what its effect allows: it might lie beyond, so it has no error."""
+        if name not in self.values:
+            return False
+        value, p = self.values[name], parameter_of(Model(), name)
+        return any(abs(value - end) < 1e-6 * max(abs(end), p.scale) for end in limits_of(Model(), name))
+
+    def held(self, base: Model) -> bool:
+        """Whether the base model has this effect, with another strength."""
+        return any(base.value(k) != 0 for k in self.values)
+
+    def said(self, base: Model) -> str:
+        """The effect with its numbers; where the base model holds a strength, that it is another."""
+        rivals = f" or {' or '.join(self.aliases[1:])}" if len(self.aliases) > 1 else ""
+        shown = {k: as_sure(v, self.std[k], 1) for k, v in self.values.items()}
+        errors = {k: f"+- {self.std[k]:.1g}" if np.isfinite(self.std[k]) else "without an error" for k in self.values}
+        errors |= {k: "at its limit" for k in self.values if self.at_limit(k)}
+        shapes = [
+            f"{k.rpartition('.')[2]} = {as_sure(v, self.shape_std[k], 1)} +- {self.shape_std[k]:.1g}"
+            if np.isfinite(self.shape_std[k])
+            else f"{k.rpartition('.')[2]} undetermined"
+            for k, v in self.shapes.items()
+        ]
+        if self.held(base):
+            strengths = [f"{k} is not {base.value(k):.3g} but {v} {errors[k]}" for k, v in shown.items()]
+            return f"{', '.join([*strengths, *shapes])} ({self.sigma:.0f} sigma){rivals}"
+        strengths = [f"{k.rpartition('.')[2]} = {v} {errors[k]}" for k, v in shown.items()]
+        return f"{self.effect}{rivals} ({', '.join([*strengths, *shapes])}; {self.sigma:.0f} sigma)"
+
+
+def as_sure(value: float, std: float, digits: int) -> str:
+    """A value to the decimal place of so many digits of its error; to three digits where it has none."""
+    if not (np.isfinite(std) and std > 0 and value):
+        return f"{value:.3g}"
+    places = digits - 1 - math.floor(math.log10(float(f"{std:.{digits - 1}e}")))
+    figures = max(places + math.floor(math.log10(abs(value))) + 1, 1)
+    if abs(value) < 1e-4:
+        return f"{value:.{figures - 1}e}"
+    return f"{value:.{places}f}" if places > 0 else f"{value:.{figures}g}"
+
+
+def determined(now: Fit, shape: str, std: float) -> float:
+    """A fitted shape's standard deviation; infinite where it says nothing."""
+    p = parameter_of(now.model, shape)
+    size = max(abs(now.model.value(shape)), p.scale) if p.low >= 0 else (p.high - p.low) / 2
+    return std if 0 < std < size / 2 else np.inf
+
+
+def sums(own: Array, ranking: Sequence[Candidate]) -> tuple[tuple[tuple[str, ...], float], ...]:
+    """Pairs of effects that together have nearly the signature, where neither has it alone."""
+    alone = [c for c in ranking if c.signature.shape[1] == 1 and 0 < likeness(own, c.signature) <= ALIAS]
+    found = []
+    for one, other in itertools.combinations(alone, 2):
+        cosine = likeness(own, np.concatenate([one.signature, other.signature], axis=1))
+        if cosine > PAIRS:
+            found.append(((one.effect, other.effect), cosine))
+    return tuple(sorted(found, key=lambda f: -f[1])[:3])

@@ -1,0 +1,196 @@
+"""One exposure as a picture, and what it takes to gather it: sub-exposures, spots, the patches they fall in.
+
+A picture's unit is the peak pixel of a resting ball's primary glint, seen at the world's origin with the
+glint on a pixel's centre, blur and pixel integration included.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cache, cached_property
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import ndtr
+
+from synthcam.camera.pinhole import Camera
+
+Array = NDArray[np.float64]
+Box = tuple[slice, slice]
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A mean image over one exposure.
+
+    plate: (h, w) float32, what is seen without balls, one array for a whole film. boxes: disjoint (rows, columns)
+    slices outside which the image is the plate. parts: the image in each, float32.
+    """
+
+    plate: NDArray[np.float32]
+    boxes: tuple[Box, ...]
+    parts: tuple[NDArray[np.float32], ...]
+
+    @cached_property
+    def image(self) -> NDArray[np.float32]:
+        """(h, w)."""
+        image = self.plate.copy()
+        for box, part in zip(self.boxes, self.parts, strict=True):
+            image[box] = part
+        return image
+
+
+@dataclass(frozen=True)
+class Moments:
+    """Sub-exposures: each stands for `weights` of the mean over frame number `frames`; all (T,)."""
+
+    times: Array
+    weights: Array
+    frames: NDArray[np.intp]
+
+
+def pieces(intervals: Array, breaks: Array) -> tuple[Array, Array, NDArray[np.intp]]:
+    """Exposures (F, 2), s, cut at the breaks: bounds (P, 2), frames (P,), weights (P,), 1 in all a frame."""
+    bounds, weights, frames = [], [], []
+    for frame, (start, end) in enumerate(intervals):
+        inside = breaks[(breaks > start) & (breaks < end)]
+        for a, b in pairwise([start, *inside, end]):
+            bounds.append((a, b))
+            weights.append((b - a) / (end - start) if end > start else 1.0)
+            frames.append(frame)
+    return np.array(bounds).reshape(-1, 2), np.array(weights), np.array(frames, dtype=np.intp)
+
+
+def sample(bounds: Array, weights: Array, frames: NDArray[np.intp], travel: Array, wave: Array | float = 0) -> Moments:
+    """Gauss-Legendre moments of each piece; travel (P,) is how far its balls move over the blur's sigma, wave by
+    how much the light's phase turns, rad.
+
+    The number of moments keeps the streak within 1e-4 of its peak; its centroid is exact for any of them
+    as long as the motion is a polynomial of low degree.
+    """
+    counts = np.select([travel < 0.02, travel < 0.5], [1, 2], 2 + np.ceil(travel)).astype(int)
+    counts = np.maximum(counts, np.where(np.asarray(wave) > 0, 2 + np.ceil(wave), 1).astype(int))
+    middles, halves = bounds.mean(axis=1), np.diff(bounds, axis=1)[:, 0] / 2
+    times, parts = [], []
+    for middle, half, weight, n in zip(middles, halves, weights, counts, strict=True):
+        nodes, shares = _rule(int(n))
+        times.append(middle + half * nodes)
+        parts.append(weight / 2 * shares)
+    if not times:
+        return Moments(np.zeros(0), np.zeros(0), frames)
+    return Moments(np.concatenate(times), np.concatenate(parts), np.repeat(frames, counts))
+
+
+@cache
+def _rule(nodes: int) -> tuple[Array, Array]:
+    return np.polynomial.legendre.leggauss(nodes)
+
+
+def spots(pixels: Array, variances: Array, origins: Array, width: int, steps: int = 1) -> tuple[Array, Array]:
+    """Gaussian spots of unit flux integrated over square pixels: rows and columns, each (G, width steps).
+
+    Their outer product is the spot in the box whose first pixel is origins (G, 2) (column, row), sampled at `steps`
+    places a pixel.
+    """
+    edges = np.arange(width * steps + steps) / steps - 0.5
+    sides = []
+    for axis in (1, 0):
+        place = (pixels - origins)[:, axis, None]
+        below = ndtr((edges - place) / np.sqrt(variances[:, axis, None]))
+        sides.append(below[:, steps:] - below[:, :-steps])
+    return sides[0], sides[1]
+
+
+def blur_matrix(width: int, margin: int, fineness: int, sigma: float, steps: int = 1) -> NDArray[np.float32]:
+    """Matrix (width steps, (width - 2 margin) fineness): samples of a line to pixels that lie `margin` further out.
+
+    Each sample, 1/fineness px wide, is blurred by a Gaussian and integrated over each pixel, at `steps` places a pixel.
+    """
+    at = (np.arange((width - 2 * margin) * fineness) + 0.5) / fineness - 0.5 + margin
+    edges = np.arange(width * steps + steps)[:, None] / steps - 0.5
+    below = ndtr((edges - at) / sigma)
+    return ((below[steps:] - below[:-steps]) / fineness).astype(np.float32)
+
+
+def blurred(tiles: NDArray[np.float32], blur: NDArray[np.float32]) -> NDArray[np.float32]:
+    """blur @ tiles @ blur.T for tiles (n, s, s), blur (w, s), by its band and in pieces.
+
+    OpenBLAS starts threads for products over 2.6e5 multiplications: the last bit then depends on their number, and
+    where others hold the cores they wait for one another, 25 to 90 ms for what one core does in 2.
+    """
+    if blur.size * blur.shape[1] < 2e5:
+        return np.asarray(blur @ tiles @ blur.T)
+    across = _banded(tiles, blur)
+    return np.swapaxes(_banded(np.ascontiguousarray(np.swapaxes(across, 1, 2)), blur), 1, 2)
+
+
+def _banded(tiles: NDArray[np.float32], blur: NDArray[np.float32]) -> NDArray[np.float32]:
+    out = np.empty((len(tiles), len(blur), tiles.shape[2]), np.float32)
+    for first in range(0, len(blur), 16):
+        rows = slice(first, first + 16)
+        used = np.flatnonzero((blur[rows] > 1e-12).any(axis=0))
+        band = slice(used[0], used[-1] + 1) if len(used) else slice(None)
+        part = np.ascontiguousarray(blur[rows, band])
+        strip = max(1, int(2e5 / part.size))
+        for left in range(0, tiles.shape[2], strip):
+            out[:, rows, left : left + strip] = part @ tiles[:, band, left : left + strip]
+    return out
+
+
+class Patches:
+    """Pixel squares, one for each frame and ball in view, wide enough for body, streak and blur.
+
+    frame, ball: (P,). origins: (P, 2) first column and row. widths: (P,) px. number: (F, N) the patch of a frame
+    and ball, -1 out of view. Each depends on its own frame alone.
+    """
+
+    def __init__(
+        self, camera: Camera, margin: int, moments: Moments, pixels: Array, extent: Array, frames: int
+    ) -> None:
+        self.margin = margin
+        balls = pixels.shape[1]
+        low, high = np.full((frames, balls, 2), np.inf), np.full((frames, balls, 2), -np.inf)
+        around = extent[..., None] + self.margin
+        np.minimum.at(low, moments.frames, pixels - around)
+        np.maximum.at(high, moments.frames, pixels + around)
+        self.frame, self.ball = np.nonzero(((high > 0) & (low < np.array(camera.size) - 1)).all(axis=2))
+        self.number = np.full((frames, balls), -1)
+        self.number[self.frame, self.ball] = np.arange(len(self.frame))
+        self.origins = np.floor(low[self.frame, self.ball]).astype(int)
+        ends = np.ceil(high[self.frame, self.ball]).astype(int) + 1
+        # In steps, so that many are drawn at once, but from this frame alone.
+        self.widths = -(-(ends - self.origins).max(axis=1) // 8) * 8
+
+    def slots(self, alike: NDArray[np.intp]) -> NDArray[np.intp]:
+        """Rank among `alike` of each patch number; -1 for others and, as the last entry, for no patch."""
+        slots = np.full(len(self.frame) + 1, -1)
+        slots[alike] = np.arange(len(alike))
+        return slots
+
+    def box(self, number: int, size: tuple[int, int]) -> tuple[int, int, int, int]:
+        """Top, bottom, left, right of a patch within an image of size (w, h)."""
+        (left, top), width, (w, h) = self.origins[number].tolist(), int(self.widths[number]), size
+        return max(top, 0), min(top + width, h), max(left, 0), min(left + width, w)
+
+
+def reach(camera: Camera, places: Array, radii: Array, slope: Array) -> Array:
+    """Half width (T, N) px that holds each ball's outline: wider off the axis, where a sphere looks oval."""
+    away = camera.centre - places
+    slant = np.linalg.norm(away, axis=2) / -(away @ camera.R[2])
+    return np.asarray(radii * np.linalg.norm(slope, axis=(2, 3)) * slant / np.sqrt(2) * 1.02 + 0.5)
+
+
+def merge(boxes: Sequence[tuple[int, int, int, int]]) -> tuple[Box, ...]:
+    """Disjoint slices that cover boxes (top, bottom, left, right), those that touch joined into one."""
+    apart: list[tuple[int, int, int, int]] = []
+    for new in boxes:
+        a, b, c, d = new
+        while True:
+            touching = [q for q in apart if a < q[1] and q[0] < b and c < q[3] and q[2] < d]
+            if not touching:
+                break
+            apart = [q for q in apart if q not in touching]
+            a, c = min(a, *(q[0] for q in touching)), min(c, *(q[2] for q in touching))
+            b, d = max(b, *(q[1] for q in touching)), max(d, *(q[3] for q in touching))
+        apart.append((a, b, c, d))
+    return tuple((slice(a, b), slice(c, d)) for a, b, c, d in apart)

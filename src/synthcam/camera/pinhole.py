@@ -1,0 +1,146 @@
+"""Geometry of the camera and the lamp: where a point is seen, and where a ball's glint stands.
+
+Conventions are OpenCV's: x_cam = R x_world + t, image x right and y down, pixel centres at integers,
+distortion k1, k2, p1, p2, k3 (OpenCV 4, "Camera calibration and 3D reconstruction").
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from synthcam.camera import reflections
+from synthcam.camera.lamp import Lamp
+
+__all__ = ["Camera", "Lamp", "glint", "glint_px"]
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Camera:
+    """A calibrated camera.
+
+    K: (3, 3) px. dist: (5,). R: (3, 3), t: (3,) m, world to camera. size: (w, h) px. fps: 1/s. exposure: s.
+    scale: m/px at the height of the balls' centres. psf_sigma_px: standard deviation of the optics' blur, px.
+    defocus_px: radius of the disc to which defocus spreads a point, px. airy_px: wavelength x f-number over the
+    pixel pitch, 0 without diffraction. vignetting: share of the light lost in the picture's corners. line_time: s
+    from one row's exposure to the next row's below, 0 for a global shutter.
+    """
+
+    K: Array
+    dist: Array
+    R: Array
+    t: Array
+    size: tuple[int, int]
+    fps: float
+    exposure: float
+    scale: float
+    psf_sigma_px: float
+    defocus_px: float = 0.0
+    airy_px: float = 0.0
+    vignetting: float = 0.0
+    line_time: float = 0.0
+
+    @classmethod
+    def overhead(
+        cls,
+        size: tuple[int, int],
+        scale: float,
+        height: float,
+        tilt: Sequence[float] = (0.0, 0.0),
+        distortion: Sequence[float] = (0.0, 0.0, 0.0, 0.0, 0.0),
+        *,
+        ball_radius: float,
+        fps: float,
+        exposure: float,
+        psf_sigma_px: float,
+        **more: float,
+    ) -> "Camera":
+        """Camera `height` m from the world's origin, looking at it; `scale` m/px holds at z = ball_radius.
+
+        tilt = (a, b): the camera is carried round the origin by a rad about the world's x axis, then by b
+        about y, and keeps its distance and its aim: its centre is Ry(b) Rx(a) (0, 0, height). more: defocus_px,
+        airy_px, vignetting, line_time. Raises ValueError where height does not exceed ball_radius.
+        """
+        if height <= ball_radius:
+            raise ValueError(f"camera height {height} m must be over the balls' centres at {ball_radius} m")
+        focal = (height - ball_radius) / scale
+        K = np.array([[focal, 0, (size[0] - 1) / 2], [0, focal, (size[1] - 1) / 2], [0, 0, 1]])
+        (sin_a, sin_b), (cos_a, cos_b) = np.sin(tilt), np.cos(tilt)
+        about_x = np.array([[1, 0, 0], [0, cos_a, -sin_a], [0, sin_a, cos_a]])
+        about_y = np.array([[cos_b, 0, sin_b], [0, 1, 0], [-sin_b, 0, cos_b]])
+        return cls(
+            K=K,
+            dist=np.array(distortion, float),
+            R=np.diag([1.0, -1, -1]) @ (about_y @ about_x).T,
+            t=np.array([0, 0, float(height)]),
+            size=(int(size[0]), int(size[1])),
+            fps=float(fps),
+            exposure=float(exposure),
+            scale=float(scale),
+            psf_sigma_px=float(psf_sigma_px),
+            **more,
+        )
+
+    @property
+    def centre(self) -> Array:
+        """The camera's place in the world: (3,) m."""
+        return np.asarray(-self.R.T @ self.t)
+
+    def project(self, points: ArrayLike) -> Array:
+        """Pixels (..., 2) at which world points (..., 3), m, are seen; NaN behind the camera."""
+        return self.project_with_slope(points)[0]
+
+    def project_with_slope(self, points: ArrayLike) -> tuple[Array, Array]:
+        """Pixels (..., 2) of world points (..., 3), and their derivative by the point, (..., 2, 3) px/m."""
+        seen = np.asarray(points, float) @ self.R.T + self.t
+        depth = np.where(seen[..., 2] > 0, seen[..., 2], np.nan)
+        flat = seen[..., :2] / depth[..., None]
+        bent, bend = self._distort(flat)
+        lens = self.K[:2, :2]
+        pixels = bent @ lens.T + self.K[:2, 2]
+        slope = np.zeros((*flat.shape, 3))
+        slope[..., 0, 0] = slope[..., 1, 1] = 1
+        slope[..., 2] = -flat
+        slope /= depth[..., None, None]
+        return pixels, lens @ bend @ slope @ self.R
+
+    def _distort(self, flat: Array) -> tuple[Array, Array]:
+        """OpenCV's lens model on normalised coordinates (..., 2), with its Jacobian (..., 2, 2)."""
+        if not self.dist.any():
+            return flat, np.broadcast_to(np.eye(2), (*flat.shape, 2))
+        k1, k2, p1, p2, k3 = self.dist
+        x, y = flat[..., 0], flat[..., 1]
+        square = x * x + y * y
+        radial = 1 + square * (k1 + square * (k2 + square * k3))
+        rise = 2 * (k1 + square * (2 * k2 + square * 3 * k3))  # d radial / dx = rise x
+        bent = np.stack(
+            [
+                x * radial + 2 * p1 * x * y + p2 * (square + 2 * x * x),
+                y * radial + p1 * (square + 2 * y * y) + 2 * p2 * x * y,
+            ],
+            axis=-1,
+        )
+        mixed = rise * x * y + 2 * p1 * x + 2 * p2 * y
+        xx = radial + rise * x * x + 2 * p1 * y + 6 * p2 * x
+        yy = radial + rise * y * y + 6 * p1 * y + 2 * p2 * x
+        bend = np.stack([np.stack([xx, mixed], -1), np.stack([mixed, yy], -1)], -2)
+        return bent, bend
+
+
+def glint(camera: Camera, lamp: Lamp, centre: ArrayLike, radius: float) -> Array:
+    """World points (..., 3), m, at which balls of `radius` m at centre (..., 3) mirror the lamp's centre.
+
+    The path lamp -> ball -> camera is of stationary length (Fermat); other balls are not looked at.
+    """
+    centres = np.asarray(centre, float)
+    flat = centres.reshape(-1, 1, 3)
+    paths = reflections.reflect(lamp.position, camera.centre, flat, np.full(flat.shape[:2], float(radius)))
+    return paths.points.reshape(centres.shape)
+
+
+def glint_px(camera: Camera, lamp: Lamp, centre: ArrayLike, radius: float) -> Array:
+    """Pixels (..., 2) at which the primary glints of balls at centre (..., 3), m, are seen."""
+    return camera.project(glint(camera, lamp, centre, radius))

@@ -1,0 +1,105 @@
+"""The plate: how the lamps light it, its weak gloss and its grain, and what a shader must know to cast shadows on it.
+
+All of it stands still, so it is computed once for a film, in double precision.
+"""
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from synthcam.camera.lamp import Lamp
+from synthcam.camera.pinhole import Camera
+from synthcam.camera.surface import Surface
+
+Array = NDArray[np.float64]
+
+PLATE = 0.05  # radiance of the black plate under the lamp, over that of the room seen in a ball
+PARTS = 4  # of a lamp's width: each casts a shadow of its own
+
+
+def plain(lamp: Lamp, surface: Surface) -> bool:
+    """True for one lamp that faces down, small to the plate, over a dull, even plate without shadows."""
+    even = not (surface.plate_gloss or surface.plate_texture or surface.plate_shadow)
+    return even and lamp.second is None and lamp.towards is None and lamp.shape == "disc" and lamp.radius < 0.03
+
+
+def irradiance(lamp: Lamp, points: Array) -> Array:
+    """Light on the plate at points (..., 3), m, over that of the first lamp on the point under it, facing down."""
+    total = np.zeros(points.shape[:-1])
+    scale = lamp.position[2] ** 2 / lamp.cells(np.inf).areas[0]
+    for each in lamp.all:
+        cells = each.cells(_part(each))
+        for place, area in zip(cells.places, cells.areas, strict=True):
+            way = points - place
+            square = (way * way).sum(-1)
+            fall = np.maximum(way @ each.axes[:, 2], 0) * -way[..., 2] / square**2
+            total += scale * each.radiance * area * fall
+    return total
+
+
+def gloss(lamp: Lamp, surface: Surface, eye: Array, points: Array) -> Array:
+    """Radiance at points (..., 3), over a lamp's own, that the plate's rough mirror throws to the eye.
+
+    Beckmann's lobe without masking (Beckmann & Spizzichino 1963): reflectance D / (4 cos_in cos_out), times the
+    light's cos_in and solid angle.
+    """
+    total, wide = np.zeros(points.shape[:-1]), 2 * surface.plate_roughness**2
+    out = eye - points
+    out /= np.linalg.norm(out, axis=-1, keepdims=True)
+    for each in lamp.all:
+        cells = each.cells(_part(each))
+        for place, area in zip(cells.places, cells.areas, strict=True):
+            way = place - points
+            square = (way * way).sum(-1)
+            way /= np.sqrt(square)[..., None]
+            half = way + out
+            up = half[..., 2] / np.linalg.norm(half, axis=-1)
+            lobe = np.exp(-(1 / up**2 - 1) / wide) / (np.pi * wide * up**4)
+            solid = area * np.maximum(-(way @ each.axes[:, 2]), 0) / square
+            total += each.radiance * surface.plate_gloss * lobe / (4 * out[..., 2]) * solid
+    return total
+
+
+def grain(surface: Surface, points: Array) -> Array:
+    """Relative brightness (h, w) of the plate's grain at points (h, w, 3); the same grain on every plate.
+
+    A sum of 60 waves of random directions and wavelengths about plate_grain.
+    """
+    rng = np.random.default_rng(1)
+    out = np.zeros(points.shape[:-1])
+    for _ in range(60):
+        turn, phase = rng.uniform(0, 2 * np.pi, 2)
+        wave = 2 * np.pi / (surface.plate_grain * rng.uniform(1, 4)) * np.array([np.cos(turn), np.sin(turn)])
+        out += np.cos(points[..., :2] @ wave + phase)
+    return np.asarray(1 + surface.plate_texture * out / np.sqrt(30))
+
+
+def on_plate(camera: Camera) -> Array:
+    """The plate's points (h, w, 3), m, seen at the pixels' centres."""
+    w, h = camera.size
+    pixels = np.stack(np.meshgrid(np.arange(w), np.arange(h)), axis=-1).reshape(-1, 1, 2).astype(float)
+    steps = (cv2.TERM_CRITERIA_MAX_ITER, 60, 0)
+    flat = cv2.undistortPoints(pixels, camera.K, camera.dist, criteria=steps).reshape(h, w, 2)
+    way = np.concatenate([flat, np.ones((h, w, 1))], axis=-1) @ camera.R
+    eye = camera.centre
+    return np.asarray(eye - way * (eye[2] / way[..., 2])[..., None])
+
+
+def casters(lamp: Lamp, at: Array) -> Array:
+    """Discs (L, 5) that throw the shadows near a point (3,), m: place, radius of equal area, share of the light."""
+    found = []
+    for each in lamp.all:
+        cells = each.cells(_part(each))
+        for place, area in zip(cells.places, cells.areas, strict=True):
+            way = at - place
+            fall = max(float(way @ each.axes[:, 2]), 0.0) * -way[2] / (way @ way) ** 2
+            found.append([*place, np.sqrt(area / np.pi), each.radiance * area * fall])
+    discs = np.array(found)
+    discs[:, 4] /= max(discs[:, 4].sum(), 1e-30)
+    return discs
+
+
+def _part(lamp: Lamp) -> float:
+    """Half-width of the parts into which a lamp is cut for the plate; a small disc stays whole."""
+    whole = max(lamp.radius, lamp.length / 2) if lamp.shape == "bar" else lamp.radius
+    return np.inf if lamp.shape == "disc" and lamp.radius < 0.03 else whole / PARTS

@@ -1,0 +1,176 @@
+"""A clip as bodies for other programs: plate, balls, lamp and camera in a glTF scene, the motion as its animation.
+
+Khronos glTF 2.0 and KHR_lights_punctual. Lengths are m; glTF's y points up, so the world's axes hang in a turned node.
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import trimesh
+from numpy.typing import ArrayLike, NDArray
+
+from synthcam.camera.lamp import Lamp
+
+Array = NDArray[np.float64]
+untyped: Any = trimesh
+material: Any = untyped.visual.material.PBRMaterial
+
+FLOAT = 5126  # glTF's componentType of float32
+ROUND = 4  # subdivisions of an icosahedron: a ball's outline is then round to 1e-3 of its radius
+BEYOND = 1.5  # of the view's longer side, the plate's
+THICK = 1e-3  # m, of the plate
+LIGHT = material(name="lamp", baseColorFactor=[0.0, 0.0, 0.0, 1.0], emissiveFactor=[1.0, 1.0, 1.0])
+Z_UP = [-np.sqrt(0.5), 0.0, 0.0, np.sqrt(0.5)]  # turns the world's z to glTF's y
+
+
+@dataclass(frozen=True)
+class Motion:
+    """One ball. times: (T,) s, increasing, of places (T, 3) m; turn_times: (S,) s, of turns (S, 4), unit quaternions
+    x, y, z, w from the ball's axes to the world's."""
+
+    radius: float
+    times: Array
+    places: Array
+    turn_times: Array
+    turns: Array
+
+
+@dataclass(frozen=True)
+class Look:
+    """What is seen, as glTF counts it: linear, 1 is white.
+
+    lamps: each with its candela. steel, plate: base colours of two metals. steel_roughness: glTF's.
+    """
+
+    lamps: tuple[tuple[Lamp, float], ...]
+    steel: float
+    steel_roughness: float
+    plate: float
+
+
+def glb(camera: dict[str, Any], balls: list[Motion], look: Look) -> bytes:
+    """A binary glTF file of one clip. camera: the keys of camera.json; its lens distortion has no place in glTF."""
+    width, height = camera["size"]
+    scene = untyped.Scene(base_frame="scene")
+    scene.graph.update(frame_from="scene", frame_to="table")
+    side = BEYOND * max(width, height) * camera["scale"]
+    plate = untyped.creation.box([side, side, THICK])
+    plate.unmerge_vertices()  # corners shared by faces would have slanting normals, and the plate the light of a dome
+    metals = {"plate": (look.plate, 1.0), "steel": (look.steel, look.steel_roughness)}
+    black, steel = (
+        material(name=name, metallicFactor=1.0, roughnessFactor=rough) for name, (_, rough) in metals.items()
+    )
+    _add(scene, "plate", plate, black, _at([0.0, 0.0, -THICK / 2]))
+    for k, ball in enumerate(balls):
+        _add(scene, f"ball{k}", untyped.creation.icosphere(ROUND, ball.radius), steel, _at(ball.places[0]))
+    lights = {f"light{k or ''}": each for k, each in enumerate(look.lamps)}
+    for name, (lamp, _) in lights.items():
+        _add(scene, name.replace("light", "lamp"), _shape(lamp), LIGHT, _at(lamp.position, lamp.axes * [1, 1, -1]))
+    for name in (*lights, "camera"):
+        scene.graph.update(frame_from="table", frame_to=name)
+
+    def animate(buffers: dict[Any, bytes], tree: dict[str, Any]) -> None:
+        names = {node["name"]: k for k, node in enumerate(tree["nodes"])}
+        tree["animations"] = [{"name": "motion", "samplers": [], "channels": []}]
+        for k, ball in enumerate(balls):
+            for path, times, values in (
+                ("translation", ball.times, ball.places),
+                ("rotation", ball.turn_times, ball.turns),
+            ):
+                _channel(tree, buffers, names[f"ball{k}"], path, times, values)
+
+    def place(tree: dict[str, Any]) -> None:
+        nodes = {node["name"]: node for node in tree["nodes"]}
+        nodes["table"] |= {"rotation": Z_UP}
+        for k, ball in enumerate(balls):  # what is animated may have no matrix
+            nodes[f"ball{k}"].pop("matrix", None)
+            nodes[f"ball{k}"] |= {"translation": ball.places[0].tolist(), "rotation": ball.turns[0].tolist()}
+        focal = camera["K"][1][1]
+        tree["cameras"] = [
+            {
+                "type": "perspective",
+                "perspective": {
+                    "aspectRatio": width / height * focal / camera["K"][0][0],
+                    "yfov": 2 * float(np.arctan(height / 2 / focal)),
+                    "znear": 0.01,
+                },
+            }
+        ]
+        nodes["camera"] |= {"camera": 0, "matrix": _pose(camera).T.ravel().tolist()}
+        tree["extensionsUsed"] = [*tree.get("extensionsUsed", []), "KHR_lights_punctual"]
+        punctual = []
+        for k, (name, (lamp, candela)) in enumerate(lights.items()):
+            punctual.append({"name": name, "type": "point", "intensity": candela, "color": [1.0, 1.0, 1.0]})
+            nodes[name] |= {"extensions": {"KHR_lights_punctual": {"light": k}}, "translation": lamp.position.tolist()}
+        tree.setdefault("extensions", {})["KHR_lights_punctual"] = {"lights": punctual}
+        for made_of in tree["materials"]:  # trimesh would round colours to 255ths
+            if made_of["name"] in metals:
+                made_of["pbrMetallicRoughness"]["baseColorFactor"] = [*[metals[made_of["name"]][0]] * 3, 1.0]
+
+    return bytes(
+        untyped.exchange.gltf.export_glb(
+            scene, include_normals=True, buffer_postprocessor=animate, tree_postprocessor=place
+        )
+    )
+
+
+def _shape(lamp: Lamp) -> Any:
+    """A lamp's body, flat along z."""
+    if lamp.shape == "bar":
+        turn = untyped.transformations.rotation_matrix(lamp.angle, [0, 0, 1])
+        return untyped.creation.box([lamp.length, lamp.width, lamp.width / 100], transform=turn)
+    if lamp.shape == "ring":
+        return untyped.creation.annulus(lamp.inner, lamp.radius, lamp.radius / 100)
+    return untyped.creation.cylinder(lamp.radius, lamp.radius / 100)
+
+
+def _at(place: ArrayLike, axes: Array | None = None) -> Array:
+    pose = np.eye(4)
+    pose[:3, 3] = place
+    if axes is not None:
+        pose[:3, :3] = axes
+    return pose
+
+
+def _add(scene: Any, name: str, mesh: Any, made_of: Any, pose: Array) -> None:
+    mesh.visual = untyped.visual.TextureVisuals(material=made_of)
+    scene.add_geometry(mesh, node_name=name, geom_name=name, parent_node_name="table", transform=pose)
+
+
+def _pose(camera: dict[str, Any]) -> Array:
+    """Camera to world (4, 4): glTF's cameras look along -z with y up, OpenCV's along z with y down."""
+    turn, shift = np.array(camera["R"], float), np.array(camera["t"], float)
+    pose = np.eye(4)
+    pose[:3, :3] = turn.T @ np.diag([1.0, -1.0, -1.0])
+    pose[:3, 3] = -turn.T @ shift
+    return pose
+
+
+def _channel(
+    tree: dict[str, Any], buffers: dict[Any, bytes], node: int, path: str, times: Array, values: Array
+) -> None:
+    motion = tree["animations"][0]
+    sampler = {
+        "input": _accessor(tree, buffers, f"{node} {path} times", times[:, None]),
+        "output": _accessor(tree, buffers, f"{node} {path}", values),
+        "interpolation": "LINEAR",
+    }
+    motion["channels"].append({"sampler": len(motion["samplers"]), "target": {"node": node, "path": path}})
+    motion["samplers"].append(sampler)
+
+
+def _accessor(tree: dict[str, Any], buffers: dict[Any, bytes], key: str, values: Array) -> int:
+    """Number of a new accessor to float32 values (n, m)."""
+    data = np.ascontiguousarray(values, "<f4")
+    number = len(tree["accessors"])
+    tree["accessors"][key] = {
+        "bufferView": len(buffers),
+        "componentType": FLOAT,
+        "count": len(data),
+        "type": {1: "SCALAR", 3: "VEC3", 4: "VEC4"}[data.shape[1]],
+        "min": data.min(axis=0).tolist(),
+        "max": data.max(axis=0).tolist(),
+    }
+    buffers[key] = data.tobytes()
+    return number

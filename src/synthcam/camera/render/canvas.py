@@ -1,0 +1,199 @@
+"""OpenGL off-screen: pyrender with a float32 buffer and our own shaders, by EGL or by OSMesa.
+
+The only importer of pyrender, trimesh and PyOpenGL.
+"""
+
+import ctypes
+import os
+import warnings
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from synthcam.camera.render import windowless
+
+# Read when the libraries load. Rasterising in the calling thread leaves the other cores to worker processes.
+os.environ.setdefault("LP_NUM_THREADS", "0")
+WHY = windowless.choose()
+_missing = ""
+try:
+    with warnings.catch_warnings(), windowless.without_viewer():
+        warnings.simplefilter("ignore")
+        import pyrender
+        import trimesh
+        from OpenGL import GL
+        from OpenGL.platform import PLATFORM
+except Exception as error:  # PyOpenGL raises whatever its loader happens to trip over
+    pyrender = None
+    _missing = " ".join(str(error).split()) or type(error).__name__
+
+Float32 = NDArray[np.float32]
+
+SIDE = 1024  # usual side of the buffer, samples
+MOST = 2048  # bodies in one draw call
+
+
+class NoGL(RuntimeError):
+    """OpenGL cannot draw off-screen here; the message says in one line why and what would help."""
+
+
+class _Programs(pyrender.shader_program.ShaderProgramCache if pyrender else object):  # type: ignore[misc]
+    """pyrender's shader programs, each compiled for what it is to draw."""
+
+    wanted: ClassVar[dict[str, int]] = {}
+
+    def get_program(self, defines: dict[str, int], **shaders: str) -> Any:
+        return super().get_program(defines=defines | self.wanted, **shaders)
+
+
+class _Renderer(pyrender.Renderer if pyrender else object):  # type: ignore[misc]
+    """pyrender's renderer with a float32 buffer, our shaders and bodies that add up where they overlap."""
+
+    def __init__(self) -> None:
+        super().__init__(SIDE, SIDE)
+        shaders = Path(__file__).with_name("shaders")
+        self._program_cache: Any = _Programs(shader_dir=str(shaders))
+        self.uniforms: dict[str, Any] = {}
+        self.jobs = np.zeros((0, 4, 4), np.float32)
+        self.rows = SIDE
+        self._others: Any = None
+        self._main_fb: Any
+        self._main_fb_dims: tuple[int, int]
+
+    def _configure_main_framebuffer(self) -> None:
+        size = (self.viewport_width, self.viewport_height)
+        if self._main_fb is not None and self._main_fb_dims != size:
+            self._delete_main_framebuffer()
+        if self._main_fb is None:
+            self._main_cb = self._main_cb_ms = GL.glGenRenderbuffers(1)
+            GL.glBindRenderbuffer(GL.GL_RENDERBUFFER, self._main_cb)
+            GL.glRenderbufferStorage(GL.GL_RENDERBUFFER, GL.GL_R32F, *size)
+            self._main_fb = self._main_fb_ms = GL.glGenFramebuffers(1)
+            GL.glBindFramebuffer(GL.GL_FRAMEBUFFER, self._main_fb)
+            GL.glFramebufferRenderbuffer(GL.GL_FRAMEBUFFER, GL.GL_COLOR_ATTACHMENT0, GL.GL_RENDERBUFFER, self._main_cb)
+            self._main_fb_dims = size
+
+    def _bind_lighting(self, scene: Any, program: Any, node: Any, flags: int) -> None:
+        for name, value in self.uniforms.items():
+            if GL.glGetUniformLocation(program._program_id, name) >= 0:  # else this program has no use for it
+                program.set_uniform(name, value)
+        GL.glActiveTexture(GL.GL_TEXTURE0)
+        GL.glBindTexture(GL.GL_TEXTURE_2D, self._others)
+
+    def _bind_and_draw_primitive(self, primitive: Any, pose: Any, program: Any, flags: int) -> None:
+        primitive._bind()
+        GL.glBindBuffer(GL.GL_ARRAY_BUFFER, primitive._buffers[1])  # pyrender's instance matrices
+        GL.glBufferSubData(GL.GL_ARRAY_BUFFER, 0, self.jobs.nbytes, self.jobs)
+        GL.glDisable(GL.GL_CULL_FACE)
+        GL.glDisable(GL.GL_DEPTH_TEST)
+        GL.glEnable(GL.GL_BLEND)
+        GL.glBlendFunc(GL.GL_ONE, GL.GL_ONE)
+        count = primitive.indices.size
+        GL.glDrawElementsInstanced(primitive.mode, count, GL.GL_UNSIGNED_INT, None, len(self.jobs))
+        primitive._unbind()
+
+    def _read_main_framebuffer(self, scene: Any, flags: int) -> Float32:
+        GL.glBindFramebuffer(GL.GL_READ_FRAMEBUFFER, self._main_fb)
+        read = GL.glReadPixels(0, 0, self.viewport_width, self.rows, GL.GL_RED, GL.GL_FLOAT)
+        return np.frombuffer(read, np.float32).reshape(self.rows, self.viewport_width)
+
+    def load_others(self, others: Float32) -> None:
+        """Neighbours (n, k, 4) of each body, read by the shader as the rows of a texture."""
+        if self._others is None:
+            # Two, for with one PyOpenGL 3.1.0, which pyrender wants, passes a ctypes pointer that Python 3.12 refuses.
+            self._others = int(GL.glGenTextures(2)[0])
+        GL.glBindTexture(GL.GL_TEXTURE_2D, self._others)
+        for setting in (GL.GL_TEXTURE_MIN_FILTER, GL.GL_TEXTURE_MAG_FILTER):
+            GL.glTexParameteri(GL.GL_TEXTURE_2D, setting, GL.GL_NEAREST)
+        rows, columns = others.shape[:2]
+        GL.glTexImage2D(GL.GL_TEXTURE_2D, 0, GL.GL_RGBA32F, columns, rows, 0, GL.GL_RGBA, GL.GL_FLOAT, others)
+
+
+class _Screen(pyrender.OffscreenRenderer if pyrender else object):  # type: ignore[misc]
+    """pyrender's off-screen renderer on the platform chosen, with our renderer in it."""
+
+    def _create(self) -> None:
+        if os.environ["PYOPENGL_PLATFORM"] != "osmesa":
+            super()._create()
+        else:
+            # PyOpenGL 3.1.0 keys its books by the context, and OSMesa's pointer type has no hash.
+            PLATFORM.GetCurrentContext.restype = ctypes.c_void_p
+            self._platform = windowless.OSMesa(self.viewport_width, self.viewport_height)
+            self._platform.init_context()
+            self._platform.make_current()
+        self._renderer = _Renderer()
+
+
+class Canvas:
+    """The process's one OpenGL context with its scene: a quad, drawn once for every body."""
+
+    def __init__(self) -> None:
+        if pyrender is None:
+            raise NoGL(_no_gl(_missing))
+        try:
+            self._screen = _Screen(SIDE, SIDE)
+            self._renderer: _Renderer = self._screen._renderer
+            self.info = {
+                name.lower(): GL.glGetString(getattr(GL, f"GL_{name}")).decode()
+                for name in ("RENDERER", "VERSION", "VENDOR")
+            }
+        except Exception as error:
+            raise NoGL(_no_gl(" ".join(str(error).split()) or type(error).__name__)) from error
+        self.info |= {"platform": os.environ["PYOPENGL_PLATFORM"], "why": WHY}
+        quad = trimesh.Trimesh([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]], [[0, 1, 2], [0, 2, 3]])
+        room_for_jobs = np.zeros((MOST, 4, 4), np.float32)
+        self._scene = pyrender.Scene(bg_color=np.zeros(4))
+        self._scene.add(pyrender.Mesh.from_trimesh(quad, poses=room_for_jobs))
+        self._scene.add(pyrender.IntrinsicsCamera(1, 1, 0, 0))  # pyrender asks for one; the shader does not
+
+    def draw(
+        self, jobs: Float32, others: Float32, size: tuple[int, int], uniforms: dict[str, Any], **defines: int
+    ) -> Float32:
+        """Buffer (rows, columns) of that size after all jobs (n, 4, 4) with their neighbours (n, k, 4).
+
+        uniforms, defines: of the shader.
+        """
+        self._renderer._program_cache.wanted = defines
+        total: Float32 | None = None
+        screen = self._screen
+        screen.viewport_height, screen.viewport_width = max(SIDE, size[0]), max(SIDE, size[1])
+        self._renderer.rows = size[0]
+        columns = screen.viewport_width
+        self._renderer.uniforms = uniforms | {"atlas": np.array([columns, screen.viewport_height], float)}
+        self._renderer.uniforms["others"] = 0
+        for first in range(0, len(jobs), MOST):
+            batch = slice(first, first + MOST)
+            jobs[batch, 3, 2] = np.arange(len(jobs[batch]))
+            self._renderer.jobs = np.ascontiguousarray(jobs[batch])
+            screen._platform.make_current()
+            self._renderer.load_others(np.ascontiguousarray(others[batch]))
+            drawn = screen.render(self._scene)
+            total = drawn if total is None else total + drawn
+        assert total is not None
+        return total[:, : size[1]]
+
+
+_canvas: tuple[int, Canvas] | None = None
+
+
+def shared_canvas() -> Canvas:
+    """A second context in one process, or one carried over a fork, crashes some drivers."""
+    global _canvas
+    if _canvas is None:
+        _canvas = (os.getpid(), Canvas())
+    if _canvas[0] != os.getpid():
+        raise NoGL("OpenGL was started before this process was forked: start workers by spawn instead")
+    return _canvas[1]
+
+
+def _no_gl(why: str) -> str:
+    absent = windowless.missing_packages()
+    advice = f"missing (Debian, Ubuntu): apt install {' '.join(absent)}" if absent else "its libraries are all there"
+    return f"no off-screen OpenGL ({os.environ.get('PYOPENGL_PLATFORM')}): {why}; {advice}"
+
+
+def gl_info() -> dict[str, str]:
+    """Renderer, version, vendor and platform of the OpenGL in use, and why that. Raises NoGL where there is none."""
+    return dict(shared_canvas().info)

@@ -1,0 +1,385 @@
+"""A film of rolling mirror balls: bodies drawn by pyrender, the lamp's images added in closed form.
+
+The bodies are ray-traced by our own shader into one float32 channel, without the lamp: its images are small and
+bright, and are added from their exact places, fluxes and moments.
+"""
+
+from collections.abc import Callable, Iterator, Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from synthcam.camera import plate as floor
+from synthcam.camera.exposure import (
+    Array,
+    Moments,
+    Patches,
+    Picture,
+    blur_matrix,
+    blurred,
+    merge,
+    pieces,
+    reach,
+    sample,
+    spots,
+)
+from synthcam.camera.glints import PLAIN, Glints, find_glints, join
+from synthcam.camera.pinhole import Camera, Lamp
+from synthcam.camera.plate import PLATE
+from synthcam.camera.psf import Psf
+from synthcam.camera.render.canvas import SIDE, Float32, shared_canvas
+from synthcam.camera.shutter import rolled
+from synthcam.camera.surface import STEEL, Surface
+
+Index = NDArray[np.intp]
+Centres = Callable[[Array], Array]
+
+FINENESS = 3  # body samples a pixel, each way
+BODIES, ON_PLATE, SHADES, PLATE_ALONE = 0, 1, 2, 3  # what the shader draws
+BATCH = 128  # exposures gathered at a time
+CELL = 0.4  # half-width of a lamp's cells as they are seen, over the blur's sigma
+
+
+class Film:
+    """The view of one camera on a black plate under one lamp or two, with any number of steel balls.
+
+    camera, lamp, surface: as in `optics`, `lamp`, `surface`. radii: m, one a ball. room: radiance of the dim
+    surroundings, such that a ball shows it at its top at `room` times its glint's peak; it fades to the plate's
+    towards the horizon. Raises NoGL without OpenGL, ValueError where a lamp stands in view, or where the lens bends
+    too strongly within one ball.
+    """
+
+    def __init__(
+        self, camera: Camera, lamp: Lamp, radii: Sequence[float], room: float = 0.02, surface: Surface = PLAIN
+    ) -> None:
+        self._canvas = shared_canvas()
+        self.camera, self.lamp, self.room, self.surface = camera, lamp, room, surface
+        self.radii = np.array(radii, float)
+        if not (len(self.radii) and np.all(self.radii > 0)):
+            raise ValueError(f"radii: expected at least one ball, all larger than 0, got {self.radii.tolist()}")
+        for each in lamp.all:
+            self._check_lamp(each)
+        self._check_lens()
+        self.psf = Psf(camera.psf_sigma_px, camera.defocus_px, camera.airy_px)
+        self._cells = [self._cell(each) for each in lamp.all]
+        self._unit = self._measure()
+        self._vignette = _vignette(camera)
+        self._plates: dict[float, Float32] = {}
+        self._uniforms = {
+            "up": camera.R[:, 2].copy(),
+            "zenith": float(room / surface.head_on),
+            "steel": float(STEEL),
+            "metal": np.array(surface.steel or (0.0, 0.0)),
+            "gloss": surface.plate_gloss,
+            "lamp": np.zeros(3),
+        }
+        self._plain = floor.plain(lamp, surface)
+        self._slope = 0.0 if self._plain else self._steepest()
+        self._lit = np.zeros((1, 1), np.float32)
+        self.plate = self._draw_plate() if self._plain else self._compute_plate()
+        self.plate.flags.writeable = False
+
+    def _resting(self, lamp: Lamp, cell: float) -> Glints:
+        rest, one = np.array([[[0, 0, self.radii[0]]]]), np.ones((1, 1), bool)
+        return find_glints(self.camera, lamp, rest, self.radii[:1], one, self.surface, cell)
+
+    def _cell(self, lamp: Lamp) -> float:
+        """Half-width, m, of the cells of a lamp that look small against the blur."""
+        seen, spread = self._resting(lamp, np.inf).spread, lamp.cells(np.inf).spread[0, :2]
+        return float(CELL * self.camera.psf_sigma_px * np.sqrt(spread.sum() / max(seen.sum(), 1e-30)))
+
+    def _measure(self) -> float:
+        """What makes the peak of a resting ball's glint one."""
+        whole, glints = self._resting(self.lamp, np.inf), self._resting(self.lamp, self._cells[0])
+        lone = len(glints.flux) == 1 and self.psf.plain
+        half = 0 if lone else self.psf.margin + int(np.ceil(np.abs(glints.pixels - whole.pixels[:1]).max()))
+        place = glints.pixels - whole.pixels[0] + half
+        spread = glints.spread + self.camera.psf_sigma_px**2
+        rows, columns = spots(place, spread, np.zeros((1, 2)), 2 * half + 1, self.psf.steps)
+        if lone:
+            return float(1 / (glints.flux * rows[0, 0] * columns[0, 0])[0])
+        spot = ((rows * glints.flux[:, None]).T @ columns)[None].astype(np.float32)
+        return float(1 / (spot if self.psf.plain else self.psf.spread(spot)).max())
+
+    def _check_lamp(self, lamp: Lamp) -> None:
+        w, h = self.camera.size
+        at = self.camera.project(lamp.position)
+        if np.all((at > -0.5) & (at < [w - 0.5, h - 0.5])):
+            where = lamp.position.tolist()
+            raise ValueError(f"lamp position {where} stands between the camera and the plate")
+
+    def _check_lens(self) -> None:
+        """Within a ball the lens is taken as linear: its curvature there must be far under a sample."""
+        camera, radius = self.camera, self.radii.max()
+        if not camera.dist.any():
+            return
+        w, h = np.array(camera.size)
+        columns, rows = np.meshgrid(np.linspace(-0.1, 1.1, 25) * w, np.linspace(-0.1, 1.1, 25) * h)
+        flat = np.stack([columns, rows, np.ones_like(rows)], axis=-1).reshape(-1, 3) @ np.linalg.inv(camera.K).T
+        seen = flat * np.linalg.norm(camera.centre)
+        middle, slope = camera.project_with_slope((seen - camera.t) @ camera.R)
+        inside = np.all((middle > -0.1 * w) & (middle < [1.1 * w, 1.1 * h]), axis=1)
+        bend = 0.0
+        for side in radius * np.array([[1, 0, 0], [0, 1, 0], [0.7, 0.7, 0], [0.7, -0.7, 0]]):
+            curved = camera.project((seen + side - camera.t) @ camera.R) - middle - slope @ (camera.R.T @ side)
+            bend = max(bend, float(np.linalg.norm(curved[inside], axis=1).max(initial=0)))
+        if bend > 0.05:
+            raise ValueError(
+                f"camera distortion {camera.dist.tolist()} bends a ball's outline by {bend:.2g} px, more than 0.05"
+            )
+
+    def _draw_plate(self) -> Float32:
+        w, h = self.camera.size
+        unit = self.lamp.position[2]
+        jobs = self._jobs(np.zeros((1, 3)), np.array([unit]), fineness=1)
+        middle = self.camera.project(np.zeros(3)) + 0.5
+        jobs[0, 0, 2:] = middle
+        jobs[0, 3] = 0, np.maximum(middle, [w, h] - middle).max() + 1, 0, PLATE * self.room
+        uniforms = self._uniforms | {"lamp": self.camera.R @ self.lamp.position / unit}
+        plate = self._canvas.draw(jobs, np.zeros((1, 1, 4), np.float32), (h, w), uniforms, SCENE=PLATE_ALONE)
+        return plate.copy() if self._vignette is None else plate * self._vignette
+
+    def _compute_plate(self) -> Float32:
+        points, surface = floor.on_plate(self.camera), self.surface
+        lit = PLATE * self.room * floor.irradiance(self.lamp, points)
+        mirrored = np.zeros(1)
+        if surface.plate_texture:
+            lit *= floor.grain(surface, points)
+        if surface.plate_gloss:
+            lit += self._unit * floor.gloss(self.lamp, surface, self.camera.centre, points)
+            way = self.camera.centre - points
+            up = way[..., 2] / np.linalg.norm(way, axis=-1)
+            dull = PLATE * self.room * floor.irradiance(self.lamp, points)
+            mirrored = surface.plate_gloss * (dull + (self.room / surface.head_on - dull) * up)
+        shade: Array | Float32 = np.ones(1) if self._vignette is None else self._vignette
+        self._lit = (lit * shade).astype(np.float32)
+        return ((lit + mirrored) * shade).astype(np.float32)
+
+    def _steepest(self) -> float:
+        """Tangent of the lamps' lowest light on the plate in view."""
+        w, h = self.camera.size
+        corners = floor.on_plate(self.camera)[:: h - 1, :: w - 1].reshape(-1, 3)
+        ways = [lamp.position - corner for corner in corners for lamp in self.lamp.all]
+        return float(max(np.hypot(way[0], way[1]) / way[2] for way in ways))
+
+    def _reach(self, places: Array, slope: Array) -> Array:
+        """Half width (T, N) px of what a ball changes: itself, its mirror image in the plate, its shadow."""
+        extent = reach(self.camera, places, self.radii, slope)
+        far = extent
+        if self.surface.plate_gloss:
+            image = self.camera.project(places * [1, 1, -1]) - self.camera.project(places)
+            far = np.maximum(far, np.linalg.norm(image, axis=-1) + extent)
+        if self.surface.plate_shadow:
+            shadow = self._slope * places[..., 2] / self.radii + np.hypot(self._slope, 1) + 0.3
+            far = np.maximum(far, extent * shadow)
+        return np.asarray(np.minimum(far, 12 * extent))
+
+    def _defines(self, scene: int) -> dict[str, int]:
+        pair = {"PAIR": 1} if len(self.radii) <= 2 else {}
+        return {"SCENE": scene} | pair | ({"METAL": 1} if self.surface.steel else {})
+
+    def _jobs(self, centres: Array, radii: Array, fineness: int) -> Float32:
+        """Instance matrices (n, 4, 4) for bodies (n, 3), (n,), place and neighbours still to be filled in."""
+        camera = self.camera
+        slope = camera.project_with_slope(centres)[1] @ camera.R.T
+        jobs = np.zeros((len(centres), 4, 4), np.float32)
+        maps = np.linalg.inv(slope[:, :, :2]) / (fineness * radii[:, None, None])
+        jobs[:, 1] = np.swapaxes(maps, 1, 2).reshape(-1, 4)
+        jobs[:, 2, :3] = (camera.centre - centres) @ camera.R.T / radii[:, None]
+        jobs[:, 2, 3] = 1
+        to_lamp = self.lamp.position - centres * [1, 1, 0]
+        # Lambert's plate under a small lamp facing down: cos^4 of the angle.
+        fall = (self.lamp.position[2] / np.linalg.norm(to_lamp, axis=1)) ** 4
+        if not self._plain:
+            fall = floor.irradiance(self.lamp, centres * [1, 1, 0])
+        jobs[:, 3, 3] = PLATE * self.room * fall
+        return jobs
+
+    def frames(self, centres: Centres, intervals: ArrayLike, breaks: ArrayLike = ()) -> Iterator[Picture]:
+        """Mean pictures over exposures; each depends on its own exposure only.
+
+        centres: times (T,), s -> ball centres (T, N, 3), m. intervals: (F, 2) start and end of each exposure,
+        s; they may be of zero length. breaks: times at which velocities jump; exposures are split there.
+        """
+        spans, cuts = np.asarray(intervals, float).reshape(-1, 2), np.sort(np.asarray(breaks, float))
+        if (spans[:, 1] < spans[:, 0]).any():
+            raise ValueError("intervals: an exposure ends before it starts")
+        if self.camera.line_time:
+            yield from (self._rolled(centres, span, cuts) for span in spans)
+            return
+        for first in range(0, len(spans), BATCH):
+            yield from self._gather(centres, spans[first : first + BATCH], cuts)
+
+    def _rolled(self, centres: Centres, span: Array, cuts: Array) -> Picture:
+        def seen(times: Array) -> tuple[Array, Array]:
+            places = np.asarray(centres(times), float)
+            pixels, slope = self.camera.project_with_slope(places)
+            return pixels, reach(self.camera, places, self.radii, slope) + self.psf.margin
+
+        starts = span[0] + np.arange(self.camera.size[1]) * self.camera.line_time
+        light = self.lamp.flicker.mean(starts, starts + span[1] - span[0])
+        plate = (self.plate * light[:, None]).astype(np.float32) if self.lamp.flicker.depth else self.plate
+        return rolled(self.camera, seen, span, cuts, lambda spans: list(self._gather(centres, spans, cuts)), plate)
+
+    def _plate_in(self, light: float) -> Float32:
+        """The plate in so much light; the same array for the same light, to 1e-5, as the sensor's tables like it."""
+        if not self.lamp.flicker.depth:
+            return self.plate
+        light = round(light, 5)
+        if light not in self._plates:
+            self._plates[light] = self.plate * np.float32(light)
+            self._plates[light].flags.writeable = False
+        return self._plates[light]
+
+    def _gather(self, centres: Centres, spans: Array, cuts: Array) -> Iterator[Picture]:
+        moments, coarse = self._moments(centres, spans, cuts)
+        places = np.asarray(centres(moments.times), float)
+        pixels, slope = self.camera.project_with_slope(places)
+        extent = self._reach(places, slope)
+        patches = Patches(self.camera, self.psf.margin, moments, pixels, extent, len(spans))
+        wanted = patches.number[moments.frames] >= 0
+        found = []
+        for lamp, cell in zip(self.lamp.all, self._cells, strict=True):
+            light = lamp.light(moments.times)
+            found.append(find_glints(self.camera, lamp, places, self.radii, wanted, self.surface, cell, light))
+        glints = join(found)
+        drawn: dict[int, Float32] = {}
+        shades: dict[int, Float32] = {}
+        for width in np.unique(patches.widths):
+            same = np.flatnonzero(patches.widths == width)
+            tile = (width - 2 * patches.margin) * FINENESS
+            room_for = max(1, SIDE // tile) ** 2
+            for first in range(0, len(same), room_for):
+                alike = same[first : first + room_for]
+                bodies = self._bodies(centres, coarse, patches, alike, BODIES if self._plain else ON_PLATE)
+                self._add_glints(bodies, glints, moments, patches, alike)
+                if not self.psf.plain:
+                    bodies = self.psf.spread(bodies)
+                drawn |= zip(alike.tolist(), bodies, strict=True)
+                if not self._plain:
+                    shade = self._bodies(centres, coarse, patches, alike, SHADES)
+                    shade = shade if self.psf.plain else self.psf.spread(shade)
+                    shades |= zip(alike.tolist(), shade, strict=True)
+        for frame, bright in enumerate(self.lamp.flicker.mean(*spans.T).tolist()):
+            plate = self._plate_in(bright)
+            numbers = patches.number[frame][patches.number[frame] >= 0].tolist()
+            corners = [patches.box(number, self.camera.size) for number in numbers]
+            boxes = merge(corners)
+            parts = [plate[box].copy() for box in boxes]
+            for number, (top, bottom, left, right) in zip(numbers, corners, strict=True):
+                here = np.s_[top:bottom, left:right]
+                (k,) = (k for k, (r, c) in enumerate(boxes) if r.start <= top < r.stop and c.start <= left < c.stop)
+                rows, columns = boxes[k]
+                spot = parts[k][top - rows.start : bottom - rows.start, left - columns.start : right - columns.start]
+                x, y = patches.origins[number]
+                there = np.s_[top - y : bottom - y, left - x : right - x]
+                body = drawn[number][there]
+                spot += body if self._vignette is None else body * self._vignette[here]
+                if number in shades:
+                    spot += self._lit[here] * shades[number][there]
+            yield Picture(plate, boxes, tuple(parts))
+
+    def _moments(self, centres: Centres, spans: Array, cuts: Array) -> tuple[Moments, Moments]:
+        """Sub-exposures for the glints and, as a body is wide and faint, fewer for the bodies."""
+        bounds, weights, frames = pieces(spans, cuts)
+        ends = self.camera.project(np.asarray(centres(bounds.ravel()), float))
+        ends = ends.reshape(len(bounds), 2, -1, 2)
+        w, h = self.camera.size
+        near = np.all((ends > [-w, -h]) & (ends < [2 * w, 2 * h]), axis=(1, 3))
+        travel = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=2)
+        farthest = np.where(near, travel, 0).max(axis=1, initial=0)
+        farthest /= np.hypot(self.camera.psf_sigma_px, 12**-0.5)
+        waves = [2 * np.pi * lamp.flicker.frequency for lamp in self.lamp.all if lamp.flicker.depth]
+        wave = np.diff(bounds, axis=1)[:, 0] * max(waves, default=0.0)
+        return tuple(sample(bounds, weights, frames, far, wave) for far in (farthest, farthest / 4))  # type: ignore[return-value]
+
+    def _bodies(self, centres: Centres, moments: Moments, patches: Patches, alike: Index, scene: int) -> Float32:
+        """Blurred bodies less the plate behind them, (n, width, width) for n patches of one width.
+
+        scene: BODIES; or ON_PLATE, with their images in the plate, where SHADES are what they take of its light.
+        """
+        places = np.asarray(centres(moments.times), float)
+        pixels, slope = self.camera.project_with_slope(places)
+        extent = self._reach(places, slope)
+        width, margin = int(patches.widths[alike[0]]), patches.margin
+        tile = (width - 2 * margin) * FINENESS
+        across = max(1, SIDE // tile)
+        slots = patches.slots(alike)[patches.number[moments.frames]]
+        moment, ball = np.nonzero(slots >= 0)
+        slot, place = slots[moment, ball], pixels[moment, ball]
+        jobs = self._jobs(places[moment, ball], self.radii[ball], FINENESS)
+        jobs[:, 0, :2] = np.stack([slot % across, slot // across], axis=1) * tile
+        jobs[:, 0, 2:] = (place - patches.origins[alike[slot]] - margin + 0.5) * FINENESS
+        jobs[:, 2, 3] = (moments.weights * self.lamp.light(moments.times))[moment]
+        jobs[:, 3, 1] = extent[moment, ball] * FINENESS
+        others = self._neighbours(jobs, places, moment, ball, ordered=scene == SHADES)
+        if scene != BODIES:
+            others = self._with_notes(jobs, others, places[moment, ball], ball, scene)
+        rows = -(-len(alike) // across)
+        drawn = self._canvas.draw(jobs, others, (rows * tile, across * tile), self._uniforms, **self._defines(scene))
+        tiles = drawn.reshape(rows, tile, across, tile).swapaxes(1, 2).reshape(-1, tile, tile)[: len(alike)]
+        blur = blur_matrix(width, margin, FINENESS, self.camera.psf_sigma_px, self.psf.steps)
+        return blurred(tiles, blur)
+
+    def _neighbours(self, jobs: Float32, places: Array, moment: Index, ball: Index, ordered: bool) -> Float32:
+        """Neighbours (n, N - 1, 4) of each body in its own radii, nearest first; counts go into the jobs.
+
+        ordered: balls of lower number have negative radii.
+        """
+        total = len(self.radii)
+        if total == 1:
+            return np.zeros((len(jobs), 1, 4), np.float32)
+        others = np.array([[k for k in range(total) if k != own] for own in range(total)])[ball]
+        offsets = places[moment[:, None], others] - places[moment, ball][:, None]
+        distance = np.linalg.norm(offsets, axis=2)
+        order = np.argsort(distance, axis=1, kind="stable")
+        found = np.concatenate([offsets @ self.camera.R.T, self.radii[others][..., None]], axis=2)
+        found /= self.radii[ball][:, None, None]
+        if ordered:
+            found[..., 3] *= np.where(others < ball[:, None], -1, 1)
+        # Beyond this a neighbour's image is under 1e-5 of the body and single precision thins out.
+        jobs[:, 3, 0] = (distance < 60 * self.radii[ball][:, None]).sum(axis=1)
+        return np.take_along_axis(found, order[..., None], axis=1).astype(np.float32)
+
+    def _with_notes(self, jobs: Float32, others: Float32, places: Array, ball: Index, scene: int) -> Float32:
+        """Neighbours followed by the depth of the plate and the lamps, as the shader reads them."""
+        radii, count, camera = self.radii[ball], jobs[:, 3, 0].astype(int), self.camera
+        casting = self.surface.plate_shadow and scene == SHADES
+        discs = [floor.casters(self.lamp, p * [1, 1, 0]) if casting else np.zeros((0, 5)) for p in places]
+        notes = np.zeros((len(jobs), 1 + 2 * max(len(d) for d in discs), 4), np.float32)
+        notes[:, 0, 0] = places[:, 2] / radii
+        for k, disc in enumerate(discs):
+            notes[k, 0, 2] = len(disc)
+            notes[k, 1 : 1 + 2 * len(disc) : 2, :3] = (disc[:, :3] - places[k]) @ camera.R.T / radii[k]
+            notes[k, 1 : 1 + 2 * len(disc) : 2, 3] = disc[:, 3] / radii[k]
+            notes[k, 2 : 2 + 2 * len(disc) : 2, 0] = disc[:, 4]
+        rows = np.zeros((len(jobs), others.shape[1] + notes.shape[1], 4), np.float32)
+        rows[:, : others.shape[1]] = others
+        for k, near in enumerate(count):
+            rows[k, near : near + notes.shape[1]] = notes[k]
+        return rows
+
+    def _add_glints(self, bodies: Float32, glints: Glints, moments: Moments, patches: Patches, alike: Index) -> None:
+        slots = patches.slots(alike)[patches.number[moments.frames[glints.moment], glints.ball]]
+        order = np.argsort(slots, kind="stable")
+        order = order[np.searchsorted(slots[order], 0) :]
+        slots, moment = slots[order], glints.moment[order]
+        variances = glints.spread[order] + self.camera.psf_sigma_px**2
+        origins = patches.origins[alike[slots]]
+        width = int(patches.widths[alike[0]])
+        rows, columns = spots(glints.pixels[order], variances, origins, width, self.psf.steps)
+        rows *= (glints.flux[order] * moments.weights[moment] * self._unit)[:, None]
+        bounds = np.searchsorted(slots, np.arange(len(bodies) + 1))
+        for k, body in enumerate(bodies):
+            own = slice(bounds[k], bounds[k + 1])
+            body += rows[own].T @ columns[own]
+
+
+def _vignette(camera: Camera) -> Float32 | None:
+    """Share (h, w) of the light that reaches each pixel: one in the middle, falling with the distance's square."""
+    if not camera.vignetting:
+        return None
+    w, h = camera.size
+    across, down = (2 * np.arange(n) / (n - 1) - 1 for n in (w, h))
+    square = (w * w * across**2 + (h * h * down**2)[:, None]) / (w * w + h * h)
+    return (1 - camera.vignetting * square).astype(np.float32)

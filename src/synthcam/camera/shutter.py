@@ -1,0 +1,87 @@
+"""A rolling shutter: each row is exposed a line time after the one above.
+
+A row's picture is that of a global shutter opened at the row's own time. Between such pictures, taken while the
+balls move no further than STEP, it is interpolated: places stay exact, widths grow by STEP^2/4 at most.
+"""
+
+from collections.abc import Callable
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from synthcam.camera.exposure import Array, Picture, merge
+from synthcam.camera.pinhole import Camera
+
+STEP = 0.1  # px
+PROBES = 33  # instants at which the motion is looked at to choose the steps
+
+Float32 = NDArray[np.float32]
+Gather = Callable[[Array], list[Picture]]
+
+
+def rolled(
+    camera: Camera,
+    seen: Callable[[Array], tuple[Array, Array]],
+    span: Array,
+    cuts: Array,
+    gather: Gather,
+    plate: Float32,
+) -> Picture:
+    """One frame, its top row exposed over `span` (2,), s.
+
+    seen: times (T,) -> pixels (T, N, 2) and half widths (T, N) px of the balls. gather: exposures (F, 2) -> what a
+    global shutter sees of them. plate: (h, w) the frame without balls.
+    """
+    image, boxes = plate.copy(), []
+    rows, delay = np.arange(camera.size[1]), camera.line_time
+    for rows_from, rows_to, steps in _strips(camera, seen, span, cuts):
+        anchors = np.linspace(rows_from, rows_to - 1, steps + 1)
+        pictures = gather(span + anchors[:, None] * delay)
+        place = (rows[rows_from:rows_to] - anchors[0]) / max(anchors[-1] - anchors[0], 1) * steps
+        for k, (before, after) in enumerate(pairwise(pictures)):
+            own = np.arange(rows_from, rows_to)[(np.minimum(place.astype(int), steps - 1)) == k]
+            if len(own):
+                part, share = slice(own[0], own[-1] + 1), (place[own - rows_from] - k)[:, None].astype(np.float32)
+                for picture, weight in ((before, 1 - share), (after, share)):
+                    image[part] += weight * (picture.image[part] - picture.plate[part])
+        for picture in pictures:
+            for at_rows, columns in picture.boxes:
+                top, bottom = max(at_rows.start, rows_from), min(at_rows.stop, rows_to)
+                if top < bottom:
+                    boxes.append((top, bottom, columns.start, columns.stop))
+    disjoint = merge(boxes)
+    return Picture(plate, disjoint, tuple(image[box] for box in disjoint))
+
+
+def _strips(
+    camera: Camera, seen: Callable[[Array], tuple[Array, Array]], span: Array, cuts: Array
+) -> list[tuple[int, int, int]]:
+    """Rows (first, beyond) in which balls may show while those rows are exposed, and steps to take over them."""
+    height, delay = camera.size[1], camera.line_time
+    probes = np.linspace(span[0], span[1] + height * delay, PROBES)
+    inside = cuts[(cuts > probes[0]) & (cuts < probes[-1])]
+    times = np.unique(np.concatenate([probes, inside]))
+    pixels, half = seen(times)
+    strips: list[list[float]] = []
+    for ball in range(half.shape[1]):
+        y, reach = pixels[:, ball, 1], half[:, ball]
+        # Row r is exposed from r delay on: the ball shows there only if it is in that row at that time.
+        first, last = (times - span[1]) / delay, (times - span[0]) / delay
+        slack = reach + np.abs(np.diff(y, prepend=y[0])) + (times[1] - times[0]) / delay
+        there = (y + slack > first) & (y - slack < last)
+        if there.any():
+            low, high = (y - reach)[there].min() - 1, (y + reach)[there].max() + 2
+            speed = np.linalg.norm(np.diff(pixels[:, ball], axis=0), axis=1) / np.diff(times)
+            strips.append([max(low, 0), min(high, height), float(speed.max())])
+    merged: list[list[float]] = []
+    for low, high, speed in sorted(s for s in strips if s[0] < s[1]):
+        if merged and low <= merged[-1][1]:
+            merged[-1] = [merged[-1][0], max(high, merged[-1][1]), max(speed, merged[-1][2])]
+        else:
+            merged.append([low, high, speed])
+    out = []
+    for low, high, speed in merged:
+        top, bottom = int(low), int(np.ceil(high))
+        out.append((top, bottom, max(1, int(np.ceil(speed * delay * (bottom - top) / STEP)))))
+    return out

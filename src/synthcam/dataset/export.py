@@ -1,0 +1,156 @@
+"""A dataset in other programs' formats: each is a file of the folder `exports`, found by its being there."""
+
+from __future__ import annotations
+
+import importlib
+import json
+import pkgutil
+import shutil
+import uuid
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+import tifffile
+from numpy.typing import NDArray
+
+from synthcam.dataset.files import clip_folders
+from synthcam.outputs import check_room, told
+from synthcam.settings import InputError
+
+
+@dataclass(frozen=True)
+class Recorded:
+    """One clip of a dataset, as read from its files. of: how many clips its scene has in all."""
+
+    number: int
+    scene: str
+    of: int
+    camera: dict[str, Any]
+    drawn: dict[str, Any]
+    scalars: dict[str, Any]
+    tracks: pd.DataFrame
+    events: pd.DataFrame
+    stack: Path
+
+    def check(self) -> None:
+        """Raises KeyError, TypeError or ValueError where what every format needs is not there."""
+        numbers = [*self.camera["size"], self.camera["fps"], self.bits, self.diameter_px, self.frames]
+        if not all(0 < float(x) < LARGEST for x in numbers):
+            raise ValueError("camera.json or tracks.parquet without size, rate, bits, ball or frames")
+
+    @property
+    def frames(self) -> int:
+        return int(self.tracks["frame"].max()) + 1
+
+    @property
+    def bits(self) -> int:
+        return int(self.camera["sensor"]["bits"])
+
+    @property
+    def video(self) -> bool:
+        return self.stack.is_file()
+
+    @property
+    def diameter_px(self) -> float:
+        return float(self.camera["ball_diameter"] / self.camera["scale"])
+
+    def pictures(self) -> Iterator[NDArray[Any]]:
+        """The frames, one at a time, (h, w) uint8 or uint16."""
+        try:
+            with tifffile.TiffFile(self.stack) as tif:
+                for page in tif.pages:
+                    yield page.asarray()
+        except Exception as error:  # decoders raise their own kinds
+            raise InputError(f"{self.stack}: damaged ({_line(error)}); `synthcam verify` tells more") from None
+
+    def in_view(self, ball: pd.DataFrame) -> pd.DataFrame:
+        """The rows of tracks at which the ball's centre lies in the picture."""
+        width, height = self.camera["size"]
+        x, y = ball["x_mean_px"], ball["y_mean_px"]
+        kept: pd.DataFrame = ball.loc[(x > -0.5) & (x < width - 0.5) & (y > -0.5) & (y < height - 0.5)]
+        return kept
+
+
+LARGEST = 1e9  # of any number that a camera or a stack is told by
+Writer = Callable[[Iterator[Recorded], Path], None]
+
+
+def formats() -> dict[str, str]:
+    """Name of each format, and what it is in one line."""
+    from synthcam.dataset import exports
+
+    names = sorted(info.name for info in pkgutil.iter_modules(exports.__path__))
+    return {name: (_module(name).__doc__ or "").splitlines()[0] for name in names}
+
+
+def _module(name: str) -> Any:
+    return importlib.import_module(f"synthcam.dataset.exports.{name}")
+
+
+def export(dataset: Path, kind: str, output: Path, tick: Callable[[int, int], None], truth: Path | None = None) -> int:
+    """Write a dataset to the folder `output` in another format; how many clips.
+
+    truth: another folder with the truth, where it was withheld. Written aside and moved into place. Raises InputError.
+    """
+    if kind not in formats():
+        raise InputError(f"--format {kind}: no such format; there are {', '.join(formats())}")
+    if output.exists() and (not output.is_dir() or any(output.iterdir())):
+        raise InputError(f"{output}: exists; expected a new or empty folder")
+    table = (truth or dataset) / "truth" / "clips.parquet"
+    if not table.is_file() or not (dataset / "clips").is_dir():
+        raise InputError(f"{table}: no such file; expected a dataset with its truth (withheld: --truth TRUTH)")
+    output = output.resolve()
+    check_room(output)
+    aside = output.with_name(f"{output.name}-{uuid.uuid4().hex[:12]}.tmp")
+    with told(output):
+        aside.mkdir(parents=True)
+        try:
+            rows = _rows(table)
+            _module(kind).write(_clips(dataset, truth or dataset, rows, tick), aside)
+            aside.rename(output)
+        finally:
+            shutil.rmtree(aside, ignore_errors=True)
+    return len(rows)
+
+
+def _rows(table: Path) -> pd.DataFrame:
+    """The truth's row of each clip. Raises InputError where the table is damaged."""
+    try:
+        rows = pd.read_parquet(table)
+        return rows.astype({"clip": int, "scene": str})
+    except (KeyError, ValueError, TypeError, OSError) as error:  # pyarrow's are of all kinds
+        raise InputError(f"{table}: damaged ({_line(error)})") from None
+
+
+def _line(error: Exception) -> str:
+    return " ".join(str(error).split())[:100] or type(error).__name__
+
+
+def _clips(dataset: Path, truth: Path, rows: pd.DataFrame, tick: Callable[[int, int], None]) -> Iterator[Recorded]:
+    each, folders = rows["scene"].value_counts(), clip_folders(dataset)
+    if [int(f.name) for f in folders] != rows["clip"].tolist():
+        raise InputError(f"{dataset}: {len(folders)} clips for {len(rows)} rows of its truth")
+    for k, folder in enumerate(folders):
+        secret, scalars = truth / "clips" / folder.name / "truth", {str(c): v for c, v in rows.iloc[k].items()}
+        try:
+            clip = Recorded(
+                number=int(folder.name),
+                scene=str(scalars["scene"]),
+                of=int(each[scalars["scene"]]),
+                camera=json.loads((folder / "camera.json").read_text()),
+                drawn=json.loads((secret / "scene.json").read_text())["drawn"],
+                scalars=scalars,
+                tracks=pd.read_parquet(secret / "tracks.parquet"),
+                events=pd.read_parquet(secret / "events.parquet"),
+                stack=folder / "frames.tif",
+            )
+            clip.check()
+        except FileNotFoundError as e:
+            raise InputError(f"{e.filename}: missing; `synthcam verify` tells what else is") from None
+        except (KeyError, ValueError, TypeError, OSError, RecursionError) as e:
+            raise InputError(f"{folder}: damaged ({_line(e)}); `synthcam verify` tells more") from None
+        yield clip
+        tick(k + 1, len(rows))

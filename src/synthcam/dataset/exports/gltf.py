@@ -1,0 +1,127 @@
+"""glTF: a binary scene (glb) for each clip: plate, steel balls, lamp, camera, and the motion as an animation.
+
+For Blender and other programs that draw. Places are the truth's at mid-exposure and at impacts, joined by straight
+lines; turns are the integral of its spin. Light and materials are such that a plain renderer shows the plate as bright
+as the film's counts are above black, 1 being the sensor's full scale.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from synthcam.camera.glints import find_glints
+from synthcam.camera.lamp import Lamp
+from synthcam.camera.plate import PLATE, irradiance
+from synthcam.dataset.export import Recorded
+from synthcam.scene.scene import Clip, check_scene
+
+if TYPE_CHECKING:
+    from synthcam.camera.render.bodies import Look
+
+Array = NDArray[np.float64]
+
+JUMPS = ("contact", "land")  # events at which velocity and spin jump
+STEP = 1.0  # rad between two keys of a turn, at most: players take the shorter way round
+
+
+def write(clips: Iterator[Recorded], folder: Path) -> None:
+    from synthcam.camera.render.bodies import Motion, glb
+
+    for clip in clips:
+        balls = []
+        tracks = clip.tracks.sort_values("frame")
+        for number in range(int(tracks["particle"].max()) + 1):
+            ball = tracks[tracks["particle"] == number]
+            times, places, spins = _keys(ball, _jumps(clip.events, number))
+            resting = ball.loc[ball["state"] != "fly", "z"]
+            radius = float(resting.median()) if len(resting) else clip.camera["ball_diameter"] / 2
+            balls.append(Motion(radius, times, places, *_turns(times, spins)))
+        look = _look(check_scene(clip.drawn, f"{clip.stack.parent}, scene.json").draw(0, 0))
+        (folder / f"{clip.number:06d}.glb").write_bytes(glb(clip.camera, balls, look))
+
+
+def _look(clip: Clip) -> Look:
+    """The film's light in glTF's numbers. Lamps are points, so what makes a glint wide goes into the steel's roughness.
+
+    A metal of GGX's width 1 throws 1 / (4 pi) of its colour to all sides, nearly as Lambert's law does; a dielectric
+    would add 4 % of its own, more than such a plate.
+    """
+    from synthcam.camera.render.bodies import Look
+
+    camera, first, radius = clip.nominal, clip.lamp, clip.model.ball.radius
+    rest = np.array([[[0.0, 0.0, radius]]])
+    glint = find_glints(camera, first, rest, np.array([radius]), np.ones((1, 1), bool), clip.surface)
+    blur = camera.psf_sigma_px**2 + camera.defocus_px**2 / 4
+    peak = float((glint.flux / (2 * np.pi * np.sqrt(np.prod(blur + glint.spread, axis=1)))).sum())
+    white = clip.sensor.glint_peak / (2**clip.sensor.bits - 1)  # of the glint's peak
+    middle = np.zeros(3)  # what the camera looks at
+    candela = [white / peak * lamp.radiance * _area(lamp) * _towards(lamp, middle) for lamp in first.all]
+    lux = sum(
+        i * lamp.position[2] / float(np.linalg.norm(lamp.position)) ** 3
+        for i, lamp in zip(candela, first.all, strict=True)
+    )
+    plate = PLATE * clip.room * white * float(irradiance(first, middle)) / lux
+    seen = np.sqrt(_area(first) / np.pi) / np.linalg.norm(first.position - rest[0, 0])  # half-angle of the lamp, rad
+    slope = np.hypot(clip.surface.roughness, seen / 4)  # rms: a mirror that throws a point as wide as the lamp
+    return Look(
+        lamps=tuple(zip(first.all, candela, strict=True)),
+        steel=clip.surface.head_on,
+        steel_roughness=float(min(1.0, np.sqrt(np.sqrt(2) * slope))),
+        plate=min(1.0, 4 * np.pi * plate),
+    )
+
+
+def _towards(lamp: Lamp, place: Array) -> float:
+    """Cosine between where a lamp faces and a place."""
+    way = place - lamp.position
+    return max(float(way @ lamp.axes[:, 2] / np.linalg.norm(way)), 0.0)
+
+
+def _area(lamp: Lamp) -> float:
+    """m^2."""
+    return float(lamp.cells(np.inf).areas.sum())
+
+
+def _jumps(events: pd.DataFrame, ball: int) -> Array:
+    """Times of a ball's impacts, s."""
+    own = events["kind"].isin(JUMPS) & ((events["i"] == ball) | (events["j"] == ball))
+    return events.loc[own, "t_s"].to_numpy(float)
+
+
+def _keys(ball: pd.DataFrame, jumps: Array) -> tuple[Array, Array, Array]:
+    """Times (T,) and places (T, 3) at the frames and at the first impact between two; spins (T - 1, 2, 3) rad/s at the
+    ends of each interval, as they are inside it."""
+    time, place, velocity, spin = (
+        ball[columns.split()].to_numpy(float) for columns in ("t_s", "x y z", "vx vy vz", "wx wy wz")
+    )
+    times, places, spins = [time[0, 0]], [place[0]], []
+    for k, (start, end) in enumerate(zip(time[:-1, 0], time[1:, 0], strict=True)):
+        inside = jumps[(jumps > start) & (jumps < end)]
+        if len(inside):
+            times.append(inside[0])
+            places.append(place[k] + velocity[k] * (inside[0] - start))
+            spins += [[spin[k], spin[k]], [spin[k + 1], spin[k + 1]]]
+        else:
+            spins.append([spin[k], spin[k + 1]])
+        times.append(end)
+        places.append(place[k + 1])
+    return np.array(times), np.array(places), np.array(spins).reshape(-1, 2, 3)
+
+
+def _turns(times: Array, spins: Array) -> tuple[Array, Array]:
+    """Times (S,) and unit quaternions (S, 4) from spins that change evenly within each interval."""
+    at, turns = [times[0]], [Rotation.identity()]
+    for start, end, (first, last) in zip(times[:-1], times[1:], spins, strict=True):
+        fastest = max(np.linalg.norm(first), np.linalg.norm(last))
+        count = max(1, int(np.ceil(fastest * (end - start) / STEP)))
+        for share in (np.arange(count) + 0.5) / count:
+            turns.append(Rotation.from_rotvec((first + share * (last - first)) * (end - start) / count) * turns[-1])
+            at.append(start + (share + 0.5 / count) * (end - start))
+    return np.array(at), np.array([turn.as_quat() for turn in turns])

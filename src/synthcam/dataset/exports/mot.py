@@ -1,0 +1,53 @@
+"""MOTChallenge: seqinfo.ini, gt/gt.txt and img1/ for each clip; boxes round the balls.
+
+Milan et al. 2016, arXiv:1603.00831: frames, ids and pixels count from 1, the picture's corner being (1, 1). The
+flag says whether the ball is whole in view (0: not to be scored), the class is the scored one, 1.
+"""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from synthcam.dataset.export import Recorded
+
+CORNER = 1.5  # of a pixel's centre at (0, 0), in a frame in which the picture's corner is (1, 1)
+
+
+def write(clips: Iterator[Recorded], folder: Path) -> None:
+    for clip in clips:
+        place = folder / f"clip-{clip.number:06d}"
+        (place / "gt").mkdir(parents=True)
+        (place / "seqinfo.ini").write_text(_info(clip), encoding="ascii")
+        (place / "gt" / "gt.txt").write_text("".join(_boxes(clip)), encoding="ascii")
+        if clip.video:
+            (place / "img1").mkdir()
+            for k, frame in enumerate(clip.pictures(), 1):
+                data = cv2.imencode(".png", frame)[1]
+                (place / "img1" / f"{k:06d}.png").write_bytes(data.tobytes())
+
+
+def _info(clip: Recorded) -> str:
+    width, height = clip.camera["size"]
+    entries = {
+        "name": f"clip-{clip.number:06d}",
+        "imDir": "img1",
+        "frameRate": f"{clip.camera['fps']:g}",
+        "seqLength": clip.frames,
+        "imWidth": width,
+        "imHeight": height,
+        "imExt": ".png",
+    }
+    return "[Sequence]\n" + "".join(f"{key}={value}\n" for key, value in entries.items())
+
+
+def _boxes(clip: Recorded) -> Iterator[str]:
+    side, size = clip.diameter_px, np.array(clip.camera["size"], float)
+    tracks = clip.tracks.sort_values(["frame", "particle"])
+    corners = tracks[["x_mean_px", "y_mean_px"]].to_numpy(float) - side / 2 + CORNER
+    seen = np.clip(np.minimum(corners + side, size + 1) - np.maximum(corners, 1), 0, None).prod(axis=1) / side**2
+    names = tracks[["frame", "particle", "visible"]].to_numpy(int)
+    for (frame, ball, whole), (left, top), share in zip(names, corners, seen, strict=True):
+        if share > 0:
+            yield f"{frame + 1},{ball + 1},{left:.4f},{top:.4f},{side:.4f},{side:.4f},{whole},1,{share:.4f}\n"

@@ -1,0 +1,106 @@
+"""Zarr v3: a group for each scene with frames (clip, frame, y, x), truth (clip, particle, frame) and scalars (clip).
+
+Needs the extra `synthcam[zarr]`. Clips of one scene must be alike in size and length.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from synthcam.dataset.export import Recorded
+from synthcam.settings import InputError
+
+STATES = ("rest", "roll", "slide", "fly")
+FRAMES_AXES, TRUTH_AXES = ("clip", "frame", "y", "x"), ("clip", "particle", "frame")
+TOGETHER = 256  # clips whose truth shares a chunk
+CHUNK = 4_000_000  # bytes of frames in a chunk, about
+
+
+def write(clips: Iterator[Recorded], folder: Path) -> None:
+    try:
+        import zarr
+    except ImportError:
+        raise InputError("--format zarr: Zarr is not installed; type: pip install 'synthcam[zarr]'") from None
+    root = zarr.open_group(folder, mode="w", zarr_format=3)
+    open_scene: _Scene | None = None
+    for clip in clips:
+        if open_scene is None or clip.scene != open_scene.first.scene:
+            if open_scene:
+                open_scene.close()
+            open_scene = _Scene(root, clip)
+        open_scene.add(clip)
+    if open_scene:
+        open_scene.close()
+
+
+class _Scene:
+    """The arrays of one scene, filled clip by clip; truth and scalars are written a chunk at a time."""
+
+    def __init__(self, root: Any, first: Recorded) -> None:
+        name = re.sub(r"[^\w.-]", "_", first.scene)
+        if not name.strip(".") or name.startswith("__") or name == "zarr.json":  # what Zarr keeps to itself
+            name = f"scene{name}"
+        if name in root:
+            raise InputError(f"clip {first.number}: a second scene of the name {first.scene}; expected names apart")
+        self.group, self.first, self.count, self.cameras = root.create_group(name), first, 0, list[dict[str, Any]]()
+        self.waiting: list[dict[str, Any]] = []
+        if first.video:
+            shape = next(first.pictures()).shape
+            dtype = np.uint8 if first.bits == 8 else np.uint16
+            frames = max(1, CHUNK // int(np.prod(shape) * dtype().itemsize))
+            chunks = (1, min(frames, first.frames), *shape)
+            self._array("frames", (first.of, first.frames, *shape), dtype, chunks, FRAMES_AXES)
+        for key, value in _truth(first).items():
+            axes = TRUTH_AXES if value.ndim else ("clip",)
+            extra = {"states": list(STATES)} if key == "truth/state" else {}
+            self._array(key, (first.of, *value.shape), value.dtype, (TOGETHER, *value.shape), axes, extra)
+
+    def _array(
+        self, key: str, shape: tuple[int, ...], dtype: Any, chunks: Any, axes: Any, attributes: Any = None
+    ) -> None:
+        self.group.create_array(
+            key, shape=shape, dtype=dtype, chunks=chunks, dimension_names=axes, attributes=attributes or {}
+        )
+
+    def add(self, clip: Recorded) -> None:
+        alike = ("size", "fps")
+        same = all(clip.camera[k] == self.first.camera[k] for k in alike) and clip.bits == self.first.bits
+        if not same or clip.frames != self.first.frames:
+            raise InputError(f"clip {clip.number}: another size, rate or length than clip {self.first.number}")
+        if clip.camera not in self.cameras:
+            self.cameras.append(clip.camera)
+        if self.first.video:
+            self.group["frames"][self.count + len(self.waiting)] = np.stack(list(clip.pictures()))
+        self.waiting.append(_truth(clip) | {"camera": np.int64(self.cameras.index(clip.camera))})
+        if len(self.waiting) == TOGETHER:
+            self._flush()
+
+    def _flush(self) -> None:
+        end = self.count + len(self.waiting)
+        for key in self.waiting[0] if self.waiting else ():
+            self.group[key][self.count : end] = np.stack([w[key] for w in self.waiting])
+        self.count, self.waiting = end, []
+
+    def close(self) -> None:
+        self._flush()
+        self.group.attrs["cameras"] = self.cameras
+
+
+def _truth(clip: Recorded) -> dict[str, NDArray[Any]]:
+    """The clip's truth as arrays: (particle, frame), and () for what is one number a clip."""
+    balls = int(clip.tracks["particle"].max()) + 1
+    out: dict[str, NDArray[Any]] = {"clip": np.asarray(clip.number), "camera": np.asarray(0)}
+    ordered = clip.tracks.sort_values(["particle", "frame"])
+    for column in ordered.columns.drop(["frame", "particle"]):
+        values = ordered[column].to_numpy()
+        if column == "state":
+            values = np.array([STATES.index(v) for v in values], np.uint8)
+        out[f"truth/{column}"] = values.reshape(balls, clip.frames)
+    numbers = {k: v for k, v in clip.scalars.items() if isinstance(v, float)}
+    return out | {f"scalars/{k}": np.asarray(v) for k, v in numbers.items()}

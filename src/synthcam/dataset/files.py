@@ -1,0 +1,280 @@
+"""The files of a dataset, written and read. docs/format.md tells what each holds."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import os
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pyarrow as pa
+import pyarrow.parquet as pq
+import tifffile
+from numpy.typing import NDArray
+
+from synthcam.dataset.card import card
+from synthcam.scene import ground_truth as truth
+from synthcam.scene.apparatus import set_otherwise
+from synthcam.scene.filmed_motion import View
+from synthcam.scene.scene import Clip
+from synthcam.settings import InputError
+
+Frames = Iterator[NDArray[np.uint8] | NDArray[np.uint16]]
+SUMS = "SHA256SUMS"
+VIDEO = "frames.tif"
+ROWS = 1024  # of clips.parquet, written at a time
+IMAGEJ_LIMIT = 4_000_000_000  # bytes of a stack; a longer one is a plain BigTIFF
+
+
+def camera_json(clip: Clip) -> dict[str, Any]:
+    """What the experimenter knows: the nominal camera, lamp and sensor, and which ball was launched."""
+    camera, sensor = clip.nominal, clip.drawn["sensor"]
+    known: dict[str, Any] = {
+        "K": camera.K.tolist(),
+        "dist": camera.dist.tolist(),
+        "R": camera.R.tolist(),
+        "t": camera.t.tolist(),
+        "size": list(camera.size),
+        "fps": camera.fps,
+        "exposure": camera.exposure,
+        "scale": camera.scale,
+        "ball_diameter": clip.model.ball.diameter,
+        "striker": clip.drawn["launch"]["striker"],
+        "lamp": {"position": list(clip.drawn["lamp"]["position"]), "radius": clip.drawn["lamp"]["radius"]},
+        "psf": {"sigma_px": camera.psf_sigma_px},
+        "sensor": {k: v for k, v in sensor.items() if k not in ("glint_peak", "hot_pixels", "hot_dark")},
+    }
+    for section, values in set_otherwise(clip.drawn).items():
+        known[section] = known.get(section, {}) | values
+    return known
+
+
+def view_of(clip: Clip) -> View:
+    """The clip's motion, over all its frames and to the last slide's end, as its camera takes it."""
+    return View.of(clip.model, clip.launch, clip.camera, clip.frames)
+
+
+def write_clip(
+    folder: Path,
+    clip: Clip,
+    view: View,
+    frames: Frames | None,
+    meta: dict[str, Any],
+    secret: Path | None = None,
+    compression: str = "none",
+) -> None:
+    """Write one clip's folder; `frames` None: no video. `meta` goes into its scene.json.
+
+    secret: another folder for the clip's truth. compression: "none", or "zstd", lossless.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    secret = secret or folder / "truth"
+    secret.mkdir(parents=True)
+    _write_json(folder / "camera.json", camera_json(clip))
+    pixels, file = "", ""
+    if frames is not None:
+        pixels, file = _write_tiff(folder / VIDEO, clip, frames, compression)
+    row = {"clip": clip.number, "seed_key": f"{meta['seed']}/{clip.number}", "scene": clip.drawn["name"]}
+    row |= truth.scalars(clip.model, clip.launch, view.motion)
+    row |= {
+        "striker": clip.drawn["launch"]["striker"],
+        "effects": json.dumps(clip.drawn["effects"], sort_keys=True),
+        "frames_sha256": file,
+        "pixels_sha256": pixels,
+    }
+    _write_json(secret / "scene.json", {**meta, "clip": clip.number, "drawn": clip.drawn, "row": row})
+    tables = {
+        "tracks": truth.tracks(clip.launch.bodies, view, clip.lamp, clip.frames),
+        "events": truth.events(view.motion, clip.camera.fps),
+    }
+    for name, table in tables.items():
+        # by way of memory, so that a full disk is the same error as for other files
+        (secret / f"{name}.parquet").write_bytes(table.to_parquet(index=False))
+
+
+def _write_tiff(path: Path, clip: Clip, frames: Frames, compression: str) -> tuple[str, str]:
+    """Write a stack frame by frame, uncompressed as ImageJ likes it; SHA-256 of its pixels and of the file."""
+    width, height = clip.camera.size
+    dtype = np.uint8 if clip.sensor.bits == 8 else np.uint16
+    pixels, whole = hashlib.sha256(), hashlib.sha256()
+
+    def hashed() -> Frames:
+        for frame in frames:
+            pixels.update(frame.data)
+            yield frame
+
+    size = clip.frames * width * height * dtype().itemsize
+    plain = compression == "none" and size < IMAGEJ_LIMIT
+    about = {"axes": "TYX", "fps": clip.camera.fps} | ({"finterval": 1 / clip.camera.fps} if plain else {})
+    write = partial(tifffile.imwrite, path, shape=(clip.frames, height, width), dtype=dtype, metadata=about)
+    if compression != "none":
+        write(data=hashed(), photometric="minisblack", compression=compression)
+        return pixels.hexdigest(), sha256(path)
+    kind: dict[str, Any] = {"imagej": True} if plain else {"photometric": "minisblack"}
+    placed = write(data=None, returnoffset=True, **kind)
+    assert placed is not None
+    # Into the space left for them, hashed on the way: reading the file again takes as long as writing it.
+    with path.open("r+b") as file:
+        whole.update(file.read(placed[0]))
+        for frame in hashed():
+            whole.update(frame.data)
+            file.write(frame.data)
+        if file.tell() != placed[0] + size:
+            raise RuntimeError(f"{path}: expected {clip.frames} frames of {dtype.__name__}, {width} x {height}")
+        whole.update(file.read())
+    return pixels.hexdigest(), whole.hexdigest()
+
+
+def finish(folder: Path, about: dict[str, Any], unlisted: str = "", secret: Path | None = None) -> None:
+    """Write what covers all clips: clips.parquet, dataset.json, the card, the checksums (without the file `unlisted`).
+
+    secret: the folder with the truth, where it is another. One clip at a time: memory does not grow with their number.
+    """
+    root = secret or folder
+    (root / "truth").mkdir(exist_ok=True)
+    count, names = _write_rows(root)
+    _write_json(root / "truth" / "dataset.json", about)
+    holds = ("frames", "truth") if secret else ("all", "all")
+    for place, what in {folder: holds[0], root: holds[1]}.items():
+        (place / "README.md").write_text(card(about, count, names, what), encoding="utf-8")
+        write_sums(place, root, unlisted)
+
+
+def finish_shard(folder: Path, about: dict[str, Any], unlisted: str = "") -> None:
+    """Write what makes a shard complete: shard.json and the checksums."""
+    (folder / "truth").mkdir(exist_ok=True)
+    _write_json(folder / "truth" / "shard.json", about)
+    write_sums(folder, folder, unlisted)
+
+
+def _write_rows(root: Path) -> tuple[int, list[str]]:
+    """Gather the clips' rows into truth/clips.parquet; how many, and the names of their scenes."""
+    text = ("seed_key", "scene", "striker", "effects", "frames_sha256", "pixels_sha256")
+    before = [("clip", pa.int64()), ("seed_key", pa.string()), ("scene", pa.string())]
+    schema = pa.schema([*before, *((c, pa.float64()) for c in truth.COLLISION), *((c, pa.string()) for c in text[2:])])
+    clips, names = clip_folders(root), dict[str, None]()
+    with (root / "truth" / "clips.parquet").open("wb") as file, pq.ParquetWriter(file, schema) as writer:
+        for start in range(0, len(clips), ROWS):
+            batch = clips[start : start + ROWS]
+            rows = [json.loads((c / "truth" / "scene.json").read_text())["row"] for c in batch]
+            rows = [{k: math.nan if v is None else v for k, v in row.items()} for row in rows]
+            names |= dict.fromkeys(row["scene"] for row in rows)
+            writer.write_table(pa.Table.from_pylist(rows, schema=schema))
+    return len(clips), list(names)
+
+
+def write_sums(folder: Path, root: Path, unlisted: str = "") -> None:
+    """Write SHA256SUMS of all files but itself and `unlisted`. root: the folder with the truth."""
+    with (folder / SUMS).open("w", encoding="utf-8") as sums:
+        for path in _files(folder):
+            if path.name not in (SUMS, unlisted):
+                digest = _as_written(path, root) if path.name == VIDEO else sha256(path)
+                sums.write(f"{digest}  {path.relative_to(folder).as_posix()}\n")
+
+
+def _as_written(video: Path, root: Path) -> str:
+    """A video's SHA-256 from its clip's truth: hashing all again would take a tenth of the whole time, and miss what
+    has happened to the file since."""
+    scene = root / "clips" / video.parent.name / "truth" / "scene.json"
+    return str(json.loads(scene.read_text())["row"]["frames_sha256"])
+
+
+def _files(folder: Path) -> Iterator[Path]:
+    """All files below a folder, one folder at a time, each in order."""
+    for path in sorted(folder.iterdir()):
+        if path.is_dir():
+            yield from _files(path)
+        else:
+            yield path
+
+
+def clip_folders(folder: Path) -> list[Path]:
+    """The complete clips of a dataset, in order."""
+    return sorted(p for p in (folder / "clips").glob("[0-9]*") if p.is_dir() and p.name.isascii() and p.name.isdigit())
+
+
+def sha256(path: Path) -> str:
+    with path.open("rb") as f:
+        return hashlib.file_digest(f, "sha256").hexdigest()
+
+
+def _write_json(path: Path, value: Any) -> None:
+    path.write_text(json.dumps(_finite(value), indent=1, allow_nan=False) + "\n", encoding="utf-8")
+
+
+def _finite(value: Any) -> Any:
+    """NaN as null, for JSON has none."""
+    if isinstance(value, dict):
+        return {k: _finite(v) for k, v in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(v) for v in value]
+    return None if isinstance(value, float) and not np.isfinite(value) else value
+
+
+@dataclass(frozen=True)
+class Check:
+    """Outcome of `verify`: files looked at, and what is wrong, one line each."""
+
+    files: int
+    problems: tuple[str, ...]
+
+
+def verify(folder: Path, tick: Callable[[int, int], None] = lambda done, total: None) -> Check:
+    """Hold a dataset to its checksums and its counts. Raises InputError when it is no finished dataset."""
+    listed = read_sums(folder)
+    problems = []
+    for k, (name, digest) in enumerate(listed.items(), 1):
+        path = folder / name
+        if not path.is_file():
+            problems.append(f"{name}: missing")
+        elif sha256(path) != digest:
+            problems.append(f"{name}: changed (its SHA-256 is not the one recorded)")
+        tick(k, len(listed))
+    for path in _files(folder):
+        name = path.relative_to(folder).as_posix()
+        if name != SUMS and name not in listed:
+            problems.append(f"{name}: not listed in {SUMS}")
+    if not problems:
+        problems += _counts(folder)
+    return Check(len(listed), tuple(problems))
+
+
+def read_sums(folder: Path) -> dict[str, str]:
+    """SHA-256 by file. Raises InputError when the folder is no finished dataset, or its list leads elsewhere."""
+    if not (folder / SUMS).is_file():
+        raise InputError(f"{folder}: not a finished dataset (no {SUMS})")
+    listed = {}
+    for number, line in enumerate((folder / SUMS).read_text(errors="replace").splitlines(), 1):
+        digest, gap, name = line.partition("  ")
+        inside = Path(name).as_posix() == name and not os.path.isabs(name) and ".." not in Path(name).parts
+        if not gap or len(digest) != 64 or not inside:
+            raise InputError(f"{folder / SUMS}, line {number}: expected a SHA-256 and a path inside the dataset")
+        listed[name] = digest
+    return listed
+
+
+def _counts(folder: Path) -> list[str]:
+    """Files may agree with a list that was shortened with them: the tables tell how many clips there were."""
+    clips, problems = clip_folders(folder), []
+    numbers = [int(c.name) for c in clips]
+    shard = folder / "truth" / "shard.json"
+    if shard.is_file():
+        wanted = json.loads(shard.read_text())["clips"]
+        return [] if numbers == wanted else [f"clips/: {len(numbers)} folders for {len(wanted)} clips of the shard"]
+    if not (folder / "truth" / "clips.parquet").is_file():
+        return [] if numbers == list(range(len(clips))) else [f"clips/: {len(clips)} folders, with gaps between them"]
+    table = pd.read_parquet(folder / "truth" / "clips.parquet", columns=["clip", "frames_sha256"])
+    if numbers != table["clip"].tolist():
+        problems.append(f"clips/: {len(clips)} folders for {len(table)} rows of truth/clips.parquet")
+    for path, digest in zip(clips, table["frames_sha256"], strict=False):
+        withheld = not (path / "camera.json").exists()
+        if digest and not withheld and digest != sha256(path / VIDEO):
+            problems.append(f"clips/{path.name}/{VIDEO}: not the frames of truth/clips.parquet")
+    return problems

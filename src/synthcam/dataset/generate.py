@@ -1,0 +1,329 @@
+"""Clips in parallel, resumable, the same bytes whatever the workers."""
+
+from __future__ import annotations
+
+import errno
+import json
+import pickle
+import platform
+import shutil
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import lru_cache, partial
+from importlib.metadata import version
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pandas as pd
+
+from synthcam.camera.sensor import Chip, Sensor
+from synthcam.dataset.files import Frames, finish, finish_shard, view_of, write_clip
+from synthcam.dataset.staging import PLAN, Partial, aside, begin, settle
+from synthcam.dataset.workers import each
+from synthcam.scene.filmed_motion import View
+from synthcam.scene.scene import Clip, Scene, check_scene
+from synthcam.settings import InputError
+
+if TYPE_CHECKING:
+    from synthcam.camera.render import Film
+
+FULL = {errno.ENOSPC, errno.EDQUOT, errno.EROFS}  # what will happen to the next clip as well
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What a dataset is made of: scenes with `clips` clips each, numbered on from one to the next.
+
+    shard (I, N): only every N-th clip, from the I-th, so that each shard has its share of each scene.
+    """
+
+    scenes: tuple[Scene, ...]
+    clips: int
+    seed: int
+    video: bool = True
+    compression: str = "none"
+    shard: tuple[int, int] | None = None
+
+    @property
+    def numbers(self) -> range:
+        first, step = self.shard or (1, 1)
+        return range(first - 1, self.clips * len(self.scenes), step)
+
+    @property
+    def total(self) -> int:
+        return len(self.numbers)
+
+    def clip(self, number: int) -> Clip:
+        return self.scenes[number // self.clips].draw(number, self.seed)
+
+    def document(self) -> dict[str, Any]:
+        """What must agree for two runs to be the same dataset, or the same shard of it."""
+        return {
+            "scenes": [s.settings for s in self.scenes],
+            "clips_per_scene": self.clips,
+            "seed": self.seed,
+            "video": self.video,
+            "version": version("synthcam"),
+            **({"compression": self.compression} if self.compression != "none" else {}),
+            **({"shard": list(self.shard)} if self.shard else {}),
+        }
+
+    @classmethod
+    def of(cls, document: dict[str, Any]) -> Plan:
+        """The plan that a document tells of, shards aside."""
+        scenes = tuple(check_scene(s, "scene") for s in document["scenes"])
+        wanted = {"clips_per_scene", "seed", "video"}
+        clips, seed, video = (document[k] for k in sorted(wanted))
+        return cls(scenes, clips, seed, video, document.get("compression", "none"))
+
+    def bytes(self, clips: int) -> int:
+        """Disk the frames of so many clips will take, before compression."""
+        sizes = []
+        for k in range(len(self.scenes)):
+            clip = self.clip(k * self.clips)
+            width, height = clip.camera.size
+            sizes.append(width * height * clip.frames * (1 if clip.sensor.bits == 8 else 2))
+        return int(np.mean(sizes) * clips) if self.video else 0
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """made: clips written by this run. failed: what went wrong, a line a clip. root: of the truth, if complete."""
+
+    made: int
+    failed: tuple[str, ...]
+    root: Path | None
+
+    @property
+    def table(self) -> pd.DataFrame | None:
+        """The scalars, a row a clip; None while clips are missing."""
+        return None if self.root is None else pd.read_parquet(self.root / "truth" / "clips.parquet")
+
+
+def run(
+    plan: Plan,
+    output: Path,
+    workers: int,
+    tick: Callable[[int, int], None],
+    withheld: Path | None = None,
+    scheduler: str = "",
+    tell: Callable[[str], None] | None = None,
+) -> Outcome:
+    """Make the dataset at `output`; `tick(done, total)` after each clip.
+
+    All is made in a folder beside it, `output`.partial, and moved into place when complete, so that a killed run goes
+    on where it was. withheld: another folder, for the truth. scheduler: address of a Dask scheduler, whose workers see
+    the same folders. tell: hears an estimate of time and disk before the start. Raises InputError when a folder holds
+    something else or the disk is full, NoGL when nothing can draw.
+    """
+    made = begin(output, plan.document(), withheld)
+    if made is None:
+        tick(plan.total, plan.total)
+        return Outcome(0, (), withheld or output)
+    try:
+        return _make(plan, made, workers, tick, scheduler, tell)
+    except Exception as e:
+        if not made.done():
+            made.discard()
+        if isinstance(e, OSError):
+            where = e.filename or made.folder
+            raise InputError(f"{where}: {_why(e)}; the same command goes on where it stopped") from None
+        raise
+    finally:
+        made.close()
+
+
+def _make(
+    plan: Plan,
+    made: Partial,
+    workers: int,
+    tick: Callable[[int, int], None],
+    scheduler: str,
+    tell: Callable[[str], None] | None,
+) -> Outcome:
+    done = made.done()
+    todo = [k for k in plan.numbers if k not in done]
+    _check_disk(plan, made.folder, len(todo))
+    drawn_by: list[dict[str, Any]] = []
+    if scheduler:
+        from synthcam.dataset.dask_workers import Cluster  # here alone: Dask is an extra
+
+        cluster = Cluster(scheduler)
+        drawn_by = cluster.everywhere(partial(drawing, plan.video))
+        results = cluster.each(todo, partial(_make_anywhere, json.dumps(plan.document()), *_folders(made)))
+    else:
+        results = _here(plan, made, todo, workers, tell)
+    tick(len(done), plan.total)
+    failed = []
+    for k, (number, trouble) in enumerate(results, 1):
+        failed += [f"clip {number}: {trouble}"] if trouble else []
+        tick(len(done) + k, plan.total)
+    made.tidy()
+    if failed:
+        if not made.done():
+            made.discard()
+        return Outcome(len(todo) - len(failed), tuple(failed), None)
+    complete(plan, made, drawn_by or [drawing(plan.video)])
+    return Outcome(len(todo), (), made.withheld or made.output)
+
+
+def complete(plan: Plan, made: Partial, drawn_by: list[dict[str, Any]]) -> None:
+    """Write what covers all clips and move the dataset into its place. drawn_by: each kind of machine once."""
+    about = plan.document() | drawn_by[0] | ({"drawn_by": drawn_by} if len(drawn_by) > 1 else {})
+    if plan.shard:
+        finish_shard(made.folder, about | {"clips": list(plan.numbers)}, unlisted=PLAN)
+    else:
+        finish(made.folder, about, unlisted=PLAN, secret=made.truth if made.withheld else None)
+    made.publish()
+
+
+def _here(
+    plan: Plan, made: Partial, todo: list[int], workers: int, tell: Callable[[str], None] | None
+) -> Iterator[tuple[int, str]]:
+    """Make the clips on this machine: (number, '' or what went wrong), in the order in which they end."""
+    folders = _folders(made)
+    if tell and todo:
+        trials = sorted({todo[0], todo[len(todo) // 2], todo[-1]})  # of several scenes, where there are several
+        ends = []
+        for number in trials:  # the first loads libraries, draws the chip and starts OpenGL
+            yield number, make_clip(plan, number, *folders)
+            ends.append(time.perf_counter())
+        todo = [k for k in todo if k not in trials]
+        if todo:
+            tell(_estimate(made, trials, (ends[-1] - ends[0]) / (len(ends) - 1), len(todo), workers))
+    if min(workers, len(todo)) > 1:
+        document = json.dumps(plan.document())
+        yield from each(todo, min(workers, len(todo)), partial(_ready, document, *folders))
+    else:
+        yield from ((number, make_clip(plan, number, *folders)) for number in todo)
+
+
+def _estimate(made: Partial, trials: list[int], seconds: float, clips: int, workers: int) -> str:
+    """What so many clips will take. seconds: of one on one worker."""
+    left = seconds * clips / min(workers, clips)
+    unit = f"{left / 60:.0f} min" if left > 90 else f"{left:.0f} s"
+    folders = {folder for number in trials for folder in made.clip(number)}
+    size = sum(file.stat().st_size for folder in folders for file in folder.glob("*") if file.is_file())
+    need, free = size / len(trials) * clips / 1e6, shutil.disk_usage(made.folder).free / 1e6
+    return f"{clips} clips to come: about {unit}, {need:,.1f} MB of {free:,.0f} MB free"
+
+
+def _check_disk(plan: Plan, folder: Path, clips: int) -> None:
+    need, free = plan.bytes(clips), shutil.disk_usage(folder).free
+    if need > free and plan.compression == "none":
+        raise InputError(f"{folder}: {clips} clips take {need / 1e6:,.0f} MB, and {free / 1e6:,.0f} MB are free there")
+
+
+def _folders(made: Partial) -> tuple[Path, Path]:
+    return made.folder.absolute(), made.truth.absolute()
+
+
+def _ready(document: str, folder: Path, secret: Path) -> Callable[[int], str]:
+    """In a worker: what makes a clip."""
+    return partial(_make_anywhere, document, folder, secret)
+
+
+@lru_cache(maxsize=2)
+def _plan(document: str) -> Plan:
+    return Plan.of(json.loads(document))
+
+
+def _make_anywhere(document: str, folder: Path, secret: Path, number: int) -> str:
+    """In a worker, perhaps on another machine: make one clip of the plan that `document` tells of."""
+    wanted = json.loads(document)["version"]
+    if version("synthcam") != wanted:
+        return f"its worker has synthcam {version('synthcam')}, expected {wanted}"
+    if not (folder / "clips").is_dir():
+        return f"{folder}: no such folder on {platform.node()}; workers must see the dataset's folder at the same path"
+    return make_clip(_plan(document), number, folder, secret)
+
+
+def make_clip(plan: Plan, number: int, folder: Path, secret: Path | None = None) -> str:
+    """Make one clip of a plan in `folder`/clips; '' or one line on why it could not be made.
+
+    secret: another folder for the truth. A full disk is raised, for no clip would fare better.
+    """
+    name = f"{number:06d}"
+    final, secret = folder / "clips" / name, secret or folder
+    hidden = None if secret == folder else secret / "clips" / name / "truth"
+    made, kept = aside(final), aside(hidden) if hidden else None
+    try:
+        clip = plan.clip(number)
+        view = view_of(clip)
+        frames = film(clip, view, plan.seed) if plan.video else None
+        write_clip(made, clip, view, frames, {"seed": plan.seed}, kept, plan.compression)
+        if kept and hidden:
+            settle(kept, hidden)
+        settle(made, final)
+    except Exception as e:
+        for leftover in (made, kept):
+            if leftover:
+                shutil.rmtree(leftover, ignore_errors=True)
+        if type(e).__name__ == "NoGL" or (isinstance(e, OSError) and e.errno in FULL):
+            raise
+        return _why(e)
+    return ""
+
+
+def _why(error: Exception) -> str:
+    """One line; an error nobody foresaw keeps its name."""
+    if isinstance(error, OSError):
+        return f"{error.strerror or error}"
+    said = " ".join(str(error).split())
+    return said if isinstance(error, ValueError) else f"{type(error).__name__}: {said}"
+
+
+def film(clip: Clip, view: View, seed: int) -> Frames:
+    """The clip's frames as the sensor gives them, one at a time."""
+    chip = _chip(clip.sensor, clip.camera.size, clip.camera.exposure, seed)
+    radii = clip.launch.bodies.radius.tolist()
+    drawn = _film(pickle.dumps((clip.camera, clip.lamp, radii, clip.room, clip.surface)))
+    view = view.as_drawn()
+    pictures = drawn.frames(
+        lambda t: view.at(t)[:, :, :3].transpose(1, 0, 2),
+        view.spans(clip.frames),
+        view.breaks(),
+    )
+    for k, picture in enumerate(pictures):
+        yield chip.expose(picture, clip.number, k)
+
+
+@lru_cache(maxsize=2)
+def _film(seen: bytes) -> Film:
+    """One film serves all clips that are seen alike: its plate and its unit take as long as ten frames.
+
+    seen: what a Film is made of, pickled, as arrays have no hash.
+    """
+    from synthcam.camera.render import Film  # here alone: everything else works without OpenGL
+
+    return Film(*pickle.loads(seen))
+
+
+@lru_cache(maxsize=2)
+def _chip(sensor: Sensor, size: tuple[int, int], exposure: float, seed: int) -> Chip:
+    """One chip serves all clips of a camera: its fixed pattern takes as long to draw as many frames."""
+    return Chip(sensor, size, exposure, seed)
+
+
+def drawing(video: bool) -> dict[str, Any]:
+    """What, beside the plan, decides the pixels: OpenGL's renderer and this machine."""
+    gl: dict[str, str] = {}
+    if video:
+        from synthcam.camera.render import gl_info
+
+        gl = {k: v for k, v in gl_info().items() if k != "why"}  # asked for or found, the pixels are the same
+    return {"gl": gl, "machine": _machine()}
+
+
+def _machine() -> dict[str, str]:
+    vendor = platform.processor() or platform.machine()
+    try:
+        for line in Path("/proc/cpuinfo").read_text().splitlines():
+            if line.startswith("vendor_id"):
+                vendor = line.partition(":")[2].strip()
+                break
+    except OSError:
+        pass
+    return {"cpu_vendor": vendor, "architecture": platform.machine()}

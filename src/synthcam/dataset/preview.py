@@ -1,0 +1,167 @@
+"""A scene as a picture or a film for people, and how fast frames are made."""
+
+from __future__ import annotations
+
+import itertools
+import os
+import tempfile
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import cv2
+import imageio.v3 as iio
+import numpy as np
+from numpy.typing import NDArray
+from skimage.exposure import adjust_gamma, rescale_intensity
+
+from synthcam.dataset.files import view_of
+from synthcam.dataset.generate import film
+from synthcam.outputs import check_film, check_room, put, told
+from synthcam.scene.scene import Clip, check_scene
+
+Counts = NDArray[np.uint8] | NDArray[np.uint16]
+TIMED = 40  # frames
+SHOWN_FPS = 20  # of a film for people: GIF counts in hundredths of a second
+WIDTH = 640  # px of a film, about
+MARGIN = 2.0  # ball diameters round the balls' paths
+
+
+def write_preview(clip: Clip, seed: int, path: Path, frame: int | None, magnify: int) -> None:
+    """Write frame number `frame` of a clip (default: the last before the contact) as a PNG.
+
+    magnify > 0: the balls so many times larger stand below the frame, with their faint bodies brought out.
+    """
+    check_room(path)
+    view = view_of(clip)
+    hit = view.motion.first("contact")
+    when = hit.t if hit else 0.5 * clip.frames / clip.camera.fps
+    k = frame if frame is not None else int((when - clip.camera.exposure) * clip.camera.fps)
+    k = min(max(k, 0), clip.frames - 1)
+    counts = next(itertools.islice(film(clip, view, seed), k, None))
+    picture = _grey(counts, clip.sensor.bits)
+    if magnify:
+        middle = clip.camera.project(view.at(np.array([k / clip.camera.fps]))[:, 0, :3]).mean(axis=0)
+        black = clip.sensor.black_level / 2 ** (clip.sensor.bits - 8)
+        picture = _with_inset(picture, middle, magnify, black)
+    ok, data = cv2.imencode(".png", picture)
+    if not ok:
+        raise OSError(f"{path}: could not be encoded as PNG")
+    with told(path):
+        put(path, data.tobytes())
+
+
+def write_film(clip: Clip, seed: int, path: Path) -> float:
+    """Write a clip as .gif or .mp4, cropped to where the balls pass and magnified; how many times slower it plays.
+
+    What is dark is brought out, as in `write_preview`, and the noise taken out. A strip below the picture tells the
+    speed and the time.
+    """
+    view = view_of(clip)
+    slower = clip.camera.fps / SHOWN_FPS
+    places = view.at(np.arange(clip.frames) / clip.camera.fps)[:, :, :3]
+    rows, columns = _crop(clip, places)
+    size = max(rows.stop - rows.start, columns.stop - columns.start)
+    zoom = max(1, -(-WIDTH // size))
+    black, noise = (c / 2 ** (clip.sensor.bits - 8) for c in (clip.sensor.black_level, _noise(clip)))
+
+    def shown() -> Iterator[NDArray[np.uint8]]:
+        for k, counts in enumerate(film(clip, view, seed)):
+            patch = _lifted(_quiet(_grey(counts, clip.sensor.bits)[rows, columns], black + noise), black)
+            large = np.kron(patch, np.ones((zoom, zoom), np.uint8))
+            yield _with_caption(large, f"{slower:.3g} x slower   {1e3 * k / clip.camera.fps:.0f} ms")
+
+    check_room(path)
+    with told(path), tempfile.TemporaryDirectory(dir=path.parent, prefix=f".{path.name}-") as folder:
+        aside = Path(folder) / f"film{path.suffix.lower()}"
+        if aside.suffix == ".gif":
+            # In memory first: on a full disk imageio would try again as it is collected, and print a traceback.
+            pace = 1000 / SHOWN_FPS
+            aside.write_bytes(iio.imwrite("<bytes>", list(shown()), extension=".gif", duration=pace, loop=0))
+        else:
+            _write_mp4(aside, shown())
+            check_film(aside, clip.frames)
+        aside.replace(path)
+    return slower
+
+
+def _write_mp4(path: Path, frames: Iterator[NDArray[np.uint8]]) -> None:
+    first = next(frames)
+    size = (first.shape[1], first.shape[0])
+    writer = cv2.VideoWriter(os.fspath(path), cv2.VideoWriter.fourcc(*"mp4v"), SHOWN_FPS, size, False)
+    if not writer.isOpened():
+        raise OSError(f"{path.suffix}: this OpenCV cannot write MPEG-4")
+    for frame in itertools.chain([first], frames):
+        writer.write(frame)
+    writer.release()
+
+
+def _crop(clip: Clip, places: NDArray[np.float64]) -> tuple[slice, slice]:
+    """Rows and columns round the paths (N, T, 3) of the balls, within the picture; even, as MPEG wants it."""
+    px = clip.camera.project(places.reshape(-1, 3))
+    width, height = clip.camera.size
+    inside = px[((px >= 0) & (px < [width, height])).all(axis=1)]
+    if not len(inside):
+        return slice(0, height), slice(0, width)
+    margin = MARGIN * float(clip.model.ball.diameter * clip.camera.K[0, 0] / abs(clip.camera.t[2]))
+    low = np.clip(np.floor(inside.min(axis=0) - margin), 0, None).astype(int)
+    high = np.clip(np.ceil(inside.max(axis=0) + margin), None, [width, height]).astype(int)
+    high -= (high - low) % 2
+    return slice(int(low[1]), int(high[1])), slice(int(low[0]), int(high[0]))
+
+
+def _noise(clip: Clip) -> float:
+    """Standard deviation of the dark plate, counts."""
+    electrons = np.hypot(clip.sensor.read_noise, clip.sensor.dsnu)
+    return float(electrons / clip.sensor.gain) + 0.5
+
+
+def _quiet(picture: NDArray[np.uint8], floor: float) -> NDArray[np.uint8]:
+    """Smoothed a little, and black below `floor`: moving noise hides what a film is to show, and fills its file."""
+    smooth = cv2.GaussianBlur(picture.astype(np.float32), (0, 0), 0.8)
+    return np.where(smooth > floor, np.rint(smooth), 0).astype(np.uint8)
+
+
+def _with_caption(picture: NDArray[np.uint8], text: str) -> NDArray[np.uint8]:
+    strip = np.full((24, picture.shape[1]), 40, np.uint8)
+    scale = min(0.5, picture.shape[1] / 480)
+    cv2.putText(strip, text, (6, 17), cv2.FONT_HERSHEY_SIMPLEX, scale, 230, 1, cv2.LINE_AA)
+    return np.vstack([picture, strip])
+
+
+def _lifted(picture: NDArray[np.uint8], black: float) -> NDArray[np.uint8]:
+    """Black subtracted, gamma 1/3 to show what is dark."""
+    stretched = rescale_intensity(picture.astype(np.float64), in_range=(black, 255.0), out_range=(0.0, 1.0))
+    return np.asarray(255 * adjust_gamma(stretched, 1 / 3)).astype(np.uint8)
+
+
+def _grey(counts: Counts, bits: int) -> NDArray[np.uint8]:
+    return (counts >> (bits - 8)).astype(np.uint8) if bits > 8 else counts.astype(np.uint8)
+
+
+def _with_inset(
+    picture: NDArray[np.uint8], middle: NDArray[np.float64], magnify: int, black: float
+) -> NDArray[np.uint8]:
+    """The frame, and below it a strip round `middle`, magnified, with what is dark brought out."""
+    width = picture.shape[1]
+    across, down = width // magnify, max(width // magnify // 2, 1)
+    left = int(np.clip(round(middle[0]) - across // 2, 0, picture.shape[1] - across))
+    top = int(np.clip(round(middle[1]) - down // 2, 0, max(picture.shape[0] - down, 0)))
+    lifted = _lifted(picture[top : top + down, left : left + across], black)
+    large = np.kron(lifted, np.ones((magnify, magnify), np.uint8))
+    strip = np.zeros((large.shape[0] + 4, width), np.uint8)
+    strip[:4] = 90
+    strip[4:, : large.shape[1]] = large
+    return np.vstack([picture, strip])
+
+
+def speed() -> float:
+    """Frames a second of one process: two balls, 640 x 480, drawn and exposed, after a first clip to warm up."""
+    settings = {"launch": {"b": 0.2, "v0": 0.3}, "timing": {"frames": TIMED, "contact_frame": 0.5 * TIMED}}
+    clip = check_scene(settings, "doctor").draw(0, 0)
+    for _ in range(2):
+        started = time.perf_counter()
+        for _ in film(clip, view_of(clip), 0):
+            pass
+        seconds = time.perf_counter() - started
+    return TIMED / seconds

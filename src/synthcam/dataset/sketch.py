@@ -1,0 +1,81 @@
+"""A drawing of what an effect does: a collision without and with it, and how far the tracks part."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from io import BytesIO
+from pathlib import Path
+
+import numpy as np
+
+from synthcam.camera.pinhole import Camera, Lamp, glint_px
+from synthcam.dynamics.kinematics import Array
+from synthcam.dynamics.launch import Launch
+from synthcam.effect import Effect
+from synthcam.model import Model
+from synthcam.outputs import check_room, put, told
+from synthcam.scene.filmed_motion import View
+
+LAUNCH = {"time": 0.04, "v0": 0.4, "b": 0.35, "heading": 0.0, "contact": (-0.01, 0.0)}
+FRAMES, FPS = 80, 250.0
+LAMP = (0.05, 0.0, 0.45)
+NAMES, COLOURS = ("ball 1, at rest", "ball 2"), ("tab:blue", "tab:red")
+
+
+def realistic(kind: type[Effect]) -> Effect:
+    """The effect with every parameter at its realistic size."""
+    return kind(**{p.name: p.scale for p in kind.parameters()})
+
+
+def tracks(model: Model) -> Array:
+    """Where the nominal camera, mistaken for the real one, puts the centres: mm, (2, FRAMES, 2)."""
+    radius = model.ball.radius
+    nominal = Camera.overhead((640, 480), 1.6e-4, 0.5, ball_radius=radius, fps=FPS, exposure=5e-4, psf_sigma_px=1.0)
+    camera = model.laws("camera", nominal, {})
+    camera = replace(camera, exposure=float(model.laws("exposure", camera.exposure, {"fps": FPS})))
+    view = View.of(model, Launch.pair(model.bodies("ab"), **LAUNCH), camera, FRAMES)  # type: ignore[arg-type]
+    pixels = view.mean(view.spans(FRAMES), lambda states: camera.project(states[..., :3]))
+
+    def mirrored(pixels: Array, lamp: tuple[float, float, float] = LAMP) -> Array:
+        centres = view.at(view.spans(FRAMES).mean(axis=1))[..., :3]
+        glints = glint_px(camera, Lamp(np.array(lamp), 0.01), centres, radius)
+        return np.asarray(pixels + glints - camera.project(centres))
+
+    seen = model.laws("measure", pixels, {"glint": mirrored, "mirrored": mirrored}) - nominal.K[:2, 2]
+    return np.asarray(1e3 * nominal.scale * seen * [1, -1])
+
+
+def sketch(effect: Effect, path: Path) -> float:
+    """Draw the effect on a collision like the paper's; the largest distance between the tracks, um."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    check_room(path)
+    base, bent = tracks(Model()), tracks(Model(effects=(effect,)))
+    apart = 1e3 * (bent - base)
+    figure = Figure(figsize=(9, 4.2), layout="constrained")
+    FigureCanvasAgg(figure)
+    grid = figure.add_gridspec(1, 2)
+    halves = [figure.add_subfigure(grid[0, k]) for k in (0, 1)]
+    left, right = (half.subplots() for half in halves)
+    time = np.arange(FRAMES) / FPS * 1e3
+    for k in (0, 1):
+        left.plot(*base[k].T, color="0.6", lw=3, label="without" if k else None)
+        left.plot(*bent[k].T, color=COLOURS[k], lw=1, label=NAMES[k])
+        for axis, style in ((0, "-"), (1, "--")):
+            right.plot(time, apart[k, :, axis], style, color=COLOURS[k], lw=1, label=f"{NAMES[k]}, {'xy'[axis]}")
+    right.axvline(1e3 * float(LAUNCH["time"]), color="0.6", lw=0.8)  # type: ignore[arg-type]
+    left.set(xlabel="x, mm", ylabel="y, mm", aspect="equal", title="where the balls are seen")
+    right.set(xlabel="time, ms", ylabel="with less without, µm", title="and how far from where they are without it")
+    for half in halves:
+        half.legend(fontsize="small", loc="outside lower center", ncols=2)
+    values = ", ".join(
+        f"{p.name} = {getattr(effect, p.name):g} {p.unit}".removesuffix(" 1") for p in effect.parameters()
+    )
+    figure.suptitle(f"{effect.name()}: {values}")
+    drawn = BytesIO()
+    kind = path.suffix.lower().lstrip(".") or "png"
+    figure.savefig(drawn, format=kind, dpi=120, metadata={"Software": None} if kind == "png" else None)
+    with told(path):
+        put(path, drawn.getvalue())
+    return float(np.abs(apart).max())

@@ -1,0 +1,372 @@
+"""Thousands of two-ball collisions at once: the motion of `dynamics.solve`, vectorised over collisions.
+
+A collision here is one impact of a rolling ball on a ball at rest, and what follows: flights, slides, rolls. Where two
+balls would touch again, or push each other, that collision is handed to `solve`.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from synthcam.dynamics import rolling, sliding
+from synthcam.dynamics.hermite import between
+from synthcam.dynamics.impact import collide, land
+from synthcam.dynamics.kinematics import (
+    Array,
+    contact_velocity,
+    rolling_state,
+    rolling_velocity,
+    slide,
+    slide_time,
+    stop_time,
+)
+from synthcam.dynamics.launch import Launch, touching
+from synthcam.dynamics.packed import Packed
+from synthcam.dynamics.pushed_ball import STILL
+from synthcam.dynamics.rolling import roller
+from synthcam.dynamics.segments import (
+    Alone,
+    BentRolling,
+    BentSliding,
+    Flying,
+    Ints,
+    Resting,
+    Rolling,
+    Segment,
+    Sliding,
+)
+from synthcam.dynamics.solve import solve
+from synthcam.model import Bodies, Model
+
+LAUNCH = ("x", "y", "t_c", "v0", "heading", "b")  # the contact's place, m; s; m/s; rad; over the sum of the radii
+AGAIN = 1e-7  # m: balls that come closer than touching by more have met again
+STEADY = 0.1  # of the first speed of parting: balls that at the ends of their legs part faster do not meet again
+WAVER = 5e-3  # m/s: by so much pushes may slow a ball within a leg, at neither end of it
+LOOKS = 24  # at whether balls overlap: one that catches up takes tens of ms to pass through
+ROUNDS = 400  # legs after an impact, at most
+AT_ONCE = 400  # balls, at most, that are integrated together: more leave the processor's cache
+
+
+@dataclass
+class Batch:
+    """The motion of n collisions from `start` to `end`. Balls 0..n-1 are the targets, n..2n-1 the strikers.
+
+    breaks (2n, e): times at which a ball's motion has a kink, padded with infinity. slide_ends (2n,): when each ball
+    stops sliding; its t_c if it never slid.
+    """
+
+    start: float
+    end: float
+    segments: list[Segment] = field(default_factory=list)
+    breaks: Array = field(default_factory=lambda: np.empty((0, 0)))
+    slide_ends: Array = field(default_factory=lambda: np.empty(0))
+    odd: set[int] = field(default_factory=set)  # collisions in which a ball stops and starts again: left to `solve`
+    near: Ints = field(default_factory=lambda: np.empty(0, dtype=np.intp))  # collisions whose balls may meet again
+    radius: Array = field(default_factory=lambda: np.empty(0))  # (2n,)
+
+    @property
+    def size(self) -> int:
+        return len(self.breaks) // 2
+
+    def at(self, times: Array) -> Array:
+        """States (2, n, m, 9) at times (m,), or at times (2n, m) of each ball's own, within [start, end]."""
+        own = np.broadcast_to(times, (2 * self.size, times.shape[-1]))
+        out = np.empty((*own.shape, 9))
+        for segment in self.segments:
+            _put(segment, own, out, slice(9))
+        return out.reshape(2, self.size, own.shape[-1], 9)
+
+    def heights(self, times: Array) -> Array:
+        """Of the centres over the plate, m: (2, n, m), arguments as for `at`."""
+        own = np.broadcast_to(times, (2 * self.size, times.shape[-1]))
+        out = np.repeat(self.radius, own.shape[-1]).reshape(*own.shape, 1)
+        for segment in self.segments:
+            if segment.aloft:
+                _put(segment, own, out, slice(2, 3))
+        return out.reshape(2, self.size, own.shape[-1])
+
+    def means(self, starts: Array, exposure: float) -> Array:
+        """Centres (2, n, frames, 2) averaged over exposures, exact across every kink.
+
+        starts: when they open, (frames,) or of each ball's own, (2n, frames); all within [start, end].
+        """
+        own = np.broadcast_to(starts, (2 * self.size, starts.shape[-1]))
+        first, last = (of(np.atleast_2d(starts), axis=0) for of in (np.min, np.max))
+        out = np.zeros((2, *own.shape))
+        for segment in self.segments:
+            if not len(segment.begins):
+                continue
+            begins, ends = segment.begins[:, None], segment.ends[:, None]
+            near = np.flatnonzero((first <= ends.max()) & (last >= begins.min() - exposure))
+            if len(near) == 0:
+                continue
+            where = segment.who, slice(near[0], near[-1] + 1)
+            here = Packed((own[where] <= ends) & (own[where] >= begins - exposure))
+            if not here.any:
+                continue
+            opens = here.gather(own[where])
+            whole = np.clip(opens + exposure / 2, begins, ends)
+            found = segment.means(whole, exposure)
+            some = Packed(here.inside & ((opens < begins) | (opens + exposure > ends)))
+            if some.any:  # a kink cuts them
+                a = np.clip(some.gather(opens), begins, ends)
+                b = np.clip(some.gather(opens) + exposure, begins, ends)
+                parts = segment.means((a + b) / 2, b - a) * ((b - a) / exposure)
+            for axis in (0, 1):
+                rows, new = out[axis][where], found[axis]
+                if some.any:
+                    new = new.copy()
+                    new[some.mask] = here.gather(rows)[some.mask] + parts[axis][some.inside]
+                rows[here.mask] = new[here.inside]
+                out[axis][where] = rows
+        return np.moveaxis(out.reshape(2, 2, self.size, own.shape[-1]), 0, -1)
+
+
+def _put(segment: Segment, times: Array, out: Array, part: slice) -> None:
+    """A part of the states of a segment's balls into out (2n, m, ...), at those of the times (2n, m) within it."""
+    mine, begins, ends = times[segment.who], segment.begins[:, None], segment.ends[:, None]
+    here = Packed((mine >= begins) & (mine <= ends))
+    if here.any:
+        states = segment.states(np.clip(here.gather(mine), begins, ends))
+        rows, columns = np.nonzero(here.mask)
+        out[segment.who[rows], columns] = states[here.inside, part]
+
+
+def collisions(model: Model, launches: Array, start: float, end: float, striker_is_a: Any = False) -> Batch:
+    """The collisions of `launches` (n, 6), columns LAUNCH, from `start` to `end`, s.
+
+    striker_is_a: (n,) or one for all: was the experimenter's ball a launched? Raises ValueError as `solve` does.
+    """
+    count = len(launches)
+    is_a = np.broadcast_to(np.asarray(striker_is_a, dtype=bool), (count,))
+    one = model.bodies(["b" if a else "a" for a in is_a])
+    two = model.bodies(["a" if a else "b" for a in is_a])
+    both = Bodies(*(np.concatenate([getattr(one, f), getattr(two, f)]) for f in ("radius", "mass", "of_a")))
+    t_c = launches[:, 2].astype(float)
+    target, striker = touching(one, two, launches[:, 3], launches[:, 5], launches[:, 4], launches[:, :2])
+
+    if model.laws.asks("push", "other"):
+        contacts = np.concatenate([t_c, t_c])
+        out = Batch(float(start), float(end), [], contacts[:, None], contacts, set(range(count)), radius=both.radius)
+    else:
+        run = _Run(model, both, Batch(float(start), float(end), radius=both.radius), np.concatenate([t_c, t_c]))
+        run.before(target, striker)
+        hit = collide(model, target, striker, one, two)
+        run.after(np.concatenate([hit.target, hit.striker]), hit.n[:, :2])
+        out = run.out
+    odd = sorted({*_met_again(out, both).tolist(), *out.odd})
+    return _by_solve(model, launches, is_a, out, np.array(odd, dtype=np.intp))
+
+
+def _met_again(out: Batch, both: Bodies) -> Ints:
+    """Collisions whose balls overlap after the impact, so that a second impact is missing.
+
+    Looked for between the kinks, where paths are parabolas or nearly; where they come near, at many instants.
+    """
+    n = out.size
+    if len(out.near) == 0:
+        return out.near
+    reach = (both.radius[:n] + both.radius[n:])[:, None]
+    kinks = np.clip(np.concatenate([out.breaks[:n], out.breaks[n:]], axis=1), out.start, out.end)
+    suspects = out.near
+    if kinks.shape[1] < LOOKS // 2:
+        knots = np.sort(np.concatenate([kinks, np.full((n, 1), out.end)], axis=1), axis=1)
+        states = out.at(np.concatenate([knots, knots]))
+        apart = states[0, ..., :6] - states[1, ..., :6]
+        places = between(apart[..., [0, 1, 3, 4]], np.diff(knots), np.linspace(0, 1, 9))
+        least = np.hypot(places[..., 0], places[..., 1]).min(axis=(1, 2))
+        suspects = suspects[least[suspects] < reach[suspects, 0] - AGAIN / 2]
+    if len(suspects) == 0:
+        return suspects
+    every = np.full((2 * n, LOOKS), out.start)
+    rows = np.concatenate([suspects, suspects + n])
+    every[rows] = np.linspace(out.start, out.end, LOOKS)
+    places = out.at(every)[:, suspects, :, :3]
+    gap = np.linalg.norm(places[0] - places[1], axis=-1) - reach[suspects]
+    return np.asarray(suspects[gap.min(axis=1) < -AGAIN])
+
+
+def _by_solve(model: Model, launches: Array, is_a: NDArray[np.bool_], out: Batch, which: Ints) -> Batch:
+    """Replace the motion of some collisions by that of `solve`."""
+    if len(which) == 0:
+        return out
+    n, kinks = out.size, [list(row) for row in out.breaks]
+    out.segments = [_without(s, np.isin(s.who % n, which)) for s in out.segments]
+    for k in which:
+        x, y, t_c, v0, heading, b = launches[k]
+        labels = ("b", "a") if is_a[k] else ("a", "b")
+        motion = solve(model, Launch.pair(model.bodies(labels), t_c, v0, b, heading, (x, y)), out.start, out.end)
+        for ball in (0, 1):
+            row, its = np.array([k + ball * n]), dataclasses.replace(motion, legs=motion.legs[ball : ball + 1])
+            out.segments.append(Alone(row, np.array([out.start]), np.array([out.end]), its))
+            kinks[row[0]] = [e.t for e in motion.events if ball in (e.i, e.j)]
+            ends = [e.t for e in motion.events if e.kind == "slide_end" and e.i == ball]
+            out.slide_ends[row[0]] = ends[0] if ends else t_c
+    most = max(map(len, kinks))
+    out.breaks = np.array([row + [np.inf] * (most - len(row)) for row in kinks])
+    return out
+
+
+def _without(segment: Segment, gone: NDArray[np.bool_]) -> Segment:
+    """Of some balls no time is left in it."""
+    ends = np.where(gone, segment.begins, segment.ends)
+    return dataclasses.replace(segment, ends=ends) if np.any(gone) else segment  # type: ignore[type-var]
+
+
+def _alike(who: Ints, size: Array) -> list[Ints]:
+    """Balls `who` in groups of about the same size: they ask for the same pieces, and are seen in as many frames."""
+    return np.array_split(who[np.argsort(size)], -(-len(who) // AT_ONCE)) if len(who) else []
+
+
+class _Run:
+    """Builds the segments of a batch, round by round, all balls that are in one state together."""
+
+    def __init__(self, model: Model, bodies: Bodies, out: Batch, t_c: Array) -> None:
+        self.model, self.bodies, self.out, self.t_c = model, bodies, out, t_c
+        self.kinks = [t_c.copy()]
+        out.slide_ends = t_c.copy()
+        self.rolled = np.zeros(len(t_c), dtype=bool)  # balls whose slide ended as they bounced
+
+    def before(self, target: Array, striker: Array) -> None:
+        """The approach: targets at rest, strikers rolling."""
+        n, start = len(target), np.full(len(self.t_c), self.out.start)
+        early = np.flatnonzero(self.t_c > self.out.start)
+        self._rest(early[early < n], target[early[early < n]], start, self.t_c)
+        who = early[early >= n]
+        for some in _alike(who, np.hypot(striker[who - n, 3], striker[who - n, 4])):
+            self._roll(some, striker[some - n], self.t_c[some], start[some], back=True)
+
+    def after(self, states: Array, n: Array) -> None:
+        """From the impact on, to the end. n (collisions, 2): the impact's normal, from striker to target."""
+        states, now = states.copy(), self.t_c.copy()
+        end, out = self.out.end, np.concatenate([n, -n])
+        parting = slowest = (states[:, 3:5] * out).sum(axis=1)  # of each ball from the other, along the normal
+        for _ in range(ROUNDS):
+            slowest = np.minimum(slowest, (states[:, 3:5] * out).sum(axis=1))
+            down = np.flatnonzero(states[:, 5] < 0)
+            if len(down):
+                self._land(down, states, now)
+            live = now < end
+            flying = np.flatnonzero(live & (states[:, 5] > 0))
+            u = contact_velocity(states, self.bodies.radius)
+            speed = np.hypot(states[:, 3], states[:, 4])
+            slip = np.hypot(u[:, 0], u[:, 1])
+            sliding_ = np.flatnonzero(live & (states[:, 5] == 0) & (slip > STILL))
+            plain = np.flatnonzero(live & (states[:, 5] == 0) & (slip <= STILL))
+            if len(flying) + len(sliding_) + len(plain) == 0:
+                break
+            if len(flying):
+                self._fly(flying, states, now)
+            for some in _alike(sliding_, slip[sliding_]):
+                self._slide(some, states, now)
+            moving = plain[speed[plain] > STILL]
+            for some in _alike(moving, speed[moving] * (end - now[moving])):
+                until = np.full(len(some), end)
+                states[some], now[some] = self._roll(some, states[some], now[some], until)
+            still = plain[speed[plain] <= STILL]
+            if len(still):
+                self._rest(still, states[still], now, np.full(len(now), np.inf))
+                now[still] = end
+        else:
+            raise ValueError(f"the motion does not settle: {ROUNDS} legs after an impact")
+        self.out.breaks = np.stack(self.kinks, axis=1)
+        both = [one[: len(n)] + one[len(n) :] for one in (parting, slowest)]
+        waver = WAVER if self.model.laws.bent(*rolling.LAWS) else 0.0
+        self.out.near = np.flatnonzero(both[1] < STEADY * both[0] + waver)
+
+    def _kink(self, who: Ints, when: Array) -> None:
+        if np.any(np.isfinite(self.kinks[-1][who])):
+            self.kinks.append(np.full(len(self.t_c), np.inf))
+        self.kinks[-1][who] = when
+
+    def _rest(self, who: Ints, states: Array, now: Array, until: Array) -> None:
+        held = states.copy()
+        held[:, 3:8] = 0.0
+        self.out.odd |= set((who[self._loose(who, held)] % (len(self.t_c) // 2)).tolist())
+        self.out.segments.append(Resting(who, now[who], until[who], held))
+
+    def _loose(self, who: Ints, held: Array) -> NDArray[np.bool_]:
+        """Which balls at rest would not stay there."""
+        if not self.model.laws.bent("push"):
+            return np.zeros(len(who), dtype=bool)
+        some = self.bodies[who]
+        instant = dict(position=held[:, :2], velocity=held[:, 3:5], gravity=self.model.gravity)
+        instant |= dict(radius=some.radius, mass=some.mass, of_a=some.of_a, ball=self.model.ball)
+        push = self.model.laws("push", np.zeros((len(who), 2)), instant)
+        return np.asarray(5 / 7 * np.hypot(push[:, 0], push[:, 1]) > self.model.rolling_decel)
+
+    def _land(self, who: Ints, states: Array, now: Array) -> None:
+        before = contact_velocity(states[who], self.bodies.radius[who])
+        after = land(self.model, states[who], self.bodies[who])
+        slips = contact_velocity(after, self.bodies.radius[who])
+        slip, left = np.hypot(before[:, 0], before[:, 1]), np.hypot(slips[:, 0], slips[:, 1])
+        rolls = (slip > STILL) & (left <= 1e-9 * slip)
+        vertical = after[:, 5].copy()
+        radius = self.bodies.radius[who]
+        q = rolling_velocity(after, radius)
+        after[rolls] = rolling_state(after[rolls, :2], q[rolls], after[rolls, 8], radius[rolls])
+        after[:, 5] = vertical
+        states[who] = after
+        first = who[rolls & ~self.rolled[who]]
+        self.out.slide_ends[first] = now[first]
+        self.rolled[who[rolls]] = True
+        self._kink(who, now[who])
+
+    def _fly(self, who: Ints, states: Array, now: Array) -> None:
+        model, begins, from_ = self.model, now[who], states[who]
+        ends = begins + 2 * from_[:, 5] / model.gravity
+        plane = None
+        if model.laws.bent("push"):
+            plane = rolling.flights(model, from_, self.bodies[who], begins, ends)
+        leg = Flying(who, begins, ends, from_, model.gravity, plane)
+        self.out.segments.append(leg)
+        states[who] = leg.states(ends[:, None])[:, 0]
+        states[who, 2] = self.bodies.radius[who]
+        now[who] = ends
+
+    def _slide(self, who: Ints, states: Array, now: Array) -> None:
+        model, begins, from_, bodies = self.model, now[who], states[who], self.bodies[who]
+        if model.laws.bent(*sliding.LAWS):
+            found = sliding.slides(model, from_, bodies)
+            ends, last = begins + found.lasts, found.ends()
+            self.out.segments.append(BentSliding(who, begins, ends, found))
+        else:
+            slowing = np.full(len(who), model.sliding_friction * model.gravity)
+            lasts = slide_time(from_, bodies.radius, slowing)
+            ends, last = begins + lasts, slide(from_, bodies.radius, slowing, lasts[:, None])[:, 0]
+            self.out.segments.append(Sliding(who, begins, ends, from_, bodies.radius, slowing))
+        states[who] = rolling_state(last[:, :2], rolling_velocity(last, bodies.radius), last[:, 8], bodies.radius)
+        now[who] = ends
+        self.out.slide_ends[who] = ends
+        self._kink(who, ends)
+
+    def _roll(self, who: Ints, states: Array, now: Array, until: Array, back: bool = False) -> tuple[Array, Array]:
+        """Roll until `until` or the stop; the states and times there."""
+        model, bodies = self.model, self.bodies[who]
+        if model.laws.bent(*rolling.LAWS):
+            found = rolling.rolls(model, states, bodies, now, until)
+            ends = found.until
+            if back and np.any(ends > until):
+                raise ValueError("a ball would have had to come from rest within the run")
+            self.out.segments += BentRolling.of(found, who)
+            last = roller(found.ends[..., None], found.wz, found.radius)[:, 0]
+        else:
+            speed = np.hypot(states[:, 3], states[:, 4])
+            ends = until
+            if not back:
+                ends = np.minimum(until, now + stop_time(speed, model.rolling_drag, model.rolling_decel))
+            span = np.minimum(now, ends), np.maximum(now, ends)
+            leg = Rolling(who, *span, now, states, bodies.radius, model.rolling_drag, model.rolling_decel)
+            self.out.segments.append(leg)
+            last = leg.states(ends[:, None])[:, 0]
+        if back:
+            return states, now
+        stopped = ends != until
+        last[stopped, 3:8] = 0.0
+        self._kink(who[stopped], ends[stopped])
+        return last, ends.copy()

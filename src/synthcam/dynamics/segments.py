@@ -1,0 +1,211 @@
+"""Legs of many balls, all of one kind: where the balls are at given times, and their mean places over exposures."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, ClassVar, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from synthcam.dynamics.kinematics import Array, Real, coast, contact_velocity, fly, roll, slide
+from synthcam.dynamics.rolling import Rolls, Stretch, roller
+from synthcam.dynamics.sliding import Slides
+from synthcam.dynamics.trajectory import GAUSS, Trajectory
+
+Ints = NDArray[np.intp]
+NODES, WEIGHTS = np.polynomial.legendre.leggauss(GAUSS)
+
+
+class Segment(Protocol):
+    """Balls `who` (k,) from `begins` to `ends`, (k,). Arguments and results within these times."""
+
+    @property
+    def who(self) -> Ints: ...
+
+    @property
+    def begins(self) -> Array: ...
+
+    @property
+    def ends(self) -> Array: ...
+
+    @property
+    def aloft(self) -> bool:
+        """Whether a ball may be off the plate."""
+
+    def states(self, times: Array) -> Array:
+        """(k, m, 9) at times (k, m)."""
+
+    def means(self, middle: Array, wide: Real) -> Array:
+        """Centres (2, k, m) averaged over the times `wide`, a number or (k, m), about `middle` (k, m)."""
+
+
+@dataclass(frozen=True)
+class Resting:
+    who: Ints
+    begins: Array
+    ends: Array
+    state: Array
+    aloft: ClassVar[bool] = False
+
+    def states(self, times: Array) -> Array:
+        return np.repeat(self.state[:, None], times.shape[1], axis=1)
+
+    def means(self, middle: Array, wide: Real) -> Array:
+        return np.broadcast_to(self.state[:, :2].T[..., None], (2, *middle.shape))
+
+
+@dataclass(frozen=True)
+class Sliding:
+    """Parabolas from the states `state` (k, 9) at `begins`; slowing (k,): mu g."""
+
+    who: Ints
+    begins: Array
+    ends: Array
+    state: Array
+    radius: Array
+    slowing: Array
+    aloft: ClassVar[bool] = False
+
+    def states(self, times: Array) -> Array:
+        return slide(self.state, self.radius, self.slowing, times - self.begins[:, None])
+
+    def means(self, middle: Array, wide: Real) -> Array:
+        t, u = middle - self.begins[:, None], contact_velocity(self.state, self.radius)
+        bend = -0.5 * (self.slowing / np.hypot(u[:, 0], u[:, 1]))[:, None] * u
+        x, v, bend = (_plane(a) for a in (self.state[:, :2], self.state[:, 3:5], bend))
+        return np.asarray(x + (v + bend * t) * t + bend * (wide * wide / 12))
+
+
+@dataclass(frozen=True)
+class Rolling:
+    """Straight rolls on which the balls are in `state` (k, 9), at a speed over zero, at `time` (k,)."""
+
+    who: Ints
+    begins: Array
+    ends: Array
+    time: Array
+    state: Array
+    radius: Array
+    drag: float
+    decel: float
+    aloft: ClassVar[bool] = False
+
+    def states(self, times: Array) -> Array:
+        return roll(self.state, self.radius, self.drag, self.decel, times - self.time[:, None])
+
+    def means(self, middle: Array, wide: Real) -> Array:
+        slowing = (self.decel / np.hypot(self.state[:, 3], self.state[:, 4]))[:, None]
+        decay, slack = coast(self.drag, middle - self.time[:, None])
+        path = decay - slowing * slack
+        z = self.drag * wide / 2  # the mean of an exponential is sinh(z)/z times that in the middle
+        mean = wide * wide / 24 * (1 + z * z / 20 * (1 + z * z / 42 * (1 + z * z / 72)))
+        path -= (self.drag + slowing) * (1 - self.drag * decay) * mean
+        return np.asarray(_plane(self.state[:, :2]) + path * _plane(self.state[:, 3:5]))
+
+
+@dataclass(frozen=True)
+class Flying:
+    """Flights from `state` (k, 9) at `begins`; plane: the part along the plate where something pushes."""
+
+    who: Ints
+    begins: Array
+    ends: Array
+    state: Array
+    gravity: float
+    plane: Rolls | None
+    aloft: ClassVar[bool] = True
+
+    def states(self, times: Array) -> Array:
+        out = fly(self.state, self.gravity, times - self.begins[:, None])
+        if self.plane is not None:
+            y = np.moveaxis(self.plane.plane(times), 0, -1)
+            out[..., 0:2], out[..., 3:5] = y[..., :2], y[..., 2:]
+        return out
+
+    def means(self, middle: Array, wide: Real) -> Array:
+        if self.plane is not None:
+            plane = self.plane
+            return averaged(lambda times: plane.plane(times)[:2], middle, wide)
+        return np.asarray(_plane(self.state[:, :2]) + _plane(self.state[:, 3:5]) * (middle - self.begins[:, None]))
+
+
+@dataclass(frozen=True)
+class BentSliding:
+    """Slides without closed form."""
+
+    who: Ints
+    begins: Array
+    ends: Array
+    found: Slides
+    aloft: ClassVar[bool] = False
+
+    def states(self, times: Array) -> Array:
+        return self.found.states(times - self.begins[:, None])
+
+    def means(self, middle: Array, wide: Real) -> Array:
+        return self.found.means(middle - self.begins[:, None], wide)
+
+
+@dataclass(frozen=True)
+class BentRolling:
+    """A stretch of rolls without closed form."""
+
+    who: Ints
+    begins: Array
+    ends: Array
+    stretch: Stretch
+    radius: Array
+    wz: Array
+    aloft: ClassVar[bool] = False
+
+    @classmethod
+    def of(cls, found: Rolls, who: Ints) -> list[BentRolling]:
+        """All stretches of the rolls of the balls `who`."""
+        out = []
+        for s in found.stretches:
+            first, last = np.minimum(s.begins, s.ends), np.maximum(s.begins, s.ends)
+            out.append(cls(who[s.who], first, last, s, found.radius[s.who], found.wz[s.who]))
+        return out
+
+    def states(self, times: Array) -> Array:
+        return roller(self.stretch.plane(times), self.wz, self.radius)
+
+    def means(self, middle: Array, wide: Real) -> Array:
+        if np.ndim(wide) == 0:
+            return self.stretch.means(middle, wide)
+        return averaged(self.stretch.places, middle, wide)
+
+
+@dataclass(frozen=True)
+class Alone:
+    """The whole motion of the one ball of a run."""
+
+    who: Ints
+    begins: Array
+    ends: Array
+    motion: Trajectory
+    aloft: ClassVar[bool] = True
+
+    def states(self, times: Array) -> Array:
+        return self.motion.at(times[0])
+
+    def means(self, middle: Array, wide: Real) -> Array:
+        half = wide / 2 + 0 * middle[0]
+        spans = np.clip(np.stack([middle[0] - half, middle[0] + half], axis=1), self.motion.t0, self.motion.t1)
+        return np.asarray(self.motion.mean(spans, lambda states: states[..., :2])[0].T[:, None])
+
+
+def averaged(places: Callable[[Array], Array], middle: Array, wide: Any) -> Array:
+    """Means (2, k, m) of places (2, k, times) over the times `wide` about `middle`, by Gauss quadrature."""
+    if np.ndim(wide) == 0 and wide == 0:
+        return places(middle)
+    times = middle[:, None] + NODES[:, None] * (np.asarray(wide) / 2 + 0 * middle)[:, None]
+    found = places(times.reshape(len(middle), -1)).reshape(2, *times.shape)
+    return np.asarray(np.tensordot(found, WEIGHTS / 2, axes=(2, 0)))
+
+
+def _plane(vectors: Array) -> Array:
+    """(k, 2) as (2, k, 1)."""
+    return np.asarray(vectors.T[..., None])

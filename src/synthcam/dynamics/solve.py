@@ -1,0 +1,283 @@
+"""solve: a model and a launch -> the whole motion, in exact legs between exactly placed events."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+
+import numpy as np
+
+from synthcam.dynamics import rolling, sliding
+from synthcam.dynamics.contact_time import LINGERING, STAYING, TOUCHING, first_contact
+from synthcam.dynamics.coupled import CLINGING, excess
+from synthcam.dynamics.impact import LOWEST, land, strike
+from synthcam.dynamics.kinematics import Array, State, fly, made_rolling, resting, slip, stop_time
+from synthcam.dynamics.launch import Launch
+from synthcam.dynamics.pairing import AHEAD, FASTEST, HELD, Pairing, start_of
+from synthcam.dynamics.pushed_ball import STILL
+from synthcam.dynamics.sliding import NOWHERE
+from synthcam.dynamics.trajectory import Event, Fly, Leg, Numeric, Rest, Roll, Slide, Trajectory
+from synthcam.model import Bodies, Model
+
+LIMIT = 10_000  # events: more means that something never settles
+FAR = 1e4  # s: beyond it the clock's last bit is too coarse for an event
+LONG = 60.0  # s: balls that push each other are led in small steps
+
+
+def solve(model: Model, launch: Launch, start: float = 0.0, end: float = 0.0) -> Trajectory:
+    """The motion from `start` to `end` (s) or to the last slide's end, whichever is later.
+
+    Legs are closed forms where no active effect bends them, numerical solutions elsewhere. Raises ValueError when a
+    ball that should be at rest cannot stay there, when balls overlap, when a slide or the motion does not end, and when
+    it is asked for at times or speeds beyond FAR and FASTEST.
+    """
+    for what, t in (("its launch", launch.time), ("its start", start), ("its end", end)):
+        if not abs(t) <= FAR:
+            raise ValueError(f"{what} is at {t:g} s: a motion is solved within {FAR:g} s of 0")
+    if model.laws.asks("push", "other"):
+        lasts = max(launch.time, end) - min(launch.time, start)
+        if len(launch.states) > 2:
+            raise ValueError(f"balls that push each other are modelled in twos, not {len(launch.states)} at a time")
+        if lasts > LONG:
+            raise ValueError(f"balls that push each other are followed for {LONG:g} s, not for {lasts:g} s")
+    return _Run(model, launch, start, end).motion()
+
+
+def uncoupled(model: Model) -> Model:
+    """The model without the effects by which balls push each other."""
+    return dataclasses.replace(model, effects=tuple(e for e in model.effects if "other" not in e.laws.get("push", ())))
+
+
+class _Run:
+    """One run of the event loop; states are nine floats. Two balls that push each other are led together."""
+
+    def __init__(self, model: Model, launch: Launch, start: float, end: float) -> None:
+        self.model, self.bodies, self.end = model, launch.bodies, end
+        self.radius, self.mass = launch.bodies.radius.tolist(), launch.bodies.mass.tolist()
+        self.start, self.t = start, launch.time
+        self.events: list[Event] = []
+        self.rolled: set[int] = set()  # balls whose slide ended as they bounced: what slips in a flight is no slide
+        laws = model.laws
+        self.slides, self.rolls = laws.bent(*sliding.LAWS), laws.bent(*rolling.LAWS)  # without closed form
+        self.pushes = laws.bent("push")
+        mutual = laws.asks("push", "other") and len(launch.states) == 2
+        self.pairing = Pairing(model, launch.bodies, start, end) if mutual else None
+        self.until = math.inf  # how far balls that push each other have been led
+        states = {k: tuple(row) for k, row in enumerate(launch.states.tolist())}
+        self.past: list[list[Leg]] = [[] for _ in states]
+        if self.pairing:
+            states, self.past, self.events = self.pairing.before(launch)
+        else:
+            before = [self._before(k, states[k], launch.time) for k in states]
+            self.past = [[leg] if leg.t1 > leg.t0 else [] for leg in before]
+        self.legs = self._begin(states, tuple(states))
+
+    def motion(self) -> Trajectory:
+        for _ in range(LIMIT):
+            busy = any(leg.motion in ("slide", "fly") for leg in self.legs)
+            horizon = min([self.until, *(leg.t1 for leg in self.legs)] + ([] if busy else [max(self.end, self.t)]))
+            contact = first_contact(self.legs, self.radius, self.t, horizon)
+            if contact is not None:
+                self._collide(*contact)
+                continue
+            self.t = horizon
+            ending = [k for k, leg in enumerate(self.legs) if leg.t1 <= self.t]
+            if ending:
+                self._settle(ending[0])
+            elif self.t >= self.until:
+                self._go_on({})
+            else:
+                break
+        else:
+            raise ValueError(f"the motion does not settle: {LIMIT} events by {self.t:g} s")
+        for k in range(len(self.legs)):
+            self._keep(k)
+        return Trajectory(self.start, self.t, tuple(tuple(x) for x in self.past), tuple(self.events))
+
+    def _go_on(self, states: dict[int, State]) -> None:
+        """Begin new legs: of these balls, and of those that they push."""
+        anew = tuple(states)
+        if self.pairing:
+            states = {k: self.legs[k].now(self.t) for k in (0, 1)} | states
+        for k in states:
+            self._keep(k)
+        for k, leg in zip(states, self._begin(states, anew), strict=True):
+            self.legs[k] = leg
+
+    def _keep(self, k: int) -> None:
+        """A ball's leg is past; a rest that went on is one leg."""
+        leg, past = self.legs[k].spanning(self.legs[k].t0, self.t), self.past[k]
+        if past and isinstance(leg, Rest) and isinstance(past[-1], Rest) and leg.state == past[-1].state:
+            leg = leg.spanning(past.pop().t0, self.t)
+        past.append(leg)
+
+    def _begin(self, states: dict[int, State], anew: tuple[int, ...]) -> list[Leg]:
+        """The legs of balls in these states now; of balls that push each other those of both, `anew` after an event."""
+        if self.pairing is None:
+            return [self._leg(k, states[k], self.t) for k in states]
+        legs, self.until, started = self.pairing.legs(states, self.t, anew)
+        self.events += started
+        return legs
+
+    # legs
+
+    def _body(self, k: int) -> Bodies:
+        return self.bodies[k : k + 1]
+
+    def _before(self, k: int, state: State, time: float) -> Leg:
+        """The leg that leads to a launch: a ball rolling, or at rest."""
+        if self.start >= time:
+            return Rest(time, time, state)
+        if math.hypot(*slip(state, self.radius[k])) > STILL or state[5] != 0:
+            raise ValueError("a ball that slides or flies at its launch has no past: start the run at the launch")
+        if math.hypot(state[3], state[4]) <= STILL:
+            still = resting(state, self.radius[k])
+            if self._excess(k, still) > 0:
+                raise ValueError(HELD)
+            return Rest(self.start, time, still)
+        leg = self._roll(k, state, time, self.start)
+        if isinstance(leg, Numeric) and leg.t0 > self.start:
+            raise ValueError(f"a ball has no past before {leg.t0:g} s: it would have had to come from rest")
+        try:
+            speed = math.hypot(*leg.now(self.start)[3:5])
+        except OverflowError:
+            speed = math.inf
+        if not speed <= FASTEST:
+            raise ValueError(
+                f"a ball would have had to come faster than {FASTEST:g} m/s, {time - self.start:g} s earlier"
+            )
+        return leg.spanning(self.start, time)
+
+    def _leg(self, k: int, state: State, t: float) -> Leg:
+        """The leg of a ball that has this state at t, to its own next event."""
+        radius = self.radius[k]
+        if state[5] > 0 or _aloft(state, radius):
+            return self._fly(k, state, t)
+        if math.hypot(*slip(state, radius)) > STILL:
+            return self._slide(k, state, t)
+        if math.hypot(state[3], state[4]) > STILL:
+            return self._roll(k, state, t, max(self.end, t) + AHEAD)
+        return self._rest(k, state, t)
+
+    def _slide(self, k: int, state: State, t: float) -> Leg:
+        if not self.slides:
+            slowing = self.model.sliding_friction * self.model.gravity
+            if slowing == 0:
+                raise ValueError("sliding friction does not end the slide: there is none")
+            lasts = math.hypot(*slip(state, self.radius[k])) / (3.5 * slowing)
+            return Slide(t, t + lasts, t, state, self.radius[k], slowing)
+        found = sliding.slides(self.model, np.array([state]), self._body(k))
+        lasts = float(found.lasts[0])
+
+        def states(times: Array) -> Array:
+            return np.asarray(found.states((times - t)[None])[0])
+
+        return Numeric.of(t, t + lasts, "slide", states)
+
+    def _roll(self, k: int, state: State, t: float, until: float) -> Leg:
+        model = self.model
+        if not self.rolls:
+            stop = t + stop_time(math.hypot(state[3], state[4]), model.rolling_drag, model.rolling_decel)
+            return Roll(t, stop, t, state, self.radius[k], model.rolling_drag, model.rolling_decel)
+        found = rolling.rolls(model, np.array([state]), self._body(k), np.array([t]), np.array([until]))
+        ended = float(found.until[0])
+
+        def states(times: Array) -> Array:
+            return np.asarray(found.states(times[None])[0])
+
+        return Numeric.of(min(t, ended), max(t, ended), "roll", states)
+
+    def _fly(self, k: int, state: State, t: float) -> Leg:
+        model = self.model
+        up, height = state[5], max(state[2] - self.radius[k], 0.0)
+        lasts = (up + math.sqrt(up * up + 2 * model.gravity * height)) / model.gravity
+        leg = Fly(t, t + lasts, t, state, model.gravity)
+        if not self.pushes:
+            return leg
+        found = rolling.flights(model, np.array([state]), self._body(k), np.array([t]), np.array([t + lasts]))
+
+        def states(at: Array) -> Array:
+            out = fly(np.array(state), model.gravity, at - t)
+            plane = found.plane(at[None])[:, 0].T
+            out[:, 0:2], out[:, 3:5] = plane[:, :2], plane[:, 2:]
+            return out
+
+        return Numeric.of(t, t + lasts, "fly", states, model.gravity)
+
+    def _rest(self, k: int, state: State, t: float) -> Leg:
+        still = resting(state, self.radius[k])
+        return Rest(t, t if self._excess(k, still) > 0 else math.inf, still)
+
+    def _excess(self, k: int, state: State) -> float:
+        """By how much 5/7 of the push on a ball at rest exceeds what holds it, m/s^2."""
+        if not self.pushes:
+            return -self.model.rolling_decel
+        return float(excess(self.model, self._body(k), np.array([state]), NOWHERE[:, None, None])[0, 0])
+
+    # events
+
+    def _settle(self, k: int) -> None:
+        """The end of a leg: of a slide, a roll, a rest, a flight; no event where a numerical roll was solved to."""
+        leg, radius = self.legs[k], self.radius[k]
+        before = leg.now(leg.t1)
+        if leg.motion == "roll" and math.hypot(before[3], before[4]) > 2 * rolling.SLOWEST:
+            self._go_on({k: before})
+        elif leg.motion == "fly":
+            self._go_on({k: self._landed(k, before)})
+        elif leg.motion == "rest":
+            started = [] if self.pairing else [start_of(self.model, self._body(k), k, before, self.t, NOWHERE)]
+            self.events += started  # a pairing tells of its own
+            self._go_on({e.i: tuple(np.asarray(e.after)[0].tolist()) for e in started})
+        elif leg.motion == "slide":
+            self._happen("slide_end", k, before, _rolled_out(before, radius))
+        else:
+            self._happen("stop", k, before, resting(before, radius))
+
+    def _landed(self, k: int, before: State) -> State:
+        radius = self.radius[k]
+        down = np.array([(*before[:2], radius, *before[3:])])
+        up = land(self.model, down, self._body(k))
+        after: State = tuple(up[0].tolist())
+        slips = [math.hypot(*slip(s, radius)) for s in (before, after)]
+        self.events.append(Event(self.t, "land", k, before=down, after=up))
+        if slips[0] > STILL and slips[1] <= 1e-9 * slips[0]:
+            after = _rolled_out(after, radius)
+            if k not in self.rolled:
+                self.events.append(Event(self.t, "slide_end", k, before=down, after=np.array([after])))
+            self.rolled.add(k)
+        return after
+
+    def _happen(self, kind: str, k: int, before: State, after: State) -> None:
+        self.events.append(
+            Event(self.t, kind, k, before=np.array([before]), after=np.array([after]))  # type: ignore[arg-type]
+        )
+        self._go_on({k: after})
+
+    def _collide(self, t: float, i: int, j: int) -> None:
+        self.t = t
+        states = {k: self.legs[k].now(t) for k in (i, j)}
+        if math.hypot(*states[i][3:5]) > math.hypot(*states[j][3:5]):
+            i, j = j, i  # the slower ball is the target
+        bodies = (self.radius[i], self.mass[i]), (self.radius[j], self.mass[j])
+        target, striker, n, along_n, along_t = strike(self.model, states[i], states[j], *bodies)
+        if along_n < (CLINGING if self.pairing else LINGERING) * self.mass[i]:
+            raise ValueError(f"balls {i} and {j} " + STAYING.format(t))
+        new = {k: s if abs(s[5]) >= LOWEST else (*s[:5], 0.0, *s[6:]) for k, s in ((i, target), (j, striker))}
+        before: Array = np.array((states[i], states[j]))
+        after: Array = np.array((new[i], new[j]))
+        self.events.append(Event(t, "contact", i, j, before, after, n[:2], along_n, along_t))
+        self.rolled -= {i, j}
+        for k, state in new.items():
+            if state[5] < 0 and not _aloft(state, self.radius[k]):
+                new[k] = self._landed(k, state)
+        self._go_on(new)
+
+
+def _rolled_out(state: State, radius: float) -> State:
+    """Rolling as when the slip is over, (5 v + 2 R w x z)/7; a flight's vertical velocity is kept."""
+    ux, uy = slip(state, radius)
+    return made_rolling((*state[:3], state[3] - 2 / 7 * ux, state[4] - 2 / 7 * uy, *state[5:]), radius)
+
+
+def _aloft(state: State, radius: float) -> bool:
+    return bool(state[2] > radius * (1 + TOUCHING))

@@ -1,6 +1,0 @@
-"""The film: the only package that imports pyrender, trimesh and PyOpenGL."""
-
-from synthcam.render.canvas import NoGL, gl_info
-from synthcam.render.film import FINENESS, Film
-
-__all__ = ["FINENESS", "Film", "NoGL", "gl_info"]

@@ -1,0 +1,166 @@
+"""What the experimenter set up and knows: camera, lamp, surfaces and sensor, as a scene and camera.json name them."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from pydantic import Field
+
+from synthcam.camera.lamp import Flicker, Lamp
+from synthcam.camera.pinhole import Camera
+from synthcam.camera.surface import IRON, Surface
+from synthcam.settings import Fraction, NotNegative, Positive, Settings
+
+Pair = Annotated[list[float], Field(min_length=2, max_length=2)]
+Place = Annotated[list[Annotated[float, Field(ge=-1e6, le=1e6)]], Field(min_length=3, max_length=3)]
+
+
+class CameraSettings(Settings):
+    """`camera:` known to the experimenter.
+
+    psf_sigma_px, defocus_px: the optics' Gaussian and the radius of the disc of defocus. f_number: of diffraction, 0:
+    none, with pixel_pitch and wavelength, m. vignetting: share of the light lost in the corners. line_time: of a
+    rolling shutter, s from row to row.
+    """
+
+    size: Annotated[list[Annotated[int, Field(ge=16, le=8192)]], Field(min_length=2, max_length=2)] = Field([640, 480])
+    scale: Positive = 1.6e-4
+    height: Positive = 0.5
+    tilt: Pair = Field([0.0, 0.0])
+    distortion: Annotated[list[float], Field(min_length=5, max_length=5)] = [0.0] * 5
+    psf_sigma_px: Annotated[float, Field(ge=0.3, le=10)] = 1.0
+    defocus_px: Annotated[float, Field(ge=0, le=30)] = 0.0
+    f_number: Annotated[float, Field(ge=0, le=64)] = 0.0
+    pixel_pitch: Annotated[float, Field(ge=5e-7)] = 5e-6
+    wavelength: Annotated[float, Field(gt=0, le=2e-6)] = 5.5e-7
+    vignetting: Fraction = 0.0
+    shutter: Literal["global", "rolling"] = "global"
+    line_time: Positive = 1e-5
+
+
+class FlickerSettings(Settings):
+    """`lamp.flicker:` light 1 + depth cos(2 pi frequency t + phase); on the mains, at twice their frequency."""
+
+    depth: Fraction = 0.0
+    frequency: Positive = 100.0
+    phase: float = 0.0
+
+
+class OneLampSettings(Settings):
+    """A disc of `radius`, a ring from `inner` to `radius`, or a bar of `length` by `width`, at `angle` to x; m, rad."""
+
+    position: Place = Field([0.05, 0.0, 0.45])
+    radius: Positive = 0.01
+    shape: Literal["disc", "ring", "bar"] = "disc"
+    inner: NotNegative = 0.0
+    length: NotNegative = 0.0
+    width: NotNegative = 0.0
+    angle: float = 0.0
+    facing: Literal["down", "centre"] = "down"
+    flicker: FlickerSettings = FlickerSettings()
+
+
+class SecondLampSettings(OneLampSettings):
+    """`lamp.second:` a further lamp. radiance: relative to the first's."""
+
+    radiance: Positive = 1.0
+
+
+class LampSettings(OneLampSettings):
+    """`lamp:` by default a disc that faces down. room: what a ball mirrors beside the lamp, over the glint's peak."""
+
+    room: NotNegative = 0.02
+    second: SecondLampSettings | None = None
+
+
+class SurfaceSettings(Settings):
+    """`surface:` of balls and plate. steel: a law of reflection, or a metal's n and k.
+
+    roughness, scratch_slope, plate_roughness: rms slopes. scratches: share of a ball's light in the wider lobe.
+    plate_gloss: reflectance. plate_texture: rms of its brightness, in grains of plate_grain m.
+    """
+
+    steel: Literal["schlick", "iron"] | Pair = "schlick"
+    roughness: Annotated[float, Field(ge=0, le=0.3)] = 0.0
+    scratches: Fraction = 0.0
+    scratch_slope: Annotated[float, Field(gt=0, le=0.3)] = 0.1
+    plate_gloss: Fraction = 0.0
+    plate_roughness: Annotated[float, Field(ge=0.02, le=1)] = 0.2
+    plate_texture: Annotated[float, Field(ge=0, le=0.3)] = 0.0
+    plate_grain: Annotated[float, Field(ge=2e-5)] = 3e-4
+    plate_shadow: bool = False
+
+
+class SensorSettings(Settings):
+    """`sensor:` EMVA 1288's numbers. glint_peak: counts above black at a resting ball's glint, before clipping.
+
+    hot_pixels: share of the pixels that leak, hot_dark: their mean dark current, e-/s.
+    """
+
+    bits: Annotated[int, Field(ge=8, le=16)] = 8
+    gain: Positive = 20.0
+    read_noise: NotNegative = 20.0
+    dark: NotNegative = 0.0
+    full_well: Positive = 6000.0
+    prnu: Fraction = 0.005
+    dsnu: NotNegative = 4.0
+    black_level: NotNegative = 8.0
+    glint_peak: Positive = 200.0
+    hot_pixels: Fraction = 0.0
+    hot_dark: NotNegative = 1e6
+
+
+def camera_of(drawn: dict[str, Any], ball_radius: float) -> Camera:
+    """The nominal camera of checked settings."""
+    camera, timing = drawn["camera"], drawn["timing"]
+    return Camera.overhead(
+        size=tuple(camera["size"]),
+        scale=camera["scale"],
+        height=camera["height"],
+        tilt=camera["tilt"],
+        distortion=camera["distortion"],
+        ball_radius=ball_radius,
+        fps=timing["fps"],
+        exposure=timing["exposure"],
+        psf_sigma_px=camera["psf_sigma_px"],
+        defocus_px=camera["defocus_px"],
+        airy_px=camera["wavelength"] * camera["f_number"] / camera["pixel_pitch"],
+        vignetting=camera["vignetting"],
+        line_time=camera["line_time"] if camera["shutter"] == "rolling" else 0.0,
+    )
+
+
+def lamp_of(settings: dict[str, Any]) -> Lamp:
+    """The lamp of checked settings. Raises ValueError for one without area."""
+    values = {k: v for k, v in settings.items() if k not in ("room", "facing", "second")}
+    values |= {"position": np.array(values["position"]), "flicker": Flicker(**values["flicker"])}
+    towards = np.zeros(3) if settings["facing"] == "centre" else None
+    second = settings.get("second")
+    return Lamp(**values, towards=towards, second=lamp_of(second) if second else None)
+
+
+def surface_of(settings: dict[str, Any]) -> Surface:
+    """The surfaces of checked settings."""
+    steel = settings["steel"]
+    law = {"schlick": None, "iron": IRON}[steel] if isinstance(steel, str) else (steel[0], steel[1])
+    return Surface(**settings | {"steel": law})
+
+
+def set_otherwise(drawn: dict[str, Any]) -> dict[str, dict[str, Any]]:
+    """By section of camera.json, what a scene sets beyond a plain camera under a plain lamp."""
+    camera = drawn["camera"]
+    out: dict[str, dict[str, Any]] = {"psf": {}, "lens": {}, "shutter": {}}
+    if camera["defocus_px"]:
+        out["psf"]["defocus_px"] = camera["defocus_px"]
+    if camera["f_number"]:
+        out["psf"] |= {k: camera[k] for k in ("f_number", "pixel_pitch", "wavelength")}
+    if camera["vignetting"]:
+        out["lens"]["vignetting"] = camera["vignetting"]
+    if camera["shutter"] == "rolling":
+        out["shutter"] = {"kind": "rolling", "line_time": camera["line_time"]}
+    for section, kind in (("lamp", LampSettings), ("surface", SurfaceSettings), ("sensor", SensorSettings)):
+        usual = kind.model_validate({}).model_dump(exclude_none=True)
+        given = {k: v for k, v in drawn[section].items() if k not in ("room", "glint_peak")}
+        out[section] = {k: v for k, v in given.items() if v != usual.get(k)}
+    return {section: values for section, values in out.items() if values}

@@ -1,0 +1,94 @@
+"""A motion as a camera takes it: which moments a frame holds, where clock or shutter are not as stated."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from synthcam.camera.pinhole import Camera
+from synthcam.dynamics.kinematics import Array
+from synthcam.dynamics.launch import Launch
+from synthcam.dynamics.solve import solve
+from synthcam.dynamics.trajectory import Trajectory, mean
+from synthcam.model import Model
+
+TURNS = 20  # of the fixed points below, at most; each gains a factor, how many rows a ball passes while one is read
+SETTLED = 1e-14  # s
+
+
+@dataclass(frozen=True)
+class View:
+    """The camera as it is, and the motion against film time: frame k opens at k/fps by the film's own count."""
+
+    model: Model
+    camera: Camera
+    motion: Trajectory
+
+    @classmethod
+    def of(cls, model: Model, launch: Launch, camera: Camera, frames: int) -> View:
+        """Solve the motion for as long as `frames` frames last."""
+        corners = np.array([[0.0], [frames / camera.fps]])
+        rows = np.array([0.0, camera.size[1] - 1.0])
+        times = model.laws("clock", corners + camera.line_time * rows, {"fps": camera.fps, "row": rows}) + np.zeros(
+            (2, 2)
+        )
+        return cls(model, camera, solve(model, launch, min(float(times.min()), 0.0), float(times.max())))
+
+    def spans(self, frames: int) -> Array:
+        """Film time at which each exposure opens and closes, (frames, 2)."""
+        starts = np.arange(frames) / self.camera.fps
+        return np.stack([starts, starts + self.camera.exposure], axis=1)
+
+    def as_drawn(self) -> View:
+        """The same for a renderer, which sees to the delay of each row itself."""
+        return replace(self, camera=replace(self.camera, line_time=0.0))
+
+    @property
+    def _bent(self) -> bool:
+        return bool(self.camera.line_time) or self.model.laws.bent("clock")
+
+    def times(self, film: Array) -> Array:
+        """The moments (balls, m) at which film time (m,) really shows each ball."""
+        out = np.repeat(film[None], len(self.motion.legs), axis=0)
+        by_row = self.camera.line_time or self.model.laws.asks("clock", "row")
+        for _ in range(TURNS if by_row else 1):
+            before, out = out, self._clock(film, out)
+            if np.abs(out - before).max(initial=0.0) < SETTLED:
+                break
+        return out
+
+    def at(self, film: Array) -> Array:
+        """States (balls, m, 9) at film time (m,)."""
+        times = self.times(film)
+        if not self._bent:
+            return self.motion.at(times[0])
+        return np.stack([self.motion.at(t)[k] for k, t in enumerate(times)])
+
+    def breaks(self) -> Array:
+        """Film time of every event, rising."""
+        out = []
+        for event, ball in ((e, k) for e in self.motion.events for k in {e.i, e.j} - {-1}):
+            film = event.t
+            for _ in range(TURNS):
+                late = event.t - float(self.times(np.array([film]))[ball, 0])
+                film += late
+                if abs(late) < SETTLED:
+                    break
+            out.append(film)
+        return np.sort(np.array(out))
+
+    def mean(self, spans: Array, of: Callable[[Array], Array]) -> Array:
+        """Means over spans of film time (n, 2) of a function of the states: (balls, n, k)."""
+        return mean(self.at, self.breaks(), spans, of)
+
+    def _clock(self, film: Array, times: Array) -> Array:
+        if not self._bent:
+            return times
+        inside = np.clip(times, self.motion.t0, self.motion.t1)
+        places = np.stack([self.motion.at(t)[k] for k, t in enumerate(inside)])
+        rows = self.camera.project(places[..., :3])[..., 1]
+        rows = np.clip(rows, 0, self.camera.size[1] - 1)
+        bent = self.model.laws("clock", film + self.camera.line_time * rows, {"fps": self.camera.fps, "row": rows})
+        return np.asarray(np.clip(bent, self.motion.t0, self.motion.t1))

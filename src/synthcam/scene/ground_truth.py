@@ -1,0 +1,113 @@
+"""What really happened, in the contract's terms: scalars of a collision, tracks in the image, events."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from synthcam.camera.pinhole import Camera, Lamp, glint_px
+from synthcam.dynamics.kinematics import Array, rolling_velocity
+from synthcam.dynamics.launch import Launch
+from synthcam.dynamics.trajectory import Event, Trajectory
+from synthcam.model import Bodies, Model
+from synthcam.scene.filmed_motion import View
+
+NAN = float("nan")
+COLLISION = (
+    "v0 b t_c r s mu_k C drag decel tau1 tau2 v1f v2f energy_fraction momentum_fraction final_angle w1n w1t w2n w2t"
+).split()
+
+
+def scalars(model: Model, launch: Launch, motion: Trajectory) -> dict[str, float]:
+    """The scalars of `truth/clips.parquet`, SI; NaN where there is no collision to speak of."""
+    row = dict.fromkeys(COLLISION, NAN)
+    row |= {"mu_k": model.sliding_friction, "drag": model.rolling_drag, "decel": model.rolling_decel}
+    hit = motion.first("contact")
+    if hit is None or hit.before is None or hit.after is None:
+        speeds = np.hypot(launch.states[:, 3], launch.states[:, 4])
+        return row | {"v0": float(speeds.max())}
+    side = np.array(hit.n)  # of unit length but for unequal balls, which touch off their equators
+    n = side / np.hypot(*side)
+    t = np.array([-n[1], n[0]])
+    before, after = hit.before[:, 3:5], hit.after[:, 3:5]
+    approach, parting = before[1] - before[0], after[1] - after[0]
+    v0 = float(np.hypot(*approach))
+    d = approach / v0
+    b = float(d[1] * side[0] - d[0] * side[1])  # z . [d x (x2 - x1)] / (R1 + R2), x2 - x1 = -(R1 + R2) n
+    across = float(approach @ t)
+    row |= {
+        "v0": v0,
+        "b": b,
+        "t_c": hit.t,
+        "r": float(-(parting @ n) / (approach @ n)),
+        "s": float(parting @ t) / across if abs(across) > 1e-12 * v0 else NAN,
+        "C": _spin_transfer(launch.bodies, hit),
+        **{f"w{k + 1}{axis}": float(hit.after[k, 6:8] @ e) for k in (0, 1) for axis, e in (("n", n), ("t", t))},
+    }
+    finals = np.empty((2, 2))
+    for k, ball in enumerate((hit.i, hit.j)):
+        end = motion.first("slide_end", ball, hit.t)
+        row[f"tau{k + 1}"] = end.t - hit.t if end else 0.0
+        finals[k] = rolling_velocity(hit.after[k], launch.bodies.radius[ball]) if not end else end.after[0, 3:5]  # type: ignore[index]
+        row[f"v{k + 1}f"] = float(np.hypot(*finals[k]))
+    total = before.sum(axis=0)
+    row["energy_fraction"] = float((finals**2).sum() / (before**2).sum())
+    row["momentum_fraction"] = float(finals.sum(axis=0) @ total / (total @ total))
+    cross = float(finals[0, 0] * finals[1, 1] - finals[0, 1] * finals[1, 0])
+    row["final_angle"] = float(abs(np.arctan2(cross, (finals[0] * finals[1]).sum())))
+    return row
+
+
+def _spin_transfer(bodies: Bodies, hit: Event) -> float:
+    """C from J = (2/5) C |u_t| 2 m and dw = (5/2) n x J / (mass R), read off the striker; m the reduced mass."""
+    before, after = np.asarray(hit.before), np.asarray(hit.after)
+    radius, mass = bodies.radius[[hit.i, hit.j]], bodies.mass[[hit.i, hit.j]]
+    n = before[0, :3] - before[1, :3]
+    n = n / np.linalg.norm(n)
+    approach = before[1, 3:6] - before[0, 3:6]
+    u_t = approach - (approach @ n) * n + np.cross((radius[:, None] * before[:, 6:9]).sum(axis=0), n)
+    impulse = mass[1] * radius[1] / 2.5 * np.linalg.norm(after[1, 6:9] - before[1, 6:9])
+    return float(impulse / (0.8 * mass[0] * mass[1] / mass.sum() * np.linalg.norm(u_t)))
+
+
+def tracks(bodies: Bodies, view: View, lamp: Lamp, frames: int) -> pd.DataFrame:
+    """The table of `truth/tracks.parquet`: a row for each ball and frame, at mid-exposure, with the exposure's mean."""
+    spans, camera = view.spans(frames), view.camera
+    times = view.times(spans.mean(axis=1))
+    states = np.stack([view.motion.at(t)[k] for k, t in enumerate(times)])
+    kinds = [view.motion.motion(t)[k] for k, t in enumerate(times)]
+    means = view.mean(spans, lambda states: camera.project(states[..., :3]))
+    balls = []
+    for ball in range(len(states)):
+        state, radius = states[ball], float(bodies.radius[ball])
+        px, glint = camera.project(state[:, :3]), glint_px(camera, lamp, state[:, :3], radius)
+        columns: dict[str, Any] = {"frame": np.arange(frames), "t_s": times[ball], "particle": np.full(frames, ball)}
+        columns |= {"x_px": px[:, 0], "y_px": px[:, 1], "glint_x_px": glint[:, 0], "glint_y_px": glint[:, 1]}
+        columns |= dict(zip("x y z vx vy vz wx wy wz".split(), state.T, strict=True))
+        columns |= {"x_mean_px": means[ball, :, 0], "y_mean_px": means[ball, :, 1]}
+        columns |= {"state": kinds[ball], "visible": _whole(camera, state[:, :3], radius)}
+        balls.append(columns)
+    return pd.DataFrame({name: np.concatenate([each[name] for each in balls]) for name in balls[0]})
+
+
+def _whole(camera: Camera, centres: Array, radius: float) -> Any:
+    """True where the ball's whole outline lies in the picture: (n,)."""
+    angles = np.linspace(0, 2 * np.pi, 16, endpoint=False)
+    ring = radius * np.stack([np.cos(angles), np.sin(angles), 0 * angles], axis=1)
+    px = camera.project(centres[:, None] + ring)
+    width, height = camera.size
+    inside = (px > -0.5) & (px < np.array([width, height]) - 0.5)
+    return inside.all(axis=(1, 2))
+
+
+def events(motion: Trajectory, fps: float) -> pd.DataFrame:
+    """The table of `truth/events.parquet`; impulses in N s."""
+    names = "t_s frame_float kind i j nx ny impulse_n impulse_t".split()
+    kinds = {"kind": "str", "i": "int64", "j": "int64"}
+    rows = [(e.t, e.t * fps, e.kind, e.i, e.j, *e.n, e.impulse_n, e.impulse_t) for e in motion.events]
+    columns = zip(*rows, strict=True) if rows else [()] * len(names)  # an empty table has its types too
+    return pd.DataFrame(
+        {name: pd.Series(list(c), dtype=kinds.get(name, "float64")) for name, c in zip(names, columns, strict=True)}
+    )

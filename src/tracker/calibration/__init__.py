@@ -1,0 +1,1 @@
+"""A camera file from a video of balls of known diameter."""

@@ -1,0 +1,132 @@
+"""The ball's outline in the mean picture around its glint: its radius in pixels, where there is light enough to see it.
+
+A mirror ball shows the room within .71 of its radius, brightest in the middle, and the plate outside of that; where it
+is seen against a bright ground its own edge shows too. Either tells the radius.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import least_squares
+from scipy.special import ndtr
+
+from tracker.camera.lens import Array
+from tracker.detection.candidates import Ground
+from tracker.detection.detect import Glints
+
+HALF = 36  # px, of the mean picture
+WINDOWS = 400  # at most, in the mean
+FEWEST = 20
+CORE = 3.6  # widths of the glint, left out about it
+VISIBLE = 20.0  # standard errors of the radius over which it must stand
+SIZES = (2.5, 4, 5.5, 7.5, 10, 14, 19, 25)  # px, first guesses of the radius
+ANOTHER = 0.1  # of the radius: a different one
+SURE = 15.0  # half the chi^2 by which it must be worse
+SYSTEMATIC = 0.01  # of the radius: rooms are not even, and balls no ideal mirrors
+
+
+@dataclass(frozen=True)
+class Outline:
+    """Radius of the ball, px, and its standard error."""
+
+    radius: float
+    std: float
+
+
+def outline(frames: Sequence[Any], plate: Ground, glints: Glints, sigma: float) -> Outline | None:
+    """The radius that the mean picture tells; None where the ball is too dark to be seen, or not round."""
+    stack = _mean(frames, plate, glints, sigma)
+    if stack is None:
+        return None
+    picture, weight = stack
+    blur = math.sqrt(sigma**2 + 1.0 / 12.0)  # windows are centred on the nearest pixel
+    fits = sorted((_fit(picture, weight, blur, float(size)) for size in SIZES), key=lambda fit: float(fit.cost))
+    best = fits[0]
+    freedom = max(int(np.count_nonzero(weight)) - 6, 1)
+    try:
+        cov = np.linalg.inv(best.jac.T @ best.jac) * (2.0 * best.cost / freedom)
+    except np.linalg.LinAlgError:
+        return None
+    radius = math.exp(best.x[0])
+    std = radius * math.sqrt(max(float(cov[0, 0]), 0.0))
+    inside = SIZES[0] < radius < 0.8 * HALF and math.hypot(*best.x[1:]) < 0.4 * radius
+    # With the glint over most of the body, a small disc and the rim of a larger ball's bowl can look the same.
+    rivals = [fit.cost for fit in fits if abs(fit.x[0] - best.x[0]) > ANOTHER]
+    if rivals and min(rivals) - best.cost < SURE * max(1.0, 2.0 * best.cost / freedom):
+        return None
+    if not inside or not std < radius / VISIBLE or not _needed(picture, weight, best.cost, freedom):
+        return None
+    return Outline(radius, math.hypot(std, SYSTEMATIC * radius))
+
+
+def _mean(frames: Sequence[Any], plate: Ground, glints: Glints, sigma: float) -> tuple[Array, Array] | None:
+    """Mean over the plate (s, s) about single glints, and the root of each pixel's weight, 1/counts."""
+    h, w = plate.level.shape
+    column, row = np.rint(glints.x).astype(np.int64), np.rint(glints.y).astype(np.int64)
+    clear = (column >= HALF) & (column < w - HALF) & (row >= HALF) & (row < h - HALF) & _alone(glints)
+    chosen = np.flatnonzero(clear)
+    if len(chosen) < FEWEST:
+        return None
+    chosen = chosen[np.unique(np.linspace(0, len(chosen) - 1, WINDOWS).round().astype(np.int64))]
+    total = np.zeros((2 * HALF + 1, 2 * HALF + 1))
+    for k in chosen.tolist():
+        part = slice(row[k] - HALF, row[k] + HALF + 1), slice(column[k] - HALF, column[k] + HALF + 1)
+        total += frames[int(glints.frame[k])][part].astype(np.float64)
+        total -= float(np.median(plate.level[part]))
+    offsets = np.arange(-HALF, HALF + 1.0)
+    core = offsets[:, None] ** 2 + offsets**2 < (CORE * sigma + 1.0) ** 2
+    return total / len(chosen), np.where(core, 0.0, math.sqrt(len(chosen)) / plate.noise)
+
+
+def _alone(glints: Glints) -> NDArray[np.bool_]:
+    """Which glints are the only one of their frame within the window."""
+    alone = np.ones(len(glints), dtype=bool)
+    for number in np.unique(glints.frame).tolist():
+        rows = np.flatnonzero(glints.frame == number)
+        apart = np.max(np.abs(glints.xy[rows][:, None] - glints.xy[rows][None]), axis=2)
+        np.fill_diagonal(apart, np.inf)
+        alone[rows] = apart.min(axis=1) > 1.8 * HALF
+    return alone
+
+
+def _fit(picture: Array, weight: Array, blur: float, size: float) -> Any:
+    """Radius (its logarithm) and centre by least squares; disc, bowl and ground solved for at each step."""
+
+    def misfit(at: Array) -> Array:
+        parts = _parts(math.exp(at[0]), at[1], at[2], blur) * weight[..., None]
+        flat, wanted = parts.reshape(-1, parts.shape[-1]), (picture * weight).ravel()
+        height = np.linalg.solve(flat.T @ flat + 1e-9 * np.eye(flat.shape[1]), flat.T @ wanted)
+        return np.asarray(wanted - flat @ height, dtype=np.float64)
+
+    low, high = (
+        [math.log(2.0), -0.5 * size - 1.0, -0.5 * size - 1.0],
+        [math.log(HALF), 0.5 * size + 1.0, 0.5 * size + 1.0],
+    )
+    return least_squares(misfit, [math.log(size), 0.0, 0.0], bounds=(low, high), x_scale=[0.1, 1.0, 1.0], max_nfev=30)
+
+
+def _parts(radius: float, x: float, y: float, blur: float) -> Array:
+    """(s, s, 3): the disc, the bowl of what it mirrors of the room, the ground; edges blurred."""
+    offsets = np.arange(-HALF, HALF + 1.0)
+    distance = np.hypot(offsets - x, offsets[:, None] - y)
+    disc = ndtr((radius - distance) / blur)
+    # 1 - 2 q falls to zero with a slope of 4 rim / R^2: its blurred ramp is the normal's loss integral.
+    rim = radius / math.sqrt(2.0)
+    z = (rim - distance) / blur
+    ramp = blur * (z * ndtr(z) + np.exp(-0.5 * z * z) / math.sqrt(2.0 * math.pi))
+    bowl = ramp * (2.0 * rim - np.minimum(ramp, rim)) * 2.0 / radius**2
+    return np.stack([disc, bowl, np.ones_like(disc)], axis=-1)
+
+
+def _needed(picture: Array, weight: Array, cost: float, freedom: int) -> bool:
+    """Whether there is anything but ground: chi^2 without a ball beyond doubt larger."""
+    used = weight > 0
+    flat = picture[used] * weight[used]
+    empty = float(np.sum((flat - weight[used] * np.average(picture[used], weights=weight[used] ** 2)) ** 2))
+    return empty - 2.0 * cost > 60.0 * max(1.0, 2.0 * cost / freedom)

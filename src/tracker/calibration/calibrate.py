@@ -1,0 +1,202 @@
+"""A camera file from a video of balls of known diameter: scale, glint width and noise, each with what is not known."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tracker.calibration.ball_outline import Outline, outline
+from tracker.calibration.contact_distance import Touch, touches
+from tracker.camera.camera import Camera, InputError
+from tracker.camera.camera_keys import read_json
+from tracker.camera.frames import Clip, open_source
+from tracker.detection.detect import detect, look
+from tracker.detection.link import Tracks, link
+from tracker.outputs import check_room, told
+from tracker.results import write_json
+
+HEIGHTS = 2.5  # 1/m, scatter of 1/height of lamp less that of the camera: glints' distances differ from the balls'
+DISAGREE = 3.0  # standard errors between two ways to the scale, worth a word
+FEWEST = 10  # glints, to say anything
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """What a video told: the camera; ``scale_std`` m/px, ``scale_from`` (contact, outline, or nothing), what each way
+    said as (m/px, std), and in ``missing`` a line for each thing that the video did not tell.
+    """
+
+    camera: Camera
+    scale_std: float
+    scale_from: str
+    ways: dict[str, tuple[float, float]]
+    missing: tuple[str, ...]
+
+    def to_dict(self) -> dict[str, Any]:
+        """camera.json, with a key ``calibration`` that says how good it is."""
+        whole = self.camera.to_dict()
+        unknown = set(self.camera.assumed)
+        kept = {
+            k: whole[k] for k in ("scale", "size", "fps", "ball_diameter") if not (k == "scale" and not self.scale_from)
+        }
+        if "exposure" not in unknown:
+            kept["exposure"] = whole["exposure"]
+        if self.camera.psf_sigma is not None:
+            kept["psf"] = whole["psf"]
+        kept["sensor"] = {
+            k: v for k, v in whole["sensor"].items() if k in ("bits", "gain", "read_noise", "black_level")
+        }
+        kept["calibration"] = {
+            "scale_std": self.scale_std,
+            "scale_from": self.scale_from,
+            "ways": {name: {"scale": value, "std": std} for name, (value, std) in self.ways.items()},
+            "not_found": list(self.missing),
+        }
+        return kept
+
+    def write(self, path: Path) -> None:
+        """The camera file, written aside and moved into place. InputError where no scale was found."""
+        if not self.scale_from:
+            raise InputError(f"{path}: not written, for no scale was found: {self.missing[0]}")
+        check_place(path)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with told(path):
+            write_json(path, self.to_dict())
+
+
+def check_place(path: Path) -> None:
+    """Raises InputError where a camera file cannot be written, or would take another file's place."""
+    if path.exists() and not _made_here(path):
+        raise InputError(f"{path}: exists and was not made by tracker calibrate, expected a new file")
+    check_room(path)
+
+
+def _made_here(path: Path) -> bool:
+    try:
+        return "calibration" in read_json(path)
+    except (OSError, ValueError, TypeError):
+        return False
+
+
+def calibrate(video: Path, diameter: float, fps: float, exposure: float | None = None) -> Calibration:
+    """Scale, glint width and noise of a video (or stack, or dataset) of balls of ``diameter`` m at ``fps`` frames/s.
+
+    ``exposure`` s, if known, tells streaks from width. Raises InputError for what cannot be read or has no glints.
+    """
+    for name, value in (("--diameter", diameter), ("--fps", fps)):
+        if not (math.isfinite(value) and value > 0):
+            raise InputError(f"{name}: expected a number over 0, not {value!r}")
+    if exposure is not None and not 0 <= exposure <= 1.0 / fps * (1 + 1e-9):
+        raise InputError(f"--exposure: expected 0 to one frame time, {1 / fps:g} s, not {exposure!r}")
+    source = open_source(video)
+    width, height = source.clip(0).frames.shape[:0:-1]
+    given: dict[str, Any] = {"fps": fps, "ball_diameter": diameter, "size": [width, height]}
+    if exposure is not None:
+        given["exposure"] = exposure
+    seen: list[_Seen] = []
+    scale = Camera.unknown((width, height), 8).diameter_px
+    ways: dict[str, tuple[float, float]] = {}
+    for _ in range(2):  # the second time with the size of the balls known
+        known = {**given, "scale": diameter / scale}
+        seen = [_look(source.clip(i), known) for i in range(len(source))]
+        ways = _ways(seen, diameter)
+        if not ways:
+            break
+        scale = diameter / min(ways.values(), key=lambda way: way[1])[0]
+    return _gathered(seen, ways, video, exposure is not None)
+
+
+@dataclass(frozen=True)
+class _Seen:
+    """One clip's part."""
+
+    camera: Camera
+    glints: int
+    touches: list[Touch]
+    outline: Outline | None
+
+
+def _look(clip: Clip, known: dict[str, Any]) -> _Seen:
+    camera = Camera.from_dict(known)
+    camera = replace(camera, sensor=replace(camera.sensor, bits=8 * clip.frames.dtype.itemsize))
+    bare = replace(clip, camera=camera)
+    view = look(bare)
+    glints = detect(bare, view)
+    tracks: Tracks = link(glints, view.camera)
+    return _Seen(view.camera, len(tracks), touches(tracks), outline(clip.frames, view.plate, glints, view.sigma))
+
+
+def _ways(seen: Sequence[_Seen], diameter: float) -> dict[str, tuple[float, float]]:
+    """Scale and standard error, m/px, by each way that some clip allows."""
+    out = {}
+    contacts = [(t.distance, t.std) for s in seen for t in s.touches]
+    if contacts:
+        distance, std = _weighted(contacts)
+        std = math.hypot(std, HEIGHTS * diameter / 4.0 * distance)
+        out["contact"] = (diameter / distance, diameter / distance**2 * std)
+    outlines = [(2.0 * s.outline.radius, 2.0 * s.outline.std) for s in seen if s.outline is not None]
+    if outlines:
+        width = float(np.median([w for w, _ in outlines]))
+        out["outline"] = (diameter / width, diameter / width**2 * min(std for _, std in outlines))
+    return out
+
+
+def _weighted(values: list[tuple[float, float]]) -> tuple[float, float]:
+    """Weighted mean and its error, no smaller than their own scatter says."""
+    value, std = np.array(values).T
+    weight = 1.0 / std**2
+    mean = float(np.sum(weight * value) / np.sum(weight))
+    chi2 = float(np.sum(weight * (value - mean) ** 2)) / max(len(values) - 1, 1)
+    return mean, math.sqrt(max(1.0, chi2) / float(np.sum(weight)))
+
+
+def _gathered(seen: Sequence[_Seen], ways: dict[str, tuple[float, float]], video: Path, timed: bool) -> Calibration:
+    found = sum(s.glints for s in seen)
+    if found < FEWEST:
+        raise InputError(f"{video}: {found} glints found, expected balls with a bright glint on a darker ground")
+    best = min(ways, key=lambda name: ways[name][1]) if ways else ""
+    middle = sorted(seen, key=lambda s: s.camera.psf_sigma or 0.0)[len(seen) // 2].camera
+    missing = []
+    if not best:
+        missing.append("scale: no two balls touch in view, and no outline is bright enough to be seen")
+    elif len(ways) == 1:
+        other = {"contact": "no outline bright enough to be seen", "outline": "no two balls touch in view"}[best]
+        missing.append(f"scale: from the {best} alone, {other}")
+    else:
+        (one, one_std), (two, two_std) = ways["contact"], ways["outline"]
+        if abs(one - two) > DISAGREE * math.hypot(one_std, two_std):
+            missing.append("scale: contact and outline disagree; are the balls alike, and of that diameter?")
+    if not timed:
+        missing.append("exposure: not told by a video; the glint's width holds the streak of moving balls")
+    missing += [
+        "lamp: its position is not told; tracks will be those of glints, not of centres",
+        "height: the camera's is not told; it is taken as straight above, without distortion",
+        "sensor: prnu, dsnu and dark current are not told apart from the noise",
+    ]
+    scale, std = ways[best] if best else (math.nan, math.nan)
+    return Calibration(replace(middle, scale=scale), std, best, ways, tuple(missing))
+
+
+def summary(result: Calibration) -> list[str]:
+    """Lines for people."""
+    sensor, camera = result.camera.sensor, result.camera
+    lines = [
+        f"{name}: scale {value:.6g} m/px +- {100 * std / value:.2g} %" for name, (value, std) in result.ways.items()
+    ]
+    lines.append(f"glint: sigma {camera.sigma or math.nan:.3g} px")
+    noise = math.sqrt(float(sensor.variance(np.array(sensor.black_level))))
+    lines.append(
+        f"noise: {noise:.3g} counts on black at {sensor.black_level:.3g}, gain about {sensor.gain:.3g} e-/count"
+    )
+    return lines + [f"not found - {line}" for line in result.missing]
+
+
+def as_json(result: Calibration, path: Path) -> str:
+    """One line for machines."""
+    return json.dumps({"camera": str(path), **result.to_dict()["calibration"], "scale": result.camera.scale})

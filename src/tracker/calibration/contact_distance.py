@@ -1,0 +1,102 @@
+"""How far apart two equal balls are when they touch: one ball's diameter in pixels, whatever the light."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import combinations
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tracker.camera.lens import Array
+from tracker.detection.link import Tracks
+
+BEFORE = 7  # frames looked at before the contact
+AFTER = (7, 6, 5, 4)  # and after it: a parabola holds while both balls slide, and slow ones soon roll
+KINK = 0.3  # px a frame, by which the relative velocity must change
+GOOD = 1.8  # chi^2 a degree of freedom, of parabolas that hold
+POOR = 16.0  # the same, beyond which the balls did not move so at all
+
+
+@dataclass(frozen=True)
+class Touch:
+    """A contact: the distance of the glints there, px, its standard error, and the instant, frames."""
+
+    distance: float
+    std: float
+    instant: float
+
+
+def touches(tracks: Tracks) -> list[Touch]:
+    """The contacts between the balls of one clip that can be measured."""
+    out = []
+    for one, two in combinations(np.unique(tracks.particle).tolist(), 2):
+        frame, gap, cov = _relative(tracks, one, two)
+        touch = _touch(frame, gap, cov) if len(frame) >= 10 else None
+        if touch is not None:
+            out.append(touch)
+    return out
+
+
+def _relative(tracks: Tracks, one: int, two: int) -> tuple[NDArray[np.int64], Array, Array]:
+    """Frames in which both are seen, vectors (n, 2) px from one to two, and their covariances."""
+    a, b = (np.flatnonzero(tracks.particle == p) for p in (one, two))
+    frame, i, j = np.intersect1d(tracks.frame[a], tracks.frame[b], return_indices=True)
+    return frame, tracks.xy[b[j]] - tracks.xy[a[i]], tracks.cov[b[j]] + tracks.cov[a[i]]
+
+
+def _touch(frame: NDArray[np.int64], gap: Array, cov: Array) -> Touch | None:
+    """Parabolas before and after the least distance, and the distance where they meet."""
+    k = int(np.argmin(np.hypot(gap[:, 0], gap[:, 1])))
+    best = None
+    for span in AFTER:
+        for split in (k, k + 1):  # the contact lies just before or just after the frame of least distance
+            before, after = np.arange(max(0, split - BEFORE), split), np.arange(split, min(len(frame), split + span))
+            if len(before) < 4 or len(after) < 4 or np.any(np.diff(frame[before[0] : after[-1] + 1]) > 1):
+                continue
+            found = _meet(frame, gap, cov, before, after, float(frame[split]))
+            if found is not None and (best is None or found[1] < best[1]):
+                best = found
+        if best is not None and best[1] < GOOD:
+            break
+    if best is None or best[1] > POOR:
+        return None
+    touch, chi2 = best
+    return Touch(touch.distance, touch.std * max(1.0, chi2) ** 0.5, touch.instant)
+
+
+def _meet(
+    frame: NDArray[np.int64], gap: Array, cov: Array, before: Any, after: Any, origin: float
+) -> tuple[Touch, float] | None:
+    sides, chi2, freedom = [], 0.0, 0
+    for rows in (before, after):
+        t = frame[rows] - origin
+        powers = np.vander(t, 3, increasing=True)
+        weight = 1.0 / (np.trace(cov[rows], axis1=1, axis2=2) / 2.0)
+        normal = np.linalg.inv((powers.T * weight) @ powers)
+        fit = normal @ (powers.T * weight) @ gap[rows]
+        chi2 += float(weight @ np.sum((gap[rows] - powers @ fit) ** 2, axis=1))
+        freedom += 2 * (len(rows) - 3)
+        sides.append((fit, normal))
+    (early, early_cov), (late, late_cov) = sides
+    if np.hypot(*(late[1] - early[1])) < KINK:
+        return None
+    times = np.linspace(-1.5, 0.5, 401)
+    powers = np.vander(times, 3, increasing=True)
+    apart = powers @ (late - early)
+    best = int(np.argmin(np.sum(apart**2, axis=1)))
+    instant = times[best]
+    row = powers[best]
+    kick = (late[1] - early[1]) + 2.0 * instant * (late[2] - early[2])
+    velocity_early, velocity_late = (side[1] + 2.0 * instant * side[2] for side in (early, late))
+    place = row @ (early + late) / 2.0
+    normal = place / np.hypot(*place)
+    sizes = [float(row @ c @ row) for c in (early_cov, late_cov)]
+    pull = kick / (kick @ kick)
+    # An error of either curve moves the place, and, along the change of velocity, the instant.
+    drift = float(normal @ (velocity_early + velocity_late) / 2.0)
+    of_early, of_late = normal / 2.0 + drift * pull, normal / 2.0 - drift * pull
+    std = float(np.sqrt(sizes[0] * (of_early @ of_early) + sizes[1] * (of_late @ of_late)))
+    total = chi2 / max(freedom, 1)
+    return Touch(float(np.hypot(*place)), std, origin + float(instant)), total

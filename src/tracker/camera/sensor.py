@@ -1,0 +1,55 @@
+"""What a pixel's count is worth: the noise of a camera, and where it clips."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from tracker.camera.lens import Array
+
+
+@dataclass(frozen=True)
+class Sensor:
+    """Noise of one pixel in counts (EMVA 1288): shot, read-out, rounding and the fixed patterns.
+
+    ``gain`` e-/count, ``read_noise``, ``dsnu`` and ``full_well`` e-, ``dark`` e-/s, ``prnu`` a fraction,
+    ``black_level`` counts.
+    """
+
+    bits: int = 8
+    gain: float = 20.0
+    read_noise: float = 20.0
+    dark: float = 0.0
+    prnu: float = 0.0
+    dsnu: float = 0.0
+    full_well: float = math.inf
+    black_level: float = 0.0
+
+    def variance(self, mean: Array) -> Array:
+        """Variance, counts^2, of a pixel whose mean is ``mean`` counts (any shape)."""
+        signal = np.maximum(mean - self.black_level, 0.0)
+        floor = (self.read_noise**2 + self.dsnu**2) / self.gain**2 + 1.0 / 12.0
+        return np.asarray(floor + signal * (1.0 / self.gain + self.prnu**2 * signal))
+
+    def fixed_variance(self, mean: Array) -> Array:
+        """The part of ``variance`` that is the same in every frame: the pixels' own response and offset."""
+        signal = np.maximum(mean - self.black_level, 0.0)
+        return (self.dsnu / self.gain) ** 2 + (self.prnu * signal) ** 2
+
+    def variance_slope(self, mean: Array) -> Array:
+        """d variance / d mean, counts."""
+        signal = np.maximum(mean - self.black_level, 0.0)
+        return 1.0 / self.gain + 2.0 * self.prnu**2 * signal
+
+    @property
+    def ceiling(self) -> float:
+        """Count from which a pixel says only "at least this".
+
+        The converter's last count, or, where the well fills first, four read-out deviations below the full
+        well: read-out noise spreads a full well, and a limit below that spread is an exact one.
+        """
+        top = 2.0**self.bits - 1.0
+        well = self.black_level + (self.full_well - 4.0 * self.read_noise) / self.gain
+        return math.floor(well) if self.black_level + self.full_well / self.gain < top else top

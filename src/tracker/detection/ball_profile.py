@@ -1,0 +1,56 @@
+"""The ball's body around its glint: how what it mirrors of the room falls off from where it mirrors the zenith."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from tracker.camera.lens import Array
+
+POWERS = (2, 3, 4)  # of 1 - q: at q = 1 the body ends without a kink
+NODE = 0.5 / np.sqrt(3.0)  # of a streak, on either side of its middle (Gauss-Legendre with two nodes)
+
+
+@dataclass(frozen=True, eq=False)
+class Body:
+    """One clip's balls: ``coefficients`` (3,) counts of the powers of 1 - q, with q = (distance / ``end``)^2 from the
+    middle; beyond ``end``, px, the ball mirrors no room.
+    """
+
+    end: float
+    coefficients: Array
+
+    def basis(self, middle: Array, half: int) -> Array:
+        """The powers (n, 3, s, s) on windows; ``middle`` (n, 2) px from the central pixel."""
+        left, _, _ = self._left(middle, half)
+        return np.stack([left**power for power in POWERS], axis=1)
+
+    def height(self, middle: Array, streak: Array, half: int) -> tuple[Array, Array, Array]:
+        """Counts (n, s, s) over what is beyond the body, and their derivatives by the middle's x and y.
+
+        ``middle`` (n, 2) px from the central pixel, half-way along the way ``streak`` (n, 2) px in the exposure.
+        """
+        if not streak.any():
+            return self._height(middle, half)
+        one, two = (self._height(middle + side * streak, half) for side in (NODE, -NODE))
+        return (one[0] + two[0]) / 2.0, (one[1] + two[1]) / 2.0, (one[2] + two[2]) / 2.0
+
+    def _height(self, middle: Array, half: int) -> tuple[Array, Array, Array]:
+        left, across, down = self._left(middle, half)
+        c2, c3, c4 = self.coefficients.tolist()
+        height = c4 * left
+        fall = height * (8.0 / self.end)
+        for out, one, two in ((height, c3, c2), (fall, 6.0 * c3 / self.end, 4.0 * c2 / self.end)):
+            out += one
+            out *= left
+            out += two
+            out *= left
+        height *= left
+        return height, fall * across, fall * down
+
+    def _left(self, middle: Array, half: int) -> tuple[Array, Array, Array]:
+        """1 - q (n, s, s), no less than 0, and the offsets over ``end`` (n, 1, s), (n, s, 1)."""
+        away = (np.arange(-half, half + 1.0) - middle[..., None]) / self.end
+        across, down = away[:, 0, None, :], away[:, 1, :, None]
+        return np.maximum((1.0 - down**2) - across**2, 0.0), across, down

@@ -1,0 +1,158 @@
+"""The pixel model of a glint, what a pixel's count tells about its mean, and the Cramer-Rao bound of a place.
+
+A glint is a Gaussian of width sigma, integrated over each pixel, drawn out along a line by the ball's motion
+in the exposure. Fisher information: F_ab = sum_i J(m_i) d_a m_i d_b m_i over the pixels, with m_i their means
+(Kay 1993, section 3.9, with a variance that follows the mean; clipped pixels by their censored likelihood).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.special import log_ndtr, ndtr
+
+from tracker.camera.camera import Camera
+from tracker.camera.lens import Array
+from tracker.camera.sensor import Sensor
+
+ROOT_TWO_PI = math.sqrt(2.0 * math.pi)
+CLEAR = 6.0  # deviations under the ceiling, from where on it does not matter
+REACH = 4.0  # widths of the glint that a window must hold on each side
+
+
+@dataclass(frozen=True)
+class Shape:
+    """Unit-flux glints on (n, rows, columns) pixels, and their derivatives by place, 1/px."""
+
+    value: Array
+    by_x: Array
+    by_y: Array
+
+
+def line_nodes(streaks: Array, sigma: float) -> tuple[Array, Array]:
+    """Gauss-Legendre places (n, k, 2), px, and weights (k,) along lines (n, 2), px, centred on 0."""
+    longest = float(np.max(np.hypot(streaks[:, 0], streaks[:, 1]), initial=0.0))
+    count = 1 if longest < 0.02 * sigma else 2 + math.ceil(0.8 * longest / sigma)
+    nodes, weights = _legendre(count)
+    return 0.5 * nodes[:, None] * streaks[:, None, :], weights / 2.0
+
+
+@lru_cache(maxsize=256)
+def _legendre(count: int) -> tuple[Array, Array]:
+    return np.polynomial.legendre.leggauss(count)
+
+
+def glint_shape(xy: Array, streaks: Array, sigma: float, half: int) -> Shape:
+    """Glints at ``xy`` (n, 2) px from the central pixel of windows of 2 half + 1 pixels a side.
+
+    ``streaks`` (n, 2) px: the way of the glint during the exposure; ``xy`` is its middle.
+    """
+    offsets, weights = line_nodes(streaks, sigma)
+    edges = np.arange(-half, half + 2) - 0.5
+    u = (edges - (xy[:, None, :] + offsets)[..., None]) / sigma  # (n, k, axis, edge)
+    below, height = ndtr(u), np.exp(-0.5 * u * u)
+    step = below[..., 1:] - below[..., :-1]
+    slope = (height[..., :-1] - height[..., 1:]) / (ROOT_TWO_PI * sigma)
+    col, row = step[:, :, 0], step[:, :, 1] * weights[:, None]
+    col_slope, row_slope = slope[:, :, 0], slope[:, :, 1] * weights[:, None]
+    if len(weights) == 1:
+        row, row_slope = row.transpose(0, 2, 1), row_slope.transpose(0, 2, 1)
+        return Shape(row * col, row * col_slope, row_slope * col)
+    up, up_slope = row.transpose(0, 2, 1), row_slope.transpose(0, 2, 1)
+    return Shape(up @ col, up @ col_slope, up_slope @ col)
+
+
+def spread(mean: Array, sensor: Sensor) -> tuple[Array, Array]:
+    """Variance of pixels at their means, counts^2, and k = v'/(2v), 1/counts; any shape."""
+    variance = sensor.variance(mean)
+    return variance, sensor.variance_slope(mean) / (2.0 * variance)
+
+
+def information(mean: Array, sensor: Sensor, noise: tuple[Array, Array] | None = None) -> Array:
+    """Fisher information of one pixel about its own mean, 1/counts^2, any shape; clipping included.
+
+    Open pixel: 1/v + (v'/v)^2 / 2. At the ceiling c a pixel says only that it is over c - 1/2, and the
+    integrals of the squared score up to there, and of the tail beyond, take its place. noise: ``spread`` there.
+    """
+    variance, k = spread(mean, sensor) if noise is None else noise
+    told = np.asarray(1.0 / variance + 2.0 * k * k, dtype=np.float64)
+    room = sensor.ceiling - 0.5 - mean
+    if np.min(room, initial=np.inf) < CLEAR * math.sqrt(np.max(variance, initial=0.0)):
+        z = room / np.sqrt(variance)
+        near = z < CLEAR
+        told[near] = _censored(z[near], 1.0 / np.sqrt(variance[near]), k[near])
+    return told
+
+
+def _censored(z: Array, root: Array, k: Array) -> Array:
+    """Information with a ceiling z deviations over the mean; below it score = root u + k (u^2 - 1)."""
+    low = ndtr(z)
+    phi = np.exp(-0.5 * z * z) / ROOT_TWO_PI
+    one, two, three = -phi, low - z * phi, -(z * z + 2) * phi
+    four = 3 * low - (z**3 + 3 * z) * phi
+    open_part = root**2 * two + 2 * root * k * (three - one) + k * k * (four - 2 * two + low)
+    hazard = np.exp(-0.5 * z * z - log_ndtr(-z)) / ROOT_TWO_PI
+    return np.asarray(open_part + phi * hazard * (root + k * z) ** 2, dtype=np.float64)
+
+
+def slopes(shape: Shape, flux: Array) -> Array:
+    """(n, 4, h, w) derivatives of the pixels' means by x, y, log flux and background."""
+    grown = flux[:, None, None]
+    return np.stack([grown * shape.by_x, grown * shape.by_y, grown * shape.value, np.ones_like(shape.value)], 1)
+
+
+def fisher(weight: Array, parts: Array) -> Array:
+    """(n, p, p) information on p parameters from the pixels' own (n, h, w) and derivatives (n, p, h, w)."""
+    flat = parts.reshape(*parts.shape[:2], -1)
+    return np.asarray((flat * weight.reshape(len(parts), 1, -1)) @ flat.transpose(0, 2, 1), dtype=np.float64)
+
+
+def localisation_bound(
+    camera: Camera,
+    flux: ArrayLike,
+    xy: ArrayLike,
+    streak: ArrayLike | None = None,
+    background: ArrayLike | None = None,
+) -> Array:
+    """Cramer-Rao bound of glint places, px^2.
+
+    ``flux`` (n,) counts, ``xy`` (n, 2) px, ``streak`` (n, 2) px (default none), ``background`` (n,) or one
+    number, counts (default the black level). Place, flux and a flat background are free; width and noise are
+    known. Returns (n, 2, 2). Needs the PSF's width in the camera (ValueError).
+    """
+    return _bound(camera, flux, xy, streak, background)[0]
+
+
+def fixed_part(camera: Camera, flux: ArrayLike, xy: ArrayLike) -> Array:
+    """The part (n, 2, 2) px^2 of a resting glint's bound that is the same in every frame: of the pixels' own
+    response and offset. A fixed error of a pixel shifts the place by cov d_a m / v. Arguments as above.
+    """
+    return _bound(camera, flux, xy, None, None)[1]
+
+
+def _bound(
+    camera: Camera, flux: ArrayLike, xy: ArrayLike, streak: ArrayLike | None, background: ArrayLike | None
+) -> tuple[Array, Array]:
+    """Bound and its fixed part, (n, 2, 2) px^2 each."""
+    if camera.sigma is None:
+        raise ValueError("the bound needs psf.sigma_px")
+    flux_ = np.atleast_1d(np.asarray(flux, dtype=np.float64))
+    places = np.asarray(xy, dtype=np.float64).reshape(-1, 2)
+    lines = np.zeros_like(places) if streak is None else np.asarray(streak, dtype=np.float64).reshape(-1, 2)
+    level = camera.sensor.black_level if background is None else background
+    ground = np.broadcast_to(np.asarray(level, dtype=np.float64), flux_.shape)
+    half = math.ceil(REACH * camera.sigma + 0.5 + float(np.max(np.abs(lines), initial=0.0)) / 2.0)
+    out, fixed = np.empty((2, len(flux_), 2, 2))
+    for start in range(0, len(flux_), 2048):  # blocks, so that memory stays small
+        part = slice(start, start + 2048)
+        shape = glint_shape(places[part] - np.round(places[part]), lines[part], camera.sigma, half)
+        mean = ground[part, None, None] + flux_[part, None, None] * shape.value
+        told, parts = information(mean, camera.sensor), slopes(shape, flux_[part])
+        cov = np.linalg.inv(fisher(told, parts))
+        pattern = cov @ fisher(told**2 * camera.sensor.fixed_variance(mean), parts) @ cov
+        out[part], fixed[part] = cov[:, :2, :2], pattern[:, :2, :2]
+    return out, fixed

@@ -1,0 +1,53 @@
+"""scikit-image's Laplacian of Gaussian (``blob_log``), for comparison: it answers in whole pixels."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from skimage.feature import blob_log
+
+from tracker.detection.detect import CLIPPED, Glints, View
+
+HIGH = 4.0  # noise deviations of a pixel, of a blob's response
+PIXEL = 1.0 / 12.0  # px^2, variance of a place rounded to the whole pixel
+RATIOS = (0.8, 1.6, 3)  # least and greatest width over the glint's, and how many are tried
+
+
+class SkimageBlobLog:
+    """``blob_log`` about the width of a resting glint; its strongest blobs, no two on one ball."""
+
+    def __init__(self, view: View) -> None:
+        self.view = view
+        self.level = view.plate.level.astype(np.float64)
+
+    def __call__(self, frame: NDArray[Any]) -> Glints:
+        """Glints of one frame; the covariance is that of rounding."""
+        risen = np.maximum(frame - self.level, 0.0)
+        low, high, count = RATIOS
+        found = blob_log(
+            risen,
+            min_sigma=low * self.view.sigma,
+            max_sigma=high * self.view.sigma,
+            num_sigma=count,
+            threshold=HIGH * self.view.plate.noise,
+            overlap=0.0,
+        )
+        row, column = found[:, 0].astype(np.int64), found[:, 1].astype(np.int64)
+        kept = self._one_a_ball(column, row, risen[row, column])
+        row, column = row[kept], column[kept]
+        n = len(row)
+        full = frame[row, column] >= self.view.camera.sensor.ceiling
+        flux = risen[row, column] * 2.0 * np.pi * self.view.sigma**2
+        cov = np.broadcast_to(PIXEL * np.eye(2), (n, 2, 2)).copy()
+        x, y = column.astype(np.float64), row.astype(np.float64)
+        return Glints(np.zeros(n, np.int64), x, y, cov, flux, np.zeros(n), np.where(full, CLIPPED, 0))
+
+    def _one_a_ball(self, x: NDArray[np.int64], y: NDArray[np.int64], height: NDArray[np.float64]) -> list[int]:
+        """The blobs, strongest first, that are further than .8 of a ball from every stronger one."""
+        kept: list[int] = []
+        for k in np.argsort(-height, kind="stable").tolist():
+            if all(np.hypot(x[k] - x[j], y[k] - y[j]) > 0.8 * self.view.camera.diameter_px for j in kept):
+                kept.append(k)
+        return kept

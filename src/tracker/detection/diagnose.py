@@ -1,0 +1,49 @@
+"""Why a clip shows no ball that can be followed, in words that say what to change."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import cv2
+import numpy as np
+
+from tracker.detection.candidates import Search
+from tracker.detection.detect import Glints, View
+
+FEWEST = 6  # glints in a clip, below which somebody will ask why
+LOOKS = 9  # frames
+FLICKER = 5.0  # counts, of the plate from frame to frame
+FULL = 0.5  # share of the pixels at the ceiling: overexposed
+HOLE = 6.0  # noise deviations of a 5 x 5 mean, of something darker than the plate
+
+
+def why_nothing(frames: Sequence[Any], view: View, glints: Glints) -> str:
+    """The reason in one line; '' where there are glints enough."""
+    still = np.array_equal(frames[0], frames[-1])
+    if len(glints) >= FEWEST and not still:
+        return ""
+    sample = [np.array(frames[round(k * (len(frames) - 1) / (LOOKS - 1))]) for k in range(LOOKS)]
+    level, noise = view.plate.level, view.plate.noise
+    if np.mean([np.mean(s >= view.camera.sensor.ceiling) for s in sample]) > FULL:
+        return "overexposed: most of the picture is at the sensor's limit"
+    if all(np.array_equal(s, sample[0]) for s in sample):
+        return "nothing moves: all frames are the same picture"
+    if len(glints) >= FEWEST:
+        return ""
+    search = Search(view.plate, view.sigma, apart=max(4.0, 0.8 * view.camera.diameter_px))
+    crowded = sum(search(s).crowded for s in sample) > LOOKS // 2
+    if crowded or np.ptp([np.median(s) for s in sample]) > FLICKER:
+        return "the light changes: most of the picture stands out from the plate"
+    if any(_hole(s, level, noise, view.camera.diameter_px) for s in sample):
+        return "dark balls on a bright ground: a glint brighter than the plate is needed"
+    if len(glints):
+        return f"too few detections: {len(glints)} glints in {len(frames)} frames"
+    return "no balls: nothing stands out from the plate"
+
+
+def _hole(frame: Any, level: Any, noise: float, diameter: float) -> bool:
+    """Whether something of about a ball's size is darker than the plate."""
+    lack = cv2.blur(cv2.subtract(level, frame, dtype=cv2.CV_32F), (5, 5))
+    dark = int(np.count_nonzero(lack > HOLE * noise / 5.0 + 1.0))
+    return dark > 0.15 * diameter**2

@@ -1,0 +1,42 @@
+"""A steady lamp: how bright a glint must be, as the film's others say, tells a little of where a clipped one is.
+
+Where the brightest pixels are clipped, errors of place and flux go together. One lamp and like balls make all glints
+nearly as bright, but for a smooth change over the field; how nearly, the glints say themselves.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from tracker.camera.lens import Array
+
+FEWEST = 30  # glints
+ROUNDS = 3  # in which the glints' own scatter is found
+STRANGE = 5.0  # deviations of the bulk: another lamp's glint, or none
+NORMAL = 1.4826  # standard deviation of a normal spread over its median absolute deviation
+
+
+def steadied(xy: Array, cov: Array, log_flux: Array, lean: Array, own: Array) -> tuple[Array, Array]:
+    """Glints' places ``xy`` (n, 2) px and their covariances ``cov`` (n, 2, 2) px^2, with what the others' flux adds.
+
+    ``log_flux`` (n,), of variance ``own`` (n,) and covariance ``lean`` (n, 2) px with the place. Conditioning of normal
+    errors: where the log flux is off by d, and d has the variance v = own + the scatter of true fluxes, the place is
+    off by lean d / v.
+    """
+    if len(xy) < FEWEST:
+        return xy, cov
+    rest = np.abs(log_flux - np.median(log_flux))
+    alike = np.flatnonzero(rest <= STRANGE * NORMAL * np.median(rest))
+    x, y = ((xy[alike] - xy[alike].mean(axis=0)) / max(float(np.ptp(xy[alike])), 1.0)).T
+    field = np.column_stack([np.ones_like(x), x, y, x * x, x * y, y * y])
+    scatter = 0.0
+    for _ in range(ROUNDS):
+        weight = 1.0 / np.sqrt(own[alike] + scatter)
+        smooth = field @ np.linalg.lstsq(field * weight[:, None], log_flux[alike] * weight, rcond=None)[0]
+        off = log_flux[alike] - smooth
+        scatter = max(float(np.mean(off**2 - own[alike])), 0.0)
+    whole = own[alike] + scatter
+    better, surer = xy.copy(), cov.copy()
+    better[alike] -= lean[alike] * (off / whole)[:, None]
+    surer[alike] -= lean[alike, :, None] * lean[alike, None, :] / whole[:, None, None]
+    return better, surer

@@ -1,0 +1,250 @@
+"""Joins glints of successive frames into tracks, through collisions, gaps, and balls that come and go.
+
+A ball is expected where its last velocity takes it, and, since two balls cannot pass through each other, where a
+bounce takes it if they would meet on the way. Glints go to expectations by least squared distance (Hungarian).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import linear_sum_assignment
+
+from tracker.camera.camera import Camera
+from tracker.camera.lens import Array
+from tracker.detection.detect import Glints, flag_words
+
+Ints = NDArray[np.int64]
+
+MAX_GAP = 5  # frames a ball may stay unseen
+SHORT = 3  # tracks of fewer frames need the brightness of a ball
+FAINT = 0.25  # of the brightest track's flux: balls are alike and under one lamp
+BOUNCE = 0.9  # normal restitution assumed in an expectation
+FASTEST = 1.0  # m/s, for a ball seen once
+DEFAULT_REACH = 30.0  # px, the same where no camera file ties pixels to metres
+
+
+@dataclass(frozen=True, eq=False)
+class Tracks:
+    """Balls followed through one clip; flat arrays (n,) sorted by (particle, frame).
+
+    ``x``, ``y`` px: ball centre, mean over the exposure, or the glint where ``flags`` says 'glint'; ``cov``
+    (n, 2, 2) px^2, and ``fixed`` the part of it that a ball at rest has in every frame alike; ``flux`` counts;
+    ``flags`` words joined by '|'; ``glint_x``, ``glint_y`` px.
+    """
+
+    frame: Ints
+    particle: Ints
+    x: Array
+    y: Array
+    cov: Array
+    flux: Array
+    flags: NDArray[np.str_]
+    glint_x: Array
+    glint_y: Array
+    fixed: Array = field(default_factory=lambda: np.empty(0))
+
+    def __post_init__(self) -> None:
+        if len(self.fixed) == 0:
+            object.__setattr__(self, "fixed", np.zeros_like(self.cov))
+
+    def __len__(self) -> int:
+        return len(self.frame)
+
+    @property
+    def xy(self) -> Array:
+        """(n, 2) px."""
+        return np.stack([self.x, self.y], axis=1)
+
+
+@dataclass
+class _Ball:
+    """A track while it grows: plain floats, for there are few balls and many frames."""
+
+    rows: list[int]
+    frame: int
+    x: float
+    y: float
+    vx: float = 0.0
+    vy: float = 0.0
+    moving: bool = False  # whether a velocity is known
+    ahead: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
+    bounced: bool = False
+
+
+def link(glints: Glints, camera: Camera) -> Tracks:
+    """Tracks of one clip's glints, refused ones left out, glints taken to ball centres where the camera allows."""
+    ids = assign(glints, camera)
+    kept = np.flatnonzero(ids >= 0)
+    order = kept[np.lexsort((glints.frame[kept], ids[kept]))]
+    chosen, particle = glints.take(order), ids[order]
+    seen = chosen.xy
+    centre, jacobian = camera.centre_of_glint(seen)
+    words = flag_words(chosen.flags, () if camera.corrects_glint else ("glint",))
+    return Tracks(
+        frame=chosen.frame,
+        particle=particle,
+        x=centre[:, 0].copy(),
+        y=centre[:, 1].copy(),
+        cov=jacobian @ chosen.cov @ jacobian.transpose(0, 2, 1),
+        flux=chosen.flux,
+        flags=words,
+        glint_x=seen[:, 0].copy(),
+        glint_y=seen[:, 1].copy(),
+        fixed=jacobian @ chosen.fixed @ jacobian.transpose(0, 2, 1),
+    )
+
+
+def assign(glints: Glints, camera: Camera) -> Ints:
+    """Particle of each glint (n,), -1 for those refused; particles numbered by first appearance, then place."""
+    ids = np.full(len(glints), -1, dtype=np.int64)
+    if len(glints) == 0:
+        return ids
+    balls = _follow(glints, camera)
+    for number, ball in enumerate(_trusted(balls, glints)):
+        ids[ball.rows] = number
+    return ids
+
+
+def velocities(frame: Ints, ids: Ints, xy: Array) -> Array:
+    """Velocity of each glint (n, 2), px a frame, by differences within its track; 0 for a glint alone.
+
+    Next to a collision the two sides disagree: then the side is taken that agrees with the step beyond it.
+    """
+    out = np.zeros_like(xy)
+    for number in np.unique(ids[ids >= 0]):
+        rows = np.flatnonzero(ids == number)
+        rows = rows[np.argsort(frame[rows], kind="stable")]
+        if len(rows) < 2:
+            continue
+        steps = np.diff(xy[rows], axis=0) / np.diff(frame[rows])[:, None]
+        before, after = np.vstack([steps[:1], steps]), np.vstack([steps, steps[-1:]])
+        far_before = np.vstack([steps[:1], steps[:1], steps[:-1]])[: len(rows)]
+        far_after = np.vstack([steps[1:], steps[-1:], steps[-1:]])[: len(rows)]
+        rough_before = np.sum((before - far_before) ** 2, axis=1, keepdims=True)
+        rough_after = np.sum((after - far_after) ** 2, axis=1, keepdims=True)
+        kink = np.sum((before - after) ** 2, axis=1, keepdims=True) > 1.0
+        one_sided = np.where(rough_before <= rough_after, before, after)
+        out[rows] = np.where(kink, one_sided, (before + after) / 2.0)
+    return out
+
+
+def _follow(glints: Glints, camera: Camera) -> list[_Ball]:
+    diameter = camera.diameter_px
+    reach = FASTEST / camera.fps / camera.scale if camera.metric else DEFAULT_REACH
+    reach = max(reach, 2.0 * diameter)
+    order = np.argsort(glints.frame, kind="stable")
+    frames, starts = np.unique(glints.frame[order], return_index=True)
+    x, y = glints.x.tolist(), glints.y.tolist()
+    done: list[_Ball] = []
+    live: list[_Ball] = []
+    for k, rows in zip(frames.tolist(), np.split(order, starts[1:]), strict=True):
+        done += [b for b in live if k - b.frame > MAX_GAP + 1]
+        live = [b for b in live if k - b.frame <= MAX_GAP + 1]
+        _expect(live, k, diameter)
+        found = rows.tolist()
+        pairs = _match(live, found, x, y, k, reach, diameter)
+        for ball, row in pairs:
+            _extend(ball, row, k, x[row], y[row])
+        taken = {row for _, row in pairs}
+        live += [_Ball([row], k, x[row], y[row]) for row in found if row not in taken]
+    return done + live
+
+
+def _expect(live: list[_Ball], frame: int, diameter: float) -> None:
+    """Sets where each ball is expected and with what velocity, pairs bouncing off each other on the way."""
+    for ball in live:
+        span = frame - ball.frame
+        ball.ahead = (ball.x + ball.vx * span, ball.y + ball.vy * span, ball.vx, ball.vy)
+        ball.bounced = False
+    for i, one in enumerate(live):
+        for two in live[i + 1 :]:
+            _bounce(one, two, frame, diameter)
+
+
+def _bounce(one: _Ball, two: _Ball, frame: int, diameter: float) -> None:
+    """Elastic-like exchange along the line of centres, if the two meet before ``frame``."""
+    span = frame - max(one.frame, two.frame)
+    ax, ay = one.x + one.vx * (frame - span - one.frame), one.y + one.vy * (frame - span - one.frame)
+    bx, by = two.x + two.vx * (frame - span - two.frame), two.y + two.vy * (frame - span - two.frame)
+    dx, dy, ux, uy = bx - ax, by - ay, two.vx - one.vx, two.vy - one.vy
+    closing, gap = dx * ux + dy * uy, dx * dx + dy * dy - diameter**2
+    speed = ux * ux + uy * uy
+    root = closing * closing - speed * gap
+    if closing >= 0.0 or root <= 0.0 or speed == 0.0:
+        return
+    wait = max(0.0, (-closing - math.sqrt(root)) / speed)
+    if wait >= span:
+        return
+    nx, ny = dx + ux * wait, dy + uy * wait
+    length = math.hypot(nx, ny) or 1.0
+    nx, ny = nx / length, ny / length
+    push = 0.5 * (1.0 + BOUNCE) * (ux * nx + uy * ny)
+    left = span - wait
+    x, y, vx, vy = one.ahead
+    one.ahead = (x + push * nx * left, y + push * ny * left, vx + push * nx, vy + push * ny)
+    x, y, vx, vy = two.ahead
+    two.ahead = (x - push * nx * left, y - push * ny * left, vx - push * nx, vy - push * ny)
+    one.bounced = two.bounced = True
+
+
+def _match(
+    live: list[_Ball],
+    found: list[int],
+    x: list[float],
+    y: list[float],
+    frame: int,
+    reach: float,
+    diameter: float,
+) -> list[tuple[_Ball, int]]:
+    """Pairs of ball and glint of least summed squared distance, none further than its gate."""
+    if not live or not found:
+        return []
+    cost = [[(b.ahead[0] - x[r]) ** 2 + (b.ahead[1] - y[r]) ** 2 for r in found] for b in live]
+    gates = [_gate(b, frame, reach, diameter) ** 2 for b in live]
+    if len(live) == len(found) == 1:
+        chosen = [(0, 0)]
+    else:
+        capped = [[min(c, g) for c in line] for line, g in zip(cost, gates, strict=True)]
+        rows, columns = linear_sum_assignment(np.array(capped))
+        chosen = list(zip(rows.tolist(), columns.tolist(), strict=True))
+    return [(live[i], found[j]) for i, j in chosen if cost[i][j] < gates[i]]
+
+
+def _gate(ball: _Ball, frame: int, reach: float, diameter: float) -> float:
+    span = frame - ball.frame
+    if not ball.moving:
+        return reach * span
+    speed = math.hypot(ball.vx, ball.vy)
+    loose = 1.0 if ball.bounced else 0.35
+    return (0.6 * diameter + loose * speed) * span
+
+
+def _extend(ball: _Ball, row: int, frame: int, x: float, y: float) -> None:
+    span = frame - ball.frame
+    if ball.bounced:  # a difference across the bounce is neither velocity
+        ball.vx, ball.vy = ball.ahead[2:]
+    else:
+        ball.vx, ball.vy = (x - ball.x) / span, (y - ball.y) / span
+    ball.moving = True
+    ball.rows.append(row)
+    ball.frame, ball.x, ball.y = frame, x, y
+
+
+def _trusted(balls: list[_Ball], glints: Glints) -> list[_Ball]:
+    """Tracks that are balls: not faint beside the others, and not a blip of a frame or two."""
+    long = [b for b in balls if len(b.rows) >= SHORT] or balls
+    fluxes = {id(b): float(np.median(glints.flux[b.rows])) for b in balls}
+    brightest = max(fluxes[id(b)] for b in long)
+    typical = float(np.median([fluxes[id(b)] for b in long if fluxes[id(b)] >= FAINT * brightest]))
+    kept = []
+    for ball in balls:
+        flux = fluxes[id(ball)]
+        whole = len(ball.rows) >= SHORT or 0.4 * typical < flux < 2.5 * typical
+        if flux >= FAINT * brightest and whole:
+            kept.append(ball)
+    first = [(int(glints.frame[b.rows[0]]), glints.x[b.rows[0]], glints.y[b.rows[0]]) for b in kept]
+    return [kept[i] for i in sorted(range(len(kept)), key=first.__getitem__)]

@@ -1,0 +1,35 @@
+"""The balls are alike: how bright one ball shows another's glint, as the clip's other pairs say, tells where it is.
+
+A secondary glint free in each window is mistaken for a part of the primary one when the ball is small. Geometry gives
+the ratio of the two but for the balls' reflectance, and that is one number, which every pair tells.
+"""
+
+from __future__ import annotations
+
+from tracker.camera.lens import Array
+
+ROUNDS = 3  # in which the scatter of the reflectances is found
+LOOSE = 0.1  # of the reflectance, what geometry leaves out: images of higher order, the neighbour's dark side
+
+
+def agreed(xy: Array, cov: Array, reflectance: Array, lean: Array, own: Array) -> tuple[Array, Array]:
+    """Glints' places ``xy`` (n, 2) px and covariances ``cov`` (n, 2, 2) px^2, with what the others' reflectance adds.
+
+    ``reflectance`` (n,), of variance ``own`` (n,) and covariance ``lean`` (n, 2) px with the place. Conditioning of
+    normal errors on the mean of all the others, which leaves out what a window says itself.
+    """
+    if len(xy) < 2:
+        return xy, cov
+    scatter = 0.0
+    for _ in range(ROUNDS):
+        weight = 1.0 / (own + scatter)
+        mean = float(weight @ reflectance / weight.sum())
+        excess = float(weight @ ((reflectance - mean) ** 2 - own) / weight.sum())
+        scatter = max(excess, (LOOSE * mean) ** 2)
+    weight = 1.0 / (own + scatter)
+    rest = weight.sum() - weight
+    others = (weight @ reflectance - weight * reflectance) / rest
+    whole = own + scatter + 1.0 / rest
+    better = xy - lean * ((reflectance - others) / whole)[:, None]
+    surer = cov - lean[:, :, None] * lean[:, None, :] / whole[:, None, None]
+    return better, surer

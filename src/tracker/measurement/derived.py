@@ -1,0 +1,141 @@
+"""What a fitted motion says: r, mu_k, C, slide times, energies, spins, each with its standard error.
+
+Everything is a function of the free parameters of `motion`, so that both fits share one definition;
+errors follow from the parameters' covariance to first order.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tracker.measurement.collision_model import AFTER, GRAVITY, release
+
+Floats = NDArray[np.float64]
+
+NAMES = (
+    *("v0", "b", "t_c", "r", "s", "mu_k", "C", "tau1", "tau2", "v1f", "v2f"),
+    *("energy_fraction", "momentum_fraction", "final_angle", "drag", "decel", "w1n", "w1t", "w2n", "w2t"),
+)
+APART = 5.0  # standard errors
+STEP = 0.01  # of a standard error, for derivatives: second-order terms cancel, rounding stays below 1e-6
+
+
+@dataclass(frozen=True)
+class Values:
+    """Quantities in the order of NAMES: value (20,) and covariance (20, 20)."""
+
+    value: Floats
+    cov: Floats
+
+    @property
+    def std(self) -> Floats:
+        """(20,) standard errors."""
+        return np.sqrt(np.diag(self.cov))
+
+    def without_errors(self, names: Collection[str]) -> Values:
+        """The same, but of these names the values alone."""
+        lost, cov = [i for i, name in enumerate(NAMES) if name in names], self.cov.copy()
+        cov[lost, :] = np.nan
+        cov[:, lost] = np.nan
+        return Values(self.value, cov)
+
+
+def of_free(free: Floats, cov: Floats, diameter: float) -> Values:
+    """Quantities of a free motion (20,) with covariance (20, 20); diameter in m.
+
+    Friction and spin transfer are each told by either ball; the two are weighed by their errors. Where they differ by
+    more than APART of these, there is no one value, and its covariance is NaN.
+    """
+    twice, slope = _with_slope(lambda p: _both(p, diameter), free, cov)
+    spread = slope @ cov @ slope.T
+    merge, apart = np.zeros((len(NAMES), len(NAMES) + 2)), list[str]()
+    for row, name in enumerate(NAMES):
+        column = row + (row > NAMES.index("mu_k")) + (row > NAMES.index("C"))
+        if name in ("mu_k", "C"):
+            pair = slice(column, column + 2)
+            merge[row, pair] = _weights(spread[pair, pair])
+            if abs(twice[column] - twice[column + 1]) > APART * np.sqrt(_of_difference(spread[pair, pair])):
+                apart.append(name)
+        else:
+            merge[row, column] = 1.0
+    return Values(merge @ twice, merge @ spread @ merge.T).without_errors(apart)
+
+
+def of_tied(tied: Floats, cov: Floats, diameter: float, spin: float = 0.0) -> Values:
+    """Quantities of a tied motion (13,) with covariance (13, 13); spin: see `release`."""
+
+    def single(p: Floats) -> Floats:
+        both = _both(np.asarray(release(p, spin), dtype=np.float64), diameter)
+        return np.delete(both, [NAMES.index("mu_k") + 1, NAMES.index("C") + 2], axis=-1)
+
+    value, slope = _with_slope(single, tied, cov)
+    if not tied[-2:].any():
+        spin = NAMES.index("w1n")  # nothing turns a resting ball about n: zero by the model, not by measurement
+        value[spin], slope[spin] = 0.0, 0.0
+    return Values(value, slope @ cov @ slope.T)
+
+
+def _with_slope(function, at: Floats, cov: Floats) -> tuple[Floats, Floats]:  # type: ignore[no-untyped-def]
+    size = STEP * np.sqrt(np.diag(cov))
+    steps = np.diag(size)
+    high, low = function(at + steps), function(at - steps)
+    with np.errstate(invalid="ignore"):
+        slope = (high - low) / (2 * size[:, None])
+    slope[size == 0] = 0.0  # held
+    return function(at), slope.T
+
+
+def _weights(cov: Floats) -> Floats:
+    """Weights (2,), summing to one, of the best mean of two measurements of one thing."""
+    first = (cov[1, 1] - cov[0, 1]) / _of_difference(cov)
+    return np.array([first, 1 - first])
+
+
+def _of_difference(cov: Floats) -> float:
+    """Variance of the difference of two measurements."""
+    return float(cov[0, 0] + cov[1, 1] - 2 * cov[0, 1])
+
+
+def _both(free: Floats, diameter: float) -> Floats:
+    """(..., 22): NAMES, with mu_k and C twice, once from each ball."""
+    radius = diameter / 2
+    heading, beta, v0 = free[..., 3], free[..., 4], free[..., 5]
+    d = np.stack([np.cos(heading), np.sin(heading)], -1)
+    n = np.stack([np.cos(heading - beta), np.sin(heading - beta)], -1)
+    t = np.stack([-n[..., 1], n[..., 0]], -1)
+    v, f, tau, spin = {}, {}, {}, {}
+    for ball, at in AFTER.items():
+        v[ball], f[ball] = free[..., at : at + 2], free[..., at + 2 : at + 4]
+        tau[ball] = np.exp(free[..., at + 4])
+        carried = (7 * f[ball] - 5 * v[ball]) / 2  # R w x z just after the impact: (5v + 2R w x z)/7 is kept
+        spin[ball] = (-_dot(carried, t), _dot(carried, n))  # R w along n and t
+    first = free[..., -2:]
+    second = first + v0[..., None] * d
+    along, across = v0 * np.cos(beta), v0 * np.sin(beta)
+    rolls = _dot(first, n), _dot(second, n)  # R w_t before: a rolling ball's spin along t is its speed along n
+    total, start = _dot(first, first) + _dot(second, second), first + second
+    with np.errstate(divide="ignore", invalid="ignore"):
+        columns = [
+            v0, np.sin(beta), free[..., 0],
+            _dot(v[1] - v[2], n) / along, _dot(v[2] - v[1], t) / across,
+            *(_norm(f[i] - v[i]) / (GRAVITY * tau[i]) for i in (1, 2)),
+            *((rolls[i - 1] - spin[i][1]) / (rolls[0] + rolls[1]) for i in (1, 2)),
+            tau[1], tau[2], _norm(f[1]), _norm(f[2]),
+            (_dot(f[1], f[1]) + _dot(f[2], f[2])) / total, _dot(f[1] + f[2], start) / _dot(start, start),
+            np.arctan2(np.abs(f[1][..., 0] * f[2][..., 1] - f[1][..., 1] * f[2][..., 0]), _dot(f[1], f[2])),
+            free[..., 6], free[..., 7],
+            *(spin[i][axis] / radius for i in (1, 2) for axis in (0, 1)),
+        ]  # fmt: skip
+    return np.stack(columns, -1)
+
+
+def _dot(a: Floats, b: Floats) -> Floats:
+    return np.asarray((a * b).sum(-1))
+
+
+def _norm(a: Floats) -> Floats:
+    return np.asarray(np.hypot(a[..., 0], a[..., 1]))

@@ -1,0 +1,72 @@
+"""Velocity, energy and momentum frame by frame, as the paper plots them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from tracker.measurement.adequacy import MEASURED
+from tracker.measurement.collision_model import AFTER, release
+from tracker.measurement.positions import Course, courses
+
+if TYPE_CHECKING:
+    from tracker.camera.camera import Camera
+    from tracker.detection.link import Tracks
+
+Floats = NDArray[np.float64]
+COLUMNS = ("t_s", "particle", "vx", "vy", "energy", "p_along", "p_across")
+
+
+def motion_table(tracks: Tracks, camera: Camera, row: Mapping[str, Any]) -> pd.DataFrame:
+    """Per frame and ball: t_s, particle, vx, vy, energy, p_along, p_across; SI, per unit mass.
+
+    Velocities are differences between the neighbouring frames. energy is v^2/2 less what noise adds to it, so it
+    is unbiased and may fall below zero at rest. p_along and p_across are along the ball's own direction of slip
+    after the collision of `row` (a row of `measure`) and across it (z x that): the paper's x and y. NaN for a
+    ball that took no part in it.
+    """
+    slips = slip_directions(row)
+    balls = [c for c in courses(tracks, camera) if len(c) >= 2] if camera.metric else []
+    empty = [np.empty(0, np.int64 if name == "particle" else float) for name in COLUMNS]
+    parts = [empty, *(_of_ball(course, slips.get(course.particle)) for course in balls)]
+    whole = map(np.concatenate, zip(*parts, strict=True))
+    return pd.DataFrame(dict(zip(COLUMNS, whole, strict=True)))
+
+
+def slip_directions(row: Mapping[str, Any]) -> dict[int, Floats]:
+    """particle -> unit vector (2,) of its contact velocity just after the impact; empty without a collision."""
+    launch = [row.get(name, np.nan) for name in ("heading", "b", "v0", "r", "C")]
+    if row.get("status") not in MEASURED or not np.all(np.isfinite(launch)):
+        return {}
+    heading, b, v0, r, c = map(float, launch)
+    target = [float(np.nan_to_num(row.get(name, 0.0))) for name in ("v1ix", "v1iy")]
+    tied = np.array([0, 0, 0, heading, np.arcsin(np.clip(b, -1, 1)), v0, 0, 0, r, 0, c, *target])
+    free = np.asarray(release(tied), dtype=np.float64)
+    out = {}
+    for ball, at in AFTER.items():
+        lost = free[at : at + 2] - free[at + 2 : at + 4]
+        out[int(row[f"particle{ball}"])] = lost / max(float(np.hypot(*lost)), 1e-300)
+    return out
+
+
+def differences(course: Course) -> tuple[Floats, Floats]:
+    """Velocity (n, 2) m/s at each frame from its neighbours, and what noise adds to v^2 (n,)."""
+    last = len(course) - 1
+    ahead, behind = np.minimum(np.arange(last + 1) + 1, last), np.maximum(np.arange(last + 1) - 1, 0)
+    span = (course.start[ahead] - course.start[behind])[:, None]
+    velocity = (course.place[ahead] - course.place[behind]) / span
+    noise = np.trace(course.cov[ahead] + course.cov[behind], axis1=1, axis2=2) / span[:, 0] ** 2
+    return velocity, noise
+
+
+def _of_ball(course: Course, slip: Floats | None) -> list[NDArray[Any]]:
+    """The columns of one ball."""
+    velocity, noise = differences(course)
+    along = np.full(2, np.nan) if slip is None else slip
+    across = np.array([-along[1], along[0]])
+    values = [course.time, np.full(len(course), course.particle), velocity[:, 0], velocity[:, 1]]
+    return [*values, ((velocity**2).sum(axis=1) - noise) / 2, velocity @ along, velocity @ across]

@@ -1,0 +1,380 @@
+"""From the tracks of one clip to its physics: r, mu_k, C, slide times, energy, momentum, with honest errors.
+
+Three readings stand beside each other: NAME from the tied fit (one physical model of impact, sliding and rolling),
+NAME_free from the free fit (any velocities and slide times after the hit), NAME_paper from the paper's finite
+differences. Where the first two disagree the model is wrong. What a clip cannot tell is NaN.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tracker.measurement import painter_behringer as paper
+from tracker.measurement.adequacy import LEVEL, MISFIT, agreement, p_value, questioned
+from tracker.measurement.collision_model import AFTER, FREE, TARGET, TIED, release
+from tracker.measurement.contacts import Encounter, Meeting, Past, encounter, first_guess, meetings
+from tracker.measurement.derived import NAMES, Values, of_free, of_tied
+from tracker.measurement.energy_momentum import motion_table
+from tracker.measurement.estimate_row import covariances, unmeasured
+from tracker.measurement.fitting import COARSE, Fit, Pair, fit_motion
+from tracker.measurement.joint_fit import fit_all
+from tracker.measurement.noise_correlation import lasting
+from tracker.measurement.position_noise import Size, scatter
+from tracker.measurement.positions import Course, courses
+from tracker.measurement.rolling_ball import PARAMETERS, roll_alone
+
+if TYPE_CHECKING:
+    from tracker.camera.camera import Camera
+    from tracker.detection.link import Tracks
+
+__all__ = ["fit_all", "interpret", "measure", "motion_table", "told"]
+
+Floats = NDArray[np.float64]
+
+SEEN = 25.0  # chi^2 by which the end of a slide must beat a slide without end: five standard errors
+TELLING = 0.2  # a relative error above this, and first-order errors no longer describe the estimate
+# quantities whose size may be zero have limits of their own, in their own units
+LIMITS = {"b": 0.05, "t_c": np.inf, "s": 0.1, "r": 0.05, "C": 0.05, "final_angle": 0.1}
+LIMITS |= {"energy_fraction": 0.05, "momentum_fraction": 0.05, "drag": 2.0, "decel": 0.2}
+FREE_LIMITS = LIMITS | {"r": 0.02}
+NEEDS = {  # what falls with a slide end that the clip does not show, by ball
+    1: ("tau1", "v1f", "w1n", "w1t"),
+    2: ("tau2", "v2f", "w2n", "w2t"),
+}
+NEEDS_START = ("r", "s", "mu_k", "C")  # what falls with a slide too short to show the velocity just after the hit
+BY_LAWS = ("C", "w1n", "w1t", "w2n", "w2t")  # what the free fit infers of spins by laws that a misfit puts in doubt
+NEEDS_BOTH = ("energy_fraction", "momentum_fraction", "final_angle")
+UNLIKELY = 10.0  # standard deviations of chi^2 beyond which a lone ball was not rolling freely
+NO_DIAMETER = "no ball_diameter in the camera file: a collision is measured by where balls of that diameter touch"
+UNLIKE = 5.0  # standard errors by which the tracks' own scatter differs from what a table claims
+BORNE_OUT = 1e-3  # p-value from which on whole fits bear out that errors are smaller than claimed
+POOR_FIT = 1e4  # chi^2 per degree of freedom: 100 sigma off everywhere is no description of the motion
+ENDLESS = (0.9, 0.5)  # restitutions from which a fit of balls that slide on all the while starts
+AS_GOOD = 10.0  # chi^2 by which a motion that is possible may fit worse than one that is not
+
+
+@dataclass(frozen=True)
+class Reading:
+    """Both fits of one collision and what they say."""
+
+    meeting: Encounter
+    tied: Fit
+    free: Fit
+    slides_seen: tuple[bool, bool]
+    of_tied: Values
+    of_free: Values
+
+    @property
+    def known(self) -> float:
+        """Degrees of freedom from which the errors' size was found; inf: it was given."""
+        return self.meeting.pair.striker.known
+
+    @cached_property
+    def adequate(self) -> float:
+        """p-value of the tied fit's chi^2."""
+        return p_value(self.tied.chi2, self.tied.dof, self.known)
+
+    @cached_property
+    def adequate_free(self) -> float:
+        """p-value of the free fit's chi^2."""
+        return p_value(self.free.chi2, self.free.dof, self.known)
+
+    @cached_property
+    def agree(self) -> float:
+        """p-value of what the tied fit's chi^2 has beyond the free one's."""
+        return agreement(self.tied, self.free, self.known)
+
+    @property
+    def borne(self) -> tuple[bool, bool]:
+        """Whether the data bear the tied and the free fit; nothing is rejected where the errors' size is not known."""
+        free = not self.adequate_free < LEVEL
+        return free and not (self.adequate < LEVEL or self.agree < LEVEL), free
+
+
+def measure(tracks: Tracks, camera: Camera) -> list[dict[str, Any]]:
+    """One row per collision of a clip, in the columns of estimates.parquet without `clip`; never empty.
+
+    SI units. status: "ok", "misfit" where the data reject the tied fit (then NAME has no error), "no_collision"
+    (then v0, drag and decel of the ball that rolls), or the reason why nothing can be told.
+    """
+    if not camera.metric:
+        return [unmeasured(camera, "no scale: lengths need a camera file")]
+    balls = courses(tracks, camera)
+    if not any(len(course) >= 2 for course in balls):
+        return [unmeasured(camera, "too few detections")]
+    size = scatter(balls) if balls[0].weighed else None
+    if size is None or abs(size.sigmas) < UNLIKE:
+        return _rows(balls, camera)
+    resized = [course.resized(size) for course in balls]
+    if size.ratio > 1:
+        rows = _rows(resized, camera)
+        return _rows(balls, camera) if _p_free(rows, size) > 1 - LEVEL else rows  # kinks were taken for scatter
+    rows = _rows(balls, camera)
+    slow = any(row["noise"] == "scatter" for row in rows)  # errors that last scatter little from frame to frame
+    return rows if slow or not _p_free(rows, size, size.ratio) > BORNE_OUT else _rows(resized, camera)
+
+
+def _p_free(rows: list[dict[str, Any]], size: Size, ratio: float = 1.0) -> float:
+    """p-value of all free fits together, were the errors' variance `ratio` times what they went by; NaN without any."""
+    fits = [(row["chi2_free"], row["dof_free"]) for row in rows if row["dof_free"] > 0]
+    square, dof = np.sum(fits, axis=0) if fits else (np.nan, 0)
+    return p_value(float(square) / ratio, float(dof), size.dof)
+
+
+def _rows(balls: list[Course], camera: Camera) -> list[dict[str, Any]]:
+    """The rows of a clip, its errors given."""
+    noise = _noise(balls[0], camera)
+    if len(balls) > 1 and not camera.knows_diameter:
+        return [unmeasured(camera, NO_DIAMETER) | noise]
+    met = meetings(balls, camera.ball_diameter) if len(balls) > 1 else []
+    if not met:
+        return [unmeasured(camera, "no_collision") | noise | _alone(balls)]
+    rows, pasts = [], dict[int, Past]()
+    for i, meeting in enumerate(met):
+        try:
+            row, left = _collision(meeting, pasts, camera, i)
+        except (ArithmeticError, ValueError, IndexError) as error:  # one collision never costs the others
+            particles = [course.particle for course in (meeting.one, meeting.other)]
+            row = unmeasured(camera, failure(error), i) | dict(zip(("particle1", "particle2"), particles, strict=True))
+            left = {particle: Past(np.inf) for particle in particles}
+        rows.append(noise | row if row["noise"] == "scatter" else row | noise)
+        pasts |= left
+    return rows
+
+
+def failure(error: Exception) -> str:
+    """A status that says that the arithmetic failed, and how."""
+    return f"the fit failed: {(str(error).splitlines() or [type(error).__name__])[0][:80]}"
+
+
+def _noise(course: Course, camera: Camera) -> dict[str, Any]:
+    """Where the places' errors come from: the table, or (then with their size, px) the tracks' own scatter."""
+    if np.isinf(course.known):
+        return {}
+    size = float(np.sqrt(np.trace(course.cov[0]) / 2) / camera.scale)
+    ratio = course.stretch if course.weighed else np.nan
+    return {"noise": "scatter", "noise_px": size, "noise_ratio": ratio, "noise_rho": course.rho}
+
+
+def _collision(
+    meeting: Meeting, pasts: dict[int, Past], camera: Camera, index: int
+) -> tuple[dict[str, Any], dict[int, Past]]:
+    """The row of one collision, and what it leaves of its balls."""
+    met = encounter(meeting, camera.ball_diameter, pasts)
+    row = unmeasured(camera, met.reason or "ok", index)
+    row |= {f"particle{i}": course.particle for i, course in met.pair.balls}
+    unknown = {course.particle: Past(np.inf) for _, course in met.pair.balls}
+    if met.reason:
+        return row, unknown
+    read = interpret(met)
+    if isinstance(read, str):
+        return row | {"status": read}, unknown
+    row |= _values(read) | _judged(read) | _noise(read.meeting.pair.striker, camera)
+    for name, (value, std) in paper.read(met, camera.fps).items():
+        row[f"{name}_paper"], row[f"{name}_paper_std"] = value, std
+    return (row, unknown) if row["status"] == MISFIT else (row, _left(read, pasts))
+
+
+def _values(read: Reading) -> dict[str, Any]:
+    """What both fits say, with errors where the data bear the fit."""
+    tied, free = told(read)
+    row: dict[str, Any] = {"cov": covariances({"tied": tied.cov, "free": free.cov})}
+    for suffix, values in (("", tied), ("_free", free)):
+        for i, name in enumerate(NAMES):
+            row[f"{name}{suffix}"], row[f"{name}{suffix}_std"] = values.value[i], values.std[i]
+    at = [TIED.index(name) for name in ("heading", "x", "y", *TARGET)]
+    row |= dict(zip(("heading", "x1", "y1", "v1ix", "v1iy"), read.tied.parameters[at].tolist(), strict=True))
+    for suffix, fit in (("", read.tied), ("_free", read.free)):
+        row |= {f"chi2{suffix}": fit.chi2, f"dof{suffix}": fit.dof, f"dropped{suffix}": fit.dropped}
+    return row
+
+
+def _judged(read: Reading) -> dict[str, Any]:
+    """Whether the data bear the fits, and what of the tied one cannot be."""
+    stretch = float(np.sqrt(max(1.0, read.tied.chi2 / read.tied.dof)))
+    return {
+        "status": "ok" if read.borne[0] else MISFIT, "adequate": read.adequate, "adequate_free": read.adequate_free,
+        "agree": read.agree, "flags": questioned(read.of_tied, stretch),
+    }  # fmt: skip
+
+
+def _left(read: Reading, pasts: dict[int, Past]) -> dict[int, Past]:
+    """What the balls carry on: they slide to the later of both fits' ends, and the hit's rub has turned them."""
+    pair, tied = read.meeting.pair, read.tied.parameters
+    ends = [FREE.index(name) for name in ("log_tau1", "log_tau2")]
+    both = (np.asarray(release(tied, pair.spin), dtype=np.float64), read.free.parameters)
+    late = np.max([free[0] + np.exp(free[ends]) for free in both], axis=0)
+    beta, v0, c = (tied[TIED.index(name)] for name in ("beta", "v0", "C"))
+    turn = -c * (v0 * np.sin(beta) + pair.spin)  # R dw = (5/2) n x J/m, the same for both
+    particles = [course.particle for _, course in pair.balls]
+    return {
+        p: Past(float(end), pasts.get(p, Past()).spin + float(turn)) for p, end in zip(particles, late, strict=True)
+    }
+
+
+def interpret(meeting: Encounter) -> Reading | str:
+    """Tied and free fit of one collision; or the reason why there is none."""
+    guess = first_guess(meeting)
+    if guess is None:
+        return "the approach does not lead to the other ball"
+    read = _fitted(meeting, [guess])
+    pair = None if isinstance(read, str) else lasting(meeting.pair, read.free)
+    if pair is None or isinstance(read, str):
+        return read
+    return _fitted(replace(meeting, pair=pair), [guess, read.tied.parameters])
+
+
+def _fitted(meeting: Encounter, starts: list[Floats]) -> Reading | str:
+    """Tied and free fit by the errors that the places have."""
+    pair = meeting.pair
+    tied = fit_motion(pair, True, starts)
+    free, seen = _free(pair, tied)
+    if tied.chi2 > free.chi2 + 50:  # the free fit has no impact to get wrong: let it lead
+        again = fit_motion(pair, True, [_tied_from(free, pair.diameter)])
+        if again.chi2 < tied.chi2:
+            tied = again
+            free, seen = _free(pair, tied)
+    tied = _possible(pair, tied)
+    if tied.dropped or free.dropped:
+        tied, free, seen = _on_the_same(tied, free, seen)
+    read = Reading(
+        meeting, tied, free, seen,
+        of_tied(tied.parameters, tied.cov, pair.diameter, pair.spin), of_free(free.parameters, free.cov, pair.diameter),
+    )  # fmt: skip
+    if free.chi2 > POOR_FIT * free.dof:
+        return "no collision of two rolling balls fits the tracks"
+    return read if tied.converged or not read.borne[0] else "the fit did not converge"
+
+
+def _on_the_same(tied: Fit, free: Fit, seen: tuple[bool, bool]) -> tuple[Fit, Fit, tuple[bool, bool]]:
+    """Both fits, and the slide ends seen, of the same places: what only one fit cannot follow is no outlier."""
+    fewer = min(tied, free, key=lambda fit: fit.dropped)
+    if fewer is tied:
+        free, seen = _free(fewer.pair, tied, whole=True)
+    else:
+        tied = fit_motion(fewer.pair, True, [tied.parameters], whole=True)
+    return replace(tied, dropped=fewer.dropped), replace(free, dropped=fewer.dropped), seen
+
+
+def _possible(pair: Pair, tied: Fit) -> Fit:
+    """The tied fit, or one as good by which the balls slide on all the while.
+
+    Balls that go straight on after the hit either did all their sliding at once or never roll: the places cannot tell,
+    but the first may take a restitution that cannot be.
+    """
+    if not questioned(of_tied(tied.parameters, tied.cov, pair.diameter, pair.spin), 1.0):
+        return tied
+    start = tied.parameters.copy()
+    for r in ENDLESS:
+        start[[TIED.index(name) for name in ("r", "log_mu", "C")]] = r, np.log(1e-3), 0.0
+        other = fit_motion(pair, True, [start])
+        values = of_tied(other.parameters, other.cov, pair.diameter, pair.spin)
+        if other.dropped <= tied.dropped and other.chi2 < tied.chi2 + AS_GOOD and not questioned(values, 1.0):
+            return other
+    return tied
+
+
+def _free(pair: Pair, tied: Fit, whole: bool = False) -> tuple[Fit, tuple[bool, bool]]:
+    """The free fit, and for each ball whether its slide's end shows.
+
+    Short slides have several minima: other slide times are tried. One without end is the null hypothesis.
+    """
+    start = np.asarray(release(tied.parameters, pair.spin), dtype=np.float64)
+    ends = [FREE.index(name) for name in ("log_tau1", "log_tau2")]
+    starts = [start]
+    for shift in (-0.5, 0.5):
+        other = start.copy()
+        other[ends] += shift
+        starts.append(other)
+    best = fit_motion(pair, False, starts, whole=whole)
+    seen = [True, True]
+    for i, (end, (_, course)) in enumerate(zip(ends, pair.balls, strict=True)):
+        left = course.start[-1] + course.exposure - best.parameters[0]
+        if np.exp(best.parameters[end]) > left:
+            seen[i] = False
+        elif np.exp(best.parameters[end]) > 0.5 * left:
+            endless = _endless(best.parameters, 1 + i, left)
+            without = fit_motion(pair, False, [endless], COARSE, whole)
+            if without.chi2 < best.chi2:
+                best = without = fit_motion(pair, False, [without.parameters], whole=whole)
+            seen[i] = without.chi2 - best.chi2 > SEEN and bool(np.exp(best.parameters[end]) < left)
+    return best, (seen[0], seen[1])
+
+
+def _endless(free: Floats, ball: int, left: float) -> Floats:
+    """The same start of a slide, but one that goes on after the ball is last seen."""
+    out, at = free.copy(), AFTER[ball]
+    tau, longer = np.exp(free[at + 4]), 1.5 * left
+    out[at + 2 : at + 4] = free[at : at + 2] + (free[at + 2 : at + 4] - free[at : at + 2]) * longer / tau
+    out[at + 4] = np.log(longer)
+    return out
+
+
+def _tied_from(free: Fit, diameter: float) -> Floats:
+    """Tied parameters nearest to a free motion: its launch, and the r, mu_k and C it implies."""
+    said = dict(zip(NAMES, of_free(free.parameters, free.cov, diameter).value, strict=True))
+    impact = [np.clip(said["r"], 0, 1), np.log(np.clip(said["mu_k"], 1e-3, 10)), np.clip(said["C"], -0.5, 1)]
+    return np.concatenate([free.parameters[:8], impact, free.parameters[-len(TARGET) :]])
+
+
+def told(read: Reading) -> tuple[Values, Values]:
+    """What each fit claims: NaN where the clip cannot tell, no errors where the data reject the fit."""
+    # without an end in view, slide time and final velocity trade freely: no minimum, and none is needed
+    if all(read.slides_seen) and not read.free.converged:
+        free_nan = set(NAMES)
+    else:
+        free_nan = {name for ball, seen in enumerate(read.slides_seen, 1) if not seen for name in NEEDS[ball]}
+        if not all(read.slides_seen):
+            free_nan |= {*NEEDS_BOTH, "mu_k", "C"}
+        for ball, name in ((1, "log_tau1"), (2, "log_tau2")):
+            k = FREE.index(name)
+            if read.slides_seen[ball - 1] and read.free.cov[k, k] > TELLING**2:  # too short to show how it began
+                free_nan |= {*NEEDS_START, f"w{ball}n", f"w{ball}t"}
+        if not _bent(read.of_free.value, read.of_free.std):
+            free_nan |= {"s"}
+    tied, free = _claimed(read.of_tied, LIMITS, set()), _claimed(read.of_free, FREE_LIMITS, free_nan)
+    if not read.borne[0]:
+        tied, free = tied.without_errors(NAMES), free.without_errors(BY_LAWS)
+    return tied, free if read.borne[1] else free.without_errors(NAMES)
+
+
+def _bent(value: Floats, std: Floats) -> bool:
+    """Whether the hit is oblique enough for a tangential restitution, a ratio by b, to have a meaning."""
+    b = NAMES.index("b")
+    return bool(abs(value[b]) > 10 * std[b])
+
+
+def _claimed(values: Values, limits: dict[str, float], unseen: set[str]) -> Values:
+    value, cov = values.value.copy(), values.cov.copy()
+    lost = []
+    for i, name in enumerate(NAMES):
+        std = values.std[i]
+        limit = limits.get(name, TELLING * abs(value[i]) if not name.startswith("w") else np.inf)
+        folded = name == "final_angle" and value[i] < 3 * std  # an angle cannot be negative: near zero it is biased
+        if name in unseen or not np.isfinite(value[i]) or not std <= limit or folded:
+            lost.append(i)
+    value[lost] = np.nan
+    cov[lost, :] = np.nan
+    cov[:, lost] = np.nan
+    return Values(value, cov)
+
+
+def _alone(balls: list[Course]) -> dict[str, Any]:
+    """What a rolling ball tells without a collision: its speed when first seen, drag and decel."""
+    fits = [f for f in map(roll_alone, balls) if f is not None]
+    if not fits:
+        return {}
+    best = max(fits, key=lambda f: f.speed)
+    if best.chi2 > best.dof + UNLIKELY * np.sqrt(2 * best.dof):
+        return {"status": "no collision in view, and no ball rolls freely", "chi2": best.chi2, "dof": best.dof}
+    out: dict[str, Any] = {"particle2": best.particle, "chi2": best.chi2, "dof": best.dof}
+    for name, value, std in best.table():
+        told_it = std <= LIMITS.get(name, np.inf)
+        out[name], out[f"{name}_std"] = (value, std) if told_it else (np.nan, np.nan)
+    out["cov"] = covariances({"rolling": best.cov[-3:, -3:]}, PARAMETERS[-3:])
+    return out

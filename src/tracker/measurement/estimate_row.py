@@ -1,0 +1,38 @@
+"""A row of estimates.parquet: its columns where nothing is told, and covariances as text."""
+
+from __future__ import annotations
+
+import json
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tracker.measurement.derived import NAMES
+
+if TYPE_CHECKING:
+    from tracker.camera.camera import Camera
+
+Floats = NDArray[np.float64]
+
+
+def unmeasured(camera: Camera, status: str, index: int = 0) -> dict[str, Any]:
+    """A row in which nothing is told."""
+    row: dict[str, Any] = {"collision": index, "striker": camera.striker, "status": status}
+    for name in NAMES:
+        for kind in ("", "_free", "_paper"):
+            row[f"{name}{kind}"] = row[f"{name}{kind}_std"] = np.nan
+    row |= {"cov": "{}", "particle1": -1, "particle2": -1, "heading": np.nan, "x1": np.nan, "y1": np.nan}
+    row |= {"v1ix": np.nan, "v1iy": np.nan, "noise": "given", "noise_px": np.nan, "noise_ratio": np.nan}
+    row |= {"noise_rho": 0.0, "adequate": np.nan, "adequate_free": np.nan, "agree": np.nan, "flags": ""}
+    for suffix in ("", "_free"):
+        row |= {f"chi2{suffix}": np.nan, f"dof{suffix}": 0, f"dropped{suffix}": 0}
+    return row
+
+
+def covariances(blocks: dict[str, Floats], names: tuple[str, ...] = NAMES) -> str:
+    """Covariances by fit as JSON, in the order of `names`; seven digits, which keeps them positive definite enough."""
+    out: dict[str, Any] = {"names": list(names)}
+    for fit, cov in blocks.items():
+        out[fit] = [[float(f"{v:.7g}") if np.isfinite(v) else None for v in line] for line in cov]
+    return json.dumps(out, separators=(",", ":"))

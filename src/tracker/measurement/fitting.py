@@ -1,0 +1,235 @@
+"""Weighted least squares for motions: best parameters, their Fisher covariance, how well they fit.
+
+The free quantities of a clip that hardly shows them would leave the normal equations singular. A broad prior,
+far wider than any physics, keeps them regular; what it decides comes out with a standard error as wide as
+itself, and is then not claimed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import leastsq
+
+from tracker.measurement.collision_model import FREE, TARGET, TIED, path, release, release_slope
+from tracker.measurement.positions import Course
+
+Floats = NDArray[np.float64]
+OUTLIER = 36.0  # Mahalanobis distance squared: 6 sigma, one in 10^8 for an honest place
+OUTLIER_SHARE = 0.05
+FINE, COARSE = 1e-10, 1e-4  # steps and gains, as shares, that end a descent
+WORTH = 1e-3  # of half the chi^2: less is the same minimum again
+
+# name: (centre, width). Wide enough to weigh nothing against data, stated here and nowhere else.
+BROAD: Mapping[str, tuple[float, float]] = {
+    "drag": (0.0, 20.0),
+    "decel": (0.0, 2.0),
+    "r": (0.5, 5.0),
+    "C": (0.0, 5.0),
+    "log_mu": (float(np.log(0.2)), 4.0),
+    "log_tau1": (float(np.log(0.03)), 4.0),
+    "log_tau2": (float(np.log(0.03)), 4.0),
+    **dict.fromkeys(("v1x", "v1y", "f1x", "f1y", "v2x", "v2y", "f2x", "f2y"), (0.0, 10.0)),
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Pair:
+    """Two balls about one contact: their places, and what is known beforehand.
+
+    diameter m; moving: whether ball 1 (struck) moves before the hit; spin m/s: see `release`.
+    """
+
+    struck: Course
+    striker: Course
+    diameter: float
+    moving: bool = False
+    spin: float = 0.0
+
+    @property
+    def balls(self) -> tuple[tuple[int, Course], tuple[int, Course]]:
+        """(1, struck), (2, striker)."""
+        return (1, self.struck), (2, self.striker)
+
+    def __len__(self) -> int:
+        return len(self.struck) + len(self.striker)
+
+
+@dataclass(frozen=True)
+class Fit:
+    """Best parameters (p,), covariance (p, p), zero where a parameter is held; chi^2 of the data alone, degrees of
+    freedom; the pair that was fitted, without the places dropped as outliers.
+    """
+
+    parameters: Floats
+    cov: Floats
+    chi2: float
+    dof: int
+    pair: Pair
+    dropped: int = 0
+    converged: bool = True
+
+
+class Whitened:
+    """The two balls' places, in units of their own error, against a motion: residuals and derivatives.
+
+    x: the parameters that are fitted, all of TIED or FREE but, where ball 1 rests, its velocity.
+    """
+
+    def __init__(self, pair: Pair, tied: bool) -> None:
+        self.pair, self.tied = pair, tied
+        names = TIED if tied else FREE
+        self.names = names if pair.moving else names[: -len(TARGET)]
+        centres = np.array([BROAD.get(name, (0.0, np.inf)) for name in self.names])
+        self.prior, self.prior_weight = centres[:, 0], 1.0 / centres[:, 1]
+        self._last: tuple[bytes, Floats, Floats] | None = None
+        courses = [course for _, course in pair.balls]
+        self.ball = np.repeat([1, 2], [len(course) for course in courses])
+        self.start = np.concatenate([course.start for course in courses])
+        self.seen = np.concatenate([course.place for course in courses])
+
+    def __call__(self, x: Floats) -> tuple[Floats, Floats]:
+        """Residuals (2n + p,) and derivatives (2n + p, p), priors last; kept for the last x."""
+        key = x.tobytes()
+        if self._last is None or self._last[0] != key:
+            self._last = (key, *self._evaluate(x))
+        return self._last[1], self._last[2]
+
+    def residual(self, x: Floats) -> Floats:
+        """Whitened residuals (2n + p,), priors last."""
+        return self(x)[0]
+
+    def slope(self, x: Floats) -> Floats:
+        """Derivatives (2n + p, p) of `residual`."""
+        return self(x)[1]
+
+    def whole(self, x: Floats) -> Floats:
+        """All parameters (13,) or (20,) from the fitted ones."""
+        return x if self.pair.moving else np.concatenate([x, np.zeros(len(TARGET))])
+
+    def _free(self, full: Floats) -> Floats:
+        return np.asarray(release(full, self.pair.spin), dtype=np.float64) if self.tied else full
+
+    def _evaluate(self, x: Floats) -> tuple[Floats, Floats]:
+        full = self.whole(x)
+        place, slope = self._path(self._free(full))
+        slopes = np.moveaxis(slope, -1, 0)
+        if self.tied:
+            slopes = (release_slope(full, self.pair.spin).T @ slopes.reshape(len(slopes), -1)).reshape(-1, *place.shape)
+        rows = np.concatenate([(place - self.seen)[None], slopes[: len(x)]])
+        cut = len(self.pair.struck)
+        white = np.concatenate(
+            [self.pair.struck.whiten(rows[:, :cut]), self.pair.striker.whiten(rows[:, cut:])], axis=1
+        )
+        residual = np.concatenate([white[0], (x - self.prior) * self.prior_weight])
+        columns = np.concatenate([white[1:], np.diag(self.prior_weight)], axis=1)
+        if not (np.isfinite(residual).all() and np.isfinite(columns).all()):
+            residual, columns = np.nan_to_num(residual, nan=1e9), np.nan_to_num(columns)
+        return np.clip(residual, -1e9, 1e9), columns.T
+
+    def _path(self, free: Floats) -> tuple[Floats, Floats]:
+        """Positions (n, 2) of both balls, ball 1's first, and derivatives (n, 2, 20)."""
+        pair = self.pair
+        return path(free, self.ball, self.start, pair.struck.exposure, pair.diameter)
+
+    def distances(self, x: Floats) -> Floats:
+        """Squared Mahalanobis distance (n,) of each place by itself, ball 1's first."""
+        off, cut = self._path(self._free(self.whole(x)))[0] - self.seen, len(self.pair.struck)
+        return np.concatenate(
+            [self.pair.struck.whiten.distance(off[:cut]), self.pair.striker.whiten.distance(off[cut:])]
+        )
+
+
+class Problem(Protocol):
+    """What can be fitted: weighted residuals (m,) and their derivatives (m, p)."""
+
+    def residual(self, x: Floats) -> Floats: ...
+    def slope(self, x: Floats) -> Floats: ...
+
+
+def fit(problem: Problem, starts: Sequence[Floats], close: float = FINE) -> tuple[Floats, bool]:
+    """The best of several descents (Levenberg-Marquardt, MINPACK): parameters, and whether that descent converged.
+
+    The first start's minimum is found to `close`; from the others only so far as to tell it from that one.
+    """
+    best, cost, converged = _descend(problem, starts[0], close)
+    for start in starts[1:]:
+        other, rough, _ = _descend(problem, start, COARSE)
+        if rough < cost - WORTH:
+            found, better, fine = _descend(problem, other, FINE)
+            if better < cost:
+                best, cost, converged = found, better, fine
+    return best, converged
+
+
+def _descend(problem: Problem, start: Floats, close: float) -> tuple[Floats, float, bool]:
+    """Parameters, half their chi^2, whether a step or a gain under `close`, as a share, ended it."""
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # a long step may overflow
+        x, _, found, _, ended = leastsq(  # type: ignore[call-overload]
+            problem.residual, start, Dfun=lambda x: problem.slope(x).T, col_deriv=True, full_output=True, xtol=close,
+            ftol=close, gtol=FINE, maxfev=100,
+        )  # fmt: skip
+    return np.asarray(x, dtype=np.float64), float(found["fvec"] @ found["fvec"]) / 2, ended in (1, 2, 3, 4)
+
+
+def fit_motion(pair: Pair, tied: bool, starts: list[Floats], close: float = FINE, whole: bool = False) -> Fit:
+    """Tied (13) or free (20) motion of two balls, from starts of that length.
+
+    A few outliers are dropped once, unless the pair is to be fitted whole.
+    """
+    problem = Whitened(pair, tied)
+    p = len(problem.names)
+    best, converged = fit(problem, [start[:p] for start in starts], close)
+    problem, dropped = (problem, 0) if whole else _without_outliers(problem, best)
+    if dropped:
+        best, converged = fit(problem, [best])
+    best, converged = _across_frame_edges(problem, best, converged)
+    residual, rows = problem(best)
+    n = 2 * len(problem.pair)
+    cov, chi2, dof = covariance(rows), float(residual[:n] @ residual[:n]), n - p
+    found = problem.whole(best)
+    full = np.zeros((len(found), len(found)))
+    full[:p, :p] = cov
+    return Fit(found, full, chi2, dof, problem.pair, dropped, converged)
+
+
+def covariance(rows: Floats) -> Floats:
+    """(J^T J)^-1, columns scaled first: the parameters' units differ by many powers of ten."""
+    scale = np.linalg.norm(rows, axis=0)
+    scale[scale == 0] = 1e-30
+    inverse = np.linalg.pinv((rows / scale).T @ (rows / scale), rcond=1e-15, hermitian=True)
+    return np.asarray(inverse / np.outer(scale, scale))
+
+
+def _across_frame_edges(problem: Whitened, best: Floats, converged: bool) -> tuple[Floats, bool]:
+    """chi^2 has a kink where t_c crosses an exposure: look at the other side when one is near.
+
+    How near is told by the standard error, and where the fit is worse than its errors, as much more.
+    """
+    struck = problem.pair.struck
+    residual, rows = problem(best)
+    worse = max(1.0, float(residual @ residual) / len(residual))
+    reach = max(8 * float(np.sqrt(covariance(rows)[0, 0] * worse)), 1e-6)
+    edges = np.concatenate([struck.start, struck.start + struck.exposure])
+    near = edges[np.abs(edges - best[0]) < reach]
+    if not len(near):
+        return best, converged
+    other = best.copy()
+    other[0] = 2 * near[0] - best[0]
+    found, fine = fit(problem, [other])
+    better = problem(found)[0]
+    return (found, fine) if better @ better < residual @ residual else (best, converged)
+
+
+def _without_outliers(problem: Whitened, best: Floats) -> tuple[Whitened, int]:
+    distance = problem.distances(best)
+    far = distance > OUTLIER
+    if not far.any() or far.sum() > OUTLIER_SHARE * len(far):
+        return problem, 0
+    cut, pair = len(problem.pair.struck), problem.pair
+    kept = replace(pair, struck=pair.struck.where(~far[:cut]), striker=pair.striker.where(~far[cut:]))
+    return Whitened(kept, problem.tied), int(far.sum())

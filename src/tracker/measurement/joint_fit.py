@@ -1,0 +1,162 @@
+"""All clips together: the paper's chi^2 for r, mu_k and C, and how much the clips differ among themselves."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+from scipy.optimize import brentq, least_squares
+
+from tracker.measurement.collision_model import GRAVITY, SLIP_RATE
+from tracker.measurement.fitting import covariance
+
+Floats = NDArray[np.float64]
+SHARED = ("r", "mu_k", "C")
+OBSERVED = ("v1f", "v2f", "tau1", "tau2")
+GIVEN = ("v0", "b")
+ROLLING = ("drag", "decel")
+ROUNDED = 1e-12  # least eigenvalue of a correlation matrix that is not one by rounding alone
+STEEPEST = 0.9999  # |b/2R|: the formulas need its neighbourhood
+
+
+def fit_all(estimates: pd.DataFrame) -> dict[str, Any]:
+    """The contents of fit.json from estimates.parquet.
+
+    chi2: r, mu_k, C that minimise the paper's chi^2 over v1f, v2f, tau1 and tau2 of the free fits, against v0 and
+    b, for any b; errors from its curvature, widened by sqrt(chi2/dof) where that exceeds one. scatter: the tied
+    fits' weighted mean, and the standard deviation between clips beyond their own errors. rolling: drag and decel
+    together, for one clip tells their sum far better than either; clips without a collision count here too. Nothing
+    of a misfit enters, and a clip whose covariance is none is left out of the sums that need it.
+    """
+    ok = estimates[estimates["status"] == "ok"] if len(estimates) else estimates
+    roll = estimates[estimates["status"].isin(["ok", "no_collision"])] if len(estimates) else estimates
+    scatter = {name: _between(ok, name) for name in SHARED} | {name: _between(roll, name) for name in ROLLING}
+    return {"clips": len(ok), "chi2": _paper_chi2(ok), "scatter": scatter, "rolling": _rolling(roll)}
+
+
+def predicted(v0: Floats, b: Floats, shared: Floats) -> Floats:
+    """(n, 4): v1f, v2f, tau1, tau2 for speeds v0 and impact parameters b/2R (n,), shared = (r, mu_k, C).
+
+    The paper's F, G, H, I (eqs 1-4) for any b: the normal part scaled by sqrt(1 - b^2), the tangential part
+    handing on 0.4 C of itself.
+    """
+    r, mu, c = shared
+    normal, tangent = v0 * np.sqrt(1 - b**2), v0 * b
+    u1, u2 = ((1 + r) / 2 + c) * normal, ((1 + r) / 2 - c) * normal
+    rub = 0.4 * c * tangent
+    v1f = np.hypot((1 + r) / 2 * normal - 2 * u1 / 7, rub * 5 / 7)
+    v2f = np.hypot((1 - r) / 2 * normal + 2 * u2 / 7, tangent - rub * 5 / 7)
+    rate = SLIP_RATE * mu * GRAVITY
+    return np.column_stack([v1f, v2f, np.hypot(u1, rub) / rate, np.hypot(u2, rub) / rate])
+
+
+def _paper_chi2(ok: pd.DataFrame) -> dict[str, Any]:
+    columns = [f"{name}_free{end}" for name in (*OBSERVED, *GIVEN) for end in ("", "_std")]
+    rows = ok.dropna(subset=columns) if set(columns) <= set(ok.columns) else ok.iloc[:0]
+    nothing = dict.fromkeys(SHARED) | {f"{name}_std": None for name in SHARED}
+    if not len(rows):
+        return {**nothing, "chi2": None, "dof": 0}
+    seen = np.column_stack([rows[f"{n}_free"] for n in OBSERVED]).astype(float)
+    v0, b = (rows[f"{n}_free"].to_numpy(float) for n in GIVEN)
+    start = np.array([0.8, 0.2, 0.2])
+    weights = np.stack([_weight(row) for _, row in rows.iterrows()])
+    good = np.array([_positive(cov) for cov in weights])
+    if not good.any():
+        return {**nothing, "chi2": None, "dof": 0}
+    weights, seen, v0, b = weights[good], seen[good], v0[good], np.clip(b[good], -STEEPEST, STEEPEST)
+    for _ in range(3):  # the errors of v0 and b count too, and how much depends on r, mu_k, C
+        whiten = _whiten(weights, v0, b, start)
+
+        def residual(p: Floats, whiten: Floats = whiten) -> Floats:
+            return np.asarray(np.matmul(whiten, (predicted(v0, b, p) - seen)[..., None])).ravel()
+
+        found = least_squares(residual, start, method="lm", x_scale="jac")
+        start = np.asarray(found.x, dtype=np.float64)
+    dof = max(seen.size - 3, 1)
+    chi2 = float(2 * found.cost)
+    slope = np.asarray(found.jac)
+    std = np.sqrt(np.diag(covariance(slope)) * max(1.0, chi2 / dof))
+    values = {name: float(v) for name, v in zip(SHARED, start, strict=True)}
+    errors = {f"{name}_std": float(s) for name, s in zip(SHARED, std, strict=True)}
+    return {**values, **errors, "chi2": chi2, "dof": seen.size - 3}
+
+
+def _weight(row: pd.Series) -> Floats:
+    """Covariance (6, 6) of OBSERVED and GIVEN in one clip; diagonal where the row carries no matrix."""
+    names = (*OBSERVED, *GIVEN)
+    diagonal = np.diag([float(row[f"{n}_free_std"]) ** 2 for n in names])
+    table = json.loads(row["cov"]) if isinstance(row.get("cov"), str) else {}
+    if "free" not in table:
+        return diagonal
+    pick = [table["names"].index(n) for n in names]
+    cov = np.array(table["free"], dtype=np.float64)[np.ix_(pick, pick)]
+    return cov if np.isfinite(cov).all() and _positive(cov) else diagonal
+
+
+def _positive(cov: Floats) -> bool:
+    """Whether a matrix is a covariance, rounding allowed for."""
+    if not np.isfinite(cov).all() or not (np.diag(cov) > 0).all():
+        return False
+    size = np.sqrt(np.diag(cov))
+    return bool(np.linalg.eigvalsh(cov / np.outer(size, size))[0] > ROUNDED)
+
+
+def _whiten(covs: Floats, v0: Floats, b: Floats, shared: Floats) -> Floats:
+    """(n, 4, 4) that turn seen - predicted into units of its own error, that of v0 and b included."""
+    n = len(v0)
+    slope = np.zeros((n, 4, 6))
+    slope[:, range(4), range(4)] = 1.0
+    for column, (dv, db) in enumerate(((1e-6, 0.0), (0.0, 1e-6)), start=4):
+        slope[:, :, column] = -(predicted(v0 + dv, b + db, shared) - predicted(v0 - dv, b - db, shared)) / 2e-6
+    cov = slope @ covs @ np.swapaxes(slope, 1, 2)
+    size, axes = np.linalg.eigh(cov)
+    least = np.maximum(size, ROUNDED * size[:, -1:])
+    return np.asarray(np.swapaxes(axes, 1, 2) / np.sqrt(least)[..., None])
+
+
+def _rolling(rows: pd.DataFrame) -> dict[str, Any]:
+    """drag and decel of all clips, weighed by the inverse of their joint covariances."""
+    information, pull, n = np.zeros((2, 2)), np.zeros(2), 0
+    for _, row in rows.iterrows():
+        value = np.array([row[name] for name in ROLLING], dtype=np.float64)
+        table = json.loads(row["cov"]) if isinstance(row.get("cov"), str) else {}
+        block = table.get("tied", table.get("rolling"))
+        if block is None:
+            continue
+        pick = [table["names"].index(name) for name in ROLLING]
+        cov = np.array(block, dtype=np.float64)[np.ix_(pick, pick)]
+        if np.isfinite(value).all() and _positive(cov):
+            weight = np.linalg.inv(cov)
+            information, pull, n = information + weight, pull + weight @ value, n + 1
+    if not n:
+        return dict.fromkeys([*ROLLING, *(f"{name}_std" for name in ROLLING)]) | {"n": 0}
+    joint = np.linalg.inv(information)
+    values = dict(zip(ROLLING, map(float, joint @ pull), strict=True))
+    errors = {f"{name}_std": float(s) for name, s in zip(ROLLING, np.sqrt(np.diag(joint)), strict=True)}
+    return values | errors | {"n": n}
+
+
+def _between(rows: pd.DataFrame, name: str) -> dict[str, Any]:
+    """Weighted mean over clips, its error, and the scatter between clips beyond their errors.
+
+    The scatter makes the weighted sum of squares its own expectation, n - 1 (Paule & Mandel 1982).
+    """
+    columns = [name, f"{name}_std"]
+    kept = rows.dropna(subset=columns) if set(columns) <= set(rows.columns) else rows.iloc[:0]
+    if not len(kept):
+        return {"mean": None, "std": None, "scatter": None, "n": 0}
+    x, s2 = kept[name].to_numpy(float), kept[f"{name}_std"].to_numpy(float) ** 2
+
+    def excess(spread: float) -> float:
+        w = 1 / (s2 + spread)
+        return float(w @ (x - w @ x / w.sum()) ** 2) - (len(x) - 1)
+
+    tiny, wide = float(np.finfo(float).tiny), float(np.var(x) * len(x))
+    s2 = np.maximum(s2, tiny)
+    spread = float(brentq(excess, 0.0, wide)) if len(x) > 1 and wide > tiny and excess(0.0) > 0 else 0.0
+    w = 1 / (s2 + spread)
+    mean = float(w @ x / w.sum())
+    return {"mean": mean, "std": float(w.sum() ** -0.5), "scatter": float(np.sqrt(spread)), "n": len(x)}

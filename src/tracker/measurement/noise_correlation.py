@@ -1,0 +1,88 @@
+"""Noise that lasts from frame to frame, read where balls roll or rest freely: before the contact, after the slides.
+
+There a cubic describes the motion, whatever the impact did. Size and correlation of what it leaves are found by
+restricted maximum likelihood, which counts what the cubics take up (Patterson & Thompson 1971).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tracker.measurement.collision_model import FREE
+from tracker.measurement.fitting import Fit, Pair, Whitened
+from tracker.measurement.position_noise import Size
+from tracker.measurement.positions import Course
+from tracker.measurement.whitening import fresh
+
+Floats = NDArray[np.float64]
+ORDER = 3  # of the polynomial
+FEWEST = 12  # places in a stretch that can tell
+LOOKED = np.tanh(np.linspace(0, 3, 25))  # correlations that are tried, from 0 to .995
+SUSPECT = 3.0  # standard errors of the correlation of neighbouring residuals, from which on it is looked at
+CLEAR = 10.0  # gain in the logarithm of the likelihood: beyond four standard errors
+
+
+def lasting(pair: Pair, free: Fit) -> Pair | None:
+    """The pair with errors as large, and as correlated from frame to frame, as its tracks show; None if they are not.
+
+    free: a free fit, which tells when the balls roll.
+    """
+    if _neighbours(free) < SUSPECT:
+        return None
+    parts = [_prepared(stretch) for stretch in _stretches(pair, free)]
+    if not parts:
+        return None
+    gains, sizes = zip(*(_likelihood(parts, float(rho)) for rho in LOOKED), strict=True)
+    best = int(np.argmax(gains))
+    if gains[best] - gains[0] < CLEAR:
+        return None
+    size, rho = sizes[best], float(LOOKED[best])
+    struck, striker = (replace(course.resized(size), rho=rho) for _, course in pair.balls)
+    return replace(pair, struck=struck, striker=striker)
+
+
+def _neighbours(free: Fit) -> float:
+    """Correlation of neighbouring residuals of a free fit, in standard errors."""
+    problem = Whitened(free.pair, False)
+    left = problem.residual(free.parameters[: len(problem.names)])[: 2 * len(free.pair)].reshape(-1, 2)
+    cut = len(free.pair.struck)
+    products = np.concatenate([part[1:] * part[:-1] for part in (left[:cut], left[cut:])])
+    return float(products.mean() * np.sqrt(products.size) / max(float((left**2).mean()), 1e-300))
+
+
+def _stretches(pair: Pair, free: Fit) -> Iterator[Course]:
+    """Each ball before the contact and after its slide, a frame away from either."""
+    for ball, course in pair.balls:
+        t_c, frame = free.parameters[0], float(np.median(np.diff(course.start))) if len(course) > 1 else 0.0
+        end = t_c + np.exp(free.parameters[FREE.index(f"log_tau{ball}")])
+        for rows in (course.start + course.exposure < t_c - frame, course.start > end + frame):
+            if rows.sum() >= FEWEST:
+                yield course.where(rows)
+
+
+def _prepared(course: Course) -> tuple[Floats, NDArray[np.int64]]:
+    """Cubics of either axis and places, whitened by what is claimed, (9, 2n); frames (n,)."""
+    powers = np.interp(course.frame, [course.frame[0], course.frame[-1]], [-1, 1])[:, None] ** np.arange(ORDER + 1)
+    columns = np.zeros((2 * ORDER + 3, len(course), 2))
+    for axis in (0, 1):
+        columns[axis * (ORDER + 1) : (axis + 1) * (ORDER + 1), :, axis] = powers.T
+    columns[-1] = course.place - course.place.mean(axis=0)
+    return replace(course, rho=0.0).whiten(columns), course.frame
+
+
+def _likelihood(parts: list[tuple[Floats, NDArray[np.int64]]], rho: float) -> tuple[float, Size]:
+    """Logarithm of the restricted likelihood at a correlation, with the size that maximises it."""
+    squares, freedom, volume = 0.0, 0, 0.0
+    for columns, frame in parts:
+        kept = rho ** np.diff(frame) if rho else np.zeros(len(frame) - 1)
+        r = np.linalg.qr(fresh(columns, kept).T, mode="r")
+        size = np.abs(np.diag(r))
+        squares += float(size[-1] ** 2)
+        freedom += columns.shape[1] - len(columns) + 1
+        volume += float(np.log1p(-(kept**2)).sum()) + float(np.log(np.maximum(size[:-1], 1e-300)).sum())
+    squares = max(squares, 1e-20)
+    return -freedom / 2 * np.log(squares) - volume, Size(squares / freedom, float(freedom))

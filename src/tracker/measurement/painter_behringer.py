@@ -1,0 +1,144 @@
+"""The paper's own reading of a collision: finite differences at the frame of least separation.
+
+Kept beside the fits because it shows what the method costs: within .01 s of the contact sliding has already
+slowed the one ball and sped up the other, so its restitution is low, and lower the slower the clip.
+Source: Painter & Behringer 2000, sections III B and IV, with the frames that the data format fixes.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tracker.measurement.collision_model import GRAVITY
+from tracker.measurement.contacts import Encounter
+from tracker.measurement.derived import NAMES
+from tracker.measurement.positions import Course
+
+Floats = NDArray[np.float64]
+BEFORE, AT, AFTER = (-3, -1), 0, (1, 3)  # frames about the contact that are read
+SETTLED = 0.3  # of its peak: acceleration under this means that sliding is over
+READING = float(np.sqrt(2 / 12))  # frames; std of a time between two instants, each known to one frame
+
+
+def read(meeting: Encounter, fps: float) -> dict[str, tuple[float, float]]:
+    """NAME -> (value, standard error) for all of NAMES; NaN where the frames it needs are missing.
+
+    Errors propagate those of the places through the differences; a time is known to a frame.
+    """
+    balls, diameter = (meeting.pair.struck, meeting.pair.striker), meeting.pair.diameter
+    ends = [slide_end(course, meeting.frame, fps) for course in balls]
+    places, covs = zip(*(_sample(c, meeting.frame, end) for c, end in zip(balls, ends, strict=True)), strict=True)
+    taus = np.array([np.nan if end is None else (end - meeting.frame) / fps for end in ends])
+    sample, cov = np.stack(places), np.stack(covs)  # (2, 7, 2), (2, 7, 2, 2)
+    steps = np.zeros((2, 7, 2, *sample.shape))  # by ball, frame and column of the covariance's root
+    for ball, row in np.argwhere(np.isfinite(sample).all(axis=2)):
+        steps[ball, row, :, ball, row] = np.linalg.cholesky(cov[ball, row]).T
+    moved = np.concatenate([sample[None], sample + steps.reshape(-1, *sample.shape)])
+    value, *others = _read(moved, taus, diameter, fps, meeting.pair.moving)
+    spread = np.nansum((np.array(others) - value) ** 2, axis=0)
+    table = {name: (float(v), float(s)) for name, v, s in zip(_READ, value, np.sqrt(spread), strict=True)}
+    for name, tau in zip(("tau1", "tau2"), taus, strict=True):
+        table[name] = (float(tau), READING / fps if np.isfinite(tau) else np.nan)
+    mu, mu_std = table["mu_k"]
+    table["mu_k"] = (mu, float(np.hypot(mu_std, mu * READING / fps / np.mean(taus))))
+    contact = balls[0].time[balls[0].frame == meeting.frame]
+    table["t_c"] = (float(contact[0]) if len(contact) else np.nan, 1 / fps / np.sqrt(12))
+    table["drag"], table["decel"] = rolling_loss(balls, meeting.frame, ends, fps)
+    return {n: table[n] if np.isfinite(table[n][0]) else (np.nan, np.nan) for n in NAMES}
+
+
+def slide_end(course: Course, contact: int, fps: float) -> int | None:
+    """First frame after the contact at which acceleration has fallen under SETTLED of its peak; None if none.
+
+    Only places after the contact are differenced, or the kick itself would be the peak.
+    """
+    late = course.where(course.frame > contact)
+    whole = np.flatnonzero(np.diff(late.frame, n=1) != 1)
+    late = late.where(np.arange(len(late)) <= (whole[0] if len(whole) else len(late)))
+    if len(late) < 5:
+        return None
+    second = np.diff(late.place, n=2, axis=0) * fps**2  # at late.frame[1:-1]
+    padded = np.concatenate([second[:1] * np.nan, second, second[:1] * np.nan])
+    smooth = np.nanmean(np.stack([padded[:-2], padded[1:-1], padded[2:]]), axis=0)
+    size = np.hypot(smooth[:, 0], smooth[:, 1])
+    peak = int(np.argmax(size))
+    below = np.flatnonzero(size[peak:] < SETTLED * size[peak])
+    return int(late.frame[1 + peak + below[0]]) if len(below) else None
+
+
+def rolling_loss(
+    balls: tuple[Course, Course], contact: int, ends: list[int | None], fps: float
+) -> tuple[tuple[float, float], tuple[float, float]]:
+    """drag and decel, each with its error: a straight line through acceleration against speed while rolling."""
+    speed, loss = [], []
+    for course, end, start in zip(balls, ends, (contact, -1), strict=True):
+        stretches = [course.frame > end] if end is not None else []
+        if start < 0:
+            stretches.append(course.frame < contact)
+        for rows in stretches:
+            v = np.diff(course.place[rows], axis=0) * fps / np.diff(course.frame[rows])[:, None]
+            size = np.hypot(v[:, 0], v[:, 1])
+            speed.append((size[1:] + size[:-1]) / 2)
+            loss.append(np.diff(size) * fps)
+    x, y = np.concatenate([*speed, np.empty(0)]), np.concatenate([*loss, np.empty(0)])
+    if len(x) < 4 or np.ptp(x) == 0:
+        return (np.nan, np.nan), (np.nan, np.nan)
+    columns = np.column_stack([x, np.ones_like(x)])
+    inverse = np.linalg.inv(columns.T @ columns)
+    slope = inverse @ columns.T @ y
+    std = np.sqrt(np.diag(inverse) * ((y - columns @ slope) ** 2).sum() / (len(x) - 2))
+    return (float(-slope[0]), float(std[0])), (float(-slope[1]), float(std[1]))
+
+
+def _sample(course: Course, contact: int, end: int | None) -> tuple[Floats, Floats]:
+    """Places (7, 2) and covariances at the seven frames that are differenced; NaN where there is none."""
+    wanted = [contact + k for k in (*BEFORE, AT, *AFTER)]
+    wanted += [-1, -1] if end is None else [end + k for k in AFTER]
+    row = {int(f): i for i, f in enumerate(course.frame)}
+    place, cov = np.full((7, 2), np.nan), np.full((7, 2, 2), np.nan)
+    for i, frame in enumerate(wanted):
+        if frame in row:
+            place[i], cov[i] = course.place[row[frame]], course.cov[row[frame]]
+    return place, cov
+
+
+_READ = (
+    *("v0", "b", "r", "s", "mu_k", "C", "v1f", "v2f", "energy_fraction", "momentum_fraction", "final_angle"),
+    *("w1n", "w1t", "w2n", "w2t"),
+)
+
+
+def _read(sample: Floats, taus: Floats, diameter: float, fps: float, moving: bool) -> Floats:
+    """The quantities of _READ (k, 15) from places (k, 2, 7, 2); moving: whether ball 1 was, before the hit."""
+    before, after, final = ((sample[:, :, i] - sample[:, :, j]) * fps / 2 for i, j in ((1, 0), (4, 3), (6, 5)))
+    apart = sample[:, 0, 2] - sample[:, 1, 2]
+    launch = before[:, 1] - before[:, 0]
+    v0 = np.hypot(launch[:, 0], launch[:, 1])
+    n, d = apart / np.hypot(apart[:, 0], apart[:, 1])[:, None], launch / v0[:, None]
+    t = np.column_stack([-n[:, 1], n[:, 0]])
+    carried = (7 * final - 5 * after) / 2  # R w x z just after the impact
+    w_n, w_t = -_dot(carried, t[:, None]) / (diameter / 2), _dot(carried, n[:, None]) / (diameter / 2)
+    start = before.sum(axis=1) if moving else launch
+    energy = (before**2).sum(axis=(1, 2)) if moving else v0**2
+    w_0 = _dot(start, n) / (diameter / 2)  # along t, of rolling balls
+    friction = np.hypot(*np.moveaxis(final - after, -1, 0)) / (GRAVITY * taus)
+    speed, (one, two) = np.hypot(final[..., 0], final[..., 1]), (final[:, 0], final[:, 1])
+    parted = after[:, 0] - after[:, 1]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        s = _dot(parted, t) / -_dot(launch, t)
+    return np.column_stack([
+        v0, _cross(n, d), _dot(parted, n) / _dot(launch, n), s,
+        friction.mean(axis=1), (1 - w_t.sum(axis=1) / w_0) / 2, speed, (speed**2).sum(axis=1) / energy,
+        _dot(one + two, start) / _dot(start, start), np.arctan2(np.abs(_cross(one, two)), _dot(one, two)),
+        w_n[:, 0], w_t[:, 0], w_n[:, 1], w_t[:, 1],
+    ])  # fmt: skip
+
+
+def _dot(a: Floats, b: Floats) -> Floats:
+    return np.asarray((a * b).sum(-1))
+
+
+def _cross(a: Floats, b: Floats) -> Floats:
+    """z . (a x b)."""
+    return np.asarray(a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0])

@@ -1,0 +1,122 @@
+"""How well places are known, told by the places themselves: where a table carries no errors, or wrong ones.
+
+A smooth motion is a cubic over a few frames, to far less than the noise of any detector; what a cubic leaves over
+is noise. Contact and slide ends are no cubics: the few windows that hold one are left out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import chi2
+
+from tracker.measurement.whitening import covariance
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+WINDOW, ORDER = 7, 3  # consecutive frames, order of the polynomial
+OVER = WINDOW - ORDER - 1
+DOF = 2 * OVER  # of a window, both axes
+KEPT = 0.95  # quantile of an honest window beyond which a window is left out
+SPARED = 0.84  # share of the degrees of freedom that this leaves
+MOVED = 3.0  # widths of a glint in a window: a ball that rests may be given in whole pixels, and then never scatters
+ENOUGH = 20  # windows of moving balls, without which those of resting ones count too
+LEAST = 1e-10  # of the variance expected: perfect places have some error yet
+STRIDE = 94  # windows whose covariance is made in one go
+
+
+class Ball(Protocol):
+    """What is asked of a ball's places: see `places.Course`."""
+
+    @property
+    def frame(self) -> Ints: ...
+    @property
+    def place(self) -> Floats: ...
+    @property
+    def cov(self) -> Floats: ...
+    @property
+    def fixed(self) -> Floats: ...
+    @property
+    def width(self) -> float: ...
+    def __len__(self) -> int: ...
+
+
+@dataclass(frozen=True)
+class Size:
+    """Variance of places about smooth motion, over that expected; the degrees of freedom from which it was read."""
+
+    ratio: float
+    dof: float
+
+    @property
+    def sigmas(self) -> float:
+        """By how many of its own standard errors the ratio's logarithm differs from that of one."""
+        return float(np.log(self.ratio) / np.sqrt(2 / self.dof))
+
+
+def scatter(balls: Sequence[Ball]) -> Size | None:
+    """The size of all balls' errors over that of their covariances; None without WINDOW consecutive frames of one."""
+    parts = [_windows(course) for course in balls]
+    if sum(len(starts) for starts, _, _ in parts) == 0:
+        return None
+    if sum(int(moved.sum()) for _, _, moved in parts) >= ENOUGH:
+        parts = [(starts[moved], left[moved], moved[moved]) for starts, left, moved in parts]
+    left = np.concatenate([part[1] for part in parts])
+    typical = float(np.median(left)) / chi2.ppf(0.5, DOF)
+    kept = left[left <= typical * chi2.ppf(KEPT, DOF)]
+    # the mean of what is kept of an honest window, over that of a whole one
+    share = chi2.cdf(chi2.ppf(KEPT, DOF), DOF + 2) / KEPT
+    return Size(max(float(kept.mean() / (DOF * share)), LEAST), SPARED * _freedom([part[0] for part in parts]))
+
+
+def _windows(course: Ball) -> tuple[Ints, Floats, NDArray[np.bool_]]:
+    """First frames (m,) of all whole windows; what cubics leave, chi^2 of DOF (m,); whether the ball moved (m,)."""
+    count = len(course) - WINDOW + 1
+    if count < 1:
+        return np.empty(0, np.int64), np.empty(0), np.empty(0, dtype=bool)
+    t = np.linspace(-1, 1, WINDOW)
+    over = np.linalg.qr(np.vander(t, ORDER + 1), mode="complete")[0][:, ORDER + 1 :]  # (WINDOW, OVER)
+    slide = np.lib.stride_tricks.sliding_window_view
+    rest = (slide(course.place, WINDOW, axis=0) @ over).reshape(count, DOF)
+    left = np.empty(count)
+    for first in range(0, count, STRIDE):
+        rows = slice(first, min(first + STRIDE, count))
+        left[rows] = (rest[rows] * np.linalg.solve(_spread(course, rows, over), rest[rows, :, None])[..., 0]).sum(-1)
+    whole = course.frame[WINDOW - 1 :] - course.frame[:count] == WINDOW - 1
+    moved = np.hypot(*(course.place[WINDOW - 1 :] - course.place[:count]).T) > MOVED * course.width
+    return course.frame[:count][whole], left[whole], moved[whole]
+
+
+def _spread(course: Ball, windows: slice, over: Floats) -> Floats:
+    """Covariances (k, DOF, DOF) expected of what cubics leave over, axis by axis."""
+    k = windows.stop - windows.start
+    rows = slice(windows.start, windows.stop + WINDOW - 1)
+    out = np.zeros((k, 2, OVER, 2, OVER))
+    if course.fixed.any() and course.width > 0:
+        whole = covariance(course.place[rows], course.cov[rows], course.fixed[rows], course.width)
+        n = len(whole) // 2
+        full = whole.reshape(n, 2, n, 2)
+        each = np.arange(k)[:, None] + np.arange(WINDOW)
+        blocks = full[each[:, :, None], :, each[:, None, :], :]  # (k, WINDOW, WINDOW, 2, 2)
+        out += np.einsum("ia,kijxy,jb->kxayb", over, blocks, over)
+    else:
+        own = np.lib.stride_tricks.sliding_window_view(course.cov[rows], WINDOW, axis=0)  # (k, 2, 2, WINDOW)
+        out += np.einsum("ia,kxyi,ib->kxayb", over, own, over)
+    return out.reshape(k, DOF, DOF)
+
+
+def _freedom(starts: list[Ints]) -> float:
+    """Degrees of freedom of windows that overlap: twice the square of their sum's mean, over its variance."""
+    t = np.linspace(-1, 1, WINDOW)
+    q = np.linalg.qr(np.vander(t, ORDER + 1))[0]
+    rest = np.eye(WINDOW) - q @ q.T
+    total = sum(map(len, starts))
+    square = float(total * OVER)
+    for lag in range(1, WINDOW):
+        pairs = sum(int(np.isin(first + lag, first).sum()) for first in starts)
+        square += 2 * pairs * float((rest[lag:, lag:] * rest[:-lag, :-lag]).sum())
+    return 2 * (OVER * total) ** 2 / square

@@ -1,0 +1,112 @@
+"""Tracks in metres: where each ball was, when, and how well that is known."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, fields, replace
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tracker.measurement.position_noise import Size, scatter
+from tracker.measurement.whitening import Whitener
+
+if TYPE_CHECKING:
+    from tracker.camera.camera import Camera
+    from tracker.detection.link import Tracks
+
+Floats = NDArray[np.float64]
+UNKNOWN_PX = 0.1  # of a place, where a table gives no errors and is too short to show them
+GLINT_PX = 1.0  # width of a glint where the camera file does not tell it
+
+
+@dataclass(frozen=True, eq=False)
+class Course:
+    """One ball's way over the plate, by frame.
+
+    frame (n,) int; start (n,) s, start of the frame's exposure; place (n, 2) m, mean over the exposure;
+    cov (n, 2, 2) m^2, and fixed the part of it that a ball at rest has in every frame alike; width m, of a
+    glint; weighed: whether the table claims errors; known: inf where these are kept, else the degrees of freedom of the
+    tracks' own scatter that gave them their size; stretch: that size over the size before; rho: correlation of the
+    errors from frame to frame, beyond what `fixed` tells.
+    """
+
+    particle: int
+    frame: NDArray[np.int64]
+    start: Floats
+    place: Floats
+    cov: Floats
+    exposure: float
+    fixed: Floats = field(default_factory=lambda: np.empty(0))
+    width: float = 0.0
+    weighed: bool = True
+    known: float = np.inf
+    stretch: float = 1.0
+    rho: float = 0.0
+
+    def __post_init__(self) -> None:
+        if len(self.fixed) == 0:
+            object.__setattr__(self, "fixed", np.zeros_like(self.cov))
+
+    def __len__(self) -> int:
+        return len(self.frame)
+
+    @property
+    def time(self) -> Floats:
+        """(n,) s, middle of each exposure."""
+        return self.start + self.exposure / 2
+
+    @cached_property
+    def whiten(self) -> Whitener:
+        """By the places' full covariance."""
+        return Whitener(self.place, self.cov, self.fixed, self.width, self.frame, self.rho)
+
+    def resized(self, size: Size) -> Course:
+        """The same ball, its errors as large as its own scatter."""
+        longer = float(np.sqrt(size.ratio)) * self.stretch
+        cov, fixed = self.cov * size.ratio, self.fixed * size.ratio
+        return replace(self, cov=cov, fixed=fixed, known=size.dof, stretch=longer)
+
+    def where(self, rows: NDArray[np.bool_]) -> Course:
+        """The same ball, only those rows."""
+        if rows.all():
+            return self
+        parts = {f.name: getattr(self, f.name) for f in fields(self)}
+        rowed = {name: v[rows] for name, v in parts.items() if isinstance(v, np.ndarray)}
+        return Course(**(parts | rowed))
+
+
+def courses(tracks: Tracks, camera: Camera) -> list[Course]:
+    """One Course per particle, in order of particle number; rows without a finite place are left out.
+
+    Without a covariance for every row, all get that of the tracks' own scatter.
+    """
+    xy = np.column_stack([tracks.x, tracks.y]).astype(np.float64)
+    keep = np.isfinite(xy).all(axis=1)
+    xy, frame, particle = xy[keep], np.asarray(tracks.frame)[keep].astype(np.int64), np.asarray(tracks.particle)[keep]
+    place, slope = camera.unproject(xy)
+    pixel, fixed = (np.asarray(c, dtype=np.float64)[keep] for c in (tracks.cov, tracks.fixed))
+    weighed = _usable(pixel)
+    if not weighed:
+        pixel, fixed = np.broadcast_to(np.eye(2) * UNKNOWN_PX**2, pixel.shape), np.zeros_like(pixel)
+    cov, shared = (slope @ c @ np.swapaxes(slope, 1, 2) for c in (pixel, np.nan_to_num(fixed)))
+    start, width = frame / camera.fps + camera.line_time * xy[:, 1], (camera.sigma or GLINT_PX) * camera.scale
+    found = []
+    for ball in np.unique(particle):
+        rows = np.flatnonzero(particle == ball)
+        rows = rows[np.unique(frame[rows], return_index=True)[1]]  # in order; a frame given twice counts once
+        found.append(
+            Course(
+                int(ball), frame[rows], start[rows], place[rows], cov[rows], camera.exposure, shared[rows], width,
+                weighed, np.inf if weighed else 0.0,
+            )
+        )  # fmt: skip
+    size = None if weighed else scatter(found)
+    return found if size is None else [course.resized(size) for course in found]
+
+
+def _usable(pixel: Floats) -> bool:
+    """Whether all the covariances (n, 2, 2) are ones: NaN fails."""
+    determinant = pixel[:, 0, 0] * pixel[:, 1, 1] - pixel[:, 0, 1] * pixel[:, 1, 0]
+    return len(pixel) > 0 and bool(np.all((determinant > 0) & (pixel[:, 0, 0] > 0)))

@@ -1,0 +1,87 @@
+"""One ball rolling by itself: its speed and the rolling loss a = -(drag v + decel)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tracker.measurement.collision_model import SHORTEST_EXPOSURE, rolled
+from tracker.measurement.fitting import BROAD, covariance, fit
+from tracker.measurement.positions import Course
+
+Floats = NDArray[np.float64]
+PARAMETERS = ("x", "y", "heading", "v0", "drag", "decel")
+
+
+@dataclass(frozen=True)
+class Alone:
+    """Fit of one rolling ball: PARAMETERS at the first frame it is seen in, covariance (6, 6), chi^2."""
+
+    particle: int
+    parameters: Floats
+    cov: Floats
+    chi2: float
+    dof: int
+
+    @property
+    def speed(self) -> float:
+        """Speed at the start of the first exposure, m/s."""
+        return float(self.parameters[3])
+
+    def table(self) -> Iterator[tuple[str, float, float]]:
+        """(name, value, standard error) of v0, drag and decel."""
+        for i in (3, 4, 5):
+            yield PARAMETERS[i], float(self.parameters[i]), float(np.sqrt(self.cov[i, i]))
+
+
+class _Rolling:
+    """Residuals of a straight, slowing way, averaged over each exposure."""
+
+    def __init__(self, course: Course) -> None:
+        self.whiten, self.place = course.whiten, course.place
+        self.exposure = max(course.exposure, SHORTEST_EXPOSURE)
+        start = course.start - course.start[0]
+        self.edges = np.concatenate([start, start + self.exposure])
+        self.prior = [BROAD.get(name, (0.0, np.inf)) for name in PARAMETERS]
+
+    def _model(self, x: Floats) -> tuple[Floats, Floats]:
+        d = np.array([np.cos(x[2]), np.sin(x[2])])
+        across = np.array([-d[1], d[0]])
+        roll = rolled(float(x[3]), float(x[4]), float(x[5]), self.edges)
+        n = len(self.place)
+
+        def mean(area: Floats) -> Floats:
+            return (area[n:] - area[:n]) / self.exposure
+
+        place = x[:2] + mean(roll.area)[:, None] * d
+        slope = np.zeros((n, 2, 6))
+        slope[:, 0, 0] = slope[:, 1, 1] = 1.0
+        slope[:, :, 2] = mean(roll.area)[:, None] * across
+        for i, part in ((3, roll.area_speed), (4, roll.area_drag), (5, roll.area_decel)):
+            slope[:, :, i] = mean(part)[:, None] * d
+        return place, slope
+
+    def residual(self, x: Floats) -> Floats:
+        off = self.whiten(self._model(x)[0] - self.place)
+        return np.concatenate([off, [(v - c) / w for v, (c, w) in zip(x, self.prior, strict=True)]])
+
+    def slope(self, x: Floats) -> Floats:
+        rows = self.whiten(np.moveaxis(self._model(x)[1], -1, 0)).T
+        return np.concatenate([rows, np.diag([1 / w for _, w in self.prior])])
+
+
+def roll_alone(course: Course) -> Alone | None:
+    """Fit one ball that meets no other; None with fewer than four places."""
+    if len(course) < 4:
+        return None
+    span = course.start[-1] - course.start[0]
+    step = (course.place[-1] - course.place[0]) / span
+    begin = np.array([*course.place[0], np.arctan2(step[1], step[0]), np.hypot(*step), 0.0, 0.0])
+    problem = _Rolling(course)
+    best, _ = fit(problem, [begin])
+    off = problem.residual(best)[: 2 * len(course)]
+    cov, chi2, dof = covariance(problem.slope(best)), float(off @ off), 2 * len(course) - 6
+    return Alone(course.particle, best, cov, chi2, dof)

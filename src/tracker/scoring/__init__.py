@@ -1,0 +1,1 @@
+"""Results against the truth: localisation, tracks, error bars, comparison of detectors, reports."""

@@ -1,0 +1,101 @@
+"""Several detectors on one dataset: the same linking, fits and truth, one report."""
+
+from __future__ import annotations
+
+import json
+import math
+import time
+from collections.abc import Callable, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import jinja2
+
+from tracker import results
+from tracker.camera.camera import InputError
+from tracker.detection.detect import detector
+from tracker.outputs import check_room, held, put, told
+from tracker.scoring.score import Score, score
+from tracker.track import run
+
+TIMES = "times.json"
+LOCALISATION = ("n", "missed", "false", "rmse_px", "bound_px", "ratio", "phase_bias_px")
+QUANTITIES = ("r", "tau1", "tau2", "mu_k", "C", "energy_fraction")
+Tick = Callable[[int, int], None]
+
+
+def compare(dataset: Path, names: Sequence[str], report: Path, tick: Tick = lambda done, of: None) -> dict[str, Any]:
+    """Tracks the dataset with each detector, one process, and writes REPORT/score.json and index.html.
+
+    Results are kept in REPORT/results/NAME: interrupted, the same call goes on. InputError before anything is done
+    where a detector is not there, or REPORT holds something else. Returns the contents of score.json.
+    """
+    chosen = [name.strip() for name in names if name.strip()]
+    if not chosen or len(set(chosen)) < len(chosen):
+        raise InputError(
+            "--detectors: expected different names with commas between them, as maximum_likelihood,centroid"
+        )
+    for name in chosen:
+        detector(name)
+    known = dataset / "truth" / "clips.parquet"
+    if not known.is_file():
+        raise InputError(f"{known}: no such file, expected a dataset with its truth")
+    if report.exists() and not (report.is_dir() and (not any(report.iterdir()) or (report / "results").is_dir())):
+        raise InputError(f"{report}: exists and holds something else, expected a new folder for the report")
+    report = report.resolve()
+    check_room(report)
+    with held(report), told(report, "; the same command goes on where it stopped"):
+        (report / "results").mkdir(exist_ok=True)
+        scores = []
+        for k, name in enumerate(chosen):
+            scores.append(_scored(dataset, name, report, partial(_part, tick, k, len(chosen))))
+        whole = scores[0].to_dict()
+        for other in scores[1:]:
+            whole["detectors"] |= other.to_dict()["detectors"]
+        page = jinja2.Environment(loader=jinja2.FileSystemLoader(Path(__file__).parent), autoescape=True)
+        html = page.get_template("compare.html").render(suite=whole["suite"], tables=tables(whole["detectors"]))
+        put(report / "index.html", html)
+        put(report / "score.json", json.dumps(whole, indent=1, allow_nan=False) + "\n")
+    return whole
+
+
+def _part(tick: Tick, k: int, of: int, done: int, clips: int) -> None:
+    tick(k * clips + done, of * clips)
+
+
+def _scored(dataset: Path, name: str, report: Path, tick: Tick) -> Score:
+    place = report / "results" / name
+    started = time.perf_counter()
+    outcome = run(dataset, place, None, name, 1, tick)
+    if outcome.frames:
+        note = {"ms_per_frame": 1e3 * (time.perf_counter() - started) / outcome.frames}
+        results.write_json(report / "results" / f"{name}.{TIMES}", note)
+    known = report / "results" / f"{name}.{TIMES}"
+    spent = json.loads(known.read_text(encoding="utf-8"))["ms_per_frame"] if known.is_file() else None
+    return score(place, dataset, name, spent)
+
+
+def tables(detectors: dict[str, Any]) -> list[tuple[str, list[str], list[list[str]]]]:
+    """Title, heads and rows of text: places and speed, tracks, and quantities by their rmse over the bound."""
+    places = [
+        [name, *(_text(d["localisation"][k]) for k in LOCALISATION), _text(d["ms_per_frame"])]
+        for name, d in detectors.items()
+    ]
+    kinds = sorted({k for d in detectors.values() for k in d["tracking"]})
+    tracks = [[name, *(_text(d["tracking"].get(k), 5) for k in kinds)] for name, d in detectors.items()]
+    claims = [
+        [name, *(f"{_text(q.get('rmse'))} ({q.get('n', 0)})" for q in (d["quantities"].get(k, {}) for k in QUANTITIES))]
+        for name, d in detectors.items()
+    ]
+    return [
+        ("Places, px, per axis; ms a frame", ["detector", *LOCALISATION, "ms"], places),
+        ("Tracks, gate 5 px", ["detector", *kinds], tracks),
+        ("Tied fit: rmse of each quantity, SI, and of how many clips", ["detector", *QUANTITIES], claims),
+    ]
+
+
+def _text(value: float | None, digits: int = 3) -> str:
+    if value is None or (isinstance(value, float) and not math.isfinite(value)):
+        return "–"
+    return str(value) if isinstance(value, int) else f"{value:.{digits}g}"

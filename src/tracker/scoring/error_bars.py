@@ -1,0 +1,127 @@
+"""Estimates held to the truth: bias, scatter, whether the error bars are true, and how near the limit they come."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from tracker.detection.cramer_rao import fixed_part
+from tracker.measurement.collision_model import TARGET, release
+from tracker.measurement.derived import NAMES, of_free, of_tied
+from tracker.measurement.fitting import Pair, Whitened, covariance
+from tracker.measurement.positions import Course
+from tracker.scoring.localisation import Matched
+
+if TYPE_CHECKING:
+    from tracker.camera.camera import Camera
+
+Floats = NDArray[np.float64]
+KINDS = ("", "_free", "_paper")
+HEAVIEST = 0.9999  # |b/2R| beyond which a hit is a miss
+FIGURES = ("n", "bias", "rmse", "bound", "ratio", "z_mean", "z_std", "cover68", "cover95")
+
+
+def quantity_scores(table: pd.DataFrame) -> dict[str, dict[str, float]]:
+    """Q (with "", "_free", "_paper") -> the contract's figures.
+
+    table: one row a clip, with Q, Q_std, the truth as Q_true, and the bounds as Q_bound. Rows without a claim or
+    without a truth do not count; z only where an error is claimed. bound: root mean square over those rows.
+    """
+    out = {}
+    for name in NAMES:
+        for kind in KINDS:
+            if f"{name}{kind}" in table:
+                columns = (f"{name}{kind}", f"{name}{kind}_std", f"{name}_true", f"{name}{kind}_bound")
+                value, std, true, bound = (
+                    table[c].to_numpy(float) if c in table else np.full(len(table), np.nan) for c in columns
+                )
+                out[f"{name}{kind}"] = figures(value, std, true, bound)
+    return out
+
+
+def figures(value: Floats, std: Floats, true: Floats, bound: Floats) -> dict[str, float]:
+    """The contract's figures of one quantity over clips (n,); NaN marks what is not claimed or not known."""
+    use = np.isfinite(value) & np.isfinite(true)
+    off = value[use] - true[use]
+    if not use.any():
+        return {name: 0 if name == "n" else np.nan for name in FIGURES}
+    claimed = np.isfinite(std[use]) & (std[use] > 1e-12 * np.maximum(np.abs(true[use]), 1e-12))
+    z = off[claimed] / std[use][claimed]
+    rmse, limit = float(np.sqrt((off**2).mean())), float(np.sqrt((bound[use] ** 2).mean()))
+    return {
+        "n": int(use.sum()),
+        "bias": float(off.mean()),
+        "rmse": rmse,
+        "bound": limit,
+        "ratio": rmse / limit if limit > 0 else np.nan,
+        "z_mean": float(z.mean()) if len(z) else np.nan,
+        "z_std": float(z.std()) if len(z) else np.nan,
+        "cover68": float((np.abs(z) < 1).mean()) if len(z) else np.nan,
+        "cover95": float((np.abs(z) < 1.959964).mean()) if len(z) else np.nan,
+    }
+
+
+def true_motion(truth: pd.DataFrame, scalars: Mapping[str, float]) -> Floats | None:
+    """Tied parameters (13,) of a clip's truth; None unless both balls are in its tracks before the contact.
+
+    Places and velocities are those of the last frame before it, carried on for less than a frame.
+    """
+    t_c = float(scalars["t_c"])
+    early = truth[truth["t_s"] < t_c] if np.isfinite(t_c) else truth.iloc[:0]
+    first, second = (early[early["particle"] == k] for k in (0, 1))
+    if not (len(first) and len(second)):
+        return None
+    w, v = (ball[["vx", "vy"]].iloc[-1].to_numpy(float) for ball in (first, second))
+    x, y = first[["x", "y"]].iloc[-1].to_numpy(float) + w * (t_c - float(first["t_s"].iloc[-1]))
+    b = float(np.clip(scalars["b"], -HEAVIEST, HEAVIEST))
+    heading = np.arctan2(*(v - w)[::-1])
+    launch = [t_c, x, y, heading, np.arcsin(b), scalars["v0"], scalars["drag"], scalars["decel"]]
+    tied = np.array([*launch, scalars["r"], np.log(scalars["mu_k"]), scalars["C"], *w], dtype=np.float64)
+    return tied if np.isfinite(tied).all() else None
+
+
+def quantity_bounds(matched: Matched, cov: Floats, tied: Floats, camera: Camera) -> dict[str, float]:
+    """Q_bound and Q_free_bound of a clip: Fisher bounds of either fit at the true motion, on the places found.
+
+    cov (n, 2, 2) px^2: the localisation bound of each pair, not what the tracker claims; what a resting ball shares
+    of it from frame to frame is counted. tied (13,): the truth.
+    """
+    if len(cov) == 0 or not np.isfinite(cov).all():
+        return {}
+    balls = _bounded_courses(matched, cov, camera)
+    if not all(len(course) for course in balls):
+        return {}
+    moving = bool(tied[-len(TARGET) :].any())
+    free = np.asarray(release(tied), dtype=np.float64)
+    out: dict[str, float] = {}
+    for kind, at, reading in (("", tied, of_tied), ("_free", free, of_free)):
+        problem = Whitened(Pair(balls[0], balls[1], camera.ball_diameter, moving), kind == "")
+        p = len(problem.names)
+        whole = np.zeros((len(at), len(at)))
+        whole[:p, :p] = covariance(problem.slope(at[:p]))
+        values = reading(at, whole, camera.ball_diameter)
+        out |= {f"{n}{kind}_bound": float(s) for n, s in zip(NAMES, values.std, strict=True)}
+    return out
+
+
+def _bounded_courses(matched: Matched, cov: Floats, camera: Camera) -> list[Course]:
+    """Both balls' true courses with the errors of the localisation bound; px to m at each place."""
+    rows = matched.truth.iloc[matched.pairs[:, 0]]
+    _, slope = camera.unproject(rows[["x_mean_px", "y_mean_px"]].to_numpy(float))
+    found, fixed = matched.found.iloc[matched.pairs[:, 1]], np.zeros_like(cov)
+    if "flux" in found and camera.sigma is not None:
+        fixed = fixed_part(camera, found["flux"].to_numpy(float), rows[["glint_x_px", "glint_y_px"]].to_numpy(float))
+    metres, shared = (slope @ c @ np.swapaxes(slope, 1, 2) for c in (cov, fixed))
+    width = (camera.sigma or 0.0) * camera.scale
+    balls = []
+    for particle in (0, 1):
+        mine = (rows["particle"] == particle).to_numpy()
+        frame = rows["frame"].to_numpy(np.int64)[mine]
+        place = rows[["x", "y"]].to_numpy(float)[mine]  # only how they depend on the motion matters
+        start = frame / camera.fps
+        balls.append(Course(particle, frame, start, place, metres[mine], camera.exposure, shared[mine], width))
+    return balls

@@ -1,0 +1,137 @@
+"""Detections held to the true places: missed, false, how far off, and how that compares with the bound."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+from scipy.optimize import linear_sum_assignment
+
+from tracker.detection.cramer_rao import localisation_bound
+
+if TYPE_CHECKING:
+    from tracker.camera.camera import Camera
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+MOVING_PX = 0.05  # per frame; a resting ball shows one sub-pixel phase over and over
+
+
+@dataclass(frozen=True)
+class Matched:
+    """One clip's detections beside the truth.
+
+    truth, found: the tables; pairs (n, 2): rows of truth and found that belong together, whole balls only;
+    counted (k,): False for detections on balls partly out of view, which are neither right nor wrong;
+    missed: whole balls in view without a detection; false: detections without a ball.
+    """
+
+    truth: pd.DataFrame
+    found: pd.DataFrame
+    pairs: Ints
+    counted: NDArray[np.bool_]
+    missed: int
+    false: int
+
+    @property
+    def off(self) -> Floats:
+        """(n, 2) px, found - true."""
+        return _xy(self.found)[self.pairs[:, 1]] - _true(self.truth)[self.pairs[:, 0]]
+
+
+def match(truth: pd.DataFrame, found: pd.DataFrame, gate: float, ball_px: float) -> Matched:
+    """Pair detections (frame, x, y) with true balls (frame, x_mean_px, y_mean_px, visible), frame by frame.
+
+    gate px. A ball that is not whole in view need not be found, and a detection on what shows of it (within
+    ball_px, its diameter) is neither right nor wrong.
+    """
+    place, seen = _true(truth), _xy(found)
+    whole = truth["visible"].to_numpy(bool)
+    pairs: list[tuple[int, int]] = []
+    counted = np.ones(len(found), bool)
+    then, now = truth["frame"].to_numpy(), found["frame"].to_numpy()
+    for frame in np.unique(now):
+        i, j = np.flatnonzero(then == frame), np.flatnonzero(now == frame)
+        apart = np.linalg.norm(place[i][:, None] - seen[j][None], axis=-1)
+        counted[j[(apart[~whole[i]] < ball_px).any(axis=0)]] = False
+        for a, b in zip(*linear_sum_assignment(np.minimum(apart, 10 * gate)), strict=True):
+            if apart[a, b] <= gate and whole[i[a]]:
+                pairs.append((int(i[a]), int(j[b])))
+                counted[j[b]] = True
+    table = np.array(pairs, dtype=np.int64).reshape(-1, 2)
+    false = int(counted.sum()) - len(table)
+    return Matched(truth, found, table, counted, int(whole.sum()) - len(table), false)
+
+
+def bounds(matched: Matched, camera: Camera) -> Floats:
+    """Cramer-Rao covariance (n, 2, 2) px^2 of each paired place.
+
+    Flux from the detection, streak from the true velocity. NaN where the camera or the table lack what it needs.
+    """
+    n = len(matched.pairs)
+    if camera.sigma is None or "flux" not in matched.found or n == 0:
+        return np.full((n, 2, 2), np.nan)
+    truth, found = matched.truth.iloc[matched.pairs[:, 0]], matched.found.iloc[matched.pairs[:, 1]]
+    here = truth[["x", "y", "z"]].to_numpy(float)
+    there = here + truth[["vx", "vy", "vz"]].to_numpy(float) * camera.exposure
+    streak = camera.project(there) - camera.project(here)
+    glint = truth[["glint_x_px", "glint_y_px"]].to_numpy(float)
+    flux = found["flux"].to_numpy(float)
+    known = np.isfinite(flux) & (flux > 0)
+    out = np.full((n, 2, 2), np.nan)
+    if known.any():
+        out[known] = localisation_bound(camera, flux[known], glint[known], streak[known])
+    return out
+
+
+def localisation(clips: list[tuple[Matched, Floats]]) -> dict[str, float]:
+    """The contract's localisation figures over clips of (matched, bounds).
+
+    rmse_px, bound_px per axis; phase_bias_px: peak to peak of the error's first harmonic in the sub-pixel phase
+    of moving balls, the worse axis, less what noise makes of it.
+    """
+    off = np.concatenate([m.off for m, _ in clips]) if clips else np.empty((0, 2))
+    cov = np.concatenate([c for _, c in clips]) if clips else np.empty((0, 2, 2))
+    rmse = float(np.sqrt((off**2).mean())) if len(off) else np.nan
+    bound = float(np.sqrt(np.trace(cov, axis1=1, axis2=2).mean() / 2)) if len(off) else np.nan
+    return {
+        "n": len(off),
+        "missed": sum(m.missed for m, _ in clips),
+        "false": sum(m.false for m, _ in clips),
+        "rmse_px": rmse,
+        "bound_px": bound,
+        "ratio": rmse / bound if bound else np.nan,
+        "phase_bias_px": _phase_bias([m for m, _ in clips]),
+    }
+
+
+def _phase_bias(clips: list[Matched]) -> float:
+    phases, errors = [], []
+    for m in clips:
+        rows = m.pairs[:, 0]
+        pace = m.truth.sort_values("frame").groupby("particle")[["x_mean_px", "y_mean_px"]].diff().abs()
+        moving = pace.reindex(m.truth.index).to_numpy(float)[rows] > MOVING_PX
+        phases.append(np.where(moving, _true(m.truth)[rows], np.nan))
+        errors.append(m.off)
+    worst = np.nan
+    for axis in (0, 1):
+        phase, error = (np.concatenate([np.empty((0, 2)), *part])[:, axis] for part in (phases, errors))
+        phase, error = phase[np.isfinite(phase)], error[np.isfinite(phase)]
+        if len(phase) < 20:
+            continue
+        waves = np.column_stack([np.cos(2 * np.pi * phase), np.sin(2 * np.pi * phase), np.ones_like(phase)])
+        fit = np.linalg.lstsq(waves, error, rcond=None)[0]
+        noise = 4 * error.var() / len(error)  # square of the amplitude that noise alone makes, on average
+        worst = np.fmax(worst, 2 * np.sqrt(max(fit[0] ** 2 + fit[1] ** 2 - noise, 0.0)))
+    return float(worst)
+
+
+def _true(truth: pd.DataFrame) -> Floats:
+    return truth[["x_mean_px", "y_mean_px"]].to_numpy(np.float64)
+
+
+def _xy(found: pd.DataFrame) -> Floats:
+    return found[["x", "y"]].to_numpy(np.float64)

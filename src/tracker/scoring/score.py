@@ -1,0 +1,179 @@
+"""Results held to the truth: `score` reads both, and knows the keys of score.json."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from tracker.camera.camera import Camera, InputError
+from tracker.measurement.adequacy import MEASURED, MISFIT
+from tracker.measurement.derived import NAMES
+from tracker.outputs import put
+from tracker.scoring.error_bars import quantity_bounds, quantity_scores, true_motion
+from tracker.scoring.localisation import Matched, bounds, localisation, match
+from tracker.scoring.tracking_metrics import GATE_PX, Dots, tracking_scores
+
+Floats = NDArray[np.float64]
+TRUTH = "clip v0 b t_c r mu_k C drag decel"  # columns of clips.parquet that are needed, and of a clip's tracks
+TRACKS = "frame t_s particle visible x y z vx vy vz glint_x_px glint_y_px x_mean_px y_mean_px"
+OF_ONE_BALL = ("drag", "decel")  # what a clip without a collision is held to
+
+
+@dataclass(frozen=True)
+class Score:
+    """How one set of results compares with the truth.
+
+    table: a row a clip, with the estimates, the truth as Q_true and the Fisher bounds as Q_bound; the rest are
+    the parts of score.json.
+    """
+
+    suite: str
+    detector: str
+    localisation: dict[str, float]
+    tracking: dict[str, float]
+    quantities: dict[str, dict[str, float]]
+    statuses: dict[str, int]
+    ms_per_frame: float | None
+    table: pd.DataFrame = field(repr=False)
+
+    def to_dict(self) -> dict[str, Any]:
+        """The contents of score.json: plain numbers, None for what is not known."""
+        parts = {
+            "localisation": self.localisation,
+            "tracking": self.tracking,
+            "quantities": self.quantities,
+            "clips": self.statuses,
+            "ms_per_frame": self.ms_per_frame,
+        }
+        whole: dict[str, Any] = _plain({"suite": self.suite, "detectors": {self.detector: parts}})
+        return whole
+
+    def write(self, report: Path | str) -> Path:
+        """REPORT/score.json, written aside and moved into place; returns its path."""
+        folder = Path(report)
+        folder.mkdir(parents=True, exist_ok=True)
+        put(folder / "score.json", json.dumps(self.to_dict(), indent=1, allow_nan=False) + "\n")
+        return folder / "score.json"
+
+
+def score(
+    results: Path | str, dataset: Path | str, detector: str = "default", ms_per_frame: float | None = None
+) -> Score:
+    """Compare RESULTS (as `tracker track` writes them) with the truth in DATASET.
+
+    Raises InputError where either lacks what it must have. Clips of the truth without results count as missed.
+    """
+    results, dataset = Path(results), Path(dataset)
+    scalars = _table(dataset / "truth" / "clips.parquet", "a dataset's truth", TRUTH)
+    estimates = _table(results / "estimates.parquet", "results of tracker track", "clip collision status")
+    clips, dots, rows = [], [], []
+    for clip, truth, found, camera in _clips(results, dataset, scalars):
+        matched = match(truth, found, GATE_PX, camera.diameter_px)
+        cov = bounds(matched, camera)
+        clips.append((matched, cov))
+        dots.append(_dots(matched))
+        rows.append({"clip": clip} | _clip_bounds(matched, cov, scalars, clip, camera))
+    table = _joined(scalars, estimates, pd.DataFrame(rows))
+    return Score(
+        suite="+".join(sorted(scalars["scene"].astype(str).unique())) if "scene" in scalars else "",
+        detector=detector,
+        localisation=localisation(clips),
+        tracking=tracking_scores(dots),
+        quantities=quantity_scores(_held_to(table)),
+        statuses={"n": len(scalars)} | {str(k): int(v) for k, v in table["status"].value_counts().items()},
+        ms_per_frame=ms_per_frame,
+        table=table,
+    )
+
+
+def _table(path: Path, what: str, columns: str) -> pd.DataFrame:
+    """A table that holds at least these columns. Raises InputError."""
+    if not path.is_file():
+        raise InputError(f"{path}: no such file, expected {what}")
+    try:
+        table = pd.read_parquet(path)
+    except Exception as error:  # readers raise their own kinds
+        reason = " ".join(str(error).split())[:120]
+        raise InputError(f"{path}: damaged, expected {what} ({reason})") from None
+    if missing := [name for name in columns.split() if name not in table]:
+        raise InputError(f"{path}: no column {', '.join(missing)}, expected {what}")
+    return table
+
+
+def _clips(
+    results: Path, dataset: Path, scalars: pd.DataFrame
+) -> Iterator[tuple[int, pd.DataFrame, pd.DataFrame, Camera]]:
+    for clip in scalars["clip"].astype(int):
+        name = f"{clip:06d}"
+        truth = _table(dataset / "clips" / name / "truth" / "tracks.parquet", "true tracks", TRACKS)
+        path = results / "clips" / name / "tracks.parquet"
+        empty = pd.DataFrame({"frame": np.empty(0, np.int64), "particle": np.empty(0, np.int64)})
+        found = empty.assign(x=np.empty(0), y=np.empty(0))
+        if path.is_file():
+            found = _table(path, "tracks", "frame particle x y")
+        cameras = (dataset / "clips" / name, results / "clips" / name, results)
+        known = next((c / "camera.json" for c in cameras if (c / "camera.json").is_file()), None)
+        if known is None:
+            raise InputError(f"{results / 'camera.json'}: no such file, expected the camera of clip {clip}")
+        yield clip, truth, found, Camera.read(known)
+
+
+def _dots(matched: Matched) -> tuple[Dots, Dots]:
+    """Tracks for the tracking measures: balls whole in view, and the detections that count."""
+    truth = matched.truth[matched.truth["visible"].to_numpy(bool)]
+    found = matched.found[matched.counted]
+    tables = ((truth, ["x_mean_px", "y_mean_px"]), (found, ["x", "y"]))
+    one, other = (
+        Dots.of(t["frame"].to_numpy(np.int64), t["particle"].to_numpy(np.int64), t[xy].to_numpy(np.float64))
+        for t, xy in tables
+    )
+    return one, other
+
+
+def _clip_bounds(matched: Matched, cov: Floats, scalars: pd.DataFrame, clip: int, camera: Camera) -> dict[str, float]:
+    row = scalars[scalars["clip"] == clip].iloc[0]
+    wanted = ("v0", "b", "t_c", "r", "mu_k", "C", "drag", "decel")
+    tied = true_motion(matched.truth, {name: float(row[name]) for name in wanted})
+    return {} if tied is None else quantity_bounds(matched, cov, tied, camera)
+
+
+def _joined(scalars: pd.DataFrame, estimates: pd.DataFrame, limits: pd.DataFrame) -> pd.DataFrame:
+    """One row a clip: its first measured collision, the truth beside it, the bounds beside that."""
+    bad = ~estimates["status"].isin(MEASURED)
+    order = estimates.assign(_bad=bad).sort_values(["clip", "_bad", "collision"], kind="stable")
+    first = order.drop_duplicates("clip").drop(columns="_bad")
+    names = [n for n in NAMES if n in scalars]
+    truth = scalars[["clip", *names]].rename(columns={n: f"{n}_true" for n in names})
+    table = truth.merge(first, on="clip", how="left").merge(limits, on="clip", how="left")
+    return table.assign(status=table["status"].fillna("no result"))
+
+
+def _held_to(table: pd.DataFrame) -> pd.DataFrame:
+    """The rows' claims that a truth can be held against.
+
+    Without a collision only the rolling loss; of a misfit nothing of the tied fit, which claims nothing.
+    """
+    held = table.copy()
+    other = [f"{n}{kind}" for n in NAMES if n not in OF_ONE_BALL for kind in ("", "_free", "_paper")]
+    held.loc[~held["status"].isin(MEASURED), [c for c in other if c in held]] = np.nan
+    held.loc[held["status"] == MISFIT, [n for n in NAMES if n in held]] = np.nan
+    return held
+
+
+def _plain(value: Any) -> Any:
+    """JSON's own types; a number that is none becomes None."""
+    if isinstance(value, dict):
+        return {str(k): _plain(v) for k, v in value.items()}
+    if isinstance(value, np.integer | int) and not isinstance(value, bool):
+        return int(value)
+    if isinstance(value, np.floating | float):
+        return float(value) if math.isfinite(value) else None
+    return value

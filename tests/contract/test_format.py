@@ -1,0 +1,112 @@
+"""docs/format.md against what the commands really write, those of the README as they stand but for fewer clips."""
+
+import json
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pandas as pd
+import pytest
+from repository import ROOT
+
+PAGE = (ROOT / "docs" / "format.md").read_text()
+
+
+def run(*words: str, cwd: Path) -> None:
+    program = Path(sys.executable).with_name(words[0])
+    done = subprocess.run([program, *words[1:]], cwd=cwd, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A dataset, its results, its score and a search: what every command of the README writes, with fewer clips."""
+    folder = tmp_path_factory.mktemp("format")
+    blocks = re.findall(r"```\n(.*?)```", (ROOT / "README.md").read_text(), re.S)
+    commands = [line for block in blocks for line in block.splitlines() if not line.startswith("make")]
+    assert len(commands) >= 6
+    (folder / "scenes").symlink_to(ROOT / "scenes")
+    for command in commands:
+        run(*re.sub(r"--clips \d+", "--clips 6", command).split(), cwd=folder)
+    return folder / "out"
+
+
+def listed(name: str) -> list[str]:
+    """The names that follow **name** on the page, up to the end of the sentence."""
+    text = re.search(rf"\*\*{re.escape(name)}\*\*:(.*?)(?:\.\s|\.$|\n\n)", PAGE, re.S)
+    assert text, f"docs/format.md does not tell of {name}"
+    return re.sub(r"\([^)]*\)", "", " ".join(text[1].split())).replace(",", " ").split()
+
+
+@pytest.mark.parametrize(
+    ("name", "path"),
+    [
+        ("truth/clips.parquet", "benchmark/truth/clips.parquet"),
+        ("truth/tracks.parquet", "benchmark/clips/000000/truth/tracks.parquet"),
+        ("truth/events.parquet", "benchmark/clips/000000/truth/events.parquet"),
+        ("motion.parquet", "results/clips/000000/motion.parquet"),
+    ],
+)
+def test_columns_stand_on_the_page_in_order(made: Path, name: str, path: str) -> None:
+    assert pd.read_parquet(made / path).columns.tolist() == listed(name)
+
+
+def test_tracks_have_the_columns_of_the_page(made: Path) -> None:
+    columns = pd.read_parquet(made / "results/clips/000000/tracks.parquet").columns.tolist()
+    names = listed("tracks")
+    assert columns[: len(names)] == names
+    assert pd.read_csv(made / "results/clips/000000/tracks.csv").columns.tolist() == columns
+
+
+def test_estimates_hold_every_quantity_three_ways(made: Path) -> None:
+    table = pd.read_parquet(made / "results/estimates.parquet")
+    assert {"clip", "collision", "striker", "status", "cov"} <= set(table.columns)
+    text = re.search(r"for each of (.*?): NAME", " ".join(PAGE.split()))
+    assert text
+    names = text[1].split()
+    assert len(names) == 20
+    missing = [n + s + e for n in names for s in ("", "_free", "_paper") for e in ("", "_std")]
+    assert [m for m in missing if m not in table.columns] == []
+
+
+def test_camera_file_holds_what_the_page_tells(made: Path) -> None:
+    camera = json.loads((made / "benchmark/clips/000000/camera.json").read_text())
+    text = re.search(r"\*\*camera\.json\*\*:(.*?)Needed are", PAGE, re.S)
+    assert text
+    named = set(re.findall(r"`(\w+)`", text[1]))
+    assert set(camera) <= named
+    assert set(camera["sensor"]) <= named
+    assert {"K", "R", "t", "size", "fps", "exposure", "scale", "lamp", "psf", "sensor", "striker"} <= set(camera)
+
+
+def test_score_and_search_hold_their_keys(made: Path) -> None:
+    score = json.loads((made / "score/score.json").read_text())
+    found = next(iter(score["detectors"].values()))
+    assert set(found["localisation"]) == {"n", "missed", "false", "rmse_px", "bound_px", "ratio", "phase_bias_px"}
+    tracking = {"alpha", "beta", "jsc", "jsc_theta", "mota", "idf1", "hota", "swaps"}
+    assert set(found["tracking"]) == tracking
+    quantity = {"n", "bias", "rmse", "bound", "ratio", "z_mean", "z_std", "cover68", "cover95"}
+    assert set(found["quantities"]["r_free"]) == quantity
+    search = json.loads((made / "search/discrepancy.json").read_text())
+    keys = {"verdict", "named", "aliases", "outside", "where", "ranking", "gap", "experiment", "withdrawn"}
+    assert keys <= set(search)
+    part = {"before", "after", "floor", "before_um", "after_um", "floor_um"}
+    assert set(search["gap"]) == part | {"closure", "by_phase", "by_claim"}
+    assert all(set(p) == part for p in search["gap"]["by_phase"].values())
+    for page in ("score/index.html", "search/index.html"):
+        assert "http" not in re.sub(r"http://www.w3.org\S*", "", (made / page).read_text())
+
+
+def test_results_without_any_truth_are_the_same_bytes(made: Path, tmp_path: Path) -> None:
+    """The tracker opens frames and camera.json only."""
+    bare = tmp_path / "benchmark"
+    shutil.copytree(made / "benchmark", bare, ignore=shutil.ignore_patterns("truth"))
+    assert not list(bare.rglob("truth"))
+    run("tracker", "track", "benchmark", "-o", "results", cwd=tmp_path)
+    files = [p.relative_to(made / "results") for p in sorted((made / "results").rglob("*")) if p.is_file()]
+    assert len(files) > 20
+    for name in files:
+        if name.name != "run.json":
+            assert (tmp_path / "results" / name).read_bytes() == (made / "results" / name).read_bytes(), name

@@ -1,0 +1,191 @@
+"""Pictures that no ball can be followed in get a reason that says what to change; three balls are three balls."""
+
+import json
+import subprocess
+import sys
+
+import numpy as np
+import pandas as pd
+import pytest
+import tifffile
+from tracker_film import CAMERA, collision, disc, expose, film, spot, write_clip
+
+from tracker import cli, track
+from tracker.camera.camera import Camera
+from tracker.camera.frames import Clip, Frames, open_source
+from tracker.detection.detect import detect, look
+from tracker.detection.link import link
+
+SHAPE = (160, 200)
+
+
+def status(tmp_path, frames, camera=CAMERA):
+    """What `track` answers to the frames, by its table of estimates."""
+    write_clip(tmp_path / "clip", frames, camera)
+    outcome = track.run(tmp_path / "clip", tmp_path / "out", None, "maximum_likelihood", 1)
+    return outcome.estimates["status"].tolist()
+
+
+def noisy(rng, picture, count=12):
+    return np.array([expose(rng, picture) for _ in range(count)])
+
+
+def moving(rng, ground, draw, count=20):
+    """Something drawn anew in each frame of a ground."""
+    return np.array([expose(rng, np.full(SHAPE, ground) + draw(20.3 + 7.0 * k)) for k in range(count)])
+
+
+def test_empty_frames(tmp_path):
+    said = status(tmp_path, noisy(np.random.default_rng(0), np.full(SHAPE, 0.5)))
+    assert said == ["no balls: nothing stands out from the plate"]
+
+
+def test_overexposed(tmp_path):
+    rng = np.random.default_rng(1)
+    frames = moving(rng, 300.0, lambda x: 500 * spot(SHAPE, x, 80.0, 1.0))
+    assert status(tmp_path, frames) == ["overexposed: most of the picture is at the sensor's limit"]
+
+
+def test_dark_balls_on_a_bright_ground(tmp_path):
+    rng = np.random.default_rng(2)
+    frames = moving(rng, 150.0, lambda x: -100.0 * (disc(SHAPE, x, 80.0, 7.44) > 0))
+    assert status(tmp_path, frames) == ["dark balls on a bright ground: a glint brighter than the plate is needed"]
+
+
+def test_dark_balls_with_a_bright_glint_are_followed():
+    rng = np.random.default_rng(2)
+    draw = lambda x: 1500 * spot(SHAPE, x, 80.0, 1.0) - 50.0 * (np.hypot(*np.ogrid[-80:80, -x : 200 - x]) < 7)  # noqa: E731
+    frames = moving(rng, 60.0, draw)
+    camera = Camera.from_dict({k: v for k, v in CAMERA.items() if k != "lamp"})
+    clip = Clip(0, camera, Frames(len(frames), SHAPE, frames.dtype, lambda k: frames[k]))
+    view = look(clip)
+    tracks = link(detect(clip, view), view.camera)
+    assert len(tracks) == 20
+    assert np.abs(tracks.x - (20.3 + 7.0 * np.arange(20))).max() < 0.1
+
+
+def test_the_same_picture_again_and_again(tmp_path):
+    frames = np.repeat(noisy(np.random.default_rng(3), np.full(SHAPE, 0.5), 1), 12, axis=0)
+    assert status(tmp_path, frames) == ["nothing moves: all frames are the same picture"]
+
+
+def test_light_that_changes(tmp_path):
+    rng = np.random.default_rng(4)
+    frames = np.array([expose(rng, np.full(SHAPE, 60.0 * (k % 4))) for k in range(24)])
+    assert status(tmp_path, frames) == ["the light changes: most of the picture stands out from the plate"]
+
+
+def test_a_single_blink_is_counted(tmp_path):
+    rng = np.random.default_rng(5)
+    frames = noisy(rng, np.full(SHAPE, 0.5))
+    frames[5] = expose(rng, np.full(SHAPE, 0.5) + 1200 * spot(SHAPE, 60.2, 70.4, 1.0))
+    assert status(tmp_path, frames) == ["too few detections: 1 glints in 12 frames"]
+
+
+def test_three_balls_are_three_tracks_and_the_hit_is_still_measured():
+    rng = np.random.default_rng(6)
+    pair = collision(50, contact=22.3, speed=3.0, centre=(95.0, 80.0))
+    third = np.column_stack([30.0 + 2.5 * np.arange(50), np.full(50, 20.0)])[:, None]
+    frames = film(rng, np.concatenate([pair, third], axis=1))
+    camera = Camera.from_dict(CAMERA)
+    clip = Clip(0, camera, Frames(len(frames), SHAPE, frames.dtype, lambda k: frames[k]))
+    tracks, _, reason = track.track_clip(clip)
+    assert reason == ""
+    assert np.bincount(tracks.particle).tolist() == [50, 50, 50]
+    for path in (*pair.transpose(1, 0, 2), third[:, 0]):  # each track stays on its own ball
+        near = [
+            np.hypot(tracks.glint_x[own] - path[:, 0], tracks.glint_y[own] - path[:, 1]).max()
+            for own in (tracks.particle == p for p in range(3))
+        ]
+        assert sorted(near)[0] < 0.6
+        assert sorted(near)[1] > 5
+
+
+@pytest.mark.parametrize(
+    ("pixels", "said"),
+    [
+        (np.zeros((1, 32, 32), np.uint8), "one frame only"),
+        (np.full((5, 32, 32), np.nan, np.float32), "NaN has no place"),
+        (np.zeros((5, 32, 32), np.int32), "expected uint8 or uint16"),
+        (np.zeros((0, 32, 32), np.uint8), "truncated or damaged"),
+    ],
+)
+def test_stacks_that_are_none(tmp_path, pixels, said, monkeypatch, capsys):
+    if pixels.size:
+        tifffile.imwrite(tmp_path / "bad.tif", pixels)
+    else:
+        (tmp_path / "bad.tif").write_bytes(b"II*\0\x08\0\0\0\0\0")
+    monkeypatch.setattr(sys, "argv", ["tracker", "track", str(tmp_path / "bad.tif"), "-o", str(tmp_path / "out")])
+    with pytest.raises(SystemExit) as stop:
+        cli.main()
+    err = capsys.readouterr().err
+    assert stop.value.code == 2
+    assert said in err
+    assert err.count("\n") == 1
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="limits of memory are Linux's")
+def test_a_stack_ten_times_the_memory_allowed(tmp_path):
+    """1.3 GB of frames, a sparse file with a glint in each, tracked and measured with 130 MB more than at start."""
+    height, width, count = 768, 1024, 1700
+    folder = write_clip(tmp_path, np.zeros((2, 8, 8), np.uint8), {**CAMERA, "size": [width, height]})
+    with tifffile.TiffWriter(folder / "frames.tif", bigtiff=True) as writer:
+        writer.write(shape=(count, height, width), dtype=np.uint8, photometric="minisblack")
+    movie = tifffile.memmap(folder / "frames.tif")
+    for k in range(count):
+        column = 40 + 2 * k // 5
+        glint = 1200 * spot((21, 21), 10.0 + 0.4 * k + 40 - column, 10.3, 1.0)
+        movie[k, 190:211, column - 10 : column + 11] = np.rint(glint)
+    del movie
+    script = (
+        "import resource, sys\n"
+        "from tracker.camera.frames import open_source\n"
+        "from tracker.track import track_clip, measure_clip\n"
+        "import tracker.detection.detectors.maximum_likelihood, tracker.measurement.estimate\n"
+        "held = next(line for line in open('/proc/self/status') if line.startswith('VmData'))\n"
+        "limit = (int(held.split()[1]) << 10) + (130 << 20)\n"
+        "resource.setrlimit(resource.RLIMIT_DATA, (limit, limit))\n"
+        "tracks, camera, _ = track_clip(open_source(sys.argv[1]).clip(0))\n"
+        "print(len(tracks), measure_clip(tracks, camera)[0][0]['status'])\n"
+    )
+    done = subprocess.run([sys.executable, "-c", script, folder], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.split() == [str(count), "no_collision"]
+
+
+def peak_memory(clip):
+    """MB that a process of its own takes to track a clip."""
+    script = (
+        "import sys, resource\n"
+        "from tracker.track import track_clip\n"
+        "from tracker.camera.frames import open_source\n"
+        "tracks, _, _ = track_clip(open_source(sys.argv[1]).clip(0))\n"
+        "print(len(tracks), resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)\n"
+    )
+    done = subprocess.run([sys.executable, "-c", script, clip], capture_output=True, text=True, check=True)
+    found, size = done.stdout.split()
+    return int(found), float(size)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="ru_maxrss is in KiB on Linux")
+def test_memory_does_not_grow_with_the_length_of_a_clip(tmp_path):
+    paths = np.tile(np.array([[[20.3, 30.2], [40.4, 20.1]]]), (53, 1, 1))
+    paths[:, 0, 0] += 0.2 * np.arange(53)
+    frames = film(np.random.default_rng(8), paths, shape=(48, 64))
+    sizes = {}
+    for times in (20, 100):
+        folder = write_clip(tmp_path / f"x{times}", np.tile(frames, (times, 1, 1)), {**CAMERA, "size": [64, 48]})
+        found, sizes[times] = peak_memory(folder)
+        assert found == 106 * times
+    assert sizes[100] - sizes[20] < 20  # MB, for five times the frames
+
+
+def test_reasons_reach_the_files(tmp_path):
+    write_clip(tmp_path / "clip", noisy(np.random.default_rng(9), np.full(SHAPE, 0.5)))
+    track.run(tmp_path / "clip", tmp_path / "out", None, "maximum_likelihood", 1)
+    table = pd.read_parquet(tmp_path / "out" / "estimates.parquet")
+    assert table["status"].tolist() == ["no balls: nothing stands out from the plate"]
+    rows = json.loads((tmp_path / "out/clips/000000/estimates.json").read_text())
+    assert rows[0]["status"] == table["status"][0]
+    assert len(open_source(tmp_path / "clip")) == 1

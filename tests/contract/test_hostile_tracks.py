@@ -1,0 +1,94 @@
+"""Tracks that no model follows: a search ends with a verdict or with one line, and never with anything else."""
+
+import dataclasses
+from contextlib import suppress
+
+import numpy as np
+import pytest
+from discrepancy_clips import STD, collisions, exact, only
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from discrepancy.find import find
+from discrepancy.fitting.gauss_newton import BASE, Evidence, _part, fit, linearised, settle
+from discrepancy.fitting.parameters import limits_of, within
+from discrepancy.noise.model import Component, Noise
+from synthcam.effect import library
+from synthcam.model import Model
+from tracker.camera.camera import InputError
+
+NOISE = Noise(Component(1.0))
+CLIPS = collisions(Model(), 2, 3, frames=40)
+START = linearised(Evidence.of(CLIPS, NOISE), Model(), BASE, np.array([c.launch for c in CLIPS]))
+LIMITED = ("unknown_lamp.height", "unknown_lamp.x", "hop.share", "hop.bounce", "restitution", "spin_transfer")
+
+
+def pucks(clip, rng):
+    """Two that slide without friction and part anyhow."""
+    way = 0.3 * np.array([np.cos(clip.launch[4]), np.sin(clip.launch[4])])
+    t, place = clip.frame / clip.fps - clip.launch[2], np.array([[0.0, 0.0], -2.38e-3 * way / 0.3])
+    before, after = np.array([[0.0, 0.0], way]), rng.normal(0, 0.3, (2, 2))
+    velocity = np.where((t < 0)[:, None], before[clip.ball], after[clip.ball])
+    return clip.launch[:2] + place[clip.ball] + velocity * t[:, None] + STD * rng.standard_normal((len(t), 2))
+
+
+def walks(clip, rng):
+    steps = 2e-4 * rng.standard_normal((2, len(clip.frame) // 2, 2))
+    return (np.cumsum(steps, axis=1) + rng.uniform(-0.02, 0.02, (2, 1, 2))).reshape(-1, 2)
+
+
+@pytest.mark.parametrize("motion", [pucks, walks])
+def test_a_search_of_anything_ends_well(monkeypatch, motion):
+    only(monkeypatch, unknown_lamp=library()["unknown_lamp"])
+    rng = np.random.default_rng(1)
+    clips = [dataclasses.replace(c, xy=motion(c, rng)) for c in exact(Model(), 6, 1, 30)]
+    blind = [dataclasses.replace(c, camera=dataclasses.replace(c.camera, lamp=None)) for c in clips]
+    with suppress(InputError):  # one line
+        found = find(blind, Model())
+        assert found.verdict in {"none", "named", "ambiguous", "outside_library", "inadequate"}
+        assert found.sound or all(np.isnan(s) for n in found.document()["named"] for s in n["std"].values())
+
+
+@settings(max_examples=200)
+@given(st.sampled_from(LIMITED), st.sampled_from([0, 1]), st.sampled_from([1.0, 0.3, 0.1]), st.floats(-1e3, 1e3))
+def test_no_step_ends_beyond_a_limit(name, side, share, further):
+    """From a limit to it, to beyond it, or away from it, by rounding or by far."""
+    end = limits_of(Model(), name)[side]
+    now = dataclasses.replace(START, model=within(Model(), {name: end}), names=(name,))
+    for aim in (end, end + further, np.nextafter(end, -np.inf), np.nextafter(end, np.inf)):
+        there = within(now.model, _part(now, {name: aim}, share))
+        assert limits_of(Model(), name)[0] <= there.value(name) <= limits_of(Model(), name)[1]
+
+
+CLIPS = collisions(Model(), 2, 3, frames=40)
+START = linearised(Evidence.of(CLIPS, NOISE), Model(), BASE, np.array([c.launch for c in CLIPS]))
+
+
+@pytest.mark.parametrize("error", [ValueError, np.linalg.LinAlgError, FloatingPointError, OverflowError])
+def test_a_step_that_fails_is_a_failed_step(monkeypatch, error):
+    """Whatever it is that fails, and wherever on the way."""
+    calls = 0
+    true = Evidence.left
+
+    def failing(self, model, launches):
+        nonlocal calls
+        calls += 1
+        if calls % 2:
+            raise error("no motion")
+        return true(self, model, launches)
+
+    monkeypatch.setattr(Evidence, "left", failing)
+    now = settle(Evidence.of(CLIPS, NOISE), START)
+    assert calls > 1
+    assert now.chi2 <= START.chi2
+    for broken in ("discrepancy.fitting.gauss_newton.linearised", "discrepancy.fitting.gauss_newton._step"):
+        with monkeypatch.context() as patch:
+            patch.setattr(broken, lambda *_, **__: (_ for _ in ()).throw(error("no motion")))
+            assert settle(Evidence.of(CLIPS, NOISE), START, fresh=False).chi2 <= START.chi2
+
+
+def test_what_tracks_do_not_show_of_a_launch_stays():
+    """A singular matrix of one clip."""
+    flat = dataclasses.replace(START, launch_slopes=tuple(0 * a for a in START.launch_slopes))
+    assert np.isfinite(settle(Evidence.of(CLIPS, NOISE), flat, rough=True).chi2)
+    assert fit(CLIPS, Model(), BASE, NOISE).chi2 < START.chi2

@@ -1,0 +1,220 @@
+"""Measured collisions: the same from a table as from results, in metres, and nothing doubtful taken along."""
+
+import dataclasses
+import json
+import shutil
+
+import numpy as np
+import pandas as pd
+import pytest
+from discrepancy_clips import exact
+from discrepancy_files import NOISE, SCENE, record
+from repository import ROOT
+
+from discrepancy.data.collisions import UNCLAIMED, cannot_tell, read_measured
+from synthcam.model import Model
+from tracker.camera.camera import InputError
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory):
+    return record(tmp_path_factory.mktemp("measured"), ROOT / SCENE)
+
+
+@pytest.fixture(scope="module")
+def clips(recorded):
+    return read_measured(recorded / "results")[0]
+
+
+def read_table(recorded, tmp_path, change):
+    """The collisions of the table after a change of it, for the first two clips."""
+    changed = change(pd.read_csv(recorded / "tracks.csv").query("clip < 2"))
+    changed.to_csv(tmp_path / "t.csv", index=False)
+    return read_measured(tmp_path / "t.csv", recorded / "camera.json")
+
+
+def test_first_guesses_are_near_the_truth(recorded, clips):
+    truth = pd.read_parquet(recorded / "dataset/truth/clips.parquet").set_index("clip")
+    for clip in clips:
+        true = truth.loc[clip.clip]
+        _, _, t_c, v0, _, b = clip.launch
+        assert [t_c, v0, b] == pytest.approx([true["t_c"], true["v0"], true["b"]], rel=0.02, abs=2e-3)
+        assert clip.ends - t_c == pytest.approx([true["tau1"], true["tau2"]], rel=0.1)
+        assert clip.striker == true["striker"]
+        free = [np.flatnonzero((clip.phase() == 0) & (clip.ball == k))[-8:] for k in (0, 1)]
+        met = [np.polynomial.Polynomial.fit(clip.frame[r], clip.xy[r, k], 1) for r in free for k in (0, 1)]
+        x1, y1, x2, y2 = (line(t_c * clip.fps) for line in met)
+        assert clip.launch[:2] == pytest.approx([(x1 + x2) / 2, (y1 + y2) / 2], abs=2e-4)
+
+
+def test_ball_1_rests_until_it_is_struck(clips):
+    for clip in clips:
+        early = clip.phase() == 0
+        spread = [np.ptp(clip.xy[early & (clip.ball == k)], axis=0).max() for k in (0, 1)]
+        assert spread[0] < 2e-5 < spread[1]
+
+
+def test_places_are_in_metres(recorded, clips):
+    for clip in clips:
+        path = recorded / f"dataset/clips/{clip.clip:06d}/truth/tracks.parquet"
+        true = pd.read_parquet(path).set_index(["particle", "frame"])
+        mid = true.loc[list(zip(clip.ball.tolist(), clip.frame.tolist(), strict=True)), ["x", "y"]].to_numpy()
+        off = clip.xy - mid
+        assert np.sqrt((off**2).mean()) == pytest.approx(1.6e-4 * NOISE, rel=0.25)
+        assert np.allclose(np.sqrt(clip.covariance[:, 0, 0]), 1.6e-4 * NOISE, rtol=1e-3)
+
+
+def test_no_exposure_with_an_event_counts_to_a_phase(clips):
+    for clip in clips:
+        opens = clip.frame / clip.fps
+        for event, balls in ((clip.launch[2], (0, 1)), (clip.ends[0], (0,)), (clip.ends[1], (1,))):
+            inside = (opens < event) & (event < opens + clip.exposure) & np.isin(clip.ball, balls)
+            assert np.all(clip.phase()[inside] == -1)
+
+
+def test_a_table_gives_what_results_give(recorded, clips):
+    again, left_out = read_measured(recorded / "tracks.csv", recorded / "camera.json")
+    assert left_out == []
+    for one, other in zip(clips, again, strict=True):
+        assert np.allclose(one.xy, other.xy, rtol=0, atol=1e-12)
+        assert np.allclose(one.launch, other.launch, rtol=1e-6, atol=1e-9)
+        assert (one.clip, one.striker) == (other.clip, other.striker)
+
+
+def test_rows_without_a_place_are_left_out(recorded, tmp_path, clips):
+    read, _ = read_table(recorded, tmp_path, lambda t: t.assign(x=t["x"].where(t["frame"] != 40)))
+    assert all(40 not in c.frame for c in read)
+    assert len(read[0].frame) == len(clips[0].frame) - 2
+
+
+def test_tracks_that_claim_no_error_get_one(recorded, tmp_path):
+    read, _ = read_table(recorded, tmp_path, lambda t: t.drop(columns=["x_std", "y_std", "cov_xy"]))
+    assert np.allclose(np.sqrt(read[0].covariance[:, 0, 0]), 1.6e-4 * UNCLAIMED, rtol=1e-3)
+
+
+def test_a_negative_error_is_refused(recorded, tmp_path):
+    with pytest.raises(InputError, match=r"x_std: expected standard errors from 0 to"):
+        read_table(recorded, tmp_path, lambda t: t.assign(x_std=-t["x_std"]))
+
+
+def test_what_a_ball_at_rest_has_alike_in_every_frame_is_kept_apart(recorded, tmp_path, clips):
+    results = shutil.copytree(recorded / "results", tmp_path / "results")
+    for path in (results / "clips").glob("*/tracks.parquet"):
+        table = pd.read_parquet(path)
+        table.assign(x_fixed_std=0.006, y_fixed_std=0.006, cov_xy_fixed=0.0).to_parquet(path)
+    for one, other in zip(clips, read_measured(results)[0], strict=True):
+        rests = (one.phase() == 0) & (one.ball == 0)
+        assert (one.offset, other.offset) == (0, pytest.approx(1.6e-4 * 0.006, rel=1e-3))
+        assert np.sqrt(other.covariance[rests, 0, 0]) == pytest.approx(1.6e-4 * np.sqrt(NOISE**2 - 0.006**2), rel=1e-3)
+        assert np.array_equal(other.covariance[~rests], one.covariance[~rests])
+
+
+def test_a_speck_that_never_moves_is_no_ball(recorded, tmp_path, clips):
+    speck = pd.DataFrame({"frame": np.arange(100), "particle": 7, "x": 20.0, "y": 20.0, "x_std": 0.01, "y_std": 0.01})
+    both = [speck.assign(clip=k, cov_xy=0.0) for k in (0, 1)]
+    read, _ = read_table(recorded, tmp_path, lambda t: pd.concat([t, *both]))
+    for one, other in zip(clips, read, strict=False):
+        assert np.allclose(one.xy, other.xy, rtol=0, atol=1e-12)
+
+
+def test_what_cannot_be_used_is_left_out_and_said(recorded, tmp_path):
+    def alone(t):
+        return t[(t["clip"] > 0) | ((t["particle"] == 1) & (t["frame"] < 15))]
+
+    read, left_out = read_table(recorded, tmp_path, alone)
+    assert [c.clip for c in read] == [1]
+    assert left_out == ["clip 0: no_collision"]
+
+
+def test_a_recording_of_several_collisions_is_left_out(recorded, tmp_path):
+    results = shutil.copytree(recorded / "results", tmp_path / "results")
+    table = pd.read_parquet(results / "estimates.parquet")
+    pd.concat([table, table[table["clip"] == 3].assign(collision=1)]).to_parquet(results / "estimates.parquet")
+    read, left_out = read_measured(results)
+    assert 3 not in [c.clip for c in read]
+    assert left_out == ["clip 3: 2 collisions in one recording"]
+
+
+def test_no_clip_of_use(recorded, tmp_path):
+    with pytest.raises(InputError, match="no clip with a measured collision; clip 0: no_collision"):
+        read_table(recorded, tmp_path, lambda t: t[(t["particle"] == 1) & (t["frame"] < 15)])
+
+
+@pytest.mark.parametrize(("unit", "factor"), [("m", 1.6e-4), ("mm", 0.16), ("um", 160.0)])
+def test_places_that_are_not_in_pixels_are_refused(recorded, tmp_path, unit, factor):
+    with pytest.raises(
+        InputError, match=rf"t.csv: the places look like {unit}: the balls come as near as .* expected px"
+    ):
+        read_table(recorded, tmp_path, lambda t: t.assign(x=factor * t["x"], y=factor * t["y"]))
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"fps": 1000.0, "exposure": 0.0}, r"speeds of .* m/s; are scale and fps of the camera right\?"),
+        ({"scale": 1000.0}, "ball_diameter: expected a ball that the picture can show, not one of 0.0149 px"),
+    ],
+)
+def test_a_camera_with_wrong_units_is_refused(recorded, tmp_path, change, said):
+    camera = json.loads((recorded / "camera.json").read_text())
+    camera |= {name: factor * camera[name] for name, factor in change.items()}
+    if "scale" in change:
+        del camera["K"], camera["dist"]
+    (tmp_path / "camera.json").write_text(json.dumps(camera))
+    with pytest.raises(InputError, match=said):
+        read_measured(recorded / "tracks.csv", tmp_path / "camera.json")
+
+
+@pytest.mark.parametrize("frame", [8, 39, 45, 70])  # measured nevertheless, that at 39 would divide by zero
+def test_a_clip_whose_balls_exchange_names_is_left_out_and_said(recorded, tmp_path, frame):
+    def swap(t):
+        late = (t["clip"] == 0) & (t["frame"] >= frame)
+        return t.assign(particle=t["particle"].where(~late, 1 - t["particle"]))
+
+    read, left_out = read_table(recorded, tmp_path, swap)
+    assert [c.clip for c in read] == [1]
+    assert left_out == [f"clip 0: the balls have exchanged their names at frame {frame}"]
+
+
+def test_places_that_are_no_numbers_do_no_harm(recorded, tmp_path, clips):
+    def holed(t):
+        x = t["x"].where((t["frame"] + t["particle"]) % 9 != 4)
+        return t.assign(x=x.where(t["frame"] != 50), x_std=t["x_std"].where(t["frame"] != 30))
+
+    read, left_out = read_table(recorded, tmp_path, holed)
+    assert left_out == []
+    for one, other in zip(clips, read, strict=False):
+        assert np.all(np.isfinite(other.xy))
+        assert np.all(np.isfinite(other.covariance))
+        assert other.launch == pytest.approx(one.launch, rel=2e-3, abs=2e-5)
+
+
+def alike(**same):
+    """Clips all alike in some columns of the launch."""
+    columns = ("x", "y", "t_c", "speed", "heading", "b")
+    out = []
+    for c in exact(Model(), 8, 5):
+        launch = c.launch.copy()
+        for name, value in same.items():
+            launch[columns.index(name)] = value * (1 + 1e-3 * c.clip)
+        out.append(dataclasses.replace(c, launch=launch))
+    return out
+
+
+def test_what_clips_that_are_all_alike_cannot_tell():
+    assert cannot_tell(alike()) == []
+    for same, word in (({"speed": 0.3}, "at 0.3 m/s"), ({"b": 0.1}, "b near 0.10"), ({"heading": 3.14}, "one way")):
+        said = cannot_tell(alike(**same))
+        assert len(said) == 1
+        assert word in said[0]
+    assert len(cannot_tell(alike(speed=0.3, b=0.0, heading=0.0))) == 3
+
+
+def test_one_speed_hides_what_hangs_on_it():
+    """Restitution hangs on the speed along the line of centres; friction on one that falls to zero in a clip."""
+    same = alike(speed=0.3)
+    (said,) = cannot_tell(same)
+    assert "how restitution or spin transfer changes with the speed can hardly be told" in said
+    wide = [dataclasses.replace(c, launch=np.r_[c.launch[:5], 0.2 * c.clip - 0.7]) for c in same]
+    (said,) = cannot_tell(wide)
+    assert "how spin transfer changes with the speed can hardly be told" in said

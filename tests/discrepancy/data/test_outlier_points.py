@@ -1,0 +1,149 @@
+"""Single wrong places are taken out before anything is read from the tracks; noise, jumps and contacts are not."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from discrepancy_clips import FRAMES, STD, collisions, exact, noisy, only
+
+from discrepancy.data.outlier_points import _Look, spikes, taken_out, without_spikes
+from discrepancy.find import find
+from discrepancy.fitting.base_fit import CLAIMED, base_fit
+from discrepancy.fitting.parameters import parameter_of
+from discrepancy.fitting.predict import forecast
+from synthcam.effect import library
+from synthcam.model import Model
+
+CLIPS = collisions(Model(), 8, 3)
+
+
+def moved(clip, rows, by):
+    xy = clip.xy.copy()
+    xy[rows] += by
+    return dataclasses.replace(clip, xy=xy)
+
+
+@pytest.mark.parametrize("by", [[20, 0], [0, -20], [1e3, 1e3]])
+def test_a_place_far_off_its_path_is_a_spike(by):
+    for clip in CLIPS:
+        rows = [row_of(clip, 0, 6), row_of(clip, 1, 70)]
+        assert spikes(moved(clip, rows, STD * np.array(by))) == set(rows)
+
+
+def row_of(clip, ball, frame):
+    return int(np.flatnonzero((clip.ball == ball) & (clip.frame == frame))[0])
+
+
+def found_beside_a_model(clips):
+    """What is found beside the base model fitted to the clips, spikes and all: rows."""
+    base = base_fit(clips, Model(), CLAIMED, lambda stage: None)
+    return [spikes(c, x) for c, x in zip(clips, forecast(base.model, base.launches, clips), strict=True)]
+
+
+@pytest.mark.parametrize(("sigma", "spike"), [(6.0, False), (11.0, True)])
+def test_a_place_is_a_spike_beyond_eight_sigma(sigma, spike):
+    """Of the place and of the parabola through four places on either side: its value in the middle has 708/2064."""
+    for clip, true in zip(CLIPS, exact(Model(), 8, 3), strict=True):
+        row = row_of(clip, 1, 70)
+        xy = clip.xy.copy()
+        xy[row] = true.xy[row] + [sigma * np.sqrt(1 + 708 / 2064) * STD, 0]
+        assert spikes(dataclasses.replace(clip, xy=xy)) == ({row} if spike else set())
+
+
+@pytest.mark.parametrize(("rough", "spike"), [(1.4, True), (2.8, False)])
+def test_places_that_are_twice_as_rough_as_noise_tell_of_no_spike(rough, spike):
+    assert _Look(np.array([0.0, -30.0]), 1.5 * rough).far(1.5) is spike
+
+
+@pytest.mark.parametrize(("off", "spike"), [(7.0, True), (14.0, False)])
+def test_a_model_that_is_ten_errors_off_tells_of_no_spike(off, spike):
+    clip, row = CLIPS[0], row_of(CLIPS[0], 1, 70)
+    expected = exact(Model(), 8, 3)[0].xy + off * STD
+    assert spikes(moved(clip, [row], 40 * STD), expected) == ({row} if spike else set())
+
+
+@pytest.mark.parametrize(("clips", "gone"), [(2, 2), (3, 0)])
+def test_what_three_clips_have_in_one_frame_is_kept(clips, gone):
+    wrong = [moved(c, [row_of(c, 1, 70)], 40 * STD) if k < clips else c for k, c in enumerate(CLIPS)]
+    kept = without_spikes(wrong, [c.xy for c in exact(Model(), 8, 3)])
+    assert sum(len(c.frame) for c in wrong) - sum(len(c.frame) for c in kept) == gone
+
+
+@pytest.mark.parametrize("shift", range(-2, 4))
+@pytest.mark.parametrize("at", ["contact", "slide end", "first", "last"])
+def test_beside_a_model_it_is_found_at_every_event_and_at_both_ends(at, shift):
+    wrong, rows = [], []
+    for k, clip in enumerate(CLIPS):
+        ball = k % 2
+        frame = {"contact": clip.launch[2], "slide end": clip.ends[ball]}.get(at, 0.0) * clip.fps + shift
+        frame = {"first": shift + 2, "last": FRAMES - 3 + shift}.get(at, int(frame))
+        rows.append({row_of(clip, ball, min(max(frame, 0), FRAMES - 1))})
+        wrong.append(moved(clip, list(rows[-1]), STD * np.array([[300, 0], [0, -300]][k // 2 % 2])))
+    assert found_beside_a_model(wrong) == rows
+
+
+def test_so_are_neighbours():
+    where = [(5, 6), (60, 62), (0, 1, 2), ()]
+    rows = [[row_of(clip, 0, f) for f in where[k % 4]] for k, clip in enumerate(CLIPS)]
+    wrong = [moved(moved(c, r, 300 * STD), r[:1], 100 * STD) for c, r in zip(CLIPS, rows, strict=True)]
+    assert found_beside_a_model(wrong) == [set(r) for r in rows]
+
+
+@pytest.mark.parametrize("effect", ["hop.share", "velocity_restitution.e", "exposure_blur.longer", "camera_tilt.x"])
+@pytest.mark.parametrize("longer", [1, 4, 8])
+def test_what_a_model_lacks_makes_none(effect, longer):
+    """At its realistic size, and where the exposures take up to the whole time from frame to frame."""
+    truth = Model().replace({effect: parameter_of(Model(), effect).scale})
+    camera = dataclasses.replace(CLIPS[0].camera, exposure=longer * CLIPS[0].camera.exposure)
+    clips = [dataclasses.replace(c, camera=camera) for c in exact(truth, 8, 3)]
+    places = forecast(truth, np.array([c.launch for c in clips]), clips)
+    clips = noisy([dataclasses.replace(c, xy=xy) for c, xy in zip(clips, places, strict=True)], 3)
+    assert not any(found_beside_a_model(clips))
+
+
+@pytest.mark.parametrize("rho", [0.0, 0.9])
+def test_noise_has_none(rho):
+    assert not any(spikes(clip) for clip in collisions(Model(), 12, 4, rho))
+
+
+def test_errors_that_are_claimed_to_vary_make_none():
+    rng = np.random.default_rng(2)
+    for clip in CLIPS:
+        claimed = clip.covariance * rng.uniform(0.9, 1.1, (len(clip.frame), 1, 1))
+        assert not spikes(dataclasses.replace(clip, covariance=claimed))
+
+
+def test_a_jump_is_none():
+    """As where a frame is lost: all that follows stands elsewhere."""
+    for clip in CLIPS:
+        late = np.flatnonzero((clip.ball == 1) & (clip.frame >= 70))
+        assert spikes(moved(clip, late, 50 * STD)) == set()
+
+
+def test_what_is_left_is_the_clip_without_them_and_it_is_said():
+    row = row_of(CLIPS[2], 1, 70)
+    given = [*CLIPS[:2], moved(CLIPS[2], [row], 30 * STD)]
+    kept = without_spikes(given)
+    assert kept[:2] == CLIPS[:2]
+    assert np.array_equal(kept[2].xy, np.delete(CLIPS[2].xy, row, axis=0))
+    assert np.array_equal(kept[2].covariance, np.delete(CLIPS[2].covariance, row, axis=0))
+    (said,) = taken_out(given, kept)
+    assert said == "clip 2: 1 of 160 places, in frame 70, far off the path through those before and after"
+
+
+@pytest.mark.parametrize("frame", [1.0, 40.0, 78.0, 79.0])
+def test_a_lost_frame_is_none_however_near_the_end(monkeypatch, frame):
+    only(monkeypatch, **{n: library()[n] for n in ("dropped_frame", "rolling_quadratic", "stribeck")})
+    found = find(collisions(Model().replace({"dropped_frame.lost": 1.0, "dropped_frame.frame": frame}), 8, 3), Model())
+    assert [n.effect for n in found.named] == ["dropped_frame"]
+    assert found.model.value("dropped_frame.lost") == pytest.approx(1, abs=0.01)
+    assert found.left_out == ()
+
+
+def test_three_wrong_places_make_no_discovery(monkeypatch):
+    only(monkeypatch)
+    wrong = [moved(c, [x], 300 * STD) for c, x in zip(CLIPS, (40, row_of(CLIPS[1], 1, 0), 62), strict=False)]
+    found = find([*wrong, *CLIPS[3:]], Model())
+    assert found.verdict == "none"
+    assert found.noise.scale == pytest.approx(1, abs=0.1)
+    assert sorted(line.partition(",")[0] for line in found.left_out) == [f"clip {k}: 1 of 160 places" for k in range(3)]

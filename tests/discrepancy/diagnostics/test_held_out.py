@@ -1,0 +1,92 @@
+"""What collisions that had no part in a claim say of it; and what they do not bear is withdrawn."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from discrepancy_clips import HIDDEN, collisions, only, searched
+
+from discrepancy.data.collisions import split
+from discrepancy.diagnostics.held_out import Held, foretold
+from discrepancy.find import find
+from discrepancy.fitting.gauss_newton import BASE, fit
+from discrepancy.noise.model import Component, Noise
+from synthcam.model import Model
+
+NOISE = Noise(Component(1.0))
+E = "velocity_restitution.e"
+
+
+def test_each_clip_is_foretold_as_a_fit_to_all_others_foretells_it():
+    """The fit itself done again without it, and its launch alone to it."""
+    clips = collisions(Model().replace({E: 0.02}), 6, 3)
+    now = fit(clips, Model(), (*BASE, E), NOISE)
+    turned = foretold(now)
+    for k in (0, 4):
+        others = fit([c for c in clips if c is not clips[k]], now.model, now.names, NOISE)
+        alone = fit([clips[k]], others.model, (), NOISE)
+        paid = alone.chi2 - now.residuals[k] @ now.residuals[k]
+        assert turned[k] @ turned[k] == pytest.approx(alone.chi2, abs=0.02 * paid + 0.05)
+    assert sum(float(t @ t) for t in turned) > now.chi2 + len(now.names) / 2
+
+
+@pytest.mark.parametrize("true", [0.0, 1.0])
+def test_sigma_is_normal_about_what_is_there(true):
+    """Straight lines through the origin instead of collisions: a slope is fitted to 22 and asked of 8."""
+    rng, sigmas, promised = np.random.default_rng(5), [], []
+    for _ in range(2000):
+        fitted, kept = rng.standard_normal((22, 10)), rng.standard_normal((8, 10))
+        slope = 0.3 * true if true else 0.3
+        y, later = ((0.3 * true * x + rng.standard_normal(x.shape)) for x in (fitted, kept))
+        if true:
+            slope = float((fitted * y).sum() / (fitted**2).sum())
+        held = Held.of(list(later), list(later - slope * kept), slope * float((fitted**2).sum()) ** 0.5)
+        sigmas.append(held.sigma - true * held.promised)
+        promised.append(held.promised)
+    assert np.mean(sigmas) == pytest.approx(0.0, abs=0.08)
+    assert np.std(sigmas) == pytest.approx(1.0 if true else np.sqrt(22 / 30), abs=0.05)
+    assert np.mean(promised) == pytest.approx(0.3 * np.sqrt(80 * 22 / 30), abs=0.15)
+
+
+def test_a_true_claim_stands_and_says_its_gap():
+    found = searched("velocity_restitution")
+    said = found.document()
+    own = said["gap"]["by_claim"]["velocity_restitution"]
+    assert own["without"] == pytest.approx(said["gap"]["before"], rel=1e-6)
+    assert own["with"] == pytest.approx(said["gap"]["after"], rel=1e-6)
+    assert own["sigma"] == pytest.approx(own["promised"], abs=3.5)
+    assert own["turns_sigma"] > 50
+    assert said["withdrawn"] == []
+    assert searched("nothing").document()["gap"]["by_claim"] == {}
+
+
+def disagreeing(truth, count=8):
+    """Collisions of which those to be fitted have an effect, and those to be kept out have none."""
+    bent, plain = (collisions(m, count, 3) for m in (Model().replace(truth), Model()))
+    kept_out = {c.clip for c in split(bent)[1]}
+    return [p if b.clip in kept_out else b for b, p in zip(bent, plain, strict=True)]
+
+
+def test_what_the_clips_kept_out_do_not_bear_is_withdrawn(monkeypatch):
+    only(monkeypatch)
+    found = find(disagreeing(HIDDEN["velocity_restitution"]), Model())
+    said = found.document()
+    assert found.verdict == "inadequate"
+    assert said["named"] == []
+    assert said["gap"]["by_claim"] == {}
+    assert found.model.effects == ()
+    gone = said["withdrawn"][0]
+    assert gone["with"] > gone["without"]
+    assert gone["own_sigma"] > 20
+    assert gone["why"] == "collisions kept out are foretold worse with it"
+    assert said["gap"]["after"] <= said["gap"]["before"]
+    assert "Something is missing" in found.sentence()
+    assert gone["claim"] in found.sentence()
+
+
+def test_no_error_is_given_of_a_strength_where_more_is_missing():
+    (named,) = searched("velocity_restitution").named
+    found = dataclasses.replace(searched("velocity_restitution"), named=(named.unsure(),))
+    assert np.isnan(found.document()["named"][0]["std"][E])
+    assert "e = 0.05 without an error" in found.sentence()
+    assert "+-" not in found.sentence()

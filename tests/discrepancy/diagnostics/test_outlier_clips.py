@@ -1,0 +1,74 @@
+"""One bad clip among good ones makes no discovery, and a missing effect makes no clip bad."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from discrepancy_clips import collisions
+
+from discrepancy.diagnostics.outlier_clips import odd
+from discrepancy.fitting.gauss_newton import BASE, fit
+from discrepancy.noise.model import Component, Noise
+from synthcam.model import Model
+
+CLAIMED = Noise(Component(1.0))
+
+
+def pushed(clip, size):
+    """Ball 1 of a clip is pushed along while it rolls, as if something stood in its way."""
+    late = np.maximum(clip.frame / clip.fps - clip.ends[0], 0) * (clip.ball == 0)
+    way = np.array([np.cos(clip.launch[4]), np.sin(clip.launch[4])])
+    return dataclasses.replace(clip, xy=clip.xy + size * late[:, None] ** 2 * way)
+
+
+def fits(clips, effect):
+    base = fit(clips, Model(), BASE, CLAIMED)
+    return base, fit(clips, Model(), [*BASE, effect], CLAIMED, base.launches)
+
+
+def significance(base, best):
+    return np.sqrt(base.chi2 - best.chi2)
+
+
+@pytest.mark.parametrize("rank", [0, 6])  # by speed, the slower the later
+@pytest.mark.parametrize("size", [1e-3, 4e-3])
+def test_a_bad_clip_that_makes_a_discovery_is_found(rank, size):
+    clips = collisions(Model(), 12, 6)
+    bad = sorted(range(12), key=lambda k: -clips[k].launch[3])[rank]
+    clips[bad] = pushed(clips[bad], size * (1 + rank))
+    base, best = fits(clips, "rolling_quadratic.K")
+    assert significance(base, best) > 4
+    found = odd(clips, base, best)
+    assert list(found) == [bad]
+    assert found[bad].startswith(f"clip {clips[bad].clip}: ")
+    rest = [c for k, c in enumerate(clips) if k != bad]
+    assert significance(*fits(rest, "rolling_quadratic.K")) < 4
+
+
+@pytest.mark.parametrize(("effect", "value"), [("rolling_quadratic.K", 0.1), ("velocity_restitution.e", 0.05)])
+def test_an_effect_makes_no_clip_bad(effect, value):
+    clips = collisions(Model().replace({effect: value}), 12, 7)
+    base, best = fits(clips, effect)
+    assert significance(base, best) > 5
+    assert odd(clips, base, best) == {}
+    assert odd(clips, base, base) == {}  # nor one that is not found
+
+
+def test_a_bad_clip_is_found_beside_an_effect():
+    clips = collisions(Model().replace({"velocity_restitution.e": 0.05}), 12, 7)
+    clips[3] = pushed(clips[3], 4e-3)
+    assert list(odd(clips, *fits(clips, "velocity_restitution.e"))) == [3]
+
+
+def test_noise_makes_no_clip_bad():
+    for seed in range(4):
+        clips = collisions(Model(), 10, 20 + seed)
+        assert odd(clips, *fits(clips, "rolling_quadratic.K")) == {}
+
+
+def test_one_clip_in_ten_may_be_odd_in_all():
+    """Of twelve one, and none once one is gone."""
+    clips = collisions(Model(), 12, 6)
+    clips[3] = pushed(clips[3], 8e-3)
+    both = fits(clips, "rolling_quadratic.K")
+    assert [list(odd(clips, *both, gone)) for gone in (0, 1)] == [[3], []]

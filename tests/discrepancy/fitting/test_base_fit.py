@@ -1,0 +1,50 @@
+"""What a search begins with: the base fit finds its way from a friction nine hundred times too large."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from discrepancy_clips import collisions, exact
+
+from discrepancy.fitting.base_fit import base_fit, check, noise_of
+from synthcam.model import Model
+from tracker.camera.camera import InputError
+
+
+def slower(clip, factor):
+    """The same tracks as if filmed at so many times fewer frames a second."""
+    camera = dataclasses.replace(clip.camera, fps=clip.fps / factor, exposure=clip.exposure * factor)
+    launch = clip.launch * np.array([1, 1, factor, 1 / factor, 1, 1])
+    return dataclasses.replace(clip, camera=camera, launch=launch, ends=clip.ends * factor)
+
+
+def test_a_clock_thirty_times_slower_is_friction_nine_hundred_times_less():
+    """Lengths alone do not tell time: all laws of the base model but gravity scale, and fit as well as before."""
+    clips = collisions(Model(), 8, 4, frames=250)
+    noise, stages = noise_of(clips), []
+    one, other = (base_fit(c, Model(), noise, stages.append) for c in (clips, [slower(c, 30) for c in clips]))
+    assert one.chi2 == pytest.approx(other.chi2, abs=0.01)
+    by = {"restitution": 1, "sliding_friction": 900, "spin_transfer": 1, "rolling_drag": 30, "rolling_decel": 900}
+    for name, factor in by.items():
+        assert other.model.value(name) * factor == pytest.approx(one.model.value(name), abs=0.02 * one.std[name])
+    assert set(stages) == {"fit"}
+
+
+def test_friction_may_be_free_from_zero(monkeypatch):
+    """A model without any friction that asks for it to be fitted, and whose first fit is none."""
+    monkeypatch.setattr("discrepancy.fitting.base_fit.LOST", 0.0)
+    clips = collisions(Model(), 8, 4)
+    base = base_fit(clips, Model(sliding_friction=0.0, free=("sliding_friction",)), noise_of(clips), lambda stage: None)
+    assert base.model.value("sliding_friction") == pytest.approx(0.232, abs=3.5 * base.std["sliding_friction"])
+
+
+@pytest.mark.parametrize("off", [7e-4, -7e-4, 1.4e-3, -1.4e-3])
+def test_balls_that_differ_by_a_thousandth_are_two(off):
+    clips = exact(Model(), 6, 4)
+    camera = dataclasses.replace(clips[0].camera, ball_diameter=2 * Model().ball.radius * (1 + off))
+    clips = [dataclasses.replace(c, camera=camera) for c in clips]
+    if abs(off) < 1e-3:
+        check(clips, Model())
+    else:
+        with pytest.raises(InputError, match=r"the ball of camera\.json is"):
+            check(clips, Model())

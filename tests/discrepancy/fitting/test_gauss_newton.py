@@ -1,0 +1,268 @@
+"""The fit: parameters recovered, errors that are the scatter, and the arrow-shaped solution the dense one."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from discrepancy_clips import collisions, exact, noisy
+from scipy.stats import chi2 as chi2_law
+
+from discrepancy.fitting.gauss_newton import BASE, Evidence, Fit, fit, linearised, settle, solve, telling
+from discrepancy.fitting.jacobian import derivative, launch_derivatives
+from discrepancy.fitting.parameters import limits_of, suspects
+from discrepancy.fitting.predict import forecast
+from discrepancy.noise.model import Component, Noise
+from synthcam.model import Model
+
+WHITE = Noise(Component(1.0))
+TRUTH = Model().replace(
+    {
+        "restitution": 0.88,
+        "sliding_friction": 0.25,
+        "spin_transfer": 0.3,
+        "rolling_drag": 0.16,
+        "rolling_decel": 0.013,
+    }
+)
+
+
+def far(now, truth):
+    """The shared parameters' distance to the truth, chi^2 with as many degrees of freedom."""
+    off = np.array([now.model.value(n) - truth.value(n) for n in now.names])
+    return float(off @ np.linalg.solve(now.covariance, off))
+
+
+@pytest.fixture(scope="module")
+def fitted():
+    return fit(collisions(TRUTH, 6, 11), Model(), BASE, WHITE)
+
+
+def test_known_parameters_are_recovered_within_their_errors(fitted):
+    off = [fitted.model.value(n) - TRUTH.value(n) for n in BASE]
+    assert np.all(np.abs(off) < 3.5 * np.sqrt(np.diag(fitted.covariance)))
+    assert fitted.covariance[0, 0] < 1e-3**2  # the errors are no excuse
+
+
+def test_chi2_is_what_noise_leaves(fitted):
+    dof = fitted.points - fitted.parameters
+    assert fitted.parameters == 5 + 6 * 6
+    assert abs(fitted.chi2 / dof - 1) < 4 * np.sqrt(2 / dof)
+
+
+def test_errors_are_the_scatter_over_repeats():
+    clips, repeats = exact(Model(), 4, 12), 12
+    distances = [far(fit(noisy(clips, seed), Model(), BASE, WHITE), Model()) for seed in range(repeats)]
+    low, high = chi2_law.ppf([1e-3, 1 - 1e-3], repeats * len(BASE))
+    assert low < sum(distances) < high
+
+
+def test_eliminating_the_launches_equals_dense_least_squares():
+    now = fit(collisions(Model(), 3, 13), Model(), BASE, WHITE)
+    moved = dataclasses.replace(now, residuals=tuple(np.cos(np.arange(len(r))) for r in now.residuals))
+    rows = [len(r) for r in now.residuals]
+    dense, at = np.zeros((sum(rows), len(BASE) + 18)), np.cumsum([0, *rows])
+    for k in range(3):
+        dense[at[k] : at[k + 1], :5] = now.slopes[k]
+        dense[at[k] : at[k + 1], 5 + 6 * k : 11 + 6 * k] = now.launch_slopes[k]
+    scale = np.linalg.norm(dense, axis=0)
+    best = np.linalg.lstsq(dense / scale, np.concatenate(moved.residuals), rcond=None)[0] / scale
+    shared, own = solve(moved, 0.0, np.full(5, -np.inf), np.full(5, np.inf))
+    error = np.sqrt(np.diag(now.covariance))
+    assert np.allclose(shared / error, best[:5] / error, atol=1e-5)
+    assert np.allclose(own, best[5:].reshape(3, 6), rtol=1e-4, atol=1e-9)
+    inverse = np.linalg.inv((dense / scale).T @ (dense / scale)) / np.outer(scale, scale)
+    assert np.allclose(now.covariance / np.outer(error, error), inverse[:5, :5] / np.outer(error, error), atol=1e-5)
+
+
+def test_what_is_projected_holds_nothing_that_the_fit_can_absorb(fitted):
+    columns = [np.sin(np.outer(np.arange(len(r)), [0.1, 0.2])) for r in fitted.residuals]
+    left = fitted.projected(columns)
+    absorbed = np.concatenate(fitted.slopes)
+    launch = np.zeros((fitted.points, 6))
+    launch[: len(columns[0])] = fitted.launch_slopes[0]
+    for basis in (absorbed, launch):
+        unit = basis / np.linalg.norm(basis, axis=0)
+        assert np.abs(unit.T @ left).max() < 1e-6 * np.linalg.norm(left)
+    gram, pull = fitted.information(columns)
+    assert np.allclose(gram, left.T @ left, rtol=1e-9, atol=1e-9 * np.trace(gram))
+    assert np.allclose(pull, left.T @ np.concatenate(fitted.residuals), atol=1e-9 * np.trace(gram))
+
+
+def slope(model, clip, name):
+    return derivative(model, clip.launch[None], [clip], name)[0]
+
+
+def test_a_derivative_keeps_to_the_limits():
+    clip = exact(Model(), 1, 14)[0]
+    inside = slope(Model().replace({"restitution": 1 - 1e-4}), clip, "restitution")
+    assert limits_of(Model(), "restitution") == (0.0, 1.0)
+    assert np.allclose(slope(Model().replace({"restitution": 1.0}), clip, "restitution"), inside, atol=1e-4)
+
+
+def test_a_derivative_where_the_motion_ends_to_exist():
+    clip = exact(Model(), 1, 15)[0]
+    frictionless = Model().replace({"rolling_decel": 0.0})  # there no tilt lets the target rest
+    assert np.all(slope(frictionless, clip, "plate_tilt.x") == 0)
+    steepest = 7 / 5 * 0.0103 / 9.81  # one side only
+    tilted = Model().replace({"plate_tilt.x": steepest * (1 - 1e-6)})
+    assert np.abs(slope(tilted, clip, "plate_tilt.x")).max() > 1e-3
+
+
+def test_a_forward_difference_is_the_derivative():
+    clip = exact(Model(), 1, 16)[0]
+    for name in ("sliding_friction", "stribeck.rise", "plate_tilt.x", "magnetic_attraction.pull"):
+        central = slope(Model(), clip, name)
+        forward = derivative(Model(), clip.launch[None], [clip], name, [clip.xy])[0]
+        assert np.abs(forward - central).max() < 2e-3 * np.abs(central).max()
+
+
+def test_launch_derivatives_of_many_clips_are_those_of_each(monkeypatch):
+    clips = exact(Model(), 3, 18)
+    launches = np.array([c.launch for c in clips])
+    here, slopes = launch_derivatives(Model(), launches, clips)
+    monkeypatch.setattr("discrepancy.fitting.jacobian.AT_ONCE", 2)
+    again, parts = launch_derivatives(Model(), launches, clips)
+    for clip, a, b, s, p in zip(clips, here, again, slopes, parts, strict=True):
+        assert np.allclose(a, b, atol=1e-13)
+        assert np.allclose(s, p, atol=1e-7)
+        before = clip.phase() == 0
+        assert np.allclose(s[before & (clip.ball == 0), :, :2], np.eye(2), atol=1e-6)  # a target at rest is displaced
+
+
+def test_launch_derivatives_at_the_edge_of_where_a_ball_can_rest():
+    """On a waving plate: just inside the edge, some nudges of the place take the target to where it rolls off."""
+    clip = exact(Model(), 1, 18)[0]
+    inside, edge = 0.0, 1e-3
+    for _ in range(40):
+        middle = (inside + edge) / 2
+        try:
+            forecast(waving(middle), clip.launch[None], [clip])
+            inside = middle
+        except ValueError:
+            edge = middle
+    here, (slopes,) = launch_derivatives(waving(inside), clip.launch[None], [clip])
+    _, (safe,) = launch_derivatives(waving(inside * (1 - 1e-3)), clip.launch[None], [clip])
+    assert np.all(np.isfinite(here))
+    assert np.allclose(slopes, safe, atol=1e-2 * np.abs(safe).max())
+
+
+def waving(height):
+    return Model().replace({"plate_waviness.a": height, "plate_waviness.wavelength": 0.02})
+
+
+def test_a_parameter_stops_at_its_limit_and_the_rest_are_fitted_as_without_it():
+    """A friction that falls with speed, where only a rising one, or none, is allowed: none."""
+    clips = collisions(Model().replace({"velocity_restitution.e": -0.01}), 4, 19)
+    without = fit(clips, Model(), BASE, WHITE)
+    hop = fit(clips, Model(), (*BASE, "hop.share"), WHITE)
+    air = fit(clips, Model(), (*BASE, "air_drag.share"), WHITE)
+    stopped = [f for f, name in ((hop, "hop.share"), (air, "air_drag.share")) if f.model.value(name) == 0]
+    assert stopped
+    assert all(f.chi2 == pytest.approx(without.chi2, abs=0.05) for f in stopped)
+    assert all(f.model.value(n) >= 0 for f, n in ((hop, "hop.share"), (air, "air_drag.share")))
+
+
+def test_a_fit_that_starts_from_another_ends_where_a_fresh_one_does():
+    truth = Model().replace({"velocity_restitution.e": 0.05, "rolling_quadratic.K": 0.2})
+    clips = collisions(truth, 4, 20)
+    names = (*BASE, "velocity_restitution.e", "rolling_quadratic.K")
+    fresh = fit(clips, Model(), names, WHITE)
+    evidence = Evidence.of(clips, WHITE)
+    base = fit(clips, Model(), BASE, WHITE)
+    slopes = [derivative(base.model, base.launches, clips, n) for n in names[5:]]
+    columns = evidence.white([np.stack([s[k] for s in slopes], axis=-1) for k in range(4)])
+    stale = settle(evidence, base.extended(base.model, names[5:], columns), fresh=False)
+    assert stale.chi2 == pytest.approx(fresh.chi2, abs=0.01)
+    error = np.sqrt(np.diag(fresh.covariance))
+    assert np.allclose(stale.covariance / np.outer(error, error), fresh.covariance / np.outer(error, error), atol=1e-3)
+    rough = settle(evidence, base.extended(base.model, names[5:], columns), fresh=False, rough=True)
+    assert rough.chi2 == pytest.approx(fresh.chi2, abs=1.0)
+
+
+def test_with_nothing_shared_only_the_launches_are_fitted():
+    clips = collisions(Model(), 2, 17)
+    now = fit(clips, Model(), (), WHITE)
+    assert isinstance(now, Fit)
+    assert now.model == Model()
+    assert now.covariance.shape == (0, 0)
+    assert abs(now.chi2 / (now.points - 12) - 1) < 4 * np.sqrt(2 / now.points)
+
+
+def test_a_lost_frame_is_fitted_where_it_was_found():
+    """Where in the gap between two frames it was lost means nothing: no step of the fit may carry it away."""
+    truth = TRUTH.replace({"dropped_frame.lost": 0.5, "dropped_frame.frame": 40.0})
+    clips = collisions(truth, 6, 11)
+    start = truth.replace({"dropped_frame.lost": 0.3, "dropped_frame.frame": 40.3})
+    evidence, launches = Evidence.of(clips, WHITE), np.array([c.launch for c in clips])
+    names = (*BASE, "dropped_frame.lost", "dropped_frame.frame")
+    now = settle(evidence, linearised(evidence, start, names, launches))
+    assert now.model.value("dropped_frame.frame") == 40.3
+    assert now.model.value("dropped_frame.lost") == pytest.approx(0.5, abs=4 * now.std["dropped_frame.lost"])
+
+
+@pytest.mark.parametrize(("seen", "silent"), [(0.9, True), (1.1, False)])
+def test_a_positive_shape_that_its_whole_range_hardly_shows_is_silent(seen, silent):
+    """Its range is of factors: the derivative by its logarithm is its value times that by itself."""
+    model = Model().replace({"stribeck.rise": 1e-3, "stribeck.slip": 0.07})
+    stribeck = next(s for s in suspects(Model(), ()) if s.name == "stribeck")
+    tried = [shapes["stribeck.slip"] for shapes in stribeck.grid(Model())]
+    slope = seen / (0.07 * np.log(max(tried) / min(tried)))
+    (left,) = telling(model, ["stribeck.rise", "stribeck.slip"], (np.array([[1e-9, 0.6 * slope], [0, 0.8 * slope]]),))
+    assert left[0, 0] == 1e-9  # a strength has no range
+    assert left[:, 1].any() != silent
+
+
+@pytest.mark.parametrize(("rise", "slip"), [(1.9, 0.0116), (5, 0.004), (0.02, 0.004), (0.3, 0.5)])
+def test_a_valley_that_bends_is_followed_to_its_end(rise, slip):
+    """Friction that rises steeply in the slowest slip looks like one that rises gently."""
+    truth = {"stribeck.rise": 0.0825, "stribeck.slip": 0.0613, "air_drag.share": 0.59}
+    clips = collisions(Model().replace(truth), 12, 3)
+    evidence, launches = Evidence.of(clips, Noise(Component(1.0))), np.array([c.launch for c in clips])
+    ends = []
+    for start in (truth, truth | {"stribeck.rise": rise, "stribeck.slip": slip}):
+        ends.append(settle(evidence, linearised(evidence, Model().replace(start), (*BASE, *truth), launches)))
+    assert ends[1].chi2 == pytest.approx(ends[0].chi2, abs=0.01)
+    for name, value in truth.items():
+        assert ends[1].model.value(name) == pytest.approx(value, abs=3.5 * ends[1].std[name])
+
+
+@dataclasses.dataclass(frozen=True)
+class Banana:
+    """Rosenbrock's valley in the place of a motion: residuals 1 - x and steep (y - x^2)."""
+
+    x: float
+    y: float
+    steep: float
+
+    def value(self, name):
+        return getattr(self, name)
+
+    def replace(self, values):
+        return dataclasses.replace(self, **values)
+
+    def fit(self):
+        residuals = np.array([1 - self.x, -self.steep * (self.y - self.x**2)])
+        slopes = np.array([[1.0, 0.0], [-2 * self.steep * self.x, self.steep]])
+        return Fit(self, ("x", "y"), np.zeros((0, 6)), (residuals,), (slopes,), (np.zeros((2, 6)),))
+
+
+def test_a_part_of_a_step_that_gains_nearly_nothing_is_not_the_end(monkeypatch):
+    def step(now, damping):
+        (j,), (r,) = now.slopes, now.residuals
+        matrix = j.T @ j
+        far = np.linalg.solve(matrix + damping * np.diag(np.diag(matrix)), j.T @ r)
+        return {"x": now.model.x + far[0], "y": now.model.y + far[1]}, 0.0
+
+    def moved(evidence, now, values, own):
+        return dataclasses.replace(now, model=(there := now.model.replace(values)), residuals=there.fit().residuals)
+
+    def foretold(now, values, own):
+        far = np.array([values["x"] - now.model.x, values["y"] - now.model.y])
+        return float(((now.residuals[0] - now.slopes[0] @ far) ** 2).sum())
+
+    monkeypatch.setattr("discrepancy.fitting.gauss_newton._step", step)
+    here = "discrepancy.fitting.gauss_newton"
+    monkeypatch.setattr(f"{here}._moved", moved)
+    monkeypatch.setattr(f"{here}._foretold", foretold)
+    monkeypatch.setattr(f"{here}.linearised", lambda evidence, model, names, launches: model.fit())
+    assert settle(None, Banana(-3.66, 3.66**2, 9.7).fit()).chi2 < 1e-6

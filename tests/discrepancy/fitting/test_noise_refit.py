@@ -1,0 +1,90 @@
+"""The residuals of a fit that explains the data tell of slow noise; those of one that does not are not believed."""
+
+import dataclasses
+from functools import cache
+
+import numpy as np
+import pytest
+from discrepancy_clips import FRAMES, STD, collisions, exact, noise_of_pair
+
+from discrepancy.fitting.gauss_newton import BASE, fit
+from discrepancy.fitting.noise_refit import refined
+from discrepancy.noise.model import Component, Noise, estimate
+from synthcam.model import Model
+
+
+@cache
+def measured(seed, rho=0.0, walk=0.0, hidden=0.0, count=8):
+    """Clips, with a random walk that both balls share, and a restitution that falls with speed."""
+    rng, out = np.random.default_rng(seed), []
+    for c in exact(Model().replace({"velocity_restitution.e": hidden}), count, 5):
+        shake = walk * STD * np.cumsum(rng.standard_normal((FRAMES, 2)), axis=0)
+        out.append(dataclasses.replace(c, xy=c.xy + noise_of_pair(rng, rho) + np.concatenate([shake, shake])))
+    return out
+
+
+def slow(component):
+    """The power of its slowest part."""
+    lags = component.lags(200)
+    return float(2 * lags.sum() - lags[0])
+
+
+def test_noise_that_is_known_already_stays():
+    clips = measured(1)
+    noise = estimate(clips)
+    assert refined(clips, fit(clips, Model(), BASE, noise), noise) is noise
+
+
+def test_slow_noise_is_known_better_from_whole_clips():
+    truth, first, second = slow(Component(1.0, (0.9,))), [], []
+    for seed in range(4):
+        clips = measured(seed, rho=0.9)
+        noise = estimate(clips)
+        better = refined(clips, fit(clips, Model(), BASE, noise), noise)
+        first.append(np.log(slow(noise.own) / truth))
+        second.append(np.log(slow(better.own) / truth))
+    assert np.sqrt(np.mean(np.square(second))) < 0.7 * np.sqrt(np.mean(np.square(first)))
+    assert abs(np.mean(second)) < 3 * np.std(second, ddof=1) / np.sqrt(4) + 0.05
+
+
+def test_a_walk_too_slow_for_the_phases_is_found():
+    clips = measured(1, walk=0.25, count=6)
+    noise = estimate(clips)
+    assert noise.shared == ()
+    better = refined(clips, fit(clips, Model(), BASE, noise), noise)
+    assert better.scale == pytest.approx(1, rel=0.1)
+    for s in better.shared:
+        lags = s.lags(2)
+        assert 2 * (lags[0] - lags[1]) / (0.25 * STD) ** 2 == pytest.approx(1, rel=0.5)
+
+
+@pytest.mark.parametrize("hidden", [0.001, 0.01])
+def test_what_is_unexplained_is_not_hidden_by_noise(hidden):
+    clips, names = measured(2, hidden=hidden), [*BASE, "velocity_restitution.e"]
+    noise = Noise(Component(1.0))
+    base = fit(clips, Model(), BASE, noise)
+    z2 = base.chi2 - fit(clips, Model(), names, noise).chi2
+    assert z2 > 30
+    worse = refined(clips, base, noise)
+    left = fit(clips, Model(), BASE, worse).chi2 - fit(clips, Model(), names, worse).chi2
+    assert left > 0.8 * z2 / (1 + z2 / (8 * len(clips)))
+    assert left > 4.5**2
+
+
+def test_what_a_model_lacks_is_not_taken_for_a_camera_that_shakes():
+    """A tilt pushes both balls alike. Where it is in the model, nothing is left to be shared."""
+    tilted = Model().replace({"plate_tilt.x": 3e-5, "plate_tilt.y": 2e-5})
+    clips = collisions(tilted, 8, 3)
+    noise = estimate(clips)
+    base = fit(clips, Model(), BASE, noise)
+    assert base.chi2 > 1.1 * base.points
+    assert refined(clips, base, noise, explained=False).shared == ()
+    assert refined(clips, fit(clips, tilted, BASE, noise), noise) is noise
+
+
+def test_noise_that_the_phases_exclude_is_refused():
+    clips = measured(2, hidden=0.2)
+    noise = Noise(Component(1.0))
+    base = fit(clips, Model(), BASE, noise)
+    assert base.chi2 > 20 * base.points
+    assert refined(clips, base, noise) is noise

@@ -1,0 +1,90 @@
+"""What a model says the tracks should be, where that can be said without it."""
+
+import dataclasses
+
+import numpy as np
+import pandas as pd
+import pytest
+from discrepancy_clips import FPS, blank, exact
+
+from discrepancy.fitting.predict import forecast
+from synthcam.dataset.generate import Plan, run
+from synthcam.model import Model
+from synthcam.scene.scene import read_scene
+from tracker.camera.camera import Camera
+
+
+def pixels(clip, xy):
+    return clip.camera.project(np.concatenate([xy, np.full((len(xy), 1), clip.camera.radius)], axis=1))
+
+
+def test_a_tracker_that_takes_the_glint_for_the_centre_sees_the_glint():
+    clip = exact(Model(), 1, 15)[0]
+    glint = forecast(Model().replace({"glint_parallax.share": 1.0}), clip.launch[None], [clip])[0]
+    assert np.allclose(pixels(clip, glint), clip.camera.glint_of_centre(clip.xy), atol=1e-6)
+    assert np.abs(pixels(clip, glint) - pixels(clip, clip.xy)).max() > 0.1
+
+
+def test_of_a_lamp_that_nobody_told_of_it_sees_the_glint_too():
+    clip = exact(Model(), 1, 15)[0]
+    x, y, height = clip.camera.lamp.position
+    lamp = Model().replace({"unknown_lamp.share": 1.0, "unknown_lamp.x": x, "unknown_lamp.y": y})
+    lamp = lamp.replace({"unknown_lamp.height": height})
+    dark = dataclasses.replace(clip, camera=dataclasses.replace(clip.camera, lamp=None))
+    glint = forecast(lamp, clip.launch[None], [dark])[0]
+    assert np.allclose(pixels(clip, glint), clip.camera.glint_of_centre(clip.xy), atol=1e-6)
+    assert np.allclose(forecast(lamp, clip.launch[None], [clip])[0], clip.xy, rtol=0, atol=1e-12)
+
+
+def test_a_lens_that_nobody_knows_moves_what_is_far_from_the_middle():
+    clip = exact(Model(), 1, 15)[0]
+    bent = forecast(Model().replace({"lens_distortion.k1": 0.05}), clip.launch[None], [clip])[0]
+    from_middle = np.hypot(*clip.xy.T)
+    moved = np.hypot(*(bent - clip.xy).T)
+    away = 0.5 - clip.camera.radius  # the camera's height over the balls' centres
+    assert np.allclose(moved, 0.05 * from_middle**3 / away**2, rtol=0.02, atol=1e-12)
+
+
+def test_without_sliding_friction_balls_slide_on_for_ever():
+    clip = exact(Model(), 1, 15)[0]
+    base = Model().replace({"sliding_friction": 0.0, "spin_transfer": 0.0})
+    v0, heading, b = clip.launch[3:]
+    xy = forecast(base, clip.launch[None], [clip])[0]
+    late = (clip.ball == 0) & (clip.frame / FPS > clip.launch[2])
+    steps = np.diff(xy[late], axis=0) * FPS
+    n = np.sqrt(1 - b * b) * np.array([np.cos(heading), np.sin(heading)]) - b * np.array(
+        [-np.sin(heading), np.cos(heading)]
+    )
+    expected = (1 + base.restitution) / 2 * v0 * np.sqrt(1 - b * b) * n
+    assert np.allclose(steps, expected, atol=1e-5)
+
+
+def test_an_exposure_without_length_is_an_instant():
+    clip = exact(Model(), 1, 16)[0]
+    times = [dataclasses.replace(clip, camera=dataclasses.replace(clip.camera, exposure=e)) for e in (0.0, 1e-7)]
+    instant, short = (forecast(Model(), clip.launch[None], [c])[0] for c in times)
+    assert np.allclose(instant, short, atol=1e-7)
+
+
+def test_a_ball_that_hops_is_seen_where_the_film_has_it(tmp_path):
+    """Far from the middle of an oblique camera a ball nearer to it is seen some 0.05 px aside for a few frames."""
+    launch = np.array([0.02, 0.015, 0.1, 0.5, 0.4, 0.2])
+    scene = tmp_path / "scene.yaml"
+    scene.write_text(
+        "name: hop\neffects: {hop: {share: 0.5, bounce: 0.4}}\ncamera: {tilt: [0.2, 0.1]}\n"
+        "launch: {kind: pair, v0: 0.5, b: 0.2, heading: 0.4, striker: b, contact: [0.02, 0.015]}\n"
+        "timing: {fps: 250, frames: 60, exposure: 5.0e-4, contact_frame: 25}\n"
+    )
+    run(Plan((read_scene(scene),), 1, 4, False), tmp_path / "set", 1, lambda done, of: None)
+    folder = tmp_path / "set/clips/000000"
+    true = pd.read_parquet(folder / "truth/tracks.parquet").sort_values(["particle", "frame"])
+    camera, model = Camera.read(folder / "camera.json"), Model().replace({"hop.share": 0.5, "hop.bounce": 0.4})
+    clip = dataclasses.replace(blank(0, launch, np.zeros(2), 60), camera=camera)
+    (xy,) = forecast(model, launch[None], [clip])
+    assert np.abs(pixels(clip, xy) - true[["x_mean_px", "y_mean_px"]].to_numpy()).max() < 2e-3
+
+
+def test_no_motion_is_an_error():
+    clip = exact(Model(), 1, 16)[0]
+    with pytest.raises(ValueError, match="rest"):
+        forecast(Model().replace({"plate_tilt.x": 0.05, "rolling_decel": 1e-6}), clip.launch[None], [clip])

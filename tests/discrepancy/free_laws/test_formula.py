@@ -1,0 +1,93 @@
+"""Short formulas: what was put in comes back, with its numbers."""
+
+import dataclasses
+import re
+
+import numpy as np
+import pytest
+from discrepancy_clips import exact, noisy
+from discrepancy_outsiders import outsider
+
+from discrepancy.fitting.gauss_newton import BASE, Evidence, fit
+from discrepancy.free_laws.formula import _Drawn, _shapes, _written, propose
+from discrepancy.free_laws.slots import lagging, slots
+from discrepancy.noise.model import Component, Noise
+from discrepancy.selection.free_law_contest import Slots
+from synthcam.model import Model
+
+
+def numbers(text):
+    return [float(x) for x in re.findall(r"(?<![\w.])\d+\.?\d*(?:e-?\d+)?", text)]
+
+
+def test_waves_of_friction():
+    """0.232 (1 + 0.02 sin(x / 3 mm))"""
+    formula = outsider("friction_place").answer.formula
+    mean, one, depth, length, phase = numbers(formula)[:5]
+    assert formula.startswith("mu = ")
+    assert "sin(x / " in formula
+    assert (mean, one) == (pytest.approx(0.232, abs=1e-3), 1)
+    assert (depth, length) == (pytest.approx(0.02, rel=0.05), pytest.approx(3, rel=0.02))
+    assert phase < 0.1
+
+
+def test_a_sine_and_a_cosine_are_one_sine_of_a_field_too():
+    """3 sin w + 4 cos w = 5 sin(w + atan(4/3))"""
+    for way in ("", " ex"):
+        words = [f"sin(x / 3){way}", f"cos(x / 3){way}"]
+        assert _written(words, np.array([3.0, 4.0]), relative=False) == f"5 sin(x / 3 + 0.93){way}"
+
+
+def test_a_step():
+    """0.903 - 0.004 (1 + tanh((v - 0.2) / 0.03)) / 2"""
+    formula = outsider("restitution_speed").answer.formula
+    found = re.fullmatch(r"r = (.+) \(1 - (.+) \(1 \+ tanh\(\(v_n - (.+)\) / (.+)\)\) / 2\), v_n in m/s", formula)
+    mean, drop, at, width = map(float, found.groups())
+    assert mean == pytest.approx(0.903, abs=1e-3)
+    assert drop * mean == pytest.approx(0.004, rel=0.2)
+    assert (at, width) == (pytest.approx(0.2, abs=0.02), pytest.approx(0.03, rel=0.6))
+
+
+def test_a_resonance():
+    formula = outsider("spin_transfer_speed").answer.formula
+    mean, one, size, at, *_, width, _ = numbers(formula)
+    assert "exp(-(v - " in formula
+    assert mean * size == pytest.approx(0.01, rel=0.1)
+    assert (mean, at) == (pytest.approx(0.347, abs=2e-3), pytest.approx(0.3, abs=0.02))
+    assert (one, width) == (1, pytest.approx(0.06, rel=0.3))
+
+
+def test_a_power():
+    """-0.01 v^0.5"""
+    formula = outsider("force_speed").answer.formula
+    size, power = numbers(formula)[:2]
+    assert "= - " in formula
+    assert "m/s^2" in formula
+    assert (size, power) == (pytest.approx(0.01, rel=0.1), pytest.approx(0.5, abs=0.1))
+
+
+def test_a_lag_is_told_but_for_a_constant():
+    """2e-4 v^2"""
+    clips = exact(Model(), 8, 6)
+    launches = np.array([c.launch for c in clips])
+    late = dataclasses.replace(next(s for s in slots(Model(), launches, clips) if s.name == "lag_speed"), centred=False)
+    x = late.axes[0].grid(200)
+    moves = lagging(late, Model(), launches, clips)
+    coefs = np.linalg.lstsq(late.basis(x), 2e-4 * x**2, rcond=None)[0]
+    seen = noisy([dataclasses.replace(c, xy=c.xy + m @ coefs) for c, m in zip(clips, moves, strict=True)], 6)
+    noise = Noise(Component(1.0))
+    base = fit(seen, Model(), BASE, noise)
+    found = min(Slots(Evidence.of(seen, noise), base).filled, key=lambda f: f.score)
+    formula = propose(found)
+    assert (found.slot.name, formula.refused) == ("lag_speed", False)
+    factor = float(re.fullmatch(r"lag of the picture = (\S+) v\^2 s, v in m/s", formula.text).group(1))
+    assert factor == pytest.approx(2e-4, rel=0.1)
+    drawn = _Drawn(found)
+    assert "" not in {w for s in _shapes(found.slot, drawn.x) for w, _ in drawn.terms(s, *(t[0] for t in s.tries))}
+
+
+def test_a_formula_that_suffices_is_not_refused():
+    proposed = propose(outsider("spin_transfer_speed").slot)
+    assert not proposed.refused
+    assert proposed.parameters == 4
+    assert np.isfinite(proposed.chi2)

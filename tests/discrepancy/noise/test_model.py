@@ -1,0 +1,200 @@
+"""The noise is what the tracks show, however smooth the motion below it, however long it lasts, whoever shares it."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from discrepancy_clips import FRAMES, STD, correlated, exact, noise_of_pair
+from scipy.linalg import null_space, toeplitz
+from scipy.stats import multivariate_normal
+
+from discrepancy.noise.model import (
+    CEILING,
+    FLOOR,
+    IMPOSSIBLE,
+    SMOOTH,
+    Bundle,
+    Component,
+    Noise,
+    Pairs,
+    component_of,
+    descend,
+    estimate,
+    free_numbers,
+    own_noise,
+    possible,
+)
+from synthcam.model import Model
+
+
+def stretches(rng, rho, count=60, frames=(14, 22, 37, 59), std=1.0):
+    for _ in range(count):
+        n = int(rng.choice(frames))
+        yield std * correlated(rng, n, rho), np.ones(n)
+
+
+def agree(values, truth):
+    """The mean of repeats is the truth to within four of its standard errors, with a floor of 2 %."""
+    return abs(np.mean(values) - truth) < max(4 * np.std(values, ddof=1) / np.sqrt(len(values)), 0.02 * truth)
+
+
+def test_lags_of_an_autoregression_are_those_of_yule_and_walker():
+    assert Component(2.0, (0.9,)).lags(40) == pytest.approx(2 * 0.9 ** np.arange(40))
+    one, two = 0.6, -0.3
+    phi = np.array([one * (1 - two), two])
+    lags = Component(1.0, (one, two)).lags(30)
+    assert lags[1] == pytest.approx(phi[0] / (1 - phi[1]))
+    assert lags[2:] == pytest.approx(phi[0] * lags[1:-1] + phi[1] * lags[:-2])
+    assert Component(3.0, (0.5,), 0.25).lags(3) == pytest.approx([3.0, 3 * 0.75 * 0.5, 3 * 0.75 * 0.25])
+
+
+def test_restricted_likelihood_is_that_of_the_contrasts_that_no_cubic_touches():
+    """-2 ln p of A'y, A' X = 0, differs between two covariances as the restricted likelihood does (Harville 1974)."""
+    rng, n = np.random.default_rng(1), 15
+    values = correlated(rng, n, 0.5)
+    claimed = rng.uniform(0.5, 2, n)
+    basis = np.vander(np.linspace(-1, 1, n), SMOOTH) / claimed[:, None]
+    bundle = Bundle.of([values * claimed[:, None]], [claimed])
+    contrasts, costs, exact_costs = null_space(basis.T), [], []
+    for rho in (0.2, 0.8):
+        covariance = toeplitz(rho ** np.arange(n))
+        costs.append(sum(bundle.restricted(covariance)))
+        law = multivariate_normal(cov=contrasts.T @ covariance @ contrasts)
+        exact_costs.append(-2 * law.logpdf((contrasts.T @ values).T).sum())
+    assert costs[1] - costs[0] == pytest.approx(exact_costs[1] - exact_costs[0])
+
+
+@pytest.mark.parametrize("rho", [0.0, 0.5, 0.9])
+def test_scale_and_correlation_are_recovered(rho):
+    found = [own_noise(stretches(np.random.default_rng(s), rho, std=2.0)) for s in range(4)]
+    assert agree([np.sqrt(c.variance) / 2 for c in found], 1.0)
+    if rho:
+        assert agree([c.lags(2)[1] / c.variance for c in found], rho)
+    else:
+        assert all(c.partial == () for c in found)
+
+
+def test_white_noise_beside_slow_noise_is_told_apart():
+    rng = np.random.default_rng(2)
+    both = [(p + rng.standard_normal(p.shape), c) for p, c in stretches(rng, 0.95, count=200, frames=(40, 59))]
+    found = own_noise(both)
+    assert found.white * found.variance == pytest.approx(1.0, rel=0.1)
+    assert found.partial[0] == pytest.approx(0.95, abs=0.06)
+
+
+def test_smooth_motion_is_no_noise():
+    plain = list(stretches(np.random.default_rng(2), 0.5))
+    moved = [(p + 1e4 * np.vander(np.linspace(-1, 1, len(p)), SMOOTH) @ np.ones((SMOOTH, 2)), c) for p, c in plain]
+    assert own_noise(moved).lags(6) == pytest.approx(own_noise(plain).lags(6), rel=1e-4)
+
+
+def test_noise_is_counted_in_claimed_standard_deviations():
+    plain = list(stretches(np.random.default_rng(3), 0.0))
+    rng = np.random.default_rng(4)
+    claims = [rng.uniform(0.5, 2, len(p)) for p, _ in plain]
+    scaled = [(p * c[:, None] * 1e-6, c * 1e-6) for (p, _), c in zip(plain, claims, strict=True)]
+    assert np.sqrt(own_noise(scaled).variance) == pytest.approx(1, abs=4 / np.sqrt(2 * sum(p.size for p, _ in plain)))
+
+
+def shaken(clips, seed, walk=0.0, jitter=0.0, rho=0.0, axes=(1, 1)):
+    """Clips with noise of their own and with a random walk or jitter that both balls share, in units of STD."""
+    rng, out = np.random.default_rng(seed), []
+    for c in clips:
+        shake = walk * np.cumsum(rng.standard_normal((FRAMES, 2)), axis=0) + jitter * rng.standard_normal((FRAMES, 2))
+        shake = STD * shake * axes
+        out.append(dataclasses.replace(c, xy=c.xy + noise_of_pair(rng, rho) + np.concatenate([shake, shake])))
+    return out
+
+
+CLIPS = exact(Model(), 8, 5)
+
+
+def test_jitter_that_both_balls_share_is_measured():
+    noise = estimate(shaken(CLIPS, 1, jitter=2.0, axes=(1, 0.5)))
+    x, y = (s.variance / STD**2 for s in noise.shared)
+    assert (x, y) == (pytest.approx(4, rel=0.25), pytest.approx(1, rel=0.25))
+    assert noise.shared[0].lags(2)[1] / noise.shared[0].variance == pytest.approx(0, abs=0.15)
+    assert noise.scale == pytest.approx(1, rel=0.1)
+    assert noise.shake == pytest.approx(STD * np.sqrt(2.5), rel=0.2)
+
+
+def test_a_shared_random_walk_has_its_increments():
+    noise = estimate(shaken(CLIPS, 2, walk=1.0))
+    assert noise.scale == pytest.approx(1, rel=0.1)
+    for s in noise.shared:
+        lags = s.lags(2)
+        assert 2 * (lags[0] - lags[1]) / STD**2 == pytest.approx(1, rel=0.25)
+
+
+def test_balls_that_share_nothing_are_not_taken_for_shaken():
+    scores = []
+    for seed in range(20):
+        clips = shaken(CLIPS, seed)
+        scores.append(Pairs(pair for c in clips for pair in c.together()).shaken(Component(1.0)))
+    assert max(scores) < 4
+    assert 0 < np.mean(scores) < 1.49 + 3 / np.sqrt(20)  # nine independent normal scores: the largest is 1.49
+    assert estimate(shaken(CLIPS, 3, rho=0.9)).shared == ()
+
+
+def test_missing_frames_break_a_stretch_and_no_more():
+    rng = np.random.default_rng(9)
+    whole = shaken(CLIPS, 4, jitter=2.0)
+    holed = []
+    for c in whole:
+        kept = rng.uniform(size=len(c.frame)) > 0.02
+        parts = {name: getattr(c, name)[kept] for name in ("frame", "ball", "xy", "covariance")}
+        holed.append(dataclasses.replace(c, **parts))
+    one, other = estimate(whole), estimate(holed)
+    assert other.scale == pytest.approx(one.scale, rel=0.15)
+    assert other.shake == pytest.approx(one.shake, rel=0.25)
+
+
+def test_a_bundle_of_unequal_stretches_counts_each_by_its_own_length():
+    rng = np.random.default_rng(11)
+    values = [correlated(rng, n, 0.5) for n in (19, 15, 14)]
+    together, covariance = Bundle.of(values, [np.ones(len(v)) for v in values]), toeplitz(0.7 ** np.arange(19))
+    each = [Bundle.of([v], [np.ones(len(v))]).restricted(covariance[: len(v), : len(v)]) for v in values]
+    assert together.restricted(covariance) == pytest.approx(np.sum(each, axis=0))
+    assert together.restricted(np.tile(covariance, (3, 1, 1))) == pytest.approx(np.sum(each, axis=0))
+
+
+def test_one_bad_recording_does_not_count_for_all():
+    clips = shaken(CLIPS, 5)
+    bad = dataclasses.replace(clips[0], xy=CLIPS[0].xy + 10 * (clips[0].xy - CLIPS[0].xy))
+    noise = estimate([bad, *clips[1:]])
+    assert noise == estimate(clips[1:])
+    assert noise.scale == pytest.approx(1, rel=0.1)
+
+
+@pytest.mark.parametrize(("power", "counts"), [(6.0, True), (13.0, False)])
+def test_a_recording_of_nine_times_the_noise_does_not_count(power, counts):
+    clips = shaken(CLIPS[:4], 5)
+    bad = dataclasses.replace(clips[0], xy=CLIPS[0].xy + np.sqrt(power) * (clips[0].xy - CLIPS[0].xy))
+    assert (estimate([bad, *clips[1:]]) != estimate(clips[1:])) is counts
+
+
+def test_a_noise_far_from_the_tracks_has_a_cost_too():
+    def singular(x):
+        return float(np.linalg.cholesky(np.array([[1.0, x[0]], [x[0], 1.0]])).sum()) if x[0] > 1.5 else float(x[0] ** 2)
+
+    assert possible(singular, np.array([2.0])) == possible(lambda x: float("nan"), np.zeros(1)) == IMPOSSIBLE
+    assert abs(descend(singular, np.array([1.4]))[0]) <= 1.01
+
+
+def test_too_little_to_read_noise_from():
+    with pytest.raises(ValueError, match="too few"):
+        own_noise(stretches(np.random.default_rng(6), 0.0, frames=(8, 11)))
+    with pytest.raises(ValueError, match="no noise"):
+        own_noise([(np.zeros((40, 2)), np.ones(40))])
+
+
+def test_a_noise_says_its_scale_and_correlation():
+    noise = Noise(Component(4.0, (0.5,)))
+    assert (noise.scale, noise.correlation, noise.shake) == (2.0, 0.5, 0.0)
+
+
+@pytest.mark.parametrize("part", [FLOOR, CEILING])
+def test_noise_at_the_end_of_its_range_is_a_start_like_any_other(part):
+    numbers = free_numbers(Component(1.0, (0.5,), part))
+    assert np.isfinite(numbers).all()
+    assert component_of((1, True), 1.0, numbers).white == pytest.approx(part, abs=1.1e-3)

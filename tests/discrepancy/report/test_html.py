@@ -1,0 +1,99 @@
+"""The report: the contract's keys, a model that reads back, and a page that needs nothing but itself."""
+
+import html
+import json
+import re
+
+import numpy as np
+import pytest
+from discrepancy_clips import searched
+from discrepancy_outsiders import OUTSIDERS, outsider
+
+from discrepancy.report import html as report
+from discrepancy.report.figures import drawn
+from discrepancy.report.narrative import story
+from discrepancy.selection.named import as_sure
+from synthcam.model import read_model
+from synthcam.scene.scene import read_scene
+
+
+@pytest.fixture(scope="module", params=["nothing", "velocity_restitution", "friction_place", "restitution_speed"])
+def written(request, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("report")
+    found = outsider(request.param) if request.param in OUTSIDERS else searched(request.param)
+    report.write(found, folder, ["clip 9: <b>no</b> collision"])
+    return found, folder
+
+
+def test_three_files_and_no_more(written):
+    assert sorted(p.name for p in written[1].iterdir()) == ["discrepancy.json", "index.html", "model.yaml"]
+
+
+def test_the_document_is_strict_json_with_every_key(written):
+    def refuse(word):
+        raise AssertionError(word)
+
+    found, folder = written
+    document = json.loads((folder / "discrepancy.json").read_text(), parse_constant=refuse)
+    assert {"verdict", "named", "aliases", "outside", "where", "ranking", "gap", "experiment"} <= document.keys()
+    assert document["verdict"] == found.verdict
+
+
+def test_the_page_needs_no_network(written):
+    page = (written[1] / "index.html").read_text()
+    assert re.findall(r'(?:src|href)\s*=\s*["\'](?!data:)', page) == []
+    assert "http" not in re.sub(r"base64,[A-Za-z0-9+/=]*", "", page)
+    assert page.count("data:image/png;base64,") == 5 + bool(written[0].slot)
+    assert "<script" not in page
+
+
+def test_the_page_says_the_sentence_and_what_was_left_out(written):
+    page = (written[1] / "index.html").read_text()
+    listed = html.unescape(page[page.index("<ol>") : page.index("</ol>")])
+    assert re.findall(r"<li>(.*?)</li>", listed, re.DOTALL) == story(written[0])
+    assert "clip 9: &lt;b&gt;no" in page
+
+
+def test_the_model_reads_back_and_is_a_scene(written):
+    found, folder = written
+    assert read_model(folder / "model.yaml") == found.model
+    assert read_scene(folder / "model.yaml").draw(0, 0).model.laws.bent("restitution") == bool(found.named)
+
+
+def test_the_same_search_gives_the_same_files(written, tmp_path):
+    report.write(written[0], tmp_path, ["clip 9: <b>no</b> collision"])
+    for path in written[1].iterdir():
+        assert path.read_bytes() == (tmp_path / path.name).read_bytes()
+
+
+def test_the_formula_and_its_curve_are_on_the_page():
+    found = outsider("restitution_speed")
+    figures = {f["title"]: f["png"] for f in drawn(found)}
+    assert found.answer.formula in figures
+    assert len(figures) == 6
+
+
+@pytest.mark.parametrize(
+    ("value", "std", "digits", "shown"),
+    [
+        (0.001001, 7.4e-7, 1, "0.0010010"),
+        (0.001001, 7.4e-7, 2, "0.00100100"),
+        (-0.4567, 0.0996, 1, "-0.5"),
+        (3.21e-6, 4e-8, 1, "3.21e-06"),
+        (31.4, 2.0, 1, "31"),
+        (0.02, 1.0, 1, "0.02"),
+        (0.5, np.inf, 1, "0.5"),
+    ],
+)
+def test_a_value_is_shown_as_far_as_its_error_goes(value, std, digits, shown):
+    assert as_sure(value, std, digits) == shown
+
+
+def test_strengths_and_fitted_parameters_have_their_units(written):
+    found, folder = written
+    page = (folder / "index.html").read_text()
+    rows = [re.findall(r"<td[^>]*>(.*?)</td>", line) for line in re.findall(r"<tr>(.*?)</tr>", page)]
+    units = {row[0]: row[1] for row in rows if len(row) == 4}
+    assert (units["rolling_drag"], units["rolling_decel"], units["restitution"]) == ("1/s", "m/s^2", "")
+    told = [row[3] for row in rows if row[:2] == ["velocity_restitution", "e"]]
+    assert told == [""] * len(found.named)

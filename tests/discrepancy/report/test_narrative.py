@@ -1,0 +1,76 @@
+"""Five sentences, each of which says what the numbers say."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from discrepancy_clips import collisions, searched
+from discrepancy_outsiders import outsider
+
+from discrepancy.fitting.gauss_newton import BASE, fit, solve
+from discrepancy.noise.model import Component, Noise
+from discrepancy.report.narrative import rest, story
+from synthcam.model import Model
+
+
+@pytest.fixture(params=["nothing", "velocity_restitution", "restitution_speed"])
+def found(request):
+    return outsider(request.param) if request.param == "restitution_speed" else searched(request.param)
+
+
+def test_five_sentences_with_the_numbers(found):
+    fitted, where, what, closed, still = story(found)
+    assert fitted.startswith(f"{len(found.clips)} collisions")
+    assert f"{len(found.kept_out)} more were kept out" in fitted
+    assert "converged" in fitted
+    assert "The base model leaves chi^2" in where
+    assert what == found.sentence()
+    assert f"{found.shown.gap.floor_um:.2f} um" in closed
+    assert still.startswith(("These collisions cannot tell", "Every effect"))
+
+
+def test_what_is_missing_is_said_with_its_numbers():
+    what = story(searched("velocity_restitution"))[2]
+    assert "velocity_restitution (e = 0.05" in what
+    outside = story(outsider("restitution_speed"))[2]
+    assert "r that depends on the normal speed, which no effect of the library makes" in outside
+    assert "model.yaml cannot hold it" in outside
+    assert "Nothing is missing" in story(searched("nothing"))[2]
+
+
+def test_a_share_of_chance_is_not_told():
+    found = searched("velocity_restitution")
+    assert "% of the gap in chi^2 is closed." in story(found)[3]
+    gap = dataclasses.replace(found.shown.gap, closure=float("nan"))
+    none = dataclasses.replace(found, shown=dataclasses.replace(found.shown, gap=gap))
+    assert story(none)[3].endswith("too small a gap to tell what share of it is closed.")
+
+
+def test_a_fit_that_did_not_converge_is_said():
+    """The base fit of one noise, put where chi^2 still falls."""
+    base = searched("nothing").search.base
+    slope = base.slopes[0][:, 0]
+    off = dataclasses.replace(
+        base, residuals=(base.residuals[0] + 20 * slope / (slope @ slope) ** 0.5, *base.residuals[1:])
+    )
+    assert rest(base) < 0.1
+    assert rest(off) > 1
+    found = searched("nothing")
+    moved = dataclasses.replace(found, search=dataclasses.replace(found.search, base=off))
+    assert "the fit converged" in story(found)[0]
+    assert "the fit did not fully converge: a further step would gain" in story(moved)[0]
+
+
+def test_a_parameter_that_stands_at_its_limit_has_converged():
+    """Noise asks for less rolling drag than none: that is no step to take."""
+    clips = collisions(Model().replace({"rolling_drag": 0.0}), 6, 8)
+    now = fit(clips, Model(), BASE, Noise(Component(1.0)))
+    assert now.model.rolling_drag == 0
+    shared, _ = solve(now, 0.0, np.full(len(BASE), -np.inf), np.full(len(BASE), np.inf))
+    assert shared[BASE.index("rolling_drag")] < 0
+    assert rest(now) < 0.1
+
+
+def test_what_clips_all_alike_cannot_tell_is_said():
+    found = dataclasses.replace(searched("nothing"), alike=("all clips go one way: no tilt can be told",))
+    assert story(found)[4].endswith("; all clips go one way: no tilt can be told.")

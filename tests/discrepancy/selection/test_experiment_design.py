@@ -1,0 +1,53 @@
+"""The experiment that parts two effects, against what trials elsewhere have measured."""
+
+from functools import cache
+
+from discrepancy_clips import collisions
+
+from discrepancy.fitting.gauss_newton import BASE, fit
+from discrepancy.fitting.parameters import suspects
+from discrepancy.noise.model import estimate
+from discrepancy.selection.experiment_design import Design, advice, designs
+from synthcam.model import Model
+
+SUSPECTS = {s.name: s for s in suspects(Model(), BASE)}
+
+
+@cache
+def found(one, other):
+    clips = collisions(Model(), 8, 5)
+    noise = estimate(clips)
+    now = fit(clips, Model(), BASE, noise)
+    pair = [(SUSPECTS[n], next(iter(SUSPECTS[n].grid(Model())))) for n in (one, other)]
+    return {d.words: d.cosine for d in designs(clips, noise, now, *pair)}
+
+
+def test_exchanged_balls_part_a_hop_from_a_heavier_ball():
+    cosines = found("hop", "mass_mismatch")
+    assert cosines["the balls exchanged in half of the collisions"] < 0.3 < 0.6 < cosines["these collisions"]
+    assert cosines["films twice as long"] > 0.6
+    assert all(0 <= c <= 1 + 1e-9 for c in cosines.values())
+
+
+def test_nothing_parts_a_heavier_ball_from_a_larger_one():
+    cosines = found("mass_mismatch", "diameter_mismatch")
+    assert min(cosines.values()) > 0.9
+
+
+def test_the_advice_is_the_best_of_the_designs():
+    said = advice(
+        SUSPECTS["hop"], SUSPECTS["mass_mismatch"], [Design(w, c) for w, c in found("hop", "mass_mismatch").items()]
+    )
+    assert said.startswith("To part hop and mass_mismatch: the balls exchanged in half of the collisions;")
+    hopeless = advice(SUSPECTS["mass_mismatch"], SUSPECTS["diameter_mismatch"], [Design("these collisions", 1.0)] * 3)
+    assert "No collisions" in hopeless
+    assert "weigh the balls" in hopeless
+
+
+def test_nothing_parts_an_effect_from_one_that_the_fit_absorbs():
+    """A wrong clock is another friction and other speeds: it has no signature to be told by."""
+    pair = ("clock_error", "rolling_quadratic")
+    cosines = found(*pair)
+    assert set(cosines.values()) == {1.0}
+    said = advice(*(SUSPECTS[n] for n in pair), [Design(w, c) for w, c in cosines.items()])
+    assert said.startswith("No collisions of two balls part ")

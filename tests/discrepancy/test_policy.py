@@ -1,0 +1,320 @@
+"""The numbers that decide a verdict: a case on either side of each, so near that half of it or twice it is wrong."""
+
+import dataclasses
+from types import SimpleNamespace as Made
+
+import numpy as np
+import pytest
+from discrepancy_clips import exact, noisy, only
+
+from discrepancy.add import Added
+from discrepancy.diagnostics import claims as stand
+from discrepancy.diagnostics.gap import Part, _closure
+from discrepancy.diagnostics.held_out import Held, refused
+from discrepancy.diagnostics.outlier_clips import odd
+from discrepancy.find import _verdict
+from discrepancy.fitting import noise_refit as refine
+from discrepancy.fitting.gauss_newton import BASE, Evidence, Fit, fit
+from discrepancy.fitting.parameters import Suspect, suspects
+from discrepancy.free_laws.evidence import Weight
+from discrepancy.free_laws.fitted_law import Filled
+from discrepancy.free_laws.slots import slots
+from discrepancy.noise import model as noise
+from discrepancy.noise.model import Component, Noise, estimate
+from discrepancy.selection import free_law_contest as outside
+from discrepancy.selection.candidate import Candidate
+from discrepancy.selection.free_law_contest import Look, Slots
+from discrepancy.selection.score_test import Contest
+from discrepancy.selection.stepwise import _Hunt, search
+from synthcam.effect import library
+from synthcam.model import Model
+
+NOISE = Noise(Component(1.0))
+E = "velocity_restitution.e"
+
+
+@pytest.fixture(scope="module")
+def sized():
+    """From a sigma, clips in which a search of one candidate finds the effect at about that sigma."""
+    plain = noisy(exact(Model(), 6, 3), 3)
+    bent = [b.xy - a.xy for a, b in zip(exact(Model(), 6, 3), exact(Model().replace({E: 1e-3}), 6, 3), strict=True)]
+
+    def clips(strength):
+        return [dataclasses.replace(c, xy=c.xy + strength / 1e-3 * b) for c, b in zip(plain, bent, strict=True)]
+
+    def z(strength):
+        now = fit(clips(strength), Model(), (*BASE, E), NOISE)
+        return now.model.value(E) / now.std[E]
+
+    low, high = z(0.0), z(2e-3)
+    return lambda sigma: clips((sigma - low) / (high - low) * 2e-3)
+
+
+@pytest.mark.parametrize(("sigma", "named"), [(3.6, 0), (4.4, 1)])
+def test_four_sigma_make_a_claim_however_few_the_candidates(monkeypatch, sized, sigma, named):
+    only(monkeypatch, velocity_restitution=library()["velocity_restitution"])
+    clips = sized(sigma)
+    assert len(search(clips, fit(clips, Model(), BASE, NOISE), NOISE).state) == named
+
+
+def made_slots(monkeypatch, cost, scores):
+    """The contest of slots with these scores, beside a library's best model of this cost."""
+    contest = object.__new__(Slots)
+    base, now = Made(names=()), Made(names=("hop.share",))
+    contest.base, contest.rivals, contest.refuted = base, (), False
+    contest.filled = [Made(score=s, now=now, beside=lambda base: {}) for s in scores]
+    monkeypatch.setattr(outside, "price", lambda f, base: cost)
+    return contest, now
+
+
+@pytest.mark.parametrize(("ahead", "declared"), [(4.0, False), (6.0, True)])
+def test_a_law_that_nobody_knows_must_be_better_by_five(monkeypatch, ahead, declared):
+    contest, now = made_slots(monkeypatch, 100.0, [100.0 - ahead])
+    assert (contest._best(now, 0) is not None) is declared
+
+
+@pytest.mark.parametrize(("behind", "near"), [(-3.0, True), (7.0, True), (14.0, False)])
+def test_the_noise_is_read_beside_a_slot_that_is_behind_by_ten_at_most(monkeypatch, behind, near):
+    contest, now = made_slots(monkeypatch, 100.0, [100.0 + behind, 130.0])
+    assert contest.nearly(now) is (contest.filled[0] if near else None)
+
+
+def test_two_effects_are_claimed_beside_a_slot_however_many_more_would_be_better(monkeypatch):
+    contest, now = made_slots(monkeypatch, 1000.0, [])
+    contest.evidence, contest.tick, scores = None, None, iter((400.0, 300.0, 200.0, 100.0))
+    begun = flat([1.0])
+
+    def law(score):
+        return Made(score=score, now=begun, plain=Model(), slot=None, beside=lambda base: {})
+
+    contest.filled = [law(500.0)]
+    for name in ("linearised", "settle", "_moves"):
+        monkeypatch.setattr(outside, name, lambda *_: begun)
+    monkeypatch.setattr(outside, "_look", lambda *_: Made(sigma=9.0))
+    monkeypatch.setattr(outside, "fill", lambda *_: law(next(scores)))
+    contest._next = lambda filled: Made(shapes={}, strengths=("hop.share",))
+    assert contest.outcome(now).score == 300.0
+
+
+def test_four_effects_are_named_at_most(monkeypatch):
+    """Each in its turn better by far."""
+    hunt = object.__new__(_Hunt)
+    vars(hunt)["_first"] = (), 4.0
+    hunt.seen = Made(contest=len, settled=len, exact=len, rivals=len, price=lambda state: -50.0 * len(state))
+    monkeypatch.setattr(_Hunt, "_winner", lambda self, state, contest, claim: f"effect {contest}")
+    monkeypatch.setattr(_Hunt, "_bettered", lambda self, state, claim: state)
+    assert hunt.outcome(lambda now, rivals: False).state == tuple(f"effect {k}" for k in range(4))
+
+
+@pytest.mark.parametrize(("cosine", "rival"), [(0.85, False), (0.94, True), (-0.94, True)])
+def test_what_looks_like_the_leader_by_nine_tenths_is_fitted_too(cosine, rival):
+    """Though it explains only half as much, to first order."""
+    one, other = np.eye(20)[:, :1], np.eye(20)[:, 1:2]
+    kind = library()["velocity_restitution"]
+
+    def of(name, gain, signature):
+        return Candidate(Suspect(name, (f"{name}.e",), (), kind), {}, gain**0.5, gain, 1.0, True, signature, ())
+
+    ranking = [of("leader", 400.0, one), of("rival", 200.0, cosine * one + (1 - cosine**2) ** 0.5 * other)]
+    hunt = object.__new__(_Hunt)
+    hunt.seen = Made(evidence=None)
+    found = hunt._contenders(Made(sharper=lambda evidence, c: c), ranking, 4.0)
+    assert [c.effect for c in found] == ["leader", "rival"][: 1 + rival]
+
+
+@pytest.mark.parametrize(
+    ("effect", "sizes", "told"),
+    [
+        ("rolling_quadratic", 7.0, True),
+        ("rolling_quadratic", 14.0, False),
+        ("velocity_restitution", 4.0, True),
+        ("velocity_restitution", 7.0, False),  # of 0.2, where 1 is allowed
+    ],
+)
+def test_what_only_shows_beyond_ten_realistic_sizes_or_what_is_allowed_is_not_told(monkeypatch, effect, sizes, told):
+    only(monkeypatch, **{effect: library()[effect]})
+    clips = noisy(exact(Model(), 4, 3), 3)
+    contest = Contest.of(Evidence.of(clips, NOISE), fit(clips, Model(), BASE, NOISE))
+    (trial,) = contest.trials
+    (seen,) = contest.ranking()
+    weaker = dataclasses.replace(trial, columns=tuple(c * seen.limit / sizes for c in trial.columns))
+    (found,) = Contest(contest.now, (weaker,)).ranking()
+    assert found.limit == pytest.approx(sizes)
+    assert found.telling == told
+
+
+@pytest.mark.parametrize(("sigma", "shaken"), [(3.0, False), (6.0, True)])
+def test_noise_is_shared_beyond_four_sigma(monkeypatch, sigma, shaken):
+    both = Noise(Component(1.0), (Component(1.0), Component(1.0)))
+    monkeypatch.setattr(noise.Pairs, "shaken", lambda self, own: sigma)
+    monkeypatch.setattr(noise.Pairs, "noise", lambda self: both)
+    assert (estimate(noisy(exact(Model(), 2, 3), 3)) is both) is shaken
+    assert bool(read_again(monkeypatch, gain=99.0, worse=0.0, sigma=sigma).shared) is shaken
+
+
+def read_again(monkeypatch, gain, worse, sigma=0.0, explained=True):
+    """The noise of residuals that prefer another by `gain`, where the phases make that one worse."""
+    left = Made(clips=[Made(claimed=lambda: np.ones(3))], shaken=lambda noise: (sigma, 0.9))
+    left.cost = lambda noise: gain * (noise is NOISE)
+    left.best = lambda start: (0.0, dataclasses.replace(start))
+    within = Made(pairs=[None], own=lambda: Component(1.0), cost=lambda noise: worse * (noise is not NOISE))
+    monkeypatch.setattr(refine._Left, "of", lambda *_: left)
+    monkeypatch.setattr(refine, "Pairs", lambda pairs: within)
+    return refine.refined((), None, NOISE, explained)
+
+
+@pytest.mark.parametrize(("gain", "new"), [(7.0, False), (13.0, True)])
+def test_noise_is_read_anew_for_a_gain_of_nine(monkeypatch, gain, new):
+    assert (read_again(monkeypatch, gain, worse=0.0) is not NOISE) is new
+    assert read_again(monkeypatch, gain, worse=0.0, explained=False) is not NOISE  # the first reading: always
+
+
+@pytest.mark.parametrize(("worse", "new"), [(15.0, True), (28.0, False)])
+def test_noise_that_the_phases_exclude_by_twenty_is_refused(monkeypatch, worse, new):
+    assert (read_again(monkeypatch, 99.0, worse) is not NOISE) is new
+
+
+@pytest.mark.parametrize(("sigma", "declared"), [(4.0, False), (5.0, True)])
+def test_a_slot_needs_four_and_a_half_sigma(monkeypatch, sigma, declared):
+    contest, now = made_slots(monkeypatch, 100.0, [])
+    contest.slots, contest.evidence, contest.tick = [None], None, lambda: None
+    contest.base = Made(names=(), model=None, launches=None)
+    monkeypatch.setattr(outside, "_moves", lambda *_: ())
+    monkeypatch.setattr(outside, "_look", lambda slot, fit, moves: Made(sigma=sigma, now=fit, score=lambda base: 0.0))
+    monkeypatch.setattr(outside, "fill", lambda *_: Made(score=0.0))
+    assert contest._consider([now]) is declared
+    assert len(contest.filled) == declared
+
+
+@pytest.mark.parametrize(("share", "better"), [(0.95, False), (1.05, True)])
+def test_one_of_so_many_slots_costs_its_choice(monkeypatch, share, better):
+    """As likely as each other beforehand, one of n costs 2 ln n."""
+    clips = exact(Model(), 4, 3)
+    every = slots(Model(), np.array([c.launch for c in clips]), clips)
+    monkeypatch.setattr(outside, "price", lambda now, base: 100.0)
+    look = Look(every[0], None, 9.0, Weight(share * 2 * np.log(len(every)), None, np.zeros(0)))
+    assert (look.score(None) < 100.0) == better
+
+
+@pytest.mark.parametrize(("worse", "chosen"), [(7.0, "rolling_quadratic"), (12.0, "stribeck")])
+def test_the_simpler_of_two_may_be_worse_by_nine_and_a_half(worse, chosen):
+    known = {s.name: frozenset({s}) for s in suspects(Model(), BASE) if s.name in ("rolling_quadratic", "stribeck")}
+    price = {known["rolling_quadratic"]: 100 + worse, known["stribeck"]: 100.0}
+    hunt = object.__new__(_Hunt)
+    hunt.seen = Made(price=price.__getitem__)
+    assert hunt._simplest(list(price)) == known[chosen]
+
+
+def flat(chi2, pulls=None, points=200):
+    """A fit of clips with this chi^2 a point each; pulls: sigma by which each asks for another shared parameter."""
+    names = () if pulls is None else ("restitution",)
+    axes = np.linalg.qr(np.random.default_rng(1).standard_normal((points, 3)))[0]
+    own, shared, noise = axes[:, :1], axes[:, 1:2], axes[:, 2]
+    pulls = [0.0] * len(chi2) if pulls is None else pulls
+    left = tuple(np.sqrt(c * points) * noise + p * shared[:, 0] for c, p in zip(chi2, pulls, strict=True))
+    every = len(chi2)
+    return Fit(Model(), names, np.zeros((every, 6)), left, (shared[:, : len(names)],) * every, (own,) * every)
+
+
+def numbered(count):
+    return [Made(clip=k) for k in range(count)]
+
+
+@pytest.mark.parametrize(("spreads", "gone"), [(6.0, []), (10.0, [3])])
+def test_eight_spreads_make_a_clip_odd(spreads, gone):
+    """Of the logarithm of chi^2: a third of the clips at either side of the median by a known length."""
+    logs = 0.3 * np.tile([-1.0, 0.0, 1.0], 4)
+    logs[3] = spreads * 1.4826 * 0.3
+    now = flat(np.exp(logs))
+    assert list(odd(numbered(12), now, now)) == gone
+
+
+@pytest.mark.parametrize(("sigma", "gone"), [(4.0, []), (6.0, [5])])
+def test_five_sigma_from_all_others_make_a_clip_odd(sigma, gone):
+    pulls = np.zeros(12)
+    pulls[5] = sigma / np.sqrt(11 / 12)  # of what it says itself, less its own part in all
+    now = flat(np.ones(12), pulls)
+    assert list(odd(numbered(12), now, now)) == gone
+
+
+@pytest.mark.parametrize(("bad", "gone"), [(2, 2), (3, 0)])
+def test_one_clip_in_ten_may_be_odd(bad, gone):
+    now = flat(np.where(np.arange(20) < bad, 50.0, 1.0))
+    assert len(odd(numbered(20), now, now)) == gone
+
+
+@pytest.mark.parametrize(("sigma", "verdict"), [(4.0, "named"), (6.0, "outside_library")])
+def test_five_sigma_left_are_something_more(sigma, verdict):
+    left, one = [Made(sigma=sigma)], [Made(aliases=("hop",))]
+    assert _verdict(None, one, left, ()) == verdict
+    assert _verdict(None, (), left, ()) == ("none" if verdict == "named" else "inadequate")
+
+
+@pytest.mark.parametrize(("own", "verdict"), [(4.0, "none"), (6.0, "inadequate")])
+def test_a_claim_withdrawn_that_chance_may_have_made_is_no_sign_of_more(own, verdict):
+    assert _verdict(None, (), [], [Made(own=own, free=False)]) == verdict
+
+
+@pytest.mark.parametrize(("own", "verdict"), [(4.0, "named"), (6.0, "outside_library")])
+def test_a_free_law_withdrawn_says_that_the_library_does_not_suffice(own, verdict):
+    assert _verdict(None, [Made(aliases=("hop",))], [], [Made(own=own, free=True)]) == verdict
+
+
+BORNE = Held((1.0, 0.9), 9.0, 9.0)
+
+
+@pytest.mark.parametrize(("sigma", "stands"), [(1.4, True), (0.6, False)])
+def test_clips_kept_out_may_fall_short_by_two_sigma_of_what_is_promised(sigma, stands):
+    assert (refused(Held((1.0, 1.01), sigma, 3.0), BORNE) == "") is stands
+    assert refused(Held((1.0, 0.99), sigma, 3.0), BORNE) == ""  # foretold better, it is borne
+
+
+@pytest.mark.parametrize(("sigma", "stands"), [(2.4, False), (4.0, True)])
+def test_all_clips_must_ask_for_a_claim_by_three_sigma(sigma, stands):
+    assert (refused(BORNE, Held((1.0, 0.99), sigma, 9.0)) == "") is stands
+    assert refused(BORNE, Held((1.0, 1.01), 9.0, 9.0)) != ""
+
+
+@pytest.mark.parametrize(("sigma", "stands"), [(7.0, False), (11.0, True)])
+def test_beside_an_unknown_law_a_name_needs_nine_sigma(monkeypatch, sigma, stands):
+    for name in ("refilled", "in_turn"):
+        monkeypatch.setattr(stand, name, lambda *_: Made(score=500.0))
+    for name, said in (("_unseen", None), ("_held", (BORNE, BORNE)), ("_slot", None)):
+        monkeypatch.setattr(stand.Trial, name, lambda *_, said=said: said)
+    base = Made(model=Model(), names=BASE)
+    slot = Made(score=100.0, plain=Model(), slot=Made(name="law"), beside=lambda base: {"rolling_quadratic": sigma})
+    looked = Made(base=base, claim=4.0, paid=lambda effect, sigma: sigma)
+    claims, _ = stand.Trial(None, (), None, NOISE, lambda: None)._claims(looked, slot, stand.BESIDE)
+    assert (claims[0].why == "") is stands
+
+
+@pytest.mark.parametrize(
+    ("slot", "free", "levels"), [(None, False, [4.2, 4.2]), ("law", False, [9.0, 4.2]), ("law", True, [9.0, 9.0])]
+)
+def test_nine_sigma_are_asked_beside_an_unknown_law_and_where_one_was_withdrawn(monkeypatch, slot, free, levels):
+    asked = []
+
+    def claims(self, search, slot, level):
+        asked.append(level)
+        return [Made(name="x", free=free, turns=BORNE, why="" if asked[1:] else "not borne")], {"x": (search, None)}
+
+    monkeypatch.setattr(stand.Trial, "_claims", claims)
+    stands = stand.Trial(None, (), None, NOISE, lambda: None).standing(Made(claim=4.2), slot)
+    assert asked == levels
+    assert len(stands.withdrawn) == 1
+
+
+@pytest.mark.parametrize(("sigma", "told"), [(2.0, False), (4.5, True)])
+def test_a_share_is_told_of_a_gap_of_three_sigma(sigma, told):
+    whole = Part(1 + sigma * np.sqrt(2 / 5000), 1.0, 1.0, 1.0, 1.0, 1.0)
+    assert np.isfinite(_closure(whole, 5000)) == told
+
+
+@pytest.mark.parametrize(("chi2", "more"), [(1.5, False), (3.0, True)])
+def test_twice_the_noise_left_beside_an_effect_that_was_added_is_something_more(chi2, more):
+    fits = (Made(chi2=c * 900, points=1000, parameters=100, model=None) for c in (9.0, chi2))
+    assert ("more is missing" in Added(*fits, Made(said=lambda model: "hop")).sentence()) is more
+
+
+def test_the_fields_made_here_are_those_of_the_real_ones():
+    assert {"score", "now", "plain", "slot"} <= {f.name for f in dataclasses.fields(Filled)}

@@ -1,0 +1,151 @@
+"""Measured collisions without a camera, for the tests of the search: exact paths with noise of a known kind."""
+
+import dataclasses
+from functools import cache
+
+import numpy as np
+
+import discrepancy.fitting.parameters
+import synthcam.model
+from discrepancy.data.collisions import Measured
+from discrepancy.find import find
+from discrepancy.fitting.gauss_newton import BASE, off
+from discrepancy.fitting.jacobian import derivative, launch_derivatives
+from discrepancy.fitting.parameters import strengths_of
+from discrepancy.fitting.predict import forecast
+from discrepancy.noise.model import Component, Noise, estimate
+from discrepancy.noise.whitening import Whitener
+from synthcam.dynamics import batch
+from synthcam.effect import library
+from synthcam.model import Model
+from tracker.camera.camera import Camera
+
+STD = 1.6e-6  # m, 0.01 px
+FPS, EXPOSURE, FRAMES = 250.0, 5e-4, 80
+CAMERA = Camera.from_dict(
+    {"scale": 1.6e-4, "size": [640, 480], "fps": FPS, "exposure": EXPOSURE, "ball_diameter": 2.38e-3, "t": [0, 0, 0.5]}
+    | {"lamp": {"position": [0.05, 0.0, 0.45], "radius": 0.01}}
+)
+EFFECTS = ("velocity_restitution", "rolling_quadratic")
+HIDDEN = {
+    "nothing": {},
+    "velocity_restitution": {"velocity_restitution.e": 0.05},
+    "rolling_quadratic": {"rolling_quadratic.K": 0.1},
+}
+
+
+def only(monkeypatch, **effects):
+    """For a test: a library of these effects by name; with none, of EFFECTS."""
+    few = effects or {name: library()[name] for name in EFFECTS}
+    for module in (discrepancy.fitting.parameters, synthcam.model):
+        monkeypatch.setattr(module, "library", lambda: few)
+
+
+def correlated(rng, frames, rho, axes=2):
+    """Unit noise (frames, axes) whose correlation falls as rho^lag."""
+    noise = rng.standard_normal((frames, axes))
+    for k in range(1, frames):
+        noise[k] = rho * noise[k - 1] + np.sqrt(1 - rho**2) * noise[k]
+    return noise
+
+
+def noise_of_pair(rng, rho, frames=FRAMES):
+    return STD * np.concatenate([correlated(rng, frames, rho) for _ in range(2)])
+
+
+def launches(rng, count):
+    """(count, 6) as in the scene painter_behringer."""
+    for _ in range(count):
+        v0, heading, b = rng.uniform(0.1, 0.6), rng.uniform(0, 2 * np.pi), rng.uniform(-0.3, 0.3)
+        place = -0.015 * v0 / 0.6 * np.array([np.cos(heading), np.sin(heading)])
+        yield np.array([*place, rng.uniform(0.06, 0.1), v0, heading, b])
+
+
+def blank(number, launch, ends, frames=FRAMES):
+    """A clip with both balls in every frame, and nothing measured yet."""
+    frame, ball = np.tile(np.arange(frames), 2), np.repeat([0, 1], frames)
+    claimed = np.tile(STD**2 * np.eye(2), (2 * frames, 1, 1))
+    return Measured(number, "b", CAMERA, frame, ball, np.zeros((2 * frames, 2)), claimed, launch, ends)
+
+
+def exact(model, count, seed, frames=FRAMES):
+    """Clips without noise."""
+    starts = np.array(list(launches(np.random.default_rng(seed), count)))
+    ends = batch.collisions(model, starts, 0.0, frames / FPS).slide_ends.reshape(2, -1).T
+    clips = [blank(k, *both, frames) for k, both in enumerate(zip(starts, ends, strict=True))]
+    return [dataclasses.replace(c, xy=xy) for c, xy in zip(clips, forecast(model, starts, clips), strict=True)]
+
+
+def noisy(clips, seed, rho=0.0):
+    """The clips with noise, and first guesses of launch and slide ends that are a little off."""
+    rng, out = np.random.default_rng([seed, 1]), []
+    for clip in clips:
+        off = rng.standard_normal(6) * [1e-6, 1e-6, 2e-5, 2e-4, 3e-4, 3e-4]
+        late = 1e-3 * rng.standard_normal(2)
+        xy = clip.xy + noise_of_pair(rng, rho, len(clip.frame) // 2)
+        out.append(dataclasses.replace(clip, xy=xy, launch=clip.launch + off, ends=clip.ends + late))
+    return out
+
+
+def collisions(model, count, seed, rho=0.0, frames=FRAMES):
+    return noisy(exact(model, count, seed, frames), seed, rho)
+
+
+def searched(hidden, rho=0.0):
+    """A search of eight collisions in which something is hidden: one search, however it is asked for."""
+    return _searched(hidden, rho)
+
+
+@cache
+def _searched(hidden, rho):
+    return find(collisions(Model().replace(HIDDEN[hidden]), 8, 3, rho), Model())
+
+
+class Design:
+    """Score tests of many draws of noise on one set of clips: everything is linear about the true base model."""
+
+    def __init__(self, clips, model):
+        self.clips, self.model = clips, model
+        self.launches = np.array([c.launch for c in clips])
+        _, self.own = launch_derivatives(model, self.launches, clips)
+        self.shared = self._slopes(BASE)
+        self.effects = {n: self._slopes(strengths_of(library()[n])) for n in EFFECTS}
+
+    def _slopes(self, names):
+        each = [derivative(self.model, self.launches, self.clips, n) for n in names]
+        return [np.stack(columns, axis=-1) for columns in zip(*each, strict=True)]
+
+    def scores(self, errors, whitened=True):
+        """{effect: (signature, residuals)} for errors (n, 2) of each clip; the noise is read off their tracks.
+
+        Not whitened: taken for white, and as large as it is.
+        """
+        measured = [dataclasses.replace(c, xy=c.xy + e) for c, e in zip(self.clips, errors, strict=True)]
+        noise = estimate(measured) if whitened else Noise(Component(1.0))
+        white = [Whitener.of(c, noise) for c in self.clips]
+        own = [w(a) for w, a in zip(white, self.own, strict=True)]
+
+        def cleaned(columns):
+            return np.concatenate([off(a, w(c)) for a, w, c in zip(own, white, columns, strict=True)])
+
+        shared = cleaned(self.shared)
+        left = off(shared, cleaned([e[..., None] for e in errors]))[:, 0]
+        return {name: (off(shared, cleaned(columns)), left) for name, columns in self.effects.items()}
+
+    def z(self, errors, effect, whitened=True):
+        signature, left = self.scores(errors, whitened)[effect]
+        return float(signature[:, 0] @ left / np.linalg.norm(signature[:, 0]))
+
+
+@cache
+def design(count=8):
+    return Design(exact(Model(), count, 5), Model())
+
+
+@cache
+def nulls(clips, count, rho, whitened=True):
+    """z of every effect, (count,), in draws of noise alone on so many clips."""
+    rng, where = np.random.default_rng(int(1000 * rho)), design(clips)
+    draws = [[noise_of_pair(rng, rho) for _ in where.clips] for _ in range(count)]
+    scores = [where.scores(d, whitened) for d in draws]
+    return {e: np.array([s[e][0][:, 0] @ s[e][1] / np.linalg.norm(s[e][0][:, 0]) for s in scores]) for e in EFFECTS}

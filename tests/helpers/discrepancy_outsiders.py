@@ -1,0 +1,88 @@
+"""Laws that are in nobody's library, hidden in measured collisions, for the tests of the slots."""
+
+import dataclasses
+from functools import cache
+
+import numpy as np
+import pytest
+from discrepancy_clips import collisions, only
+
+from discrepancy.find import find
+from synthcam.effect import Effect, library, parameter
+from synthcam.model import Model
+
+FEW = ("velocity_restitution", "rolling_quadratic", "stribeck", "spin_transfer_velocity", "friction_anisotropy")
+
+
+@dataclasses.dataclass(frozen=True)
+class Streak(Effect):
+    """Sliding friction in waves along x."""
+
+    depth: float = parameter("1", scale=0.02)
+
+    def friction(self, mu, position):
+        return mu + self._law(position[..., 0], position[..., 1]) - Model().sliding_friction
+
+    def _law(self, x, y):
+        return Model().sliding_friction * (1 + self.depth * np.sin(x / 3e-3))
+
+
+@dataclasses.dataclass(frozen=True)
+class Step(Effect):
+    """Restitution that drops at 0.2 m/s."""
+
+    drop: float = parameter("1", scale=0.004)
+
+    def restitution(self, r, normal_speed):
+        return r + self._law(normal_speed) - Model().restitution
+
+    def _law(self, v):
+        return Model().restitution - self.drop * (1 + np.tanh((v - 0.2) / 0.03)) / 2
+
+
+@dataclasses.dataclass(frozen=True)
+class Resonance(Effect):
+    """Spin transfer with a resonance at 0.3 m/s."""
+
+    size: float = parameter("1", scale=0.01)
+
+    def spin_transfer(self, c, contact_speed):
+        return c + self._law(contact_speed) - Model().spin_transfer
+
+    def _law(self, v):
+        return Model().spin_transfer + self.size * np.exp(-(((v - 0.3) / 0.06) ** 2) / 2)
+
+
+@dataclasses.dataclass(frozen=True)
+class RootDrag(Effect):
+    """A force against the motion that grows with the root of the speed."""
+
+    size: float = parameter("m^.5/s^1.5", scale=0.01)
+
+    def push(self, acceleration, velocity):
+        speed = np.maximum(np.hypot(velocity[..., 0], velocity[..., 1]), 1e-9)
+        return acceleration + (self._law(speed) / speed)[..., None] * velocity
+
+    def _law(self, v):
+        return -self.size * np.sqrt(v)
+
+
+OUTSIDERS = {
+    "friction_place": Streak(0.02),
+    "restitution_speed": Step(0.004),
+    "spin_transfer_speed": Resonance(0.01),
+    "force_speed": RootDrag(0.01),
+}
+
+
+@cache
+def outsider(slot, seed=3):
+    """A search of collisions in which the outsider of this slot is hidden, with a small library.
+
+    An impact tells its law at one speed only, and a weak force little: there must be more of them.
+    """
+    clips = {"friction_place": 10, "force_speed": 20}.get(slot, 18)
+    hidden = dataclasses.replace(Model(), effects=(OUTSIDERS[slot],))
+    with pytest.MonkeyPatch.context() as patch:
+        only(patch, **{name: library()[name] for name in FEW})
+        return find(collisions(hidden, clips, seed), Model())

@@ -1,0 +1,76 @@
+"""The clips made by a Dask cluster: the same bytes."""
+
+import importlib.util
+import json
+import subprocess
+import sys
+
+import pytest
+from synthcam_stub import quiet, sums
+
+from synthcam.dataset.generate import Plan, run
+from synthcam.scene.scene import check_scene
+from synthcam.settings import InputError
+
+needs_dask = pytest.mark.skipif(
+    not importlib.util.find_spec("distributed"), reason="Dask is not installed: pip install 'synthcam[dask]'"
+)
+SCENE = {"launch": {"v0": {"uniform": [0.1, 0.6]}}, "timing": {"frames": 20, "contact_frame": 6}}
+SCRIPT = """
+import json, os, signal, sys
+from pathlib import Path
+from distributed import LocalCluster
+from synthcam.generate import Plan, run
+from synthcam.scene import check_scene
+if __name__ == "__main__":
+    plan = Plan((check_scene(json.loads(sys.argv[1]), "s.yaml"),), int(sys.argv[3]), 5, video=False)
+    killed = []
+    with LocalCluster(n_workers=2, threads_per_worker=2, dashboard_address=None, silence_logs=60) as cluster:
+        def tick(done, total):
+            if len(sys.argv) > 4 and done >= 3 and not killed:
+                killed.append(next(iter(cluster.workers.values())).pid)
+                os.kill(killed[0], signal.SIGKILL)
+        outcome = run(plan, Path(sys.argv[2]), 1, tick, scheduler=cluster.scheduler_address)
+    print(outcome.made, len(outcome.failed), len(killed))
+"""
+
+
+def plan(clips):
+    return Plan((check_scene(SCENE, "s.yaml"),), clips, 5, video=False)
+
+
+def on_cluster(folder, clips, *more):
+    path = folder.parent / "script.py"
+    path.write_text(SCRIPT)
+    words = [sys.executable, str(path), json.dumps(SCENE), str(folder), str(clips), *more]
+    said = subprocess.run(words, capture_output=True, text=True, timeout=120)
+    assert said.returncode == 0, said.stderr
+    return [int(k) for k in said.stdout.split()]
+
+
+@needs_dask
+def test_a_cluster_makes_the_same_bytes(tmp_path):
+    """One of its workers is killed on the way; another does its clips."""
+    run(plan(24), tmp_path / "one", 1, quiet)
+    assert on_cluster(tmp_path / "many", 24, "kill") == [24, 0, 1]
+    assert sums(tmp_path / "many") == sums(tmp_path / "one")
+
+
+@needs_dask
+@pytest.mark.parametrize(
+    "address", ["tcp://127.0.0.1:1", "nonsense", "tls://127.0.0.1:8786", "ucx://h:1", "tcp://", "h:99999"]
+)
+def test_an_address_without_a_scheduler(tmp_path, monkeypatch, address):
+    from synthcam.dataset import dask_workers as cluster
+
+    monkeypatch.setattr(cluster, "PATIENCE", 0.5)
+    with pytest.raises(InputError, match=f"--scheduler {address}: expected a Dask scheduler's address"):
+        run(plan(1), tmp_path / "d", 1, quiet, scheduler=address)
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.skipif(bool(importlib.util.find_spec("distributed")), reason="Dask is installed")
+def test_without_dask_it_says_so(tmp_path):
+    with pytest.raises(InputError, match=r"Dask is not installed; type: pip install 'synthcam\[dask\]'"):
+        run(plan(1), tmp_path / "d", 1, quiet, scheduler="tcp://127.0.0.1:1")
+    assert not list(tmp_path.iterdir())

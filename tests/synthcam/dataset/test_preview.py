@@ -1,0 +1,110 @@
+"""Films for people: the right frames, slowed down, cropped to the balls."""
+
+import gc
+import resource
+
+import cv2
+import imageio.v3 as iio
+import numpy as np
+import pytest
+from synthcam_stub import film, plan
+
+from synthcam.dataset import preview
+from synthcam.settings import InputError
+
+
+@pytest.fixture
+def clip(monkeypatch):
+    monkeypatch.setattr(preview, "film", film)
+    return plan().clip(1)
+
+
+def brightest(picture):
+    return np.unravel_index(np.argmax(cv2.GaussianBlur(picture, (0, 0), 6)), picture.shape)
+
+
+def frames_of(path):
+    if path.suffix == ".gif":
+        return [f if f.ndim == 2 else f[..., 0] for f in iio.imread(path, index=None)]
+    reader, frames = cv2.VideoCapture(str(path)), []
+    while (got := reader.read())[0]:
+        frames.append(got[1][..., 0])
+    return frames
+
+
+@pytest.mark.parametrize("name", ["f.gif", "f.mp4", "F.GIF"])
+def test_a_film(clip, tmp_path, name):
+    path = tmp_path / name
+    assert preview.write_film(clip, 5, path) == pytest.approx(250 / 20)
+    assert [p.name for p in tmp_path.iterdir()] == [name]
+    frames = frames_of(path.rename(tmp_path / name.lower()))
+    assert len(frames) == clip.frames
+    assert all(f.shape == frames[0].shape for f in frames)
+    assert 400 < max(frames[0].shape) < 1000
+
+
+def test_it_plays_at_the_speed_it_tells(clip, tmp_path):
+    preview.write_film(clip, 5, tmp_path / "f.gif")
+    assert iio.immeta(tmp_path / "f.gif")["duration"] == 50
+    preview.write_film(clip, 5, tmp_path / "f.mp4")
+    assert cv2.VideoCapture(str(tmp_path / "f.mp4")).get(cv2.CAP_PROP_FPS) == pytest.approx(20)
+
+
+def test_the_balls_are_where_the_crop_says(clip, tmp_path):
+    """Each frame's brightest place is one of the balls, by the crop's corner and the magnification."""
+    preview.write_film(clip, 5, tmp_path / "f.gif")
+    view = preview.view_of(clip)
+    places = view.at(np.arange(clip.frames) / clip.camera.fps)[:, :, :3]
+    rows, columns = preview._crop(clip, places)
+    frames = frames_of(tmp_path / "f.gif")
+    zoom = frames[0].shape[1] / (columns.stop - columns.start)
+    assert zoom == round(zoom) > 1
+    for k, frame in enumerate(frames):
+        y, x = brightest(frame[:-24])  # without the caption
+        found = np.array([columns.start + (x - (zoom - 1) / 2) / zoom, rows.start + (y - (zoom - 1) / 2) / zoom])
+        balls = clip.camera.project(places[:, k])
+        assert np.hypot(*(balls - found).T).min() < 1.5, k
+
+
+def test_the_crop_holds_the_balls_and_no_more_than_the_picture(clip):
+    view = preview.view_of(clip)
+    places = view.at(np.arange(clip.frames) / clip.camera.fps)[:, :, :3]
+    rows, columns = preview._crop(clip, places)
+    assert rows.start >= 0 <= columns.start
+    assert rows.stop <= 64
+    assert columns.stop <= 128
+    assert (rows.stop - rows.start) % 2 == (columns.stop - columns.start) % 2 == 0
+    px = clip.camera.project(places.reshape(-1, 3))
+    px = px[((px > 0) & (px < [128, 64])).all(axis=1)]
+    room = 1.5 * 2.38e-3 / 3e-4  # px round each centre, where the picture has it
+    assert (px - [columns.start, rows.start] >= np.minimum(px, room)).all()
+    assert ([columns.stop, rows.stop] - px >= np.minimum([128, 64] - px, room) - 1).all()
+
+
+def test_a_film_that_fails_leaves_nothing(clip, tmp_path, monkeypatch):
+    def broken(*_):
+        yield from first(film(clip, preview.view_of(clip), 5), 3)
+        raise OSError("no more")
+
+    monkeypatch.setattr(preview, "film", broken)
+    for name in ("f.gif", "f.mp4"):
+        with pytest.raises(InputError, match="no more"):
+            preview.write_film(clip, 5, tmp_path / name)
+        assert not list(tmp_path.iterdir())
+
+
+def test_a_gif_on_a_full_disk_leaves_nothing_and_says_no_more(clip, tmp_path):
+    """A limit on files stands in for the disk; what imageio tries again as it is collected would be a warning here."""
+    usual = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (1 << 16, usual[1]))  # what `check_room` wants, and no more
+    try:
+        with pytest.raises(InputError, match=r"f\.gif: File too large$"):
+            preview.write_film(clip, 5, tmp_path / "f.gif")
+        gc.collect()
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, usual)
+    assert not list(tmp_path.iterdir())
+
+
+def first(frames, count):
+    return (frame for frame, _ in zip(frames, range(count), strict=False))

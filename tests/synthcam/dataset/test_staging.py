@@ -1,0 +1,324 @@
+"""What can go wrong while a dataset is made: full and read-only disks, kills, bugs, a second command at once."""
+
+import errno
+import functools
+import json
+import os
+import re
+import resource
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+from synthcam_stub import make, plan, quiet, sums
+
+from synthcam.dataset import generate
+from synthcam.dataset import staging as partial
+from synthcam.dataset.files import clip_folders, verify
+from synthcam.dataset.generate import run
+from synthcam.settings import InputError
+from tracker.detection.detect import DEFAULT
+from tracker.scoring.score import score
+from tracker.track import run as tracked
+
+COMMAND = [sys.executable, "-c", "from synthcam.cli import main; main()"]
+SCENE = "launch: {v0: {uniform: [0.1, 0.6]}}\ntiming: {frames: 20, contact_frame: 6}\n"
+silent = functools.partial(plan, video=False)
+
+
+@pytest.fixture
+def scene(tmp_path):
+    path = tmp_path / "s.yaml"
+    path.write_text(SCENE)
+    return path
+
+
+def command(scene, output, clips, *more):
+    return [*COMMAND, "generate", str(scene), "-o", str(output), "--no-video", "--clips", str(clips), *more]
+
+
+def test_a_full_disk_stops_all_and_a_rerun_goes_on(tmp_path, monkeypatch):
+    """Room for two clips: the third write fails as a full disk's does."""
+    calls, write = [], generate.write_clip
+
+    def full(folder, clip, *rest):
+        calls.append(clip.number)
+        write(folder, clip, *rest)
+        if len(calls) == 3:
+            raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(generate, "write_clip", full)
+    with pytest.raises(InputError, match=r"d\.partial: No space left on device; the same command goes on"):
+        run(silent(6), tmp_path / "d", 1, quiet)
+    assert calls == [0, 1, 2]
+    assert [p.name for p in (tmp_path / "d.partial/clips").iterdir()] == ["000000", "000001"]
+    assert run(silent(6), tmp_path / "d", 1, quiet).made == 4
+    run(silent(6), tmp_path / "whole", 1, quiet)
+    assert sums(tmp_path / "d") == sums(tmp_path / "whole")
+
+
+def test_full_before_the_first_clip_it_leaves_nothing(tmp_path, monkeypatch):
+    def full(*_):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(generate, "write_clip", full)
+    with pytest.raises(InputError, match="No space left"):
+        run(silent(6), tmp_path / "d", 1, quiet)
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_disk_too_small_is_refused_before_the_start(tmp_path, monkeypatch):
+    monkeypatch.setattr(generate.shutil, "disk_usage", lambda path: SimpleNamespace(free=100_000))
+    with pytest.raises(InputError, match=r"4 clips take 1 MB, and 0 MB are free there"):
+        run(plan(), tmp_path / "d", 1, quiet)
+    assert not list(tmp_path.iterdir())
+
+
+def mounted(folder, options):
+    """A file system of its own, where this user may mount one."""
+    folder.mkdir()
+    words = ["mount", "-t", "tmpfs", "-o", options, "tmpfs", str(folder)]
+    try:
+        if subprocess.run(words, capture_output=True).returncode:
+            pytest.skip("mounting needs root")
+    except FileNotFoundError:
+        pytest.skip("there is no mount command")
+
+
+@pytest.fixture
+def small_disk(tmp_path):
+    folder = tmp_path / "disk"
+    mounted(folder, "size=200k")
+    yield folder
+    subprocess.run(["umount", str(folder)], check=True)
+
+
+def test_a_disk_that_is_really_full(scene, small_disk):
+    said = subprocess.run(command(scene, small_disk / "d", 16, "--workers", "2"), capture_output=True, text=True)
+    assert said.returncode == 2
+    assert "No space left on device; the same command goes on where it stopped" in said.stderr
+    assert said.stderr.count("\n") == 1
+    made = len(clip_folders(small_disk / "d.partial"))
+    assert 0 < made < 16
+    subprocess.run(["mount", "-o", "remount,size=20m", str(small_disk)], check=True)
+    again = subprocess.run(
+        command(scene, small_disk / "d", 16, "--workers", "1", "--json"), capture_output=True, check=True
+    )
+    assert json.loads(again.stdout)["made"] == 16 - made
+    assert verify(small_disk / "d").problems == ()
+
+
+def test_a_read_only_disk(scene, small_disk):
+    subprocess.run(["mount", "-o", "remount,ro", str(small_disk)], check=True)
+    said = subprocess.run(command(scene, small_disk / "d", 3), capture_output=True, text=True)
+    assert said.returncode == 2
+    assert said.stderr == f"synthcam: {small_disk / 'd.partial'}: Read-only file system\n"
+
+
+def test_files_that_may_not_grow(scene, tmp_path):
+    """Each clip is reported; with the limit gone the same command makes them all."""
+    limit = functools.partial(resource.setrlimit, resource.RLIMIT_FSIZE, (4000, 4000))
+    words = command(scene, tmp_path / "d", 3, "--workers", "1")
+    said = subprocess.run(words, capture_output=True, text=True, preexec_fn=limit)
+    assert said.returncode == 2
+    assert said.stderr.splitlines() == [
+        *(f"synthcam: clip {k}: File too large" for k in range(3)),
+        f"synthcam: {tmp_path / 'd'}: 3 of 3 clips could not be made",
+    ]
+    assert [p.name for p in tmp_path.iterdir()] == ["s.yaml"]
+    subprocess.run(words, check=True, stdout=subprocess.DEVNULL)
+
+
+@pytest.mark.skipif(not Path("/proc").exists(), reason="finds the workers in /proc")
+def test_a_worker_that_is_killed_loses_one_clip(scene, tmp_path):
+    out = tmp_path / "d"
+    words = command(scene, out, 40, "--workers", "2", "--json")
+    first = subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    while first.poll() is None and len(list(tmp_path.glob("d.partial/clips/[0-9]*"))) < 5:
+        time.sleep(0.002)
+    children = Path(f"/proc/{first.pid}/task/{first.pid}/children").read_text().split()
+    worker = next(c for c in children if b"spawn_main" in Path(f"/proc/{c}/cmdline").read_bytes())
+    os.kill(int(worker), signal.SIGKILL)
+    printed, said = first.communicate(timeout=60)
+    assert first.returncode == 2
+    summary = json.loads(printed)
+    assert (summary["made"], summary["failed"]) == (39, 1)
+    assert summary["failures"][0].endswith("its worker was killed (SIGKILL)")
+    assert said.splitlines()[0] == f"synthcam: {summary['failures'][0]}"
+    assert "1 of 40 clips could not be made; the rest are kept in" in said
+    assert not list(tmp_path.glob("d.partial/clips/*.tmp"))
+    again = subprocess.run(words, capture_output=True, check=True)
+    assert json.loads(again.stdout)["made"] == 1
+    assert verify(out).problems == ()
+
+
+def test_a_bug_in_one_clip_is_reported_with_its_kind(tmp_path, monkeypatch):
+    solve = generate.view_of
+
+    def buggy(clip):
+        if clip.number == 2:
+            raise ZeroDivisionError("float division\nby zero")
+        return solve(clip)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(generate, "view_of", buggy)
+        outcome = run(silent(), tmp_path / "d", 1, quiet)
+    assert outcome.failed == ("clip 2: ZeroDivisionError: float division by zero",)
+    assert (outcome.made, outcome.table) == (3, None)
+    assert run(silent(), tmp_path / "d", 1, quiet).made == 1
+
+
+def test_two_commands_do_not_make_one_dataset(tmp_path):
+    seen = []
+
+    def tick(done, total):
+        if done == 1:
+            with pytest.raises(InputError, match=r"d\.partial: another process is making this dataset"):
+                run(silent(), tmp_path / "d", 1, quiet)
+            seen.append(done)
+
+    assert run(silent(), tmp_path / "d", 1, tick).made == 4
+    assert seen == [1]
+
+
+def test_an_estimate_from_the_first_clips(tmp_path):
+    heard = []
+    outcome = run(silent(8), tmp_path / "d", 1, quiet, tell=heard.append)
+    assert outcome.made == 8
+    assert len(heard) == 1
+    said = re.fullmatch(r"5 clips to come: about \d+ s, ([\d.]+) MB of [\d,]+ MB free", heard[0])
+    size = sum(p.stat().st_size for p in (tmp_path / "d/clips").rglob("*") if p.is_file()) / 8e6
+    assert float(said[1]) == pytest.approx(5 * size, rel=0.1, abs=0.05)
+    run(silent(8), tmp_path / "plain", 1, quiet)
+    assert sums(tmp_path / "d") == sums(tmp_path / "plain")
+
+
+def files(folder):
+    return {p.relative_to(folder).as_posix() for p in folder.rglob("*") if p.is_file()}
+
+
+def test_truth_is_withheld(tmp_path, monkeypatch):
+    whole = make(tmp_path / "whole", monkeypatch)
+    out, secret = make(tmp_path / "d", monkeypatch, tmp_path / "t"), tmp_path / "t"
+    top = {"README.md", "SHA256SUMS"}
+    assert files(out) | files(secret) == files(whole)
+    assert files(out) & files(secret) == top
+    assert not list(out.rglob("truth"))
+    assert all("truth/" in name for name in files(secret) - top)
+    for name in files(whole) - top:
+        assert (whole / name).read_bytes() == ((out if name in files(out) else secret) / name).read_bytes()
+    assert verify(out).problems == verify(secret).problems == ()
+    assert run(plan(), out, 1, quiet, secret).made == 0
+
+
+@pytest.mark.parametrize("moment", ["truth in place", "between the last moves"])
+def test_withheld_it_goes_on_too(tmp_path, monkeypatch, moment):
+    whole = make(tmp_path / "whole", monkeypatch, tmp_path / "whole_truth")
+    rename, settle, calls = Path.rename, generate.settle, []
+
+    def stop_rename(path, target):
+        calls.append(path) if path.suffix == ".partial" else None
+        if len(calls) == 2:
+            raise KeyboardInterrupt
+        return rename(path, target)
+
+    def stop_settle(aside, final):
+        calls.append(final)
+        if len(calls) == 6:  # truth, clip; truth, clip; truth, and now the third clip
+            raise KeyboardInterrupt
+        settle(aside, final)
+
+    with monkeypatch.context() as patch:
+        if moment == "truth in place":
+            patch.setattr(generate, "settle", stop_settle)
+        else:
+            patch.setattr(Path, "rename", stop_rename)
+        with pytest.raises(KeyboardInterrupt):
+            run(plan(), tmp_path / "d", 1, quiet, tmp_path / "t")
+    assert not (tmp_path / "d").exists()
+    made = run(plan(), tmp_path / "d", 1, quiet, tmp_path / "t").made
+    assert made == (2 if moment == "truth in place" else 0)
+    assert sums(tmp_path / "d") == sums(whole)
+    assert sums(tmp_path / "t") == sums(tmp_path / "whole_truth")
+
+
+def test_withheld_truth_goes_nowhere_else(tmp_path, monkeypatch):
+    make(tmp_path / "d", monkeypatch, tmp_path / "t")
+    with pytest.raises(InputError, match="t: holds the truth of a dataset that is not at"):
+        run(plan(), tmp_path / "other", 1, quiet, tmp_path / "t")
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine/thesis.txt").write_text("ten years")
+    with pytest.raises(InputError, match="mine: holds something else"):
+        run(plan(), tmp_path / "new", 1, quiet, tmp_path / "mine")
+    assert files(tmp_path / "mine") == {"thesis.txt"}
+
+
+def test_verify_sees_a_gap_in_a_challenge(tmp_path, monkeypatch):
+    out = make(tmp_path / "d", monkeypatch, tmp_path / "t")
+    for name in ("frames.tif", "camera.json"):
+        (out / "clips/000001" / name).unlink()
+    (out / "clips/000001").rmdir()
+    (out / "SHA256SUMS").write_text("".join(x for x in sums(out).splitlines(True) if "000001" not in x))
+    assert verify(out).problems == ("clips/: 3 folders, with gaps between them",)
+
+
+def test_the_tracker_is_held_to_withheld_truth(tmp_path, monkeypatch):
+    whole = make(tmp_path / "whole", monkeypatch, clips=1)
+    out = make(tmp_path / "d", monkeypatch, tmp_path / "t", clips=1)
+    tracked(out, tmp_path / "r", None, DEFAULT, 1)
+    apart, together = (score(tmp_path / "r", place).to_dict() for place in (tmp_path / "t", whole))
+    assert apart == together
+    assert apart["detectors"]["default"]["localisation"]["n"] > 10
+
+
+@pytest.mark.parametrize("wide", [False, True])
+def test_zstd_holds_the_same_pixels(tmp_path, monkeypatch, wide):
+    pytest.importorskip("imagecodecs", reason="imagecodecs is not installed: synthcam[zstd]")
+    import tifffile
+
+    sensor = {"sensor": {"bits": 12}} if wide else {}
+    scene = plan().scenes[0].settings | sensor
+    plain = make(tmp_path / "plain", monkeypatch, scene=scene)
+    small = make(tmp_path / "small", monkeypatch, scene=scene, compression="zstd")
+    name = "clips/000002/frames.tif"
+    assert (tifffile.imread(plain / name) == tifffile.imread(small / name)).all()
+    assert (small / name).stat().st_size < 0.9 * (plain / name).stat().st_size
+    assert run(plan(scene=scene, compression="zstd"), small, 1, quiet).made == 0
+    with pytest.raises(InputError, match="another compression"):
+        run(plan(scene=scene), small, 1, quiet)
+    card = (small / "README.md").read_text()
+    assert "cv2" not in card
+    assert "imagecodecs" in card
+
+
+def test_a_name_that_nobody_else_uses(tmp_path):
+    assert partial.aside(tmp_path / "000001") != partial.aside(tmp_path / "000001")
+
+
+@pytest.mark.parametrize(
+    "withheld", ["d/../d/secret", "link/secret", "d.partial/secret", "link.partial", "gone/secret", ".", "d/../dw/../d"]
+)
+def test_the_truth_never_comes_to_lie_in_the_dataset(tmp_path, monkeypatch, withheld):
+    """By whatever name: two dots, links, links to what is not there yet, the folder in which the dataset is made."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "dw").mkdir()
+    for link, to in (("link", "d"), ("link.partial", "d.partial"), ("gone", "d/below")):
+        Path(link).symlink_to(to)
+    (tmp_path / "d").mkdir()
+    with pytest.raises(InputError, match="expected a folder apart from"):
+        run(silent(), Path("d"), 1, quiet, Path(withheld))
+    assert not list(tmp_path.rglob("*.json"))
+
+
+def test_two_dots_lead_to_where_they_lead(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "d").mkdir()
+    (tmp_path / "dw").mkdir()
+    run(silent(1), Path("d"), 1, quiet, Path("d/../dw/secret"))
+    assert files(tmp_path / "d") == {"README.md", "SHA256SUMS", "clips/000000/camera.json"}
+    assert "truth/clips.parquet" in files(tmp_path / "dw/secret")
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["d", "dw"]

@@ -1,0 +1,125 @@
+"""The batch against `solve`, one collision at a time: positions, exposure means, slide ends."""
+
+import numpy as np
+import pytest
+
+from synthcam.dynamics.batch import AT_ONCE, LAUNCH, collisions
+from synthcam.dynamics.launch import Launch
+from synthcam.dynamics.solve import solve
+from synthcam.effect import library
+from synthcam.model import Model
+
+FPS, EXPOSURE, END = 250.0, 4e-3, 0.4  # the shutter never closes: every kink falls into an exposure
+SHAPES = {"hop.bounce": 0.5, "ball_friction.mu": 0.1}
+
+
+def launches(count, seed=0):
+    """(count, 6): slow and fast, head-on and grazing."""
+    rng = np.random.default_rng(seed)
+    columns = {"x": rng.uniform(-0.02, 0.02, count), "y": rng.uniform(-0.02, 0.02, count)}
+    columns |= {"t_c": rng.uniform(0.05, 0.15, count), "v0": rng.uniform(0.05, 0.6, count)}
+    columns |= {"heading": rng.uniform(0, 2 * np.pi, count), "b": rng.uniform(-0.95, 0.95, count)}
+    return np.column_stack([columns[name] for name in LAUNCH])
+
+
+def alone(model, row, striker_is_a=False):
+    x, y, t_c, v0, heading, b = row
+    bodies = model.bodies("ba" if striker_is_a else "ab")
+    return solve(model, Launch.pair(bodies, t_c, v0, b, heading, (x, y)), 0.0, END)
+
+
+def realistic(kind):
+    """Every parameter at its realistic size, forces small enough for a ball to rest."""
+    small = 0.3 if "push" in kind.laws else 1.0
+    values = {f"{kind.name()}.{p.name}": p.scale * (1.0 if p.fixed else small) for p in kind.parameters()}
+    return Model().replace({k: SHAPES.get(k, v) for k, v in values.items()})
+
+
+def compare(model, rows, striker_is_a, atol, instants=61):
+    batch = collisions(model, rows, 0.0, END, striker_is_a)
+    times = np.linspace(0, END, instants)
+    starts = np.arange(int(END * FPS) - 1) / FPS
+    spans = np.stack([starts, starts + EXPOSURE], axis=1)
+    states, means = batch.at(times), batch.means(starts, EXPOSURE)
+    for k, row in enumerate(rows):
+        motion = alone(model, row, striker_is_a[k])
+        np.testing.assert_allclose(states[:, k, :, :3], motion.at(times)[..., :3], rtol=0, atol=atol)
+        np.testing.assert_allclose(states[:, k, :, 3:6], motion.at(times)[..., 3:6], rtol=0, atol=1e3 * atol)
+        theirs = motion.mean(spans, lambda s: s[..., :2])
+        np.testing.assert_allclose(means[:, k], theirs, rtol=0, atol=atol)
+        for ball in (0, 1):
+            ends = [e.t for e in motion.events if e.kind == "slide_end" and e.i == ball]
+            assert batch.slide_ends[ball * len(rows) + k] == pytest.approx(ends[0] if ends else row[2], abs=10 * atol)
+
+
+@pytest.mark.parametrize("kind", library().values(), ids=list(library()))
+def test_the_batch_is_solve_many_times(kind):
+    compare(realistic(kind), launches(6), np.arange(6) % 2 == 1, 1e-12)
+
+
+def test_the_base_model():
+    compare(Model(), launches(40), np.zeros(40, bool), 1e-13)
+
+
+def test_many_effects_at_once():
+    names = ("hop", "ball_friction", "stribeck", "plate_tilt", "air_drag", "mass_mismatch", "diameter_mismatch")
+    model = Model()
+    for name in names:
+        model = model.replace({f"{name}.{p.name}": 0.3 * p.scale for p in library()[name].parameters()})
+    compare(model, launches(8, 4), np.arange(8) % 2 == 1, 1e-12)
+
+
+def test_balls_that_meet_again():
+    """With little restitution the striker catches up; that clip goes to `solve`."""
+    model, rows = Model(restitution=0.36), launches(6, 2)
+    rows[:, 5] *= 0.01
+    again = [len([e for e in alone(model, row).events if e.kind == "contact"]) for row in rows]
+    assert max(again) > 1
+    compare(model, rows, np.zeros(6, bool), 1e-12)
+
+
+def test_a_ball_that_stops_and_rolls_back():
+    """Uphill, out of a trough, on a slope steeper than friction holds."""
+    model = Model().replace({"plate_waviness.a": -5e-5, "plate_waviness.wavelength": 0.01})
+    rows = np.array([[0.0, 0.0, 0.05, 0.06, 0.0, 0.0], [0.0, 0.0, 0.05, 0.06, 0.0, -0.5]])
+    rows[:, 0] = -model.ball.radius * np.sqrt(1 - rows[:, 5] ** 2)  # the target rests in the trough
+    starts = [[e.i for e in alone(model, row).events if e.kind == "start"] for row in rows]
+    assert starts[0]
+    compare(model, rows, np.zeros(2, bool), 1e-11)
+
+
+def test_instants_of_each_balls_own():
+    rows = launches(4)
+    batch = collisions(Model(), rows, 0.0, END)
+    own = np.random.default_rng(1).uniform(0, END, (8, 5))
+    states = batch.at(own)
+    for k in range(4):
+        for ball in (0, 1):
+            whole = batch.at(own[ball * 4 + k])[ball, k]
+            np.testing.assert_array_equal(states[ball, k], whole)
+
+
+def test_groups_led_together_change_nothing():
+    model = Model().replace({"plate_waviness.a": 6e-7, "drilling_spin.a": 2e-5, "eccentric_mass.c": 1e-6})
+    rows = launches(AT_ONCE)
+    some = np.arange(0, AT_ONCE, 57)
+    whole, part = collisions(model, rows, 0.0, END), collisions(model, rows[some], 0.0, END)
+    starts = np.arange(95) / FPS
+    np.testing.assert_allclose(whole.means(starts, 3e-4)[:, some], part.means(starts, 3e-4), rtol=0, atol=1e-14)
+    balls = np.concatenate([some, some + AT_ONCE])
+    assert whole.breaks.shape == (2 * AT_ONCE, part.breaks.shape[1])
+    np.testing.assert_allclose(np.sort(whole.breaks[balls]), np.sort(part.breaks), rtol=0, atol=1e-13)
+
+
+def test_no_exposure_is_an_instant():
+    batch = collisions(Model(), launches(5), 0.0, END)
+    starts = np.arange(90) / FPS
+    np.testing.assert_allclose(batch.means(starts, 0.0), batch.at(starts)[..., :2], rtol=0, atol=1e-16)
+
+
+def test_what_has_no_solution_says_so():
+    with pytest.raises(ValueError, match="cannot rest"):
+        collisions(Model().replace({"plate_tilt.x": 2e-3}), launches(3), 0.0, END)
+    downhill = Model().replace({"plate_waviness.a": -5e-5, "plate_waviness.wavelength": 0.1})
+    with pytest.raises(ValueError, match="come from rest"):
+        collisions(downhill, np.array([[-1.19e-3, 0.0, 2.9, 0.01, 0.0, 0.0]]), 0.0, 3.0)

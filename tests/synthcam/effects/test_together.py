@@ -1,0 +1,30 @@
+"""Effects side by side: one that is too faint to matter changes nothing, whatever way of solving it calls for."""
+
+import numpy as np
+import pytest
+
+from synthcam.dynamics.batch import collisions
+from synthcam.effect import library
+from synthcam.model import Model
+
+ROWS = np.array([[0.0, 0.01, 0.1, 0.45, 2.0, 0.4], [0.01, 0.0, 0.1, 0.2, 5.0, -0.3]])
+FAINT, SAME = 1e-7, 3e-9  # realistic sizes; m
+
+
+def sized(name, size):
+    """An effect's parameters, strengths at so many realistic sizes."""
+    kind = library()[name]
+    shapes = {p.name: p.scale for p in kind.parameters() if p.fixed and p.scale}
+    return {f"{name}.{k}": v for k, v in (shapes | {p.name: size * p.scale for p in kind.strengths()}).items()}
+
+
+def places(values):
+    return collisions(Model().replace(values), ROWS, 0.0, 0.4, [False, True]).at(np.linspace(0.02, 0.4, 40))[..., :3]
+
+
+@pytest.mark.parametrize("name", library())
+def test_a_faint_effect_beside_another_changes_nothing(name):
+    alone = places(sized(name, 1.0))
+    for other in library().keys() - {name}:
+        beside = places(sized(name, 1.0) | sized(other, FAINT))
+        np.testing.assert_allclose(beside, alone, rtol=0, atol=SAME, err_msg=other)

@@ -1,0 +1,64 @@
+"""A lamp that camera.json does not tell of: the tracker takes its glints for centres, and the search says so."""
+
+import dataclasses
+
+import numpy as np
+from discrepancy_clips import CAMERA, EFFECTS, exact, noisy, only
+
+from discrepancy.add import add
+from discrepancy.find import find
+from synthcam.effect import library
+from synthcam.model import Model
+from tracker.camera.camera import Lamp
+
+PLACE = (0.12, -0.08, 0.25)
+KNOWN = (*EFFECTS, "unknown_lamp", "glint_parallax", "scale_error", "aspect_error", "lens_distortion", "camera_tilt")
+
+
+def without_a_lamp(clips, lamp=None):
+    """The clips of a tracker that is told of no lamp; lamp: the true one, whose glints it took for centres."""
+    blind, out = dataclasses.replace(CAMERA, lamp=None), []
+    for clip in clips:
+        xy = clip.xy
+        if lamp:
+            xy = CAMERA.unproject(dataclasses.replace(CAMERA, lamp=lamp).glint_of_centre(xy))[0]
+        out.append(dataclasses.replace(clip, xy=xy, camera=blind))
+    return out
+
+
+def test_the_lamp_is_named_and_found(monkeypatch):
+    only(monkeypatch, **{name: library()[name] for name in KNOWN})
+    found = find(noisy(without_a_lamp(exact(Model(), 12, 3), Lamp(PLACE)), 3), Model())
+    assert [n.effect for n in found.named] == ["unknown_lamp"]
+    assert found.slot is None
+    assert found.verdict == "named"
+    (lamp,) = found.named
+    for key, true in zip(("x", "y", "height"), PLACE, strict=True):
+        value, std = lamp.shapes[f"unknown_lamp.{key}"], lamp.shape_std[f"unknown_lamp.{key}"]
+        assert abs(value - true) < 3.5 * std
+        assert std < 0.04
+    assert np.isclose(lamp.values["unknown_lamp.share"], 1, atol=3.5 * lamp.std["unknown_lamp.share"])
+
+
+def test_no_lamp_told_of_and_none_there(monkeypatch):
+    only(monkeypatch, **{name: library()[name] for name in KNOWN})
+    found = find(noisy(without_a_lamp(exact(Model(), 12, 4)), 4), Model())
+    assert found.named == ()
+    assert found.slot is None
+    assert "glint_parallax" in found.search.untold
+    assert "unknown_lamp" not in found.search.untold
+
+
+def test_a_lamp_that_is_told_of_is_not_unknown(monkeypatch):
+    only(monkeypatch, **{name: library()[name] for name in KNOWN})
+    found = find(noisy(exact(Model(), 8, 4), 4), Model())
+    assert found.named == ()
+    assert "unknown_lamp" in found.search.untold
+
+
+def test_errors_reach_along_the_valley_of_share_and_height(monkeypatch):
+    """A small share of a lamp aside is nearly as likely: eight clips tell little more."""
+    only(monkeypatch, unknown_lamp=library()["unknown_lamp"])
+    new = add(noisy(without_a_lamp(exact(Model(), 8, 7), Lamp((0.05, 0.0, 0.45))), 7), Model(), "unknown_lamp")
+    assert new.named.shapes["unknown_lamp.x"] > 0.12
+    assert new.named.shape_std["unknown_lamp.x"] > 1.3 * new.now.std["unknown_lamp.x"]

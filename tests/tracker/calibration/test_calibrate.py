@@ -1,0 +1,149 @@
+"""A camera file from a film alone: scale, width and noise come back within the errors it claims, and gaps are named."""
+
+import json
+
+import numpy as np
+import pytest
+import tifffile
+from scipy.ndimage import gaussian_filter
+from tracker_film import collision, disc, expose, film, spot, write_clip
+
+from tracker.calibration.ball_outline import outline
+from tracker.calibration.calibrate import calibrate, summary
+from tracker.calibration.contact_distance import touches
+from tracker.camera.camera import Camera, InputError
+from tracker.detection.candidates import Ground
+from tracker.detection.detect import Glints
+from tracker.detection.link import Tracks
+
+DIAMETER = 2.38e-3
+
+
+def stack(folder, frames):
+    tifffile.imwrite(folder / "film.tif", frames, imagej=True)
+    return folder / "film.tif"
+
+
+@pytest.fixture(scope="module")
+def told(tmp_path_factory):
+    """Of one film of a hit, 14.875 px a diameter, glints of width 1.2 px, in which the contact is seen."""
+    folder = tmp_path_factory.mktemp("film")
+    frames = film(np.random.default_rng(0), collision(60, contact=25.3, speed=2.5), sigma=1.2, body=0.0)
+    return calibrate(stack(folder, frames), DIAMETER, 250.0, 5e-4)
+
+
+def test_scale_from_the_contact_is_within_its_error(told):
+    assert told.scale_from == "contact"
+    true = DIAMETER / 14.875
+    assert told.scale_std / true < 0.004
+    assert abs(told.camera.scale - true) < 3 * told.scale_std
+
+
+def measured(rng, noise, slow=0.0):
+    """Tracks of a hit with that much noise, px; after it the struck ball slows down by ``slow`` px a frame^2."""
+    n, contact = 30, 13 + rng.random()
+    paths = collision(n, contact, speed=2.5, angle=6.28 * rng.random(), offset=0.5 - rng.random())
+    after = np.maximum(np.arange(n) - contact, 0.0)[:, None]
+    way = paths[-1, 0] - paths[0, 0]
+    paths[:, 0] -= 0.5 * slow * after**2 * way / np.hypot(*way)
+    places = paths.transpose(1, 0, 2).reshape(-1, 2) + noise * rng.standard_normal((2 * n, 2))
+    nothing = np.full(2 * n, np.nan)
+    return Tracks(
+        np.tile(np.arange(n), 2), np.repeat([0, 1], n), places[:, 0], places[:, 1],
+        np.tile(noise**2 * np.eye(2), (2 * n, 1, 1)), np.ones(2 * n), np.full(2 * n, ""), nothing, nothing,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("slow", [0.0, 0.05])
+def test_error_of_the_contact_is_honest(slow):
+    rng = np.random.default_rng(5)
+    found = [touches(measured(rng, 0.03, slow)) for _ in range(60)]
+    z = np.array([(t.distance - 14.875) / t.std for each in found for t in each])
+    assert len(z) == 60
+    assert abs(z.mean()) < 4 / np.sqrt(60)
+    assert 0.75 < z.std() < 1.3
+    assert max(t.std for each in found for t in each) < 0.15
+
+
+def test_balls_that_pass_each_other_do_not_touch():
+    time = np.arange(30.0)
+    paths = np.stack([np.column_stack([2.0 * time, 0 * time]), np.column_stack([60 - 2.0 * time, 20 + 0 * time])])
+    nothing = np.full(60, np.nan)
+    tracks = Tracks(
+        np.tile(np.arange(30), 2), np.repeat([0, 1], 30), paths[..., 0].ravel(), paths[..., 1].ravel(),
+        np.tile(1e-4 * np.eye(2), (60, 1, 1)), np.ones(60), np.full(60, ""), nothing, nothing,
+    )  # fmt: skip
+    assert touches(tracks) == []
+
+
+def test_width_and_noise(told):
+    assert told.camera.sigma == pytest.approx(1.2, rel=0.04)
+    sensor = told.camera.sensor
+    assert sensor.read_noise / sensor.gain == pytest.approx(1.0, rel=0.1)
+    assert sensor.black_level == pytest.approx(8.5, abs=1)
+
+
+def test_what_was_not_found_is_said(told):
+    text = "\n".join(summary(told))
+    assert "no outline bright enough" in text
+    assert "lamp" in text
+    assert "height" in text
+    assert "exposure" not in text
+    assert text.count("+-") == 1
+
+
+def test_the_file_is_a_camera_file_that_assumes_no_more_than_it_must(told, tmp_path):
+    told.write(tmp_path / "camera.json")
+    camera = Camera.read(tmp_path / "camera.json")
+    assert camera.scale == told.camera.scale
+    assert {"lamp", "height"} <= set(camera.assumed)
+    assert not {"scale", "psf.sigma_px", "sensor.gain", "sensor.read_noise"} & set(camera.assumed)
+    note = json.loads((tmp_path / "camera.json").read_text())["calibration"]
+    assert note["scale_std"] == told.scale_std
+    told.write(tmp_path / "camera.json")  # its own work may be made anew
+    (tmp_path / "mine.json").write_text("{}")
+    with pytest.raises(InputError, match="was not made by tracker calibrate"):
+        told.write(tmp_path / "mine.json")
+
+
+def rolling(radius, body):
+    """Frames of one ball with a bright body, blurred as its glint is, and its glints."""
+    rng = np.random.default_rng(int(radius))
+    frames, n = [], 40
+    x, y = 60.0 + 1.63 * np.arange(n), 80.0 + 0.31 * np.arange(n)
+    for k in range(n):
+        picture = gaussian_filter(body * disc((160, 200), x[k], y[k], radius), 1.0)
+        frames.append(expose(rng, picture + 0.5 + 150 * 2 * np.pi * spot((160, 200), x[k] + 0.4, y[k], 1.0)))
+    ones = np.ones(n)
+    return np.array(frames), Glints(
+        np.arange(n), x + 0.4, y, np.tile(np.eye(2), (n, 1, 1)), ones, ones, 0 * np.arange(n)
+    )
+
+
+PLATE = Ground(np.full((160, 200), 8, np.uint8), 1.04)
+
+
+@pytest.mark.parametrize("radius", [12.0, 16.0])
+def test_outline_of_a_bright_body(radius):
+    """No contact is needed: what a ball mirrors of the room ends at .71 of its radius."""
+    frames, glints = rolling(radius, 30.0)
+    found = outline(frames, PLATE, glints, 1.0)
+    assert found is not None
+    assert found.std < 0.05 * radius
+    assert abs(found.radius - radius) < 3 * found.std
+
+
+@pytest.mark.parametrize(("radius", "body"), [(5.0, 30.0), (9.0, 30.0), (12.0, 0.0)])
+def test_no_outline_under_the_glint_or_in_the_dark(radius, body):
+    frames, glints = rolling(radius, body)
+    assert outline(frames, PLATE, glints, 1.0) is None
+
+
+def test_no_contact_and_no_outline_is_no_scale(tmp_path):
+    paths = np.stack([np.column_stack([20 + 3.0 * np.arange(40), np.full(40, 80.3)])], axis=1)
+    write_clip(tmp_path / "clip", film(np.random.default_rng(1), paths, body=0.0))
+    result = calibrate(tmp_path / "clip", DIAMETER, 250.0)
+    assert result.scale_from == ""
+    with pytest.raises(InputError, match="no two balls touch"):
+        result.write(tmp_path / "camera.json")
+    assert not (tmp_path / "camera.json").exists()

@@ -1,0 +1,75 @@
+"""What the camera file leaves out is estimated from the film, near enough and said so."""
+
+import numpy as np
+import pytest
+from tracker_film import CAMERA, collision, film
+
+from tracker.camera.camera import Camera
+from tracker.camera.frames import Clip, Frames
+from tracker.detection.detect import detect, look
+
+
+def shown(frames, without, **changed):
+    data = {k: v for k, v in CAMERA.items() if k not in without} | changed
+    camera = Camera.from_dict(data)
+    return Clip(0, camera, Frames(len(frames), frames.shape[1:], frames.dtype, lambda k: frames[k]))
+
+
+@pytest.mark.parametrize("sigma", [0.8, 1.0, 1.5])
+def test_width_of_the_glints(sigma):
+    frames = film(np.random.default_rng(0), collision(40, contact=18.3, speed=3.0), sigma=sigma)
+    view = look(shown(frames, {"psf", "lamp"}))
+    assert view.sigma == pytest.approx(sigma, rel=0.03)
+    assert "psf.sigma_px" in view.camera.assumed
+
+
+@pytest.mark.parametrize(("gain", "read", "black"), [(20.0, 20.0, 8.0), (5.0, 12.0, 20.0), (70.0, 50.0, 3.0)])
+def test_noise_of_the_sensor(gain, read, black):
+    """Of sensors quieter and noisier than the one that a film's estimate starts from, too."""
+    paths = collision(40, contact=18.3, speed=3.0)
+    frames = film(np.random.default_rng(1), paths, peak=220.0, gain=gain, read=read, black=black)
+    view = look(shown(frames, {"sensor"}, sensor={"bits": 8}))
+    sensor = view.camera.sensor
+    assert sensor.black_level == pytest.approx(black + 0.5, abs=1)
+    assert sensor.gain == pytest.approx(gain, rel=0.35)
+    assert sensor.read_noise / sensor.gain == pytest.approx(read / gain, rel=0.1)
+    assert {"sensor.gain", "sensor.read_noise", "sensor.black_level"} <= set(view.camera.assumed)
+
+
+def test_twelve_bits_in_sixteen_are_told_by_their_ceiling():
+    rng = np.random.default_rng(5)
+    frames = np.minimum(film(rng, collision(20, contact=8.3, speed=3.0)).astype(np.uint16) * 20, 4095)
+    view = look(shown(frames, {"sensor"}))
+    assert view.camera.sensor.ceiling == 4095
+    assert look(shown(frames, {"sensor"}, sensor={"bits": 14})).camera.sensor.bits == 14
+
+
+def test_what_is_given_is_left_alone():
+    frames = film(np.random.default_rng(2), collision(20, contact=8.3, speed=3.0))
+    clip = shown(frames, set())
+    assert look(clip).camera.to_dict() == clip.camera.to_dict()
+
+
+@pytest.mark.parametrize(
+    ("sensor", "sigma", "diameter"), [({}, 1.0, 14.875), ({"gain": 6.0, "read": 9.0, "black": 15.0}, 1.5, 26.0)]
+)
+def test_errors_stay_honest_with_estimated_noise_and_width(sensor, sigma, diameter):
+    """With no ball_diameter in the file either, which stands for nothing but the size of a search."""
+    rng = np.random.default_rng(3)
+    paths = collision(60, contact=25.3, speed=2.5, diameter=diameter)
+    frames = film(rng, paths, exposure_share=1e-9, sigma=sigma, **sensor)
+    clip = shown(frames, {"psf", "lamp", "ball_diameter"}, sensor={"bits": 8}, exposure=0.0)
+    found = detect(clip, look(clip))
+    assert len(found) == 120
+    truth = np.array(
+        [min(paths[k], key=lambda p: np.hypot(*(p - xy))) for k, xy in zip(found.frame, found.xy, strict=True)]
+    )
+    z = np.linalg.solve(np.linalg.cholesky(found.cov), (found.xy - truth)[..., None])[..., 0]
+    assert 0.8 < z.std() < 1.25
+
+
+def test_a_clip_that_tells_nothing_gets_defaults():
+    rng = np.random.default_rng(4)
+    frames = np.clip(8 + rng.normal(0, 1, (12, 160, 200)), 0, 255).astype(np.uint8)
+    view = look(shown(frames, {"psf", "sensor"}))
+    assert view.sigma == pytest.approx(1.0, rel=0.01)

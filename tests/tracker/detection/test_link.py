@@ -1,0 +1,173 @@
+"""Identities through collisions, gaps, arrivals and departures, on positions made here."""
+
+import numpy as np
+import pytest
+from tracker_film import CAMERA, collision
+
+from tracker.camera.camera import Camera
+from tracker.detection import link as link_module
+from tracker.detection.detect import CLIPPED, Glints
+from tracker.detection.link import assign, link, velocities
+
+CAM = Camera.from_dict({**CAMERA, "size": [640, 480]})
+
+
+def glints(frame, xy, flux=1200.0, flags=0):
+    n = len(frame)
+    cov = np.tile(np.eye(2) * 1e-4, (n, 1, 1))
+    return Glints(
+        np.asarray(frame),
+        xy[:, 0].copy(),
+        xy[:, 1].copy(),
+        cov,
+        np.broadcast_to(flux, n).astype(float),
+        np.full(n, 8.0),
+        np.full(n, flags),
+    )
+
+
+def scattered(rng, paths, noise=0.02, lost=()):
+    """Glints of paths (n, balls, 2), in random order within each frame, and which ball each is."""
+    rows = [
+        (k, b)
+        for k in range(len(paths))
+        for b in range(paths.shape[1])
+        if (k, b) not in lost and np.isfinite(paths[k, b, 0])
+    ]
+    rows = sorted(rows, key=lambda row: (row[0], rng.random()))
+    xy = np.array([paths[k, b] for k, b in rows]) + noise * rng.standard_normal((len(rows), 2))
+    return glints([k for k, _ in rows], xy), np.array([b for _, b in rows])
+
+
+def pure(ids, truth):
+    """Whether ids and truth name the same groups."""
+    pairs = {(int(a), int(b)) for a, b in zip(ids, truth, strict=True)}
+    return len(pairs) == len({a for a, _ in pairs}) == len({b for _, b in pairs}) and (ids >= 0).all()
+
+
+def collisions(rng, count, speed=None):
+    for _ in range(count):
+        fast = rng.uniform(2.0, 20.0) if speed is None else speed
+        yield collision(
+            40,
+            contact=rng.uniform(12, 20),
+            speed=fast,
+            angle=rng.uniform(0, 2 * np.pi),
+            offset=rng.uniform(-0.95, 0.95),
+            centre=(320.0, 240.0),
+        )
+
+
+def test_no_swap_in_four_hundred_collisions():
+    rng = np.random.default_rng(0)
+    for paths in collisions(rng, 400):
+        found, truth = scattered(rng, paths)
+        assert pure(assign(found, CAM), truth)
+
+
+def test_without_the_bounce_identities_are_swapped(monkeypatch):
+    monkeypatch.setattr(link_module, "_bounce", lambda *args: None)
+    rng = np.random.default_rng(1)
+    swapped = 0
+    for paths in collisions(rng, 100, speed=20.0):
+        found, truth = scattered(rng, paths)
+        swapped += not pure(assign(found, CAM), truth)
+    assert swapped > 10
+
+
+def test_gaps_are_bridged_and_long_ones_are_not():
+    rng = np.random.default_rng(2)
+    paths = collision(60, contact=40.2, speed=6.0, centre=(320.0, 240.0))
+    short = {(k, 1) for k in range(10, 14)} | {(k, 0) for k in range(20, 25)}
+    found, truth = scattered(rng, paths, lost=short)
+    assert pure(assign(found, CAM), truth)
+    found, truth = scattered(rng, paths, lost={(k, 1) for k in range(10, 25)})
+    assert len(np.unique(assign(found, CAM))) == 3
+
+
+def test_balls_enter_and_leave():
+    rng = np.random.default_rng(3)
+    time = np.arange(50.0)
+    paths = np.stack(
+        [np.column_stack([-60 + 9 * time, 100 + 0 * time]), np.column_stack([600 - 3 * time, 250 + 5 * time])], 1
+    )
+    paths[(paths[..., 0] < 0) | (paths[..., 1] > 479)] = np.nan
+    found, truth = scattered(rng, paths)
+    ids = assign(found, CAM)
+    assert pure(ids, truth)
+    assert ids[0] == 0  # numbered by first appearance: the ball in view from the start comes first
+    assert truth[0] == 1
+
+
+def test_three_balls_cross():
+    rng = np.random.default_rng(4)
+    two = collision(50, contact=20.3, speed=12.0, centre=(320.0, 240.0))
+    third = np.column_stack([320 + 8 * (np.arange(50.0) - 10), 275 + 0 * np.arange(50.0)])
+    paths = np.concatenate([two, third[:, None]], axis=1)
+    found, truth = scattered(rng, paths)
+    assert pure(assign(found, CAM), truth)
+
+
+def test_blips_and_faint_companions_are_refused():
+    rng = np.random.default_rng(5)
+    paths = collision(40, contact=15.2, speed=6.0, centre=(320.0, 240.0))
+    found, truth = scattered(rng, paths)
+    companion = glints(np.arange(40), paths[:, 0] + [5.2, 0.0], flux=70.0)
+    blips = glints(np.array([3, 3, 17, 30]), rng.uniform(0, 400, (4, 2)), flux=100.0)
+    everything = Glints.join([found, companion, blips])
+    ids = assign(everything, CAM)
+    assert pure(ids[: len(found)], truth)
+    assert (ids[len(found) :] == -1).all()
+
+
+def test_a_ball_seen_in_two_frames_only_is_kept():
+    found = Glints.join(
+        [
+            glints(np.arange(30), np.column_stack([np.full(30, 100.0), np.full(30, 90.0)])),
+            glints(np.array([28, 29]), np.array([[2.0, 300.0], [10.0, 300.0]])),
+        ]
+    )
+    assert np.unique(assign(found, CAM)).tolist() == [0, 1]
+
+
+def test_nothing_found_is_no_tracks():
+    assert len(link(Glints.none(), CAM)) == 0
+
+
+def test_velocities_take_the_calm_side_of_a_collision():
+    paths = collision(40, contact=20.5, speed=10.0)
+    frame = np.tile(np.arange(40), 2)
+    ids = np.repeat([0, 1], 40)
+    xy = np.concatenate([paths[:, 0], paths[:, 1]])
+    truth = np.concatenate(
+        [np.where(np.arange(40)[:, None] < 20.5, p[1] - p[0], p[-1] - p[-2]) for p in (paths[:, 0], paths[:, 1])]
+    )
+    assert np.abs(velocities(frame, ids, xy) - truth).max() < 1e-9
+
+
+def test_tracks_hold_centres_and_say_when_they_do_not():
+    paths = collision(30, contact=12.5, speed=6.0, centre=(320.0, 240.0))
+    found, _ = scattered(np.random.default_rng(6), paths)
+    tracks = link(found, CAM)
+    assert tracks.particle.tolist() == sorted(tracks.particle.tolist())
+    assert (tracks.flags == "").all()
+    shift = np.hypot(tracks.x - tracks.glint_x, tracks.y - tracks.glint_y)
+    assert 0.1 < shift.min() < shift.max() < 1.0
+    bare = Camera.from_dict({k: v for k, v in CAMERA.items() if k != "lamp"})
+    flagged = link(
+        Glints(found.frame, found.x, found.y, found.cov, found.flux, found.background, np.full(len(found), CLIPPED)),
+        bare,
+    )
+    assert (flagged.flags == "glint|clipped").all()
+    assert np.array_equal(flagged.x, flagged.glint_x)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_order_of_glints_does_not_matter(seed):
+    rng = np.random.default_rng(seed)
+    found, _ = scattered(rng, collision(40, contact=15.2, speed=12.0, centre=(320.0, 240.0)))
+    order = rng.permutation(len(found))
+    mixed = link(found.take(order), CAM)
+    plain = link(found, CAM)
+    assert np.array_equal(mixed.x, plain.x)
+    assert np.array_equal(mixed.particle, plain.particle)

@@ -1,0 +1,260 @@
+"""Fits that the data reject, errors that a table claims wrongly, and clips that spoil nothing but themselves."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pandas as pd
+import pytest
+from scipy.stats import kstest
+from tracker_noisy import BENCHMARK, NOISE, dataset, measured, noisy, results, scalars_of, truth_of
+from typer.testing import CliRunner
+
+from discrepancy.data.collisions import collision
+from tracker.cli import app
+from tracker.detection.link import Tracks
+from tracker.measurement import estimate
+from tracker.measurement import noise_correlation as correlation
+from tracker.measurement.adequacy import LEVEL, p_value, warnings
+from tracker.measurement.derived import NAMES
+from tracker.measurement.estimate import fit_all, measure
+from tracker.scoring.report import write_report
+from tracker.scoring.score import score
+from tracker.track import measure_clip
+
+CLIPS = 14
+SHOWN = ("v0", "b", "r", "mu_k", "C", "tau1", "energy_fraction")
+
+
+@pytest.fixture(scope="module")
+def own(tmp_path_factory):
+    return dataset(tmp_path_factory.mktemp("own") / "data", BENCHMARK, CLIPS)
+
+
+@pytest.fixture(scope="module")
+def hopping(tmp_path_factory):
+    """Collisions with a motion that the model has not: the target is pressed on the plate and hops."""
+    settings = BENCHMARK | {"effects": {"hop": {"share": 1.0}}}
+    return dataset(tmp_path_factory.mktemp("hop") / "data", settings, 4)
+
+
+def lasting(rng, count, rho):
+    """Unit noise (count, 2) whose correlation falls as rho^lag."""
+    noise = rng.standard_normal((count, 2))
+    for k in range(1, count):
+        noise[k] = rho * noise[k - 1] + np.sqrt(1 - rho**2) * noise[k]
+    return noise
+
+
+def claiming(own, size, claim, rho=0.0, clips=CLIPS):
+    """A row a clip of tracks with noise of `size` that claim `claim` (None: nothing), px, and the truth."""
+    rng, rows, truths = np.random.default_rng(3), [], scalars_of(own)
+    for clip in range(clips):
+        truth, camera = truth_of(own, clip)
+        tracks = noisy(truth, rng, 0.0)
+        off = np.concatenate([lasting(rng, int((tracks.particle == ball).sum()), rho) for ball in (0, 1)])
+        xy = tracks.xy + size * off
+        cov = np.broadcast_to(np.eye(2) * (np.nan if claim is None else claim) ** 2, tracks.cov.shape)
+        (row,) = measure(replace(tracks, x=xy[:, 0], y=xy[:, 1], cov=cov), camera)
+        rows.append(row | {f"{n}_true": truths[n].iloc[clip] for n in NAMES})
+    return pd.DataFrame(rows)
+
+
+def z_of(table, name):
+    off = ((table[name] - table[f"{name}_true"]) / table[f"{name}_std"]).to_numpy(float)
+    return off[np.isfinite(off)]
+
+
+def dishonest(table):
+    """Quantities whose z is not N(0, 1), by more than 4 sampling errors; those without z count too."""
+    found = {name: z_of(table, name) for name in SHOWN}
+    return [n for n, z in found.items() if not (len(z) and abs(z.std() - 1) < 4 / np.sqrt(2 * len(z)))]
+
+
+def test_what_the_data_reject_has_no_errors_and_stays_for_looking_at(hopping):
+    table = measured(hopping, 4)
+    assert table["status"].tolist() == ["misfit"] * 4
+    assert (table["adequate"] < LEVEL).all()
+    borne = table["adequate_free"] > LEVEL
+    assert borne.sum() == 3  # of the fastest the flight shows in the free fit too
+    assert table.loc[~borne, [f"{name}_free_std" for name in NAMES]].isna().all(axis=None)
+    for name in ("v0", "r", "mu_k", "C", "tau1"):
+        assert np.isfinite(table[name]).all()
+    assert table[[f"{name}_std" for name in NAMES]].isna().all(axis=None)
+    assert np.isfinite(table.loc[borne, "v0_free_std"]).all()
+    assert table[[f"{n}_free_std" for n in ("C", "w1t", "w2t")]].isna().all(axis=None)  # by laws that are in doubt
+    blocks = json.loads(table["cov"][0])
+    assert {v for line in blocks["tied"] for v in line} == {None}
+    assert blocks["free"][0][0] > 0
+    (line,) = warnings(table)
+    assert line.startswith("4 misfit (chi^2/dof ")
+
+
+def test_nothing_of_a_misfit_is_fitted_with_the_others(own, hopping):
+    good, bad = measured(own, 6), measured(hopping, 4)
+    assert fit_all(pd.concat([good, bad])) == fit_all(good)
+    assert fit_all(bad)["clips"] == 0
+
+
+def test_a_search_takes_what_the_tracker_rejects(hopping):
+    truth, camera = truth_of(hopping, 0)
+    tracks = noisy(truth, np.random.default_rng(0))
+    (row,) = measure(tracks, camera)
+    assert row["status"] == "misfit"
+    found = collision(tracks, row | {"clip": 0}, camera)
+    assert not isinstance(found, str)
+    assert found.launch[3] == pytest.approx(scalars_of(hopping)["v0"][0], rel=0.01)
+
+
+def test_own_clips_are_borne_and_the_test_can_tell(own):
+    table = claiming(own, NOISE, NOISE)
+    assert (table["status"] == "ok").all()
+    assert (table["noise"] == "given").all()
+    assert (table["flags"] == "").all()
+    for name in ("adequate", "adequate_free", "agree"):
+        assert kstest(table[name], "uniform").pvalue > 1e-3
+    assert kstest(claiming(own, NOISE, NOISE / 1.15)["adequate"], "uniform").pvalue < 1e-3
+
+
+@pytest.mark.parametrize("times", [5.0, 0.2])
+def test_errors_claimed_wrongly_are_found_from_the_tracks(own, times):
+    table, without = claiming(own, times * NOISE, NOISE), claiming(own, times * NOISE, None)
+    assert (table["status"] == "ok").all()
+    assert (table["noise"] == "scatter").all()
+    assert table["noise_ratio"].mean() == pytest.approx(times, rel=0.05)
+    assert without["noise_ratio"].isna().all()
+    assert dishonest(table) == []
+    for name in SHOWN:
+        assert np.abs((table[name] - without[name]) / table[f"{name}_std"]).max() < 0.05
+    assert any("times these" in line for line in warnings(table))
+
+
+def test_noise_that_lasts_is_counted(own, monkeypatch):
+    table = claiming(own, NOISE, NOISE, rho=0.9)
+    assert (table["status"] == "ok").all()
+    assert table["noise_rho"].median() == pytest.approx(0.9, abs=0.05)
+    assert kstest(table["adequate"], "uniform").pvalue > 1e-3
+    assert dishonest(table) == []
+    monkeypatch.setattr(estimate, "lasting", lambda pair, free: None)
+    assert len(dishonest(claiming(own, NOISE, NOISE, rho=0.9))) == len(SHOWN)
+
+
+def test_noise_is_read_where_the_impact_has_no_part(hopping, monkeypatch):
+    """What the model lacks just after the hit is not taken for noise that lasts, even without any doubt before."""
+    monkeypatch.setattr(correlation, "SUSPECT", -np.inf)
+    table = measured(hopping, 4)
+    assert (table["noise_rho"] == 0).all()
+    assert (table["status"] == "misfit").all()
+
+
+def test_p_values_of_errors_found_from_the_same_residuals():
+    """Draws of residuals whose first part gives the size: the p-values are uniform, those without it are not."""
+    rng = np.random.default_rng(1)
+    known, rest = rng.chisquare(60, 4000), rng.chisquare(40, 4000)
+    size = known / 60
+    found = [p_value(c, 100, 60) for c in (known + rest) / size]
+    assert kstest(found, "uniform").pvalue > 1e-3
+    assert kstest([p_value(c, 100, np.inf) for c in (known + rest) / size], "uniform").pvalue < 1e-3
+    assert np.isnan(p_value(100.0, 100, 0.0))
+    assert p_value(1000.0, 100, 60) < LEVEL < p_value(130.0, 100, 60)
+
+
+def pucks(camera, r, mass, v0=0.3, b=0.2, frames=100, noise=0.02):
+    """Two discs that glide without friction or spin; mass of the target over the striker's; tc at .1 s."""
+    d, n = np.array([1.0, 0.0]), np.array([np.sqrt(1 - b * b), -b])
+    kick = (1 + r) * v0 * n[0] / (1 + mass)  # impulse over the target's mass, along n
+    since = np.arange(frames)[:, None] / camera.fps + camera.exposure / 2 - 0.1
+    late = np.maximum(since, 0)
+    ways = kick * n * late, -camera.ball_diameter * n + v0 * d * since - mass * kick * n * late
+    flat = np.concatenate([np.column_stack([way, np.full(frames, camera.radius)]) for way in ways])
+    xy = camera.project(flat) + np.random.default_rng(0).normal(0, noise, (2 * frames, 2))
+    cov, plain = np.tile(np.eye(2) * noise**2, (2 * frames, 1, 1)), np.full(2 * frames, np.nan)
+    frame, particle = np.tile(np.arange(frames), 2), np.repeat([0, 1], frames)
+    return Tracks(frame, particle, xy[:, 0], xy[:, 1], cov, plain, np.full(2 * frames, ""), plain, plain)
+
+
+def test_pucks_on_air(own):
+    """Gliding discs are balls without friction; unequal ones are no equal balls, and a restitution over 1 is said."""
+    camera = truth_of(own, 0)[1]
+    (equal,) = measure(pucks(camera, 0.8, 1.0), camera)
+    assert (equal["status"], equal["flags"]) == ("ok", "")
+    assert abs(equal["r"] - 0.8) < 4 * equal["r_std"]
+    (heavy,) = measure(pucks(camera, 0.8, 2.0), camera)
+    assert heavy["status"] == "misfit"
+    assert heavy["flags"].split("|") == ["r over 1", "C over 5/7"]
+    assert np.isnan(heavy["r_std"])
+    assert any(line.startswith("r over 1 (1 collisions): impossible") for line in warnings(pd.DataFrame([heavy])))
+    (light,) = measure(pucks(camera, 0.8, 0.5), camera)
+    assert light["status"] == "misfit"
+    (far,) = measure(pucks(camera, 0.8, 4.0), camera)
+    assert far["status"] == "misfit"
+
+
+def test_what_the_model_cannot_follow_is_no_outlier(own):
+    """Two places bent by 8 errors just after the hit: both fits see the same ones, and one wrong place is left out."""
+    truth, camera = truth_of(own, 1)
+    tracks = noisy(truth, np.random.default_rng(0))
+    x = tracks.x.copy()
+    x[60] += 1.0
+    (row,) = measure(replace(tracks, x=x), camera)
+    assert (row["status"], row["dropped"], row["dropped_free"]) == ("ok", 1, 1)
+    assert row["dof"] - row["dof_free"] == 7
+
+
+@pytest.mark.parametrize("error", [np.linalg.LinAlgError("singular"), ValueError("no"), ZeroDivisionError("none")])
+def test_a_clip_whose_arithmetic_fails_says_so(own, monkeypatch, error):
+    truth, camera = truth_of(own, 0)
+    tracks = noisy(truth, np.random.default_rng(0))
+
+    def fails(*_):
+        raise error
+
+    for name in ("interpret", "meetings"):
+        with monkeypatch.context() as spoilt:
+            spoilt.setattr(estimate, name, fails)
+            (row,), motion = measure_clip(tracks, camera)
+            assert row["status"] == f"the fit failed: {error}"
+            assert np.isnan(row["r"])
+            assert motion.columns.tolist()[:2] == ["t_s", "particle"]
+    assert set(row) == set(measure(tracks, camera)[0])
+
+
+def test_one_covariance_that_is_none_does_not_lose_the_fit_of_all(own):
+    table = measured(own, 8)
+    whole = fit_all(table)
+    table = table.set_index(np.arange(8))
+    spoilt = json.loads(table.at[2, "cov"])
+    for fit in ("tied", "free"):
+        spoilt[fit] = [[-abs(v) if i == j else v for j, v in enumerate(row)] for i, row in enumerate(spoilt[fit])]
+    table.at[2, "cov"] = json.dumps(spoilt)
+    found = fit_all(table)
+    assert found["chi2"]["r"] == pytest.approx(whole["chi2"]["r"], abs=4 * whole["chi2"]["r_std"])
+    assert found["rolling"]["n"] == 7
+    json.dumps(found, allow_nan=False)
+
+
+def test_commands_say_how_many_are_misfits_and_why(own, hopping, tmp_path):
+    tables = []
+    for clip, data in enumerate((own, hopping, hopping)):
+        tracks = noisy(truth_of(data, clip)[0], np.random.default_rng(clip))
+        columns = {name: getattr(tracks, name) for name in ("frame", "particle", "x", "y")}
+        tables.append(pd.DataFrame({"clip": clip} | columns | {"x_std": NOISE, "y_std": NOISE}))
+    pd.concat(tables).to_csv(tmp_path / "tracks.csv", index=False)
+    words = ["measure", str(tmp_path / "tracks.csv"), "--camera", str(own / "clips/000000/camera.json")]
+    done = CliRunner().invoke(app, [*words, "-o", str(tmp_path / "out"), "--json"])
+    summary = json.loads(done.stdout)
+    assert summary["status"] == {"misfit": 2, "ok": 1}
+    assert [line.partition(" (")[0] for line in summary["warnings"]] == ["2 misfit"]
+    again = CliRunner().invoke(app, [*words, "-o", str(tmp_path / "out")])
+    assert "complete before: 2 misfit, 1 ok" in again.stdout
+    assert again.stderr == f"tracker: {summary['warnings'][0]}\n"
+
+
+def test_a_score_counts_misfits_and_holds_only_their_free_fit_to_the_truth(hopping, tmp_path):
+    found = score(results(tmp_path / "results", hopping, 3), hopping)
+    assert found.statuses == {"n": 4, "misfit": 3, "no result": 1}
+    assert found.quantities["r"]["n"] == 0
+    assert found.quantities["v0_free"]["n"] == 3
+    assert found.quantities["v0_free"]["z_std"] < 3
+    page = write_report(found, tmp_path / "results", hopping, tmp_path / "page").read_text(encoding="utf-8")
+    assert "No clip has a collision that the tied fit describes (3 misfit)" in page

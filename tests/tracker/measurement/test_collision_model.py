@@ -1,0 +1,182 @@
+"""The tracker's motion model against the paper's equations, an ODE with a contact force law, and quadrature."""
+
+import numpy as np
+import pytest
+from scipy.integrate import quad, solve_ivp
+
+from tracker.measurement.collision_model import (
+    AFTER,
+    FREE,
+    GRAVITY,
+    TIED,
+    directions,
+    path,
+    release,
+    release_slope,
+    rolled,
+    stopping_time,
+)
+
+R = 1.19e-3
+TYPICAL = {"t_c": 0.0913, "x": 2e-3, "y": -1e-3, "heading": 0.7, "beta": 0.2, "v0": 0.3, "drag": 0.135}
+TYPICAL |= {"decel": 0.0103, "r": 0.903, "log_mu": np.log(0.232), "C": 0.347, "wx": 0.0, "wy": 0.0}
+
+
+def tied(**changes):
+    return np.array([(TYPICAL | changes)[name] for name in TIED])
+
+
+def part(free, name):
+    return free[..., FREE.index(name)]
+
+
+@pytest.mark.parametrize(("v0", "r", "mu", "c"), [(0.2, 0.903, 0.232, 0.347), (0.55, 0.76, 0.13, 0.11)])
+def test_head_on_finals_and_slide_times_are_the_papers(v0, r, mu, c):
+    free = release(tied(heading=0.0, beta=0.0, v0=v0, r=r, log_mu=np.log(mu), C=c))
+    assert part(free, "f1x") == pytest.approx(v0 / 7 * (2.5 * (1 + r) - 2 * c), rel=1e-12)
+    assert part(free, "f2x") == pytest.approx(v0 / 7 * (2 + 2.5 * (1 - r) - 2 * c), rel=1e-12)
+    for sign, name in ((1, "log_tau1"), (-1, "log_tau2")):
+        tau = ((1 + r) / 2 + sign * c) * v0 / (3.5 * mu * 9.81)
+        assert np.exp(part(free, name)) == pytest.approx(tau, rel=1e-12)
+
+
+def spring_collision(theta, when):
+    """Both balls' centres by integrating forces: a stiff contact impulse as initial data, then friction."""
+    t_c, x, y, heading, beta, v0, drag, decel, r, log_mu, c, *target = theta
+    z = np.array([0.0, 0.0, 1.0])
+    d = np.array([np.cos(heading), np.sin(heading), 0])
+    n = np.array([np.cos(heading - beta), np.sin(heading - beta), 0])
+    v1 = np.array([*target, 0.0])
+    v2 = v1 + v0 * d
+    early = {1: v1, 2: v2}
+    w1, w2 = (np.cross(z, v) / R for v in (v1, v2))
+    slip = v2 - v1 + np.cross(w2 + w1, n) * R
+    slip -= slip @ n * n
+    impulse = (1 + r) / 2 * ((v2 - v1) @ n) * n + 0.4 * c * slip  # on ball 1, per unit mass
+    impulse_flat = impulse - impulse @ z * z
+    spin = 2.5 / R * np.cross(n, -0.4 * c * slip)
+    first = np.array([x, y, 0.0])
+    balls = {1: (first, v1 + impulse_flat, w1 + spin), 2: (first - 2 * R * n, v2 - impulse_flat, w2 + spin)}
+
+    def force(_, state, rolling):
+        v, w = state[3:6], state[6:9]
+        if rolling:
+            speed = np.linalg.norm(v)
+            a = -(drag * speed + decel) * v / speed if speed > 1e-9 else np.zeros(3)
+            return np.concatenate([v, a, np.cross(z, a) / R])
+        u = v - R * np.cross(w, z)
+        u[2] = 0
+        a = -np.exp(log_mu) * GRAVITY * u / np.linalg.norm(u)
+        return np.concatenate([v, a, 2.5 / R * np.cross(-z, a)])
+
+    def slip_gone(_, state, rolling):
+        u, v, w = u_start, state[3:6], state[6:9]
+        return (v - R * np.cross(w, z)) @ u
+
+    slip_gone.terminal = True
+    out = {}
+    for ball, start in balls.items():
+        u_start = start[1] - R * np.cross(start[2], z)
+        u_start[2] = 0
+        options = {"rtol": 1e-11, "atol": 1e-13, "dense_output": True}
+        slide = solve_ivp(force, (t_c, 9), np.concatenate(start), events=slip_gone, args=(False,), **options)
+        end = slide.t[-1]
+        roll = solve_ivp(force, (end, when.max() + 1), slide.y[:, -1], args=(True,), max_step=0.01, **options)
+        spin = np.cross(z, early[ball]) / R
+        back = solve_ivp(
+            lambda t, s: force(t, s, True),
+            (t_c, -0.1),
+            np.concatenate([start[0], early[ball], spin]),
+            **options,
+        )
+        legs = [back.sol(t) if t < t_c else (slide.sol if t < end else roll.sol)(t) for t in when]
+        out[ball] = np.array(legs)[:, :2]
+    return out
+
+
+MOVING = {"wx": 0.11, "wy": -0.06}
+
+
+@pytest.mark.parametrize(
+    "changes", [{}, {"beta": -0.9, "C": 0.12, "r": 0.78, "heading": 4.0}, {"beta": 1e-9}, MOVING | {"beta": 0.6}]
+)
+def test_path_agrees_with_integrated_forces(changes):
+    theta = tied(**changes)
+    when = np.linspace(0.0, 0.4, 41)
+    truth = spring_collision(theta, when)
+    for ball in (1, 2):
+        mine, _ = path(release(theta), ball, when, 0.0, 2 * R)
+        np.testing.assert_allclose(mine, truth[ball], atol=2e-9)
+
+
+def test_exposure_mean_is_the_integral_of_the_instants():
+    theta = tied(t_c=0.0802)  # the contact falls into an exposure, and so does a slide's end
+    free = release(theta)
+    ends = [theta[0] + np.exp(part(free, name)) for name in ("log_tau1", "log_tau2")]
+    start = np.array([0.0, 0.08, *(e - 2e-4 for e in ends), 0.3])
+
+    def instant(t, ball, axis):
+        return path(free, ball, np.array([t]), 0.0, 2 * R)[0][0, axis]
+
+    for ball in (1, 2):
+        mean, _ = path(free, ball, start, 5e-4, 2 * R)
+        for k, begin in enumerate(start):
+            for axis in (0, 1):
+                kinks = [t for t in (theta[0], *ends) if begin < t < begin + 5e-4] or None
+                area, _ = quad(instant, begin, begin + 5e-4, args=(ball, axis), points=kinks, epsabs=1e-16)
+                assert mean[k, axis] == pytest.approx(area / 5e-4, abs=1e-9)
+
+
+@pytest.mark.parametrize("decel", [0.0103, 0.4])  # at .4 the balls come to rest within view
+def test_derivatives_are_those_of_the_path(decel):
+    free = release(tied(decel=decel, **MOVING))
+    start = np.arange(0, 0.8, 0.0041)
+    for ball in (1, 2):
+        _, slope = path(free, ball, start, 5e-4, 2 * R)
+        for j in range(len(FREE)):
+            h = 1e-5 * max(abs(free[j]), 0.1)
+            step = h * np.eye(len(FREE))[j]
+            high, low = (path(free + s * step, ball, start, 5e-4, 2 * R)[0] for s in (1, -1))
+            np.testing.assert_allclose(slope[:, :, j], (high - low) / (2 * h), rtol=1e-6, atol=1e-7, err_msg=FREE[j])
+
+
+def test_tied_derivative_is_that_of_the_release():
+    theta = tied(**MOVING)
+    for j, column in enumerate(release_slope(theta).T):
+        step = 1e-6 * np.eye(len(TIED))[j]
+        np.testing.assert_allclose(column, (release(theta + step) - release(theta - step)) / 2e-6, atol=1e-8)
+
+
+@pytest.mark.parametrize(("drag", "decel"), [(0.135, 0.0103), (0.0, 0.02), (30.0, 0.05), (-0.2, 0.3), (4.0, 0.0)])
+def test_rolling_solves_its_equation(drag, decel):
+    times = np.array([-0.05, 0.0, 0.1, 1.0, 40.0])
+    roll = rolled(0.3, drag, decel, times)
+    stop = stopping_time(0.3, drag, decel)
+
+    def rate(_, state):
+        return [state[1], -(drag * state[1] + decel)]
+
+    for t, way in zip(times, roll.way, strict=True):
+        span = min(t, stop)
+        state = solve_ivp(rate, (0, span), [0, 0.3], rtol=1e-11, atol=1e-14).y[:, -1] if span else [0, 0.3]
+        assert way == pytest.approx(state[0], rel=1e-8)
+        if t > stop:
+            assert state[1] == pytest.approx(0, abs=1e-9)
+
+
+def test_conserved_combination_and_momentum():
+    rng = np.random.default_rng(3)
+    for _ in range(50):
+        w = rng.uniform(-0.2, 0.2, 2) * rng.integers(0, 2)
+        theta = tied(beta=rng.uniform(-1.3, 1.3), heading=rng.uniform(0, 7), C=rng.uniform(0, 0.4), wx=w[0], wy=w[1])
+        free = release(theta)
+        v0, (d, n, _) = theta[5], directions(theta[3], theta[4])
+        v1, v2 = free[8:10], free[13:15]
+        np.testing.assert_allclose(v1 + v2, v0 * d + 2 * w, rtol=1e-12, atol=1e-13)
+        assert (v1 - v2) @ n == pytest.approx(theta[8] * v0 * (d @ n), rel=1e-12)
+        # spin along t: both lose C times their sum, of a resting target w1 = -C w0 and w2 = (1 - C) w0
+        before = {1: w @ n, 2: (w + v0 * d) @ n}
+        for ball in (1, 2):
+            v, f = free[AFTER[ball] : AFTER[ball] + 2], free[AFTER[ball] + 2 : AFTER[ball] + 4]
+            left = before[ball] - theta[10] * (before[1] + before[2])
+            assert (7 * f - 5 * v) @ n / 2 == pytest.approx(left, rel=1e-11)

@@ -1,0 +1,101 @@
+"""The noise of tracks that carry no errors, from the tracks themselves."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from tracker_noisy import BENCHMARK, dataset, noisy, truth_of
+
+from tracker.measurement.estimate import measure
+from tracker.measurement.position_noise import scatter
+from tracker.measurement.positions import Course, courses
+
+
+@pytest.fixture(scope="module")
+def clips(tmp_path_factory):
+    data = dataset(tmp_path_factory.mktemp("scatter") / "data", BENCHMARK, 12)
+    return [truth_of(data, clip) for clip in range(12)]
+
+
+def balls_of(frame, particle, xy, claimed=1.0):
+    """Courses in px that claim an error of one px."""
+    rows = [np.flatnonzero(particle == ball) for ball in np.unique(particle)]
+    rows = [r[np.argsort(frame[r])] for r in rows]
+    cov = claimed**2 * np.eye(2)
+    return [Course(0, frame[r], frame[r] / 250, xy[r], np.tile(cov, (len(r), 1, 1)), 5e-4, width=1.0) for r in rows]
+
+
+def noise_of(*table):
+    return np.sqrt(scatter(balls_of(*table)).ratio)
+
+
+def test_noise_is_found_in_spite_of_contact_and_slides(clips):
+    for noise in (0.005, 0.05):
+        found = []
+        for i, (truth, _) in enumerate(clips):
+            tracks = noisy(truth, np.random.default_rng(i), noise)
+            found.append(noise_of(tracks.frame, tracks.particle, tracks.xy))
+        assert np.mean(found) == pytest.approx(noise, rel=0.03)
+        assert np.std(found) < 0.12 * noise
+
+
+def test_its_own_error_is_known():
+    """The spread of 300 draws of white noise, against the degrees of freedom that each claims."""
+    rng, frame, particle = np.random.default_rng(3), np.tile(np.arange(60), 2), np.repeat([0, 1], 60)
+    way = np.column_stack([frame * 1.5, frame * 0.0])
+    sizes = [scatter(balls_of(frame, particle, way + rng.normal(0, 0.2, (120, 2)), 0.2)) for _ in range(300)]
+    spread = np.std([size.ratio for size in sizes])
+    assert np.sqrt(2 / sizes[0].dof) == pytest.approx(spread, rel=4 / np.sqrt(600))
+    assert np.mean([size.ratio for size in sizes]) == pytest.approx(1, abs=4 * spread / np.sqrt(300))
+
+
+def test_errors_that_a_resting_ball_repeats_are_not_missed():
+    """A creeping ball shares most of its errors from frame to frame: claimed so, they are as large as claimed."""
+    rng, frame = np.random.default_rng(4), np.arange(120)
+    place = np.column_stack([0.02 * frame, 0.0 * frame])
+    fixed = 0.9 * 0.1**2 * np.eye(2)
+    own, ratios = 0.1 * np.sqrt(0.1), []
+    for _ in range(40):
+        shared = np.sqrt(0.9) * 0.1 * rng.standard_normal(2)
+        xy = place + shared + rng.normal(0, own, (120, 2))
+        cov = np.tile(0.1**2 * np.eye(2), (120, 1, 1))
+        ratios.append(scatter([Course(0, frame, frame / 250, xy, cov, 0.0, np.tile(fixed, (120, 1, 1)), 50.0)]).ratio)
+    assert np.mean(ratios) == pytest.approx(1, abs=0.1)
+
+
+def test_a_ball_at_rest_in_whole_pixels_tells_no_error(clips):
+    truth, camera = clips[0]
+    tracks = noisy(truth, np.random.default_rng(0), 0.02)
+    tracks = replace(tracks, x=np.round(tracks.x), y=np.round(tracks.y), cov=np.full_like(tracks.cov, np.nan))
+    found = courses(tracks, camera)[0].cov[0]
+    assert np.sqrt(np.trace(found) / 2) / camera.scale == pytest.approx(np.sqrt(1 / 12), rel=0.3)
+
+
+def test_gaps_and_order_do_not_matter_and_too_little_says_so():
+    rng = np.random.default_rng(0)
+    frame, particle = np.tile(np.arange(400), 2), np.repeat([4, 1], 400)
+    xy = np.column_stack([frame * 1.5, 0.01 * frame**1.5]) + rng.normal(0, 0.2, (800, 2))
+    kept = rng.permutation(800)[:700]
+    assert noise_of(frame[kept], particle[kept], xy[kept]) == pytest.approx(0.2, rel=0.1)
+    assert scatter(balls_of(frame[:6], particle[:6], xy[:6])) is None
+    assert scatter(balls_of(frame[::2], particle[::2], xy[::2])) is None
+
+
+def test_perfect_places_do_not_divide_by_zero():
+    frame = np.arange(50)
+    assert 0 < noise_of(frame, np.zeros(50, int), np.column_stack([frame, frame]) * 1.0) <= 1e-5
+
+
+def test_a_row_says_where_its_errors_come_from(clips):
+    z = []
+    for i, (truth, camera) in enumerate(clips):
+        tracks = noisy(truth, np.random.default_rng(i), 0.02)
+        (given,) = measure(tracks, camera)
+        (found,) = measure(replace(tracks, cov=np.full_like(tracks.cov, np.nan)), camera)
+        assert given["noise"] == "given"
+        assert np.isnan(given["noise_px"])
+        assert found["noise"] == "scatter"
+        assert found["noise_px"] == pytest.approx(0.02, rel=0.3)
+        assert found["r"] == pytest.approx(given["r"], abs=given["r_std"])
+        z.append(found["chi2_free"] / found["dof_free"])
+    assert np.mean(z) == pytest.approx(1, abs=0.15)

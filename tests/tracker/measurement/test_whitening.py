@@ -1,0 +1,123 @@
+"""Errors that a resting ball has in every frame alike: what they are, and that the fits count them once."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from tracker_noisy import dataset, noisy, scalars_of, truth_of
+
+from tracker.measurement.contacts import STILL, _thinned
+from tracker.measurement.derived import NAMES
+from tracker.measurement.estimate import measure
+from tracker.measurement.positions import Course
+from tracker.measurement.whitening import Whitener, covariance
+
+SIGMA = 1.25
+
+
+def test_shared_errors_are_those_of_a_random_pattern():
+    """Shift of a Gaussian glint by white pixels: its gradient times the pattern, summed, here on a fine grid."""
+    grid = np.arange(-12, 12.01, 0.2)
+    x, y = np.meshgrid(grid, grid)
+
+    def slopes(place):
+        u, v = x - place[0], y - place[1]
+        g = np.exp(-(u**2 + v**2) / (2 * SIGMA**2))
+        return np.stack([u * g, v * g]).reshape(2, -1)
+
+    places = np.array([[0.0, 0.0], [0.6, 0.0], [0.0, 1.7], [2.0, -1.1], [7.0, 0.0]])
+    told = np.concatenate([slopes(p) for p in places])
+    product = told @ told.T
+    fixed = np.tile(np.eye(2) * 0.3, (5, 1, 1))
+    mine = covariance(places, fixed + np.eye(2), fixed, SIGMA) - np.kron(np.eye(5), np.eye(2))
+    np.testing.assert_allclose(mine, 0.3 * product / product[0, 0], atol=1e-3)
+
+
+def test_whitening_leaves_unit_errors():
+    rng = np.random.default_rng(0)
+    place = np.cumsum(rng.normal(0, 0.4, (30, 2)), axis=0)
+    root = rng.normal(size=(30, 2, 2))
+    cov = root @ root.transpose(0, 2, 1) + 0.1 * np.eye(2)
+    white = Whitener(place, cov, 0.6 * cov, SIGMA)
+    unit = np.stack([white(e) for e in np.eye(60).reshape(60, 30, 2)], axis=1)
+    np.testing.assert_allclose(unit @ covariance(place, cov, 0.6 * cov, SIGMA) @ unit.T, np.eye(60), atol=1e-9)
+    np.testing.assert_allclose(white(np.eye(60).reshape(60, 30, 2)), unit.T)
+    errors = rng.normal(size=(30, 2))
+    np.testing.assert_allclose(white.distance(errors), np.einsum("ni,nij,nj->n", errors, np.linalg.inv(cov), errors))
+
+
+def test_a_shared_part_as_large_as_the_whole_stays_regular():
+    cov = np.tile(np.eye(2), (50, 1, 1))
+    white = Whitener(np.zeros((50, 2)), cov, 1.5 * cov, SIGMA)
+    assert np.isfinite(white(np.ones((50, 2)))).all()
+
+
+def test_a_resting_ball_is_known_no_better_than_its_shared_error():
+    cov = np.tile(np.eye(2), (100, 1, 1))
+    ones = np.tile(np.eye(2)[:, None], (1, 100, 1))
+    told = Whitener(np.zeros((100, 2)), cov, 0.07 * cov, SIGMA)(ones).T
+    std = np.sqrt(np.diag(np.linalg.inv(told.T @ told)))
+    np.testing.assert_allclose(std, np.sqrt(0.07 + 0.93 / 100), rtol=1e-6)
+
+
+def test_more_of_a_long_rest_is_left_out_and_a_motion_is_not():
+    n = 2000
+    frame, cov = np.arange(n), np.tile(np.eye(2) * 1e-12, (n, 1, 1))
+    where = np.zeros((n, 2))
+    where[1000:, 0] = np.minimum(np.arange(n - 1000), 400) * 1e-4
+    course = Course(0, frame, frame / 250, where, cov, 0.0, 0.1 * cov, 2e-4)
+    left = _thinned(course, 1000)
+    assert set(range(1000, 1400)) <= set(left.frame)
+    assert (left.frame < 1000).sum() == pytest.approx(STILL, abs=3)
+    assert (left.frame > 1400).sum() == pytest.approx(STILL, abs=3)
+
+
+def shared_noise(truth, camera, rng, own=0.009, fixed=0.004):
+    """Tracks whose errors have a part common to places alike; wider than a real one, to be seen in few clips."""
+    tracks = noisy(truth, rng, own)
+    ones = np.broadcast_to(np.eye(2), (len(tracks), 2, 2))
+    parts = (ones * (own**2 + fixed**2), ones * fixed**2)
+    xy = noisy(truth, rng, 0.0).xy
+    for ball in (0, 1):
+        rows = tracks.particle == ball
+        root = np.linalg.cholesky(covariance(xy[rows], parts[0][rows], parts[1][rows], camera.sigma))
+        xy[rows] += (root @ rng.standard_normal(len(root))).reshape(-1, 2)
+    return replace(tracks, x=xy[:, 0], y=xy[:, 1], cov=parts[0], fixed=parts[1])
+
+
+@pytest.fixture(scope="module")
+def repeated(tmp_path_factory):
+    """(row, row of a fit told that nothing is shared) of many films of one slow collision; and its truth."""
+    settings = {"launch": {"v0": 0.2, "b": 0.2}, "timing": {"contact_frame": 25.3}}
+    data = dataset(tmp_path_factory.mktemp("one") / "data", settings, 1)
+    truth, camera = truth_of(data, 0)
+    rng, rows = np.random.default_rng(2), []
+    for _ in range(50):
+        tracks = shared_noise(truth, camera, rng)
+        alone = replace(tracks, fixed=np.zeros_like(tracks.fixed))
+        rows.append((measure(tracks, camera)[0], measure(alone, camera)[0]))
+    return rows, scalars_of(data).iloc[0]
+
+
+@pytest.mark.parametrize("kind", ["", "_free"])
+def test_fisher_errors_agree_with_repetition(repeated, kind):
+    """The claimed covariance against the scatter of many films of one collision: a parametric bootstrap."""
+    rows, _ = repeated
+    ratios = {}
+    for name in NAMES:
+        values, claimed = (np.array([row[f"{name}{kind}{end}"] for row, _ in rows]) for end in ("", "_std"))
+        if claimed[0] > 0:
+            ratios[name] = np.nanstd(values) / np.sqrt(np.nanmean(claimed**2))
+    assert len(ratios) >= 19
+    assert [n for n, r in ratios.items() if abs(r - 1) > 4 / np.sqrt(2 * len(rows))] == []
+
+
+@pytest.mark.parametrize("name", ["b_free", "t_c", "final_angle", "w1n_free"])
+def test_errors_are_too_small_when_the_shared_part_is_left_out(repeated, name):
+    rows, true = repeated
+    truth = true[name.removesuffix("_free")]
+    told, untold = (
+        np.nanstd([(row[name] - truth) / row[f"{name}_std"] for row in part]) for part in zip(*rows, strict=True)
+    )
+    assert abs(told - 1) < 4 / np.sqrt(2 * len(rows))
+    assert untold > 1.2 * told
