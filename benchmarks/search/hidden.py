@@ -26,7 +26,8 @@ import yaml
 from rich.console import Console
 from rich.table import Table
 
-from synthcam.effect import Effect, library
+from synthcam.effect import Effect
+from synthcam.library import library
 from synthcam.model import Model
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -31,7 +31,7 @@ from synthcam.dynamics.batch import collisions
 from synthcam.dynamics.kinematics import rolling_state
 from synthcam.dynamics.launch import Launch
 from synthcam.dynamics.solve import solve
-from synthcam.effect import library
+from synthcam.library import library
 from synthcam.model import Model
 
 ROOT = Path(__file__).resolve().parents[2]

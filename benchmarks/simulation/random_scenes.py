@@ -29,8 +29,8 @@ from synthcam.dynamics.kinematics import rolling_state
 from synthcam.dynamics.launch import Launch
 from synthcam.dynamics.solve import solve
 from synthcam.dynamics.trajectory import Trajectory
-from synthcam.effect import library
 from synthcam.effects.air_drag import AirDrag
+from synthcam.library import library
 from synthcam.model import Model
 
 ROOT = Path(__file__).resolve().parents[2]

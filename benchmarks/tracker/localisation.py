@@ -29,7 +29,8 @@ from rich.table import Table
 from tracker.camera.camera import Camera
 from tracker.camera.frames import open_source
 from tracker.detection.cramer_rao import localisation_bound
-from tracker.detection.detect import DEFAULT, Glints, detector, look
+from tracker.detection.detect import DEFAULT, detector, look
+from tracker.detection.glints import Glints
 from tracker.scoring.localisation import Matched, localisation, match
 
 ROOT = Path(__file__).resolve().parents[2]

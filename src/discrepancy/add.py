@@ -17,7 +17,7 @@ from discrepancy.selection.extend import grown
 from discrepancy.selection.named import Named
 from discrepancy.selection.profile_errors import spread
 from discrepancy.selection.score_test import Contest
-from synthcam.effect import library
+from synthcam.library import library
 from synthcam.model import Model
 from tracker.camera.camera import InputError
 

@@ -231,7 +231,7 @@ def effects(
 
     Example: synthcam effects hop -o hop.png
     """
-    from synthcam.effect import library
+    from synthcam.library import library
 
     known = library()
     if name is not None and name not in known:

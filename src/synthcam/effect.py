@@ -12,14 +12,10 @@ that instant, by name, and returns the bent value::
 
 from __future__ import annotations
 
-import importlib
 import inspect
 import math
-import pkgutil
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, fields
-from functools import cache
-from types import ModuleType
 from typing import Any, ClassVar, Self
 
 # All balls, or all nodes of an integration, come together: numbers are arrays (balls, n) or broadcast with them,
@@ -183,22 +179,3 @@ class Laws:
         for bend, asks in self._bends[law]:
             value = bend(value, *[instant[a] for a in asks])
         return value
-
-
-def effects_in(package: ModuleType) -> Iterator[type[Effect]]:
-    """The effects of a package: each of its modules holds one subclass of Effect."""
-    for info in sorted(pkgutil.iter_modules(package.__path__), key=lambda i: i.name):
-        module = importlib.import_module(f"{package.__name__}.{info.name}")
-        own = [c for c in vars(module).values() if inspect.isclass(c) and issubclass(c, Effect)]
-        own = [c for c in own if c.__module__ == module.__name__]
-        if len(own) != 1:
-            raise TypeError(f"{module.__name__}: expected one effect in the file, found {len(own)}")
-        yield own[0]
-
-
-@cache
-def library() -> dict[str, type[Effect]]:
-    """Every effect found in the folder `effects`, by name."""
-    from synthcam import effects
-
-    return {e.name(): e for e in effects_in(effects)}

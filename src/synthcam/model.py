@@ -15,7 +15,8 @@ import yaml
 from numpy.typing import NDArray
 from pydantic import Field, ValidationError, create_model
 
-from synthcam.effect import Effect, Laws, library
+from synthcam.effect import Effect, Laws
+from synthcam.library import library
 from synthcam.settings import Fraction, InputError, NotNegative, Positive, Settings, one_line, read_yaml
 
 Array = NDArray[np.float64]

@@ -15,7 +15,7 @@ from sealed.boxes import Study
 from sealed.ledger import Broken, Ledger
 from sealed.studies import STUDIES
 
-from synthcam.effect import library
+from synthcam.library import library
 
 TRUTH = {"kind": "one", "hidden": {"stribeck.rise": 0.1}}
 ANSWER = {"verdict": "none", "named": []}

@@ -16,7 +16,7 @@ from sealed.studies import ROUND, STUDIES
 
 from discrepancy.fitting.predict import forecast
 from synthcam.dataset.files import camera_json
-from synthcam.effect import library
+from synthcam.library import library
 from tracker.camera.camera import Camera
 
 SIZES = {name: {f"{name}.{p.name}": p.scale for p in library()[name].parameters()} for name in PHYSICS}

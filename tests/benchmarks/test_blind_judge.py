@@ -13,7 +13,8 @@ from sealed.ledger import Ledger
 from sealed.ordinary import ORDINARY
 from sealed.outsiders import OUTSIDERS
 
-from synthcam.effect import Laws, library
+from synthcam.effect import Laws
+from synthcam.library import library
 from synthcam.model import settings_of
 
 

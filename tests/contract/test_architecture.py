@@ -1,4 +1,4 @@
-"""Who may import whom: arrows run one way."""
+"""Who may import whom: packages, rooms and files in layers, with the imports made by name counted too."""
 
 import ast
 from graphlib import TopologicalSorter
@@ -8,27 +8,67 @@ from repository import ROOT
 
 SRC = ROOT / "src"
 FILES = sorted(SRC.rglob("*.py"))
-PACKAGES = ("synthcam", "tracker", "discrepancy")
 
-# The spine of synthcam: a file may lean on those of earlier rows, be it by way of files not named here,
-# never on one of its own row or of a later one.
-ROWS = [
-    "settings effect kinematics spectral reflections lamp",
-    "distribution model trajectory optics",
-    "launch impact sliding picture",
-    "rolling sensor render",
-    "pulled",
-    "coupled",
-    "pairing",
-    "dynamics scene",
-    "batch view",
-    "truth",
-    "dataset",
-    "generate",
-    "preview sketch",
-    "cli",
-]
-LAZY = {("effect", "effects")}  # the folder scan of `library`, when it is called
+# Rooms and files of each package, from the bottom up: one may import from rows above its own, never from its own row or
+# from one below. A file that stands in no row counts as its folder.
+LAYERS = {
+    "synthcam": [
+        "settings effect",
+        "effects outputs",
+        "library",
+        "model",
+        "dynamics camera",
+        "scene",
+        "dataset",
+        "cli",
+    ],
+    "tracker": [
+        "camera",
+        "detection outputs",
+        "measurement",
+        "results",
+        "track calibration",
+        "scoring",
+        "cli",
+    ],
+    "discrepancy": [
+        "data",
+        "noise",
+        "fitting",
+        "free_laws",
+        "selection",
+        "diagnostics",
+        "find add",
+        "report",
+        "cli",
+    ],
+    "synthcam.dynamics": [
+        "kinematics collocation packed",
+        "trajectory impact slide_series hermite",
+        "sliding contact_time",
+        "rolling launch",
+        "pushed_ball segments",
+        "coupled",
+        "pairing",
+        "solve",
+        "batch",
+    ],
+    "synthcam.camera": [
+        "lamp psf",
+        "reflections surface",
+        "pinhole",
+        "glints plate exposure",
+        "shutter sensor",
+        "render",
+    ],
+    "tracker.detection": [
+        "candidates",
+        "glints",
+        "detectors",
+        "detect",
+    ],
+}
+PEERS = {"synthcam.effects", "synthcam.dataset.exports", "tracker.detection.detectors"}  # found by their being there
 
 
 def module(path):
@@ -36,8 +76,11 @@ def module(path):
     return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
 
 
-def imports(path):
-    """Dotted names a file imports; `from a import b` counts as a.b, relative ones resolved."""
+KNOWN = {module(p) for p in FILES}
+
+
+def imported(path):
+    """Dotted names that a file imports; `from a import b` counts as a.b."""
     here = module(path).split(".")
     inside = here if path.name == "__init__.py" else here[:-1]
     for node in ast.walk(ast.parse(path.read_text())):
@@ -49,37 +92,52 @@ def imports(path):
             yield from (f"{base}.{alias.name}" for alias in node.names)
 
 
-def tops(path):
-    return {name.partition(".")[0] for name in imports(path)}
+def by_name(path):
+    """Modules that a file imports by name: a constant, or every file of a folder whose __name__ begins the name."""
+    tree = ast.parse(path.read_text())
+    folders = {name.rpartition(".")[2]: name for name in imported(path) if name in PEERS}
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Call) and ast.unparse(node.func).endswith("import_module"):
+            (name,) = node.args
+            if isinstance(name, ast.Constant):
+                yield name.value
+                continue
+            said = ast.unparse(name)
+            assert "__name__" in said, f"{module(path)} imports {said}: of which folder cannot be seen"
+            for folder in folders.values():
+                yield from (m for m in KNOWN if m.startswith(f"{folder}."))
 
 
 def ours(path):
-    """The modules of its own package a file imports."""
-    known = {module(p) for p in FILES}
-    for name in imports(path):
-        while name and name not in known:
+    """The modules of these packages that a file imports."""
+    for name in {*imported(path), *by_name(path)}:
+        while name and name not in KNOWN:
             name = name.rpartition(".")[0]
         if name and name != module(path):
             yield name
 
 
+ARROWS = {module(p): set(ours(p)) for p in FILES}
+
+
+def tops(path):
+    return {name.partition(".")[0] for name in imported(path)}
+
+
 def test_there_is_something_to_read():
-    names = {module(p) for p in FILES}
-    assert {"synthcam.dynamics.solve", "tracker.measurement.collision_model", "discrepancy"} <= names
-    assert "synthcam.dynamics.kinematics" in set(ours(SRC / "synthcam/dynamics/impact.py"))
+    assert {"synthcam.dynamics.solve", "tracker.measurement.collision_model", "discrepancy"} <= KNOWN
+    assert "synthcam.dynamics.kinematics" in ARROWS["synthcam.dynamics.impact"]
+    for finder in ("synthcam.library", "synthcam.dataset.export", "tracker.detection.detect"):
+        assert any(m.startswith(f"{folder}.") for folder in PEERS for m in ARROWS[finder]), finder
 
 
 @pytest.mark.parametrize("path", FILES, ids=module)
 def test_packages_keep_apart(path):
     package = module(path).partition(".")[0]
-    forbidden = {
-        "synthcam": {"tracker", "discrepancy"},
-        "tracker": {"synthcam", "discrepancy"},
-        "discrepancy": set(),
-    }
+    forbidden = {"synthcam": {"tracker", "discrepancy"}, "tracker": {"synthcam", "discrepancy"}, "discrepancy": set()}
     assert not tops(path) & forbidden[package]
     if package == "discrepancy":
-        assert not any(name.startswith("synthcam.camera.render") for name in ours(path))
+        assert not any(name.startswith("synthcam.camera.render") for name in ARROWS[module(path)])
 
 
 @pytest.mark.parametrize("path", FILES, ids=module)
@@ -88,49 +146,58 @@ def test_only_render_knows_opengl(path):
         assert not tops(path) & {"pyrender", "trimesh", "OpenGL", "pyglet"}
 
 
-@pytest.mark.parametrize("package", PACKAGES)
-def test_no_circles(package):
-    graph = {
-        module(p): {n for n in ours(p) if n.startswith(f"{package}.")} for p in FILES if module(p).startswith(package)
-    }
-    for importer, scanned in LAZY:
-        graph.get(f"synthcam.{importer}", set()).discard(f"synthcam.{scanned}")
-    TopologicalSorter(graph).prepare()  # raises CycleError
+def test_no_circles():
+    TopologicalSorter(ARROWS).prepare()  # raises CycleError
 
 
-def leans_on(name, arrows):
-    """Everything a file imports, directly or by way of others."""
-    found, todo = set(), [name]
-    while todo:
-        for other in arrows.get(todo.pop(), set()) - found:
-            found.add(other)
-            todo.append(other)
-    return found
+def room(name, package):
+    """The room or file of a package that a module belongs to, or nothing."""
+    return name[len(package) + 1 :].partition(".")[0] if name.startswith(f"{package}.") else ""
 
 
-def test_synthcams_arrows_run_one_way():
-    row = {f"synthcam.{name}": k for k, names in enumerate(ROWS) for name in names.split()}
-    arrows = {module(p): {n for n in ours(p) if n.startswith("synthcam.")} for p in FILES}
-    for importer, scanned in LAZY:
-        arrows[f"synthcam.{importer}"].discard(f"synthcam.{scanned}")
-    for name in row:
-        assert name in arrows, f"{name} is gone: take it out of ROWS"
-        back = [other for other in leans_on(name, arrows) if row.get(other, -1) >= row[name]]
-        assert not back, f"{name} may not lean on {', '.join(back)}"
-    for name in arrows:
+@pytest.mark.parametrize("package", LAYERS)
+def test_arrows_run_one_way(package):
+    row = {name: k for k, names in enumerate(LAYERS[package]) for name in names.split()}
+    folder = SRC / package.replace(".", "/")
+    assert all((folder / name).is_dir() or (folder / f"{name}.py").is_file() for name in row), (
+        "a row names what is gone"
+    )
+    if "." not in package:
+        there = {p.stem for p in folder.iterdir() if p.suffix == ".py" or (p / "__init__.py").is_file()}
+        assert there - {"__init__"} == set(row), "a room stands in no row"
+    wrong = []
+    for name, others in ARROWS.items():
+        here = room(name, package)
+        for other in (o for o in others if room(o, package) not in ("", here)):
+            there = room(other, package)
+            if here in row and there in row and row[there] >= row[here]:
+                wrong.append(f"{name} imports {other}")
+    assert not wrong
+
+
+@pytest.mark.parametrize("folder", sorted(PEERS))
+def test_what_is_found_by_being_there_is_listed_nowhere(folder):
+    """No file names a file of such a folder, and they do not know each other."""
+    finder = {m for p in FILES for m in (module(p),) if set(by_name(p)) & {n for n in KNOWN if n.startswith(folder)}}
+    for name, others in ARROWS.items():
+        named = [o for o in others if o.startswith(f"{folder}.")]
+        assert not named or name in finder, f"{name} names {named}"
+    assert not list(imported(SRC / folder.replace(".", "/") / "__init__.py"))
+
+
+def test_an_effect_knows_of_effect_alone():
+    for name, others in ARROWS.items():
         if name.startswith("synthcam.effects."):
-            assert arrows[name] == {"synthcam.effect"}, f"{name}: an effect knows of effect alone"
-
-
-def test_effects_are_listed_nowhere():
-    """No file but its own names an effect's module."""
-    for path in (SRC / "synthcam").rglob("*.py"):
-        if path.parent.name != "effects":
-            assert not [n for n in imports(path) if n.startswith("synthcam.effects.")]
-    assert not list(imports(SRC / "synthcam/effects/__init__.py"))
+            assert {o for o in others if o.startswith("synthcam")} == {"synthcam.effect"}, name
 
 
 @pytest.mark.parametrize("path", FILES, ids=module)
 def test_files_stay_small_and_well_named(path):
     assert path.stem not in {"utils", "helpers", "types", "base", "constants", "common", "misc"}
     assert len(path.read_text().splitlines()) < 400
+
+
+@pytest.mark.parametrize("folder", sorted({p.parent for p in FILES}), ids=lambda f: str(f.relative_to(SRC)))
+def test_folders_stay_small(folder):
+    limit = 60 if folder.name == "effects" else 18  # an effect is a file
+    assert len([p for p in folder.glob("*.py") if p.name != "__init__.py"]) <= limit

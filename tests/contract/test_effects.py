@@ -14,7 +14,8 @@ from synthcam.camera.pinhole import Camera, Lamp, glint_px
 from synthcam.dynamics.batch import collisions
 from synthcam.dynamics.launch import Launch
 from synthcam.dynamics.solve import solve
-from synthcam.effect import LAWS, library
+from synthcam.effect import LAWS
+from synthcam.library import library
 from synthcam.model import Model, build, read_model, settings_of, write_model
 from synthcam.scene import scene as scene_module
 from synthcam.scene.filmed_motion import View

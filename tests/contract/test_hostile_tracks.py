@@ -13,7 +13,7 @@ from discrepancy.find import find
 from discrepancy.fitting.gauss_newton import BASE, Evidence, _part, fit, linearised, settle
 from discrepancy.fitting.parameters import limits_of, within
 from discrepancy.noise.model import Component, Noise
-from synthcam.effect import library
+from synthcam.library import library
 from synthcam.model import Model
 from tracker.camera.camera import InputError
 

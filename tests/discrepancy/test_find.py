@@ -12,7 +12,7 @@ from discrepancy.add import add
 from discrepancy.data.collisions import split
 from discrepancy.find import find
 from discrepancy.selection.stepwise import Search, search
-from synthcam.effect import library
+from synthcam.library import library
 from synthcam.model import Ball, Model
 from tracker.camera.camera import InputError, Lamp
 

@@ -26,7 +26,7 @@ from discrepancy.selection.candidate import Candidate
 from discrepancy.selection.free_law_contest import Look, Slots
 from discrepancy.selection.score_test import Contest
 from discrepancy.selection.stepwise import _Hunt, search
-from synthcam.effect import library
+from synthcam.library import library
 from synthcam.model import Model
 
 NOISE = Noise(Component(1.0))

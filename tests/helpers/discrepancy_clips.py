@@ -16,7 +16,7 @@ from discrepancy.fitting.predict import forecast
 from discrepancy.noise.model import Component, Noise, estimate
 from discrepancy.noise.whitening import Whitener
 from synthcam.dynamics import batch
-from synthcam.effect import library
+from synthcam.library import library
 from synthcam.model import Model
 from tracker.camera.camera import Camera
 

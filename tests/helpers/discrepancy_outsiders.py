@@ -8,7 +8,8 @@ import pytest
 from discrepancy_clips import collisions, only
 
 from discrepancy.find import find
-from synthcam.effect import Effect, library, parameter
+from synthcam.effect import Effect, parameter
+from synthcam.library import library
 from synthcam.model import Model
 
 FEW = ("velocity_restitution", "rolling_quadratic", "stribeck", "spin_transfer_velocity", "friction_anisotropy")

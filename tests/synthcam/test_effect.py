@@ -6,7 +6,8 @@ from dataclasses import dataclass
 
 import pytest
 
-from synthcam.effect import LAWS, Effect, Laws, effects_in, library, parameter
+from synthcam.effect import LAWS, Effect, Laws, parameter
+from synthcam.library import effects_in, library
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,8 @@ import numpy as np
 
 from discrepancy.data.collisions import split
 from synthcam.dataset.files import camera_json
-from synthcam.effect import Effect, library
+from synthcam.effect import Effect
+from synthcam.library import library
 from synthcam.model import Model
 from synthcam.scene.scene import UPSTREAM, Clip, Scene, check_scene
 from tracker.camera.camera import Camera

@@ -15,7 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from discrepancy.fitting.predict import forecast
-from synthcam.effect import Effect, library
+from synthcam.effect import Effect
+from synthcam.library import library
 from synthcam.model import Model
 from tracker.camera.camera import Camera, InputError
 

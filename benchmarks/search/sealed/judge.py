@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from synthcam.effect import library
+from synthcam.library import library
 
 from .boxes import DEFECTS, FOREIGN
 

@@ -14,7 +14,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from synthcam.effect import library, parameter
+from synthcam.effect import parameter
+from synthcam.library import library
 
 from .outsiders import Outsider, dice, step
 

@@ -19,7 +19,7 @@ from matplotlib.figure import Figure
 from scipy.stats import norm
 
 from discrepancy.report.figures import inline
-from synthcam.effect import library
+from synthcam.library import library
 
 from .boxes import FOREIGN, UNDRAWN
 from .goals import goals, share, with_gap

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from synthcam.effect import library
+from synthcam.library import library
 
 from .boxes import AT, UNDRAWN, Study
 from .ordinary import UNKNOWN

@@ -10,7 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from synthcam.effect import Effect, Parameter, library
+from synthcam.effect import Effect, Parameter
+from synthcam.library import library
 from synthcam.model import Model
 
 _UNLIMITED = {"gravity": 1e-4, "sliding_friction": 1e-5, "rolling_drag": 1e-4, "rolling_decel": 1e-5}  # their steps

@@ -12,7 +12,7 @@ from discrepancy.fitting.gauss_newton import Fit
 from discrepancy.fitting.parameters import parameter_of, span_of
 from discrepancy.free_laws.evidence import freedom
 from discrepancy.free_laws.slots import SLOTS
-from synthcam.effect import library
+from synthcam.library import library
 
 LAW = 2 * math.log(SLOTS)  # of one law chosen to be left free
 

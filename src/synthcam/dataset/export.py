@@ -8,86 +8,28 @@ import pkgutil
 import shutil
 import uuid
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import pandas as pd
-import tifffile
-from numpy.typing import NDArray
 
+from synthcam.dataset import exports
 from synthcam.dataset.files import clip_folders
+from synthcam.dataset.recorded import Recorded, first_line
 from synthcam.outputs import check_room, told
 from synthcam.settings import InputError
 
-
-@dataclass(frozen=True)
-class Recorded:
-    """One clip of a dataset, as read from its files. of: how many clips its scene has in all."""
-
-    number: int
-    scene: str
-    of: int
-    camera: dict[str, Any]
-    drawn: dict[str, Any]
-    scalars: dict[str, Any]
-    tracks: pd.DataFrame
-    events: pd.DataFrame
-    stack: Path
-
-    def check(self) -> None:
-        """Raises KeyError, TypeError or ValueError where what every format needs is not there."""
-        numbers = [*self.camera["size"], self.camera["fps"], self.bits, self.diameter_px, self.frames]
-        if not all(0 < float(x) < LARGEST for x in numbers):
-            raise ValueError("camera.json or tracks.parquet without size, rate, bits, ball or frames")
-
-    @property
-    def frames(self) -> int:
-        return int(self.tracks["frame"].max()) + 1
-
-    @property
-    def bits(self) -> int:
-        return int(self.camera["sensor"]["bits"])
-
-    @property
-    def video(self) -> bool:
-        return self.stack.is_file()
-
-    @property
-    def diameter_px(self) -> float:
-        return float(self.camera["ball_diameter"] / self.camera["scale"])
-
-    def pictures(self) -> Iterator[NDArray[Any]]:
-        """The frames, one at a time, (h, w) uint8 or uint16."""
-        try:
-            with tifffile.TiffFile(self.stack) as tif:
-                for page in tif.pages:
-                    yield page.asarray()
-        except Exception as error:  # decoders raise their own kinds
-            raise InputError(f"{self.stack}: damaged ({_line(error)}); `synthcam verify` tells more") from None
-
-    def in_view(self, ball: pd.DataFrame) -> pd.DataFrame:
-        """The rows of tracks at which the ball's centre lies in the picture."""
-        width, height = self.camera["size"]
-        x, y = ball["x_mean_px"], ball["y_mean_px"]
-        kept: pd.DataFrame = ball.loc[(x > -0.5) & (x < width - 0.5) & (y > -0.5) & (y < height - 0.5)]
-        return kept
-
-
-LARGEST = 1e9  # of any number that a camera or a stack is told by
 Writer = Callable[[Iterator[Recorded], Path], None]
 
 
 def formats() -> dict[str, str]:
     """Name of each format, and what it is in one line."""
-    from synthcam.dataset import exports
-
     names = sorted(info.name for info in pkgutil.iter_modules(exports.__path__))
     return {name: (_module(name).__doc__ or "").splitlines()[0] for name in names}
 
 
 def _module(name: str) -> Any:
-    return importlib.import_module(f"synthcam.dataset.exports.{name}")
+    return importlib.import_module(f"{exports.__name__}.{name}")
 
 
 def export(dataset: Path, kind: str, output: Path, tick: Callable[[int, int], None], truth: Path | None = None) -> int:
@@ -122,11 +64,7 @@ def _rows(table: Path) -> pd.DataFrame:
         rows = pd.read_parquet(table)
         return rows.astype({"clip": int, "scene": str})
     except (KeyError, ValueError, TypeError, OSError) as error:  # pyarrow's are of all kinds
-        raise InputError(f"{table}: damaged ({_line(error)})") from None
-
-
-def _line(error: Exception) -> str:
-    return " ".join(str(error).split())[:100] or type(error).__name__
+        raise InputError(f"{table}: damaged ({first_line(error)})") from None
 
 
 def _clips(dataset: Path, truth: Path, rows: pd.DataFrame, tick: Callable[[int, int], None]) -> Iterator[Recorded]:
@@ -151,6 +89,6 @@ def _clips(dataset: Path, truth: Path, rows: pd.DataFrame, tick: Callable[[int, 
         except FileNotFoundError as e:
             raise InputError(f"{e.filename}: missing; `synthcam verify` tells what else is") from None
         except (KeyError, ValueError, TypeError, OSError, RecursionError) as e:
-            raise InputError(f"{folder}: damaged ({_line(e)}); `synthcam verify` tells more") from None
+            raise InputError(f"{folder}: damaged ({first_line(e)}); `synthcam verify` tells more") from None
         yield clip
         tick(k + 1, len(rows))

@@ -18,7 +18,7 @@ from scipy.special import ndtr
 
 from tracker.camera.lens import Array
 from tracker.detection.candidates import Ground
-from tracker.detection.detect import Glints
+from tracker.detection.glints import Glints
 
 HALF = 36  # px, of the mean picture
 WINDOWS = 400  # at most, in the mean

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 
 from tracker.detection.candidates import Search
-from tracker.detection.detect import Glints, View
+from tracker.detection.glints import Glints, View
 
 FEWEST = 6  # glints in a clip, below which somebody will ask why
 LOOKS = 9  # frames

@@ -15,7 +15,7 @@ from scipy.optimize import linear_sum_assignment
 
 from tracker.camera.camera import Camera
 from tracker.camera.lens import Array
-from tracker.detection.detect import Glints, flag_words
+from tracker.detection.glints import Glints, flag_words
 
 Ints = NDArray[np.int64]
 

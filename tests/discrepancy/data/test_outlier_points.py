@@ -11,7 +11,7 @@ from discrepancy.find import find
 from discrepancy.fitting.base_fit import CLAIMED, base_fit
 from discrepancy.fitting.parameters import parameter_of
 from discrepancy.fitting.predict import forecast
-from synthcam.effect import library
+from synthcam.library import library
 from synthcam.model import Model
 
 CLIPS = collisions(Model(), 8, 3)

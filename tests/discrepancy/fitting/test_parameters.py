@@ -3,7 +3,7 @@
 import pytest
 
 from discrepancy.fitting.parameters import BASE, between, fitted, limits_of, parameter_of, step_of, suspects
-from synthcam.effect import library
+from synthcam.library import library
 from synthcam.model import Model
 
 TEXTBOOK = Model().replace({"sliding_friction": 0.0, "spin_transfer": 0.0})

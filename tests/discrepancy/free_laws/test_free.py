@@ -14,8 +14,9 @@ from discrepancy.free_laws.free import ALONE, BENDS, PACE, SLOTS, UNBENT
 from discrepancy.free_laws.slots import columns, slots
 from discrepancy.noise.model import Component, Noise
 from discrepancy.selection.free_law_contest import Slots
-from synthcam.effect import Effect, library, parameter
+from synthcam.effect import Effect, parameter
 from synthcam.effects.rolling_mismatch import RollingMismatch
+from synthcam.library import library
 from synthcam.model import Model
 
 NOISE = Noise(Component(1.0))

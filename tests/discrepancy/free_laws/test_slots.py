@@ -9,7 +9,7 @@ from discrepancy_clips import exact
 from discrepancy.fitting.predict import forecast
 from discrepancy.free_laws.basis import Axis
 from discrepancy.free_laws.slots import Slot, columns, slots
-from synthcam.effect import library
+from synthcam.library import library
 from synthcam.model import Model
 
 CLIPS = exact(Model(), 5, 11)

@@ -12,7 +12,7 @@ from discrepancy.noise.model import estimate
 from discrepancy.selection.fit_store import Visited
 from discrepancy.selection.score_test import Contest
 from discrepancy.selection.stepwise import search
-from synthcam.effect import library
+from synthcam.library import library
 from synthcam.model import Model
 
 

@@ -8,7 +8,7 @@ from discrepancy.fitting.gauss_newton import BASE, Evidence, fit, linearised
 from discrepancy.fitting.parameters import parameter_of
 from discrepancy.noise.model import Component, Noise
 from discrepancy.selection.model_cost import price
-from synthcam.effect import library
+from synthcam.library import library
 from synthcam.model import Model
 
 NOISE = Noise(Component(1.0))

@@ -12,7 +12,7 @@ from discrepancy.fitting.parameters import Suspect
 from discrepancy.fitting.predict import forecast
 from discrepancy.noise.model import estimate
 from discrepancy.selection.score_test import Contest, likeness
-from synthcam.effect import library
+from synthcam.library import library
 from synthcam.model import Model
 
 

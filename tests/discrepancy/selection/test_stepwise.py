@@ -15,7 +15,7 @@ from discrepancy.fitting.significance import FLOOR
 from discrepancy.noise.model import estimate
 from discrepancy.selection.fit_store import Visited
 from discrepancy.selection.stepwise import _Hunt, search
-from synthcam.effect import library
+from synthcam.library import library
 from synthcam.model import Model
 
 FEW = ("velocity_restitution", "spin_transfer_velocity", "rolling_quadratic", "mass_mismatch", "hop")

@@ -10,7 +10,7 @@ from synthcam.cli import app
 from synthcam.dataset.sketch import FPS, FRAMES, LAUNCH, realistic, sketch, tracks
 from synthcam.dynamics.launch import Launch
 from synthcam.dynamics.solve import solve
-from synthcam.effect import library
+from synthcam.library import library
 from synthcam.model import Model
 
 

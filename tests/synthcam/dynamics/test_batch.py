@@ -6,7 +6,7 @@ import pytest
 from synthcam.dynamics.batch import AT_ONCE, LAUNCH, collisions
 from synthcam.dynamics.launch import Launch
 from synthcam.dynamics.solve import solve
-from synthcam.effect import library
+from synthcam.library import library
 from synthcam.model import Model
 
 FPS, EXPOSURE, END = 250.0, 4e-3, 0.4  # the shutter never closes: every kink falls into an exposure

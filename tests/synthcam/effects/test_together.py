@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from synthcam.dynamics.batch import collisions
-from synthcam.effect import library
+from synthcam.library import library
 from synthcam.model import Model
 
 ROWS = np.array([[0.0, 0.01, 0.1, 0.45, 2.0, 0.4], [0.01, 0.0, 0.1, 0.2, 5.0, -0.3]])

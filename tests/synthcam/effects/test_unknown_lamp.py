@@ -7,7 +7,7 @@ from discrepancy_clips import CAMERA, EFFECTS, exact, noisy, only
 
 from discrepancy.add import add
 from discrepancy.find import find
-from synthcam.effect import library
+from synthcam.library import library
 from synthcam.model import Model
 from tracker.camera.camera import Lamp
 

@@ -13,7 +13,7 @@ from tracker.calibration.calibrate import calibrate, summary
 from tracker.calibration.contact_distance import touches
 from tracker.camera.camera import Camera, InputError
 from tracker.detection.candidates import Ground
-from tracker.detection.detect import Glints
+from tracker.detection.glints import Glints
 from tracker.detection.link import Tracks
 
 DIAMETER = 2.38e-3

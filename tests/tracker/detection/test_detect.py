@@ -13,7 +13,8 @@ from tracker.camera.camera import Camera, InputError
 from tracker.camera.frames import Clip, Frames
 from tracker.detection import detect as detect_module
 from tracker.detection.cramer_rao import localisation_bound
-from tracker.detection.detect import CLIPPED, MISFIT, NEAR, STREAK, detect, detectors, look
+from tracker.detection.detect import detect, detectors, look
+from tracker.detection.glints import CLIPPED, MISFIT, NEAR, STREAK
 from tracker.detection.link import assign
 
 CAM = Camera.from_dict({k: v for k, v in CAMERA.items() if k != "lamp"})  # no lamp: the body is centred on the glint

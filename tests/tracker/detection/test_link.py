@@ -6,7 +6,7 @@ from tracker_film import CAMERA, collision
 
 from tracker.camera.camera import Camera
 from tracker.detection import link as link_module
-from tracker.detection.detect import CLIPPED, Glints
+from tracker.detection.glints import CLIPPED, Glints
 from tracker.detection.link import assign, link, velocities
 
 CAM = Camera.from_dict({**CAMERA, "size": [640, 480]})

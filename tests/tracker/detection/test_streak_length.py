@@ -11,7 +11,8 @@ from typer.testing import CliRunner
 from tracker import cli
 from tracker.camera.camera import Camera
 from tracker.camera.frames import Clip, Frames
-from tracker.detection.detect import MISFIT, detect, look, settled
+from tracker.detection.detect import detect, look, settled
+from tracker.detection.glints import MISFIT
 from tracker.detection.streak_length import Streaks
 
 CAM = Camera.from_dict({k: v for k, v in CAMERA.items() if k != "lamp"})  # no lamp: the body is centred on the glint

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import cv2
 
-from synthcam.dataset.export import Recorded
+from synthcam.dataset.recorded import Recorded
 from synthcam.outputs import check_film
 from synthcam.settings import InputError
 

@@ -19,7 +19,7 @@ from scipy.spatial.transform import Rotation
 from synthcam.camera.glints import find_glints
 from synthcam.camera.lamp import Lamp
 from synthcam.camera.plate import PLATE, irradiance
-from synthcam.dataset.export import Recorded
+from synthcam.dataset.recorded import Recorded
 from synthcam.scene.scene import Clip, check_scene
 
 if TYPE_CHECKING:

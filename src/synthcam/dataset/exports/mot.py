@@ -10,7 +10,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from synthcam.dataset.export import Recorded
+from synthcam.dataset.recorded import Recorded
 
 CORNER = 1.5  # of a pixel's centre at (0, 0), in a frame in which the picture's corner is (1, 1)
 

@@ -7,7 +7,7 @@ import xml.etree.ElementTree as ET
 from collections.abc import Iterator
 from pathlib import Path
 
-from synthcam.dataset.export import Recorded
+from synthcam.dataset.recorded import Recorded
 
 
 def write(clips: Iterator[Recorded], folder: Path) -> None:

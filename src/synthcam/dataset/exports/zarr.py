@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from synthcam.dataset.export import Recorded
+from synthcam.dataset.recorded import Recorded
 from synthcam.settings import InputError
 
 STATES = ("rest", "roll", "slide", "fly")

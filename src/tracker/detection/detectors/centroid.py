@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tracker.detection.candidates import Search
-from tracker.detection.detect import CLIPPED, Glints, View
+from tracker.detection.glints import CLIPPED, Glints, View
 
 
 class Centroid:

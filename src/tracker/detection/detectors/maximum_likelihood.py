@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 from tracker.camera.lens import Array
 from tracker.detection.ball_profile import Body
 from tracker.detection.candidates import Search, coarse_place
-from tracker.detection.detect import CLIPPED, EDGE, MISFIT, NEAR, STREAK, Glints, View
 from tracker.detection.dsnu import Bare
 from tracker.detection.flux_prior import steadied
 from tracker.detection.glint_fit import Fit, Windows, fit, learn, stretch
+from tracker.detection.glints import CLIPPED, EDGE, MISFIT, NEAR, STREAK, Glints, View
 from tracker.detection.link import FASTEST, assign, velocities
 from tracker.detection.secondary_glints import agreed
 from tracker.detection.streak_length import Streaks

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from skimage.feature import blob_log
 
-from tracker.detection.detect import CLIPPED, Glints, View
+from tracker.detection.glints import CLIPPED, Glints, View
 
 HIGH = 4.0  # noise deviations of a pixel, of a blob's response
 PIXEL = 1.0 / 12.0  # px^2, variance of a place rounded to the whole pixel

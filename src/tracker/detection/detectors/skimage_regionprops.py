@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from skimage.measure import label, regionprops_table
 
-from tracker.detection.detect import CLIPPED, Glints, View
+from tracker.detection.glints import CLIPPED, Glints, View
 
 HIGH = 4.0  # noise deviations over the plate, of a glint's pixels
 LEAST = 3  # pixels of a glint

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tracker.camera.camera import InputError
-from tracker.detection.detect import CLIPPED, Glints, View
+from tracker.detection.glints import CLIPPED, Glints, View
 
 BRIGHT = 80.0  # noise deviations, of a glint's peak, over which a wide mask is the better one
 MASK = {False: (4.0, 68.0), True: (5.0, 107.0)}  # mask's half width over the glint's, and a mass that noise stays under

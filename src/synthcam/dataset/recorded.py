@@ -1,0 +1,74 @@
+"""A clip of a dataset as it was recorded, with its truth: what export formats write."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+import tifffile
+from numpy.typing import NDArray
+
+from synthcam.settings import InputError
+
+LARGEST = 1e9  # of any number that a camera or a stack is told by
+
+
+@dataclass(frozen=True)
+class Recorded:
+    """One clip of a dataset, as read from its files. of: how many clips its scene has in all."""
+
+    number: int
+    scene: str
+    of: int
+    camera: dict[str, Any]
+    drawn: dict[str, Any]
+    scalars: dict[str, Any]
+    tracks: pd.DataFrame
+    events: pd.DataFrame
+    stack: Path
+
+    def check(self) -> None:
+        """Raises KeyError, TypeError or ValueError where what every format needs is not there."""
+        numbers = [*self.camera["size"], self.camera["fps"], self.bits, self.diameter_px, self.frames]
+        if not all(0 < float(x) < LARGEST for x in numbers):
+            raise ValueError("camera.json or tracks.parquet without size, rate, bits, ball or frames")
+
+    @property
+    def frames(self) -> int:
+        return int(self.tracks["frame"].max()) + 1
+
+    @property
+    def bits(self) -> int:
+        return int(self.camera["sensor"]["bits"])
+
+    @property
+    def video(self) -> bool:
+        return self.stack.is_file()
+
+    @property
+    def diameter_px(self) -> float:
+        return float(self.camera["ball_diameter"] / self.camera["scale"])
+
+    def pictures(self) -> Iterator[NDArray[Any]]:
+        """The frames, one at a time, (h, w) uint8 or uint16."""
+        try:
+            with tifffile.TiffFile(self.stack) as tif:
+                for page in tif.pages:
+                    yield page.asarray()
+        except Exception as error:  # decoders raise their own kinds
+            raise InputError(f"{self.stack}: damaged ({first_line(error)}); `synthcam verify` tells more") from None
+
+    def in_view(self, ball: pd.DataFrame) -> pd.DataFrame:
+        """The rows of tracks at which the ball's centre lies in the picture."""
+        width, height = self.camera["size"]
+        x, y = ball["x_mean_px"], ball["y_mean_px"]
+        kept: pd.DataFrame = ball.loc[(x > -0.5) & (x < width - 0.5) & (y > -0.5) & (y < height - 0.5)]
+        return kept
+
+
+def first_line(error: Exception) -> str:
+    """What an error says, in one line."""
+    return " ".join(str(error).split())[:100] or type(error).__name__
