@@ -68,7 +68,7 @@ def stages(folder: Path) -> dict[str, float]:
     from tracker.camera.frames import open_source
     from tracker.detection.detect import DEFAULT, detect, look
     from tracker.detection.link import link
-    from tracker.track import measure_clip
+    from tracker.pipeline import measure_clip
 
     clip = read_scene(SCENE).draw(0, 0)
     view = view_of(clip)

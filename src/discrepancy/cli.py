@@ -92,7 +92,7 @@ def find(
     Example: discrepancy find out/results --model scenes/painter_behringer.yaml -o out/search
     """
     from discrepancy.data.collisions import read_measured
-    from discrepancy.find import find as search
+    from discrepancy.search import find as search
     from discrepancy.report import html as report
 
     started = time.monotonic()

@@ -16,7 +16,7 @@ import typer
 from tracker.camera.camera import InputError
 
 if TYPE_CHECKING:
-    from tracker.track import Outcome
+    from tracker.pipeline import Outcome
 
 app = typer.Typer(
     help="Finds rolling steel balls by their glint, follows them, and measures the collision with honest errors.",
@@ -68,7 +68,7 @@ def track(
 
     Example: tracker track out/benchmark -o out/results
     """
-    from tracker.track import default_workers, run
+    from tracker.pipeline import default_workers, run
 
     started = time.monotonic()
     with progress("clips") as tick:
@@ -94,7 +94,7 @@ def measure(
 
     Example: tracker measure tracks.csv --camera camera.json -o out/measured
     """
-    from tracker.track import measure_tables
+    from tracker.pipeline import measure_tables
 
     if point not in ("centre", "glint"):
         raise InputError(f"--point: expected centre or glint, not {point!r}")
@@ -194,7 +194,7 @@ def calibrate(
 def _measured(tracks: Path, truth: Path, output: Path, point: str) -> Path:
     """RESULTS of a table of tracks, kept in the report, by the dataset's own camera."""
     from tracker.camera.frames import open_source
-    from tracker.track import measure_tables
+    from tracker.pipeline import measure_tables
 
     cameras = open_source(truth).camera_files()
     if not cameras:

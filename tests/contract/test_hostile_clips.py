@@ -141,7 +141,7 @@ def test_a_stack_ten_times_the_memory_allowed(tmp_path):
     script = (
         "import resource, sys\n"
         "from tracker.camera.frames import open_source\n"
-        "from tracker.track import track_clip, measure_clip\n"
+        "from tracker.pipeline import track_clip, measure_clip\n"
         "import tracker.detection.detectors.maximum_likelihood, tracker.measurement.estimate\n"
         "held = next(line for line in open('/proc/self/status') if line.startswith('VmData'))\n"
         "limit = (int(held.split()[1]) << 10) + (130 << 20)\n"
@@ -158,7 +158,7 @@ def peak_memory(clip):
     """MB that a process of its own takes to track a clip."""
     script = (
         "import sys, resource\n"
-        "from tracker.track import track_clip\n"
+        "from tracker.pipeline import track_clip\n"
         "from tracker.camera.frames import open_source\n"
         "tracks, _, _ = track_clip(open_source(sys.argv[1]).clip(0))\n"
         "print(len(tracks), resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)\n"

@@ -9,7 +9,7 @@ from discrepancy_clips import STD, collisions, exact, only
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from discrepancy.find import find
+from discrepancy.search import find
 from discrepancy.fitting.gauss_newton import BASE, Evidence, _part, fit, linearised, settle
 from discrepancy.fitting.parameters import limits_of, within
 from discrepancy.noise.model import Component, Noise

@@ -12,7 +12,7 @@ from discrepancy.diagnostics import claims as stand
 from discrepancy.diagnostics.gap import Part, _closure
 from discrepancy.diagnostics.held_out import Held, refused
 from discrepancy.diagnostics.outlier_clips import odd
-from discrepancy.find import _verdict
+from discrepancy.search import _verdict
 from discrepancy.fitting import noise_refit as refine
 from discrepancy.fitting.gauss_newton import BASE, Evidence, Fit, fit
 from discrepancy.fitting.parameters import Suspect, suspects

@@ -8,7 +8,7 @@ import numpy as np
 import discrepancy.fitting.parameters
 import synthcam.model
 from discrepancy.data.collisions import Measured
-from discrepancy.find import find
+from discrepancy.search import find
 from discrepancy.fitting.gauss_newton import BASE, off
 from discrepancy.fitting.jacobian import derivative, launch_derivatives
 from discrepancy.fitting.parameters import strengths_of

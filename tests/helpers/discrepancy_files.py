@@ -5,7 +5,7 @@ import pandas as pd
 
 from synthcam.dataset.generate import Plan, run
 from synthcam.scene.scene import read_scene
-from tracker.track import measure_tables
+from tracker.pipeline import measure_tables
 
 SCENE = "scenes/painter_behringer.yaml"
 TRUTH = 0.1  # velocity_restitution.e

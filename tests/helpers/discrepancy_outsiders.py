@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from discrepancy_clips import collisions, only
 
-from discrepancy.find import find
+from discrepancy.search import find
 from synthcam.effect import Effect, parameter
 from synthcam.library import library
 from synthcam.model import Model

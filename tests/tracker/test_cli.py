@@ -279,7 +279,7 @@ def test_summaries_and_help(dataset, tmp_path):
 def test_tracker_knows_nothing_of_synthcam():
     """In a fresh process the whole command line is imported, and synthcam is not."""
     folder = "tracker.detection.detectors"
-    names = f"tracker.cli, tracker.track, {folder}.maximum_likelihood, {folder}.centroid"
+    names = f"tracker.cli, tracker.pipeline, {folder}.maximum_likelihood, {folder}.centroid"
     code = f"import sys, {names}; sys.exit(any(m.split('.')[0] in ('synthcam', 'discrepancy') for m in sys.modules))"
     assert subprocess.run([sys.executable, "-c", code], check=False, env=os.environ).returncode == 0
     assert Path(cli.__file__).parent.name == "tracker"

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from discrepancy.data.collisions import Measured, read_measured
-from discrepancy.find import Found, find
+from discrepancy.search import Found, find
 from synthcam.model import read_model, settings_of
 from tracker.camera.camera import InputError
 

@@ -11,7 +11,7 @@ from typing import Any
 import jinja2
 import numpy as np
 
-from discrepancy.find import Found
+from discrepancy.search import Found
 from discrepancy.fitting.parameters import parameter_of
 from discrepancy.report.figures import drawn
 from discrepancy.report.narrative import story

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from discrepancy.find import Found
+from discrepancy.search import Found
 from discrepancy.fitting.gauss_newton import Fit, solve
 from discrepancy.fitting.parameters import limits_of
 

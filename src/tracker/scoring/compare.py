@@ -17,7 +17,7 @@ from tracker.camera.camera import InputError
 from tracker.detection.detect import detector
 from tracker.outputs import check_room, held, put, told
 from tracker.scoring.score import Score, score
-from tracker.track import run
+from tracker.pipeline import run
 
 TIMES = "times.json"
 LOCALISATION = ("n", "missed", "false", "rmse_px", "bound_px", "ratio", "phase_bias_px")

@@ -7,7 +7,7 @@ import pytest
 from discrepancy_clips import FRAMES, STD, collisions, exact, noisy, only
 
 from discrepancy.data.outlier_points import _Look, spikes, taken_out, without_spikes
-from discrepancy.find import find
+from discrepancy.search import find
 from discrepancy.fitting.base_fit import CLAIMED, base_fit
 from discrepancy.fitting.parameters import parameter_of
 from discrepancy.fitting.predict import forecast

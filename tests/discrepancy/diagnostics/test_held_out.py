@@ -8,7 +8,7 @@ from discrepancy_clips import HIDDEN, collisions, only, searched
 
 from discrepancy.data.collisions import split
 from discrepancy.diagnostics.held_out import Held, foretold
-from discrepancy.find import find
+from discrepancy.search import find
 from discrepancy.fitting.gauss_newton import BASE, fit
 from discrepancy.noise.model import Component, Noise
 from synthcam.model import Model

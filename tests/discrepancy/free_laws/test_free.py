@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from discrepancy_clips import exact, noisy, only
 
-from discrepancy.find import find
+from discrepancy.search import find
 from discrepancy.fitting.gauss_newton import BASE, Evidence, fit
 from discrepancy.fitting.predict import forecast
 from discrepancy.free_laws.answer import Answer, words

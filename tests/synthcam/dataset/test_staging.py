@@ -23,7 +23,7 @@ from synthcam.dataset.generate import run
 from synthcam.settings import InputError
 from tracker.detection.detect import DEFAULT
 from tracker.scoring.score import score
-from tracker.track import run as tracked
+from tracker.pipeline import run as tracked
 
 COMMAND = [sys.executable, "-c", "from synthcam.cli import main; main()"]
 SCENE = "launch: {v0: {uniform: [0.1, 0.6]}}\ntiming: {frames: 20, contact_frame: 6}\n"

@@ -6,7 +6,7 @@ import numpy as np
 from discrepancy_clips import CAMERA, EFFECTS, exact, noisy, only
 
 from discrepancy.add import add
-from discrepancy.find import find
+from discrepancy.search import find
 from synthcam.library import library
 from synthcam.model import Model
 from tracker.camera.camera import Lamp

@@ -248,7 +248,7 @@ def test_pictures_larger_than_the_memory_are_one_line(tmp_path):
         bomb(tmp_path / f"{name}.tif", side)
     script = (
         "import resource, sys\n"
-        "from tracker.track import _one\n"
+        "from tracker.pipeline import _one\n"
         "from tracker.camera.frames import InputError, open_source\n"
         "import tracker.detection.detectors.maximum_likelihood\n"
         "held = next(line for line in open('/proc/self/status') if line.startswith('VmData'))\n"

@@ -20,7 +20,7 @@ from tracker.measurement.derived import NAMES
 from tracker.measurement.estimate import fit_all, measure
 from tracker.scoring.report import write_report
 from tracker.scoring.score import score
-from tracker.track import measure_clip
+from tracker.pipeline import measure_clip
 
 CLIPS = 14
 SHOWN = ("v0", "b", "r", "mu_k", "C", "tau1", "energy_fraction")

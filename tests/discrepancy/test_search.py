@@ -10,7 +10,7 @@ from sealed.integrator import Plate, collision, means
 
 from discrepancy.add import add
 from discrepancy.data.collisions import split
-from discrepancy.find import find
+from discrepancy.search import find
 from discrepancy.selection.stepwise import Search, search
 from synthcam.library import library
 from synthcam.model import Ball, Model
@@ -108,7 +108,7 @@ def test_the_library_is_asked_again_for_what_stands_in_a_slots_place(monkeypatch
     def early(clips, base, noise, tick, enough, former):
         return search(clips, base, noise, tick, lambda now, rivals: enough(now, rivals) or True)
 
-    monkeypatch.setattr("discrepancy.find.search", early)
+    monkeypatch.setattr("discrepancy.search.search", early)
     found = find(collisions(Model().replace(truth), 8, 3), Model())
     assert found.verdict == "named"
     assert sorted(names(found)) == ["rolling_quadratic", "velocity_restitution"]
@@ -374,7 +374,7 @@ def test_it_is_counted_how_many_clips_are_gone(monkeypatch):
         asked.append((len(clips), gone))
         return {0: "one"} if (len(clips), gone) == (6, 0) else {}
 
-    monkeypatch.setattr("discrepancy.find.odd", first)
+    monkeypatch.setattr("discrepancy.search.odd", first)
     assert find(collisions(Model(), 8, 3), Model()).left_out == ("one",)
     assert asked[:2] == [(6, 0), (5, 1)]
 
