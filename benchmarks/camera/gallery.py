@@ -14,9 +14,8 @@ import imageio.v3 as imageio
 import numpy as np
 from numpy.typing import NDArray
 
-from synthcam.dataset.files import view_of
-from synthcam.dataset.generate import film
-from synthcam.scene.scene import Clip, check_scene
+from synthcam.scene.clip import Clip
+from synthcam.scene.scene import check_scene
 
 ROOT = Path(__file__).resolve().parents[2]
 Counts = NDArray[Any]
@@ -97,7 +96,7 @@ def clip_of(settings: dict[str, Any]) -> Clip:
 
 
 def frames_of(clip: Clip) -> list[Counts]:
-    return list(film(clip, view_of(clip), 0))
+    return list(clip.pictures())
 
 
 def printed(counts: Counts, clip: Clip, gamma: float, magnify: int) -> Counts:

@@ -61,18 +61,16 @@ def commands(clips: int, folder: Path) -> dict[str, float]:
 
 def stages(folder: Path) -> dict[str, float]:
     """Seconds a clip of 100 frames in each stage, one process."""
-    from synthcam.dataset.files import view_of, write_clip
-    from synthcam.dataset.generate import film
-    from synthcam.scene import ground_truth as truth
+    from synthcam.dataset.files import write_clip
+    from synthcam.scene.filmed_motion import View
     from synthcam.scene.scene import read_scene
     from tracker.camera.frames import open_source
     from tracker.detection.detect import DEFAULT, detect, look
     from tracker.detection.link import link
-    from tracker.pipeline import measure_clip
+    from tracker.recording import measure_clip
 
     clip = read_scene(SCENE).draw(0, 0)
-    view = view_of(clip)
-    frames = list(film(clip, view, 0))
+    frames = list(clip.pictures())
 
     def exhaust(items: Iterable[Any]) -> None:
         for _ in items:
@@ -80,12 +78,12 @@ def stages(folder: Path) -> dict[str, float]:
 
     def write() -> None:
         shutil.rmtree(folder / "one", ignore_errors=True)
-        write_clip(folder / "one" / "clips" / "000000", clip, view, iter(frames), {"seed": 0})
+        write_clip(folder / "one" / "clips" / "000000", clip, iter(frames), {"seed": 0})
 
     out = {
-        "simulate": timed(lambda: view_of(clip), 20),
-        "truth tables": timed(lambda: truth.tracks(clip.launch.bodies, view, clip.lamp, clip.frames)),
-        "draw and expose": timed(lambda: exhaust(film(clip, view, 0))),
+        "simulate": timed(lambda: View.of(clip.model, clip.launch, clip.camera, clip.frames), 20),
+        "truth tables": timed(lambda: clip.tracks),
+        "draw and expose": timed(lambda: exhaust(clip.pictures())),
         "write and hash": timed(write),
     }
     source = open_source(folder / "one")

@@ -92,8 +92,8 @@ def find(
     Example: discrepancy find out/results --model scenes/painter_behringer.yaml -o out/search
     """
     from discrepancy.data.collisions import read_measured
-    from discrepancy.search import find as search
     from discrepancy.report import html as report
+    from discrepancy.search import find as search
 
     started = time.monotonic()
     suspect = read_model(model)

@@ -171,10 +171,10 @@ def preview(
         raise InputError(f"{output}: expected a name that ends in .png, .gif or .mp4")
     drawn = read_scene(scene, tuple(set_ or ())).draw(clip, seed)
     if kind == ".png":
-        write_preview(drawn, seed, output, frame, magnify)
+        write_preview(drawn, output, frame, magnify)
         print(output)
     else:
-        print(f"{output}: {write_film(drawn, seed, output):.3g} times slower than it was")
+        print(f"{output}: {write_film(drawn, output):.3g} times slower than it was")
 
 
 @app.command()

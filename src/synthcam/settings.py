@@ -31,10 +31,11 @@ SCENES = Path(__file__).with_name("scenes")  # the repository's own, carried by 
 def read_yaml(path: Path) -> dict[str, Any]:
     """A YAML file's mapping, safely loaded. Raises InputError.
 
-    A path scenes/NAME.yaml that is not there stands for the scene of that name that comes with the package.
+    A path NAME or scenes/NAME.yaml that is not there stands for the scene of that name that comes with the package.
     """
-    carried = SCENES / path.name
-    if path.parent == Path("scenes") and not path.exists() and carried.is_file():
+    carried = SCENES / f"{path.name.removesuffix('.yaml')}.yaml"
+    named = path.parent == Path("scenes") or path == Path(path.stem)
+    if named and not path.exists() and carried.is_file():
         path = carried
     try:
         text = path.read_text(encoding="utf-8")

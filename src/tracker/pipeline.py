@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -21,17 +21,14 @@ import pandas as pd
 
 from tracker import results
 from tracker.camera.camera import Camera, InputError
-from tracker.camera.frames import Clip, Source, open_source
-from tracker.detection.detect import DEFAULT, detector, look, settled
-from tracker.detection.diagnose import why_nothing
-from tracker.detection.link import Tracks, link
-from tracker.measurement.adequacy import MEASURED
+from tracker.camera.frames import Source, open_source
+from tracker.detection.detect import detector
 from tracker.outputs import check_room, held, told
+from tracker.recording import followed, measured, unsaid
 
 MALLOPT = (-1, -3)  # M_TRIM_THRESHOLD, M_MMAP_THRESHOLD of malloc.h
 KEPT = 32 << 20  # bytes
 ENDS = 1 << 16  # bytes at either end of a file that tell one recording from another
-UNSIZED = "ball_diameter: not told; collisions are not measured, and glints are not taken to centres"
 Tick = Callable[[int, int], None]
 
 
@@ -47,28 +44,6 @@ class Outcome:
     fresh: int
     frames: int
     notes: dict[str, int] = field(default_factory=dict)
-
-
-def track_clip(clip: Clip, name: str = DEFAULT) -> tuple[Tracks, Camera, str]:
-    """Tracks of one clip, its camera with what the clip itself tells filled in, and why there is nothing, or ''."""
-    view = look(clip)
-    glints, view = settled(clip, view, name)
-    return link(glints, view.camera), view.camera, why_nothing(clip.frames, view, glints)
-
-
-def measure_clip(tracks: Tracks, camera: Camera) -> tuple[list[dict[str, Any]], pd.DataFrame]:
-    """Rows of estimates, and the table of motion about the first collision."""
-    from tracker.measurement.estimate import failure, measure, motion_table
-    from tracker.measurement.estimate_row import unmeasured
-
-    try:
-        rows = measure(tracks, camera)
-        return rows, motion_table(tracks, camera, rows[0])
-    except InputError:
-        raise
-    except (ArithmeticError, ValueError, IndexError) as error:  # one clip never costs the others
-        nothing = replace(tracks, **{f.name: getattr(tracks, f.name)[:0] for f in fields(tracks)})
-        return [unmeasured(camera, failure(error))], motion_table(nothing, camera, {})
 
 
 def run(
@@ -111,12 +86,10 @@ def measure_tables(path: Path, output: Path, camera: Path, point: str = "centre"
         for number in todo:
             tracks, striker = tables[number]
             own = replace(base, striker=striker) if striker is not None else base
-            if point == "glint":
-                tracks = results.to_centres(tracks, own)
-            rows, motion = measure_clip(tracks, own)
-            results.write_clip(partial, number, tracks, motion, rows, own)
+            result = measured(tracks, own, number, point)
+            results.write_clip(partial, number, result.found, result.motion, result.rows, own)
         table = results.finish(partial, output, numbers)
-    notes = {note: len(numbers) for note in _notes(base) if not note.startswith("assumed")}
+    notes = {note: len(numbers) for note in unsaid(base) if not note.startswith("assumed")}
     return Outcome(table, len(numbers), len(todo), 0, notes)
 
 
@@ -198,34 +171,14 @@ def _one(source: Source, index: int, partial: Path, name: str) -> tuple[int, str
     _keep_memory()
     clip = source.clip(index)
     try:
-        tracks, camera, reason = track_clip(clip, name)
+        result = followed(clip, name)
     except (MemoryError, cv2.error) as error:
         if isinstance(error, cv2.error) and error.code != cv2.Error.StsNoMem:
             raise
         asked = " x ".join(map(str, clip.frames.shape))
         raise InputError(f"{source.clips[index][1]}: not enough memory for its {asked} pixels") from None
-    rows, motion = measure_clip(tracks, camera)
-    if reason:
-        rows = [row if row["status"] in MEASURED else row | {"status": reason} for row in rows]
-    results.write_clip(partial, clip.number, tracks, motion, rows, camera)
-    return len(clip.frames), "; ".join(filter(None, [clip.note, *_notes(camera), _streaks(camera)]))
-
-
-def _notes(camera: Camera) -> list[str]:
-    """What the camera file did not tell, and what in it is not accounted for."""
-    assumed = [name for name in camera.assumed if name != "ball_diameter"]
-    return [
-        *([f"assumed or estimated: {', '.join(assumed)}"] if assumed else []),
-        *([] if camera.knows_diameter or not camera.metric else [UNSIZED]),
-        *camera.unmodelled,
-    ]
-
-
-def _streaks(camera: Camera) -> str:
-    if camera.exposure_seen is None:
-        return ""
-    kind = "longer" if camera.exposure_seen > camera.exposure else "shorter"
-    return f"exposure: streaks are {kind} than it makes them; taken as they are seen ({results.SEEN} in {results.RUN})"
+    results.write_clip(partial, result.number, result.found, result.motion, result.rows, result.camera)
+    return result.frames, "; ".join(result.notes)
 
 
 def _keep_memory() -> None:

@@ -106,8 +106,13 @@ def gather(results: Path, numbers: Iterable[int]) -> pd.DataFrame:
         if not isinstance(found, list) or not all(isinstance(row, dict) and "status" in row for row in found):
             raise InputError(f"{place}: damaged, expected a list of estimates; remove {results} to start anew")
         rows += [{"clip": number, **row} for row in found]
-    table = pd.DataFrame(rows)
-    for name in table.columns:  # null stands for NaN in the clips' files
+    return estimates_table(rows)
+
+
+def estimates_table(rows: Iterable[Mapping[str, Any]]) -> pd.DataFrame:
+    """Estimates as the columns of estimates.parquet, one row a collision; None of JSON stands for NaN."""
+    table = pd.DataFrame([finite(row) for row in rows])
+    for name in table.columns:
         if table[name].dtype == object and name not in ("cov", "status", "striker", "noise", "flags"):
             table[name] = table[name].astype(float)
     return table
@@ -147,7 +152,7 @@ def tracks_table(tracks: Tracks) -> pa.Table:
 
 def write_json(path: Path, value: Any) -> None:
     """JSON with null for what is not finite."""
-    put(path, json.dumps(_finite(value), indent=1, sort_keys=False) + "\n")
+    put(path, json.dumps(finite(value), indent=1, sort_keys=False) + "\n")
 
 
 def _write_parquet(path: Path, table: pa.Table) -> None:
@@ -156,11 +161,12 @@ def _write_parquet(path: Path, table: pa.Table) -> None:
         put(path, stream.getvalue())
 
 
-def _finite(value: Any) -> Any:
+def finite(value: Any) -> Any:
+    """Plain values as JSON gives them back: None for what is not finite."""
     if isinstance(value, Mapping):
-        return {str(k): _finite(v) for k, v in value.items()}
+        return {str(k): finite(v) for k, v in value.items()}
     if isinstance(value, list | tuple | np.ndarray):
-        return [_finite(v) for v in value]
+        return [finite(v) for v in value]
     if isinstance(value, bool | np.bool_):
         return bool(value)
     if isinstance(value, int | np.integer):
@@ -198,19 +204,24 @@ def read_tracks(path: Path) -> dict[int, tuple[Tracks, str | None]]:
     CSV or Parquet with frame, particle, x, y in px; clip (0 if missing), striker, x_std, y_std, cov_xy may be
     there. Rows without a finite place are left out.
     """
-    table = _load(path)
+    return split_tracks(_load(path), str(path))
+
+
+def split_tracks(table: pd.DataFrame, where: str) -> dict[int, tuple[Tracks, str | None]]:
+    """`read_tracks` of a table in memory. where: what messages call it."""
+    _check_columns(table, where)
     clips = table["clip"] if "clip" in table else pd.Series(0, index=table.index)
     out: dict[int, tuple[Tracks, str | None]] = {}
-    numbers = _whole(clips, "clip", str(path))
+    numbers = _whole(clips, "clip", where)
     for number in np.unique(numbers).tolist():
         part = table[numbers == number]
         striker = None
         if "striker" in part:
             names = part["striker"].unique().tolist()
             if len(names) != 1 or names[0] not in ("a", "b"):
-                raise InputError(f"{path}: striker: clip {number} has {names}, expected one of a, b")
+                raise InputError(f"{where}: striker: clip {number} has {names}, expected one of a, b")
             striker = str(names[0])
-        out[number] = (_to_tracks(part, str(path)), striker)
+        out[number] = (_to_tracks(part, where), striker)
     return out
 
 
@@ -222,12 +233,16 @@ def _load(path: Path) -> pd.DataFrame:
     except Exception as error:  # readers raise their own kinds
         reason = (str(error).splitlines() or [type(error).__name__])[0][:120]
         raise InputError(f"{path}: cannot be read as a table of tracks ({reason})") from None
+    _check_columns(table, str(path))
+    return table
+
+
+def _check_columns(table: pd.DataFrame, where: str) -> None:
     missing = [name for name in NEEDED if name not in table]
     if missing:
-        raise InputError(f"{path}: no column {', '.join(missing)}, expected {', '.join(NEEDED)}")
+        raise InputError(f"{where}: no column {', '.join(missing)}, expected {', '.join(NEEDED)}")
     if len(table) == 0:
-        raise InputError(f"{path}: no rows, expected a row for each ball and frame")
-    return table
+        raise InputError(f"{where}: no rows, expected a row for each ball and frame")
 
 
 def _to_tracks(table: pd.DataFrame, where: str) -> Tracks:

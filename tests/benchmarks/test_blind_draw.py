@@ -15,7 +15,6 @@ from sealed.outsiders import OUTSIDERS
 from sealed.studies import ROUND, STUDIES
 
 from discrepancy.fitting.predict import forecast
-from synthcam.dataset.files import camera_json
 from synthcam.library import library
 from tracker.camera.camera import Camera
 
@@ -29,7 +28,7 @@ def test_two_integrators_agree_to_a_tenth_of_a_nanometre(name):
     hidden = hidden | ({"friction_anisotropy.s": -0.05} if name == "friction_anisotropy" else {})
     truth = truth_of(hidden)
     for clip in boxes.clips_of(truth):
-        camera = Camera.from_dict(camera_json(clip))
+        camera = Camera.from_dict(clip.camera_json)
         one, seen = evidence._by_synthcam(clip, camera)
         other, also = evidence.integrated(truth, clip, camera)
         np.testing.assert_array_equal(seen, also)

@@ -27,7 +27,8 @@ LAYERS = {
         "detection outputs",
         "measurement",
         "results",
-        "pipeline calibration",
+        "recording calibration",
+        "pipeline",
         "scoring",
         "cli",
     ],
@@ -60,6 +61,13 @@ LAYERS = {
         "glints plate exposure",
         "shutter sensor",
         "render",
+    ],
+    "synthcam.scene": [
+        "distribution apparatus filmed_motion",
+        "ground_truth filming",
+        "motion",
+        "clip",
+        "scene",
     ],
     "tracker.detection": [
         "candidates",

@@ -10,7 +10,7 @@ import pytest
 import tifffile
 from tracker_film import CAMERA, collision, disc, expose, film, spot, write_clip
 
-from tracker import cli, track
+from tracker import cli, pipeline, recording
 from tracker.camera.camera import Camera
 from tracker.camera.frames import Clip, Frames, open_source
 from tracker.detection.detect import detect, look
@@ -22,7 +22,7 @@ SHAPE = (160, 200)
 def status(tmp_path, frames, camera=CAMERA):
     """What `track` answers to the frames, by its table of estimates."""
     write_clip(tmp_path / "clip", frames, camera)
-    outcome = track.run(tmp_path / "clip", tmp_path / "out", None, "maximum_likelihood", 1)
+    outcome = pipeline.run(tmp_path / "clip", tmp_path / "out", None, "maximum_likelihood", 1)
     return outcome.estimates["status"].tolist()
 
 
@@ -89,7 +89,7 @@ def test_three_balls_are_three_tracks_and_the_hit_is_still_measured():
     frames = film(rng, np.concatenate([pair, third], axis=1))
     camera = Camera.from_dict(CAMERA)
     clip = Clip(0, camera, Frames(len(frames), SHAPE, frames.dtype, lambda k: frames[k]))
-    tracks, _, reason = track.track_clip(clip)
+    tracks, _, reason = recording.track_clip(clip)
     assert reason == ""
     assert np.bincount(tracks.particle).tolist() == [50, 50, 50]
     for path in (*pair.transpose(1, 0, 2), third[:, 0]):  # each track stays on its own ball
@@ -141,7 +141,7 @@ def test_a_stack_ten_times_the_memory_allowed(tmp_path):
     script = (
         "import resource, sys\n"
         "from tracker.camera.frames import open_source\n"
-        "from tracker.pipeline import track_clip, measure_clip\n"
+        "from tracker.recording import track_clip, measure_clip\n"
         "import tracker.detection.detectors.maximum_likelihood, tracker.measurement.estimate\n"
         "held = next(line for line in open('/proc/self/status') if line.startswith('VmData'))\n"
         "limit = (int(held.split()[1]) << 10) + (130 << 20)\n"
@@ -158,7 +158,7 @@ def peak_memory(clip):
     """MB that a process of its own takes to track a clip."""
     script = (
         "import sys, resource\n"
-        "from tracker.pipeline import track_clip\n"
+        "from tracker.recording import track_clip\n"
         "from tracker.camera.frames import open_source\n"
         "tracks, _, _ = track_clip(open_source(sys.argv[1]).clip(0))\n"
         "print(len(tracks), resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)\n"
@@ -183,7 +183,7 @@ def test_memory_does_not_grow_with_the_length_of_a_clip(tmp_path):
 
 def test_reasons_reach_the_files(tmp_path):
     write_clip(tmp_path / "clip", noisy(np.random.default_rng(9), np.full(SHAPE, 0.5)))
-    track.run(tmp_path / "clip", tmp_path / "out", None, "maximum_likelihood", 1)
+    pipeline.run(tmp_path / "clip", tmp_path / "out", None, "maximum_likelihood", 1)
     table = pd.read_parquet(tmp_path / "out" / "estimates.parquet")
     assert table["status"].tolist() == ["no balls: nothing stands out from the plate"]
     rows = json.loads((tmp_path / "out/clips/000000/estimates.json").read_text())

@@ -9,10 +9,10 @@ from discrepancy_clips import STD, collisions, exact, only
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from discrepancy.search import find
 from discrepancy.fitting.gauss_newton import BASE, Evidence, _part, fit, linearised, settle
 from discrepancy.fitting.parameters import limits_of, within
 from discrepancy.noise.model import Component, Noise
+from discrepancy.search import find
 from synthcam.library import library
 from synthcam.model import Model
 from tracker.camera.camera import InputError

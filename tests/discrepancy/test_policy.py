@@ -12,7 +12,6 @@ from discrepancy.diagnostics import claims as stand
 from discrepancy.diagnostics.gap import Part, _closure
 from discrepancy.diagnostics.held_out import Held, refused
 from discrepancy.diagnostics.outlier_clips import odd
-from discrepancy.search import _verdict
 from discrepancy.fitting import noise_refit as refine
 from discrepancy.fitting.gauss_newton import BASE, Evidence, Fit, fit
 from discrepancy.fitting.parameters import Suspect, suspects
@@ -21,6 +20,7 @@ from discrepancy.free_laws.fitted_law import Filled
 from discrepancy.free_laws.slots import slots
 from discrepancy.noise import model as noise
 from discrepancy.noise.model import Component, Noise, estimate
+from discrepancy.search import _verdict
 from discrepancy.selection import free_law_contest as outside
 from discrepancy.selection.candidate import Candidate
 from discrepancy.selection.free_law_contest import Look, Slots

@@ -4,6 +4,7 @@ import numpy as np
 
 from synthcam.dataset import generate
 from synthcam.dataset.generate import Plan, run
+from synthcam.scene.clip import Clip
 from synthcam.scene.scene import check_scene
 
 SCENE = {
@@ -14,16 +15,16 @@ SCENE = {
 }
 
 
-def film(clip, motion, seed):
-    """Stands in for generate.film: noise from (seed, clip, frame), a Gaussian dot on each ball."""
+def film(clip):
+    """Stands in for Clip.pictures: noise from (seed, clip, frame), a Gaussian dot on each ball."""
     width, height = clip.camera.size
     rows, columns = np.mgrid[:height, :width]
     top = 2**clip.sensor.bits - 1
     for k in range(clip.frames):
-        rng = np.random.default_rng((seed, clip.number, k))
+        rng = np.random.default_rng((clip.seed, clip.number, k))
         picture = rng.normal(0.04, 0.004, (height, width))
         at = np.array([(k + 0.05) / clip.camera.fps])
-        for x, y in clip.camera.project(motion.at(at)[:, 0, :3]):
+        for x, y in clip.camera.project(clip.view.at(at)[:, 0, :3]):
             picture += 0.7 * np.exp(-((columns - x) ** 2 + (rows - y) ** 2) / 2.4)
         yield (np.clip(picture, 0, 1) * top).astype(np.uint8 if clip.sensor.bits == 8 else np.uint16)
 
@@ -38,7 +39,7 @@ def plan(clips=4, seed=5, video=True, scene=SCENE, **more):
 
 def make(folder, monkeypatch, withheld=None, **settings):
     """A finished dataset with dots for pictures."""
-    monkeypatch.setattr(generate, "film", film)
+    monkeypatch.setattr(Clip, "pictures", film)
     monkeypatch.setattr(generate, "drawing", lambda video: {"gl": {"renderer": "dots"}, "machine": {}})
     outcome = run(plan(**settings), folder, 1, quiet, withheld)
     assert outcome.failed == ()

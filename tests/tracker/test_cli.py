@@ -14,7 +14,7 @@ import tifffile
 from tracker_film import CAMERA, collision, film, write_clip, write_dataset
 from typer.testing import CliRunner
 
-from tracker import cli, results, track
+from tracker import cli, pipeline, recording, results
 from tracker.camera.camera import InputError
 
 COLUMNS = [
@@ -43,7 +43,7 @@ def dataset(tmp_path_factory):
 @pytest.fixture(scope="module")
 def tracked(dataset, tmp_path_factory):
     output = tmp_path_factory.mktemp("out") / "results"
-    track.run(dataset, output, None, "maximum_likelihood", 1)
+    pipeline.run(dataset, output, None, "maximum_likelihood", 1)
     return output
 
 
@@ -100,37 +100,37 @@ def test_workers_and_truth_change_nothing(dataset, tracked, tmp_path):
     shutil.copytree(dataset, copy)
     for truth in list(copy.rglob("truth")):
         shutil.rmtree(truth)
-    track.run(copy, tmp_path / "two", None, "maximum_likelihood", 2)
+    pipeline.run(copy, tmp_path / "two", None, "maximum_likelihood", 2)
     assert contents(tmp_path / "two") == contents(tracked)
 
 
 def test_an_interrupted_run_goes_on_to_the_same_bytes(dataset, tracked, tmp_path, monkeypatch):
-    real = track.track_clip
+    real = recording.track_clip
 
     def stop_at_second(clip, name):
         if clip.number == 1:
             raise KeyboardInterrupt
         return real(clip, name)
 
-    monkeypatch.setattr(track, "track_clip", stop_at_second)
+    monkeypatch.setattr(recording, "track_clip", stop_at_second)
     output = tmp_path / "results"
     with pytest.raises(KeyboardInterrupt):
-        track.run(dataset, output, None, "maximum_likelihood", 1)
+        pipeline.run(dataset, output, None, "maximum_likelihood", 1)
     assert not output.exists()
     (tmp_path / "results.partial/clips/000001.tmp").mkdir()
-    monkeypatch.setattr(track, "track_clip", real)
-    outcome = track.run(dataset, output, None, "maximum_likelihood", 1)
+    monkeypatch.setattr(recording, "track_clip", real)
+    outcome = pipeline.run(dataset, output, None, "maximum_likelihood", 1)
     assert (outcome.clips, outcome.fresh) == (2, 1)
     assert contents(output) == contents(tracked)
     assert not (tmp_path / "results.partial").exists()
-    assert track.run(dataset, output, None, "maximum_likelihood", 1).fresh == 0
+    assert pipeline.run(dataset, output, None, "maximum_likelihood", 1).fresh == 0
 
 
 def test_interrupted_it_says_how_to_go_on(dataset, tmp_path, monkeypatch, capsys):
     def stop(clip, name):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(track, "track_clip", stop)
+    monkeypatch.setattr(recording, "track_clip", stop)
     words = ["tracker", "track", str(dataset), "-o", str(tmp_path / "out"), "--workers", "1"]
     monkeypatch.setattr(sys, "argv", words)
     with pytest.raises(SystemExit) as stopped:
@@ -141,11 +141,11 @@ def test_interrupted_it_says_how_to_go_on(dataset, tmp_path, monkeypatch, capsys
 
 def test_results_of_anything_else_are_refused(dataset, tracked, tmp_path):
     with pytest.raises(InputError, match="another run"):
-        track.run(dataset, tracked, None, "centroid", 1)
+        pipeline.run(dataset, tracked, None, "centroid", 1)
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine" / "thesis.tex").write_text("precious")
     with pytest.raises(InputError, match="something else"):
-        track.run(dataset, tmp_path / "mine", None, "maximum_likelihood", 1)
+        pipeline.run(dataset, tmp_path / "mine", None, "maximum_likelihood", 1)
     assert (tmp_path / "mine" / "thesis.tex").read_text() == "precious"
 
 
@@ -154,11 +154,11 @@ def test_measure_takes_any_programs_table(tracked, tmp_path):
     table = pd.read_parquet(tracked / "clips/000000/tracks.parquet")
     bare = table[["frame", "particle", "x", "y"]].sample(frac=1, random_state=1)
     bare.to_csv(tmp_path / "tracks.csv", index=False)
-    outcome = track.measure_tables(tmp_path / "tracks.csv", tmp_path / "out", camera)
+    outcome = pipeline.measure_tables(tmp_path / "tracks.csv", tmp_path / "out", camera)
     assert outcome.estimates["clip"].tolist() == [0]
     glints = table.assign(x=table["glint_x"], y=table["glint_y"], clip=7, striker="a").drop(columns=["glint_x"])
     glints.to_parquet(tmp_path / "glints.parquet")
-    outcome = track.measure_tables(tmp_path / "glints.parquet", tmp_path / "out2", camera, "glint")
+    outcome = pipeline.measure_tables(tmp_path / "glints.parquet", tmp_path / "out2", camera, "glint")
     assert outcome.estimates["clip"].tolist() == [7]
     assert outcome.estimates["striker"].tolist() == ["a"]
     back = pd.read_parquet(tmp_path / "out2/clips/000007/tracks.parquet")
@@ -242,7 +242,7 @@ def test_bad_input_by_command(tmp_path, words, said, monkeypatch, capsys):
 def test_a_stack_without_a_camera_is_tracked_in_pixels(tmp_path):
     frames = film(np.random.default_rng(1), collision(20, contact=9.3, speed=4.0))
     tifffile.imwrite(tmp_path / "stack.tif", frames, imagej=True)
-    outcome = track.run(tmp_path / "stack.tif", tmp_path / "out", None, "maximum_likelihood", 1)
+    outcome = pipeline.run(tmp_path / "stack.tif", tmp_path / "out", None, "maximum_likelihood", 1)
     table = pd.read_parquet(tmp_path / "out/clips/000000/tracks.parquet")
     assert len(table) == 40
     assert all("glint" in words for words in table["flags"])

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from tracker_film import CAMERA, collision
 
-from tracker import cli, outputs, track
+from tracker import cli, outputs, pipeline
 from tracker.camera.camera import InputError
 
 NOWHERE = Path("/proc/nowhere")  # nobody may write there, root neither
@@ -37,7 +37,7 @@ def table(tmp_path):
 
 
 def measure(table, output):
-    return track.measure_tables(table, output, table.with_name("camera.json"))
+    return pipeline.measure_tables(table, output, table.with_name("camera.json"))
 
 
 def contents(folder):
@@ -93,7 +93,7 @@ def test_full_at_the_end_it_goes_on_too(table, tmp_path, monkeypatch):
 def test_full_before_the_first_clip_it_leaves_nothing(table, tmp_path, monkeypatch):
     with monkeypatch.context() as patch:
         limited(patch, outputs.ROOM)
-        patch.setattr(track.results, "write_clip", lambda *_: (tmp_path / "d.partial/x").write_bytes(bytes(10**6)))
+        patch.setattr(pipeline.results, "write_clip", lambda *_: (tmp_path / "d.partial/x").write_bytes(bytes(10**6)))
         with pytest.raises(InputError, match="No space left"):
             measure(table, tmp_path / "d")
     assert [p.name for p in tmp_path.iterdir()] == ["in"]
@@ -135,7 +135,7 @@ def test_a_place_where_nothing_can_be_written_is_named_at_once(table, words, mon
 
 def test_two_commands_do_not_make_the_same_results(table, tmp_path, monkeypatch):
     """The second is refused while the first is at work, and takes nothing of it away."""
-    write, refused, inside = track.results.write_clip, [], []
+    write, refused, inside = pipeline.results.write_clip, [], []
 
     def write_clip(folder, number, *rest):
         assert not inside, "the second command is at work too"
@@ -147,7 +147,7 @@ def test_two_commands_do_not_make_the_same_results(table, tmp_path, monkeypatch)
         refused.append(inside.pop())
         write(folder, number, *rest)
 
-    monkeypatch.setattr(track.results, "write_clip", write_clip)
+    monkeypatch.setattr(pipeline.results, "write_clip", write_clip)
     assert measure(table, tmp_path / "d").fresh == 3
     assert refused == [0, 1, 2]
 

@@ -12,11 +12,11 @@ from typing import Any
 import numpy as np
 
 from discrepancy.data.collisions import split
-from synthcam.dataset.files import camera_json
 from synthcam.effect import Effect
 from synthcam.library import library
 from synthcam.model import Model
-from synthcam.scene.scene import UPSTREAM, Clip, Scene, check_scene
+from synthcam.scene.clip import UPSTREAM, Clip
+from synthcam.scene.scene import Scene, check_scene
 from tracker.camera.camera import Camera
 
 from .fisher import CLASS, FREE, Fisher, Noise, Rows
@@ -316,7 +316,7 @@ def camera_of(truth: Truth) -> Camera:
 
 def camera_file(truth: Truth, clip: Clip) -> dict[str, Any]:
     """camera.json, which may say nothing of the lamp."""
-    known = camera_json(clip)
+    known = clip.camera_json
     return known if truth.get("lamp", LAMP) else {k: v for k, v in known.items() if k != "lamp"}
 
 

@@ -16,10 +16,8 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from discrepancy.fitting.predict import known_to_measure
-from synthcam.dataset.files import view_of, write_clip
-from synthcam.dataset.generate import film
-from synthcam.scene import ground_truth as exact
-from synthcam.scene.scene import Clip
+from synthcam.dataset.files import write_clip
+from synthcam.scene.clip import Clip
 from tracker.camera.camera import Camera, Lamp
 
 from .boxes import NOISES, SCALE, Truth, camera_file, camera_of, clips_of, launch_of, model_of
@@ -64,7 +62,7 @@ def _tracks(truth: Truth, clip: Clip, camera: Camera, rng: np.random.Generator) 
 
 def _by_synthcam(clip: Clip, camera: Camera) -> tuple[Array, NDArray[np.bool_]]:
     """Centres (2, frames, 2), px, means over the exposure, and whether a ball is in view (2, frames)."""
-    table = exact.tracks(clip.launch.bodies, view_of(clip), clip.lamp, clip.frames)
+    table = clip.tracks
     pixels = table[["x_mean_px", "y_mean_px"]].to_numpy().reshape(2, clip.frames, 2)
     velocity = table[["vx", "vy"]].to_numpy().reshape(2, clip.frames, 2)
     place = camera.unproject(pixels)[0]
@@ -144,9 +142,8 @@ def _filmed(truth: Truth, folder: Path) -> Path:
     """Film every clip, let the tracker look at the film alone, and keep what it says."""
     dataset, results, secret = folder / "film", folder / "results", folder / "truth"
     for clip in clips_of(truth):
-        view = view_of(clip)
         place = dataset / f"clips/{clip.number:06d}"
-        write_clip(place, clip, view, film(clip, view, truth["seed"]), {"seed": 0}, secret / f"{clip.number:06d}")
+        write_clip(place, clip, clip.pictures(), {"seed": 0}, secret / f"{clip.number:06d}")
         known = _as_believed(json.loads((place / "camera.json").read_text()), truth["defect"])
         if "glint" in truth["defect"]:
             known.pop("lamp")  # without it a tracker has nothing but the glint

@@ -18,10 +18,10 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from discrepancy.data.collisions import Measured
-from discrepancy.search import Found
 from discrepancy.fitting.gauss_newton import Fit
 from discrepancy.fitting.predict import forecast
 from discrepancy.free_laws.answer import Answer
+from discrepancy.search import Found
 
 Array = NDArray[np.float64]
 

@@ -6,9 +6,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from discrepancy.search import Found
 from discrepancy.fitting.gauss_newton import Fit, solve
 from discrepancy.fitting.parameters import limits_of
+from discrepancy.search import Found
 
 SETTLED = 0.1  # of chi^2 that a further step may gain
 

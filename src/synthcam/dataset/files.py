@@ -21,9 +21,7 @@ from numpy.typing import NDArray
 
 from synthcam.dataset.card import card
 from synthcam.scene import ground_truth as truth
-from synthcam.scene.apparatus import set_otherwise
-from synthcam.scene.filmed_motion import View
-from synthcam.scene.scene import Clip
+from synthcam.scene.clip import Clip
 from synthcam.settings import InputError
 
 Frames = Iterator[NDArray[np.uint8] | NDArray[np.uint16]]
@@ -33,38 +31,9 @@ ROWS = 1024  # of clips.parquet, written at a time
 IMAGEJ_LIMIT = 4_000_000_000  # bytes of a stack; a longer one is a plain BigTIFF
 
 
-def camera_json(clip: Clip) -> dict[str, Any]:
-    """What the experimenter knows: the nominal camera, lamp and sensor, and which ball was launched."""
-    camera, sensor = clip.nominal, clip.drawn["sensor"]
-    known: dict[str, Any] = {
-        "K": camera.K.tolist(),
-        "dist": camera.dist.tolist(),
-        "R": camera.R.tolist(),
-        "t": camera.t.tolist(),
-        "size": list(camera.size),
-        "fps": camera.fps,
-        "exposure": camera.exposure,
-        "scale": camera.scale,
-        "ball_diameter": clip.model.ball.diameter,
-        "striker": clip.drawn["launch"]["striker"],
-        "lamp": {"position": list(clip.drawn["lamp"]["position"]), "radius": clip.drawn["lamp"]["radius"]},
-        "psf": {"sigma_px": camera.psf_sigma_px},
-        "sensor": {k: v for k, v in sensor.items() if k not in ("glint_peak", "hot_pixels", "hot_dark")},
-    }
-    for section, values in set_otherwise(clip.drawn).items():
-        known[section] = known.get(section, {}) | values
-    return known
-
-
-def view_of(clip: Clip) -> View:
-    """The clip's motion, over all its frames and to the last slide's end, as its camera takes it."""
-    return View.of(clip.model, clip.launch, clip.camera, clip.frames)
-
-
 def write_clip(
     folder: Path,
     clip: Clip,
-    view: View,
     frames: Frames | None,
     meta: dict[str, Any],
     secret: Path | None = None,
@@ -77,12 +46,12 @@ def write_clip(
     folder.mkdir(parents=True, exist_ok=True)
     secret = secret or folder / "truth"
     secret.mkdir(parents=True)
-    _write_json(folder / "camera.json", camera_json(clip))
+    _write_json(folder / "camera.json", clip.camera_json)
     pixels, file = "", ""
     if frames is not None:
         pixels, file = _write_tiff(folder / VIDEO, clip, frames, compression)
     row = {"clip": clip.number, "seed_key": f"{meta['seed']}/{clip.number}", "scene": clip.drawn["name"]}
-    row |= truth.scalars(clip.model, clip.launch, view.motion)
+    row |= clip.truth
     row |= {
         "striker": clip.drawn["launch"]["striker"],
         "effects": json.dumps(clip.drawn["effects"], sort_keys=True),
@@ -91,8 +60,8 @@ def write_clip(
     }
     _write_json(secret / "scene.json", {**meta, "clip": clip.number, "drawn": clip.drawn, "row": row})
     tables = {
-        "tracks": truth.tracks(clip.launch.bodies, view, clip.lamp, clip.frames),
-        "events": truth.events(view.motion, clip.camera.fps),
+        "tracks": clip.tracks,
+        "events": clip.solve().events,
     }
     for name, table in tables.items():
         # by way of memory, so that a full disk is the same error as for other files

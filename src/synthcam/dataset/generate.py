@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import errno
 import json
-import pickle
 import platform
 import shutil
 import time
@@ -13,21 +12,17 @@ from dataclasses import dataclass
 from functools import lru_cache, partial
 from importlib.metadata import version
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pandas as pd
 
-from synthcam.camera.sensor import Chip, Sensor
-from synthcam.dataset.files import Frames, finish, finish_shard, view_of, write_clip
+from synthcam.dataset.files import finish, finish_shard, write_clip
 from synthcam.dataset.staging import PLAN, Partial, aside, begin, settle
 from synthcam.dataset.workers import each
-from synthcam.scene.filmed_motion import View
-from synthcam.scene.scene import Clip, Scene, check_scene
+from synthcam.scene.clip import Clip
+from synthcam.scene.scene import Scene, check_scene
 from synthcam.settings import InputError
-
-if TYPE_CHECKING:
-    from synthcam.camera.render import Film
 
 FULL = {errno.ENOSPC, errno.EDQUOT, errno.EROFS}  # what will happen to the next clip as well
 
@@ -251,9 +246,8 @@ def make_clip(plan: Plan, number: int, folder: Path, secret: Path | None = None)
     made, kept = aside(final), aside(hidden) if hidden else None
     try:
         clip = plan.clip(number)
-        view = view_of(clip)
-        frames = film(clip, view, plan.seed) if plan.video else None
-        write_clip(made, clip, view, frames, {"seed": plan.seed}, kept, plan.compression)
+        frames = clip.pictures() if plan.video else None
+        write_clip(made, clip, frames, {"seed": plan.seed}, kept, plan.compression)
         if kept and hidden:
             settle(kept, hidden)
         settle(made, final)
@@ -273,38 +267,6 @@ def _why(error: Exception) -> str:
         return f"{error.strerror or error}"
     said = " ".join(str(error).split())
     return said if isinstance(error, ValueError) else f"{type(error).__name__}: {said}"
-
-
-def film(clip: Clip, view: View, seed: int) -> Frames:
-    """The clip's frames as the sensor gives them, one at a time."""
-    chip = _chip(clip.sensor, clip.camera.size, clip.camera.exposure, seed)
-    radii = clip.launch.bodies.radius.tolist()
-    drawn = _film(pickle.dumps((clip.camera, clip.lamp, radii, clip.room, clip.surface)))
-    view = view.as_drawn()
-    pictures = drawn.frames(
-        lambda t: view.at(t)[:, :, :3].transpose(1, 0, 2),
-        view.spans(clip.frames),
-        view.breaks(),
-    )
-    for k, picture in enumerate(pictures):
-        yield chip.expose(picture, clip.number, k)
-
-
-@lru_cache(maxsize=2)
-def _film(seen: bytes) -> Film:
-    """One film serves all clips that are seen alike: its plate and its unit take as long as ten frames.
-
-    seen: what a Film is made of, pickled, as arrays have no hash.
-    """
-    from synthcam.camera.render import Film  # here alone: everything else works without OpenGL
-
-    return Film(*pickle.loads(seen))
-
-
-@lru_cache(maxsize=2)
-def _chip(sensor: Sensor, size: tuple[int, int], exposure: float, seed: int) -> Chip:
-    """One chip serves all clips of a camera: its fixed pattern takes as long to draw as many frames."""
-    return Chip(sensor, size, exposure, seed)
 
 
 def drawing(video: bool) -> dict[str, Any]:

@@ -15,30 +15,29 @@ import numpy as np
 from numpy.typing import NDArray
 from skimage.exposure import adjust_gamma, rescale_intensity
 
-from synthcam.dataset.files import view_of
-from synthcam.dataset.generate import film
 from synthcam.outputs import check_film, check_room, put, told
-from synthcam.scene.scene import Clip, check_scene
+from synthcam.scene.clip import Clip
+from synthcam.scene.filming import Counts
+from synthcam.scene.scene import check_scene
 
-Counts = NDArray[np.uint8] | NDArray[np.uint16]
 TIMED = 40  # frames
 SHOWN_FPS = 20  # of a film for people: GIF counts in hundredths of a second
 WIDTH = 640  # px of a film, about
 MARGIN = 2.0  # ball diameters round the balls' paths
 
 
-def write_preview(clip: Clip, seed: int, path: Path, frame: int | None, magnify: int) -> None:
+def write_preview(clip: Clip, path: Path, frame: int | None, magnify: int) -> None:
     """Write frame number `frame` of a clip (default: the last before the contact) as a PNG.
 
     magnify > 0: the balls so many times larger stand below the frame, with their faint bodies brought out.
     """
     check_room(path)
-    view = view_of(clip)
+    view = clip.view
     hit = view.motion.first("contact")
     when = hit.t if hit else 0.5 * clip.frames / clip.camera.fps
     k = frame if frame is not None else int((when - clip.camera.exposure) * clip.camera.fps)
     k = min(max(k, 0), clip.frames - 1)
-    counts = next(itertools.islice(film(clip, view, seed), k, None))
+    counts = next(itertools.islice(clip.pictures(), k, None))
     picture = _grey(counts, clip.sensor.bits)
     if magnify:
         middle = clip.camera.project(view.at(np.array([k / clip.camera.fps]))[:, 0, :3]).mean(axis=0)
@@ -51,22 +50,21 @@ def write_preview(clip: Clip, seed: int, path: Path, frame: int | None, magnify:
         put(path, data.tobytes())
 
 
-def write_film(clip: Clip, seed: int, path: Path) -> float:
+def write_film(clip: Clip, path: Path) -> float:
     """Write a clip as .gif or .mp4, cropped to where the balls pass and magnified; how many times slower it plays.
 
     What is dark is brought out, as in `write_preview`, and the noise taken out. A strip below the picture tells the
     speed and the time.
     """
-    view = view_of(clip)
     slower = clip.camera.fps / SHOWN_FPS
-    places = view.at(np.arange(clip.frames) / clip.camera.fps)[:, :, :3]
+    places = clip.view.at(np.arange(clip.frames) / clip.camera.fps)[:, :, :3]
     rows, columns = _crop(clip, places)
     size = max(rows.stop - rows.start, columns.stop - columns.start)
     zoom = max(1, -(-WIDTH // size))
     black, noise = (c / 2 ** (clip.sensor.bits - 8) for c in (clip.sensor.black_level, _noise(clip)))
 
     def shown() -> Iterator[NDArray[np.uint8]]:
-        for k, counts in enumerate(film(clip, view, seed)):
+        for k, counts in enumerate(clip.pictures()):
             patch = _lifted(_quiet(_grey(counts, clip.sensor.bits)[rows, columns], black + noise), black)
             large = np.kron(patch, np.ones((zoom, zoom), np.uint8))
             yield _with_caption(large, f"{slower:.3g} x slower   {1e3 * k / clip.camera.fps:.0f} ms")
@@ -161,7 +159,7 @@ def speed() -> float:
     clip = check_scene(settings, "doctor").draw(0, 0)
     for _ in range(2):
         started = time.perf_counter()
-        for _ in film(clip, view_of(clip), 0):
+        for _ in clip.pictures():
             pass
         seconds = time.perf_counter() - started
     return TIMED / seconds

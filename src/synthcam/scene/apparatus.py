@@ -164,3 +164,25 @@ def set_otherwise(drawn: dict[str, Any]) -> dict[str, dict[str, Any]]:
         given = {k: v for k, v in drawn[section].items() if k not in ("room", "glint_peak")}
         out[section] = {k: v for k, v in given.items() if v != usual.get(k)}
     return {section: values for section, values in out.items() if values}
+
+
+def camera_json(nominal: Camera, drawn: dict[str, Any]) -> dict[str, Any]:
+    """The keys of camera.json: what the experimenter knows of camera, lamp and sensor, and which ball was launched."""
+    known: dict[str, Any] = {
+        "K": nominal.K.tolist(),
+        "dist": nominal.dist.tolist(),
+        "R": nominal.R.tolist(),
+        "t": nominal.t.tolist(),
+        "size": list(nominal.size),
+        "fps": nominal.fps,
+        "exposure": nominal.exposure,
+        "scale": nominal.scale,
+        "ball_diameter": drawn["ball"]["diameter"],
+        "striker": drawn["launch"]["striker"],
+        "lamp": {"position": list(drawn["lamp"]["position"]), "radius": drawn["lamp"]["radius"]},
+        "psf": {"sigma_px": nominal.psf_sigma_px},
+        "sensor": {k: v for k, v in drawn["sensor"].items() if k not in ("glint_peak", "hot_pixels", "hot_dark")},
+    }
+    for section, values in set_otherwise(drawn).items():
+        known[section] = known.get(section, {}) | values
+    return known

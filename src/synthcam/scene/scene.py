@@ -3,29 +3,18 @@
 from __future__ import annotations
 
 import copy
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-import numpy as np
 from pydantic import Field, ValidationError, create_model
 from yaml import YAMLError
 
-from synthcam.camera.pinhole import Camera, Lamp
-from synthcam.camera.sensor import Sensor
-from synthcam.camera.surface import Surface
-from synthcam.dynamics.launch import Launch
-from synthcam.model import BallSettings, Model, ModelSettings, build, check_free, effect_settings
-from synthcam.scene.apparatus import (
-    CameraSettings,
-    LampSettings,
-    SensorSettings,
-    SurfaceSettings,
-    camera_of,
-    lamp_of,
-    surface_of,
-)
+from synthcam.model import BallSettings, ModelSettings, check_free, effect_settings
+from synthcam.scene.apparatus import CameraSettings, LampSettings, SensorSettings, SurfaceSettings
+from synthcam.scene.clip import Clip, clip_of
 from synthcam.scene.distribution import choices, corner, drawn, replaced, telling
 from synthcam.settings import (
     InputError,
@@ -37,9 +26,9 @@ from synthcam.settings import (
     read_yaml,
 )
 
-LABELS = {"a": ("b", "a"), "b": ("a", "b")}  # of ball 1 and ball 2, by the striker
-UPSTREAM = 0.015 / 0.6  # s: at 0.6 m/s the contact lies 15 mm before the centre, so that the slide's end is in view
 Place = Annotated[list[Annotated[float, Field(ge=-1e3, le=1e3)]], Field(min_length=2, max_length=2)]  # m, on the plate
+
+SHOWN = 4  # distributions, in a scene's repr
 
 
 class LaunchSettings(Settings):
@@ -87,89 +76,99 @@ def scene_file() -> type[Settings]:
     )
 
 
-@dataclass(frozen=True)
-class Clip:
-    """One drawn clip: everything that decides its frames, and `drawn`, the plain settings it came from.
-
-    nominal: the camera that the experimenter knows; camera: as it is, with the effects on it.
-    """
-
-    number: int
-    drawn: dict[str, Any]
-    model: Model
-    launch: Launch
-    nominal: Camera
-    camera: Camera
-    lamp: Lamp
-    surface: Surface
-    sensor: Sensor
-    frames: int
-
-    @property
-    def room(self) -> float:
-        return float(self.drawn["lamp"]["room"])
-
-
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Scene:
-    """A checked scene: plain settings in which a number may be a distribution."""
+    """An experiment: checked, plain settings in which a number may be a distribution, drawn anew for each clip.
+
+    Attributes
+    ----------
+    name : str
+    settings : dict
+        By section, as the scene's file has them; what is left out has the paper's value. See docs/format.md.
+    where : str
+        The file, for messages.
+
+    Examples
+    --------
+    >>> import synthcam
+    >>> scene = synthcam.Scene.read("oblique", launch={"v0": {"uniform": [0.2, 0.4]}})
+    >>> scene
+    Scene oblique: launch.v0 uniform [0.2, 0.4]
+    >>> [round(scene.draw(k, seed=1).truth["v0"], 4) for k in range(2)]
+    [0.2716, 0.2361]
+    """
 
     name: str
     settings: dict[str, Any]
     where: str
 
-    def draw(self, number: int, seed: int) -> Clip:
-        """Clip `number`. Each value is drawn from its own stream: (seed, clip, key), so that no value moves another."""
+    @classmethod
+    def read(cls, path: str | Path, **sections: Any) -> Scene:
+        """Read a scene's YAML file, and change some of it.
+
+        Parameters
+        ----------
+        path : str or Path
+            A file, or the name of one that comes with synthcam ("painter_behringer", "scenes/oblique.yaml").
+        **sections
+            Values that replace the file's: ``launch={"v0": 0.3}`` changes that key of its section alone, and
+            ``effects={"plate_tilt": {"x": 1e-3}}`` adds that effect to those of the file.
+
+        Returns
+        -------
+        Scene
+
+        Raises
+        ------
+        InputError
+            One line, with file and key, for what is no scene.
+        """
+        loaded = read_yaml(Path(path))
+        for name, values in sections.items():
+            here = loaded.get(name)
+            kept = here if isinstance(here, dict) else {}
+            loaded[name] = kept | _plain(values) if isinstance(values, Mapping) else _plain(values)
+        return check_scene(loaded, str(path))
+
+    def __repr__(self) -> str:
+        sections = ((s, values) for s, values in self.settings.items() if isinstance(values, dict))
+        found = {f"{s}.{k}": v for s, values in sections for k, v in values.items()}
+        spread = {k: v for k, v in found.items() if isinstance(v, dict) and set(v) <= {"uniform", "normal", "choice"}}
+        said = [f"{k} {kind} {value}" for k, v in spread.items() for kind, value in v.items()]
+        said[SHOWN:] = [f"{len(said) - SHOWN} more"] if len(said) > SHOWN else []
+        return f"Scene {self.name}: {', '.join(said) or 'all clips alike, but for noise'}"
+
+    def draw(self, number: int = 0, seed: int = 0) -> Clip:
+        """Draw a clip.
+
+        Parameters
+        ----------
+        number : int
+            Which one. Each value has its own stream, of seed, number and key, so that no value moves another.
+        seed : int
+            Of everything drawn, the sensor's noise included.
+
+        Returns
+        -------
+        Clip
+            The clip of that number in the dataset that ``synthcam generate --seed`` makes.
+
+        Raises
+        ------
+        InputError
+            Where the drawn values contradict each other.
+        """
         where = f"{self.where}, clip {number}"
-        return clip_of(number, _checked(drawn(self.settings, number, seed), where), where)
+        return clip_of(number, _checked(drawn(self.settings, number, seed), where), seed, where)
 
 
-def clip_of(number: int, drawn: dict[str, Any], where: str = "") -> Clip:
-    """The clip of plain, checked settings. Raises InputError when they contradict each other."""
-    model, where = build(drawn), where or drawn["name"]
-    timing, launch, camera = drawn["timing"], drawn["launch"], drawn["camera"]
-    for effect in model.effects:
-        if effect.active and "measure" in effect.laws:
-            raise InputError(f"{where}: effects.{effect.name()}: a defect of trackers; expected none in a scene")
-    if timing["exposure"] > 1 / timing["fps"]:
-        raise InputError(f"{where}: timing.exposure: expected at most 1/fps, {1 / timing['fps']:g} s")
-    if camera["height"] <= 2 * model.ball.diameter:
-        raise InputError(f"{where}: camera.height: expected more than two ball diameters")
-    if drawn["lamp"]["position"][2] <= 2 * model.ball.diameter:
-        raise InputError(f"{where}: lamp.position: expected z above the balls")
-    try:
-        lamp = lamp_of(drawn["lamp"])
-    except ValueError as e:
-        raise InputError(f"{where}: {str(e).replace(' ', '.', 1)}") from None
-    nominal = camera_of(drawn, model.ball.radius)
-    return Clip(
-        number=number,
-        drawn=drawn,
-        model=model,
-        launch=_launch(model, launch, timing["contact_frame"] / timing["fps"]),
-        nominal=nominal,
-        camera=_as_it_is(model, nominal),
-        lamp=lamp,
-        surface=surface_of(drawn["surface"]),
-        sensor=Sensor(**drawn["sensor"]),
-        frames=timing["frames"],
-    )
-
-
-def _as_it_is(model: Model, nominal: Camera) -> Camera:
-    bent: Camera = model.laws("camera", nominal, {})
-    return replace(bent, exposure=float(model.laws("exposure", nominal.exposure, {"fps": nominal.fps})))
-
-
-def _launch(model: Model, launch: dict[str, Any], time: float) -> Launch:
-    heading, v0, place = launch["heading"], launch["v0"], launch["contact"]
-    if place == "upstream":
-        place = -UPSTREAM * v0 * np.array([np.cos(heading), np.sin(heading)])
-    labels = (launch["striker"],) if launch["kind"] == "single" else LABELS[launch["striker"]]
-    bodies = model.bodies(labels)
-    if launch["kind"] == "single":
-        return Launch.single(bodies, time, v0, heading, place)
-    return Launch.pair(bodies, time, v0, launch["b"], heading, place)
+def _plain(value: Any) -> Any:
+    """As YAML would give it: numbers of numpy, arrays and tuples as plain ones."""
+    if isinstance(value, Mapping):
+        return {str(k): _plain(v) for k, v in value.items()}
+    if hasattr(value, "tolist"):
+        value = value.tolist()
+    return [_plain(v) for v in value] if isinstance(value, list | tuple) else value
 
 
 def read_scene(path: Path, overrides: tuple[str, ...] = ()) -> Scene:
@@ -183,7 +182,7 @@ def check_scene(loaded: dict[str, Any], where: str, overrides: tuple[str, ...] =
     for text in overrides:
         _override(settings, text)
     for end in ("low", "high"):
-        clip_of(0, _checked(corner(settings, end, "", where), where), where)
+        clip_of(0, _checked(corner(settings, end, "", where), where), where=where)
     low = corner(settings, "low", "", where)
     for key, options in choices(settings):
         for option in telling(options, ".".join(key), where):

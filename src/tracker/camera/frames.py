@@ -92,17 +92,8 @@ class Source:
         if chosen is None and self.dataset:
             raise InputError(f"{own}: no such file, expected the clip's camera.json")
         frames, note = open_frames(place)
-        size = (frames.shape[2], frames.shape[1])
-        if chosen is None:
-            camera = Camera.unknown(size, bits=8 * frames.dtype.itemsize)
-            return Clip(number, camera, frames, "; ".join(filter(None, [note, "no camera file: pixels only"])))
-        camera = Camera.read(chosen)
-        if camera.size != size:
-            asked = "x".join(map(str, camera.size))
-            raise InputError(f"{place}: frames are {size[0]}x{size[1]}, expected {asked} by size in {chosen}")
-        if "sensor.bits" in camera.assumed:
-            camera = replace(camera, sensor=replace(camera.sensor, bits=8 * frames.dtype.itemsize))
-        return Clip(number, camera, frames, note)
+        camera = Camera.read(chosen) if chosen is not None else None
+        return recorded(number, frames, note, camera, (f"{place}", f"{chosen}"))
 
     def camera_files(self) -> list[Path]:
         """The camera file of each clip, where there is one."""
@@ -110,6 +101,20 @@ class Source:
             return [self.camera]
         files = [(p.parent if p.is_file() else p) / "camera.json" for _, p in self.clips]
         return [f for f in files if f.is_file()]
+
+
+def recorded(number: int, frames: Frames, note: str, camera: Camera | None, names: tuple[str, str]) -> Clip:
+    """Frames and their camera as one clip. names: of film and camera, for the InputError where their sizes differ."""
+    size, bits = (frames.shape[2], frames.shape[1]), 8 * frames.dtype.itemsize
+    if camera is None:
+        note = "; ".join(filter(None, [note, "no camera file: pixels only"]))
+        return Clip(number, Camera.unknown(size, bits), frames, note)
+    if camera.size != size:
+        asked = "x".join(map(str, camera.size))
+        raise InputError(f"{names[0]}: frames are {size[0]}x{size[1]}, expected {asked} by size in {names[1]}")
+    if "sensor.bits" in camera.assumed:
+        camera = replace(camera, sensor=replace(camera.sensor, bits=bits))
+    return Clip(number, camera, frames, note)
 
 
 def open_source(path: Path | str, camera: Path | str | None = None) -> Source:
@@ -154,9 +159,14 @@ def open_frames(place: Path) -> tuple[Frames, str]:
         frames, note = _stack(place)
     else:
         frames, note = _video(place)
+    at_least_two(place, frames)
+    return frames, note
+
+
+def at_least_two(place: Path | str, frames: Frames) -> None:
+    """Raises InputError for less than two frames."""
     if len(frames) < 2:
         raise InputError(f"{place}: one frame only, expected at least two to follow a ball")
-    return frames, note
 
 
 def _pictures(folder: Path) -> list[Path]:
@@ -175,9 +185,9 @@ def _stack(path: Path) -> tuple[Frames, str]:
     plane = shape[-3:] if colour else shape[-2:]
     if len(shape) < len(plane) or 0 in shape:
         raise InputError(f"{path}: expected a stack of pictures, not an array of {shape}")
-    _not_too_large(path, plane)
+    not_too_large(path, plane)
     count = int(np.prod(shape[: len(shape) - len(plane)], dtype=np.int64))
-    _pixel_type(path, dtype)
+    pixel_type(path, dtype)
     if offset is not None:
         fetch: Callable[[int], Any] = _Pieces(path, offset, count, plane, dtype.newbyteorder(order))
     else:
@@ -186,7 +196,7 @@ def _stack(path: Path) -> tuple[Frames, str]:
             fetch(count - 1)
         except InputError:
             raise InputError(f"{path}: truncated, frame {count - 1} of {count} cannot be read") from None
-    return _grey(path, count, plane, dtype, fetch)
+    return grey_frames(path, count, plane, dtype, fetch)
 
 
 @contextmanager
@@ -273,8 +283,8 @@ class _Pages:
 def _folder(folder: Path) -> tuple[Frames, str]:
     paths = _pictures(folder)
     first = _picture(paths[0])
-    _pixel_type(paths[0], first.dtype)
-    _not_too_large(paths[0], first.shape)
+    pixel_type(paths[0], first.dtype)
+    not_too_large(paths[0], first.shape)
 
     def fetch(k: int) -> Any:
         picture = _picture(paths[k])
@@ -283,7 +293,7 @@ def _folder(folder: Path) -> tuple[Frames, str]:
             raise InputError(f"{paths[k]}: {has}, expected {wants} as in {paths[0].name}")
         return picture
 
-    return _grey(folder, len(paths), first.shape, first.dtype, fetch)
+    return grey_frames(folder, len(paths), first.shape, first.dtype, fetch)
 
 
 def _picture(path: Path) -> Any:
@@ -327,7 +337,7 @@ def _video(path: Path) -> tuple[Frames, str]:
         frame = frame.reshape(plane)
         return frame[..., 2::-1] if frame.ndim == 3 else frame
 
-    frames, grey = _grey(path, count, plane, first.dtype, fetch)
+    frames, grey = grey_frames(path, count, plane, first.dtype, fetch)
     return frames, "; ".join(filter(None, [note, grey]))
 
 
@@ -347,8 +357,8 @@ def _reader(path: Path) -> tuple[cv2.VideoCapture, str]:
         logs.setLogLevel(level)
 
 
-def _grey(
-    path: Path, count: int, plane: tuple[int, ...], dtype: Any, fetch: Callable[[int], Any]
+def grey_frames(
+    path: Path | str, count: int, plane: tuple[int, ...], dtype: Any, fetch: Callable[[int], Any]
 ) -> tuple[Frames, str]:
     """Frames of grey, colour turned into grey and said so."""
     if len(plane) == 2:
@@ -363,13 +373,13 @@ def _grey(
     return Frames(count, (plane[0], plane[1]), dtype, grey), "colour converted to grey"
 
 
-def _not_too_large(path: Path, plane: tuple[int, ...]) -> None:
+def not_too_large(path: Path | str, plane: tuple[int, ...]) -> None:
     height, width = plane[:2]
     if height * width > MOST_PIXELS or max(height, width) > LONGEST_SIDE:
         raise InputError(f"{path}: pictures of {width} x {height}, expected at most {MOST_PIXELS} pixels")
 
 
-def _pixel_type(path: Path, dtype: Any) -> None:
+def pixel_type(path: Path | str, dtype: Any) -> None:
     if dtype.kind == "f":
         raise InputError(f"{path}: float pixels, expected counts as uint8 or uint16 (NaN has no place in them)")
     if dtype not in (np.uint8, np.uint16):

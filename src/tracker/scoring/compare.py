@@ -16,8 +16,8 @@ from tracker import results
 from tracker.camera.camera import InputError
 from tracker.detection.detect import detector
 from tracker.outputs import check_room, held, put, told
-from tracker.scoring.score import Score, score
 from tracker.pipeline import run
+from tracker.scoring.score import Score, score
 
 TIMES = "times.json"
 LOCALISATION = ("n", "missed", "false", "rmse_px", "bound_px", "ratio", "phase_bias_px")

@@ -7,10 +7,10 @@ import pytest
 from discrepancy_clips import FRAMES, STD, collisions, exact, noisy, only
 
 from discrepancy.data.outlier_points import _Look, spikes, taken_out, without_spikes
-from discrepancy.search import find
 from discrepancy.fitting.base_fit import CLAIMED, base_fit
 from discrepancy.fitting.parameters import parameter_of
 from discrepancy.fitting.predict import forecast
+from discrepancy.search import find
 from synthcam.library import library
 from synthcam.model import Model
 

@@ -8,9 +8,9 @@ from discrepancy_clips import HIDDEN, collisions, only, searched
 
 from discrepancy.data.collisions import split
 from discrepancy.diagnostics.held_out import Held, foretold
-from discrepancy.search import find
 from discrepancy.fitting.gauss_newton import BASE, fit
 from discrepancy.noise.model import Component, Noise
+from discrepancy.search import find
 from synthcam.model import Model
 
 NOISE = Noise(Component(1.0))

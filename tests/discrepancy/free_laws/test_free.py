@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from discrepancy_clips import exact, noisy, only
 
-from discrepancy.search import find
 from discrepancy.fitting.gauss_newton import BASE, Evidence, fit
 from discrepancy.fitting.predict import forecast
 from discrepancy.free_laws.answer import Answer, words
 from discrepancy.free_laws.free import ALONE, BENDS, PACE, SLOTS, UNBENT
 from discrepancy.free_laws.slots import columns, slots
 from discrepancy.noise.model import Component, Noise
+from discrepancy.search import find
 from discrepancy.selection.free_law_contest import Slots
 from synthcam.effect import Effect, parameter
 from synthcam.effects.rolling_mismatch import RollingMismatch

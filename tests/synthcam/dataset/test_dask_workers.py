@@ -20,8 +20,8 @@ SCRIPT = """
 import json, os, signal, sys
 from pathlib import Path
 from distributed import LocalCluster
-from synthcam.generate import Plan, run
-from synthcam.scene import check_scene
+from synthcam.dataset.generate import Plan, run
+from synthcam.scene.scene import check_scene
 if __name__ == "__main__":
     plan = Plan((check_scene(json.loads(sys.argv[1]), "s.yaml"),), int(sys.argv[3]), 5, video=False)
     killed = []

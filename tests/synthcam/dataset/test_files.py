@@ -8,7 +8,7 @@ import pandas as pd
 import pytest
 import tifffile
 
-from synthcam.dataset.files import camera_json, clip_folders, finish, sha256, verify, view_of, write_clip
+from synthcam.dataset.files import clip_folders, finish, sha256, verify, write_clip
 from synthcam.scene.scene import check_scene
 from synthcam.settings import InputError
 
@@ -36,7 +36,7 @@ def frames_of(clip, seed=0):
 def dataset(tmp_path):
     for k in range(2):
         clip = SCENE.draw(k, 3)
-        write_clip(tmp_path / "clips" / f"{k:06d}", clip, view_of(clip), frames_of(clip), {"seed": 3})
+        write_clip(tmp_path / "clips" / f"{k:06d}", clip, frames_of(clip), {"seed": 3})
     finish(tmp_path, ABOUT)
     return tmp_path
 
@@ -66,7 +66,7 @@ def test_camera_json(dataset):
     assert (len(camera["dist"]), len(camera["t"]), camera["size"]) == (5, 3, [64, 48])
     assert camera["striker"] == "a"
     assert set(camera["sensor"]) == set("bits gain read_noise dark prnu dsnu full_well black_level".split())
-    assert camera == json.loads(json.dumps(camera_json(SCENE.draw(0, 3))))
+    assert camera == json.loads(json.dumps(SCENE.draw(0, 3).camera_json))
     assert camera["K"][0][0] == pytest.approx((0.5 - 1.19e-3) / 1.6e-3)
 
 
@@ -81,7 +81,7 @@ def test_frames_come_back_bit_for_bit(dataset):
 def test_frames_that_are_not_the_clips_are_refused(tmp_path, wrong):
     clip = SCENE.draw(0, 3)
     with pytest.raises(RuntimeError, match="expected 12 frames of uint16, 64 x 48"):
-        write_clip(tmp_path / "0", clip, view_of(clip), iter(wrong(list(frames_of(clip)))), {"seed": 3})
+        write_clip(tmp_path / "0", clip, iter(wrong(list(frames_of(clip)))), {"seed": 3})
 
 
 def test_clips_parquet(dataset):
@@ -104,13 +104,13 @@ def test_scene_json_makes_the_clip_again(dataset):
     again = check_scene(drawn, "again").draw(0, 99)
     tracks = pd.read_parquet(dataset / "clips/000001/truth/tracks.parquet")
     np.testing.assert_array_equal(
-        view_of(again).motion.at(tracks.t_s[:12].to_numpy())[0, :, 0], tracks.x[tracks.particle == 0]
+        again.view.motion.at(tracks.t_s[:12].to_numpy())[0, :, 0], tracks.x[tracks.particle == 0]
     )
 
 
 def test_one_ball_alone_has_gaps_not_zeros(tmp_path):
     clip = check_scene({"launch": {"kind": "single"}, "timing": {"frames": 3, "contact_frame": 1}}, "x").draw(0, 0)
-    write_clip(tmp_path / "clips" / "000000", clip, view_of(clip), None, {"seed": 0})
+    write_clip(tmp_path / "clips" / "000000", clip, None, {"seed": 0})
     finish(tmp_path, ABOUT | {"gl": {}})
     table = pd.read_parquet(tmp_path / "truth/clips.parquet")
     assert table.r.isna().all()

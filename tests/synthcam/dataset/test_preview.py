@@ -10,12 +10,13 @@ import pytest
 from synthcam_stub import film, plan
 
 from synthcam.dataset import preview
+from synthcam.scene.clip import Clip
 from synthcam.settings import InputError
 
 
 @pytest.fixture
 def clip(monkeypatch):
-    monkeypatch.setattr(preview, "film", film)
+    monkeypatch.setattr(Clip, "pictures", film)
     return plan().clip(1)
 
 
@@ -35,7 +36,7 @@ def frames_of(path):
 @pytest.mark.parametrize("name", ["f.gif", "f.mp4", "F.GIF"])
 def test_a_film(clip, tmp_path, name):
     path = tmp_path / name
-    assert preview.write_film(clip, 5, path) == pytest.approx(250 / 20)
+    assert preview.write_film(clip, path) == pytest.approx(250 / 20)
     assert [p.name for p in tmp_path.iterdir()] == [name]
     frames = frames_of(path.rename(tmp_path / name.lower()))
     assert len(frames) == clip.frames
@@ -44,16 +45,16 @@ def test_a_film(clip, tmp_path, name):
 
 
 def test_it_plays_at_the_speed_it_tells(clip, tmp_path):
-    preview.write_film(clip, 5, tmp_path / "f.gif")
+    preview.write_film(clip, tmp_path / "f.gif")
     assert iio.immeta(tmp_path / "f.gif")["duration"] == 50
-    preview.write_film(clip, 5, tmp_path / "f.mp4")
+    preview.write_film(clip, tmp_path / "f.mp4")
     assert cv2.VideoCapture(str(tmp_path / "f.mp4")).get(cv2.CAP_PROP_FPS) == pytest.approx(20)
 
 
 def test_the_balls_are_where_the_crop_says(clip, tmp_path):
     """Each frame's brightest place is one of the balls, by the crop's corner and the magnification."""
-    preview.write_film(clip, 5, tmp_path / "f.gif")
-    view = preview.view_of(clip)
+    preview.write_film(clip, tmp_path / "f.gif")
+    view = clip.view
     places = view.at(np.arange(clip.frames) / clip.camera.fps)[:, :, :3]
     rows, columns = preview._crop(clip, places)
     frames = frames_of(tmp_path / "f.gif")
@@ -67,7 +68,7 @@ def test_the_balls_are_where_the_crop_says(clip, tmp_path):
 
 
 def test_the_crop_holds_the_balls_and_no_more_than_the_picture(clip):
-    view = preview.view_of(clip)
+    view = clip.view
     places = view.at(np.arange(clip.frames) / clip.camera.fps)[:, :, :3]
     rows, columns = preview._crop(clip, places)
     assert rows.start >= 0 <= columns.start
@@ -82,14 +83,14 @@ def test_the_crop_holds_the_balls_and_no_more_than_the_picture(clip):
 
 
 def test_a_film_that_fails_leaves_nothing(clip, tmp_path, monkeypatch):
-    def broken(*_):
-        yield from first(film(clip, preview.view_of(clip), 5), 3)
+    def broken(clip):
+        yield from first(film(clip), 3)
         raise OSError("no more")
 
-    monkeypatch.setattr(preview, "film", broken)
+    monkeypatch.setattr(Clip, "pictures", broken)
     for name in ("f.gif", "f.mp4"):
         with pytest.raises(InputError, match="no more"):
-            preview.write_film(clip, 5, tmp_path / name)
+            preview.write_film(clip, tmp_path / name)
         assert not list(tmp_path.iterdir())
 
 
@@ -99,7 +100,7 @@ def test_a_gif_on_a_full_disk_leaves_nothing_and_says_no_more(clip, tmp_path):
     resource.setrlimit(resource.RLIMIT_FSIZE, (1 << 16, usual[1]))  # what `check_room` wants, and no more
     try:
         with pytest.raises(InputError, match=r"f\.gif: File too large$"):
-            preview.write_film(clip, 5, tmp_path / "f.gif")
+            preview.write_film(clip, tmp_path / "f.gif")
         gc.collect()
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, usual)

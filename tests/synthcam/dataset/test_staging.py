@@ -22,8 +22,8 @@ from synthcam.dataset.files import clip_folders, verify
 from synthcam.dataset.generate import run
 from synthcam.settings import InputError
 from tracker.detection.detect import DEFAULT
-from tracker.scoring.score import score
 from tracker.pipeline import run as tracked
+from tracker.scoring.score import score
 
 COMMAND = [sys.executable, "-c", "from synthcam.cli import main; main()"]
 SCENE = "launch: {v0: {uniform: [0.1, 0.6]}}\ntiming: {frames: 20, contact_frame: 6}\n"
@@ -157,15 +157,15 @@ def test_a_worker_that_is_killed_loses_one_clip(scene, tmp_path):
 
 
 def test_a_bug_in_one_clip_is_reported_with_its_kind(tmp_path, monkeypatch):
-    solve = generate.view_of
+    written = generate.write_clip
 
-    def buggy(clip):
+    def buggy(folder, clip, *rest):
         if clip.number == 2:
             raise ZeroDivisionError("float division\nby zero")
-        return solve(clip)
+        written(folder, clip, *rest)
 
     with monkeypatch.context() as patch:
-        patch.setattr(generate, "view_of", buggy)
+        patch.setattr(generate, "write_clip", buggy)
         outcome = run(silent(), tmp_path / "d", 1, quiet)
     assert outcome.failed == ("clip 2: ZeroDivisionError: float division by zero",)
     assert (outcome.made, outcome.table) == (3, None)

@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from synthcam.dataset.files import camera_json
 from synthcam.scene.scene import check_scene
 from synthcam.settings import InputError
 
@@ -42,7 +41,7 @@ def test_the_objects_are_as_set():
 
 
 def test_camera_json_tells_what_is_known_and_no_more():
-    told, plain = camera_json(clip_of(SET)), camera_json(clip_of({}))
+    told, plain = clip_of(SET).camera_json, clip_of({}).camera_json
     assert told["psf"] == {
         "sigma_px": 1.0,
         "defocus_px": 2.0,

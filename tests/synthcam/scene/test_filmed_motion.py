@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from synthcam.dataset.files import camera_json, view_of
 from synthcam.scene.ground_truth import tracks
 from synthcam.scene.scene import check_scene
 
@@ -19,7 +18,7 @@ PLAIN = clip_of()
 
 
 def pixels(clip):
-    view = view_of(clip)
+    view = clip.view
     return view.camera.project(view.at(np.arange(60) / FPS)[..., :3])
 
 
@@ -39,8 +38,8 @@ def pixels(clip):
 )
 def test_the_camera_file_stays_nominal(name, values):
     clip = clip_of(**{name: values})
-    assert camera_json(clip) == camera_json(PLAIN)
-    base, bent = (tracks(c.launch.bodies, view_of(c), c.lamp, 60) for c in (PLAIN, clip))
+    assert clip.camera_json == PLAIN.camera_json
+    base, bent = (tracks(c.launch.bodies, c.view, c.lamp, 60) for c in (PLAIN, clip))
     moved = np.abs(bent[["x_mean_px", "y_mean_px"]] - base[["x_mean_px", "y_mean_px"]]).to_numpy().max()
     assert moved > 0.01
 
@@ -81,15 +80,15 @@ def test_a_turned_camera_keeps_its_place_and_aim():
     ],
 )
 def test_frames_are_taken_when_the_law_says(name, values, law):
-    view, film = view_of(clip_of(**{name: values})), np.arange(60) / FPS
+    view, film = clip_of(**{name: values}).view, np.arange(60) / FPS
     np.testing.assert_allclose(view.times(film), np.tile(law(film), (2, 1)), rtol=0, atol=1e-12)
-    plain = view_of(PLAIN).motion
+    plain = PLAIN.view.motion
     inside = law(film) < plain.t1
     np.testing.assert_allclose(view.at(film)[:, inside], plain.at(law(film)[inside]), rtol=0, atol=1e-11)
 
 
 def test_a_rolling_shutter_takes_each_ball_in_its_own_row():
-    view, film = view_of(clip_of(rolling_shutter={"line": 2e-5})), np.arange(60) / FPS
+    view, film = clip_of(rolling_shutter={"line": 2e-5}).view, np.arange(60) / FPS
     times = view.times(film)
     for ball in (0, 1):
         rows = view.camera.project(view.motion.at(times[ball])[ball][:, :3])[:, 1]
@@ -99,7 +98,7 @@ def test_a_rolling_shutter_takes_each_ball_in_its_own_row():
 
 def test_the_shutter_stays_open_longer():
     clip = clip_of(exposure_blur={"longer": 1e-3})
-    spans = view_of(clip).spans(60)
+    spans = clip.view.spans(60)
     np.testing.assert_allclose(spans, np.arange(60)[:, None] / FPS + [0, 1.5e-3], rtol=0, atol=1e-15)
     assert clip_of(exposure_blur={"longer": -1e-3}).camera.exposure == 0.0
 
@@ -108,7 +107,7 @@ def test_the_shutter_stays_open_longer():
 def test_means_are_split_at_every_kink(effects):
     """Also where a bent clock moves the kink to another film time: against ten thousand instants."""
     clip = clip_of(**effects)
-    view = view_of(clip)
+    view = clip.view
     for film in (view.breaks()[:, None] + [-1.3e-3, 0.7e-3]).tolist():
         instants = film[0] + (np.arange(10000) + 0.5) / 10000 * (film[1] - film[0])
         mean = view.mean(np.array([film]), lambda s: s[..., :2])[:, 0]

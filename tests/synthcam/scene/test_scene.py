@@ -6,7 +6,7 @@ from repository import ROOT
 
 from synthcam.dynamics.solve import solve
 from synthcam.model import Model
-from synthcam.scene.scene import check_scene, read_scene, schema
+from synthcam.scene.scene import Scene, check_scene, read_scene, schema
 from synthcam.settings import InputError
 
 SHIPPED = sorted((ROOT / "scenes").glob("*.yaml"))
@@ -157,3 +157,46 @@ def test_the_schema_knows_every_key_and_distribution():
     assert {"$ref": "#/$defs/Distribution"} in v0["anyOf"]
     assert v0["default"] == 0.3
     assert found["$defs"]["LaunchSettings"]["additionalProperties"] is False
+
+
+def test_sections_override_the_files_own():
+    scene = Scene.read("scenes/oblique.yaml", launch={"v0": np.float64(0.3), "b": 0.2}, camera={"size": (128, 96)})
+    plain = read_scene(next(p for p in SHIPPED if p.stem == "oblique")).settings
+    assert scene.settings["launch"] == plain["launch"] | {"v0": 0.3, "b": 0.2}
+    assert type(scene.settings["launch"]["v0"]) is float
+    assert scene.settings["camera"] == plain.get("camera", {}) | {"size": [128, 96]}
+    clip = scene.draw(seed=1)
+    assert (clip.number, clip.seed, clip.truth["b"]) == (0, 1, pytest.approx(0.2))
+    assert Scene.read("oblique", name="mine", effects={"plate_tilt": {"x": 1e-3}}).draw().model.effects[0].x == 1e-3
+
+
+def test_a_shipped_scene_is_found_by_name_from_anywhere(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert Scene.read("benchmark").settings == Scene.read("scenes/benchmark.yaml").settings
+    (tmp_path / "benchmark").write_text("name: own")
+    assert Scene.read("benchmark").name == "own"
+    for name in ("benchmark.yaml", "somewhere/benchmark", "no_such"):
+        with pytest.raises(InputError, match=f"{name}: no such file"):
+            Scene.read(name)
+
+
+@pytest.mark.parametrize(
+    ("sections", "said"),
+    [
+        ({"lunch": {"v0": 1}}, "oblique: lunch: unknown key"),
+        ({"launch": {"speed": 1}}, "oblique: launch.speed: unknown key"),
+        ({"launch": 3}, "oblique: launch: "),
+        ({"launch": {"v0": "fast"}}, "oblique: launch.v0: "),
+        ({"launch": {"b": np.array([0.1, 0.2])}}, "oblique: launch.b: "),
+    ],
+)
+def test_a_section_that_is_none_is_one_line(sections, said):
+    with pytest.raises(InputError, match=said) as error:
+        Scene.read("oblique", **sections)
+    assert "\n" not in str(error.value)
+
+
+def test_the_repr_says_what_varies():
+    assert repr(Scene.read("benchmark")).startswith("Scene benchmark: model.restitution uniform [0.75, 0.98], ")
+    assert repr(Scene.read("benchmark")).endswith(", 5 more")
+    assert "all clips alike" in repr(check_scene({}, "x"))

@@ -18,9 +18,9 @@ from tracker.measurement import noise_correlation as correlation
 from tracker.measurement.adequacy import LEVEL, p_value, warnings
 from tracker.measurement.derived import NAMES
 from tracker.measurement.estimate import fit_all, measure
+from tracker.recording import measure_clip
 from tracker.scoring.report import write_report
 from tracker.scoring.score import score
-from tracker.pipeline import measure_clip
 
 CLIPS = 14
 SHOWN = ("v0", "b", "r", "mu_k", "C", "tau1", "energy_fraction")

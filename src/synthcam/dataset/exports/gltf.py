@@ -20,7 +20,8 @@ from synthcam.camera.glints import find_glints
 from synthcam.camera.lamp import Lamp
 from synthcam.camera.plate import PLATE, irradiance
 from synthcam.dataset.recorded import Recorded
-from synthcam.scene.scene import Clip, check_scene
+from synthcam.scene.clip import Clip
+from synthcam.scene.scene import check_scene
 
 if TYPE_CHECKING:
     from synthcam.camera.render.bodies import Look

@@ -1,0 +1,217 @@
+"""A clip: one experiment with all its numbers drawn. It is solved, filmed, and knows the truth about itself."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from synthcam.camera.pinhole import Camera, Lamp
+from synthcam.camera.sensor import Sensor
+from synthcam.camera.surface import Surface
+from synthcam.dynamics.launch import Launch
+from synthcam.model import Model, build
+from synthcam.scene import ground_truth
+from synthcam.scene.apparatus import camera_json, camera_of, lamp_of, surface_of
+from synthcam.scene.filmed_motion import View
+from synthcam.scene.filming import Counts, Seen, film
+from synthcam.scene.motion import Motion
+from synthcam.settings import InputError
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+LABELS = {"a": ("b", "a"), "b": ("a", "b")}  # of ball 1 and ball 2, by the striker
+UPSTREAM = 0.015 / 0.6  # s: at 0.6 m/s the contact lies 15 mm before the centre, so that the slide's end is in view
+
+
+@dataclass(frozen=True, repr=False)
+class Clip:
+    """One drawn clip: everything that decides its frames.
+
+    Attributes
+    ----------
+    number : int
+        Its place in a dataset. Chip noise, and all that is drawn, hang on it and on `seed`.
+    drawn : dict
+        The plain settings it came from, without distributions.
+    model : Model
+        Ball, base model and effects.
+    launch : Launch
+        The balls' states at one instant.
+    nominal, camera : Camera
+        The camera that the experimenter knows; the camera as it is, with the effects on it.
+    lamp : Lamp
+    surface : Surface
+    sensor : Sensor
+    frames : int
+        How many.
+    seed : int
+        Of everything drawn.
+
+    Examples
+    --------
+    >>> import synthcam
+    >>> clip = synthcam.Scene.read("oblique", timing={"frames": 40}).draw(seed=1)
+    >>> clip
+    Clip 0 of oblique: 2 balls, v0 0.3 m/s, b 0.6; 40 frames of 640 x 480 px at 250 a second
+    >>> round(clip.truth["r"], 3)
+    0.903
+    """
+
+    number: int
+    drawn: dict[str, Any]
+    model: Model
+    launch: Launch
+    nominal: Camera
+    camera: Camera
+    lamp: Lamp
+    surface: Surface
+    sensor: Sensor
+    frames: int
+    seed: int = 0
+
+    def __repr__(self) -> str:
+        launch, (width, height) = self.drawn["launch"], self.camera.size
+        balls = len(self.launch.bodies.radius)
+        thrown = f"v0 {launch['v0']:.3g} m/s" + (f", b {launch['b']:.3g}" if balls > 1 else "")
+        film = f"{self.frames} frames of {width} x {height} px at {self.camera.fps:g} a second"
+        return f"Clip {self.number} of {self.drawn['name']}: {balls} ball{'s' * (balls > 1)}, {thrown}; {film}"
+
+    @property
+    def room(self) -> float:
+        """What a ball mirrors beside the lamp, over the glint's peak."""
+        return float(self.drawn["lamp"]["room"])
+
+    @cached_property
+    def view(self) -> View:
+        """The motion over all frames as the camera takes it: against film time, where clock and shutter have a part."""
+        return View.of(self.model, self.launch, self.camera, self.frames)
+
+    def solve(self) -> Motion:
+        """Solve the motion, exactly, for as long as the film lasts.
+
+        Returns
+        -------
+        Motion
+            States at any time, and all events.
+
+        Raises
+        ------
+        ValueError
+            Where the model has no motion for this launch.
+        """
+        return Motion(self.view.motion, self.camera.fps)
+
+    def pictures(self) -> Iterator[Counts]:
+        """Draw and expose the frames one after the other, for clips too long for memory.
+
+        Yields
+        ------
+        ndarray
+            (height, width) uint8, or uint16 of a sensor of more than 8 bits: counts.
+
+        Raises
+        ------
+        NoGL
+            Where no OpenGL can draw; `synthcam doctor` tells what to install.
+        """
+        seen = Seen(self.camera, self.lamp, self.launch.bodies.radius.tolist(), self.room, self.surface)
+        return film(self.view, seen, self.sensor, self.frames, (self.seed, self.number))
+
+    def film(self) -> NDArray[Any]:
+        """Draw and expose all frames: the same pixels as a dataset of this scene and seed has in ``frames.tif``.
+
+        Returns
+        -------
+        ndarray
+            (frames, height, width) uint8, or uint16 of a sensor of more than 8 bits: counts.
+
+        Raises
+        ------
+        NoGL
+            Where no OpenGL can draw; `synthcam doctor` tells what to install.
+
+        Examples
+        --------
+        >>> import synthcam
+        >>> small = {"size": [96, 64], "scale": 3e-4}
+        >>> scene = synthcam.Scene.read("oblique", camera=small, timing={"frames": 2, "contact_frame": 1})
+        >>> film = scene.draw(seed=1).film()
+        >>> film.shape, film.dtype
+        ((2, 64, 96), dtype('uint8'))
+        """
+        return np.stack(list(self.pictures()))
+
+    @property
+    def camera_json(self) -> dict[str, Any]:
+        """What the experimenter knows, with the keys of ``camera.json``: what `tracker.track` takes."""
+        return camera_json(self.nominal, self.drawn)
+
+    @property
+    def truth(self) -> dict[str, float]:
+        """The scalars of the collision, SI, by the names of docs/format.md; NaN where nothing collides."""
+        return ground_truth.scalars(self.model, self.launch, self.view.motion)
+
+    @property
+    def tracks(self) -> pd.DataFrame:
+        """The true tracks, a row for each ball and frame, at mid-exposure.
+
+        Columns: frame; t_s (s); particle (0: ball 1, the target); x_px, y_px and glint_x_px, glint_y_px (px); x, y, z
+        (m); vx, vy, vz (m/s); wx, wy, wz (rad/s); x_mean_px, y_mean_px (px, means over the exposure); state (rest,
+        roll, slide, fly); visible.
+        """
+        return ground_truth.tracks(self.launch.bodies, self.view, self.lamp, self.frames)
+
+
+def clip_of(number: int, drawn: dict[str, Any], seed: int = 0, where: str = "") -> Clip:
+    """The clip of plain, checked settings. Raises InputError when they contradict each other."""
+    model, where = build(drawn), where or drawn["name"]
+    timing, launch, camera = drawn["timing"], drawn["launch"], drawn["camera"]
+    for effect in model.effects:
+        if effect.active and "measure" in effect.laws:
+            raise InputError(f"{where}: effects.{effect.name()}: a defect of trackers; expected none in a scene")
+    if timing["exposure"] > 1 / timing["fps"]:
+        raise InputError(f"{where}: timing.exposure: expected at most 1/fps, {1 / timing['fps']:g} s")
+    if camera["height"] <= 2 * model.ball.diameter:
+        raise InputError(f"{where}: camera.height: expected more than two ball diameters")
+    if drawn["lamp"]["position"][2] <= 2 * model.ball.diameter:
+        raise InputError(f"{where}: lamp.position: expected z above the balls")
+    try:
+        lamp = lamp_of(drawn["lamp"])
+    except ValueError as e:
+        raise InputError(f"{where}: {str(e).replace(' ', '.', 1)}") from None
+    nominal = camera_of(drawn, model.ball.radius)
+    return Clip(
+        number=number,
+        seed=seed,
+        drawn=drawn,
+        model=model,
+        launch=_launch(model, launch, timing["contact_frame"] / timing["fps"]),
+        nominal=nominal,
+        camera=_as_it_is(model, nominal),
+        lamp=lamp,
+        surface=surface_of(drawn["surface"]),
+        sensor=Sensor(**drawn["sensor"]),
+        frames=timing["frames"],
+    )
+
+
+def _as_it_is(model: Model, nominal: Camera) -> Camera:
+    bent: Camera = model.laws("camera", nominal, {})
+    return replace(bent, exposure=float(model.laws("exposure", nominal.exposure, {"fps": nominal.fps})))
+
+
+def _launch(model: Model, launch: dict[str, Any], time: float) -> Launch:
+    heading, v0, place = launch["heading"], launch["v0"], launch["contact"]
+    if place == "upstream":
+        place = -UPSTREAM * v0 * np.array([np.cos(heading), np.sin(heading)])
+    labels = (launch["striker"],) if launch["kind"] == "single" else LABELS[launch["striker"]]
+    bodies = model.bodies(labels)
+    if launch["kind"] == "single":
+        return Launch.single(bodies, time, v0, heading, place)
+    return Launch.pair(bodies, time, v0, launch["b"], heading, place)

@@ -1,0 +1,60 @@
+"""Frames in memory, taken as those of a file are."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tracker.camera.camera import InputError
+from tracker.camera.frames import Frames, at_least_two, grey_frames, not_too_large, pixel_type
+
+FILM = "film"  # what messages call it
+
+
+def frames_in_memory(film: NDArray[Any] | Iterable[NDArray[Any]]) -> tuple[Frames, str]:
+    """Frames of an array (n, height, width), in colour (n, height, width, 3), or of single pictures, and a note.
+
+    What has a length and an index is read frame by frame, when asked for; what is only iterated is kept. Raises
+    InputError, naming the frame, for what is no film.
+    """
+    pictures: Any = film if isinstance(film, np.ndarray | Sequence) or _is_indexed(film) else list(_each(film))
+    if not len(pictures):
+        raise InputError(f"{FILM}: no frames, expected at least two to follow a ball")
+    first = _picture(pictures, 0)
+    if first.ndim not in (2, 3) or 0 in first.shape:
+        raise InputError(f"{FILM}: pictures of shape {first.shape}, expected (height, width) of each frame")
+    pixel_type(FILM, first.dtype)
+    not_too_large(FILM, first.shape)
+
+    def fetch(k: int) -> Any:
+        picture = _picture(pictures, k)
+        if picture.shape != first.shape or picture.dtype != first.dtype:
+            has, wants = (f"{'x'.join(map(str, a.shape[1::-1]))} {a.dtype}" for a in (picture, first))
+            raise InputError(f"{FILM}: frame {k} is {has}, expected {wants} as frame 0")
+        return picture
+
+    frames, note = grey_frames(FILM, len(pictures), first.shape, first.dtype, fetch)
+    at_least_two(FILM, frames)
+    return frames, note
+
+
+def _is_indexed(film: Any) -> bool:
+    return hasattr(film, "__len__") and hasattr(film, "__getitem__")
+
+
+def _each(film: Any) -> Iterable[Any]:
+    if not isinstance(film, Iterable):
+        raise InputError(
+            f"{FILM}: of type {type(film).__name__}, expected an array (frames, height, width), frames or a path"
+        )
+    return film
+
+
+def _picture(pictures: Any, k: int) -> NDArray[Any]:
+    try:
+        return np.ascontiguousarray(pictures[k])
+    except (ValueError, TypeError, KeyError) as error:
+        raise InputError(f"{FILM}: frame {k} cannot be read as an array ({error})") from None

@@ -1,0 +1,325 @@
+"""One recording through the whole chain, in memory: read, detect, link, measure."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, fields, replace
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from tracker import results
+from tracker.camera.camera import Camera, InputError
+from tracker.camera.frames import Clip, open_frames, open_source, recorded
+from tracker.camera.memory import FILM, frames_in_memory
+from tracker.detection.detect import DEFAULT, look, settled
+from tracker.detection.detect import detector as detector_named
+from tracker.detection.diagnose import why_nothing
+from tracker.detection.link import Tracks, link
+from tracker.measurement.adequacy import MEASURED
+from tracker.measurement.derived import NAMES
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+GivenCamera = Camera | Mapping[str, Any] | str | Path
+Film = NDArray[Any] | Iterable[NDArray[Any]] | str | Path
+UNSIZED = "ball_diameter: not told; collisions are not measured, and glints are not taken to centres"
+TRACKS = "tracks"  # what messages call a table in memory
+SAID = {"v0": "m/s", "b": "", "r": "", "mu_k": "", "C": ""}  # in a repr, with units
+UNITS = {"m/s": "v0 v1f v2f", "s": "t_c tau1 tau2", "rad": "final_angle", "1/s": "drag", "m/s^2": "decel"} | {
+    "rad/s": "w1n w1t w2n w2t"
+}
+COLOURS = ("#2166ac", "#b2182b", "#4d9221", "#7b3294")
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Result:
+    """What the tracker makes of one recording.
+
+    Attributes
+    ----------
+    number : int
+        Of the clip; column ``clip`` of the estimates.
+    camera : Camera
+        As used: what the camera file leaves open is estimated from the film, or assumed, and said in `notes`.
+    found : Tracks
+        The tracks as arrays.
+    rows : tuple of dict
+        The estimates, one for each collision.
+    motion : DataFrame
+        About the first collision: t_s (s), particle, vx, vy (m/s), energy (m^2/s^2), p_along, p_across (m/s): per unit
+        mass, along and across each ball's own slip direction.
+    notes : tuple of str
+        What was assumed, estimated or converted.
+    frames : int
+        How many were tracked; 0 of tracks made elsewhere.
+    """
+
+    number: int
+    camera: Camera
+    found: Tracks
+    rows: tuple[dict[str, Any], ...]
+    motion: pd.DataFrame
+    notes: tuple[str, ...] = ()
+    frames: int = 0
+
+    @cached_property
+    def tracks(self) -> pd.DataFrame:
+        """The tracks, a row for each ball and frame, with the columns of ``tracks.parquet``.
+
+        frame, particle; x, y (px): ball centre, mean over the exposure, or the glint where `flags` says so; x_std,
+        y_std (px), cov_xy (px^2); flux (counts); flags; glint_x, glint_y (px); x_fixed_std, y_fixed_std, cov_xy_fixed:
+        the part of the covariance that a resting ball has in every frame alike.
+        """
+        table: pd.DataFrame = results.tracks_table(self.found).to_pandas()
+        return table
+
+    @cached_property
+    def estimates(self) -> pd.DataFrame:
+        """What was measured, a row for each collision, with the columns of ``estimates.parquet``, SI.
+
+        status is ok, misfit, no_collision or a reason. NAME, NAME_free and NAME_paper are the tied fit, the free fit
+        and the paper's differences, each with its _std; docs/format.md has all columns.
+        """
+        return results.estimates_table({"clip": self.number, **row} for row in self.rows)
+
+    def __repr__(self) -> str:
+        balls = len(np.unique(self.found.particle))
+        seen = f" in {self.frames} frames" if self.frames else ""
+        lines = [f"Clip {self.number}: {balls} ball{'s' * (balls != 1)} tracked{seen}"]
+        for row in self.rows:
+            values = (
+                f"{name} {_with_error(row[name], row[f'{name}_std'])} {unit}".strip() for name, unit in SAID.items()
+            )
+            told = f": {', '.join(values)}" if row["status"] in MEASURED else ""
+            lines.append(f"  collision {row['collision']} {row['status']}{told}")
+        return "\n".join(lines)
+
+    def _repr_html_(self) -> str:
+        units = {name: unit for unit, names in UNITS.items() for name in names.split()}
+        parts = [f"<p>{repr(self).partition(chr(10))[0]}</p>"]
+        for row in self.rows:
+            title = f"collision {row['collision']}: {row['status']}"
+            if row["status"] not in MEASURED:
+                parts.append(f"<p>{title}</p>")
+                continue
+            kinds = {"tied fit": "", "free fit": "_free", "as the paper": "_paper"}
+            table = pd.DataFrame(
+                {k: [_with_error(row[n + s], row[f"{n}{s}_std"]) for n in NAMES] for k, s in kinds.items()},
+                index=pd.Index([f"{n} ({units[n]})" if n in units else n for n in NAMES]),
+            )
+            parts.append(f"<p>{title}</p>{table.to_html()}")
+        return "".join(parts)
+
+    def plot(self, ax: Axes | None = None) -> Axes:
+        """Plot the tracks as they lie in the picture.
+
+        Parameters
+        ----------
+        ax : Axes, optional
+            Where to draw; default: a new figure. On a picture shown by ``ax.imshow(film[0])`` the tracks fit.
+
+        Returns
+        -------
+        Axes
+            x and y in px, y downwards as in the picture.
+        """
+        if ax is None:
+            import matplotlib.pyplot as plt
+
+            ax = plt.subplots(layout="constrained")[1]
+        for k, (particle, rows) in enumerate(self.tracks.groupby("particle")):
+            style: dict[str, Any] = {"color": COLOURS[k % len(COLOURS)], "label": f"particle {particle}"}
+            ax.plot(rows["x"], rows["y"], ".-", lw=0.8, ms=3, **style)
+        width, height = self.camera.size
+        ax.set(xlabel="x (px)", ylabel="y (px)", xlim=(-0.5, width - 0.5), ylim=(height - 0.5, -0.5), aspect="equal")
+        if len(self.found):
+            ax.legend(fontsize="small")
+        return ax
+
+
+def track(
+    film: Film, camera: GivenCamera | None = None, *, detector: str = DEFAULT, number: int | None = None
+) -> Result:
+    """Find, follow and measure the balls of one recording.
+
+    Parameters
+    ----------
+    film : array_like of shape (frames, height, width), sequence of arrays, str or Path
+        uint8 or uint16 counts; in colour (frames, height, width, 3). Or a stack, video, clip or folder of pictures.
+        What has a length and an index is read frame by frame.
+    camera : Camera, dict, str or Path, optional
+        What camera.json holds, or where it lies. Without one, what lies beside the film; else pixels are all there is.
+    detector : str
+        How glints are found.
+    number : int, optional
+        Of the clip; default: its folder's, else 0.
+
+    Returns
+    -------
+    Result
+        The same numbers as ``tracker track`` writes for the same film and camera.
+
+    Raises
+    ------
+    InputError
+        One line, for a film or a camera that cannot be used.
+
+    Examples
+    --------
+    >>> import synthcam, tracker
+    >>> small = {"size": [160, 120], "scale": 3e-4}
+    >>> timing = {"frames": 60, "contact_frame": 20}
+    >>> clip = synthcam.Scene.read("painter_behringer", camera=small, timing=timing).draw(seed=1)
+    >>> result = tracker.track(clip.film(), clip.camera_json)
+    >>> abs(result.estimates["r"][0] - clip.truth["r"]) < 4 * result.estimates["r_std"][0]
+    np.True_
+    """
+    detector_named(detector)  # no such one is said before a film is read
+    clip = _opened(film, camera)
+    return followed(clip if number is None else replace(clip, number=number), detector)
+
+
+def _opened(film: Film, camera: GivenCamera | None) -> Clip:
+    names = FILM, f"{camera}" if isinstance(camera, str | Path) else "camera"
+    if not isinstance(film, str | Path):
+        frames, note = frames_in_memory(film)
+        return recorded(0, frames, note, _camera(camera), names)
+    source = open_source(film)
+    if len(source) > 1:
+        first = source.clips[0][1].parent
+        raise InputError(f"{film}: holds {len(source)} clips, expected one, as {first}; `tracker track` takes them all")
+    if camera is None:
+        return source.clip(0)
+    ((number, place),) = source.clips
+    return recorded(number, *open_frames(place), _camera(camera), (f"{place}", names[1]))
+
+
+def _camera(given: GivenCamera | None) -> Camera | None:
+    if given is None or isinstance(given, Camera):
+        return given
+    return Camera.read(given) if isinstance(given, str | Path) else Camera.from_dict(given)
+
+
+def measure(tracks: pd.DataFrame | str | Path, camera: GivenCamera, *, point: str = "centre") -> Result:
+    """Measure the collisions in tracks that any program made.
+
+    Parameters
+    ----------
+    tracks : DataFrame, str or Path
+        Of one clip, in trackpy's columns: frame, particle, x, y (px); x_std, y_std, cov_xy, clip and striker may be
+        there. Or a CSV or Parquet file of them.
+    camera : Camera, dict, str or Path
+        What camera.json holds, or where it lies.
+    point : {"centre", "glint"}
+        What x and y are: ball centres, means over the exposure, or glints.
+
+    Returns
+    -------
+    Result
+        As `track` gives it; `tracks` holds the balls' centres.
+
+    Raises
+    ------
+    InputError
+        One line, for what is no such table, and for tables of several clips.
+
+    Examples
+    --------
+    >>> import synthcam, tracker
+    >>> clip = synthcam.Scene.read("painter_behringer").draw(seed=1)
+    >>> table = clip.tracks[["frame", "particle"]].assign(x=clip.tracks.x_mean_px, y=clip.tracks.y_mean_px)
+    >>> result = tracker.measure(table, clip.camera_json)
+    >>> bool(abs(result.estimates["r"][0] - clip.truth["r"]) < 1e-4)
+    True
+    """
+    if point not in ("centre", "glint"):
+        raise InputError(f"point: expected centre or glint, not {point!r}")
+    known = _camera(camera)
+    if known is None:
+        raise InputError("camera: expected a camera, its keys, or a path; tracks alone do not tell times and lengths")
+    if isinstance(tracks, pd.DataFrame):
+        tables = results.split_tracks(tracks, TRACKS)
+    else:
+        tables = results.read_tracks(Path(tracks))
+    if len(tables) > 1:
+        raise InputError(f"{TRACKS}: {len(tables)} clips, expected one; give them one by one, as of groupby('clip')")
+    ((number, (found, striker)),) = tables.items()
+    return measured(found, known if striker is None else replace(known, striker=striker), number, point)
+
+
+def followed(clip: Clip, name: str = DEFAULT) -> Result:
+    """A clip through the whole chain."""
+    tracks, camera, reason = track_clip(clip, name)
+    rows, motion = measure_clip(tracks, camera)
+    if reason:
+        rows = [row if row["status"] in MEASURED else row | {"status": reason} for row in rows]
+    notes = tuple(filter(None, [clip.note, *unsaid(camera), _streaks(camera)]))
+    return Result(clip.number, camera, tracks, tuple(rows), motion, notes, len(clip.frames))
+
+
+def measured(tracks: Tracks, camera: Camera, number: int, point: str) -> Result:
+    """Tracks made elsewhere, measured as `followed` does its own."""
+    if point == "glint":
+        tracks = results.to_centres(tracks, camera)
+    rows, motion = measure_clip(tracks, camera)
+    notes = tuple(note for note in unsaid(camera) if not note.startswith("assumed"))
+    return Result(number, camera, tracks, tuple(rows), motion, notes)
+
+
+def track_clip(clip: Clip, name: str = DEFAULT) -> tuple[Tracks, Camera, str]:
+    """Tracks of one clip, its camera with what the clip itself tells filled in, and why there is nothing, or ''."""
+    view = look(clip)
+    glints, view = settled(clip, view, name)
+    return link(glints, view.camera), view.camera, why_nothing(clip.frames, view, glints)
+
+
+def measure_clip(tracks: Tracks, camera: Camera) -> tuple[list[dict[str, Any]], pd.DataFrame]:
+    """Rows of estimates, and the table of motion about the first collision."""
+    from tracker.measurement.estimate import failure, measure, motion_table
+    from tracker.measurement.estimate_row import unmeasured
+
+    try:
+        rows = measure(tracks, camera)
+        return rows, motion_table(tracks, camera, rows[0])
+    except InputError:
+        raise
+    except (ArithmeticError, ValueError, IndexError) as error:  # one clip never costs the others
+        nothing = replace(tracks, **{f.name: getattr(tracks, f.name)[:0] for f in fields(tracks)})
+        return [unmeasured(camera, failure(error))], motion_table(nothing, camera, {})
+
+
+def unsaid(camera: Camera) -> list[str]:
+    """What the camera file did not tell, and what in it is not accounted for."""
+    assumed = [name for name in camera.assumed if name != "ball_diameter"]
+    return [
+        *([f"assumed or estimated: {', '.join(assumed)}"] if assumed else []),
+        *([] if camera.knows_diameter or not camera.metric else [UNSIZED]),
+        *camera.unmodelled,
+    ]
+
+
+def _streaks(camera: Camera) -> str:
+    if camera.exposure_seen is None:
+        return ""
+    kind = "longer" if camera.exposure_seen > camera.exposure else "shorter"
+    seen = f"{results.SEEN} in {results.RUN}"
+    return f"exposure: streaks are {kind} than it makes them; taken as they are seen ({seen})"
+
+
+def _with_error(value: float, std: float) -> str:
+    """As 0.9027(12): a value to two digits of its error; without one, to four; '-' for none."""
+    if value is None or not math.isfinite(value):
+        return "-"
+    if std is None or not math.isfinite(std) or std <= 0:
+        return f"{value:.4g}"
+    digits = 1 - math.floor(math.log10(std))
+    if digits < 0:
+        return f"{value:.0f}({std:.0f})"
+    return f"{value:.{digits}f}({std * 10**digits:.0f})"

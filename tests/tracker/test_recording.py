@@ -1,0 +1,179 @@
+"""One recording in memory: the numbers that the commands write, to the last bit."""
+
+import json
+import sys
+
+import numpy as np
+import pandas as pd
+import pytest
+import tifffile
+from matplotlib.figure import Figure
+
+import synthcam
+import tracker
+from synthcam.dataset.generate import Plan, run
+from tracker import cli
+
+SCENE = synthcam.Scene.read(
+    "painter_behringer", camera={"size": [200, 160], "scale": 3e-4}, timing={"frames": 60, "contact_frame": 20}
+)
+SEED = 3
+
+
+@pytest.fixture(scope="module")
+def clip():
+    return SCENE.draw(1, SEED)
+
+
+@pytest.fixture(scope="module")
+def folders(tmp_path_factory):
+    """A dataset of two clips and what `tracker track` makes of it."""
+    folder = tmp_path_factory.mktemp("recording")
+    assert run(Plan((SCENE,), 2, SEED), folder / "data", 1, lambda done, of: None).failed == ()
+    command("track", folder / "data", "-o", folder / "results", "--workers", "1")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def result(clip):
+    return tracker.track(clip.film(), clip.camera_json, number=1)
+
+
+def command(*words):
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(sys, "argv", ["tracker", *map(str, words)])
+        cli.app(standalone_mode=False)
+
+
+def own(folder):
+    """Tracks, motion and estimates of clip 1 of RESULTS."""
+    place = folder / "clips/000001"
+    estimates = pd.read_parquet(folder / "estimates.parquet")
+    return (
+        pd.read_parquet(place / "tracks.parquet"),
+        pd.read_parquet(place / "motion.parquet"),
+        estimates[estimates["clip"] == 1].reset_index(drop=True),
+    )
+
+
+def same(result, folder):
+    for got, wanted in zip((result.tracks, result.motion, result.estimates), own(folder), strict=True):
+        pd.testing.assert_frame_equal(got, wanted, check_exact=True)
+
+
+def test_from_memory_as_from_a_dataset_to_the_last_bit(result, folders):
+    same(result, folders / "results")
+    assert result.estimates["status"].tolist() == ["ok"]
+
+
+def test_by_way_of_a_path_a_list_a_generator_and_a_camera(clip, folders):
+    place = folders / "data/clips/000001"
+    camera = tracker.Camera.read(place / "camera.json")
+    for film, known in (
+        (place, None),
+        (str(place / "frames.tif"), place / "camera.json"),
+        (list(clip.film()), camera),
+        (clip.pictures(), clip.camera_json),
+    ):
+        same(tracker.track(film, known, number=1), folders / "results")
+
+
+def test_colour_is_taken_as_a_file_of_it_is(clip, tmp_path):
+    colour = np.repeat(clip.film()[..., None], 3, axis=-1) // np.array([1, 2, 3], np.uint8)
+    tifffile.imwrite(tmp_path / "c.tif", colour, photometric="rgb")
+    one, other = (tracker.track(film, clip.camera_json) for film in (colour, tmp_path / "c.tif"))
+    pd.testing.assert_frame_equal(one.tracks, other.tracks, check_exact=True)
+    assert one.notes == other.notes == ("colour converted to grey",)
+
+
+def test_without_a_camera_there_are_pixels(clip):
+    result = tracker.track(clip.film())
+    assert "no camera file: pixels only" in result.notes
+    assert len(result.tracks) > 90
+
+
+@pytest.mark.parametrize("point", ["centre", "glint"])
+def test_measured_as_the_command_measures(result, clip, tmp_path, point):
+    table = result.tracks.assign(clip=1)
+    if point == "glint":
+        table = table.assign(x=table["glint_x"], y=table["glint_y"])
+    table.to_parquet(tmp_path / "tracks.parquet")
+    (tmp_path / "camera.json").write_text(json.dumps(clip.camera_json))
+    command("measure", tmp_path / "tracks.parquet", "--camera", tmp_path / "camera.json", "-o", tmp_path / "out",
+            "--point", point)  # fmt: skip
+    again = tracker.measure(table.sample(frac=1, random_state=1), clip.camera_json, point=point)
+    same(again, tmp_path / "out")
+    same(tracker.measure(tmp_path / "tracks.parquet", tmp_path / "camera.json", point=point), tmp_path / "out")
+
+
+FILM = np.zeros((5, 160, 200), np.uint8)
+
+
+@pytest.mark.parametrize(
+    ("film", "said"),
+    [
+        (FILM[:1], "film: one frame only"),
+        (FILM[:0], "film: no frames"),
+        (FILM[0], r"film: pictures of shape \(200,\)"),
+        (FILM.astype(float), "film: float pixels"),
+        (FILM.astype(np.int32), "film: pixels of type int32"),
+        (FILM[:, :80], "film: frames are 200x80, expected 200x160 by size in camera"),
+        ([FILM[0], FILM[0, :80]], "film: frame 1 is 200x80 uint8, expected 200x160"),
+        (FILM[..., None].repeat(5, 3), "film: pictures of shape"),
+        (7, "film: of type int"),
+        (None, "film: of type NoneType"),
+        ("nowhere.tif", "nowhere.tif: no such file"),
+        ([[[1, 2], [3]], [[1, 2], [3]]], "film: frame 0 cannot be read"),
+    ],
+)
+def test_what_is_no_film_is_one_line(clip, film, said):
+    with pytest.raises(tracker.InputError, match=said) as error:
+        tracker.track(film, clip.camera_json)
+    assert "\n" not in str(error.value)
+
+
+def test_a_dataset_is_no_recording(folders):
+    with pytest.raises(tracker.InputError, match=r"holds 2 clips, expected one, as .*000000; `tracker track` takes"):
+        tracker.track(folders / "data")
+
+
+def test_bad_cameras_tables_and_detectors_are_one_line(clip, result):
+    with pytest.raises(tracker.InputError, match="camera: fps: expected frames per second, it is missing"):
+        tracker.track(FILM, {"size": [200, 160], "scale": 1e-4})
+    with pytest.raises(tracker.InputError, match="no detector 'eye'"):
+        tracker.track("nowhere.tif", detector="eye")
+    with pytest.raises(tracker.InputError, match="tracks: no column x, y"):
+        tracker.measure(result.tracks[["frame", "particle"]], clip.camera_json)
+    with pytest.raises(tracker.InputError, match="tracks: 2 clips, expected one"):
+        tracker.measure(pd.concat([result.tracks.assign(clip=k) for k in (0, 4)]), clip.camera_json)
+    with pytest.raises(tracker.InputError, match="point: expected centre or glint"):
+        tracker.measure(result.tracks, clip.camera_json, point="middle")
+    with pytest.raises(tracker.InputError, match="camera: expected a camera"):
+        tracker.measure(result.tracks, None)
+
+
+def test_the_repr_gives_values_with_errors(result):
+    row = result.estimates.iloc[0]
+    first, second = repr(result).splitlines()
+    assert first == "Clip 1: 2 balls tracked in 60 frames"
+    digits = 1 - int(np.floor(np.log10(row["r_std"])))
+    assert f"r {row['r']:.{digits}f}({row['r_std'] * 10**digits:.0f})" in second
+    page = result._repr_html_()
+    assert page.count("<tr") == 21  # a head and the 20 quantities
+    assert "final_angle (rad)" in page
+
+
+def test_a_film_of_nothing_says_why():
+    noise = np.random.default_rng(1).integers(6, 11, (12, 160, 200), dtype=np.uint8)
+    result = tracker.track(noise, SCENE.draw().camera_json)
+    assert repr(result).splitlines()[1].startswith("  collision 0 no balls")
+    assert "<table" not in result._repr_html_()
+
+
+def test_the_plot_is_the_picture(result):
+    ax = Figure().subplots()
+    assert result.plot(ax) is ax
+    assert (ax.get_xlabel(), ax.get_ylabel()) == ("x (px)", "y (px)")
+    assert ax.get_ylim() == (159.5, -0.5)
+    drawn = np.concatenate([line.get_xydata() for line in ax.lines])
+    np.testing.assert_array_equal(drawn, result.tracks[["x", "y"]])
