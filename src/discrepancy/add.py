@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from discrepancy import policy
 from discrepancy.data.collisions import Measured
 from discrepancy.data.outlier_points import taken_out, without_spikes
 from discrepancy.fitting.base_fit import Tick, base_fit, check, noise_of, smoothed
@@ -20,8 +21,6 @@ from discrepancy.selection.score_test import Contest
 from synthcam.library import library
 from synthcam.model import Model
 from tracker.camera.camera import InputError
-
-POOR = 2.0  # chi^2 a degree of freedom of a fit that lacks more than what noise may
 
 
 @dataclass(frozen=True)
@@ -45,7 +44,7 @@ class Added:
     def sentence(self) -> str:
         """Its strength, and how far chi^2 falls."""
         one, other = self.chi2
-        poor = "; more is missing, and its error holds only if nothing is" if other > POOR else ""
+        poor = "; more is missing, and its error holds only if nothing is" if other > policy.POOR_CHI2 else ""
         return (
             f"{self.named.said(self.before.model)}; chi^2 a degree of freedom goes from {one:.4g} to {other:.4g} on "
             f"the collisions fitted{poor}"
@@ -82,7 +81,11 @@ def add(clips: Sequence[Measured], model: Model, effect: str, tick: Tick = lambd
     candidate = next((c for c in contest.ranking() if c.effect == effect), None)
     if candidate is None or not candidate.telling:
         far = base.chi2 / (base.points - base.parameters)
-        why = f"; without it chi^2 is {far:.3g} a degree of freedom: something larger is missing" if far > POOR else ""
+        why = (
+            f"; without it chi^2 is {far:.3g} a degree of freedom: something larger is missing"
+            if far > policy.POOR_CHI2
+            else ""
+        )
         raise InputError(f"{effect}: these collisions cannot tell it: the fit absorbs it, or it hardly shows{why}")
     suspect, best = candidate.suspect, contest.sharper(evidence, candidate)
     now = settle(evidence, grown(evidence, base, best, lambda: tick("search")), lambda: tick("search"), fresh=False)

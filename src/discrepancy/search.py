@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from discrepancy import policy
 from discrepancy.data.collisions import Measured, cannot_tell, split
 from discrepancy.data.outlier_points import taken_out, without_spikes
 from discrepancy.diagnostics.claims import Trial
@@ -30,7 +31,6 @@ from synthcam.model import Model
 from tracker.camera.camera import InputError
 
 ROUNDS = 4  # searches, at most: again without clips that are unlike all others, again with the noise read anew
-UNEXPLAINED = 5.0  # sigma of disagreement left after everything: something that no slot holds
 
 
 @dataclass(frozen=True)
@@ -241,12 +241,12 @@ def _after(slot: Filled | None, clips: Sequence[Measured], noise: Noise) -> Call
 
 
 def _unexplained(left: Sequence[Place]) -> bool:
-    return bool(left) and left[0].sigma > UNEXPLAINED
+    return bool(left) and left[0].sigma > policy.UNEXPLAINED_SIGMA
 
 
 def _more(left: Sequence[Place], withdrawn: Sequence[Claim]) -> bool:
     """Whether something is missing beside all that was found: a law left free that was not borne is a sign of it."""
-    return _unexplained(left) or any(c.free and c.own > UNEXPLAINED for c in withdrawn)
+    return _unexplained(left) or any(c.free and c.own > policy.UNEXPLAINED_SIGMA for c in withdrawn)
 
 
 def _verdict(slot: Filled | None, named: Sequence[Named], left: Sequence[Place], withdrawn: Sequence[Claim]) -> str:
@@ -254,7 +254,9 @@ def _verdict(slot: Filled | None, named: Sequence[Named], left: Sequence[Place],
         return "outside_library"
     if not named:
         # what chance or a bad clip may do is no claim, and no sign that something is missing
-        return "inadequate" if _unexplained(left) or any(c.own > UNEXPLAINED for c in withdrawn) else "none"
+        return (
+            "inadequate" if _unexplained(left) or any(c.own > policy.UNEXPLAINED_SIGMA for c in withdrawn) else "none"
+        )
     return "ambiguous" if any(len(n.aliases) > 1 for n in named) else "named"
 
 

@@ -33,6 +33,7 @@ LAYERS = {
         "cli",
     ],
     "discrepancy": [
+        "policy",
         "data",
         "noise",
         "fitting",

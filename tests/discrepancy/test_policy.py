@@ -1,12 +1,16 @@
 """The numbers that decide a verdict: a case on either side of each, so near that half of it or twice it is wrong."""
 
+import ast
 import dataclasses
+import re
+from pathlib import Path
 from types import SimpleNamespace as Made
 
 import numpy as np
 import pytest
 from discrepancy_clips import exact, noisy, only
 
+from discrepancy import policy
 from discrepancy.add import Added
 from discrepancy.diagnostics import claims as stand
 from discrepancy.diagnostics.gap import Part, _closure
@@ -284,7 +288,7 @@ def test_beside_an_unknown_law_a_name_needs_nine_sigma(monkeypatch, sigma, stand
     base = Made(model=Model(), names=BASE)
     slot = Made(score=100.0, plain=Model(), slot=Made(name="law"), beside=lambda base: {"rolling_quadratic": sigma})
     looked = Made(base=base, claim=4.0, paid=lambda effect, sigma: sigma)
-    claims, _ = stand.Trial(None, (), None, NOISE, lambda: None)._claims(looked, slot, stand.BESIDE)
+    claims, _ = stand.Trial(None, (), None, NOISE, lambda: None)._claims(looked, slot, policy.SIGMA_BESIDE_FREE_LAW)
     assert (claims[0].why == "") is stands
 
 
@@ -318,3 +322,58 @@ def test_twice_the_noise_left_beside_an_effect_that_was_added_is_something_more(
 
 def test_the_fields_made_here_are_those_of_the_real_ones():
     assert {"score", "now", "plain", "slot"} <= {f.name for f in dataclasses.fields(Filled)}
+
+
+SOURCE = Path(policy.__file__)
+MODULES = sorted(p for p in SOURCE.parent.rglob("*.py") if p != SOURCE)
+CONSTANTS = [name for name in vars(policy) if name.isupper()]
+ORIGIN = re.compile(r"\b(Derived|Chosen|A convention|target|blind rounds|As [A-Z_]+|floor)\b")
+
+
+def test_there_are_constants_each_a_number_set_once():
+    tree = ast.parse(SOURCE.read_text())
+    assert [node.targets[0].id for node in tree.body if isinstance(node, ast.Assign)] == CONSTANTS
+    assert all(type(getattr(policy, name)) in (int, float) for name in CONSTANTS)
+    assert all(isinstance(node, ast.Assign | ast.Expr) for node in tree.body), "it imports nothing"
+    assert len(CONSTANTS) > 40
+
+
+@pytest.mark.parametrize("name", CONSTANTS)
+def test_each_says_above_it_where_it_comes_from(name):
+    lines = SOURCE.read_text().splitlines()
+    row = next(k for k, line in enumerate(lines) if line.startswith(f"{name} = "))
+    said = []
+    while lines[row - 1].startswith("# ") and not lines[row - 1].startswith("# ---"):
+        row -= 1
+        said.insert(0, lines[row])
+    assert ORIGIN.search(" ".join(said)), said
+
+
+@pytest.mark.parametrize("name", CONSTANTS)
+def test_each_is_used(name):
+    assert any(re.search(rf"\bpolicy\.{name}\b", path.read_text()) for path in MODULES)
+
+
+@pytest.mark.parametrize("path", MODULES, ids=lambda p: p.relative_to(SOURCE.parent).as_posix())
+def test_none_is_copied_when_a_file_is_imported(path):
+    """A default argument, or a number made of one at the top of a file, would not follow a change."""
+    tree = ast.parse(path.read_text())
+    inside = [n for f in ast.walk(tree) if isinstance(f, ast.FunctionDef | ast.Lambda) for n in _body(f)]
+    late = {id(n) for part in inside for n in ast.walk(part)}
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name) and node.value.id == "policy":
+            assert node.attr in CONSTANTS
+            assert id(node) in late, f"line {node.lineno}: policy.{node.attr} is read on import"
+        if isinstance(node, ast.ImportFrom):
+            assert node.module != "discrepancy.policy", f"line {node.lineno}: import policy, and read it there"
+
+
+def _body(function):
+    return function.body if isinstance(function.body, list) else [function.body]
+
+
+def test_a_value_is_changed_in_one_place(monkeypatch):
+    left, one = [Made(sigma=6.0)], [Made(aliases=("hop",))]
+    assert _verdict(None, one, left, ()) == "outside_library"
+    monkeypatch.setattr(policy, "UNEXPLAINED_SIGMA", 7.0)
+    assert _verdict(None, one, left, ()) == "named"

@@ -12,6 +12,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from discrepancy import policy
 from discrepancy.data.sanity import exchanged, wrong_units
 from tracker.camera.camera import Camera, InputError
 from tracker.detection.link import Tracks
@@ -22,11 +23,6 @@ from tracker.results import read_clip, read_tracks
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
-MARGIN = 2  # frames at the ends of a phase that may hold a misplaced event
-FEWEST = 3  # frames a ball must be seen before the contact
-FASTEST = 20.0  # m/s: no ball is launched faster
-ALIKE, FEW_DEGREES, HEAD_ON = 1.2, np.radians(30), 0.05  # when speeds, headings and b count as all the same
-EXTREMES = 8  # clips from which on the extremes can be spared
 UNCLAIMED = 0.01  # px: stands in where tracks claim no error; the noise is then read off all the same
 ESTIMATES = "clip striker status t_c v0 b tau1 tau2 particle1 particle2".split()
 
@@ -114,9 +110,9 @@ class Measured:
 
 
 def _unbroken(rows: Ints, frame: Ints) -> Iterator[Ints]:
-    """Rows in runs of successive frames, less MARGIN at either end."""
+    """Rows in runs of successive frames, less a margin at either end."""
     for part in np.split(rows, np.flatnonzero(np.diff(frame) != 1) + 1):
-        yield part[MARGIN : len(part) - MARGIN]
+        yield part[policy.EVENT_MARGIN : len(part) - policy.EVENT_MARGIN]
 
 
 def read_measured(measured: Path, camera: Path | None = None) -> tuple[list[Measured], list[str]]:
@@ -151,7 +147,7 @@ def read_measured(measured: Path, camera: Path | None = None) -> tuple[list[Meas
     if not kept:
         raise InputError(f"{measured}: no clip with a measured collision" + "".join(f"; {x}" for x in left_out[:1]))
     typical = float(np.median([c.launch[3] for c in kept]))
-    if typical > FASTEST:
+    if typical > policy.FASTEST_LAUNCH:
         raise InputError(f"{measured}: speeds of {typical:.3g} m/s; are scale and fps of the camera right?")
     return kept, left_out
 
@@ -195,8 +191,8 @@ def collision(tracks: Tracks, row: Mapping[Any, Any], camera: Camera) -> Measure
     t_c, v0, b, *taus = guess
     pair = {ball: tracks.particle == row[name] for ball, name in enumerate(("particle1", "particle2"))}
     early = tracks.frame / camera.fps + camera.exposure <= t_c
-    if any((early & rows).sum() < FEWEST for rows in pair.values()):
-        return f"a ball is seen in fewer than {FEWEST} frames before the contact"
+    if any((early & rows).sum() < policy.FEWEST_FRAMES_BEFORE_CONTACT for rows in pair.values()):
+        return f"a ball is seen in fewer than {policy.FEWEST_FRAMES_BEFORE_CONTACT} frames before the contact"
     rows = np.concatenate([np.flatnonzero(pair[ball]) for ball in (0, 1)])
     frame, early = tracks.frame[rows], early[rows]
     ball = np.repeat([0, 1], [pair[0].sum(), pair[1].sum()])
@@ -241,18 +237,18 @@ def cannot_tell(clips: Sequence[Measured]) -> list[str]:
     _, _, _, speeds, headings, b = np.array([c.launch for c in clips]).T
     said, normal = [], speeds * np.sqrt(1 - b**2)
     laws = {"restitution": normal, "spin transfer": speeds}  # the speeds that they hang on; friction's falls in a clip
-    if same := [law for law, v in laws.items() if v.max() < ALIKE * v.min()]:
+    if same := [law for law, v in laws.items() if v.max() < policy.ALIKE_SPEEDS * v.min()]:
         said.append(
             f"all clips are at {np.median(speeds):.2g} m/s: how {' or '.join(same)} changes with the speed can hardly "
             "be told"
         )
-    if np.ptp(b) < HEAD_ON:
+    if np.ptp(b) < policy.ALIKE_IMPACT_PARAMETERS:
         said.append(
             f"all clips have b near {np.median(b):.2f}: nothing that changes with it can be told, and "
             "hop and mass_mismatch look alike"
         )
     mean = np.exp(1j * headings).mean()
-    if np.abs(np.angle(np.exp(1j * headings) / mean)).max() < FEW_DEGREES:
+    if np.abs(np.angle(np.exp(1j * headings) / mean)).max() < np.radians(policy.ALIKE_HEADINGS):
         said.append(
             "all clips go one way: a tilt of the plate, a grain or a tilted camera can hardly be told from drag"
         )
@@ -260,14 +256,14 @@ def cannot_tell(clips: Sequence[Measured]) -> list[str]:
 
 
 def split(clips: Sequence[Measured]) -> tuple[list[Measured], list[Measured]]:
-    """(to fit, to keep out): a quarter is kept out, evenly over the speeds.
+    """(to fit, to keep out): one in so many is kept out, evenly over the speeds.
 
-    With EXTREMES clips or more the fastest and the most oblique are among it: what the fit never saw.
+    With clips enough the fastest and the most oblique are among it: what the fit never saw.
     """
     order = sorted(clips, key=lambda c: float(c.launch[3]))
-    count = max(len(clips) // 4, 1)
+    count = max(len(clips) // policy.KEPT_OUT_ONE_IN, 1)
     kept_out: set[int] = set()
-    if len(clips) >= EXTREMES:
+    if len(clips) >= policy.EXTREMES_KEPT_OUT_FROM:
         kept_out = {id(order[-1]), id(max(order[:-1], key=lambda c: abs(float(c.launch[5]))))}
     rest = [c for c in order if id(c) not in kept_out]
     more = max(count - len(kept_out), 0)

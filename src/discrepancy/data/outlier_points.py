@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from discrepancy import policy
 from discrepancy.data.collisions import Measured
 
 Array = NDArray[np.float64]
@@ -16,25 +17,22 @@ Ints = NDArray[np.int64]
 
 REACH = 4  # frames to either side, of the same ball and phase, that say where a place should be
 BESIDE = 2  # of them on either side at least: where a phase ends, the path may bend
-FAR = 8.0  # sigma: noise never reaches that
-SMOOTH = 2.0  # sigma, rms: what its neighbours may be off a smooth path themselves; a jump is no spike
-NEAR = 10.0  # claimed standard deviations, median, that a model which is nearly right may be off
-SEVERAL = 3  # clips
-UNSURE = 0.25  # frames: by so much the contact may be misplaced
 ASIDE, FEWEST, WITHIN = 5, 4, 7  # places of one side, at most and at least, and from how many frames
 
 
 def without_spikes(clips: Sequence[Measured], expected: Sequence[Array] | None = None) -> list[Measured]:
     """The clips without their spikes; arguments as for `spikes`.
 
-    Beside a model: but for those that both balls, or SEVERAL clips, have in the same frame. A clock does that.
+    Beside a model: but for those that both balls, or several clips, have in the same frame. A clock does that.
     """
     found = [spikes(clip, expected[k] if expected else None) for k, clip in enumerate(clips)]
     if expected:
         both = [Counter(c.frame[sorted(rows)].tolist()) for c, rows in zip(clips, found, strict=True)]
         often = Counter(frame for own in both for frame in own)
         for c, own, rows in zip(clips, both, found, strict=True):
-            rows -= {k for k in rows if own[int(c.frame[k])] > 1 or often[int(c.frame[k])] >= SEVERAL}
+            rows -= {
+                k for k in rows if own[int(c.frame[k])] > 1 or often[int(c.frame[k])] >= policy.SAME_FRAME_IN_CLIPS
+            }
     return [c.of(np.delete(np.arange(len(c.frame)), sorted(r))) if r else c for c, r in zip(clips, found, strict=True)]
 
 
@@ -57,7 +55,7 @@ def spikes(clip: Measured, expected: Array | None = None) -> set[int]:
     contact: spikes are then seen there too, where a slide ends, and at both ends of the clip.
     """
     paths, gone = _Paths.of(clip, expected), set[int]()
-    if expected is not None and float(np.median(np.abs(paths.xy) / paths.claimed[:, None])) > NEAR:
+    if expected is not None and float(np.median(np.abs(paths.xy) / paths.claimed[:, None])) > policy.MODEL_NEARLY_RIGHT:
         return gone
     todo = range(len(clip.frame))
     inner = paths.inner(todo, gone)
@@ -67,8 +65,8 @@ def spikes(clip: Measured, expected: Array | None = None) -> set[int]:
         wrong = {row: look for row, look in inner.items() if look.far(typical)}
         if expected is not None and not wrong:
             if outer is None:
-                outer = paths.outer(todo, gone, SMOOTH * typical)
-            told = {row for row, look in inner.items() if look.rest < SMOOTH * typical}
+                outer = paths.outer(todo, gone, policy.NEIGHBOURS_SMOOTH_TO * typical)
+            told = {row for row, look in inner.items() if look.rest < policy.NEIGHBOURS_SMOOTH_TO * typical}
             wrong = {row: look for row, look in outer.items() if row not in told and look.far(typical)}
         if not wrong:
             return gone
@@ -77,7 +75,7 @@ def spikes(clip: Measured, expected: Array | None = None) -> set[int]:
         near = paths.near(worst)
         inner = {row: look for row, look in inner.items() if row not in near} | paths.inner(near, gone)
         if outer is not None:
-            again = paths.outer(near, gone, SMOOTH * typical)
+            again = paths.outer(near, gone, policy.NEIGHBOURS_SMOOTH_TO * typical)
             outer = {row: look for row, look in outer.items() if row not in near} | again
 
 
@@ -90,7 +88,10 @@ class _Look:
 
     def far(self, typical: float) -> bool:
         """typical: the size of such numbers where there are only errors."""
-        return bool(np.abs(self.off).max() > FAR * typical and self.rest < SMOOTH * typical)
+        return bool(
+            np.abs(self.off).max() > policy.OUTLIER_POINT_SIGMA * typical
+            and self.rest < policy.NEIGHBOURS_SMOOTH_TO * typical
+        )
 
 
 @dataclass(frozen=True)
@@ -122,14 +123,19 @@ class _Paths:
         if expected is None:
             return cls(clip.frame, clip.ball, clip.xy, clip.phase(), clip.claimed())
         contact, wide = clip.launch[2] * clip.fps, clip.exposure * clip.fps
-        early, late = clip.frame + wide + UNSURE <= contact, clip.frame - UNSURE >= contact
+        early, late = (
+            clip.frame + wide + policy.CONTACT_KNOWN_TO <= contact,
+            clip.frame - policy.CONTACT_KNOWN_TO >= contact,
+        )
         phase = np.where(early, 0, np.where(late, 1, -1))
-        return cls(clip.frame, clip.ball, clip.xy - expected, phase, clip.claimed(), (wide + UNSURE) / 4)
+        return cls(
+            clip.frame, clip.ball, clip.xy - expected, phase, clip.claimed(), (wide + policy.CONTACT_KNOWN_TO) / 4
+        )
 
     def _through(self, rows: Ints, row: int) -> _Path:
         """The smoothest path through them or through all but one, which may be a spike itself."""
         path = self._path(rows, row)
-        if path.rest < SMOOTH or len(rows) <= FEWEST:
+        if path.rest < policy.NEIGHBOURS_SMOOTH_TO or len(rows) <= FEWEST:
             return path
         return min((self._path(np.delete(rows, k), row) for k in range(len(rows))), key=lambda p: p.rest)
 

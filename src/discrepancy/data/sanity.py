@@ -7,17 +7,13 @@ from collections.abc import Iterable
 import numpy as np
 from numpy.typing import NDArray
 
+from discrepancy import policy
 from tracker.camera.camera import Camera
 from tracker.detection.link import Tracks
 
 Array = NDArray[np.float64]
 
 UNITS = {"m": 1.0, "cm": 1e2, "mm": 1e3, "um": 1e6}
-ALIKE = 0.3  # how far, in ln, the least distance of two balls may lie from a diameter
-OVERLAP = 0.8  # of a diameter: balls are never nearer
-APART = 30.0  # diameters: balls that never come nearer have another diameter
-OUTSIDE = 2.0  # of the picture's size: tracks are never further
-UNSEEN = 3  # frames between two sights of both balls, at most, to tell an exchange
 
 
 def wrong_units(clips: Iterable[tuple[Tracks, Camera]]) -> str | None:
@@ -32,11 +28,14 @@ def wrong_units(clips: Iterable[tuple[Tracks, Camera]]) -> str | None:
     if not nearest:
         return None
     least = float(np.quantile(nearest, 0.25))
-    if OVERLAP * touching < least < APART * touching and np.median(far) < OUTSIDE:
+    if (
+        policy.NEAREST_DIAMETERS * touching < least < policy.FURTHEST_DIAMETERS * touching
+        and np.median(far) < policy.FURTHEST_OUTSIDE
+    ):
         return None
     said = f"the balls come as near as {least:.3g}; expected px, and {touching:.3g} of them, a diameter"
     for unit, factor in UNITS.items():
-        if abs(np.log(max(least, 1e-300) / (factor * diameter))) < ALIKE:
+        if abs(np.log(max(least, 1e-300) / (factor * diameter))) < policy.UNIT_WITHIN:
             return f"the places look like {unit}: {said}"
     return said
 
@@ -49,7 +48,7 @@ def exchanged(tracks: Tracks, camera: Camera) -> int | None:
     frame, one, two = _pair(tracks)
     stay = np.hypot(*np.diff(one, axis=0).T) + np.hypot(*np.diff(two, axis=0).T)
     swap = np.hypot(*(one[1:] - two[:-1]).T) + np.hypot(*(two[1:] - one[:-1]).T)
-    wrong = (np.diff(frame) <= UNSEEN) & (swap + camera.diameter_px / 2 < stay)
+    wrong = (np.diff(frame) <= policy.EXCHANGE_WITHIN_FRAMES) & (swap + camera.diameter_px / 2 < stay)
     return int(frame[1:][wrong][0]) if wrong.any() else None
 
 

@@ -8,13 +8,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from discrepancy import policy
 from discrepancy.data.collisions import Measured
 from discrepancy.diagnostics.held_out import Claim, Held, foretold, in_turn, refused
 from discrepancy.fitting.gauss_newton import Evidence, Fit, fit, linearised
 from discrepancy.fitting.parameters import suspects_of
 from discrepancy.free_laws.fitted_law import Filled
 from discrepancy.noise.model import Noise
-from discrepancy.selection.free_law_contest import LEVEL, emptied, refilled, scatter, unseen
+from discrepancy.selection.free_law_contest import emptied, refilled, scatter, unseen
 from discrepancy.selection.model_cost import price
 from discrepancy.selection.named import Named
 from discrepancy.selection.stepwise import Search
@@ -24,7 +25,6 @@ Parts = Sequence[Array]
 Pair = tuple[Parts, Parts]
 Left = dict[str, tuple[Search, Filled | None]]
 
-BESIDE = 2 * LEVEL  # sigma of an effect where a law that nobody knows is missing: what is weaker may be a part of it
 UNSURE = "not significant beside all else"
 EXCHANGED = "another that fits as well is borne"  # a class is claimed, and collisions kept out may tell which of it
 
@@ -62,7 +62,7 @@ class Trial:
         """The claims that stand: one that does not is withdrawn, and the others are held to the clips again."""
         withdrawn: list[Claim] = []
         while True:
-            level = BESIDE if slot or any(c.free for c in withdrawn) else search.claim
+            level = policy.SIGMA_BESIDE_FREE_LAW if slot or any(c.free for c in withdrawn) else search.claim
             claims, without = self._claims(search, slot, level)
             falls = [c for c in claims if c.why]
             if not falls:

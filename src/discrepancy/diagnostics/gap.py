@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from discrepancy import policy
 from discrepancy.data.collisions import Measured
 from discrepancy.fitting.gauss_newton import Fit, basis, fit
 from discrepancy.noise.model import Noise
@@ -18,7 +19,6 @@ from discrepancy.noise.whitening import Whitener
 Array = NDArray[np.float64]
 
 PHASES = ("before", "sliding", "rolling")
-CHANCE = 3.0  # standard deviations of chi^2 a point: a share of a smaller gap would be a share of noise
 
 
 @dataclass(frozen=True)
@@ -85,7 +85,8 @@ def show(
 def _closure(whole: Part, points: int) -> float:
     """The share of the gap that is closed; NaN of one that chance may make."""
     room = whole.before - whole.floor
-    return (whole.before - whole.after) / room if room > CHANCE * float(np.sqrt(2 / points)) else float("nan")
+    least = policy.GAP_BEYOND_CHANCE * float(np.sqrt(2 / points))
+    return (whole.before - whole.after) / room if room > least else float("nan")
 
 
 def _by_clip(clips: Sequence[Measured], before: Fit, after: Fit) -> Sequence[tuple[Measured, Array, Array, Array]]:

@@ -14,15 +14,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from discrepancy import policy
 from discrepancy.fitting.gauss_newton import Fit, basis, off
 from discrepancy.fitting.parameters import limits_of
 from discrepancy.free_laws.fitted_law import Filled
 
 Array = NDArray[np.float64]
 Parts = Sequence[Array]
-
-SHORT = 2.0  # sigma by which those kept out may fall short of what a claim promised, where they are foretold worse
-BEYOND = 3.0  # sigma of a claim in all collisions, each held out once: under it chance may do it
 
 
 @dataclass(frozen=True)
@@ -106,11 +104,11 @@ def refused(kept_out: Held, turns: Held) -> str:
     ones makes their gap a little larger. So they refuse it only where they fall short of it by more than their noise;
     and all clips, each held out once, must ask for it beyond chance.
     """
-    if kept_out.worse and kept_out.sigma < kept_out.promised - SHORT:
+    if kept_out.worse and kept_out.sigma < kept_out.promised - policy.SHORT_OF_PROMISE_SIGMA:
         return "collisions kept out are foretold worse with it"
     if turns.worse:
         return "collisions are foretold worse with it, each held out once"
-    if turns.sigma < BEYOND:
+    if turns.sigma < policy.HELD_OUT_IN_TURN_SIGMA:
         return "collisions, each held out once, do not ask for it beyond chance"
     return ""
 

@@ -7,15 +7,13 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from discrepancy import policy
 from discrepancy.data.collisions import Measured
 from discrepancy.fitting.gauss_newton import Fit, off
 from discrepancy.fitting.significance import sigmas
 
 Array = NDArray[np.float64]
 
-UNLIKE = 8.0  # spreads of the logarithm of the clips' chi^2
-ALONE = 5.0  # sigma between what one clip and all others say of the shared parameters
-SHARE = 10  # one clip in so many may be odd: where more are, the model is wrong and not they
 SEEN = 1e-9  # of a parameter's information: directions that show less count for nothing
 
 
@@ -28,10 +26,10 @@ def odd(clips: Sequence[Measured], base: Fit, best: Fit, gone: int = 0) -> dict[
     others about the shared parameters of the best fit, and without it they agree. Where they do not, something is
     missing in the model, and no clip is to blame.
     """
-    most = max((len(clips) + gone) // SHARE, 1) - gone
+    most = max((len(clips) + gone) // policy.OUTLIER_CLIPS_ONE_IN, 1) - gone
     out = {}
     far = np.minimum(_unlike(base), _unlike(best))
-    for k in np.flatnonzero(far > UNLIKE).tolist():
+    for k in np.flatnonzero(far > policy.OUTLIER_CLIP_SPREADS).tolist():
         chi2 = float(best.residuals[k] @ best.residuals[k]) / len(best.residuals[k])
         out[k] = f"clip {clips[k].clip}: chi^2 a point is {chi2:.3g}, unlike all others, whatever the model"
     if len(out) > most or not best.names:
@@ -40,7 +38,7 @@ def odd(clips: Sequence[Measured], base: Fit, best: Fit, gone: int = 0) -> dict[
     for _ in range(most - len(out) + 1):
         kept = [k for k in range(len(clips)) if k not in out]
         apart, worst = max((_apart(told, pulls, k, kept), k) for k in kept)
-        if apart < ALONE:
+        if apart < policy.OUTLIER_CLIP_SIGMA:
             return out
         out[worst] = f"clip {clips[worst].clip}: it contradicts all others by {apart:.0f} sigma"
     return {}

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from scipy.stats import chi2 as chi2_law
 from scipy.stats import norm
 
+from discrepancy import policy
 from discrepancy.data.collisions import Measured
 from discrepancy.fitting.gauss_newton import Fit
 from discrepancy.fitting.predict import forecast
@@ -66,7 +67,6 @@ STILL = 1e-5  # m: a ball that moves less has no direction of its own
 SEEN = 1e-5  # of a term's length that the terms before it must leave
 TOLD = 1e-6  # of what a shared parameter does that must be in a look to count there
 SPANNED = 1e-3  # of a template's length that others must leave
-FEWEST = 6  # clips of a look that is held against anything
 
 
 @dataclass(frozen=True)
@@ -275,7 +275,7 @@ def _results(glances: Sequence[_Glance]) -> Iterator[tuple[str, float, int, floa
     freedom = len(pulls) - taken.shape[1]
     if freedom:
         yield "", float(left @ left), freedom, _size(glances, left, freedom / len(pulls))
-    if len(glances) < FEWEST:
+    if len(glances) < policy.FEWEST_CLIPS_OF_A_TREND:
         return
     always = _basis(np.column_stack([_stacked([g.per_metre for g in glances], len(rest)), taken]))
     for against in AGAINST:

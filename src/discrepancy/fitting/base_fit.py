@@ -7,6 +7,7 @@ from contextlib import suppress
 
 import numpy as np
 
+from discrepancy import policy
 from discrepancy.data.collisions import Measured
 from discrepancy.data.outlier_points import without_spikes
 from discrepancy.fitting.gauss_newton import Fit, fit
@@ -16,8 +17,6 @@ from discrepancy.noise.model import Component, Noise, estimate
 from synthcam.model import Model
 from tracker.camera.camera import InputError
 
-FEWEST = 6  # collisions: with fewer, some would not be left to show the gap on
-ONE_BALL = 1e-3  # relative, between the camera file's diameter of the ball and the model's
 CLAIMED = Noise(Component(1.0))  # white, and as large as is claimed
 LOST = 100.0  # chi^2 a degree of freedom of a fit that may have lost its way
 Tick = Callable[[str], None]
@@ -28,11 +27,12 @@ def check(clips: Sequence[Measured], model: Model) -> None:
 
     What the balls differ by would pass for a discovery.
     """
-    if len(clips) < FEWEST:
-        raise InputError(f"{len(clips)} measured collisions: expected {FEWEST} or more, some to fit, some to keep out")
+    if len(clips) < policy.FEWEST_COLLISIONS:
+        least = policy.FEWEST_COLLISIONS
+        raise InputError(f"{len(clips)} measured collisions: expected {least} or more, some to fit, some to keep out")
     first, held = clips[0].camera, 2 * model.ball.radius
     for c in clips:
-        if abs(c.camera.ball_diameter / held - 1) > ONE_BALL:
+        if abs(c.camera.ball_diameter / held - 1) > policy.SAME_BALL_WITHIN:
             raise InputError(
                 f"the ball of camera.json is {1e3 * c.camera.ball_diameter:.6g} mm wide (clip {c.clip}), that of the "
                 f"model {1e3 * held:.6g} mm; expected the same"

@@ -15,11 +15,11 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
+from discrepancy import policy
 from discrepancy.data.collisions import Measured
 from discrepancy.fitting.gauss_newton import Fit
 from discrepancy.noise.model import (
     KERNELS,
-    SHAKEN,
     Component,
     Noise,
     Pairs,
@@ -34,8 +34,6 @@ from discrepancy.noise.whitening import Whitener
 Array = NDArray[np.float64]
 
 CLIPS = 12  # read, at most: enough to know the noise by
-EXCLUDED = 20.0  # of -2 log likelihood within the phases: one chance in a thousand for five numbers
-SLIGHT = 9.0  # of -2 log likelihood: less gain is no reason to fit everything again
 SEEN = 1e-8  # of a shared parameter's information: where the others leave less it counts for nothing
 TINY = 1e-300  # of a number of the launch that no track shows
 SLOW = (0.95,)  # the correlation from frame to frame of slow noise, to start from
@@ -54,16 +52,16 @@ def refined(clips: Sequence[Measured], fit: Fit, noise: Noise, explained: bool =
     sigma, rho = (0.0, 0.0) if noise.shared or not explained else left.shaken(noise)
     if noise.shared:
         new = left.best(noise)[1]
-    elif sigma > SHAKEN and within.pairs:
+    elif sigma > policy.SHARED_NOISE_SIGMA and within.pairs:
         own, size = within.own(), float(np.mean([np.mean(c.claimed() ** 2) for c in left.clips]))
         slow = Component(0.2 * own.variance * size, (rho,))
         new = left.best(Noise(own, (slow, slow)))[1]
     else:
         slow = Component(noise.own.variance, SLOW, 0.5)
         new = min((left.best(n) for n in (noise, Noise(slow))), key=lambda pair: pair[0])[1]
-    if left.cost(noise) - left.cost(new) < (SLIGHT if explained else 0.0):
+    if left.cost(noise) - left.cost(new) < (policy.NOISE_GAIN if explained else 0.0):
         return noise
-    return new if within.cost(new) - within.cost(noise) < EXCLUDED else noise
+    return new if within.cost(new) - within.cost(noise) < policy.NOISE_EXCLUDED_BY else noise
 
 
 @dataclass(frozen=True)

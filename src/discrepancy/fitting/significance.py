@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtrc, ndtri_exp
 
+from discrepancy import policy
+
 Array = NDArray[np.float64]
 
-LEVEL = 1e-3  # of searches with nothing hidden that claim something
-FLOOR = 4.0  # sigma: no claim under it, however few the candidates: the noise itself is only estimated
-DRAWS = 40_000  # the level then lies within a sixth of LEVEL, and its sigma within a hundredth
+DRAWS = 40_000  # the level then lies within a sixth of the one asked for, and its sigma within a hundredth
 AT_ONCE = 4_000
 SEED = 20_260
 
@@ -44,14 +44,19 @@ def looks_of(every: Sequence[Array]) -> float:
 
 
 def by_chance(
-    gram: Array, sizes: Sequence[int], one_sided: Sequence[bool], level: float = LEVEL, looks: Sequence[float] = ()
+    gram: Array,
+    sizes: Sequence[int],
+    one_sided: Sequence[bool],
+    level: float | None = None,
+    looks: Sequence[float] = (),
 ) -> float:
-    """The sigma that the best of all candidates exceeds in a share `level` of cases when nothing is hidden.
+    """The sigma that the best of all candidates exceeds in a share of cases when nothing is hidden.
 
     gram (K, K): products of the axes of all candidates among themselves. Each has of its own an orthonormal basis of
     `sizes` axes, of what its signature leaves after the fit took its part. Their products with white noise are Gaussian
     with this covariance, so they are drawn at once, the same draws every time. one_sided: candidates of one strength
-    that only scores when positive. looks: that each candidate is the best of, and corrected for.
+    that only scores when positive. looks: that each candidate is the best of, and corrected for. level: that share;
+    by default that of a claim.
     """
     if not sum(sizes):
         return 0.0
@@ -73,7 +78,7 @@ def by_chance(
         for (dof, look), rows in alike.items():
             each = np.maximum(each, _interpolated(chi2[:, rows].max(axis=1), dof, look))
         best.append(each)
-    return float(np.quantile(np.concatenate(best), 1 - level))
+    return float(np.quantile(np.concatenate(best), 1 - (policy.SIGNIFICANCE_LEVEL if level is None else level)))
 
 
 def _interpolated(chi2: Array, dof: int, looks: float) -> Array:

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import logsumexp
 
+from discrepancy import policy
 from discrepancy.fitting.significance import sigmas
 from discrepancy.free_laws.slots import Slot
 
@@ -55,12 +56,17 @@ class Weight:
     coefs: Array
 
 
+def choice(count: int) -> float:
+    """What it costs to choose one of so many that are alike beforehand, in chi^2."""
+    return policy.COST_OF_A_CHOICE * math.log(count)
+
+
 def freedom(information: Array, found: Array) -> float:
     """What the freedom of numbers fitted to be `found` costs, in chi^2: the same price as of a slot's coefficients.
 
     information: (k, k), in units in which realistic numbers are one. All may differ from zero, or one of them.
     """
-    pull, one = information @ found, 2 * math.log(1 + len(found))
+    pull, one = information @ found, choice(1 + len(found))
     ways = [(np.arange(len(found)), 0.0)] + [(np.array([k]), one) for k in range(len(found)) if len(found) > 1]
     gains = []
     for way, cost in ways:
@@ -83,7 +89,7 @@ def priors(slot: Slot) -> Iterator[tuple[float, Array, float]]:
 
     A field changes along both axes or along one, and acts along both or along one: three ways of each.
     """
-    one = 2 * math.log(3)
+    one = choice(3)
     for length in LENGTHS:
         ways = [(slot.spread(length), 0.0)]
         if len(slot.axes) == 2:

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize
 
+from discrepancy import policy
 from discrepancy.free_laws.basis import Axis
 from discrepancy.free_laws.fitted_law import Filled
 from discrepancy.free_laws.free import PACE
@@ -23,8 +24,6 @@ Array = NDArray[np.float64]
 Terms = list[tuple[str, Array]]  # in words, and drawn on the grid: (n,) of a number, (n, 2) of a vector
 
 GRID, SIDE = 200, 25  # places at which a shape is drawn: on a line, along each side of a map
-REFUSED = 4.0  # sigma at which the data tell a formula from the free curve
-SLIGHT = 0.01  # of what the curve explains: less is no reason to refuse a formula
 SEEN = 1e-10  # of the largest information
 REFINED = 200  # steps of the search for a shape's own parameters, at most
 LETTERS = {
@@ -86,7 +85,7 @@ class _Drawn:
         for name, power in slot.owners:
             own += (filled.now.model.value(name) * places[0] ** power)[:, None]
         self.target = self.weight @ peak + self.seen(own)
-        self.slight = SLIGHT * filled.sigma**2
+        self.slight = policy.FORMULA_SLIGHT_SHARE * filled.sigma**2
 
     def seen(self, column: Array) -> Array:
         return np.asarray(self.weight @ (self.inverse @ column.reshape(len(column), -1)).T.ravel())
@@ -122,7 +121,9 @@ class _Drawn:
         dof = max(len(self.target) - count, 1)
         words = _written([word for word, _ in self.terms(shape, *extra)], factors, bool(self.slot.owners))
         text = f"{self.slot.symbol} = {words}{_units(self.slot)}"
-        return Formula(text, chi2, count, chi2 > dof + max(REFUSED * float(np.sqrt(2 * dof)), self.slight))
+        return Formula(
+            text, chi2, count, chi2 > dof + max(policy.FORMULA_REFUSED_SIGMA * float(np.sqrt(2 * dof)), self.slight)
+        )
 
 
 def _written(words: list[str], factors: Array, relative: bool) -> str:

@@ -19,6 +19,7 @@ from scipy.linalg import toeplitz
 from scipy.optimize import minimize
 from scipy.special import expit, logit
 
+from discrepancy import policy
 from discrepancy.data.collisions import Measured
 
 T = TypeVar("T")
@@ -29,13 +30,10 @@ Stretch = tuple[Array, Array]  # places (n, axes) and claimed standard deviation
 Pair = tuple[Array, Array, Array, Array]  # places of both balls (n, 2) in the same frames, and what they claim (n,)
 
 SMOOTH = 4  # coefficients of the cubic
-SHORTEST = 12  # frames: a shorter stretch says little about noise
 SHAPES: tuple[Shape, ...] = ((0, False), (1, False), (1, True), (2, False), (3, False), (5, False))
 SHAKES: tuple[Shape, ...] = ((0, False), (1, False), (1, True), (2, False))  # of what the balls share
 SLOWEST = 0.999  # the largest partial autocorrelation: beyond it a clip cannot tell it from 1
 KERNELS = (0.0, 0.7, 0.97)  # correlations from frame to frame at which shared noise is looked for
-UNUSUAL = 9.0  # times the median clip's noise power: one bad recording would count for all others
-SHAKEN = 4.0  # sigma under independence: shared noise is used only beyond it
 IMPOSSIBLE = 1e12  # of -2 log likelihood, where a covariance is singular
 FEWER = 1.4  # a bundle's stretches are longer than its longest over this
 FLAT = 2.0  # of the cost's slope: its curvature is some hundreds
@@ -97,7 +95,7 @@ def estimate(clips: Sequence[Measured]) -> Noise:
     clips = _usual(clips)
     own = own_noise(stretch for clip in clips for stretch in clip.stretches())
     pairs = Pairs(pair for clip in clips for pair in clip.together())
-    return pairs.noise() if pairs.shaken(own) > SHAKEN else Noise(own)
+    return pairs.noise() if pairs.shaken(own) > policy.SHARED_NOISE_SIGMA else Noise(own)
 
 
 @dataclass(frozen=True)
@@ -147,7 +145,7 @@ def _alike(lengths: Sequence[int]) -> list[list[int]]:
     """Which stretches to put into one bundle."""
     out: list[list[int]] = []
     for k in sorted(range(len(lengths)), key=lambda k: -lengths[k]):
-        if lengths[k] >= SHORTEST:
+        if lengths[k] >= policy.SHORTEST_STRETCH:
             if not out or lengths[out[-1][0]] > FEWER * lengths[k]:
                 out.append([])
             out[-1].append(k)
@@ -167,7 +165,7 @@ def _usual(clips: Sequence[Measured]) -> list[Measured]:
         bundles = _bundles(clip.stretches())
         freedom = sum(b.freedom for b in bundles)
         sizes.append(sum(float((b.values**2).sum()) for b in bundles) / freedom if freedom else 0.0)
-    most = UNUSUAL * float(np.median([s for s in sizes if s > 0] or [0.0]))
+    most = policy.UNUSUAL_NOISE_POWER * float(np.median([s for s in sizes if s > 0] or [0.0]))
     return [c for c, s in zip(clips, sizes, strict=True) if s <= most]
 
 
@@ -286,7 +284,7 @@ class Pairs:
         every = [
             (one - one.mean(axis=0), two - two.mean(axis=0), *(float(np.sqrt(np.mean(c**2))) for c in claims))
             for one, two, *claims in pairs
-            if len(one) >= SHORTEST
+            if len(one) >= policy.SHORTEST_STRETCH
         ]
         self.pairs = every
         self.longest = max((len(one) for one, *_ in every), default=0)

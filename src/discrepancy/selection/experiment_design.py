@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from discrepancy import policy
 from discrepancy.data.collisions import Measured
 from discrepancy.fitting.gauss_newton import Evidence, Fit, linearised
 from discrepancy.fitting.parameters import Suspect
@@ -20,7 +21,6 @@ Array = NDArray[np.float64]
 Shaped = tuple[Suspect, dict[str, float]]  # an effect, with values of its shapes
 
 MOST = 24  # collisions in a design
-PARTED = 0.9  # of the cosine: under it two effects can be told apart
 ASIDE = 0.25  # of the picture's size, from its middle
 OUTSIDE: dict[str, str] = {
     "camera": "film a plate of known lengths with the same camera",
@@ -142,9 +142,13 @@ def advice(one: Suspect, other: Suspect, found: Sequence[Design]) -> str:
     now, *proposed = found
     best = min(proposed, key=lambda d: d.cosine)
     single = min(proposed[:-1], key=lambda d: d.cosine)
-    best = single if single.cosine < PARTED or single.cosine < best.cosine + 0.02 else best
+    best = (
+        single
+        if single.cosine < policy.PARTED_COSINE or single.cosine < best.cosine + policy.PARTED_BETTER_BY
+        else best
+    )
     pair = f"{one.name} and {other.name}"
-    if best.cosine < min(PARTED, now.cosine):
+    if best.cosine < min(policy.PARTED_COSINE, now.cosine):
         falls = f"the cosine of their signatures falls from {now.cosine:.3f} to {best.cosine:.3f}"
         return f"To part {pair}: {best.words}; {falls}."
     laws = [law for s in (one, other) if s.kind is not None for law in s.kind.laws]

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from discrepancy import policy
 from discrepancy.data.collisions import Measured
 from discrepancy.fitting.gauss_newton import FAILED, Evidence, Fit, fit, linearised, settle, solve
 from discrepancy.fitting.parameters import Suspect, limits_of, within
@@ -23,18 +24,14 @@ from discrepancy.free_laws.fitted_law import Filled
 from discrepancy.free_laws.slots import Slot, columns, slots
 from discrepancy.noise.model import Noise
 from discrepancy.selection.candidate import Candidate
-from discrepancy.selection.model_cost import LAW, price
+from discrepancy.selection.model_cost import law_chosen, price
 from discrepancy.selection.score_test import Contest
 from synthcam.model import Model
 
 Array = NDArray[np.float64]
 
-LEVEL = 4.5  # sigma of a slot, needed to declare
-MARGIN = 5.0  # of chi^2: so much likelier is an effect of the library beforehand than a law that nobody knows
-CLOSE = 10.0  # of chi^2: a slot so near to the library's model may be the truth, once the noise is known better
 LEADERS = 3  # fitted in full
 NEAR, LOOSE = 15.0, 0.01  # of chi^2, and of what a slot explains: what the first order may be wrong by
-MOST = 2  # library effects claimed beside a slot, after it was found
 ROUNDS = 30
 SETTLED = 0.05  # of chi^2: what a further step would gain
 SHORTER = (1.0, 0.5, 0.25, 0.1, 0.02)  # shares of a step that are tried
@@ -51,7 +48,7 @@ class Look:
 
     def score(self, base: Fit) -> float:
         """What it would cost, in chi^2."""
-        return price(self.now, base) + LAW - self.weight.gain
+        return price(self.now, base) + law_chosen() - self.weight.gain
 
 
 def _moves(evidence: Evidence, slot: Slot, model: Model, launches: Array) -> tuple[Array, ...]:
@@ -92,7 +89,7 @@ def fill(evidence: Evidence, look: Look, base: Fit, tick: Callable[[], None] = l
             moves = _moves(evidence, slot, slot.bent(plain, coefs), now.launches)
             fresh = True
     freedom = np.linalg.slogdet(np.eye(slot.size) + information / np.diag(weight.prior.precision)[:, None])
-    paid = LAW + weight.prior.cost + float(coefs @ weight.prior.precision @ coefs + freedom[1])
+    paid = law_chosen() + weight.prior.cost + float(coefs @ weight.prior.precision @ coefs + freedom[1])
     smooth = Filled(slot, coefs, weight.prior, now, plain, here, moves, look.sigma, price(now, base) + paid)
     return dataclasses.replace(smooth, score=smooth.score - stepped(smooth))
 
@@ -139,8 +136,9 @@ class Slots:
     """The slots, held against the library's models as the search goes from one to the next.
 
     A named effect is preferred to a free law in its place: against a model of the library a slot counts only where
-    that model leaves a slot significant, or needs two effects more than the slot does, or is worse by a MARGIN. rivals:
-    other models of the library with as many effects, which may be less simple than the latest but fit better.
+    that model leaves a slot significant, or needs two effects more than the slot does, or is worse by what an effect is
+    preferred by. rivals: other models of the library with as many effects, which may be less simple than the latest but
+    fit better.
     """
 
     def __init__(self, evidence: Evidence, base: Fit, tick: Callable[[], None] = lambda: None) -> None:
@@ -167,7 +165,7 @@ class Slots:
     def nearly(self, now: Fit) -> Filled | None:
         """The slot that explains nearly as much as the library's best model, or more."""
         best = min(self.filled, key=lambda f: f.score, default=None)
-        return best if best and best.score < self._cost(now) + CLOSE else None
+        return best if best and best.score < self._cost(now) + policy.FREE_LAW_NEAR else None
 
     def outcome(self, now: Fit) -> Filled | None:
         """The slot that explains the clips better than the library's best model, and than chance; None if none does.
@@ -175,7 +173,7 @@ class Slots:
         With such library effects beside it as it still needs.
         """
         best = self._best(now, 0)
-        for _ in range(MOST if best else 0):
+        for _ in range(policy.MOST_EFFECTS_BESIDE_FREE_LAW if best else 0):
             beside = self._next(best) if best else None
             if best is None or beside is None:
                 break
@@ -189,7 +187,7 @@ class Slots:
                 trial = fill(self.evidence, look, self.base, self.tick)
             except ValueError:  # without the slot there is no motion
                 break
-            if trial.score >= best.score or look.sigma < LEVEL:
+            if trial.score >= best.score or look.sigma < policy.FREE_LAW_SIGMA:
                 break
             self.filled.append(trial)
             best = trial
@@ -199,13 +197,17 @@ class Slots:
         """The best slot, if better, of those beside a model of `fewer` effects less than the library's latest."""
         cost, most = self._cost(now), self._count(now)
         few = [f for f in self.filled if most - self._count(f.now) >= fewer and self._needed(f)]
-        fair = [f for f in few if self.refuted or most - self._count(f.now) > 1 or f.score < cost - MARGIN]
+        fair = [
+            f
+            for f in few
+            if self.refuted or most - self._count(f.now) > 1 or f.score < cost - policy.EFFECT_PREFERRED_BY
+        ]
         best = min(fair, key=lambda f: f.score, default=None)
         return best if best and best.score < cost else None
 
     def _needed(self, filled: Filled) -> bool:
         """Is every library effect beside a slot needed, or does the slot hold it too?"""
-        return all(sigma > LEVEL for sigma in filled.beside(self.base).values())
+        return all(sigma > policy.FREE_LAW_SIGMA for sigma in filled.beside(self.base).values())
 
     def _cost(self, now: Fit) -> float:
         return min(price(f, self.base) for f in (now, *self.rivals))
@@ -221,7 +223,9 @@ class Slots:
             moves = _moves(self.evidence, slot, self.base.model, self.base.launches)  # near enough for all fits
             seen += [_look(slot, now, moves) for now in fits]
             self.tick()
-        leaders = sorted((look for look in seen if look.sigma > LEVEL), key=lambda look: look.score(self.base))
+        leaders = sorted(
+            (look for look in seen if look.sigma > policy.FREE_LAW_SIGMA), key=lambda look: look.score(self.base)
+        )
         for look in leaders[:LEADERS]:
             slack = NEAR + LOOSE * (price(look.now, self.base) - look.score(self.base))
             if all(look.score(self.base) < f.score + slack for f in self.filled):
@@ -233,8 +237,8 @@ class Slots:
         """The library's effect that is still to be claimed beside a slot."""
         if self.asked is None or self.asked[0] is not filled:
             contest = Contest.of(filled.evidence, filled.whole, self.tick, about=filled.plain)
-            ranking = contest.leaders(LEVEL)
-            claimed = ranking and ranking[0].sigma > LEVEL and ranking[0].sigma > contest.claim()
+            ranking = contest.leaders(policy.FREE_LAW_SIGMA)
+            claimed = ranking and ranking[0].sigma > policy.FREE_LAW_SIGMA and ranking[0].sigma > contest.claim()
             self.asked = filled, ranking[0] if claimed else None
         return self.asked[1]
 

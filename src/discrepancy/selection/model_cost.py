@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -10,11 +9,14 @@ from numpy.typing import NDArray
 
 from discrepancy.fitting.gauss_newton import Fit
 from discrepancy.fitting.parameters import parameter_of, span_of
-from discrepancy.free_laws.evidence import freedom
+from discrepancy.free_laws.evidence import choice, freedom
 from discrepancy.free_laws.slots import SLOTS
 from synthcam.library import library
 
-LAW = 2 * math.log(SLOTS)  # of one law chosen to be left free
+
+def law_chosen() -> float:
+    """What it costs to choose one law to be left free, in chi^2."""
+    return choice(SLOTS)
 
 
 def price(now: Fit, base: Fit) -> float:
@@ -23,7 +25,7 @@ def price(now: Fit, base: Fit) -> float:
     Shapes cost what looking for them in all their range does: twice the logarithm of the range over the width of their
     likelihood; the strengths what they do where the shapes are known. So what no data tell apart is paid for once.
     """
-    paid, chosen = now.chi2, 2 * math.log(len(library()))
+    paid, chosen = now.chi2, choice(len(library()))
     added = [n for n in now.names if n not in base.names and "." in n]
     for effect in dict.fromkeys(n.partition(".")[0] for n in added):
         own = {n: parameter_of(now.model, n) for n in added if n.startswith(f"{effect}.")}

@@ -10,6 +10,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from discrepancy import policy
 from discrepancy.fitting.gauss_newton import Fit
 from discrepancy.fitting.parameters import Suspect, limits_of, parameter_of
 from discrepancy.selection.candidate import Candidate
@@ -17,8 +18,6 @@ from discrepancy.selection.score_test import likeness
 from synthcam.model import Model
 
 Array = NDArray[np.float64]
-ALIAS = 0.9  # of the cosine between two signatures: beyond it the data hardly part them
-PAIRS = 0.98  # the same for the span of two others
 
 
 @dataclass(frozen=True)
@@ -103,10 +102,10 @@ def determined(now: Fit, shape: str, std: float) -> float:
 
 def sums(own: Array, ranking: Sequence[Candidate]) -> tuple[tuple[tuple[str, ...], float], ...]:
     """Pairs of effects that together have nearly the signature, where neither has it alone."""
-    alone = [c for c in ranking if c.signature.shape[1] == 1 and 0 < likeness(own, c.signature) <= ALIAS]
+    alone = [c for c in ranking if c.signature.shape[1] == 1 and 0 < likeness(own, c.signature) <= policy.ALIAS_COSINE]
     found = []
     for one, other in itertools.combinations(alone, 2):
         cosine = likeness(own, np.concatenate([one.signature, other.signature], axis=1))
-        if cosine > PAIRS:
+        if cosine > policy.ALIAS_COSINE_OF_PAIRS:
             found.append(((one.effect, other.effect), cosine))
     return tuple(sorted(found, key=lambda f: -f[1])[:3])

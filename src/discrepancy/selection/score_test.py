@@ -10,12 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
+from discrepancy import policy
 from discrepancy.fitting.gauss_newton import Evidence, Fit, basis
 from discrepancy.fitting.jacobian import derivative
 from discrepancy.fitting.parameters import Suspect, between, parameter_of, suspects
 from discrepancy.fitting.predict import forecast
 from discrepancy.fitting.shape_scan import scannable, scanned
-from discrepancy.fitting.significance import LEVEL, by_chance, looks_of, sigmas
+from discrepancy.fitting.significance import by_chance, looks_of, sigmas
 from discrepancy.selection.candidate import Candidate, Score, Trial
 from synthcam.dynamics.solve import uncoupled
 from synthcam.model import Model
@@ -23,11 +24,9 @@ from synthcam.model import Model
 Array = NDArray[np.float64]
 
 SEEN = 1e-4  # of a signature's length that must be left when all that the fit absorbs is taken out
-LIMIT = 5.0  # sigma expected of a strength at its detection limit
 ZOOMS = 2  # times that the grid of a shape is made finer about the best
 ROWS = 1500  # of the signatures, to count independent looks by
 MOST = 20_000_000  # numbers in the derivatives by one suspect's strengths
-UNSEEN = 10.0  # realistic sizes: what only shows beyond them, or beyond what is allowed, cannot be told
 
 
 @dataclass(frozen=True)
@@ -266,16 +265,16 @@ class Contest:
         if way.side * pull[0] < 0:
             chi2 = 0.0
         seen = float((way.sizes * np.sqrt(np.diag(gram).clip(0))).max())
-        limit = LIMIT / max(seen, 1e-300) if spread else np.inf
+        limit = policy.DETECTION_LIMIT_SIGMA / max(seen, 1e-300) if spread else np.inf
         sigma = sigmas(chi2, spread, self.looks.get(suspect.name, 1.0)) if spread else 0.0
-        return Score(trial, sigma, chi2, limit, limit <= min(UNSEEN, way.allowed), axes)
+        return Score(trial, sigma, chi2, limit, limit <= min(policy.LARGEST_LIMIT, way.allowed), axes)
 
     @cached_property
     def _ways(self) -> dict[Suspect, _Way]:
         return {suspect: _Way.of(suspect, self.now) for suspect in {t.suspect for t in self.trials}}
 
-    def claim(self, level: float = LEVEL) -> float:
-        """The sigma that the best candidate exceeds by chance in a share `level` of searches."""
+    def claim(self, level: float | None = None) -> float:
+        """The sigma that the best candidate exceeds by chance in a share of searches, by default that of a claim."""
         if not self.trials:
             return 0.0
         gram, rows = self._bases

@@ -10,23 +10,22 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from discrepancy import policy
 from discrepancy.data.collisions import Measured
 from discrepancy.fitting.gauss_newton import Evidence, Fit, linearised, settle
 from discrepancy.fitting.parameters import Suspect, suspects_of
-from discrepancy.fitting.significance import FLOOR, sigmas
+from discrepancy.fitting.significance import sigmas
 from discrepancy.noise.model import Noise
 from discrepancy.selection.candidate import Candidate
 from discrepancy.selection.fit_store import Visited
 from discrepancy.selection.model_cost import price
-from discrepancy.selection.named import ALIAS, Named, determined, sums
+from discrepancy.selection.named import Named, determined, sums
 from discrepancy.selection.profile_errors import spread
-from discrepancy.selection.score_test import LIMIT, Contest, likeness
+from discrepancy.selection.score_test import Contest, likeness
 from synthcam.model import Model
 
 Array = NDArray[np.float64]
 
-MOST = 4  # effects named in one search: more together can imitate what is in nobody's library
-PART = 9.5  # of chi^2, all freedom paid for: a rival that is worse by less is not excluded
 NEAR, LOOSE = 15.0, 0.2  # of chi^2, and of what an effect explains: what the score may be wrong by
 RIVALS, SWAPS = 8, 4  # refitted, at most, beside a leader and in the place of a named effect
 
@@ -52,7 +51,7 @@ class Search:
     def from_here(self, effects: Iterable[str], model: Model) -> Search | None:
         """The better search, where one that begins with these effects, as a model has them, comes to a better model.
 
-        With more effects it must be better by PART, as always.
+        With more effects it must be better by what excludes a rival, as always.
         """
         try:
             begun = self.hunt.begin(effects, model)
@@ -60,7 +59,7 @@ class Search:
             return None
         again = self.hunt.outcome(lambda now, rivals: False, begun)
         less = price(self.best, self.base) - price(again.best, self.base)
-        return again if less > (PART if len(again.state) > len(self.state) else 0.0) else None
+        return again if less > (policy.RIVAL_EXCLUDED_BY if len(again.state) > len(self.state) else 0.0) else None
 
     def less(self, suspect: Suspect) -> Search:
         """Without one of the effects named, all else fitted again."""
@@ -121,7 +120,7 @@ class _Hunt:
         """state: what to begin with."""
         ranking, claim = self._first
         begun = state
-        while len(state) < MOST:
+        while len(state) < policy.MOST_EFFECTS_NAMED:
             winner = self._winner(state, self.seen.contest(state), claim)
             if winner is None:
                 break
@@ -142,7 +141,7 @@ class _Hunt:
         contest = self.seen.contest(())
         ranking, self.looks = contest.ranking(), contest.looks
         self.blind = {c.effect for c in ranking if c.absorbed}
-        return ranking, max(contest.claim(), FLOOR)
+        return ranking, max(contest.claim(), policy.LEAST_SIGMA_OF_A_CLAIM)
 
     def begin(self, effects: Iterable[str], model: Model) -> tuple[Suspect, ...]:
         """A state to search on from: these effects, as a model has them, fitted. Raises ValueError without a motion."""
@@ -199,7 +198,7 @@ class _Hunt:
 
     def _simplest(self, keys: Collection[frozenset[Suspect]]) -> frozenset[Suspect]:
         """Of models that fit as well as the best, the one with the fewest strengths, then shapes, then the best fit."""
-        near = min(map(self.seen.price, keys)) + PART
+        near = min(map(self.seen.price, keys)) + policy.RIVAL_EXCLUDED_BY
 
         def order(key: frozenset[Suspect]) -> tuple[int, int, float]:
             effects = [s for s in key if s.kind is not None]
@@ -216,7 +215,7 @@ class _Hunt:
             c
             for c in chosen
             if c.gain > (1 - LOOSE) * leader.gain - NEAR
-            or likeness(leader.signature, c.signature) > ALIAS
+            or likeness(leader.signature, c.signature) > policy.ALIAS_COSINE
             or (c.suspect.kind is None and c.sigma > claim)
         ]
         return sorted(near, key=lambda c: (c.suspect.kind is not None, -c.gain))[:RIVALS]
@@ -240,7 +239,7 @@ class _Hunt:
                     self.seen.grow(key, reduced, best)
                 if self.seen.price(key) < self.seen.price(state) + NEAR:
                     self.seen.settled(tuple(key))
-                if self.seen.price(key) < self.seen.price(state) - PART:
+                if self.seen.price(key) < self.seen.price(state) - policy.RIVAL_EXCLUDED_BY:
                     return (*state[:k], c.suspect, *state[k + 1 :])
             simplest = self._simplest(keys)
             if simplest != frozenset(state):
@@ -260,7 +259,9 @@ class _Hunt:
         rest = frozenset(state) - {suspect}
         worse = self.seen.settled(tuple(rest)).chi2 - now.chi2
         others = {key - rest: self.seen.price(key) for key in self.seen.fits if len(key) == len(state) and key > rest}
-        near = sorted((p, next(iter(s)).name) for s, p in others.items() if p < self.seen.price(state) + PART)
+        near = sorted(
+            (p, next(iter(s)).name) for s, p in others.items() if p < self.seen.price(state) + policy.RIVAL_EXCLUDED_BY
+        )
         ranking = tuple(c for c in contest.ranking(suspect) if c.telling and c.effect not in self.blind)
         if suspect.kind is None:  # an effect can always bend a law to a constant: no rival to the constant itself
             ranking = tuple(c for c in ranking if c.suspect.kind is None)
@@ -269,7 +270,7 @@ class _Hunt:
         own = contest.signature(suspect)
         cosines = sorted(((likeness(own, c.signature), c.effect) for c in ranking), reverse=True)
         told = max((c for c, effect in cosines if effect not in aliases), default=0.0)
-        limit = {s: LIMIT * now.std[s] for s in suspect.strengths}
+        limit = {s: policy.DETECTION_LIMIT_SIGMA * now.std[s] for s in suspect.strengths}
         std = spread(self.seen.evidence, self.seen.without(now, suspect), now, suspect)
         return Named(
             suspect.name,
@@ -279,7 +280,7 @@ class _Hunt:
             aliases,
             {s: now.model.value(s) for s in suspect.shapes},
             {s: determined(now, s, std.get(s, 0.0)) for s in suspect.shapes},
-            (*(((e,), c) for c, e in cosines if c > ALIAS), *sums(own, ranking)),
+            (*(((e,), c) for c, e in cosines if c > policy.ALIAS_COSINE), *sums(own, ranking)),
             limit,
             {s: x / float(np.sqrt(max(1 - told**2, 1e-12))) for s, x in limit.items()},
         )

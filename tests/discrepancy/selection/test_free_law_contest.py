@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 from discrepancy_clips import CAMERA, FPS, collisions, exact, noisy
 
+from discrepancy import policy
 from discrepancy.fitting.gauss_newton import BASE, Evidence, fit
 from discrepancy.fitting.predict import forecast
 from discrepancy.free_laws.slots import slots
 from discrepancy.noise.model import Component, Noise
-from discrepancy.selection.free_law_contest import MARGIN, Slots, _look, _moves, fill, unseen
+from discrepancy.selection.free_law_contest import Slots, _look, _moves, fill, unseen
 from discrepancy.selection.model_cost import price
 from synthcam.model import Model
 
@@ -57,7 +58,7 @@ def test_the_slot_that_was_filled_is_the_best_and_the_noise_is_left(wavy):
     best = min(contest.filled, key=lambda f: f.score)
     assert best.slot.name == "restitution_heading"
     assert best.sigma > 20
-    assert best.score < price(base, base) - MARGIN
+    assert best.score < price(base, base) - policy.EFFECT_PREFERRED_BY
     freedom = best.now.points - best.now.parameters - best.slot.size
     assert abs(best.now.chi2 / freedom - 1) < 4 * np.sqrt(2 / freedom)
 

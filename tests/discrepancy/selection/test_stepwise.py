@@ -9,9 +9,9 @@ from discrepancy_clips import EFFECTS, collisions, design, exact, noise_of_pair,
 from scipy.stats import chi2 as chi2_law
 from scipy.stats import kstest
 
+from discrepancy import policy
 from discrepancy.fitting.gauss_newton import BASE, Evidence, fit
 from discrepancy.fitting.parameters import fitted, suspects
-from discrepancy.fitting.significance import FLOOR
 from discrepancy.noise.model import estimate
 from discrepancy.selection.fit_store import Visited
 from discrepancy.selection.stepwise import _Hunt, search
@@ -35,17 +35,17 @@ def few(monkeypatch, names=FEW):
 def test_with_nothing_hidden_the_score_is_a_standard_normal(effect, rho):
     z = nulls(8, 24, rho)[effect]
     assert kstest(z, "norm").pvalue > 1e-3
-    assert np.abs(z).max() < FLOOR
+    assert np.abs(z).max() < policy.LEAST_SIGMA_OF_A_CLAIM
     low, high = chi2_law.ppf([1e-3, 1 - 1e-3], len(z))
     assert low < z @ z < 1.2 * high  # the noise itself is estimated too
 
 
 def test_noise_that_remembers_raises_no_false_alarm_but_would_without_whitening():
     z = nulls(16, 8, 0.9)["velocity_restitution"]  # so slow a noise is hard to read off: its scale is known to 20 %
-    assert np.abs(z).max() < FLOOR
+    assert np.abs(z).max() < policy.LEAST_SIGMA_OF_A_CLAIM
     assert z @ z < 1.5 * chi2_law.ppf(1 - 1e-3, len(z))
     wolf = np.abs(nulls(8, 60, 0.9, whitened=False)["velocity_restitution"])
-    assert np.mean(wolf > FLOOR) > 0.2
+    assert np.mean(wolf > policy.LEAST_SIGMA_OF_A_CLAIM) > 0.2
 
 
 @pytest.mark.parametrize("effect", EFFECTS)
@@ -84,15 +84,15 @@ def hunted(truth, *state):
 def test_a_wrong_effect_is_exchanged_for_the_right_one(monkeypatch):
     few(monkeypatch)
     hunt, state = hunted(Model().replace({"velocity_restitution.e": 0.01}), "spin_transfer_velocity")
-    better = hunt._better(state, hunt.seen.contest(state), FLOOR)
+    better = hunt._better(state, hunt.seen.contest(state), policy.LEAST_SIGMA_OF_A_CLAIM)
     assert [s.name for s in better] == ["velocity_restitution"]
-    assert hunt._better(better, hunt.seen.contest(better), FLOOR) is None
+    assert hunt._better(better, hunt.seen.contest(better), policy.LEAST_SIGMA_OF_A_CLAIM) is None
 
 
 def test_an_effect_that_is_not_needed_is_dropped(monkeypatch):
     few(monkeypatch)
     hunt, state = hunted(Model().replace({"velocity_restitution.e": 0.01}), "rolling_quadratic", "velocity_restitution")
-    better = hunt._better(state, hunt.seen.contest(state), FLOOR)
+    better = hunt._better(state, hunt.seen.contest(state), policy.LEAST_SIGMA_OF_A_CLAIM)
     assert [s.name for s in better] == ["velocity_restitution"]
 
 
@@ -225,10 +225,10 @@ def test_a_search_is_as_strict_as_its_library_is_large(monkeypatch):
     clips, base, noise = started(Model())
     whole = search(clips, base, noise)
     assert whole.named == ()
-    assert whole.claim > FLOOR
+    assert whole.claim > policy.LEAST_SIGMA_OF_A_CLAIM
     assert {"clock_error", "adhesion"} <= set(whole.untold)
     few(monkeypatch, EFFECTS)
-    assert search(clips, base, noise).claim == FLOOR
+    assert search(clips, base, noise).claim == policy.LEAST_SIGMA_OF_A_CLAIM
 
 
 def test_the_error_of_a_law_with_a_kink_reaches_to_its_other_minima(monkeypatch):
