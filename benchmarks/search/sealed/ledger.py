@@ -51,7 +51,7 @@ class Ledger:
         """Put the hash of the secret on record, before any box. Raises Broken when it is another than on record."""
         said, known = sealing(secret), list(lines(self.record))
         if not known:
-            _append(self.record, {"secret": said})
+            append(self.record, {"secret": said})
         elif known[0].get("secret") != said:
             raise Broken(f"{self.record.name}: these boxes were drawn from another secret")
 
@@ -60,7 +60,7 @@ class Ledger:
         if self._hash(box, "truth") is None:
             salted = truth | {"salt": secrets.token_hex(16)}
             _write(self._path(box), salted)
-            _append(self.record, {"box": box, "truth": digest(salted)})
+            append(self.record, {"box": box, "truth": digest(salted)})
 
     def answer(self, box: int, answer: Json) -> None:
         """Put the one answer on record, before the truth is looked at. Raises Broken."""
@@ -69,7 +69,7 @@ class Ledger:
         if self._hash(box, "answer") is not None:
             raise Broken(f"box {box}: answered before")
         _write(self._path(box, ".answer"), answer)
-        _append(self.record, {"box": box, "answer": digest(answer)})
+        append(self.record, {"box": box, "answer": digest(answer)})
 
     def answered(self, box: int) -> Json | None:
         """The answer on record, held against its hash, for a run that goes on after a kill. Raises Broken."""
@@ -85,7 +85,7 @@ class Ledger:
             raise Broken(f"box {box}: opened before")
         self._hold(box, answer)
         truth = self.truth(box)
-        _append(self.results, {"box": box, "truth": truth, "answer": answer} | beside)
+        append(self.results, {"box": box, "truth": truth, "answer": answer} | beside)
         return truth
 
     def truth(self, box: int) -> Json:
@@ -123,7 +123,7 @@ def _write(path: Path, value: Json) -> None:
     beside.replace(path)
 
 
-def _append(path: Path, value: Json) -> None:
+def append(path: Path, value: Json) -> None:
     """One line, whole or not at all, whoever else writes."""
     with path.open("a+b") as file:
         fcntl.flock(file, fcntl.LOCK_EX)
