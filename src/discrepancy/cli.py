@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import shutil
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -28,7 +27,6 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
-REPORT = ("discrepancy.json", "index.html", "model.yaml")
 STAGES = ("noise", "fit", "slots", "search", "gap", "where", "report")
 MeasuredPath = Annotated[
     Path, typer.Argument(metavar="MEASURED", help="RESULTS of a tracker, or a table of tracks (CSV or Parquet).")
@@ -61,24 +59,6 @@ def stages(names: Sequence[str]) -> Iterator[Callable[[str], None]]:
         yield tick
 
 
-@contextmanager
-def aside(output: Path) -> Iterator[Path]:
-    """A folder to write into that becomes `output` when all went well. Refuses a folder that holds something else."""
-    output = output.resolve()
-    if output.exists() and (not output.is_dir() or any(p.name not in REPORT for p in output.iterdir())):
-        raise InputError(f"{output}: holds something else; expected a report of an earlier search, or nothing")
-    check_room(output)
-    folder = output.with_name(f"{output.name}.{os.getpid()}.tmp")
-    with told(output):
-        folder.mkdir(parents=True)
-        try:
-            yield folder
-            shutil.rmtree(output, ignore_errors=True)
-            folder.rename(output)
-        finally:
-            shutil.rmtree(folder, ignore_errors=True)
-
-
 @app.command()
 def find(
     measured: MeasuredPath,
@@ -92,8 +72,9 @@ def find(
     Example: discrepancy find out/results --model scenes/painter_behringer.yaml -o out/search
     """
     from discrepancy.data.collisions import read_measured
-    from discrepancy.report import html as report
-    from discrepancy.search import find as search
+    from discrepancy.finding import searched
+    from discrepancy.report import html
+    from discrepancy.report.staging import aside
 
     started = time.monotonic()
     suspect = read_model(model)
@@ -101,15 +82,15 @@ def find(
     clips, left_out = read_measured(measured, camera)
     with aside(output) as folder:
         with stages(STAGES) as tick:
-            found = search(clips, suspect, tick)
+            found = searched(clips, suspect, left_out, tick)
             tick("report")
-            report.write(found, folder, left_out)
+            html.write(found.outcome, folder, found.left_out)
         document = json.loads((folder / "discrepancy.json").read_text())
     seconds = time.monotonic() - started
     print(json.dumps(document | {"seconds": round(seconds, 2)}) if as_json else found.sentence())
     if not as_json:
         _say_lost(document["clips"]["left_out"], len(left_out) > len(clips))
-        used = f"{len(found.clips) + len(found.kept_out)} of {len(clips) + len(left_out)}"
+        used = f"{len(found.outcome.clips) + len(found.outcome.kept_out)} of {len(clips) + len(left_out)}"
         print(f"{output / 'index.html'}  ({used} collisions, {seconds:.0f} s)")
 
 

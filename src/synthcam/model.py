@@ -102,6 +102,27 @@ class Model:
     effects: tuple[Effect, ...] = ()
     free: tuple[str, ...] = ()
 
+    @classmethod
+    def read(cls, path: str | Path) -> Model:
+        """Read a model file, or a scene whose physics are numbers; scenes that come with synthcam by name.
+
+        Raises
+        ------
+        InputError
+            One line, with file and key.
+
+        Examples
+        --------
+        >>> import synthcam
+        >>> synthcam.Model.read("painter_behringer").restitution
+        0.903
+        """
+        return read_model(Path(path))
+
+    def write(self, path: str | Path) -> None:
+        """Write a model file that `read` gives back and ``synthcam generate`` takes."""
+        write_model(self, Path(path))
+
     @cached_property
     def laws(self) -> Laws:
         """The laws with the active effects applied."""
@@ -183,12 +204,29 @@ def read_model(path: Path) -> Model:
 
     Raises InputError.
     """
-    loaded = {k: v for k, v in read_yaml(path).items() if k in ("ball", "model", "effects", "free")}
+    return _checked(read_yaml(path), str(path))
+
+
+def _checked(loaded: Mapping[str, Any], where: str) -> Model:
+    known = {k: v for k, v in loaded.items() if k in ("ball", "model", "effects", "free")}
     try:
-        plain = model_file().model_validate(loaded).model_dump()
+        plain = model_file().model_validate(known).model_dump()
     except ValidationError as e:
-        raise one_line(e, str(path)) from None
-    return build(plain, check_free(plain["free"], str(path)))
+        raise one_line(e, where) from None
+    return build(plain, check_free(plain["free"], where))
+
+
+def model_of(given: Model | Mapping[str, Any] | str | Path) -> Model:
+    """A model as it is, from its settings, or from its file. Raises InputError."""
+    if isinstance(given, Model):
+        return given
+    if isinstance(given, str | Path):
+        return read_model(Path(given))
+    if not isinstance(given, Mapping):
+        raise InputError(f"model: of type {type(given).__name__}, expected a model, its settings, or a path")
+    if unknown := [str(k) for k in given if k not in model_file().model_fields]:
+        raise InputError(f"model: {unknown[0]}: unknown key; there are {', '.join(model_file().model_fields)}")
+    return _checked(given, "model")
 
 
 def write_model(model: Model, path: Path) -> None:

@@ -42,6 +42,7 @@ LAYERS = {
         "diagnostics",
         "search add",
         "report",
+        "finding",
         "cli",
     ],
     "synthcam.dynamics": [

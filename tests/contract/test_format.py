@@ -24,8 +24,8 @@ def run(*words: str, cwd: Path) -> None:
 def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A dataset, its results, its score and a search: what every command of the README writes, with fewer clips."""
     folder = tmp_path_factory.mktemp("format")
-    blocks = re.findall(r"```\n(.*?)```", (ROOT / "README.md").read_text(), re.S)
-    commands = [line for block in blocks for line in block.splitlines() if not line.startswith("make")]
+    blocks = re.findall(r"^```(\w*)\n(.*?)^```$", (ROOT / "README.md").read_text(), re.S | re.M)
+    commands = [line for kind, block in blocks for line in block.splitlines() if not kind and line[:4] != "make"]
     assert len(commands) >= 6
     (folder / "scenes").symlink_to(ROOT / "scenes")
     for command in commands:

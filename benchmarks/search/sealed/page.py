@@ -49,6 +49,7 @@ def write(folder: Path, rows: Sequence[Row] | None = None) -> Path:
     rows = rows_in(folder) if rows is None else rows
     with plt.rc_context(STYLE):
         figures = [inline(title, figure, note) for title, figure, note in _figures(rows)]
+        plt.close("all")
     template = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined).from_string(
         (Path(__file__).parent / "page.html").read_text(encoding="utf-8")
     )

@@ -18,12 +18,14 @@ from tracker.camera.camera import Camera, InputError
 from tracker.detection.link import Tracks
 from tracker.measurement.adequacy import MEASURED, MISFIT
 from tracker.measurement.estimate import measure
-from tracker.results import read_clip, read_tracks
+from tracker.recording import Result
+from tracker.results import read_clip, read_tracks, split_tracks
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 UNCLAIMED = 0.01  # px: stands in where tracks claim no error; the noise is then read off all the same
+GIVEN = "what tracker.track or tracker.measure gives"
 ESTIMATES = "clip striker status t_c v0 b tau1 tau2 particle1 particle2".split()
 
 
@@ -115,12 +117,14 @@ def _unbroken(rows: Ints, frame: Ints) -> Iterator[Ints]:
         yield part[policy.EVENT_MARGIN : len(part) - policy.EVENT_MARGIN]
 
 
-def read_measured(measured: Path, camera: Path | None = None) -> tuple[list[Measured], list[str]]:
-    """The collisions of a tracker's RESULTS, or of a table of tracks, and a line for each that is left out.
+def read_measured(measured: Path | Sequence[Result], camera: Path | None = None) -> tuple[list[Measured], list[str]]:
+    """The collisions of a tracker's RESULTS, of a table of tracks, or of results, and a line for each that is left out.
 
     camera: a table's camera.json; RESULTS have their own. Raises InputError.
     """
-    if measured.is_dir():
+    if not isinstance(measured, Path):
+        source, measured = _in_memory(measured), Path("results")
+    elif measured.is_dir():
         if camera is not None:
             raise InputError(f"--camera {camera}: {measured} holds its own; expected it with a table of tracks only")
         source = _results(measured)
@@ -153,6 +157,24 @@ def read_measured(measured: Path, camera: Path | None = None) -> tuple[list[Meas
 
 
 Source = Iterator[tuple[int, Tracks, Camera, Callable[[], list[dict[Any, Any]]]]]  # the last measures, when asked
+
+
+def _in_memory(results: Sequence[Result]) -> Source:
+    """As if written and read again, for the same numbers to the last bit. Clips that share a number are counted."""
+    if not isinstance(results, Sequence):
+        raise InputError(f"results: of type {type(results).__name__}, expected a list of {GIVEN}")
+    for k, result in enumerate(results):
+        if not isinstance(result, Result):
+            kind = type(result).__name__
+            raise InputError(
+                f"results: number {k} is of type {kind}, expected what tracker.track or tracker.measure gives"
+            )
+    own = len({r.number for r in results}) == len(results)
+    for k, result in sorted(enumerate(results), key=lambda pair: pair[1].number if own else pair[0]):
+        ((_, (tracks, _)),) = split_tracks(result.tracks, f"results: number {k}").items()
+        known = Camera.from_dict(result.camera.to_dict())
+        number = result.number if own else k
+        yield number, tracks, known, partial(result.estimates.assign(clip=number).to_dict, "records")
 
 
 def _results(folder: Path) -> Source:

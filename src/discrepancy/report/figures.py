@@ -8,16 +8,13 @@ from collections.abc import Sequence
 from typing import Any
 
 import matplotlib
-
-matplotlib.use("Agg")
-
-import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from discrepancy.data.collisions import Measured
+from discrepancy.diagnostics.gap import Gap
 from discrepancy.fitting.gauss_newton import Fit
 from discrepancy.fitting.predict import forecast
 from discrepancy.free_laws.answer import Answer
@@ -35,7 +32,7 @@ SHOWN = 20  # candidates, at most
 
 def drawn(found: Found) -> list[dict[str, str]]:
     """title, note and png of each."""
-    with plt.rc_context(STYLE):
+    with matplotlib.rc_context(STYLE):
         out = [
             inline(
                 "What is left, before and after",
@@ -65,11 +62,16 @@ def drawn(found: Found) -> list[dict[str, str]]:
     return out
 
 
+def _subplots(rows: int = 1, columns: int = 1, *, figsize: tuple[float, float], **shared: Any) -> tuple[Figure, Any]:
+    """As pyplot's, but known to nobody else: in a notebook pyplot would show what is drawn for the page."""
+    figure = Figure(figsize=figsize, layout="constrained")
+    return figure, figure.subplots(rows, columns, **shared)
+
+
 def inline(title: str, figure: Figure, note: str) -> dict[str, str]:
-    """A figure for a self-contained page, closed; title and note (what it shows) stand beside it."""
+    """A figure for a self-contained page; title and note (what it shows) stand beside it."""
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png", dpi=150, bbox_inches="tight", metadata={"Software": ""})
-    plt.close(figure)
     return {"title": title, "note": note, "png": base64.b64encode(buffer.getvalue()).decode()}
 
 
@@ -81,7 +83,7 @@ def _sets(found: Found) -> list[tuple[Sequence[Measured], Fit, str, str]]:
 
 
 def _stacked(found: Found) -> Figure:
-    figure, axes = plt.subplots(2, 2, figsize=(8, 4.6), sharex=True, constrained_layout=True)
+    figure, axes = _subplots(2, 2, figsize=(8, 4.6), sharex=True)
     for k, (clips, now, colour, label) in enumerate(_sets(found)):
         stage, ball, left = _residuals(clips, now)
         for (b, axis), ax in np.ndenumerate(axes):
@@ -99,7 +101,7 @@ def _stacked(found: Found) -> Figure:
 
 
 def _sizes(found: Found) -> Figure:
-    figure, axes = plt.subplots(1, 2, figsize=(8, 2.8), sharey=True, constrained_layout=True)
+    figure, axes = _subplots(1, 2, figsize=(8, 2.8), sharey=True)
     for k, (clips, now, colour, label) in enumerate(_sets(found)):
         stage, ball, left = _residuals(clips, now)
         for b, ax in enumerate(axes):
@@ -160,7 +162,7 @@ def _curve(answer: Answer) -> Figure:
     slot = answer.slot
     if len(answer.x) == 2:
         return _map(answer)
-    figure, ax = plt.subplots(figsize=(6, 3.2), constrained_layout=True)
+    figure, ax = _subplots(figsize=(6, 3.2))
     axis, x = slot.axes[0], answer.x[0]
     for part, (word, colour) in enumerate(zip(slot.part_names, (AFTER, BEFORE), strict=False)):
         y = answer.curve[:, part]
@@ -184,7 +186,7 @@ def _map(answer: Answer) -> Figure:
     extent = tuple(scale * v for a in slot.axes for v in (a.low, a.high))
     shown = [(answer.curve[:, p], word) for p, word in enumerate(slot.part_names)]
     shown.append((np.ptp(answer.bands["band68"], axis=-1).max(axis=1) / 2, "+-"))
-    figure, axes = plt.subplots(1, len(shown), figsize=(3.4 * len(shown), 3), constrained_layout=True)
+    figure, axes = _subplots(1, len(shown), figsize=(3.4 * len(shown), 3))
     for ax, (values, label) in zip(axes, shown, strict=True):
         picture = ax.imshow(values.reshape(side, side).T, origin="lower", extent=extent, aspect="equal")
         figure.colorbar(picture, ax=ax, shrink=0.8)
@@ -194,7 +196,7 @@ def _map(answer: Answer) -> Figure:
 
 def _ranking(found: Found) -> Figure:
     ranking = found.search.ranking[:SHOWN][::-1]
-    figure, ax = plt.subplots(figsize=(6, 0.6 + 0.25 * len(ranking)), constrained_layout=True)
+    figure, ax = _subplots(figsize=(6, 0.6 + 0.25 * len(ranking)))
     claimed = {n.effect for n in found.named}
     rivals = {a for n in found.named for a in n.aliases} - claimed
     colours = [AFTER if c.effect in claimed else "#92c5de" if c.effect in rivals else OTHER for c in ranking]
@@ -210,22 +212,28 @@ def _ranking(found: Found) -> Figure:
 
 def _by_phase(found: Found) -> Figure:
     gap = found.shown.gap
-    parts = {**gap.by_phase, "all": gap}
-    figure, axes = plt.subplots(1, 2, figsize=(8, 3), constrained_layout=True)
-    place = np.arange(len(parts))
-    for ax, ending, label in zip(axes, ("", "_um"), ("chi^2 a point", "rms residual, each axis (um)"), strict=True):
-        for k, (key, colour) in enumerate((("before", BEFORE), ("after", AFTER), ("floor", FLOOR))):
-            values = [getattr(p, key + ending) for p in parts.values()]
-            ax.bar(place + 0.27 * (k - 1), values, 0.25, color=colour, label="noise alone" if key == "floor" else key)
-        ax.set_xticks(place, list(parts))
-        ax.set(ylabel=label)
+    figure, axes = _subplots(1, 2, figsize=(8, 3))
+    for ax, ending in zip(axes, ("", "_um"), strict=True):
+        gap_bars(ax, gap, ending)
     _log_if_wide(axes[0], gap.before / max(gap.floor, 1e-9))
     figure.legend(*axes[0].get_legend_handles_labels(), loc="outside upper center", ncols=3)
     return figure
 
 
+def gap_bars(ax: Axes, gap: Gap, ending: str, labels: Sequence[str] = ("before", "after", "noise alone")) -> None:
+    """The gap by phase, in chi^2 a point (ending ""), or rms in um ("_um"), as bars; after them those of all phases."""
+    parts = {**gap.by_phase, "all": gap}
+    place = np.arange(len(parts))
+    kinds = zip(("before", "after", "floor"), (BEFORE, AFTER, FLOOR), labels, strict=True)
+    for k, (key, colour, label) in enumerate(kinds):
+        values = [getattr(p, key + ending) for p in parts.values()]
+        ax.bar(place + 0.27 * (k - 1), values, 0.25, color=colour, label=label)
+    ax.set_xticks(place, list(parts))
+    ax.set(ylabel="rms residual, each axis (um)" if ending else "chi^2 a point")
+
+
 def _by_clip(found: Found) -> Figure:
-    figure, ax = plt.subplots(figsize=(6, 3), constrained_layout=True)
+    figure, ax = _subplots(figsize=(6, 3))
     speeds = [float(c.launch[3]) for c in found.kept_out]
     for now, colour, label in ((found.shown.before, BEFORE, "before"), (found.shown.after, AFTER, "after")):
         points = np.array([len(r) for r in now.residuals])

@@ -20,18 +20,17 @@ from synthcam.model import Model, write_model
 
 
 def write(found: Found, folder: Path, left_out: Sequence[str]) -> None:
-    """Write the report's three files into a folder, made if need be. left_out: those of `read_measured`."""
+    """Write the report's three files into a folder, made if need be. left_out: a line for each clip, or part of one."""
     folder.mkdir(parents=True, exist_ok=True)
-    document = found.document()
-    document["clips"]["left_out"] = [*left_out, *found.left_out]
-    (folder / "discrepancy.json").write_text(json.dumps(_plain(document), indent=1, allow_nan=False) + "\n")
+    content = document(found, left_out)
+    (folder / "discrepancy.json").write_text(json.dumps(content, indent=1, allow_nan=False) + "\n")
     write_model(found.model, folder / "model.yaml")
     template = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined).from_string(
         files("discrepancy.report").joinpath("report.html").read_text(encoding="utf-8")
     )
     page = template.render(
         found=found,
-        document=document,
+        document=found.document() | {"clips": content["clips"]},
         story=story(found),
         figures=drawn(found),
         finite=np.isfinite,
@@ -39,6 +38,13 @@ def write(found: Found, folder: Path, left_out: Sequence[str]) -> None:
         unit=_unit,
     )
     (folder / "index.html").write_text(page, encoding="utf-8")
+
+
+def document(found: Found, left_out: Sequence[str]) -> dict[str, Any]:
+    """The keys of discrepancy.json, plain; None for what is not finite."""
+    whole: dict[str, Any] = _plain(found.document())
+    whole["clips"]["left_out"] = list(left_out)
+    return whole
 
 
 def _unit(name: str) -> str:

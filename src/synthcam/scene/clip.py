@@ -58,7 +58,7 @@ class Clip:
     >>> import synthcam
     >>> clip = synthcam.Scene.read("oblique", timing={"frames": 40}).draw(seed=1)
     >>> clip
-    Clip 0 of oblique: 2 balls, v0 0.3 m/s, b 0.6; 40 frames of 640 x 480 px at 250 a second
+    Clip 0 of oblique: 2 balls, v0 0.385 m/s, b 0.41; 40 frames of 640 x 480 px at 250 a second
     >>> round(clip.truth["r"], 3)
     0.903
     """

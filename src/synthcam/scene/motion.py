@@ -37,15 +37,16 @@ class Motion:
     Examples
     --------
     >>> import synthcam
-    >>> motion = synthcam.Scene.read("oblique").draw(seed=1).solve()
+    >>> launch, timing = {"v0": 0.3, "heading": 0.0}, {"contact_frame": 25}
+    >>> motion = synthcam.Scene.read("painter_behringer", launch=launch, timing=timing).draw(seed=1).solve()
     >>> motion
-    Motion of 2 balls from 0 to 0.4 s: contact 0.1, slide_end 0.176, slide_end 0.213 s
+    Motion of 2 balls from 0 to 0.4 s: contact 0.1, slide_end 0.122, slide_end 0.148 s
     >>> motion.at([0.0, 0.1])[["t_s", "particle", "vx", "state"]].round(3)
-       t_s  particle   vx state
-    0  0.0         0  0.0  rest
-    1  0.1         0  0.0  rest
-    2  0.0         1  0.3  roll
-    3  0.1         1  0.3  roll
+       t_s  particle     vx  state
+    0  0.0         0  0.000   rest
+    1  0.1         0  0.275  slide
+    2  0.0         1  0.305   roll
+    3  0.1         1  0.025  slide
     """
 
     trajectory: Trajectory

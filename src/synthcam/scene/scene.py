@@ -91,11 +91,11 @@ class Scene:
     Examples
     --------
     >>> import synthcam
-    >>> scene = synthcam.Scene.read("oblique", launch={"v0": {"uniform": [0.2, 0.4]}})
+    >>> scene = synthcam.Scene.read("painter_behringer", launch={"b": 0.2, "heading": 0.0})
     >>> scene
-    Scene oblique: launch.v0 uniform [0.2, 0.4]
+    Scene painter-behringer: launch.v0 uniform [0.1, 0.6], timing.contact_frame uniform [20, 30]
     >>> [round(scene.draw(k, seed=1).truth["v0"], 4) for k in range(2)]
-    [0.2716, 0.2361]
+    [0.3854, 0.5448]
     """
 
     name: str

@@ -1,0 +1,196 @@
+"""The search for people: from results, a folder or a table to a verdict, with tables, a plot and a report."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import pandas as pd
+
+from discrepancy.data.collisions import Measured, read_measured
+from discrepancy.diagnostics.gap import Gap
+from discrepancy.fitting.base_fit import Tick
+from discrepancy.report import html
+from discrepancy.report.figures import gap_bars
+from discrepancy.report.staging import aside
+from discrepancy.search import Found
+from discrepancy.search import find as search
+from discrepancy.selection.named import Named
+from synthcam.model import Model, model_of
+from synthcam.settings import InputError as ModelError
+from tracker.camera.camera import InputError
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+    from tracker.recording import Result
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Finding:
+    """What a search found missing in a model.
+
+    Attributes
+    ----------
+    outcome : Found
+        All of it: fits, noise, candidates, claims.
+    left_out : tuple of str
+        A line for each collision, or part of one, that had no part in the search.
+    """
+
+    outcome: Found
+    left_out: tuple[str, ...] = ()
+
+    @property
+    def verdict(self) -> str:
+        """none, named, ambiguous, outside_library or inadequate; docs/discrepancy.md says what each means."""
+        return self.outcome.verdict
+
+    @property
+    def named(self) -> tuple[Named, ...]:
+        """The effects named, each with its values, their errors (`std`), `sigma`, and `aliases` that fit as well."""
+        return self.outcome.named
+
+    @property
+    def model(self) -> Model:
+        """The model with the named effects added and all else fitted again; ``model.write(path)`` keeps it."""
+        return self.outcome.model
+
+    @property
+    def gap(self) -> Gap:
+        """On collisions kept out of every fit: before, after and floor (noise alone), chi^2 a point; the same in um."""
+        return self.outcome.shown.gap
+
+    @property
+    def ranking(self) -> pd.DataFrame:
+        """Score of each candidate against the base model alone: effect, sigma."""
+        rows = [(c.effect, c.sigma) for c in self.outcome.search.ranking]
+        return pd.DataFrame(rows, columns=["effect", "sigma"])
+
+    @property
+    def where(self) -> pd.DataFrame:
+        """Where measurement and base model disagree: phase, ball, observable, sigma, against, size (um, rms)."""
+        names = ["phase", "ball", "observable", "sigma", "against", "size"]
+        return pd.DataFrame([[getattr(p, n) for n in names] for p in self.outcome.where], columns=names)
+
+    def sentence(self) -> str:
+        """The outcome in one sentence."""
+        return self.outcome.sentence()
+
+    def document(self) -> dict[str, Any]:
+        """The keys of ``discrepancy.json``."""
+        return html.document(self.outcome, self.left_out)
+
+    def __repr__(self) -> str:
+        used = len(self.outcome.clips) + len(self.outcome.kept_out)
+        return f"{self.verdict}, from {used} collisions. {self.sentence()}"
+
+    def _repr_html_(self) -> str:
+        rows = [
+            (name, n.values.get(name, n.shapes.get(name)), {**n.std, **n.shape_std}[name], n.sigma)
+            for n in self.named
+            for name in (*n.values, *n.shapes)
+        ]
+        table = pd.DataFrame(rows, columns=["parameter", "value", "std", "sigma of the effect"])
+        return f"<p>{self!r}</p>" + (table.to_html(index=False, float_format="{:.3g}".format) if rows else "")
+
+    def plot_gap(self, ax: Axes | None = None) -> Axes:
+        """Plot the gap on the collisions kept out, by phase: without what was found, with it, and from noise alone.
+
+        Parameters
+        ----------
+        ax : Axes, optional
+            Where to draw; default: a new figure.
+
+        Returns
+        -------
+        Axes
+            Residuals, rms, each axis, um.
+        """
+        if ax is None:
+            import matplotlib.pyplot as plt
+
+            ax = plt.subplots(layout="constrained")[1]
+        gap_bars(ax, self.gap, "_um", ("base model", "with what was found", "noise alone"))
+        ax.set(xlabel="phase of the collision")
+        ax.legend(frameon=False)
+        return ax
+
+    def report(self, folder: str | Path) -> Path:
+        """Write the report: ``discrepancy.json``, ``model.yaml`` and a self-contained ``index.html``.
+
+        Parameters
+        ----------
+        folder : str or Path
+            Made, or replaced where it holds an earlier report.
+
+        Returns
+        -------
+        Path
+            Of ``index.html``.
+
+        Raises
+        ------
+        InputError
+            Where the folder holds something else, or cannot be written.
+        """
+        with aside(Path(folder)) as place:
+            html.write(self.outcome, place, self.left_out)
+        return Path(folder) / "index.html"
+
+
+def find(
+    results: Sequence[Result] | str | Path,
+    model: Model | Mapping[str, Any] | str | Path,
+    camera: str | Path | None = None,
+    tick: Tick = lambda stage: None,
+) -> Finding:
+    """Search for what a model lacks, from measured collisions.
+
+    Parameters
+    ----------
+    results : sequence of tracker.Result, str or Path
+        What `tracker.track` or `tracker.measure` gave, of several clips of one camera; or a tracker's RESULTS; or, with
+        `camera`, a table of tracks.
+    model : Model, dict, str or Path
+        What the measurement is held against: a model, its settings, a model or scene file, or the name of a scene that
+        comes with synthcam. Its base parameters that are not zero, and those in its ``free``, are fitted.
+    camera : str or Path, optional
+        camera.json of a table.
+    tick : callable
+        Told the stage, many times.
+
+    Returns
+    -------
+    Finding
+
+    Raises
+    ------
+    InputError
+        One line: what is no model, clips that cannot be used, or too few of them.
+
+    Examples
+    --------
+    >>> import discrepancy
+    >>> found = discrepancy.find("out/results", "painter_behringer")  # doctest: +SKIP
+    >>> found.report("out/search")  # doctest: +SKIP
+    >>> discrepancy.find([], "painter_behringer")
+    Traceback (most recent call last):
+    ...
+    tracker.camera.camera_json.InputError: results: no clip with a measured collision
+    """
+    try:
+        suspect = model_of(model)
+    except ModelError as error:
+        raise InputError(str(error)) from None
+    source = Path(results) if isinstance(results, str) else results
+    clips, left_out = read_measured(source, None if camera is None else Path(camera))
+    return searched(clips, suspect, left_out, tick)
+
+
+def searched(clips: Sequence[Measured], model: Model, left_out: Sequence[str], tick: Tick) -> Finding:
+    """Search collisions already read. left_out: those of `read_measured`."""
+    outcome = search(clips, model, tick)
+    return Finding(outcome, (*left_out, *outcome.left_out))

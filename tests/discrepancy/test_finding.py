@@ -1,0 +1,148 @@
+"""The search from Python: the same as by the command, and bad input in one line."""
+
+import json
+import re
+import sys
+
+import numpy as np
+import pandas as pd
+import pytest
+from discrepancy_clips import only
+from discrepancy_files import SCENE, TRUTH, record
+from matplotlib.figure import Figure
+from repository import ROOT
+
+import discrepancy
+import tracker
+from discrepancy import cli
+from discrepancy.data.collisions import read_measured
+from synthcam.model import Model, read_model
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory):
+    return record(tmp_path_factory.mktemp("finding"), ROOT / SCENE)
+
+
+@pytest.fixture(scope="module")
+def results(recorded):
+    """What `tracker.measure` gives of the same tables, in another order."""
+    table = pd.read_csv(recorded / "tracks.csv")
+    every = [tracker.measure(part, recorded / "camera.json") for _, part in table.groupby("clip")]
+    return [every[k] for k in (3, 1, 0, 5, 4, 2)]
+
+
+@pytest.fixture(scope="module")
+def found(results):
+    with pytest.MonkeyPatch.context() as patch:
+        only(patch)
+        return discrepancy.find(results, "painter_behringer")
+
+
+def test_collisions_from_memory_are_those_of_the_folder_to_the_last_bit(recorded, results):
+    one, lost = read_measured(recorded / "results")
+    other, also = read_measured(results)
+    assert lost == also
+    assert len(one) == len(other) == 6
+    for a, b in zip(one, other, strict=True):
+        assert (a.clip, a.striker, a.offset) == (b.clip, b.striker, b.offset)
+        assert a.camera.differs(b.camera) == ""
+        for name in ("frame", "ball", "xy", "covariance", "launch", "ends"):
+            np.testing.assert_array_equal(getattr(a, name), getattr(b, name), name)
+
+
+def test_the_command_writes_the_same_document(recorded, found, tmp_path, monkeypatch):
+    only(monkeypatch)
+    words = ["find", recorded / "results", "--model", ROOT / SCENE, "-o", tmp_path / "report"]
+    monkeypatch.setattr(sys, "argv", ["discrepancy", *map(str, words)])
+    cli.app(standalone_mode=False)
+    written = (tmp_path / "report/discrepancy.json").read_text()
+    assert json.loads(written) == found.document()
+    found.report(tmp_path / "mine")
+    for name in ("discrepancy.json", "model.yaml", "index.html"):
+        assert (tmp_path / "mine" / name).read_bytes() == (tmp_path / "report" / name).read_bytes(), name
+
+
+def test_what_was_hidden_is_named_and_the_model_keeps_it(found, tmp_path):
+    assert found.verdict == "named"
+    assert [n.effect for n in found.named] == ["velocity_restitution"]
+    assert abs(found.model.effects[0].e - TRUTH) < 4 * found.named[0].std["velocity_restitution.e"]
+    assert found.gap.after < found.gap.before
+    found.model.write(tmp_path / "model.yaml")
+    again = Model.read(tmp_path / "model.yaml")
+    assert again.effects == found.model.effects
+    assert again.restitution == found.model.restitution
+
+
+def test_tables_and_repr(found):
+    assert found.ranking["effect"][0] == "velocity_restitution"
+    assert found.where.columns.tolist() == ["phase", "ball", "observable", "sigma", "against", "size"]
+    assert repr(found) == f"named, from 6 collisions. {found.sentence()}"
+    assert "velocity_restitution.e" in found._repr_html_()
+    assert found._repr_html_().count("<tr") == 2
+
+
+def test_the_plot_holds_the_gap(found):
+    ax = Figure().subplots()
+    assert found.plot_gap(ax) is ax
+    assert ax.get_ylabel() == "rms residual, each axis (um)"
+    whole = {bars.get_label(): bars.patches[-1].get_height() for bars in ax.containers}
+    assert whole == {
+        "base model": found.gap.before_um,
+        "with what was found": found.gap.after_um,
+        "noise alone": found.gap.floor_um,
+    }
+
+
+def test_a_report_takes_no_folder_that_holds_something_else(found, tmp_path):
+    (tmp_path / "letter.txt").write_text("dear")
+    with pytest.raises(discrepancy.InputError, match="holds something else"):
+        found.report(tmp_path)
+    assert [p.name for p in tmp_path.iterdir()] == ["letter.txt"]
+
+
+@pytest.mark.parametrize(
+    ("model", "said"),
+    [
+        ({"modle": {}}, "model: modle: unknown key; there are ball, model, effects, free"),
+        ({"model": {"restitution": 2.0}}, "model: model.restitution: input should be less than or equal to 1"),
+        ({"free": ["luck"]}, "model: free: luck is no parameter"),
+        ("no_such.yaml", "no_such.yaml: no such file"),
+        (7, "model: of type int, expected a model, its settings, or a path"),
+    ],
+)
+def test_what_is_no_model_is_one_line(results, model, said):
+    with pytest.raises(discrepancy.InputError, match=re.escape(said)) as error:
+        discrepancy.find(results, model)
+    assert "\n" not in str(error.value)
+
+
+def test_what_are_no_results_is_one_line(recorded, results):
+    for wrong, said in (
+        ([], "results: no clip with a measured collision"),
+        ([results[0].tracks], "results: number 0 is of type DataFrame, expected what tracker.track"),
+        (results[:2], "2 measured collisions: expected 6 or more"),
+        (str(recorded / "nowhere"), "nowhere: no such file or folder"),
+        (recorded / "tracks.csv", "expected --camera camera.json"),
+        (7, "results: of type int, expected"),
+    ):
+        with pytest.raises(discrepancy.InputError, match=said) as error:
+            discrepancy.find(wrong, Model())
+        assert "\n" not in str(error.value)
+
+
+def test_a_dict_is_a_model_too(results, monkeypatch):
+    """No search is made: what it is asked is enough."""
+    asked = []
+    monkeypatch.setattr("discrepancy.finding.searched", lambda clips, model, *rest: asked.append((len(clips), model)))
+    discrepancy.find(results, {"model": {"restitution": 0.8}, "effects": {"plate_tilt": {"x": 1e-3}}})
+    discrepancy.find(results, read_model(ROOT / SCENE))
+    assert [count for count, _ in asked] == [6, 6]
+    assert (asked[0][1].restitution, asked[0][1].effects[0].x, asked[1][1]) == (0.8, 1e-3, Model())
+
+
+def test_results_of_one_number_are_counted(results):
+    tracks, camera = results[0].tracks, results[0].camera
+    again = [tracker.measure(tracks, camera) for _ in range(3)]
+    assert {r.number for r in again} == {0}
+    assert [c.clip for c in read_measured(again)[0]] == [0, 1, 2]
