@@ -1,8 +1,8 @@
 """Every constant that decides a verdict: what is claimed, withdrawn, called alike, taken for noise or left out.
 
 A value is changed here and nowhere else; users read `policy.NAME` when they need it and keep no copy. Each comment says
-what the constant decides and where it comes from. Tests on either side of each: tests/discrepancy/test_policy.py; what
-the blind boxes do when one is halved or doubled: benchmarks/search/sensitivity.py.
+what the constant decides and where it comes from. Cases on either side: tests/discrepancy/test_policy.py, and the tests
+of the files that use it. What blind boxes do when one is halved or doubled: benchmarks/search/sensitivity.py.
 
 Not here: numerical tolerances and steps, grids, limits on memory or effort, neighbours that a local path is fitted to,
 the family of noise models, the lengths and ranges of the free laws' priors, and what concerns only colours or words.

@@ -3,6 +3,7 @@
 import dataclasses
 import json
 import shutil
+from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
@@ -11,9 +12,10 @@ from discrepancy_clips import exact
 from discrepancy_files import NOISE, SCENE, record
 from repository import ROOT
 
-from discrepancy.data.collisions import UNCLAIMED, cannot_tell, read_measured
+from discrepancy.data.collisions import UNCLAIMED, cannot_tell, collision, read_measured, split
 from synthcam.model import Model
 from tracker.camera.camera import InputError
+from tracker.results import read_clip
 
 
 @pytest.fixture(scope="module")
@@ -218,3 +220,59 @@ def test_one_speed_hides_what_hangs_on_it():
     wide = [dataclasses.replace(c, launch=np.r_[c.launch[:5], 0.2 * c.clip - 0.7]) for c in same]
     (said,) = cannot_tell(wide)
     assert "how spin transfer changes with the speed can hardly be told" in said
+
+
+def launched(**columns):
+    """Clips with these speeds, headings (degrees) or b, of which nothing else is known."""
+    count = len(next(iter(columns.values())))
+    each = {"speed": np.linspace(0.1, 0.6, count), "heading": np.linspace(-170, 170, count), "b": np.zeros(count)}
+    each |= columns
+    rows = zip(each["speed"], np.radians(each["heading"]), each["b"], strict=True)
+    return [SimpleNamespace(launch=np.array([0.0, 0.0, 0.1, *row])) for row in rows]
+
+
+@pytest.mark.parametrize(("widest", "told"), [(22, False), (40, True)])
+def test_headings_within_thirty_degrees_of_their_mean_are_one_way(widest, told):
+    said = cannot_tell(launched(heading=np.linspace(-widest, widest, 9), b=np.linspace(-0.5, 0.5, 9)))
+    assert any("one way" in line for line in said) is not told
+
+
+@pytest.mark.parametrize(("span", "told"), [(0.035, False), (0.07, True)])
+def test_impact_parameters_that_span_a_twentieth_are_one(span, told):
+    assert any("b near" in line for line in cannot_tell(launched(b=0.2 + np.linspace(0, span, 9)))) is not told
+
+
+@pytest.mark.parametrize(("count", "out", "extremes"), [(7, 1, False), (8, 2, True), (30, 7, True)])
+def test_a_quarter_is_kept_out_and_of_eight_the_extremes(count, out, extremes):
+    b = np.zeros(count)
+    b[1] = 0.5
+    clips = launched(b=b)
+    fitted, kept_out = split(clips)
+    assert len(kept_out) == out
+    assert len(fitted) == count - out
+    assert ({id(clips[1]), id(clips[-1])} <= {id(c) for c in kept_out}) is extremes
+
+
+@pytest.mark.parametrize(("speed", "refused"), [(15.0, False), (25.0, True)])
+def test_no_ball_is_launched_faster_than_twenty_metres_a_second(recorded, tmp_path, speed, refused):
+    results = shutil.copytree(recorded / "results", tmp_path / "results")
+    table = pd.read_parquet(results / "estimates.parquet")
+    table.assign(v0=speed).to_parquet(results / "estimates.parquet")
+    if refused:
+        with pytest.raises(InputError, match="speeds of 25 m/s; are scale and fps of the camera right"):
+            read_measured(results)
+    else:
+        assert read_measured(results)[0][0].launch[3] == speed
+
+
+@pytest.mark.parametrize(("frames", "used"), [(2, False), (3, True)])
+def test_each_ball_is_seen_in_three_frames_before_the_contact(recorded, frames, used):
+    tracks, camera = read_clip(recorded / "results", 0)
+    row = pd.read_parquet(recorded / "results/estimates.parquet").to_dict("records")[0]
+    early = tracks.frame / camera.fps + camera.exposure <= row["t_c"]
+    kept = tracks.frame > tracks.frame[early].max() - frames
+    some = {f.name: getattr(tracks, f.name) for f in dataclasses.fields(tracks)}
+    some = {k: v[kept] if isinstance(v, np.ndarray) and len(v) == len(kept) else v for k, v in some.items()}
+    found = collision(dataclasses.replace(tracks, **some), row, camera)
+    assert (found != "a ball is seen in fewer than 3 frames before the contact") is used
+    assert isinstance(found, str) is not used

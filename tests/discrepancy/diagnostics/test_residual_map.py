@@ -111,3 +111,10 @@ def test_looks_are_corrected_and_in_order():
 
 def test_too_few_clips_are_held_against_nothing():
     assert {p.against for p in seen("rolling_quadratic.K", 0.2, count=5)} == {""}
+
+
+@pytest.mark.parametrize(("count", "trends"), [(5, False), (6, True)])
+def test_six_clips_are_held_against_speed_and_place(count, trends):
+    clips = collisions(Model(), count, 5)
+    found = looks(clips, fit(clips, Model(), BASE, CLAIMED), CLAIMED)
+    assert any(against for _, against, *_ in found) is trends

@@ -48,3 +48,10 @@ def test_balls_that_differ_by_a_thousandth_are_two(off):
     else:
         with pytest.raises(InputError, match=r"the ball of camera\.json is"):
             check(clips, Model())
+
+
+def test_six_collisions_are_enough_and_five_are_not():
+    clips = exact(Model(), 6, 4)
+    check(clips, Model())
+    with pytest.raises(InputError, match="5 measured collisions: expected 6 or more"):
+        check(clips[:5], Model())

@@ -2,6 +2,7 @@
 
 from functools import cache
 
+import pytest
 from discrepancy_clips import collisions
 
 from discrepancy.fitting.gauss_newton import BASE, fit
@@ -51,3 +52,10 @@ def test_nothing_parts_an_effect_from_one_that_the_fit_absorbs():
     assert set(cosines.values()) == {1.0}
     said = advice(*(SUSPECTS[n] for n in pair), [Design(w, c) for w, c in cosines.items()])
     assert said.startswith("No collisions of two balls part ")
+
+
+@pytest.mark.parametrize(("cosine", "parted"), [(0.87, True), (0.93, False)])
+def test_two_effects_are_parted_under_nine_tenths(cosine, parted):
+    pair = SUSPECTS["hop"], SUSPECTS["mass_mismatch"]
+    said = advice(*pair, [Design("these collisions", 0.99), Design("longer films", cosine), Design("all", 0.99)])
+    assert ("To part hop and mass_mismatch: longer films" in said) is parted
