@@ -66,7 +66,7 @@ class Named:
     def said(self, base: Model) -> str:
         """The effect with its numbers; where the base model holds a strength, that it is another."""
         rivals = f" or {' or '.join(self.aliases[1:])}" if len(self.aliases) > 1 else ""
-        shown = {k: as_sure(v, self.std[k], 1) for k, v in self.values.items()}
+        shown = {k: as_sure(v, 0.0 if self.at_limit(k) else self.std[k], 1) for k, v in self.values.items()}
         errors = {k: f"+- {self.std[k]:.1g}" if np.isfinite(self.std[k]) else "without an error" for k in self.values}
         errors |= {k: "at its limit" for k in self.values if self.at_limit(k)}
         shapes = [

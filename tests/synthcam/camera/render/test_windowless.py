@@ -12,9 +12,9 @@ from synthcam.camera.render import windowless
 
 DRAW = """
 import hashlib, json, numpy as np
-from synthcam.optics import Camera, Lamp
-from synthcam.render import Film, gl_info
-from synthcam.surface import Surface
+from synthcam.camera.pinhole import Camera, Lamp
+from synthcam.camera.render import Film, gl_info
+from synthcam.camera.surface import Surface
 R, seen = 1.19e-3, hashlib.sha256()
 camera = Camera.overhead((200, 120), 1e-4, .5, ball_radius=R, fps=250, exposure=0, psf_sigma_px=1.0)
 centres = np.array([[[0, 0, R], [2 * R, 0, R]]])
