@@ -1,9 +1,9 @@
-# make install | demo | test | lint | types | gate | coverage | bench-NAME    each does its own set-up; doing it twice costs nothing.
+# make install | demo | test | lint | types | gate | coverage | notebooks | bench-NAME    each does its own set-up; doing it twice costs nothing.
 PYTHON ?= python3
 BIN := .venv/bin
 READY := .venv/ready
 
-.PHONY: install demo test lint types gate coverage clean
+.PHONY: install demo test lint types gate coverage notebooks clean
 
 install: $(READY)
 
@@ -33,6 +33,10 @@ coverage: $(READY)
 # long studies: benchmarks/*/NAME.py, results in out/
 bench-%: $(READY)
 	$(BIN)/python benchmarks/*/$(subst -,_,$*).py
+
+# run the notebooks of examples/ and store their outputs
+notebooks: $(READY)
+	$(BIN)/python tools/notebooks.py
 
 clean:
 	rm -rf .venv demo

@@ -115,7 +115,7 @@ class Finding:
             ax = plt.subplots(layout="constrained")[1]
         gap_bars(ax, self.gap, "_um", ("base model", "with what was found", "noise alone"))
         ax.set(xlabel="phase of the collision")
-        ax.legend(frameon=False)
+        ax.legend(frameon=False, loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=3)
         return ax
 
     def report(self, folder: str | Path) -> Path:
