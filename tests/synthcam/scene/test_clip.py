@@ -40,9 +40,18 @@ def test_film_and_camera_are_those_of_the_dataset(scene, dataset, number):
     assert clip.camera_json == json.loads((place / "camera.json").read_text())
 
 
-def test_another_seed_is_another_film(scene):
-    one, other = (next(scene.draw(0, seed).pictures()) for seed in (7, 8))
-    assert (one != other).any()
+def test_seed_and_number_are_those_of_the_noise():
+    """Of clips in which nothing is drawn but the sensor's noise."""
+    launch, timing = {"v0": 0.3, "b": 0.2, "heading": 0.0}, {"frames": 2, "contact_frame": 1.0}
+    scene = Scene.read("painter_behringer", launch=launch, timing=timing, camera=SMALL["camera"])
+    plain, seed, number = (scene.draw(k, s) for k, s in ((0, 7), (0, 8), (1, 7)))
+    assert plain.truth == seed.truth == number.truth
+    film = plain.film()
+    np.testing.assert_array_equal(film, scene.draw(0, 7).film())
+    read, rounding, pattern = 1.0, 1 / 12, 0.2**2  # counts^2: 20 and 4 e- at 20 e- a count; the pattern is the seed's
+    for other, noise in ((seed, read + rounding + pattern), (number, read + rounding)):
+        apart = other.film().astype(float) - film
+        assert apart.std() == pytest.approx(np.sqrt(2 * noise), rel=0.02)
 
 
 def test_truth_is_that_of_the_dataset(scene, dataset):
