@@ -27,6 +27,7 @@ DPI = 80
 def run(notebook: dict[str, Any], name: str) -> dict[str, Any]:
     """Run a notebook's code cells and put their outputs into them. Returns the namespace."""
     names: dict[str, Any] = {"__name__": "__main__"}
+    plt.close("all")  # what was drawn before is no output
     cells = [cell for cell in notebook["cells"] if cell["cell_type"] == "code"]
     for count, cell in enumerate(cells, 1):
         cell["execution_count"] = count
