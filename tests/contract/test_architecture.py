@@ -157,7 +157,7 @@ def test_only_render_knows_opengl(path):
 
 
 def test_no_circles():
-    TopologicalSorter(ARROWS).prepare()  # raises CycleError
+    assert set(TopologicalSorter(ARROWS).static_order()) >= KNOWN  # raises CycleError
 
 
 def room(name, package):
