@@ -65,7 +65,7 @@ def hidden_in(name: str, times: float) -> dict[str, float]:
     if name == "paper":
         return LACKED
     effect: type[Effect] = library()[name]
-    return {f"{name}.{p.name}": min(times * p.scale, p.high) for p in effect.strengths()}
+    return {f"{name}.{p.name}": min(times * p.typical, p.high) for p in effect.strengths()}
 
 
 def noisy_tracks(folder: Path, clips: int, seed: int) -> Path:

@@ -76,7 +76,7 @@ def realistic(name: str) -> Model:
     """The model with one effect of realistic size, pushes small enough for a ball to rest."""
     kind = library()[name]
     small = 0.3 if "push" in kind.laws else 1.0
-    return Model().replace({f"{name}.{p.name}": p.scale * (1.0 if p.fixed else small) for p in kind.parameters()})
+    return Model().replace({f"{name}.{p.name}": p.typical * (1.0 if p.fixed else small) for p in kind.parameters()})
 
 
 def one_by_one(model: Model, count: int) -> dict[str, tuple[Work, int]]:

@@ -52,7 +52,9 @@ def draw(rng: np.random.Generator) -> tuple[Model, Launch, float]:
     physical = [n for n, k in library().items() if not set(k.laws) <= set(MOTION)]
     for name in rng.choice(physical, rng.integers(0, MOST + 1), replace=False):
         for p in library()[name].parameters():
-            size = p.scale * (rng.uniform(0.2, 2) if p.fixed else rng.normal(0, 1.5)) + (p.scale == 0) * rng.normal()
+            size = (
+                p.typical * (rng.uniform(0.2, 2) if p.fixed else rng.normal(0, 1.5)) + (p.typical == 0) * rng.normal()
+            )
             if "push" in library()[name].laws and not p.fixed:
                 size *= 0.3  # or hardly a ball could rest
             model = model.replace({f"{name}.{p.name}": float(np.clip(size, p.low, p.high))})

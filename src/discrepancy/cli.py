@@ -161,3 +161,7 @@ def main() -> None:
     except OSError as e:
         print(f"discrepancy: {e.filename or 'file'}: {e.strerror or e}", file=sys.stderr)
         sys.exit(2)
+
+
+if __name__ == "__main__":
+    main()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib.util
 import inspect
 import json
+import math
 import os
 import sys
 import textwrap
@@ -12,13 +13,16 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from synthcam.settings import InputError
+
+if TYPE_CHECKING:
+    from synthcam.effect import Parameter
 
 app = typer.Typer(
     help="Rolling steel balls that collide: their exact motion, their picture, and the truth about both.",
@@ -227,7 +231,7 @@ def effects(
     output: Annotated[Path | None, typer.Option("-o", "--output", metavar="FILE", help="A .png to draw.")] = None,
     as_json: Json = False,
 ) -> None:
-    """The library of effects: laws, parameters, realistic sizes. With -o, what one of them does to the tracks.
+    """The library of effects: laws, parameters, typical values. With -o, what one of them does to the tracks.
 
     Example: synthcam effects hop -o hop.png
     """
@@ -241,7 +245,7 @@ def effects(
     for effect in known.values() if name is None else [known[name]]:
         doc = inspect.cleandoc(effect.__doc__ or "")
         if as_json:
-            parameters = [vars(p) | {"low": _limit(p.low), "high": _limit(p.high)} for p in effect.parameters()]
+            parameters = [_as_json(p) for p in effect.parameters()]
             laws = list(effect.laws)
             print(json.dumps({"effect": effect.name(), "law": doc, "bends": laws, "parameters": parameters}))
             continue
@@ -249,20 +253,22 @@ def effects(
         if name is not None:
             print(textwrap.indent("\n".join(doc.splitlines()[1:]), "    "))
             for p in effect.parameters():
-                kind = ("shape, given" if p.given else "shape") if p.fixed else "strength"
-                print(f"    {p.name}: {kind}, {p.unit}, realistic {p.scale:g}, from {p.low:g} to {p.high:g}")
+                kind = ("shape parameter, given" if p.given else "shape parameter") if p.fixed else "strength"
+                print(f"    {p.name}: {kind}, {p.unit}, typically {p.typical:g}, from {p.low:g} to {p.high:g}")
     if output is not None and name is not None:
-        from synthcam.dataset.sketch import realistic, sketch
+        from synthcam.dataset.sketch import sketch, typical
 
-        apart = sketch(realistic(known[name]), output)
+        apart = sketch(typical(known[name]), output)
         if not as_json:
             print(f"    {output}: it moves what is seen by up to {apart:.3g} um")
     elif name is not None and not as_json:
         print(f"    what it does to the tracks is drawn with -o: synthcam effects {name} -o {name}.png")
 
 
-def _limit(x: float) -> float | None:
-    return x if abs(x) < float("inf") else None
+def _as_json(parameter: Parameter) -> dict[str, Any]:
+    """The keys of --json: `scale` for the typical value, null for no limit."""
+    values = {"scale" if k == "typical" else k: v for k, v in vars(parameter).items()}
+    return values | {k: v if math.isfinite(v) else None for k, v in values.items() if k in ("low", "high")}
 
 
 @app.command()
@@ -317,3 +323,7 @@ def main() -> None:
             raise
         print(f"synthcam: {e}", file=sys.stderr)
         sys.exit(2)
+
+
+if __name__ == "__main__":
+    main()

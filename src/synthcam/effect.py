@@ -20,7 +20,7 @@ from typing import Any, ClassVar, Self
 
 # All balls, or all nodes of an integration, come together: numbers are arrays (balls, n) or broadcast with them,
 # vectors have a last axis of two. "slip" is the unit vector of the contact velocity; "of_a" is 1 for the experimenter's
-# ball a, 0 for ball b; "other" is the place of the other ball relative to this one; "ball" is the model's,
+# ball a, 0 for ball b; "other" is the position of the other ball relative to this one; "ball" is the model's,
 # whose radius and mass no effect has bent.
 LAWS: dict[str, tuple[str, ...]] = {
     # the balls, once a run; bends ball a's
@@ -44,9 +44,9 @@ LAWS: dict[str, tuple[str, ...]] = {
     "camera": (),
     "clock": ("fps", "row"),
     "exposure": ("fps",),
-    # a defect of the tracker, which no scene may have: where it puts a centre that is seen at (x, y) px
-    # functions of pixels (x, y) at which a centre is seen: where its glint is; and where, were the lamp at (x, y, z) m,
-    # which is (x, y) itself where camera.json tells of a lamp
+    # a defect of the tracker, which no scene may have: where it puts a centre that is seen at (x, y) px. Two functions
+    # of such pixels: "glint", where the glint is; "mirrored", where it would be, were the lamp at (x, y, z) m, which is
+    # (x, y) itself where camera.json has a lamp
     "measure": ("glint", "mirrored"),
 }
 
@@ -54,7 +54,7 @@ LAWS: dict[str, tuple[str, ...]] = {
 def parameter(
     unit: str,
     *,
-    scale: float,
+    typical: float,
     low: float = -math.inf,
     high: float = math.inf,
     fixed: bool = False,
@@ -62,27 +62,43 @@ def parameter(
     default: float | None = None,
     tries: Iterable[float] = (),
 ) -> Any:
-    """Declare a parameter of an effect.
+    """Declare a parameter of an effect, as the value of a dataclass field.
 
-    unit: SI, "1" for a pure number. scale: a realistic size. low, high: limits, inclusive.
-    fixed: a shape, which means nothing while the strengths are zero; it is scanned, not fitted, and defaults to
-    `scale`. All others are strengths: the effect is absent when every one of them is zero, their default.
-    given: a shape that no tracks tell from the other parameters; a search leaves it as it is.
-    tries: of a shape, so close together that a search beginning from each of them overlooks nothing; a few about
-    `scale` if none are given.
+    Parameters
+    ----------
+    unit : str
+        SI; "1" for a pure number.
+    typical : float
+        A realistic size.
+    low, high : float
+        Limits, inclusive.
+    fixed : bool
+        A shape parameter, meaningless while the strengths are zero: a search scans it and does not fit it. All others
+        are strengths: the effect is absent when every one of them is zero.
+    given : bool
+        A shape parameter that tracks cannot tell from the others: a search leaves it as it is.
+    default : float, optional
+        Default: `typical` for a shape parameter, 0 for a strength.
+    tries : iterable of float
+        Values of a shape parameter at which a search starts, close enough together to overlook nothing; default: a
+        few about `typical`.
+
+    Returns
+    -------
+    dataclasses.Field
     """
-    value = default if default is not None else (scale if fixed else 0.0)
-    said = {"unit": unit, "scale": scale, "low": low, "high": high, "fixed": fixed, "given": given}
-    return field(default=value, metadata=said | {"tries": tuple(map(float, tries))})
+    value = default if default is not None else (typical if fixed else 0.0)
+    declared = {"unit": unit, "typical": typical, "low": low, "high": high, "fixed": fixed, "given": given}
+    return field(default=value, metadata=declared | {"tries": tuple(map(float, tries))})
 
 
 @dataclass(frozen=True)
 class Parameter:
-    """One parameter of an effect, as declared."""
+    """One parameter of an effect; the attributes are the arguments of `parameter`."""
 
     name: str
     unit: str
-    scale: float
+    typical: float
     low: float
     high: float
     fixed: bool
@@ -123,12 +139,12 @@ class Effect:
 
     @classmethod
     def name(cls) -> str:
-        """Its name in YAML: the name of its file."""
+        """The name in YAML: that of the file."""
         return cls.__module__.rpartition(".")[2]
 
     @classmethod
     def parameters(cls) -> tuple[Parameter, ...]:
-        """Its parameters in the order of declaration."""
+        """The parameters in the order of declaration."""
         return tuple(Parameter(name=f.name, default=f.default, **f.metadata) for f in fields(cls))  # type: ignore[arg-type]
 
     @classmethod
@@ -138,7 +154,7 @@ class Effect:
 
     @classmethod
     def absent(cls) -> Self:
-        """The effect with every strength zero and every shape at its default."""
+        """The effect with every strength zero and every shape parameter at its default."""
         return cls(**{p.name: 0.0 for p in cls.strengths()})
 
     @property

@@ -241,3 +241,7 @@ def main() -> None:
     except OSError as error:
         print(f"tracker: {error.filename or 'file'}: {error.strerror or error}", file=sys.stderr)
         sys.exit(2)
+
+
+if __name__ == "__main__":
+    main()

@@ -18,7 +18,7 @@ from discrepancy.fitting.predict import forecast
 from synthcam.library import library
 from tracker.camera.camera import Camera
 
-SIZES = {name: {f"{name}.{p.name}": p.scale for p in library()[name].parameters()} for name in PHYSICS}
+SIZES = {name: {f"{name}.{p.name}": p.typical for p in library()[name].parameters()} for name in PHYSICS}
 
 
 @pytest.mark.parametrize("name", ["nothing", *PHYSICS])

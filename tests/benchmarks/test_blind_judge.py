@@ -145,7 +145,7 @@ def test_an_outsider_that_the_library_takes_in_is_an_effect_like_any_other(monke
 def test_a_curve_in_its_band(name):
     kind = OUTSIDERS[name]
     x = np.linspace(0.1, 0.5, 30) if name != "friction_streaks" else np.random.default_rng(0).uniform(0, 0.03, (90, 2))
-    effect = kind(**{p.name: p.scale for p in kind.parameters()})
+    effect = kind(**{p.name: p.typical for p in kind.parameters()})
     law = effect._curve(*(x.T if x.ndim == 2 else (x,)))
     law = law + {"rolling_resonance": 0.01 + 0.1 * x, "friction_streaks": 0.2, "speed_delay": 3e-4}[name]
     half = 0.05 * np.ptp(law)

@@ -21,6 +21,7 @@ LAYERS = {
         "scene",
         "dataset",
         "cli",
+        "__main__",
     ],
     "tracker": [
         "camera",
@@ -31,6 +32,7 @@ LAYERS = {
         "pipeline",
         "scoring",
         "cli",
+        "__main__",
     ],
     "discrepancy": [
         "policy",
@@ -44,6 +46,7 @@ LAYERS = {
         "report",
         "finding",
         "cli",
+        "__main__",
     ],
     "synthcam.dynamics": [
         "kinematics collocation packed",

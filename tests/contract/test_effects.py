@@ -58,7 +58,7 @@ def picture(*effects):
 
 def present(kind, **values):
     """The effect at its realistic size."""
-    return kind(**{p.name: p.scale for p in kind.parameters()} | values)
+    return kind(**{p.name: p.typical for p in kind.parameters()} | values)
 
 
 def defect(kind):
@@ -91,7 +91,7 @@ def test_every_parameter_moves_a_track_or_a_picture(kind, name):
     rule = next(p for p in kind.parameters() if p.name == name)
     others = {p.name: 0.0 for p in kind.strengths() if p.name != name}
     if rule.fixed:  # a shape, beside strengths of realistic size
-        near, far = present(kind), present(kind, **{name: 1.5 * rule.scale or 0.3})
+        near, far = present(kind), present(kind, **{name: 1.5 * rule.typical or 0.3})
         if (kind.name(), name) == ("ball_friction", "beta"):  # means something where the contact sticks
             near, far = present(kind, mu=0.9), present(kind, mu=0.9, beta=0.3)
         assert np.abs(picture(far) - picture(near)).max() > 1e-4
@@ -141,8 +141,8 @@ def test_it_is_declared_in_full(kind):
     assert kind.strengths()
     for p in kind.parameters():
         assert p.low <= p.default <= p.high
-        assert p.low <= p.scale <= p.high
-        assert p.scale > 0 or p.fixed
+        assert p.low <= p.typical <= p.high
+        assert p.typical > 0 or p.fixed
         assert p.unit
         assert re.search(rf"(?<!\w){p.name}(?!\w)", kind.__doc__), f"its docstring does not say what {p.name} does"
     assert "".join(part.title() for part in kind.name().split("_")) == kind.__name__
@@ -160,7 +160,7 @@ from synthcam.effect import Effect, parameter
 class StickyFingers(Effect):
     """mu (1 + k u)."""
 
-    k: float = parameter("s/m", scale=0.05, low=0)
+    k: float = parameter("s/m", typical=0.05, low=0)
 
     def friction(self, mu, slip_speed):
         return mu * (1 + self.k * slip_speed)

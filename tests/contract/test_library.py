@@ -75,6 +75,13 @@ def test_an_import_is_light(package):
     assert said.stdout == "[]\n"
 
 
+@pytest.mark.parametrize("module", [f"{p}{end}" for p in PACKAGES for end in ("", ".cli")])
+def test_a_package_and_its_cli_run_as_the_command(module):
+    done = subprocess.run([sys.executable, "-m", module, "no-such"], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout) == (2, "")
+    assert "No such command 'no-such'" in done.stderr
+
+
 def test_the_page_runs_as_it_stands(tmp_path, monkeypatch, capsys):
     (code,) = re.findall(r"```python\n(.*?)```", (ROOT / "docs/library.md").read_text(), re.DOTALL)
     monkeypatch.chdir(tmp_path)

@@ -19,7 +19,7 @@ FEW = ("velocity_restitution", "rolling_quadratic", "stribeck", "spin_transfer_v
 class Streak(Effect):
     """Sliding friction in waves along x."""
 
-    depth: float = parameter("1", scale=0.02)
+    depth: float = parameter("1", typical=0.02)
 
     def friction(self, mu, position):
         return mu + self._law(position[..., 0], position[..., 1]) - Model().sliding_friction
@@ -32,7 +32,7 @@ class Streak(Effect):
 class Step(Effect):
     """Restitution that drops at 0.2 m/s."""
 
-    drop: float = parameter("1", scale=0.004)
+    drop: float = parameter("1", typical=0.004)
 
     def restitution(self, r, normal_speed):
         return r + self._law(normal_speed) - Model().restitution
@@ -45,7 +45,7 @@ class Step(Effect):
 class Resonance(Effect):
     """Spin transfer with a resonance at 0.3 m/s."""
 
-    size: float = parameter("1", scale=0.01)
+    size: float = parameter("1", typical=0.01)
 
     def spin_transfer(self, c, contact_speed):
         return c + self._law(contact_speed) - Model().spin_transfer
@@ -58,7 +58,7 @@ class Resonance(Effect):
 class RootDrag(Effect):
     """A force against the motion that grows with the root of the speed."""
 
-    size: float = parameter("m^.5/s^1.5", scale=0.01)
+    size: float = parameter("m^.5/s^1.5", typical=0.01)
 
     def push(self, acceleration, velocity):
         speed = np.maximum(np.hypot(velocity[..., 0], velocity[..., 1]), 1e-9)

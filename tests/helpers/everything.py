@@ -17,7 +17,7 @@ TIGHT = {"method": "DOP853", "rtol": 1e-12, "atol": 1e-14, "dense_output": True}
 class Everything(Effect):
     """Bends every law of motion, and each by position or speed."""
 
-    size: float = parameter("1", scale=1)
+    size: float = parameter("1", typical=1)
 
     def friction(self, mu, slip_speed, slip):
         return mu * (1 + self.size * (0.3 * np.exp(-slip_speed / 0.1) + 0.1 * slip[..., 0] * slip[..., 1]))

@@ -178,12 +178,15 @@ def test_effects_and_schema(command):
     assert status == 0
     assert "plate_tilt: " in out
     status, out, _ = command("effects", "plate_tilt")
-    assert "x: strength, rad, realistic 0.001, from -0.1 to 0.1" in out
+    assert "x: strength, rad, typically 0.001, from -0.1 to 0.1" in out
     assert all(line == line.rstrip() for line in out.splitlines())
     assert "    x, y: slopes, positive where the plate falls" in out
     assert out.endswith("drawn with -o: synthcam effects plate_tilt -o plate_tilt.png\n")
     status, out, _ = command("effects", "--json")
-    assert {json.loads(line)["effect"] for line in out.splitlines()} >= {"plate_tilt", "rolling_quadratic"}
+    found = {effect["effect"]: effect for effect in map(json.loads, out.splitlines())}
+    assert found.keys() >= {"plate_tilt", "rolling_quadratic"}
+    (knee,) = (p for p in found["stribeck"]["parameters"] if p["name"] == "slip")
+    assert (knee["scale"], knee["unit"], knee["high"], knee["fixed"]) == (0.1, "m/s", 3, True)
     status, _, err = command("effects", "plate_tlit")
     assert status == 2
     one_line(err, "plate_tlit: no such effect; there are ")

@@ -14,8 +14,8 @@ from synthcam.library import effects_in, library
 class Rough(Effect):
     """A strength and a shape."""
 
-    rise: float = parameter("1", scale=0.1, low=-1, high=2)
-    slip: float = parameter("m/s", scale=0.2, fixed=True)
+    rise: float = parameter("1", typical=0.1, low=-1, high=2)
+    slip: float = parameter("m/s", typical=0.2, fixed=True)
 
     def friction(self, mu, slip_speed):
         return mu * (1 + self.rise * slip_speed / self.slip)

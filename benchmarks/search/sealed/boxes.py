@@ -202,7 +202,7 @@ def _shapes(kind: type[Effect], rng: np.random.Generator) -> dict[str, float]:
     out = {}
     for p in kind.parameters():
         if p.fixed and not p.given:
-            low, high = SHAPES.get(f"{kind.name()}.{p.name}") or (0.8 * p.scale, 1.25 * p.scale)
+            low, high = SHAPES.get(f"{kind.name()}.{p.name}") or (0.8 * p.typical, 1.25 * p.typical)
             out[p.name] = float(np.exp(rng.uniform(np.log(low), np.log(high))))
     return out
 
@@ -211,7 +211,9 @@ def _way(kind: type[Effect], rng: np.random.Generator) -> dict[str, float]:
     """A direction among the effect's strengths, in realistic sizes; within the signs they may have."""
     parts = rng.standard_normal(len(kind.strengths()))
     way = parts / np.linalg.norm(parts)
-    return {p.name: float(p.scale * (abs(w) if p.low >= 0 else w)) for p, w in zip(kind.strengths(), way, strict=True)}
+    return {
+        p.name: float(p.typical * (abs(w) if p.low >= 0 else w)) for p, w in zip(kind.strengths(), way, strict=True)
+    }
 
 
 def _entry(

@@ -160,7 +160,7 @@ class Fisher:
         for name, effect in library().items():
             if name == but:
                 continue
-            columns = [self._along(effect, p.name, p.scale, shapes) for p in effect.strengths()]
+            columns = [self._along(effect, p.name, p.typical, shapes) for p in effect.strengths()]
             seen = [c / np.linalg.norm(c) for c in columns if np.any(c)]
             if seen:
                 q = np.linalg.qr(np.stack(seen, axis=-1))[0]

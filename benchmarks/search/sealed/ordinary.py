@@ -32,7 +32,7 @@ class Ordinary(Outsider):
 
 def now() -> Any:
     """A number that `_in` sets for each clip."""
-    return parameter("1", scale=1.0, fixed=True, given=True, default=0.0)
+    return parameter("1", typical=1.0, fixed=True, given=True, default=0.0)
 
 
 def speed_of(velocity: Any) -> Any:
@@ -63,8 +63,8 @@ class BallRollsWorse(Ordinary):
     """Ball a rolls with another drag and another deceleration than ball b."""
 
     SAME = ("rolling_mismatch",)
-    drag: float = parameter("1/s", scale=0.02, low=-0.1, high=0.5)
-    decel: float = parameter("m/s^2", scale=0.002, low=-0.008, high=0.1)
+    drag: float = parameter("1/s", typical=0.02, low=-0.1, high=0.5)
+    decel: float = parameter("m/s^2", typical=0.002, low=-0.008, high=0.1)
 
     def rolling(self, loss: Any, speed: Any, of_a: Any) -> Any:
         return loss + of_a * (self.drag * speed + self.decel)
@@ -75,7 +75,7 @@ class BallDragged(Ordinary):
     """Ball a is dragged against its motion, sliding or rolling."""
 
     SAME = ("drag_mismatch",)
-    rate: float = parameter("1/s", scale=0.02, low=-0.5, high=0.5)
+    rate: float = parameter("1/s", typical=0.02, low=-0.5, high=0.5)
 
     def push(self, acceleration: Any, velocity: Any, of_a: Any) -> Any:
         return acceleration - np.asarray(self.rate * of_a)[..., None] * velocity
@@ -85,7 +85,7 @@ class BallDragged(Ordinary):
 class BallCurves(Ordinary):
     """Ball a runs in a curve, as a loaded bowl does."""
 
-    rate: float = parameter("1/s", scale=0.02, low=-0.5, high=0.5)
+    rate: float = parameter("1/s", typical=0.02, low=-0.5, high=0.5)
 
     def push(self, acceleration: Any, velocity: Any, of_a: Any) -> Any:
         return acceleration + np.asarray(self.rate * of_a)[..., None] * turned(velocity)
@@ -95,7 +95,7 @@ class BallCurves(Ordinary):
 class BallOutOfRound(Ordinary):
     """Ball a is oval: its roll ripples twice a turn, by the place on the plate."""
 
-    size: float = parameter("m/s^2", scale=0.02, low=-1, high=1)
+    size: float = parameter("m/s^2", typical=0.02, low=-1, high=1)
 
     def rolling(self, loss: Any, speed: Any, position: Any, velocity: Any, radius: Any, of_a: Any) -> Any:
         way = (position * velocity).sum(axis=-1) / np.maximum(speed, 1e-9)
@@ -106,7 +106,7 @@ class BallOutOfRound(Ordinary):
 class TransferByBall(Ordinary):
     """The spin transfer is another where ball a is the launched one: one ball is worn on one side."""
 
-    size: float = parameter("1", scale=0.02, low=-0.3, high=0.3)
+    size: float = parameter("1", typical=0.02, low=-0.3, high=0.3)
     launched: float = now()
 
     def spin_transfer(self, c: Any, contact_speed: Any) -> Any:
@@ -121,7 +121,7 @@ class SpotRides(Ordinary):
     """The tracker follows a scratch on ball a: what it calls the centre runs ahead and behind, once a turn."""
 
     VIDEO = False
-    size: float = parameter("m", scale=3e-6, low=-1e-4, high=1e-4)
+    size: float = parameter("m", typical=3e-6, low=-1e-4, high=1e-4)
 
     def _moved(self, xy: Array, velocity: Array, of_a: Array) -> Array:
         speed = np.maximum(speed_of(velocity), 1e-9)
@@ -136,8 +136,8 @@ class SpotRides(Ordinary):
 class RollingHeading(Ordinary):
     """A nap on the plate: the rolling loss depends on the heading."""
 
-    c: float = parameter("1", scale=0.1, low=-0.6, high=0.6)
-    s: float = parameter("1", scale=0.1, low=-0.6, high=0.6)
+    c: float = parameter("1", typical=0.1, low=-0.6, high=0.6)
+    s: float = parameter("1", typical=0.1, low=-0.6, high=0.6)
 
     def rolling(self, loss: Any, speed: Any, velocity: Any) -> Any:
         along = self.c * velocity[..., 0] + self.s * velocity[..., 1]
@@ -148,11 +148,11 @@ class RollingHeading(Ordinary):
 class DirtyPatch(Ordinary):
     """A dirty disc: balls slide and roll worse on it."""
 
-    mu: float = parameter("1", scale=0.02, low=0, high=0.5)
-    loss: float = parameter("m/s^2", scale=0.01, low=0, high=0.5)
-    x: float = parameter("m", scale=0.01, low=-0.1, high=0.1, fixed=True)
-    y: float = parameter("m", scale=0.006, low=-0.1, high=0.1, fixed=True)
-    radius: float = parameter("m", scale=0.01, low=0.001, high=0.1, fixed=True)
+    mu: float = parameter("1", typical=0.02, low=0, high=0.5)
+    loss: float = parameter("m/s^2", typical=0.01, low=0, high=0.5)
+    x: float = parameter("m", typical=0.01, low=-0.1, high=0.1, fixed=True)
+    y: float = parameter("m", typical=0.006, low=-0.1, high=0.1, fixed=True)
+    radius: float = parameter("m", typical=0.01, low=0.001, high=0.1, fixed=True)
 
     def friction(self, mu: Any, position: Any) -> Any:
         return mu + self.mu * disc(position, self.x, self.y, self.radius)
@@ -165,10 +165,10 @@ class DirtyPatch(Ordinary):
 class DampSpot(Ordinary):
     """A damp disc, on which balls roll worse and slide as everywhere."""
 
-    loss: float = parameter("1/s", scale=0.05, low=0, high=5)
-    x: float = parameter("m", scale=0.008, low=-0.1, high=0.1, fixed=True)
-    y: float = parameter("m", scale=0.008, low=-0.1, high=0.1, fixed=True)
-    radius: float = parameter("m", scale=0.012, low=0.001, high=0.1, fixed=True)
+    loss: float = parameter("1/s", typical=0.05, low=0, high=5)
+    x: float = parameter("m", typical=0.008, low=-0.1, high=0.1, fixed=True)
+    y: float = parameter("m", typical=0.008, low=-0.1, high=0.1, fixed=True)
+    radius: float = parameter("m", typical=0.012, low=0.001, high=0.1, fixed=True)
 
     def rolling(self, loss: Any, speed: Any, position: Any) -> Any:
         return loss + self.loss * speed * disc(position, -self.x, self.y, self.radius)
@@ -178,8 +178,8 @@ class DampSpot(Ordinary):
 class HalfPolished(Ordinary):
     """Friction that rises at slow slip, on one half of the plate alone."""
 
-    rise: float = parameter("1", scale=0.05, low=-0.5, high=1)
-    slip: float = parameter("m/s", scale=0.08, low=0.01, high=1, fixed=True)
+    rise: float = parameter("1", typical=0.05, low=-0.5, high=1)
+    slip: float = parameter("m/s", typical=0.08, low=0.01, high=1, fixed=True)
 
     def friction(self, mu: Any, slip_speed: Any, position: Any) -> Any:
         return mu * (1 + self.rise * np.exp(-slip_speed / self.slip) * step(position[..., 0], 0.0, 0.003))
@@ -189,7 +189,7 @@ class HalfPolished(Ordinary):
 class FrictionPace(Ordinary):
     """Friction that depends on how fast the ball itself goes, not on its slip."""
 
-    rise: float = parameter("1", scale=0.05, low=-0.4, high=1)
+    rise: float = parameter("1", typical=0.05, low=-0.4, high=1)
 
     def friction(self, mu: Any, velocity: Any) -> Any:
         return mu * (1 + self.rise * speed_of(velocity) / 0.3)
@@ -199,7 +199,7 @@ class FrictionPace(Ordinary):
 class RestitutionWay(Ordinary):
     """Balls with a soft side that is always laid down alike: a restitution by heading, the more the harder the hit."""
 
-    size: float = parameter("1", scale=0.01, low=-0.04, high=0.04)
+    size: float = parameter("1", typical=0.01, low=-0.04, high=0.04)
 
     def restitution(self, r: Any, normal_speed: Any, heading: Any) -> Any:
         return r + self.size * (normal_speed / 0.3) * (0.54 * heading[..., 0] + 0.84 * heading[..., 1])
@@ -209,8 +209,8 @@ class RestitutionWay(Ordinary):
 class TransferOblique(Ordinary):
     """Oblique hits, beyond b of about .35, transfer more or less spin than others."""
 
-    size: float = parameter("1", scale=0.02, low=-0.3, high=0.3)
-    beyond: float = parameter("1", scale=0.35, low=0.05, high=0.9, fixed=True)
+    size: float = parameter("1", typical=0.02, low=-0.3, high=0.3)
+    beyond: float = parameter("1", typical=0.35, low=0.05, high=0.9, fixed=True)
     b: float = now()
 
     def spin_transfer(self, c: Any, contact_speed: Any) -> Any:
@@ -224,7 +224,7 @@ class TransferOblique(Ordinary):
 class RestitutionSide(Ordinary):
     """Hits on the left restore more than hits on the right."""
 
-    size: float = parameter("1", scale=0.01, low=-0.1, high=0.1)
+    size: float = parameter("1", typical=0.01, low=-0.1, high=0.1)
     b: float = now()
 
     def restitution(self, r: Any, normal_speed: Any) -> Any:
@@ -238,8 +238,8 @@ class RestitutionSide(Ordinary):
 class Draught(Ordinary):
     """A wind along x: a drag that is quadratic in the speed through moving air."""
 
-    size: float = parameter("1/m", scale=0.02, low=0, high=0.15)
-    wind: float = parameter("m/s", scale=0.25, low=-1, high=1, fixed=True)
+    size: float = parameter("1/m", typical=0.02, low=0, high=0.15)
+    wind: float = parameter("m/s", typical=0.25, low=-1, high=1, fixed=True)
 
     def push(self, acceleration: Any, velocity: Any) -> Any:
         through = velocity - np.array([self.wind, 0.0])
@@ -250,8 +250,8 @@ class Draught(Ordinary):
 class Sag(Ordinary):
     """A plate that sags in its middle, more along x, and is rougher there."""
 
-    curve: float = parameter("1/m", scale=1e-3, low=-0.02, high=0.02)
-    mu: float = parameter("1", scale=0.01, low=-0.1, high=0.1)
+    curve: float = parameter("1/m", typical=1e-3, low=-0.02, high=0.02)
+    mu: float = parameter("1", typical=0.01, low=-0.1, high=0.1)
 
     def push(self, acceleration: Any, position: Any) -> Any:
         return acceleration - GRAVITY * self.curve * position * np.array([1.0, 0.5])
@@ -267,7 +267,7 @@ class Sag(Ordinary):
 class FrictionDrift(Ordinary):
     """The plate warms up: friction falls from clip to clip."""
 
-    rise: float = parameter("1", scale=0.02, low=-0.5, high=0.5)
+    rise: float = parameter("1", typical=0.02, low=-0.5, high=0.5)
     late: float = now()
 
     def friction(self, mu: Any) -> Any:
@@ -281,8 +281,8 @@ class FrictionDrift(Ordinary):
 class Wear(Ordinary):
     """Balls wear out from clip to clip: they restore less and roll worse."""
 
-    soft: float = parameter("1", scale=0.01, low=-0.1, high=0.1)
-    rough: float = parameter("1", scale=0.1, low=-0.8, high=0.8)
+    soft: float = parameter("1", typical=0.01, low=-0.1, high=0.1)
+    rough: float = parameter("1", typical=0.1, low=-0.8, high=0.8)
     late: float = now()
 
     def restitution(self, r: Any, normal_speed: Any) -> Any:
@@ -299,7 +299,7 @@ class Wear(Ordinary):
 class LeaningTable(Ordinary):
     """Somebody leans on the table: a tilt of the same size another way in each clip."""
 
-    size: float = parameter("1", scale=1e-4, low=-1e-3, high=1e-3)
+    size: float = parameter("1", typical=1e-4, low=-1e-3, high=1e-3)
     way: float = now()
 
     def push(self, acceleration: Any, velocity: Any) -> Any:
@@ -313,7 +313,7 @@ class LeaningTable(Ordinary):
 class ClockScatter(Ordinary):
     """A camera whose frame rate is a little another in each clip."""
 
-    size: float = parameter("1", scale=1e-3, low=0, high=0.1)
+    size: float = parameter("1", typical=1e-3, low=0, high=0.1)
     off: float = now()
 
     def clock(self, t: Any) -> Any:

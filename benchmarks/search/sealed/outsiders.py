@@ -55,8 +55,8 @@ class FrictionStreaks(Outsider):
     """Sliding friction in streaks along y."""
 
     SLOT: ClassVar[str] = "friction_place"
-    depth: float = parameter("1", scale=0.01, low=-0.2, high=0.2)
-    wavelength: float = parameter("m", scale=0.015, low=0.001, high=1, fixed=True)
+    depth: float = parameter("1", typical=0.01, low=-0.2, high=0.2)
+    wavelength: float = parameter("m", typical=0.015, low=0.001, high=1, fixed=True)
 
     def friction(self, mu: Any, position: Any) -> Any:
         return mu + self._curve(position[..., 0], position[..., 1])
@@ -70,8 +70,8 @@ class FrictionStep(Outsider):
     """Sliding friction that is another beyond a speed of slip."""
 
     SLOT: ClassVar[str] = "friction_speed"
-    rise: float = parameter("1", scale=0.01, low=-0.2, high=0.2)
-    at: float = parameter("m/s", scale=0.2, low=0.01, high=1, fixed=True)
+    rise: float = parameter("1", typical=0.01, low=-0.2, high=0.2)
+    at: float = parameter("m/s", typical=0.2, low=0.01, high=1, fixed=True)
 
     def friction(self, mu: Any, slip_speed: Any) -> Any:
         return mu + self._curve(slip_speed)
@@ -85,8 +85,8 @@ class RestitutionStep(Outsider):
     """Balls that yield beyond a speed of impact."""
 
     SLOT: ClassVar[str] = "restitution_speed"
-    drop: float = parameter("1", scale=0.02, low=-0.3, high=0.3)
-    at: float = parameter("m/s", scale=0.3, low=0.01, high=1, fixed=True)
+    drop: float = parameter("1", typical=0.02, low=-0.3, high=0.3)
+    at: float = parameter("m/s", typical=0.3, low=0.01, high=1, fixed=True)
 
     def restitution(self, r: Any, normal_speed: Any) -> Any:
         return r + self._curve(normal_speed)
@@ -100,7 +100,7 @@ class RestitutionHeading(Outsider):
     """Restitution that depends on the heading, threefold."""
 
     SLOT: ClassVar[str] = "restitution_heading"
-    size: float = parameter("1", scale=0.02, low=-0.3, high=0.3)
+    size: float = parameter("1", typical=0.02, low=-0.3, high=0.3)
 
     def restitution(self, r: Any, heading: Any) -> Any:
         return r + self._curve(np.arctan2(heading[..., 1], heading[..., 0]))
@@ -114,7 +114,7 @@ class RestitutionScatter(Outsider):
     """Restitution that is another from clip to clip."""
 
     SLOT: ClassVar[str] = "restitution_clip"
-    size: float = parameter("1", scale=0.01, low=0, high=0.3)
+    size: float = parameter("1", typical=0.01, low=0, high=0.3)
 
     def restitution(self, r: Any, heading: Any) -> Any:
         return r + self.size * dice(heading[..., 0] + 0.618 * heading[..., 1])
@@ -125,7 +125,7 @@ class TransferScatter(Outsider):
     """Spin transfer that is another from clip to clip."""
 
     SLOT: ClassVar[str] = "spin_transfer_clip"
-    size: float = parameter("1", scale=0.02, low=0, high=0.3)
+    size: float = parameter("1", typical=0.02, low=0, high=0.3)
 
     def spin_transfer(self, c: Any, approach_speed: Any) -> Any:
         return c + self.size * dice(approach_speed)
@@ -136,8 +136,8 @@ class TransferBump(Outsider):
     """Spin transfer with a resonance in the contact speed."""
 
     SLOT: ClassVar[str] = "spin_transfer_speed"
-    size: float = parameter("1", scale=0.05, low=-0.3, high=0.3)
-    at: float = parameter("m/s", scale=0.35, low=0.01, high=1, fixed=True)
+    size: float = parameter("1", typical=0.05, low=-0.3, high=0.3)
+    at: float = parameter("m/s", typical=0.35, low=0.01, high=1, fixed=True)
 
     def spin_transfer(self, c: Any, contact_speed: Any) -> Any:
         return c + self._curve(contact_speed)
@@ -151,7 +151,7 @@ class RootDrag(Outsider):
     """A force against the motion that grows with the root of the speed, sliding or rolling."""
 
     SLOT: ClassVar[str] = "force_speed"
-    size: float = parameter("m^.5 s^-1.5", scale=0.01, low=-1, high=1)
+    size: float = parameter("m^.5 s^-1.5", typical=0.01, low=-1, high=1)
 
     def push(self, acceleration: Any, velocity: Any) -> Any:
         speed = np.hypot(velocity[..., 0], velocity[..., 1])
@@ -166,7 +166,7 @@ class GrainDrag(Outsider):
     """A drag on the x component of the velocity alone, sliding or rolling."""
 
     SLOT: ClassVar[str] = "force_heading"
-    rate: float = parameter("1/s", scale=0.05, low=-1, high=1)
+    rate: float = parameter("1/s", typical=0.05, low=-1, high=1)
 
     def push(self, acceleration: Any, velocity: Any) -> Any:
         return acceleration - self.rate * velocity * np.array([1.0, 0.0])
@@ -181,9 +181,9 @@ class Dent(Outsider):
     """A bump in the plate, 6 mm wide, off its middle."""
 
     SLOT: ClassVar[str] = "force_place"
-    height: float = parameter("m", scale=1e-6, low=-5e-6, high=5e-6)
-    x: float = parameter("m", scale=0.012, low=-0.1, high=0.1, fixed=True)
-    y: float = parameter("m", scale=0.008, low=-0.1, high=0.1, fixed=True)
+    height: float = parameter("m", typical=1e-6, low=-5e-6, high=5e-6)
+    x: float = parameter("m", typical=0.012, low=-0.1, high=0.1, fixed=True)
+    y: float = parameter("m", typical=0.008, low=-0.1, high=0.1, fixed=True)
 
     def push(self, acceleration: Any, position: Any) -> Any:
         return acceleration + self._curve(position[..., 0], position[..., 1])
@@ -199,8 +199,8 @@ class RollingResonance(Outsider):
     """A loss while rolling at one speed."""
 
     SLOT: ClassVar[str] = "rolling_speed"
-    size: float = parameter("m/s^2", scale=0.01, low=0, high=1)
-    at: float = parameter("m/s", scale=0.2, low=0.01, high=1, fixed=True)
+    size: float = parameter("m/s^2", typical=0.01, low=0, high=1)
+    at: float = parameter("m/s", typical=0.2, low=0.01, high=1, fixed=True)
 
     def rolling(self, loss: Any, speed: Any) -> Any:
         return loss + self._curve(speed)
@@ -215,7 +215,7 @@ class SpeedDelay(Outsider):
 
     SLOT: ClassVar[str] = "lag_speed"
     VIDEO: ClassVar[bool] = False
-    late: float = parameter("s", scale=1e-4, low=-2e-3, high=2e-3)
+    late: float = parameter("s", typical=1e-4, low=-2e-3, high=2e-3)
 
     def _moved(self, xy: Array, velocity: Array, of_a: Array) -> Array:
         return -self._curve(np.hypot(velocity[..., 0], velocity[..., 1]))[..., None] * velocity
@@ -230,7 +230,7 @@ class QuarticWarp(Outsider):
 
     SLOT: ClassVar[str] = "warp_place"
     VIDEO: ClassVar[bool] = False
-    size: float = parameter("m", scale=2e-5, low=-1e-3, high=1e-3)
+    size: float = parameter("m", typical=2e-5, low=-1e-3, high=1e-3)
 
     def _moved(self, xy: Array, velocity: Array, of_a: Array) -> Array:
         return np.stack([self.size * (xy[..., 0] / 0.05) ** 4, 0 * xy[..., 1]], axis=-1)

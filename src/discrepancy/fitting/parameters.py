@@ -60,12 +60,12 @@ def _tries(p: Parameter, count: int) -> list[float]:
     if p.tries:
         return list(p.tries)
     if p.low > 0:
-        ends = max(p.low, p.scale / SPREAD), min(p.high, p.scale * SPREAD)
+        ends = max(p.low, p.typical / SPREAD), min(p.high, p.typical * SPREAD)
         return [float(x) for x in np.geomspace(*ends, count)]
-    if p.scale == 0:
+    if p.typical == 0:
         return [float(x) for x in np.linspace(p.low, p.high, count)]
     fractions = FRACTIONS if count == len(FRACTIONS) else FRACTIONS[::2]
-    return [f * p.scale for f in fractions if f * p.scale <= p.high]
+    return [f * p.typical for f in fractions if f * p.typical <= p.high]
 
 
 def span_of(p: Parameter) -> float:
@@ -132,7 +132,7 @@ def step_of(model: Model, name: str) -> float:
         return _LIMITED[name][0] if name in _LIMITED else _UNLIMITED[name]
     p = parameter_of(model, name)
     apart = min((b - a for a, b in itertools.pairwise(p.tries)), default=0.0)  # a law may jump between them
-    return 1e-2 * (apart or p.scale or min(p.high - p.low, 1.0) / 10)
+    return 1e-2 * (apart or p.typical or min(p.high - p.low, 1.0) / 10)
 
 
 def limits_of(model: Model, name: str) -> tuple[float, float]:

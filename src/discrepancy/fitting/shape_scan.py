@@ -48,7 +48,7 @@ def scanned(
     """d tracks (n_k, 2, tries, strengths) of each clip, about a model without the suspect. here: its forecast."""
     kind = suspect.kind
     assert kind is not None
-    sizes = {_short(s): parameter_of(model, s).scale for s in suspect.strengths}
+    sizes = {_short(s): parameter_of(model, s).typical for s in suspect.strengths}
     nothing = dict.fromkeys(sizes, 0.0)
     filled = [
         (kind(**nothing | {_short(n): v for n, v in shapes.items()} | {s: size}), size)

@@ -48,7 +48,7 @@ def _far(evidence: Evidence, now: Fit, candidate: Candidate) -> list[Fit]:
     if len(suspect.strengths) > 1:
         return []
     name = suspect.strengths[0]
-    size, (low, high) = parameter_of(now.model, name).scale, limits_of(now.model, name)
+    size, (low, high) = parameter_of(now.model, name).typical, limits_of(now.model, name)
     looks: list[Fit] = []
     for shapes in suspect.grid(now.model):
         for value in (sign * share * size for share in STARTS for sign in (1, -1)):

@@ -31,7 +31,7 @@ def price(now: Fit, base: Fit) -> float:
         own = {n: parameter_of(now.model, n) for n in added if n.startswith(f"{effect}.")}
         paid += chosen
         strengths, shapes = ([n for n, p in own.items() if p.fixed == fixed] for fixed in (False, True))
-        size = np.array([own[n].scale or 1.0 for n in strengths])
+        size = np.array([own[n].typical or 1.0 for n in strengths])
         information = _information(now, strengths + shapes)[: len(size), : len(size)] * np.outer(size, size)
         moved = np.array([now.model.value(n) - base.model.value(n) for n in strengths]) / size
         paid += freedom(information, moved)

@@ -57,7 +57,7 @@ class Named:
         if name not in self.values:
             return False
         value, p = self.values[name], parameter_of(Model(), name)
-        return any(abs(value - end) < 1e-6 * max(abs(end), p.scale) for end in limits_of(Model(), name))
+        return any(abs(value - end) < 1e-6 * max(abs(end), p.typical) for end in limits_of(Model(), name))
 
     def held(self, base: Model) -> bool:
         """Whether the base model has this effect, with another strength."""
@@ -96,7 +96,7 @@ def as_sure(value: float, std: float, digits: int) -> str:
 def determined(now: Fit, shape: str, std: float) -> float:
     """A fitted shape's standard deviation; infinite where it says nothing."""
     p = parameter_of(now.model, shape)
-    size = max(abs(now.model.value(shape)), p.scale) if p.low >= 0 else (p.high - p.low) / 2
+    size = max(abs(now.model.value(shape)), p.typical) if p.low >= 0 else (p.high - p.low) / 2
     return std if 0 < std < size / 2 else np.inf
 
 

@@ -43,7 +43,7 @@ class _Way:
     @classmethod
     def of(cls, suspect: Suspect, now: Fit) -> _Way:
         ways = [parameter_of(now.model, s) for s in suspect.strengths]
-        sizes = np.array([p.scale or 1.0 for p in ways])
+        sizes = np.array([p.typical or 1.0 for p in ways])
         allowed = max(max(abs(p.low), abs(p.high)) / size for p, size in zip(ways, sizes, strict=True))
         value, p = now.model.value(suspect.strengths[0]), ways[0]
         side = int(value <= p.low) - int(value >= p.high) if len(ways) == 1 else 0

@@ -22,9 +22,9 @@ LAMP = (0.05, 0.0, 0.45)
 NAMES, COLOURS = ("ball 1, at rest", "ball 2"), ("tab:blue", "tab:red")
 
 
-def realistic(kind: type[Effect]) -> Effect:
-    """The effect with every parameter at its realistic size."""
-    return kind(**{p.name: p.scale for p in kind.parameters()})
+def typical(kind: type[Effect]) -> Effect:
+    """The effect with every parameter at its typical value."""
+    return kind(**{p.name: p.typical for p in kind.parameters()})
 
 
 def tracks(model: Model) -> Array:

@@ -14,7 +14,7 @@ class Adhesion(Effect):
     is mu times the load.
     """
 
-    pull: float = parameter("1", scale=0.1, low=-0.5, high=5)
+    pull: float = parameter("1", typical=0.1, low=-0.5, high=5)
 
     def normal_load(self, load: Any, gravity: float) -> Any:
         return load + self.pull * gravity

@@ -21,7 +21,7 @@ class AirDrag(Effect):
     rolling ones by 5/7.
     """
 
-    share: float = parameter("1", scale=1.0, low=0, high=10, default=1.0)
+    share: float = parameter("1", typical=1.0, low=0, high=10, default=1.0)
 
     def push(self, acceleration: Any, velocity: Any, radius: Any, mass: Any) -> NDArray[np.float64]:
         speed = np.hypot(velocity[..., 0], velocity[..., 1])

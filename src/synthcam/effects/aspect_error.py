@@ -12,7 +12,7 @@ from synthcam.effect import Effect, parameter
 class AspectError(Effect):
     """The picture is wider by the fraction e/2 and lower by e/2 than the camera's file says."""
 
-    e: float = parameter("1", scale=1e-3, low=-0.3, high=0.3)
+    e: float = parameter("1", typical=1e-3, low=-0.3, high=0.3)
 
     def camera(self, camera: Any) -> Any:
         matrix = camera.K.copy()

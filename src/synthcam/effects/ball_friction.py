@@ -26,9 +26,9 @@ class BallFriction(Effect):
     Walton & Braun, J. Rheol. 30 (1986) 949; Foerster et al., Phys. Fluids 6 (1994) 1108.
     """
 
-    share: float = parameter("1", scale=1.0, low=0, high=2, default=1.0)
-    mu: float = parameter("1", scale=0.15, low=0, high=1, fixed=True, tries=np.geomspace(0.04, 0.4, 17))
-    beta: float = parameter("1", scale=0.0, low=-1, high=1, fixed=True, given=True)
+    share: float = parameter("1", typical=1.0, low=0, high=2, default=1.0)
+    mu: float = parameter("1", typical=0.15, low=0, high=1, fixed=True, tries=np.geomspace(0.04, 0.4, 17))
+    beta: float = parameter("1", typical=0.0, low=-1, high=1, fixed=True, given=True)
 
     def spin_transfer(self, c: Any, contact_speed: Any, normal_impulse: Any) -> Any:
         slipping = 2.5 * self.mu * normal_impulse / np.maximum(contact_speed, 1e-300)

@@ -18,8 +18,8 @@ class CameraTilt(Effect):
     the keystone.
     """
 
-    x: float = parameter("rad", scale=5e-3, low=-0.3, high=0.3)
-    y: float = parameter("rad", scale=5e-3, low=-0.3, high=0.3)
+    x: float = parameter("rad", typical=5e-3, low=-0.3, high=0.3)
+    y: float = parameter("rad", typical=5e-3, low=-0.3, high=0.3)
 
     def camera(self, camera: Any) -> Any:
         (sx, sy), (cx, cy) = np.sin([self.x, self.y]), np.cos([self.x, self.y])

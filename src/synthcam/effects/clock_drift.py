@@ -10,7 +10,7 @@ from synthcam.effect import Effect, parameter
 class ClockDrift(Effect):
     """Frame k is taken at t (1 + e t), t = k/fps: the rate falls by 2 e a second."""
 
-    e: float = parameter("1/s", scale=1e-3, low=-0.2, high=0.2)
+    e: float = parameter("1/s", typical=1e-3, low=-0.2, high=0.2)
 
     def clock(self, t: Any) -> Any:
         return t * (1 + self.e * t)

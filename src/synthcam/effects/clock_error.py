@@ -13,7 +13,7 @@ class ClockError(Effect):
     It cannot be told from tracks: v0 and drag times f, mu and decel times f^2 absorb it exactly. For scenes.
     """
 
-    e: float = parameter("1", scale=1e-3, low=-0.3, high=0.3)
+    e: float = parameter("1", typical=1e-3, low=-0.3, high=0.3)
 
     def clock(self, t: Any) -> Any:
         return t * (1 + self.e)

@@ -18,8 +18,8 @@ class DragMismatch(Effect):
     mismatch in rolling.
     """
 
-    a: float = parameter("1/s", scale=0.01, low=-1, high=10)
-    b: float = parameter("1/s", scale=0.01, low=-1, high=10)
+    a: float = parameter("1/s", typical=0.01, low=-1, high=10)
+    b: float = parameter("1/s", typical=0.01, low=-1, high=10)
 
     def push(self, acceleration: Any, velocity: Any, of_a: Any) -> NDArray[np.float64]:
         rate = self.b + (self.a - self.b) * (of_a + 0 * velocity[..., 0])

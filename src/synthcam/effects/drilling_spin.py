@@ -25,7 +25,7 @@ class DrillingSpin(Effect):
     that a ball would lose while it rolls is left out.
     """
 
-    a: float = parameter("m", scale=2e-6, low=0, high=2e-4)
+    a: float = parameter("m", typical=2e-6, low=0, high=2e-4)
 
     def friction(self, mu: Any, slip_speed: Any, spin: Any) -> Any:
         return mu * self._force(slip_speed, spin)

@@ -14,8 +14,8 @@ EDGE = 0.02  # frames: the step is smooth, so that a fit can find its place
 class DroppedFrame(Effect):
     """From frame `frame` on, pictures are `lost` frames later than their number says."""
 
-    lost: float = parameter("1", scale=1.0, low=-5, high=5)
-    frame: float = parameter("1", scale=40.0, low=0, high=1e6, fixed=True, tries=range(1, 500))
+    lost: float = parameter("1", typical=1.0, low=-5, high=5)
+    frame: float = parameter("1", typical=40.0, low=0, high=1e6, fixed=True, tries=range(1, 500))
 
     def clock(self, t: Any, fps: Any) -> Any:
         late = 0.5 * (1 + np.tanh((t * fps - self.frame + 0.5) / EDGE))

@@ -21,8 +21,8 @@ class EccentricMass(Effect):
     plate; a ball laid down anyhow has another in each clip, which one c and d cannot hold.
     """
 
-    c: float = parameter("m", scale=1e-6, low=-5e-6, high=5e-6)
-    d: float = parameter("m", scale=1e-6, low=-5e-6, high=5e-6)
+    c: float = parameter("m", typical=1e-6, low=-5e-6, high=5e-6)
+    d: float = parameter("m", typical=1e-6, low=-5e-6, high=5e-6)
 
     def rolling(
         self, loss: Any, speed: Any, position: Any, velocity: Any, gravity: float, radius: Any, of_a: Any

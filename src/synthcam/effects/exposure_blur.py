@@ -10,7 +10,7 @@ from synthcam.effect import Effect, parameter
 class ExposureBlur(Effect):
     """The exposure is longer by `longer`: moving glints become streaks, and their middles come later by half of it."""
 
-    longer: float = parameter("s", scale=5e-4, low=-1e-3, high=4e-3)
+    longer: float = parameter("s", typical=5e-4, low=-1e-3, high=4e-3)
 
     def exposure(self, exposure: Any) -> Any:
         return max(exposure + self.longer, 0.0)

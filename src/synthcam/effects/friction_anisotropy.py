@@ -14,8 +14,8 @@ class FrictionAnisotropy(Effect):
     the size e, c = e cos 2 th0 and s = e sin 2 th0.
     """
 
-    c: float = parameter("1", scale=0.1, low=-0.45, high=0.45)
-    s: float = parameter("1", scale=0.1, low=-0.45, high=0.45)
+    c: float = parameter("1", typical=0.1, low=-0.45, high=0.45)
+    s: float = parameter("1", typical=0.1, low=-0.45, high=0.45)
 
     def friction(self, mu: Any, slip: Any) -> Any:
         cos, sin = slip[..., 0], slip[..., 1]

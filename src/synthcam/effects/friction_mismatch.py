@@ -15,7 +15,7 @@ class FrictionMismatch(Effect):
     in half the clips tell them apart.
     """
 
-    excess: float = parameter("1", scale=0.01, low=-0.9, high=10)
+    excess: float = parameter("1", typical=0.01, low=-0.9, high=10)
 
     def friction(self, mu: Any, of_a: Any) -> Any:
         return mu * (1 + self.excess * of_a)

@@ -13,7 +13,7 @@ class GlintParallax(Effect):
     A defect of the tracker: no scene may have it.
     """
 
-    share: float = parameter("1", scale=1.0, low=-2, high=2)
+    share: float = parameter("1", typical=1.0, low=-2, high=2)
 
     def measure(self, pixels: Any, glint: Any) -> Any:
         return pixels + self.share * (glint(pixels) - pixels)

@@ -15,8 +15,8 @@ class Hop(Effect):
     Behringer, PRE 62 (2000) 2380, holds all of the impulse back.
     """
 
-    share: float = parameter("1", scale=1.0, low=0, high=1, default=1.0)
-    bounce: float = parameter("1", scale=0.4, low=0, high=0.9, fixed=True)
+    share: float = parameter("1", typical=1.0, low=0, high=1, default=1.0)
+    bounce: float = parameter("1", typical=0.4, low=0, high=0.9, fixed=True)
 
     def loft(self, share: Any) -> Any:
         return share + self.share

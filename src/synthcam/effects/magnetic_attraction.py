@@ -26,7 +26,7 @@ class MagneticAttraction(Effect):
     is pulled off before it is hit, and comes to meet the striker.
     """
 
-    pull: float = parameter("m/s^2", scale=0.1, low=-0.5, high=0.5)
+    pull: float = parameter("m/s^2", typical=0.1, low=-0.5, high=0.5)
 
     def push(self, acceleration: Any, other: Any, mass: Any, ball: Any) -> NDArray[np.float64]:
         x, y = other[..., 0], other[..., 1]

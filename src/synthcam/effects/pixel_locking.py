@@ -15,7 +15,7 @@ class PixelLocking(Effect):
     A defect of the tracker: no scene may have it. Places rounded to whole px have amplitude 1/pi, their first harmonic.
     """
 
-    amplitude: float = parameter("px", scale=0.02, low=-0.35, high=0.35)
+    amplitude: float = parameter("px", typical=0.02, low=-0.35, high=0.35)
 
     def measure(self, pixels: Any) -> Any:
         return pixels - self.amplitude * np.sin(2 * np.pi * pixels)

@@ -17,8 +17,8 @@ class PlateTilt(Effect):
     (5/7) g sin(tilt) stays under `rolling_decel`. The load's loss, 1 - cos(tilt), 5e-7 at 1 mrad, is left out.
     """
 
-    x: float = parameter("rad", scale=1e-3, low=-0.1, high=0.1)
-    y: float = parameter("rad", scale=1e-3, low=-0.1, high=0.1)
+    x: float = parameter("rad", typical=1e-3, low=-0.1, high=0.1)
+    y: float = parameter("rad", typical=1e-3, low=-0.1, high=0.1)
 
     def push(self, acceleration: Any, gravity: float) -> NDArray[np.float64]:
         return np.asarray(acceleration + gravity * np.sin([self.x, self.y]))

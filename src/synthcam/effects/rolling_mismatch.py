@@ -14,8 +14,8 @@ class RollingMismatch(Effect):
     229 (1955) 198; a ball that is dented, soft or dirty has its own. Nothing while sliding, unlike a drag on one ball.
     """
 
-    drag: float = parameter("1/s", scale=0.01, low=-0.1, high=10)
-    decel: float = parameter("m/s^2", scale=1e-3, low=-0.01, high=1)
+    drag: float = parameter("1/s", typical=0.01, low=-0.1, high=10)
+    decel: float = parameter("m/s^2", typical=1e-3, low=-0.01, high=1)
 
     def rolling(self, loss: Any, speed: Any, of_a: Any) -> Any:
         return loss + of_a * (self.drag * speed + self.decel)

@@ -13,7 +13,7 @@ class RollingQuadratic(Effect):
     No published law: the next term after those of Painter & Behringer, PRE 62 (2000) 2380.
     """
 
-    K: float = parameter("1/m", scale=0.1, low=-0.1, high=10)
+    K: float = parameter("1/m", typical=0.1, low=-0.1, high=10)
 
     def rolling(self, loss: Any, speed: Any) -> Any:
         return loss + self.K * speed**2

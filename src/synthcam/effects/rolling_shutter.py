@@ -10,7 +10,7 @@ from synthcam.effect import Effect, parameter
 class RollingShutter(Effect):
     """What is seen in row y is exposed `line` y seconds later than row 0. A ball is taken by its centre's row."""
 
-    line: float = parameter("s", scale=5e-6, low=-5e-5, high=5e-5)
+    line: float = parameter("s", typical=5e-6, low=-5e-5, high=5e-5)
 
     def clock(self, t: Any, row: Any) -> Any:
         return t + self.line * row

@@ -10,7 +10,7 @@ from synthcam.effect import Effect, parameter
 class ScaleError(Effect):
     """The camera magnifies more than its file says by the fraction `e`."""
 
-    e: float = parameter("1", scale=1e-3, low=-0.3, high=0.3)
+    e: float = parameter("1", typical=1e-3, low=-0.3, high=0.3)
 
     def camera(self, camera: Any) -> Any:
         matrix = camera.K.copy()

@@ -15,7 +15,7 @@ class SpinTransferVelocity(Effect):
     No published law: the first term of any.
     """
 
-    c: float = parameter("1", scale=0.1, low=-0.9, high=0.9)
+    c: float = parameter("1", typical=0.1, low=-0.9, high=0.9)
 
     def spin_transfer(self, c: Any, approach_speed: Any) -> Any:
         return c * (1 + self.c * (approach_speed / REFERENCE - 1))

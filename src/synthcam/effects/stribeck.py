@@ -12,8 +12,8 @@ from synthcam.effect import Effect, parameter
 class Stribeck(Effect):
     """mu(u) = mu [1 + rise exp(-u / slip)].  Armstrong-Helouvry, Dupont & Canudas de Wit, Automatica 30 (1994) 1083."""
 
-    rise: float = parameter("1", scale=0.3, low=-0.9, high=5)
-    slip: float = parameter("m/s", scale=0.1, low=0.003, high=3, fixed=True)
+    rise: float = parameter("1", typical=0.3, low=-0.9, high=5)
+    slip: float = parameter("m/s", typical=0.1, low=0.003, high=3, fixed=True)
 
     def friction(self, mu: Any, slip_speed: Any) -> Any:
         return mu * (1 + self.rise * np.exp(-slip_speed / self.slip))

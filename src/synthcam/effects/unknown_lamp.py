@@ -14,10 +14,10 @@ class UnknownLamp(Effect):
     A defect of the tracker: no scene may have it. Nothing where camera.json tells of a lamp: see glint_parallax.
     """
 
-    share: float = parameter("1", scale=1.0, low=0, high=1)
-    x: float = parameter("m", scale=0.1, low=-1, high=1, fixed=True, tries=(-0.1, 0, 0.1))
-    y: float = parameter("m", scale=0.1, low=-1, high=1, fixed=True, tries=(-0.1, 0, 0.1))
-    height: float = parameter("m", scale=0.4, low=0.05, high=10, fixed=True, tries=(0.4, 0.6, 1.5))
+    share: float = parameter("1", typical=1.0, low=0, high=1)
+    x: float = parameter("m", typical=0.1, low=-1, high=1, fixed=True, tries=(-0.1, 0, 0.1))
+    y: float = parameter("m", typical=0.1, low=-1, high=1, fixed=True, tries=(-0.1, 0, 0.1))
+    height: float = parameter("m", typical=0.4, low=0.05, high=10, fixed=True, tries=(0.4, 0.6, 1.5))
 
     def measure(self, pixels: Any, mirrored: Any) -> Any:
         return pixels + self.share * (mirrored(pixels, (self.x, self.y, self.height)) - pixels)

@@ -17,7 +17,7 @@ class VelocityRestitution(Effect):
     Poeschel, Brilliantov & Schwager, PRE 60 (1999) 4465.
     """
 
-    e: float = parameter("1", scale=0.2, low=-1, high=1)
+    e: float = parameter("1", typical=0.2, low=-1, high=1)
 
     def restitution(self, r: Any, normal_speed: Any) -> Any:
         return 1 - (1 - r) * (1 + self.e * ((normal_speed / REFERENCE) ** POWER - 1) / POWER)

@@ -10,7 +10,7 @@ from synthcam.effect import Effect, parameter
 class ViscousFriction(Effect):
     """mu(u) = mu (1 + k u).  Armstrong-Helouvry, Dupont & Canudas de Wit, Automatica 30 (1994) 1083."""
 
-    k: float = parameter("s/m", scale=0.2, low=-0.5, high=10)
+    k: float = parameter("s/m", typical=0.2, low=-0.5, high=10)
 
     def friction(self, mu: Any, slip_speed: Any) -> Any:
         return mu * (1 + self.k * slip_speed)

@@ -93,7 +93,7 @@ def test_so_are_neighbours():
 @pytest.mark.parametrize("longer", [1, 4, 8])
 def test_what_a_model_lacks_makes_none(effect, longer):
     """At its realistic size, and where the exposures take up to the whole time from frame to frame."""
-    truth = Model().replace({effect: parameter_of(Model(), effect).scale})
+    truth = Model().replace({effect: parameter_of(Model(), effect).typical})
     camera = dataclasses.replace(CLIPS[0].camera, exposure=longer * CLIPS[0].camera.exposure)
     clips = [dataclasses.replace(c, camera=camera) for c in exact(truth, 8, 3)]
     places = forecast(truth, np.array([c.launch for c in clips]), clips)

@@ -109,7 +109,7 @@ def test_a_law_of_the_impact_is_each_clips_own_number(name):
 class Grain(Effect):
     """A plate on which balls roll worse one way than across it."""
 
-    size: float = parameter("1", scale=0.1)
+    size: float = parameter("1", typical=0.1)
 
     def rolling(self, loss, velocity):
         return loss * (1 + self.size * np.cos(2 * np.arctan2(velocity[..., 1], velocity[..., 0]) - 0.7))
@@ -119,7 +119,7 @@ class Grain(Effect):
 class Rust(Effect):
     """Ball a alone slides with a friction that falls with the slip's speed."""
 
-    size: float = parameter("1", scale=0.1)
+    size: float = parameter("1", typical=0.1)
 
     def friction(self, mu, slip_speed, of_a):
         return mu + of_a * self._law(slip_speed)

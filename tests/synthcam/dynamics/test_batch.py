@@ -31,7 +31,7 @@ def alone(model, row, striker_is_a=False):
 def realistic(kind):
     """Every parameter at its realistic size, forces small enough for a ball to rest."""
     small = 0.3 if "push" in kind.laws else 1.0
-    values = {f"{kind.name()}.{p.name}": p.scale * (1.0 if p.fixed else small) for p in kind.parameters()}
+    values = {f"{kind.name()}.{p.name}": p.typical * (1.0 if p.fixed else small) for p in kind.parameters()}
     return Model().replace({k: SHAPES.get(k, v) for k, v in values.items()})
 
 
@@ -65,7 +65,7 @@ def test_many_effects_at_once():
     names = ("hop", "ball_friction", "stribeck", "plate_tilt", "air_drag", "mass_mismatch", "diameter_mismatch")
     model = Model()
     for name in names:
-        model = model.replace({f"{name}.{p.name}": 0.3 * p.scale for p in library()[name].parameters()})
+        model = model.replace({f"{name}.{p.name}": 0.3 * p.typical for p in library()[name].parameters()})
     compare(model, launches(8, 4), np.arange(8) % 2 == 1, 1e-12)
 
 

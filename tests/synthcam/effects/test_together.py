@@ -14,8 +14,8 @@ FAINT, SAME = 1e-7, 3e-9  # realistic sizes; m
 def sized(name, size):
     """An effect's parameters, strengths at so many realistic sizes."""
     kind = library()[name]
-    shapes = {p.name: p.scale for p in kind.parameters() if p.fixed and p.scale}
-    return {f"{name}.{k}": v for k, v in (shapes | {p.name: size * p.scale for p in kind.strengths()}).items()}
+    shapes = {p.name: p.typical for p in kind.parameters() if p.fixed and p.typical}
+    return {f"{name}.{k}": v for k, v in (shapes | {p.name: size * p.typical for p in kind.strengths()}).items()}
 
 
 def places(values):

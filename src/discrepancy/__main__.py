@@ -1,0 +1,5 @@
+"""`python -m discrepancy`: the command discrepancy."""
+
+from discrepancy.cli import main
+
+main()

@@ -1,0 +1,5 @@
+"""`python -m synthcam`: the command synthcam."""
+
+from synthcam.cli import main
+
+main()

@@ -1,0 +1,5 @@
+"""`python -m tracker`: the command tracker."""
+
+from tracker.cli import main
+
+main()
