@@ -27,7 +27,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
-STAGES = ("noise", "fit", "slots", "search", "gap", "where", "report")
+STAGES = ("noise", "fit", "free laws", "search", "gap", "where", "report")
 MeasuredPath = Annotated[
     Path, typer.Argument(metavar="MEASURED", help="RESULTS of a tracker, or a table of tracks (CSV or Parquet).")
 ]

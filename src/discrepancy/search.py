@@ -21,10 +21,10 @@ from discrepancy.fitting.gauss_newton import Evidence, Fit
 from discrepancy.fitting.noise_refit import refined
 from discrepancy.fitting.parameters import suspects_of
 from discrepancy.free_laws.answer import Answer
-from discrepancy.free_laws.fitted_law import Filled
+from discrepancy.free_laws.fitted_law import FittedLaw
 from discrepancy.noise.model import Noise
 from discrepancy.selection.experiment_design import advice, designs
-from discrepancy.selection.free_law_contest import Slots, unseen
+from discrepancy.selection.free_law_contest import FreeLawContest, unseen
 from discrepancy.selection.named import Named
 from discrepancy.selection.stepwise import Search, search
 from synthcam.model import Model
@@ -38,9 +38,9 @@ class Found:
     """The outcome. verdict: none, named, ambiguous, outside_library or inadequate. where: before; left: after all that
     was found. claims: those that stand; withdrawn: those that collisions which had no part in them did not bear.
 
-    slot: the law left free that explains what no effect of the library does; answer: its curve and formula. alike: what
-    no such clips can tell, because they are all alike in it. left_out: why clips, or some of their
-    places, had no part in it.
+    free_law: the law left free that explains what no effect of the library does; answer: its curve and formula. alike:
+    what no such clips can tell, because they are all alike in it. left_out: why clips, or some of their places, had no
+    part in it.
     """
 
     verdict: str
@@ -48,7 +48,7 @@ class Found:
     clips: tuple[Measured, ...]
     kept_out: tuple[Measured, ...]
     search: Search
-    slot: Filled | None
+    free_law: FittedLaw | None
     answer: Answer | None
     named: tuple[Named, ...]
     where: tuple[Place, ...]
@@ -63,12 +63,12 @@ class Found:
     @property
     def best(self) -> Fit:
         """The fit with everything that was found."""
-        return self.slot.now if self.slot else self.search.best
+        return self.free_law.now if self.free_law else self.search.best
 
     @property
     def model(self) -> Model:
-        """The model with the named effects, refitted. A slot is no effect: no file can hold it."""
-        return self.slot.plain if self.slot else self.search.best.model
+        """The model with the named effects, refitted. A free law is no effect: no file can hold it."""
+        return self.free_law.plain if self.free_law else self.search.best.model
 
     @property
     def sound(self) -> bool:
@@ -91,8 +91,10 @@ class Found:
         base = self.search.base.model
         parts = [n.said(base) for n in self.named if not n.held(base)]
         wrong = [n.said(base) for n in self.named if n.held(base)]
-        if self.slot and self.answer:
-            parts.insert(0, f"{self.answer.law}, which no effect of the library makes ({self.slot.sigma:.0f} sigma)")
+        if self.free_law and self.answer:
+            parts.insert(
+                0, f"{self.answer.said}, which no effect of the library makes ({self.free_law.sigma:.0f} sigma)"
+            )
             closed = f"Proposed: {self.answer.formula}. model.yaml cannot hold it. {closed}"
         elif self.verdict == "outside_library":
             what = f": {self.left[0]} ({self.left[0].sigma:.0f} sigma)" if _unexplained(self.left) else ""
@@ -154,8 +156,8 @@ def find(clips: Sequence[Measured], model: Model, tick: Tick = lambda stage: Non
     noise = refined(some, base_fit(some, model, noise, tick), noise, explained=False)
     gone, former = 0, None
     for turn in range(ROUNDS):
-        hunt, slot, nearly = _hunt(some, model, noise, tick, former)
-        best, cleaned = (slot.whole, slot.evidence.clips) if slot else (hunt.best, some)
+        hunt, free_law, nearly = _hunt(some, model, noise, tick, former)
+        best, cleaned = (free_law.whole, free_law.evidence.clips) if free_law else (hunt.best, some)
         if turn == ROUNDS - 1:
             break
         strange = odd(cleaned, hunt.base, best, gone)
@@ -165,38 +167,38 @@ def find(clips: Sequence[Measured], model: Model, tick: Tick = lambda stage: Non
             some, former = [c for k, c in enumerate(some) if k not in strange], None
             continue
         better = refined(cleaned, best, noise)
-        if better is noise and nearly:  # the library's model may lack what the slot has, and call it noise
+        if better is noise and nearly:  # the library's model may lack what the free law has, and call it noise
             better = refined(nearly.evidence.clips, nearly.whole, noise)
         if better is noise:
             break
         noise, former = better, hunt
     tick("gap")
-    shown = _shown(kept_out, hunt, slot, noise, tick)
+    shown = _shown(kept_out, hunt, free_law, noise, tick)
     strange = odd(kept_out, shown.before, shown.after)
     if strange:
         left_out += [f"{line} (kept out)" for line in strange.values()]
         kept_out = [c for k, c in enumerate(kept_out) if k not in strange]
-        shown = _shown(kept_out, hunt, slot, noise, tick)
+        shown = _shown(kept_out, hunt, free_law, noise, tick)
     trial = Trial(Evidence.of(some, noise), kept_out, shown.before, noise, lambda: tick("gap"))
-    stands = trial.standing(hunt, slot)
+    stands = trial.standing(hunt, free_law)
     if stands.withdrawn:
-        hunt, slot = stands.search, stands.slot
-        shown = _shown(kept_out, hunt, slot, noise, tick)
+        hunt, free_law = stands.search, stands.free_law
+        shown = _shown(kept_out, hunt, free_law, noise, tick)
     tick("where")
-    best, cleaned = (slot.whole, slot.evidence.clips) if slot else (hunt.best, tuple(some))
+    best, cleaned = (free_law.whole, free_law.evidence.clips) if free_law else (hunt.best, tuple(some))
     where = locate(some, hunt.base, noise)
     left = locate(cleaned, best, noise) if best is not hunt.base else where
     named = tuple(n.unsure() for n in stands.named) if _more(left, stands.withdrawn) else stands.named
-    verdict = _verdict(slot, named, left, stands.withdrawn)
+    verdict = _verdict(free_law, named, left, stands.withdrawn)
     experiment = _experiment(hunt, some, noise) if verdict == "ambiguous" else ""
-    answer = Answer.of(slot) if slot else None
+    answer = Answer.of(free_law) if free_law else None
     return Found(
         verdict,
         noise,
         tuple(some),
         tuple(kept_out),
         hunt,
-        slot,
+        free_law,
         answer,
         named,
         where,
@@ -210,34 +212,34 @@ def find(clips: Sequence[Measured], model: Model, tick: Tick = lambda stage: Non
     )
 
 
-def _shown(clips: Sequence[Measured], hunt: Search, slot: Filled | None, noise: Noise, tick: Tick) -> Shown:
+def _shown(clips: Sequence[Measured], hunt: Search, free_law: FittedLaw | None, noise: Noise, tick: Tick) -> Shown:
     try:
-        return show(clips, hunt.base, hunt.best, noise, lambda: tick("gap"), _after(slot, clips, noise))
+        return show(clips, hunt.base, hunt.best, noise, lambda: tick("gap"), _after(free_law, clips, noise))
     except ValueError as e:
         raise InputError(f"the fitted base model has no motion for the collisions kept out: {e}") from None
 
 
 def _hunt(
     clips: Sequence[Measured], model: Model, noise: Noise, tick: Tick, former: Search | None
-) -> tuple[Search, Filled | None, Filled | None]:
-    """What the library names; the slot that explains more, if one does; one that explains nearly as much.
+) -> tuple[Search, FittedLaw | None, FittedLaw | None]:
+    """What the library names; the free law that explains more, if one does; one that explains nearly as much.
 
     former: the search of the same clips with another noise.
     """
     base = base_fit(clips, model, noise, tick)
-    free = Slots(Evidence.of(clips, noise), base, lambda: tick("slots"))
+    free = FreeLawContest(Evidence.of(clips, noise), base, lambda: tick("free laws"))
     found = search(clips, base, noise, lambda: tick("search"), free.beat, former)
-    slot = free.outcome(found.best)
-    beside = slot.beside(base) if slot else {}
-    again = found.from_here(beside, slot.plain) if slot and beside else None
-    if again:  # the slot led to effects that the library's search has not begun with
+    free_law = free.outcome(found.best)
+    beside = free_law.beside(base) if free_law else {}
+    again = found.from_here(beside, free_law.plain) if free_law and beside else None
+    if again:  # the free law led to effects that the library's search has not begun with
         free.beat(again.best, again.rivals)
-        found, slot = again, free.outcome(again.best)
-    return found, slot, None if slot else free.nearly(found.best)
+        found, free_law = again, free.outcome(again.best)
+    return found, free_law, None if free_law else free.nearly(found.best)
 
 
-def _after(slot: Filled | None, clips: Sequence[Measured], noise: Noise) -> Callable[[Fit], Fit] | None:
-    return None if slot is None else lambda before: unseen(slot, clips, before, noise)
+def _after(free_law: FittedLaw | None, clips: Sequence[Measured], noise: Noise) -> Callable[[Fit], Fit] | None:
+    return None if free_law is None else lambda before: unseen(free_law, clips, before, noise)
 
 
 def _unexplained(left: Sequence[Place]) -> bool:
@@ -249,8 +251,10 @@ def _more(left: Sequence[Place], withdrawn: Sequence[Claim]) -> bool:
     return _unexplained(left) or any(c.free and c.own > policy.UNEXPLAINED_SIGMA for c in withdrawn)
 
 
-def _verdict(slot: Filled | None, named: Sequence[Named], left: Sequence[Place], withdrawn: Sequence[Claim]) -> str:
-    if slot or (named and _more(left, withdrawn)):
+def _verdict(
+    free_law: FittedLaw | None, named: Sequence[Named], left: Sequence[Place], withdrawn: Sequence[Claim]
+) -> str:
+    if free_law or (named and _more(left, withdrawn)):
         return "outside_library"
     if not named:
         # what chance or a bad clip may do is no claim, and no sign that something is missing

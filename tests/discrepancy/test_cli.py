@@ -184,7 +184,7 @@ def test_the_bar_goes_through_the_stages_and_back(monkeypatch):
     screen = io.StringIO()
     monkeypatch.setattr(cli, "Console", functools.partial(Console, file=screen, force_terminal=True, width=80))
     for told, shown in (
-        (("noise", "fit", "slots", "search", "slots"), r"slots .* 3/7 "),
+        (("noise", "fit", "free laws", "search", "free laws"), r"free laws .* 3/7 "),
         (("noise", "fit", "fit", "search", "fit"), r"fit, round 2 .* 1/7 "),
     ):
         screen.truncate(0)

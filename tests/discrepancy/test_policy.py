@@ -20,14 +20,14 @@ from discrepancy.fitting import noise_refit as refine
 from discrepancy.fitting.gauss_newton import BASE, Evidence, Fit, fit
 from discrepancy.fitting.parameters import Suspect, suspects
 from discrepancy.free_laws.evidence import Weight
-from discrepancy.free_laws.fitted_law import Filled
-from discrepancy.free_laws.slots import slots
+from discrepancy.free_laws.fitted_law import FittedLaw
+from discrepancy.free_laws.library import free_laws
 from discrepancy.noise import model as noise
 from discrepancy.noise.model import Component, Noise, estimate
 from discrepancy.search import _verdict
 from discrepancy.selection import free_law_contest as outside
 from discrepancy.selection.candidate import Candidate
-from discrepancy.selection.free_law_contest import Look, Slots
+from discrepancy.selection.free_law_contest import FreeLawContest, Look
 from discrepancy.selection.score_test import Contest
 from discrepancy.selection.stepwise import _Hunt, search
 from synthcam.library import library
@@ -61,37 +61,37 @@ def test_four_sigma_make_a_claim_however_few_the_candidates(monkeypatch, sized, 
     assert len(search(clips, fit(clips, Model(), BASE, NOISE), NOISE).state) == named
 
 
-def made_slots(monkeypatch, cost, scores):
-    """The contest of slots with these scores, beside a library's best model of this cost."""
-    contest = object.__new__(Slots)
+def made_laws(monkeypatch, cost, scores):
+    """The contest of free laws with these scores, beside a library's best model of this cost."""
+    contest = object.__new__(FreeLawContest)
     base, now = Made(names=()), Made(names=("hop.share",))
     contest.base, contest.rivals, contest.refuted = base, (), False
-    contest.filled = [Made(score=s, now=now, beside=lambda base: {}) for s in scores]
+    contest.fitted = [Made(score=s, now=now, beside=lambda base: {}) for s in scores]
     monkeypatch.setattr(outside, "price", lambda f, base: cost)
     return contest, now
 
 
 @pytest.mark.parametrize(("ahead", "declared"), [(4.0, False), (6.0, True)])
 def test_a_law_that_nobody_knows_must_be_better_by_five(monkeypatch, ahead, declared):
-    contest, now = made_slots(monkeypatch, 100.0, [100.0 - ahead])
+    contest, now = made_laws(monkeypatch, 100.0, [100.0 - ahead])
     assert (contest._best(now, 0) is not None) is declared
 
 
 @pytest.mark.parametrize(("behind", "near"), [(-3.0, True), (7.0, True), (14.0, False)])
-def test_the_noise_is_read_beside_a_slot_that_is_behind_by_ten_at_most(monkeypatch, behind, near):
-    contest, now = made_slots(monkeypatch, 100.0, [100.0 + behind, 130.0])
-    assert contest.nearly(now) is (contest.filled[0] if near else None)
+def test_the_noise_is_read_beside_a_free_law_that_is_behind_by_ten_at_most(monkeypatch, behind, near):
+    contest, now = made_laws(monkeypatch, 100.0, [100.0 + behind, 130.0])
+    assert contest.nearly(now) is (contest.fitted[0] if near else None)
 
 
-def test_two_effects_are_claimed_beside_a_slot_however_many_more_would_be_better(monkeypatch):
-    contest, now = made_slots(monkeypatch, 1000.0, [])
+def test_two_effects_are_claimed_beside_a_free_law_however_many_more_would_be_better(monkeypatch):
+    contest, now = made_laws(monkeypatch, 1000.0, [])
     contest.evidence, contest.tick, scores = None, None, iter((400.0, 300.0, 200.0, 100.0))
     begun = flat([1.0])
 
     def law(score):
-        return Made(score=score, now=begun, plain=Model(), slot=None, beside=lambda base: {})
+        return Made(score=score, now=begun, plain=Model(), law=None, beside=lambda base: {})
 
-    contest.filled = [law(500.0)]
+    contest.fitted = [law(500.0)]
     for name in ("linearised", "settle", "_moves"):
         monkeypatch.setattr(outside, name, lambda *_: begun)
     monkeypatch.setattr(outside, "_look", lambda *_: Made(sigma=9.0))
@@ -179,22 +179,22 @@ def test_noise_that_the_phases_exclude_by_twenty_is_refused(monkeypatch, worse, 
 
 
 @pytest.mark.parametrize(("sigma", "declared"), [(4.0, False), (5.0, True)])
-def test_a_slot_needs_four_and_a_half_sigma(monkeypatch, sigma, declared):
-    contest, now = made_slots(monkeypatch, 100.0, [])
-    contest.slots, contest.evidence, contest.tick = [None], None, lambda: None
+def test_a_free_law_needs_four_and_a_half_sigma(monkeypatch, sigma, declared):
+    contest, now = made_laws(monkeypatch, 100.0, [])
+    contest.laws, contest.evidence, contest.tick = [None], None, lambda: None
     contest.base = Made(names=(), model=None, launches=None)
     monkeypatch.setattr(outside, "_moves", lambda *_: ())
-    monkeypatch.setattr(outside, "_look", lambda slot, fit, moves: Made(sigma=sigma, now=fit, score=lambda base: 0.0))
+    monkeypatch.setattr(outside, "_look", lambda law, fit, moves: Made(sigma=sigma, now=fit, score=lambda base: 0.0))
     monkeypatch.setattr(outside, "fill", lambda *_: Made(score=0.0))
     assert contest._consider([now]) is declared
-    assert len(contest.filled) == declared
+    assert len(contest.fitted) == declared
 
 
 @pytest.mark.parametrize(("share", "better"), [(0.95, False), (1.05, True)])
-def test_one_of_so_many_slots_costs_its_choice(monkeypatch, share, better):
+def test_one_of_so_many_free_laws_costs_its_choice(monkeypatch, share, better):
     """As likely as each other beforehand, one of n costs 2 ln n."""
     clips = exact(Model(), 4, 3)
-    every = slots(Model(), np.array([c.launch for c in clips]), clips)
+    every = free_laws(Model(), np.array([c.launch for c in clips]), clips)
     monkeypatch.setattr(outside, "price", lambda now, base: 100.0)
     look = Look(every[0], None, 9.0, Weight(share * 2 * np.log(len(every)), None, np.zeros(0)))
     assert (look.score(None) < 100.0) == better
@@ -283,27 +283,27 @@ def test_all_clips_must_ask_for_a_claim_by_three_sigma(sigma, stands):
 def test_beside_an_unknown_law_a_name_needs_nine_sigma(monkeypatch, sigma, stands):
     for name in ("refilled", "in_turn"):
         monkeypatch.setattr(stand, name, lambda *_: Made(score=500.0))
-    for name, said in (("_unseen", None), ("_held", (BORNE, BORNE)), ("_slot", None)):
+    for name, said in (("_unseen", None), ("_held", (BORNE, BORNE)), ("_free_law", None)):
         monkeypatch.setattr(stand.Trial, name, lambda *_, said=said: said)
     base = Made(model=Model(), names=BASE)
-    slot = Made(score=100.0, plain=Model(), slot=Made(name="law"), beside=lambda base: {"rolling_quadratic": sigma})
+    law = Made(score=100.0, plain=Model(), law=Made(name="law"), beside=lambda base: {"rolling_quadratic": sigma})
     looked = Made(base=base, claim=4.0, paid=lambda effect, sigma: sigma)
-    claims, _ = stand.Trial(None, (), None, NOISE, lambda: None)._claims(looked, slot, policy.SIGMA_BESIDE_FREE_LAW)
+    claims, _ = stand.Trial(None, (), None, NOISE, lambda: None)._claims(looked, law, policy.SIGMA_BESIDE_FREE_LAW)
     assert (claims[0].why == "") is stands
 
 
 @pytest.mark.parametrize(
-    ("slot", "free", "levels"), [(None, False, [4.2, 4.2]), ("law", False, [9.0, 4.2]), ("law", True, [9.0, 9.0])]
+    ("law", "free", "levels"), [(None, False, [4.2, 4.2]), ("law", False, [9.0, 4.2]), ("law", True, [9.0, 9.0])]
 )
-def test_nine_sigma_are_asked_beside_an_unknown_law_and_where_one_was_withdrawn(monkeypatch, slot, free, levels):
+def test_nine_sigma_are_asked_beside_an_unknown_law_and_where_one_was_withdrawn(monkeypatch, law, free, levels):
     asked = []
 
-    def claims(self, search, slot, level):
+    def claims(self, search, law, level):
         asked.append(level)
         return [Made(name="x", free=free, turns=BORNE, why="" if asked[1:] else "not borne")], {"x": (search, None)}
 
     monkeypatch.setattr(stand.Trial, "_claims", claims)
-    stands = stand.Trial(None, (), None, NOISE, lambda: None).standing(Made(claim=4.2), slot)
+    stands = stand.Trial(None, (), None, NOISE, lambda: None).standing(Made(claim=4.2), law)
     assert asked == levels
     assert len(stands.withdrawn) == 1
 
@@ -321,7 +321,7 @@ def test_twice_the_noise_left_beside_an_effect_that_was_added_is_something_more(
 
 
 def test_the_fields_made_here_are_those_of_the_real_ones():
-    assert {"score", "now", "plain", "slot"} <= {f.name for f in dataclasses.fields(Filled)}
+    assert {"score", "now", "plain", "law"} <= {f.name for f in dataclasses.fields(FittedLaw)}
 
 
 SOURCE = Path(policy.__file__)

@@ -100,8 +100,8 @@ def test_two_hidden_effects_are_both_named_with_the_strengths_of_the_last_fit(mo
     assert all(found.model.value(k) == v for n in found.named for k, v in n.values.items())
 
 
-def test_the_library_is_asked_again_for_what_stands_in_a_slots_place(monkeypatch):
-    """Its own search stopped too early here; the slot is then no effect that it lacks."""
+def test_the_library_is_asked_again_for_what_stands_in_place_of_a_free_law(monkeypatch):
+    """Its own search stopped too early here; the free law is then no effect that it lacks."""
     only(monkeypatch)
     truth = {"velocity_restitution.e": 0.05, "rolling_quadratic.K": 0.3}
 
@@ -114,7 +114,7 @@ def test_the_library_is_asked_again_for_what_stands_in_a_slots_place(monkeypatch
     assert sorted(names(found)) == ["rolling_quadratic", "velocity_restitution"]
     within(found, truth)
     monkeypatch.setattr(Search, "from_here", lambda *_: None)
-    assert find(collisions(Model().replace(truth), 8, 3), Model()).slot is not None
+    assert find(collisions(Model().replace(truth), 8, 3), Model()).free_law is not None
 
 
 def test_an_effect_that_needs_friction_may_be_an_alias_in_a_textbook_collision(monkeypatch):
@@ -128,39 +128,39 @@ def test_an_effect_that_needs_friction_may_be_an_alias_in_a_textbook_collision(m
 
 @pytest.mark.parametrize("hidden", [{"stribeck.rise": 0.03}, {"plate_tilt.x": 1e-3}])
 def test_what_the_library_holds_is_not_called_outside_it(monkeypatch, hidden):
-    """Friction with a shape of its own, or one strength of two, which a slot could bend to."""
+    """Friction with a shape of its own, or one strength of two, which a free law could bend to."""
     only(monkeypatch, **{name: library()[name] for name in {*FEW, "plate_tilt"}})
     found = find(collisions(Model().replace(hidden), 10, 4), Model())
-    assert found.slot is None
+    assert found.free_law is None
     assert found.verdict == "named"
     assert set(names(found)) == {k.partition(".")[0] for k in hidden}
 
 
-@pytest.mark.parametrize("slot", list(OUTSIDERS))
-def test_an_effect_outside_the_library_gets_its_slot_and_no_name(slot):
-    found = outsider(slot)
+@pytest.mark.parametrize("law", list(OUTSIDERS))
+def test_an_effect_outside_the_library_gets_its_free_law_and_no_name(law):
+    found = outsider(law)
     assert found.verdict == "outside_library"
     assert names(found) == []
     assert found.model.effects == ()
-    assert found.slot.slot.name == slot
+    assert found.free_law.law.name == law
     assert found.search.ranking[0].sigma > found.search.claim  # the nearest of the library would have been claimed
     gap, points = found.shown.gap, found.shown.after.points
     chance = 4 * np.sqrt(2 / points) / (gap.before - gap.floor)  # in chi^2 a point of so few clips kept out
-    assert gap.closure > (0.7 if slot == "friction_place" else 0.95) - chance  # other clips see other places of a map
+    assert gap.closure > (0.7 if law == "friction_place" else 0.95) - chance  # other clips see other places of a map
     assert chance < 0.2
 
 
-@pytest.mark.parametrize("slot", list(OUTSIDERS))
-def test_its_curve_is_the_truth_within_the_band(slot):
+@pytest.mark.parametrize("law", list(OUTSIDERS))
+def test_its_curve_is_the_truth_within_the_band(law):
     """At nine of ten places; and the band is no cloak, but narrower than the change it shows."""
-    said = outsider(slot).document()["outside"][0]
+    said = outsider(law).document()["outside"][0]
     x, low, high = np.array(said["x"]), *np.array(said["band"]).T
-    true = OUTSIDERS[slot]._law(*(x.T if x.ndim == 2 else (x,)))
+    true = OUTSIDERS[law]._law(*(x.T if x.ndim == 2 else (x,)))
     assert np.mean((true > low) & (true < high)) >= 0.9
     assert np.median(high - low) < 0.5 * np.ptp(true)
 
 
-def test_the_document_tells_the_slot():
+def test_the_document_tells_the_free_law():
     said = outsider("restitution_speed").document()["outside"]
     assert len(said) == 1
     assert said[0].keys() >= {"slot", "x", "curve", "band", "band68", "formula", "unit", "axes", "sigma"}

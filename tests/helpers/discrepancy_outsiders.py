@@ -1,4 +1,4 @@
-"""Laws that are in nobody's library, hidden in measured collisions, for the tests of the slots."""
+"""Laws that are in nobody's library, hidden in measured collisions, for the tests of the free laws."""
 
 import dataclasses
 from functools import cache
@@ -77,13 +77,13 @@ OUTSIDERS = {
 
 
 @cache
-def outsider(slot, seed=3):
-    """A search of collisions in which the outsider of this slot is hidden, with a small library.
+def outsider(law, seed=3):
+    """A search of collisions in which the outsider of this free law is hidden, with a small library.
 
     An impact tells its law at one speed only, and a weak force little: there must be more of them.
     """
-    clips = {"friction_place": 10, "force_speed": 20}.get(slot, 18)
-    hidden = dataclasses.replace(Model(), effects=(OUTSIDERS[slot],))
+    clips = {"friction_place": 10, "force_speed": 20}.get(law, 18)
+    hidden = dataclasses.replace(Model(), effects=(OUTSIDERS[law],))
     with pytest.MonkeyPatch.context() as patch:
         only(patch, **{name: library()[name] for name in FEW})
         return find(collisions(hidden, clips, seed), Model())

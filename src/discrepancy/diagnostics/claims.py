@@ -13,7 +13,7 @@ from discrepancy.data.collisions import Measured
 from discrepancy.diagnostics.held_out import Claim, Held, foretold, in_turn, refused
 from discrepancy.fitting.gauss_newton import Evidence, Fit, fit, linearised
 from discrepancy.fitting.parameters import suspects_of
-from discrepancy.free_laws.fitted_law import Filled
+from discrepancy.free_laws.fitted_law import FittedLaw
 from discrepancy.noise.model import Noise
 from discrepancy.selection.free_law_contest import emptied, refilled, scatter, unseen
 from discrepancy.selection.model_cost import price
@@ -23,7 +23,7 @@ from discrepancy.selection.stepwise import Search
 Array = NDArray[np.float64]
 Parts = Sequence[Array]
 Pair = tuple[Parts, Parts]
-Left = dict[str, tuple[Search, Filled | None]]
+Left = dict[str, tuple[Search, FittedLaw | None]]
 
 UNSURE = "not significant beside all else"
 EXCHANGED = "another that fits as well is borne"  # a class is claimed, and collisions kept out may tell which of it
@@ -34,18 +34,18 @@ class Standing:
     """What stands of a search. claims, withdrawn: those that stand and those that do not."""
 
     search: Search
-    slot: Filled | None
+    free_law: FittedLaw | None
     claims: tuple[Claim, ...]
     withdrawn: tuple[Claim, ...] = ()
 
     @property
     def named(self) -> tuple[Named, ...]:
         """The effects that stand."""
-        if self.slot is None:
+        if self.free_law is None:
             return self.search.named
-        now, base, sigmas = self.slot.whole, self.search.base, {c.name: c.own for c in self.claims}
-        known = suspects_of(self.slot.plain, base.model, base.names)
-        return tuple(Named.of(known[effect], now, now.std, sigmas[effect]) for effect in self.slot.beside(base))
+        now, base, sigmas = self.free_law.whole, self.search.base, {c.name: c.own for c in self.claims}
+        known = suspects_of(self.free_law.plain, base.model, base.names)
+        return tuple(Named.of(known[effect], now, now.std, sigmas[effect]) for effect in self.free_law.beside(base))
 
 
 @dataclass(frozen=True)
@@ -58,39 +58,39 @@ class Trial:
     noise: Noise
     tick: Callable[[], None]
 
-    def standing(self, search: Search, slot: Filled | None) -> Standing:
+    def standing(self, search: Search, free_law: FittedLaw | None) -> Standing:
         """The claims that stand: one that does not is withdrawn, and the others are held to the clips again."""
         withdrawn: list[Claim] = []
         while True:
-            level = policy.SIGMA_BESIDE_FREE_LAW if slot or any(c.free for c in withdrawn) else search.claim
-            claims, without = self._claims(search, slot, level)
+            level = policy.SIGMA_BESIDE_FREE_LAW if free_law or any(c.free for c in withdrawn) else search.claim
+            claims, without = self._claims(search, free_law, level)
             falls = [c for c in claims if c.why]
             if not falls:
-                return Standing(search, slot, tuple(claims), tuple(withdrawn))
+                return Standing(search, free_law, tuple(claims), tuple(withdrawn))
             worst = min(falls, key=lambda c: c.turns.sigma)
             if worst.why != EXCHANGED:
                 withdrawn.append(worst)
-            search, slot = without[worst.name]
+            search, free_law = without[worst.name]
 
-    def _claims(self, search: Search, slot: Filled | None, level: float) -> tuple[list[Claim], Left]:
+    def _claims(self, search: Search, free_law: FittedLaw | None, level: float) -> tuple[list[Claim], Left]:
         """Each claim, and what is left without it. level: the sigma that an effect needs."""
-        if slot is None:
+        if free_law is None:
             return self._named(search, level)
         claims, left = [], Left()
-        with_, turned = self._unseen(slot), in_turn(slot)
-        known = suspects_of(slot.plain, search.base.model, search.base.names)
-        for effect, sigma in slot.beside(search.base).items():
+        with_, turned = self._unseen(free_law), in_turn(free_law)
+        known = suspects_of(free_law.plain, search.base.model, search.base.names)
+        for effect, sigma in free_law.beside(search.base).items():
             own = search.paid(effect, sigma)
             try:
-                less = refilled(self.evidence, slot, known[effect], search.base, self.tick)
+                less = refilled(self.evidence, free_law, known[effect], search.base, self.tick)
             except ValueError:  # the clips have no motion without it
                 continue
             left[effect] = search, less
-            why = "" if own > max(level, search.claim) and less.score > slot.score else UNSURE
+            why = "" if own > max(level, search.claim) and less.score > free_law.score else UNSURE
             held = self._held(own, (self._unseen(less), with_), (in_turn(less), turned))
             claims.append(Claim(effect, own, *held, why or refused(*held)))
-        left[slot.slot.name] = search, None
-        return [*claims, self._slot(search, slot, with_, turned)], left
+        left[free_law.law.name] = search, None
+        return [*claims, self._free_law(search, free_law, with_, turned)], left
 
     def _named(self, search: Search, level: float) -> tuple[list[Claim], Left]:
         claims, left = [], Left()
@@ -112,21 +112,21 @@ class Trial:
         fits = self._launched(without), self._launched(with_)
         return self._held(own, fits, (foretold(without), foretold(with_)), with_)
 
-    def _slot(self, search: Search, slot: Filled, with_: Fit | None, turned: Parts) -> Claim:
-        name, own = slot.slot.name, slot.sigma
+    def _free_law(self, search: Search, free_law: FittedLaw, with_: Fit | None, turned: Parts) -> Claim:
+        name, own = free_law.law.name, free_law.sigma
         try:
-            empty = emptied(self.evidence, slot, self.tick)
-        except ValueError:  # no motion without the slot
+            empty = emptied(self.evidence, free_law, self.tick)
+        except ValueError:  # no motion without the free law
             held = self._held(own, (None, with_), (turned, turned))
             return Claim(name, own, *held, refused(*held), free=True)
         without = self._launched(empty)
-        if without is None or slot.slot.axes[0].kind != "set":
+        if without is None or not free_law.law.each_clip:
             held = self._held(own, (without, with_), (foretold(empty), turned))
             return Claim(name, own, *held, refused(*held), free=True)
-        gain, promised, std = scatter(slot, self.kept_out, without, self.noise)
+        gain, promised, std = scatter(free_law, self.kept_out, without, self.noise)
         before, std = without.chi2 / without.points, max(std, 1e-9)
         one = Held((before, before - gain / without.points), gain / std, promised / std)
-        gain += price(empty, search.base) - slot.score  # in the clips fitted
+        gain += price(empty, search.base) - free_law.score  # in the clips fitted
         every = Held((before, before - gain / without.points), own, own)
         return Claim(name, own, one, every, refused(one, every), free=True)
 
@@ -155,8 +155,8 @@ class Trial:
         except ValueError:
             return None
 
-    def _unseen(self, slot: Filled) -> Fit | None:
+    def _unseen(self, free_law: FittedLaw) -> Fit | None:
         try:
-            return unseen(slot, self.kept_out, self.before, self.noise)
+            return unseen(free_law, self.kept_out, self.before, self.noise)
         except ValueError:
             return None

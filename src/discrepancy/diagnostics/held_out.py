@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from discrepancy import policy
 from discrepancy.fitting.gauss_newton import Fit, basis, off
 from discrepancy.fitting.parameters import limits_of
-from discrepancy.free_laws.fitted_law import Filled
+from discrepancy.free_laws.fitted_law import FittedLaw
 
 Array = NDArray[np.float64]
 Parts = Sequence[Array]
@@ -138,11 +138,11 @@ def foretold(now: Fit, precision: Array | None = None) -> list[Array]:
 
 
 def _at_limit(now: Fit, name: str) -> bool:
-    if " " in name:  # a coefficient of a slot
+    if " " in name:  # a coefficient of a free law
         return False
     return now.model.value(name) in limits_of(now.model, name)
 
 
-def in_turn(filled: Filled) -> list[Array]:
-    """`foretold` by a model with a slot."""
-    return foretold(filled.whole, filled.prior.precision)
+def in_turn(fitted_law: FittedLaw) -> list[Array]:
+    """`foretold` by a model with a free law."""
+    return foretold(fitted_law.whole, fitted_law.prior.precision)

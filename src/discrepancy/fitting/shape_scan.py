@@ -50,17 +50,17 @@ def scanned(
     assert kind is not None
     sizes = {_short(s): parameter_of(model, s).typical for s in suspect.strengths}
     nothing = dict.fromkeys(sizes, 0.0)
-    filled = [
+    fitted_law = [
         (kind(**nothing | {_short(n): v for n, v in shapes.items()} | {s: size}), size)
         for shapes in tries
         for s, size in sizes.items()
     ]
     if "clock" in kind.laws:
-        found = _later(velocities(model, launches, clips), clips, filled)
+        found = _later(velocities(model, launches, clips), clips, fitted_law)
     elif "measure" in kind.laws:
-        found = _mistaken(here, clips, filled)
+        found = _mistaken(here, clips, fitted_law)
     else:
-        parts = [filled[k : k + AT_ONCE] for k in range(0, len(filled), AT_ONCE)]
+        parts = [fitted_law[k : k + AT_ONCE] for k in range(0, len(fitted_law), AT_ONCE)]
         every = [responses(model, launches, clips, _changes(p, model), len(p)) for p in parts]
         found = [np.concatenate(own, axis=-1) for own in zip(*every, strict=True)]
     return [f.reshape(*f.shape[:2], len(tries), len(sizes)) for f in found]
@@ -70,43 +70,47 @@ def _short(name: str) -> str:
     return name.rpartition(".")[2]
 
 
-def _changes(filled: Sequence[tuple[Effect, float]], model: Model) -> dict[str, Callable[[Leg], Array]]:
+def _changes(fitted_law: Sequence[tuple[Effect, float]], model: Model) -> dict[str, Callable[[Leg], Array]]:
     """What the effects, alike but for their numbers, change of friction, rolling loss and push."""
-    laws = filled[0][0].laws
+    laws = fitted_law[0][0].laws
 
     def change(kind: str, leg: Leg) -> Array:
-        return np.asarray(sum(_change(law, filled, model, leg) for law in laws if MOTION[law] == kind))
+        return np.asarray(sum(_change(law, fitted_law, model, leg) for law in laws if MOTION[law] == kind))
 
     return {kind: partial(change, kind) for kind in {MOTION[law] for law in laws}}
 
 
-def _change(law: str, filled: Sequence[tuple[Effect, float]], model: Model, leg: Leg) -> Array:
+def _change(law: str, fitted_law: Sequence[tuple[Effect, float]], model: Model, leg: Leg) -> Array:
     instant: dict[str, Any] = {"position": leg.place, "velocity": leg.velocity, "speed": leg.speed, "slip": leg.slip}
     instant |= {"slip_speed": leg.slip_speed, "gravity": model.gravity, "radius": model.ball.radius}
     value: Any = {"friction": model.sliding_friction, "normal_load": model.gravity, "rolling": 0.0}.get(law)
     if value is None:
         value = np.zeros_like(leg.velocity)
-    asks = filled[0][0].laws[law]
-    each = [(getattr(e, law)(value, *[instant[a] for a in asks]) - value) / size for e, size in filled]
+    asks = fitted_law[0][0].laws[law]
+    each = [(getattr(e, law)(value, *[instant[a] for a in asks]) - value) / size for e, size in fitted_law]
     worth = model.sliding_friction / model.gravity if law == "normal_load" else 1.0
     return np.asarray(worth * np.stack(each, axis=-1))
 
 
-def _later(moving: Sequence[Array], clips: Sequence[Measured], filled: Sequence[tuple[Effect, float]]) -> list[Array]:
+def _later(
+    moving: Sequence[Array], clips: Sequence[Measured], fitted_law: Sequence[tuple[Effect, float]]
+) -> list[Array]:
     """Of a clock: (n_k, 2, columns)."""
     t, fps = np.concatenate([c.frame for c in clips]) / clips[0].fps, clips[0].fps
-    late = np.stack([(e.clock(t, fps) - t) / size for e, size in filled], axis=-1)  # type: ignore[attr-defined]
+    late = np.stack([(e.clock(t, fps) - t) / size for e, size in fitted_law], axis=-1)  # type: ignore[attr-defined]
     cuts = np.cumsum([len(c.frame) for c in clips])[:-1]
     return [v[..., None] * own[:, None] for v, own in zip(moving, np.split(late, cuts), strict=True)]
 
 
-def _mistaken(here: Sequence[Array], clips: Sequence[Measured], filled: Sequence[tuple[Effect, float]]) -> list[Array]:
+def _mistaken(
+    here: Sequence[Array], clips: Sequence[Measured], fitted_law: Sequence[tuple[Effect, float]]
+) -> list[Array]:
     """Of what is measured: (n_k, 2, columns)."""
     camera, places = clips[0].camera, np.concatenate(here)
     pixels = camera.project(np.concatenate([places, np.full((len(places), 1), camera.radius)], axis=1))
     slope, known = camera.unproject(pixels)[1], known_to_measure(camera)
     columns = []
-    for effect, size in filled:
+    for effect, size in fitted_law:
         seen = effect.measure(pixels, *[known[a] for a in effect.laws["measure"]])  # type: ignore[attr-defined]
         columns.append((slope @ ((seen - pixels) / size)[..., None])[..., 0])
     return np.split(np.stack(columns, axis=-1), np.cumsum([len(h) for h in here])[:-1])

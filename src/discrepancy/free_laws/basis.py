@@ -28,6 +28,7 @@ class Axis:
     high: float
     count: int
     kind: str = "line"
+    letter: str = ""  # for formulas
 
     @property
     def _waves(self) -> Array:

@@ -4,7 +4,7 @@ A smooth curve cannot follow a step, and its covariance does not know that. So t
 smooth curve, and steps at many places and of some widths, each with its marginal likelihood for a weight. Either sort
 is as likely beforehand, and so is every step of its sort. A step's height has a Gaussian prior of the size that makes
 the data likeliest, as the curve's coefficients have: z standard deviations from zero, it costs 1 + ln z^2 of chi^2.
-The same weights say what the slot as a whole is worth beside the library's models.
+The same weights say what the free law as a whole is worth beside the library's models.
 Bayesian model averaging: Hoeting et al., Statistical Science 14 (1999) 382.
 """
 
@@ -20,8 +20,7 @@ from scipy.special import logsumexp, ndtr
 
 from discrepancy.free_laws.basis import Axis
 from discrepancy.free_laws.evidence import weigh
-from discrepancy.free_laws.fitted_law import Filled
-from discrepancy.free_laws.slots import columns
+from discrepancy.free_laws.fitted_law import FittedLaw
 
 Array = NDArray[np.float64]
 
@@ -44,13 +43,13 @@ class Mixture:
     std: Array
 
     @classmethod
-    def of(cls, filled: Filled, *x: Array) -> Mixture:
+    def of(cls, fitted_law: FittedLaw, *x: Array) -> Mixture:
         """The law at x. Maps, laws of an angle and numbers of each clip have no steps."""
-        mean, covariance = filled.curve(*x)
+        mean, covariance = fitted_law.curve(*x)
         std = np.sqrt(np.maximum(np.diagonal(covariance, axis1=1, axis2=2), 0.0)).T
-        if not _may_step(filled):
+        if not _may_step(fitted_law):
             return cls(np.ones(1), mean[None], std[None])
-        odds, means, stds = _steps(filled, x[0])
+        odds, means, stds = _steps(fitted_law, x[0])
         odds = np.array([0.0, *odds])
         weight = np.exp(odds - logsumexp(odds))
         kept = weight > LEAST
@@ -69,16 +68,16 @@ class Mixture:
         return np.asarray((low + high) / 2)
 
 
-def stepped(filled: Filled) -> float:
+def stepped(fitted_law: FittedLaw) -> float:
     """How much likelier, in chi^2, the clips are where the law may be smooth or have a step than where it is smooth."""
-    if not _may_step(filled):
+    if not _may_step(fitted_law):
         return 0.0
-    odds, _, _ = _steps(filled, filled.slot.axes[0].grid(1))
+    odds, _, _ = _steps(fitted_law, fitted_law.law.axes[0].grid(1))
     return float(2 * (logsumexp([0.0, *odds]) - np.log(2)))
 
 
-def _may_step(filled: Filled) -> bool:
-    return len(filled.slot.axes) == 1 and filled.slot.axes[0].kind == "line"
+def _may_step(fitted_law: FittedLaw) -> bool:
+    return len(fitted_law.law.axes) == 1 and fitted_law.law.axes[0].kind == "line"
 
 
 @dataclass(frozen=True)
@@ -93,14 +92,14 @@ class _Steps(Axis):
         return np.asarray((1 + np.tanh((share - self.where[:, 0]) / np.exp(self.where[:, 1]))) / 2)
 
 
-def _steps(filled: Filled, x: Array) -> tuple[Array, Array, Array]:
+def _steps(fitted_law: FittedLaw, x: Array) -> tuple[Array, Array, Array]:
     """ln of the odds (k,) of each step against the smooth curve; their laws at x: means and deviations, (k, n, 1).
 
     Tried anew within the box of places and widths that holds the weight, until that is shared by enough of them.
     """
-    left = [r + m @ filled.coefs for r, m in zip(filled.now.residuals, filled.moves, strict=True)]
-    bare = replace(filled, now=replace(filled.now, residuals=tuple(left)))  # of no curve
-    smooth = weigh(filled.slot, *_seen(bare, filled.moves)[:2]).gain
+    left = [r + m @ fitted_law.coefs for r, m in zip(fitted_law.now.residuals, fitted_law.moves, strict=True)]
+    bare = replace(fitted_law, now=replace(fitted_law.now, residuals=tuple(left)))  # of no curve
+    smooth = weigh(fitted_law.law, *_seen(bare, fitted_law.moves)[:2]).gain
     whole = box = np.array([[0.0, 1.0], np.log(WIDTH)])
     counts = np.array([PLACES, WIDTHS])
     for _ in range(ZOOMS):
@@ -119,32 +118,32 @@ def _steps(filled: Filled, x: Array) -> tuple[Array, Array, Array]:
     return odds, means, stds
 
 
-def _tried(bare: Filled, where: Array, x: Array) -> tuple[Array, Array, Array]:
+def _tried(bare: FittedLaw, where: Array, x: Array) -> tuple[Array, Array, Array]:
     """Of steps: what each gains over no curve, in chi^2, its freedom paid for; means and deviations, (k, n, 1), at x.
 
     Like the curve, a step stands on those of the law's own parameters that are fitted.
     """
-    slot, now, axis = bare.slot, bare.now, bare.slot.axes[0]
-    step = replace(slot, axes=(_Steps(axis.name, axis.unit, axis.low, axis.high, len(where), where=where),))
-    moves = bare.evidence.white(columns(step, now.model, now.launches, bare.evidence.clips))
+    law, now, axis = bare.law, bare.now, bare.law.axes[0]
+    step = replace(law, axes=(_Steps(axis.name, axis.unit, axis.low, axis.high, len(where), where=where),))
+    moves = bare.evidence.white(step.columns(now.model, now.launches, bare.evidence.clips))
     information, pull, own, spread, back = _seen(bare, moves)
     seen = np.maximum(np.diag(information), SEEN * np.diag(information).max())
     z2 = np.maximum(pull**2 / seen, 1.0)
     size = (1 - 1 / z2) / seen  # the height's variance: none of a step that hardly shows
     here = np.array([x**power for _, power in bare.owners]).reshape(-1, len(x)).T
-    known = sum((now.model.value(name) * x**power for name, power in slot.owners), np.zeros(len(x)))
+    known = sum((now.model.value(name) * x**power for name, power in law.owners), np.zeros(len(x)))
     parts = [known + here @ own, here, step.basis(x) - here @ back]
-    middle, base, law = (p - p.mean(axis=0) for p in parts) if slot.centred else parts
-    mean = middle[:, None] + law * (size * pull)
-    std = np.sqrt(np.einsum("ni,ij,nj->n", base, spread, base)[:, None] + law**2 * size)
+    middle, base, curve = (p - p.mean(axis=0) for p in parts) if law.centred else parts
+    mean = middle[:, None] + curve * (size * pull)
+    std = np.sqrt(np.einsum("ni,ij,nj->n", base, spread, base)[:, None] + curve**2 * size)
     return z2 - 1 - np.log(z2), mean.T[..., None], std.T[..., None]
 
 
-def _seen(filled: Filled, moves: Sequence[Array]) -> tuple[Array, Array, Array, Array, Array]:
+def _seen(fitted_law: FittedLaw, moves: Sequence[Array]) -> tuple[Array, Array, Array, Array, Array]:
     """Of columns, the law's own parameters marginal: information and pull; of those, without the columns: by how much
     they change, and covariance; and by how much a unit of each column makes them less, (own, columns).
     """
-    now, names = filled.now, [name for name, _ in filled.owners]
+    now, names = fitted_law.now, [name for name, _ in fitted_law.owners]
     own = [s[:, [now.names.index(n) for n in names]] for s in now.slopes]
     both = [np.concatenate(pair, axis=1) for pair in zip(own, moves, strict=True)]
     information, pull = now.reduced(now.model, names).information(both)

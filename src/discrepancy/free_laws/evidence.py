@@ -17,13 +17,13 @@ from scipy.special import logsumexp
 
 from discrepancy import policy
 from discrepancy.fitting.significance import sigmas
-from discrepancy.free_laws.slots import Slot
+from discrepancy.free_laws.free_law import FreeLaw
 
 Array = NDArray[np.float64]
 
 LENGTHS = (0.05, 0.12, 0.35, 1.0)  # over which the prior's curves change, shares of the range
 FLAT = 5.0  # likewise, of a field that hardly changes along an axis
-SMOOTH = 0.35  # likewise, of the curves that a slot's significance is looked for in first
+SMOOTH = 0.35  # likewise, of the curves that a free law's significance is looked for in first
 SEEN = 1e-8  # of the largest information: directions that show less count for nothing
 IDLE = 1e-9  # times the variance of a part that acts: of one that does not
 SIZES = np.linspace(-4, 9, 79)  # ln of the prior's size over what the data could just see
@@ -49,7 +49,7 @@ class Prior:
 
 @dataclass(frozen=True)
 class Weight:
-    """What a slot's coefficients explain: gain > 0 is better than no slot, in units of chi^2, freedom paid for."""
+    """What a free law's coefficients explain: gain > 0 is better than no law, in units of chi^2, freedom paid for."""
 
     gain: float
     prior: Prior
@@ -62,7 +62,7 @@ def choice(count: int) -> float:
 
 
 def freedom(information: Array, found: Array) -> float:
-    """What the freedom of numbers fitted to be `found` costs, in chi^2: the same price as of a slot's coefficients.
+    """What the freedom of numbers fitted to be `found` costs, in chi^2: the same price as of a free law's coefficients.
 
     information: (k, k), in units in which realistic numbers are one. All may differ from zero, or one of them.
     """
@@ -84,31 +84,31 @@ def _gains(values: Array, pulls: Array) -> tuple[Array, Array]:
     return sizes, (square * pulls**2 / (1 + square * values) - np.log1p(square * values)).sum(axis=1)
 
 
-def priors(slot: Slot) -> Iterator[tuple[float, Array, float]]:
+def priors(law: FreeLaw) -> Iterator[tuple[float, Array, float]]:
     """What the coefficients may be like: the length of change, their variances (J,), and the cost of the choice.
 
     A field changes along both axes or along one, and acts along both or along one: three ways of each.
     """
     one = choice(3)
     for length in LENGTHS:
-        ways = [(slot.spread(length), 0.0)]
-        if len(slot.axes) == 2:
-            ways += [(slot.spread(length, FLAT), one), (slot.spread(FLAT, length), one)]
+        ways = [(law.spread(length), 0.0)]
+        if len(law.axes) == 2:
+            ways += [(law.spread(length, FLAT), one), (law.spread(FLAT, length), one)]
         for spread, cost in ways:
             yield length, spread, cost
-            for part in range(slot.parts if slot.parts > 1 else 0):
-                acts = np.repeat(np.arange(slot.parts) == part, slot.size // slot.parts)
+            for part in range(law.parts if law.parts > 1 else 0):
+                acts = np.repeat(np.arange(law.parts) == part, law.size // law.parts)
                 yield length, np.where(acts, spread, IDLE * spread), cost + one
 
 
-def weigh(slot: Slot, information: Array, pull: Array) -> Weight:
+def weigh(law: FreeLaw, information: Array, pull: Array) -> Weight:
     """The best of the priors for coefficients with this information F (J, J) and pull g (J,).
 
     All lengths are as likely beforehand: the gain is that of their mean likelihood, which the best one's choice costs.
     """
     best: Weight | None = None
     gains = dict.fromkeys(LENGTHS, -math.inf)
-    for length, spread, cost in priors(slot):
+    for length, spread, cost in priors(law):
         root = np.sqrt(spread)
         values, axes = np.linalg.eigh(root[:, None] * information * root)
         values = np.maximum(values, 0.0)
@@ -127,13 +127,14 @@ def weigh(slot: Slot, information: Array, pull: Array) -> Weight:
     return replace(best, gain=mean, prior=prior)
 
 
-def significance(slot: Slot, information: Array, pull: Array) -> float:
-    """The slot's sigma: the best of its chi^2 in the 1, 2, 4, ... directions that show most, corrected for these looks.
+def significance(law: FreeLaw, information: Array, pull: Array) -> float:
+    """The free law's sigma: the best of its chi^2 in the 1, 2, 4, ... directions that show most, corrected for these
+    looks.
 
     The directions are ordered by what a smooth curve would show in them. They are independent and of unit variance
     with nothing hidden.
     """
-    root = np.sqrt(slot.spread(SMOOTH))
+    root = np.sqrt(law.spread(SMOOTH))
     values, axes = np.linalg.eigh(root[:, None] * information * root)
     seen = values > SEEN * max(values[-1], 1e-300)
     if not seen.any():

@@ -1,4 +1,4 @@
-"""A slot fitted in full: the coefficients of its law with everything else, and the law's curve."""
+"""A free law fitted in full: the coefficients of its law with everything else, and the law's curve."""
 
 from __future__ import annotations
 
@@ -11,21 +11,21 @@ from discrepancy.fitting.gauss_newton import Evidence, Fit
 from discrepancy.fitting.parameters import parameter_of
 from discrepancy.fitting.significance import sigmas
 from discrepancy.free_laws.evidence import Prior
-from discrepancy.free_laws.slots import Slot
+from discrepancy.free_laws.free_law import FreeLaw
 from synthcam.model import Model
 
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Filled:
-    """A slot fitted in full. now: the fit beside it, its model with the slot filled where an effect can hold it.
+class FittedLaw:
+    """A free law fitted in full. now: the fit beside it, its model with the free law in it where an effect can hold it.
 
-    plain: the model without the slot. sigma: of the slot against the fit without it. score: chi^2 with all freedom
-    paid for.
+    plain: the model without the free law. sigma: of the free law against the fit without it. score: chi^2 with all
+    freedom paid for.
     """
 
-    slot: Slot
+    law: FreeLaw
     coefs: Array
     prior: Prior
     now: Fit
@@ -38,29 +38,29 @@ class Filled:
     @property
     def whole(self) -> Fit:
         """The fit with the coefficients among its parameters."""
-        names = [f"{self.slot.name} {j}" for j in range(self.slot.size)]
+        names = [f"{self.law.name} {j}" for j in range(self.law.size)]
         return self.now.extended(self.now.model, names, self.moves)
 
     @property
     def owners(self) -> list[tuple[str, int]]:
         """Those of the law's own parameters that the fit changed."""
-        return [(name, power) for name, power in self.slot.owners if name in self.now.names]
+        return [(name, power) for name, power in self.law.owners if name in self.now.names]
 
     def curve(self, *x: Array) -> tuple[Array, Array]:
         """The law at x: values (n, parts), and their covariances over the places, (parts, n, n)."""
-        values = self.slot.values(self.coefs, *x).reshape(len(x[0]), self.slot.parts)
-        for name, power in self.slot.owners:
+        values = self.law.values(self.coefs, *x).reshape(len(x[0]), self.law.parts)
+        for name, power in self.law.owners:
             values = values + (self.now.model.value(name) * x[0] ** power)[:, None]
-        spread, extra, one = self._covariance(), len(self.owners), self.slot.size // self.slot.parts
+        spread, extra, one = self._covariance(), len(self.owners), self.law.size // self.law.parts
         own = np.stack([x[0] ** power for _, power in self.owners], axis=-1) if extra else np.zeros((len(x[0]), 0))
         covariances = []
-        for part in range(self.slot.parts):
+        for part in range(self.law.parts):
             rows = np.r_[np.arange(extra), extra + part * one + np.arange(one)]
-            design = np.concatenate([own, self.slot.basis(*x)], axis=1)
-            if self.slot.centred:
+            design = np.concatenate([own, self.law.basis(*x)], axis=1)
+            if self.law.centred:
                 design = design - design.mean(axis=0)
             covariances.append(design @ spread[np.ix_(rows, rows)] @ design.T)
-        return (values - values.mean(axis=0) if self.slot.centred else values), np.stack(covariances)
+        return (values - values.mean(axis=0) if self.law.centred else values), np.stack(covariances)
 
     def _covariance(self) -> Array:
         """Of the law's own parameters and the coefficients, all else marginal."""
@@ -73,7 +73,7 @@ class Filled:
         return np.asarray(np.linalg.inv(matrix / np.outer(scale, scale)) / np.outer(scale, scale))
 
     def beside(self, base: Fit) -> dict[str, float]:
-        """Sigma of what is fitted beside the slot and not in the base, by effect, the slot being free.
+        """Sigma of what is fitted beside the free law and not in the base, by effect, the free law being free.
 
         How far its strengths are from what the base holds them at.
         """

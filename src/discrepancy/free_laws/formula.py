@@ -16,9 +16,8 @@ from scipy.optimize import minimize
 
 from discrepancy import policy
 from discrepancy.free_laws.basis import Axis
-from discrepancy.free_laws.fitted_law import Filled
-from discrepancy.free_laws.free import PACE
-from discrepancy.free_laws.slots import Slot
+from discrepancy.free_laws.fitted_law import FittedLaw
+from discrepancy.free_laws.free_law import PACE, FreeLaw
 
 Array = NDArray[np.float64]
 Terms = list[tuple[str, Array]]  # in words, and drawn on the grid: (n,) of a number, (n, 2) of a vector
@@ -26,14 +25,6 @@ Terms = list[tuple[str, Array]]  # in words, and drawn on the grid: (n,) of a nu
 GRID, SIDE = 200, 25  # places at which a shape is drawn: on a line, along each side of a map
 SEEN = 1e-10  # of the largest information
 REFINED = 200  # steps of the search for a shape's own parameters, at most
-LETTERS = {
-    "slip speed": "u",
-    "normal speed": "v_n",
-    "contact speed": "v",
-    "speed": "v",
-    "heading": "th",
-    "obliqueness": "|b|",
-}
 
 
 @dataclass(frozen=True)
@@ -54,45 +45,45 @@ class Shape:
     tries: tuple[Array, ...] = ()
 
 
-def propose(filled: Filled) -> Formula:
+def propose(fitted_law: FittedLaw) -> Formula:
     """The best formula by BIC."""
-    slot = filled.slot
-    if slot.axes[0].kind == "set":
-        mean = sum(filled.now.model.value(name) for name, _ in slot.owners) + float(filled.coefs.mean())
-        text = f"{slot.symbol} = {mean:.4g}, and other in each clip, by {filled.prior.size:.2g} rms"
+    law = fitted_law.law
+    if law.each_clip:
+        mean = sum(fitted_law.now.model.value(name) for name, _ in law.owners) + float(fitted_law.coefs.mean())
+        text = f"{law.title} = {mean:.4g}, and other in each clip, by {fitted_law.prior.size:.2g} rms"
         return Formula(text, 0.0, 2, False)
-    drawn = _Drawn(filled)
-    found = [drawn.best(shape) for shape in _shapes(slot, drawn.x) if drawn.terms(shape, *(t[0] for t in shape.tries))]
-    return min(found, key=lambda f: f.chi2 + float(np.log(filled.now.points)) * f.parameters)
+    drawn = _Drawn(fitted_law)
+    found = [drawn.best(shape) for shape in _shapes(law, drawn.x) if drawn.terms(shape, *(t[0] for t in shape.tries))]
+    return min(found, key=lambda f: f.chi2 + float(np.log(fitted_law.now.points)) * f.parameters)
 
 
 class _Drawn:
     """The curve's coefficients as the data see them, and what a drawn shape would have them be."""
 
-    def __init__(self, filled: Filled) -> None:
-        slot = self.slot = filled.slot
-        if len(slot.axes) == 1:
-            places: tuple[Array, ...] = (slot.axes[0].grid(GRID),)
+    def __init__(self, fitted_law: FittedLaw) -> None:
+        law = self.law = fitted_law.law
+        if len(law.axes) == 1:
+            places: tuple[Array, ...] = (law.axes[0].grid(GRID),)
         else:
-            places = tuple(s.ravel() for s in np.meshgrid(*(a.grid(SIDE) for a in slot.axes), indexing="ij"))
-        self.x = [_shown(a) * p for a, p in zip(slot.axes, places, strict=True)]
-        peak, information = filled.likelihood()
+            places = tuple(s.ravel() for s in np.meshgrid(*(a.grid(SIDE) for a in law.axes), indexing="ij"))
+        self.x = [_shown(a) * p for a, p in zip(law.axes, places, strict=True)]
+        peak, information = fitted_law.likelihood()
         values, axes = np.linalg.eigh(information)
         seen = values > SEEN * values[-1]
         self.weight = (axes[:, seen] * np.sqrt(values[seen])).T
-        self.inverse = np.linalg.pinv(slot.basis(*places), rcond=1e-6)
-        own = np.zeros((len(places[0]), slot.parts))
-        for name, power in slot.owners:
-            own += (filled.now.model.value(name) * places[0] ** power)[:, None]
+        self.inverse = np.linalg.pinv(law.basis(*places), rcond=1e-6)
+        own = np.zeros((len(places[0]), law.parts))
+        for name, power in law.owners:
+            own += (fitted_law.now.model.value(name) * places[0] ** power)[:, None]
         self.target = self.weight @ peak + self.seen(own)
-        self.slight = policy.FORMULA_SLIGHT_SHARE * filled.sigma**2
+        self.slight = policy.FORMULA_SLIGHT_SHARE * fitted_law.sigma**2
 
     def seen(self, column: Array) -> Array:
         return np.asarray(self.weight @ (self.inverse @ column.reshape(len(column), -1)).T.ravel())
 
     def terms(self, shape: Shape, *extra: float) -> Terms:
         """Those that say anything: of a centred law no constant."""
-        return [t for t in shape.terms(*extra) if not self.slot.centred or np.ptp(t[1], axis=0).any()]
+        return [t for t in shape.terms(*extra) if not self.law.centred or np.ptp(t[1], axis=0).any()]
 
     def fitted(self, shape: Shape, extra: Array) -> tuple[float, Array]:
         """chi^2 and factors."""
@@ -119,8 +110,8 @@ class _Drawn:
         chi2, factors = self.fitted(shape, extra)
         count = len(factors) + len(extra)
         dof = max(len(self.target) - count, 1)
-        words = _written([word for word, _ in self.terms(shape, *extra)], factors, bool(self.slot.owners))
-        text = f"{self.slot.symbol} = {words}{_units(self.slot)}"
+        words = _written([word for word, _ in self.terms(shape, *extra)], factors, bool(self.law.owners))
+        text = f"{self.law.title} = {words}{_units(self.law)}"
         return Formula(
             text, chi2, count, chi2 > dof + max(policy.FORMULA_REFUSED_SIGMA * float(np.sqrt(2 * dof)), self.slight)
         )
@@ -157,26 +148,26 @@ def _shown(axis: Axis) -> float:
     return 1e3 if axis.unit == "m" else 1.0
 
 
-def _units(slot: Slot) -> str:
-    unit = "" if slot.unit == "1" else f" {slot.unit}"
-    paced = ", v in m/s" if slot.paced else ""
-    if slot.axes[0].kind == "circle":
-        turned = ", t along it, n a quarter turn on" if slot.parts > 1 and not slot.paced else ""
+def _units(law: FreeLaw) -> str:
+    unit = "" if law.unit == "1" else f" {law.unit}"
+    paced = ", v in m/s" if law.paced else ""
+    if law.axes[0].kind == "circle":
+        turned = ", t along it, n a quarter turn on" if law.parts > 1 and not law.paced else ""
         return f"{unit}, th the direction{turned}{paced}"
-    if slot.axes[0].unit == "1":
+    if law.axes[0].unit == "1":
         return unit
-    where = "mm" if slot.axes[0].unit == "m" else slot.axes[0].unit
-    return f"{unit}, {' and '.join(LETTERS.get(a.name, a.name) for a in slot.axes)} in {where}{paced}"
+    where = "mm" if law.axes[0].unit == "m" else law.axes[0].unit
+    return f"{unit}, {' and '.join(a.letter or a.name for a in law.axes)} in {where}{paced}"
 
 
-def _shapes(slot: Slot, x: list[Array]) -> Iterator[Shape]:
-    if slot.paced:
-        return _paced(_turns(x[0]) if slot.axes[0].kind == "circle" else _maps(*x))
-    if slot.axes[0].kind == "circle":
-        return _turns(x[0]) if slot.parts == 1 else _pulls(x[0])
+def _shapes(law: FreeLaw, x: list[Array]) -> Iterator[Shape]:
+    if law.paced:
+        return _paced(_turns(x[0]) if law.axes[0].kind == "circle" else _maps(*x))
+    if law.axes[0].kind == "circle":
+        return _turns(x[0]) if law.parts == 1 else _pulls(x[0])
     if len(x) == 1:
-        return _curves(LETTERS[slot.axes[0].name], x[0], [power for _, power in slot.owners])
-    return _maps(*x) if slot.parts == 1 else _fields(*x)
+        return _curves(law.axes[0].letter, x[0], [power for _, power in law.owners])
+    return _maps(*x) if law.parts == 1 else _fields(*x)
 
 
 def _sines(word: str, phase: Array) -> Terms:

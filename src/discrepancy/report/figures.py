@@ -78,7 +78,7 @@ def inline(title: str, figure: Figure, note: str) -> dict[str, str]:
 def _sets(found: Found) -> list[tuple[Sequence[Measured], Fit, str, str]]:
     sets: list[tuple[Sequence[Measured], Fit, str, str]] = [(found.clips, found.search.base, BEFORE, "before")]
     if found.best is not found.search.base:
-        sets.append((found.slot.evidence.clips if found.slot else found.clips, found.best, AFTER, "after"))
+        sets.append((found.free_law.evidence.clips if found.free_law else found.clips, found.best, AFTER, "after"))
     return sets
 
 
@@ -159,38 +159,38 @@ def _binned(stage: Array, left: Array) -> tuple[Array, list[Array]]:
 
 
 def _curve(answer: Answer) -> Figure:
-    slot = answer.slot
+    law = answer.law
     if len(answer.x) == 2:
         return _map(answer)
     figure, ax = _subplots(figsize=(6, 3.2))
-    axis, x = slot.axes[0], answer.x[0]
-    for part, (word, colour) in enumerate(zip(slot.part_names, (AFTER, BEFORE), strict=False)):
+    axis, x = law.axes[0], answer.x[0]
+    for part, (word, colour) in enumerate(zip(law.part_names, (AFTER, BEFORE), strict=False)):
         y = answer.curve[:, part]
-        if axis.kind == "set":
+        if law.each_clip:
             ax.errorbar(x, y, np.abs(answer.bands["band"][:, part].T - y), fmt="o", ms=3, lw=1, color=colour)
             continue
         for name, alpha in (("band", 0.2), ("band68", 0.35)):
             ax.fill_between(x, *answer.bands[name][:, part].T, color=colour, alpha=alpha, lw=0)
         ax.plot(x, y, color=colour, lw=1.2, label=word)
-    if slot.parts > 1:
+    if law.parts > 1:
         ax.legend()
     unit = "" if axis.unit == "1" else f" ({axis.unit})"
-    ax.set(xlabel=f"{axis.name}{unit}", ylabel=f"{slot.symbol}" + ("" if slot.unit == "1" else f" ({slot.unit})"))
+    ax.set(xlabel=f"{axis.name}{unit}", ylabel=f"{law.title}" + ("" if law.unit == "1" else f" ({law.unit})"))
     return figure
 
 
 def _map(answer: Answer) -> Figure:
-    slot = answer.slot
+    law = answer.law
     side = round(np.sqrt(len(answer.x[0])))
-    scale = 1e3 if slot.axes[0].unit == "m" else 1.0
-    extent = tuple(scale * v for a in slot.axes for v in (a.low, a.high))
-    shown = [(answer.curve[:, p], word) for p, word in enumerate(slot.part_names)]
+    scale = 1e3 if law.axes[0].unit == "m" else 1.0
+    extent = tuple(scale * v for a in law.axes for v in (a.low, a.high))
+    shown = [(answer.curve[:, p], word) for p, word in enumerate(law.part_names)]
     shown.append((np.ptp(answer.bands["band68"], axis=-1).max(axis=1) / 2, "+-"))
     figure, axes = _subplots(1, len(shown), figsize=(3.4 * len(shown), 3))
     for ax, (values, label) in zip(axes, shown, strict=True):
         picture = ax.imshow(values.reshape(side, side).T, origin="lower", extent=extent, aspect="equal")
         figure.colorbar(picture, ax=ax, shrink=0.8)
-        ax.set(title=f"{slot.symbol} {label}", xlabel=f"x ({'mm' if scale > 1 else slot.axes[0].unit})", ylabel="y")
+        ax.set(title=f"{law.title} {label}", xlabel=f"x ({'mm' if scale > 1 else law.axes[0].unit})", ylabel="y")
     return figure
 
 

@@ -1,7 +1,7 @@
 """Something that no effect of the library is: a law left free explains it better than any of them.
 
-Every slot is held against the base model, the best model of the library, and each of its effects alone, to first order;
-the leaders are fitted in full. A second library effect is believed only where it beats the slots.
+Every free law is held against the base model, the best model of the library, and each of its effects alone, to first
+order; the leaders are fitted in full. A second library effect is believed only where it beats the free laws.
 """
 
 from __future__ import annotations
@@ -20,8 +20,9 @@ from discrepancy.fitting.gauss_newton import FAILED, Evidence, Fit, fit, lineari
 from discrepancy.fitting.parameters import Suspect, limits_of, within
 from discrepancy.free_laws.credible_band import stepped
 from discrepancy.free_laws.evidence import Weight, significance, weigh
-from discrepancy.free_laws.fitted_law import Filled
-from discrepancy.free_laws.slots import Slot, columns, slots
+from discrepancy.free_laws.fitted_law import FittedLaw
+from discrepancy.free_laws.free_law import FreeLaw
+from discrepancy.free_laws.library import free_laws
 from discrepancy.noise.model import Noise
 from discrepancy.selection.candidate import Candidate
 from discrepancy.selection.model_cost import law_chosen, price
@@ -31,7 +32,7 @@ from synthcam.model import Model
 Array = NDArray[np.float64]
 
 LEADERS = 3  # fitted in full
-NEAR, LOOSE = 15.0, 0.01  # of chi^2, and of what a slot explains: what the first order may be wrong by
+NEAR, LOOSE = 15.0, 0.01  # of chi^2, and of what a free law explains: what the first order may be wrong by
 ROUNDS = 30
 SETTLED = 0.05  # of chi^2: what a further step would gain
 SHORTER = (1.0, 0.5, 0.25, 0.1, 0.02)  # shares of a step that are tried
@@ -39,9 +40,9 @@ SHORTER = (1.0, 0.5, 0.25, 0.1, 0.02)  # shares of a step that are tried
 
 @dataclass(frozen=True)
 class Look:
-    """A slot held against a fit, to first order."""
+    """A free law held against a fit, to first order."""
 
-    slot: Slot
+    law: FreeLaw
     now: Fit
     sigma: float
     weight: Weight
@@ -51,31 +52,31 @@ class Look:
         return price(self.now, base) + law_chosen() - self.weight.gain
 
 
-def _moves(evidence: Evidence, slot: Slot, model: Model, launches: Array) -> tuple[Array, ...]:
+def _moves(evidence: Evidence, law: FreeLaw, model: Model, launches: Array) -> tuple[Array, ...]:
     """Whitened derivatives by the coefficients, (2n, J) of each clip."""
-    return evidence.white(columns(slot, model, launches, evidence.clips))
+    return evidence.white(law.columns(model, launches, evidence.clips))
 
 
-def _look(slot: Slot, now: Fit, moves: Sequence[Array]) -> Look:
+def _look(law: FreeLaw, now: Fit, moves: Sequence[Array]) -> Look:
     information, pull = now.information(moves)
-    return Look(slot, now, significance(slot, information, pull), weigh(slot, information, pull))
+    return Look(law, now, significance(law, information, pull), weigh(law, information, pull))
 
 
-def fill(evidence: Evidence, look: Look, base: Fit, tick: Callable[[], None] = lambda: None) -> Filled:
-    """The slot fitted together with everything that `look.now` fits, its prior's size and smoothness by the data."""
-    slot, plain, now = look.slot, look.now.model, look.now
-    moves = _moves(evidence, slot, plain, now.launches)
-    coefs, here, fresh = np.zeros(slot.size), evidence, False
+def fill(evidence: Evidence, look: Look, base: Fit, tick: Callable[[], None] = lambda: None) -> FittedLaw:
+    """The free law fitted with everything that `look.now` fits, its prior's size and smoothness by the data."""
+    law, plain, now = look.law, look.now.model, look.now
+    moves = _moves(evidence, law, plain, now.launches)
+    coefs, here, fresh = np.zeros(law.size), evidence, False
     for _ in range(ROUNDS):
         tick()
         information, pull = now.information(moves)
-        weight = weigh(slot, information, pull + information @ coefs)
+        weight = weigh(law, information, pull + information @ coefs)
         precision, step = weight.prior.precision, weight.coefs - coefs
         moved = None
         if step @ (information + precision) @ step > SETTLED:
             before = now.chi2 + coefs @ precision @ coefs
             for share in SHORTER:
-                moved = _moved(evidence, slot, plain, now, moves, coefs, share * step)
+                moved = _moved(evidence, law, plain, now, moves, coefs, share * step)
                 if moved and moved[1].chi2 + (coefs + share * step) @ precision @ (coefs + share * step) < before:
                     coefs = coefs + share * step
                     here, now, plain = moved
@@ -86,16 +87,16 @@ def fill(evidence: Evidence, look: Look, base: Fit, tick: Callable[[], None] = l
             if fresh:
                 break
             now = linearised(here, now.model, now.names, now.launches)
-            moves = _moves(evidence, slot, slot.bent(plain, coefs), now.launches)
+            moves = _moves(evidence, law, law.bent(plain, coefs), now.launches)
             fresh = True
-    freedom = np.linalg.slogdet(np.eye(slot.size) + information / np.diag(weight.prior.precision)[:, None])
+    freedom = np.linalg.slogdet(np.eye(law.size) + information / np.diag(weight.prior.precision)[:, None])
     paid = law_chosen() + weight.prior.cost + float(coefs @ weight.prior.precision @ coefs + freedom[1])
-    smooth = Filled(slot, coefs, weight.prior, now, plain, here, moves, look.sigma, price(now, base) + paid)
+    smooth = FittedLaw(law, coefs, weight.prior, now, plain, here, moves, look.sigma, price(now, base) + paid)
     return dataclasses.replace(smooth, score=smooth.score - stepped(smooth))
 
 
 def _moved(
-    evidence: Evidence, slot: Slot, plain: Model, now: Fit, moves: Sequence[Array], coefs: Array, step: Array
+    evidence: Evidence, law: FreeLaw, plain: Model, now: Fit, moves: Sequence[Array], coefs: Array, step: Array
 ) -> tuple[Evidence, Fit, Model] | None:
     """A step of the coefficients, and of all else as then fits best to first order; None where there is no motion."""
     rest = dataclasses.replace(now, residuals=tuple(r - c @ step for r, c in zip(now.residuals, moves, strict=True)))
@@ -107,8 +108,8 @@ def _moved(
         return None
     try:
         plain = within(plain, dict(zip(now.names, (value + shared).tolist(), strict=True)))
-        model = slot.bent(plain, coefs + step)
-        here = dataclasses.replace(evidence, clips=tuple(slot.undone(evidence.clips, plain, launches, coefs + step)))
+        model = law.bent(plain, coefs + step)
+        here = dataclasses.replace(evidence, clips=tuple(law.undone(evidence.clips, plain, launches, coefs + step)))
         residuals = here.left(model, launches)
     except FAILED:
         return None
@@ -132,28 +133,28 @@ def alone(evidence: Evidence, base: Fit, best: Fit, tick: Callable[[], None] = l
     return fits
 
 
-class Slots:
-    """The slots, held against the library's models as the search goes from one to the next.
+class FreeLawContest:
+    """The free laws, held against the library's models as the search goes from one to the next.
 
-    A named effect is preferred to a free law in its place: against a model of the library a slot counts only where
-    that model leaves a slot significant, or needs two effects more than the slot does, or is worse by what an effect is
-    preferred by. rivals: other models of the library with as many effects, which may be less simple than the latest but
-    fit better.
+    A named effect is preferred to a free law in its place: against a model of the library a free law counts only where
+    that model leaves a free law significant, or needs two effects more than the free law does, or is worse by what an
+    effect is preferred by. rivals: other models of the library with as many effects, which may be less simple than the
+    latest but fit better.
     """
 
     def __init__(self, evidence: Evidence, base: Fit, tick: Callable[[], None] = lambda: None) -> None:
         self.evidence, self.base, self.tick = evidence, base, tick
-        self.slots = slots(base.model, base.launches, evidence.clips)
-        self.filled: list[Filled] = []
+        self.laws = free_laws(base.model, base.launches, evidence.clips)
+        self.fitted: list[FittedLaw] = []
         self.rivals: Sequence[Fit] = ()
         self.beaten = False
-        self.asked: tuple[Filled, Candidate | None] | None = None
+        self.asked: tuple[FittedLaw, Candidate | None] | None = None
         self.refuted = self._consider([base])
 
     def beat(self, now: Fit, rivals: Sequence[Fit] = ()) -> bool:
-        """Does a slot beside a smaller model explain more than the library's latest, and than the one before it?
+        """Does a free law beside a smaller model explain more than the library's latest, and than the one before it?
 
-        A slot may bend to hold two effects of the library: beside none, it must leave nothing for a second. And the
+        A free law may bend to hold two effects of the library: beside none, it must leave nothing for a second. And the
         library has one more effect to answer with.
         """
         self.rivals, before = rivals, self.beaten
@@ -162,13 +163,14 @@ class Slots:
         self.beaten = best is not None and (self._count(now) > 1 or self._next(best) is None)
         return self.beaten and before
 
-    def nearly(self, now: Fit) -> Filled | None:
-        """The slot that explains nearly as much as the library's best model, or more."""
-        best = min(self.filled, key=lambda f: f.score, default=None)
+    def nearly(self, now: Fit) -> FittedLaw | None:
+        """The free law that explains nearly as much as the library's best model, or more."""
+        best = min(self.fitted, key=lambda f: f.score, default=None)
         return best if best and best.score < self._cost(now) + policy.FREE_LAW_NEAR else None
 
-    def outcome(self, now: Fit) -> Filled | None:
-        """The slot that explains the clips better than the library's best model, and than chance; None if none does.
+    def outcome(self, now: Fit) -> FittedLaw | None:
+        """The free law that explains the clips better than the library's best model, and than chance; None if none
+        does.
 
         With such library effects beside it as it still needs.
         """
@@ -183,20 +185,20 @@ class Slots:
                 for names in filter(None, (beside.strengths, tuple(beside.shapes))):  # shapes mean nothing before
                     whole = linearised(self.evidence, start.model, (*start.names, *names), start.launches)
                     start = settle(self.evidence, whole, self.tick)
-                look = _look(best.slot, start, _moves(self.evidence, best.slot, start.model, start.launches))
+                look = _look(best.law, start, _moves(self.evidence, best.law, start.model, start.launches))
                 trial = fill(self.evidence, look, self.base, self.tick)
-            except ValueError:  # without the slot there is no motion
+            except ValueError:  # without the free law there is no motion
                 break
             if trial.score >= best.score or look.sigma < policy.FREE_LAW_SIGMA:
                 break
-            self.filled.append(trial)
+            self.fitted.append(trial)
             best = trial
         return best
 
-    def _best(self, now: Fit, fewer: int) -> Filled | None:
-        """The best slot, if better, of those beside a model of `fewer` effects less than the library's latest."""
+    def _best(self, now: Fit, fewer: int) -> FittedLaw | None:
+        """The best law, if better, of those beside a model of `fewer` effects less than the library's latest."""
         cost, most = self._cost(now), self._count(now)
-        few = [f for f in self.filled if most - self._count(f.now) >= fewer and self._needed(f)]
+        few = [f for f in self.fitted if most - self._count(f.now) >= fewer and self._needed(f)]
         fair = [
             f
             for f in few
@@ -205,9 +207,9 @@ class Slots:
         best = min(fair, key=lambda f: f.score, default=None)
         return best if best and best.score < cost else None
 
-    def _needed(self, filled: Filled) -> bool:
-        """Is every library effect beside a slot needed, or does the slot hold it too?"""
-        return all(sigma > policy.FREE_LAW_SIGMA for sigma in filled.beside(self.base).values())
+    def _needed(self, fitted_law: FittedLaw) -> bool:
+        """Is every library effect beside a free law needed, or does the free law hold it too?"""
+        return all(sigma > policy.FREE_LAW_SIGMA for sigma in fitted_law.beside(self.base).values())
 
     def _cost(self, now: Fit) -> float:
         return min(price(f, self.base) for f in (now, *self.rivals))
@@ -217,74 +219,78 @@ class Slots:
         return len({n.rpartition(".")[0] or n for n in now.names if n not in self.base.names})
 
     def _consider(self, fits: Sequence[Fit]) -> bool:
-        """Fill those slots that to first order may be the best. Is any significant beside the last of the fits?"""
+        """Fill those free laws that to first order may be the best. Is any significant beside the last of the fits?"""
         seen = []
-        for slot in self.slots:
-            moves = _moves(self.evidence, slot, self.base.model, self.base.launches)  # near enough for all fits
-            seen += [_look(slot, now, moves) for now in fits]
+        for law in self.laws:
+            moves = _moves(self.evidence, law, self.base.model, self.base.launches)  # near enough for all fits
+            seen += [_look(law, now, moves) for now in fits]
             self.tick()
         leaders = sorted(
             (look for look in seen if look.sigma > policy.FREE_LAW_SIGMA), key=lambda look: look.score(self.base)
         )
         for look in leaders[:LEADERS]:
             slack = NEAR + LOOSE * (price(look.now, self.base) - look.score(self.base))
-            if all(look.score(self.base) < f.score + slack for f in self.filled):
+            if all(look.score(self.base) < f.score + slack for f in self.fitted):
                 with suppress(ValueError):  # a curve on whose way there is no motion
-                    self.filled.append(fill(self.evidence, look, self.base, self.tick))
+                    self.fitted.append(fill(self.evidence, look, self.base, self.tick))
         return any(look.now is fits[-1] for look in leaders)
 
-    def _next(self, filled: Filled) -> Candidate | None:
-        """The library's effect that is still to be claimed beside a slot."""
-        if self.asked is None or self.asked[0] is not filled:
-            contest = Contest.of(filled.evidence, filled.whole, self.tick, about=filled.plain)
+    def _next(self, fitted_law: FittedLaw) -> Candidate | None:
+        """The library's effect that is still to be claimed beside a free law."""
+        if self.asked is None or self.asked[0] is not fitted_law:
+            contest = Contest.of(fitted_law.evidence, fitted_law.whole, self.tick, about=fitted_law.plain)
             ranking = contest.leaders(policy.FREE_LAW_SIGMA)
             claimed = ranking and ranking[0].sigma > policy.FREE_LAW_SIGMA and ranking[0].sigma > contest.claim()
-            self.asked = filled, ranking[0] if claimed else None
+            self.asked = fitted_law, ranking[0] if claimed else None
         return self.asked[1]
 
 
-def refilled(evidence: Evidence, filled: Filled, gone: Suspect, base: Fit, tick: Callable[[], None]) -> Filled:
-    """The slot fitted again without one of the effects beside it. Raises ValueError: no motion."""
-    names = tuple(n for n in filled.now.names if n not in gone.strengths + gone.shapes)
-    start = linearised(evidence, gone.without(filled.plain), names, filled.now.launches)
+def refilled(
+    evidence: Evidence, fitted_law: FittedLaw, gone: Suspect, base: Fit, tick: Callable[[], None]
+) -> FittedLaw:
+    """The free law fitted again without one of the effects beside it. Raises ValueError: no motion."""
+    names = tuple(n for n in fitted_law.now.names if n not in gone.strengths + gone.shapes)
+    start = linearised(evidence, gone.without(fitted_law.plain), names, fitted_law.now.launches)
     now = settle(evidence, start, tick)
-    return fill(evidence, _look(filled.slot, now, _moves(evidence, filled.slot, now.model, now.launches)), base, tick)
+    return fill(
+        evidence, _look(fitted_law.law, now, _moves(evidence, fitted_law.law, now.model, now.launches)), base, tick
+    )
 
 
-def emptied(evidence: Evidence, filled: Filled, tick: Callable[[], None]) -> Fit:
-    """The fit without the slot. Raises ValueError: no motion."""
-    return settle(evidence, linearised(evidence, filled.plain, filled.now.names, filled.now.launches), tick)
+def emptied(evidence: Evidence, fitted_law: FittedLaw, tick: Callable[[], None]) -> Fit:
+    """The fit without the free law. Raises ValueError: no motion."""
+    return settle(evidence, linearised(evidence, fitted_law.plain, fitted_law.now.names, fitted_law.now.launches), tick)
 
 
-def scatter(filled: Filled, clips: Sequence[Measured], without: Fit, noise: Noise) -> tuple[float, float, float]:
-    """Of numbers of each clip, in clips that the slot was not fitted to: the chi^2 that their likelihood gains.
+def scatter(fitted_law: FittedLaw, clips: Sequence[Measured], without: Fit, noise: Noise) -> tuple[float, float, float]:
+    """Of numbers of each clip, in clips that the free law was not fitted to: the chi^2 that their likelihood gains.
 
     And what it was to gain, and with which standard deviation. The numbers are as large as those of the clips fitted.
     """
     evidence = Evidence.of(clips, noise)
-    axis = dataclasses.replace(filled.slot.axes[0], high=len(clips) - 1.0, count=len(clips))
-    slot = dataclasses.replace(filled.slot, axes=(axis,))
+    axis = dataclasses.replace(fitted_law.law.axes[0], high=len(clips) - 1.0, count=len(clips))
+    law = dataclasses.replace(fitted_law.law, axes=(axis,))
     now = linearised(evidence, without.model, (), without.launches)
-    information, pull = now.information(_moves(evidence, slot, now.model, now.launches))
-    size = filled.prior.size * np.sqrt(slot.spread(filled.prior.length))
+    information, pull = now.information(_moves(evidence, law, now.model, now.launches))
+    size = fitted_law.prior.size * np.sqrt(law.spread(fitted_law.prior.length))
     values, axes = np.linalg.eigh(size[:, None] * information * size)
     values, pulls = np.maximum(values, 0.0), axes.T @ (size * pull)
     gain = float((pulls**2 / (1 + values) - np.log1p(values)).sum())
     return gain, float((values - np.log1p(values)).sum()), float(np.sqrt(2 * (values**2).sum()))
 
 
-def unseen(filled: Filled, clips: Sequence[Measured], before: Fit, noise: Noise) -> Fit:
-    """The fit of the launches of clips that the slot was not fitted to, what it moves taken out of them.
+def unseen(fitted_law: FittedLaw, clips: Sequence[Measured], before: Fit, noise: Noise) -> Fit:
+    """The fit of the launches of clips that the free law was not fitted to, what it moves taken out of them.
 
     before: their fit without it. Numbers of each clip are fitted to each.
     """
-    plain = filled.plain
-    if filled.slot.axes[0].kind == "set":
+    plain = fitted_law.plain
+    if fitted_law.law.each_clip:
         evidence = Evidence.of(clips, noise)
         there = settle(evidence, linearised(evidence, plain, (), before.launches))
-        axis = dataclasses.replace(filled.slot.axes[0], high=len(clips) - 1.0, count=len(clips))
-        slot = dataclasses.replace(filled.slot, axes=(axis,))
-        look = _look(slot, there, _moves(evidence, slot, plain, there.launches))
+        axis = dataclasses.replace(fitted_law.law.axes[0], high=len(clips) - 1.0, count=len(clips))
+        law = dataclasses.replace(fitted_law.law, axes=(axis,))
+        look = _look(law, there, _moves(evidence, law, plain, there.launches))
         return fill(evidence, look, there).now
-    left = filled.slot.undone(clips, plain, before.launches, filled.coefs)
-    return fit(left, filled.now.model, (), noise, before.launches)
+    left = fitted_law.law.undone(clips, plain, before.launches, fitted_law.coefs)
+    return fit(left, fitted_law.now.model, (), noise, before.launches)

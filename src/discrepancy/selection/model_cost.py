@@ -1,4 +1,4 @@
-"""What a model's freedom costs, in chi^2: the same price for every effect of the library and every slot."""
+"""What a model's freedom costs, in chi^2: the same price for every effect of the library and every free law."""
 
 from __future__ import annotations
 
@@ -10,17 +10,17 @@ from numpy.typing import NDArray
 from discrepancy.fitting.gauss_newton import Fit
 from discrepancy.fitting.parameters import parameter_of, span_of
 from discrepancy.free_laws.evidence import choice, freedom
-from discrepancy.free_laws.slots import SLOTS
+from discrepancy.free_laws.library import law_count
 from synthcam.library import library
 
 
 def law_chosen() -> float:
     """What it costs to choose one law to be left free, in chi^2."""
-    return choice(SLOTS)
+    return choice(law_count())
 
 
 def price(now: Fit, base: Fit) -> float:
-    """chi^2 with the freedom of each effect that the base lacks paid for, as of a slot; base parameters are free.
+    """chi^2 with the freedom of each effect that the base lacks paid for, as of a free law; base parameters are free.
 
     Shapes cost what looking for them in all their range does: twice the logarithm of the range over the width of their
     likelihood; the strengths what they do where the shapes are known. So what no data tell apart is paid for once.

@@ -1,4 +1,4 @@
-"""What a slot found, as files have it."""
+"""What a free law found, as files have it."""
 
 import dataclasses
 import json
@@ -10,15 +10,15 @@ from discrepancy_outsiders import OUTSIDERS, outsider
 
 from discrepancy.fitting.gauss_newton import BASE, Evidence, fit
 from discrepancy.free_laws.answer import SIDE, Answer, words
-from discrepancy.free_laws.slots import slots
+from discrepancy.free_laws.library import free_laws
 from discrepancy.noise.model import Component, Noise
-from discrepancy.selection.free_law_contest import Slots
+from discrepancy.selection.free_law_contest import FreeLawContest
 from synthcam.model import Model
 
 
-@pytest.mark.parametrize("slot", list(OUTSIDERS))
-def test_bands_lie_about_the_curve_and_one_in_the_other(slot):
-    said = outsider(slot).document()["outside"][0]
+@pytest.mark.parametrize("law", list(OUTSIDERS))
+def test_bands_lie_about_the_curve_and_one_in_the_other(law):
+    said = outsider(law).document()["outside"][0]
     curve, wide, narrow = (np.array(said[k]) for k in ("curve", "band", "band68"))
     assert np.all((wide[:, 0] < narrow[:, 0]) & (narrow[:, 0] < curve))
     assert np.all((curve < narrow[:, 1]) & (narrow[:, 1] < wide[:, 1]))
@@ -29,22 +29,22 @@ def test_a_map_is_given_at_pairs_within_its_ranges():
     found = outsider("friction_place")
     x = np.array(found.document()["outside"][0]["x"])
     assert x.shape == (SIDE * SIDE, 2)
-    for values, axis in zip(x.T, found.slot.slot.axes, strict=True):
+    for values, axis in zip(x.T, found.free_law.law.axes, strict=True):
         assert (values.min(), values.max()) == pytest.approx((axis.low, axis.high))
 
 
 def test_words():
-    assert words(outsider("friction_place").slot.slot) == "mu that depends on the place"
-    assert words(outsider("restitution_speed").slot.slot) == "r that depends on the normal speed"
+    assert words(outsider("friction_place").free_law.law) == "mu that depends on the place"
+    assert words(outsider("restitution_speed").free_law.law) == "r that depends on the normal speed"
 
 
 def test_a_number_for_each_clip_is_given_with_the_clips_own_number():
     numbers = [0, 2, 3, 7, 9, 20]
     plain = [dataclasses.replace(c, clip=n) for c, n in zip(exact(Model(), 6, 9), numbers, strict=True)]
     starts, noise = np.array([c.launch for c in plain]), Noise(Component(1.0))
-    slot = next(s for s in slots(Model(), starts, plain) if s.name == "restitution_clip")
-    clips = noisy(slot.undone(plain, Model(), starts, 3e-3 * np.array([1, -1, 0, 2, -2, 0])), 9)
-    filled = Slots(Evidence.of(clips, noise), fit(clips, Model(), BASE, noise)).filled
-    answer = Answer.of(next(f for f in filled if f.slot.name == "restitution_clip"))
+    law = next(s for s in free_laws(Model(), starts, plain) if s.name == "restitution_clip")
+    clips = noisy(law.undone(plain, Model(), starts, 3e-3 * np.array([1, -1, 0, 2, -2, 0])), 9)
+    filled = FreeLawContest(Evidence.of(clips, noise), fit(clips, Model(), BASE, noise)).fitted
+    answer = Answer.of(next(f for f in filled if f.law.name == "restitution_clip"))
     assert answer.x[0].tolist() == answer.document()["x"] == numbers
     assert len(answer.curve) == len(numbers)

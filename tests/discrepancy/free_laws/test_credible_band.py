@@ -12,8 +12,8 @@ from discrepancy.fitting.gauss_newton import BASE, Evidence, linearised, solve
 from discrepancy.fitting.jacobian import derivative
 from discrepancy.free_laws.credible_band import Mixture, stepped
 from discrepancy.free_laws.evidence import weigh
-from discrepancy.free_laws.fitted_law import Filled
-from discrepancy.free_laws.slots import columns, slots
+from discrepancy.free_laws.fitted_law import FittedLaw
+from discrepancy.free_laws.library import free_laws
 from discrepancy.noise.model import Component, Noise
 from synthcam.model import Model
 
@@ -25,35 +25,35 @@ X = np.linspace(0.12, 0.55, 60)
 
 @cache
 def experiment(count=24):
-    """Collisions as a linear problem: evidence, fit, slot, its columns, and those of each clip's own restitution."""
+    """Collisions as a linear problem: evidence, fit, law, its columns, and those of each clip's restitution."""
     clips = [
         dataclasses.replace(c, **{k: getattr(c, k)[::EVERY] for k in ("frame", "ball", "xy", "covariance")})
         for c in exact(Model(), count, 11)
     ]
     evidence, launches = Evidence.of(clips, NOISE), np.array([c.launch for c in clips])
     start = linearised(evidence, Model(), BASE, launches)
-    slot = next(s for s in slots(Model(), launches, clips) if s.name == "restitution_speed")
-    moves = evidence.white(columns(slot, Model(), launches, clips))
+    law = next(s for s in free_laws(Model(), launches, clips) if s.name == "restitution_speed")
+    moves = evidence.white(law.columns(Model(), launches, clips))
     single = evidence.white(derivative(Model(), launches, clips, "restitution"))
-    return evidence, start, slot, moves, single
+    return evidence, start, law, moves, single
 
 
 def drawn(law, size, seed):
-    """The slot fitted to a law `size` times as large as one clip's error of restitution; and that size."""
-    evidence, start, slot, moves, single = experiment()
+    """The free law fitted to a law `size` times as large as one clip's error of restitution; and that size."""
+    evidence, start, free_law, moves, single = experiment()
     rng = np.random.default_rng(seed)
     scale = size / np.sqrt(np.median([s @ s for s in single]))
     speed = start.launches[:, 3] * np.sqrt(1 - start.launches[:, 5] ** 2)
     residuals = [s * scale * law(v) + rng.standard_normal(len(s)) for s, v in zip(single, speed, strict=True)]
     now = dataclasses.replace(start, residuals=tuple(residuals))
-    weight = weigh(slot, *now.information(moves))
+    weight = weigh(free_law, *now.information(moves))
     rest = [r - m @ weight.coefs for r, m in zip(residuals, moves, strict=True)]
     now = dataclasses.replace(now, residuals=tuple(rest))
     shared, own = solve(now, 0.0, np.full(len(BASE), -np.inf), np.full(len(BASE), np.inf))
     rest = [r - s @ shared - a @ o for r, s, a, o in zip(rest, now.slopes, now.launch_slopes, own, strict=True)]
     model = Model().replace({"restitution": KNOWN + float(shared[BASE.index("restitution")])})
     now = dataclasses.replace(now, residuals=tuple(rest), model=model)
-    return Filled(slot, weight.coefs, weight.prior, now, Model(), evidence, moves, 0.0, 0.0), scale
+    return FittedLaw(free_law, weight.coefs, weight.prior, now, Model(), evidence, moves, 0.0, 0.0), scale
 
 
 def bands(law, size, seed):
@@ -114,7 +114,7 @@ def test_quantiles_of_a_mixture():
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_a_slot_is_worth_more_where_the_law_steps_and_a_little_less_where_it_does_not(seed):
+def test_a_free_law_is_worth_more_where_the_law_steps_and_a_little_less_where_it_does_not(seed):
     """With a clear step the clips are a hundred times as likely, and more; of a smooth law, the one half is lost."""
     assert stepped(drawn(step, 30, seed)[0]) > 2 * np.log(100)
     assert stepped(drawn(smooth, 10, seed)[0]) == pytest.approx(-2 * np.log(2), abs=0.2)

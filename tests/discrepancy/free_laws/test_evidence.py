@@ -7,12 +7,15 @@ import pytest
 from scipy.optimize import minimize_scalar
 from scipy.stats import multivariate_normal
 
+from discrepancy.free_laws.basis import Axis
 from discrepancy.free_laws.evidence import LENGTHS, freedom, significance, weigh
-from discrepancy.free_laws.slots import Axis, Slot
+from discrepancy.free_laws.laws.friction_place import FrictionPlace
+from discrepancy.free_laws.laws.restitution_speed import RestitutionSpeed
+from discrepancy.free_laws.laws.warp_place import WarpPlace
 
-SLOT = Slot("restitution_speed", "r", "1", (Axis("normal speed", "m/s", 0.1, 0.6, 8),))
+LAW = RestitutionSpeed((Axis("normal speed", "m/s", 0.1, 0.6, 8),))
 RNG = np.random.default_rng(5)
-DESIGN = SLOT.basis(RNG.uniform(0.1, 0.6, 30)) @ np.diag(RNG.uniform(1, 4, 8))
+DESIGN = LAW.basis(RNG.uniform(0.1, 0.6, 30)) @ np.diag(RNG.uniform(1, 4, 8))
 
 
 def evidence(left, prior, size):
@@ -24,11 +27,11 @@ def evidence(left, prior, size):
 
 def test_the_gain_is_the_mean_marginal_likelihood_of_all_lengths_each_of_its_best_size():
     left = DESIGN @ RNG.standard_normal(8) + RNG.standard_normal(30)
-    weight = weigh(SLOT, DESIGN.T @ DESIGN, DESIGN.T @ left)
+    weight = weigh(LAW, DESIGN.T @ DESIGN, DESIGN.T @ left)
     prior = weight.prior
 
     def best(length):
-        some = dataclasses.replace(prior, spread=SLOT.spread(length))
+        some = dataclasses.replace(prior, spread=LAW.spread(length))
         found = minimize_scalar(lambda s: -evidence(left, some, np.exp(s)), bounds=(-6, 6), method="bounded")
         return -found.fun
 
@@ -44,24 +47,24 @@ def test_the_gain_is_the_mean_marginal_likelihood_of_all_lengths_each_of_its_bes
 
 def test_a_curve_that_is_there_is_worth_its_freedom_and_noise_is_not():
     noise = RNG.standard_normal((200, 30))
-    gains = [weigh(SLOT, DESIGN.T @ DESIGN, DESIGN.T @ n).gain for n in noise]
+    gains = [weigh(LAW, DESIGN.T @ DESIGN, DESIGN.T @ n).gain for n in noise]
     assert np.quantile(gains, 0.99) < 9.5
     curve = DESIGN @ (3 * np.eye(8)[1])
-    assert np.quantile([weigh(SLOT, DESIGN.T @ DESIGN, DESIGN.T @ (n + curve)).gain for n in noise], 0.01) > 9.5
+    assert np.quantile([weigh(LAW, DESIGN.T @ DESIGN, DESIGN.T @ (n + curve)).gain for n in noise], 0.01) > 9.5
 
 
 def test_a_field_that_acts_and_changes_along_one_axis_costs_less_freedom():
     axes = Axis("x", "px", 0.0, 1.0, 8), Axis("y", "px", 0.0, 1.0, 8)
-    slot = Slot("warp_place", "shift of the picture", "px", axes, parts=2)
-    one = slot.basis(*RNG.uniform(0, 1, (2, 400)))
+    law = WarpPlace(axes)
+    one = law.basis(*RNG.uniform(0, 1, (2, 400)))
     x = np.linspace(0, 1, 50)
     along = np.linalg.lstsq(axes[0].basis(x), x**4, rcond=None)[0]  # a function of x alone, along x alone
     truth = np.outer(along, np.arange(8) == 0).ravel()
     design = np.kron(np.eye(2), one)
     signal = np.concatenate([one @ truth, np.zeros(400)])
     pull = design.T @ (10 * signal / np.linalg.norm(signal - signal.mean()))
-    weight = weigh(slot, design.T @ design, pull)
-    spread = slot.spread(weight.prior.length)
+    weight = weigh(law, design.T @ design, pull)
+    spread = law.spread(weight.prior.length)
     matrix = np.eye(128) + weight.prior.size**2 * spread[:, None] * (design.T @ design)
     alike = pull @ np.linalg.solve(matrix, weight.prior.size**2 * spread * pull) - np.linalg.slogdet(matrix)[1]
     assert 0 < weight.prior.cost - 4 * np.log(3) < 2 * np.log(len(LENGTHS))
@@ -70,7 +73,7 @@ def test_a_field_that_acts_and_changes_along_one_axis_costs_less_freedom():
 
 
 def test_significance_is_rare_in_noise():
-    scores = np.array([significance(SLOT, DESIGN.T @ DESIGN, DESIGN.T @ n) for n in RNG.standard_normal((600, 30))])
+    scores = np.array([significance(LAW, DESIGN.T @ DESIGN, DESIGN.T @ n) for n in RNG.standard_normal((600, 30))])
     assert 0.01 < np.mean(scores > 1.96) < 0.06  # 5 % of a normal variable; the looks overlap
     assert scores.max() < 4
 
@@ -78,7 +81,7 @@ def test_significance_is_rare_in_noise():
 def test_a_smooth_map_is_found_among_many_coefficients():
     """10 sigma in one smooth direction of 144 are 10 sigma, less what the looks cost; all 144 together are five."""
     axis = Axis("x", "m", 0.0, 1.0, 12)
-    plate = Slot("friction_place", "mu", "1", (axis, axis))
+    plate = FrictionPlace((axis, axis))
     x, y = RNG.uniform(0, 1, (2, 400))
     design = plate.basis(x, y)
     smooth = 10 * design[:, 1] / np.linalg.norm(design[:, 1])
@@ -86,7 +89,7 @@ def test_a_smooth_map_is_found_among_many_coefficients():
 
 
 def test_nothing_seen_is_nothing():
-    assert significance(SLOT, np.zeros((8, 8)), np.zeros(8)) == 0
+    assert significance(LAW, np.zeros((8, 8)), np.zeros(8)) == 0
 
 
 @pytest.mark.parametrize("z", [2.0, 10.0, 300.0])

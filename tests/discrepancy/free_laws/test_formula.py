@@ -6,13 +6,14 @@ import re
 import numpy as np
 import pytest
 from discrepancy_clips import exact, noisy
+from discrepancy_laws import with_constant
 from discrepancy_outsiders import outsider
 
 from discrepancy.fitting.gauss_newton import BASE, Evidence, fit
 from discrepancy.free_laws.formula import _Drawn, _shapes, _written, propose
-from discrepancy.free_laws.slots import lagging, slots
+from discrepancy.free_laws.library import free_laws
 from discrepancy.noise.model import Component, Noise
-from discrepancy.selection.free_law_contest import Slots
+from discrepancy.selection.free_law_contest import FreeLawContest
 from synthcam.model import Model
 
 
@@ -70,24 +71,24 @@ def test_a_lag_is_told_but_for_a_constant():
     """2e-4 v^2"""
     clips = exact(Model(), 8, 6)
     launches = np.array([c.launch for c in clips])
-    late = dataclasses.replace(next(s for s in slots(Model(), launches, clips) if s.name == "lag_speed"), centred=False)
+    late = with_constant(next(s for s in free_laws(Model(), launches, clips) if s.name == "lag_speed"))
     x = late.axes[0].grid(200)
-    moves = lagging(late, Model(), launches, clips)
+    moves = late.columns(Model(), launches, clips)
     coefs = np.linalg.lstsq(late.basis(x), 2e-4 * x**2, rcond=None)[0]
     seen = noisy([dataclasses.replace(c, xy=c.xy + m @ coefs) for c, m in zip(clips, moves, strict=True)], 6)
     noise = Noise(Component(1.0))
     base = fit(seen, Model(), BASE, noise)
-    found = min(Slots(Evidence.of(seen, noise), base).filled, key=lambda f: f.score)
+    found = min(FreeLawContest(Evidence.of(seen, noise), base).fitted, key=lambda f: f.score)
     formula = propose(found)
-    assert (found.slot.name, formula.refused) == ("lag_speed", False)
+    assert (found.law.name, formula.refused) == ("lag_speed", False)
     factor = float(re.fullmatch(r"lag of the picture = (\S+) v\^2 s, v in m/s", formula.text).group(1))
     assert factor == pytest.approx(2e-4, rel=0.1)
     drawn = _Drawn(found)
-    assert "" not in {w for s in _shapes(found.slot, drawn.x) for w, _ in drawn.terms(s, *(t[0] for t in s.tries))}
+    assert "" not in {w for s in _shapes(found.law, drawn.x) for w, _ in drawn.terms(s, *(t[0] for t in s.tries))}
 
 
 def test_a_formula_that_suffices_is_not_refused():
-    proposed = propose(outsider("spin_transfer_speed").slot)
+    proposed = propose(outsider("spin_transfer_speed").free_law)
     assert not proposed.refused
     assert proposed.parameters == 4
     assert np.isfinite(proposed.chi2)

@@ -43,7 +43,7 @@ def test_the_page_needs_no_network(written):
     page = (written[1] / "index.html").read_text()
     assert re.findall(r'(?:src|href)\s*=\s*["\'](?!data:)', page) == []
     assert "http" not in re.sub(r"base64,[A-Za-z0-9+/=]*", "", page)
-    assert page.count("data:image/png;base64,") == 5 + bool(written[0].slot)
+    assert page.count("data:image/png;base64,") == 5 + bool(written[0].free_law)
     assert "<script" not in page
 
 

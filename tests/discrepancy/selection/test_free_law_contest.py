@@ -1,4 +1,4 @@
-"""The slots in the contest: fitted in full they give back what was put in; beside the right effect they are silent."""
+"""Free laws in the contest: fitted in full they give back what was put in; beside the right effect they are silent."""
 
 import dataclasses
 
@@ -9,9 +9,9 @@ from discrepancy_clips import CAMERA, FPS, collisions, exact, noisy
 from discrepancy import policy
 from discrepancy.fitting.gauss_newton import BASE, Evidence, fit
 from discrepancy.fitting.predict import forecast
-from discrepancy.free_laws.slots import slots
+from discrepancy.free_laws.library import free_laws
 from discrepancy.noise.model import Component, Noise
-from discrepancy.selection.free_law_contest import Slots, _look, _moves, fill, unseen
+from discrepancy.selection.free_law_contest import FreeLawContest, _look, _moves, fill, unseen
 from discrepancy.selection.model_cost import price
 from synthcam.model import Model
 
@@ -32,19 +32,19 @@ def test_a_contact_at_the_edge_of_an_exposure_that_is_too_short_is_no_lag():
     base = based([dataclasses.replace(c, camera=short) for c in noisy(seen, 6)])
     assert base.chi2 > base.points  # the contact is seen
     evidence = Evidence.of([dataclasses.replace(c, camera=short) for c in noisy(seen, 6)], NOISE)
-    assert "lag_speed" not in [f.slot.name for f in Slots(evidence, base).filled]
+    assert "lag_speed" not in [f.law.name for f in FreeLawContest(evidence, base).fitted]
 
 
 def filled_with(name, curve, clips=8, seed=6):
-    """Collisions in which one slot is filled with a curve, and the contest's best slot."""
+    """Collisions in which one free law is filled with a curve, and the contest's best free law."""
     plain = exact(Model(), clips, seed)
     launches = np.array([c.launch for c in plain])
-    slot = next(s for s in slots(Model(), launches, plain) if s.name == name)
-    x = slot.axes[0].grid(200)
-    coefs = np.linalg.lstsq(slot.basis(x), curve(x), rcond=None)[0]
-    measured = collisions(slot.bent(Model(), coefs), clips, seed)
+    law = next(s for s in free_laws(Model(), launches, plain) if s.name == name)
+    x = law.axes[0].grid(200)
+    coefs = np.linalg.lstsq(law.basis(x), curve(x), rcond=None)[0]
+    measured = collisions(law.bent(Model(), coefs), clips, seed)
     base = based(measured)
-    contest = Slots(Evidence.of(measured, NOISE), base)
+    contest = FreeLawContest(Evidence.of(measured, NOISE), base)
     return measured, base, contest
 
 
@@ -53,34 +53,34 @@ def wavy():
     return filled_with("restitution_heading", lambda th: 2e-3 * np.cos(3 * th), 10)
 
 
-def test_the_slot_that_was_filled_is_the_best_and_the_noise_is_left(wavy):
+def test_the_free_law_that_was_filled_is_the_best_and_the_noise_is_left(wavy):
     _, base, contest = wavy
-    best = min(contest.filled, key=lambda f: f.score)
-    assert best.slot.name == "restitution_heading"
+    best = min(contest.fitted, key=lambda f: f.score)
+    assert best.law.name == "restitution_heading"
     assert best.sigma > 20
     assert best.score < price(base, base) - policy.EFFECT_PREFERRED_BY
-    freedom = best.now.points - best.now.parameters - best.slot.size
+    freedom = best.now.points - best.now.parameters - best.law.size
     assert abs(best.now.chi2 / freedom - 1) < 4 * np.sqrt(2 / freedom)
 
 
 def test_its_curve_is_the_truth_within_the_band(wavy):
-    best = min(wavy[2].filled, key=lambda f: f.score)
-    th = best.slot.axes[0].grid(40)
+    best = min(wavy[2].fitted, key=lambda f: f.score)
+    th = best.law.axes[0].grid(40)
     values, spread = best.curve(th)
     off = values[:, 0] - Model().restitution - 2e-3 * np.cos(3 * th)
     std = np.sqrt(np.diag(spread[0]))
     assert np.mean(np.abs(off) < 1.96 * std) >= 0.9
     assert np.median(std) < 5e-4
     peak, information = best.likelihood()
-    assert best.slot.basis(th) @ peak == pytest.approx(best.slot.basis(th) @ best.coefs, abs=1e-3)
+    assert best.law.basis(th) @ peak == pytest.approx(best.law.basis(th) @ best.coefs, abs=1e-3)
     assert np.linalg.eigvalsh(information).min() > -1e-6 * np.linalg.eigvalsh(information).max()
 
 
-def test_a_fit_of_the_truth_leaves_no_slot_significant():
+def test_a_fit_of_the_truth_leaves_no_free_law_significant():
     truth = Model().replace({"velocity_restitution.e": 0.02})
     clips = collisions(truth, 8, 7)
     base = based(clips)
-    contest = Slots(Evidence.of(clips, NOISE), base)
+    contest = FreeLawContest(Evidence.of(clips, NOISE), base)
     right = fit(clips, Model(), (*BASE, "velocity_restitution.e"), NOISE)
     assert contest.refuted  # the base is
     assert not contest.beat(right)
@@ -88,29 +88,29 @@ def test_a_fit_of_the_truth_leaves_no_slot_significant():
     assert contest.outcome(right) is None
 
 
-def test_a_slot_that_beats_the_base_alone_is_the_outcome(wavy):
+def test_a_free_law_that_beats_the_base_alone_is_the_outcome(wavy):
     _, base, contest = wavy
     outcome = contest.outcome(base)
     assert outcome is not None
-    assert outcome.slot.name == "restitution_heading"
+    assert outcome.law.name == "restitution_heading"
     assert outcome.beside(base) == {}
     assert outcome.plain.effects == ()
 
 
 def test_a_number_of_each_clip_is_fitted_to_clips_kept_out():
-    """Restitution that is another in each clip: the slot is told, and clips that it never saw fit as well with it."""
+    """Restitution that is another in each clip: the law is found, and clips that it never saw fit as well with it."""
     plain = exact(Model(), 12, 9)
     launches = np.array([c.launch for c in plain])
-    slot = next(s for s in slots(Model(), launches, plain) if s.name == "restitution_clip")
+    law = next(s for s in free_laws(Model(), launches, plain) if s.name == "restitution_clip")
     coefs = 3e-3 * np.random.default_rng(3).standard_normal(12)
-    shifted = slot.undone(plain, Model(), launches, -coefs)
+    shifted = law.undone(plain, Model(), launches, -coefs)
     rng = np.random.default_rng(4)
     clips = [dataclasses.replace(c, xy=c.xy + 1.6e-6 * rng.standard_normal(c.xy.shape)) for c in shifted]
     some, kept_out = clips[:8], clips[8:]
     base = based(some)
-    best = Slots(Evidence.of(some, NOISE), base).outcome(base)
+    best = FreeLawContest(Evidence.of(some, NOISE), base).outcome(base)
     assert best is not None
-    assert best.slot.name == "restitution_clip"
+    assert best.law.name == "restitution_clip"
     assert best.prior.size == pytest.approx(3e-3, rel=0.7)
     before = fit(kept_out, base.model, (), NOISE)
     after = unseen(best, kept_out, before, NOISE)
@@ -118,21 +118,21 @@ def test_a_number_of_each_clip_is_fitted_to_clips_kept_out():
     assert after.chi2 < 1.1 * after.points
 
 
-def test_nothing_hidden_fills_no_slot():
+def test_nothing_hidden_fills_no_free_law():
     clips = collisions(Model(), 8, 12)
-    contest = Slots(Evidence.of(clips, NOISE), based(clips))
-    assert contest.filled == []
+    contest = FreeLawContest(Evidence.of(clips, NOISE), based(clips))
+    assert contest.fitted == []
     assert not contest.refuted
 
 
-def test_what_the_base_holds_rightly_is_no_effect_beside_a_slot():
-    """A strength fitted beside a slot is measured from where the base holds it, here at the truth."""
+def test_what_the_base_holds_rightly_is_no_effect_beside_a_free_law():
+    """A strength fitted beside a free law is measured from where the base holds it, here at the truth."""
     held = Model().replace({"rolling_quadratic.K": 0.1})
     clips = collisions(held, 8, 3)
     base, now = based(clips, held), fit(clips, held, (*BASE, "rolling_quadratic.K"), NOISE)
     evidence = Evidence.of(clips, NOISE)
-    slot = next(s for s in slots(base.model, base.launches, clips) if s.name == "restitution_speed")
-    look = _look(slot, now, _moves(evidence, slot, base.model, base.launches))
+    law = next(s for s in free_laws(base.model, base.launches, clips) if s.name == "restitution_speed")
+    look = _look(law, now, _moves(evidence, law, base.model, base.launches))
     filled = fill(evidence, look, base)
     assert 0.1 / filled.whole.std["rolling_quadratic.K"] > 30
     assert filled.beside(base)["rolling_quadratic"] < 3.5

@@ -30,7 +30,7 @@ def test_the_lamp_is_named_and_found(monkeypatch):
     only(monkeypatch, **{name: library()[name] for name in KNOWN})
     found = find(noisy(without_a_lamp(exact(Model(), 12, 3), Lamp(PLACE)), 3), Model())
     assert [n.effect for n in found.named] == ["unknown_lamp"]
-    assert found.slot is None
+    assert found.free_law is None
     assert found.verdict == "named"
     (lamp,) = found.named
     for key, true in zip(("x", "y", "height"), PLACE, strict=True):
@@ -44,7 +44,7 @@ def test_no_lamp_told_of_and_none_there(monkeypatch):
     only(monkeypatch, **{name: library()[name] for name in KNOWN})
     found = find(noisy(without_a_lamp(exact(Model(), 12, 4)), 4), Model())
     assert found.named == ()
-    assert found.slot is None
+    assert found.free_law is None
     assert "glint_parallax" in found.search.untold
     assert "unknown_lamp" not in found.search.untold
 

@@ -1,70 +1,72 @@
-"""Slots: laws left free. Their derivatives against the forward model itself, and ranges against the data's."""
+"""Free laws: laws left free. Their derivatives against the forward model itself, and ranges against the data's."""
 
 import dataclasses
 
 import numpy as np
 import pytest
 from discrepancy_clips import exact
+from discrepancy_laws import with_constant
 
 from discrepancy.fitting.predict import forecast
 from discrepancy.free_laws.basis import Axis
-from discrepancy.free_laws.slots import Slot, columns, slots
+from discrepancy.free_laws.laws.force_place import ForcePlace
+from discrepancy.free_laws.library import free_laws
 from synthcam.library import library
 from synthcam.model import Model
 
 CLIPS = exact(Model(), 5, 11)
 LAUNCHES = np.array([c.launch for c in CLIPS])
-SLOTS = {s.name: s for s in slots(Model(), LAUNCHES, CLIPS)}
+LAWS = {s.name: s for s in free_laws(Model(), LAUNCHES, CLIPS)}
 STEP = {"friction": 1e-3, "rolling": 3e-4, "force": 1e-3, "restitution": 1e-3, "spin": 1e-3, "warp": 1e-2}
-LAWS = [name for name in SLOTS if not name.endswith("_clip") and name != "lag_speed"]
+BENT = [name for name in LAWS if not name.endswith("_clip") and name != "lag_speed"]
 
 
 def moved(model, clips=CLIPS):
     return np.concatenate(forecast(model, LAUNCHES, clips))
 
 
-@pytest.mark.parametrize("name", LAWS)
+@pytest.mark.parametrize("name", BENT)
 def test_derivatives_are_those_of_the_forward_model(name):
-    slot, rng = SLOTS[name], np.random.default_rng(1)
+    law, rng = LAWS[name], np.random.default_rng(1)
     step = next(v for k, v in STEP.items() if name.startswith(k))
-    told = np.concatenate(columns(slot, Model(), LAUNCHES, CLIPS))
+    told = np.concatenate(law.columns(Model(), LAUNCHES, CLIPS))
     for _ in range(2):
-        way = rng.standard_normal(slot.size) / np.sqrt(slot.size)
-        ahead, behind = (moved(slot.bent(Model(), sign * step * way)) for sign in (1, -1))
+        way = rng.standard_normal(law.size) / np.sqrt(law.size)
+        ahead, behind = (moved(law.bent(Model(), sign * step * way)) for sign in (1, -1))
         true = (ahead - behind) / (2 * step)
         assert np.linalg.norm(told @ way - true) < 0.02 * np.linalg.norm(true)
 
 
-def test_an_empty_slot_changes_nothing():
-    for name in LAWS:
-        bent = SLOTS[name].bent(Model(), np.zeros(SLOTS[name].size))
+def test_an_empty_free_law_changes_nothing():
+    for name in BENT:
+        bent = LAWS[name].bent(Model(), np.zeros(LAWS[name].size))
         assert np.array_equal(moved(bent), moved(Model()))
 
 
-def test_a_filled_slot_replaces_an_earlier_one():
-    slot = SLOTS["restitution_speed"]
-    one, other = np.eye(slot.size)[:2] * 1e-3
-    twice = slot.bent(slot.bent(Model(), one), other)
+def test_a_filled_free_law_replaces_an_earlier_one():
+    law = LAWS["restitution_speed"]
+    one, other = np.eye(law.size)[:2] * 1e-3
+    twice = law.bent(law.bent(Model(), one), other)
     assert len(twice.effects) == 1
-    assert np.array_equal(moved(twice), moved(slot.bent(Model(), other)))
+    assert np.array_equal(moved(twice), moved(law.bent(Model(), other)))
 
 
-def test_slots_are_in_no_library():
-    assert not [e for e in library() if "slot" in e]
+def test_free_laws_are_no_effects():
+    assert not [e for e in library() if e in ("series", *LAWS)]
 
 
 def test_ranges_are_those_of_the_data():
     normal = LAUNCHES[:, 3] * np.sqrt(1 - LAUNCHES[:, 5] ** 2)
-    axis = SLOTS["restitution_speed"].axes[0]
+    axis = LAWS["restitution_speed"].axes[0]
     assert (axis.low, axis.high) == pytest.approx((normal.min(), normal.max()))
     base = Model()  # the target leaves with v = (1 + r)/2 v_n and a backspin of C v0
     fastest = (LAUNCHES[:, 3] * ((1 + base.restitution) / 2 + base.spin_transfer)).max()
-    assert SLOTS["friction_speed"].axes[0].high == pytest.approx(fastest, rel=0.03)
+    assert LAWS["friction_speed"].axes[0].high == pytest.approx(fastest, rel=0.03)
     ends = np.concatenate([c.xy[c.frame == c.frame.max()] for c in CLIPS])
-    x, y = SLOTS["force_place"].axes
+    x, y = LAWS["force_place"].axes
     assert np.all((ends[:, 0] > x.low - 1e-3) & (ends[:, 0] < x.high + 1e-3))
     assert np.all((ends[:, 1] > y.low - 1e-3) & (ends[:, 1] < y.high + 1e-3))
-    assert SLOTS["warp_place"].axes[0].unit == "px"
+    assert LAWS["warp_place"].axes[0].unit == "px"
 
 
 def test_a_warp_is_looked_for_where_balls_were_seen():
@@ -74,16 +76,16 @@ def test_a_warp_is_looked_for_where_balls_were_seen():
         dataclasses.replace(c, frame=c.frame[k], ball=c.ball[k], xy=c.xy[k], covariance=c.covariance[k])
         for c, k in zip(CLIPS, near, strict=True)
     ]
-    x, _ = next(s for s in slots(Model(), LAUNCHES, cut) if s.name == "warp_place").axes
+    x, _ = next(s for s in free_laws(Model(), LAUNCHES, cut) if s.name == "warp_place").axes
     xy = np.concatenate([c.xy for c in cut])
     seen = cut[0].camera.project(np.concatenate([xy, np.full((len(xy), 1), cut[0].camera.radius)], axis=1))[:, 0]
     assert (x.low, x.high) == (pytest.approx(seen.min()), pytest.approx(seen.max()))
 
 
 def test_a_picture_that_lags_is_a_later_contact():
-    slot, late = dataclasses.replace(SLOTS["lag_speed"], centred=False), 1e-4
-    coefs = late * (np.arange(slot.size) == 0)  # the first cosine is a constant
-    cleaned = slot.undone(CLIPS, Model(), LAUNCHES, coefs)
+    law, late = with_constant(LAWS["lag_speed"]), 1e-4
+    coefs = late * (np.arange(law.size) == 0)  # the first cosine is a constant
+    cleaned = law.undone(CLIPS, Model(), LAUNCHES, coefs)
     shift = np.concatenate([c.xy - d.xy for c, d in zip(CLIPS, cleaned, strict=True)])
     later = LAUNCHES + late * (np.arange(6) == 2)
     true = np.concatenate(forecast(Model(), later, CLIPS)) - moved(Model())
@@ -92,22 +94,22 @@ def test_a_picture_that_lags_is_a_later_contact():
 
 @pytest.mark.parametrize("name", ["lag_speed", "warp_place"])
 def test_a_law_whose_constant_means_nothing_has_none(name):
-    slot, one = SLOTS[name], SLOTS[name].size // SLOTS[name].parts
-    places = np.stack([p.ravel() for p in np.meshgrid(*(a.grid(200) for a in slot.axes))])
-    coefs = np.random.default_rng(1).standard_normal(slot.size)
-    assert np.abs(slot.values(coefs, *places).mean(axis=0)).max() < 1e-12
-    assert not slot.values(1.0 * (np.arange(slot.size) % one == 0), *places).any()  # the first cosine is a constant
-    parts = [slot.basis(*places[:, :9]) @ part for part in coefs.reshape(slot.parts, -1)]
-    assert slot.values(coefs, *places[:, :9]) == pytest.approx(np.squeeze(np.stack(parts, axis=-1)))
+    law, one = LAWS[name], LAWS[name].size // LAWS[name].parts
+    places = np.stack([p.ravel() for p in np.meshgrid(*(a.grid(200) for a in law.axes))])
+    coefs = np.random.default_rng(1).standard_normal(law.size)
+    assert np.abs(law.values(coefs, *places).mean(axis=0)).max() < 1e-12
+    assert not law.values(1.0 * (np.arange(law.size) % one == 0), *places).any()  # the first cosine is a constant
+    parts = [law.basis(*places[:, :9]) @ part for part in coefs.reshape(law.parts, -1)]
+    assert law.values(coefs, *places[:, :9]) == pytest.approx(np.squeeze(np.stack(parts, axis=-1)))
 
 
 @pytest.mark.parametrize("name", ["restitution_clip", "spin_transfer_clip"])
 def test_a_number_of_each_clip_moves_that_clip(name):
-    slot = SLOTS[name]
+    law = LAWS[name]
     coefs = 1e-3 * np.arange(5)
-    cleaned = slot.undone(CLIPS, Model(), LAUNCHES, coefs)
-    linear = columns(slot, Model(), LAUNCHES, CLIPS)
-    owner = slot.owners[0][0]
+    cleaned = law.undone(CLIPS, Model(), LAUNCHES, coefs)
+    linear = law.columns(Model(), LAUNCHES, CLIPS)
+    owner = law.owners[0][0]
     for k, (clip, rest) in enumerate(zip(CLIPS, cleaned, strict=True)):
         own = Model().replace({owner: Model().value(owner) + coefs[k]})
         true = forecast(own, LAUNCHES[k : k + 1], [clip])[0] - forecast(Model(), LAUNCHES[k : k + 1], [clip])[0]
@@ -116,8 +118,8 @@ def test_a_number_of_each_clip_moves_that_clip(name):
 
 
 def test_what_an_effect_can_hold_is_not_undone():
-    slot = SLOTS["force_speed"]
-    assert slot.undone(CLIPS, Model(), LAUNCHES, np.ones(slot.size)) == CLIPS
+    law = LAWS["force_speed"]
+    assert law.undone(CLIPS, Model(), LAUNCHES, np.ones(law.size)) == CLIPS
 
 
 def test_curves_of_an_angle_close():
@@ -135,7 +137,7 @@ def test_smooth_curves_fit_well_and_values_are_sums_of_the_basis():
     coefs = np.linalg.lstsq(axis.basis(v), np.sqrt(v), rcond=None)[0]
     assert np.abs(axis.basis(v) @ coefs - np.sqrt(v)).max() < 1e-4
     place = Axis("x", "m", -0.02, 0.02, 4)
-    field = Slot("force_place", "force", "m/s^2", (place, dataclasses.replace(place, name="y")), parts=2)
+    field = ForcePlace((place, dataclasses.replace(place, name="y")))
     rng = np.random.default_rng(2)
     coefs, x, y = rng.standard_normal(field.size), *rng.uniform(-0.02, 0.02, (2, 7))
     by_hand = np.stack([field.basis(x, y) @ part for part in coefs.reshape(2, -1)], axis=-1)

@@ -1,22 +1,26 @@
-"""Laws left free, of one ball alone or of both, over what they may depend on: against motions that know of no slot."""
+"""Free laws, of one ball alone or of both: against motions that know of none; one more is one file more."""
 
 import dataclasses
+import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
 from discrepancy_clips import exact, noisy, only
+from discrepancy_laws import with_constant
 
 from discrepancy.fitting.gauss_newton import BASE, Evidence, fit
 from discrepancy.fitting.predict import forecast
+from discrepancy.free_laws import laws
 from discrepancy.free_laws.answer import Answer, words
-from discrepancy.free_laws.free import ALONE, BENDS, PACE, SLOTS, UNBENT
-from discrepancy.free_laws.slots import columns, slots
+from discrepancy.free_laws.free_law import PACE
+from discrepancy.free_laws.library import free_laws, law_count, library
 from discrepancy.noise.model import Component, Noise
 from discrepancy.search import find
-from discrepancy.selection.free_law_contest import Slots
+from discrepancy.selection.free_law_contest import FreeLawContest
 from synthcam.effect import Effect, parameter
 from synthcam.effects.rolling_mismatch import RollingMismatch
-from synthcam.library import library
+from synthcam.library import library as effects
 from synthcam.model import Model
 
 NOISE = Noise(Component(1.0))
@@ -29,7 +33,8 @@ def exchanged(count, seed):
 
 CLIPS = exchanged(6, 11)
 LAUNCHES = np.array([c.launch for c in CLIPS])
-FREE = {s.name: s for s in slots(Model(), LAUNCHES, CLIPS)}
+FREE = {s.name: s for s in free_laws(Model(), LAUNCHES, CLIPS)}
+ALONE = ("friction_speed", "rolling_speed", "force_speed", "force_place")  # laws in which two balls may differ
 MINE = [c.ball == int(c.striker == "a") for c in CLIPS]
 
 
@@ -37,23 +42,27 @@ def moved(model, clips=CLIPS):
     return forecast(model, np.array([c.launch for c in clips]), clips)
 
 
-def constant(slot, part=0):
+def constant(law, part=0):
     """Coefficients of a law, or one part of it, that is one everywhere: the first cosine alone."""
-    return 1.0 * (np.arange(slot.size) == part * slot.size // slot.parts)
+    return 1.0 * (np.arange(law.size) == part * law.size // law.parts)
 
 
 def test_all_are_there_and_counted():
-    assert set(FREE) == {*BENDS, *UNBENT, *(f"{name}_{ball}" for name in ALONE for ball in "ab")}
-    assert len(FREE) == SLOTS
+    files = {p.stem for p in Path(laws.__file__).parent.glob("*.py")} - {"__init__"}
+    assert set(FREE) == {*files, *(f"{name}_{ball}" for name in ALONE for ball in "ab")}
+    assert len(FREE) == law_count()
+    for kind in library():
+        name = kind.__module__.rpartition(".")[2]
+        assert "".join(part.title() for part in name.split("_")) == kind.__name__
 
 
 @pytest.mark.parametrize("name", ALONE)
 def test_a_law_of_one_ball_moves_that_ball_alone_and_as_the_law_of_both_does(name):
-    slot, rng = FREE[f"{name}_a"], np.random.default_rng(1)
-    way = 1e-3 * rng.standard_normal(slot.size) / np.sqrt(slot.size)
-    alone = moved(slot.bent(Model(), way))
-    both = moved(dataclasses.replace(slot, name=name, ball="").bent(Model(), way))
-    other = moved(dataclasses.replace(slot, name=f"{name}_b", ball="b").bent(Model(), way))
+    law, rng = FREE[f"{name}_a"], np.random.default_rng(1)
+    way = 1e-3 * rng.standard_normal(law.size) / np.sqrt(law.size)
+    alone = moved(law.bent(Model(), way))
+    both = moved(dataclasses.replace(law, ball="").bent(Model(), way))
+    other = moved(dataclasses.replace(law, ball="b").bent(Model(), way))
     for mine, a, b, ab, none in zip(MINE, alone, other, both, moved(Model()), strict=True):
         for ours, theirs in ((a, mine), (b, ~mine)):
             np.testing.assert_allclose(ours[theirs], ab[theirs], rtol=0, atol=1e-10)
@@ -63,11 +72,11 @@ def test_a_law_of_one_ball_moves_that_ball_alone_and_as_the_law_of_both_does(nam
 
 @pytest.mark.parametrize("name", [f"{name}_{ball}" for name in ALONE for ball in "ab"])
 def test_derivatives_are_those_of_the_forward_model(name):
-    slot = FREE[name]
-    way = 1e-3 * np.random.default_rng(2).standard_normal(slot.size) / np.sqrt(slot.size)
-    ahead, behind = (np.concatenate(moved(slot.bent(Model(), sign * way))) for sign in (1, -1))
+    law = FREE[name]
+    way = 1e-3 * np.random.default_rng(2).standard_normal(law.size) / np.sqrt(law.size)
+    ahead, behind = (np.concatenate(moved(law.bent(Model(), sign * way))) for sign in (1, -1))
     true = (ahead - behind) / 2
-    told = np.concatenate(columns(slot, Model(), LAUNCHES, CLIPS)) @ way
+    told = np.concatenate(law.columns(Model(), LAUNCHES, CLIPS)) @ way
     assert np.linalg.norm(told - true) < 0.02 * np.linalg.norm(true)
 
 
@@ -84,8 +93,8 @@ def test_derivatives_are_those_of_the_forward_model(name):
 )
 def test_a_constant_law_is_a_number_of_the_model_or_an_effect(name, part, size, numbers):
     """Of a force on one ball: what a plate's tilt does to that ball."""
-    slot = dataclasses.replace(FREE[name], centred=False)
-    ours, known = moved(slot.bent(Model(), size * constant(slot, part))), Model().replace(numbers)
+    law = with_constant(FREE[name])
+    ours, known = moved(law.bent(Model(), size * constant(law, part))), Model().replace(numbers)
     if not numbers:
         known = Model().replace({"plate_tilt.x": np.arcsin(size / Model().gravity)})
     for own, a, b, none in zip(MINE, ours, moved(known), moved(Model()), strict=True):
@@ -96,12 +105,12 @@ def test_a_constant_law_is_a_number_of_the_model_or_an_effect(name, part, size, 
 
 @pytest.mark.parametrize("name", ["restitution_obliqueness", "spin_transfer_obliqueness", "spin_transfer_heading"])
 def test_a_law_of_the_impact_is_each_clips_own_number(name):
-    slot = FREE[name]
-    coefs = 1e-3 * np.random.default_rng(3).standard_normal(slot.size)
-    ours, owner = moved(slot.bent(Model(), coefs)), slot.owners[0][0]
+    law = FREE[name]
+    coefs = 1e-3 * np.random.default_rng(3).standard_normal(law.size)
+    ours, owner = moved(law.bent(Model(), coefs)), law.owners[0][0]
     for clip, xy in zip(CLIPS, ours, strict=True):
         x = clip.launch[4] if "heading" in name else abs(clip.launch[5])
-        own = Model().replace({owner: Model().value(owner) + float(slot.values(coefs, np.array([x]))[0])})
+        own = Model().replace({owner: Model().value(owner) + float(law.values(coefs, np.array([x]))[0])})
         np.testing.assert_allclose(xy, moved(own, [clip])[0], rtol=0, atol=1e-12)
 
 
@@ -136,17 +145,17 @@ def hiding(effect, count=12, seed=6):
 
 
 def contest(effect):
-    """The best slot beside the base model."""
+    """The best free law beside the base model."""
     clips = hiding(effect)
     base = fit(clips, Model(), BASE, NOISE)
-    return min(Slots(Evidence.of(clips, NOISE), base).filled, key=lambda f: f.score)
+    return min(FreeLawContest(Evidence.of(clips, NOISE), base).fitted, key=lambda f: f.score)
 
 
 def test_a_loss_by_heading_is_found_and_written():
     best = contest(Grain(0.1))
-    assert best.slot.name == "rolling_heading"
+    assert best.law.name == "rolling_heading"
     answer = Answer.of(best)
-    assert answer.law == "added rolling loss that depends on the heading"
+    assert answer.said == "added rolling loss that depends on the heading"
     assert "(2 th" in answer.formula
     assert "v in m/s" in answer.formula
     rest, pace = (0.1 * share * np.cos(2 * answer.x[0] - 0.7) for share in (0.0103, 0.135 * PACE))
@@ -158,8 +167,8 @@ def test_a_loss_by_heading_is_found_and_written():
 
 def test_a_friction_of_one_ball_is_found_and_said_to_be_of_that_ball():
     best = contest(Rust(0.02))
-    assert best.slot.name == "friction_speed_a"
-    assert words(best.slot) == "mu of ball a that depends on the slip speed"
+    assert best.law.name == "friction_speed_a"
+    assert words(best.law) == "mu of ball a that depends on the slip speed"
     answer = Answer.of(best)
     assert answer.formula.startswith("mu of ball a = 0.2")
     true, std = (
@@ -170,12 +179,65 @@ def test_a_friction_of_one_ball_is_found_and_said_to_be_of_that_ball():
     assert np.median(std) < 0.05 * np.ptp(true)
 
 
-def test_a_ball_that_rolls_worse_is_named_and_no_slot_is_declared(monkeypatch):
+def test_a_ball_that_rolls_worse_is_named_and_no_free_law_is_declared(monkeypatch):
     few = ("rolling_mismatch", "drag_mismatch", "mass_mismatch", "rolling_quadratic")
-    only(monkeypatch, **{name: library()[name] for name in few})
+    only(monkeypatch, **{name: effects()[name] for name in few})
     found = find(hiding(RollingMismatch(drag=0.02, decel=1e-3)), Model())
     assert [n.effect for n in found.named] == ["rolling_mismatch"]
-    assert found.slot is None
+    assert found.free_law is None
     named = found.named[0]
     for strength, true in (("drag", 0.02), ("decel", 1e-3)):
         assert abs(named.values[f"rolling_mismatch.{strength}"] - true) < 4 * named.std[f"rolling_mismatch.{strength}"]
+
+
+SIDE = '''
+"""Restitution that depends on the impact parameter, its sign included."""
+
+from discrepancy.data.launch import B
+from discrepancy.free_laws.basis import Axis
+from discrepancy.free_laws.free_law import ImpactLaw
+from discrepancy.free_laws.ranges import CURVE
+
+
+class RestitutionSide(ImpactLaw):
+    """Restitution that depends on the impact parameter, its sign included. No effect may ask for that."""
+
+    symbol = "r"
+    owners = (("restitution", 0),)
+
+    @staticmethod
+    def over(covered):
+        b = covered.launches[:, B]
+        return (Axis("impact parameter", "1", float(b.min()), float(b.max()), CURVE, letter="b"),)
+
+    def at_impact(self, launches):
+        return launches[:, B]
+'''
+
+
+@pytest.fixture
+def one_more(tmp_path, monkeypatch):
+    """A free law in a file that is dropped into the folder."""
+    (tmp_path / "restitution_side.py").write_text(SIDE)
+    monkeypatch.setattr(laws, "__path__", [*laws.__path__, str(tmp_path)])
+    before = law_count()
+    library.cache_clear()
+    yield before
+    sys.modules.pop("discrepancy.free_laws.laws.restitution_side", None)
+    library.cache_clear()
+
+
+def test_a_file_dropped_into_the_folder_is_found_fitted_and_named(one_more, monkeypatch):
+    only(monkeypatch, **{name: effects()[name] for name in ("velocity_restitution", "spin_transfer_velocity")})
+    clips = exact(Model(), 18, 6)
+    sides = [Model().replace({"restitution": 0.9 + 0.01 * np.tanh(c.launch[5] / 0.1)}) for c in clips]
+    seen = noisy([dataclasses.replace(c, xy=moved(m, [c])[0]) for c, m in zip(clips, sides, strict=True)], 6)
+    found = find(seen, Model())
+    assert law_count() == one_more + 1
+    assert (found.verdict, found.free_law.law.name) == ("outside_library", "restitution_side")
+    said = found.document()["outside"][0]
+    assert (said["slot"], said["law"]) == ("restitution_side", "r that depends on the impact parameter")
+    true = 0.9 + 0.01 * np.tanh(np.array(said["x"]) / 0.1)
+    low, high = np.array(said["band"]).T
+    assert np.mean((true > low) & (true < high)) >= 0.9
+    assert np.median(high - low) < 0.5 * np.ptp(true)

@@ -1,0 +1,28 @@
+"""A launch: the six numbers from which a model works out one collision, the columns of an array (clips, 6).
+
+The place x, y (m) and instant t_c (s) of the contact, the striker's speed v0 (m/s) and heading (rad) just before it,
+and the impact parameter b.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from synthcam.dynamics.batch import LAUNCH
+
+Array = NDArray[np.float64]
+
+SIZE = len(LAUNCH)
+X, Y, T_C, V0, HEADING, B = range(SIZE)
+PLACE = slice(X, T_C)
+
+
+def normal_speed(launches: Array) -> Array:
+    """The speed along the line of centres at the contact, (clips,), m/s."""
+    return np.asarray(launches[:, V0] * np.sqrt(1 - launches[:, B] ** 2))
+
+
+def possible(launches: Array) -> bool:
+    """Whether the striker moves, and hits, in each of (clips, 6)."""
+    return bool(np.all(np.abs(launches[:, B]) < 1) and np.all(launches[:, V0] > 0))

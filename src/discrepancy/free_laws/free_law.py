@@ -1,0 +1,281 @@
+"""A free law: a law left free as a series over the range that the data cover, in place of a formula.
+
+Each file of `laws` holds one, found by its being there. `MotionLaw` bends a law that acts all along the motion,
+`ImpactLaw` one that is asked once a collision, `ClipNumber` gives each clip a number of its own; what is none of these
+brings its own derivatives.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from discrepancy.data.collisions import Measured
+from discrepancy.fitting.jacobian import derivative
+from discrepancy.fitting.predict import forecast
+from discrepancy.fitting.response import Leg, responses
+from discrepancy.free_laws.basis import Axis
+from discrepancy.free_laws.ranges import Ranges, over_clips
+from synthcam.effect import Effect, Parameter
+from synthcam.model import Model
+
+Array = NDArray[np.float64]
+
+MEAN = 200  # places on each axis, to take a mean over
+PACE = 0.1  # m/s: at this speed a rolling loss's part in proportion to the speed counts as its constant part does
+
+
+@dataclass(frozen=True)
+class FreeLaw(ABC):
+    """A law left free over its axes (two for a map of places), of both balls alike or of one alone.
+
+    Attributes
+    ----------
+    axes : tuple of Axis
+        What it depends on, over the ranges that the tracks cover.
+    ball : str
+        "a" or "b" where the law is that of one ball alone.
+    symbol, unit : str
+        What it is, for people.
+    parts : int
+        2 for a vector, or for a law that is the sum of two.
+    part_names : tuple of str
+        For people; one empty name of a law of one part.
+    owners : tuple of (str, int)
+        The base parameters that make the law, each times the axis to a power; what the free law adds to.
+    centred : bool
+        A constant means nothing, since launches or base parameters absorb it, but for what their derivatives are wrong
+        by: there is none.
+    one_ball : bool
+        Whether balls may differ in it: it is then left free for ball a and for ball b alone, too.
+    bends : (str, str) or None
+        The law that an effect of it bends, and what that depends on, as an effect asks for it; None where no effect can
+        hold it.
+    """
+
+    axes: tuple[Axis, ...]
+    ball: str = ""
+
+    symbol: ClassVar[str]
+    unit: ClassVar[str] = "1"
+    parts: ClassVar[int] = 1
+    part_names: ClassVar[tuple[str, ...]] = ("",)
+    owners: ClassVar[tuple[tuple[str, int], ...]] = ()
+    centred: ClassVar[bool] = False
+    one_ball: ClassVar[bool] = False
+    paced: ClassVar[bool] = False
+    bends: ClassVar[tuple[str, str] | None] = None
+
+    @staticmethod
+    @abstractmethod
+    def over(covered: Ranges) -> tuple[Axis, ...]:
+        """Its axes over what the tracks cover; none where they show nothing of it."""
+
+    @abstractmethod
+    def columns(self, model: Model, launches: Array, clips: Sequence[Measured]) -> list[Array]:
+        """d forecast / d each coefficient, (n_k, 2, size) of each clip, about a model that may hold the law."""
+
+    @property
+    def name(self) -> str:
+        """The name of its file, and of the ball that it is of."""
+        return type(self).__module__.rpartition(".")[2] + (f"_{self.ball}" if self.ball else "")
+
+    @property
+    def whose(self) -> str:
+        """ " of ball a", or nothing."""
+        return f" of ball {self.ball}" if self.ball else ""
+
+    @property
+    def title(self) -> str:
+        """Its symbol, and whose it is."""
+        return self.symbol + self.whose
+
+    @property
+    def each_clip(self) -> bool:
+        """Whether it is a number of each clip."""
+        return self.axes[0].kind == "set"
+
+    @property
+    def size(self) -> int:
+        """How many coefficients; those of the second part follow those of the first."""
+        return self.parts * int(np.prod([a.count for a in self.axes]))
+
+    @cached_property
+    def _middle(self) -> Array | float:
+        """What is taken out of the series where it is centred: its mean over the range, (coefficients of one part,)."""
+        if not self.centred:
+            return 0.0
+        means = [a.basis(a.grid(MEAN)).mean(axis=0) for a in self.axes]
+        return np.asarray(means[0] if len(means) == 1 else np.outer(*means).ravel())
+
+    def basis(self, *x: Any) -> Array:
+        """(..., coefficients of one part) at x, one array for each axis."""
+        if len(self.axes) == 1:
+            return self.axes[0].basis(x[0]) - self._middle
+        first, second = (a.basis(v) for a, v in zip(self.axes, x, strict=True))
+        return np.asarray((first[..., :, None] * second[..., None, :]).reshape(*first.shape[:-1], -1)) - self._middle
+
+    def values(self, coefs: Array, *x: Any) -> Array:
+        """What the series adds to the law: (...), or (..., 2) of two parts."""
+        parts = np.reshape(coefs, (self.parts, -1))
+        if len(self.axes) == 2:
+            first, second = (a.basis(v) for a, v in zip(self.axes, x, strict=True))
+            grid = parts.reshape(self.parts, self.axes[0].count, -1)
+            out = np.einsum("...i,...j,pij->...p", first, second, grid, optimize=True)
+        else:
+            out = self.axes[0].basis(x[0]) @ parts.T
+        if self.centred:
+            out = out - parts @ self._middle
+        return np.asarray(out[..., 0] if self.parts == 1 else out)
+
+    def spread(self, *lengths: float) -> Array:
+        """Prior variances of all coefficients, (size,), of a law that changes over a length, or one of each axis."""
+        out = np.ones(1)
+        for axis, length in zip(self.axes, lengths * (len(self.axes) // len(lengths)), strict=True):
+            out = np.outer(out, axis.spread(length)).ravel()
+        return np.tile(out, self.parts)
+
+    def places(self, what: Any) -> tuple[Array, ...]:
+        """Where on its axes an instant is: an array for each. what: what its law depends on, (...) or (..., 2)."""
+        if len(self.axes) == 2:
+            return what[..., 0], what[..., 1]
+        return (np.asarray(np.arctan2(what[..., 1], what[..., 0])) if self.axes[0].kind == "circle" else what,)
+
+    def factors(self, what: Any, speed: Any) -> Array | None:
+        """What its parts are factors of: (..., parts) of a number, (..., 2, parts) of a force. None: of nothing."""
+        return None
+
+    def undone(self, clips: Sequence[Measured], model: Model, launches: Array, coefs: Array) -> list[Measured]:
+        """The clips with what the law moved taken out of them, where no effect can hold it."""
+        if self.bends or not np.any(coefs):
+            return list(clips)
+        moved = self._moved(clips, model, launches, coefs)
+        return [replace(c, xy=c.xy - m) for c, m in zip(clips, moved, strict=True)]
+
+    def _moved(self, clips: Sequence[Measured], model: Model, launches: Array, coefs: Array) -> list[Array]:
+        """What the law moves the tracks by, (n_k, 2), where no effect can hold it."""
+        return [m @ coefs for m in self.columns(model, launches, clips)]
+
+    def bent(self, model: Model, coefs: Array) -> Model:
+        """The model with the law in it; as it was where no effect can hold it."""
+        if not self.bends:
+            return model
+        others = tuple(e for e in model.effects if not (isinstance(e, LawEffect) and e.law.name == self.name))
+        return replace(model, effects=(*others, LawEffect(self, tuple(np.asarray(coefs, dtype=float).tolist()))))
+
+
+class MotionLaw(FreeLaw):
+    """A law that acts all along the motion; its derivatives are integrals over the motion."""
+
+    def columns(self, model: Model, launches: Array, clips: Sequence[Measured]) -> list[Array]:
+        assert self.bends
+        law, name = self.bends
+
+        def change(leg: Leg) -> Array:
+            what = leg.place if name == "position" else getattr(leg, name)
+            weights = self.basis(*self.places(what))
+            factors = self.factors(what, leg.speed)
+            if factors is None:
+                return weights
+            weights = weights[..., None, :] if law == "push" else weights
+            return np.concatenate([factors[..., p, None] * weights for p in range(self.parts)], axis=-1)
+
+        moves = responses(model, launches, clips, {law: change}, self.size)
+        if not self.ball:
+            return moves
+        mine = [c.ball == int(c.striker == self.ball) for c in clips]  # a law of one ball moves no other
+        return [np.where(own[:, None, None], m, 0.0) for own, m in zip(mine, moves, strict=True)]
+
+
+class PacedLaw(MotionLaw):
+    """A rolling loss of two parts: a constant one, and one in proportion to the speed, given as it is at PACE."""
+
+    symbol = "added rolling loss"
+    unit = "m/s^2"
+    parts = 2
+    part_names = ("constant", f"with the speed, at {PACE:g} m/s")
+    centred = True
+    paced = True
+
+    def factors(self, what: Any, speed: Any) -> Array:
+        return np.stack([np.ones_like(speed), speed / PACE], axis=-1)
+
+
+class ImpactLaw(FreeLaw):
+    """A law of its one owner that is asked once a collision; its derivatives are the owner's."""
+
+    @abstractmethod
+    def at_impact(self, launches: Array) -> Array:
+        """Where each clip's impact stands on the axis: (clips,). A ball that rolls in meets at its own speed."""
+
+    def columns(self, model: Model, launches: Array, clips: Sequence[Measured]) -> list[Array]:
+        slopes = derivative(model, launches, clips, self.owners[0][0])
+        weights = self.basis(self.at_impact(launches))
+        return [s[..., None] * w for s, w in zip(slopes, weights, strict=True)]
+
+
+class ClipNumber(ImpactLaw):
+    """A number of its one owner for each clip. No effect can hold it, since a model is that of all clips."""
+
+    @staticmethod
+    def over(covered: Ranges) -> tuple[Axis, ...]:
+        return over_clips(len(covered.clips))
+
+    def at_impact(self, launches: Array) -> Array:
+        return np.arange(len(launches), dtype=float)
+
+    def _moved(self, clips: Sequence[Measured], model: Model, launches: Array, coefs: Array) -> list[Array]:
+        owner, moved = self.owners[0][0], []
+        for k, clip in enumerate(clips):
+            own, start = self.basis(np.array(k)) @ coefs, launches[k : k + 1]
+            bent = forecast(model.replace({owner: model.value(owner) + float(own)}), start, [clip])
+            moved.append(bent[0] - forecast(model, start, [clip])[0])
+        return moved
+
+
+@dataclass(frozen=True)
+class LawEffect(Effect):
+    """A free law with its coefficients as an effect: it has no parameters, since no file can hold it."""
+
+    law: FreeLaw
+    coefs: tuple[float, ...]
+
+    @classmethod
+    def name(cls) -> str:
+        return "series"
+
+    @classmethod
+    def parameters(cls) -> tuple[Parameter, ...]:
+        return ()
+
+    @property
+    def active(self) -> bool:
+        return any(self.coefs)
+
+    @property
+    def bends(self) -> Iterator[tuple[str, Callable[..., Any], tuple[str, ...]]]:
+        if self.law.bends:
+            law, what = self.law.bends
+            asks = dict.fromkeys([what] * bool(what) + ["speed"] * (law == "rolling") + ["of_a"] * bool(self.law.ball))
+            yield law, lambda value, *known: self._added(value, dict(zip(asks, known, strict=True))), tuple(asks)
+
+    def _added(self, value: Any, instant: Mapping[str, Any]) -> Any:
+        """The law's value, bent."""
+        assert self.law.bends
+        law, name = self.law.bends
+        what = instant[name] if name else value
+        out = self.law.values(np.array(self.coefs), *self.law.places(what))
+        factors = self.law.factors(what, instant.get("speed"))
+        if factors is not None:
+            parts = out if self.law.parts > 1 else out[..., None]
+            out = (factors * (parts[..., None, :] if law == "push" else parts)).sum(axis=-1)
+        if self.law.ball:
+            share = instant["of_a"] if self.law.ball == "a" else 1 - instant["of_a"]
+            out = out * (np.asarray(share)[..., None] if law == "push" else share)
+        return value + out

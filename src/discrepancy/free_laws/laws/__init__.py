@@ -1,0 +1,1 @@
+"""The free laws, one file each."""

@@ -1,0 +1,32 @@
+"""A force over mass and speed, along the motion and across it, that depends on the heading."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from discrepancy.free_laws.basis import Axis
+from discrepancy.free_laws.free_law import MotionLaw
+from discrepancy.free_laws.ranges import Ranges, over_heading
+
+Array = NDArray[np.float64]
+
+
+class ForceHeading(MotionLaw):
+    """A force over mass and speed, along the motion and across it, that depends on the heading."""
+
+    symbol = "force over mass and speed"
+    unit = "1/s"
+    parts = 2
+    part_names = ("along", "across")
+    bends = ("push", "velocity")
+
+    @staticmethod
+    def over(covered: Ranges) -> tuple[Axis, ...]:
+        return over_heading()
+
+    def factors(self, what: Any, speed: Any) -> Array:
+        # in proportion to the velocity: a ball that stops feels none
+        return np.stack([what, np.stack([-what[..., 1], what[..., 0]], axis=-1)], axis=-1)

@@ -1,0 +1,32 @@
+"""A force over mass, a vector that depends on the place."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from discrepancy.free_laws.basis import Axis
+from discrepancy.free_laws.free_law import MotionLaw
+from discrepancy.free_laws.ranges import FIELD, Ranges, over_place
+
+Array = NDArray[np.float64]
+
+
+class ForcePlace(MotionLaw):
+    """A force over mass, a vector that depends on the place."""
+
+    symbol = "force over mass"
+    unit = "m/s^2"
+    parts = 2
+    part_names = ("x", "y")
+    one_ball = True
+    bends = ("push", "position")
+
+    @staticmethod
+    def over(covered: Ranges) -> tuple[Axis, ...]:
+        return over_place(covered.places, FIELD)
+
+    def factors(self, what: Any, speed: Any) -> Array:
+        return np.broadcast_to(np.eye(2), (*what.shape, 2))

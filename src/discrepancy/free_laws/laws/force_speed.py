@@ -1,0 +1,38 @@
+"""A force over mass along the motion that depends on the speed."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from discrepancy.free_laws.basis import Axis
+from discrepancy.free_laws.free_law import MotionLaw
+from discrepancy.free_laws.ranges import Ranges, over_speed
+
+Array = NDArray[np.float64]
+
+
+class ForceSpeed(MotionLaw):
+    """A force over mass along the motion that depends on the speed."""
+
+    symbol = "force over mass"
+    unit = "m/s^2"
+    one_ball = True
+    bends = ("push", "velocity")
+
+    @staticmethod
+    def over(covered: Ranges) -> tuple[Axis, ...]:
+        return over_speed("speed", "v", covered.speeds, 0.0)
+
+    @property
+    def title(self) -> str:
+        return f"{self.symbol}{self.whose} along the motion"
+
+    def places(self, what: Any) -> tuple[Array, ...]:
+        return (np.asarray(np.hypot(what[..., 0], what[..., 1])),)
+
+    def factors(self, what: Any, speed: Any) -> Array:
+        size = np.maximum(np.hypot(what[..., 0], what[..., 1]), 1e-9)
+        return np.asarray((what / size[..., None])[..., None])

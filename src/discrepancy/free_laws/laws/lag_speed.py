@@ -1,0 +1,33 @@
+"""A lag of the picture behind the motion that depends on the speed: no effect can hold it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from discrepancy.data.collisions import Measured
+from discrepancy.fitting.predict import velocities
+from discrepancy.free_laws.basis import Axis
+from discrepancy.free_laws.free_law import FreeLaw
+from discrepancy.free_laws.ranges import Ranges, over_speed
+from synthcam.model import Model
+
+Array = NDArray[np.float64]
+
+
+class LagSpeed(FreeLaw):
+    """A lag of the picture behind the motion that depends on the speed: no effect can hold it."""
+
+    symbol = "lag of the picture"
+    unit = "s"
+    centred = True
+
+    @staticmethod
+    def over(covered: Ranges) -> tuple[Axis, ...]:
+        return over_speed("speed", "v", covered.speeds, 0.0)
+
+    def columns(self, model: Model, launches: Array, clips: Sequence[Measured]) -> list[Array]:
+        seen = velocities(model, launches, clips)
+        return [-v[..., None] * self.basis(np.hypot(v[:, 0], v[:, 1]))[:, None] for v in seen]

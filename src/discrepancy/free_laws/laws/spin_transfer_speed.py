@@ -1,0 +1,28 @@
+"""Spin transfer that depends on the contact speed."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from discrepancy.data.launch import V0
+from discrepancy.free_laws.basis import Axis
+from discrepancy.free_laws.free_law import ImpactLaw
+from discrepancy.free_laws.ranges import Ranges, over_speed
+
+Array = NDArray[np.float64]
+
+
+class SpinTransferSpeed(ImpactLaw):
+    """Spin transfer that depends on the contact speed."""
+
+    symbol = "C"
+    owners = (("spin_transfer", 0),)
+    bends = ("spin_transfer", "contact_speed")
+
+    @staticmethod
+    def over(covered: Ranges) -> tuple[Axis, ...]:
+        return over_speed("contact speed", "v", covered.launches[:, V0])
+
+    def at_impact(self, launches: Array) -> Array:
+        return launches[:, V0]

@@ -1,0 +1,46 @@
+"""A shift of the picture that depends on the place in it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from discrepancy.data.collisions import Measured
+from discrepancy.fitting.predict import forecast
+from discrepancy.free_laws.basis import Axis
+from discrepancy.free_laws.free_law import FreeLaw
+from discrepancy.free_laws.ranges import FIELD, Ranges, over_place
+from synthcam.model import Model
+
+Array = NDArray[np.float64]
+
+
+class WarpPlace(FreeLaw):
+    """A shift of the picture that depends on the place in it."""
+
+    symbol = "shift of the picture"
+    unit = "px"
+    parts = 2
+    part_names = ("x", "y")
+    centred = True
+    bends = ("measure", "")
+
+    @staticmethod
+    def over(covered: Ranges) -> tuple[Axis, ...]:
+        seen = np.concatenate([c.xy for c in covered.clips])  # a ball may move where no camera looks
+        return over_place(_pixels(covered.clips[0], seen), FIELD, "px")
+
+    def columns(self, model: Model, launches: Array, clips: Sequence[Measured]) -> list[Array]:
+        out = []
+        for clip, xy in zip(clips, forecast(model, launches, clips), strict=True):
+            pixels = _pixels(clip, xy)
+            slope, weights = clip.camera.unproject(pixels)[1], self.basis(pixels[:, 0], pixels[:, 1])
+            out.append((slope[..., None] * weights[:, None, None]).reshape(len(xy), 2, -1))
+        return out
+
+
+def _pixels(clip: Measured, xy: Array) -> Array:
+    """Where the camera sees centres (n, 2), m: (n, 2), px."""
+    return np.asarray(clip.camera.project(np.concatenate([xy, np.full((len(xy), 1), clip.camera.radius)], axis=1)))

@@ -1,0 +1,105 @@
+"""What ranges the tracks cover, and the axes over them that a law may be left free in."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from discrepancy.data.collisions import Measured
+from discrepancy.free_laws.basis import Axis
+from synthcam.dynamics.batch import collisions
+from synthcam.dynamics.kinematics import contact_velocity
+from synthcam.model import Model
+
+Array = NDArray[np.float64]
+
+CURVE, TURN, MAP, FIELD = 20, 9, 12, 8  # coefficients: of a curve, of one of angles, a side of a map, and of a field
+EACH = 120  # clips: of more, no number of each is fitted
+SLIPS = 1e-5  # m/s: a ball whose contact is slower rolls
+SAMPLES = 300  # instants at which the base fit's motion is looked at for the ranges that it covers
+OBLIQUE = 0.1  # of the impact parameter: a law of it is looked at up to there at least
+
+
+@dataclass(frozen=True)
+class Ranges:
+    """The motion of a fit, sampled and flattened over clips and instants; of both balls or of one.
+
+    Attributes
+    ----------
+    launches : (clips, 6) array
+        Columns as in `discrepancy.data.launch`.
+    clips : sequence of Measured
+    slips : (m,) array
+        Contact speeds while sliding, m/s.
+    slip_places : (m, 2) array
+        Places there, m.
+    places, speeds : (p, 2) and (p,) arrays
+        Of moving balls, m and m/s.
+    roll_speeds, roll_places : (q,) and (q, 2) arrays
+        While rolling, m/s and m.
+    """
+
+    launches: Array
+    clips: Sequence[Measured]
+    slips: Array
+    slip_places: Array
+    places: Array
+    speeds: Array
+    roll_speeds: Array
+    roll_places: Array
+
+
+def ranges(model: Model, launches: Array, clips: Sequence[Measured]) -> dict[str, Ranges]:
+    """What the motion of a fit covers: of both balls "", of ball "a" and of ball "b"."""
+    first, last = min(int(c.frame.min()) for c in clips), max(int(c.frame.max()) for c in clips)
+    times = np.linspace(min(first / clips[0].fps, launches[:, 2].min()), (last + 1) / clips[0].fps, SAMPLES)
+    a_strikes = np.array([c.striker == "a" for c in clips])
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+        states = np.nan_to_num(collisions(model, launches, times[0], times[-1], a_strikes).at(times))
+    slip = np.hypot(*np.moveaxis(contact_velocity(states, model.ball.radius), -1, 0))
+    speed, place = np.hypot(states[..., 3], states[..., 4]), states[..., :2]
+
+    def covered(slip: Array, speed: Array, place: Array) -> Ranges:
+        slides, moves = slip > SLIPS, speed > SLIPS
+        rolls = moves & ~slides
+        own = slip[slides], place[slides], place[moves], speed[moves], speed[rolls], place[rolls]
+        return Ranges(launches, clips, *own)
+
+    is_a = np.stack([~a_strikes, a_strikes])
+    mine = {"": np.ones_like(is_a), "a": is_a, "b": ~is_a}
+    return {ball: covered(slip[own], speed[own], place[own]) for ball, own in mine.items()}
+
+
+def over_speed(name: str, letter: str, values: Array, low: float | None = None) -> tuple[Axis, ...]:
+    """The axis of a curve over speeds (n,), m/s, from the least of them or from `low`; none where there are none."""
+    if not len(values):
+        return ()
+    least = float(values.min()) if low is None else low
+    return (Axis(name, "m/s", least, float(values.max()), CURVE, letter=letter),)
+
+
+def over_heading() -> tuple[Axis, ...]:
+    """The axis of a curve over all directions, rad."""
+    return (Axis("heading", "rad", -np.pi, np.pi, TURN, "circle", "th"),)
+
+
+def over_obliqueness(launches: Array) -> tuple[Axis, ...]:
+    """The axis of a curve over the impact parameters' sizes."""
+    most = max(float(np.abs(launches[:, 5]).max()), OBLIQUE)
+    return (Axis("obliqueness", "1", 0.0, most, CURVE, letter="|b|"),)
+
+
+def over_clips(count: int) -> tuple[Axis, ...]:
+    """The axis of a number for each of so many clips; none of very many."""
+    return (Axis("clip", "1", 0.0, count - 1.0, count, "set"),) if count <= EACH else ()
+
+
+def over_place(values: Array, count: int, unit: str = "m") -> tuple[Axis, ...]:
+    """Both axes of a map or field over places (n, 2), with `count` coefficients a side; none where there are none."""
+    if not len(values):
+        return ()
+    ends = zip("xy", values.min(axis=0).tolist(), values.max(axis=0).tolist(), strict=True)
+    return tuple(Axis(name, unit, low, high, count) for name, low, high in ends)
