@@ -12,7 +12,7 @@ $(READY): requirements.lock pyproject.toml tools/setup.sh
 	@touch $@
 
 demo: $(READY)
-	@$(BIN)/python benchmarks/demo.py
+	@$(BIN)/python -m benchmarks.demo
 
 lint: $(READY)
 	$(BIN)/ruff check .
@@ -25,14 +25,14 @@ test: lint types
 	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist loadfile
 
 gate: $(READY)
-	$(BIN)/python benchmarks/regression/gate.py
+	$(BIN)/python -m benchmarks.regression.gate
 
 coverage: $(READY)
 	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist loadfile --cov --cov-report=term:skip-covered --cov-report=html:out/coverage
 
-# long studies: benchmarks/*/NAME.py, results in out/
+# long studies: python -m benchmarks.FOLDER.NAME, results in out/
 bench-%: $(READY)
-	$(BIN)/python benchmarks/*/$(subst -,_,$*).py
+	$(BIN)/python -m $(subst /,.,$(basename $(wildcard benchmarks/*/$(subst -,_,$*).py)))
 
 # run the notebooks of examples/ and store their outputs
 notebooks: $(READY)

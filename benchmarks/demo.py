@@ -4,28 +4,17 @@ from __future__ import annotations
 
 import json
 import shutil
-import subprocess
-import sys
 from pathlib import Path
 
 from rich.console import Console
 from rich.table import Table
 
-ROOT = Path(__file__).resolve().parent.parent
+from benchmarks.harness import ROOT, run
+
 DEMO = ROOT / "demo"
 SCENE = "scenes/painter_behringer.yaml"
 SHOWN = "v0 b r s mu_k C tau1 tau2 v1f v2f energy_fraction momentum_fraction".split()
 TILT = ("effects.plate_tilt.x=1.0e-3", "effects.plate_tilt.y=-0.5e-3")
-
-
-def run(*command: str) -> str:
-    """Run one of the project's commands, shown as typed; its last line of output."""
-    print("$", *command, flush=True)
-    program = Path(sys.executable).with_name(command[0])
-    done = subprocess.run([program, *command[1:]], cwd=ROOT, stdout=subprocess.PIPE, text=True)
-    if done.returncode:
-        sys.exit(done.returncode)
-    return done.stdout.strip()
 
 
 def quantities(score: Path) -> Table:
@@ -45,14 +34,14 @@ def quantities(score: Path) -> Table:
 def main() -> None:
     shutil.rmtree(DEMO, ignore_errors=True)
     DEMO.mkdir()
-    run("synthcam", "preview", SCENE, "-o", "demo/frame.png")
-    run("synthcam", "generate", SCENE, "-o", "demo/paper", "--clips", "12")
-    run("tracker", "track", "demo/paper", "-o", "demo/tracked")
-    run("tracker", "score", "demo/tracked", "--truth", "demo/paper", "-o", "demo/score")
+    run("synthcam", "preview", SCENE, "-o", "demo/frame.png", quiet=True)
+    run("synthcam", "generate", SCENE, "-o", "demo/paper", "--clips", "12", quiet=True)
+    run("tracker", "track", "demo/paper", "-o", "demo/tracked", quiet=True)
+    run("tracker", "score", "demo/tracked", "--truth", "demo/paper", "-o", "demo/score", quiet=True)
     tilted = [x for value in TILT for x in ("--set", value)]
-    run("synthcam", "generate", SCENE, "-o", "demo/hidden", "--clips", "12", "--seed", "1", *tilted)
-    run("tracker", "track", "demo/hidden", "-o", "demo/hidden_tracked")
-    said = run("discrepancy", "find", "demo/hidden_tracked", "--model", SCENE, "-o", "demo/search")
+    run("synthcam", "generate", SCENE, "-o", "demo/hidden", "--clips", "12", "--seed", "1", *tilted, quiet=True)
+    run("tracker", "track", "demo/hidden", "-o", "demo/hidden_tracked", quiet=True)
+    said = run("discrepancy", "find", "demo/hidden_tracked", "--model", SCENE, "-o", "demo/search", quiet=True)
     console = Console(width=100)
     console.print(quantities(DEMO / "score" / "score.json"))
     console.print(said.splitlines()[0], style="bold", highlight=False)

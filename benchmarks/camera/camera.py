@@ -1,6 +1,6 @@
 """How true and how fast is the camera? Pictures against float64 rays, noise against EMVA 1288, frames a second.
 
-benchmarks/camera/camera.py [--pairs 60] [--balls 12] [--clips 60] [-o out/camera.json]    about three minutes
+python -m benchmarks.camera.camera [--pairs 60] [--balls 12] [--clips 60] [-o out/camera.json]    about three minutes
 """
 
 from __future__ import annotations
@@ -18,12 +18,13 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import camera_reference as reference
 import numpy as np
 from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 
+from benchmarks.camera import camera_reference as reference
+from benchmarks.harness import ROOT, run, save
 from synthcam.camera import reflections
 from synthcam.camera.exposure import Picture
 from synthcam.camera.glints import find_glints
@@ -34,7 +35,6 @@ from synthcam.camera.sensor import Chip, Sensor
 from synthcam.camera.surface import IRON, Surface
 
 BLACK = {"metal": np.array([1.0, 1e-9]), "zenith": 0.0}  # the refractive index of air: no reflection
-ROOT = Path(__file__).resolve().parents[2]
 Array = NDArray[np.float64]
 R = 1.19e-3
 LAMP = Lamp(np.array([0.05, 0.0, 0.45]), 0.01)
@@ -283,9 +283,7 @@ def speed(clips: int) -> dict[str, float]:
         for n in [*runs, *runs]:
             used, started = _children(), time.perf_counter()
             dataset = Path(folder, "film")
-            words = ["generate", str(scene), "-o", str(dataset), "--clips", str(n), "--workers", "2"]
-            program = Path(sys.executable).with_name("synthcam")
-            subprocess.run([program, *words], check=True, stdout=subprocess.DEVNULL)
+            run("synthcam", "generate", scene, "-o", dataset, "--clips", str(n), "--workers", "2", quiet=True)
             taken = time.perf_counter() - started, _children() - used
             runs[n] = min(runs[n][0], taken[0]), min(runs[n][1], taken[1])
             shutil.rmtree(dataset)
@@ -371,10 +369,9 @@ def main() -> None:
     console = Console(width=110)
     console.print(table)
     console.print(f"OpenGL: {gl_info()}; {os.cpu_count()} cores, load before the start: {load:.1f}", highlight=False)
-    options.output.parent.mkdir(parents=True, exist_ok=True)
     goals = {name: goal(name) for name in figures if goal(name)[0]}
     document = {"figures": figures, "goals": goals, "gl": gl_info(), "cores": os.cpu_count(), "load": load}
-    options.output.write_text(json.dumps(document, indent=1) + "\n")
+    save(options.output, document)
     sys.exit(f"missed: {', '.join(missed)}" if missed else 0)
 
 

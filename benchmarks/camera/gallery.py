@@ -1,6 +1,6 @@
 """The pictures of docs/pictures.md: each a scene and a crop, magnified, with the faint brought out where it says so.
 
-benchmarks/camera/gallery.py [-o docs/pictures]
+python -m benchmarks.camera.gallery [-o docs/pictures]
 """
 
 from __future__ import annotations
@@ -14,10 +14,10 @@ import imageio.v3 as imageio
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.harness import ROOT
 from synthcam.scene.clip import Clip
 from synthcam.scene.scene import check_scene
 
-ROOT = Path(__file__).resolve().parents[2]
 Counts = NDArray[Any]
 ONE = {"launch": {"kind": "single", "contact": [0.0, 0.0], "v0": 0.01}}
 TWO = {"launch": {"v0": 0.3, "b": 0.3, "heading": 0.5, "contact": [0.0, 0.0]}}

@@ -1,13 +1,12 @@
 """How accurate is the tracker on `benchmark`? Against the truth, the Cramer-Rao bounds, and the paper's own method.
 
-benchmarks/regression/accuracy.py [--clips 100] [--scene scenes/benchmark.yaml] [-o out/accuracy]
+python -m benchmarks.regression.accuracy [--clips 100] [--scene scenes/benchmark.yaml] [-o out/accuracy]
 """
 
 from __future__ import annotations
 
 import argparse
 import shutil
-import subprocess
 import sys
 from pathlib import Path
 
@@ -15,21 +14,14 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
+from benchmarks.harness import ROOT, run
 from tracker.scoring.score import score
 
-ROOT = Path(__file__).resolve().parents[2]
 FAST = 0.2  # m/s
 GOALS = {"r": 1e-3, "energy_fraction": 1e-3, "tau1": 2e-4}  # rmse of the tied fit above FAST
 FREE = 1.5  # rmse over bound of the free fit, at most
 README = {"r": ("restitution r", 1, ""), "energy_fraction": ("energy fraction", 1, ""), "tau1": ("tau1", 1e3, " ms")}
 QUANTITIES = "r s tau1 tau2 mu_k C v1f v2f energy_fraction momentum_fraction".split()
-
-
-def run(*command: str) -> None:
-    print("$", *command, flush=True)
-    program = Path(sys.executable).with_name(command[0])
-    if (done := subprocess.run([program, *command[1:]], cwd=ROOT)).returncode:
-        sys.exit(done.returncode)
 
 
 def main() -> None:

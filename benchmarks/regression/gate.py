@@ -23,7 +23,6 @@ import argparse
 import json
 import math
 import shutil
-import subprocess
 import sys
 import tempfile
 from pathlib import Path
@@ -31,7 +30,8 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-ROOT = Path(__file__).resolve().parents[2]
+from benchmarks.harness import ROOT, run, save
+
 BASELINE = Path(__file__).with_name("baseline.json")
 CHANGELOG = ROOT / "CHANGELOG.md"
 SCENE = "scenes/benchmark.yaml"
@@ -50,15 +50,8 @@ COVERED = {"cover68": 0.682689, "cover95": 0.95}
 Figures = dict[str, float]
 
 
-def run(*command: str) -> None:
-    program = Path(sys.executable).with_name(command[0])
-    done = subprocess.run([program, *command[1:]], cwd=ROOT, stdout=subprocess.DEVNULL)
-    if done.returncode:
-        sys.exit(f"gate: {' '.join(command)} ended with status {done.returncode}")
-
-
 def scored(results: Path, dataset: Path, report: Path) -> dict[str, dict[str, dict[str, float]]]:
-    run("tracker", "score", str(results), "--truth", str(dataset), "-o", str(report))
+    run("tracker", "score", str(results), "--truth", str(dataset), "-o", str(report), quiet=True)
     detectors = json.loads((report / "score.json").read_text())["detectors"]
     return dict(next(iter(detectors.values())))
 
@@ -66,8 +59,8 @@ def scored(results: Path, dataset: Path, report: Path) -> dict[str, dict[str, di
 def video(folder: Path, seed: int, shift: float, scene: str = SCENE, name: str = "video") -> Figures:
     """Detection and localisation on filmed clips."""
     film, tracked = folder / name, folder / f"{name}_tracked"
-    run("synthcam", "generate", scene, "-o", str(film), "--clips", str(VIDEO), "--seed", str(seed))
-    run("tracker", "track", str(film), "-o", str(tracked))
+    run("synthcam", "generate", scene, "-o", str(film), "--clips", str(VIDEO), "--seed", str(seed), quiet=True)
+    run("tracker", "track", str(film), "-o", str(tracked), quiet=True)
     for path in tracked.glob("clips/*/tracks.parquet") if shift else ():
         table = pd.read_parquet(path)
         table.assign(x=table["x"] + shift).to_parquet(path)
@@ -85,7 +78,19 @@ def video(folder: Path, seed: int, shift: float, scene: str = SCENE, name: str =
 def tracks(folder: Path, seed: int, off: float, scale: float) -> Figures:
     """Every quantity of the tied and the free fit, from true centres with noise."""
     truth = folder / "motion"
-    run("synthcam", "generate", SCENE, "-o", str(truth), "--clips", str(TRACKS), "--seed", str(seed), "--no-video")
+    run(
+        "synthcam",
+        "generate",
+        SCENE,
+        "-o",
+        str(truth),
+        "--clips",
+        str(TRACKS),
+        "--seed",
+        str(seed),
+        "--no-video",
+        quiet=True,
+    )
     rng = np.random.Generator(np.random.PCG64(np.random.SeedSequence(seed, spawn_key=(1,))))
     tables = []
     for number in range(TRACKS):
@@ -98,7 +103,16 @@ def tracks(folder: Path, seed: int, off: float, scale: float) -> Figures:
         )
     pd.concat(tables).to_parquet(folder / "tracks.parquet")
     camera = truth / "clips/000000/camera.json"
-    run("tracker", "measure", str(folder / "tracks.parquet"), "--camera", str(camera), "-o", str(folder / "measured"))
+    run(
+        "tracker",
+        "measure",
+        str(folder / "tracks.parquet"),
+        "--camera",
+        str(camera),
+        "-o",
+        str(folder / "measured"),
+        quiet=True,
+    )
     if off:
         path = folder / "measured" / "estimates.parquet"
         table = pd.read_parquet(path)
@@ -205,7 +219,7 @@ def accept(results: list[Figures], why: str) -> None:
             "mean": float(f"{np.mean(values):.6g}"),
             "scatter": float(f"{max(float(np.std(values, ddof=1)), floor):.3g}"),
         }
-    BASELINE.write_text(json.dumps(table, indent=1) + "\n")
+    save(BASELINE, table)
     before, heading, log = CHANGELOG.read_text().partition("\n## Unreleased\n")
     newest, older, rest = log.partition("\n## ")
     CHANGELOG.write_text(f"{before}{heading}{newest.rstrip()}\n- **gate**: new figures accepted: {why}\n{older}{rest}")

@@ -31,13 +31,12 @@ from pathlib import Path
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # before numpy: its matrices here are too small to share out
 
-from sealed import oracle, page, rounds
-from sealed.boxes import Study, Truth, draw
-from sealed.evidence import alone, prepare
-from sealed.judge import judge
-from sealed.ledger import Broken, Ledger
-from sealed.studies import ROUND, STUDIES
-
+from benchmarks.search.sealed import oracle, page, rounds
+from benchmarks.search.sealed.boxes import Study, Truth, draw
+from benchmarks.search.sealed.evidence import alone, prepare
+from benchmarks.search.sealed.judge import judge
+from benchmarks.search.sealed.ledger import Broken, Ledger
+from benchmarks.search.sealed.studies import ROUND, STUDIES
 from synthcam.model import Model, write_model
 
 ROOT = Path(__file__).resolve().parents[2]

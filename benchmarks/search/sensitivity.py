@@ -25,13 +25,12 @@ from typing import Any
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # before numpy
 
-from blind import ROOT, ROUNDS, code
-from sealed import rounds
-from sealed.analysis import analysed
-from sealed.evidence import prepare
-from sealed.judge import judge
-from sealed.ledger import append, lines
-
+from benchmarks.search.blind import ROOT, ROUNDS, code
+from benchmarks.search.sealed import rounds
+from benchmarks.search.sealed.analysis import analysed
+from benchmarks.search.sealed.evidence import prepare
+from benchmarks.search.sealed.judge import judge
+from benchmarks.search.sealed.ledger import append, lines
 from discrepancy import policy
 from synthcam.model import Model, write_model
 

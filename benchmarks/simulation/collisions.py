@@ -1,6 +1,6 @@
 """Two-ball collisions a second: one at a time and thousands together, base and with each effect, beside pooltool.
 
-benchmarks/simulation/collisions.py [--count 2000] [-o out/collisions.json]
+python -m benchmarks.simulation.collisions [--count 2000] [-o out/collisions.json]
 
 A collision is all of 0.4 s: approach, impact, slides, rolls, every event placed. It is counted twice: solved, and
 solved and seen, that is evaluated at 100 frames (pooltool: continuize; one at a time: all states; together: what the
@@ -15,7 +15,6 @@ panda3d that is not on PyPI; for this, pip install --no-deps with any panda3d do
 from __future__ import annotations
 
 import argparse
-import json
 import os
 import sys
 import time
@@ -27,6 +26,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")  # before numpy: its matrices here
 
 import numpy as np
 
+from benchmarks.harness import ROOT, save
 from synthcam.dynamics.batch import collisions
 from synthcam.dynamics.kinematics import rolling_state
 from synthcam.dynamics.launch import Launch
@@ -34,7 +34,6 @@ from synthcam.dynamics.solve import solve
 from synthcam.library import library
 from synthcam.model import Model
 
-ROOT = Path(__file__).resolve().parents[2]
 END, FPS, FRAMES, EXPOSURE = 0.4, 250.0, 100, 5e-4  # s, 1/s, frames, s
 AWAY = 0.1  # s before the contact, nearly
 ONE, BASE, EFFECT = 10, 300, 50  # times pooltool: the goals
@@ -171,8 +170,7 @@ def main() -> None:
     print("collisions a CPU second")
     found = figures(options.count)
     print(*verdicts(found), sep="\n")
-    options.output.parent.mkdir(parents=True, exist_ok=True)
-    options.output.write_text(json.dumps(found, indent=1) + "\n")
+    save(options.output, found)
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
 """Thousands of random runs with random effects, several at once: no crash, no overlap, no energy from nowhere.
 
-benchmarks/simulation/random_scenes.py [--runs 10000] [--seed 0] [-o out/random_scenes.json]
+python -m benchmarks.simulation.random_scenes [--runs 10000] [--seed 0] [-o out/random_scenes.json]
 
 A run may be refused with a ValueError that says why (a ball that cannot rest, balls that stay in contact); all else is
 a failure. Energy is the balls' kinetic energy, rolling and height included; it may rise only where an effect other than
@@ -25,6 +25,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")  # before numpy: its matrices here
 
 import numpy as np
 
+from benchmarks.harness import ROOT, save
 from synthcam.dynamics.kinematics import rolling_state
 from synthcam.dynamics.launch import Launch
 from synthcam.dynamics.solve import solve
@@ -33,7 +34,6 @@ from synthcam.effects.air_drag import AirDrag
 from synthcam.library import library
 from synthcam.model import Model
 
-ROOT = Path(__file__).resolve().parents[2]
 MOST = 4  # effects at once
 LONGEST = 60.0  # CPU s, for one run
 OVERLAP = 1e-9  # of a radius
@@ -170,8 +170,7 @@ def main() -> None:
         "slow seeds": [r["seed"] for r in sorted(rows, key=lambda r: -r["seconds"])[:5]],
     }
     print(json.dumps(summary, indent=1))
-    options.output.parent.mkdir(parents=True, exist_ok=True)
-    options.output.write_text(json.dumps(summary, indent=1) + "\n")
+    save(options.output, summary)
     sys.exit(int(summary["wrong"] > 0))
 
 

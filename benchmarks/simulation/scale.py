@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import argparse
 import importlib.util
-import json
 import os
 import random
 import shutil
@@ -24,6 +23,8 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
+from benchmarks.harness import save
+
 SCENE = """
 name: scale
 launch: {v0: {uniform: [0.1, 0.6]}, b: {uniform: [-0.3, 0.3]}, striker: {choice: [a, b]}}
@@ -34,6 +35,7 @@ PROGRAM = [sys.executable, "-c", "from synthcam.cli import main; main()"]
 CLUSTER = """
 import subprocess, sys
 from distributed import LocalCluster
+from benchmarks.harness import save
 if __name__ == "__main__":
     with LocalCluster(n_workers=2, threads_per_worker=2, dashboard_address=None) as cluster:
         sys.exit(subprocess.run([*sys.argv[1:], "--scheduler", cluster.scheduler_address]).returncode)
@@ -212,8 +214,7 @@ def main() -> None:
     finally:
         shutil.rmtree(folder)
     show(result)
-    arguments.output.parent.mkdir(parents=True, exist_ok=True)
-    arguments.output.write_text(json.dumps(result, indent=1) + "\n")
+    save(arguments.output, result)
     if not all(result.get("equal", {}).get("same_bytes", {}).values()):
         sys.exit(1)
 

@@ -1,16 +1,13 @@
 """How fast, and where the time goes. Whole commands by their margin (more clips, same start-up), stages in one process.
 
-benchmarks/simulation/speed.py [--clips 12] [-o out/speed.json]
+python -m benchmarks.simulation.speed [--clips 12] [-o out/speed.json]
 """
 
 from __future__ import annotations
 
 import argparse
-import json
 import os
 import shutil
-import subprocess
-import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterable
@@ -18,11 +15,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from collisions import figures as collisions
 from rich.console import Console
 from rich.table import Table
 
-ROOT = Path(__file__).resolve().parents[2]
+from benchmarks.harness import ROOT, run, save
+from benchmarks.simulation.collisions import figures as collisions
+
 SCENE = ROOT / "scenes" / "painter_behringer.yaml"
 
 
@@ -37,9 +35,8 @@ def timed(work: Callable[[], Any], repeat: int = 3) -> float:
 
 
 def command(*words: str) -> float:
-    program = Path(sys.executable).with_name(words[0])
     started = time.perf_counter()
-    subprocess.run([program, *words[1:]], cwd=ROOT, check=True, stdout=subprocess.DEVNULL)
+    run(*words, quiet=True)
     return time.perf_counter() - started
 
 
@@ -124,8 +121,7 @@ def main() -> None:
     for name, seconds in spent.items():
         table.add_row(f"{name}, ms a clip of 100 frames, one process", f"{1e3 * seconds:.1f}")
     Console(width=100).print(table)
-    options.output.parent.mkdir(parents=True, exist_ok=True)
-    options.output.write_text(json.dumps(figures | {"stages": spent}, indent=1) + "\n")
+    save(options.output, figures | {"stages": spent})
 
 
 if __name__ == "__main__":

@@ -1,9 +1,9 @@
 """Are the tracker's error bars true, and does it reach the limit? 500 collisions, both fits, every quantity.
 
-    benchmarks/tracker/coverage.py [--clips 500] [--seed 0] [--scene scenes/benchmark.yaml] [-o out/coverage]
-    benchmarks/tracker/coverage.py --from-tracks      no video: true centres with noise at the localisation bound
-    benchmarks/tracker/coverage.py --scene scenes/dim.yaml      its dim kin, and with saturated.yaml the clipped one
-    benchmarks/tracker/coverage.py --scene scenes/other_camera.yaml    another camera, lamp and sensor, and other balls
+    python -m benchmarks.tracker.coverage [--clips 500] [--seed 0] [--scene scenes/benchmark.yaml] [-o out/coverage]
+    python -m benchmarks.tracker.coverage --from-tracks      no video: true centres with noise at the localisation bound
+    python -m benchmarks.tracker.coverage --scene scenes/dim.yaml      its dim kin; with saturated.yaml the clipped one
+    python -m benchmarks.tracker.coverage --scene scenes/other_camera.yaml      another camera, lamp and sensor
 
 The film is kept in the output and used again; tracking and measuring are done anew each time. Exit status 1 when a
 figure misses. For each quantity and fit: RMSE over the Fisher bound of that fit on those positions, each clip against
@@ -19,7 +19,6 @@ import argparse
 import json
 import math
 import shutil
-import subprocess
 import sys
 from pathlib import Path
 from typing import Any
@@ -29,25 +28,18 @@ import pandas as pd
 from rich.console import Console
 from rich.table import Table
 
+from benchmarks.harness import ROOT, run, save
 from tracker.camera.camera import Camera
 from tracker.detection.cramer_rao import fixed_part, localisation_bound
 from tracker.measurement.estimate import FREE_LIMITS, LIMITS, TELLING
 from tracker.measurement.whitening import covariance
 from tracker.scoring.score import score
 
-ROOT = Path(__file__).resolve().parents[2]
 JUDGED = "r s tau1 tau2 mu_k C v1f v2f energy_fraction momentum_fraction".split()
 OTHERS = "v0 b t_c final_angle drag decel w1n w1t w2n w2t".split()  # shown, and held to honesty alone
 RATIO, ERRORS, SPREAD = 1.15, 3.5, 0.07  # of the bound; sampling errors; of the standard deviation of z
 SHARE, EXEMPT = 0.6, ("s_free",)  # of the clips, at least, that claim a value
 TOLD = 0.95  # at least, of the clips that can tell
-
-
-def run(*command: str) -> None:
-    print("$", *command, flush=True)
-    program = Path(sys.executable).with_name(command[0])
-    if (done := subprocess.run([program, *command[1:]], cwd=ROOT)).returncode:
-        sys.exit(done.returncode)
 
 
 def filmed(folder: Path, options: argparse.Namespace) -> tuple[Path, pd.DataFrame]:
@@ -199,7 +191,7 @@ def main() -> None:
     print(f"{len(table)} clips, status {found.statuses}; rmse of a place over its bound {place['ratio']:.3f}")
     missed = [name for name, row in rows.items() if row["missed"]]
     report = {"clips": len(table), "mode": mode, "localisation": place, "quantities": rows}
-    (options.output / f"coverage_{mode}.json").write_text(json.dumps(report, indent=1) + "\n")
+    save(options.output / f"coverage_{mode}.json", report)
     print(f"{len(rows) - len(missed)} of {len(rows)} within their limits" + f"; not {missed}" * bool(missed))
     sys.exit(1 if missed else 0)
 

@@ -4,17 +4,15 @@ The bound: place, flux and background free, PSF and noise with its fixed pattern
 body left out (its light is noise to the glint, and its shape tells a little). Flux: each ball's median over the clip.
 Peers see every fifth frame, for they are slow; all detections count as they come, before any linking.
 
-benchmarks/tracker/localisation.py [--clips 20] [--peaks 700,200,100,50,25,12] [-o out/localisation]
+python -m benchmarks.tracker.localisation [--clips 20] [--peaks 700,200,100,50,25,12] [-o out/localisation]
 """
 
 from __future__ import annotations
 
 import argparse
-import json
 import os
 import resource
 import shutil
-import subprocess
 import sys
 import time
 from pathlib import Path
@@ -26,6 +24,7 @@ import pandas as pd
 from rich.console import Console
 from rich.table import Table
 
+from benchmarks.harness import ROOT, run, save
 from tracker.camera.camera import Camera
 from tracker.camera.frames import open_source
 from tracker.detection.cramer_rao import localisation_bound
@@ -33,14 +32,12 @@ from tracker.detection.detect import DEFAULT, detector, look
 from tracker.detection.glints import Glints
 from tracker.scoring.localisation import Matched, localisation, match
 
-ROOT = Path(__file__).resolve().parents[2]
 SCENE = "scenes/benchmark.yaml"
 PEERS = ("trackpy_locate", "opencv_components", "skimage_regionprops", "skimage_blob_log", "centroid")
 EVERY = 5  # frames, that the peers see
 FRAMES = 100  # of a clip
 GATE = 5.0  # px
 RATIO, PHASE, TOUCHING, PACE, TIMES = 1.05, 0.01, 0.02, 1.0, 15.0  # to be shown
-ALONE = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
 
 
 def generate(folder: Path, peak: int, clips: int, seed: int) -> Path:
@@ -49,7 +46,7 @@ def generate(folder: Path, peak: int, clips: int, seed: int) -> Path:
     words = [SCENE, "-o", str(place), "--clips", str(clips), "--seed", str(seed), "--set", f"sensor.glint_peak={peak}"]
     if peak > 255:
         words += ["--set", "sensor.full_well=20000"]  # the converter clips, not the well
-    subprocess.run([Path(sys.executable).with_name("synthcam"), "generate", *words], cwd=ROOT, check=True)
+    run("synthcam", "generate", *words)
     return place
 
 
@@ -140,8 +137,7 @@ def command(film: Path, output: Path) -> tuple[float, float]:
     """Wall and processor seconds of `tracker track` on one core."""
     shutil.rmtree(output, ignore_errors=True)
     before, started = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter()
-    words = [Path(sys.executable).with_name("tracker"), "track", film, "-o", output, "--workers", "1"]
-    subprocess.run(words, check=True, stdout=subprocess.DEVNULL, env=os.environ | ALONE)
+    run("tracker", "track", film, "-o", output, "--workers", "1", quiet=True, alone=True)
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
     cpu = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
     return time.perf_counter() - started, cpu
@@ -189,7 +185,7 @@ def main() -> None:
     for text, good in verdicts:
         print(f"{'ok  ' if good else 'MISS'} {text}")
     report = {"clips": options.clips, "peaks": found, "whole_command": speed, "met": all(good for _, good in verdicts)}
-    (options.output / "localisation.json").write_text(json.dumps(report, indent=1) + "\n", encoding="utf-8")
+    save(options.output / "localisation.json", report)
     sys.exit(0 if report["met"] else 1)
 
 

@@ -15,8 +15,6 @@ import argparse
 import copy
 import json
 import shutil
-import subprocess
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -24,7 +22,8 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-ROOT = Path(__file__).resolve().parents[2]
+from benchmarks.harness import ROOT, run, save
+
 QUANTITIES = "v0 b t_c r s mu_k C tau1 tau2 v1f v2f energy_fraction momentum_fraction final_angle drag decel".split()
 ABSOLUTE = {"b": (1e3, "e-3"), "t_c": (1e6, "us"), "final_angle": (1e3, "mrad")}  # times this, unit
 Known = dict[str, Any]
@@ -84,13 +83,6 @@ FAULTS: dict[str, Callable[[Known], None]] = {
     "diameter +1 %": widened,
     "bare": bare,
 }
-
-
-def run(*command: str) -> None:
-    print("$", *command, file=sys.stderr, flush=True)
-    program = Path(sys.executable).with_name(command[0])
-    if (done := subprocess.run([program, *command[1:]], cwd=ROOT, stdout=sys.stderr)).returncode:
-        sys.exit(done.returncode)
 
 
 def tracked(film: Path, folder: Path, name: str, known: Known) -> tuple[pd.DataFrame, pd.DataFrame]:
@@ -167,7 +159,7 @@ def main() -> None:
         reference = reference or (found, tracks)
         rows[name] = figures(found, reference[0], truth) | places(tracks, reference[1])
     print(markdown(rows))
-    (options.output / "wrong_camera.json").write_text(json.dumps(rows, indent=1) + "\n")
+    save(options.output / "wrong_camera.json", rows)
 
 
 if __name__ == "__main__":

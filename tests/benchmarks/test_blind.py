@@ -5,16 +5,16 @@ import json
 import lzma
 from types import SimpleNamespace
 
-import blind
 import pytest
 from blind_boxes import TINY, line
 from discrepancy_clips import only
 from discrepancy_outsiders import FEW
-from sealed import analysis, boxes, page, rounds
-from sealed.boxes import Study
-from sealed.ledger import Broken, Ledger
-from sealed.studies import STUDIES
 
+from benchmarks.search import blind
+from benchmarks.search.sealed import analysis, boxes, page, rounds
+from benchmarks.search.sealed.boxes import Study
+from benchmarks.search.sealed.ledger import Broken, Ledger
+from benchmarks.search.sealed.studies import STUDIES
 from synthcam.library import library
 
 TRUTH = {"kind": "one", "hidden": {"stribeck.rise": 0.1}}

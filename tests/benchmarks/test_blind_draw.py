@@ -6,14 +6,14 @@ import json
 import numpy as np
 import pytest
 from blind_boxes import truth_of
-from sealed import boxes, evidence
-from sealed.boxes import NOISES, UNDRAWN, Study
-from sealed.fisher import LIMIT, Fisher
-from sealed.integrator import PHYSICS
-from sealed.ordinary import ORDINARY, UNKNOWN
-from sealed.outsiders import OUTSIDERS
-from sealed.studies import ROUND, STUDIES
 
+from benchmarks.search.sealed import boxes, evidence
+from benchmarks.search.sealed.boxes import NOISES, UNDRAWN, Study
+from benchmarks.search.sealed.fisher import LIMIT, Fisher
+from benchmarks.search.sealed.integrator import PHYSICS
+from benchmarks.search.sealed.ordinary import ORDINARY, UNKNOWN
+from benchmarks.search.sealed.outsiders import OUTSIDERS
+from benchmarks.search.sealed.studies import ROUND, STUDIES
 from discrepancy.fitting.predict import forecast
 from synthcam.library import library
 from tracker.camera.camera import Camera

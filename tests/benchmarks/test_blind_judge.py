@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 from blind_boxes import line, truth_of
 from scipy.stats import binom
-from sealed import analysis, boxes, goals, judge, oracle, page
-from sealed.fisher import Fisher
-from sealed.ledger import Ledger
-from sealed.ordinary import ORDINARY
-from sealed.outsiders import OUTSIDERS
 
+from benchmarks.search.sealed import analysis, boxes, goals, judge, oracle, page
+from benchmarks.search.sealed.fisher import Fisher
+from benchmarks.search.sealed.ledger import Ledger
+from benchmarks.search.sealed.ordinary import ORDINARY
+from benchmarks.search.sealed.outsiders import OUTSIDERS
 from synthcam.effect import Laws
 from synthcam.library import library
 from synthcam.model import settings_of

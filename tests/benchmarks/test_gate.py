@@ -1,6 +1,6 @@
 """The gate knows every quantity, fails on what has grown and nothing else, and accepts with a reason on record."""
 
-import importlib.util
+import importlib
 import json
 import math
 import sys
@@ -8,18 +8,15 @@ import sys
 import numpy as np
 import pandas as pd
 import pytest
-from repository import ROOT
 
+from benchmarks.regression import gate as regression_gate
 from tracker.measurement.derived import NAMES
 from tracker.scoring.error_bars import figures
 
 
 @pytest.fixture
 def gate(tmp_path, monkeypatch):
-    path = ROOT / "benchmarks/regression/gate.py"
-    spec = importlib.util.spec_from_file_location("gate", path)
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
+    module = importlib.reload(regression_gate)  # its state is its own in each test
     accepted = json.loads(module.BASELINE.read_text())
     module.accepted = accepted
     for name in ("BASELINE", "CHANGELOG"):

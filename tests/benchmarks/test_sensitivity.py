@@ -3,9 +3,9 @@
 from argparse import Namespace
 
 import pytest
-import sensitivity
-from sealed.ledger import lines
 
+from benchmarks.search import sensitivity
+from benchmarks.search.sealed.ledger import lines
 from discrepancy import policy
 
 TRUTH = {"study": "nulls-7", "box": 3, "kind": "none", "effects": [], "defect": {}, "source": "synthcam"}

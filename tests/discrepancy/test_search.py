@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from discrepancy_clips import CAMERA, EXPOSURE, FPS, HIDDEN, STD, blank, collisions, launches, only, searched
 from discrepancy_outsiders import FEW, OUTSIDERS, outsider
-from sealed.integrator import Plate, collision, means
 
+from benchmarks.search.sealed.integrator import Plate, collision, means
 from discrepancy.add import add
 from discrepancy.data.collisions import split
 from discrepancy.search import find

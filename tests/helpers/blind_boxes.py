@@ -1,6 +1,6 @@
 """Truths and answers of sealed boxes, made up for the tests."""
 
-from sealed import boxes
+from benchmarks.search.sealed import boxes
 
 TINY = {"clips": 8, "frames": 60, "noises": {"white": 1}, "ratios": (20,)}
 

@@ -1,13 +1,12 @@
 """The worst of ten thousand random runs, and some new ones; the benchmark random_scenes.py makes and judges them."""
 
-import importlib.util
 import json
 from pathlib import Path
 
 import numpy as np
 import pytest
-from repository import ROOT
 
+from benchmarks.simulation import random_scenes as scenes
 from synthcam.dynamics.launch import Launch
 from synthcam.effects.air_drag import AirDrag
 from synthcam.model import Model
@@ -50,9 +49,6 @@ def test_random_runs(start, random_scenes):
 
 @pytest.fixture(scope="module")
 def random_scenes():
-    path = ROOT / "benchmarks/simulation/random_scenes.py"
-    spec = importlib.util.spec_from_file_location("random_scenes", path)
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    module.LONGEST = 3600  # no test asserts a time
-    return module
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(scenes, "LONGEST", 3600)  # no test asserts a time
+        yield scenes

@@ -1,0 +1,47 @@
+"""What the benchmarks share: running the project's commands, and writing figures."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).resolve().parents[1]
+ONE_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
+
+
+def program(name: str) -> Path:
+    """A command of the environment that this benchmark runs in."""
+    return Path(sys.executable).with_name(name)
+
+
+def run(*command: str | Path, quiet: bool = False, alone: bool = False) -> str:
+    """Run one of the project's commands from the project's root; what it wrote to stdout.
+
+    quiet: its output is not shown. alone: its matrix products use one thread. A command that fails ends the benchmark
+    with one line.
+    """
+    words = [str(word) for word in command]
+    print("$", *words, file=sys.stderr, flush=True)
+    done = subprocess.run(
+        [program(words[0]), *words[1:]],
+        cwd=ROOT,
+        stdout=subprocess.PIPE,
+        text=True,
+        env=os.environ | (ONE_THREAD if alone else {}),
+        check=False,
+    )
+    if not quiet:
+        print(done.stdout, end="", flush=True)
+    if done.returncode:
+        sys.exit(f"{Path(sys.argv[0]).stem}: {' '.join(words)} ended with status {done.returncode}")
+    return done.stdout
+
+
+def save(path: Path, figures: Any) -> None:
+    """Write figures as JSON, the folder made where it is missing."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(json.dumps(figures, indent=1) + "\n")
