@@ -83,7 +83,7 @@ def glints(pairs: int, rng: np.random.Generator) -> dict[str, float]:
         half = gap / 2 * np.array([np.cos(turn), np.sin(turn)])
         centres = np.array([[*(middle - half), R], [*(middle + half), R]])
         (picture,) = film.frames(still(centres), [[0.0, 0.0]])
-        image = (picture.image - picture.plate) / film._unit
+        image: Array = (picture.image - picture.plate).astype(float) / film._unit
         near = find_glints(film.camera, LAMP, centres[None], film.radii, np.ones((1, 2), bool))
         traced = [
             reference.lamp_image(film.camera, LAMP, centres, film.radii, pixel, int(order))
@@ -166,7 +166,7 @@ def outline(balls: int, rng: np.random.Generator) -> dict[str, float]:
                 for late in anchors * camera.line_time
             ]
             true: Array = seen[0] if len(seen) == 1 else by_rows(anchors - low[1], seen)
-            drawn = (1 - picture.image / picture.plate)[low[1] : high[1], low[0] : high[0]]
+            drawn = np.asarray(1 - picture.image / picture.plate, dtype=float)[low[1] : high[1], low[0] : high[0]]
             errors.append(reference.displaced(drawn, true))
         out[f"outline, {name}, px rms"] = rms(np.concatenate(errors))
     return out
@@ -191,8 +191,8 @@ def lit_outline(balls: int, rng: np.random.Generator) -> dict[str, float]:
         (picture,) = film.frames(still(centres), [[0.0, 0.0]])
         low, high = reference.window(film.camera, centres)
         dark = 0.05 * (LAMP.position[2] ** 2 / np.sum((LAMP.position - centres * [1, 1, 0]) ** 2, axis=1)) ** 2
-        true = reference.lit(film.camera, LAMP, centres, film.radii, dark, 1.0, low, high)
-        drawn = (picture.image - picture.plate)[low[1] : high[1], low[0] : high[0]]
+        true = reference.lit(film.camera, centres, film.radii, dark, 1.0, (low, high))
+        drawn = np.asarray(picture.image - picture.plate, dtype=float)[low[1] : high[1], low[0] : high[0]]
         across, down = np.meshgrid(*[np.arange(a, b) for a, b in zip(low, high, strict=True)])
         at = film.camera.project(centres[0])
         rim = np.abs(np.hypot(across - at[0], down - at[1]) - R / film.camera.scale) < 1.5

@@ -1,19 +1,34 @@
-"""What a camera sees, by plain float64 rays and quadrature: the judge of benchmarks/camera/camera.py. Draws nothing.
+"""What a camera sees, by plain float64 rays and quadrature: the judge of `benchmarks.camera.camera`. Draws nothing.
 
 A lamp's image is the region of the picture whose rays end on the lamp. Its edge is found along 128 directions by
 bisection, and area, reflectance and moments are integrated inside it by Gauss and the trapezoidal rule.
 """
 
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 from scipy.signal import fftconvolve
 from scipy.special import ndtr
+
+from synthcam.camera.lamp import Lamp
+from synthcam.camera.pinhole import Camera
+
+Array = NDArray[np.float64]
+Ints = NDArray[np.intp]
+Radii = Sequence[float] | Array
 
 DIRECTIONS, NODES = 128, 12
 FINE = 24  # cells a pixel, each way, of an outline's area
 
 
-def trace(camera, centres, radii, pixels, most):
+def trace(
+    camera: Camera, centres: Array, radii: Radii, pixels: Array, most: int
+) -> tuple[Array, Array, Array, Ints, Ints]:
     """Rays through pixels (M, 2): last points and ways (M, 3), reflectance kept, bounces, the first ball or -1."""
     flat = cv2.undistortPoints(
         pixels.reshape(-1, 1, 2), camera.K, camera.dist, criteria=(cv2.TERM_CRITERIA_MAX_ITER, 100, 0)
@@ -22,8 +37,8 @@ def trace(camera, centres, radii, pixels, most):
     way /= np.linalg.norm(way, axis=1, keepdims=True)
     point = np.tile(-camera.R.T @ camera.t, (len(way), 1))
     kept, last, bounces = np.ones(len(way)), np.full(len(way), -1), np.zeros(len(way), int)
-    first = None
-    for _ in range(most):
+    first = np.full(len(way), -1)
+    for turn in range(most):
         nearest, ball = np.full(len(way), np.inf), np.full(len(way), -1)
         for k, (centre, radius) in enumerate(zip(centres, radii, strict=True)):
             offset = point - centre
@@ -38,11 +53,11 @@ def trace(camera, centres, radii, pixels, most):
         kept = np.where(hit, kept * (0.55 + 0.45 * (1 - cosine) ** 5), kept)
         way = np.where(hit[:, None], way + 2 * cosine[:, None] * normal, way)
         bounces, last = bounces + hit, np.where(hit, ball, -2)
-        first = ball if first is None else first
+        first = first if turn else ball
     return point, way, kept, bounces, first
 
 
-def missed(camera, lamp, centres, radii, pixels, order):
+def missed(camera: Camera, lamp: Lamp, centres: Array, radii: Radii, pixels: Array, order: int) -> tuple[Array, Array]:
     """How far (M, 2), m, rays pass the lamp's middle in its plane, and reflectance kept; NaN unless `order` bounces."""
     point, way, kept, bounces, _ = trace(camera, centres, radii, pixels, order + 1)
     way = np.where(((bounces == order) & (way[:, 2] > 0))[:, None], way, np.nan)
@@ -50,7 +65,9 @@ def missed(camera, lamp, centres, radii, pixels, order):
     return (over - lamp.position)[:, :2], kept
 
 
-def lamp_image(camera, lamp, centres, radii, start, order):
+def lamp_image(
+    camera: Camera, lamp: Lamp, centres: Array, radii: Radii, start: Array, order: int
+) -> tuple[Array, float, Array]:
     """Place (2,) px, flux px^2 and variances (2,) px^2 of the lamp's image of that order next to the pixel `start`."""
     middle = np.array(start, float)
     for _ in range(20):
@@ -81,35 +98,36 @@ def lamp_image(camera, lamp, centres, radii, start, order):
     return place, flux, (weight[..., None] * (at - place) ** 2).sum((0, 1)) / flux
 
 
-def spot(camera, shape, place, flux, variance):
+def spot(camera: Camera, shape: tuple[int, ...], place: Array, flux: float, variance: Array) -> Array:
     """A spot (h, w) through the optics' Gaussian and square pixels."""
     sides = []
     for axis, count in ((1, shape[0]), (0, shape[1])):
         edges = np.arange(count + 1) - 0.5
         sides.append(np.diff(ndtr((edges - place[axis]) / np.sqrt(variance[axis] + camera.psf_sigma_px**2))))
-    return flux * np.outer(*sides)
+    return np.asarray(flux * np.outer(*sides))
 
 
-def separate(image, spots, places):
+def separate(image: Array, spots: Sequence[Array], places: Array) -> tuple[Array, Array]:
     """Offsets (n, 2) px and relative fluxes (n,) of overlapping spots (n, h, w), by least squares."""
-    columns = []
+    columns: list[Array] = []
     for spot in spots:
-        down, across = np.gradient(spot)
+        down, across = (np.asarray(slope) for slope in np.gradient(spot))
         columns += [spot, -across, -down]
     used = np.zeros(image.shape, bool)
     for x, y in np.round(places).astype(int):
         used[max(y - 6, 0) : y + 7, max(x - 6, 0) : x + 7] = True
-    found = np.linalg.lstsq(np.stack([c[used] for c in columns], axis=1), image[used], rcond=None)[0].reshape(-1, 3)
-    return found[:, 1:] / found[:, :1], found[:, 0]
+    shapes: Array = np.stack([c[used] for c in columns], axis=1)
+    found = np.linalg.lstsq(shapes, image[used], rcond=None)[0].reshape(-1, 3)
+    return np.asarray(found[:, 1:] / found[:, :1], dtype=float), np.asarray(found[:, 0], dtype=float)
 
 
-def window(camera, centres):
+def window(camera: Camera, centres: Array) -> tuple[Ints, Ints]:
     """First and last (column, row) of a box around balls (N, 3) and their blur."""
     at, half = camera.project(centres), 1.3 * centres[0, 2] / camera.scale + 8
     return np.floor(at.min(axis=0) - half).astype(int), np.ceil(at.max(axis=0) + half).astype(int)
 
 
-def hidden(camera, centres, radius, low, high, defocus=0.0):
+def hidden(camera: Camera, centres: Array, radius: float, low: Ints, high: Ints, defocus: float = 0.0) -> Array:
     """Share (h, w) of the plate that balls (N, 3) hide in the box `low` to `high`.
 
     The outline is a polygon of 720 corners; Gaussian, pixel and disc are applied to its exact area in cells of
@@ -126,11 +144,12 @@ def hidden(camera, centres, radius, low, high, defocus=0.0):
     return blurred(np.minimum(area, 1), camera.psf_sigma_px, defocus)
 
 
-def lit(camera, lamp, centres, radii, dark, room, low, high, fine=16):
-    """Light (h, w) of balls in a dim room less that of the plate behind them, in the box `low` to `high`.
+def lit(camera: Camera, centres: Array, radii: Radii, dark: Array, room: float, box: tuple[Ints, Ints]) -> Array:
+    """Light (h, w) of balls in a dim room less that of the plate behind them, in a box from (column, row) on.
 
-    By fine x fine rays a pixel, four bounces; dark: (N,) the plate's radiance under each ball.
+    By 16 x 16 rays a pixel, four bounces; dark: (N,) the plate's radiance under each ball.
     """
+    (low, high), fine = box, 16
     size = high - low
     x, y = ((np.arange(n * fine) + 0.5) / fine - 0.5 + start for n, start in zip(size, low, strict=True))
     grid = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
@@ -140,7 +159,7 @@ def lit(camera, lamp, centres, radii, dark, room, low, high, fine=16):
     return blurred(np.where(bounces > 0, light, 0).reshape(size[::-1] * fine), camera.psf_sigma_px, fine=fine)
 
 
-def blurred(cells, sigma, defocus=0.0, fine=FINE):
+def blurred(cells: Array, sigma: float, defocus: float = 0.0, fine: int = FINE) -> Array:
     """Cells of 1/fine px through the Gaussian, the square pixel and, summed in real space, the disc of defocus."""
     if defocus:
         side = np.arange(-np.ceil(defocus * fine) - 1, np.ceil(defocus * fine) + 2)
@@ -153,18 +172,18 @@ def blurred(cells, sigma, defocus=0.0, fine=FINE):
         at = (np.arange(count) + 0.5) / fine - 0.5
         edges = np.arange(count // fine + 1)[:, None] - 0.5
         kernels.append(np.diff(ndtr((edges - at) / sigma), axis=0) / fine)
-    return kernels[0] @ cells @ kernels[1].T
+    return np.asarray(kernels[0] @ cells @ kernels[1].T)
 
 
-def displaced(drawn, true, where=True):
+def displaced(drawn: Array, true: Array, where: Any = True) -> Array:
     """Offsets (n,) px, towards the brighter side, of a drawn edge from the true one, where that is steep."""
     down, across = np.gradient(true)
     steep = np.hypot(down, across) * where
     on = steep > 0.6 * steep.max()
-    return (drawn - true)[on] / steep[on]
+    return np.asarray((drawn - true)[on] / steep[on])
 
 
-def _corners(camera, centre, radius):
+def _corners(camera: Camera, centre: Array, radius: float) -> Array:
     eye = camera.centre - centre
     far = np.linalg.norm(eye)
     axis = eye / far
@@ -177,7 +196,7 @@ def _corners(camera, centre, radius):
     return camera.project(centre + ring)
 
 
-def _chords(corners, heights):
+def _chords(corners: Array, heights: Array) -> tuple[Array, Array]:
     """Left and right ends of a convex outline at heights; an empty chord has its ends swapped."""
     left, right = np.full(len(heights), np.inf), np.full(len(heights), -np.inf)
     for (xa, ya), (xb, yb) in zip(corners, np.roll(corners, -1, axis=0), strict=True):

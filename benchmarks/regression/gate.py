@@ -26,6 +26,7 @@ import shutil
 import sys
 import tempfile
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -50,7 +51,7 @@ COVERED = {"cover68": 0.682689, "cover95": 0.95}
 Figures = dict[str, float]
 
 
-def scored(results: Path, dataset: Path, report: Path) -> dict[str, dict[str, dict[str, float]]]:
+def scored(results: Path, dataset: Path, report: Path) -> dict[str, Any]:
     run("tracker", "score", str(results), "--truth", str(dataset), "-o", str(report), quiet=True)
     detectors = json.loads((report / "score.json").read_text())["detectors"]
     return dict(next(iter(detectors.values())))
@@ -152,7 +153,7 @@ def spreads(claims: pd.DataFrame, truth: pd.DataFrame) -> Figures:
     """Mean square of the errors of each fit by its covariance, over their number; and that number."""
     table = claims.merge(truth[["clip", *QUANTITIES]], on="clip", suffixes=("", "_true"))
     blocks = [json.loads(text) for text in table["cov"]]
-    figures = {}
+    figures: Figures = {}
     for fit, names in TOGETHER.items():
         suffix, squares = "_free" if fit == "free" else "", []
         said, true = ([n + end for n in names] for end in (suffix, "_true"))

@@ -109,7 +109,8 @@ def trial(name: str, options: argparse.Namespace) -> dict[str, Any]:
         measured = results(folder, words, options)
         took = run("discrepancy", "find", str(measured), "--model", model, "-o", str(folder / "search"))
         found = json.loads((folder / "search/discrepancy.json").read_text())
-    claimed = {n["effect"]: next((a for a in found["aliases"] if n["effect"] in a), []) for n in found["named"]}
+    aliases: list[list[str]] = found["aliases"]
+    claimed = {n["effect"]: next((a for a in aliases if n["effect"] in a), []) for n in found["named"]}
     wanted = list(LACKED) if name == "paper" else [name] * (name != "none")
     classes = all(any(w in {n, *a} for n, a in claimed.items()) for w in wanted) and len(claimed) == len(wanted)
     gap = found["gap"]

@@ -16,7 +16,6 @@ from __future__ import annotations
 
 import argparse
 import os
-import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -97,8 +96,6 @@ def together(model: Model, count: int) -> dict[str, tuple[Work, int]]:
 
 def pooltool(count: int) -> dict[str, tuple[Work, int]]:
     """The same of pooltool, empty where it is not installed."""
-    here = str(Path(__file__).resolve().parent)
-    sys.path[:] = [p for p in sys.path if p != here]  # numba asks for a `coverage`, and must not find ours
     try:
         import attrs
         import pooltool as pt

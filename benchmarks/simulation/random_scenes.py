@@ -81,7 +81,7 @@ def energy(model: Model, launch: Launch, states: np.ndarray) -> np.ndarray:
     """Kinetic and of height, J: (m,)."""
     mass, radius = launch.bodies.mass[:, None], launch.bodies.radius[:, None]
     each = mass * ((states[..., 3:6] ** 2).sum(-1) / 2 + 0.2 * radius**2 * (states[..., 6:9] ** 2).sum(-1))
-    return (each + mass * model.gravity * (states[..., 2] - radius)).sum(axis=0)
+    return np.asarray((each + mass * model.gravity * (states[..., 2] - radius)).sum(axis=0))
 
 
 def gains(model: Model) -> bool:

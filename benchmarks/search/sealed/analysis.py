@@ -44,10 +44,10 @@ def answer(found: Found) -> dict[str, Any]:
 
 def keep(clips: list[Measured] | tuple[Measured, ...], path: Path) -> None:
     """The clips that no fit has seen, for the oracle."""
-    arrays = {}
+    arrays: dict[str, Any] = {}
     for c in clips:
         arrays |= {f"{c.clip}/{k}": getattr(c, k) for k in ("frame", "ball", "xy", "covariance", "launch")}
-    np.savez(path, **arrays)  # type: ignore[arg-type]
+    np.savez(path, **arrays)
 
 
 def analysed(measured: Path, camera: Path | None, model: Path, folder: Path) -> dict[str, Any]:

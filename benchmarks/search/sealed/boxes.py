@@ -283,8 +283,9 @@ def scene_of(truth: Truth, effects: bool = True) -> Scene:
         name, _, parameter = key.partition(".")
         if name in library() and "measure" not in library()[name].laws:
             hidden.setdefault(name, {})[parameter] = value
-    launch = {"v0": {"uniform": [0.1, 0.6]}, "b": {"uniform": [-0.6, 0.6]}, "heading": {"uniform": [0.0, 2 * math.pi]}}
-    launch["striker"] = {"choice": ["a", "b"] if truth["exchanged"] else ["b"]}  # type: ignore[dict-item]
+    launch: dict[str, Any] = {"v0": {"uniform": [0.1, 0.6]}, "b": {"uniform": [-0.6, 0.6]}}
+    launch["heading"] = {"uniform": [0.0, 2 * math.pi]}
+    launch["striker"] = {"choice": ["a", "b"] if truth["exchanged"] else ["b"]}
     timing = {"frames": truth["frames"], "contact_frame": {"uniform": [20.0, 30.0]}}
     plain = {"name": "box", "model": truth["base"], "effects": hidden, "launch": launch, "timing": timing}
     plain |= {"camera": {"size": truth["size"]}, "lamp": {"position": list(truth.get("lamp") or LAMP)}}

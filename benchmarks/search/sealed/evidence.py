@@ -80,18 +80,18 @@ def integrated(truth: Truth, clip: Clip, camera: Camera) -> tuple[Array, NDArray
     paths = collision(Plate(numbers), launch_of(clip), clip.drawn["launch"]["striker"] == "a", end)
     place = means(paths, opens, camera.exposure)
     half = np.array(camera.size) / 2 * SCALE - camera.radius
-    return _projected(camera, place), (np.abs(place) < half).all(axis=-1)
+    return _projected(camera, place), np.asarray((np.abs(place) < half).all(axis=-1))
 
 
 def _projected(camera: Camera, place: Array) -> Array:
-    return camera.project(np.concatenate([place, np.full((*place.shape[:-1], 1), camera.radius)], axis=-1))
+    return np.asarray(camera.project(np.concatenate([place, np.full((*place.shape[:-1], 1), camera.radius)], axis=-1)))
 
 
 def _mismeasured(pixels: Array, truth: Truth, camera: Camera) -> Array:
     """What a tracker at fault makes of centres (n, 2), px."""
     defect = truth["defect"]
     if "pixel_locking" in defect:
-        return pixels - defect["pixel_locking"] * np.sin(2 * np.pi * pixels)
+        return np.asarray(pixels - defect["pixel_locking"] * np.sin(2 * np.pi * pixels))
     if "glint" in defect:
         return camera.glint_of_centre(_on_plate(camera, pixels))
     if "lamp" in defect:

@@ -9,11 +9,12 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
+from discrepancy.data.collisions import Measured
 from discrepancy.fitting.predict import forecast
 from synthcam.effect import Effect
 from synthcam.library import library
@@ -58,6 +59,11 @@ class Noise:
         return np.asarray(own + self.shake**2 * 0.9**lag)
 
 
+def where(model: Model, launches: Array, rows: Sequence[Rows]) -> list[Array]:
+    """Where the balls are at these rows, m: (n_k, 2). The search's forecast asks for no more than rows have."""
+    return forecast(model, launches, cast(Sequence[Measured], rows))
+
+
 class Fisher:
     """The design of a box: launches (n, 6) in `rows`, a base model, noise."""
 
@@ -67,7 +73,7 @@ class Fisher:
         self.roots = [np.linalg.inv(np.linalg.cholesky(noise.covariance(r))) for r in rows]
         self.plain = self._tracks(model)
         n, many = len(rows), np.concatenate([np.diag(NUDGES), -np.diag(NUDGES)])
-        moved = forecast(model, (self.launches[None] + many[:, None]).reshape(-1, 6), [*rows] * 12)
+        moved = where(model, (self.launches[None] + many[:, None]).reshape(-1, 6), [*rows] * 12)
         self.own = []
         for k in range(n):
             slopes = [(moved[j * n + k] - moved[(j + 6) * n + k]) / (2 * NUDGES[j]) for j in range(6)]
@@ -78,7 +84,7 @@ class Fisher:
     @staticmethod
     def places(model: Model, rows: Sequence[Rows]) -> list[Array]:
         """Where the balls are, m: (n_k, 2)."""
-        return forecast(model, np.array([r.launch for r in rows]), rows)
+        return where(model, np.array([r.launch for r in rows]), rows)
 
     def _tracks(self, model: Model) -> list[Array]:
         """Places (n_k, 2) of every clip, with what an outsider does to one clip or to the picture."""
@@ -100,7 +106,7 @@ class Fisher:
             alike.setdefault(outsiders.in_clip(model, r.clip, r.striker == "a", r.launch), []).append(k)
         out: dict[int, Array] = {}
         for own, which in alike.items():
-            found = forecast(own, self.launches[which], [self.rows[k] for k in which])
+            found = where(own, self.launches[which], [self.rows[k] for k in which])
             out |= dict(zip(which, found, strict=True))
         return [out[k] for k in range(len(self.rows))]
 

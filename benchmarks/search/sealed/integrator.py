@@ -12,6 +12,7 @@ from __future__ import annotations
 import cmath
 import math
 from collections.abc import Callable, Mapping
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -54,7 +55,7 @@ class Plate:
 
     def restitution(self, speed: float) -> float:
         bend = 5 * ((speed / 0.3) ** 0.2 - 1)
-        return 1 - (1 - self["restitution"]) * (1 + self["velocity_restitution.e"] * bend)
+        return float(1 - (1 - self["restitution"]) * (1 + self["velocity_restitution.e"] * bend))
 
     def spin_transfer(self, v0: float) -> float:
         return self["spin_transfer"] * (1 + self["spin_transfer_velocity.c"] * (v0 / 0.3 - 1))
@@ -121,7 +122,7 @@ def collision(plate: Plate, launch: Array, striker_is_a: bool, end: float) -> li
     before = np.array([*(where - radius * n[:2]), *v[:2], 0.0, 0.0])
     rest = where + radius * n[:2]
     paths: list[list[Piece]] = [
-        [(0.0, t_c, lambda t: np.repeat(rest[:, None], len(t), axis=1))],
+        [(0.0, t_c, partial(_still, rest))],
         [_rolling(plate.under(striker_is_a), before, t_c, 0.0, masses[1])[0]],
     ]
     for ball, (mass, sign, place, came, span) in enumerate(
@@ -134,6 +135,14 @@ def collision(plate: Plate, launch: Array, striker_is_a: bool, end: float) -> li
         own = plate.under(striker_is_a == bool(ball))
         paths[ball] += _after(own, np.array([*place, *q, *u]), t_c, end, mass)
     return paths
+
+
+def _still(place: Array, t: Array) -> Array:
+    return np.repeat(place[:, None], len(t), axis=1)
+
+
+def _first_two(solution: Any, t: Array) -> Array:
+    return np.asarray(solution(t)[:2])
 
 
 def _after(plate: Plate, state: Array, begin: float, end: float, mass: float) -> list[Piece]:
@@ -152,7 +161,7 @@ def _after(plate: Plate, state: Array, begin: float, end: float, mass: float) ->
 
         over.terminal = True  # type: ignore[attr-defined]
         found = solve_ivp(rates, (begin, end), state, events=over, **HOW)
-        pieces.append((begin, float(found.t[-1]), lambda t, s=found.sol: s(t)[:2]))
+        pieces.append((begin, float(found.t[-1]), partial(_first_two, found.sol)))
         begin, state = float(found.t[-1]), found.y[:, -1]
     while begin < end:
         piece, state = _rolling(plate, state, begin, end, mass)
@@ -160,7 +169,7 @@ def _after(plate: Plate, state: Array, begin: float, end: float, mass: float) ->
         begin = piece[1]
         if begin < end:
             held = state[:2].copy()
-            pieces.append((begin, end, lambda t, held=held: np.repeat(held[:, None], len(t), axis=1)))
+            pieces.append((begin, end, partial(_still, held)))
             break
     return pieces
 
@@ -179,7 +188,7 @@ def _rolling(plate: Plate, state: Array, begin: float, end: float, mass: float) 
     over.terminal = True  # type: ignore[attr-defined]
     found = solve_ivp(rates, (begin, end), state[:4], events=over, **HOW)
     last = float(found.t[-1])
-    piece: Piece = (min(begin, last), max(begin, last), lambda t: found.sol(t)[:2])
+    piece: Piece = (min(begin, last), max(begin, last), partial(_first_two, found.sol))
     return piece, np.array([*found.y[:, -1], 0.0, 0.0])
 
 

@@ -9,12 +9,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from discrepancy.fitting.predict import forecast
 from synthcam.model import Model, build
 from tracker.camera.camera import Camera
 
 from .boxes import NOISES, Truth, camera_of, model_of, scene_of
-from .fisher import NUDGES, Rows
+from .fisher import NUDGES, Rows, where
 
 Array = NDArray[np.float64]
 
@@ -52,12 +51,12 @@ def chi2(model: Model, clips: list[Held]) -> float:
     rows, n = [c.rows for c in clips], len(clips)
 
     def left(at: Array) -> list[Array]:
-        there = forecast(model, at, rows)
+        there = where(model, at, rows)
         return [c.root @ (c.xy - p).ravel() for c, p in zip(clips, there, strict=True)]
 
     now = left(places)
     for _ in range(8):
-        moved = forecast(model, (places[None] + many[:, None]).reshape(-1, 6), rows * 12)
+        moved = where(model, (places[None] + many[:, None]).reshape(-1, 6), rows * 12)
         steps = []
         for k, c in enumerate(clips):
             slopes = [(moved[j * n + k] - moved[(j + 6) * n + k]).ravel() / (2 * NUDGES[j]) for j in range(6)]

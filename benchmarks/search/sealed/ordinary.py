@@ -126,7 +126,8 @@ class SpotRides(Ordinary):
     def _moved(self, xy: Array, velocity: Array, of_a: Array) -> Array:
         speed = np.maximum(speed_of(velocity), 1e-9)
         way = (xy * velocity).sum(axis=-1) / speed
-        return (of_a * self.size * np.cos(way / 1.19e-3) * (speed > 1e-4) / speed)[..., None] * velocity
+        turned = of_a * self.size * np.cos(way / 1.19e-3) * (speed > 1e-4) / speed
+        return np.asarray(turned[..., None] * velocity)
 
 
 # heading, place and speed at once

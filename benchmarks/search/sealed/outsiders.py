@@ -218,7 +218,7 @@ class SpeedDelay(Outsider):
     late: float = parameter("s", typical=1e-4, low=-2e-3, high=2e-3)
 
     def _moved(self, xy: Array, velocity: Array, of_a: Array) -> Array:
-        return -self._curve(np.hypot(velocity[..., 0], velocity[..., 1]))[..., None] * velocity
+        return np.asarray(-self._curve(np.hypot(velocity[..., 0], velocity[..., 1]))[..., None] * velocity)
 
     def _curve(self, x: Any) -> Any:
         return self.late * (x / 0.3) ** 2

@@ -218,7 +218,14 @@ def _coverage(rows: Sequence[Row]) -> Figure:
         z = np.array([x for r in rows if r.filmed == filmed for x in r.z])
         if len(z):
             text = f"{label}: {len(z)}, sd {z.std():.2f}, {np.mean(abs(z) < 1):.0%}/{np.mean(abs(z) < 1.96):.0%}"
-            ax.hist(np.clip(z, -5, 5), bins=np.linspace(-5, 5, 41), density=True, color=colour, alpha=0.6, label=text)
+            ax.hist(
+                np.clip(z, -5, 5),
+                bins=np.linspace(-5, 5, 41).tolist(),
+                density=True,
+                color=colour,
+                alpha=0.6,
+                label=text,
+            )
     x = np.linspace(-5, 5, 200)
     ax.plot(x, norm.pdf(x), color=GREY, lw=1)
     ax.set(xlabel="error over claimed standard deviation (beyond 5: at 5)", ylabel="density")

@@ -11,7 +11,7 @@ import dataclasses
 import json
 import lzma
 import shutil
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -182,7 +182,7 @@ def _false(rounds: Path) -> str:
     return _table(heads, [[one[k] for k in ("round", "code", "boxes", *FALSE)] for one in every])
 
 
-FALSE = {
+FALSE: dict[str, Callable[[Row], bool]] = {
     "white": lambda r: r.kind == "none" and r.noise == "white",
     "hard": lambda r: r.kind == "none" and r.noise not in ("white", "tracker"),
     "defect": lambda r: r.kind == "defect" and not r.filmed,
