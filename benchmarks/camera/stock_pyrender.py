@@ -34,7 +34,7 @@ def main() -> None:
     scene.add(camera, pose=_at(0, 0, HEIGHT))
     screen = pyrender.OffscreenRenderer(SIZE[0] * FINE, SIZE[1] * FINE)
     frames, rng = int(sys.argv[1]), np.random.default_rng(0)
-    shifts, places = SCALE * rng.uniform(-0.5, 0.5, (frames + 2, 2)), []
+    shifts, positions = SCALE * rng.uniform(-0.5, 0.5, (frames + 2, 2)), []
     for k, (x, y) in enumerate(shifts):
         if k == 2:  # the first two compile and upload
             started, used = time.perf_counter(), time.process_time()
@@ -42,11 +42,11 @@ def main() -> None:
             scene.set_pose(node, _at(*at))
         colour, _ = screen.render(scene)
         picture = colour[..., 0].reshape(SIZE[1], FINE, SIZE[0], FINE).mean(axis=(1, 3))
-        places.append(_brightest(picture))
+        positions.append(_brightest(picture))
     name = f"stock pyrender, {FINE} x {FINE} samples"
     clock, used = time.perf_counter() - started, time.process_time() - used
     found = {"ms a frame": 1e3 * clock / frames, "processor ms a frame": 1e3 * used / frames}
-    print(json.dumps({f"{name}: {what}": value for what, value in found.items()} | {"places": places}))
+    print(json.dumps({f"{name}: {what}": value for what, value in found.items()} | {"places": positions}))
 
 
 def _brightest(picture: np.ndarray) -> list[float]:

@@ -62,7 +62,7 @@ def stages(folder: Path) -> dict[str, float]:
     from synthcam.scene.filmed_motion import View
     from synthcam.scene.scene import read_scene
     from tracker.camera.frames import open_source
-    from tracker.detection.detect import DEFAULT, detect, look
+    from tracker.detection.detect import DEFAULT, detect, view_of
     from tracker.detection.link import link
     from tracker.recording import measure_clip
 
@@ -85,12 +85,12 @@ def stages(folder: Path) -> dict[str, float]:
     }
     source = open_source(folder / "one")
     video = source.clip(0)
-    view = look(video)
+    view = view_of(video)
     glints = detect(video, view, DEFAULT)
     tracks = link(glints, view.camera)
     out |= {
         "read": timed(lambda: exhaust(source.clip(0).frames)),
-        "background, noise": timed(lambda: look(video)),
+        "background, noise": timed(lambda: view_of(video)),
         "detect": timed(lambda: detect(video, view, DEFAULT)),
         "link": timed(lambda: link(glints, view.camera)),
         "fits": timed(lambda: measure_clip(tracks, view.camera)),

@@ -115,7 +115,7 @@ def figures(found: pd.DataFrame, right: pd.DataFrame, truth: pd.DataFrame) -> di
     return out
 
 
-def places(tracks: pd.DataFrame, right: pd.DataFrame) -> dict[str, float]:
+def positions(tracks: pd.DataFrame, right: pd.DataFrame) -> dict[str, float]:
     """How far the places move, px, root mean square, and what errors are claimed for them."""
     both = tracks.merge(right, on=["clip", "frame", "particle"], suffixes=("", "_right"))
     off = both[["x", "y"]].to_numpy() - both[["x_right", "y_right"]].to_numpy()
@@ -157,7 +157,7 @@ def main() -> None:
         fault(wrong)
         found, tracks = tracked(film, options.output, name, wrong)
         reference = reference or (found, tracks)
-        rows[name] = figures(found, reference[0], truth) | places(tracks, reference[1])
+        rows[name] = figures(found, reference[0], truth) | positions(tracks, reference[1])
     print(markdown(rows))
     save(options.output / "wrong_camera.json", rows)
 

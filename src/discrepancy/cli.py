@@ -18,7 +18,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from synthcam.model import read_model, write_model
 from synthcam.settings import InputError as ModelError
 from tracker.camera.camera import Camera, InputError
-from tracker.outputs import check_room, told
+from tracker.outputs import as_input_error, check_room
 
 app = typer.Typer(
     help="Where do simulation and measured tracks disagree, and which effect is missing from the model?",
@@ -120,7 +120,7 @@ def add(
         new = fitted(clips, suspect, effect, tick)
     output.parent.mkdir(parents=True, exist_ok=True)
     beside = output.with_name(f"{output.name}.{os.getpid()}.tmp")
-    with told(output):
+    with as_input_error(output):
         try:
             write_model(new.now.model, beside)
             beside.replace(output)

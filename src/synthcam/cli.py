@@ -37,12 +37,12 @@ Withhold = Annotated[
     typer.Option(metavar="TRUTH", help="Another folder for the truth: a challenge, which gives nothing away."),
 ]
 MOST_CLIPS = 1_000_000
-SHOWN = 20  # failed clips told of, one line each; --json has them all
+SHOWN = 20  # failed clips listed, one line each; --json has them all
 Set = Annotated[list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Override a value of the scene.")]
 
 
 @contextmanager
-def progress(what: str) -> Iterator[Callable[[int, int], None]]:
+def progress_bar(what: str) -> Iterator[Callable[[int, int], None]]:
     """A bar with an estimate on a terminal; nothing elsewhere."""
     console = Console(stderr=True)
     columns = (
@@ -90,9 +90,9 @@ def generate(
     plan = Plan(read, clips, seed or 0, not no_video, _compression(compression), _shard(shard))
     if plan.shard and withhold_truth:
         raise InputError("--shard: a shard keeps its truth; give --withhold-truth to `synthcam merge`")
-    with progress("clips") as tick:
+    with progress_bar("clips") as progress:
         tell = _say_first if sys.stderr.isatty() and not scheduler else None
-        outcome = run(plan, output, workers or os.cpu_count() or 1, tick, withhold_truth, scheduler, tell)
+        outcome = run(plan, output, workers or os.cpu_count() or 1, progress, withhold_truth, scheduler, tell)
     for line in outcome.failed[:SHOWN]:
         print(f"synthcam: {line}", file=sys.stderr)
     if len(outcome.failed) > SHOWN:
@@ -146,8 +146,8 @@ def merge(
     """
     from synthcam.dataset.merge import merge as put_together
 
-    with progress("clips") as tick:
-        clips = put_together(shards, output, tick, withhold_truth)
+    with progress_bar("clips") as progress:
+        clips = put_together(shards, output, progress, withhold_truth)
     _say({"dataset": str(output), "clips": clips}, as_json, f"{output}: {clips} clips of {len(shards)} shards")
 
 
@@ -192,8 +192,8 @@ def verify(
     """
     from synthcam.dataset.files import verify as check
 
-    with progress("files") as tick:
-        found = check(dataset, tick)
+    with progress_bar("files") as progress:
+        found = check(dataset, progress)
     for problem in found.problems:
         print(problem, file=sys.stderr)
     ok = not found.problems
@@ -220,8 +220,8 @@ def export(
     """
     from synthcam.dataset.export import export as write
 
-    with progress("clips") as tick:
-        clips = write(dataset, kind, output, tick, truth)
+    with progress_bar("clips") as progress:
+        clips = write(dataset, kind, output, progress, truth)
     _say({"output": str(output), "format": kind, "clips": clips}, as_json, f"{output}: {clips} clips")
 
 
@@ -284,7 +284,7 @@ def schema() -> None:
 
 @app.command()
 def doctor(as_json: Json = False) -> None:
-    """Tell which OpenGL draws the pictures and how fast; when none works, what to install.
+    """Show which OpenGL draws the pictures and how fast; when none works, what to install.
 
     Example: synthcam doctor
     """

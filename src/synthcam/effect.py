@@ -76,7 +76,7 @@ def parameter(
         A shape parameter, meaningless while the strengths are zero: a search scans it and does not fit it. All others
         are strengths: the effect is absent when every one of them is zero.
     given : bool
-        A shape parameter that tracks cannot tell from the others: a search leaves it as it is.
+        A shape parameter that tracks cannot separate from the others: a search leaves it as it is.
     default : float, optional
         Default: `typical` for a shape parameter, 0 for a strength.
     tries : iterable of float

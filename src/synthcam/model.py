@@ -40,7 +40,7 @@ class ModelSettings(Settings):
     rolling_decel: NotNegative = 0.0103
 
 
-class SuspectSettings(ModelSettings):
+class ModelFileSettings(ModelSettings):
     """A model file's `model:`; what a search is to discover may be zero."""
 
     sliding_friction: NotNegative = 0.232
@@ -184,7 +184,7 @@ def model_file() -> type[Settings]:
         "ModelFile",
         __base__=Settings,
         ball=(BallSettings, BallSettings()),
-        model=(SuspectSettings, SuspectSettings()),
+        model=(ModelFileSettings, ModelFileSettings()),
         effects=(effect_settings(), effect_settings()()),
         free=(list[str], []),
     )

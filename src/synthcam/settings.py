@@ -94,13 +94,13 @@ _Loader.add_constructor("!number", _number)
 def one_line(error: ValidationError, where: str) -> InputError:
     """The first complaint of pydantic as one line: file, dotted key, what was expected."""
     first = error.errors()[0]
-    place = [p for p in first["loc"] if not re.fullmatch(r"(literal|list)\[.*\]", str(p))]
-    key = ".".join(repr(p)[1:-1] if isinstance(p, str) else str(p) for p in place) or "the whole"
+    keys = [p for p in first["loc"] if not re.fullmatch(r"(literal|list)\[.*\]", str(p))]
+    key = ".".join(repr(p)[1:-1] if isinstance(p, str) else str(p) for p in keys) or "the whole"
     if first["type"] == "extra_forbidden":
         return InputError(f"{where}: {key}: unknown key")
     either = [
         first,
-        *(e for e in error.errors()[1:] if len(place) < len(first["loc"]) and e["loc"][: len(place)] == tuple(place)),
+        *(e for e in error.errors()[1:] if len(keys) < len(first["loc"]) and e["loc"][: len(keys)] == tuple(keys)),
     ]
     expected = " or ".join(f"{e['msg'][0].lower()}{e['msg'][1:]}" for e in either)
     found = repr(first["input"])

@@ -31,11 +31,11 @@ Json = Annotated[bool, typer.Option("--json", help="Print a machine-readable sum
 
 
 @contextmanager
-def progress(what: str) -> Iterator[Callable[[int, int], None]]:
+def progress_bar(what: str) -> Iterator[Callable[[int, int], None]]:
     """A bar with an estimate on a terminal, nothing elsewhere; interrupted, it says how to go on."""
     try:
-        with _bar(what) as tick:
-            yield tick
+        with _bar(what) as progress:
+            yield progress
     except KeyboardInterrupt:
         print("tracker: interrupted; the same command goes on where it stopped", file=sys.stderr)
         raise typer.Exit(130) from None
@@ -71,8 +71,8 @@ def track(
     from tracker.pipeline import default_workers, run
 
     started = time.monotonic()
-    with progress("clips") as tick:
-        outcome = run(source, output, camera, detector, workers or default_workers(), tick)
+    with progress_bar("clips") as progress:
+        outcome = run(source, output, camera, detector, workers or default_workers(), progress)
     seconds = time.monotonic() - started
     extra: dict[str, Any] = {"frames": outcome.frames, "seconds": round(seconds, 2)}
     if outcome.frames:
@@ -114,7 +114,7 @@ def score(
 
     Example: tracker score out/results --truth out/benchmark -o out/report
     """
-    from tracker.outputs import check_room, held, told
+    from tracker.outputs import as_input_error, check_room, held
     from tracker.results import RUN, load_json
     from tracker.scoring.report import write_report
     from tracker.scoring.score import score as compare
@@ -123,7 +123,7 @@ def score(
         raise InputError(f"{output}: exists and holds something else, expected a new folder for the report")
     check_room(output)
     new = not output.exists()
-    with held(output), told(output):
+    with held(output), as_input_error(output):
         try:
             if results.is_file():
                 name = name or results.stem
@@ -155,8 +155,8 @@ def compare(
     from tracker.scoring.compare import compare as run_all
     from tracker.scoring.compare import tables
 
-    with progress("clips") as tick:
-        whole = run_all(dataset, detectors.split(","), output, tick)
+    with progress_bar("clips") as progress:
+        whole = run_all(dataset, detectors.split(","), output, progress)
     if as_json:
         print(json.dumps(whole))
         return
@@ -185,7 +185,7 @@ def calibrate(
     """
     from tracker.calibration import calibrate as work
 
-    work.check_place(output)
+    work.check_output(output)
     result = work.calibrate(video, diameter, fps, exposure)
     result.write(output)
     print(work.as_json(result, output) if as_json else "\n".join([*work.summary(result), f"{output}"]))
@@ -199,9 +199,9 @@ def _measured(tracks: Path, truth: Path, output: Path, point: str) -> Path:
     cameras = open_source(truth).camera_files()
     if not cameras:
         raise InputError(f"{truth}: no camera.json in it, expected one for the tracks")
-    place = output / "results"
-    measure_tables(tracks, place, cameras[0], point)
-    return place
+    folder = output / "results"
+    measure_tables(tracks, folder, cameras[0], point)
+    return folder
 
 
 def _report(outcome: Outcome, output: Path, extra: dict[str, Any], as_json: bool) -> None:
@@ -218,9 +218,9 @@ def _report(outcome: Outcome, output: Path, extra: dict[str, Any], as_json: bool
         summary["warnings"] = said
         print(json.dumps(summary))
         return
-    told = ", ".join(f"{count} {state}" for state, count in states.items())
+    counts = ", ".join(f"{count} {state}" for state, count in states.items())
     made = f"{outcome.fresh} made now" if outcome.fresh else "complete before"
-    print(f"{output}: {outcome.clips} clips, {made}: {told}")
+    print(f"{output}: {outcome.clips} clips, {made}: {counts}")
     if "ms_per_frame" in extra:
         print(f"{extra['frames']} frames, {extra['ms_per_frame']} ms a frame")
 

@@ -26,7 +26,7 @@ def check_room(output: Path) -> None:
 
 
 @contextmanager
-def told(output: Path, more: str = "") -> Iterator[None]:
+def as_input_error(output: Path, more: str = "") -> Iterator[None]:
     """An OSError of ``output`` as one line that names it; ``more`` follows the reason."""
     try:
         yield

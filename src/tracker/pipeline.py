@@ -23,13 +23,13 @@ from tracker import results
 from tracker.camera.camera import Camera, InputError
 from tracker.camera.frames import Source, open_source
 from tracker.detection.detect import detector
-from tracker.outputs import check_room, held, told
+from tracker.outputs import as_input_error, check_room, held
 from tracker.recording import followed, measured, unsaid
 
 MALLOPT = (-1, -3)  # M_TRIM_THRESHOLD, M_MMAP_THRESHOLD of malloc.h
 KEPT = 32 << 20  # bytes
-ENDS = 1 << 16  # bytes at either end of a file that tell one recording from another
-Tick = Callable[[int, int], None]
+ENDS = 1 << 16  # bytes at either end of a file that distinguish recordings
+Progress = Callable[[int, int], None]
 
 
 @dataclass(frozen=True)
@@ -47,7 +47,7 @@ class Outcome:
 
 
 def run(
-    path: Path, output: Path, camera: Path | None, name: str, workers: int, tick: Tick = lambda done, of: None
+    path: Path, output: Path, camera: Path | None, name: str, workers: int, progress: Progress = lambda done, of: None
 ) -> Outcome:
     """Tracks every clip of a source into RESULTS; continues what an interrupted run left in RESULTS.partial."""
     detector(name)
@@ -61,11 +61,11 @@ def run(
     frames, notes = 0, Counter[str]()
     with _partial(output, plan) as partial:
         todo = [i for i, number in enumerate(numbers) if not results.is_done(partial, number)]
-        tick(len(source) - len(todo), len(source))
+        progress(len(source) - len(todo), len(source))
         for done, (count, note) in enumerate(_each(source, todo, partial, name, workers), 1):
             frames += count
             notes.update([note] if note else [])
-            tick(len(source) - len(todo) + done, len(source))
+            progress(len(source) - len(todo) + done, len(source))
         table = results.finish(partial, output, numbers)
     return Outcome(table, len(source), len(todo), frames, dict(notes))
 
@@ -95,7 +95,7 @@ def measure_tables(path: Path, output: Path, camera: Path, point: str = "centre"
 
 @contextmanager
 def _partial(output: Path, plan: dict[str, Any]) -> Iterator[Path]:
-    """The folder in which results grow, ours alone: a new one, or the one that the same command left behind.
+    """The folder in which results are gathered, locked: a new one, or the one that the same command left behind.
 
     Where the input or the disk is at fault and nothing is there worth going on from, it is taken away again.
     """
@@ -105,7 +105,7 @@ def _partial(output: Path, plan: dict[str, Any]) -> Iterator[Path]:
         if any(partial.iterdir()):
             _same_or_refuse(partial, plan)
         try:
-            with told(partial, "; the same command goes on where it stopped"):
+            with as_input_error(partial, "; the same command goes on where it stopped"):
                 results.write_json(partial / results.RUN, plan)
                 (partial / "clips").mkdir(exist_ok=True)
                 for leftover in (partial / "clips").glob("*.tmp"):
@@ -128,11 +128,11 @@ def _same_or_refuse(folder: Path, plan: dict[str, Any]) -> None:
 
 
 def _plan(source: Source, name: str) -> dict[str, Any]:
-    """What tells one run from another, without paths or times."""
+    """What distinguishes one run from another, without paths or times."""
     mark = hashlib.sha256()
-    for number, place in source.clips:
+    for number, location in source.clips:
         mark.update(f"{number}".encode())
-        files = [place] if place.is_file() else sorted(p for p in place.iterdir() if p.is_file())
+        files = [location] if location.is_file() else sorted(p for p in location.iterdir() if p.is_file())
         for file in files:
             size = file.stat().st_size
             mark.update(f"|{size}".encode())

@@ -17,7 +17,7 @@ from tracker import results
 from tracker.camera.camera import Camera, InputError
 from tracker.camera.frames import Clip, open_frames, open_source, recorded
 from tracker.camera.memory import FILM, frames_in_memory
-from tracker.detection.detect import DEFAULT, look, settled
+from tracker.detection.detect import DEFAULT, settled, view_of
 from tracker.detection.detect import detector as detector_named
 from tracker.detection.diagnose import why_nothing
 from tracker.detection.link import Tracks, link
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 GivenCamera = Camera | Mapping[str, Any] | str | Path
 Film = NDArray[Any] | Iterable[NDArray[Any]] | str | Path
-UNSIZED = "ball_diameter: not told; collisions are not measured, and glints are not taken to centres"
+UNSIZED = "ball_diameter: not given; collisions are not measured, and glints are not taken to centres"
 TRACKS = "tracks"  # what messages call a table in memory
 SAID = {"v0": "m/s", "b": "", "r": "", "mu_k": "", "C": ""}  # in a repr, with units
 UNITS = {"m/s": "v0 v1f v2f", "s": "t_c tau1 tau2", "rad": "final_angle", "1/s": "drag", "m/s^2": "decel"} | {
@@ -97,8 +97,8 @@ class Result:
             values = (
                 f"{name} {_with_error(row[name], row[f'{name}_std'])} {unit}".strip() for name, unit in SAID.items()
             )
-            told = f": {', '.join(values)}" if row["status"] in MEASURED else ""
-            lines.append(f"  collision {row['collision']} {row['status']}{told}")
+            measured_values = f": {', '.join(values)}" if row["status"] in MEASURED else ""
+            lines.append(f"  collision {row['collision']} {row['status']}{measured_values}")
         return "\n".join(lines)
 
     def _repr_html_(self) -> str:
@@ -197,8 +197,8 @@ def _opened(film: Film, camera: GivenCamera | None) -> Clip:
         raise InputError(f"{film}: holds {len(source)} clips, expected one, as {first}; `tracker track` takes them all")
     if camera is None:
         return source.clip(0)
-    ((number, place),) = source.clips
-    return recorded(number, *open_frames(place), _camera(camera), (f"{place}", names[1]))
+    ((number, location),) = source.clips
+    return recorded(number, *open_frames(location), _camera(camera), (f"{location}", names[1]))
 
 
 def _camera(given: GivenCamera | None) -> Camera | None:
@@ -243,7 +243,7 @@ def measure(tracks: pd.DataFrame | str | Path, camera: GivenCamera, *, point: st
         raise InputError(f"point: expected centre or glint, not {point!r}")
     known = _camera(camera)
     if known is None:
-        raise InputError("camera: expected a camera, its keys, or a path; tracks alone do not tell times and lengths")
+        raise InputError("camera: expected a camera, its keys, or a path; tracks alone have no times and lengths")
     if isinstance(tracks, pd.DataFrame):
         tables = results.split_tracks(tracks, TRACKS)
     else:
@@ -260,7 +260,7 @@ def followed(clip: Clip, name: str = DEFAULT) -> Result:
     rows, motion = measure_clip(tracks, camera)
     if reason:
         rows = [row if row["status"] in MEASURED else row | {"status": reason} for row in rows]
-    notes = tuple(filter(None, [clip.note, *unsaid(camera), _streaks(camera)]))
+    notes = tuple(filter(None, [clip.note, *unsaid(camera), _blur_note(camera)]))
     return Result(clip.number, camera, tracks, tuple(rows), motion, notes, len(clip.frames))
 
 
@@ -274,8 +274,8 @@ def measured(tracks: Tracks, camera: Camera, number: int, point: str) -> Result:
 
 
 def track_clip(clip: Clip, name: str = DEFAULT) -> tuple[Tracks, Camera, str]:
-    """Tracks of one clip, its camera with what the clip itself tells filled in, and why there is nothing, or ''."""
-    view = look(clip)
+    """Tracks of one clip, its camera completed from the clip, and why there is nothing, or ''."""
+    view = view_of(clip)
     glints, view = settled(clip, view, name)
     return link(glints, view.camera), view.camera, why_nothing(clip.frames, view, glints)
 
@@ -296,7 +296,7 @@ def measure_clip(tracks: Tracks, camera: Camera) -> tuple[list[dict[str, Any]], 
 
 
 def unsaid(camera: Camera) -> list[str]:
-    """What the camera file did not tell, and what in it is not accounted for."""
+    """What the camera file left out, and what in it is not accounted for."""
     assumed = [name for name in camera.assumed if name != "ball_diameter"]
     return [
         *([f"assumed or estimated: {', '.join(assumed)}"] if assumed else []),
@@ -305,12 +305,12 @@ def unsaid(camera: Camera) -> list[str]:
     ]
 
 
-def _streaks(camera: Camera) -> str:
+def _blur_note(camera: Camera) -> str:
     if camera.exposure_seen is None:
         return ""
     kind = "longer" if camera.exposure_seen > camera.exposure else "shorter"
     seen = f"{results.SEEN} in {results.RUN}"
-    return f"exposure: streaks are {kind} than it makes them; taken as they are seen ({seen})"
+    return f"exposure: motion blur is {kind} than it makes it; taken as it is seen ({seen})"
 
 
 def _with_error(value: float, std: float) -> str:

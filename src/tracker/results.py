@@ -28,10 +28,10 @@ from tracker.detection.link import Tracks
 from tracker.outputs import put
 
 RUN = "run.json"
-SEEN = "exposure_seen_s"  # of clips whose streaks are not as long as the camera file's exposure makes them
+SEEN = "exposure_seen_s"  # of clips whose motion blur is not as long as the camera file's exposure makes it
 MOST = (1 << 31) - 1  # frames, particles, clips
 MOST_BYTES = 1 << 30  # of a JSON file
-FARTHEST = 1e6  # px, of a place, or of its standard deviation
+FARTHEST = 1e6  # px, of a position, or of its standard deviation
 NEEDED = ("frame", "particle", "x", "y")
 
 
@@ -89,7 +89,7 @@ def finish(partial: Path, final: Path, numbers: Iterable[int]) -> pd.DataFrame:
 
 
 def _note_exposures(results: Path, numbers: Sequence[int]) -> None:
-    """Adds to run.json what the clips' cameras tell of exposures that are not the camera file's, s by clip."""
+    """Adds to run.json the clips' exposures that are not the camera file's, s by clip."""
     cameras = {n: load_json(clip_folder(results, n) / "camera.json") for n in numbers}
     seen = {n: camera[SEEN] for n, camera in cameras.items() if SEEN in camera}
     if seen:
@@ -101,10 +101,10 @@ def gather(results: Path, numbers: Iterable[int]) -> pd.DataFrame:
     """All clips' estimates, one row a collision, ``clip`` first."""
     rows = []
     for number in numbers:
-        place = clip_folder(results, number) / "estimates.json"
-        found = load_json(place)
+        path = clip_folder(results, number) / "estimates.json"
+        found = load_json(path)
         if not isinstance(found, list) or not all(isinstance(row, dict) and "status" in row for row in found):
-            raise InputError(f"{place}: damaged, expected a list of estimates; remove {results} to start anew")
+            raise InputError(f"{path}: damaged, expected a list of estimates; remove {results} to start anew")
         rows += [{"clip": number, **row} for row in found]
     return estimates_table(rows)
 
@@ -202,7 +202,7 @@ def read_tracks(path: Path) -> dict[int, tuple[Tracks, str | None]]:
     """Tracks by clip, with the clip's striker where the table says it; InputError for what is no such table.
 
     CSV or Parquet with frame, particle, x, y in px; clip (0 if missing), striker, x_std, y_std, cov_xy may be
-    there. Rows without a finite place are left out.
+    there. Rows without a finite position are left out.
     """
     return split_tracks(_load(path), str(path))
 
@@ -250,7 +250,7 @@ def _to_tracks(table: pd.DataFrame, where: str) -> Tracks:
     x, y = _real(table["x"], "x", where), _real(table["y"], "y", where)
     for name, values in (("x", x), ("y", y)):
         if np.any(np.abs(values) > FARTHEST):
-            raise InputError(f"{where}: {name}: expected places in px, not {values[np.abs(values) > FARTHEST][0]:g}")
+            raise InputError(f"{where}: {name}: expected positions in px, not {values[np.abs(values) > FARTHEST][0]:g}")
     kept = np.flatnonzero(np.isfinite(x) & np.isfinite(y))
     kept = kept[np.lexsort((frame[kept], particle[kept]))]
     twice = (np.diff(frame[kept]) == 0) & (np.diff(particle[kept]) == 0)

@@ -13,7 +13,7 @@ from tracker_film import CAMERA, collision, disc, expose, film, spot, write_clip
 from tracker import cli, pipeline, recording
 from tracker.camera.camera import Camera
 from tracker.camera.frames import Clip, Frames, open_source
-from tracker.detection.detect import detect, look
+from tracker.detection.detect import detect, view_of
 from tracker.detection.link import link
 
 SHAPE = (160, 200)
@@ -58,7 +58,7 @@ def test_dark_balls_with_a_bright_glint_are_followed():
     frames = moving(rng, 60.0, draw)
     camera = Camera.from_dict({k: v for k, v in CAMERA.items() if k != "lamp"})
     clip = Clip(0, camera, Frames(len(frames), SHAPE, frames.dtype, lambda k: frames[k]))
-    view = look(clip)
+    view = view_of(clip)
     tracks = link(detect(clip, view), view.camera)
     assert len(tracks) == 20
     assert np.abs(tracks.x - (20.3 + 7.0 * np.arange(20))).max() < 0.1

@@ -26,10 +26,10 @@ LIMITED = ("unknown_lamp.height", "unknown_lamp.x", "hop.share", "hop.bounce", "
 def pucks(clip, rng):
     """Two that slide without friction and part anyhow."""
     way = 0.3 * np.array([np.cos(clip.launch[4]), np.sin(clip.launch[4])])
-    t, place = clip.frame / clip.fps - clip.launch[2], np.array([[0.0, 0.0], -2.38e-3 * way / 0.3])
+    t, position = clip.frame / clip.fps - clip.launch[2], np.array([[0.0, 0.0], -2.38e-3 * way / 0.3])
     before, after = np.array([[0.0, 0.0], way]), rng.normal(0, 0.3, (2, 2))
     velocity = np.where((t < 0)[:, None], before[clip.ball], after[clip.ball])
-    return clip.launch[:2] + place[clip.ball] + velocity * t[:, None] + STD * rng.standard_normal((len(t), 2))
+    return clip.launch[:2] + position[clip.ball] + velocity * t[:, None] + STD * rng.standard_normal((len(t), 2))
 
 
 def walks(clip, rng):

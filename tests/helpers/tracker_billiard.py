@@ -104,7 +104,7 @@ def play(balls, until, p):
     return legs, hits
 
 
-def places(legs, times, p):
+def positions(legs, times, p):
     """(balls, n, 2) m at times (n,)."""
     starts = np.array([t for t, _ in legs])
     out = np.zeros((len(legs[0][1]), len(times), 2))

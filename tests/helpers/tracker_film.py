@@ -23,16 +23,16 @@ CAMERA = {
 }
 
 
-def spot(shape, x, y, sigma, streak=(0.0, 0.0), steps=60):
-    """Unit-flux Gaussian over square pixels, drawn out along `streak`, by a plain sum of many short exposures."""
+def spot(shape, x, y, sigma, blur=(0.0, 0.0), steps=60):
+    """Unit-flux Gaussian over square pixels, drawn out along `blur`, by a plain sum of many short exposures."""
     erf = np.vectorize(math.erf)
     total = np.zeros(shape)
-    count = steps if max(map(abs, streak)) > 0 else 1
+    count = steps if max(map(abs, blur)) > 0 else 1
     for k in range(count):
         share = (k + 0.5) / count - 0.5
         edges = [
             (np.arange(n + 1) - 0.5 - c) / sigma / math.sqrt(2)
-            for n, c in ((shape[0], y + share * streak[1]), (shape[1], x + share * streak[0]))
+            for n, c in ((shape[0], y + share * blur[1]), (shape[1], x + share * blur[0]))
         ]
         rows, columns = (np.diff(erf(e)) / 2 for e in edges)
         total += np.outer(rows, columns) / count
@@ -56,9 +56,9 @@ def film(rng, paths, shape=(160, 200), peak=200.0, sigma=1.0, exposure_share=0.1
     """Frames (n, h, w) of glints along paths (n, balls, 2) px, a slope of the way being each frame's streak."""
     steps = np.gradient(paths, axis=0) * exposure_share
     frames = []
-    for k, places in enumerate(paths):
+    for k, positions in enumerate(paths):
         picture = np.full(shape, 0.5)
-        for ball, (x, y) in enumerate(places):
+        for ball, (x, y) in enumerate(positions):
             if np.isfinite(x) and (k, ball) not in blank:
                 reach = 12
                 c, r = round(x), round(y)
@@ -101,8 +101,8 @@ def write_dataset(folder: Path, rng, clips=2, frames=40):
     """A dataset of collisions, with something secret under truth/."""
     for number in range(clips):
         paths = collision(frames, contact=18.4 + number, speed=2.5, angle=0.4 + number)
-        place = write_clip(folder / "clips" / f"{number:06d}", film(rng, paths))
-        (place / "truth").mkdir()
-        (place / "truth" / "tracks.parquet").write_bytes(b"not for the tracker")
+        position = write_clip(folder / "clips" / f"{number:06d}", film(rng, paths))
+        (position / "truth").mkdir()
+        (position / "truth" / "tracks.parquet").write_bytes(b"not for the tracker")
     (folder / "truth").mkdir()
     return folder

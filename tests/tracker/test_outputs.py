@@ -23,8 +23,8 @@ def three_clips(folder):
     rows = []
     for clip in range(3):
         paths = collision(40, contact=18.4 + clip, speed=2.5, angle=0.4 + clip)
-        places = paths + 0.01 * rng.standard_normal(paths.shape)
-        rows += [f"{clip},{k},{n},{x:.4f},{y:.4f},.01,.01" for k in range(40) for n, (x, y) in enumerate(places[k])]
+        positions = paths + 0.01 * rng.standard_normal(paths.shape)
+        rows += [f"{clip},{k},{n},{x:.4f},{y:.4f},.01,.01" for k in range(40) for n, (x, y) in enumerate(positions[k])]
     (folder / "in").mkdir()
     (folder / "in/camera.json").write_text(json.dumps(CAMERA))
     (folder / "in/tracks.csv").write_text("\n".join(["clip,frame,particle,x,y,x_std,y_std", *rows]) + "\n")

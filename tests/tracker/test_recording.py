@@ -47,11 +47,11 @@ def command(*words):
 
 def own(folder):
     """Tracks, motion and estimates of clip 1 of RESULTS."""
-    place = folder / "clips/000001"
+    position = folder / "clips/000001"
     estimates = pd.read_parquet(folder / "estimates.parquet")
     return (
-        pd.read_parquet(place / "tracks.parquet"),
-        pd.read_parquet(place / "motion.parquet"),
+        pd.read_parquet(position / "tracks.parquet"),
+        pd.read_parquet(position / "motion.parquet"),
         estimates[estimates["clip"] == 1].reset_index(drop=True),
     )
 
@@ -67,11 +67,11 @@ def test_from_memory_as_from_a_dataset_to_the_last_bit(result, folders):
 
 
 def test_by_way_of_a_path_a_list_a_generator_and_a_camera(clip, folders):
-    place = folders / "data/clips/000001"
-    camera = tracker.Camera.read(place / "camera.json")
+    position = folders / "data/clips/000001"
+    camera = tracker.Camera.read(position / "camera.json")
     for film, known in (
-        (place, None),
-        (str(place / "frames.tif"), place / "camera.json"),
+        (position, None),
+        (str(position / "frames.tif"), position / "camera.json"),
         (list(clip.film()), camera),
         (clip.pictures(), clip.camera_json),
     ):

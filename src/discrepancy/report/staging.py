@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from tracker.camera.camera import InputError
-from tracker.outputs import check_room, told
+from tracker.outputs import as_input_error, check_room
 
 REPORT = ("discrepancy.json", "index.html", "model.yaml")
 
@@ -22,7 +22,7 @@ def aside(output: Path) -> Iterator[Path]:
         raise InputError(f"{output}: holds something else; expected a report of an earlier search, or nothing")
     check_room(output)
     folder = output.with_name(f"{output.name}.{os.getpid()}.tmp")
-    with told(output):
+    with as_input_error(output):
         folder.mkdir(parents=True)
         try:
             yield folder

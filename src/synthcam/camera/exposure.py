@@ -65,7 +65,7 @@ def sample(bounds: Array, weights: Array, frames: NDArray[np.intp], travel: Arra
     """Gauss-Legendre moments of each piece; travel (P,) is how far its balls move over the blur's sigma, wave by
     how much the light's phase turns, rad.
 
-    The number of moments keeps the streak within 1e-4 of its peak; its centroid is exact for any of them
+    The number of moments keeps the blurred glint within 1e-4 of its peak; its centroid is exact for any of them
     as long as the motion is a polynomial of low degree.
     """
     counts = np.select([travel < 0.02, travel < 0.5], [1, 2], 2 + np.ceil(travel)).astype(int)
@@ -90,13 +90,13 @@ def spots(pixels: Array, variances: Array, origins: Array, width: int, steps: in
     """Gaussian spots of unit flux integrated over square pixels: rows and columns, each (G, width steps).
 
     Their outer product is the spot in the box whose first pixel is origins (G, 2) (column, row), sampled at `steps`
-    places a pixel.
+    points a pixel.
     """
     edges = np.arange(width * steps + steps) / steps - 0.5
     sides = []
     for axis in (1, 0):
-        place = (pixels - origins)[:, axis, None]
-        below = ndtr((edges - place) / np.sqrt(variances[:, axis, None]))
+        position = (pixels - origins)[:, axis, None]
+        below = ndtr((edges - position) / np.sqrt(variances[:, axis, None]))
         sides.append(below[:, steps:] - below[:, :-steps])
     return sides[0], sides[1]
 
@@ -104,7 +104,7 @@ def spots(pixels: Array, variances: Array, origins: Array, width: int, steps: in
 def blur_matrix(width: int, margin: int, fineness: int, sigma: float, steps: int = 1) -> NDArray[np.float32]:
     """Matrix (width steps, (width - 2 margin) fineness): samples of a line to pixels that lie `margin` further out.
 
-    Each sample, 1/fineness px wide, is blurred by a Gaussian and integrated over each pixel, at `steps` places a pixel.
+    Each sample, 1/fineness px wide, is blurred by a Gaussian and integrated over each pixel, at `steps` points a pixel.
     """
     at = (np.arange((width - 2 * margin) * fineness) + 0.5) / fineness - 0.5 + margin
     edges = np.arange(width * steps + steps)[:, None] / steps - 0.5
@@ -138,7 +138,7 @@ def _banded(tiles: NDArray[np.float32], blur: NDArray[np.float32]) -> NDArray[np
 
 
 class Patches:
-    """Pixel squares, one for each frame and ball in view, wide enough for body, streak and blur.
+    """Pixel squares, one for each frame and ball in view, wide enough for ball, motion blur and blur.
 
     frame, ball: (P,). origins: (P, 2) first column and row. widths: (P,) px. number: (F, N) the patch of a frame
     and ball, -1 out of view. Each depends on its own frame alone.
@@ -161,11 +161,11 @@ class Patches:
         # In steps, so that many are drawn at once, but from this frame alone.
         self.widths = -(-(ends - self.origins).max(axis=1) // 8) * 8
 
-    def slots(self, alike: NDArray[np.intp]) -> NDArray[np.intp]:
+    def ranks(self, alike: NDArray[np.intp]) -> NDArray[np.intp]:
         """Rank among `alike` of each patch number; -1 for others and, as the last entry, for no patch."""
-        slots = np.full(len(self.frame) + 1, -1)
-        slots[alike] = np.arange(len(alike))
-        return slots
+        ranks = np.full(len(self.frame) + 1, -1)
+        ranks[alike] = np.arange(len(alike))
+        return ranks
 
     def box(self, number: int, size: tuple[int, int]) -> tuple[int, int, int, int]:
         """Top, bottom, left, right of a patch within an image of size (w, h)."""
@@ -173,9 +173,9 @@ class Patches:
         return max(top, 0), min(top + width, h), max(left, 0), min(left + width, w)
 
 
-def reach(camera: Camera, places: Array, radii: Array, slope: Array) -> Array:
+def reach(camera: Camera, positions: Array, radii: Array, slope: Array) -> Array:
     """Half width (T, N) px that holds each ball's outline: wider off the axis, where a sphere looks oval."""
-    away = camera.centre - places
+    away = camera.centre - positions
     slant = np.linalg.norm(away, axis=2) / -(away @ camera.R[2])
     return np.asarray(radii * np.linalg.norm(slope, axis=(2, 3)) * slant / np.sqrt(2) * 1.02 + 0.5)
 

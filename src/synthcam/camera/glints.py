@@ -38,31 +38,31 @@ def find_glints(
     lamp: Lamp,
     centres: Array,
     radii: Array,
-    wanted: NDArray[np.bool_],
+    light: Array | NDArray[np.bool_],
     surface: Surface = PLAIN,
     cell: float = np.inf,
-    light: Array | None = None,
 ) -> Glints:
-    """Every lamp image on the wanted (T, N) balls, for centres (T, N, 3), radii (N,), m.
+    """Every lamp image on balls at centres (T, N, 3), of radii (N,), m.
+
+    light: (T, N) the lamp's brightness at each moment, 0 for balls of which no image is wanted.
 
     Images weaker than 1e-4 of the primary are left out (`reflections.reach`). A lamp wider than `cell` m is cut into
-    cells of that half-width, each with an image of its own. light: (T,) its brightness at each moment. A cell's image
+    cells of that half-width, each with an image of its own. A cell's image
     is the cell under the exact derivative of the reflected path, so its flux and its second moments are exact to first
     order in its size; its middle's path decides whether it is hidden.
     """
     eye, cells, axes = camera.centre, lamp.cells(cell), lamp.axes
-    lit = np.ones(len(centres)) if light is None else light
     found = []
-    for balls, when in _gathered(reflections.chains(centres, radii, surface.head_on), wanted, len(cells.areas)):
+    for balls, when in _gathered(reflections.chains(centres, radii, surface.head_on), light != 0, len(cells.areas)):
         part = np.tile(np.arange(len(cells.areas)), len(when))
         moment, balls = (np.repeat(x, len(cells.areas), axis=0) for x in (when, balls))
-        source, (uu, vv, uv) = cells.places[part], cells.spread[part].T[..., None]
-        spheres, places = radii[balls], centres[moment[:, None], balls]
-        paths = reflections.reflect(source, eye, places, spheres)
+        source, (uu, vv, uv) = cells.positions[part], cells.spread[part].T[..., None]
+        spheres, positions = radii[balls], centres[moment[:, None], balls]
+        paths = reflections.reflect(source, eye, positions, spheres)
         pixels, slope = camera.project_with_slope(paths.points[:, -1])
         shape = (slope @ paths.transfer) @ axes[:, :2]
         area = cells.areas[part] * lamp.radiance * np.abs(np.linalg.det(shape))
-        flux = area * np.prod(surface.mirror(paths.cosines), axis=1) * lit[moment]
+        flux = area * np.prod(surface.mirror(paths.cosines), axis=1) * light[moment, balls[:, -1]]
         u, v = shape[..., 0], shape[..., 1]
         spread = u * u * uu + v * v * vv + 2 * u * v * uv
         seen = paths.exists & ~reflections.hidden(source, eye, paths, balls, centres[moment], radii)
@@ -71,7 +71,7 @@ def find_glints(
         order, ball = np.full(len(moment), balls.shape[1]), balls[:, -1]
         lobes = [(spread, flux)]
         if surface.roughness or surface.scratches:
-            tilted = ((slope @ reflections.tilted(source, eye, paths, places, spheres)) ** 2).sum(2)
+            tilted = ((slope @ reflections.tilted(source, eye, paths, positions, spheres)) ** 2).sum(2)
             lobes = [
                 (spread + slope_rms**2 * tilted, share * flux)
                 for slope_rms, share in (

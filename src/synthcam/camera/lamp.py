@@ -28,10 +28,10 @@ class Flicker:
 
 @dataclass(frozen=True)
 class Cells:
-    """Pieces of a lamp. places: (C, 3) m, their centroids. areas: (C,) m^2. spread: (C, 3) m^2, their second
+    """Pieces of a lamp. positions: (C, 3) m, their centroids. areas: (C,) m^2. spread: (C, 3) m^2, their second
     moments uu, vv, uv in the lamp's plane, about the centroid."""
 
-    places: Array
+    positions: Array
     areas: Array
     spread: Array
 

@@ -53,16 +53,14 @@ class Camera:
         distortion: Sequence[float] = (0.0, 0.0, 0.0, 0.0, 0.0),
         *,
         ball_radius: float,
-        fps: float,
-        exposure: float,
-        psf_sigma_px: float,
-        **more: float,
+        **fields: float,
     ) -> "Camera":
         """Camera `height` m from the world's origin, looking at it; `scale` m/px holds at z = ball_radius.
 
         tilt = (a, b): the camera is carried round the origin by a rad about the world's x axis, then by b
-        about y, and keeps its distance and its aim: its centre is Ry(b) Rx(a) (0, 0, height). more: defocus_px,
-        airy_px, vignetting, line_time. Raises ValueError where height does not exceed ball_radius.
+        about y, and keeps its distance and its aim: its centre is Ry(b) Rx(a) (0, 0, height). fields: fps, exposure,
+        psf_sigma_px, and others of a camera's fields that are numbers. Raises ValueError where height does not exceed
+        ball_radius.
         """
         if height <= ball_radius:
             raise ValueError(f"camera height {height} m must be over the balls' centres at {ball_radius} m")
@@ -77,16 +75,13 @@ class Camera:
             R=np.diag([1.0, -1, -1]) @ (about_y @ about_x).T,
             t=np.array([0, 0, float(height)]),
             size=(int(size[0]), int(size[1])),
-            fps=float(fps),
-            exposure=float(exposure),
             scale=float(scale),
-            psf_sigma_px=float(psf_sigma_px),
-            **more,
+            **{name: float(value) for name, value in fields.items()},
         )
 
     @property
     def centre(self) -> Array:
-        """The camera's place in the world: (3,) m."""
+        """Position of the camera in the world: (3,) m."""
         return np.asarray(-self.R.T @ self.t)
 
     def project(self, points: ArrayLike) -> Array:

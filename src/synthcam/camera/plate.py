@@ -26,14 +26,14 @@ def plain(lamp: Lamp, surface: Surface) -> bool:
 def irradiance(lamp: Lamp, points: Array) -> Array:
     """Light on the plate at points (..., 3), m, over that of the first lamp on the point under it, facing down."""
     total = np.zeros(points.shape[:-1])
-    scale = lamp.position[2] ** 2 / lamp.cells(np.inf).areas[0]
+    factor = lamp.position[2] ** 2 / lamp.cells(np.inf).areas[0]
     for each in lamp.all:
         cells = each.cells(_part(each))
-        for place, area in zip(cells.places, cells.areas, strict=True):
-            way = points - place
+        for position, area in zip(cells.positions, cells.areas, strict=True):
+            way = points - position
             square = (way * way).sum(-1)
             fall = np.maximum(way @ each.axes[:, 2], 0) * -way[..., 2] / square**2
-            total += scale * each.radiance * area * fall
+            total += factor * each.radiance * area * fall
     return total
 
 
@@ -48,8 +48,8 @@ def gloss(lamp: Lamp, surface: Surface, eye: Array, points: Array) -> Array:
     out /= np.linalg.norm(out, axis=-1, keepdims=True)
     for each in lamp.all:
         cells = each.cells(_part(each))
-        for place, area in zip(cells.places, cells.areas, strict=True):
-            way = place - points
+        for position, area in zip(cells.positions, cells.areas, strict=True):
+            way = position - points
             square = (way * way).sum(-1)
             way /= np.sqrt(square)[..., None]
             half = way + out
@@ -86,14 +86,14 @@ def on_plate(camera: Camera) -> Array:
 
 
 def casters(lamp: Lamp, at: Array) -> Array:
-    """Discs (L, 5) that throw the shadows near a point (3,), m: place, radius of equal area, share of the light."""
+    """Discs (L, 5) that throw the shadows near a point (3,), m: position, radius of equal area, share of the light."""
     found = []
     for each in lamp.all:
         cells = each.cells(_part(each))
-        for place, area in zip(cells.places, cells.areas, strict=True):
-            way = at - place
+        for position, area in zip(cells.positions, cells.areas, strict=True):
+            way = at - position
             fall = max(float(way @ each.axes[:, 2]), 0.0) * -way[2] / (way @ way) ** 2
-            found.append([*place, np.sqrt(area / np.pi), each.radiance * area * fall])
+            found.append([*position, np.sqrt(area / np.pi), each.radiance * area * fall])
     discs = np.array(found)
     discs[:, 4] /= max(discs[:, 4].sum(), 1e-30)
     return discs

@@ -25,7 +25,7 @@ class Paths:
     """Reflected paths of one order k.
 
     points: (M, k, 3) reflection points, lamp side first, m.
-    transfer: (M, 3, 3) derivative of the last point by the lamp's place.
+    transfer: (M, 3, 3) derivative of the last point by the lamp's position.
     cosines: (M, k) cosine of the angle of incidence at each point.
     exists: (M,) False where the straight line runs through a ball and nothing is reflected.
     """
@@ -112,7 +112,7 @@ def _expand(ends: Array, normals: Array, tangents: Array, radii: Array) -> tuple
     """Length of the broken line to second order in tangential moves of its corners.
 
     Returns the slope (M, 2k), the curvature (M, 2k, 2k), the pressure n . (u_before + u_after) (M, k) and the
-    derivative of the first corner's slope by the lamp's place (M, 2, 3).
+    derivative of the first corner's slope by the lamp's position (M, 2, 3).
     """
     count, order = normals.shape[:2]
     legs = np.diff(ends, axis=1)

@@ -1,7 +1,7 @@
 """A rolling shutter: each row is exposed a line time after the one above.
 
 A row's picture is that of a global shutter opened at the row's own time. Between such pictures, taken while the
-balls move no further than STEP, it is interpolated: places stay exact, widths grow by STEP^2/4 at most.
+balls move no further than STEP, it is interpolated: positions stay exact, widths grow by STEP^2/4 at most.
 """
 
 from collections.abc import Callable
@@ -38,11 +38,11 @@ def rolled(
     for rows_from, rows_to, steps in _strips(camera, seen, span, cuts):
         anchors = np.linspace(rows_from, rows_to - 1, steps + 1)
         pictures = gather(span + anchors[:, None] * delay)
-        place = (rows[rows_from:rows_to] - anchors[0]) / max(anchors[-1] - anchors[0], 1) * steps
+        position = (rows[rows_from:rows_to] - anchors[0]) / max(anchors[-1] - anchors[0], 1) * steps
         for k, (before, after) in enumerate(pairwise(pictures)):
-            own = np.arange(rows_from, rows_to)[(np.minimum(place.astype(int), steps - 1)) == k]
+            own = np.arange(rows_from, rows_to)[(np.minimum(position.astype(int), steps - 1)) == k]
             if len(own):
-                part, share = slice(own[0], own[-1] + 1), (place[own - rows_from] - k)[:, None].astype(np.float32)
+                part, share = slice(own[0], own[-1] + 1), (position[own - rows_from] - k)[:, None].astype(np.float32)
                 for picture, weight in ((before, 1 - share), (after, share)):
                     image[part] += weight * (picture.image[part] - picture.plate[part])
         for picture in pictures:

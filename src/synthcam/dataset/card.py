@@ -42,7 +42,7 @@ def card(about: dict[str, Any], clips: int, names: list[str], holds: str = "all"
         [
             f"# {_title(clips, names, holds)}",
             "",
-            *_told(about, holds),
+            *_provenance(about, holds),
             "SI units; x right and y down in the image, (0, 0) the centre of the top-left pixel.",
             "Licence: CC0 1.0.",
             "",
@@ -70,7 +70,7 @@ def _plain(text: Any) -> str:
     return re.sub(r"([\\`*\[\]!|#])", r"\\\1", html.escape(line, quote=False))
 
 
-def _told(about: dict[str, Any], holds: str) -> list[str]:
+def _provenance(about: dict[str, Any], holds: str) -> list[str]:
     drawn = f"drawn by {_plain(about['gl']['renderer'])}" if about["gl"] else "without video"
     if holds == "frames":
         return [

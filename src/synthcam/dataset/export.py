@@ -16,7 +16,7 @@ import pandas as pd
 from synthcam.dataset import exports
 from synthcam.dataset.files import clip_folders
 from synthcam.dataset.recorded import Recorded, first_line
-from synthcam.outputs import check_room, told
+from synthcam.outputs import as_input_error, check_room
 from synthcam.settings import InputError
 
 Writer = Callable[[Iterator[Recorded], Path], None]
@@ -32,7 +32,9 @@ def _module(name: str) -> Any:
     return importlib.import_module(f"{exports.__name__}.{name}")
 
 
-def export(dataset: Path, kind: str, output: Path, tick: Callable[[int, int], None], truth: Path | None = None) -> int:
+def export(
+    dataset: Path, kind: str, output: Path, progress: Callable[[int, int], None], truth: Path | None = None
+) -> int:
     """Write a dataset to the folder `output` in another format; how many clips.
 
     truth: another folder with the truth, where it was withheld. Written aside and moved into place. Raises InputError.
@@ -47,11 +49,11 @@ def export(dataset: Path, kind: str, output: Path, tick: Callable[[int, int], No
     output = output.resolve()
     check_room(output)
     aside = output.with_name(f"{output.name}-{uuid.uuid4().hex[:12]}.tmp")
-    with told(output):
+    with as_input_error(output):
         aside.mkdir(parents=True)
         try:
             rows = _rows(table)
-            _module(kind).write(_clips(dataset, truth or dataset, rows, tick), aside)
+            _module(kind).write(_clips(dataset, truth or dataset, rows, progress), aside)
             aside.rename(output)
         finally:
             shutil.rmtree(aside, ignore_errors=True)
@@ -67,7 +69,7 @@ def _rows(table: Path) -> pd.DataFrame:
         raise InputError(f"{table}: damaged ({first_line(error)})") from None
 
 
-def _clips(dataset: Path, truth: Path, rows: pd.DataFrame, tick: Callable[[int, int], None]) -> Iterator[Recorded]:
+def _clips(dataset: Path, truth: Path, rows: pd.DataFrame, progress: Callable[[int, int], None]) -> Iterator[Recorded]:
     each, folders = rows["scene"].value_counts(), clip_folders(dataset)
     if [int(f.name) for f in folders] != rows["clip"].tolist():
         raise InputError(f"{dataset}: {len(folders)} clips for {len(rows)} rows of its truth")
@@ -87,8 +89,8 @@ def _clips(dataset: Path, truth: Path, rows: pd.DataFrame, tick: Callable[[int, 
             )
             clip.check()
         except FileNotFoundError as e:
-            raise InputError(f"{e.filename}: missing; `synthcam verify` tells what else is") from None
+            raise InputError(f"{e.filename}: missing; `synthcam verify` lists what else is") from None
         except (KeyError, ValueError, TypeError, OSError, RecursionError) as e:
-            raise InputError(f"{folder}: damaged ({first_line(e)}); `synthcam verify` tells more") from None
+            raise InputError(f"{folder}: damaged ({first_line(e)}); `synthcam verify` lists more") from None
         yield clip
-        tick(k + 1, len(rows))
+        progress(k + 1, len(rows))

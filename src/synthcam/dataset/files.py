@@ -1,4 +1,4 @@
-"""The files of a dataset, written and read. docs/format.md tells what each holds."""
+"""The files of a dataset, written and read. docs/format.md describes them."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ import tifffile
 from numpy.typing import NDArray
 
 from synthcam.dataset.card import card
-from synthcam.scene import ground_truth as truth
+from synthcam.scene import ground_truth
 from synthcam.scene.clip import Clip
 from synthcam.settings import InputError
 
@@ -111,9 +111,9 @@ def finish(folder: Path, about: dict[str, Any], unlisted: str = "", secret: Path
     count, names = _write_rows(root)
     _write_json(root / "truth" / "dataset.json", about)
     holds = ("frames", "truth") if secret else ("all", "all")
-    for place, what in {folder: holds[0], root: holds[1]}.items():
-        (place / "README.md").write_text(card(about, count, names, what), encoding="utf-8")
-        write_sums(place, root, unlisted)
+    for where, what in {folder: holds[0], root: holds[1]}.items():
+        (where / "README.md").write_text(card(about, count, names, what), encoding="utf-8")
+        write_sums(where, root, unlisted)
 
 
 def finish_shard(folder: Path, about: dict[str, Any], unlisted: str = "") -> None:
@@ -127,7 +127,9 @@ def _write_rows(root: Path) -> tuple[int, list[str]]:
     """Gather the clips' rows into truth/clips.parquet; how many, and the names of their scenes."""
     text = ("seed_key", "scene", "striker", "effects", "frames_sha256", "pixels_sha256")
     before = [("clip", pa.int64()), ("seed_key", pa.string()), ("scene", pa.string())]
-    schema = pa.schema([*before, *((c, pa.float64()) for c in truth.COLLISION), *((c, pa.string()) for c in text[2:])])
+    schema = pa.schema(
+        [*before, *((c, pa.float64()) for c in ground_truth.COLLISION), *((c, pa.string()) for c in text[2:])]
+    )
     clips, names = clip_folders(root), dict[str, None]()
     with (root / "truth" / "clips.parquet").open("wb") as file, pq.ParquetWriter(file, schema) as writer:
         for start in range(0, len(clips), ROWS):
@@ -195,7 +197,7 @@ class Check:
     problems: tuple[str, ...]
 
 
-def verify(folder: Path, tick: Callable[[int, int], None] = lambda done, total: None) -> Check:
+def verify(folder: Path, progress: Callable[[int, int], None] = lambda done, total: None) -> Check:
     """Hold a dataset to its checksums and its counts. Raises InputError when it is no finished dataset."""
     listed = read_sums(folder)
     problems = []
@@ -205,7 +207,7 @@ def verify(folder: Path, tick: Callable[[int, int], None] = lambda done, total: 
             problems.append(f"{name}: missing")
         elif sha256(path) != digest:
             problems.append(f"{name}: changed (its SHA-256 is not the one recorded)")
-        tick(k, len(listed))
+        progress(k, len(listed))
     for path in _files(folder):
         name = path.relative_to(folder).as_posix()
         if name != SUMS and name not in listed:
@@ -230,7 +232,7 @@ def read_sums(folder: Path) -> dict[str, str]:
 
 
 def _counts(folder: Path) -> list[str]:
-    """Files may agree with a list that was shortened with them: the tables tell how many clips there were."""
+    """Files may agree with a list that was shortened with them: the tables hold how many clips there were."""
     clips, problems = clip_folders(folder), []
     numbers = [int(c.name) for c in clips]
     shard = folder / "truth" / "shard.json"

@@ -67,7 +67,7 @@ class Plan:
 
     @classmethod
     def of(cls, document: dict[str, Any]) -> Plan:
-        """The plan that a document tells of, shards aside."""
+        """The plan of a document, shards aside."""
         scenes = tuple(check_scene(s, "scene") for s in document["scenes"])
         wanted = {"clips_per_scene", "seed", "video"}
         clips, seed, video = (document[k] for k in sorted(wanted))
@@ -101,24 +101,24 @@ def run(
     plan: Plan,
     output: Path,
     workers: int,
-    tick: Callable[[int, int], None],
+    progress: Callable[[int, int], None],
     withheld: Path | None = None,
     scheduler: str = "",
-    tell: Callable[[str], None] | None = None,
+    announce: Callable[[str], None] | None = None,
 ) -> Outcome:
-    """Make the dataset at `output`; `tick(done, total)` after each clip.
+    """Make the dataset at `output`; `progress(done, total)` after each clip.
 
     All is made in a folder beside it, `output`.partial, and moved into place when complete, so that a killed run goes
     on where it was. withheld: another folder, for the truth. scheduler: address of a Dask scheduler, whose workers see
-    the same folders. tell: hears an estimate of time and disk before the start. Raises InputError when a folder holds
-    something else or the disk is full, NoGL when nothing can draw.
+    the same folders. announce: takes an estimate of time and disk before the start. Raises InputError when a folder
+    holds something else or the disk is full, NoGL when nothing can draw.
     """
     made = begin(output, plan.document(), withheld)
     if made is None:
-        tick(plan.total, plan.total)
+        progress(plan.total, plan.total)
         return Outcome(0, (), withheld or output)
     try:
-        return _make(plan, made, workers, tick, scheduler, tell)
+        return _make(plan, made, workers, progress, scheduler, announce)
     except Exception as e:
         if not made.done():
             made.discard()
@@ -134,9 +134,9 @@ def _make(
     plan: Plan,
     made: Partial,
     workers: int,
-    tick: Callable[[int, int], None],
+    progress: Callable[[int, int], None],
     scheduler: str,
-    tell: Callable[[str], None] | None,
+    announce: Callable[[str], None] | None,
 ) -> Outcome:
     done = made.done()
     todo = [k for k in plan.numbers if k not in done]
@@ -149,12 +149,12 @@ def _make(
         drawn_by = cluster.everywhere(partial(drawing, plan.video))
         results = cluster.each(todo, partial(_make_anywhere, json.dumps(plan.document()), *_folders(made)))
     else:
-        results = _here(plan, made, todo, workers, tell)
-    tick(len(done), plan.total)
+        results = _here(plan, made, todo, workers, announce)
+    progress(len(done), plan.total)
     failed = []
     for k, (number, trouble) in enumerate(results, 1):
         failed += [f"clip {number}: {trouble}"] if trouble else []
-        tick(len(done) + k, plan.total)
+        progress(len(done) + k, plan.total)
     made.tidy()
     if failed:
         if not made.done():
@@ -175,11 +175,11 @@ def complete(plan: Plan, made: Partial, drawn_by: list[dict[str, Any]]) -> None:
 
 
 def _here(
-    plan: Plan, made: Partial, todo: list[int], workers: int, tell: Callable[[str], None] | None
+    plan: Plan, made: Partial, todo: list[int], workers: int, announce: Callable[[str], None] | None
 ) -> Iterator[tuple[int, str]]:
     """Make the clips on this machine: (number, '' or what went wrong), in the order in which they end."""
     folders = _folders(made)
-    if tell and todo:
+    if announce and todo:
         trials = sorted({todo[0], todo[len(todo) // 2], todo[-1]})  # of several scenes, where there are several
         ends = []
         for number in trials:  # the first loads libraries, draws the chip and starts OpenGL
@@ -187,7 +187,7 @@ def _here(
             ends.append(time.perf_counter())
         todo = [k for k in todo if k not in trials]
         if todo:
-            tell(_estimate(made, trials, (ends[-1] - ends[0]) / (len(ends) - 1), len(todo), workers))
+            announce(_estimate(made, trials, (ends[-1] - ends[0]) / (len(ends) - 1), len(todo), workers))
     if min(workers, len(todo)) > 1:
         document = json.dumps(plan.document())
         yield from each(todo, min(workers, len(todo)), partial(_ready, document, *folders))
@@ -226,7 +226,7 @@ def _plan(document: str) -> Plan:
 
 
 def _make_anywhere(document: str, folder: Path, secret: Path, number: int) -> str:
-    """In a worker, perhaps on another machine: make one clip of the plan that `document` tells of."""
+    """In a worker, perhaps on another machine: make one clip of the plan of `document`."""
     wanted = json.loads(document)["version"]
     if version("synthcam") != wanted:
         return f"its worker has synthcam {version('synthcam')}, expected {wanted}"

@@ -14,7 +14,7 @@ from typing import Any
 from synthcam.dataset.files import VIDEO, read_sums
 from synthcam.dataset.generate import Plan, complete
 from synthcam.dataset.staging import Partial, aside, begin, check_apart, settle
-from synthcam.outputs import told
+from synthcam.outputs import as_input_error
 from synthcam.settings import InputError
 
 OWN = {"shard", "clips", "gl", "machine", "drawn_by"}  # what two shards of a dataset need not share
@@ -22,7 +22,7 @@ CHUNK = 1 << 20
 FILES = {VIDEO, "camera.json", "truth/scene.json", "truth/tracks.parquet", "truth/events.parquet"}  # of a clip
 
 
-def merge(shards: list[Path], output: Path, tick: Callable[[int, int], None], withheld: Path | None = None) -> int:
+def merge(shards: list[Path], output: Path, progress: Callable[[int, int], None], withheld: Path | None = None) -> int:
     """Copy the clips of finished shards into one dataset; how many.
 
     Every file is held to its shard's checksum on the way. Interrupted, the same call goes on. Raises InputError when
@@ -38,19 +38,19 @@ def merge(shards: list[Path], output: Path, tick: Callable[[int, int], None], wi
     plan = Plan.of(abouts[0])
     made = begin(output, plan.document(), withheld)
     if made is None:
-        tick(plan.total, plan.total)
+        progress(plan.total, plan.total)
         return plan.total
     try:
-        with told(made.folder, "; the same command goes on where it stopped"):
+        with as_input_error(made.folder, "; the same command goes on where it stopped"):
             done = made.done()
-            tick(len(done), plan.total)
+            progress(len(done), plan.total)
             for shard, about in zip(shards, abouts, strict=True):
                 sums = read_sums(shard)
                 for number in about["clips"]:
                     if number not in done:
                         _copy_clip(shard, sums, number, made)
                         done.add(number)
-                        tick(len(done), plan.total)
+                        progress(len(done), plan.total)
             complete(plan, made, _drawn_by(abouts))
     except BaseException:
         if not made.done():
@@ -77,7 +77,7 @@ def _about(shard: Path) -> dict[str, Any]:
 
 
 def _sound(about: Any) -> bool:
-    """Whether a shard's document is of the right kinds throughout, and tells of the clips that are this shard's."""
+    """Whether a shard's document is of the right kinds throughout, and lists the clips that are this shard's."""
     which, of = about["shard"]
     numbers = [about["clips_per_scene"], about["seed"], which, of]
     if not all(type(x) is int for x in numbers) or not 1 <= which <= of or min(numbers) < 0:

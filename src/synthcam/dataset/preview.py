@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from skimage.exposure import adjust_gamma, rescale_intensity
 
-from synthcam.outputs import check_film, check_room, put, told
+from synthcam.outputs import as_input_error, check_film, check_room, put
 from synthcam.scene.clip import Clip
 from synthcam.scene.filming import Counts
 from synthcam.scene.scene import check_scene
@@ -29,7 +29,7 @@ MARGIN = 2.0  # ball diameters round the balls' paths
 def write_preview(clip: Clip, path: Path, frame: int | None, magnify: int) -> None:
     """Write frame number `frame` of a clip (default: the last before the contact) as a PNG.
 
-    magnify > 0: the balls so many times larger stand below the frame, with their faint bodies brought out.
+    magnify > 0: the balls so many times larger stand below the frame, with what is faint brought out.
     """
     check_room(path)
     view = clip.view
@@ -46,19 +46,19 @@ def write_preview(clip: Clip, path: Path, frame: int | None, magnify: int) -> No
     ok, data = cv2.imencode(".png", picture)
     if not ok:
         raise OSError(f"{path}: could not be encoded as PNG")
-    with told(path):
+    with as_input_error(path):
         put(path, data.tobytes())
 
 
 def write_film(clip: Clip, path: Path) -> float:
     """Write a clip as .gif or .mp4, cropped to where the balls pass and magnified; how many times slower it plays.
 
-    What is dark is brought out, as in `write_preview`, and the noise taken out. A strip below the picture tells the
+    What is dark is brought out, as in `write_preview`, and the noise taken out. A strip below the picture shows the
     speed and the time.
     """
     slower = clip.camera.fps / SHOWN_FPS
-    places = clip.view.at(np.arange(clip.frames) / clip.camera.fps)[:, :, :3]
-    rows, columns = _crop(clip, places)
+    positions = clip.view.at(np.arange(clip.frames) / clip.camera.fps)[:, :, :3]
+    rows, columns = _crop(clip, positions)
     size = max(rows.stop - rows.start, columns.stop - columns.start)
     zoom = max(1, -(-WIDTH // size))
     black, noise = (c / 2 ** (clip.sensor.bits - 8) for c in (clip.sensor.black_level, _noise(clip)))
@@ -70,7 +70,7 @@ def write_film(clip: Clip, path: Path) -> float:
             yield _with_caption(large, f"{slower:.3g} x slower   {1e3 * k / clip.camera.fps:.0f} ms")
 
     check_room(path)
-    with told(path), tempfile.TemporaryDirectory(dir=path.parent, prefix=f".{path.name}-") as folder:
+    with as_input_error(path), tempfile.TemporaryDirectory(dir=path.parent, prefix=f".{path.name}-") as folder:
         aside = Path(folder) / f"film{path.suffix.lower()}"
         if aside.suffix == ".gif":
             # In memory first: on a full disk imageio would try again as it is collected, and print a traceback.
@@ -94,9 +94,9 @@ def _write_mp4(path: Path, frames: Iterator[NDArray[np.uint8]]) -> None:
     writer.release()
 
 
-def _crop(clip: Clip, places: NDArray[np.float64]) -> tuple[slice, slice]:
+def _crop(clip: Clip, positions: NDArray[np.float64]) -> tuple[slice, slice]:
     """Rows and columns round the paths (N, T, 3) of the balls, within the picture; even, as MPEG wants it."""
-    px = clip.camera.project(places.reshape(-1, 3))
+    px = clip.camera.project(positions.reshape(-1, 3))
     width, height = clip.camera.size
     inside = px[((px >= 0) & (px < [width, height])).all(axis=1)]
     if not len(inside):
@@ -122,8 +122,8 @@ def _quiet(picture: NDArray[np.uint8], floor: float) -> NDArray[np.uint8]:
 
 def _with_caption(picture: NDArray[np.uint8], text: str) -> NDArray[np.uint8]:
     strip = np.full((24, picture.shape[1]), 40, np.uint8)
-    scale = min(0.5, picture.shape[1] / 480)
-    cv2.putText(strip, text, (6, 17), cv2.FONT_HERSHEY_SIMPLEX, scale, 230, 1, cv2.LINE_AA)
+    font = min(0.5, picture.shape[1] / 480)
+    cv2.putText(strip, text, (6, 17), cv2.FONT_HERSHEY_SIMPLEX, font, 230, 1, cv2.LINE_AA)
     return np.vstack([picture, strip])
 
 

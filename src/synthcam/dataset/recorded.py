@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from synthcam.settings import InputError
 
-LARGEST = 1e9  # of any number that a camera or a stack is told by
+LARGEST = 1e9  # of any number that describes a camera or a stack
 
 
 @dataclass(frozen=True)
@@ -59,7 +59,7 @@ class Recorded:
                 for page in tif.pages:
                     yield page.asarray()
         except Exception as error:  # decoders raise their own kinds
-            raise InputError(f"{self.stack}: damaged ({first_line(error)}); `synthcam verify` tells more") from None
+            raise InputError(f"{self.stack}: damaged ({first_line(error)}); `synthcam verify` lists more") from None
 
     def in_view(self, ball: pd.DataFrame) -> pd.DataFrame:
         """The rows of tracks at which the ball's centre lies in the picture."""

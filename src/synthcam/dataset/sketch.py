@@ -13,7 +13,7 @@ from synthcam.dynamics.kinematics import Array
 from synthcam.dynamics.launch import Launch
 from synthcam.effect import Effect
 from synthcam.model import Model
-from synthcam.outputs import check_room, put, told
+from synthcam.outputs import as_input_error, check_room, put
 from synthcam.scene.filmed_motion import View
 
 LAUNCH = {"time": 0.04, "v0": 0.4, "b": 0.35, "heading": 0.0, "contact": (-0.01, 0.0)}
@@ -76,6 +76,6 @@ def sketch(effect: Effect, path: Path) -> float:
     drawn = BytesIO()
     kind = path.suffix.lower().lstrip(".") or "png"
     figure.savefig(drawn, format=kind, dpi=120, metadata={"Software": None} if kind == "png" else None)
-    with told(path):
+    with as_input_error(path):
         put(path, drawn.getvalue())
     return float(np.abs(apart).max())

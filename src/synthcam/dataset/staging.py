@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from synthcam.dataset.files import SUMS, clip_folders
-from synthcam.outputs import put, told
+from synthcam.outputs import as_input_error, put
 from synthcam.settings import InputError
 
 PLAN = "plan.json"
@@ -44,8 +44,8 @@ class Partial:
             shutil.rmtree(leftover)
 
     def discard(self) -> None:
-        for place in {self.folder, self.truth}:
-            shutil.rmtree(place, ignore_errors=True)
+        for folder in {self.folder, self.truth}:
+            shutil.rmtree(folder, ignore_errors=True)
         self.close()
 
     def publish(self) -> None:
@@ -89,7 +89,7 @@ def begin(output: Path, document: dict[str, Any], withheld: Path | None = None) 
     for folder in {partial, truth}:
         _same_or_refuse(document, folder, plan if plan.exists() or not _about(truth).is_file() else _about(truth))
     new = not partial.exists()
-    with told(partial):
+    with as_input_error(partial):
         partial.mkdir(parents=True, exist_ok=True)
         made = Partial(partial, truth, output, withheld, _locked(partial))
         try:

@@ -116,7 +116,7 @@ def _serve(pipe: Connection, prepare: Callable[[], Work]) -> None:
 
 
 def _leave_with_parent() -> None:
-    """A killed parent tells nobody: its workers would wait for ever, and write into the folder of the next run."""
+    """Without this, workers of a killed parent would wait for ever, or write into the folder of the next run."""
     parent = multiprocessing.parent_process()
     if parent is not None:
         parent.join()

@@ -20,10 +20,9 @@ class BallFriction(Effect):
     they touch for 9 us and the plate answers in 20: with Hertz contacts of steel, on aluminium, C = .38 (beta .07).
     What the plate then takes of the vertical motion is `hop`'s matter.
 
-    Where C is fitted too, tracks tell share (1 + beta), mu / (1 + beta) and (1 - share) C, no more; a search keeps the
-    beta that it is given. A share over 1 stands for a larger beta: 1.2 without any C for .2. Beside a C it is no law of
-    contact.
-    Walton & Braun, J. Rheol. 30 (1986) 949; Foerster et al., Phys. Fluids 6 (1994) 1108.
+    Where C is fitted too, tracks determine share (1 + beta), mu / (1 + beta) and (1 - share) C, no more; a search keeps
+    the beta that it is given. A share over 1 stands for a larger beta: 1.2 without any C for .2. Beside a C it is no
+    law of contact. Walton & Braun, J. Rheol. 30 (1986) 949; Foerster et al., Phys. Fluids 6 (1994) 1108.
     """
 
     share: float = parameter("1", typical=1.0, low=0, high=2, default=1.0)

@@ -10,7 +10,7 @@ from synthcam.effect import Effect, parameter
 class ClockError(Effect):
     """Frame k is taken at (1 + e) k/fps.
 
-    It cannot be told from tracks: v0 and drag times f, mu and decel times f^2 absorb it exactly. For scenes.
+    Tracks cannot show it: v0 and drag times f, mu and decel times f^2 absorb it exactly. For scenes.
     """
 
     e: float = parameter("1", typical=1e-3, low=-0.3, high=0.3)

@@ -7,7 +7,7 @@ import numpy as np
 
 from synthcam.effect import Effect, parameter
 
-EDGE = 0.02  # frames: the step is smooth, so that a fit can find its place
+EDGE = 0.02  # frames: the step is smooth, so that a fit can find its position
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,7 @@ class EccentricMass(Effect):
     the inertia's change, outweighs gravity above 0.11 m/s. First order in the offset over R, without the rolling loss,
     which is a hundredth of gravity; of 1 um at 0.1 m/s the speed ripples by 0.13 mm/s with the period 2 pi R.
 
-    Sliding is unmoved: the load's change there, offset times w^2, is left out. The phase is that of the place on the
+    Sliding is unmoved: the load's change there, offset times w^2, is left out. The phase is that of the position on the
     plate; a ball laid down anyhow has another in each clip, which one c and d cannot hold.
     """
 

@@ -12,7 +12,7 @@ class FrictionMismatch(Effect):
 
     A ball that is oiled, rusty or worn: sliding friction is that of the two surfaces which touch. Where every slide of
     ball a begins at other speeds than ball b's it is like a friction that depends on the slip's speed: balls exchanged
-    in half the clips tell them apart.
+    in half the clips separate the two.
     """
 
     excess: float = parameter("1", typical=0.01, low=-0.9, high=10)

@@ -12,7 +12,8 @@ from synthcam.effect import Effect, parameter
 class PixelLocking(Effect):
     """Each coordinate is off by -amplitude sin(2 pi x), x in px: amplitude > 0 draws to the middles.
 
-    A defect of the tracker: no scene may have it. Places rounded to whole px have amplitude 1/pi, their first harmonic.
+    A defect of the tracker: no scene may have it. Positions rounded to whole px have amplitude 1/pi, their first
+    harmonic.
     """
 
     amplitude: float = parameter("px", typical=0.02, low=-0.35, high=0.35)

@@ -8,7 +8,7 @@ from synthcam.effect import Effect, parameter
 
 @dataclass(frozen=True)
 class RollingQuadratic(Effect):
-    """a = -(drag v + decel + K v^2) while rolling; nothing while sliding, which tells it from the drag of air.
+    """a = -(drag v + decel + K v^2) while rolling; nothing while sliding, which separates it from the drag of air.
 
     No published law: the next term after those of Painter & Behringer, PRE 62 (2000) 2380.
     """

@@ -13,7 +13,7 @@ from synthcam.camera.surface import IRON, Surface
 from synthcam.settings import Fraction, NotNegative, Positive, Settings
 
 Pair = Annotated[list[float], Field(min_length=2, max_length=2)]
-Place = Annotated[list[Annotated[float, Field(ge=-1e6, le=1e6)]], Field(min_length=3, max_length=3)]
+Position = Annotated[list[Annotated[float, Field(ge=-1e6, le=1e6)]], Field(min_length=3, max_length=3)]
 
 
 class CameraSettings(Settings):
@@ -50,7 +50,7 @@ class FlickerSettings(Settings):
 class OneLampSettings(Settings):
     """A disc of `radius`, a ring from `inner` to `radius`, or a bar of `length` by `width`, at `angle` to x; m, rad."""
 
-    position: Place = Field([0.05, 0.0, 0.45])
+    position: Position = Field([0.05, 0.0, 0.45])
     radius: Positive = 0.01
     shape: Literal["disc", "ring", "bar"] = "disc"
     inner: NotNegative = 0.0

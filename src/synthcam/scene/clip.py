@@ -36,7 +36,7 @@ class Clip:
     Attributes
     ----------
     number : int
-        Its place in a dataset. Chip noise, and all that is drawn, hang on it and on `seed`.
+        In its dataset. Sensor noise, and all that is drawn, follow from it and `seed`.
     drawn : dict
         The plain settings it came from, without distributions.
     model : Model
@@ -118,7 +118,7 @@ class Clip:
         Raises
         ------
         NoGL
-            Where no OpenGL can draw; `synthcam doctor` tells what to install.
+            Where no OpenGL can draw; `synthcam doctor` says what to install.
         """
         seen = Seen(self.camera, self.lamp, self.launch.bodies.radius.tolist(), self.room, self.surface)
         return film(self.view, seen, self.sensor, self.frames, (self.seed, self.number))
@@ -134,7 +134,7 @@ class Clip:
         Raises
         ------
         NoGL
-            Where no OpenGL can draw; `synthcam doctor` tells what to install.
+            Where no OpenGL can draw; `synthcam doctor` says what to install.
 
         Examples
         --------
@@ -207,11 +207,11 @@ def _as_it_is(model: Model, nominal: Camera) -> Camera:
 
 
 def _launch(model: Model, launch: dict[str, Any], time: float) -> Launch:
-    heading, v0, place = launch["heading"], launch["v0"], launch["contact"]
-    if place == "upstream":
-        place = -UPSTREAM * v0 * np.array([np.cos(heading), np.sin(heading)])
+    heading, v0, position = launch["heading"], launch["v0"], launch["contact"]
+    if position == "upstream":
+        position = -UPSTREAM * v0 * np.array([np.cos(heading), np.sin(heading)])
     labels = (launch["striker"],) if launch["kind"] == "single" else LABELS[launch["striker"]]
     bodies = model.bodies(labels)
     if launch["kind"] == "single":
-        return Launch.single(bodies, time, v0, heading, place)
-    return Launch.pair(bodies, time, v0, launch["b"], heading, place)
+        return Launch.single(bodies, time, v0, heading, position)
+    return Launch.pair(bodies, time, v0, launch["b"], heading, position)

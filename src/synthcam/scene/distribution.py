@@ -59,7 +59,7 @@ def choices(value: Any, key: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, 
                 yield from choices(v, (*key, k))
 
 
-def telling(options: list[Any], key: str, where: str) -> list[Any]:
+def representative(options: list[Any], key: str, where: str) -> list[Any]:
     """Those options whose check is a check of all: of numbers the extremes, of others each once. Raises InputError."""
     numbers: list[Any] = []
     for kind in (int, float):

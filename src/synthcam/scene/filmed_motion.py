@@ -87,8 +87,8 @@ class View:
         if not self._bent:
             return times
         inside = np.clip(times, self.motion.t0, self.motion.t1)
-        places = np.stack([self.motion.at(t)[k] for k, t in enumerate(inside)])
-        rows = self.camera.project(places[..., :3])[..., 1]
+        positions = np.stack([self.motion.at(t)[k] for k, t in enumerate(inside)])
+        rows = self.camera.project(positions[..., :3])[..., 1]
         rows = np.clip(rows, 0, self.camera.size[1] - 1)
         bent = self.model.laws("clock", film + self.camera.line_time * rows, {"fps": self.camera.fps, "row": rows})
         return np.asarray(np.clip(bent, self.motion.t0, self.motion.t1))

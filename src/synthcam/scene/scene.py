@@ -15,7 +15,7 @@ from yaml import YAMLError
 from synthcam.model import BallSettings, ModelSettings, check_free, effect_settings
 from synthcam.scene.apparatus import CameraSettings, LampSettings, SensorSettings, SurfaceSettings
 from synthcam.scene.clip import Clip, clip_of
-from synthcam.scene.distribution import choices, corner, drawn, replaced, telling
+from synthcam.scene.distribution import choices, corner, drawn, replaced, representative
 from synthcam.settings import (
     InputError,
     NotNegative,
@@ -26,7 +26,9 @@ from synthcam.settings import (
     read_yaml,
 )
 
-Place = Annotated[list[Annotated[float, Field(ge=-1e3, le=1e3)]], Field(min_length=2, max_length=2)]  # m, on the plate
+Position = Annotated[
+    list[Annotated[float, Field(ge=-1e3, le=1e3)]], Field(min_length=2, max_length=2)
+]  # m, on the plate
 
 SHOWN = 4  # distributions, in a scene's repr
 
@@ -39,7 +41,7 @@ class LaunchSettings(Settings):
     b: Annotated[float, Field(gt=-1, lt=1)] = 0.0
     heading: float = 0.0
     striker: Literal["a", "b"] = "b"
-    contact: Literal["upstream"] | Place = "upstream"
+    contact: Literal["upstream"] | Position = "upstream"
 
 
 class TimingSettings(Settings):
@@ -185,7 +187,7 @@ def check_scene(loaded: dict[str, Any], where: str, overrides: tuple[str, ...] =
         clip_of(0, _checked(corner(settings, end, "", where), where), where=where)
     low = corner(settings, "low", "", where)
     for key, options in choices(settings):
-        for option in telling(options, ".".join(key), where):
+        for option in representative(options, ".".join(key), where):
             _checked(replaced(low, key, option), where)
     check_free(settings.get("free") or (), where)
     return Scene(str(settings.get("name", "scene")), settings, where)

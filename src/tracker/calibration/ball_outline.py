@@ -1,7 +1,7 @@
 """The ball's outline in the mean picture around its glint: its radius in pixels, where there is light enough to see it.
 
 A mirror ball shows the room within .71 of its radius, brightest in the middle, and the plate outside of that; where it
-is seen against a bright ground its own edge shows too. Either tells the radius.
+is seen against a bright ground its own edge shows too. Either gives the radius.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ class Outline:
 
 
 def outline(frames: Sequence[Any], plate: Ground, glints: Glints, sigma: float) -> Outline | None:
-    """The radius that the mean picture tells; None where the ball is too dark to be seen, or not round."""
+    """The radius that the mean picture shows; None where the ball is too dark to be seen, or not round."""
     stack = _mean(frames, plate, glints, sigma)
     if stack is None:
         return None
@@ -56,7 +56,7 @@ def outline(frames: Sequence[Any], plate: Ground, glints: Glints, sigma: float) 
     radius = math.exp(best.x[0])
     std = radius * math.sqrt(max(float(cov[0, 0]), 0.0))
     inside = SIZES[0] < radius < 0.8 * HALF and math.hypot(*best.x[1:]) < 0.4 * radius
-    # With the glint over most of the body, a small disc and the rim of a larger ball's bowl can look the same.
+    # With the glint over most of the ball, a small disc and the rim of a larger ball's bowl can look the same.
     rivals = [fit.cost for fit in fits if abs(fit.x[0] - best.x[0]) > ANOTHER]
     if rivals and min(rivals) - best.cost < SURE * max(1.0, 2.0 * best.cost / freedom):
         return None

@@ -12,13 +12,13 @@ from typing import Any
 import numpy as np
 
 from tracker.calibration.ball_outline import Outline, outline
-from tracker.calibration.contact_distance import Touch, touches
+from tracker.calibration.contact_distance import ContactDistance, contact_distances
 from tracker.camera.camera import Camera, InputError
 from tracker.camera.camera_keys import read_json
 from tracker.camera.frames import Clip, open_source
-from tracker.detection.detect import detect, look
+from tracker.detection.detect import detect, view_of
 from tracker.detection.link import Tracks, link
-from tracker.outputs import check_room, told
+from tracker.outputs import as_input_error, check_room
 from tracker.results import write_json
 
 HEIGHTS = 2.5  # 1/m, scatter of 1/height of lamp less that of the camera: glints' distances differ from the balls'
@@ -28,8 +28,8 @@ FEWEST = 10  # glints, to say anything
 
 @dataclass(frozen=True)
 class Calibration:
-    """What a video told: the camera; ``scale_std`` m/px, ``scale_from`` (contact, outline, or nothing), what each way
-    said as (m/px, std), and in ``missing`` a line for each thing that the video did not tell.
+    """What was found from a video: the camera; ``scale_std`` m/px; ``scale_from`` (contact, outline, or nothing); by
+    each way the scale and its error, m/px; in ``missing`` a line for each thing that the video does not show.
     """
 
     camera: Camera
@@ -64,13 +64,13 @@ class Calibration:
         """The camera file, written aside and moved into place. InputError where no scale was found."""
         if not self.scale_from:
             raise InputError(f"{path}: not written, for no scale was found: {self.missing[0]}")
-        check_place(path)
+        check_output(path)
         path.parent.mkdir(parents=True, exist_ok=True)
-        with told(path):
+        with as_input_error(path):
             write_json(path, self.to_dict())
 
 
-def check_place(path: Path) -> None:
+def check_output(path: Path) -> None:
     """Raises InputError where a camera file cannot be written, or would take another file's place."""
     if path.exists() and not _made_here(path):
         raise InputError(f"{path}: exists and was not made by tracker calibrate, expected a new file")
@@ -87,7 +87,8 @@ def _made_here(path: Path) -> bool:
 def calibrate(video: Path, diameter: float, fps: float, exposure: float | None = None) -> Calibration:
     """Scale, glint width and noise of a video (or stack, or dataset) of balls of ``diameter`` m at ``fps`` frames/s.
 
-    ``exposure`` s, if known, tells streaks from width. Raises InputError for what cannot be read or has no glints.
+    ``exposure`` s, if known, separates motion blur from the width. Raises InputError for what cannot be read or has no
+    glints.
     """
     for name, value in (("--diameter", diameter), ("--fps", fps)):
         if not (math.isfinite(value) and value > 0):
@@ -104,7 +105,7 @@ def calibrate(video: Path, diameter: float, fps: float, exposure: float | None =
     ways: dict[str, tuple[float, float]] = {}
     for _ in range(2):  # the second time with the size of the balls known
         known = {**given, "scale": diameter / scale}
-        seen = [_look(source.clip(i), known) for i in range(len(source))]
+        seen = [_survey(source.clip(i), known) for i in range(len(source))]
         ways = _ways(seen, diameter)
         if not ways:
             break
@@ -118,24 +119,26 @@ class _Seen:
 
     camera: Camera
     glints: int
-    touches: list[Touch]
+    contact_distances: list[ContactDistance]
     outline: Outline | None
 
 
-def _look(clip: Clip, known: dict[str, Any]) -> _Seen:
+def _survey(clip: Clip, known: dict[str, Any]) -> _Seen:
     camera = Camera.from_dict(known)
     camera = replace(camera, sensor=replace(camera.sensor, bits=8 * clip.frames.dtype.itemsize))
     bare = replace(clip, camera=camera)
-    view = look(bare)
+    view = view_of(bare)
     glints = detect(bare, view)
     tracks: Tracks = link(glints, view.camera)
-    return _Seen(view.camera, len(tracks), touches(tracks), outline(clip.frames, view.plate, glints, view.sigma))
+    return _Seen(
+        view.camera, len(tracks), contact_distances(tracks), outline(clip.frames, view.plate, glints, view.sigma)
+    )
 
 
 def _ways(seen: Sequence[_Seen], diameter: float) -> dict[str, tuple[float, float]]:
     """Scale and standard error, m/px, by each way that some clip allows."""
     out = {}
-    contacts = [(t.distance, t.std) for s in seen for t in s.touches]
+    contacts = [(t.distance, t.std) for s in seen for t in s.contact_distances]
     if contacts:
         distance, std = _weighted(contacts)
         std = math.hypot(std, HEIGHTS * diameter / 4.0 * distance)
@@ -173,11 +176,11 @@ def _gathered(seen: Sequence[_Seen], ways: dict[str, tuple[float, float]], video
         if abs(one - two) > DISAGREE * math.hypot(one_std, two_std):
             missing.append("scale: contact and outline disagree; are the balls alike, and of that diameter?")
     if not timed:
-        missing.append("exposure: not told by a video; the glint's width holds the streak of moving balls")
+        missing.append("exposure: a video does not show it; the glint's width includes the motion blur")
     missing += [
-        "lamp: its position is not told; tracks will be those of glints, not of centres",
-        "height: the camera's is not told; it is taken as straight above, without distortion",
-        "sensor: prnu, dsnu and dark current are not told apart from the noise",
+        "lamp: its position is not known; tracks will be those of glints, not of centres",
+        "height: the camera's is not known; it is assumed straight above, without distortion",
+        "sensor: prnu, dsnu and dark current cannot be separated from the noise",
     ]
     scale, std = ways[best] if best else (math.nan, math.nan)
     return Calibration(replace(middle, scale=scale), std, best, ways, tuple(missing))

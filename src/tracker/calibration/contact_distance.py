@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from tracker.camera.lens import Array
 from tracker.detection.link import Tracks
 
-BEFORE = 7  # frames looked at before the contact
+BEFORE = 7  # frames used before the contact
 AFTER = (7, 6, 5, 4)  # and after it: a parabola holds while both balls slide, and slow ones soon roll
 KINK = 0.3  # px a frame, by which the relative velocity must change
 GOOD = 1.8  # chi^2 a degree of freedom, of parabolas that hold
@@ -20,7 +20,7 @@ POOR = 16.0  # the same, beyond which the balls did not move so at all
 
 
 @dataclass(frozen=True)
-class Touch:
+class ContactDistance:
     """A contact: the distance of the glints there, px, its standard error, and the instant, frames."""
 
     distance: float
@@ -28,14 +28,14 @@ class Touch:
     instant: float
 
 
-def touches(tracks: Tracks) -> list[Touch]:
+def contact_distances(tracks: Tracks) -> list[ContactDistance]:
     """The contacts between the balls of one clip that can be measured."""
     out = []
     for one, two in combinations(np.unique(tracks.particle).tolist(), 2):
         frame, gap, cov = _relative(tracks, one, two)
-        touch = _touch(frame, gap, cov) if len(frame) >= 10 else None
-        if touch is not None:
-            out.append(touch)
+        contact = _touch(frame, gap, cov) if len(frame) >= 10 else None
+        if contact is not None:
+            out.append(contact)
     return out
 
 
@@ -46,7 +46,7 @@ def _relative(tracks: Tracks, one: int, two: int) -> tuple[NDArray[np.int64], Ar
     return frame, tracks.xy[b[j]] - tracks.xy[a[i]], tracks.cov[b[j]] + tracks.cov[a[i]]
 
 
-def _touch(frame: NDArray[np.int64], gap: Array, cov: Array) -> Touch | None:
+def _touch(frame: NDArray[np.int64], gap: Array, cov: Array) -> ContactDistance | None:
     """Parabolas before and after the least distance, and the distance where they meet."""
     k = int(np.argmin(np.hypot(gap[:, 0], gap[:, 1])))
     best = None
@@ -62,13 +62,13 @@ def _touch(frame: NDArray[np.int64], gap: Array, cov: Array) -> Touch | None:
             break
     if best is None or best[1] > POOR:
         return None
-    touch, chi2 = best
-    return Touch(touch.distance, touch.std * max(1.0, chi2) ** 0.5, touch.instant)
+    contact, chi2 = best
+    return ContactDistance(contact.distance, contact.std * max(1.0, chi2) ** 0.5, contact.instant)
 
 
 def _meet(
     frame: NDArray[np.int64], gap: Array, cov: Array, before: Any, after: Any, origin: float
-) -> tuple[Touch, float] | None:
+) -> tuple[ContactDistance, float] | None:
     sides, chi2, freedom = [], 0.0, 0
     for rows in (before, after):
         t = frame[rows] - origin
@@ -90,13 +90,13 @@ def _meet(
     row = powers[best]
     kick = (late[1] - early[1]) + 2.0 * instant * (late[2] - early[2])
     velocity_early, velocity_late = (side[1] + 2.0 * instant * side[2] for side in (early, late))
-    place = row @ (early + late) / 2.0
-    normal = place / np.hypot(*place)
+    position = row @ (early + late) / 2.0
+    normal = position / np.hypot(*position)
     sizes = [float(row @ c @ row) for c in (early_cov, late_cov)]
     pull = kick / (kick @ kick)
-    # An error of either curve moves the place, and, along the change of velocity, the instant.
+    # An error of either curve moves the position, and, along the change of velocity, the instant.
     drift = float(normal @ (velocity_early + velocity_late) / 2.0)
     of_early, of_late = normal / 2.0 + drift * pull, normal / 2.0 - drift * pull
     std = float(np.sqrt(sizes[0] * (of_early @ of_early) + sizes[1] * (of_late @ of_late)))
     total = chi2 / max(freedom, 1)
-    return Touch(float(np.hypot(*place)), std, origin + float(instant)), total
+    return ContactDistance(float(np.hypot(*position)), std, origin + float(instant)), total

@@ -27,18 +27,18 @@ FAR = 1e6  # m, of a point as good as straight overhead
 USUAL_PX = 15.0  # px, of a ball whose diameter is not known, for the search of its glint
 CHECKED = 9  # pixels along each side of the picture at which a camera file is tried
 UNEVEN = 3.0  # between scale and what the view makes of it anywhere in the picture
-LOST = 0.01  # px between a pixel and what its place is projected to
+LOST = 0.01  # px between a pixel and what its position is projected to
 
 
 @dataclass(frozen=True, eq=False)
 class Camera:
-    """All that ``camera.json`` tells; ``assumed`` names each key left to a default or an estimate.
+    """What ``camera.json`` holds; ``assumed`` names each key left to a default or an estimate.
 
     ``metric`` is False where nothing ties pixels to metres (no camera file): then there are only pixels.
-    ``ball_diameter`` is NaN where the file does not tell it; collisions are then not measured.
-    ``line_time`` s: by so much later each row of a rolling shutter is exposed. ``unmodelled`` says what the file tells
-    that is not accounted for. ``exposure_seen`` s: the exposure that the streaks of moving glints tell, where that is
-    not ``exposure``.
+    ``ball_diameter`` is NaN where the file does not have it; collisions are then not measured.
+    ``line_time`` s: by so much later each row of a rolling shutter is exposed. ``unmodelled`` lists what in
+    the file is not accounted for. ``exposure_seen`` s: the exposure found from the motion blur of the glints, where it
+    differs from ``exposure``.
     """
 
     K: Array
@@ -66,7 +66,8 @@ class Camera:
         return self.exposure if self.exposure_seen is None else self.exposure_seen
 
     def differs(self, other: Camera) -> str:
-        """The first key of camera.json in which another camera places the same balls elsewhere; empty where none does.
+        """The first key of camera.json in which another camera would see the same balls at other pixels; empty where
+        there is none.
 
         In what is measured anew of each clip (the exposure as seen, the glints' width) it may differ.
         """
@@ -85,7 +86,7 @@ class Camera:
 
     @property
     def knows_diameter(self) -> bool:
-        """Whether the camera file tells the balls' diameter."""
+        """Whether the camera file has the balls' diameter."""
         return math.isfinite(self.ball_diameter)
 
     @property
@@ -102,7 +103,7 @@ class Camera:
 
     @property
     def position(self) -> Array:
-        """(3,) the camera's own place in the world, m."""
+        """(3,) the camera's own position in the world, m."""
         return np.asarray(-self.R.T @ self.t, dtype=np.float64)
 
     @property
@@ -138,20 +139,20 @@ class Camera:
     def unproject(self, pixels: ArrayLike, z: float | None = None) -> tuple[Array, Array]:
         """Pixels (..., 2) -> points of the plane at height z (default: ball centres), m.
 
-        Returns the places (..., 2) and the Jacobians d place / d pixel (..., 2, 2), m/px.
+        Returns the positions (..., 2) and the Jacobians d position / d pixel (..., 2, 2), m/px.
         """
         height = self.centre_height if z is None else z
         bent = (np.asarray(pixels, dtype=np.float64) - self.K[:2, 2]) @ np.linalg.inv(self.K[:2, :2]).T
         straight, bend = undistort(bent, self.dist)
         ray = np.concatenate([straight, np.ones_like(straight[..., :1])], axis=-1) @ self.R
         reach = (height - self.position[2]) / ray[..., 2:3]
-        place = self.position[:2] + reach * ray[..., :2]
-        # d straight / d place at this depth, from x_cam = R x_world + t
+        at = self.position[:2] + reach * ray[..., :2]
+        # d straight / d position at this depth, from x_cam = R x_world + t
         depth = reach[..., None]
         slope = (self.R[:2, :2] - straight[..., :, None] * self.R[2, :2]) / depth
-        return place, np.linalg.inv(self.K[:2, :2] @ bend @ slope)
+        return at, np.linalg.inv(self.K[:2, :2] @ bend @ slope)
 
-    def _place(self, pixels: Array) -> Array:
+    def _position_at(self, pixels: Array) -> Array:
         """``unproject`` without its Jacobian."""
         bent = (pixels - self.K[:2, 2]) @ np.linalg.inv(self.K[:2, :2]).T
         straight, _ = undistort(bent, self.dist)
@@ -162,7 +163,7 @@ class Camera:
     def glint_of_centre(self, centres: ArrayLike) -> Array:
         """Ball centres (n, 2), m -> pixels (n, 2) at which the lamp's centre is mirrored."""
         if self.lamp is None:
-            raise InputError("camera: lamp is missing, expected its position for the place of a glint")
+            raise InputError("camera: lamp is missing, expected its position for the position of a glint")
         xy = np.asarray(centres, dtype=np.float64)
         middle = np.concatenate([xy, np.full_like(xy[..., :1], self.radius)], axis=-1)
         light = np.array(self.lamp.position)
@@ -177,7 +178,7 @@ class Camera:
         if not self.corrects_glint or seen.size == 0:
             return seen.copy(), np.broadcast_to(np.eye(2), (*seen.shape, 2)).copy()
         around = np.concatenate([np.zeros((1, 2)), 0.5 * np.eye(2), -0.5 * np.eye(2)])
-        pixels = self._centre_pixel(self._centre_place(seen + around.reshape(5, *[1] * (seen.ndim - 1), 2)))
+        pixels = self._centre_pixel(self._centre_position(seen + around.reshape(5, *[1] * (seen.ndim - 1), 2)))
         jacobian = np.stack([pixels[1] - pixels[3], pixels[2] - pixels[4]], axis=-1)
         return pixels[0], jacobian
 
@@ -188,25 +189,28 @@ class Camera:
         seen = np.asarray(glints, dtype=np.float64)
         if not self.corrects_glint or seen.size == 0:
             return seen.copy()
-        place = self._centre_place(seen)
-        middle = np.concatenate([place, np.full_like(place[..., :1], self.radius)], axis=-1)
-        overhead = np.concatenate([place, np.full_like(place[..., :1], FAR)], axis=-1)
+        at = self._centre_position(seen)
+        middle = np.concatenate([at, np.full_like(at[..., :1], self.radius)], axis=-1)
+        overhead = np.concatenate([at, np.full_like(at[..., :1], FAR)], axis=-1)
         zenith = self.project(middle + self.radius * mirror_normal(middle, self.radius, self.position, overhead))
         centre = self.project(middle)
         return np.asarray(centre + share * (zenith - centre), dtype=np.float64)
 
     def secondary_of_pair(self, glints: ArrayLike, others: ArrayLike) -> Array:
         """Pixels (n, 2) at which balls of primary glints (n, 2) show the lamp as their neighbours mirror it."""
-        middle, other = self._middle(glints), self._middle(others)
-        return self._mirrored(middle, pair_normal(middle, other, self.radius, self.position, self._light()))
+        middle, other = self._centre(glints), self._centre(others)
+        return self._mirrored(middle, pair_normal(middle, other, self.radius, self.position, self._lamp_position()))
 
     def secondary_share(self, glints: ArrayLike, others: ArrayLike) -> Array:
         """Flux (n,) of those secondary glints over that of the primary ones, but for one reflectance.
 
-        The image of a small lamp is as large as the determinant of its pixel's derivative by the lamp's place.
+        The image of a small lamp is as large as the determinant of its pixel's derivative by the lamp's position.
         """
-        middle, other = self._middle(glints), self._middle(others)
-        sides = [self._light(), *(self._light() + 0.03 * self._light()[2] * axis for axis in np.eye(3)[:2])]
+        middle, other = self._centre(glints), self._centre(others)
+        sides = [
+            self._lamp_position(),
+            *(self._lamp_position() + 0.03 * self._lamp_position()[2] * axis for axis in np.eye(3)[:2]),
+        ]
         areas = []
         for normals in (
             [pair_normal(middle, other, self.radius, self.position, light) for light in sides],
@@ -216,31 +220,31 @@ class Camera:
             areas.append(np.abs(np.linalg.det(np.stack([by_x - still, by_y - still], axis=-1))))
         return np.asarray(areas[0] / areas[1], dtype=np.float64)
 
-    def _light(self) -> Array:
+    def _lamp_position(self) -> Array:
         if self.lamp is None:
-            raise InputError("camera: lamp is missing, expected its position for the place of a glint")
+            raise InputError("camera: lamp is missing, expected its position for the position of a glint")
         return np.array(self.lamp.position, dtype=np.float64)
 
-    def _middle(self, glints: ArrayLike) -> Array:
+    def _centre(self, glints: ArrayLike) -> Array:
         """Ball centres (n, 3), m, of primary glints (n, 2)."""
-        place = self._centre_place(np.asarray(glints, dtype=np.float64))
-        return np.concatenate([place, np.full_like(place[..., :1], self.radius)], axis=-1)
+        at = self._centre_position(np.asarray(glints, dtype=np.float64))
+        return np.concatenate([at, np.full_like(at[..., :1], self.radius)], axis=-1)
 
     def _mirrored(self, middle: Array, normal: Array) -> Array:
         return self.project(middle + self.radius * normal)
 
-    def _centre_place(self, seen: Array) -> Array:
-        target = self._place(seen)
-        place = target
+    def _centre_position(self, seen: Array) -> Array:
+        target = self._position_at(seen)
+        at = target
         for _ in range(12):  # contracts by about R/height, .003, a step
-            miss = target - self._place(self.glint_of_centre(place))
-            place = place + miss
+            miss = target - self._position_at(self.glint_of_centre(at))
+            at = at + miss
             if np.max(np.abs(miss)) < 1e-12:
                 break
-        return place
+        return at
 
-    def _centre_pixel(self, place: Array) -> Array:
-        return self.project(np.concatenate([place, np.full_like(place[..., :1], self.radius)], axis=-1))
+    def _centre_pixel(self, at: Array) -> Array:
+        return self.project(np.concatenate([at, np.full_like(at[..., :1], self.radius)], axis=-1))
 
     @staticmethod
     def read(path: Path | str) -> Camera:
@@ -256,7 +260,7 @@ class Camera:
 
     @staticmethod
     def from_dict(data: Any, where: str = "camera") -> Camera:
-        """Camera from the keys of camera.json; of unknown keys ``unmodelled`` tells. Raises InputError."""
+        """Camera from the keys of camera.json; unknown keys are listed in ``unmodelled``. Raises InputError."""
         camera = Camera(**parse(data, where))
         if camera.position[2] <= camera.radius:
             raise InputError(f"{where}: R, t: expected a camera above the plate, not at z = {camera.position[2]:g} m")
@@ -268,16 +272,16 @@ class Camera:
         return camera
 
     def _scales(self) -> Array:
-        """m/px all over the picture; infinite at pixels that have no place, or whose place is another pixel's."""
+        """m/px all over the picture; infinite at pixels that have no position, or whose position is another pixel's."""
         across, down = (np.linspace(0, n - 1, CHECKED) for n in self.size)
         pixels = np.stack(np.meshgrid(across, down), axis=-1).reshape(-1, 2)
         level = np.full((len(pixels), 1), self.centre_height)
         with np.errstate(all="ignore"):
             try:
-                place, slope = self.unproject(pixels)
+                at, slope = self.unproject(pixels)
             except np.linalg.LinAlgError:
                 return np.array([np.inf])
-            back = self.project(np.concatenate([place, level], axis=-1))
+            back = self.project(np.concatenate([at, level], axis=-1))
             found = np.all(np.abs(back - pixels) < LOST, axis=1)
             return np.where(found, np.sqrt(np.abs(np.linalg.det(slope))), np.inf)
 

@@ -57,7 +57,7 @@ class _Reader:
             raise self._bad("fps", "frames per second, it is missing")
         fps = self._number(self.data, "fps")
         if "scale" not in self.data and not {"K", "t"} <= set(self.data):
-            raise self._bad("scale", "m/px, or K and t, which tell it together; they are missing")
+            raise self._bad("scale", "m/px, or K and t, from which it follows; they are missing")
         if "dist" in self.data and "K" not in self.data:
             raise self._bad("K", "the 3x3 camera matrix beside dist; it is missing")
         diameter = self._maybe("ball_diameter", math.nan)
@@ -161,7 +161,7 @@ class _Reader:
         if z <= 0:
             raise self._bad("lamp.position", f"a lamp above the plate, not at z = {z:g} m")
         if lamp.get("second"):
-            self.unmodelled.append("lamp.second: places are drawn towards its glints")
+            self.unmodelled.append("lamp.second: positions are biased towards its glints")
         return Lamp((x, y, z), self._lamp_radius(lamp))
 
     def _lamp_radius(self, lamp: Mapping[str, Any]) -> float:

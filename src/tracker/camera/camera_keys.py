@@ -77,13 +77,13 @@ def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 
 def unknown_keys(data: Mapping[str, Any]) -> Iterator[str]:
     """A line for each key of camera.json that nothing reads, with the key that may have been meant."""
-    places = {key: f"{section}.{key}".lstrip(".") for section, keys in KEYS.items() for key in keys.split()}
+    dotted = {key: f"{section}.{key}".lstrip(".") for section, keys in KEYS.items() for key in keys.split()}
     for section, keys in KEYS.items():
         table = data.get(section) if section else data
         for key in table if isinstance(table, Mapping) else ():
             if key not in keys.split():
-                near = get_close_matches(str(key).lower(), places, n=1, cutoff=0.7)
-                hint = f"; did you mean {places[near[0]]}?" if near else ""
+                near = get_close_matches(str(key).lower(), dotted, n=1, cutoff=0.7)
+                hint = f"; did you mean {dotted[near[0]]}?" if near else ""
                 yield f"{shown(f'{section}.{key}'.lstrip('.'), quoted=False)}: not a key of camera.json{hint}"
 
 

@@ -85,15 +85,15 @@ class Source:
         return len(self.clips)
 
     def clip(self, index: int) -> Clip:
-        """Opens clip ``index`` (its place in the source, not its number)."""
-        number, place = self.clips[index]
-        own = place.parent / "camera.json" if place.is_file() else place / "camera.json"
+        """Opens clip ``index`` (its index in the source, not its number)."""
+        number, location = self.clips[index]
+        own = location.parent / "camera.json" if location.is_file() else location / "camera.json"
         chosen = self.camera if self.camera is not None else own if own.is_file() else None
         if chosen is None and self.dataset:
             raise InputError(f"{own}: no such file, expected the clip's camera.json")
-        frames, note = open_frames(place)
+        frames, note = open_frames(location)
         camera = Camera.read(chosen) if chosen is not None else None
-        return recorded(number, frames, note, camera, (f"{place}", f"{chosen}"))
+        return recorded(number, frames, note, camera, (f"{location}", f"{chosen}"))
 
     def camera_files(self) -> list[Path]:
         """The camera file of each clip, where there is one."""
@@ -119,54 +119,56 @@ def recorded(number: int, frames: Frames, note: str, camera: Camera | None, name
 
 def open_source(path: Path | str, camera: Path | str | None = None) -> Source:
     """Source behind ``path``; ``camera`` stands in for the source's own camera.json. Raises InputError."""
-    place = Path(path)
+    location = Path(path)
     given = Path(camera) if camera is not None else None
     if given is not None:
         Camera.read(given)
-    if not place.exists():
-        raise InputError(f"{place}: no such file or folder, expected a dataset, clip, stack, video or pictures")
-    if place.is_file():
-        if place.suffix.lower() not in TIFF + VIDEOS:
-            raise InputError(f"{place}: expected a TIFF stack or a video, not a {place.suffix or 'nameless'} file")
-        return Source(place, ((0, place),), given)
-    if (place / "clips").is_dir():
-        return _dataset(place, given)
-    if (place / "frames.tif").is_file():
-        number = int(place.name) if place.name.isdecimal() else 0
-        return Source(place, ((number, place / "frames.tif"),), given)
-    if not _pictures(place):
-        raise InputError(f"{place}: an empty folder, expected clips/, frames.tif or pictures ({' '.join(PICTURES)})")
-    return Source(place, ((0, place),), given)
+    if not location.exists():
+        raise InputError(f"{location}: no such file or folder, expected a dataset, clip, stack, video or pictures")
+    if location.is_file():
+        if location.suffix.lower() not in TIFF + VIDEOS:
+            raise InputError(
+                f"{location}: expected a TIFF stack or a video, not a {location.suffix or 'nameless'} file"
+            )
+        return Source(location, ((0, location),), given)
+    if (location / "clips").is_dir():
+        return _dataset(location, given)
+    if (location / "frames.tif").is_file():
+        number = int(location.name) if location.name.isdecimal() else 0
+        return Source(location, ((number, location / "frames.tif"),), given)
+    if not _pictures(location):
+        raise InputError(f"{location}: an empty folder, expected clips/, frames.tif or pictures ({' '.join(PICTURES)})")
+    return Source(location, ((0, location),), given)
 
 
-def _dataset(place: Path, camera: Path | None) -> Source:
+def _dataset(location: Path, camera: Path | None) -> Source:
     clips = []
-    for folder in sorted((place / "clips").iterdir()):
+    for folder in sorted((location / "clips").iterdir()):
         if folder.is_dir() and folder.name.isdecimal():
             if not (folder / "frames.tif").is_file():
                 raise InputError(f"{folder / 'frames.tif'}: no such file, expected the clip's frames")
             clips.append((int(folder.name), folder / "frames.tif"))
     if not clips:
-        raise InputError(f"{place / 'clips'}: no clips, expected folders 000000, 000001, ...")
-    return Source(place, tuple(sorted(clips)), camera, dataset=True)
+        raise InputError(f"{location / 'clips'}: no clips, expected folders 000000, 000001, ...")
+    return Source(location, tuple(sorted(clips)), camera, dataset=True)
 
 
-def open_frames(place: Path) -> tuple[Frames, str]:
+def open_frames(location: Path) -> tuple[Frames, str]:
     """Frames of a stack, a video or a folder of pictures, and a note of what was converted."""
-    if place.is_dir():
-        frames, note = _folder(place)
-    elif place.suffix.lower() in TIFF:
-        frames, note = _stack(place)
+    if location.is_dir():
+        frames, note = _folder(location)
+    elif location.suffix.lower() in TIFF:
+        frames, note = _stack(location)
     else:
-        frames, note = _video(place)
-    at_least_two(place, frames)
+        frames, note = _video(location)
+    at_least_two(location, frames)
     return frames, note
 
 
-def at_least_two(place: Path | str, frames: Frames) -> None:
+def at_least_two(location: Path | str, frames: Frames) -> None:
     """Raises InputError for less than two frames."""
     if len(frames) < 2:
-        raise InputError(f"{place}: one frame only, expected at least two to follow a ball")
+        raise InputError(f"{location}: one frame only, expected at least two to follow a ball")
 
 
 def _pictures(folder: Path) -> list[Path]:
@@ -240,7 +242,7 @@ def _layout(path: Path, tif: tifffile.TiffFile) -> tuple[tuple[int, ...], Any, b
 
 
 class _Pieces:
-    """Frames that lie one after the other: read by their place, so that no more than one is held."""
+    """Frames that lie one after the other: read by their offset in the file, so that no more than one is held."""
 
     def __init__(self, path: Path, offset: int, count: int, plane: tuple[int, ...], dtype: Any) -> None:
         self.path, self.offset, self.count, self.plane, self.dtype = path, offset, count, plane, dtype

@@ -1,1 +1,1 @@
-"""Balls in frames: candidates, sub-pixel fits with covariance, what a film tells of its camera, tracks."""
+"""Balls in frames: candidates, sub-pixel fits with covariance, what a film shows of its camera, tracks."""

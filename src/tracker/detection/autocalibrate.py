@@ -15,14 +15,14 @@ from tracker.camera.sensor import Sensor
 from tracker.detection.candidates import Ground, Search
 from tracker.detection.glint_fit import Windows, fit
 
-FRAMES = 40  # looked at
-DEEP = 400  # frames of 16 bits looked at for the brightest pixel
+FRAMES = 40  # used
+DEEP = 400  # frames of 16 bits searched for the brightest pixel
 WIDTHS = (0.4, 5.0)  # px, between which a glint's width is sought
 GAINS = (0.05, 500.0)  # e-/count
-DEFAULT_SIGMA = 1.0  # px, where the clip does not tell either
+DEFAULT_SIGMA = 1.0  # px, where the clip does not show it either
 TYPICAL = 1.2  # px, a first width
 LONGEST = 2.5  # px, of a way during the exposure
-SHORT = 0.3  # of a frame's time, an exposure in which places to a pixel tell the way well enough
+SHORT = 0.3  # of a frame's time, an exposure in which whole-pixel positions give the displacement well enough
 SURE = 1.5  # spread of the logarithm of gains that cameras have, about 20 e-/count
 BRIGHT = 20.0  # deviations of a box sum over the plate, for a glint worth measuring
 
@@ -99,10 +99,10 @@ def _brightest(camera: Camera, plate: Ground, frames: Sequence[Any]) -> Windows 
         before = here
     if not cuts:
         return None
-    counts, streaks = np.stack(cuts).astype(np.float64), np.array(ways, dtype=np.float64)
+    counts, blurs = np.stack(cuts).astype(np.float64), np.array(ways, dtype=np.float64)
     n = len(counts)
     nothing = np.zeros((n, 2))
-    return Windows(counts, np.ones_like(counts), nothing, streaks, nothing, np.zeros((n, 0, 3)))
+    return Windows(counts, np.ones_like(counts), nothing, blurs, nothing, np.zeros((n, 0, 3)))
 
 
 def _width(windows: Windows, sensor: Sensor) -> float:

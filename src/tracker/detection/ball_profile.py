@@ -1,4 +1,4 @@
-"""The ball's body around its glint: how what it mirrors of the room falls off from where it mirrors the zenith."""
+"""The ball profile: how the room that a ball mirrors around its glint fades from where it mirrors the zenith."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ import numpy as np
 
 from tracker.camera.lens import Array
 
-POWERS = (2, 3, 4)  # of 1 - q: at q = 1 the body ends without a kink
-NODE = 0.5 / np.sqrt(3.0)  # of a streak, on either side of its middle (Gauss-Legendre with two nodes)
+POWERS = (2, 3, 4)  # of 1 - q: at q = 1 the profile ends without a kink
+NODE = 0.5 / np.sqrt(3.0)  # of the motion blur, on either side of its middle (Gauss-Legendre with two nodes)
 
 
 @dataclass(frozen=True, eq=False)
-class Body:
+class BallProfile:
     """One clip's balls: ``coefficients`` (3,) counts of the powers of 1 - q, with q = (distance / ``end``)^2 from the
     middle; beyond ``end``, px, the ball mirrors no room.
     """
@@ -26,14 +26,14 @@ class Body:
         left, _, _ = self._left(middle, half)
         return np.stack([left**power for power in POWERS], axis=1)
 
-    def height(self, middle: Array, streak: Array, half: int) -> tuple[Array, Array, Array]:
-        """Counts (n, s, s) over what is beyond the body, and their derivatives by the middle's x and y.
+    def height(self, middle: Array, blur: Array, half: int) -> tuple[Array, Array, Array]:
+        """Counts (n, s, s) over what is beyond the profile, and their derivatives by the middle's x and y.
 
-        ``middle`` (n, 2) px from the central pixel, half-way along the way ``streak`` (n, 2) px in the exposure.
+        ``middle`` (n, 2) px from the central pixel, half-way along the way ``blur`` (n, 2) px in the exposure.
         """
-        if not streak.any():
+        if not blur.any():
             return self._height(middle, half)
-        one, two = (self._height(middle + side * streak, half) for side in (NODE, -NODE))
+        one, two = (self._height(middle + side * blur, half) for side in (NODE, -NODE))
         return (one[0] + two[0]) / 2.0, (one[1] + two[1]) / 2.0, (one[2] + two[2]) / 2.0
 
     def _height(self, middle: Array, half: int) -> tuple[Array, Array, Array]:

@@ -1,4 +1,4 @@
-"""The fast first look: where in a frame something small stands out from the dark plate."""
+"""The fast first search: where in a frame something small stands out from the dark plate."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ MEDIAN_OF_NINE = (
 @dataclass(frozen=True, eq=False)
 class Ground:
     """The plate without balls: ``level`` (h, w) counts in the frames' type, ``noise`` counts a pixel a frame, and
-    ``hot``: which pixels (k,) of the flattened plate stand out alone and tell nothing of a ball.
+    ``hot``: which pixels (k,) of the flattened plate stand out alone and are no ball.
     """
 
     level: NDArray[Any]
@@ -40,7 +40,7 @@ class Ground:
 def ground(frames: Sequence[Any]) -> Ground:
     """Plate and noise of a clip from nine frames spread over it.
 
-    The median of the nine loses what moves. What rests stays in it, and is told from the plate by standing out
+    The median of the nine loses what moves. What rests stays in it, and is found because it stands out
     from its surroundings: there the plate's smooth part, a median over about 60 px, takes its place.
     """
     last = len(frames) - 1
@@ -94,7 +94,7 @@ def _noise(sample: list[NDArray[Any]]) -> float:
     step = max(1, math.isqrt(h * w // 4000))
     thin = np.stack([s[::step, ::step] for s in sample]).astype(np.float32)
     steps = np.diff(thin, axis=0)
-    differences = steps[np.any(steps != 0.0, axis=(1, 2))].ravel()  # a frame that came twice tells nothing
+    differences = steps[np.any(steps != 0.0, axis=(1, 2))].ravel()  # a frame given twice holds no noise
     if len(differences) == 0:
         return ROUNDING
     spread = float(np.std(differences))
@@ -162,8 +162,8 @@ class Search:
         return Finds(columns[chosen], rows[chosen], values[chosen] - self.base)
 
 
-def coarse_place(windows: Array, half: int) -> Array:
-    """First places (n, 2), px from the central pixel, of glints in (n, s, s) counts: centroid of the core."""
+def coarse_position(windows: Array, half: int) -> Array:
+    """First positions (n, 2), px from the central pixel, of glints in (n, s, s) counts: centroid of the core."""
     core = windows[:, half - 1 : half + 2, half - 1 : half + 2]
     weight = np.maximum(core - np.median(windows.reshape(len(windows), -1), axis=1)[:, None, None], 0.0)
     total = np.maximum(weight.sum(axis=(1, 2)), 1e-9)

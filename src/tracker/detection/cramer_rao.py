@@ -1,4 +1,4 @@
-"""The pixel model of a glint, what a pixel's count tells about its mean, and the Cramer-Rao bound of a place.
+"""The pixel model of a glint, the information of a pixel's count on its mean, and the Cramer-Rao bound of a position.
 
 A glint is a Gaussian of width sigma, integrated over each pixel, drawn out along a line by the ball's motion
 in the exposure. Fisher information: F_ab = sum_i J(m_i) d_a m_i d_b m_i over the pixels, with m_i their means
@@ -26,19 +26,19 @@ REACH = 4.0  # widths of the glint that a window must hold on each side
 
 @dataclass(frozen=True)
 class Shape:
-    """Unit-flux glints on (n, rows, columns) pixels, and their derivatives by place, 1/px."""
+    """Unit-flux glints on (n, rows, columns) pixels, and their derivatives by position, 1/px."""
 
     value: Array
     by_x: Array
     by_y: Array
 
 
-def line_nodes(streaks: Array, sigma: float) -> tuple[Array, Array]:
-    """Gauss-Legendre places (n, k, 2), px, and weights (k,) along lines (n, 2), px, centred on 0."""
-    longest = float(np.max(np.hypot(streaks[:, 0], streaks[:, 1]), initial=0.0))
+def line_nodes(blurs: Array, sigma: float) -> tuple[Array, Array]:
+    """Gauss-Legendre positions (n, k, 2), px, and weights (k,) along lines (n, 2), px, centred on 0."""
+    longest = float(np.max(np.hypot(blurs[:, 0], blurs[:, 1]), initial=0.0))
     count = 1 if longest < 0.02 * sigma else 2 + math.ceil(0.8 * longest / sigma)
     nodes, weights = _legendre(count)
-    return 0.5 * nodes[:, None] * streaks[:, None, :], weights / 2.0
+    return 0.5 * nodes[:, None] * blurs[:, None, :], weights / 2.0
 
 
 @lru_cache(maxsize=256)
@@ -46,12 +46,12 @@ def _legendre(count: int) -> tuple[Array, Array]:
     return np.polynomial.legendre.leggauss(count)
 
 
-def glint_shape(xy: Array, streaks: Array, sigma: float, half: int) -> Shape:
+def glint_shape(xy: Array, blurs: Array, sigma: float, half: int) -> Shape:
     """Glints at ``xy`` (n, 2) px from the central pixel of windows of 2 half + 1 pixels a side.
 
-    ``streaks`` (n, 2) px: the way of the glint during the exposure; ``xy`` is its middle.
+    ``blurs`` (n, 2) px: the way of the glint during the exposure; ``xy`` is its middle.
     """
-    offsets, weights = line_nodes(streaks, sigma)
+    offsets, weights = line_nodes(blurs, sigma)
     edges = np.arange(-half, half + 2) - 0.5
     u = (edges - (xy[:, None, :] + offsets)[..., None]) / sigma  # (n, k, axis, edge)
     below, height = ndtr(u), np.exp(-0.5 * u * u)
@@ -79,13 +79,13 @@ def information(mean: Array, sensor: Sensor, noise: tuple[Array, Array] | None =
     integrals of the squared score up to there, and of the tail beyond, take its place. noise: ``spread`` there.
     """
     variance, k = spread(mean, sensor) if noise is None else noise
-    told = np.asarray(1.0 / variance + 2.0 * k * k, dtype=np.float64)
+    info = np.asarray(1.0 / variance + 2.0 * k * k, dtype=np.float64)
     room = sensor.ceiling - 0.5 - mean
     if np.min(room, initial=np.inf) < CLEAR * math.sqrt(np.max(variance, initial=0.0)):
         z = room / np.sqrt(variance)
         near = z < CLEAR
-        told[near] = _censored(z[near], 1.0 / np.sqrt(variance[near]), k[near])
-    return told
+        info[near] = _censored(z[near], 1.0 / np.sqrt(variance[near]), k[near])
+    return info
 
 
 def _censored(z: Array, root: Array, k: Array) -> Array:
@@ -115,44 +115,44 @@ def localisation_bound(
     camera: Camera,
     flux: ArrayLike,
     xy: ArrayLike,
-    streak: ArrayLike | None = None,
+    blur: ArrayLike | None = None,
     background: ArrayLike | None = None,
 ) -> Array:
-    """Cramer-Rao bound of glint places, px^2.
+    """Cramer-Rao bound of glint positions, px^2.
 
-    ``flux`` (n,) counts, ``xy`` (n, 2) px, ``streak`` (n, 2) px (default none), ``background`` (n,) or one
-    number, counts (default the black level). Place, flux and a flat background are free; width and noise are
+    ``flux`` (n,) counts, ``xy`` (n, 2) px, ``blur`` (n, 2) px (default none), ``background`` (n,) or one
+    number, counts (default the black level). Position, flux and a flat background are free; width and noise are
     known. Returns (n, 2, 2). Needs the PSF's width in the camera (ValueError).
     """
-    return _bound(camera, flux, xy, streak, background)[0]
+    return _bound(camera, flux, xy, blur, background)[0]
 
 
 def fixed_part(camera: Camera, flux: ArrayLike, xy: ArrayLike) -> Array:
     """The part (n, 2, 2) px^2 of a resting glint's bound that is the same in every frame: of the pixels' own
-    response and offset. A fixed error of a pixel shifts the place by cov d_a m / v. Arguments as above.
+    response and offset. A fixed error of a pixel shifts the position by cov d_a m / v. Arguments as above.
     """
     return _bound(camera, flux, xy, None, None)[1]
 
 
 def _bound(
-    camera: Camera, flux: ArrayLike, xy: ArrayLike, streak: ArrayLike | None, background: ArrayLike | None
+    camera: Camera, flux: ArrayLike, xy: ArrayLike, blur: ArrayLike | None, background: ArrayLike | None
 ) -> tuple[Array, Array]:
     """Bound and its fixed part, (n, 2, 2) px^2 each."""
     if camera.sigma is None:
         raise ValueError("the bound needs psf.sigma_px")
     flux_ = np.atleast_1d(np.asarray(flux, dtype=np.float64))
-    places = np.asarray(xy, dtype=np.float64).reshape(-1, 2)
-    lines = np.zeros_like(places) if streak is None else np.asarray(streak, dtype=np.float64).reshape(-1, 2)
+    positions = np.asarray(xy, dtype=np.float64).reshape(-1, 2)
+    lines = np.zeros_like(positions) if blur is None else np.asarray(blur, dtype=np.float64).reshape(-1, 2)
     level = camera.sensor.black_level if background is None else background
     ground = np.broadcast_to(np.asarray(level, dtype=np.float64), flux_.shape)
     half = math.ceil(REACH * camera.sigma + 0.5 + float(np.max(np.abs(lines), initial=0.0)) / 2.0)
     out, fixed = np.empty((2, len(flux_), 2, 2))
     for start in range(0, len(flux_), 2048):  # blocks, so that memory stays small
         part = slice(start, start + 2048)
-        shape = glint_shape(places[part] - np.round(places[part]), lines[part], camera.sigma, half)
+        shape = glint_shape(positions[part] - np.round(positions[part]), lines[part], camera.sigma, half)
         mean = ground[part, None, None] + flux_[part, None, None] * shape.value
-        told, parts = information(mean, camera.sensor), slopes(shape, flux_[part])
-        cov = np.linalg.inv(fisher(told, parts))
-        pattern = cov @ fisher(told**2 * camera.sensor.fixed_variance(mean), parts) @ cov
+        info, parts = information(mean, camera.sensor), slopes(shape, flux_[part])
+        cov = np.linalg.inv(fisher(info, parts))
+        pattern = cov @ fisher(info**2 * camera.sensor.fixed_variance(mean), parts) @ cov
         out[part], fixed[part] = cov[:, :2, :2], pattern[:, :2, :2]
     return out, fixed

@@ -15,14 +15,14 @@ import numpy as np
 
 from tracker.camera.camera import InputError
 from tracker.camera.frames import Clip
-from tracker.detection import detectors as folder
+from tracker.detection import detectors as detector_files
 from tracker.detection.autocalibrate import completed
 from tracker.detection.candidates import ground
 from tracker.detection.glints import Detector, Glints, View
-from tracker.detection.streak_length import CURIOUS, PLAIN, SETTLED, SURE, Streaks
+from tracker.detection.motion_blur import CURIOUS, PLAIN, SETTLED, SURE, MotionBlur
 
 GROUP = "tracker.detectors"
-LOOKS = 5  # again at a clip, until its streaks are as long as they are taken to be
+ROUNDS = 5  # of the search, until the motion blur is as long as it was taken to be
 SWINGS = 0.8  # of the last change's logarithm, one back again that is too large
 DEFAULT = "maximum_likelihood"
 
@@ -30,7 +30,7 @@ DEFAULT = "maximum_likelihood"
 def detectors() -> dict[str, Callable[[View], Detector]]:
     """Every detector by name: the files of ``detectors/`` and the entry points of group tracker.detectors."""
     found: dict[str, Callable[[View], Detector]] = {}
-    for module in pkgutil.iter_modules(folder.__path__):
+    for module in pkgutil.iter_modules(detector_files.__path__):
         found[module.name] = _from_file(module.name)
     for point in entry_points(group=GROUP):
         found.setdefault(point.name, point.load())
@@ -38,7 +38,7 @@ def detectors() -> dict[str, Callable[[View], Detector]]:
 
 
 def _from_file(name: str) -> Callable[[View], Detector]:
-    module = importlib.import_module(f"{folder.__name__}.{name}")
+    module = importlib.import_module(f"{detector_files.__name__}.{name}")
     made: list[Any] = [c for c in vars(module).values() if inspect.isclass(c)]
     callables = [c for c in made if c.__module__ == module.__name__ and "__call__" in vars(c)]
     if len(callables) != 1:
@@ -49,7 +49,7 @@ def _from_file(name: str) -> Callable[[View], Detector]:
 
 def detector(name: str) -> Callable[[View], Detector]:
     """The detector of that name; InputError lists those there are."""
-    if name in {module.name for module in pkgutil.iter_modules(folder.__path__)}:
+    if name in {module.name for module in pkgutil.iter_modules(detector_files.__path__)}:
         return _from_file(name)  # without reading every other
     known = detectors()
     if name not in known:
@@ -57,7 +57,7 @@ def detector(name: str) -> Callable[[View], Detector]:
     return known[name]
 
 
-def look(clip: Clip) -> View:
+def view_of(clip: Clip) -> View:
     """Plate and noise of a clip, and from them what its camera file leaves open."""
     plate = ground(clip.frames)
     if plate.level.shape != clip.frames.shape[1:]:
@@ -71,30 +71,30 @@ def detect(clip: Clip, view: View, name: str = DEFAULT) -> Glints:
 
 
 def settled(clip: Clip, view: View, name: str = DEFAULT) -> tuple[Glints, View]:
-    """All glints, and the view with the exposure that their streaks tell where that is not the camera file's.
+    """All glints, and the view with the exposure found from their motion blur where that is not the camera file's.
 
-    That is so where they differ by more than SURE of its errors and by PLAIN. Else, or where the looks do not come to
-    an end, the view is the one given, and the glints are those of `detect`.
+    That is so where they differ by more than SURE of its errors and by PLAIN. Else, or where the rounds do not
+    converge, the view is the one given, and the glints are those of `detect`.
     """
     finder: Any = detector(name)(view)
     first = _searched(clip, finder)
-    streaks = getattr(finder, "streaks", None)
-    if not isinstance(streaks, Streaks):
+    blur = getattr(finder, "motion_blur", None)
+    if not isinstance(blur, MotionBlur):
         return first, view
-    length, error, hint = streaks.length()
+    length, error, hint = blur.length()
     if hint < CURIOUS or abs(length - 1.0) < PLAIN:
         return first, view
-    now = view
-    for _ in range(LOOKS):
-        seen = min(now.camera.exposed * length, 1.0 / now.camera.fps)
-        now = replace(now, camera=replace(now.camera, exposure_seen=seen))
-        finder, last = detector(name)(now), length
+    current = view
+    for _ in range(ROUNDS):
+        seen = min(current.camera.exposed * length, 1.0 / current.camera.fps)
+        current = replace(current, camera=replace(current.camera, exposure_seen=seen))
+        finder, previous = detector(name)(current), length
         glints = _searched(clip, finder)
-        length, error, _ = finder.streaks.length()
+        length, error, _ = finder.motion_blur.length()
         if abs(length - 1.0) < SETTLED:
             change = abs(1.0 - view.camera.exposure / seen)
-            return (glints, now) if change > max(PLAIN, SURE * error) else (first, view)
-        if (length > 1.0) != (last > 1.0) and abs(math.log(length)) > SWINGS * abs(math.log(last)):
+            return (glints, current) if change > max(PLAIN, SURE * error) else (first, view)
+        if (length > 1.0) != (previous > 1.0) and abs(math.log(length)) > SWINGS * abs(math.log(previous)):
             break  # it swings about and will not settle: something else is wrong with the glints
     return first, view
 

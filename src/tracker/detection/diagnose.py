@@ -12,7 +12,7 @@ from tracker.detection.candidates import Search
 from tracker.detection.glints import Glints, View
 
 FEWEST = 6  # glints in a clip, below which somebody will ask why
-LOOKS = 9  # frames
+SAMPLED = 9  # frames
 FLICKER = 5.0  # counts, of the plate from frame to frame
 FULL = 0.5  # share of the pixels at the ceiling: overexposed
 HOLE = 6.0  # noise deviations of a 5 x 5 mean, of something darker than the plate
@@ -23,7 +23,7 @@ def why_nothing(frames: Sequence[Any], view: View, glints: Glints) -> str:
     still = np.array_equal(frames[0], frames[-1])
     if len(glints) >= FEWEST and not still:
         return ""
-    sample = [np.array(frames[round(k * (len(frames) - 1) / (LOOKS - 1))]) for k in range(LOOKS)]
+    sample = [np.array(frames[round(k * (len(frames) - 1) / (SAMPLED - 1))]) for k in range(SAMPLED)]
     level, noise = view.plate.level, view.plate.noise
     if np.mean([np.mean(s >= view.camera.sensor.ceiling) for s in sample]) > FULL:
         return "overexposed: most of the picture is at the sensor's limit"
@@ -32,7 +32,7 @@ def why_nothing(frames: Sequence[Any], view: View, glints: Glints) -> str:
     if len(glints) >= FEWEST:
         return ""
     search = Search(view.plate, view.sigma, apart=max(4.0, 0.8 * view.camera.diameter_px))
-    crowded = sum(search(s).crowded for s in sample) > LOOKS // 2
+    crowded = sum(search(s).crowded for s in sample) > SAMPLED // 2
     if crowded or np.ptp([np.median(s) for s in sample]) > FLICKER:
         return "the light changes: most of the picture stands out from the plate"
     if any(_hole(s, level, noise, view.camera.diameter_px) for s in sample):

@@ -1,6 +1,6 @@
-"""A steady lamp: how bright a glint must be, as the film's others say, tells a little of where a clipped one is.
+"""A prior on the flux of clipped glints, from the film's other glints, that sharpens their positions.
 
-Where the brightest pixels are clipped, errors of place and flux go together. One lamp and like balls make all glints
+Where the brightest pixels are clipped, errors of position and flux go together. One lamp and like balls make all glints
 nearly as bright, but for a smooth change over the field; how nearly, the glints say themselves.
 """
 
@@ -16,12 +16,12 @@ STRANGE = 5.0  # deviations of the bulk: another lamp's glint, or none
 NORMAL = 1.4826  # standard deviation of a normal spread over its median absolute deviation
 
 
-def steadied(xy: Array, cov: Array, log_flux: Array, lean: Array, own: Array) -> tuple[Array, Array]:
-    """Glints' places ``xy`` (n, 2) px and their covariances ``cov`` (n, 2, 2) px^2, with what the others' flux adds.
+def with_flux_prior(xy: Array, cov: Array, log_flux: Array, cross: Array, own: Array) -> tuple[Array, Array]:
+    """Glints' positions ``xy`` (n, 2) px and their covariances ``cov`` (n, 2, 2) px^2, with what the others' flux adds.
 
-    ``log_flux`` (n,), of variance ``own`` (n,) and covariance ``lean`` (n, 2) px with the place. Conditioning of normal
-    errors: where the log flux is off by d, and d has the variance v = own + the scatter of true fluxes, the place is
-    off by lean d / v.
+    ``log_flux`` (n,), of variance ``own`` (n,) and covariance ``cross`` (n, 2) px with the position. Conditioning of
+    normal errors: where the log flux is off by d, and d has the variance v = own + the scatter of true fluxes, the
+    position is off by lean d / v.
     """
     if len(xy) < FEWEST:
         return xy, cov
@@ -37,6 +37,6 @@ def steadied(xy: Array, cov: Array, log_flux: Array, lean: Array, own: Array) ->
         scatter = max(float(np.mean(off**2 - own[alike])), 0.0)
     whole = own[alike] + scatter
     better, surer = xy.copy(), cov.copy()
-    better[alike] -= lean[alike] * (off / whole)[:, None]
-    surer[alike] -= lean[alike, :, None] * lean[alike, None, :] / whole[:, None, None]
+    better[alike] -= cross[alike] * (off / whole)[:, None]
+    surer[alike] -= cross[alike, :, None] * cross[alike, None, :] / whole[:, None, None]
     return better, surer

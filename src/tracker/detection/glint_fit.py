@@ -1,7 +1,7 @@
-"""Maximum likelihood of glints in small windows, all at once: place, flux and what lies under the glint.
+"""Maximum likelihood of glints in small windows, all at once: position, flux and what lies under the glint.
 
 Each pixel's count is normal about the pixel-integrated model, its variance that of the sensor at that mean; a
-pixel at the ceiling says only that it is at least there. Under the glint lies the ball's body, a mirror of the
+pixel at the ceiling says only that it is at least there. Under the glint lies the ball profile, the mirrored
 room. Its shape is given, learnt from all of a clip's glints (``learn``), and moves with the glint, on a free level;
 where it is not, to second order a level and a bowl about its middle, both free. Newton steps use the expected
 information (Fisher scoring), whose inverse is the covariance.
@@ -19,15 +19,15 @@ from scipy.special import log_ndtr
 
 from tracker.camera.lens import Array
 from tracker.camera.sensor import Sensor
-from tracker.detection.ball_profile import POWERS, Body
+from tracker.detection.ball_profile import POWERS, BallProfile
 from tracker.detection.cramer_rao import ROOT_TWO_PI, fisher, glint_shape, information, spread
 
 STEPS = 30
 LOG_FLUX = (-5.0, 18.0)
 MOST = 1e6  # counts, of anything under a glint
-SWINGING = 8  # steps, after which a glint still on the move is swinging about its place: half steps from there
-LESSONS = 2  # steps of the shared body
-NUDGE = 0.05  # of the glint's width and of its streak, over which its change is taken
+SWINGING = 8  # steps, after which a glint still on the move is swinging about its position: half steps from there
+LESSONS = 2  # steps of the shared profile
+NUDGE = 0.05  # of the glint's width and of its blur, over which its change is taken
 WIDER = (-0.5, 0.5)  # logarithm of a glint's width over the one given, at most
 ROUGH = 0.1  # px and log flux, a first fit before them: clipped glints need one
 CLOSE = 0.003  # px and log flux: a step this small is the last one, for the next would be a hundredth of it
@@ -36,17 +36,17 @@ CLOSE = 0.003  # px and log flux: a step this small is the last one, for the nex
 @dataclass(frozen=True, eq=False)
 class Windows:
     """What is fitted: ``counts`` (n, s, s), ``used`` (n, s, s) 1 where a pixel counts, ``start`` (n, 2) px from
-    the central pixel, ``streak`` (n, 2) px the way during the exposure, ``bowl`` (n, 2) px from glint to the
-    body's centre. ``ghosts`` (n, g, 3): places from the central pixel, px, of weaker glints and 1 where there
-    is one, else 0.
+    the central pixel, ``blur`` (n, 2) px the way during the exposure, ``bowl`` (n, 2) px from glint to the
+    profile's centre. ``secondaries`` (n, g, 3): positions from the central pixel, px, of weaker glints and 1 where
+    there is one, else 0.
     """
 
     counts: Array
     used: Array
     start: Array
-    streak: Array
+    blur: Array
     bowl: Array
-    ghosts: Array
+    secondaries: Array
 
     def __len__(self) -> int:
         return len(self.counts)
@@ -64,9 +64,9 @@ class Windows:
 class Fit:
     """Of n windows: ``xy`` (n, 2) px from the central pixel, ``flux`` and ``background`` (n,) counts, ``cov``
     (n, 2, 2) px^2 and ``fixed``, the part of it that a resting ball has in every frame alike, ``flux_std``,
-    ``chi2`` a degree of freedom over open pixels, ``loglik``, ``settled`` (n,), ``lean`` (n, 2) px the covariance
-    of place and log flux. ``ghost`` (n, 4): the first ghost's flux, counts, its covariance with the place, its
-    variance; NaN where there is none.
+    ``chi2`` a degree of freedom over open pixels, ``loglik``, ``settled`` (n,), ``cross`` (n, 2) px the covariance
+    of position and log flux. ``secondary`` (n, 4): the first secondary's flux, counts, its covariance with the
+    position, its variance; NaN where there is none.
     """
 
     xy: Array
@@ -78,16 +78,18 @@ class Fit:
     chi2: Array
     loglik: Array
     settled: Array
-    lean: Array
-    ghost: Array
+    cross: Array
+    secondary: Array
 
 
-def fit(windows: Windows, sigma: float, sensor: Sensor, body: Body | None = None, close: float = CLOSE) -> Fit:
-    """Fits a glint of width ``sigma`` px to each window, on a body of known shape or on a bowl of its own.
+def fit(
+    windows: Windows, sigma: float, sensor: Sensor, profile: BallProfile | None = None, close: float = CLOSE
+) -> Fit:
+    """Fits a glint of width ``sigma`` px to each window, on a profile of known shape or on a bowl of its own.
 
     A step under ``close``, px and log flux, is the last one; covariances are those before it.
     """
-    theta, n = _start(windows, sigma, sensor, body), len(windows)
+    theta, n = _start(windows, sigma, sensor, profile), len(windows)
     active = np.arange(n)
     _bounded(theta, active, windows.half)
     part, values = windows, np.full((n, 17), np.nan)
@@ -95,8 +97,8 @@ def fit(windows: Windows, sigma: float, sensor: Sensor, body: Body | None = None
     for number in range(STEPS):
         if len(active) == 0:
             break
-        seen = _see(theta[active], part, sigma, sensor, body)
-        step = np.asarray(np.linalg.solve(seen.told, seen.slope[..., None])[..., 0], dtype=np.float64)
+        seen = _evaluate(theta[active], part, sigma, sensor, profile)
+        step = np.asarray(np.linalg.solve(seen.info, seen.slope[..., None])[..., 0], dtype=np.float64)
         step[:, :3] = np.clip(step[:, :3], -limit, limit)
         if number >= SWINGING:
             step *= 0.5
@@ -113,13 +115,13 @@ def fit(windows: Windows, sigma: float, sensor: Sensor, body: Body | None = None
     flux = np.exp(theta[:, 2])
     return Fit(
         theta[:, :2].copy(), flux, theta[:, 3].copy(), cov, fixed, flux * values[:, 8], values[:, 9], values[:, 10],
-        values[:, 11], values[:, 12:14], np.column_stack([_ghost(theta, windows, body), values[:, 14:]]),
+        values[:, 11], values[:, 12:14], np.column_stack([_secondary(theta, windows, profile), values[:, 14:]]),
     )  # fmt: skip
 
 
-def _ghost(theta: Array, windows: Windows, body: Body | None) -> Array:
-    """Flux (n,) of each window's first ghost."""
-    return theta[:, 4 + (body is None)] if windows.ghosts.shape[1] else np.full(len(theta), np.nan)
+def _secondary(theta: Array, windows: Windows, profile: BallProfile | None) -> Array:
+    """Flux (n,) of each window's first secondary glint."""
+    return theta[:, 4 + (profile is None)] if windows.secondaries.shape[1] else np.full(len(theta), np.nan)
 
 
 def _longest(sigma: float) -> Array:
@@ -134,84 +136,86 @@ def _bounded(theta: Array, active: NDArray[np.int64], half: int) -> None:
     theta[active, 3:] = np.clip(theta[active, 3:], -MOST, MOST)
 
 
-def _model(theta: Array, windows: Windows, sigma: float, body: Body | None, room: int = 0) -> tuple[Array, Array]:
-    """Means (n, s, s) and their derivatives (n, p, s, s) by x, y, log flux, level, a free bowl, the ghosts' fluxes;
-    room: for how many further derivatives, not filled in.
+def _model(
+    theta: Array, windows: Windows, sigma: float, profile: BallProfile | None, room: int = 0
+) -> tuple[Array, Array]:
+    """Means (n, s, s) and their derivatives (n, p, s, s) by x, y, log flux, level, a free bowl, the secondaries'
+    fluxes; room: for how many further derivatives, left empty.
     """
-    half, ghosts = windows.half, windows.ghosts.shape[1]
-    shape = glint_shape(theta[:, :2], windows.streak, sigma, half)
+    half, secondaries = windows.half, windows.secondaries.shape[1]
+    shape = glint_shape(theta[:, :2], windows.blur, sigma, half)
     flux = np.exp(theta[:, 2])[:, None, None]
     middle = theta[:, :2] + windows.bowl
-    parts = np.empty((len(theta), 4 + (body is None) + ghosts + room, *shape.value.shape[1:]))
+    parts = np.empty((len(theta), 4 + (profile is None) + secondaries + room, *shape.value.shape[1:]))
     for i, one in enumerate((shape.by_x, shape.by_y, shape.value)):
         np.multiply(flux, one, out=parts[:, i])
     parts[:, 3] = 1.0
     mean = parts[:, 2] + theta[:, 3, None, None]
-    if body is None:
+    if profile is None:
         square = (np.arange(-half, half + 1.0) - middle[..., None]) ** 2 / half**2
         np.add(square[:, 1, :, None], square[:, 0, None, :], out=parts[:, 4])
         mean += theta[:, 4, None, None] * parts[:, 4]
     else:
-        height, by_x, by_y = body.height(middle, windows.streak, half)
+        height, by_x, by_y = profile.height(middle, windows.blur, half)
         mean += height
         parts[:, 0] += by_x
         parts[:, 1] += by_y
-    for g in range(ghosts):
-        ghost, at = windows.ghosts[:, g], 4 + (body is None) + g
-        lit = glint_shape(ghost[:, :2], windows.streak, sigma, half).value
-        np.multiply(lit, ghost[:, 2, None, None], out=parts[:, at])
+    for g in range(secondaries):
+        secondary, at = windows.secondaries[:, g], 4 + (profile is None) + g
+        lit = glint_shape(secondary[:, :2], windows.blur, sigma, half).value
+        np.multiply(lit, secondary[:, 2, None, None], out=parts[:, at])
         mean += theta[:, at, None, None] * parts[:, at]
     return mean, parts
 
 
 @dataclass(frozen=True, eq=False)
-class _Seen:
+class _Evaluated:
     """A model beside its windows: ``mean`` and ``variance`` (n, s, s), ``parts`` (n, p, s, s), the information
-    ``told`` (n, p, p) and the score ``slope`` (n, p) of the parameters.
+    ``info`` (n, p, p) and the score ``slope`` (n, p) of the parameters.
     """
 
     mean: Array
     variance: Array
     parts: Array
-    told: Array
+    info: Array
     slope: Array
 
     @staticmethod
-    def of(windows: Windows, mean: Array, parts: Array, sensor: Sensor) -> _Seen:
+    def of(windows: Windows, mean: Array, parts: Array, sensor: Sensor) -> _Evaluated:
         noise = spread(mean, sensor)
-        told = fisher(information(mean, sensor, noise) * windows.used, parts)
+        info = fisher(information(mean, sensor, noise) * windows.used, parts)
         score = _score(windows.counts, mean, sensor, noise)
         score *= windows.used
         slope = parts.reshape(*parts.shape[:2], -1) @ score.reshape(len(parts), -1, 1)
-        return _Seen(mean, noise[0], parts, _loaded(told), slope[..., 0])
+        return _Evaluated(mean, noise[0], parts, _loaded(info), slope[..., 0])
 
-    def take(self, rows: NDArray[np.int64]) -> _Seen:
+    def take(self, rows: NDArray[np.int64]) -> _Evaluated:
         if len(rows) == len(self.mean):
             return self
-        return _Seen(*(getattr(self, name)[rows] for name in self.__dataclass_fields__))
+        return _Evaluated(*(getattr(self, name)[rows] for name in self.__dataclass_fields__))
 
 
-def _see(
-    theta: Array, windows: Windows, sigma: float, sensor: Sensor, body: Body | None, shared: bool = False
-) -> _Seen:
-    """shared: by the body's coefficients too, last of the parameters."""
+def _evaluate(
+    theta: Array, windows: Windows, sigma: float, sensor: Sensor, profile: BallProfile | None, shared: bool = False
+) -> _Evaluated:
+    """shared: by the profile's coefficients too, last of the parameters."""
     room = len(POWERS) if shared else 0
-    mean, parts = _model(theta, windows, sigma, body, room)
-    if shared and body is not None:
-        parts[:, -room:] = body.basis(theta[:, :2] + windows.bowl, windows.half)
-    return _Seen.of(windows, mean, parts, sensor)
+    mean, parts = _model(theta, windows, sigma, profile, room)
+    if shared and profile is not None:
+        parts[:, -room:] = profile.basis(theta[:, :2] + windows.bowl, windows.half)
+    return _Evaluated.of(windows, mean, parts, sensor)
 
 
-def _loaded(told: Array) -> Array:
-    """A trace of ridge, so that a window that lacks a glint or a ghost stays solvable."""
-    size = np.diagonal(told, axis1=1, axis2=2)
+def _loaded(info: Array) -> Array:
+    """A trace of ridge, so that a window that lacks a glint or a secondary stays solvable."""
+    size = np.diagonal(info, axis1=1, axis2=2)
     ridge = 1e-9 * size + 1e-12
-    return np.asarray(told + np.eye(told.shape[1]) * ridge[:, None, :], dtype=np.float64)
+    return np.asarray(info + np.eye(info.shape[1]) * ridge[:, None, :], dtype=np.float64)
 
 
-def _start(windows: Windows, sigma: float, sensor: Sensor, body: Body | None) -> Array:
-    """Places as given; flux and level by weighted linear least squares of the open pixels at those places."""
-    shape = glint_shape(windows.start, windows.streak, sigma, windows.half)
+def _start(windows: Windows, sigma: float, sensor: Sensor, profile: BallProfile | None) -> Array:
+    """Positions as given; flux and level by weighted linear least squares of the open pixels at those positions."""
+    shape = glint_shape(windows.start, windows.blur, sigma, windows.half)
     weight = windows.used * (windows.counts < sensor.ceiling) / np.maximum(sensor.variance(windows.counts), 1e-9)
     total = np.maximum(weight.sum(axis=(1, 2)), 1e-300)
     mean_shape = (weight * shape.value).sum(axis=(1, 2)) / total
@@ -220,7 +224,7 @@ def _start(windows: Windows, sigma: float, sensor: Sensor, body: Body | None) ->
     power = np.maximum((weight * rise * rise).sum(axis=(1, 2)), 1e-300)
     flux = (weight * rise * windows.counts).sum(axis=(1, 2)) / power
     flux = np.maximum(flux, 3.0 / np.sqrt(power))
-    rest = np.zeros((len(windows), (body is None) + windows.ghosts.shape[1]))
+    rest = np.zeros((len(windows), (profile is None) + windows.secondaries.shape[1]))
     return np.column_stack([windows.start, np.log(flux), mean_count - flux * mean_shape, rest])
 
 
@@ -239,58 +243,60 @@ def _score(counts: Array, mean: Array, sensor: Sensor, noise: tuple[Array, Array
     return score
 
 
-def learn(windows: Windows, sigma: float, sensor: Sensor, end: float) -> tuple[Body, Array]:
-    """The one body under which all the windows are likeliest, and their places (n, 2) px from the central pixel.
+def learn(windows: Windows, sigma: float, sensor: Sensor, end: float) -> tuple[BallProfile, Array]:
+    """The one profile under which all the windows are likeliest, and their positions (n, 2) px from the central pixel.
 
-    Each has a place, flux and level of its own; these are eliminated (Schur complement), and the rest is nearly linear.
+    Each has a position, flux and level of its own; these are eliminated (Schur complement), and the rest is nearly
+    linear.
     """
-    body, limit = Body(end, np.zeros(len(POWERS))), _longest(sigma)
-    theta, own = _start(windows, sigma, sensor, body), fit(windows, sigma, sensor, close=ROUGH)
+    profile, limit = BallProfile(end, np.zeros(len(POWERS))), _longest(sigma)
+    theta, own = _start(windows, sigma, sensor, profile), fit(windows, sigma, sensor, close=ROUGH)
     theta[:, :3] = np.column_stack([own.xy, np.log(own.flux)])
     for _ in range(LESSONS):
-        seen = _see(theta, windows, sigma, sensor, body, shared=True)
-        of_own, across, of_body = seen.told[:, :4, :4], seen.told[:, :4, 4:], seen.told[:, 4:, 4:]
+        seen = _evaluate(theta, windows, sigma, sensor, profile, shared=True)
+        of_own, across, of_profile = seen.info[:, :4, :4], seen.info[:, :4, 4:], seen.info[:, 4:, 4:]
         slope = seen.slope[..., None]
         solved = np.linalg.solve(of_own, np.concatenate([across, slope[:, :4]], axis=2))
-        left = (of_body - across.transpose(0, 2, 1) @ solved[:, :, :-1]).sum(axis=0)
+        left = (of_profile - across.transpose(0, 2, 1) @ solved[:, :, :-1]).sum(axis=0)
         push = (slope[:, 4:] - across.transpose(0, 2, 1) @ solved[:, :, -1:]).sum(axis=0)
         change = np.linalg.solve(left + 1e-9 * np.diag(np.diag(left)) + 1e-12 * np.eye(len(left)), push)
         step = (solved[:, :, -1:] - solved[:, :, :-1] @ change)[..., 0]
         step[:, :3] = np.clip(step[:, :3], -limit, limit)
         theta += step
         _bounded(theta, np.arange(len(theta)), windows.half)
-        body = Body(end, np.clip(body.coefficients + change[:, 0], -MOST, MOST))
-    return body, theta[:, :2]
+        profile = BallProfile(end, np.clip(profile.coefficients + change[:, 0], -MOST, MOST))
+    return profile, theta[:, :2]
 
 
 def stretch(
     windows: Windows, known: Array, still: NDArray[np.bool_], sigma: float, sensor: Sensor
 ) -> tuple[Array, Array]:
-    """What each window tells about the length of streaks: score (n,) and information (n,) on its logarithm.
+    """Score and information of each window on the length of the motion blur: score (n,) and information (n,) on its
+    logarithm.
 
-    known (n, 4): places from the central pixel, log fluxes and levels; still (n,): which hardly move. Eliminated
+    known (n, 4): positions from the central pixel, log fluxes and levels; still (n,): which hardly move. Eliminated
     (Schur complement) are, of each window, these, a bowl and the glint's width, and of all together a glint that is
-    longer one way than across it even at rest. The width may be another than sigma: those that hardly move tell.
+    longer one way than across it even at rest. The width may be another than sigma: those that hardly move show it.
     """
     theta = np.column_stack([known, np.zeros(len(windows))])
     mean, parts = _model(theta, windows, sigma, None, room=1)
     along, twist, across = _bends(theta, windows, sigma)
     parts[:, 5] = wider = sigma**2 * (along + across)
-    seen = _Seen.of(windows, mean, parts, sensor)
-    step = np.linalg.solve(seen.told, seen.slope[..., None])[..., 0]
+    seen = _Evaluated.of(windows, mean, parts, sensor)
+    step = np.linalg.solve(seen.info, seen.slope[..., None])[..., 0]
     theta += step[:, :5]
     _bounded(theta, np.arange(len(theta)), windows.half)
     sigma *= math.exp(float(np.clip(np.median(step[still, 5]), *WIDER)))
     mean, parts = _model(theta, windows, sigma, None, room=4)
     parts[:, 5], parts[:, 6], parts[:, 7] = wider, along - across, twist
     one, other = (
-        glint_shape(theta[:, :2], (1.0 + by) * windows.streak, sigma, windows.half).value for by in (-NUDGE, NUDGE)
+        glint_shape(theta[:, :2], (1.0 + by) * windows.blur, sigma, windows.half).value for by in (-NUDGE, NUDGE)
     )
     parts[:, 8] = np.exp(theta[:, 2])[:, None, None] * (other - one) / (2.0 * NUDGE)
-    seen = _Seen.of(windows, mean, parts, sensor)
-    mixed = seen.told[:, :6, 6:]
-    solved = np.linalg.solve(seen.told[:, :6, :6], np.concatenate([mixed, seen.slope[:, :6, None]], axis=2))
-    left = seen.told[:, 6:, 6:] - mixed.transpose(0, 2, 1) @ solved[..., :3]
+    seen = _Evaluated.of(windows, mean, parts, sensor)
+    mixed = seen.info[:, :6, 6:]
+    solved = np.linalg.solve(seen.info[:, :6, :6], np.concatenate([mixed, seen.slope[:, :6, None]], axis=2))
+    left = seen.info[:, 6:, 6:] - mixed.transpose(0, 2, 1) @ solved[..., :3]
     score = seen.slope[:, 6:] - (mixed.transpose(0, 2, 1) @ solved[..., 3:])[..., 0]
     whole = left.sum(axis=0)
     by = np.append(-np.linalg.solve(whole[:2, :2], whole[:2, 2]), 1.0)
@@ -301,25 +307,26 @@ def _bends(theta: Array, windows: Windows, sigma: float) -> tuple[Array, Array, 
     """Second derivatives of glints by xx, xy and yy, counts/px^2, (n, s, s) each."""
     flux, by = np.exp(theta[:, 2])[:, None, None], NUDGE * sigma
     left, right, up, down = (
-        glint_shape(theta[:, :2] + shift, windows.streak, sigma, windows.half)
+        glint_shape(theta[:, :2] + shift, windows.blur, sigma, windows.half)
         for shift in ((-by, 0.0), (by, 0.0), (0.0, -by), (0.0, by))
     )
-    scale = flux / (2.0 * by)
-    return scale * (right.by_x - left.by_x), scale * (right.by_y - left.by_y), scale * (down.by_y - up.by_y)
+    factor = flux / (2.0 * by)
+    return factor * (right.by_x - left.by_x), factor * (right.by_y - left.by_y), factor * (down.by_y - up.by_y)
 
 
-def _figures(seen: _Seen, windows: Windows, step: Array, settled: NDArray[np.bool_], sensor: Sensor) -> Array:
-    """(n, 17): cov and fixed of the place, error of log flux, chi^2 a degree of freedom, log likelihood, settled,
-    covariance of place and log flux; of the first ghost's flux its covariance with the place and its variance.
+def _figures(seen: _Evaluated, windows: Windows, step: Array, settled: NDArray[np.bool_], sensor: Sensor) -> Array:
+    """(n, 17): cov and fixed of the position, error of log flux, chi^2 a degree of freedom, log likelihood, settled,
+    covariance of position and log flux; of the first secondary's flux its covariance with the position and its
+    variance.
 
     The last ``step`` (n, p) raises the likelihood by half of step . slope.
     """
     n, mean, variance = len(step), seen.mean, seen.variance
-    cov = np.linalg.inv(seen.told)
+    cov = np.linalg.inv(seen.info)
     full = windows.counts >= sensor.ceiling
     is_open = windows.used * ~full if full.any() else windows.used
     square = (windows.counts - mean) ** 2 / variance
-    # A fixed error of a pixel shifts the place by cov d_a m / v: its covariance is that of these shifts.
+    # A fixed error of a pixel shifts the position by cov d_a m / v: its covariance is that of these shifts.
     pattern = cov @ fisher(is_open * sensor.fixed_variance(mean) / variance**2, seen.parts) @ cov
     freedom = np.maximum(is_open.sum(axis=(1, 2)) - step.shape[1], 1.0)
     gain = np.where(settled, (step * seen.slope).sum(axis=1), 0.0)
@@ -328,9 +335,9 @@ def _figures(seen: _Seen, windows: Windows, step: Array, settled: NDArray[np.boo
     if beyond.any():
         loglik[beyond] = log_ndtr((mean[beyond] - sensor.ceiling + 0.5) / np.sqrt(variance[beyond]))
     chi2 = ((is_open * square).sum(axis=(1, 2)) - gain) / freedom
-    ghosts = windows.ghosts.shape[1]
-    ghost = cov[:, [0, 1, -ghosts], -ghosts] if ghosts else np.full((n, 3), np.nan)
+    secondaries = windows.secondaries.shape[1]
+    secondary = cov[:, [0, 1, -secondaries], -secondaries] if secondaries else np.full((n, 3), np.nan)
     return np.column_stack([
         cov[:, :2, :2].reshape(n, 4), pattern[:, :2, :2].reshape(n, 4), np.sqrt(cov[:, 2, 2]), chi2,
-        loglik.sum(axis=(1, 2)) + gain / 2, settled, cov[:, :2, 2], ghost,
+        loglik.sum(axis=(1, 2)) + gain / 2, settled, cov[:, :2, 2], secondary,
     ])  # fmt: skip

@@ -1,4 +1,4 @@
-"""Glints of a clip: what a detector returns, and what it is told about the clip."""
+"""Glints of a clip: what a detector returns, and what it knows of the clip."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from tracker.camera.camera import Camera
 from tracker.camera.lens import Array
 from tracker.detection.candidates import Ground
 
-CLIPPED, STREAK, NEAR, MISFIT, EDGE = 1, 2, 4, 8, 16
-WORDS = {CLIPPED: "clipped", STREAK: "streak", NEAR: "near", MISFIT: "misfit", EDGE: "edge"}
+CLIPPED, BLURRED, NEAR, MISFIT, EDGE = 1, 2, 4, 8, 16
+WORDS = {CLIPPED: "clipped", BLURRED: "streak", NEAR: "near", MISFIT: "misfit", EDGE: "edge"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,7 +74,7 @@ class Glints:
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """What a detector is told of a clip: the camera, nothing missing in it, and the plate without balls."""
+    """What a detector knows of a clip: the camera, nothing missing in it, and the plate without balls."""
 
     camera: Camera
     plate: Ground

@@ -62,7 +62,7 @@ class Tracks:
 
 @dataclass
 class _Ball:
-    """A track while it grows: plain floats, for there are few balls and many frames."""
+    """A track being extended: plain floats, for there are few balls and many frames."""
 
     rows: list[int]
     frame: int
@@ -99,7 +99,7 @@ def link(glints: Glints, camera: Camera) -> Tracks:
 
 
 def assign(glints: Glints, camera: Camera) -> Ints:
-    """Particle of each glint (n,), -1 for those refused; particles numbered by first appearance, then place."""
+    """Particle of each glint (n,), -1 for those refused; particles numbered by first appearance, then position."""
     ids = np.full(len(glints), -1, dtype=np.int64)
     if len(glints) == 0:
         return ids

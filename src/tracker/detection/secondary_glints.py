@@ -1,7 +1,7 @@
-"""The balls are alike: how bright one ball shows another's glint, as the clip's other pairs say, tells where it is.
+"""A prior on the flux of secondary glints: the balls' reflectance is common to all pairs of a clip.
 
 A secondary glint free in each window is mistaken for a part of the primary one when the ball is small. Geometry gives
-the ratio of the two but for the balls' reflectance, and that is one number, which every pair tells.
+the ratio of the two but for the balls' reflectance, and that is one number, which every pair shows.
 """
 
 from __future__ import annotations
@@ -12,10 +12,11 @@ ROUNDS = 3  # in which the scatter of the reflectances is found
 LOOSE = 0.1  # of the reflectance, what geometry leaves out: images of higher order, the neighbour's dark side
 
 
-def agreed(xy: Array, cov: Array, reflectance: Array, lean: Array, own: Array) -> tuple[Array, Array]:
-    """Glints' places ``xy`` (n, 2) px and covariances ``cov`` (n, 2, 2) px^2, with what the others' reflectance adds.
+def with_common_reflectance(xy: Array, cov: Array, reflectance: Array, cross: Array, own: Array) -> tuple[Array, Array]:
+    """Glints' positions ``xy`` (n, 2) px and covariances ``cov`` (n, 2, 2) px^2, with what the others' reflectance
+    adds.
 
-    ``reflectance`` (n,), of variance ``own`` (n,) and covariance ``lean`` (n, 2) px with the place. Conditioning of
+    ``reflectance`` (n,), of variance ``own`` (n,) and covariance ``cross`` (n, 2) px with the position. Conditioning of
     normal errors on the mean of all the others, which leaves out what a window says itself.
     """
     if len(xy) < 2:
@@ -30,6 +31,6 @@ def agreed(xy: Array, cov: Array, reflectance: Array, lean: Array, own: Array) -
     rest = weight.sum() - weight
     others = (weight @ reflectance - weight * reflectance) / rest
     whole = own + scatter + 1.0 / rest
-    better = xy - lean * ((reflectance - others) / whole)[:, None]
-    surer = cov - lean[:, :, None] * lean[:, None, :] / whole[:, None, None]
+    better = xy - cross * ((reflectance - others) / whole)[:, None]
+    surer = cov - cross[:, :, None] * cross[:, None, :] / whole[:, None, None]
     return better, surer

@@ -14,7 +14,7 @@ from tracker.measurement.fitting import Fit
 
 MISFIT = "misfit"
 MEASURED = ("ok", MISFIT)  # statuses of a collision that has values
-LEVEL = 1e-6  # of a p-value under which a fit is rejected: one honest clip in a million
+LEVEL = 1e-6  # of a p-value under which a fit is rejected: one clip in a million that the model describes
 BEYOND = 3.0  # of its own errors by which a quantity must pass a limit to be questioned
 POSSIBLE = {"r": (0.0, 1.0), "C": (0.0, 5 / 7)}  # C of 5/7: surfaces that spring back without loss
 CAUSES = (
@@ -26,7 +26,7 @@ SCATTER = "as the tracks' own scatter shows"
 
 
 def p_value(square: float, dof: float, known: float) -> float:
-    """Probability of a chi^2 at least so large; NaN where nothing tells it.
+    """Probability of a chi^2 at least so large; NaN where it is not known.
 
     known: degrees of freedom from which the errors' size was found (inf: given). They are part of the same residuals:
     the rest of the residuals is held against them, by the ratio of the two mean squares.
@@ -41,7 +41,7 @@ def p_value(square: float, dof: float, known: float) -> float:
 
 
 def agreement(tied: Fit, free: Fit, known: float) -> float:
-    """Probability of so large a rise of chi^2 from the free fit to the tied one, on the same places."""
+    """Probability of so large a rise of chi^2 from the free fit to the tied one, on the same positions."""
     more, rise = tied.dof - free.dof, max(tied.chi2 - free.chi2, 0.0)
     if not more > 0 or not known > 0:
         return np.nan

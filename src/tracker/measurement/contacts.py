@@ -14,10 +14,10 @@ from tracker.measurement.fitting import Pair
 from tracker.measurement.positions import Course
 
 Floats = NDArray[np.float64]
-APPROACH = 6  # places from which the approach is read
-LONGEST = 15  # frames; older places tell nothing of the moment of contact
+APPROACH = 6  # positions from which the approach is read
+LONGEST = 15  # frames; older positions say nothing about the moment of contact
 CREEPING = 0.002  # of the relative speed: a target this slow is at rest for every purpose
-STILL = 150  # frames at rest, beyond which more of them tell nothing new: what they share is their limit
+STILL = 150  # frames at rest, beyond which more of them add nothing: their shared error is the limit
 GRID = (0.5, 0.75, 0.95), (0.1, 0.2, 0.4), (0.1, 0.35)  # r, mu_k and C, from which a fit starts
 SAME = 0.3  # of a glint's width, within which a ball that has not moved is seen
 
@@ -84,20 +84,20 @@ def encounter(meeting: Meeting, diameter: float, pasts: Mapping[int, Past]) -> E
 
 
 def velocity(course: Course) -> tuple[Floats, Floats, float]:
-    """Straight line through a few places: velocity (2,), place at the mean time (2,), std of the velocity."""
+    """Straight line through a few positions: velocity (2,), position at the mean time (2,), std of the velocity."""
     t = course.time - course.time.mean()
     spread = float((t**2).sum())
     std = float(np.sqrt(np.trace(course.cov.mean(axis=0)) / 2 / spread))
-    return t @ course.place / spread, course.place.mean(axis=0), std
+    return t @ course.position / spread, course.position.mean(axis=0), std
 
 
 def _before(course: Course, frame: int) -> Course:
-    """The last few places before a frame."""
+    """The last few positions before a frame."""
     return course.where((course.frame >= frame - LONGEST) & _ranked(course.frame < frame, last=True))
 
 
 def _after(course: Course, frame: int) -> Course:
-    """The first few places after a frame."""
+    """The first few positions after a frame."""
     return course.where((course.frame <= frame + LONGEST) & _ranked(course.frame > frame, last=False))
 
 
@@ -128,11 +128,11 @@ def _contact_frames(a: Course, b: Course, diameter: float) -> list[int]:
 
 
 def _bridged(course: Course, frames: NDArray[np.int64]) -> Floats:
-    return np.column_stack([np.interp(frames, course.frame, course.place[:, axis]) for axis in (0, 1)])
+    return np.column_stack([np.interp(frames, course.frame, course.position[:, axis]) for axis in (0, 1)])
 
 
 def _gap(course: Course, frame: int) -> int:
-    """Longest stretch, in frames, between places next to a frame."""
+    """Longest stretch, in frames, between positions next to a frame."""
     i = int(np.searchsorted(course.frame, frame))
     near = course.frame[max(i - 2, 0) : i + 3]
     return int(np.diff(near).max(initial=1))
@@ -169,7 +169,7 @@ def _roles(pair: Pair, frame: int) -> Encounter:
 def _at_rest(course: Course, frame: int, slow: float) -> int | None:
     """First frame from which a ball rests until the contact; None if it moves then.
 
-    The stretch grows from the contact outwards for as long as one place describes it, so that a ball which rolled
+    The stretch grows from the contact outwards for as long as one position describes it, so that a ball which rolled
     to a stop before is taken from there on. The frame next to the contact may be late where others are missing.
     """
     rows = np.flatnonzero(course.frame < frame - 1)
@@ -196,7 +196,7 @@ def _thinned(course: Course, frame: int) -> Course:
     if len(course) <= STILL or course.width <= 0:
         return course
     keep = np.ones(len(course), dtype=bool)
-    still = np.hypot(*(course.place[STILL:] - course.place[:-STILL]).T) < SAME * course.width
+    still = np.hypot(*(course.position[STILL:] - course.position[:-STILL]).T) < SAME * course.width
     keep[:-STILL] &= ~(still & (course.frame[STILL:] < frame))
     keep[STILL:] &= ~(still & (course.frame[:-STILL] > frame))
     return course.where(keep)
@@ -223,7 +223,7 @@ def first_guess(meeting: Encounter) -> Floats | None:
 
 
 def _misfit(pair: Pair, tied: Floats) -> Floats:
-    """Sums (k,) of squared distances, in their errors, between the places after the hit and the guesses (k, 13).
+    """Sums (k,) of squared distances, in their errors, between the positions after the hit and the guesses (k, 13).
 
     Rough: instants for exposures, and a rolling ball loses speed evenly.
     """
@@ -240,7 +240,7 @@ def _misfit(pair: Pair, tied: Floats) -> Floats:
         roll = np.clip(since - tau, 0.0, speed / loss)
         grown = roll - loss * roll**2 / (2 * speed) + slide**2 / (2 * tau)  # weight of f
         way = (slide - slide**2 / (2 * tau))[..., None] * v[:, None] + grown[..., None] * f[:, None]
-        off = contact[:, None] + way - course.place
+        off = contact[:, None] + way - course.position
         total += np.where(since > 0, course.whiten.distance(off), 0.0).sum(-1)
     return total
 
@@ -251,18 +251,18 @@ def _launch(pair: Pair, frame: int) -> list[float] | None:
     if len(line) < 2 or len(target) < 1 + pair.moving:
         return None
     v, middle, _ = velocity(line)
-    w, place = velocity(target)[:2] if pair.moving else (np.zeros(2), target.place.mean(axis=0))
+    w, position = velocity(target)[:2] if pair.moving else (np.zeros(2), target.position.mean(axis=0))
     late = float(line.time.mean() - target.time.mean()) if pair.moving else 0.0
     v0 = float(np.linalg.norm(v - w))
     if v0 == 0:
         return None
     d = (v - w) / v0
-    gap = place + w * late - middle  # when ball 2 is at `middle`
+    gap = position + w * late - middle  # when ball 2 is at `middle`
     sine = float(d[1] * gap[0] - d[0] * gap[1]) / pair.diameter  # b/2R = -z . (d x gap) / 2R
     if abs(sine) > 1.05:
         return None
     beta = float(np.arcsin(np.clip(sine, -0.98, 0.98)))
     ahead = float(d @ gap - pair.diameter * np.cos(beta)) / v0
-    x, y = place + w * (late + ahead)
+    x, y = position + w * (late + ahead)
     heading = float(np.arctan2(d[1], d[0]))
     return [float(line.time.mean()) + ahead, float(x), float(y), heading, beta, v0, 0.1, 0.01, *map(float, w)]

@@ -47,7 +47,7 @@ class Values:
 def of_free(free: Floats, cov: Floats, diameter: float) -> Values:
     """Quantities of a free motion (20,) with covariance (20, 20); diameter in m.
 
-    Friction and spin transfer are each told by either ball; the two are weighed by their errors. Where they differ by
+    Friction and spin transfer follow from either ball; the two are weighted by their errors. Where they differ by
     more than APART of these, there is no one value, and its covariance is NaN.
     """
     twice, slope = _with_slope(lambda p: _both(p, diameter), free, cov)

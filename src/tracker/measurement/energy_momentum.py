@@ -58,7 +58,7 @@ def differences(course: Course) -> tuple[Floats, Floats]:
     last = len(course) - 1
     ahead, behind = np.minimum(np.arange(last + 1) + 1, last), np.maximum(np.arange(last + 1) - 1, 0)
     span = (course.start[ahead] - course.start[behind])[:, None]
-    velocity = (course.place[ahead] - course.place[behind]) / span
+    velocity = (course.position[ahead] - course.position[behind]) / span
     noise = np.trace(course.cov[ahead] + course.cov[behind], axis1=1, axis2=2) / span[:, 0] ** 2
     return velocity, noise
 

@@ -1,8 +1,8 @@
-"""From the tracks of one clip to its physics: r, mu_k, C, slide times, energy, momentum, with honest errors.
+"""From the tracks of one clip to its physics: r, mu_k, C, slide times, energy, momentum, with standard errors.
 
 Three readings stand beside each other: NAME from the tied fit (one physical model of impact, sliding and rolling),
 NAME_free from the free fit (any velocities and slide times after the hit), NAME_paper from the paper's finite
-differences. Where the first two disagree the model is wrong. What a clip cannot tell is NaN.
+differences. Where the first two disagree the model is wrong. What a clip does not show is NaN.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tracker.measurement import painter_behringer as paper
+from tracker.measurement import painter_behringer
 from tracker.measurement.adequacy import LEVEL, MISFIT, agreement, p_value, questioned
 from tracker.measurement.collision_model import AFTER, FREE, TARGET, TIED, release
 from tracker.measurement.contacts import Encounter, Meeting, Past, encounter, first_guess, meetings
@@ -32,12 +32,12 @@ if TYPE_CHECKING:
     from tracker.camera.camera import Camera
     from tracker.detection.link import Tracks
 
-__all__ = ["fit_all", "interpret", "measure", "motion_table", "told"]
+__all__ = ["claims", "fit_all", "interpret", "measure", "motion_table"]
 
 Floats = NDArray[np.float64]
 
 SEEN = 25.0  # chi^2 by which the end of a slide must beat a slide without end: five standard errors
-TELLING = 0.2  # a relative error above this, and first-order errors no longer describe the estimate
+LINEAR_UP_TO = 0.2  # a relative error above this, and first-order errors no longer describe the estimate
 # quantities whose size may be zero have limits of their own, in their own units
 LIMITS = {"b": 0.05, "t_c": np.inf, "s": 0.1, "r": 0.05, "C": 0.05, "final_angle": 0.1}
 LIMITS |= {"energy_fraction": 0.05, "momentum_fraction": 0.05, "drag": 2.0, "decel": 0.2}
@@ -100,7 +100,7 @@ def measure(tracks: Tracks, camera: Camera) -> list[dict[str, Any]]:
     """One row per collision of a clip, in the columns of estimates.parquet without `clip`; never empty.
 
     SI units. status: "ok", "misfit" where the data reject the tied fit (then NAME has no error), "no_collision"
-    (then v0, drag and decel of the ball that rolls), or the reason why nothing can be told.
+    (then v0, drag and decel of the ball that rolls), or the reason why nothing can be measured.
     """
     if not camera.metric:
         return [unmeasured(camera, "no scale: lengths need a camera file")]
@@ -153,7 +153,7 @@ def failure(error: Exception) -> str:
 
 
 def _noise(course: Course, camera: Camera) -> dict[str, Any]:
-    """Where the places' errors come from: the table, or (then with their size, px) the tracks' own scatter."""
+    """Where the positions' errors come from: the table, or (then with their size, px) the tracks' own scatter."""
     if np.isinf(course.known):
         return {}
     size = float(np.sqrt(np.trace(course.cov[0]) / 2) / camera.scale)
@@ -175,14 +175,14 @@ def _collision(
     if isinstance(read, str):
         return row | {"status": read}, unknown
     row |= _values(read) | _judged(read) | _noise(read.meeting.pair.striker, camera)
-    for name, (value, std) in paper.read(met, camera.fps).items():
+    for name, (value, std) in painter_behringer.read(met, camera.fps).items():
         row[f"{name}_paper"], row[f"{name}_paper_std"] = value, std
     return (row, unknown) if row["status"] == MISFIT else (row, _left(read, pasts))
 
 
 def _values(read: Reading) -> dict[str, Any]:
     """What both fits say, with errors where the data bear the fit."""
-    tied, free = told(read)
+    tied, free = claims(read)
     row: dict[str, Any] = {"cov": covariances({"tied": tied.cov, "free": free.cov})}
     for suffix, values in (("", tied), ("_free", free)):
         for i, name in enumerate(NAMES):
@@ -230,7 +230,7 @@ def interpret(meeting: Encounter) -> Reading | str:
 
 
 def _fitted(meeting: Encounter, starts: list[Floats]) -> Reading | str:
-    """Tied and free fit by the errors that the places have."""
+    """Tied and free fit by the errors that the positions have."""
     pair = meeting.pair
     tied = fit_motion(pair, True, starts)
     free, seen = _free(pair, tied)
@@ -252,7 +252,7 @@ def _fitted(meeting: Encounter, starts: list[Floats]) -> Reading | str:
 
 
 def _on_the_same(tied: Fit, free: Fit, seen: tuple[bool, bool]) -> tuple[Fit, Fit, tuple[bool, bool]]:
-    """Both fits, and the slide ends seen, of the same places: what only one fit cannot follow is no outlier."""
+    """Both fits, and the slide ends seen, of the same positions: what only one fit cannot follow is no outlier."""
     fewer = min(tied, free, key=lambda fit: fit.dropped)
     if fewer is tied:
         free, seen = _free(fewer.pair, tied, whole=True)
@@ -264,8 +264,8 @@ def _on_the_same(tied: Fit, free: Fit, seen: tuple[bool, bool]) -> tuple[Fit, Fi
 def _possible(pair: Pair, tied: Fit) -> Fit:
     """The tied fit, or one as good by which the balls slide on all the while.
 
-    Balls that go straight on after the hit either did all their sliding at once or never roll: the places cannot tell,
-    but the first may take a restitution that cannot be.
+    Balls that go straight on after the hit either did all their sliding at once or never roll: the positions do not
+    decide, but the first may take a restitution that cannot be.
     """
     if not questioned(of_tied(tied.parameters, tied.cov, pair.diameter, pair.spin), 1.0):
         return tied
@@ -322,8 +322,8 @@ def _tied_from(free: Fit, diameter: float) -> Floats:
     return np.concatenate([free.parameters[:8], impact, free.parameters[-len(TARGET) :]])
 
 
-def told(read: Reading) -> tuple[Values, Values]:
-    """What each fit claims: NaN where the clip cannot tell, no errors where the data reject the fit."""
+def claims(read: Reading) -> tuple[Values, Values]:
+    """What each fit claims: NaN where the clip does not show it, no errors where the data reject the fit."""
     # without an end in view, slide time and final velocity trade freely: no minimum, and none is needed
     if all(read.slides_seen) and not read.free.converged:
         free_nan = set(NAMES)
@@ -333,7 +333,7 @@ def told(read: Reading) -> tuple[Values, Values]:
             free_nan |= {*NEEDS_BOTH, "mu_k", "C"}
         for ball, name in ((1, "log_tau1"), (2, "log_tau2")):
             k = FREE.index(name)
-            if read.slides_seen[ball - 1] and read.free.cov[k, k] > TELLING**2:  # too short to show how it began
+            if read.slides_seen[ball - 1] and read.free.cov[k, k] > LINEAR_UP_TO**2:  # too short to show how it began
                 free_nan |= {*NEEDS_START, f"w{ball}n", f"w{ball}t"}
         if not _bent(read.of_free.value, read.of_free.std):
             free_nan |= {"s"}
@@ -354,7 +354,7 @@ def _claimed(values: Values, limits: dict[str, float], unseen: set[str]) -> Valu
     lost = []
     for i, name in enumerate(NAMES):
         std = values.std[i]
-        limit = limits.get(name, TELLING * abs(value[i]) if not name.startswith("w") else np.inf)
+        limit = limits.get(name, LINEAR_UP_TO * abs(value[i]) if not name.startswith("w") else np.inf)
         folded = name == "final_angle" and value[i] < 3 * std  # an angle cannot be negative: near zero it is biased
         if name in unseen or not np.isfinite(value[i]) or not std <= limit or folded:
             lost.append(i)
@@ -365,7 +365,7 @@ def _claimed(values: Values, limits: dict[str, float], unseen: set[str]) -> Valu
 
 
 def _alone(balls: list[Course]) -> dict[str, Any]:
-    """What a rolling ball tells without a collision: its speed when first seen, drag and decel."""
+    """What a rolling ball shows without a collision: its speed when first seen, drag and decel."""
     fits = [f for f in map(roll_alone, balls) if f is not None]
     if not fits:
         return {}
@@ -374,7 +374,7 @@ def _alone(balls: list[Course]) -> dict[str, Any]:
         return {"status": "no collision in view, and no ball rolls freely", "chi2": best.chi2, "dof": best.dof}
     out: dict[str, Any] = {"particle2": best.particle, "chi2": best.chi2, "dof": best.dof}
     for name, value, std in best.table():
-        told_it = std <= LIMITS.get(name, np.inf)
-        out[name], out[f"{name}_std"] = (value, std) if told_it else (np.nan, np.nan)
+        within = std <= LIMITS.get(name, np.inf)
+        out[name], out[f"{name}_std"] = (value, std) if within else (np.nan, np.nan)
     out["cov"] = covariances({"rolling": best.cov[-3:, -3:]}, PARAMETERS[-3:])
     return out

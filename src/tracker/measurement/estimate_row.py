@@ -1,4 +1,4 @@
-"""A row of estimates.parquet: its columns where nothing is told, and covariances as text."""
+"""A row of estimates.parquet: its columns where nothing is measured, and covariances as text."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ Floats = NDArray[np.float64]
 
 
 def unmeasured(camera: Camera, status: str, index: int = 0) -> dict[str, Any]:
-    """A row in which nothing is told."""
+    """A row in which nothing is measured."""
     row: dict[str, Any] = {"collision": index, "striker": camera.striker, "status": status}
     for name in NAMES:
         for kind in ("", "_free", "_paper"):

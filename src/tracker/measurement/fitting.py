@@ -19,7 +19,7 @@ from tracker.measurement.collision_model import FREE, TARGET, TIED, path, releas
 from tracker.measurement.positions import Course
 
 Floats = NDArray[np.float64]
-OUTLIER = 36.0  # Mahalanobis distance squared: 6 sigma, one in 10^8 for an honest place
+OUTLIER = 36.0  # Mahalanobis distance squared: 6 sigma, one in 10^8 for a position with normal errors
 OUTLIER_SHARE = 0.05
 FINE, COARSE = 1e-10, 1e-4  # steps and gains, as shares, that end a descent
 WORTH = 1e-3  # of half the chi^2: less is the same minimum again
@@ -39,7 +39,7 @@ BROAD: Mapping[str, tuple[float, float]] = {
 
 @dataclass(frozen=True, eq=False)
 class Pair:
-    """Two balls about one contact: their places, and what is known beforehand.
+    """Two balls about one contact: their positions, and what is known beforehand.
 
     diameter m; moving: whether ball 1 (struck) moves before the hit; spin m/s: see `release`.
     """
@@ -62,7 +62,7 @@ class Pair:
 @dataclass(frozen=True)
 class Fit:
     """Best parameters (p,), covariance (p, p), zero where a parameter is held; chi^2 of the data alone, degrees of
-    freedom; the pair that was fitted, without the places dropped as outliers.
+    freedom; the pair that was fitted, without the positions dropped as outliers.
     """
 
     parameters: Floats
@@ -75,7 +75,7 @@ class Fit:
 
 
 class Whitened:
-    """The two balls' places, in units of their own error, against a motion: residuals and derivatives.
+    """The two balls' positions, in units of their own error, against a motion: residuals and derivatives.
 
     x: the parameters that are fitted, all of TIED or FREE but, where ball 1 rests, its velocity.
     """
@@ -90,7 +90,7 @@ class Whitened:
         courses = [course for _, course in pair.balls]
         self.ball = np.repeat([1, 2], [len(course) for course in courses])
         self.start = np.concatenate([course.start for course in courses])
-        self.seen = np.concatenate([course.place for course in courses])
+        self.seen = np.concatenate([course.position for course in courses])
 
     def __call__(self, x: Floats) -> tuple[Floats, Floats]:
         """Residuals (2n + p,) and derivatives (2n + p, p), priors last; kept for the last x."""
@@ -116,11 +116,13 @@ class Whitened:
 
     def _evaluate(self, x: Floats) -> tuple[Floats, Floats]:
         full = self.whole(x)
-        place, slope = self._path(self._free(full))
+        position, slope = self._path(self._free(full))
         slopes = np.moveaxis(slope, -1, 0)
         if self.tied:
-            slopes = (release_slope(full, self.pair.spin).T @ slopes.reshape(len(slopes), -1)).reshape(-1, *place.shape)
-        rows = np.concatenate([(place - self.seen)[None], slopes[: len(x)]])
+            slopes = (release_slope(full, self.pair.spin).T @ slopes.reshape(len(slopes), -1)).reshape(
+                -1, *position.shape
+            )
+        rows = np.concatenate([(position - self.seen)[None], slopes[: len(x)]])
         cut = len(self.pair.struck)
         white = np.concatenate(
             [self.pair.struck.whiten(rows[:, :cut]), self.pair.striker.whiten(rows[:, cut:])], axis=1
@@ -137,7 +139,7 @@ class Whitened:
         return path(free, self.ball, self.start, pair.struck.exposure, pair.diameter)
 
     def distances(self, x: Floats) -> Floats:
-        """Squared Mahalanobis distance (n,) of each place by itself, ball 1's first."""
+        """Squared Mahalanobis distance (n,) of each position by itself, ball 1's first."""
         off, cut = self._path(self._free(self.whole(x)))[0] - self.seen, len(self.pair.struck)
         return np.concatenate(
             [self.pair.struck.whiten.distance(off[:cut]), self.pair.striker.whiten.distance(off[cut:])]
@@ -154,7 +156,7 @@ class Problem(Protocol):
 def fit(problem: Problem, starts: Sequence[Floats], close: float = FINE) -> tuple[Floats, bool]:
     """The best of several descents (Levenberg-Marquardt, MINPACK): parameters, and whether that descent converged.
 
-    The first start's minimum is found to `close`; from the others only so far as to tell it from that one.
+    The first start's minimum is found to `close`; from the others only so far as to distinguish it from that one.
     """
     best, cost, converged = _descend(problem, starts[0], close)
     for start in starts[1:]:
@@ -199,16 +201,16 @@ def fit_motion(pair: Pair, tied: bool, starts: list[Floats], close: float = FINE
 
 def covariance(rows: Floats) -> Floats:
     """(J^T J)^-1, columns scaled first: the parameters' units differ by many powers of ten."""
-    scale = np.linalg.norm(rows, axis=0)
-    scale[scale == 0] = 1e-30
-    inverse = np.linalg.pinv((rows / scale).T @ (rows / scale), rcond=1e-15, hermitian=True)
-    return np.asarray(inverse / np.outer(scale, scale))
+    size = np.linalg.norm(rows, axis=0)
+    size[size == 0] = 1e-30
+    inverse = np.linalg.pinv((rows / size).T @ (rows / size), rcond=1e-15, hermitian=True)
+    return np.asarray(inverse / np.outer(size, size))
 
 
 def _across_frame_edges(problem: Whitened, best: Floats, converged: bool) -> tuple[Floats, bool]:
-    """chi^2 has a kink where t_c crosses an exposure: look at the other side when one is near.
+    """chi^2 has a kink where t_c crosses an exposure: try the other side when one is near.
 
-    How near is told by the standard error, and where the fit is worse than its errors, as much more.
+    Near: within some standard errors, widened where the fit is worse than its errors.
     """
     struck = problem.pair.struck
     residual, rows = problem(best)

@@ -28,7 +28,7 @@ def fit_all(estimates: pd.DataFrame) -> dict[str, Any]:
     chi2: r, mu_k, C that minimise the paper's chi^2 over v1f, v2f, tau1 and tau2 of the free fits, against v0 and
     b, for any b; errors from its curvature, widened by sqrt(chi2/dof) where that exceeds one. scatter: the tied
     fits' weighted mean, and the standard deviation between clips beyond their own errors. rolling: drag and decel
-    together, for one clip tells their sum far better than either; clips without a collision count here too. Nothing
+    together, as one clip determines their sum far better than either; clips without a collision count here too. Nothing
     of a misfit enters, and a clip whose covariance is none is left out of the sums that need it.
     """
     ok = estimates[estimates["status"] == "ok"] if len(estimates) else estimates

@@ -20,27 +20,27 @@ from tracker.measurement.whitening import fresh
 
 Floats = NDArray[np.float64]
 ORDER = 3  # of the polynomial
-FEWEST = 12  # places in a stretch that can tell
-LOOKED = np.tanh(np.linspace(0, 3, 25))  # correlations that are tried, from 0 to .995
-SUSPECT = 3.0  # standard errors of the correlation of neighbouring residuals, from which on it is looked at
+FEWEST = 12  # positions in a stretch that is used
+TRIED = np.tanh(np.linspace(0, 3, 25))  # correlations that are tried, from 0 to .995
+NOTICEABLE = 3.0  # standard errors of the correlation of neighbouring residuals, from which on it is fitted
 CLEAR = 10.0  # gain in the logarithm of the likelihood: beyond four standard errors
 
 
 def lasting(pair: Pair, free: Fit) -> Pair | None:
     """The pair with errors as large, and as correlated from frame to frame, as its tracks show; None if they are not.
 
-    free: a free fit, which tells when the balls roll.
+    free: a free fit, which gives when the balls roll.
     """
-    if _neighbours(free) < SUSPECT:
+    if _neighbours(free) < NOTICEABLE:
         return None
     parts = [_prepared(stretch) for stretch in _stretches(pair, free)]
     if not parts:
         return None
-    gains, sizes = zip(*(_likelihood(parts, float(rho)) for rho in LOOKED), strict=True)
+    gains, sizes = zip(*(_likelihood(parts, float(rho)) for rho in TRIED), strict=True)
     best = int(np.argmax(gains))
     if gains[best] - gains[0] < CLEAR:
         return None
-    size, rho = sizes[best], float(LOOKED[best])
+    size, rho = sizes[best], float(TRIED[best])
     struck, striker = (replace(course.resized(size), rho=rho) for _, course in pair.balls)
     return replace(pair, struck=struck, striker=striker)
 
@@ -65,12 +65,12 @@ def _stretches(pair: Pair, free: Fit) -> Iterator[Course]:
 
 
 def _prepared(course: Course) -> tuple[Floats, NDArray[np.int64]]:
-    """Cubics of either axis and places, whitened by what is claimed, (9, 2n); frames (n,)."""
+    """Cubics of either axis and positions, whitened by what is claimed, (9, 2n); frames (n,)."""
     powers = np.interp(course.frame, [course.frame[0], course.frame[-1]], [-1, 1])[:, None] ** np.arange(ORDER + 1)
     columns = np.zeros((2 * ORDER + 3, len(course), 2))
     for axis in (0, 1):
         columns[axis * (ORDER + 1) : (axis + 1) * (ORDER + 1), :, axis] = powers.T
-    columns[-1] = course.place - course.place.mean(axis=0)
+    columns[-1] = course.position - course.position.mean(axis=0)
     return replace(course, rho=0.0).whiten(columns), course.frame
 
 

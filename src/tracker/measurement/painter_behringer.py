@@ -24,13 +24,13 @@ READING = float(np.sqrt(2 / 12))  # frames; std of a time between two instants, 
 def read(meeting: Encounter, fps: float) -> dict[str, tuple[float, float]]:
     """NAME -> (value, standard error) for all of NAMES; NaN where the frames it needs are missing.
 
-    Errors propagate those of the places through the differences; a time is known to a frame.
+    Errors propagate those of the positions through the differences; a time is known to a frame.
     """
     balls, diameter = (meeting.pair.struck, meeting.pair.striker), meeting.pair.diameter
     ends = [slide_end(course, meeting.frame, fps) for course in balls]
-    places, covs = zip(*(_sample(c, meeting.frame, end) for c, end in zip(balls, ends, strict=True)), strict=True)
+    positions, covs = zip(*(_sample(c, meeting.frame, end) for c, end in zip(balls, ends, strict=True)), strict=True)
     taus = np.array([np.nan if end is None else (end - meeting.frame) / fps for end in ends])
-    sample, cov = np.stack(places), np.stack(covs)  # (2, 7, 2), (2, 7, 2, 2)
+    sample, cov = np.stack(positions), np.stack(covs)  # (2, 7, 2), (2, 7, 2, 2)
     steps = np.zeros((2, 7, 2, *sample.shape))  # by ball, frame and column of the covariance's root
     for ball, row in np.argwhere(np.isfinite(sample).all(axis=2)):
         steps[ball, row, :, ball, row] = np.linalg.cholesky(cov[ball, row]).T
@@ -51,14 +51,14 @@ def read(meeting: Encounter, fps: float) -> dict[str, tuple[float, float]]:
 def slide_end(course: Course, contact: int, fps: float) -> int | None:
     """First frame after the contact at which acceleration has fallen under SETTLED of its peak; None if none.
 
-    Only places after the contact are differenced, or the kick itself would be the peak.
+    Only positions after the contact are differenced, or the kick itself would be the peak.
     """
     late = course.where(course.frame > contact)
     whole = np.flatnonzero(np.diff(late.frame, n=1) != 1)
     late = late.where(np.arange(len(late)) <= (whole[0] if len(whole) else len(late)))
     if len(late) < 5:
         return None
-    second = np.diff(late.place, n=2, axis=0) * fps**2  # at late.frame[1:-1]
+    second = np.diff(late.position, n=2, axis=0) * fps**2  # at late.frame[1:-1]
     padded = np.concatenate([second[:1] * np.nan, second, second[:1] * np.nan])
     smooth = np.nanmean(np.stack([padded[:-2], padded[1:-1], padded[2:]]), axis=0)
     size = np.hypot(smooth[:, 0], smooth[:, 1])
@@ -77,7 +77,7 @@ def rolling_loss(
         if start < 0:
             stretches.append(course.frame < contact)
         for rows in stretches:
-            v = np.diff(course.place[rows], axis=0) * fps / np.diff(course.frame[rows])[:, None]
+            v = np.diff(course.position[rows], axis=0) * fps / np.diff(course.frame[rows])[:, None]
             size = np.hypot(v[:, 0], v[:, 1])
             speed.append((size[1:] + size[:-1]) / 2)
             loss.append(np.diff(size) * fps)
@@ -92,15 +92,15 @@ def rolling_loss(
 
 
 def _sample(course: Course, contact: int, end: int | None) -> tuple[Floats, Floats]:
-    """Places (7, 2) and covariances at the seven frames that are differenced; NaN where there is none."""
+    """Positions (7, 2) and covariances at the seven frames that are differenced; NaN where there is none."""
     wanted = [contact + k for k in (*BEFORE, AT, *AFTER)]
     wanted += [-1, -1] if end is None else [end + k for k in AFTER]
     row = {int(f): i for i, f in enumerate(course.frame)}
-    place, cov = np.full((7, 2), np.nan), np.full((7, 2, 2), np.nan)
+    position, cov = np.full((7, 2), np.nan), np.full((7, 2, 2), np.nan)
     for i, frame in enumerate(wanted):
         if frame in row:
-            place[i], cov[i] = course.place[row[frame]], course.cov[row[frame]]
-    return place, cov
+            position[i], cov[i] = course.position[row[frame]], course.cov[row[frame]]
+    return position, cov
 
 
 _READ = (
@@ -110,7 +110,7 @@ _READ = (
 
 
 def _read(sample: Floats, taus: Floats, diameter: float, fps: float, moving: bool) -> Floats:
-    """The quantities of _READ (k, 15) from places (k, 2, 7, 2); moving: whether ball 1 was, before the hit."""
+    """The quantities of _READ (k, 15) from positions (k, 2, 7, 2); moving: whether ball 1 was, before the hit."""
     before, after, final = ((sample[:, :, i] - sample[:, :, j]) * fps / 2 for i, j in ((1, 0), (4, 3), (6, 5)))
     apart = sample[:, 0, 2] - sample[:, 1, 2]
     launch = before[:, 1] - before[:, 0]

@@ -1,4 +1,4 @@
-"""How well places are known, told by the places themselves: where a table carries no errors, or wrong ones.
+"""The errors of positions, from their own scatter about smooth motion: where a table carries no errors, or wrong ones.
 
 A smooth motion is a cubic over a few frames, to far less than the noise of any detector; what a cubic leaves over
 is noise. Contact and slide ends are no cubics: the few windows that hold one are left out.
@@ -21,21 +21,21 @@ Ints = NDArray[np.int64]
 WINDOW, ORDER = 7, 3  # consecutive frames, order of the polynomial
 OVER = WINDOW - ORDER - 1
 DOF = 2 * OVER  # of a window, both axes
-KEPT = 0.95  # quantile of an honest window beyond which a window is left out
+KEPT = 0.95  # quantile of a window with normal errors beyond which a window is left out
 SPARED = 0.84  # share of the degrees of freedom that this leaves
 MOVED = 3.0  # widths of a glint in a window: a ball that rests may be given in whole pixels, and then never scatters
 ENOUGH = 20  # windows of moving balls, without which those of resting ones count too
-LEAST = 1e-10  # of the variance expected: perfect places have some error yet
+LEAST = 1e-10  # of the variance expected: perfect positions have some error yet
 STRIDE = 94  # windows whose covariance is made in one go
 
 
 class Ball(Protocol):
-    """What is asked of a ball's places: see `places.Course`."""
+    """What is needed of a ball's positions: see `positions.Course`."""
 
     @property
     def frame(self) -> Ints: ...
     @property
-    def place(self) -> Floats: ...
+    def position(self) -> Floats: ...
     @property
     def cov(self) -> Floats: ...
     @property
@@ -47,7 +47,7 @@ class Ball(Protocol):
 
 @dataclass(frozen=True)
 class Size:
-    """Variance of places about smooth motion, over that expected; the degrees of freedom from which it was read."""
+    """Variance of positions about smooth motion, over that expected; the degrees of freedom from which it was read."""
 
     ratio: float
     dof: float
@@ -68,7 +68,7 @@ def scatter(balls: Sequence[Ball]) -> Size | None:
     left = np.concatenate([part[1] for part in parts])
     typical = float(np.median(left)) / chi2.ppf(0.5, DOF)
     kept = left[left <= typical * chi2.ppf(KEPT, DOF)]
-    # the mean of what is kept of an honest window, over that of a whole one
+    # the mean of what is kept of a window with normal errors, over that of a whole one
     share = chi2.cdf(chi2.ppf(KEPT, DOF), DOF + 2) / KEPT
     return Size(max(float(kept.mean() / (DOF * share)), LEAST), SPARED * _freedom([part[0] for part in parts]))
 
@@ -81,13 +81,13 @@ def _windows(course: Ball) -> tuple[Ints, Floats, NDArray[np.bool_]]:
     t = np.linspace(-1, 1, WINDOW)
     over = np.linalg.qr(np.vander(t, ORDER + 1), mode="complete")[0][:, ORDER + 1 :]  # (WINDOW, OVER)
     slide = np.lib.stride_tricks.sliding_window_view
-    rest = (slide(course.place, WINDOW, axis=0) @ over).reshape(count, DOF)
+    rest = (slide(course.position, WINDOW, axis=0) @ over).reshape(count, DOF)
     left = np.empty(count)
     for first in range(0, count, STRIDE):
         rows = slice(first, min(first + STRIDE, count))
         left[rows] = (rest[rows] * np.linalg.solve(_spread(course, rows, over), rest[rows, :, None])[..., 0]).sum(-1)
     whole = course.frame[WINDOW - 1 :] - course.frame[:count] == WINDOW - 1
-    moved = np.hypot(*(course.place[WINDOW - 1 :] - course.place[:count]).T) > MOVED * course.width
+    moved = np.hypot(*(course.position[WINDOW - 1 :] - course.position[:count]).T) > MOVED * course.width
     return course.frame[:count][whole], left[whole], moved[whole]
 
 
@@ -97,7 +97,7 @@ def _spread(course: Ball, windows: slice, over: Floats) -> Floats:
     rows = slice(windows.start, windows.stop + WINDOW - 1)
     out = np.zeros((k, 2, OVER, 2, OVER))
     if course.fixed.any() and course.width > 0:
-        whole = covariance(course.place[rows], course.cov[rows], course.fixed[rows], course.width)
+        whole = covariance(course.position[rows], course.cov[rows], course.fixed[rows], course.width)
         n = len(whole) // 2
         full = whole.reshape(n, 2, n, 2)
         each = np.arange(k)[:, None] + np.arange(WINDOW)

@@ -17,25 +17,25 @@ if TYPE_CHECKING:
     from tracker.detection.link import Tracks
 
 Floats = NDArray[np.float64]
-UNKNOWN_PX = 0.1  # of a place, where a table gives no errors and is too short to show them
-GLINT_PX = 1.0  # width of a glint where the camera file does not tell it
+UNKNOWN_PX = 0.1  # of a position, where a table gives no errors and is too short to show them
+GLINT_PX = 1.0  # width of a glint where the camera file does not have it
 
 
 @dataclass(frozen=True, eq=False)
 class Course:
     """One ball's way over the plate, by frame.
 
-    frame (n,) int; start (n,) s, start of the frame's exposure; place (n, 2) m, mean over the exposure;
+    frame (n,) int; start (n,) s, start of the frame's exposure; position (n, 2) m, mean over the exposure;
     cov (n, 2, 2) m^2, and fixed the part of it that a ball at rest has in every frame alike; width m, of a
     glint; weighed: whether the table claims errors; known: inf where these are kept, else the degrees of freedom of the
     tracks' own scatter that gave them their size; stretch: that size over the size before; rho: correlation of the
-    errors from frame to frame, beyond what `fixed` tells.
+    errors from frame to frame, beyond `fixed`.
     """
 
     particle: int
     frame: NDArray[np.int64]
     start: Floats
-    place: Floats
+    position: Floats
     cov: Floats
     exposure: float
     fixed: Floats = field(default_factory=lambda: np.empty(0))
@@ -59,8 +59,8 @@ class Course:
 
     @cached_property
     def whiten(self) -> Whitener:
-        """By the places' full covariance."""
-        return Whitener(self.place, self.cov, self.fixed, self.width, self.frame, self.rho)
+        """By the positions' full covariance."""
+        return Whitener(self.position, self.cov, self.fixed, self.width, self.frame, self.rho)
 
     def resized(self, size: Size) -> Course:
         """The same ball, its errors as large as its own scatter."""
@@ -78,14 +78,14 @@ class Course:
 
 
 def courses(tracks: Tracks, camera: Camera) -> list[Course]:
-    """One Course per particle, in order of particle number; rows without a finite place are left out.
+    """One Course per particle, in order of particle number; rows without a finite position are left out.
 
     Without a covariance for every row, all get that of the tracks' own scatter.
     """
     xy = np.column_stack([tracks.x, tracks.y]).astype(np.float64)
     keep = np.isfinite(xy).all(axis=1)
     xy, frame, particle = xy[keep], np.asarray(tracks.frame)[keep].astype(np.int64), np.asarray(tracks.particle)[keep]
-    place, slope = camera.unproject(xy)
+    position, slope = camera.unproject(xy)
     pixel, fixed = (np.asarray(c, dtype=np.float64)[keep] for c in (tracks.cov, tracks.fixed))
     weighed = _usable(pixel)
     if not weighed:
@@ -98,7 +98,7 @@ def courses(tracks: Tracks, camera: Camera) -> list[Course]:
         rows = rows[np.unique(frame[rows], return_index=True)[1]]  # in order; a frame given twice counts once
         found.append(
             Course(
-                int(ball), frame[rows], start[rows], place[rows], cov[rows], camera.exposure, shared[rows], width,
+                int(ball), frame[rows], start[rows], position[rows], cov[rows], camera.exposure, shared[rows], width,
                 weighed, np.inf if weighed else 0.0,
             )
         )  # fmt: skip

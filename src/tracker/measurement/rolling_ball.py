@@ -41,7 +41,7 @@ class _Rolling:
     """Residuals of a straight, slowing way, averaged over each exposure."""
 
     def __init__(self, course: Course) -> None:
-        self.whiten, self.place = course.whiten, course.place
+        self.whiten, self.position = course.whiten, course.position
         self.exposure = max(course.exposure, SHORTEST_EXPOSURE)
         start = course.start - course.start[0]
         self.edges = np.concatenate([start, start + self.exposure])
@@ -51,21 +51,21 @@ class _Rolling:
         d = np.array([np.cos(x[2]), np.sin(x[2])])
         across = np.array([-d[1], d[0]])
         roll = rolled(float(x[3]), float(x[4]), float(x[5]), self.edges)
-        n = len(self.place)
+        n = len(self.position)
 
         def mean(area: Floats) -> Floats:
             return (area[n:] - area[:n]) / self.exposure
 
-        place = x[:2] + mean(roll.area)[:, None] * d
+        position = x[:2] + mean(roll.area)[:, None] * d
         slope = np.zeros((n, 2, 6))
         slope[:, 0, 0] = slope[:, 1, 1] = 1.0
         slope[:, :, 2] = mean(roll.area)[:, None] * across
         for i, part in ((3, roll.area_speed), (4, roll.area_drag), (5, roll.area_decel)):
             slope[:, :, i] = mean(part)[:, None] * d
-        return place, slope
+        return position, slope
 
     def residual(self, x: Floats) -> Floats:
-        off = self.whiten(self._model(x)[0] - self.place)
+        off = self.whiten(self._model(x)[0] - self.position)
         return np.concatenate([off, [(v - c) / w for v, (c, w) in zip(x, self.prior, strict=True)]])
 
     def slope(self, x: Floats) -> Floats:
@@ -74,12 +74,12 @@ class _Rolling:
 
 
 def roll_alone(course: Course) -> Alone | None:
-    """Fit one ball that meets no other; None with fewer than four places."""
+    """Fit one ball that meets no other; None with fewer than four positions."""
     if len(course) < 4:
         return None
     span = course.start[-1] - course.start[0]
-    step = (course.place[-1] - course.place[0]) / span
-    begin = np.array([*course.place[0], np.arctan2(step[1], step[0]), np.hypot(*step), 0.0, 0.0])
+    step = (course.position[-1] - course.position[0]) / span
+    begin = np.array([*course.position[0], np.arctan2(step[1], step[0]), np.hypot(*step), 0.0, 0.0])
     problem = _Rolling(course)
     best, _ = fit(problem, [begin])
     off = problem.residual(best)[: 2 * len(course)]

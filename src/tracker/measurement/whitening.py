@@ -1,8 +1,8 @@
-"""What a ball's places are worth together: whitening by their full covariance.
+"""Whitening of a ball's positions by their full covariance.
 
 A pixel's own response and offset are the same in every frame, so a ball at rest has the same error in all of
 them, and one that creeps shares some of it from frame to frame. Linearised, the shift that a random pattern of
-pixels gives a Gaussian glint is the gradient of a smooth random field: shifts at two places D apart correlate as
+pixels gives a Gaussian glint is the gradient of a smooth random field: shifts at two positions D apart correlate as
 (1 - D D^T / 2 s^2) exp(-|D|^2 / 4 s^2), s the glint's width. At D = 0 that is one, for a resting ball.
 Errors that are found to last from frame to frame beyond that are taken for a first-order autoregression.
 """
@@ -23,26 +23,26 @@ OWN = 1e-3  # least share of the covariance that is a frame's own: keeps the mat
 
 
 class Whitener:
-    """Turns errors of n places into independent ones of unit size.
+    """Turns errors of n positions into independent ones of unit size.
 
     Blocks are stretches of rows none of which is far from the next; a row by itself needs no block.
     """
 
     def __init__(
-        self, place: Floats, cov: Floats, fixed: Floats, width: float,
+        self, position: Floats, cov: Floats, fixed: Floats, width: float,
         frame: NDArray[np.int64] | None = None, rho: float = 0.0,
     ) -> None:  # fmt: skip
-        """place (n, 2) m, cov (n, 2, 2) m^2, fixed (n, 2, 2) the shared part of it, width m of a glint; frame (n,).
+        """position (n, 2) m, cov (n, 2, 2) m^2, fixed (n, 2, 2) the shared part of it, width m of a glint; frame (n,).
 
         rho: correlation of what is then left, from one frame to the next.
         """
         self.alone = _inverse_root(cov) if len(cov) else cov
         self.blocks: list[tuple[slice, Floats]] = []
         if width > 0 and len(cov) and fixed.any():
-            step = np.hypot(*np.diff(place, axis=0).T)
+            step = np.hypot(*np.diff(position, axis=0).T)
             for start, end in _stretches(step > FAR * width):
                 rows = slice(start, end)
-                whole = covariance(place[rows], cov[rows], fixed[rows], width)
+                whole = covariance(position[rows], cov[rows], fixed[rows], width)
                 self.blocks.append((rows, _lower_root(whole)))
         self.kept = None if frame is None or rho == 0 else rho ** np.diff(frame)
 
@@ -59,7 +59,7 @@ class Whitener:
         return out if self.kept is None else fresh(out, self.kept)
 
     def distance(self, errors: Floats) -> Floats:
-        """(..., n) squared Mahalanobis distance of each place by itself, errors (..., n, 2)."""
+        """(..., n) squared Mahalanobis distance of each position by itself, errors (..., n, 2)."""
         root, x, y = self.alone, errors[..., 0], errors[..., 1]
         return np.asarray((root[:, 0, 0] * x) ** 2 + (root[:, 1, 0] * x + root[:, 1, 1] * y) ** 2)
 
@@ -80,13 +80,13 @@ def _stretches(breaks: NDArray[np.bool_]) -> list[tuple[int, int]]:
     return [(first, last) for first, last in out if last - first > 1]
 
 
-def covariance(place: Floats, cov: Floats, fixed: Floats, width: float) -> Floats:
-    """Covariance (2n, 2n) m^2 of places (n, 2) m; cov, fixed (n, 2, 2) and width as for Whitener."""
-    n = len(place)
+def covariance(position: Floats, cov: Floats, fixed: Floats, width: float) -> Floats:
+    """Covariance (2n, 2n) m^2 of positions (n, 2) m; cov, fixed (n, 2, 2) and width as for Whitener."""
+    n = len(position)
     fixed = fixed * _admitted(cov, fixed)[:, None, None]
     size, axes = np.linalg.eigh(fixed)
     root = axes * np.sqrt(np.maximum(size, 0.0))[:, None, :] @ np.swapaxes(axes, 1, 2)
-    apart = (place[:, None] - place[None]) / width
+    apart = (position[:, None] - position[None]) / width
     near = np.exp(-(apart**2).sum(-1) / 4)
     kernel = np.empty((n, 2, n, 2))
     for axis in (0, 1):

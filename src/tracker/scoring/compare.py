@@ -15,17 +15,19 @@ import jinja2
 from tracker import results
 from tracker.camera.camera import InputError
 from tracker.detection.detect import detector
-from tracker.outputs import check_room, held, put, told
+from tracker.outputs import as_input_error, check_room, held, put
 from tracker.pipeline import run
 from tracker.scoring.score import Score, score
 
 TIMES = "times.json"
 LOCALISATION = ("n", "missed", "false", "rmse_px", "bound_px", "ratio", "phase_bias_px")
 QUANTITIES = ("r", "tau1", "tau2", "mu_k", "C", "energy_fraction")
-Tick = Callable[[int, int], None]
+Progress = Callable[[int, int], None]
 
 
-def compare(dataset: Path, names: Sequence[str], report: Path, tick: Tick = lambda done, of: None) -> dict[str, Any]:
+def compare(
+    dataset: Path, names: Sequence[str], report: Path, progress: Progress = lambda done, of: None
+) -> dict[str, Any]:
     """Tracks the dataset with each detector, one process, and writes REPORT/score.json and index.html.
 
     Results are kept in REPORT/results/NAME: interrupted, the same call goes on. InputError before anything is done
@@ -45,11 +47,11 @@ def compare(dataset: Path, names: Sequence[str], report: Path, tick: Tick = lamb
         raise InputError(f"{report}: exists and holds something else, expected a new folder for the report")
     report = report.resolve()
     check_room(report)
-    with held(report), told(report, "; the same command goes on where it stopped"):
+    with held(report), as_input_error(report, "; the same command goes on where it stopped"):
         (report / "results").mkdir(exist_ok=True)
         scores = []
         for k, name in enumerate(chosen):
-            scores.append(_scored(dataset, name, report, partial(_part, tick, k, len(chosen))))
+            scores.append(_scored(dataset, name, report, partial(_part, progress, k, len(chosen))))
         whole = scores[0].to_dict()
         for other in scores[1:]:
             whole["detectors"] |= other.to_dict()["detectors"]
@@ -60,25 +62,25 @@ def compare(dataset: Path, names: Sequence[str], report: Path, tick: Tick = lamb
     return whole
 
 
-def _part(tick: Tick, k: int, of: int, done: int, clips: int) -> None:
-    tick(k * clips + done, of * clips)
+def _part(progress: Progress, k: int, of: int, done: int, clips: int) -> None:
+    progress(k * clips + done, of * clips)
 
 
-def _scored(dataset: Path, name: str, report: Path, tick: Tick) -> Score:
-    place = report / "results" / name
+def _scored(dataset: Path, name: str, report: Path, progress: Progress) -> Score:
+    folder = report / "results" / name
     started = time.perf_counter()
-    outcome = run(dataset, place, None, name, 1, tick)
+    outcome = run(dataset, folder, None, name, 1, progress)
     if outcome.frames:
         note = {"ms_per_frame": 1e3 * (time.perf_counter() - started) / outcome.frames}
         results.write_json(report / "results" / f"{name}.{TIMES}", note)
     known = report / "results" / f"{name}.{TIMES}"
     spent = json.loads(known.read_text(encoding="utf-8"))["ms_per_frame"] if known.is_file() else None
-    return score(place, dataset, name, spent)
+    return score(folder, dataset, name, spent)
 
 
 def tables(detectors: dict[str, Any]) -> list[tuple[str, list[str], list[list[str]]]]:
-    """Title, heads and rows of text: places and speed, tracks, and quantities by their rmse over the bound."""
-    places = [
+    """Title, heads and rows of text: positions and speed, tracks, and quantities by their rmse over the bound."""
+    localised = [
         [name, *(_text(d["localisation"][k]) for k in LOCALISATION), _text(d["ms_per_frame"])]
         for name, d in detectors.items()
     ]
@@ -89,7 +91,7 @@ def tables(detectors: dict[str, Any]) -> list[tuple[str, list[str], list[list[st
         for name, d in detectors.items()
     ]
     return [
-        ("Places, px, per axis; ms a frame", ["detector", *LOCALISATION, "ms"], places),
+        ("Positions, px, per axis; ms a frame", ["detector", *LOCALISATION, "ms"], localised),
         ("Tracks, gate 5 px", ["detector", *kinds], tracks),
         ("Tied fit: rmse of each quantity, SI, and of how many clips", ["detector", *QUANTITIES], claims),
     ]

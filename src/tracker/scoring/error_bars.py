@@ -68,7 +68,7 @@ def figures(value: Floats, std: Floats, true: Floats, bound: Floats) -> dict[str
 def true_motion(truth: pd.DataFrame, scalars: Mapping[str, float]) -> Floats | None:
     """Tied parameters (13,) of a clip's truth; None unless both balls are in its tracks before the contact.
 
-    Places and velocities are those of the last frame before it, carried on for less than a frame.
+    Positions and velocities are those of the last frame before it, carried on for less than a frame.
     """
     t_c = float(scalars["t_c"])
     early = truth[truth["t_s"] < t_c] if np.isfinite(t_c) else truth.iloc[:0]
@@ -85,7 +85,7 @@ def true_motion(truth: pd.DataFrame, scalars: Mapping[str, float]) -> Floats | N
 
 
 def quantity_bounds(matched: Matched, cov: Floats, tied: Floats, camera: Camera) -> dict[str, float]:
-    """Q_bound and Q_free_bound of a clip: Fisher bounds of either fit at the true motion, on the places found.
+    """Q_bound and Q_free_bound of a clip: Fisher bounds of either fit at the true motion, on the positions found.
 
     cov (n, 2, 2) px^2: the localisation bound of each pair, not what the tracker claims; what a resting ball shares
     of it from frame to frame is counted. tied (13,): the truth.
@@ -109,7 +109,7 @@ def quantity_bounds(matched: Matched, cov: Floats, tied: Floats, camera: Camera)
 
 
 def _bounded_courses(matched: Matched, cov: Floats, camera: Camera) -> list[Course]:
-    """Both balls' true courses with the errors of the localisation bound; px to m at each place."""
+    """Both balls' true courses with the errors of the localisation bound; px to m at each position."""
     rows = matched.truth.iloc[matched.pairs[:, 0]]
     _, slope = camera.unproject(rows[["x_mean_px", "y_mean_px"]].to_numpy(float))
     found, fixed = matched.found.iloc[matched.pairs[:, 1]], np.zeros_like(cov)
@@ -121,7 +121,7 @@ def _bounded_courses(matched: Matched, cov: Floats, camera: Camera) -> list[Cour
     for particle in (0, 1):
         mine = (rows["particle"] == particle).to_numpy()
         frame = rows["frame"].to_numpy(np.int64)[mine]
-        place = rows[["x", "y"]].to_numpy(float)[mine]  # only how they depend on the motion matters
+        position = rows[["x", "y"]].to_numpy(float)[mine]  # only how they depend on the motion matters
         start = frame / camera.fps
-        balls.append(Course(particle, frame, start, place, metres[mine], camera.exposure, shared[mine], width))
+        balls.append(Course(particle, frame, start, position, metres[mine], camera.exposure, shared[mine], width))
     return balls

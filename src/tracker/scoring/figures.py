@@ -59,7 +59,7 @@ class Specimen:
         return np.array([*launch, r["r"], np.log(r["mu_k"]), r["C"], r["v1ix"], r["v1iy"]], dtype=np.float64)
 
     def model(self, ball: int, start: Floats) -> Floats:
-        """Places (n, 2) m of the tied fit, averaged over exposures that begin at start (n,)."""
+        """Positions (n, 2) m of the tied fit, averaged over exposures that begin at start (n,)."""
         free = np.asarray(release(self.tied), dtype=np.float64)
         return path(free, ball, start, self.camera.exposure, self.camera.ball_diameter)[0]
 
@@ -106,19 +106,19 @@ def tracks_figure(specimen: Specimen) -> Figure:
     contact = {}
     for ball, course in specimen.balls.items():
         colour, mark, label = STYLE[ball]
-        place = course.place * 1e3
+        position = course.position * 1e3
         for where in (axes, inset):
-            where.plot(*place.T, "-", color=colour, lw=0.8)
+            where.plot(*position.T, "-", color=colour, lw=0.8)
         rows = course.frame % every == 0
         axes.plot(
-            *place[rows].T,
+            *position[rows].T,
             mark,
             color=colour,
             ms=4.5,
             mfc="white",
             label=f"{label}, every {every / specimen.camera.fps:g} s",
         )
-        inset.plot(*place.T, mark, color=colour, ms=3.2, mfc="white", label="every frame")
+        inset.plot(*position.T, mark, color=colour, ms=3.2, mfc="white", label="every frame")
         contact[ball] = specimen.model(ball, np.array([t_c - specimen.camera.exposure / 2]))[0] * 1e3
         inset.add_patch(Circle(tuple(contact[ball]), radius, fill=False, ec=colour, lw=1))
     middle = (contact[1] + contact[2]) / 2
@@ -138,7 +138,7 @@ def separation_figure(specimen: Specimen) -> Figure:
     axes, rest = figure.subplots(2, 1, sharex=True, height_ratios=[2.2, 1])
     one, two = specimen.balls[1], specimen.balls[2]
     _, i, j = np.intersect1d(one.frame, two.frame, return_indices=True)
-    along = one.place[i] - two.place[j]
+    along = one.position[i] - two.position[j]
     apart = np.hypot(*along.T)
     unit = along / apart[:, None]
     variance = np.einsum("ni,nij,nj->n", unit, one.cov[i] + two.cov[j], unit)
@@ -247,8 +247,8 @@ def _mark_times(panels: tuple[Axes, ...], specimen: Specimen) -> None:
         axes.axvline(t_c * 1e3, color="0.3", lw=0.8, ls=":")
         for ball in (1, 2):
             axes.axvline((t_c + float(specimen.row[f"tau{ball}"])) * 1e3, color=STYLE[ball][0], lw=0.8, ls=":")
-    places = [(t_c, "$t_c$")] + [(t_c + float(specimen.row[f"tau{k}"]), rf"$t_c+\tau_{k}$") for k in (1, 2)]
-    for line, (x, label) in enumerate(places, start=1):  # one below the other: the slides' ends may be close
+    marks = [(t_c, "$t_c$")] + [(t_c + float(specimen.row[f"tau{k}"]), rf"$t_c+\tau_{k}$") for k in (1, 2)]
+    for line, (x, label) in enumerate(marks, start=1):  # one below the other: the slides' ends may be close
         at, shift = (x * 1e3, 1.0), (2, -11 * line)
         panels[0].annotate(
             label, at, xycoords=("data", "axes fraction"), xytext=shift, textcoords="offset points", fontsize=8

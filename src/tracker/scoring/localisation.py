@@ -1,4 +1,4 @@
-"""Detections held to the true places: missed, false, how far off, and how that compares with the bound."""
+"""Detections held to the true positions: missed, false, how far off, and how that compares with the bound."""
 
 from __future__ import annotations
 
@@ -48,14 +48,14 @@ def match(truth: pd.DataFrame, found: pd.DataFrame, gate: float, ball_px: float)
     gate px. A ball that is not whole in view need not be found, and a detection on what shows of it (within
     ball_px, its diameter) is neither right nor wrong.
     """
-    place, seen = _true(truth), _xy(found)
+    position, seen = _true(truth), _xy(found)
     whole = truth["visible"].to_numpy(bool)
     pairs: list[tuple[int, int]] = []
     counted = np.ones(len(found), bool)
     then, now = truth["frame"].to_numpy(), found["frame"].to_numpy()
     for frame in np.unique(now):
         i, j = np.flatnonzero(then == frame), np.flatnonzero(now == frame)
-        apart = np.linalg.norm(place[i][:, None] - seen[j][None], axis=-1)
+        apart = np.linalg.norm(position[i][:, None] - seen[j][None], axis=-1)
         counted[j[(apart[~whole[i]] < ball_px).any(axis=0)]] = False
         for a, b in zip(*linear_sum_assignment(np.minimum(apart, 10 * gate)), strict=True):
             if apart[a, b] <= gate and whole[i[a]]:
@@ -67,9 +67,9 @@ def match(truth: pd.DataFrame, found: pd.DataFrame, gate: float, ball_px: float)
 
 
 def bounds(matched: Matched, camera: Camera) -> Floats:
-    """Cramer-Rao covariance (n, 2, 2) px^2 of each paired place.
+    """Cramer-Rao covariance (n, 2, 2) px^2 of each paired position.
 
-    Flux from the detection, streak from the true velocity. NaN where the camera or the table lack what it needs.
+    Flux from the detection, motion blur from the true velocity. NaN where the camera or the table lack what it needs.
     """
     n = len(matched.pairs)
     if camera.sigma is None or "flux" not in matched.found or n == 0:
@@ -77,13 +77,13 @@ def bounds(matched: Matched, camera: Camera) -> Floats:
     truth, found = matched.truth.iloc[matched.pairs[:, 0]], matched.found.iloc[matched.pairs[:, 1]]
     here = truth[["x", "y", "z"]].to_numpy(float)
     there = here + truth[["vx", "vy", "vz"]].to_numpy(float) * camera.exposure
-    streak = camera.project(there) - camera.project(here)
+    blur = camera.project(there) - camera.project(here)
     glint = truth[["glint_x_px", "glint_y_px"]].to_numpy(float)
     flux = found["flux"].to_numpy(float)
     known = np.isfinite(flux) & (flux > 0)
     out = np.full((n, 2, 2), np.nan)
     if known.any():
-        out[known] = localisation_bound(camera, flux[known], glint[known], streak[known])
+        out[known] = localisation_bound(camera, flux[known], glint[known], blur[known])
     return out
 
 

@@ -80,7 +80,7 @@ def figures(score: Score, results: Path, dataset: Path) -> dict[str, Figure]:
 
 
 def shown_clip(score: Score) -> int | None:
-    """The clip looked at closely: the one nearest to TYPICAL_SPEED whose tied fit tells everything."""
+    """The clip looked at closely: the one nearest to TYPICAL_SPEED whose tied fit gives everything."""
     table = score.table[score.table["status"] == "ok"]
     if len(table):
         table = table.dropna(subset=[n for n in NAMES if n in table and n != "final_angle"])

@@ -24,7 +24,7 @@ HOTA_LEVELS = np.arange(0.05, 0.99, 0.05)
 
 @dataclass(frozen=True)
 class Dots:
-    """Points of several tracks: frame (n,), track (n,) numbered 0..k-1, place (n, 2) px."""
+    """Points of several tracks: frame (n,), track (n,) numbered 0..k-1, position (n, 2) px."""
 
     frame: Ints
     track: Ints

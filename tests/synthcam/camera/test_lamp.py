@@ -20,7 +20,7 @@ SHAPES = {
 
 def second_moments(cells):
     """xx, yy, xy of the whole lamp about its middle, and its area."""
-    at, area = (cells.places - AT)[:, :2], cells.areas
+    at, area = (cells.positions - AT)[:, :2], cells.areas
     own = cells.spread + np.stack([at[:, 0] ** 2, at[:, 1] ** 2, at[:, 0] * at[:, 1]], axis=1)
     return area @ own / area.sum(), area.sum()
 
@@ -45,7 +45,7 @@ def test_a_lamp_turned_to_the_centre_faces_it():
     shine = lamp.axes[:, 2]
     np.testing.assert_allclose(lamp.position + np.linalg.norm(lamp.position) * shine, 0, atol=1e-12)
     np.testing.assert_allclose(lamp.axes.T @ lamp.axes, np.eye(3), atol=1e-12)
-    assert abs((lamp.cells(0.002).places - lamp.position) @ shine).max() < 1e-12
+    assert abs((lamp.cells(0.002).positions - lamp.position) @ shine).max() < 1e-12
     np.testing.assert_array_equal(Lamp(AT, 0.01).axes, np.diag([1.0, 1.0, -1.0]))
 
 

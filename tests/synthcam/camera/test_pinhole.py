@@ -29,7 +29,7 @@ def test_the_contract_of_the_overhead_camera():
 
 
 @given(st.tuples(*[st.floats(-0.3, 0.3)] * 2), st.tuples(*[st.floats(-0.05, 0.05)] * 2))
-def test_a_tilted_camera_still_looks_at_the_origin(tilt, place):
+def test_a_tilted_camera_still_looks_at_the_origin(tilt, position):
     camera = overhead(tilt=tilt)
     np.testing.assert_allclose(camera.project([0, 0, 0]), [319.5, 239.5], atol=1e-9)
     assert np.linalg.norm(camera.centre) == pytest.approx(0.5)
@@ -41,9 +41,9 @@ def test_a_tilted_camera_still_looks_at_the_origin(tilt, place):
 
 
 @given(st.tuples(*[st.floats(-0.2, 0.2)] * 5), st.tuples(*[st.floats(-0.05, 0.05)] * 2))
-def test_projection_is_opencvs(distortion, place):
+def test_projection_is_opencvs(distortion, position):
     camera = overhead(tilt=(0.02, -0.03), distortion=distortion)
-    point = np.array([*place, RADIUS])
+    point = np.array([*position, RADIUS])
     expected = cv2.projectPoints(point, cv2.Rodrigues(camera.R)[0], camera.t, camera.K, camera.dist)[0]
     np.testing.assert_allclose(camera.project(point), expected[0, 0], atol=1e-7)
     slope = camera.project_with_slope(point)[1]
@@ -62,10 +62,10 @@ def test_a_camera_inside_the_ball_is_refused():
 
 
 @given(st.tuples(*[st.floats(-0.05, 0.05)] * 2))
-def test_glint_agrees_with_the_first_order_formula(place):
+def test_glint_agrees_with_the_first_order_formula(position):
     """R [(x_lamp - x)/h_lamp - (x_camera - x)/h_camera]/2: half the lamp's tilt, less the parallax."""
     camera = overhead()
-    centre = np.array([*place, RADIUS])
+    centre = np.array([*position, RADIUS])
     to_lamp, to_camera = LAMP.position - centre, camera.centre - centre
     offset = (glint_px(camera, LAMP, centre, RADIUS) - camera.project(centre)) * [1, -1]
     formula = RADIUS / 2 * (to_lamp / to_lamp[2] - to_camera / to_camera[2])[:2] / camera.scale

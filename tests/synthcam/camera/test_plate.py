@@ -16,8 +16,8 @@ CAMERA = Camera.overhead((160, 100), 5e-5, 0.5, ball_radius=R, fps=250, exposure
 
 
 def one_frame(film, *centres):
-    places = np.array(centres, float)
-    (picture,) = film.frames(lambda t: np.broadcast_to(places, (len(t), *places.shape)), [[0.0, 0.0]])
+    positions = np.array(centres, float)
+    (picture,) = film.frames(lambda t: np.broadcast_to(positions, (len(t), *positions.shape)), [[0.0, 0.0]])
     return picture
 
 

@@ -10,23 +10,23 @@ from synthcam.camera.exposure import spots
 from synthcam.camera.psf import Psf
 
 FINE = 24
-PLACE = (7.5 / FINE, -4.5 / FINE)  # a sample of the fine grid
+POSITION = (7.5 / FINE, -4.5 / FINE)  # a sample of the fine grid
 
 
-def spot(psf, place=PLACE, width=None):
+def spot(psf, position=POSITION, width=None):
     width = width or 2 * psf.margin + 1
     rows, columns = spots(
-        np.array([place]) + psf.margin, np.full((1, 2), psf.sigma**2), np.zeros((1, 2)), width, psf.steps
+        np.array([position]) + psf.margin, np.full((1, 2), psf.sigma**2), np.zeros((1, 2)), width, psf.steps
     )
     patch = (rows.T @ columns)[None].astype(np.float32)
     return psf.spread(patch)[0]
 
 
-def brute(psf, kernel, place=PLACE):
+def brute(psf, kernel, position=POSITION):
     """The same by a grid of 24 samples a pixel: kernel, Gaussian, pixel."""
     width = 2 * psf.margin + 1
     image = np.zeros((width * FINE, width * FINE))
-    column, row = ((np.array(place) + psf.margin + 0.5) * FINE - 0.5).round().astype(int)
+    column, row = ((np.array(position) + psf.margin + 0.5) * FINE - 0.5).round().astype(int)
     image[row, column] = 1
     image = gaussian_filter(fftconvolve(image, kernel, mode="same"), psf.sigma * FINE)
     return image.reshape(width, FINE, width, FINE).sum(axis=(1, 3))

@@ -178,12 +178,12 @@ def zarr_array(folder):
     codecs = [c["name"] for c in about["codecs"]]
     assert codecs[0] == "bytes"
     assert about["chunk_key_encoding"] == {"name": "default", "configuration": {"separator": "/"}}
-    for place in np.ndindex(*[-(-s // c) for s, c in zip(shape, chunk, strict=True)]):
-        path = folder.joinpath("c", *map(str, place))
+    for position in np.ndindex(*[-(-s // c) for s, c in zip(shape, chunk, strict=True)]):
+        path = folder.joinpath("c", *map(str, position))
         if path.is_file():
             data = unpacked(path.read_bytes(), codecs[1:])
             whole = np.frombuffer(data, np.dtype(about["data_type"]).newbyteorder("<")).reshape(chunk)
-            where = tuple(slice(p * c, min((p + 1) * c, s)) for p, c, s in zip(place, chunk, shape, strict=True))
+            where = tuple(slice(p * c, min((p + 1) * c, s)) for p, c, s in zip(position, chunk, shape, strict=True))
             out[where] = whole[tuple(slice(0, w.stop - w.start) for w in where)]
     return out, about
 

@@ -55,27 +55,27 @@ def test_the_balls_are_where_the_crop_says(clip, tmp_path):
     """Each frame's brightest place is one of the balls, by the crop's corner and the magnification."""
     preview.write_film(clip, tmp_path / "f.gif")
     view = clip.view
-    places = view.at(np.arange(clip.frames) / clip.camera.fps)[:, :, :3]
-    rows, columns = preview._crop(clip, places)
+    positions = view.at(np.arange(clip.frames) / clip.camera.fps)[:, :, :3]
+    rows, columns = preview._crop(clip, positions)
     frames = frames_of(tmp_path / "f.gif")
     zoom = frames[0].shape[1] / (columns.stop - columns.start)
     assert zoom == round(zoom) > 1
     for k, frame in enumerate(frames):
         y, x = brightest(frame[:-24])  # without the caption
         found = np.array([columns.start + (x - (zoom - 1) / 2) / zoom, rows.start + (y - (zoom - 1) / 2) / zoom])
-        balls = clip.camera.project(places[:, k])
+        balls = clip.camera.project(positions[:, k])
         assert np.hypot(*(balls - found).T).min() < 1.5, k
 
 
 def test_the_crop_holds_the_balls_and_no_more_than_the_picture(clip):
     view = clip.view
-    places = view.at(np.arange(clip.frames) / clip.camera.fps)[:, :, :3]
-    rows, columns = preview._crop(clip, places)
+    positions = view.at(np.arange(clip.frames) / clip.camera.fps)[:, :, :3]
+    rows, columns = preview._crop(clip, positions)
     assert rows.start >= 0 <= columns.start
     assert rows.stop <= 64
     assert columns.stop <= 128
     assert (rows.stop - rows.start) % 2 == (columns.stop - columns.start) % 2 == 0
-    px = clip.camera.project(places.reshape(-1, 3))
+    px = clip.camera.project(positions.reshape(-1, 3))
     px = px[((px > 0) & (px < [128, 64])).all(axis=1)]
     room = 1.5 * 2.38e-3 / 3e-4  # px round each centre, where the picture has it
     assert (px - [columns.start, rows.start] >= np.minimum(px, room)).all()

@@ -105,12 +105,14 @@ def test_magnetic_attraction_is_the_gradient_of_the_dipoles_energy(upright, gap)
     moment = strength * (np.array([0, 0, 1.0]) if upright else line)
     at_touch = 3e-7 * strength**2 / (2 * R) ** 4 / Model().ball.mass
     effect = MagneticAttraction(pull=-at_touch if upright else 2 * at_touch)
-    place, step = gap * 2 * R * line, 1e-7
+    position, step = gap * 2 * R * line, 1e-7
     slope = [
-        (dipole_energy(moment, moment, place + step * e) - dipole_energy(moment, moment, place - step * e)) / step / 2
+        (dipole_energy(moment, moment, position + step * e) - dipole_energy(moment, moment, position - step * e))
+        / step
+        / 2
         for e in np.eye(3)[:2]
     ]  # of the energy, by where the other is: the force on this one
-    push = effect.push(np.zeros((1, 2)), place[None, :2], np.array([M]), Model().ball)
+    push = effect.push(np.zeros((1, 2)), position[None, :2], np.array([M]), Model().ball)
     np.testing.assert_allclose(push[0], np.array(slope) / M, rtol=1e-6)
 
 

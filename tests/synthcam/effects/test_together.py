@@ -18,13 +18,13 @@ def sized(name, size):
     return {f"{name}.{k}": v for k, v in (shapes | {p.name: size * p.typical for p in kind.strengths()}).items()}
 
 
-def places(values):
+def positions(values):
     return collisions(Model().replace(values), ROWS, 0.0, 0.4, [False, True]).at(np.linspace(0.02, 0.4, 40))[..., :3]
 
 
 @pytest.mark.parametrize("name", library())
 def test_a_faint_effect_beside_another_changes_nothing(name):
-    alone = places(sized(name, 1.0))
+    alone = positions(sized(name, 1.0))
     for other in library().keys() - {name}:
-        beside = places(sized(name, 1.0) | sized(other, FAINT))
+        beside = positions(sized(name, 1.0) | sized(other, FAINT))
         np.testing.assert_allclose(beside, alone, rtol=0, atol=SAME, err_msg=other)

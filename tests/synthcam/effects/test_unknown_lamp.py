@@ -11,7 +11,7 @@ from synthcam.library import library
 from synthcam.model import Model
 from tracker.camera.camera import Lamp
 
-PLACE = (0.12, -0.08, 0.25)
+POSITION = (0.12, -0.08, 0.25)
 KNOWN = (*EFFECTS, "unknown_lamp", "glint_parallax", "scale_error", "aspect_error", "lens_distortion", "camera_tilt")
 
 
@@ -28,12 +28,12 @@ def without_a_lamp(clips, lamp=None):
 
 def test_the_lamp_is_named_and_found(monkeypatch):
     only(monkeypatch, **{name: library()[name] for name in KNOWN})
-    found = find(noisy(without_a_lamp(exact(Model(), 12, 3), Lamp(PLACE)), 3), Model())
+    found = find(noisy(without_a_lamp(exact(Model(), 12, 3), Lamp(POSITION)), 3), Model())
     assert [n.effect for n in found.named] == ["unknown_lamp"]
     assert found.free_law is None
     assert found.verdict == "named"
     (lamp,) = found.named
-    for key, true in zip(("x", "y", "height"), PLACE, strict=True):
+    for key, true in zip(("x", "y", "height"), POSITION, strict=True):
         value, std = lamp.shapes[f"unknown_lamp.{key}"], lamp.shape_std[f"unknown_lamp.{key}"]
         assert abs(value - true) < 3.5 * std
         assert std < 0.04

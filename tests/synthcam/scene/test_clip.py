@@ -31,13 +31,13 @@ def dataset(scene, tmp_path_factory):
 
 @pytest.mark.parametrize("number", [0, 1])
 def test_film_and_camera_are_those_of_the_dataset(scene, dataset, number):
-    clip, place = scene.draw(number, seed=7), dataset / f"clips/{number:06d}"
-    stored = tifffile.imread(place / "frames.tif")
+    clip, position = scene.draw(number, seed=7), dataset / f"clips/{number:06d}"
+    stored = tifffile.imread(position / "frames.tif")
     film = clip.film()
     assert film.dtype == stored.dtype == np.uint8
     np.testing.assert_array_equal(film, stored)
     np.testing.assert_array_equal(next(clip.pictures()), stored[0])
-    assert clip.camera_json == json.loads((place / "camera.json").read_text())
+    assert clip.camera_json == json.loads((position / "camera.json").read_text())
 
 
 def test_seed_and_number_are_those_of_the_noise():

@@ -208,8 +208,8 @@ def test_tracks_columns_and_states():
 def test_visible_means_the_whole_ball():
     """By column: a ball of 7.44 px radius is whole between 6.94 and 631.06 px from the left."""
     for x, seen in ((7.0, True), (6.8, False), (632.0, True), (632.2, False), (-50, False), (900, False)):
-        place = ((x - 319.5) * 1.6e-4, 0.0)
-        motion = solve(Model(rolling_decel=0), Launch.single(ALONE, 0.0, 1e-9, 0, place), 0.0, 0.01)
+        position = ((x - 319.5) * 1.6e-4, 0.0)
+        motion = solve(Model(rolling_decel=0), Launch.single(ALONE, 0.0, 1e-9, 0, position), 0.0, 0.01)
         assert truth.tracks(ALONE, View(Model(), camera(), motion), LAMP, 1).visible[0] == seen
 
 

@@ -10,7 +10,7 @@ from tracker_film import collision, disc, expose, film, spot, write_clip
 
 from tracker.calibration.ball_outline import outline
 from tracker.calibration.calibrate import calibrate, summary
-from tracker.calibration.contact_distance import touches
+from tracker.calibration.contact_distance import contact_distances
 from tracker.camera.camera import Camera, InputError
 from tracker.detection.candidates import Ground
 from tracker.detection.glints import Glints
@@ -46,10 +46,10 @@ def measured(rng, noise, slow=0.0):
     after = np.maximum(np.arange(n) - contact, 0.0)[:, None]
     way = paths[-1, 0] - paths[0, 0]
     paths[:, 0] -= 0.5 * slow * after**2 * way / np.hypot(*way)
-    places = paths.transpose(1, 0, 2).reshape(-1, 2) + noise * rng.standard_normal((2 * n, 2))
+    positions = paths.transpose(1, 0, 2).reshape(-1, 2) + noise * rng.standard_normal((2 * n, 2))
     nothing = np.full(2 * n, np.nan)
     return Tracks(
-        np.tile(np.arange(n), 2), np.repeat([0, 1], n), places[:, 0], places[:, 1],
+        np.tile(np.arange(n), 2), np.repeat([0, 1], n), positions[:, 0], positions[:, 1],
         np.tile(noise**2 * np.eye(2), (2 * n, 1, 1)), np.ones(2 * n), np.full(2 * n, ""), nothing, nothing,
     )  # fmt: skip
 
@@ -57,7 +57,7 @@ def measured(rng, noise, slow=0.0):
 @pytest.mark.parametrize("slow", [0.0, 0.05])
 def test_error_of_the_contact_is_honest(slow):
     rng = np.random.default_rng(5)
-    found = [touches(measured(rng, 0.03, slow)) for _ in range(60)]
+    found = [contact_distances(measured(rng, 0.03, slow)) for _ in range(60)]
     z = np.array([(t.distance - 14.875) / t.std for each in found for t in each])
     assert len(z) == 60
     assert abs(z.mean()) < 4 / np.sqrt(60)
@@ -73,7 +73,7 @@ def test_balls_that_pass_each_other_do_not_touch():
         np.tile(np.arange(30), 2), np.repeat([0, 1], 30), paths[..., 0].ravel(), paths[..., 1].ravel(),
         np.tile(1e-4 * np.eye(2), (60, 1, 1)), np.ones(60), np.full(60, ""), nothing, nothing,
     )  # fmt: skip
-    assert touches(tracks) == []
+    assert contact_distances(tracks) == []
 
 
 def test_width_and_noise(told):

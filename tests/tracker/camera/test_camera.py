@@ -41,8 +41,8 @@ def test_projection_is_opencvs():
 def test_unproject_undoes_project(x, y, tilt, k1):
     camera = bent_camera((tilt, -tilt), (k1, 0.0, 1e-3, 0.0, 0.0))
     pixel = camera.project(np.array([[x, y, camera.radius]]))
-    place, jacobian = camera.unproject(pixel)
-    assert np.allclose(place, [[x, y]], atol=1e-12)
+    position, jacobian = camera.unproject(pixel)
+    assert np.allclose(position, [[x, y]], atol=1e-12)
     nudge = 1e-3
     for axis in range(2):
         step = np.eye(2)[axis] * nudge
@@ -52,8 +52,8 @@ def test_unproject_undoes_project(x, y, tilt, k1):
 
 def test_scale_holds_at_the_balls_centres():
     camera = Camera.from_dict(CAMERA)
-    place, jacobian = camera.unproject(np.array([[99.5, 79.5], [109.5, 79.5]]))
-    assert np.allclose(place, [[0, 0], [1.6e-3, 0]], atol=1e-15)
+    position, jacobian = camera.unproject(np.array([[99.5, 79.5], [109.5, 79.5]]))
+    assert np.allclose(position, [[0, 0], [1.6e-3, 0]], atol=1e-15)
     assert np.allclose(jacobian[0], np.diag([1.6e-4, -1.6e-4]))
 
 
@@ -91,10 +91,10 @@ def test_glint_stands_where_physics_says():
 
 def test_centre_of_glint_undoes_glint_of_centre():
     camera = bent_camera()
-    places = np.random.default_rng(1).uniform(-0.012, 0.012, (40, 2))
-    seen = camera.glint_of_centre(places)
+    positions = np.random.default_rng(1).uniform(-0.012, 0.012, (40, 2))
+    seen = camera.glint_of_centre(positions)
     centre, jacobian = camera.centre_of_glint(seen)
-    want = camera.project(np.column_stack([places, np.full(40, camera.radius)]))
+    want = camera.project(np.column_stack([positions, np.full(40, camera.radius)]))
     assert np.allclose(centre, want, atol=1e-9)
     moved = camera.centre_of_glint(seen + np.array([0.1, 0.0]))[0] - centre
     assert np.allclose(moved, 0.1 * jacobian[:, :, 0], atol=1e-7)
@@ -102,8 +102,8 @@ def test_centre_of_glint_undoes_glint_of_centre():
 
 def test_rings_of_the_mirrored_sky_stand_between_zenith_and_centre():
     """Points of the ball that mirror the sky 60 degrees from the zenith, by the law of reflection."""
-    camera, place = Camera.from_dict(CAMERA), np.array([[0.05, -0.04]])
-    glint, middle = camera.glint_of_centre(place), np.array([*place[0], camera.radius])
+    camera, position = Camera.from_dict(CAMERA), np.array([[0.05, -0.04]])
+    glint, middle = camera.glint_of_centre(position), np.array([*position[0], camera.radius])
     turn, lean = np.meshgrid(np.arange(0, 2 * np.pi, np.pi / 18), np.radians(np.linspace(25, 35, 2001)), indexing="ij")
     normal = np.stack([np.cos(turn) * np.sin(lean), np.sin(turn) * np.sin(lean), np.cos(lean)], axis=-1)
     way = middle + camera.radius * normal - camera.position
@@ -152,8 +152,8 @@ def test_secondary_glint_is_the_shortest_path_by_two_balls():
 def test_least_camera_file():
     camera = Camera.from_dict({"scale": 1e-4, "size": [64, 48], "fps": 100})
     assert {"height", "lamp", "psf.sigma_px", "sensor.gain", "ball_diameter", "exposure"} <= set(camera.assumed)
-    place, _ = camera.unproject(np.array([[41.5, 23.5]]))
-    assert np.allclose(place, [[1e-3, 0]], atol=1e-12)
+    position, _ = camera.unproject(np.array([[41.5, 23.5]]))
+    assert np.allclose(position, [[1e-3, 0]], atol=1e-12)
     given = Camera.from_dict(
         {
             "K": [[2000, 0, 31.5], [0, 2000, 23.5], [0, 0, 1]],

@@ -222,8 +222,8 @@ def test_a_misspelt_key_is_named(tmp_path, monkeypatch, capsys):
 @pytest.mark.parametrize("keys", [("K", "t", "scale"), ("scale",), ("K", "scale")])
 def test_without_a_diameter_places_are_still_in_metres(keys):
     least = {k: CAMERA[k] for k in ("size", "fps", *keys)}
-    place, slope = Camera.from_dict(least).unproject([[199.5, 29.5]])
-    assert np.allclose(place, [[100 * 1.6e-4, 50 * 1.6e-4]], rtol=1e-9)
+    position, slope = Camera.from_dict(least).unproject([[199.5, 29.5]])
+    assert np.allclose(position, [[100 * 1.6e-4, 50 * 1.6e-4]], rtol=1e-9)
     assert np.allclose(slope, [[[1.6e-4, 0], [0, -1.6e-4]]], rtol=1e-9)
 
 

@@ -260,8 +260,8 @@ def test_pictures_larger_than_the_memory_are_one_line(tmp_path):
         "    except InputError as error:\n"
         "        print(error)\n"
     )
-    places = [tmp_path / name for name in ("one", "two", "one.tif", "two.tif")]
-    done = subprocess.run([sys.executable, "-c", script, *map(str, places)], capture_output=True, text=True)
+    positions = [tmp_path / name for name in ("one", "two", "one.tif", "two.tif")]
+    done = subprocess.run([sys.executable, "-c", script, *map(str, positions)], capture_output=True, text=True)
     said = done.stdout.splitlines()
     assert (done.returncode, len(said)) == (0, 4), done.stderr
-    assert all(line.startswith(f"{place}") for line, place in zip(said, places, strict=True))
+    assert all(line.startswith(f"{position}") for line, position in zip(said, positions, strict=True))

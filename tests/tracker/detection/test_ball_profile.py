@@ -8,35 +8,35 @@ from scipy.ndimage import gaussian_filter
 from tracker_film import disc, expose, spot
 
 from tracker.camera.sensor import Sensor
-from tracker.detection.ball_profile import Body
+from tracker.detection.ball_profile import BallProfile
 from tracker.detection.cramer_rao import fisher, information
 from tracker.detection.glint_fit import Windows, fit, learn
 
 SENSOR = Sensor(bits=8, gain=20.0, read_noise=20.0, black_level=8.0)
 HALF, RADIUS = 5, 7.44
-BODY = Body(0.9 * RADIUS, np.array([3.0, 8.0, -2.0]))
+BODY = BallProfile(0.9 * RADIUS, np.array([3.0, 8.0, -2.0]))
 
 
-def windows(rng, n, peak=200.0, body=14.0, reach=0.68):
+def windows(rng, n, peak=200.0, profile=14.0, reach=0.68):
     """Clipped or open glints on a blurred disc whose middle stands off by half a pixel, and their places."""
-    places, counts = rng.uniform(-0.5, 0.5, (n, 2)), []
+    positions, counts = rng.uniform(-0.5, 0.5, (n, 2)), []
     away = np.array([0.5, -0.3])
-    for x, y in places:
+    for x, y in positions:
         wide = HALF + 8
-        picture = gaussian_filter(body * disc((2 * wide + 1,) * 2, x + wide + 0.5, y + wide - 0.3, RADIUS), 1.0)
+        picture = gaussian_filter(profile * disc((2 * wide + 1,) * 2, x + wide + 0.5, y + wide - 0.3, RADIUS), 1.0)
         picture += 0.5 + peak * 2 * math.pi * spot(picture.shape, x + wide, y + wide, 1.0)
         counts.append(expose(rng, picture)[8:-8, 8:-8])
     nothing = np.zeros((n, 2))
-    middle, offsets = places + away, np.arange(-HALF, HALF + 1.0)
+    middle, offsets = positions + away, np.arange(-HALF, HALF + 1.0)
     square = (offsets[:, None] - middle[:, None, 1:]) ** 2 + (offsets - middle[:, None, :1]) ** 2
     used = (square < (reach * RADIUS) ** 2).astype(float)
-    shown = Windows(np.array(counts, float), used, places.round(1), nothing, nothing + away, np.zeros((n, 0, 3)))
-    return shown, places
+    shown = Windows(np.array(counts, float), used, positions.round(1), nothing, nothing + away, np.zeros((n, 0, 3)))
+    return shown, positions
 
 
-@pytest.mark.parametrize("streak", [(0.0, 0.0), (1.5, -0.7)])
-def test_slopes_are_those_of_the_heights(streak):
-    middle, way, step = np.array([[0.31, -0.42]]), np.array([streak]), 1e-5
+@pytest.mark.parametrize("blur", [(0.0, 0.0), (1.5, -0.7)])
+def test_slopes_are_those_of_the_heights(blur):
+    middle, way, step = np.array([[0.31, -0.42]]), np.array([blur]), 1e-5
     _, *slopes = BODY.height(middle, way, HALF)
     for axis, slope in enumerate(slopes):
         shift = step * np.eye(2)[axis]
@@ -54,13 +54,13 @@ def test_a_streak_is_the_mean_over_its_way():
 
 
 def test_the_body_is_learnt_as_it_is_drawn():
-    shown, places = windows(np.random.default_rng(0), 128)
-    body, found = learn(shown, 1.0, SENSOR, 0.9 * RADIUS)
-    assert np.std(found - places) < 0.02  # px
+    shown, positions = windows(np.random.default_rng(0), 128)
+    profile, found = learn(shown, 1.0, SENSOR, 0.9 * RADIUS)
+    assert np.std(found - positions) < 0.02  # px
     distance = np.linspace(0, 4.5, 10)
     drawn = gaussian_filter(14.0 * disc((41, 41), 20, 20, RADIUS), 1.0)[20]
     true = np.interp(distance, np.arange(21), drawn[20:])
-    learnt = np.array([body.height(np.array([[d, 0.0]]), np.zeros((1, 2)), 0)[0][0, 0, 0] for d in distance])
+    learnt = np.array([profile.height(np.array([[d, 0.0]]), np.zeros((1, 2)), 0)[0][0, 0, 0] for d in distance])
     off = learnt - true
     assert np.ptp(off) < 1.5  # counts, of 14; the level is each window's own
     assert np.ptp(true) > 8
@@ -70,10 +70,10 @@ def test_a_known_body_is_worth_more_than_a_bowl_of_ones_own():
     """Clipped glints, whose flanks lie on the body: nearer to the truth, and by what the covariances say."""
     errors, claims = [], []
     for reach, known in ((0.55, False), (0.68, True)):  # a bowl of its own holds less far out
-        shown, places = windows(np.random.default_rng(1), 400, peak=700.0, reach=reach)
-        body = learn(shown.take(np.arange(128)), 1.0, SENSOR, 0.9 * RADIUS)[0] if known else None
-        result = fit(shown, 1.0, SENSOR, body)
-        miss = result.xy - places
+        shown, positions = windows(np.random.default_rng(1), 400, peak=700.0, reach=reach)
+        profile = learn(shown.take(np.arange(128)), 1.0, SENSOR, 0.9 * RADIUS)[0] if known else None
+        result = fit(shown, 1.0, SENSOR, profile)
+        miss = result.xy - positions
         z = np.linalg.solve(np.linalg.cholesky(result.cov), miss[..., None])
         assert abs(z.std() - 1) < 4 / math.sqrt(2 * z.size)
         errors.append(math.sqrt(np.mean(miss**2)))

@@ -50,16 +50,16 @@ def test_full_well_below_the_converter_is_the_ceiling():
     assert Sensor(bits=8, gain=20, full_well=6000, black_level=8).ceiling == 255
 
 
-@pytest.mark.parametrize("streak", [(0.0, 0.0), (3.0, -2.0), (0.3, 0.1), (11.0, 4.0)])
-def test_shape_is_the_integrated_spot(streak):
+@pytest.mark.parametrize("blur", [(0.0, 0.0), (3.0, -2.0), (0.3, 0.1), (11.0, 4.0)])
+def test_shape_is_the_integrated_spot(blur):
     half = 12
-    made = glint_shape(np.array([[0.3, -0.2]]), np.array([streak]), 1.1, half)
-    want = spot((25, 25), half + 0.3, half - 0.2, 1.1, streak, steps=2000)
+    made = glint_shape(np.array([[0.3, -0.2]]), np.array([blur]), 1.1, half)
+    want = spot((25, 25), half + 0.3, half - 0.2, 1.1, blur, steps=2000)
     assert np.abs(made.value[0] - want).max() < 3e-4 * want.max()
     nudge = 1e-4
     for axis, slope in ((0, made.by_x), (1, made.by_y)):
         step = np.eye(2)[axis] * nudge
-        ends = [spot((25, 25), half + 0.3 + s * step[0], half - 0.2 + s * step[1], 1.1, streak, 2000) for s in (1, -1)]
+        ends = [spot((25, 25), half + 0.3 + s * step[0], half - 0.2 + s * step[1], 1.1, blur, 2000) for s in (1, -1)]
         want_slope = (ends[0] - ends[1]) / (2 * nudge)
         assert np.abs(slope[0] - want_slope).max() < 3e-3 * np.abs(want_slope).max()
 

@@ -13,8 +13,8 @@ from tracker.camera.camera import Camera, InputError
 from tracker.camera.frames import Clip, Frames
 from tracker.detection import detect as detect_module
 from tracker.detection.cramer_rao import localisation_bound
-from tracker.detection.detect import detect, detectors, look
-from tracker.detection.glints import CLIPPED, MISFIT, NEAR, STREAK
+from tracker.detection.detect import detect, detectors, view_of
+from tracker.detection.glints import BLURRED, CLIPPED, MISFIT, NEAR
 from tracker.detection.link import assign
 
 CAM = Camera.from_dict({k: v for k, v in CAMERA.items() if k != "lamp"})  # no lamp: the body is centred on the glint
@@ -25,38 +25,40 @@ def clip(frames, camera=CAM):
     return Clip(0, camera, Frames(len(frames), frames.shape[1:], frames.dtype, lambda k: frames[k]))
 
 
-def many_glints(rng, peak, frames=14, streak=(0.0, 0.0), body=4.0, sigma=1.0):
+def many_glints(rng, peak, frames=14, blur=(0.0, 0.0), profile=4.0, sigma=1.0):
     """Frames of balls at rest, each anywhere within its pixel, and their places; the first frames are blank."""
-    pictures, places = [], []
+    pictures, positions = [], []
     for k in range(frames):
         picture = np.full((160, 200), 0.5)
         for x, y in GRID if k else ():
             at = np.array([x, y]) + rng.uniform(-0.5, 0.5, 2)
             part = picture[y - 12 : y + 13, x - 12 : x + 13]
             local = at - [x - 12, y - 12]
-            part += peak * 2 * math.pi * sigma**2 * spot(part.shape, *local, sigma, streak, steps=30)
-            part += body * peak / 200 * disc(part.shape, *local, 7.44)
-            places.append((k, *at))
+            part += peak * 2 * math.pi * sigma**2 * spot(part.shape, *local, sigma, blur, steps=30)
+            part += profile * peak / 200 * disc(part.shape, *local, 7.44)
+            positions.append((k, *at))
         pictures.append(expose(rng, picture))
-    return np.array(pictures), np.array(places)
+    return np.array(pictures), np.array(positions)
 
 
-def errors(found, places):
-    """Errors (n, 2) in the order of `places`; every place must be found once, and nothing else."""
-    assert len(found) == len(places)
-    order = [int(np.argmin((found.frame != k) * 1e9 + (found.x - x) ** 2 + (found.y - y) ** 2)) for k, x, y in places]
-    assert len(set(order)) == len(places)
-    return found.xy[order] - places[:, 1:], found.take(order)
+def errors(found, positions):
+    """Errors (n, 2) in the order of `positions`; every place must be found once, and nothing else."""
+    assert len(found) == len(positions)
+    order = [
+        int(np.argmin((found.frame != k) * 1e9 + (found.x - x) ** 2 + (found.y - y) ** 2)) for k, x, y in positions
+    ]
+    assert len(set(order)) == len(positions)
+    return found.xy[order] - positions[:, 1:], found.take(order)
 
 
 @pytest.mark.parametrize(("peak", "limit"), [(700, 1.12), (200, 1.08), (100, 1.08), (25, 1.10), (12, 1.12)])
 def test_precision_is_the_bounds_and_errors_are_honest(peak, limit):
     rng = np.random.default_rng(peak)
-    frames, places = many_glints(rng, peak)
-    view = look(clip(frames))
-    miss, found = errors(detect(clip(frames), view), places)
-    flux = np.full(len(places), peak * 2 * math.pi)
-    bound = localisation_bound(CAM, flux, places[:, 1:], background=8.5 + 4.0 * peak / 200)
+    frames, positions = many_glints(rng, peak)
+    view = view_of(clip(frames))
+    miss, found = errors(detect(clip(frames), view), positions)
+    flux = np.full(len(positions), peak * 2 * math.pi)
+    bound = localisation_bound(CAM, flux, positions[:, 1:], background=8.5 + 4.0 * peak / 200)
     ratio = math.sqrt(np.mean(miss**2) / (np.trace(bound, axis1=1, axis2=2).mean() / 2))
     assert 0.9 < ratio < limit
     z = np.linalg.solve(np.linalg.cholesky(found.cov), miss[..., None])[..., 0]
@@ -68,18 +70,18 @@ def test_precision_is_the_bounds_and_errors_are_honest(peak, limit):
 def test_a_centroid_is_far_from_the_bound():
     """The test above can fail: a plain centroid does, and worst where the glint clips."""
     for peak, least in ((200, 1.3), (700, 1.5)):
-        frames, places = many_glints(np.random.default_rng(peak), peak)
-        miss, _ = errors(detect(clip(frames), look(clip(frames)), "centroid"), places)
-        bound = localisation_bound(CAM, np.full(len(places), peak * 2 * math.pi), places[:, 1:], background=12.5)
+        frames, positions = many_glints(np.random.default_rng(peak), peak)
+        miss, _ = errors(detect(clip(frames), view_of(clip(frames)), "centroid"), positions)
+        bound = localisation_bound(CAM, np.full(len(positions), peak * 2 * math.pi), positions[:, 1:], background=12.5)
         assert math.sqrt(np.mean(miss**2) / (np.trace(bound, axis1=1, axis2=2).mean() / 2)) > least
 
 
 def test_place_does_not_depend_on_the_place_within_the_pixel():
-    frames, places = many_glints(np.random.default_rng(9), 200, frames=20)
-    miss, found = errors(detect(clip(frames), look(clip(frames))), places)
-    phase = 2 * math.pi * places[:, 1:]
+    frames, positions = many_glints(np.random.default_rng(9), 200, frames=20)
+    miss, found = errors(detect(clip(frames), view_of(clip(frames))), positions)
+    phase = 2 * math.pi * positions[:, 1:]
     for axis in range(2):
-        wave = np.column_stack([np.cos(phase[:, axis]), np.sin(phase[:, axis]), np.ones(len(places))])
+        wave = np.column_stack([np.cos(phase[:, axis]), np.sin(phase[:, axis]), np.ones(len(positions))])
         fit = np.linalg.lstsq(wave, miss[:, axis], rcond=None)[0]
         assert 2 * math.hypot(fit[0], fit[1]) < 0.005
     assert (found.flags & MISFIT).mean() < 0.01
@@ -93,17 +95,17 @@ def test_what_a_resting_ball_shares_between_frames():
     response, offset = 1 + 0.02 * rng.standard_normal((160, 200)), 0.5 * rng.standard_normal((160, 200))
     means, fixed, whole = [], [], []
     for _ in range(3):
-        picture, places = np.full((160, 200), 0.5), []
+        picture, positions = np.full((160, 200), 0.5), []
         for x, y in GRID:
-            places.append(np.array([x, y]) + rng.uniform(-0.5, 0.5, 2))
+            positions.append(np.array([x, y]) + rng.uniform(-0.5, 0.5, 2))
             part = picture[y - 12 : y + 13, x - 12 : x + 13]
-            part += 200 * 2 * math.pi * spot(part.shape, *(places[-1] - [x - 12, y - 12]), 1.0)
+            part += 200 * 2 * math.pi * spot(part.shape, *(positions[-1] - [x - 12, y - 12]), 1.0)
         frames = np.array([expose(rng, picture * response + offset) for _ in range(30)])
-        found = detect(clip(frames, camera), look(clip(frames, camera)))
-        for place in places:
-            own = found.take(np.hypot(*(found.xy - place).T) < 2)
+        found = detect(clip(frames, camera), view_of(clip(frames, camera)))
+        for position in positions:
+            own = found.take(np.hypot(*(found.xy - position).T) < 2)
             assert len(own) == 30
-            means.append(own.xy.mean(axis=0) - place)
+            means.append(own.xy.mean(axis=0) - position)
             fixed.append(np.diagonal(own.fixed.mean(axis=0)))
             whole.append(np.diagonal(own.cov.mean(axis=0)))
     fixed, whole = np.array(fixed), np.array(whole)
@@ -134,10 +136,10 @@ def test_a_streak_is_measured_at_its_middle():
     for _ in range(3):
         frames, paths = two_rolling(rng, 9.0, exposure_share=0.5)
         shown = clip(frames, camera)
-        found = detect(shown, look(shown))
-        places = np.array([(k, *p) for k in range(len(paths)) for p in paths[k]])
-        miss, ordered = errors(found, places)
-        assert (ordered.flags[::2] & STREAK).all()
+        found = detect(shown, view_of(shown))
+        positions = np.array([(k, *p) for k in range(len(paths)) for p in paths[k]])
+        miss, ordered = errors(found, positions)
+        assert (ordered.flags[::2] & BLURRED).all()
         misses.append(miss)
         covs.append(ordered.cov)
     z = np.linalg.solve(np.linalg.cholesky(np.concatenate(covs)), np.concatenate(misses)[..., None])[..., 0]
@@ -149,7 +151,7 @@ def test_ball_at_rest_through_the_whole_clip_is_found_in_every_frame():
     rng = np.random.default_rng(4)
     paths = np.tile(np.array([[[60.3, 70.2], [130.4, 90.1]]]), (30, 1, 1))
     frames = film(rng, paths)
-    found = detect(clip(frames), look(clip(frames)))
+    found = detect(clip(frames), view_of(clip(frames)))
     assert len(found) == 60
     assert np.bincount(found.frame).tolist() == [2] * 30
 
@@ -173,7 +175,7 @@ def test_neighbour_and_its_secondary_glints_do_not_pull(gap):
         blank = np.full((160, 200), 0.5)
         frames = np.array([expose(rng, p) for p in (blank, picture, blank)])
         shown = clip(frames, CAM_LAMP)
-        found = detect(shown, look(shown))
+        found = detect(shown, view_of(shown))
         assert len(found) == 2
         assert ((found.flags & NEAR) > 0).all()
         order = np.argsort(np.hypot(*(found.xy - seen[0]).T))
@@ -199,7 +201,7 @@ def test_a_neighbour_three_diameters_off_does_not_pull_either():
             picture += 4 * disc(picture.shape, *centre, 7.44)
         blank = np.full((160, 200), 8.0)
         shown = clip(np.rint([blank, picture, blank]).clip(0, 255).astype(np.uint8), CAM_LAMP)
-        found = detect(shown, look(shown))
+        found = detect(shown, view_of(shown))
         miss = found.xy[np.argsort(np.hypot(*(found.xy - seen[0]).T))] - seen
         pulls += [miss[0] @ way, -miss[1] @ way]
     assert abs(np.mean(pulls)) < 0.0015
@@ -211,7 +213,7 @@ CAM_LAMP = Camera.from_dict(CAMERA)
 def test_two_balls_two_detections_through_a_collision():
     frames = film(np.random.default_rng(5), collision(60, speed=2.5))
     shown = clip(frames)
-    found = detect(shown, look(shown))
+    found = detect(shown, view_of(shown))
     assert np.bincount(found.frame, minlength=60).tolist() == [2] * 60
     assert set(assign(found, CAM).tolist()) == {0, 1}
 
@@ -220,8 +222,8 @@ def test_a_neighbour_takes_the_learnt_body_from_no_clipped_glint():
     """Beside another ball clipped glints are known as well as alone, and are where they say."""
     paths, stds, misses = collision(60, speed=2.5), [], []
     for seed in range(4):
-        shown = clip(film(np.random.default_rng(seed), paths, peak=700.0, body=14.0))
-        found = detect(shown, look(shown))
+        shown = clip(film(np.random.default_rng(seed), paths, peak=700.0, profile=14.0))
+        found = detect(shown, view_of(shown))
         off = found.xy[:, None] - paths[found.frame]
         pick = np.argmin(np.hypot(*np.moveaxis(off, 2, 0)), axis=1)
         std = np.sqrt(np.trace(found.cov, axis1=1, axis2=2) / 2)
@@ -262,7 +264,7 @@ def test_far_from_the_axis_the_body_pulls_no_clipped_glint():
         frames.append(np.rint(picture).clip(0, 255).astype(np.uint8))
         true.append(glint)
     shown = clip(np.array([*frames, frames[0]]), camera)
-    off = detect(shown, look(shown)).xy - np.array(true)
+    off = detect(shown, view_of(shown)).xy - np.array(true)
     assert np.abs(off.mean(axis=0)).max() < 0.0008
 
 
@@ -277,14 +279,14 @@ def test_hot_pixels_are_no_balls_and_pull_none():
     leak = np.zeros(frames.shape[1:], np.int64)
     leak[y, x] = rng.integers(15, 90, len(x))
     frames = np.clip(frames + leak, 0, 255).astype(np.uint8)
-    view = look(clip(frames))
+    view = view_of(clip(frames))
     assert set((y * 200 + x).tolist()) <= set(view.plate.hot.tolist())
     found = detect(clip(frames), view)
     assert np.bincount(found.frame, minlength=60).tolist() == [2] * 60
     assert (found.flags & MISFIT).sum() == 0
     for k in range(60):
         own = found.xy[found.frame == k]
-        assert max(np.hypot(*(own - place).T).min() for place in paths[k]) < 0.06
+        assert max(np.hypot(*(own - position).T).min() for position in paths[k]) < 0.06
 
 
 @pytest.mark.parametrize("level", [0, 3, 250])
@@ -292,7 +294,7 @@ def test_empty_frames_have_nothing(level):
     rng = np.random.default_rng(6)
     frames = np.array([expose(rng, np.full((160, 200), float(level))) for _ in range(20)])
     shown = clip(frames)
-    assert len(detect(shown, look(shown))) == 0
+    assert len(detect(shown, view_of(shown))) == 0
 
 
 def test_body_without_its_glint_is_no_glint():
@@ -300,7 +302,7 @@ def test_body_without_its_glint_is_no_glint():
     picture = np.full((160, 200), 0.5) + 20 * disc((160, 200), 80.2, 70.3, 7.44)
     frames = np.array([expose(rng, np.full((160, 200), 0.5))] * 8 + [expose(rng, picture) for _ in range(12)])
     shown = clip(frames)
-    assert len(detect(shown, look(shown))) == 0
+    assert len(detect(shown, view_of(shown))) == 0
 
 
 def test_sixteen_bit_frames():
@@ -312,7 +314,7 @@ def test_sixteen_bit_frames():
         picture = np.full((160, 200), 3.0) + 2500 * 2 * math.pi * spot((160, 200), 60.25 + 5 * k, 80.4, 1.0)
         pictures.append(expose(rng, picture, gain=2.0, read=4.0, black=8.0, bits=12))
     shown = clip(np.array(pictures), Camera.from_dict({**data, "exposure": 0.0}))
-    found = detect(shown, look(shown))
+    found = detect(shown, view_of(shown))
     miss = found.x - (60.25 + 5 * np.arange(12))
     assert np.abs(miss).max() < 4 * np.sqrt(found.cov[:, 0, 0]).min() < 0.03
     assert camera.sensor.ceiling == 4095
@@ -322,7 +324,7 @@ def test_every_detector_keeps_the_promise():
     """One contract over all that the folder holds."""
     frames = film(np.random.default_rng(10), collision(12, contact=30.0, speed=2.0))
     shown = clip(frames)
-    view = look(shown)
+    view = view_of(shown)
     assert {"maximum_likelihood", "centroid"} <= set(detectors())
     for name, make in detectors().items():
         if name == "trackpy_locate" and importlib.util.find_spec("trackpy") is None:

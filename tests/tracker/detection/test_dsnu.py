@@ -11,7 +11,7 @@ from tracker_film import CAMERA, disc, spot
 from tracker.camera.camera import Camera
 from tracker.camera.frames import Clip, Frames
 from tracker.detection.candidates import Ground
-from tracker.detection.detect import detect, look
+from tracker.detection.detect import detect, view_of
 from tracker.detection.dsnu import FEWEST, WIDE, Bare
 
 SHAPE, SPREAD, NOISE = (240, 320), 0.3, 1.0
@@ -108,27 +108,27 @@ def test_places_gain_what_the_pattern_costs():
     rng, dsnu = np.random.default_rng(8), 1.0
     grid = [(x, y) for y in range(20, 150, 26) for x in range(20, 190, 26)]
     pattern = dsnu * rng.standard_normal((160, 200))
-    frames, places = [], []
+    frames, positions = [], []
     for k in range(40):
         picture = np.full((160, 200), 0.5)
         for x, y in grid if k % 2 else ():
             at = np.array([x, y]) + rng.uniform(-0.5, 0.5, 2)
             part, local = picture[y - 12 : y + 13, x - 12 : x + 13], at - [x - 12, y - 12]
             part += 25 * 2 * math.pi * spot(part.shape, *local, 1.0) + disc(part.shape, *local, 7.44)
-            places.append((k, *at))
+            positions.append((k, *at))
         frames.append(np.rint(rng.poisson(picture * 20) / 20 + 8.0 + pattern + rng.standard_normal(picture.shape)))
-    frames, places = np.clip(frames, 0, 255).astype(np.uint8), np.array(places)
+    frames, positions = np.clip(frames, 0, 255).astype(np.uint8), np.array(positions)
     known = {k: v for k, v in CAMERA.items() if k != "lamp"}
     camera = Camera.from_dict(known | {"sensor": CAMERA["sensor"] | {"dsnu": 20 * dsnu}})
     clip = Clip(0, camera, Frames(len(frames), frames.shape[1:], frames.dtype, lambda k: frames[k]))
 
     def errors(view):
         found = detect(clip, view)
-        order = [int(np.argmin((found.frame != k) * 1e9 + np.hypot(found.x - x, found.y - y))) for k, x, y in places]
-        z = np.linalg.solve(np.linalg.cholesky(found.cov[order]), (found.xy[order] - places[:, 1:])[..., None])
-        return np.sqrt(np.mean((found.xy[order] - places[:, 1:]) ** 2)), np.sqrt(np.mean(z**2))
+        order = [int(np.argmin((found.frame != k) * 1e9 + np.hypot(found.x - x, found.y - y))) for k, x, y in positions]
+        z = np.linalg.solve(np.linalg.cholesky(found.cov[order]), (found.xy[order] - positions[:, 1:])[..., None])
+        return np.sqrt(np.mean((found.xy[order] - positions[:, 1:]) ** 2)), np.sqrt(np.mean(z**2))
 
-    view = look(clip)
+    view = view_of(clip)
     rms, z = errors(view)
     raw = dataclasses.replace(camera, sensor=dataclasses.replace(camera.sensor, dsnu=0.0, read_noise=20 * math.sqrt(2)))
     ignorant, _ = errors(dataclasses.replace(view, camera=raw))

@@ -8,24 +8,24 @@ from tracker_film import film as drawn
 from tracker.camera.camera import Camera
 from tracker.camera.frames import Clip, Frames
 from tracker.detection import flux_prior as steady
-from tracker.detection.detect import detect, look
-from tracker.detection.flux_prior import FEWEST, steadied
+from tracker.detection.detect import detect, view_of
+from tracker.detection.flux_prior import FEWEST, with_flux_prior
 
 LEAN, OWN = np.array([0.6, -0.5]), 0.01**2  # correlations of place with log flux; variance of log flux
-PLACE = 0.005**2
+POSITION = 0.005**2
 
 
 def film(rng, n, scatter=0.0, field=0.01):
     """n glints anywhere, their errors of place and log flux correlated as a clipped glint's are."""
     true = rng.uniform([0, 0], [640, 480], (n, 2))
-    lean = rng.choice([-1, 1], n)[:, None] * LEAN * np.sqrt(PLACE * OWN)
-    cov = np.broadcast_to(PLACE * np.eye(2), (n, 2, 2)).copy()
+    cross = rng.choice([-1, 1], n)[:, None] * LEAN * np.sqrt(POSITION * OWN)
+    cov = np.broadcast_to(POSITION * np.eye(2), (n, 2, 2)).copy()
     whole = np.zeros((n, 3, 3))
     whole[:, :2, :2], whole[:, 2, 2] = cov, OWN
-    whole[:, 2, :2] = whole[:, :2, 2] = lean
+    whole[:, 2, :2] = whole[:, :2, 2] = cross
     error = (np.linalg.cholesky(whole) @ rng.standard_normal((n, 3, 1)))[..., 0]
     flux = 8.0 + field * ((true / 640) ** 2).sum(axis=1) + scatter * rng.standard_normal(n) + error[:, 2]
-    return true, true + error[:, :2], cov, flux, lean, np.full(n, OWN)
+    return true, true + error[:, :2], cov, flux, cross, np.full(n, OWN)
 
 
 def z_of(miss, cov):
@@ -35,10 +35,10 @@ def z_of(miss, cov):
 @pytest.mark.parametrize("scatter", [0.0, 0.01])
 def test_it_gains_what_conditioning_gains(scatter):
     true, seen, *rest = film(np.random.default_rng(1), 4000, scatter)
-    better, cov = steadied(seen, *rest)
+    better, cov = with_flux_prior(seen, *rest)
     left = 1 - LEAN**2 * OWN / (OWN + scatter**2)  # of the variance, by axis
-    assert ((better - true) ** 2).mean(axis=0) / PLACE == pytest.approx(left, rel=0.06)
-    assert np.diagonal(cov, axis1=1, axis2=2).mean(axis=0) / PLACE == pytest.approx(left, rel=0.02)
+    assert ((better - true) ** 2).mean(axis=0) / POSITION == pytest.approx(left, rel=0.06)
+    assert np.diagonal(cov, axis1=1, axis2=2).mean(axis=0) / POSITION == pytest.approx(left, rel=0.02)
     assert z_of(better - true, cov).std() == pytest.approx(1.0, abs=0.03)
 
 
@@ -46,57 +46,57 @@ def test_a_clip_of_few_frames_stays_honest():
     rng, z = np.random.default_rng(2), []
     for _ in range(60):
         true, seen, *rest = film(rng, 60)
-        better, cov = steadied(seen, *rest)
+        better, cov = with_flux_prior(seen, *rest)
         z.append(z_of(better - true, cov))
     assert np.std(z) == pytest.approx(1.0, abs=0.04)
 
 
 def test_a_flickering_lamp_tells_nothing_and_does_no_harm():
     true, seen, cov, *rest = film(np.random.default_rng(3), 200, scatter=0.3)
-    better, surer = steadied(seen, cov, *rest)
-    assert np.abs(better - seen).max() < 0.2 * np.sqrt(PLACE)
-    np.testing.assert_allclose(surer, cov, atol=2e-3 * PLACE)
+    better, surer = with_flux_prior(seen, cov, *rest)
+    assert np.abs(better - seen).max() < 0.2 * np.sqrt(POSITION)
+    np.testing.assert_allclose(surer, cov, atol=2e-3 * POSITION)
     assert len(true) == 200
 
 
 def test_what_shines_otherwise_is_left_alone_and_does_not_disturb():
     rng = np.random.default_rng(4)
-    true, seen, cov, flux, lean, own = film(rng, 400)
+    true, seen, cov, flux, cross, own = film(rng, 400)
     strange = rng.random(400) < 0.1
     flux[strange] -= rng.uniform(0.5, 3.0, strange.sum())
-    better, surer = steadied(seen, cov, flux, lean, own)
+    better, surer = with_flux_prior(seen, cov, flux, cross, own)
     np.testing.assert_array_equal(better[strange], seen[strange])
     np.testing.assert_array_equal(surer[strange], cov[strange])
-    left = ((better - true)[~strange] ** 2).mean() / PLACE
+    left = ((better - true)[~strange] ** 2).mean() / POSITION
     assert left == pytest.approx(1 - (LEAN**2).mean(), rel=0.15)
 
 
 @pytest.mark.parametrize("n", [0, 1, FEWEST - 1])
 def test_too_few_to_tell(n):
     _, seen, cov, *rest = film(np.random.default_rng(5), n)
-    better, surer = steadied(seen, cov, *rest)
+    better, surer = with_flux_prior(seen, cov, *rest)
     np.testing.assert_array_equal(better, seen)
     np.testing.assert_array_equal(surer, cov)
 
 
 def test_balls_that_all_rest():
     """One place, one flux: no field to be fitted."""
-    _, seen, cov, flux, lean, own = film(np.random.default_rng(6), 100)
-    better, surer = steadied(np.full_like(seen, 7.25), cov, flux, lean, own)
+    _, seen, cov, flux, cross, own = film(np.random.default_rng(6), 100)
+    better, surer = with_flux_prior(np.full_like(seen, 7.25), cov, flux, cross, own)
     assert np.isfinite(better).all()
     assert np.isfinite(surer).all()
 
 
 @pytest.mark.parametrize(("peak", "gain"), [(700.0, (0.002, 0.05)), (150.0, (0.0, 0.0))])
 def test_clipped_glints_of_a_film_gain_and_open_ones_need_not(monkeypatch, peak, gain):
-    frames = drawn(np.random.default_rng(7), collision(40, speed=3.0), peak=peak, body=14.0)
+    frames = drawn(np.random.default_rng(7), collision(40, speed=3.0), peak=peak, profile=14.0)
     sensor = CAMERA["sensor"] | {"full_well": 20000}
     clip = Clip(
         0, Camera.from_dict(CAMERA | {"sensor": sensor}), Frames(40, frames.shape[1:], np.uint8, lambda k: frames[k])
     )
-    helped = detect(clip, look(clip))
+    helped = detect(clip, view_of(clip))
     monkeypatch.setattr(steady, "FEWEST", 10**6)
-    alone = detect(clip, look(clip))
+    alone = detect(clip, view_of(clip))
     saved = 1 - np.trace(helped.cov, axis1=1, axis2=2).sum() / np.trace(alone.cov, axis1=1, axis2=2).sum()
     assert gain[0] <= saved <= gain[1]
     assert np.array_equal(helped.xy, alone.xy) == (gain[1] == 0)

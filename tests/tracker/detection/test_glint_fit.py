@@ -16,12 +16,12 @@ SENSOR = Sensor(bits=8, gain=20.0, read_noise=20.0, prnu=0.01, dsnu=4.0, black_l
 
 def shown(rng, n, peak, half=4):
     """Glints of width one near the middle of their windows, and their places."""
-    places = rng.uniform(-0.5, 0.5, (n, 2))
+    positions = rng.uniform(-0.5, 0.5, (n, 2))
     flux = peak * 2 * math.pi
     side = 2 * half + 1
-    counts = [expose(rng, 4.0 + flux * spot((side, side), half + x, half + y, 1.0)) for x, y in places]
+    counts = [expose(rng, 4.0 + flux * spot((side, side), half + x, half + y, 1.0)) for x, y in positions]
     nothing = np.zeros((n, 2))
-    start = np.clip(places + rng.normal(0, 0.2, (n, 2)), -1, 1)
+    start = np.clip(positions + rng.normal(0, 0.2, (n, 2)), -1, 1)
     return Windows(np.array(counts, float), np.ones((n, side, side)), start, nothing, nothing, np.zeros((n, 0, 3)))
 
 

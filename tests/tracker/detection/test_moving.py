@@ -4,7 +4,7 @@ import json
 
 import numpy as np
 import pytest
-from tracker_billiard import Physics, places, play, rolling, slip, truth
+from tracker_billiard import Physics, play, positions, rolling, slip, truth
 
 from tracker.camera.camera import Camera
 from tracker.detection.link import Tracks
@@ -26,7 +26,7 @@ def camera(tmp_path_factory):
 
 def seen(legs, frames, camera, rng, p, drop=0.0):
     """Tracks of all balls within the picture, with noise."""
-    xy = places(legs, np.arange(frames) / FPS, p)
+    xy = positions(legs, np.arange(frames) / FPS, p)
     parts = []
     for ball, way in enumerate(xy):
         px = camera.project(np.column_stack([way, np.full(frames, D / 2)])) + rng.normal(0, NOISE, (frames, 2))

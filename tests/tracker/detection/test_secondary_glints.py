@@ -10,22 +10,22 @@ from synthcam.camera.pinhole import Lamp, glint_px
 from tracker.camera.camera import Camera
 from tracker.camera.frames import Clip, Frames
 from tracker.detection.cramer_rao import localisation_bound
-from tracker.detection.detect import detect, look
-from tracker.detection.secondary_glints import agreed
+from tracker.detection.detect import detect, view_of
+from tracker.detection.secondary_glints import with_common_reflectance
 
-PLACE, LEAN = 0.01**2, np.array([0.45, 0.2])  # variance of a place; its correlation with the reflectance by axis
+POSITION, LEAN = 0.01**2, np.array([0.45, 0.2])  # variance of a place; its correlation with the reflectance by axis
 
 
 def film(rng, n, noise=0.2, scatter=0.0):
     """n glints with secondary ones of reflectance .55, the errors of both correlated, the noise of each another."""
     true, own = rng.uniform(0, 600, (n, 2)), (noise * rng.uniform(0.5, 2, n)) ** 2
     whole = np.zeros((n, 3, 3))
-    whole[:, :2, :2], whole[:, 2, 2] = PLACE * np.eye(2), own
-    lean = LEAN * np.sqrt(PLACE * own)[:, None]
-    whole[:, 2, :2] = whole[:, :2, 2] = lean
+    whole[:, :2, :2], whole[:, 2, 2] = POSITION * np.eye(2), own
+    cross = LEAN * np.sqrt(POSITION * own)[:, None]
+    whole[:, 2, :2] = whole[:, :2, 2] = cross
     error = (np.linalg.cholesky(whole) @ rng.standard_normal((n, 3, 1)))[..., 0]
     seen = 0.55 + scatter * rng.standard_normal(n) + error[:, 2]
-    return true, true + error[:, :2], np.broadcast_to(PLACE * np.eye(2), (n, 2, 2)).copy(), seen, lean, own
+    return true, true + error[:, :2], np.broadcast_to(POSITION * np.eye(2), (n, 2, 2)).copy(), seen, cross, own
 
 
 def z_of(miss, cov):
@@ -34,10 +34,10 @@ def z_of(miss, cov):
 
 def test_it_gains_what_conditioning_gains():
     true, seen, *rest = film(np.random.default_rng(1), 4000)
-    better, cov = agreed(seen, *rest)
-    left = ((better - true) ** 2).mean(axis=0) / PLACE
+    better, cov = with_common_reflectance(seen, *rest)
+    left = ((better - true) ** 2).mean(axis=0) / POSITION
     assert left == pytest.approx(1 - LEAN**2, abs=0.05)
-    assert np.diagonal(cov, axis1=1, axis2=2).mean(axis=0) / PLACE == pytest.approx(left, rel=0.05)
+    assert np.diagonal(cov, axis1=1, axis2=2).mean(axis=0) / POSITION == pytest.approx(left, rel=0.05)
 
 
 @pytest.mark.parametrize("n", [2, 4, 12])
@@ -46,17 +46,17 @@ def test_few_stay_honest(n):
     rng, z = np.random.default_rng(n), []
     for _ in range(6000 // n):
         true, seen, *rest = film(rng, n)
-        better, cov = agreed(seen, *rest)
+        better, cov = with_common_reflectance(seen, *rest)
         z.append(z_of(better - true, cov))
     assert np.concatenate(z).std() == pytest.approx(1.0, abs=0.02)
 
 
 def test_balls_that_differ_tell_one_another_little():
     true, seen, cov, *rest = film(np.random.default_rng(3), 400, noise=0.05, scatter=1.0)
-    better, surer = agreed(seen, cov, *rest)
-    assert np.abs(better - seen).max() < 0.2 * np.sqrt(PLACE)
-    np.testing.assert_allclose(surer, cov, atol=0.01 * PLACE)
-    alone, same = agreed(seen[:1], cov[:1], *[part[:1] for part in rest])
+    better, surer = with_common_reflectance(seen, cov, *rest)
+    assert np.abs(better - seen).max() < 0.2 * np.sqrt(POSITION)
+    np.testing.assert_allclose(surer, cov, atol=0.01 * POSITION)
+    alone, same = with_common_reflectance(seen[:1], cov[:1], *[part[:1] for part in rest])
     np.testing.assert_array_equal(alone, seen[:1])
     np.testing.assert_array_equal(same, cov[:1])
     assert len(true) == 400
@@ -96,21 +96,21 @@ def test_small_balls_that_touch_are_where_the_bound_says():
             found = find_glints(drawn, lamp, centres[None], np.full(2, radius), np.ones((1, 2), bool))
             part = picture[row - size : row + size, column - size : column + size]
             corner = np.array([column, row]) - size
-            for place in drawn.project(centres) - corner:
-                part += 4 * disc(part.shape, *place, 5.0)
+            for position in drawn.project(centres) - corner:
+                part += 4 * disc(part.shape, *position, 5.0)
             bright = found.flux / found.flux[found.order == 1].mean() * 200 * 2 * np.pi
-            for place, flux in zip(found.pixels - corner, bright, strict=True):
-                part += flux * spot(part.shape, *place, 1.0)
-            true.append([[len(pictures), *place] for place in found.pixels[found.order == 1]])
+            for position, flux in zip(found.pixels - corner, bright, strict=True):
+                part += flux * spot(part.shape, *position, 1.0)
+            true.append([[len(pictures), *position] for position in found.pixels[found.order == 1]])
         pictures.append(picture)
     frames = np.array([expose(rng, picture) for picture in pictures])
     clip = Clip(0, camera, Frames(len(frames), frames.shape[1:], frames.dtype, lambda k: frames[k]))
-    found, places = detect(clip, look(clip)), np.concatenate(true)
-    far = np.hypot(*(found.xy[:, None] - places[:, 1:]).T) + 1e3 * (places[:, :1] != found.frame)
-    assert len(found) == len(places) == 320
+    found, positions = detect(clip, view_of(clip)), np.concatenate(true)
+    far = np.hypot(*(found.xy[:, None] - positions[:, 1:]).T) + 1e3 * (positions[:, :1] != found.frame)
+    assert len(found) == len(positions) == 320
     order = far.argmin(axis=1)
-    miss, cov = found.xy[order] - places[:, 1:], found.cov[order]
-    bound = localisation_bound(camera, np.full(320, 400 * np.pi), places[:, 1:], background=12.5)
+    miss, cov = found.xy[order] - positions[:, 1:], found.cov[order]
+    bound = localisation_bound(camera, np.full(320, 400 * np.pi), positions[:, 1:], background=12.5)
     unit = np.sqrt(np.trace(bound.mean(axis=0)) / 2)
     assert np.sqrt(np.mean(miss**2)) / unit == pytest.approx(1.0, abs=0.07)
     assert np.sqrt(np.trace(cov.mean(axis=0)) / 2) / unit == pytest.approx(1.0, abs=0.06)

@@ -292,5 +292,5 @@ def test_courses_carry_the_pixels_errors_into_metres(plain):
     assert all(isinstance(c, Course) and c.weighed for c in balls)
     np.testing.assert_allclose(np.sqrt(balls[0].cov[:, 0, 0]), NOISE * camera.scale, rtol=1e-3)
     true = truth[truth["particle"] == 0][["x", "y"]].to_numpy()
-    assert np.abs(balls[0].place - true).max() < 6 * NOISE * camera.scale
+    assert np.abs(balls[0].position - true).max() < 6 * NOISE * camera.scale
     assert len(TIED) == 13

@@ -52,12 +52,12 @@ def test_its_own_error_is_known():
 def test_errors_that_a_resting_ball_repeats_are_not_missed():
     """A creeping ball shares most of its errors from frame to frame: claimed so, they are as large as claimed."""
     rng, frame = np.random.default_rng(4), np.arange(120)
-    place = np.column_stack([0.02 * frame, 0.0 * frame])
+    position = np.column_stack([0.02 * frame, 0.0 * frame])
     fixed = 0.9 * 0.1**2 * np.eye(2)
     own, ratios = 0.1 * np.sqrt(0.1), []
     for _ in range(40):
         shared = np.sqrt(0.9) * 0.1 * rng.standard_normal(2)
-        xy = place + shared + rng.normal(0, own, (120, 2))
+        xy = position + shared + rng.normal(0, own, (120, 2))
         cov = np.tile(0.1**2 * np.eye(2), (120, 1, 1))
         ratios.append(scatter([Course(0, frame, frame / 250, xy, cov, 0.0, np.tile(fixed, (120, 1, 1)), 50.0)]).ratio)
     assert np.mean(ratios) == pytest.approx(1, abs=0.1)

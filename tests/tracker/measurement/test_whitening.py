@@ -20,27 +20,27 @@ def test_shared_errors_are_those_of_a_random_pattern():
     grid = np.arange(-12, 12.01, 0.2)
     x, y = np.meshgrid(grid, grid)
 
-    def slopes(place):
-        u, v = x - place[0], y - place[1]
+    def slopes(position):
+        u, v = x - position[0], y - position[1]
         g = np.exp(-(u**2 + v**2) / (2 * SIGMA**2))
         return np.stack([u * g, v * g]).reshape(2, -1)
 
-    places = np.array([[0.0, 0.0], [0.6, 0.0], [0.0, 1.7], [2.0, -1.1], [7.0, 0.0]])
-    told = np.concatenate([slopes(p) for p in places])
+    positions = np.array([[0.0, 0.0], [0.6, 0.0], [0.0, 1.7], [2.0, -1.1], [7.0, 0.0]])
+    told = np.concatenate([slopes(p) for p in positions])
     product = told @ told.T
     fixed = np.tile(np.eye(2) * 0.3, (5, 1, 1))
-    mine = covariance(places, fixed + np.eye(2), fixed, SIGMA) - np.kron(np.eye(5), np.eye(2))
+    mine = covariance(positions, fixed + np.eye(2), fixed, SIGMA) - np.kron(np.eye(5), np.eye(2))
     np.testing.assert_allclose(mine, 0.3 * product / product[0, 0], atol=1e-3)
 
 
 def test_whitening_leaves_unit_errors():
     rng = np.random.default_rng(0)
-    place = np.cumsum(rng.normal(0, 0.4, (30, 2)), axis=0)
+    position = np.cumsum(rng.normal(0, 0.4, (30, 2)), axis=0)
     root = rng.normal(size=(30, 2, 2))
     cov = root @ root.transpose(0, 2, 1) + 0.1 * np.eye(2)
-    white = Whitener(place, cov, 0.6 * cov, SIGMA)
+    white = Whitener(position, cov, 0.6 * cov, SIGMA)
     unit = np.stack([white(e) for e in np.eye(60).reshape(60, 30, 2)], axis=1)
-    np.testing.assert_allclose(unit @ covariance(place, cov, 0.6 * cov, SIGMA) @ unit.T, np.eye(60), atol=1e-9)
+    np.testing.assert_allclose(unit @ covariance(position, cov, 0.6 * cov, SIGMA) @ unit.T, np.eye(60), atol=1e-9)
     np.testing.assert_allclose(white(np.eye(60).reshape(60, 30, 2)), unit.T)
     errors = rng.normal(size=(30, 2))
     np.testing.assert_allclose(white.distance(errors), np.einsum("ni,nij,nj->n", errors, np.linalg.inv(cov), errors))

@@ -12,7 +12,7 @@ from tracker_noisy import dataset
 
 from tracker.camera.camera import InputError
 from tracker.camera.frames import open_source
-from tracker.detection.detect import detectors, look
+from tracker.detection.detect import detectors, view_of
 from tracker.scoring import compare as module
 from tracker.scoring.compare import compare, tables
 from tracker.scoring.score import score
@@ -30,8 +30,8 @@ def filmed(tmp_path_factory):
     dataset(folder, settings, 1)
     home = folder / "clips" / "000000"
     truth = pd.read_parquet(home / "truth" / "tracks.parquet")
-    places = truth.pivot(index="frame", columns="particle", values=["glint_x_px", "glint_y_px"])
-    paths = np.stack([places["glint_x_px"].to_numpy(), places["glint_y_px"].to_numpy()], axis=-1)
+    positions = truth.pivot(index="frame", columns="particle", values=["glint_x_px", "glint_y_px"])
+    paths = np.stack([positions["glint_x_px"].to_numpy(), positions["glint_y_px"].to_numpy()], axis=-1)
     frames = film(np.random.default_rng(0), paths, shape=(240, 320), peak=500.0, body=0.0)
     tifffile.imwrite(home / "frames.tif", frames, imagej=True)
     return folder
@@ -106,7 +106,7 @@ def test_peers_find_the_same_balls(filmed, name, furthest, claimed):
     if name == "trackpy_locate":
         pytest.importorskip("trackpy")
     clip = open_source(filmed).clip(0)
-    finder = detectors()[name](look(clip))
+    finder = detectors()[name](view_of(clip))
     truth = pd.read_parquet(filmed / "clips/000000/truth/tracks.parquet")
     whole = truth[truth["visible"]].groupby("frame")["particle"].size()
     for k in whole.index[whole == 2][[0, 5, -1]]:
@@ -120,7 +120,7 @@ def test_peers_find_the_same_balls(filmed, name, furthest, claimed):
 
 def test_two_libraries_weigh_the_same_regions_alike(filmed):
     clip = open_source(filmed).clip(0)
-    view = look(clip)
+    view = view_of(clip)
     for k in (0, 20, 39):
         opencv, skimage = (
             detectors()[name](view)(clip.frames[k]) for name in ("opencv_components", "skimage_regionprops")

@@ -88,10 +88,10 @@ def test_nothing_found_and_nothing_there():
     assert np.isnan(tracking_scores([(nothing, nothing)])["alpha"])
 
 
-def ball_table(places, visible=True):
-    frame = np.arange(len(places))
+def ball_table(positions, visible=True):
+    frame = np.arange(len(positions))
     table = pd.DataFrame({"frame": frame, "particle": 0, "visible": visible})
-    return table.assign(x_mean_px=[p[0] for p in places], y_mean_px=[p[1] for p in places])
+    return table.assign(x_mean_px=[p[0] for p in positions], y_mean_px=[p[1] for p in positions])
 
 
 def test_missed_false_and_excused_detections():
@@ -106,10 +106,10 @@ def test_missed_false_and_excused_detections():
 
 def test_pixel_locking_shows_as_phase_bias():
     rng = np.random.default_rng(0)
-    places = [(0.37 * k, 50 + 0.211 * k) for k in range(2000)]
-    truth = ball_table(places)
+    positions = [(0.37 * k, 50 + 0.211 * k) for k in range(2000)]
+    truth = ball_table(positions)
     for locked in (0.0, 0.02):
-        x = np.array([p[0] for p in places])
+        x = np.array([p[0] for p in positions])
         noise = rng.normal(0, 0.01, (2, len(x)))
         spots = pd.DataFrame({"frame": truth["frame"], "particle": 0, "x": x + locked / 2 * np.sin(2 * np.pi * x)})
         spots = spots.assign(x=spots["x"] + noise[0], y=truth["y_mean_px"] + noise[1])

@@ -32,7 +32,7 @@ except Exception as error:  # PyOpenGL raises whatever its loader happens to tri
 Float32 = NDArray[np.float32]
 
 SIDE = 1024  # usual side of the buffer, samples
-MOST = 2048  # bodies in one draw call
+MOST = 2048  # balls in one draw call
 
 
 class NoGL(RuntimeError):
@@ -49,7 +49,7 @@ class _Programs(pyrender.shader_program.ShaderProgramCache if pyrender else obje
 
 
 class _Renderer(pyrender.Renderer if pyrender else object):  # type: ignore[misc]
-    """pyrender's renderer with a float32 buffer, our shaders and bodies that add up where they overlap."""
+    """pyrender's renderer with a float32 buffer, our shaders and balls that add up where they overlap."""
 
     def __init__(self) -> None:
         super().__init__(SIDE, SIDE)
@@ -100,7 +100,7 @@ class _Renderer(pyrender.Renderer if pyrender else object):  # type: ignore[misc
         return np.frombuffer(read, np.float32).reshape(self.rows, self.viewport_width)
 
     def load_others(self, others: Float32) -> None:
-        """Neighbours (n, k, 4) of each body, read by the shader as the rows of a texture."""
+        """Neighbours (n, k, 4) of each ball, read by the shader as the rows of a texture."""
         if self._others is None:
             # Two, for with one PyOpenGL 3.1.0, which pyrender wants, passes a ctypes pointer that Python 3.12 refuses.
             self._others = int(GL.glGenTextures(2)[0])
@@ -127,7 +127,7 @@ class _Screen(pyrender.OffscreenRenderer if pyrender else object):  # type: igno
 
 
 class Canvas:
-    """The process's one OpenGL context with its scene: a quad, drawn once for every body."""
+    """The process's one OpenGL context with its scene: a quad, drawn once for every ball."""
 
     def __init__(self) -> None:
         if pyrender is None:

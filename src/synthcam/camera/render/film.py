@@ -1,7 +1,7 @@
-"""A film of rolling mirror balls: bodies drawn by pyrender, the lamp's images added in closed form.
+"""A film of rolling mirror balls: balls drawn by pyrender, the lamp's images added in closed form.
 
-The bodies are ray-traced by our own shader into one float32 channel, without the lamp: its images are small and
-bright, and are added from their exact places, fluxes and moments.
+The balls are ray-traced by our own shader into one float32 channel, without the lamp: its images are small and
+bright, and are added from their exact positions, fluxes and moments.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -9,7 +9,6 @@ from collections.abc import Callable, Iterator, Sequence
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from synthcam.camera import plate as floor
 from synthcam.camera.exposure import (
     Array,
     Moments,
@@ -25,7 +24,7 @@ from synthcam.camera.exposure import (
 )
 from synthcam.camera.glints import PLAIN, Glints, find_glints, join
 from synthcam.camera.pinhole import Camera, Lamp
-from synthcam.camera.plate import PLATE
+from synthcam.camera.plate import PLATE, casters, gloss, grain, irradiance, on_plate, plain
 from synthcam.camera.psf import Psf
 from synthcam.camera.render.canvas import SIDE, Float32, shared_canvas
 from synthcam.camera.shutter import rolled
@@ -34,8 +33,8 @@ from synthcam.camera.surface import STEEL, Surface
 Index = NDArray[np.intp]
 Centres = Callable[[Array], Array]
 
-FINENESS = 3  # body samples a pixel, each way
-BODIES, ON_PLATE, SHADES, PLATE_ALONE = 0, 1, 2, 3  # what the shader draws
+FINENESS = 3  # samples of a ball a pixel, each way
+BALLS, ON_PLATE, SHADES, PLATE_ALONE = 0, 1, 2, 3  # what the shader draws
 BATCH = 128  # exposures gathered at a time
 CELL = 0.4  # half-width of a lamp's cells as they are seen, over the blur's sigma
 
@@ -73,7 +72,7 @@ class Film:
             "gloss": surface.plate_gloss,
             "lamp": np.zeros(3),
         }
-        self._plain = floor.plain(lamp, surface)
+        self._plain = plain(lamp, surface)
         self._slope = 0.0 if self._plain else self._steepest()
         self._lit = np.zeros((1, 1), np.float32)
         self.plate = self._draw_plate() if self._plain else self._compute_plate()
@@ -93,9 +92,9 @@ class Film:
         whole, glints = self._resting(self.lamp, np.inf), self._resting(self.lamp, self._cells[0])
         lone = len(glints.flux) == 1 and self.psf.plain
         half = 0 if lone else self.psf.margin + int(np.ceil(np.abs(glints.pixels - whole.pixels[:1]).max()))
-        place = glints.pixels - whole.pixels[0] + half
+        position = glints.pixels - whole.pixels[0] + half
         spread = glints.spread + self.camera.psf_sigma_px**2
-        rows, columns = spots(place, spread, np.zeros((1, 2)), 2 * half + 1, self.psf.steps)
+        rows, columns = spots(position, spread, np.zeros((1, 2)), 2 * half + 1, self.psf.steps)
         if lone:
             return float(1 / (glints.flux * rows[0, 0] * columns[0, 0])[0])
         spot = ((rows * glints.flux[:, None]).T @ columns)[None].astype(np.float32)
@@ -140,16 +139,16 @@ class Film:
         return plate.copy() if self._vignette is None else plate * self._vignette
 
     def _compute_plate(self) -> Float32:
-        points, surface = floor.on_plate(self.camera), self.surface
-        lit = PLATE * self.room * floor.irradiance(self.lamp, points)
+        points, surface = on_plate(self.camera), self.surface
+        lit = PLATE * self.room * irradiance(self.lamp, points)
         mirrored = np.zeros(1)
         if surface.plate_texture:
-            lit *= floor.grain(surface, points)
+            lit *= grain(surface, points)
         if surface.plate_gloss:
-            lit += self._unit * floor.gloss(self.lamp, surface, self.camera.centre, points)
+            lit += self._unit * gloss(self.lamp, surface, self.camera.centre, points)
             way = self.camera.centre - points
             up = way[..., 2] / np.linalg.norm(way, axis=-1)
-            dull = PLATE * self.room * floor.irradiance(self.lamp, points)
+            dull = PLATE * self.room * irradiance(self.lamp, points)
             mirrored = surface.plate_gloss * (dull + (self.room / surface.head_on - dull) * up)
         shade: Array | Float32 = np.ones(1) if self._vignette is None else self._vignette
         self._lit = (lit * shade).astype(np.float32)
@@ -158,19 +157,19 @@ class Film:
     def _steepest(self) -> float:
         """Tangent of the lamps' lowest light on the plate in view."""
         w, h = self.camera.size
-        corners = floor.on_plate(self.camera)[:: h - 1, :: w - 1].reshape(-1, 3)
+        corners = on_plate(self.camera)[:: h - 1, :: w - 1].reshape(-1, 3)
         ways = [lamp.position - corner for corner in corners for lamp in self.lamp.all]
         return float(max(np.hypot(way[0], way[1]) / way[2] for way in ways))
 
-    def _reach(self, places: Array, slope: Array) -> Array:
+    def _reach(self, positions: Array, slope: Array) -> Array:
         """Half width (T, N) px of what a ball changes: itself, its mirror image in the plate, its shadow."""
-        extent = reach(self.camera, places, self.radii, slope)
+        extent = reach(self.camera, positions, self.radii, slope)
         far = extent
         if self.surface.plate_gloss:
-            image = self.camera.project(places * [1, 1, -1]) - self.camera.project(places)
+            image = self.camera.project(positions * [1, 1, -1]) - self.camera.project(positions)
             far = np.maximum(far, np.linalg.norm(image, axis=-1) + extent)
         if self.surface.plate_shadow:
-            shadow = self._slope * places[..., 2] / self.radii + np.hypot(self._slope, 1) + 0.3
+            shadow = self._slope * positions[..., 2] / self.radii + np.hypot(self._slope, 1) + 0.3
             far = np.maximum(far, extent * shadow)
         return np.asarray(np.minimum(far, 12 * extent))
 
@@ -179,7 +178,7 @@ class Film:
         return {"SCENE": scene} | pair | ({"METAL": 1} if self.surface.steel else {})
 
     def _jobs(self, centres: Array, radii: Array, fineness: int) -> Float32:
-        """Instance matrices (n, 4, 4) for bodies (n, 3), (n,), place and neighbours still to be filled in."""
+        """Instance matrices (n, 4, 4) for balls (n, 3), (n,), position and neighbours still to be filled in."""
         camera = self.camera
         slope = camera.project_with_slope(centres)[1] @ camera.R.T
         jobs = np.zeros((len(centres), 4, 4), np.float32)
@@ -191,7 +190,7 @@ class Film:
         # Lambert's plate under a small lamp facing down: cos^4 of the angle.
         fall = (self.lamp.position[2] / np.linalg.norm(to_lamp, axis=1)) ** 4
         if not self._plain:
-            fall = floor.irradiance(self.lamp, centres * [1, 1, 0])
+            fall = irradiance(self.lamp, centres * [1, 1, 0])
         jobs[:, 3, 3] = PLATE * self.room * fall
         return jobs
 
@@ -212,9 +211,9 @@ class Film:
 
     def _rolled(self, centres: Centres, span: Array, cuts: Array) -> Picture:
         def seen(times: Array) -> tuple[Array, Array]:
-            places = np.asarray(centres(times), float)
-            pixels, slope = self.camera.project_with_slope(places)
-            return pixels, reach(self.camera, places, self.radii, slope) + self.psf.margin
+            positions = np.asarray(centres(times), float)
+            pixels, slope = self.camera.project_with_slope(positions)
+            return pixels, reach(self.camera, positions, self.radii, slope) + self.psf.margin
 
         starts = span[0] + np.arange(self.camera.size[1]) * self.camera.line_time
         light = self.lamp.flicker.mean(starts, starts + span[1] - span[0])
@@ -233,15 +232,15 @@ class Film:
 
     def _gather(self, centres: Centres, spans: Array, cuts: Array) -> Iterator[Picture]:
         moments, coarse = self._moments(centres, spans, cuts)
-        places = np.asarray(centres(moments.times), float)
-        pixels, slope = self.camera.project_with_slope(places)
-        extent = self._reach(places, slope)
+        positions = np.asarray(centres(moments.times), float)
+        pixels, slope = self.camera.project_with_slope(positions)
+        extent = self._reach(positions, slope)
         patches = Patches(self.camera, self.psf.margin, moments, pixels, extent, len(spans))
         wanted = patches.number[moments.frames] >= 0
         found = []
         for lamp, cell in zip(self.lamp.all, self._cells, strict=True):
-            light = lamp.light(moments.times)
-            found.append(find_glints(self.camera, lamp, places, self.radii, wanted, self.surface, cell, light))
+            light = wanted * lamp.light(moments.times)[:, None]
+            found.append(find_glints(self.camera, lamp, positions, self.radii, light, self.surface, cell))
         glints = join(found)
         drawn: dict[int, Float32] = {}
         shades: dict[int, Float32] = {}
@@ -251,13 +250,13 @@ class Film:
             room_for = max(1, SIDE // tile) ** 2
             for first in range(0, len(same), room_for):
                 alike = same[first : first + room_for]
-                bodies = self._bodies(centres, coarse, patches, alike, BODIES if self._plain else ON_PLATE)
-                self._add_glints(bodies, glints, moments, patches, alike)
+                images = self._draw_balls(centres, coarse, patches, alike, BALLS if self._plain else ON_PLATE)
+                self._add_glints(images, glints, moments, patches, alike)
                 if not self.psf.plain:
-                    bodies = self.psf.spread(bodies)
-                drawn |= zip(alike.tolist(), bodies, strict=True)
+                    images = self.psf.spread(images)
+                drawn |= zip(alike.tolist(), images, strict=True)
                 if not self._plain:
-                    shade = self._bodies(centres, coarse, patches, alike, SHADES)
+                    shade = self._draw_balls(centres, coarse, patches, alike, SHADES)
                     shade = shade if self.psf.plain else self.psf.spread(shade)
                     shades |= zip(alike.tolist(), shade, strict=True)
         for frame, bright in enumerate(self.lamp.flicker.mean(*spans.T).tolist()):
@@ -273,14 +272,14 @@ class Film:
                 spot = parts[k][top - rows.start : bottom - rows.start, left - columns.start : right - columns.start]
                 x, y = patches.origins[number]
                 there = np.s_[top - y : bottom - y, left - x : right - x]
-                body = drawn[number][there]
-                spot += body if self._vignette is None else body * self._vignette[here]
+                image_of_ball = drawn[number][there]
+                spot += image_of_ball if self._vignette is None else image_of_ball * self._vignette[here]
                 if number in shades:
                     spot += self._lit[here] * shades[number][there]
             yield Picture(plate, boxes, tuple(parts))
 
     def _moments(self, centres: Centres, spans: Array, cuts: Array) -> tuple[Moments, Moments]:
-        """Sub-exposures for the glints and, as a body is wide and faint, fewer for the bodies."""
+        """Sub-exposures for the glints and, as a ball is wide and faint, fewer for the balls."""
         bounds, weights, frames = pieces(spans, cuts)
         ends = self.camera.project(np.asarray(centres(bounds.ravel()), float))
         ends = ends.reshape(len(bounds), 2, -1, 2)
@@ -293,36 +292,36 @@ class Film:
         wave = np.diff(bounds, axis=1)[:, 0] * max(waves, default=0.0)
         return tuple(sample(bounds, weights, frames, far, wave) for far in (farthest, farthest / 4))  # type: ignore[return-value]
 
-    def _bodies(self, centres: Centres, moments: Moments, patches: Patches, alike: Index, scene: int) -> Float32:
-        """Blurred bodies less the plate behind them, (n, width, width) for n patches of one width.
+    def _draw_balls(self, centres: Centres, moments: Moments, patches: Patches, alike: Index, scene: int) -> Float32:
+        """Blurred balls less the plate behind them, (n, width, width) for n patches of one width.
 
-        scene: BODIES; or ON_PLATE, with their images in the plate, where SHADES are what they take of its light.
+        scene: BALLS; or ON_PLATE, with their images in the plate, where SHADES are what they take of its light.
         """
-        places = np.asarray(centres(moments.times), float)
-        pixels, slope = self.camera.project_with_slope(places)
-        extent = self._reach(places, slope)
+        positions = np.asarray(centres(moments.times), float)
+        pixels, slope = self.camera.project_with_slope(positions)
+        extent = self._reach(positions, slope)
         width, margin = int(patches.widths[alike[0]]), patches.margin
         tile = (width - 2 * margin) * FINENESS
         across = max(1, SIDE // tile)
-        slots = patches.slots(alike)[patches.number[moments.frames]]
-        moment, ball = np.nonzero(slots >= 0)
-        slot, place = slots[moment, ball], pixels[moment, ball]
-        jobs = self._jobs(places[moment, ball], self.radii[ball], FINENESS)
-        jobs[:, 0, :2] = np.stack([slot % across, slot // across], axis=1) * tile
-        jobs[:, 0, 2:] = (place - patches.origins[alike[slot]] - margin + 0.5) * FINENESS
+        ranks = patches.ranks(alike)[patches.number[moments.frames]]
+        moment, ball = np.nonzero(ranks >= 0)
+        rank, position = ranks[moment, ball], pixels[moment, ball]
+        jobs = self._jobs(positions[moment, ball], self.radii[ball], FINENESS)
+        jobs[:, 0, :2] = np.stack([rank % across, rank // across], axis=1) * tile
+        jobs[:, 0, 2:] = (position - patches.origins[alike[rank]] - margin + 0.5) * FINENESS
         jobs[:, 2, 3] = (moments.weights * self.lamp.light(moments.times))[moment]
         jobs[:, 3, 1] = extent[moment, ball] * FINENESS
-        others = self._neighbours(jobs, places, moment, ball, ordered=scene == SHADES)
-        if scene != BODIES:
-            others = self._with_notes(jobs, others, places[moment, ball], ball, scene)
+        others = self._neighbours(jobs, positions, moment, ball, ordered=scene == SHADES)
+        if scene != BALLS:
+            others = self._with_notes(jobs, others, positions[moment, ball], ball, scene)
         rows = -(-len(alike) // across)
         drawn = self._canvas.draw(jobs, others, (rows * tile, across * tile), self._uniforms, **self._defines(scene))
         tiles = drawn.reshape(rows, tile, across, tile).swapaxes(1, 2).reshape(-1, tile, tile)[: len(alike)]
         blur = blur_matrix(width, margin, FINENESS, self.camera.psf_sigma_px, self.psf.steps)
         return blurred(tiles, blur)
 
-    def _neighbours(self, jobs: Float32, places: Array, moment: Index, ball: Index, ordered: bool) -> Float32:
-        """Neighbours (n, N - 1, 4) of each body in its own radii, nearest first; counts go into the jobs.
+    def _neighbours(self, jobs: Float32, positions: Array, moment: Index, ball: Index, ordered: bool) -> Float32:
+        """Neighbours (n, N - 1, 4) of each ball in its own radii, nearest first; counts go into the jobs.
 
         ordered: balls of lower number have negative radii.
         """
@@ -330,27 +329,27 @@ class Film:
         if total == 1:
             return np.zeros((len(jobs), 1, 4), np.float32)
         others = np.array([[k for k in range(total) if k != own] for own in range(total)])[ball]
-        offsets = places[moment[:, None], others] - places[moment, ball][:, None]
+        offsets = positions[moment[:, None], others] - positions[moment, ball][:, None]
         distance = np.linalg.norm(offsets, axis=2)
         order = np.argsort(distance, axis=1, kind="stable")
         found = np.concatenate([offsets @ self.camera.R.T, self.radii[others][..., None]], axis=2)
         found /= self.radii[ball][:, None, None]
         if ordered:
             found[..., 3] *= np.where(others < ball[:, None], -1, 1)
-        # Beyond this a neighbour's image is under 1e-5 of the body and single precision thins out.
+        # Beyond this a neighbour's image is under 1e-5 of the ball and single precision thins out.
         jobs[:, 3, 0] = (distance < 60 * self.radii[ball][:, None]).sum(axis=1)
         return np.take_along_axis(found, order[..., None], axis=1).astype(np.float32)
 
-    def _with_notes(self, jobs: Float32, others: Float32, places: Array, ball: Index, scene: int) -> Float32:
+    def _with_notes(self, jobs: Float32, others: Float32, positions: Array, ball: Index, scene: int) -> Float32:
         """Neighbours followed by the depth of the plate and the lamps, as the shader reads them."""
         radii, count, camera = self.radii[ball], jobs[:, 3, 0].astype(int), self.camera
         casting = self.surface.plate_shadow and scene == SHADES
-        discs = [floor.casters(self.lamp, p * [1, 1, 0]) if casting else np.zeros((0, 5)) for p in places]
+        discs = [casters(self.lamp, p * [1, 1, 0]) if casting else np.zeros((0, 5)) for p in positions]
         notes = np.zeros((len(jobs), 1 + 2 * max(len(d) for d in discs), 4), np.float32)
-        notes[:, 0, 0] = places[:, 2] / radii
+        notes[:, 0, 0] = positions[:, 2] / radii
         for k, disc in enumerate(discs):
             notes[k, 0, 2] = len(disc)
-            notes[k, 1 : 1 + 2 * len(disc) : 2, :3] = (disc[:, :3] - places[k]) @ camera.R.T / radii[k]
+            notes[k, 1 : 1 + 2 * len(disc) : 2, :3] = (disc[:, :3] - positions[k]) @ camera.R.T / radii[k]
             notes[k, 1 : 1 + 2 * len(disc) : 2, 3] = disc[:, 3] / radii[k]
             notes[k, 2 : 2 + 2 * len(disc) : 2, 0] = disc[:, 4]
         rows = np.zeros((len(jobs), others.shape[1] + notes.shape[1], 4), np.float32)
@@ -359,20 +358,20 @@ class Film:
             rows[k, near : near + notes.shape[1]] = notes[k]
         return rows
 
-    def _add_glints(self, bodies: Float32, glints: Glints, moments: Moments, patches: Patches, alike: Index) -> None:
-        slots = patches.slots(alike)[patches.number[moments.frames[glints.moment], glints.ball]]
-        order = np.argsort(slots, kind="stable")
-        order = order[np.searchsorted(slots[order], 0) :]
-        slots, moment = slots[order], glints.moment[order]
+    def _add_glints(self, images: Float32, glints: Glints, moments: Moments, patches: Patches, alike: Index) -> None:
+        ranks = patches.ranks(alike)[patches.number[moments.frames[glints.moment], glints.ball]]
+        order = np.argsort(ranks, kind="stable")
+        order = order[np.searchsorted(ranks[order], 0) :]
+        ranks, moment = ranks[order], glints.moment[order]
         variances = glints.spread[order] + self.camera.psf_sigma_px**2
-        origins = patches.origins[alike[slots]]
+        origins = patches.origins[alike[ranks]]
         width = int(patches.widths[alike[0]])
         rows, columns = spots(glints.pixels[order], variances, origins, width, self.psf.steps)
         rows *= (glints.flux[order] * moments.weights[moment] * self._unit)[:, None]
-        bounds = np.searchsorted(slots, np.arange(len(bodies) + 1))
-        for k, body in enumerate(bodies):
+        bounds = np.searchsorted(ranks, np.arange(len(images) + 1))
+        for k, image_of_ball in enumerate(images):
             own = slice(bounds[k], bounds[k + 1])
-            body += rows[own].T @ columns[own]
+            image_of_ball += rows[own].T @ columns[own]
 
 
 def _vignette(camera: Camera) -> Float32 | None:

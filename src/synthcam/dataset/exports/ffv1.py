@@ -19,13 +19,13 @@ def write(clips: Iterator[Recorded], folder: Path) -> None:
     for clip in clips:
         if not clip.video:
             raise InputError(f"{clip.stack}: no such file; expected a dataset with video")
-        place = folder / f"{clip.number:06d}"
-        place.mkdir()
-        (place / "camera.json").write_text(json.dumps(clip.camera, indent=1) + "\n", encoding="utf-8")
+        own = folder / f"{clip.number:06d}"
+        own.mkdir()
+        (own / "camera.json").write_text(json.dumps(clip.camera, indent=1) + "\n", encoding="utf-8")
         depth = cv2.CV_8U if clip.bits == 8 else cv2.CV_16U
         kind = [cv2.VIDEOWRITER_PROP_IS_COLOR, 0, cv2.VIDEOWRITER_PROP_DEPTH, depth]
         code = cv2.VideoWriter.fourcc(*"FFV1")
-        path, size = place / "frames.mkv", tuple(clip.camera["size"])
+        path, size = own / "frames.mkv", tuple(clip.camera["size"])
         film = cv2.VideoWriter(os.fspath(path), cv2.CAP_FFMPEG, code, float(clip.camera["fps"]), size, kind)
         if not film.isOpened():
             raise InputError(f"{path}: this OpenCV cannot write FFV1")

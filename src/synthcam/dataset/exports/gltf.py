@@ -1,6 +1,6 @@
 """glTF: a binary scene (glb) for each clip: plate, steel balls, lamp, camera, and the motion as an animation.
 
-For Blender and other programs that draw. Places are the truth's at mid-exposure and at impacts, joined by straight
+For Blender and other programs that draw. Positions are the truth's at mid-exposure and at impacts, joined by straight
 lines; turns are the integral of its spin. Light and materials are such that a plain renderer shows the plate as bright
 as the film's counts are above black, 1 being the sensor's full scale.
 """
@@ -24,7 +24,7 @@ from synthcam.scene.clip import Clip
 from synthcam.scene.scene import check_scene
 
 if TYPE_CHECKING:
-    from synthcam.camera.render.bodies import Look
+    from synthcam.camera.render.gltf import Appearance
 
 Array = NDArray[np.float64]
 
@@ -33,28 +33,28 @@ STEP = 1.0  # rad between two keys of a turn, at most: players take the shorter 
 
 
 def write(clips: Iterator[Recorded], folder: Path) -> None:
-    from synthcam.camera.render.bodies import Motion, glb
+    from synthcam.camera.render.gltf import BallMotion, glb
 
     for clip in clips:
         balls = []
         tracks = clip.tracks.sort_values("frame")
         for number in range(int(tracks["particle"].max()) + 1):
             ball = tracks[tracks["particle"] == number]
-            times, places, spins = _keys(ball, _jumps(clip.events, number))
+            times, positions, spins = _keys(ball, _jumps(clip.events, number))
             resting = ball.loc[ball["state"] != "fly", "z"]
             radius = float(resting.median()) if len(resting) else clip.camera["ball_diameter"] / 2
-            balls.append(Motion(radius, times, places, *_turns(times, spins)))
-        look = _look(check_scene(clip.drawn, f"{clip.stack.parent}, scene.json").draw(0, 0))
-        (folder / f"{clip.number:06d}.glb").write_bytes(glb(clip.camera, balls, look))
+            balls.append(BallMotion(radius, times, positions, *_turns(times, spins)))
+        appearance = _appearance(check_scene(clip.drawn, f"{clip.stack.parent}, scene.json").draw(0, 0))
+        (folder / f"{clip.number:06d}.glb").write_bytes(glb(clip.camera, balls, appearance))
 
 
-def _look(clip: Clip) -> Look:
+def _appearance(clip: Clip) -> Appearance:
     """The film's light in glTF's numbers. Lamps are points, so what makes a glint wide goes into the steel's roughness.
 
     A metal of GGX's width 1 throws 1 / (4 pi) of its colour to all sides, nearly as Lambert's law does; a dielectric
     would add 4 % of its own, more than such a plate.
     """
-    from synthcam.camera.render.bodies import Look
+    from synthcam.camera.render.gltf import Appearance
 
     camera, first, radius = clip.nominal, clip.lamp, clip.model.ball.radius
     rest = np.array([[[0.0, 0.0, radius]]])
@@ -71,7 +71,7 @@ def _look(clip: Clip) -> Look:
     plate = PLATE * clip.room * white * float(irradiance(first, middle)) / lux
     seen = np.sqrt(_area(first) / np.pi) / np.linalg.norm(first.position - rest[0, 0])  # half-angle of the lamp, rad
     slope = np.hypot(clip.surface.roughness, seen / 4)  # rms: a mirror that throws a point as wide as the lamp
-    return Look(
+    return Appearance(
         lamps=tuple(zip(first.all, candela, strict=True)),
         steel=clip.surface.head_on,
         steel_roughness=float(min(1.0, np.sqrt(np.sqrt(2) * slope))),
@@ -79,9 +79,9 @@ def _look(clip: Clip) -> Look:
     )
 
 
-def _towards(lamp: Lamp, place: Array) -> float:
-    """Cosine between where a lamp faces and a place."""
-    way = place - lamp.position
+def _towards(lamp: Lamp, position: Array) -> float:
+    """Cosine between where a lamp faces and a position."""
+    way = position - lamp.position
     return max(float(way @ lamp.axes[:, 2] / np.linalg.norm(way)), 0.0)
 
 
@@ -97,23 +97,23 @@ def _jumps(events: pd.DataFrame, ball: int) -> Array:
 
 
 def _keys(ball: pd.DataFrame, jumps: Array) -> tuple[Array, Array, Array]:
-    """Times (T,) and places (T, 3) at the frames and at the first impact between two; spins (T - 1, 2, 3) rad/s at the
-    ends of each interval, as they are inside it."""
-    time, place, velocity, spin = (
+    """Times (T,) and positions (T, 3) at the frames and at the first impact between two; spins (T - 1, 2, 3) rad/s at
+    the ends of each interval, as they are inside it."""
+    time, position, velocity, spin = (
         ball[columns.split()].to_numpy(float) for columns in ("t_s", "x y z", "vx vy vz", "wx wy wz")
     )
-    times, places, spins = [time[0, 0]], [place[0]], []
+    times, positions, spins = [time[0, 0]], [position[0]], []
     for k, (start, end) in enumerate(zip(time[:-1, 0], time[1:, 0], strict=True)):
         inside = jumps[(jumps > start) & (jumps < end)]
         if len(inside):
             times.append(inside[0])
-            places.append(place[k] + velocity[k] * (inside[0] - start))
+            positions.append(position[k] + velocity[k] * (inside[0] - start))
             spins += [[spin[k], spin[k]], [spin[k + 1], spin[k + 1]]]
         else:
             spins.append([spin[k], spin[k + 1]])
         times.append(end)
-        places.append(place[k + 1])
-    return np.array(times), np.array(places), np.array(spins).reshape(-1, 2, 3)
+        positions.append(position[k + 1])
+    return np.array(times), np.array(positions), np.array(spins).reshape(-1, 2, 3)
 
 
 def _turns(times: Array, spins: Array) -> tuple[Array, Array]:

@@ -17,15 +17,15 @@ CORNER = 1.5  # of a pixel's centre at (0, 0), in a frame in which the picture's
 
 def write(clips: Iterator[Recorded], folder: Path) -> None:
     for clip in clips:
-        place = folder / f"clip-{clip.number:06d}"
-        (place / "gt").mkdir(parents=True)
-        (place / "seqinfo.ini").write_text(_info(clip), encoding="ascii")
-        (place / "gt" / "gt.txt").write_text("".join(_boxes(clip)), encoding="ascii")
+        own = folder / f"clip-{clip.number:06d}"
+        (own / "gt").mkdir(parents=True)
+        (own / "seqinfo.ini").write_text(_info(clip), encoding="ascii")
+        (own / "gt" / "gt.txt").write_text("".join(_boxes(clip)), encoding="ascii")
         if clip.video:
-            (place / "img1").mkdir()
+            (own / "img1").mkdir()
             for k, frame in enumerate(clip.pictures(), 1):
                 data = cv2.imencode(".png", frame)[1]
-                (place / "img1" / f"{k:06d}.png").write_bytes(data.tobytes())
+                (own / "img1" / f"{k:06d}.png").write_bytes(data.tobytes())
 
 
 def _info(clip: Recorded) -> str:

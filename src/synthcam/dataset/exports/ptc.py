@@ -16,13 +16,13 @@ def write(clips: Iterator[Recorded], folder: Path) -> None:
         root = ET.Element("root")
         name = "".join(c if c.isalnum() or c in "-_." else "_" for c in clip.scene)
         about = {"snr": f"{_snr(clip):.1f}", "density": "low", "scenario": name}
-        contest = ET.SubElement(root, "TrackContestISBI2012", about)
+        challenge = ET.SubElement(root, "TrackContestISBI2012", about)
         tracks = [clip.in_view(ball) for _, ball in clip.tracks.groupby("particle")]
         for track in tracks:
-            particle = ET.SubElement(contest, "particle") if len(track) else contest
+            particle = ET.SubElement(challenge, "particle") if len(track) else challenge
             for row in track.itertuples():
-                place = {"x": f"{row.x_mean_px:.6f}", "y": f"{row.y_mean_px:.6f}", "z": "0"}
-                ET.SubElement(particle, "detection", {"t": str(row.frame), **place})
+                position = {"x": f"{row.x_mean_px:.6f}", "y": f"{row.y_mean_px:.6f}", "z": "0"}
+                ET.SubElement(particle, "detection", {"t": str(row.frame), **position})
         ET.indent(root)
         ET.ElementTree(root).write(folder / f"{clip.number:06d}.xml", encoding="UTF-8", xml_declaration=True)
 

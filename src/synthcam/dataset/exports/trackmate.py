@@ -25,7 +25,7 @@ def write(clips: Iterator[Recorded], folder: Path) -> None:
         for track in tracks:
             particle = ET.SubElement(root, "particle", {"nSpots": str(len(track))})
             for row in track.itertuples():
-                place = {"x": f"{row.x_mean_px:.6f}", "y": f"{row.y_mean_px:.6f}", "z": "0.0"}
-                ET.SubElement(particle, "detection", {"t": str(row.frame), **place})
+                position = {"x": f"{row.x_mean_px:.6f}", "y": f"{row.y_mean_px:.6f}", "z": "0.0"}
+                ET.SubElement(particle, "detection", {"t": str(row.frame), **position})
         ET.indent(root)
         ET.ElementTree(root).write(folder / f"{clip.number:06d}_Tracks.xml", encoding="UTF-8", xml_declaration=True)

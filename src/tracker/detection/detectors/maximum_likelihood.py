@@ -11,32 +11,32 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tracker.camera.lens import Array
-from tracker.detection.ball_profile import Body
-from tracker.detection.candidates import Search, coarse_place
+from tracker.detection.ball_profile import BallProfile
+from tracker.detection.candidates import Search, coarse_position
 from tracker.detection.dsnu import Bare
-from tracker.detection.flux_prior import steadied
+from tracker.detection.flux_prior import with_flux_prior
 from tracker.detection.glint_fit import Fit, Windows, fit, learn, stretch
-from tracker.detection.glints import CLIPPED, EDGE, MISFIT, NEAR, STREAK, Glints, View
+from tracker.detection.glints import BLURRED, CLIPPED, EDGE, MISFIT, NEAR, Glints, View
 from tracker.detection.link import FASTEST, assign, velocities
-from tracker.detection.secondary_glints import agreed
-from tracker.detection.streak_length import Streaks
+from tracker.detection.motion_blur import MotionBlur
+from tracker.detection.secondary_glints import with_common_reflectance
 
 Ints = NDArray[np.int64]
 
 WIDTHS = 3.5  # of the glint, that a window holds on each side
 BLOCK = 1024  # windows held at once: of 512 frames with two balls
 SIGNIFICANT = 5.0  # deviations of the flux, for a glint on the free background
-NEARBY = 1.5  # ball diameters between glints, within which a neighbour alters the body of an open glint
-AGREE = 2.5  # the same, within which secondary glints are bright enough to tell the balls' reflectance
-HAUNTED = 5.0  # the same, within which a ball shows its neighbour's glint too
+NEARBY = 1.5  # ball diameters between glints, within which a neighbour alters the profile of an open glint
+AGREE = 2.5  # the same, within which secondary glints are bright enough to give the balls' reflectance
+SHOWING = 5.0  # the same, within which a ball shows its neighbour's glint too
 CROWD = 12  # balls in a frame, among which neighbours are looked for
-SHOWS = 0.03  # of the glint's width, a change of the streak that shows in its place
-PUPILS = 128  # windows from which the body is learnt, and
+SHOWS = 0.03  # of the glint's width, a change of the blur that shows in its position
+PUPILS = 128  # windows from which the profile is learnt, and
 FEWEST = 24  # the fewest
 MIDDLE = 0.866  # of the way from the ball's centre to its zenith: cos 30 degrees, at half the ball's radius
-MOVED, STILL = 24, 24  # glints of a block, the fastest and the slowest, from which the streaks' length is told, and
-LEAST = 0.05  # of the glint's width, the shortest streak that tells
-SMEARED = 0.3  # of the ball's radius: after a longer way in the exposure the body is no longer the one learnt
+MOVED, STILL = 24, 24  # glints of a block, the fastest and the slowest, from which the blur's length is found, and
+LEAST = 0.05  # of the glint's width, the shortest blur that is used
+SMEARED = 0.3  # of the ball's radius: after a longer way in the exposure the profile is no longer the one learnt
 CLEAR = 0.68  # of the ball's radius, out to which the learnt shape holds
 END = 0.9  # of the ball's radius: .71, and the blur
 HIDES = 1.5  # of the ball's radius about its glint, what a ball hides of the plate at most
@@ -74,12 +74,12 @@ class MaximumLikelihood:
         self.half = max(2, round(WIDTHS * self.sigma + 0.5))
         self.end, self.clear = END * radius, CLEAR * radius
         self.bounded = LIKE * radius > 2.5 * self.sigma
-        # On a small ball that would cut the glint itself, and the blur makes the body another than the one learnt.
+        # On a small ball that would cut the glint itself, and the blur makes the profile another than the one learnt.
         self.small = self.bounded and LIKE * radius < WIDTHS * self.sigma
         self.limit = min(self.clear, WIDTHS * self.sigma) if self.small else LIKE * radius
         travel = FASTEST * self.camera.exposed / self.camera.scale if self.camera.metric else 4.0
-        self.body: Body | None = None
-        self.streaks = Streaks()
+        self.profile: BallProfile | None = None
+        self.motion_blur = MotionBlur()
         self.reach = self.half + math.ceil(min(travel, 60.0) / 2.0) + 1
         self.levelled = self.sensor = self.camera.sensor
         self.bare = Bare(view.plate, math.ceil(HIDES * radius) + 2) if self.sensor.dsnu else None
@@ -91,7 +91,7 @@ class MaximumLikelihood:
         return self.many([(0, frame)])
 
     def many(self, frames: Iterable[tuple[int, NDArray[Any]]]) -> Glints:
-        """Glints of numbered frames, their streaks taken from the glints' own motion from frame to frame."""
+        """Glints of numbered frames, their motion blur taken from the glints' own motion from frame to frame."""
         parts: list[Glints] = []
         held: list[_Patches] = []
         windows = 0
@@ -140,45 +140,50 @@ class MaximumLikelihood:
         names = _Patches.__dataclass_fields__
         patches = _Patches(*(np.concatenate([getattr(p, n) for p in held]) for n in names))
         corner = np.column_stack([patches.column, patches.row]).astype(np.float64)
-        place = corner + coarse_place(patches.counts, self.reach)
-        rough = self._rough(patches, place)
+        position = corner + coarse_position(patches.counts, self.reach)
+        rough = self._rough(patches, position)
         ids = assign(rough, self.camera)
-        streak = self._streaks(rough, ids)
+        blur = self._blurs(rough, ids)
         clipped = np.any((patches.counts >= self.sensor.ceiling) & patches.inside, axis=(1, 2))
         patches = self._level(patches)
-        bowl = self._bowl(place)
-        if self.body is None and self.bounded:
-            self._learn(patches, place, streak, bowl)
+        bowl = self._bowl(position)
+        if self.profile is None and self.bounded:
+            self._learn(patches, position, blur, bowl)
         own = ~clipped & self.small
-        found, good, light, _ = self._fit(patches, place, streak, bowl, own, np.zeros((len(place), 4)))
-        # The first places were rough, and with them velocities and neighbours: once more where that shows.
-        better = streak.copy()
-        better[good] = self._streaks(found.take(good), ids[good])
+        found, good, light, _ = self._fit(patches, position, blur, bowl, own, np.zeros((len(position), 4)))
+        # The first positions were rough, and so were velocities and neighbours: fit again where that shows.
+        better = blur.copy()
+        better[good] = self._blurs(found.take(good), ids[good])
         self._stretch(patches, found, better, bowl, good & ~clipped)
-        near, ghosts = self._neighbours(found, good)
-        again = np.max(np.abs(better - streak), axis=1) > SHOWS * self.sigma
-        rows = np.flatnonzero(again | near | (ghosts[:, 2] > 0))
+        near, secondaries = self._neighbours(found, good)
+        again = np.max(np.abs(better - blur), axis=1) > SHOWS * self.sigma
+        rows = np.flatnonzero(again | near | (secondaries[:, 2] > 0))
         if len(rows):
-            place = np.where(good[:, None], found.xy, place)
+            position = np.where(good[:, None], found.xy, position)
             redone, kept, light[rows], second = self._fit(
-                patches.take(rows), place[rows], better[rows], bowl[rows], (own | near & ~clipped)[rows], ghosts[rows]
+                patches.take(rows),
+                position[rows],
+                better[rows],
+                bowl[rows],
+                (own | near & ~clipped)[rows],
+                secondaries[rows],
             )
             good[rows] = kept
-            self._agree(redone, second, ghosts[rows, 3], kept & ~clipped[rows])
+            self._agree(redone, second, secondaries[rows, 3], kept & ~clipped[rows])
             found = found.put(rows, redone)
         found.flags[near] |= NEAR
         found, light = found.take(good), light[good]
-        if not clipped.any():  # place and flux of an open glint hardly know of each other
+        if not clipped.any():  # position and flux of an open glint are hardly correlated
             return found
-        xy, cov = steadied(found.xy, found.cov, np.log(found.flux), light[:, :2], light[:, 2])
+        xy, cov = with_flux_prior(found.xy, found.cov, np.log(found.flux), light[:, :2], light[:, 2])
         return replace(found, x=xy[:, 0], y=xy[:, 1], cov=cov)
 
     def _agree(self, found: Glints, second: Array, share: Array, open_: NDArray[np.bool_]) -> None:
-        """Puts into places and covariances what secondary glints, of flux ``second`` (n, 4), tell of one another."""
+        """Corrects positions and covariances by the common reflectance of secondaries, of flux ``second`` (n, 4)."""
         rows = np.flatnonzero(open_ & (share > 0) & (second[:, 3] > 0))
         unit = share[rows] * found.flux[rows]
-        told = second[rows] / np.column_stack([unit, unit, unit, unit**2])
-        xy, cov = agreed(found.xy[rows], found.cov[rows], told[:, 0], told[:, 1:3], told[:, 3])
+        ratios = second[rows] / np.column_stack([unit, unit, unit, unit**2])
+        xy, cov = with_common_reflectance(found.xy[rows], found.cov[rows], ratios[:, 0], ratios[:, 1:3], ratios[:, 3])
         found.x[rows], found.y[rows] = xy.T
         found.cov[rows] = cov
 
@@ -195,64 +200,64 @@ class MaximumLikelihood:
         self.levelled = replace(self.sensor, dsnu=left * self.sensor.gain)
         return replace(patches, counts=patches.counts - own, level=known)
 
-    def _bowl(self, place: Array) -> Array:
-        """From the glints to the middles of their bodies, px; hardly changes from place to place.
+    def _bowl(self, position: Array) -> Array:
+        """From the glints to the middles of the ball profiles, px; hardly changes from place to place.
 
         What mirrors the sky at an angle a from the zenith is a circle about cos(a/2) of the way from the ball's
         centre to where it mirrors the zenith.
         """
-        return self.camera.zenith_of_glint(place, MIDDLE) - place
+        return self.camera.zenith_of_glint(position, MIDDLE) - position
 
-    def _rough(self, patches: _Patches, place: Array) -> Glints:
-        n = len(place)
+    def _rough(self, patches: _Patches, position: Array) -> Glints:
+        n = len(position)
         return Glints(
-            patches.frame, place[:, 0], place[:, 1], np.tile(np.eye(2), (n, 1, 1)), patches.strength,
+            patches.frame, position[:, 0], position[:, 1], np.tile(np.eye(2), (n, 1, 1)), patches.strength,
             np.zeros(n), np.zeros(n, np.int64),
         )  # fmt: skip
 
-    def _streaks(self, glints: Glints, ids: Ints) -> Array:
+    def _blurs(self, glints: Glints, ids: Ints) -> Array:
         if self.camera.exposed == 0.0:
             return np.zeros((len(glints), 2))
         return velocities(glints.frame, ids, glints.xy) * (self.camera.exposed * self.camera.fps)
 
-    def _stretch(self, patches: _Patches, found: Glints, streak: Array, bowl: Array, good: NDArray[np.bool_]) -> None:
-        """Gathers what the block's fastest single glints tell of the length of streaks."""
-        length = np.hypot(*streak.T)
+    def _stretch(self, patches: _Patches, found: Glints, blur: Array, bowl: Array, good: NDArray[np.bool_]) -> None:
+        """Gathers what the block's fastest single glints show of the length of the motion blur."""
+        length = np.hypot(*blur.T)
         rows = np.flatnonzero(good & self._apart(patches.frame, found.xy))
         rows = rows[np.argsort(-length[rows], kind="stable")]
         if len(rows) < MOVED + STILL or length[rows[MOVED - 1]] < LEAST * self.sigma:
             return
         rows = np.concatenate([rows[:MOVED], rows[-STILL:]])
-        half = min(self.half + math.floor(float(np.max(np.abs(streak[rows]))) / 2.0 + 0.35), self.reach)
-        windows, origin = self._windows(patches, found.xy, streak, bowl, rows, half, self.limit)
+        half = min(self.half + math.floor(float(np.max(np.abs(blur[rows]))) / 2.0 + 0.35), self.reach)
+        windows, origin = self._windows(patches, found.xy, blur, bowl, rows, half, self.limit)
         known = np.column_stack([found.xy[rows] - origin, np.log(found.flux[rows]), found.background[rows]])
-        self.streaks.add(*stretch(windows, known, np.arange(len(rows)) >= MOVED, self.sigma, self.sensor))
+        self.motion_blur.add(*stretch(windows, known, np.arange(len(rows)) >= MOVED, self.sigma, self.sensor))
 
     def _fit(
-        self, patches: _Patches, place: Array, streak: Array, bowl: Array, own: NDArray[np.bool_], ghosts: Array
+        self, patches: _Patches, position: Array, blur: Array, bowl: Array, own: NDArray[np.bool_], secondaries: Array
     ) -> tuple[Glints, NDArray[np.bool_], Array, Array]:
-        """Fits in groups of one window size, with and without a ghost; all glints, which are good, (n, 3): the
-        covariance of their places with log flux, and its variance; (n, 4): a ghost's flux, and likewise.
+        """Fits in groups of one window size, with and without a secondary glint; all glints, which are good, (n, 3):
+        the covariance of their positions with log flux, and its variance; (n, 4): the secondary's flux, and likewise.
         """
-        longest = np.max(np.abs(streak), axis=1)
+        longest = np.max(np.abs(blur), axis=1)
         halves = np.minimum(self.half + np.floor(longest / 2.0 + 0.35).astype(np.int64), self.reach)
-        # Beside a neighbour, or smeared, the body is another than the one learnt; a clipped glint's own
+        # Beside a neighbour, or smeared, the profile is another than the one learnt; a clipped glint's own
         # bowl would cost more than a neighbour does.
-        own = own | (np.hypot(*streak.T) > SMEARED * self.camera.diameter_px / 2.0)
-        groups = 8 * halves + 4 * patches.level + 2 * own + (ghosts[:, 2] > 0)
-        light, second = np.zeros((len(place), 3)), np.zeros((len(place), 4))
-        out = self._rough(patches, place)
-        good = np.zeros(len(place), dtype=bool)
+        own = own | (np.hypot(*blur.T) > SMEARED * self.camera.diameter_px / 2.0)
+        groups = 8 * halves + 4 * patches.level + 2 * own + (secondaries[:, 2] > 0)
+        light, second = np.zeros((len(position), 3)), np.zeros((len(position), 4))
+        out = self._rough(patches, position)
+        good = np.zeros(len(position), dtype=bool)
         for group in np.unique(groups).tolist():
             rows = np.flatnonzero(groups == group)
             half, kind = divmod(group, 8)
-            known = self.body if kind & 2 == 0 else None
+            known = self.profile if kind & 2 == 0 else None
             windows, origin = self._windows(
-                patches, place, streak, bowl, rows, half, self.limit if known is None else self.clear
+                patches, position, blur, bowl, rows, half, self.limit if known is None else self.clear
             )
             if kind & 1:
-                spots = ghosts[rows, :3] - np.column_stack([origin, np.zeros(len(rows))])
-                windows = replace(windows, ghosts=spots[:, None, :])
+                spots = secondaries[rows, :3] - np.column_stack([origin, np.zeros(len(rows))])
+                windows = replace(windows, secondaries=spots[:, None, :])
             result = fit(windows, self.sigma, self.levelled if kind & 4 else self.sensor, known)
             inflation = _inflation(result, windows)
             out.x[rows], out.y[rows] = (origin + result.xy).T
@@ -260,42 +265,42 @@ class MaximumLikelihood:
             out.fixed[rows] = result.fixed
             out.flux[rows], out.background[rows] = result.flux, result.background
             relative = result.flux_std / result.flux
-            light[rows] = np.column_stack([result.lean, relative**2]) * inflation[:, None]
-            second[rows] = result.ghost * np.column_stack([np.ones(len(rows)), *[inflation] * 3])
-            out.flags[rows] = self._flags(result, windows, streak[rows])
+            light[rows] = np.column_stack([result.cross, relative**2]) * inflation[:, None]
+            second[rows] = result.secondary * np.column_stack([np.ones(len(rows)), *[inflation] * 3])
+            out.flags[rows] = self._flags(result, windows, blur[rows])
             good[rows] = self._good(result, out.xy[rows], half)
         return out, good, light, second
 
-    def _learn(self, patches: _Patches, place: Array, streak: Array, bowl: Array) -> None:
-        """The clip's body, from bright single glints spread over the block; their better places go into ``place``."""
+    def _learn(self, patches: _Patches, position: Array, blur: Array, bowl: Array) -> None:
+        """The clip's ball profile, from bright single glints of the block; their better positions go into ``position``."""
         clear = patches.strength > 0.5 * float(np.median(patches.strength))
-        clear &= np.hypot(*streak.T) < SMEARED * self.camera.diameter_px / 2.0
-        rows = np.flatnonzero(clear & self._apart(patches.frame, place))
+        clear &= np.hypot(*blur.T) < SMEARED * self.camera.diameter_px / 2.0
+        rows = np.flatnonzero(clear & self._apart(patches.frame, position))
         if len(rows) < FEWEST:
             return
         rows = rows[np.unique(np.linspace(0, len(rows) - 1, PUPILS).round().astype(np.int64))]
-        windows, origin = self._windows(patches, place, streak, bowl, rows, self.half + 1, self.clear)
-        self.body, found = learn(windows, self.sigma, self.levelled, self.end)
-        place[rows] = origin + found
+        windows, origin = self._windows(patches, position, blur, bowl, rows, self.half + 1, self.clear)
+        self.profile, found = learn(windows, self.sigma, self.levelled, self.end)
+        position[rows] = origin + found
 
-    def _apart(self, frame: Ints, place: Array) -> NDArray[np.bool_]:
+    def _apart(self, frame: Ints, position: Array) -> NDArray[np.bool_]:
         """Which candidates have no other within three diameters in their frame; sorted by frame."""
         alone = np.ones(len(frame), dtype=bool)
         for lag in range(1, min(len(frame), CROWD)):
             same = np.flatnonzero(frame[lag:] == frame[:-lag])
             if len(same) == 0:
                 break
-            close = same[np.hypot(*(place[same + lag] - place[same]).T) < 3.0 * self.camera.diameter_px]
+            close = same[np.hypot(*(position[same + lag] - position[same]).T) < 3.0 * self.camera.diameter_px]
             alone[close] = alone[close + lag] = False
         return alone
 
     def _windows(
-        self, patches: _Patches, place: Array, streak: Array, bowl: Array, rows: Ints, half: int, limit: float
+        self, patches: _Patches, position: Array, blur: Array, bowl: Array, rows: Ints, half: int, limit: float
     ) -> tuple[Windows, Array]:
-        """Windows of 2 half + 1 pixels about the pixels nearest to ``place``, and those pixels' places."""
+        """Windows of 2 half + 1 pixels about the pixels nearest to ``position``, and those pixels' positions."""
         corner = np.column_stack([patches.column[rows], patches.row[rows]])
         room = self.reach - half
-        shift = np.clip(np.round(place[rows] - corner).astype(np.int64), -room, room)
+        shift = np.clip(np.round(position[rows] - corner).astype(np.int64), -room, room)
         index = np.arange(-half, half + 1) + self.reach
         across = index + shift[:, :1]
         down = index + shift[:, 1:]
@@ -303,33 +308,33 @@ class MaximumLikelihood:
         counts = patches.counts[rows][each, down[:, :, None], across[:, None, :]].astype(np.float64)
         inside = patches.inside[rows][each, down[:, :, None], across[:, None, :]].astype(np.float64)
         origin = (corner + shift).astype(np.float64)
-        start = np.clip(place[rows] - origin, -half, half)
+        start = np.clip(position[rows] - origin, -half, half)
         offsets = np.abs(np.arange(-half, half + 1) - start[..., None])  # (n, axis, pixel)
-        side = half + 0.5 if limit == self.clear else self.half + 0.5 + np.abs(streak[rows][..., None]) / 2.0
+        side = half + 0.5 if limit == self.clear else self.half + 0.5 + np.abs(blur[rows][..., None]) / 2.0
         near = (offsets <= side).astype(np.float64)
         used = inside * near[:, 1, :, None] * near[:, 0, None, :]
-        used *= self._on_body(start + bowl[rows], streak[rows], half, limit)
-        ghosts = np.zeros((len(rows), 0, 3))
-        return Windows(counts, used, start, streak[rows], bowl[rows], ghosts), origin
+        used *= self._on_body(start + bowl[rows], blur[rows], half, limit)
+        secondaries = np.zeros((len(rows), 0, 3))
+        return Windows(counts, used, start, blur[rows], bowl[rows], secondaries), origin
 
-    def _on_body(self, middle: Array, streak: Array, half: int, limit: float) -> Array:
-        """1 where a pixel sees the part of the ball that mirrors the room, in which the body is a smooth bowl."""
+    def _on_body(self, middle: Array, blur: Array, half: int, limit: float) -> Array:
+        """1 where a pixel sees the part of the ball that mirrors the room, in which the profile is a smooth bowl."""
         if not self.bounded:
             return np.ones((len(middle), 1, 1))
         offsets = np.arange(-half, half + 1.0)
         across, down = (offsets - middle[:, :1])[:, None, :], (offsets - middle[:, 1:])[:, :, None]
-        length = np.hypot(streak[:, 0], streak[:, 1])[:, None, None]
-        way = streak[..., None, None] / np.maximum(np.hypot(streak[:, 0], streak[:, 1]), 1e-9)[:, None, None, None]
+        length = np.hypot(blur[:, 0], blur[:, 1])[:, None, None]
+        way = blur[..., None, None] / np.maximum(np.hypot(blur[:, 0], blur[:, 1]), 1e-9)[:, None, None, None]
         along = way[:, 0] * across + way[:, 1] * down
         along -= np.clip(along, -length / 2.0, length / 2.0)
         aside = way[:, 0] * down - way[:, 1] * across
         aside = np.where(length > 0, aside, np.hypot(across, down))
         return np.asarray(along**2 + aside**2 <= limit**2, dtype=np.float64)
 
-    def _flags(self, result: Fit, windows: Windows, streak: Array) -> Ints:
+    def _flags(self, result: Fit, windows: Windows, blur: Array) -> Ints:
         full = ((windows.counts >= self.sensor.ceiling) & (windows.used > 0)).any(axis=(1, 2))
         flags = np.where(full, CLIPPED, 0)
-        flags |= np.where(np.hypot(streak[:, 0], streak[:, 1]) > 0.5 * self.sigma, STREAK, 0)
+        flags |= np.where(np.hypot(blur[:, 0], blur[:, 1]) > 0.5 * self.sigma, BLURRED, 0)
         flags |= np.where(_inflation(result, windows) > 1.0, MISFIT, 0)
         cut = windows.used[:, windows.half, windows.half] == 0
         edge = windows.used.sum(axis=(1, 2)) < 0.8 * min((2 * self.half + 1) ** 2, math.pi * self.limit**2)
@@ -343,7 +348,7 @@ class MaximumLikelihood:
 
     def _neighbours(self, glints: Glints, good: NDArray[np.bool_]) -> tuple[NDArray[np.bool_], Array]:
         """Which glints (n,) have another ball near, and where that one makes a secondary glint on theirs (n, 4): its
-        place, 1, and where it is bright its share of the flux, but for the balls' reflectance.
+        position, 1, and where it is bright its share of the flux, but for the balls' reflectance.
         """
         nearest = np.full(len(glints), np.inf)
         other = np.zeros((len(glints), 2))
@@ -359,15 +364,15 @@ class MaximumLikelihood:
                 closer = gap < nearest[order[one]]
                 nearest[order[one[closer]]] = gap[closer]
                 other[order[one[closer]]] = xy[two[closer]]
-        haunted = nearest < HAUNTED * self.camera.diameter_px
-        ghosts = np.zeros((len(glints), 4))
-        if self.camera.corrects_glint and haunted.any():
-            ghosts[haunted, :2] = self.camera.secondary_of_pair(glints.xy[haunted], other[haunted])
-            ghosts[haunted, 2] = 1.0
+        paired = nearest < SHOWING * self.camera.diameter_px
+        secondaries = np.zeros((len(glints), 4))
+        if self.camera.corrects_glint and paired.any():
+            secondaries[paired, :2] = self.camera.secondary_of_pair(glints.xy[paired], other[paired])
+            secondaries[paired, 2] = 1.0
         bright = nearest < AGREE * self.camera.diameter_px
         if self.camera.corrects_glint and bright.any():
-            ghosts[bright, 3] = self.camera.secondary_share(glints.xy[bright], other[bright])
-        return nearest < NEARBY * self.camera.diameter_px, ghosts
+            secondaries[bright, 3] = self.camera.secondary_share(glints.xy[bright], other[bright])
+        return nearest < NEARBY * self.camera.diameter_px, secondaries
 
 
 def _inflation(result: Fit, windows: Windows) -> Array:

@@ -41,7 +41,7 @@ class OpencvComponents:
         return Glints(np.zeros(len(rows), np.int64), left + x, top + y, cov, mass, np.zeros(len(rows)), flags)
 
     def _centre(self, risen: NDArray[Any], own: NDArray[np.bool_], counts: NDArray[Any]) -> tuple[float, ...]:
-        """Place from the box's corner, its variances, flux, and whether a pixel is clipped."""
+        """Position from the box's corner, its variances, flux, and whether a pixel is clipped."""
         sensor = self.view.camera.sensor
         weight = np.where(own, risen, 0).astype(np.float64)
         noise = np.where(own, sensor.variance(counts.astype(np.float64)), 0.0)

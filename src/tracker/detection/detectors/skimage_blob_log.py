@@ -11,7 +11,7 @@ from skimage.feature import blob_log
 from tracker.detection.glints import CLIPPED, Glints, View
 
 HIGH = 4.0  # noise deviations of a pixel, of a blob's response
-PIXEL = 1.0 / 12.0  # px^2, variance of a place rounded to the whole pixel
+PIXEL = 1.0 / 12.0  # px^2, variance of a position rounded to the whole pixel
 RATIOS = (0.8, 1.6, 3)  # least and greatest width over the glint's, and how many are tried
 
 

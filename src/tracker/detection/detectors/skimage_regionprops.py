@@ -41,8 +41,8 @@ class SkimageRegionprops:
             part = found["image_intensity"][row]
             flux[k] = part[..., 0].sum()
             for axis, name in ((0, "bbox-1"), (1, "bbox-0")):
-                place = (x, y)[axis][k] - found[name][row]
-                away = np.arange(part.shape[1 - axis]) - place
+                position = (x, y)[axis][k] - found[name][row]
+                away = np.arange(part.shape[1 - axis]) - position
                 summed = (part[..., 2] ** 2).sum(axis=axis)
                 cov[k, axis, axis] = summed @ away**2 / flux[k] ** 2 + 1e-6
         full = found["intensity_max-1"][rows] >= self.view.camera.sensor.ceiling

@@ -107,8 +107,8 @@ def zoom(camera, centres, radii, order, middle):
     grid = square(middle, side)
     bounces, kept, miss, _ = trace(camera, centres, grid, radii)
     weight = kept * ((bounces == order) & (miss < LAMP.radius))
-    place = weight @ grid / weight.sum()
-    return order, place, weight.sum() * (half / 120) ** 2, weight @ (grid - place) ** 2 / weight.sum()
+    position = weight @ grid / weight.sum()
+    return order, position, weight.sum() * (half / 120) ** 2, weight @ (grid - position) ** 2 / weight.sum()
 
 
 @cache
@@ -174,8 +174,8 @@ def test_every_lamp_image_stands_and_shines_as_traced(name):
     glints = find_glints(camera, LAMP, np.array([centres], float), radii_of(name), np.ones((1, 2), bool))
     assert sorted(order for order, *_ in traced) == sorted(glints.order[glints.order < 4])
     assert len(traced) == 1 if name == "one over the other" else len(traced) >= 4
-    for order, place, flux, variance in traced:
-        far = np.linalg.norm(glints.pixels - place, axis=1) + (glints.order != order)
+    for order, position, flux, variance in traced:
+        far = np.linalg.norm(glints.pixels - position, axis=1) + (glints.order != order)
         k = far.argmin()
         assert far[k] < 0.002
         assert glints.flux[k] == pytest.approx(flux, rel=0.01)
@@ -212,7 +212,7 @@ def test_the_whole_picture_is_the_traced_one(name):
     K[:2, 2] -= left, top
     window = Camera(K, camera.dist, camera.R, camera.t, (48, 48), 250, 0, camera.scale, camera.psf_sigma_px)
     plate = picture.plate[top + 24, left + 24]
-    images = [(order, place - [left, top], *rest) for order, place, *rest in images_of(name)]
+    images = [(order, position - [left, top], *rest) for order, position, *rest in images_of(name)]
     expected = brute_picture(window, centres, radii, 0.1, film._unit, plate, images)
     got = picture.image[top : top + 48, left : left + 48]
     inner = (slice(4, -4), slice(4, -4))
@@ -312,8 +312,8 @@ def test_a_ball_at_the_edge_or_outside():
     shift = np.array([(200 - 100) / 2, (100 - 60) / 2]).astype(int)
     large, small = Film(wide, LAMP, [R, R]), Film(narrow, LAMP, [R, R])
     for x, y in [(0.008, 0.0), (0.0085, 0.005), (-0.0079, -0.0048), (0.0095, 0.0), (50.0, 0.0)]:
-        places = ([x, y, R], [0.6 * R, 0.1 * R, R])
-        whole, part = one_frame(large, *places), one_frame(small, *places)
+        positions = ([x, y, R], [0.6 * R, 0.1 * R, R])
+        whole, part = one_frame(large, *positions), one_frame(small, *positions)
         crop = whole.image[shift[1] : shift[1] + 60, shift[0] : shift[0] + 100]
         np.testing.assert_allclose(part.image, crop, atol=2e-6)
     assert one_frame(small, [1.0, 0, R], [0, 1.0, R]).boxes == ()
@@ -398,8 +398,8 @@ def test_a_wide_lamp_is_the_sum_of_its_parts():
     columns, rows = np.arange(102) - 0.5, np.arange(82) - 0.5
     for radius in np.sqrt(np.linspace(0.1**2, 0.12**2, 9)[1::2]):
         for turn in np.arange(100) * 2 * np.pi / 100:
-            place = LAMP.position + radius * np.array([np.cos(turn), np.sin(turn), 0])
-            glints = find_glints(camera, Lamp(place, 0.002), *ball)
+            position = LAMP.position + radius * np.array([np.cos(turn), np.sin(turn), 0])
+            glints = find_glints(camera, Lamp(position, 0.002), *ball)
             px, py = glints.pixels[0]
             parts += glints.flux[0] * np.outer(np.diff(ndtr(rows - py)), np.diff(ndtr(columns - px)))
     parts *= whole.sum() / parts.sum()
@@ -411,8 +411,8 @@ def test_a_wide_lamp_is_the_sum_of_its_parts():
 
 def test_vignetting_takes_its_share_in_the_corners():
     plain, dark = (Film(overhead(vignetting=v), LAMP, [R], room=0.1) for v in (0.0, 0.4))
-    for place in ([0.0, 0, R], [0.045, 0.03, R]):
-        before, after = one_frame(plain, place).image, one_frame(dark, place).image
+    for position in ([0.0, 0, R], [0.045, 0.03, R]):
+        before, after = one_frame(plain, position).image, one_frame(dark, position).image
         y, x = np.unravel_index(before.argmax(), before.shape)
         box = np.s_[y - 3 : y + 4, x - 3 : x + 4]
         share = 1 - 0.4 * ((x - 319.5) ** 2 + (y - 239.5) ** 2) / (320**2 + 240**2)

@@ -44,8 +44,8 @@ def test_a_streak_is_as_long_as_the_way_and_lies_along_it(heading):
     speed, unit = 0.6, np.array([np.cos(heading), np.sin(heading)])
 
     def rolling(times):
-        places = (np.asarray(times)[:, None] - 5e-4) * speed * unit
-        return np.c_[places, np.full(len(places), R)][:, None]
+        positions = (np.asarray(times)[:, None] - 5e-4) * speed * unit
+        return np.c_[positions, np.full(len(positions), R)][:, None]
 
     (picture,) = Film(camera, LAMP, [R], room=0.0).frames(rolling, [[0.0, 1e-3]])
     image = picture.image - np.median(picture.image)

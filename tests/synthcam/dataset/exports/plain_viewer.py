@@ -62,10 +62,10 @@ def drawn(scene, eye, yfov, shape, brightness=1.0):
     return (grey / 255.0) ** 2.2 / brightness
 
 
-def facing(eye, place):
+def facing(eye, position):
     """Pose of a camera at an eye that looks at a place."""
     out = np.eye(4)
-    out[:3, 2] = (eye - place) / np.linalg.norm(eye - place)
+    out[:3, 2] = (eye - position) / np.linalg.norm(eye - position)
     out[:3, 0] = np.cross([0, 0, -1], out[:3, 2])
     out[:3, 0] /= np.linalg.norm(out[:3, 0])
     out[:3, 1] = np.cross(out[:3, 2], out[:3, 0])
@@ -81,7 +81,7 @@ def main(path, width, height):
     away, half, side = np.linalg.norm(eye[:3, 3] - ball), 6e-4, 768
     glint = drawn(scene, facing(eye[:3, 3], ball), 2 * np.arctan(half / away), (side, side), 1e-4)
     across = 2 * half / side / away * height / (2 * np.tan(lens["yfov"] / 2))  # the picture's pixels to one here
-    said = {"at": at, "plate": [plate[place] for place in at]}
+    said = {"at": at, "plate": [plate[position] for position in at]}
     print(json.dumps(said | {"flux": glint.sum() * across**2, "brightest": glint.max()}))
 
 

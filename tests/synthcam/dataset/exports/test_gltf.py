@@ -106,13 +106,13 @@ def test_places_are_the_truths(exported, truth):
     (hit,) = events.loc[events.kind == "contact", "t_s"]
     moved = channels(exported)
     for ball, own in tracks.groupby("particle"):
-        times, places = moved[f"ball{ball}", "translation"]
+        times, positions = moved[f"ball{ball}", "translation"]
         at = np.array([np.abs(times - t).argmin() for t in own.t_s])
         np.testing.assert_allclose(times[at], own.t_s, atol=1e-7)
-        np.testing.assert_allclose(places[at], own[["x", "y", "z"]], atol=1e-8)
+        np.testing.assert_allclose(positions[at], own[["x", "y", "z"]], atol=1e-8)
         assert np.abs(times - hit).min() < 1e-7
     meet = [moved[f"ball{k}", "translation"] for k in (0, 1)]
-    one, two = (places[np.abs(times - hit).argmin()] for times, places in meet)
+    one, two = (positions[np.abs(times - hit).argmin()] for times, positions in meet)
     assert np.linalg.norm(two - one) == pytest.approx(2.38e-3, rel=2e-3)  # they touch where they hit
 
 
@@ -142,8 +142,8 @@ def test_the_camera_sees_balls_where_ours_does(exported, truth):
     tracks, _, camera = truth
     tree, _ = contents(exported)
     nodes = {node["name"]: node for node in tree["nodes"]}
-    places = [tree["nodes"][k]["name"] for k in nodes["table"]["children"]]
-    assert {"ball0", "ball1", "camera", "light"} <= set(places)  # so that one frame serves all
+    positions = [tree["nodes"][k]["name"] for k in nodes["table"]["children"]]
+    assert {"ball0", "ball1", "camera", "light"} <= set(positions)  # so that one frame serves all
     lens = tree["cameras"][nodes["camera"]["camera"]]["perspective"]
     width, height = camera["size"]
     to_camera = np.linalg.inv(np.reshape(nodes["camera"]["matrix"], (4, 4)).T)

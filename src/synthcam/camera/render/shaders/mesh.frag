@@ -6,7 +6,7 @@
 uniform sampler2D others; // one row an instance: neighbours' centres and radii
 uniform vec3 up;          // the plate's normal
 uniform vec3 lamp;        // from the centre of the plate's quad
-// SCENE is 0 for bodies on an even plate, 1 for bodies and their images in the plate, 2 for what they take from its
+// SCENE is 0 for balls on an even plate, 1 for balls and their images in the plate, 2 for what they take from its
 // light, 3 for the even plate itself; PAIR says that no ball has two neighbours. Programs of their own, for software
 // OpenGL runs every branch there is, and a fetch costs as much as a bounce.
 uniform float gloss;      // reflectance of the plate
@@ -226,7 +226,7 @@ float shade(vec3 from, vec3 way) {
 #endif
 
 void main() {
-    // In this order the first difference is exact, and a body the same wherever its tile lies.
+    // In this order the first difference is exact, and a ball the same wherever its tile lies.
     vec2 sample_at = (gl_FragCoord.xy - place.xy) - place.zw;
     vec3 from = vec3(lens.xy * sample_at.x + lens.zw * sample_at.y, 0.0);
     vec3 way = normalize(from - eye.xyz);

@@ -11,9 +11,9 @@ from typer.testing import CliRunner
 from tracker import cli
 from tracker.camera.camera import Camera
 from tracker.camera.frames import Clip, Frames
-from tracker.detection.detect import detect, look, settled
+from tracker.detection.detect import detect, settled, view_of
 from tracker.detection.glints import MISFIT
-from tracker.detection.streak_length import Streaks
+from tracker.detection.motion_blur import MotionBlur
 
 CAM = Camera.from_dict({k: v for k, v in CAMERA.items() if k != "lamp"})  # no lamp: the body is centred on the glint
 SHARE = CAMERA["exposure"] * CAMERA["fps"]
@@ -39,19 +39,19 @@ def misses(glints):
 @pytest.mark.parametrize(("longer", "within"), [(1.5, 0.1), (2.5, 0.04)])  # four of its own deviations
 def test_a_wrong_exposure_is_seen_and_the_streaks_fit(longer, within):
     shown = clip(film(np.random.default_rng(2), PATHS, exposure_share=SHARE * longer))
-    glints, view = settled(shown, look(shown))
+    glints, view = settled(shown, view_of(shown))
     assert view.camera.exposure_seen == pytest.approx(longer * CAM.exposure, rel=within)
     assert view.camera.exposure == CAM.exposure
     assert np.mean(misses(glints) ** 2) < 1.25
     assert np.mean(glints.flags & MISFIT > 0) < 0.03
     if longer > 2:
-        assert np.mean(detect(shown, look(shown)).flags & MISFIT > 0) > 0.3  # what it cures
+        assert np.mean(detect(shown, view_of(shown)).flags & MISFIT > 0) > 0.3  # what it cures
 
 
 @pytest.mark.parametrize("seed", range(3))
 def test_a_right_exposure_changes_nothing(seed):
     shown = clip(film(np.random.default_rng(seed), PATHS, exposure_share=SHARE))
-    view = look(shown)
+    view = view_of(shown)
     glints, same = settled(shown, view)
     assert same is view
     plain = detect(shown, view)
@@ -61,14 +61,14 @@ def test_a_right_exposure_changes_nothing(seed):
 def test_a_glint_that_is_long_at_rest_is_no_long_exposure():
     rng, frames = np.random.default_rng(4), []
     steps = np.gradient(PATHS, axis=0) * SHARE
-    for places, ways in zip(PATHS, steps, strict=True):
+    for positions, ways in zip(PATHS, steps, strict=True):
         picture = np.full((160, 200), 0.5)
-        for (x, y), way in zip(places, ways, strict=True):
+        for (x, y), way in zip(positions, ways, strict=True):
             if 0 < x < 200 and 0 < y < 160:
                 picture += 1400 * spot(picture.shape, x, y, 1.0, way, steps=8) + 4 * disc(picture.shape, x, y, 7.44)
         frames.append(expose(rng, gaussian_filter1d(picture, 0.6, axis=1)))  # balls come and go along x, nearly
     shown = clip(np.array(frames))
-    view = look(shown)
+    view = view_of(shown)
     assert settled(shown, view)[1] is view
 
 
@@ -100,10 +100,10 @@ def test_a_few_misfits_neither_decide_nor_hide():
     told = np.full(48, 100.0)
     noise = 10.0 * np.random.default_rng(0).standard_normal(48)
     for all_longer, sure in ((0.0, False), (40.0, True)):
-        streaks, score = Streaks(), noise + all_longer
+        blurs, score = MotionBlur(), noise + all_longer
         score[:2] = 5000.0
-        streaks.add(score, told)
-        assert (streaks.length()[2] > 5.0) == sure
-    even = Streaks()
+        blurs.add(score, told)
+        assert (blurs.length()[2] > 5.0) == sure
+    even = MotionBlur()
     even.add(0.2 * told, told)
     assert even.length() == (pytest.approx(1.4**0.5), pytest.approx(4800**-0.5), pytest.approx(0.2 * 4800**0.5))

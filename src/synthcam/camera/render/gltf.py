@@ -1,4 +1,4 @@
-"""A clip as bodies for other programs: plate, balls, lamp and camera in a glTF scene, the motion as its animation.
+"""A clip in three dimensions for other programs: plate, balls, lamp and camera as a glTF scene, the motion animated.
 
 Khronos glTF 2.0 and KHR_lights_punctual. Lengths are m; glTF's y points up, so the world's axes hang in a turned node.
 """
@@ -25,19 +25,19 @@ Z_UP = [-np.sqrt(0.5), 0.0, 0.0, np.sqrt(0.5)]  # turns the world's z to glTF's 
 
 
 @dataclass(frozen=True)
-class Motion:
-    """One ball. times: (T,) s, increasing, of places (T, 3) m; turn_times: (S,) s, of turns (S, 4), unit quaternions
+class BallMotion:
+    """One ball. times: (T,) s, increasing, of positions (T, 3) m; turn_times: (S,) s, of turns (S, 4), unit quaternions
     x, y, z, w from the ball's axes to the world's."""
 
     radius: float
     times: Array
-    places: Array
+    positions: Array
     turn_times: Array
     turns: Array
 
 
 @dataclass(frozen=True)
-class Look:
+class Appearance:
     """What is seen, as glTF counts it: linear, 1 is white.
 
     lamps: each with its candela. steel, plate: base colours of two metals. steel_roughness: glTF's.
@@ -49,54 +49,28 @@ class Look:
     plate: float
 
 
-def glb(camera: dict[str, Any], balls: list[Motion], look: Look) -> bytes:
+def glb(camera: dict[str, Any], balls: list[BallMotion], appearance: Appearance) -> bytes:
     """A binary glTF file of one clip. camera: the keys of camera.json; its lens distortion has no place in glTF."""
-    width, height = camera["size"]
-    scene = untyped.Scene(base_frame="scene")
-    scene.graph.update(frame_from="scene", frame_to="table")
-    side = BEYOND * max(width, height) * camera["scale"]
-    plate = untyped.creation.box([side, side, THICK])
-    plate.unmerge_vertices()  # corners shared by faces would have slanting normals, and the plate the light of a dome
-    metals = {"plate": (look.plate, 1.0), "steel": (look.steel, look.steel_roughness)}
-    black, steel = (
-        material(name=name, metallicFactor=1.0, roughnessFactor=rough) for name, (_, rough) in metals.items()
-    )
-    _add(scene, "plate", plate, black, _at([0.0, 0.0, -THICK / 2]))
-    for k, ball in enumerate(balls):
-        _add(scene, f"ball{k}", untyped.creation.icosphere(ROUND, ball.radius), steel, _at(ball.places[0]))
-    lights = {f"light{k or ''}": each for k, each in enumerate(look.lamps)}
-    for name, (lamp, _) in lights.items():
-        _add(scene, name.replace("light", "lamp"), _shape(lamp), LIGHT, _at(lamp.position, lamp.axes * [1, 1, -1]))
-    for name in (*lights, "camera"):
-        scene.graph.update(frame_from="table", frame_to=name)
+    metals = {"plate": (appearance.plate, 1.0), "steel": (appearance.steel, appearance.steel_roughness)}
+    lights = {f"light{k or ''}": each for k, each in enumerate(appearance.lamps)}
 
     def animate(buffers: dict[Any, bytes], tree: dict[str, Any]) -> None:
         names = {node["name"]: k for k, node in enumerate(tree["nodes"])}
         tree["animations"] = [{"name": "motion", "samplers": [], "channels": []}]
         for k, ball in enumerate(balls):
             for path, times, values in (
-                ("translation", ball.times, ball.places),
+                ("translation", ball.times, ball.positions),
                 ("rotation", ball.turn_times, ball.turns),
             ):
                 _channel(tree, buffers, names[f"ball{k}"], path, times, values)
 
-    def place(tree: dict[str, Any]) -> None:
+    def complete(tree: dict[str, Any]) -> None:
         nodes = {node["name"]: node for node in tree["nodes"]}
         nodes["table"] |= {"rotation": Z_UP}
         for k, ball in enumerate(balls):  # what is animated may have no matrix
             nodes[f"ball{k}"].pop("matrix", None)
-            nodes[f"ball{k}"] |= {"translation": ball.places[0].tolist(), "rotation": ball.turns[0].tolist()}
-        focal = camera["K"][1][1]
-        tree["cameras"] = [
-            {
-                "type": "perspective",
-                "perspective": {
-                    "aspectRatio": width / height * focal / camera["K"][0][0],
-                    "yfov": 2 * float(np.arctan(height / 2 / focal)),
-                    "znear": 0.01,
-                },
-            }
-        ]
+            nodes[f"ball{k}"] |= {"translation": ball.positions[0].tolist(), "rotation": ball.turns[0].tolist()}
+        tree["cameras"] = [_perspective(camera)]
         nodes["camera"] |= {"camera": 0, "matrix": _pose(camera).T.ravel().tolist()}
         tree["extensionsUsed"] = [*tree.get("extensionsUsed", []), "KHR_lights_punctual"]
         punctual = []
@@ -110,13 +84,54 @@ def glb(camera: dict[str, Any], balls: list[Motion], look: Look) -> bytes:
 
     return bytes(
         untyped.exchange.gltf.export_glb(
-            scene, include_normals=True, buffer_postprocessor=animate, tree_postprocessor=place
+            _scene(camera, balls, metals, lights),
+            include_normals=True,
+            buffer_postprocessor=animate,
+            tree_postprocessor=complete,
         )
     )
 
 
+def _scene(
+    camera: dict[str, Any],
+    balls: list[BallMotion],
+    metals: dict[str, tuple[float, float]],
+    lights: dict[str, tuple[Lamp, float]],
+) -> Any:
+    """Plate, balls, lamps and camera as trimesh's scene. metals: base colour and roughness."""
+    scene = untyped.Scene(base_frame="scene")
+    scene.graph.update(frame_from="scene", frame_to="table")
+    side = BEYOND * max(camera["size"]) * camera["scale"]
+    plate = untyped.creation.box([side, side, THICK])
+    plate.unmerge_vertices()  # corners shared by faces would have slanting normals, and the plate the light of a dome
+    black, steel = (
+        material(name=name, metallicFactor=1.0, roughnessFactor=rough) for name, (_, rough) in metals.items()
+    )
+    _add(scene, "plate", plate, black, _at([0.0, 0.0, -THICK / 2]))
+    for k, ball in enumerate(balls):
+        _add(scene, f"ball{k}", untyped.creation.icosphere(ROUND, ball.radius), steel, _at(ball.positions[0]))
+    for name, (lamp, _) in lights.items():
+        _add(scene, name.replace("light", "lamp"), _shape(lamp), LIGHT, _at(lamp.position, lamp.axes * [1, 1, -1]))
+    for name in (*lights, "camera"):
+        scene.graph.update(frame_from="table", frame_to=name)
+    return scene
+
+
+def _perspective(camera: dict[str, Any]) -> dict[str, Any]:
+    """glTF's camera."""
+    (width, height), focal = camera["size"], camera["K"][1][1]
+    return {
+        "type": "perspective",
+        "perspective": {
+            "aspectRatio": width / height * focal / camera["K"][0][0],
+            "yfov": 2 * float(np.arctan(height / 2 / focal)),
+            "znear": 0.01,
+        },
+    }
+
+
 def _shape(lamp: Lamp) -> Any:
-    """A lamp's body, flat along z."""
+    """A lamp's mesh, flat along z."""
     if lamp.shape == "bar":
         turn = untyped.transformations.rotation_matrix(lamp.angle, [0, 0, 1])
         return untyped.creation.box([lamp.length, lamp.width, lamp.width / 100], transform=turn)
@@ -125,9 +140,9 @@ def _shape(lamp: Lamp) -> Any:
     return untyped.creation.cylinder(lamp.radius, lamp.radius / 100)
 
 
-def _at(place: ArrayLike, axes: Array | None = None) -> Array:
+def _at(position: ArrayLike, axes: Array | None = None) -> Array:
     pose = np.eye(4)
-    pose[:3, 3] = place
+    pose[:3, 3] = position
     if axes is not None:
         pose[:3, :3] = axes
     return pose
