@@ -76,11 +76,22 @@ class Finding:
         return pd.DataFrame([[getattr(p, n) for n in names] for p in self.outcome.where], columns=names)
 
     def sentence(self) -> str:
-        """The outcome in one sentence."""
+        """The outcome in one sentence.
+
+        Returns
+        -------
+        str
+        """
         return self.outcome.sentence()
 
     def document(self) -> dict[str, Any]:
-        """The keys of ``discrepancy.json``."""
+        """The contents of ``discrepancy.json``.
+
+        Returns
+        -------
+        dict
+            docs/discrepancy.md describes the keys.
+        """
         return html.document(self.outcome, self.left_out)
 
     def __repr__(self) -> str:

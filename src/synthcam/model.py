@@ -62,17 +62,33 @@ def effect_settings() -> type[Settings]:
 
 @dataclass(frozen=True)
 class Ball:
-    """A solid sphere. diameter in m, density in kg/m^3."""
+    """A solid sphere; by default the paper's steel ball.
+
+    Attributes
+    ----------
+    diameter : float
+        m.
+    density : float
+        kg/m^3.
+
+    Examples
+    --------
+    >>> import synthcam
+    >>> round(1e6 * synthcam.Ball().mass, 2)
+    55.06
+    """
 
     diameter: float = 2.38e-3
     density: float = 7800.0
 
     @property
     def radius(self) -> float:
+        """m."""
         return self.diameter / 2
 
     @property
     def mass(self) -> float:
+        """kg."""
         return self.density * math.pi * self.diameter**3 / 6
 
 
@@ -90,7 +106,32 @@ class Bodies:
 
 @dataclass(frozen=True)
 class Model:
-    """Everything that decides how balls move. `free` names what a fit may change ("restitution", "plate_tilt.x")."""
+    """Everything that decides how balls move: the base model's numbers, by default the paper's, and effects on top.
+
+    Attributes
+    ----------
+    ball : Ball
+    gravity : float
+        m/s^2.
+    restitution, sliding_friction, spin_transfer : float
+        r, mu_k and C.
+    rolling_drag, rolling_decel : float
+        Rolling loss, drag v + decel: 1/s and m/s^2.
+    effects : tuple of Effect
+    free : tuple of str
+        What a fit may change, by dotted name: "restitution", "plate_tilt.x".
+
+    References
+    ----------
+    Painter & Behringer, Phys. Rev. E 62 (2000) 2380.
+
+    Examples
+    --------
+    >>> import synthcam
+    >>> model = synthcam.Model().replace({"restitution": 0.95, "plate_tilt.x": 1e-3})
+    >>> model.value("plate_tilt.x"), model.value("plate_tilt.y")
+    (0.001, 0.0)
+    """
 
     ball: Ball = field(default_factory=Ball)
     gravity: float = 9.81
@@ -106,6 +147,14 @@ class Model:
     def read(cls, path: str | Path) -> Model:
         """Read a model file, or a scene whose physics are numbers; scenes that come with synthcam by name.
 
+        Parameters
+        ----------
+        path : str or Path
+
+        Returns
+        -------
+        Model
+
         Raises
         ------
         InputError
@@ -120,7 +169,12 @@ class Model:
         return read_model(Path(path))
 
     def write(self, path: str | Path) -> None:
-        """Write a model file that `read` gives back and ``synthcam generate`` takes."""
+        """Write a model file that `read` gives back and ``synthcam generate`` takes.
+
+        Parameters
+        ----------
+        path : str or Path
+        """
         write_model(self, Path(path))
 
     @cached_property
@@ -129,7 +183,17 @@ class Model:
         return Laws(self.effects)
 
     def bodies(self, labels: Sequence[str]) -> Bodies:
-        """The balls with these labels, "a" or "b"."""
+        """Radii and masses of balls, with the active effects on them.
+
+        Parameters
+        ----------
+        labels : sequence of {"a", "b"}
+
+        Returns
+        -------
+        Bodies
+            In the order of `labels`.
+        """
         of_a = np.array([float(label == "a") for label in labels])
         a = self.laws("radius", self.ball.radius, {}), self.laws("mass", self.ball.mass, {})
         b = self.ball.radius, self.ball.mass
@@ -137,7 +201,18 @@ class Model:
         return Bodies(radius, mass, of_a)
 
     def value(self, name: str) -> float:
-        """A parameter by its dotted name: "restitution" or "plate_tilt.x"; of an absent effect, a strength is 0."""
+        """The value of a parameter.
+
+        Parameters
+        ----------
+        name : str
+            Dotted: "restitution", "plate_tilt.x".
+
+        Returns
+        -------
+        float
+            Of an effect that is not in the model: 0 for a strength, its default for a shape parameter.
+        """
         effect, dot, parameter = name.rpartition(".")
         if not dot:
             return float(getattr(self, name))
@@ -145,7 +220,17 @@ class Model:
         return float(getattr(present, parameter))
 
     def replace(self, values: Mapping[str, float]) -> Model:
-        """A copy with parameters changed by dotted name; an effect not yet there is added."""
+        """A copy with other values.
+
+        Parameters
+        ----------
+        values : dict
+            By dotted name. An effect that is not in the model is added.
+
+        Returns
+        -------
+        Model
+        """
         base = {k: v for k, v in values.items() if "." not in k}
         effects = {e.name(): e for e in self.effects}
         for name, value in values.items():

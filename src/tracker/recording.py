@@ -59,6 +59,14 @@ class Result:
         What was assumed, estimated or converted.
     frames : int
         How many were tracked; 0 of tracks made elsewhere.
+
+    Examples
+    --------
+    >>> import synthcam, tracker
+    >>> clip = synthcam.Scene.read("painter_behringer").draw(seed=1)
+    >>> table = clip.tracks[["frame", "particle"]].assign(x=clip.tracks.x_mean_px, y=clip.tracks.y_mean_px)
+    >>> print(repr(tracker.measure(table, clip.camera_json)).partition(":")[0])
+    Clip 0
     """
 
     number: int

@@ -52,7 +52,7 @@ def expose(rng, picture, gain=20.0, read=20.0, black=8.0, bits=8):
     return np.clip(np.rint(electrons / gain + black), 0, 2**bits - 1).astype(np.uint8 if bits <= 8 else np.uint16)
 
 
-def film(rng, paths, shape=(160, 200), peak=200.0, sigma=1.0, exposure_share=0.125, body=4.0, blank=(), **sensor):
+def film(rng, paths, shape=(160, 200), peak=200.0, sigma=1.0, exposure_share=0.125, profile=4.0, blank=(), **sensor):
     """Frames (n, h, w) of glints along paths (n, balls, 2) px, a slope of the way being each frame's streak."""
     steps = np.gradient(paths, axis=0) * exposure_share
     frames = []
@@ -68,7 +68,7 @@ def film(rng, paths, shape=(160, 200), peak=200.0, sigma=1.0, exposure_share=0.1
                 if part.size:
                     at = (x - columns.start, y - rows.start)
                     part += peak * 2 * math.pi * sigma**2 * spot(part.shape, *at, sigma, steps[k, ball])
-                    part += body * disc(part.shape, *at, 7.44)
+                    part += profile * disc(part.shape, *at, 7.44)
         frames.append(expose(rng, picture, **sensor))
     return np.array(frames)
 

@@ -258,7 +258,7 @@ def test_what_was_assumed_and_what_is_not_modelled_is_said(tmp_path):
     done = CliRunner().invoke(cli.app, words)
     assert done.exit_code == 0
     assert "assumed or estimated: psf.sigma_px" in done.stderr
-    assert "lamp.second: places are drawn towards its glints" in done.stderr
+    assert "lamp.second: positions are biased towards its glints" in done.stderr
     assert "psf.defocus_px: glints are taken as Gaussian" in done.stderr
     kept = json.loads((tmp_path / "out/clips/000000/camera.json").read_text())
     assert kept["psf"]["sigma_px"] == pytest.approx(1.0, rel=0.05)  # as wide as drawn

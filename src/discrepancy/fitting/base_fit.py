@@ -16,6 +16,7 @@ from discrepancy.fitting.predict import forecast
 from discrepancy.noise.model import Component, Noise, estimate
 from synthcam.model import Model
 from tracker.camera.camera import InputError
+from tracker.camera.same_view import first_difference
 
 CLAIMED = Noise(Component(1.0))  # white, and as large as is claimed
 LOST = 100.0  # chi^2 a degree of freedom of a fit that may have lost its way
@@ -37,7 +38,7 @@ def check(clips: Sequence[Measured], model: Model) -> None:
                 f"the ball of camera.json is {1e3 * c.camera.ball_diameter:.6g} mm wide (clip {c.clip}), that of the "
                 f"model {1e3 * held:.6g} mm; expected the same"
             )
-        if other := c.camera.differs(first):
+        if other := first_difference(c.camera, first):
             raise InputError(
                 f"camera.json: {other} of clip {c.clip} is not that of clip {clips[0].clip}; expected clips of one "
                 "camera; search those of each by themselves"

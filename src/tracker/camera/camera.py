@@ -16,14 +16,11 @@ from numpy.typing import ArrayLike
 
 from tracker.camera.camera_json import InputError, Lamp, parse
 from tracker.camera.camera_keys import read_json
-from tracker.camera.lens import Array, distort, mirror_normal, pair_normal, undistort
+from tracker.camera.lens import Array, distort, mirror_normal, undistort
 from tracker.camera.sensor import Sensor
 
 __all__ = ["Camera", "InputError", "Lamp", "Sensor"]
 
-PLACING = ("K", "dist", "R", "t", "size", "fps", "exposure", "line_time", "ball_diameter", "lamp")
-ALIKE = 1e-6  # relative: numbers of two camera files that differ by less are the same
-FAR = 1e6  # m, of a point as good as straight overhead
 USUAL_PX = 15.0  # px, of a ball whose diameter is not known, for the search of its glint
 CHECKED = 9  # pixels along each side of the picture at which a camera file is tried
 UNEVEN = 3.0  # between scale and what the view makes of it anywhere in the picture
@@ -32,13 +29,54 @@ LOST = 0.01  # px between a pixel and what its position is projected to
 
 @dataclass(frozen=True, eq=False)
 class Camera:
-    """What ``camera.json`` holds; ``assumed`` names each key left to a default or an estimate.
+    """Camera, lamp and ball, as ``camera.json`` has them: where a point is seen, and where a ball mirrors the lamp.
 
-    ``metric`` is False where nothing ties pixels to metres (no camera file): then there are only pixels.
-    ``ball_diameter`` is NaN where the file does not have it; collisions are then not measured.
-    ``line_time`` s: by so much later each row of a rolling shutter is exposed. ``unmodelled`` lists what in
-    the file is not accounted for. ``exposure_seen`` s: the exposure found from the motion blur of the glints, where it
-    differs from ``exposure``.
+    Attributes
+    ----------
+    K : ndarray of shape (3, 3)
+        Camera matrix, px.
+    dist : ndarray of shape (5,)
+        Lens distortion k1, k2, p1, p2, k3, as OpenCV defines it.
+    R, t : ndarray of shape (3, 3), ndarray of shape (3,)
+        World to camera, x_cam = R x_world + t, m.
+    size : tuple of int
+        Width and height, px.
+    fps, exposure : float
+        Frames a second; exposure of a frame, s.
+    scale : float
+        m/px at the height of the balls' centres.
+    ball_diameter : float
+        m; NaN where the file does not have it: collisions are then not measured.
+    striker : {"a", "b"}
+        Which ball was launched.
+    lamp : Lamp or None
+    psf_sigma : float or None
+        Gaussian width of the optics, px.
+    sensor : Sensor
+    assumed : tuple of str
+        Each key that was left to a default or an estimate.
+    metric : bool
+        False where nothing ties pixels to metres (no camera file): there are only pixels then.
+    line_time : float
+        Delay of each row of a rolling shutter after the one above, s.
+    unmodelled : tuple of str
+        What in the file is not accounted for.
+    exposure_seen : float or None
+        The exposure found from the motion blur of the glints, s, where it differs from `exposure`.
+
+    References
+    ----------
+    OpenCV 4, "Camera calibration and 3D reconstruction".
+
+    Examples
+    --------
+    >>> import tracker
+    >>> given = {"size": [640, 480], "fps": 250, "scale": 1.6e-4, "t": [0, 0, 0.5], "ball_diameter": 2.38e-3}
+    >>> camera = tracker.Camera.from_dict(given)
+    >>> camera.project([0.016, 0.0, camera.radius]).round(6)
+    array([419.5, 239.5])
+    >>> camera.assumed[:3]
+    ('exposure', 'K', 'lamp')
     """
 
     K: Array
@@ -64,20 +102,6 @@ class Camera:
     def exposed(self) -> float:
         """Seconds for which glints are drawn out."""
         return self.exposure if self.exposure_seen is None else self.exposure_seen
-
-    def differs(self, other: Camera) -> str:
-        """The first key of camera.json in which another camera would see the same balls at other pixels; empty where
-        there is none.
-
-        In what is measured anew of each clip (the exposure as seen, the glints' width) it may differ.
-        """
-        for key in PLACING:
-            one, two = (getattr(c, key) for c in (self, other))
-            if key == "lamp":
-                one, two = (lamp.position if lamp else () for lamp in (one, two))
-            if np.shape(one) != np.shape(two) or not np.allclose(one, two, ALIKE, ALIKE**2, equal_nan=True):
-                return key
-        return ""
 
     @property
     def radius(self) -> float:
@@ -131,124 +155,141 @@ class Camera:
         return math.sqrt(self.psf_sigma**2 + self.lamp_image_radius**2 / 4.0)
 
     def project(self, points: ArrayLike) -> Array:
-        """World points (..., 3), m -> pixels (..., 2)."""
+        """Pixels at which points are seen.
+
+        Parameters
+        ----------
+        points : array_like of shape (..., 3)
+            In the world, m.
+
+        Returns
+        -------
+        ndarray of shape (..., 2)
+        """
         cam = np.asarray(points, dtype=np.float64) @ self.R.T + self.t
         bent, _ = distort(cam[..., :2] / cam[..., 2:3], self.dist)
         return bent @ self.K[:2, :2].T + self.K[:2, 2]
 
     def unproject(self, pixels: ArrayLike, z: float | None = None) -> tuple[Array, Array]:
-        """Pixels (..., 2) -> points of the plane at height z (default: ball centres), m.
+        """Points of a horizontal plane that are seen at pixels.
 
-        Returns the positions (..., 2) and the Jacobians d position / d pixel (..., 2, 2), m/px.
+        Parameters
+        ----------
+        pixels : array_like of shape (..., 2)
+        z : float, optional
+            Height of the plane, m; default: of the balls' centres.
+
+        Returns
+        -------
+        positions : ndarray of shape (..., 2)
+            x and y, m.
+        jacobians : ndarray of shape (..., 2, 2)
+            Derivative of the positions by the pixels, m/px.
         """
-        height = self.centre_height if z is None else z
+        position, straight, bend, depth = self._on_plane(pixels, self.centre_height if z is None else z)
+        # d straight / d position at this depth, from x_cam = R x_world + t
+        slope = (self.R[:2, :2] - straight[..., :, None] * self.R[2, :2]) / depth[..., None]
+        return position, np.asarray(np.linalg.inv(self.K[:2, :2] @ bend @ slope), dtype=np.float64)
+
+    def _on_plane(self, pixels: ArrayLike, height: float) -> tuple[Array, Array, Array, Array]:
+        """Positions on a plane; normalised coordinates, the lens's Jacobian there, and the depth (..., 1)."""
         bent = (np.asarray(pixels, dtype=np.float64) - self.K[:2, 2]) @ np.linalg.inv(self.K[:2, :2]).T
         straight, bend = undistort(bent, self.dist)
         ray = np.concatenate([straight, np.ones_like(straight[..., :1])], axis=-1) @ self.R
-        reach = (height - self.position[2]) / ray[..., 2:3]
-        at = self.position[:2] + reach * ray[..., :2]
-        # d straight / d position at this depth, from x_cam = R x_world + t
-        depth = reach[..., None]
-        slope = (self.R[:2, :2] - straight[..., :, None] * self.R[2, :2]) / depth
-        return at, np.linalg.inv(self.K[:2, :2] @ bend @ slope)
-
-    def _position_at(self, pixels: Array) -> Array:
-        """``unproject`` without its Jacobian."""
-        bent = (pixels - self.K[:2, 2]) @ np.linalg.inv(self.K[:2, :2]).T
-        straight, _ = undistort(bent, self.dist)
-        ray = np.concatenate([straight, np.ones_like(straight[..., :1])], axis=-1) @ self.R
-        reach = (self.radius - self.position[2]) / ray[..., 2:3]
-        return np.asarray(self.position[:2] + reach * ray[..., :2], dtype=np.float64)
+        depth = (height - self.position[2]) / ray[..., 2:3]
+        return np.asarray(self.position[:2] + depth * ray[..., :2], dtype=np.float64), straight, bend, depth
 
     def glint_of_centre(self, centres: ArrayLike) -> Array:
-        """Ball centres (n, 2), m -> pixels (n, 2) at which the lamp's centre is mirrored."""
+        """Pixels at which balls mirror the lamp's centre.
+
+        Parameters
+        ----------
+        centres : array_like of shape (..., 2)
+            x and y of balls on the plate, m.
+
+        Returns
+        -------
+        ndarray of shape (..., 2)
+
+        Raises
+        ------
+        InputError
+            Where the lamp's position is not known.
+        """
         if self.lamp is None:
             raise InputError("camera: lamp is missing, expected its position for the position of a glint")
         xy = np.asarray(centres, dtype=np.float64)
-        middle = np.concatenate([xy, np.full_like(xy[..., :1], self.radius)], axis=-1)
+        middle = self._at_ball_height(xy)
         light = np.array(self.lamp.position)
         return self.project(middle + self.radius * mirror_normal(middle, self.radius, self.position, light))
 
     def centre_of_glint(self, glints: ArrayLike) -> tuple[Array, Array]:
-        """Glint pixels (n, 2) -> ball-centre pixels (n, 2) and Jacobians d centre / d glint (n, 2, 2).
+        """Pixels of the centres of balls from those of their glints.
 
-        Without lamp, diameter or height it returns its input: see ``corrects_glint``.
+        Parameters
+        ----------
+        glints : array_like of shape (..., 2)
+
+        Returns
+        -------
+        centres : ndarray of shape (..., 2)
+            The glints themselves, where lamp, diameter or height are not known: see `corrects_glint`.
+        jacobians : ndarray of shape (..., 2, 2)
+            Derivative of the centres by the glints.
         """
         seen = np.asarray(glints, dtype=np.float64)
         if not self.corrects_glint or seen.size == 0:
             return seen.copy(), np.broadcast_to(np.eye(2), (*seen.shape, 2)).copy()
         around = np.concatenate([np.zeros((1, 2)), 0.5 * np.eye(2), -0.5 * np.eye(2)])
-        pixels = self._centre_pixel(self._centre_position(seen + around.reshape(5, *[1] * (seen.ndim - 1), 2)))
+        pixels = self.project(self.ball_of_glint(seen + around.reshape(5, *[1] * (seen.ndim - 1), 2)))
         jacobian = np.stack([pixels[1] - pixels[3], pixels[2] - pixels[4]], axis=-1)
         return pixels[0], jacobian
 
-    def zenith_of_glint(self, glints: ArrayLike, share: float) -> Array:
-        """Glint pixels (n, 2) -> pixels (n, 2), a share of the way from their balls' centres to where these mirror what
-        is straight overhead. What a ball mirrors of a room that is the same all round is symmetric about that line.
+    def ball_of_glint(self, glints: ArrayLike) -> Array:
+        """Centres of balls from their glints.
+
+        Parameters
+        ----------
+        glints : array_like of shape (..., 2)
+            Pixels; the lamp's position must be known.
+
+        Returns
+        -------
+        ndarray of shape (..., 3)
+            In the world, m.
         """
-        seen = np.asarray(glints, dtype=np.float64)
-        if not self.corrects_glint or seen.size == 0:
-            return seen.copy()
-        at = self._centre_position(seen)
-        middle = np.concatenate([at, np.full_like(at[..., :1], self.radius)], axis=-1)
-        overhead = np.concatenate([at, np.full_like(at[..., :1], FAR)], axis=-1)
-        zenith = self.project(middle + self.radius * mirror_normal(middle, self.radius, self.position, overhead))
-        centre = self.project(middle)
-        return np.asarray(centre + share * (zenith - centre), dtype=np.float64)
+        return self._at_ball_height(self._centre_position(np.asarray(glints, dtype=np.float64)))
 
-    def secondary_of_pair(self, glints: ArrayLike, others: ArrayLike) -> Array:
-        """Pixels (n, 2) at which balls of primary glints (n, 2) show the lamp as their neighbours mirror it."""
-        middle, other = self._centre(glints), self._centre(others)
-        return self._mirrored(middle, pair_normal(middle, other, self.radius, self.position, self._lamp_position()))
-
-    def secondary_share(self, glints: ArrayLike, others: ArrayLike) -> Array:
-        """Flux (n,) of those secondary glints over that of the primary ones, but for one reflectance.
-
-        The image of a small lamp is as large as the determinant of its pixel's derivative by the lamp's position.
-        """
-        middle, other = self._centre(glints), self._centre(others)
-        sides = [
-            self._lamp_position(),
-            *(self._lamp_position() + 0.03 * self._lamp_position()[2] * axis for axis in np.eye(3)[:2]),
-        ]
-        areas = []
-        for normals in (
-            [pair_normal(middle, other, self.radius, self.position, light) for light in sides],
-            [mirror_normal(middle, self.radius, self.position, light) for light in sides],
-        ):
-            still, by_x, by_y = (self._mirrored(middle, normal) for normal in normals)
-            areas.append(np.abs(np.linalg.det(np.stack([by_x - still, by_y - still], axis=-1))))
-        return np.asarray(areas[0] / areas[1], dtype=np.float64)
-
-    def _lamp_position(self) -> Array:
-        if self.lamp is None:
-            raise InputError("camera: lamp is missing, expected its position for the position of a glint")
-        return np.array(self.lamp.position, dtype=np.float64)
-
-    def _centre(self, glints: ArrayLike) -> Array:
-        """Ball centres (n, 3), m, of primary glints (n, 2)."""
-        at = self._centre_position(np.asarray(glints, dtype=np.float64))
+    def _at_ball_height(self, at: Array) -> Array:
         return np.concatenate([at, np.full_like(at[..., :1], self.radius)], axis=-1)
 
-    def _mirrored(self, middle: Array, normal: Array) -> Array:
-        return self.project(middle + self.radius * normal)
-
     def _centre_position(self, seen: Array) -> Array:
-        target = self._position_at(seen)
+        target = self._on_plane(seen, self.radius)[0]
         at = target
         for _ in range(12):  # contracts by about R/height, .003, a step
-            miss = target - self._position_at(self.glint_of_centre(at))
+            miss = target - self._on_plane(self.glint_of_centre(at), self.radius)[0]
             at = at + miss
             if np.max(np.abs(miss)) < 1e-12:
                 break
         return at
 
-    def _centre_pixel(self, at: Array) -> Array:
-        return self.project(np.concatenate([at, np.full_like(at[..., :1], self.radius)], axis=-1))
-
     @staticmethod
     def read(path: Path | str) -> Camera:
-        """Camera from a JSON file; InputError names the file and the key at fault."""
+        """Read a camera file.
+
+        Parameters
+        ----------
+        path : str or Path
+
+        Returns
+        -------
+        Camera
+
+        Raises
+        ------
+        InputError
+            One line, with file and key.
+        """
         where = Path(path)
         try:
             data = read_json(where)
@@ -260,7 +301,24 @@ class Camera:
 
     @staticmethod
     def from_dict(data: Any, where: str = "camera") -> Camera:
-        """Camera from the keys of camera.json; unknown keys are listed in ``unmodelled``. Raises InputError."""
+        """A camera of the keys of camera.json.
+
+        Parameters
+        ----------
+        data : dict
+            As the file has it; docs/format.md lists the keys. Unknown ones are listed in `unmodelled`.
+        where : str
+            What messages call it.
+
+        Returns
+        -------
+        Camera
+
+        Raises
+        ------
+        InputError
+            One line, with the key.
+        """
         camera = Camera(**parse(data, where))
         if camera.position[2] <= camera.radius:
             raise InputError(f"{where}: R, t: expected a camera above the plate, not at z = {camera.position[2]:g} m")
@@ -287,12 +345,30 @@ class Camera:
 
     @staticmethod
     def unknown(size: tuple[int, int], bits: int) -> Camera:
-        """A camera of which only the pictures are known: lengths in pixels, times in frames."""
+        """A camera of which only the pictures are known: lengths in pixels, times in frames.
+
+        Parameters
+        ----------
+        size : tuple of int
+            Width and height, px.
+        bits : int
+            Of the sensor.
+
+        Returns
+        -------
+        Camera
+        """
         guess = Camera.from_dict({"scale": 1.6e-4, "size": list(size), "fps": 1.0}, "no camera file")
         return replace(guess, sensor=replace(guess.sensor, bits=bits), metric=False, assumed=("camera", *guess.assumed))
 
     def to_dict(self) -> dict[str, Any]:
-        """The keys of camera.json, and ``assumed``; None for an unknown lamp or PSF is left out."""
+        """The keys of camera.json, `assumed` and `metric`.
+
+        Returns
+        -------
+        dict
+            Without the keys of a lamp, a PSF or a diameter that is not known.
+        """
         sensor = {k: v for k, v in vars(self.sensor).items() if math.isfinite(v)}
         out: dict[str, Any] = {
             "K": self.K.tolist(), "dist": self.dist.tolist(), "R": self.R.tolist(), "t": self.t.tolist(),

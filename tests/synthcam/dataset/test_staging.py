@@ -187,7 +187,7 @@ def test_two_commands_do_not_make_one_dataset(tmp_path):
 
 def test_an_estimate_from_the_first_clips(tmp_path):
     heard = []
-    outcome = run(silent(8), tmp_path / "d", 1, quiet, tell=heard.append)
+    outcome = run(silent(8), tmp_path / "d", 1, quiet, announce=heard.append)
     assert outcome.made == 8
     assert len(heard) == 1
     said = re.fullmatch(r"5 clips to come: about \d+ s, ([\d.]+) MB of [\d,]+ MB free", heard[0])

@@ -88,7 +88,7 @@ def test_a_realistic_contact_is_hertzs():
     radius = (0.75 * Model().ball.mass * G * R / stiffness) ** (1 / 3)
     assert radius == pytest.approx(2.0e-6, rel=0.02)
     (a,) = DrillingSpin.parameters()
-    assert a.scale == pytest.approx(radius, rel=0.02)
+    assert a.typical == pytest.approx(radius, rel=0.02)
 
 
 def dipole_energy(one, two, apart):

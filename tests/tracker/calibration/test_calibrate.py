@@ -28,7 +28,7 @@ def stack(folder, frames):
 def told(tmp_path_factory):
     """Of one film of a hit, 14.875 px a diameter, glints of width 1.2 px, in which the contact is seen."""
     folder = tmp_path_factory.mktemp("film")
-    frames = film(np.random.default_rng(0), collision(60, contact=25.3, speed=2.5), sigma=1.2, body=0.0)
+    frames = film(np.random.default_rng(0), collision(60, contact=25.3, speed=2.5), sigma=1.2, profile=0.0)
     return calibrate(stack(folder, frames), DIAMETER, 250.0, 5e-4)
 
 
@@ -141,7 +141,7 @@ def test_no_outline_under_the_glint_or_in_the_dark(radius, body):
 
 def test_no_contact_and_no_outline_is_no_scale(tmp_path):
     paths = np.stack([np.column_stack([20 + 3.0 * np.arange(40), np.full(40, 80.3)])], axis=1)
-    write_clip(tmp_path / "clip", film(np.random.default_rng(1), paths, body=0.0))
+    write_clip(tmp_path / "clip", film(np.random.default_rng(1), paths, profile=0.0))
     result = calibrate(tmp_path / "clip", DIAMETER, 250.0)
     assert result.scale_from == ""
     with pytest.raises(InputError, match="no two balls touch"):

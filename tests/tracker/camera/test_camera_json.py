@@ -180,7 +180,7 @@ def measured(folder, monkeypatch, capsys):
         ("frame,particle,x,y\n10000000000000000000,0,1,2\n", "frame: expected whole numbers from 0 to 2147483647"),
         ("frame,particle,x,y\n0,1e19,1,2\n", "particle: expected whole numbers from 0 to 2147483647, not 1e+19"),
         ("clip,frame,particle,x,y\n1e18,0,1,1,2\n", "clip: expected whole numbers"),
-        ("frame,particle,x,y\n0,1,1e300,2\n", "x: expected places in px, not 1e+300"),
+        ("frame,particle,x,y\n0,1,1e300,2\n", "x: expected positions in px, not 1e+300"),
         ("frame,particle,x,y,x_std,y_std\n0,1,1,2,1,1e300\n", "y_std: expected standard errors"),
         ("frame,particle,x,y,x_std,y_std,cov_xy\n0,1,1,2,1,1,1e300\n", "cov_xy: expected covariances"),
     ],
@@ -206,7 +206,7 @@ def test_a_misspelt_key_is_named(tmp_path, monkeypatch, capsys):
     status, err = measured(tmp_path, monkeypatch, capsys)
     assert status == 0
     assert err.splitlines() == [
-        "tracker: ball_diameter: not told; collisions are not measured, and glints are not taken to centres (1 clips)",
+        "tracker: ball_diameter: not given; collisions are not measured, and glints are not taken to centres (1 clips)",
         "tracker: ball_diametre: not a key of camera.json; did you mean ball_diameter? (1 clips)",
         "tracker: operator: not a key of camera.json (1 clips)",
         "tracker: psf.sigma: not a key of camera.json; did you mean psf.sigma_px? (1 clips)",

@@ -11,6 +11,7 @@ from tracker_film import CAMERA, collision, disc, expose, film, spot
 
 from tracker.camera.camera import Camera, InputError
 from tracker.camera.frames import Clip, Frames
+from tracker.camera.mirror_images import secondary_of_pair
 from tracker.detection import detect as detect_module
 from tracker.detection.cramer_rao import localisation_bound
 from tracker.detection.detect import detect, detectors, view_of
@@ -196,7 +197,7 @@ def test_a_neighbour_three_diameters_off_does_not_pull_either():
         centres = np.array([one, one + 45 * way])
         seen = CAM_LAMP.glint_of_centre(CAM_LAMP.unproject(centres)[0])
         picture = np.full((160, 200), 8.5)
-        for glint, centre, second in zip(seen, centres, CAM_LAMP.secondary_of_pair(seen, seen[::-1]), strict=True):
+        for glint, centre, second in zip(seen, centres, secondary_of_pair(CAM_LAMP, seen, seen[::-1]), strict=True):
             picture += 1500 * spot(picture.shape, *glint, 1.0) + 80 * spot(picture.shape, *second, 1.0)
             picture += 4 * disc(picture.shape, *centre, 7.44)
         blank = np.full((160, 200), 8.0)

@@ -9,6 +9,7 @@ from synthcam.camera.pinhole import Camera as Drawn
 from synthcam.camera.pinhole import Lamp, glint_px
 from tracker.camera.camera import Camera
 from tracker.camera.frames import Clip, Frames
+from tracker.camera.mirror_images import secondary_share
 from tracker.detection.cramer_rao import localisation_bound
 from tracker.detection.detect import detect, view_of
 from tracker.detection.secondary_glints import with_common_reflectance
@@ -76,7 +77,7 @@ def test_the_share_of_light_is_the_films(gap):
         found = find_glints(drawn, lamp, centres[None], radii, np.ones((1, 2), bool))
         one, two = (np.array([found.flux[(found.ball == k) & (found.order == n)][0] for k in (0, 1)]) for n in (1, 2))
         seen = glint_px(drawn, lamp, centres, camera.radius)
-        np.testing.assert_allclose(0.55 * camera.secondary_share(seen, seen[::-1]), two / one, rtol=0.025)
+        np.testing.assert_allclose(0.55 * secondary_share(camera, seen, seen[::-1]), two / one, rtol=0.025)
 
 
 def test_small_balls_that_touch_are_where_the_bound_says():

@@ -32,7 +32,7 @@ def filmed(tmp_path_factory):
     truth = pd.read_parquet(home / "truth" / "tracks.parquet")
     positions = truth.pivot(index="frame", columns="particle", values=["glint_x_px", "glint_y_px"])
     paths = np.stack([positions["glint_x_px"].to_numpy(), positions["glint_y_px"].to_numpy()], axis=-1)
-    frames = film(np.random.default_rng(0), paths, shape=(240, 320), peak=500.0, body=0.0)
+    frames = film(np.random.default_rng(0), paths, shape=(240, 320), peak=500.0, profile=0.0)
     tifffile.imwrite(home / "frames.tif", frames, imagej=True)
     return folder
 

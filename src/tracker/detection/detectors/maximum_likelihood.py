@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tracker.camera.lens import Array
+from tracker.camera.mirror_images import secondary_of_pair, secondary_share, zenith_of_glint
 from tracker.detection.ball_profile import BallProfile
 from tracker.detection.candidates import Search, coarse_position
 from tracker.detection.dsnu import Bare
@@ -206,7 +207,7 @@ class MaximumLikelihood:
         What mirrors the sky at an angle a from the zenith is a circle about cos(a/2) of the way from the ball's
         centre to where it mirrors the zenith.
         """
-        return self.camera.zenith_of_glint(position, MIDDLE) - position
+        return zenith_of_glint(self.camera, position, MIDDLE) - position
 
     def _rough(self, patches: _Patches, position: Array) -> Glints:
         n = len(position)
@@ -272,7 +273,7 @@ class MaximumLikelihood:
         return out, good, light, second
 
     def _learn(self, patches: _Patches, position: Array, blur: Array, bowl: Array) -> None:
-        """The clip's ball profile, from bright single glints of the block; their better positions go into ``position``."""
+        """The clip's ball profile, from bright single glints of the block; ``position`` gets their better positions."""
         clear = patches.strength > 0.5 * float(np.median(patches.strength))
         clear &= np.hypot(*blur.T) < SMEARED * self.camera.diameter_px / 2.0
         rows = np.flatnonzero(clear & self._apart(patches.frame, position))
@@ -367,11 +368,11 @@ class MaximumLikelihood:
         paired = nearest < SHOWING * self.camera.diameter_px
         secondaries = np.zeros((len(glints), 4))
         if self.camera.corrects_glint and paired.any():
-            secondaries[paired, :2] = self.camera.secondary_of_pair(glints.xy[paired], other[paired])
+            secondaries[paired, :2] = secondary_of_pair(self.camera, glints.xy[paired], other[paired])
             secondaries[paired, 2] = 1.0
         bright = nearest < AGREE * self.camera.diameter_px
         if self.camera.corrects_glint and bright.any():
-            secondaries[bright, 3] = self.camera.secondary_share(glints.xy[bright], other[bright])
+            secondaries[bright, 3] = secondary_share(self.camera, glints.xy[bright], other[bright])
         return nearest < NEARBY * self.camera.diameter_px, secondaries
 
 

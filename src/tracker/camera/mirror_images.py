@@ -1,0 +1,58 @@
+"""What a ball mirrors beside the lamp: the zenith of the room, and the lamp as another ball mirrors it."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from tracker.camera.camera import Camera, InputError
+from tracker.camera.lens import Array, mirror_normal, pair_normal
+
+FAR = 1e6  # m, of a point as good as straight overhead
+NUDGE = 0.03  # of the lamp's height, by which it is moved for a derivative
+
+
+def zenith_of_glint(camera: Camera, glints: ArrayLike, share: float) -> Array:
+    """Pixels (n, 2), a share of the way from the centres of balls to where these mirror the zenith; by glints (n, 2).
+
+    What a ball mirrors of a room that is the same all round is symmetric about that line.
+    """
+    seen = np.asarray(glints, dtype=np.float64)
+    if not camera.corrects_glint or seen.size == 0:
+        return seen.copy()
+    middle = camera.ball_of_glint(seen)
+    overhead = np.concatenate([middle[..., :2], np.full_like(middle[..., :1], FAR)], axis=-1)
+    zenith = camera.project(middle + camera.radius * mirror_normal(middle, camera.radius, camera.position, overhead))
+    centre = camera.project(middle)
+    return np.asarray(centre + share * (zenith - centre), dtype=np.float64)
+
+
+def secondary_of_pair(camera: Camera, glints: ArrayLike, others: ArrayLike) -> Array:
+    """Pixels (n, 2) at which balls of primary glints (n, 2) show the lamp as their neighbours mirror it."""
+    middle, other = camera.ball_of_glint(glints), camera.ball_of_glint(others)
+    normal = pair_normal(middle, other, camera.radius, camera.position, _lamp_position(camera))
+    return camera.project(middle + camera.radius * normal)
+
+
+def secondary_share(camera: Camera, glints: ArrayLike, others: ArrayLike) -> Array:
+    """Flux (n,) of those secondary glints over that of the primary ones, but for one reflectance.
+
+    The image of a small lamp is as large as the determinant of its pixel's derivative by the lamp's position.
+    """
+    middle, other = camera.ball_of_glint(glints), camera.ball_of_glint(others)
+    lamp = _lamp_position(camera)
+    moved = [lamp, *(lamp + NUDGE * lamp[2] * axis for axis in np.eye(3)[:2])]
+    areas = []
+    for normals in (
+        [pair_normal(middle, other, camera.radius, camera.position, light) for light in moved],
+        [mirror_normal(middle, camera.radius, camera.position, light) for light in moved],
+    ):
+        still, by_x, by_y = (camera.project(middle + camera.radius * normal) for normal in normals)
+        areas.append(np.abs(np.linalg.det(np.stack([by_x - still, by_y - still], axis=-1))))
+    return np.asarray(areas[0] / areas[1], dtype=np.float64)
+
+
+def _lamp_position(camera: Camera) -> Array:
+    if camera.lamp is None:
+        raise InputError("camera: lamp is missing, expected its position for the position of a glint")
+    return np.array(camera.lamp.position, dtype=np.float64)
