@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 
-from benchmarks.camera import camera_reference as reference
+from benchmarks.camera import camera_reference
 from benchmarks.harness import ROOT, run, save
 from synthcam.camera import reflections
 from synthcam.camera.exposure import Picture
@@ -74,7 +74,7 @@ def still(centres: Array) -> Any:
 def glints(pairs: int, rng: np.random.Generator) -> dict[str, float]:
     """Pairs at contact and apart, anywhere in view: places and fluxes as drawn less those traced."""
     film = Film(overhead(), LAMP, [R, R], room=0.0)
-    places: dict[int, list[float]] = {1: [], 2: []}
+    positions: dict[int, list[float]] = {1: [], 2: []}
     fluxes: dict[int, list[float]] = {1: [], 2: []}
     for k in range(pairs):
         gap = 2 * R * (1 if k % 2 else 1 + rng.exponential(0.3))
@@ -86,24 +86,24 @@ def glints(pairs: int, rng: np.random.Generator) -> dict[str, float]:
         image: Array = (picture.image - picture.plate).astype(float) / film._unit
         near = find_glints(film.camera, LAMP, centres[None], film.radii, np.ones((1, 2), bool))
         traced = [
-            reference.lamp_image(film.camera, LAMP, centres, film.radii, pixel, int(order))
+            camera_reference.lamp_image(film.camera, LAMP, centres, film.radii, pixel, int(order))
             for pixel, order in zip(near.pixels, near.order, strict=True)
         ]
-        spots = [reference.spot(film.camera, image.shape, *found) for found in traced]
-        at = np.array([place for place, _, _ in traced])
-        offsets, shares = reference.separate(image, spots, at)
+        spots = [camera_reference.spot(film.camera, image.shape, *found) for found in traced]
+        at = np.array([position for position, _, _ in traced])
+        offsets, shares = camera_reference.separate(image, spots, at)
         for j, order in enumerate(near.order.tolist()):
             crowd = np.linalg.norm(np.delete(at, j, axis=0) - at[j], axis=1)
             if order > 2 or crowd.min(initial=9) < 1:
                 continue  # two spots on one place have no places of their own
-            places[order].append(float(np.linalg.norm(offsets[j])))
+            positions[order].append(float(np.linalg.norm(offsets[j])))
             fluxes[order].append(float(shares[j] - 1))
     out = {}
     for order, name in ((1, "primary"), (2, "secondary")):
-        out[f"{name} place, px rms"] = float(np.sqrt(np.mean(np.square(places[order])) / 2))
-        out[f"{name} place, px worst"] = float(np.max(places[order]))
+        out[f"{name} place, px rms"] = float(np.sqrt(np.mean(np.square(positions[order])) / 2))
+        out[f"{name} place, px worst"] = float(np.max(positions[order]))
         out[f"{name} flux, relative"] = float(np.abs(fluxes[order]).max())
-        out[f"{name} glints"] = len(places[order])
+        out[f"{name} glints"] = len(positions[order])
     return out
 
 
@@ -121,7 +121,7 @@ def thrown(pairs: int, rng: np.random.Generator) -> dict[str, float]:
                 ends = np.array([[(k + end) % 2 for k in range(order)] for end in (0, 1)])
                 paths = reflections.reflect(LAMP.position, camera.centre, centres[ends], np.full((2, order), R))
                 for start_at in camera.project(paths.points[paths.exists, -1]):  # where to look, no more
-                    brought += reference.lamp_image(camera, LAMP, centres, radii, start_at, order)[1]
+                    brought += camera_reference.lamp_image(camera, LAMP, centres, radii, start_at, order)[1]
             off.append(found.flux[found.order > 1].sum() / brought - 1)
         out[f"light between mirrors {gap:g} R apart, relative"] = float(np.abs(off).max())
     return out
@@ -155,19 +155,19 @@ def outline(balls: int, rng: np.random.Generator) -> dict[str, float]:
             nodes, weights = np.polynomial.legendre.leggauss(3 + int(2 * travel))
             times, shares = ((nodes + 1) / 2 * camera.exposure, weights / 2) if travel else (np.zeros(1), np.ones(1))
             bottom = camera.size[1] * camera.line_time
-            low, high = reference.window(camera, np.concatenate(path(np.array([0.0, camera.exposure + bottom]))))
+            low, high = camera_reference.window(camera, np.concatenate(path(np.array([0.0, camera.exposure + bottom]))))
             anchors = np.arange(low[1], high[1] + 3, 3) if camera.line_time else np.zeros(1)
             seen = [
                 np.tensordot(
                     shares,
-                    [reference.hidden(camera, c, R, low, high, camera.defocus_px) for c in path(times + late)],
+                    [camera_reference.hidden(camera, c, R, low, high, camera.defocus_px) for c in path(times + late)],
                     axes=1,
                 )
                 for late in anchors * camera.line_time
             ]
             true: Array = seen[0] if len(seen) == 1 else by_rows(anchors - low[1], seen)
             drawn = np.asarray(1 - picture.image / picture.plate, dtype=float)[low[1] : high[1], low[0] : high[0]]
-            errors.append(reference.displaced(drawn, true))
+            errors.append(camera_reference.displaced(drawn, true))
         out[f"outline, {name}, px rms"] = rms(np.concatenate(errors))
     return out
 
@@ -189,14 +189,14 @@ def lit_outline(balls: int, rng: np.random.Generator) -> dict[str, float]:
     for _ in range(balls):
         centres = together(1, rng)
         (picture,) = film.frames(still(centres), [[0.0, 0.0]])
-        low, high = reference.window(film.camera, centres)
+        low, high = camera_reference.window(film.camera, centres)
         dark = 0.05 * (LAMP.position[2] ** 2 / np.sum((LAMP.position - centres * [1, 1, 0]) ** 2, axis=1)) ** 2
-        true = reference.lit(film.camera, centres, film.radii, dark, 1.0, (low, high))
+        true = camera_reference.lit(film.camera, centres, film.radii, dark, 1.0, (low, high))
         drawn = np.asarray(picture.image - picture.plate, dtype=float)[low[1] : high[1], low[0] : high[0]]
         across, down = np.meshgrid(*[np.arange(a, b) for a, b in zip(low, high, strict=True)])
         at = film.camera.project(centres[0])
         rim = np.abs(np.hypot(across - at[0], down - at[1]) - R / film.camera.scale) < 1.5
-        errors.append(reference.displaced(drawn, true, rim))
+        errors.append(camera_reference.displaced(drawn, true, rim))
     return {"outline, as lit, px rms": rms(np.concatenate(errors))}
 
 
@@ -308,14 +308,14 @@ def _children() -> float:
 def stock(frames: int = 12) -> dict[str, float]:
     """Our drawing, and stock pyrender's at the samples of our bodies and at 8 x 8, one process each, without noise."""
     found: dict[str, float] = {}
-    places = []
+    positions = []
     for fine in (FINENESS, 8):
         words = [sys.executable, str(Path(__file__).with_name("stock_pyrender.py")), str(frames), str(fine)]
         told = json.loads(subprocess.run(words, check=True, capture_output=True, text=True).stdout)
-        places.append(told.pop("places"))
+        positions.append(told.pop("places"))
         found |= told
     found[f"stock pyrender, {FINENESS} x {FINENESS} samples: highlight off that of 8 x 8, px rms"] = rms(
-        np.subtract(*places)
+        np.subtract(*positions)
     )
     film = Film(overhead(), LAMP, [R, R])
     times = np.arange(100) / 250

@@ -94,27 +94,27 @@ def lamp_image(
     _, kept = missed(camera, lamp, centres, radii, at.reshape(-1, 2), order)
     weight = kept.reshape(at.shape[:2]) * weights / 2 * share * (low**2)[:, None] * (2 * np.pi / DIRECTIONS)
     flux = weight.sum()
-    place = (weight[..., None] * at).sum((0, 1)) / flux
-    return place, flux, (weight[..., None] * (at - place) ** 2).sum((0, 1)) / flux
+    position = (weight[..., None] * at).sum((0, 1)) / flux
+    return position, flux, (weight[..., None] * (at - position) ** 2).sum((0, 1)) / flux
 
 
-def spot(camera: Camera, shape: tuple[int, ...], place: Array, flux: float, variance: Array) -> Array:
+def spot(camera: Camera, shape: tuple[int, ...], position: Array, flux: float, variance: Array) -> Array:
     """A spot (h, w) through the optics' Gaussian and square pixels."""
     sides = []
     for axis, count in ((1, shape[0]), (0, shape[1])):
         edges = np.arange(count + 1) - 0.5
-        sides.append(np.diff(ndtr((edges - place[axis]) / np.sqrt(variance[axis] + camera.psf_sigma_px**2))))
+        sides.append(np.diff(ndtr((edges - position[axis]) / np.sqrt(variance[axis] + camera.psf_sigma_px**2))))
     return np.asarray(flux * np.outer(*sides))
 
 
-def separate(image: Array, spots: Sequence[Array], places: Array) -> tuple[Array, Array]:
+def separate(image: Array, spots: Sequence[Array], positions: Array) -> tuple[Array, Array]:
     """Offsets (n, 2) px and relative fluxes (n,) of overlapping spots (n, h, w), by least squares."""
     columns: list[Array] = []
     for spot in spots:
         down, across = (np.asarray(slope) for slope in np.gradient(spot))
         columns += [spot, -across, -down]
     used = np.zeros(image.shape, bool)
-    for x, y in np.round(places).astype(int):
+    for x, y in np.round(positions).astype(int):
         used[max(y - 6, 0) : y + 7, max(x - 6, 0) : x + 7] = True
     shapes: Array = np.stack([c[used] for c in columns], axis=1)
     found = np.linalg.lstsq(shapes, image[used], rcond=None)[0].reshape(-1, 3)

@@ -31,7 +31,7 @@ from rich.table import Table
 from benchmarks.harness import ROOT, run, save
 from tracker.camera.camera import Camera
 from tracker.detection.cramer_rao import fixed_part, localisation_bound
-from tracker.measurement.estimate import FREE_LIMITS, LIMITS, TELLING
+from tracker.measurement.estimate import FREE_LIMITS, LIMITS, LINEAR_UP_TO
 from tracker.measurement.whitening import covariance
 from tracker.scoring.score import score
 
@@ -77,8 +77,8 @@ def noisy(clip: Path, rng: np.random.Generator) -> pd.DataFrame:
         )
         here = true[["x", "y", "z"]].to_numpy(float)
         there = here + true[["vx", "vy", "vz"]].to_numpy(float) * camera.exposure
-        streak = camera.project(there) - camera.project(here)
-        cov, fixed = localisation_bound(camera, flux, glint, streak), fixed_part(camera, flux, glint)
+        blur = camera.project(there) - camera.project(here)
+        cov, fixed = localisation_bound(camera, flux, glint, blur), fixed_part(camera, flux, glint)
         root = np.linalg.cholesky(covariance(glint, cov, fixed, sigma))
         xy = true[["x_mean_px", "y_mean_px"]].to_numpy() + (root @ rng.standard_normal(len(root))).reshape(-1, 2)
         table = {"frame": true["frame"], "particle": true["particle"], "x": xy[:, 0], "y": xy[:, 1], "flux": flux}
@@ -89,7 +89,7 @@ def noisy(clip: Path, rng: np.random.Generator) -> pd.DataFrame:
     return pd.concat(parts)
 
 
-def verdict(name: str, row: dict[str, float], clips: int, told: float) -> list[str]:
+def verdict(name: str, row: dict[str, float], clips: int, claims: float) -> list[str]:
     """What a quantity misses."""
     n = max(row["n"], 1)
     missed = []
@@ -105,14 +105,14 @@ def verdict(name: str, row: dict[str, float], clips: int, told: float) -> list[s
             missed.append("ratio")
         if row["n"] < SHARE * clips and name not in EXEMPT:
             missed.append("n")
-        if told < TOLD:
+        if claims < TOLD:
             missed.append("told")
     return missed
 
 
 def told_share(table: pd.DataFrame, name: str, kind: str) -> float:
     """Of the clips whose bound is well under the limit of a claim, the share that claims."""
-    limit = (FREE_LIMITS if kind else LIMITS).get(name, TELLING * table[f"{name}_true"].abs())
+    limit = (FREE_LIMITS if kind else LIMITS).get(name, LINEAR_UP_TO * table[f"{name}_true"].abs())
     able = table[f"{name}{kind}_bound"] < 0.8 * limit
     if name == "s":  # a ratio by b: the hit must be oblique enough
         able &= table["b_true"].abs() > 12 * table[f"b{kind}_bound"]
@@ -138,9 +138,9 @@ def judge(table: pd.DataFrame, quantities: dict[str, dict[str, float]]) -> dict[
             row = quantities[f"{name}{kind}"]
             if not np.isfinite(row["z_std"]):
                 continue  # w1n of the tied fit: zero by the model
-            told = told_share(table, name, kind)
+            claims = told_share(table, name, kind)
             row = row | over_bound(table, name, kind)
-            out[f"{name}{kind}"] = row | {"told": told, "missed": verdict(f"{name}{kind}", row, len(table), told)}
+            out[f"{name}{kind}"] = row | {"told": claims, "missed": verdict(f"{name}{kind}", row, len(table), claims)}
     return out
 
 
@@ -187,10 +187,10 @@ def main() -> None:
     table.to_parquet(options.output / f"table_{mode}.parquet")
     rows = judge(table, found.quantities)
     Console(width=150).print(shown(rows))
-    place = found.localisation
-    print(f"{len(table)} clips, status {found.statuses}; rmse of a place over its bound {place['ratio']:.3f}")
+    position = found.localisation
+    print(f"{len(table)} clips, status {found.statuses}; rmse of a place over its bound {position['ratio']:.3f}")
     missed = [name for name, row in rows.items() if row["missed"]]
-    report = {"clips": len(table), "mode": mode, "localisation": place, "quantities": rows}
+    report = {"clips": len(table), "mode": mode, "localisation": position, "quantities": rows}
     save(options.output / f"coverage_{mode}.json", report)
     print(f"{len(rows) - len(missed)} of {len(rows)} within their limits" + f"; not {missed}" * bool(missed))
     sys.exit(1 if missed else 0)

@@ -28,7 +28,7 @@ from benchmarks.harness import ROOT, run, save
 from tracker.camera.camera import Camera
 from tracker.camera.frames import open_source
 from tracker.detection.cramer_rao import localisation_bound
-from tracker.detection.detect import DEFAULT, detector, look
+from tracker.detection.detect import DEFAULT, detector, view_of
 from tracker.detection.glints import Glints
 from tracker.scoring.localisation import Matched, localisation, match
 
@@ -42,18 +42,28 @@ RATIO, PHASE, TOUCHING, PACE, TIMES = 1.05, 0.01, 0.02, 1.0, 15.0  # to be shown
 
 def generate(folder: Path, peak: int, clips: int, seed: int) -> Path:
     """A dataset of that glint peak, made once."""
-    place = folder / f"peak{peak}"
-    words = [SCENE, "-o", str(place), "--clips", str(clips), "--seed", str(seed), "--set", f"sensor.glint_peak={peak}"]
+    dataset = folder / f"peak{peak}"
+    words = [
+        SCENE,
+        "-o",
+        str(dataset),
+        "--clips",
+        str(clips),
+        "--seed",
+        str(seed),
+        "--set",
+        f"sensor.glint_peak={peak}",
+    ]
     if peak > 255:
         words += ["--set", "sensor.full_well=20000"]  # the converter clips, not the well
     run("synthcam", "generate", *words)
-    return place
+    return dataset
 
 
 def found_by(name: str, clip: Any, every: int) -> tuple[pd.DataFrame, Camera, float]:
     """Detections as ball centres, the camera, and seconds spent on reading and detecting."""
     started = time.process_time()
-    view = look(clip)
+    view = view_of(clip)
     finder = detector(name)(view)
     numbers = range(0, len(clip.frames), every)
     pictures = ((k, clip.frames[k]) for k in numbers)
@@ -84,9 +94,9 @@ def bounds(matched: Matched, camera: Camera) -> np.ndarray:
     rows = matched.truth.iloc[matched.pairs[:, 0]]
     here = rows[["x", "y", "z"]].to_numpy(float)
     there = here + rows[["vx", "vy", "vz"]].to_numpy(float) * camera.exposure
-    streak = camera.project(there) - camera.project(here)
+    blur = camera.project(there) - camera.project(here)
     glint = rows[["glint_x_px", "glint_y_px"]].to_numpy(float)
-    return localisation_bound(camera, rows["flux"].to_numpy(float), glint, streak)
+    return localisation_bound(camera, rows["flux"].to_numpy(float), glint, blur)
 
 
 def towards(matched: Matched) -> np.ndarray:
@@ -156,7 +166,7 @@ def pace(film: Path, folder: Path, repeat: int = 5) -> dict[str, float]:
     mine = os.sched_getaffinity(0)
     os.sched_setaffinity(0, {max(mine)})  # children keep to it
     try:
-        times = np.array([[command(place, folder / "tracked") for place in (few, film)] for _ in range(repeat)])
+        times = np.array([[command(dataset, folder / "tracked") for dataset in (few, film)] for _ in range(repeat)])
     finally:
         os.sched_setaffinity(0, mine)
     short, long = times.min(axis=0)
