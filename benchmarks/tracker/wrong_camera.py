@@ -129,7 +129,7 @@ def markdown(rows: dict[str, dict[str, Any]]) -> str:
         unit = ABSOLUTE[name][1] if name in ABSOLUTE else "%"
         cells = [f"{rows[n][name]['shift']:+.2g} ({rows[n][name]['z_std']:.2g})" for n in names]
         lines.append(f"| {name}, {unit} | " + " | ".join(cells) + " |")
-    for key, what in (("chi2", "chi^2 / dof"), ("measured", "clips measured"), ("moved_px", "places moved, px")):
+    for key, what in (("chi2", "chi^2 / dof"), ("measured", "clips measured"), ("moved_px", "positions moved, px")):
         lines.append(f"| {what} | " + " | ".join(f"{rows[n][key]:.3g}" for n in names) + " |")
     lines.append("| error claimed, px | " + " | ".join(f"{rows[n]['x_std']:.2g}" for n in names) + " |")
     return "\n".join(lines)

@@ -71,7 +71,7 @@ def test_estimates_hold_every_quantity_three_ways(made: Path) -> None:
     assert [m for m in missing if m not in table.columns] == []
 
 
-def test_camera_file_holds_what_the_page_tells(made: Path) -> None:
+def test_camera_file_holds_what_the_page_lists(made: Path) -> None:
     camera = json.loads((made / "benchmark/clips/000000/camera.json").read_text())
     text = re.search(r"\*\*camera\.json\*\*:(.*?)Needed are", PAGE, re.S)
     assert text

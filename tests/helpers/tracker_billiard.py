@@ -1,7 +1,7 @@
 """Any number of rolling balls that hit each other, by the textbook in three dimensions: none of the tracker's formulas.
 
 Between hits a ball slides (constant friction against the slip of its lowest point) until it rolls, and then rolls on
-under its rolling loss. Places are read at mid-exposure times of a short exposure, far shorter than a frame.
+under its rolling loss. Positions are read at mid-exposure times of a short exposure, far shorter than a frame.
 """
 
 from dataclasses import dataclass

@@ -40,7 +40,7 @@ def spot(shape, x, y, sigma, blur=(0.0, 0.0), steps=60):
 
 
 def disc(shape, x, y, radius):
-    """A ball's dim body: brightest in its middle, nothing beyond .71 of its radius."""
+    """A ball's dim profile: brightest in its middle, nothing beyond .71 of its radius."""
     rows, columns = np.mgrid[: shape[0], : shape[1]]
     square = ((columns - x) ** 2 + (rows - y) ** 2) / radius**2
     return np.clip(1 - 2 * square, 0, None)
@@ -53,7 +53,7 @@ def expose(rng, picture, gain=20.0, read=20.0, black=8.0, bits=8):
 
 
 def film(rng, paths, shape=(160, 200), peak=200.0, sigma=1.0, exposure_share=0.125, profile=4.0, blank=(), **sensor):
-    """Frames (n, h, w) of glints along paths (n, balls, 2) px, a slope of the way being each frame's streak."""
+    """Frames (n, h, w) of glints along paths (n, balls, 2) px, a slope of the way being each frame's motion blur."""
     steps = np.gradient(paths, axis=0) * exposure_share
     frames = []
     for k, positions in enumerate(paths):

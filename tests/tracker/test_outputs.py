@@ -45,7 +45,7 @@ def contents(folder):
 
 
 def limited(patch, room):
-    """A disk on which `room` bytes more have a place: a file that does not fit is cut short, as a full disk does."""
+    """A disk on which `room` bytes more have a position: a file that does not fit is cut short, as a full disk does."""
     left, write = [room], Path.write_bytes
 
     def write_bytes(path, data):
@@ -118,7 +118,7 @@ def test_what_was_there_before_stays(tmp_path, monkeypatch):
         ["calibrate", "{folder}", "--diameter", "2e-3", "--fps", "250", "-o", "{out}"],
     ],
 )
-def test_a_place_where_nothing_can_be_written_is_named_at_once(table, words, monkeypatch, capsys):
+def test_a_folder_where_nothing_can_be_written_is_named_at_once(table, words, monkeypatch, capsys):
     """Before anything else is done: there are no pictures here, and no truth."""
     (table.parent / "clips/000000").mkdir(parents=True)
     (table.parent / "clips/000000/frames.tif").write_bytes(b"")

@@ -28,8 +28,8 @@ def test_the_last_bit_does_not_depend_on_the_number_of_threads():
         "from synthcam.camera.render import Film\n"
         "camera = Camera.overhead((320, 240), 4e-5, .5, ball_radius=1.19e-3, fps=250, exposure=0, psf_sigma_px=1.0)\n"
         "film = Film(camera, Lamp(np.array([.05, 0, .45]), .004), [1.19e-3], .2)\n"
-        "place = np.array([[[1e-4, 0, 1.19e-3]]])\n"
-        "(picture,) = film.frames(lambda t: np.repeat(place, len(t), 0), [[0, 0]])\n"
+        "position = np.array([[[1e-4, 0, 1.19e-3]]])\n"
+        "(picture,) = film.frames(lambda t: np.repeat(position, len(t), 0), [[0, 0]])\n"
         "print(hashlib.sha256(picture.image.tobytes()).hexdigest())\n"
     )
     seen = set()

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.special import ndtr
 
-from synthcam.camera import plate as floor
+from synthcam.camera import plate
 from synthcam.camera.lamp import Lamp
 from synthcam.camera.pinhole import Camera
 from synthcam.camera.render import Film
@@ -27,18 +27,18 @@ def test_a_wide_lamp_lights_the_plate_as_its_area_does():
     side = (np.arange(400) + 0.5) / 200 * 0.12 - 0.12
     u, v = np.meshgrid(side, side)
     inside = u * u + v * v < 0.12**2
-    for point, got in zip(points, floor.irradiance(lamp, points), strict=True):
+    for point, got in zip(points, plate.irradiance(lamp, points), strict=True):
         square = (lamp.position[0] + u - point[0]) ** 2 + (lamp.position[1] + v - point[1]) ** 2 + 0.3**2
         assert got == pytest.approx(np.mean((0.3**4 / square**2)[inside]), rel=2e-3)
     turned = Lamp(SIDE.position, 0.002, towards=np.zeros(3))
-    assert floor.irradiance(turned, np.zeros(3)) == pytest.approx(0.8 * (0.4 / 0.5) ** 2)  # cos .8, twice as near
+    assert plate.irradiance(turned, np.zeros(3)) == pytest.approx(0.8 * (0.4 / 0.5) ** 2)  # cos .8, twice as near
 
 
 def test_pixels_of_the_plate():
     camera = Camera.overhead(
         (64, 48), 1e-3, 0.5, (0.1, -0.2), (-0.1, 0.05, 1e-3, 0, 0), ball_radius=R, fps=1, exposure=0, psf_sigma_px=1
     )
-    points = floor.on_plate(camera)
+    points = plate.on_plate(camera)
     assert np.abs(points[..., 2]).max() < 1e-12
     x, y = np.meshgrid(np.arange(64), np.arange(48))
     np.testing.assert_allclose(camera.project(points), np.stack([x, y], -1), atol=1e-6)
@@ -47,7 +47,7 @@ def test_pixels_of_the_plate():
 def test_a_shadow_falls_where_the_ball_stands_in_the_light():
     film = Film(CAMERA, SIDE, [R], 1.0, Surface(plate_shadow=True, steel=IRON))
     picture = one_frame(film, [0, 0, R])
-    points = floor.on_plate(CAMERA)
+    points = plate.on_plate(CAMERA)
     way = SIDE.position - points
     way /= np.linalg.norm(way, axis=-1, keepdims=True)
     offset = np.array([0, 0, R]) - points
@@ -68,7 +68,7 @@ def test_two_shadows_in_any_order():
         one_frame(film, [1.9 * R, 0.65 * R, 2.5 * R], [0, 0, R]),
     )
     np.testing.assert_allclose(a.image, b.image, atol=3e-6)
-    assert a.image.min() > -1e-6  # two shadows on one place take its light once
+    assert a.image.min() > -1e-6  # two shadows on one position take its light once
 
 
 @pytest.mark.parametrize("texture", [0.0, 1e-9], ids=["even plate", "drawn plate"])
@@ -103,7 +103,7 @@ def test_the_plate_mirrors_the_ball():
     film._unit = 0.0
     centre = np.array([0, 0, R])
     got = one_frame(film, centre).image - film.plate
-    points = floor.on_plate(camera)
+    points = plate.on_plate(camera)
     way = points - camera.centre
     way /= np.linalg.norm(way, axis=-1, keepdims=True)
     miss = np.linalg.norm(np.cross(way, centre - points), axis=-1)
@@ -115,7 +115,7 @@ def test_the_plate_mirrors_the_ball():
     normal = (offset + (-b - np.sqrt(np.maximum(root, 0)))[..., None] * up) / R
     cosine = -(up * normal).sum(-1)
     last = up + 2 * cosine[..., None] * normal
-    dark, zenith = floor.PLATE, 1 / Surface().head_on
+    dark, zenith = plate.PLATE, 1 / Surface().head_on
     room = dark + (zenith - dark) * np.maximum(np.stack([last, up])[..., 2], 0)
     expected = 0.3 * ((0.55 + 0.45 * (1 - cosine) ** 5) * room[0] - room[1])
     inside = seen & (cosine > 0.4)  # well off the image's own outline
@@ -129,7 +129,7 @@ def test_gloss_throws_the_lamp_to_the_eye():
     surface = Surface(plate_gloss=0.04, plate_roughness=0.1)
     lamp, eye = Lamp(np.array([0.1, 0, 0.5]), 0.01), np.array([-0.1, 0, 0.5])
     points = np.stack([np.linspace(-0.1, 0.1, 201), np.zeros(201), np.zeros(201)], axis=1)
-    light = floor.gloss(lamp, surface, eye, points)
+    light = plate.gloss(lamp, surface, eye, points)
     assert abs(points[light.argmax(), 0]) < 6e-3
     turn = np.linspace(-0.6, 0.6, 61)
     x, y = np.meshgrid(np.tan(turn), np.tan(turn))
@@ -137,7 +137,7 @@ def test_gloss_throws_the_lamp_to_the_eye():
     square = 1 + x * x + y * y
     total = 0.0
     eyes = np.stack([x, y, np.ones_like(x)], -1) / np.sqrt(square)[..., None] * high
-    seen = np.array([floor.gloss(Lamp(np.array([0, 0, 0.5]), 0.001), surface, e, point) for e in eyes.reshape(-1, 3)])
+    seen = np.array([plate.gloss(Lamp(np.array([0, 0, 0.5]), 0.001), surface, e, point) for e in eyes.reshape(-1, 3)])
     steps = np.gradient(np.tan(turn))
     solid = (steps[:, None] * steps).ravel() / square.ravel() ** 1.5
     total = (seen * solid / np.sqrt(square.ravel())).sum()
@@ -148,7 +148,7 @@ def test_gloss_throws_the_lamp_to_the_eye():
 def test_grain_has_the_contrast_asked_for():
     points = np.zeros((300, 300, 3))
     points[..., :2] = np.stack(np.meshgrid(np.arange(300), np.arange(300)), -1) * 1e-4
-    grain = floor.grain(Surface(plate_texture=0.1), points)
+    grain = plate.grain(Surface(plate_texture=0.1), points)
     assert grain.std() == pytest.approx(0.1, rel=0.1)
     assert grain.mean() == pytest.approx(1, abs=0.01)
-    np.testing.assert_array_equal(grain, floor.grain(Surface(plate_texture=0.1), points))
+    np.testing.assert_array_equal(grain, plate.grain(Surface(plate_texture=0.1), points))

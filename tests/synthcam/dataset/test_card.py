@@ -57,7 +57,7 @@ def test_frames(dataset, what):
 
 
 def offset(dataset):
-    """Where ImageJ starts to read: it takes the first page's place and the number of images in its text."""
+    """Where ImageJ starts to read: it takes the first page's position and the number of images in its text."""
     with tifffile.TiffFile(dataset / "clips/000000/frames.tif") as tif:
         return tif.pages[0].dataoffsets[0]
 

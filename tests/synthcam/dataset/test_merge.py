@@ -106,7 +106,7 @@ def test_verify_counts_a_shards_clips(parts):
     assert verify(parts[0]).problems == ("clips/: 1 folders for 2 clips of the shard",)
 
 
-def test_machines_that_draw_otherwise_are_told(parts, tmp_path):
+def test_machines_that_draw_otherwise_are_named(parts, tmp_path):
     path = parts[1] / "truth/shard.json"
     path.write_text(json.dumps(json.loads(path.read_text()) | {"gl": {"renderer": "another"}}))
     merge(parts, tmp_path / "d", quiet)

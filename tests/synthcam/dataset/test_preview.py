@@ -44,7 +44,7 @@ def test_a_film(clip, tmp_path, name):
     assert 400 < max(frames[0].shape) < 1000
 
 
-def test_it_plays_at_the_speed_it_tells(clip, tmp_path):
+def test_it_plays_at_the_speed_it_states(clip, tmp_path):
     preview.write_film(clip, tmp_path / "f.gif")
     assert iio.immeta(tmp_path / "f.gif")["duration"] == 50
     preview.write_film(clip, tmp_path / "f.mp4")
@@ -52,7 +52,7 @@ def test_it_plays_at_the_speed_it_tells(clip, tmp_path):
 
 
 def test_the_balls_are_where_the_crop_says(clip, tmp_path):
-    """Each frame's brightest place is one of the balls, by the crop's corner and the magnification."""
+    """Each frame's brightest position is one of the balls, by the crop's corner and the magnification."""
     preview.write_film(clip, tmp_path / "f.gif")
     view = clip.view
     positions = view.at(np.arange(clip.frames) / clip.camera.fps)[:, :, :3]

@@ -16,8 +16,7 @@ from types import SimpleNamespace
 import pytest
 from synthcam_stub import make, plan, quiet, sums
 
-from synthcam.dataset import generate
-from synthcam.dataset import staging as partial
+from synthcam.dataset import generate, staging
 from synthcam.dataset.files import clip_folders, verify
 from synthcam.dataset.generate import run
 from synthcam.settings import InputError
@@ -296,7 +295,7 @@ def test_zstd_holds_the_same_pixels(tmp_path, monkeypatch, wide):
 
 
 def test_a_name_that_nobody_else_uses(tmp_path):
-    assert partial.aside(tmp_path / "000001") != partial.aside(tmp_path / "000001")
+    assert staging.aside(tmp_path / "000001") != staging.aside(tmp_path / "000001")
 
 
 @pytest.mark.parametrize(

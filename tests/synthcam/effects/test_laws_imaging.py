@@ -66,7 +66,7 @@ SETUP = {"time": 0.1, "v0": 0.4, "b": 0.3, "heading": 0.7, "contact": (0.003, -0
 
 
 def filmed(model, frames=60, camera=FILE):
-    """How a model's collision is filmed; places of the balls come by `at`, over exposures by `mean`."""
+    """How a model's collision is filmed; positions of the balls come by `at`, over exposures by `mean`."""
     return View.of(model, Launch.pair(model.bodies("ab"), **SETUP), camera, frames)
 
 
@@ -102,7 +102,7 @@ def test_a_dropped_frame_is_a_film_cut_and_joined():
     np.testing.assert_allclose(cut.at(np.arange(60) / 250)[..., :2], whole.at(kept)[..., :2], rtol=0, atol=1e-12)
 
 
-def test_exposure_blur_is_the_mean_over_a_longer_streak():
+def test_exposure_blur_is_the_mean_over_a_longer_exposure():
     """By a thousand instants of the plain motion, from the frame's opening on."""
     model, longer = Model().replace({"exposure_blur.longer": 1e-3}), 1e-3
     exposure = model.laws("exposure", FILE.exposure, {"fps": FILE.fps})

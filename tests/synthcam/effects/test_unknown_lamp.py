@@ -40,7 +40,7 @@ def test_the_lamp_is_named_and_found(monkeypatch):
     assert np.isclose(lamp.values["unknown_lamp.share"], 1, atol=3.5 * lamp.std["unknown_lamp.share"])
 
 
-def test_no_lamp_told_of_and_none_there(monkeypatch):
+def test_no_lamp_given_and_none_there(monkeypatch):
     only(monkeypatch, **{name: library()[name] for name in KNOWN})
     found = find(noisy(without_a_lamp(exact(Model(), 12, 4)), 4), Model())
     assert found.named == ()
@@ -49,7 +49,7 @@ def test_no_lamp_told_of_and_none_there(monkeypatch):
     assert "unknown_lamp" not in found.search.untold
 
 
-def test_a_lamp_that_is_told_of_is_not_unknown(monkeypatch):
+def test_a_lamp_that_is_given_is_not_unknown(monkeypatch):
     only(monkeypatch, **{name: library()[name] for name in KNOWN})
     found = find(noisy(exact(Model(), 8, 4), 4), Model())
     assert found.named == ()

@@ -40,7 +40,7 @@ def test_the_objects_are_as_set():
     assert (plain.camera.airy_px, plain.camera.line_time, plain.lamp.towards) == (0, 0, None)
 
 
-def test_camera_json_tells_what_is_known_and_no_more():
+def test_camera_json_holds_what_is_known_and_no_more():
     told, plain = clip_of(SET).camera_json, clip_of({}).camera_json
     assert told["psf"] == {
         "sigma_px": 1.0,

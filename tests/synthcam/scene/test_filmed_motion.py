@@ -60,7 +60,7 @@ def test_lens_distortion_is_opencvs():
     np.testing.assert_allclose(bent, base * (1 + 0.7 * square), rtol=0, atol=1e-12)
 
 
-def test_a_turned_camera_keeps_its_place_and_aim():
+def test_a_turned_camera_keeps_its_position_and_aim():
     clip = clip_of(camera_tilt={"x": 5e-3, "y": -3e-3})
     np.testing.assert_allclose(clip.camera.centre, clip.nominal.centre, rtol=0, atol=1e-12)
     np.testing.assert_allclose(clip.camera.project([0, 0, 0]), clip.nominal.project([0, 0, 0]), rtol=0, atol=1e-9)

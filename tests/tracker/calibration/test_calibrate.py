@@ -107,7 +107,7 @@ def test_the_file_is_a_camera_file_that_assumes_no_more_than_it_must(told, tmp_p
 
 
 def rolling(radius, body):
-    """Frames of one ball with a bright body, blurred as its glint is, and its glints."""
+    """Frames of one ball with a bright profile, blurred as its glint is, and its glints."""
     rng = np.random.default_rng(int(radius))
     frames, n = [], 40
     x, y = 60.0 + 1.63 * np.arange(n), 80.0 + 0.31 * np.arange(n)
@@ -124,7 +124,7 @@ PLATE = Ground(np.full((160, 200), 8, np.uint8), 1.04)
 
 
 @pytest.mark.parametrize("radius", [12.0, 16.0])
-def test_outline_of_a_bright_body(radius):
+def test_outline_of_a_bright_ball(radius):
     """No contact is needed: what a ball mirrors of the room ends at .71 of its radius."""
     frames, glints = rolling(radius, 30.0)
     found = outline(frames, PLATE, glints, 1.0)

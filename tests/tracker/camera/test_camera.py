@@ -233,7 +233,7 @@ def test_what_is_no_camera_file(tmp_path, text):
         ("lamp", None),
     ],
 )
-def test_another_camera_differs_in_what_places_a_ball(key, told):
+def test_another_camera_differs_in_what_locates_a_ball(key, told):
     other = {k: v for k, v in (CAMERA | {key: told}).items() if v is not None}
     one, two = Camera.from_dict(CAMERA), Camera.from_dict(other)
     named = "line_time" if key == "shutter" else key
@@ -245,7 +245,7 @@ def test_a_turned_camera_differs():
     assert first_difference(straight, turned) == "R"
 
 
-def test_a_camera_differs_from_none_that_places_a_ball_alike():
+def test_a_camera_differs_from_none_that_locates_a_ball_alike():
     anew = {"psf": {"sigma_px": 1.2}, "sensor": CAMERA["sensor"] | {"gain": 21}, "fps": 250.0 * (1 + 1e-9)}
     one, two = Camera.from_dict(CAMERA), Camera.from_dict(CAMERA | anew)
     assert first_difference(one, dataclasses.replace(two, exposure_seen=6e-4, striker="a")) == ""

@@ -196,7 +196,7 @@ def test_numbers_of_a_table_that_would_wrap_or_overflow(tmp_path, monkeypatch, c
 
 
 def test_a_misspelt_key_is_named(tmp_path, monkeypatch, capsys):
-    """And no diameter is put in the place of one that is not told: the collision is then not measured."""
+    """And no diameter is put in the place of one that is not given: the collision is then not measured."""
     known = {k: v for k, v in CAMERA.items() if k != "ball_diameter"}
     known |= {"ball_diametre": 2.38e-3, "psf": {"sigma": 1.0}, "operator": "me"}
     (tmp_path / "camera.json").write_text(json.dumps(known))
@@ -220,14 +220,14 @@ def test_a_misspelt_key_is_named(tmp_path, monkeypatch, capsys):
 
 
 @pytest.mark.parametrize("keys", [("K", "t", "scale"), ("scale",), ("K", "scale")])
-def test_without_a_diameter_places_are_still_in_metres(keys):
+def test_without_a_diameter_positions_are_still_in_metres(keys):
     least = {k: CAMERA[k] for k in ("size", "fps", *keys)}
     position, slope = Camera.from_dict(least).unproject([[199.5, 29.5]])
     assert np.allclose(position, [[100 * 1.6e-4, 50 * 1.6e-4]], rtol=1e-9)
     assert np.allclose(slope, [[[1.6e-4, 0], [0, -1.6e-4]]], rtol=1e-9)
 
 
-def test_a_lens_alone_tells_no_lengths():
+def test_a_lens_alone_gives_no_lengths():
     least = {k: CAMERA[k] for k in ("size", "fps", "K")}
     with pytest.raises(InputError, match="scale: expected m/px, or K and t"):
         Camera.from_dict(least)

@@ -36,7 +36,7 @@ def test_noise_of_the_sensor(gain, read, black):
     assert {"sensor.gain", "sensor.read_noise", "sensor.black_level"} <= set(view.camera.assumed)
 
 
-def test_twelve_bits_in_sixteen_are_told_by_their_ceiling():
+def test_twelve_bits_in_sixteen_are_known_by_their_ceiling():
     rng = np.random.default_rng(5)
     frames = np.minimum(film(rng, collision(20, contact=8.3, speed=3.0)).astype(np.uint16) * 20, 4095)
     view = view_of(shown(frames, {"sensor"}))
@@ -68,7 +68,7 @@ def test_errors_stay_honest_with_estimated_noise_and_width(sensor, sigma, diamet
     assert 0.8 < z.std() < 1.25
 
 
-def test_a_clip_that_tells_nothing_gets_defaults():
+def test_a_clip_that_shows_nothing_gets_defaults():
     rng = np.random.default_rng(4)
     frames = np.clip(8 + rng.normal(0, 1, (12, 160, 200)), 0, 255).astype(np.uint8)
     view = view_of(shown(frames, {"psf", "sensor"}))

@@ -1,4 +1,4 @@
-"""The ball's body: learnt from a clip as it is drawn, and worth what it costs."""
+"""The ball profile: learnt from a clip as it is drawn, and worth what it costs."""
 
 import math
 
@@ -18,7 +18,7 @@ BODY = BallProfile(0.9 * RADIUS, np.array([3.0, 8.0, -2.0]))
 
 
 def windows(rng, n, peak=200.0, profile=14.0, reach=0.68):
-    """Clipped or open glints on a blurred disc whose middle stands off by half a pixel, and their places."""
+    """Clipped or open glints on a blurred disc whose middle stands off by half a pixel, and their positions."""
     positions, counts = rng.uniform(-0.5, 0.5, (n, 2)), []
     away = np.array([0.5, -0.3])
     for x, y in positions:
@@ -44,7 +44,7 @@ def test_slopes_are_those_of_the_heights(blur):
         assert np.allclose(slope, (ahead - behind) / (2 * step), atol=1e-6)
 
 
-def test_a_streak_is_the_mean_over_its_way():
+def test_motion_blur_is_the_mean_over_its_way():
     middle, way = np.array([[0.2, 0.1]]), np.array([[1.8, -0.6]])
     mean = np.mean(
         [BODY.height(middle + s * way, 0 * way, HALF)[0] for s in (np.arange(400) + 0.5) / 400 - 0.5], axis=0
@@ -53,7 +53,7 @@ def test_a_streak_is_the_mean_over_its_way():
     assert np.abs(BODY.height(middle, 0 * way, HALF)[0] - mean).max() > 0.05
 
 
-def test_the_body_is_learnt_as_it_is_drawn():
+def test_the_profile_is_learnt_as_it_is_drawn():
     shown, positions = windows(np.random.default_rng(0), 128)
     profile, found = learn(shown, 1.0, SENSOR, 0.9 * RADIUS)
     assert np.std(found - positions) < 0.02  # px
@@ -66,8 +66,8 @@ def test_the_body_is_learnt_as_it_is_drawn():
     assert np.ptp(true) > 8
 
 
-def test_a_known_body_is_worth_more_than_a_bowl_of_ones_own():
-    """Clipped glints, whose flanks lie on the body: nearer to the truth, and by what the covariances say."""
+def test_a_known_profile_is_worth_more_than_a_bowl_of_ones_own():
+    """Clipped glints, whose flanks lie on the profile: nearer to the truth, and by what the covariances say."""
     errors, claims = [], []
     for reach, known in ((0.55, False), (0.68, True)):  # a bowl of its own holds less far out
         shown, positions = windows(np.random.default_rng(1), 400, peak=700.0, reach=reach)
@@ -82,8 +82,8 @@ def test_a_known_body_is_worth_more_than_a_bowl_of_ones_own():
     assert claims[1] < 0.96 * claims[0]
 
 
-def test_a_body_tells_of_the_place():
-    """With the glint's own light gone, the information left is the body's."""
+def test_a_profile_holds_information_on_the_position():
+    """With the glint's own light gone, the information left is the profile's."""
     middle, still = np.zeros((1, 2)), np.zeros((1, 2))
     value, by_x, by_y = BODY.height(middle, still, HALF)
     told = fisher(information(8.0 + value, SENSOR), np.stack([by_x, by_y], axis=1))[0]

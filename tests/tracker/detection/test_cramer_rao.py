@@ -1,4 +1,4 @@
-"""Information and bound against sums over all counts, a closed form, and what is known of streaks."""
+"""Information and bound against sums over all counts, a closed form, and what is known of motion blur."""
 
 import math
 
@@ -79,7 +79,7 @@ def test_bound_in_plain_noise_has_its_closed_form():
 
 
 def test_bounds_of_the_published_table():
-    """Peaks 700 (clipped) ... 12 counts, sigma 1.2 px, 20 e-/count, read noise 20 e-, on a body of 20 counts."""
+    """Peaks 700 (clipped) ... 12 counts, sigma 1.2 px, 20 e-/count, read noise 20 e-, on a profile of 20 counts."""
     data = {**CAMERA, "psf": {"sigma_px": 1.2}}
     camera = Camera.from_dict(data)
     rng = np.random.default_rng(0)
@@ -90,7 +90,7 @@ def test_bounds_of_the_published_table():
         assert math.sqrt(np.trace(cov, axis1=1, axis2=2).mean() / 2) == pytest.approx(want, rel=0.02)
 
 
-def test_a_streak_of_twelve_pixels_triples_the_bound_along_it():
+def test_motion_blur_of_twelve_pixels_triples_the_bound_along_it():
     camera = Camera.from_dict(CAMERA)
     flux = [200 * 2 * math.pi] * 2
     still, drawn = localisation_bound(camera, flux, [[50.1, 50.3]] * 2, [[0, 0], [12, 0]])

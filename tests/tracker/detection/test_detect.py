@@ -1,4 +1,4 @@
-"""Glints of known place found again: precision against the bound, honest errors, no bias, nothing that is not there."""
+"""Glints of known position found again: precision, true error bars, no bias, nothing that is not there."""
 
 import copy
 import importlib.util
@@ -18,7 +18,7 @@ from tracker.detection.detect import detect, detectors, view_of
 from tracker.detection.glints import BLURRED, CLIPPED, MISFIT, NEAR
 from tracker.detection.link import assign
 
-CAM = Camera.from_dict({k: v for k, v in CAMERA.items() if k != "lamp"})  # no lamp: the body is centred on the glint
+CAM = Camera.from_dict({k: v for k, v in CAMERA.items() if k != "lamp"})  # no lamp: the profile is centred on the glint
 GRID = [(x, y) for y in range(20, 150, 26) for x in range(20, 190, 26)]
 
 
@@ -27,7 +27,7 @@ def clip(frames, camera=CAM):
 
 
 def many_glints(rng, peak, frames=14, blur=(0.0, 0.0), profile=4.0, sigma=1.0):
-    """Frames of balls at rest, each anywhere within its pixel, and their places; the first frames are blank."""
+    """Frames of balls at rest, each anywhere within its pixel, and their positions; the first frames are blank."""
     pictures, positions = [], []
     for k in range(frames):
         picture = np.full((160, 200), 0.5)
@@ -43,7 +43,7 @@ def many_glints(rng, peak, frames=14, blur=(0.0, 0.0), profile=4.0, sigma=1.0):
 
 
 def errors(found, positions):
-    """Errors (n, 2) in the order of `positions`; every place must be found once, and nothing else."""
+    """Errors (n, 2) in the order of `positions`; every position must be found once, and nothing else."""
     assert len(found) == len(positions)
     order = [
         int(np.argmin((found.frame != k) * 1e9 + (found.x - x) ** 2 + (found.y - y) ** 2)) for k, x, y in positions
@@ -77,7 +77,7 @@ def test_a_centroid_is_far_from_the_bound():
         assert math.sqrt(np.mean(miss**2) / (np.trace(bound, axis1=1, axis2=2).mean() / 2)) > least
 
 
-def test_place_does_not_depend_on_the_place_within_the_pixel():
+def test_position_does_not_depend_on_the_position_within_the_pixel():
     frames, positions = many_glints(np.random.default_rng(9), 200, frames=20)
     miss, found = errors(detect(clip(frames), view_of(clip(frames))), positions)
     phase = 2 * math.pi * positions[:, 1:]
@@ -130,7 +130,7 @@ def two_rolling(rng, speed, **more):
     return film(rng, paths, **more), paths
 
 
-def test_a_streak_is_measured_at_its_middle():
+def test_a_blurred_glint_is_measured_at_its_middle():
     rng = np.random.default_rng(3)
     camera = Camera.from_dict({**{k: v for k, v in CAMERA.items() if k != "lamp"}, "exposure": 2e-3})
     misses, covs = [], []
@@ -219,7 +219,7 @@ def test_two_balls_two_detections_through_a_collision():
     assert set(assign(found, CAM).tolist()) == {0, 1}
 
 
-def test_a_neighbour_takes_the_learnt_body_from_no_clipped_glint():
+def test_a_neighbour_takes_the_learnt_profile_from_no_clipped_glint():
     """Beside another ball clipped glints are known as well as alone, and are where they say."""
     paths, stds, misses = collision(60, speed=2.5), [], []
     for seed in range(4):
@@ -251,7 +251,7 @@ def mirrored_sky(camera, centre, shape):
     return np.where(root > 0, np.clip(up, 0, None), 0)
 
 
-def test_far_from_the_axis_the_body_pulls_no_clipped_glint():
+def test_far_from_the_axis_the_profile_pulls_no_clipped_glint():
     """Without noise: balls seen at a slant, that mirror a sky brightest overhead."""
     data = copy.deepcopy(CAMERA)
     data["K"][0][2], data["K"][1][2] = -300.0, -250.0
@@ -298,7 +298,7 @@ def test_empty_frames_have_nothing(level):
     assert len(detect(shown, view_of(shown))) == 0
 
 
-def test_body_without_its_glint_is_no_glint():
+def test_a_profile_without_its_glint_is_no_glint():
     rng = np.random.default_rng(7)
     picture = np.full((160, 200), 0.5) + 20 * disc((160, 200), 80.2, 70.3, 7.44)
     frames = np.array([expose(rng, np.full((160, 200), 0.5))] * 8 + [expose(rng, picture) for _ in range(12)])

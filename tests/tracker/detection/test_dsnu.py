@@ -96,15 +96,15 @@ def test_balls_are_left_out_and_what_they_hid_is_not_known():
     assert np.std((own - found)[passed]) == pytest.approx(left, rel=0.12)
 
 
-def test_too_few_frames_tell_nothing():
+def test_too_few_frames_measure_nothing():
     plate, _ = shown(np.random.default_rng(7), FEWEST - 1)
     found, left = plate.offsets(*ALL, SPREAD)
     assert np.isnan(found).all()
     assert left == SPREAD
 
 
-def test_places_gain_what_the_pattern_costs():
-    """Dim glints on pixels of strong offsets: nearly as good as on even pixels, errors honest, and as claimed."""
+def test_positions_gain_what_the_pattern_costs():
+    """Dim glints on pixels of strong offsets: nearly as good as on even pixels, error bars true, and as claimed."""
     rng, dsnu = np.random.default_rng(8), 1.0
     grid = [(x, y) for y in range(20, 150, 26) for x in range(20, 190, 26)]
     pattern = dsnu * rng.standard_normal((160, 200))

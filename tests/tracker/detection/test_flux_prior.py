@@ -1,4 +1,4 @@
-"""Flux that a film's glints share: to a clipped glint's place it adds what conditioning adds, or nothing."""
+"""Flux that a film's glints share: to a clipped glint's position it adds what conditioning adds, or nothing."""
 
 import numpy as np
 import pytest
@@ -7,18 +7,18 @@ from tracker_film import film as drawn
 
 from tracker.camera.camera import Camera
 from tracker.camera.frames import Clip, Frames
-from tracker.detection import flux_prior as steady
+from tracker.detection import flux_prior
 from tracker.detection.detect import detect, view_of
 from tracker.detection.flux_prior import FEWEST, with_flux_prior
 
-LEAN, OWN = np.array([0.6, -0.5]), 0.01**2  # correlations of place with log flux; variance of log flux
+CROSS, OWN = np.array([0.6, -0.5]), 0.01**2  # correlations of position with log flux; variance of log flux
 POSITION = 0.005**2
 
 
 def film(rng, n, scatter=0.0, field=0.01):
-    """n glints anywhere, their errors of place and log flux correlated as a clipped glint's are."""
+    """n glints anywhere, their errors of position and log flux correlated as a clipped glint's are."""
     true = rng.uniform([0, 0], [640, 480], (n, 2))
-    cross = rng.choice([-1, 1], n)[:, None] * LEAN * np.sqrt(POSITION * OWN)
+    cross = rng.choice([-1, 1], n)[:, None] * CROSS * np.sqrt(POSITION * OWN)
     cov = np.broadcast_to(POSITION * np.eye(2), (n, 2, 2)).copy()
     whole = np.zeros((n, 3, 3))
     whole[:, :2, :2], whole[:, 2, 2] = cov, OWN
@@ -36,7 +36,7 @@ def z_of(miss, cov):
 def test_it_gains_what_conditioning_gains(scatter):
     true, seen, *rest = film(np.random.default_rng(1), 4000, scatter)
     better, cov = with_flux_prior(seen, *rest)
-    left = 1 - LEAN**2 * OWN / (OWN + scatter**2)  # of the variance, by axis
+    left = 1 - CROSS**2 * OWN / (OWN + scatter**2)  # of the variance, by axis
     assert ((better - true) ** 2).mean(axis=0) / POSITION == pytest.approx(left, rel=0.06)
     assert np.diagonal(cov, axis1=1, axis2=2).mean(axis=0) / POSITION == pytest.approx(left, rel=0.02)
     assert z_of(better - true, cov).std() == pytest.approx(1.0, abs=0.03)
@@ -51,7 +51,7 @@ def test_a_clip_of_few_frames_stays_honest():
     assert np.std(z) == pytest.approx(1.0, abs=0.04)
 
 
-def test_a_flickering_lamp_tells_nothing_and_does_no_harm():
+def test_a_flickering_lamp_gives_no_prior_and_does_no_harm():
     true, seen, cov, *rest = film(np.random.default_rng(3), 200, scatter=0.3)
     better, surer = with_flux_prior(seen, cov, *rest)
     assert np.abs(better - seen).max() < 0.2 * np.sqrt(POSITION)
@@ -68,11 +68,11 @@ def test_what_shines_otherwise_is_left_alone_and_does_not_disturb():
     np.testing.assert_array_equal(better[strange], seen[strange])
     np.testing.assert_array_equal(surer[strange], cov[strange])
     left = ((better - true)[~strange] ** 2).mean() / POSITION
-    assert left == pytest.approx(1 - (LEAN**2).mean(), rel=0.15)
+    assert left == pytest.approx(1 - (CROSS**2).mean(), rel=0.15)
 
 
 @pytest.mark.parametrize("n", [0, 1, FEWEST - 1])
-def test_too_few_to_tell(n):
+def test_too_few_to_measure(n):
     _, seen, cov, *rest = film(np.random.default_rng(5), n)
     better, surer = with_flux_prior(seen, cov, *rest)
     np.testing.assert_array_equal(better, seen)
@@ -80,7 +80,7 @@ def test_too_few_to_tell(n):
 
 
 def test_balls_that_all_rest():
-    """One place, one flux: no field to be fitted."""
+    """One position, one flux: no field to be fitted."""
     _, seen, cov, flux, cross, own = film(np.random.default_rng(6), 100)
     better, surer = with_flux_prior(np.full_like(seen, 7.25), cov, flux, cross, own)
     assert np.isfinite(better).all()
@@ -95,7 +95,7 @@ def test_clipped_glints_of_a_film_gain_and_open_ones_need_not(monkeypatch, peak,
         0, Camera.from_dict(CAMERA | {"sensor": sensor}), Frames(40, frames.shape[1:], np.uint8, lambda k: frames[k])
     )
     helped = detect(clip, view_of(clip))
-    monkeypatch.setattr(steady, "FEWEST", 10**6)
+    monkeypatch.setattr(flux_prior, "FEWEST", 10**6)
     alone = detect(clip, view_of(clip))
     saved = 1 - np.trace(helped.cov, axis1=1, axis2=2).sum() / np.trace(alone.cov, axis1=1, axis2=2).sum()
     assert gain[0] <= saved <= gain[1]

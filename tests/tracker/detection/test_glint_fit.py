@@ -1,4 +1,4 @@
-"""The fit of a glint in a window: its own scatter, its end, and windows that tell nothing."""
+"""The fit of a glint in a window: its own scatter, its end, and windows without information."""
 
 import math
 from dataclasses import replace
@@ -15,7 +15,7 @@ SENSOR = Sensor(bits=8, gain=20.0, read_noise=20.0, prnu=0.01, dsnu=4.0, black_l
 
 
 def shown(rng, n, peak, half=4):
-    """Glints of width one near the middle of their windows, and their places."""
+    """Glints of width one near the middle of their windows, and their positions."""
     positions = rng.uniform(-0.5, 0.5, (n, 2))
     flux = peak * 2 * math.pi
     side = 2 * half + 1
@@ -42,7 +42,7 @@ def negative_loglik(theta, counts, middle, half=4):
 
 @pytest.mark.parametrize("peak", [25, 200, 500])
 def test_the_fit_ends_at_the_greatest_likelihood(peak):
-    """One step after a step of some thousandths of a pixel is enough: another minimiser finds the same place."""
+    """One step after a step of some thousandths of a pixel is enough: another minimiser finds the same position."""
     windows = shown(np.random.default_rng(peak), 4, peak)
     found = fit(windows, 1.0, SENSOR)
     for k in range(4):
@@ -64,7 +64,7 @@ def test_where_it_starts_does_not_matter():
     np.testing.assert_allclose(one.chi2, other.chi2, atol=0.005)  # of .17 that it scatters by
 
 
-def test_a_window_without_a_pixel_tells_nothing_and_warns_of_nothing():
+def test_a_window_without_a_pixel_has_no_information_and_warns_of_nothing():
     windows = shown(np.random.default_rng(2), 3, 120.0)
     windows.used[1] = 0.0
     found = fit(windows, 1.0, SENSOR)

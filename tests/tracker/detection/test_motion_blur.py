@@ -1,4 +1,4 @@
-"""Streaks of another length than the camera file's exposure makes them: seen, said, and glints placed by them."""
+"""Motion blur of another length than the camera file's exposure makes it: seen, reported, and glints placed by them."""
 
 import json
 
@@ -15,7 +15,7 @@ from tracker.detection.detect import detect, settled, view_of
 from tracker.detection.glints import MISFIT
 from tracker.detection.motion_blur import MotionBlur
 
-CAM = Camera.from_dict({k: v for k, v in CAMERA.items() if k != "lamp"})  # no lamp: the body is centred on the glint
+CAM = Camera.from_dict({k: v for k, v in CAMERA.items() if k != "lamp"})  # no lamp: the profile is centred on the glint
 SHARE = CAMERA["exposure"] * CAMERA["fps"]
 PATHS = collision(frames=40, contact=14.4, speed=7.0, angle=0.5)
 
@@ -37,7 +37,7 @@ def misses(glints):
 
 
 @pytest.mark.parametrize(("longer", "within"), [(1.5, 0.1), (2.5, 0.04)])  # four of its own deviations
-def test_a_wrong_exposure_is_seen_and_the_streaks_fit(longer, within):
+def test_a_wrong_exposure_is_seen_and_the_motion_blur_fits(longer, within):
     shown = clip(film(np.random.default_rng(2), PATHS, exposure_share=SHARE * longer))
     glints, view = settled(shown, view_of(shown))
     assert view.camera.exposure_seen == pytest.approx(longer * CAM.exposure, rel=within)

@@ -141,7 +141,7 @@ def test_a_ball_that_rolled_to_a_stop_is_a_resting_target(camera):
 
 
 def test_a_long_recording_with_gaps(camera):
-    """A target that rests for 900 frames, a fifth of all places missing, and the rest of them told of once."""
+    """A target that rests for 900 frames, a fifth of all positions missing, and the rest of them given once."""
     rng, p = np.random.default_rng(4), Physics()
     balls = [rolling((0, 0), (0, 0), p.radius), rolling((-0.048, 0.0004), (0.24, 0.0), p.radius)]
     legs, hits = play(balls, 0.6, p)

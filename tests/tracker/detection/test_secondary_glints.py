@@ -1,4 +1,4 @@
-"""Secondary glints tell one another how bright they are: places gain what conditioning gains, or nothing."""
+"""The common reflectance of secondary glints: positions gain what conditioning gains, or nothing."""
 
 import numpy as np
 import pytest
@@ -14,7 +14,7 @@ from tracker.detection.cramer_rao import localisation_bound
 from tracker.detection.detect import detect, view_of
 from tracker.detection.secondary_glints import with_common_reflectance
 
-POSITION, LEAN = 0.01**2, np.array([0.45, 0.2])  # variance of a place; its correlation with the reflectance by axis
+POSITION, CROSS = 0.01**2, np.array([0.45, 0.2])  # variance of a position; its correlation with the reflectance by axis
 
 
 def film(rng, n, noise=0.2, scatter=0.0):
@@ -22,7 +22,7 @@ def film(rng, n, noise=0.2, scatter=0.0):
     true, own = rng.uniform(0, 600, (n, 2)), (noise * rng.uniform(0.5, 2, n)) ** 2
     whole = np.zeros((n, 3, 3))
     whole[:, :2, :2], whole[:, 2, 2] = POSITION * np.eye(2), own
-    cross = LEAN * np.sqrt(POSITION * own)[:, None]
+    cross = CROSS * np.sqrt(POSITION * own)[:, None]
     whole[:, 2, :2] = whole[:, :2, 2] = cross
     error = (np.linalg.cholesky(whole) @ rng.standard_normal((n, 3, 1)))[..., 0]
     seen = 0.55 + scatter * rng.standard_normal(n) + error[:, 2]
@@ -37,7 +37,7 @@ def test_it_gains_what_conditioning_gains():
     true, seen, *rest = film(np.random.default_rng(1), 4000)
     better, cov = with_common_reflectance(seen, *rest)
     left = ((better - true) ** 2).mean(axis=0) / POSITION
-    assert left == pytest.approx(1 - LEAN**2, abs=0.05)
+    assert left == pytest.approx(1 - CROSS**2, abs=0.05)
     assert np.diagonal(cov, axis1=1, axis2=2).mean(axis=0) / POSITION == pytest.approx(left, rel=0.05)
 
 
@@ -52,7 +52,7 @@ def test_few_stay_honest(n):
     assert np.concatenate(z).std() == pytest.approx(1.0, abs=0.02)
 
 
-def test_balls_that_differ_tell_one_another_little():
+def test_balls_that_differ_share_little():
     true, seen, cov, *rest = film(np.random.default_rng(3), 400, noise=0.05, scatter=1.0)
     better, surer = with_common_reflectance(seen, cov, *rest)
     assert np.abs(better - seen).max() < 0.2 * np.sqrt(POSITION)

@@ -13,8 +13,7 @@ from typer.testing import CliRunner
 from discrepancy.data.collisions import collision
 from tracker.cli import app
 from tracker.detection.link import Tracks
-from tracker.measurement import estimate
-from tracker.measurement import noise_correlation as correlation
+from tracker.measurement import estimate, noise_correlation
 from tracker.measurement.adequacy import LEVEL, p_value, warnings
 from tracker.measurement.derived import NAMES
 from tracker.measurement.estimate import fit_all, measure
@@ -106,7 +105,7 @@ def test_a_search_takes_what_the_tracker_rejects(hopping):
     assert found.launch[3] == pytest.approx(scalars_of(hopping)["v0"][0], rel=0.01)
 
 
-def test_own_clips_are_borne_and_the_test_can_tell(own):
+def test_own_clips_are_borne_and_the_test_can_fail(own):
     table = claiming(own, NOISE, NOISE)
     assert (table["status"] == "ok").all()
     assert (table["noise"] == "given").all()
@@ -141,7 +140,7 @@ def test_noise_that_lasts_is_counted(own, monkeypatch):
 
 def test_noise_is_read_where_the_impact_has_no_part(hopping, monkeypatch):
     """What the model lacks just after the hit is not taken for noise that lasts, even without any doubt before."""
-    monkeypatch.setattr(correlation, "NOTICEABLE", -np.inf)
+    monkeypatch.setattr(noise_correlation, "NOTICEABLE", -np.inf)
     table = measured(hopping, 4)
     assert (table["noise_rho"] == 0).all()
     assert (table["status"] == "misfit").all()
@@ -191,7 +190,7 @@ def test_pucks_on_air(own):
 
 
 def test_what_the_model_cannot_follow_is_no_outlier(own):
-    """Two places bent by 8 errors just after the hit: both fits see the same ones, and one wrong place is left out."""
+    """Two positions bent by 8 errors after the hit: both fits see the same ones; one wrong position is left out."""
     truth, camera = truth_of(own, 1)
     tracks = noisy(truth, np.random.default_rng(0))
     x = tracks.x.copy()

@@ -1,4 +1,4 @@
-"""Measuring held to synthcam's motion, to repetition, and to what a clip cannot tell."""
+"""Measuring held to synthcam's motion, to repetition, and to what a clip does not show."""
 
 import json
 from dataclasses import replace
@@ -52,7 +52,7 @@ def test_every_clip_is_measured_and_fits(table):
 
 
 @pytest.mark.parametrize("kind", ["", "_free"])
-def test_error_bars_are_true_and_the_test_can_tell(table, kind):
+def test_error_bars_are_true_and_the_test_can_fail(table, kind):
     names = [n for n in NAMES if not (n == "w1n" and kind == "")]
     dishonest = [n for n in names if not honest(scores(table, n, kind))]
     assert dishonest == []
@@ -146,10 +146,10 @@ def test_a_slide_that_ends_out_of_view_is_not_claimed_by_the_free_fit(tmp_path):
     for name in ("tau1", "v1f", "energy_fraction", "mu_k", "C"):
         assert np.isnan(row[f"{name}_free"])
     assert np.isfinite(row["tau2_free"])
-    assert abs(row["tau1"] - row["tau1_true"]) < 4 * row["tau1_std"]  # the tied model can tell, and says how well
+    assert abs(row["tau1"] - row["tau1_true"]) < 4 * row["tau1_std"]  # the tied model shows it, and says how well
 
 
-def test_head_on_tells_no_tangential_restitution(tmp_path):
+def test_head_on_shows_no_tangential_restitution(tmp_path):
     data = dataset(tmp_path / "data", {"launch": {"b": 0.0}}, 1)
     row = measured(data, 1).iloc[0]
     assert np.isnan(row["s_free"])
@@ -157,7 +157,7 @@ def test_head_on_tells_no_tangential_restitution(tmp_path):
     assert np.isfinite(row["r_free"])
 
 
-def test_without_a_collision_the_rolling_loss_is_told(tmp_path):
+def test_without_a_collision_the_rolling_loss_is_measured(tmp_path):
     settings = {"launch": {"kind": "single", "v0": 0.25}, "timing": {"frames": 60}}
     data = dataset(tmp_path / "data", settings, 1)
     truth, camera = truth_of(data, 0)
@@ -165,7 +165,7 @@ def test_without_a_collision_the_rolling_loss_is_told(tmp_path):
     assert row["status"] == "no_collision"
     assert np.isnan(row["r"])
     cov = np.array(json.loads(row["cov"])["rolling"])
-    # drag and decel are told apart only by how the loss changes; their sum at the mean speed is told well
+    # drag and decel are separated only by how the loss changes; their sum at the mean speed is known well
     v = 0.24
     loss = row["drag"] * v + row["decel"] if np.isfinite(row["drag"]) else np.nan
     std = np.sqrt(np.array([v, 1]) @ cov[1:, 1:] @ np.array([v, 1]))

@@ -63,7 +63,7 @@ def test_errors_that_a_resting_ball_repeats_are_not_missed():
     assert np.mean(ratios) == pytest.approx(1, abs=0.1)
 
 
-def test_a_ball_at_rest_in_whole_pixels_tells_no_error(clips):
+def test_a_ball_at_rest_in_whole_pixels_shows_no_error(clips):
     truth, camera = clips[0]
     tracks = noisy(truth, np.random.default_rng(0), 0.02)
     tracks = replace(tracks, x=np.round(tracks.x), y=np.round(tracks.y), cov=np.full_like(tracks.cov, np.nan))
@@ -81,7 +81,7 @@ def test_gaps_and_order_do_not_matter_and_too_little_says_so():
     assert scatter(balls_of(frame[::2], particle[::2], xy[::2])) is None
 
 
-def test_perfect_places_do_not_divide_by_zero():
+def test_perfect_positions_do_not_divide_by_zero():
     frame = np.arange(50)
     assert 0 < noise_of(frame, np.zeros(50, int), np.column_stack([frame, frame]) * 1.0) <= 1e-5
 

@@ -73,7 +73,7 @@ def test_more_of_a_long_rest_is_left_out_and_a_motion_is_not():
 
 
 def shared_noise(truth, camera, rng, own=0.009, fixed=0.004):
-    """Tracks whose errors have a part common to places alike; wider than a real one, to be seen in few clips."""
+    """Tracks whose errors have a part common to positions alike; wider than a real one, to be seen in few clips."""
     tracks = noisy(truth, rng, own)
     ones = np.broadcast_to(np.eye(2), (len(tracks), 2, 2))
     parts = (ones * (own**2 + fixed**2), ones * fixed**2)
@@ -87,7 +87,7 @@ def shared_noise(truth, camera, rng, own=0.009, fixed=0.004):
 
 @pytest.fixture(scope="module")
 def repeated(tmp_path_factory):
-    """(row, row of a fit told that nothing is shared) of many films of one slow collision; and its truth."""
+    """(row, row of a fit that assumes that nothing is shared) of many films of one slow collision; and its truth."""
     settings = {"launch": {"v0": 0.2, "b": 0.2}, "timing": {"contact_frame": 25.3}}
     data = dataset(tmp_path_factory.mktemp("one") / "data", settings, 1)
     truth, camera = truth_of(data, 0)

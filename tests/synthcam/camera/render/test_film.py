@@ -1,8 +1,5 @@
 """The film against a ray tracer written here: plain float64, one ray a sample, nothing shared with the program."""
 
-import os
-import subprocess
-import sys
 from functools import cache
 
 import cv2
@@ -14,7 +11,7 @@ from scipy.special import ndtr
 from synthcam.camera.exposure import merge
 from synthcam.camera.glints import find_glints
 from synthcam.camera.pinhole import Camera, Lamp
-from synthcam.camera.render import Film, gl_info
+from synthcam.camera.render import Film
 from synthcam.camera.surface import STEEL
 
 R = 1.19e-3
@@ -364,29 +361,6 @@ def test_settings_it_cannot_draw_are_refused():
         Film(overhead(), LAMP, [R, -R])
     with pytest.raises(ValueError, match="ends before"):
         next(Film(overhead(), LAMP, [R]).frames(still([0, 0, R]), [[1.0, 0.0]]))
-
-
-def test_gl_info_names_the_renderer():
-    info = gl_info()
-    assert set(info) == {"renderer", "version", "vendor", "platform", "why"}
-    assert all(info.values())
-
-
-def test_without_opengl_there_is_one_clear_line():
-    code = (
-        "import numpy as np\n"
-        "from synthcam.camera.pinhole import Camera, Lamp\n"
-        "from synthcam.camera.render import Film, NoGL, gl_info\n"
-        "try: gl_info()\n"
-        "except NoGL as error: print(error)\n"
-    )
-    no_driver = {"__EGL_VENDOR_LIBRARY_DIRS": "/nonexistent", "PYOPENGL_PLATFORM": "egl"}
-    for broken in (no_driver, {"PYOPENGL_PLATFORM": "nonsense"}):
-        done = subprocess.run(
-            [sys.executable, "-c", code], env=os.environ | broken, capture_output=True, text=True, check=True
-        )
-        assert done.stdout.startswith("no off-screen OpenGL")
-        assert done.stdout.count("\n") == 1
 
 
 def test_a_wide_lamp_is_the_sum_of_its_parts():

@@ -18,7 +18,7 @@ def overhead(scale, **changes):
 
 
 @pytest.mark.filterwarnings("ignore:.minkowski_distance:DeprecationWarning")  # scikit-image's, beside SciPy 1.18
-def test_half_the_body_s_light_lies_within_a_circle_of_half_its_radius():
+def test_half_the_profiles_light_lies_within_a_circle_of_half_its_radius():
     """Under a room as bright as the sine of the elevation a mirror ball shows cos 2q = 1 - 2 (r/R)^2 at r = R sin q.
 
     So it is half as bright as in its middle at r = R/2; Fresnel's reflectance changes that by under a part in 1e3.
@@ -38,7 +38,7 @@ def test_half_the_body_s_light_lies_within_a_circle_of_half_its_radius():
 
 
 @pytest.mark.parametrize("heading", [0.0, 0.6, 2.0])
-def test_a_streak_is_as_long_as_the_way_and_lies_along_it(heading):
+def test_motion_blur_is_as_long_as_the_way_and_lies_along_it(heading):
     """Second moments of a box of length L, blurred: sigma^2 + 1/12 + L^2/12 along it, sigma^2 + 1/12 across."""
     camera = overhead(1e-4, exposure=1e-3, psf_sigma_px=1.2)
     speed, unit = 0.6, np.array([np.cos(heading), np.sin(heading)])

@@ -62,7 +62,7 @@ def doctor(**environment):
 
 
 @pytest.mark.skipif(windowless.osmesa() is None, reason="no OSMesa here")
-def test_the_doctor_tells_what_draws_and_why():
+def test_the_doctor_shows_what_draws_and_why():
     told = json.loads(doctor(__EGL_VENDOR_LIBRARY_DIRS="/nonexistent").stdout)
     assert told["platform"] == "osmesa"
     assert told["why"].startswith("EGL")

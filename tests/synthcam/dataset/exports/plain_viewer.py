@@ -63,7 +63,7 @@ def drawn(scene, eye, yfov, shape, brightness=1.0):
 
 
 def facing(eye, position):
-    """Pose of a camera at an eye that looks at a place."""
+    """Pose of a camera at an eye that looks at a position."""
     out = np.eye(4)
     out[:3, 2] = (eye - position) / np.linalg.norm(eye - position)
     out[:3, 0] = np.cross([0, 0, -1], out[:3, 2])

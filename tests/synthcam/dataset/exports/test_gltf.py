@@ -101,7 +101,7 @@ def test_trimesh_opens_it(exported, truth):
     np.testing.assert_allclose(scene.graph.get("lamp")[0][:3, 3], [x, z, -y], atol=1e-7)  # glTF's y points up
 
 
-def test_places_are_the_truths(exported, truth):
+def test_positions_are_the_truths(exported, truth):
     tracks, events, _ = truth
     (hit,) = events.loc[events.kind == "contact", "t_s"]
     moved = channels(exported)
