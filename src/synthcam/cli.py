@@ -144,10 +144,10 @@ def merge(
 
     Example: synthcam merge out/part1 out/part2 out/part3 -o out/benchmark
     """
-    from synthcam.dataset.merge import merge as put_together
+    from synthcam.dataset.merge import merge as merge_shards
 
     with progress_bar("clips") as progress:
-        clips = put_together(shards, output, progress, withhold_truth)
+        clips = merge_shards(shards, output, progress, withhold_truth)
     _say({"dataset": str(output), "clips": clips}, as_json, f"{output}: {clips} clips of {len(shards)} shards")
 
 
@@ -190,10 +190,10 @@ def verify(
 
     Example: synthcam verify out/benchmark
     """
-    from synthcam.dataset.files import verify as check
+    from synthcam.dataset.files import verify as verify_dataset
 
     with progress_bar("files") as progress:
-        found = check(dataset, progress)
+        found = verify_dataset(dataset, progress)
     for problem in found.problems:
         print(problem, file=sys.stderr)
     ok = not found.problems
@@ -218,10 +218,10 @@ def export(
 
     Example: synthcam export out/benchmark --format mot -o out/benchmark_mot
     """
-    from synthcam.dataset.export import export as write
+    from synthcam.dataset.export import export as export_dataset
 
     with progress_bar("clips") as progress:
-        clips = write(dataset, kind, output, progress, truth)
+        clips = export_dataset(dataset, kind, output, progress, truth)
     _say({"output": str(output), "format": kind, "clips": clips}, as_json, f"{output}: {clips} clips")
 
 
@@ -277,9 +277,9 @@ def schema() -> None:
 
     Example: synthcam schema > scene.schema.json
     """
-    from synthcam.scene.scene import schema as make
+    from synthcam.scene.scene import schema as scene_schema
 
-    print(json.dumps(make(), indent=1))
+    print(json.dumps(scene_schema(), indent=1))
 
 
 @app.command()

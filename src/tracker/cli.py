@@ -117,7 +117,7 @@ def score(
     from tracker.outputs import as_input_error, check_room, held
     from tracker.results import RUN, load_json
     from tracker.scoring.report import write_report
-    from tracker.scoring.score import score as compare
+    from tracker.scoring.score import score as score_results
 
     if output.exists() and not (output.is_dir() and (not any(output.iterdir()) or (output / SCORE).is_file())):
         raise InputError(f"{output}: exists and holds something else, expected a new folder for the report")
@@ -131,7 +131,7 @@ def score(
             if not name and (results / RUN).is_file():
                 run = load_json(results / RUN)
                 name = str(run.get("detector", "")) if isinstance(run, dict) else ""
-            verdict = compare(results, truth, name or "default")
+            verdict = score_results(results, truth, name or "default")
             write_report(verdict, results, truth, output)
             path = verdict.write(output)
         except BaseException:
@@ -152,11 +152,11 @@ def compare(
 
     Example: tracker compare out/benchmark --detectors maximum_likelihood,centroid -o out/compared
     """
-    from tracker.scoring.compare import compare as run_all
+    from tracker.scoring.compare import compare as compare_detectors
     from tracker.scoring.compare import tables
 
     with progress_bar("clips") as progress:
-        whole = run_all(dataset, detectors.split(","), output, progress)
+        whole = compare_detectors(dataset, detectors.split(","), output, progress)
     if as_json:
         print(json.dumps(whole))
         return
@@ -183,12 +183,13 @@ def calibrate(
 
     Example: tracker calibrate collision.avi --diameter 2.38e-3 --fps 250 -o camera.json
     """
-    from tracker.calibration import calibrate as work
+    from tracker.calibration.calibrate import calibrate as calibrate_camera
+    from tracker.calibration.calibrate import check_output, summary, summary_json
 
-    work.check_output(output)
-    result = work.calibrate(video, diameter, fps, exposure)
+    check_output(output)
+    result = calibrate_camera(video, diameter, fps, exposure)
     result.write(output)
-    print(work.as_json(result, output) if as_json else "\n".join([*work.summary(result), f"{output}"]))
+    print(summary_json(result, output) if as_json else "\n".join([*summary(result), f"{output}"]))
 
 
 def _measured(tracks: Path, truth: Path, output: Path, point: str) -> Path:

@@ -49,7 +49,31 @@ class Outcome:
 def run(
     path: Path, output: Path, camera: Path | None, name: str, workers: int, progress: Progress = lambda done, of: None
 ) -> Outcome:
-    """Tracks every clip of a source into RESULTS; continues what an interrupted run left in RESULTS.partial."""
+    """Track every clip of a source into RESULTS; go on from what an interrupted run left in RESULTS.partial.
+
+    Parameters
+    ----------
+    path : Path
+        A dataset, clip, stack, video or folder of pictures.
+    output : Path
+        RESULTS.
+    camera : Path or None
+        A camera file in place of the source's own.
+    name : str
+        Of the detector.
+    workers : int
+        Processes.
+    progress : callable
+        Takes clips done and clips in all.
+
+    Returns
+    -------
+    Outcome
+
+    Raises
+    ------
+    InputError
+    """
     detector(name)
     source = open_source(path, camera)
     plan = _plan(source, name)
@@ -71,7 +95,27 @@ def run(
 
 
 def measure_tables(path: Path, output: Path, camera: Path, point: str = "centre") -> Outcome:
-    """Measures tracks made by any program, as ``run`` does its own."""
+    """Measure tracks that any program made, as `run` does its own.
+
+    Parameters
+    ----------
+    path : Path
+        CSV or Parquet: clip, frame, particle, x, y.
+    output : Path
+        RESULTS.
+    camera : Path
+        The camera file of the tracks.
+    point : {"centre", "glint"}
+        What x and y are.
+
+    Returns
+    -------
+    Outcome
+
+    Raises
+    ------
+    InputError
+    """
     base = Camera.read(camera)
     tables = results.read_tracks(path)
     digest = hashlib.sha256(path.read_bytes() + camera.read_bytes() + point.encode()).hexdigest()

@@ -1,5 +1,6 @@
 """The packages as libraries: public names with examples that run, docs/library.md as it stands, light imports."""
 
+import ast
 import dataclasses
 import doctest
 import inspect
@@ -76,6 +77,16 @@ def test_a_docstring_says_what_goes_in_and_what_comes_out(name):
     doc, signature = inspect.getdoc(CALLS[name]) or "", inspect.signature(CALLS[name])
     assert names_in(section(doc, "Parameters")) == [p for p in signature.parameters if p not in ("self", "cls")]
     assert bool(section(doc, "Returns") or section(doc, "Yields")) == (signature.return_annotation != "None")
+
+
+@pytest.mark.parametrize("path", sorted((ROOT / "src").rglob("*.py")), ids=lambda p: str(p.relative_to(ROOT / "src")))
+def test_a_section_of_parameters_is_that_of_the_signature(path):
+    for node in ast.walk(ast.parse(path.read_text())):
+        doc = isinstance(node, ast.FunctionDef) and ast.get_docstring(node)
+        if doc and (lines := section(doc, "Parameters")):
+            a = node.args
+            every = [*a.posonlyargs, *a.args, *filter(None, [a.vararg]), *a.kwonlyargs, *filter(None, [a.kwarg])]
+            assert names_in(lines) == [each.arg for each in every if each.arg not in ("self", "cls")], node.name
 
 
 @pytest.mark.parametrize("name", [n for n, thing in CLASSES.items() if dataclasses.is_dataclass(thing)])

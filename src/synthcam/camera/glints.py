@@ -42,14 +42,30 @@ def find_glints(
     surface: Surface = PLAIN,
     cell: float = np.inf,
 ) -> Glints:
-    """Every lamp image on balls at centres (T, N, 3), of radii (N,), m.
+    """Find the images of a lamp in balls.
 
-    light: (T, N) the lamp's brightness at each moment, 0 for balls of which no image is wanted.
+    Images weaker than 1e-4 of the primary are left out (`reflections.reach`). A cell's image is the cell under the
+    exact derivative of the reflected path, so its flux and its second moments are exact to first order in its size; its
+    middle's path decides whether it is hidden.
 
-    Images weaker than 1e-4 of the primary are left out (`reflections.reach`). A lamp wider than `cell` m is cut into
-    cells of that half-width, each with an image of its own. A cell's image
-    is the cell under the exact derivative of the reflected path, so its flux and its second moments are exact to first
-    order in its size; its middle's path decides whether it is hidden.
+    Parameters
+    ----------
+    camera : Camera
+    lamp : Lamp
+        Without the further ones behind it.
+    centres : ndarray of shape (T, N, 3)
+        Of the balls at each moment, m.
+    radii : ndarray of shape (N,)
+        m.
+    light : ndarray of shape (T, N)
+        The lamp's brightness at each moment, relative to its mean; 0 for balls of which no image is wanted.
+    surface : Surface
+    cell : float
+        A lamp wider than this, m, is cut into cells of that half-width, each with an image of its own.
+
+    Returns
+    -------
+    Glints
     """
     eye, cells, axes = camera.centre, lamp.cells(cell), lamp.axes
     found = []

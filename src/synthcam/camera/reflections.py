@@ -37,7 +37,21 @@ class Paths:
 
 
 def reflect(lamp: Array, eye: Array, centres: Array, radii: Array) -> Paths:
-    """Path from lamp (3,) or (M, 3) by the spheres centres (M, k, 3), radii (M, k), in that order, to eye (3,); m."""
+    """Follow light by way of mirror spheres, in the order given.
+
+    Parameters
+    ----------
+    lamp : ndarray of shape (3,) or (M, 3)
+        m.
+    eye : ndarray of shape (3,)
+        m.
+    centres, radii : ndarray of shape (M, k, 3), ndarray of shape (M, k)
+        Of the k spheres of each path, m.
+
+    Returns
+    -------
+    Paths
+    """
     count, order = centres.shape[:2]
     normals = _first_guess(lamp, eye, centres)
     ends = np.empty((count, order + 2, 3))

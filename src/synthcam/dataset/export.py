@@ -35,9 +35,28 @@ def _module(name: str) -> Any:
 def export(
     dataset: Path, kind: str, output: Path, progress: Callable[[int, int], None], truth: Path | None = None
 ) -> int:
-    """Write a dataset to the folder `output` in another format; how many clips.
+    """Write a dataset in another program's format; aside first, and moved into place.
 
-    truth: another folder with the truth, where it was withheld. Written aside and moved into place. Raises InputError.
+    Parameters
+    ----------
+    dataset : Path
+    kind : str
+        Name of the format: a file of the folder `exports`.
+    output : Path
+        A new or empty folder.
+    progress : callable
+        Takes clips done and clips in all.
+    truth : Path, optional
+        Another folder with the truth, where it was withheld.
+
+    Returns
+    -------
+    int
+        How many clips.
+
+    Raises
+    ------
+    InputError
     """
     if kind not in formats():
         raise InputError(f"--format {kind}: no such format; there are {', '.join(formats())}")

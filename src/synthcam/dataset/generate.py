@@ -106,12 +106,37 @@ def run(
     scheduler: str = "",
     announce: Callable[[str], None] | None = None,
 ) -> Outcome:
-    """Make the dataset at `output`; `progress(done, total)` after each clip.
+    """Make a dataset.
 
     All is made in a folder beside it, `output`.partial, and moved into place when complete, so that a killed run goes
-    on where it was. withheld: another folder, for the truth. scheduler: address of a Dask scheduler, whose workers see
-    the same folders. announce: takes an estimate of time and disk before the start. Raises InputError when a folder
-    holds something else or the disk is full, NoGL when nothing can draw.
+    on where it was.
+
+    Parameters
+    ----------
+    plan : Plan
+    output : Path
+        Folder to make.
+    workers : int
+        Processes.
+    progress : callable
+        Takes clips done and clips in all, after each clip.
+    withheld : Path, optional
+        Another folder, for the truth.
+    scheduler : str
+        Address of a Dask scheduler, whose workers see the same folders.
+    announce : callable, optional
+        Takes an estimate of time and disk, as text, after the first clips.
+
+    Returns
+    -------
+    Outcome
+
+    Raises
+    ------
+    InputError
+        Where a folder holds something else, or the disk is full.
+    NoGL
+        Where nothing can draw.
     """
     made = begin(output, plan.document(), withheld)
     if made is None:

@@ -23,10 +23,28 @@ FILES = {VIDEO, "camera.json", "truth/scene.json", "truth/tracks.parquet", "trut
 
 
 def merge(shards: list[Path], output: Path, progress: Callable[[int, int], None], withheld: Path | None = None) -> int:
-    """Copy the clips of finished shards into one dataset; how many.
+    """Copy the clips of finished shards into one dataset. Interrupted, the same call goes on.
 
-    Every file is held to its shard's checksum on the way. Interrupted, the same call goes on. Raises InputError when
-    the shards are not all those of one dataset, or when one of their files has changed.
+    Parameters
+    ----------
+    shards : list of Path
+        All of one dataset, in any order. Every file is held to its shard's checksum on the way.
+    output : Path
+        Folder to make.
+    progress : callable
+        Takes clips done and clips in all.
+    withheld : Path, optional
+        Another folder, for the truth.
+
+    Returns
+    -------
+    int
+        How many clips.
+
+    Raises
+    ------
+    InputError
+        Where the shards are not all those of one dataset, or one of their files has changed.
     """
     if withheld:
         check_apart(output, withheld)

@@ -27,9 +27,16 @@ MARGIN = 2.0  # ball diameters round the balls' paths
 
 
 def write_preview(clip: Clip, path: Path, frame: int | None, magnify: int) -> None:
-    """Write frame number `frame` of a clip (default: the last before the contact) as a PNG.
+    """Write one frame of a clip as a PNG.
 
-    magnify > 0: the balls so many times larger stand below the frame, with what is faint brought out.
+    Parameters
+    ----------
+    clip : Clip
+    path : Path
+    frame : int or None
+        Its number; None: the last before the contact.
+    magnify : int
+        Over 0: the balls so many times larger stand below the frame, with what is faint brought out.
     """
     check_room(path)
     view = clip.view

@@ -19,10 +19,25 @@ IN_A_ROW = 3  # workers lost one after the other, with nothing done in between, 
 
 
 def each(todo: Iterable[int], workers: int, prepare: Callable[[], Work]) -> Iterator[tuple[int, str]]:
-    """Do the work of each number: (number, '' or what went wrong), in the order in which they end.
+    """Do numbered work in processes.
 
-    `prepare`, which must pickle, is called once in each worker and gives the work. What the work raises is raised
-    here. Raises InputError when no worker lives long enough to do anything.
+    Parameters
+    ----------
+    todo : iterable of int
+    workers : int
+    prepare : callable
+        Called once in each worker; gives the work, which takes a number and returns what went wrong, or ''. Must
+        pickle.
+
+    Yields
+    ------
+    tuple of int and str
+        A number and what went wrong, in the order in which they end. What the work raises is raised here.
+
+    Raises
+    ------
+    InputError
+        Where no worker lives long enough to do anything.
     """
     queue, busy, lost = iter(todo), dict[Connection, Worker](), 0
     try:

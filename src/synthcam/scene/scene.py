@@ -179,7 +179,25 @@ def read_scene(path: Path, overrides: tuple[str, ...] = ()) -> Scene:
 
 
 def check_scene(loaded: dict[str, Any], where: str, overrides: tuple[str, ...] = ()) -> Scene:
-    """Check plain settings: every extreme of every distribution must pass as a number would."""
+    """Check plain settings: every extreme of every distribution must pass as a number would.
+
+    Parameters
+    ----------
+    loaded : dict
+        As the YAML file has them.
+    where : str
+        What messages call the file.
+    overrides : tuple of str
+        As "launch.v0=0.2".
+
+    Returns
+    -------
+    Scene
+
+    Raises
+    ------
+    InputError
+    """
     settings = copy.deepcopy(loaded)
     for text in overrides:
         _override(settings, text)

@@ -85,10 +85,27 @@ def _made_here(path: Path) -> bool:
 
 
 def calibrate(video: Path, diameter: float, fps: float, exposure: float | None = None) -> Calibration:
-    """Scale, glint width and noise of a video (or stack, or dataset) of balls of ``diameter`` m at ``fps`` frames/s.
+    """Find scale, glint width and noise from a video of balls of known diameter.
 
-    ``exposure`` s, if known, separates motion blur from the width. Raises InputError for what cannot be read or has no
-    glints.
+    Parameters
+    ----------
+    video : Path
+        A video, stack, folder of pictures, clip or dataset.
+    diameter : float
+        Of the balls, m.
+    fps : float
+        Frames a second.
+    exposure : float, optional
+        Of a frame, s; separates motion blur from the glint's width.
+
+    Returns
+    -------
+    Calibration
+
+    Raises
+    ------
+    InputError
+        For what cannot be read, or has no glints.
     """
     for name, value in (("--diameter", diameter), ("--fps", fps)):
         if not (math.isfinite(value) and value > 0):
@@ -200,6 +217,6 @@ def summary(result: Calibration) -> list[str]:
     return lines + [f"not found - {line}" for line in result.missing]
 
 
-def as_json(result: Calibration, path: Path) -> str:
+def summary_json(result: Calibration, path: Path) -> str:
     """One line for machines."""
     return json.dumps({"camera": str(path), **result.to_dict()["calibration"], "scale": result.camera.scale})

@@ -118,11 +118,33 @@ def localisation_bound(
     blur: ArrayLike | None = None,
     background: ArrayLike | None = None,
 ) -> Array:
-    """Cramer-Rao bound of glint positions, px^2.
+    """Cramer-Rao bound of the positions of glints: position, flux and a flat background free, width and noise known.
 
-    ``flux`` (n,) counts, ``xy`` (n, 2) px, ``blur`` (n, 2) px (default none), ``background`` (n,) or one
-    number, counts (default the black level). Position, flux and a flat background are free; width and noise are
-    known. Returns (n, 2, 2). Needs the PSF's width in the camera (ValueError).
+    Parameters
+    ----------
+    camera : Camera
+    flux : array_like of shape (n,)
+        Counts.
+    xy : array_like of shape (n, 2)
+        Positions, px.
+    blur : array_like of shape (n, 2), optional
+        Displacement during the exposure, px; default: none.
+    background : array_like of shape (n,) or float, optional
+        Counts; default: the black level.
+
+    Returns
+    -------
+    ndarray of shape (n, 2, 2)
+        px^2.
+
+    Raises
+    ------
+    ValueError
+        Where the camera has no width of the PSF.
+
+    References
+    ----------
+    Kay, Fundamentals of Statistical Signal Processing: Estimation Theory (1993), section 3.9.
     """
     return _bound(camera, flux, xy, blur, background)[0]
 

@@ -71,10 +71,23 @@ def detect(clip: Clip, view: View, name: str = DEFAULT) -> Glints:
 
 
 def settled(clip: Clip, view: View, name: str = DEFAULT) -> tuple[Glints, View]:
-    """All glints, and the view with the exposure found from their motion blur where that is not the camera file's.
+    """Find all glints of a clip, and the exposure that their motion blur shows where that is not the camera file's.
 
     That is so where they differ by more than SURE of its errors and by PLAIN. Else, or where the rounds do not
     converge, the view is the one given, and the glints are those of `detect`.
+
+    Parameters
+    ----------
+    clip : Clip
+    view : View
+    name : str
+        Of the detector.
+
+    Returns
+    -------
+    glints : Glints
+        In the order of frames.
+    view : View
     """
     finder: Any = detector(name)(view)
     first = _searched(clip, finder)

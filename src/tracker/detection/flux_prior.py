@@ -17,11 +17,27 @@ NORMAL = 1.4826  # standard deviation of a normal spread over its median absolut
 
 
 def with_flux_prior(xy: Array, cov: Array, log_flux: Array, cross: Array, own: Array) -> tuple[Array, Array]:
-    """Glints' positions ``xy`` (n, 2) px and their covariances ``cov`` (n, 2, 2) px^2, with what the others' flux adds.
+    """Glints' positions with what the flux of the film's other glints adds to them.
 
-    ``log_flux`` (n,), of variance ``own`` (n,) and covariance ``cross`` (n, 2) px with the position. Conditioning of
-    normal errors: where the log flux is off by d, and d has the variance v = own + the scatter of true fluxes, the
-    position is off by lean d / v.
+    Conditioning of normal errors: where the log flux is off by d, and d has the variance v = own + the scatter of true
+    fluxes, the position is off by cross d / v.
+
+    Parameters
+    ----------
+    xy : ndarray of shape (n, 2)
+        Positions, px.
+    cov : ndarray of shape (n, 2, 2)
+        Their covariances, px^2.
+    log_flux : ndarray of shape (n,)
+    cross : ndarray of shape (n, 2)
+        Covariance of position and log flux, px.
+    own : ndarray of shape (n,)
+        Variance of the log flux.
+
+    Returns
+    -------
+    xy, cov : ndarray
+        Of the same shapes.
     """
     if len(xy) < FEWEST:
         return xy, cov

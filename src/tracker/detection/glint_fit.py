@@ -85,9 +85,21 @@ class Fit:
 def fit(
     windows: Windows, sigma: float, sensor: Sensor, profile: BallProfile | None = None, close: float = CLOSE
 ) -> Fit:
-    """Fits a glint of width ``sigma`` px to each window, on a profile of known shape or on a bowl of its own.
+    """Fit a glint to each window, on a ball profile of known shape or on a bowl of its own.
 
-    A step under ``close``, px and log flux, is the last one; covariances are those before it.
+    Parameters
+    ----------
+    windows : Windows
+    sigma : float
+        Width of a glint, px.
+    sensor : Sensor
+    profile : BallProfile, optional
+    close : float
+        A step under this, px and log flux, is the last one; covariances are those before it.
+
+    Returns
+    -------
+    Fit
     """
     theta, n = _start(windows, sigma, sensor, profile), len(windows)
     active = np.arange(n)
@@ -271,12 +283,25 @@ def learn(windows: Windows, sigma: float, sensor: Sensor, end: float) -> tuple[B
 def stretch(
     windows: Windows, known: Array, still: NDArray[np.bool_], sigma: float, sensor: Sensor
 ) -> tuple[Array, Array]:
-    """Score and information of each window on the length of the motion blur: score (n,) and information (n,) on its
-    logarithm.
+    """Score and information of each window on the logarithm of the length of the motion blur.
 
-    known (n, 4): positions from the central pixel, log fluxes and levels; still (n,): which hardly move. Eliminated
-    (Schur complement) are, of each window, these, a bowl and the glint's width, and of all together a glint that is
-    longer one way than across it even at rest. The width may be another than sigma: those that hardly move show it.
+    Eliminated (Schur complement) are, of each window, position, flux, level, a bowl and the glint's width, and of all
+    together a glint that is longer one way than across it even at rest.
+
+    Parameters
+    ----------
+    windows : Windows
+    known : ndarray of shape (n, 4)
+        Positions from the central pixel, px, log fluxes and levels.
+    still : ndarray of shape (n,)
+        Which hardly move: from these the width is found, which may be another than `sigma`.
+    sigma : float
+        px.
+    sensor : Sensor
+
+    Returns
+    -------
+    score, information : ndarray of shape (n,)
     """
     theta = np.column_stack([known, np.zeros(len(windows))])
     mean, parts = _model(theta, windows, sigma, None, room=1)

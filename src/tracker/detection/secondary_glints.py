@@ -13,11 +13,26 @@ LOOSE = 0.1  # of the reflectance, what geometry leaves out: images of higher or
 
 
 def with_common_reflectance(xy: Array, cov: Array, reflectance: Array, cross: Array, own: Array) -> tuple[Array, Array]:
-    """Glints' positions ``xy`` (n, 2) px and covariances ``cov`` (n, 2, 2) px^2, with what the others' reflectance
-    adds.
+    """Glints' positions with what the reflectance of the other balls adds to them.
 
-    ``reflectance`` (n,), of variance ``own`` (n,) and covariance ``cross`` (n, 2) px with the position. Conditioning of
-    normal errors on the mean of all the others, which leaves out what a window says itself.
+    Conditioning of normal errors on the mean of all the others, which leaves out what a window says itself.
+
+    Parameters
+    ----------
+    xy : ndarray of shape (n, 2)
+        Positions, px.
+    cov : ndarray of shape (n, 2, 2)
+        Their covariances, px^2.
+    reflectance : ndarray of shape (n,)
+    cross : ndarray of shape (n, 2)
+        Covariance of position and reflectance, px.
+    own : ndarray of shape (n,)
+        Variance of the reflectance.
+
+    Returns
+    -------
+    xy, cov : ndarray
+        Of the same shapes.
     """
     if len(xy) < 2:
         return xy, cov

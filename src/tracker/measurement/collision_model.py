@@ -80,9 +80,20 @@ class Rolled:
 
 
 def rolled(speed: float | Floats, drag: float, decel: float, t: Floats) -> Rolled:
-    """Rolling under a = -(drag v + decel), at `speed` (m/s) at t = 0, until it stops; t may be negative.
+    """Rolling under a = -(drag v + decel) until the ball stops, with phi functions: drag = 0 is no special case.
 
-    speed: one, or one for each t. Everything is written with phi functions, so drag = 0 needs no special case.
+    Parameters
+    ----------
+    speed : float or ndarray of shape (n,)
+        At t = 0, m/s.
+    drag, decel : float
+        1/s, m/s^2.
+    t : ndarray of shape (n,)
+        s; may be negative.
+
+    Returns
+    -------
+    Rolled
     """
     stop = stopping_time(speed, drag, decel)
     run = np.minimum(t, stop)
@@ -130,11 +141,29 @@ def directions(
 def path(
     free: Floats, ball: int | NDArray[np.int64], start: Floats, exposure: float, diameter: float
 ) -> tuple[Floats, Floats]:
-    """Mean positions of balls over [start, start + exposure], and their derivatives.
+    """Mean positions of balls over exposures, and their derivatives, by closed-form integrals over each leg.
 
-    free: (20,) in the order of FREE. ball: 1 (struck) or 2 (striker), or (n,) of them. start: (n,) s. exposure: s, 0
-    for instants. diameter: m. Returns positions (n, 2) m and derivatives (n, 2, 20). Exact: closed-form
-    integrals over each leg, so an exposure that holds the impact or the end of a slide needs no care.
+    An exposure that holds the impact or the end of a slide needs no care.
+
+    Parameters
+    ----------
+    free : ndarray of shape (20,)
+        In the order of FREE.
+    ball : int or ndarray of shape (n,)
+        1 (struck) or 2 (striker).
+    start : ndarray of shape (n,)
+        Of the exposures, s.
+    exposure : float
+        s; 0 for instants.
+    diameter : float
+        m.
+
+    Returns
+    -------
+    positions : ndarray of shape (n, 2)
+        m.
+    derivatives : ndarray of shape (n, 2, 20)
+        By `free`.
     """
     if exposure < SHORTEST_EXPOSURE:
         start = start - SHORTEST_EXPOSURE / 2

@@ -45,10 +45,21 @@ class Values:
 
 
 def of_free(free: Floats, cov: Floats, diameter: float) -> Values:
-    """Quantities of a free motion (20,) with covariance (20, 20); diameter in m.
+    """Quantities of a free motion.
 
-    Friction and spin transfer follow from either ball; the two are weighted by their errors. Where they differ by
-    more than APART of these, there is no one value, and its covariance is NaN.
+    Friction and spin transfer follow from either ball; the two are weighted by their errors. Where they differ by more
+    than APART of these, there is no one value, and its covariance is NaN.
+
+    Parameters
+    ----------
+    free, cov : ndarray of shape (20,), ndarray of shape (20, 20)
+        Parameters in the order of FREE, and their covariance.
+    diameter : float
+        m.
+
+    Returns
+    -------
+    Values
     """
     twice, slope = _with_slope(lambda p: _both(p, diameter), free, cov)
     spread = slope @ cov @ slope.T
@@ -66,7 +77,21 @@ def of_free(free: Floats, cov: Floats, diameter: float) -> Values:
 
 
 def of_tied(tied: Floats, cov: Floats, diameter: float, spin: float = 0.0) -> Values:
-    """Quantities of a tied motion (13,) with covariance (13, 13); spin: see `release`."""
+    """Quantities of a tied motion.
+
+    Parameters
+    ----------
+    tied, cov : ndarray of shape (13,), ndarray of shape (13, 13)
+        Parameters in the order of TIED, and their covariance.
+    diameter : float
+        m.
+    spin : float
+        m/s; see `release`.
+
+    Returns
+    -------
+    Values
+    """
 
     def single(p: Floats) -> Floats:
         both = _both(np.asarray(release(p, spin), dtype=np.float64), diameter)

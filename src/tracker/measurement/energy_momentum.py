@@ -22,12 +22,21 @@ COLUMNS = ("t_s", "particle", "vx", "vy", "energy", "p_along", "p_across")
 
 
 def motion_table(tracks: Tracks, camera: Camera, row: Mapping[str, Any]) -> pd.DataFrame:
-    """Per frame and ball: t_s, particle, vx, vy, energy, p_along, p_across; SI, per unit mass.
+    """Velocity, energy and momentum of each ball frame by frame, per unit mass.
 
-    Velocities are differences between the neighbouring frames. energy is v^2/2 less what noise adds to it, so it
-    is unbiased and may fall below zero at rest. p_along and p_across are along the ball's own direction of slip
-    after the collision of `row` (a row of `measure`) and across it (z x that): the paper's x and y. NaN for a
-    ball that took no part in it.
+    Parameters
+    ----------
+    tracks : Tracks
+    camera : Camera
+    row : dict
+        A row of `measure`: the collision whose directions of slip count.
+
+    Returns
+    -------
+    DataFrame
+        t_s; particle; vx, vy (m/s): differences between the neighbouring frames; energy (m^2/s^2): v^2/2 less what
+        noise adds to it, which may fall below zero at rest; p_along, p_across (m/s): along the ball's own direction of
+        slip after the collision and across it (z x that), the paper's x and y; NaN for a ball that took no part in it.
     """
     slips = slip_directions(row)
     balls = [c for c in courses(tracks, camera) if len(c) >= 2] if camera.metric else []

@@ -179,9 +179,22 @@ def _descend(problem: Problem, start: Floats, close: float) -> tuple[Floats, flo
 
 
 def fit_motion(pair: Pair, tied: bool, starts: list[Floats], close: float = FINE, whole: bool = False) -> Fit:
-    """Tied (13) or free (20) motion of two balls, from starts of that length.
+    """Fit a motion to two balls. A few outliers are dropped once.
 
-    A few outliers are dropped once, unless the pair is to be fitted whole.
+    Parameters
+    ----------
+    pair : Pair
+    tied : bool
+        Which motion: TIED, of 13 parameters, or FREE, of 20.
+    starts : list of ndarray of shape (13,) or (20,)
+    close : float
+        Steps and gains, as shares, that end a descent.
+    whole : bool
+        Drop no outliers.
+
+    Returns
+    -------
+    Fit
     """
     problem = Whitened(pair, tied)
     p = len(problem.names)

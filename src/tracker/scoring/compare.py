@@ -28,10 +28,30 @@ Progress = Callable[[int, int], None]
 def compare(
     dataset: Path, names: Sequence[str], report: Path, progress: Progress = lambda done, of: None
 ) -> dict[str, Any]:
-    """Tracks the dataset with each detector, one process, and writes REPORT/score.json and index.html.
+    """Track a dataset with several detectors, in one process, and write REPORT/score.json and index.html.
 
-    Results are kept in REPORT/results/NAME: interrupted, the same call goes on. InputError before anything is done
-    where a detector is not there, or REPORT holds something else. Returns the contents of score.json.
+    Results are kept in REPORT/results/NAME: interrupted, the same call goes on.
+
+    Parameters
+    ----------
+    dataset : Path
+        Clips with their truth.
+    names : sequence of str
+        Of the detectors.
+    report : Path
+        REPORT.
+    progress : callable
+        Takes clips done and clips in all.
+
+    Returns
+    -------
+    dict
+        The contents of score.json.
+
+    Raises
+    ------
+    InputError
+        Before anything is done, where a detector is not there, or REPORT holds something else.
     """
     chosen = [name.strip() for name in names if name.strip()]
     if not chosen or len(set(chosen)) < len(chosen):

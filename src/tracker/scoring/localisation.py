@@ -43,10 +43,24 @@ class Matched:
 
 
 def match(truth: pd.DataFrame, found: pd.DataFrame, gate: float, ball_px: float) -> Matched:
-    """Pair detections (frame, x, y) with true balls (frame, x_mean_px, y_mean_px, visible), frame by frame.
+    """Pair detections with true balls, frame by frame.
 
-    gate px. A ball that is not whole in view need not be found, and a detection on what shows of it (within
-    ball_px, its diameter) is neither right nor wrong.
+    A ball that is not whole in view need not be found, and a detection on what shows of it is neither right nor wrong.
+
+    Parameters
+    ----------
+    truth : DataFrame
+        frame, x_mean_px, y_mean_px, visible.
+    found : DataFrame
+        frame, x, y (px).
+    gate : float
+        Largest distance of a pair, px.
+    ball_px : float
+        Diameter of a ball, px.
+
+    Returns
+    -------
+    Matched
     """
     position, seen = _true(truth), _xy(found)
     whole = truth["visible"].to_numpy(bool)

@@ -40,10 +40,21 @@ RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
 def write_report(score: Score, results: Path | str, dataset: Path | str, report: Path | str) -> Path:
-    """REPORT/index.html beside score.json; returns its path. No file of it refers to another, or to the network.
+    """Write REPORT/index.html beside score.json: one self-contained file.
 
-    results, dataset: where the tracks and the pictures of the clip shown are read. A dataset without video, or
-    results without a collision, leave their figures out and say so.
+    Parameters
+    ----------
+    score : Score
+    results, dataset : str or Path
+        Where the tracks and the pictures of the clip shown are read. A dataset without video, or results without a
+        collision, leave their figures out and say so.
+    report : str or Path
+        REPORT.
+
+    Returns
+    -------
+    Path
+        Of index.html.
     """
     drawn = figures(score, Path(results), Path(dataset))
     images = {name: base64.b64encode(png(figure)).decode() for name, figure in drawn.items()}

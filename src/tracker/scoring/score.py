@@ -67,9 +67,27 @@ class Score:
 def score(
     results: Path | str, dataset: Path | str, detector: str = "default", ms_per_frame: float | None = None
 ) -> Score:
-    """Compare RESULTS (as `tracker track` writes them) with the truth in DATASET.
+    """Compare results with the truth.
 
-    Raises InputError where either lacks what it must have. Clips of the truth without results count as missed.
+    Parameters
+    ----------
+    results : str or Path
+        RESULTS, as `tracker track` writes them. Clips of the truth without results count as missed.
+    dataset : str or Path
+        With its truth.
+    detector : str
+        What to call it.
+    ms_per_frame : float, optional
+        What it took.
+
+    Returns
+    -------
+    Score
+
+    Raises
+    ------
+    InputError
+        Where either lacks what it must have.
     """
     results, dataset = Path(results), Path(dataset)
     scalars = _table(dataset / "truth" / "clips.parquet", "a dataset's truth", TRUTH)
