@@ -1,30 +1,10 @@
 """Where do simulation and measurement disagree, and what is missing from the model?"""
 
-from importlib import import_module
 from importlib.metadata import version
-from typing import TYPE_CHECKING, Any
 
-if TYPE_CHECKING:
-    from discrepancy.finding import Finding as Finding
-    from discrepancy.finding import find as find
-    from tracker.camera.camera_json import InputError as InputError
+import lazy_loader
 
 __version__ = version("synthcam")
-__all__ = ["Finding", "InputError", "__version__", "find"]
-
-_HOMES = {
-    "Finding": "finding",
-    "InputError": "data.collisions",
-    "find": "finding",
-}
-
-
-def __getattr__(name: str) -> Any:
-    """A public name from its module, imported when first asked for: what fits takes long to load."""
-    if name not in _HOMES:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module(f"{__name__}.{_HOMES[name]}"), name)
-
-
-def __dir__() -> list[str]:
-    return __all__
+# What __init__.pyi imports, when it is first asked for: what draws or fits takes long to load.
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+__all__ += ["__version__"]

@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 
 from discrepancy import policy
 from discrepancy.data.sanity import exchanged, wrong_units
-from tracker.camera.camera import Camera, InputError
+from tracker.camera.camera import Camera
+from tracker.camera.camera import InputError as InputError
 from tracker.detection.link import Tracks
 from tracker.measurement.adequacy import MEASURED, MISFIT
 from tracker.measurement.estimate import measure

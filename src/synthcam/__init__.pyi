@@ -1,0 +1,12 @@
+"""The public names, listed once."""
+
+from .camera.render import NoGL as NoGL
+from .model import Ball as Ball
+from .model import Model as Model
+from .scene.clip import Clip as Clip
+from .scene.motion import Motion as Motion
+from .scene.scene import Scene as Scene
+from .settings import InputError as InputError
+
+__version__: str
+__all__ = ["Ball", "Clip", "InputError", "Model", "Motion", "NoGL", "Scene", "__version__"]
