@@ -1,4 +1,4 @@
-"""What is written: room for it, and nothing half-written left behind."""
+"""Writing files: the disk is tried first, and nothing half-written is left behind."""
 
 from __future__ import annotations
 

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from tracker.pipeline import Outcome
 
 app = typer.Typer(
-    help="Finds rolling steel balls by their glint, follows them, and measures the collision with honest errors.",
+    help="Finds rolling steel balls by their glint, follows them, and measures the collision with standard errors.",
     no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,

@@ -1,4 +1,4 @@
-"""What is written: room for it, one process at a time in a folder, and nothing half-written left behind."""
+"""Writing files: the disk is tried first, one process at a time in a folder, nothing half-written left behind."""
 
 from __future__ import annotations
 

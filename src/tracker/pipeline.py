@@ -141,7 +141,7 @@ def measure_tables(path: Path, output: Path, camera: Path, point: str = "centre"
 def _partial(output: Path, plan: dict[str, Any]) -> Iterator[Path]:
     """The folder in which results are gathered, locked: a new one, or the one that the same command left behind.
 
-    Where the input or the disk is at fault and nothing is there worth going on from, it is taken away again.
+    Where the input or the disk is at fault and no clip is done, it is removed again.
     """
     check_room(output)
     partial = output.with_name(output.name + ".partial")

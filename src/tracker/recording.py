@@ -47,7 +47,7 @@ class Result:
     number : int
         Of the clip; column ``clip`` of the estimates.
     camera : Camera
-        As used: what the camera file leaves open is estimated from the film, or assumed, and said in `notes`.
+        As used: what the camera file leaves open is estimated from the film, or assumed, and listed in `notes`.
     found : Tracks
         The tracks as arrays.
     rows : tuple of dict
@@ -189,7 +189,7 @@ def track(
     >>> abs(result.estimates["r"][0] - clip.truth["r"]) < 4 * result.estimates["r_std"][0]
     np.True_
     """
-    detector_named(detector)  # no such one is said before a film is read
+    detector_named(detector)  # an unknown one is reported before a film is read
     clip = _opened(film, camera)
     return followed(clip if number is None else replace(clip, number=number), detector)
 

@@ -190,14 +190,6 @@ def read_clip(results: Path, number: int) -> tuple[Tracks, Camera]:
     return _to_tracks(table, str(folder / "tracks.parquet")), camera
 
 
-def result_clips(results: Path) -> list[int]:
-    """Numbers of the clips that RESULTS holds."""
-    folder = results / "clips"
-    if not folder.is_dir():
-        raise InputError(f"{results}: expected a folder of results with clips/ in it")
-    return sorted(int(p.name) for p in folder.iterdir() if p.is_dir() and p.name.isdecimal())
-
-
 def read_tracks(path: Path) -> dict[int, tuple[Tracks, str | None]]:
     """Tracks by clip, with the clip's striker where the table says it; InputError for what is no such table.
 

@@ -61,8 +61,8 @@ def reflect(lamp: Array, eye: Array, centres: Array, radii: Array) -> Paths:
         ends[:, 1:-1] = centres + radii[..., None] * normals
         tangents = _tangents(normals)
         slope, curvature, pressure, first = _expand(ends, normals, tangents, radii)
-        # After a step this small the next is rounding, its square. A settled path is left alone: its last bit is
-        # then the same in any company.
+        # After a step this small the next is rounding, its square. A settled path is left alone: its last bit
+        # then does not depend on the other paths.
         moving = np.abs(step).max(axis=(1, 2)) > 1e-8
         if not moving.any():
             break
@@ -197,7 +197,7 @@ def reach(mirror: float) -> dict[int, float]:
 
 
 def chains(centres: Array, radii: Array, mirror: float) -> Iterator[tuple[tuple[int, ...], NDArray[np.bool_]]]:
-    """Chains of balls worth following, and when, (T,): for centres (T, N, 3), radii (N,) and the balls' reflectance.
+    """Chains of balls to follow, and when, (T,): for centres (T, N, 3), radii (N,) and the balls' reflectance.
 
     Beyond MIXED bounces only those to and fro between two balls: all others in a heap would be too many.
     """

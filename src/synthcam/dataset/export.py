@@ -6,7 +6,6 @@ import importlib
 import json
 import pkgutil
 import shutil
-import uuid
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -16,10 +15,9 @@ import pandas as pd
 from synthcam.dataset import exports
 from synthcam.dataset.files import clip_folders
 from synthcam.dataset.recorded import Recorded, first_line
+from synthcam.dataset.staging import aside
 from synthcam.outputs import as_input_error, check_room
 from synthcam.settings import InputError
-
-Writer = Callable[[Iterator[Recorded], Path], None]
 
 
 def formats() -> dict[str, str]:
@@ -67,15 +65,15 @@ def export(
         raise InputError(f"{table}: no such file; expected a dataset with its truth (withheld: --truth TRUTH)")
     output = output.resolve()
     check_room(output)
-    aside = output.with_name(f"{output.name}-{uuid.uuid4().hex[:12]}.tmp")
+    beside = aside(output)
     with as_input_error(output):
-        aside.mkdir(parents=True)
+        beside.mkdir(parents=True)
         try:
             rows = _rows(table)
-            _module(kind).write(_clips(dataset, truth or dataset, rows, progress), aside)
-            aside.rename(output)
+            _module(kind).write(_clips(dataset, truth or dataset, rows, progress), beside)
+            beside.rename(output)
         finally:
-            shutil.rmtree(aside, ignore_errors=True)
+            shutil.rmtree(beside, ignore_errors=True)
     return len(rows)
 
 

@@ -287,7 +287,7 @@ def make_clip(plan: Plan, number: int, folder: Path, secret: Path | None = None)
 
 
 def _why(error: Exception) -> str:
-    """One line; an error nobody foresaw keeps its name."""
+    """One line; an unexpected error keeps its name."""
     if isinstance(error, OSError):
         return f"{error.strerror or error}"
     said = " ".join(str(error).split())

@@ -1,4 +1,4 @@
-"""A dataset in the making: a folder beside its place, NAME.partial, renamed when it is complete."""
+"""A dataset while it is made: a folder NAME.partial beside its place, renamed when it is complete."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ class Partial:
         self.close()
 
     def close(self) -> None:
-        """Let others at it."""
+        """Release the lock."""
         if self.lock >= 0:
             os.close(self.lock)
             self.lock = -1
@@ -95,7 +95,7 @@ def begin(output: Path, document: dict[str, Any], withheld: Path | None = None) 
         try:
             beside = partial.with_name(partial.name + ".plan")
             put(beside, json.dumps(document, indent=1).encode())
-            beside.replace(plan)  # before anything else: what has no plan is somebody else's
+            beside.replace(plan)  # first of all: a folder without a plan is taken for another program's
             for folder in {partial, truth}:
                 (folder / "clips").mkdir(parents=True, exist_ok=True)
             made.tidy()
@@ -114,7 +114,7 @@ def check_apart(output: Path, withheld: Path) -> None:
 
 
 def settle(aside: Path, final: Path) -> None:
-    """Move a folder made aside into its place; one that somebody else has made meanwhile stays."""
+    """Move a folder made aside into its place; one that another worker has made meanwhile stays."""
     try:
         aside.rename(final)
     except OSError:

@@ -1,4 +1,4 @@
-"""Numbered work in processes of one's own; a worker that is killed loses its number and nobody else's."""
+"""Numbered work in processes; a worker that is killed loses only its own number."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ def _start(prepare: Callable[[], Work]) -> tuple[Connection, BaseProcess]:
 
 @contextmanager
 def _deaf() -> Iterator[None]:
-    """Ctrl-C waits, and a process started meanwhile never hears it: in its imports it would die with a traceback."""
+    """Hold back Ctrl-C, and start processes without it: in its imports one would end with a traceback."""
     if not hasattr(signal, "pthread_sigmask"):
         yield
         return

@@ -1,4 +1,4 @@
-"""What really happened, in the contract's terms: scalars of a collision, tracks in the image, events."""
+"""The truth about a clip, in the terms of docs/format.md: scalars of a collision, tracks in the image, events."""
 
 from __future__ import annotations
 

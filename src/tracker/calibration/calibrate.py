@@ -22,7 +22,7 @@ from tracker.outputs import as_input_error, check_room
 from tracker.results import write_json
 
 HEIGHTS = 2.5  # 1/m, scatter of 1/height of lamp less that of the camera: glints' distances differ from the balls'
-DISAGREE = 3.0  # standard errors between two ways to the scale, worth a word
+DISAGREE = 3.0  # standard errors between two ways to the scale, beyond which they disagree
 FEWEST = 10  # glints, to say anything
 
 

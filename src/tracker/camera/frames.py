@@ -1,4 +1,4 @@
-"""Opens what a camera left behind: a dataset, a clip, a TIFF stack, a folder of pictures, a video.
+"""Opens recordings: a dataset, a clip, a TIFF stack, a folder of pictures, a video.
 
 Frames are read one at a time where they are asked for, so memory does not grow with a clip's length. Of a
 dataset only ``frames.tif`` and ``camera.json`` are ever opened.
@@ -362,7 +362,7 @@ def _reader(path: Path) -> tuple[cv2.VideoCapture, str]:
 def grey_frames(
     path: Path | str, count: int, plane: tuple[int, ...], dtype: Any, fetch: Callable[[int], Any]
 ) -> tuple[Frames, str]:
-    """Frames of grey, colour turned into grey and said so."""
+    """Frames in grey, and a note where they were in colour."""
     if len(plane) == 2:
         return Frames(count, (plane[0], plane[1]), dtype, fetch), ""
     if len(plane) != 3 or plane[2] not in (2, 3, 4):

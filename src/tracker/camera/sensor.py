@@ -1,4 +1,4 @@
-"""What a pixel's count is worth: the noise of a camera, and where it clips."""
+"""The noise of a pixel's count, and where it clips."""
 
 from __future__ import annotations
 

@@ -24,7 +24,7 @@ TYPICAL = 1.2  # px, a first width
 LONGEST = 2.5  # px, of a way during the exposure
 SHORT = 0.3  # of a frame's time, an exposure in which whole-pixel positions give the displacement well enough
 SURE = 1.5  # spread of the logarithm of gains that cameras have, about 20 e-/count
-BRIGHT = 20.0  # deviations of a box sum over the plate, for a glint worth measuring
+BRIGHT = 20.0  # deviations of a box sum over the plate, for a glint that is measured
 
 
 def completed(camera: Camera, plate: Ground, frames: Sequence[Any]) -> Camera:

@@ -11,7 +11,7 @@ import numpy as np
 from tracker.detection.candidates import Search
 from tracker.detection.glints import Glints, View
 
-FEWEST = 6  # glints in a clip, below which somebody will ask why
+FEWEST = 6  # glints in a clip, below which a reason is given
 SAMPLED = 9  # frames
 FLICKER = 5.0  # counts, of the plate from frame to frame
 FULL = 0.5  # share of the pixels at the ceiling: overexposed

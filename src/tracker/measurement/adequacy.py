@@ -1,4 +1,4 @@
-"""Whether the data bear a fit: p-values, what cannot be true of steel balls, and what to say of both."""
+"""Whether the data accept a fit: p-values, values impossible for steel balls, and warnings of both."""
 
 from __future__ import annotations
 

@@ -2,7 +2,7 @@
 
 Three readings stand beside each other: NAME from the tied fit (one physical model of impact, sliding and rolling),
 NAME_free from the free fit (any velocities and slide times after the hit), NAME_paper from the paper's finite
-differences. Where the first two disagree the model is wrong. What a clip does not show is NaN.
+differences. Where the first two disagree, the model is wrong. What a clip does not show is NaN.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ NEEDS_BOTH = ("energy_fraction", "momentum_fraction", "final_angle")
 UNLIKELY = 10.0  # standard deviations of chi^2 beyond which a lone ball was not rolling freely
 NO_DIAMETER = "no ball_diameter in the camera file: a collision is measured by where balls of that diameter touch"
 UNLIKE = 5.0  # standard errors by which the tracks' own scatter differs from what a table claims
-BORNE_OUT = 1e-3  # p-value from which on whole fits bear out that errors are smaller than claimed
+CONFIRMED = 1e-3  # p-value from which on whole fits confirm that errors are smaller than claimed
 POOR_FIT = 1e4  # chi^2 per degree of freedom: 100 sigma off everywhere is no description of the motion
 ENDLESS = (0.9, 0.5)  # restitutions from which a fit of balls that slide on all the while starts
 AS_GOOD = 10.0  # chi^2 by which a motion that is possible may fit worse than one that is not
@@ -90,8 +90,8 @@ class Reading:
         return agreement(self.tied, self.free, self.known)
 
     @property
-    def borne(self) -> tuple[bool, bool]:
-        """Whether the data bear the tied and the free fit; nothing is rejected where the errors' size is not known."""
+    def accepted(self) -> tuple[bool, bool]:
+        """Whether the data accept tied and free fit; nothing is rejected where the errors' size is not known."""
         free = not self.adequate_free < LEVEL
         return free and not (self.adequate < LEVEL or self.agree < LEVEL), free
 
@@ -116,7 +116,7 @@ def measure(tracks: Tracks, camera: Camera) -> list[dict[str, Any]]:
         return _rows(balls, camera) if _p_free(rows, size) > 1 - LEVEL else rows  # kinks were taken for scatter
     rows = _rows(balls, camera)
     slow = any(row["noise"] == "scatter" for row in rows)  # errors that last scatter little from frame to frame
-    return rows if slow or not _p_free(rows, size, size.ratio) > BORNE_OUT else _rows(resized, camera)
+    return rows if slow or not _p_free(rows, size, size.ratio) > CONFIRMED else _rows(resized, camera)
 
 
 def _p_free(rows: list[dict[str, Any]], size: Size, ratio: float = 1.0) -> float:
@@ -181,7 +181,7 @@ def _collision(
 
 
 def _values(read: Reading) -> dict[str, Any]:
-    """What both fits say, with errors where the data bear the fit."""
+    """What both fits say, with errors where the data accept the fit."""
     tied, free = claims(read)
     row: dict[str, Any] = {"cov": covariances({"tied": tied.cov, "free": free.cov})}
     for suffix, values in (("", tied), ("_free", free)):
@@ -195,10 +195,10 @@ def _values(read: Reading) -> dict[str, Any]:
 
 
 def _judged(read: Reading) -> dict[str, Any]:
-    """Whether the data bear the fits, and what of the tied one cannot be."""
+    """Whether the data accept the fits, and what of the tied one is impossible."""
     stretch = float(np.sqrt(max(1.0, read.tied.chi2 / read.tied.dof)))
     return {
-        "status": "ok" if read.borne[0] else MISFIT, "adequate": read.adequate, "adequate_free": read.adequate_free,
+        "status": "ok" if read.accepted[0] else MISFIT, "adequate": read.adequate, "adequate_free": read.adequate_free,
         "agree": read.agree, "flags": questioned(read.of_tied, stretch),
     }  # fmt: skip
 
@@ -248,7 +248,7 @@ def _fitted(meeting: Encounter, starts: list[Floats]) -> Reading | str:
     )  # fmt: skip
     if free.chi2 > POOR_FIT * free.dof:
         return "no collision of two rolling balls fits the tracks"
-    return read if tied.converged or not read.borne[0] else "the fit did not converge"
+    return read if tied.converged or not read.accepted[0] else "the fit did not converge"
 
 
 def _on_the_same(tied: Fit, free: Fit, seen: tuple[bool, bool]) -> tuple[Fit, Fit, tuple[bool, bool]]:
@@ -338,9 +338,9 @@ def claims(read: Reading) -> tuple[Values, Values]:
         if not _bent(read.of_free.value, read.of_free.std):
             free_nan |= {"s"}
     tied, free = _claimed(read.of_tied, LIMITS, set()), _claimed(read.of_free, FREE_LIMITS, free_nan)
-    if not read.borne[0]:
+    if not read.accepted[0]:
         tied, free = tied.without_errors(NAMES), free.without_errors(BY_LAWS)
-    return tied, free if read.borne[1] else free.without_errors(NAMES)
+    return tied, free if read.accepted[1] else free.without_errors(NAMES)
 
 
 def _bent(value: Floats, std: Floats) -> bool:

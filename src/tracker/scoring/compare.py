@@ -78,7 +78,7 @@ def compare(
         page = jinja2.Environment(loader=jinja2.FileSystemLoader(Path(__file__).parent), autoescape=True)
         html = page.get_template("compare.html").render(suite=whole["suite"], tables=tables(whole["detectors"]))
         put(report / "index.html", html)
-        put(report / "score.json", json.dumps(whole, indent=1, allow_nan=False) + "\n")
+        results.write_json(report / "score.json", whole)
     return whole
 
 

@@ -34,7 +34,6 @@ from tracker.scoring.score import Score
 
 Floats = NDArray[np.float64]
 KINDS = {"": "tied fit", "_free": "free fit", "_paper": "the paper's differences"}
-FIGURE_NAMES = ("frame", "tracks", "separation", "energy", "tied", "free", "paper", "honesty")
 TYPICAL_SPEED = 0.3  # m/s; the clip shown is the one nearest to it
 RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 

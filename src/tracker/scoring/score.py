@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -16,7 +14,7 @@ from numpy.typing import NDArray
 from tracker.camera.camera import Camera, InputError
 from tracker.measurement.adequacy import MEASURED, MISFIT
 from tracker.measurement.derived import NAMES
-from tracker.outputs import put
+from tracker.results import finite, write_json
 from tracker.scoring.error_bars import quantity_bounds, quantity_scores, true_motion
 from tracker.scoring.localisation import Matched, bounds, localisation, match
 from tracker.scoring.tracking_metrics import GATE_PX, Dots, tracking_scores
@@ -53,14 +51,14 @@ class Score:
             "clips": self.statuses,
             "ms_per_frame": self.ms_per_frame,
         }
-        whole: dict[str, Any] = _plain({"suite": self.suite, "detectors": {self.detector: parts}})
+        whole: dict[str, Any] = finite({"suite": self.suite, "detectors": {self.detector: parts}})
         return whole
 
     def write(self, report: Path | str) -> Path:
         """REPORT/score.json, written aside and moved into place; returns its path."""
         folder = Path(report)
         folder.mkdir(parents=True, exist_ok=True)
-        put(folder / "score.json", json.dumps(self.to_dict(), indent=1, allow_nan=False) + "\n")
+        write_json(folder / "score.json", self.to_dict())
         return folder / "score.json"
 
 
@@ -184,14 +182,3 @@ def _held_to(table: pd.DataFrame) -> pd.DataFrame:
     held.loc[~held["status"].isin(MEASURED), [c for c in other if c in held]] = np.nan
     held.loc[held["status"] == MISFIT, [n for n in NAMES if n in held]] = np.nan
     return held
-
-
-def _plain(value: Any) -> Any:
-    """JSON's own types; a number that is none becomes None."""
-    if isinstance(value, dict):
-        return {str(k): _plain(v) for k, v in value.items()}
-    if isinstance(value, np.integer | int) and not isinstance(value, bool):
-        return int(value)
-    if isinstance(value, np.floating | float):
-        return float(value) if math.isfinite(value) else None
-    return value

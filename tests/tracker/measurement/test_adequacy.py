@@ -74,13 +74,13 @@ def test_what_the_data_reject_has_no_errors_and_stays_for_looking_at(hopping):
     table = measured(hopping, 4)
     assert table["status"].tolist() == ["misfit"] * 4
     assert (table["adequate"] < LEVEL).all()
-    borne = table["adequate_free"] > LEVEL
-    assert borne.sum() == 3  # of the fastest the flight shows in the free fit too
-    assert table.loc[~borne, [f"{name}_free_std" for name in NAMES]].isna().all(axis=None)
+    accepted = table["adequate_free"] > LEVEL
+    assert accepted.sum() == 3  # of the fastest the flight shows in the free fit too
+    assert table.loc[~accepted, [f"{name}_free_std" for name in NAMES]].isna().all(axis=None)
     for name in ("v0", "r", "mu_k", "C", "tau1"):
         assert np.isfinite(table[name]).all()
     assert table[[f"{name}_std" for name in NAMES]].isna().all(axis=None)
-    assert np.isfinite(table.loc[borne, "v0_free_std"]).all()
+    assert np.isfinite(table.loc[accepted, "v0_free_std"]).all()
     assert table[[f"{n}_free_std" for n in ("C", "w1t", "w2t")]].isna().all(axis=None)  # by laws that are in doubt
     blocks = json.loads(table["cov"][0])
     assert {v for line in blocks["tied"] for v in line} == {None}
