@@ -1,4 +1,4 @@
-"""A clip: one experiment with all its numbers drawn. It is solved, filmed, and knows the truth about itself."""
+"""A clip: one experiment with all its numbers drawn. It can be solved and filmed, and has the truth."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What camera.json says: every key read, what is missing assumed and said, what cannot be modelled said."""
+"""Reading camera.json: what is missing is assumed and listed, and so is what cannot be modelled."""
 
 from __future__ import annotations
 
