@@ -88,19 +88,21 @@ def find_glints(
         lobes = [(spread, flux)]
         if surface.roughness or surface.scratches:
             tilted = ((slope @ reflections.tilted(source, eye, paths, positions, spheres)) ** 2).sum(2)
-            lobes = [
-                (spread + slope_rms**2 * tilted, share * flux)
-                for slope_rms, share in (
-                    (surface.roughness, 1 - surface.scratches),
-                    (np.hypot(surface.roughness, surface.scratch_slope), surface.scratches),
-                )
-                if share
-            ]
+            lobes = _lobes(surface, tilted, spread, flux)
         found += [[x[seen] for x in (moment, ball, pixels, wide, bright, order)] for wide, bright in lobes]
     if not found:
         none, flat, nowhere = np.zeros(0, np.intp), np.zeros(0), np.zeros((0, 2))
         return Glints(none, none, nowhere, nowhere, flat, none)
     return Glints(*[np.concatenate(parts) for parts in zip(*found, strict=True)])
+
+
+def _lobes(surface: Surface, tilted: Array, spread: Array, flux: Array) -> list[tuple[Array, Array]]:
+    """Spread (n, 2) px^2 and flux (n,) of each lobe of a rough surface; tilted (n, 2): px^2 for facets of 1 rad rms."""
+    slopes = (
+        (surface.roughness, 1 - surface.scratches),
+        (np.hypot(surface.roughness, surface.scratch_slope), surface.scratches),
+    )
+    return [(spread + rms**2 * tilted, share * flux) for rms, share in slopes if share]
 
 
 def _gathered(
