@@ -12,7 +12,8 @@ from discrepancy import policy
 from discrepancy.data.collisions import Measured
 from discrepancy.data.outlier_points import taken_out, without_spikes
 from discrepancy.fitting.base_fit import Tick, base_fit, check, noise_of, smoothed
-from discrepancy.fitting.gauss_newton import Evidence, Fit, settle
+from discrepancy.fitting.gauss_newton import settle
+from discrepancy.fitting.model_fit import Evidence, Fit
 from discrepancy.fitting.significance import sigmas
 from discrepancy.selection.extend import grown
 from discrepancy.selection.named import Named
@@ -88,7 +89,7 @@ def add(clips: Sequence[Measured], model: Model, effect: str, tick: Tick = lambd
         )
         raise InputError(f"{effect}: these collisions cannot tell it: the fit absorbs it, or it hardly shows{why}")
     suspect, best = candidate.suspect, contest.sharper(evidence, candidate)
-    now = settle(evidence, grown(evidence, base, best, lambda: tick("search")), lambda: tick("search"), fresh=False)
+    now = settle(evidence, grown(evidence, base, best, lambda: tick("search")), lambda: tick("search"))
     sigma = sigmas(base.chi2 - now.chi2, len(suspect.strengths), contest.looks[effect])
     std = now.std | spread(evidence, base, now, suspect)
     return Added(base, now, Named.of(suspect, now, std, sigma), tuple(taken_out(given, clips)))

@@ -12,10 +12,10 @@ import pandas as pd
 from discrepancy.data.collisions import Measured, read_measured
 from discrepancy.diagnostics.gap import Gap
 from discrepancy.fitting.base_fit import Tick
+from discrepancy.found import Found
 from discrepancy.report import html
 from discrepancy.report.figures import gap_bars
 from discrepancy.report.staging import aside
-from discrepancy.search import Found
 from discrepancy.search import find as search
 from discrepancy.selection.named import Named
 from synthcam.model import Model, model_of
@@ -66,7 +66,7 @@ class Finding:
     @property
     def ranking(self) -> pd.DataFrame:
         """Score of each candidate against the base model alone: effect, sigma."""
-        rows = [(c.effect, c.sigma) for c in self.outcome.search.ranking]
+        rows = [(c.effect, c.sigma) for c in self.outcome.selected.ranking]
         return pd.DataFrame(rows, columns=["effect", "sigma"])
 
     @property
@@ -95,7 +95,7 @@ class Finding:
         return html.document(self.outcome, self.left_out)
 
     def __repr__(self) -> str:
-        used = len(self.outcome.clips) + len(self.outcome.kept_out)
+        used = len(self.outcome.data.clips) + len(self.outcome.data.kept_out)
         return f"{self.verdict}, from {used} collisions. {self.sentence()}"
 
     def _repr_html_(self) -> str:
@@ -204,4 +204,4 @@ def find(
 def searched(clips: Sequence[Measured], model: Model, left_out: Sequence[str], tick: Tick) -> Finding:
     """Search collisions already read. left_out: those of `read_measured`."""
     outcome = search(clips, model, tick)
-    return Finding(outcome, (*left_out, *outcome.left_out))
+    return Finding(outcome, (*left_out, *outcome.data.left_out))

@@ -2,276 +2,221 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import dataclasses
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
-
-import numpy as np
 
 from discrepancy import policy
 from discrepancy.data.collisions import Measured, cannot_tell, split
 from discrepancy.data.outlier_points import taken_out, without_spikes
-from discrepancy.diagnostics.claims import Trial
-from discrepancy.diagnostics.gap import Shown, as_dict, show
+from discrepancy.diagnostics.claims import Standing, Validation
+from discrepancy.diagnostics.gap import Shown, show
 from discrepancy.diagnostics.held_out import Claim
 from discrepancy.diagnostics.outlier_clips import odd
 from discrepancy.diagnostics.residual_map import Place, locate
 from discrepancy.fitting.base_fit import Tick, base_fit, check, noise_of, smoothed
-from discrepancy.fitting.gauss_newton import Evidence, Fit
+from discrepancy.fitting.model_fit import Evidence, Fit
 from discrepancy.fitting.noise_refit import refined
 from discrepancy.fitting.parameters import suspects_of
+from discrepancy.found import Data, Found, more_missing, unexplained
 from discrepancy.free_laws.answer import Answer
 from discrepancy.free_laws.fitted_law import FittedLaw
-from discrepancy.noise.model import Noise
 from discrepancy.selection.experiment_design import advice, designs
+from discrepancy.selection.fit_store import FitStore
 from discrepancy.selection.free_law_contest import FreeLawContest, unseen
 from discrepancy.selection.named import Named
-from discrepancy.selection.stepwise import Search, search
+from discrepancy.selection.stepwise import Selection, State, Stepwise
 from synthcam.model import Model
 from tracker.camera.camera import InputError
 
 ROUNDS = 4  # searches, at most: again without clips that are unlike all others, again with the noise read anew
 
 
-@dataclass(frozen=True)
-class Found:
-    """The outcome. verdict: none, named, ambiguous, outside_library or inadequate. where: before; left: after all that
-    was found. claims: those that stand; withdrawn: those that collisions which had no part in them did not bear.
-
-    free_law: the law left free that explains what no effect of the library does; answer: its curve and formula. alike:
-    what no such clips can tell, because they are all alike in it. left_out: why clips, or some of their places, had no
-    part in it.
-    """
-
-    verdict: str
-    noise: Noise
-    clips: tuple[Measured, ...]
-    kept_out: tuple[Measured, ...]
-    search: Search
-    free_law: FittedLaw | None
-    answer: Answer | None
-    named: tuple[Named, ...]
-    where: tuple[Place, ...]
-    left: tuple[Place, ...]
-    shown: Shown
-    experiment: str
-    alike: tuple[str, ...]
-    left_out: tuple[str, ...]
-    claims: tuple[Claim, ...] = ()
-    withdrawn: tuple[Claim, ...] = ()
-
-    @property
-    def best(self) -> Fit:
-        """The fit with everything that was found."""
-        return self.free_law.now if self.free_law else self.search.best
-
-    @property
-    def model(self) -> Model:
-        """The model with the named effects, refitted. A free law is no effect: no file can hold it."""
-        return self.free_law.plain if self.free_law else self.search.best.model
-
-    @property
-    def sound(self) -> bool:
-        """Whether nothing more is missing: only then do errors of the strengths hold."""
-        return not _more(self.left, self.withdrawn)
-
-    def sentence(self) -> str:
-        """The outcome in one sentence."""
-        gap = self.shown.gap
-        dropped = f" Withdrawn: {'; '.join(f'{c.name} ({c.why})' for c in self.withdrawn)}." if self.withdrawn else ""
-        if self.verdict == "none":
-            return f"Nothing is missing: simulation and measurement agree to within the noise.{dropped}"
-        if self.verdict == "inadequate":
-            most = f", most of all {self.left[0]} ({self.left[0].sigma:.0f} sigma)" if _unexplained(self.left) else ""
-            return f"Something is missing{most}, and nothing that was tried bears the collisions kept out.{dropped}"
-        closed = (
-            f"On collisions kept out, the gap {_moved(gap.before, gap.after)} in chi^2 a point; noise alone leaves "
-            f"{gap.floor:.3g}."
-        )
-        base = self.search.base.model
-        parts = [n.said(base) for n in self.named if not n.held(base)]
-        wrong = [n.said(base) for n in self.named if n.held(base)]
-        if self.free_law and self.answer:
-            parts.insert(
-                0, f"{self.answer.said}, which no effect of the library makes ({self.free_law.sigma:.0f} sigma)"
-            )
-            closed = f"Proposed: {self.answer.formula}. model.yaml cannot hold it. {closed}"
-        elif self.verdict == "outside_library":
-            what = f": {self.left[0]} ({self.left[0].sigma:.0f} sigma)" if _unexplained(self.left) else ""
-            closed = f"Something else is missing that neither the library nor a free law holds{what}. {closed}"
-        told = [f"{word}: {'; '.join(lines)}." for word, lines in (("Missing", parts), ("Wrong", wrong)) if lines]
-        return " ".join([*told, closed]) + dropped
-
-    def document(self) -> dict[str, Any]:
-        """The contract's discrepancy.json."""
-        return {
-            "verdict": self.verdict,
-            "named": [
-                {
-                    "effect": n.effect,
-                    "parameters": n.values | n.shapes,
-                    "std": {k: np.nan if n.at_limit(k) else std for k, std in (n.std | n.shape_std).items()},
-                    "at_limit": [k for k in n.values if n.at_limit(k)],
-                    "sigma": n.sigma,
-                    "limit": n.limit,
-                    "naming_limit": n.naming,
-                    "alike": [{"effects": list(names), "cosine": cosine} for names, cosine in n.alike],
-                }
-                for n in self.named
-            ],
-            "aliases": [list(n.aliases) for n in self.named if len(n.aliases) > 1],
-            "outside": [self.answer.document()] if self.answer else [],
-            "where": [vars(p) for p in self.where],
-            "left": [vars(p) for p in self.left],
-            "ranking": [{"effect": c.effect, "sigma": c.sigma} for c in self.search.ranking],
-            "claim": self.search.claim,
-            "untold": list(self.search.untold),
-            "alike": list(self.alike),
-            "withdrawn": [c.document() for c in self.withdrawn],
-            "gap": as_dict(self.shown.gap) | {"by_claim": {c.name: c.gap() for c in self.claims}},
-            "experiment": self.experiment,
-            "noise": {"scale": self.noise.scale, "correlation": self.noise.correlation, "shake": self.noise.shake},
-            "clips": {"fitted": len(self.clips), "kept_out": len(self.kept_out), "left_out": list(self.left_out)},
-        }
-
-
-def _moved(before: float, after: float) -> str:
-    one, other = f"{before:.3g}", f"{after:.3g}"
-    if one == other:
-        return f"stays at {one}"
-    return f"{'falls' if after < before else 'does not fall but goes'} from {one} to {other}"
-
-
 def find(clips: Sequence[Measured], model: Model, tick: Tick = lambda stage: None) -> Found:
     """Search for what `model` lacks. Its base parameters that are not zero and those in `model.free` are fitted.
 
-    tick: told the stage, many times. Raises InputError as `check` does.
+    Noise, fit and selection are repeated until the noise and the clips stay; then what was selected is validated.
+
+    Parameters
+    ----------
+    clips : sequence of Measured
+    model : Model
+    tick : callable
+        Told the stage, many times.
+
+    Returns
+    -------
+    Found
+
+    Raises
+    ------
+    InputError
+        As `check` does.
     """
     check(clips, model)
-    tick("noise")
-    some, kept_out = smoothed(*split(without_spikes(clips)), model, tick)
-    left_out = taken_out(clips, [*some, *kept_out])
-    noise = noise_of(some)
-    # read without any claim first: one made with too little noise could explain the rest of the noise away
-    noise = refined(some, base_fit(some, model, noise, tick), noise, explained=False)
-    gone, former = 0, None
-    for turn in range(ROUNDS):
-        hunt, free_law, nearly = _hunt(some, model, noise, tick, former)
-        best, cleaned = (free_law.whole, free_law.evidence.clips) if free_law else (hunt.best, some)
-        if turn == ROUNDS - 1:
-            break
-        strange = odd(cleaned, hunt.base, best, gone)
-        if strange:
-            gone += len(strange)
-            left_out += strange.values()
-            some, former = [c for k, c in enumerate(some) if k not in strange], None
-            continue
-        better = refined(cleaned, best, noise)
-        if better is noise and nearly:  # the library's model may lack what the free law has, and call it noise
-            better = refined(nearly.evidence.clips, nearly.whole, noise)
-        if better is noise:
-            break
-        noise, former = better, hunt
+    data = read(clips, model, tick)
+    data, steps, chosen = converged(data, model, tick)
     tick("gap")
-    shown = _shown(kept_out, hunt, free_law, noise, tick)
-    strange = odd(kept_out, shown.before, shown.after)
-    if strange:
-        left_out += [f"{line} (kept out)" for line in strange.values()]
-        kept_out = [c for k, c in enumerate(kept_out) if k not in strange]
-        shown = _shown(kept_out, hunt, free_law, noise, tick)
-    trial = Trial(Evidence.of(some, noise), kept_out, shown.before, noise, lambda: tick("gap"))
-    stands = trial.standing(hunt, free_law)
+    data, shown = seen_apart(data, chosen, tick)
+    stands = validated(data, steps, chosen, shown, tick)
     if stands.withdrawn:
-        hunt, free_law = stands.search, stands.free_law
-        shown = _shown(kept_out, hunt, free_law, noise, tick)
+        chosen = dataclasses.replace(chosen, selected=stands.selected, free_law=stands.free_law)
+        shown = gap_of(data, chosen, tick)
     tick("where")
-    best, cleaned = (free_law.whole, free_law.evidence.clips) if free_law else (hunt.best, tuple(some))
-    where = locate(some, hunt.base, noise)
-    left = locate(cleaned, best, noise) if best is not hunt.base else where
-    named = tuple(n.unsure() for n in stands.named) if _more(left, stands.withdrawn) else stands.named
-    verdict = _verdict(free_law, named, left, stands.withdrawn)
-    experiment = _experiment(hunt, some, noise) if verdict == "ambiguous" else ""
-    answer = Answer.of(free_law) if free_law else None
+    where = locate(data.clips, chosen.selected.base, data.noise)
+    left = locate(chosen.cleaned(data), chosen.best, data.noise) if chosen.anything else where
+    named = tuple(n.unsure() for n in stands.named) if more_missing(left, stands.withdrawn) else stands.named
+    verdict = _verdict(chosen.free_law, named, left, stands.withdrawn)
     return Found(
         verdict,
-        noise,
-        tuple(some),
-        tuple(kept_out),
-        hunt,
-        free_law,
-        answer,
+        data,
+        chosen.selected,
+        chosen.free_law,
+        Answer.of(chosen.free_law) if chosen.free_law else None,
         named,
         where,
         left,
         shown,
-        experiment,
+        _experiment(chosen.selected, named, data) if verdict == "ambiguous" else "",
         tuple(cannot_tell(clips)),
-        tuple(left_out),
+        steps.untold(chosen.selected.state),
         stands.claims,
         stands.withdrawn,
     )
 
 
-def _shown(clips: Sequence[Measured], hunt: Search, free_law: FittedLaw | None, noise: Noise, tick: Tick) -> Shown:
+@dataclass(frozen=True)
+class Chosen:
+    """What one selection came to. nearly: a free law that explains nearly as much as the library's best model."""
+
+    selected: Selection
+    free_law: FittedLaw | None
+    nearly: FittedLaw | None
+
+    @property
+    def anything(self) -> bool:
+        """Whether anything was found beside the base model."""
+        return bool(self.selected.state or self.free_law)
+
+    @property
+    def best(self) -> Fit:
+        """The fit with everything that was found."""
+        return self.free_law.whole if self.free_law else self.selected.best
+
+    def cleaned(self, data: Data) -> tuple[Measured, ...]:
+        """The clips with what a free law moves taken out of them, where no effect can hold it."""
+        return self.free_law.evidence.clips if self.free_law else data.clips
+
+
+def read(clips: Sequence[Measured], model: Model, tick: Tick) -> Data:
+    """The clips without outlier points, some kept out, and the noise of the others."""
+    tick("noise")
+    some, kept_out = smoothed(*split(without_spikes(clips)), model, tick)
+    noise = noise_of(some)
+    # read without any claim first: one made with too little noise could explain the rest of the noise away
+    noise = refined(some, base_fit(some, model, noise, tick), noise, explained=False) or noise
+    return Data(tuple(some), tuple(kept_out), noise, tuple(taken_out(clips, [*some, *kept_out])))
+
+
+def converged(data: Data, model: Model, tick: Tick) -> tuple[Data, Stepwise, Chosen]:
+    """The selection, made again without clips that are unlike all others, and again with the noise read anew.
+
+    With the way there, which validation goes further along.
+    """
+    gone, previous = 0, None
+    for turn in range(ROUNDS):
+        steps, chosen = select(data, model, tick, previous)
+        if turn == ROUNDS - 1:
+            break
+        cleaned = chosen.cleaned(data)
+        strange = odd(cleaned, chosen.selected.base, chosen.best, gone)
+        if strange:
+            gone += len(strange)
+            data, previous = data.without(strange), None
+            continue
+        noise = refined(cleaned, chosen.best, data.noise)
+        if noise is None and chosen.nearly:  # the library's model may lack what the free law has, and call it noise
+            noise = refined(chosen.nearly.evidence.clips, chosen.nearly.whole, data.noise)
+        if noise is None:
+            break
+        data, previous = dataclasses.replace(data, noise=noise), steps.store
+    return data, steps, chosen
+
+
+def select(data: Data, model: Model, tick: Tick, previous: FitStore | None = None) -> tuple[Stepwise, Chosen]:
+    """What the library names, and the free law that explains more, if one does.
+
+    previous: the fits of the same clips with another noise.
+    """
+    evidence, base = Evidence.of(data.clips, data.noise), base_fit(data.clips, model, data.noise, tick)
+    contest = FreeLawContest.of(evidence, base, lambda: tick("free laws"))
+    store = FitStore(evidence, base, lambda: tick("search"), previous)
+    steps = Stepwise.of(store)
+    state: State = ()
+    for state in steps.states():
+        contest = contest.against(store.settled(state), store.rivals(state))
+        if contest.ended:
+            break
+    store.forget_previous()
+    selected = steps.selection(state)
+    free_law, contest = contest.outcome(selected.best)
+    beside = free_law.beside(base) if free_law else {}
+    again = steps.from_there(selected, beside, free_law.plain) if free_law and beside else None
+    if again:  # the free law led to effects that the library's search has not begun with
+        selected, contest = again, contest.against(again.best, store.rivals(again.state))
+        free_law, contest = contest.outcome(selected.best)
+    return steps, Chosen(selected, free_law, None if free_law else contest.nearly(selected.best))
+
+
+def seen_apart(data: Data, chosen: Chosen, tick: Tick) -> tuple[Data, Shown]:
+    """The gap on the clips kept out, without those of them that are unlike all others."""
+    shown = gap_of(data, chosen, tick)
+    strange = odd(data.kept_out, shown.before, shown.after)
+    if not strange:
+        return data, shown
+    kept = tuple(c for k, c in enumerate(data.kept_out) if k not in strange)
+    lines = tuple(f"{line} (kept out)" for line in strange.values())
+    data = dataclasses.replace(data, kept_out=kept, left_out=(*data.left_out, *lines))
+    return data, gap_of(data, chosen, tick)
+
+
+def gap_of(data: Data, chosen: Chosen, tick: Tick) -> Shown:
+    """The gap on the clips kept out. Raises InputError where the base model has no motion for them."""
+    clips, law = data.kept_out, chosen.free_law
+    outside = None if law is None else lambda before: unseen(law, clips, before, data.noise)
     try:
-        return show(clips, hunt.base, hunt.best, noise, lambda: tick("gap"), _after(free_law, clips, noise))
+        return show(clips, chosen.selected.base, chosen.selected.best, data.noise, lambda: tick("gap"), outside)
     except ValueError as e:
         raise InputError(f"the fitted base model has no motion for the collisions kept out: {e}") from None
 
 
-def _hunt(
-    clips: Sequence[Measured], model: Model, noise: Noise, tick: Tick, former: Search | None
-) -> tuple[Search, FittedLaw | None, FittedLaw | None]:
-    """What the library names; the free law that explains more, if one does; one that explains nearly as much.
-
-    former: the search of the same clips with another noise.
-    """
-    base = base_fit(clips, model, noise, tick)
-    free = FreeLawContest(Evidence.of(clips, noise), base, lambda: tick("free laws"))
-    found = search(clips, base, noise, lambda: tick("search"), free.beat, former)
-    free_law = free.outcome(found.best)
-    beside = free_law.beside(base) if free_law else {}
-    again = found.from_here(beside, free_law.plain) if free_law and beside else None
-    if again:  # the free law led to effects that the library's search has not begun with
-        free.beat(again.best, again.rivals)
-        found, free_law = again, free.outcome(again.best)
-    return found, free_law, None if free_law else free.nearly(found.best)
-
-
-def _after(free_law: FittedLaw | None, clips: Sequence[Measured], noise: Noise) -> Callable[[Fit], Fit] | None:
-    return None if free_law is None else lambda before: unseen(free_law, clips, before, noise)
-
-
-def _unexplained(left: Sequence[Place]) -> bool:
-    return bool(left) and left[0].sigma > policy.UNEXPLAINED_SIGMA
-
-
-def _more(left: Sequence[Place], withdrawn: Sequence[Claim]) -> bool:
-    """Whether something is missing beside all that was found: a law left free that was not borne is a sign of it."""
-    return _unexplained(left) or any(c.free and c.own > policy.UNEXPLAINED_SIGMA for c in withdrawn)
+def validated(data: Data, steps: Stepwise, chosen: Chosen, shown: Shown, tick: Tick) -> Standing:
+    """What stands of a selection before collisions that had no part in it."""
+    evidence = Evidence.of(data.clips, data.noise)
+    held_to = Validation(steps, evidence, data.kept_out, shown.before, data.noise, lambda: tick("gap"))
+    return held_to.standing(chosen.selected, chosen.free_law)
 
 
 def _verdict(
     free_law: FittedLaw | None, named: Sequence[Named], left: Sequence[Place], withdrawn: Sequence[Claim]
 ) -> str:
-    if free_law or (named and _more(left, withdrawn)):
+    if free_law or (named and more_missing(left, withdrawn)):
         return "outside_library"
     if not named:
         # what chance or a bad clip may do is no claim, and no sign that something is missing
-        return (
-            "inadequate" if _unexplained(left) or any(c.own > policy.UNEXPLAINED_SIGMA for c in withdrawn) else "none"
-        )
+        return "inadequate" if unexplained(left) or any(c.own > policy.UNEXPLAINED_SIGMA for c in withdrawn) else "none"
     return "ambiguous" if any(len(n.aliases) > 1 for n in named) else "named"
 
 
-def _experiment(hunt: Search, clips: Sequence[Measured], noise: Noise) -> str:
+def _experiment(selected: Selection, named: Sequence[Named], data: Data) -> str:
     """What would part each class's effect from its nearest alias."""
-    known = suspects_of(hunt.best.model, hunt.base.model, hunt.base.names)
-    shapes = {c.effect: c.shapes for c in hunt.ranking}
+    base, best = selected.base, selected.best
+    known = suspects_of(best.model, base.model, base.names)
+    shapes = {c.effect: c.shapes for c in selected.ranking}
     said = []
-    for n in hunt.named:
+    for n in named:
         for rival in n.aliases[1:2]:
             one, other = known[n.effect], known[rival]
             pair = (one, n.shapes), (other, shapes.get(rival, {}))
-            said.append(advice(one, other, designs(clips, noise, hunt.best, *pair)))
+            said.append(advice(one, other, designs(data.clips, data.noise, best, *pair)))
     return " ".join(said)

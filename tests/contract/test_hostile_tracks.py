@@ -9,8 +9,9 @@ from discrepancy_clips import STD, collisions, exact, only
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from discrepancy.fitting.gauss_newton import BASE, Evidence, _part, fit, linearised, settle
-from discrepancy.fitting.parameters import limits_of, within
+from discrepancy.fitting.gauss_newton import _part, fit, linearised, settle
+from discrepancy.fitting.model_fit import Evidence
+from discrepancy.fitting.parameters import BASE, limits_of, within
 from discrepancy.noise.model import Component, Noise
 from discrepancy.search import find
 from synthcam.library import library
@@ -89,6 +90,7 @@ def test_a_step_that_fails_is_a_failed_step(monkeypatch, error):
 
 def test_what_tracks_do_not_show_of_a_launch_stays():
     """A singular matrix of one clip."""
-    flat = dataclasses.replace(START, launch_slopes=tuple(0 * a for a in START.launch_slopes))
+    tangent = dataclasses.replace(START.tangent, launch_slopes=tuple(0 * a for a in START.launch_slopes))
+    flat = dataclasses.replace(START, tangent=tangent)
     assert np.isfinite(settle(Evidence.of(CLIPS, NOISE), flat, rough=True).chi2)
     assert fit(CLIPS, Model(), BASE, NOISE).chi2 < START.chi2

@@ -9,6 +9,7 @@ from types import SimpleNamespace as Made
 import numpy as np
 import pytest
 from discrepancy_clips import exact, noisy, only
+from discrepancy_selected import selected
 
 from discrepancy import policy
 from discrepancy.add import Added
@@ -17,8 +18,9 @@ from discrepancy.diagnostics.gap import Part, _closure
 from discrepancy.diagnostics.held_out import Held, refused
 from discrepancy.diagnostics.outlier_clips import odd
 from discrepancy.fitting import noise_refit as refine
-from discrepancy.fitting.gauss_newton import BASE, Evidence, Fit, fit
-from discrepancy.fitting.parameters import Suspect, suspects
+from discrepancy.fitting.gauss_newton import fit
+from discrepancy.fitting.model_fit import Evidence, Fit, Tangent
+from discrepancy.fitting.parameters import BASE, Suspect, suspects
 from discrepancy.free_laws.evidence import Weight
 from discrepancy.free_laws.fitted_law import FittedLaw
 from discrepancy.free_laws.library import free_laws
@@ -29,7 +31,7 @@ from discrepancy.selection import free_law_contest as outside
 from discrepancy.selection.candidate import Candidate
 from discrepancy.selection.free_law_contest import FreeLawContest, Look
 from discrepancy.selection.score_test import Contest
-from discrepancy.selection.stepwise import _Hunt, search
+from discrepancy.selection.stepwise import Stepwise
 from synthcam.library import library
 from synthcam.model import Model
 
@@ -58,15 +60,14 @@ def sized():
 def test_four_sigma_make_a_claim_however_few_the_candidates(monkeypatch, sized, sigma, named):
     only(monkeypatch, velocity_restitution=library()["velocity_restitution"])
     clips = sized(sigma)
-    assert len(search(clips, fit(clips, Model(), BASE, NOISE), NOISE).state) == named
+    assert len(selected(clips, fit(clips, Model(), BASE, NOISE), NOISE)[1].state) == named
 
 
 def made_laws(monkeypatch, cost, scores):
     """The contest of free laws with these scores, beside a library's best model of this cost."""
-    contest = object.__new__(FreeLawContest)
     base, now = Made(names=()), Made(names=("hop.share",))
-    contest.base, contest.rivals, contest.refuted = base, (), False
-    contest.fitted = [Made(score=s, now=now, beside=lambda base: {}) for s in scores]
+    fitted = tuple(Made(score=s, now=now, beside=lambda base: {}) for s in scores)
+    contest = FreeLawContest(None, base, (), fitted=fitted)
     monkeypatch.setattr(outside, "price", lambda f, base: cost)
     return contest, now
 
@@ -85,29 +86,27 @@ def test_the_noise_is_read_beside_a_free_law_that_is_behind_by_ten_at_most(monke
 
 def test_two_effects_are_claimed_beside_a_free_law_however_many_more_would_be_better(monkeypatch):
     contest, now = made_laws(monkeypatch, 1000.0, [])
-    contest.evidence, contest.tick, scores = None, None, iter((400.0, 300.0, 200.0, 100.0))
-    begun = flat([1.0])
+    scores, begun = iter((400.0, 300.0, 200.0, 100.0)), flat([1.0])
 
     def law(score):
         return Made(score=score, now=begun, plain=Model(), law=None, beside=lambda base: {})
 
-    contest.fitted = [law(500.0)]
+    contest = dataclasses.replace(contest, fitted=(law(500.0),))
     for name in ("linearised", "settle", "_moves"):
         monkeypatch.setattr(outside, name, lambda *_: begun)
     monkeypatch.setattr(outside, "_look", lambda *_: Made(sigma=9.0))
     monkeypatch.setattr(outside, "fill", lambda *_: law(next(scores)))
-    contest._next = lambda filled: Made(shapes={}, strengths=("hop.share",))
-    assert contest.outcome(now).score == 300.0
+    monkeypatch.setattr(FreeLawContest, "_asked", lambda self, place: self)
+    monkeypatch.setattr(FreeLawContest, "_lacks", lambda self, place: Made(shapes={}, strengths=("hop.share",)))
+    assert contest.outcome(now)[0].score == 300.0
 
 
 def test_four_effects_are_named_at_most(monkeypatch):
     """Each in its turn better by far."""
-    hunt = object.__new__(_Hunt)
-    vars(hunt)["_first"] = (), 4.0
-    hunt.seen = Made(contest=len, settled=len, exact=len, rivals=len, price=lambda state: -50.0 * len(state))
-    monkeypatch.setattr(_Hunt, "_winner", lambda self, state, contest, claim: f"effect {contest}")
-    monkeypatch.setattr(_Hunt, "_bettered", lambda self, state, claim: state)
-    assert hunt.outcome(lambda now, rivals: False).state == tuple(f"effect {k}" for k in range(4))
+    store = Made(contest=len, price=lambda state: -50.0 * len(state))
+    monkeypatch.setattr(Stepwise, "_winner", lambda self, state, contest, claim: f"effect {contest}")
+    monkeypatch.setattr(Stepwise, "_bettered", lambda self, state, claim: state)
+    assert Stepwise(store, (), 4.0, {}, frozenset()).end(()) == tuple(f"effect {k}" for k in range(4))
 
 
 @pytest.mark.parametrize(("cosine", "rival"), [(0.85, False), (0.94, True), (-0.94, True)])
@@ -120,9 +119,8 @@ def test_what_looks_like_the_leader_by_nine_tenths_is_fitted_too(cosine, rival):
         return Candidate(Suspect(name, (f"{name}.e",), (), kind), {}, gain**0.5, gain, 1.0, True, signature, ())
 
     ranking = [of("leader", 400.0, one), of("rival", 200.0, cosine * one + (1 - cosine**2) ** 0.5 * other)]
-    hunt = object.__new__(_Hunt)
-    hunt.seen = Made(evidence=None)
-    found = hunt._contenders(Made(sharper=lambda evidence, c: c), ranking, 4.0)
+    steps = Stepwise(Made(evidence=None), (), 4.0, {}, frozenset())
+    found = steps._contenders(Made(sharper=lambda evidence, c: c), ranking, 4.0)
     assert [c.effect for c in found] == ["leader", "rival"][: 1 + rival]
 
 
@@ -159,9 +157,9 @@ def test_noise_is_shared_beyond_four_sigma(monkeypatch, sigma, shaken):
 def read_again(monkeypatch, gain, worse, sigma=0.0, explained=True):
     """The noise of residuals that prefer another by `gain`, where the phases make that one worse."""
     left = Made(clips=[Made(claimed=lambda: np.ones(3))], shaken=lambda noise: (sigma, 0.9))
-    left.cost = lambda noise: gain * (noise is NOISE)
-    left.best = lambda start: (0.0, dataclasses.replace(start))
-    within = Made(pairs=[None], own=lambda: Component(1.0), cost=lambda noise: worse * (noise is not NOISE))
+    left.cost = lambda noise: gain * (noise == NOISE)
+    left.best = lambda start: (0.0, dataclasses.replace(start, own=Component(2.0)))
+    within = Made(pairs=[None], own=lambda: Component(1.0), cost=lambda noise: worse * (noise != NOISE))
     monkeypatch.setattr(refine._Left, "of", lambda *_: left)
     monkeypatch.setattr(refine, "Pairs", lambda pairs: within)
     return refine.refined((), None, NOISE, explained)
@@ -169,24 +167,24 @@ def read_again(monkeypatch, gain, worse, sigma=0.0, explained=True):
 
 @pytest.mark.parametrize(("gain", "new"), [(7.0, False), (13.0, True)])
 def test_noise_is_read_anew_for_a_gain_of_nine(monkeypatch, gain, new):
-    assert (read_again(monkeypatch, gain, worse=0.0) is not NOISE) is new
-    assert read_again(monkeypatch, gain, worse=0.0, explained=False) is not NOISE  # the first reading: always
+    assert (read_again(monkeypatch, gain, worse=0.0) is not None) is new
+    assert read_again(monkeypatch, gain, worse=0.0, explained=False) is not None  # the first reading: always
 
 
 @pytest.mark.parametrize(("worse", "new"), [(15.0, True), (28.0, False)])
 def test_noise_that_the_phases_exclude_by_twenty_is_refused(monkeypatch, worse, new):
-    assert (read_again(monkeypatch, 99.0, worse) is not NOISE) is new
+    assert (read_again(monkeypatch, 99.0, worse) is not None) is new
 
 
 @pytest.mark.parametrize(("sigma", "declared"), [(4.0, False), (5.0, True)])
 def test_a_free_law_needs_four_and_a_half_sigma(monkeypatch, sigma, declared):
     contest, now = made_laws(monkeypatch, 100.0, [])
-    contest.laws, contest.evidence, contest.tick = [None], None, lambda: None
-    contest.base = Made(names=(), model=None, launches=None)
+    contest = dataclasses.replace(contest, laws=(None,), base=Made(names=(), model=None, launches=None))
     monkeypatch.setattr(outside, "_moves", lambda *_: ())
     monkeypatch.setattr(outside, "_look", lambda law, fit, moves: Made(sigma=sigma, now=fit, score=lambda base: 0.0))
     monkeypatch.setattr(outside, "fill", lambda *_: Made(score=0.0))
-    assert contest._consider([now]) is declared
+    contest = contest._considered([now])
+    assert contest.refuted is declared
     assert len(contest.fitted) == declared
 
 
@@ -204,9 +202,8 @@ def test_one_of_so_many_free_laws_costs_its_choice(monkeypatch, share, better):
 def test_the_simpler_of_two_may_be_worse_by_nine_and_a_half(worse, chosen):
     known = {s.name: frozenset({s}) for s in suspects(Model(), BASE) if s.name in ("rolling_quadratic", "stribeck")}
     price = {known["rolling_quadratic"]: 100 + worse, known["stribeck"]: 100.0}
-    hunt = object.__new__(_Hunt)
-    hunt.seen = Made(price=price.__getitem__)
-    assert hunt._simplest(list(price)) == known[chosen]
+    steps = Stepwise(Made(price=price.__getitem__), (), 4.0, {}, frozenset())
+    assert steps._simplest(list(price)) == known[chosen]
 
 
 def flat(chi2, pulls=None, points=200):
@@ -217,7 +214,9 @@ def flat(chi2, pulls=None, points=200):
     pulls = [0.0] * len(chi2) if pulls is None else pulls
     left = tuple(np.sqrt(c * points) * noise + p * shared[:, 0] for c, p in zip(chi2, pulls, strict=True))
     every = len(chi2)
-    return Fit(Model(), names, np.zeros((every, 6)), left, (shared[:, : len(names)],) * every, (own,) * every)
+    launches = np.zeros((every, 6))
+    tangent = Tangent(Model(), names, launches, (shared[:, : len(names)],) * every, (own,) * every)
+    return Fit(Model(), names, launches, left, tangent)
 
 
 def numbered(count):
@@ -284,11 +283,16 @@ def test_beside_an_unknown_law_a_name_needs_nine_sigma(monkeypatch, sigma, stand
     for name in ("refilled", "in_turn"):
         monkeypatch.setattr(stand, name, lambda *_: Made(score=500.0))
     for name, said in (("_unseen", None), ("_held", (BORNE, BORNE)), ("_free_law", None)):
-        monkeypatch.setattr(stand.Trial, name, lambda *_, said=said: said)
+        monkeypatch.setattr(stand.Validation, name, lambda *_, said=said: said)
     base = Made(model=Model(), names=BASE)
-    law = Made(score=100.0, plain=Model(), law=Made(name="law"), beside=lambda base: {"rolling_quadratic": sigma})
+    whole = Made(model=Model(), std={})
+    law = Made(
+        score=100.0, plain=Model(), whole=whole, law=Made(name="law"), beside=lambda base: {"rolling_quadratic": sigma}
+    )
     looked = Made(base=base, claim=4.0, paid=lambda effect, sigma: sigma)
-    claims, _ = stand.Trial(None, (), None, NOISE, lambda: None)._claims(looked, law, policy.SIGMA_BESIDE_FREE_LAW)
+    claims, *_ = stand.Validation(None, None, (), None, NOISE, lambda: None)._claims(
+        looked, law, policy.SIGMA_BESIDE_FREE_LAW
+    )
     assert (claims[0].why == "") is stands
 
 
@@ -300,10 +304,10 @@ def test_nine_sigma_are_asked_beside_an_unknown_law_and_where_one_was_withdrawn(
 
     def claims(self, search, law, level):
         asked.append(level)
-        return [Made(name="x", free=free, turns=BORNE, why="" if asked[1:] else "not borne")], {"x": (search, None)}
+        return [Made(name="x", free=free, turns=BORNE, why="" if asked[1:] else "not borne")], {"x": (search, None)}, ()
 
-    monkeypatch.setattr(stand.Trial, "_claims", claims)
-    stands = stand.Trial(None, (), None, NOISE, lambda: None).standing(Made(claim=4.2), law)
+    monkeypatch.setattr(stand.Validation, "_claims", claims)
+    stands = stand.Validation(None, None, (), None, NOISE, lambda: None).standing(Made(claim=4.2), law)
     assert asked == levels
     assert len(stands.withdrawn) == 1
 

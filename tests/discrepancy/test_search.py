@@ -1,6 +1,7 @@
 """The whole search: what is hidden is named, nothing is not, and what nobody's library holds gets no wrong name."""
 
 import dataclasses
+from itertools import islice
 
 import numpy as np
 import pytest
@@ -11,7 +12,7 @@ from benchmarks.search.sealed.integrator import Plate, collision, means
 from discrepancy.add import add
 from discrepancy.data.collisions import split
 from discrepancy.search import find
-from discrepancy.selection.stepwise import Search, search
+from discrepancy.selection.stepwise import Stepwise
 from synthcam.library import library
 from synthcam.model import Ball, Model
 from tracker.camera.camera import InputError, Lamp
@@ -68,7 +69,7 @@ def test_a_tilt_hidden_by_another_integrator_is_named(monkeypatch):
     assert found.verdict == "named"
     assert names(found) == ["plate_tilt"]
     within(found, {"plate_tilt.x": 8e-4, "plate_tilt.y": -5e-4})
-    best = found.search.best
+    best = found.selected.best
     assert abs(best.chi2 / (best.points - best.parameters) - 1) < 0.15
 
 
@@ -78,7 +79,7 @@ def test_nothing_hidden_is_nothing_found(rho):
     assert found.verdict == "none"
     assert names(found) == []
     assert found.model.effects == ()
-    assert found.noise.correlation == pytest.approx(rho, abs=0.1)
+    assert found.data.noise.correlation == pytest.approx(rho, abs=0.1)
 
 
 @pytest.mark.parametrize("hidden", ["nothing", "velocity_restitution"])
@@ -105,15 +106,15 @@ def test_the_library_is_asked_again_for_what_stands_in_place_of_a_free_law(monke
     only(monkeypatch)
     truth = {"velocity_restitution.e": 0.05, "rolling_quadratic.K": 0.3}
 
-    def early(clips, base, noise, tick, enough, former):
-        return search(clips, base, noise, tick, lambda now, rivals: enough(now, rivals) or True)
-
-    monkeypatch.setattr("discrepancy.search.search", early)
+    every = Stepwise.states
+    monkeypatch.setattr(
+        Stepwise, "states", lambda steps, begun=(): islice(every(steps, begun), 1 if not begun else None)
+    )
     found = find(collisions(Model().replace(truth), 8, 3), Model())
     assert found.verdict == "named"
     assert sorted(names(found)) == ["rolling_quadratic", "velocity_restitution"]
     within(found, truth)
-    monkeypatch.setattr(Search, "from_here", lambda *_: None)
+    monkeypatch.setattr(Stepwise, "from_there", lambda *_: None)
     assert find(collisions(Model().replace(truth), 8, 3), Model()).free_law is not None
 
 
@@ -143,7 +144,7 @@ def test_an_effect_outside_the_library_gets_its_free_law_and_no_name(law):
     assert names(found) == []
     assert found.model.effects == ()
     assert found.free_law.law.name == law
-    assert found.search.ranking[0].sigma > found.search.claim  # the nearest of the library would have been claimed
+    assert found.selected.ranking[0].sigma > found.selected.claim  # the nearest of the library would have been claimed
     gap, points = found.shown.gap, found.shown.after.points
     chance = 4 * np.sqrt(2 / points) / (gap.before - gap.floor)  # in chi^2 a point of so few clips kept out
     assert gap.closure > (0.7 if law == "friction_place" else 0.95) - chance  # other clips see other places of a map
@@ -257,8 +258,8 @@ def test_a_bad_recording_does_not_spoil_the_gap(monkeypatch):
     rough = STD * 10 * np.random.default_rng(1).standard_normal(clips[bad].xy.shape)
     clips[bad] = dataclasses.replace(clips[bad], xy=clips[bad].xy + rough)
     found = find(clips, Model())
-    assert bad not in [c.clip for c in found.kept_out]
-    assert [line.partition(":")[0] for line in found.left_out] == [f"clip {bad}"]
+    assert bad not in [c.clip for c in found.data.kept_out]
+    assert [line.partition(":")[0] for line in found.data.left_out] == [f"clip {bad}"]
     assert found.shown.gap.before == pytest.approx(found.shown.gap.floor, rel=0.15)
 
 
@@ -362,8 +363,8 @@ def test_what_is_kept_out_has_no_part_in_the_noise(monkeypatch):
     ]
     again = find(rough, Model())
     assert again.shown.before.chi2 > 5 * found.shown.before.chi2
-    assert again.noise == found.noise
-    assert again.search.base.chi2 == found.search.base.chi2
+    assert again.data.noise == found.data.noise
+    assert again.base.chi2 == found.base.chi2
 
 
 def test_it_is_counted_how_many_clips_are_gone(monkeypatch):

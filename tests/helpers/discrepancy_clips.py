@@ -8,9 +8,9 @@ import numpy as np
 import discrepancy.fitting.parameters
 import synthcam.model
 from discrepancy.data.collisions import Measured
-from discrepancy.fitting.gauss_newton import BASE, off
 from discrepancy.fitting.jacobian import derivative, launch_derivatives
-from discrepancy.fitting.parameters import strengths_of
+from discrepancy.fitting.model_fit import off
+from discrepancy.fitting.parameters import BASE, strengths_of
 from discrepancy.fitting.predict import forecast
 from discrepancy.noise.model import Component, Noise, estimate
 from discrepancy.noise.whitening import Whitener

@@ -16,7 +16,8 @@ from typing import Any
 import numpy as np
 
 from discrepancy.data.collisions import Measured, read_measured
-from discrepancy.search import Found, find
+from discrepancy.found import Found
+from discrepancy.search import find
 from synthcam.model import read_model, settings_of
 from tracker.camera.camera import InputError
 
@@ -58,7 +59,7 @@ def analysed(measured: Path, camera: Path | None, model: Path, folder: Path) -> 
         began, spent = time.monotonic(), time.process_time()
         found = find(clips, suspect)
         said = answer(found) | {"seconds": time.monotonic() - began, "cpu": time.process_time() - spent}
-        keep(found.kept_out, folder / "kept_out.npz")
+        keep(found.data.kept_out, folder / "kept_out.npz")
         return dict(plain(said | {"clips_used": len(clips), "left_out": left_out}))
     except InputError as e:
         return {"verdict": "refused", "why": str(e)}

@@ -13,6 +13,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from discrepancy import policy
+from discrepancy.data.launch import T_C, V0, B
 from discrepancy.data.sanity import exchanged, wrong_units
 from tracker.camera.camera import Camera
 from tracker.camera.camera import InputError as InputError
@@ -70,9 +71,9 @@ class Measured:
         closes = opens + self.exposure
         end = self.ends[self.ball]
         out = np.full(len(self.frame), -1)
-        out[closes <= self.launch[2]] = 0
-        out[(opens >= self.launch[2]) & (closes <= end)] = 1
-        out[(opens >= self.launch[2]) & (opens >= end)] = 2
+        out[closes <= self.launch[T_C]] = 0
+        out[(opens >= self.launch[T_C]) & (closes <= end)] = 1
+        out[(opens >= self.launch[T_C]) & (opens >= end)] = 2
         return out
 
     def stretches(self) -> Iterator[tuple[Array, Array]]:
@@ -151,7 +152,7 @@ def read_measured(measured: Path | Sequence[Result], camera: Path | None = None)
             left_out.append(f"clip {number}: {outcome}")
     if not kept:
         raise InputError(f"{measured}: no clip with a measured collision" + "".join(f"; {x}" for x in left_out[:1]))
-    typical = float(np.median([c.launch[3] for c in kept]))
+    typical = float(np.median([c.launch[V0] for c in kept]))
     if typical > policy.FASTEST_LAUNCH:
         raise InputError(f"{measured}: speeds of {typical:.3g} m/s; are scale and fps of the camera right?")
     return kept, left_out
@@ -283,11 +284,11 @@ def split(clips: Sequence[Measured]) -> tuple[list[Measured], list[Measured]]:
 
     With clips enough the fastest and the most oblique are among it: what the fit never saw.
     """
-    order = sorted(clips, key=lambda c: float(c.launch[3]))
+    order = sorted(clips, key=lambda c: float(c.launch[V0]))
     count = max(len(clips) // policy.KEPT_OUT_ONE_IN, 1)
     kept_out: set[int] = set()
     if len(clips) >= policy.EXTREMES_KEPT_OUT_FROM:
-        kept_out = {id(order[-1]), id(max(order[:-1], key=lambda c: abs(float(c.launch[5]))))}
+        kept_out = {id(order[-1]), id(max(order[:-1], key=lambda c: abs(float(c.launch[B]))))}
     rest = [c for c in order if id(c) not in kept_out]
     more = max(count - len(kept_out), 0)
     kept_out |= {id(rest[(2 * k + 1) * len(rest) // (2 * more)]) for k in range(more)}

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from discrepancy import policy
 from discrepancy.data.collisions import Measured
+from discrepancy.data.launch import T_C
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -122,7 +123,7 @@ class _Paths:
     def of(cls, clip: Measured, expected: Array | None) -> _Paths:
         if expected is None:
             return cls(clip.frame, clip.ball, clip.xy, clip.phase(), clip.claimed())
-        contact, wide = clip.launch[2] * clip.fps, clip.exposure * clip.fps
+        contact, wide = clip.launch[T_C] * clip.fps, clip.exposure * clip.fps
         early, late = (
             clip.frame + wide + policy.CONTACT_KNOWN_TO <= contact,
             clip.frame - policy.CONTACT_KNOWN_TO >= contact,

@@ -11,19 +11,21 @@ from numpy.typing import NDArray
 from discrepancy import policy
 from discrepancy.data.collisions import Measured
 from discrepancy.diagnostics.held_out import Claim, Held, foretold, in_turn, refused
-from discrepancy.fitting.gauss_newton import Evidence, Fit, fit, linearised
+from discrepancy.fitting.gauss_newton import fit, linearised
+from discrepancy.fitting.model_fit import Evidence, Fit
 from discrepancy.fitting.parameters import suspects_of
 from discrepancy.free_laws.fitted_law import FittedLaw
 from discrepancy.noise.model import Noise
 from discrepancy.selection.free_law_contest import emptied, refilled, scatter, unseen
 from discrepancy.selection.model_cost import price
 from discrepancy.selection.named import Named
-from discrepancy.selection.stepwise import Search
+from discrepancy.selection.stepwise import Selection, Stepwise
 
 Array = NDArray[np.float64]
 Parts = Sequence[Array]
 Pair = tuple[Parts, Parts]
-Left = dict[str, tuple[Search, FittedLaw | None]]
+Left = dict[str, tuple[Selection, FittedLaw | None]]
+Weighed = tuple[list[Claim], Left, tuple[Named, ...]]
 
 UNSURE = "not significant beside all else"
 EXCHANGED = "another that fits as well is borne"  # a class is claimed, and collisions kept out may tell which of it
@@ -33,86 +35,81 @@ EXCHANGED = "another that fits as well is borne"  # a class is claimed, and coll
 class Standing:
     """What stands of a search. claims, withdrawn: those that stand and those that do not."""
 
-    search: Search
+    selected: Selection
     free_law: FittedLaw | None
+    named: tuple[Named, ...]
     claims: tuple[Claim, ...]
     withdrawn: tuple[Claim, ...] = ()
 
-    @property
-    def named(self) -> tuple[Named, ...]:
-        """The effects that stand."""
-        if self.free_law is None:
-            return self.search.named
-        now, base, sigmas = self.free_law.whole, self.search.base, {c.name: c.own for c in self.claims}
-        known = suspects_of(self.free_law.plain, base.model, base.names)
-        return tuple(Named.of(known[effect], now, now.std, sigmas[effect]) for effect in self.free_law.beside(base))
-
 
 @dataclass(frozen=True)
-class Trial:
+class Validation:
     """Clips fitted and kept out, and how claims are held to them."""
 
+    steps: Stepwise
     evidence: Evidence
     kept_out: Sequence[Measured]
     before: Fit  # of the clips kept out, by the base model
     noise: Noise
     tick: Callable[[], None]
 
-    def standing(self, search: Search, free_law: FittedLaw | None) -> Standing:
+    def standing(self, selected: Selection, free_law: FittedLaw | None) -> Standing:
         """The claims that stand: one that does not is withdrawn, and the others are held to the clips again."""
         withdrawn: list[Claim] = []
         while True:
-            level = policy.SIGMA_BESIDE_FREE_LAW if free_law or any(c.free for c in withdrawn) else search.claim
-            claims, without = self._claims(search, free_law, level)
+            level = policy.SIGMA_BESIDE_FREE_LAW if free_law or any(c.free for c in withdrawn) else selected.claim
+            claims, without, named = self._claims(selected, free_law, level)
             falls = [c for c in claims if c.why]
             if not falls:
-                return Standing(search, free_law, tuple(claims), tuple(withdrawn))
+                return Standing(selected, free_law, named, tuple(claims), tuple(withdrawn))
             worst = min(falls, key=lambda c: c.turns.sigma)
             if worst.why != EXCHANGED:
                 withdrawn.append(worst)
-            search, free_law = without[worst.name]
+            selected, free_law = without[worst.name]
 
-    def _claims(self, search: Search, free_law: FittedLaw | None, level: float) -> tuple[list[Claim], Left]:
-        """Each claim, and what is left without it. level: the sigma that an effect needs."""
+    def _claims(self, selected: Selection, free_law: FittedLaw | None, level: float) -> Weighed:
+        """Each claim, what is left without it, and the effects named. level: the sigma that an effect needs."""
         if free_law is None:
-            return self._named(search, level)
-        claims, left = [], Left()
+            return self._named(selected, level)
+        claims, left, named = [], Left(), []
+        whole, base = free_law.whole, selected.base
         with_, turned = self._unseen(free_law), in_turn(free_law)
-        known = suspects_of(free_law.plain, search.base.model, search.base.names)
-        for effect, sigma in free_law.beside(search.base).items():
-            own = search.paid(effect, sigma)
+        known = suspects_of(free_law.plain, base.model, base.names)
+        for effect, sigma in free_law.beside(base).items():
+            own = selected.paid(effect, sigma)
+            named.append(Named.of(known[effect], whole, whole.std, own))
             try:
-                less = refilled(self.evidence, free_law, known[effect], search.base, self.tick)
+                less = refilled(self.evidence, free_law, known[effect], base, self.tick)
             except ValueError:  # the clips have no motion without it
                 continue
-            left[effect] = search, less
-            why = "" if own > max(level, search.claim) and less.score > free_law.score else UNSURE
+            left[effect] = selected, less
+            why = "" if own > max(level, selected.claim) and less.score > free_law.score else UNSURE
             held = self._held(own, (self._unseen(less), with_), (in_turn(less), turned))
             claims.append(Claim(effect, own, *held, why or refused(*held)))
-        left[free_law.law.name] = search, None
-        return [*claims, self._free_law(search, free_law, with_, turned)], left
+        left[free_law.law.name] = selected, None
+        return [*claims, self._free_law(selected, free_law, with_, turned)], left, tuple(named)
 
-    def _named(self, search: Search, level: float) -> tuple[list[Claim], Left]:
-        claims, left = [], Left()
-        for suspect, named in zip(search.state, search.named, strict=True):
-            less = search.less(suspect)
+    def _named(self, selected: Selection, level: float) -> Weighed:
+        claims, left, every = [], Left(), self.steps.named(selected.state)
+        for suspect, named in zip(selected.state, every, strict=True):
+            less = self.steps.less(selected, suspect)
             left[suspect.name] = less, None
-            held = self._between(named.sigma, less.best, search.best)
-            why = refused(*held) if named.sigma > max(level, search.claim) else UNSURE
+            held = self._between(named.sigma, less.best, selected.best)
+            why = refused(*held) if named.sigma > max(level, selected.claim) else UNSURE
             for alias in named.aliases[1:] if why and why != UNSURE else ():
-                other = search.instead(suspect, alias)
+                other = self.steps.instead(selected, suspect, alias)
                 if other and not refused(*self._between(named.sigma, less.best, other.best)):
                     left[suspect.name], why = (other, None), EXCHANGED
                     break
             claims.append(Claim(suspect.name, named.sigma, *held, why))
-        return claims, left
+        return claims, left, every
 
     def _between(self, own: float, without: Fit, with_: Fit) -> tuple[Held, Held]:
         """Two models of the library."""
         fits = self._launched(without), self._launched(with_)
         return self._held(own, fits, (foretold(without), foretold(with_)), with_)
 
-    def _free_law(self, search: Search, free_law: FittedLaw, with_: Fit | None, turned: Parts) -> Claim:
+    def _free_law(self, selected: Selection, free_law: FittedLaw, with_: Fit | None, turned: Parts) -> Claim:
         name, own = free_law.law.name, free_law.sigma
         try:
             empty = emptied(self.evidence, free_law, self.tick)
@@ -126,7 +123,7 @@ class Trial:
         gain, promised, std = scatter(free_law, self.kept_out, without, self.noise)
         before, std = without.chi2 / without.points, max(std, 1e-9)
         one = Held((before, before - gain / without.points), gain / std, promised / std)
-        gain += price(empty, search.base) - free_law.score  # in the clips fitted
+        gain += price(empty, selected.base) - free_law.score  # in the clips fitted
         every = Held((before, before - gain / without.points), own, own)
         return Claim(name, own, one, every, refused(one, every), free=True)
 

@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 
 from discrepancy import policy
 from discrepancy.data.collisions import Measured
-from discrepancy.fitting.gauss_newton import Fit, basis, fit
+from discrepancy.fitting.gauss_newton import fit
+from discrepancy.fitting.model_fit import Fit, basis
 from discrepancy.noise.model import Noise
 from discrepancy.noise.whitening import Whitener
 
@@ -71,7 +72,7 @@ def show(
         if outside:
             after = outside(before)
         else:
-            after = before if best is base else fit(clips, best.model, (), noise, before.launches, tick)
+            after = before if best.model == base.model else fit(clips, best.model, (), noise, before.launches, tick)
     except ValueError:  # no motion
         after = before
     rows = [_squares(c, one, two, a, noise) for c, one, two, a in _by_clip(clips, before, after)]

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from discrepancy import policy
-from discrepancy.fitting.gauss_newton import Fit, basis, off
+from discrepancy.fitting.model_fit import Fit, basis, off
 from discrepancy.fitting.parameters import limits_of
 from discrepancy.free_laws.fitted_law import FittedLaw
 

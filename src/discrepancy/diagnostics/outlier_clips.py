@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from discrepancy import policy
 from discrepancy.data.collisions import Measured
-from discrepancy.fitting.gauss_newton import Fit, off
+from discrepancy.fitting.model_fit import Fit, off
 from discrepancy.fitting.significance import sigmas
 
 Array = NDArray[np.float64]

@@ -19,7 +19,8 @@ from scipy.stats import norm
 
 from discrepancy import policy
 from discrepancy.data.collisions import Measured
-from discrepancy.fitting.gauss_newton import Fit
+from discrepancy.data.launch import HEADING, T_C, V0
+from discrepancy.fitting.model_fit import Fit
 from discrepancy.fitting.predict import forecast
 from discrepancy.fitting.significance import sigmas
 from discrepancy.noise.model import Noise
@@ -143,7 +144,7 @@ def _glances(clip: Measured, path: Array, now: Fit, k: int, noise: Noise) -> Ite
         terms += looked
         raw = np.stack([_column(t, stage, clip.ball, time, motion) for t in terms], axis=-1)
         if phase == "contact":  # an impact's natural measure
-            raw[..., first:] *= now.launches[k, 3]
+            raw[..., first:] *= now.launches[k, V0]
         solved = _Solved.of(now.launch_slopes[k], white(raw), now.residuals[k], now.slopes[k] * unit)
         for b in range(2):
             rows = np.isin(stage, [s for name in names for s in TERMS[name]]) & (clip.ball == b)
@@ -176,7 +177,7 @@ def _stages(clip: Measured) -> tuple[Ints, Array]:
     Exposures that hold an event count to the sliding.
     """
     opens = clip.frame / clip.fps
-    closes, end, t_c = opens + clip.exposure, clip.ends[clip.ball], clip.launch[2]
+    closes, end, t_c = opens + clip.exposure, clip.ends[clip.ball], clip.launch[T_C]
     stage = np.where(closes <= t_c, BEFORE, np.where(opens >= end, ROLLING, SLIDING))
     middle = (opens + closes) / 2
     time = np.where(stage == BEFORE, t_c - middle, np.where(stage == SLIDING, middle - t_c, middle - end))
@@ -194,7 +195,7 @@ def _column(term: Term, stage: Ints, ball: Ints, time: Array, motion: Array) -> 
 
 def _directions(clip: Measured, stage: Ints, path: Array) -> Array:
     """Unit vectors along and across each ball's motion in each stage, (n, 2, 2); at rest along the heading."""
-    heading = clip.launch[4]
+    heading = clip.launch[HEADING]
     along = np.tile([np.cos(heading), np.sin(heading)], (len(path), 1))
     for s in (BEFORE, SLIDING, ROLLING):
         for b in range(2):

@@ -10,7 +10,8 @@ import numpy as np
 from discrepancy import policy
 from discrepancy.data.collisions import Measured
 from discrepancy.data.outlier_points import without_spikes
-from discrepancy.fitting.gauss_newton import Fit, fit
+from discrepancy.fitting.gauss_newton import fit
+from discrepancy.fitting.model_fit import Fit
 from discrepancy.fitting.parameters import fitted
 from discrepancy.fitting.predict import forecast
 from discrepancy.noise.model import Component, Noise, estimate

@@ -8,24 +8,22 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
 from discrepancy.data.collisions import Measured
+from discrepancy.data.launch import SIZE, possible
 from discrepancy.fitting.jacobian import coupling, derivatives, launch_derivatives
-from discrepancy.fitting.parameters import BASE, limits_of, parameter_of, span_of, within
+from discrepancy.fitting.model_fit import Evidence, Fit, Tangent
+from discrepancy.fitting.parameters import parameter_of, span_of, within
 from discrepancy.fitting.predict import forecast
 from discrepancy.noise.model import Noise
-from discrepancy.noise.whitening import Whitener
 from synthcam.dynamics.solve import uncoupled
 from synthcam.model import Model
 
 Array = NDArray[np.float64]
-__all__ = ["BASE", "Evidence", "Fit", "Whitener", "fit", "settle"]
 
 ITERATIONS = 40
 SETTLED = 1e-3  # of chi^2
@@ -34,124 +32,6 @@ FORETOLD = 0.2  # of what the derivatives foretell: chi^2 falling so much more o
 SHARES = (1.0, 0.3, 0.1)  # of a step, tried in turn: along a valley that bends, a part of it still leads down
 DAMPED = 1e6  # the strongest damping
 FAILED = (ValueError, ArithmeticError)  # of a step: no motion, a singular matrix, an overflow
-
-
-@dataclass(frozen=True)
-class Evidence:
-    """Measured clips, and what makes the noise of each white."""
-
-    clips: tuple[Measured, ...]
-    whiteners: tuple[Whitener, ...]
-
-    @classmethod
-    def of(cls, clips: Sequence[Measured], noise: Noise) -> Evidence:
-        return cls(tuple(clips), tuple(Whitener.of(c, noise) for c in clips))
-
-    def white(self, columns: Sequence[Array]) -> tuple[Array, ...]:
-        """(n, 2, ...) of each clip -> (2 n, ...)"""
-        return tuple(white(c) for white, c in zip(self.whiteners, columns, strict=True))
-
-    def left(self, model: Model, launches: Array) -> tuple[Array, ...]:
-        """Whitened residuals (2n,) of each clip. Raises ValueError when the model has no motion for such a launch."""
-        expected = forecast(model, launches, self.clips)
-        return self.white([c.xy - e for c, e in zip(self.clips, expected, strict=True)])
-
-
-@dataclass(frozen=True)
-class Fit:
-    """A fitted model. For each clip: its launch (6,), whitened residuals (2n,), and their derivatives.
-
-    names: the shared parameters fitted, covariance (S, S) theirs. slopes[k]: (2n, S); launch_slopes[k]: (2n, 6).
-    """
-
-    model: Model
-    names: tuple[str, ...]
-    launches: Array
-    residuals: tuple[Array, ...]
-    slopes: tuple[Array, ...]
-    launch_slopes: tuple[Array, ...]
-
-    @property
-    def chi2(self) -> float:
-        return float(sum(r @ r for r in self.residuals))
-
-    @property
-    def points(self) -> int:
-        """Measured coordinates."""
-        return sum(len(r) for r in self.residuals)
-
-    @property
-    def parameters(self) -> int:
-        return len(self.names) + self.launches.size
-
-    @cached_property
-    def covariance(self) -> Array:
-        """Of the shared parameters, (S, S); zero for one that changes nothing."""
-        if not self.names:
-            return np.zeros((0, 0))
-        cleaned = [off(a, s) for a, s in zip(self.launch_slopes, self.slopes, strict=True)]
-        scale = np.sqrt(sum((c**2).sum(axis=0) for c in cleaned))
-        units = (c / np.where(scale > 0, scale, 1) for c in cleaned)
-        inverse = np.linalg.pinv(sum(u.T @ u for u in units), hermitian=True)
-        return np.asarray(inverse / np.outer(*[np.where(scale > 0, scale, np.inf)] * 2))
-
-    @property
-    def std(self) -> dict[str, float]:
-        return dict(zip(self.names, np.sqrt(np.diag(self.covariance)).tolist(), strict=True))
-
-    def projected(self, columns: Sequence[Array]) -> Array:
-        """Columns (2n, k) of every clip with all that the fit can absorb taken out, stacked: (points, k)."""
-        stacked = np.concatenate([off(a, c) for a, c in zip(self.launch_slopes, columns, strict=True)])
-        if not self.names:
-            return stacked
-        return off(np.concatenate([off(a, s) for a, s in zip(self.launch_slopes, self.slopes, strict=True)]), stacked)
-
-    def information(self, columns: Sequence[Array]) -> tuple[Array, Array]:
-        """Products of columns so `projected` with themselves, (k, k), and with the residuals, (k,).
-
-        Clip by clip: many columns in one piece take much memory.
-        """
-        cleaned = [off(a, s) for a, s in zip(self.launch_slopes, self.slopes, strict=True)]
-        shared = np.split(basis(np.concatenate(cleaned)), np.cumsum([len(r) for r in self.residuals])[:-1])
-        taken = np.asarray(sum(q.T @ c for q, c in zip(shared, columns, strict=True)))  # q is off the launches already
-        gram, pull = np.zeros((len(taken.T), len(taken.T))), np.zeros(len(taken.T))
-        for q, a, c, r in zip(shared, self.launch_slopes, columns, self.residuals, strict=True):
-            left = off(a, c) - q @ taken
-            gram += left.T @ left
-            pull += left.T @ r
-        return gram, pull
-
-    def seen_by(self, before: Evidence, evidence: Evidence) -> Fit:
-        """The same place with the same clips' noise read anew; before: as it was."""
-        size, parts = len(self.names), []
-        every = zip(before.whiteners, self.launch_slopes, self.slopes, self.residuals, strict=True)
-        for white, (old, *columns) in zip(evidence.whiteners, every, strict=True):
-            parts.append(white(old.undo(np.column_stack(columns))))
-        own, shared, left = (tuple(p[:, s] for p in parts) for s in (slice(6), slice(6, 6 + size), -1))
-        return dataclasses.replace(self, residuals=left, slopes=shared, launch_slopes=own)
-
-    def extended(self, model: Model, names: Sequence[str], columns: Sequence[Array]) -> Fit:
-        """With more shared parameters: their derivatives, (2n, k) for each clip, taken where this fit stands."""
-        slopes = tuple(np.concatenate(both, axis=1) for both in zip(self.slopes, columns, strict=True))
-        return dataclasses.replace(self, model=model, names=(*self.names, *names), slopes=slopes)
-
-    def reduced(self, model: Model, names: Sequence[str]) -> Fit:
-        """With fewer shared parameters."""
-        kept = [k for k, n in enumerate(self.names) if n not in names]
-        slopes = tuple(s[:, kept] for s in self.slopes)
-        return dataclasses.replace(self, model=model, names=tuple(self.names[k] for k in kept), slopes=slopes)
-
-
-def basis(columns: Array) -> Array:
-    """An orthonormal basis of the span of columns (n, k)."""
-    scale = np.linalg.norm(columns, axis=0)
-    return np.asarray(np.linalg.qr(columns[:, scale > 0] / scale[scale > 0])[0])
-
-
-def off(absorbing: Array, columns: Array) -> Array:
-    """Columns less their projection on the span of others."""
-    q = basis(absorbing)
-    return np.asarray(columns - q @ (q.T @ columns))
 
 
 def fit(
@@ -171,13 +51,8 @@ def fit(
     return settle(evidence, linearised(evidence, model, tuple(names), places), tick)
 
 
-def settle(
-    evidence: Evidence, now: Fit, tick: Callable[[], None] = lambda: None, fresh: bool = True, rough: bool = False
-) -> Fit:
-    """The least chi^2, from `now`. fresh: its derivatives are those of the place where it stands.
-
-    rough: stop within ROUGH or so of the least chi^2, with derivatives of somewhere near.
-    """
+def settle(evidence: Evidence, now: Fit, tick: Callable[[], None] = lambda: None, rough: bool = False) -> Fit:
+    """The least chi^2, from `now`. rough: stop within ROUGH or so of it, with derivatives of somewhere near."""
     damping, settled, last = 0.0, ROUGH if rough else SETTLED, False
     for _ in range(ITERATIONS):
         tick()
@@ -187,34 +62,34 @@ def settle(
             break
         foretold = now.chi2 - _foretold(now, values, own)
         if last or foretold < settled:
-            if fresh or rough or (here := _here(evidence, now)) is None:
+            if now.local or rough or (here := _here(evidence, now)) is None:
                 break
-            now, fresh, last = here, True, False
+            now, last = here, False
             continue
-        for share in SHARES if fresh else (1.0,):
+        for share in SHARES if now.local else (1.0,):
             moved = _moved(evidence, now, _part(now, values, share), share * own)
             gained = now.chi2 - moved.chi2 if moved else -np.inf
             if gained > 0:
                 break
         if moved is None or not gained > 0:
-            if fresh:
+            if now.local:
                 damping = max(10 * damping, 1e-3)
                 if damping > DAMPED:
                     break
             elif (here := _here(evidence, now)) is None:
                 break
             else:
-                now, fresh = here, True
+                now = here
             continue
         damping = damping / 10 if damping > 1e-4 else 0.0
         last = gained < settled and share == 1
-        if last and fresh:
+        if last and now.local:
             return moved if rough else _here(evidence, moved) or moved
-        now, fresh = moved, False
+        now = moved
         if not last and abs(gained - foretold) > FORETOLD * foretold:
             if (here := _here(evidence, now)) is None:
                 break
-            now, fresh = here, True
+            now = here
     return now
 
 
@@ -241,7 +116,7 @@ def linearised(evidence: Evidence, model: Model, names: tuple[str, ...], launche
         slopes = telling(model, names, slopes)
     else:
         slopes = tuple(np.zeros((len(r), 0)) for r in residuals)
-    return Fit(model, names, launches, residuals, slopes, evidence.white(own))
+    return Fit(model, names, launches, residuals, Tangent(model, names, launches, slopes, evidence.white(own)))
 
 
 def telling(model: Model, names: Sequence[str], slopes: tuple[Array, ...]) -> tuple[Array, ...]:
@@ -303,7 +178,7 @@ def _beside(
 def _moved(evidence: Evidence, now: Fit, values: Mapping[str, float], own: Array) -> Fit | None:
     """`now` a step further, its derivatives as they were; None where the model has no motion for such a launch."""
     launches = now.launches + own
-    if not (np.all(np.abs(launches[:, 5]) < 1) and np.all(launches[:, 3] > 0)):
+    if not possible(launches):
         return None
     try:
         model = within(now.model, values)
@@ -321,11 +196,8 @@ def _foretold(now: Fit, values: Mapping[str, float], own: Array) -> float:
 
 def _step(now: Fit, damping: float) -> tuple[dict[str, float], Array]:
     """The Gauss-Newton step within the limits: new values of the shared parameters, changes of the launches."""
-    limits = [limits_of(now.model, n) for n in now.names]
-    value = np.array([now.model.value(n) for n in now.names])
-    low, high = np.array(limits).reshape(-1, 2).T
-    shared, own = solve(now, damping, low - value, high - value)
-    return dict(zip(now.names, (value + shared).tolist(), strict=True)), own
+    shared, own = solve(now, damping, *now.room())
+    return dict(zip(now.names, (now.values() + shared).tolist(), strict=True)), own
 
 
 def solve(now: Fit, damping: float, least: Array, most: Array) -> tuple[Array, Array]:
@@ -334,7 +206,7 @@ def solve(now: Fit, damping: float, least: Array, most: Array) -> tuple[Array, A
     matrix, right, blocks = np.zeros((size, size)), np.zeros(size), []
     for r, s, a in zip(now.residuals, now.slopes, now.launch_slopes, strict=True):
         own = a.T @ a
-        own[np.diag_indices(6)] *= 1 + damping
+        own[np.diag_indices(SIZE)] *= 1 + damping
         coupling, pull = a.T @ s, a.T @ r
         solved = _solved(own, np.column_stack([coupling, pull]))
         blocks.append(solved)

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from discrepancy.data.collisions import Measured
+from discrepancy.data.launch import SIZE
 from discrepancy.fitting.parameters import FINE, limits_of, step_of
 from discrepancy.fitting.predict import forecast
 from synthcam.dynamics.solve import uncoupled
@@ -94,19 +95,19 @@ def launch_derivatives(model: Model, launches: Array, clips: Sequence[Measured])
 
 
 def _nudged(model: Model, launches: Array, clips: Sequence[Measured]) -> tuple[list[Array], list[Array]]:
-    nudges, k = LAUNCH_STEP * np.concatenate([np.zeros((1, 6)), np.eye(6)]), len(clips)
-    every = forecast(model, (launches[None] + nudges[:, None]).reshape(-1, 6), list(clips) * len(nudges))
+    nudges, k = LAUNCH_STEP * np.concatenate([np.zeros((1, SIZE)), np.eye(SIZE)]), len(clips)
+    every = forecast(model, (launches[None] + nudges[:, None]).reshape(-1, SIZE), list(clips) * len(nudges))
     slopes = [
-        np.stack([(every[(1 + j) * k + i] - every[i]) / LAUNCH_STEP for j in range(6)], axis=-1) for i in range(k)
+        np.stack([(every[(1 + j) * k + i] - every[i]) / LAUNCH_STEP for j in range(SIZE)], axis=-1) for i in range(k)
     ]
     return every[:k], slopes
 
 
 def _at_the_edge(model: Model, launch: Array, clip: Measured) -> tuple[list[Array], list[Array]]:
     (here,) = forecast(model, launch[None], [clip])
-    slopes = np.zeros((*here.shape, 6))
-    for j, step in itertools.product(range(6), (-LAUNCH_STEP, LAUNCH_STEP)):  # the later counts
+    slopes = np.zeros((*here.shape, SIZE))
+    for j, step in itertools.product(range(SIZE), (-LAUNCH_STEP, LAUNCH_STEP)):  # the later counts
         with suppress(ValueError):
-            (there,) = forecast(model, (launch + step * np.eye(6)[j])[None], [clip])
+            (there,) = forecast(model, (launch + step * np.eye(SIZE)[j])[None], [clip])
             slopes[..., j] = (there - here) / step
     return [here], [slopes]

@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 
 from discrepancy import policy
 from discrepancy.data.collisions import Measured
-from discrepancy.fitting.gauss_newton import Fit
+from discrepancy.data.launch import SIZE
+from discrepancy.fitting.model_fit import Fit
 from discrepancy.noise.model import (
     KERNELS,
     Component,
@@ -39,14 +40,14 @@ TINY = 1e-300  # of a number of the launch that no track shows
 SLOW = (0.95,)  # the correlation from frame to frame of slow noise, to start from
 
 
-def refined(clips: Sequence[Measured], fit: Fit, noise: Noise, explained: bool = True) -> Noise:
+def refined(clips: Sequence[Measured], fit: Fit, noise: Noise, explained: bool = True) -> Noise | None:
     """A better reading of the noise from the residuals of a fit, which was made with `noise`.
 
     explained: the fit lacks nothing that is known. Where it may, what it lacks moves both balls, as a shaking camera
-    does: then only each ball's own noise is read. `noise` itself when that gains little, or is what the phases exclude.
+    does: then only each ball's own noise is read. None when that gains little, or is what the phases exclude.
     """
     if noise.shared and not explained:
-        return noise
+        return None
     places = np.unique(np.linspace(0, len(clips) - 1, min(CLIPS, len(clips))).astype(int)).tolist()
     left, within = _Left.of(clips, fit, noise, places), Pairs(pair for k in places for pair in clips[k].together())
     sigma, rho = (0.0, 0.0) if noise.shared or not explained else left.shaken(noise)
@@ -60,8 +61,8 @@ def refined(clips: Sequence[Measured], fit: Fit, noise: Noise, explained: bool =
         slow = Component(noise.own.variance, SLOW, 0.5)
         new = min((left.best(n) for n in (noise, Noise(slow))), key=lambda pair: pair[0])[1]
     if left.cost(noise) - left.cost(new) < (policy.NOISE_GAIN if explained else 0.0):
-        return noise
-    return new if within.cost(new) - within.cost(noise) < policy.NOISE_EXCLUDED_BY else noise
+        return None
+    return new if within.cost(new) - within.cost(noise) < policy.NOISE_EXCLUDED_BY else None
 
 
 @dataclass(frozen=True)
@@ -81,17 +82,17 @@ class _Left:
             both = np.column_stack([fit.launch_slopes[k], fit.slopes[k] * unit, fit.residuals[k]])
             columns.append(Whitener.of(clips[k], noise).undo(both))
         some = tuple(clips[k] for k in places)
-        return cls(some, tuple(columns), float(np.log(sum(2 * len(c.frame) - 6 for c in some))))
+        return cls(some, tuple(columns), float(np.log(sum(2 * len(c.frame) - SIZE for c in some))))
 
     def cost(self, noise: Noise) -> float:
         """-2 log restricted likelihood, up to a constant."""
-        size = self.columns[0].shape[2] - 6
+        size = self.columns[0].shape[2] - SIZE
         gram, logs = np.zeros((size, size)), 0.0
         for clip, columns in zip(self.clips, self.columns, strict=True):
             white = Whitener.of(clip, noise)
             seen = white(columns)
-            q, r = np.linalg.qr(seen[:, :6])
-            rest = seen[:, 6:] - q @ (q.T @ seen[:, 6:])
+            q, r = np.linalg.qr(seen[:, :SIZE])
+            rest = seen[:, SIZE:] - q @ (q.T @ seen[:, SIZE:])
             gram += rest.T @ rest
             logs += white.log_determinant + 2 * float(np.log(np.maximum(np.abs(np.diag(r)), TINY)).sum())
         values, axes = np.linalg.eigh(gram[:-1, :-1])
@@ -124,7 +125,7 @@ class _Left:
         for clip, columns in zip(self.clips, self.columns, strict=True):
             white = Whitener.of(clip, noise)
             seen = white(columns)
-            q, _ = np.linalg.qr(seen[:, :6])
+            q, _ = np.linalg.qr(seen[:, :SIZE])
             left = seen[:, -1] - q @ (q.T @ seen[:, -1])
             rows = [np.flatnonzero(clip.ball == ball) for ball in (0, 1)]
             apart = np.abs(np.subtract.outer(clip.frame[rows[0]], clip.frame[rows[1]]))

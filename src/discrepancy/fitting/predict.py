@@ -10,13 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from discrepancy.data.collisions import Measured
+from discrepancy.data.launch import SIZE, T_C
 from synthcam.camera.pinhole import Camera as Optics
-from synthcam.dynamics.batch import LAUNCH, Batch, collisions
+from synthcam.dynamics.batch import Batch, collisions
 from synthcam.model import Model
 from tracker.camera.camera import Camera, Lamp
 
 Array = NDArray[np.float64]
-__all__ = ["LAUNCH", "forecast", "known_to_measure", "velocities"]
 
 FRICTIONLESS = 1e-9  # stands in for no sliding friction: a slide then outlasts every film, but ends
 LATE = 1e-4  # s, the step of a numerical derivative
@@ -24,7 +24,7 @@ FAR = 1e9  # m: squares of such residuals are still numbers
 
 
 def forecast(model: Model, launches: Array, clips: Sequence[Measured]) -> list[Array]:
-    """Predicted centres (n_k, 2), m, where each clip has measurements; launches (clips, 6), columns LAUNCH.
+    """Predicted centres (n_k, 2), m, where each clip has measurements; launches (clips, 6).
 
     All clips are of one camera. Raises ValueError when the model has no motion for such a launch, or one
     that leads farther than any number should.
@@ -45,7 +45,7 @@ def _forecast(model: Model, launches: Array, clips: Sequence[Measured]) -> list[
     exposure = float(model.laws("exposure", camera.exposure, {"fps": camera.fps}))
     rows = np.array([[0.0], [camera.size[1] - 1.0]])
     extent = model.laws("clock", film[[0, -1]], {"fps": camera.fps, "row": rows}) + np.array([0.0, exposure])
-    start = min(float(extent.min()), float(launches[:, 2].min()))
+    start = min(float(extent.min()), float(launches[:, T_C].min()))
     motion = collisions(model, launches, start, float(extent.max()), [c.striker == "a" for c in clips])
     places, opens = _exposed(model, motion, camera, film, exposure)
     height = _heights(motion, opens, exposure) if model.laws.bent("loft") else camera.radius
@@ -120,6 +120,6 @@ def _spatial(places: Array, height: Array | float) -> Array:
 
 def velocities(model: Model, launches: Array, clips: Sequence[Measured]) -> list[Array]:
     """How fast the measured places move, (n_k, 2) m/s."""
-    nudge = LATE * (np.arange(6) == 2)
+    nudge = LATE * (np.arange(SIZE) == T_C)
     ahead, behind = (forecast(model, launches + way * nudge, clips) for way in (-1, 1))
     return [(a - b) / (2 * LATE) for a, b in zip(ahead, behind, strict=True)]

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from discrepancy.data.collisions import Measured
+from discrepancy.data.launch import SIZE, T_C
 from synthcam.dynamics.batch import Batch, collisions
 from synthcam.dynamics.kinematics import contact_velocity
 from synthcam.model import Model
@@ -90,7 +91,7 @@ def _some(
     model: Model, launches: Array, clips: Sequence[Measured], changes: Mapping[str, Change], size: int
 ) -> list[Array]:
     fps, exposure = clips[0].fps, clips[0].exposure
-    start = min(min(int(c.frame.min()) for c in clips) / fps, float(launches[:, 2].min()))
+    start = min(min(int(c.frame.min()) for c in clips) / fps, float(launches[:, T_C].min()))
     end = (max(int(c.frame.max()) for c in clips) + 1) / fps + exposure
     early, slide, roll = _legs(model, launches.tobytes(), tuple(c.striker == "a" for c in clips), start, end)
     contact, over = slide.times[:, 0], roll.times[:, 0]
@@ -113,9 +114,9 @@ def _some(
 @lru_cache(maxsize=16)
 def _legs(model: Model, launches: bytes, a_strikes: tuple[bool, ...], start: float, end: float) -> tuple[Leg, Leg, Leg]:
     """Before the contact, sliding and rolling; launches: (clips, 6). Many laws are tried on one motion."""
-    places = np.frombuffer(launches).reshape(-1, 6)
+    places = np.frombuffer(launches).reshape(-1, SIZE)
     motion = collisions(model, places, start, end, a_strikes)
-    contact = np.tile(places[:, 2], 2)
+    contact = np.tile(places[:, T_C], 2)
     over, whole = np.minimum(motion.slide_ends, end), np.ones(len(contact))
     ends = (contact, start * whole), (contact, over), (over, end * whole)
     early, slide, roll = (Leg.of(motion, model.ball.radius, *e) for e in ends)

@@ -97,8 +97,7 @@ def _steps(fitted_law: FittedLaw, x: Array) -> tuple[Array, Array, Array]:
 
     Tried anew within the box of places and widths that holds the weight, until that is shared by enough of them.
     """
-    left = [r + m @ fitted_law.coefs for r, m in zip(fitted_law.now.residuals, fitted_law.moves, strict=True)]
-    bare = replace(fitted_law, now=replace(fitted_law.now, residuals=tuple(left)))  # of no curve
+    bare = replace(fitted_law, now=fitted_law.now.explained_by(fitted_law.moves, -fitted_law.coefs))  # of no curve
     smooth = weigh(fitted_law.law, *_seen(bare, fitted_law.moves)[:2]).gain
     whole = box = np.array([[0.0, 1.0], np.log(WIDTH)])
     counts = np.array([PLACES, WIDTHS])
@@ -144,7 +143,7 @@ def _seen(fitted_law: FittedLaw, moves: Sequence[Array]) -> tuple[Array, Array, 
     they change, and covariance; and by how much a unit of each column makes them less, (own, columns).
     """
     now, names = fitted_law.now, [name for name, _ in fitted_law.owners]
-    own = [s[:, [now.names.index(n) for n in names]] for s in now.slopes]
+    own = [s[:, now.rows(names)] for s in now.slopes]
     both = [np.concatenate(pair, axis=1) for pair in zip(own, moves, strict=True)]
     information, pull = now.reduced(now.model, names).information(both)
     first, rest = slice(len(names)), slice(len(names), None)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from discrepancy.fitting.gauss_newton import Evidence, Fit
+from discrepancy.fitting.model_fit import Evidence, Fit
 from discrepancy.fitting.parameters import parameter_of
 from discrepancy.fitting.significance import sigmas
 from discrepancy.free_laws.evidence import Prior
@@ -65,7 +65,7 @@ class FittedLaw:
     def _covariance(self) -> Array:
         """Of the law's own parameters and the coefficients, all else marginal."""
         names = [name for name, _ in self.owners]
-        own = [s[:, [self.now.names.index(n) for n in names]] for s in self.now.slopes]
+        own = [s[:, self.now.rows(names)] for s in self.now.slopes]
         both = [np.concatenate(pair, axis=1) for pair in zip(own, self.moves, strict=True)]
         matrix, _ = self.now.reduced(self.now.model, names).information(both)
         matrix[len(names) :, len(names) :] += self.prior.precision
@@ -82,8 +82,8 @@ class FittedLaw:
         for effect in dict.fromkeys(n.rpartition(".")[0] or n for n in added):
             own = [n for n in added if (n.rpartition(".")[0] or n) == effect]
             own = [n for n in own if "." not in n or not parameter_of(now.model, n).fixed]
-            rows = [now.names.index(n) for n in own]
-            moved = np.array([now.model.value(n) - base.model.value(n) for n in own])
+            rows = now.rows(own)
+            moved = now.values(own) - base.values(own)
             covariance = now.covariance[np.ix_(rows, rows)]
             found[effect] = sigmas(float(moved @ np.linalg.pinv(covariance, hermitian=True) @ moved), len(own))
         return found

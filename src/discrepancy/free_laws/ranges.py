@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from discrepancy.data.collisions import Measured
+from discrepancy.data.launch import T_C, B
 from discrepancy.free_laws.basis import Axis
 from synthcam.dynamics.batch import collisions
 from synthcam.dynamics.kinematics import contact_velocity
@@ -55,7 +56,7 @@ class Ranges:
 def ranges(model: Model, launches: Array, clips: Sequence[Measured]) -> dict[str, Ranges]:
     """What the motion of a fit covers: of both balls "", of ball "a" and of ball "b"."""
     first, last = min(int(c.frame.min()) for c in clips), max(int(c.frame.max()) for c in clips)
-    times = np.linspace(min(first / clips[0].fps, launches[:, 2].min()), (last + 1) / clips[0].fps, SAMPLES)
+    times = np.linspace(min(first / clips[0].fps, launches[:, T_C].min()), (last + 1) / clips[0].fps, SAMPLES)
     a_strikes = np.array([c.striker == "a" for c in clips])
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         states = np.nan_to_num(collisions(model, launches, times[0], times[-1], a_strikes).at(times))
@@ -88,7 +89,7 @@ def over_heading() -> tuple[Axis, ...]:
 
 def over_obliqueness(launches: Array) -> tuple[Axis, ...]:
     """The axis of a curve over the impact parameters' sizes."""
-    most = max(float(np.abs(launches[:, 5]).max()), OBLIQUE)
+    most = max(float(np.abs(launches[:, B]).max()), OBLIQUE)
     return (Axis("obliqueness", "1", 0.0, most, CURVE, letter="|b|"),)
 
 

@@ -14,11 +14,12 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from discrepancy.data.collisions import Measured
+from discrepancy.data.launch import HEADING, T_C, V0
 from discrepancy.diagnostics.gap import Gap
-from discrepancy.fitting.gauss_newton import Fit
+from discrepancy.fitting.model_fit import Fit
 from discrepancy.fitting.predict import forecast
+from discrepancy.found import Found
 from discrepancy.free_laws.answer import Answer
-from discrepancy.search import Found
 
 Array = NDArray[np.float64]
 
@@ -53,7 +54,7 @@ def drawn(found: Found) -> list[dict[str, str]]:
                     "The law left free, and the half width of its band of 68 %; where no ball came by the band is wide."
                 )
             out.append(inline(found.answer.formula, _curve(found.answer), note))
-        if found.search.ranking:
+        if found.selected.ranking:
             note = "Score of every effect of the library against the base model alone, before any refit."
             out.append(inline("Candidates", _ranking(found), note))
         note = "Collisions that no fit has seen, each one's launch refitted."
@@ -76,9 +77,9 @@ def inline(title: str, figure: Figure, note: str) -> dict[str, str]:
 
 
 def _sets(found: Found) -> list[tuple[Sequence[Measured], Fit, str, str]]:
-    sets: list[tuple[Sequence[Measured], Fit, str, str]] = [(found.clips, found.search.base, BEFORE, "before")]
-    if found.best is not found.search.base:
-        sets.append((found.free_law.evidence.clips if found.free_law else found.clips, found.best, AFTER, "after"))
+    sets: list[tuple[Sequence[Measured], Fit, str, str]] = [(found.data.clips, found.base, BEFORE, "before")]
+    if found.anything:
+        sets.append((found.free_law.evidence.clips if found.free_law else found.data.clips, found.best, AFTER, "after"))
     return sets
 
 
@@ -136,12 +137,12 @@ def _residuals(clips: Sequence[Measured], now: Fit) -> tuple[Array, Array, Array
         for b in range(2):
             rows = clip.ball == b
             when = time[rows]
-            t_c, over = launch[2], max(clip.ends[b], launch[2] + 1e-6)
+            t_c, over = launch[T_C], max(clip.ends[b], launch[T_C] + 1e-6)
             edges = [min(when[0], t_c - 1e-6), t_c, over, max(when[-1], over + 1e-6)]
             stage[rows] = np.interp(when, edges, [-1, 0, 1, 2])
             after = rows & (time > t_c)
             way = xy[after][-1] - xy[after][0] if np.any(after) else np.zeros(2)
-            rolls_in = np.array([np.cos(launch[4]), np.sin(launch[4])])
+            rolls_in = np.array([np.cos(launch[HEADING]), np.sin(launch[HEADING])])
             way = way / np.hypot(*way) if np.hypot(*way) > 1e-5 else rolls_in
             side = np.array([-way[1], way[0]]) * (np.sign(rolls_in[0] * way[1] - rolls_in[1] * way[0]) or 1.0)
             out[rows] = 1e6 * np.stack([left[rows] @ way, left[rows] @ side], axis=1)
@@ -195,13 +196,13 @@ def _map(answer: Answer) -> Figure:
 
 
 def _ranking(found: Found) -> Figure:
-    ranking = found.search.ranking[:SHOWN][::-1]
+    ranking = found.selected.ranking[:SHOWN][::-1]
     figure, ax = _subplots(figsize=(6, 0.6 + 0.25 * len(ranking)))
     claimed = {n.effect for n in found.named}
     rivals = {a for n in found.named for a in n.aliases} - claimed
     colours = [AFTER if c.effect in claimed else "#92c5de" if c.effect in rivals else OTHER for c in ranking]
     ax.barh([c.effect for c in ranking], [c.sigma for c in ranking], color=colours)
-    claim = found.search.claim
+    claim = found.selected.claim
     ax.axvline(claim, color=BEFORE, lw=1, ls="--", label=f"needed for a claim, {claim:.1f}")
     ax.set(xlabel="score against the base model (sigma)")
     if max(c.sigma for c in ranking) > 50:
@@ -234,7 +235,7 @@ def gap_bars(ax: Axes, gap: Gap, ending: str, labels: Sequence[str] = ("before",
 
 def _by_clip(found: Found) -> Figure:
     figure, ax = _subplots(figsize=(6, 3))
-    speeds = [float(c.launch[3]) for c in found.kept_out]
+    speeds = [float(c.launch[V0]) for c in found.data.kept_out]
     for now, colour, label in ((found.shown.before, BEFORE, "before"), (found.shown.after, AFTER, "after")):
         points = np.array([len(r) for r in now.residuals])
         chi2 = np.array([r @ r for r in now.residuals]) / points

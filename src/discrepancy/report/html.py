@@ -12,9 +12,9 @@ import jinja2
 import numpy as np
 
 from discrepancy.fitting.parameters import parameter_of
+from discrepancy.found import Found
 from discrepancy.report.figures import drawn
 from discrepancy.report.narrative import story
-from discrepancy.search import Found
 from discrepancy.selection.named import as_sure
 from synthcam.model import Model, write_model
 

@@ -6,9 +6,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from discrepancy.fitting.gauss_newton import Fit, solve
-from discrepancy.fitting.parameters import limits_of
-from discrepancy.search import Found
+from discrepancy.data.launch import V0, B
+from discrepancy.fitting.gauss_newton import solve
+from discrepancy.fitting.model_fit import Fit
+from discrepancy.found import Found
 
 SETTLED = 0.1  # of chi^2 that a further step may gain
 
@@ -20,36 +21,34 @@ def story(found: Found) -> list[str]:
 
 def rest(now: Fit) -> float:
     """What a further step of everything fitted would gain, in chi^2, to first order and within its limits."""
-    value = np.array([now.model.value(n) for n in now.names])
-    low, high = np.array([limits_of(now.model, n) for n in now.names]).reshape(-1, 2).T
-    shared, own = solve(now, 0.0, low - value, high - value)
+    shared, own = solve(now, 0.0, *now.room())
     steps = [s @ shared + a @ o for s, a, o in zip(now.slopes, now.launch_slopes, own, strict=True)]
     return now.chi2 - sum(float((r - s) @ (r - s)) for r, s in zip(now.residuals, steps, strict=True))
 
 
 def _fitted(found: Found) -> str:
-    base = found.search.base
-    speeds = [float(c.launch[3]) for c in found.clips]
-    widest = max(abs(float(c.launch[5])) for c in found.clips)
+    base, data, noise = found.base, found.data, found.data.noise
+    speeds = [float(c.launch[V0]) for c in data.clips]
+    widest = max(abs(float(c.launch[B])) for c in data.clips)
     shared = ", ".join(base.names) or "nothing"
     gain = rest(base)
     settled = (
         "converged" if gain < SETTLED else f"did not fully converge: a further step would gain {gain:.2g} in chi^2"
     )
     return (
-        f"{len(found.clips)} collisions at {min(speeds):.2f} to {max(speeds):.2f} m/s, |b| up to {widest:.2f}, were "
-        f"fitted together ({shared} shared, six numbers of launch each; the fit {settled}), and {len(found.kept_out)} "
-        f"more were kept out; noise is {found.noise.scale:.2f} times what the tracks claim, its correlation from frame "
-        f"to frame {found.noise.correlation:+.2f}{_shaken(found)}."
+        f"{len(data.clips)} collisions at {min(speeds):.2f} to {max(speeds):.2f} m/s, |b| up to {widest:.2f}, were "
+        f"fitted together ({shared} shared, six numbers of launch each; the fit {settled}), and {len(data.kept_out)} "
+        f"more were kept out; noise is {noise.scale:.2f} times what the tracks claim, its correlation from frame "
+        f"to frame {noise.correlation:+.2f}{_shaken(found)}."
     )
 
 
 def _shaken(found: Found) -> str:
-    return f", {1e6 * found.noise.shake:.2g} um of it common to both balls" if found.noise.shared else ""
+    return f", {1e6 * found.data.noise.shake:.2g} um of it common to both balls" if found.data.noise.shared else ""
 
 
 def _where(found: Found) -> str:
-    base = found.search.base
+    base = found.base
     left = f"leaves chi^2 = {base.chi2 / (base.points - base.parameters):.3f} per degree of freedom"
     worst = found.where[0] if found.where else None
     if worst is None or worst.sigma == 0:
@@ -87,8 +86,8 @@ def _open(found: Found) -> str:
     undetermined = [s for n in found.named for s, std in n.shape_std.items() if not np.isfinite(std)]
     if undetermined:
         parts.append(f"the value of {_listed(undetermined, 'and')}")
-    if found.search.untold:
-        parts.append(f"whether there is any {_listed(found.search.untold, 'or')}")
+    if found.untold:
+        parts.append(f"whether there is any {_listed(found.untold, 'or')}")
     if parts:
         said = f"These collisions cannot tell {'; nor '.join(parts)}"
     else:

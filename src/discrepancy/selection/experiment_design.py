@@ -11,7 +11,9 @@ from numpy.typing import NDArray
 
 from discrepancy import policy
 from discrepancy.data.collisions import Measured
-from discrepancy.fitting.gauss_newton import Evidence, Fit, linearised
+from discrepancy.data.launch import HEADING, T_C, V0, B
+from discrepancy.fitting.gauss_newton import linearised
+from discrepancy.fitting.model_fit import Evidence, Fit
 from discrepancy.fitting.parameters import Suspect
 from discrepancy.fitting.predict import forecast
 from discrepancy.noise.model import Noise
@@ -71,14 +73,14 @@ def _longer(clip: Measured, launch: Array, share: float, number: int) -> tuple[M
 def _aside(clip: Measured, launch: Array, share: float, number: int) -> tuple[Measured, Array]:
     corner = np.array([1 if number & 1 else -1, 1 if number & 2 else -1]) * ASIDE
     pixel = (0.5 + corner) * np.array(clip.camera.size)
-    return clip, np.concatenate([clip.camera.unproject(pixel)[0], launch[2:]])
+    return clip, np.concatenate([clip.camera.unproject(pixel)[0], launch[T_C:]])
 
 
 WAYS = (
     _Way("the balls exchanged in half of the collisions", _exchanged),
-    _Way("oblique collisions, |b| up to 0.6", _put(5, -0.6, 0.6)),
-    _Way("speeds from 0.1 to 0.6 m/s", _put(3, 0.1, 0.6)),
-    _Way("headings all round", _put(4, 0.0, 2 * np.pi)),
+    _Way("oblique collisions, |b| up to 0.6", _put(B, -0.6, 0.6)),
+    _Way("speeds from 0.1 to 0.6 m/s", _put(V0, 0.1, 0.6)),
+    _Way("headings all round", _put(HEADING, 0.0, 2 * np.pi)),
     _Way("films twice as long", _longer),
     _Way("collisions spread over the picture", _aside),
 )

@@ -6,8 +6,9 @@ from collections.abc import Callable
 
 import numpy as np
 
-from discrepancy.fitting.gauss_newton import Evidence, Fit, linearised, nudged, settle, telling
+from discrepancy.fitting.gauss_newton import linearised, nudged, settle, telling
 from discrepancy.fitting.jacobian import derivatives
+from discrepancy.fitting.model_fit import Evidence, Fit
 from discrepancy.fitting.parameters import limits_of, parameter_of
 from discrepancy.fitting.predict import forecast
 from discrepancy.selection.candidate import Candidate
@@ -30,16 +31,14 @@ def grown(evidence: Evidence, now: Fit, candidate: Candidate, tick: Callable[[],
 
 def _from_here(evidence: Evidence, now: Fit, candidate: Candidate, tick: Callable[[], None]) -> Fit:
     suspect, model = candidate.suspect, now.model.replace(candidate.shapes)
-    strong = settle(
-        evidence, now.extended(model, candidate.strengths, candidate.columns), tick, fresh=False, rough=True
-    )
+    strong = settle(evidence, now.extended(model, candidate.strengths, candidate.columns), tick, rough=True)
     if not suspect.shapes or all(strong.model.value(s) == 0 for s in candidate.strengths):
         return strong
     here = forecast(strong.model, strong.launches, evidence.clips)
     slopes = derivatives(strong.model, strong.launches, evidence.clips, suspect.shapes, here)
     columns = evidence.white([np.stack([s[k] for s in slopes], axis=-1) for k in range(len(here))])
     columns = telling(strong.model, suspect.shapes, columns)
-    return settle(evidence, strong.extended(strong.model, suspect.shapes, columns), tick, fresh=False, rough=True)
+    return settle(evidence, strong.extended(strong.model, suspect.shapes, columns), tick, rough=True)
 
 
 def _far(evidence: Evidence, now: Fit, candidate: Candidate) -> list[Fit]:

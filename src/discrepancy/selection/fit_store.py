@@ -1,11 +1,12 @@
-"""Every model that a search has fitted, by the suspects in it, and the contest of all others beside the last."""
+"""The models that a search has fitted, by the suspects in them, and the score tests of all others beside each."""
 
 from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable, Collection, Iterable, Sequence
 
-from discrepancy.fitting.gauss_newton import Evidence, Fit, likeliest, linearised, nudged, settle
+from discrepancy.fitting.gauss_newton import likeliest, linearised, nudged, settle
+from discrepancy.fitting.model_fit import Evidence, Fit
 from discrepancy.fitting.parameters import Suspect, parameter_of
 from discrepancy.fitting.shape_scan import scannable
 from discrepancy.selection.candidate import Candidate
@@ -20,20 +21,34 @@ ALIKE = 1.5  # times chi^2 of the base model: noise that differs by more makes o
 KEPT = 8_000_000  # numbers in all contests kept beside the last
 
 
-class Visited:
-    """The models fitted. former: those of the same clips with a noise that may be alike; the same go on from there."""
+class FitStore:
+    """A cache of fits: each model is fitted when it is first asked for.
 
-    def __init__(self, evidence: Evidence, base: Fit, tick: Callable[[], None], former: Visited | None = None) -> None:
-        self.evidence, self.tick, self.former = evidence, tick, None
-        if former:
-            former.former = former.last = None  # memory
-            if 1 / ALIKE < base.chi2 / former.base.chi2 < ALIKE:
-                self.former = former
+    Parameters
+    ----------
+    evidence : Evidence
+        The clips to fit, and their noise.
+    base : Fit
+        The fit without any suspect.
+    tick : callable
+        Told of progress.
+    previous : FitStore, optional
+        Of the same clips with another noise. Where that is much alike, models are fitted from where they stood there.
+    """
+
+    def __init__(
+        self, evidence: Evidence, base: Fit, tick: Callable[[], None], previous: FitStore | None = None
+    ) -> None:
+        self.evidence, self.tick, self.previous = evidence, tick, None
+        if previous:
+            previous.forget_large()
+            if 1 / ALIKE < base.chi2 / previous.base.chi2 < ALIKE:
+                self.previous = previous
         self.fits: dict[Key, Fit] = {frozenset(): base}
-        self.last: Contest | None = None
-        self.contests: dict[Key, Contest] = {}  # small ones; each holds every suspect's derivatives
-        self.sure: set[Key] = {frozenset()}  # whose fits are settled to the end
-        self.stood: set[Key] = {frozenset()} if self.former else set()  # settled to the end by the former
+        self.tests: dict[Key, Contest] = {}  # each holds every suspect's derivatives
+        self.large: Key | None = None  # whose tests are forgotten before there are others
+        self.done: set[Key] = {frozenset()}  # whose fits are settled to the end
+        self.done_before: set[Key] = {frozenset()} if self.previous else set()  # in the previous store
         self.latest: dict[Key, Suspect] = {}  # added with a look at all its shapes
 
     @property
@@ -41,67 +56,80 @@ class Visited:
         return self.fits[frozenset()]
 
     def contest(self, state: Sequence[Suspect]) -> Contest:
-        """Of all suspects beside those of a model."""
+        """The score tests of all suspects beside those of a model."""
         now, key = self.settled(state), frozenset(state)
-        if self.last is None or self.last.now is not now:
-            self.last = None  # before there is another
-            self.last = self._contest(now, key)
-            if self.last.numbers + sum(c.numbers for c in self.contests.values()) <= KEPT:
-                self.contests[key] = self.last
-        return self.last
+        if key not in self.tests:
+            self.forget_large()
+            tests = self._tested(now, key)
+            if tests.numbers + sum(t.numbers for t in self.tests.values()) > KEPT:
+                self.large = key
+            self.tests[key] = tests
+        return self.tests[key]
 
-    def _contest(self, now: Fit, key: Key) -> Contest:
-        if key in self.contests and self.contests[key].now is now:
-            return self.contests[key]
-        former = self.former.contests.pop(key, None) if self.former and key in self.stood else None
-        if self.former and former and former.now is self.former.fits[key]:
-            return former.seen_by(now, self.former.evidence, self.evidence)
+    def forget_previous(self) -> None:
+        """Forget the previous store, once its models are not to be gone on from."""
+        self.previous = None
+
+    def forget_large(self) -> None:
+        """Forget tests that take much memory."""
+        if self.large is not None:
+            self.tests.pop(self.large, None)
+            self.large = None
+
+    def _tested(self, now: Fit, key: Key) -> Contest:
+        known = self.previous.tests.pop(key, None) if self.previous and key in self.done_before else None
+        if self.previous and known:
+            return known.seen_by(now, self.previous.evidence, self.evidence)
         return Contest.of(self.evidence, now, self.tick)
+
+    def _keep(self, key: Key, fit: Fit) -> None:
+        """Keep a fit in place of an earlier one, whose score tests are then those of another."""
+        self.fits[key] = fit
+        self.tests.pop(key, None)
 
     def settled(self, state: Sequence[Suspect]) -> Fit:
         """The best fit of a model."""
         key = frozenset(state)
         if not self.known(key):
-            self.fits[key] = self._reduced(state)
-        if key not in self.sure:
-            now = settle(self.evidence, self.fits[key], self.tick, fresh=False)
-            self.fits[key] = now if key in self.stood else self._astray(state, now)
-            self.sure.add(key)
+            self._keep(key, self._reduced(state))
+        if key not in self.done:
+            now = settle(self.evidence, self.fits[key], self.tick)
+            self._keep(key, now if key in self.done_before else self._astray(state, now))
+            self.done.add(key)
         return self.fits[key]
 
     def exact(self, state: Sequence[Suspect]) -> Fit:
         """`settled`, all derivatives with the push between balls, where there is one: errors are read off them."""
         now, key = self.settled(state), frozenset(state)
         if uncoupled(now.model).effects != now.model.effects:
-            self.last = dataclasses.replace(
-                self.contest(state), now=linearised(self.evidence, now.model, now.names, now.launches, exact=True)
-            )
-            self.fits[key] = self.last.now
-            if key in self.contests:
-                self.contests[key] = self.last
+            exact = linearised(self.evidence, now.model, now.names, now.launches, exact=True)
+            self.tests[key] = dataclasses.replace(self.contest(state), now=exact)
+            self.fits[key] = exact
         return self.fits[key]
 
     def known(self, key: frozenset[Suspect]) -> bool:
-        """Whether a model was fitted before, here or by the former."""
-        if key not in self.fits and self.former and key in self.former.fits:
-            now, sure = self.former.fits[key].seen_by(self.former.evidence, self.evidence), key in self.former.sure
-            self.fits[key] = settle(self.evidence, now, self.tick, fresh=sure, rough=True)
-            if sure:
-                self.stood.add(key)
-            if key in self.former.latest:
-                self.latest[key] = self.former.latest[key]
+        """Whether a model was fitted before, here or in the previous store."""
+        before = self.previous
+        if key not in self.fits and before and key in before.fits:
+            now = before.fits[key].seen_by(before.evidence, self.evidence)
+            self._keep(key, settle(self.evidence, now, self.tick, rough=True))
+            if key in before.done:
+                self.done_before.add(key)
+            if key in before.latest:
+                self.latest[key] = before.latest[key]
         return key in self.fits
 
-    def grow(self, key: Key, now: Fit, candidate: Candidate) -> None:
+    def extend(self, key: Key, now: Fit, candidate: Candidate) -> None:
         """Fit a model that has a candidate more than `now`."""
-        self.fits[key], self.latest[key] = grown(self.evidence, now, candidate, self.tick), candidate.suspect
+        self._keep(key, grown(self.evidence, now, candidate, self.tick))
+        self.latest[key] = candidate.suspect
 
     def offer(self, key: Key, fit: Fit) -> None:
         """A fit of some model, kept if it is better than the one known."""
         if not self.known(key) or fit.chi2 < self.fits[key].chi2:
-            self.fits[key] = fit
-            self.sure.discard(key)
-            self.stood.discard(key)
+            self._keep(key, fit)
+            self.done.discard(key)
+            self.done_before.discard(key)
 
     def _astray(self, state: Iterable[Suspect], now: Fit) -> Fit:
         """The fit, or one from other shapes where that is better: far from the truth chi^2 may be flat in them."""
@@ -126,7 +154,7 @@ class Visited:
         """The other fit, settled, where it is better."""
         if other.chi2 >= now.chi2:
             return now
-        return min(now, settle(self.evidence, other, self.tick, fresh=False), key=lambda f: f.chi2)
+        return min(now, settle(self.evidence, other, self.tick), key=lambda f: f.chi2)
 
     def _reduced(self, state: Sequence[Suspect]) -> Fit:
         """A fit of a part of some model visited."""

@@ -16,13 +16,16 @@ from numpy.typing import NDArray
 
 from discrepancy import policy
 from discrepancy.data.collisions import Measured
-from discrepancy.fitting.gauss_newton import FAILED, Evidence, Fit, fit, linearised, settle, solve
-from discrepancy.fitting.parameters import Suspect, limits_of, within
+from discrepancy.data.launch import possible
+from discrepancy.fitting.gauss_newton import FAILED, fit, linearised, settle, solve
+from discrepancy.fitting.model_fit import Evidence, Fit
+from discrepancy.fitting.parameters import Suspect, within
 from discrepancy.free_laws.credible_band import stepped
 from discrepancy.free_laws.evidence import Weight, significance, weigh
 from discrepancy.free_laws.fitted_law import FittedLaw
 from discrepancy.free_laws.free_law import FreeLaw
 from discrepancy.free_laws.library import free_laws
+from discrepancy.free_laws.ranges import over_clips
 from discrepancy.noise.model import Noise
 from discrepancy.selection.candidate import Candidate
 from discrepancy.selection.model_cost import law_chosen, price
@@ -66,7 +69,7 @@ def fill(evidence: Evidence, look: Look, base: Fit, tick: Callable[[], None] = l
     """The free law fitted with everything that `look.now` fits, its prior's size and smoothness by the data."""
     law, plain, now = look.law, look.now.model, look.now
     moves = _moves(evidence, law, plain, now.launches)
-    coefs, here, fresh = np.zeros(law.size), evidence, False
+    coefs, here = np.zeros(law.size), evidence
     for _ in range(ROUNDS):
         tick()
         information, pull = now.information(moves)
@@ -80,15 +83,13 @@ def fill(evidence: Evidence, look: Look, base: Fit, tick: Callable[[], None] = l
                 if moved and moved[1].chi2 + (coefs + share * step) @ precision @ (coefs + share * step) < before:
                     coefs = coefs + share * step
                     here, now, plain = moved
-                    fresh = False
                     break
                 moved = None
         if moved is None:
-            if fresh:
+            if now.local:
                 break
             now = linearised(here, now.model, now.names, now.launches)
             moves = _moves(evidence, law, law.bent(plain, coefs), now.launches)
-            fresh = True
     freedom = np.linalg.slogdet(np.eye(law.size) + information / np.diag(weight.prior.precision)[:, None])
     paid = law_chosen() + weight.prior.cost + float(coefs @ weight.prior.precision @ coefs + freedom[1])
     smooth = FittedLaw(law, coefs, weight.prior, now, plain, here, moves, look.sigma, price(now, base) + paid)
@@ -99,15 +100,12 @@ def _moved(
     evidence: Evidence, law: FreeLaw, plain: Model, now: Fit, moves: Sequence[Array], coefs: Array, step: Array
 ) -> tuple[Evidence, Fit, Model] | None:
     """A step of the coefficients, and of all else as then fits best to first order; None where there is no motion."""
-    rest = dataclasses.replace(now, residuals=tuple(r - c @ step for r, c in zip(now.residuals, moves, strict=True)))
-    value = np.array([plain.value(n) for n in now.names])
-    low, high = np.array([limits_of(plain, n) for n in now.names]).reshape(-1, 2).T
-    shared, own = solve(rest, 0.0, low - value, high - value)
+    shared, own = solve(now.explained_by(moves, step), 0.0, *now.room())
     launches = now.launches + own
-    if not (np.all(np.abs(launches[:, 5]) < 1) and np.all(launches[:, 3] > 0)):
+    if not possible(launches):
         return None
     try:
-        plain = within(plain, dict(zip(now.names, (value + shared).tolist(), strict=True)))
+        plain = within(plain, dict(zip(now.names, (now.values() + shared).tolist(), strict=True)))
         model = law.bent(plain, coefs + step)
         here = dataclasses.replace(evidence, clips=tuple(law.undone(evidence.clips, plain, launches, coefs + step)))
         residuals = here.left(model, launches)
@@ -133,79 +131,119 @@ def alone(evidence: Evidence, base: Fit, best: Fit, tick: Callable[[], None] = l
     return fits
 
 
+@dataclass(frozen=True)
 class FreeLawContest:
-    """The free laws, held against the library's models as the search goes from one to the next.
+    """Free laws held against the library's models as the search goes from one to the next.
 
     A named effect is preferred to a free law in its place: against a model of the library a free law counts only where
-    that model leaves a free law significant, or needs two effects more than the free law does, or is worse by what an
-    effect is preferred by. rivals: other models of the library with as many effects, which may be less simple than the
-    latest but fit better.
+    that model leaves one significant, or needs two effects more than the free law does, or is worse by what an effect
+    is preferred by.
+
+    Attributes
+    ----------
+    evidence : Evidence
+    base : Fit
+    laws : tuple of FreeLaw
+    tick : callable
+        Told of progress.
+    fitted : tuple of FittedLaw
+        Those that were fitted in full.
+    rivals : tuple of Fit
+        Other models of the library with as many effects as the latest, which may be less simple but fit better.
+    refuted : bool
+        Whether the library's latest model leaves a free law significant.
+    beaten : int
+        How many of the library's models in a row a free law beside a smaller model has explained more than.
+    asked : (int, Candidate or None) or None
+        The place in `fitted` of the free law that was last asked what it lacks, and the answer.
     """
 
-    def __init__(self, evidence: Evidence, base: Fit, tick: Callable[[], None] = lambda: None) -> None:
-        self.evidence, self.base, self.tick = evidence, base, tick
-        self.laws = free_laws(base.model, base.launches, evidence.clips)
-        self.fitted: list[FittedLaw] = []
-        self.rivals: Sequence[Fit] = ()
-        self.beaten = False
-        self.asked: tuple[FittedLaw, Candidate | None] | None = None
-        self.refuted = self._consider([base])
+    evidence: Evidence
+    base: Fit
+    laws: tuple[FreeLaw, ...]
+    tick: Callable[[], None] = lambda: None
+    fitted: tuple[FittedLaw, ...] = ()
+    rivals: tuple[Fit, ...] = ()
+    refuted: bool = False
+    beaten: int = 0
+    asked: tuple[int, Candidate | None] | None = None
 
-    def beat(self, now: Fit, rivals: Sequence[Fit] = ()) -> bool:
-        """Does a free law beside a smaller model explain more than the library's latest, and than the one before it?
+    @classmethod
+    def of(cls, evidence: Evidence, base: Fit, tick: Callable[[], None] = lambda: None) -> FreeLawContest:
+        """Beside the base model."""
+        laws = free_laws(base.model, base.launches, evidence.clips)
+        return cls(evidence, base, laws, tick)._considered([base])
 
-        A free law may bend to hold two effects of the library: beside none, it must leave nothing for a second. And the
-        library has one more effect to answer with.
+    @property
+    def ended(self) -> bool:
+        """Whether a free law explained more than the library's latest model and than the one before it.
+
+        The library has one more effect to answer with.
         """
-        self.rivals, before = rivals, self.beaten
-        self.refuted = self._consider([*alone(self.evidence, self.base, now, self.tick), now])
-        best = self._best(now, 1)
-        self.beaten = best is not None and (self._count(now) > 1 or self._next(best) is None)
-        return self.beaten and before
+        return self.beaten > 1
+
+    def against(self, now: Fit, rivals: Sequence[Fit] = ()) -> FreeLawContest:
+        """The contest with the library's next model.
+
+        A free law may bend to hold two effects of the library: beside none, it must leave nothing for a second.
+        """
+        fits = [*alone(self.evidence, self.base, now, self.tick), now]
+        there = dataclasses.replace(self, rivals=tuple(rivals))._considered(fits)
+        best = there._best(now, 1)
+        if best is not None and there._count(now) == 1:
+            there = there._asked(best)
+        beaten = best is not None and (there._count(now) > 1 or there._lacks(best) is None)
+        return dataclasses.replace(there, beaten=self.beaten + 1 if beaten else 0)
 
     def nearly(self, now: Fit) -> FittedLaw | None:
         """The free law that explains nearly as much as the library's best model, or more."""
         best = min(self.fitted, key=lambda f: f.score, default=None)
         return best if best and best.score < self._cost(now) + policy.FREE_LAW_NEAR else None
 
-    def outcome(self, now: Fit) -> FittedLaw | None:
-        """The free law that explains the clips better than the library's best model, and than chance; None if none
-        does.
+    def outcome(self, now: Fit) -> tuple[FittedLaw | None, FreeLawContest]:
+        """The free law that explains the clips better than the library's best model, and than chance, if one does.
 
-        With such library effects beside it as it still needs.
+        With such library effects beside it as it still needs; and the contest with what was fitted for that.
         """
-        best = self._best(now, 0)
-        for _ in range(policy.MOST_EFFECTS_BESIDE_FREE_LAW if best else 0):
-            beside = self._next(best) if best else None
-            if best is None or beside is None:
+        there, best = self, self._best(now, 0)
+        for _ in range(policy.MOST_EFFECTS_BESIDE_FREE_LAW if best is not None else 0):
+            assert best is not None
+            there = there._asked(best)
+            beside, known = there._lacks(best), there.fitted[best]
+            if beside is None:
                 break
-            model = best.plain.replace(beside.shapes | dict.fromkeys(beside.strengths, 0.0))
-            start = dataclasses.replace(best.now, model=model)
             try:
-                for names in filter(None, (beside.strengths, tuple(beside.shapes))):  # shapes mean nothing before
-                    whole = linearised(self.evidence, start.model, (*start.names, *names), start.launches)
-                    start = settle(self.evidence, whole, self.tick)
-                look = _look(best.law, start, _moves(self.evidence, best.law, start.model, start.launches))
-                trial = fill(self.evidence, look, self.base, self.tick)
+                sigma, trial = there._beside(known, beside)
             except ValueError:  # without the free law there is no motion
                 break
-            if trial.score >= best.score or look.sigma < policy.FREE_LAW_SIGMA:
+            if trial.score >= known.score or sigma < policy.FREE_LAW_SIGMA:
                 break
-            self.fitted.append(trial)
-            best = trial
-        return best
+            best = len(there.fitted)
+            there = dataclasses.replace(there, fitted=(*there.fitted, trial))
+        return None if best is None else there.fitted[best], there
 
-    def _best(self, now: Fit, fewer: int) -> FittedLaw | None:
-        """The best law, if better, of those beside a model of `fewer` effects less than the library's latest."""
+    def _beside(self, known: FittedLaw, effect: Candidate) -> tuple[float, FittedLaw]:
+        """A free law fitted again with an effect of the library beside it, and its sigma there."""
+        model = known.plain.replace(effect.shapes | dict.fromkeys(effect.strengths, 0.0))
+        start = dataclasses.replace(known.now, model=model)
+        for names in filter(None, (effect.strengths, tuple(effect.shapes))):  # shapes mean nothing before
+            whole = linearised(self.evidence, start.model, (*start.names, *names), start.launches)
+            start = settle(self.evidence, whole, self.tick)
+        look = _look(known.law, start, _moves(self.evidence, known.law, start.model, start.launches))
+        return look.sigma, fill(self.evidence, look, self.base, self.tick)
+
+    def _best(self, now: Fit, fewer: int) -> int | None:
+        """The place of the best law, if better, of those beside a model of `fewer` effects less than the latest."""
         cost, most = self._cost(now), self._count(now)
-        few = [f for f in self.fitted if most - self._count(f.now) >= fewer and self._needed(f)]
         fair = [
-            f
-            for f in few
-            if self.refuted or most - self._count(f.now) > 1 or f.score < cost - policy.EFFECT_PREFERRED_BY
+            k
+            for k, f in enumerate(self.fitted)
+            if most - self._count(f.now) >= fewer
+            and self._needed(f)
+            and (self.refuted or most - self._count(f.now) > 1 or f.score < cost - policy.EFFECT_PREFERRED_BY)
         ]
-        best = min(fair, key=lambda f: f.score, default=None)
-        return best if best and best.score < cost else None
+        best = min(fair, key=lambda k: self.fitted[k].score, default=None)
+        return best if best is not None and self.fitted[best].score < cost else None
 
     def _needed(self, fitted_law: FittedLaw) -> bool:
         """Is every library effect beside a free law needed, or does the free law hold it too?"""
@@ -218,31 +256,34 @@ class FreeLawContest:
         """Effects in a fit that are not in the base."""
         return len({n.rpartition(".")[0] or n for n in now.names if n not in self.base.names})
 
-    def _consider(self, fits: Sequence[Fit]) -> bool:
-        """Fill those free laws that to first order may be the best. Is any significant beside the last of the fits?"""
-        seen = []
+    def _considered(self, fits: Sequence[Fit]) -> FreeLawContest:
+        """With those free laws fitted that to first order may be the best beside these models, the latest last."""
+        seen, fitted = [], list(self.fitted)
         for law in self.laws:
             moves = _moves(self.evidence, law, self.base.model, self.base.launches)  # near enough for all fits
-            seen += [_look(law, now, moves) for now in fits]
+            seen += [(_look(law, now, moves), k) for k, now in enumerate(fits, 1 - len(fits))]
             self.tick()
-        leaders = sorted(
-            (look for look in seen if look.sigma > policy.FREE_LAW_SIGMA), key=lambda look: look.score(self.base)
-        )
-        for look in leaders[:LEADERS]:
+        leaders = [(look, k) for look, k in seen if look.sigma > policy.FREE_LAW_SIGMA]
+        leaders.sort(key=lambda pair: pair[0].score(self.base))
+        for look, _ in leaders[:LEADERS]:
             slack = NEAR + LOOSE * (price(look.now, self.base) - look.score(self.base))
-            if all(look.score(self.base) < f.score + slack for f in self.fitted):
+            if all(look.score(self.base) < f.score + slack for f in fitted):
                 with suppress(ValueError):  # a curve on whose way there is no motion
-                    self.fitted.append(fill(self.evidence, look, self.base, self.tick))
-        return any(look.now is fits[-1] for look in leaders)
+                    fitted.append(fill(self.evidence, look, self.base, self.tick))
+        return dataclasses.replace(self, fitted=tuple(fitted), refuted=any(k == 0 for _, k in leaders))
 
-    def _next(self, fitted_law: FittedLaw) -> Candidate | None:
-        """The library's effect that is still to be claimed beside a free law."""
-        if self.asked is None or self.asked[0] is not fitted_law:
-            contest = Contest.of(fitted_law.evidence, fitted_law.whole, self.tick, about=fitted_law.plain)
-            ranking = contest.leaders(policy.FREE_LAW_SIGMA)
-            claimed = ranking and ranking[0].sigma > policy.FREE_LAW_SIGMA and ranking[0].sigma > contest.claim()
-            self.asked = fitted_law, ranking[0] if claimed else None
-        return self.asked[1]
+    def _asked(self, place: int) -> FreeLawContest:
+        """With the answer which effect of the library is still to be claimed beside a free law."""
+        if self.asked is not None and self.asked[0] == place:
+            return self
+        known = self.fitted[place]
+        contest = Contest.of(known.evidence, known.whole, self.tick, about=known.plain)
+        ranking = contest.leaders(policy.FREE_LAW_SIGMA)
+        claimed = ranking and ranking[0].sigma > policy.FREE_LAW_SIGMA and ranking[0].sigma > contest.claim()
+        return dataclasses.replace(self, asked=(place, ranking[0] if claimed else None))
+
+    def _lacks(self, place: int) -> Candidate | None:
+        return self.asked[1] if self.asked is not None and self.asked[0] == place else None
 
 
 def refilled(
@@ -268,8 +309,7 @@ def scatter(fitted_law: FittedLaw, clips: Sequence[Measured], without: Fit, nois
     And what it was to gain, and with which standard deviation. The numbers are as large as those of the clips fitted.
     """
     evidence = Evidence.of(clips, noise)
-    axis = dataclasses.replace(fitted_law.law.axes[0], high=len(clips) - 1.0, count=len(clips))
-    law = dataclasses.replace(fitted_law.law, axes=(axis,))
+    law = dataclasses.replace(fitted_law.law, axes=over_clips(len(clips)))
     now = linearised(evidence, without.model, (), without.launches)
     information, pull = now.information(_moves(evidence, law, now.model, now.launches))
     size = fitted_law.prior.size * np.sqrt(law.spread(fitted_law.prior.length))
@@ -288,8 +328,7 @@ def unseen(fitted_law: FittedLaw, clips: Sequence[Measured], before: Fit, noise:
     if fitted_law.law.each_clip:
         evidence = Evidence.of(clips, noise)
         there = settle(evidence, linearised(evidence, plain, (), before.launches))
-        axis = dataclasses.replace(fitted_law.law.axes[0], high=len(clips) - 1.0, count=len(clips))
-        law = dataclasses.replace(fitted_law.law, axes=(axis,))
+        law = dataclasses.replace(fitted_law.law, axes=over_clips(len(clips)))
         look = _look(law, there, _moves(evidence, law, plain, there.launches))
         return fill(evidence, look, there).now
     left = fitted_law.law.undone(clips, plain, before.launches, fitted_law.coefs)

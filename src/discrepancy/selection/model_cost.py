@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from discrepancy.fitting.gauss_newton import Fit
+from discrepancy.fitting.model_fit import Fit
 from discrepancy.fitting.parameters import parameter_of, span_of
 from discrepancy.free_laws.evidence import choice, freedom
 from discrepancy.free_laws.library import law_count
@@ -33,7 +33,7 @@ def price(now: Fit, base: Fit) -> float:
         strengths, shapes = ([n for n, p in own.items() if p.fixed == fixed] for fixed in (False, True))
         size = np.array([own[n].typical or 1.0 for n in strengths])
         information = _information(now, strengths + shapes)[: len(size), : len(size)] * np.outer(size, size)
-        moved = np.array([now.model.value(n) - base.model.value(n) for n in strengths]) / size
+        moved = (now.values(strengths) - base.values(strengths)) / size
         paid += freedom(information, moved)
         span = np.array([span_of(own[n]) * (now.model.value(n) if own[n].low > 0 else 1.0) for n in shapes])
         known = _information(now, shapes) * np.outer(span, span) / (2 * np.pi)
@@ -45,7 +45,7 @@ def _information(now: Fit, names: Sequence[str]) -> NDArray[np.float64]:
     """Of these numbers (k, k), all others being fitted."""
     if not names:
         return np.zeros((0, 0))
-    rows = [now.names.index(n) for n in names]
+    rows = now.rows(names)
     covariance = now.covariance[np.ix_(rows, rows)]
     std = np.sqrt(np.diag(covariance))
     std = np.where(std > 0, std, 1.0)

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from discrepancy import policy
-from discrepancy.fitting.gauss_newton import Fit
+from discrepancy.fitting.model_fit import Fit
 from discrepancy.fitting.parameters import Suspect, limits_of, parameter_of
 from discrepancy.selection.candidate import Candidate
 from discrepancy.selection.score_test import likeness

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from discrepancy.fitting.gauss_newton import Evidence, Fit
+from discrepancy.fitting.model_fit import Evidence, Fit
 from discrepancy.fitting.parameters import Suspect, limits_of
 from discrepancy.fitting.predict import forecast
 from discrepancy.fitting.shape_scan import MANY, scannable

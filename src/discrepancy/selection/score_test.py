@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
 from discrepancy import policy
-from discrepancy.fitting.gauss_newton import Evidence, Fit, basis
 from discrepancy.fitting.jacobian import derivative
+from discrepancy.fitting.model_fit import Evidence, Fit, basis
 from discrepancy.fitting.parameters import Suspect, between, parameter_of, suspects
 from discrepancy.fitting.predict import forecast
 from discrepancy.fitting.shape_scan import scannable, scanned

@@ -137,7 +137,7 @@ def test_a_lost_frame_is_none_however_near_the_end(monkeypatch, frame):
     found = find(collisions(Model().replace({"dropped_frame.lost": 1.0, "dropped_frame.frame": frame}), 8, 3), Model())
     assert [n.effect for n in found.named] == ["dropped_frame"]
     assert found.model.value("dropped_frame.lost") == pytest.approx(1, abs=0.01)
-    assert found.left_out == ()
+    assert found.data.left_out == ()
 
 
 def test_three_wrong_places_make_no_discovery(monkeypatch):
@@ -145,5 +145,6 @@ def test_three_wrong_places_make_no_discovery(monkeypatch):
     wrong = [moved(c, [x], 300 * STD) for c, x in zip(CLIPS, (40, row_of(CLIPS[1], 1, 0), 62), strict=False)]
     found = find([*wrong, *CLIPS[3:]], Model())
     assert found.verdict == "none"
-    assert found.noise.scale == pytest.approx(1, abs=0.1)
-    assert sorted(line.partition(",")[0] for line in found.left_out) == [f"clip {k}: 1 of 160 places" for k in range(3)]
+    assert found.data.noise.scale == pytest.approx(1, abs=0.1)
+    lines = sorted(line.partition(",")[0] for line in found.data.left_out)
+    assert lines == [f"clip {k}: 1 of 160 places" for k in range(3)]

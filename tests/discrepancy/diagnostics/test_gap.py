@@ -18,12 +18,12 @@ EFFECTS = ("velocity_restitution", "rolling_quadratic")
 
 def test_clips_kept_out_are_in_no_fit():
     found = searched("velocity_restitution")
-    fitted, kept = ({c.clip for c in clips} for clips in (found.clips, found.kept_out))
+    fitted, kept = ({c.clip for c in clips} for clips in (found.data.clips, found.data.kept_out))
     assert not fitted & kept
     assert (len(fitted), len(kept)) == (6, 2)
-    for now, clips in ((found.search.best, found.clips), (found.shown.after, found.kept_out)):
+    for now, clips in ((found.selected.best, found.data.clips), (found.shown.after, found.data.kept_out)):
         assert [len(r) for r in now.residuals] == [2 * len(c.frame) for c in clips]
-    for shown, model in ((found.shown.before, found.search.base.model), (found.shown.after, found.model)):
+    for shown, model in ((found.shown.before, found.base.model), (found.shown.after, found.model)):
         assert shown.names == ()
         assert shown.model == model
 
@@ -66,7 +66,7 @@ def test_with_nothing_hidden_there_is_no_gap(rho):
 
 def test_the_floor_is_what_six_numbers_a_clip_leave_of_noise():
     found = searched("nothing")
-    assert found.shown.gap.floor == pytest.approx(1 - 6 / np.mean([2 * len(c.frame) for c in found.kept_out]))
+    assert found.shown.gap.floor == pytest.approx(1 - 6 / np.mean([2 * len(c.frame) for c in found.data.kept_out]))
 
 
 @pytest.mark.parametrize("rho", [0.0, 0.5])
@@ -74,12 +74,12 @@ def test_the_floor_of_each_phase_is_what_drawn_noise_leaves(rho):
     found, rng = searched("nothing", rho), np.random.default_rng(8)
     before, gap = found.shown.before, found.shown.gap
     left, metres = [], []
-    for clip, launch in zip(found.kept_out, before.launch_slopes, strict=True):
+    for clip, launch in zip(found.data.kept_out, before.launch_slopes, strict=True):
         drawn = rng.standard_normal((len(launch), 2000))
         rest = drawn - launch @ np.linalg.lstsq(launch, drawn, rcond=None)[0]
         left.append((rest.reshape(-1, 2, 2000) ** 2).mean(axis=(1, 2)))
-        metres.append((Whitener.of(clip, found.noise).undo(rest) ** 2).mean(axis=(1, 2)))
-    phase = np.concatenate([c.phase() for c in found.kept_out])
+        metres.append((Whitener.of(clip, found.data.noise).undo(rest) ** 2).mean(axis=(1, 2)))
+    phase = np.concatenate([c.phase() for c in found.data.kept_out])
     assert set(gap.by_phase) == {"before", "sliding", "rolling"}
     for k, part in enumerate(gap.by_phase.values()):
         assert part.floor == pytest.approx(np.concatenate(left)[phase == k].mean(), rel=0.01)

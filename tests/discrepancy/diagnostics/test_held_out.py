@@ -8,7 +8,8 @@ from discrepancy_clips import HIDDEN, collisions, only, searched
 
 from discrepancy.data.collisions import split
 from discrepancy.diagnostics.held_out import Held, foretold
-from discrepancy.fitting.gauss_newton import BASE, fit
+from discrepancy.fitting.gauss_newton import fit
+from discrepancy.fitting.parameters import BASE
 from discrepancy.noise.model import Component, Noise
 from discrepancy.search import find
 from synthcam.model import Model

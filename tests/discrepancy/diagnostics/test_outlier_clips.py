@@ -7,7 +7,8 @@ import pytest
 from discrepancy_clips import collisions
 
 from discrepancy.diagnostics.outlier_clips import odd
-from discrepancy.fitting.gauss_newton import BASE, fit
+from discrepancy.fitting.gauss_newton import fit
+from discrepancy.fitting.parameters import BASE
 from discrepancy.noise.model import Component, Noise
 from synthcam.model import Model
 

@@ -10,7 +10,8 @@ from scipy.stats import chi2 as chi2_law
 from scipy.stats import kstest
 
 from discrepancy.diagnostics.residual_map import AGAINST, AXES, BALLS, LOOKS, locate, looks
-from discrepancy.fitting.gauss_newton import BASE, fit
+from discrepancy.fitting.gauss_newton import fit
+from discrepancy.fitting.parameters import BASE
 from discrepancy.noise.model import Component, Noise
 from synthcam.model import Model
 

@@ -7,9 +7,10 @@ import pytest
 from discrepancy_clips import collisions, exact, noisy
 from scipy.stats import chi2 as chi2_law
 
-from discrepancy.fitting.gauss_newton import BASE, Evidence, Fit, fit, linearised, settle, solve, telling
+from discrepancy.fitting.gauss_newton import fit, linearised, settle, solve, telling
 from discrepancy.fitting.jacobian import derivative, launch_derivatives
-from discrepancy.fitting.parameters import limits_of, suspects
+from discrepancy.fitting.model_fit import Evidence, Fit, Tangent
+from discrepancy.fitting.parameters import BASE, limits_of, suspects
 from discrepancy.fitting.predict import forecast
 from discrepancy.noise.model import Component, Noise
 from synthcam.model import Model
@@ -171,11 +172,11 @@ def test_a_fit_that_starts_from_another_ends_where_a_fresh_one_does():
     base = fit(clips, Model(), BASE, WHITE)
     slopes = [derivative(base.model, base.launches, clips, n) for n in names[5:]]
     columns = evidence.white([np.stack([s[k] for s in slopes], axis=-1) for k in range(4)])
-    stale = settle(evidence, base.extended(base.model, names[5:], columns), fresh=False)
+    stale = settle(evidence, base.extended(base.model, names[5:], columns))
     assert stale.chi2 == pytest.approx(fresh.chi2, abs=0.01)
     error = np.sqrt(np.diag(fresh.covariance))
     assert np.allclose(stale.covariance / np.outer(error, error), fresh.covariance / np.outer(error, error), atol=1e-3)
-    rough = settle(evidence, base.extended(base.model, names[5:], columns), fresh=False, rough=True)
+    rough = settle(evidence, base.extended(base.model, names[5:], columns), rough=True)
     assert rough.chi2 == pytest.approx(fresh.chi2, abs=1.0)
 
 
@@ -243,7 +244,9 @@ class Banana:
     def fit(self):
         residuals = np.array([1 - self.x, -self.steep * (self.y - self.x**2)])
         slopes = np.array([[1.0, 0.0], [-2 * self.steep * self.x, self.steep]])
-        return Fit(self, ("x", "y"), np.zeros((0, 6)), (residuals,), (slopes,), (np.zeros((2, 6)),))
+        names, launches = ("x", "y"), np.zeros((0, 6))
+        tangent = Tangent(self, names, launches, (slopes,), (np.zeros((2, 6)),))
+        return Fit(self, names, launches, (residuals,), tangent)
 
 
 def test_a_part_of_a_step_that_gains_nearly_nothing_is_not_the_end(monkeypatch):

@@ -8,8 +8,10 @@ import pytest
 from discrepancy_clips import exact
 from scipy.stats import binom, norm
 
-from discrepancy.fitting.gauss_newton import BASE, Evidence, linearised, solve
+from discrepancy.fitting.gauss_newton import linearised, solve
 from discrepancy.fitting.jacobian import derivative
+from discrepancy.fitting.model_fit import Evidence
+from discrepancy.fitting.parameters import BASE
 from discrepancy.free_laws.credible_band import Mixture, stepped
 from discrepancy.free_laws.evidence import weigh
 from discrepancy.free_laws.fitted_law import FittedLaw

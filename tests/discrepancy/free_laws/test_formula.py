@@ -9,7 +9,9 @@ from discrepancy_clips import exact, noisy
 from discrepancy_laws import with_constant
 from discrepancy_outsiders import outsider
 
-from discrepancy.fitting.gauss_newton import BASE, Evidence, fit
+from discrepancy.fitting.gauss_newton import fit
+from discrepancy.fitting.model_fit import Evidence
+from discrepancy.fitting.parameters import BASE
 from discrepancy.free_laws.formula import _Drawn, _shapes, _written, propose
 from discrepancy.free_laws.library import free_laws
 from discrepancy.noise.model import Component, Noise
@@ -78,7 +80,7 @@ def test_a_lag_is_told_but_for_a_constant():
     seen = noisy([dataclasses.replace(c, xy=c.xy + m @ coefs) for c, m in zip(clips, moves, strict=True)], 6)
     noise = Noise(Component(1.0))
     base = fit(seen, Model(), BASE, noise)
-    found = min(FreeLawContest(Evidence.of(seen, noise), base).fitted, key=lambda f: f.score)
+    found = min(FreeLawContest.of(Evidence.of(seen, noise), base).fitted, key=lambda f: f.score)
     formula = propose(found)
     assert (found.law.name, formula.refused) == ("lag_speed", False)
     factor = float(re.fullmatch(r"lag of the picture = (\S+) v\^2 s, v in m/s", formula.text).group(1))

@@ -9,7 +9,9 @@ import pytest
 from discrepancy_clips import exact, noisy, only
 from discrepancy_laws import with_constant
 
-from discrepancy.fitting.gauss_newton import BASE, Evidence, fit
+from discrepancy.fitting.gauss_newton import fit
+from discrepancy.fitting.model_fit import Evidence
+from discrepancy.fitting.parameters import BASE
 from discrepancy.fitting.predict import forecast
 from discrepancy.free_laws import laws
 from discrepancy.free_laws.answer import Answer, words
@@ -148,7 +150,7 @@ def contest(effect):
     """The best free law beside the base model."""
     clips = hiding(effect)
     base = fit(clips, Model(), BASE, NOISE)
-    return min(FreeLawContest(Evidence.of(clips, NOISE), base).fitted, key=lambda f: f.score)
+    return min(FreeLawContest.of(Evidence.of(clips, NOISE), base).fitted, key=lambda f: f.score)
 
 
 def test_a_loss_by_heading_is_found_and_written():

@@ -7,7 +7,8 @@ import pytest
 from discrepancy_clips import collisions, searched
 from discrepancy_outsiders import outsider
 
-from discrepancy.fitting.gauss_newton import BASE, fit, solve
+from discrepancy.fitting.gauss_newton import fit, solve
+from discrepancy.fitting.parameters import BASE
 from discrepancy.noise.model import Component, Noise
 from discrepancy.report.narrative import rest, story
 from synthcam.model import Model
@@ -20,8 +21,8 @@ def found(request):
 
 def test_five_sentences_with_the_numbers(found):
     fitted, where, what, closed, still = story(found)
-    assert fitted.startswith(f"{len(found.clips)} collisions")
-    assert f"{len(found.kept_out)} more were kept out" in fitted
+    assert fitted.startswith(f"{len(found.data.clips)} collisions")
+    assert f"{len(found.data.kept_out)} more were kept out" in fitted
     assert "converged" in fitted
     assert "The base model leaves chi^2" in where
     assert what == found.sentence()
@@ -48,7 +49,7 @@ def test_a_share_of_chance_is_not_told():
 
 def test_a_fit_that_did_not_converge_is_said():
     """The base fit of one noise, put where chi^2 still falls."""
-    base = searched("nothing").search.base
+    base = searched("nothing").base
     slope = base.slopes[0][:, 0]
     off = dataclasses.replace(
         base, residuals=(base.residuals[0] + 20 * slope / (slope @ slope) ** 0.5, *base.residuals[1:])

@@ -5,8 +5,8 @@ from functools import cache
 import pytest
 from discrepancy_clips import collisions
 
-from discrepancy.fitting.gauss_newton import BASE, fit
-from discrepancy.fitting.parameters import suspects
+from discrepancy.fitting.gauss_newton import fit
+from discrepancy.fitting.parameters import BASE, suspects
 from discrepancy.noise.model import estimate
 from discrepancy.selection.experiment_design import Design, advice, designs
 from synthcam.model import Model

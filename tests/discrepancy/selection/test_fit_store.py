@@ -5,19 +5,14 @@ import dataclasses
 import numpy as np
 import pytest
 from discrepancy_clips import collisions, only
+from discrepancy_selected import selected, stored
 
-from discrepancy.fitting.gauss_newton import BASE, Evidence, fit, linearised
-from discrepancy.fitting.parameters import suspects
+from discrepancy.fitting.gauss_newton import fit, linearised
+from discrepancy.fitting.parameters import BASE, suspects
 from discrepancy.noise.model import estimate
-from discrepancy.selection.fit_store import Visited
 from discrepancy.selection.score_test import Contest
-from discrepancy.selection.stepwise import search
 from synthcam.library import library
 from synthcam.model import Model
-
-
-def visited(clips, base, noise, former=None):
-    return Visited(Evidence.of(clips, noise), base, lambda: None, former)
 
 
 def test_a_shape_that_went_astray_is_found_again():
@@ -25,10 +20,12 @@ def test_a_shape_that_went_astray_is_found_again():
     clips = collisions(Model().replace(truth), 4, 3)
     noise = estimate(clips)
     base = fit(clips, Model(), BASE, noise)
-    seen, hop = visited(clips, base, noise), next(s for s in suspects(Model(), BASE) if s.name == "hop")
+    seen, hop = stored(clips, base, noise), next(s for s in suspects(Model(), BASE) if s.name == "hop")
     lost = linearised(seen.evidence, Model().replace(truth | {"hop.bounce": 0.0}), (*BASE, *truth), base.launches)
     blind = np.append(np.ones(len(BASE) + 1), 0.0)  # nothing tells that a higher bounce would be better
-    lost = dataclasses.replace(lost, slopes=tuple(x * blind for x in lost.slopes))
+    lost = dataclasses.replace(
+        lost, tangent=dataclasses.replace(lost.tangent, slopes=tuple(x * blind for x in lost.slopes))
+    )
     found = seen._astray((hop,), lost)
     assert found.model.value("hop.bounce") == pytest.approx(0.4, abs=3.5 * found.std["hop.bounce"])
     assert found.std["hop.bounce"] < 0.1
@@ -41,7 +38,7 @@ def test_one_of_two_that_together_hold_the_ball_at_rest_can_be_taken_away(monkey
     clips = collisions(Model(), 8, 1)
     noise = estimate(clips)
     base = fit(clips, Model(), BASE, noise)
-    seen, names = visited(clips, base, noise), (*BASE, "plate_tilt.x", "plate_waviness.b")
+    seen, names = stored(clips, base, noise), (*BASE, "plate_tilt.x", "plate_waviness.b")
     values = {"plate_tilt.x": 2e-3, "plate_waviness.b": 3.2e-5, "plate_waviness.wavelength": 0.1}
     both = linearised(seen.evidence, base.model.replace(values), names, base.launches)
     (wave,) = (s for s in suspects(Model(), BASE) if s.name == "plate_waviness")
@@ -52,23 +49,24 @@ def test_one_of_two_that_together_hold_the_ball_at_rest_can_be_taken_away(monkey
     assert left.chi2 == pytest.approx(base.chi2)
 
 
-def test_a_search_with_the_noise_read_anew_goes_on_where_the_former_stood(monkeypatch):
-    """It fits no model from nothing, and ends where one without a former does."""
+def test_a_search_with_the_noise_read_anew_goes_on_where_the_previous_stood(monkeypatch):
+    """It fits no model from nothing, and ends where one without a previous does."""
     only(monkeypatch, **{n: library()[n] for n in ("hop", "stribeck", "plate_tilt", "velocity_restitution")})
     truth = {"hop.share": 0.1, "hop.bounce": 0.4, "plate_tilt.x": 2e-4}
     clips = collisions(Model().replace(truth), 10, 3)
     noise = estimate(clips)
     louder = dataclasses.replace(noise, own=dataclasses.replace(noise.own, variance=1.2 * noise.own.variance))
-    former = search(clips, fit(clips, Model(), BASE, louder), louder)
+    previous, _ = selected(clips, fit(clips, Model(), BASE, louder), louder)
     base = fit(clips, Model(), BASE, noise)
-    alone = search(clips, base, noise)
+    steps, alone = selected(clips, base, noise)
     began = []
     monkeypatch.setattr("discrepancy.selection.fit_store.grown", lambda *a: began.append(a))
-    again = search(clips, base, noise, former=former)
+    more, again = selected(clips, base, noise, previous.store)
     assert not began
-    assert [n.effect for n in again.named] == [n.effect for n in alone.named] != []
+    one_by_one = list(zip(more.named(again.state), steps.named(alone.state), strict=True))
+    assert [a.effect for a, _ in one_by_one] == [b.effect for _, b in one_by_one] != []
     assert again.best.chi2 == pytest.approx(alone.best.chi2, abs=0.01)
-    for one, other in zip(again.named, alone.named, strict=True):
+    for one, other in one_by_one:
         assert one.sigma == pytest.approx(other.sigma, abs=0.02)
         for name, value in one.values.items():
             assert value == pytest.approx(other.values[name], abs=0.02 * other.std[name])
@@ -79,7 +77,7 @@ def test_derivatives_made_white_anew_are_those_taken_anew(monkeypatch):
     clips = collisions(Model(), 6, 3)
     noise = estimate(clips)
     louder = dataclasses.replace(noise, own=dataclasses.replace(noise.own, variance=1.2 * noise.own.variance))
-    before, after = (visited(clips, fit(clips, Model(), BASE, n), n) for n in (louder, noise))
+    before, after = (stored(clips, fit(clips, Model(), BASE, n), n) for n in (louder, noise))
     known = before.contest(())
     again, anew = known.seen_by(after.base, before.evidence, after.evidence), Contest.of(after.evidence, after.base)
     assert known.ranking()[0].sigma < 0.95 * anew.ranking()[0].sigma
@@ -94,8 +92,8 @@ def test_errors_are_those_of_the_whole_motion_where_balls_push_each_other(monkey
     only(monkeypatch, magnetic_attraction=library()["magnetic_attraction"])
     clips = collisions(Model().replace({"magnetic_attraction.pull": 0.4}), 4, 3)
     noise = estimate(clips)
-    found = search(clips, fit(clips, Model(), BASE, noise), noise)
-    (named,) = found.named
+    steps, found = selected(clips, fit(clips, Model(), BASE, noise), noise)
+    (named,) = steps.named(found.state)
     step, best = 0.5 * named.std["magnetic_attraction.pull"], found.best
     chi2 = []
     for value in (best.model.value("magnetic_attraction.pull") + k * step for k in (-1, 0, 1)):
@@ -105,21 +103,21 @@ def test_errors_are_those_of_the_whole_motion_where_balls_push_each_other(monkey
     assert named.std["magnetic_attraction.pull"] == pytest.approx(np.sqrt(2 / curved), rel=0.03)
 
 
-def test_a_fit_that_is_offered_is_held_against_the_formers():
+def test_a_fit_that_is_offered_is_held_against_the_previous_ones():
     clips = collisions(Model(), 6, 3)
     noise, key = estimate(clips), frozenset(s for s in suspects(Model(), BASE) if s.name == "air_drag")
     base = fit(clips, Model(), BASE, noise)
-    before = visited(clips, base, noise)
+    before = stored(clips, base, noise)
     before.settled(())
     before.fits[key] = fit(clips, Model(), [*BASE, "air_drag.share"], noise)
-    before.sure.add(key)
+    before.done.add(key)
     poor = linearised(
         before.evidence, Model().replace({"air_drag.share": 5.0}), (*BASE, "air_drag.share"), base.launches
     )
-    after = visited(clips, base, noise, before)
+    after = stored(clips, base, noise, before)
     after.offer(key, poor)
     assert after.fits[key].chi2 == pytest.approx(before.fits[key].chi2, abs=0.01)
     better = dataclasses.replace(poor, residuals=tuple(0 * r for r in poor.residuals))
     after.offer(key, better)
     assert after.fits[key] is better
-    assert key not in after.stood | after.sure
+    assert key not in after.done_before | after.done

@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 from discrepancy_clips import collisions
 
-from discrepancy.fitting.gauss_newton import BASE, Evidence, fit, linearised
-from discrepancy.fitting.parameters import parameter_of
+from discrepancy.fitting.gauss_newton import fit, linearised
+from discrepancy.fitting.model_fit import Evidence
+from discrepancy.fitting.parameters import BASE, parameter_of
 from discrepancy.noise.model import Component, Noise
 from discrepancy.selection.model_cost import price
 from synthcam.library import library

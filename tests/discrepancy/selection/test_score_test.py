@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 from discrepancy_clips import collisions, exact, noisy
 
-from discrepancy.fitting.gauss_newton import BASE, Evidence, fit
-from discrepancy.fitting.parameters import Suspect
+from discrepancy.fitting.gauss_newton import fit
+from discrepancy.fitting.model_fit import Evidence
+from discrepancy.fitting.parameters import BASE, Suspect
 from discrepancy.fitting.predict import forecast
 from discrepancy.noise.model import estimate
 from discrepancy.selection.score_test import Contest, likeness

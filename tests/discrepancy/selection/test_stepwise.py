@@ -6,24 +6,22 @@ from functools import cache
 import numpy as np
 import pytest
 from discrepancy_clips import EFFECTS, collisions, design, exact, noise_of_pair, nulls, only
+from discrepancy_selected import named as effects_named
+from discrepancy_selected import selected, stored
 from scipy.stats import chi2 as chi2_law
 from scipy.stats import kstest
 
 from discrepancy import policy
-from discrepancy.fitting.gauss_newton import BASE, Evidence, fit
-from discrepancy.fitting.parameters import fitted, suspects
+from discrepancy.fitting.gauss_newton import fit
+from discrepancy.fitting.parameters import BASE, fitted, suspects
 from discrepancy.noise.model import estimate
-from discrepancy.selection.fit_store import Visited
-from discrepancy.selection.stepwise import _Hunt, search
+from discrepancy.selection.fit_store import FitStore
+from discrepancy.selection.stepwise import Stepwise
 from synthcam.library import library
 from synthcam.model import Model
 
 FEW = ("velocity_restitution", "spin_transfer_velocity", "rolling_quadratic", "mass_mismatch", "hop")
 SLIDING = ("stribeck", "viscous_friction", "drilling_spin", "rolling_quadratic")
-
-
-def visited(clips, base, noise):
-    return Visited(Evidence.of(clips, noise), base, lambda: None)
 
 
 def few(monkeypatch, names=FEW):
@@ -70,29 +68,31 @@ def started(truth, base=None, count=6, seed=9):
     return clips, fit(clips, base, fitted(base), noise), noise
 
 
-def hunted(truth, *state):
-    """A hunt that stands at a model with these suspects."""
+def standing(truth, *state):
+    """Steps that stand at a model with these suspects."""
     clips, base, noise = started(truth)
-    hunt = _Hunt(visited(clips, base, noise))
+    steps = Stepwise.of(stored(clips, base, noise))
     known = {s.name: s for s in suspects(base.model, base.names)}
     chosen = tuple(known[n] for n in state)
     strengths = [s for k in chosen for s in k.strengths]
-    hunt.seen.fits[frozenset(chosen)] = fit(clips, base.model, [*base.names, *strengths], noise)
-    return hunt, chosen
+    steps.store.fits[frozenset(chosen)] = fit(clips, base.model, [*base.names, *strengths], noise)
+    return steps, chosen
 
 
 def test_a_wrong_effect_is_exchanged_for_the_right_one(monkeypatch):
     few(monkeypatch)
-    hunt, state = hunted(Model().replace({"velocity_restitution.e": 0.01}), "spin_transfer_velocity")
-    better = hunt._better(state, hunt.seen.contest(state), policy.LEAST_SIGMA_OF_A_CLAIM)
+    steps, state = standing(Model().replace({"velocity_restitution.e": 0.01}), "spin_transfer_velocity")
+    better = steps._better(state, steps.store.contest(state), policy.LEAST_SIGMA_OF_A_CLAIM)
     assert [s.name for s in better] == ["velocity_restitution"]
-    assert hunt._better(better, hunt.seen.contest(better), policy.LEAST_SIGMA_OF_A_CLAIM) is None
+    assert steps._better(better, steps.store.contest(better), policy.LEAST_SIGMA_OF_A_CLAIM) is None
 
 
 def test_an_effect_that_is_not_needed_is_dropped(monkeypatch):
     few(monkeypatch)
-    hunt, state = hunted(Model().replace({"velocity_restitution.e": 0.01}), "rolling_quadratic", "velocity_restitution")
-    better = hunt._better(state, hunt.seen.contest(state), policy.LEAST_SIGMA_OF_A_CLAIM)
+    steps, state = standing(
+        Model().replace({"velocity_restitution.e": 0.01}), "rolling_quadratic", "velocity_restitution"
+    )
+    better = steps._better(state, steps.store.contest(state), policy.LEAST_SIGMA_OF_A_CLAIM)
     assert [s.name for s in better] == ["velocity_restitution"]
 
 
@@ -100,39 +100,37 @@ def test_a_search_goes_on_from_other_effects(monkeypatch):
     few(monkeypatch)
     truth = Model().replace({"velocity_restitution.e": 0.05, "rolling_quadratic.K": 0.1})
     clips, base, noise = started(truth)
-    found = search(clips, base, noise, enough=lambda now, rivals: True)  # stopped at the first
+    steps = Stepwise.of(stored(clips, base, noise))
+    found = steps.selection(next(steps.states()))  # stopped at the first
     assert [s.name for s in found.state] == ["velocity_restitution"]
-    again = found.from_here(["rolling_quadratic"], truth)
+    again = steps.from_there(found, ["rolling_quadratic"], truth)
     assert [s.name for s in again.state] == ["rolling_quadratic", "velocity_restitution"]
     assert again.best.chi2 < found.best.chi2 - 50
-    assert again.from_here(["velocity_restitution"], truth) is None  # comes to the same
+    assert steps.from_there(again, ["velocity_restitution"], truth) is None  # comes to the same
 
 
 def test_a_wrong_beginning_is_shed_and_what_is_not_claimed_dropped(monkeypatch):
     few(monkeypatch, (*FEW, "stribeck"))
     truth = Model().replace({"stribeck.rise": 0.1, "stribeck.slip": 0.07})
     clips, base, noise = started(truth)
-    found = search(clips, base, noise)
-    hunt = found.hunt
-    assert [s.name for s in hunt.outcome(lambda *_: False, hunt.begin(["rolling_quadratic"], Model())).state] == [
-        "stribeck"
-    ]
-    (own,) = hunt.begin(["stribeck"], Model().replace({"stribeck.rise": 0.1, "stribeck.slip": 0.2}))
-    fitted = hunt.seen.fits[frozenset([own])]
+    steps, found = selected(clips, base, noise)
+    assert [s.name for s in steps.end(steps.begin(["rolling_quadratic"], Model()))] == ["stribeck"]
+    (own,) = steps.begin(["stribeck"], Model().replace({"stribeck.rise": 0.1, "stribeck.slip": 0.2}))
+    fitted = steps.store.fits[frozenset([own])]
     assert "stribeck.slip" in fitted.names
     assert fitted.chi2 == pytest.approx(found.best.chi2, abs=0.1)
     clips, base, noise = started(Model())
-    hunt = search(clips, base, noise).hunt
-    assert hunt.outcome(lambda *_: False, hunt.begin(["velocity_restitution"], Model())).state == ()
+    steps, _ = selected(clips, base, noise)
+    assert steps.end(steps.begin(["velocity_restitution"], Model())) == ()
 
 
 def test_the_best_fit_holds_the_named_effects_and_no_other(monkeypatch):
     few(monkeypatch)
     clips, base, noise = started(Model().replace({"velocity_restitution.e": 0.02, "rolling_quadratic.K": 0.3}))
-    found = search(clips, base, noise)
-    assert {n.effect for n in found.named} == {"velocity_restitution", "rolling_quadratic"}
+    steps, found = selected(clips, base, noise)
+    assert {n.effect for n in steps.named(found.state)} == {"velocity_restitution", "rolling_quadratic"}
     assert found.base.model.effects == ()
-    assert {e.name() for e in found.best.model.effects} == {n.effect for n in found.named}
+    assert {e.name() for e in found.best.model.effects} == {n.effect for n in steps.named(found.state)}
     assert found.base.chi2 > found.best.chi2 + 48
 
 
@@ -143,21 +141,21 @@ def stribeck():
     with pytest.MonkeyPatch.context() as patch:
         few(patch, SLIDING)
         clips, base, noise = started(truth, count=8)
-        return clips, noise, search(clips, base, noise)
+        return clips, noise, *selected(clips, base, noise)
 
 
 def test_a_shape_is_fitted_so_that_nothing_is_left_for_a_second_effect():
-    _, _, found = stribeck()
-    assert [n.effect for n in found.named] == ["stribeck"]
-    (named,) = found.named
+    _, _, steps, found = stribeck()
+    assert [n.effect for n in steps.named(found.state)] == ["stribeck"]
+    (named,) = steps.named(found.state)
     assert abs(named.shapes["stribeck.slip"] - 0.07) < 3.5 * named.shape_std["stribeck.slip"] < 0.07
     assert abs(named.values["stribeck.rise"] - 0.1) < 3.5 * named.std["stribeck.rise"]
 
 
 def test_the_strengths_error_includes_the_shapes_freedom():
-    clips, noise, found = stribeck()
+    clips, noise, steps, found = stribeck()
     alone = fit(clips, found.best.model, [*BASE, "stribeck.rise"], noise)
-    assert found.named[0].std["stribeck.rise"] > 1.05 * alone.std["stribeck.rise"]
+    assert steps.named(found.state)[0].std["stribeck.rise"] > 1.05 * alone.std["stribeck.rise"]
     assert found.best.chi2 == pytest.approx(alone.chi2, abs=0.1)
 
 
@@ -165,7 +163,7 @@ def test_the_simpler_of_two_that_fit_as_well_is_named(monkeypatch):
     """Stribeck's law with a large slip speed is the viscous one."""
     few(monkeypatch, SLIDING)
     clips, base, noise = started(Model().replace({"viscous_friction.k": 0.03}))
-    (named,) = search(clips, base, noise).named
+    (named,) = effects_named(clips, base, noise)
     assert named.aliases == ("viscous_friction", "stribeck")
 
 
@@ -173,22 +171,22 @@ def test_a_slightly_better_fit_is_no_reason_for_more_parameters(monkeypatch):
     """A wave of 1 m is a tilt: which of the two fits better is chance."""
     tilt, wave = (frozenset({s}) for s in suspects(Model(), BASE) if s.name in ("plate_tilt", "plate_waviness"))
     for better, simplest in ((-5.0, tilt), (5.0, tilt), (20.0, wave)):
-        monkeypatch.setattr(Visited, "price", lambda self, key, b=better: 100.0 - b * (key == wave))
-        assert _Hunt(object.__new__(Visited))._simplest([wave, tilt]) == simplest
+        monkeypatch.setattr(FitStore, "price", lambda self, key, b=better: 100.0 - b * (key == wave))
+        assert Stepwise(object.__new__(FitStore), (), 4.0, {}, frozenset())._simplest([wave, tilt]) == simplest
 
 
 def test_a_shape_that_says_nothing_is_undetermined(monkeypatch):
     few(monkeypatch)
     clips, base, noise = started(Model().replace({"hop.share": 0.012, "hop.bounce": 0.4}))
-    found = search(clips, base, noise)
-    assert [n.effect for n in found.named] == ["hop"]
-    assert found.named[0].shape_std == {"hop.bounce": np.inf}
+    steps, found = selected(clips, base, noise)
+    assert [n.effect for n in steps.named(found.state)] == ["hop"]
+    assert steps.named(found.state)[0].shape_std == {"hop.bounce": np.inf}
 
 
 def test_limits_are_the_strengths_that_are_seen_at_five_sigma(monkeypatch):
     few(monkeypatch)
     clips, base, noise = started(Model().replace({"velocity_restitution.e": 0.02}))
-    (named,) = search(clips, base, noise).named
+    (named,) = effects_named(clips, base, noise)
     limit = named.limit["velocity_restitution.e"]
     assert named.sigma == pytest.approx(5 * named.values["velocity_restitution.e"] / limit, rel=0.1)
     assert named.naming["velocity_restitution.e"] > limit
@@ -197,7 +195,7 @@ def test_limits_are_the_strengths_that_are_seen_at_five_sigma(monkeypatch):
 def test_what_cannot_be_told_apart_is_a_class(monkeypatch):
     few(monkeypatch, ("mass_mismatch", "diameter_mismatch", "rolling_quadratic"))
     clips, base, noise = started(Model().replace({"mass_mismatch.excess": 0.0004}))
-    (named,) = search(clips, base, noise).named
+    (named,) = effects_named(clips, base, noise)
     assert named.effect in ("mass_mismatch", "diameter_mismatch")
     assert set(named.aliases) == {"mass_mismatch", "diameter_mismatch"}
     (((rival,), cosine),) = named.alike
@@ -210,10 +208,10 @@ def test_friction_and_spin_are_found_one_after_the_other_in_a_textbook_collision
     few(monkeypatch, (*FEW, "ball_friction", "stribeck", "air_drag"))
     textbook = Model().replace({"sliding_friction": 0.0, "spin_transfer": 0.0})
     clips, base, noise = started(Model(), textbook)
-    found = search(clips, base, noise)
-    assert [n.effect for n in found.named] == ["sliding_friction", "spin_transfer"]
-    assert all(n.aliases == (n.effect,) for n in found.named)
-    for n in found.named:
+    steps, found = selected(clips, base, noise)
+    assert [n.effect for n in steps.named(found.state)] == ["sliding_friction", "spin_transfer"]
+    assert all(n.aliases == (n.effect,) for n in steps.named(found.state))
+    for n in steps.named(found.state):
         assert abs(n.values[n.effect] - getattr(Model(), n.effect)) < 3.5 * n.std[n.effect]
     best = found.best
     assert base.chi2 > 1e4 * best.chi2
@@ -223,12 +221,12 @@ def test_friction_and_spin_are_found_one_after_the_other_in_a_textbook_collision
 
 def test_a_search_is_as_strict_as_its_library_is_large(monkeypatch):
     clips, base, noise = started(Model())
-    whole = search(clips, base, noise)
-    assert whole.named == ()
+    steps, whole = selected(clips, base, noise)
+    assert steps.named(whole.state) == ()
     assert whole.claim > policy.LEAST_SIGMA_OF_A_CLAIM
-    assert {"clock_error", "adhesion"} <= set(whole.untold)
+    assert {"clock_error", "adhesion"} <= set(steps.untold(whole.state))
     few(monkeypatch, EFFECTS)
-    assert search(clips, base, noise).claim == policy.LEAST_SIGMA_OF_A_CLAIM
+    assert selected(clips, base, noise)[1].claim == policy.LEAST_SIGMA_OF_A_CLAIM
 
 
 def test_the_error_of_a_law_with_a_kink_reaches_to_its_other_minima(monkeypatch):
@@ -236,8 +234,8 @@ def test_the_error_of_a_law_with_a_kink_reaches_to_its_other_minima(monkeypatch)
     few(monkeypatch, ("ball_friction", "velocity_restitution"))
     truth = {"ball_friction.share": 0.18, "ball_friction.mu": 0.105}
     clips, base, noise = started(Model().replace(truth), count=16, seed=22)
-    found = search(clips, base, noise)
-    (named,) = found.named
+    steps, found = selected(clips, base, noise)
+    (named,) = steps.named(found.state)
     off = abs(named.values["ball_friction.share"] - truth["ball_friction.share"])
     assert off > 10 * found.best.std["ball_friction.share"]
     assert off < 2 * named.std["ball_friction.share"]
@@ -247,8 +245,8 @@ def test_the_error_of_a_law_with_a_kink_reaches_to_its_other_minima(monkeypatch)
 def test_the_error_of_a_law_without_a_kink_is_that_of_its_one_minimum(monkeypatch, rise):
     few(monkeypatch, ("stribeck",))
     clips, base, noise = started(Model().replace({"stribeck.rise": rise, "stribeck.slip": 0.1}), count=12)
-    found = search(clips, base, noise)
-    (named,) = found.named
+    steps, found = selected(clips, base, noise)
+    (named,) = steps.named(found.state)
     for name, std in (named.std | named.shape_std).items():
         assert std == pytest.approx(found.best.std[name], rel=0.1)
 
@@ -257,11 +255,11 @@ def test_what_first_order_leaves_over_of_an_absorbed_effect_leads_no_search():
     """A wrong clock is absorbed but for what the step of a derivative leaves; in whitened residuals that may score."""
     clips = collisions(Model().replace({"exposure_blur.longer": 9e-4}), 10, 9, 0.9)
     noise = estimate(clips)
-    found = search(clips, fit(clips, Model(), BASE, noise), noise)
+    steps, found = selected(clips, fit(clips, Model(), BASE, noise), noise)
     assert max(found.ranking, key=lambda c: c.sigma).effect == "clock_error"
     assert found.ranking[0].effect == "exposure_blur"
-    assert "exposure_blur" in [n.effect for n in found.named]
-    assert "clock_error" in found.untold
+    assert "exposure_blur" in [n.effect for n in steps.named(found.state)]
+    assert "clock_error" in steps.untold(found.state)
 
 
 def test_shapes_that_show_only_at_full_strength_are_found(monkeypatch):
@@ -269,7 +267,7 @@ def test_shapes_that_show_only_at_full_strength_are_found(monkeypatch):
     few(monkeypatch)
     truth = {"hop.share": 1.0, "hop.bounce": 0.4}
     clips, base, noise = started(Model().replace(truth), count=12, seed=3)
-    (named,) = search(clips, base, noise).named
+    (named,) = effects_named(clips, base, noise)
     assert named.shapes["hop.bounce"] == pytest.approx(0.4, abs=3.5 * named.shape_std["hop.bounce"])
     assert named.shape_std["hop.bounce"] < 0.1
 
@@ -277,10 +275,10 @@ def test_shapes_that_show_only_at_full_strength_are_found(monkeypatch):
 def test_a_begun_state_keeps_a_better_fit_that_is_known(monkeypatch):
     few(monkeypatch, ("stribeck", "rolling_quadratic"))
     clips, base, noise = started(Model().replace({"stribeck.rise": 0.1, "stribeck.slip": 0.06}))
-    found = search(clips, base, noise)
-    alone = _Hunt(visited(clips, base, noise))
+    steps, found = selected(clips, base, noise)
+    alone = Stepwise.of(stored(clips, base, noise))
     monkeypatch.setattr("discrepancy.selection.stepwise.settle", lambda evidence, now, tick: now)  # it stays
-    for hunt in (alone, found.hunt):
-        state = hunt.begin(["stribeck"], Model().replace({"stribeck.rise": 0.01, "stribeck.slip": 0.004}))
-    assert alone.seen.fits[frozenset(state)].chi2 > found.best.chi2 + 10
-    assert found.hunt.seen.fits[frozenset(state)] is found.best
+    for each in (alone, steps):
+        state = each.begin(["stribeck"], Model().replace({"stribeck.rise": 0.01, "stribeck.slip": 0.004}))
+    assert alone.store.fits[frozenset(state)].chi2 > found.best.chi2 + 10
+    assert found.steps.store.fits[frozenset(state)] is found.best

@@ -45,15 +45,15 @@ def test_no_lamp_given_and_none_there(monkeypatch):
     found = find(noisy(without_a_lamp(exact(Model(), 12, 4)), 4), Model())
     assert found.named == ()
     assert found.free_law is None
-    assert "glint_parallax" in found.search.untold
-    assert "unknown_lamp" not in found.search.untold
+    assert "glint_parallax" in found.untold
+    assert "unknown_lamp" not in found.untold
 
 
 def test_a_lamp_that_is_given_is_not_unknown(monkeypatch):
     only(monkeypatch, **{name: library()[name] for name in KNOWN})
     found = find(noisy(exact(Model(), 8, 4), 4), Model())
     assert found.named == ()
-    assert "unknown_lamp" in found.search.untold
+    assert "unknown_lamp" in found.untold
 
 
 def test_errors_reach_along_the_valley_of_share_and_height(monkeypatch):

@@ -1,0 +1,205 @@
+"""A fitted model: the clips that it was fitted to, its residuals, and the derivatives that it was found with."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from discrepancy.data.collisions import Measured
+from discrepancy.data.launch import SIZE
+from discrepancy.fitting.parameters import limits_of
+from discrepancy.fitting.predict import forecast
+from discrepancy.noise.model import Noise
+from discrepancy.noise.whitening import Whitener
+from synthcam.model import Model
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """Measured clips, and what makes the noise of each white."""
+
+    clips: tuple[Measured, ...]
+    whiteners: tuple[Whitener, ...]
+
+    @classmethod
+    def of(cls, clips: Sequence[Measured], noise: Noise) -> Evidence:
+        return cls(tuple(clips), tuple(Whitener.of(c, noise) for c in clips))
+
+    def white(self, columns: Sequence[Array]) -> tuple[Array, ...]:
+        """(n, 2, ...) of each clip -> (2 n, ...)"""
+        return tuple(white(c) for white, c in zip(self.whiteners, columns, strict=True))
+
+    def left(self, model: Model, launches: Array) -> tuple[Array, ...]:
+        """Whitened residuals (2n,) of each clip. Raises ValueError when the model has no motion for such a launch."""
+        expected = forecast(model, launches, self.clips)
+        return self.white([c.xy - e for c, e in zip(self.clips, expected, strict=True)])
+
+
+@dataclass(frozen=True)
+class Tangent:
+    """Whitened derivatives of each clip's forecast, and at which model, by which names and launches they were taken.
+
+    Attributes
+    ----------
+    slopes : tuple of (2n, S) arrays
+        By the shared parameters.
+    launch_slopes : tuple of (2n, 6) arrays
+        By the clip's own launch.
+    """
+
+    model: Model
+    names: tuple[str, ...]
+    launches: Array
+    slopes: tuple[Array, ...]
+    launch_slopes: tuple[Array, ...]
+
+
+@dataclass(frozen=True)
+class Fit:
+    """A fitted model.
+
+    Attributes
+    ----------
+    model : Model
+    names : tuple of str
+        The shared parameters fitted.
+    launches : (clips, 6) array
+        Columns as in `discrepancy.data.launch`.
+    residuals : tuple of (2n,) arrays
+        Whitened, of each clip.
+    tangent : Tangent
+        The derivatives that it was found with.
+    """
+
+    model: Model
+    names: tuple[str, ...]
+    launches: Array
+    residuals: tuple[Array, ...]
+    tangent: Tangent
+
+    @property
+    def slopes(self) -> tuple[Array, ...]:
+        """Whitened derivatives by the shared parameters, (2n, S) of each clip."""
+        return self.tangent.slopes
+
+    @property
+    def launch_slopes(self) -> tuple[Array, ...]:
+        """Whitened derivatives by the clip's own launch, (2n, 6) of each clip."""
+        return self.tangent.launch_slopes
+
+    @property
+    def local(self) -> bool:
+        """Whether the derivatives were taken where the fit stands, by all that it fits."""
+        there = self.tangent
+        same = there.names == self.names and there.model == self.model
+        return same and np.array_equal(there.launches, self.launches)
+
+    def values(self, names: Sequence[str] | None = None) -> Array:
+        """Values of these shared parameters, or of all that are fitted."""
+        return np.array([self.model.value(n) for n in (self.names if names is None else names)])
+
+    def rows(self, names: Sequence[str]) -> list[int]:
+        """Where these shared parameters stand among those fitted."""
+        return [self.names.index(n) for n in names]
+
+    def room(self) -> tuple[Array, Array]:
+        """How far each shared parameter may move down and up to its limits, (S,) and (S,)."""
+        low, high = np.array([limits_of(self.model, n) for n in self.names]).reshape(-1, 2).T
+        return low - self.values(), high - self.values()
+
+    def explained_by(self, moves: Sequence[Array], coefs: Array) -> Fit:
+        """The residuals less what columns (2n, k) of each clip, times coefs (k,), explain of them."""
+        left = tuple(r - m @ coefs for r, m in zip(self.residuals, moves, strict=True))
+        return dataclasses.replace(self, residuals=left)
+
+    @property
+    def chi2(self) -> float:
+        return float(sum(r @ r for r in self.residuals))
+
+    @property
+    def points(self) -> int:
+        """Measured coordinates."""
+        return sum(len(r) for r in self.residuals)
+
+    @property
+    def parameters(self) -> int:
+        return len(self.names) + self.launches.size
+
+    @cached_property
+    def covariance(self) -> Array:
+        """Of the shared parameters, (S, S); zero for one that changes nothing."""
+        if not self.names:
+            return np.zeros((0, 0))
+        cleaned = [off(a, s) for a, s in zip(self.launch_slopes, self.slopes, strict=True)]
+        scale = np.sqrt(sum((c**2).sum(axis=0) for c in cleaned))
+        units = (c / np.where(scale > 0, scale, 1) for c in cleaned)
+        inverse = np.linalg.pinv(sum(u.T @ u for u in units), hermitian=True)
+        return np.asarray(inverse / np.outer(*[np.where(scale > 0, scale, np.inf)] * 2))
+
+    @property
+    def std(self) -> dict[str, float]:
+        return dict(zip(self.names, np.sqrt(np.diag(self.covariance)).tolist(), strict=True))
+
+    def projected(self, columns: Sequence[Array]) -> Array:
+        """Columns (2n, k) of every clip with all that the fit can absorb taken out, stacked: (points, k)."""
+        stacked = np.concatenate([off(a, c) for a, c in zip(self.launch_slopes, columns, strict=True)])
+        if not self.names:
+            return stacked
+        return off(np.concatenate([off(a, s) for a, s in zip(self.launch_slopes, self.slopes, strict=True)]), stacked)
+
+    def information(self, columns: Sequence[Array]) -> tuple[Array, Array]:
+        """Products of columns so `projected` with themselves, (k, k), and with the residuals, (k,).
+
+        Clip by clip: many columns in one piece take much memory.
+        """
+        cleaned = [off(a, s) for a, s in zip(self.launch_slopes, self.slopes, strict=True)]
+        shared = np.split(basis(np.concatenate(cleaned)), np.cumsum([len(r) for r in self.residuals])[:-1])
+        taken = np.asarray(sum(q.T @ c for q, c in zip(shared, columns, strict=True)))  # q is off the launches already
+        gram, pull = np.zeros((len(taken.T), len(taken.T))), np.zeros(len(taken.T))
+        for q, a, c, r in zip(shared, self.launch_slopes, columns, self.residuals, strict=True):
+            left = off(a, c) - q @ taken
+            gram += left.T @ left
+            pull += left.T @ r
+        return gram, pull
+
+    def seen_by(self, before: Evidence, evidence: Evidence) -> Fit:
+        """The same place with the same clips' noise read anew; before: as it was."""
+        size, parts = len(self.names), []
+        every = zip(before.whiteners, self.launch_slopes, self.slopes, self.residuals, strict=True)
+        for white, (old, *columns) in zip(evidence.whiteners, every, strict=True):
+            parts.append(white(old.undo(np.column_stack(columns))))
+        own, shared, left = (tuple(p[:, s] for p in parts) for s in (slice(SIZE), slice(SIZE, SIZE + size), -1))
+        tangent = dataclasses.replace(self.tangent, slopes=shared, launch_slopes=own)
+        return dataclasses.replace(self, residuals=left, tangent=tangent)
+
+    def extended(self, model: Model, names: Sequence[str], columns: Sequence[Array]) -> Fit:
+        """With more shared parameters, and their derivatives, (2n, k) for each clip, from a score test: not `local`."""
+        slopes = tuple(np.concatenate(both, axis=1) for both in zip(self.slopes, columns, strict=True))
+        tangent = dataclasses.replace(self.tangent, slopes=slopes)
+        return dataclasses.replace(self, model=model, names=(*self.names, *names), tangent=tangent)
+
+    def reduced(self, model: Model, names: Sequence[str]) -> Fit:
+        """With fewer shared parameters."""
+        kept = tuple(n for n in self.names if n not in names)
+        slopes = tuple(s[:, self.rows(kept)] for s in self.slopes)
+        tangent = dataclasses.replace(self.tangent, names=kept, slopes=slopes)
+        return dataclasses.replace(self, model=model, names=kept, tangent=tangent)
+
+
+def basis(columns: Array) -> Array:
+    """An orthonormal basis of the span of columns (n, k)."""
+    scale = np.linalg.norm(columns, axis=0)
+    return np.asarray(np.linalg.qr(columns[:, scale > 0] / scale[scale > 0])[0])
+
+
+def off(absorbing: Array, columns: Array) -> Array:
+    """Columns less their projection on the span of others."""
+    q = basis(absorbing)
+    return np.asarray(columns - q @ (q.T @ columns))

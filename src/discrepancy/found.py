@@ -1,0 +1,185 @@
+"""The outcome of a search, as values: the collisions, what was found in them, what stands, and what is left."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from discrepancy import policy
+from discrepancy.data.collisions import Measured
+from discrepancy.diagnostics.gap import Shown, as_dict
+from discrepancy.diagnostics.held_out import Claim
+from discrepancy.diagnostics.residual_map import Place
+from discrepancy.fitting.model_fit import Fit
+from discrepancy.free_laws.answer import Answer
+from discrepancy.free_laws.fitted_law import FittedLaw
+from discrepancy.noise.model import Noise
+from discrepancy.selection.named import Named
+from discrepancy.selection.stepwise import Selection
+from synthcam.model import Model
+
+
+@dataclass(frozen=True)
+class Data:
+    """Collisions to fit and to keep out, their noise, and a line for each that has no part, or not all its places."""
+
+    clips: tuple[Measured, ...]
+    kept_out: tuple[Measured, ...]
+    noise: Noise
+    left_out: tuple[str, ...]
+
+    def without(self, strange: Mapping[int, str]) -> Data:
+        """Without some of the clips to fit, by their place, each with a line that says why."""
+        clips = tuple(c for k, c in enumerate(self.clips) if k not in strange)
+        return dataclasses.replace(self, clips=clips, left_out=(*self.left_out, *strange.values()))
+
+
+@dataclass(frozen=True)
+class Found:
+    """The outcome of a search.
+
+    Attributes
+    ----------
+    verdict : str
+        none, named, ambiguous, outside_library or inadequate.
+    data : Data
+        The collisions, and what was taken for their noise.
+    selected : Selection
+        The effects that stand, and what they were chosen by.
+    free_law, answer : FittedLaw and Answer, or None
+        The law left free that explains what no effect of the library does; its curve and formula.
+    named : tuple of Named
+        The effects, with their numbers.
+    where, left : tuple of Place
+        Where model and data disagree: before anything was found, and after all that was.
+    shown : Shown
+        The gap on the collisions kept out.
+    experiment : str
+        What would part the effects of a class.
+    alike : tuple of str
+        What no such clips can tell, because they are all alike in it.
+    untold : tuple of str
+        Effects that these collisions could not show, however real.
+    claims, withdrawn : tuple of Claim
+        Those that stand; those that collisions which had no part in them did not bear.
+    """
+
+    verdict: str
+    data: Data
+    selected: Selection
+    free_law: FittedLaw | None
+    answer: Answer | None
+    named: tuple[Named, ...]
+    where: tuple[Place, ...]
+    left: tuple[Place, ...]
+    shown: Shown
+    experiment: str
+    alike: tuple[str, ...]
+    untold: tuple[str, ...]
+    claims: tuple[Claim, ...] = ()
+    withdrawn: tuple[Claim, ...] = ()
+
+    @property
+    def base(self) -> Fit:
+        """The fit of the model as it was given."""
+        return self.selected.base
+
+    @property
+    def best(self) -> Fit:
+        """The fit with everything that was found."""
+        return self.free_law.now if self.free_law else self.selected.best
+
+    @property
+    def model(self) -> Model:
+        """The model with the named effects, refitted. A free law is no effect: no file can hold it."""
+        return self.free_law.plain if self.free_law else self.selected.best.model
+
+    @property
+    def anything(self) -> bool:
+        """Whether anything was found beside the base model."""
+        return bool(self.selected.state or self.free_law)
+
+    @property
+    def sound(self) -> bool:
+        """Whether nothing more is missing: only then do errors of the strengths hold."""
+        return not more_missing(self.left, self.withdrawn)
+
+    def sentence(self) -> str:
+        """The outcome in one sentence."""
+        gap = self.shown.gap
+        dropped = f" Withdrawn: {'; '.join(f'{c.name} ({c.why})' for c in self.withdrawn)}." if self.withdrawn else ""
+        if self.verdict == "none":
+            return f"Nothing is missing: simulation and measurement agree to within the noise.{dropped}"
+        if self.verdict == "inadequate":
+            most = f", most of all {self.left[0]} ({self.left[0].sigma:.0f} sigma)" if unexplained(self.left) else ""
+            return f"Something is missing{most}, and nothing that was tried bears the collisions kept out.{dropped}"
+        closed = (
+            f"On collisions kept out, the gap {_moved(gap.before, gap.after)} in chi^2 a point; noise alone leaves "
+            f"{gap.floor:.3g}."
+        )
+        base = self.base.model
+        parts = [n.said(base) for n in self.named if not n.held(base)]
+        wrong = [n.said(base) for n in self.named if n.held(base)]
+        if self.free_law and self.answer:
+            parts.insert(
+                0, f"{self.answer.said}, which no effect of the library makes ({self.free_law.sigma:.0f} sigma)"
+            )
+            closed = f"Proposed: {self.answer.formula}. model.yaml cannot hold it. {closed}"
+        elif self.verdict == "outside_library":
+            what = f": {self.left[0]} ({self.left[0].sigma:.0f} sigma)" if unexplained(self.left) else ""
+            closed = f"Something else is missing that neither the library nor a free law holds{what}. {closed}"
+        told = [f"{word}: {'; '.join(lines)}." for word, lines in (("Missing", parts), ("Wrong", wrong)) if lines]
+        return " ".join([*told, closed]) + dropped
+
+    def document(self) -> dict[str, Any]:
+        """The contract's discrepancy.json."""
+        data, noise = self.data, self.data.noise
+        return {
+            "verdict": self.verdict,
+            "named": [
+                {
+                    "effect": n.effect,
+                    "parameters": n.values | n.shapes,
+                    "std": {k: np.nan if n.at_limit(k) else std for k, std in (n.std | n.shape_std).items()},
+                    "at_limit": [k for k in n.values if n.at_limit(k)],
+                    "sigma": n.sigma,
+                    "limit": n.limit,
+                    "naming_limit": n.naming,
+                    "alike": [{"effects": list(names), "cosine": cosine} for names, cosine in n.alike],
+                }
+                for n in self.named
+            ],
+            "aliases": [list(n.aliases) for n in self.named if len(n.aliases) > 1],
+            "outside": [self.answer.document()] if self.answer else [],
+            "where": [vars(p) for p in self.where],
+            "left": [vars(p) for p in self.left],
+            "ranking": [{"effect": c.effect, "sigma": c.sigma} for c in self.selected.ranking],
+            "claim": self.selected.claim,
+            "untold": list(self.untold),
+            "alike": list(self.alike),
+            "withdrawn": [c.document() for c in self.withdrawn],
+            "gap": as_dict(self.shown.gap) | {"by_claim": {c.name: c.gap() for c in self.claims}},
+            "experiment": self.experiment,
+            "noise": {"scale": noise.scale, "correlation": noise.correlation, "shake": noise.shake},
+            "clips": {"fitted": len(data.clips), "kept_out": len(data.kept_out), "left_out": list(data.left_out)},
+        }
+
+
+def _moved(before: float, after: float) -> str:
+    one, other = f"{before:.3g}", f"{after:.3g}"
+    if one == other:
+        return f"stays at {one}"
+    return f"{'falls' if after < before else 'does not fall but goes'} from {one} to {other}"
+
+
+def unexplained(left: Sequence[Place]) -> bool:
+    return bool(left) and left[0].sigma > policy.UNEXPLAINED_SIGMA
+
+
+def more_missing(left: Sequence[Place], withdrawn: Sequence[Claim]) -> bool:
+    """Whether something is missing beside all that was found: a law left free that was not borne is a sign of it."""
+    return unexplained(left) or any(c.free and c.own > policy.UNEXPLAINED_SIGMA for c in withdrawn)

@@ -1,0 +1,22 @@
+"""The stepwise selection by itself, for tests."""
+
+from discrepancy.fitting.model_fit import Evidence
+from discrepancy.selection.fit_store import FitStore
+from discrepancy.selection.stepwise import Stepwise
+
+
+def stored(clips, base, noise, previous=None):
+    """A store that holds no fit but the base's."""
+    return FitStore(Evidence.of(clips, noise), base, lambda: None, previous)
+
+
+def selected(clips, base, noise, previous=None):
+    """The steps, and the selection that they lead to."""
+    steps = Stepwise.of(stored(clips, base, noise, previous))
+    return steps, steps.selection(steps.end(()))
+
+
+def named(clips, base, noise):
+    """The effects that are named."""
+    steps, found = selected(clips, base, noise)
+    return steps.named(found.state)
