@@ -1,4 +1,4 @@
-"""A person's own suspect, fitted with everything else."""
+"""A person's own candidate, fitted with everything else."""
 
 from __future__ import annotations
 
@@ -10,15 +10,15 @@ import numpy as np
 
 from discrepancy import policy
 from discrepancy.data.collisions import Measured
-from discrepancy.data.outlier_points import taken_out, without_spikes
-from discrepancy.fitting.base_fit import Tick, base_fit, check, noise_of, smoothed
+from discrepancy.data.outlier_points import taken_out, without_outliers
+from discrepancy.fitting.base_fit import Progress, base_fit, check, noise_of, smoothed
 from discrepancy.fitting.gauss_newton import settle
 from discrepancy.fitting.model_fit import Evidence, Fit
 from discrepancy.fitting.significance import sigmas
-from discrepancy.selection.extend import grown
+from discrepancy.selection.extend import extended
 from discrepancy.selection.named import Named
 from discrepancy.selection.profile_errors import spread
-from discrepancy.selection.score_test import Contest
+from discrepancy.selection.score_test import ScoreTests
 from synthcam.library import library
 from synthcam.model import Model
 from tracker.camera.camera import InputError
@@ -26,20 +26,20 @@ from tracker.camera.camera import InputError
 
 @dataclass(frozen=True)
 class Added:
-    """A suspect fitted with everything else. before, now: the fits without and with it, all clips in both.
+    """A candidate fitted with everything else. before, fit: the fits without and with it, all clips in both.
 
     left_out: a line for each clip of which some places had no part in them.
     """
 
     before: Fit
-    now: Fit
+    fit: Fit
     named: Named
     left_out: tuple[str, ...] = ()
 
     @property
     def chi2(self) -> tuple[float, float]:
         """A degree of freedom: without and with it."""
-        one, other = (f.chi2 / (f.points - f.parameters) for f in (self.before, self.now))
+        one, other = (f.chi2 / (f.points - f.parameters) for f in (self.before, self.fit))
         return one, other
 
     def sentence(self) -> str:
@@ -64,7 +64,7 @@ class Added:
         }
 
 
-def add(clips: Sequence[Measured], model: Model, effect: str, tick: Tick = lambda stage: None) -> Added:
+def add(clips: Sequence[Measured], model: Model, effect: str, progress: Progress = lambda stage: None) -> Added:
     """`effect` added to the model and fitted to all clips with everything else.
 
     Raises InputError: no such effect, what `check` refuses, or these collisions cannot tell it.
@@ -72,15 +72,15 @@ def add(clips: Sequence[Measured], model: Model, effect: str, tick: Tick = lambd
     if effect not in library():
         raise InputError(f"{effect}: no such effect; there are {', '.join(library())}")
     check(clips, model)
-    tick("noise")
-    given, (clips, _) = clips, smoothed(without_spikes(clips), [], model, tick)
+    progress("noise")
+    given, (clips, _) = clips, smoothed(without_outliers(clips), [], model, progress)
     noise = noise_of(clips)
-    evidence, base = Evidence.of(clips, noise), base_fit(clips, model, noise, tick)
+    evidence, base = Evidence.of(clips, noise), base_fit(clips, model, noise, progress)
     if any(n.startswith(f"{effect}.") for n in base.names):
         raise InputError(f"{effect}: the model calls it free, so that every fit has it; `discrepancy find` shows it")
-    contest = Contest.of(evidence, base, lambda: tick("search"))
-    candidate = next((c for c in contest.ranking() if c.effect == effect), None)
-    if candidate is None or not candidate.telling:
+    tests = ScoreTests.of(evidence, base, lambda: progress("search"))
+    scored = next((c for c in tests.ranking() if c.effect == effect), None)
+    if scored is None or not scored.identifiable:
         far = base.chi2 / (base.points - base.parameters)
         why = (
             f"; without it chi^2 is {far:.3g} a degree of freedom: something larger is missing"
@@ -88,8 +88,8 @@ def add(clips: Sequence[Measured], model: Model, effect: str, tick: Tick = lambd
             else ""
         )
         raise InputError(f"{effect}: these collisions cannot tell it: the fit absorbs it, or it hardly shows{why}")
-    suspect, best = candidate.suspect, contest.sharper(evidence, candidate)
-    now = settle(evidence, grown(evidence, base, best, lambda: tick("search")), lambda: tick("search"))
-    sigma = sigmas(base.chi2 - now.chi2, len(suspect.strengths), contest.looks[effect])
-    std = now.std | spread(evidence, base, now, suspect)
-    return Added(base, now, Named.of(suspect, now, std, sigma), tuple(taken_out(given, clips)))
+    candidate, best = scored.candidate, tests.sharper(evidence, scored)
+    fit = settle(evidence, extended(evidence, base, best, lambda: progress("search")), lambda: progress("search"))
+    sigma = sigmas(base.chi2 - fit.chi2, len(candidate.strengths), tests.trials_factors[effect])
+    std = fit.std | spread(evidence, base, fit, candidate)
+    return Added(base, fit, Named.of(candidate, fit, std, sigma), tuple(taken_out(given, clips)))

@@ -1,4 +1,4 @@
-"""discrepancy: find what a model lacks, or add a suspect of your own."""
+"""discrepancy: find what a model lacks, or add a candidate of your own."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def stages(names: Sequence[str]) -> Iterator[Callable[[str], None]]:
     with Progress(*columns, console=console, disable=not console.is_terminal, transient=True) as bar:
         task, passed, turn = bar.add_task(names[0], total=len(names)), 0, 1
 
-        def tick(stage: str) -> None:
+        def progress(stage: str) -> None:
             nonlocal passed, turn
             at = names.index(stage)
             if stage == "fit" and at < passed:
@@ -56,7 +56,7 @@ def stages(names: Sequence[str]) -> Iterator[Callable[[str], None]]:
             passed = max(passed, at)
             bar.update(task, completed=passed, description=stage + (f", round {turn}" if turn > 1 else ""))
 
-        yield tick
+        yield progress
 
 
 @app.command()
@@ -77,13 +77,13 @@ def find(
     from discrepancy.report.staging import aside
 
     started = time.monotonic()
-    suspect = read_model(model)
+    given = read_model(model)
     _say_camera(measured, camera)
     clips, left_out = read_measured(measured, camera)
     with aside(output) as folder:
-        with stages(STAGES) as tick:
-            found = searched(clips, suspect, left_out, tick)
-            tick("report")
+        with stages(STAGES) as progress:
+            found = searched(clips, given, left_out, progress)
+            progress("report")
             html.write(found.outcome, folder, found.left_out)
         document = json.loads((folder / "discrepancy.json").read_text())
     seconds = time.monotonic() - started
@@ -98,7 +98,7 @@ def find(
 def add(
     effect: Annotated[str, typer.Argument(metavar="EFFECT", help="An effect of the library (synthcam effects).")],
     model: ModelPath,
-    fit: Annotated[Path, typer.Option("--fit", metavar="MEASURED", help="RESULTS or tracks to fit it to.")],
+    measured: Annotated[Path, typer.Option("--fit", metavar="MEASURED", help="RESULTS or tracks to fit it to.")],
     output: Annotated[Path, typer.Option("-o", "--output", metavar="NEW.yaml", help="Model file to write.")],
     camera: CameraPath = None,
     as_json: Json = False,
@@ -110,19 +110,19 @@ def add(
     from discrepancy.add import add as fitted
     from discrepancy.data.collisions import read_measured
 
-    suspect = read_model(model)
+    given = read_model(model)
     if output.is_dir():
         raise InputError(f"{output}: a folder; expected the name of a model file")
     check_room(output)
-    _say_camera(fit, camera)
-    clips, left_out = read_measured(fit, camera)
-    with stages(("noise", "fit", "search")) as tick:
-        new = fitted(clips, suspect, effect, tick)
+    _say_camera(measured, camera)
+    clips, left_out = read_measured(measured, camera)
+    with stages(("noise", "fit", "search")) as progress:
+        new = fitted(clips, given, effect, progress)
     output.parent.mkdir(parents=True, exist_ok=True)
     beside = output.with_name(f"{output.name}.{os.getpid()}.tmp")
     with as_input_error(output):
         try:
-            write_model(new.now.model, beside)
+            write_model(new.fit.model, beside)
             beside.replace(output)
         finally:
             beside.unlink(missing_ok=True)

@@ -11,7 +11,7 @@ import pandas as pd
 
 from discrepancy.data.collisions import Measured, read_measured
 from discrepancy.diagnostics.gap import Gap
-from discrepancy.fitting.base_fit import Tick
+from discrepancy.fitting.base_fit import Progress
 from discrepancy.found import Found
 from discrepancy.report import html
 from discrepancy.report.figures import gap_bars
@@ -156,7 +156,7 @@ def find(
     results: Sequence[Result] | str | Path,
     model: Model | Mapping[str, Any] | str | Path,
     camera: str | Path | None = None,
-    tick: Tick = lambda stage: None,
+    progress: Progress = lambda stage: None,
 ) -> Finding:
     """Search for what a model lacks, from measured collisions.
 
@@ -170,7 +170,7 @@ def find(
         comes with synthcam. Its base parameters that are not zero, and those in its ``free``, are fitted.
     camera : str or Path, optional
         camera.json of a table.
-    tick : callable
+    progress : callable
         Told the stage, many times.
 
     Returns
@@ -193,15 +193,15 @@ def find(
     tracker.camera.camera_json.InputError: results: no clip with a measured collision
     """
     try:
-        suspect = model_of(model)
+        given = model_of(model)
     except ModelError as error:
         raise InputError(str(error)) from None
     source = Path(results) if isinstance(results, str) else results
     clips, left_out = read_measured(source, None if camera is None else Path(camera))
-    return searched(clips, suspect, left_out, tick)
+    return searched(clips, given, left_out, progress)
 
 
-def searched(clips: Sequence[Measured], model: Model, left_out: Sequence[str], tick: Tick) -> Finding:
+def searched(clips: Sequence[Measured], model: Model, left_out: Sequence[str], progress: Progress) -> Finding:
     """Search collisions already read. left_out: those of `read_measured`."""
-    outcome = search(clips, model, tick)
+    outcome = search(clips, model, progress)
     return Finding(outcome, (*left_out, *outcome.data.left_out))

@@ -32,10 +32,10 @@ class Data:
     noise: Noise
     left_out: tuple[str, ...]
 
-    def without(self, strange: Mapping[int, str]) -> Data:
+    def without(self, outliers: Mapping[int, str]) -> Data:
         """Without some of the clips to fit, by their place, each with a line that says why."""
-        clips = tuple(c for k, c in enumerate(self.clips) if k not in strange)
-        return dataclasses.replace(self, clips=clips, left_out=(*self.left_out, *strange.values()))
+        clips = tuple(c for k, c in enumerate(self.clips) if k not in outliers)
+        return dataclasses.replace(self, clips=clips, left_out=(*self.left_out, *outliers.values()))
 
 
 @dataclass(frozen=True)
@@ -62,7 +62,7 @@ class Found:
         What would part the effects of a class.
     alike : tuple of str
         What no such clips can tell, because they are all alike in it.
-    untold : tuple of str
+    unidentifiable : tuple of str
         Effects that these collisions could not show, however real.
     claims, withdrawn : tuple of Claim
         Those that stand; those that collisions which had no part in them did not bear.
@@ -79,7 +79,7 @@ class Found:
     shown: Shown
     experiment: str
     alike: tuple[str, ...]
-    untold: tuple[str, ...]
+    unidentifiable: tuple[str, ...]
     claims: tuple[Claim, ...] = ()
     withdrawn: tuple[Claim, ...] = ()
 
@@ -91,7 +91,7 @@ class Found:
     @property
     def best(self) -> Fit:
         """The fit with everything that was found."""
-        return self.free_law.now if self.free_law else self.selected.best
+        return self.free_law.fit if self.free_law else self.selected.best
 
     @property
     def model(self) -> Model:
@@ -159,12 +159,12 @@ class Found:
             "left": [vars(p) for p in self.left],
             "ranking": [{"effect": c.effect, "sigma": c.sigma} for c in self.selected.ranking],
             "claim": self.selected.claim,
-            "untold": list(self.untold),
+            "untold": list(self.unidentifiable),
             "alike": list(self.alike),
             "withdrawn": [c.document() for c in self.withdrawn],
             "gap": as_dict(self.shown.gap) | {"by_claim": {c.name: c.gap() for c in self.claims}},
             "experiment": self.experiment,
-            "noise": {"scale": noise.scale, "correlation": noise.correlation, "shake": noise.shake},
+            "noise": {"scale": noise.scale, "correlation": noise.correlation, "shake": noise.common_mode},
             "clips": {"fitted": len(data.clips), "kept_out": len(data.kept_out), "left_out": list(data.left_out)},
         }
 

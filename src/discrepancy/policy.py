@@ -22,7 +22,7 @@ LEAST_SIGMA_OF_A_CLAIM = 4.0
 MOST_EFFECTS_NAMED = 4
 
 # Sigma of disagreement left after everything, or of a claim withdrawn, beyond which something more is missing.
-# Corrected for all looks: by chance once in two million. A convention (5 sigma).
+# Corrected by the trials factor: by chance once in two million. A convention (5 sigma).
 UNEXPLAINED_SIGMA = 5.0
 
 # Clips in which a residual must be seen before it is held against speed, heading, place or impact parameter.
@@ -51,7 +51,7 @@ EFFECT_PREFERRED_BY = 5.0
 # --- Free laws ---
 
 # Sigma of a free law, needed to declare it, and of an effect for it to be looked for or kept beside one.
-# Chosen; not derived. Corrected for the looks at one law: of 29 laws chance exceeds it in two of 10,000 searches.
+# Chosen; not derived. Corrected for the trials within one law: of 29 laws chance exceeds it in two of 10,000 searches.
 FREE_LAW_SIGMA = 4.5
 
 # Effects claimed beside a free law, after it was found, at most. Chosen; not derived.

@@ -8,16 +8,16 @@ from dataclasses import dataclass
 
 from discrepancy import policy
 from discrepancy.data.collisions import Measured, cannot_tell, split
-from discrepancy.data.outlier_points import taken_out, without_spikes
+from discrepancy.data.outlier_points import taken_out, without_outliers
 from discrepancy.diagnostics.claims import Standing, Validation
 from discrepancy.diagnostics.gap import Shown, show
 from discrepancy.diagnostics.held_out import Claim
-from discrepancy.diagnostics.outlier_clips import odd
+from discrepancy.diagnostics.outlier_clips import outlier_clips
 from discrepancy.diagnostics.residual_map import Place, locate
-from discrepancy.fitting.base_fit import Tick, base_fit, check, noise_of, smoothed
+from discrepancy.fitting.base_fit import Progress, base_fit, check, noise_of, smoothed
 from discrepancy.fitting.model_fit import Evidence, Fit
 from discrepancy.fitting.noise_refit import refined
-from discrepancy.fitting.parameters import suspects_of
+from discrepancy.fitting.parameters import candidates_of
 from discrepancy.found import Data, Found, more_missing, unexplained
 from discrepancy.free_laws.answer import Answer
 from discrepancy.free_laws.fitted_law import FittedLaw
@@ -32,7 +32,7 @@ from tracker.camera.camera import InputError
 ROUNDS = 4  # searches, at most: again without clips that are unlike all others, again with the noise read anew
 
 
-def find(clips: Sequence[Measured], model: Model, tick: Tick = lambda stage: None) -> Found:
+def find(clips: Sequence[Measured], model: Model, progress: Progress = lambda stage: None) -> Found:
     """Search for what `model` lacks. Its base parameters that are not zero and those in `model.free` are fitted.
 
     Noise, fit and selection are repeated until the noise and the clips stay; then what was selected is validated.
@@ -41,7 +41,7 @@ def find(clips: Sequence[Measured], model: Model, tick: Tick = lambda stage: Non
     ----------
     clips : sequence of Measured
     model : Model
-    tick : callable
+    progress : callable
         Told the stage, many times.
 
     Returns
@@ -54,15 +54,15 @@ def find(clips: Sequence[Measured], model: Model, tick: Tick = lambda stage: Non
         As `check` does.
     """
     check(clips, model)
-    data = read(clips, model, tick)
-    data, steps, chosen = converged(data, model, tick)
-    tick("gap")
-    data, shown = seen_apart(data, chosen, tick)
-    stands = validated(data, steps, chosen, shown, tick)
+    data = read(clips, model, progress)
+    data, steps, chosen = converged(data, model, progress)
+    progress("gap")
+    data, shown = seen_apart(data, chosen, progress)
+    stands = validated(data, steps, chosen, shown, progress)
     if stands.withdrawn:
         chosen = dataclasses.replace(chosen, selected=stands.selected, free_law=stands.free_law)
-        shown = gap_of(data, chosen, tick)
-    tick("where")
+        shown = gap_of(data, chosen, progress)
+    progress("where")
     where = locate(data.clips, chosen.selected.base, data.noise)
     left = locate(chosen.cleaned(data), chosen.best, data.noise) if chosen.anything else where
     named = tuple(n.unsure() for n in stands.named) if more_missing(left, stands.withdrawn) else stands.named
@@ -79,7 +79,7 @@ def find(clips: Sequence[Measured], model: Model, tick: Tick = lambda stage: Non
         shown,
         _experiment(chosen.selected, named, data) if verdict == "ambiguous" else "",
         tuple(cannot_tell(clips)),
-        steps.untold(chosen.selected.state),
+        steps.unidentifiable(chosen.selected.state),
         stands.claims,
         stands.withdrawn,
     )
@@ -108,31 +108,31 @@ class Chosen:
         return self.free_law.evidence.clips if self.free_law else data.clips
 
 
-def read(clips: Sequence[Measured], model: Model, tick: Tick) -> Data:
+def read(clips: Sequence[Measured], model: Model, progress: Progress) -> Data:
     """The clips without outlier points, some kept out, and the noise of the others."""
-    tick("noise")
-    some, kept_out = smoothed(*split(without_spikes(clips)), model, tick)
+    progress("noise")
+    some, kept_out = smoothed(*split(without_outliers(clips)), model, progress)
     noise = noise_of(some)
     # read without any claim first: one made with too little noise could explain the rest of the noise away
-    noise = refined(some, base_fit(some, model, noise, tick), noise, explained=False) or noise
+    noise = refined(some, base_fit(some, model, noise, progress), noise, explained=False) or noise
     return Data(tuple(some), tuple(kept_out), noise, tuple(taken_out(clips, [*some, *kept_out])))
 
 
-def converged(data: Data, model: Model, tick: Tick) -> tuple[Data, Stepwise, Chosen]:
+def converged(data: Data, model: Model, progress: Progress) -> tuple[Data, Stepwise, Chosen]:
     """The selection, made again without clips that are unlike all others, and again with the noise read anew.
 
     With the way there, which validation goes further along.
     """
     gone, previous = 0, None
     for turn in range(ROUNDS):
-        steps, chosen = select(data, model, tick, previous)
+        steps, chosen = select(data, model, progress, previous)
         if turn == ROUNDS - 1:
             break
         cleaned = chosen.cleaned(data)
-        strange = odd(cleaned, chosen.selected.base, chosen.best, gone)
-        if strange:
-            gone += len(strange)
-            data, previous = data.without(strange), None
+        outliers = outlier_clips(cleaned, chosen.selected.base, chosen.best, gone)
+        if outliers:
+            gone += len(outliers)
+            data, previous = data.without(outliers), None
             continue
         noise = refined(cleaned, chosen.best, data.noise)
         if noise is None and chosen.nearly:  # the library's model may lack what the free law has, and call it noise
@@ -143,14 +143,14 @@ def converged(data: Data, model: Model, tick: Tick) -> tuple[Data, Stepwise, Cho
     return data, steps, chosen
 
 
-def select(data: Data, model: Model, tick: Tick, previous: FitStore | None = None) -> tuple[Stepwise, Chosen]:
+def select(data: Data, model: Model, progress: Progress, previous: FitStore | None = None) -> tuple[Stepwise, Chosen]:
     """What the library names, and the free law that explains more, if one does.
 
     previous: the fits of the same clips with another noise.
     """
-    evidence, base = Evidence.of(data.clips, data.noise), base_fit(data.clips, model, data.noise, tick)
-    contest = FreeLawContest.of(evidence, base, lambda: tick("free laws"))
-    store = FitStore(evidence, base, lambda: tick("search"), previous)
+    evidence, base = Evidence.of(data.clips, data.noise), base_fit(data.clips, model, data.noise, progress)
+    contest = FreeLawContest.of(evidence, base, lambda: progress("free laws"))
+    store = FitStore(evidence, base, lambda: progress("search"), previous)
     steps = Stepwise.of(store)
     state: State = ()
     for state in steps.states():
@@ -168,32 +168,32 @@ def select(data: Data, model: Model, tick: Tick, previous: FitStore | None = Non
     return steps, Chosen(selected, free_law, None if free_law else contest.nearly(selected.best))
 
 
-def seen_apart(data: Data, chosen: Chosen, tick: Tick) -> tuple[Data, Shown]:
+def seen_apart(data: Data, chosen: Chosen, progress: Progress) -> tuple[Data, Shown]:
     """The gap on the clips kept out, without those of them that are unlike all others."""
-    shown = gap_of(data, chosen, tick)
-    strange = odd(data.kept_out, shown.before, shown.after)
-    if not strange:
+    shown = gap_of(data, chosen, progress)
+    outliers = outlier_clips(data.kept_out, shown.before, shown.after)
+    if not outliers:
         return data, shown
-    kept = tuple(c for k, c in enumerate(data.kept_out) if k not in strange)
-    lines = tuple(f"{line} (kept out)" for line in strange.values())
+    kept = tuple(c for k, c in enumerate(data.kept_out) if k not in outliers)
+    lines = tuple(f"{line} (kept out)" for line in outliers.values())
     data = dataclasses.replace(data, kept_out=kept, left_out=(*data.left_out, *lines))
-    return data, gap_of(data, chosen, tick)
+    return data, gap_of(data, chosen, progress)
 
 
-def gap_of(data: Data, chosen: Chosen, tick: Tick) -> Shown:
+def gap_of(data: Data, chosen: Chosen, progress: Progress) -> Shown:
     """The gap on the clips kept out. Raises InputError where the base model has no motion for them."""
     clips, law = data.kept_out, chosen.free_law
     outside = None if law is None else lambda before: unseen(law, clips, before, data.noise)
     try:
-        return show(clips, chosen.selected.base, chosen.selected.best, data.noise, lambda: tick("gap"), outside)
+        return show(clips, chosen.selected.base, chosen.selected.best, data.noise, lambda: progress("gap"), outside)
     except ValueError as e:
         raise InputError(f"the fitted base model has no motion for the collisions kept out: {e}") from None
 
 
-def validated(data: Data, steps: Stepwise, chosen: Chosen, shown: Shown, tick: Tick) -> Standing:
+def validated(data: Data, steps: Stepwise, chosen: Chosen, shown: Shown, progress: Progress) -> Standing:
     """What stands of a selection before collisions that had no part in it."""
     evidence = Evidence.of(data.clips, data.noise)
-    held_to = Validation(steps, evidence, data.kept_out, shown.before, data.noise, lambda: tick("gap"))
+    held_to = Validation(steps, evidence, data.kept_out, shown.before, data.noise, lambda: progress("gap"))
     return held_to.standing(chosen.selected, chosen.free_law)
 
 
@@ -211,7 +211,7 @@ def _verdict(
 def _experiment(selected: Selection, named: Sequence[Named], data: Data) -> str:
     """What would part each class's effect from its nearest alias."""
     base, best = selected.base, selected.best
-    known = suspects_of(best.model, base.model, base.names)
+    known = candidates_of(best.model, base.model, base.names)
     shapes = {c.effect: c.shapes for c in selected.ranking}
     said = []
     for n in named:

@@ -150,7 +150,7 @@ def test_outsiders_are_in_no_library():
     assert len(OUTSIDERS) >= 8
     assert not {*OUTSIDERS, *ORDINARY} & set(library())
     assert not any(hasattr(e, "_moved") and e.VIDEO for e in (OUTSIDERS | ORDINARY).values())
-    assert not any(e.SLOT for e in ORDINARY.values())
+    assert not any(e.FREE_LAW for e in ORDINARY.values())
 
 
 @pytest.mark.parametrize("name", sorted(set(ORDINARY) - set(UNKNOWN)))

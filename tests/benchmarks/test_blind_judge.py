@@ -156,10 +156,12 @@ def test_a_curve_in_its_band(name):
         row["truth"]["base"] |= {"rolling_decel": 0.01, "rolling_drag": 0.1, "sliding_friction": 0.2}
         said = curve - curve.mean() if name == "speed_delay" else curve
         band = np.stack([said - half, said + half], axis=-1)
-        row["answer"]["outside"] = [{"slot": kind.SLOT, "x": x.tolist(), "curve": said.tolist(), "band": band.tolist()}]
+        row["answer"]["outside"] = [
+            {"slot": kind.FREE_LAW, "x": x.tolist(), "curve": said.tolist(), "band": band.tolist()}
+        ]
         return judge.judge(row)
 
-    assert judged(law + half / 2).slot
+    assert judged(law + half / 2).free_law
     assert judged(law + half / 2).curve
     assert not judged(law[::-1]).curve
     assert not judged(law + 3 * half * np.sign(law - np.median(law))).curve

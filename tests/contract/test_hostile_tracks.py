@@ -9,7 +9,7 @@ from discrepancy_clips import STD, collisions, exact, only
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from discrepancy.fitting.gauss_newton import _part, fit, linearised, settle
+from discrepancy.fitting.gauss_newton import _part, fit_model, linearised, settle
 from discrepancy.fitting.model_fit import Evidence
 from discrepancy.fitting.parameters import BASE, limits_of, within
 from discrepancy.noise.model import Component, Noise
@@ -55,9 +55,9 @@ def test_a_search_of_anything_ends_well(monkeypatch, motion):
 def test_no_step_ends_beyond_a_limit(name, side, share, further):
     """From a limit to it, to beyond it, or away from it, by rounding or by far."""
     end = limits_of(Model(), name)[side]
-    now = dataclasses.replace(START, model=within(Model(), {name: end}), names=(name,))
+    fit = dataclasses.replace(START, model=within(Model(), {name: end}), names=(name,))
     for aim in (end, end + further, np.nextafter(end, -np.inf), np.nextafter(end, np.inf)):
-        there = within(now.model, _part(now, {name: aim}, share))
+        there = within(fit.model, _part(fit, {name: aim}, share))
         assert limits_of(Model(), name)[0] <= there.value(name) <= limits_of(Model(), name)[1]
 
 
@@ -79,9 +79,9 @@ def test_a_step_that_fails_is_a_failed_step(monkeypatch, error):
         return true(self, model, launches)
 
     monkeypatch.setattr(Evidence, "left", failing)
-    now = settle(Evidence.of(CLIPS, NOISE), START)
+    fit = settle(Evidence.of(CLIPS, NOISE), START)
     assert calls > 1
-    assert now.chi2 <= START.chi2
+    assert fit.chi2 <= START.chi2
     for broken in ("discrepancy.fitting.gauss_newton.linearised", "discrepancy.fitting.gauss_newton._step"):
         with monkeypatch.context() as patch:
             patch.setattr(broken, lambda *_, **__: (_ for _ in ()).throw(error("no motion")))
@@ -93,4 +93,4 @@ def test_what_tracks_do_not_show_of_a_launch_stays():
     tangent = dataclasses.replace(START.tangent, launch_slopes=tuple(0 * a for a in START.launch_slopes))
     flat = dataclasses.replace(START, tangent=tangent)
     assert np.isfinite(settle(Evidence.of(CLIPS, NOISE), flat, rough=True).chi2)
-    assert fit(CLIPS, Model(), BASE, NOISE).chi2 < START.chi2
+    assert fit_model(CLIPS, Model(), BASE, NOISE).chi2 < START.chi2

@@ -98,7 +98,7 @@ def test_the_ten_lines_of_the_docs_run_as_they_stand(recorded, tmp_path, monkeyp
     assert (tmp_path / "out/search/index.html").is_file()
 
 
-def test_add_fits_a_suspect(recorded, tmp_path, capsys):
+def test_add_fits_a_candidate(recorded, tmp_path, capsys):
     table = (recorded / "tracks.csv", "--camera", recorded / "camera.json")
     words = ("add", "velocity_restitution", "--model", MODEL, "-o", tmp_path / "new.yaml", "--json", "--fit", *table)
     assert command(*words) == 0
@@ -188,9 +188,9 @@ def test_the_bar_goes_through_the_stages_and_back(monkeypatch):
         (("noise", "fit", "fit", "search", "fit"), r"fit, round 2 .* 1/7 "),
     ):
         screen.truncate(0)
-        with cli.stages(cli.STAGES) as tick:
+        with cli.stages(cli.STAGES) as progress:
             for stage in told:
-                tick(stage)
+                progress(stage)
         assert re.search(shown, re.sub(r"\x1b\[[0-9;?]*\w", "", screen.getvalue()))
 
 
@@ -296,7 +296,7 @@ def test_an_output_that_holds_something_else(recorded, tmp_path, monkeypatch, ca
     assert [p.name for p in tmp_path.iterdir()] == ["notes.txt"]
 
 
-def test_an_unknown_suspect(recorded, tmp_path, capsys):
+def test_an_unknown_candidate(recorded, tmp_path, capsys):
     words = ("add", "gremlins", "--model", MODEL, "--fit", recorded / "results", "-o", tmp_path / "new.yaml")
     assert command(*words) == 2
     assert "gremlins: no such effect" in capsys.readouterr().err

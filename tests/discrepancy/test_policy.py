@@ -16,11 +16,11 @@ from discrepancy.add import Added
 from discrepancy.diagnostics import claims as stand
 from discrepancy.diagnostics.gap import Part, _closure
 from discrepancy.diagnostics.held_out import Held, refused
-from discrepancy.diagnostics.outlier_clips import odd
+from discrepancy.diagnostics.outlier_clips import outlier_clips
 from discrepancy.fitting import noise_refit as refine
-from discrepancy.fitting.gauss_newton import fit
+from discrepancy.fitting.gauss_newton import fit_model
 from discrepancy.fitting.model_fit import Evidence, Fit, Tangent
-from discrepancy.fitting.parameters import BASE, Suspect, suspects
+from discrepancy.fitting.parameters import BASE, Candidate, candidates
 from discrepancy.free_laws.evidence import Weight
 from discrepancy.free_laws.fitted_law import FittedLaw
 from discrepancy.free_laws.library import free_laws
@@ -28,9 +28,9 @@ from discrepancy.noise import model as noise
 from discrepancy.noise.model import Component, Noise, estimate
 from discrepancy.search import _verdict
 from discrepancy.selection import free_law_contest as outside
-from discrepancy.selection.candidate import Candidate
-from discrepancy.selection.free_law_contest import FreeLawContest, Look
-from discrepancy.selection.score_test import Contest
+from discrepancy.selection.free_law_contest import FreeLawContest, LawTest
+from discrepancy.selection.score_test import ScoreTests
+from discrepancy.selection.scored import Scored
 from discrepancy.selection.stepwise import Stepwise
 from synthcam.library import library
 from synthcam.model import Model
@@ -49,8 +49,8 @@ def sized():
         return [dataclasses.replace(c, xy=c.xy + strength / 1e-3 * b) for c, b in zip(plain, bent, strict=True)]
 
     def z(strength):
-        now = fit(clips(strength), Model(), (*BASE, E), NOISE)
-        return now.model.value(E) / now.std[E]
+        fit = fit_model(clips(strength), Model(), (*BASE, E), NOISE)
+        return fit.model.value(E) / fit.std[E]
 
     low, high = z(0.0), z(2e-3)
     return lambda sigma: clips((sigma - low) / (high - low) * 2e-3)
@@ -60,51 +60,51 @@ def sized():
 def test_four_sigma_make_a_claim_however_few_the_candidates(monkeypatch, sized, sigma, named):
     only(monkeypatch, velocity_restitution=library()["velocity_restitution"])
     clips = sized(sigma)
-    assert len(selected(clips, fit(clips, Model(), BASE, NOISE), NOISE)[1].state) == named
+    assert len(selected(clips, fit_model(clips, Model(), BASE, NOISE), NOISE)[1].state) == named
 
 
 def made_laws(monkeypatch, cost, scores):
     """The contest of free laws with these scores, beside a library's best model of this cost."""
-    base, now = Made(names=()), Made(names=("hop.share",))
-    fitted = tuple(Made(score=s, now=now, beside=lambda base: {}) for s in scores)
-    contest = FreeLawContest(None, base, (), fitted=fitted)
-    monkeypatch.setattr(outside, "price", lambda f, base: cost)
-    return contest, now
+    base, fit = Made(names=()), Made(names=("hop.share",))
+    fitted = tuple(Made(score=s, fit=fit, beside=lambda base: {}) for s in scores)
+    tests = FreeLawContest(None, base, (), fitted=fitted)
+    monkeypatch.setattr(outside, "cost_of", lambda f, base: cost)
+    return tests, fit
 
 
 @pytest.mark.parametrize(("ahead", "declared"), [(4.0, False), (6.0, True)])
 def test_a_law_that_nobody_knows_must_be_better_by_five(monkeypatch, ahead, declared):
-    contest, now = made_laws(monkeypatch, 100.0, [100.0 - ahead])
-    assert (contest._best(now, 0) is not None) is declared
+    tests, fit = made_laws(monkeypatch, 100.0, [100.0 - ahead])
+    assert (tests._best(fit, 0) is not None) is declared
 
 
 @pytest.mark.parametrize(("behind", "near"), [(-3.0, True), (7.0, True), (14.0, False)])
 def test_the_noise_is_read_beside_a_free_law_that_is_behind_by_ten_at_most(monkeypatch, behind, near):
-    contest, now = made_laws(monkeypatch, 100.0, [100.0 + behind, 130.0])
-    assert contest.nearly(now) is (contest.fitted[0] if near else None)
+    tests, fit = made_laws(monkeypatch, 100.0, [100.0 + behind, 130.0])
+    assert tests.nearly(fit) is (tests.fitted[0] if near else None)
 
 
 def test_two_effects_are_claimed_beside_a_free_law_however_many_more_would_be_better(monkeypatch):
-    contest, now = made_laws(monkeypatch, 1000.0, [])
+    tests, fit = made_laws(monkeypatch, 1000.0, [])
     scores, begun = iter((400.0, 300.0, 200.0, 100.0)), flat([1.0])
 
     def law(score):
-        return Made(score=score, now=begun, plain=Model(), law=None, beside=lambda base: {})
+        return Made(score=score, fit=begun, plain=Model(), law=None, beside=lambda base: {})
 
-    contest = dataclasses.replace(contest, fitted=(law(500.0),))
+    tests = dataclasses.replace(tests, fitted=(law(500.0),))
     for name in ("linearised", "settle", "_moves"):
         monkeypatch.setattr(outside, name, lambda *_: begun)
-    monkeypatch.setattr(outside, "_look", lambda *_: Made(sigma=9.0))
+    monkeypatch.setattr(outside, "_tested", lambda *_: Made(sigma=9.0))
     monkeypatch.setattr(outside, "fill", lambda *_: law(next(scores)))
     monkeypatch.setattr(FreeLawContest, "_asked", lambda self, place: self)
     monkeypatch.setattr(FreeLawContest, "_lacks", lambda self, place: Made(shapes={}, strengths=("hop.share",)))
-    assert contest.outcome(now)[0].score == 300.0
+    assert tests.outcome(fit)[0].score == 300.0
 
 
 def test_four_effects_are_named_at_most(monkeypatch):
     """Each in its turn better by far."""
-    store = Made(contest=len, price=lambda state: -50.0 * len(state))
-    monkeypatch.setattr(Stepwise, "_winner", lambda self, state, contest, claim: f"effect {contest}")
+    store = Made(tests=len, cost_of=lambda state: -50.0 * len(state))
+    monkeypatch.setattr(Stepwise, "_winner", lambda self, state, tests, claim: f"effect {tests}")
     monkeypatch.setattr(Stepwise, "_bettered", lambda self, state, claim: state)
     assert Stepwise(store, (), 4.0, {}, frozenset()).end(()) == tuple(f"effect {k}" for k in range(4))
 
@@ -116,7 +116,7 @@ def test_what_looks_like_the_leader_by_nine_tenths_is_fitted_too(cosine, rival):
     kind = library()["velocity_restitution"]
 
     def of(name, gain, signature):
-        return Candidate(Suspect(name, (f"{name}.e",), (), kind), {}, gain**0.5, gain, 1.0, True, signature, ())
+        return Scored(Candidate(name, (f"{name}.e",), (), kind), {}, gain**0.5, gain, 1.0, True, signature, ())
 
     ranking = [of("leader", 400.0, one), of("rival", 200.0, cosine * one + (1 - cosine**2) ** 0.5 * other)]
     steps = Stepwise(Made(evidence=None), (), 4.0, {}, frozenset())
@@ -136,27 +136,27 @@ def test_what_looks_like_the_leader_by_nine_tenths_is_fitted_too(cosine, rival):
 def test_what_only_shows_beyond_ten_realistic_sizes_or_what_is_allowed_is_not_told(monkeypatch, effect, sizes, told):
     only(monkeypatch, **{effect: library()[effect]})
     clips = noisy(exact(Model(), 4, 3), 3)
-    contest = Contest.of(Evidence.of(clips, NOISE), fit(clips, Model(), BASE, NOISE))
-    (trial,) = contest.trials
-    (seen,) = contest.ranking()
+    tests = ScoreTests.of(Evidence.of(clips, NOISE), fit_model(clips, Model(), BASE, NOISE))
+    (trial,) = tests.trials
+    (seen,) = tests.ranking()
     weaker = dataclasses.replace(trial, columns=tuple(c * seen.limit / sizes for c in trial.columns))
-    (found,) = Contest(contest.now, (weaker,)).ranking()
+    (found,) = ScoreTests(tests.fit, (weaker,)).ranking()
     assert found.limit == pytest.approx(sizes)
-    assert found.telling == told
+    assert found.identifiable == told
 
 
 @pytest.mark.parametrize(("sigma", "shaken"), [(3.0, False), (6.0, True)])
-def test_noise_is_shared_beyond_four_sigma(monkeypatch, sigma, shaken):
+def test_noise_is_shared_beyond_four_sigma(monkeypatch, sigma, common_mode_score):
     both = Noise(Component(1.0), (Component(1.0), Component(1.0)))
     monkeypatch.setattr(noise.Pairs, "shaken", lambda self, own: sigma)
     monkeypatch.setattr(noise.Pairs, "noise", lambda self: both)
-    assert (estimate(noisy(exact(Model(), 2, 3), 3)) is both) is shaken
-    assert bool(read_again(monkeypatch, gain=99.0, worse=0.0, sigma=sigma).shared) is shaken
+    assert (estimate(noisy(exact(Model(), 2, 3), 3)) is both) is common_mode_score
+    assert bool(read_again(monkeypatch, gain=99.0, worse=0.0, sigma=sigma).shared) is common_mode_score
 
 
 def read_again(monkeypatch, gain, worse, sigma=0.0, explained=True):
     """The noise of residuals that prefer another by `gain`, where the phases make that one worse."""
-    left = Made(clips=[Made(claimed=lambda: np.ones(3))], shaken=lambda noise: (sigma, 0.9))
+    left = Made(clips=[Made(claimed=lambda: np.ones(3))], common_mode_score=lambda noise: (sigma, 0.9))
     left.cost = lambda noise: gain * (noise == NOISE)
     left.best = lambda start: (0.0, dataclasses.replace(start, own=Component(2.0)))
     within = Made(pairs=[None], own=lambda: Component(1.0), cost=lambda noise: worse * (noise != NOISE))
@@ -178,14 +178,14 @@ def test_noise_that_the_phases_exclude_by_twenty_is_refused(monkeypatch, worse, 
 
 @pytest.mark.parametrize(("sigma", "declared"), [(4.0, False), (5.0, True)])
 def test_a_free_law_needs_four_and_a_half_sigma(monkeypatch, sigma, declared):
-    contest, now = made_laws(monkeypatch, 100.0, [])
-    contest = dataclasses.replace(contest, laws=(None,), base=Made(names=(), model=None, launches=None))
+    tests, fit = made_laws(monkeypatch, 100.0, [])
+    tests = dataclasses.replace(tests, laws=(None,), base=Made(names=(), model=None, launches=None))
     monkeypatch.setattr(outside, "_moves", lambda *_: ())
-    monkeypatch.setattr(outside, "_look", lambda law, fit, moves: Made(sigma=sigma, now=fit, score=lambda base: 0.0))
+    monkeypatch.setattr(outside, "_tested", lambda law, fit, moves: Made(sigma=sigma, fit=fit, score=lambda base: 0.0))
     monkeypatch.setattr(outside, "fill", lambda *_: Made(score=0.0))
-    contest = contest._considered([now])
-    assert contest.refuted is declared
-    assert len(contest.fitted) == declared
+    tests = tests._considered([fit])
+    assert tests.refuted is declared
+    assert len(tests.fitted) == declared
 
 
 @pytest.mark.parametrize(("share", "better"), [(0.95, False), (1.05, True)])
@@ -193,17 +193,17 @@ def test_one_of_so_many_free_laws_costs_its_choice(monkeypatch, share, better):
     """As likely as each other beforehand, one of n costs 2 ln n."""
     clips = exact(Model(), 4, 3)
     every = free_laws(Model(), np.array([c.launch for c in clips]), clips)
-    monkeypatch.setattr(outside, "price", lambda now, base: 100.0)
-    look = Look(every[0], None, 9.0, Weight(share * 2 * np.log(len(every)), None, np.zeros(0)))
+    monkeypatch.setattr(outside, "cost_of", lambda fit, base: 100.0)
+    look = LawTest(every[0], None, 9.0, Weight(share * 2 * np.log(len(every)), None, np.zeros(0)))
     assert (look.score(None) < 100.0) == better
 
 
 @pytest.mark.parametrize(("worse", "chosen"), [(7.0, "rolling_quadratic"), (12.0, "stribeck")])
 def test_the_simpler_of_two_may_be_worse_by_nine_and_a_half(worse, chosen):
-    known = {s.name: frozenset({s}) for s in suspects(Model(), BASE) if s.name in ("rolling_quadratic", "stribeck")}
-    price = {known["rolling_quadratic"]: 100 + worse, known["stribeck"]: 100.0}
-    steps = Stepwise(Made(price=price.__getitem__), (), 4.0, {}, frozenset())
-    assert steps._simplest(list(price)) == known[chosen]
+    known = {s.name: frozenset({s}) for s in candidates(Model(), BASE) if s.name in ("rolling_quadratic", "stribeck")}
+    cost_of = {known["rolling_quadratic"]: 100 + worse, known["stribeck"]: 100.0}
+    steps = Stepwise(Made(cost_of=cost_of.__getitem__), (), 4.0, {}, frozenset())
+    assert steps._simplest(list(cost_of)) == known[chosen]
 
 
 def flat(chi2, pulls=None, points=200):
@@ -228,22 +228,22 @@ def test_eight_spreads_make_a_clip_odd(spreads, gone):
     """Of the logarithm of chi^2: a third of the clips at either side of the median by a known length."""
     logs = 0.3 * np.tile([-1.0, 0.0, 1.0], 4)
     logs[3] = spreads * 1.4826 * 0.3
-    now = flat(np.exp(logs))
-    assert list(odd(numbered(12), now, now)) == gone
+    fit = flat(np.exp(logs))
+    assert list(outlier_clips(numbered(12), fit, fit)) == gone
 
 
 @pytest.mark.parametrize(("sigma", "gone"), [(4.0, []), (6.0, [5])])
 def test_five_sigma_from_all_others_make_a_clip_odd(sigma, gone):
     pulls = np.zeros(12)
     pulls[5] = sigma / np.sqrt(11 / 12)  # of what it says itself, less its own part in all
-    now = flat(np.ones(12), pulls)
-    assert list(odd(numbered(12), now, now)) == gone
+    fit = flat(np.ones(12), pulls)
+    assert list(outlier_clips(numbered(12), fit, fit)) == gone
 
 
 @pytest.mark.parametrize(("bad", "gone"), [(2, 2), (3, 0)])
 def test_one_clip_in_ten_may_be_odd(bad, gone):
-    now = flat(np.where(np.arange(20) < bad, 50.0, 1.0))
-    assert len(odd(numbered(20), now, now)) == gone
+    fit = flat(np.where(np.arange(20) < bad, 50.0, 1.0))
+    assert len(outlier_clips(numbered(20), fit, fit)) == gone
 
 
 @pytest.mark.parametrize(("sigma", "verdict"), [(4.0, "named"), (6.0, "outside_library")])

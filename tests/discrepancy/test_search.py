@@ -273,9 +273,9 @@ def test_an_added_effect_gets_its_shape(monkeypatch):
     only(monkeypatch, stribeck=library()["stribeck"])
     truth = {"stribeck.rise": 0.1, "stribeck.slip": 0.2}
     new = add(collisions(Model().replace(truth), 6, 4), Model(), "stribeck")
-    assert {k: new.now.model.value(k) for k in truth} == pytest.approx(truth, rel=0.1)
+    assert {k: new.fit.model.value(k) for k in truth} == pytest.approx(truth, rel=0.1)
     for key, std in (new.named.std | new.named.shape_std).items():
-        assert abs(new.now.model.value(key) - truth[key]) < 3.5 * std
+        assert abs(new.fit.model.value(key) - truth[key]) < 3.5 * std
     assert new.named.sigma > 20
     assert new.chi2[0] > 1.2
     assert new.chi2[1] == pytest.approx(1, abs=0.1)
@@ -375,7 +375,7 @@ def test_it_is_counted_how_many_clips_are_gone(monkeypatch):
         asked.append((len(clips), gone))
         return {0: "one"} if (len(clips), gone) == (6, 0) else {}
 
-    monkeypatch.setattr("discrepancy.search.odd", first)
+    monkeypatch.setattr("discrepancy.search.outlier_clips", first)
     assert find(collisions(Model(), 8, 3), Model()).left_out == ("one",)
     assert asked[:2] == [(6, 0), (5, 1)]
 

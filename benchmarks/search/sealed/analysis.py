@@ -55,9 +55,9 @@ def analysed(measured: Path, camera: Path | None, model: Path, folder: Path) -> 
     """The answer to one box; the clips that no fit saw go into `folder`."""
     try:
         clips, left_out = read_measured(measured, camera)
-        suspect = read_model(model)
+        given = read_model(model)
         began, spent = time.monotonic(), time.process_time()
-        found = find(clips, suspect)
+        found = find(clips, given)
         said = answer(found) | {"seconds": time.monotonic() - began, "cpu": time.process_time() - spent}
         keep(found.data.kept_out, folder / "kept_out.npz")
         return dict(plain(said | {"clips_used": len(clips), "left_out": left_out}))

@@ -156,7 +156,7 @@ def _outside(rows: list[Row], where: str) -> list[Goal]:
     text = "outside the library, from 5 x: declared, with no false name"
     return [
         at_least(text, where, 0.98, [r.right for r in strong], split(strong)),
-        at_least("the right slot", where, 0.95, [r.slot for r in strong]),
+        at_least("the right free law", where, 0.95, [r.free_law for r in strong]),
         at_least("the curve in its band", where, 0.9, curves),
         at_most("at 2 x: called by a name of the library", where, 0.1, [r.misnamed for r in near(out, 2)]),
     ]
@@ -166,7 +166,7 @@ def _ordinary(rows: list[Row], where: str) -> list[Goal]:
     out = [r for r in rows if r.kind == "ordinary"]
     strong = [r for r in out if r.ratio >= 5 * FROM]
     weak = [r.misnamed for r in near(out, 2)]
-    text = "an ordinary fault without a slot, from 5 x: declared, with no false name"
+    text = "an ordinary fault without a free law, from 5 x: declared, with no false name"
     return [
         at_least(text, where, 0.95, [r.right for r in strong], split(strong)),
         at_most("an ordinary fault at 2 x: called by a name of the library", where, 0.1, weak),

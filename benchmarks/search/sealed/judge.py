@@ -44,7 +44,7 @@ class Row:
     kin: bool
     noise: str
     source: str
-    slot: bool = False
+    free_law: bool = False
     curve: bool | None = None
     z: tuple[float, ...] = ()
     gap: dict[str, float] = field(default_factory=dict)
@@ -106,7 +106,7 @@ def judge(line: dict[str, Any]) -> Row:
     ours = [h for h in hidden if h not in FOREIGN]
     ratio = min((a["ratio"] for a in about), default=0.0)
     nearest = max((a["nearest"] for a in about), default=0.0)
-    slot, curve = _outside(truth, answer)
+    free_law, curve = _outside(truth, answer)
     return Row(
         kind=truth["kind"],
         filmed=truth["source"] == "video",
@@ -123,7 +123,7 @@ def judge(line: dict[str, Any]) -> Row:
         kin=not said and len(ours) == len(hidden) and _matched(ours, named, kins),
         noise=truth["noise"],
         source=truth["source"],
-        slot=slot,
+        free_law=free_law,
         curve=curve,
         z=tuple(_errors(truth, answer)),
         gap=line.get("gap", {}),
@@ -203,29 +203,29 @@ def strengths_of(effect: str) -> set[str]:
 
 
 def _outside(truth: dict[str, Any], answer: dict[str, Any]) -> tuple[bool, bool | None]:
-    """Is the first slot the right one, and does the true curve lie in its band? None: there is no curve to hold."""
+    """Is the first free law the right one, and does the true curve lie in its band? None: there is no curve to hold."""
     entries = answer.get("outside") or []
     if truth["kind"] != "outside" or not entries:
         return False, None
     kind = FOREIGN[truth["effects"][0]]
     first = entries[0]
-    slot = first["slot"] == kind.SLOT
+    free_law = first["slot"] == kind.FREE_LAW
     own = {k.partition(".")[2]: v for k, v in truth["hidden"].items()}
     effect = kind(**own)
-    if not slot or not hasattr(effect, "_curve"):
-        return slot, None
+    if not free_law or not hasattr(effect, "_curve"):
+        return free_law, None
     x = np.asarray(first["x"], dtype=float)
     axes = x.T if x.ndim == 2 else (x,)
-    law = effect._curve(*axes) + _owned(kind.SLOT, axes[0], truth["base"])
+    law = effect._curve(*axes) + _owned(kind.FREE_LAW, axes[0], truth["base"])
     curve, band = (np.asarray(first[k], dtype=float) for k in ("curve", "band"))
-    return slot, curve.shape == law.shape and inside(law, band, kind.SLOT in CENTRED)
+    return free_law, curve.shape == law.shape and inside(law, band, kind.FREE_LAW in CENTRED)
 
 
-def _owned(slot: str, x: Any, base: dict[str, float]) -> Any:
+def _owned(free_law: str, x: Any, base: dict[str, float]) -> Any:
     """What the base model itself makes of the law."""
-    if slot.startswith("rolling"):
+    if free_law.startswith("rolling"):
         return base["rolling_decel"] + base["rolling_drag"] * x
-    name = next((n for start, n in OWNERS.items() if slot.startswith(start)), None)
+    name = next((n for start, n in OWNERS.items() if free_law.startswith(start)), None)
     return base[name] if name else 0.0
 
 

@@ -1,8 +1,8 @@
-"""Effects that are in nobody's library: what the search must call by no library name, and find the right slot for.
+"""Effects that are in nobody's library: what the search must call by no library name, and find the right free law for.
 
-Each bends a law as an effect of the library does, but lives here, where the search cannot see it. SLOT: the search's
-own word for the freedom that describes it. `_curve`: what it adds to that law, of the law's arguments. Two are no laws
-of motion but defects of a picture, and move the tracks after the fact: see `moved`.
+Each bends a law as an effect of the library does, but lives here, where the search cannot see it. FREE_LAW: the
+search's own word for the freedom that describes it. `_curve`: what it adds to that law, of the law's arguments. Two are
+no laws of motion but defects of a picture, and move the tracks after the fact: see `moved`.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ def dice(x: Any) -> Any:
 class Outsider(Effect):
     """Base of all; named after its class."""
 
-    SLOT: ClassVar[str] = ""
+    FREE_LAW: ClassVar[str] = ""
     VIDEO: ClassVar[bool] = True  # can it be filmed?
     SAME: ClassVar[tuple[str, ...]] = ()  # effects that hold exactly this law, should the library have them
 
@@ -54,7 +54,7 @@ class Outsider(Effect):
 class FrictionStreaks(Outsider):
     """Sliding friction in streaks along y."""
 
-    SLOT: ClassVar[str] = "friction_place"
+    FREE_LAW: ClassVar[str] = "friction_place"
     depth: float = parameter("1", typical=0.01, low=-0.2, high=0.2)
     wavelength: float = parameter("m", typical=0.015, low=0.001, high=1, fixed=True)
 
@@ -69,7 +69,7 @@ class FrictionStreaks(Outsider):
 class FrictionStep(Outsider):
     """Sliding friction that is another beyond a speed of slip."""
 
-    SLOT: ClassVar[str] = "friction_speed"
+    FREE_LAW: ClassVar[str] = "friction_speed"
     rise: float = parameter("1", typical=0.01, low=-0.2, high=0.2)
     at: float = parameter("m/s", typical=0.2, low=0.01, high=1, fixed=True)
 
@@ -84,7 +84,7 @@ class FrictionStep(Outsider):
 class RestitutionStep(Outsider):
     """Balls that yield beyond a speed of impact."""
 
-    SLOT: ClassVar[str] = "restitution_speed"
+    FREE_LAW: ClassVar[str] = "restitution_speed"
     drop: float = parameter("1", typical=0.02, low=-0.3, high=0.3)
     at: float = parameter("m/s", typical=0.3, low=0.01, high=1, fixed=True)
 
@@ -99,7 +99,7 @@ class RestitutionStep(Outsider):
 class RestitutionHeading(Outsider):
     """Restitution that depends on the heading, threefold."""
 
-    SLOT: ClassVar[str] = "restitution_heading"
+    FREE_LAW: ClassVar[str] = "restitution_heading"
     size: float = parameter("1", typical=0.02, low=-0.3, high=0.3)
 
     def restitution(self, r: Any, heading: Any) -> Any:
@@ -113,7 +113,7 @@ class RestitutionHeading(Outsider):
 class RestitutionScatter(Outsider):
     """Restitution that is another from clip to clip."""
 
-    SLOT: ClassVar[str] = "restitution_clip"
+    FREE_LAW: ClassVar[str] = "restitution_clip"
     size: float = parameter("1", typical=0.01, low=0, high=0.3)
 
     def restitution(self, r: Any, heading: Any) -> Any:
@@ -124,7 +124,7 @@ class RestitutionScatter(Outsider):
 class TransferScatter(Outsider):
     """Spin transfer that is another from clip to clip."""
 
-    SLOT: ClassVar[str] = "spin_transfer_clip"
+    FREE_LAW: ClassVar[str] = "spin_transfer_clip"
     size: float = parameter("1", typical=0.02, low=0, high=0.3)
 
     def spin_transfer(self, c: Any, approach_speed: Any) -> Any:
@@ -135,7 +135,7 @@ class TransferScatter(Outsider):
 class TransferBump(Outsider):
     """Spin transfer with a resonance in the contact speed."""
 
-    SLOT: ClassVar[str] = "spin_transfer_speed"
+    FREE_LAW: ClassVar[str] = "spin_transfer_speed"
     size: float = parameter("1", typical=0.05, low=-0.3, high=0.3)
     at: float = parameter("m/s", typical=0.35, low=0.01, high=1, fixed=True)
 
@@ -150,7 +150,7 @@ class TransferBump(Outsider):
 class RootDrag(Outsider):
     """A force against the motion that grows with the root of the speed, sliding or rolling."""
 
-    SLOT: ClassVar[str] = "force_speed"
+    FREE_LAW: ClassVar[str] = "force_speed"
     size: float = parameter("m^.5 s^-1.5", typical=0.01, low=-1, high=1)
 
     def push(self, acceleration: Any, velocity: Any) -> Any:
@@ -165,7 +165,7 @@ class RootDrag(Outsider):
 class GrainDrag(Outsider):
     """A drag on the x component of the velocity alone, sliding or rolling."""
 
-    SLOT: ClassVar[str] = "force_heading"
+    FREE_LAW: ClassVar[str] = "force_heading"
     rate: float = parameter("1/s", typical=0.05, low=-1, high=1)
 
     def push(self, acceleration: Any, velocity: Any) -> Any:
@@ -180,7 +180,7 @@ class GrainDrag(Outsider):
 class Dent(Outsider):
     """A bump in the plate, 6 mm wide, off its middle."""
 
-    SLOT: ClassVar[str] = "force_place"
+    FREE_LAW: ClassVar[str] = "force_place"
     height: float = parameter("m", typical=1e-6, low=-5e-6, high=5e-6)
     x: float = parameter("m", typical=0.012, low=-0.1, high=0.1, fixed=True)
     y: float = parameter("m", typical=0.008, low=-0.1, high=0.1, fixed=True)
@@ -198,7 +198,7 @@ class Dent(Outsider):
 class RollingResonance(Outsider):
     """A loss while rolling at one speed."""
 
-    SLOT: ClassVar[str] = "rolling_speed"
+    FREE_LAW: ClassVar[str] = "rolling_speed"
     size: float = parameter("m/s^2", typical=0.01, low=0, high=1)
     at: float = parameter("m/s", typical=0.2, low=0.01, high=1, fixed=True)
 
@@ -213,7 +213,7 @@ class RollingResonance(Outsider):
 class SpeedDelay(Outsider):
     """A picture that lags behind a fast ball by a time that grows as the square of its speed."""
 
-    SLOT: ClassVar[str] = "lag_speed"
+    FREE_LAW: ClassVar[str] = "lag_speed"
     VIDEO: ClassVar[bool] = False
     late: float = parameter("s", typical=1e-4, low=-2e-3, high=2e-3)
 
@@ -228,7 +228,7 @@ class SpeedDelay(Outsider):
 class QuarticWarp(Outsider):
     """A picture bent along x by the fourth power of the place."""
 
-    SLOT: ClassVar[str] = "warp_place"
+    FREE_LAW: ClassVar[str] = "warp_place"
     VIDEO: ClassVar[bool] = False
     size: float = parameter("m", typical=2e-5, low=-1e-3, high=1e-3)
 
@@ -241,7 +241,7 @@ class QuarticWarp(Outsider):
         return np.stack([self.size / 1.6e-4 * (place / 0.05) ** 4, 0 * y], axis=-1)
 
 
-OUTSIDERS = {kind.name(): kind for kind in Outsider.__subclasses__() if kind.SLOT}
+OUTSIDERS = {kind.name(): kind for kind in Outsider.__subclasses__() if kind.FREE_LAW}
 
 
 def in_clip(model: Model, clip: int, a_strikes: bool, launch: Array) -> Model:

@@ -256,7 +256,7 @@ def _wrong(rows: Sequence[Row]) -> list[dict[str, Any]]:
 
 
 def outsiders(rows: Sequence[Row], kind: str) -> list[dict[str, Any]]:
-    """By outsider, from 2 x the limit: boxes, declared, right slot, curve in its band, called by a library name."""
+    """By outsider, from 2 x the limit: boxes, declared, right free law, curve in its band, called by a library name."""
     out = []
     for name in sorted({r.hidden[0] for r in rows if r.kind == kind}):
         own = [r for r in rows if r.worked and r.hidden == (name,) and r.ratio >= 1.9]
@@ -264,9 +264,9 @@ def outsiders(rows: Sequence[Row], kind: str) -> list[dict[str, Any]]:
             curves = [r.curve for r in own if r.curve is not None]
             told = sum(r.verdict == "inadequate" for r in own)
             out.append(
-                {"name": name, "slot": FOREIGN[name].SLOT or "-", "n": len(own),
+                {"name": name, "free_law": FOREIGN[name].FREE_LAW or "-", "n": len(own),
                  "declared": sum(r.declared for r in own),
-                 "told": told, "right": sum(r.slot for r in own), "library": sum(r.misnamed for r in own),
+                 "told": told, "right": sum(r.free_law for r in own), "library": sum(r.misnamed for r in own),
                  "curve": f"{sum(curves)} of {len(curves)}" if curves else "-",
                  "nearest": f"{np.mean([r.nearest for r in own]):.2f}"}
             )  # fmt: skip

@@ -21,12 +21,12 @@ BESIDE = 2  # of them on either side at least: where a phase ends, the path may 
 ASIDE, FEWEST, WITHIN = 5, 4, 7  # places of one side, at most and at least, and from how many frames
 
 
-def without_spikes(clips: Sequence[Measured], expected: Sequence[Array] | None = None) -> list[Measured]:
-    """The clips without their spikes; arguments as for `spikes`.
+def without_outliers(clips: Sequence[Measured], expected: Sequence[Array] | None = None) -> list[Measured]:
+    """The clips without their outliers; arguments as for `outliers`.
 
     Beside a model: but for those that both balls, or several clips, have in the same frame. A clock does that.
     """
-    found = [spikes(clip, expected[k] if expected else None) for k, clip in enumerate(clips)]
+    found = [outliers(clip, expected[k] if expected else None) for k, clip in enumerate(clips)]
     if expected:
         both = [Counter(c.frame[sorted(rows)].tolist()) for c, rows in zip(clips, found, strict=True)]
         often = Counter(frame for own in both for frame in own)
@@ -49,39 +49,39 @@ def taken_out(clips: Sequence[Measured], kept: Sequence[Measured]) -> list[str]:
     return said
 
 
-def spikes(clip: Measured, expected: Array | None = None) -> set[int]:
-    """Rows that are spikes, the largest taken out first: what it does to its neighbours then goes too.
+def outliers(clip: Measured, expected: Array | None = None) -> set[int]:
+    """Rows that are outliers, the largest taken out first: what it does to its neighbours then goes too.
 
     expected: where a model has the places, (n, 2). If it is nearly right, what is off it bends little, but at the
-    contact: spikes are then seen there too, where a slide ends, and at both ends of the clip.
+    contact: outliers are then seen there too, where a slide ends, and at both ends of the clip.
     """
     paths, gone = _Paths.of(clip, expected), set[int]()
     if expected is not None and float(np.median(np.abs(paths.xy) / paths.claimed[:, None])) > policy.MODEL_NEARLY_RIGHT:
         return gone
     todo = range(len(clip.frame))
     inner = paths.inner(todo, gone)
-    typical = max(1.4826 * float(np.median(np.abs([look.off for look in inner.values()]))), 1e-300) if inner else 1.0
-    outer: dict[int, _Look] | None = None
+    typical = max(1.4826 * float(np.median(np.abs([o.off for o in inner.values()]))), 1e-300) if inner else 1.0
+    outer: dict[int, _Offset] | None = None
     while True:
-        wrong = {row: look for row, look in inner.items() if look.far(typical)}
+        wrong = {row: offset for row, offset in inner.items() if offset.far(typical)}
         if expected is not None and not wrong:
             if outer is None:
                 outer = paths.outer(todo, gone, policy.NEIGHBOURS_SMOOTH_TO * typical)
-            told = {row for row, look in inner.items() if look.rest < policy.NEIGHBOURS_SMOOTH_TO * typical}
-            wrong = {row: look for row, look in outer.items() if row not in told and look.far(typical)}
+            told = {row for row, offset in inner.items() if offset.rest < policy.NEIGHBOURS_SMOOTH_TO * typical}
+            wrong = {row: offset for row, offset in outer.items() if row not in told and offset.far(typical)}
         if not wrong:
             return gone
         worst = max(wrong, key=lambda row: float(np.abs(wrong[row].off).max()))
         gone.add(worst)
         near = paths.near(worst)
-        inner = {row: look for row, look in inner.items() if row not in near} | paths.inner(near, gone)
+        inner = {row: offset for row, offset in inner.items() if row not in near} | paths.inner(near, gone)
         if outer is not None:
             again = paths.outer(near, gone, policy.NEIGHBOURS_SMOOTH_TO * typical)
-            outer = {row: look for row, look in outer.items() if row not in near} | again
+            outer = {row: offset for row, offset in outer.items() if row not in near} | again
 
 
 @dataclass(frozen=True)
-class _Look:
+class _Offset:
     """How far a place is off the path through others, (2,), and the rms of these; in claimed standard deviations."""
 
     off: Array
@@ -134,7 +134,7 @@ class _Paths:
         )
 
     def _through(self, rows: Ints, row: int) -> _Path:
-        """The smoothest path through them or through all but one, which may be a spike itself."""
+        """The smoothest path through them or through all but one, which may be an outlier itself."""
         path = self._path(rows, row)
         if path.rest < policy.NEIGHBOURS_SMOOTH_TO or len(rows) <= FEWEST:
             return path
@@ -149,16 +149,16 @@ class _Paths:
         return _Path(fitted[0], fitted[1] / REACH, float(np.linalg.norm(self.claimed[rows] * inverse[0])), rest)
 
     def near(self, row: int) -> list[int]:
-        """The rows whose look a spike there may have spoilt, itself among them."""
+        """The rows whose offset an outlier there may have spoilt, itself among them."""
         within = np.abs(self.frame - self.frame[row]) <= WITHIN
         return np.flatnonzero(within & (self.ball == self.ball[row])).tolist()
 
-    def inner(self, rows: Iterable[int], gone: set[int]) -> dict[int, _Look]:
+    def inner(self, rows: Iterable[int], gone: set[int]) -> dict[int, _Offset]:
         """Of the places that have neighbours of their phase on both sides, how far they are off the path through these.
 
         What the path itself is uncertain by is allowed for.
         """
-        found: dict[int, _Look] = {}
+        found: dict[int, _Offset] = {}
         for row in rows:
             if row in gone or self.phase[row] < 0:
                 continue
@@ -169,15 +169,15 @@ class _Paths:
             if min(early, len(near) - early) >= BESIDE and len(near) > 2 * BESIDE:
                 path = self._through(near, row)
                 std = np.hypot(self.claimed[row], path.std)
-                found[row] = _Look((self.xy[row] - path.place) / std, path.rest)
+                found[row] = _Offset((self.xy[row] - path.place) / std, path.rest)
         return found
 
-    def outer(self, rows: Iterable[int], gone: set[int], smooth: float) -> dict[int, _Look]:
+    def outer(self, rows: Iterable[int], gone: set[int], smooth: float) -> dict[int, _Offset]:
         """How far places are beyond where those before lead and where those after come from.
 
         One of these is enough where there is no event between them. smooth: rms of those that tell.
         """
-        found: dict[int, _Look] = {}
+        found: dict[int, _Offset] = {}
         for row in rows:
             if row in gone:
                 continue
@@ -189,7 +189,7 @@ class _Paths:
             bent = self.unsure * np.abs(sides[0].velocity - sides[-1].velocity) * event
             x, std = self.xy[row], np.hypot(self.claimed[row], max(s.std for s in sides))
             beyond = np.maximum(places.min(axis=0) - bent - x, x - places.max(axis=0) - bent)
-            found[row] = _Look(np.maximum(beyond, 0.0) / std, max(s.rest for s in sides))
+            found[row] = _Offset(np.maximum(beyond, 0.0) / std, max(s.rest for s in sides))
         return found
 
     def _side(self, row: int, way: int, gone: set[int]) -> _Path | None:

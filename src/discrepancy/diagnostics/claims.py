@@ -11,13 +11,13 @@ from numpy.typing import NDArray
 from discrepancy import policy
 from discrepancy.data.collisions import Measured
 from discrepancy.diagnostics.held_out import Claim, Held, foretold, in_turn, refused
-from discrepancy.fitting.gauss_newton import fit, linearised
+from discrepancy.fitting.gauss_newton import fit_model, linearised
 from discrepancy.fitting.model_fit import Evidence, Fit
-from discrepancy.fitting.parameters import suspects_of
+from discrepancy.fitting.parameters import candidates_of
 from discrepancy.free_laws.fitted_law import FittedLaw
 from discrepancy.noise.model import Noise
 from discrepancy.selection.free_law_contest import emptied, refilled, scatter, unseen
-from discrepancy.selection.model_cost import price
+from discrepancy.selection.model_cost import cost_of
 from discrepancy.selection.named import Named
 from discrepancy.selection.stepwise import Selection, Stepwise
 
@@ -51,7 +51,7 @@ class Validation:
     kept_out: Sequence[Measured]
     before: Fit  # of the clips kept out, by the base model
     noise: Noise
-    tick: Callable[[], None]
+    progress: Callable[[], None]
 
     def standing(self, selected: Selection, free_law: FittedLaw | None) -> Standing:
         """The claims that stand: one that does not is withdrawn, and the others are held to the clips again."""
@@ -74,12 +74,12 @@ class Validation:
         claims, left, named = [], Left(), []
         whole, base = free_law.whole, selected.base
         with_, turned = self._unseen(free_law), in_turn(free_law)
-        known = suspects_of(free_law.plain, base.model, base.names)
+        known = candidates_of(free_law.plain, base.model, base.names)
         for effect, sigma in free_law.beside(base).items():
             own = selected.paid(effect, sigma)
             named.append(Named.of(known[effect], whole, whole.std, own))
             try:
-                less = refilled(self.evidence, free_law, known[effect], base, self.tick)
+                less = refilled(self.evidence, free_law, known[effect], base, self.progress)
             except ValueError:  # the clips have no motion without it
                 continue
             left[effect] = selected, less
@@ -91,17 +91,17 @@ class Validation:
 
     def _named(self, selected: Selection, level: float) -> Weighed:
         claims, left, every = [], Left(), self.steps.named(selected.state)
-        for suspect, named in zip(selected.state, every, strict=True):
-            less = self.steps.less(selected, suspect)
-            left[suspect.name] = less, None
+        for candidate, named in zip(selected.state, every, strict=True):
+            less = self.steps.less(selected, candidate)
+            left[candidate.name] = less, None
             held = self._between(named.sigma, less.best, selected.best)
             why = refused(*held) if named.sigma > max(level, selected.claim) else UNSURE
             for alias in named.aliases[1:] if why and why != UNSURE else ():
-                other = self.steps.instead(selected, suspect, alias)
+                other = self.steps.instead(selected, candidate, alias)
                 if other and not refused(*self._between(named.sigma, less.best, other.best)):
-                    left[suspect.name], why = (other, None), EXCHANGED
+                    left[candidate.name], why = (other, None), EXCHANGED
                     break
-            claims.append(Claim(suspect.name, named.sigma, *held, why))
+            claims.append(Claim(candidate.name, named.sigma, *held, why))
         return claims, left, every
 
     def _between(self, own: float, without: Fit, with_: Fit) -> tuple[Held, Held]:
@@ -112,7 +112,7 @@ class Validation:
     def _free_law(self, selected: Selection, free_law: FittedLaw, with_: Fit | None, turned: Parts) -> Claim:
         name, own = free_law.law.name, free_law.sigma
         try:
-            empty = emptied(self.evidence, free_law, self.tick)
+            empty = emptied(self.evidence, free_law, self.progress)
         except ValueError:  # no motion without the free law
             held = self._held(own, (None, with_), (turned, turned))
             return Claim(name, own, *held, refused(*held), free=True)
@@ -123,12 +123,12 @@ class Validation:
         gain, promised, std = scatter(free_law, self.kept_out, without, self.noise)
         before, std = without.chi2 / without.points, max(std, 1e-9)
         one = Held((before, before - gain / without.points), gain / std, promised / std)
-        gain += price(empty, selected.base) - free_law.score  # in the clips fitted
+        gain += cost_of(empty, selected.base) - free_law.score  # in the clips fitted
         every = Held((before, before - gain / without.points), own, own)
         return Claim(name, own, one, every, refused(one, every), free=True)
 
     def _held(
-        self, own: float, fits: tuple[Fit | None, Fit | None], turned: Pair, now: Fit | None = None
+        self, own: float, fits: tuple[Fit | None, Fit | None], turned: Pair, fit: Fit | None = None
     ) -> tuple[Held, Held]:
         """In the clips kept out, and in all. A model that has no motion for those kept out is refused by them."""
         without, with_ = fits
@@ -141,14 +141,14 @@ class Validation:
         parts = without.residuals, with_.residuals
         every = [[*seen, *left] for seen, left in zip(turned, parts, strict=True)]
         there = (
-            linearised(Evidence.of(self.kept_out, self.noise), now.model, now.names, with_.launches) if now else None
+            linearised(Evidence.of(self.kept_out, self.noise), fit.model, fit.names, with_.launches) if fit else None
         )
-        return Held.of(*parts, own, there, now.covariance if now else None), Held.of(every[0], every[1], np.inf)
+        return Held.of(*parts, own, there, fit.covariance if fit else None), Held.of(every[0], every[1], np.inf)
 
-    def _launched(self, now: Fit) -> Fit | None:
+    def _launched(self, fit: Fit) -> Fit | None:
         """The clips kept out, by a model of the library; None where it has no motion for them."""
         try:
-            return fit(self.kept_out, now.model, (), self.noise, self.before.launches, self.tick)
+            return fit_model(self.kept_out, fit.model, (), self.noise, self.before.launches, self.progress)
         except ValueError:
             return None
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from discrepancy import policy
 from discrepancy.data.collisions import Measured
-from discrepancy.fitting.gauss_newton import fit
+from discrepancy.fitting.gauss_newton import fit_model
 from discrepancy.fitting.model_fit import Fit, basis
 from discrepancy.noise.model import Noise
 from discrepancy.noise.whitening import Whitener
@@ -59,7 +59,7 @@ def show(
     base: Fit,
     best: Fit,
     noise: Noise,
-    tick: Callable[[], None] = lambda: None,
+    progress: Callable[[], None] = lambda: None,
     outside: Callable[[Fit], Fit] | None = None,
 ) -> Shown:
     """The gap on `clips`, kept out of both fits: shared parameters frozen, each clip's launch refitted.
@@ -67,12 +67,16 @@ def show(
     outside: from the fit before, the fit after, where no model file holds what was found. A best model that has no
     motion for one of the clips closes nothing.
     """
-    before = fit(clips, base.model, (), noise, tick=tick)
+    before = fit_model(clips, base.model, (), noise, progress=progress)
     try:
         if outside:
             after = outside(before)
         else:
-            after = before if best.model == base.model else fit(clips, best.model, (), noise, before.launches, tick)
+            after = (
+                before
+                if best.model == base.model
+                else fit_model(clips, best.model, (), noise, before.launches, progress)
+            )
     except ValueError:  # no motion
         after = before
     rows = [_squares(c, one, two, a, noise) for c, one, two, a in _by_clip(clips, before, after)]

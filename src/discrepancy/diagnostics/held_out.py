@@ -113,15 +113,15 @@ def refused(kept_out: Held, turns: Held) -> str:
     return ""
 
 
-def foretold(now: Fit, precision: Array | None = None) -> list[Array]:
+def foretold(fit: Fit, precision: Array | None = None) -> list[Array]:
     """White residuals of each clip as all others foretell it, but for its launch; to first order.
 
     precision: of the last parameters, beforehand (J, J). What stands at a limit stays there.
     """
-    free = np.array([not _at_limit(now, n) for n in now.names], dtype=bool)
-    own = [basis(a) for a in now.launch_slopes]
-    slopes = [s[:, free] - q @ (q.T @ s[:, free]) for q, s in zip(own, now.slopes, strict=True)]
-    left = [r - q @ (q.T @ r) for q, r in zip(own, now.residuals, strict=True)]
+    free = np.array([not _at_limit(fit, n) for n in fit.names], dtype=bool)
+    own = [basis(a) for a in fit.launch_slopes]
+    slopes = [s[:, free] - q @ (q.T @ s[:, free]) for q, s in zip(own, fit.slopes, strict=True)]
+    left = [r - q @ (q.T @ r) for q, r in zip(own, fit.residuals, strict=True)]
     if not free.any():
         return left
     known = np.zeros((len(free), len(free)))
@@ -137,10 +137,10 @@ def foretold(now: Fit, precision: Array | None = None) -> list[Array]:
     return out
 
 
-def _at_limit(now: Fit, name: str) -> bool:
+def _at_limit(fit: Fit, name: str) -> bool:
     if " " in name:  # a coefficient of a free law
         return False
-    return now.model.value(name) in limits_of(now.model, name)
+    return fit.model.value(name) in limits_of(fit.model, name)
 
 
 def in_turn(fitted_law: FittedLaw) -> list[Array]:

@@ -17,7 +17,7 @@ Array = NDArray[np.float64]
 SEEN = 1e-9  # of a parameter's information: directions that show less count for nothing
 
 
-def odd(clips: Sequence[Measured], base: Fit, best: Fit, gone: int = 0) -> dict[int, str]:
+def outlier_clips(clips: Sequence[Measured], base: Fit, best: Fit, gone: int = 0) -> dict[int, str]:
     """Clips to leave out before a search is done again, by their place in `clips`, each with a line that says why.
 
     gone: how many have been left out already.
@@ -44,24 +44,24 @@ def odd(clips: Sequence[Measured], base: Fit, best: Fit, gone: int = 0) -> dict[
     return {}
 
 
-def _unlike(now: Fit) -> Array:
+def _unlike(fit: Fit) -> Array:
     """How far the logarithm of each clip's chi^2 a point lies above the median, in spreads of the clips', or of chance.
 
     The logarithm, because an effect that is missing makes some clips worse than others by factors.
     """
-    points = np.array([len(r) for r in now.residuals])
-    each = np.log([float(r @ r) / len(r) for r in now.residuals])
+    points = np.array([len(r) for r in fit.residuals])
+    each = np.log([float(r @ r) / len(r) for r in fit.residuals])
     above = each - np.median(each)
     spread = 1.4826 * float(np.median(np.abs(above)))
     return np.asarray(above / np.maximum(spread, np.sqrt(2 / points)))
 
 
-def _told(now: Fit) -> tuple[Array, Array]:
+def _told(fit: Fit) -> tuple[Array, Array]:
     """What each clip by itself says of the shared parameters: information (clips, S, S) and pull (clips, S)."""
-    cleaned = [off(a, s) for a, s in zip(now.launch_slopes, now.slopes, strict=True)]
+    cleaned = [off(a, s) for a, s in zip(fit.launch_slopes, fit.slopes, strict=True)]
     size = np.sqrt(sum((c**2).sum(axis=0) for c in cleaned))
     unit = [c / np.where(size > 0, size, 1) for c in cleaned]
-    pulls = np.array([c.T @ r for c, r in zip(unit, now.residuals, strict=True)])
+    pulls = np.array([c.T @ r for c, r in zip(unit, fit.residuals, strict=True)])
     return np.array([c.T @ c for c in unit]), pulls
 
 

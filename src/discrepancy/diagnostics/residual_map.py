@@ -2,7 +2,7 @@
 
 Each phase starts anew from the measured state. In every clip, along and across each ball's motion, the residual is a
 free polynomial of time in each stage: what lies at the contact is its offset and drift just after it, against the
-launch as the frames before tell it; in sliding and in rolling only the bend counts, and what bends more. Each look has
+launch as the frames before tell it; in sliding and in rolling only the bend counts, and what bends more. Each trial has
 all others free beside it, and the shared parameters, which a wrong model bends: so a wrong contact is not blamed on
 the rolling that follows.
 """
@@ -29,7 +29,7 @@ from discrepancy.noise.whitening import Whitener
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Term = tuple[str, int, int]  # name, ball, axis
-Look = tuple[str, int, int]  # phase, ball, axis
+Where = tuple[str, int, int]  # phase, ball, axis
 
 PHASES = ("before", "contact", "sliding", "rolling")
 BALLS = ("ball 1", "ball 2")
@@ -49,7 +49,7 @@ TERMS: dict[str, dict[int, tuple[float, int]]] = {  # displacement: factor and p
     "roll's bend": {ROLLING: (1.0, 2)},
     "roll's twist": {ROLLING: (1.0, 3)},
 }
-LOOKS = {  # what is looked at, and what is free beside it
+TRIALS = {  # what is tried, and what is free beside it
     "before": (("before 1", "before 2", "before 3"), tuple(TERMS)[3:]),
     "contact": (("offset", "drift"), ("slide's bend", "roll's offset", "roll's bend")),
     "sliding": (("slide's bend", "slide's twist"), ("offset", "drift", "roll's offset", "roll's drift", "roll's bend")),
@@ -66,15 +66,15 @@ UNIT = 0.05  # s, of time in the terms
 PLATE = 0.02  # m, of places
 STILL = 1e-5  # m: a ball that moves less has no direction of its own
 SEEN = 1e-5  # of a term's length that the terms before it must leave
-TOLD = 1e-6  # of what a shared parameter does that must be in a look to count there
+SHOWN = 1e-6  # of what a shared parameter does that must be in a trial to count there
 SPANNED = 1e-3  # of a template's length that others must leave
 
 
 @dataclass(frozen=True)
 class Place:
-    """One look at the residuals of a ball in a phase, along or across its motion.
+    """One test of the residuals of a ball in a phase, along or across its motion.
 
-    against: what the disagreement changes with from clip to clip, or "" for any. sigma: corrected for all looks. size:
+    against: what the disagreement changes with from clip to clip, or "" for any. sigma: corrected for all trials. size:
     rms of the disagreement in that phase, noise subtracted, um.
     """
 
@@ -91,12 +91,12 @@ class Place:
 
 
 @dataclass(frozen=True)
-class _Glance:
-    """One clip's part in a look. P terms, of which the clip tells m combinations.
+class _Part:
+    """One clip's part in a trial. P terms, of which the clip tells m combinations.
 
     pulls (m,): amplitudes, of unit variance; per_metre (m, P): pulls that a metre of each term would make;
     shared (m, S): those of the shared parameters; squares (P, P): products of the terms, summed over `rows` rows;
-    features: by what the look is held against, numbers (f,) of this clip.
+    features: by what the trial is held against, numbers (f,) of this clip.
     """
 
     pulls: Array
@@ -109,9 +109,9 @@ class _Glance:
     features: dict[str, Array]
 
 
-def locate(clips: Sequence[Measured], now: Fit, noise: Noise) -> tuple[Place, ...]:
-    """Every look at the fit's residuals, most significant first."""
-    found = list(looks(clips, now, noise))
+def locate(clips: Sequence[Measured], fit: Fit, noise: Noise) -> tuple[Place, ...]:
+    """Every test of the fit's residuals, most significant first."""
+    found = list(trials(clips, fit, noise))
     places = [
         Place(p, BALLS[b], AXES[a], _corrected(chi2, dof, len(found)), against, size)
         for (p, b, a), against, chi2, dof, size in found
@@ -119,50 +119,50 @@ def locate(clips: Sequence[Measured], now: Fit, noise: Noise) -> tuple[Place, ..
     return tuple(sorted(places, key=lambda x: -x.sigma))
 
 
-def looks(clips: Sequence[Measured], now: Fit, noise: Noise) -> Iterator[tuple[Look, str, float, int, float]]:
-    """(phase, ball, axis), what it is held against, chi^2, degrees of freedom and size, um, of each look."""
-    all_: dict[Look, list[_Glance]] = {}
-    expected = forecast(now.model, now.launches, clips)
+def trials(clips: Sequence[Measured], fit: Fit, noise: Noise) -> Iterator[tuple[Where, str, float, int, float]]:
+    """(phase, ball, axis), what it is held against, chi^2, degrees of freedom and size, um, of each trial."""
+    all_: dict[Where, list[_Part]] = {}
+    expected = forecast(fit.model, fit.launches, clips)
     for k, clip in enumerate(clips):
-        for look, glance in _glances(clip, expected[k], now, k, noise):
-            all_.setdefault(look, []).append(glance)
-    for look, glances in all_.items():
-        for result in _results(glances):
-            yield look, *result
+        for where, part in _parts(clip, expected[k], fit, k, noise):
+            all_.setdefault(where, []).append(part)
+    for where, parts in all_.items():
+        for result in _results(parts):
+            yield where, *result
 
 
-def _glances(clip: Measured, path: Array, now: Fit, k: int, noise: Noise) -> Iterator[tuple[Look, _Glance]]:
-    """One clip's part in every look."""
+def _parts(clip: Measured, path: Array, fit: Fit, k: int, noise: Noise) -> Iterator[tuple[Where, _Part]]:
+    """One clip's part in every trial."""
     stage, time = _stages(clip)
     motion = _directions(clip, stage, path)
-    white, size = Whitener.of(clip, noise), np.sqrt(sum((s**2).sum(axis=0) for s in now.slopes))
+    white, size = Whitener.of(clip, noise), np.sqrt(sum((s**2).sum(axis=0) for s in fit.slopes))
     unit = 1 / np.where(size > 0, size, 1)
-    for phase, (names, beside) in LOOKS.items():
-        looked = [(name, b, a) for b in range(2) for a in range(2) for name in names if (b, name) != ROLLER]
+    for phase, (names, beside) in TRIALS.items():
+        tried = [(name, b, a) for b in range(2) for a in range(2) for name in names if (b, name) != ROLLER]
         terms = [(name, b, a) for b in range(2) for a in range(2) for name in beside]
         first = len(terms)
-        terms += looked
+        terms += tried
         raw = np.stack([_column(t, stage, clip.ball, time, motion) for t in terms], axis=-1)
         if phase == "contact":  # an impact's natural measure
-            raw[..., first:] *= now.launches[k, V0]
-        solved = _Solved.of(now.launch_slopes[k], white(raw), now.residuals[k], now.slopes[k] * unit)
+            raw[..., first:] *= fit.launches[k, V0]
+        solved = _Solved.of(fit.launch_slopes[k], white(raw), fit.residuals[k], fit.slopes[k] * unit)
         for b in range(2):
             rows = np.isin(stage, [s for name in names for s in TERMS[name]]) & (clip.ball == b)
             for a in range(2):
                 wanted = [j for j in range(first, len(terms)) if terms[j][1:] == (b, a)]
-                told = [i for i, j in enumerate(wanted) if solved.kept[j]]
-                if not told:
+                shown = [i for i, j in enumerate(wanted) if solved.kept[j]]
+                if not shown:
                     continue
-                mine = [wanted[i] for i in told]
+                mine = [wanted[i] for i in shown]
                 pulls, per_metre, shared = solved.group(mine)
                 full, squares = np.zeros((len(pulls), len(wanted))), np.zeros((len(wanted), len(wanted)))
-                full[:, told] = per_metre
+                full[:, shown] = per_metre
                 columns = np.einsum("na,nai->ni", motion[rows, a], raw[rows][..., mine])
                 columns = _beyond(columns, time[rows], FREE_LINE[phase] - (phase == "before" and b == 0))
-                squares[np.ix_(told, told)] = columns.T @ columns
-                features = _features(now.launches[k], path[rows].mean(axis=0), motion[rows, a].mean(axis=0))
+                squares[np.ix_(shown, shown)] = columns.T @ columns
+                features = _features(fit.launches[k], path[rows].mean(axis=0), motion[rows, a].mean(axis=0))
                 rest = (solved.information, solved.pull)
-                yield (phase, b, a), _Glance(pulls, full, shared, *rest, squares, int(rows.sum()), features)
+                yield (phase, b, a), _Part(pulls, full, shared, *rest, squares, int(rows.sum()), features)
 
 
 def _beyond(columns: Array, time: Array, powers: int) -> Array:
@@ -209,7 +209,7 @@ def _directions(clip: Measured, stage: Ints, path: Array) -> Array:
 
 
 def _features(launch: Array, place: Array, direction: Array) -> dict[str, Array]:
-    """What a clip's amplitude may change with. A force of the place counts by its part along the look's direction."""
+    """What a clip's amplitude may change with. A force of the place counts by its part along the trial's direction."""
     _, _, _, speed, heading, b = launch
     x, y = place / PLATE
     field = np.array([1, x, y, x * x, x * y, y * y])
@@ -242,18 +242,18 @@ class _Solved:
         both = np.column_stack([launch, columns])
         length = np.linalg.norm(both, axis=0)
         unit = both / np.where(length > 0, length, 1)
-        told = np.abs(np.diag(np.linalg.qr(unit, mode="r"))) > SEEN
-        q, r = np.linalg.qr(unit[:, told])
+        shown = np.abs(np.diag(np.linalg.qr(unit, mode="r"))) > SEEN
+        q, r = np.linalg.qr(unit[:, shown])
         inverse = np.linalg.inv(r)
-        at, first = np.flatnonzero(told), launch.shape[1]
-        amplitude, covariance = np.zeros(len(told)), np.zeros((len(told),) * 2)
+        at, first = np.flatnonzero(shown), launch.shape[1]
+        amplitude, covariance = np.zeros(len(shown)), np.zeros((len(shown),) * 2)
         amplitude[at] = inverse @ (q.T @ residual)
         covariance[np.ix_(at, at)] = inverse @ inverse.T
-        slopes = np.zeros((len(told), shared.shape[1]))
+        slopes = np.zeros((len(shown), shared.shape[1]))
         slopes[at] = inverse @ (q.T @ shared)
         terms, rest = slice(first, None), shared - q @ (q.T @ shared)
         found = amplitude[terms], covariance[terms, terms], slopes[terms]
-        return cls(told[terms], length[terms], *found, rest.T @ rest, rest.T @ residual)
+        return cls(shown[terms], length[terms], *found, rest.T @ rest, rest.T @ residual)
 
     def group(self, rows: list[int]) -> tuple[Array, Array, Array]:
         """Of some terms, all others free: pulls of unit variance, and those by a metre of each, by what is shared."""
@@ -261,30 +261,30 @@ class _Solved:
         return root @ self.amplitude[rows], root * self.length[rows], root @ self.shared[rows]
 
 
-def _results(glances: Sequence[_Glance]) -> Iterator[tuple[str, float, int, float]]:
-    """(against, chi^2, degrees of freedom, size in um) of one look over all clips.
+def _results(parts: Sequence[_Part]) -> Iterator[tuple[str, float, int, float]]:
+    """(against, chi^2, degrees of freedom, size in um) of one trial over all clips.
 
-    The shared parameters are free; what the look leaves of the clips tells of them too, as a few rows more.
+    The shared parameters are free; what the trial leaves of the clips tells of them too, as a few rows more.
     """
-    values, axes = np.linalg.eigh(sum(g.information for g in glances))
-    seen = values > TOLD * values.max(initial=0)
+    values, axes = np.linalg.eigh(sum(g.information for g in parts))
+    seen = values > SHOWN * values.max(initial=0)
     roots = np.sqrt(values[seen])
-    rest = axes[:, seen].T @ sum(g.pull for g in glances) / roots
-    pulls = np.concatenate([*(g.pulls for g in glances), rest])
-    taken = _basis(np.concatenate([*(g.shared for g in glances), roots[:, None] * axes[:, seen].T]))
+    rest = axes[:, seen].T @ sum(g.pull for g in parts) / roots
+    pulls = np.concatenate([*(g.pulls for g in parts), rest])
+    taken = _basis(np.concatenate([*(g.shared for g in parts), roots[:, None] * axes[:, seen].T]))
     left = pulls - taken @ (taken.T @ pulls)
     freedom = len(pulls) - taken.shape[1]
     if freedom:
-        yield "", float(left @ left), freedom, _size(glances, left, freedom / len(pulls))
-    if len(glances) < policy.FEWEST_CLIPS_OF_A_TREND:
+        yield "", float(left @ left), freedom, _size(parts, left, freedom / len(pulls))
+    if len(parts) < policy.FEWEST_CLIPS_OF_A_TREND:
         return
-    always = _basis(np.column_stack([_stacked([g.per_metre for g in glances], len(rest)), taken]))
+    always = _basis(np.column_stack([_stacked([g.per_metre for g in parts], len(rest)), taken]))
     for against in AGAINST:
-        changing = [np.asarray(np.kron(g.features[against], g.per_metre)) for g in glances]
+        changing = [np.asarray(np.kron(g.features[against], g.per_metre)) for g in parts]
         basis = _basis(_stacked(changing, len(rest)), always)
-        told = basis.T @ pulls
-        if len(told):
-            yield against, float(told @ told), len(told), _size(glances, basis @ told, len(told) / len(pulls))
+        shown = basis.T @ pulls
+        if len(shown):
+            yield against, float(shown @ shown), len(shown), _size(parts, basis @ shown, len(shown) / len(pulls))
 
 
 def _stacked(columns: Sequence[Array], rest: int) -> Array:
@@ -302,10 +302,10 @@ def _basis(columns: Array, besides: Array | None = None) -> Array:
     return np.asarray(axes[:, sizes > SPANNED])
 
 
-def _size(glances: Sequence[_Glance], pulls: Array, noisy: float) -> float:
+def _size(parts: Sequence[_Part], pulls: Array, noisy: float) -> float:
     """rms displacement, um, that makes these pulls, less what noise makes: `noisy` of its directions are in them."""
     total, rows, first = 0.0, 0, 0
-    for g in glances:
+    for g in parts:
         metres = np.linalg.pinv(g.per_metre)
         terms = metres @ pulls[first : first + len(g.pulls)]
         total += float(terms @ g.squares @ terms - noisy * np.trace(metres.T @ g.squares @ metres))
@@ -313,8 +313,8 @@ def _size(glances: Sequence[_Glance], pulls: Array, noisy: float) -> float:
     return 1e6 * float(np.sqrt(max(total, 0.0) / rows))
 
 
-def _corrected(chi2: float, dof: int, looks: int) -> float:
-    p = looks * float(chi2_law.sf(chi2, dof))
+def _corrected(chi2: float, dof: int, trials: int) -> float:
+    p = trials * float(chi2_law.sf(chi2, dof))
     if p >= 1:
         return 0.0
     return float(norm.isf(p / 2)) if p > 1e-250 else sigmas(chi2, dof)

@@ -9,8 +9,8 @@ import numpy as np
 
 from discrepancy import policy
 from discrepancy.data.collisions import Measured
-from discrepancy.data.outlier_points import without_spikes
-from discrepancy.fitting.gauss_newton import fit
+from discrepancy.data.outlier_points import without_outliers
+from discrepancy.fitting.gauss_newton import fit_model
 from discrepancy.fitting.model_fit import Fit
 from discrepancy.fitting.parameters import fitted
 from discrepancy.fitting.predict import forecast
@@ -21,7 +21,7 @@ from tracker.camera.same_view import first_difference
 
 CLAIMED = Noise(Component(1.0))  # white, and as large as is claimed
 LOST = 100.0  # chi^2 a degree of freedom of a fit that may have lost its way
-Tick = Callable[[str], None]
+Progress = Callable[[str], None]
 
 
 def check(clips: Sequence[Measured], model: Model) -> None:
@@ -54,7 +54,7 @@ def noise_of(clips: Sequence[Measured]) -> Noise:
         raise InputError(f"the tracks: {e}") from None
 
 
-def base_fit(clips: Sequence[Measured], model: Model, noise: Noise, tick: Tick) -> Fit:
+def base_fit(clips: Sequence[Measured], model: Model, noise: Noise, progress: Progress) -> Fit:
     """The model's base parameters that are not zero and those in `model.free`, fitted. Raises InputError.
 
     From their values in the model; where that leads nowhere, from friction as the slides' lengths tell it, and with
@@ -62,30 +62,30 @@ def base_fit(clips: Sequence[Measured], model: Model, noise: Noise, tick: Tick) 
     """
     names = fitted(model)
     try:
-        found = fit(clips, model, names, noise, tick=lambda: tick("fit"))
+        found = fit_model(clips, model, names, noise, progress=lambda: progress("fit"))
     except ValueError as e:
         raise InputError(f"the model has no motion for these collisions: {e}") from None
     if found.chi2 > LOST * (found.points - found.parameters) and "sliding_friction" in names:
         with suppress(ValueError):
-            again = fit(clips, _rescaled(clips, model), names, noise, tick=lambda: tick("fit"))
+            again = fit_model(clips, _rescaled(clips, model), names, noise, progress=lambda: progress("fit"))
             return min(found, again, key=lambda f: f.chi2)
     return found
 
 
 def smoothed(
-    clips: Sequence[Measured], kept_out: Sequence[Measured], model: Model, tick: Tick
+    clips: Sequence[Measured], kept_out: Sequence[Measured], model: Model, progress: Progress
 ) -> tuple[list[Measured], list[Measured]]:
-    """Both without what are spikes beside the base model. Only `clips` are fitted, but for launches.
+    """Both without what are outliers beside the base model. Only `clips` are fitted, but for launches.
 
-    To be done before their noise is read: spikes would be taken for noise.
+    To be done before their noise is read: outliers would be taken for noise.
     """
-    base = base_fit(clips, model, CLAIMED, tick)
+    base = base_fit(clips, model, CLAIMED, progress)
     every, places = [*clips, *kept_out], base.launches
     with suppress(ValueError):  # the model has no motion for one of them
         if kept_out:
-            places = np.concatenate([places, fit(kept_out, base.model, (), CLAIMED).launches])
+            places = np.concatenate([places, fit_model(kept_out, base.model, (), CLAIMED).launches])
     told = every[: len(places)]
-    kept = [*without_spikes(told, forecast(base.model, places, told)), *every[len(places) :]]
+    kept = [*without_outliers(told, forecast(base.model, places, told)), *every[len(places) :]]
     return kept[: len(clips)], kept[len(clips) :]
 
 

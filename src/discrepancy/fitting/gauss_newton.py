@@ -34,13 +34,13 @@ DAMPED = 1e6  # the strongest damping
 FAILED = (ValueError, ArithmeticError)  # of a step: no motion, a singular matrix, an overflow
 
 
-def fit(
+def fit_model(
     clips: Sequence[Measured],
     model: Model,
     names: Sequence[str],
     noise: Noise,
     launches: Array | None = None,
-    tick: Callable[[], None] = lambda: None,
+    progress: Callable[[], None] = lambda: None,
 ) -> Fit:
     """Fit the shared parameters `names` and every launch. With no names only the launches are fitted.
 
@@ -48,62 +48,62 @@ def fit(
     """
     evidence = Evidence.of(clips, noise)
     places = np.array([c.launch for c in clips] if launches is None else launches, dtype=float)
-    return settle(evidence, linearised(evidence, model, tuple(names), places), tick)
+    return settle(evidence, linearised(evidence, model, tuple(names), places), progress)
 
 
-def settle(evidence: Evidence, now: Fit, tick: Callable[[], None] = lambda: None, rough: bool = False) -> Fit:
+def settle(evidence: Evidence, fit: Fit, progress: Callable[[], None] = lambda: None, rough: bool = False) -> Fit:
     """The least chi^2, from `now`. rough: stop within ROUGH or so of it, with derivatives of somewhere near."""
     damping, settled, last = 0.0, ROUGH if rough else SETTLED, False
     for _ in range(ITERATIONS):
-        tick()
+        progress()
         try:
-            values, own = _step(now, damping)
+            values, own = _step(fit, damping)
         except FAILED:
             break
-        foretold = now.chi2 - _foretold(now, values, own)
+        foretold = fit.chi2 - _foretold(fit, values, own)
         if last or foretold < settled:
-            if now.local or rough or (here := _here(evidence, now)) is None:
+            if fit.local or rough or (here := _here(evidence, fit)) is None:
                 break
-            now, last = here, False
+            fit, last = here, False
             continue
-        for share in SHARES if now.local else (1.0,):
-            moved = _moved(evidence, now, _part(now, values, share), share * own)
-            gained = now.chi2 - moved.chi2 if moved else -np.inf
+        for share in SHARES if fit.local else (1.0,):
+            moved = _moved(evidence, fit, _part(fit, values, share), share * own)
+            gained = fit.chi2 - moved.chi2 if moved else -np.inf
             if gained > 0:
                 break
         if moved is None or not gained > 0:
-            if now.local:
+            if fit.local:
                 damping = max(10 * damping, 1e-3)
                 if damping > DAMPED:
                     break
-            elif (here := _here(evidence, now)) is None:
+            elif (here := _here(evidence, fit)) is None:
                 break
             else:
-                now = here
+                fit = here
             continue
         damping = damping / 10 if damping > 1e-4 else 0.0
         last = gained < settled and share == 1
-        if last and now.local:
+        if last and fit.local:
             return moved if rough else _here(evidence, moved) or moved
-        now = moved
+        fit = moved
         if not last and abs(gained - foretold) > FORETOLD * foretold:
-            if (here := _here(evidence, now)) is None:
+            if (here := _here(evidence, fit)) is None:
                 break
-            now = here
-    return now
+            fit = here
+    return fit
 
 
-def _here(evidence: Evidence, now: Fit) -> Fit | None:
+def _here(evidence: Evidence, fit: Fit) -> Fit | None:
     """With the derivatives of where it stands; None where there are none."""
     try:
-        return linearised(evidence, now.model, now.names, now.launches)
+        return linearised(evidence, fit.model, fit.names, fit.launches)
     except FAILED:
         return None
 
 
-def _part(now: Fit, values: Mapping[str, float], share: float) -> dict[str, float]:
+def _part(fit: Fit, values: Mapping[str, float], share: float) -> dict[str, float]:
     """A share of the way to new values."""
-    return {n: (1 - share) * now.model.value(n) + share * v for n, v in values.items()} if share < 1 else dict(values)
+    return {n: (1 - share) * fit.model.value(n) + share * v for n, v in values.items()} if share < 1 else dict(values)
 
 
 def linearised(evidence: Evidence, model: Model, names: tuple[str, ...], launches: Array, exact: bool = False) -> Fit:
@@ -113,13 +113,13 @@ def linearised(evidence: Evidence, model: Model, names: tuple[str, ...], launche
     residuals = evidence.white([c.xy - e for c, e in zip(evidence.clips, expected, strict=True)])
     if names:
         slopes = evidence.white([np.stack([s[k] for s in shared], axis=-1) for k in range(len(expected))])
-        slopes = telling(model, names, slopes)
+        slopes = identifiable(model, names, slopes)
     else:
         slopes = tuple(np.zeros((len(r), 0)) for r in residuals)
     return Fit(model, names, launches, residuals, Tangent(model, names, launches, slopes, evidence.white(own)))
 
 
-def telling(model: Model, names: Sequence[str], slopes: tuple[Array, ...]) -> tuple[Array, ...]:
+def identifiable(model: Model, names: Sequence[str], slopes: tuple[Array, ...]) -> tuple[Array, ...]:
     """Whitened derivatives (2n, S) of each clip, those of shapes that all their range would not show set to zero.
 
     In the gap between two frames a lost one may be anywhere: no step should carry it away from there.
@@ -135,9 +135,9 @@ def telling(model: Model, names: Sequence[str], slopes: tuple[Array, ...]) -> tu
     return tuple(np.where(silent, 0.0, s) for s in slopes) if silent.any() else slopes
 
 
-def nudged(evidence: Evidence, now: Fit, model: Model) -> Fit | None:
+def nudged(evidence: Evidence, fit: Fit, model: Model) -> Fit | None:
     """One step from `now` with another model: what it fits shared and the launches give way. None without a motion."""
-    there = _moved(evidence, dataclasses.replace(now, model=model), {}, np.zeros_like(now.launches))
+    there = _moved(evidence, dataclasses.replace(fit, model=model), {}, np.zeros_like(fit.launches))
     if there is None:
         return None
     try:
@@ -147,64 +147,64 @@ def nudged(evidence: Evidence, now: Fit, model: Model) -> Fit | None:
     return further if further and further.chi2 < there.chi2 else there
 
 
-def likeliest(evidence: Evidence, now: Fit, tries: Sequence[Mapping[str, float]]) -> Mapping[str, float] | None:
+def likeliest(evidence: Evidence, fit: Fit, tries: Sequence[Mapping[str, float]]) -> Mapping[str, float] | None:
     """Of values of the same parameters those that fit best when all else gives way, to first order. None: no motion."""
     names = tuple(tries[0])
-    kept, (here, *there) = now.reduced(now.model, names), _beside(now, evidence.clips, names, [{}, *tries])
+    kept, (here, *there) = fit.reduced(fit.model, names), _beside(fit, evidence.clips, names, [{}, *tries])
     best, least = None, np.inf
     for values, places in zip(tries, there, strict=True):
         if here is None or places is None:
             continue
         off = evidence.white([a - b for a, b in zip(here, places, strict=True)])
-        look = dataclasses.replace(kept, residuals=tuple(r + o for r, o in zip(now.residuals, off, strict=True)))
+        look = dataclasses.replace(kept, residuals=tuple(r + o for r, o in zip(fit.residuals, off, strict=True)))
         if (chi2 := _foretold(look, *_step(look, 0.0))) < least:
             best, least = values, chi2
     return best
 
 
 def _beside(
-    now: Fit, clips: Sequence[Measured], names: Sequence[str], tries: Sequence[Mapping[str, float]]
+    fit: Fit, clips: Sequence[Measured], names: Sequence[str], tries: Sequence[Mapping[str, float]]
 ) -> Iterator[list[Array] | None]:
     """The forecasts with other values of some parameters; without the push between balls where they are not of it."""
-    plain = uncoupled(now.model)
-    model = now.model if coupling(now.model, plain) & {n.partition(".")[0] for n in names} else plain
+    plain = uncoupled(fit.model)
+    model = fit.model if coupling(fit.model, plain) & {n.partition(".")[0] for n in names} else plain
     for values in tries:
         try:
-            yield forecast(model.replace(values), now.launches, clips)
+            yield forecast(model.replace(values), fit.launches, clips)
         except FAILED:
             yield None
 
 
-def _moved(evidence: Evidence, now: Fit, values: Mapping[str, float], own: Array) -> Fit | None:
+def _moved(evidence: Evidence, fit: Fit, values: Mapping[str, float], own: Array) -> Fit | None:
     """`now` a step further, its derivatives as they were; None where the model has no motion for such a launch."""
-    launches = now.launches + own
+    launches = fit.launches + own
     if not possible(launches):
         return None
     try:
-        model = within(now.model, values)
-        return dataclasses.replace(now, model=model, launches=launches, residuals=evidence.left(model, launches))
+        model = within(fit.model, values)
+        return dataclasses.replace(fit, model=model, launches=launches, residuals=evidence.left(model, launches))
     except FAILED:
         return None
 
 
-def _foretold(now: Fit, values: Mapping[str, float], own: Array) -> float:
+def _foretold(fit: Fit, values: Mapping[str, float], own: Array) -> float:
     """chi^2 after a step, to first order."""
-    shared = np.array([values[n] - now.model.value(n) for n in now.names])
-    parts = zip(now.residuals, now.slopes, now.launch_slopes, own, strict=True)
+    shared = np.array([values[n] - fit.model.value(n) for n in fit.names])
+    parts = zip(fit.residuals, fit.slopes, fit.launch_slopes, own, strict=True)
     return float(sum(((r - s @ shared - a @ o) ** 2).sum() for r, s, a, o in parts))
 
 
-def _step(now: Fit, damping: float) -> tuple[dict[str, float], Array]:
+def _step(fit: Fit, damping: float) -> tuple[dict[str, float], Array]:
     """The Gauss-Newton step within the limits: new values of the shared parameters, changes of the launches."""
-    shared, own = solve(now, damping, *now.room())
-    return dict(zip(now.names, (now.values() + shared).tolist(), strict=True)), own
+    shared, own = solve(fit, damping, *fit.room())
+    return dict(zip(fit.names, (fit.values() + shared).tolist(), strict=True)), own
 
 
-def solve(now: Fit, damping: float, least: Array, most: Array) -> tuple[Array, Array]:
+def solve(fit: Fit, damping: float, least: Array, most: Array) -> tuple[Array, Array]:
     """The Gauss-Newton step: shared (S,), within bounds, and launches (clips, 6)."""
-    size = len(now.names)
+    size = len(fit.names)
     matrix, right, blocks = np.zeros((size, size)), np.zeros(size), []
-    for r, s, a in zip(now.residuals, now.slopes, now.launch_slopes, strict=True):
+    for r, s, a in zip(fit.residuals, fit.slopes, fit.launch_slopes, strict=True):
         own = a.T @ a
         own[np.diag_indices(SIZE)] *= 1 + damping
         coupling, pull = a.T @ s, a.T @ r

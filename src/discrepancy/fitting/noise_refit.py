@@ -50,7 +50,7 @@ def refined(clips: Sequence[Measured], fit: Fit, noise: Noise, explained: bool =
         return None
     places = np.unique(np.linspace(0, len(clips) - 1, min(CLIPS, len(clips))).astype(int)).tolist()
     left, within = _Left.of(clips, fit, noise, places), Pairs(pair for k in places for pair in clips[k].together())
-    sigma, rho = (0.0, 0.0) if noise.shared or not explained else left.shaken(noise)
+    sigma, rho = (0.0, 0.0) if noise.shared or not explained else left.common_mode_score(noise)
     if noise.shared:
         new = left.best(noise)[1]
     elif sigma > policy.SHARED_NOISE_SIGMA and within.pairs:
@@ -71,7 +71,7 @@ class _Left:
 
     clips: Sequence[Measured]
     columns: tuple[Array, ...]
-    price: float  # of a number more, Schwarz
+    penalty: float  # of a number more, Schwarz
 
     @classmethod
     def of(cls, clips: Sequence[Measured], fit: Fit, noise: Noise, places: Sequence[int]) -> _Left:
@@ -102,20 +102,20 @@ class _Left:
             return float(logs + np.log(values).sum() + gram[-1, -1] - (pulls**2 / values).sum())
 
     def best(self, start: Noise) -> tuple[float, Noise]:
-        """The likeliest noise of the same shape, found from `start`; first its cost with the price of its numbers."""
-        shape, shake = shape_of(start.own), shape_of(start.shared[0]) if start.shared else None
+        """The likeliest noise of the same shape, found from `start`; first its cost with the penalty of its numbers."""
+        shape, common = shape_of(start.own), shape_of(start.shared[0]) if start.shared else None
         numbers = [np.log([start.own.variance]), free_numbers(start.own)]
         if start.shared:
             numbers += [np.log([s.variance for s in start.shared]), free_numbers(start.shared[0])]
-        build = partial(noise_of, shape, shake)
+        build = partial(noise_of, shape, common)
 
         def cost(y: Array) -> float:
             return self.cost(build(y))
 
         x = descend(cost, np.concatenate(numbers))
-        return possible(cost, x) + self.price * len(x), build(x)
+        return possible(cost, x) + self.penalty * len(x), build(x)
 
-    def shaken(self, noise: Noise) -> tuple[float, float]:
+    def common_mode_score(self, noise: Noise) -> tuple[float, float]:
         """The most significant score of shared noise over KERNELS and axes, in sigma, and its kernel's correlation.
 
         As within phases (`Pairs.shaken`), the launches' part taken out: with z the white residuals, P what the launches

@@ -1,4 +1,4 @@
-"""The numbers that a fit may change, by dotted name, and the suspects: what a model may lack."""
+"""The numbers that a fit may change, by dotted name, and the candidates: what a model may lack."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ MULTIPLIES = {"friction", "normal_load", "drilling"}  # laws that bend sliding f
 
 
 @dataclass(frozen=True)
-class Suspect:
+class Candidate:
     """An effect that a model may lack, or a base parameter that it holds at zero.
 
     strengths, shapes: dotted names. kind: the effect's class. held: their values where the given model has the effect.
@@ -37,7 +37,7 @@ class Suspect:
     held: tuple[float, ...] = ()
 
     def without(self, model: Model) -> Model:
-        """The model with this suspect's numbers where the model that was given has them."""
+        """The model with this candidate's numbers where the model that was given has them."""
         if any(self.held):
             return model.replace(dict(zip((*self.strengths, *self.shapes), self.held, strict=True)))
         if self.kind is None:
@@ -84,9 +84,9 @@ def between(p: Parameter, value: float, closer: int) -> list[float]:
     return [x for x in near if p.low <= x <= p.high]
 
 
-def suspects(model: Model, fitted: Sequence[str]) -> tuple[Suspect, ...]:
+def candidates(model: Model, fitted: Sequence[str]) -> tuple[Candidate, ...]:
     """What `model` may lack beside the parameters `fitted`: base parameters held at zero, and the library's effects."""
-    found = [Suspect(n, (n,)) for n in BASE if n not in fitted and model.value(n) == 0]
+    found = [Candidate(n, (n,)) for n in BASE if n not in fitted and model.value(n) == 0]
     for kind in library().values():
         strengths = tuple(s for s in strengths_of(kind) if s not in fitted)
         if strengths and not (model.sliding_friction == 0 and set(kind.laws) <= MULTIPLIES):
@@ -94,14 +94,14 @@ def suspects(model: Model, fitted: Sequence[str]) -> tuple[Suspect, ...]:
             shapes = tuple(s for s in every if s not in fitted)
             there = any(model.value(s) for s in strengths)
             held = tuple(model.value(s) for s in (*strengths, *shapes)) if there else ()
-            found.append(Suspect(kind.name(), strengths, shapes, kind, held))
+            found.append(Candidate(kind.name(), strengths, shapes, kind, held))
     return tuple(found)
 
 
-def suspects_of(found: Model, given: Model, fitted: Sequence[str]) -> dict[str, Suspect]:
+def candidates_of(found: Model, given: Model, fitted: Sequence[str]) -> dict[str, Candidate]:
     """By name, what a given model may lack when base parameters are as they were found: some effects need friction."""
-    grown = given.replace({n: found.value(n) for n in BASE})
-    return {s.name: s for model in (grown, given) for s in suspects(model, fitted)}
+    extended = given.replace({n: found.value(n) for n in BASE})
+    return {s.name: s for model in (extended, given) for s in candidates(model, fitted)}
 
 
 def strengths_of(effect: type[Effect]) -> tuple[str, ...]:

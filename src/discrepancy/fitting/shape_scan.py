@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from discrepancy.data.collisions import Measured
-from discrepancy.fitting.parameters import Suspect, parameter_of
+from discrepancy.fitting.parameters import Candidate, parameter_of
 from discrepancy.fitting.predict import known_to_measure, velocities
 from discrepancy.fitting.response import Leg, responses
 from synthcam.effect import Effect
@@ -27,9 +27,9 @@ FEW = 2  # the same where nothing but the last step, from pixel to pixel, is tak
 AT_ONCE = 64  # columns, for memory
 
 
-def scannable(suspect: Suspect, tries: Sequence[Shapes]) -> bool:
+def scannable(candidate: Candidate, tries: Sequence[Shapes]) -> bool:
     """Are there many shapes to try, of an effect on laws that ask for no more than is known here?"""
-    laws = suspect.kind.laws if suspect.kind else {}
+    laws = candidate.kind.laws if candidate.kind else {}
     if not laws or len(tries) < (FEW if "measure" in laws else MANY):
         return False
     if "measure" in laws or "clock" in laws:
@@ -41,14 +41,14 @@ def scanned(
     model: Model,
     launches: Array,
     clips: Sequence[Measured],
-    suspect: Suspect,
+    candidate: Candidate,
     tries: Sequence[Shapes],
     here: Sequence[Array],
 ) -> list[Array]:
-    """d tracks (n_k, 2, tries, strengths) of each clip, about a model without the suspect. here: its forecast."""
-    kind = suspect.kind
+    """d tracks (n_k, 2, tries, strengths) of each clip, about a model without the candidate. here: its forecast."""
+    kind = candidate.kind
     assert kind is not None
-    sizes = {_short(s): parameter_of(model, s).typical for s in suspect.strengths}
+    sizes = {_short(s): parameter_of(model, s).typical for s in candidate.strengths}
     nothing = dict.fromkeys(sizes, 0.0)
     fitted_law = [
         (kind(**nothing | {_short(n): v for n, v in shapes.items()} | {s: size}), size)

@@ -18,10 +18,10 @@ AT_ONCE = 4_000
 SEED = 20_260
 
 
-def sigmas(chi2: float, dof: int, looks: float = 1.0) -> float:
-    """The |z| of a normal variable as improbable as chi^2 of so many degrees of freedom, the best of so many looks."""
-    if looks > 1:
-        return math.sqrt(max(sigmas(chi2, dof) ** 2 - 2 * math.log(looks), 0.0))
+def sigmas(chi2: float, dof: int, trials_factor: float = 1.0) -> float:
+    """The |z| of a normal variable as improbable as chi^2 of so many degrees of freedom, the best of many trials."""
+    if trials_factor > 1:
+        return math.sqrt(max(sigmas(chi2, dof) ** 2 - 2 * math.log(trials_factor), 0.0))
     if dof == 1:
         return math.sqrt(max(chi2, 0.0))
     p = float(chdtrc(dof, max(chi2, 0.0)))
@@ -33,8 +33,8 @@ def sigmas(chi2: float, dof: int, looks: float = 1.0) -> float:
     return max(-float(ndtri_exp(log_p - math.log(2))), 0.0)
 
 
-def looks_of(every: Sequence[Array]) -> float:
-    """How many independent looks there are in these, each a basis (points, k): 1 for one, or many that are alike."""
+def trials_factor(every: Sequence[Array]) -> float:
+    """How many independent trials these are, each a basis (points, k): 1 for one, or many that are alike."""
     columns = np.concatenate(every, axis=1)
     length = np.linalg.norm(columns, axis=0)
     unit = columns[:, length > 0] / length[length > 0]
@@ -48,14 +48,14 @@ def by_chance(
     sizes: Sequence[int],
     one_sided: Sequence[bool],
     level: float | None = None,
-    looks: Sequence[float] = (),
+    trials_factors: Sequence[float] = (),
 ) -> float:
     """The sigma that the best of all candidates exceeds in a share of cases when nothing is hidden.
 
     gram (K, K): products of the axes of all candidates among themselves. Each has of its own an orthonormal basis of
     `sizes` axes, of what its signature leaves after the fit took its part. Their products with white noise are Gaussian
     with this covariance, so they are drawn at once, the same draws every time. one_sided: candidates of one strength
-    that only scores when positive. looks: that each candidate is the best of, and corrected for. level: that share;
+    that only scores when positive. trials_factors: of each candidate, by which it is corrected. level: that share;
     by default that of a claim.
     """
     if not sum(sizes):
@@ -67,7 +67,7 @@ def by_chance(
     owners = np.flatnonzero(np.array(sizes) > 0)
     alike: dict[tuple[int, float], list[int]] = {}
     for i, k in enumerate(owners):
-        alike.setdefault((sizes[int(k)], looks[int(k)] if looks else 1.0), []).append(i)
+        alike.setdefault((sizes[int(k)], trials_factors[int(k)] if trials_factors else 1.0), []).append(i)
     rng, best = np.random.default_rng(SEED), []
     for _ in range(DRAWS // AT_ONCE):
         pulls = rng.standard_normal((AT_ONCE, len(root))).astype(np.float32) @ root
@@ -75,14 +75,14 @@ def by_chance(
         pulls[:, starts[single]] = np.maximum(pulls[:, starts[single]], 0.0)
         chi2 = np.add.reduceat(pulls**2, starts[owners], axis=1)
         each = np.zeros(AT_ONCE)
-        for (dof, look), rows in alike.items():
-            each = np.maximum(each, _interpolated(chi2[:, rows].max(axis=1), dof, look))
+        for (dof, factor), rows in alike.items():
+            each = np.maximum(each, _interpolated(chi2[:, rows].max(axis=1), dof, factor))
         best.append(each)
     return float(np.quantile(np.concatenate(best), 1 - (policy.SIGNIFICANCE_LEVEL if level is None else level)))
 
 
-def _interpolated(chi2: Array, dof: int, looks: float) -> Array:
+def _interpolated(chi2: Array, dof: int, trials_factor: float) -> Array:
     """`sigmas` of many, from a table."""
     roots = np.sqrt(chi2)
     knots = np.linspace(0, roots.max(), 64)
-    return np.asarray(np.interp(roots, knots, [sigmas(x * x, dof, looks) for x in knots]))
+    return np.asarray(np.interp(roots, knots, [sigmas(x * x, dof, trials_factor) for x in knots]))

@@ -97,7 +97,7 @@ def _steps(fitted_law: FittedLaw, x: Array) -> tuple[Array, Array, Array]:
 
     Tried anew within the box of places and widths that holds the weight, until that is shared by enough of them.
     """
-    bare = replace(fitted_law, now=fitted_law.now.explained_by(fitted_law.moves, -fitted_law.coefs))  # of no curve
+    bare = replace(fitted_law, fit=fitted_law.fit.explained_by(fitted_law.moves, -fitted_law.coefs))  # of no curve
     smooth = weigh(fitted_law.law, *_seen(bare, fitted_law.moves)[:2]).gain
     whole = box = np.array([[0.0, 1.0], np.log(WIDTH)])
     counts = np.array([PLACES, WIDTHS])
@@ -122,15 +122,15 @@ def _tried(bare: FittedLaw, where: Array, x: Array) -> tuple[Array, Array, Array
 
     Like the curve, a step stands on those of the law's own parameters that are fitted.
     """
-    law, now, axis = bare.law, bare.now, bare.law.axes[0]
+    law, fit, axis = bare.law, bare.fit, bare.law.axes[0]
     step = replace(law, axes=(_Steps(axis.name, axis.unit, axis.low, axis.high, len(where), where=where),))
-    moves = bare.evidence.white(step.columns(now.model, now.launches, bare.evidence.clips))
+    moves = bare.evidence.white(step.columns(fit.model, fit.launches, bare.evidence.clips))
     information, pull, own, spread, back = _seen(bare, moves)
     seen = np.maximum(np.diag(information), SEEN * np.diag(information).max())
     z2 = np.maximum(pull**2 / seen, 1.0)
     size = (1 - 1 / z2) / seen  # the height's variance: none of a step that hardly shows
     here = np.array([x**power for _, power in bare.owners]).reshape(-1, len(x)).T
-    known = sum((now.model.value(name) * x**power for name, power in law.owners), np.zeros(len(x)))
+    known = sum((fit.model.value(name) * x**power for name, power in law.owners), np.zeros(len(x)))
     parts = [known + here @ own, here, step.basis(x) - here @ back]
     middle, base, curve = (p - p.mean(axis=0) for p in parts) if law.centred else parts
     mean = middle[:, None] + curve * (size * pull)
@@ -142,10 +142,10 @@ def _seen(fitted_law: FittedLaw, moves: Sequence[Array]) -> tuple[Array, Array, 
     """Of columns, the law's own parameters marginal: information and pull; of those, without the columns: by how much
     they change, and covariance; and by how much a unit of each column makes them less, (own, columns).
     """
-    now, names = fitted_law.now, [name for name, _ in fitted_law.owners]
-    own = [s[:, now.rows(names)] for s in now.slopes]
+    fit, names = fitted_law.fit, [name for name, _ in fitted_law.owners]
+    own = [s[:, fit.rows(names)] for s in fit.slopes]
     both = [np.concatenate(pair, axis=1) for pair in zip(own, moves, strict=True)]
-    information, pull = now.reduced(now.model, names).information(both)
+    information, pull = fit.reduced(fit.model, names).information(both)
     first, rest = slice(len(names)), slice(len(names), None)
     spread = np.asarray(np.linalg.pinv(information[first, first], hermitian=True))
     back = np.asarray(spread @ information[first, rest])

@@ -62,7 +62,7 @@ def choice(count: int) -> float:
 
 
 def freedom(information: Array, found: Array) -> float:
-    """What the freedom of numbers fitted to be `found` costs, in chi^2: the same price as of a free law's coefficients.
+    """What the freedom of numbers fitted to be `found` costs, in chi^2: the same cost as of a free law's coefficients.
 
     information: (k, k), in units in which realistic numbers are one. All may differ from zero, or one of them.
     """
@@ -129,7 +129,7 @@ def weigh(law: FreeLaw, information: Array, pull: Array) -> Weight:
 
 def significance(law: FreeLaw, information: Array, pull: Array) -> float:
     """The free law's sigma: the best of its chi^2 in the 1, 2, 4, ... directions that show most, corrected for these
-    looks.
+    trials.
 
     The directions are ordered by what a smooth curve would show in them. They are independent and of unit variance
     with nothing hidden.
@@ -141,6 +141,6 @@ def significance(law: FreeLaw, information: Array, pull: Array) -> float:
         return 0.0
     pulls = (axes[:, seen].T @ (root * pull)) / np.sqrt(values[seen])
     chi2 = np.cumsum(pulls[::-1] ** 2)
-    looks = sorted({min(2**k, len(chi2)) for k in range(len(chi2).bit_length() + 1)})
-    best = max(sigmas(float(chi2[m - 1]), m) for m in looks)
-    return float(np.sqrt(max(best**2 - 2 * np.log(len(looks)), 0.0)))
+    counts = sorted({min(2**k, len(chi2)) for k in range(len(chi2).bit_length() + 1)})
+    best = max(sigmas(float(chi2[m - 1]), m) for m in counts)
+    return float(np.sqrt(max(best**2 - 2 * np.log(len(counts)), 0.0)))

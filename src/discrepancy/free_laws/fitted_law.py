@@ -28,7 +28,7 @@ class FittedLaw:
     law: FreeLaw
     coefs: Array
     prior: Prior
-    now: Fit
+    fit: Fit
     plain: Model
     evidence: Evidence
     moves: tuple[Array, ...]
@@ -39,18 +39,18 @@ class FittedLaw:
     def whole(self) -> Fit:
         """The fit with the coefficients among its parameters."""
         names = [f"{self.law.name} {j}" for j in range(self.law.size)]
-        return self.now.extended(self.now.model, names, self.moves)
+        return self.fit.extended(self.fit.model, names, self.moves)
 
     @property
     def owners(self) -> list[tuple[str, int]]:
         """Those of the law's own parameters that the fit changed."""
-        return [(name, power) for name, power in self.law.owners if name in self.now.names]
+        return [(name, power) for name, power in self.law.owners if name in self.fit.names]
 
     def curve(self, *x: Array) -> tuple[Array, Array]:
         """The law at x: values (n, parts), and their covariances over the places, (parts, n, n)."""
         values = self.law.values(self.coefs, *x).reshape(len(x[0]), self.law.parts)
         for name, power in self.law.owners:
-            values = values + (self.now.model.value(name) * x[0] ** power)[:, None]
+            values = values + (self.fit.model.value(name) * x[0] ** power)[:, None]
         spread, extra, one = self._covariance(), len(self.owners), self.law.size // self.law.parts
         own = np.stack([x[0] ** power for _, power in self.owners], axis=-1) if extra else np.zeros((len(x[0]), 0))
         covariances = []
@@ -65,9 +65,9 @@ class FittedLaw:
     def _covariance(self) -> Array:
         """Of the law's own parameters and the coefficients, all else marginal."""
         names = [name for name, _ in self.owners]
-        own = [s[:, self.now.rows(names)] for s in self.now.slopes]
+        own = [s[:, self.fit.rows(names)] for s in self.fit.slopes]
         both = [np.concatenate(pair, axis=1) for pair in zip(own, self.moves, strict=True)]
-        matrix, _ = self.now.reduced(self.now.model, names).information(both)
+        matrix, _ = self.fit.reduced(self.fit.model, names).information(both)
         matrix[len(names) :, len(names) :] += self.prior.precision
         scale = np.sqrt(np.diag(matrix))
         return np.asarray(np.linalg.inv(matrix / np.outer(scale, scale)) / np.outer(scale, scale))
@@ -77,14 +77,14 @@ class FittedLaw:
 
         How far its strengths are from what the base holds them at.
         """
-        now, found = self.whole, {}
-        added = [n for n in self.now.names if n not in base.names]
+        fit, found = self.whole, {}
+        added = [n for n in self.fit.names if n not in base.names]
         for effect in dict.fromkeys(n.rpartition(".")[0] or n for n in added):
             own = [n for n in added if (n.rpartition(".")[0] or n) == effect]
-            own = [n for n in own if "." not in n or not parameter_of(now.model, n).fixed]
-            rows = now.rows(own)
-            moved = now.values(own) - base.values(own)
-            covariance = now.covariance[np.ix_(rows, rows)]
+            own = [n for n in own if "." not in n or not parameter_of(fit.model, n).fixed]
+            rows = fit.rows(own)
+            moved = fit.values(own) - base.values(own)
+            covariance = fit.covariance[np.ix_(rows, rows)]
             found[effect] = sigmas(float(moved @ np.linalg.pinv(covariance, hermitian=True) @ moved), len(own))
         return found
 
@@ -94,6 +94,6 @@ class FittedLaw:
         (J,) and (J, J), no prior in either; relative to the law's own parameters as fitted.
         """
         names = [name for name, _ in self.owners]
-        information, pull = self.now.reduced(self.now.model, names).information(self.moves)
+        information, pull = self.fit.reduced(self.fit.model, names).information(self.moves)
         pull = pull + information @ self.coefs
         return np.asarray(np.linalg.pinv(information, rcond=1e-10, hermitian=True) @ pull), information

@@ -49,12 +49,12 @@ def propose(fitted_law: FittedLaw) -> Formula:
     """The best formula by BIC."""
     law = fitted_law.law
     if law.each_clip:
-        mean = sum(fitted_law.now.model.value(name) for name, _ in law.owners) + float(fitted_law.coefs.mean())
+        mean = sum(fitted_law.fit.model.value(name) for name, _ in law.owners) + float(fitted_law.coefs.mean())
         text = f"{law.title} = {mean:.4g}, and other in each clip, by {fitted_law.prior.size:.2g} rms"
         return Formula(text, 0.0, 2, False)
     drawn = _Drawn(fitted_law)
     found = [drawn.best(shape) for shape in _shapes(law, drawn.x) if drawn.terms(shape, *(t[0] for t in shape.tries))]
-    return min(found, key=lambda f: f.chi2 + float(np.log(fitted_law.now.points)) * f.parameters)
+    return min(found, key=lambda f: f.chi2 + float(np.log(fitted_law.fit.points)) * f.parameters)
 
 
 class _Drawn:
@@ -74,7 +74,7 @@ class _Drawn:
         self.inverse = np.linalg.pinv(law.basis(*places), rcond=1e-6)
         own = np.zeros((len(places[0]), law.parts))
         for name, power in law.owners:
-            own += (fitted_law.now.model.value(name) * places[0] ** power)[:, None]
+            own += (fitted_law.fit.model.value(name) * places[0] ** power)[:, None]
         self.target = self.weight @ peak + self.seen(own)
         self.slight = policy.FORMULA_SLIGHT_SHARE * fitted_law.sigma**2
 

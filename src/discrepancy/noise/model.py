@@ -31,7 +31,7 @@ Pair = tuple[Array, Array, Array, Array]  # places of both balls (n, 2) in the s
 
 SMOOTH = 4  # coefficients of the cubic
 SHAPES: tuple[Shape, ...] = ((0, False), (1, False), (1, True), (2, False), (3, False), (5, False))
-SHAKES: tuple[Shape, ...] = ((0, False), (1, False), (1, True), (2, False))  # of what the balls share
+COMMON_MODES: tuple[Shape, ...] = ((0, False), (1, False), (1, True), (2, False))  # of what the balls share
 SLOWEST = 0.999  # the largest partial autocorrelation: beyond it a clip cannot tell it from 1
 KERNELS = (0.0, 0.7, 0.97)  # correlations from frame to frame at which shared noise is looked for
 IMPOSSIBLE = 1e12  # of -2 log likelihood, where a covariance is singular
@@ -85,7 +85,7 @@ class Noise:
         return float(lags[1] / lags[0])
 
     @property
-    def shake(self) -> float:
+    def common_mode(self) -> float:
         """rms of what both balls share, each axis, m."""
         return float(np.sqrt(np.mean([s.variance for s in self.shared]))) if self.shared else 0.0
 
@@ -95,7 +95,7 @@ def estimate(clips: Sequence[Measured]) -> Noise:
     clips = _usual(clips)
     own = own_noise(stretch for clip in clips for stretch in clip.stretches())
     pairs = Pairs(pair for clip in clips for pair in clip.together())
-    return pairs.noise() if pairs.shaken(own) > policy.SHARED_NOISE_SIGMA else Noise(own)
+    return pairs.noise() if pairs.common_mode_score(own) > policy.SHARED_NOISE_SIGMA else Noise(own)
 
 
 @dataclass(frozen=True)
@@ -212,23 +212,24 @@ def shape_of(component: Component) -> Shape:
     return len(component.partial), component.white > 0
 
 
-def noise_of(shape: Shape, shake: Shape | None, x: Array) -> Noise:
+def noise_of(shape: Shape, common: Shape | None, x: Array) -> Noise:
     """From free numbers: own log variance and the own component's, both log shared variances and their component's."""
     own = component_of(shape, float(np.exp(x[0])), x[1:])
-    if shake is None:
+    if common is None:
         return Noise(own)
     rest = x[1 + sum(shape) :]
-    return Noise(own, tuple(component_of(shake, float(np.exp(v)), rest[2:]) for v in rest[:2]))
+    return Noise(own, tuple(component_of(common, float(np.exp(v)), rest[2:]) for v in rest[:2]))
 
 
 def chosen(
     shapes: Sequence[Shape],
     build: Callable[[Shape, Array], T],
     cost: Callable[[T], float],
-    price: float,
+    penalty: float,
     common: Array | None = None,
 ) -> T:
-    """What is built of the shape with the least cost + price a number (Schwarz); two in a row that lose end the search.
+    """What is built of the shape with the least cost + penalty a number (Schwarz); two in a row that lose end the
+    search.
 
     cost: -2 log likelihood; common: first values of the numbers that every shape has, before its own.
     """
@@ -237,7 +238,7 @@ def chosen(
     for shape in shapes:
         start = np.concatenate([head, _start(shape, last, tail)])
         x = descend(partial(_cost, cost, build, shape), start)
-        paid = _cost(cost, build, shape, x) + price * len(x)
+        paid = _cost(cost, build, shape, x) + penalty * len(x)
         lost = 0 if paid < best else lost + 1
         if paid < best:
             best, winner, last = paid, build(shape, x), shape
@@ -297,7 +298,7 @@ class Pairs:
             self.sums.append([Bundle.of([t[:, [a]] for t in together], claimed) for a in (0, 1)])
             self.weights.append(4 / size[:, None, None] ** 2)  # of the shared variance in the sum's, own being 1
 
-    def shaken(self, own: Component) -> float:
+    def common_mode_score(self, own: Component) -> float:
         """The most significant score of shared noise, in sigma under independence, over KERNELS and axes.
 
         Score: sum of u0' K u1, u the whitened, detrended places of each ball weighted by the inverse covariance; under
@@ -354,4 +355,4 @@ class Pairs:
         shared = 0.5 * alone.variance * float(np.mean([np.square(p[2:]) for p in self.pairs]))
         start = np.array([np.log(alone.variance), *free_numbers(alone), np.log(shared), np.log(shared)])
         freedom = 2 * sum(d.freedom for d in self.differences)
-        return chosen(SHAKES, lambda shake, x: noise_of(shape, shake, x), self.cost, np.log(freedom), start)
+        return chosen(COMMON_MODES, lambda common, x: noise_of(shape, common, x), self.cost, np.log(freedom), start)

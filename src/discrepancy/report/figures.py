@@ -85,8 +85,8 @@ def _sets(found: Found) -> list[tuple[Sequence[Measured], Fit, str, str]]:
 
 def _stacked(found: Found) -> Figure:
     figure, axes = _subplots(2, 2, figsize=(8, 4.6), sharex=True)
-    for k, (clips, now, colour, label) in enumerate(_sets(found)):
-        stage, ball, left = _residuals(clips, now)
+    for k, (clips, fit, colour, label) in enumerate(_sets(found)):
+        stage, ball, left = _residuals(clips, fit)
         for (b, axis), ax in np.ndenumerate(axes):
             centres, values = _binned(stage[ball == b], left[ball == b, axis])
             means = [v.mean() for v in values]
@@ -103,8 +103,8 @@ def _stacked(found: Found) -> Figure:
 
 def _sizes(found: Found) -> Figure:
     figure, axes = _subplots(1, 2, figsize=(8, 2.8), sharey=True)
-    for k, (clips, now, colour, label) in enumerate(_sets(found)):
-        stage, ball, left = _residuals(clips, now)
+    for k, (clips, fit, colour, label) in enumerate(_sets(found)):
+        stage, ball, left = _residuals(clips, fit)
         for b, ax in enumerate(axes):
             centres, values = _binned(stage[ball == b], np.sqrt((left[ball == b] ** 2).mean(axis=1)))
             sizes = np.array([np.sqrt(np.mean(v**2)) for v in values])
@@ -126,11 +126,11 @@ def _staged(ax: Axes, title: str) -> None:
     ax.tick_params(axis="x", length=0)
 
 
-def _residuals(clips: Sequence[Measured], now: Fit) -> tuple[Array, Array, Array]:
+def _residuals(clips: Sequence[Measured], fit: Fit) -> tuple[Array, Array, Array]:
     """Of each row of all clips: -1 to 0 before, to 1 sliding, to 2 rolling; ball; residual along and across, um."""
     stages, balls, lefts = [], [], []
-    expected = forecast(now.model, now.launches, clips)
-    for clip, launch, xy in zip(clips, now.launches, expected, strict=True):
+    expected = forecast(fit.model, fit.launches, clips)
+    for clip, launch, xy in zip(clips, fit.launches, expected, strict=True):
         time = (clip.frame + 0.0) / clip.fps + clip.exposure / 2
         stage = np.zeros(len(time))
         left, out = clip.xy - xy, np.zeros((len(time), 2))
@@ -236,9 +236,9 @@ def gap_bars(ax: Axes, gap: Gap, ending: str, labels: Sequence[str] = ("before",
 def _by_clip(found: Found) -> Figure:
     figure, ax = _subplots(figsize=(6, 3))
     speeds = [float(c.launch[V0]) for c in found.data.kept_out]
-    for now, colour, label in ((found.shown.before, BEFORE, "before"), (found.shown.after, AFTER, "after")):
-        points = np.array([len(r) for r in now.residuals])
-        chi2 = np.array([r @ r for r in now.residuals]) / points
+    for fit, colour, label in ((found.shown.before, BEFORE, "before"), (found.shown.after, AFTER, "after")):
+        points = np.array([len(r) for r in fit.residuals])
+        chi2 = np.array([r @ r for r in fit.residuals]) / points
         ax.errorbar(speeds, chi2, chi2 * np.sqrt(2 / points), fmt="o", ms=4, lw=1, color=colour, label=label)
     ax.axhline(found.shown.gap.floor, color=FLOOR, lw=1, ls="--", label="noise alone")
     _log_if_wide(ax, found.shown.gap.before / max(found.shown.gap.floor, 1e-9))

@@ -19,11 +19,11 @@ def story(found: Found) -> list[str]:
     return [_fitted(found), _where(found), found.sentence(), _closed(found), _open(found)]
 
 
-def rest(now: Fit) -> float:
+def rest(fit: Fit) -> float:
     """What a further step of everything fitted would gain, in chi^2, to first order and within its limits."""
-    shared, own = solve(now, 0.0, *now.room())
-    steps = [s @ shared + a @ o for s, a, o in zip(now.slopes, now.launch_slopes, own, strict=True)]
-    return now.chi2 - sum(float((r - s) @ (r - s)) for r, s in zip(now.residuals, steps, strict=True))
+    shared, own = solve(fit, 0.0, *fit.room())
+    steps = [s @ shared + a @ o for s, a, o in zip(fit.slopes, fit.launch_slopes, own, strict=True)]
+    return fit.chi2 - sum(float((r - s) @ (r - s)) for r, s in zip(fit.residuals, steps, strict=True))
 
 
 def _fitted(found: Found) -> str:
@@ -39,12 +39,14 @@ def _fitted(found: Found) -> str:
         f"{len(data.clips)} collisions at {min(speeds):.2f} to {max(speeds):.2f} m/s, |b| up to {widest:.2f}, were "
         f"fitted together ({shared} shared, six numbers of launch each; the fit {settled}), and {len(data.kept_out)} "
         f"more were kept out; noise is {noise.scale:.2f} times what the tracks claim, its correlation from frame "
-        f"to frame {noise.correlation:+.2f}{_shaken(found)}."
+        f"to frame {noise.correlation:+.2f}{_common_mode(found)}."
     )
 
 
-def _shaken(found: Found) -> str:
-    return f", {1e6 * found.data.noise.shake:.2g} um of it common to both balls" if found.data.noise.shared else ""
+def _common_mode(found: Found) -> str:
+    return (
+        f", {1e6 * found.data.noise.common_mode:.2g} um of it common to both balls" if found.data.noise.shared else ""
+    )
 
 
 def _where(found: Found) -> str:
@@ -55,7 +57,7 @@ def _where(found: Found) -> str:
         return f"The base model {left} and disagrees in no place that stands out."
     return (
         f"The base model {left} and disagrees most with {worst}: {worst.sigma:.1f} sigma after {len(found.where)} "
-        f"looks, {worst.size:.2g} um rms."
+        f"trials, {worst.size:.2g} um rms."
     )
 
 
@@ -86,8 +88,8 @@ def _open(found: Found) -> str:
     undetermined = [s for n in found.named for s, std in n.shape_std.items() if not np.isfinite(std)]
     if undetermined:
         parts.append(f"the value of {_listed(undetermined, 'and')}")
-    if found.untold:
-        parts.append(f"whether there is any {_listed(found.untold, 'or')}")
+    if found.unidentifiable:
+        parts.append(f"whether there is any {_listed(found.unidentifiable, 'or')}")
     if parts:
         said = f"These collisions cannot tell {'; nor '.join(parts)}"
     else:

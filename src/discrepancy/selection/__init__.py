@@ -1,1 +1,1 @@
-"""Which effects are missing: score tests, stepwise search, costs of models, free laws in contest."""
+"""Which effects are missing: score tests, stepwise search, costs of models, free laws beside the effects."""

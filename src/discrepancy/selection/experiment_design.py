@@ -14,13 +14,13 @@ from discrepancy.data.collisions import Measured
 from discrepancy.data.launch import HEADING, T_C, V0, B
 from discrepancy.fitting.gauss_newton import linearised
 from discrepancy.fitting.model_fit import Evidence, Fit
-from discrepancy.fitting.parameters import Suspect
+from discrepancy.fitting.parameters import Candidate
 from discrepancy.fitting.predict import forecast
 from discrepancy.noise.model import Noise
-from discrepancy.selection.score_test import Contest, likeness, tried
+from discrepancy.selection.score_test import ScoreTests, likeness, tried
 
 Array = NDArray[np.float64]
-Shaped = tuple[Suspect, dict[str, float]]  # an effect, with values of its shapes
+Shaped = tuple[Candidate, dict[str, float]]  # an effect, with values of its shapes
 
 MOST = 24  # collisions in a design
 ASIDE = 0.25  # of the picture's size, from its middle
@@ -89,7 +89,7 @@ WAYS = (
 def designs(
     clips: Sequence[Measured],
     noise: Noise,
-    now: Fit,
+    fit: Fit,
     one: Shaped,
     other: Shaped,
 ) -> tuple[Design, ...]:
@@ -98,8 +98,8 @@ def designs(
     Both are taken at zero strength, everything else as it was fitted.
     """
     chosen = np.unique(np.linspace(0, len(clips) - 1, min(MOST, len(clips))).astype(int))
-    for suspect, _ in (one, other):
-        now = now.reduced(suspect.without(now.model), suspect.strengths + suspect.shapes)
+    for candidate, _ in (one, other):
+        fit = fit.reduced(candidate.without(fit.model), candidate.strengths + candidate.shapes)
     mixed = np.random.default_rng(0)
     found = []
     for words, ways in (
@@ -110,38 +110,38 @@ def designs(
         shares = [mixed.permutation(len(chosen)) / max(len(chosen) - 1, 1) for _ in ways]
         some, launches = [], []
         for number, k in enumerate(chosen):
-            clip, launch = clips[k], now.launches[k]
+            clip, launch = clips[k], fit.launches[k]
             for way, share in zip(ways, shares, strict=True):
                 clip, launch = way.change(clip, launch, float(share[number]), number)
             some.append(clip)
             launches.append(launch)
-        found.append(Design(words, _cosine(Evidence.of(some, noise), now, np.array(launches), one, other)))
+        found.append(Design(words, _cosine(Evidence.of(some, noise), fit, np.array(launches), one, other)))
     return tuple(found)
 
 
 def _cosine(
     evidence: Evidence,
-    now: Fit,
+    fit: Fit,
     launches: Array,
     one: Shaped,
     other: Shaped,
 ) -> float:
     """1 where the model has no such motion, or the fit absorbs one of the two."""
     try:
-        here = linearised(evidence, now.model, now.names, launches)
+        here = linearised(evidence, fit.model, fit.names, launches)
         expected = forecast(here.model, launches, evidence.clips)
         trials = tuple(
-            tried(evidence, here.model, launches, suspect, shapes, expected) for suspect, shapes in (one, other)
+            tried(evidence, here.model, launches, candidate, shapes, expected) for candidate, shapes in (one, other)
         )
     except ValueError:
         return 1.0
-    first, second = Contest(here, trials).ranking()  # what is absorbed comes last
+    first, second = ScoreTests(here, trials).ranking()  # what is absorbed comes last
     return 1.0 if second.absorbed else likeness(first.signature, second.signature)
 
 
-def advice(one: Suspect, other: Suspect, found: Sequence[Design]) -> str:
+def advice(one: Candidate, other: Candidate, found: Sequence[Design]) -> str:
     """The experiment to do, in a sentence."""
-    now, *proposed = found
+    fit, *proposed = found
     best = min(proposed, key=lambda d: d.cosine)
     single = min(proposed[:-1], key=lambda d: d.cosine)
     best = (
@@ -150,10 +150,10 @@ def advice(one: Suspect, other: Suspect, found: Sequence[Design]) -> str:
         else best
     )
     pair = f"{one.name} and {other.name}"
-    if best.cosine < min(policy.PARTED_COSINE, now.cosine):
-        falls = f"the cosine of their signatures falls from {now.cosine:.3f} to {best.cosine:.3f}"
+    if best.cosine < min(policy.PARTED_COSINE, fit.cosine):
+        falls = f"the cosine of their signatures falls from {fit.cosine:.3f} to {best.cosine:.3f}"
         return f"To part {pair}: {best.words}; {falls}."
     laws = [law for s in (one, other) if s.kind is not None for law in s.kind.laws]
     means = list(dict.fromkeys(OUTSIDE[law] for law in laws if law in OUTSIDE))
-    elsewhere = "; ".join(means) if means else "one of the two must be measured by other means"
-    return f"No collisions of two balls part {pair} (cosine {best.cosine:.3f} at best): {elsewhere}."
+    otherwise = "; ".join(means) if means else "one of the two must be measured by other means"
+    return f"No collisions of two balls part {pair} (cosine {best.cosine:.3f} at best): {otherwise}."

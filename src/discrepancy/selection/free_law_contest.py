@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 from discrepancy import policy
 from discrepancy.data.collisions import Measured
 from discrepancy.data.launch import possible
-from discrepancy.fitting.gauss_newton import FAILED, fit, linearised, settle, solve
+from discrepancy.fitting.gauss_newton import FAILED, fit_model, linearised, settle, solve
 from discrepancy.fitting.model_fit import Evidence, Fit
-from discrepancy.fitting.parameters import Suspect, within
+from discrepancy.fitting.parameters import Candidate, within
 from discrepancy.free_laws.credible_band import stepped
 from discrepancy.free_laws.evidence import Weight, significance, weigh
 from discrepancy.free_laws.fitted_law import FittedLaw
@@ -27,9 +27,9 @@ from discrepancy.free_laws.free_law import FreeLaw
 from discrepancy.free_laws.library import free_laws
 from discrepancy.free_laws.ranges import over_clips
 from discrepancy.noise.model import Noise
-from discrepancy.selection.candidate import Candidate
-from discrepancy.selection.model_cost import law_chosen, price
-from discrepancy.selection.score_test import Contest
+from discrepancy.selection.model_cost import cost_of, law_chosen
+from discrepancy.selection.score_test import ScoreTests
+from discrepancy.selection.scored import Scored
 from synthcam.model import Model
 
 Array = NDArray[np.float64]
@@ -42,17 +42,17 @@ SHORTER = (1.0, 0.5, 0.25, 0.1, 0.02)  # shares of a step that are tried
 
 
 @dataclass(frozen=True)
-class Look:
+class LawTest:
     """A free law held against a fit, to first order."""
 
     law: FreeLaw
-    now: Fit
+    fit: Fit
     sigma: float
     weight: Weight
 
     def score(self, base: Fit) -> float:
         """What it would cost, in chi^2."""
-        return price(self.now, base) + law_chosen() - self.weight.gain
+        return cost_of(self.fit, base) + law_chosen() - self.weight.gain
 
 
 def _moves(evidence: Evidence, law: FreeLaw, model: Model, launches: Array) -> tuple[Array, ...]:
@@ -60,61 +60,61 @@ def _moves(evidence: Evidence, law: FreeLaw, model: Model, launches: Array) -> t
     return evidence.white(law.columns(model, launches, evidence.clips))
 
 
-def _look(law: FreeLaw, now: Fit, moves: Sequence[Array]) -> Look:
-    information, pull = now.information(moves)
-    return Look(law, now, significance(law, information, pull), weigh(law, information, pull))
+def _tested(law: FreeLaw, fit: Fit, moves: Sequence[Array]) -> LawTest:
+    information, pull = fit.information(moves)
+    return LawTest(law, fit, significance(law, information, pull), weigh(law, information, pull))
 
 
-def fill(evidence: Evidence, look: Look, base: Fit, tick: Callable[[], None] = lambda: None) -> FittedLaw:
-    """The free law fitted with everything that `look.now` fits, its prior's size and smoothness by the data."""
-    law, plain, now = look.law, look.now.model, look.now
-    moves = _moves(evidence, law, plain, now.launches)
+def fill(evidence: Evidence, test: LawTest, base: Fit, progress: Callable[[], None] = lambda: None) -> FittedLaw:
+    """The free law fitted with everything that `test.fit` fits, its prior's size and smoothness by the data."""
+    law, plain, fit = test.law, test.fit.model, test.fit
+    moves = _moves(evidence, law, plain, fit.launches)
     coefs, here = np.zeros(law.size), evidence
     for _ in range(ROUNDS):
-        tick()
-        information, pull = now.information(moves)
+        progress()
+        information, pull = fit.information(moves)
         weight = weigh(law, information, pull + information @ coefs)
         precision, step = weight.prior.precision, weight.coefs - coefs
         moved = None
         if step @ (information + precision) @ step > SETTLED:
-            before = now.chi2 + coefs @ precision @ coefs
+            before = fit.chi2 + coefs @ precision @ coefs
             for share in SHORTER:
-                moved = _moved(evidence, law, plain, now, moves, coefs, share * step)
+                moved = _moved(evidence, law, plain, fit, moves, coefs, share * step)
                 if moved and moved[1].chi2 + (coefs + share * step) @ precision @ (coefs + share * step) < before:
                     coefs = coefs + share * step
-                    here, now, plain = moved
+                    here, fit, plain = moved
                     break
                 moved = None
         if moved is None:
-            if now.local:
+            if fit.local:
                 break
-            now = linearised(here, now.model, now.names, now.launches)
-            moves = _moves(evidence, law, law.bent(plain, coefs), now.launches)
+            fit = linearised(here, fit.model, fit.names, fit.launches)
+            moves = _moves(evidence, law, law.bent(plain, coefs), fit.launches)
     freedom = np.linalg.slogdet(np.eye(law.size) + information / np.diag(weight.prior.precision)[:, None])
     paid = law_chosen() + weight.prior.cost + float(coefs @ weight.prior.precision @ coefs + freedom[1])
-    smooth = FittedLaw(law, coefs, weight.prior, now, plain, here, moves, look.sigma, price(now, base) + paid)
+    smooth = FittedLaw(law, coefs, weight.prior, fit, plain, here, moves, test.sigma, cost_of(fit, base) + paid)
     return dataclasses.replace(smooth, score=smooth.score - stepped(smooth))
 
 
 def _moved(
-    evidence: Evidence, law: FreeLaw, plain: Model, now: Fit, moves: Sequence[Array], coefs: Array, step: Array
+    evidence: Evidence, law: FreeLaw, plain: Model, fit: Fit, moves: Sequence[Array], coefs: Array, step: Array
 ) -> tuple[Evidence, Fit, Model] | None:
     """A step of the coefficients, and of all else as then fits best to first order; None where there is no motion."""
-    shared, own = solve(now.explained_by(moves, step), 0.0, *now.room())
-    launches = now.launches + own
+    shared, own = solve(fit.explained_by(moves, step), 0.0, *fit.room())
+    launches = fit.launches + own
     if not possible(launches):
         return None
     try:
-        plain = within(plain, dict(zip(now.names, (now.values() + shared).tolist(), strict=True)))
+        plain = within(plain, dict(zip(fit.names, (fit.values() + shared).tolist(), strict=True)))
         model = law.bent(plain, coefs + step)
         here = dataclasses.replace(evidence, clips=tuple(law.undone(evidence.clips, plain, launches, coefs + step)))
         residuals = here.left(model, launches)
     except FAILED:
         return None
-    return here, dataclasses.replace(now, model=model, launches=launches, residuals=residuals), plain
+    return here, dataclasses.replace(fit, model=model, launches=launches, residuals=residuals), plain
 
 
-def alone(evidence: Evidence, base: Fit, best: Fit, tick: Callable[[], None] = lambda: None) -> list[Fit]:
+def alone(evidence: Evidence, base: Fit, best: Fit, progress: Callable[[], None] = lambda: None) -> list[Fit]:
     """Where the best model has several effects that the base has not fitted: the fit of each of them alone."""
     added = dict.fromkeys(n.rpartition(".")[0] or n for n in best.names if n not in base.names)
     if len(added) < 2:
@@ -127,7 +127,7 @@ def alone(evidence: Evidence, base: Fit, best: Fit, tick: Callable[[], None] = l
         model = dataclasses.replace(base.model, effects=effects).replace(values)
         with suppress(ValueError):  # alone it has no motion
             start = linearised(evidence, model, (*base.names, *own), base.launches)
-            fits.append(settle(evidence, start, tick, rough=True))
+            fits.append(settle(evidence, start, progress, rough=True))
     return fits
 
 
@@ -144,7 +144,7 @@ class FreeLawContest:
     evidence : Evidence
     base : Fit
     laws : tuple of FreeLaw
-    tick : callable
+    progress : callable
         Told of progress.
     fitted : tuple of FittedLaw
         Those that were fitted in full.
@@ -154,25 +154,25 @@ class FreeLawContest:
         Whether the library's latest model leaves a free law significant.
     beaten : int
         How many of the library's models in a row a free law beside a smaller model has explained more than.
-    asked : (int, Candidate or None) or None
+    asked : (int, Scored or None) or None
         The place in `fitted` of the free law that was last asked what it lacks, and the answer.
     """
 
     evidence: Evidence
     base: Fit
     laws: tuple[FreeLaw, ...]
-    tick: Callable[[], None] = lambda: None
+    progress: Callable[[], None] = lambda: None
     fitted: tuple[FittedLaw, ...] = ()
     rivals: tuple[Fit, ...] = ()
     refuted: bool = False
     beaten: int = 0
-    asked: tuple[int, Candidate | None] | None = None
+    asked: tuple[int, Scored | None] | None = None
 
     @classmethod
-    def of(cls, evidence: Evidence, base: Fit, tick: Callable[[], None] = lambda: None) -> FreeLawContest:
+    def of(cls, evidence: Evidence, base: Fit, progress: Callable[[], None] = lambda: None) -> FreeLawContest:
         """Beside the base model."""
         laws = free_laws(base.model, base.launches, evidence.clips)
-        return cls(evidence, base, laws, tick)._considered([base])
+        return cls(evidence, base, laws, progress)._considered([base])
 
     @property
     def ended(self) -> bool:
@@ -182,30 +182,30 @@ class FreeLawContest:
         """
         return self.beaten > 1
 
-    def against(self, now: Fit, rivals: Sequence[Fit] = ()) -> FreeLawContest:
+    def against(self, fit: Fit, rivals: Sequence[Fit] = ()) -> FreeLawContest:
         """The contest with the library's next model.
 
         A free law may bend to hold two effects of the library: beside none, it must leave nothing for a second.
         """
-        fits = [*alone(self.evidence, self.base, now, self.tick), now]
+        fits = [*alone(self.evidence, self.base, fit, self.progress), fit]
         there = dataclasses.replace(self, rivals=tuple(rivals))._considered(fits)
-        best = there._best(now, 1)
-        if best is not None and there._count(now) == 1:
+        best = there._best(fit, 1)
+        if best is not None and there._count(fit) == 1:
             there = there._asked(best)
-        beaten = best is not None and (there._count(now) > 1 or there._lacks(best) is None)
+        beaten = best is not None and (there._count(fit) > 1 or there._lacks(best) is None)
         return dataclasses.replace(there, beaten=self.beaten + 1 if beaten else 0)
 
-    def nearly(self, now: Fit) -> FittedLaw | None:
+    def nearly(self, fit: Fit) -> FittedLaw | None:
         """The free law that explains nearly as much as the library's best model, or more."""
         best = min(self.fitted, key=lambda f: f.score, default=None)
-        return best if best and best.score < self._cost(now) + policy.FREE_LAW_NEAR else None
+        return best if best and best.score < self._cost(fit) + policy.FREE_LAW_NEAR else None
 
-    def outcome(self, now: Fit) -> tuple[FittedLaw | None, FreeLawContest]:
+    def outcome(self, fit: Fit) -> tuple[FittedLaw | None, FreeLawContest]:
         """The free law that explains the clips better than the library's best model, and than chance, if one does.
 
         With such library effects beside it as it still needs; and the contest with what was fitted for that.
         """
-        there, best = self, self._best(now, 0)
+        there, best = self, self._best(fit, 0)
         for _ in range(policy.MOST_EFFECTS_BESIDE_FREE_LAW if best is not None else 0):
             assert best is not None
             there = there._asked(best)
@@ -222,25 +222,25 @@ class FreeLawContest:
             there = dataclasses.replace(there, fitted=(*there.fitted, trial))
         return None if best is None else there.fitted[best], there
 
-    def _beside(self, known: FittedLaw, effect: Candidate) -> tuple[float, FittedLaw]:
+    def _beside(self, known: FittedLaw, effect: Scored) -> tuple[float, FittedLaw]:
         """A free law fitted again with an effect of the library beside it, and its sigma there."""
         model = known.plain.replace(effect.shapes | dict.fromkeys(effect.strengths, 0.0))
-        start = dataclasses.replace(known.now, model=model)
+        start = dataclasses.replace(known.fit, model=model)
         for names in filter(None, (effect.strengths, tuple(effect.shapes))):  # shapes mean nothing before
             whole = linearised(self.evidence, start.model, (*start.names, *names), start.launches)
-            start = settle(self.evidence, whole, self.tick)
-        look = _look(known.law, start, _moves(self.evidence, known.law, start.model, start.launches))
-        return look.sigma, fill(self.evidence, look, self.base, self.tick)
+            start = settle(self.evidence, whole, self.progress)
+        test = _tested(known.law, start, _moves(self.evidence, known.law, start.model, start.launches))
+        return test.sigma, fill(self.evidence, test, self.base, self.progress)
 
-    def _best(self, now: Fit, fewer: int) -> int | None:
+    def _best(self, fit: Fit, fewer: int) -> int | None:
         """The place of the best law, if better, of those beside a model of `fewer` effects less than the latest."""
-        cost, most = self._cost(now), self._count(now)
+        cost, most = self._cost(fit), self._count(fit)
         fair = [
             k
             for k, f in enumerate(self.fitted)
-            if most - self._count(f.now) >= fewer
+            if most - self._count(f.fit) >= fewer
             and self._needed(f)
-            and (self.refuted or most - self._count(f.now) > 1 or f.score < cost - policy.EFFECT_PREFERRED_BY)
+            and (self.refuted or most - self._count(f.fit) > 1 or f.score < cost - policy.EFFECT_PREFERRED_BY)
         ]
         best = min(fair, key=lambda k: self.fitted[k].score, default=None)
         return best if best is not None and self.fitted[best].score < cost else None
@@ -249,27 +249,27 @@ class FreeLawContest:
         """Is every library effect beside a free law needed, or does the free law hold it too?"""
         return all(sigma > policy.FREE_LAW_SIGMA for sigma in fitted_law.beside(self.base).values())
 
-    def _cost(self, now: Fit) -> float:
-        return min(price(f, self.base) for f in (now, *self.rivals))
+    def _cost(self, fit: Fit) -> float:
+        return min(cost_of(f, self.base) for f in (fit, *self.rivals))
 
-    def _count(self, now: Fit) -> int:
+    def _count(self, fit: Fit) -> int:
         """Effects in a fit that are not in the base."""
-        return len({n.rpartition(".")[0] or n for n in now.names if n not in self.base.names})
+        return len({n.rpartition(".")[0] or n for n in fit.names if n not in self.base.names})
 
     def _considered(self, fits: Sequence[Fit]) -> FreeLawContest:
         """With those free laws fitted that to first order may be the best beside these models, the latest last."""
         seen, fitted = [], list(self.fitted)
         for law in self.laws:
             moves = _moves(self.evidence, law, self.base.model, self.base.launches)  # near enough for all fits
-            seen += [(_look(law, now, moves), k) for k, now in enumerate(fits, 1 - len(fits))]
-            self.tick()
-        leaders = [(look, k) for look, k in seen if look.sigma > policy.FREE_LAW_SIGMA]
+            seen += [(_tested(law, fit, moves), k) for k, fit in enumerate(fits, 1 - len(fits))]
+            self.progress()
+        leaders = [(test, k) for test, k in seen if test.sigma > policy.FREE_LAW_SIGMA]
         leaders.sort(key=lambda pair: pair[0].score(self.base))
-        for look, _ in leaders[:LEADERS]:
-            slack = NEAR + LOOSE * (price(look.now, self.base) - look.score(self.base))
-            if all(look.score(self.base) < f.score + slack for f in fitted):
+        for test, _ in leaders[:LEADERS]:
+            slack = NEAR + LOOSE * (cost_of(test.fit, self.base) - test.score(self.base))
+            if all(test.score(self.base) < f.score + slack for f in fitted):
                 with suppress(ValueError):  # a curve on whose way there is no motion
-                    fitted.append(fill(self.evidence, look, self.base, self.tick))
+                    fitted.append(fill(self.evidence, test, self.base, self.progress))
         return dataclasses.replace(self, fitted=tuple(fitted), refuted=any(k == 0 for _, k in leaders))
 
     def _asked(self, place: int) -> FreeLawContest:
@@ -277,30 +277,35 @@ class FreeLawContest:
         if self.asked is not None and self.asked[0] == place:
             return self
         known = self.fitted[place]
-        contest = Contest.of(known.evidence, known.whole, self.tick, about=known.plain)
-        ranking = contest.leaders(policy.FREE_LAW_SIGMA)
-        claimed = ranking and ranking[0].sigma > policy.FREE_LAW_SIGMA and ranking[0].sigma > contest.claim()
+        tests = ScoreTests.of(known.evidence, known.whole, self.progress, about=known.plain)
+        ranking = tests.leaders(policy.FREE_LAW_SIGMA)
+        claimed = ranking and ranking[0].sigma > policy.FREE_LAW_SIGMA and ranking[0].sigma > tests.claim()
         return dataclasses.replace(self, asked=(place, ranking[0] if claimed else None))
 
-    def _lacks(self, place: int) -> Candidate | None:
+    def _lacks(self, place: int) -> Scored | None:
         return self.asked[1] if self.asked is not None and self.asked[0] == place else None
 
 
 def refilled(
-    evidence: Evidence, fitted_law: FittedLaw, gone: Suspect, base: Fit, tick: Callable[[], None]
+    evidence: Evidence, fitted_law: FittedLaw, gone: Candidate, base: Fit, progress: Callable[[], None]
 ) -> FittedLaw:
     """The free law fitted again without one of the effects beside it. Raises ValueError: no motion."""
-    names = tuple(n for n in fitted_law.now.names if n not in gone.strengths + gone.shapes)
-    start = linearised(evidence, gone.without(fitted_law.plain), names, fitted_law.now.launches)
-    now = settle(evidence, start, tick)
+    names = tuple(n for n in fitted_law.fit.names if n not in gone.strengths + gone.shapes)
+    start = linearised(evidence, gone.without(fitted_law.plain), names, fitted_law.fit.launches)
+    fit = settle(evidence, start, progress)
     return fill(
-        evidence, _look(fitted_law.law, now, _moves(evidence, fitted_law.law, now.model, now.launches)), base, tick
+        evidence,
+        _tested(fitted_law.law, fit, _moves(evidence, fitted_law.law, fit.model, fit.launches)),
+        base,
+        progress,
     )
 
 
-def emptied(evidence: Evidence, fitted_law: FittedLaw, tick: Callable[[], None]) -> Fit:
+def emptied(evidence: Evidence, fitted_law: FittedLaw, progress: Callable[[], None]) -> Fit:
     """The fit without the free law. Raises ValueError: no motion."""
-    return settle(evidence, linearised(evidence, fitted_law.plain, fitted_law.now.names, fitted_law.now.launches), tick)
+    return settle(
+        evidence, linearised(evidence, fitted_law.plain, fitted_law.fit.names, fitted_law.fit.launches), progress
+    )
 
 
 def scatter(fitted_law: FittedLaw, clips: Sequence[Measured], without: Fit, noise: Noise) -> tuple[float, float, float]:
@@ -310,8 +315,8 @@ def scatter(fitted_law: FittedLaw, clips: Sequence[Measured], without: Fit, nois
     """
     evidence = Evidence.of(clips, noise)
     law = dataclasses.replace(fitted_law.law, axes=over_clips(len(clips)))
-    now = linearised(evidence, without.model, (), without.launches)
-    information, pull = now.information(_moves(evidence, law, now.model, now.launches))
+    fit = linearised(evidence, without.model, (), without.launches)
+    information, pull = fit.information(_moves(evidence, law, fit.model, fit.launches))
     size = fitted_law.prior.size * np.sqrt(law.spread(fitted_law.prior.length))
     values, axes = np.linalg.eigh(size[:, None] * information * size)
     values, pulls = np.maximum(values, 0.0), axes.T @ (size * pull)
@@ -329,7 +334,7 @@ def unseen(fitted_law: FittedLaw, clips: Sequence[Measured], before: Fit, noise:
         evidence = Evidence.of(clips, noise)
         there = settle(evidence, linearised(evidence, plain, (), before.launches))
         law = dataclasses.replace(fitted_law.law, axes=over_clips(len(clips)))
-        look = _look(law, there, _moves(evidence, law, plain, there.launches))
-        return fill(evidence, look, there).now
+        test = _tested(law, there, _moves(evidence, law, plain, there.launches))
+        return fill(evidence, test, there).fit
     left = fitted_law.law.undone(clips, plain, before.launches, fitted_law.coefs)
-    return fit(left, fitted_law.now.model, (), noise, before.launches)
+    return fit_model(left, fitted_law.fit.model, (), noise, before.launches)

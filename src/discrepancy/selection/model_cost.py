@@ -1,4 +1,4 @@
-"""What a model's freedom costs, in chi^2: the same price for every effect of the library and every free law."""
+"""What a model's freedom costs, in chi^2: the same for every effect of the library and every free law."""
 
 from __future__ import annotations
 
@@ -19,34 +19,34 @@ def law_chosen() -> float:
     return choice(law_count())
 
 
-def price(now: Fit, base: Fit) -> float:
+def cost_of(fit: Fit, base: Fit) -> float:
     """chi^2 with the freedom of each effect that the base lacks paid for, as of a free law; base parameters are free.
 
     Shapes cost what looking for them in all their range does: twice the logarithm of the range over the width of their
     likelihood; the strengths what they do where the shapes are known. So what no data tell apart is paid for once.
     """
-    paid, chosen = now.chi2, choice(len(library()))
-    added = [n for n in now.names if n not in base.names and "." in n]
+    paid, chosen = fit.chi2, choice(len(library()))
+    added = [n for n in fit.names if n not in base.names and "." in n]
     for effect in dict.fromkeys(n.partition(".")[0] for n in added):
-        own = {n: parameter_of(now.model, n) for n in added if n.startswith(f"{effect}.")}
+        own = {n: parameter_of(fit.model, n) for n in added if n.startswith(f"{effect}.")}
         paid += chosen
         strengths, shapes = ([n for n, p in own.items() if p.fixed == fixed] for fixed in (False, True))
         size = np.array([own[n].typical or 1.0 for n in strengths])
-        information = _information(now, strengths + shapes)[: len(size), : len(size)] * np.outer(size, size)
-        moved = (now.values(strengths) - base.values(strengths)) / size
+        information = _information(fit, strengths + shapes)[: len(size), : len(size)] * np.outer(size, size)
+        moved = (fit.values(strengths) - base.values(strengths)) / size
         paid += freedom(information, moved)
-        span = np.array([span_of(own[n]) * (now.model.value(n) if own[n].low > 0 else 1.0) for n in shapes])
-        known = _information(now, shapes) * np.outer(span, span) / (2 * np.pi)
+        span = np.array([span_of(own[n]) * (fit.model.value(n) if own[n].low > 0 else 1.0) for n in shapes])
+        known = _information(fit, shapes) * np.outer(span, span) / (2 * np.pi)
         paid += np.linalg.slogdet(np.eye(len(span)) + known)[1]
     return float(paid)
 
 
-def _information(now: Fit, names: Sequence[str]) -> NDArray[np.float64]:
+def _information(fit: Fit, names: Sequence[str]) -> NDArray[np.float64]:
     """Of these numbers (k, k), all others being fitted."""
     if not names:
         return np.zeros((0, 0))
-    rows = now.rows(names)
-    covariance = now.covariance[np.ix_(rows, rows)]
+    rows = fit.rows(names)
+    covariance = fit.covariance[np.ix_(rows, rows)]
     std = np.sqrt(np.diag(covariance))
     std = np.where(std > 0, std, 1.0)
     return np.asarray(np.linalg.pinv(covariance / np.outer(std, std), hermitian=True) / np.outer(std, std))

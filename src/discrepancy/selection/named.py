@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from discrepancy import policy
 from discrepancy.fitting.model_fit import Fit
-from discrepancy.fitting.parameters import Suspect, limits_of, parameter_of
-from discrepancy.selection.candidate import Candidate
+from discrepancy.fitting.parameters import Candidate, limits_of, parameter_of
 from discrepancy.selection.score_test import likeness
+from discrepancy.selection.scored import Scored
 from synthcam.model import Model
 
 Array = NDArray[np.float64]
@@ -42,11 +42,11 @@ class Named:
     naming: dict[str, float] = field(default_factory=dict)
 
     @classmethod
-    def of(cls, suspect: Suspect, now: Fit, std: Mapping[str, float], sigma: float) -> Named:
-        """A suspect with the numbers that a fit gives it."""
-        values, shapes = ({k: now.model.value(k) for k in names} for names in (suspect.strengths, suspect.shapes))
-        own, bent = {k: std.get(k, np.inf) for k in values}, {k: determined(now, k, std.get(k, 0.0)) for k in shapes}
-        return cls(suspect.name, values, own, sigma, (suspect.name,), shapes, bent)
+    def of(cls, candidate: Candidate, fit: Fit, std: Mapping[str, float], sigma: float) -> Named:
+        """A candidate with the numbers that a fit gives it."""
+        values, shapes = ({k: fit.model.value(k) for k in names} for names in (candidate.strengths, candidate.shapes))
+        own, bent = {k: std.get(k, np.inf) for k in values}, {k: determined(fit, k, std.get(k, 0.0)) for k in shapes}
+        return cls(candidate.name, values, own, sigma, (candidate.name,), shapes, bent)
 
     def unsure(self) -> Named:
         """Without errors: they would hold only if nothing else were missing."""
@@ -93,14 +93,14 @@ def as_sure(value: float, std: float, digits: int) -> str:
     return f"{value:.{places}f}" if places > 0 else f"{value:.{figures}g}"
 
 
-def determined(now: Fit, shape: str, std: float) -> float:
+def determined(fit: Fit, shape: str, std: float) -> float:
     """A fitted shape's standard deviation; infinite where it says nothing."""
-    p = parameter_of(now.model, shape)
-    size = max(abs(now.model.value(shape)), p.typical) if p.low >= 0 else (p.high - p.low) / 2
+    p = parameter_of(fit.model, shape)
+    size = max(abs(fit.model.value(shape)), p.typical) if p.low >= 0 else (p.high - p.low) / 2
     return std if 0 < std < size / 2 else np.inf
 
 
-def sums(own: Array, ranking: Sequence[Candidate]) -> tuple[tuple[tuple[str, ...], float], ...]:
+def sums(own: Array, ranking: Sequence[Scored]) -> tuple[tuple[tuple[str, ...], float], ...]:
     """Pairs of effects that together have nearly the signature, where neither has it alone."""
     alone = [c for c in ranking if c.signature.shape[1] == 1 and 0 < likeness(own, c.signature) <= policy.ALIAS_COSINE]
     found = []

@@ -1,4 +1,4 @@
-"""Score tests of all suspects from one fit: what each would explain, were it added or put in another's place."""
+"""Score tests of all candidates from one fit: what each would explain, were it added or put in another's place."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from scipy.linalg import block_diag
 from discrepancy import policy
 from discrepancy.fitting.jacobian import derivative
 from discrepancy.fitting.model_fit import Evidence, Fit, basis
-from discrepancy.fitting.parameters import Suspect, between, parameter_of, suspects
+from discrepancy.fitting.parameters import Candidate, between, candidates, parameter_of
 from discrepancy.fitting.predict import forecast
 from discrepancy.fitting.shape_scan import scannable, scanned
-from discrepancy.fitting.significance import by_chance, looks_of, sigmas
-from discrepancy.selection.candidate import Candidate, Score, Trial
+from discrepancy.fitting.significance import by_chance, sigmas, trials_factor
+from discrepancy.selection.scored import Score, Scored, Trial
 from synthcam.dynamics.solve import uncoupled
 from synthcam.model import Model
 
@@ -25,13 +25,13 @@ Array = NDArray[np.float64]
 
 SEEN = 1e-4  # of a signature's length that must be left when all that the fit absorbs is taken out
 ZOOMS = 2  # times that the grid of a shape is made finer about the best
-ROWS = 1500  # of the signatures, to count independent looks by
-MOST = 20_000_000  # numbers in the derivatives by one suspect's strengths
+ROWS = 1500  # of the signatures, to count independent trials by
+MOST = 20_000_000  # numbers in the derivatives by one candidate's strengths
 
 
 @dataclass(frozen=True)
 class _Way:
-    """Realistic sizes (k,) of a suspect's strengths, and how many of them its limits allow.
+    """Realistic sizes (k,) of a candidate's strengths, and how many of them its limits allow.
 
     side: 1 where a single strength stands at its lower limit and can only grow, -1 at its upper, else 0.
     """
@@ -41,54 +41,54 @@ class _Way:
     side: int
 
     @classmethod
-    def of(cls, suspect: Suspect, now: Fit) -> _Way:
-        ways = [parameter_of(now.model, s) for s in suspect.strengths]
+    def of(cls, candidate: Candidate, fit: Fit) -> _Way:
+        ways = [parameter_of(fit.model, s) for s in candidate.strengths]
         sizes = np.array([p.typical or 1.0 for p in ways])
         allowed = max(max(abs(p.low), abs(p.high)) / size for p, size in zip(ways, sizes, strict=True))
-        value, p = now.model.value(suspect.strengths[0]), ways[0]
+        value, p = fit.model.value(candidate.strengths[0]), ways[0]
         side = int(value <= p.low) - int(value >= p.high) if len(ways) == 1 else 0
         return cls(sizes, allowed, side)
 
 
 @dataclass(frozen=True)
-class Contest:
-    """All suspects at one fit."""
+class ScoreTests:
+    """All candidates at one fit."""
 
-    now: Fit
+    fit: Fit
     trials: tuple[Trial, ...]
 
     @classmethod
     def of(
         cls,
         evidence: Evidence,
-        now: Fit,
-        tick: Callable[[], None] = lambda: None,
-        only: Sequence[Suspect] = (),
+        fit: Fit,
+        progress: Callable[[], None] = lambda: None,
+        only: Sequence[Candidate] = (),
         about: Model | None = None,
-    ) -> Contest:
+    ) -> ScoreTests:
         """Of the library's effects and the base parameters held at zero, or of some of them.
 
         about: a model near the fit's, with a quicker motion, to take the derivatives about. Where balls push each other
         their motion takes some eight times as long; derivatives are then those without that.
         """
-        plain, trials = uncoupled(about or now.model), []
-        here = forecast(plain, now.launches, evidence.clips)
-        for suspect in only or suspects(now.model, now.names):
-            grid = list(suspect.grid(now.model))
-            if scannable(suspect, grid):
-                trials += _scanned(evidence, plain, now.launches, suspect, grid, here)
+        plain, trials = uncoupled(about or fit.model), []
+        here = forecast(plain, fit.launches, evidence.clips)
+        for candidate in only or candidates(fit.model, fit.names):
+            grid = list(candidate.grid(fit.model))
+            if scannable(candidate, grid):
+                trials += _scanned(evidence, plain, fit.launches, candidate, grid, here)
             else:
-                trials += [tried(evidence, plain, now.launches, suspect, shapes, here) for shapes in grid]
-            tick()
-        return cls(now, tuple(trials))
+                trials += [tried(evidence, plain, fit.launches, candidate, shapes, here) for shapes in grid]
+            progress()
+        return cls(fit, tuple(trials))
 
-    def seen_by(self, now: Fit, before: Evidence, evidence: Evidence) -> Contest:
+    def seen_by(self, fit: Fit, before: Evidence, evidence: Evidence) -> ScoreTests:
         """The same derivatives with the noise read anew, at the fit with that; before: with which they are white."""
         ends, parts = [s.stop for s in self._spans[:-1]], []
         for white, old, columns in zip(evidence.whiteners, before.whiteners, self._every(), strict=True):
             parts.append(np.split(white(old.undo(columns)), ends, axis=1))
         every = zip(self.trials, zip(*parts, strict=True), strict=True)
-        return Contest(now, tuple(replace(trial, columns=columns) for trial, columns in every))
+        return ScoreTests(fit, tuple(replace(trial, columns=columns) for trial, columns in every))
 
     @property
     def numbers(self) -> int:
@@ -98,7 +98,7 @@ class Contest:
     @cached_property
     def _own(self) -> list[Array]:
         """Of each clip, an orthonormal basis of what its launch absorbs."""
-        return [basis(a) for a in self.now.launch_slopes]
+        return [basis(a) for a in self.fit.launch_slopes]
 
     def _stacked(self, columns: Sequence[Array]) -> Array:
         """Columns of every clip less what the launches absorb, stacked."""
@@ -106,7 +106,7 @@ class Contest:
 
     @cached_property
     def _shared(self) -> Array:
-        return self._stacked(self.now.slopes)
+        return self._stacked(self.fit.slopes)
 
     @cached_property
     def _spans(self) -> list[slice]:
@@ -136,14 +136,14 @@ class Contest:
 
     @property
     def _step(self) -> int:
-        return 1 + self.now.points // ROWS
+        return 1 + self.fit.points // ROWS
 
     def _against(self, absorbed: Array, left: Array) -> tuple[Array, Array, Array]:
         """Products of all trials' signatures with themselves (K, K), with `left` (K,), and of columns with `absorbed`.
 
         Neither `left` nor what is `absorbed` has a part in the launches' span.
         """
-        cuts = np.cumsum([len(r) for r in self.now.residuals])[:-1]
+        cuts = np.cumsum([len(r) for r in self.fit.residuals])[:-1]
         both = np.split(np.column_stack([absorbed, left]), cuts)
         every = np.asarray(sum(b.T @ columns for b, columns in zip(both, self._every(), strict=True)))
         return self._products[0] - every[:-1].T @ every[:-1], every[-1], every[:-1]
@@ -160,64 +160,64 @@ class Contest:
         return whole.T @ gram @ whole, [rows[:, s] @ a for s, a in zip(self._spans, axes, strict=True)]
 
     @cached_property
-    def looks(self) -> dict[str, float]:
-        """How many independent looks at the data all the shapes of a suspect are, by its name."""
+    def trials_factors(self) -> dict[str, float]:
+        """The trials factor of the shape parameters tried of each candidate, by its name."""
         by_name: dict[str, list[Array]] = {}
         for trial, rows in zip(self.trials, self._bases[1], strict=True):
-            by_name.setdefault(trial.suspect.name, []).append(rows)
-        return {name: looks_of(every) for name, every in by_name.items()}
+            by_name.setdefault(trial.candidate.name, []).append(rows)
+        return {name: trials_factor(every) for name, every in by_name.items()}
 
-    def _left(self, without: Suspect | None) -> tuple[Array, Array]:
+    def _left(self, without: Candidate | None) -> tuple[Array, Array]:
         """Residuals, and a basis of what the shared parameters absorb: as they are, or with a named effect taken away.
 
         To first order.
         """
-        left = self._stacked([r[:, None] for r in self.now.residuals])[:, 0]
-        names = self.now.names
+        left = self._stacked([r[:, None] for r in self.fit.residuals])[:, 0]
+        names = self.fit.names
         gone = [] if without is None else [k for k, n in enumerate(names) if n in without.strengths + without.shapes]
         for k in gone:
             if without is not None and names[k] in without.strengths:
                 held = dict(zip(without.strengths, without.held, strict=False)).get(names[k], 0.0)
-                left = left + self._shared[:, k] * (self.now.model.value(names[k]) - held)
+                left = left + self._shared[:, k] * (self.fit.model.value(names[k]) - held)
         kept = basis(np.delete(self._shared, gone, axis=1))
         return left - kept @ (kept.T @ left), kept
 
-    def chi2(self, without: Suspect | None = None) -> float:
+    def chi2(self, without: Candidate | None = None) -> float:
         """What is left when all is fitted again, a named effect taken away if one is given, to first order."""
         left, _ = self._left(without)
         return float(left @ left)
 
-    def signature(self, named: Suspect) -> Array:
+    def signature(self, named: Candidate) -> Array:
         """Of a named effect's strengths, as a Candidate's: less all that the rest of the fit absorbs."""
-        names = self.now.names
+        names = self.fit.names
         own = [names.index(s) for s in named.strengths]
         rest = [k for k, n in enumerate(names) if n not in named.strengths + named.shapes]
         kept = basis(self._shared[:, rest])
         return np.asarray(self._shared[:, own] - kept @ (kept.T @ self._shared[:, own]))
 
-    def sharper(self, evidence: Evidence, candidate: Candidate, without: Suspect | None = None) -> Candidate:
+    def sharper(self, evidence: Evidence, scored: Scored, without: Candidate | None = None) -> Scored:
         """The candidate with shapes that score better, looked for between those tried."""
-        suspect, model = candidate.suspect, self.now.model
-        if not candidate.shapes:
-            return candidate
+        candidate, model = scored.candidate, self.fit.model
+        if not scored.shapes:
+            return scored
         left, absorbed = self._left(without)
-        plain, launches = uncoupled(model), self.now.launches
+        plain, launches = uncoupled(model), self.fit.launches
         here = forecast(plain, launches, evidence.clips)
         for closer in range(ZOOMS):
-            for name in suspect.shapes:
-                for value in between(parameter_of(model, name), candidate.shapes[name], closer):
-                    trial = tried(evidence, plain, launches, suspect, candidate.shapes | {name: value}, here)
+            for name in candidate.shapes:
+                for value in between(parameter_of(model, name), scored.shapes[name], closer):
+                    trial = tried(evidence, plain, launches, candidate, scored.shapes | {name: value}, here)
                     columns = self._stacked(trial.columns)
                     signature = columns - absorbed @ (absorbed.T @ columns)
                     score = self._score(trial, signature.T @ signature, signature.T @ left, _lengths(trial.columns))
-                    if score.gain > candidate.gain:
-                        candidate = score.candidate(signature)
-        return candidate
+                    if score.gain > scored.gain:
+                        scored = score.scored(signature)
+        return scored
 
-    def ranking(self, without: Suspect | None = None) -> tuple[Candidate, ...]:
-        """The best of each suspect, most significant first; with a named effect taken away if one is given.
+    def ranking(self, without: Candidate | None = None) -> tuple[Scored, ...]:
+        """The best of each candidate, most significant first; with a named effect taken away if one is given.
 
-        What is not telling comes last: however well it scores, first order left that over.
+        What is not identifiable comes last: however well it scores, first order left that over.
         """
         if not self.trials:
             return ()
@@ -226,19 +226,22 @@ class Contest:
         lengths, best = self._products[2], dict[str, Score]()
         for trial, s in zip(self.trials, self._spans, strict=True):
             score = self._score(trial, gram[s, s], pulls[s], lengths[s])
-            known = best.get(trial.suspect.name)
+            known = best.get(trial.candidate.name)
             if known is None or score.order < known.order:
-                best[trial.suspect.name] = score
+                best[trial.candidate.name] = score
         found = []
         for score in sorted(best.values(), key=lambda c: c.order):
             columns = self._stacked(score.trial.columns)
-            found.append(score.candidate(columns - absorbed @ (absorbed.T @ columns)))
+            found.append(score.scored(columns - absorbed @ (absorbed.T @ columns)))
         return tuple(found)
 
-    def leaders(self, claim: float) -> tuple[Candidate, ...]:
-        """Most significant first: of what is telling if that holds a claim, else of all, for a refit may tell more."""
+    def leaders(self, claim: float) -> tuple[Scored, ...]:
+        """Most significant first.
+
+        Weakly identifiable candidates are considered only if no identifiable one is significant: a refit may tell more.
+        """
         ranking = self.ranking()
-        told = tuple(c for c in ranking if c.telling)
+        told = tuple(c for c in ranking if c.identifiable)
         return told if told and told[0].sigma > claim else tuple(sorted(ranking, key=lambda c: -c.sigma))
 
     def estimates(self) -> list[tuple[dict[str, float], float, Array]]:
@@ -260,51 +263,51 @@ class Contest:
         """
         axes = _axes(gram, length)
         spread = axes.shape[1]
-        suspect, way = trial.suspect, self._ways[trial.suspect]
+        candidate, way = trial.candidate, self._ways[trial.candidate]
         chi2 = float(((axes.T @ pull) ** 2).sum())
         if way.side * pull[0] < 0:
             chi2 = 0.0
         seen = float((way.sizes * np.sqrt(np.diag(gram).clip(0))).max())
         limit = policy.DETECTION_LIMIT_SIGMA / max(seen, 1e-300) if spread else np.inf
-        sigma = sigmas(chi2, spread, self.looks.get(suspect.name, 1.0)) if spread else 0.0
+        sigma = sigmas(chi2, spread, self.trials_factors.get(candidate.name, 1.0)) if spread else 0.0
         return Score(trial, sigma, chi2, limit, limit <= min(policy.LARGEST_LIMIT, way.allowed), axes)
 
     @cached_property
-    def _ways(self) -> dict[Suspect, _Way]:
-        return {suspect: _Way.of(suspect, self.now) for suspect in {t.suspect for t in self.trials}}
+    def _ways(self) -> dict[Candidate, _Way]:
+        return {candidate: _Way.of(candidate, self.fit) for candidate in {t.candidate for t in self.trials}}
 
     def claim(self, level: float | None = None) -> float:
         """The sigma that the best candidate exceeds by chance in a share of searches, by default that of a claim."""
         if not self.trials:
             return 0.0
         gram, rows = self._bases
-        sides = [self._ways[t.suspect].side for t in self.trials]
+        sides = [self._ways[t.candidate].side for t in self.trials]
         signs = np.concatenate([np.full(r.shape[1], side or 1) for r, side in zip(rows, sides, strict=True)])
-        looks = [self.looks[t.suspect.name] for t in self.trials]
+        trials_factors = [self.trials_factors[t.candidate.name] for t in self.trials]
         sizes = [r.shape[1] for r in rows]
-        return by_chance(gram * np.outer(signs, signs), sizes, [side != 0 for side in sides], level, looks)
+        return by_chance(gram * np.outer(signs, signs), sizes, [side != 0 for side in sides], level, trials_factors)
 
 
 def tried(
     evidence: Evidence,
     model: Model,
     launches: Array,
-    suspect: Suspect,
+    candidate: Candidate,
     shapes: dict[str, float],
     here: Sequence[Array],
 ) -> Trial:
     """here: the forecast of the model."""
     bent = model.replace(shapes)
-    slopes = [derivative(bent, launches, evidence.clips, s, here) for s in suspect.strengths]
+    slopes = [derivative(bent, launches, evidence.clips, s, here) for s in candidate.strengths]
     columns = [np.stack([s[k] for s in slopes], axis=-1) for k in range(len(here))]
-    return Trial(suspect, shapes, tuple(white(c) for white, c in zip(evidence.whiteners, columns, strict=True)))
+    return Trial(candidate, shapes, tuple(white(c) for white, c in zip(evidence.whiteners, columns, strict=True)))
 
 
 def _scanned(
     evidence: Evidence,
     model: Model,
     launches: Array,
-    suspect: Suspect,
+    candidate: Candidate,
     grid: Sequence[dict[str, float]],
     here: Sequence[Array],
 ) -> list[Trial]:
@@ -312,20 +315,20 @@ def _scanned(
 
     here: the forecast of the model.
     """
-    numbers = sum(2 * len(c.frame) for c in evidence.clips) * len(suspect.strengths)
+    numbers = sum(2 * len(c.frame) for c in evidence.clips) * len(candidate.strengths)
     grid = grid[:: 1 + numbers * len(grid) // MOST]
-    every = scanned(model, launches, evidence.clips, suspect, grid, here)
+    every = scanned(model, launches, evidence.clips, candidate, grid, here)
     shown = np.flatnonzero(np.any([e.any(axis=(0, 1, 3)) for e in every], axis=0))
     kept = shown.tolist() or [0]
     both = zip(evidence.whiteners, every, strict=True)
     white = [whiten(e[:, :, kept].reshape(*e.shape[:2], -1)) for whiten, e in both]
     parts = [np.split(w, len(kept), axis=1) for w in white]
-    return [Trial(suspect, grid[k], columns) for k, columns in zip(kept, zip(*parts, strict=True), strict=True)]
+    return [Trial(candidate, grid[k], columns) for k, columns in zip(kept, zip(*parts, strict=True), strict=True)]
 
 
-def rank(evidence: Evidence, now: Fit, tick: Callable[[], None] = lambda: None) -> tuple[Candidate, ...]:
+def rank(evidence: Evidence, fit: Fit, progress: Callable[[], None] = lambda: None) -> tuple[Scored, ...]:
     """Rao's score test of every effect whose strengths the fit has not fitted; most significant first."""
-    return Contest.of(evidence, now, tick).ranking()
+    return ScoreTests.of(evidence, fit, progress).ranking()
 
 
 def _lengths(columns: Sequence[Array]) -> Array:

@@ -12,19 +12,19 @@ from numpy.typing import NDArray
 from discrepancy import policy
 from discrepancy.fitting.gauss_newton import linearised, settle
 from discrepancy.fitting.model_fit import Fit
-from discrepancy.fitting.parameters import Suspect, suspects_of
+from discrepancy.fitting.parameters import Candidate, candidates_of
 from discrepancy.fitting.significance import sigmas
-from discrepancy.selection.candidate import Candidate
 from discrepancy.selection.fit_store import FitStore
-from discrepancy.selection.model_cost import price
+from discrepancy.selection.model_cost import cost_of
 from discrepancy.selection.named import Named, determined, sums
 from discrepancy.selection.profile_errors import spread
-from discrepancy.selection.score_test import Contest, likeness
+from discrepancy.selection.score_test import ScoreTests, likeness
+from discrepancy.selection.scored import Scored
 from synthcam.model import Model
 
 Array = NDArray[np.float64]
 
-State = tuple[Suspect, ...]
+State = tuple[Candidate, ...]
 
 NEAR, LOOSE = 15.0, 0.2  # of chi^2, and of what an effect explains: what the score may be wrong by
 RIVALS, SWAPS = 8, 4  # refitted, at most, beside a leader and in the place of a named effect
@@ -36,60 +36,60 @@ class Selection:
 
     Attributes
     ----------
-    state : tuple of Suspect
+    state : tuple of Candidate
         The effects.
     base, best : Fit
         The fits before any effect and with these.
-    ranking : tuple of Candidate
-        The score tests of all suspects beside the base, most significant first.
+    ranking : tuple of Scored
+        The score tests of all candidates beside the base, most significant first.
     claim : float
         The sigma that a claim needs.
-    looks : mapping of str to float
-        How many independent looks the shapes of each suspect are, by its name.
+    trials_factors : mapping of str to float
+        The trials factor of the shape parameters of each candidate, by its name.
     """
 
     state: State
     base: Fit
     best: Fit
-    ranking: tuple[Candidate, ...]
+    ranking: tuple[Scored, ...]
     claim: float
-    looks: Mapping[str, float]
+    trials_factors: Mapping[str, float]
 
     def paid(self, effect: str, sigma: float) -> float:
-        """Sigma of an effect, corrected for the looks at its shapes."""
-        return math.sqrt(max(sigma**2 - 2 * math.log(self.looks.get(effect, 1.0)), 0.0))
+        """Sigma of an effect, corrected by the trials factor of its shape parameters."""
+        return math.sqrt(max(sigma**2 - 2 * math.log(self.trials_factors.get(effect, 1.0)), 0.0))
 
 
 @dataclass(frozen=True)
 class Stepwise:
     """Steps from one model to the next; the fits are those of a store.
 
-    Base parameters held at zero are suspects too: those that the base has not fitted. absorbed: what the base fit
+    Base parameters held at zero are candidates too: those that the base has not fitted. absorbed: what the base fit
     absorbs is no rival; beside another effect it only seems to be.
     """
 
     store: FitStore
-    ranking: tuple[Candidate, ...]
+    ranking: tuple[Scored, ...]
     claim: float
-    looks: Mapping[str, float]
+    trials_factors: Mapping[str, float]
     absorbed: frozenset[str]
 
     @classmethod
     def of(cls, store: FitStore) -> Stepwise:
         """By the score tests beside the base, which tell what a claim needs before any search."""
-        contest = store.contest(())
-        ranking, looks = contest.ranking(), contest.looks
-        claim = max(contest.claim(), policy.LEAST_SIGMA_OF_A_CLAIM)
-        return cls(store, ranking, claim, looks, frozenset(c.effect for c in ranking if c.absorbed))
+        tests = store.score_tests(())
+        ranking, trials_factors = tests.ranking(), tests.trials_factors
+        claim = max(tests.claim(), policy.LEAST_SIGMA_OF_A_CLAIM)
+        return cls(store, ranking, claim, trials_factors, frozenset(c.effect for c in ranking if c.absorbed))
 
     def states(self, state: State = ()) -> Iterator[State]:
         """From a state to the next, each with one effect more, or others: until none scores what chance may."""
         while len(state) < policy.MOST_EFFECTS_NAMED:
-            winner = self._winner(state, self.store.contest(state), self.claim)
+            winner = self._winner(state, self.store.score_tests(state), self.claim)
             if winner is None:
                 return
             more = self._bettered((*state, winner), self.claim)
-            if len(more) <= len(state) and self.store.price(more) >= self.store.price(state):  # round in a circle
+            if len(more) <= len(state) and self.store.cost_of(more) >= self.store.cost_of(state):  # round in a circle
                 return
             state = more
             yield state
@@ -97,7 +97,7 @@ class Stepwise:
     def selection(self, state: State) -> Selection:
         """A state as the outcome."""
         base = self.store.settled(())
-        return Selection(state, base, self.store.exact(state), self.ranking, self.claim, self.looks)
+        return Selection(state, base, self.store.exact(state), self.ranking, self.claim, self.trials_factors)
 
     def from_there(self, found: Selection, effects: Iterable[str], model: Model) -> Selection | None:
         """The better selection, where one that begins with these effects, as a model has them, comes to a better model.
@@ -109,7 +109,7 @@ class Stepwise:
         except ValueError:  # alone they have no motion
             return None
         again = self.selection(self.end(begun))
-        less = price(found.best, found.base) - price(again.best, found.base)
+        less = cost_of(found.best, found.base) - cost_of(again.best, found.base)
         return again if less > (policy.RIVAL_EXCLUDED_BY if len(again.state) > len(found.state) else 0.0) else None
 
     def end(self, begun: State) -> State:
@@ -117,35 +117,35 @@ class Stepwise:
         state = [begun, *self.states(begun)][-1]
         return self._bettered(state, self.claim) if state == begun else state
 
-    def less(self, found: Selection, suspect: Suspect) -> Selection:
+    def less(self, found: Selection, candidate: Candidate) -> Selection:
         """Without one of the effects named, all else fitted again."""
-        return self.selection(tuple(s for s in found.state if s != suspect))
+        return self.selection(tuple(s for s in found.state if s != candidate))
 
-    def instead(self, found: Selection, suspect: Suspect, alias: str) -> Selection | None:
+    def instead(self, found: Selection, candidate: Candidate, alias: str) -> Selection | None:
         """With one that fits as well in the place of an effect named; None where it was not fitted."""
-        rest = frozenset(found.state) - {suspect}
+        rest = frozenset(found.state) - {candidate}
         for key in list(self.store.fits):
             if len(key) == len(found.state) and key > rest and next(iter(key - rest)).name == alias:
-                return self.selection(tuple(next(iter(key - rest)) if s == suspect else s for s in found.state))
+                return self.selection(tuple(next(iter(key - rest)) if s == candidate else s for s in found.state))
         return None
 
     def begin(self, effects: Iterable[str], model: Model) -> State:
         """A state to search on from: these effects, as a model has them, fitted. Raises ValueError without a motion."""
         store, base = self.store, self.store.base
-        known = suspects_of(model, base.model, base.names)
+        known = candidates_of(model, base.model, base.names)
         state = tuple(known[effect] for effect in effects)
         names = (*base.names, *(n for s in state for n in s.strengths + s.shapes))
         begun = base.model.replace({n: model.value(n) for n in names})
         start = linearised(store.evidence, begun, names, base.launches)
-        store.offer(frozenset(state), settle(store.evidence, start, store.tick))
+        store.offer(frozenset(state), settle(store.evidence, start, store.progress))
         return state
 
     def _bettered(self, state: State, claim: float) -> State:
-        """A state with suspects dropped and exchanged until nothing is better."""
-        before: set[frozenset[Suspect]] = set()
+        """A state with candidates dropped and exchanged until nothing is better."""
+        before: set[frozenset[Candidate]] = set()
         while state:
             before.add(frozenset(state))
-            better = self._better(state, self.store.contest(state), claim)
+            better = self._better(state, self.store.score_tests(state), claim)
             if better is None or frozenset(better) in before:
                 break
             state = better
@@ -153,119 +153,123 @@ class Stepwise:
 
     def named(self, state: State) -> tuple[Named, ...]:
         """What is known of each of the effects in a model."""
-        return tuple(self._named(state, k, self.store.contest(state)) for k in range(len(state)))
+        return tuple(self._named(state, k, self.store.score_tests(state)) for k in range(len(state)))
 
-    def untold(self, state: State) -> tuple[str, ...]:
+    def unidentifiable(self, state: State) -> tuple[str, ...]:
         """Effects that the collisions could not show beside those of a model."""
-        return tuple(c.effect for c in self.store.contest(state).ranking() if not c.telling)
+        return tuple(c.effect for c in self.store.score_tests(state).ranking() if not c.identifiable)
 
-    def _sigma(self, chi2: float, suspect: Suspect) -> float:
-        """Of what a suspect explains, corrected for the looks at its shapes."""
-        return sigmas(chi2, len(suspect.strengths), self.looks.get(suspect.name, 1.0))
+    def _sigma(self, chi2: float, candidate: Candidate) -> float:
+        """Of what a candidate explains, corrected by the trials factor of its shape parameters."""
+        return sigmas(chi2, len(candidate.strengths), self.trials_factors.get(candidate.name, 1.0))
 
-    def _winner(self, state: State, contest: Contest, claim: float) -> Suspect | None:
+    def _winner(self, state: State, tests: ScoreTests, claim: float) -> Candidate | None:
         """What is to be added: the leader, or the rival that fits best with it. None when nothing is claimed."""
-        ranking = contest.leaders(claim)
+        ranking = tests.leaders(claim)
         if not ranking or ranking[0].sigma <= claim:
             return None
-        now = contest.now
-        rivals = self._contenders(contest, ranking, claim)
+        fit = tests.fit
+        rivals = self._contenders(tests, ranking, claim)
         for c in rivals:
-            key = frozenset({*state, c.suspect})
+            key = frozenset({*state, c.candidate})
             if not self.store.known(key):
-                self.store.extend(key, now, c)
-        keys = sorted((frozenset({*state, c.suspect}) for c in rivals), key=self.store.price)
+                self.store.extend(key, fit, c)
+        keys = sorted((frozenset({*state, c.candidate}) for c in rivals), key=self.store.cost_of)
         for key in keys:
-            if self.store.price(key) < self.store.price(keys[0]) + NEAR:
+            if self.store.cost_of(key) < self.store.cost_of(keys[0]) + NEAR:
                 self.store.settled(tuple(key))
         said = {key: next(iter(key - frozenset(state))) for key in keys}
-        claimed = [k for k in keys if self._sigma(now.chi2 - self.store.fits[k].chi2, said[k]) > claim]
-        return said[self._simplest(claimed)] if min(keys, key=self.store.price) in claimed else None
+        claimed = [k for k in keys if self._sigma(fit.chi2 - self.store.fits[k].chi2, said[k]) > claim]
+        return said[self._simplest(claimed)] if min(keys, key=self.store.cost_of) in claimed else None
 
-    def _simplest(self, keys: Collection[frozenset[Suspect]]) -> frozenset[Suspect]:
+    def _simplest(self, keys: Collection[frozenset[Candidate]]) -> frozenset[Candidate]:
         """Of models that fit as well as the best, the one with the fewest strengths, then shapes, then the best fit."""
-        near = min(map(self.store.price, keys)) + policy.RIVAL_EXCLUDED_BY
+        near = min(map(self.store.cost_of, keys)) + policy.RIVAL_EXCLUDED_BY
 
-        def order(key: frozenset[Suspect]) -> tuple[int, int, float]:
+        def order(key: frozenset[Candidate]) -> tuple[int, int, float]:
             effects = [s for s in key if s.kind is not None]
-            return sum(len(s.strengths) for s in effects), sum(len(s.shapes) for s in effects), self.store.price(key)
+            return sum(len(s.strengths) for s in effects), sum(len(s.shapes) for s in effects), self.store.cost_of(key)
 
-        return min((k for k in keys if self.store.price(k) <= near), key=order)
+        return min((k for k in keys if self.store.cost_of(k) <= near), key=order)
 
-    def _contenders(self, contest: Contest, ranking: Sequence[Candidate], claim: float) -> list[Candidate]:
+    def _contenders(self, tests: ScoreTests, ranking: Sequence[Scored], claim: float) -> list[Scored]:
         """Those that may fit as well as the leader, or better; their shapes made out more finely."""
         evidence, least = self.store.evidence, ranking[0].gain / 2 - NEAR
-        chosen = [contest.sharper(evidence, c) if c.gain > least else c for c in ranking if c.gain > 0]
+        chosen = [tests.sharper(evidence, c) if c.gain > least else c for c in ranking if c.gain > 0]
         leader = max(chosen, key=lambda c: c.sigma)
         near = [
             c
             for c in chosen
             if c.gain > (1 - LOOSE) * leader.gain - NEAR
             or likeness(leader.signature, c.signature) > policy.ALIAS_COSINE
-            or (c.suspect.kind is None and c.sigma > claim)
+            or (c.candidate.kind is None and c.sigma > claim)
         ]
-        return sorted(near, key=lambda c: (c.suspect.kind is not None, -c.gain))[:RIVALS]
+        return sorted(near, key=lambda c: (c.candidate.kind is not None, -c.gain))[:RIVALS]
 
-    def _better(self, state: State, contest: Contest, claim: float) -> State | None:
+    def _better(self, state: State, tests: ScoreTests, claim: float) -> State | None:
         """The model with one named effect dropped, or exchanged for a rival, if that is better."""
-        now = contest.now
-        for k, suspect in enumerate(state):
-            rest, rise = state[:k] + state[k + 1 :], contest.chi2(suspect) - now.chi2
-            if self._sigma(rise, suspect) < 2 * claim:
+        fit = tests.fit
+        for k, candidate in enumerate(state):
+            rest, rise = state[:k] + state[k + 1 :], tests.chi2(candidate) - fit.chi2
+            if self._sigma(rise, candidate) < 2 * claim:
                 kept = self.store.settled(rest)
-                if self._sigma(kept.chi2 - now.chi2, suspect) < claim:
+                if self._sigma(kept.chi2 - fit.chi2, candidate) < claim:
                     return rest
-            reduced, keys = None, {frozenset(state): suspect}
-            for c in self._rivals(contest, suspect):
-                key = frozenset({*rest, c.suspect})
-                keys[key] = c.suspect
+            reduced, keys = None, {frozenset(state): candidate}
+            for c in self._rivals(tests, candidate):
+                key = frozenset({*rest, c.candidate})
+                keys[key] = c.candidate
                 if not self.store.known(key):
-                    reduced = reduced or self.store.without(now, suspect)
-                    best = contest.sharper(self.store.evidence, c, suspect)
+                    reduced = reduced or self.store.without(fit, candidate)
+                    best = tests.sharper(self.store.evidence, c, candidate)
                     self.store.extend(key, reduced, best)
-                if self.store.price(key) < self.store.price(state) + NEAR:
+                if self.store.cost_of(key) < self.store.cost_of(state) + NEAR:
                     self.store.settled(tuple(key))
-                if self.store.price(key) < self.store.price(state) - policy.RIVAL_EXCLUDED_BY:
-                    return (*state[:k], c.suspect, *state[k + 1 :])
+                if self.store.cost_of(key) < self.store.cost_of(state) - policy.RIVAL_EXCLUDED_BY:
+                    return (*state[:k], c.candidate, *state[k + 1 :])
             simplest = self._simplest(keys)
             if simplest != frozenset(state):
                 return (*state[:k], keys[simplest], *state[k + 1 :])
         return None
 
-    def _rivals(self, contest: Contest, suspect: Suspect) -> list[Candidate]:
+    def _rivals(self, tests: ScoreTests, candidate: Candidate) -> list[Scored]:
         """Those that may do as well in the place of a named effect."""
-        total = contest.chi2(suspect)
-        rise = total - contest.now.chi2
-        near = contest.now.chi2 + NEAR + LOOSE * rise
-        rivals = [c for c in contest.ranking(suspect) if total - c.gain < near and c.effect not in self.absorbed]
+        total = tests.chi2(candidate)
+        rise = total - tests.fit.chi2
+        near = tests.fit.chi2 + NEAR + LOOSE * rise
+        rivals = [c for c in tests.ranking(candidate) if total - c.gain < near and c.effect not in self.absorbed]
         return sorted(rivals, key=lambda c: -c.gain)[:SWAPS]
 
-    def _named(self, state: State, k: int, contest: Contest) -> Named:
-        suspect, now = state[k], contest.now
-        rest = frozenset(state) - {suspect}
-        worse = self.store.settled(tuple(rest)).chi2 - now.chi2
-        others = {key - rest: self.store.price(key) for key in self.store.fits if len(key) == len(state) and key > rest}
+    def _named(self, state: State, k: int, tests: ScoreTests) -> Named:
+        candidate, fit = state[k], tests.fit
+        rest = frozenset(state) - {candidate}
+        worse = self.store.settled(tuple(rest)).chi2 - fit.chi2
+        others = {
+            key - rest: self.store.cost_of(key) for key in self.store.fits if len(key) == len(state) and key > rest
+        }
         near = sorted(
-            (p, next(iter(s)).name) for s, p in others.items() if p < self.store.price(state) + policy.RIVAL_EXCLUDED_BY
+            (p, next(iter(s)).name)
+            for s, p in others.items()
+            if p < self.store.cost_of(state) + policy.RIVAL_EXCLUDED_BY
         )
-        ranking = tuple(c for c in contest.ranking(suspect) if c.telling and c.effect not in self.absorbed)
-        if suspect.kind is None:  # an effect can always bend a law to a constant: no rival to the constant itself
-            ranking = tuple(c for c in ranking if c.suspect.kind is None)
+        ranking = tuple(c for c in tests.ranking(candidate) if c.identifiable and c.effect not in self.absorbed)
+        if candidate.kind is None:  # an effect can always bend a law to a constant: no rival to the constant itself
+            ranking = tuple(c for c in ranking if c.candidate.kind is None)
             near = [(p, n) for p, n in near if n in {c.effect for c in ranking}]
-        aliases = (suspect.name, *(n for _, n in near if n != suspect.name))
-        own = contest.signature(suspect)
+        aliases = (candidate.name, *(n for _, n in near if n != candidate.name))
+        own = tests.signature(candidate)
         cosines = sorted(((likeness(own, c.signature), c.effect) for c in ranking), reverse=True)
         told = max((c for c, effect in cosines if effect not in aliases), default=0.0)
-        limit = {s: policy.DETECTION_LIMIT_SIGMA * now.std[s] for s in suspect.strengths}
-        std = spread(self.store.evidence, self.store.without(now, suspect), now, suspect)
+        limit = {s: policy.DETECTION_LIMIT_SIGMA * fit.std[s] for s in candidate.strengths}
+        std = spread(self.store.evidence, self.store.without(fit, candidate), fit, candidate)
         return Named(
-            suspect.name,
-            {s: now.model.value(s) for s in suspect.strengths},
-            {s: std[s] for s in suspect.strengths},
-            self._sigma(worse, suspect),
+            candidate.name,
+            {s: fit.model.value(s) for s in candidate.strengths},
+            {s: std[s] for s in candidate.strengths},
+            self._sigma(worse, candidate),
             aliases,
-            {s: now.model.value(s) for s in suspect.shapes},
-            {s: determined(now, s, std.get(s, 0.0)) for s in suspect.shapes},
+            {s: fit.model.value(s) for s in candidate.shapes},
+            {s: determined(fit, s, std.get(s, 0.0)) for s in candidate.shapes},
             (*(((e,), c) for c, e in cosines if c > policy.ALIAS_COSINE), *sums(own, ranking)),
             limit,
             {s: x / float(np.sqrt(max(1 - told**2, 1e-12))) for s, x in limit.items()},

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from discrepancy_clips import FRAMES, STD, collisions, exact, noisy, only
 
-from discrepancy.data.outlier_points import _Look, spikes, taken_out, without_spikes
+from discrepancy.data.outlier_points import _Offset, outliers, taken_out, without_outliers
 from discrepancy.fitting.base_fit import CLAIMED, base_fit
 from discrepancy.fitting.parameters import parameter_of
 from discrepancy.fitting.predict import forecast
@@ -24,10 +24,10 @@ def moved(clip, rows, by):
 
 
 @pytest.mark.parametrize("by", [[20, 0], [0, -20], [1e3, 1e3]])
-def test_a_place_far_off_its_path_is_a_spike(by):
+def test_a_place_far_off_its_path_is_an_outlier(by):
     for clip in CLIPS:
         rows = [row_of(clip, 0, 6), row_of(clip, 1, 70)]
-        assert spikes(moved(clip, rows, STD * np.array(by))) == set(rows)
+        assert outliers(moved(clip, rows, STD * np.array(by))) == set(rows)
 
 
 def row_of(clip, ball, frame):
@@ -35,37 +35,37 @@ def row_of(clip, ball, frame):
 
 
 def found_beside_a_model(clips):
-    """What is found beside the base model fitted to the clips, spikes and all: rows."""
+    """What is found beside the base model fitted to the clips, outliers and all: rows."""
     base = base_fit(clips, Model(), CLAIMED, lambda stage: None)
-    return [spikes(c, x) for c, x in zip(clips, forecast(base.model, base.launches, clips), strict=True)]
+    return [outliers(c, x) for c, x in zip(clips, forecast(base.model, base.launches, clips), strict=True)]
 
 
-@pytest.mark.parametrize(("sigma", "spike"), [(6.0, False), (11.0, True)])
-def test_a_place_is_a_spike_beyond_eight_sigma(sigma, spike):
+@pytest.mark.parametrize(("sigma", "outlier"), [(6.0, False), (11.0, True)])
+def test_a_place_is_an_outlier_beyond_eight_sigma(sigma, wrong):
     """Of the place and of the parabola through four places on either side: its value in the middle has 708/2064."""
     for clip, true in zip(CLIPS, exact(Model(), 8, 3), strict=True):
         row = row_of(clip, 1, 70)
         xy = clip.xy.copy()
         xy[row] = true.xy[row] + [sigma * np.sqrt(1 + 708 / 2064) * STD, 0]
-        assert spikes(dataclasses.replace(clip, xy=xy)) == ({row} if spike else set())
+        assert outliers(dataclasses.replace(clip, xy=xy)) == ({row} if wrong else set())
 
 
-@pytest.mark.parametrize(("rough", "spike"), [(1.4, True), (2.8, False)])
-def test_places_that_are_twice_as_rough_as_noise_tell_of_no_spike(rough, spike):
-    assert _Look(np.array([0.0, -30.0]), 1.5 * rough).far(1.5) is spike
+@pytest.mark.parametrize(("rough", "outlier"), [(1.4, True), (2.8, False)])
+def test_places_that_are_twice_as_rough_as_noise_tell_of_no_outlier(rough, wrong):
+    assert _Offset(np.array([0.0, -30.0]), 1.5 * rough).far(1.5) is wrong
 
 
-@pytest.mark.parametrize(("off", "spike"), [(7.0, True), (14.0, False)])
-def test_a_model_that_is_ten_errors_off_tells_of_no_spike(off, spike):
+@pytest.mark.parametrize(("off", "outlier"), [(7.0, True), (14.0, False)])
+def test_a_model_that_is_ten_errors_off_tells_of_no_outlier(off, wrong):
     clip, row = CLIPS[0], row_of(CLIPS[0], 1, 70)
     expected = exact(Model(), 8, 3)[0].xy + off * STD
-    assert spikes(moved(clip, [row], 40 * STD), expected) == ({row} if spike else set())
+    assert outliers(moved(clip, [row], 40 * STD), expected) == ({row} if wrong else set())
 
 
 @pytest.mark.parametrize(("clips", "gone"), [(2, 2), (3, 0)])
 def test_what_three_clips_have_in_one_frame_is_kept(clips, gone):
     wrong = [moved(c, [row_of(c, 1, 70)], 40 * STD) if k < clips else c for k, c in enumerate(CLIPS)]
-    kept = without_spikes(wrong, [c.xy for c in exact(Model(), 8, 3)])
+    kept = without_outliers(wrong, [c.xy for c in exact(Model(), 8, 3)])
     assert sum(len(c.frame) for c in wrong) - sum(len(c.frame) for c in kept) == gone
 
 
@@ -103,27 +103,27 @@ def test_what_a_model_lacks_makes_none(effect, longer):
 
 @pytest.mark.parametrize("rho", [0.0, 0.9])
 def test_noise_has_none(rho):
-    assert not any(spikes(clip) for clip in collisions(Model(), 12, 4, rho))
+    assert not any(outliers(clip) for clip in collisions(Model(), 12, 4, rho))
 
 
 def test_errors_that_are_claimed_to_vary_make_none():
     rng = np.random.default_rng(2)
     for clip in CLIPS:
         claimed = clip.covariance * rng.uniform(0.9, 1.1, (len(clip.frame), 1, 1))
-        assert not spikes(dataclasses.replace(clip, covariance=claimed))
+        assert not outliers(dataclasses.replace(clip, covariance=claimed))
 
 
 def test_a_jump_is_none():
     """As where a frame is lost: all that follows stands elsewhere."""
     for clip in CLIPS:
         late = np.flatnonzero((clip.ball == 1) & (clip.frame >= 70))
-        assert spikes(moved(clip, late, 50 * STD)) == set()
+        assert outliers(moved(clip, late, 50 * STD)) == set()
 
 
 def test_what_is_left_is_the_clip_without_them_and_it_is_said():
     row = row_of(CLIPS[2], 1, 70)
     given = [*CLIPS[:2], moved(CLIPS[2], [row], 30 * STD)]
-    kept = without_spikes(given)
+    kept = without_outliers(given)
     assert kept[:2] == CLIPS[:2]
     assert np.array_equal(kept[2].xy, np.delete(CLIPS[2].xy, row, axis=0))
     assert np.array_equal(kept[2].covariance, np.delete(CLIPS[2].covariance, row, axis=0))

@@ -8,7 +8,7 @@ from discrepancy_clips import exact, searched
 
 from discrepancy.data.collisions import split
 from discrepancy.diagnostics.gap import show
-from discrepancy.fitting.gauss_newton import fit
+from discrepancy.fitting.gauss_newton import fit_model
 from discrepancy.noise.model import Component, Noise
 from discrepancy.noise.whitening import Whitener
 from synthcam.model import Model
@@ -21,8 +21,8 @@ def test_clips_kept_out_are_in_no_fit():
     fitted, kept = ({c.clip for c in clips} for clips in (found.data.clips, found.data.kept_out))
     assert not fitted & kept
     assert (len(fitted), len(kept)) == (6, 2)
-    for now, clips in ((found.selected.best, found.data.clips), (found.shown.after, found.data.kept_out)):
-        assert [len(r) for r in now.residuals] == [2 * len(c.frame) for c in clips]
+    for fit, clips in ((found.selected.best, found.data.clips), (found.shown.after, found.data.kept_out)):
+        assert [len(r) for r in fit.residuals] == [2 * len(c.frame) for c in clips]
     for shown, model in ((found.shown.before, found.base.model), (found.shown.after, found.model)):
         assert shown.names == ()
         assert shown.model == model
@@ -97,7 +97,7 @@ def test_the_gap_lies_in_the_phases_of_what_is_hidden():
 
 def test_a_model_without_a_motion_closes_nothing():
     clips, white = exact(Model(), 2, 5), Noise(Component(1.0))
-    base = fit(clips, Model(), (), white)
+    base = fit_model(clips, Model(), (), white)
     steep = dataclasses.replace(base, model=Model().replace({"plate_tilt.x": 5e-3}))
     shown = show(clips, base, steep, white)
     assert shown.gap.after == shown.gap.before

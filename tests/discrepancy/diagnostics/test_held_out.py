@@ -8,7 +8,7 @@ from discrepancy_clips import HIDDEN, collisions, only, searched
 
 from discrepancy.data.collisions import split
 from discrepancy.diagnostics.held_out import Held, foretold
-from discrepancy.fitting.gauss_newton import fit
+from discrepancy.fitting.gauss_newton import fit_model
 from discrepancy.fitting.parameters import BASE
 from discrepancy.noise.model import Component, Noise
 from discrepancy.search import find
@@ -21,14 +21,14 @@ E = "velocity_restitution.e"
 def test_each_clip_is_foretold_as_a_fit_to_all_others_foretells_it():
     """The fit itself done again without it, and its launch alone to it."""
     clips = collisions(Model().replace({E: 0.02}), 6, 3)
-    now = fit(clips, Model(), (*BASE, E), NOISE)
-    turned = foretold(now)
+    fit = fit_model(clips, Model(), (*BASE, E), NOISE)
+    turned = foretold(fit)
     for k in (0, 4):
-        others = fit([c for c in clips if c is not clips[k]], now.model, now.names, NOISE)
-        alone = fit([clips[k]], others.model, (), NOISE)
-        paid = alone.chi2 - now.residuals[k] @ now.residuals[k]
+        others = fit_model([c for c in clips if c is not clips[k]], fit.model, fit.names, NOISE)
+        alone = fit_model([clips[k]], others.model, (), NOISE)
+        paid = alone.chi2 - fit.residuals[k] @ fit.residuals[k]
         assert turned[k] @ turned[k] == pytest.approx(alone.chi2, abs=0.02 * paid + 0.05)
-    assert sum(float(t @ t) for t in turned) > now.chi2 + len(now.names) / 2
+    assert sum(float(t @ t) for t in turned) > fit.chi2 + len(fit.names) / 2
 
 
 @pytest.mark.parametrize("true", [0.0, 1.0])

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from discrepancy_clips import collisions
 
-from discrepancy.diagnostics.outlier_clips import odd
-from discrepancy.fitting.gauss_newton import fit
+from discrepancy.diagnostics.outlier_clips import outlier_clips
+from discrepancy.fitting.gauss_newton import fit_model
 from discrepancy.fitting.parameters import BASE
 from discrepancy.noise.model import Component, Noise
 from synthcam.model import Model
@@ -23,8 +23,8 @@ def pushed(clip, size):
 
 
 def fits(clips, effect):
-    base = fit(clips, Model(), BASE, CLAIMED)
-    return base, fit(clips, Model(), [*BASE, effect], CLAIMED, base.launches)
+    base = fit_model(clips, Model(), BASE, CLAIMED)
+    return base, fit_model(clips, Model(), [*BASE, effect], CLAIMED, base.launches)
 
 
 def significance(base, best):
@@ -39,7 +39,7 @@ def test_a_bad_clip_that_makes_a_discovery_is_found(rank, size):
     clips[bad] = pushed(clips[bad], size * (1 + rank))
     base, best = fits(clips, "rolling_quadratic.K")
     assert significance(base, best) > 4
-    found = odd(clips, base, best)
+    found = outlier_clips(clips, base, best)
     assert list(found) == [bad]
     assert found[bad].startswith(f"clip {clips[bad].clip}: ")
     rest = [c for k, c in enumerate(clips) if k != bad]
@@ -51,20 +51,20 @@ def test_an_effect_makes_no_clip_bad(effect, value):
     clips = collisions(Model().replace({effect: value}), 12, 7)
     base, best = fits(clips, effect)
     assert significance(base, best) > 5
-    assert odd(clips, base, best) == {}
-    assert odd(clips, base, base) == {}  # nor one that is not found
+    assert outlier_clips(clips, base, best) == {}
+    assert outlier_clips(clips, base, base) == {}  # nor one that is not found
 
 
 def test_a_bad_clip_is_found_beside_an_effect():
     clips = collisions(Model().replace({"velocity_restitution.e": 0.05}), 12, 7)
     clips[3] = pushed(clips[3], 4e-3)
-    assert list(odd(clips, *fits(clips, "velocity_restitution.e"))) == [3]
+    assert list(outlier_clips(clips, *fits(clips, "velocity_restitution.e"))) == [3]
 
 
 def test_noise_makes_no_clip_bad():
     for seed in range(4):
         clips = collisions(Model(), 10, 20 + seed)
-        assert odd(clips, *fits(clips, "rolling_quadratic.K")) == {}
+        assert outlier_clips(clips, *fits(clips, "rolling_quadratic.K")) == {}
 
 
 def test_one_clip_in_ten_may_be_odd_in_all():
@@ -72,4 +72,4 @@ def test_one_clip_in_ten_may_be_odd_in_all():
     clips = collisions(Model(), 12, 6)
     clips[3] = pushed(clips[3], 8e-3)
     both = fits(clips, "rolling_quadratic.K")
-    assert [list(odd(clips, *both, gone)) for gone in (0, 1)] == [[3], []]
+    assert [list(outlier_clips(clips, *both, gone)) for gone in (0, 1)] == [[3], []]

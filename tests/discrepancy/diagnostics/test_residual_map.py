@@ -9,8 +9,8 @@ from discrepancy_clips import collisions, exact
 from scipy.stats import chi2 as chi2_law
 from scipy.stats import kstest
 
-from discrepancy.diagnostics.residual_map import AGAINST, AXES, BALLS, LOOKS, locate, looks
-from discrepancy.fitting.gauss_newton import fit
+from discrepancy.diagnostics.residual_map import AGAINST, AXES, BALLS, TRIALS, locate, trials
+from discrepancy.fitting.gauss_newton import fit_model
 from discrepancy.fitting.parameters import BASE
 from discrepancy.noise.model import Component, Noise
 from synthcam.model import Model
@@ -20,27 +20,27 @@ CLAIMED = Noise(Component(1.0))
 
 @cache
 def seen(name, value, held="", count=16):
-    """Looks at a base fit when `name` has a value that the model does not know; `held`: a parameter not fitted."""
+    """Tests of a base fit when `name` has a value that the model does not know; `held`: a parameter not fitted."""
     clips = collisions(Model().replace({"plate_waviness.wavelength": 0.04} | {name: value}), count, 4)
     names = tuple(n for n in BASE if n != held)
-    return locate(clips, fit(clips, Model(), names, CLAIMED), CLAIMED)
+    return locate(clips, fit_model(clips, Model(), names, CLAIMED), CLAIMED)
 
 
 def most(places, **wanted):
-    """The largest sigma among the looks that have these attributes."""
+    """The largest sigma among the tests that have these attributes."""
     return max(p.sigma for p in places if all(getattr(p, k) == v for k, v in wanted.items()))
 
 
 def test_noise_alone_draws_uniform_chances():
     clips = exact(Model(), 6, 5)
-    now = fit(clips, Model(), BASE, CLAIMED, np.array([c.launch for c in clips]))
+    fit = fit_model(clips, Model(), BASE, CLAIMED, np.array([c.launch for c in clips]))
     rng, chances = np.random.default_rng(1), {}
     for _ in range(25):
-        drawn = tuple(rng.standard_normal(len(r)) for r in now.residuals)
-        left = np.split(now.projected([d[:, None] for d in drawn])[:, 0], np.cumsum([len(r) for r in drawn])[:-1])
-        for look, against, chi2, dof, _ in looks(clips, dataclasses.replace(now, residuals=tuple(left)), CLAIMED):
+        drawn = tuple(rng.standard_normal(len(r)) for r in fit.residuals)
+        left = np.split(fit.projected([d[:, None] for d in drawn])[:, 0], np.cumsum([len(r) for r in drawn])[:-1])
+        for look, against, chi2, dof, _ in trials(clips, dataclasses.replace(fit, residuals=tuple(left)), CLAIMED):
             chances.setdefault((look, against), []).append(chi2_law.sf(chi2, dof))
-    assert {look for look, _ in chances} == {(p, b, a) for p in LOOKS for b in range(2) for a in range(2)}
+    assert {look for look, _ in chances} == {(p, b, a) for p in TRIALS for b in range(2) for a in range(2)}
     worst = min(kstest(each, "uniform").pvalue for each in chances.values())
     assert worst > 1e-3 / len(chances)
 
@@ -90,7 +90,7 @@ def test_a_bent_roll_has_the_size_of_its_bend():
         line = np.polyval(np.polyfit(late[rows], bend[rows], 1), late[rows])
         sizes.append((bend[rows] - line) ** 2)
         clips.append(dataclasses.replace(c, xy=c.xy + bend[:, None] * way))
-    places = [p for p in locate(clips, fit(clips, Model(), BASE, CLAIMED), CLAIMED) if not p.against]
+    places = [p for p in locate(clips, fit_model(clips, Model(), BASE, CLAIMED), CLAIMED) if not p.against]
     assert (places[0].phase, places[0].ball, places[0].observable) == ("rolling", "ball 1", "across")
     assert places[0].size == pytest.approx(1e6 * np.sqrt(np.mean(np.concatenate(sizes))), rel=0.15)
 
@@ -104,7 +104,7 @@ def test_looks_are_corrected_and_in_order():
     places = seen("velocity_restitution.e", 0.05, count=30)
     assert [p.sigma for p in places] == sorted((p.sigma for p in places), reverse=True)
     for p in places:
-        assert (p.phase in LOOKS, p.ball in BALLS, p.observable in AXES) == (True, True, True)
+        assert (p.phase in TRIALS, p.ball in BALLS, p.observable in AXES) == (True, True, True)
         assert p.against in ("", *AGAINST)
         assert p.size >= 0
     assert "ball 1 at the contact, along its motion, changing with the speed" in {str(p) for p in places}
@@ -117,5 +117,5 @@ def test_too_few_clips_are_held_against_nothing():
 @pytest.mark.parametrize(("count", "trends"), [(5, False), (6, True)])
 def test_six_clips_are_held_against_speed_and_place(count, trends):
     clips = collisions(Model(), count, 5)
-    found = looks(clips, fit(clips, Model(), BASE, CLAIMED), CLAIMED)
+    found = trials(clips, fit_model(clips, Model(), BASE, CLAIMED), CLAIMED)
     assert any(against for _, against, *_ in found) is trends

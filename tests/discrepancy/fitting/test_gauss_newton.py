@@ -7,10 +7,10 @@ import pytest
 from discrepancy_clips import collisions, exact, noisy
 from scipy.stats import chi2 as chi2_law
 
-from discrepancy.fitting.gauss_newton import fit, linearised, settle, solve, telling
+from discrepancy.fitting.gauss_newton import fit_model, identifiable, linearised, settle, solve
 from discrepancy.fitting.jacobian import derivative, launch_derivatives
 from discrepancy.fitting.model_fit import Evidence, Fit, Tangent
-from discrepancy.fitting.parameters import BASE, limits_of, suspects
+from discrepancy.fitting.parameters import BASE, candidates, limits_of
 from discrepancy.fitting.predict import forecast
 from discrepancy.noise.model import Component, Noise
 from synthcam.model import Model
@@ -27,15 +27,15 @@ TRUTH = Model().replace(
 )
 
 
-def far(now, truth):
+def far(fit, truth):
     """The shared parameters' distance to the truth, chi^2 with as many degrees of freedom."""
-    off = np.array([now.model.value(n) - truth.value(n) for n in now.names])
-    return float(off @ np.linalg.solve(now.covariance, off))
+    off = np.array([fit.model.value(n) - truth.value(n) for n in fit.names])
+    return float(off @ np.linalg.solve(fit.covariance, off))
 
 
 @pytest.fixture(scope="module")
 def fitted():
-    return fit(collisions(TRUTH, 6, 11), Model(), BASE, WHITE)
+    return fit_model(collisions(TRUTH, 6, 11), Model(), BASE, WHITE)
 
 
 def test_known_parameters_are_recovered_within_their_errors(fitted):
@@ -52,27 +52,27 @@ def test_chi2_is_what_noise_leaves(fitted):
 
 def test_errors_are_the_scatter_over_repeats():
     clips, repeats = exact(Model(), 4, 12), 12
-    distances = [far(fit(noisy(clips, seed), Model(), BASE, WHITE), Model()) for seed in range(repeats)]
+    distances = [far(fit_model(noisy(clips, seed), Model(), BASE, WHITE), Model()) for seed in range(repeats)]
     low, high = chi2_law.ppf([1e-3, 1 - 1e-3], repeats * len(BASE))
     assert low < sum(distances) < high
 
 
 def test_eliminating_the_launches_equals_dense_least_squares():
-    now = fit(collisions(Model(), 3, 13), Model(), BASE, WHITE)
-    moved = dataclasses.replace(now, residuals=tuple(np.cos(np.arange(len(r))) for r in now.residuals))
-    rows = [len(r) for r in now.residuals]
+    fit = fit_model(collisions(Model(), 3, 13), Model(), BASE, WHITE)
+    moved = dataclasses.replace(fit, residuals=tuple(np.cos(np.arange(len(r))) for r in fit.residuals))
+    rows = [len(r) for r in fit.residuals]
     dense, at = np.zeros((sum(rows), len(BASE) + 18)), np.cumsum([0, *rows])
     for k in range(3):
-        dense[at[k] : at[k + 1], :5] = now.slopes[k]
-        dense[at[k] : at[k + 1], 5 + 6 * k : 11 + 6 * k] = now.launch_slopes[k]
+        dense[at[k] : at[k + 1], :5] = fit.slopes[k]
+        dense[at[k] : at[k + 1], 5 + 6 * k : 11 + 6 * k] = fit.launch_slopes[k]
     scale = np.linalg.norm(dense, axis=0)
     best = np.linalg.lstsq(dense / scale, np.concatenate(moved.residuals), rcond=None)[0] / scale
     shared, own = solve(moved, 0.0, np.full(5, -np.inf), np.full(5, np.inf))
-    error = np.sqrt(np.diag(now.covariance))
+    error = np.sqrt(np.diag(fit.covariance))
     assert np.allclose(shared / error, best[:5] / error, atol=1e-5)
     assert np.allclose(own, best[5:].reshape(3, 6), rtol=1e-4, atol=1e-9)
     inverse = np.linalg.inv((dense / scale).T @ (dense / scale)) / np.outer(scale, scale)
-    assert np.allclose(now.covariance / np.outer(error, error), inverse[:5, :5] / np.outer(error, error), atol=1e-5)
+    assert np.allclose(fit.covariance / np.outer(error, error), inverse[:5, :5] / np.outer(error, error), atol=1e-5)
 
 
 def test_what_is_projected_holds_nothing_that_the_fit_can_absorb(fitted):
@@ -154,9 +154,9 @@ def waving(height):
 def test_a_parameter_stops_at_its_limit_and_the_rest_are_fitted_as_without_it():
     """A friction that falls with speed, where only a rising one, or none, is allowed: none."""
     clips = collisions(Model().replace({"velocity_restitution.e": -0.01}), 4, 19)
-    without = fit(clips, Model(), BASE, WHITE)
-    hop = fit(clips, Model(), (*BASE, "hop.share"), WHITE)
-    air = fit(clips, Model(), (*BASE, "air_drag.share"), WHITE)
+    without = fit_model(clips, Model(), BASE, WHITE)
+    hop = fit_model(clips, Model(), (*BASE, "hop.share"), WHITE)
+    air = fit_model(clips, Model(), (*BASE, "air_drag.share"), WHITE)
     stopped = [f for f, name in ((hop, "hop.share"), (air, "air_drag.share")) if f.model.value(name) == 0]
     assert stopped
     assert all(f.chi2 == pytest.approx(without.chi2, abs=0.05) for f in stopped)
@@ -167,9 +167,9 @@ def test_a_fit_that_starts_from_another_ends_where_a_fresh_one_does():
     truth = Model().replace({"velocity_restitution.e": 0.05, "rolling_quadratic.K": 0.2})
     clips = collisions(truth, 4, 20)
     names = (*BASE, "velocity_restitution.e", "rolling_quadratic.K")
-    fresh = fit(clips, Model(), names, WHITE)
+    fresh = fit_model(clips, Model(), names, WHITE)
     evidence = Evidence.of(clips, WHITE)
-    base = fit(clips, Model(), BASE, WHITE)
+    base = fit_model(clips, Model(), BASE, WHITE)
     slopes = [derivative(base.model, base.launches, clips, n) for n in names[5:]]
     columns = evidence.white([np.stack([s[k] for s in slopes], axis=-1) for k in range(4)])
     stale = settle(evidence, base.extended(base.model, names[5:], columns))
@@ -182,11 +182,11 @@ def test_a_fit_that_starts_from_another_ends_where_a_fresh_one_does():
 
 def test_with_nothing_shared_only_the_launches_are_fitted():
     clips = collisions(Model(), 2, 17)
-    now = fit(clips, Model(), (), WHITE)
-    assert isinstance(now, Fit)
-    assert now.model == Model()
-    assert now.covariance.shape == (0, 0)
-    assert abs(now.chi2 / (now.points - 12) - 1) < 4 * np.sqrt(2 / now.points)
+    fit = fit_model(clips, Model(), (), WHITE)
+    assert isinstance(fit, Fit)
+    assert fit.model == Model()
+    assert fit.covariance.shape == (0, 0)
+    assert abs(fit.chi2 / (fit.points - 12) - 1) < 4 * np.sqrt(2 / fit.points)
 
 
 def test_a_lost_frame_is_fitted_where_it_was_found():
@@ -196,19 +196,21 @@ def test_a_lost_frame_is_fitted_where_it_was_found():
     start = truth.replace({"dropped_frame.lost": 0.3, "dropped_frame.frame": 40.3})
     evidence, launches = Evidence.of(clips, WHITE), np.array([c.launch for c in clips])
     names = (*BASE, "dropped_frame.lost", "dropped_frame.frame")
-    now = settle(evidence, linearised(evidence, start, names, launches))
-    assert now.model.value("dropped_frame.frame") == 40.3
-    assert now.model.value("dropped_frame.lost") == pytest.approx(0.5, abs=4 * now.std["dropped_frame.lost"])
+    fit = settle(evidence, linearised(evidence, start, names, launches))
+    assert fit.model.value("dropped_frame.frame") == 40.3
+    assert fit.model.value("dropped_frame.lost") == pytest.approx(0.5, abs=4 * fit.std["dropped_frame.lost"])
 
 
 @pytest.mark.parametrize(("seen", "silent"), [(0.9, True), (1.1, False)])
 def test_a_positive_shape_that_its_whole_range_hardly_shows_is_silent(seen, silent):
     """Its range is of factors: the derivative by its logarithm is its value times that by itself."""
     model = Model().replace({"stribeck.rise": 1e-3, "stribeck.slip": 0.07})
-    stribeck = next(s for s in suspects(Model(), ()) if s.name == "stribeck")
+    stribeck = next(s for s in candidates(Model(), ()) if s.name == "stribeck")
     tried = [shapes["stribeck.slip"] for shapes in stribeck.grid(Model())]
     slope = seen / (0.07 * np.log(max(tried) / min(tried)))
-    (left,) = telling(model, ["stribeck.rise", "stribeck.slip"], (np.array([[1e-9, 0.6 * slope], [0, 0.8 * slope]]),))
+    (left,) = identifiable(
+        model, ["stribeck.rise", "stribeck.slip"], (np.array([[1e-9, 0.6 * slope], [0, 0.8 * slope]]),)
+    )
     assert left[0, 0] == 1e-9  # a strength has no range
     assert left[:, 1].any() != silent
 
@@ -241,7 +243,7 @@ class Banana:
     def replace(self, values):
         return dataclasses.replace(self, **values)
 
-    def fit(self):
+    def fit_model(self):
         residuals = np.array([1 - self.x, -self.steep * (self.y - self.x**2)])
         slopes = np.array([[1.0, 0.0], [-2 * self.steep * self.x, self.steep]])
         names, launches = ("x", "y"), np.zeros((0, 6))
@@ -250,18 +252,18 @@ class Banana:
 
 
 def test_a_part_of_a_step_that_gains_nearly_nothing_is_not_the_end(monkeypatch):
-    def step(now, damping):
-        (j,), (r,) = now.slopes, now.residuals
+    def step(fit, damping):
+        (j,), (r,) = fit.slopes, fit.residuals
         matrix = j.T @ j
         far = np.linalg.solve(matrix + damping * np.diag(np.diag(matrix)), j.T @ r)
-        return {"x": now.model.x + far[0], "y": now.model.y + far[1]}, 0.0
+        return {"x": fit.model.x + far[0], "y": fit.model.y + far[1]}, 0.0
 
-    def moved(evidence, now, values, own):
-        return dataclasses.replace(now, model=(there := now.model.replace(values)), residuals=there.fit().residuals)
+    def moved(evidence, fit, values, own):
+        return dataclasses.replace(fit, model=(there := fit.model.replace(values)), residuals=there.fit().residuals)
 
-    def foretold(now, values, own):
-        far = np.array([values["x"] - now.model.x, values["y"] - now.model.y])
-        return float(((now.residuals[0] - now.slopes[0] @ far) ** 2).sum())
+    def foretold(fit, values, own):
+        far = np.array([values["x"] - fit.model.x, values["y"] - fit.model.y])
+        return float(((fit.residuals[0] - fit.slopes[0] @ far) ** 2).sum())
 
     monkeypatch.setattr("discrepancy.fitting.gauss_newton._step", step)
     here = "discrepancy.fitting.gauss_newton"

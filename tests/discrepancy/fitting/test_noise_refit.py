@@ -19,8 +19,8 @@ def measured(seed, rho=0.0, walk=0.0, hidden=0.0, count=8):
     """Clips, with a random walk that both balls share, and a restitution that falls with speed."""
     rng, out = np.random.default_rng(seed), []
     for c in exact(Model().replace({"velocity_restitution.e": hidden}), count, 5):
-        shake = walk * STD * np.cumsum(rng.standard_normal((FRAMES, 2)), axis=0)
-        out.append(dataclasses.replace(c, xy=c.xy + noise_of_pair(rng, rho) + np.concatenate([shake, shake])))
+        common = walk * STD * np.cumsum(rng.standard_normal((FRAMES, 2)), axis=0)
+        out.append(dataclasses.replace(c, xy=c.xy + noise_of_pair(rng, rho) + np.concatenate([common, common])))
     return out
 
 

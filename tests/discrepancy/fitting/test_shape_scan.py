@@ -7,7 +7,7 @@ import pytest
 from discrepancy_clips import exact
 
 from discrepancy.fitting.jacobian import derivative
-from discrepancy.fitting.parameters import fitted, suspects
+from discrepancy.fitting.parameters import candidates, fitted
 from discrepancy.fitting.predict import forecast
 from discrepancy.fitting.shape_scan import scannable, scanned
 from synthcam.model import Model
@@ -15,21 +15,21 @@ from synthcam.model import Model
 CLIPS = exact(Model(), 6, 11)
 LAMPLESS = [dataclasses.replace(c, camera=dataclasses.replace(c.camera, lamp=None)) for c in CLIPS]
 LAUNCHES = np.array([c.launch for c in CLIPS])
-SUSPECTS = {s.name: s for s in suspects(Model(), fitted(Model()))}
+CANDIDATES = {s.name: s for s in candidates(Model(), fitted(Model()))}
 
 
 @pytest.mark.parametrize(
     ("name", "clips"), [("plate_waviness", CLIPS), ("dropped_frame", CLIPS), ("unknown_lamp", LAMPLESS)]
 )
 def test_derivatives_are_those_of_the_forward_model(name, clips):
-    suspect = SUSPECTS[name]
-    tries = list(suspect.grid(Model()))
-    assert scannable(suspect, tries)
+    candidate = CANDIDATES[name]
+    tries = list(candidate.grid(Model()))
+    assert scannable(candidate, tries)
     tries = tries[:: 1 + len(tries) // 40]
     here = forecast(Model(), LAUNCHES, clips)
-    told = scanned(Model(), LAUNCHES, clips, suspect, tries, here)
+    told = scanned(Model(), LAUNCHES, clips, candidate, tries, here)
     for k in range(0, len(tries), 4):
-        for j, strength in enumerate(suspect.strengths):
+        for j, strength in enumerate(candidate.strengths):
             true = np.concatenate(derivative(Model().replace(tries[k]), LAUNCHES, clips, strength, here))
             ours = np.concatenate([t[..., k, j] for t in told])
             length = np.linalg.norm(true)
@@ -38,12 +38,14 @@ def test_derivatives_are_those_of_the_forward_model(name, clips):
 
 
 def test_where_the_lamp_is_told_there_is_no_unknown_one():
-    suspect = SUSPECTS["unknown_lamp"]
-    told = scanned(Model(), LAUNCHES, CLIPS, suspect, list(suspect.grid(Model())), forecast(Model(), LAUNCHES, CLIPS))
+    candidate = CANDIDATES["unknown_lamp"]
+    told = scanned(
+        Model(), LAUNCHES, CLIPS, candidate, list(candidate.grid(Model())), forecast(Model(), LAUNCHES, CLIPS)
+    )
     assert not any(t.any() for t in told)
 
 
 def test_what_is_tried_one_by_one():
     """Few shapes, or laws that are no small change of the motion between impacts."""
-    assert not any(scannable(s, list(s.grid(Model()))) for n, s in SUSPECTS.items() if n in ("hop", "ball_friction"))
-    assert not scannable(SUSPECTS["plate_waviness"], list(SUSPECTS["plate_waviness"].grid(Model()))[:5])
+    assert not any(scannable(s, list(s.grid(Model()))) for n, s in CANDIDATES.items() if n in ("hop", "ball_friction"))
+    assert not scannable(CANDIDATES["plate_waviness"], list(CANDIDATES["plate_waviness"].grid(Model()))[:5])

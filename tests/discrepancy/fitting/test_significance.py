@@ -5,7 +5,7 @@ import pytest
 from scipy.stats import chi2 as chi2_law
 from scipy.stats import norm
 
-from discrepancy.fitting.significance import by_chance, looks_of, sigmas
+from discrepancy.fitting.significance import by_chance, sigmas, trials_factor
 
 
 def test_sigmas_are_those_of_a_normal_variable():
@@ -68,11 +68,11 @@ def test_what_the_fit_absorbs_scores_nothing():
 def test_looks_are_counted_and_paid_for():
     many = orthonormal(20)
     one = many[:, :1]
-    assert looks_of([a[:, None] for a in many.T]) == pytest.approx(20)
-    assert looks_of([one, -one, one]) == pytest.approx(1)
-    assert looks_of([many[:, :2], many[:, 2:4], many[:, :2]]) == pytest.approx(9 / 5)
+    assert trials_factor([a[:, None] for a in many.T]) == pytest.approx(20)
+    assert trials_factor([one, -one, one]) == pytest.approx(1)
+    assert trials_factor([many[:, :2], many[:, 2:4], many[:, :2]]) == pytest.approx(9 / 5)
     assert sigmas(50.0, 3, 20) == pytest.approx(np.sqrt(sigmas(50.0, 3) ** 2 - 2 * np.log(20)))
     each = norm.isf((1 - (1 - 1e-3) ** (1 / 20)) / 2)
-    paid = chance([a[:, None] for a in many.T], [False] * 20, looks=[20.0] * 20)
+    paid = chance([a[:, None] for a in many.T], [False] * 20, trials_factors=[20.0] * 20)
     assert paid == pytest.approx(np.sqrt(each**2 - 2 * np.log(20)), rel=0.03)
     assert paid < norm.isf(5e-4)  # no further price among other candidates

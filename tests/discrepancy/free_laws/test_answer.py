@@ -8,7 +8,7 @@ import pytest
 from discrepancy_clips import exact, noisy
 from discrepancy_outsiders import OUTSIDERS, outsider
 
-from discrepancy.fitting.gauss_newton import fit
+from discrepancy.fitting.gauss_newton import fit_model
 from discrepancy.fitting.model_fit import Evidence
 from discrepancy.fitting.parameters import BASE
 from discrepancy.free_laws.answer import SIDE, Answer, words
@@ -46,7 +46,7 @@ def test_a_number_for_each_clip_is_given_with_the_clips_own_number():
     starts, noise = np.array([c.launch for c in plain]), Noise(Component(1.0))
     law = next(s for s in free_laws(Model(), starts, plain) if s.name == "restitution_clip")
     clips = noisy(law.undone(plain, Model(), starts, 3e-3 * np.array([1, -1, 0, 2, -2, 0])), 9)
-    filled = FreeLawContest.of(Evidence.of(clips, noise), fit(clips, Model(), BASE, noise)).fitted
+    filled = FreeLawContest.of(Evidence.of(clips, noise), fit_model(clips, Model(), BASE, noise)).fitted
     answer = Answer.of(next(f for f in filled if f.law.name == "restitution_clip"))
     assert answer.x[0].tolist() == answer.document()["x"] == numbers
     assert len(answer.curve) == len(numbers)

@@ -47,15 +47,15 @@ def drawn(law, size, seed):
     scale = size / np.sqrt(np.median([s @ s for s in single]))
     speed = start.launches[:, 3] * np.sqrt(1 - start.launches[:, 5] ** 2)
     residuals = [s * scale * law(v) + rng.standard_normal(len(s)) for s, v in zip(single, speed, strict=True)]
-    now = dataclasses.replace(start, residuals=tuple(residuals))
-    weight = weigh(free_law, *now.information(moves))
+    fit = dataclasses.replace(start, residuals=tuple(residuals))
+    weight = weigh(free_law, *fit.information(moves))
     rest = [r - m @ weight.coefs for r, m in zip(residuals, moves, strict=True)]
-    now = dataclasses.replace(now, residuals=tuple(rest))
-    shared, own = solve(now, 0.0, np.full(len(BASE), -np.inf), np.full(len(BASE), np.inf))
-    rest = [r - s @ shared - a @ o for r, s, a, o in zip(rest, now.slopes, now.launch_slopes, own, strict=True)]
+    fit = dataclasses.replace(fit, residuals=tuple(rest))
+    shared, own = solve(fit, 0.0, np.full(len(BASE), -np.inf), np.full(len(BASE), np.inf))
+    rest = [r - s @ shared - a @ o for r, s, a, o in zip(rest, fit.slopes, fit.launch_slopes, own, strict=True)]
     model = Model().replace({"restitution": KNOWN + float(shared[BASE.index("restitution")])})
-    now = dataclasses.replace(now, residuals=tuple(rest), model=model)
-    return FittedLaw(free_law, weight.coefs, weight.prior, now, Model(), evidence, moves, 0.0, 0.0), scale
+    fit = dataclasses.replace(fit, residuals=tuple(rest), model=model)
+    return FittedLaw(free_law, weight.coefs, weight.prior, fit, Model(), evidence, moves, 0.0, 0.0), scale
 
 
 def bands(law, size, seed):

@@ -74,12 +74,12 @@ def test_a_field_that_acts_and_changes_along_one_axis_costs_less_freedom():
 
 def test_significance_is_rare_in_noise():
     scores = np.array([significance(LAW, DESIGN.T @ DESIGN, DESIGN.T @ n) for n in RNG.standard_normal((600, 30))])
-    assert 0.01 < np.mean(scores > 1.96) < 0.06  # 5 % of a normal variable; the looks overlap
+    assert 0.01 < np.mean(scores > 1.96) < 0.06  # 5 % of a normal variable; the trials overlap
     assert scores.max() < 4
 
 
 def test_a_smooth_map_is_found_among_many_coefficients():
-    """10 sigma in one smooth direction of 144 are 10 sigma, less what the looks cost; all 144 together are five."""
+    """10 sigma in one smooth direction of 144 are 10 sigma, less what the trials cost; all 144 together are five."""
     axis = Axis("x", "m", 0.0, 1.0, 12)
     plate = FrictionPlace((axis, axis))
     x, y = RNG.uniform(0, 1, (2, 400))

@@ -9,7 +9,7 @@ from discrepancy_clips import exact, noisy
 from discrepancy_laws import with_constant
 from discrepancy_outsiders import outsider
 
-from discrepancy.fitting.gauss_newton import fit
+from discrepancy.fitting.gauss_newton import fit_model
 from discrepancy.fitting.model_fit import Evidence
 from discrepancy.fitting.parameters import BASE
 from discrepancy.free_laws.formula import _Drawn, _shapes, _written, propose
@@ -79,7 +79,7 @@ def test_a_lag_is_told_but_for_a_constant():
     coefs = np.linalg.lstsq(late.basis(x), 2e-4 * x**2, rcond=None)[0]
     seen = noisy([dataclasses.replace(c, xy=c.xy + m @ coefs) for c, m in zip(clips, moves, strict=True)], 6)
     noise = Noise(Component(1.0))
-    base = fit(seen, Model(), BASE, noise)
+    base = fit_model(seen, Model(), BASE, noise)
     found = min(FreeLawContest.of(Evidence.of(seen, noise), base).fitted, key=lambda f: f.score)
     formula = propose(found)
     assert (found.law.name, formula.refused) == ("lag_speed", False)

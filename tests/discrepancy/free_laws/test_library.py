@@ -9,7 +9,7 @@ import pytest
 from discrepancy_clips import exact, noisy, only
 from discrepancy_laws import with_constant
 
-from discrepancy.fitting.gauss_newton import fit
+from discrepancy.fitting.gauss_newton import fit_model
 from discrepancy.fitting.model_fit import Evidence
 from discrepancy.fitting.parameters import BASE
 from discrepancy.fitting.predict import forecast
@@ -146,15 +146,15 @@ def hiding(effect, count=12, seed=6):
     return noisy([dataclasses.replace(c, xy=xy) for c, xy in zip(clips, seen, strict=True)], seed)
 
 
-def contest(effect):
+def tests(effect):
     """The best free law beside the base model."""
     clips = hiding(effect)
-    base = fit(clips, Model(), BASE, NOISE)
+    base = fit_model(clips, Model(), BASE, NOISE)
     return min(FreeLawContest.of(Evidence.of(clips, NOISE), base).fitted, key=lambda f: f.score)
 
 
 def test_a_loss_by_heading_is_found_and_written():
-    best = contest(Grain(0.1))
+    best = tests(Grain(0.1))
     assert best.law.name == "rolling_heading"
     answer = Answer.of(best)
     assert answer.said == "added rolling loss that depends on the heading"
@@ -168,7 +168,7 @@ def test_a_loss_by_heading_is_found_and_written():
 
 
 def test_a_friction_of_one_ball_is_found_and_said_to_be_of_that_ball():
-    best = contest(Rust(0.02))
+    best = tests(Rust(0.02))
     assert best.law.name == "friction_speed_a"
     assert words(best.law) == "mu of ball a that depends on the slip speed"
     answer = Answer.of(best)

@@ -96,13 +96,17 @@ def test_noise_is_counted_in_claimed_standard_deviations():
     assert np.sqrt(own_noise(scaled).variance) == pytest.approx(1, abs=4 / np.sqrt(2 * sum(p.size for p, _ in plain)))
 
 
-def shaken(clips, seed, walk=0.0, jitter=0.0, rho=0.0, axes=(1, 1)):
+def common_mode_score(clips, seed, walk=0.0, jitter=0.0, rho=0.0, axes=(1, 1)):
     """Clips with noise of their own and with a random walk or jitter that both balls share, in units of STD."""
     rng, out = np.random.default_rng(seed), []
     for c in clips:
-        shake = walk * np.cumsum(rng.standard_normal((FRAMES, 2)), axis=0) + jitter * rng.standard_normal((FRAMES, 2))
-        shake = STD * shake * axes
-        out.append(dataclasses.replace(c, xy=c.xy + noise_of_pair(rng, rho) + np.concatenate([shake, shake])))
+        common_mode = walk * np.cumsum(rng.standard_normal((FRAMES, 2)), axis=0) + jitter * rng.standard_normal(
+            (FRAMES, 2)
+        )
+        common_mode = STD * common_mode * axes
+        out.append(
+            dataclasses.replace(c, xy=c.xy + noise_of_pair(rng, rho) + np.concatenate([common_mode, common_mode]))
+        )
     return out
 
 
@@ -110,16 +114,16 @@ CLIPS = exact(Model(), 8, 5)
 
 
 def test_jitter_that_both_balls_share_is_measured():
-    noise = estimate(shaken(CLIPS, 1, jitter=2.0, axes=(1, 0.5)))
+    noise = estimate(common_mode_score(CLIPS, 1, jitter=2.0, axes=(1, 0.5)))
     x, y = (s.variance / STD**2 for s in noise.shared)
     assert (x, y) == (pytest.approx(4, rel=0.25), pytest.approx(1, rel=0.25))
     assert noise.shared[0].lags(2)[1] / noise.shared[0].variance == pytest.approx(0, abs=0.15)
     assert noise.scale == pytest.approx(1, rel=0.1)
-    assert noise.shake == pytest.approx(STD * np.sqrt(2.5), rel=0.2)
+    assert noise.common_mode == pytest.approx(STD * np.sqrt(2.5), rel=0.2)
 
 
 def test_a_shared_random_walk_has_its_increments():
-    noise = estimate(shaken(CLIPS, 2, walk=1.0))
+    noise = estimate(common_mode_score(CLIPS, 2, walk=1.0))
     assert noise.scale == pytest.approx(1, rel=0.1)
     for s in noise.shared:
         lags = s.lags(2)
@@ -129,16 +133,16 @@ def test_a_shared_random_walk_has_its_increments():
 def test_balls_that_share_nothing_are_not_taken_for_shaken():
     scores = []
     for seed in range(20):
-        clips = shaken(CLIPS, seed)
-        scores.append(Pairs(pair for c in clips for pair in c.together()).shaken(Component(1.0)))
+        clips = common_mode_score(CLIPS, seed)
+        scores.append(Pairs(pair for c in clips for pair in c.together()).common_mode_score(Component(1.0)))
     assert max(scores) < 4
     assert 0 < np.mean(scores) < 1.49 + 3 / np.sqrt(20)  # nine independent normal scores: the largest is 1.49
-    assert estimate(shaken(CLIPS, 3, rho=0.9)).shared == ()
+    assert estimate(common_mode_score(CLIPS, 3, rho=0.9)).shared == ()
 
 
 def test_missing_frames_break_a_stretch_and_no_more():
     rng = np.random.default_rng(9)
-    whole = shaken(CLIPS, 4, jitter=2.0)
+    whole = common_mode_score(CLIPS, 4, jitter=2.0)
     holed = []
     for c in whole:
         kept = rng.uniform(size=len(c.frame)) > 0.02
@@ -146,7 +150,7 @@ def test_missing_frames_break_a_stretch_and_no_more():
         holed.append(dataclasses.replace(c, **parts))
     one, other = estimate(whole), estimate(holed)
     assert other.scale == pytest.approx(one.scale, rel=0.15)
-    assert other.shake == pytest.approx(one.shake, rel=0.25)
+    assert other.common_mode == pytest.approx(one.common_mode, rel=0.25)
 
 
 def test_a_bundle_of_unequal_stretches_counts_each_by_its_own_length():
@@ -159,7 +163,7 @@ def test_a_bundle_of_unequal_stretches_counts_each_by_its_own_length():
 
 
 def test_one_bad_recording_does_not_count_for_all():
-    clips = shaken(CLIPS, 5)
+    clips = common_mode_score(CLIPS, 5)
     bad = dataclasses.replace(clips[0], xy=CLIPS[0].xy + 10 * (clips[0].xy - CLIPS[0].xy))
     noise = estimate([bad, *clips[1:]])
     assert noise == estimate(clips[1:])
@@ -168,7 +172,7 @@ def test_one_bad_recording_does_not_count_for_all():
 
 @pytest.mark.parametrize(("power", "counts"), [(6.0, True), (13.0, False)])
 def test_a_recording_of_nine_times_the_noise_does_not_count(power, counts):
-    clips = shaken(CLIPS[:4], 5)
+    clips = common_mode_score(CLIPS[:4], 5)
     bad = dataclasses.replace(clips[0], xy=CLIPS[0].xy + np.sqrt(power) * (clips[0].xy - CLIPS[0].xy))
     assert (estimate([bad, *clips[1:]]) != estimate(clips[1:])) is counts
 
@@ -190,7 +194,7 @@ def test_too_little_to_read_noise_from():
 
 def test_a_noise_says_its_scale_and_correlation():
     noise = Noise(Component(4.0, (0.5,)))
-    assert (noise.scale, noise.correlation, noise.shake) == (2.0, 0.5, 0.0)
+    assert (noise.scale, noise.correlation, noise.common_mode) == (2.0, 0.5, 0.0)
 
 
 @pytest.mark.parametrize("part", [FLOOR, CEILING])

@@ -5,22 +5,22 @@ from functools import cache
 import pytest
 from discrepancy_clips import collisions
 
-from discrepancy.fitting.gauss_newton import fit
-from discrepancy.fitting.parameters import BASE, suspects
+from discrepancy.fitting.gauss_newton import fit_model
+from discrepancy.fitting.parameters import BASE, candidates
 from discrepancy.noise.model import estimate
 from discrepancy.selection.experiment_design import Design, advice, designs
 from synthcam.model import Model
 
-SUSPECTS = {s.name: s for s in suspects(Model(), BASE)}
+CANDIDATES = {s.name: s for s in candidates(Model(), BASE)}
 
 
 @cache
 def found(one, other):
     clips = collisions(Model(), 8, 5)
     noise = estimate(clips)
-    now = fit(clips, Model(), BASE, noise)
-    pair = [(SUSPECTS[n], next(iter(SUSPECTS[n].grid(Model())))) for n in (one, other)]
-    return {d.words: d.cosine for d in designs(clips, noise, now, *pair)}
+    fit = fit_model(clips, Model(), BASE, noise)
+    pair = [(CANDIDATES[n], next(iter(CANDIDATES[n].grid(Model())))) for n in (one, other)]
+    return {d.words: d.cosine for d in designs(clips, noise, fit, *pair)}
 
 
 def test_exchanged_balls_part_a_hop_from_a_heavier_ball():
@@ -37,10 +37,12 @@ def test_nothing_parts_a_heavier_ball_from_a_larger_one():
 
 def test_the_advice_is_the_best_of_the_designs():
     said = advice(
-        SUSPECTS["hop"], SUSPECTS["mass_mismatch"], [Design(w, c) for w, c in found("hop", "mass_mismatch").items()]
+        CANDIDATES["hop"], CANDIDATES["mass_mismatch"], [Design(w, c) for w, c in found("hop", "mass_mismatch").items()]
     )
     assert said.startswith("To part hop and mass_mismatch: the balls exchanged in half of the collisions;")
-    hopeless = advice(SUSPECTS["mass_mismatch"], SUSPECTS["diameter_mismatch"], [Design("these collisions", 1.0)] * 3)
+    hopeless = advice(
+        CANDIDATES["mass_mismatch"], CANDIDATES["diameter_mismatch"], [Design("these collisions", 1.0)] * 3
+    )
     assert "No collisions" in hopeless
     assert "weigh the balls" in hopeless
 
@@ -50,12 +52,12 @@ def test_nothing_parts_an_effect_from_one_that_the_fit_absorbs():
     pair = ("clock_error", "rolling_quadratic")
     cosines = found(*pair)
     assert set(cosines.values()) == {1.0}
-    said = advice(*(SUSPECTS[n] for n in pair), [Design(w, c) for w, c in cosines.items()])
+    said = advice(*(CANDIDATES[n] for n in pair), [Design(w, c) for w, c in cosines.items()])
     assert said.startswith("No collisions of two balls part ")
 
 
 @pytest.mark.parametrize(("cosine", "parted"), [(0.87, True), (0.93, False)])
 def test_two_effects_are_parted_under_nine_tenths(cosine, parted):
-    pair = SUSPECTS["hop"], SUSPECTS["mass_mismatch"]
+    pair = CANDIDATES["hop"], CANDIDATES["mass_mismatch"]
     said = advice(*pair, [Design("these collisions", 0.99), Design("longer films", cosine), Design("all", 0.99)])
     assert ("To part hop and mass_mismatch: longer films" in said) is parted

@@ -7,10 +7,10 @@ import pytest
 from discrepancy_clips import collisions, only
 from discrepancy_selected import selected, stored
 
-from discrepancy.fitting.gauss_newton import fit, linearised
-from discrepancy.fitting.parameters import BASE, suspects
+from discrepancy.fitting.gauss_newton import fit_model, linearised
+from discrepancy.fitting.parameters import BASE, candidates
 from discrepancy.noise.model import estimate
-from discrepancy.selection.score_test import Contest
+from discrepancy.selection.score_test import ScoreTests
 from synthcam.library import library
 from synthcam.model import Model
 
@@ -19,8 +19,8 @@ def test_a_shape_that_went_astray_is_found_again():
     truth = {"hop.share": 1.0, "hop.bounce": 0.4}
     clips = collisions(Model().replace(truth), 4, 3)
     noise = estimate(clips)
-    base = fit(clips, Model(), BASE, noise)
-    seen, hop = stored(clips, base, noise), next(s for s in suspects(Model(), BASE) if s.name == "hop")
+    base = fit_model(clips, Model(), BASE, noise)
+    seen, hop = stored(clips, base, noise), next(s for s in candidates(Model(), BASE) if s.name == "hop")
     lost = linearised(seen.evidence, Model().replace(truth | {"hop.bounce": 0.0}), (*BASE, *truth), base.launches)
     blind = np.append(np.ones(len(BASE) + 1), 0.0)  # nothing tells that a higher bounce would be better
     lost = dataclasses.replace(
@@ -37,11 +37,11 @@ def test_one_of_two_that_together_hold_the_ball_at_rest_can_be_taken_away(monkey
     only(monkeypatch, **{n: library()[n] for n in ("plate_tilt", "plate_waviness")})
     clips = collisions(Model(), 8, 1)
     noise = estimate(clips)
-    base = fit(clips, Model(), BASE, noise)
+    base = fit_model(clips, Model(), BASE, noise)
     seen, names = stored(clips, base, noise), (*BASE, "plate_tilt.x", "plate_waviness.b")
     values = {"plate_tilt.x": 2e-3, "plate_waviness.b": 3.2e-5, "plate_waviness.wavelength": 0.1}
     both = linearised(seen.evidence, base.model.replace(values), names, base.launches)
-    (wave,) = (s for s in suspects(Model(), BASE) if s.name == "plate_waviness")
+    (wave,) = (s for s in candidates(Model(), BASE) if s.name == "plate_waviness")
     with pytest.raises(ValueError, match="rest"):
         seen.evidence.left(wave.without(both.model), both.launches)
     left = seen.without(both, wave)
@@ -56,8 +56,8 @@ def test_a_search_with_the_noise_read_anew_goes_on_where_the_previous_stood(monk
     clips = collisions(Model().replace(truth), 10, 3)
     noise = estimate(clips)
     louder = dataclasses.replace(noise, own=dataclasses.replace(noise.own, variance=1.2 * noise.own.variance))
-    previous, _ = selected(clips, fit(clips, Model(), BASE, louder), louder)
-    base = fit(clips, Model(), BASE, noise)
+    previous, _ = selected(clips, fit_model(clips, Model(), BASE, louder), louder)
+    base = fit_model(clips, Model(), BASE, noise)
     steps, alone = selected(clips, base, noise)
     began = []
     monkeypatch.setattr("discrepancy.selection.fit_store.grown", lambda *a: began.append(a))
@@ -77,9 +77,9 @@ def test_derivatives_made_white_anew_are_those_taken_anew(monkeypatch):
     clips = collisions(Model(), 6, 3)
     noise = estimate(clips)
     louder = dataclasses.replace(noise, own=dataclasses.replace(noise.own, variance=1.2 * noise.own.variance))
-    before, after = (stored(clips, fit(clips, Model(), BASE, n), n) for n in (louder, noise))
-    known = before.contest(())
-    again, anew = known.seen_by(after.base, before.evidence, after.evidence), Contest.of(after.evidence, after.base)
+    before, after = (stored(clips, fit_model(clips, Model(), BASE, n), n) for n in (louder, noise))
+    known = before.score_tests(())
+    again, anew = known.seen_by(after.base, before.evidence, after.evidence), ScoreTests.of(after.evidence, after.base)
     assert known.ranking()[0].sigma < 0.95 * anew.ranking()[0].sigma
     for one, other in zip(again.ranking(), anew.ranking(), strict=True):
         assert (one.effect, one.shapes) == (other.effect, other.shapes)
@@ -92,24 +92,24 @@ def test_errors_are_those_of_the_whole_motion_where_balls_push_each_other(monkey
     only(monkeypatch, magnetic_attraction=library()["magnetic_attraction"])
     clips = collisions(Model().replace({"magnetic_attraction.pull": 0.4}), 4, 3)
     noise = estimate(clips)
-    steps, found = selected(clips, fit(clips, Model(), BASE, noise), noise)
+    steps, found = selected(clips, fit_model(clips, Model(), BASE, noise), noise)
     (named,) = steps.named(found.state)
     step, best = 0.5 * named.std["magnetic_attraction.pull"], found.best
     chi2 = []
     for value in (best.model.value("magnetic_attraction.pull") + k * step for k in (-1, 0, 1)):
         held = best.model.replace({"magnetic_attraction.pull": value})
-        chi2.append(fit(clips, held, BASE, noise, best.launches).chi2)
+        chi2.append(fit_model(clips, held, BASE, noise, best.launches).chi2)
     curved = (chi2[0] - 2 * chi2[1] + chi2[2]) / step**2
     assert named.std["magnetic_attraction.pull"] == pytest.approx(np.sqrt(2 / curved), rel=0.03)
 
 
 def test_a_fit_that_is_offered_is_held_against_the_previous_ones():
     clips = collisions(Model(), 6, 3)
-    noise, key = estimate(clips), frozenset(s for s in suspects(Model(), BASE) if s.name == "air_drag")
-    base = fit(clips, Model(), BASE, noise)
+    noise, key = estimate(clips), frozenset(s for s in candidates(Model(), BASE) if s.name == "air_drag")
+    base = fit_model(clips, Model(), BASE, noise)
     before = stored(clips, base, noise)
     before.settled(())
-    before.fits[key] = fit(clips, Model(), [*BASE, "air_drag.share"], noise)
+    before.fits[key] = fit_model(clips, Model(), [*BASE, "air_drag.share"], noise)
     before.done.add(key)
     poor = linearised(
         before.evidence, Model().replace({"air_drag.share": 5.0}), (*BASE, "air_drag.share"), base.launches

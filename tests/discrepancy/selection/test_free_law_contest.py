@@ -7,21 +7,21 @@ import pytest
 from discrepancy_clips import CAMERA, FPS, collisions, exact, noisy
 
 from discrepancy import policy
-from discrepancy.fitting.gauss_newton import fit
+from discrepancy.fitting.gauss_newton import fit_model
 from discrepancy.fitting.model_fit import Evidence
 from discrepancy.fitting.parameters import BASE
 from discrepancy.fitting.predict import forecast
 from discrepancy.free_laws.library import free_laws
 from discrepancy.noise.model import Component, Noise
-from discrepancy.selection.free_law_contest import FreeLawContest, _look, _moves, fill, unseen
-from discrepancy.selection.model_cost import price
+from discrepancy.selection.free_law_contest import FreeLawContest, _moves, _tested, fill, unseen
+from discrepancy.selection.model_cost import cost_of
 from synthcam.model import Model
 
 NOISE = Noise(Component(1.0))
 
 
 def based(clips, model=None):
-    return fit(clips, model or Model(), BASE, NOISE)
+    return fit_model(clips, model or Model(), BASE, NOISE)
 
 
 def test_a_contact_at_the_edge_of_an_exposure_that_is_too_short_is_no_lag():
@@ -60,9 +60,9 @@ def test_the_free_law_that_was_filled_is_the_best_and_the_noise_is_left(wavy):
     best = min(contest.fitted, key=lambda f: f.score)
     assert best.law.name == "restitution_heading"
     assert best.sigma > 20
-    assert best.score < price(base, base) - policy.EFFECT_PREFERRED_BY
-    freedom = best.now.points - best.now.parameters - best.law.size
-    assert abs(best.now.chi2 / freedom - 1) < 4 * np.sqrt(2 / freedom)
+    assert best.score < cost_of(base, base) - policy.EFFECT_PREFERRED_BY
+    freedom = best.fit.points - best.fit.parameters - best.law.size
+    assert abs(best.fit.chi2 / freedom - 1) < 4 * np.sqrt(2 / freedom)
 
 
 def test_its_curve_is_the_truth_within_the_band(wavy):
@@ -83,7 +83,7 @@ def test_a_fit_of_the_truth_leaves_no_free_law_significant():
     clips = collisions(truth, 8, 7)
     base = based(clips)
     contest = FreeLawContest.of(Evidence.of(clips, NOISE), base)
-    right = fit(clips, Model(), (*BASE, "velocity_restitution.e"), NOISE)
+    right = fit_model(clips, Model(), (*BASE, "velocity_restitution.e"), NOISE)
     assert contest.refuted  # the base is
     after = contest.against(right)
     assert not after.beaten
@@ -115,7 +115,7 @@ def test_a_number_of_each_clip_is_fitted_to_clips_kept_out():
     assert best is not None
     assert best.law.name == "restitution_clip"
     assert best.prior.size == pytest.approx(3e-3, rel=0.7)
-    before = fit(kept_out, base.model, (), NOISE)
+    before = fit_model(kept_out, base.model, (), NOISE)
     after = unseen(best, kept_out, before, NOISE)
     assert before.chi2 > 3 * before.points
     assert after.chi2 < 1.1 * after.points
@@ -132,10 +132,10 @@ def test_what_the_base_holds_rightly_is_no_effect_beside_a_free_law():
     """A strength fitted beside a free law is measured from where the base holds it, here at the truth."""
     held = Model().replace({"rolling_quadratic.K": 0.1})
     clips = collisions(held, 8, 3)
-    base, now = based(clips, held), fit(clips, held, (*BASE, "rolling_quadratic.K"), NOISE)
+    base, fit = based(clips, held), fit_model(clips, held, (*BASE, "rolling_quadratic.K"), NOISE)
     evidence = Evidence.of(clips, NOISE)
     law = next(s for s in free_laws(base.model, base.launches, clips) if s.name == "restitution_speed")
-    look = _look(law, now, _moves(evidence, law, base.model, base.launches))
+    look = _tested(law, fit, _moves(evidence, law, base.model, base.launches))
     filled = fill(evidence, look, base)
     assert 0.1 / filled.whole.std["rolling_quadratic.K"] > 30
     assert filled.beside(base)["rolling_quadratic"] < 3.5

@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 from discrepancy_clips import collisions, exact, noisy
 
-from discrepancy.fitting.gauss_newton import fit
+from discrepancy.fitting.gauss_newton import fit_model
 from discrepancy.fitting.model_fit import Evidence
-from discrepancy.fitting.parameters import BASE, Suspect
+from discrepancy.fitting.parameters import BASE, Candidate
 from discrepancy.fitting.predict import forecast
 from discrepancy.noise.model import estimate
-from discrepancy.selection.score_test import Contest, likeness
+from discrepancy.selection.score_test import ScoreTests, likeness
 from synthcam.library import library
 from synthcam.model import Model
 
@@ -20,7 +20,7 @@ from synthcam.model import Model
 def contest_of(clips, names=BASE):
     noise = estimate(clips)
     evidence = Evidence.of(clips, noise)
-    return evidence, Contest.of(evidence, fit(clips, Model(), names, noise))
+    return evidence, ScoreTests.of(evidence, fit_model(clips, Model(), names, noise))
 
 
 @cache
@@ -28,21 +28,21 @@ def nothing():
     return contest_of(collisions(Model(), 6, 5))
 
 
-def with_residuals(contest, left):
+def with_residuals(tests, left):
     """The contest with other whitened residuals, of all clips in a row."""
-    cuts = np.cumsum([len(r) for r in contest.now.residuals])[:-1]
-    other = dataclasses.replace(contest, now=dataclasses.replace(contest.now, residuals=tuple(np.split(left, cuts))))
-    vars(other).update({k: v for k, v in vars(contest).items() if k.startswith("_")})  # all that is known by now
+    cuts = np.cumsum([len(r) for r in tests.fit.residuals])[:-1]
+    other = dataclasses.replace(tests, fit=dataclasses.replace(tests.fit, residuals=tuple(np.split(left, cuts))))
+    vars(other).update({k: v for k, v in vars(tests).items() if k.startswith("_")})  # all that is known by now
     return other
 
 
-def absorbed(now):
+def absorbed(fit):
     """All that the fit absorbs as one dense matrix: shared parameters, and launches clip by clip."""
-    rows = np.cumsum([0, *(len(r) for r in now.residuals)])
-    launches = np.zeros((rows[-1], 6 * len(now.residuals)))
-    for k, own in enumerate(now.launch_slopes):
+    rows = np.cumsum([0, *(len(r) for r in fit.residuals)])
+    launches = np.zeros((rows[-1], 6 * len(fit.residuals)))
+    for k, own in enumerate(fit.launch_slopes):
         launches[rows[k] : rows[k + 1], 6 * k : 6 * k + 6] = own
-    return np.column_stack([np.concatenate(now.slopes), launches])
+    return np.column_stack([np.concatenate(fit.slopes), launches])
 
 
 def remainder(columns, left):
@@ -52,66 +52,66 @@ def remainder(columns, left):
 
 @pytest.mark.parametrize("effect", ["velocity_restitution", "plate_tilt", "stribeck"])
 def test_a_gain_is_that_of_a_dense_linear_fit(effect):
-    _, contest = nothing()
-    left = np.random.default_rng(2).standard_normal(contest.now.points)
-    candidate = next(c for c in with_residuals(contest, left).ranking() if c.effect == effect)
-    dense = absorbed(contest.now)
-    own = np.concatenate(candidate.columns)
-    assert candidate.gain == pytest.approx(remainder(dense, left) - remainder(np.column_stack([dense, own]), left))
-    assert candidate.gain > 0.01
+    _, tests = nothing()
+    left = np.random.default_rng(2).standard_normal(tests.fit.points)
+    scored = next(c for c in with_residuals(tests, left).ranking() if c.effect == effect)
+    dense = absorbed(tests.fit)
+    own = np.concatenate(scored.columns)
+    assert scored.gain == pytest.approx(remainder(dense, left) - remainder(np.column_stack([dense, own]), left))
+    assert scored.gain > 0.01
 
 
 def test_an_exchange_is_foretold_as_by_dense_linear_fits():
     clips = collisions(Model().replace({"velocity_restitution.e": 0.005}), 6, 6)
-    _, contest = contest_of(clips, names=(*BASE, "velocity_restitution.e"))
-    now = contest.now
-    gone = Suspect("velocity_restitution", ("velocity_restitution.e",), (), library()["velocity_restitution"])
-    left = np.concatenate(now.residuals) + np.concatenate(now.slopes)[:, -1] * now.model.value(gone.strengths[0])
-    dense = np.delete(absorbed(now), len(BASE), axis=1)
-    assert contest.chi2(gone) == pytest.approx(remainder(dense, left))
-    assert contest.chi2(gone) > now.chi2 + 50
-    rival = next(c for c in contest.ranking(gone) if c.effect == "spin_transfer_velocity")
+    _, tests = contest_of(clips, names=(*BASE, "velocity_restitution.e"))
+    fit = tests.fit
+    gone = Candidate("velocity_restitution", ("velocity_restitution.e",), (), library()["velocity_restitution"])
+    left = np.concatenate(fit.residuals) + np.concatenate(fit.slopes)[:, -1] * fit.model.value(gone.strengths[0])
+    dense = np.delete(absorbed(fit), len(BASE), axis=1)
+    assert tests.chi2(gone) == pytest.approx(remainder(dense, left))
+    assert tests.chi2(gone) > fit.chi2 + 50
+    rival = next(c for c in tests.ranking(gone) if c.effect == "spin_transfer_velocity")
     both = np.column_stack([dense, np.concatenate(rival.columns)])
-    assert contest.chi2(gone) - rival.gain == pytest.approx(remainder(both, left))
+    assert tests.chi2(gone) - rival.gain == pytest.approx(remainder(both, left))
 
 
 def test_searches_with_nothing_hidden_claim_something_at_the_level_they_say():
-    _, contest = nothing()
+    _, tests = nothing()
     rng, level, draws = np.random.default_rng(3), 0.2, 120
-    needed = contest.claim(level)
+    needed = tests.claim(level)
     best = []
     for _ in range(draws):
-        best.append(with_residuals(contest, rng.standard_normal(contest.now.points)).ranking()[0].sigma)
+        best.append(with_residuals(tests, rng.standard_normal(tests.fit.points)).ranking()[0].sigma)
     assert 11 <= sum(b > needed for b in best) <= 37  # 24 +- 4.4
     assert sum(b > 1.28 for b in best) > 100  # the level of a single test
-    assert 3.8 < contest.claim() < 4.5
+    assert 3.8 < tests.claim() < 4.5
 
 
 def test_a_strength_of_one_sign_scores_nothing_the_other_way():
-    _, contest = nothing()
-    hop = next(t for t in contest.trials if t.suspect.name == "hop")
+    _, tests = nothing()
+    hop = next(t for t in tests.trials if t.candidate.name == "hop")
     signature = np.concatenate(hop.columns)[:, 0]
     signature *= 100 / np.linalg.norm(signature)
     for sign, least in ((1, 5.0), (-1, 0.0)):
-        ranking = with_residuals(contest, sign * signature).ranking()
+        ranking = with_residuals(tests, sign * signature).ranking()
         hop = next(c for c in ranking if c.effect == "hop")
         assert hop.sigma > least if sign > 0 else hop.sigma == 0
 
 
 def test_what_these_collisions_cannot_show_is_said():
-    _, contest = nothing()
-    telling = {c.effect: c.telling for c in contest.ranking()}
-    assert not telling["clock_error"]  # absorbed exactly
-    assert not telling["adhesion"]
-    assert telling["velocity_restitution"]
+    _, tests = nothing()
+    identifiable = {c.effect: c.identifiable for c in tests.ranking()}
+    assert not identifiable["clock_error"]  # absorbed exactly
+    assert not identifiable["adhesion"]
+    assert identifiable["velocity_restitution"]
     alike = [
         dataclasses.replace(c, launch=c.launch * [1, 1, 1, 0, 1, 0] + [0, 0, 0, 0.3, 0, 0.1])
         for c in exact(Model(), 6, 5)
     ]
     _, same = contest_of(moved(alike))
-    telling = {c.effect: c.telling for c in same.ranking()}
-    assert not telling["velocity_restitution"]  # one speed of impact, one restitution
-    assert telling["stribeck"]
+    identifiable = {c.effect: c.identifiable for c in same.ranking()}
+    assert not identifiable["velocity_restitution"]  # one speed of impact, one restitution
+    assert identifiable["stribeck"]
 
 
 def moved(clips):
@@ -122,9 +122,9 @@ def moved(clips):
 
 def test_a_shape_is_made_out_between_those_tried():
     hidden = Model().replace({"stribeck.rise": 0.1, "stribeck.slip": 0.15})
-    evidence, contest = contest_of(collisions(hidden, 6, 7))
-    coarse = next(c for c in contest.ranking() if c.effect == "stribeck")
-    fine = contest.sharper(evidence, coarse)
+    evidence, tests = contest_of(collisions(hidden, 6, 7))
+    coarse = next(c for c in tests.ranking() if c.effect == "stribeck")
+    fine = tests.sharper(evidence, coarse)
     assert fine.gain > coarse.gain
     assert abs(np.log(fine.shapes["stribeck.slip"] / 0.15)) < abs(np.log(coarse.shapes["stribeck.slip"] / 0.15))
     assert fine.shapes["stribeck.slip"] == pytest.approx(0.15, rel=0.15)

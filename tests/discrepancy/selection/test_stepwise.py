@@ -12,8 +12,8 @@ from scipy.stats import chi2 as chi2_law
 from scipy.stats import kstest
 
 from discrepancy import policy
-from discrepancy.fitting.gauss_newton import fit
-from discrepancy.fitting.parameters import BASE, fitted, suspects
+from discrepancy.fitting.gauss_newton import fit_model
+from discrepancy.fitting.parameters import BASE, candidates, fitted
 from discrepancy.noise.model import estimate
 from discrepancy.selection.fit_store import FitStore
 from discrepancy.selection.stepwise import Stepwise
@@ -65,26 +65,26 @@ def started(truth, base=None, count=6, seed=9):
     base = base or Model()
     clips = collisions(truth, count, seed)
     noise = estimate(clips)
-    return clips, fit(clips, base, fitted(base), noise), noise
+    return clips, fit_model(clips, base, fitted(base), noise), noise
 
 
 def standing(truth, *state):
-    """Steps that stand at a model with these suspects."""
+    """Steps that stand at a model with these candidates."""
     clips, base, noise = started(truth)
     steps = Stepwise.of(stored(clips, base, noise))
-    known = {s.name: s for s in suspects(base.model, base.names)}
+    known = {s.name: s for s in candidates(base.model, base.names)}
     chosen = tuple(known[n] for n in state)
     strengths = [s for k in chosen for s in k.strengths]
-    steps.store.fits[frozenset(chosen)] = fit(clips, base.model, [*base.names, *strengths], noise)
+    steps.store.fits[frozenset(chosen)] = fit_model(clips, base.model, [*base.names, *strengths], noise)
     return steps, chosen
 
 
 def test_a_wrong_effect_is_exchanged_for_the_right_one(monkeypatch):
     few(monkeypatch)
     steps, state = standing(Model().replace({"velocity_restitution.e": 0.01}), "spin_transfer_velocity")
-    better = steps._better(state, steps.store.contest(state), policy.LEAST_SIGMA_OF_A_CLAIM)
+    better = steps._better(state, steps.store.score_tests(state), policy.LEAST_SIGMA_OF_A_CLAIM)
     assert [s.name for s in better] == ["velocity_restitution"]
-    assert steps._better(better, steps.store.contest(better), policy.LEAST_SIGMA_OF_A_CLAIM) is None
+    assert steps._better(better, steps.store.score_tests(better), policy.LEAST_SIGMA_OF_A_CLAIM) is None
 
 
 def test_an_effect_that_is_not_needed_is_dropped(monkeypatch):
@@ -92,7 +92,7 @@ def test_an_effect_that_is_not_needed_is_dropped(monkeypatch):
     steps, state = standing(
         Model().replace({"velocity_restitution.e": 0.01}), "rolling_quadratic", "velocity_restitution"
     )
-    better = steps._better(state, steps.store.contest(state), policy.LEAST_SIGMA_OF_A_CLAIM)
+    better = steps._better(state, steps.store.score_tests(state), policy.LEAST_SIGMA_OF_A_CLAIM)
     assert [s.name for s in better] == ["velocity_restitution"]
 
 
@@ -154,7 +154,7 @@ def test_a_shape_is_fitted_so_that_nothing_is_left_for_a_second_effect():
 
 def test_the_strengths_error_includes_the_shapes_freedom():
     clips, noise, steps, found = stribeck()
-    alone = fit(clips, found.best.model, [*BASE, "stribeck.rise"], noise)
+    alone = fit_model(clips, found.best.model, [*BASE, "stribeck.rise"], noise)
     assert steps.named(found.state)[0].std["stribeck.rise"] > 1.05 * alone.std["stribeck.rise"]
     assert found.best.chi2 == pytest.approx(alone.chi2, abs=0.1)
 
@@ -169,9 +169,9 @@ def test_the_simpler_of_two_that_fit_as_well_is_named(monkeypatch):
 
 def test_a_slightly_better_fit_is_no_reason_for_more_parameters(monkeypatch):
     """A wave of 1 m is a tilt: which of the two fits better is chance."""
-    tilt, wave = (frozenset({s}) for s in suspects(Model(), BASE) if s.name in ("plate_tilt", "plate_waviness"))
+    tilt, wave = (frozenset({s}) for s in candidates(Model(), BASE) if s.name in ("plate_tilt", "plate_waviness"))
     for better, simplest in ((-5.0, tilt), (5.0, tilt), (20.0, wave)):
-        monkeypatch.setattr(FitStore, "price", lambda self, key, b=better: 100.0 - b * (key == wave))
+        monkeypatch.setattr(FitStore, "cost_of", lambda self, key, b=better: 100.0 - b * (key == wave))
         assert Stepwise(object.__new__(FitStore), (), 4.0, {}, frozenset())._simplest([wave, tilt]) == simplest
 
 
@@ -224,7 +224,7 @@ def test_a_search_is_as_strict_as_its_library_is_large(monkeypatch):
     steps, whole = selected(clips, base, noise)
     assert steps.named(whole.state) == ()
     assert whole.claim > policy.LEAST_SIGMA_OF_A_CLAIM
-    assert {"clock_error", "adhesion"} <= set(steps.untold(whole.state))
+    assert {"clock_error", "adhesion"} <= set(steps.unidentifiable(whole.state))
     few(monkeypatch, EFFECTS)
     assert selected(clips, base, noise)[1].claim == policy.LEAST_SIGMA_OF_A_CLAIM
 
@@ -255,11 +255,11 @@ def test_what_first_order_leaves_over_of_an_absorbed_effect_leads_no_search():
     """A wrong clock is absorbed but for what the step of a derivative leaves; in whitened residuals that may score."""
     clips = collisions(Model().replace({"exposure_blur.longer": 9e-4}), 10, 9, 0.9)
     noise = estimate(clips)
-    steps, found = selected(clips, fit(clips, Model(), BASE, noise), noise)
+    steps, found = selected(clips, fit_model(clips, Model(), BASE, noise), noise)
     assert max(found.ranking, key=lambda c: c.sigma).effect == "clock_error"
     assert found.ranking[0].effect == "exposure_blur"
     assert "exposure_blur" in [n.effect for n in steps.named(found.state)]
-    assert "clock_error" in steps.untold(found.state)
+    assert "clock_error" in steps.unidentifiable(found.state)
 
 
 def test_shapes_that_show_only_at_full_strength_are_found(monkeypatch):
@@ -277,7 +277,7 @@ def test_a_begun_state_keeps_a_better_fit_that_is_known(monkeypatch):
     clips, base, noise = started(Model().replace({"stribeck.rise": 0.1, "stribeck.slip": 0.06}))
     steps, found = selected(clips, base, noise)
     alone = Stepwise.of(stored(clips, base, noise))
-    monkeypatch.setattr("discrepancy.selection.stepwise.settle", lambda evidence, now, tick: now)  # it stays
+    monkeypatch.setattr("discrepancy.selection.stepwise.settle", lambda evidence, fit, progress: fit)  # it stays
     for each in (alone, steps):
         state = each.begin(["stribeck"], Model().replace({"stribeck.rise": 0.01, "stribeck.slip": 0.004}))
     assert alone.store.fits[frozenset(state)].chi2 > found.best.chi2 + 10

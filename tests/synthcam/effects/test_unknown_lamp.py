@@ -45,15 +45,15 @@ def test_no_lamp_given_and_none_there(monkeypatch):
     found = find(noisy(without_a_lamp(exact(Model(), 12, 4)), 4), Model())
     assert found.named == ()
     assert found.free_law is None
-    assert "glint_parallax" in found.untold
-    assert "unknown_lamp" not in found.untold
+    assert "glint_parallax" in found.unidentifiable
+    assert "unknown_lamp" not in found.unidentifiable
 
 
 def test_a_lamp_that_is_given_is_not_unknown(monkeypatch):
     only(monkeypatch, **{name: library()[name] for name in KNOWN})
     found = find(noisy(exact(Model(), 8, 4), 4), Model())
     assert found.named == ()
-    assert "unknown_lamp" in found.untold
+    assert "unknown_lamp" in found.unidentifiable
 
 
 def test_errors_reach_along_the_valley_of_share_and_height(monkeypatch):
@@ -61,4 +61,4 @@ def test_errors_reach_along_the_valley_of_share_and_height(monkeypatch):
     only(monkeypatch, unknown_lamp=library()["unknown_lamp"])
     new = add(noisy(without_a_lamp(exact(Model(), 8, 7), Lamp((0.05, 0.0, 0.45))), 7), Model(), "unknown_lamp")
     assert new.named.shapes["unknown_lamp.x"] > 0.12
-    assert new.named.shape_std["unknown_lamp.x"] > 1.3 * new.now.std["unknown_lamp.x"]
+    assert new.named.shape_std["unknown_lamp.x"] > 1.3 * new.fit.std["unknown_lamp.x"]

@@ -1,4 +1,4 @@
-"""A suspect that is scored: with some values of its shapes, and what it would explain."""
+"""A candidate that is scored: with some values of its shapes, and what it would explain."""
 
 from __future__ import annotations
 
@@ -7,28 +7,28 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from discrepancy.fitting.parameters import Suspect
+from discrepancy.fitting.parameters import Candidate
 
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Candidate:
+class Scored:
     """A score test.
 
     shapes: the best of those tried, for whose number sigma is corrected. gain: the chi^2 that adding it would take, to
     first order. limit: the detection limit, in realistic sizes of the strength that shows best; infinite where the fit
-    absorbs all. telling: False where that limit is absurd, or more than the effect allows. signature (points, m): the
-    derivative at zero strength less all that the fit absorbs, made orthonormal; m <= k directions leave something to be
-    seen. columns: the derivative of each clip's whitened forecast, (2n, k), before anything is taken out.
+    absorbs all. identifiable: False where that limit is absurd, or more than the effect allows. signature (points, m):
+    the derivative at zero strength less all that the fit absorbs, made orthonormal; m <= k directions leave something
+    to be seen. columns: the derivative of each clip's whitened forecast, (2n, k), before anything is taken out.
     """
 
-    suspect: Suspect
+    candidate: Candidate
     shapes: dict[str, float]
     sigma: float
     gain: float
     limit: float
-    telling: bool
+    identifiable: bool
     signature: Array
     columns: tuple[Array, ...]
 
@@ -39,18 +39,18 @@ class Candidate:
 
     @property
     def effect(self) -> str:
-        return self.suspect.name
+        return self.candidate.name
 
     @property
     def strengths(self) -> tuple[str, ...]:
-        return self.suspect.strengths
+        return self.candidate.strengths
 
 
 @dataclass(frozen=True)
 class Trial:
-    """A suspect with some values of its shapes, and the derivatives by its strengths, (2n, k) for each clip."""
+    """A candidate with some values of its shapes, and the derivatives by its strengths, (2n, k) for each clip."""
 
-    suspect: Suspect
+    candidate: Candidate
     shapes: dict[str, float]
     columns: tuple[Array, ...]
 
@@ -63,24 +63,24 @@ class Score:
     sigma: float
     gain: float
     limit: float
-    telling: bool
+    identifiable: bool
     axes: Array
 
     @property
     def order(self) -> tuple[bool, float, float]:
         """The least is the best."""
-        return not self.telling, -self.sigma, self.limit
+        return not self.identifiable, -self.sigma, self.limit
 
-    def candidate(self, signature: Array) -> Candidate:
+    def scored(self, signature: Array) -> Scored:
         """signature (points, k): the trial's columns less all that the fit absorbs."""
         columns = tuple(np.array(c) for c in self.trial.columns)  # no views, which would keep all trials alive
-        return Candidate(
-            self.trial.suspect,
+        return Scored(
+            self.trial.candidate,
             self.trial.shapes,
             self.sigma,
             self.gain,
             self.limit,
-            self.telling,
+            self.identifiable,
             signature @ self.axes,
             columns,
         )
