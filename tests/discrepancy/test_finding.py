@@ -59,7 +59,7 @@ def test_the_command_writes_the_same_document(recorded, found, tmp_path, monkeyp
     cli.app(standalone_mode=False)
     written = (tmp_path / "report/discrepancy.json").read_text()
     assert json.loads(written) == found.document()
-    assert found.document()["clips"] == {"fitted": 5, "kept_out": 1, "left_out": list(found.data.left_out)}
+    assert found.document()["clips"] == {"fitted": 5, "kept_out": 1, "left_out": list(found.left_out)}
     found.report(tmp_path / "mine")
     for name in ("discrepancy.json", "model.yaml", "index.html"):
         assert (tmp_path / "mine" / name).read_bytes() == (tmp_path / "report" / name).read_bytes(), name

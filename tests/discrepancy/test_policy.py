@@ -103,7 +103,7 @@ def test_two_effects_are_claimed_beside_a_free_law_however_many_more_would_be_be
 
 def test_four_effects_are_named_at_most(monkeypatch):
     """Each in its turn better by far."""
-    store = Made(tests=len, cost_of=lambda state: -50.0 * len(state))
+    store = Made(score_tests=len, cost_of=lambda state: -50.0 * len(state))
     monkeypatch.setattr(Stepwise, "_winner", lambda self, state, tests, claim: f"effect {tests}")
     monkeypatch.setattr(Stepwise, "_bettered", lambda self, state, claim: state)
     assert Stepwise(store, (), 4.0, {}, frozenset()).end(()) == tuple(f"effect {k}" for k in range(4))
@@ -145,13 +145,13 @@ def test_what_only_shows_beyond_ten_realistic_sizes_or_what_is_allowed_is_not_to
     assert found.identifiable == told
 
 
-@pytest.mark.parametrize(("sigma", "shaken"), [(3.0, False), (6.0, True)])
-def test_noise_is_shared_beyond_four_sigma(monkeypatch, sigma, common_mode_score):
+@pytest.mark.parametrize(("sigma", "shared"), [(3.0, False), (6.0, True)])
+def test_noise_is_shared_beyond_four_sigma(monkeypatch, sigma, shared):
     both = Noise(Component(1.0), (Component(1.0), Component(1.0)))
-    monkeypatch.setattr(noise.Pairs, "shaken", lambda self, own: sigma)
+    monkeypatch.setattr(noise.Pairs, "common_mode_score", lambda self, own: sigma)
     monkeypatch.setattr(noise.Pairs, "noise", lambda self: both)
-    assert (estimate(noisy(exact(Model(), 2, 3), 3)) is both) is common_mode_score
-    assert bool(read_again(monkeypatch, gain=99.0, worse=0.0, sigma=sigma).shared) is common_mode_score
+    assert (estimate(noisy(exact(Model(), 2, 3), 3)) is both) is shared
+    assert bool(read_again(monkeypatch, gain=99.0, worse=0.0, sigma=sigma).shared) is shared
 
 
 def read_again(monkeypatch, gain, worse, sigma=0.0, explained=True):
@@ -325,7 +325,7 @@ def test_twice_the_noise_left_beside_an_effect_that_was_added_is_something_more(
 
 
 def test_the_fields_made_here_are_those_of_the_real_ones():
-    assert {"score", "now", "plain", "law"} <= {f.name for f in dataclasses.fields(FittedLaw)}
+    assert {"score", "fit", "plain", "law"} <= {f.name for f in dataclasses.fields(FittedLaw)}
 
 
 SOURCE = Path(policy.__file__)

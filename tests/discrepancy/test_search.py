@@ -376,7 +376,7 @@ def test_it_is_counted_how_many_clips_are_gone(monkeypatch):
         return {0: "one"} if (len(clips), gone) == (6, 0) else {}
 
     monkeypatch.setattr("discrepancy.search.outlier_clips", first)
-    assert find(collisions(Model(), 8, 3), Model()).left_out == ("one",)
+    assert find(collisions(Model(), 8, 3), Model()).data.left_out == ("one",)
     assert asked[:2] == [(6, 0), (5, 1)]
 
 

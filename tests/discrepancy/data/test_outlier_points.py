@@ -40,7 +40,7 @@ def found_beside_a_model(clips):
     return [outliers(c, x) for c, x in zip(clips, forecast(base.model, base.launches, clips), strict=True)]
 
 
-@pytest.mark.parametrize(("sigma", "outlier"), [(6.0, False), (11.0, True)])
+@pytest.mark.parametrize(("sigma", "wrong"), [(6.0, False), (11.0, True)])
 def test_a_place_is_an_outlier_beyond_eight_sigma(sigma, wrong):
     """Of the place and of the parabola through four places on either side: its value in the middle has 708/2064."""
     for clip, true in zip(CLIPS, exact(Model(), 8, 3), strict=True):
@@ -50,12 +50,12 @@ def test_a_place_is_an_outlier_beyond_eight_sigma(sigma, wrong):
         assert outliers(dataclasses.replace(clip, xy=xy)) == ({row} if wrong else set())
 
 
-@pytest.mark.parametrize(("rough", "outlier"), [(1.4, True), (2.8, False)])
+@pytest.mark.parametrize(("rough", "wrong"), [(1.4, True), (2.8, False)])
 def test_places_that_are_twice_as_rough_as_noise_tell_of_no_outlier(rough, wrong):
     assert _Offset(np.array([0.0, -30.0]), 1.5 * rough).far(1.5) is wrong
 
 
-@pytest.mark.parametrize(("off", "outlier"), [(7.0, True), (14.0, False)])
+@pytest.mark.parametrize(("off", "wrong"), [(7.0, True), (14.0, False)])
 def test_a_model_that_is_ten_errors_off_tells_of_no_outlier(off, wrong):
     clip, row = CLIPS[0], row_of(CLIPS[0], 1, 70)
     expected = exact(Model(), 8, 3)[0].xy + off * STD

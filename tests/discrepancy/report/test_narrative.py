@@ -57,7 +57,7 @@ def test_a_fit_that_did_not_converge_is_said():
     assert rest(base) < 0.1
     assert rest(off) > 1
     found = searched("nothing")
-    moved = dataclasses.replace(found, search=dataclasses.replace(found.search, base=off))
+    moved = dataclasses.replace(found, selected=dataclasses.replace(found.selected, base=off))
     assert "the fit converged" in story(found)[0]
     assert "the fit did not fully converge: a further step would gain" in story(moved)[0]
 

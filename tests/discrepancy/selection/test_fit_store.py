@@ -60,7 +60,7 @@ def test_a_search_with_the_noise_read_anew_goes_on_where_the_previous_stood(monk
     base = fit_model(clips, Model(), BASE, noise)
     steps, alone = selected(clips, base, noise)
     began = []
-    monkeypatch.setattr("discrepancy.selection.fit_store.grown", lambda *a: began.append(a))
+    monkeypatch.setattr("discrepancy.selection.fit_store.extended", lambda *a: began.append(a))
     more, again = selected(clips, base, noise, previous.store)
     assert not began
     one_by_one = list(zip(more.named(again.state), steps.named(alone.state), strict=True))

@@ -281,4 +281,4 @@ def test_a_begun_state_keeps_a_better_fit_that_is_known(monkeypatch):
     for each in (alone, steps):
         state = each.begin(["stribeck"], Model().replace({"stribeck.rise": 0.01, "stribeck.slip": 0.004}))
     assert alone.store.fits[frozenset(state)].chi2 > found.best.chi2 + 10
-    assert found.steps.store.fits[frozenset(state)] is found.best
+    assert steps.store.fits[frozenset(state)] is found.best
