@@ -35,7 +35,7 @@ LAYERS = {
         "__main__",
     ],
     "discrepancy": [
-        "policy",
+        "policy arrays",
         "data",
         "noise",
         "fitting",

@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
 from discrepancy import policy
+from discrepancy.arrays import Array, Ints
 from discrepancy.data.launch import T_C, V0, B
 from discrepancy.data.sanity import exchanged, wrong_units
 from tracker.camera.camera import Camera
@@ -22,9 +22,6 @@ from tracker.measurement.adequacy import MEASURED, MISFIT
 from tracker.measurement.estimate import measure
 from tracker.recording import Result
 from tracker.results import read_clip, read_tracks, split_tracks
-
-Array = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 UNCLAIMED = 0.01  # px: stands in where tracks claim no error; the noise is then read off all the same
 GIVEN = "what tracker.track or tracker.measure gives"

@@ -7,15 +7,12 @@ and the impact parameter b.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from discrepancy.arrays import Array
 from synthcam.dynamics.batch import LAUNCH
-
-Array = NDArray[np.float64]
 
 SIZE = len(LAUNCH)
 X, Y, T_C, V0, HEADING, B = range(SIZE)
-PLACE = slice(X, T_C)
 
 
 def normal_speed(launches: Array) -> Array:

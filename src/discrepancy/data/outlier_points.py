@@ -10,11 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from discrepancy import policy
+from discrepancy.arrays import Array, Ints
 from discrepancy.data.collisions import Measured
 from discrepancy.data.launch import T_C
-
-Array = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 REACH = 4  # frames to either side, of the same ball and phase, that say where a place should be
 BESIDE = 2  # of them on either side at least: where a phase ends, the path may bend

@@ -8,10 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from discrepancy import policy
+from discrepancy.arrays import Array
 from tracker.camera.camera import Camera
 from tracker.detection.link import Tracks
-
-Array = NDArray[np.float64]
 
 UNITS = {"m": 1.0, "cm": 1e2, "mm": 1e3, "um": 1e6}
 

@@ -6,9 +6,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from discrepancy import policy
+from discrepancy.arrays import Array
 from discrepancy.data.collisions import Measured
 from discrepancy.diagnostics.held_out import Claim, Held, foretold, in_turn, refused
 from discrepancy.fitting.gauss_newton import fit_model, linearised
@@ -21,7 +21,6 @@ from discrepancy.selection.model_cost import cost_of
 from discrepancy.selection.named import Named
 from discrepancy.selection.stepwise import Selection, Stepwise
 
-Array = NDArray[np.float64]
 Parts = Sequence[Array]
 Pair = tuple[Parts, Parts]
 Left = dict[str, tuple[Selection, FittedLaw | None]]

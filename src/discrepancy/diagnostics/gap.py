@@ -8,16 +8,14 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from discrepancy import policy
+from discrepancy.arrays import Array
 from discrepancy.data.collisions import Measured
 from discrepancy.fitting.gauss_newton import fit_model
 from discrepancy.fitting.model_fit import Fit, basis
 from discrepancy.noise.model import Noise
 from discrepancy.noise.whitening import Whitener
-
-Array = NDArray[np.float64]
 
 PHASES = ("before", "sliding", "rolling")
 

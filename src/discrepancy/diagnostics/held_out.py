@@ -12,14 +12,13 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from discrepancy import policy
+from discrepancy.arrays import Array
 from discrepancy.fitting.model_fit import Fit, basis, off
 from discrepancy.fitting.parameters import limits_of
 from discrepancy.free_laws.fitted_law import FittedLaw
 
-Array = NDArray[np.float64]
 Parts = Sequence[Array]
 
 

@@ -5,14 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from discrepancy import policy
+from discrepancy.arrays import Array
 from discrepancy.data.collisions import Measured
-from discrepancy.fitting.model_fit import Fit, off
+from discrepancy.fitting.model_fit import Fit
 from discrepancy.fitting.significance import sigmas
-
-Array = NDArray[np.float64]
 
 SEEN = 1e-9  # of a parameter's information: directions that show less count for nothing
 
@@ -58,7 +56,7 @@ def _unlike(fit: Fit) -> Array:
 
 def _told(fit: Fit) -> tuple[Array, Array]:
     """What each clip by itself says of the shared parameters: information (clips, S, S) and pull (clips, S)."""
-    cleaned = [off(a, s) for a, s in zip(fit.launch_slopes, fit.slopes, strict=True)]
+    cleaned = fit.cleaned
     size = np.sqrt(sum((c**2).sum(axis=0) for c in cleaned))
     unit = [c / np.where(size > 0, size, 1) for c in cleaned]
     pulls = np.array([c.T @ r for c, r in zip(unit, fit.residuals, strict=True)])

@@ -18,6 +18,7 @@ from scipy.stats import chi2 as chi2_law
 from scipy.stats import norm
 
 from discrepancy import policy
+from discrepancy.arrays import Array, Ints
 from discrepancy.data.collisions import Measured
 from discrepancy.data.launch import HEADING, T_C, V0
 from discrepancy.fitting.model_fit import Fit
@@ -26,8 +27,6 @@ from discrepancy.fitting.significance import sigmas
 from discrepancy.noise.model import Noise
 from discrepancy.noise.whitening import Whitener
 
-Array = NDArray[np.float64]
-Ints = NDArray[np.int64]
 Term = tuple[str, int, int]  # name, ball, axis
 Where = tuple[str, int, int]  # phase, ball, axis
 

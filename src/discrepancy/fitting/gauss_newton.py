@@ -10,9 +10,9 @@ import dataclasses
 from collections.abc import Callable, Iterator, Mapping, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
+from discrepancy.arrays import Array
 from discrepancy.data.collisions import Measured
 from discrepancy.data.launch import SIZE, possible
 from discrepancy.fitting.jacobian import coupling, derivatives, launch_derivatives
@@ -22,8 +22,6 @@ from discrepancy.fitting.predict import forecast
 from discrepancy.noise.model import Noise
 from synthcam.dynamics.solve import uncoupled
 from synthcam.model import Model
-
-Array = NDArray[np.float64]
 
 ITERATIONS = 40
 SETTLED = 1e-3  # of chi^2

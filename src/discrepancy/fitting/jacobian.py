@@ -7,16 +7,14 @@ from collections.abc import Sequence
 from contextlib import suppress
 
 import numpy as np
-from numpy.typing import NDArray
 
+from discrepancy.arrays import Array
 from discrepancy.data.collisions import Measured
 from discrepancy.data.launch import SIZE
 from discrepancy.fitting.parameters import FINE, limits_of, step_of
 from discrepancy.fitting.predict import forecast
 from synthcam.dynamics.solve import uncoupled
 from synthcam.model import Model
-
-Array = NDArray[np.float64]
 
 LAUNCH_STEP = 1e-6  # m, s, m/s, rad, 1
 AT_ONCE = 64  # clips whose launches are nudged in one batch

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from discrepancy.arrays import Array
 from discrepancy.data.collisions import Measured
 from discrepancy.data.launch import SIZE
 from discrepancy.fitting.parameters import limits_of
@@ -17,8 +17,6 @@ from discrepancy.fitting.predict import forecast
 from discrepancy.noise.model import Noise
 from discrepancy.noise.whitening import Whitener
 from synthcam.model import Model
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -132,12 +130,25 @@ class Fit:
     def parameters(self) -> int:
         return len(self.names) + self.launches.size
 
+    @property
+    def cleaned(self) -> list[Array]:
+        """The derivatives by the shared parameters less what the launches absorb, (2n, S) of each clip."""
+        return [off(a, s) for a, s in zip(self.launch_slopes, self.slopes, strict=True)]
+
+    def added(self, base: Fit) -> dict[str, list[str]]:
+        """The parameters that are fitted here and not in the base, by effect; a base parameter by its own name."""
+        found: dict[str, list[str]] = {}
+        for name in self.names:
+            if name not in base.names:
+                found.setdefault(name.rpartition(".")[0] or name, []).append(name)
+        return found
+
     @cached_property
     def covariance(self) -> Array:
         """Of the shared parameters, (S, S); zero for one that changes nothing."""
         if not self.names:
             return np.zeros((0, 0))
-        cleaned = [off(a, s) for a, s in zip(self.launch_slopes, self.slopes, strict=True)]
+        cleaned = self.cleaned
         scale = np.sqrt(sum((c**2).sum(axis=0) for c in cleaned))
         units = (c / np.where(scale > 0, scale, 1) for c in cleaned)
         inverse = np.linalg.pinv(sum(u.T @ u for u in units), hermitian=True)
@@ -152,14 +163,14 @@ class Fit:
         stacked = np.concatenate([off(a, c) for a, c in zip(self.launch_slopes, columns, strict=True)])
         if not self.names:
             return stacked
-        return off(np.concatenate([off(a, s) for a, s in zip(self.launch_slopes, self.slopes, strict=True)]), stacked)
+        return off(np.concatenate(self.cleaned), stacked)
 
     def information(self, columns: Sequence[Array]) -> tuple[Array, Array]:
         """Products of columns so `projected` with themselves, (k, k), and with the residuals, (k,).
 
         Clip by clip: many columns in one piece take much memory.
         """
-        cleaned = [off(a, s) for a, s in zip(self.launch_slopes, self.slopes, strict=True)]
+        cleaned = self.cleaned
         shared = np.split(basis(np.concatenate(cleaned)), np.cumsum([len(r) for r in self.residuals])[:-1])
         taken = np.asarray(sum(q.T @ c for q, c in zip(shared, columns, strict=True)))  # q is off the launches already
         gram, pull = np.zeros((len(taken.T), len(taken.T))), np.zeros(len(taken.T))

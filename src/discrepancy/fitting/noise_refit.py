@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from discrepancy import policy
+from discrepancy.arrays import Array
 from discrepancy.data.collisions import Measured
 from discrepancy.data.launch import SIZE
 from discrepancy.fitting.model_fit import Fit
@@ -31,8 +32,6 @@ from discrepancy.noise.model import (
     shape_of,
 )
 from discrepancy.noise.whitening import Whitener
-
-Array = NDArray[np.float64]
 
 CLIPS = 12  # read, at most: enough to know the noise by
 SEEN = 1e-8  # of a shared parameter's information: where the others leave less it counts for nothing

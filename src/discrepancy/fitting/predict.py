@@ -7,16 +7,14 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from discrepancy.arrays import Array
 from discrepancy.data.collisions import Measured
 from discrepancy.data.launch import SIZE, T_C
 from synthcam.camera.pinhole import Camera as Optics
 from synthcam.dynamics.batch import Batch, collisions
 from synthcam.model import Model
 from tracker.camera.camera import Camera, Lamp
-
-Array = NDArray[np.float64]
 
 FRICTIONLESS = 1e-9  # stands in for no sliding friction: a slide then outlasts every film, but ends
 LATE = 1e-4  # s, the step of a numerical derivative

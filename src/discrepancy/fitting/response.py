@@ -17,13 +17,13 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from discrepancy.arrays import Array
 from discrepancy.data.collisions import Measured
 from discrepancy.data.launch import SIZE, T_C
 from synthcam.dynamics.batch import Batch, collisions
 from synthcam.dynamics.kinematics import contact_velocity
 from synthcam.model import Model
 
-Array = NDArray[np.float64]
 Change = Callable[["Leg"], Array]  # (k, m, J) of friction and loss, (k, m, 2, J) of the push
 
 POINTS = 65  # of a leg

@@ -7,8 +7,8 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from discrepancy.arrays import Array
 from discrepancy.data.collisions import Measured
 from discrepancy.fitting.parameters import Candidate, parameter_of
 from discrepancy.fitting.predict import known_to_measure, velocities
@@ -16,7 +16,6 @@ from discrepancy.fitting.response import Leg, responses
 from synthcam.effect import Effect
 from synthcam.model import Model
 
-Array = NDArray[np.float64]
 Shapes = dict[str, float]
 
 # laws whose small changes are integrals over the motion; a change of the load is one of friction, in proportion

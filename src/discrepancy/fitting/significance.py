@@ -6,12 +6,10 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import chdtrc, ndtri_exp
 
 from discrepancy import policy
-
-Array = NDArray[np.float64]
+from discrepancy.arrays import Array
 
 DRAWS = 40_000  # the level then lies within a sixth of the one asked for, and its sigma within a hundredth
 AT_ONCE = 4_000

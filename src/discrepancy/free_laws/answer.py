@@ -6,14 +6,12 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from discrepancy.arrays import Array
 from discrepancy.free_laws.credible_band import Mixture
 from discrepancy.free_laws.fitted_law import FittedLaw
 from discrepancy.free_laws.formula import propose
 from discrepancy.free_laws.free_law import FreeLaw
-
-Array = NDArray[np.float64]
 
 PLACES, SIDE = 41, 25  # at which a curve is given; along each side of a map
 BANDS = {"band68": 1.0, "band": 1.96}  # standard deviations of a normal

@@ -6,9 +6,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from discrepancy.arrays import Array
 
 WIDER = 1.2  # the cosines' range over the data's
 LEAST = 1e-6  # of a smooth curve's variance: that of every coefficient at least

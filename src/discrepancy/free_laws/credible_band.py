@@ -15,14 +15,12 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import logsumexp, ndtr
 
+from discrepancy.arrays import Array
 from discrepancy.free_laws.basis import Axis
 from discrepancy.free_laws.evidence import weigh
 from discrepancy.free_laws.fitted_law import FittedLaw
-
-Array = NDArray[np.float64]
 
 PLACES, WIDTHS = 40, 6  # of steps that are tried at once
 WIDTH = (0.004, 0.15)  # of a step's tanh, from, to: shares of the range; by its logarithm

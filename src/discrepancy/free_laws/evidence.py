@@ -12,14 +12,12 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import logsumexp
 
 from discrepancy import policy
+from discrepancy.arrays import Array
 from discrepancy.fitting.significance import sigmas
 from discrepancy.free_laws.free_law import FreeLaw
-
-Array = NDArray[np.float64]
 
 LENGTHS = (0.05, 0.12, 0.35, 1.0)  # over which the prior's curves change, shares of the range
 FLAT = 5.0  # likewise, of a field that hardly changes along an axis

@@ -5,16 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from discrepancy.arrays import Array
 from discrepancy.fitting.model_fit import Evidence, Fit
 from discrepancy.fitting.parameters import parameter_of
 from discrepancy.fitting.significance import sigmas
 from discrepancy.free_laws.evidence import Prior
 from discrepancy.free_laws.free_law import FreeLaw
 from synthcam.model import Model
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -78,10 +76,8 @@ class FittedLaw:
         How far its strengths are from what the base holds them at.
         """
         fit, found = self.whole, {}
-        added = [n for n in self.fit.names if n not in base.names]
-        for effect in dict.fromkeys(n.rpartition(".")[0] or n for n in added):
-            own = [n for n in added if (n.rpartition(".")[0] or n) == effect]
-            own = [n for n in own if "." not in n or not parameter_of(fit.model, n).fixed]
+        for effect, names in self.fit.added(base).items():
+            own = [n for n in names if "." not in n or not parameter_of(fit.model, n).fixed]
             rows = fit.rows(own)
             moved = fit.values(own) - base.values(own)
             covariance = fit.covariance[np.ix_(rows, rows)]

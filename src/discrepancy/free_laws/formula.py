@@ -11,15 +11,14 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import minimize
 
 from discrepancy import policy
+from discrepancy.arrays import Array
 from discrepancy.free_laws.basis import Axis
 from discrepancy.free_laws.fitted_law import FittedLaw
 from discrepancy.free_laws.free_law import PACE, FreeLaw
 
-Array = NDArray[np.float64]
 Terms = list[tuple[str, Array]]  # in words, and drawn on the grid: (n,) of a number, (n, 2) of a vector
 
 GRID, SIDE = 200, 25  # places at which a shape is drawn: on a line, along each side of a map

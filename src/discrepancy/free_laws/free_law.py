@@ -14,8 +14,8 @@ from functools import cached_property
 from typing import Any, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from discrepancy.arrays import Array
 from discrepancy.data.collisions import Measured
 from discrepancy.fitting.jacobian import derivative
 from discrepancy.fitting.predict import forecast
@@ -24,8 +24,6 @@ from discrepancy.free_laws.basis import Axis
 from discrepancy.free_laws.ranges import Ranges, over_clips
 from synthcam.effect import Effect, Parameter
 from synthcam.model import Model
-
-Array = NDArray[np.float64]
 
 MEAN = 200  # places on each axis, to take a mean over
 PACE = 0.1  # m/s: at this speed a rolling loss's part in proportion to the speed counts as its constant part does

@@ -9,16 +9,12 @@ from collections.abc import Iterator, Sequence
 from functools import cache
 from types import ModuleType
 
-import numpy as np
-from numpy.typing import NDArray
-
+from discrepancy.arrays import Array
 from discrepancy.data.collisions import Measured
 from discrepancy.free_laws import laws
 from discrepancy.free_laws.free_law import FreeLaw
 from discrepancy.free_laws.ranges import ranges
 from synthcam.model import Model
-
-Array = NDArray[np.float64]
 
 
 def laws_in(package: ModuleType) -> Iterator[type[FreeLaw]]:

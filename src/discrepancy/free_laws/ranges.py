@@ -6,16 +6,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from discrepancy.arrays import Array
 from discrepancy.data.collisions import Measured
 from discrepancy.data.launch import T_C, B
 from discrepancy.free_laws.basis import Axis
 from synthcam.dynamics.batch import collisions
 from synthcam.dynamics.kinematics import contact_velocity
 from synthcam.model import Model
-
-Array = NDArray[np.float64]
 
 CURVE, TURN, MAP, FIELD = 20, 9, 12, 8  # coefficients: of a curve, of one of angles, a side of a map, and of a field
 EACH = 120  # clips: of more, no number of each is fitted

@@ -14,17 +14,15 @@ from functools import partial
 from typing import TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import toeplitz
 from scipy.optimize import minimize
 from scipy.special import expit, logit
 
 from discrepancy import policy
+from discrepancy.arrays import Array, Ints
 from discrepancy.data.collisions import Measured
 
 T = TypeVar("T")
-Array = NDArray[np.float64]
-Ints = NDArray[np.int64]
 Shape = tuple[int, bool]  # order of an autoregression; whether there is white noise beside it
 Stretch = tuple[Array, Array]  # places (n, axes) and claimed standard deviations (n,)
 Pair = tuple[Array, Array, Array, Array]  # places of both balls (n, 2) in the same frames, and what they claim (n,)

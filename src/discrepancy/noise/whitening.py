@@ -10,11 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg.lapack import dtrtri, dtrtrs
 
+from discrepancy.arrays import Array, Ints
 from discrepancy.data.collisions import Measured
 from discrepancy.noise.model import Component, Noise
-
-Array = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 
 @dataclass(frozen=True)

@@ -11,8 +11,8 @@ import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
+from discrepancy.arrays import Array
 from discrepancy.data.collisions import Measured
 from discrepancy.data.launch import HEADING, T_C, V0
 from discrepancy.diagnostics.gap import Gap
@@ -20,8 +20,6 @@ from discrepancy.fitting.model_fit import Fit
 from discrepancy.fitting.predict import forecast
 from discrepancy.found import Found
 from discrepancy.free_laws.answer import Answer
-
-Array = NDArray[np.float64]
 
 BEFORE, AFTER, FLOOR, OTHER = "#b2182b", "#2166ac", "#4d4d4d", "#bdbdbd"
 STYLE: Any = {"font.size": 9, "axes.spines.top": False, "axes.spines.right": False, "legend.frameon": False}

@@ -7,9 +7,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from discrepancy import policy
+from discrepancy.arrays import Array
 from discrepancy.data.collisions import Measured
 from discrepancy.data.launch import HEADING, T_C, V0, B
 from discrepancy.fitting.gauss_newton import linearised
@@ -19,7 +19,6 @@ from discrepancy.fitting.predict import forecast
 from discrepancy.noise.model import Noise
 from discrepancy.selection.score_test import ScoreTests, likeness, tried
 
-Array = NDArray[np.float64]
 Shaped = tuple[Candidate, dict[str, float]]  # an effect, with values of its shapes
 
 MOST = 24  # collisions in a design

@@ -12,9 +12,9 @@ from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from discrepancy import policy
+from discrepancy.arrays import Array
 from discrepancy.data.collisions import Measured
 from discrepancy.data.launch import possible
 from discrepancy.fitting.gauss_newton import FAILED, fit_model, linearised, settle, solve
@@ -31,8 +31,6 @@ from discrepancy.selection.model_cost import cost_of, law_chosen
 from discrepancy.selection.score_test import ScoreTests
 from discrepancy.selection.scored import Scored
 from synthcam.model import Model
-
-Array = NDArray[np.float64]
 
 LEADERS = 3  # fitted in full
 NEAR, LOOSE = 15.0, 0.01  # of chi^2, and of what a free law explains: what the first order may be wrong by
@@ -116,12 +114,11 @@ def _moved(
 
 def alone(evidence: Evidence, base: Fit, best: Fit, progress: Callable[[], None] = lambda: None) -> list[Fit]:
     """Where the best model has several effects that the base has not fitted: the fit of each of them alone."""
-    added = dict.fromkeys(n.rpartition(".")[0] or n for n in best.names if n not in base.names)
+    added = best.added(base)
     if len(added) < 2:
         return []
     fits = []
-    for effect in added:
-        own = [n for n in best.names if n not in base.names and (n.rpartition(".")[0] or n) == effect]
+    for effect, own in added.items():
         effects = tuple(e for e in best.model.effects if e.name() == effect or e.name() not in added)
         values = {n: best.model.value(n) for n in own}
         model = dataclasses.replace(base.model, effects=effects).replace(values)
@@ -254,7 +251,7 @@ class FreeLawContest:
 
     def _count(self, fit: Fit) -> int:
         """Effects in a fit that are not in the base."""
-        return len({n.rpartition(".")[0] or n for n in fit.names if n not in self.base.names})
+        return len(fit.added(self.base))
 
     def _considered(self, fits: Sequence[Fit]) -> FreeLawContest:
         """With those free laws fitted that to first order may be the best beside these models, the latest last."""

@@ -26,9 +26,10 @@ def cost_of(fit: Fit, base: Fit) -> float:
     likelihood; the strengths what they do where the shapes are known. So what no data tell apart is paid for once.
     """
     paid, chosen = fit.chi2, choice(len(library()))
-    added = [n for n in fit.names if n not in base.names and "." in n]
-    for effect in dict.fromkeys(n.partition(".")[0] for n in added):
-        own = {n: parameter_of(fit.model, n) for n in added if n.startswith(f"{effect}.")}
+    for names in fit.added(base).values():
+        own = {n: parameter_of(fit.model, n) for n in names if "." in n}
+        if not own:
+            continue
         paid += chosen
         strengths, shapes = ([n for n, p in own.items() if p.fixed == fixed] for fixed in (False, True))
         size = np.array([own[n].typical or 1.0 for n in strengths])

@@ -8,16 +8,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from discrepancy import policy
+from discrepancy.arrays import Array
 from discrepancy.fitting.model_fit import Fit
 from discrepancy.fitting.parameters import Candidate, limits_of, parameter_of
 from discrepancy.selection.score_test import likeness
 from discrepancy.selection.scored import Scored
 from synthcam.model import Model
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -7,10 +7,10 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
 from discrepancy import policy
+from discrepancy.arrays import Array
 from discrepancy.fitting.jacobian import derivative
 from discrepancy.fitting.model_fit import Evidence, Fit, basis
 from discrepancy.fitting.parameters import Candidate, between, candidates, parameter_of
@@ -20,8 +20,6 @@ from discrepancy.fitting.significance import by_chance, sigmas, trials_factor
 from discrepancy.selection.scored import Score, Scored, Trial
 from synthcam.dynamics.solve import uncoupled
 from synthcam.model import Model
-
-Array = NDArray[np.float64]
 
 SEEN = 1e-4  # of a signature's length that must be left when all that the fit absorbs is taken out
 ZOOMS = 2  # times that the grid of a shape is made finer about the best
@@ -324,11 +322,6 @@ def _scanned(
     white = [whiten(e[:, :, kept].reshape(*e.shape[:2], -1)) for whiten, e in both]
     parts = [np.split(w, len(kept), axis=1) for w in white]
     return [Trial(candidate, grid[k], columns) for k, columns in zip(kept, zip(*parts, strict=True), strict=True)]
-
-
-def rank(evidence: Evidence, fit: Fit, progress: Callable[[], None] = lambda: None) -> tuple[Scored, ...]:
-    """Rao's score test of every effect whose strengths the fit has not fitted; most significant first."""
-    return ScoreTests.of(evidence, fit, progress).ranking()
 
 
 def _lengths(columns: Sequence[Array]) -> Array:

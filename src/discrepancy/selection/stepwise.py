@@ -7,7 +7,6 @@ from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from discrepancy import policy
 from discrepancy.fitting.gauss_newton import linearised, settle
@@ -21,8 +20,6 @@ from discrepancy.selection.profile_errors import spread
 from discrepancy.selection.score_test import ScoreTests, likeness
 from discrepancy.selection.scored import Scored
 from synthcam.model import Model
-
-Array = NDArray[np.float64]
 
 State = tuple[Candidate, ...]
 

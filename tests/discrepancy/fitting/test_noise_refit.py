@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from discrepancy_clips import FRAMES, STD, collisions, exact, noise_of_pair
 
-from discrepancy.fitting.gauss_newton import fit
+from discrepancy.fitting.gauss_newton import fit_model
 from discrepancy.fitting.noise_refit import refined
 from discrepancy.fitting.parameters import BASE
 from discrepancy.noise.model import Component, Noise, estimate
@@ -33,7 +33,7 @@ def slow(component):
 def test_noise_that_is_known_already_stays():
     clips = measured(1)
     noise = estimate(clips)
-    assert refined(clips, fit(clips, Model(), BASE, noise), noise) is None
+    assert refined(clips, fit_model(clips, Model(), BASE, noise), noise) is None
 
 
 def test_slow_noise_is_known_better_from_whole_clips():
@@ -41,7 +41,7 @@ def test_slow_noise_is_known_better_from_whole_clips():
     for seed in range(4):
         clips = measured(seed, rho=0.9)
         noise = estimate(clips)
-        better = refined(clips, fit(clips, Model(), BASE, noise), noise) or noise
+        better = refined(clips, fit_model(clips, Model(), BASE, noise), noise) or noise
         first.append(np.log(slow(noise.own) / truth))
         second.append(np.log(slow(better.own) / truth))
     assert np.sqrt(np.mean(np.square(second))) < 0.7 * np.sqrt(np.mean(np.square(first)))
@@ -52,7 +52,7 @@ def test_a_walk_too_slow_for_the_phases_is_found():
     clips = measured(1, walk=0.25, count=6)
     noise = estimate(clips)
     assert noise.shared == ()
-    better = refined(clips, fit(clips, Model(), BASE, noise), noise)
+    better = refined(clips, fit_model(clips, Model(), BASE, noise), noise)
     assert better.scale == pytest.approx(1, rel=0.1)
     for s in better.shared:
         lags = s.lags(2)
@@ -63,11 +63,11 @@ def test_a_walk_too_slow_for_the_phases_is_found():
 def test_what_is_unexplained_is_not_hidden_by_noise(hidden):
     clips, names = measured(2, hidden=hidden), [*BASE, "velocity_restitution.e"]
     noise = Noise(Component(1.0))
-    base = fit(clips, Model(), BASE, noise)
-    z2 = base.chi2 - fit(clips, Model(), names, noise).chi2
+    base = fit_model(clips, Model(), BASE, noise)
+    z2 = base.chi2 - fit_model(clips, Model(), names, noise).chi2
     assert z2 > 30
     worse = refined(clips, base, noise)
-    left = fit(clips, Model(), BASE, worse).chi2 - fit(clips, Model(), names, worse).chi2
+    left = fit_model(clips, Model(), BASE, worse).chi2 - fit_model(clips, Model(), names, worse).chi2
     assert left > 0.8 * z2 / (1 + z2 / (8 * len(clips)))
     assert left > 4.5**2
 
@@ -77,15 +77,15 @@ def test_what_a_model_lacks_is_not_taken_for_a_camera_that_shakes():
     tilted = Model().replace({"plate_tilt.x": 3e-5, "plate_tilt.y": 2e-5})
     clips = collisions(tilted, 8, 3)
     noise = estimate(clips)
-    base = fit(clips, Model(), BASE, noise)
+    base = fit_model(clips, Model(), BASE, noise)
     assert base.chi2 > 1.1 * base.points
     assert refined(clips, base, noise, explained=False).shared == ()
-    assert refined(clips, fit(clips, tilted, BASE, noise), noise) is None
+    assert refined(clips, fit_model(clips, tilted, BASE, noise), noise) is None
 
 
 def test_noise_that_the_phases_exclude_is_refused():
     clips = measured(2, hidden=0.2)
     noise = Noise(Component(1.0))
-    base = fit(clips, Model(), BASE, noise)
+    base = fit_model(clips, Model(), BASE, noise)
     assert base.chi2 > 20 * base.points
     assert refined(clips, base, noise) is None

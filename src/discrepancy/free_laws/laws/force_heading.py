@@ -1,22 +1,16 @@
 """A force over mass and speed, along the motion and across it, that depends on the heading."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from discrepancy.arrays import Array
 from discrepancy.free_laws.basis import Axis
 from discrepancy.free_laws.free_law import MotionLaw
 from discrepancy.free_laws.ranges import Ranges, over_heading
 
-Array = NDArray[np.float64]
-
 
 class ForceHeading(MotionLaw):
-    """A force over mass and speed, along the motion and across it, that depends on the heading."""
-
     symbol = "force over mass and speed"
     unit = "1/s"
     parts = 2

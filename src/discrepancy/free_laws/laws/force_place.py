@@ -1,22 +1,16 @@
 """A force over mass, a vector that depends on the place."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from discrepancy.arrays import Array
 from discrepancy.free_laws.basis import Axis
 from discrepancy.free_laws.free_law import MotionLaw
 from discrepancy.free_laws.ranges import FIELD, Ranges, over_place
 
-Array = NDArray[np.float64]
-
 
 class ForcePlace(MotionLaw):
-    """A force over mass, a vector that depends on the place."""
-
     symbol = "force over mass"
     unit = "m/s^2"
     parts = 2

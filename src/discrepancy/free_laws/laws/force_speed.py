@@ -1,22 +1,16 @@
 """A force over mass along the motion that depends on the speed."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from discrepancy.arrays import Array
 from discrepancy.free_laws.basis import Axis
 from discrepancy.free_laws.free_law import MotionLaw
 from discrepancy.free_laws.ranges import Ranges, over_speed
 
-Array = NDArray[np.float64]
-
 
 class ForceSpeed(MotionLaw):
-    """A force over mass along the motion that depends on the speed."""
-
     symbol = "force over mass"
     unit = "m/s^2"
     one_ball = True

@@ -1,15 +1,11 @@
 """Sliding friction that depends on the direction of slip."""
 
-from __future__ import annotations
-
 from discrepancy.free_laws.basis import Axis
 from discrepancy.free_laws.free_law import MotionLaw
 from discrepancy.free_laws.ranges import Ranges, over_heading
 
 
 class FrictionHeading(MotionLaw):
-    """Sliding friction that depends on the direction of slip."""
-
     symbol = "mu"
     owners = (("sliding_friction", 0),)
     bends = ("friction", "slip")

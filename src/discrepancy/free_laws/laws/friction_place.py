@@ -1,15 +1,11 @@
 """Sliding friction that depends on the place."""
 
-from __future__ import annotations
-
 from discrepancy.free_laws.basis import Axis
 from discrepancy.free_laws.free_law import MotionLaw
 from discrepancy.free_laws.ranges import MAP, Ranges, over_place
 
 
 class FrictionPlace(MotionLaw):
-    """Sliding friction that depends on the place."""
-
     symbol = "mu"
     owners = (("sliding_friction", 0),)
     bends = ("friction", "position")

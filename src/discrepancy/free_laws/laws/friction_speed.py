@@ -1,15 +1,11 @@
 """Sliding friction that depends on the slip speed."""
 
-from __future__ import annotations
-
 from discrepancy.free_laws.basis import Axis
 from discrepancy.free_laws.free_law import MotionLaw
 from discrepancy.free_laws.ranges import Ranges, over_speed
 
 
 class FrictionSpeed(MotionLaw):
-    """Sliding friction that depends on the slip speed."""
-
     symbol = "mu"
     owners = (("sliding_friction", 0),)
     one_ball = True

@@ -1,12 +1,10 @@
 """A lag of the picture behind the motion that depends on the speed: no effect can hold it."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from discrepancy.arrays import Array
 from discrepancy.data.collisions import Measured
 from discrepancy.fitting.predict import velocities
 from discrepancy.free_laws.basis import Axis
@@ -14,12 +12,8 @@ from discrepancy.free_laws.free_law import FreeLaw
 from discrepancy.free_laws.ranges import Ranges, over_speed
 from synthcam.model import Model
 
-Array = NDArray[np.float64]
-
 
 class LagSpeed(FreeLaw):
-    """A lag of the picture behind the motion that depends on the speed: no effect can hold it."""
-
     symbol = "lag of the picture"
     unit = "s"
     centred = True

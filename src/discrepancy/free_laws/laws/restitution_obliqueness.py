@@ -1,21 +1,15 @@
 """Restitution that depends on the obliqueness, the size of the impact parameter."""
 
-from __future__ import annotations
-
 import numpy as np
-from numpy.typing import NDArray
 
+from discrepancy.arrays import Array
 from discrepancy.data.launch import B
 from discrepancy.free_laws.basis import Axis
 from discrepancy.free_laws.free_law import ImpactLaw
 from discrepancy.free_laws.ranges import Ranges, over_obliqueness
 
-Array = NDArray[np.float64]
-
 
 class RestitutionObliqueness(ImpactLaw):
-    """Restitution that depends on the obliqueness, the size of the impact parameter."""
-
     symbol = "r"
     owners = (("restitution", 0),)
     bends = ("restitution", "obliqueness")

@@ -1,21 +1,13 @@
 """Restitution that depends on the normal speed."""
 
-from __future__ import annotations
-
-import numpy as np
-from numpy.typing import NDArray
-
+from discrepancy.arrays import Array
 from discrepancy.data.launch import normal_speed
 from discrepancy.free_laws.basis import Axis
 from discrepancy.free_laws.free_law import ImpactLaw
 from discrepancy.free_laws.ranges import Ranges, over_speed
 
-Array = NDArray[np.float64]
-
 
 class RestitutionSpeed(ImpactLaw):
-    """Restitution that depends on the normal speed."""
-
     symbol = "r"
     owners = (("restitution", 0),)
     bends = ("restitution", "normal_speed")

@@ -1,15 +1,11 @@
 """What the direction of motion adds to the rolling loss."""
 
-from __future__ import annotations
-
 from discrepancy.free_laws.basis import Axis
 from discrepancy.free_laws.free_law import PacedLaw
 from discrepancy.free_laws.ranges import Ranges, over_heading
 
 
 class RollingHeading(PacedLaw):
-    """What the direction of motion adds to the rolling loss."""
-
     bends = ("rolling", "velocity")
 
     @staticmethod

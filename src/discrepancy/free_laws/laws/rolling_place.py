@@ -1,15 +1,11 @@
 """What the place adds to the rolling loss."""
 
-from __future__ import annotations
-
 from discrepancy.free_laws.basis import Axis
 from discrepancy.free_laws.free_law import PacedLaw
 from discrepancy.free_laws.ranges import FIELD, Ranges, over_place
 
 
 class RollingPlace(PacedLaw):
-    """What the place adds to the rolling loss."""
-
     bends = ("rolling", "position")
 
     @staticmethod

@@ -1,15 +1,11 @@
 """A rolling loss that depends on the speed."""
 
-from __future__ import annotations
-
 from discrepancy.free_laws.basis import Axis
 from discrepancy.free_laws.free_law import MotionLaw
 from discrepancy.free_laws.ranges import Ranges, over_speed
 
 
 class RollingSpeed(MotionLaw):
-    """A rolling loss that depends on the speed."""
-
     symbol = "rolling loss"
     unit = "m/s^2"
     owners = (("rolling_decel", 0), ("rolling_drag", 1))

@@ -1,21 +1,13 @@
 """Spin transfer that depends on the heading."""
 
-from __future__ import annotations
-
-import numpy as np
-from numpy.typing import NDArray
-
+from discrepancy.arrays import Array
 from discrepancy.data.launch import HEADING
 from discrepancy.free_laws.basis import Axis
 from discrepancy.free_laws.free_law import ImpactLaw
 from discrepancy.free_laws.ranges import Ranges, over_heading
 
-Array = NDArray[np.float64]
-
 
 class SpinTransferHeading(ImpactLaw):
-    """Spin transfer that depends on the heading."""
-
     symbol = "C"
     owners = (("spin_transfer", 0),)
     bends = ("spin_transfer", "heading")

@@ -1,21 +1,13 @@
 """Spin transfer that depends on the contact speed."""
 
-from __future__ import annotations
-
-import numpy as np
-from numpy.typing import NDArray
-
+from discrepancy.arrays import Array
 from discrepancy.data.launch import V0
 from discrepancy.free_laws.basis import Axis
 from discrepancy.free_laws.free_law import ImpactLaw
 from discrepancy.free_laws.ranges import Ranges, over_speed
 
-Array = NDArray[np.float64]
-
 
 class SpinTransferSpeed(ImpactLaw):
-    """Spin transfer that depends on the contact speed."""
-
     symbol = "C"
     owners = (("spin_transfer", 0),)
     bends = ("spin_transfer", "contact_speed")

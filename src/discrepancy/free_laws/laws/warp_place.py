@@ -1,12 +1,10 @@
 """A shift of the picture that depends on the place in it."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from discrepancy.arrays import Array
 from discrepancy.data.collisions import Measured
 from discrepancy.fitting.predict import forecast
 from discrepancy.free_laws.basis import Axis
@@ -14,12 +12,8 @@ from discrepancy.free_laws.free_law import FreeLaw
 from discrepancy.free_laws.ranges import FIELD, Ranges, over_place
 from synthcam.model import Model
 
-Array = NDArray[np.float64]
-
 
 class WarpPlace(FreeLaw):
-    """A shift of the picture that depends on the place in it."""
-
     symbol = "shift of the picture"
     unit = "px"
     parts = 2
