@@ -17,7 +17,7 @@ from discrepancy.fitting.model_fit import Evidence, Fit
 from discrepancy.fitting.significance import sigmas
 from discrepancy.selection.extend import extended
 from discrepancy.selection.named import Named
-from discrepancy.selection.profile_errors import spread
+from discrepancy.selection.profile_errors import profile_std
 from discrepancy.selection.score_test import ScoreTests
 from synthcam.library import library
 from synthcam.model import Model
@@ -26,9 +26,15 @@ from tracker.camera.camera import InputError
 
 @dataclass(frozen=True)
 class Added:
-    """A candidate fitted with everything else. before, fit: the fits without and with it, all clips in both.
+    """A candidate fitted with everything else.
 
-    left_out: a line for each clip of which some places had no part in them.
+    Attributes
+    ----------
+    before, fit : Fit
+        Without and with it, of all clips.
+    named : Named
+    left_out : tuple of str
+        A line for each clip of which some places had no part in them.
     """
 
     before: Fit
@@ -65,9 +71,25 @@ class Added:
 
 
 def add(clips: Sequence[Measured], model: Model, effect: str, progress: Progress = lambda stage: None) -> Added:
-    """`effect` added to the model and fitted to all clips with everything else.
+    """Add an effect to the model and fit it to all clips with everything else.
 
-    Raises InputError: no such effect, what `check` refuses, or these collisions cannot tell it.
+    Parameters
+    ----------
+    clips : sequence of Measured
+    model : Model
+    effect : str
+        The name of an effect of the library.
+    progress : callable
+        Told the stage, many times.
+
+    Returns
+    -------
+    Added
+
+    Raises
+    ------
+    InputError
+        There is no such effect, or these collisions cannot identify it; or as `check` does.
     """
     if effect not in library():
         raise InputError(f"{effect}: no such effect; there are {', '.join(library())}")
@@ -91,5 +113,5 @@ def add(clips: Sequence[Measured], model: Model, effect: str, progress: Progress
     candidate, best = scored.candidate, tests.sharper(evidence, scored)
     fit = settle(evidence, extended(evidence, base, best, lambda: progress("search")), lambda: progress("search"))
     sigma = sigmas(base.chi2 - fit.chi2, len(candidate.strengths), tests.trials_factors[effect])
-    std = fit.std | spread(evidence, base, fit, candidate)
+    std = fit.std | profile_std(evidence, base, fit, candidate)
     return Added(base, fit, Named.of(candidate, fit, std, sigma), tuple(taken_out(given, clips)))

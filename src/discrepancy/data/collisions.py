@@ -30,12 +30,24 @@ ESTIMATES = "clip striker status t_c v0 b tau1 tau2 particle1 particle2".split()
 
 @dataclass(frozen=True)
 class Measured:
-    """One collision. Rows sorted by ball, then frame; ball 0 is the target (ball 1 of the contract), 1 the striker.
+    """One measured collision. Rows are sorted by ball, then frame; ball 0 is the target (1 in files), 1 the striker.
 
-    frame (n,); ball (n,); xy (n, 2) centres on the plate, m, means over the exposure; covariance (n, 2, 2) m^2 as
-    claimed; launch (6,) a first guess of place x, y (m), t_c (s), v0 (m/s), heading (rad), b. ends (2,): when each ball
-    is thought to stop sliding, s. offset: error of the target's place while it rests, alike in all frames and beside
-    the covariance, each axis, m.
+    Attributes
+    ----------
+    clip : int
+    striker : str
+    camera : Camera
+    frame, ball : (n,) arrays of int
+    xy : (n, 2) array
+        Centres on the plate, m, means over the exposure.
+    covariance : (n, 2, 2) array
+        As claimed, m^2.
+    launch : (6,) array
+        A first guess, columns as in `discrepancy.data.launch`.
+    ends : (2,) array
+        When each ball is thought to stop sliding, s.
+    offset : float
+        Error of the target's place while it rests, alike in all frames and beside the covariance, each axis, m.
     """
 
     clip: int
@@ -117,9 +129,23 @@ def _unbroken(rows: Ints, frame: Ints) -> Iterator[Ints]:
 
 
 def read_measured(measured: Path | Sequence[Result], camera: Path | None = None) -> tuple[list[Measured], list[str]]:
-    """The collisions of a tracker's RESULTS, of a table of tracks, or of results, and a line for each that is left out.
+    """Read the collisions of a tracker's RESULTS, of a table of tracks, or of results in memory.
 
-    camera: a table's camera.json; RESULTS have their own. Raises InputError.
+    Parameters
+    ----------
+    measured : Path or sequence of Result
+    camera : Path, optional
+        camera.json of a table; RESULTS have their own.
+
+    Returns
+    -------
+    clips : list of Measured
+    left_out : list of str
+        A line for each clip that cannot be used.
+
+    Raises
+    ------
+    InputError
     """
     if not isinstance(measured, Path):
         source, measured = _in_memory(measured), Path("results")

@@ -22,7 +22,7 @@ PHASES = ("before", "sliding", "rolling")
 
 @dataclass(frozen=True)
 class Part:
-    """chi^2 a point, and rms in um, in one phase of the clips kept out; the floor is what noise alone leaves."""
+    """The gap in a phase of the clips kept out: chi^2 a point, and rms in um. The floor is what noise alone leaves."""
 
     before: float
     after: float
@@ -34,9 +34,15 @@ class Part:
 
 @dataclass(frozen=True)
 class Gap(Part):
-    """The same in all phases together. closure: the share of the gap between before and floor that is closed.
+    """The gap in all phases together.
 
-    NaN where that gap is no larger than chance makes it.
+    Attributes
+    ----------
+    closure : float
+        The share of the gap between before and floor that is closed; NaN where that gap is no larger than chance makes
+        it.
+    by_phase : dict of str to Part
+        Of the phases before, sliding and rolling.
     """
 
     closure: float

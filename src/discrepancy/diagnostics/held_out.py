@@ -26,7 +26,14 @@ Parts = Sequence[Array]
 class Held:
     """What collisions that had no part in a claim say of it.
 
-    gap: chi^2 a point, without the claim and with it. sigma: so many of it do they ask for; promised: as it did itself.
+    Attributes
+    ----------
+    gap : (float, float)
+        chi^2 a point, without the claim and with it.
+    sigma : float
+        How many sigma of the claim they ask for.
+    promised : float
+        How many the claim promised.
     """
 
     gap: tuple[float, float]
@@ -68,8 +75,17 @@ class Held:
 class Claim:
     """A claim, and what it is held to.
 
-    own: sigma beside all else in the clips fitted; kept_out, turns: in the clips kept out, and in all, each held out
-    once. why: it is withdrawn; empty where it stands. free: a law left free, not an effect.
+    Attributes
+    ----------
+    name : str
+    own : float
+        Sigma beside all else in the clips fitted.
+    kept_out, turns : Held
+        In the clips kept out, and in all, each held out once.
+    why : str
+        Why it is withdrawn; empty where it stands.
+    free : bool
+        Whether it is a law left free, not an effect.
     """
 
     name: str

@@ -73,8 +73,15 @@ SPANNED = 1e-3  # of a template's length that others must leave
 class Place:
     """One test of the residuals of a ball in a phase, along or across its motion.
 
-    against: what the disagreement changes with from clip to clip, or "" for any. sigma: corrected for all trials. size:
-    rms of the disagreement in that phase, noise subtracted, um.
+    Attributes
+    ----------
+    phase, ball, observable : str
+    sigma : float
+        Corrected for all tests.
+    against : str
+        What the disagreement changes with from clip to clip, or "" for any.
+    size : float
+        rms of the disagreement in that phase, noise subtracted, um.
     """
 
     phase: str
@@ -109,7 +116,13 @@ class _Part:
 
 
 def locate(clips: Sequence[Measured], fit: Fit, noise: Noise) -> tuple[Place, ...]:
-    """Every test of the fit's residuals, most significant first."""
+    """Test where the residuals of a fit disagree with noise.
+
+    Returns
+    -------
+    tuple of Place
+        Every test, most significant first.
+    """
     found = list(trials(clips, fit, noise))
     places = [
         Place(p, BALLS[b], AXES[a], _corrected(chi2, dof, len(found)), against, size)

@@ -40,9 +40,29 @@ def fit_model(
     launches: Array | None = None,
     progress: Callable[[], None] = lambda: None,
 ) -> Fit:
-    """Fit the shared parameters `names` and every launch. With no names only the launches are fitted.
+    """Fit shared parameters and every launch, by Gauss-Newton with Levenberg's damping when a step fails.
 
-    launches: (clips, 6) to start from; default: the clips' own first guesses. Levenberg's damping when a step fails.
+    Parameters
+    ----------
+    clips : sequence of Measured
+    model : Model
+        Where the parameters start from.
+    names : sequence of str
+        The shared parameters; with none only the launches are fitted.
+    noise : Noise
+    launches : (clips, 6) array, optional
+        To start from; by default the clips' own first guesses.
+    progress : callable
+        Called at every step.
+
+    Returns
+    -------
+    Fit
+
+    Raises
+    ------
+    ValueError
+        The model has no motion for a launch to start from.
     """
     evidence = Evidence.of(clips, noise)
     places = np.array([c.launch for c in clips] if launches is None else launches, dtype=float)
@@ -50,7 +70,7 @@ def fit_model(
 
 
 def settle(evidence: Evidence, fit: Fit, progress: Callable[[], None] = lambda: None, rough: bool = False) -> Fit:
-    """The least chi^2, from `now`. rough: stop within ROUGH or so of it, with derivatives of somewhere near."""
+    """The least chi^2, from `fit`. rough: stop within ROUGH or so of it, with derivatives of somewhere near."""
     damping, settled, last = 0.0, ROUGH if rough else SETTLED, False
     for _ in range(ITERATIONS):
         progress()
@@ -118,7 +138,8 @@ def linearised(evidence: Evidence, model: Model, names: tuple[str, ...], launche
 
 
 def identifiable(model: Model, names: Sequence[str], slopes: tuple[Array, ...]) -> tuple[Array, ...]:
-    """Whitened derivatives (2n, S) of each clip, those of shapes that all their range would not show set to zero.
+    """Whitened derivatives (2n, S) of each clip, those of shape parameters that all their range would not show set to
+    zero.
 
     In the gap between two frames a lost one may be anywhere: no step should carry it away from there.
     """
@@ -134,7 +155,7 @@ def identifiable(model: Model, names: Sequence[str], slopes: tuple[Array, ...]) 
 
 
 def nudged(evidence: Evidence, fit: Fit, model: Model) -> Fit | None:
-    """One step from `now` with another model: what it fits shared and the launches give way. None without a motion."""
+    """One step from `fit` with another model: what it fits shared and the launches give way. None without a motion."""
     there = _moved(evidence, dataclasses.replace(fit, model=model), {}, np.zeros_like(fit.launches))
     if there is None:
         return None
@@ -174,7 +195,7 @@ def _beside(
 
 
 def _moved(evidence: Evidence, fit: Fit, values: Mapping[str, float], own: Array) -> Fit | None:
-    """`now` a step further, its derivatives as they were; None where the model has no motion for such a launch."""
+    """`fit` a step further, its derivatives as they were; None where the model has no motion for such a launch."""
     launches = fit.launches + own
     if not possible(launches):
         return None

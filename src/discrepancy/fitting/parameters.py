@@ -18,7 +18,7 @@ _UNLIMITED = {"gravity": 1e-4, "sliding_friction": 1e-5, "rolling_drag": 1e-4, "
 _LIMITED = {"restitution": (1e-5, 1.0), "spin_transfer": (1e-5, 5 / 7)}
 BASE = ("restitution", "sliding_friction", "spin_transfer", "rolling_drag", "rolling_decel")
 FINE = 0.1  # of a step: for a derivative by a forward difference
-SPREAD = 5.0  # shapes are tried from so many times under their realistic size to so many times over it
+SPREAD = 5.0  # shape parameters are tried from so many times under their realistic size to so many times over it
 FRACTIONS = (0.25, 0.5, 1.0, 1.5, 2.0)  # the same where zero is allowed
 MULTIPLIES = {"friction", "normal_load", "drilling"}  # laws that bend sliding friction: of none they make none
 
@@ -48,7 +48,7 @@ class Candidate:
         return dataclasses.replace(model, effects=kept)
 
     def grid(self, model: Model) -> Iterator[dict[str, float]]:
-        """Values of the shapes to try; those it has where the effect is in the model already."""
+        """Values of the shape parameters to try; those it has where the effect is in the model already."""
         if not self.shapes or any(model.value(s) != 0 for s in self.strengths):
             return iter([{}])
         tries = [_tries(parameter_of(model, s), 3 if len(self.shapes) > 1 else len(FRACTIONS)) for s in self.shapes]
@@ -56,7 +56,7 @@ class Candidate:
 
 
 def _tries(p: Parameter, count: int) -> list[float]:
-    """Values of a shape to try."""
+    """Values of a shape parameter to try."""
     if p.tries:
         return list(p.tries)
     if p.low > 0:
@@ -69,13 +69,13 @@ def _tries(p: Parameter, count: int) -> list[float]:
 
 
 def span_of(p: Parameter) -> float:
-    """The range in which a shape is tried, of its logarithm where it is always positive."""
+    """The range in which a shape parameter is tried, of its logarithm where it is always positive."""
     tries = _tries(p, len(FRACTIONS))
     return math.log(tries[-1] / tries[0]) if p.low > 0 else tries[-1] - tries[0]
 
 
 def between(p: Parameter, value: float, closer: int) -> list[float]:
-    """Values of a shape about one of those to try; the higher `closer`, the nearer."""
+    """Values of a shape parameter about one of those to try; the higher `closer`, the nearer."""
     tries = _tries(p, len(FRACTIONS))
     steps = [k / 3 / 3**closer for k in (-2, -1, 1, 2)]
     at = min(int(np.searchsorted(tries, value, side="right")), len(tries) - 1)

@@ -22,10 +22,25 @@ FAR = 1e9  # m: squares of such residuals are still numbers
 
 
 def forecast(model: Model, launches: Array, clips: Sequence[Measured]) -> list[Array]:
-    """Predicted centres (n_k, 2), m, where each clip has measurements; launches (clips, 6).
+    """Predict where each clip's balls are seen.
 
-    All clips are of one camera. Raises ValueError when the model has no motion for such a launch, or one
-    that leads farther than any number should.
+    Parameters
+    ----------
+    model : Model
+    launches : (clips, 6) array
+        Columns as in `discrepancy.data.launch`.
+    clips : sequence of Measured
+        All of one camera.
+
+    Returns
+    -------
+    list of (n_k, 2) arrays
+        Centres, m, where each clip has measurements.
+
+    Raises
+    ------
+    ValueError
+        The model has no motion for such a launch, or one that leads farther than any number should.
     """
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         places = _forecast(model, launches, clips)

@@ -1,4 +1,4 @@
-"""Derivatives of the tracks by an effect's strengths at many values of its shapes, all at once and to first order."""
+"""Derivatives by an effect's strengths at many values of its shape parameters, all at once and to first order."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ Shapes = dict[str, float]
 # laws whose small changes are integrals over the motion; a change of the load is one of friction, in proportion
 MOTION = {"friction": "friction", "normal_load": "friction", "rolling": "rolling", "push": "push"}
 KNOWN = {"position", "velocity", "speed", "slip", "slip_speed", "gravity", "radius"}  # of a leg
-MANY = 30  # fewer shapes are tried one by one, exactly
+MANY = 30  # values of the shape parameters: fewer are tried one by one, exactly
 FEW = 2  # the same where nothing but the last step, from pixel to pixel, is taken again
 AT_ONCE = 64  # columns, for memory
 
 
 def scannable(candidate: Candidate, tries: Sequence[Shapes]) -> bool:
-    """Are there many shapes to try, of an effect on laws that ask for no more than is known here?"""
+    """Whether many shape values are to be tried, of an effect on laws that ask for no more than is known here."""
     laws = candidate.kind.laws if candidate.kind else {}
     if not laws or len(tries) < (FEW if "measure" in laws else MANY):
         return False

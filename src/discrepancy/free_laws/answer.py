@@ -19,11 +19,22 @@ BANDS = {"band68": 1.0, "band": 1.96}  # standard deviations of a normal
 
 @dataclass(frozen=True)
 class Answer:
-    """said: the law in words. x: an array (n,) for each axis.
+    """A free law for people and files.
 
-    curve: (n, parts). bands: by name, low and high, (n, parts, 2).
-
-    refused: the data want more than the formula.
+    Attributes
+    ----------
+    law : FreeLaw
+    said : str
+        The law in words.
+    x : tuple of (n,) arrays
+        Places, an array for each axis.
+    curve : (n, parts) array
+    bands : dict of str to (n, parts, 2) array
+        Low and high, by name.
+    formula : str
+    refused : bool
+        Whether the data want more than the formula.
+    sigma : float
     """
 
     law: FreeLaw

@@ -17,10 +17,25 @@ from synthcam.model import Model
 
 @dataclass(frozen=True)
 class FittedLaw:
-    """A free law fitted in full. now: the fit beside it, its model with the free law in it where an effect can hold it.
+    """A free law fitted in full.
 
-    plain: the model without the free law. sigma: of the free law against the fit without it. score: chi^2 with all
-    freedom paid for.
+    Attributes
+    ----------
+    law : FreeLaw
+    coefs : (size,) array
+    prior : Prior
+    fit : Fit
+        The fit beside it, its model with the law in it where an effect can hold it.
+    plain : Model
+        The model without the law.
+    evidence : Evidence
+        The clips, with what the law moved taken out of them where no effect can hold it.
+    moves : tuple of (2n, size) arrays
+        Whitened derivatives by the coefficients, of each clip.
+    sigma : float
+        Of the law against the fit without it.
+    score : float
+        chi^2 with the cost of all freedom.
     """
 
     law: FreeLaw

@@ -43,7 +43,13 @@ FLOOR, CEILING = 1e-9, 0.99  # of a part that is white
 class Component:
     """A stationary random error: an autoregression with white noise beside it.
 
-    partial: the autoregression's partial autocorrelations, lag 1 first; white: the part of the variance that is white.
+    Attributes
+    ----------
+    variance : float
+    partial : tuple of float
+        The autoregression's partial autocorrelations, lag 1 first.
+    white : float
+        The part of the variance that is white.
     """
 
     variance: float
@@ -66,7 +72,15 @@ class Component:
 
 @dataclass(frozen=True)
 class Noise:
-    """own: of each ball and axis by itself, in claimed standard deviations. shared: of x and of y, m^2, or nothing."""
+    """The noise of measured tracks.
+
+    Attributes
+    ----------
+    own : Component
+        Of each ball and axis by itself, in claimed standard deviations.
+    shared : tuple of Component
+        What both balls share, of x and of y, m^2; or nothing.
+    """
 
     own: Component
     shared: tuple[Component, ...] = ()
@@ -89,7 +103,13 @@ class Noise:
 
 
 def estimate(clips: Sequence[Measured]) -> Noise:
-    """The noise of these clips. Raises ValueError when their unbroken stretches are too few."""
+    """Estimate the noise of clips from their unbroken stretches.
+
+    Raises
+    ------
+    ValueError
+        These are too few.
+    """
     clips = _usual(clips)
     own = own_noise(stretch for clip in clips for stretch in clip.stretches())
     pairs = Pairs(pair for clip in clips for pair in clip.together())

@@ -19,7 +19,7 @@ from discrepancy.fitting.predict import forecast
 from discrepancy.noise.model import Noise
 from discrepancy.selection.score_test import ScoreTests, likeness, tried
 
-Shaped = tuple[Candidate, dict[str, float]]  # an effect, with values of its shapes
+Shaped = tuple[Candidate, dict[str, float]]  # an effect, with values of its shape parameters
 
 MOST = 24  # collisions in a design
 ASIDE = 0.25  # of the picture's size, from its middle
@@ -92,7 +92,8 @@ def designs(
     one: Shaped,
     other: Shaped,
 ) -> tuple[Design, ...]:
-    """How alike two effects, with their shapes, are in these collisions, then in each of WAYS, then in all together.
+    """How alike two effects, with their shape parameters, are in these collisions, then in each of WAYS, then in all
+    together.
 
     Both are taken at zero strength, everything else as it was fitted.
     """

@@ -18,7 +18,8 @@ STARTS, FAR = (0.1, 0.3, 1.0), 2  # of a realistic size, where the way is too fa
 
 
 def extended(evidence: Evidence, fit: Fit, scored: Scored, progress: Callable[[], None] = lambda: None) -> Fit:
-    """The fit with a candidate's strengths, and its shapes once they mean something, fitted too; roughly settled.
+    """The fit with a candidate's strengths, and its shape parameters once they mean something, fitted too; roughly
+    settled.
 
     From where the score leads; if that keeps less than it promised, from realistic sizes as well. A base parameter held
     at zero is far from there.

@@ -120,7 +120,7 @@ class FitStore:
         return key in self.fits
 
     def extend(self, key: Key, fit: Fit, scored: Scored) -> None:
-        """Fit a model that has a candidate more than `now`."""
+        """Fit a model that has a candidate more than `fit`."""
         self._keep(key, extended(self.evidence, fit, scored, self.progress))
         self.latest[key] = scored.candidate
 
@@ -132,12 +132,12 @@ class FitStore:
             self.done_before.discard(key)
 
     def _astray(self, state: Iterable[Candidate], fit: Fit) -> Fit:
-        """The fit, or one from other shapes where that is better: far from the truth chi^2 may be flat in them."""
+        """The fit, or a better one from other shape parameters: far from the truth chi^2 may be flat in them."""
         for candidate in state:
             tries = list(candidate.grid(candidate.without(fit.model)))
             if len(tries) < 2:
                 continue
-            if not scannable(candidate, tries):  # a strong effect's shapes show only at that strength
+            if not scannable(candidate, tries):  # a strong effect's shape parameters show only at that strength
                 best = likeliest(self.evidence, fit, tries)
                 other = nudged(self.evidence, fit, fit.model.replace(best)) if best else None
                 fit = self._or_better(fit, other) if other else fit
@@ -176,7 +176,7 @@ class FitStore:
             return linearised(self.evidence, model, reduced.names, base.launches)
 
     def cost_of(self, state: Iterable[Candidate]) -> float:
-        """chi^2 with what strengths and shapes cost."""
+        """chi^2 with what strengths and shape parameters cost."""
         return cost_of(self.fits[frozenset(state)], self.base)
 
     def rivals(self, state: Collection[Candidate]) -> list[Fit]:

@@ -20,10 +20,11 @@ def law_chosen() -> float:
 
 
 def cost_of(fit: Fit, base: Fit) -> float:
-    """chi^2 with the freedom of each effect that the base lacks paid for, as of a free law; base parameters are free.
+    """chi^2 plus the cost of each effect that the base lacks, as of a free law; base parameters are free.
 
-    Shapes cost what looking for them in all their range does: twice the logarithm of the range over the width of their
-    likelihood; the strengths what they do where the shapes are known. So what no data tell apart is paid for once.
+    Shape parameters cost twice the logarithm of the range in which they are looked for over the width of their
+    likelihood; strengths cost what they do where the shape parameters are known. So what no data tell apart is paid for
+    once.
     """
     paid, chosen = fit.chi2, choice(len(library()))
     for names in fit.added(base).values():

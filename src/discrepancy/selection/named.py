@@ -22,10 +22,23 @@ from synthcam.model import Model
 class Named:
     """An effect added to the model.
 
-    values, std: of its strengths, by dotted name. shapes, shape_std: likewise; infinite where the data leave a shape
-    undetermined. sigma: of what it explains. aliases: what fits as well, itself first. alike: what has nearly its
-    signature, one effect or the sum of two, with the cosine. limit: the detection limits of its strengths; naming: the
-    strengths from which it is told from the likest that it can be told from.
+    Attributes
+    ----------
+    effect : str
+    values, std : dict of str to float
+        Its strengths by dotted name, and their standard deviations.
+    sigma : float
+        Significance of what it explains.
+    aliases : tuple of str
+        The effects that fit as well, itself first.
+    shapes, shape_std : dict of str to float
+        Its shape parameters likewise; infinite where the data leave one undetermined.
+    alike : tuple of (tuple of str, float)
+        What has nearly its signature, one effect or the sum of two, with the cosine.
+    limit : dict of str to float
+        The detection limits of its strengths.
+    naming : dict of str to float
+        The strengths from which it is told from the likest effect that it can be told from.
     """
 
     effect: str

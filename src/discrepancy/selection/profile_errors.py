@@ -1,4 +1,5 @@
-"""What other shapes of a named effect the data allow: how chi^2 bends at one minimum says nothing of the next.
+"""What other values of the shape parameters of a named effect the data allow: how chi^2 bends at one minimum says
+nothing of the next.
 
 A law with a kink, as slip and stick, has several, and the strength is another at each.
 """
@@ -16,14 +17,26 @@ from synthcam.dynamics.solve import uncoupled
 from synthcam.model import Model
 
 GAINED = 2.0  # of chi^2, by other shapes: less is not worth another fit
-LIKELY = 3.0  # sigma: shapes that are less likely say nothing of an interval of one or two
+LIKELY = 3.0  # sigma: values that are less likely say nothing of an interval of one or two
 
 
-def spread(evidence: Evidence, reduced: Fit, fit: Fit, candidate: Candidate) -> dict[str, float]:
-    """Standard deviations of a candidate's strengths and shapes: what `now` says, or more if likely shapes lie further.
+def profile_std(evidence: Evidence, reduced: Fit, fit: Fit, candidate: Candidate) -> dict[str, float]:
+    """Standard deviations of a candidate's strengths and shape parameters, by profile likelihood.
 
-    reduced: the fit without the candidate. A parabola as wide as chi^2 to first order wherever shapes are tried, where
-    few are. An effect so strong that first order is far off says nothing of them.
+    Those of `fit`, or more if likely values lie further: a parabola as wide as chi^2 to first order wherever values are
+    tried, where few are. An effect so strong that first order is far off says nothing of them.
+
+    Parameters
+    ----------
+    evidence : Evidence
+    reduced, fit : Fit
+        Without the candidate and with it.
+    candidate : Candidate
+
+    Returns
+    -------
+    dict of str to float
+        By dotted name.
     """
     std = {n: s for n, s in fit.std.items() if n in candidate.strengths + candidate.shapes}
     tries = list(candidate.grid(reduced.model))

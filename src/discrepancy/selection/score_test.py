@@ -22,7 +22,7 @@ from synthcam.dynamics.solve import uncoupled
 from synthcam.model import Model
 
 SEEN = 1e-4  # of a signature's length that must be left when all that the fit absorbs is taken out
-ZOOMS = 2  # times that the grid of a shape is made finer about the best
+ZOOMS = 2  # times that the grid of a shape parameter is made finer about the best
 ROWS = 1500  # of the signatures, to count independent trials by
 MOST = 20_000_000  # numbers in the derivatives by one candidate's strengths
 
@@ -194,7 +194,7 @@ class ScoreTests:
         return np.asarray(self._shared[:, own] - kept @ (kept.T @ self._shared[:, own]))
 
     def sharper(self, evidence: Evidence, scored: Scored, without: Candidate | None = None) -> Scored:
-        """The candidate with shapes that score better, looked for between those tried."""
+        """The candidate with shape parameters that score better, looked for between those tried."""
         candidate, model = scored.candidate, self.fit.model
         if not scored.shapes:
             return scored
@@ -243,7 +243,7 @@ class ScoreTests:
         return told if told and told[0].sigma > claim else tuple(sorted(ranking, key=lambda c: -c.sigma))
 
     def estimates(self) -> list[tuple[dict[str, float], float, Array]]:
-        """Of each trial its shapes, the chi^2 that it takes, and the strengths (k,) with which it does; first order."""
+        """Of each trial its shape parameters, the chi^2 that it takes, and its strengths (k,), all to first order."""
         left, absorbed = self._left(None)
         gram, pulls, _ = self._against(absorbed, left)
         found = []
@@ -309,7 +309,8 @@ def _scanned(
     grid: Sequence[dict[str, float]],
     here: Sequence[Array],
 ) -> list[Trial]:
-    """Those of many shapes that show at all, or the first. Of very many clips fewer shapes are tried, for memory.
+    """Those of many values of the shape parameters that show at all, or the first. Of very many clips fewer are
+    tried, for memory.
 
     here: the forecast of the model.
     """

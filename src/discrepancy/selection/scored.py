@@ -1,4 +1,4 @@
-"""A candidate that is scored: with some values of its shapes, and what it would explain."""
+"""A candidate that is scored: with some values of its shape parameters, and what it would explain."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ class Scored:
 
 @dataclass(frozen=True)
 class Trial:
-    """A candidate with some values of its shapes, and the derivatives by its strengths, (2n, k) for each clip."""
+    """A candidate with values of its shape parameters, and the derivatives by its strengths, (2n, k) of each clip."""
 
     candidate: Candidate
     shapes: dict[str, float]

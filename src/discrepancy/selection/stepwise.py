@@ -16,7 +16,7 @@ from discrepancy.fitting.significance import sigmas
 from discrepancy.selection.fit_store import FitStore
 from discrepancy.selection.model_cost import cost_of
 from discrepancy.selection.named import Named, determined, sums
-from discrepancy.selection.profile_errors import spread
+from discrepancy.selection.profile_errors import profile_std
 from discrepancy.selection.score_test import ScoreTests, likeness
 from discrepancy.selection.scored import Scored
 from synthcam.model import Model
@@ -180,7 +180,7 @@ class Stepwise:
         return said[self._simplest(claimed)] if min(keys, key=self.store.cost_of) in claimed else None
 
     def _simplest(self, keys: Collection[frozenset[Candidate]]) -> frozenset[Candidate]:
-        """Of models that fit as well as the best, the one with the fewest strengths, then shapes, then the best fit."""
+        """Of models that fit as well as the best: the fewest strengths, then shape parameters, then the best fit."""
         near = min(map(self.store.cost_of, keys)) + policy.RIVAL_EXCLUDED_BY
 
         def order(key: frozenset[Candidate]) -> tuple[int, int, float]:
@@ -190,7 +190,7 @@ class Stepwise:
         return min((k for k in keys if self.store.cost_of(k) <= near), key=order)
 
     def _contenders(self, tests: ScoreTests, ranking: Sequence[Scored], claim: float) -> list[Scored]:
-        """Those that may fit as well as the leader, or better; their shapes made out more finely."""
+        """Those that may fit as well as the leader, or better; their shape parameters made out more finely."""
         evidence, least = self.store.evidence, ranking[0].gain / 2 - NEAR
         chosen = [tests.sharper(evidence, c) if c.gain > least else c for c in ranking if c.gain > 0]
         leader = max(chosen, key=lambda c: c.sigma)
@@ -258,7 +258,7 @@ class Stepwise:
         cosines = sorted(((likeness(own, c.signature), c.effect) for c in ranking), reverse=True)
         told = max((c for c, effect in cosines if effect not in aliases), default=0.0)
         limit = {s: policy.DETECTION_LIMIT_SIGMA * fit.std[s] for s in candidate.strengths}
-        std = spread(self.store.evidence, self.store.without(fit, candidate), fit, candidate)
+        std = profile_std(self.store.evidence, self.store.without(fit, candidate), fit, candidate)
         return Named(
             candidate.name,
             {s: fit.model.value(s) for s in candidate.strengths},
