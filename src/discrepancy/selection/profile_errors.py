@@ -1,7 +1,7 @@
-"""What other values of the shape parameters of a named effect the data allow: how chi^2 bends at one minimum says
-nothing of the next.
+"""Errors of a named effect by profile likelihood over its shape parameters.
 
-A law with a kink, as slip and stick, has several, and the strength is another at each.
+How chi^2 bends at one minimum says nothing of the next. A law with a kink, as slip and stick, has several, and the
+strength is another at each.
 """
 
 from __future__ import annotations
