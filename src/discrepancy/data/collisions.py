@@ -307,12 +307,13 @@ def split(clips: Sequence[Measured]) -> tuple[list[Measured], list[Measured]]:
 
     With clips enough the fastest and the most oblique are among it: what the fit never saw.
     """
-    order = sorted(clips, key=lambda c: float(c.launch[V0]))
+    order = sorted(range(len(clips)), key=lambda k: float(clips[k].launch[V0]))
     count = max(len(clips) // policy.KEPT_OUT_ONE_IN, 1)
     kept_out: set[int] = set()
     if len(clips) >= policy.EXTREMES_KEPT_OUT_FROM:
-        kept_out = {id(order[-1]), id(max(order[:-1], key=lambda c: abs(float(c.launch[B]))))}
-    rest = [c for c in order if id(c) not in kept_out]
+        kept_out = {order[-1], max(order[:-1], key=lambda k: abs(float(clips[k].launch[B])))}
+    rest = [k for k in order if k not in kept_out]
     more = max(count - len(kept_out), 0)
-    kept_out |= {id(rest[(2 * k + 1) * len(rest) // (2 * more)]) for k in range(more)}
-    return [c for c in clips if id(c) not in kept_out], [c for c in clips if id(c) in kept_out]
+    kept_out |= {rest[(2 * k + 1) * len(rest) // (2 * more)] for k in range(more)}
+    fitted, held = ([c for k, c in enumerate(clips) if (k in kept_out) is out] for out in (False, True))
+    return fitted, held

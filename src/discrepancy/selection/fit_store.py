@@ -90,7 +90,7 @@ class FitStore:
     def settled(self, state: Sequence[Candidate]) -> Fit:
         """The best fit of a model."""
         key = frozenset(state)
-        if not self.known(key):
+        if self.recalled(key) is None:
             self._keep(key, self._reduced(state))
         if key not in self.done:
             fit = settle(self.evidence, self.fits[key], self.progress)
@@ -107,17 +107,17 @@ class FitStore:
             self.fits[key] = exact
         return self.fits[key]
 
-    def known(self, key: frozenset[Candidate]) -> bool:
-        """Whether a model was fitted before, here or in the previous store."""
+    def recalled(self, key: Key) -> Fit | None:
+        """The fit of a model that was fitted before, here or in the previous store; then roughly settled here."""
         before = self.previous
         if key not in self.fits and before and key in before.fits:
-            fit = before.fits[key].seen_by(before.evidence, self.evidence)
-            self._keep(key, settle(self.evidence, fit, self.progress, rough=True))
+            there = before.fits[key].seen_by(before.evidence, self.evidence)
+            self._keep(key, settle(self.evidence, there, self.progress, rough=True))
             if key in before.done:
                 self.done_before.add(key)
             if key in before.latest:
                 self.latest[key] = before.latest[key]
-        return key in self.fits
+        return self.fits.get(key)
 
     def extend(self, key: Key, fit: Fit, scored: Scored) -> None:
         """Fit a model that has a candidate more than `fit`."""
@@ -126,7 +126,8 @@ class FitStore:
 
     def offer(self, key: Key, fit: Fit) -> None:
         """A fit of some model, kept if it is better than the one known."""
-        if not self.known(key) or fit.chi2 < self.fits[key].chi2:
+        known = self.recalled(key)
+        if known is None or fit.chi2 < known.chi2:
             self._keep(key, fit)
             self.done.discard(key)
             self.done_before.discard(key)
