@@ -243,7 +243,7 @@ class Banana:
     def replace(self, values):
         return dataclasses.replace(self, **values)
 
-    def fit_model(self):
+    def fit(self):
         residuals = np.array([1 - self.x, -self.steep * (self.y - self.x**2)])
         slopes = np.array([[1.0, 0.0], [-2 * self.steep * self.x, self.steep]])
         names, launches = ("x", "y"), np.zeros((0, 6))

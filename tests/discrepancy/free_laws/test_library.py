@@ -146,7 +146,7 @@ def hiding(effect, count=12, seed=6):
     return noisy([dataclasses.replace(c, xy=xy) for c, xy in zip(clips, seen, strict=True)], seed)
 
 
-def tests(effect):
+def likeliest(effect):
     """The best free law beside the base model."""
     clips = hiding(effect)
     base = fit_model(clips, Model(), BASE, NOISE)
@@ -154,7 +154,7 @@ def tests(effect):
 
 
 def test_a_loss_by_heading_is_found_and_written():
-    best = tests(Grain(0.1))
+    best = likeliest(Grain(0.1))
     assert best.law.name == "rolling_heading"
     answer = Answer.of(best)
     assert answer.said == "added rolling loss that depends on the heading"
@@ -168,7 +168,7 @@ def test_a_loss_by_heading_is_found_and_written():
 
 
 def test_a_friction_of_one_ball_is_found_and_said_to_be_of_that_ball():
-    best = tests(Rust(0.02))
+    best = likeliest(Rust(0.02))
     assert best.law.name == "friction_speed_a"
     assert words(best.law) == "mu of ball a that depends on the slip speed"
     answer = Answer.of(best)
