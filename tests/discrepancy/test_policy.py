@@ -65,7 +65,7 @@ def test_four_sigma_make_a_claim_however_few_the_candidates(monkeypatch, sized, 
 
 def made_laws(monkeypatch, cost, scores):
     """The contest of free laws with these scores, beside a library's best model of this cost."""
-    base, fit = Made(names=()), Made(names=("hop.share",))
+    base, fit = Made(names=()), Made(names=("hop.share",), added=lambda base: {"hop": ["hop.share"]})
     fitted = tuple(Made(score=s, fit=fit, beside=lambda base: {}) for s in scores)
     tests = FreeLawContest(None, base, (), fitted=fitted)
     monkeypatch.setattr(outside, "cost_of", lambda f, base: cost)
