@@ -17,7 +17,7 @@ from discrepancy.diagnostics import claims as stand
 from discrepancy.diagnostics.gap import Part, _closure
 from discrepancy.diagnostics.held_out import Held, refused
 from discrepancy.diagnostics.outlier_clips import outlier_clips
-from discrepancy.fitting import noise_refit as refine
+from discrepancy.fitting import noise_refit
 from discrepancy.fitting.gauss_newton import fit_model
 from discrepancy.fitting.model_fit import Evidence, Fit, Tangent
 from discrepancy.fitting.parameters import BASE, Candidate, candidates
@@ -27,7 +27,7 @@ from discrepancy.free_laws.library import free_laws
 from discrepancy.noise import model as noise
 from discrepancy.noise.model import Component, Noise, estimate
 from discrepancy.search import _verdict
-from discrepancy.selection import free_law_contest as outside
+from discrepancy.selection import free_law_contest
 from discrepancy.selection.free_law_contest import FreeLawContest, LawTest
 from discrepancy.selection.score_test import ScoreTests
 from discrepancy.selection.scored import Scored
@@ -67,38 +67,38 @@ def made_laws(monkeypatch, cost, scores):
     """The contest of free laws with these scores, beside a library's best model of this cost."""
     base, fit = Made(names=()), Made(names=("hop.share",), added=lambda base: {"hop": ["hop.share"]})
     fitted = tuple(Made(score=s, fit=fit, beside=lambda base: {}) for s in scores)
-    tests = FreeLawContest(None, base, (), fitted=fitted)
-    monkeypatch.setattr(outside, "cost_of", lambda f, base: cost)
-    return tests, fit
+    contest = FreeLawContest(None, base, (), fitted=fitted)
+    monkeypatch.setattr(free_law_contest, "cost_of", lambda f, base: cost)
+    return contest, fit
 
 
 @pytest.mark.parametrize(("ahead", "declared"), [(4.0, False), (6.0, True)])
 def test_a_law_that_nobody_knows_must_be_better_by_five(monkeypatch, ahead, declared):
-    tests, fit = made_laws(monkeypatch, 100.0, [100.0 - ahead])
-    assert (tests._best(fit, 0) is not None) is declared
+    contest, fit = made_laws(monkeypatch, 100.0, [100.0 - ahead])
+    assert (contest._best(fit, 0) is not None) is declared
 
 
 @pytest.mark.parametrize(("behind", "near"), [(-3.0, True), (7.0, True), (14.0, False)])
 def test_the_noise_is_read_beside_a_free_law_that_is_behind_by_ten_at_most(monkeypatch, behind, near):
-    tests, fit = made_laws(monkeypatch, 100.0, [100.0 + behind, 130.0])
-    assert tests.nearly(fit) is (tests.fitted[0] if near else None)
+    contest, fit = made_laws(monkeypatch, 100.0, [100.0 + behind, 130.0])
+    assert contest.nearly(fit) is (contest.fitted[0] if near else None)
 
 
 def test_two_effects_are_claimed_beside_a_free_law_however_many_more_would_be_better(monkeypatch):
-    tests, fit = made_laws(monkeypatch, 1000.0, [])
+    contest, fit = made_laws(monkeypatch, 1000.0, [])
     scores, begun = iter((400.0, 300.0, 200.0, 100.0)), flat([1.0])
 
     def law(score):
         return Made(score=score, fit=begun, plain=Model(), law=None, beside=lambda base: {})
 
-    tests = dataclasses.replace(tests, fitted=(law(500.0),))
+    contest = dataclasses.replace(contest, fitted=(law(500.0),))
     for name in ("linearised", "settle", "_moves"):
-        monkeypatch.setattr(outside, name, lambda *_: begun)
-    monkeypatch.setattr(outside, "_tested", lambda *_: Made(sigma=9.0))
-    monkeypatch.setattr(outside, "fill", lambda *_: law(next(scores)))
+        monkeypatch.setattr(free_law_contest, name, lambda *_: begun)
+    monkeypatch.setattr(free_law_contest, "_tested", lambda *_: Made(sigma=9.0))
+    monkeypatch.setattr(free_law_contest, "fill", lambda *_: law(next(scores)))
     monkeypatch.setattr(FreeLawContest, "_asked", lambda self, place: self)
     monkeypatch.setattr(FreeLawContest, "_lacks", lambda self, place: Made(shapes={}, strengths=("hop.share",)))
-    assert tests.outcome(fit)[0].score == 300.0
+    assert contest.outcome(fit)[0].score == 300.0
 
 
 def test_four_effects_are_named_at_most(monkeypatch):
@@ -160,9 +160,9 @@ def read_again(monkeypatch, gain, worse, sigma=0.0, explained=True):
     left.cost = lambda noise: gain * (noise == NOISE)
     left.best = lambda start: (0.0, dataclasses.replace(start, own=Component(2.0)))
     within = Made(pairs=[None], own=lambda: Component(1.0), cost=lambda noise: worse * (noise != NOISE))
-    monkeypatch.setattr(refine._Left, "of", lambda *_: left)
-    monkeypatch.setattr(refine, "Pairs", lambda pairs: within)
-    return refine.refined((), None, NOISE, explained)
+    monkeypatch.setattr(noise_refit._Left, "of", lambda *_: left)
+    monkeypatch.setattr(noise_refit, "Pairs", lambda pairs: within)
+    return noise_refit.refined((), None, NOISE, explained)
 
 
 @pytest.mark.parametrize(("gain", "new"), [(7.0, False), (13.0, True)])
@@ -178,14 +178,16 @@ def test_noise_that_the_phases_exclude_by_twenty_is_refused(monkeypatch, worse, 
 
 @pytest.mark.parametrize(("sigma", "declared"), [(4.0, False), (5.0, True)])
 def test_a_free_law_needs_four_and_a_half_sigma(monkeypatch, sigma, declared):
-    tests, fit = made_laws(monkeypatch, 100.0, [])
-    tests = dataclasses.replace(tests, laws=(None,), base=Made(names=(), model=None, launches=None))
-    monkeypatch.setattr(outside, "_moves", lambda *_: ())
-    monkeypatch.setattr(outside, "_tested", lambda law, fit, moves: Made(sigma=sigma, fit=fit, score=lambda base: 0.0))
-    monkeypatch.setattr(outside, "fill", lambda *_: Made(score=0.0))
-    tests = tests._considered([fit])
-    assert tests.refuted is declared
-    assert len(tests.fitted) == declared
+    contest, fit = made_laws(monkeypatch, 100.0, [])
+    contest = dataclasses.replace(contest, laws=(None,), base=Made(names=(), model=None, launches=None))
+    monkeypatch.setattr(free_law_contest, "_moves", lambda *_: ())
+    monkeypatch.setattr(
+        free_law_contest, "_tested", lambda law, fit, moves: Made(sigma=sigma, fit=fit, score=lambda base: 0.0)
+    )
+    monkeypatch.setattr(free_law_contest, "fill", lambda *_: Made(score=0.0))
+    contest = contest._considered([fit])
+    assert contest.refuted is declared
+    assert len(contest.fitted) == declared
 
 
 @pytest.mark.parametrize(("share", "better"), [(0.95, False), (1.05, True)])
@@ -193,7 +195,7 @@ def test_one_of_so_many_free_laws_costs_its_choice(monkeypatch, share, better):
     """As likely as each other beforehand, one of n costs 2 ln n."""
     clips = exact(Model(), 4, 3)
     every = free_laws(Model(), np.array([c.launch for c in clips]), clips)
-    monkeypatch.setattr(outside, "cost_of", lambda fit, base: 100.0)
+    monkeypatch.setattr(free_law_contest, "cost_of", lambda fit, base: 100.0)
     look = LawTest(every[0], None, 9.0, Weight(share * 2 * np.log(len(every)), None, np.zeros(0)))
     assert (look.score(None) < 100.0) == better
 

@@ -25,9 +25,13 @@ Progress = Callable[[str], None]
 
 
 def check(clips: Sequence[Measured], model: Model) -> None:
-    """Enough clips, all of one camera, and the ball that they are measured by is the model's. Raises InputError.
+    """Check that there are enough clips, all of one camera, and that they are measured by the model's ball.
 
     What the balls differ by would pass for a discovery.
+
+    Raises
+    ------
+    InputError
     """
     if len(clips) < policy.FEWEST_COLLISIONS:
         least = policy.FEWEST_COLLISIONS

@@ -70,7 +70,21 @@ def fit_model(
 
 
 def settle(evidence: Evidence, fit: Fit, progress: Callable[[], None] = lambda: None, rough: bool = False) -> Fit:
-    """The least chi^2, from `fit`. rough: stop within ROUGH or so of it, with derivatives of somewhere near."""
+    """The least chi^2, by steps from a fit.
+
+    Parameters
+    ----------
+    evidence : Evidence
+    fit : Fit
+    progress : callable
+        Called at every step.
+    rough : bool
+        Stop within ROUGH or so of the least chi^2, with derivatives of somewhere near.
+
+    Returns
+    -------
+    Fit
+    """
     damping, settled, last = 0.0, ROUGH if rough else SETTLED, False
     for _ in range(ITERATIONS):
         progress()

@@ -42,8 +42,19 @@ SLOW = (0.95,)  # the correlation from frame to frame of slow noise, to start fr
 def refined(clips: Sequence[Measured], fit: Fit, noise: Noise, explained: bool = True) -> Noise | None:
     """A better reading of the noise from the residuals of a fit, which was made with `noise`.
 
-    explained: the fit lacks nothing that is known. Where it may, what it lacks moves both balls, as a shaking camera
-    does: then only each ball's own noise is read. None when that gains little, or is what the phases exclude.
+    Parameters
+    ----------
+    clips : sequence of Measured
+    fit : Fit
+    noise : Noise
+    explained : bool
+        Whether the fit lacks nothing that is known. Where it may, what it lacks moves both balls, as a shaking camera
+        does: then only each ball's own noise is read.
+
+    Returns
+    -------
+    Noise or None
+        None when that gains little, or is what the phases exclude.
     """
     if noise.shared and not explained:
         return None

@@ -27,7 +27,14 @@ MULTIPLIES = {"friction", "normal_load", "drilling"}  # laws that bend sliding f
 class Candidate:
     """An effect that a model may lack, or a base parameter that it holds at zero.
 
-    strengths, shapes: dotted names. kind: the effect's class. held: their values where the given model has the effect.
+    Attributes
+    ----------
+    name : str
+    strengths, shapes : tuple of str
+        Dotted names of its strengths and of its shape parameters.
+    kind : type of Effect, or None
+    held : tuple of float
+        Their values where the given model has the effect.
     """
 
     name: str

@@ -12,13 +12,24 @@ from discrepancy.fitting.parameters import Candidate
 
 @dataclass(frozen=True)
 class Scored:
-    """A score test.
+    """A candidate with its score test.
 
-    shapes: the best of those tried, for whose number sigma is corrected. gain: the chi^2 that adding it would take, to
-    first order. limit: the detection limit, in realistic sizes of the strength that shows best; infinite where the fit
-    absorbs all. identifiable: False where that limit is absurd, or more than the effect allows. signature (points, m):
-    the derivative at zero strength less all that the fit absorbs, made orthonormal; m <= k directions leave something
-    to be seen. columns: the derivative of each clip's whitened forecast, (2n, k), before anything is taken out.
+    Attributes
+    ----------
+    candidate : Candidate
+    shapes : dict of str to float
+        The best values tried of its shape parameters, for whose number sigma is corrected.
+    sigma : float
+    gain : float
+        The chi^2 that adding it would take, to first order.
+    limit : float
+        The detection limit, in realistic sizes of the strength that shows best; infinite where the fit absorbs all.
+    identifiable : bool
+        False where that limit is absurd, or more than the effect allows.
+    signature : (points, m) array
+        The derivative at zero strength less all that the fit absorbs, made orthonormal; m <= k directions are seen.
+    columns : tuple of (2n, k) arrays
+        The derivative of each clip's whitened forecast, before anything is taken out.
     """
 
     candidate: Candidate
