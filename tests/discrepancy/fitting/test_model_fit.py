@@ -1,0 +1,42 @@
+"""A fit as a value: what it says of itself."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from discrepancy_clips import exact
+
+from discrepancy.fitting.gauss_newton import linearised
+from discrepancy.fitting.model_fit import Evidence
+from discrepancy.fitting.parameters import BASE
+from discrepancy.noise.model import Component, Noise
+from synthcam.model import Model
+
+CLIPS = exact(Model(), 2, 3)
+EVIDENCE = Evidence.of(CLIPS, Noise(Component(1.0)))
+FIT = linearised(EVIDENCE, Model(), BASE, np.array([c.launch for c in CLIPS]))
+COLUMNS = [np.ones((len(r), 1)) for r in FIT.residuals]
+
+
+def test_derivatives_are_of_the_place_where_they_were_taken():
+    """Another launch, model or parameter makes them those of somewhere near; the noise read anew does not."""
+    assert FIT.local
+    assert not dataclasses.replace(FIT, launches=FIT.launches + 1e-9).local
+    assert not dataclasses.replace(FIT, model=Model().replace({"restitution": 0.8})).local
+    assert not FIT.extended(Model(), ["velocity_restitution.e"], COLUMNS).local
+    louder = Evidence.of(CLIPS, Noise(Component(2.0)))
+    assert FIT.seen_by(EVIDENCE, louder).local
+
+
+def test_parameters_are_found_by_name():
+    assert FIT.rows(["spin_transfer", "restitution"]) == [BASE.index("spin_transfer"), BASE.index("restitution")]
+    assert FIT.values(["restitution"]) == pytest.approx([Model().restitution])
+    less, more = FIT.room()
+    where = BASE.index("restitution")
+    assert (less[where], more[where]) == pytest.approx((-Model().restitution, 1 - Model().restitution))
+
+
+def test_what_is_fitted_beside_the_base_is_given_by_effect():
+    every = FIT.extended(Model(), ["plate_tilt.x", "gravity", "plate_tilt.y"], [np.ones((len(c), 3)) for c in COLUMNS])
+    assert every.added(FIT) == {"plate_tilt": ["plate_tilt.x", "plate_tilt.y"], "gravity": ["gravity"]}
+    assert every.reduced(Model(), ["gravity", "plate_tilt.x", "plate_tilt.y"]).names == FIT.names
