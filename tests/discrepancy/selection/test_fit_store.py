@@ -121,3 +121,17 @@ def test_a_fit_that_is_offered_is_held_against_the_previous_ones():
     after.offer(key, better)
     assert after.fits[key] is better
     assert key not in after.done_before | after.done
+
+
+def test_score_tests_are_those_of_the_fit_that_is_kept(monkeypatch):
+    only(monkeypatch, **{n: library()[n] for n in ("air_drag", "velocity_restitution")})
+    clips = collisions(Model(), 4, 3)
+    noise = estimate(clips)
+    base = fit_model(clips, Model(), BASE, noise)
+    store = stored(clips, base, noise)
+    before = store.score_tests(())
+    assert store.score_tests(()) is before
+    store.offer(frozenset(), dataclasses.replace(base, residuals=tuple(0.5 * r for r in base.residuals)))
+    after = store.score_tests(())
+    assert after.fit.chi2 == store.settled(()).chi2 < 0.3 * before.fit.chi2
+    assert after.ranking()[0].sigma < before.ranking()[0].sigma
