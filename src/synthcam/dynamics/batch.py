@@ -13,9 +13,26 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from synthcam.dynamics import rolling, sliding
+from synthcam.dynamics.contact_time import STAYING
+from synthcam.dynamics.creep import CLINGING, PUSHED_AWAY, approach, excess
 from synthcam.dynamics.hermite import between
 from synthcam.dynamics.impact import collide, land
+from synthcam.dynamics.integrate import (
+    FLY,
+    REST,
+    ROLL,
+    ROLLING,
+    SLIDE,
+    SLIDING,
+    STILL,
+    Ints,
+    Way,
+    arrived,
+    back,
+    lead,
+    lasting_slip,
+    modes_of,
+)
 from synthcam.dynamics.kinematics import (
     Array,
     contact_velocity,
@@ -27,19 +44,7 @@ from synthcam.dynamics.kinematics import (
 )
 from synthcam.dynamics.launch import Launch, touching
 from synthcam.dynamics.packed import Packed
-from synthcam.dynamics.pushed_ball import STILL
-from synthcam.dynamics.rolling import roller
-from synthcam.dynamics.segments import (
-    Alone,
-    BentRolling,
-    BentSliding,
-    Flying,
-    Ints,
-    Resting,
-    Rolling,
-    Segment,
-    Sliding,
-)
+from synthcam.dynamics.segments import Alone, Bent, Flying, Resting, Rolling, Segment, Sliding
 from synthcam.dynamics.solve import solve
 from synthcam.model import Bodies, Model
 
@@ -48,7 +53,7 @@ AGAIN = 1e-7  # m: balls that come closer than touching by more have met again
 STEADY = 0.1  # of the first speed of parting: balls that at the ends of their legs part faster do not meet again
 WAVER = 5e-3  # m/s: by so much pushes may slow a ball within a leg, at neither end of it
 LOOKS = 24  # at whether balls overlap: one that catches up takes tens of ms to pass through
-ROUNDS = 400  # legs after an impact, at most
+ROUNDS = 2000  # legs after an impact, at most
 AT_ONCE = 400  # balls, at most, that are integrated together: more leave the processor's cache
 
 
@@ -150,15 +155,13 @@ def collisions(model: Model, launches: Array, start: float, end: float, striker_
     t_c = launches[:, 2].astype(float)
     target, striker = touching(one, two, launches[:, 3], launches[:, 5], launches[:, 4], launches[:, :2])
 
-    if model.laws.asks("push", "other"):
-        contacts = np.concatenate([t_c, t_c])
-        out = Batch(float(start), float(end), [], contacts[:, None], contacts, set(range(count)), radius=both.radius)
-    else:
-        run = _Run(model, both, Batch(float(start), float(end), radius=both.radius), np.concatenate([t_c, t_c]))
-        run.before(target, striker)
-        hit = collide(model, target, striker, one, two)
-        run.after(np.concatenate([hit.target, hit.striker]), hit.n[:, :2])
-        out = run.out
+    run = _Run(model, both, Batch(float(start), float(end), radius=both.radius), np.concatenate([t_c, t_c]))
+    target, striker = run.before(target, striker)
+    hit = collide(model, target, striker, one, two)
+    if run.mutual and np.any(soft := hit.impulse_n < CLINGING * one.mass):
+        raise ValueError("balls 0 and 1 " + STAYING.format(t_c[soft][0]))
+    run.after(np.concatenate([hit.target, hit.striker]), hit.n[:, :2])
+    out = run.out
     odd = sorted({*_met_again(out, both).tolist(), *out.odd})
     return _by_solve(model, launches, is_a, out, np.array(odd, dtype=np.intp))
 
@@ -231,52 +234,67 @@ class _Run:
         self.kinks = [t_c.copy()]
         out.slide_ends = t_c.copy()
         self.rolled = np.zeros(len(t_c), dtype=bool)  # balls whose slide ended as they bounced
+        self.mutual = model.laws.asks("push", "other")
+        self.bent = {SLIDE: model.laws.bent(*SLIDING), ROLL: model.laws.bent(*ROLLING), FLY: model.laws.bent("push")}
+        self.floor = np.full(len(t_c), np.inf)
 
-    def before(self, target: Array, striker: Array) -> None:
-        """The approach: targets at rest, strikers rolling."""
+    def before(self, target: Array, striker: Array) -> tuple[Array, Array]:
+        """The approach: targets at rest, strikers rolling. Their states at the contact."""
         n, start = len(target), np.full(len(self.t_c), self.out.start)
+        if self.mutual:
+            return self._pulled(np.concatenate([target, striker]))
         early = np.flatnonzero(self.t_c > self.out.start)
         self._rest(early[early < n], target[early[early < n]], start, self.t_c)
         who = early[early >= n]
         for some in _alike(who, np.hypot(striker[who - n, 3], striker[who - n, 4])):
-            self._roll(some, striker[some - n], self.t_c[some], start[some], back=True)
+            if self.bent[ROLL]:
+                for units, led in back(self.model, self.bodies[some], striker[some - n], self.t_c[some], start[some]):
+                    self.out.segments.append(Bent.of(some[units], led))
+            else:
+                self._roll(some, striker[some - n], start[some], self.t_c[some], self.t_c[some])
+        return target, striker
+
+    def _pulled(self, states: Array) -> tuple[Array, Array]:
+        """The approach of balls that push each other."""
+        n, t_c = len(states) // 2, self.t_c[: len(states) // 2]
+        hit, pieces, onset = approach(self.model, self.bodies, states, np.maximum(t_c - self.out.start, 0.0))
+        for units, led in pieces:
+            rows = np.concatenate([units, units + n])
+            self.out.segments.append(Bent.of(rows, led.later(self.t_c[rows])))
+        if np.any(onset < 0):
+            self._kink(np.arange(n), np.where(onset < 0, t_c + onset, np.inf))
+        if np.any(((hit[:n, :6] - hit[n:, :6])[:, :3] * (hit[:n] - hit[n:])[:, 3:6]).sum(axis=1) >= 0):
+            raise ValueError(PUSHED_AWAY)
+        return hit[:n], hit[n:]
 
     def after(self, states: Array, n: Array) -> None:
         """From the impact on, to the end. n (collisions, 2): the impact's normal, from striker to target."""
         states, now = states.copy(), self.t_c.copy()
         end, out = self.out.end, np.concatenate([n, -n])
         parting = slowest = (states[:, 3:5] * out).sum(axis=1)  # of each ball from the other, along the normal
+        self._settle(np.arange(len(now)), states)
         for _ in range(ROUNDS):
             slowest = np.minimum(slowest, (states[:, 3:5] * out).sum(axis=1))
-            down = np.flatnonzero(states[:, 5] < 0)
+            modes = modes_of(states, self.bodies.radius)
+            down = np.flatnonzero((states[:, 5] < 0) & (modes != FLY))
             if len(down):
                 self._land(down, states, now)
+                modes[down] = modes_of(states[down], self.bodies.radius[down])
             live = now < end
-            flying = np.flatnonzero(live & (states[:, 5] > 0))
-            u = contact_velocity(states, self.bodies.radius)
-            speed = np.hypot(states[:, 3], states[:, 4])
-            slip = np.hypot(u[:, 0], u[:, 1])
-            sliding_ = np.flatnonzero(live & (states[:, 5] == 0) & (slip > STILL))
-            plain = np.flatnonzero(live & (states[:, 5] == 0) & (slip <= STILL))
-            if len(flying) + len(sliding_) + len(plain) == 0:
+            if not live.any():
                 break
-            if len(flying):
-                self._fly(flying, states, now)
-            for some in _alike(sliding_, slip[sliding_]):
-                self._slide(some, states, now)
-            moving = plain[speed[plain] > STILL]
-            for some in _alike(moving, speed[moving] * (end - now[moving])):
-                until = np.full(len(some), end)
-                states[some], now[some] = self._roll(some, states[some], now[some], until)
-            still = plain[speed[plain] <= STILL]
-            if len(still):
-                self._rest(still, states[still], now, np.full(len(now), np.inf))
-                now[still] = end
+            if self.mutual:
+                self._together(np.flatnonzero(live[: len(n)]), states, now, modes)
+                continue
+            for mode, step in ((FLY, self._fly), (SLIDE, self._slide), (ROLL, self._glide), (REST, self._stay)):
+                who = np.flatnonzero(live & (modes == mode))
+                if len(who):
+                    step(who, states, now)
         else:
             raise ValueError(f"the motion does not settle: {ROUNDS} legs after an impact")
         self.out.breaks = np.stack(self.kinks, axis=1)
         both = [one[: len(n)] + one[len(n) :] for one in (parting, slowest)]
-        waver = WAVER if self.model.laws.bent(*rolling.LAWS) else 0.0
+        waver = WAVER if self.bent[ROLL] else 0.0
         self.out.near = np.flatnonzero(both[1] < STEADY * both[0] + waver)
 
     def _kink(self, who: Ints, when: Array) -> None:
@@ -284,21 +302,59 @@ class _Run:
             self.kinks.append(np.full(len(self.t_c), np.inf))
         self.kinks[-1][who] = when
 
+    def _settle(self, who: Ints, states: Array) -> None:
+        """Of balls to which something happened: the slips at which they will no longer drill."""
+        if self.model.laws.bent("drilling"):
+            n = len(states) // 2
+            other = (states[(who + n) % (2 * n)] - states[who])[:, None, :2] if self.mutual else None
+            self.floor[who] = lasting_slip(self.model, states[who], self.bodies[who], other)
+
+    # legs without closed form
+
+    def _led(self, who: Ints, states: Array, now: Array) -> None:
+        found = lead(self.model, self.bodies[who], states[who], self.out.end - now[who], self.floor[who])
+        for units, way in found:
+            self._take(who[units], way, states, now)
+
+    def _together(self, who: Ints, states: Array, now: Array, modes: Ints) -> None:
+        """Two and two that push each other."""
+        n, rows = len(states) // 2, np.concatenate([who, who + len(states) // 2])
+        found = lead(self.model, self.bodies[rows], states[rows], self.out.end - now[who], self.floor[rows], 2)
+        for units, way in found:
+            mine = np.concatenate([who[units], who[units] + n])
+            still = np.flatnonzero(modes[mine] == REST)
+            if len(still):
+                places = way.led.at(way.lasts[:, None] * np.linspace(0, 1, LOOKS))[..., :2].transpose(2, 0, 1)
+                other = places[:, (still + len(units)) % len(mine)]
+                loose = excess(self.model, self.bodies[mine[still]], states[mine[still]], other).max(axis=1) > 0
+                self.out.odd |= set((mine[still[loose]] % n).tolist())
+            self._take(mine, way, states, now)
+
+    def _take(self, who: Ints, way: Way, states: Array, now: Array) -> None:
+        """What a way led to."""
+        self.out.segments.append(Bent.of(who, way.led.later(now[who])))
+        slid = way.over & (modes_of(states[who], self.bodies.radius[who]) == SLIDE)
+        flown = way.over & (modes_of(states[who], self.bodies.radius[who]) == FLY)
+        states[who], now[who] = way.last, arrived(now[who] + way.lasts, np.full(len(who), self.out.end))
+        self.out.slide_ends[who[slid]] = now[who[slid]]
+        self.floor[who[slid]] = np.inf
+        ended = way.over & ~flown
+        if ended.any():
+            self._kink(who[ended], now[who[ended]])
+
+    # legs in closed form, where nothing bends them
+
+    def _stay(self, who: Ints, states: Array, now: Array) -> None:
+        self._rest(who, states[who], now, np.full(len(now), np.inf))
+        now[who] = self.out.end
+
     def _rest(self, who: Ints, states: Array, now: Array, until: Array) -> None:
         held = states.copy()
         held[:, 3:8] = 0.0
-        self.out.odd |= set((who[self._loose(who, held)] % (len(self.t_c) // 2)).tolist())
+        if self.bent[FLY]:
+            loose = excess(self.model, self.bodies[who], held, np.full((2, 1, 1), np.inf))[:, 0] > 0
+            self.out.odd |= set((who[loose] % (len(self.t_c) // 2)).tolist())
         self.out.segments.append(Resting(who, now[who], until[who], held))
-
-    def _loose(self, who: Ints, held: Array) -> NDArray[np.bool_]:
-        """Which balls at rest would not stay there."""
-        if not self.model.laws.bent("push"):
-            return np.zeros(len(who), dtype=bool)
-        some = self.bodies[who]
-        instant = dict(position=held[:, :2], velocity=held[:, 3:5], gravity=self.model.gravity)
-        instant |= dict(radius=some.radius, mass=some.mass, of_a=some.of_a, ball=self.model.ball)
-        push = self.model.laws("push", np.zeros((len(who), 2)), instant)
-        return np.asarray(5 / 7 * np.hypot(push[:, 0], push[:, 1]) > self.model.rolling_decel)
 
     def _land(self, who: Ints, states: Array, now: Array) -> None:
         before = contact_velocity(states[who], self.bodies.radius[who])
@@ -312,61 +368,57 @@ class _Run:
         after[rolls] = rolling_state(after[rolls, :2], q[rolls], after[rolls, 8], radius[rolls])
         after[:, 5] = vertical
         states[who] = after
+        self._settle(who, states)
         first = who[rolls & ~self.rolled[who]]
         self.out.slide_ends[first] = now[first]
         self.rolled[who[rolls]] = True
         self._kink(who, now[who])
 
     def _fly(self, who: Ints, states: Array, now: Array) -> None:
-        model, begins, from_ = self.model, now[who], states[who]
-        ends = begins + 2 * from_[:, 5] / model.gravity
-        plane = None
-        if model.laws.bent("push"):
-            plane = rolling.flights(model, from_, self.bodies[who], begins, ends)
-        leg = Flying(who, begins, ends, from_, model.gravity, plane)
+        if self.bent[FLY]:
+            self._led(who, states, now)
+            return
+        begins, from_ = now[who], states[who]
+        ends = begins + 2 * from_[:, 5] / self.model.gravity
+        leg = Flying(who, begins, ends, from_, self.model.gravity)
         self.out.segments.append(leg)
         states[who] = leg.states(ends[:, None])[:, 0]
         states[who, 2] = self.bodies.radius[who]
         now[who] = ends
 
     def _slide(self, who: Ints, states: Array, now: Array) -> None:
-        model, begins, from_, bodies = self.model, now[who], states[who], self.bodies[who]
-        if model.laws.bent(*sliding.LAWS):
-            found = sliding.slides(model, from_, bodies)
-            ends, last = begins + found.lasts, found.ends()
-            self.out.segments.append(BentSliding(who, begins, ends, found))
-        else:
-            slowing = np.full(len(who), model.sliding_friction * model.gravity)
-            lasts = slide_time(from_, bodies.radius, slowing)
-            ends, last = begins + lasts, slide(from_, bodies.radius, slowing, lasts[:, None])[:, 0]
-            self.out.segments.append(Sliding(who, begins, ends, from_, bodies.radius, slowing))
-        states[who] = rolling_state(last[:, :2], rolling_velocity(last, bodies.radius), last[:, 8], bodies.radius)
+        if self.bent[SLIDE]:
+            u = contact_velocity(states[who], self.bodies.radius[who])
+            for some in _alike(who, np.hypot(u[:, 0], u[:, 1])):
+                self._led(some, states, now)
+            return
+        begins, from_, radius = now[who], states[who], self.bodies.radius[who]
+        slowing = np.full(len(who), self.model.sliding_friction * self.model.gravity)
+        lasts = slide_time(from_, radius, slowing)
+        ends, last = begins + lasts, slide(from_, radius, slowing, lasts[:, None])[:, 0]
+        self.out.segments.append(Sliding(who, begins, ends, from_, radius, slowing))
+        states[who] = rolling_state(last[:, :2], rolling_velocity(last, radius), last[:, 8], radius)
         now[who] = ends
         self.out.slide_ends[who] = ends
         self._kink(who, ends)
 
-    def _roll(self, who: Ints, states: Array, now: Array, until: Array, back: bool = False) -> tuple[Array, Array]:
-        """Roll until `until` or the stop; the states and times there."""
-        model, bodies = self.model, self.bodies[who]
-        if model.laws.bent(*rolling.LAWS):
-            found = rolling.rolls(model, states, bodies, now, until)
-            ends = found.until
-            if back and np.any(ends > until):
-                raise ValueError("a ball would have had to come from rest within the run")
-            self.out.segments += BentRolling.of(found, who)
-            last = roller(found.ends[..., None], found.wz, found.radius)[:, 0]
-        else:
-            speed = np.hypot(states[:, 3], states[:, 4])
-            ends = until
-            if not back:
-                ends = np.minimum(until, now + stop_time(speed, model.rolling_drag, model.rolling_decel))
-            span = np.minimum(now, ends), np.maximum(now, ends)
-            leg = Rolling(who, *span, now, states, bodies.radius, model.rolling_drag, model.rolling_decel)
-            self.out.segments.append(leg)
-            last = leg.states(ends[:, None])[:, 0]
-        if back:
-            return states, now
-        stopped = ends != until
-        last[stopped, 3:8] = 0.0
+    def _glide(self, who: Ints, states: Array, now: Array) -> None:
+        """Roll to the end or the stop."""
+        end, speed = np.full(len(who), self.out.end), np.hypot(states[who, 3], states[who, 4])
+        if self.bent[ROLL]:
+            for some in _alike(who, speed * (end - now[who])):
+                self._led(some, states, now)
+            return
+        ends = np.minimum(end, now[who] + stop_time(speed, self.model.rolling_drag, self.model.rolling_decel))
+        states[who] = self._roll(who, states[who], now[who], ends, now[who])
+        stopped = ends != end
+        states[who[stopped], 3:8] = 0.0
+        now[who] = ends
         self._kink(who[stopped], ends[stopped])
-        return last, ends.copy()
+
+    def _roll(self, who: Ints, states: Array, begins: Array, ends: Array, time: Array) -> Array:
+        """Roll in closed form, through these states at `time`; those at the ends."""
+        model = self.model
+        leg = Rolling(who, begins, ends, time, states, self.bodies.radius[who], model.rolling_drag, model.rolling_decel)
+        self.out.segments.append(leg)
+        return leg.states(ends[:, None])[:, 0]

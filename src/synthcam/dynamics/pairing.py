@@ -7,78 +7,93 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from synthcam.dynamics.coupled import Modes, Piece, approach, excess, floor_of, mode_of, opening, push_at_rest, step
+from synthcam.dynamics.creep import PUSHED_AWAY, STARTS, approach, creep, excess, push_at_rest
+from synthcam.dynamics.integrate import (
+    FASTEST,
+    FLY,
+    REST,
+    ROLL,
+    SLIDE,
+    SLOWEST,
+    Ints,
+    Led,
+    back,
+    lasting_slip,
+    lead,
+    modes_of,
+)
 from synthcam.dynamics.kinematics import Array, State, made_rolling, resting
 from synthcam.dynamics.launch import Launch
-from synthcam.dynamics.rolling import SLOWEST
-from synthcam.dynamics.trajectory import Event, Leg, Rest
+from synthcam.dynamics.trajectory import Event, Leg, Motion, Numeric, Rest
 from synthcam.model import Bodies, Model
 
-FASTEST = 1e3  # m/s: a ball that must have come faster did not come
 AHEAD = 0.2  # s of motion beyond what was asked for
 LOOKS = 33  # within a piece at whether a ball at rest is pulled off
-NEVER = (
-    "no approach was found to such a contact: for a push so strong the ball that comes, at {:.4g} m/s, is too slow, "
-    "or the one at rest is held again on its way"
-)
+NAMES: dict[int, Motion] = {REST: "rest", ROLL: "roll", SLIDE: "slide", FLY: "fly"}
 HELD = "a ball cannot rest before its launch: 5/7 of the push on it exceeds rolling_decel"
+
+
+def leg_of(led: Led, ball: int, mode: int, now: float) -> Leg:
+    """One ball's motion, led from time `now` on, or back from there."""
+    own = led[np.array([ball])].later(np.array([now]))
+    ends = sorted((now + float(led.begins[ball]), now + float(led.begins[ball] + led.lasts[ball])))
+    if mode == REST:
+        return Rest(ends[0], ends[1], resting(tuple(led.states[ball].tolist()), float(led.radius[ball])))
+    lift = led.gravity if mode == FLY else 0.0
+    return Numeric.of(ends[0], ends[1], NAMES[mode], lambda times: own.at(times[None])[0], lift)
 
 
 class Pairing:
     """From `start` to `end`, s, or beyond; states are nine floats."""
 
     def __init__(self, model: Model, bodies: Bodies, start: float, end: float) -> None:
-        self.model, self.start, self.end = model, start, end
-        self.bodies, self.floor = (bodies[:1], bodies[1:]), [math.inf, math.inf]
+        self.model, self.bodies, self.start, self.end = model, bodies, start, end
+        self.floor = np.full(2, np.inf)
 
     def before(self, launch: Launch) -> tuple[dict[int, State], list[list[Leg]], list[Event]]:
         """The states at the launch, the legs that led there from the start, and when a ball was pulled from its rest.
 
         Of two balls that touch, one that rests has been pulled by the one that comes: its velocity is what follows.
         """
-        rows, order = launch.states[:, None].copy(), [0, 1]
-        modes = self._modes(rows)
-        if launch.touches and sorted(modes) == ["rest", "roll"] and opening(rows) < 0:
-            order = [modes.index("rest"), modes.index("roll")]
-            pair = self.bodies[order[0]], self.bodies[order[1]]
-            found = approach(self.model, pair, rows[order], launch.time, self.start)
-            if found is None:
-                raise ValueError(NEVER.format(np.hypot(*rows[order[1], 0, 3:5])))
-            rows[order], pieces = found
-            if opening(rows) >= 0:
-                raise ValueError("the ball at rest would be pushed away faster than the other comes")
+        rows, order, now = launch.states.copy(), np.arange(2), np.array([launch.time])
+        modes, past, events = modes_of(rows, self.bodies.radius), [list[Leg](), list[Leg]()], list[Event]()
+        lasted, onset = np.maximum(now - self.start, 0.0), np.zeros(1)
+        if launch.touches and sorted(modes) == [REST, ROLL] and _opening(rows) < 0:
+            order = np.argsort(modes)
+            rows[order], pieces, onset = approach(self.model, self.bodies[order], rows[order], lasted)
+            if _opening(rows) >= 0:
+                raise ValueError(PUSHED_AWAY)
         else:
-            pieces = self._back(rows, modes, launch.time)
-        past: list[list[Leg]] = [[], []]
-        events = []
-        for piece in pieces:
-            for k, leg in zip(order, piece.legs, strict=True):
+            pieces = self._back(rows, modes, lasted)
+        for _, led in pieces:
+            moved = modes_of(led.at((led.begins + led.lasts / 2)[:, None])[:, 0], led.radius)
+            for ball, k in enumerate(order):
+                leg = leg_of(led, ball, moved[ball], launch.time)
                 begins = max(leg.t0, self.start)
                 if begins < leg.t1:
                     past[k].insert(0, leg.spanning(begins, leg.t1))
-            if self.start < piece.then and {leg.motion for leg in piece.legs} == {"roll"} and "rest" in modes:
-                (still, other), k = piece.last[:, 0], order[0]
-                events.append(start_of(self.model, self.bodies[k], k, tuple(still.tolist()), piece.then, other))
-        return {k: tuple(rows[k, 0].tolist()) for k in (0, 1)}, past, events
+        if onset[0] < 0 and self.start < launch.time + onset[0]:
+            still, other = (leg.now(launch.time + onset[0]) for leg in (past[k][-1] for k in order))
+            when = launch.time + float(onset[0])
+            events = [start_of(self.model, self.bodies[order[:1]], int(order[0]), still, when, np.array(other))]
+        return {k: tuple(rows[k].tolist()) for k in (0, 1)}, past, events
 
-    def _back(self, rows: Array, modes: Modes, now: float) -> list[Piece]:
+    def _back(self, rows: Array, modes: Ints, lasted: Array) -> list[tuple[Ints, Led]]:
         """Balls that roll or rest, led back to the start."""
-        still = [k for k in (0, 1) if modes[k] == "rest"]
-        if self.start < now and not set(modes) <= {"rest", "roll"}:
+        if lasted[0] == 0:
+            return []
+        if np.any(modes > ROLL):
             raise ValueError("a ball that slides or flies at its launch has no past: start the run at the launch")
-        if self.start < now and any(self._pulls(k, rows[k], rows[1 - k, :, :2].T[..., None]) for k in still):
-            raise ValueError(HELD)
-        pieces: list[Piece] = []
-        while now > self.start and modes != ("rest", "rest"):
-            piece = step(self.model, self.bodies, modes, rows, self.floor, now, self.start)
-            if piece is None:
-                raise ValueError(f"a ball has no past before {now:g} s: it would have had to come from rest")
-            if any(self._pulls(k, rows[k], piece.places[1 - k][:, None]) for k in still):
-                raise ValueError(HELD)
-            pieces.append(piece)
-            rows, now = piece.last, piece.then
-            if not np.abs(rows[..., 3:5]).max() <= FASTEST:
+        pieces = back(self.model, self.bodies, rows, np.zeros(1), -lasted, 2)
+        for _, led in pieces:
+            states = led.at(led.begins[:, None] + led.lasts[:, None] * np.linspace(0, 1, LOOKS))
+            for k in np.flatnonzero(modes == REST):
+                if np.any(self._excess(k, rows[k], states[1 - k]) > 0):
+                    raise ValueError(HELD)
+            if not np.abs(states[..., 3:5]).max() <= FASTEST:
                 raise ValueError(f"a ball would have had to come faster than {FASTEST:g} m/s")
+        if not pieces and any(self._excess(k, rows[k], rows[1 - k, None])[0] > 0 for k in (0, 1)):
+            raise ValueError(HELD)
         return pieces
 
     def legs(self, states: dict[int, State], t: float, anew: Iterable[int]) -> tuple[list[Leg], float, list[Event]]:
@@ -86,57 +101,69 @@ class Pairing:
 
         anew: balls to which something happened at t. The others go on, in a slide that began earlier.
         """
-        rows = np.array([[states[k]] for k in (0, 1)])
-        for k in anew:
-            self.floor[k] = floor_of(self.model, self.bodies, rows, k)
-        modes, started = list(self._modes(rows)), []
+        rows, started = np.array([states[0], states[1]]), []
+        for k in anew if self.model.laws.bent("drilling") else ():
+            other = (rows[1 - k] - rows[k])[None, None, :2]
+            self.floor[k] = lasting_slip(self.model, rows[k : k + 1], self.bodies[k : k + 1], other)[0]
+        modes = modes_of(rows, self.bodies.radius)
+        loose = [k for k in (0, 1) if modes[k] == REST and self._excess(k, rows[k], rows[1 - k, None])[0] > 0]
+        for k in loose:
+            started.append(start_of(self.model, self.bodies[k : k + 1], k, states[k], t, rows[1 - k]))
+        if np.all(modes == REST) and not loose:
+            return [Rest(t, math.inf, resting(states[k], float(self.bodies.radius[k]))) for k in (0, 1)], math.inf, []
+        goal = np.array([max(self.end - t, 0.0) + AHEAD])
+        led, over = self._lead(rows, modes, loose, goal)
+        until = t + float(led.lasts[0])
+        legs = [leg_of(led, k, ROLL if k in loose else modes[k], t) for k in (0, 1)]
         for k in (0, 1):
-            if modes[k] == "rest" and self._pulls(k, rows[k], rows[1 - k, :, :2].T[..., None]):
-                modes[k] = "creep"
-                started.append(start_of(self.model, self.bodies[k], k, states[k], t, rows[1 - k, 0]))
-        still = [resting(states[k], float(self.bodies[k].radius[0])) for k in (0, 1)]
-        if modes == ["rest", "rest"]:
-            return [Rest(t, math.inf, state) for state in still], math.inf, []
-        goal = max(self.end, t) + AHEAD
-        piece = step(self.model, self.bodies, (modes[0], modes[1]), rows, self.floor, t, goal)
-        if piece is None:
-            raise ValueError(f"balls that push each other could not be followed from {t:.9g} s on")
-        legs, until = list(piece.legs), piece.then
-        for k in (0, 1):
-            if modes[k] == "rest":
-                legs[k] = Rest(t, self._loosened(k, rows[k], legs[1 - k], t, until), still[k])
-            elif not piece.over[k]:
+            if modes[k] == REST and k not in loose:
+                legs[k] = legs[k].spanning(t, self._loosened(k, rows[k], legs[1 - k], t, until))
+            elif not over[k]:
                 legs[k] = legs[k].spanning(t, math.inf)
-            elif modes[k] == "drill":
-                legs[k], self.floor[k] = legs[k].spanning(t, math.inf), math.inf
         return legs, until, started
 
-    def _modes(self, rows: Array) -> Modes:
-        one, two = (mode_of(rows[k], self.bodies[k].radius, self.floor[k]) for k in (0, 1))
-        return one, two
+    def _lead(self, rows: Array, modes: Ints, loose: list[int], goal: Array) -> tuple[Led, Array]:
+        if len(loose) == 1 and modes[1 - loose[0]] == ROLL:
+            order = np.array([loose[0], 1 - loose[0]])
+            lasts = goal
+            for _ in range(40):
+                for size in STARTS:
+                    way, good = creep(self.model, self.bodies[order], rows[order], lasts, 0, np.zeros(1, bool), size)
+                    if good[0]:
+                        return way.led[order], way.over
+                lasts = lasts / 2
+        for k in loose:  # what comes is no roll: a little speed will do
+            rows[k] = start_of(self.model, self.bodies[k : k + 1], k, rows[k], 0.0, rows[1 - k]).after[0]
+        ((_, way),) = lead(self.model, self.bodies, rows, goal, self.floor, 2)
+        return way.led, way.over
 
-    def _pulls(self, k: int, row: Array, other: Array) -> bool:
-        """Does the push overcome what holds ball k, with the other at any of (2, 1, n)?"""
-        return bool(np.any(excess(self.model, self.bodies[k], row, other) > 0))
+    def _excess(self, k: int, row: Array, others: Array) -> Array:
+        """By how much the push on ball k exceeds what holds it, with the other in any of the states (n, 9)."""
+        return excess(self.model, self.bodies[k : k + 1], row[None], others[:, :2].T[:, None])[0]
 
     def _loosened(self, k: int, row: Array, other: Leg, t: float, until: float) -> float:
         """When a ball at rest starts to roll, or infinity."""
         times = np.linspace(t, until, LOOKS)
-        places = other.at(times)[:, :2].T[:, None]
-        late = np.flatnonzero(excess(self.model, self.bodies[k], row, places)[0] > 0)
+        late = np.flatnonzero(self._excess(k, row, other.at(times)) > 0)
         if len(late) == 0:
             return math.inf
         low, high = times[max(late[0] - 1, 0)], times[late[0]]
         while high - low > 1e-12 and low < (middle := (low + high) / 2) < high:  # late clocks are coarse
-            loose = self._pulls(k, row, other.at(np.array([middle]))[:, :2].T[..., None])
+            loose = self._excess(k, row, other.at(np.array([middle])))[0] > 0
             low, high = (low, middle) if loose else (middle, high)
         return float(high)
+
+
+def _opening(states: Array) -> float:
+    """How fast balls in states (2, 9) part, times their distance, m^2/s."""
+    apart = states[0] - states[1]
+    return float(apart[:3] @ apart[3:6])
 
 
 def start_of(model: Model, body: Bodies, k: int, state: State, t: float, other: Array) -> Event:
     """Ball k at rest begins to roll, the other being at `other` (2 or more,): afterwards with a little speed."""
     still = resting(state, float(body.radius[0]))
-    push = push_at_rest(model, body, np.array([still]), other[:2, None, None])[0, 0]
+    push = push_at_rest(model, body, np.array([still]), other[:2, None, None])[:, 0, 0]
     nudge = 2 * SLOWEST * push / np.hypot(*push)
     after = made_rolling((*still[:3], *nudge.tolist(), *still[5:]), still[2])
     return Event(t, "start", k, before=np.array([still]), after=np.array([after]))

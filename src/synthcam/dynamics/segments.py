@@ -2,20 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, ClassVar, Protocol
+from typing import ClassVar, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
-
+from synthcam.dynamics.integrate import Ints, Led
 from synthcam.dynamics.kinematics import Array, Real, coast, contact_velocity, fly, roll, slide
-from synthcam.dynamics.rolling import Rolls, Stretch, roller
-from synthcam.dynamics.sliding import Slides
-from synthcam.dynamics.trajectory import GAUSS, Trajectory
-
-Ints = NDArray[np.intp]
-NODES, WEIGHTS = np.polynomial.legendre.leggauss(GAUSS)
+from synthcam.dynamics.trajectory import Trajectory
 
 
 class Segment(Protocol):
@@ -107,75 +100,46 @@ class Rolling:
 
 @dataclass(frozen=True)
 class Flying:
-    """Flights from `state` (k, 9) at `begins`; plane: the part along the plate where something pushes."""
+    """Flights from `state` (k, 9) at `begins`."""
 
     who: Ints
     begins: Array
     ends: Array
     state: Array
     gravity: float
-    plane: Rolls | None
     aloft: ClassVar[bool] = True
 
     def states(self, times: Array) -> Array:
-        out = fly(self.state, self.gravity, times - self.begins[:, None])
-        if self.plane is not None:
-            y = np.moveaxis(self.plane.plane(times), 0, -1)
-            out[..., 0:2], out[..., 3:5] = y[..., :2], y[..., 2:]
-        return out
+        return fly(self.state, self.gravity, times - self.begins[:, None])
 
     def means(self, middle: Array, wide: Real) -> Array:
-        if self.plane is not None:
-            plane = self.plane
-            return averaged(lambda times: plane.plane(times)[:2], middle, wide)
         return np.asarray(_plane(self.state[:, :2]) + _plane(self.state[:, 3:5]) * (middle - self.begins[:, None]))
 
 
 @dataclass(frozen=True)
-class BentSliding:
-    """Slides without closed form."""
+class Bent:
+    """Motion without closed form, within its own times."""
 
     who: Ints
     begins: Array
     ends: Array
-    found: Slides
-    aloft: ClassVar[bool] = False
-
-    def states(self, times: Array) -> Array:
-        return self.found.states(times - self.begins[:, None])
-
-    def means(self, middle: Array, wide: Real) -> Array:
-        return self.found.means(middle - self.begins[:, None], wide)
-
-
-@dataclass(frozen=True)
-class BentRolling:
-    """A stretch of rolls without closed form."""
-
-    who: Ints
-    begins: Array
-    ends: Array
-    stretch: Stretch
-    radius: Array
-    wz: Array
-    aloft: ClassVar[bool] = False
+    led: Led
 
     @classmethod
-    def of(cls, found: Rolls, who: Ints) -> list[BentRolling]:
-        """All stretches of the rolls of the balls `who`."""
-        out = []
-        for s in found.stretches:
-            first, last = np.minimum(s.begins, s.ends), np.maximum(s.begins, s.ends)
-            out.append(cls(who[s.who], first, last, s, found.radius[s.who], found.wz[s.who]))
-        return out
+    def of(cls, who: Ints, led: Led) -> Bent:
+        return cls(
+            who, np.minimum(led.begins, led.begins + led.lasts), np.maximum(led.begins, led.begins + led.lasts), led
+        )
+
+    @property
+    def aloft(self) -> bool:
+        return bool(self.led.flies.any())
 
     def states(self, times: Array) -> Array:
-        return roller(self.stretch.plane(times), self.wz, self.radius)
+        return self.led.at(times)
 
     def means(self, middle: Array, wide: Real) -> Array:
-        if np.ndim(wide) == 0:
-            return self.stretch.means(middle, wide)
-        return averaged(self.stretch.places, middle, wide)
+        return self.led.means(middle, wide)
 
 
 @dataclass(frozen=True)
@@ -195,15 +159,6 @@ class Alone:
         half = wide / 2 + 0 * middle[0]
         spans = np.clip(np.stack([middle[0] - half, middle[0] + half], axis=1), self.motion.t0, self.motion.t1)
         return np.asarray(self.motion.mean(spans, lambda states: states[..., :2])[0].T[:, None])
-
-
-def averaged(places: Callable[[Array], Array], middle: Array, wide: Any) -> Array:
-    """Means (2, k, m) of places (2, k, times) over the times `wide` about `middle`, by Gauss quadrature."""
-    if np.ndim(wide) == 0 and wide == 0:
-        return places(middle)
-    times = middle[:, None] + NODES[:, None] * (np.asarray(wide) / 2 + 0 * middle)[:, None]
-    found = places(times.reshape(len(middle), -1)).reshape(2, *times.shape)
-    return np.asarray(np.tensordot(found, WEIGHTS / 2, axes=(2, 0)))
 
 
 def _plane(vectors: Array) -> Array:

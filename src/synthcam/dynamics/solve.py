@@ -7,20 +7,31 @@ import math
 
 import numpy as np
 
-from synthcam.dynamics import rolling, sliding
-from synthcam.dynamics.contact_time import LINGERING, STAYING, TOUCHING, first_contact
-from synthcam.dynamics.coupled import CLINGING, excess
+from synthcam.dynamics.contact_time import LINGERING, STAYING, first_contact
+from synthcam.dynamics.creep import CLINGING, excess
 from synthcam.dynamics.impact import LOWEST, land, strike
-from synthcam.dynamics.kinematics import Array, State, fly, made_rolling, resting, slip, stop_time
+from synthcam.dynamics.integrate import (
+    FASTEST,
+    NOWHERE,
+    ROLL,
+    ROLLING,
+    SLIDING,
+    STILL,
+    TOUCHING,
+    back,
+    lasting_slip,
+    lead,
+    modes_of,
+)
+from synthcam.dynamics.kinematics import Array, State, made_rolling, resting, slip, stop_time
 from synthcam.dynamics.launch import Launch
-from synthcam.dynamics.pairing import AHEAD, FASTEST, HELD, Pairing, start_of
-from synthcam.dynamics.pushed_ball import STILL
-from synthcam.dynamics.sliding import NOWHERE
-from synthcam.dynamics.trajectory import Event, Fly, Leg, Numeric, Rest, Roll, Slide, Trajectory
+from synthcam.dynamics.pairing import AHEAD, HELD, Pairing, leg_of, start_of
+from synthcam.dynamics.trajectory import Event, Fly, Leg, Rest, Roll, Slide, Trajectory
 from synthcam.model import Bodies, Model
 
 LIMIT = 10_000  # events: more means that something never settles
 FAR = 1e4  # s: beyond it the clock's last bit is too coarse for an event
+NEVER = np.full(1, math.inf)  # slips at which a ball that does not drill no longer does
 LONG = 60.0  # s: balls that push each other are led in small steps
 
 
@@ -58,8 +69,8 @@ class _Run:
         self.events: list[Event] = []
         self.rolled: set[int] = set()  # balls whose slide ended as they bounced: what slips in a flight is no slide
         laws = model.laws
-        self.slides, self.rolls = laws.bent(*sliding.LAWS), laws.bent(*rolling.LAWS)  # without closed form
-        self.pushes = laws.bent("push")
+        self.slides, self.rolls = laws.bent(*SLIDING), laws.bent(*ROLLING)  # without closed form
+        self.pushes, self.drills = laws.bent("push"), laws.bent("drilling")
         mutual = laws.asks("push", "other") and len(launch.states) == 2
         self.pairing = Pairing(model, launch.bodies, start, end) if mutual else None
         self.until = math.inf  # how far balls that push each other have been led
@@ -68,8 +79,7 @@ class _Run:
         if self.pairing:
             states, self.past, self.events = self.pairing.before(launch)
         else:
-            before = [self._before(k, states[k], launch.time) for k in states]
-            self.past = [[leg] if leg.t1 > leg.t0 else [] for leg in before]
+            self.past = [self._before(k, states[k], launch.time) for k in states]
         self.legs = self._begin(states, tuple(states))
 
     def motion(self) -> Trajectory:
@@ -124,29 +134,31 @@ class _Run:
     def _body(self, k: int) -> Bodies:
         return self.bodies[k : k + 1]
 
-    def _before(self, k: int, state: State, time: float) -> Leg:
-        """The leg that leads to a launch: a ball rolling, or at rest."""
+    def _before(self, k: int, state: State, time: float) -> list[Leg]:
+        """The legs that lead to a launch: a ball rolling, or at rest."""
         if self.start >= time:
-            return Rest(time, time, state)
+            return []
         if math.hypot(*slip(state, self.radius[k])) > STILL or state[5] != 0:
             raise ValueError("a ball that slides or flies at its launch has no past: start the run at the launch")
         if math.hypot(state[3], state[4]) <= STILL:
             still = resting(state, self.radius[k])
             if self._excess(k, still) > 0:
                 raise ValueError(HELD)
-            return Rest(self.start, time, still)
-        leg = self._roll(k, state, time, self.start)
-        if isinstance(leg, Numeric) and leg.t0 > self.start:
-            raise ValueError(f"a ball has no past before {leg.t0:g} s: it would have had to come from rest")
+            return [Rest(self.start, time, still)]
+        if not self.rolls:
+            legs = [self._roll(k, state, time, self.start).spanning(self.start, time)]
+        else:
+            row, span = np.array([state]), np.array([self.start - time])
+            legs = [leg_of(led, 0, ROLL, time) for _, led in back(self.model, self._body(k), row, 0 * span, span)][::-1]
         try:
-            speed = math.hypot(*leg.now(self.start)[3:5])
+            speed = math.hypot(*legs[0].now(self.start)[3:5])
         except OverflowError:
             speed = math.inf
         if not speed <= FASTEST:
             raise ValueError(
                 f"a ball would have had to come faster than {FASTEST:g} m/s, {time - self.start:g} s earlier"
             )
-        return leg.spanning(self.start, time)
+        return legs
 
     def _leg(self, k: int, state: State, t: float) -> Leg:
         """The leg of a ball that has this state at t, to its own next event."""
@@ -166,43 +178,26 @@ class _Run:
                 raise ValueError("sliding friction does not end the slide: there is none")
             lasts = math.hypot(*slip(state, self.radius[k])) / (3.5 * slowing)
             return Slide(t, t + lasts, t, state, self.radius[k], slowing)
-        found = sliding.slides(self.model, np.array([state]), self._body(k))
-        lasts = float(found.lasts[0])
-
-        def states(times: Array) -> Array:
-            return np.asarray(found.states((times - t)[None])[0])
-
-        return Numeric.of(t, t + lasts, "slide", states)
+        floor = lasting_slip(self.model, np.array([state]), self._body(k)) if self.drills else np.full(1, math.inf)
+        return self._led(k, state, t, math.inf, floor)
 
     def _roll(self, k: int, state: State, t: float, until: float) -> Leg:
         model = self.model
         if not self.rolls:
             stop = t + stop_time(math.hypot(state[3], state[4]), model.rolling_drag, model.rolling_decel)
             return Roll(t, stop, t, state, self.radius[k], model.rolling_drag, model.rolling_decel)
-        found = rolling.rolls(model, np.array([state]), self._body(k), np.array([t]), np.array([until]))
-        ended = float(found.until[0])
-
-        def states(times: Array) -> Array:
-            return np.asarray(found.states(times[None])[0])
-
-        return Numeric.of(min(t, ended), max(t, ended), "roll", states)
+        return self._led(k, state, t, until - t)
 
     def _fly(self, k: int, state: State, t: float) -> Leg:
-        model = self.model
-        up, height = state[5], max(state[2] - self.radius[k], 0.0)
-        lasts = (up + math.sqrt(up * up + 2 * model.gravity * height)) / model.gravity
-        leg = Fly(t, t + lasts, t, state, model.gravity)
-        if not self.pushes:
-            return leg
-        found = rolling.flights(model, np.array([state]), self._body(k), np.array([t]), np.array([t + lasts]))
+        gravity, up, height = self.model.gravity, state[5], max(state[2] - self.radius[k], 0.0)
+        lasts = (up + math.sqrt(up * up + 2 * gravity * height)) / gravity
+        return self._led(k, state, t, lasts) if self.pushes else Fly(t, t + lasts, t, state, gravity)
 
-        def states(at: Array) -> Array:
-            out = fly(np.array(state), model.gravity, at - t)
-            plane = found.plane(at[None])[:, 0].T
-            out[:, 0:2], out[:, 3:5] = plane[:, :2], plane[:, 2:]
-            return out
-
-        return Numeric.of(t, t + lasts, "fly", states, model.gravity)
+    def _led(self, k: int, state: State, t: float, goal: float, floor: Array = NEVER) -> Leg:
+        """A leg without closed form, or as much of it as one piece holds."""
+        row = np.array([state])
+        ((_, way),) = lead(self.model, self._body(k), row, np.array([goal]), floor)
+        return leg_of(way.led, 0, int(modes_of(row, self._body(k).radius)[0]), t)
 
     def _rest(self, k: int, state: State, t: float) -> Leg:
         still = resting(state, self.radius[k])
@@ -220,7 +215,7 @@ class _Run:
         """The end of a leg: of a slide, a roll, a rest, a flight; no event where a numerical roll was solved to."""
         leg, radius = self.legs[k], self.radius[k]
         before = leg.now(leg.t1)
-        if leg.motion == "roll" and math.hypot(before[3], before[4]) > 2 * rolling.SLOWEST:
+        if leg.motion == "roll" and math.hypot(before[3], before[4]) > STILL:
             self._go_on({k: before})
         elif leg.motion == "fly":
             self._go_on({k: self._landed(k, before)})

@@ -1,0 +1,172 @@
+"""A ball at rest that another one, rolling, pulls off: what holds it, and how it starts.
+
+A ball that starts from rest goes after the push: its lag d behind the push's direction phi obeys
+    (s/f) d' + sin d = (s/f) phi',
+with s its speed and f the push on it, which has one smooth solution.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from synthcam.dynamics.collocation import matrices, product
+from synthcam.dynamics.integrate import SLOWEST, TINY, Flags, Forces, Ints, Led, Way, back, last_axis
+from synthcam.dynamics.kinematics import Array, rolling_state
+from synthcam.model import Bodies, Model
+
+STARTS = (12, 20, 32, 56)  # nodes of a piece that begins at rest: tried in this order
+TURNS = 120  # of the iteration
+QUICK = 5  # turns in which a start is looked for in whole steps
+SETTLED = 2e-13  # m/s, of an iteration's change
+TRUE, STEADY = 3e-14, 5e-13  # m, m/s: of the last coefficients
+AWAY = 8.0  # distances of touching: a ball at rest is let go when the other comes so near, if not yet pulled off
+CLINGING = 1e-4  # m/s: a softer impact of balls that push each other is one of an endless row
+PUSHED_AWAY = "the ball at rest would be pushed away faster than the other comes"
+NEVER = (
+    "no approach was found to such a contact: for a push so strong the ball that comes, at {:.4g} m/s, is too slow, "
+    "or the one at rest is held again on its way"
+)
+
+
+def push_at_rest(model: Model, bodies: Bodies, states: Array, other: Array) -> Array:
+    """The push on balls at rest, states (k, 9), while the others are at (2, k, n): (2, k, n), m/s^2."""
+    place = np.broadcast_to(states[:, :2].T[..., None], (2, len(states), other.shape[-1]))
+    return Forces.of(model, bodies).flying(place, np.zeros(place.shape), last_axis(other - place))
+
+
+def excess(model: Model, bodies: Bodies, states: Array, other: Array) -> Array:
+    """By how much 5/7 of that push exceeds what holds the balls, or would were they to roll, (k, n), m/s^2."""
+    push = push_at_rest(model, bodies, states, other)
+    size = np.hypot(push[0], push[1])
+    place = np.broadcast_to(states[:, :2].T[..., None], push.shape)
+    known = Forces.of(model, bodies).known | dict(position=last_axis(place), other=last_axis(other - place))
+    known |= dict(velocity=last_axis(SLOWEST * push / np.maximum(size, TINY)), speed=np.full(size.shape, SLOWEST))
+    loss = model.laws("rolling", model.rolling_decel, known)
+    return np.asarray(size * 5 / 7 - np.maximum(model.rolling_decel, loss))
+
+
+def approach(
+    model: Model, bodies: Bodies, touching: Array, lasted: Array
+) -> tuple[Array, list[tuple[Ints, Led]], Array]:
+    """What led to contacts at time 0, states (2 k, 9): balls that rested, then those that come to them.
+
+    A ball is let go where the pull on it overcomes what holds it, but when the other is AWAY at the earliest. Returns
+    the states at the contact, of the first balls with the velocities that they then have; motions of units back from
+    there, for `lasted` (k,) or to when they were let go, whichever is longer; and when that was, (k,). Raises ValueError
+    if there is no such past.
+    """
+    k = len(lasted)
+    hit, then, onset, pieces = touching.copy(), touching.copy(), np.zeros(k), list[tuple[Ints, Led]]()
+    lasts, held = _pulled_for(model, bodies, touching)
+    left = np.flatnonzero(lasts > 0)
+    for size in STARTS:
+        if len(left) == 0:
+            break
+        rows = np.concatenate([left, left + k])
+        way, good = creep(model, bodies[rows], touching[rows], -lasts[left], -1, ~held[left], size)
+        if not good.any():
+            continue
+        found, own = left[good], np.flatnonzero(np.tile(good, 2))
+        pieces.append((found, way.led[own]))
+        rows = np.concatenate([found, found + k])
+        hit[found, 3:5] = way.led.at(0 * way.lasts[:, None])[own[: len(found)], 0, 3:5]
+        then[rows], onset[found], left = way.last[own], way.lasts[own[: len(found)]], left[~good]
+    if len(left):
+        raise ValueError(NEVER.format(np.hypot(*touching[k + left[0], 3:5])))
+    hit[:k] = rolling_state(hit[:k, :2], hit[:k, 3:5], hit[:k, 8], bodies.radius[:k])
+    then[:k, 3:8] = 0.0
+    pieces += back(model, bodies, then, onset, -lasted, 2)
+    return hit, pieces, onset
+
+
+def creep(
+    model: Model, bodies: Bodies, states: Array, lasts: Array, anchor: int, onset: Flags, size: int
+) -> tuple[Way, Flags]:
+    """Balls that start from rest, and those that pull them: states (2 k, 9) at time 0, for `lasts` (k,).
+
+    anchor: 0 where they start at time 0, -1 where they did so `lasts` (negative) from then; onset: whose start is to be
+    found where the pull overcomes what holds the ball. Solved on `size` nodes; of which units that is the motion, (k,).
+    """
+    on, k = matrices(size), len(lasts)
+    integral = on.integral / 2
+    slope = 2 * on.coefficients @ on.slope @ on.values
+    one, two, first, decel = (
+        Forces.of(model, bodies[:k]),
+        Forces.of(model, bodies[k:]),
+        states[:k, :2].T[..., None],
+        0.0,
+    )
+    where, v_in = states[:, :2].T[..., None], states[k:, 3:5].T[..., None]
+    long, decel = lasts[:, None].copy(), model.rolling_decel
+    place, v1 = np.repeat(where, size, axis=-1), np.repeat(v_in, size, axis=-1)
+    place[:, k:] += v_in * (long * (1 + on.nodes) / 2)
+    pull = 5 / 7 * push_at_rest(model, bodies[:k], states[:k], place[:, k:, :1])
+    hat = pull / np.maximum(np.hypot(pull[0], pull[1]), TINY)
+    lag, change = np.zeros((k, size)), np.full(k, np.inf)
+    gain = np.maximum(np.hypot(pull[0], pull[1]) - decel, 0.0)
+    s = np.abs(long * (on.nodes - on.nodes[anchor]) / 2) * gain / 2
+    e = np.repeat(hat, size, axis=-1)
+    place[:, :k] += long * product(s * e, integral)
+    with np.errstate(all="ignore"):
+        for turn in range(TURNS):
+            apart = last_axis(place[:, k:] - place[:, :k])
+            v0 = np.maximum(s, SLOWEST) * e
+            pull = 5 / 7 * one.flying(place[:, :k], v0, apart)
+            known = one.known | dict(position=last_axis(place[:, :k]), velocity=last_axis(v0), other=apart)
+            base, speed = model.rolling_drag * np.maximum(s, 0.0) + decel, np.maximum(s, SLOWEST)
+            loss = model.laws("rolling", base, known | {"speed": speed}) + 0 * s
+            force = two.rolling(place[:, k:], v1, -apart)
+            strength = np.maximum(np.hypot(pull[0], pull[1]), TINY)
+            early = strength - np.maximum(loss, decel)
+            beyond = np.clip(early[:, -1:] / (early @ slope[:, -1:]), -0.3, 0.3)
+            long = np.where(onset[:, None], long * (1 - beyond * (1.0 if turn < QUICK else 0.5)), long)
+            phi = np.arctan2(hat[0] * pull[1] - hat[1] * pull[0], hat[0] * pull[0] + hat[1] * pull[1])
+            gain = (strength * np.cos(lag) - loss) @ integral
+            s = long * (gain - gain[:, anchor, None])
+            weight = s / (long * strength)
+            lines = weight[..., None] * slope.T
+            lines[:, range(size), range(size)] += np.sinc(lag / np.pi)
+            lines = np.where(np.isfinite(lines), lines, np.eye(size))
+            lag = np.linalg.solve(lines, (weight * (phi @ slope))[..., None])[..., 0]
+            c, d = np.cos(phi - lag), np.sin(phi - lag)
+            e = np.stack([c * hat[0] - d * hat[1], d * hat[0] + c * hat[1]])
+            v1 = v_in + long * product(force, integral)
+            old, v = place, np.concatenate([s * e, v1], axis=1)
+            place = where + np.tile(long, (2, 1)) * product(v, integral)
+            moved = np.abs(place - old).max(axis=(0, 2)).reshape(2, k).max(axis=0) / np.abs(long[:, 0])
+            last, change = change, moved
+            to_come = change * np.minimum(change / np.maximum(last, TINY), 1.0)
+            if turn > 0 and np.all(to_come < SETTLED):
+                break
+    found = product(np.concatenate([place, v]), on.coefficients)
+    rough = np.maximum(_most(found[:2, :, -2:]) / TRUE, _most(found[2:, :, -2:]) / STEADY).reshape(2, k).max(axis=0)
+    good = (to_come < SETTLED) & (rough < 1) & (s.min(axis=1) >= 0) & (np.sign(long[:, 0]) == np.sign(lasts))
+    return Way.even(model, bodies, states, np.tile(long[:, 0], 2), found), good
+
+
+def _most(vectors: Any) -> Array:
+    """The largest part of any of (2, m, few): (m,)."""
+    return np.asarray(np.abs(vectors).max(axis=(0, 2)))
+
+
+def _pulled_for(model: Model, bodies: Bodies, touching: Array) -> tuple[Array, Flags]:
+    """How long the first balls are pulled along before the contact, were the others' rolls uniform, (k,).
+
+    And whether that is longer than we look.
+    """
+    k = len(touching) // 2
+    here, way = touching[k:, :2].T[..., None], touching[k:, 3:5].T[..., None]
+
+    def early(tau: Array) -> Flags:
+        return np.asarray(excess(model, bodies[:k], touching[:k], here - tau[:, None] * way)[:, 0] > 0)
+
+    far = AWAY * (bodies.radius[:k] + bodies.radius[k:]) / np.hypot(way[0, :, 0], way[1, :, 0])
+    pulled, held = early(0 * far), early(far)
+    low, high = 1e-4 * far, far
+    for _ in range(12):
+        middle = np.sqrt(low * high)
+        still = early(middle)
+        low, high = np.where(still, middle, low), np.where(still, high, middle)
+    return np.where(pulled, np.where(held, far, low), 0.0), pulled & held
