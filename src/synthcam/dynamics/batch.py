@@ -15,10 +15,9 @@ from numpy.typing import NDArray
 
 from synthcam.dynamics.contact_time import STAYING
 from synthcam.dynamics.creep import CLINGING, PUSHED_AWAY, approach, excess
-from synthcam.dynamics.hermite import between
-from synthcam.dynamics.impact import collide, land
-from synthcam.dynamics.integrate import (
+from synthcam.dynamics.forces import (
     FLY,
+    NOWHERE,
     REST,
     ROLL,
     ROLLING,
@@ -26,13 +25,12 @@ from synthcam.dynamics.integrate import (
     SLIDING,
     STILL,
     Ints,
-    Way,
-    arrived,
-    back,
-    lead,
-    lasting_slip,
+    ending_slip,
     modes_of,
 )
+from synthcam.dynamics.hermite import between
+from synthcam.dynamics.impact import collide, land
+from synthcam.dynamics.integrate import Balls, Way, back, lead
 from synthcam.dynamics.kinematics import (
     Array,
     contact_velocity,
@@ -43,6 +41,7 @@ from synthcam.dynamics.kinematics import (
     stop_time,
 )
 from synthcam.dynamics.launch import Launch, touching
+from synthcam.dynamics.led import arrived
 from synthcam.dynamics.packed import Packed
 from synthcam.dynamics.segments import Alone, Bent, Flying, Resting, Rolling, Segment, Sliding
 from synthcam.dynamics.solve import solve
@@ -248,8 +247,9 @@ class _Run:
         who = early[early >= n]
         for some in _alike(who, np.hypot(striker[who - n, 3], striker[who - n, 4])):
             if self.bent[ROLL]:
-                for units, led in back(self.model, self.bodies[some], striker[some - n], self.t_c[some], start[some]):
-                    self.out.segments.append(Bent.of(some[units], led))
+                balls = Balls.undrilled(self.model, self.bodies[some], striker[some - n])
+                for units, led in back(balls, self.t_c[some], start[some]):
+                    self.out.segments += Bent.of(some[units], led, self.out.start)
             else:
                 self._roll(some, striker[some - n], start[some], self.t_c[some], self.t_c[some])
         return target, striker
@@ -260,7 +260,7 @@ class _Run:
         hit, pieces, onset = approach(self.model, self.bodies, states, np.maximum(t_c - self.out.start, 0.0))
         for units, led in pieces:
             rows = np.concatenate([units, units + n])
-            self.out.segments.append(Bent.of(rows, led.later(self.t_c[rows])))
+            self.out.segments += Bent.of(rows, led.later(self.t_c[rows]), self.out.start)
         if np.any(onset < 0):
             self._kink(np.arange(n), np.where(onset < 0, t_c + onset, np.inf))
         if np.any(((hit[:n, :6] - hit[n:, :6])[:, :3] * (hit[:n] - hit[n:])[:, 3:6]).sum(axis=1) >= 0):
@@ -306,21 +306,21 @@ class _Run:
         """Of balls to which something happened: the slips at which they will no longer drill."""
         if self.model.laws.bent("drilling"):
             n = len(states) // 2
-            other = (states[(who + n) % (2 * n)] - states[who])[:, None, :2] if self.mutual else None
-            self.floor[who] = lasting_slip(self.model, states[who], self.bodies[who], other)
+            other = (states[(who + n) % (2 * n)] - states[who])[:, None, :2] if self.mutual else NOWHERE
+            self.floor[who] = ending_slip(self.model, states[who], self.bodies[who], other)
 
     # legs without closed form
 
     def _led(self, who: Ints, states: Array, now: Array) -> None:
-        found = lead(self.model, self.bodies[who], states[who], self.out.end - now[who], self.floor[who])
-        for units, way in found:
+        balls = Balls(self.model, self.bodies[who], states[who], self.floor[who])
+        for units, way in lead(balls, self.out.end - now[who]):
             self._take(who[units], way, states, now)
 
     def _together(self, who: Ints, states: Array, now: Array, modes: Ints) -> None:
         """Two and two that push each other."""
         n, rows = len(states) // 2, np.concatenate([who, who + len(states) // 2])
-        found = lead(self.model, self.bodies[rows], states[rows], self.out.end - now[who], self.floor[rows], 2)
-        for units, way in found:
+        balls = Balls(self.model, self.bodies[rows], states[rows], self.floor[rows], 2)
+        for units, way in lead(balls, self.out.end - now[who]):
             mine = np.concatenate([who[units], who[units] + n])
             still = np.flatnonzero(modes[mine] == REST)
             if len(still):
@@ -332,10 +332,10 @@ class _Run:
 
     def _take(self, who: Ints, way: Way, states: Array, now: Array) -> None:
         """What a way led to."""
-        self.out.segments.append(Bent.of(who, way.led.later(now[who])))
+        self.out.segments += Bent.of(who, way.led.later(now[who]), self.out.end)
         slid = way.over & (modes_of(states[who], self.bodies.radius[who]) == SLIDE)
         flown = way.over & (modes_of(states[who], self.bodies.radius[who]) == FLY)
-        states[who], now[who] = way.last, arrived(now[who] + way.lasts, np.full(len(who), self.out.end))
+        states[who], now[who] = way.last, arrived(now[who] + way.lasts, self.out.end)
         self.out.slide_ends[who[slid]] = now[who[slid]]
         self.floor[who[slid]] = np.inf
         ended = way.over & ~flown

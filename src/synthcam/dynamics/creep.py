@@ -12,8 +12,10 @@ from typing import Any
 import numpy as np
 
 from synthcam.dynamics.collocation import matrices, product
-from synthcam.dynamics.integrate import SLOWEST, TINY, Flags, Forces, Ints, Led, Way, back, last_axis
+from synthcam.dynamics.forces import TINY, Flags, Forces, Ints, last_axis
+from synthcam.dynamics.integrate import SLOWEST, Balls, back
 from synthcam.dynamics.kinematics import Array, rolling_state
+from synthcam.dynamics.led import Led
 from synthcam.model import Bodies, Model
 
 STARTS = (12, 20, 32, 56)  # nodes of a piece that begins at rest: tried in this order
@@ -33,7 +35,7 @@ NEVER = (
 def push_at_rest(model: Model, bodies: Bodies, states: Array, other: Array) -> Array:
     """The push on balls at rest, states (k, 9), while the others are at (2, k, n): (2, k, n), m/s^2."""
     place = np.broadcast_to(states[:, :2].T[..., None], (2, len(states), other.shape[-1]))
-    return Forces.of(model, bodies).flying(place, np.zeros(place.shape), last_axis(other - place))
+    return Forces.of(model, bodies).push(place, np.zeros(place.shape), last_axis(other - place))
 
 
 def excess(model: Model, bodies: Bodies, states: Array, other: Array) -> Array:
@@ -65,25 +67,26 @@ def approach(
         if len(left) == 0:
             break
         rows = np.concatenate([left, left + k])
-        way, good = creep(model, bodies[rows], touching[rows], -lasts[left], -1, ~held[left], size)
+        led, good = creep(model, bodies[rows], touching[rows], -lasts[left], -1, ~held[left], size)
         if not good.any():
             continue
         found, own = left[good], np.flatnonzero(np.tile(good, 2))
-        pieces.append((found, way.led[own]))
+        pieces.append((found, led[own]))
         rows = np.concatenate([found, found + k])
-        hit[found, 3:5] = way.led.at(0 * way.lasts[:, None])[own[: len(found)], 0, 3:5]
-        then[rows], onset[found], left = way.last[own], way.lasts[own[: len(found)]], left[~good]
+        hit[found, 3:5] = led.at(0 * led.lasts[:, None])[own[: len(found)], 0, 3:5]
+        then[rows] = led.at(led.lasts[:, None])[own, 0]
+        onset[found], left = led.lasts[own[: len(found)]], left[~good]
     if len(left):
         raise ValueError(NEVER.format(np.hypot(*touching[k + left[0], 3:5])))
     hit[:k] = rolling_state(hit[:k, :2], hit[:k, 3:5], hit[:k, 8], bodies.radius[:k])
     then[:k, 3:8] = 0.0
-    pieces += back(model, bodies, then, onset, -lasted, 2)
+    pieces += back(Balls.undrilled(model, bodies, then, 2), onset, -lasted)
     return hit, pieces, onset
 
 
 def creep(
     model: Model, bodies: Bodies, states: Array, lasts: Array, anchor: int, onset: Flags, size: int
-) -> tuple[Way, Flags]:
+) -> tuple[Led, Flags]:
     """Balls that start from rest, and those that pull them: states (2 k, 9) at time 0, for `lasts` (k,).
 
     anchor: 0 where they start at time 0, -1 where they did so `lasts` (negative) from then; onset: whose start is to be
@@ -92,14 +95,9 @@ def creep(
     on, k = matrices(size), len(lasts)
     integral = on.integral / 2
     slope = 2 * on.coefficients @ on.slope @ on.values
-    one, two, first, decel = (
-        Forces.of(model, bodies[:k]),
-        Forces.of(model, bodies[k:]),
-        states[:k, :2].T[..., None],
-        0.0,
-    )
+    one, two, decel = Forces.of(model, bodies[:k]), Forces.of(model, bodies[k:]), model.rolling_decel
     where, v_in = states[:, :2].T[..., None], states[k:, 3:5].T[..., None]
-    long, decel = lasts[:, None].copy(), model.rolling_decel
+    long = lasts[:, None].copy()
     place, v1 = np.repeat(where, size, axis=-1), np.repeat(v_in, size, axis=-1)
     place[:, k:] += v_in * (long * (1 + on.nodes) / 2)
     pull = 5 / 7 * push_at_rest(model, bodies[:k], states[:k], place[:, k:, :1])
@@ -113,7 +111,7 @@ def creep(
         for turn in range(TURNS):
             apart = last_axis(place[:, k:] - place[:, :k])
             v0 = np.maximum(s, SLOWEST) * e
-            pull = 5 / 7 * one.flying(place[:, :k], v0, apart)
+            pull = 5 / 7 * one.push(place[:, :k], v0, apart)
             known = one.known | dict(position=last_axis(place[:, :k]), velocity=last_axis(v0), other=apart)
             base, speed = model.rolling_drag * np.maximum(s, 0.0) + decel, np.maximum(s, SLOWEST)
             loss = model.laws("rolling", base, known | {"speed": speed}) + 0 * s
@@ -143,7 +141,7 @@ def creep(
     found = product(np.concatenate([place, v]), on.coefficients)
     rough = np.maximum(_most(found[:2, :, -2:]) / TRUE, _most(found[2:, :, -2:]) / STEADY).reshape(2, k).max(axis=0)
     good = (to_come < SETTLED) & (rough < 1) & (s.min(axis=1) >= 0) & (np.sign(long[:, 0]) == np.sign(lasts))
-    return Way.even(model, bodies, states, np.tile(long[:, 0], 2), found), good
+    return Led.even(model.gravity, bodies.radius, states, np.tile(long[:, 0], 2), found), good
 
 
 def _most(vectors: Any) -> Array:

@@ -6,8 +6,10 @@ from dataclasses import dataclass
 from typing import ClassVar, Protocol
 
 import numpy as np
-from synthcam.dynamics.integrate import Ints, Led
+
+from synthcam.dynamics.forces import Ints
 from synthcam.dynamics.kinematics import Array, Real, coast, contact_velocity, fly, roll, slide
+from synthcam.dynamics.led import Led, arrived
 from synthcam.dynamics.trajectory import Trajectory
 
 
@@ -126,10 +128,11 @@ class Bent:
     led: Led
 
     @classmethod
-    def of(cls, who: Ints, led: Led) -> Bent:
-        return cls(
-            who, np.minimum(led.begins, led.begins + led.lasts), np.maximum(led.begins, led.begins + led.lasts), led
-        )
+    def of(cls, who: Ints, led: Led, goal: float) -> list[Bent]:
+        """On the way to the time `goal`, which some reach but for rounding."""
+        knots, parts = led.pieces()
+        knots = arrived(knots, goal)
+        return [cls(who, *np.sort(knots[k : k + 2], axis=0), part) for k, part in enumerate(parts)]
 
     @property
     def aloft(self) -> bool:

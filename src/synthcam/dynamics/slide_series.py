@@ -16,9 +16,12 @@ import numpy as np
 from synthcam.dynamics.collocation import matrices, product, reread, series
 from synthcam.dynamics.kinematics import Array
 
-SIZES = 10, 16, 20, 24, 32, 40, 48, 64  # nodes of a series; the first piece begins with the second
+SIZES = 10, 16, 24, 40, 64  # nodes of a series; the first piece begins with the second
 TRUE = 3e-15  # m, of the last coefficients
 ROUNDING = 3e-16
+CLOSING = (
+    1 - ((1 - matrices(10).nodes) / 2) ** 3
+)  # of the time of a uniform end: nodes in the cube root of what is left
 NARROW = 3e-4  # of a slide: over so little time a parabola says as much, and a difference of sums would be rounded
 
 
@@ -49,17 +52,10 @@ class Reading:
             first, wide = w[:, :1], w[:, :1] - w[:, -1:]
             here = 2 * (first - w) / wide - 1
             limit = TRUE + ROUNDING * np.abs(values).max()
-            wanted = 0.0
             for size in SIZES[len(places) == 0 :]:
-                if size < wanted:
-                    continue
-                on = matrices(size)
-                c = product(reread(values - base, here, size), on.coefficients)
-                tail, most = np.abs(c[..., -2:]).max(), np.abs(c[..., :2]).max()
-                if tail < limit:
+                c = product(reread(values - base, here, size), matrices(size).coefficients)
+                if np.abs(c[..., -2:]).max() < limit:
                     break
-                guess = 1.1 * size * np.log(limit / most) / np.log(tail / most)  # were their fall all but geometric
-                wanted = min(guess, SIZES[-1])
             more = matrices(size + power)
             w = first - wide / 2 * (1 + more.nodes)
             rate = product(c, more.values[:size]) * (power * w ** (power - 1) * wide / 2)

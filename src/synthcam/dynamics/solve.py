@@ -9,20 +9,9 @@ import numpy as np
 
 from synthcam.dynamics.contact_time import LINGERING, STAYING, first_contact
 from synthcam.dynamics.creep import CLINGING, excess
+from synthcam.dynamics.forces import NOWHERE, ROLL, ROLLING, SLIDING, STILL, TOUCHING, ending_slip, modes_of
 from synthcam.dynamics.impact import LOWEST, land, strike
-from synthcam.dynamics.integrate import (
-    FASTEST,
-    NOWHERE,
-    ROLL,
-    ROLLING,
-    SLIDING,
-    STILL,
-    TOUCHING,
-    back,
-    lasting_slip,
-    lead,
-    modes_of,
-)
+from synthcam.dynamics.integrate import FASTEST, Balls, back, lead
 from synthcam.dynamics.kinematics import Array, State, made_rolling, resting, slip, stop_time
 from synthcam.dynamics.launch import Launch
 from synthcam.dynamics.pairing import AHEAD, HELD, Pairing, leg_of, start_of
@@ -149,7 +138,10 @@ class _Run:
             legs = [self._roll(k, state, time, self.start).spanning(self.start, time)]
         else:
             row, span = np.array([state]), np.array([self.start - time])
-            legs = [leg_of(led, 0, ROLL, time) for _, led in back(self.model, self._body(k), row, 0 * span, span)][::-1]
+            legs = [
+                leg_of(led, 0, ROLL, time)
+                for _, led in back(Balls.undrilled(self.model, self._body(k), row), 0 * span, span)
+            ][::-1]
         try:
             speed = math.hypot(*legs[0].now(self.start)[3:5])
         except OverflowError:
@@ -178,7 +170,7 @@ class _Run:
                 raise ValueError("sliding friction does not end the slide: there is none")
             lasts = math.hypot(*slip(state, self.radius[k])) / (3.5 * slowing)
             return Slide(t, t + lasts, t, state, self.radius[k], slowing)
-        floor = lasting_slip(self.model, np.array([state]), self._body(k)) if self.drills else np.full(1, math.inf)
+        floor = ending_slip(self.model, np.array([state]), self._body(k)) if self.drills else np.full(1, math.inf)
         return self._led(k, state, t, math.inf, floor)
 
     def _roll(self, k: int, state: State, t: float, until: float) -> Leg:
@@ -196,7 +188,7 @@ class _Run:
     def _led(self, k: int, state: State, t: float, goal: float, floor: Array = NEVER) -> Leg:
         """A leg without closed form, or as much of it as one piece holds."""
         row = np.array([state])
-        ((_, way),) = lead(self.model, self._body(k), row, np.array([goal]), floor)
+        ((_, way),) = lead(Balls(self.model, self._body(k), row, floor), np.array([goal]))
         return leg_of(way.led, 0, int(modes_of(row, self._body(k).radius)[0]), t)
 
     def _rest(self, k: int, state: State, t: float) -> Leg:
