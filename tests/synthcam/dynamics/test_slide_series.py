@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 
 from synthcam.dynamics.collocation import matrices
-from synthcam.dynamics.slide_series import Reading
-from synthcam.dynamics.sliding import CLOSING, FINISH, KNOTS
+from synthcam.dynamics.forces import FINISH
+from synthcam.dynamics.integrate import BREAK
+from synthcam.dynamics.slide_series import CLOSING, Reading
 
+KNOTS = np.log(FINISH) * np.array([0.0, BREAK, 1.0])
 LASTS = np.array([0.04, 0.013])
 
 
