@@ -23,6 +23,7 @@ Array = NDArray[np.float64]
 # what comes later may lean on what has been integrated already, which saves turns.
 Parts = Iterator[tuple[slice, Array]]
 Right = Callable[[Array, Array], Parts]
+Pieces = list[tuple[Array, Array]]  # of a solution: the nodes x (n,) of each piece, and y (c, problems, n) there
 
 SIZES = 14, 20, 26, 32, 40  # nodes of a piece
 TOLERANCE = 3e-14  # of the iteration
@@ -34,43 +35,6 @@ TURNS = 40
 CLOSE = 1e-3  # a change so small tells whether the nodes are enough
 SOME = slice(1, None, 2)  # nodes at which changes are looked for
 ALONE = 2**18  # multiplications; OpenBLAS shares out products of more
-
-
-@dataclass(frozen=True)
-class Path:
-    """Solutions in pieces: ends (p + 1,), from the start on; coefficients (c, problems, nodes) of each piece."""
-
-    ends: Array
-    coefficients: tuple[Array, ...]
-
-    def __call__(self, x: Array) -> Array:
-        """Values (c, problems, m) at x (problems, m); outside the ends the outermost piece is continued."""
-        ends = self.ends
-        if len(self.coefficients) == 1:
-            return series(self.coefficients[0], (2 * x - ends[0] - ends[1]) / (ends[1] - ends[0]))
-        rising = ends[-1] >= ends[0]
-        inner = ends[1:-1]
-        which = np.searchsorted(inner, x) if rising else len(inner) - np.searchsorted(inner[::-1], x)
-        out = np.empty((len(self.coefficients[0]), *x.shape))
-        for k, coefficients in enumerate(self.coefficients):
-            here = which == k
-            columns = np.flatnonzero(here.any(axis=0))
-            if len(columns):
-                part = slice(columns[0], columns[-1] + 1)
-                local = (2 * x[:, part] - ends[k] - ends[k + 1]) / (ends[k + 1] - ends[k])
-                values = series(coefficients, np.clip(local, -1.1, 1.1))
-                out[..., part] = np.where(here[:, part], values, out[..., part])
-        return out
-
-    def nodes(self) -> Iterator[tuple[Array, Array]]:
-        """Of each piece its nodes and the values (c, problems, nodes) there."""
-        for a, b, c in zip(self.ends[:-1], self.ends[1:], self.coefficients, strict=True):
-            on = matrices(c.shape[-1])
-            yield (a + b) / 2 + (b - a) / 2 * on.nodes, product(c, on.values)
-
-    def last(self) -> Array:
-        """Values (c, problems) at the end."""
-        return np.asarray(self.coefficients[-1].sum(axis=-1))  # every Chebyshev polynomial is 1 there
 
 
 def series(coefficients: Array, x: Array) -> Array:
@@ -167,7 +131,7 @@ def integrate(
     deepest: int = DEEPEST,
     few: int = SIZES[0],
     feed: int | None = None,
-) -> Path:
+) -> Pieces:
     """y' = right(x, y) from the first knot to the last, piece by piece between them (falling ones are allowed).
 
     y = start (c, problems) at the first. guess: x (n,) -> (c, problems, n), what y may be like. few: the nodes to try
@@ -176,21 +140,19 @@ def integrate(
     Raises ValueError when a law of motion is not smooth: a piece halved `deepest` times is still too long.
     """
     y = np.asarray(start, dtype=float)
-    ends, coefficients = [float(knots[0])], []
+    begin, pieces = float(knots[0]), Pieces()
     stack: list[tuple[float, int, int, Array | None]] = [(float(end), 0, few, None) for end in reversed(knots[1:])]
     while stack:
         end, depth, size, values = stack.pop()
-        begin, middle = ends[-1], (ends[-1] + end) / 2
+        middle = (begin + end) / 2
+        x = middle + (end - begin) / 2 * matrices(size).nodes
         if values is None:
-            x = middle + (end - begin) / 2 * matrices(size).nodes
             values = np.repeat(y[..., None], size, axis=-1) if guess is None else guess(x)
             values += (y - values[..., 0])[..., None]
         values, good, tail = _piece(right, begin, end, y, values, feed)
         if good:
-            piece = product(values, matrices(size).coefficients)
-            y = piece.sum(axis=-1)
-            ends.append(end)
-            coefficients.append(piece)
+            begin, y = end, values[..., -1]
+            pieces.append((x, values))
             continue
         runaway = not np.all(np.abs(values) < 1e6)  # True for infinite ones too
         if runaway:
@@ -205,7 +167,7 @@ def integrate(
             stack += [(end, depth + 1, more, halves[1]), (middle, depth + 1, more, halves[0])]
         else:
             raise ValueError("a leg could not be integrated: a law of motion is not smooth there")
-    return Path(np.array(ends), tuple(coefficients))
+    return pieces
 
 
 def _piece(right: Right, a: float, b: float, start: Array, guess: Array, feed: int | None) -> tuple[Array, bool, float]:

@@ -141,7 +141,9 @@ def creep(
     found = product(np.concatenate([place, v]), on.coefficients)
     rough = np.maximum(_most(found[:2, :, -2:]) / TRUE, _most(found[2:, :, -2:]) / STEADY).reshape(2, k).max(axis=0)
     good = (to_come < SETTLED) & (rough < 1) & (s.min(axis=1) >= 0) & (np.sign(long[:, 0]) == np.sign(lasts))
-    return Led.even(model.gravity, bodies.radius, states, np.tile(long[:, 0], 2), found), good
+    long = np.tile(long, (2, 1))
+    piece, none = (long * (1 + on.nodes) / 2, np.concatenate([place, v])), np.zeros(2 * k, dtype=bool)
+    return Led(0 * long[:, 0], long[:, 0], states, bodies.radius, model.gravity, [piece], 0, none), good
 
 
 def _most(vectors: Any) -> Array:

@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from synthcam.dynamics.collocation import DEEPEST, SIZES, Parts, Path, integrate, matrices, product
+from synthcam.dynamics.collocation import DEEPEST, SIZES, Parts, integrate, matrices
 from synthcam.dynamics.forces import (
     FINISH,
     FLY,
@@ -36,12 +36,13 @@ from synthcam.dynamics.forces import (
     modes_of,
 )
 from synthcam.dynamics.kinematics import Array, contact_velocity, rolling_velocity
-from synthcam.dynamics.led import Led, arrived
+from synthcam.dynamics.led import Led, Pieces, arrived
 from synthcam.model import Bodies, Model
 
 SLOWEST = 1e-7  # m/s: a ball slower than this has stopped
 FASTEST = 1e3  # m/s: a ball that must have come faster did not come
 BREAK = 0.33  # of ln(|u|/|u0|) on the way to its last: where pieces meet
+CLOSING = 1 - ((1 - matrices(10).nodes) / 2) ** 3  # of the time of an even end: nodes in the cube root of what is left
 FEW = 28  # nodes of a logarithmic piece, first
 STRAIGHT = {"slip_speed", "slip", "gravity", "radius", "of_a"}  # laws that ask no more leave the slip's direction
 MOST = 1000  # pieces of a past
@@ -254,49 +255,36 @@ class Phase:
             drilling = self.drills and np.any(self.ends & (self.first > self.balls.floor[:, None]))
             knots = (0.0, BREAK, 1.0, 2.0)[: 4 if drilling else 3]
         few = FEW if len(knots) > 2 else SIZES[0]
-        path = integrate(self.right, knots, self.start[..., 0], self.guess(), few=few, feed=self.feed())
-        ends, pieces, sound, cut = (
-            list(path.ends),
-            list[Array](),
-            np.ones(len(self.modes), dtype=bool),
-            self.spans[:, 0],
-        )
-        for end, (z, y) in zip(ends[1:], path.nodes(), strict=True):
+        solved = integrate(self.right, knots, self.start[..., 0], self.guess(), few=few, feed=self.feed())
+        pieces, sound, falls = list[tuple[Array, Array]](), np.ones(len(self.modes), dtype=bool), np.inf
+        for z, y in solved:
             slip, _ = self.slip(z, y)
             if self.free:
                 sound &= (self.modes != SLIDE) | self.ends[:, 0] | (y[3] > 0).all(axis=1)
-            pieces.append(self._kept(y, slip))
-            cut = y[-1, :, -1] if self.paced and end == 1.0 else cut
-        lasts = y[-1, :, -1] if self.paced else cut
+            pieces.append((y[-1] if self.paced else self.spans * z, self._kept(y, slip)))
         if self.paced and not self.straight:
-            late, piece = self._close(y[..., -1:], slip[:, -1:], self.ends)
-            lasts = lasts + late
-            pieces.append(piece)
-            ends.append(ends[-1] + 1)
-        falls = np.full(len(lasts), np.inf)
+            pieces.append(self._close(y[..., -1:], slip[:, -1:], self.ends))
+        lasts = pieces[-1][0][:, -1] if self.paced else self.spans[:, 0]
         if FLY in self.rows:
             falls = np.where(
                 self.modes == FLY, flight_time(self.balls.model, self.balls.states, self.balls.bodies), falls
             )
-        over = self.ends[:, 0] | (lasts == falls)
-        return self._way(Path(np.array(ends), tuple(pieces)), lasts, cut, over, sound & (lasts <= falls))
+        return self._way(pieces, lasts, self.ends[:, 0] | (lasts == falls), sound & (lasts <= falls))
 
     def stop(self) -> Way:
         """The same where a ball, one of both, rolls so slowly that it is taken to stop evenly."""
         slow = slow_rolls(self.balls)
-        late, piece = self._close(self.start, self.first, slow[:, None])
-        return self._way(Path(np.array([0.0, 1.0]), (piece,)), late, late, slow, np.ones(len(late), dtype=bool))
+        piece = self._close(self.start, self.first, slow[:, None])
+        return self._way([piece], piece[0][:, -1], slow, np.ones(len(slow), dtype=bool))
 
     def _kept(self, y: Array, slip: Any) -> Array:
-        """Coefficients of what is kept, from the components on nodes."""
         at = self.at
-        kept = [y[at + 2 : at + 4], y[at : at + 2], *([slip * y[:2], y[2:3]] if self.slides else []), y[at + 4 :]]
-        return product(np.concatenate(kept), matrices(y.shape[-1]).coefficients)
+        return np.concatenate([y[at + 2 : at + 4], y[at : at + 2], *([slip * y[:2], y[2:3]] if self.slides else [])])
 
     def _close(self, y: Array, slip: Array, ends: Flags) -> tuple[Array, Array]:
         """What is left of a slip or of a roll ends evenly; meanwhile all else that acts stays as it is.
 
-        y (c, m, 1): how long that lasts, (m,), and the piece.
+        y (c, m, 1): times, and what is kept there.
         """
         at, balls, slides = self.at, self.balls, (self.modes == SLIDE)[:, None]
         dq, slowing, across, twist = self.act(np.where(ends & slides, slip / 2, slip), y, True)
@@ -306,7 +294,7 @@ class Phase:
         both = np.tile(balls.least(np.where(ends, late, np.inf)[:, 0]), balls.each)[:, None]
         ends = ends & (late <= both)
         dq = np.where(ends & ~slides, -q / np.maximum(both, TINY), dq)
-        t = both * (1 + matrices(3).nodes) / 2
+        t = both * (CLOSING if self.paced else (1 + matrices(3).nodes) / 2)
         v, dv, kept = q, dq, [q + dq * t]
         if self.slides:
             u = slip * y[:2]
@@ -314,16 +302,14 @@ class Phase:
             du = np.where(ends & slides, -u / np.maximum(both, TINY), du)
             v, dv = v + 2 / 7 * u, dv + 2 / 7 * du
             kept += [u + du * t, y[2:3] + twist * t]
-        kept = [y[at + 2 : at + 4] + (v + dv / 2 * t) * t, *kept, y[at + 4 :] + t]
-        return both[:, 0], product(np.concatenate(kept), matrices(3).coefficients)
+        kept.insert(0, y[at + 2 : at + 4] + (v + dv / 2 * t) * t)
+        return (y[-1] if self.paced else 0.0) + t, np.concatenate(kept)
 
-    def _way(self, path: Path, lasts: Array, cut: Array, over: Flags, sound: Flags) -> Way:
+    def _way(self, pieces: Pieces, lasts: Array, over: Flags, sound: Flags) -> Way:
         balls, flies = self.balls, self.modes == FLY
-        power = 0 if not self.paced else 1 if self.straight or self.drills else 3
-        log = 0 * lasts if self.straight else self.log[:, 0]
-        fixed = balls.states, balls.bodies.radius, balls.model.gravity, path, self.slides, power, flies, log, cut
-        led = Led(0 * lasts, lasts, *fixed)
-        last = led.state(path.last(), lasts)
+        power = 0 if not self.paced else 1 if self.straight else 3
+        led = Led(0 * lasts, lasts, balls.states, balls.bodies.radius, balls.model.gravity, pieces, power, flies)
+        last = led.last()
         last[over & flies, 2] = balls.bodies.radius[over & flies]
         return Way(led, last, lasts, over, sound)
 

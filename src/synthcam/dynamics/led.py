@@ -1,31 +1,39 @@
-"""Motion without closed form, as it was solved: states and mean places at any times."""
+"""Motion without closed form, as it was solved: states at any times, mean places over exposures.
+
+Series in w, a root of the share of time left. The cube root, where a slip turns: towards the end it turns as ln w, of
+which only terms as small as w^6 ln w are left in the place. A mean is the difference of two sums over time, of which
+dt ~ w^2 dw makes series in w again.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 
-from synthcam.dynamics.collocation import Path, matrices, product, series
+from synthcam.dynamics.collocation import matrices, product, reread, series
 from synthcam.dynamics.forces import Flags, Ints
 from synthcam.dynamics.kinematics import Array, fly, plate_state
-from synthcam.dynamics.slide_series import CLOSING, Reading
 
+SIZES = 10, 16, 24, 40, 64  # nodes of a series; the first piece begins with the second
+TRUE = 3e-15  # m, of the last coefficients
+ROUNDING = 3e-16
+NARROW = 3e-4  # of a leg: over so little time a parabola says as much, and a difference of sums would be rounded
 SLIGHT = 1e-16  # m: coefficients of all balls that together are not worth their time
 GAUSS, WEIGHTS = np.polynomial.legendre.leggauss(4)  # exact for a parabola, 1e-15 m for a roll
+Pieces = Sequence[tuple[Array, Array]]
 
 
 @dataclass(frozen=True)
 class Led:
-    """Motion of m balls from the times `begins` on for `lasts`, s (m,), which may be negative, as series over z.
+    """Motion of m balls from the times `begins` on for `lasts`, s (m,), which may be negative.
 
-    path (c, m, n): x, y, qx, qy, and where a ball slides ux, uy, wz; last of all, where slips pace it, the time.
-    states (m, 9): at the beginning. flies: balls in the air. power: of the share of time left whose root is as smooth
-    as the path, 0 where it is the series of the time. log, cut (m,): by how much ln s falls up to z = 1 where it paces,
-    else 0, and the time at which it has.
+    pieces: times since `begins` (m, n), smooth images of n Chebyshev nodes, and there (c, m, n) x, y, qx, qy and, where
+    a ball slides, ux, uy, wz. states (m, 9): at the beginning. flies: balls in the air. power: of the root in w; 0
+    where the nodes are even in time.
     """
 
     begins: Array
@@ -33,118 +41,141 @@ class Led:
     states: Array
     radius: Array
     gravity: float
-    path: Path
-    slides: bool
+    pieces: Pieces
     power: int
     flies: Flags
-    log: Array
-    cut: Array
-
-    @classmethod
-    def even(cls, gravity: float, radius: Array, states: Array, lasts: Array, path: Array) -> Led:
-        """Of balls on the plate that roll or rest, on path (4, m, n) over `lasts`."""
-        fixed = Path(np.array([0.0, 1.0]), (path,)), False, 0, np.zeros(len(lasts), dtype=bool), 0 * lasts, lasts
-        return cls(0 * lasts, lasts, states, radius, gravity, *fixed)
 
     def __getitem__(self, rows: Ints) -> Led:
-        path = Path(self.path.ends, tuple(c[:, rows] for c in self.path.coefficients))
-        of = {f: getattr(self, f)[rows] for f in ("begins", "lasts", "states", "radius", "flies", "log", "cut")}
-        return replace(self, path=path, **of)
+        pieces = [(times[rows], y[:, rows]) for times, y in self.pieces]
+        of = {f: getattr(self, f)[rows] for f in ("begins", "lasts", "states", "radius", "flies")}
+        return replace(self, pieces=pieces, **of)
 
     def later(self, by: Array) -> Led:
         return replace(self, begins=self.begins + by)
 
-    def pieces(self) -> tuple[Array, list[Led]]:
-        """Each a series of its own where the time paces it; and the times between which they hold, (pieces + 1, m)."""
-        ends = self.path.ends if self.power == 0 and not self.flies.any() else np.array([0.0, 1.0])
-        knots, parts = self.begins + ends[:, None] * self.lasts, [self]
-        if len(ends) > 2:
-            whole, each = (
-                np.array([0.0, 1.0]),
-                zip(knots[:-1], np.diff(knots, axis=0), self.path.coefficients, strict=True),
-            )
-            parts = [replace(self, begins=t, lasts=d, path=Path(whole, (c,)), cut=d) for t, d, c in each]
-        return knots, parts
+    def apart(self) -> tuple[Array, list[Led]]:
+        """Each piece by itself where they are even in time; and the times (p + 1, m) between which they hold."""
+        if self.power or self.flies.any() or len(self.pieces) == 1:
+            return self.begins + np.array([0 * self.lasts, self.lasts]), [self]
+        knots = self.begins + np.array([0 * self.lasts, *(times[:, -1] for times, _ in self.pieces)])
+        each = zip(knots[:-1], np.diff(knots, axis=0), self.pieces, strict=True)
+        return knots, [replace(self, begins=t, lasts=d, pieces=[(p[0] - p[0][:, :1], p[1])]) for t, d, p in each]
 
     def at(self, times: Array) -> Array:
         """States (m, k, 9) at times (m, k) within it."""
         elapsed = times - self.begins[:, None]
-        return self.state(self.path(self._along(elapsed)), elapsed)
+        return self._states(self._read(self._series, elapsed), elapsed)
 
-    def state(self, y: Array, elapsed: Array) -> Array:
-        """The states of which y (c, m, ...) is kept."""
-        shape = (-1,) + (1,) * (elapsed.ndim - 1)
+    def last(self) -> Array:
+        """States (m, 9) at the end."""
+        return self._states(self.pieces[-1][1][..., -1:], self.lasts[:, None])[:, 0]
+
+    def _states(self, y: Array, elapsed: Array) -> Array:
         x, q = np.moveaxis(y[:2], 0, -1), np.moveaxis(y[2:4], 0, -1)
-        u, wz = (np.moveaxis(y[4:6], 0, -1), y[6]) if self.slides else (np.zeros(2), self.states[:, 8].reshape(shape))
-        out = plate_state(x, q, u, wz, self.radius.reshape(shape))
+        u, wz = (np.moveaxis(y[4:6], 0, -1), y[6]) if len(y) > 4 else (np.zeros(2), self.states[:, 8:])
+        out = plate_state(x, q, u, wz, self.radius[:, None])
         if self.flies.any():
-            which = self.flies
-            out[which] = fly(self.states[which], self.gravity, elapsed[which].reshape(which.sum(), -1)).reshape(
-                out[which].shape
-            )
-            out[which, ..., 0:2], out[which, ..., 3:5] = x[which], q[which]
+            aloft = fly(self.states[self.flies], self.gravity, elapsed[self.flies])
+            aloft[..., 0:2], aloft[..., 3:5] = x[self.flies], q[self.flies]
+            out[self.flies] = aloft
         return out
 
     def means(self, middle: Array, wide: Any) -> Array:
         """Centres (2, m, k) averaged over the times `wide`, a number or (m, k), about times (m, k)."""
         elapsed = middle - self.begins[:, None]
-        if self.power:
-            return self._reading.means(elapsed, wide)
-        if np.ndim(wide) == 0 and len(self.path.coefficients) == 1:
+        if self.power == 0 and np.ndim(wide) == 0 and len(self.pieces) == 1:
             return self._even_means(elapsed, wide)
-        return averaged(lambda times: self.path(self._along(times))[:2], elapsed, wide)
+        if self.power == 0:
+            return averaged(lambda times: self._read(self._places, times), elapsed, wide)
+        narrow = wide < NARROW * self.lasts[:, None] + 0 * middle
+        out = np.zeros((2, *middle.shape))
+        if not narrow.all():
+            a, b = (self._read(self._sums, elapsed + side * wide / 2) for side in (-1, 1))
+            out = (b - a) * (self.lasts[:, None] / np.where(narrow, 1.0, wide)) + self._base
+        if narrow.any():
+            a, b = (self._read(self._places, elapsed + side * wide / np.sqrt(12)) for side in (-1, 1))
+            out = np.where(narrow, (a + b) / 2, out)
+        return np.asarray(out)
 
     def _even_means(self, elapsed: Array, wide: float) -> Array:
         """The mean of f over x +- h is the sum of h^(2j)/(2j+1)! f^(2j)(x)."""
-        (c,) = self.path.coefficients
+        c = self._places[0]
         half = np.minimum(np.abs(wide / self.lasts), 1.0)[:, None]  # a longer one does not lie within
-        worth = np.flatnonzero(_sizes(c[:2]) > SLIGHT).max(initial=1)
-        term = mean = c[:2, :, : worth + 1]
+        worth = np.flatnonzero(_sizes(c) > SLIGHT).max(initial=1)
+        term = mean = c[:, :, : worth + 1]
         curvature = matrices(term.shape[-1]).curvature
         for j in range(1, (term.shape[-1] + 1) // 2):
             term = product(term, curvature) * (half * half / (2 * j * (2 * j + 1)))
             mean = mean + term
             if _sizes(term).max() < SLIGHT:
                 break
-        return series(mean, 2 * self._along(elapsed) - 1)
+        return series(mean, 2 * elapsed / self.lasts[:, None] - 1)
 
     @cached_property
-    def _reading(self) -> Reading:
-        pieces = [(y[-1], y[:2]) for _, y in self.path.nodes()]
-        if not self.log.any():
-            return Reading.of(pieces, self.power)
-        y = series(self.path.coefficients[-1], 2 * np.repeat(CLOSING[None], len(self.lasts), axis=0) - 1)
-        return Reading.of([*pieces[:-1], (y[-1], y[:2])], self.power)
+    def _knots(self) -> Array:
+        """w where pieces end, (p + 1, m), falling from 1 to 0."""
+        return np.array([1 + 0 * self.lasts, *(self._root(times[:, -1:])[:, 0] for times, _ in self.pieces)])
 
     @cached_property
-    def _timing(self) -> Path:
-        """The time since the beginning and its slope along the path, (2, m, n)."""
-        wide, pieces = np.diff(self.path.ends), [c[-1:] for c in self.path.coefficients]
-        slopes = [product(c, matrices(c.shape[-1]).slope) * (2 / w) for c, w in zip(pieces, wide, strict=True)]
-        return Path(self.path.ends, tuple(np.concatenate(both) for both in zip(pieces, slopes, strict=True)))
+    def _series(self) -> list[Array]:
+        return self._fitted(slice(None))
 
-    def _along(self, elapsed: Array) -> Array:
-        """Where on the path its own time is `elapsed`: Newton, kept in brackets."""
-        last = self.path.ends[-1]
-        if not self.power:
-            return elapsed * (last / self.lasts[:, None])
-        elapsed = np.clip(elapsed, 0.0, self.lasts[:, None])
-        low, high = np.zeros(elapsed.shape), np.full(elapsed.shape, last)
-        share, log = np.clip(elapsed / self.cut[:, None], 0.0, 1.0), self.log[:, None]
-        along = share
-        if np.any(log):  # exact for constant friction
-            along = np.where(log < 0, np.log1p(share * np.expm1(log)) / np.where(log < 0, log, 1.0), share)
-        tolerance = 1e-15 * np.abs(self.lasts)[:, None]
-        for _ in range(60):
-            time, slope = self._timing(along)
-            late = time > elapsed
-            low, high = np.where(late, low, along), np.where(late, along, high)
-            new = along - (time - elapsed) / np.where(slope > 0, slope, np.inf)
-            far = (new - along) ** 2 * slope > tolerance  # what this turn leaves
-            along = np.where(far & ((new < low) | (new > high)), (low + high) / 2, new)
-            if not far.any():
-                break
-        return np.asarray(along)
+    @cached_property
+    def _places(self) -> list[Array]:
+        return self._fitted(slice(0, 2))
+
+    def _fitted(self, part: slice) -> list[Array]:
+        """Of each piece the coefficients in w, in as many as it asks for."""
+        out: list[Array] = []
+        for (times, y), first, last in zip(self.pieces, self._knots[:-1], self._knots[1:], strict=True):
+            if self.power == 0:
+                out.append(product(y[part], matrices(y.shape[-1]).coefficients))
+                continue
+            here = 2 * (first[:, None] - self._root(times)) / (first - last)[:, None] - 1
+            limit = TRUE + ROUNDING * np.abs(y[part][:6]).max()
+            for size in SIZES[len(out) == 0 :]:
+                c = product(reread(y[part], here, size), matrices(size).coefficients)
+                if np.abs(c[:6, :, -2:]).max() < limit:
+                    break
+            out.append(c)
+        return out
+
+    @property
+    def _base(self) -> Array:
+        """The place half way, (2, m, 1): sums are the smaller for it."""
+        return np.asarray((self.pieces[0][1][:2, :, :1] + self.pieces[-1][1][:2, :, -1:]) / 2)
+
+    @cached_property
+    def _sums(self) -> list[Array]:
+        """Of each piece the coefficients of the place less the base, summed over the share of time."""
+        sofar, out = np.zeros_like(self._base), []
+        for c, first, last in zip(self._places, self._knots[:-1, :, None], self._knots[1:, :, None], strict=True):
+            size, wide = c.shape[-1], first - last
+            on = matrices(size + self.power)
+            w = first - wide / 2 * (1 + on.nodes)
+            place = product(c, on.values[:size]) - self._base
+            total = product(place * (self.power * w ** (self.power - 1) * wide / 2), on.integral) + sofar
+            out.append(product(total, on.coefficients))
+            sofar = total[..., -1:]
+        return out
+
+    def _read(self, coefficients: Sequence[Array], elapsed: Array) -> Array:
+        """The series, (c, m, k), at times (m, k); within the ends."""
+        w = self._root(elapsed)
+        out = np.empty((len(coefficients[0]), *w.shape))
+        for k, c in enumerate(coefficients):
+            a, b = self._knots[k, :, None], self._knots[k + 1, :, None]
+            here = (w < a) | (k == 0)
+            columns = np.flatnonzero(here.any(axis=0))
+            if len(columns):
+                part = slice(columns[0], columns[-1] + 1)
+                found = series(c, np.clip((a + b - 2 * w[:, part]) / (a - b), -1.0, 1.0))
+                np.copyto(out[..., part], found, where=here[:, part])
+        return out
+
+    def _root(self, elapsed: Array) -> Array:
+        left = 1 - np.clip(elapsed / self.lasts[:, None], 0.0, 1.0)
+        return np.asarray(np.cbrt(left) if self.power == 3 else left)
 
 
 def _sizes(coefficients: Array) -> Array:

@@ -130,7 +130,7 @@ class Bent:
     @classmethod
     def of(cls, who: Ints, led: Led, goal: float) -> list[Bent]:
         """On the way to the time `goal`, which some reach but for rounding."""
-        knots, parts = led.pieces()
+        knots, parts = led.apart()
         knots = arrived(knots, goal)
         return [cls(who, *np.sort(knots[k : k + 2], axis=0), part) for k, part in enumerate(parts)]
 

@@ -1,4 +1,4 @@
-"""Reading slides against integrals in closed form."""
+"""What was solved, read: against integrals in closed form."""
 
 import itertools
 
@@ -7,8 +7,8 @@ import pytest
 
 from synthcam.dynamics.collocation import matrices
 from synthcam.dynamics.forces import FINISH
-from synthcam.dynamics.integrate import BREAK
-from synthcam.dynamics.slide_series import CLOSING, Reading
+from synthcam.dynamics.integrate import BREAK, CLOSING
+from synthcam.dynamics.led import Led
 
 KNOTS = np.log(FINISH) * np.array([0.0, BREAK, 1.0])
 LASTS = np.array([0.04, 0.013])
@@ -26,14 +26,19 @@ def integral(t):
     return np.stack([0.02 * t + t**2 / 2 - t**3, -0.05 / 3 * left**3 * (log - 1 / 3)])
 
 
+def led(pieces, power):
+    nothing = np.zeros((2, 9))
+    return Led(np.zeros(2), LASTS, nothing, np.ones(2), 9.81, pieces, power, np.zeros(2, dtype=bool))
+
+
 def read(logarithmic):
     if logarithmic:
         nodes = [(a + b) / 2 + (b - a) / 2 * matrices(28).nodes for a, b in itertools.pairwise(KNOTS)]
         shares = [*(1 - np.exp(x) for x in nodes), 1 - FINISH * (1 - CLOSING)]
-        return Reading.of([(s * LASTS[:, None], place(s * LASTS[:, None])) for s in shares], 3)
+        return led([(s * LASTS[:, None], place(s * LASTS[:, None])) for s in shares], 3)
     z = matrices(20).nodes  # an uneven image of nodes
     times = LASTS[:, None] * (1 + z + 0.1 * (z * z - 1)) / 2
-    return Reading.of([(times, place(times)[:1].repeat(2, axis=0))], 1)
+    return led([(times, place(times)[:1].repeat(2, axis=0))], 1)
 
 
 @pytest.mark.parametrize("logarithmic", [True, False])
@@ -61,8 +66,8 @@ def test_a_path_with_a_sharp_bend_takes_more_nodes():
     z = matrices(64).nodes
     times = LASTS[:, None] * (1 + z) / 2
     bend = np.tanh(10 * (times / LASTS[:, None] - 0.5))
-    reading = Reading.of([(times, np.stack([bend, bend]) * 1e-5)], 1)
-    assert reading.places[0].shape[-1] == 64
+    reading = led([(times, np.stack([bend, bend]) * 1e-5)], 1)
+    assert reading._places[0].shape[-1] == 64
     instants = np.linspace(0, 1, 99) * LASTS[:, None]
     found = reading.means(instants, 0.0)[0]
     np.testing.assert_allclose(found, 1e-5 * np.tanh(10 * (instants / LASTS[:, None] - 0.5)), rtol=0, atol=1e-13)
