@@ -1,7 +1,7 @@
 """Thousands of two-ball collisions at once: the motion of `dynamics.solve`, vectorised over collisions.
 
 A collision here is one impact of a rolling ball on a ball at rest, and what follows: flights, slides, rolls. Where two
-balls would touch again, or push each other, that collision is handed to `solve`.
+balls would touch again, or one that stopped starts again, that collision is handed to `solve`.
 """
 
 from __future__ import annotations
@@ -13,33 +13,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from synthcam.dynamics import kinematics
 from synthcam.dynamics.contact_time import STAYING
 from synthcam.dynamics.creep import CLINGING, PUSHED_AWAY, approach, excess
-from synthcam.dynamics.forces import (
-    FLY,
-    NOWHERE,
-    REST,
-    ROLL,
-    ROLLING,
-    SLIDE,
-    SLIDING,
-    STILL,
-    Ints,
-    ending_slip,
-    modes_of,
-)
+from synthcam.dynamics.forces import FLY, LAWS, REST, ROLL, SLIDE, STILL, Balls, Ints, ending_slip, modes_of
 from synthcam.dynamics.hermite import between
 from synthcam.dynamics.impact import collide, land
-from synthcam.dynamics.integrate import Balls, Way, back, lead
-from synthcam.dynamics.kinematics import (
-    Array,
-    contact_velocity,
-    rolling_state,
-    rolling_velocity,
-    slide,
-    slide_time,
-    stop_time,
-)
+from synthcam.dynamics.integrate import Way, back, lead
+from synthcam.dynamics.kinematics import Array, contact_velocity, rolling_state, rolling_velocity
 from synthcam.dynamics.launch import Launch, touching
 from synthcam.dynamics.led import arrived
 from synthcam.dynamics.packed import Packed
@@ -234,7 +215,7 @@ class _Run:
         out.slide_ends = t_c.copy()
         self.rolled = np.zeros(len(t_c), dtype=bool)  # balls whose slide ended as they bounced
         self.mutual = model.laws.asks("push", "other")
-        self.bent = {SLIDE: model.laws.bent(*SLIDING), ROLL: model.laws.bent(*ROLLING), FLY: model.laws.bent("push")}
+        self.bent = {mode: model.laws.bent(*laws) for mode, laws in LAWS.items()}  # without closed form
         self.floor = np.full(len(t_c), np.inf)
 
     def before(self, target: Array, striker: Array) -> tuple[Array, Array]:
@@ -304,12 +285,10 @@ class _Run:
 
     def _settle(self, who: Ints, states: Array) -> None:
         """Of balls to which something happened: the slips at which they will no longer drill."""
+        n = len(states) // 2
         if self.model.laws.bent("drilling"):
-            n = len(states) // 2
-            other = (states[(who + n) % (2 * n)] - states[who])[:, None, :2] if self.mutual else NOWHERE
-            self.floor[who] = ending_slip(self.model, states[who], self.bodies[who], other)
-
-    # legs without closed form
+            other = [(states[(who + n) % (2 * n)] - states[who])[:, None, :2]] if self.mutual else []
+            self.floor[who] = ending_slip(self.model, states[who], self.bodies[who], *other)
 
     def _led(self, who: Ints, states: Array, now: Array) -> None:
         balls = Balls(self.model, self.bodies[who], states[who], self.floor[who])
@@ -333,16 +312,12 @@ class _Run:
     def _take(self, who: Ints, way: Way, states: Array, now: Array) -> None:
         """What a way led to."""
         self.out.segments += Bent.of(who, way.led.later(now[who]), self.out.end)
-        slid = way.over & (modes_of(states[who], self.bodies.radius[who]) == SLIDE)
-        flown = way.over & (modes_of(states[who], self.bodies.radius[who]) == FLY)
+        modes = modes_of(states[who], self.bodies.radius[who])
         states[who], now[who] = way.last, arrived(now[who] + way.lasts, self.out.end)
-        self.out.slide_ends[who[slid]] = now[who[slid]]
-        self.floor[who[slid]] = np.inf
-        ended = way.over & ~flown
-        if ended.any():
-            self._kink(who[ended], now[who[ended]])
-
-    # legs in closed form, where nothing bends them
+        slid, ended = who[way.over & (modes == SLIDE)], who[way.over & (modes != FLY)]
+        self.out.slide_ends[slid], self.floor[slid] = now[slid], np.inf
+        if len(ended):
+            self._kink(ended, now[ended])
 
     def _stay(self, who: Ints, states: Array, now: Array) -> None:
         self._rest(who, states[who], now, np.full(len(now), np.inf))
@@ -394,8 +369,8 @@ class _Run:
             return
         begins, from_, radius = now[who], states[who], self.bodies.radius[who]
         slowing = np.full(len(who), self.model.sliding_friction * self.model.gravity)
-        lasts = slide_time(from_, radius, slowing)
-        ends, last = begins + lasts, slide(from_, radius, slowing, lasts[:, None])[:, 0]
+        lasts = kinematics.slide_time(from_, radius, slowing)
+        ends, last = begins + lasts, kinematics.slide(from_, radius, slowing, lasts[:, None])[:, 0]
         self.out.segments.append(Sliding(who, begins, ends, from_, radius, slowing))
         states[who] = rolling_state(last[:, :2], rolling_velocity(last, radius), last[:, 8], radius)
         now[who] = ends
@@ -409,7 +384,9 @@ class _Run:
             for some in _alike(who, speed * (end - now[who])):
                 self._led(some, states, now)
             return
-        ends = np.minimum(end, now[who] + stop_time(speed, self.model.rolling_drag, self.model.rolling_decel))
+        ends = np.minimum(
+            end, now[who] + kinematics.stop_time(speed, self.model.rolling_drag, self.model.rolling_decel)
+        )
         states[who] = self._roll(who, states[who], now[who], ends, now[who])
         stopped = ends != end
         states[who[stopped], 3:8] = 0.0

@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 
 from synthcam.dynamics.collocation import matrices, product
-from synthcam.dynamics.forces import TINY, Flags, Forces, Ints, last_axis
-from synthcam.dynamics.integrate import SLOWEST, Balls, back
+from synthcam.dynamics.forces import SLOWEST, TINY, Balls, Flags, Forces, Ints, last_axis
+from synthcam.dynamics.integrate import back
 from synthcam.dynamics.kinematics import Array, rolling_state
 from synthcam.dynamics.led import Led
 from synthcam.model import Bodies, Model
@@ -56,8 +56,8 @@ def approach(
 
     A ball is let go where the pull on it overcomes what holds it, but when the other is AWAY at the earliest. Returns
     the states at the contact, of the first balls with the velocities that they then have; motions of units back from
-    there, for `lasted` (k,) or to when they were let go, whichever is longer; and when that was, (k,). Raises ValueError
-    if there is no such past.
+    there, for `lasted` (k,) or to when they were let go, whichever is longer; and when that was, (k,).
+    Raises ValueError if there is no such past.
     """
     k = len(lasted)
     hit, then, onset, pieces = touching.copy(), touching.copy(), np.zeros(k), list[tuple[Ints, Led]]()

@@ -10,6 +10,7 @@ begins, and is the same whether the ball is solved alone or with another.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -22,11 +23,12 @@ Ints = NDArray[np.intp]
 Flags = NDArray[np.bool_]
 REST, ROLL, SLIDE, FLY = range(4)
 STILL = 1e-12  # m/s: slower than this is rest, or rolling for a contact velocity
+SLOWEST = 1e-7  # m/s: a ball slower than this has stopped
 TOUCHING = 1e-12  # of a radius
 FINISH = 1e-5  # of the first slip: the rest of the slide, a microsecond, is taken as a uniform deceleration
 PROBE = 1e-9  # m/s: a slip at which it is seen how far a spin has friction fade
 SMALL = 0.1  # of c: so small a slip beside the drilling, friction being a tenth, is no longer a slide
-SLIDING, ROLLING = ("friction", "normal_load", "push", "drilling"), ("rolling", "push")  # laws
+LAWS = {SLIDE: ("friction", "normal_load", "push", "drilling"), ROLL: ("rolling", "push"), FLY: ("push",)}
 NOWHERE = np.full(2, np.inf)  # where the other ball is when there is none
 TINY = 1e-300
 
@@ -85,6 +87,56 @@ class Forces:
         """The push on them, (2, m, n)."""
         instant = self.known | dict(position=last_axis(place), velocity=last_axis(v), other=other)
         return np.asarray(self.model.laws("push", last_axis(np.zeros_like(v)), instant)).transpose(2, 0, 1)
+
+
+@dataclass(frozen=True)
+class Balls:
+    """Balls in states (m, 9), alone or, `each` = 2, two and two that push each other: all first ones, all second ones.
+
+    floor (m,): slips at which a spin no longer drills, infinite if it never does. A unit is one ball, or two.
+    """
+
+    model: Model
+    bodies: Bodies
+    states: Array
+    floor: Array
+    each: int = 1
+
+    @classmethod
+    def undrilled(cls, model: Model, bodies: Bodies, states: Array, each: int = 1) -> Balls:
+        return cls(model, bodies, states, np.full(len(states), np.inf), each)
+
+    def __len__(self) -> int:
+        return len(self.states) // self.each
+
+    @property
+    def slow(self) -> Flags:
+        """Which are about to stop."""
+        return np.asarray((self.modes == ROLL) & (np.hypot(self.states[:, 3], self.states[:, 4]) <= SLOWEST))
+
+    def rows(self, units: Ints) -> Ints:
+        return np.concatenate([units + k * len(self) for k in range(self.each)])
+
+    def __getitem__(self, units: Ints) -> Balls:
+        rows = self.rows(units)
+        return Balls(self.model, self.bodies[rows], self.states[rows], self.floor[rows], self.each)
+
+    @cached_property
+    def modes(self) -> Ints:
+        return modes_of(self.states, self.bodies.radius)
+
+    @cached_property
+    def partner(self) -> Ints:
+        """The other ball of each."""
+        return (np.arange(len(self.states)) + len(self)) % len(self.states)
+
+    def any(self, flags: Flags) -> Flags:
+        """Of each unit."""
+        return np.asarray(flags.reshape(self.each, -1).any(axis=0))
+
+    def least(self, values: Array) -> Array:
+        """Of each unit."""
+        return np.asarray(values.reshape(self.each, -1).min(axis=0))
 
 
 def ending_slip(model: Model, state: Array, bodies: Bodies, other: Any = NOWHERE) -> Array:

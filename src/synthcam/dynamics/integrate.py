@@ -1,6 +1,6 @@
 """Motion without closed form, of many balls at once: each alone, or two and two that push each other.
 
-A sliding ball is integrated in q = (5 v + 2 R w x z)/7 and the contact velocity u = s (cos th, sin th), v = q + (2/7) u:
+A sliding ball is led in q = (5 v + 2 R w x z)/7 and the contact velocity u = s (cos th, sin th), v = q + (2/7) u:
     q' = (5/7) p,   s' = -(7/2) mu N + p . u_hat = -A,   th' = (u_hat x p)/s,   x' = v
 with p the push, N the load over the mass, and cos th, sin th in place of th. Towards the end of the slide th' grows as
 1/s. So the slip of a ball whose slide is to end paces the integration, of both balls where they push each other: with
@@ -13,7 +13,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -22,75 +21,29 @@ from synthcam.dynamics.collocation import DEEPEST, SIZES, Parts, integrate, matr
 from synthcam.dynamics.forces import (
     FINISH,
     FLY,
+    LAWS,
     NOWHERE,
     ROLL,
     SLIDE,
-    SLIDING,
+    SLOWEST,
     STILL,
     TINY,
+    Balls,
     Flags,
     Forces,
     Ints,
     flight_time,
     last_axis,
-    modes_of,
 )
 from synthcam.dynamics.kinematics import Array, contact_velocity, rolling_velocity
 from synthcam.dynamics.led import Led, Pieces, arrived
-from synthcam.model import Bodies, Model
 
-SLOWEST = 1e-7  # m/s: a ball slower than this has stopped
 FASTEST = 1e3  # m/s: a ball that must have come faster did not come
 BREAK = 0.33  # of ln(|u|/|u0|) on the way to its last: where pieces meet
 CLOSING = 1 - ((1 - matrices(10).nodes) / 2) ** 3  # of the time of an even end: nodes in the cube root of what is left
 FEW = 28  # nodes of a logarithmic piece, first
 STRAIGHT = {"slip_speed", "slip", "gravity", "radius", "of_a"}  # laws that ask no more leave the slip's direction
 MOST = 1000  # pieces of a past
-
-
-@dataclass(frozen=True)
-class Balls:
-    """Balls in states (m, 9), alone or, `each` = 2, two and two that push each other: all first ones, all second ones.
-
-    floor (m,): slips at which a spin no longer drills, infinite if it never does. A unit is one ball, or two.
-    """
-
-    model: Model
-    bodies: Bodies
-    states: Array
-    floor: Array
-    each: int = 1
-
-    @classmethod
-    def undrilled(cls, model: Model, bodies: Bodies, states: Array, each: int = 1) -> Balls:
-        return cls(model, bodies, states, np.full(len(states), np.inf), each)
-
-    def __len__(self) -> int:
-        return len(self.states) // self.each
-
-    def rows(self, units: Ints) -> Ints:
-        return np.concatenate([units + k * len(self) for k in range(self.each)])
-
-    def __getitem__(self, units: Ints) -> Balls:
-        rows = self.rows(units)
-        return Balls(self.model, self.bodies[rows], self.states[rows], self.floor[rows], self.each)
-
-    @cached_property
-    def modes(self) -> Ints:
-        return modes_of(self.states, self.bodies.radius)
-
-    @cached_property
-    def partner(self) -> Ints:
-        """The other ball of each."""
-        return (np.arange(len(self.states)) + len(self)) % len(self.states)
-
-    def any(self, flags: Flags) -> Flags:
-        """Of each unit."""
-        return np.asarray(flags.reshape(self.each, -1).any(axis=0))
-
-    def least(self, values: Array) -> Array:
-        """Of each unit."""
-        return np.asarray(values.reshape(self.each, -1).min(axis=0))
 
 
 @dataclass(frozen=True)
@@ -147,7 +100,7 @@ class Phase:
     def feed(self) -> int | None:
         """How many of the parts of `right` it makes use of itself."""
         laws = self.balls.model.laws
-        asked = set().union(*(laws.asked(law) for law in (*SLIDING, "rolling")))
+        asked = set().union(*(laws.asked(law) for law in (*LAWS[SLIDE], "rolling")))
         if self.balls.each > 1 or "position" in asked:
             return None
         return max(self.pushes + self.drills + (self.pushes and "velocity" in asked), 1) if self.slides else 1
@@ -256,7 +209,11 @@ class Phase:
             knots = (0.0, BREAK, 1.0, 2.0)[: 4 if drilling else 3]
         few = FEW if len(knots) > 2 else SIZES[0]
         solved = integrate(self.right, knots, self.start[..., 0], self.guess(), few=few, feed=self.feed())
-        pieces, sound, falls = list[tuple[Array, Array]](), np.ones(len(self.modes), dtype=bool), np.inf
+        pieces, sound, falls = (
+            list[tuple[Array, Array]](),
+            np.ones(len(self.modes), dtype=bool),
+            np.full(len(self.modes), np.inf),
+        )
         for z, y in solved:
             slip, _ = self.slip(z, y)
             if self.free:
@@ -273,7 +230,7 @@ class Phase:
 
     def stop(self) -> Way:
         """The same where a ball, one of both, rolls so slowly that it is taken to stop evenly."""
-        slow = slow_rolls(self.balls)
+        slow = self.balls.slow
         piece = self._close(self.start, self.first, slow[:, None])
         return self._way([piece], piece[0][:, -1], slow, np.ones(len(slow), dtype=bool))
 
@@ -320,11 +277,6 @@ def _spread(values: Any, rows: Any, shape: tuple[int, ...]) -> Array:
     return out
 
 
-def slow_rolls(balls: Balls) -> Flags:
-    """Which balls are about to stop."""
-    return (balls.modes == ROLL) & (np.hypot(balls.states[:, 3], balls.states[:, 4]) <= SLOWEST)
-
-
 Ways = Iterator[tuple[Ints, Way]]
 
 
@@ -334,7 +286,7 @@ def lead(balls: Balls, goal: Array) -> Ways:
     It leads no further than to the first end of a slide, roll or flight of a unit. Yields units and their balls' ways.
     """
     k = len(balls)
-    spans, ender, stops = np.zeros(k), np.zeros(k, dtype=np.intp), balls.any(slow_rolls(balls))
+    spans, ender, stops = np.zeros(k), np.zeros(k, dtype=np.intp), balls.any(balls.slow)
     if balls.each > 1 or not np.all(balls.modes == SLIDE):
         spans, ender = _plan(balls, goal)
     for some in (stops, ~stops & (ender >= 0), ~stops & (ender < 0)):

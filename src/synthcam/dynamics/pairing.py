@@ -8,8 +8,8 @@ from collections.abc import Iterable
 import numpy as np
 
 from synthcam.dynamics.creep import PUSHED_AWAY, STARTS, approach, creep, excess, push_at_rest
-from synthcam.dynamics.forces import FLY, REST, ROLL, SLIDE, Ints, ending_slip, modes_of
-from synthcam.dynamics.integrate import SLOWEST, Balls, back, lead
+from synthcam.dynamics.forces import FLY, REST, ROLL, SLIDE, SLOWEST, Balls, Flags, Ints, ending_slip, modes_of
+from synthcam.dynamics.integrate import back, lead
 from synthcam.dynamics.kinematics import Array, State, made_rolling, resting
 from synthcam.dynamics.launch import Launch
 from synthcam.dynamics.led import Led
@@ -76,7 +76,7 @@ class Pairing:
         pieces = list(back(Balls.undrilled(self.model, self.bodies, rows, 2), np.zeros(1), -lasted))
         for _, led in pieces:
             states = led.at(led.begins[:, None] + led.lasts[:, None] * np.linspace(0, 1, LOOKS))
-            for k in np.flatnonzero(modes == REST):
+            for k in (k for k in (0, 1) if modes[k] == REST):
                 if np.any(self._excess(k, rows[k], states[1 - k]) > 0):
                     raise ValueError(HELD)
         if not pieces and any(self._excess(k, rows[k], rows[1 - k, None])[0] > 0 for k in (0, 1)):
@@ -109,7 +109,7 @@ class Pairing:
                 legs[k] = legs[k].spanning(t, math.inf)
         return legs, until, started
 
-    def _lead(self, rows: Array, modes: Ints, loose: list[int], goal: Array) -> tuple[Led, Array]:
+    def _lead(self, rows: Array, modes: Ints, loose: list[int], goal: Array) -> tuple[Led, Flags]:
         if len(loose) == 1 and modes[1 - loose[0]] == ROLL:
             order = np.array([loose[0], 1 - loose[0]])
             lasts = goal
@@ -120,13 +120,13 @@ class Pairing:
                         return led[order], np.zeros(2, dtype=bool)
                 lasts = lasts / 2
         for k in loose:  # what comes is no roll: a little speed will do
-            rows[k] = start_of(self.model, self.bodies[k : k + 1], k, rows[k], 0.0, rows[1 - k]).after[0]
+            rows[k] = nudged(self.model, self.bodies[k : k + 1], rows[k], rows[1 - k])
         ((_, way),) = lead(Balls(self.model, self.bodies, rows, self.floor, 2), goal)
         return way.led, way.over
 
     def _excess(self, k: int, row: Array, others: Array) -> Array:
         """By how much the push on ball k exceeds what holds it, with the other in any of the states (n, 9)."""
-        return excess(self.model, self.bodies[k : k + 1], row[None], others[:, :2].T[:, None])[0]
+        return np.asarray(excess(self.model, self.bodies[k : k + 1], row[None], others[:, :2].T[:, None])[0])
 
     def _loosened(self, k: int, row: Array, other: Leg, t: float, until: float) -> float:
         """When a ball at rest starts to roll, or infinity."""
@@ -150,7 +150,10 @@ def _opening(states: Array) -> float:
 def start_of(model: Model, body: Bodies, k: int, state: State, t: float, other: Array) -> Event:
     """Ball k at rest begins to roll, the other being at `other` (2 or more,): afterwards with a little speed."""
     still = resting(state, float(body.radius[0]))
+    return Event(t, "start", k, before=np.array([still]), after=np.array([nudged(model, body, still, other)]))
+
+
+def nudged(model: Model, body: Bodies, still: State | Array, other: Array) -> State:
     push = push_at_rest(model, body, np.array([still]), other[:2, None, None])[:, 0, 0]
     nudge = 2 * SLOWEST * push / np.hypot(*push)
-    after = made_rolling((*still[:3], *nudge.tolist(), *still[5:]), still[2])
-    return Event(t, "start", k, before=np.array([still]), after=np.array([after]))
+    return made_rolling((*still[:3], *nudge.tolist(), *still[5:]), still[2])

@@ -132,7 +132,8 @@ class Bent:
         """On the way to the time `goal`, which some reach but for rounding."""
         knots, parts = led.apart()
         knots = arrived(knots, goal)
-        return [cls(who, *np.sort(knots[k : k + 2], axis=0), part) for k, part in enumerate(parts)]
+        spans = zip(np.minimum(knots[:-1], knots[1:]), np.maximum(knots[:-1], knots[1:]), parts, strict=True)
+        return [cls(who, *span) for span in spans]
 
     @property
     def aloft(self) -> bool:

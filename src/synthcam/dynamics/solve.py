@@ -9,9 +9,9 @@ import numpy as np
 
 from synthcam.dynamics.contact_time import LINGERING, STAYING, first_contact
 from synthcam.dynamics.creep import CLINGING, excess
-from synthcam.dynamics.forces import NOWHERE, ROLL, ROLLING, SLIDING, STILL, TOUCHING, ending_slip, modes_of
+from synthcam.dynamics.forces import LAWS, NOWHERE, ROLL, SLIDE, STILL, TOUCHING, Balls, ending_slip, modes_of
 from synthcam.dynamics.impact import LOWEST, land, strike
-from synthcam.dynamics.integrate import FASTEST, Balls, back, lead
+from synthcam.dynamics.integrate import FASTEST, back, lead
 from synthcam.dynamics.kinematics import Array, State, made_rolling, resting, slip, stop_time
 from synthcam.dynamics.launch import Launch
 from synthcam.dynamics.pairing import AHEAD, HELD, Pairing, leg_of, start_of
@@ -58,7 +58,7 @@ class _Run:
         self.events: list[Event] = []
         self.rolled: set[int] = set()  # balls whose slide ended as they bounced: what slips in a flight is no slide
         laws = model.laws
-        self.slides, self.rolls = laws.bent(*SLIDING), laws.bent(*ROLLING)  # without closed form
+        self.slides, self.rolls = laws.bent(*LAWS[SLIDE]), laws.bent(*LAWS[ROLL])  # without closed form
         self.pushes, self.drills = laws.bent("push"), laws.bent("drilling")
         mutual = laws.asks("push", "other") and len(launch.states) == 2
         self.pairing = Pairing(model, launch.bodies, start, end) if mutual else None

@@ -5,8 +5,8 @@ import pytest
 from everything import BENT, TIGHT, R, roll_by_hand, slide_by_hand
 from scipy.integrate import solve_ivp
 
-from synthcam.dynamics.forces import ending_slip
-from synthcam.dynamics.integrate import Balls, back, lead
+from synthcam.dynamics.forces import Balls, ending_slip
+from synthcam.dynamics.integrate import back, lead
 from synthcam.dynamics.kinematics import contact_velocity, roll, rolling_state, rolling_velocity, slide
 from synthcam.effects.plate_tilt import PlateTilt
 from synthcam.model import Model

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from everything import BENT, R
 
-from synthcam.dynamics.integrate import Balls, lead
+from synthcam.dynamics.forces import Balls
+from synthcam.dynamics.integrate import lead
 from synthcam.dynamics.kinematics import contact_velocity, rolling_state
 from synthcam.dynamics.launch import Launch
 from synthcam.dynamics.led import averaged
