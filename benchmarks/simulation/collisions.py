@@ -36,7 +36,7 @@ from synthcam.model import Model
 END, FPS, FRAMES, EXPOSURE = 0.4, 250.0, 100, 5e-4  # s, 1/s, frames, s
 AWAY = 0.1  # s before the contact, nearly
 ONE, BASE, EFFECT = 10, 300, 50  # times pooltool: the goals
-PAIRS = "together, magnetic_attraction"  # solved pair by pair: no goal
+PAIRS = "together, magnetic_attraction"  # two balls to a problem: no goal
 Work = Callable[[], Any]
 
 
