@@ -127,8 +127,7 @@ def collisions(model: Model, launches: Array, start: float, end: float, striker_
 
     striker_is_a: (n,) or one for all: was the experimenter's ball a launched? Raises ValueError as `solve` does.
     """
-    count = len(launches)
-    is_a = np.broadcast_to(np.asarray(striker_is_a, dtype=bool), (count,))
+    is_a = np.broadcast_to(np.asarray(striker_is_a, dtype=bool), len(launches))
     one = model.bodies(["b" if a else "a" for a in is_a])
     two = model.bodies(["a" if a else "b" for a in is_a])
     both = Bodies(*(np.concatenate([getattr(one, f), getattr(two, f)]) for f in ("radius", "mass", "of_a")))
@@ -141,9 +140,8 @@ def collisions(model: Model, launches: Array, start: float, end: float, striker_
     if run.mutual and np.any(soft := hit.impulse_n < CLINGING * one.mass):
         raise ValueError("balls 0 and 1 " + STAYING.format(t_c[soft][0]))
     run.after(np.concatenate([hit.target, hit.striker]), hit.n[:, :2])
-    out = run.out
-    odd = sorted({*_met_again(out, both).tolist(), *out.odd})
-    return _by_solve(model, launches, is_a, out, np.array(odd, dtype=np.intp))
+    odd = sorted({*_met_again(run.out, both).tolist(), *run.out.odd})
+    return _by_solve(model, launches, is_a, run.out, np.array(odd, dtype=np.intp))
 
 
 def _met_again(out: Batch, both: Bodies) -> Ints:

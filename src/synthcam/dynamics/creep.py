@@ -136,7 +136,7 @@ def creep(
             moved = np.abs(place - old).max(axis=(0, 2)).reshape(2, k).max(axis=0) / np.abs(long[:, 0])
             last, change = change, moved
             to_come = change * np.minimum(change / np.maximum(last, TINY), 1.0)
-            if turn > 0 and np.all(to_come < SETTLED):
+            if turn > 0 and not np.any((to_come >= SETTLED) & (to_come < np.inf)):
                 break
     found = product(np.concatenate([place, v]), on.coefficients)
     rough = np.maximum(_most(found[:2, :, -2:]) / TRUE, _most(found[2:, :, -2:]) / STEADY).reshape(2, k).max(axis=0)

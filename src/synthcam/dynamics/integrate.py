@@ -41,6 +41,7 @@ from synthcam.dynamics.led import Led, Pieces, arrived
 FASTEST = 1e3  # m/s: a ball that must have come faster did not come
 BREAK = 0.33  # of ln(|u|/|u0|) on the way to its last: where pieces meet
 CLOSING = 1 - ((1 - matrices(10).nodes) / 2) ** 3  # of the time of an even end: nodes in the cube root of what is left
+ROOM = 3.0  # of the distance of two balls: by so much a piece may let it grow
 FEW = 28  # nodes of a logarithmic piece, first
 STRAIGHT = {"slip_speed", "slip", "gravity", "radius", "of_a"}  # laws that ask no more leave the slip's direction
 MOST = 1000  # pieces of a past
@@ -306,6 +307,12 @@ def _plan(balls: Balls, goal: Array) -> tuple[Array, Ints]:
     lasts = np.where(modes == SLIDE, left / np.maximum((slowing + 0 * phase.first)[:, 0], TINY), np.inf)
     ender, ends = np.argmin(lasts.reshape(balls.each, -1), axis=0), balls.least(lasts)
     limit = np.minimum(half, np.abs(goal))
+    if balls.each > 1:  # through one another is no way
+        apart = np.diff(balls.states[:, :5].reshape(2, -1, 5), axis=0)[0]
+        far, speed = np.hypot(apart[:, 0], apart[:, 1]), np.hypot(apart[:, 3], apart[:, 4])
+        close = 0.85 * balls.bodies.radius.reshape(2, -1).sum(axis=0) / far
+        nears = (apart[:, 0] * apart[:, 3] + apart[:, 1] * apart[:, 4]) * goal < 0
+        limit = np.minimum(limit, np.where(nears, np.maximum(1 - close, 0.15), ROOM) * far / np.maximum(speed, TINY))
     spans = np.where(ends > 1.25 * limit, limit, np.minimum(ends, limit) / 2)
     return np.copysign(spans, goal), np.where(ends < 0.8 * half, ender, -1)
 

@@ -112,7 +112,8 @@ class Pairing:
     def _lead(self, rows: Array, modes: Ints, loose: list[int], goal: Array) -> tuple[Led, Flags]:
         if len(loose) == 1 and modes[1 - loose[0]] == ROLL:
             order = np.array([loose[0], 1 - loose[0]])
-            lasts = goal
+            far = np.hypot(*(rows[1] - rows[0])[:2]) - self.bodies.radius.sum() * (_opening(rows) < 0)
+            lasts = np.minimum(goal, 0.3 * far / np.hypot(*rows[order[1], 3:5]))
             for _ in range(40):
                 for size in STARTS:
                     led, good = creep(self.model, self.bodies[order], rows[order], lasts, 0, np.zeros(1, bool), size)
