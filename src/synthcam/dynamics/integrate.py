@@ -42,6 +42,7 @@ FASTEST = 1e3  # m/s: a ball that must have come faster did not come
 BREAK = 0.33  # of ln(|u|/|u0|) on the way to its last: where pieces meet
 CLOSING = 1 - ((1 - matrices(10).nodes) / 2) ** 3  # of the time of an even end: nodes in the cube root of what is left
 ROOM = 3.0  # of the distance of two balls: by so much a piece may let it grow
+NEAR = 1e-9  # of the slip at which a spin no longer drills
 FEW = 28  # nodes of a logarithmic piece, first
 STRAIGHT = {"slip_speed", "slip", "gravity", "radius", "of_a"}  # laws that ask no more leave the slip's direction
 MOST = 1000  # pieces of a past
@@ -88,8 +89,14 @@ class Phase:
         self.first = np.hypot(u[0], u[1])
         self.hat = u / np.maximum(self.first, TINY)
         floor = balls.floor[:, None]
-        self.spins = np.where(self.first > floor, 1.0, 0.0) if self.drills else 1.0
-        self.cut = np.where(self.first > floor, floor, FINISH * self.first)
+        drilling = self.first > floor * (1 + NEAR)
+        self.spins = np.where(drilling, 1.0, 0.0) if self.drills else 1.0
+        self.least = np.where(drilling, floor * (1 - NEAR), 0.0)  # to which a slip may fall while another paces
+        self.cut = np.where(drilling, floor, FINISH * self.first)
+        self.late = bool(
+            np.any(self.ends & drilling)
+        )  # a slide goes on when it no longer drills: of two, in a new phase
+        self.closes = self.paced and not self.straight and not (self.late and balls.each > 1)
         self.log = np.log(np.where(self.ends, self.cut / np.maximum(self.first, TINY), 1.0))
         q = rolling_velocity(states, balls.bodies.radius) if self.slides else states[:, 3:5]
         q = np.where((self.modes == SLIDE)[:, None], q, states[:, 3:5])
@@ -206,8 +213,7 @@ class Phase:
         """Raises ValueError when a slide does not end, and where a law is not smooth."""
         knots: tuple[float, ...] = (0.0, 1.0)
         if self.paced and not self.straight:
-            drilling = self.drills and np.any(self.ends & (self.first > self.balls.floor[:, None]))
-            knots = (0.0, BREAK, 1.0, 2.0)[: 4 if drilling else 3]
+            knots = (0.0, BREAK, 1.0, 2.0)[: 4 if self.late and self.closes else 3]
         few = FEW if len(knots) > 2 else SIZES[0]
         solved = integrate(self.right, knots, self.start[..., 0], self.guess(), few=few, feed=self.feed())
         pieces, sound, falls = (
@@ -218,16 +224,17 @@ class Phase:
         for z, y in solved:
             slip, _ = self.slip(z, y)
             if self.free:
-                sound &= (self.modes != SLIDE) | self.ends[:, 0] | (y[3] > 0).all(axis=1)
+                sound &= (self.modes != SLIDE) | self.ends[:, 0] | (y[3] > self.least).all(axis=1)
             pieces.append((y[-1] if self.paced else self.spans * z, self._kept(y, slip)))
-        if self.paced and not self.straight:
+        if self.closes:
             pieces.append(self._close(y[..., -1:], slip[:, -1:], self.ends))
         lasts = pieces[-1][0][:, -1] if self.paced else self.spans[:, 0]
         if FLY in self.rows:
             falls = np.where(
                 self.modes == FLY, flight_time(self.balls.model, self.balls.states, self.balls.bodies), falls
             )
-        return self._way(pieces, lasts, self.ends[:, 0] | (lasts == falls), sound & (lasts <= falls))
+        over = (lasts == falls) | (self.ends[:, 0] if self.closes or self.straight else False)
+        return self._way(pieces, lasts, over, sound & (lasts <= falls))
 
     def stop(self) -> Way:
         """The same where a ball, one of both, rolls so slowly that it is taken to stop evenly."""
@@ -265,7 +272,7 @@ class Phase:
 
     def _way(self, pieces: Pieces, lasts: Array, over: Flags, sound: Flags) -> Way:
         balls, flies = self.balls, self.modes == FLY
-        power = 0 if not self.paced else 1 if self.straight else 3
+        power = 0 if not self.paced else 3 if self.closes else 1
         led = Led(0 * lasts, lasts, balls.states, balls.bodies.radius, balls.model.gravity, pieces, power, flies)
         last = led.last()
         last[over & flies, 2] = balls.bodies.radius[over & flies]
@@ -287,23 +294,24 @@ def lead(balls: Balls, goal: Array) -> Ways:
     It leads no further than to the first end of a slide, roll or flight of a unit. Yields units and their balls' ways.
     """
     k = len(balls)
-    spans, ender, stops = np.zeros(k), np.zeros(k, dtype=np.intp), balls.any(balls.slow)
+    spans, ender, drills, stops = np.zeros(k), np.zeros(k, dtype=np.intp), np.zeros(k, bool), balls.any(balls.slow)
     if balls.each > 1 or not np.all(balls.modes == SLIDE):
-        spans, ender = _plan(balls, goal)
-    for some in (stops, ~stops & (ender >= 0), ~stops & (ender < 0)):
+        spans, ender, drills = _plan(balls, goal)
+    for some in (stops, ~stops & (ender >= 0) & drills, ~stops & (ender >= 0) & ~drills, ~stops & (ender < 0)):
         if some.any():
             yield from _ways(balls, np.flatnonzero(some), spans, ender, bool(np.any(stops & some)))
 
 
-def _plan(balls: Balls, goal: Array) -> tuple[Array, Ints]:
-    """How long the next pieces may be, (k,), and which ball's slide ends one, or -1."""
+def _plan(balls: Balls, goal: Array) -> tuple[Array, Ints, Flags]:
+    """How long the next pieces may be, (k,); which ball's slide ends one, or -1; whether that drills."""
     phase = Phase(balls, goal, np.full(len(balls), -1))
     dq, slowing, *_ = phase.act(phase.first, phase.start)
     v, modes, first = balls.states[:, 3:5].T, balls.modes, phase.first[:, 0]
     half = np.hypot(v[0], v[1]) / np.maximum(2 * np.hypot(dq[0], dq[1])[:, 0], TINY)
     falls = flight_time(balls.model, balls.states, balls.bodies)
     half = balls.least(np.where(modes == ROLL, half, np.where(modes == FLY, falls, np.inf)))
-    left = first - np.where(first > balls.floor, balls.floor, 0.0)
+    drills = first > balls.floor * (1 + NEAR)
+    left = first - np.where(drills, balls.floor, 0.0)
     lasts = np.where(modes == SLIDE, left / np.maximum((slowing + 0 * phase.first)[:, 0], TINY), np.inf)
     ender, ends = np.argmin(lasts.reshape(balls.each, -1), axis=0), balls.least(lasts)
     limit = np.minimum(half, np.abs(goal))
@@ -314,7 +322,8 @@ def _plan(balls: Balls, goal: Array) -> tuple[Array, Ints]:
         nears = (apart[:, 0] * apart[:, 3] + apart[:, 1] * apart[:, 4]) * goal < 0
         limit = np.minimum(limit, np.where(nears, np.maximum(1 - close, 0.15), ROOM) * far / np.maximum(speed, TINY))
     spans = np.where(ends > 1.25 * limit, limit, np.minimum(ends, limit) / 2)
-    return np.copysign(spans, goal), np.where(ends < 0.8 * half, ender, -1)
+    drills = drills.reshape(balls.each, -1)[ender, np.arange(len(balls))]
+    return np.copysign(spans, goal), np.where(ends < 0.8 * half, ender, -1), drills
 
 
 def _ways(balls: Balls, units: Ints, spans: Array, ender: Ints, stops: bool, depth: int = DEEPEST) -> Ways:
