@@ -331,3 +331,17 @@ def test_strong_pulls_and_other_effects_in_the_batch():
     for k, (x, y, t_c, v0, heading, b) in enumerate(rows):
         motion = solve(model, Launch.pair(model.bodies("ba"), t_c, v0, b, heading, (x, y)), 0.0, 0.4)
         np.testing.assert_allclose(found[:, k, :, :3], motion.at(times)[..., :3], rtol=0, atol=2e-12)
+
+
+@pytest.mark.parametrize("more", [0.0, 1e-7, 2e-5, -3e-4])
+def test_two_drilling_slides_that_end_all_but_together(more):
+    """Each drills until its own slip is small, whatever the other does: no jump where a pull is added."""
+    model = Model().replace({"drilling_spin.a": 2e-5})
+    states = rolling_state(np.array([[0, 0], [0.01, 0]]), np.array([[-0.1, 0.02], [0.1, -0.02]]), 80.0, np.full(2, R))
+    states[:, 7] += [90.0, -90.0 * (1 + more)]
+
+    def run(pull):
+        pulled = model.replace({"magnetic_attraction.pull": pull})
+        return solve(pulled, Launch(0.0, states, model.bodies("ab")), 0.0, 0.3).at(np.linspace(0, 0.3, 61))[..., :2]
+
+    np.testing.assert_allclose(run(1e-9), run(0.0), rtol=0, atol=3e-11)
