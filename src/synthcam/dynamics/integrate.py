@@ -93,9 +93,7 @@ class Phase:
         self.spins = np.where(drilling, 1.0, 0.0) if self.drills else 1.0
         self.least = np.where(drilling, floor * (1 - NEAR), 0.0)  # to which a slip may fall while another paces
         self.cut = np.where(drilling, floor, FINISH * self.first)
-        self.late = bool(
-            np.any(self.ends & drilling)
-        )  # a slide goes on when it no longer drills: of two, in a new phase
+        self.late = bool(np.any(self.ends & drilling))  # slides go on when they no longer drill; pairs in a new phase
         self.closes = self.paced and not self.straight and not (self.late and balls.each > 1)
         self.log = np.log(np.where(self.ends, self.cut / np.maximum(self.first, TINY), 1.0))
         q = rolling_velocity(states, balls.bodies.radius) if self.slides else states[:, 3:5]
