@@ -17,7 +17,7 @@ from tracker import results
 from tracker.camera.camera import Camera, InputError
 from tracker.camera.frames import Clip, open_frames, open_source, recorded
 from tracker.camera.memory import FILM, frames_in_memory
-from tracker.detection.detect import DEFAULT, settled, view_of
+from tracker.detection.detect import DEFAULT, point_of, settled, view_of
 from tracker.detection.detect import detector as detector_named
 from tracker.detection.diagnose import why_nothing
 from tracker.detection.link import Tracks, link
@@ -30,6 +30,7 @@ if TYPE_CHECKING:
 GivenCamera = Camera | Mapping[str, Any] | str | Path
 Film = NDArray[Any] | Iterable[NDArray[Any]] | str | Path
 UNSIZED = "ball_diameter: not given; collisions are not measured, and glints are not taken to centres"
+NOTHING_MOVES = "nothing round moves on a still background"
 TRACKS = "tracks"  # what messages call a table in memory
 SAID = {"v0": "m/s", "b": "", "r": "", "mu_k": "", "C": ""}  # in a repr, with units
 UNITS = {"m/s": "v0 v1f v2f", "s": "t_c tau1 tau2", "rad": "final_angle", "1/s": "drag", "m/s^2": "decel"} | {
@@ -283,9 +284,12 @@ def measured(tracks: Tracks, camera: Camera, number: int, point: str) -> Result:
 
 def track_clip(clip: Clip, name: str = DEFAULT) -> tuple[Tracks, Camera, str]:
     """Tracks of one clip, its camera completed from the clip, and why there is nothing, or ''."""
-    view = view_of(clip)
+    view = view_of(clip, name)
     glints, view = settled(clip, view, name)
-    return link(glints, view.camera), view.camera, why_nothing(clip.frames, view, glints)
+    tracks = link(glints, view.camera, point_of(name))
+    if point_of(name) == "centre":
+        return tracks, view.camera, "" if len(glints) else NOTHING_MOVES
+    return tracks, view.camera, why_nothing(clip.frames, view, glints)
 
 
 def measure_clip(tracks: Tracks, camera: Camera) -> tuple[list[dict[str, Any]], pd.DataFrame]:

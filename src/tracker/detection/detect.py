@@ -57,12 +57,18 @@ def detector(name: str) -> Callable[[View], Detector]:
     return known[name]
 
 
-def view_of(clip: Clip) -> View:
-    """Plate and noise of a clip, and from them what its camera file leaves open."""
+def view_of(clip: Clip, name: str = DEFAULT) -> View:
+    """Plate and noise of a clip, and, for a detector of glints, from them what its camera file leaves open."""
     plate = ground(clip.frames)
     if plate.level.shape != clip.frames.shape[1:]:
         raise InputError(f"clip {clip.number}: frames of unequal sizes")
-    return View(completed(clip.camera, plate, clip.frames), plate)
+    camera = completed(clip.camera, plate, clip.frames) if point_of(name) == "glint" else clip.camera
+    return View(camera, plate, clip.frames)
+
+
+def point_of(name: str) -> str:
+    """What a detector finds: the "glint", or the "centre" of a ball's outline."""
+    return str(getattr(detector(name), "point", "glint"))
 
 
 def detect(clip: Clip, view: View, name: str = DEFAULT) -> Glints:

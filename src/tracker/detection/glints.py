@@ -74,10 +74,11 @@ class Glints:
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """What a detector knows of a clip: the camera, nothing missing in it, and the plate without balls."""
+    """What a detector knows of a clip: the camera, nothing missing in it, the plate without balls, and the frames."""
 
     camera: Camera
     plate: Ground
+    frames: Sequence[Any] = ()
 
     @property
     def sigma(self) -> float:

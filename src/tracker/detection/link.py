@@ -24,7 +24,7 @@ SHORT = 3  # tracks of fewer frames need the brightness of a ball
 FAINT = 0.25  # of the brightest track's flux: balls are alike and under one lamp
 BOUNCE = 0.9  # normal restitution assumed in an expectation
 FASTEST = 1.0  # m/s, for a ball seen once
-DEFAULT_REACH = 30.0  # px, the same where no camera file ties pixels to metres
+DEFAULT_REACH = 30.0  # px, the same where no camera file ties pixels to metres; or twice the diameter
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,15 +75,22 @@ class _Ball:
     bounced: bool = False
 
 
-def link(glints: Glints, camera: Camera) -> Tracks:
-    """Tracks of one clip's glints, refused ones left out, glints taken to ball centres where the camera allows."""
-    ids = assign(glints, camera)
+def link(glints: Glints, camera: Camera, point: str = "glint") -> Tracks:
+    """Tracks of one clip's glints, refused ones left out, glints taken to ball centres where the camera allows.
+
+    point: "centre" where what was found are centres of outlines already, their flux the area, px^2.
+    """
+    diameter = 2 * float(np.sqrt(np.median(glints.flux) / np.pi)) if point == "centre" and len(glints) else None
+    ids = assign(glints, camera, diameter)
     kept = np.flatnonzero(ids >= 0)
     order = kept[np.lexsort((glints.frame[kept], ids[kept]))]
     chosen, particle = glints.take(order), ids[order]
     seen = chosen.xy
-    centre, jacobian = camera.centre_of_glint(seen)
-    words = flag_words(chosen.flags, () if camera.corrects_glint else ("glint",))
+    if point == "centre":
+        centre, jacobian, words = seen, np.broadcast_to(np.eye(2), chosen.cov.shape), flag_words(chosen.flags)
+    else:
+        centre, jacobian = camera.centre_of_glint(seen)
+        words = flag_words(chosen.flags, () if camera.corrects_glint else ("glint",))
     return Tracks(
         frame=chosen.frame,
         particle=particle,
@@ -98,12 +105,15 @@ def link(glints: Glints, camera: Camera) -> Tracks:
     )
 
 
-def assign(glints: Glints, camera: Camera) -> Ints:
-    """Particle of each glint (n,), -1 for those refused; particles numbered by first appearance, then position."""
+def assign(glints: Glints, camera: Camera, diameter: float | None = None) -> Ints:
+    """Particle of each glint (n,), -1 for those refused; particles numbered by first appearance, then position.
+
+    diameter: of the balls as seen, px, in place of the camera's.
+    """
     ids = np.full(len(glints), -1, dtype=np.int64)
     if len(glints) == 0:
         return ids
-    balls = _follow(glints, camera)
+    balls = _follow(glints, camera, diameter or camera.diameter_px)
     for number, ball in enumerate(_trusted(balls, glints)):
         ids[ball.rows] = number
     return ids
@@ -132,8 +142,7 @@ def velocities(frame: Ints, ids: Ints, xy: Array) -> Array:
     return out
 
 
-def _follow(glints: Glints, camera: Camera) -> list[_Ball]:
-    diameter = camera.diameter_px
+def _follow(glints: Glints, camera: Camera, diameter: float) -> list[_Ball]:
     reach = FASTEST / camera.fps / camera.scale if camera.metric else DEFAULT_REACH
     reach = max(reach, 2.0 * diameter)
     order = np.argsort(glints.frame, kind="stable")
