@@ -349,5 +349,5 @@ def test_outsiders_come_by_entry_point(monkeypatch):
 
     monkeypatch.setattr(detect_module, "entry_points", lambda group: [Point()] if group == "tracker.detectors" else [])
     assert "outsider" in detectors()
-    with pytest.raises(InputError, match="expected one of centroid, discs, maximum_likelihood, .*outsider"):
+    with pytest.raises(InputError, match=r"expected one of centroid, discs, maximum_likelihood, .*outsider"):
         detect_module.detector("nobody")
