@@ -314,26 +314,28 @@ def _picture(path: Path) -> Any:
 
 
 def _video(path: Path) -> tuple[Frames, str]:
-    reader, note = _reader(path)
-    ok, first = reader.read()
-    if not ok or first is None:
-        raise InputError(f"{path}: no frame can be decoded, expected a video that FFmpeg reads")
-    count = 1  # containers' own counts are guesses: count what can be decoded
-    while reader.grab():
-        count += 1
-    reader.release()
+    with _quiet():
+        reader, note = _reader(path)
+        ok, first = reader.read()
+        if not ok or first is None:
+            raise InputError(f"{path}: no frame can be decoded, expected a video that FFmpeg reads")
+        count = 1  # containers' own counts are guesses: count what can be decoded
+        while reader.grab():
+            count += 1
+        reader.release()
     plane = first.shape[:2] if first.shape[2:] == (1,) else first.shape
     state: dict[str, Any] = {"next": -1}
 
     def fetch(k: int) -> Any:
-        if state["next"] < 0 or k < state["next"]:
-            state["reader"], _ = _reader(path)
-            state["next"] = 0
-        while state["next"] < k:
-            state["reader"].grab()
+        with _quiet():
+            if state["next"] < 0 or k < state["next"]:
+                state["reader"], _ = _reader(path)
+                state["next"] = 0
+            while state["next"] < k:
+                state["reader"].grab()
+                state["next"] += 1
+            ok, frame = state["reader"].read()
             state["next"] += 1
-        ok, frame = state["reader"].read()
-        state["next"] += 1
         if not ok:
             raise InputError(f"{path}: frame {k} of {count} cannot be decoded")
         frame = frame.reshape(plane)
@@ -345,18 +347,23 @@ def _video(path: Path) -> tuple[Frames, str]:
 
 def _reader(path: Path) -> tuple[cv2.VideoCapture, str]:
     """A video from its start, and a note of what is lost: grey as it is stored, all else as 8 bits of colour."""
-    logs = cv2.utils.logging
-    level = logs.setLogLevel(logs.LOG_LEVEL_ERROR)  # it warns of what is done here on purpose
+    raw = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG, [cv2.CAP_PROP_CONVERT_RGB, 0])
+    code = int(raw.get(cv2.CAP_PROP_CODEC_PIXEL_FORMAT)) & 0xFFFFFFFF
+    kind = code.to_bytes(4, "little")
+    if kind in GREY:
+        return raw, ""
+    deep = kind[:1] == b"Y" and 8 < kind[3] <= 16  # FFmpeg's codes end with the depth
+    return cv2.VideoCapture(str(path)), f"{kind[3]} bits of colour read as 8" if deep else ""
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """OpenCV says nothing: it warns, at each frame, of grey planes taken as they are, which is done on purpose."""
+    level = cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_ERROR)
     try:
-        raw = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG, [cv2.CAP_PROP_CONVERT_RGB, 0])
-        code = int(raw.get(cv2.CAP_PROP_CODEC_PIXEL_FORMAT)) & 0xFFFFFFFF
-        kind = code.to_bytes(4, "little")
-        if kind in GREY:
-            return raw, ""
-        deep = kind[:1] == b"Y" and 8 < kind[3] <= 16  # FFmpeg's codes end with the depth
-        return cv2.VideoCapture(str(path)), f"{kind[3]} bits of colour read as 8" if deep else ""
+        yield
     finally:
-        logs.setLogLevel(level)
+        cv2.utils.logging.setLogLevel(level)
 
 
 def grey_frames(
