@@ -123,41 +123,37 @@ def converged(data: Data, model: Model, progress: Progress) -> tuple[Data, Stepw
 
     With the way there, which validation goes further along.
     """
-    gone, previous = 0, None
+    gone = 0
     for turn in range(ROUNDS):
-        steps, chosen = select(data, model, progress, previous)
+        steps, chosen = select(data, model, progress)
         if turn == ROUNDS - 1:
             break
         cleaned = chosen.cleaned(data)
         outliers = outlier_clips(cleaned, chosen.selected.base, chosen.best, gone)
         if outliers:
             gone += len(outliers)
-            data, previous = data.without(outliers), None
+            data = data.without(outliers)
             continue
         noise = refined(cleaned, chosen.best, data.noise)
         if noise is None and chosen.nearly:  # the library's model may lack what the free law has, and call it noise
             noise = refined(chosen.nearly.evidence.clips, chosen.nearly.whole, data.noise)
         if noise is None:
             break
-        data, previous = dataclasses.replace(data, noise=noise), steps.store
+        data = dataclasses.replace(data, noise=noise)
     return data, steps, chosen
 
 
-def select(data: Data, model: Model, progress: Progress, previous: FitStore | None = None) -> tuple[Stepwise, Chosen]:
-    """What the library names, and the free law that explains more, if one does.
-
-    previous: the fits of the same clips with another noise.
-    """
+def select(data: Data, model: Model, progress: Progress) -> tuple[Stepwise, Chosen]:
+    """What the library names, and the free law that explains more, if one does."""
     evidence, base = Evidence.of(data.clips, data.noise), base_fit(data.clips, model, data.noise, progress)
     contest = FreeLawContest.of(evidence, base, lambda: progress("free laws"))
-    store = FitStore(evidence, base, lambda: progress("search"), previous)
+    store = FitStore(evidence, base, lambda: progress("search"))
     steps = Stepwise.of(store)
     state: State = ()
     for state in steps.states():
         contest = contest.against(store.settled(state), store.rivals(state))
         if contest.ended:
             break
-    store.forget_previous()
     selected = steps.selection(state)
     free_law, contest = contest.outcome(selected.best)
     beside = free_law.beside(base) if free_law else {}

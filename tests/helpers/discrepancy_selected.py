@@ -5,14 +5,14 @@ from discrepancy.selection.fit_store import FitStore
 from discrepancy.selection.stepwise import Stepwise
 
 
-def stored(clips, base, noise, previous=None):
+def stored(clips, base, noise):
     """A store that holds no fit but the base's."""
-    return FitStore(Evidence.of(clips, noise), base, lambda: None, previous)
+    return FitStore(Evidence.of(clips, noise), base, lambda: None)
 
 
-def selected(clips, base, noise, previous=None):
+def selected(clips, base, noise):
     """The steps, and the selection that they lead to."""
-    steps = Stepwise.of(stored(clips, base, noise, previous))
+    steps = Stepwise.of(stored(clips, base, noise))
     return steps, steps.selection(steps.end(()))
 
 

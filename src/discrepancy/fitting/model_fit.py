@@ -11,7 +11,6 @@ import numpy as np
 
 from discrepancy.arrays import Array
 from discrepancy.data.collisions import Measured
-from discrepancy.data.launch import SIZE
 from discrepancy.fitting.parameters import limits_of
 from discrepancy.fitting.predict import forecast
 from discrepancy.noise.model import Noise
@@ -179,16 +178,6 @@ class Fit:
             gram += left.T @ left
             pull += left.T @ r
         return gram, pull
-
-    def seen_by(self, before: Evidence, evidence: Evidence) -> Fit:
-        """The same place with the same clips' noise read anew; before: as it was."""
-        size, parts = len(self.names), []
-        every = zip(before.whiteners, self.launch_slopes, self.slopes, self.residuals, strict=True)
-        for white, (old, *columns) in zip(evidence.whiteners, every, strict=True):
-            parts.append(white(old.undo(np.column_stack(columns))))
-        own, shared, left = (tuple(p[:, s] for p in parts) for s in (slice(SIZE), slice(SIZE, SIZE + size), -1))
-        tangent = dataclasses.replace(self.tangent, slopes=shared, launch_slopes=own)
-        return dataclasses.replace(self, residuals=left, tangent=tangent)
 
     def extended(self, model: Model, names: Sequence[str], columns: Sequence[Array]) -> Fit:
         """With more shared parameters, and their derivatives, (2n, k) for each clip, from a score test: not `local`."""

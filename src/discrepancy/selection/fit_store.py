@@ -17,7 +17,6 @@ from discrepancy.selection.scored import Scored
 from synthcam.dynamics.solve import uncoupled
 
 Key = frozenset[Candidate]
-ALIKE = 1.5  # times chi^2 of the base model: noise that differs by more makes other minima
 KEPT = 8_000_000  # numbers in all contests kept beside the last
 
 
@@ -32,23 +31,14 @@ class FitStore:
         The fit without any candidate.
     progress : callable
         Told of progress.
-    previous : FitStore, optional
-        Of the same clips with another noise. Where that is much alike, models are fitted from where they stood there.
     """
 
-    def __init__(
-        self, evidence: Evidence, base: Fit, progress: Callable[[], None], previous: FitStore | None = None
-    ) -> None:
-        self.evidence, self.progress, self.previous = evidence, progress, None
-        if previous:
-            previous.forget_large()
-            if 1 / ALIKE < base.chi2 / previous.base.chi2 < ALIKE:
-                self.previous = previous
+    def __init__(self, evidence: Evidence, base: Fit, progress: Callable[[], None]) -> None:
+        self.evidence, self.progress = evidence, progress
         self.fits: dict[Key, Fit] = {frozenset(): base}
         self.tests: dict[Key, ScoreTests] = {}  # each holds every candidate's derivatives
         self.large: Key | None = None  # whose tests are forgotten before there are others
         self.done: set[Key] = {frozenset()}  # whose fits are settled to the end
-        self.done_before: set[Key] = {frozenset()} if self.previous else set()  # in the previous store
         self.latest: dict[Key, Candidate] = {}  # added after a scan of all its shape parameters
 
     @property
@@ -60,27 +50,17 @@ class FitStore:
         fit, key = self.settled(state), frozenset(state)
         if key not in self.tests:
             self.forget_large()
-            tests = self._tested(fit, key)
+            tests = ScoreTests.of(self.evidence, fit, self.progress)
             if tests.numbers + sum(t.numbers for t in self.tests.values()) > KEPT:
                 self.large = key
             self.tests[key] = tests
         return self.tests[key]
-
-    def forget_previous(self) -> None:
-        """Forget the previous store, once its models are not to be gone on from."""
-        self.previous = None
 
     def forget_large(self) -> None:
         """Forget tests that take much memory."""
         if self.large is not None:
             self.tests.pop(self.large, None)
             self.large = None
-
-    def _tested(self, fit: Fit, key: Key) -> ScoreTests:
-        known = self.previous.tests.pop(key, None) if self.previous and key in self.done_before else None
-        if self.previous and known:
-            return known.seen_by(fit, self.previous.evidence, self.evidence)
-        return ScoreTests.of(self.evidence, fit, self.progress)
 
     def _keep(self, key: Key, fit: Fit) -> None:
         """Keep a fit in place of an earlier one, whose score tests are then those of another."""
@@ -90,11 +70,10 @@ class FitStore:
     def settled(self, state: Sequence[Candidate]) -> Fit:
         """The best fit of a model."""
         key = frozenset(state)
-        if self.recalled(key) is None:
+        if key not in self.fits:
             self._keep(key, self._reduced(state))
         if key not in self.done:
-            fit = settle(self.evidence, self.fits[key], self.progress)
-            self._keep(key, fit if key in self.done_before else self._astray(state, fit))
+            self._keep(key, self._astray(state, settle(self.evidence, self.fits[key], self.progress)))
             self.done.add(key)
         return self.fits[key]
 
@@ -107,18 +86,6 @@ class FitStore:
             self.fits[key] = exact
         return self.fits[key]
 
-    def recalled(self, key: Key) -> Fit | None:
-        """The fit of a model that was fitted before, here or in the previous store; then roughly settled here."""
-        before = self.previous
-        if key not in self.fits and before and key in before.fits:
-            there = before.fits[key].seen_by(before.evidence, self.evidence)
-            self._keep(key, settle(self.evidence, there, self.progress, rough=True))
-            if key in before.done:
-                self.done_before.add(key)
-            if key in before.latest:
-                self.latest[key] = before.latest[key]
-        return self.fits.get(key)
-
     def extend(self, key: Key, fit: Fit, scored: Scored) -> None:
         """Fit a model that has a candidate more than `fit`."""
         self._keep(key, extended(self.evidence, fit, scored, self.progress))
@@ -126,11 +93,10 @@ class FitStore:
 
     def offer(self, key: Key, fit: Fit) -> None:
         """A fit of some model, kept if it is better than the one known."""
-        known = self.recalled(key)
+        known = self.fits.get(key)
         if known is None or fit.chi2 < known.chi2:
             self._keep(key, fit)
             self.done.discard(key)
-            self.done_before.discard(key)
 
     def _astray(self, state: Iterable[Candidate], fit: Fit) -> Fit:
         """The fit, or a better one from other shape parameters: far from the truth chi^2 may be flat in them."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -79,14 +79,6 @@ class ScoreTests:
                 trials += [tried(evidence, plain, fit.launches, candidate, shapes, here) for shapes in grid]
             progress()
         return cls(fit, tuple(trials))
-
-    def seen_by(self, fit: Fit, before: Evidence, evidence: Evidence) -> ScoreTests:
-        """The same derivatives with the noise read anew, at the fit with that; before: with which they are white."""
-        ends, parts = [s.stop for s in self._spans[:-1]], []
-        for white, old, columns in zip(evidence.whiteners, before.whiteners, self._every(), strict=True):
-            parts.append(np.split(white(old.undo(columns)), ends, axis=1))
-        every = zip(self.trials, zip(*parts, strict=True), strict=True)
-        return ScoreTests(fit, tuple(replace(trial, columns=columns) for trial, columns in every))
 
     @property
     def numbers(self) -> int:

@@ -169,7 +169,7 @@ class Stepwise:
         rivals = self._contenders(tests, ranking, claim)
         for c in rivals:
             key = frozenset({*state, c.candidate})
-            if self.store.recalled(key) is None:
+            if key not in self.store.fits:
                 self.store.extend(key, fit, c)
         keys = sorted((frozenset({*state, c.candidate}) for c in rivals), key=self.store.cost_of)
         for key in keys:
@@ -216,7 +216,7 @@ class Stepwise:
             for c in self._rivals(tests, candidate):
                 key = frozenset({*rest, c.candidate})
                 keys[key] = c.candidate
-                if self.store.recalled(key) is None:
+                if key not in self.store.fits:
                     reduced = reduced or self.store.without(fit, candidate)
                     best = tests.sharper(self.store.evidence, c, candidate)
                     self.store.extend(key, reduced, best)
