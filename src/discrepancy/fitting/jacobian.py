@@ -56,10 +56,13 @@ def derivatives(
     """`derivative` of each name; here: the forecast.
 
     Where balls push each other their motion takes some eight times as long, and bends little what the other parameters
-    do: theirs are then those without that, unless they are to be exact.
+    do: theirs are then those without that, unless they are to be exact, or there is no motion without.
     """
     plain = model if exact else uncoupled(model)
-    there = here if plain.effects == model.effects else forecast(plain, launches, clips)
+    try:
+        there = here if plain.effects == model.effects else forecast(plain, launches, clips)
+    except ValueError:  # without the push between them a ball would not have rested
+        plain, there = model, here
     pushing = coupling(model, plain)
     return [
         derivative(model, launches, clips, name, here)

@@ -1,0 +1,24 @@
+"""Derivatives of the forecast where the motion without the push between balls does not exist."""
+
+import numpy as np
+import pytest
+from discrepancy_clips import exact
+
+from discrepancy.fitting.jacobian import derivatives
+from discrepancy.fitting.predict import forecast
+from synthcam.dynamics.solve import uncoupled
+from synthcam.model import Model
+
+
+def test_a_ball_that_rests_only_beside_the_other_has_exact_derivatives():
+    """A tilt too steep for a ball to rest by itself, and a pull: no error, and differences of the whole motion."""
+    clips = exact(Model(), 2, 3)
+    launches = np.array([clip.launch for clip in clips])
+    model, name = Model().replace({"plate_tilt.x": 3e-3, "magnetic_attraction.pull": 0.3}), "restitution"
+    with pytest.raises(ValueError, match="rest"):
+        forecast(uncoupled(model), launches, clips)
+    (found,) = derivatives(model, launches, clips, [name], forecast(model, launches, clips))
+    step, value = 1e-4, model.value(name)
+    ahead, behind = (forecast(model.replace({name: value + s}), launches, clips) for s in (step, -step))
+    for slope, one, other in zip(found, ahead, behind, strict=True):
+        np.testing.assert_allclose(slope, (one - other) / (2 * step), rtol=0, atol=1e-6)
