@@ -58,11 +58,7 @@ def derivatives(
     Where balls push each other their motion takes some eight times as long, and bends little what the other parameters
     do: theirs are then those without that, unless they are to be exact, or there is no motion without.
     """
-    plain = model if exact else uncoupled(model)
-    try:
-        there = here if plain.effects == model.effects else forecast(plain, launches, clips)
-    except ValueError:  # without the push between them a ball would not have rested
-        plain, there = model, here
+    plain, there = (model, here) if exact else quicker(model, launches, clips, here)
     pushing = coupling(model, plain)
     return [
         derivative(model, launches, clips, name, here)
@@ -70,6 +66,20 @@ def derivatives(
         else derivative(plain, launches, clips, name, there)
         for name in names
     ]
+
+
+def quicker(
+    model: Model, launches: Array, clips: Sequence[Measured], here: Sequence[Array] | None = None
+) -> tuple[Model, Sequence[Array]]:
+    """A model near this one with a quicker motion, and its forecast; here: this one's, where it is known.
+
+    Without the push between balls, or the model itself, where a ball would not have rested without that.
+    """
+    plain = uncoupled(model)
+    if plain.effects != model.effects:
+        with suppress(ValueError):
+            return plain, forecast(plain, launches, clips)
+    return model, forecast(model, launches, clips) if here is None else here
 
 
 def coupling(model: Model, plain: Model) -> set[str]:

@@ -8,12 +8,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from discrepancy.fitting.jacobian import quicker
 from discrepancy.fitting.model_fit import Evidence, Fit
 from discrepancy.fitting.parameters import Candidate, limits_of
-from discrepancy.fitting.predict import forecast
 from discrepancy.fitting.shape_scan import MANY, scannable
 from discrepancy.selection.score_test import ScoreTests, tried
-from synthcam.dynamics.solve import uncoupled
 from synthcam.model import Model
 
 GAINED = 2.0  # of chi^2, by other shapes: less is not worth another fit
@@ -43,8 +42,7 @@ def profile_std(evidence: Evidence, reduced: Fit, fit: Fit, candidate: Candidate
     if len(tries) < 2 or (len(tries) >= MANY and scannable(candidate, tries)):
         return std
     found = {s: fit.model.value(s) for s in candidate.shapes}
-    plain = uncoupled(reduced.model)
-    here = forecast(plain, reduced.launches, evidence.clips)
+    plain, here = quicker(reduced.model, reduced.launches, evidence.clips)
     if len(found) > 1:  # along a valley that runs between the places of a coarse grid
         near = [found | {s: shapes[s]} for s in found for shapes in tries]
         tries += [shapes for k, shapes in enumerate(near) if shapes not in near[:k]]

@@ -11,14 +11,12 @@ from scipy.linalg import block_diag
 
 from discrepancy import policy
 from discrepancy.arrays import Array
-from discrepancy.fitting.jacobian import derivative
+from discrepancy.fitting.jacobian import derivative, quicker
 from discrepancy.fitting.model_fit import Evidence, Fit, basis
 from discrepancy.fitting.parameters import Candidate, between, candidates, parameter_of
-from discrepancy.fitting.predict import forecast
 from discrepancy.fitting.shape_scan import scannable, scanned
 from discrepancy.fitting.significance import by_chance, sigmas, trials_factor
 from discrepancy.selection.scored import Score, Scored, Trial
-from synthcam.dynamics.solve import uncoupled
 from synthcam.model import Model
 
 SEEN = 1e-4  # of a signature's length that must be left when all that the fit absorbs is taken out
@@ -69,8 +67,7 @@ class ScoreTests:
         about: a model near the fit's, with a quicker motion, to take the derivatives about. Where balls push each other
         their motion takes some eight times as long; derivatives are then those without that.
         """
-        plain, trials = uncoupled(about or fit.model), []
-        here = forecast(plain, fit.launches, evidence.clips)
+        (plain, here), trials = quicker(about or fit.model, fit.launches, evidence.clips), []
         for candidate in only or candidates(fit.model, fit.names):
             grid = list(candidate.grid(fit.model))
             if scannable(candidate, grid):
@@ -191,8 +188,8 @@ class ScoreTests:
         if not scored.shapes:
             return scored
         left, absorbed = self._left(without)
-        plain, launches = uncoupled(model), self.fit.launches
-        here = forecast(plain, launches, evidence.clips)
+        launches = self.fit.launches
+        plain, here = quicker(model, launches, evidence.clips)
         for closer in range(ZOOMS):
             for name in candidate.shapes:
                 for value in between(parameter_of(model, name), scored.shapes[name], closer):

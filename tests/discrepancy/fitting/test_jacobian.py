@@ -4,8 +4,13 @@ import numpy as np
 import pytest
 from discrepancy_clips import exact
 
+from discrepancy.fitting.gauss_newton import linearised
 from discrepancy.fitting.jacobian import derivatives
+from discrepancy.fitting.model_fit import Evidence
+from discrepancy.fitting.parameters import BASE, candidates
 from discrepancy.fitting.predict import forecast
+from discrepancy.noise.model import Component, Noise
+from discrepancy.selection.score_test import ScoreTests
 from synthcam.dynamics.solve import uncoupled
 from synthcam.model import Model
 
@@ -22,3 +27,14 @@ def test_a_ball_that_rests_only_beside_the_other_has_exact_derivatives():
     ahead, behind = (forecast(model.replace({name: value + s}), launches, clips) for s in (step, -step))
     for slope, one, other in zip(found, ahead, behind, strict=True):
         np.testing.assert_allclose(slope, (one - other) / (2 * step), rtol=0, atol=1e-6)
+
+
+def test_score_tests_beside_such_a_model():
+    clips = exact(Model(), 2, 3)
+    launches = np.array([clip.launch for clip in clips])
+    evidence = Evidence.of(clips, Noise(Component(1e-12)))
+    model = Model().replace({"plate_tilt.x": 3e-3, "magnetic_attraction.pull": 0.3})
+    fit = linearised(evidence, model, (*BASE, "plate_tilt.x", "magnetic_attraction.pull"), launches)
+    (drag,) = (c for c in candidates(model, fit.names) if c.name == "air_drag")
+    (scored,) = ScoreTests.of(evidence, fit, only=[drag]).ranking()
+    assert np.isfinite(scored.sigma)
