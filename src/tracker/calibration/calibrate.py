@@ -52,6 +52,8 @@ class Calibration:
         kept["sensor"] = {
             k: v for k, v in whole["sensor"].items() if k in ("bits", "gain", "read_noise", "black_level")
         }
+        if self.scale_from:
+            kept["scale_std"] = self.scale_std
         kept["calibration"] = {
             "scale_std": self.scale_std,
             "scale_from": self.scale_from,

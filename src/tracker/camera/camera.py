@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from tracker.camera.camera_json import InputError, Lamp, parse
+from tracker.camera.camera_json import STANDARD_ERRORS, InputError, Lamp, parse
 from tracker.camera.camera_keys import read_json
 from tracker.camera.lens import Array, distort, mirror_normal, undistort
 from tracker.camera.sensor import Sensor
@@ -61,6 +61,8 @@ class Camera:
         Delay of each row of a rolling shutter after the one above, s.
     unmodelled : tuple of str
         What in the file is not accounted for.
+    scale_std, fps_std, ball_diameter_std : float
+        Standard errors of these, m/px, 1/s, m; 0 where the file does not have them.
     exposure_seen : float or None
         The exposure found from the motion blur of the glints, s, where it differs from `exposure`.
 
@@ -97,6 +99,9 @@ class Camera:
     line_time: float = 0.0
     unmodelled: tuple[str, ...] = ()
     exposure_seen: float | None = None
+    scale_std: float = 0.0
+    fps_std: float = 0.0
+    ball_diameter_std: float = 0.0
 
     @property
     def exposed(self) -> float:
@@ -377,6 +382,7 @@ class Camera:
         }  # fmt: skip
         if self.knows_diameter:
             out["ball_diameter"] = self.ball_diameter
+        out |= {key: getattr(self, key) for key in STANDARD_ERRORS if getattr(self, key) > 0}
         if self.lamp is not None:
             out["lamp"] = {"position": list(self.lamp.position), "radius": self.lamp.radius}
         if self.psf_sigma is not None:

@@ -17,6 +17,8 @@ DEFAULT_HEIGHT = 0.5  # m
 LEAST_FOCAL = 1.0  # px
 SMALLEST = 0.5  # px, of a ball
 LARGEST = 4.0  # of a ball, over the picture's longer side
+STANDARD_ERRORS = ("scale_std", "fps_std", "ball_diameter_std")
+LARGEST_ERROR = 0.5  # of a standard error, over what it is of: beyond, that is not known at all
 LOOKING_DOWN = ((1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, -1.0))
 BLURS = {  # keys that make a glint wider than psf.sigma_px, by section
     "psf": ("defocus_px", "f_number"),
@@ -67,7 +69,7 @@ class _Reader:
         matrix, rotation, shift, scale = self._view(size, diameter)
         if not math.isnan(diameter) and not SMALLEST <= diameter / scale <= LARGEST * max(size):
             raise self._bad("ball_diameter", f"a ball that the picture can show, not one of {diameter / scale:.3g} px")
-        found = dict(
+        found: dict[str, Any] = dict(
             K=matrix,
             dist=self._array("dist", (5,), np.zeros(5)),
             R=rotation,
@@ -84,8 +86,17 @@ class _Reader:
             metric=self._metric(),
             line_time=self._line_time(),
         )
+        found |= {key: self._error(key, found[key.removesuffix("_std")]) for key in STANDARD_ERRORS}
         assumed = dict.fromkeys([*self.assumed, *self._said_to_be_assumed()])
         return found | {"assumed": tuple(assumed), "unmodelled": tuple(self.unmodelled)}
+
+    def _error(self, key: str, of: float) -> float:
+        """The standard error of a number; 0 where it is not given."""
+        value = self._number(self.data, key) if key in self.data else 0.0
+        if value > 0 and not value <= LARGEST_ERROR * of:  # nor NaN
+            name = key.removesuffix("_std")
+            raise self._bad(key, f"the standard error of {name}, at most {LARGEST_ERROR:g} of what that is")
+        return value
 
     def _said_to_be_assumed(self) -> list[str]:
         names = self.data.get("assumed", [])

@@ -15,7 +15,7 @@ SHOWN = 40  # characters of a wrong value in a message
 
 KEYS = {  # by section; "" is the file itself
     "": "K dist R t size fps exposure scale ball_diameter striker lamp psf sensor shutter lens surface "
-    "scale_std fps_std assumed metric exposure_seen_s calibration",
+    "scale_std fps_std ball_diameter_std assumed metric exposure_seen_s calibration",
     "lamp": "position radius shape inner length width angle facing flicker second radiance",
     "psf": "sigma_px defocus_px f_number pixel_pitch wavelength",
     "sensor": "bits gain read_noise dark prnu dsnu full_well black_level hot_pixels hot_dark",
@@ -29,6 +29,9 @@ LIMITS = {  # least and most, both included: wider than any apparatus, narrow en
     "exposure": (0.0, 1e6),
     "scale": (1e-9, 1.0),
     "ball_diameter": (1e-7, 10.0),
+    "scale_std": (0.0, 1.0),
+    "fps_std": (0.0, 1e9),
+    "ball_diameter_std": (0.0, 10.0),
     "K": (-1e9, 1e9),
     "dist": (-1e12, 1e12),
     "R": (-1.001, 1.001),

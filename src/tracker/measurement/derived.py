@@ -7,7 +7,7 @@ errors follow from the parameters' covariance to first order.
 from __future__ import annotations
 
 from collections.abc import Collection
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,10 +26,14 @@ STEP = 0.01  # of a standard error, for derivatives: second-order terms cancel, 
 
 @dataclass(frozen=True)
 class Values:
-    """Quantities in the order of NAMES: value (20,) and covariance (20, 20)."""
+    """Quantities in the order of NAMES: value (20,) and covariance (20, 20).
+
+    shared (20, k): what one standard error of each thing known of the camera does to them; part of cov.
+    """
 
     value: Floats
     cov: Floats
+    shared: Floats = field(default_factory=lambda: np.zeros((len(NAMES), 0)))
 
     @property
     def std(self) -> Floats:
@@ -38,13 +42,16 @@ class Values:
 
     def without_errors(self, names: Collection[str]) -> Values:
         """The same, but of these names the values alone."""
-        lost, cov = [i for i, name in enumerate(NAMES) if name in names], self.cov.copy()
-        cov[lost, :] = np.nan
-        cov[:, lost] = np.nan
-        return Values(self.value, cov)
+        lost, cov, shared = [NAMES.index(name) for name in names], self.cov.copy(), self.shared.copy()
+        cov[lost, :] = cov[:, lost] = shared[lost] = np.nan
+        return Values(self.value, cov, shared)
+
+    def with_shared(self, shared: Floats) -> Values:
+        """The same with further errors, (20, k), each of which moves all quantities together."""
+        return replace(self, cov=self.cov + shared @ shared.T, shared=shared)
 
 
-def of_free(free: Floats, cov: Floats, diameter: float) -> Values:
+def of_free(free: Floats, cov: Floats, diameter: float, shift: Floats | None = None) -> Values:
     """Quantities of a free motion.
 
     Friction and spin transfer follow from either ball; the two are weighted by their errors. Where they differ by more
@@ -56,6 +63,8 @@ def of_free(free: Floats, cov: Floats, diameter: float) -> Values:
         Parameters in the order of FREE, and their covariance.
     diameter : float
         m.
+    shift : ndarray of shape (20, k), optional
+        Further errors of the parameters, which count in those weights but not in the covariance.
 
     Returns
     -------
@@ -63,13 +72,15 @@ def of_free(free: Floats, cov: Floats, diameter: float) -> Values:
     """
     twice, slope = _with_slope(lambda p: _both(p, diameter), free, cov)
     spread = slope @ cov @ slope.T
+    further = slope @ (np.zeros((len(free), 0)) if shift is None else shift)
+    wide = spread + further @ further.T
     merge, apart = np.zeros((len(NAMES), len(NAMES) + 2)), list[str]()
     for row, name in enumerate(NAMES):
         column = row + (row > NAMES.index("mu_k")) + (row > NAMES.index("C"))
         if name in ("mu_k", "C"):
             pair = slice(column, column + 2)
-            merge[row, pair] = _weights(spread[pair, pair])
-            if abs(twice[column] - twice[column + 1]) > APART * np.sqrt(_of_difference(spread[pair, pair])):
+            merge[row, pair] = _weights(wide[pair, pair])
+            if abs(twice[column] - twice[column + 1]) > APART * np.sqrt(_of_difference(wide[pair, pair])):
                 apart.append(name)
         else:
             merge[row, column] = 1.0

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from tracker.measurement import painter_behringer
 from tracker.measurement.adequacy import LEVEL, MISFIT, agreement, p_value, questioned
+from tracker.measurement.camera_errors import carry, shared_block
 from tracker.measurement.collision_model import AFTER, FREE, TARGET, TIED, release
 from tracker.measurement.contacts import Encounter, Meeting, Past, encounter, first_guess, meetings
 from tracker.measurement.derived import NAMES, Values, of_free, of_tied
@@ -26,7 +27,7 @@ from tracker.measurement.joint_fit import fit_all
 from tracker.measurement.noise_correlation import lasting
 from tracker.measurement.position_noise import Size, scatter
 from tracker.measurement.positions import Course, courses
-from tracker.measurement.rolling_ball import PARAMETERS, roll_alone
+from tracker.measurement.rolling_ball import PARAMETERS, carry_alone, roll_alone
 
 if TYPE_CHECKING:
     from tracker.camera.camera import Camera
@@ -133,7 +134,7 @@ def _rows(balls: list[Course], camera: Camera) -> list[dict[str, Any]]:
         return [unmeasured(camera, NO_DIAMETER) | noise]
     met = meetings(balls, camera.ball_diameter) if len(balls) > 1 else []
     if not met:
-        return [unmeasured(camera, "no_collision") | noise | _alone(balls)]
+        return [unmeasured(camera, "no_collision") | noise | _alone(balls, camera)]
     rows, pasts = [], dict[int, Past]()
     for i, meeting in enumerate(met):
         try:
@@ -174,16 +175,24 @@ def _collision(
     read = interpret(met)
     if isinstance(read, str):
         return row | {"status": read}, unknown
-    row |= _values(read) | _judged(read) | _noise(read.meeting.pair.striker, camera)
-    for name, (value, std) in painter_behringer.read(met, camera.fps).items():
-        row[f"{name}_paper"], row[f"{name}_paper_std"] = value, std
+    read = _carried(read, camera)
+    row |= _values(read, camera) | _judged(read) | _noise(read.meeting.pair.striker, camera)
+    row |= painter_behringer.columns(met, camera)
     return (row, unknown) if row["status"] == MISFIT else (row, _left(read, pasts))
 
 
-def _values(read: Reading) -> dict[str, Any]:
+def _carried(read: Reading, camera: Camera) -> Reading:
+    """The same with the errors of the camera file in both fits."""
+    tied, of_tied = carry(read.tied, read.of_tied, True, camera)
+    free, of_free = carry(read.free, read.of_free, False, camera)
+    return replace(read, tied=tied, free=free, of_tied=of_tied, of_free=of_free)
+
+
+def _values(read: Reading, camera: Camera) -> dict[str, Any]:
     """What both fits say, with errors where the data accept the fit."""
     tied, free = claims(read)
-    row: dict[str, Any] = {"cov": covariances({"tied": tied.cov, "free": free.cov})}
+    common = shared_block(camera, {"tied": tied.shared, "free": free.shared})
+    row: dict[str, Any] = {"cov": covariances({"tied": tied.cov, "free": free.cov}, NAMES, common)}
     for suffix, values in (("", tied), ("_free", free)):
         for i, name in enumerate(NAMES):
             row[f"{name}{suffix}"], row[f"{name}{suffix}_std"] = values.value[i], values.std[i]
@@ -350,31 +359,28 @@ def _bent(value: Floats, std: Floats) -> bool:
 
 
 def _claimed(values: Values, limits: dict[str, float], unseen: set[str]) -> Values:
-    value, cov = values.value.copy(), values.cov.copy()
-    lost = []
+    value, lost = values.value.copy(), []
     for i, name in enumerate(NAMES):
         std = values.std[i]
         limit = limits.get(name, LINEAR_UP_TO * abs(value[i]) if not name.startswith("w") else np.inf)
         folded = name == "final_angle" and value[i] < 3 * std  # an angle cannot be negative: near zero it is biased
         if name in unseen or not np.isfinite(value[i]) or not std <= limit or folded:
-            lost.append(i)
-    value[lost] = np.nan
-    cov[lost, :] = np.nan
-    cov[:, lost] = np.nan
-    return Values(value, cov)
+            value[i] = np.nan
+            lost.append(name)
+    return replace(values, value=value).without_errors(lost)
 
 
-def _alone(balls: list[Course]) -> dict[str, Any]:
+def _alone(balls: list[Course], camera: Camera) -> dict[str, Any]:
     """What a rolling ball shows without a collision: its speed when first seen, drag and decel."""
     fits = [f for f in map(roll_alone, balls) if f is not None]
     if not fits:
         return {}
-    best = max(fits, key=lambda f: f.speed)
+    best, common = carry_alone(max(fits, key=lambda f: f.speed), camera)
     if best.chi2 > best.dof + UNLIKELY * np.sqrt(2 * best.dof):
         return {"status": "no collision in view, and no ball rolls freely", "chi2": best.chi2, "dof": best.dof}
     out: dict[str, Any] = {"particle2": best.particle, "chi2": best.chi2, "dof": best.dof}
     for name, value, std in best.table():
         within = std <= LIMITS.get(name, np.inf)
         out[name], out[f"{name}_std"] = (value, std) if within else (np.nan, np.nan)
-    out["cov"] = covariances({"rolling": best.cov[-3:, -3:]}, PARAMETERS[-3:])
+    out["cov"] = covariances({"rolling": best.cov[-3:, -3:]}, PARAMETERS[-3:], common)
     return out

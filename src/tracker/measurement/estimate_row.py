@@ -30,9 +30,13 @@ def unmeasured(camera: Camera, status: str, index: int = 0) -> dict[str, Any]:
     return row
 
 
-def covariances(blocks: dict[str, Floats], names: tuple[str, ...] = NAMES) -> str:
-    """Covariances by fit as JSON, in the order of `names`; seven digits, which keeps them positive definite enough."""
+def covariances(blocks: dict[str, Floats], names: tuple[str, ...], shared: dict[str, Any]) -> str:
+    """Covariances by fit as JSON, in the order of `names`; seven digits, which keeps them positive definite enough.
+
+    With a part that several rows share, which may be by far the larger one, all digits.
+    """
     out: dict[str, Any] = {"names": list(names)}
+    digits = 17 if shared else 7
     for fit, cov in blocks.items():
-        out[fit] = [[float(f"{v:.7g}") if np.isfinite(v) else None for v in line] for line in cov]
-    return json.dumps(out, separators=(",", ":"))
+        out[fit] = [[float(f"{v:.{digits}g}") if np.isfinite(v) else None for v in line] for line in cov]
+    return json.dumps(out | ({"shared": shared} if shared else {}), separators=(",", ":"))

@@ -10,6 +10,7 @@ import pandas as pd
 from numpy.typing import NDArray
 from scipy.optimize import brentq, least_squares
 
+from tracker.measurement.camera_errors import shared, shared_part
 from tracker.measurement.collision_model import GRAVITY, SLIP_RATE
 from tracker.measurement.fitting import covariance
 
@@ -29,7 +30,8 @@ def fit_all(estimates: pd.DataFrame) -> dict[str, Any]:
     b, for any b; errors from its curvature, widened by sqrt(chi2/dof) where that exceeds one. scatter: the tied
     fits' weighted mean, and the standard deviation between clips beyond their own errors. rolling: drag and decel
     together, as one clip determines their sum far better than either; clips without a collision count here too. Nothing
-    of a misfit enters, and a clip whose covariance is none is left out of the sums that need it.
+    of a misfit enters, and a clip whose covariance is none is left out of the sums that need it. shared_std: the part
+    of an error that comes from those of the camera file, if it gives any; more clips of one camera do not lessen it.
     """
     ok = estimates[estimates["status"] == "ok"] if len(estimates) else estimates
     roll = estimates[estimates["status"].isin(["ok", "no_collision"])] if len(estimates) else estimates
@@ -66,22 +68,34 @@ def _paper_chi2(ok: pd.DataFrame) -> dict[str, Any]:
     good = np.array([_positive(cov) for cov in weights])
     if not good.any():
         return {**nothing, "chi2": None, "dof": 0}
+    common = shared(rows[good], (*OBSERVED, *GIVEN), "free")  # what each shared error adds to seen, v0 and b
     weights, seen, v0, b = weights[good], seen[good], v0[good], np.clip(b[good], -STEEPEST, STEEPEST)
+    weights = weights - shared_part(common)
+    start = np.append(start, np.zeros(common.shape[2]))
     for _ in range(3):  # the errors of v0 and b count too, and how much depends on r, mu_k, C
-        whiten = _whiten(weights, v0, b, start)
+        whiten = _whiten(weights, v0, b, start[:3])
 
         def residual(p: Floats, whiten: Floats = whiten) -> Floats:
-            return np.asarray(np.matmul(whiten, (predicted(v0, b, p) - seen)[..., None])).ravel()
+            off = common @ p[3:]
+            model = predicted(v0 - off[:, 4], np.clip(b - off[:, 5], -STEEPEST, STEEPEST), p[:3])
+            return np.append(np.matmul(whiten, (model - seen + off[:, :4])[..., None]).ravel(), p[3:])
 
         found = least_squares(residual, start, method="lm", x_scale="jac")
         start = np.asarray(found.x, dtype=np.float64)
     dof = max(seen.size - 3, 1)
     chi2 = float(2 * found.cost)
     slope = np.asarray(found.jac)
-    std = np.sqrt(np.diag(covariance(slope)) * max(1.0, chi2 / dof))
-    values = {name: float(v) for name, v in zip(SHARED, start, strict=True)}
+    own = np.diag(covariance(slope[: seen.size, :3]))
+    together = np.diag(covariance(slope))[:3] - own
+    std = np.sqrt(own * max(1.0, chi2 / dof) + together)
+    values = {name: float(v) for name, v in zip(SHARED, start[:3], strict=True)}
     errors = {f"{name}_std": float(s) for name, s in zip(SHARED, std, strict=True)}
-    return {**values, **errors, "chi2": chi2, "dof": seen.size - 3}
+    part = dict(zip(SHARED, map(_root, together), strict=True))
+    return {**values, **errors, "chi2": chi2, "dof": seen.size - 3} | ({"shared_std": part} if common.size else {})
+
+
+def _root(square: float) -> float:
+    return float(np.sqrt(max(square, 0.0)))
 
 
 def _weight(row: pd.Series) -> Floats:
@@ -119,24 +133,29 @@ def _whiten(covs: Floats, v0: Floats, b: Floats, shared: Floats) -> Floats:
 
 def _rolling(rows: pd.DataFrame) -> dict[str, Any]:
     """drag and decel of all clips, weighed by the inverse of their joint covariances."""
-    information, pull, n = np.zeros((2, 2)), np.zeros(2), 0
-    for _, row in rows.iterrows():
+    common = shared(rows, ROLLING, "tied", "rolling")
+    errors = common.shape[2]  # each an unknown of normal size 1 beside drag and decel
+    information, pull, n = np.diag([0.0, 0.0, *np.ones(errors)]), np.zeros(2 + errors), 0
+    for (_, row), effect in zip(rows.iterrows(), common, strict=True):
         value = np.array([row[name] for name in ROLLING], dtype=np.float64)
         table = json.loads(row["cov"]) if isinstance(row.get("cov"), str) else {}
         block = table.get("tied", table.get("rolling"))
         if block is None:
             continue
         pick = [table["names"].index(name) for name in ROLLING]
-        cov = np.array(block, dtype=np.float64)[np.ix_(pick, pick)]
+        cov = np.array(block, dtype=np.float64)[np.ix_(pick, pick)] - shared_part(effect)
         if np.isfinite(value).all() and _positive(cov):
-            weight = np.linalg.inv(cov)
-            information, pull, n = information + weight, pull + weight @ value, n + 1
+            design = np.column_stack([np.eye(2), effect])
+            weight = design.T @ np.linalg.inv(cov)
+            information, pull, n = information + weight @ design, pull + weight @ value, n + 1
     if not n:
         return dict.fromkeys([*ROLLING, *(f"{name}_std" for name in ROLLING)]) | {"n": 0}
     joint = np.linalg.inv(information)
-    values = dict(zip(ROLLING, map(float, joint @ pull), strict=True))
-    errors = {f"{name}_std": float(s) for name, s in zip(ROLLING, np.sqrt(np.diag(joint)), strict=True)}
-    return values | errors | {"n": n}
+    values = dict(zip(ROLLING, map(float, joint[:2] @ pull), strict=True))
+    whole = np.diag(joint)[:2]
+    stds = {f"{name}_std": float(s) for name, s in zip(ROLLING, np.sqrt(whole), strict=True)}
+    part = dict(zip(ROLLING, map(_root, whole - np.diag(np.linalg.inv(information[:2, :2]))), strict=True))
+    return values | stds | {"n": n} | ({"shared_std": part} if errors else {})
 
 
 def _between(rows: pd.DataFrame, name: str) -> dict[str, Any]:
@@ -148,15 +167,25 @@ def _between(rows: pd.DataFrame, name: str) -> dict[str, Any]:
     kept = rows.dropna(subset=columns) if set(columns) <= set(rows.columns) else rows.iloc[:0]
     if not len(kept):
         return {"mean": None, "std": None, "scatter": None, "n": 0}
-    x, s2 = kept[name].to_numpy(float), kept[f"{name}_std"].to_numpy(float) ** 2
+    effects = shared(kept, (name,), "tied", "rolling")
+    common = effects[:, 0]
+    x, s2 = kept[name].to_numpy(float), kept[f"{name}_std"].to_numpy(float) ** 2 - shared_part(effects)[:, 0, 0]
+
+    def weighed(spread: float) -> tuple[float, float, float, float]:
+        """Weighted mean, the weights' sum without and with the shared errors, chi^2."""
+        w = 1 / (s2 + spread)
+        inner = np.linalg.inv(np.eye(common.shape[1]) + (common.T * w) @ common)
+        whole = w - (common.T * w).T @ inner @ (common.T @ w)
+        mean = whole @ x / whole.sum()
+        pull = common.T @ (w * (x - mean))
+        return float(mean), float(w.sum()), float(whole.sum()), float(w @ (x - mean) ** 2 - pull @ inner @ pull)
 
     def excess(spread: float) -> float:
-        w = 1 / (s2 + spread)
-        return float(w @ (x - w @ x / w.sum()) ** 2) - (len(x) - 1)
+        return weighed(spread)[3] - (len(x) - 1)
 
     tiny, wide = float(np.finfo(float).tiny), float(np.var(x) * len(x))
     s2 = np.maximum(s2, tiny)
     spread = float(brentq(excess, 0.0, wide)) if len(x) > 1 and wide > tiny and excess(0.0) > 0 else 0.0
-    w = 1 / (s2 + spread)
-    mean = float(w @ x / w.sum())
-    return {"mean": mean, "std": float(w.sum() ** -0.5), "scatter": float(np.sqrt(spread)), "n": len(x)}
+    mean, own, whole, _ = weighed(spread)
+    part = {"shared_std": _root(1 / whole - 1 / own)} if common.size else {}
+    return {"mean": mean, "std": whole**-0.5, "scatter": float(np.sqrt(spread)), "n": len(x)} | part

@@ -7,18 +7,40 @@ Source: Painter & Behringer 2000, sections III B and IV, with the frames that th
 
 from __future__ import annotations
 
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
 import numpy as np
 from numpy.typing import NDArray
 
+from tracker.measurement.camera_errors import camera_errors
 from tracker.measurement.collision_model import GRAVITY
 from tracker.measurement.contacts import Encounter
 from tracker.measurement.derived import NAMES
 from tracker.measurement.positions import Course
 
+if TYPE_CHECKING:
+    from tracker.camera.camera import Camera
+
 Floats = NDArray[np.float64]
 BEFORE, AT, AFTER = (-3, -1), 0, (1, 3)  # frames about the contact that are read
 SETTLED = 0.3  # of its peak: acceleration under this means that sliding is over
 READING = float(np.sqrt(2 / 12))  # frames; std of a time between two instants, each known to one frame
+
+
+def columns(meeting: Encounter, camera: Camera) -> dict[str, float]:
+    """NAME_paper and NAME_paper_std, with the errors of the camera file."""
+    table = read(meeting, camera.fps)
+    square = {name: std**2 for name, (_, std) in table.items()}
+    for error in camera_errors(camera):
+        high, low = (
+            read(replace(meeting, pair=error.pair(meeting.pair, sign, camera.fps)), error.rate(camera.fps, sign))
+            for sign in (1, -1)
+        )
+        for name in table:
+            square[name] += ((high[name][0] - low[name][0]) / 2) ** 2
+    values = {f"{name}_paper": value for name, (value, _) in table.items()}
+    return values | {f"{name}_paper_std": float(np.sqrt(s)) for name, s in square.items()}
 
 
 def read(meeting: Encounter, fps: float) -> dict[str, tuple[float, float]]:

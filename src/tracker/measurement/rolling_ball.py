@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from tracker.measurement.camera_errors import camera_errors, response, shared_block, slopes
 from tracker.measurement.collision_model import SHORTEST_EXPOSURE, rolled
 from tracker.measurement.fitting import BROAD, covariance, fit
 from tracker.measurement.positions import Course
+
+if TYPE_CHECKING:
+    from tracker.camera.camera import Camera
 
 Floats = NDArray[np.float64]
 PARAMETERS = ("x", "y", "heading", "v0", "drag", "decel")
@@ -20,11 +25,16 @@ PARAMETERS = ("x", "y", "heading", "v0", "drag", "decel")
 class Alone:
     """Fit of one rolling ball: PARAMETERS at the first frame it is seen in, covariance (6, 6), chi^2."""
 
-    particle: int
+    course: Course
     parameters: Floats
     cov: Floats
     chi2: float
     dof: int
+
+    @property
+    def particle(self) -> int:
+        """The ball's number."""
+        return self.course.particle
 
     @property
     def speed(self) -> float:
@@ -84,4 +94,16 @@ def roll_alone(course: Course) -> Alone | None:
     best, _ = fit(problem, [begin])
     off = problem.residual(best)[: 2 * len(course)]
     cov, chi2, dof = covariance(problem.slope(best)), float(off @ off), 2 * len(course) - 6
-    return Alone(course.particle, best, cov, chi2, dof)
+    return Alone(course, best, cov, chi2, dof)
+
+
+def carry_alone(alone: Alone, camera: Camera) -> tuple[Alone, dict[str, Any]]:
+    """The same with the errors of the camera file (see `camera_errors.carry`), and the part that clips share."""
+    errors, course, x = camera_errors(camera), alone.course, alone.parameters
+    if not errors:
+        return alone, {}
+    moved = slopes(errors, lambda error, by: _Rolling(error.course(course, by, camera.fps)).residual(x))
+    problem = _Rolling(course)
+    shift, explained = response(problem.residual(x), problem.slope(x), alone.cov, moved)
+    wider = replace(alone, cov=alone.cov + shift @ shift.T, chi2=alone.chi2 - explained)
+    return wider, shared_block(camera, {"rolling": shift[-3:]})

@@ -95,7 +95,7 @@ def test_what_was_not_found_is_said(told):
 def test_the_file_is_a_camera_file_that_assumes_no_more_than_it_must(told, tmp_path):
     told.write(tmp_path / "camera.json")
     camera = Camera.read(tmp_path / "camera.json")
-    assert camera.scale == told.camera.scale
+    assert (camera.scale, camera.scale_std) == (told.camera.scale, told.scale_std)
     assert {"lamp", "height"} <= set(camera.assumed)
     assert not {"scale", "psf.sigma_px", "sensor.gain", "sensor.read_noise"} & set(camera.assumed)
     note = json.loads((tmp_path / "camera.json").read_text())["calibration"]

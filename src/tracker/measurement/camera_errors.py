@@ -1,0 +1,160 @@
+"""Errors of the camera file (scale, frame rate, ball diameter), carried into all that is measured.
+
+Each moves all estimates of all clips of one camera together. `carry` finds by how much, by a fit's linear response,
+and widens the estimates' covariance; `shared` gives a fit of many clips the part that does not average away.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from tracker.measurement.derived import Values, of_free, of_tied
+from tracker.measurement.fitting import Fit, Pair, Whitened
+from tracker.measurement.positions import Course
+
+if TYPE_CHECKING:
+    from tracker.camera.camera import Camera
+
+Floats = NDArray[np.float64]
+FIRST_ORDER = 0.03  # of an effect, to which it is known: clips are not to find the camera's error from less
+STEP = 1e-3  # of a standard error, for derivatives: t_c must not leave the exposure in which it lies
+SOURCES = ("scale", "fps", "ball_diameter")
+
+
+@dataclass(frozen=True)
+class CameraError:
+    """A key of the camera file, its value, and its standard error as a share of that."""
+
+    key: str
+    value: float
+    share: float
+
+    def course(self, course: Course, by: float, fps: float) -> Course:
+        """The same ball, were the key larger by so many of its standard errors."""
+        if self.key == "scale":
+            return replace(course, position=course.position * (1 + by * self.share))
+        if self.key == "fps":
+            return replace(course, start=course.start - course.frame / fps * by * self.share)
+        return course
+
+    def diameter(self, diameter: float, by: float) -> float:
+        """The same diameter, so changed."""
+        return diameter * (1 + by * self.share) if self.key == "ball_diameter" else diameter
+
+    def rate(self, fps: float, by: float) -> float:
+        """The same frame rate, so changed."""
+        return fps * (1 + by * self.share) if self.key == "fps" else fps
+
+    def pair(self, pair: Pair, by: float, fps: float) -> Pair:
+        """The same pair, so changed."""
+        struck, striker = (self.course(course, by, fps) for _, course in pair.balls)
+        return replace(pair, struck=struck, striker=striker, diameter=self.diameter(pair.diameter, by))
+
+
+def camera_errors(camera: Camera) -> tuple[CameraError, ...]:
+    """Those that the camera file gives."""
+    given = [(key, getattr(camera, key), getattr(camera, f"{key}_std")) for key in SOURCES]
+    return tuple(CameraError(key, value, std / value) for key, value, std in given if std > 0)
+
+
+def carry(fit: Fit, values: Values, tied: bool, camera: Camera) -> tuple[Fit, Values]:
+    """A fit, its chi^2 by a covariance of the positions that has the camera's errors too, and its quantities with them.
+
+    The parameters keep their values: the errors of the camera are not estimated.
+    """
+    errors, pair = camera_errors(camera), fit.pair
+    if not errors:
+        return fit, values
+    problem = Whitened(pair, tied)
+    p = len(problem.names)
+    x = fit.parameters[:p]
+    moved = slopes(errors, lambda error, by: Whitened(error.pair(pair, by, camera.fps), tied).residual(x))
+    fitted, explained = response(*problem(x), fit.cov[:p, :p], moved)
+    shift = np.zeros((len(fit.parameters), len(errors)))
+    shift[:p] = fitted
+
+    def quantities(at: Floats, diameter: float) -> Values:
+        return of_tied(at, fit.cov, diameter, pair.spin) if tied else of_free(at, fit.cov, diameter, shift)
+
+    def changed(error: CameraError, by: float) -> Floats:
+        at = fit.parameters + by * shift[:, errors.index(error)]
+        return quantities(at, error.diameter(pair.diameter, by)).value
+
+    values = quantities(fit.parameters, pair.diameter)
+    return replace(fit, chi2=fit.chi2 - explained), values.with_shared(slopes(errors, changed))
+
+
+def slopes(errors: Sequence[CameraError], function: Callable[[CameraError, float], Floats]) -> Floats:
+    """Derivatives (m, k) of a function (m,) by each key of the camera, in its standard errors."""
+    return np.array([(function(e, STEP) - function(e, -STEP)) / (2 * STEP) for e in errors]).T
+
+
+def response(residual: Floats, rows: Floats, cov: Floats, by: Floats) -> tuple[Floats, float]:
+    """What disturbances of normal size 1 do to a least-squares fit.
+
+    Parameters
+    ----------
+    residual, rows, cov : ndarray of shape (m,), ndarray of shape (m, p), ndarray of shape (p, p)
+        At the minimum, with the derivatives by the parameters, and these's covariance.
+    by : ndarray of shape (m, k)
+        Derivative of the residuals by the disturbances.
+
+    Returns
+    -------
+    shift : ndarray of shape (p, k)
+        Derivative of the parameters by the disturbances.
+    explained : float
+        How much less chi^2 is when the disturbances count as part of the residuals' covariance.
+    """
+    shift = -cov @ rows.T @ by
+    left = by + rows @ shift
+    pull = left.T @ residual
+    return shift, float(pull @ np.linalg.solve(np.eye(by.shape[1]) + left.T @ left, pull))
+
+
+def shared_block(camera: Camera, blocks: dict[str, Floats]) -> dict[str, Any]:
+    """By key of the camera file: its value, and what its standard error does to the quantities of each fit (n, k)."""
+    return {
+        error.key: {"of": error.value} | {fit: _plain(block[:, k]) for fit, block in blocks.items()}
+        for k, error in enumerate(camera_errors(camera))
+    }
+
+
+def _plain(numbers: Floats) -> list[float | None]:
+    return [float(v) if np.isfinite(v) else None for v in numbers]
+
+
+def shared(rows: pd.DataFrame, names: Sequence[str], *fits: str) -> Floats:
+    """What errors that several rows share do to their quantities, (rows, names, errors).
+
+    Rows share an error where the camera file's value is the same to the last digit. fits: the blocks of `cov` in which
+    the quantities stand, the first that is there.
+    """
+    found: dict[tuple[str, float], dict[int, Floats]] = {}
+    for i, text in enumerate(rows.get("cov", ())):
+        if not isinstance(text, str) or '"shared"' not in text:
+            continue
+        table = json.loads(text)
+        pick = [table["names"].index(name) for name in names]
+        for key, block in table["shared"].items():
+            effect = np.array(next(block[fit] for fit in fits if fit in block), dtype=np.float64)[pick]
+            found.setdefault((key, block["of"]), {})[i] = np.nan_to_num(effect)
+    several = [effects for effects in found.values() if len(effects) > 1]
+    out = np.zeros((len(rows), len(names), len(several)))
+    for k, effects in enumerate(several):
+        for i, effect in effects.items():
+            out[i, :, k] = effect
+    return out
+
+
+def shared_part(effects: Floats) -> Floats:
+    """What such effects (..., names, errors) make of a covariance (..., names, names), as far as clips share it."""
+    part = effects @ np.swapaxes(effects, -1, -2)
+    return np.asarray(part * (1 - FIRST_ORDER**2 * np.eye(part.shape[-1])))

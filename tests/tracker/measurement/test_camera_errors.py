@@ -1,0 +1,152 @@
+"""Errors of the camera file in all that is measured: held to draws of wrong cameras, and to units."""
+
+import json
+
+import numpy as np
+import pandas as pd
+import pytest
+from tracker_noisy import BENCHMARK, dataset, noisy, scalars_of, truth_of
+
+from tracker.camera.camera import Camera, InputError
+from tracker.measurement import estimate
+from tracker.measurement.derived import NAMES
+from tracker.measurement.estimate import fit_all, measure
+
+CLIPS = 40
+SHARE = 0.004
+KEYS = ("scale", "fps", "ball_diameter")
+
+
+@pytest.fixture(scope="module")
+def own(tmp_path_factory):
+    return dataset(tmp_path_factory.mktemp("own") / "data", BENCHMARK, CLIPS)
+
+
+def wrong(camera, key, off, share=SHARE):
+    """The camera as a person knows it, one of its keys wrong by `off` of its standard errors."""
+    given = {name: getattr(camera, name) for name in ("size", "exposure", "striker", *KEYS)}
+    given |= {key: given[key] * (1 + share * off)}
+    return Camera.from_dict(given | ({f"{key}_std": share * given[key]} if share else {}))
+
+
+def drawn(data, key):
+    rng, rows, truths = np.random.default_rng(5), [], scalars_of(data)
+    for clip in range(CLIPS):
+        truth, camera = truth_of(data, clip)
+        (row,) = measure(noisy(truth, rng), wrong(camera, key, rng.normal()))
+        rows.append(row | {f"{n}_true": truths[n].iloc[clip] for n in NAMES})
+    return pd.DataFrame(rows)
+
+
+def dishonest(table, kind):
+    """Quantities whose z has not the standard deviation 1, within 4 of its sampling errors; those without z too."""
+    found = []
+    for name in NAMES:
+        z = ((table[f"{name}{kind}"] - table[f"{name}_true"]) / table[f"{name}{kind}_std"]).to_numpy(float)
+        z = z[np.isfinite(z)]
+        if not (len(z) and abs(z.std() - 1) < 4 / np.sqrt(2 * len(z)) and abs(z.mean()) < 4 / np.sqrt(len(z))):
+            found.append(name)
+    return found
+
+
+@pytest.mark.parametrize(
+    ("key", "touched"),
+    [("scale", "v0 r mu_k C tau1 v1f"), ("fps", "v0 t_c mu_k tau1 v1f"), ("ball_diameter", "b r mu_k C tau1")],
+)
+def test_a_camera_wrong_by_its_error_leaves_all_errors_true(own, key, touched, monkeypatch):
+    table = drawn(own, key)
+    assert (table["status"] == "ok").all()
+    assert table["chi2"].sum() / table["dof"].sum() == pytest.approx(1, abs=4 * np.sqrt(2 / table["dof"].sum()))
+    assert dishonest(table, "") == ["w1n"]  # zero by the model
+    assert dishonest(table, "_free") == []
+    monkeypatch.setattr(estimate, "carry", lambda fit, values, tied, camera: (fit, values))
+    monkeypatch.setattr(estimate, "shared_block", lambda camera, blocks: {})
+    assert set(touched.split()) <= set(dishonest(drawn(own, key), ""))
+
+
+def power(data, key, name):
+    """What the error of a key adds to a quantity's standard error, both relative."""
+    truth, camera = truth_of(data, 0)
+    tracks = noisy(truth, np.random.default_rng(0))
+    (without,), (row,) = (measure(tracks, wrong(camera, key, 0, share)) for share in (0.0, SHARE))
+    return np.sqrt(row[f"{name}_std"] ** 2 - without[f"{name}_std"] ** 2) / abs(row[name]) / SHARE
+
+
+@pytest.mark.parametrize("kind", ["", "_free", "_paper"])
+def test_velocities_go_with_scale_and_frame_rate(own, kind):
+    for name in ("v0", "v1f", "v2f"):
+        assert power(own, "fps", f"{name}{kind}") == pytest.approx(1, abs=0.02)
+        assert power(own, "scale", f"{name}{kind}") == pytest.approx(1, abs=0.1)  # the contact's distance resists
+    for name, times in (("tau1", 1), ("t_c", 1), ("mu_k", 2)):
+        assert power(own, "fps", f"{name}{kind}") == pytest.approx(times, abs=0.02)
+
+
+@pytest.mark.parametrize(("key", "powers"), [("scale", (1, 0, 1)), ("fps", (1, 1, 2)), ("ball_diameter", (0, 0, 0))])
+def test_a_ball_alone(tmp_path, key, powers):
+    data = dataset(tmp_path / "data", {"launch": {"kind": "single", "v0": 0.4}}, 1)
+    for name, times in zip(("v0", "drag", "decel"), powers, strict=True):
+        assert power(data, key, name) == pytest.approx(times, abs=0.01)
+
+
+def test_covariances_and_what_is_shared_in_the_row(own):
+    truth, camera = truth_of(own, 0)
+    (row,) = measure(noisy(truth, np.random.default_rng(0)), wrong(camera, "scale", 0))
+    table = json.loads(row["cov"])
+    at = NAMES.index("v0")
+    assert np.sqrt(table["tied"][at][at]) == pytest.approx(row["v0_std"], rel=1e-12)
+    assert table["shared"]["scale"]["of"] == camera.scale
+    assert table["shared"]["scale"]["free"][at] == pytest.approx(SHARE * row["v0_free"], rel=0.1)
+
+
+CAMERAS, EACH = 12, 8
+
+
+def joint(data, shared):
+    """z of all that fit.json has, (cameras, quantities), clips of each camera in common; shared: as the rows say."""
+    rng, truths, out = np.random.default_rng(2), scalars_of(data), []
+    for number in range(CAMERAS):
+        off, rows = rng.normal(), []
+        for clip in range(number * EACH, (number + 1) * EACH):
+            truth, camera = truth_of(data, clip)
+            (row,) = measure(noisy(truth, rng), wrong(camera, "fps", off))
+            rows.append(row if shared else row | {"cov": row["cov"].replace("shared", "alone")})
+        fit = fit_all(pd.DataFrame(rows))
+        found = {n: (fit["chi2"][n], fit["chi2"][f"{n}_std"]) for n in ("r", "mu_k", "C")}
+        found |= {f"{n} mean": (fit["scatter"][n]["mean"], fit["scatter"][n]["std"]) for n in ("r", "mu_k", "C")}
+        found |= {f"{n} rolling": (fit["rolling"][n], fit["rolling"][f"{n}_std"]) for n in ("drag", "decel")}
+        out.append({k: (v - truths[k.split()[0]].iloc[0]) / std for k, (v, std) in found.items()})
+        assert ("shared_std" in fit["chi2"]) == shared
+        if shared:  # friction is an acceleration: twice the frame rate's relative error
+            assert fit["chi2"]["shared_std"]["mu_k"] == pytest.approx(2 * SHARE * fit["chi2"]["mu_k"], rel=0.05)
+            assert fit["scatter"]["r"]["shared_std"] < 0.01 * fit["scatter"]["r"]["std"]
+    return pd.DataFrame(out)
+
+
+def test_what_clips_of_one_camera_share_does_not_average_away(tmp_path):
+    data = dataset(tmp_path / "data", {k: v for k, v in BENCHMARK.items() if k != "model"}, CAMERAS * EACH)
+    widest = 1 + 4 / np.sqrt(2 * CAMERAS)
+    z = joint(data, shared=True)
+    assert (z.std(ddof=0) < widest).all()
+    assert (joint(data, shared=False).std(ddof=0)[["mu_k", "mu_k mean"]] > widest).all()
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ({"scale_std": 1e-4}, "camera: scale_std: expected the standard error of scale, at most 0.5 of what that is"),
+        ({"ball_diameter_std": 1e-5}, "camera: ball_diameter_std: expected the standard error of ball_diameter"),
+        ({"fps_std": -1.0}, "camera: fps_std: expected a number from 0 to 1e"),
+    ],
+)
+def test_errors_that_cannot_be_are_refused(given, said):
+    with pytest.raises(InputError) as error:
+        Camera.from_dict({"size": [640, 480], "fps": 250, "scale": 1.6e-4} | given)
+    assert str(error.value).startswith(said)
+
+
+def test_errors_stay_with_the_camera():
+    given = {"size": [640, 480], "fps": 250, "scale": 1.6e-4, "ball_diameter": 2.38e-3}
+    errors = {"scale_std": 1e-6, "fps_std": 0.1, "ball_diameter_std": 1e-6}
+    written = Camera.from_dict(given | errors).to_dict()
+    assert {key: written[key] for key in errors} == errors
+    assert not set(errors) & set(Camera.from_dict(given).to_dict())
