@@ -68,7 +68,10 @@ class _Reader:
             raise self._bad("exposure", f"at most one frame time, {1 / fps:g} s")
         matrix, rotation, shift, scale = self._view(size, diameter)
         if not math.isnan(diameter) and not SMALLEST <= diameter / scale <= LARGEST * max(size):
-            raise self._bad("ball_diameter", f"a ball that the picture can show, not one of {diameter / scale:.3g} px")
+            in_mm = SMALLEST <= diameter / scale / 1000 <= LARGEST * max(size)
+            hint = f"; it is in m, did you mean {diameter / 1000:g}?" if in_mm else ""
+            shows = f"a ball that the picture can show, not one of {diameter / scale:.3g} px{hint}"
+            raise self._bad("ball_diameter", shows)
         found: dict[str, Any] = dict(
             K=matrix,
             dist=self._array("dist", (5,), np.zeros(5)),

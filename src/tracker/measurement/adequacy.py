@@ -16,12 +16,25 @@ MISFIT = "misfit"
 MEASURED = ("ok", MISFIT)  # statuses of a collision that has values
 LEVEL = 1e-6  # of a p-value under which a fit is rejected: one clip in a million that the model describes
 BEYOND = 3.0  # of its own errors by which a quantity must pass a limit to be questioned
-POSSIBLE = {"r": (0.0, 1.0), "C": (0.0, 5 / 7)}  # C of 5/7: surfaces that spring back without loss
+POSSIBLE = {  # least and most, with the flags; C of 5/7: surfaces that spring back without loss
+    "r": ((0.0, "r under 0"), (1.0, "r over 1")),
+    "C": ((0.0, "C under 0"), (5 / 7, "C over 5/7")),
+    "mu_k": ((0.0, "mu_k under 0"), (1.5, "mu_k over 1.5")),
+    "v0": ((0.0, "v0 under 0"), (20.0, "v0 over 20 m/s")),
+}
+APART = 0.03  # of a diameter, by which balls may seem to touch at another distance than that
 CAUSES = (
     "the tracks reject two equal balls that roll, collide and slide: check mass and size of both, spin or sliding of "
     "the striker, scale, exposure, other forces; values are for looking at and have no errors"
 )
 CHECKS = "impossible for equal balls that roll: check their masses, the scale, spin or sliding of the striker"
+OVERLAP, NO_TOUCH = "balls overlap", "balls do not touch"
+ALSO = {  # flags, and what to check of them
+    "mu_k over 1.5": "more friction than any plate has: check fps, scale, and whether the balls hit anything else",
+    "v0 over 20 m/s": "faster than balls are rolled: check fps and scale",
+    OVERLAP: "their tracks come nearer than a diameter: check scale, ball_diameter and fps",
+    NO_TOUCH: "they change course more than a diameter apart: check scale, ball_diameter and fps",
+}
 SCATTER = "as the tracks' own scatter shows"
 
 
@@ -51,13 +64,20 @@ def agreement(tied: Fit, free: Fit, known: float) -> float:
 def questioned(values: Values, stretch: float) -> str:
     """What no two equal rolling balls can show, with | between; stretch: by which the fit's errors are too small."""
     said = []
-    for name, (low, high) in POSSIBLE.items():
+    for name, ((low, under), (high, over)) in POSSIBLE.items():
         value, error = values.value[NAMES.index(name)], BEYOND * stretch * values.std[NAMES.index(name)]
         if value - error > high:
-            said.append(f"{name} over {'5/7' if name == 'C' else '1'}")
+            said.append(over)
         elif value + error < low:
-            said.append(f"{name} under 0")
+            said.append(under)
     return "|".join(said)
+
+
+def distant(distance: float, std: float) -> str:
+    """The flag of balls that touch at so many diameters, with that standard error; '' where they may."""
+    if abs(distance - 1) - BEYOND * std < APART:
+        return ""
+    return OVERLAP if distance < 1 else NO_TOUCH
 
 
 def warnings(estimates: pd.DataFrame) -> Iterator[str]:
@@ -70,7 +90,7 @@ def warnings(estimates: pd.DataFrame) -> Iterator[str]:
         yield f"{len(rows)} misfit (chi^2/dof {np.median(per):.3g}, at most {per.max():.3g}): {CAUSES}"
     flags = Counter(flag for row in estimates["flags"] for flag in row.split("|") if flag)
     for name, count in sorted(flags.items()):
-        yield f"{name} ({count} collisions): {CHECKS}"
+        yield f"{name} ({count} collisions): {ALSO.get(name, CHECKS)}"
     ratio = estimates["noise_ratio"].dropna().to_numpy(float)
     if len(ratio):
         yield f"errors: in {len(ratio)} collisions not those claimed but {np.median(ratio):.3g} times these, {SCATTER}"

@@ -91,6 +91,20 @@ def carry(fit: Fit, values: Values, tied: bool, camera: Camera) -> tuple[Fit, Va
     return replace(fit, chi2=fit.chi2 - explained), values.with_shared(slopes(errors, changed))
 
 
+def touching(free: Fit, camera: Camera) -> tuple[float, float]:
+    """At how many diameters the balls touch as their tracks show it, by a free fit, and the standard error of that."""
+    problem, unit = Whitened(free.pair, False), CameraError("ball_diameter", camera.ball_diameter, 0.01)
+    p = len(problem.names)
+    x = free.parameters[:p]
+    residual, rows = problem(x)
+    moved = slopes([unit], lambda error, by: Whitened(error.pair(free.pair, by, camera.fps), False).residual(x))
+    left = (moved + rows @ response(residual, rows, free.cov[:p, :p], moved)[0])[:, 0]
+    square = max(float(left @ left), 1e-300)
+    off, worse = -float(left @ residual) / square, (free.chi2 - float(left @ residual) ** 2 / square) / max(free.dof, 1)
+    known = [error.share for error in camera_errors(camera) if error.key != "fps"]
+    return 1 + off * unit.share, float(np.linalg.norm([unit.share * np.sqrt(max(worse, 1.0) / square), *known]))
+
+
 def slopes(errors: Sequence[CameraError], function: Callable[[CameraError, float], Floats]) -> Floats:
     """Derivatives (m, k) of a function (m,) by each key of the camera, in its standard errors."""
     return np.array([(function(e, STEP) - function(e, -STEP)) / (2 * STEP) for e in errors]).T

@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tracker.measurement import painter_behringer
-from tracker.measurement.adequacy import LEVEL, MISFIT, agreement, p_value, questioned
-from tracker.measurement.camera_errors import carry, shared_block
+from tracker.measurement.adequacy import LEVEL, MISFIT, NO_TOUCH, agreement, distant, p_value, questioned
+from tracker.measurement.camera_errors import carry, shared_block, touching
 from tracker.measurement.collision_model import AFTER, FREE, TARGET, TIED, release
 from tracker.measurement.contacts import Encounter, Meeting, Past, encounter, first_guess, meetings
 from tracker.measurement.derived import NAMES, Values, of_free, of_tied
@@ -56,6 +56,7 @@ UNLIKE = 5.0  # standard errors by which the tracks' own scatter differs from wh
 CONFIRMED = 1e-3  # p-value from which on whole fits confirm that errors are smaller than claimed
 POOR_FIT = 1e4  # chi^2 per degree of freedom: 100 sigma off everywhere is no description of the motion
 ENDLESS = (0.9, 0.5)  # restitutions from which a fit of balls that slide on all the while starts
+FAR_CONTACT = 1.5  # diameters within which balls that change course are thought to have hit each other
 AS_GOOD = 10.0  # chi^2 by which a motion that is possible may fit worse than one that is not
 
 
@@ -134,7 +135,9 @@ def _rows(balls: list[Course], camera: Camera) -> list[dict[str, Any]]:
         return [unmeasured(camera, NO_DIAMETER) | noise]
     met = meetings(balls, camera.ball_diameter) if len(balls) > 1 else []
     if not met:
-        return [unmeasured(camera, "no_collision") | noise | _alone(balls, camera)]
+        near = len(balls) > 1 and meetings(balls, FAR_CONTACT * camera.ball_diameter)
+        flag = {"flags": NO_TOUCH} if near else {}
+        return [unmeasured(camera, "no_collision") | noise | _alone(balls, camera) | flag]
     rows, pasts = [], dict[int, Past]()
     for i, meeting in enumerate(met):
         try:
@@ -176,7 +179,8 @@ def _collision(
     if isinstance(read, str):
         return row | {"status": read}, unknown
     read = _carried(read, camera)
-    row |= _values(read, camera) | _judged(read) | _noise(read.meeting.pair.striker, camera)
+    row |= _values(read, camera) | _noise(read.meeting.pair.striker, camera)
+    row |= _judged(read, distant(*touching(read.free, camera)))
     row |= painter_behringer.columns(met, camera)
     return (row, unknown) if row["status"] == MISFIT else (row, _left(read, pasts))
 
@@ -203,12 +207,12 @@ def _values(read: Reading, camera: Camera) -> dict[str, Any]:
     return row
 
 
-def _judged(read: Reading) -> dict[str, Any]:
-    """Whether the data accept the fits, and what of the tied one is impossible."""
+def _judged(read: Reading, flag: str) -> dict[str, Any]:
+    """Whether the data accept the fits, and what of the tied one is impossible, after a flag that is known."""
     stretch = float(np.sqrt(max(1.0, read.tied.chi2 / read.tied.dof)))
     return {
         "status": "ok" if read.accepted[0] else MISFIT, "adequate": read.adequate, "adequate_free": read.adequate_free,
-        "agree": read.agree, "flags": questioned(read.of_tied, stretch),
+        "agree": read.agree, "flags": "|".join(filter(None, [flag, questioned(read.of_tied, stretch)])),
     }  # fmt: skip
 
 

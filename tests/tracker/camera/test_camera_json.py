@@ -117,6 +117,7 @@ def test_a_rolling_shutter_is_accounted_for(tmp_path):
 
 
 DIGITS, DEEP = "1" + "0" * 400, "[" * 200_000 + "]" * 200_000
+LARGE = "ball_diameter: expected a ball that the picture can show, not one of 1.49e+04 px"
 VIEW = "K, dist, R, t: expected a view of about 0.00016 m/px"
 
 
@@ -144,7 +145,7 @@ VIEW = "K, dist, R, t: expected a view of about 0.00016 m/px"
         ("R", "[[1, 0, 0], [0, 1, 0], [0, 0, -1]]", "R: expected a rotation matrix"),
         ("R", "[[1, 0, 0], [0, 1, 0], [0, 0, 1]]", "R, t: expected a camera above the plate"),
         ("R", "[[1e200, 0, 0], [0, 1e200, 0], [0, 0, 1e200]]", "R: expected 3 x 3 numbers"),
-        ("ball_diameter", "2.38", "ball_diameter: expected a ball that the picture can show"),
+        ("ball_diameter", "2.38", f"{LARGE}; it is in m, did you mean 0.00238?"),
         ("lamp", '{"position": [0, 0, -0.45]}', "lamp.position: expected a lamp above the plate"),
         ("psf", '{"sigma_px": 1e300}', "psf.sigma_px: expected a number from"),
         ("sensor", '{"gain": 1e-300}', "sensor.gain: expected a number from"),

@@ -11,6 +11,7 @@ from tracker_noisy import BENCHMARK, NOISE, dataset, measured, noisy, results, s
 from typer.testing import CliRunner
 
 from discrepancy.data.collisions import collision
+from tracker.camera.camera import Camera
 from tracker.cli import app
 from tracker.detection.link import Tracks
 from tracker.measurement import estimate, noise_correlation
@@ -187,6 +188,35 @@ def test_pucks_on_air(own):
     assert light["status"] == "misfit"
     (far,) = measure(pucks(camera, 0.8, 4.0), camera)
     assert far["status"] == "misfit"
+
+
+@pytest.mark.parametrize(
+    ("key", "times", "flag"),
+    [
+        ("scale", 0.95, "balls overlap"),
+        ("scale", 1.05, "balls do not touch"),
+        ("ball_diameter", 0.7, "balls do not touch"),
+        ("fps", 10, "mu_k over 1.5"),
+        ("both", 100, "v0 over 20 m/s"),
+    ],
+)
+def test_a_wrong_camera_is_said_with_what_to_check(own, key, times, flag):
+    truth, camera = truth_of(own, 0)
+    given = {name: getattr(camera, name) for name in ("size", "striker", "fps", "scale", "ball_diameter")}
+    given |= {name: given[name] * times for name in (("scale", "ball_diameter") if key == "both" else (key,))}
+    rows = measure(noisy(truth, np.random.default_rng(0)), Camera.from_dict(given | {"t": [0, 0, 1e3]}))
+    assert flag in rows[0]["flags"].split("|")
+    (line,) = [line for line in warnings(pd.DataFrame(rows)) if line.startswith(flag)]
+    assert "check" in line
+    assert "masses" not in line
+
+
+def test_a_scale_as_wrong_as_it_is_said_to_be_is_not_suspicious(own):
+    truth, camera = truth_of(own, 0)
+    given = {name: getattr(camera, name) for name in ("size", "striker", "fps", "ball_diameter")}
+    wrong = given | {"scale": 0.95 * camera.scale, "scale_std": 0.03 * camera.scale}
+    (row,) = measure(noisy(truth, np.random.default_rng(0)), Camera.from_dict(wrong))
+    assert (row["status"], row["flags"]) == ("ok", "")
 
 
 def test_what_the_model_cannot_follow_is_no_outlier(own):
