@@ -31,6 +31,7 @@ GivenCamera = Camera | Mapping[str, Any] | str | Path
 Film = NDArray[Any] | Iterable[NDArray[Any]] | str | Path
 UNSIZED = "ball_diameter: not given; collisions are not measured, and glints are not taken to centres"
 NOTHING_MOVES = "nothing round moves on a still background"
+SAME_RATE = 0.01  # 29.97 is 30
 TRACKS = "tracks"  # what messages call a table in memory
 SAID = {"v0": "m/s", "b": "", "r": "", "mu_k": "", "C": ""}  # in a repr, with units
 UNITS = {"m/s": "v0 v1f v2f", "s": "t_c tau1 tau2", "rad": "final_angle", "1/s": "drag", "m/s^2": "decel"} | {
@@ -269,7 +270,7 @@ def followed(clip: Clip, name: str = DEFAULT) -> Result:
     rows, motion = measure_clip(tracks, camera)
     if reason:
         rows = [row if row["status"] in MEASURED else row | {"status": reason} for row in rows]
-    notes = tuple(filter(None, [clip.note, *unsaid(camera), _blur_note(camera)]))
+    notes = tuple(filter(None, [clip.note, *unsaid(camera), _blur_note(camera), _rate_note(clip)]))
     return Result(clip.number, camera, tracks, tuple(rows), motion, notes, len(clip.frames))
 
 
@@ -323,6 +324,14 @@ def _blur_note(camera: Camera) -> str:
     kind = "longer" if camera.exposure_seen > camera.exposure else "shorter"
     seen = f"{results.SEEN} in {results.RUN}"
     return f"exposure: motion blur is {kind} than it makes it; taken as it is seen ({seen})"
+
+
+def _rate_note(clip: Clip) -> str:
+    """Where a video file claims another frame rate: a film for slow motion, or a wrong camera file."""
+    said, claimed = clip.camera.fps, clip.frames.fps
+    if not clip.camera.metric or not claimed > 0 or abs(claimed / said - 1) < SAME_RATE:
+        return ""
+    return f"fps: {said:g} in the camera file, {claimed:g} in the video's; check which is that of the exposures"
 
 
 def _with_error(value: float, std: float) -> str:

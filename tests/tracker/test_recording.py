@@ -3,6 +3,7 @@
 import json
 import sys
 
+import cv2
 import numpy as np
 import pandas as pd
 import pytest
@@ -84,6 +85,20 @@ def test_colour_is_taken_as_a_file_of_it_is(clip, tmp_path):
     one, other = (tracker.track(film, clip.camera_json) for film in (colour, tmp_path / "c.tif"))
     pd.testing.assert_frame_equal(one.tracks, other.tracks, check_exact=True)
     assert one.notes == other.notes == ("colour converted to grey",)
+
+
+@pytest.mark.parametrize(("rate", "said"), [(25.0, True), (250.0, False), (249.0, False)])
+def test_a_video_that_claims_another_frame_rate_is_said(clip, tmp_path, rate, said):
+    path = tmp_path / "film.mkv"
+    writer = cv2.VideoWriter(str(path), cv2.CAP_FFMPEG, cv2.VideoWriter.fourcc(*"FFV1"), rate, (200, 160), False)
+    if not writer.isOpened():
+        pytest.skip("this OpenCV cannot write FFV1")
+    for frame in clip.film():
+        writer.write(frame)
+    writer.release()
+    known = tracker.Camera.from_dict(clip.camera_json)
+    notes = [note for note in tracker.track(path, known).notes if note.startswith("fps")]
+    assert notes == ["fps: 250 in the camera file, 25 in the video's; check which is that of the exposures"] * said
 
 
 def test_without_a_camera_there_are_pixels(clip):

@@ -98,3 +98,8 @@ def shown(value: Any, quoted: bool = True) -> str:
         text = f"a {type(value).__name__} too long to show"
     line = "".join(c if c.isprintable() else " " for c in text)
     return line if len(line) <= SHOWN else f"{line[: SHOWN - 3]}..."
+
+
+def first_line(error: BaseException) -> str:
+    """What an error says, in a line that is not too long."""
+    return str(error).splitlines()[0][:120] if str(error) else type(error).__name__

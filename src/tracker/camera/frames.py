@@ -21,7 +21,7 @@ import tifffile
 from numpy.typing import NDArray
 
 from tracker.camera.camera import Camera, InputError
-from tracker.camera.camera_keys import LONGEST_SIDE, MOST_PIXELS
+from tracker.camera.camera_keys import LONGEST_SIDE, MOST_PIXELS, first_line
 
 Frame = NDArray[np.uint8] | NDArray[np.uint16]
 
@@ -38,6 +38,8 @@ GREY_WEIGHTS = (
 
 class Frames(Sequence[Any]):
     """A sequence of grey (h, w) uint8 or uint16 frames, each read when asked for."""
+
+    fps = 0.0  # that a video file claims
 
     def __init__(self, count: int, shape: tuple[int, int], dtype: Any, fetch: Callable[[int], Frame]) -> None:
         self.shape = (count, *shape)
@@ -183,7 +185,7 @@ def _stack(path: Path) -> tuple[Frames, str]:
             shape, dtype, colour, offset = _layout(path, tif)
             order = tif.byteorder
     except (tifffile.TiffFileError, OSError, IndexError, KeyError, struct.error) as error:
-        raise InputError(f"{path}: cannot be read as TIFF, truncated or damaged ({_line(error)})") from None
+        raise InputError(f"{path}: cannot be read as TIFF, truncated or damaged ({first_line(error)})") from None
     plane = shape[-3:] if colour else shape[-2:]
     if len(shape) < len(plane) or 0 in shape:
         raise InputError(f"{path}: expected a stack of pictures, not an array of {shape}")
@@ -275,7 +277,7 @@ class _Pages:
         try:
             return np.asarray(self.file.pages[k].asarray()).reshape(self.plane)
         except Exception as error:  # decoders raise their own kinds
-            raise InputError(f"{self.path}: frame {k} cannot be read ({_line(error)})") from None
+            raise InputError(f"{self.path}: frame {k} cannot be read ({first_line(error)})") from None
 
     def __del__(self) -> None:
         if hasattr(self, "file"):
@@ -303,11 +305,11 @@ def _picture(path: Path) -> Any:
         try:
             return np.asarray(tifffile.imread(path))
         except Exception as error:
-            raise InputError(f"{path}: cannot be read as TIFF, truncated or damaged ({_line(error)})") from None
+            raise InputError(f"{path}: cannot be read as TIFF, truncated or damaged ({first_line(error)})") from None
     try:
         picture = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
     except cv2.error as error:  # a header that promises more than there is memory for
-        raise InputError(f"{path}: cannot be read as a picture ({_line(error)})") from None
+        raise InputError(f"{path}: cannot be read as a picture ({first_line(error)})") from None
     if picture is None:
         raise InputError(f"{path}: cannot be read as a picture, truncated or damaged")
     return picture[..., 2::-1] if picture.ndim == 3 else picture  # OpenCV gives blue first
@@ -322,6 +324,7 @@ def _video(path: Path) -> tuple[Frames, str]:
         count = 1  # containers' own counts are guesses: count what can be decoded
         while reader.grab():
             count += 1
+        fps = float(reader.get(cv2.CAP_PROP_FPS))
         reader.release()
     plane = first.shape[:2] if first.shape[2:] == (1,) else first.shape
     state: dict[str, Any] = {"next": -1}
@@ -342,6 +345,7 @@ def _video(path: Path) -> tuple[Frames, str]:
         return frame[..., 2::-1] if frame.ndim == 3 else frame
 
     frames, grey = grey_frames(path, count, plane, first.dtype, fetch)
+    frames.fps = fps
     return frames, "; ".join(filter(None, [note, grey]))
 
 
@@ -393,7 +397,3 @@ def pixel_type(path: Path | str, dtype: Any) -> None:
         raise InputError(f"{path}: float pixels, expected counts as uint8 or uint16 (NaN has no place in them)")
     if dtype not in (np.uint8, np.uint16):
         raise InputError(f"{path}: pixels of type {dtype}, expected uint8 or uint16")
-
-
-def _line(error: BaseException) -> str:
-    return str(error).splitlines()[0][:120] if str(error) else type(error).__name__
