@@ -61,10 +61,10 @@ class Camera:
         Delay of each row of a rolling shutter after the one above, s.
     unmodelled : tuple of str
         What in the file is not accounted for.
-    scale_std, fps_std, ball_diameter_std : float
-        Standard errors of these, m/px, 1/s, m; 0 where the file does not have them.
     exposure_seen : float or None
         The exposure found from the motion blur of the glints, s, where it differs from `exposure`.
+    scale_std, fps_std, ball_diameter_std : float
+        Standard errors of these, m/px, 1/s, m; 0 where the file does not have them.
 
     References
     ----------
