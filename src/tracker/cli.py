@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shlex
 import shutil
 import sys
 import time
@@ -16,6 +17,7 @@ import typer
 from tracker.camera.camera import InputError
 
 if TYPE_CHECKING:
+    from tracker.camera.frames import Source
     from tracker.pipeline import Outcome
 
 app = typer.Typer(
@@ -27,6 +29,10 @@ app = typer.Typer(
 )
 SCORE = "score.json"
 Results = Annotated[Path, typer.Option("-o", "--output", metavar="RESULTS", help="Folder to make.")]
+WithPages = Annotated[
+    bool | None,
+    typer.Option("--pages/--no-pages", help="Write a page for each recording; default: where there is one recording."),
+]
 Json = Annotated[bool, typer.Option("--json", help="Print a machine-readable summary.")]
 
 
@@ -62,6 +68,7 @@ def track(
     camera: Annotated[Path | None, typer.Option(help="camera.json, in place of the source's own.")] = None,
     detector: Annotated[str, typer.Option(help="How glints are found.")] = "maximum_likelihood",
     workers: Annotated[int | None, typer.Option(min=1, help="Processes; default: one a core.")] = None,
+    pages: WithPages = None,
     as_json: Json = False,
 ) -> None:
     """Find, follow and measure the balls of every clip. Interrupted, the same command goes on.
@@ -79,6 +86,10 @@ def track(
         extra["ms_per_frame"] = round(1e3 * seconds / outcome.frames, 3)
     if as_json:
         extra["notes"] = outcome.notes
+    if pages or (pages is None and outcome.clips == 1):
+        from tracker.camera.frames import open_source
+
+        extra["page"] = _pages(outcome, output, source, open_source(source, camera), workers or default_workers())
     _report(outcome, output, extra, as_json)
 
 
@@ -88,17 +99,21 @@ def measure(
     camera: Annotated[Path, typer.Option(help="camera.json of the tracks.")],
     output: Results,
     point: Annotated[str, typer.Option(help="What x, y are: centre (mean over the exposure) or glint.")] = "centre",
+    pages: WithPages = None,
     as_json: Json = False,
 ) -> None:
     """Measure the collisions in tracks that any program made.
 
     Example: tracker measure tracks.csv --camera camera.json -o out/measured
     """
-    from tracker.pipeline import measure_tables
+    from tracker.pipeline import default_workers, measure_tables
 
     if point not in ("centre", "glint"):
         raise InputError(f"--point: expected centre or glint, not {point!r}")
-    _report(measure_tables(tracks, output, camera, point), output, {}, as_json)
+    outcome, extra = measure_tables(tracks, output, camera, point), dict[str, Any]()
+    if pages or (pages is None and outcome.clips == 1):
+        extra["page"] = _pages(outcome, output, tracks, None, default_workers())
+    _report(outcome, output, extra, as_json)
 
 
 @app.command()
@@ -132,7 +147,7 @@ def score(
                 run = load_json(results / RUN)
                 name = str(run.get("detector", "")) if isinstance(run, dict) else ""
             verdict = score_results(results, truth, name or "default")
-            write_report(verdict, results, truth, output)
+            write_report(verdict, results, truth, output, _typed())
             path = verdict.write(output)
         except BaseException:
             if new:
@@ -205,8 +220,27 @@ def _measured(tracks: Path, truth: Path, output: Path, point: str) -> Path:
     return folder
 
 
+def _typed() -> str:
+    """The command, as it was typed."""
+    return shlex.join(["tracker", *sys.argv[1:]])
+
+
+def _pages(outcome: Outcome, output: Path, given: Path, source: Source | None, workers: int) -> str:
+    """Write the pages of results; where the first one is."""
+    from tracker.pipeline import write_pages
+    from tracker.report.page import PAGE
+    from tracker.report.pages import Pages
+
+    numbers = [int(n) for n in outcome.estimates["clip"].unique()]
+    with progress_bar("pages") as progress:
+        pages = Pages(output, numbers, source, given.name, list(outcome.notes), _typed())
+        write_pages(pages, outcome.estimates, workers, progress)
+    return str(output / PAGE)
+
+
 def _report(outcome: Outcome, output: Path, extra: dict[str, Any], as_json: bool) -> None:
     from tracker.measurement.adequacy import warnings
+    from tracker.report.answer import printed
 
     for note, clips in outcome.notes.items():
         print(f"tracker: {note} ({clips} clips)", file=sys.stderr)
@@ -219,11 +253,15 @@ def _report(outcome: Outcome, output: Path, extra: dict[str, Any], as_json: bool
         summary["warnings"] = said
         print(json.dumps(summary))
         return
+    for line in printed(outcome.estimates):
+        print(line)
     counts = ", ".join(f"{count} {state}" for state, count in states.items())
     made = f"{outcome.fresh} made now" if outcome.fresh else "complete before"
     print(f"{output}: {outcome.clips} clips, {made}: {counts}")
     if "ms_per_frame" in extra:
         print(f"{extra['frames']} frames, {extra['ms_per_frame']} ms a frame")
+    if "page" in extra:
+        print(extra["page"])
 
 
 def main() -> None:

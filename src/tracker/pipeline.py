@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 import ctypes
+import functools
 import hashlib
 import multiprocessing
 import os
 import shutil
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import cv2
 import pandas as pd
@@ -26,6 +27,10 @@ from tracker.detection.detect import detector
 from tracker.outputs import as_input_error, check_room, held
 from tracker.recording import followed, measured, unsaid
 
+if TYPE_CHECKING:
+    from tracker.report.pages import Pages
+
+T = TypeVar("T")
 MALLOPT = (-1, -3)  # M_TRIM_THRESHOLD, M_MMAP_THRESHOLD of malloc.h
 KEPT = 32 << 20  # bytes
 ENDS = 1 << 16  # bytes at either end of a file that distinguish recordings
@@ -137,6 +142,29 @@ def measure_tables(path: Path, output: Path, camera: Path, point: str = "centre"
     return Outcome(table, len(numbers), len(todo), 0, notes)
 
 
+def write_pages(pages: Pages, estimates: pd.DataFrame, workers: int, progress: Progress) -> None:
+    """Write the pages of RESULTS that are not there yet.
+
+    Parameters
+    ----------
+    pages : Pages
+    estimates : DataFrame
+        Of all its recordings.
+    workers : int
+        Processes.
+    progress : callable
+        Takes pages done and pages in all.
+
+    Raises
+    ------
+    InputError
+    """
+    todo = pages.missing()
+    for done, _ in enumerate(in_parallel(pages.write, todo, workers, pages.output), 1):
+        progress(done, len(todo))
+    pages.write_overview(estimates)
+
+
 @contextmanager
 def _partial(output: Path, plan: dict[str, Any]) -> Iterator[Path]:
     """The folder in which results are gathered, locked: a new one, or the one that the same command left behind.
@@ -191,20 +219,24 @@ def _plan(source: Source, name: str) -> dict[str, Any]:
 
 def _each(source: Source, todo: list[int], partial: Path, name: str, workers: int) -> Iterator[tuple[int, str]]:
     """Frames and note of each clip done, in whatever order; results do not depend on it."""
+    return in_parallel(functools.partial(_one, source, partial=partial, name=name), todo, workers, source.path)
+
+
+def in_parallel(task: Callable[[int], T], todo: Sequence[int], workers: int, where: Path) -> Iterator[T]:
+    """What task gives for each number, in whatever order, by so many processes. where: what an error names."""
     if workers <= 1 or len(todo) <= 1:
-        for index in todo:
-            yield _one(source, index, partial, name)
+        yield from map(task, todo)
         return
     context = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(min(workers, len(todo)), mp_context=context) as pool:
-        waiting = {pool.submit(_one, source, index, partial, name) for index in todo}
+        waiting = {pool.submit(task, index) for index in todo}
         try:
             while waiting:
                 done, waiting = wait(waiting, return_when=FIRST_COMPLETED)
                 for future in done:
                     yield future.result()
         except BrokenProcessPool:
-            raise InputError(f"{source.path}: a worker was killed; is there enough memory for each of them?") from None
+            raise InputError(f"{where}: a worker was killed; is there enough memory for each of them?") from None
         except BaseException:
             pool.shutdown(wait=True, cancel_futures=True)
             raise

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
@@ -23,6 +22,7 @@ from tracker.detection.diagnose import why_nothing
 from tracker.detection.link import Tracks, link
 from tracker.measurement.adequacy import MEASURED
 from tracker.measurement.derived import NAMES
+from tracker.report.answer import with_error
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -105,7 +105,7 @@ class Result:
         lines = [f"Clip {self.number}: {balls} ball{'s' * (balls != 1)} tracked{seen}"]
         for row in self.rows:
             values = (
-                f"{name} {_with_error(row[name], row[f'{name}_std'])} {unit}".strip() for name, unit in SAID.items()
+                f"{name} {with_error(row[name], row[f'{name}_std'])} {unit}".strip() for name, unit in SAID.items()
             )
             measured_values = f": {', '.join(values)}" if row["status"] in MEASURED else ""
             lines.append(f"  collision {row['collision']} {row['status']}{measured_values}")
@@ -121,7 +121,7 @@ class Result:
                 continue
             kinds = {"tied fit": "", "free fit": "_free", "as the paper": "_paper"}
             table = pd.DataFrame(
-                {k: [_with_error(row[n + s], row[f"{n}{s}_std"]) for n in NAMES] for k, s in kinds.items()},
+                {k: [with_error(row[n + s], row[f"{n}{s}_std"]) for n in NAMES] for k, s in kinds.items()},
                 index=pd.Index([f"{n} ({units[n]})" if n in units else n for n in NAMES]),
             )
             parts.append(f"<p>{title}</p>{table.to_html()}")
@@ -332,15 +332,3 @@ def _rate_note(clip: Clip) -> str:
     if not clip.camera.metric or not claimed > 0 or abs(claimed / said - 1) < SAME_RATE:
         return ""
     return f"fps: {said:g} in the camera file, {claimed:g} in the video's; check which is that of the exposures"
-
-
-def _with_error(value: float, std: float) -> str:
-    """As 0.9027(12): a value to two digits of its error; without one, to four; '-' for none."""
-    if value is None or not math.isfinite(value):
-        return "-"
-    if std is None or not math.isfinite(std) or std <= 0:
-        return f"{value:.4g}"
-    digits = 1 - math.floor(math.log10(std))
-    if digits < 0:
-        return f"{value:.0f}({std:.0f})"
-    return f"{value:.{digits}f}({std * 10**digits:.0f})"

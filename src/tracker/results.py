@@ -266,7 +266,9 @@ def _to_tracks(table: pd.DataFrame, where: str) -> Tracks:
             raise InputError(f"{where}: {cov_xy}: expected covariances from {-(FARTHEST**2):g} to {FARTHEST**2:g} px^2")
         return cov
 
-    words = table["flags"].fillna("").astype(str).to_numpy()[kept] if "flags" in table else [""] * len(kept)
+    words = (
+        table["flags"].astype(object).fillna("").astype(str).to_numpy()[kept] if "flags" in table else [""] * len(kept)
+    )
     return Tracks(
         frame=frame[kept],
         particle=particle[kept],
@@ -274,7 +276,7 @@ def _to_tracks(table: pd.DataFrame, where: str) -> Tracks:
         y=y[kept],
         cov=covariance("x_std", "y_std", "cov_xy", math.nan),
         flux=column("flux", math.nan),
-        flags=np.array(list(words), dtype=np.str_),
+        flags=said.astype(str).to_numpy()[kept].astype(np.str_),
         glint_x=column("glint_x", math.nan),
         glint_y=column("glint_y", math.nan),
         fixed=covariance("x_fixed_std", "y_fixed_std", "cov_xy_fixed", 0.0),

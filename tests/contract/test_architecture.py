@@ -28,6 +28,7 @@ LAYERS = {
         "detection outputs",
         "measurement",
         "results",
+        "report",
         "recording calibration",
         "pipeline",
         "scoring",
@@ -83,6 +84,11 @@ LAYERS = {
         "fitted_law",
         "credible_band formula",
         "answer",
+    ],
+    "tracker.report": [
+        "answer collision_figures html overlay",
+        "page",
+        "pages",
     ],
     "tracker.detection": [
         "candidates",

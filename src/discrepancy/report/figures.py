@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import base64
-import io
 from collections.abc import Sequence
 from typing import Any
 
@@ -20,6 +18,7 @@ from discrepancy.fitting.model_fit import Fit
 from discrepancy.fitting.predict import forecast
 from discrepancy.found import Found
 from discrepancy.free_laws.answer import Answer
+from tracker.report.html import svg
 
 BEFORE, AFTER, FLOOR, OTHER = "#b2182b", "#2166ac", "#4d4d4d", "#bdbdbd"
 STYLE: Any = {"font.size": 9, "axes.spines.top": False, "axes.spines.right": False, "legend.frameon": False}
@@ -69,9 +68,7 @@ def _subplots(rows: int = 1, columns: int = 1, *, figsize: tuple[float, float], 
 
 def inline(title: str, figure: Figure, note: str) -> dict[str, str]:
     """A figure for a self-contained page; title and note (what it shows) stand beside it."""
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", dpi=150, bbox_inches="tight", metadata={"Software": ""})
-    return {"title": title, "note": note, "png": base64.b64encode(buffer.getvalue()).decode()}
+    return {"title": title, "note": note, "address": svg(figure)}
 
 
 def _sets(found: Found) -> list[tuple[Sequence[Measured], Fit, str, str]]:

@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
-import jinja2
 import numpy as np
 
 from discrepancy.fitting.parameters import parameter_of
@@ -17,6 +15,7 @@ from discrepancy.report.figures import drawn
 from discrepancy.report.narrative import story
 from discrepancy.selection.named import as_sure
 from synthcam.model import Model, write_model
+from tracker.report.html import made, rendered
 
 
 def write(found: Found, folder: Path, left_out: Sequence[str]) -> None:
@@ -25,10 +24,8 @@ def write(found: Found, folder: Path, left_out: Sequence[str]) -> None:
     content = document(found, left_out)
     (folder / "discrepancy.json").write_text(json.dumps(content, indent=1, allow_nan=False) + "\n")
     write_model(found.model, folder / "model.yaml")
-    template = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined).from_string(
-        files("discrepancy.report").joinpath("report.html").read_text(encoding="utf-8")
-    )
-    page = template.render(
+    page = rendered(
+        Path(__file__).with_name("report.html"),
         found=found,
         document=found.document() | {"clips": content["clips"]},
         story=story(found),
@@ -36,6 +33,7 @@ def write(found: Found, folder: Path, left_out: Sequence[str]) -> None:
         finite=np.isfinite,
         as_sure=as_sure,
         unit=_unit,
+        made=made("discrepancy find"),
     )
     (folder / "index.html").write_text(page, encoding="utf-8")
 

@@ -10,13 +10,12 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-import jinja2
-
 from tracker import results
 from tracker.camera.camera import InputError
 from tracker.detection.detect import detector
 from tracker.outputs import as_input_error, check_room, held, put
 from tracker.pipeline import run
+from tracker.report.html import made, rendered
 from tracker.scoring.score import Score, score
 
 TIMES = "times.json"
@@ -75,8 +74,8 @@ def compare(
         whole = scores[0].to_dict()
         for other in scores[1:]:
             whole["detectors"] |= other.to_dict()["detectors"]
-        page = jinja2.Environment(loader=jinja2.FileSystemLoader(Path(__file__).parent), autoescape=True)
-        html = page.get_template("compare.html").render(suite=whole["suite"], tables=tables(whole["detectors"]))
+        values = {"suite": whole["suite"], "tables": tables(whole["detectors"]), "made": made("tracker compare")}
+        html = rendered(Path(__file__).with_name("compare.html"), **values)
         put(report / "index.html", html)
         results.write_json(report / "score.json", whole)
     return whole

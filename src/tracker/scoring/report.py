@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import base64
 import math
 from pathlib import Path
 from typing import Any
 
-import jinja2
 import numpy as np
 import pandas as pd
 import tifffile
@@ -18,18 +16,10 @@ from tracker.camera.camera import InputError
 from tracker.measurement.derived import NAMES
 from tracker.measurement.positions import courses
 from tracker.outputs import put
+from tracker.report.collision_figures import Specimen, energy_figure, frame_figure, separation_figure, tracks_figure
+from tracker.report.html import made, rendered, svg
 from tracker.results import read_clip
-from tracker.scoring.figures import (
-    SHOWN,
-    Specimen,
-    energy_figure,
-    frame_figure,
-    honesty_figure,
-    png,
-    residual_figure,
-    separation_figure,
-    tracks_figure,
-)
+from tracker.scoring.figures import SHOWN, honesty_figure, residual_figure
 from tracker.scoring.score import Score
 
 Floats = NDArray[np.float64]
@@ -38,7 +28,9 @@ TYPICAL_SPEED = 0.3  # m/s; the clip shown is the one nearest to it
 RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
-def write_report(score: Score, results: Path | str, dataset: Path | str, report: Path | str) -> Path:
+def write_report(
+    score: Score, results: Path | str, dataset: Path | str, report: Path | str, command: str = "tracker score"
+) -> Path:
     """Write REPORT/index.html beside score.json: one self-contained file.
 
     Parameters
@@ -49,6 +41,8 @@ def write_report(score: Score, results: Path | str, dataset: Path | str, report:
         collision, leave their figures out and say so.
     report : str or Path
         REPORT.
+    command : str
+        What the page says that made it.
 
     Returns
     -------
@@ -56,11 +50,9 @@ def write_report(score: Score, results: Path | str, dataset: Path | str, report:
         Of index.html.
     """
     drawn = figures(score, Path(results), Path(dataset))
-    images = {name: base64.b64encode(png(figure)).decode() for name, figure in drawn.items()}
-    page = jinja2.Environment(
-        loader=jinja2.FileSystemLoader(Path(__file__).parent), autoescape=True, undefined=jinja2.StrictUndefined
-    ).get_template("report.html")
-    html = page.render(score=score, images=images, tables=tables(score), clip=shown_clip(score), kinds=KINDS)
+    images = {name: svg(figure) for name, figure in drawn.items()}
+    values = {"tables": tables(score), "clip": shown_clip(score), "kinds": KINDS, "made": made(command)}
+    html = rendered(Path(__file__).with_name("report.html"), score=score, images=images, **values)
     folder = Path(report)
     folder.mkdir(parents=True, exist_ok=True)
     put(folder / "index.html", html)

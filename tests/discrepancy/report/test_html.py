@@ -43,7 +43,7 @@ def test_the_page_needs_no_network(written):
     page = (written[1] / "index.html").read_text()
     assert re.findall(r'(?:src|href)\s*=\s*["\'](?!data:)', page) == []
     assert "http" not in re.sub(r"base64,[A-Za-z0-9+/=]*", "", page)
-    assert page.count("data:image/png;base64,") == 5 + bool(written[0].free_law)
+    assert page.count("data:image/svg+xml;base64,") == 5 + bool(written[0].free_law)
     assert "<script" not in page
 
 
@@ -63,12 +63,13 @@ def test_the_model_reads_back_and_is_a_scene(written):
 def test_the_same_search_gives_the_same_files(written, tmp_path):
     report.write(written[0], tmp_path, ["clip 9: <b>no</b> collision"])
     for path in written[1].iterdir():
-        assert path.read_bytes() == (tmp_path / path.name).read_bytes()
+        one, other = (re.sub("<footer>.*</footer>", "", p.read_text()) for p in (path, tmp_path / path.name))
+        assert one == other  # but for when the page was made
 
 
 def test_the_formula_and_its_curve_are_on_the_page():
     found = outsider("restitution_speed")
-    figures = {f["title"]: f["png"] for f in drawn(found)}
+    figures = {f["title"]: f["address"] for f in drawn(found)}
     assert found.answer.formula in figures
     assert len(figures) == 6
 
