@@ -266,9 +266,7 @@ def _to_tracks(table: pd.DataFrame, where: str) -> Tracks:
             raise InputError(f"{where}: {cov_xy}: expected covariances from {-(FARTHEST**2):g} to {FARTHEST**2:g} px^2")
         return cov
 
-    words = (
-        table["flags"].astype(object).fillna("").astype(str).to_numpy()[kept] if "flags" in table else [""] * len(kept)
-    )
+    said = table["flags"].astype(object).fillna("") if "flags" in table else pd.Series("", index=table.index)
     return Tracks(
         frame=frame[kept],
         particle=particle[kept],
