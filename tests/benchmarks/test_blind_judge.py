@@ -216,7 +216,7 @@ def test_the_page(tmp_path):
     assert [g.reached for g in (*gap, table["the median box"])] == [f"{799 / 800:.4f}"] * 2
     assert [g.n for g in gap] == [12]  # the one that was called wrongly too
     html = page.write(tmp_path).read_text()
-    assert html.count("data:image/png") >= 4
+    assert html.count("data:image/svg+xml") >= 4
     assert "stribeck" in html
 
 
