@@ -55,7 +55,8 @@ def of_free(free: Floats, cov: Floats, diameter: float, shift: Floats | None = N
     """Quantities of a free motion.
 
     Friction and spin transfer follow from either ball; the two are weighted by their errors. Where they differ by more
-    than APART of these, there is no one value, and its covariance is NaN.
+    than APART of these, there is no one value, and its covariance is NaN. What is undefined at these parameters (s of a
+    head-on hit) is NaN with its covariance.
 
     Parameters
     ----------
@@ -71,6 +72,8 @@ def of_free(free: Floats, cov: Floats, diameter: float, shift: Floats | None = N
     Values
     """
     twice, slope = _with_slope(lambda p: _both(p, diameter), free, cov)
+    unknown = ~(np.isfinite(twice) & np.isfinite(slope).all(axis=1))  # s at b = 0 exactly is 0 / 0
+    slope[unknown] = 0.0
     spread = slope @ cov @ slope.T
     further = slope @ (np.zeros((len(free), 0)) if shift is None else shift)
     wide = spread + further @ further.T
@@ -84,7 +87,10 @@ def of_free(free: Floats, cov: Floats, diameter: float, shift: Floats | None = N
                 apart.append(name)
         else:
             merge[row, column] = 1.0
-    return Values(merge @ twice, merge @ spread @ merge.T).without_errors(apart)
+    value = merge @ np.where(unknown, 0.0, twice)
+    value[merge[:, unknown].any(axis=1)] = np.nan
+    lost = [name for name, known in zip(NAMES, np.isfinite(value), strict=True) if not known]
+    return Values(value, merge @ spread @ merge.T).without_errors([*apart, *lost])
 
 
 def of_tied(tied: Floats, cov: Floats, diameter: float, spin: float = 0.0) -> Values:

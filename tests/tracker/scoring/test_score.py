@@ -135,15 +135,32 @@ def test_figures_of_known_errors():
     assert some["z_mean"] == pytest.approx(-1.0)  # an error of zero is no claim
 
 
-def test_bound_is_reached_by_the_fit(data):
-    """The Fisher bound at the truth, against the scatter of 60 films of that clip."""
-    truth, camera = truth_of(data, 1)
-    scalars = scalars_of(data).iloc[1]
+def limits_of(folder, clip):
+    """The bounds of a clip whose positions all have the same noise."""
+    truth, camera = truth_of(folder, clip)
+    scalars = scalars_of(folder).iloc[clip]
     tied = true_motion(truth, {k: float(scalars[k]) for k in ("v0", "b", "t_c", "r", "mu_k", "C", "drag", "decel")})
     seen = truth[truth["visible"]].reset_index(drop=True)
     spots = seen[["frame", "particle"]].assign(x=seen["x_mean_px"], y=seen["y_mean_px"])
     matched = match(truth, spots, 5.0, camera.diameter_px)
-    limits = quantity_bounds(matched, np.broadcast_to(np.eye(2) * NOISE**2, (len(spots), 2, 2)), tied, camera)
+    return quantity_bounds(matched, np.broadcast_to(np.eye(2) * NOISE**2, (len(spots), 2, 2)), tied, camera)
+
+
+def test_bounds_of_a_hit_that_is_exactly_head_on(tmp_path):
+    """They are those of a hit that is nearly so; only s, a ratio by b, has none."""
+    exact, nearly = (
+        limits_of(dataset(tmp_path / str(b), {**BENCHMARK, "launch": {"v0": 0.3, "b": b, "heading": 0}}, 1), 0)
+        for b in (0, 1e-4)
+    )
+    assert {name for name, bound in exact.items() if not np.isfinite(bound)} == {"s_bound", "s_free_bound"}
+    for name in exact.keys() - {"s_bound", "s_free_bound", "final_angle_bound", "final_angle_free_bound"}:
+        assert exact[name] == pytest.approx(nearly[name], rel=0.01), name
+
+
+def test_bound_is_reached_by_the_fit(data):
+    """The Fisher bound at the truth, against the scatter of 60 films of that clip."""
+    truth, camera = truth_of(data, 1)
+    limits = limits_of(data, 1)
     rng = np.random.default_rng(3)
     rows = [measure(noisy(truth, rng), camera)[0] for _ in range(60)]
     for name in ("r", "mu_k", "C", "tau1", "energy_fraction", "v2f_free", "r_free", "tau2_free"):
