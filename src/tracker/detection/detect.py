@@ -7,7 +7,7 @@ import inspect
 import math
 import pkgutil
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import fields, replace
 from importlib.metadata import entry_points
 from typing import Any
 
@@ -73,7 +73,7 @@ def point_of(name: str) -> str:
 
 def detect(clip: Clip, view: View, name: str = DEFAULT) -> Glints:
     """All glints of a clip by the detector ``name``, in the order of frames."""
-    return _searched(clip, detector(name)(view))
+    return _searched(clip, detector(name)(view), name)
 
 
 def settled(clip: Clip, view: View, name: str = DEFAULT) -> tuple[Glints, View]:
@@ -96,7 +96,7 @@ def settled(clip: Clip, view: View, name: str = DEFAULT) -> tuple[Glints, View]:
     view : View
     """
     finder: Any = detector(name)(view)
-    first = _searched(clip, finder)
+    first = _searched(clip, finder, name)
     blur = getattr(finder, "motion_blur", None)
     if not isinstance(blur, MotionBlur):
         return first, view
@@ -108,7 +108,7 @@ def settled(clip: Clip, view: View, name: str = DEFAULT) -> tuple[Glints, View]:
         seen = min(current.camera.exposed * length, 1.0 / current.camera.fps)
         current = replace(current, camera=replace(current.camera, exposure_seen=seen))
         finder, previous = detector(name)(current), length
-        glints = _searched(clip, finder)
+        glints = _searched(clip, finder, name)
         length, error, _ = finder.motion_blur.length()
         if abs(length - 1.0) < SETTLED:
             change = abs(1.0 - view.camera.exposure / seen)
@@ -118,13 +118,29 @@ def settled(clip: Clip, view: View, name: str = DEFAULT) -> tuple[Glints, View]:
     return first, view
 
 
-def _searched(clip: Clip, finder: Any) -> Glints:
+def _searched(clip: Clip, finder: Any, name: str) -> Glints:
+    """All glints of a clip. Raises InputError where the detector returns anything but Glints as they must be."""
     frames = enumerate(clip.frames)
     if hasattr(finder, "many"):
-        found: Glints = finder.many(frames)
-        return found
+        return _checked(finder.many(frames), f"detector {name}")
     parts = []
     for number, frame in frames:
-        glints = finder(frame)
+        glints = _checked(finder(frame), f"detector {name}, frame {number}")
         parts.append(replace(glints, frame=np.full(len(glints), number, dtype=np.int64)))
     return Glints.join(parts)
+
+
+def _checked(found: Any, said_by: str) -> Glints:
+    if not isinstance(found, Glints):
+        raise InputError(f"{said_by}: returned {type(found).__name__}, expected Glints")
+    n = int(np.size(found.x))
+    for field in fields(Glints):
+        values = np.asarray(getattr(found, field.name))
+        expected = (n, 2, 2) if field.name in ("cov", "fixed") else (n,)
+        if values.shape != expected:
+            raise InputError(f"{said_by}: {field.name} has shape {values.shape}, expected {expected} for {n} glints")
+        if not np.isfinite(values).all():
+            raise InputError(f"{said_by}: {field.name} holds NaN or infinity, expected finite numbers")
+    if not (np.diagonal(found.cov, axis1=1, axis2=2) > 0).all():
+        raise InputError(f"{said_by}: cov holds a variance of zero or less, expected px^2 above zero")
+    return found

@@ -15,7 +15,7 @@ from tracker.camera.mirror_images import secondary_of_pair
 from tracker.detection import detect as detect_module
 from tracker.detection.cramer_rao import localisation_bound
 from tracker.detection.detect import detect, detectors, point_of, view_of
-from tracker.detection.glints import BLURRED, CLIPPED, MISFIT, NEAR
+from tracker.detection.glints import BLURRED, CLIPPED, MISFIT, NEAR, Glints
 from tracker.detection.link import assign
 
 CAM = Camera.from_dict({k: v for k, v in CAMERA.items() if k != "lamp"})  # no lamp: the profile is centred on the glint
@@ -349,5 +349,37 @@ def test_outsiders_come_by_entry_point(monkeypatch):
 
     monkeypatch.setattr(detect_module, "entry_points", lambda group: [Point()] if group == "tracker.detectors" else [])
     assert "outsider" in detectors()
-    with pytest.raises(InputError, match=r"expected one of centroid, discs, maximum_likelihood, .*outsider"):
+    with pytest.raises(InputError, match=r"expected one of .*maximum_likelihood.*outsider"):
         detect_module.detector("nobody")
+
+
+def promised(**wrong):
+    """A detector that finds two glints in every frame, with some of its arrays wrong."""
+    right = {
+        "frame": np.zeros(2, np.int64), "x": np.array([50.0, 90.0]), "y": np.array([60.0, 70.0]),
+        "cov": np.tile(1e-4 * np.eye(2), (2, 1, 1)), "flux": np.ones(2), "background": np.ones(2),
+        "flags": np.zeros(2, np.int64),
+    }  # fmt: skip
+    return lambda view: lambda frame: Glints(**right | wrong)
+
+
+@pytest.mark.parametrize(
+    ("finder", "said"),
+    [
+        (lambda view: lambda frame: [(50.0, 60.0)], "returned list, expected Glints"),
+        (promised(cov=np.eye(2)), r"cov has shape \(2, 2\), expected \(2, 2, 2\)"),
+        (promised(cov=np.full((2, 2), 1e-4)), r"cov has shape \(2, 2\), expected \(2, 2, 2\)"),
+        (promised(y=np.array([60.0])), r"y has shape \(1,\), expected \(2,\) for 2 glints"),
+        (promised(frame=np.zeros(3, np.int64)), r"frame has shape \(3,\), expected \(2,\)"),
+        (promised(x=50.0), r"frame has shape \(2,\), expected \(1,\) for 1 glints"),
+        (promised(x=np.array([50.0, np.nan])), "x holds NaN or infinity"),
+        (promised(cov=np.full((2, 2, 2), np.nan)), "cov holds NaN or infinity"),
+        (promised(cov=np.zeros((2, 2, 2))), "cov holds a variance of zero or less"),
+    ],
+)
+def test_a_detector_that_returns_something_else_is_named(monkeypatch, finder, said):
+    monkeypatch.setattr(detect_module, "detectors", lambda: {"outsider": finder})
+    shown = clip(np.zeros((9, 160, 200), np.uint8))
+    with pytest.raises(InputError, match=rf"^detector outsider, frame 0: {said}") as error:
+        detect(shown, view_of(shown), "outsider")
+    assert "\n" not in str(error.value)
