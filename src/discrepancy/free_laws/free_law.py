@@ -22,7 +22,7 @@ from discrepancy.fitting.predict import forecast
 from discrepancy.fitting.response import Leg, responses
 from discrepancy.free_laws.basis import Axis
 from discrepancy.free_laws.ranges import Ranges, over_clips
-from synthcam.effect import Effect, Parameter
+from synthcam.effect import LAWS, Effect, Parameter
 from synthcam.model import Model
 
 MEAN = 200  # places on each axis, to take a mean over
@@ -69,6 +69,21 @@ class FreeLaw(ABC):
     one_ball: ClassVar[bool] = False
     paced: ClassVar[bool] = False
     bends: ClassVar[tuple[str, str] | None] = None
+    needs: ClassVar[dict[str, str]] = {"symbol": 'symbol = "mu"'}  # what a file must give, and an example
+
+    def __init_subclass__(cls) -> None:
+        super().__init_subclass__()
+        if cls.__module__ == __name__:
+            return  # the kinds of free laws, which leave this to the laws themselves
+        for name, example in cls.needs.items():
+            if not getattr(cls, name, None):
+                raise TypeError(f"{cls.__module__}.{cls.__name__}: no {name}; expected it, as {example}")
+        law, what = cls.bends or ("", "")
+        if law and law not in LAWS:
+            raise TypeError(f"{cls.__module__}.{cls.__name__}: bends {law!r}, expected one of {', '.join(LAWS)}")
+        if what and what not in LAWS[law]:
+            known = ", ".join(LAWS[law]) or "nothing"
+            raise TypeError(f"{cls.__module__}.{cls.__name__}: bends {law} by {what!r}, which depends on {known}")
 
     @staticmethod
     @abstractmethod
@@ -171,6 +186,8 @@ class FreeLaw(ABC):
 class MotionLaw(FreeLaw):
     """A law that acts all along the motion; its derivatives are integrals over the motion."""
 
+    needs = FreeLaw.needs | {"bends": 'bends = ("friction", "slip_speed")'}
+
     def columns(self, model: Model, launches: Array, clips: Sequence[Measured]) -> list[Array]:
         assert self.bends
         law, name = self.bends
@@ -207,6 +224,8 @@ class PacedLaw(MotionLaw):
 
 class ImpactLaw(FreeLaw):
     """A law of its one owner that is asked once a collision; its derivatives are the owner's."""
+
+    needs = FreeLaw.needs | {"owners": 'owners = (("restitution", 0),)'}
 
     @abstractmethod
     def at_impact(self, launches: Array) -> Array:

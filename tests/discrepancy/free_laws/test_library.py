@@ -36,7 +36,7 @@ def exchanged(count, seed):
 CLIPS = exchanged(6, 11)
 LAUNCHES = np.array([c.launch for c in CLIPS])
 FREE = {s.name: s for s in free_laws(Model(), LAUNCHES, CLIPS)}
-ALONE = ("friction_speed", "rolling_speed", "force_speed", "force_place")  # laws in which two balls may differ
+ALONE = sorted({law.name.removesuffix("_a") for law in FREE.values() if law.ball == "a"})
 MINE = [c.ball == int(c.striker == "a") for c in CLIPS]
 
 
