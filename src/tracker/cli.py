@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import pkgutil
 import shlex
 import shutil
 import sys
@@ -15,6 +16,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from tracker.camera.camera import InputError
+from tracker.detection import detectors as detector_files
 
 if TYPE_CHECKING:
     from tracker.camera.frames import Source
@@ -28,6 +30,7 @@ app = typer.Typer(
     rich_markup_mode=None,
 )
 SCORE = "score.json"
+DETECTORS = ", ".join(m.name for m in pkgutil.iter_modules(detector_files.__path__)) + ", or an installed package's own"
 Results = Annotated[Path, typer.Option("-o", "--output", metavar="RESULTS", help="Folder to make.")]
 WithPages = Annotated[
     bool | None,
@@ -66,7 +69,7 @@ def track(
     source: Annotated[Path, typer.Argument(metavar="SOURCE", help="Dataset, clip, stack, video or pictures.")],
     output: Results,
     camera: Annotated[Path | None, typer.Option(help="camera.json, in place of the source's own.")] = None,
-    detector: Annotated[str, typer.Option(help="How glints are found.")] = "maximum_likelihood",
+    detector: Annotated[str, typer.Option(help=f"How balls are found: {DETECTORS}.")] = "maximum_likelihood",
     workers: Annotated[int | None, typer.Option(min=1, help="Processes; default: one a core.")] = None,
     pages: WithPages = None,
     as_json: Json = False,
@@ -159,7 +162,7 @@ def score(
 @app.command()
 def compare(
     dataset: Annotated[Path, typer.Argument(metavar="DATASET", help="Clips with their truth.")],
-    detectors: Annotated[str, typer.Option(help="Names, with commas between them.")],
+    detectors: Annotated[str, typer.Option(help=f"Names, with commas between them, of {DETECTORS}.")],
     output: Annotated[Path, typer.Option("-o", "--output", metavar="REPORT", help="Folder to make.")],
     as_json: Json = False,
 ) -> None:

@@ -1,6 +1,7 @@
 """Who may import whom: packages, rooms and files in layers, with the imports made by name counted too."""
 
 import ast
+import re
 from graphlib import TopologicalSorter
 
 import pytest
@@ -212,6 +213,26 @@ def test_arrows_run_one_way(package):
             if here in row and there in row and row[there] >= row[here]:
                 wrong.append(f"{name} imports {other}")
     assert not wrong
+
+
+def test_the_plan_names_files_that_there_are():
+    """In the plan of CONTRIBUTING.md every word outside parentheses is a folder or file where it stands."""
+    plan = re.search(r"^## The plan.*?^```$(.*?)^```$", (ROOT / "CONTRIBUTING.md").read_text(), re.S | re.M)
+    assert plan, "CONTRIBUTING.md has no plan"
+    package = folder = ROOT
+    named = set()
+    for line in re.sub(r"\([^)]*\)", "", plan[1]).splitlines():
+        words = re.findall(r"[\w/]+", line)
+        if line.startswith("src"):
+            package, folder = ROOT / words[0], ROOT / words.pop(0)
+        elif re.match(r"  \S", line):
+            folder = package / words.pop(0) if words[0].endswith("/") else package
+        for word in words:
+            path = folder / (word if word.endswith("/") else f"{word}.py")
+            assert path.exists(), f"the plan names {path.relative_to(ROOT)}"
+            named.add(path)
+        assert folder.is_dir(), f"the plan names {folder.relative_to(ROOT)}"
+    assert len(named) > 100
 
 
 @pytest.mark.parametrize("folder", sorted(PEERS))

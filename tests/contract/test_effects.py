@@ -148,6 +148,12 @@ def test_it_is_declared_in_full(kind):
     assert "".join(part.title() for part in kind.name().split("_")) == kind.__name__
 
 
+def test_no_two_effects_say_the_same():
+    """A file that was copied, and its docstring left as it was."""
+    said = [" ".join((kind.__doc__ or "").split()) for kind in library().values()]
+    assert len(set(said)) == len(said)
+
+
 STICKY = '''
 """Friction that grows with speed."""
 

@@ -16,6 +16,7 @@ from typer.testing import CliRunner
 
 from tracker import cli, pipeline, recording, results
 from tracker.camera.camera import InputError
+from tracker.detection import detectors
 
 COLUMNS = [
     "frame",
@@ -208,7 +209,7 @@ def test_status_two_and_one_line(tmp_path):
     [
         (["track", "{tmp}/none", "-o", "{tmp}/out"], "no such file"),
         (["track", "{tmp}/one.tif", "-o", "{tmp}/out"], "one frame only"),
-        (["track", "{tmp}/two.tif", "-o", "{tmp}/out", "--detector", "magic"], "expected one of centroid"),
+        (["track", "{tmp}/two.tif", "-o", "{tmp}/out", "--detector", "magic"], "no detector 'magic', expected one of"),
         (["track", "{tmp}/two.tif", "-o", "{tmp}/out", "--camera", "{tmp}/no.json"], "no such file"),
         (["compare", "{tmp}/none", "--detectors", "centroid,magic", "-o", "{tmp}/out"], "no detector 'magic'"),
         (
@@ -274,6 +275,9 @@ def test_summaries_and_help(dataset, tmp_path):
         told = runner.invoke(cli.app, [name, "--help"])
         assert told.exit_code == 0
         assert f"Example: tracker {name}" in told.stdout
+    for name in ("track", "compare"):
+        words = runner.invoke(cli.app, [name, "--help"], env={"COLUMNS": "200"}).stdout.replace(",", " ").split()
+        assert {p.stem for p in Path(detectors.__file__).parent.glob("*.py")} - {"__init__"} <= set(words)
 
 
 def test_tracker_knows_nothing_of_synthcam():
