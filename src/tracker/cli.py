@@ -136,6 +136,7 @@ def score(
     from tracker.results import RUN, load_json
     from tracker.scoring.report import write_report
     from tracker.scoring.score import score as score_results
+    from tracker.scoring.summary import summary
 
     if output.exists() and not (output.is_dir() and (not any(output.iterdir()) or (output / SCORE).is_file())):
         raise InputError(f"{output}: exists and holds something else, expected a new folder for the report")
@@ -156,7 +157,7 @@ def score(
             if new:
                 shutil.rmtree(output, ignore_errors=True)
             raise
-    print(json.dumps(verdict.to_dict()) if as_json else f"{path}")
+    print(json.dumps(verdict.to_dict()) if as_json else "\n".join([*summary(verdict), f"{path}"]))
 
 
 @app.command()

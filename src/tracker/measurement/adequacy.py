@@ -35,7 +35,6 @@ ALSO = {  # flags, and what to check of them
     OVERLAP: "their tracks come nearer than a diameter: check scale, ball_diameter and fps",
     NO_TOUCH: "they change course more than a diameter apart: check scale, ball_diameter and fps",
 }
-SCATTER = "as the tracks' own scatter shows"
 
 
 def p_value(square: float, dof: float, known: float) -> float:
@@ -90,10 +89,16 @@ def warnings(estimates: pd.DataFrame) -> Iterator[str]:
         yield f"{len(rows)} misfit (chi^2/dof {np.median(per):.3g}, at most {per.max():.3g}): {CAUSES}"
     flags = Counter(flag for row in estimates["flags"] for flag in row.split("|") if flag)
     for name, count in sorted(flags.items()):
-        yield f"{name} ({count} collisions): {ALSO.get(name, CHECKS)}"
+        yield f"{name} ({_collisions(count)}): {ALSO.get(name, CHECKS)}"
     ratio = estimates["noise_ratio"].dropna().to_numpy(float)
     if len(ratio):
-        yield f"errors: in {len(ratio)} collisions not those claimed but {np.median(ratio):.3g} times these, {SCATTER}"
+        size = f"{np.median(ratio):.3g} times their claimed errors"
+        yield f"{_collisions(len(ratio))}: positions scatter about smooth motion by {size}; the fits use the scatter"
     rho = estimates.loc[estimates["noise_rho"] > 0, "noise_rho"].to_numpy(float)
     if len(rho):
-        yield f"errors: in {len(rho)} collisions correlated by {np.median(rho):.2f} from frame to frame"
+        size = f"correlated by {np.median(rho):.2f} from frame to frame"
+        yield f"{_collisions(len(rho))}: the errors of positions are {size}; the fits count that"
+
+
+def _collisions(count: int) -> str:
+    return f"{count} collision{'s' * (count != 1)}"

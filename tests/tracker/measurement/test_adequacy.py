@@ -126,7 +126,7 @@ def test_errors_claimed_wrongly_are_found_from_the_tracks(own, times):
     assert dishonest(table) == []
     for name in SHOWN:
         assert np.abs((table[name] - without[name]) / table[f"{name}_std"]).max() < 0.05
-    assert any("times these" in line for line in warnings(table))
+    assert any("times their claimed errors" in line for line in warnings(table))
 
 
 def test_noise_that_lasts_is_counted(own, monkeypatch):
@@ -183,7 +183,7 @@ def test_pucks_on_air(own):
     assert heavy["status"] == "misfit"
     assert heavy["flags"].split("|") == ["r over 1", "C over 5/7"]
     assert np.isnan(heavy["r_std"])
-    assert any(line.startswith("r over 1 (1 collisions): impossible") for line in warnings(pd.DataFrame([heavy])))
+    assert any(line.startswith("r over 1 (1 collision): impossible") for line in warnings(pd.DataFrame([heavy])))
     (light,) = measure(pucks(camera, 0.8, 0.5), camera)
     assert light["status"] == "misfit"
     (far,) = measure(pucks(camera, 0.8, 4.0), camera)
