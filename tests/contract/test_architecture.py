@@ -132,7 +132,9 @@ def by_name(path):
     tree = ast.parse(path.read_text())
     folders = {name.rpartition(".")[2]: name for name in imported(path) if name in PEERS}
     for node in ast.walk(tree):
-        if isinstance(node, ast.Call) and ast.unparse(node.func).endswith("import_module"):
+        if isinstance(node, ast.Call) and ast.unparse(node.func) == "classes_in":
+            yield from (m for m in KNOWN if m.startswith(f"{folders[ast.unparse(node.args[0])]}."))
+        elif isinstance(node, ast.Call) and ast.unparse(node.func).endswith("import_module"):
             (name,) = node.args
             if isinstance(name, ast.Constant):
                 yield name.value

@@ -68,6 +68,22 @@ def blank(number, launch, ends, frames=FRAMES):
     return Measured(number, "b", CAMERA, frame, ball, np.zeros((2 * frames, 2)), claimed, launch, ends)
 
 
+def absorbable(fit):
+    """Unit columns (points, p) of all that a fit can absorb, for dense algebra: its parameters, each clip's launch."""
+    ends = np.cumsum([len(r) for r in fit.residuals])
+    launches = np.zeros((ends[-1], 6 * len(ends)))
+    for k, slopes in enumerate(fit.launch_slopes):
+        launches[ends[k] - len(slopes) : ends[k], 6 * k : 6 * k + 6] = slopes
+    dense = np.hstack([np.concatenate(fit.slopes), launches])
+    return dense / np.linalg.norm(dense, axis=0)
+
+
+def unabsorbed(fit, columns):
+    """Columns (points, k) less all that a fit can absorb."""
+    dense = absorbable(fit)
+    return columns - dense @ np.linalg.lstsq(dense, columns, rcond=None)[0]
+
+
 def exact(model, count, seed, frames=FRAMES):
     """Clips without noise."""
     starts = np.array(list(launches(np.random.default_rng(seed), count)))

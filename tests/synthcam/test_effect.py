@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import pytest
 
 from synthcam.effect import LAWS, Effect, Laws, parameter
-from synthcam.library import effects_in, library
+from synthcam.library import classes_in, library
 
 
 @dataclass(frozen=True)
@@ -85,8 +85,8 @@ def test_a_file_holds_one_effect(tmp_path, monkeypatch, text):
     (package / "odd.py").write_text(text)
     monkeypatch.syspath_prepend(tmp_path)
     try:
-        with pytest.raises(TypeError, match=r"shelf\.odd: expected one effect in the file"):
-            list(effects_in(importlib.import_module("shelf")))
+        with pytest.raises(TypeError, match=r"shelf\.odd: expected one Effect in the file"):
+            list(classes_in(importlib.import_module("shelf"), Effect))
     finally:
         for name in [m for m in sys.modules if m.partition(".")[0] == "shelf"]:
             del sys.modules[name]

@@ -157,17 +157,23 @@ class Fit:
     def std(self) -> dict[str, float]:
         return dict(zip(self.names, np.sqrt(np.diag(self.covariance)).tolist(), strict=True))
 
-    def projected(self, columns: Sequence[Array]) -> Array:
-        """Columns (2n, k) of every clip with all that the fit can absorb taken out, stacked: (points, k)."""
-        stacked = np.concatenate([off(a, c) for a, c in zip(self.launch_slopes, columns, strict=True)])
-        if not self.names:
-            return stacked
-        return off(np.concatenate(self.cleaned), stacked)
-
     def information(self, columns: Sequence[Array]) -> tuple[Array, Array]:
-        """Products of columns so `projected` with themselves, (k, k), and with the residuals, (k,).
+        """What a first-order fit of further parameters needs to know.
 
-        Clip by clip: many columns in one piece take much memory.
+        All that the fit's own parameters and launches can absorb is taken out first. Clip by clip: many columns in one
+        piece take much memory.
+
+        Parameters
+        ----------
+        columns : sequence of (2n, k) array
+            Whitened derivatives of each clip's track by the further parameters.
+
+        Returns
+        -------
+        gram : (k, k) array
+            Products of what is left of the columns with themselves: the further parameters' information.
+        pull : (k,) array
+            Its products with the residuals.
         """
         cleaned = self.cleaned
         shared = np.split(basis(np.concatenate(cleaned)), np.cumsum([len(r) for r in self.residuals])[:-1])

@@ -2,36 +2,22 @@
 
 from __future__ import annotations
 
-import importlib
-import inspect
-import pkgutil
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from functools import cache
-from types import ModuleType
 
 from discrepancy.arrays import Array
 from discrepancy.data.collisions import Measured
 from discrepancy.free_laws import laws
 from discrepancy.free_laws.free_law import FreeLaw
 from discrepancy.free_laws.ranges import ranges
+from synthcam.library import classes_in
 from synthcam.model import Model
-
-
-def laws_in(package: ModuleType) -> Iterator[type[FreeLaw]]:
-    """The free laws of a package: each of its modules holds one subclass of FreeLaw."""
-    for info in sorted(pkgutil.iter_modules(package.__path__), key=lambda i: i.name):
-        module = importlib.import_module(f"{package.__name__}.{info.name}")
-        own = [c for c in vars(module).values() if inspect.isclass(c) and issubclass(c, FreeLaw)]
-        own = [c for c in own if c.__module__ == module.__name__]
-        if len(own) != 1:
-            raise TypeError(f"{module.__name__}: expected one free law in the file, found {len(own)}")
-        yield own[0]
 
 
 @cache
 def library() -> tuple[type[FreeLaw], ...]:
     """Every free law found in the folder `laws`."""
-    return tuple(laws_in(laws))
+    return tuple(classes_in(laws, FreeLaw))  # type: ignore[type-abstract]
 
 
 def law_count() -> int:

@@ -5,7 +5,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from discrepancy_clips import collisions, exact
+from discrepancy_clips import collisions, exact, unabsorbed
 from scipy.stats import chi2 as chi2_law
 from scipy.stats import kstest
 
@@ -37,7 +37,7 @@ def test_noise_alone_draws_uniform_chances():
     rng, chances = np.random.default_rng(1), {}
     for _ in range(25):
         drawn = tuple(rng.standard_normal(len(r)) for r in fit.residuals)
-        left = np.split(fit.projected([d[:, None] for d in drawn])[:, 0], np.cumsum([len(r) for r in drawn])[:-1])
+        left = np.split(unabsorbed(fit, np.concatenate(drawn)), np.cumsum([len(r) for r in drawn])[:-1])
         for look, against, chi2, dof, _ in trials(clips, dataclasses.replace(fit, residuals=tuple(left)), CLAIMED):
             chances.setdefault((look, against), []).append(chi2_law.sf(chi2, dof))
     assert {look for look, _ in chances} == {(p, b, a) for p in TRIALS for b in range(2) for a in range(2)}

@@ -4,7 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
-from discrepancy_clips import collisions, exact, noisy
+from discrepancy_clips import absorbable, collisions, exact, noisy, unabsorbed
 from scipy.stats import chi2 as chi2_law
 
 from discrepancy.fitting.gauss_newton import fit_model, identifiable, linearised, settle, solve
@@ -60,30 +60,21 @@ def test_errors_are_the_scatter_over_repeats():
 def test_eliminating_the_launches_equals_dense_least_squares():
     fit = fit_model(collisions(Model(), 3, 13), Model(), BASE, WHITE)
     moved = dataclasses.replace(fit, residuals=tuple(np.cos(np.arange(len(r))) for r in fit.residuals))
-    rows = [len(r) for r in fit.residuals]
-    dense, at = np.zeros((sum(rows), len(BASE) + 18)), np.cumsum([0, *rows])
-    for k in range(3):
-        dense[at[k] : at[k + 1], :5] = fit.slopes[k]
-        dense[at[k] : at[k + 1], 5 + 6 * k : 11 + 6 * k] = fit.launch_slopes[k]
-    scale = np.linalg.norm(dense, axis=0)
-    best = np.linalg.lstsq(dense / scale, np.concatenate(moved.residuals), rcond=None)[0] / scale
+    unit = absorbable(fit)
+    own_sizes = [np.linalg.norm(slopes, axis=0) for slopes in fit.launch_slopes]
+    scale = np.concatenate([np.linalg.norm(np.concatenate(fit.slopes), axis=0), *own_sizes])
+    best = np.linalg.lstsq(unit, np.concatenate(moved.residuals), rcond=None)[0] / scale
     shared, own = solve(moved, 0.0, np.full(5, -np.inf), np.full(5, np.inf))
     error = np.sqrt(np.diag(fit.covariance))
     assert np.allclose(shared / error, best[:5] / error, atol=1e-5)
     assert np.allclose(own, best[5:].reshape(3, 6), rtol=1e-4, atol=1e-9)
-    inverse = np.linalg.inv((dense / scale).T @ (dense / scale)) / np.outer(scale, scale)
+    inverse = np.linalg.inv(unit.T @ unit) / np.outer(scale, scale)
     assert np.allclose(fit.covariance / np.outer(error, error), inverse[:5, :5] / np.outer(error, error), atol=1e-5)
 
 
-def test_what_is_projected_holds_nothing_that_the_fit_can_absorb(fitted):
+def test_information_is_that_of_dense_least_squares(fitted):
     columns = [np.sin(np.outer(np.arange(len(r)), [0.1, 0.2])) for r in fitted.residuals]
-    left = fitted.projected(columns)
-    absorbed = np.concatenate(fitted.slopes)
-    launch = np.zeros((fitted.points, 6))
-    launch[: len(columns[0])] = fitted.launch_slopes[0]
-    for basis in (absorbed, launch):
-        unit = basis / np.linalg.norm(basis, axis=0)
-        assert np.abs(unit.T @ left).max() < 1e-6 * np.linalg.norm(left)
+    left = unabsorbed(fitted, np.concatenate(columns))
     gram, pull = fitted.information(columns)
     assert np.allclose(gram, left.T @ left, rtol=1e-9, atol=1e-9 * np.trace(gram))
     assert np.allclose(pull, left.T @ np.concatenate(fitted.residuals), atol=1e-9 * np.trace(gram))
