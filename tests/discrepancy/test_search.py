@@ -11,6 +11,7 @@ from discrepancy_outsiders import FEW, OUTSIDERS, outsider
 from benchmarks.search.sealed.integrator import Plate, collision, means
 from discrepancy.add import add
 from discrepancy.data.collisions import split
+from discrepancy.data.launch import HEADING, X, Y
 from discrepancy.search import find
 from discrepancy.selection.stepwise import Stepwise
 from synthcam.library import library
@@ -237,9 +238,10 @@ def test_clips_too_short_to_read_noise_from():
 
 def one_way(clip):
     """The collision turned until the striker goes along x."""
-    c, s = np.cos(clip.launch[4]), np.sin(clip.launch[4])
+    c, s = np.cos(clip.launch[HEADING]), np.sin(clip.launch[HEADING])
     back = np.array([[c, s], [-s, c]])
-    launch = np.concatenate([back @ clip.launch[:2], clip.launch[2:4], [0.0], clip.launch[5:]])
+    launch = clip.launch.copy()
+    launch[[X, Y]], launch[HEADING] = back @ launch[[X, Y]], 0.0
     return dataclasses.replace(clip, xy=clip.xy @ back.T, launch=launch)
 
 

@@ -13,6 +13,7 @@ from discrepancy_files import NOISE, SCENE, record
 from repository import ROOT
 
 from discrepancy.data.collisions import UNCLAIMED, cannot_tell, collision, read_measured, split
+from discrepancy.data.launch import T_C, V0, B, X, Y
 from synthcam.model import Model
 from tracker.camera.camera import InputError
 from tracker.results import read_clip
@@ -46,7 +47,7 @@ def test_first_guesses_are_near_the_truth(recorded, clips):
         free = [np.flatnonzero((clip.phase() == 0) & (clip.ball == k))[-8:] for k in (0, 1)]
         met = [np.polynomial.Polynomial.fit(clip.frame[r], clip.xy[r, k], 1) for r in free for k in (0, 1)]
         x1, y1, x2, y2 = (line(t_c * clip.fps) for line in met)
-        assert clip.launch[:2] == pytest.approx([(x1 + x2) / 2, (y1 + y2) / 2], abs=2e-4)
+        assert clip.launch[[X, Y]] == pytest.approx([(x1 + x2) / 2, (y1 + y2) / 2], abs=2e-4)
 
 
 def test_ball_1_rests_until_it_is_struck(clips):
@@ -69,7 +70,7 @@ def test_places_are_in_metres(recorded, clips):
 def test_no_exposure_with_an_event_counts_to_a_phase(clips):
     for clip in clips:
         opens = clip.frame / clip.fps
-        for event, balls in ((clip.launch[2], (0, 1)), (clip.ends[0], (0,)), (clip.ends[1], (1,))):
+        for event, balls in ((clip.launch[T_C], (0, 1)), (clip.ends[0], (0,)), (clip.ends[1], (1,))):
             inside = (opens < event) & (event < opens + clip.exposure) & np.isin(clip.ball, balls)
             assert np.all(clip.phase()[inside] == -1)
 
@@ -217,7 +218,7 @@ def test_one_speed_hides_what_hangs_on_it():
     same = alike(speed=0.3)
     (said,) = cannot_tell(same)
     assert "how restitution or spin transfer changes with the speed can hardly be told" in said
-    wide = [dataclasses.replace(c, launch=np.r_[c.launch[:5], 0.2 * c.clip - 0.7]) for c in same]
+    wide = [dataclasses.replace(c, launch=np.r_[c.launch[:B], 0.2 * c.clip - 0.7]) for c in same]
     (said,) = cannot_tell(wide)
     assert "how spin transfer changes with the speed can hardly be told" in said
 
@@ -262,7 +263,7 @@ def test_no_ball_is_launched_faster_than_twenty_metres_a_second(recorded, tmp_pa
         with pytest.raises(InputError, match="speeds of 25 m/s; are scale and fps of the camera right"):
             read_measured(results)
     else:
-        assert read_measured(results)[0][0].launch[3] == speed
+        assert read_measured(results)[0][0].launch[V0] == speed
 
 
 @pytest.mark.parametrize(("frames", "used"), [(2, False), (3, True)])

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from discrepancy_clips import FRAMES, STD, collisions, exact, noisy, only
 
+from discrepancy.data.launch import T_C
 from discrepancy.data.outlier_points import _Offset, outliers, taken_out, without_outliers
 from discrepancy.fitting.base_fit import CLAIMED, base_fit
 from discrepancy.fitting.parameters import parameter_of
@@ -75,7 +76,7 @@ def test_beside_a_model_it_is_found_at_every_event_and_at_both_ends(at, shift):
     wrong, rows = [], []
     for k, clip in enumerate(CLIPS):
         ball = k % 2
-        frame = {"contact": clip.launch[2], "slide end": clip.ends[ball]}.get(at, 0.0) * clip.fps + shift
+        frame = {"contact": clip.launch[T_C], "slide end": clip.ends[ball]}.get(at, 0.0) * clip.fps + shift
         frame = {"first": shift + 2, "last": FRAMES - 3 + shift}.get(at, int(frame))
         rows.append({row_of(clip, ball, min(max(frame, 0), FRAMES - 1))})
         wrong.append(moved(clip, list(rows[-1]), STD * np.array([[300, 0], [0, -300]][k // 2 % 2])))

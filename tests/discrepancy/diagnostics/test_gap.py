@@ -7,6 +7,7 @@ import pytest
 from discrepancy_clips import exact, searched
 
 from discrepancy.data.collisions import split
+from discrepancy.data.launch import V0, B
 from discrepancy.diagnostics.gap import show
 from discrepancy.fitting.gauss_newton import fit_model
 from discrepancy.noise.model import Component, Noise
@@ -34,10 +35,10 @@ def test_kept_out_clips_cover_the_speeds_and_the_extremes(count, out):
     fitted, kept = split(clips)
     assert (len(fitted), len(kept)) == (count - out, out)
     assert {c.clip for c in fitted + kept} == set(range(count))
-    by_speed = sorted(clips, key=lambda c: c.launch[3])
+    by_speed = sorted(clips, key=lambda c: c.launch[V0])
     if count >= 8:
         fastest, numbers = by_speed[-1].clip, {c.clip for c in kept}
-        slower = sorted(by_speed[:-1], key=lambda c: abs(c.launch[5]))
+        slower = sorted(by_speed[:-1], key=lambda c: abs(c.launch[B]))
         assert {fastest, slower[-1].clip} <= numbers
     if count == 30:
         assert all(any(c.clip in numbers for c in by_speed[k : k + 10]) for k in (0, 10, 20))

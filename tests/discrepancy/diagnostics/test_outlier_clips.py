@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from discrepancy_clips import collisions
 
+from discrepancy.data.launch import HEADING, V0
 from discrepancy.diagnostics.outlier_clips import outlier_clips
 from discrepancy.fitting.gauss_newton import fit_model
 from discrepancy.fitting.parameters import BASE
@@ -18,7 +19,7 @@ CLAIMED = Noise(Component(1.0))
 def pushed(clip, size):
     """Ball 1 of a clip is pushed along while it rolls, as if something stood in its way."""
     late = np.maximum(clip.frame / clip.fps - clip.ends[0], 0) * (clip.ball == 0)
-    way = np.array([np.cos(clip.launch[4]), np.sin(clip.launch[4])])
+    way = np.array([np.cos(clip.launch[HEADING]), np.sin(clip.launch[HEADING])])
     return dataclasses.replace(clip, xy=clip.xy + size * late[:, None] ** 2 * way)
 
 
@@ -35,7 +36,7 @@ def significance(base, best):
 @pytest.mark.parametrize("size", [1e-3, 4e-3])
 def test_a_bad_clip_that_makes_a_discovery_is_found(rank, size):
     clips = collisions(Model(), 12, 6)
-    bad = sorted(range(12), key=lambda k: -clips[k].launch[3])[rank]
+    bad = sorted(range(12), key=lambda k: -clips[k].launch[V0])[rank]
     clips[bad] = pushed(clips[bad], size * (1 + rank))
     base, best = fits(clips, "rolling_quadratic.K")
     assert significance(base, best) > 4

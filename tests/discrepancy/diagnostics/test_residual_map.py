@@ -9,6 +9,7 @@ from discrepancy_clips import collisions, exact, unabsorbed
 from scipy.stats import chi2 as chi2_law
 from scipy.stats import kstest
 
+from discrepancy.data.launch import HEADING
 from discrepancy.diagnostics.residual_map import AGAINST, AXES, BALLS, TRIALS, locate, trials
 from discrepancy.fitting.gauss_newton import fit_model
 from discrepancy.fitting.parameters import BASE
@@ -85,7 +86,7 @@ def test_a_bent_roll_has_the_size_of_its_bend():
     for k, c in enumerate(exact(Model(), 12, 4)):
         late = np.maximum(c.frame / c.fps - c.ends[c.ball], 0) * (c.ball == 0)
         bend = (-1) ** k * 1e-3 * late**2
-        way = np.array([-np.sin(c.launch[4]), np.cos(c.launch[4])])
+        way = np.array([-np.sin(c.launch[HEADING]), np.cos(c.launch[HEADING])])
         rows = late > 0
         line = np.polyval(np.polyfit(late[rows], bend[rows], 1), late[rows])
         sizes.append((bend[rows] - line) ** 2)

@@ -7,6 +7,7 @@ import pandas as pd
 import pytest
 from discrepancy_clips import FPS, blank, exact
 
+from discrepancy.data.launch import HEADING, T_C, V0, B
 from discrepancy.fitting.predict import forecast
 from synthcam.dataset.generate import Plan, run
 from synthcam.model import Model
@@ -48,9 +49,9 @@ def test_a_lens_that_nobody_knows_moves_what_is_far_from_the_middle():
 def test_without_sliding_friction_balls_slide_on_for_ever():
     clip = exact(Model(), 1, 15)[0]
     base = Model().replace({"sliding_friction": 0.0, "spin_transfer": 0.0})
-    v0, heading, b = clip.launch[3:]
+    v0, heading, b = clip.launch[[V0, HEADING, B]]
     xy = forecast(base, clip.launch[None], [clip])[0]
-    late = (clip.ball == 0) & (clip.frame / FPS > clip.launch[2])
+    late = (clip.ball == 0) & (clip.frame / FPS > clip.launch[T_C])
     steps = np.diff(xy[late], axis=0) * FPS
     n = np.sqrt(1 - b * b) * np.array([np.cos(heading), np.sin(heading)]) - b * np.array(
         [-np.sin(heading), np.cos(heading)]

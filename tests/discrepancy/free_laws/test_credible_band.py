@@ -8,6 +8,7 @@ import pytest
 from discrepancy_clips import exact
 from scipy.stats import binom, norm
 
+from discrepancy.data.launch import V0, B
 from discrepancy.fitting.gauss_newton import linearised, solve
 from discrepancy.fitting.jacobian import derivative
 from discrepancy.fitting.model_fit import Evidence
@@ -45,7 +46,7 @@ def drawn(law, size, seed):
     evidence, start, free_law, moves, single = experiment()
     rng = np.random.default_rng(seed)
     scale = size / np.sqrt(np.median([s @ s for s in single]))
-    speed = start.launches[:, 3] * np.sqrt(1 - start.launches[:, 5] ** 2)
+    speed = start.launches[:, V0] * np.sqrt(1 - start.launches[:, B] ** 2)
     residuals = [s * scale * law(v) + rng.standard_normal(len(s)) for s, v in zip(single, speed, strict=True)]
     fit = dataclasses.replace(start, residuals=tuple(residuals))
     weight = weigh(free_law, *fit.information(moves))

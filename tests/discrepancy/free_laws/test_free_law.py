@@ -7,6 +7,7 @@ import pytest
 from discrepancy_clips import exact
 from discrepancy_laws import with_constant
 
+from discrepancy.data.launch import V0, B
 from discrepancy.fitting.predict import forecast
 from discrepancy.free_laws.basis import Axis
 from discrepancy.free_laws.free_law import ImpactLaw, MotionLaw
@@ -72,11 +73,11 @@ def test_a_law_that_lacks_something_is_named(kind, given, said):
 
 
 def test_ranges_are_those_of_the_data():
-    normal = LAUNCHES[:, 3] * np.sqrt(1 - LAUNCHES[:, 5] ** 2)
+    normal = LAUNCHES[:, V0] * np.sqrt(1 - LAUNCHES[:, B] ** 2)
     axis = LAWS["restitution_speed"].axes[0]
     assert (axis.low, axis.high) == pytest.approx((normal.min(), normal.max()))
     base = Model()  # the target leaves with v = (1 + r)/2 v_n and a backspin of C v0
-    fastest = (LAUNCHES[:, 3] * ((1 + base.restitution) / 2 + base.spin_transfer)).max()
+    fastest = (LAUNCHES[:, V0] * ((1 + base.restitution) / 2 + base.spin_transfer)).max()
     assert LAWS["friction_speed"].axes[0].high == pytest.approx(fastest, rel=0.03)
     ends = np.concatenate([c.xy[c.frame == c.frame.max()] for c in CLIPS])
     x, y = LAWS["force_place"].axes

@@ -9,6 +9,7 @@ import pytest
 from discrepancy_clips import exact, noisy, only
 from discrepancy_laws import with_constant
 
+from discrepancy.data.launch import HEADING, B
 from discrepancy.fitting.gauss_newton import fit_model
 from discrepancy.fitting.model_fit import Evidence
 from discrepancy.fitting.parameters import BASE
@@ -111,7 +112,7 @@ def test_a_law_of_the_impact_is_each_clips_own_number(name):
     coefs = 1e-3 * np.random.default_rng(3).standard_normal(law.size)
     ours, owner = moved(law.bent(Model(), coefs)), law.owners[0][0]
     for clip, xy in zip(CLIPS, ours, strict=True):
-        x = clip.launch[4] if "heading" in name else abs(clip.launch[5])
+        x = clip.launch[HEADING] if "heading" in name else abs(clip.launch[B])
         own = Model().replace({owner: Model().value(owner) + float(law.values(coefs, np.array([x]))[0])})
         np.testing.assert_allclose(xy, moved(own, [clip])[0], rtol=0, atol=1e-12)
 
@@ -232,7 +233,7 @@ def one_more(tmp_path, monkeypatch):
 def test_a_file_dropped_into_the_folder_is_found_fitted_and_named(one_more, monkeypatch):
     only(monkeypatch, **{name: effects()[name] for name in ("velocity_restitution", "spin_transfer_velocity")})
     clips = exact(Model(), 18, 6)
-    sides = [Model().replace({"restitution": 0.9 + 0.01 * np.tanh(c.launch[5] / 0.1)}) for c in clips]
+    sides = [Model().replace({"restitution": 0.9 + 0.01 * np.tanh(c.launch[B] / 0.1)}) for c in clips]
     seen = noisy([dataclasses.replace(c, xy=moved(m, [c])[0]) for c, m in zip(clips, sides, strict=True)], 6)
     found = find(seen, Model())
     assert law_count() == one_more + 1

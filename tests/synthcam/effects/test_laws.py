@@ -71,7 +71,7 @@ def grain(s, hat, wz):
     return MU * (1 + 0.15 * np.cos(2 * (np.arctan2(hat[1], hat[0]) - np.radians(20))))
 
 
-drill = DrillingSpin(a=2e-5)  # whose laws test_laws_motion.py holds against integrals over the contact
+drill = DrillingSpin(a=2e-5)  # whose laws test_drilling_spin.py holds against integrals over the contact
 
 
 def drilled(s, wz):
