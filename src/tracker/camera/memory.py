@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tracker.camera.camera import InputError
-from tracker.camera.frames import Frames, at_least_two, grey_frames, not_too_large, pixel_type
+from tracker.camera.frames import at_least_two
+from tracker.camera.grey import Frames, grey_frames, not_too_large, pixel_type
 
 FILM = "film"  # what messages call it
 

@@ -138,16 +138,6 @@ def test_colour_video_becomes_grey_and_is_said_so(tmp_path, code):
     assert np.abs(held(frames) - (0.299 * 200 + 0.587 * 100 + 0.114 * 50)).max() < 2
 
 
-def test_the_grey_plane_of_a_lossy_video_is_read_without_a_word(tmp_path, capfd):
-    """Its luma, 16 to 235 of what was black to white (ITU-R BT.601); OpenCV would warn at every frame."""
-    grey = np.full((5, 48, 64, 3), 128, np.uint8)
-    path = video(tmp_path / "film.mp4", grey, "mp4v", colour=True)
-    capfd.readouterr()
-    frames, _ = open_frames(path)
-    assert np.abs(held(frames) - (16 + 128 * 219 / 255)).max() < 3
-    assert capfd.readouterr().err == ""
-
-
 def test_memory_does_not_grow_with_length(tmp_path):
     path = tmp_path / "long.tif"
     with tifffile.TiffWriter(path, bigtiff=True) as writer:

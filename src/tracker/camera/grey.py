@@ -1,0 +1,74 @@
+"""Frames in grey, each read when asked for, and what pictures may be."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Any, overload
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tracker.camera.camera import InputError
+from tracker.camera.camera_keys import LONGEST_SIDE, MOST_PIXELS
+
+Frame = NDArray[np.uint8] | NDArray[np.uint16]
+
+GREY_WEIGHTS = (0.299, 0.587, 0.114)  # ITU-R BT.601, as OpenCV and scikit-image's users expect of red, green, blue
+
+
+class Frames(Sequence[Any]):
+    """A sequence of grey (h, w) uint8 or uint16 frames, each read when asked for."""
+
+    fps = 0.0  # that a video file claims
+
+    def __init__(self, count: int, shape: tuple[int, int], dtype: Any, fetch: Callable[[int], Frame]) -> None:
+        self.shape = (count, *shape)
+        self.dtype = np.dtype(dtype)
+        self._fetch = fetch
+
+    def __len__(self) -> int:
+        return self.shape[0]
+
+    @overload
+    def __getitem__(self, index: int) -> Frame: ...
+    @overload
+    def __getitem__(self, index: slice) -> list[Frame]: ...
+    def __getitem__(self, index: int | slice) -> Frame | list[Frame]:
+        if isinstance(index, slice):
+            return [self._fetch(k) for k in range(*index.indices(len(self)))]
+        if not -len(self) <= index < len(self):
+            raise IndexError(f"frame {index} of {len(self)}")
+        return self._fetch(index % len(self))
+
+    def __iter__(self) -> Iterator[Frame]:
+        return (self._fetch(k) for k in range(len(self)))
+
+
+def grey_frames(
+    path: Path | str, count: int, plane: tuple[int, ...], dtype: Any, fetch: Callable[[int], Any]
+) -> tuple[Frames, str]:
+    """Frames in grey, and a note where they were in colour."""
+    if len(plane) == 2:
+        return Frames(count, (plane[0], plane[1]), dtype, fetch), ""
+    if len(plane) != 3 or plane[2] not in (2, 3, 4):
+        raise InputError(f"{path}: pictures of shape {plane}, expected (height, width) or colour")
+
+    def grey(k: int) -> Any:
+        mix = fetch(k)[..., :3] @ np.array(GREY_WEIGHTS)
+        return np.round(mix).astype(dtype)
+
+    return Frames(count, (plane[0], plane[1]), dtype, grey), "colour converted to grey"
+
+
+def not_too_large(path: Path | str, plane: tuple[int, ...]) -> None:
+    height, width = plane[:2]
+    if height * width > MOST_PIXELS or max(height, width) > LONGEST_SIDE:
+        raise InputError(f"{path}: pictures of {width} x {height}, expected at most {MOST_PIXELS} pixels")
+
+
+def pixel_type(path: Path | str, dtype: Any) -> None:
+    if dtype.kind == "f":
+        raise InputError(f"{path}: float pixels, expected counts as uint8 or uint16 (NaN has no place in them)")
+    if dtype not in (np.uint8, np.uint16):
+        raise InputError(f"{path}: pixels of type {dtype}, expected uint8 or uint16")

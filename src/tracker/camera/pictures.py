@@ -1,0 +1,55 @@
+"""Reads folders of pictures, one at a time."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import tifffile
+
+from tracker.camera.camera import InputError
+from tracker.camera.camera_keys import first_line
+from tracker.camera.grey import Frames, grey_frames, not_too_large, pixel_type
+
+TIFF = (".tif", ".tiff")
+PICTURES = (".png", ".tif", ".tiff", ".jpg", ".jpeg", ".bmp")
+
+
+def pictures_of(folder: Path) -> list[Path]:
+    """Pictures of a folder, 2 before 10."""
+    found = [p for p in folder.iterdir() if p.suffix.lower() in PICTURES and p.is_file()]
+    return sorted(found, key=lambda p: [int(s) if s.isdigit() else s for s in re.split(r"(\d+)", p.name)])
+
+
+def folder_frames(folder: Path) -> tuple[Frames, str]:
+    paths = pictures_of(folder)
+    first = _picture(paths[0])
+    pixel_type(paths[0], first.dtype)
+    not_too_large(paths[0], first.shape)
+
+    def fetch(k: int) -> Any:
+        picture = _picture(paths[k])
+        if picture.shape != first.shape or picture.dtype != first.dtype:
+            has, wants = (f"{'x'.join(map(str, a.shape[1::-1]))} {a.dtype}" for a in (picture, first))
+            raise InputError(f"{paths[k]}: {has}, expected {wants} as in {paths[0].name}")
+        return picture
+
+    return grey_frames(folder, len(paths), first.shape, first.dtype, fetch)
+
+
+def _picture(path: Path) -> Any:
+    if path.suffix.lower() in TIFF:
+        try:
+            return np.asarray(tifffile.imread(path))
+        except Exception as error:
+            raise InputError(f"{path}: cannot be read as TIFF, truncated or damaged ({first_line(error)})") from None
+    try:
+        picture = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+    except cv2.error as error:  # a header that promises more than there is memory for
+        raise InputError(f"{path}: cannot be read as a picture ({first_line(error)})") from None
+    if picture is None:
+        raise InputError(f"{path}: cannot be read as a picture, truncated or damaged")
+    return picture[..., 2::-1] if picture.ndim == 3 else picture  # OpenCV gives blue first

@@ -1,0 +1,274 @@
+"""Reads videos in passes from front to back, a frame at a time, with FFmpeg's decoders (PyAV).
+
+Counts are luma: of a grey picture its counts as they are, of Y'CbCr the Y' plane, which the file's own matrix (ITU-R
+BT.601 or 709) made of red, green and blue. Where black is 16 and white 235 they are taken to 0 and 255, as the camera
+had them before the encoder; each code keeps a count of its own.
+"""
+
+from __future__ import annotations
+
+import re
+from bisect import bisect_right
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import av
+import cv2
+import numpy as np
+from av.video.frame import VideoFrame
+from av.video.reformatter import ColorRange
+from numpy.typing import NDArray
+
+from tracker.camera.camera import InputError
+from tracker.camera.grey import Frames, grey_frames, not_too_large
+
+VIDEOS = (".avi", ".mkv", ".mp4", ".mov", ".m4v", ".mpg", ".mpeg", ".webm")
+LUMA_FIRST = re.compile(r"(yuvj?4\d\dp|yuva4\d\dp|gray)(\d+le|8)?|nv(12|16|21|24)")  # the first plane is the luma
+BLACK, WHITE = 16, 235  # of 8 bits, of a limited range
+KEPT = 8  # frames held for steps back; further back, a pass begins at the key frame before
+COLOURED = 12  # counts of 255 off grey, and
+ENOUGH = 1e-3  # of the first picture, from which on a film is in colour
+UNEVEN = 0.05  # of the usual time between frames, by which one is another
+TICKS = 1.5  # of the file's clock, by which times are rounded
+SHORT = 0.99  # of the frames that a file promises
+av.logging.set_libav_level(av.logging.PANIC)  # what is wrong with a film is said once, in a note
+
+
+@dataclass
+class _Contents:
+    """What one pass over a video shows: its first frame, times in ticks, key frames, what is wrong with it."""
+
+    first: VideoFrame
+    times: list[int | None]
+    keys: list[int]
+    damaged: list[int]
+    tick: float
+    fps: float
+    promised: int
+    square: bool
+
+    @property
+    def timed(self) -> bool:
+        """Whether each frame has a time of its own."""
+        known = [time for time in self.times if time is not None]
+        return len(known) == len(self.times) and all(a < b for a, b in pairwise(known))
+
+
+def video_frames(path: Path) -> tuple[Frames, str]:
+    """Frames of a video, and a note of what was converted and what is wrong with it."""
+    try:
+        found = _pass(path)
+    except (av.error.FFmpegError, IndexError):  # no video in it
+        found = None
+    if found is None:
+        raise InputError(f"{path}: no frame can be decoded, expected a video that FFmpeg reads")
+    grey, deep, coloured = _conversion(found.first)
+    first = grey(found.first)
+    dtype = np.dtype(np.uint16 if deep else np.uint8)
+    reader = _Reader(path, found, grey)
+    frames, mixed = grey_frames(path, len(found.times), first.shape, dtype, reader)
+    frames.fps = found.fps
+    return frames, "; ".join(filter(None, [mixed or coloured, *_faults(found)]))
+
+
+def _opened(path: Path) -> tuple[Any, Any]:
+    container = av.open(str(path))
+    stream = container.streams.video[0]
+    stream.thread_type = "AUTO"
+    return container, stream
+
+
+def _decoded(container: Any, stream: Any, failed: Callable[[], None] = lambda: None) -> Iterator[VideoFrame]:
+    """Frames that can be decoded, in the order in which they are shown."""
+    packets = container.demux(stream)
+    while True:
+        try:
+            packet = next(packets)
+        except (StopIteration, av.error.FFmpegError):  # the end, or where a file is cut off
+            return
+        try:
+            frames = packet.decode()
+        except av.error.FFmpegError:
+            failed()
+            continue
+        yield from frames
+
+
+def _pass(path: Path) -> _Contents | None:
+    """Decodes all, for what containers claim of themselves are guesses; None without a frame."""
+    container, stream = _opened(path)
+    with container:
+        found: _Contents | None = None
+        damaged: list[int] = []
+        times: list[int | None] = []
+        keys: list[int] = []
+        for frame in _decoded(container, stream, lambda: damaged.append(len(times))):
+            if found is None:
+                not_too_large(path, (frame.height, frame.width))
+                ratio = stream.sample_aspect_ratio
+                rate = stream.average_rate or stream.guessed_rate
+                found = _Contents(
+                    frame, times, keys, damaged, float(stream.time_base or 0), float(rate or 0), _promised(stream),
+                    ratio in (None, 0, 1),
+                )  # fmt: skip
+            elif (frame.width, frame.height) != (found.first.width, found.first.height):
+                has, wants = (f"{f.width}x{f.height}" for f in (frame, found.first))
+                raise InputError(f"{path}: frame {len(times)} is {has}, expected {wants} as frame 0")
+            if frame.is_corrupt:
+                damaged.append(len(times))
+            if frame.key_frame:
+                keys.append(len(times))
+            times.append(frame.pts)
+        return found
+
+
+def _promised(stream: Any) -> int:
+    """Frames that the file says it has; 0 where it does not say."""
+    if stream.frames:
+        return int(stream.frames)
+    length = stream.duration * stream.time_base if stream.duration else (stream.container.duration or 0) / av.time_base
+    return int(length * (stream.average_rate or 0))
+
+
+def _faults(found: _Contents) -> Iterator[str]:
+    """Lines on what in a video is not as one would expect."""
+    count = len(found.times)
+    if count < SHORT * found.promised - 1:
+        yield f"truncated or damaged: {count} of the {found.promised} frames that the file promises can be decoded"
+    if found.damaged:
+        yield f"damaged: {len(found.damaged)} frames could not be decoded whole, the first at frame {found.damaged[0]}"
+    if found.first.interlaced_frame:
+        yield "interlaced: each frame holds two instants; positions are off where balls move"
+    if not found.square:
+        yield "the file says that pixels are not square; they are taken as square"
+    if not found.timed or count < 3:
+        return
+    apart = np.diff(np.array(found.times, dtype=np.float64)) * found.tick
+    usual = float(np.median(apart))
+    odd = np.flatnonzero(np.abs(apart - usual) > max(UNEVEN * usual, TICKS * found.tick))
+    if len(odd):
+        times = f"{1e3 * usual:.4g} ms between frames, but {1e3 * apart[odd[0]]:.4g} ms after frame {odd[0]}"
+        more = f" and {len(odd) - 1} more such" if len(odd) > 1 else ""
+        yield f"uneven frame rate: the file has {times}{more}; frames are taken as evenly spaced"
+
+
+class _Reader:
+    """Frame k when asked for: decodes on from the last one, or from the key frame before k."""
+
+    def __init__(self, path: Path, found: _Contents, grey: Callable[[VideoFrame], NDArray[Any]]) -> None:
+        self.path, self.times, self.keys, self.grey = path, found.times, found.keys, grey
+        self.at = {time: k for k, time in enumerate(found.times)} if found.timed else None
+        self.recent: dict[int, NDArray[Any]] = {}
+        self.source: tuple[Any, Any] | None = None
+        self.numbered: Iterator[tuple[int, VideoFrame]] = iter(())
+        self.next = 0
+
+    def __call__(self, k: int) -> NDArray[Any]:
+        if k in self.recent:
+            return self.recent[k]
+        self._turn_to(k)
+        frame = self._reached(k)
+        if frame is None:  # a key frame that is none
+            self._open()
+            frame = self._reached(k)
+        if frame is None:
+            raise InputError(f"{self.path}: frame {k} of {len(self.times)} cannot be decoded")
+        picture = self.recent[k] = self.grey(frame)
+        if len(self.recent) > KEPT:
+            del self.recent[next(iter(self.recent))]
+        return picture
+
+    def _turn_to(self, k: int) -> None:
+        """Goes to the last key frame before k, unless decoding stands between the two."""
+        before = bisect_right(self.keys, k)
+        key = self.keys[before - 1] if before and self.at is not None else 0
+        if self.source is None or (self.at is None and k < self.next):
+            self._open()
+        elif self.at is not None and not key <= self.next <= k:
+            container, stream = self.source
+            container.seek(self.times[key], stream=stream)
+            self.numbered, self.next = self._numbers(_decoded(container, stream)), key
+
+    def _reached(self, k: int) -> VideoFrame | None:
+        for number, frame in self.numbered:
+            self.next = number + 1
+            if number >= k:
+                return frame if number == k else None
+        return None
+
+    def _open(self) -> None:
+        self.close()
+        self.source = _opened(self.path)
+        self.numbered, self.next = self._numbers(_decoded(*self.source)), 0
+
+    def _numbers(self, frames: Iterator[VideoFrame]) -> Iterator[tuple[int, VideoFrame]]:
+        if self.at is None:
+            yield from enumerate(frames)
+            return
+        for frame in frames:
+            if frame.pts in self.at:
+                yield self.at[frame.pts], frame
+
+    def close(self) -> None:
+        """Closes the file."""
+        if self.source is not None:
+            self.source[0].close()
+            self.source = None
+
+    def __del__(self) -> None:
+        self.close()
+
+
+def _conversion(first: VideoFrame) -> tuple[Callable[[VideoFrame], NDArray[Any]], bool, str]:
+    """How frames become counts (or red, green and blue), whether in 16 bits, and a note where chroma is left out."""
+    layout, turn = first.format, round(first.rotation / 90) % 4
+    bits = max(part.bits for part in layout.components)
+    if layout.is_rgb or layout.has_palette or layout.is_bayer:
+        name = "rgb48le" if bits > 8 else "rgb24"
+
+        def colours(frame: VideoFrame) -> NDArray[Any]:
+            return np.rot90(frame.reformat(format=name).to_ndarray(), turn)
+
+        return colours, bits > 8, ""
+    other = "" if LUMA_FIRST.fullmatch(layout.name) else "yuv444p16le" if bits > 8 else "yuv444p"
+    bits = 16 if other == "yuv444p16le" else bits
+    full = first.color_range == ColorRange.JPEG or layout.name.startswith("yuvj")
+    if layout.name.startswith("gray"):
+        full = first.color_range != ColorRange.MPEG
+    table = None if full else _full_range(bits)
+
+    def luma(frame: VideoFrame) -> NDArray[Any]:
+        plane = _plane(frame.reformat(format=other) if other else frame, 0, bits)
+        if bits == 8 and table is not None:
+            counts: NDArray[Any] = np.asarray(cv2.LUT(plane, table))
+        else:
+            counts = plane.copy() if table is None else table[plane]
+        return np.ascontiguousarray(np.rot90(counts, turn)) if turn else counts
+
+    return luma, bits > 8, "colour converted to grey" if _coloured(first) else ""
+
+
+def _plane(frame: VideoFrame, index: int, bits: int) -> NDArray[Any]:
+    plane = frame.planes[index]
+    dtype = np.dtype(np.uint8 if bits <= 8 else "<u2")
+    rows: NDArray[Any] = np.frombuffer(memoryview(plane), dtype)
+    return rows.reshape(plane.height, plane.line_size // dtype.itemsize)[:, : plane.width]
+
+
+def _full_range(bits: int) -> NDArray[Any]:
+    """Counts by code, black 0 and white 2^bits - 1."""
+    unit, top = 2.0 ** (bits - 8), 2.0**bits - 1
+    counts = (np.arange(2**bits) - BLACK * unit) * top / ((WHITE - BLACK) * unit)
+    return np.clip(np.rint(counts), 0, top).astype(np.uint8 if bits == 8 else np.uint16)
+
+
+def _coloured(frame: VideoFrame) -> bool:
+    """Whether a Y'CbCr picture has chroma to speak of."""
+    parts = frame.format.components
+    if len(parts) < 3:
+        return False
+    chroma = frame.reformat(format="yuv444p") if frame.format.name != "yuv420p" else frame
+    return any(float(np.mean(np.abs(_plane(chroma, k, 8).astype(np.int16) - 128) > COLOURED)) > ENOUGH for k in (1, 2))

@@ -1,0 +1,117 @@
+"""Videos of all kinds give the counts that were encoded, in any order of reading; what is wrong with one is said."""
+
+import av
+import numpy as np
+import pytest
+from tracker_video import encode
+
+from tracker.camera.camera import InputError
+from tracker.camera.frames import open_frames
+
+ROWS, COLUMNS = np.mgrid[:48, :64]
+CODES = np.array([np.rint(120 + 80 * np.sin((COLUMNS + 3 * k) / 9) * np.cos(ROWS / 7)) for k in range(40)], np.uint8)
+FULL = (CODES - 16.0) * 255 / 219  # what a camera had before the encoder made it 16 to 235
+KINDS = {  # by name: codec, pixels, options, counts, and their usual error
+    "h264.mp4": ("libx264", "yuv420p", {"crf": "12", "g": "12"}, FULL, 1.5),
+    "h264.mov": ("libx264", "yuv422p", {"crf": "12", "bf": "3"}, FULL, 1.5),
+    "full.mkv": ("libx264", "yuvj420p", {"crf": "12"}, CODES, 1.5),
+    "deep.mkv": ("libx264", "yuv420p10le", {"crf": "12"}, (4.0 * CODES - 64) * 1023 / 876, 6),
+    "mjpeg.avi": ("mjpeg", "yuvj420p", {}, CODES, 5),
+    "vp9.webm": ("libvpx-vp9", "yuv420p", {"crf": "5", "b": "0"}, FULL, 2),
+    "mpeg.mpg": ("mpeg2video", "yuv420p", {"b": "4000000"}, FULL, 3),
+    "grey.mkv": ("ffv1", "gray", {}, CODES, 0),
+    "grey10.mkv": ("ffv1", "gray10le", {}, 4.0 * CODES, 0),
+}
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """A film of each kind."""
+    home = tmp_path_factory.mktemp("films")
+    for name, (codec, fmt, options, _, _) in KINDS.items():
+        encode(home / name, CODES if fmt[-4:] != "10le" else CODES.astype("<u2") * 4, codec, fmt, options=options)
+    return home
+
+
+@pytest.mark.parametrize("name", KINDS)
+def test_counts_are_those_before_the_encoder(folder, name, capfd):
+    frames, note = open_frames(folder / name)
+    true, error = KINDS[name][3:]
+    film = np.array(list(frames))
+    assert film.shape == true.shape
+    assert np.sqrt(np.mean((film - true) ** 2)) <= error + 0.3 * (true is FULL)
+    assert frames.dtype == (np.uint16 if "10le" in KINDS[name][1] else np.uint8)
+    assert (note, frames.fps) == ("", 25)
+    assert capfd.readouterr() == ("", "")
+
+
+@pytest.mark.parametrize("name", KINDS)
+def test_order_of_reading_changes_nothing_and_steps_back_open_no_file_anew(folder, name, monkeypatch):
+    film = np.array(list(open_frames(folder / name)[0]))
+    opened = []
+    monkeypatch.setattr(av, "open", lambda path, whole=av.open: opened.append(path) or whole(path))
+    frames, _ = open_frames(folder / name)
+    for k in (30, 31, 5, 4, 39, 13, 12, 0, 38, 20, -1):
+        assert np.array_equal(frames[k], film[k])
+    assert len(opened) <= (2 if name != "mpeg.mpg" else 8)  # MPEG program streams cannot be searched by time
+
+
+def test_codes_beyond_black_and_white_are_clipped_and_each_code_between_has_its_count(tmp_path):
+    codes = np.tile(np.arange(256, dtype=np.uint8).reshape(16, 16), (3, 3, 3))
+    frames, _ = open_frames(encode(tmp_path / "film.mkv", codes, "ffv1", "yuv444p"))
+    counts = frames[0][:16, :16].ravel()
+    assert (counts[:17] == 0).all()
+    assert (counts[235:] == 255).all()
+    assert (np.diff(counts[16:236].astype(int)) >= 1).all()
+
+
+def test_a_film_in_colour_is_its_luma_and_said_to_be_converted(tmp_path):
+    """Red of BT.709: Y' = 16 + 219 x .2126, Cb 102, Cr 240."""
+    red = np.stack([np.full((48, 64), code, np.uint8) for code in (63, 102, 240)])
+    frames, note = open_frames(encode(tmp_path / "film.mkv", [red] * 3, "ffv1", "yuv444p"))
+    assert note == "colour converted to grey"
+    assert np.abs(frames[1] - 255 * 0.2126).max() < 1
+
+
+def test_uneven_times_are_said_with_where(tmp_path):
+    even = encode(tmp_path / "even.mp4", CODES)
+    dropped = encode(tmp_path / "dropped.mp4", CODES, times=[k + 2 * (k > 21) for k in range(40)])
+    assert open_frames(even)[1] == ""
+    note = open_frames(dropped)[1]
+    assert note.startswith("uneven frame rate: the file has 40 ms between frames, but 120 ms after frame 21;")
+
+
+def test_a_truncated_film_gives_what_can_be_decoded(folder, tmp_path, capfd):
+    for name in ("mjpeg.avi", "grey.mkv", "full.mkv"):
+        whole = (folder / name).read_bytes()
+        (tmp_path / name).write_bytes(whole[: len(whole) * 8 // 10])
+        frames, note = open_frames(tmp_path / name)
+        film = np.array(list(frames))
+        assert 10 < len(film) < 37
+        assert np.array_equal(film[:10], np.array(list(open_frames(folder / name)[0][:10])))
+        assert f"{len(film)} of the 40 frames" in note
+    assert capfd.readouterr() == ("", "")
+
+
+def test_a_damaged_film_is_read_on_and_said(folder, tmp_path, capfd):
+    data = bytearray((folder / "grey.mkv").read_bytes())
+    at = len(data) // 2
+    data[at : at + 400] = bytes(400)
+    (tmp_path / "film.mkv").write_bytes(data)
+    frames, note = open_frames(tmp_path / "film.mkv")
+    assert len(list(frames)) == len(frames) >= 20
+    assert "damaged" in note
+    assert capfd.readouterr() == ("", "")
+
+
+def test_what_has_no_video_is_one_line(tmp_path):
+    (tmp_path / "film.mp4").write_bytes(b"\0" * 3000)
+    with pytest.raises(InputError, match=r"film.mp4: no frame can be decoded"):
+        open_frames(tmp_path / "film.mp4")
+    with av.open(str(tmp_path / "sound.mkv"), "w") as container:
+        stream = container.add_stream("pcm_s16le", rate=8000)
+        frame = av.AudioFrame.from_ndarray(np.zeros((1, 800), np.int16), layout="mono")
+        frame.sample_rate = 8000
+        container.mux(stream.encode(frame))
+    with pytest.raises(InputError, match=r"sound.mkv: no frame can be decoded"):
+        open_frames(tmp_path / "sound.mkv")
