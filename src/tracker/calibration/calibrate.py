@@ -16,6 +16,7 @@ from tracker.calibration.contact_distance import ContactDistance, contact_distan
 from tracker.camera.camera import Camera, InputError
 from tracker.camera.camera_keys import read_json
 from tracker.camera.frames import Clip, open_source
+from tracker.camera.grey import Frames
 from tracker.detection.detect import detect, view_of
 from tracker.detection.link import Tracks, link
 from tracker.outputs import as_input_error, check_room
@@ -115,7 +116,7 @@ def calibrate(video: Path, diameter: float, fps: float, exposure: float | None =
     if exposure is not None and not 0 <= exposure <= 1.0 / fps * (1 + 1e-9):
         raise InputError(f"--exposure: expected 0 to one frame time, {1 / fps:g} s, not {exposure!r}")
     source = open_source(video)
-    width, height = source.clip(0).frames.shape[:0:-1]
+    width, height = source.film(0)[1].shape[:0:-1]
     given: dict[str, Any] = {"fps": fps, "ball_diameter": diameter, "size": [width, height]}
     if exposure is not None:
         given["exposure"] = exposure
@@ -124,7 +125,7 @@ def calibrate(video: Path, diameter: float, fps: float, exposure: float | None =
     ways: dict[str, tuple[float, float]] = {}
     for _ in range(2):  # the second time with the size of the balls known
         known = {**given, "scale": diameter / scale}
-        seen = [_survey(source.clip(i), known) for i in range(len(source))]
+        seen = [_survey(*source.film(i)[:2], known) for i in range(len(source))]
         ways = _ways(seen, diameter)
         if not ways:
             break
@@ -142,16 +143,14 @@ class _Seen:
     outline: Outline | None
 
 
-def _survey(clip: Clip, known: dict[str, Any]) -> _Seen:
+def _survey(number: int, frames: Frames, known: dict[str, Any]) -> _Seen:
     camera = Camera.from_dict(known)
-    camera = replace(camera, sensor=replace(camera.sensor, bits=8 * clip.frames.dtype.itemsize))
-    bare = replace(clip, camera=camera)
-    view = view_of(bare)
-    glints = detect(bare, view)
+    camera = replace(camera, sensor=replace(camera.sensor, bits=8 * frames.dtype.itemsize))
+    clip = Clip(number, camera, frames)
+    view = view_of(clip)
+    glints = detect(clip, view)
     tracks: Tracks = link(glints, view.camera)
-    return _Seen(
-        view.camera, len(tracks), contact_distances(tracks), outline(clip.frames, view.plate, glints, view.sigma)
-    )
+    return _Seen(view.camera, len(tracks), contact_distances(tracks), outline(frames, view.plate, glints, view.sigma))
 
 
 def _ways(seen: Sequence[_Seen], diameter: float) -> dict[str, tuple[float, float]]:

@@ -40,14 +40,19 @@ class Source:
 
     def clip(self, index: int) -> Clip:
         """Opens clip ``index`` (its index in the source, not its number)."""
-        number, location = self.clips[index]
+        location = self.clips[index][1]
         own = location.parent / "camera.json" if location.is_file() else location / "camera.json"
         chosen = self.camera if self.camera is not None else own if own.is_file() else None
         if chosen is None and self.dataset:
             raise InputError(f"{own}: no such file, expected the clip's camera.json")
-        frames, note = open_frames(location)
+        number, frames, note = self.film(index)
         camera = Camera.read(chosen) if chosen is not None else None
         return recorded(number, frames, note, camera, (f"{location}", f"{chosen}"))
+
+    def film(self, index: int) -> tuple[int, Frames, str]:
+        """Number, frames and a note of clip ``index``, whatever its camera."""
+        number, location = self.clips[index]
+        return number, *open_frames(location)
 
     def camera_files(self) -> list[Path]:
         """The camera file of each clip, where there is one."""
