@@ -48,7 +48,7 @@ def encode(frames: Iterable[NDArray[Any]], path: Path, codec: str, rate: float) 
     counts = 255.0 * (np.arange(256) / 255.0) ** (1.0 / gamma)
     codes = np.rint(16 + counts * 219 / 255 if pixels == "yuv420p" else counts).astype(np.uint8)
     with av.open(str(path), "w") as container:
-        stream = container.add_stream(name, rate=round(rate), options=options)
+        stream: Any = container.add_stream(name, rate=round(rate), options=options)
         stream.pix_fmt = pixels
         for k, frame in enumerate(frames):
             if k == 0:
@@ -95,13 +95,13 @@ def spread(table: pd.DataFrame, name: str, fit: str) -> dict[str, float]:
     suffix = "" if fit == "tied" else "_free"
     z = (table[name + suffix] - table[f"{name}_true"]) / table[f"{name}{suffix}_std"]
     rows = table[z.notna()]
-    z = z[z.notna()].to_numpy(float)
+    values = z[z.notna()].to_numpy(float)
     together = np.array([common(row, name, fit) for row in rows["cov"]]) / rows[f"{name}{suffix}_std"].to_numpy(float)
     alike = np.outer(together, together)
     np.fill_diagonal(alike, 1.0)
-    n = max(len(z), 1)
-    rms = float(np.sqrt(np.mean(z**2))) if len(z) else float("nan")
-    return {"rms": rms, "error": float(np.sqrt(2 * np.sum(alike**2)) / n / 2), "mean": float(np.mean(z)), "n": len(z)}
+    n = max(len(values), 1)
+    rms = float(np.sqrt(np.mean(values**2))) if len(values) else float("nan")
+    return {"rms": rms, "error": float(np.sqrt(2 * np.sum(alike**2)) / n / 2), "n": len(values)}
 
 
 def common(cov: str, name: str, fit: str) -> float:

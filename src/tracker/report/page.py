@@ -13,7 +13,7 @@ import pandas as pd
 from matplotlib.figure import Figure
 
 from tracker.camera.camera import Camera
-from tracker.camera.frames import Frames
+from tracker.camera.grey import Frames
 from tracker.detection.link import Tracks
 from tracker.measurement.adequacy import MEASURED, warnings
 from tracker.measurement.positions import courses
