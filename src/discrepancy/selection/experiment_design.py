@@ -92,10 +92,24 @@ def designs(
     one: Shaped,
     other: Shaped,
 ) -> tuple[Design, ...]:
-    """How alike two effects, with their shape parameters, are in these collisions, then in each of WAYS, then in all
-    together.
+    """How alike the signatures of two effects are, in the collisions filmed and in others that could be filmed.
 
     Both are taken at zero strength, everything else as it was fitted.
+
+    Parameters
+    ----------
+    clips : sequence of Measured
+        The collisions filmed, of which at most MOST are taken and changed.
+    noise : Noise
+    fit : Fit
+        Of these clips.
+    one, other : (Candidate, dict of str to float)
+        The effects, each with values of its shape parameters.
+
+    Returns
+    -------
+    tuple of Design
+        The collisions as they are; changed in each of WAYS; changed in all of these together.
     """
     chosen = np.unique(np.linspace(0, len(clips) - 1, min(MOST, len(clips))).astype(int))
     for candidate, _ in (one, other):
@@ -126,7 +140,7 @@ def _cosine(
     one: Shaped,
     other: Shaped,
 ) -> float:
-    """1 where the model has no such motion, or the fit absorbs one of the two."""
+    """The cosine between two effects' signatures; 1 where there is no motion, or the fit absorbs one of the two."""
     try:
         here = linearised(evidence, fit.model, fit.names, launches)
         expected = forecast(here.model, launches, evidence.clips)
@@ -140,7 +154,7 @@ def _cosine(
 
 
 def advice(one: Candidate, other: Candidate, found: Sequence[Design]) -> str:
-    """The experiment to do, in a sentence."""
+    """The experiment that parts two effects best, in a sentence; found: as of `designs`."""
     fit, *proposed = found
     best = min(proposed, key=lambda d: d.cosine)
     single = min(proposed[:-1], key=lambda d: d.cosine)

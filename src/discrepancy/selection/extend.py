@@ -18,11 +18,25 @@ STARTS, FAR = (0.1, 0.3, 1.0), 2  # of a realistic size, where the way is too fa
 
 
 def extended(evidence: Evidence, fit: Fit, scored: Scored, progress: Callable[[], None] = lambda: None) -> Fit:
-    """The fit with a candidate's strengths, and its shape parameters once they mean something, fitted too; roughly
-    settled.
+    """Fit a candidate's strengths, then its shape parameters, together with all that a fit has already.
 
-    From where the score leads; if that keeps less than it promised, from realistic sizes as well. A base parameter held
-    at zero is far from there.
+    The descent starts where the score test leads, and where that gains less than KEPT of what the test promised, from
+    realistic sizes as well. For a base parameter held at zero it starts from realistic sizes only.
+
+    Parameters
+    ----------
+    evidence : Evidence
+    fit : Fit
+        Without the candidate.
+    scored : Scored
+        The candidate and its score test beside `fit`.
+    progress : callable
+        Told of progress.
+
+    Returns
+    -------
+    Fit
+        The best of those descents, roughly settled; `fit` itself where none can start.
     """
     tries = [] if scored.candidate.kind is None else [_from_here(evidence, fit, scored, progress)]
     if not tries or tries[0].chi2 > fit.chi2 - KEPT * scored.gain:
@@ -43,7 +57,7 @@ def _from_here(evidence: Evidence, fit: Fit, scored: Scored, progress: Callable[
 
 
 def _far(evidence: Evidence, fit: Fit, scored: Scored) -> list[Fit]:
-    """Places to start from with a single strength at realistic sizes: those that fit best when the rest gives way."""
+    """The FAR best starts with the candidate's single strength at a realistic size, all else adapted by one step."""
     candidate = scored.candidate
     if len(candidate.strengths) > 1:
         return []

@@ -78,7 +78,7 @@ class FitStore:
         return self.fits[key]
 
     def exact(self, state: Sequence[Candidate]) -> Fit:
-        """`settled`, all derivatives with the push between balls, where there is one: errors are read off them."""
+        """`settled`, with derivatives that count the push between balls where there is one: errors need them exact."""
         fit, key = self.settled(state), frozenset(state)
         if uncoupled(fit.model).effects != fit.model.effects:
             exact = linearised(self.evidence, fit.model, fit.names, fit.launches, exact=True)
@@ -87,19 +87,19 @@ class FitStore:
         return self.fits[key]
 
     def extend(self, key: Key, fit: Fit, scored: Scored) -> None:
-        """Fit a model that has a candidate more than `fit`."""
+        """Fit and keep the model of `key`: that of `fit` with the scored candidate added."""
         self._keep(key, extended(self.evidence, fit, scored, self.progress))
         self.latest[key] = scored.candidate
 
     def offer(self, key: Key, fit: Fit) -> None:
-        """A fit of some model, kept if it is better than the one known."""
+        """Keep a fit of the model of `key` where none is known or it is better; it is to be settled when asked for."""
         known = self.fits.get(key)
         if known is None or fit.chi2 < known.chi2:
             self._keep(key, fit)
             self.done.discard(key)
 
     def _astray(self, state: Iterable[Candidate], fit: Fit) -> Fit:
-        """The fit, or a better one from other shape parameters: far from the truth chi^2 may be flat in them."""
+        """The fit, or a better one from other shape parameters: away from the truth chi^2 may have other minima."""
         for candidate in state:
             tries = list(candidate.grid(candidate.without(fit.model)))
             if len(tries) < 2:
@@ -124,7 +124,7 @@ class FitStore:
         return min(fit, settle(self.evidence, other, self.progress), key=lambda f: f.chi2)
 
     def _reduced(self, state: Sequence[Candidate]) -> Fit:
-        """A fit of a part of some model fitted."""
+        """A start for a model: the smallest fitted model that contains it, less what it does not have."""
         larger = min((k for k in self.fits if k > frozenset(state)), key=len)
         fit = self.fits[larger]
         for candidate in larger - frozenset(state):
@@ -132,7 +132,10 @@ class FitStore:
         return fit
 
     def without(self, fit: Fit, candidate: Candidate) -> Fit:
-        """A fit less a candidate, all else as it was; where that has no motion, nearer to the base."""
+        """Take a candidate out of a fit, all other parameters and the launches as they were; nothing is fitted again.
+
+        Where that model has no motion from these launches, the base's parameters and launches take their place.
+        """
         reduced = fit.reduced(candidate.without(fit.model), candidate.strengths + candidate.shapes)
         try:
             return dataclasses.replace(reduced, residuals=self.evidence.left(reduced.model, reduced.launches))
@@ -143,9 +146,9 @@ class FitStore:
             return linearised(self.evidence, model, reduced.names, base.launches)
 
     def cost_of(self, state: Iterable[Candidate]) -> float:
-        """chi^2 with what strengths and shape parameters cost."""
+        """chi^2 of a fitted model plus the cost of its strengths and shape parameters; see `model_cost.cost_of`."""
         return cost_of(self.fits[frozenset(state)], self.base)
 
     def rivals(self, state: Collection[Candidate]) -> list[Fit]:
-        """All models fitted with as many candidates."""
+        """The fits of all models that have as many candidates as this one."""
         return [f for key, f in self.fits.items() if len(key) == len(state)]

@@ -49,7 +49,7 @@ class LawTest:
     weight: Weight
 
     def score(self, base: Fit) -> float:
-        """What it would cost, in chi^2."""
+        """What the model with the law would cost, in chi^2."""
         return cost_of(self.fit, base) + law_chosen() - self.weight.gain
 
 
@@ -64,7 +64,27 @@ def _tested(law: FreeLaw, fit: Fit, moves: Sequence[Array]) -> LawTest:
 
 
 def fill(evidence: Evidence, test: LawTest, base: Fit, progress: Callable[[], None] = lambda: None) -> FittedLaw:
-    """The free law fitted with everything that `test.fit` fits, its prior's size and smoothness by the data."""
+    """Fit a free law together with everything that another fit has, the law's prior chosen by the evidence.
+
+    Parameters
+    ----------
+    evidence : Evidence
+    test : LawTest
+        The law, and the fit without it.
+    base : Fit
+        What the cost of effects beside the law is counted from.
+    progress : callable
+        Told of progress.
+
+    Returns
+    -------
+    FittedLaw
+
+    Raises
+    ------
+    ValueError
+        Where a law on the way has no motion.
+    """
     law, plain, fit = test.law, test.fit.model, test.fit
     moves = _moves(evidence, law, plain, fit.launches)
     coefs, here = np.zeros(law.size), evidence
@@ -97,7 +117,11 @@ def fill(evidence: Evidence, test: LawTest, base: Fit, progress: Callable[[], No
 def _moved(
     evidence: Evidence, law: FreeLaw, plain: Model, fit: Fit, moves: Sequence[Array], coefs: Array, step: Array
 ) -> tuple[Evidence, Fit, Model] | None:
-    """A step of the coefficients, and of all else as then fits best to first order; None where there is no motion."""
+    """Take a step of the coefficients, and with it the step of all else that fits best to first order.
+
+    Returns the clips (less what the law moves, where no effect can hold it), the fit there, and its model without the
+    law; None where that has no motion.
+    """
     shared, own = solve(fit.explained_by(moves, step), 0.0, *fit.room())
     launches = fit.launches + own
     if not possible(launches):
@@ -113,7 +137,7 @@ def _moved(
 
 
 def alone(evidence: Evidence, base: Fit, best: Fit, progress: Callable[[], None] = lambda: None) -> list[Fit]:
-    """Where the best model has several effects that the base has not fitted: the fit of each of them alone."""
+    """Fit each effect of the best model alone, where it has several that the base has not."""
     added = best.added(base)
     if len(added) < 2:
         return []
@@ -167,7 +191,7 @@ class FreeLawContest:
 
     @classmethod
     def of(cls, evidence: Evidence, base: Fit, progress: Callable[[], None] = lambda: None) -> FreeLawContest:
-        """Beside the base model."""
+        """Hold every free law that the clips can show against the base model."""
         laws = free_laws(base.model, base.launches, evidence.clips)
         return cls(evidence, base, laws, progress)._considered([base])
 
@@ -180,9 +204,21 @@ class FreeLawContest:
         return self.beaten > 1
 
     def against(self, fit: Fit, rivals: Sequence[Fit] = ()) -> FreeLawContest:
-        """The contest with the library's next model.
+        """Hold the free laws against the library's next model.
 
-        A free law may bend to hold two effects of the library: beside none, it must leave nothing for a second.
+        A free law may bend so that it imitates two effects of the library. So one that stands alone beats a model of
+        one effect only if it leaves no significant effect beside itself.
+
+        Parameters
+        ----------
+        fit : Fit
+            The library's next model.
+        rivals : sequence of Fit
+            Its other models with as many effects.
+
+        Returns
+        -------
+        FreeLawContest
         """
         fits = [*alone(self.evidence, self.base, fit, self.progress), fit]
         there = dataclasses.replace(self, rivals=tuple(rivals))._considered(fits)
@@ -243,7 +279,7 @@ class FreeLawContest:
         return best if best is not None and self.fitted[best].score < cost else None
 
     def _needed(self, fitted_law: FittedLaw) -> bool:
-        """Is every library effect beside a free law needed, or does the free law hold it too?"""
+        """Whether every library effect beside a free law is significant there, and not held by the law as well."""
         return all(sigma > policy.FREE_LAW_SIGMA for sigma in fitted_law.beside(self.base).values())
 
     def _cost(self, fit: Fit) -> float:
@@ -286,7 +322,7 @@ class FreeLawContest:
 def refilled(
     evidence: Evidence, fitted_law: FittedLaw, gone: Candidate, base: Fit, progress: Callable[[], None]
 ) -> FittedLaw:
-    """The free law fitted again without one of the effects beside it. Raises ValueError: no motion."""
+    """Fit a free law again without the effect `gone` beside it. Raises ValueError where that has no motion."""
     names = tuple(n for n in fitted_law.fit.names if n not in gone.strengths + gone.shapes)
     start = linearised(evidence, gone.without(fitted_law.plain), names, fitted_law.fit.launches)
     fit = settle(evidence, start, progress)
@@ -299,16 +335,24 @@ def refilled(
 
 
 def emptied(evidence: Evidence, fitted_law: FittedLaw, progress: Callable[[], None]) -> Fit:
-    """The fit without the free law. Raises ValueError: no motion."""
+    """Fit all else that a fitted law has beside it, without the law. Raises ValueError where that has no motion."""
     return settle(
         evidence, linearised(evidence, fitted_law.plain, fitted_law.fit.names, fitted_law.fit.launches), progress
     )
 
 
 def scatter(fitted_law: FittedLaw, clips: Sequence[Measured], without: Fit, noise: Noise) -> tuple[float, float, float]:
-    """Of numbers of each clip, in clips that the free law was not fitted to: the chi^2 that their likelihood gains.
+    """Whether a law that gives each clip a number of its own holds in clips that it was not fitted to.
 
-    And what it was to gain, and with which standard deviation. The numbers are as large as those of the clips fitted.
+    Those clips have numbers of their own; what the law foretells is only how much these scatter. `without` is the fit
+    of these clips without the law.
+
+    Returns
+    -------
+    gain : float
+        By how much the marginal likelihood with numbers of that size exceeds that without, in chi^2.
+    expected, std : float
+        The mean of this gain and its standard deviation, were the numbers of that size.
     """
     evidence = Evidence.of(clips, noise)
     law = dataclasses.replace(fitted_law.law, axes=over_clips(len(clips)))
@@ -322,9 +366,20 @@ def scatter(fitted_law: FittedLaw, clips: Sequence[Measured], without: Fit, nois
 
 
 def unseen(fitted_law: FittedLaw, clips: Sequence[Measured], before: Fit, noise: Noise) -> Fit:
-    """The fit of the launches of clips that the free law was not fitted to, what it moves taken out of them.
+    """Fit the launches of clips that a free law was not fitted to, with the law as it was found.
 
-    before: their fit without it. Numbers of each clip are fitted to each.
+    Parameters
+    ----------
+    fitted_law : FittedLaw
+        Where it is a number for each clip, these clips' own numbers are fitted too.
+    clips : sequence of Measured
+    before : Fit
+        Of these clips, without the law.
+
+    Returns
+    -------
+    Fit
+        Its model holds the law; where no effect can hold it, what the law moves is taken out of the clips instead.
     """
     plain = fitted_law.plain
     if fitted_law.law.each_clip:

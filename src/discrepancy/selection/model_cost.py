@@ -20,11 +20,21 @@ def law_chosen() -> float:
 
 
 def cost_of(fit: Fit, base: Fit) -> float:
-    """chi^2 plus the cost of each effect that the base lacks, as of a free law; base parameters are free.
+    """chi^2 plus the cost of each effect that the base lacks, by the same rule as of a free law.
 
-    Shape parameters cost twice the logarithm of the range in which they are looked for over the width of their
-    likelihood; strengths cost what they do where the shape parameters are known. So what no data tell apart is paid for
-    once.
+    Each effect costs the choice among the library's effects, and the freedom of its strengths as if its shape
+    parameters were known (`evidence.freedom`). Each shape parameter costs twice the logarithm of the range in which it
+    is looked for over the width of its likelihood. Base parameters cost nothing.
+
+    Parameters
+    ----------
+    fit, base : Fit
+        The model, and the base that it is held against.
+
+    Returns
+    -------
+    float
+        In chi^2.
     """
     paid, chosen = fit.chi2, choice(len(library()))
     for names in fit.added(base).values():
@@ -44,7 +54,7 @@ def cost_of(fit: Fit, base: Fit) -> float:
 
 
 def _information(fit: Fit, names: Sequence[str]) -> NDArray[np.float64]:
-    """Of these numbers (k, k), all others being fitted."""
+    """The information (k, k) of these parameters, all others being fitted: the inverse of their covariance."""
     if not names:
         return np.zeros((0, 0))
     rows = fit.rows(names)

@@ -54,13 +54,29 @@ class Named:
 
     @classmethod
     def of(cls, candidate: Candidate, fit: Fit, std: Mapping[str, float], sigma: float) -> Named:
-        """A candidate with the numbers that a fit gives it."""
+        """Name a candidate with the values that a fit gives it.
+
+        Parameters
+        ----------
+        candidate : Candidate
+        fit : Fit
+            Of a model that has the candidate.
+        std : mapping of str to float
+            Standard deviations by dotted name; infinite where one of a strength is missing.
+        sigma : float
+            Significance of what it explains.
+
+        Returns
+        -------
+        Named
+            Without aliases or limits.
+        """
         values, shapes = ({k: fit.model.value(k) for k in names} for names in (candidate.strengths, candidate.shapes))
         own, bent = {k: std.get(k, np.inf) for k in values}, {k: determined(fit, k, std.get(k, 0.0)) for k in shapes}
         return cls(candidate.name, values, own, sigma, (candidate.name,), shapes, bent)
 
     def unsure(self) -> Named:
-        """Without errors: they would hold only if nothing else were missing."""
+        """The same without standard deviations, which would hold only if nothing else were missing."""
         return replace(self, std=dict.fromkeys(self.std, np.nan), shape_std=dict.fromkeys(self.shape_std, np.nan))
 
     def at_limit(self, name: str) -> bool:
@@ -94,7 +110,7 @@ class Named:
 
 
 def as_sure(value: float, std: float, digits: int) -> str:
-    """A value to the decimal place of so many digits of its error; to three digits where it has none."""
+    """A value as text, to the decimal place of the last of `digits` digits of its error; without one, three digits."""
     if not (np.isfinite(std) and std > 0 and value):
         return f"{value:.3g}"
     places = digits - 1 - math.floor(math.log10(float(f"{std:.{digits - 1}e}")))
@@ -105,14 +121,27 @@ def as_sure(value: float, std: float, digits: int) -> str:
 
 
 def determined(fit: Fit, shape: str, std: float) -> float:
-    """A fitted shape's standard deviation; infinite where it says nothing."""
+    """The standard deviation of a fitted shape parameter; infinite where it exceeds half of the parameter's size."""
     p = parameter_of(fit.model, shape)
     size = max(abs(fit.model.value(shape)), p.typical) if p.low >= 0 else (p.high - p.low) / 2
     return std if 0 < std < size / 2 else np.inf
 
 
 def sums(own: Array, ranking: Sequence[Scored]) -> tuple[tuple[tuple[str, ...], float], ...]:
-    """Pairs of effects that together have nearly the signature, where neither has it alone."""
+    """Find pairs of effects whose sum has nearly a given signature, where neither of them has it alone.
+
+    Parameters
+    ----------
+    own : (points, k) array
+        The signature, as of `ScoreTests.signature`.
+    ranking : sequence of Scored
+        The effects to pair; those of one strength only are paired.
+
+    Returns
+    -------
+    tuple of ((str, str), float)
+        Names and cosine of the three likest pairs, the likest first.
+    """
     alone = [c for c in ranking if c.signature.shape[1] == 1 and 0 < likeness(own, c.signature) <= policy.ALIAS_COSINE]
     found = []
     for one, other in itertools.combinations(alone, 2):

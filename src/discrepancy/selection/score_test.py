@@ -48,7 +48,15 @@ class _Way:
 
 @dataclass(frozen=True)
 class ScoreTests:
-    """All candidates at one fit."""
+    """The score tests of candidates beside one fit.
+
+    Attributes
+    ----------
+    fit : Fit
+        What the candidates would be added to.
+    trials : tuple of Trial
+        Every candidate with each value tried of its shape parameters.
+    """
 
     fit: Fit
     trials: tuple[Trial, ...]
@@ -62,10 +70,23 @@ class ScoreTests:
         only: Sequence[Candidate] = (),
         about: Model | None = None,
     ) -> ScoreTests:
-        """Of the library's effects and the base parameters held at zero, or of some of them.
+        """Take the derivatives by the strengths of every candidate, at all values of its shape parameters.
 
-        about: a model near the fit's, with a quicker motion, to take the derivatives about. Where balls push each other
-        their motion takes some eight times as long; derivatives are then those without that.
+        Parameters
+        ----------
+        evidence : Evidence
+        fit : Fit
+        progress : callable
+            Told of progress.
+        only : sequence of Candidate
+            Default: the library's effects and the base parameters held at zero.
+        about : Model, optional
+            A model near the fit's to take the derivatives about; default: the fit's. Where balls push each other the
+            motion takes some eight times as long, and derivatives are taken without that push.
+
+        Returns
+        -------
+        ScoreTests
         """
         (plain, here), trials = quicker(about or fit.model, fit.launches, evidence.clips), []
         for candidate in only or candidates(fit.model, fit.names):
@@ -79,7 +100,7 @@ class ScoreTests:
 
     @property
     def numbers(self) -> int:
-        """In all derivatives."""
+        """How many numbers all derivatives hold: their memory."""
         return sum(c.size for t in self.trials for c in t.columns)
 
     @cached_property
@@ -155,9 +176,9 @@ class ScoreTests:
         return {name: trials_factor(every) for name, every in by_name.items()}
 
     def _left(self, without: Candidate | None) -> tuple[Array, Array]:
-        """Residuals, and a basis of what the shared parameters absorb: as they are, or with a named effect taken away.
+        """Residuals (points,) and a basis of what the shared parameters absorb (points, p), launches taken out of both.
 
-        To first order.
+        As they are, or to first order with a named effect taken away.
         """
         left = self._stacked([r[:, None] for r in self.fit.residuals])[:, 0]
         names = self.fit.names
@@ -170,12 +191,12 @@ class ScoreTests:
         return left - kept @ (kept.T @ left), kept
 
     def chi2(self, without: Candidate | None = None) -> float:
-        """What is left when all is fitted again, a named effect taken away if one is given, to first order."""
+        """The chi^2 of the fit, or to first order of the fit again without a named effect."""
         left, _ = self._left(without)
         return float(left @ left)
 
     def signature(self, named: Candidate) -> Array:
-        """Of a named effect's strengths, as a Candidate's: less all that the rest of the fit absorbs."""
+        """The derivatives (points, k) by a named effect's strengths, less all that the rest of the fit absorbs."""
         names = self.fit.names
         own = [names.index(s) for s in named.strengths]
         rest = [k for k, n in enumerate(names) if n not in named.strengths + named.shapes]
@@ -183,7 +204,21 @@ class ScoreTests:
         return np.asarray(self._shared[:, own] - kept @ (kept.T @ self._shared[:, own]))
 
     def sharper(self, evidence: Evidence, scored: Scored, without: Candidate | None = None) -> Scored:
-        """The candidate with shape parameters that score better, looked for between those tried."""
+        """Look for better shape parameters of a candidate between those tried.
+
+        Parameters
+        ----------
+        evidence : Evidence
+        scored : Scored
+            As of `ranking`.
+        without : Candidate, optional
+            A named effect to take away first.
+
+        Returns
+        -------
+        Scored
+            The same candidate, with the best shape parameters found.
+        """
         candidate, model = scored.candidate, self.fit.model
         if not scored.shapes:
             return scored
@@ -202,9 +237,19 @@ class ScoreTests:
         return scored
 
     def ranking(self, without: Candidate | None = None) -> tuple[Scored, ...]:
-        """The best of each candidate, most significant first; with a named effect taken away if one is given.
+        """Each candidate with the best of its shape parameters, most significant first.
 
-        What is not identifiable comes last: however well it scores, first order left that over.
+        Candidates that are not identifiable come last however well they score: what the fit absorbs of them up to first
+        order may leave a remainder that scores by chance.
+
+        Parameters
+        ----------
+        without : Candidate, optional
+            A named effect to take away first: what could take its place?
+
+        Returns
+        -------
+        tuple of Scored
         """
         if not self.trials:
             return ()
@@ -223,7 +268,7 @@ class ScoreTests:
         return tuple(found)
 
     def leaders(self, claim: float) -> tuple[Scored, ...]:
-        """Most significant first.
+        """The candidates that a search may add, most significant first.
 
         Weakly identifiable candidates are considered only if no identifiable one is significant: a refit may tell more.
         """
@@ -283,7 +328,24 @@ def tried(
     shapes: dict[str, float],
     here: Sequence[Array],
 ) -> Trial:
-    """here: the forecast of the model."""
+    """Take the derivatives by a candidate's strengths, with these values of its shape parameters.
+
+    Parameters
+    ----------
+    evidence : Evidence
+    model : Model
+        Without the candidate.
+    launches : (clips, 6) array
+    candidate : Candidate
+    shapes : dict of str to float
+    here : sequence of (n, 2) array
+        The forecast of the model for each clip, m.
+
+    Returns
+    -------
+    Trial
+        Its columns whitened.
+    """
     bent = model.replace(shapes)
     slopes = [derivative(bent, launches, evidence.clips, s, here) for s in candidate.strengths]
     columns = [np.stack([s[k] for s in slopes], axis=-1) for k in range(len(here))]
@@ -298,10 +360,10 @@ def _scanned(
     grid: Sequence[dict[str, float]],
     here: Sequence[Array],
 ) -> list[Trial]:
-    """Those of many values of the shape parameters that show at all, or the first. Of very many clips fewer are
-    tried, for memory.
+    """`tried` at many values of the shape parameters at once, by integrals over the motion (`shape_scan`).
 
-    here: the forecast of the model.
+    Only values at which the strengths move any track are kept, or else the first. So that no more than MOST numbers are
+    held in memory, of very many clips only some of the values are tried.
     """
     numbers = sum(2 * len(c.frame) for c in evidence.clips) * len(candidate.strengths)
     grid = grid[:: 1 + numbers * len(grid) // MOST]
@@ -315,7 +377,7 @@ def _scanned(
 
 
 def _lengths(columns: Sequence[Array]) -> Array:
-    """Of the derivative before the fit took its part, (k,)."""
+    """The lengths (k,) of columns (2n, k) of each clip, stacked."""
     return np.asarray(np.sqrt(sum((c**2).sum(axis=0) for c in columns)))
 
 

@@ -43,7 +43,7 @@ class Scored:
 
     @property
     def absorbed(self) -> bool:
-        """It moves the tracks, but in no way that the fit cannot imitate."""
+        """Whether it moves the tracks, but only as the fit's own parameters and launches can."""
         return self.signature.shape[1] == 0 and any(c.any() for c in self.columns)
 
     @property
@@ -66,7 +66,7 @@ class Trial:
 
 @dataclass(frozen=True)
 class Score:
-    """Of a trial, as a Candidate's. axes (k, m): what makes of its signature an orthonormal basis."""
+    """The score of a trial, as in `Scored`. axes (k, m): its signature times these is an orthonormal basis."""
 
     trial: Trial
     sigma: float
@@ -77,11 +77,11 @@ class Score:
 
     @property
     def order(self) -> tuple[bool, float, float]:
-        """The least is the best."""
+        """The key to sort scores by, the best first."""
         return not self.identifiable, -self.sigma, self.limit
 
     def scored(self, signature: Array) -> Scored:
-        """signature (points, k): the trial's columns less all that the fit absorbs."""
+        """The candidate as scored. signature (points, k): the trial's columns less all that the fit absorbs."""
         columns = tuple(np.array(c) for c in self.trial.columns)  # no views, which would keep all trials alive
         return Scored(
             self.trial.candidate,

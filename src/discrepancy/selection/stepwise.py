@@ -59,10 +59,17 @@ class Selection:
 
 @dataclass(frozen=True)
 class Stepwise:
-    """Steps from one model to the next; the fits are those of a store.
+    """Steps from one model to the next; base parameters that the base holds at zero are candidates too.
 
-    Base parameters held at zero are candidates too: those that the base has not fitted. absorbed: what the base fit
-    absorbs is no rival; beside another effect it only seems to be.
+    Attributes
+    ----------
+    store : FitStore
+        Where all fits come from and are kept.
+    ranking, claim, trials_factors
+        As of `Selection`.
+    absorbed : frozenset of str
+        Effects that move the tracks only as the base fit's own parameters can. They are never taken for rivals, though
+        beside another effect they may seem to be.
     """
 
     store: FitStore
@@ -73,14 +80,18 @@ class Stepwise:
 
     @classmethod
     def of(cls, store: FitStore) -> Stepwise:
-        """By the score tests beside the base, which tell what a claim needs before any search."""
+        """Begin at the store's base, whose score tests say what a claim needs before anything is searched."""
         tests = store.score_tests(())
         ranking, trials_factors = tests.ranking(), tests.trials_factors
         claim = max(tests.claim(), policy.LEAST_SIGMA_OF_A_CLAIM)
         return cls(store, ranking, claim, trials_factors, frozenset(c.effect for c in ranking if c.absorbed))
 
     def states(self, state: State = ()) -> Iterator[State]:
-        """From a state to the next, each with one effect more, or others: until none scores what chance may."""
+        """Yield better and better models until no candidate is significant.
+
+        Each has one effect more than the one before, or other effects. The search ends, too, at the most effects that
+        are named, and where a step would lead back to a model that was left.
+        """
         while len(state) < policy.MOST_EFFECTS_NAMED:
             winner = self._winner(state, self.store.score_tests(state), self.claim)
             if winner is None:
@@ -92,14 +103,26 @@ class Stepwise:
             yield state
 
     def selection(self, state: State) -> Selection:
-        """A state as the outcome."""
+        """The outcome that consists of these effects."""
         base = self.store.settled(())
         return Selection(state, base, self.store.exact(state), self.ranking, self.claim, self.trials_factors)
 
     def from_there(self, found: Selection, effects: Iterable[str], model: Model) -> Selection | None:
-        """The better selection, where one that begins with these effects, as a model has them, comes to a better model.
+        """Search again from other effects, and keep the outcome where it is better.
 
-        With more effects it must be better by what excludes a rival, as always.
+        Parameters
+        ----------
+        found : Selection
+            The outcome so far.
+        effects : iterable of str
+            Names of the effects to begin with.
+        model : Model
+            Their values to begin with.
+
+        Returns
+        -------
+        Selection or None
+            Only where it costs less than `found`; with more effects, less by what excludes a rival.
         """
         try:
             begun = self.begin(effects, model)
@@ -110,16 +133,16 @@ class Stepwise:
         return again if less > (policy.RIVAL_EXCLUDED_BY if len(again.state) > len(found.state) else 0.0) else None
 
     def end(self, begun: State) -> State:
-        """The last of the states from one; that with what is not claimed dropped, where none follows."""
+        """The last of the models that follow from one; that one without what is not claimed where none follows."""
         state = [begun, *self.states(begun)][-1]
         return self._bettered(state, self.claim) if state == begun else state
 
     def less(self, found: Selection, candidate: Candidate) -> Selection:
-        """Without one of the effects named, all else fitted again."""
+        """The outcome without one of its effects, all else fitted again."""
         return self.selection(tuple(s for s in found.state if s != candidate))
 
     def instead(self, found: Selection, candidate: Candidate, alias: str) -> Selection | None:
-        """With one that fits as well in the place of an effect named; None where it was not fitted."""
+        """The outcome with `alias` in the place of one of its effects; None where that model was never fitted."""
         rest = frozenset(found.state) - {candidate}
         for key in list(self.store.fits):
             if len(key) == len(found.state) and key > rest and next(iter(key - rest)).name == alias:
@@ -127,7 +150,7 @@ class Stepwise:
         return None
 
     def begin(self, effects: Iterable[str], model: Model) -> State:
-        """A state to search on from: these effects, as a model has them, fitted. Raises ValueError without a motion."""
+        """Fit these effects, beginning with a model's values, to search on from there. Raises ValueError: no motion."""
         store, base = self.store, self.store.base
         known = candidates_of(model, base.model, base.names)
         state = tuple(known[effect] for effect in effects)
@@ -138,7 +161,7 @@ class Stepwise:
         return state
 
     def _bettered(self, state: State, claim: float) -> State:
-        """A state with candidates dropped and exchanged until nothing is better."""
+        """Drop and exchange candidates until nothing is better, or a model comes up again."""
         before: set[frozenset[Candidate]] = set()
         while state:
             before.add(frozenset(state))
@@ -157,11 +180,14 @@ class Stepwise:
         return tuple(c.effect for c in self.store.score_tests(state).ranking() if not c.identifiable)
 
     def _sigma(self, chi2: float, candidate: Candidate) -> float:
-        """Of what a candidate explains, corrected by the trials factor of its shape parameters."""
+        """The sigma of a chi^2 that a candidate explains, corrected by the trials factor of its shape parameters."""
         return sigmas(chi2, len(candidate.strengths), self.trials_factors.get(candidate.name, 1.0))
 
     def _winner(self, state: State, tests: ScoreTests, claim: float) -> Candidate | None:
-        """What is to be added: the leader, or the rival that fits best with it. None when nothing is claimed."""
+        """The candidate to add: of the leader and its rivals, all fitted, the simplest that fits as well as the best.
+
+        None where no candidate is significant beyond `claim`.
+        """
         ranking = tests.leaders(claim)
         if not ranking or ranking[0].sigma <= claim:
             return None
@@ -190,7 +216,10 @@ class Stepwise:
         return min((k for k in keys if self.store.cost_of(k) <= near), key=order)
 
     def _contenders(self, tests: ScoreTests, ranking: Sequence[Scored], claim: float) -> list[Scored]:
-        """Those that may fit as well as the leader, or better; their shape parameters made out more finely."""
+        """The candidates worth fitting: those that may explain as much as the leader, or look like it.
+
+        Their shape parameters are first looked for between those tried; then at most RIVALS are kept.
+        """
         evidence, least = self.store.evidence, ranking[0].gain / 2 - NEAR
         chosen = [tests.sharper(evidence, c) if c.gain > least else c for c in ranking if c.gain > 0]
         leader = max(chosen, key=lambda c: c.sigma)
@@ -230,7 +259,7 @@ class Stepwise:
         return None
 
     def _rivals(self, tests: ScoreTests, candidate: Candidate) -> list[Scored]:
-        """Those that may do as well in the place of a named effect."""
+        """At most SWAPS candidates that to first order do nearly as well in the place of a named effect."""
         total = tests.chi2(candidate)
         rise = total - tests.fit.chi2
         near = tests.fit.chi2 + NEAR + LOOSE * rise
@@ -238,6 +267,7 @@ class Stepwise:
         return sorted(rivals, key=lambda c: -c.gain)[:SWAPS]
 
     def _named(self, state: State, k: int, tests: ScoreTests) -> Named:
+        """What is known of the k-th effect of a model: values, errors, aliases, limits."""
         candidate, fit = state[k], tests.fit
         rest = frozenset(state) - {candidate}
         worse = self.store.settled(tuple(rest)).chi2 - fit.chi2
