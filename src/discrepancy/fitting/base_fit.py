@@ -27,7 +27,7 @@ Progress = Callable[[str], None]
 def check(clips: Sequence[Measured], model: Model) -> None:
     """Check that there are enough clips, all of one camera, and that they are measured by the model's ball.
 
-    What the balls differ by would pass for a discovery.
+    A ball of another size, or another camera, would otherwise pass for a discovery.
 
     Raises
     ------
@@ -59,10 +59,27 @@ def noise_of(clips: Sequence[Measured]) -> Noise:
 
 
 def base_fit(clips: Sequence[Measured], model: Model, noise: Noise, progress: Progress) -> Fit:
-    """The model's base parameters that are not zero and those in `model.free`, fitted. Raises InputError.
+    """Fit the model's base parameters that are not zero, and those in `model.free`.
 
-    From their values in the model; where that leads nowhere, from friction as the slides' lengths tell it, and with
-    rolling resistance in proportion: a clock that is wrong would change them so.
+    The fit starts from the model's values. Where it ends far from the data, it starts again from the friction that the
+    slides' lengths show, with the rolling loss in proportion, as a wrong clock would change them.
+
+    Parameters
+    ----------
+    clips : sequence of Measured
+    model : Model
+    noise : Noise
+    progress : callable
+        Told the word "fit" at each step.
+
+    Returns
+    -------
+    Fit
+
+    Raises
+    ------
+    InputError
+        Where the model has no motion for these collisions.
     """
     names = fitted(model)
     try:
@@ -79,9 +96,19 @@ def base_fit(clips: Sequence[Measured], model: Model, noise: Noise, progress: Pr
 def smoothed(
     clips: Sequence[Measured], kept_out: Sequence[Measured], model: Model, progress: Progress
 ) -> tuple[list[Measured], list[Measured]]:
-    """Both without what are outliers beside the base model. Only `clips` are fitted, but for launches.
+    """Take out what are outliers beside the base model, before the noise is read, which they would be taken for.
 
-    To be done before their noise is read: outliers would be taken for noise.
+    Parameters
+    ----------
+    clips, kept_out : sequence of Measured
+        The base model is fitted to the first; of those kept out, only the launches are fitted.
+    model : Model
+    progress : callable
+
+    Returns
+    -------
+    (list of Measured, list of Measured)
+        Both without their outliers.
     """
     base = base_fit(clips, model, CLAIMED, progress)
     every, places = [*clips, *kept_out], base.launches

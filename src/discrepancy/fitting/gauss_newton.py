@@ -126,7 +126,7 @@ def settle(evidence: Evidence, fit: Fit, progress: Callable[[], None] = lambda: 
 
 
 def _here(evidence: Evidence, fit: Fit) -> Fit | None:
-    """With the derivatives of where it stands; None where there are none."""
+    """The fit with derivatives taken where it stands; None where the model has no motion near there."""
     try:
         return linearised(evidence, fit.model, fit.names, fit.launches)
     except FAILED:
@@ -139,7 +139,27 @@ def _part(fit: Fit, values: Mapping[str, float], share: float) -> dict[str, floa
 
 
 def linearised(evidence: Evidence, model: Model, names: tuple[str, ...], launches: Array, exact: bool = False) -> Fit:
-    """The residuals and their derivatives at one place; exact: the push between balls in all of them."""
+    """The residuals of a model and their derivatives, at given values and launches; nothing is fitted.
+
+    Parameters
+    ----------
+    evidence : Evidence
+    model : Model
+    names : tuple of str
+        The shared parameters to take derivatives by.
+    launches : (clips, 6) array
+    exact : bool
+        Count the push between balls in all derivatives; see `jacobian.derivatives`.
+
+    Returns
+    -------
+    Fit
+
+    Raises
+    ------
+    ValueError
+        Where the model has no motion for such a launch.
+    """
     expected, own = launch_derivatives(model, launches, evidence.clips)
     shared = derivatives(model, launches, evidence.clips, names, expected, exact)
     residuals = evidence.white([c.xy - e for c, e in zip(evidence.clips, expected, strict=True)])
@@ -152,10 +172,21 @@ def linearised(evidence: Evidence, model: Model, names: tuple[str, ...], launche
 
 
 def identifiable(model: Model, names: Sequence[str], slopes: tuple[Array, ...]) -> tuple[Array, ...]:
-    """Whitened derivatives (2n, S) of each clip, those of shape parameters that all their range would not show set to
-    zero.
+    """Set to zero the derivatives by shape parameters that move nothing by one sigma over all their range.
 
-    In the gap between two frames a lost one may be anywhere: no step should carry it away from there.
+    So no step carries such a parameter away: a dropped frame, say, may be anywhere between two frames.
+
+    Parameters
+    ----------
+    model : Model
+    names : sequence of str
+        The parameters, dotted where they are an effect's.
+    slopes : tuple of (2n, S) array
+        Whitened derivatives of each clip by these.
+
+    Returns
+    -------
+    tuple of (2n, S) array
     """
     shapes = [parameter_of(model, n) if "." in n else None for n in names]
     spans = np.array(
@@ -169,7 +200,10 @@ def identifiable(model: Model, names: Sequence[str], slopes: tuple[Array, ...]) 
 
 
 def nudged(evidence: Evidence, fit: Fit, model: Model) -> Fit | None:
-    """One step from `fit` with another model: what it fits shared and the launches give way. None without a motion."""
+    """One Gauss-Newton step of all that is fitted, with another model in place of the fit's.
+
+    Returns that model without the step where the step gains nothing; None where it has no motion.
+    """
     there = _moved(evidence, dataclasses.replace(fit, model=model), {}, np.zeros_like(fit.launches))
     if there is None:
         return None
@@ -181,7 +215,10 @@ def nudged(evidence: Evidence, fit: Fit, model: Model) -> Fit | None:
 
 
 def likeliest(evidence: Evidence, fit: Fit, tries: Sequence[Mapping[str, float]]) -> Mapping[str, float] | None:
-    """Of values of the same parameters those that fit best when all else gives way, to first order. None: no motion."""
+    """Of several values of the same parameters, those that fit best once all else is fitted, to first order.
+
+    Returns None where none of them has a motion.
+    """
     names = tuple(tries[0])
     kept, (here, *there) = fit.reduced(fit.model, names), _beside(fit, evidence.clips, names, [{}, *tries])
     best, least = None, np.inf
@@ -209,7 +246,7 @@ def _beside(
 
 
 def _moved(evidence: Evidence, fit: Fit, values: Mapping[str, float], own: Array) -> Fit | None:
-    """`fit` a step further, its derivatives as they were; None where the model has no motion for such a launch."""
+    """The fit after a step, with its derivatives as they were; None where the model has no motion there."""
     launches = fit.launches + own
     if not possible(launches):
         return None
@@ -234,7 +271,23 @@ def _step(fit: Fit, damping: float) -> tuple[dict[str, float], Array]:
 
 
 def solve(fit: Fit, damping: float, least: Array, most: Array) -> tuple[Array, Array]:
-    """The Gauss-Newton step: shared (S,), within bounds, and launches (clips, 6)."""
+    """The Gauss-Newton step of a fit, the launches eliminated clip by clip.
+
+    Parameters
+    ----------
+    fit : Fit
+    damping : float
+        Marquardt's, as a share of each diagonal element.
+    least, most : (S,) array
+        Bounds of the shared parameters' changes.
+
+    Returns
+    -------
+    shared : (S,) array
+        Changes of the shared parameters.
+    own_steps : (clips, 6) array
+        Changes of the launches.
+    """
     size = len(fit.names)
     matrix, right, blocks = np.zeros((size, size)), np.zeros(size), []
     for r, s, a in zip(fit.residuals, fit.slopes, fit.launch_slopes, strict=True):
@@ -252,7 +305,7 @@ def solve(fit: Fit, damping: float, least: Array, most: Array) -> tuple[Array, A
 
 
 def _solved(matrix: Array, right: Array) -> Array:
-    """What solves it; the least that does where tracks do not show all of a launch."""
+    """The solution of a linear system; the shortest where tracks do not show all of a launch."""
     try:
         return np.asarray(np.linalg.solve(matrix, right))
     except np.linalg.LinAlgError:
@@ -260,7 +313,7 @@ def _solved(matrix: Array, right: Array) -> Array:
 
 
 def _bounded(matrix: Array, right: Array, least: Array, most: Array) -> Array:
-    """The x within bounds that makes x' matrix x / 2 - right' x least; what changes nothing stays."""
+    """The x within bounds for which x' matrix x / 2 - right' x is least; zero along directions without curvature."""
     scale = np.sqrt(np.diag(matrix).clip(0))
     scale = np.where(scale > 0, scale, 1)
     values, axes = np.linalg.eigh(matrix / np.outer(scale, scale))

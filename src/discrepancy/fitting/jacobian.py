@@ -23,10 +23,26 @@ AT_ONCE = 64  # clips whose launches are nudged in one batch
 def derivative(
     model: Model, launches: Array, clips: Sequence[Measured], name: str, here: Sequence[Array] | None = None
 ) -> list[Array]:
-    """d forecast / d a shared parameter, (n_k, 2) each: central, one-sided at a limit.
+    """The derivative of the forecast by a shared parameter.
 
-    A limit may also be where the motion ends to exist, as when a tilt sets the resting ball rolling; zero when there is
-    none to either side. here: the forecast itself; a short forward difference from there then serves where it can.
+    A central difference, or a one-sided one at a limit of the parameter or where there is no motion on the other side,
+    as when a tilt would set the resting ball rolling; zero where there is none on either side.
+
+    Parameters
+    ----------
+    model : Model
+    launches : (clips, 6) array
+        Columns as in `discrepancy.data.launch`.
+    clips : sequence of Measured
+    name : str
+        Of the parameter, dotted.
+    here : sequence of (n, 2) array, optional
+        The forecast, where it is known: a short forward difference from it is then taken where there is a motion.
+
+    Returns
+    -------
+    list of (n, 2) array
+        Of each clip, m over the parameter's unit.
     """
     value, step, (low, high) = model.value(name), step_of(model, name), limits_of(model, name)
     ends = []
@@ -53,10 +69,25 @@ def derivatives(
     here: Sequence[Array],
     exact: bool = False,
 ) -> list[list[Array]]:
-    """`derivative` of each name; here: the forecast.
+    """`derivative` by each of several parameters.
 
-    Where balls push each other their motion takes some eight times as long, and bends little what the other parameters
-    do: theirs are then those without that, unless they are to be exact, or there is no motion without.
+    Where balls push each other the motion takes some eight times as long to compute, and other parameters act on it
+    nearly as they do without the push. Their derivatives are then taken without it, where there is such a motion.
+
+    Parameters
+    ----------
+    model, launches, clips
+        As of `derivative`.
+    names : sequence of str
+    here : sequence of (n, 2) array
+        The forecast.
+    exact : bool
+        Take all derivatives with the push.
+
+    Returns
+    -------
+    list of list of (n, 2) array
+        By name, then by clip.
     """
     plain, there = (model, here) if exact else quicker(model, launches, clips, here)
     pushing = coupling(model, plain)
@@ -71,9 +102,10 @@ def derivatives(
 def quicker(
     model: Model, launches: Array, clips: Sequence[Measured], here: Sequence[Array] | None = None
 ) -> tuple[Model, Sequence[Array]]:
-    """A model near this one with a quicker motion, and its forecast; here: this one's, where it is known.
+    """The model without the push between balls, whose motion is computed sooner, and its forecast.
 
-    Without the push between balls, or the model itself, where a ball would not have rested without that.
+    The model itself where it has no such push, or where a ball would not have rested without it. `here` is the model's
+    own forecast, where it is known.
     """
     plain = uncoupled(model)
     if plain.effects != model.effects:
@@ -88,9 +120,21 @@ def coupling(model: Model, plain: Model) -> set[str]:
 
 
 def launch_derivatives(model: Model, launches: Array, clips: Sequence[Measured]) -> tuple[list[Array], list[Array]]:
-    """The forecast (n_k, 2) and its derivatives (n_k, 2, 6) by each clip's own launch, many in one batch.
+    """The forecast, and its derivatives by each clip's own launch, many clips in one batch.
 
-    At the edge of where a ball can rest they are taken to the side that has a motion; zero where neither has.
+    At the edge of where a ball can rest, differences are taken to the side that has a motion; zero where neither has.
+
+    Parameters
+    ----------
+    model, launches, clips
+        As of `derivative`.
+
+    Returns
+    -------
+    here : list of (n, 2) array
+        Of each clip, m.
+    slopes : list of (n, 2, 6) array
+        By the columns of `discrepancy.data.launch`.
     """
     here: list[Array] = []
     slopes: list[Array] = []

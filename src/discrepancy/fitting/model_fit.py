@@ -30,7 +30,7 @@ class Evidence:
         return cls(tuple(clips), tuple(Whitener.of(c, noise) for c in clips))
 
     def white(self, columns: Sequence[Array]) -> tuple[Array, ...]:
-        """(n, 2, ...) of each clip -> (2 n, ...)"""
+        """Displacements of each clip, (n, 2, ...) m, in units of the noise and without correlation: (2n, ...)."""
         return tuple(white(c) for white, c in zip(self.whiteners, columns, strict=True))
 
     def left(self, model: Model, launches: Array) -> tuple[Array, ...]:
@@ -112,7 +112,7 @@ class Fit:
         return low - self.values(), high - self.values()
 
     def explained_by(self, moves: Sequence[Array], coefs: Array) -> Fit:
-        """The residuals less what columns (2n, k) of each clip, times coefs (k,), explain of them."""
+        """The fit with residuals less columns times coefficients: moves (2n, k) of each clip, coefs (k,)."""
         left = tuple(r - m @ coefs for r, m in zip(self.residuals, moves, strict=True))
         return dataclasses.replace(self, residuals=left)
 
@@ -186,13 +186,23 @@ class Fit:
         return gram, pull
 
     def extended(self, model: Model, names: Sequence[str], columns: Sequence[Array]) -> Fit:
-        """With more shared parameters, and their derivatives, (2n, k) for each clip, from a score test: not `local`."""
+        """The fit with further shared parameters, before it is fitted again; its derivatives are then not `local`.
+
+        Parameters
+        ----------
+        model : Model
+            That has the further parameters, at zero or where they are to begin.
+        names : sequence of str
+            Of them.
+        columns : sequence of (2n, k) array
+            Whitened derivatives of each clip by them, as of a score test.
+        """
         slopes = tuple(np.concatenate(both, axis=1) for both in zip(self.slopes, columns, strict=True))
         tangent = dataclasses.replace(self.tangent, slopes=slopes)
         return dataclasses.replace(self, model=model, names=(*self.names, *names), tangent=tangent)
 
     def reduced(self, model: Model, names: Sequence[str]) -> Fit:
-        """With fewer shared parameters."""
+        """The fit with `model`, which lacks the shared parameters `names`, before it is fitted again."""
         kept = tuple(n for n in self.names if n not in names)
         slopes = tuple(s[:, self.rows(kept)] for s in self.slopes)
         tangent = dataclasses.replace(self.tangent, names=kept, slopes=slopes)
@@ -206,6 +216,6 @@ def basis(columns: Array) -> Array:
 
 
 def off(absorbing: Array, columns: Array) -> Array:
-    """Columns less their projection on the span of others."""
+    """Columns (n, k) less their projection on the span of others (n, p)."""
     q = basis(absorbing)
     return np.asarray(columns - q @ (q.T @ columns))

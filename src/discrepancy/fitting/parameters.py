@@ -82,7 +82,21 @@ def span_of(p: Parameter) -> float:
 
 
 def between(p: Parameter, value: float, closer: int) -> list[float]:
-    """Values of a shape parameter about one of those to try; the higher `closer`, the nearer."""
+    """Values of a shape parameter to either side of one that was tried.
+
+    Parameters
+    ----------
+    p : Parameter
+    value : float
+        That was tried.
+    closer : int
+        0 for thirds of the way to the next value tried; each more divides the way by three again.
+
+    Returns
+    -------
+    list of float
+        Within the parameter's limits.
+    """
     tries = _tries(p, len(FRACTIONS))
     steps = [k / 3 / 3**closer for k in (-2, -1, 1, 2)]
     at = min(int(np.searchsorted(tries, value, side="right")), len(tries) - 1)
@@ -92,7 +106,20 @@ def between(p: Parameter, value: float, closer: int) -> list[float]:
 
 
 def candidates(model: Model, fitted: Sequence[str]) -> tuple[Candidate, ...]:
-    """What `model` may lack beside the parameters `fitted`: base parameters held at zero, and the library's effects."""
+    """What a model may lack: base parameters that it holds at zero, and the library's effects.
+
+    Effects that could change nothing, as of friction where there is none, are left out.
+
+    Parameters
+    ----------
+    model : Model
+    fitted : sequence of str
+        Dotted names of parameters that are fitted already, and so are no candidates.
+
+    Returns
+    -------
+    tuple of Candidate
+    """
     found = [Candidate(n, (n,)) for n in BASE if n not in fitted and model.value(n) == 0]
     for kind in library().values():
         strengths = tuple(s for s in strengths_of(kind) if s not in fitted)
@@ -106,7 +133,10 @@ def candidates(model: Model, fitted: Sequence[str]) -> tuple[Candidate, ...]:
 
 
 def candidates_of(found: Model, given: Model, fitted: Sequence[str]) -> dict[str, Candidate]:
-    """By name, what a given model may lack when base parameters are as they were found: some effects need friction."""
+    """By name, the candidates of a given model, and those that it has with the base parameters of another.
+
+    The other is what was found: effects of friction are candidates only where the model has any.
+    """
     extended = given.replace({n: found.value(n) for n in BASE})
     return {s.name: s for model in (extended, given) for s in candidates(model, fitted)}
 
@@ -124,7 +154,7 @@ _UNITS = {"rolling_drag": "1/s", "rolling_decel": "m/s^2"}  # the other base par
 
 
 def parameter_of(model: Model, name: str) -> Parameter:
-    """A parameter by its dotted name, with its unit, its realistic size and its limits."""
+    """A parameter of the base model by its name, or of an effect as "effect.parameter", with unit, size and limits."""
     effect, dot, own = name.rpartition(".")
     if not dot:
         high = _LIMITED[name][1] if name in _LIMITED else math.inf
@@ -134,7 +164,7 @@ def parameter_of(model: Model, name: str) -> Parameter:
 
 
 def step_of(model: Model, name: str) -> float:
-    """A step for the numerical derivative by a parameter."""
+    """The step of a parameter, in its unit, for derivatives by finite differences."""
     if "." not in name:
         return _LIMITED[name][0] if name in _LIMITED else _UNLIMITED[name]
     p = parameter_of(model, name)
@@ -143,12 +173,12 @@ def step_of(model: Model, name: str) -> float:
 
 
 def limits_of(model: Model, name: str) -> tuple[float, float]:
-    """What values a parameter may have."""
+    """The least and the greatest value that a parameter may have."""
     p = parameter_of(model, name)
     return p.low, p.high
 
 
 def within(model: Model, values: Mapping[str, float]) -> Model:
-    """The model with these values, each at the nearest that it may have: rounding leads past a limit."""
+    """The model with these values by dotted name, each moved to its limit where rounding led past it."""
     ends = {name: limits_of(model, name) for name in values}
     return model.replace({name: min(max(v, ends[name][0]), ends[name][1]) for name, v in values.items()})

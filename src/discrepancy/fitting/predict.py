@@ -132,7 +132,7 @@ def _spatial(places: Array, height: Array | float) -> Array:
 
 
 def velocities(model: Model, launches: Array, clips: Sequence[Measured]) -> list[Array]:
-    """How fast the measured places move, (n_k, 2) m/s."""
+    """How fast the forecast positions move, (n_k, 2) m/s of each clip: by shifting the contact's time."""
     nudge = LATE * (np.arange(SIZE) == T_C)
     ahead, behind = (forecast(model, launches + way * nudge, clips) for way in (-1, 1))
     return [(a - b) / (2 * LATE) for a, b in zip(ahead, behind, strict=True)]

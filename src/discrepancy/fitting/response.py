@@ -76,9 +76,21 @@ class Leg:
 def responses(
     model: Model, launches: Array, clips: Sequence[Measured], changes: Mapping[str, Change], size: int
 ) -> list[Array]:
-    """d tracks (n_k, 2, size) by each of `size` changes of a law; changes: of `friction`, `rolling` or `push`.
+    """Derivatives of the tracks by many changes of the laws at once.
 
-    What no number holds tells nothing, and is zero.
+    Parameters
+    ----------
+    model : Model
+    launches : (clips, 6) array
+    clips : sequence of Measured
+    changes : mapping of str to callable
+        For "friction", "rolling" or "push", what `size` changes add to the law on a leg: `Change`.
+    size : int
+
+    Returns
+    -------
+    list of (n, 2, size) array
+        Of each clip, m for a change of one unit; zero where it overflows.
     """
     out: list[Array] = []
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
@@ -131,7 +143,7 @@ def _runs(count: int, parts: int) -> list[slice]:
 def _shifts(
     model: Model, early: Leg, slide: Leg, roll: Leg, changes: Mapping[str, Change], size: int
 ) -> tuple[Array, Array, Array]:
-    """Of some balls, (k, m, 2, J) in each leg."""
+    """How far some balls are moved, (k, m, 2, J) in each of their three legs."""
     nothing = np.zeros((len(early.times), 2, size))
     slid, left = _sliding(model, slide, roll, changes, size)
     return (

@@ -27,7 +27,7 @@ AT_ONCE = 64  # columns, for memory
 
 
 def scannable(candidate: Candidate, tries: Sequence[Shapes]) -> bool:
-    """Whether many shape values are to be tried, of an effect on laws that ask for no more than is known here."""
+    """Whether `scanned` can take the derivatives: of many values to try, and laws that ask only for what a leg knows."""
     laws = candidate.kind.laws if candidate.kind else {}
     if not laws or len(tries) < (FEW if "measure" in laws else MANY):
         return False
@@ -44,7 +44,26 @@ def scanned(
     tries: Sequence[Shapes],
     here: Sequence[Array],
 ) -> list[Array]:
-    """d tracks (n_k, 2, tries, strengths) of each clip, about a model without the candidate. here: its forecast."""
+    """Derivatives of the tracks by a candidate's strengths, at many values of its shape parameters at once.
+
+    Parameters
+    ----------
+    model : Model
+        Without the candidate.
+    launches : (clips, 6) array
+    clips : sequence of Measured
+    candidate : Candidate
+        For which `scannable` holds.
+    tries : sequence of dict of str to float
+        Values of its shape parameters by dotted name.
+    here : sequence of (n, 2) array
+        The forecast of the model, m.
+
+    Returns
+    -------
+    list of (n, 2, tries, strengths) array
+        Of each clip, m over the strength's unit.
+    """
     kind = candidate.kind
     assert kind is not None
     sizes = {_short(s): parameter_of(model, s).typical for s in candidate.strengths}
@@ -70,7 +89,7 @@ def _short(name: str) -> str:
 
 
 def _changes(fitted_law: Sequence[tuple[Effect, float]], model: Model) -> dict[str, Callable[[Leg], Array]]:
-    """What the effects, alike but for their numbers, change of friction, rolling loss and push."""
+    """What each of several effects of one kind changes of friction, rolling loss and push, over its size."""
     laws = fitted_law[0][0].laws
 
     def change(kind: str, leg: Leg) -> Array:
@@ -94,7 +113,7 @@ def _change(law: str, fitted_law: Sequence[tuple[Effect, float]], model: Model, 
 def _later(
     moving: Sequence[Array], clips: Sequence[Measured], fitted_law: Sequence[tuple[Effect, float]]
 ) -> list[Array]:
-    """Of a clock: (n_k, 2, columns)."""
+    """Displacements (n_k, 2, columns) of each clip by an effect on the clock: the velocity times how late it is."""
     t, fps = np.concatenate([c.frame for c in clips]) / clips[0].fps, clips[0].fps
     late = np.stack([(e.clock(t, fps) - t) / size for e, size in fitted_law], axis=-1)  # type: ignore[attr-defined]
     cuts = np.cumsum([len(c.frame) for c in clips])[:-1]
@@ -104,7 +123,7 @@ def _later(
 def _mistaken(
     here: Sequence[Array], clips: Sequence[Measured], fitted_law: Sequence[tuple[Effect, float]]
 ) -> list[Array]:
-    """Of what is measured: (n_k, 2, columns)."""
+    """Displacements (n_k, 2, columns) of each clip by a defect of the tracker, carried from pixels to the plate."""
     camera, places = clips[0].camera, np.concatenate(here)
     pixels = camera.project(np.concatenate([places, np.full((len(places), 1), camera.radius)], axis=1))
     slope, known = camera.unproject(pixels)[1], known_to_measure(camera)

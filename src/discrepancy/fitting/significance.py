@@ -17,7 +17,21 @@ SEED = 20_260
 
 
 def sigmas(chi2: float, dof: int, trials_factor: float = 1.0) -> float:
-    """The |z| of a normal variable as improbable as chi^2 of so many degrees of freedom, the best of many trials."""
+    """The |z| of a normal variable that is as improbable as a chi^2.
+
+    Parameters
+    ----------
+    chi2 : float
+    dof : int
+        Its degrees of freedom.
+    trials_factor : float
+        How many independent trials it is the best of; twice its logarithm is taken off sigma squared.
+
+    Returns
+    -------
+    float
+        Sigma; 0 where chance does as well.
+    """
     if trials_factor > 1:
         return math.sqrt(max(sigmas(chi2, dof) ** 2 - 2 * math.log(trials_factor), 0.0))
     if dof == 1:
@@ -32,7 +46,7 @@ def sigmas(chi2: float, dof: int, trials_factor: float = 1.0) -> float:
 
 
 def trials_factor(every: Sequence[Array]) -> float:
-    """How many independent trials these are, each a basis (points, k): 1 for one, or many that are alike."""
+    """How many independent trials so many signatures make, each a basis (points, k); 1 where all are alike."""
     columns = np.concatenate(every, axis=1)
     length = np.linalg.norm(columns, axis=0)
     unit = columns[:, length > 0] / length[length > 0]
@@ -50,11 +64,26 @@ def by_chance(
 ) -> float:
     """The sigma that the best of all candidates exceeds in a share of cases when nothing is hidden.
 
-    gram (K, K): products of the axes of all candidates among themselves. Each has of its own an orthonormal basis of
-    `sizes` axes, of what its signature leaves after the fit took its part. Their products with white noise are Gaussian
-    with this covariance, so they are drawn at once, the same draws every time. one_sided: candidates of one strength
-    that only scores when positive. trials_factors: of each candidate, by which it is corrected. level: that share;
-    by default that of a claim.
+    The products of the candidates' signatures with white noise are Gaussian with covariance `gram`, so they are drawn
+    at once, by the same random numbers every time.
+
+    Parameters
+    ----------
+    gram : (K, K) array
+        Products of the axes of all candidates. A candidate's axes are an orthonormal basis of what the fit leaves of
+        its signature.
+    sizes : sequence of int
+        How many axes each candidate has; their sum is K.
+    one_sided : sequence of bool
+        Which candidates have a single strength that can have one sign only.
+    level : float, optional
+        That share; default: that of a claim.
+    trials_factors : sequence of float
+        Of each candidate; default: 1.
+
+    Returns
+    -------
+    float
     """
     if not sum(sizes):
         return 0.0
