@@ -27,7 +27,7 @@ AT_ONCE = 64  # columns, for memory
 
 
 def scannable(candidate: Candidate, tries: Sequence[Shapes]) -> bool:
-    """Whether `scanned` can take the derivatives: of many values to try, and laws that ask only for what a leg knows."""
+    """Whether `scanned` serves a candidate: many values are to be tried, and its laws ask only for what a leg knows."""
     laws = candidate.kind.laws if candidate.kind else {}
     if not laws or len(tries) < (FEW if "measure" in laws else MANY):
         return False
