@@ -38,10 +38,24 @@ ALSO = {  # flags, and what to check of them
 
 
 def p_value(square: float, dof: float, known: float) -> float:
-    """Probability of a chi^2 at least so large; NaN where it is not known.
+    """The probability of a chi^2 at least so large.
 
-    known: degrees of freedom from which the errors' size was found (inf: given). They are part of the same residuals:
-    the rest of the residuals is held against them, by the ratio of the two mean squares.
+    Where the errors' size was found from a part of the same residuals, the rest is held against that part, by the ratio
+    of the two mean squares.
+
+    Parameters
+    ----------
+    square : float
+        chi^2.
+    dof : float
+        Its degrees of freedom.
+    known : float
+        Degrees of freedom from which the errors' size was found; inf where it was given.
+
+    Returns
+    -------
+    float
+        NaN without degrees of freedom.
     """
     if not dof > 0 or not known > 0:
         return np.nan
@@ -53,7 +67,10 @@ def p_value(square: float, dof: float, known: float) -> float:
 
 
 def agreement(tied: Fit, free: Fit, known: float) -> float:
-    """Probability of so large a rise of chi^2 from the free fit to the tied one, on the same positions."""
+    """The probability of so large a rise of chi^2 from the free fit to the tied one; `known` as of `p_value`.
+
+    NaN where the tied fit has no more degrees of freedom than the free one. Both are of the same positions.
+    """
     more, rise = tied.dof - free.dof, max(tied.chi2 - free.chi2, 0.0)
     if not more > 0 or not known > 0:
         return np.nan
@@ -61,7 +78,11 @@ def agreement(tied: Fit, free: Fit, known: float) -> float:
 
 
 def questioned(values: Values, stretch: float) -> str:
-    """What no two equal rolling balls can show, with | between; stretch: by which the fit's errors are too small."""
+    """Flags of the quantities that are impossible for two equal rolling balls, joined by "|".
+
+    A quantity is questioned where it is beyond a limit of POSSIBLE by BEYOND of its standard errors times `stretch`, by
+    which the fit's errors are too small.
+    """
     said = []
     for name, ((low, under), (high, over)) in POSSIBLE.items():
         value, error = values.value[NAMES.index(name)], BEYOND * stretch * values.std[NAMES.index(name)]
@@ -73,7 +94,7 @@ def questioned(values: Values, stretch: float) -> str:
 
 
 def distant(distance: float, std: float) -> str:
-    """The flag of balls that touch at so many diameters, with that standard error; '' where they may."""
+    """The flag of balls that touch at `distance` diameters with standard error `std`; '' where that may be one."""
     if abs(distance - 1) - BEYOND * std < APART:
         return ""
     return OVERLAP if distance < 1 else NO_TOUCH

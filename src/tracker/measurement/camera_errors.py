@@ -30,14 +30,26 @@ SOURCES = ("scale", "fps", "ball_diameter")
 
 @dataclass(frozen=True)
 class CameraError:
-    """A key of the camera file, its value, and its standard error as a share of that."""
+    """The standard error of a key of the camera file, and what changes with that key.
+
+    The methods say what a thing would be if the key were larger by so many (`by`) of its standard errors.
+
+    Attributes
+    ----------
+    key : str
+        Of SOURCES.
+    value : float
+        In the file.
+    share : float
+        The standard error over the value.
+    """
 
     key: str
     value: float
     share: float
 
     def course(self, course: Course, by: float, fps: float) -> Course:
-        """The same ball, were the key larger by so many of its standard errors."""
+        """A ball's positions and times."""
         if self.key == "scale":
             return replace(course, position=course.position * (1 + by * self.share))
         if self.key == "fps":
@@ -45,29 +57,45 @@ class CameraError:
         return course
 
     def diameter(self, diameter: float, by: float) -> float:
-        """The same diameter, so changed."""
+        """The balls' diameter."""
         return diameter * (1 + by * self.share) if self.key == "ball_diameter" else diameter
 
     def rate(self, fps: float, by: float) -> float:
-        """The same frame rate, so changed."""
+        """The frame rate."""
         return fps * (1 + by * self.share) if self.key == "fps" else fps
 
     def pair(self, pair: Pair, by: float, fps: float) -> Pair:
-        """The same pair, so changed."""
+        """Both balls of a pair, and their diameter."""
         struck, striker = (self.course(course, by, fps) for _, course in pair.balls)
         return replace(pair, struck=struck, striker=striker, diameter=self.diameter(pair.diameter, by))
 
 
 def camera_errors(camera: Camera) -> tuple[CameraError, ...]:
-    """Those that the camera file gives."""
+    """The standard errors that the camera file gives."""
     given = [(key, getattr(camera, key), getattr(camera, f"{key}_std")) for key in SOURCES]
     return tuple(CameraError(key, value, std / value) for key, value, std in given if std > 0)
 
 
 def carry(fit: Fit, values: Values, tied: bool, camera: Camera) -> tuple[Fit, Values]:
-    """A fit, its chi^2 by a covariance of the positions that has the camera's errors too, and its quantities with them.
+    """Add the errors of the camera file to a fit and its quantities.
 
     The parameters keep their values: the errors of the camera are not estimated.
+
+    Parameters
+    ----------
+    fit : Fit
+    values : Values
+        Its quantities.
+    tied : bool
+        Which motion was fitted.
+    camera : Camera
+
+    Returns
+    -------
+    Fit
+        Its chi^2 is that by a covariance of the positions to which the camera's errors are added.
+    Values
+        Their covariance holds the camera's errors, and `shared` what each of these does.
     """
     errors, pair = camera_errors(camera), fit.pair
     if not errors:
@@ -92,7 +120,19 @@ def carry(fit: Fit, values: Values, tied: bool, camera: Camera) -> tuple[Fit, Va
 
 
 def touching(free: Fit, camera: Camera) -> tuple[float, float]:
-    """At how many diameters the balls touch as their tracks show it, by a free fit, and the standard error of that."""
+    """How far apart the balls' centres are at the contact, by their tracks alone.
+
+    Parameters
+    ----------
+    free : Fit
+        The free fit, which takes them to touch at one diameter.
+    camera : Camera
+
+    Returns
+    -------
+    distance, std : float
+        In diameters, and its standard error with those of scale and diameter.
+    """
     problem, unit = Whitened(free.pair, False), CameraError("ball_diameter", camera.ball_diameter, 0.01)
     p = len(problem.names)
     x = free.parameters[:p]
@@ -106,7 +146,10 @@ def touching(free: Fit, camera: Camera) -> tuple[float, float]:
 
 
 def slopes(errors: Sequence[CameraError], function: Callable[[CameraError, float], Floats]) -> Floats:
-    """Derivatives (m, k) of a function (m,) by each key of the camera, in its standard errors."""
+    """Derivatives (m, k) by each of k keys of the camera, per standard error.
+
+    function(error, by) gives the m values, were the key larger by so many of its standard errors.
+    """
     return np.array([(function(e, STEP) - function(e, -STEP)) / (2 * STEP) for e in errors]).T
 
 
@@ -116,7 +159,7 @@ def response(residual: Floats, rows: Floats, cov: Floats, by: Floats) -> tuple[F
     Parameters
     ----------
     residual, rows, cov : ndarray of shape (m,), ndarray of shape (m, p), ndarray of shape (p, p)
-        At the minimum, with the derivatives by the parameters, and these's covariance.
+        At the minimum, with the derivatives by the parameters, and the parameters' covariance.
     by : ndarray of shape (m, k)
         Derivative of the residuals by the disturbances.
 
@@ -134,7 +177,19 @@ def response(residual: Floats, rows: Floats, cov: Floats, by: Floats) -> tuple[F
 
 
 def shared_block(camera: Camera, blocks: dict[str, Floats]) -> dict[str, Any]:
-    """By key of the camera file: its value, and what its standard error does to the quantities of each fit (n, k)."""
+    """The entry "shared" of `cov` in estimates.parquet; see docs/format.md.
+
+    Parameters
+    ----------
+    camera : Camera
+    blocks : dict of str to (n, k) array
+        By fit, what one standard error of each of the camera's k keys does to its n quantities.
+
+    Returns
+    -------
+    dict
+        By key of the camera file: its value, and the columns of the blocks.
+    """
     return {
         error.key: {"of": error.value} | {fit: _plain(block[:, k]) for fit, block in blocks.items()}
         for k, error in enumerate(camera_errors(camera))
@@ -146,10 +201,21 @@ def _plain(numbers: Floats) -> list[float | None]:
 
 
 def shared(rows: pd.DataFrame, names: Sequence[str], *fits: str) -> Floats:
-    """What errors that several rows share do to their quantities, (rows, names, errors).
+    """What errors of the camera file that several rows have in common do to their quantities.
 
-    Rows share an error where the camera file's value is the same to the last digit. fits: the blocks of `cov` in which
-    the quantities stand, the first that is there.
+    Parameters
+    ----------
+    rows : DataFrame
+        Of estimates.parquet. They share an error where the file's value is the same to the last digit.
+    names : sequence of str
+        The quantities.
+    *fits : str
+        The blocks of `cov` to read them from, the first that a row has.
+
+    Returns
+    -------
+    (rows, names, errors) array
+        Per standard error; 0 in rows that do not have that error.
     """
     found: dict[tuple[str, float], dict[int, Floats]] = {}
     for i, text in enumerate(rows.get("cov", ())):

@@ -271,15 +271,26 @@ def _departure(free: Floats, second: NDArray[np.int64], s: Floats) -> tuple[Floa
 
 
 def release(tied: NDArray[np.inexact], spin: float = 0.0) -> NDArray[np.inexact]:
-    """The free vector (..., 20) that restitution, friction and spin transfer make of a tied one (..., 13).
+    """The impact and the slides of the model: the free parameters that follow from the tied ones.
 
     Equal balls, both rolling or ball 1 at rest. P/m = (1 + r) v_n / 2 along n; J/m = -(2/5) C u_t on ball 2, u_t
     the relative velocity of the touching surfaces: its part in the plane is the relative velocity along t, its
-    vertical part -S, S the sum of both balls' speeds along n, for a rolling ball's surface moves there at v_n; spin,
-    m/s, is R times the sum of their spins about the vertical, which an earlier oblique hit leaves. The
+    vertical part -S, S the sum of both balls' speeds along n, for a rolling ball's surface moves there at v_n. The
     vertical impulse spins the balls, R dw = -C S t, and lifts nothing. A ball's lowest point then slips at
     u = dv + C S n, dv its change of velocity; tau = |u| / (3.5 mu g) and v_f = v - 2u/7, for a force there leaves
-    (5v + 2R w x z)/7 as it is. Accepts complex input, for derivatives by complex steps.
+    (5v + 2R w x z)/7 as it is.
+
+    Parameters
+    ----------
+    tied : (..., 13) array
+        In the order of TIED; complex too, for derivatives by complex steps.
+    spin : float
+        R times the sum of both balls' spins about the vertical, m/s, which an earlier oblique hit leaves.
+
+    Returns
+    -------
+    (..., 20) array
+        In the order of FREE.
     """
     heading, beta, v0, target = tied[..., 3], tied[..., 4], tied[..., 5], tied[..., -2:]
     r, mu, c = tied[..., 8, None], np.exp(tied[..., 9]), tied[..., 10, None]
@@ -296,6 +307,6 @@ def release(tied: NDArray[np.inexact], spin: float = 0.0) -> NDArray[np.inexact]
 
 
 def release_slope(tied: Floats, spin: float = 0.0) -> Floats:
-    """d(free)/d(tied), (20, 13), exact to rounding (complex step)."""
+    """The derivatives (20, 13) of `release` at tied (13,), exact to rounding, by complex steps."""
     steps = tied + 1e-30j * np.eye(len(TIED))
     return np.asarray(release(steps, spin).imag.T / 1e-30, dtype=np.float64)

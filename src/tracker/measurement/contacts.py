@@ -52,7 +52,19 @@ class Meeting:
 
 
 def meetings(balls: list[Course], diameter: float) -> list[Meeting]:
-    """All contacts of a recording, in order."""
+    """Find all contacts of a recording.
+
+    Parameters
+    ----------
+    balls : list of Course
+    diameter : float
+        m.
+
+    Returns
+    -------
+    list of Meeting
+        In order of time.
+    """
     found = [(k, a, b) for a, b in combinations(balls, 2) for k in _contact_frames(a, b, diameter)]
     found.sort(key=lambda m: m[0])
     out = []
@@ -68,7 +80,21 @@ def meetings(balls: list[Course], diameter: float) -> list[Meeting]:
 
 
 def encounter(meeting: Meeting, diameter: float, pasts: Mapping[int, Past]) -> Encounter:
-    """Which of the two is ball 2, and what is left to fit; pasts by particle, of balls that were hit before."""
+    """Prepare a contact to be fitted: which ball strikes, and which of their positions count.
+
+    Parameters
+    ----------
+    meeting : Meeting
+    diameter : float
+        m.
+    pasts : mapping of int to Past
+        By particle, what earlier hits left of a ball: positions while it still slid are left out.
+
+    Returns
+    -------
+    Encounter
+        With a reason where it cannot be fitted.
+    """
     balls, spin = [], 0.0
     for course in (meeting.one, meeting.other):
         past = pasts.get(course.particle, Past())
@@ -84,7 +110,10 @@ def encounter(meeting: Meeting, diameter: float, pasts: Mapping[int, Past]) -> E
 
 
 def velocity(course: Course) -> tuple[Floats, Floats, float]:
-    """Straight line through a few positions: velocity (2,), position at the mean time (2,), std of the velocity."""
+    """Fit a straight line to a few positions.
+
+    Returns the velocity (2,) m/s, the position (2,) m at the mean time, and the velocity's standard error, m/s.
+    """
     t = course.time - course.time.mean()
     spread = float((t**2).sum())
     std = float(np.sqrt(np.trace(course.cov.mean(axis=0)) / 2 / spread))
@@ -192,7 +221,7 @@ def _at_rest(course: Course, frame: int, slow: float) -> int | None:
 
 
 def _thinned(course: Course, frame: int) -> Course:
-    """Without the far end of a long rest."""
+    """The ball without the part of a rest that is more than STILL positions from the contact: it adds nothing."""
     if len(course) <= STILL or course.width <= 0:
         return course
     keep = np.ones(len(course), dtype=bool)

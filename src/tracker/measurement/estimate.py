@@ -157,7 +157,7 @@ def failure(error: Exception) -> str:
 
 
 def _noise(course: Course, camera: Camera) -> dict[str, Any]:
-    """Where the positions' errors come from: the table, or (then with their size, px) the tracks' own scatter."""
+    """The columns of noise where the errors come from the tracks' own scatter; empty where the table's are kept."""
     if np.isinf(course.known):
         return {}
     size = float(np.sqrt(np.trace(course.cov[0]) / 2) / camera.scale)
@@ -168,7 +168,7 @@ def _noise(course: Course, camera: Camera) -> dict[str, Any]:
 def _collision(
     meeting: Meeting, pasts: dict[int, Past], camera: Camera, index: int
 ) -> tuple[dict[str, Any], dict[int, Past]]:
-    """The row of one collision, and what it leaves of its balls."""
+    """The row of one collision, and by particle what it leaves of its balls for the next."""
     met = encounter(meeting, camera.ball_diameter, pasts)
     row = unmeasured(camera, met.reason or "ok", index)
     row |= {f"particle{i}": course.particle for i, course in met.pair.balls}
@@ -217,7 +217,7 @@ def _judged(read: Reading, flag: str) -> dict[str, Any]:
 
 
 def _left(read: Reading, pasts: dict[int, Past]) -> dict[int, Past]:
-    """What the balls carry on: they slide to the later of both fits' ends, and the hit's rub has turned them."""
+    """What the hit leaves of both balls: until when they slide, by the later of both fits, and their new spin."""
     pair, tied = read.meeting.pair, read.tied.parameters
     ends = [FREE.index(name) for name in ("log_tau1", "log_tau2")]
     both = (np.asarray(release(tied, pair.spin), dtype=np.float64), read.free.parameters)
@@ -265,7 +265,7 @@ def _fitted(meeting: Encounter, starts: list[Floats]) -> Reading | str:
 
 
 def _on_the_same(tied: Fit, free: Fit, seen: tuple[bool, bool]) -> tuple[Fit, Fit, tuple[bool, bool]]:
-    """Both fits, and the slide ends seen, of the same positions: what only one fit cannot follow is no outlier."""
+    """Fit both to the same positions, less the outliers of the fit that has fewer; with the slide ends seen."""
     fewer = min(tied, free, key=lambda fit: fit.dropped)
     if fewer is tied:
         free, seen = _free(fewer.pair, tied, whole=True)

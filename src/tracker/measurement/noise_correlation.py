@@ -27,9 +27,18 @@ CLEAR = 10.0  # gain in the logarithm of the likelihood: beyond four standard er
 
 
 def lasting(pair: Pair, free: Fit) -> Pair | None:
-    """The pair with errors as large, and as correlated from frame to frame, as its tracks show; None if they are not.
+    """The pair with errors of the size and the correlation from frame to frame that its tracks show.
 
-    free: a free fit, which gives when the balls roll.
+    Parameters
+    ----------
+    pair : Pair
+    free : Fit
+        A free fit of it, which says when the balls roll.
+
+    Returns
+    -------
+    Pair or None
+        None where the errors are not clearly correlated, or no ball rolls for long enough to tell.
     """
     if _neighbours(free) < NOTICEABLE:
         return None

@@ -59,7 +59,18 @@ class Size:
 
 
 def scatter(balls: Sequence[Ball]) -> Size | None:
-    """The size of all balls' errors over that of their covariances; None without WINDOW consecutive frames of one."""
+    """Read the size of the positions' errors from their scatter about cubics in windows of consecutive frames.
+
+    Parameters
+    ----------
+    balls : sequence of Ball
+        Their covariances say what is expected. Where enough of them move, only windows in which they do are used.
+
+    Returns
+    -------
+    Size or None
+        None where no ball is seen in WINDOW consecutive frames.
+    """
     parts = [_windows(course) for course in balls]
     if sum(len(starts) for starts, _, _ in parts) == 0:
         return None

@@ -23,13 +23,33 @@ GLINT_PX = 1.0  # width of a glint where the camera file does not have it
 
 @dataclass(frozen=True, eq=False)
 class Course:
-    """One ball's way over the plate, by frame.
+    """One ball's positions on the plate, by frame.
 
-    frame (n,) int; start (n,) s, start of the frame's exposure; position (n, 2) m, mean over the exposure;
-    cov (n, 2, 2) m^2, and fixed the part of it that a ball at rest has in every frame alike; width m, of a
-    glint; weighed: whether the table claims errors; known: inf where these are kept, else the degrees of freedom of the
-    tracks' own scatter that gave them their size; stretch: that size over the size before; rho: correlation of the
-    errors from frame to frame, beyond `fixed`.
+    Attributes
+    ----------
+    particle : int
+    frame : (n,) int array
+    start : (n,) array
+        Start of the frame's exposure, s.
+    position : (n, 2) array
+        Mean over the exposure, m.
+    cov : (n, 2, 2) array
+        m^2.
+    exposure : float
+        s.
+    fixed : (n, 2, 2) array
+        The part of `cov` that a ball at rest has in every frame alike.
+    width : float
+        Of a glint, m.
+    weighed : bool
+        Whether the table of tracks claims errors.
+    known : float
+        inf where the claimed errors are kept; else the degrees of freedom of the tracks' own scatter, which gave the
+        errors their size.
+    stretch : float
+        That size over the size before.
+    rho : float
+        Correlation of the errors from one frame to the next, beyond `fixed`.
     """
 
     particle: int
@@ -63,7 +83,7 @@ class Course:
         return Whitener(self.position, self.cov, self.fixed, self.width, self.frame, self.rho)
 
     def resized(self, size: Size) -> Course:
-        """The same ball, its errors as large as its own scatter."""
+        """The same ball with errors of another size, as its own scatter shows them."""
         longer = float(np.sqrt(size.ratio)) * self.stretch
         cov, fixed = self.cov * size.ratio, self.fixed * size.ratio
         return replace(self, cov=cov, fixed=fixed, known=size.dof, stretch=longer)
@@ -78,9 +98,20 @@ class Course:
 
 
 def courses(tracks: Tracks, camera: Camera) -> list[Course]:
-    """One Course per particle, in order of particle number; rows without a finite position are left out.
+    """Take tracks from pixels to the plate.
 
-    Without a covariance for every row, all get that of the tracks' own scatter.
+    Rows without a finite position are left out. Where not every row has a covariance, all get that of the tracks' own
+    scatter about smooth motion.
+
+    Parameters
+    ----------
+    tracks : Tracks
+    camera : Camera
+
+    Returns
+    -------
+    list of Course
+        One for each particle, in order of its number.
     """
     xy = np.column_stack([tracks.x, tracks.y]).astype(np.float64)
     keep = np.isfinite(xy).all(axis=1)

@@ -98,7 +98,7 @@ def roll_alone(course: Course) -> Alone | None:
 
 
 def carry_alone(alone: Alone, camera: Camera) -> tuple[Alone, dict[str, Any]]:
-    """The same with the errors of the camera file (see `camera_errors.carry`), and the part that clips share."""
+    """Add the errors of the camera file to the fit of a ball alone; with the entry of `camera_errors.shared_block`."""
     errors, course, x = camera_errors(camera), alone.course, alone.parameters
     if not errors:
         return alone, {}

@@ -65,7 +65,7 @@ class Whitener:
 
 
 def fresh(errors: Floats, kept: Floats) -> Floats:
-    """What is new in each row of errors (..., 2n) of which shares kept (n - 1,) are the row before's: of unit size."""
+    """The innovations (..., 2n), of unit size, of errors (..., 2n) that keep a share (n - 1,) of the row before."""
     rows = errors.reshape(*errors.shape[:-1], -1, 2)
     new = (rows[..., 1:, :] - kept[:, None] * rows[..., :-1, :]) / np.sqrt(1 - kept**2)[:, None]
     return np.concatenate([rows[..., :1, :], new], axis=-2).reshape(errors.shape)
