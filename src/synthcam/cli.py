@@ -67,6 +67,7 @@ def generate(
     scheduler: Annotated[str, typer.Option(metavar="ADDRESS", help="A Dask scheduler, whose workers do it.")] = "",
     no_video: Annotated[bool, typer.Option("--no-video", help="Truth and camera only, nothing drawn.")] = False,
     compression: Annotated[str, typer.Option(help="Of the frames: none, or zstd (lossless).")] = "none",
+    encode: Annotated[str, typer.Option(metavar="CODEC", help="A video too: h264:crf=23,gamma=2.2, mjpeg, ffv1.")] = "",
     withhold_truth: Withhold = None,
     set_: Set = None,
     as_json: Json = False,
@@ -86,7 +87,8 @@ def generate(
         check_apart(output, withhold_truth)
     if withhold_truth and seed is None:
         raise InputError("--withhold-truth: expected --seed too, one nobody guesses: scene and seed give the truth")
-    read = tuple(read_scene(s, tuple(set_ or ())) for s in scenes)
+    changes = (*(set_ or ()), *_encoding(encode))
+    read = tuple(read_scene(s, changes) for s in scenes)
     plan = Plan(read, clips, seed or 0, not no_video, _compression(compression), _shard(shard))
     if plan.shard and withhold_truth:
         raise InputError("--shard: a shard keeps its truth; give --withhold-truth to `synthcam merge`")
@@ -119,6 +121,14 @@ def _shard(text: str) -> tuple[int, int] | None:
     if slash and which.isdecimal() and of.isdecimal() and 1 <= int(which) <= int(of):
         return int(which), int(of)
     raise InputError(f"--shard {text}: expected I/N with I from 1 to N, as in 1/3")
+
+
+def _encoding(text: str) -> tuple[str, ...]:
+    """As changes of a scene's `video`."""
+    from synthcam.dataset.video import read_how
+
+    how = read_how(text, "--encode") if text else {}
+    return tuple(f"video.{key}={value}" for key, value in how.items())
 
 
 def _compression(name: str) -> str:
@@ -209,7 +219,7 @@ def verify(
 @app.command()
 def export(
     dataset: Annotated[Path, typer.Argument(metavar="DATASET")],
-    kind: Annotated[str, typer.Option("--format", metavar="NAME", help="mot, ptc, trackmate, zarr, ffv1, ...")],
+    kind: Annotated[str, typer.Option("--format", metavar="NAME", help="mot, zarr, ffv1, h264:crf=23, ...")],
     output: Annotated[Path, typer.Option("-o", "--output", metavar="DIR", help="Folder to make.")],
     truth: Annotated[Path | None, typer.Option(metavar="TRUTH", help="The truth, where it was withheld.")] = None,
     as_json: Json = False,

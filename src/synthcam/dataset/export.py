@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import importlib
+import inspect
 import json
 import pkgutil
 import shutil
 from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -39,7 +41,7 @@ def export(
     ----------
     dataset : Path
     kind : str
-        Name of the format: a file of the folder `exports`.
+        Name of the format: a file of the folder `exports`. Behind a colon, settings: h264:crf=28.
     output : Path
         A new or empty folder.
     progress : callable
@@ -56,8 +58,14 @@ def export(
     ------
     InputError
     """
+    kind, _, wishes = kind.partition(":")
     if kind not in formats():
         raise InputError(f"--format {kind}: no such format; there are {', '.join(formats())}")
+    write = _module(kind).write
+    if wishes:
+        if "wishes" not in inspect.signature(write).parameters:
+            raise InputError(f"--format {kind}:{wishes}: {kind} takes no settings")
+        write = partial(write, wishes=wishes)
     if output.exists() and (not output.is_dir() or any(output.iterdir())):
         raise InputError(f"{output}: exists; expected a new or empty folder")
     table = (truth or dataset) / "truth" / "clips.parquet"
@@ -70,7 +78,7 @@ def export(
         beside.mkdir(parents=True)
         try:
             rows = _rows(table)
-            _module(kind).write(_clips(dataset, truth or dataset, rows, progress), beside)
+            write(_clips(dataset, truth or dataset, rows, progress), beside)
             beside.rename(output)
         finally:
             shutil.rmtree(beside, ignore_errors=True)

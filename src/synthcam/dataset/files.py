@@ -20,6 +20,7 @@ import tifffile
 from numpy.typing import NDArray
 
 from synthcam.dataset.card import card
+from synthcam.dataset.video import Video
 from synthcam.scene import ground_truth
 from synthcam.scene.clip import Clip
 from synthcam.settings import InputError
@@ -49,7 +50,13 @@ def write_clip(
     _write_json(folder / "camera.json", clip.camera_json)
     pixels, file = "", ""
     if frames is not None:
+        how, film = clip.drawn.get("video"), None
+        if how:
+            film = Video(folder, how, clip.camera.fps, clip.camera.size, clip.sensor.bits)
+            frames = film.passing(frames)
         pixels, file = _write_tiff(folder / VIDEO, clip, frames, compression)
+        if film:
+            film.close()
     row = {"clip": clip.number, "seed_key": f"{meta['seed']}/{clip.number}", "scene": clip.drawn["name"]}
     row |= clip.truth
     row |= {

@@ -14,12 +14,13 @@ from typing import Any
 from synthcam.dataset.files import VIDEO, read_sums
 from synthcam.dataset.generate import Plan, complete
 from synthcam.dataset.staging import Partial, aside, begin, check_apart, settle
+from synthcam.dataset.video import FILMS
 from synthcam.outputs import as_input_error
 from synthcam.settings import InputError
 
 OWN = {"shard", "clips", "gl", "machine", "drawn_by"}  # what two shards of a dataset need not share
 CHUNK = 1 << 20
-FILES = {VIDEO, "camera.json", "truth/scene.json", "truth/tracks.parquet", "truth/events.parquet"}  # of a clip
+FILES = FILMS | {VIDEO, "camera.json", "truth/scene.json", "truth/tracks.parquet", "truth/events.parquet"}  # of a clip
 
 
 def merge(shards: list[Path], output: Path, progress: Callable[[int, int], None], withheld: Path | None = None) -> int:

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from synthcam.camera.lamp import Flicker, Lamp
 from synthcam.camera.pinhole import Camera
@@ -14,6 +15,9 @@ from synthcam.settings import Fraction, NotNegative, Positive, Settings
 
 Pair = Annotated[list[float], Field(min_length=2, max_length=2)]
 Position = Annotated[list[Annotated[float, Field(ge=-1e6, le=1e6)]], Field(min_length=3, max_length=3)]
+
+
+AVI_FPS = 1000  # that container counts no finer
 
 
 class CameraSettings(Settings):
@@ -111,6 +115,41 @@ class SensorSettings(Settings):
     hot_dark: NotNegative = 1e6
 
 
+class VideoSettings(Settings):
+    """`video:` a video beside the frames. crf: of h264, 0 to 51, the less the better; q: of mjpeg, 1 to 31.
+
+    gamma: of the curve 255 (counts / white)^(1/gamma). chroma: its subsampling, not of ffv1, which is without loss.
+    """
+
+    codec: Literal["h264", "mjpeg", "ffv1"] = "h264"
+    crf: Annotated[int, Field(ge=0, le=51)] | None = None
+    q: Annotated[int, Field(ge=1, le=31)] | None = None
+    gamma: Annotated[float, Field(ge=0.2, le=5)] = 1.0
+    chroma: Literal[420, 422, 444] | None = None
+
+    @model_validator(mode="before")
+    @classmethod
+    def _of_its_codec(cls, given: Any) -> Any:
+        """What a codec has no use for is refused, and what it needs filled in."""
+        if not isinstance(given, dict):
+            return given
+        codec = given.get("codec", "h264")
+        own = {"h264": {"crf": 23, "chroma": 420}, "mjpeg": {"q": 3, "chroma": 420}}.get(codec, {})
+        for key in ("crf", "q", "chroma"):
+            if given.get(key) is not None and key not in own:
+                raise ValueError(f"{codec} has no {key}")
+        return own | given
+
+
+def unfit(how: dict[str, Any], size: Sequence[int], fps: float) -> str:
+    """Why a video's codec cannot take such pictures; '' where it can."""
+    if how["codec"] == "ffv1" and fps > AVI_FPS:
+        return f"expected at most {AVI_FPS} frames a second for ffv1, found {fps:g}"
+    if how["codec"] == "h264" and how["chroma"] != 444 and any(side % 2 for side in size):
+        return f"expected even sizes for h264 of chroma {how['chroma']}, found {size[0]} x {size[1]}; 444 takes any"
+    return ""
+
+
 def camera_of(drawn: dict[str, Any], ball_radius: float) -> Camera:
     """The nominal camera of checked settings."""
     camera, timing = drawn["camera"], drawn["timing"]
@@ -183,6 +222,8 @@ def camera_json(nominal: Camera, drawn: dict[str, Any]) -> dict[str, Any]:
         "psf": {"sigma_px": nominal.psf_sigma_px},
         "sensor": {k: v for k, v in drawn["sensor"].items() if k not in ("glint_peak", "hot_pixels", "hot_dark")},
     }
+    if drawn.get("video"):
+        known["video"] = dict(drawn["video"])
     for section, values in set_otherwise(drawn).items():
         known[section] = known.get(section, {}) | values
     return known

@@ -16,7 +16,7 @@ from synthcam.camera.surface import Surface
 from synthcam.dynamics.launch import Launch
 from synthcam.model import Model, build
 from synthcam.scene import ground_truth
-from synthcam.scene.apparatus import camera_json, camera_of, lamp_of, surface_of
+from synthcam.scene.apparatus import camera_json, camera_of, lamp_of, surface_of, unfit
 from synthcam.scene.filmed_motion import View
 from synthcam.scene.filming import Counts, Seen, film
 from synthcam.scene.motion import Motion
@@ -181,6 +181,8 @@ def clip_of(number: int, drawn: dict[str, Any], seed: int = 0, where: str = "") 
         raise InputError(f"{where}: camera.height: expected more than two ball diameters")
     if drawn["lamp"]["position"][2] <= 2 * model.ball.diameter:
         raise InputError(f"{where}: lamp.position: expected z above the balls")
+    if drawn.get("video") and (problem := unfit(drawn["video"], camera["size"], timing["fps"])):
+        raise InputError(f"{where}: video: {problem}")
     try:
         lamp = lamp_of(drawn["lamp"])
     except ValueError as e:

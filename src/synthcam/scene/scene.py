@@ -13,7 +13,7 @@ from pydantic import Field, ValidationError, create_model
 from yaml import YAMLError
 
 from synthcam.model import BallSettings, ModelSettings, check_free, effect_settings
-from synthcam.scene.apparatus import CameraSettings, LampSettings, SensorSettings, SurfaceSettings
+from synthcam.scene.apparatus import CameraSettings, LampSettings, SensorSettings, SurfaceSettings, VideoSettings
 from synthcam.scene.clip import Clip, clip_of
 from synthcam.scene.distribution import choices, corner, drawn, replaced, representative
 from synthcam.settings import (
@@ -74,6 +74,7 @@ def scene_file() -> type[Settings]:
         __doc__="A scene of synthcam. The paper's values are the defaults.",
         name=(str, "scene"),
         free=(list[str], []),
+        video=(VideoSettings | None, None),
         **fields,
     )
 

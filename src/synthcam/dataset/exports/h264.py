@@ -1,0 +1,16 @@
+"""H.264: a video (MP4) for each clip, as ordinary cameras write it, with its camera.json beside it; no truth.
+
+h264:crf=23,gamma=1,chroma=420 are the settings, here with their defaults.
+"""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+from synthcam.dataset.recorded import Recorded
+from synthcam.dataset.video import write_films
+
+CODEC = "h264"
+
+
+def write(clips: Iterator[Recorded], folder: Path, wishes: str = "") -> None:
+    write_films(clips, folder, f"{CODEC}:{wishes}")

@@ -1,0 +1,132 @@
+"""Frames as an ordinary camera's video: H.264, Motion-JPEG or FFV1, with its gamma and its chroma subsampling.
+
+The curve is a power of full scale: counts of 2^bits - 1 are white, written as 255 (counts / white)^(1/gamma), rounded.
+FFV1 keeps the sensor's bits and, without a gamma, its counts. The time base is the frame's own, no frame depends
+on a later one, and one thread encodes: the same frames give the same bytes with the same libraries.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+import av
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import ValidationError
+
+from synthcam.dataset.recorded import Recorded
+from synthcam.scene.apparatus import AVI_FPS, VideoSettings, unfit
+from synthcam.settings import InputError, one_line, parse_yaml
+
+Frames = Iterator[NDArray[Any]]
+FILMS = {"film.mp4", "film.avi", "film.mov"}
+LIBRARY = {"h264": "libx264", "mjpeg": "mjpeg", "ffv1": "ffv1"}
+NEAREST = 100_000  # a frame rate's largest denominator: 30000/1001 is met exactly
+
+
+class Video:
+    """A video file that takes frames (h, w) or, in colour, (h, w, 3), one at a time.
+
+    how: codec, gamma, chroma and crf or q, as in a scene's `video`. size: (w, h). Raises InputError where the codec
+    cannot take such frames.
+    """
+
+    def __init__(self, folder: Path, how: dict[str, Any], fps: float, size: tuple[int, int], bits: int) -> None:
+        codec = how["codec"]
+        self.path = folder / ("film.mp4" if codec == "h264" else "film.avi" if fps <= AVI_FPS else "film.mov")
+        self._how, self._size, self._bits = how, size, bits
+        self._wide = bits > 8 and codec == "ffv1"
+        white = 2**bits - 1
+        levels = (np.arange(white + 1) / white) ** (1 / how["gamma"]) * (white if self._wide else 255)
+        self._curve = np.rint(levels).astype(np.uint16 if self._wide else np.uint8)
+        self._rate = Fraction(fps).limit_denominator(NEAREST)
+        self._file = av.open(str(self.path), "w", options={"fflags": "+bitexact"})
+        self._stream: Any = None
+        self._taken = self._written = 0
+
+    def passing(self, frames: Frames) -> Frames:
+        """The frames as they come, each written on its way."""
+        for frame in frames:
+            self.write(frame)
+            yield frame
+
+    def write(self, frame: NDArray[Any]) -> None:
+        colour = frame.ndim == 3
+        if self._stream is None:
+            self._stream = self._begin(colour)
+        kind = ("rgb48le" if colour else "gray16le") if self._wide else ("rgb24" if colour else "gray")
+        shown = np.ascontiguousarray(self._curve[frame])
+        picture = av.VideoFrame.from_ndarray(shown, format=kind)
+        picture.pts, picture.time_base = self._taken, 1 / self._rate
+        self._taken += 1
+        self._mux(self._stream.encode(picture))
+
+    def close(self) -> None:
+        """Write what is left. Raises OSError where a frame is missing."""
+        if self._stream is not None:
+            self._mux(self._stream.encode())
+        self._file.close()
+        if self._written != self._taken:
+            raise OSError(f"{self.path}: {self._written} frames encoded, expected {self._taken}")
+
+    def _begin(self, colour: bool) -> Any:
+        codec = self._how["codec"]
+        stream: Any = self._file.add_stream(LIBRARY[codec], rate=self._rate)
+        stream.width, stream.height = self._size
+        stream.codec_context.time_base = 1 / self._rate
+        stream.thread_count = 1
+        stream.options = {"flags": "+bitexact"}
+        if codec == "ffv1":
+            wide, plain = ("gbrp16le", "bgr0") if colour else ("gray16le", "gray")
+            stream.pix_fmt = wide if self._wide else plain
+        elif codec == "mjpeg":
+            stream.pix_fmt = f"yuvj{self._how['chroma']}p"
+            stream.options |= {"qmin": str(self._how["q"]), "qmax": str(self._how["q"])}
+        else:
+            stream.pix_fmt = f"yuv{self._how['chroma']}p"
+            stream.options |= {"crf": str(self._how["crf"]), "bf": "0"}
+        return stream
+
+    def _mux(self, packets: list[Any]) -> None:
+        for packet in packets:
+            self._written += 1
+            self._file.mux(packet)
+
+
+def read_how(text: str, where: str) -> dict[str, str]:
+    """The keys of a scene's `video` from text as h264:crf=23,gamma=2.2; their values are still text."""
+    codec, _, rest = text.partition(":")
+    how = {"codec": codec}
+    for part in filter(None, rest.split(",")):
+        key, equals, value = part.partition("=")
+        if not (equals and key and value) or key in how:
+            raise InputError(f"{where} {text}: expected CODEC:key=value,..., as in h264:crf=23,gamma=2.2")
+        how[key] = value
+    return how
+
+
+def write_films(clips: Iterator[Recorded], folder: Path, text: str) -> None:
+    """A folder a clip with its film and camera.json, which has the settings as `video`. text: as of `read_how`."""
+    given = {key: parse_yaml(value) for key, value in read_how(text, "--format").items()}
+    try:
+        how = VideoSettings.model_validate(given).model_dump(exclude_none=True)
+    except ValidationError as error:
+        raise one_line(error, f"--format {text}") from None
+    for clip in clips:
+        if not clip.video:
+            raise InputError(f"{clip.stack}: no such file; expected a dataset with video")
+        size = (int(clip.camera["size"][0]), int(clip.camera["size"][1]))
+        if problem := unfit(how, size, clip.camera["fps"]):
+            raise InputError(f"{clip.stack}: {problem}")
+        own = folder / f"{clip.number:06d}"
+        own.mkdir()
+        about = json.dumps(clip.camera | {"video": how}, indent=1) + "\n"
+        (own / "camera.json").write_text(about, encoding="utf-8")
+        film = Video(own, how, float(clip.camera["fps"]), size, clip.bits)
+        for frame in clip.pictures():
+            film.write(frame)
+        film.close()
