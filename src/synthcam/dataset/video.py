@@ -23,7 +23,7 @@ from synthcam.scene.apparatus import AVI_FPS, VideoSettings, unfit
 from synthcam.settings import InputError, one_line, parse_yaml
 
 Frames = Iterator[NDArray[Any]]
-FILMS = {"film.mp4", "film.avi", "film.mov"}
+FILMS = {"frames.mp4", "frames.avi", "frames.mov"}
 LIBRARY = {"h264": "libx264", "mjpeg": "mjpeg", "ffv1": "ffv1"}
 NEAREST = 100_000  # a frame rate's largest denominator: 30000/1001 is met exactly
 
@@ -37,7 +37,7 @@ class Video:
 
     def __init__(self, folder: Path, how: dict[str, Any], fps: float, size: tuple[int, int], bits: int) -> None:
         codec = how["codec"]
-        self.path = folder / ("film.mp4" if codec == "h264" else "film.avi" if fps <= AVI_FPS else "film.mov")
+        self.path = folder / ("frames.mp4" if codec == "h264" else "frames.avi" if fps <= AVI_FPS else "frames.mov")
         self._how, self._size, self._bits = how, size, bits
         self._wide = bits > 8 and codec == "ffv1"
         white = 2**bits - 1
@@ -110,7 +110,7 @@ def read_how(text: str, where: str) -> dict[str, str]:
 
 
 def write_films(clips: Iterator[Recorded], folder: Path, text: str) -> None:
-    """A folder a clip with its film and camera.json, which has the settings as `video`. text: as of `read_how`."""
+    """clips/NNNNNN with the film and camera.json, which then has `video`. text: as of `read_how`."""
     given = {key: parse_yaml(value) for key, value in read_how(text, "--format").items()}
     try:
         how = VideoSettings.model_validate(given).model_dump(exclude_none=True)
@@ -122,8 +122,8 @@ def write_films(clips: Iterator[Recorded], folder: Path, text: str) -> None:
         size = (int(clip.camera["size"][0]), int(clip.camera["size"][1]))
         if problem := unfit(how, size, clip.camera["fps"]):
             raise InputError(f"{clip.stack}: {problem}")
-        own = folder / f"{clip.number:06d}"
-        own.mkdir()
+        own = folder / "clips" / f"{clip.number:06d}"
+        own.mkdir(parents=True)
         about = json.dumps(clip.camera | {"video": how}, indent=1) + "\n"
         (own / "camera.json").write_text(about, encoding="utf-8")
         film = Video(own, how, float(clip.camera["fps"]), size, clip.bits)

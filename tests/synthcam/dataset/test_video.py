@@ -106,7 +106,7 @@ def test_a_dataset_with_films(tmp_path, monkeypatch):
     data = make(tmp_path / "d", monkeypatch, clips=1, scene=SCENE | {"video": video})
     again = make(tmp_path / "again", monkeypatch, clips=1, scene=SCENE | {"video": video})
     clip = data / "clips/000000"
-    assert (clip / "film.avi").read_bytes() == (again / "clips/000000/film.avi").read_bytes()
+    assert (clip / "frames.avi").read_bytes() == (again / "clips/000000/frames.avi").read_bytes()
     assert (clip / "frames.tif").read_bytes() == (plain / "clips/000000/frames.tif").read_bytes()
     for name in ("tracks", "events"):
         file = f"clips/000000/truth/{name}.parquet"
@@ -114,7 +114,7 @@ def test_a_dataset_with_films(tmp_path, monkeypatch):
     assert json.loads((clip / "camera.json").read_text())["video"] == video | {"chroma": 420}
     assert not verify(data).problems
     frames = tifffile.imread(clip / "frames.tif")
-    back = 255 * (read(clip / "film.avi")[0][..., 0] / 255.0) ** 2.2
+    back = 255 * (read(clip / "frames.avi")[0][..., 0] / 255.0) ** 2.2
     assert np.abs(back - frames).mean() < 1.5
 
 
@@ -122,13 +122,13 @@ def test_films_of_a_dataset_that_is_there(tmp_path, monkeypatch):
     data = make(tmp_path / "d", monkeypatch, clips=2, scene=SCENE | {"sensor": {"bits": 12}})
     export(data, "h264:crf=12,gamma=1.8", tmp_path / "out", lambda done, total: None)
     for number in ("000000", "000001"):
-        frames, fps, _ = read(tmp_path / "out" / number / "film.mp4")
+        frames, fps, _ = read(tmp_path / "out/clips" / number / "frames.mp4")
         true = tifffile.imread(data / "clips" / number / "frames.tif")
         back = 4095 * (frames[..., 0] / 255.0) ** 1.8
         assert fps == 250
         assert np.abs(back - true).mean() < 0.01 * 4095
         assert np.corrcoef(back.ravel(), true.ravel())[0, 1] > 0.98
-        about = json.loads((tmp_path / "out" / number / "camera.json").read_text())
+        about = json.loads((tmp_path / "out/clips" / number / "camera.json").read_text())
         assert about["video"] == {"codec": "h264", "crf": 12, "gamma": 1.8, "chroma": 420}
 
 
