@@ -202,6 +202,6 @@ def find(
 
 
 def searched(clips: Sequence[Measured], model: Model, left_out: Sequence[str], progress: Progress) -> Finding:
-    """Search collisions already read. left_out: those of `read_measured`."""
+    """Search collisions that `read_measured` has read, with its lines about what was left out."""
     outcome = search(clips, model, progress)
     return Finding(outcome, (*left_out, *outcome.data.left_out))

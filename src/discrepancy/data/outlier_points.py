@@ -20,9 +20,18 @@ ASIDE, FEWEST, WITHIN = 5, 4, 7  # places of one side, at most and at least, and
 
 
 def without_outliers(clips: Sequence[Measured], expected: Sequence[Array] | None = None) -> list[Measured]:
-    """The clips without their outliers; arguments as for `outliers`.
+    """Take the outlier points out of clips.
 
-    Beside a model: but for those that both balls, or several clips, have in the same frame. A clock does that.
+    Parameters
+    ----------
+    clips : sequence of Measured
+    expected : sequence of (n, 2) array, optional
+        Where a model has the positions of each clip, m; see `outliers`. Outliers that both balls or several clips have
+        in the same frame are then kept: these are a fault of the clock.
+
+    Returns
+    -------
+    list of Measured
     """
     found = [outliers(clip, expected[k] if expected else None) for k, clip in enumerate(clips)]
     if expected:
@@ -36,7 +45,7 @@ def without_outliers(clips: Sequence[Measured], expected: Sequence[Array] | None
 
 
 def taken_out(clips: Sequence[Measured], kept: Sequence[Measured]) -> list[str]:
-    """A line for each clip of which some places are not kept."""
+    """A line for each clip that lost positions between `clips` and `kept`, with their frames."""
     left, said = {c.clip: set(zip(c.ball.tolist(), c.frame.tolist(), strict=True)) for c in kept}, []
     for c in clips:
         gone = [f for b, f in zip(c.ball.tolist(), c.frame.tolist(), strict=True) if (b, f) not in left[c.clip]]
@@ -152,9 +161,9 @@ class _Paths:
         return np.flatnonzero(within & (self.ball == self.ball[row])).tolist()
 
     def inner(self, rows: Iterable[int], gone: set[int]) -> dict[int, _Offset]:
-        """Of the places that have neighbours of their phase on both sides, how far they are off the path through these.
+        """How far these rows are off the smooth path through their neighbours, where they have some on both sides.
 
-        What the path itself is uncertain by is allowed for.
+        Neighbours are positions of the same ball and phase. The path's own uncertainty is allowed for.
         """
         found: dict[int, _Offset] = {}
         for row in rows:
@@ -171,9 +180,9 @@ class _Paths:
         return found
 
     def outer(self, rows: Iterable[int], gone: set[int], smooth: float) -> dict[int, _Offset]:
-        """How far places are beyond where those before lead and where those after come from.
+        """How far these rows are off both paths that the positions before and after them make, continued to there.
 
-        One of these is enough where there is no event between them. smooth: rms of those that tell.
+        One path is enough where there is no event between. Paths that are rougher than `smooth` (rms) do not count.
         """
         found: dict[int, _Offset] = {}
         for row in rows:

@@ -40,9 +40,9 @@ def wrong_units(clips: Iterable[tuple[Tracks, Camera]]) -> str | None:
 
 
 def exchanged(tracks: Tracks, camera: Camera) -> int | None:
-    """The frame in which the two balls of a clip have taken each other's name, or None.
+    """The frame in which the two balls of a clip exchange their numbers, or None.
 
-    There both together move less, by more than a radius, if their names are exchanged back.
+    From the frame before it both together move less, by more than a radius, with their numbers exchanged back.
     """
     frame, one, two = _pair(tracks)
     stay = np.hypot(*np.diff(one, axis=0).T) + np.hypot(*np.diff(two, axis=0).T)

@@ -53,7 +53,19 @@ class Validation:
     progress: Callable[[], None]
 
     def standing(self, selected: Selection, free_law: FittedLaw | None) -> Standing:
-        """The claims that stand: one that does not is withdrawn, and the others are held to the clips again."""
+        """Withdraw claims, the weakest first, until the clips bear all that are left.
+
+        Parameters
+        ----------
+        selected : Selection
+            The effects named.
+        free_law : FittedLaw or None
+            The free law declared.
+
+        Returns
+        -------
+        Standing
+        """
         withdrawn: list[Claim] = []
         while True:
             level = policy.SIGMA_BESIDE_FREE_LAW if free_law or any(c.free for c in withdrawn) else selected.claim

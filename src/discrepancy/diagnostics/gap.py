@@ -66,10 +66,24 @@ def show(
     progress: Callable[[], None] = lambda: None,
     outside: Callable[[Fit], Fit] | None = None,
 ) -> Shown:
-    """The gap on `clips`, kept out of both fits: shared parameters frozen, each clip's launch refitted.
+    """The gap on clips that were kept out of both fits; only their launches are fitted.
 
-    outside: from the fit before, the fit after, where no model file holds what was found. A best model that has no
-    motion for one of the clips closes nothing.
+    Parameters
+    ----------
+    clips : sequence of Measured
+        Kept out.
+    base, best : Fit
+        Of the other clips, before and after the search; their shared parameters stay as they are.
+    noise : Noise
+    progress : callable
+        Told of progress.
+    outside : callable, optional
+        Makes the fit of these clips after the search from that before, where no model can hold what was found.
+
+    Returns
+    -------
+    Shown
+        A best model that has no motion for one of the clips closes nothing.
     """
     before = fit_model(clips, base.model, (), noise, progress=progress)
     try:

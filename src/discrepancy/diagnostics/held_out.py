@@ -44,11 +44,24 @@ class Held:
     def of(
         cls, without: Parts, with_: Parts, known: float, there: Fit | None = None, covariance: Array | None = None
     ) -> Held:
-        """White residuals of each clip. known: sigma of the claim in the clips fitted; inf: these are among them.
+        """Hold a claim to clips: do they ask for it as much as it promised?
 
-        there: the derivatives of the fit with the claim, in these clips, and the covariance that its numbers have from
-        the clips fitted: clips kept out go beyond those. Where clips fitted scatter about a claim by more than noise
-        makes them, its sigma is as much smaller.
+        Where the clips scatter about the claim by more than noise makes them, sigma is as much smaller.
+
+        Parameters
+        ----------
+        without, with_ : parts
+            Whitened residuals of each clip, by the model without the claim and with it.
+        known : float
+            Sigma of the claim in the clips fitted; inf where these are among them.
+        there : Fit, optional
+            The fit with the claim in these clips, for its derivatives.
+        covariance : array, optional
+            Of its shared parameters from the clips fitted: clips kept out may go beyond what those determine.
+
+        Returns
+        -------
+        Held
         """
         apart = [p - q for p, q in zip(without, with_, strict=True)]
         size = sum(float(d @ d) for d in apart)
@@ -115,9 +128,18 @@ class Claim:
 def refused(kept_out: Held, turns: Held) -> str:
     """Why a claim is withdrawn; empty where the collisions bear it.
 
-    The clips kept out are a quarter: of a claim at the detection limit they see some 2.5 sigma, and one in ten true
-    ones makes their gap a little larger. So they refuse it only where they fall short of it by more than their noise;
-    and all clips, each held out once, must ask for it beyond chance.
+    The clips kept out are a quarter of all: they see a claim at the detection limit at some 2.5 sigma, and one in ten
+    true claims makes their gap a little larger. So they refuse a claim only where they fall short of what it promised
+    by more than their noise. Besides, all clips, each held out once, must ask for it beyond chance.
+
+    Parameters
+    ----------
+    kept_out, turns : Held
+        The claim held to the clips kept out, and to the clips fitted, each held out in turn.
+
+    Returns
+    -------
+    str
     """
     if kept_out.worse and kept_out.sigma < kept_out.promised - policy.SHORT_OF_PROMISE_SIGMA:
         return "collisions kept out are foretold worse with it"
@@ -129,9 +151,20 @@ def refused(kept_out: Held, turns: Held) -> str:
 
 
 def foretold(fit: Fit, precision: Array | None = None) -> list[Array]:
-    """White residuals of each clip as all others foretell it, but for its launch; to first order.
+    """Whitened residuals of each clip by the shared parameters of all other clips, to first order.
 
-    precision: of the last parameters, beforehand (J, J). What stands at a limit stays there.
+    The clip's own launch is fitted to it. Parameters that stand at a limit stay there.
+
+    Parameters
+    ----------
+    fit : Fit
+        Of all clips.
+    precision : (J, J) array, optional
+        The prior's, of the last J parameters: a free law's coefficients.
+
+    Returns
+    -------
+    list of (2n,) array
     """
     free = np.array([not _at_limit(fit, n) for n in fit.names], dtype=bool)
     own = [basis(a) for a in fit.launch_slopes]
@@ -159,5 +192,5 @@ def _at_limit(fit: Fit, name: str) -> bool:
 
 
 def in_turn(fitted_law: FittedLaw) -> list[Array]:
-    """`foretold` by a model with a free law."""
+    """`foretold` by a fit that holds a free law, with the law's prior."""
     return foretold(fitted_law.whole, fitted_law.prior.precision)

@@ -16,13 +16,24 @@ SEEN = 1e-9  # of a parameter's information: directions that show less count for
 
 
 def outlier_clips(clips: Sequence[Measured], base: Fit, best: Fit, gone: int = 0) -> dict[int, str]:
-    """Clips to leave out before a search is done again, by their place in `clips`, each with a line that says why.
-
-    gone: how many have been left out already.
+    """Clips to leave out before a search is done again.
 
     Either a clip's chi^2 is far beyond the others' in the base fit and in the best fit alike; or it contradicts all
     others about the shared parameters of the best fit, and without it they agree. Where they do not, something is
     missing in the model, and no clip is to blame.
+
+    Parameters
+    ----------
+    clips : sequence of Measured
+    base, best : Fit
+        Of these clips, before and after the search.
+    gone : int
+        How many clips have been left out already.
+
+    Returns
+    -------
+    dict of int to str
+        By the clip's place in `clips`, a line that says why.
     """
     most = max((len(clips) + gone) // policy.OUTLIER_CLIPS_ONE_IN, 1) - gone
     out = {}
@@ -55,7 +66,7 @@ def _unlike(fit: Fit) -> Array:
 
 
 def _told(fit: Fit) -> tuple[Array, Array]:
-    """What each clip by itself says of the shared parameters: information (clips, S, S) and pull (clips, S)."""
+    """What each clip alone says of the shared parameters: information (clips, S, S), its pull on them (clips, S)."""
     cleaned = fit.cleaned
     size = np.sqrt(sum((c**2).sum(axis=0) for c in cleaned))
     unit = [c / np.where(size > 0, size, 1) for c in cleaned]

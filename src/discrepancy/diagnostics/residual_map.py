@@ -116,7 +116,14 @@ class _Part:
 
 
 def locate(clips: Sequence[Measured], fit: Fit, noise: Noise) -> tuple[Place, ...]:
-    """Test where the residuals of a fit disagree with noise.
+    """Test where the residuals of a fit disagree with noise: by phase, ball and direction, and against what.
+
+    Parameters
+    ----------
+    clips : sequence of Measured
+    fit : Fit
+        Of these clips.
+    noise : Noise
 
     Returns
     -------

@@ -60,9 +60,21 @@ def choice(count: int) -> float:
 
 
 def freedom(information: Array, found: Array) -> float:
-    """What the freedom of numbers fitted to be `found` costs, in chi^2: the same cost as of a free law's coefficients.
+    """What the freedom of an effect's strengths costs, by the same rule as of a free law's coefficients.
 
-    information: (k, k), in units in which realistic numbers are one. All may differ from zero, or one of them.
+    Either all of them may differ from zero or only one, whichever is the likelier.
+
+    Parameters
+    ----------
+    information : (k, k) array
+        In units in which realistic strengths are one.
+    found : (k,) array
+        The strengths fitted, in the same units.
+
+    Returns
+    -------
+    float
+        In chi^2.
     """
     pull, one = information @ found, choice(1 + len(found))
     ways = [(np.arange(len(found)), 0.0)] + [(np.array([k]), one) for k in range(len(found)) if len(found) > 1]
@@ -100,9 +112,19 @@ def priors(law: FreeLaw) -> Iterator[tuple[float, Array, float]]:
 
 
 def weigh(law: FreeLaw, information: Array, pull: Array) -> Weight:
-    """The best of the priors for coefficients with this information F (J, J) and pull g (J,).
+    """Choose a free law's prior by the evidence, and the coefficients that are likeliest with it.
 
     All lengths are as likely beforehand: the gain is that of their mean likelihood, which the best one's choice costs.
+
+    Parameters
+    ----------
+    law : FreeLaw
+    information, pull : (J, J) array, (J,) array
+        Of its J coefficients, as of `Fit.information`.
+
+    Returns
+    -------
+    Weight
     """
     best: Weight | None = None
     gains = dict.fromkeys(LENGTHS, -math.inf)
@@ -126,11 +148,10 @@ def weigh(law: FreeLaw, information: Array, pull: Array) -> Weight:
 
 
 def significance(law: FreeLaw, information: Array, pull: Array) -> float:
-    """The free law's sigma: the best of its chi^2 in the 1, 2, 4, ... directions that show most, corrected for these
-    trials.
+    """How significant a free law is, in sigma: the best of its chi^2 in 1, 2, 4, ... directions, less these trials.
 
-    The directions are ordered by what a smooth curve would show in them. They are independent and of unit variance
-    with nothing hidden.
+    The directions are those in which a smooth curve would show most. With nothing hidden the pull along them is
+    independent and of unit variance. Arguments as of `weigh`.
     """
     root = np.sqrt(law.spread(SMOOTH))
     values, axes = np.linalg.eigh(root[:, None] * information * root)

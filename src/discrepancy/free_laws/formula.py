@@ -85,7 +85,7 @@ class _Drawn:
         return [t for t in shape.terms(*extra) if not self.law.centred or np.ptp(t[1], axis=0).any()]
 
     def fitted(self, shape: Shape, extra: Array) -> tuple[float, Array]:
-        """chi^2 and factors."""
+        """Fit the factors of a shape's terms: chi^2, and the factors (terms,). extra: the shape's own numbers."""
         matrix = np.stack([self.seen(c) for _, c in self.terms(shape, *extra)], axis=1)
         scale = np.maximum(np.linalg.norm(matrix, axis=0), 1e-300)
         factors = np.linalg.lstsq(matrix / scale, self.target, rcond=1e-9)[0]

@@ -165,7 +165,7 @@ class FreeLaw(ABC):
         return None
 
     def undone(self, clips: Sequence[Measured], model: Model, launches: Array, coefs: Array) -> list[Measured]:
-        """The clips with what the law moved taken out of them, where no effect can hold it."""
+        """The clips less what the law moved in them, where no effect can hold it; else as they are."""
         if self.bends or not np.any(coefs):
             return list(clips)
         moved = self._moved(clips, model, launches, coefs)
@@ -176,7 +176,7 @@ class FreeLaw(ABC):
         return [m @ coefs for m in self.columns(model, launches, clips)]
 
     def bent(self, model: Model, coefs: Array) -> Model:
-        """The model with the law in it; as it was where no effect can hold it."""
+        """The model with the law, given its coefficients, as an effect; unchanged where no effect can hold it."""
         if not self.bends:
             return model
         others = tuple(e for e in model.effects if not (isinstance(e, LawEffect) and e.law.name == self.name))

@@ -52,7 +52,19 @@ class Ranges:
 
 
 def ranges(model: Model, launches: Array, clips: Sequence[Measured]) -> dict[str, Ranges]:
-    """What the motion of a fit covers: of both balls "", of ball "a" and of ball "b"."""
+    """What the motion of a fit covers, by ball: "" for both together, "a" and "b".
+
+    Parameters
+    ----------
+    model : Model
+    launches : (clips, 6) array
+        Columns as in `discrepancy.data.launch`.
+    clips : sequence of Measured
+
+    Returns
+    -------
+    dict of str to Ranges
+    """
     first, last = min(int(c.frame.min()) for c in clips), max(int(c.frame.max()) for c in clips)
     times = np.linspace(min(first / clips[0].fps, launches[:, T_C].min()), (last + 1) / clips[0].fps, SAMPLES)
     a_strikes = np.array([c.striker == "a" for c in clips])

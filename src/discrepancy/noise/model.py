@@ -129,7 +129,7 @@ class Bundle:
 
     @classmethod
     def of(cls, values: Sequence[Array], claims: Sequence[Array]) -> Bundle:
-        """From each one's places (n, d) and claimed deviations (n,)."""
+        """Bundle stretches: the positions (n, d) and the claimed deviations (n,) of each."""
         lengths = np.array([len(v) for v in values])
         cubics, rest = (np.zeros((len(values), int(lengths.max()), m)) for m in (SMOOTH, values[0].shape[1]))
         for k, (places, claimed) in enumerate(zip(values, claims, strict=True)):
@@ -231,7 +231,11 @@ def shape_of(component: Component) -> Shape:
 
 
 def noise_of(shape: Shape, common: Shape | None, x: Array) -> Noise:
-    """From free numbers: own log variance and the own component's, both log shared variances and their component's."""
+    """The noise of free numbers x: log variance and numbers of the own component, then of the shared ones.
+
+    shape, common: how many numbers the own and the shared component have; None without shared noise, which has a log
+    variance for each axis and the other numbers in common.
+    """
     own = component_of(shape, float(np.exp(x[0])), x[1:])
     if common is None:
         return Noise(own)
@@ -271,7 +275,7 @@ def _cost(cost: Callable[[T], float], build: Callable[[Shape, Array], T], shape:
 
 
 def possible(cost: Callable[[Array], float], x: Array) -> float:
-    """The cost; IMPOSSIBLE so far from what the tracks say that a covariance is singular."""
+    """The cost at x; IMPOSSIBLE where a covariance is singular or the cost is not finite."""
     try:
         with np.errstate(all="ignore"):
             value = cost(x)
@@ -289,7 +293,7 @@ def _start(shape: Shape, last: Shape, x: Array) -> Array:
 
 
 def descend(cost: Callable[[Array], float], start: Array) -> Array:
-    """Where a smooth cost is least, from `start`."""
+    """The numbers for which a smooth cost is least, sought from `start` (BFGS)."""
     if not len(start):
         return start
     found = minimize(partial(possible, cost), start, method="BFGS", options={"eps": STEP, "gtol": FLAT, "maxiter": 40})

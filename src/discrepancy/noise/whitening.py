@@ -31,6 +31,7 @@ class Whitener:
 
     @classmethod
     def of(cls, clip: Measured, noise: Noise) -> Whitener:
+        """For the positions of a clip with this noise."""
         roots, offset = clip.roots, clip.resting_offset
         if not noise.shared:
             rows = (clip.ball == ball for ball in (0, 1))
@@ -52,7 +53,7 @@ class Whitener:
         return cls(roots, (_inverse(factor),), order)
 
     def __call__(self, residuals: Array) -> Array:
-        """(n, 2, ...) -> (2 n, ...)"""
+        """Residuals (n, 2, ...), m, as white ones (2n, ...) of unit size."""
         flat = residuals.reshape(*residuals.shape[:2], -1)
         scaled = np.empty(flat.shape)
         for axis in (0, 1):  # far quicker than a product of so many matrices so small
