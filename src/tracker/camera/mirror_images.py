@@ -13,9 +13,23 @@ NUDGE = 0.03  # of the lamp's height, by which it is moved for a derivative
 
 
 def zenith_of_glint(camera: Camera, glints: ArrayLike, share: float) -> Array:
-    """Pixels (n, 2), a share of the way from the centres of balls to where these mirror the zenith; by glints (n, 2).
+    """Points on the line from the image of a ball's centre to where the ball mirrors the zenith.
 
     What a ball mirrors of a room that is the same all round is symmetric about that line.
+
+    Parameters
+    ----------
+    camera : Camera
+        Without a lamp the glints themselves are returned.
+    glints : (n, 2) array
+        Of the balls, px.
+    share : float
+        Of the way to the zenith's image.
+
+    Returns
+    -------
+    (n, 2) array
+        px.
     """
     seen = np.asarray(glints, dtype=np.float64)
     if not camera.corrects_glint or seen.size == 0:
@@ -28,16 +42,34 @@ def zenith_of_glint(camera: Camera, glints: ArrayLike, share: float) -> Array:
 
 
 def secondary_of_pair(camera: Camera, glints: ArrayLike, others: ArrayLike) -> Array:
-    """Pixels (n, 2) at which balls of primary glints (n, 2) show the lamp as their neighbours mirror it."""
+    """Where balls show the lamp as their neighbours mirror it.
+
+    Parameters
+    ----------
+    camera : Camera
+    glints, others : (n, 2) array
+        Primary glints of the balls, and of a neighbour of each, px.
+
+    Returns
+    -------
+    (n, 2) array
+        px.
+
+    Raises
+    ------
+    InputError
+        Without a lamp in the camera.
+    """
     middle, other = camera.ball_of_glint(glints), camera.ball_of_glint(others)
     normal = pair_normal(middle, other, camera.radius, camera.position, _lamp_position(camera))
     return camera.project(middle + camera.radius * normal)
 
 
 def secondary_share(camera: Camera, glints: ArrayLike, others: ArrayLike) -> Array:
-    """Flux (n,) of those secondary glints over that of the primary ones, but for one reflectance.
+    """Flux (n,) of those secondary glints over that of the primary ones, but for one factor of the balls' reflectance.
 
-    The image of a small lamp is as large as the determinant of its pixel's derivative by the lamp's position.
+    The image of a small lamp is as large as the determinant of its pixel's derivative by the lamp's position. Arguments
+    as of `secondary_of_pair`.
     """
     middle, other = camera.ball_of_glint(glints), camera.ball_of_glint(others)
     lamp = _lamp_position(camera)

@@ -22,14 +22,25 @@ class BallProfile:
     coefficients: Array
 
     def basis(self, middle: Array, half: int) -> Array:
-        """The powers (n, 3, s, s) on windows; ``middle`` (n, 2) px from the central pixel."""
+        """The profile's terms (n, 3, s, s) on windows of s = 2 half + 1 pixels; middle (n, 2) px from the central."""
         left, _, _ = self._left(middle, half)
         return np.stack([left**power for power in POWERS], axis=1)
 
     def height(self, middle: Array, blur: Array, half: int) -> tuple[Array, Array, Array]:
-        """Counts (n, s, s) over what is beyond the profile, and their derivatives by the middle's x and y.
+        """The profile's brightness on windows of s = 2 half + 1 pixels.
 
-        ``middle`` (n, 2) px from the central pixel, half-way along the way ``blur`` (n, 2) px in the exposure.
+        Parameters
+        ----------
+        middle : (n, 2) array
+            Of the profile halfway through the exposure, px from the central pixel.
+        blur : (n, 2) array
+            Its displacement during the exposure, px.
+        half : int
+
+        Returns
+        -------
+        tuple of (n, s, s) array
+            Counts above what is beyond the profile, and their derivatives by the middle's x and y.
         """
         if not blur.any():
             return self._height(middle, half)

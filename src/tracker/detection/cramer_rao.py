@@ -47,9 +47,23 @@ def _legendre(count: int) -> tuple[Array, Array]:
 
 
 def glint_shape(xy: Array, blurs: Array, sigma: float, half: int) -> Shape:
-    """Glints at ``xy`` (n, 2) px from the central pixel of windows of 2 half + 1 pixels a side.
+    """Gaussian glints of unit flux, integrated over the pixels of square windows.
 
-    ``blurs`` (n, 2) px: the way of the glint during the exposure; ``xy`` is its middle.
+    Parameters
+    ----------
+    xy : (n, 2) array
+        Middles of the glints, px from the windows' central pixel.
+    blurs : (n, 2) array
+        Their displacements during the exposure, px.
+    sigma : float
+        Width of a glint at rest, px.
+    half : int
+        Windows are 2 half + 1 pixels wide.
+
+    Returns
+    -------
+    Shape
+        Shares of the flux in each pixel, and their derivatives by x and y.
     """
     offsets, weights = line_nodes(blurs, sigma)
     edges = np.arange(-half, half + 2) - 0.5

@@ -28,7 +28,7 @@ class Bare:
         self.sums, self.hidden = np.zeros((2, *plate.level.shape), np.float32)
 
     def add(self, frame: NDArray[Any], rows: Ints, columns: Ints) -> None:
-        """One more frame (h, w), and the pixels (n,) at which something was found."""
+        """Count one more frame (h, w), but for the squares about the pixels (n,) at which something was found."""
         kept = []
         for row, column in zip(rows.tolist(), columns.tolist(), strict=True):
             top, left = max(row - self.reach, 0), max(column - self.reach, 0)
@@ -40,11 +40,24 @@ class Bare:
             self.sums[part], self.hidden[part] = before, hidden
 
     def offsets(self, rows: Ints, columns: Ints, spread: float) -> tuple[Array, float]:
-        """The best linear estimate of offsets, counts, in pixels ``rows``, ``columns`` (any shapes, broadcast), NaN
-        where the plate was hardly seen; and the standard deviation of what it leaves of the others.
+        """The best linear estimate of pixels' own offsets.
 
-        spread: standard deviation of offsets, counts. What a mean is off its surroundings by is its offset, the noise
-        left in it and the plate's texture, together as large as the film shows; of that the offset's share is taken.
+        A pixel's mean differs from its surroundings by its offset, the noise left in it and the plate's texture. The
+        film shows how large these are together; the offset's share of that is taken.
+
+        Parameters
+        ----------
+        rows, columns : int arrays
+            The pixels; broadcast together.
+        spread : float
+            Standard deviation of offsets, counts.
+
+        Returns
+        -------
+        offsets : array
+            Counts; NaN where the plate was hardly seen.
+        left : float
+            Standard deviation of what the estimate leaves of the offsets, counts.
         """
         if self.frames < FEWEST:
             return np.full(np.broadcast_shapes(rows.shape, columns.shape), np.nan), spread

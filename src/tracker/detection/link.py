@@ -76,9 +76,21 @@ class _Ball:
 
 
 def link(glints: Glints, camera: Camera, point: str = "glint") -> Tracks:
-    """Tracks of one clip's glints, refused ones left out, glints taken to ball centres where the camera allows.
+    """Join the glints of a clip into tracks of ball centres.
 
-    point: "centre" where what was found are centres of outlines already, their flux the area, px^2.
+    Parameters
+    ----------
+    glints : Glints
+        Of all frames.
+    camera : Camera
+        Where it knows the lamp, glints are taken to the centres of balls.
+    point : str
+        "glint"; or "centre" where centres of outlines were found, whose flux is the area, px^2.
+
+    Returns
+    -------
+    Tracks
+        By particle, then frame; glints that belong to no track are left out.
     """
     diameter = 2 * float(np.sqrt(np.median(glints.flux) / np.pi)) if point == "centre" and len(glints) else None
     ids = assign(glints, camera, diameter)
@@ -106,9 +118,19 @@ def link(glints: Glints, camera: Camera, point: str = "glint") -> Tracks:
 
 
 def assign(glints: Glints, camera: Camera, diameter: float | None = None) -> Ints:
-    """Particle of each glint (n,), -1 for those refused; particles numbered by first appearance, then position.
+    """Number the particle that each glint belongs to.
 
-    diameter: of the balls as seen, px, in place of the camera's.
+    Parameters
+    ----------
+    glints : Glints
+    camera : Camera
+    diameter : float, optional
+        Of the balls as seen, px; default: the camera's.
+
+    Returns
+    -------
+    (n,) int array
+        From 0 by first appearance, then position; -1 for glints of no track.
     """
     ids = np.full(len(glints), -1, dtype=np.int64)
     if len(glints) == 0:
@@ -120,9 +142,21 @@ def assign(glints: Glints, camera: Camera, diameter: float | None = None) -> Int
 
 
 def velocities(frame: Ints, ids: Ints, xy: Array) -> Array:
-    """Velocity of each glint (n, 2), px a frame, by differences within its track; 0 for a glint alone.
+    """Velocities of glints by differences within their tracks.
 
     Next to a collision the two sides disagree: then the side is taken that agrees with the step beyond it.
+
+    Parameters
+    ----------
+    frame, ids : (n,) int array
+        Frame and particle of each glint.
+    xy : (n, 2) array
+        px.
+
+    Returns
+    -------
+    (n, 2) array
+        px a frame; 0 for a glint alone.
     """
     out = np.zeros_like(xy)
     for number in np.unique(ids[ids >= 0]):
