@@ -23,6 +23,7 @@ import pandas as pd
 from tracker import results
 from tracker.camera.camera import Camera, InputError
 from tracker.camera.frames import Source, open_source
+from tracker.detection.choose import choose
 from tracker.detection.detect import detector
 from tracker.outputs import as_input_error, check_room, held
 from tracker.recording import followed, measured, unsaid
@@ -52,7 +53,12 @@ class Outcome:
 
 
 def run(
-    path: Path, output: Path, camera: Path | None, name: str, workers: int, progress: Progress = lambda done, of: None
+    path: Path,
+    output: Path,
+    camera: Path | None,
+    name: str | None,
+    workers: int,
+    progress: Progress = lambda done, of: None,
 ) -> Outcome:
     """Track every clip of a source into RESULTS; go on from what an interrupted run left in RESULTS.partial.
 
@@ -64,8 +70,8 @@ def run(
         RESULTS.
     camera : Path or None
         A camera file in place of the source's own.
-    name : str
-        Of the detector.
+    name : str or None
+        Of the detector; None: what the first clip asks for.
     workers : int
         Processes.
     progress : callable
@@ -79,15 +85,19 @@ def run(
     ------
     InputError
     """
-    detector(name)
-    source = open_source(path, camera)
+    if name is not None:
+        detector(name)
+    source, why = open_source(path, camera), ""
+    if name is None:
+        first = source.clip(0)
+        name, why = choose(first.frames, first.camera)
     plan = _plan(source, name)
     numbers = [number for number, _ in source.clips]
     output = output.resolve()
     if output.exists():
         _same_or_refuse(output, plan)
         return Outcome(results.gather(output, numbers), len(source), 0, 0)
-    frames, notes = 0, Counter[str]()
+    frames, notes = 0, Counter[str]({why: len(source)} if why else {})
     with _partial(output, plan) as partial:
         todo = [i for i, number in enumerate(numbers) if not results.is_done(partial, number)]
         progress(len(source) - len(todo), len(source))

@@ -16,6 +16,7 @@ from tracker import results
 from tracker.camera.camera import Camera, InputError
 from tracker.camera.frames import Clip, open_frames, open_source, recorded
 from tracker.camera.memory import FILM, frames_in_memory
+from tracker.detection.choose import choose
 from tracker.detection.detect import DEFAULT, point_of, settled, view_of
 from tracker.detection.detect import detector as detector_named
 from tracker.detection.diagnose import why_nothing
@@ -155,7 +156,7 @@ class Result:
 
 
 def track(
-    film: Film, camera: GivenCamera | None = None, *, detector: str = DEFAULT, number: int | None = None
+    film: Film, camera: GivenCamera | None = None, *, detector: str | None = None, number: int | None = None
 ) -> Result:
     """Find, follow and measure the balls of one recording.
 
@@ -166,8 +167,8 @@ def track(
         What has a length and an index is read frame by frame.
     camera : Camera, dict, str or Path, optional
         What camera.json holds, or where it lies. Without one, what lies beside the film; else pixels are all there is.
-    detector : str
-        How glints are found.
+    detector : str, optional
+        How balls are found; default: what the film asks for.
     number : int, optional
         Of the clip; default: its folder's, else 0.
 
@@ -191,7 +192,8 @@ def track(
     >>> abs(result.estimates["r"][0] - clip.truth["r"]) < 4 * result.estimates["r_std"][0]
     np.True_
     """
-    detector_named(detector)  # an unknown one is reported before a film is read
+    if detector is not None:
+        detector_named(detector)  # an unknown one is reported before a film is read
     clip = _opened(film, camera)
     return followed(clip if number is None else replace(clip, number=number), detector)
 
@@ -264,13 +266,16 @@ def measure(tracks: pd.DataFrame | str | Path, camera: GivenCamera, *, point: st
     return measured(found, known if striker is None else replace(known, striker=striker), number, point)
 
 
-def followed(clip: Clip, name: str = DEFAULT) -> Result:
-    """A clip through the whole chain."""
+def followed(clip: Clip, name: str | None = None) -> Result:
+    """A clip through the whole chain, by the detector ``name`` or the one that its film asks for."""
+    why = ""
+    if name is None:
+        name, why = choose(clip.frames, clip.camera)
     tracks, camera, reason = track_clip(clip, name)
     rows, motion = measure_clip(tracks, camera)
     if reason:
         rows = [row if row["status"] in MEASURED else row | {"status": reason} for row in rows]
-    notes = tuple(filter(None, [clip.note, *unsaid(camera), _blur_note(camera), _rate_note(clip)]))
+    notes = tuple(filter(None, [clip.note, why, *unsaid(camera), _blur_note(camera), _rate_note(clip)]))
     return Result(clip.number, camera, tracks, tuple(rows), motion, notes, len(clip.frames))
 
 

@@ -45,8 +45,8 @@ def ground(frames: Sequence[Any]) -> Ground:
     """
     last = len(frames) - 1
     sample = [np.array(frames[round(k * last / 8)]) for k in range(9)]
-    noise = _noise(sample)
-    middle = _median_of_nine(sample)
+    noise = noise_of(sample)
+    middle = median_of_nine(sample)
     smooth = _smooth(middle)
     over = np.asarray(cv2.subtract(middle, smooth, dtype=cv2.CV_32F), dtype=np.float32)
     risen = over >= 4.0 * noise / 3.0 + 1.0
@@ -70,7 +70,7 @@ def _lone(over: NDArray[np.float32], risen: NDArray[np.int64], noise: float) -> 
     return np.asarray(risen[np.max(around, axis=0) < ALONE * over.ravel()[risen] + noise])
 
 
-def _median_of_nine(sheets: list[NDArray[Any]]) -> NDArray[Any]:
+def median_of_nine(sheets: list[NDArray[Any]]) -> NDArray[Any]:
     """The median; the nine are overwritten, for fresh memory costs more than the sorting."""
     spare = np.empty_like(sheets[0])
     for low, high in MEDIAN_OF_NINE:
@@ -88,7 +88,7 @@ def _smooth(picture: NDArray[Any]) -> NDArray[np.float32]:
     return np.asarray(cv2.resize(calm, (w, h), interpolation=cv2.INTER_LINEAR), dtype=np.float32)
 
 
-def _noise(sample: list[NDArray[Any]]) -> float:
+def noise_of(sample: list[NDArray[Any]]) -> float:
     """Noise of one pixel in one frame, counts, from differences of frames; balls are too few to matter."""
     h, w = sample[0].shape
     step = max(1, math.isqrt(h * w // 4000))

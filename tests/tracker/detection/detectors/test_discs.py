@@ -2,50 +2,14 @@
 
 import numpy as np
 import pytest
-from scipy.ndimage import gaussian_filter
+from tracker_discs import CAMERA, SIZE, R, collision, disc, film, plate, recorded
 
 import tracker
 from tracker.camera.camera import Camera
-from tracker.camera.frames import Clip
 from tracker.camera.memory import frames_in_memory
 from tracker.detection.detect import detect, view_of
 from tracker.detection.detectors.discs import Discs
 from tracker.detection.still_background import still_background
-
-SIZE, R, FINE, FPS = (160, 200), 9.3, 8, 60.0  # px
-CAMERA = {"size": [200, 160], "fps": FPS, "scale": 1e-3, "ball_diameter": 2 * R * 1e-3}
-
-
-def disc(place, radius=R):
-    """Coverage (h, w) of a disc, by FINE x FINE samples a pixel, blurred as by optics."""
-    h, w = SIZE
-    y, x = ((np.arange(n * FINE) + 0.5) / FINE - 0.5 for n in SIZE)
-    inside = (x[None] - place[0]) ** 2 + (y[:, None] - place[1]) ** 2 < radius**2
-    return gaussian_filter(inside.reshape(h, FINE, w, FINE).mean(axis=(1, 3)), 0.7)
-
-
-def plate(rng, level=70.0):
-    """A textured background, with a lamp's glare that never moves."""
-    h, w = SIZE
-    glare = 150 * np.exp(-(((np.arange(w) - 150) ** 2)[None] + ((np.arange(h) - 30) ** 2)[:, None]) / 200)
-    return level + 40 * gaussian_filter(rng.normal(size=SIZE), 3) + glare
-
-
-def collision(frames=60, contact=25):
-    """Places (2, frames, 2) of a target at rest and a striker that hits it; both stay in the picture."""
-    n, rest = np.array([np.cos(0.5), np.sin(0.5)]), np.array([90.3, 80.6])
-    since = (np.arange(frames) - contact - 0.4)[:, None]
-    late = np.maximum(since, 0)
-    striker = rest - 2 * R * n + np.where(since < 0, 1.7 * since * [1.0, 0.1], 0.25 * since * [1.0, -0.6])
-    return np.stack([rest + 1.1 * late * n, striker])
-
-
-def film(rng, ways, ball=210.0, noise=2.0, level=70.0):
-    ground, out = plate(rng, level), []
-    for k in range(ways.shape[1]):
-        cover = sum(disc(way[k]) for way in ways)
-        out.append(np.clip(np.rint(ground * (1 - cover) + ball * cover + rng.normal(0, noise, SIZE)), 0, 255))
-    return np.array(out).astype(np.uint8), ground
 
 
 def bound(ball, ground, noise):
@@ -56,16 +20,12 @@ def bound(ball, ground, noise):
     return np.sqrt((noise**2 + 1 / 12) / (slope**2).sum())
 
 
-def recorded(pictures, camera):
-    frames, note = frames_in_memory(pictures)
-    return Clip(0, camera, frames, note)
-
-
 @pytest.mark.parametrize(("ball", "level"), [(210.0, 70.0), (25.0, 150.0)])
 def test_both_balls_in_every_frame_near_the_bound(ball, level):
     """Bright on dark and dark on bright; at rest for half the film, where the plate is seen only later."""
     rng, ways = np.random.default_rng(3), collision()
-    pictures, ground = film(rng, ways, ball, level=level)
+    ground = plate(rng, level)
+    pictures = film(rng, ways, ball, ground=ground)
     clip = recorded(pictures, Camera.from_dict(CAMERA))
     found = detect(clip, view_of(clip, "discs"), "discs")
     places = ways[:, found.frame]
@@ -79,7 +39,7 @@ def test_both_balls_in_every_frame_near_the_bound(ball, level):
 
 
 def test_the_diameter_is_found_from_the_film():
-    pictures, _ = film(np.random.default_rng(4), collision())
+    pictures = film(np.random.default_rng(4), collision())
     clip = recorded(pictures, Camera.unknown((SIZE[1], SIZE[0]), 8))
     assert Discs(view_of(clip, "discs")).radius == pytest.approx(R, rel=0.03)
     tracks = tracker.track(pictures, detector="discs").tracks
@@ -97,7 +57,8 @@ def test_what_never_moves_is_no_ball():
 def test_the_background_under_a_ball_that_rests_for_most_of_the_film():
     """A pixel's median is then the ball; the level nearer to what lies around is the plate."""
     rng, ways = np.random.default_rng(6), collision(contact=45)
-    pictures, ground = film(rng, ways)
+    ground = plate(rng)
+    pictures = film(rng, ways, ground=ground)
     level, known = still_background(frames_in_memory(pictures)[0], 2.0)
     assert np.abs(level - ground)[known].max() < 30
     assert np.sqrt(np.mean((level - ground)[known] ** 2)) < 1.0

@@ -1,0 +1,46 @@
+"""The detector that a film asks for."""
+
+import numpy as np
+import pytest
+from tracker_discs import CAMERA, collision, film, plate
+from tracker_film import CAMERA as STEEL
+from tracker_film import expose, spot
+
+import tracker
+from tracker.camera.camera import Camera
+from tracker.camera.memory import frames_in_memory
+from tracker.detection.choose import choose
+
+BARE = Camera.unknown((200, 160), 8)
+
+
+@pytest.mark.parametrize("camera", [BARE, Camera.from_dict(CAMERA)])
+@pytest.mark.parametrize(("ball", "level"), [(210.0, 70.0), (25.0, 150.0)])
+def test_bright_and_dark_bodies_are_discs(camera, ball, level):
+    rng = np.random.default_rng(0)
+    pictures = film(rng, collision(30, 12), ball, ground=plate(rng, level))
+    name, why = choose(frames_in_memory(pictures)[0], camera)
+    assert name == "discs"
+    assert "bodies of 19 px" in why
+
+
+@pytest.mark.parametrize("camera", [BARE, Camera.from_dict(STEEL)])
+@pytest.mark.parametrize("peak", [30.0, 200.0, 3000.0])
+@pytest.mark.parametrize("body", [0.0, 0.1])
+def test_steel_balls_are_glints(camera, peak, body):
+    """Dim or clipped, with the room mirrored in the ball too."""
+    rng, frames = np.random.default_rng(1), []
+    for k in range(30):
+        x = 20.3 + 5 * k
+        ball = body * min(peak, 250) * (np.hypot(*np.ogrid[-80:80, -x : 200 - x]) < 7.4)
+        frames.append(expose(rng, 8 + peak * spot((160, 200), x, 80.0, 1.2) * 2 * np.pi * 1.44 + ball))
+    assert choose(frames_in_memory(np.array(frames))[0], camera) == ("maximum_likelihood", "")
+
+
+def test_the_choice_is_said_and_can_be_forced():
+    pictures = film(np.random.default_rng(2), collision(30, 12))
+    result = tracker.track(pictures, CAMERA)
+    assert [note for note in result.notes if note.startswith("detector: discs")]
+    assert len(np.unique(result.found.particle)) == 2
+    forced = tracker.track(pictures, CAMERA, detector="maximum_likelihood")
+    assert not [note for note in forced.notes if note.startswith("detector")]
