@@ -18,9 +18,26 @@ STAYING = "stay in contact from {:.6g} s on: only separate impacts are modelled"
 def first_contact(
     legs: Sequence[Leg], radius: Sequence[float], t: float, horizon: float
 ) -> tuple[float, int, int] | None:
-    """Time and balls of the first contact in [t, horizon], or None.
+    """The first contact between any two balls.
 
-    Raises ValueError when balls overlap, and when they touch and do not part.
+    Parameters
+    ----------
+    legs : sequence of Leg
+        How each ball moves.
+    radius : sequence of float
+        Of each, m.
+    t, horizon : float
+        From when to when, s.
+
+    Returns
+    -------
+    (time, i, j) or None
+        s, and the two balls' places in `legs`.
+
+    Raises
+    ------
+    ValueError
+        When balls overlap, and when they touch and do not part.
     """
     found = None
     for i, j in itertools.combinations(range(len(legs)), 2):

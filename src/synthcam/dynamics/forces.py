@@ -57,7 +57,32 @@ class Forces:
         return Forces(self.model, {k: v[rows] if isinstance(v, np.ndarray) else v for k, v in self.known.items()})
 
     def sliding(self, slip: Array, hat: Array, spin: Any, place: Array, v: Array, other: Any) -> tuple[Any, ...]:
-        """A (m, n), u_hat x p, p (2, m, n) and dwz/dt for slip speeds (m, n) along `hat`; places, v (2, m, n)."""
+        """What acts on m sliding balls at n instants each.
+
+        Parameters
+        ----------
+        slip : (m, n) array
+            Slip speeds, m/s.
+        hat : (2, m, n) array
+            Their directions.
+        spin : array
+            About the vertical, rad/s.
+        place, v : (2, m, n) array
+            m and m/s.
+        other : array
+            Position of the other ball relative to this one, as the push may ask for it, m.
+
+        Returns
+        -------
+        slowing : (m, n) array
+            How fast the slip speed falls, m/s^2.
+        across : (m, n) array or 0
+            The push's part across the slip, hat x push.
+        push : (2, m, n) array or 0
+            m/s^2.
+        twist : array or 0
+            The change of the spin about the vertical, rad/s^2.
+        """
         laws = self.model.laws
         instant = self.known | dict(
             slip_speed=slip, slip=last_axis(hat), position=last_axis(place), velocity=last_axis(v)
@@ -84,7 +109,7 @@ class Forces:
         return np.asarray(out + 5 / 7 * self.push(place, v, other) if model.laws.bent("push") else out)
 
     def push(self, place: Array, v: Array, other: Any) -> Array:
-        """The push on them, (2, m, n)."""
+        """The push on balls at these places with these velocities, (2, m, n) m/s^2."""
         instant = self.known | dict(position=last_axis(place), velocity=last_axis(v), other=other)
         return np.asarray(self.model.laws("push", last_axis(np.zeros_like(v)), instant)).transpose(2, 0, 1)
 

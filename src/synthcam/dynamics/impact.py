@@ -25,7 +25,7 @@ class Impact:
 
 
 def collide(model: Model, target: Array, striker: Array, one: Bodies, two: Bodies) -> Impact:
-    """`strike` of many: states (k, 9) of the targets, bodies `one`, and of the strikers, bodies `two`."""
+    """`strike` of many pairs at once: states (k, 9) of the targets, bodies `one`, and of the strikers, bodies `two`."""
     first, second = (tuple(np.ascontiguousarray(states.T)) for states in (target, striker))
     *vectors, along_n, along_t = strike(model, first, second, (one.radius, one.mass), (two.radius, two.mass))
     a, b, n = (np.stack(np.broadcast_arrays(*parts), axis=-1) for parts in vectors)
@@ -35,15 +35,32 @@ def collide(model: Model, target: Array, striker: Array, one: Bodies, two: Bodie
 def strike(
     model: Model, target: State, striker: State, one: tuple[Real, Real], two: tuple[Real, Real]
 ) -> tuple[State, State, tuple[Real, Real, Real], Real, Real]:
-    """Balls at contact: their states, as floats or arrays, and radii and masses.
+    """The impact of two balls that touch.
 
-    Returns the states just after, the normal n from striker to target, and the impulses on the target, N s, along n and
-    along z x n. With m the reduced mass. Normal: P = (1 + r) v_n m along n. Tangential:
+    With m the reduced mass. Normal impulse: P = (1 + r) v_n m along n. Tangential:
     J = (2/5) C |u_t| 2 m against u_t, the velocity of the striker's touching surface over the target's, its vertical
     part included; both balls turn by dw = (5/2) n x J / (mass R). Of the vertical impulse the plate holds back all but
     the share `loft`: what it holds back spins the balls but lifts neither, as if the plate could pull too. C knows no
     Coulomb cap mu P, which J exceeds at grazing hits; `ball_friction` has it. A ball may come out with vz < 0, pressed
     on the plate: it then lands in the same instant.
+
+    Parameters
+    ----------
+    model : Model
+        For the laws `restitution`, `spin_transfer` and `loft`.
+    target, striker : tuple of 9 floats, or of 9 arrays
+        States at the contact, as in `kinematics`.
+    one, two : (radius, mass)
+        Of target and striker, m and kg.
+
+    Returns
+    -------
+    target, striker : tuple
+        States just after.
+    normal : tuple of 3
+        Unit vector from striker to target.
+    along_n, along_t : float or array
+        Impulses on the target along n and along z x n, N s.
     """
     (r1, m1), (r2, m2) = one, two
     nx, ny, nz = target[0] - striker[0], target[1] - striker[1], target[2] - striker[2]

@@ -50,7 +50,27 @@ class Launch:
 
 
 def touching(one: Bodies, two: Bodies, v0: Array, b: Array, heading: Array, contact: Array) -> tuple[Array, Array]:
-    """States (k, 9) of targets at rest and of strikers that touch them; v0, b, heading (k,), contact (k, 2)."""
+    """Place balls at their contacts: targets at rest, and strikers that roll and touch them.
+
+    Parameters
+    ----------
+    one, two : Bodies
+        Of targets and strikers.
+    v0, b, heading : (k,) array
+        The strikers' speed, m/s, impact parameter over the sum of radii, and heading, rad.
+    contact : (k, 2) array
+        Place between the balls, m.
+
+    Returns
+    -------
+    target, striker : (k, 9) array
+        States.
+
+    Raises
+    ------
+    ValueError
+        Where balls of these sizes pass each other without touching.
+    """
     d = np.stack([np.cos(heading), np.sin(heading)], axis=-1)
     apart = 2 * np.sqrt(one.radius * two.radius)  # of the centres, seen from above
     sine = -b * (one.radius + two.radius) / apart
