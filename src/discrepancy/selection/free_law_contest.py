@@ -375,6 +375,7 @@ def unseen(fitted_law: FittedLaw, clips: Sequence[Measured], before: Fit, noise:
     clips : sequence of Measured
     before : Fit
         Of these clips, without the law.
+    noise : Noise
 
     Returns
     -------
