@@ -92,7 +92,7 @@ def places(film: Path, results: Path) -> dict[str, float]:
 
 def spread(table: pd.DataFrame, name: str, fit: str) -> dict[str, float]:
     """Root mean square of z, its sampling error, and the number of clips that claim the quantity."""
-    suffix = "" if fit == "tied" else "_free"
+    table, suffix = table[table["status"].isin(["ok", "misfit"])], "" if fit == "tied" else "_free"
     z = (table[name + suffix] - table[f"{name}_true"]) / table[f"{name}{suffix}_std"]
     rows = table[z.notna()]
     values = z[z.notna()].to_numpy(float)

@@ -196,6 +196,7 @@ def calibrate(
     fps: Annotated[float, typer.Option(help="Frames a second.")],
     output: Annotated[Path, typer.Option("-o", "--output", metavar="CAMERA.JSON", help="File to write.")],
     exposure: Annotated[float | None, typer.Option(help="Of a frame, s, if known.")] = None,
+    gamma: Annotated[float, typer.Option(help="Counts are light to the power of 1/gamma: often 2.2.")] = 1.0,
     as_json: Json = False,
 ) -> None:
     """Write a camera file: scale from balls that touch or are seen whole, glint width, noise, and what is not known.
@@ -206,7 +207,7 @@ def calibrate(
     from tracker.calibration.calibrate import check_output, summary, summary_json
 
     check_output(output)
-    result = calibrate_camera(video, diameter, fps, exposure)
+    result = calibrate_camera(video, diameter, fps, exposure, gamma)
     result.write(output)
     print(summary_json(result, output) if as_json else "\n".join([*summary(result), f"{output}"]))
 

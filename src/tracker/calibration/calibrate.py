@@ -15,9 +15,9 @@ from tracker.calibration.ball_outline import Outline, outline
 from tracker.calibration.contact_distance import ContactDistance, contact_distances
 from tracker.camera.camera import Camera, InputError
 from tracker.camera.camera_keys import read_json
-from tracker.camera.frames import Clip, open_source
+from tracker.camera.frames import open_source, recorded
 from tracker.camera.grey import Frames
-from tracker.detection.detect import detect, view_of
+from tracker.detection.detect import DEFAULT, detect, view_of
 from tracker.detection.link import Tracks, link
 from tracker.outputs import as_input_error, check_room
 from tracker.results import write_json
@@ -25,6 +25,8 @@ from tracker.results import write_json
 HEIGHTS = 2.5  # 1/m, scatter of 1/height of lamp less that of the camera: glints' distances differ from the balls'
 DISAGREE = 3.0  # standard errors between two ways to the scale, beyond which they disagree
 FEWEST = 10  # glints, to say anything
+STRAY = 4.0  # deviations by which a contact may differ from the middle one
+NORMAL = 1.4826  # standard deviation of a normal spread over its median absolute deviation
 
 
 @dataclass(frozen=True)
@@ -51,7 +53,9 @@ class Calibration:
         if self.camera.psf_sigma is not None:
             kept["psf"] = whole["psf"]
         kept["sensor"] = {
-            k: v for k, v in whole["sensor"].items() if k in ("bits", "gain", "read_noise", "black_level")
+            k: v
+            for k, v in whole["sensor"].items()
+            if k in ("bits", "gain", "read_noise", "black_level", "codec_noise", "gamma")
         }
         if self.scale_from:
             kept["scale_std"] = self.scale_std
@@ -87,7 +91,9 @@ def _made_here(path: Path) -> bool:
         return False
 
 
-def calibrate(video: Path, diameter: float, fps: float, exposure: float | None = None) -> Calibration:
+def calibrate(
+    video: Path, diameter: float, fps: float, exposure: float | None = None, gamma: float = 1.0
+) -> Calibration:
     """Find scale, glint width and noise from a video of balls of known diameter.
 
     Parameters
@@ -100,6 +106,8 @@ def calibrate(video: Path, diameter: float, fps: float, exposure: float | None =
         Frames a second.
     exposure : float, optional
         Of a frame, s; separates motion blur from the glint's width.
+    gamma : float
+        Counts are light to the power of 1/gamma.
 
     Returns
     -------
@@ -115,21 +123,23 @@ def calibrate(video: Path, diameter: float, fps: float, exposure: float | None =
             raise InputError(f"{name}: expected a number over 0, not {value!r}")
     if exposure is not None and not 0 <= exposure <= 1.0 / fps * (1 + 1e-9):
         raise InputError(f"--exposure: expected 0 to one frame time, {1 / fps:g} s, not {exposure!r}")
+    if not 0.2 <= gamma <= 5:
+        raise InputError(f"--gamma: expected 0.2 to 5, as of most video 2.2, not {gamma!r}")
     source = open_source(video)
     width, height = source.film(0)[1].shape[:0:-1]
     given: dict[str, Any] = {"fps": fps, "ball_diameter": diameter, "size": [width, height]}
+    given["sensor"] = {"gamma": gamma}
     if exposure is not None:
         given["exposure"] = exposure
     seen: list[_Seen] = []
     scale = Camera.unknown((width, height), 8).diameter_px
     ways: dict[str, tuple[float, float]] = {}
-    for _ in range(2):  # the second time with the size of the balls known
+    for detector in ("centroid", DEFAULT):  # the second time with the size of the balls known
         known = {**given, "scale": diameter / scale}
-        seen = [_survey(*source.film(i)[:2], known) for i in range(len(source))]
+        seen = [_survey(*source.film(i)[:2], known, detector) for i in range(len(source))]
         ways = _ways(seen, diameter)
-        if not ways:
-            break
-        scale = diameter / min(ways.values(), key=lambda way: way[1])[0]
+        if ways:
+            scale = diameter / min(ways.values(), key=lambda way: way[1])[0]
     return _gathered(seen, ways, video, exposure is not None)
 
 
@@ -141,16 +151,17 @@ class _Seen:
     glints: int
     contact_distances: list[ContactDistance]
     outline: Outline | None
+    encoded: bool
 
 
-def _survey(number: int, frames: Frames, known: dict[str, Any]) -> _Seen:
-    camera = Camera.from_dict(known)
-    camera = replace(camera, sensor=replace(camera.sensor, bits=8 * frames.dtype.itemsize))
-    clip = Clip(number, camera, frames)
+def _survey(number: int, frames: Frames, known: dict[str, Any], detector: str) -> _Seen:
+    clip = recorded(number, frames, "", Camera.from_dict(known), ("", ""))
     view = view_of(clip)
-    glints = detect(clip, view)
+    glints = detect(clip, view, detector)
     tracks: Tracks = link(glints, view.camera)
-    return _Seen(view.camera, len(tracks), contact_distances(tracks), outline(frames, view.plate, glints, view.sigma))
+    encoded = view.camera.sensor.codec_noise > 0
+    seen = None if encoded else outline(clip.frames, view.plate, glints, view.sigma)
+    return _Seen(view.camera, len(tracks), contact_distances(tracks), seen, encoded)
 
 
 def _ways(seen: Sequence[_Seen], diameter: float) -> dict[str, tuple[float, float]]:
@@ -158,22 +169,25 @@ def _ways(seen: Sequence[_Seen], diameter: float) -> dict[str, tuple[float, floa
     out = {}
     contacts = [(t.distance, t.std) for s in seen for t in s.contact_distances]
     if contacts:
-        distance, std = _weighted(contacts)
-        std = math.hypot(std, HEIGHTS * diameter / 4.0 * distance)
+        distance, std = weighted_mean(contacts)  # of the glints, which are what is tracked without a lamp
         out["contact"] = (diameter / distance, diameter / distance**2 * std)
     outlines = [(2.0 * s.outline.radius, 2.0 * s.outline.std) for s in seen if s.outline is not None]
     if outlines:
         width = float(np.median([w for w, _ in outlines]))
-        out["outline"] = (diameter / width, diameter / width**2 * min(std for _, std in outlines))
+        std = math.hypot(min(std for _, std in outlines), HEIGHTS * diameter / 4.0 * width)
+        out["outline"] = (diameter / width, diameter / width**2 * std)
     return out
 
 
-def _weighted(values: list[tuple[float, float]]) -> tuple[float, float]:
-    """Weighted mean and its error, no smaller than their own scatter says."""
+def weighted_mean(values: list[tuple[float, float]]) -> tuple[float, float]:
+    """Weighted mean and its error, no smaller than their own scatter says; without strays."""
     value, std = np.array(values).T
+    off = np.abs(value - np.median(value))
+    kept = off <= STRAY * np.maximum(std, NORMAL * np.median(off))
+    value, std = value[kept], std[kept]
     weight = 1.0 / std**2
     mean = float(np.sum(weight * value) / np.sum(weight))
-    chi2 = float(np.sum(weight * (value - mean) ** 2)) / max(len(values) - 1, 1)
+    chi2 = float(np.sum(weight * (value - mean) ** 2)) / max(len(value) - 1, 1)
     return mean, math.sqrt(max(1.0, chi2) / float(np.sum(weight)))
 
 
@@ -187,7 +201,12 @@ def _gathered(seen: Sequence[_Seen], ways: dict[str, tuple[float, float]], video
     if not best:
         missing.append("scale: no two balls touch in view, and no outline is bright enough to be seen")
     elif len(ways) == 1:
-        other = {"contact": "no outline bright enough to be seen", "outline": "no two balls touch in view"}[best]
+        unseen = (
+            "an encoder has changed the outlines"
+            if all(s.encoded for s in seen)
+            else "no outline bright enough to be seen"
+        )
+        other = {"contact": unseen, "outline": "no two balls touch in view"}[best]
         missing.append(f"scale: from the {best} alone, {other}")
     else:
         (one, one_std), (two, two_std) = ways["contact"], ways["outline"]

@@ -33,10 +33,17 @@ def contact_distances(tracks: Tracks) -> list[ContactDistance]:
     out = []
     for one, two in combinations(np.unique(tracks.particle).tolist(), 2):
         frame, gap, cov = _relative(tracks, one, two)
-        contact = _touch(frame, gap, cov) if len(frame) >= 10 else None
-        if contact is not None:
-            out.append(contact)
+        contacts = (_touch(frame, gap, cov, k) for k in _nearest(np.hypot(*gap.T)))
+        out += [contact for contact in contacts if contact is not None]
     return out
+
+
+def _nearest(distance: Array) -> NDArray[np.int64]:
+    """Rows in which two balls are nearer than in any of the BEFORE rows on either side."""
+    if len(distance) < 8:
+        return np.empty(0, np.int64)
+    around = np.lib.stride_tricks.sliding_window_view(np.pad(distance, BEFORE, constant_values=np.inf), 2 * BEFORE + 1)
+    return np.flatnonzero(np.argmin(around, axis=1) == BEFORE)
 
 
 def _relative(tracks: Tracks, one: int, two: int) -> tuple[NDArray[np.int64], Array, Array]:
@@ -46,9 +53,8 @@ def _relative(tracks: Tracks, one: int, two: int) -> tuple[NDArray[np.int64], Ar
     return frame, tracks.xy[b[j]] - tracks.xy[a[i]], tracks.cov[b[j]] + tracks.cov[a[i]]
 
 
-def _touch(frame: NDArray[np.int64], gap: Array, cov: Array) -> ContactDistance | None:
-    """Parabolas before and after the least distance, and the distance where they meet."""
-    k = int(np.argmin(np.hypot(gap[:, 0], gap[:, 1])))
+def _touch(frame: NDArray[np.int64], gap: Array, cov: Array, k: int) -> ContactDistance | None:
+    """Parabolas before and after row k of least distance, and the distance where they meet."""
     best = None
     for span in AFTER:
         for split in (k, k + 1):  # the contact lies just before or just after the frame of least distance

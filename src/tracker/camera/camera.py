@@ -374,7 +374,8 @@ class Camera:
         dict
             Without the keys of a lamp, a PSF or a diameter that is not known.
         """
-        sensor = {k: v for k, v in vars(self.sensor).items() if math.isfinite(v)}
+        plain = {"codec_noise": 0.0, "gamma": 1.0}
+        sensor = {k: v for k, v in vars(self.sensor).items() if math.isfinite(v) and v != plain.get(k)}
         out: dict[str, Any] = {
             "K": self.K.tolist(), "dist": self.dist.tolist(), "R": self.R.tolist(), "t": self.t.tolist(),
             "size": list(self.size), "fps": self.fps, "exposure": self.exposure, "scale": self.scale,

@@ -19,6 +19,7 @@ SMALLEST = 0.5  # px, of a ball
 LARGEST = 4.0  # of a ball, over the picture's longer side
 STANDARD_ERRORS = ("scale_std", "fps_std", "ball_diameter_std")
 LARGEST_ERROR = 0.5  # of a standard error, over what it is of: beyond, that is not known at all
+UNASSUMED = ("full_well", "codec_noise", "gamma")  # of a sensor: without them there is no such limit, loss or curve
 LOOKING_DOWN = ((1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, -1.0))
 BLURS = {  # keys that make a glint wider than psf.sigma_px, by section
     "psf": ("defocus_px", "f_number"),
@@ -219,10 +220,10 @@ class _Reader:
     def _sensor(self) -> Sensor:
         table = self._table(self.data.get("sensor", {}), "sensor")
         values: dict[str, Any] = {}
-        for key in ("bits", "gain", "read_noise", "dark", "prnu", "dsnu", "full_well", "black_level"):
+        for key in ("bits", "gain", "read_noise", "dark", "prnu", "dsnu", "black_level", *UNASSUMED):
             if key in table:
                 values[key] = self._number(table, key, "sensor.")
-            elif key != "full_well":
+            elif key not in UNASSUMED:
                 self.assumed.append(f"sensor.{key}")
         if "bits" in values:
             if values["bits"] != int(values["bits"]):

@@ -18,7 +18,7 @@ KEYS = {  # by section; "" is the file itself
     "scale_std fps_std ball_diameter_std assumed metric exposure_seen_s calibration video",
     "lamp": "position radius shape inner length width angle facing flicker second radiance",
     "psf": "sigma_px defocus_px f_number pixel_pitch wavelength",
-    "sensor": "bits gain read_noise dark prnu dsnu full_well black_level hot_pixels hot_dark",
+    "sensor": "bits gain read_noise dark prnu dsnu full_well black_level codec_noise gamma hot_pixels hot_dark",
     "shutter": "kind line_time",
     "lens": "vignetting",
     "video": "codec crf q gamma chroma",
@@ -56,6 +56,8 @@ LIMITS = {  # least and most, both included: wider than any apparatus, narrow en
     "sensor.dsnu": (0.0, 1e6),
     "sensor.full_well": (1e-6, 1e12),
     "sensor.black_level": (0.0, 65535.0),
+    "sensor.codec_noise": (0.0, 65535.0),
+    "sensor.gamma": (0.2, 5.0),
 }
 
 

@@ -10,10 +10,12 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from tracker.camera.camera import Camera, InputError
-from tracker.camera.grey import Frames
+from tracker.camera.grey import Frames, linear
 from tracker.camera.pictures import PICTURES, TIFF, folder_frames, pictures_of
 from tracker.camera.stack import stack_frames
 from tracker.camera.video import VIDEOS, video_frames
+
+GAMMA = "sensor.gamma: counts are made linear in light before anything else"
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,7 +73,10 @@ def recorded(number: int, frames: Frames, note: str, camera: Camera | None, name
     if camera.size != size:
         asked = "x".join(map(str, camera.size))
         raise InputError(f"{names[0]}: frames are {size[0]}x{size[1]}, expected {asked} by size in {names[1]}")
-    if "sensor.bits" in camera.assumed:
+    if camera.sensor.gamma != 1:
+        frames, note = linear(frames, camera.sensor.gamma), "; ".join(filter(None, [note, GAMMA]))
+        camera = replace(camera, sensor=replace(camera.sensor, bits=16))
+    elif "sensor.bits" in camera.assumed:
         camera = replace(camera, sensor=replace(camera.sensor, bits=bits))
     return Clip(number, camera, frames, note)
 

@@ -21,9 +21,10 @@ class Frames(Sequence[Any]):
     """A sequence of grey (h, w) uint8 or uint16 frames, each read when asked for."""
 
     fps = 0.0  # that a video file claims
+    lossy = False  # whether they were encoded with loss
 
     def __init__(self, count: int, shape: tuple[int, int], dtype: Any, fetch: Callable[[int], Frame]) -> None:
-        self.shape = (count, *shape)
+        self.shape: tuple[int, int, int] = (count, *shape)
         self.dtype = np.dtype(dtype)
         self._fetch = fetch
 
@@ -59,6 +60,15 @@ def grey_frames(
         return np.round(mix).astype(dtype)
 
     return Frames(count, (plane[0], plane[1]), dtype, grey), "colour converted to grey"
+
+
+def linear(frames: Frames, gamma: float) -> Frames:
+    """The same frames with counts in proportion to light, in 16 bits, where they were light to the power of 1/gamma."""
+    top = 2.0 ** (8 * frames.dtype.itemsize) - 1
+    table = np.rint((np.arange(top + 1) / top) ** gamma * (2**16 - 1)).astype(np.uint16)
+    out = Frames(len(frames), frames.shape[1:], np.uint16, lambda k: table[frames[k]])
+    out.fps, out.lossy = frames.fps, frames.lossy
+    return out
 
 
 def not_too_large(path: Path | str, plane: tuple[int, ...]) -> None:

@@ -16,6 +16,7 @@ from tracker.camera.grey import Frames, grey_frames, not_too_large, pixel_type
 
 TIFF = (".tif", ".tiff")
 PICTURES = (".png", ".tif", ".tiff", ".jpg", ".jpeg", ".bmp")
+JPEG = (".jpg", ".jpeg")
 
 
 def pictures_of(folder: Path) -> list[Path]:
@@ -37,7 +38,9 @@ def folder_frames(folder: Path) -> tuple[Frames, str]:
             raise InputError(f"{paths[k]}: {has}, expected {wants} as in {paths[0].name}")
         return picture
 
-    return grey_frames(folder, len(paths), first.shape, first.dtype, fetch)
+    frames, note = grey_frames(folder, len(paths), first.shape, first.dtype, fetch)
+    frames.lossy = paths[0].suffix.lower() in JPEG
+    return frames, note
 
 
 def _picture(path: Path) -> Any:

@@ -15,7 +15,9 @@ class Sensor:
     """Noise of one pixel in counts (EMVA 1288): shot, read-out, rounding and the fixed patterns.
 
     ``gain`` e-/count, ``read_noise``, ``dsnu`` and ``full_well`` e-, ``dark`` e-/s, ``prnu`` a fraction,
-    ``black_level`` counts.
+    ``black_level`` counts. ``codec_noise`` counts: what an encoder with loss leaves out where something is seen; of a
+    picture that stays as it is, it leaves out the same in every frame. ``gamma``: counts of the file are light to the
+    power of 1/gamma; all else here is of counts that have been made linear again, in 16 bits.
     """
 
     bits: int = 8
@@ -26,17 +28,19 @@ class Sensor:
     dsnu: float = 0.0
     full_well: float = math.inf
     black_level: float = 0.0
+    codec_noise: float = 0.0
+    gamma: float = 1.0
 
     def variance(self, mean: Array) -> Array:
         """Variance, counts^2, of a pixel whose mean is ``mean`` counts (any shape)."""
         signal = np.maximum(mean - self.black_level, 0.0)
-        floor = (self.read_noise**2 + self.dsnu**2) / self.gain**2 + 1.0 / 12.0
+        floor = (self.read_noise**2 + self.dsnu**2) / self.gain**2 + 1.0 / 12.0 + self.codec_noise**2
         return np.asarray(floor + signal * (1.0 / self.gain + self.prnu**2 * signal))
 
     def fixed_variance(self, mean: Array) -> Array:
-        """The part of ``variance`` that is the same in every frame: the pixels' own response and offset."""
+        """The part of ``variance`` that is the same in every frame of a ball at rest: of pixels and of encoders."""
         signal = np.maximum(mean - self.black_level, 0.0)
-        return (self.dsnu / self.gain) ** 2 + (self.prnu * signal) ** 2
+        return (self.dsnu / self.gain) ** 2 + (self.prnu * signal) ** 2 + self.codec_noise**2
 
     def variance_slope(self, mean: Array) -> Array:
         """d variance / d mean, counts."""

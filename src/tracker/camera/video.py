@@ -26,6 +26,7 @@ from tracker.camera.camera import InputError
 from tracker.camera.grey import Frames, grey_frames, not_too_large
 
 VIDEOS = (".avi", ".mkv", ".mp4", ".mov", ".m4v", ".mpg", ".mpeg", ".webm")
+LOSSLESS = "ffv1 rawvideo huffyuv ffvhuff utvideo magicyuv lagarith png tiff bmp dpx qtrle v210 v410 r210".split()
 LUMA_FIRST = re.compile(r"(yuvj?4\d\dp|yuva4\d\dp|gray)(\d+le|8)?|nv(12|16|21|24)")  # the first plane is the luma
 BLACK, WHITE = 16, 235  # of 8 bits, of a limited range
 KEPT = 8  # frames held for steps back; further back, a pass begins at the key frame before
@@ -42,6 +43,7 @@ class _Contents:
     """What one pass over a video shows: its first frame, times in ticks, key frames, what is wrong with it."""
 
     first: VideoFrame
+    codec: str
     times: list[int | None]
     keys: list[int]
     damaged: list[int]
@@ -70,7 +72,7 @@ def video_frames(path: Path) -> tuple[Frames, str]:
     dtype = np.dtype(np.uint16 if deep else np.uint8)
     reader = _Reader(path, found, grey)
     frames, mixed = grey_frames(path, len(found.times), first.shape, dtype, reader)
-    frames.fps = found.fps
+    frames.fps, frames.lossy = found.fps, found.codec not in LOSSLESS
     return frames, "; ".join(filter(None, [mixed or coloured, *_faults(found)]))
 
 
@@ -110,10 +112,10 @@ def _pass(path: Path) -> _Contents | None:
                 not_too_large(path, (frame.height, frame.width))
                 ratio = stream.sample_aspect_ratio
                 rate = stream.average_rate or stream.guessed_rate
+                tick, name = float(stream.time_base or 0), stream.codec_context.name
                 found = _Contents(
-                    frame, times, keys, damaged, float(stream.time_base or 0), float(rate or 0), _promised(stream),
-                    ratio in (None, 0, 1),
-                )  # fmt: skip
+                    frame, name, times, keys, damaged, tick, float(rate or 0), _promised(stream), ratio in (None, 0, 1)
+                )
             elif (frame.width, frame.height) != (found.first.width, found.first.height):
                 has, wants = (f"{f.width}x{f.height}" for f in (frame, found.first))
                 raise InputError(f"{path}: frame {len(times)} is {has}, expected {wants} as frame 0")

@@ -18,7 +18,10 @@ from tracker.detection.glint_fit import Windows, fit
 FRAMES = 40  # used
 DEEP = 400  # frames of 16 bits searched for the brightest pixel
 WIDTHS = (0.4, 5.0)  # px, between which a glint's width is sought
-GAINS = (0.05, 500.0)  # e-/count
+GAINS = (2.0, 500.0)  # e-/count of 8 bits; of 12 bits each count is a sixteenth
+LOUDER = (0.3, 100.0)  # of the plate's noise, between which an encoder's beside glints is sought, and
+LEAST = 0.5  # the same, that is anything at all
+CLEARLY = 100.0  # by how much more likely (its logarithm) the windows must be by it
 DEFAULT_SIGMA = 1.0  # px, where the clip does not show it either
 TYPICAL = 1.2  # px, a first width
 LONGEST = 2.5  # px, of a way during the exposure
@@ -30,7 +33,8 @@ BRIGHT = 20.0  # deviations of a box sum over the plate, for a glint that is mea
 def completed(camera: Camera, plate: Ground, frames: Sequence[Any]) -> Camera:
     """The camera with black level, read noise, gain and PSF filled in where its file does not give them."""
     sensor = camera.sensor
-    if not {"sensor.bits", "sensor.black_level", "sensor.read_noise", "sensor.gain", "psf.sigma_px"} & {
+    encoded = getattr(frames, "lossy", False) and not sensor.codec_noise
+    if not encoded and not {"sensor.bits", "sensor.black_level", "sensor.read_noise", "sensor.gain", "psf.sigma_px"} & {
         *camera.assumed
     }:
         return camera
@@ -42,11 +46,14 @@ def completed(camera: Camera, plate: Ground, frames: Sequence[Any]) -> Camera:
     sensor = _calmed(camera, sensor, plate.noise, level)
     camera = replace(camera, sensor=sensor)
     wants_gain = "sensor.gain" in camera.assumed
-    if camera.psf_sigma is not None and not wants_gain:
+    if camera.psf_sigma is not None and not wants_gain and not encoded:
         return camera
     windows = _brightest(camera, plate, frames)
     if windows is None:
         return camera if camera.psf_sigma is not None else replace(camera, psf_sigma=DEFAULT_SIGMA)
+    if encoded or (wants_gain and "sensor.read_noise" in camera.assumed):
+        size = _codec_noise(windows, camera, plate.noise, level, wants_gain)
+        camera = replace(camera, sensor=replace(camera.sensor, codec_noise=size))
     for _ in range(2 if wants_gain else 1):  # either shifts the other a little
         sigma = camera.sigma
         if "psf.sigma_px" in camera.assumed:
@@ -54,7 +61,7 @@ def completed(camera: Camera, plate: Ground, frames: Sequence[Any]) -> Camera:
             lamp = camera.lamp_image_radius**2 / 4.0
             camera = replace(camera, psf_sigma=math.sqrt(max(sigma**2 - lamp, 0.01)))
         if wants_gain and sigma is not None:
-            camera = replace(camera, sensor=_gain(windows, sigma, camera, plate.noise, level))
+            camera = replace(camera, sensor=_gain(windows, sigma, camera, plate.noise, level)[0])
     return camera
 
 
@@ -110,8 +117,34 @@ def _width(windows: Windows, sensor: Sensor) -> float:
     return _likeliest(lambda sigma: _loglik(windows, sigma, sensor), WIDTHS)
 
 
-def _gain(windows: Windows, sigma: float, camera: Camera, noise: float, level: float) -> Sensor:
-    """The gain under which the glints scatter as they do, the plate's noise kept."""
+def _codec_noise(windows: Windows, camera: Camera, noise: float, level: float, wants_gain: bool) -> float:
+    """What an encoder leaves out beside glints, counts; 0 where the windows are as likely without.
+
+    It is spread over the blocks in which something is seen; a bare plate is smoothed.
+    """
+
+    def coded(size: float) -> Camera:
+        return replace(camera, sensor=replace(camera.sensor, codec_noise=size))
+
+    def width(size: float) -> float:
+        given = None if "psf.sigma_px" in camera.assumed else camera.sigma
+        return given or _width(windows, coded(size).sensor)
+
+    def likely(size: float) -> float:
+        if wants_gain:
+            return _gain(windows, width(size), coded(size), noise, level)[1]
+        return _loglik(windows, width(size), coded(size).sensor)
+
+    sigma = width(0.0)
+    size = noise * _likeliest(lambda by: _loglik(windows, sigma, coded(by * noise).sensor), LOUDER)
+    if size < LEAST * noise:
+        return 0.0
+    return size if likely(size) > likely(0.0) + CLEARLY else 0.0
+
+
+def _gain(windows: Windows, sigma: float, camera: Camera, noise: float, level: float) -> tuple[Sensor, float]:
+    """The gain under which the glints scatter as they do, a dark pixel's noise kept, and how likely they are by it."""
+    unit = 2.0 ** (8 - camera.sensor.bits)
 
     def sensor(gain: float) -> Sensor:
         return _calmed(camera, replace(camera.sensor, gain=gain), noise, level)
@@ -119,7 +152,8 @@ def _gain(windows: Windows, sigma: float, camera: Camera, noise: float, level: f
     def loglik(gain: float) -> float:
         return _loglik(windows, sigma, sensor(gain)) - 0.5 * (math.log(gain / 20.0) / SURE) ** 2
 
-    return sensor(_likeliest(loglik, GAINS))
+    best = _likeliest(loglik, (GAINS[0] * unit, GAINS[1]))
+    return sensor(best), loglik(best)
 
 
 def _likeliest(loglik: Callable[[float], float], limits: tuple[float, float]) -> float:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -11,6 +12,7 @@ from scipy.stats import chi2, f
 
 from tracker.measurement.derived import NAMES, Values
 from tracker.measurement.fitting import Fit
+from tracker.measurement.position_noise import Size
 
 MISFIT = "misfit"
 MEASURED = ("ok", MISFIT)  # statuses of a collision that has values
@@ -64,6 +66,13 @@ def p_value(square: float, dof: float, known: float) -> float:
     if known > 0.9 * dof:
         return float(f.sf(square / dof, dof, known))
     return float(f.sf(max(square - known, 0.0) / (dof - known), dof - known, known))
+
+
+def p_free(rows: list[dict[str, Any]], size: Size, ratio: float = 1.0) -> float:
+    """p-value of all free fits together, were the errors' variance `ratio` times what they went by; NaN without any."""
+    fits = [(row["chi2_free"], row["dof_free"]) for row in rows if row["dof_free"] > 0]
+    square, dof = np.sum(fits, axis=0) if fits else (np.nan, 0)
+    return p_value(float(square) / ratio, float(dof), size.dof)
 
 
 def agreement(tied: Fit, free: Fit, known: float) -> float:

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tracker.measurement import painter_behringer
-from tracker.measurement.adequacy import LEVEL, MISFIT, NO_TOUCH, agreement, distant, p_value, questioned
+from tracker.measurement.adequacy import LEVEL, MISFIT, NO_TOUCH, agreement, distant, p_free, p_value, questioned
 from tracker.measurement.camera_errors import carry, shared_block, touching
 from tracker.measurement.collision_model import AFTER, FREE, TARGET, TIED, release
 from tracker.measurement.contacts import Encounter, Meeting, Past, encounter, first_guess, meetings
@@ -115,17 +115,23 @@ def measure(tracks: Tracks, camera: Camera) -> list[dict[str, Any]]:
     resized = [course.resized(size) for course in balls]
     if size.ratio > 1:
         rows = _rows(resized, camera)
-        return _rows(balls, camera) if _p_free(rows, size) > 1 - LEVEL else rows  # kinks were taken for scatter
+        return _between(rows, balls, size, camera) if p_free(rows, size) > 1 - LEVEL else rows
     rows = _rows(balls, camera)
     slow = any(row["noise"] == "scatter" for row in rows)  # errors that last scatter little from frame to frame
-    return rows if slow or not _p_free(rows, size, size.ratio) > CONFIRMED else _rows(resized, camera)
+    return rows if slow or not p_free(rows, size, size.ratio) > CONFIRMED else _rows(resized, camera)
 
 
-def _p_free(rows: list[dict[str, Any]], size: Size, ratio: float = 1.0) -> float:
-    """p-value of all free fits together, were the errors' variance `ratio` times what they went by; NaN without any."""
-    fits = [(row["chi2_free"], row["dof_free"]) for row in rows if row["dof_free"] > 0]
-    square, dof = np.sum(fits, axis=0) if fits else (np.nan, 0)
-    return p_value(float(square) / ratio, float(dof), size.dof)
+def _between(wide: list[dict[str, Any]], balls: list[Course], size: Size, camera: Camera) -> list[dict[str, Any]]:
+    """The rows where free fits leave less than the scatter (by which `wide` went): it held kinks, or is uneven.
+
+    What is claimed holds if the free fits bear it; else errors are as large as these leave.
+    """
+    rows = _rows(balls, camera)
+    if p_free(rows, replace(size, dof=np.inf)) >= LEVEL:
+        return rows
+    square, dof = np.sum([(row["chi2_free"], row["dof_free"]) for row in wide if row["dof_free"] > 0], axis=0)
+    left = Size(size.ratio * float(square / dof), float(dof))
+    return _rows([course.resized(left) for course in balls], camera)
 
 
 def _rows(balls: list[Course], camera: Camera) -> list[dict[str, Any]]:

@@ -164,6 +164,16 @@ def test_no_camera_file_is_said(tmp_path):
     assert open_source(path, other).clip(0).camera.fps == 100
 
 
+def test_gamma_makes_counts_linear_in_light(tmp_path):
+    """Light of 1/4 and 1/2 of white, stored by a curve of 1/2.2."""
+    codes = np.rint(255 * np.array([0.0, 0.25, 0.5, 1.0]) ** (1 / 2.2)).astype(np.uint8)
+    write_clip(tmp_path, np.tile(codes[:, None, None], (1, 48, 64)), {**SMALL, "sensor": {"gamma": 2.2}})
+    clip = open_source(tmp_path).clip(0)
+    assert [frame[0, 0] / 65535 for frame in clip.frames] == pytest.approx([0, 0.25, 0.5, 1], abs=0.005)
+    assert clip.camera.sensor.bits == 16
+    assert "linear in light" in clip.note
+
+
 def test_bad_sources(tmp_path):
     one_line(lambda: open_source(tmp_path / "none"), "none", "no such file")
     (tmp_path / "empty").mkdir()

@@ -73,3 +73,29 @@ def test_a_clip_that_shows_nothing_gets_defaults():
     frames = np.clip(8 + rng.normal(0, 1, (12, 160, 200)), 0, 255).astype(np.uint8)
     view = view_of(shown(frames, {"psf", "sensor"}))
     assert view.sigma == pytest.approx(1.0, rel=0.01)
+
+
+def test_what_an_encoder_leaves_out_is_found_beside_glints_where_the_film_is_encoded():
+    """Pixels around a glint are off by 4 counts, those of the plate by one half: no sensor does that."""
+    rng = np.random.default_rng(4)
+    paths = collision(60, contact=25.3, speed=2.5)
+    frames = film(rng, paths, exposure_share=1e-9, gain=200.0, read=80.0).astype(float)
+    for k, balls in enumerate(paths):
+        for x, y in balls.round().astype(int):
+            if 8 <= x < 192 and 8 <= y < 152:
+                frames[k, y - 8 : y + 8, x - 8 : x + 8] += 4.0 * rng.standard_normal((16, 16))
+    frames = np.clip(frames.round(), 0, 255).astype(np.uint8)
+    for lossy in (True, False):
+        clip = shown(frames, set())
+        clip.frames.lossy = lossy
+        sensor = view_of(clip).camera.sensor
+        assert sensor.codec_noise == (pytest.approx(4.0, rel=0.15) if lossy else 0.0)
+    clip = shown(frames, {"psf", "lamp"}, sensor={"bits": 8}, exposure=0.0)
+    clip.frames.lossy = True
+    found = detect(clip, view_of(clip))
+    truth = np.array(
+        [min(paths[k], key=lambda p: np.hypot(*(p - xy))) for k, xy in zip(found.frame, found.xy, strict=True)]
+    )
+    z = np.linalg.solve(np.linalg.cholesky(found.cov), (found.xy - truth)[..., None])[..., 0]
+    assert 0.7 < z.std() < 1.3
+    assert np.allclose(found.fixed, found.cov, rtol=0.5)  # at rest the encoder leaves out the same in every frame
