@@ -19,7 +19,7 @@ from tracker.camera.memory import FILM, frames_in_memory
 from tracker.detection.choose import choose
 from tracker.detection.detect import DEFAULT, point_of, settled, view_of
 from tracker.detection.detect import detector as detector_named
-from tracker.detection.diagnose import why_nothing
+from tracker.detection.diagnose import why_no_disc, why_nothing
 from tracker.detection.link import Tracks, link
 from tracker.measurement.adequacy import MEASURED
 from tracker.measurement.derived import NAMES
@@ -31,7 +31,6 @@ if TYPE_CHECKING:
 GivenCamera = Camera | Mapping[str, Any] | str | Path
 Film = NDArray[Any] | Iterable[NDArray[Any]] | str | Path
 UNSIZED = "ball_diameter: not given; collisions are not measured, and glints are not taken to centres"
-NOTHING_MOVES = "nothing round moves on a still background"
 SAME_RATE = 0.01  # 29.97 is 30
 TRACKS = "tracks"  # what messages call a table in memory
 SAID = {"v0": "m/s", "b": "", "r": "", "mu_k": "", "C": ""}  # in a repr, with units
@@ -271,11 +270,11 @@ def followed(clip: Clip, name: str | None = None) -> Result:
     why = ""
     if name is None:
         name, why = choose(clip.frames, clip.camera)
-    tracks, camera, reason = track_clip(clip, name)
+    tracks, camera, reason, said = track_clip(clip, name)
     rows, motion = measure_clip(tracks, camera)
     if reason:
         rows = [row if row["status"] in MEASURED else row | {"status": reason} for row in rows]
-    notes = tuple(filter(None, [clip.note, why, *unsaid(camera), _blur_note(camera), _rate_note(clip)]))
+    notes = tuple(filter(None, [clip.note, why, *said, *unsaid(camera), _blur_note(camera), _rate_note(clip)]))
     return Result(clip.number, camera, tracks, tuple(rows), motion, notes, len(clip.frames))
 
 
@@ -288,14 +287,15 @@ def measured(tracks: Tracks, camera: Camera, number: int, point: str) -> Result:
     return Result(number, camera, tracks, tuple(rows), motion, notes)
 
 
-def track_clip(clip: Clip, name: str = DEFAULT) -> tuple[Tracks, Camera, str]:
-    """Tracks of one clip, its camera completed from the clip, and why there is nothing, or ''."""
+def track_clip(clip: Clip, name: str = DEFAULT) -> tuple[Tracks, Camera, str, tuple[str, ...]]:
+    """Tracks of one clip, its camera completed from the clip, why there is nothing, or '', and notes."""
     view = view_of(clip, name)
     glints, view = settled(clip, view, name)
+    if view.takes is not None:
+        tracks = link(glints, view.camera, point_of(name), view.takes.spans)
+        return tracks, view.camera, "" if len(tracks) else why_no_disc(clip.frames, view), view.notes
     tracks = link(glints, view.camera, point_of(name))
-    if point_of(name) == "centre":
-        return tracks, view.camera, "" if len(glints) else NOTHING_MOVES
-    return tracks, view.camera, why_nothing(clip.frames, view, glints)
+    return tracks, view.camera, why_nothing(clip.frames, view, glints), view.notes
 
 
 def measure_clip(tracks: Tracks, camera: Camera) -> tuple[list[dict[str, Any]], pd.DataFrame]:

@@ -89,7 +89,7 @@ def test_three_balls_are_three_tracks_and_the_hit_is_still_measured():
     frames = film(rng, np.concatenate([pair, third], axis=1))
     camera = Camera.from_dict(CAMERA)
     clip = Clip(0, camera, Frames(len(frames), SHAPE, frames.dtype, lambda k: frames[k]))
-    tracks, _, reason = recording.track_clip(clip)
+    tracks, _, reason, _ = recording.track_clip(clip)
     assert reason == ""
     assert np.bincount(tracks.particle).tolist() == [50, 50, 50]
     for path in (*pair.transpose(1, 0, 2), third[:, 0]):  # each track stays on its own ball
@@ -146,7 +146,7 @@ def test_a_stack_ten_times_the_memory_allowed(tmp_path):
         "held = next(line for line in open('/proc/self/status') if line.startswith('VmData'))\n"
         "limit = (int(held.split()[1]) << 10) + (130 << 20)\n"
         "resource.setrlimit(resource.RLIMIT_DATA, (limit, limit))\n"
-        "tracks, camera, _ = track_clip(open_source(sys.argv[1]).clip(0))\n"
+        "tracks, camera, _, _ = track_clip(open_source(sys.argv[1]).clip(0))\n"
         "print(len(tracks), measure_clip(tracks, camera)[0][0]['status'])\n"
     )
     done = subprocess.run([sys.executable, "-c", script, folder], capture_output=True, text=True, check=False)
@@ -160,7 +160,7 @@ def peak_memory(clip):
         "import sys, resource\n"
         "from tracker.recording import track_clip\n"
         "from tracker.camera.frames import open_source\n"
-        "tracks, _, _ = track_clip(open_source(sys.argv[1]).clip(0))\n"
+        "tracks, _, _, _ = track_clip(open_source(sys.argv[1]).clip(0))\n"
         "print(len(tracks), resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)\n"
     )
     done = subprocess.run([sys.executable, "-c", script, clip], capture_output=True, text=True, check=True)

@@ -53,7 +53,7 @@ def choose(frames: Sequence[Any], camera: Camera) -> tuple[str, str]:
     smallest = max(SMALLEST, 0.25 * np.pi * expected**2) if expected else SMALLEST
     if not any(_large(np.asarray(frames[k]), level, least, smallest) for k in picks):
         return GLINTS, ""
-    level = still_background(frames, noise)[0]
+    level = still_background(frames, noise).level
     seen = [_radii(np.asarray(frames[k]), level, least, expected) for k in picks]
     radii = np.concatenate(seen)
     if len(radii) == 0:

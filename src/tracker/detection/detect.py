@@ -17,9 +17,10 @@ from tracker.camera.camera import InputError
 from tracker.camera.frames import Clip
 from tracker.detection import detectors as detector_files
 from tracker.detection.autocalibrate import completed
-from tracker.detection.candidates import ground
+from tracker.detection.candidates import Ground, ground
 from tracker.detection.glints import Detector, Glints, View
 from tracker.detection.motion_blur import CURIOUS, PLAIN, SETTLED, SURE, MotionBlur
+from tracker.detection.takes import takes_of
 
 GROUP = "tracker.detectors"
 ROUNDS = 5  # of the search, until the motion blur is as long as it was taken to be
@@ -59,11 +60,13 @@ def detector(name: str) -> Callable[[View], Detector]:
 
 def view_of(clip: Clip, name: str = DEFAULT) -> View:
     """Plate and noise of a clip, and, for a detector of glints, from them what its camera file leaves open."""
+    if point_of(name) == "centre":
+        takes = takes_of(clip.frames)
+        return View(clip.camera, Ground(np.asarray(clip.frames[0]), takes.noise), clip.frames, takes)
     plate = ground(clip.frames)
     if plate.level.shape != clip.frames.shape[1:]:
         raise InputError(f"clip {clip.number}: frames of unequal sizes")
-    camera = completed(clip.camera, plate, clip.frames) if point_of(name) == "glint" else clip.camera
-    return View(camera, plate, clip.frames)
+    return View(completed(clip.camera, plate, clip.frames), plate, clip.frames)
 
 
 def point_of(name: str) -> str:
@@ -97,6 +100,8 @@ def settled(clip: Clip, view: View, name: str = DEFAULT) -> tuple[Glints, View]:
     """
     finder: Any = detector(name)(view)
     first = _searched(clip, finder, name)
+    if hasattr(finder, "notes"):
+        view = replace(view, notes=tuple(finder.notes()))
     blur = getattr(finder, "motion_blur", None)
     if not isinstance(blur, MotionBlur):
         return first, view

@@ -15,6 +15,10 @@ FEWEST = 6  # glints in a clip, below which a reason is given
 SAMPLED = 9  # frames
 FLICKER = 5.0  # counts, of the plate from frame to frame
 FULL = 0.5  # share of the pixels at the ceiling: overexposed
+DIFFERS, LEAST = 4.0, 8.0  # noise deviations, and counts, of what differs from the background
+SHIFTED = 1.0  # px, of the whole picture
+STIRRED, MOVED = 0.03, 0.3  # of the pixels, that differ: where the camera moves, and where there is no still background
+TINY, MANY = 28, 40  # px, of a disc; discs in a frame
 HOLE = 6.0  # noise deviations of a 5 x 5 mean, of something darker than the plate
 
 
@@ -40,6 +44,32 @@ def why_nothing(frames: Sequence[Any], view: View, glints: Glints) -> str:
     if len(glints):
         return f"too few detections: {len(glints)} glints in {len(frames)} frames"
     return "no balls: nothing stands out from the plate"
+
+
+def why_no_disc(frames: Sequence[Any], view: View) -> str:
+    """The reason in one line why a film shows no disc that moves on a still background."""
+    picks = [round(k * (len(frames) - 1) / (SAMPLED - 1)) for k in range(SAMPLED)]
+    sample = [np.asarray(frames[k]).astype(np.float32) for k in picks]
+    if all(np.array_equal(s, sample[0]) for s in sample):
+        return "nothing moves: all frames are the same picture"
+    level = np.median(np.array(sample), axis=0).astype(np.float32)
+    apart = [(cv2.absdiff(s, level) > max(DIFFERS * view.plate.noise, LEAST)).view(np.uint8) for s in sample]
+    shifts = np.array([cv2.phaseCorrelate(sample[0], s)[0] for s in sample[1:]])
+    way = float(np.median(np.hypot(shifts[:, 0], shifts[:, 1])))
+    share = float(np.median(np.array([float(a.mean()) for a in apart])))
+    if share > STIRRED and way > SHIFTED:
+        return f"no still background: the camera moves, by {way:.0f} px and more"
+    if share > MOVED:
+        return "no still background: the light changes, or most of the picture moves"
+    areas = [cv2.connectedComponentsWithStats(a, connectivity=4)[2][1:, cv2.CC_STAT_AREA] for a in apart]
+    largest = max((int(a.max()) for a in areas if len(a)), default=0)
+    if largest == 0:
+        return f"nothing moves: nothing differs from the background by {LEAST:g} counts"
+    if largest < TINY:
+        return f"too small: what moves covers {largest} pixels at most, expected balls of 6 px across at least"
+    if np.median([np.sum(a > TINY) for a in areas]) > MANY:
+        return f"too many: over {MANY} things differ from the background in most frames"
+    return "nothing round moves on a still background"
 
 
 def _hole(frame: Any, level: Any, noise: float, diameter: float) -> bool:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from tracker.camera.camera import Camera
 from tracker.camera.lens import Array
 from tracker.detection.candidates import Ground
+from tracker.detection.takes import Takes
 
 CLIPPED, BLURRED, NEAR, MISFIT, EDGE = 1, 2, 4, 8, 16
 WORDS = {CLIPPED: "clipped", BLURRED: "streak", NEAR: "near", MISFIT: "misfit", EDGE: "edge"}
@@ -79,6 +80,8 @@ class View:
     camera: Camera
     plate: Ground
     frames: Sequence[Any] = ()
+    takes: Takes | None = None
+    notes: tuple[str, ...] = ()
 
     @property
     def sigma(self) -> float:

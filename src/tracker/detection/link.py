@@ -7,6 +7,7 @@ bounce takes it if they would meet on the way. Glints go to expectations by leas
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -22,6 +23,8 @@ Ints = NDArray[np.int64]
 MAX_GAP = 5  # frames a ball may stay unseen
 SHORT = 3  # tracks of fewer frames need the brightness of a ball
 FAINT = 0.25  # of the brightest track's flux: balls are alike and under one lamp
+LOOSE = 0.35  # of the speed, by which a glint may be off where it is expected; of outlines, of which few are false, all
+WIDE = 5.0  # diameters, that a ball seen by its outline may move in a frame
 BOUNCE = 0.9  # normal restitution assumed in an expectation
 FASTEST = 1.0  # m/s, for a ball seen once
 DEFAULT_REACH = 30.0  # px, the same where no camera file ties pixels to metres; or twice the diameter
@@ -75,7 +78,7 @@ class _Ball:
     bounced: bool = False
 
 
-def link(glints: Glints, camera: Camera, point: str = "glint") -> Tracks:
+def link(glints: Glints, camera: Camera, point: str = "glint", takes: Sequence[tuple[int, int]] = ()) -> Tracks:
     """Join the glints of a clip into tracks of ball centres.
 
     Parameters
@@ -86,6 +89,8 @@ def link(glints: Glints, camera: Camera, point: str = "glint") -> Tracks:
         Where it knows the lamp, glints are taken to the centres of balls.
     point : str
         "glint"; or "centre" where centres of outlines were found, whose flux is the area, px^2.
+    takes : sequence of (int, int)
+        First and last frames of takes: no track goes from one to the next.
 
     Returns
     -------
@@ -93,7 +98,7 @@ def link(glints: Glints, camera: Camera, point: str = "glint") -> Tracks:
         By particle, then frame; glints that belong to no track are left out.
     """
     diameter = 2 * float(np.sqrt(np.median(glints.flux) / np.pi)) if point == "centre" and len(glints) else None
-    ids = assign(glints, camera, diameter)
+    ids = _by_take(glints, camera, diameter, takes) if len(takes) > 1 else assign(glints, camera, diameter)
     kept = np.flatnonzero(ids >= 0)
     order = kept[np.lexsort((glints.frame[kept], ids[kept]))]
     chosen, particle = glints.take(order), ids[order]
@@ -117,6 +122,16 @@ def link(glints: Glints, camera: Camera, point: str = "glint") -> Tracks:
     )
 
 
+def _by_take(glints: Glints, camera: Camera, diameter: float | None, takes: Sequence[tuple[int, int]]) -> Ints:
+    """`assign` in each take, first to last frame, apart: particles go on counting."""
+    ids = np.full(len(glints), -1, dtype=np.int64)
+    for first, last in takes:
+        rows = np.flatnonzero((glints.frame >= first) & (glints.frame <= last))
+        own = assign(glints.take(rows), camera, diameter)
+        ids[rows] = np.where(own >= 0, own + ids.max(initial=-1) + 1, -1)
+    return ids
+
+
 def assign(glints: Glints, camera: Camera, diameter: float | None = None) -> Ints:
     """Number the particle that each glint belongs to.
 
@@ -135,8 +150,8 @@ def assign(glints: Glints, camera: Camera, diameter: float | None = None) -> Int
     ids = np.full(len(glints), -1, dtype=np.int64)
     if len(glints) == 0:
         return ids
-    balls = _follow(glints, camera, diameter or camera.diameter_px)
-    for number, ball in enumerate(_trusted(balls, glints)):
+    balls = _follow(glints, camera, diameter or camera.diameter_px, seen_whole=diameter is not None)
+    for number, ball in enumerate(_trusted(balls, glints, SHORT if diameter else 1)):
         ids[ball.rows] = number
     return ids
 
@@ -176,9 +191,10 @@ def velocities(frame: Ints, ids: Ints, xy: Array) -> Array:
     return out
 
 
-def _follow(glints: Glints, camera: Camera, diameter: float) -> list[_Ball]:
+def _follow(glints: Glints, camera: Camera, diameter: float, seen_whole: bool) -> list[_Ball]:
     reach = FASTEST / camera.fps / camera.scale if camera.metric else DEFAULT_REACH
-    reach = max(reach, 2.0 * diameter)
+    reach = max(reach, (WIDE if seen_whole else 2.0) * diameter)
+    loose = 1.0 if seen_whole else LOOSE
     order = np.argsort(glints.frame, kind="stable")
     frames, starts = np.unique(glints.frame[order], return_index=True)
     x, y = glints.x.tolist(), glints.y.tolist()
@@ -189,7 +205,7 @@ def _follow(glints: Glints, camera: Camera, diameter: float) -> list[_Ball]:
         live = [b for b in live if k - b.frame <= MAX_GAP + 1]
         _expect(live, k, diameter)
         found = rows.tolist()
-        pairs = _match(live, found, x, y, k, reach, diameter)
+        pairs = _match(live, found, x, y, k, (reach, 0.6 * diameter, loose))
         for ball, row in pairs:
             _extend(ball, row, k, x[row], y[row])
         taken = {row for _, row in pairs}
@@ -240,14 +256,13 @@ def _match(
     x: list[float],
     y: list[float],
     frame: int,
-    reach: float,
-    diameter: float,
+    gate: tuple[float, float, float],
 ) -> list[tuple[_Ball, int]]:
     """Pairs of ball and glint of least summed squared distance, none further than its gate."""
     if not live or not found:
         return []
     cost = [[(b.ahead[0] - x[r]) ** 2 + (b.ahead[1] - y[r]) ** 2 for r in found] for b in live]
-    gates = [_gate(b, frame, reach, diameter) ** 2 for b in live]
+    gates = [_gate(b, frame, *gate) ** 2 for b in live]
     if len(live) == len(found) == 1:
         chosen = [(0, 0)]
     else:
@@ -257,13 +272,12 @@ def _match(
     return [(live[i], found[j]) for i, j in chosen if cost[i][j] < gates[i]]
 
 
-def _gate(ball: _Ball, frame: int, reach: float, diameter: float) -> float:
+def _gate(ball: _Ball, frame: int, reach: float, least: float, loose: float) -> float:
     span = frame - ball.frame
     if not ball.moving:
         return reach * span
     speed = math.hypot(ball.vx, ball.vy)
-    loose = 1.0 if ball.bounced else 0.35
-    return (0.6 * diameter + loose * speed) * span
+    return (least + (1.0 if ball.bounced else loose) * speed) * span
 
 
 def _extend(ball: _Ball, row: int, frame: int, x: float, y: float) -> None:
@@ -277,7 +291,7 @@ def _extend(ball: _Ball, row: int, frame: int, x: float, y: float) -> None:
     ball.frame, ball.x, ball.y = frame, x, y
 
 
-def _trusted(balls: list[_Ball], glints: Glints) -> list[_Ball]:
+def _trusted(balls: list[_Ball], glints: Glints, fewest: int) -> list[_Ball]:
     """Tracks that are balls: not faint beside the others, and not a blip of a frame or two."""
     long = [b for b in balls if len(b.rows) >= SHORT] or balls
     fluxes = {id(b): float(np.median(glints.flux[b.rows])) for b in balls}
@@ -287,7 +301,7 @@ def _trusted(balls: list[_Ball], glints: Glints) -> list[_Ball]:
     for ball in balls:
         flux = fluxes[id(ball)]
         whole = len(ball.rows) >= SHORT or 0.4 * typical < flux < 2.5 * typical
-        if flux >= FAINT * brightest and whole:
+        if flux >= FAINT * brightest and whole and len(ball.rows) >= fewest:
             kept.append(ball)
     first = [(int(glints.frame[b.rows[0]]), glints.x[b.rows[0]], glints.y[b.rows[0]]) for b in kept]
     return [kept[i] for i in sorted(range(len(kept)), key=first.__getitem__)]

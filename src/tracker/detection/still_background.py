@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import cv2
@@ -20,7 +21,16 @@ WIDTHS = (11, 31, 91, 271)  # px, of the neighbourhoods in which surroundings ar
 ENOUGH = 0.05  # of a neighbourhood, free of balls
 
 
-def still_background(frames: Sequence[Any], noise: float) -> tuple[Array, NDArray[np.bool_]]:
+@dataclass(frozen=True, eq=False)
+class Background:
+    """The picture without balls: ``level`` (h, w) counts, its ``error``, and whether it is ``known`` at a pixel."""
+
+    level: Array
+    error: Array
+    known: NDArray[np.bool_]
+
+
+def still_background(frames: Sequence[Any], noise: float) -> Background:
     """Find the picture without balls.
 
     A pixel's level is its median, unless it is off that in more than SELDOM of the samples: there a ball rested, or
@@ -35,10 +45,8 @@ def still_background(frames: Sequence[Any], noise: float) -> tuple[Array, NDArra
 
     Returns
     -------
-    (h, w) array
-        Counts. What never moves stays in it.
-    (h, w) array
-        Whether the pixel was seen without a ball.
+    Background
+        What never moves stays in it. Not known are pixels that were never seen without a ball.
     """
     picks = sorted({round(k * (len(frames) - 1) / (SAMPLES - 1)) for k in range(SAMPLES)})
     stack, step = np.stack([np.asarray(frames[k]) for k in picks]), max(APART * noise, 3.0)
@@ -53,29 +61,37 @@ def still_background(frames: Sequence[Any], noise: float) -> tuple[Array, NDArra
     outlines, _ = cv2.findContours(rested, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
     cv2.drawContours(rested, outlines, -1, 1, cv2.FILLED)  # what is covered all the time is a hole
     known = np.ones(level.shape, bool)
+    error = np.full(level.shape, np.sqrt(np.pi / 2 / len(picks)) * noise)  # of a median
     if rested.any():
         where = np.nonzero(rested)
         smooth = _around(level, rested)
         near_by = (cv2.dilate(rested, np.ones((31, 31), np.uint8)) == 1) & (rested == 0)
         texture = step + ROUGH * float(np.median(np.abs(level - smooth)[near_by])) if near_by.any() else step
         around = smooth[where]
-        seen = _nearest(stack[:, where[0], where[1]].astype(float), around, step, texture)
+        seen, count = _nearest(stack[:, where[0], where[1]].astype(float), around, step, texture)
         level[where], known[where] = np.where(np.isnan(seen), around, seen), ~np.isnan(seen)
-    return level, known
+        error[where] = noise / np.sqrt(count)
+    return Background(level, error, known)
 
 
-def _nearest(samples: Array, around: Array, step: float, texture: float) -> Array:
-    """Of pixels' samples (k, n) the mean of the cluster furthest from the ball; NaN where all show a part of a ball."""
+def _nearest(samples: Array, around: Array, step: float, texture: float) -> tuple[Array, Array]:
+    """Of pixels' samples (k, n) the mean of the cluster furthest from the ball, and how many are in it.
+
+    NaN where all show a part of a ball.
+    """
     brighter = samples.max(axis=0) - around > around - samples.min(axis=0)  # than the plate, the ball
     ordered = np.sort(np.where(brighter, samples, -samples), axis=0)
-    found = np.full(len(around), np.nan)
+    found, count = np.full(len(around), np.nan), np.ones(len(around))
     for first in range(len(ordered) - 1):  # of two samples at least: the darkest one may be a shadow
         near = (ordered >= ordered[first]) & (ordered <= ordered[first] + step / 2)
         size = near.sum(axis=0)
         new = np.isnan(found) & (size > 1)
         found[new] = (np.where(near, ordered, 0).sum(axis=0) / size)[new]
+        count[new] = size[new]
+        if not np.isnan(found).any():
+            break
     found = np.where(brighter, found, -found)
-    return np.where(np.abs(found - around) < texture, found, np.nan)
+    return np.where(np.abs(found - around) < texture, found, np.nan), count
 
 
 def _around(middle: Array, rested: NDArray[np.uint8]) -> Array:

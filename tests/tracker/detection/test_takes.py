@@ -1,0 +1,98 @@
+"""Takes, frames given twice, hands and captions: what other people's films hold beside the balls."""
+
+import cv2
+import numpy as np
+import pytest
+from tracker_discs import CAMERA, R, collision, film, plate
+
+import tracker
+from tracker.camera.memory import frames_in_memory
+from tracker.detection.takes import takes_of
+
+
+def tracked(pictures):
+    return tracker.track(pictures, CAMERA, detector="discs")
+
+
+def test_takes_are_found_and_followed_apart():
+    rng = np.random.default_rng(0)
+    first = film(rng, collision(30, 12))
+    second = film(rng, collision(30, 12), ground=plate(rng, 110.0))
+    black = rng.integers(0, 2, (5, *first.shape[1:])).astype(np.uint8)
+    joined = np.concatenate([first, black, second])
+    assert takes_of(frames_in_memory(joined)[0]).spans == ((0, 29), (35, 64))
+    result = tracked(joined)
+    assert result.tracks.groupby("particle").frame.agg(["min", "max", "size"]).to_numpy().tolist() == [
+        [0, 29, 30], [0, 29, 30], [35, 64, 30], [35, 64, 30],
+    ]  # fmt: skip
+    assert "2 takes, each followed on its own: frames 0 to 29, 35 to 64" in result.notes
+    assert [row["collision"] for row in result.rows] == [0, 1]
+
+
+def test_a_take_among_balls_only_is_none():
+    assert takes_of(frames_in_memory(film(np.random.default_rng(1), collision(30, 12)))[0]).spans == ((0, 29),)
+
+
+@pytest.mark.parametrize("copies", [2, 3])
+def test_frames_given_twice_are_left_out(copies):
+    """As of a film at 30 frames a second stored at 60; the codec's noise is in the copies."""
+    rng = np.random.default_rng(2)
+    once = film(rng, collision(20, 8), noise=2.0)
+    stored = np.repeat(once, copies, axis=0)
+    stored[rng.random(stored.shape) < 0.01] += 1
+    result = tracked(stored)
+    assert np.unique(result.tracks.frame).tolist() == list(range(0, copies * 20, copies))
+    assert any(note.startswith(f"{20 * (copies - 1)} frames show the one before again") for note in result.notes)
+
+
+def test_noise_and_rest_are_no_copies():
+    ways = collision(30, 12)
+    ways[:, :] = ways[:, :1]
+    assert not takes_of(frames_in_memory(film(np.random.default_rng(3), ways))[0]).repeated
+
+
+def test_hand_cue_and_caption_are_refused():
+    rng, ways = np.random.default_rng(4), collision()
+    pictures = film(rng, ways)
+    for k, frame in enumerate(pictures):
+        cv2.putText(frame, "Take 3", (5, 150), cv2.FONT_HERSHEY_SIMPLEX, 0.6, 255, 2)
+        if k < 20:  # a hand that draws back, and a cue
+            cv2.ellipse(frame, (170 + k, 120), (34, 17), 30, 0, 360, 190, -1)
+            for finger in range(3):
+                cv2.line(frame, (150 + k, 112 + 9 * finger), (118 + k, 105 + 11 * finger), 190, 7)
+            cv2.line(frame, (0, 15), (60 - 2 * k, 25), 220, 5)
+    result = tracked(pictures)
+    assert result.tracks.groupby("particle").size().tolist() == [60, 60]
+    near = [np.hypot(*(ways[:, q.frame] - [q.x, q.y]).T).min() for q in result.tracks.itertuples()]
+    assert max(near) < 0.5
+    assert any("objects in 20 frames are no balls" in note for note in result.notes)
+
+
+@pytest.mark.parametrize(("change", "reason"), [
+    ("moves", "no still background: the camera"), ("light", "no still background: the light changes"),
+    ("small", "too small"), ("nothing", "nothing moves"),
+])  # fmt: skip
+def test_the_reason_where_nothing_can_be_followed(change, reason):
+    rng, ground = np.random.default_rng(5), plate(np.random.default_rng(6), 90.0)
+    frames = np.repeat(ground[None], 30, axis=0)
+    if change == "moves":
+        frames = np.array([np.roll(ground, 3 * k, axis=1) for k in range(30)])
+    if change == "light":
+        frames = frames * (1 + 0.4 * np.sin(0.7 * np.arange(30)))[:, None, None]
+    if change == "small":
+        for k in range(30):
+            frames[k, 80:83, 20 + 5 * k : 23 + 5 * k] += 100
+    frames = np.clip(np.rint(frames + rng.normal(0, 1.0, frames.shape)), 0, 255).astype(np.uint8)
+    assert tracked(frames).rows[0]["status"].startswith(reason)
+
+
+def test_two_sizes_of_balls():
+    rng, ways = np.random.default_rng(7), collision()
+    small = film(rng, ways[1:] * 0 + np.linspace([20, 20], [60, 140], 60), radius=0.6 * R)
+    large = film(rng, ways[:1] * 0 + np.linspace([150, 140], [130, 60], 60), ground=plate(np.random.default_rng(0)))
+    ground = plate(np.random.default_rng(0))
+    both = np.clip(large + (small - np.median(small, axis=0)).clip(0), 0, 255).astype(np.uint8)
+    assert ground.shape == both.shape[1:]
+    result = tracker.track(both, detector="discs")
+    found = result.tracks.groupby("particle").flux.median().pipe(np.sqrt) / np.sqrt(np.pi)
+    assert sorted(found) == pytest.approx([0.6 * R, R], rel=0.05)
