@@ -54,7 +54,7 @@ LAYERS = {
     "synthcam.dynamics": [
         "kinematics collocation packed",
         "trajectory impact forces hermite",
-        "led contact_time",
+        "led contact_time turning",
         "integrate launch",
         "creep segments",
         "pairing",
@@ -67,11 +67,11 @@ LAYERS = {
         "pinhole",
         "glints plate exposure",
         "shutter sensor",
-        "render",
+        "render room",
     ],
     "synthcam.scene": [
-        "distribution apparatus filmed_motion",
-        "ground_truth filming",
+        "distribution materials filmed_motion",
+        "apparatus ground_truth filming",
         "motion",
         "clip",
         "scene",

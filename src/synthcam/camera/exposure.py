@@ -194,3 +194,13 @@ def merge(boxes: Sequence[tuple[int, int, int, int]]) -> tuple[Box, ...]:
             b, d = max(b, *(q[1] for q in touching)), max(d, *(q[3] for q in touching))
         apart.append((a, b, c, d))
     return tuple((slice(a, b), slice(c, d)) for a, b, c, d in apart)
+
+
+def vignette(camera: Camera) -> NDArray[np.float32] | None:
+    """Share (h, w) of the light that reaches each pixel: one in the middle, falling with the distance's square."""
+    if not camera.vignetting:
+        return None
+    w, h = camera.size
+    across, down = (2 * np.arange(n) / (n - 1) - 1 for n in (w, h))
+    square = (w * w * across**2 + (h * h * down**2)[:, None]) / (w * w + h * h)
+    return (1 - camera.vignetting * square).astype(np.float32)

@@ -154,9 +154,11 @@ class _Background:
         if levels > 1:
             level = np.minimum(levels * np.log(variance / base) / np.log(ratio), levels - 1).astype(int)
         shift = np.empty(means.shape)
+        self.owner = np.zeros(means.size, np.int8)  # of each pixel, the group
         for k in range(levels):
             members = np.flatnonzero(level == k)
             if len(members):
+                self.owner[members] = len(self.groups)
                 mean = float(means.flat[members].mean())
                 shift.flat[members] = means.flat[members] - mean
                 body, tails = noise_tables(mean, sensor.read_noise)
@@ -190,8 +192,9 @@ class _Background:
         outer = np.flatnonzero(cells + np.uint16(1) <= 1)  # the first cell and, wrapped round, the last
         finer = rng.integers(0, CELLS, len(outer))
         side = (cells[outer] > 0).astype(int)
-        for members, _, tails in self.groups:
-            own = slice(None) if len(self.groups) == 1 else np.isin(outer, members)
+        owner = self.owner[outer]
+        for k, (_, _, tails) in enumerate(self.groups):
+            own = slice(None) if len(self.groups) == 1 else owner == k
             noise[outer[own]] = tails[side[own], finer[own]]
 
 

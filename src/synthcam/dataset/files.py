@@ -86,14 +86,19 @@ def _write_tiff(path: Path, clip: Clip, frames: Frames, compression: str) -> tup
             pixels.update(frame.data)
             yield frame
 
-    size = clip.frames * width * height * dtype().itemsize
-    plain = compression == "none" and size < IMAGEJ_LIMIT
+    colour = bool(clip.drawn["camera"].get("colour"))
+    size = clip.frames * width * height * dtype().itemsize * (3 if colour else 1)
+    plain = compression == "none" and size < IMAGEJ_LIMIT and not (colour and clip.sensor.bits > 8)
     about = {"axes": "TYX", "fps": clip.camera.fps} | ({"finterval": 1 / clip.camera.fps} if plain else {})
-    write = partial(tifffile.imwrite, path, shape=(clip.frames, height, width), dtype=dtype, metadata=about)
+    shape: tuple[int, ...] = (clip.frames, height, width)
+    photometric = "minisblack"
+    if colour:
+        shape, photometric, about["axes"] = (*shape, 3), "rgb", "TYXS"
+    write = partial(tifffile.imwrite, path, shape=shape, dtype=dtype, metadata=about)
     if compression != "none":
-        write(data=hashed(), photometric="minisblack", compression=compression)
+        write(data=hashed(), photometric=photometric, compression=compression)
         return pixels.hexdigest(), sha256(path)
-    kind: dict[str, Any] = {"imagej": True} if plain else {"photometric": "minisblack"}
+    kind: dict[str, Any] = {"imagej": True} if plain else {"photometric": photometric}
     placed = write(data=None, returnoffset=True, **kind)
     assert placed is not None
     # Into the space left for them, hashed on the way: reading the file again takes as long as writing it.

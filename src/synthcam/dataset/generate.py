@@ -79,7 +79,8 @@ class Plan:
         for k in range(len(self.scenes)):
             clip = self.clip(k * self.clips)
             width, height = clip.camera.size
-            sizes.append(width * height * clip.frames * (1 if clip.sensor.bits == 8 else 2))
+            channels = 3 if clip.drawn["camera"].get("colour") else 1
+            sizes.append(width * height * clip.frames * channels * (1 if clip.sensor.bits == 8 else 2))
         return int(np.mean(sizes) * clips) if self.video else 0
 
 

@@ -45,12 +45,11 @@ def write_preview(clip: Clip, path: Path, frame: int | None, magnify: int) -> No
     k = frame if frame is not None else int((when - clip.camera.exposure) * clip.camera.fps)
     k = min(max(k, 0), clip.frames - 1)
     counts = next(itertools.islice(clip.pictures(), k, None))
-    picture = _grey(counts, clip.sensor.bits)
+    picture = _eight_bits(counts, clip)
     if magnify:
         middle = clip.camera.project(view.at(np.array([k / clip.camera.fps]))[:, 0, :3]).mean(axis=0)
-        black = clip.sensor.black_level / 2 ** (clip.sensor.bits - 8)
-        picture = _with_inset(picture, middle, magnify, black)
-    ok, data = cv2.imencode(".png", picture)
+        picture = _with_inset(picture, middle, magnify, clip)
+    ok, data = cv2.imencode(".png", picture[..., ::-1] if picture.ndim == 3 else picture)
     if not ok:
         raise OSError(f"{path}: could not be encoded as PNG")
     with as_input_error(path):
@@ -68,12 +67,12 @@ def write_film(clip: Clip, path: Path) -> float:
     rows, columns = _crop(clip, positions)
     size = max(rows.stop - rows.start, columns.stop - columns.start)
     zoom = max(1, -(-WIDTH // size))
-    black, noise = (c / 2 ** (clip.sensor.bits - 8) for c in (clip.sensor.black_level, _noise(clip)))
+    floor = _black(clip) + _noise(clip) / 2 ** (clip.sensor.bits - 8)
 
     def shown() -> Iterator[NDArray[np.uint8]]:
         for k, counts in enumerate(clip.pictures()):
-            patch = _lifted(_quiet(_grey(counts, clip.sensor.bits)[rows, columns], black + noise), black)
-            large = np.kron(patch, np.ones((zoom, zoom), np.uint8))
+            patch = _eight_bits(counts, clip)[rows, columns]
+            large = _enlarged(patch if clip.look else _lifted(_quiet(patch, floor), _black(clip)), zoom)
             yield _with_caption(large, f"{slower:.3g} x slower   {1e3 * k / clip.camera.fps:.0f} ms")
 
     check_room(path)
@@ -93,11 +92,12 @@ def write_film(clip: Clip, path: Path) -> float:
 def _write_mp4(path: Path, frames: Iterator[NDArray[np.uint8]]) -> None:
     first = next(frames)
     size = (first.shape[1], first.shape[0])
-    writer = cv2.VideoWriter(os.fspath(path), cv2.VideoWriter.fourcc(*"mp4v"), SHOWN_FPS, size, False)
+    colour = first.ndim == 3
+    writer = cv2.VideoWriter(os.fspath(path), cv2.VideoWriter.fourcc(*"mp4v"), SHOWN_FPS, size, colour)
     if not writer.isOpened():
         raise OSError(f"{path.suffix}: this OpenCV cannot write MPEG-4")
     for frame in itertools.chain([first], frames):
-        writer.write(frame)
+        writer.write(frame[..., ::-1] if colour else frame)
     writer.release()
 
 
@@ -128,9 +128,9 @@ def _quiet(picture: NDArray[np.uint8], floor: float) -> NDArray[np.uint8]:
 
 
 def _with_caption(picture: NDArray[np.uint8], text: str) -> NDArray[np.uint8]:
-    strip = np.full((24, picture.shape[1]), 40, np.uint8)
+    strip = np.full((24, *picture.shape[1:]), 40, np.uint8)
     font = min(0.5, picture.shape[1] / 480)
-    cv2.putText(strip, text, (6, 17), cv2.FONT_HERSHEY_SIMPLEX, font, 230, 1, cv2.LINE_AA)
+    cv2.putText(strip, text, (6, 17), cv2.FONT_HERSHEY_SIMPLEX, font, (230, 230, 230), 1, cv2.LINE_AA)
     return np.vstack([picture, strip])
 
 
@@ -140,21 +140,32 @@ def _lifted(picture: NDArray[np.uint8], black: float) -> NDArray[np.uint8]:
     return np.asarray(255 * adjust_gamma(stretched, 1 / 3)).astype(np.uint8)
 
 
-def _grey(counts: Counts, bits: int) -> NDArray[np.uint8]:
-    return (counts >> (bits - 8)).astype(np.uint8) if bits > 8 else counts.astype(np.uint8)
+def _eight_bits(counts: Counts, clip: Clip) -> NDArray[np.uint8]:
+    """As a screen shows it: under room light with its gamma, else as it is."""
+    bits = clip.sensor.bits
+    if clip.look is None:
+        return (counts >> (bits - 8)).astype(np.uint8) if bits > 8 else counts.astype(np.uint8)
+    above = np.maximum(counts - clip.sensor.black_level, 0) / (2**bits - 1 - clip.sensor.black_level)
+    return np.asarray(255 * adjust_gamma(above, 1 / 2.2)).astype(np.uint8)
 
 
-def _with_inset(
-    picture: NDArray[np.uint8], middle: NDArray[np.float64], magnify: int, black: float
-) -> NDArray[np.uint8]:
-    """The frame, and below it a strip round `middle`, magnified, with what is dark brought out."""
+def _black(clip: Clip) -> float:
+    return float(clip.sensor.black_level / 2 ** (clip.sensor.bits - 8))
+
+
+def _enlarged(picture: NDArray[np.uint8], times: int) -> NDArray[np.uint8]:
+    return picture.repeat(times, axis=0).repeat(times, axis=1)
+
+
+def _with_inset(picture: NDArray[np.uint8], middle: NDArray[np.float64], magnify: int, clip: Clip) -> NDArray[np.uint8]:
+    """The frame, and below it a strip round `middle`, magnified, with what is dark on a black plate brought out."""
     width = picture.shape[1]
     across, down = width // magnify, max(width // magnify // 2, 1)
     left = int(np.clip(round(middle[0]) - across // 2, 0, picture.shape[1] - across))
     top = int(np.clip(round(middle[1]) - down // 2, 0, max(picture.shape[0] - down, 0)))
-    lifted = _lifted(picture[top : top + down, left : left + across], black)
-    large = np.kron(lifted, np.ones((magnify, magnify), np.uint8))
-    strip = np.zeros((large.shape[0] + 4, width), np.uint8)
+    part = picture[top : top + down, left : left + across]
+    large = _enlarged(part if clip.look else _lifted(part, _black(clip)), magnify)
+    strip = np.zeros((large.shape[0] + 4, *picture.shape[1:]), np.uint8)
     strip[:4] = 90
     strip[4:, : large.shape[1]] = large
     return np.vstack([picture, strip])

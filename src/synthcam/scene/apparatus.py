@@ -11,12 +11,14 @@ from pydantic import Field, model_validator
 from synthcam.camera.lamp import Flicker, Lamp
 from synthcam.camera.pinhole import Camera
 from synthcam.camera.surface import IRON, Surface
+from synthcam.scene.materials import MaterialSettings, in_a_room
 from synthcam.settings import Fraction, NotNegative, Positive, Settings
 
 Pair = Annotated[list[float], Field(min_length=2, max_length=2)]
 Position = Annotated[list[Annotated[float, Field(ge=-1e6, le=1e6)]], Field(min_length=3, max_length=3)]
 
 
+HIDDEN = {"room", "ambient", "glint_peak", "white", *MaterialSettings.model_fields}  # from the experimenter
 AVI_FPS = 1000  # that container counts no finer
 
 
@@ -25,7 +27,7 @@ class CameraSettings(Settings):
 
     psf_sigma_px, defocus_px: the optics' Gaussian and the radius of the disc of defocus. f_number: of diffraction, 0:
     none, with pixel_pitch and wavelength, m. vignetting: share of the light lost in the corners. line_time: of a
-    rolling shutter, s from row to row.
+    rolling shutter, s from row to row. colour: three channels, each with a chip of its own.
     """
 
     size: Annotated[list[Annotated[int, Field(ge=16, le=8192)]], Field(min_length=2, max_length=2)] = Field([640, 480])
@@ -41,6 +43,7 @@ class CameraSettings(Settings):
     vignetting: Fraction = 0.0
     shutter: Literal["global", "rolling"] = "global"
     line_time: Positive = 1e-5
+    colour: bool | None = None
 
 
 class FlickerSettings(Settings):
@@ -72,13 +75,17 @@ class SecondLampSettings(OneLampSettings):
 
 
 class LampSettings(OneLampSettings):
-    """`lamp:` by default a disc that faces down. room: what a ball mirrors beside the lamp, over the glint's peak."""
+    """`lamp:` by default a disc that faces down. room: what a ball mirrors beside the lamp, over the glint's peak.
+
+    ambient: with `surface.ball` or `.plate`, the share of the light on the plate that comes from the whole room alike.
+    """
 
     room: NotNegative = 0.02
+    ambient: Fraction | None = None
     second: SecondLampSettings | None = None
 
 
-class SurfaceSettings(Settings):
+class SurfaceSettings(MaterialSettings):
     """`surface:` of balls and plate. steel: a law of reflection, or a metal's n and k.
 
     roughness, scratch_slope, plate_roughness: rms slopes. scratches: share of a ball's light in the wider lobe.
@@ -97,7 +104,8 @@ class SurfaceSettings(Settings):
 
 
 class SensorSettings(Settings):
-    """`sensor:` EMVA 1288's numbers. glint_peak: counts above black at a resting ball's glint, before clipping.
+    """`sensor:` EMVA 1288's numbers. glint_peak: counts above black at a resting ball's glint, before clipping; with
+    `surface.ball` or `.plate` white instead: of a white plate at the world's origin.
 
     hot_pixels: share of the pixels that leak, hot_dark: their mean dark current, e-/s.
     """
@@ -111,6 +119,7 @@ class SensorSettings(Settings):
     dsnu: NotNegative = 4.0
     black_level: NotNegative = 8.0
     glint_peak: Positive = 200.0
+    white: Positive | None = None
     hot_pixels: Fraction = 0.0
     hot_dark: NotNegative = 1e6
 
@@ -172,7 +181,7 @@ def camera_of(drawn: dict[str, Any], ball_radius: float) -> Camera:
 
 def lamp_of(settings: dict[str, Any]) -> Lamp:
     """The lamp of checked settings. Raises ValueError for one without area."""
-    values = {k: v for k, v in settings.items() if k not in ("room", "facing", "second")}
+    values = {k: v for k, v in settings.items() if k not in ("room", "ambient", "facing", "second")}
     values |= {"position": np.array(values["position"]), "flicker": Flicker(**values["flicker"])}
     towards = np.zeros(3) if settings["facing"] == "centre" else None
     second = settings.get("second")
@@ -183,7 +192,8 @@ def surface_of(settings: dict[str, Any]) -> Surface:
     """The surfaces of checked settings."""
     steel = settings["steel"]
     law = {"schlick": None, "iron": IRON}[steel] if isinstance(steel, str) else (steel[0], steel[1])
-    return Surface(**settings | {"steel": law})
+    own = {k: v for k, v in settings.items() if k not in MaterialSettings.model_fields}
+    return Surface(**own | {"steel": law})
 
 
 def set_otherwise(drawn: dict[str, Any]) -> dict[str, dict[str, Any]]:
@@ -200,7 +210,7 @@ def set_otherwise(drawn: dict[str, Any]) -> dict[str, dict[str, Any]]:
         out["shutter"] = {"kind": "rolling", "line_time": camera["line_time"]}
     for section, kind in (("lamp", LampSettings), ("surface", SurfaceSettings), ("sensor", SensorSettings)):
         usual = kind.model_validate({}).model_dump(exclude_none=True)
-        given = {k: v for k, v in drawn[section].items() if k not in ("room", "glint_peak")}
+        given = {k: v for k, v in drawn[section].items() if k not in HIDDEN}
         out[section] = {k: v for k, v in given.items() if v != usual.get(k)}
     return {section: values for section, values in out.items() if values}
 
@@ -220,8 +230,11 @@ def camera_json(nominal: Camera, drawn: dict[str, Any]) -> dict[str, Any]:
         "striker": drawn["launch"]["striker"],
         "lamp": {"position": list(drawn["lamp"]["position"]), "radius": drawn["lamp"]["radius"]},
         "psf": {"sigma_px": nominal.psf_sigma_px},
-        "sensor": {k: v for k, v in drawn["sensor"].items() if k not in ("glint_peak", "hot_pixels", "hot_dark")},
+        "sensor": {k: v for k, v in drawn["sensor"].items() if k not in (*HIDDEN, "hot_pixels", "hot_dark")},
     }
+    if in_a_room(drawn):
+        surface = drawn["surface"]
+        known["ball"] = {"finish": surface.get("ball", "steel")} | {k: surface[k] for k in ("colour",) if k in surface}
     if drawn.get("video"):
         known["video"] = dict(drawn["video"])
     for section, values in set_otherwise(drawn).items():

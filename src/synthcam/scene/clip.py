@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -9,16 +10,20 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from synthcam.camera.pinhole import Camera, Lamp
+from synthcam.camera.room.finish import Look
 from synthcam.camera.sensor import Sensor
 from synthcam.camera.surface import Surface
 from synthcam.dynamics.launch import Launch
+from synthcam.dynamics.turning import Turning
 from synthcam.model import Model, build
 from synthcam.scene import ground_truth
 from synthcam.scene.apparatus import camera_json, camera_of, lamp_of, surface_of, unfit
 from synthcam.scene.filmed_motion import View
 from synthcam.scene.filming import Counts, Seen, film
+from synthcam.scene.materials import look_of, mirror_of
 from synthcam.scene.motion import Motion
 from synthcam.settings import InputError
 
@@ -52,6 +57,8 @@ class Clip:
         How many.
     seed : int
         Of everything drawn.
+    look : Look, optional
+        Of matte balls, or of a plate with texture, under room light; None: mirrors on a black plate.
 
     Examples
     --------
@@ -74,6 +81,7 @@ class Clip:
     sensor: Sensor
     frames: int
     seed: int = 0
+    look: Look | None = None
 
     def __repr__(self) -> str:
         launch, (width, height) = self.drawn["launch"], self.camera.size
@@ -113,15 +121,27 @@ class Clip:
         Yields
         ------
         ndarray
-            (height, width) uint8, or uint16 of a sensor of more than 8 bits: counts.
+            (height, width), of a colour camera (height, width, 3): uint8, or uint16 above 8 bits; counts.
 
         Raises
         ------
         NoGL
             Where no OpenGL can draw; `synthcam doctor` says what to install.
         """
-        seen = Seen(self.camera, self.lamp, self.launch.bodies.radius.tolist(), self.room, self.surface)
-        return film(self.view, seen, self.sensor, self.frames, (self.seed, self.number))
+        mirror = mirror_of(self.surface, self.drawn) if self.look else None
+        radii = self.launch.bodies.radius.tolist()
+        seen = Seen(self.camera, self.lamp, radii, self.room, self.surface, self.look, mirror)
+        colour = bool(self.drawn["camera"].get("colour"))
+        return film(self.view, seen, self.sensor, self.frames, (self.seed, self.number), self.turning, colour)
+
+    @cached_property
+    def turning(self) -> Turning | None:
+        """How the balls are turned, where a pattern shows it: at random as the motion starts."""
+        if self.look is None or not self.look.turning:
+            return None
+        stream = np.random.SeedSequence(self.seed, spawn_key=(self.number, zlib.crc32(b"turning")))
+        first = Rotation.random(len(self.launch.bodies.radius), rng=np.random.default_rng(stream))
+        return Turning(self.view.motion, first.as_quat())
 
     def film(self) -> NDArray[Any]:
         """Draw and expose all frames: the same pixels as a dataset of this scene and seed has in ``frames.tif``.
@@ -129,7 +149,8 @@ class Clip:
         Returns
         -------
         ndarray
-            (frames, height, width) uint8, or uint16 of a sensor of more than 8 bits: counts.
+            (frames, height, width), of a colour camera (frames, height, width, 3): counts, uint8 or, above 8 bits,
+            uint16.
 
         Raises
         ------
@@ -163,9 +184,10 @@ class Clip:
 
         Columns: frame; t_s (s); particle (0: ball 1, the target); x_px, y_px and glint_x_px, glint_y_px (px); x, y, z
         (m); vx, vy, vz (m/s); wx, wy, wz (rad/s); x_mean_px, y_mean_px (px, means over the exposure); state (rest,
-        roll, slide, fly); visible.
+        roll, slide, fly); visible. For balls with a pattern qx, qy, qz, qw: the rotation from the ball's axes to the
+        world's.
         """
-        return ground_truth.tracks(self.launch.bodies, self.view, self.lamp, self.frames)
+        return ground_truth.tracks(self.launch.bodies, self.view, self.lamp, self.frames, self.turning)
 
 
 def clip_of(number: int, drawn: dict[str, Any], seed: int = 0, where: str = "") -> Clip:
@@ -188,6 +210,10 @@ def clip_of(number: int, drawn: dict[str, Any], seed: int = 0, where: str = "") 
     except ValueError as e:
         raise InputError(f"{where}: {str(e).replace(' ', '.', 1)}") from None
     nominal = camera_of(drawn, model.ball.radius)
+    look = look_of(drawn, _labels(launch), where)
+    sensor = {k: v for k, v in drawn["sensor"].items() if k != "white"}
+    if look:
+        sensor["glint_peak"] = drawn["sensor"].get("white", 200.0)
     return Clip(
         number=number,
         seed=seed,
@@ -198,8 +224,9 @@ def clip_of(number: int, drawn: dict[str, Any], seed: int = 0, where: str = "") 
         camera=_as_it_is(model, nominal),
         lamp=lamp,
         surface=surface_of(drawn["surface"]),
-        sensor=Sensor(**drawn["sensor"]),
+        sensor=Sensor(**sensor),
         frames=timing["frames"],
+        look=look,
     )
 
 
@@ -208,12 +235,15 @@ def _as_it_is(model: Model, nominal: Camera) -> Camera:
     return replace(bent, exposure=float(model.laws("exposure", nominal.exposure, {"fps": nominal.fps})))
 
 
+def _labels(launch: dict[str, Any]) -> tuple[str, ...]:
+    return (launch["striker"],) if launch["kind"] == "single" else LABELS[launch["striker"]]
+
+
 def _launch(model: Model, launch: dict[str, Any], time: float) -> Launch:
     heading, v0, position = launch["heading"], launch["v0"], launch["contact"]
     if position == "upstream":
         position = -UPSTREAM * v0 * np.array([np.cos(heading), np.sin(heading)])
-    labels = (launch["striker"],) if launch["kind"] == "single" else LABELS[launch["striker"]]
-    bodies = model.bodies(labels)
+    bodies = model.bodies(_labels(launch))
     if launch["kind"] == "single":
         return Launch.single(bodies, time, v0, heading, position)
     return Launch.pair(bodies, time, v0, launch["b"], heading, position)

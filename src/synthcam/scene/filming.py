@@ -5,59 +5,83 @@ from __future__ import annotations
 import pickle
 from collections.abc import Iterator
 from functools import lru_cache
-from typing import TYPE_CHECKING, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from synthcam.camera.pinhole import Camera, Lamp
+from synthcam.camera.room.finish import Look
 from synthcam.camera.sensor import Chip, Sensor
 from synthcam.camera.surface import Surface
+from synthcam.dynamics.turning import Turning
 from synthcam.scene.filmed_motion import View
 
-if TYPE_CHECKING:
-    from synthcam.camera.render import Film
-
+APART = 1 << 64  # between the seeds of a colour camera's chips
+Array = NDArray[np.float64]
 Counts = NDArray[np.uint8] | NDArray[np.uint16]
 
 
 class Seen(NamedTuple):
-    """All that a camera sees, but for where the balls are. radii: of the balls, m; room: what they mirror beside."""
+    """All that a camera sees, but for where the balls are. radii: of the balls, m; room: what they mirror beside.
+
+    look, mirror: of matte balls, or a plate with texture, and of what the balls mirror with.
+    """
 
     camera: Camera
     lamp: Lamp
     radii: list[float]
     room: float
     surface: Surface
+    look: Look | None = None
+    mirror: Surface | None = None
 
 
-def film(view: View, seen: Seen, sensor: Sensor, frames: int, key: tuple[int, int]) -> Iterator[Counts]:
-    """The frames as the sensor gives them, one at a time. key: seed, and number of the clip, of the chip's noise."""
+def film(
+    view: View, seen: Seen, sensor: Sensor, frames: int, key: tuple[int, int], turning: Turning | None, colour: bool
+) -> Iterator[Counts]:
+    """The frames as the sensor gives them, one at a time. key: seed, and number of the clip, of the chips' noise.
+
+    turning: of balls with a pattern. colour: three channels, (h, w, 3).
+    """
     seed, number = key
-    chip = _chip(sensor, seen.camera.size, seen.camera.exposure, seed)
+    chips = [_chip(sensor, seen.camera.size, seen.camera.exposure, seed + c * APART) for c in range(3 if colour else 1)]
     drawn = _film(pickle.dumps(tuple(seen)))
     view = view.as_drawn()
-    pictures = drawn.frames(
-        lambda t: view.at(t)[:, :, :3].transpose(1, 0, 2),
-        view.spans(frames),
-        view.breaks(),
-    )
-    for k, picture in enumerate(pictures):
-        yield chip.expose(picture, number, k)
+
+    def centres(t: Array) -> Array:
+        return view.at(t)[:, :, :3].transpose(1, 0, 2)
+
+    def turns(t: Array) -> Array:
+        times = view.times(t)
+        if turning is None:
+            return np.broadcast_to(np.eye(3), (len(t), len(times), 3, 3))
+        return np.stack([turning.at(ball, own).as_matrix() for ball, own in enumerate(times)], axis=1)
+
+    how = (centres, turns) if seen.look else (centres,)
+    for k, found in enumerate(drawn.frames(*how, view.spans(frames), view.breaks())):
+        pictures = found if isinstance(found, tuple) else (found,) * len(chips)
+        counts = [chip.expose(picture, number, k) for chip, picture in zip(chips, pictures, strict=True)]
+        yield np.stack(counts, axis=-1) if colour else counts[0]
 
 
 @lru_cache(maxsize=2)
-def _film(seen: bytes) -> Film:
+def _film(seen: bytes) -> Any:
     """One film serves all clips that are seen alike: its plate and its unit take as long as ten frames.
 
-    seen: what a Film is made of, pickled, as arrays have no hash.
+    seen: what a film is made of, pickled, as arrays have no hash.
     """
+    camera, lamp, radii, room, surface, look, mirror = pickle.loads(seen)
+    if look:
+        from synthcam.camera.room.film import RoomFilm
+
+        return RoomFilm(camera, lamp, radii, look, mirror)
     from synthcam.camera.render import Film  # here alone: everything else works without OpenGL
 
-    return Film(*pickle.loads(seen))
+    return Film(camera, lamp, radii, room, surface)
 
 
-@lru_cache(maxsize=2)
+@lru_cache(maxsize=6)
 def _chip(sensor: Sensor, size: tuple[int, int], exposure: float, seed: int) -> Chip:
     """One chip serves all clips of a camera: its fixed pattern takes as long to draw as many frames."""
     return Chip(sensor, size, exposure, seed)

@@ -11,6 +11,7 @@ from synthcam.camera.pinhole import Camera, Lamp, glint_px
 from synthcam.dynamics.kinematics import Array, rolling_velocity
 from synthcam.dynamics.launch import Launch
 from synthcam.dynamics.trajectory import Event, Trajectory
+from synthcam.dynamics.turning import Turning
 from synthcam.model import Bodies, Model
 from synthcam.scene.filmed_motion import View
 
@@ -72,8 +73,11 @@ def _spin_transfer(bodies: Bodies, hit: Event) -> float:
     return float(impulse / (0.8 * mass[0] * mass[1] / mass.sum() * np.linalg.norm(u_t)))
 
 
-def tracks(bodies: Bodies, view: View, lamp: Lamp, frames: int) -> pd.DataFrame:
-    """The table of `truth/tracks.parquet`: a row for each ball and frame, at mid-exposure, with the exposure's mean."""
+def tracks(bodies: Bodies, view: View, lamp: Lamp, frames: int, turning: Turning | None = None) -> pd.DataFrame:
+    """The table of `truth/tracks.parquet`: a row for each ball and frame, at mid-exposure, with the exposure's mean.
+
+    turning: of balls with a pattern.
+    """
     spans, camera = view.spans(frames), view.camera
     times = view.times(spans.mean(axis=1))
     states = np.stack([view.motion.at(t)[k] for k, t in enumerate(times)])
@@ -88,6 +92,8 @@ def tracks(bodies: Bodies, view: View, lamp: Lamp, frames: int) -> pd.DataFrame:
         columns |= dict(zip("x y z vx vy vz wx wy wz".split(), state.T, strict=True))
         columns |= {"x_mean_px": means[ball, :, 0], "y_mean_px": means[ball, :, 1]}
         columns |= {"state": kinds[ball], "visible": _whole(camera, state[:, :3], radius)}
+        if turning:
+            columns |= dict(zip("qx qy qz qw".split(), turning.at(ball, times[ball]).as_quat().T, strict=True))
         balls.append(columns)
     return pd.DataFrame({name: np.concatenate([each[name] for each in balls]) for name in balls[0]})
 

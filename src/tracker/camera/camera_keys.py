@@ -15,12 +15,13 @@ SHOWN = 40  # characters of a wrong value in a message
 
 KEYS = {  # by section; "" is the file itself
     "": "K dist R t size fps exposure scale ball_diameter striker lamp psf sensor shutter lens surface "
-    "scale_std fps_std ball_diameter_std assumed metric exposure_seen_s calibration video",
+    "scale_std fps_std ball_diameter_std assumed metric exposure_seen_s calibration video ball",
     "lamp": "position radius shape inner length width angle facing flicker second radiance",
     "psf": "sigma_px defocus_px f_number pixel_pitch wavelength",
     "sensor": "bits gain read_noise dark prnu dsnu full_well black_level codec_noise gamma hot_pixels hot_dark",
     "shutter": "kind line_time",
     "lens": "vignetting",
+    "ball": "finish colour",
     "video": "codec crf q gamma chroma",
     "surface": "steel roughness scratches scratch_slope plate_gloss plate_roughness plate_texture plate_grain "
     "plate_shadow",

@@ -21,6 +21,7 @@ from synthcam.camera.exposure import (
     reach,
     sample,
     spots,
+    vignette,
 )
 from synthcam.camera.glints import PLAIN, Glints, find_glints, join
 from synthcam.camera.pinhole import Camera, Lamp
@@ -62,7 +63,7 @@ class Film:
         self.psf = Psf(camera.psf_sigma_px, camera.defocus_px, camera.airy_px)
         self._cells = [self._cell(each) for each in lamp.all]
         self._unit = self._measure()
-        self._vignette = _vignette(camera)
+        self._vignette = vignette(camera)
         self._plates: dict[float, Float32] = {}
         self._uniforms = {
             "up": camera.R[:, 2].copy(),
@@ -372,13 +373,3 @@ class Film:
         for k, image_of_ball in enumerate(images):
             own = slice(bounds[k], bounds[k + 1])
             image_of_ball += rows[own].T @ columns[own]
-
-
-def _vignette(camera: Camera) -> Float32 | None:
-    """Share (h, w) of the light that reaches each pixel: one in the middle, falling with the distance's square."""
-    if not camera.vignetting:
-        return None
-    w, h = camera.size
-    across, down = (2 * np.arange(n) / (n - 1) - 1 for n in (w, h))
-    square = (w * w * across**2 + (h * h * down**2)[:, None]) / (w * w + h * h)
-    return (1 - camera.vignetting * square).astype(np.float32)

@@ -23,13 +23,16 @@ def write(clips: Iterator[Recorded], folder: Path) -> None:
         own.mkdir()
         (own / "camera.json").write_text(json.dumps(clip.camera, indent=1) + "\n", encoding="utf-8")
         depth = cv2.CV_8U if clip.bits == 8 else cv2.CV_16U
-        kind = [cv2.VIDEOWRITER_PROP_IS_COLOR, 0, cv2.VIDEOWRITER_PROP_DEPTH, depth]
+        colour = bool(clip.drawn["camera"].get("colour"))
+        if colour and depth == cv2.CV_16U:
+            raise InputError(f"{clip.stack}: colour of {clip.bits} bits; generate --encode ffv1 keeps it")
+        kind = [cv2.VIDEOWRITER_PROP_IS_COLOR, int(colour), cv2.VIDEOWRITER_PROP_DEPTH, depth]
         code = cv2.VideoWriter.fourcc(*"FFV1")
         path, size = own / "frames.mkv", tuple(clip.camera["size"])
         film = cv2.VideoWriter(os.fspath(path), cv2.CAP_FFMPEG, code, float(clip.camera["fps"]), size, kind)
         if not film.isOpened():
             raise InputError(f"{path}: this OpenCV cannot write FFV1")
         for frame in clip.pictures():
-            film.write(frame)
+            film.write(frame[..., ::-1] if colour else frame)
         film.release()
         check_film(path, clip.frames)

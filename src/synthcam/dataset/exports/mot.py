@@ -24,7 +24,7 @@ def write(clips: Iterator[Recorded], folder: Path) -> None:
         if clip.video:
             (own / "img1").mkdir()
             for k, frame in enumerate(clip.pictures(), 1):
-                data = cv2.imencode(".png", frame)[1]
+                data = cv2.imencode(".png", frame[..., ::-1] if frame.ndim == 3 else frame)[1]
                 (own / "img1" / f"{k:06d}.png").write_bytes(data.tobytes())
 
 

@@ -55,11 +55,12 @@ class _Scene:
             dtype = np.uint8 if first.bits == 8 else np.uint16
             frames = max(1, CHUNK // int(np.prod(shape) * dtype().itemsize))
             chunks = (1, min(frames, first.frames), *shape)
-            self._array("frames", (first.of, first.frames, *shape), dtype, chunks, FRAMES_AXES)
+            axes = (*FRAMES_AXES, "channel")[: 2 + len(shape)]
+            self._array("frames", (first.of, first.frames, *shape), dtype, chunks, axes)
         for key, value in _truth(first).items():
-            axes = TRUTH_AXES if value.ndim else ("clip",)
+            of = TRUTH_AXES if value.ndim else ("clip",)
             extra = {"states": list(STATES)} if key == "truth/state" else {}
-            self._array(key, (first.of, *value.shape), value.dtype, (TOGETHER, *value.shape), axes, extra)
+            self._array(key, (first.of, *value.shape), value.dtype, (TOGETHER, *value.shape), of, extra)
 
     def _array(
         self, key: str, shape: tuple[int, ...], dtype: Any, chunks: Any, axes: Any, attributes: Any = None

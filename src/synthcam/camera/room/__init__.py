@@ -1,0 +1,1 @@
+"""Matte balls on a plate under room light: sampled and in closed form with numpy, without OpenGL."""

@@ -1,0 +1,323 @@
+"""A film of matte balls on a plate under lamps and room light, in one channel or three.
+
+Balls are sampled on a grid finer than the pixels, outlines by the share of a sample that they cover; the optics' blur
+is a product with exact weights. The lamps' images in varnish are added from their exact positions, as in `render.film`.
+"""
+
+from collections.abc import Callable, Iterator, Sequence
+
+import cv2
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from synthcam.camera.exposure import (
+    Box,
+    Moments,
+    Picture,
+    blur_matrix,
+    blurred,
+    merge,
+    pieces,
+    reach,
+    sample,
+    spots,
+    vignette,
+)
+from synthcam.camera.glints import Glints, find_glints, join
+from synthcam.camera.lamp import Lamp
+from synthcam.camera.pinhole import Camera
+from synthcam.camera.psf import Psf
+from synthcam.camera.room import texture
+from synthcam.camera.room.finish import Look
+from synthcam.camera.room.light import dot
+from synthcam.camera.room.shade import Among, Shade
+from synthcam.camera.shutter import rolled
+from synthcam.camera.surface import Surface
+
+Array = NDArray[np.float64]
+Float32 = NDArray[np.float32]
+Pictures = tuple[Picture, ...]
+
+FINENESS = 3  # samples of a ball a pixel, each way
+PLATE = 3  # of the plate
+CELL = 0.4  # half-width of a lamp's cells as they are seen in a ball, over the blur's sigma
+
+
+class RoomFilm:
+    """The view of one camera.
+
+    camera, lamp: as in `pinhole`, `lamp`. radii: m, one a ball. look: what balls and plate are made of. mirror: the
+    balls' varnish or bare metal, None: dull. One is the white that a plate of reflectance one would show at the world's
+    origin. Raises ValueError where a lamp stands in view or a radius is not over 0.
+    """
+
+    def __init__(self, camera: Camera, lamp: Lamp, radii: Sequence[float], look: Look, mirror: Surface | None) -> None:
+        self.camera, self.lamp, self.look = camera, lamp, look
+        self.radii = np.array(radii, float)
+        if not (len(self.radii) == len(look.balls) and np.all(self.radii > 0)):
+            raise ValueError(f"radii: expected {len(look.balls)}, all larger than 0, got {self.radii.tolist()}")
+        for each in lamp.all:
+            at = camera.project(each.position)
+            if np.all((at > -0.5) & (at < np.array(camera.size) - 0.5)):
+                raise ValueError(f"lamp position {each.position.tolist()} stands between the camera and the plate")
+        self.shade = Shade(lamp, look, self.radii, mirror)
+        self.psf = Psf(camera.psf_sigma_px, camera.defocus_px, camera.airy_px)
+        self._vignette = vignette(camera)
+        self._points, _ = self._on_plate(*(np.arange(n, dtype=float) for n in camera.size))
+        self._bare = self.shade.bare(self._points.reshape(-1, 3)).reshape(self._points.shape[:2])
+        self.plate = self._draw_plate()
+        self._plates: dict[float, tuple[Float32, ...]] = {}
+
+    def _rays(self, x: Array, y: Array) -> Array:
+        """Unit ways (len(y), len(x), 3) in which pixels at columns x and rows y look."""
+        pixels = np.stack(np.meshgrid(x, y), axis=-1)
+        camera = self.camera
+        if camera.dist.any():
+            steps = (cv2.TERM_CRITERIA_MAX_ITER, 60, 0)
+            flat = cv2.undistortPoints(pixels.reshape(-1, 1, 2), camera.K, camera.dist, criteria=steps)
+            flat = np.asarray(flat).reshape(pixels.shape)
+        else:
+            flat = (pixels - camera.K[:2, 2]) @ np.linalg.inv(camera.K[:2, :2]).T
+        way = np.concatenate([flat, np.ones((*flat.shape[:2], 1))], axis=-1) @ camera.R
+        return np.asarray(way / np.sqrt(dot(way, way))[..., None])
+
+    def _on_plate(self, x: Array, y: Array) -> tuple[Array, Array]:
+        """The plate's points (len(y), len(x), 3), m, and the ways to them."""
+        way, eye = self._rays(x, y), self.camera.centre
+        points = eye - way * (eye[2] / way[..., 2:])
+        points[..., 2] = 0
+        return points, way
+
+    def _draw_plate(self) -> tuple[Float32, ...]:
+        """What is seen without balls, (h, w) of each channel: in strips of rows, for the samples are many."""
+        w, h = self.camera.size
+        sigma = np.hypot(self.camera.psf_sigma_px, self.camera.defocus_px / 2)
+        shade = np.ones((h, w)) if self._vignette is None else self._vignette
+        even = [np.asarray(self._bare * shade * c) for c in self.look.plate]
+        if self.look.texture != "plain":
+            margin = int(np.ceil(4 * sigma))
+            across = (np.arange((w + 2 * margin) * PLATE) + 0.5) / PLATE - 0.5 - margin
+            rows = blur_matrix(w + 4 * margin, margin, PLATE, sigma)[2 * margin : 2 * margin + w]
+            relief = np.zeros((h, w, self.look.channels))
+            for top in range(0, h, 64):
+                n = min(64, h - top)
+                down = (np.arange((n + 2 * margin) * PLATE) + 0.5) / PLATE - 0.5 - margin + top
+                points, _ = self._on_plate(across, down)
+                fine = texture.factors(self.look, points[..., :2].reshape(-1, 2)).reshape(*points.shape[:2], -1)
+                columns = blur_matrix(n + 4 * margin, margin, PLATE, sigma)[2 * margin : 2 * margin + n]
+                for c in range(fine.shape[2]):
+                    relief[top : top + n, :, c] = columns @ fine[..., c] @ rows.T
+            even = [plate * relief[..., c] for c, plate in enumerate(even)]
+        plates = tuple(plate.astype(np.float32) for plate in even)
+        for plate in plates:
+            plate.flags.writeable = False
+        return plates
+
+    def frames(
+        self,
+        centres: Callable[[Array], Array],
+        turns: Callable[[Array], Array],
+        intervals: ArrayLike,
+        breaks: ArrayLike = (),
+    ) -> Iterator[Pictures]:
+        """Mean pictures over exposures, one a channel.
+
+        centres: times (T,), s -> ball centres (T, N, 3), m; turns: -> (T, N, 3, 3), from ball axes to the world's.
+        intervals: (F, 2) start and end of each exposure, s. breaks: times at which velocities jump.
+        """
+        cuts = np.sort(np.asarray(breaks, float))
+        for span in np.asarray(intervals, float).reshape(-1, 2):
+            if self.camera.line_time:
+                yield self._rolled(centres, turns, span, cuts)
+            else:
+                yield self._exposed(centres, turns, span, cuts)
+
+    def _rolled(
+        self, centres: Callable[[Array], Array], turns: Callable[[Array], Array], span: Array, cuts: Array
+    ) -> Pictures:
+        def seen(times: Array) -> tuple[Array, Array]:
+            positions = np.asarray(centres(times), float)
+            return self.camera.project(positions), self._extent(positions)
+
+        starts = span[0] + np.arange(self.camera.size[1]) * self.camera.line_time
+        light = self.lamp.flicker.mean(starts, starts + span[1] - span[0])[:, None]
+        made: dict[bytes, list[Pictures]] = {}
+
+        def gather(spans: Array, channel: int) -> list[Picture]:
+            key = spans.tobytes()
+            if key not in made:
+                made[key] = [self._exposed(centres, turns, s, cuts) for s in spans]
+            return [pictures[channel] for pictures in made[key]]
+
+        plates = [(plate * light).astype(np.float32) for plate in self.plate]
+        if not self.lamp.flicker.depth:
+            plates = list(self.plate)
+        return tuple(
+            rolled(self.camera, seen, span, cuts, lambda spans, c=c: gather(spans, c), plate)  # type: ignore[misc]
+            for c, plate in enumerate(plates)
+        )
+
+    def _extent(self, positions: Array) -> Array:
+        """Half width (T, N) px of what a ball changes: itself, its shadow and its part in the plate's light."""
+        slope = self.camera.project_with_slope(positions)[1]
+        return np.asarray(reach(self.camera, positions, self.radii, slope) * self.shade.reach + self.psf.margin)
+
+    def _moments(self, centres: Callable[[Array], Array], span: Array, cuts: Array) -> Moments:
+        bounds, weights, frames = pieces(span[None], cuts)
+        ends = self.camera.project(np.asarray(centres(bounds.ravel()), float)).reshape(len(bounds), 2, -1, 2)
+        travel = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=2)
+        near = np.all(np.abs(ends) < 3 * max(self.camera.size), axis=(1, 3))
+        farthest = np.where(near, travel, 0).max(axis=1, initial=0) / np.hypot(self.camera.psf_sigma_px, 12**-0.5)
+        return sample(bounds, weights, frames, farthest / 2)
+
+    def _exposed(
+        self, centres: Callable[[Array], Array], turns: Callable[[Array], Array], span: Array, cuts: Array
+    ) -> Pictures:
+        """One exposure of a global shutter."""
+        moments = self._moments(centres, span, cuts)
+        positions = np.asarray(centres(moments.times), float)
+        turned = turns(moments.times)
+        boxes = merge(self._influenced(positions))
+        light = float(self.lamp.flicker.mean(span[:1], span[1:])[0])
+        plates = self._plates_in(light)
+        parts = [[plate[box] * 0.0 for box in boxes] for plate in plates]
+        exchange = self.shade.exchange(positions[len(positions) // 2])  # it hardly changes meanwhile
+        for k, weight in enumerate(moments.weights):
+            among = Among(positions[k], exchange)
+            tiles = [
+                self._ball(ball, among, turned[k])
+                for ball in range(len(self.radii))
+                if self._in_view(positions[k], ball)
+            ]
+            for number, box in enumerate(boxes):
+                open_, own = self._laid(tiles, box)
+                points = self._points[box].reshape(-1, 3)
+                lit = self.shade.on_plate(points, positions[k], self._soft).reshape(*open_.shape, -1)
+                lit /= self._bare[box][..., None]
+                for c, plate in enumerate(plates):
+                    parts[c][number] += np.float32(weight) * (plate[box] * (lit[..., c] * open_) + light * own[c])
+        return tuple(Picture(plate, boxes, tuple(part)) for plate, part in zip(plates, parts, strict=True))
+
+    @property
+    def _soft(self) -> float:
+        """Blur of a shadow's edge by optics and pixel, m rms."""
+        camera = self.camera
+        return float(camera.scale * np.sqrt(camera.psf_sigma_px**2 + camera.defocus_px**2 / 4 + 1 / 12))
+
+    def _plates_in(self, light: float) -> tuple[Float32, ...]:
+        """The plate in so much light; the same arrays for the same light, as the sensor's tables like it."""
+        light = round(light, 5)
+        if light not in self._plates:
+            self._plates[light] = self.plate if light == 1 else tuple(p * np.float32(light) for p in self.plate)
+        return self._plates[light]
+
+    def _influenced(self, positions: Array) -> list[tuple[int, int, int, int]]:
+        """Top, bottom, left, right within the picture of what each ball changes during an exposure."""
+        pixels, extent = self.camera.project(positions), self._extent(positions)[..., None]
+        low = np.floor((pixels - extent).min(axis=0)).astype(int)
+        high = np.ceil((pixels + extent).max(axis=0)).astype(int) + 1
+        w, h = self.camera.size
+        boxes = []
+        for (left, top), (right, bottom) in zip(low.tolist(), high.tolist(), strict=True):
+            box = max(top, 0), min(bottom, h), max(left, 0), min(right, w)
+            if box[0] < box[1] and box[2] < box[3]:
+                boxes.append(box)
+        return boxes
+
+    def _in_view(self, centres: Array, ball: int) -> bool:
+        low, width = self._place(centres, ball)
+        return bool(np.all(low + width > 0) and np.all(low < self.camera.size))
+
+    def _place(self, centres: Array, ball: int) -> tuple[NDArray[np.intp], int]:
+        """First column and row, and width, of a square that holds a ball and its blur."""
+        slope = self.camera.project_with_slope(centres[None, ball : ball + 1])[1]
+        half = float(reach(self.camera, centres[None, ball : ball + 1], self.radii[ball : ball + 1], slope)[0, 0])
+        half += 1 + self.psf.margin
+        low = np.floor(self.camera.project(centres[ball]) - half).astype(int)
+        return low, int(2 * half) + 3
+
+    def _ball(self, ball: int, among: Among, turned: Array) -> tuple[NDArray[np.intp], Float32]:
+        """First column and row, and (1 + c, width, width): the share that a ball covers, and what it shows there."""
+        centres = among.centres
+        low, width = self._place(centres, ball)
+        side = width - 2 * self.psf.margin
+        at = (np.arange(side * FINENESS) + 0.5) / FINENESS - 0.5 + self.psf.margin
+        way = self._rays(at + low[0], at + low[1])
+        share = self._shares(ball, centres, way)
+        rows, columns = np.nonzero(share > 0)
+        tiles = np.zeros((1 + self.look.channels, *share.shape), np.float32)
+        tiles[0] = share
+        if len(rows):
+            ways = way[rows, columns]
+            points = self._met(centres[ball], self.radii[ball], ways)
+            finish = self.look.balls[ball]
+            sharp = self.camera.scale / (FINENESS * self.radii[ball])
+            paint = finish.painted((points - centres[ball]) / self.radii[ball] @ turned[ball], sharp)
+            seen = self.shade.radiance(ball, points, ways, among, paint)
+            tiles[1:, rows, columns] = (share[rows, columns, None] * seen).T
+        blur = blur_matrix(width, self.psf.margin, FINENESS, self.camera.psf_sigma_px, self.psf.steps)
+        images = blurred(tiles, blur)
+        if self.shade.mirror is not None:
+            images[1:] += self._glints(ball, centres, low, width, self.shade.mirror)
+        return low, images if self.psf.plain else self.psf.spread(images)
+
+    def _shares(self, ball: int, centres: Array, way: Array) -> Array:
+        """Share of each sample in which this ball is in front: its outline is a ramp one sample wide."""
+        own, near = _cover(self.camera.centre, way, centres[ball], self.radii[ball])
+        for k in range(len(centres)):
+            if k != ball:
+                other, before = _cover(self.camera.centre, way, centres[k], self.radii[k])
+                own = own * np.where(before < near, 1 - other, 1)
+        return own
+
+    def _met(self, centre: Array, radius: float, ways: Array) -> Array:
+        """Points (n, 3) at which rays meet a ball, or pass it most closely, brought to its surface."""
+        offset = self.camera.centre - centre
+        b = ways @ offset
+        far = -b - np.sqrt(np.maximum(b * b - offset @ offset + radius * radius, 0))
+        out = offset + far[:, None] * ways
+        return np.asarray(centre + out * (radius / np.sqrt(dot(out, out)))[:, None])
+
+    def _glints(
+        self, ball: int, centres: Array, low: NDArray[np.intp], width: int, mirror: Surface
+    ) -> NDArray[np.float32]:
+        """The lamps' images (width steps, width steps) in a ball."""
+        light = (np.arange(len(centres)) == ball)[None].astype(float)
+        found = []
+        for lamp in self.lamp.all:
+            whole = find_glints(self.camera, lamp, centres[None], self.radii, light, mirror)
+            cell = np.inf
+            if len(whole.flux):
+                spread = lamp.cells(np.inf).spread[0, :2].sum()
+                cell = CELL * self.camera.psf_sigma_px * float(np.sqrt(spread / max(whole.spread[0].sum(), 1e-30)))
+            found.append(find_glints(self.camera, lamp, centres[None], self.radii, light, mirror, cell))
+        glints: Glints = join(found)
+        variances = glints.spread + self.camera.psf_sigma_px**2
+        rows, columns = spots(glints.pixels, variances, low[None].astype(float), width, self.psf.steps)
+        rows *= (glints.flux * np.pi * self.shade.unit)[:, None]
+        return (rows.T @ columns).astype(np.float32)
+
+    def _laid(self, tiles: list[tuple[NDArray[np.intp], Float32]], box: Box) -> tuple[Float32, list[Float32]]:
+        """Share (h, w) of a box that no ball covers, and what balls show there, by channel."""
+        rows, columns = box
+        shape = (rows.stop - rows.start, columns.stop - columns.start)
+        total = np.zeros((1 + self.look.channels, *shape), np.float32)
+        for low, images in tiles:
+            x, y, width = int(low[0]) - columns.start, int(low[1]) - rows.start, images.shape[1]
+            top, bottom, left, right = max(y, 0), min(y + width, shape[0]), max(x, 0), min(x + width, shape[1])
+            if top < bottom and left < right:
+                total[:, top:bottom, left:right] += images[:, top - y : bottom - y, left - x : right - x]
+        if self._vignette is not None:
+            total[1:] *= self._vignette[box]
+        return 1 - total[0], list(total[1:])
+
+
+def _cover(eye: Array, way: Array, centre: Array, radius: float) -> tuple[Array, Array]:
+    """Share of each sample that a ball covers, and how far away it is."""
+    offset = centre - eye
+    along = way @ offset
+    aside = offset - along[..., None] * way
+    miss = np.sqrt(dot(aside, aside))
+    down, across = np.gradient(miss)
+    share = np.clip((radius - miss) / np.maximum(np.hypot(down, across), 1e-12) + 0.5, 0, 1)
+    return np.where(miss < 0.5 * radius, 1.0, share), along - np.sqrt(np.maximum(radius**2 - miss**2, 0))

@@ -1,0 +1,69 @@
+"""Light on surfaces among balls, in closed form: a lamp's disc cut by a horizon or a ball, a ball's form factor.
+
+Light is irradiance over pi: what a white, matte surface shows. All arguments are arrays that broadcast.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+def dot(a: Array, b: Array) -> Array:
+    """Of the last axis."""
+    return np.asarray(np.einsum("...k,...k->...", a, b))
+
+
+def over_horizon(cosine: Array, sine: Array) -> Array:
+    """Mean cosine of incidence over a lamp's disc, what is under the surface's horizon left out.
+
+    cosine: of the disc's middle; sine: of its angular radius. The disc's points project on the normal as u does,
+    c + s u with density (2/pi) sqrt(1 - u^2).
+    """
+    x = np.clip(cosine / sine, -1, 1)
+    root = np.sqrt(1 - x * x)
+    cut = sine * 2 / np.pi * (x * (np.arccos(-x) + x * root) / 2 + root**3 / 3)
+    return np.where(cosine > sine, cosine, cut)
+
+
+def uncovered(a: Array, b: Array, apart: Array) -> Array:
+    """Share of a disc of angular radius a that a disc of radius b, `apart` rad away, leaves in view."""
+    a, b, apart = np.broadcast_arrays(a, b, apart)
+    out = (apart >= b).astype(float)
+    edge = np.abs(apart - b) < a
+    if edge.any():
+        p, q, t = a[edge], b[edge], np.maximum(apart[edge], 1e-12)
+        u = np.arccos(np.clip((t * t + p * p - q * q) / (2 * t * p), -1, 1))
+        v = np.arccos(np.clip((t * t + q * q - p * p) / (2 * t * q), -1, 1))
+        both = p * p * (u - np.sin(u) * np.cos(u)) + q * q * (v - np.sin(v) * np.cos(v))
+        out[edge] = 1 - both / (np.pi * p * p)
+    small = (b < a) & (apart <= a - b)
+    return np.where(small, 1 - (b / a) ** 2, out)
+
+
+def form_factor(normal: Array, offset: Array, radius: Array | float) -> Array:
+    """Share of a surface's hemisphere, weighted by the cosine, that a ball takes, as far as it is over the horizon.
+
+    normal (..., 3), offset (..., 3) from the surface to the ball's centre. Howell, A Catalog of Radiation Heat Transfer
+    Configuration Factors, section B: a differential element to a sphere that its plane passes by or cuts.
+    """
+    far = np.maximum(np.sqrt(dot(offset, offset)), radius * (1 + 1e-9))
+    h, cosine = far / radius, np.clip(dot(normal, offset) / far, -1, 1)
+    square = h * h
+    whole = np.maximum(cosine, 0) / square
+    cut = 1 - square * cosine * cosine
+    partly = (cut > 0) & (np.abs(cosine) < 1)
+    if not partly.any():
+        return whole
+    h2, c, k = square[partly], cosine[partly], cut[partly]
+    reach = np.sqrt(h2 - 1)
+    slant = np.clip(-c * reach / np.sqrt(1 - c * c), -1, 1)
+    out = whole.copy()
+    out[partly] = ((c * np.arccos(slant) - np.sqrt(k) * reach) / h2 + np.arctan(np.sqrt(k) / reach)) / np.pi
+    return np.maximum(out, 0)
+
+
+def bent(normal: Array, way: Array) -> tuple[Array, Array]:
+    """Way (..., 3) after a mirror of that normal, and the cosine of incidence."""
+    cosine = -dot(normal, way)
+    return way + 2 * cosine[..., None] * normal, cosine

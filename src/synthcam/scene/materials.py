@@ -1,0 +1,117 @@
+"""What balls and plate are made of, as a scene's `surface` names it, where they are not mirrors on a black plate."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from pydantic import Field
+
+from synthcam.camera.room.finish import GREY, Colour, Finish, Look, Pattern
+from synthcam.camera.surface import Surface
+from synthcam.settings import Fraction, InputError, NotNegative, Settings
+
+COLOURS = {  # of light, not of a screen: shares that are reflected, over the brightest's
+    "white": (1.0, 0.97, 0.9),
+    "grey": (0.5, 0.5, 0.5),
+    "black": (0.04, 0.04, 0.04),
+    "red": (0.75, 0.05, 0.05),
+    "orange": (0.95, 0.35, 0.04),
+    "yellow": (1.0, 0.7, 0.05),
+    "green": (0.06, 0.4, 0.14),
+    "blue": (0.05, 0.16, 0.6),
+    "brown": (0.35, 0.18, 0.08),
+    "pink": (1.0, 0.45, 0.5),
+}
+PLATES = {  # reflectance of the brightest channel, and colour
+    "black": (0.04, (1.0, 1.0, 1.0)),
+    "plain": (0.5, (1.0, 1.0, 1.0)),
+    "cloth": (0.3, (0.13, 1.0, 0.35)),
+    "wood": (0.5, (1.0, 0.62, 0.33)),
+    "paper": (0.8, (1.0, 0.99, 0.96)),
+}
+NAMES = Literal["white", "grey", "black", "red", "orange", "yellow", "green", "blue", "brown", "pink"]
+ColourSetting = NAMES | Annotated[list[Fraction], Field(min_length=3, max_length=3)]
+CLASSIC = ("scratches", "plate_gloss", "plate_texture", "plate_shadow")  # of mirrors on a black plate alone
+
+
+class BallFinishSettings(Settings):
+    """A matte ball. colour: a name, or what it reflects of red, green and blue; albedo: times so much.
+
+    second_colour: the pattern's other. gloss: reflectance of its varnish head-on, 0: none.
+    """
+
+    albedo: Fraction | None = None
+    colour: ColourSetting | None = None
+    second_colour: ColourSetting | None = None
+    pattern: Literal["plain", "half", "stripe", "spots"] | None = None
+
+
+class MaterialSettings(BallFinishSettings):
+    """Keys of `surface:` for balls and plates under room light. b: of ball b, where it differs."""
+
+    ball: Literal["steel", "matte"] | None = None
+    gloss: Annotated[float, Field(ge=0, le=0.2)] | None = None
+    b: BallFinishSettings | None = None
+    plate: Literal["black", "plain", "cloth", "wood", "paper"] | None = None
+    plate_albedo: Fraction | None = None
+    plate_colour: ColourSetting | None = None
+    plate_contrast: Annotated[NotNegative, Field(le=3)] | None = None
+
+
+def in_a_room(drawn: dict[str, Any]) -> bool:
+    """Whether a scene is more than mirrors on a black plate."""
+    return bool(drawn["surface"].get("ball") or drawn["surface"].get("plate"))
+
+
+def look_of(drawn: dict[str, Any], labels: tuple[str, ...], where: str) -> Look | None:
+    """How balls of these labels look on their plate; None for mirrors on a black plate."""
+    surface = drawn["surface"]
+    of_rooms = [key for key in MaterialSettings.model_fields if key in surface]
+    if not in_a_room(drawn):
+        if of_rooms or "ambient" in drawn["lamp"] or "white" in drawn["sensor"]:
+            key = f"surface.{of_rooms[0]}" if of_rooms else "lamp.ambient, sensor.white"
+            raise InputError(f"{where}: {key}: expected surface.ball or surface.plate beside")
+        return None
+    for key in CLASSIC:
+        if surface[key]:
+            raise InputError(f"{where}: surface.{key}: has no part beside surface.ball and surface.plate")
+    colour = bool(drawn["camera"].get("colour"))
+    matte = surface.get("ball") == "matte"
+    plate: Any = surface.get("plate", "black")
+    albedo, tint = PLATES[plate]
+    return Look(
+        balls=tuple(_finish(surface | surface.get("b", {}) if k == "b" else surface, matte, colour) for k in labels),
+        plate=_seen(surface.get("plate_albedo", albedo), _rgb(surface.get("plate_colour"), tint), colour),
+        texture=plate if plate in ("cloth", "wood", "paper") else "plain",
+        contrast=surface.get("plate_contrast", 1.0),
+        ambient=drawn["lamp"].get("ambient", 0.35),
+    )
+
+
+def mirror_of(surface: Surface, drawn: dict[str, Any]) -> Surface | None:
+    """What the balls of a room mirror with: their metal, or a varnish that is a glass of such reflectance head-on."""
+    if drawn["surface"].get("ball") != "matte":
+        return surface
+    gloss = np.sqrt(drawn["surface"].get("gloss", 0.04))
+    return Surface(steel=((1 + gloss) / (1 - gloss), 0.0), roughness=surface.roughness) if gloss else None
+
+
+def _finish(surface: dict[str, Any], matte: bool, colour: bool) -> Finish:
+    albedo = surface.get("albedo", 0.85) if matte else 0.0
+    first = _rgb(surface.get("colour"), COLOURS["white"])
+    second = _rgb(surface.get("second_colour"), COLOURS["red"])
+    pattern: Pattern = surface.get("pattern", "plain") if matte else "plain"
+    return Finish(_seen(albedo, first, colour), _seen(albedo, second, colour), pattern)
+
+
+def _rgb(given: Any, usual: tuple[float, ...]) -> tuple[float, ...]:
+    if given is None:
+        return usual
+    return COLOURS[given] if isinstance(given, str) else tuple(given)
+
+
+def _seen(albedo: float, rgb: tuple[float, ...], colour: bool) -> Colour:
+    """Reflectance in each channel of a camera."""
+    whole = albedo * np.array(rgb)
+    return tuple(whole.tolist()) if colour else (float(whole @ GREY),)
