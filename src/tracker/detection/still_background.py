@@ -68,30 +68,29 @@ def still_background(frames: Sequence[Any], noise: float) -> Background:
         near_by = (cv2.dilate(rested, np.ones((31, 31), np.uint8)) == 1) & (rested == 0)
         texture = step + ROUGH * float(np.median(np.abs(level - smooth)[near_by])) if near_by.any() else step
         around = smooth[where]
-        seen, count = _nearest(stack[:, where[0], where[1]].astype(float), around, step, texture)
+        seen = _nearest(stack[:, where[0], where[1]].astype(float), around, step, texture)
         level[where], known[where] = np.where(np.isnan(seen), around, seen), ~np.isnan(seen)
-        error[where] = noise / np.sqrt(count)
+        error[where] = noise  # however many samples: a ball's rim may be in all of them
     return Background(level, error, known)
 
 
-def _nearest(samples: Array, around: Array, step: float, texture: float) -> tuple[Array, Array]:
-    """Of pixels' samples (k, n) the mean of the cluster furthest from the ball, and how many are in it.
+def _nearest(samples: Array, around: Array, step: float, texture: float) -> Array:
+    """Of pixels' samples (k, n) the mean of the cluster furthest from the ball.
 
     NaN where all show a part of a ball.
     """
     brighter = samples.max(axis=0) - around > around - samples.min(axis=0)  # than the plate, the ball
     ordered = np.sort(np.where(brighter, samples, -samples), axis=0)
-    found, count = np.full(len(around), np.nan), np.ones(len(around))
+    found = np.full(len(around), np.nan)
     for first in range(len(ordered) - 1):  # of two samples at least: the darkest one may be a shadow
         near = (ordered >= ordered[first]) & (ordered <= ordered[first] + step / 2)
         size = near.sum(axis=0)
         new = np.isnan(found) & (size > 1)
         found[new] = (np.where(near, ordered, 0).sum(axis=0) / size)[new]
-        count[new] = size[new]
         if not np.isnan(found).any():
             break
     found = np.where(brighter, found, -found)
-    return np.where(np.abs(found - around) < texture, found, np.nan), count
+    return np.where(np.abs(found - around) < texture, found, np.nan)
 
 
 def _around(middle: Array, rested: NDArray[np.uint8]) -> Array:
