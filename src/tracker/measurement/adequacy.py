@@ -35,6 +35,9 @@ ALSO = {  # flags, and what to check of them
     "mu_k over 1.5": "more friction than any plate has: check fps, scale, and whether the balls hit anything else",
     "v0 over 20 m/s": "faster than balls are rolled: check fps and scale",
     OVERLAP: "their tracks come nearer than a diameter: check scale, ball_diameter and fps",
+    "striker slides": "it is fitted as sliding up to the contact, with a spin of its own (u2ix, u2iy, side2i)",
+    "striker spins": "a spin about the vertical is fitted (side2i); what else adds to the rub of the hit looks alike",
+    "rolls late": "the first positions of the striker are left out, where it does not roll",
     NO_TOUCH: "they change course more than a diameter apart: check scale, ball_diameter and fps",
 }
 

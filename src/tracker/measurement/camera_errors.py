@@ -101,12 +101,11 @@ def carry(fit: Fit, values: Values, tied: bool, camera: Camera) -> tuple[Fit, Va
     if not errors:
         return fit, values
     problem = Whitened(pair, tied)
-    p = len(problem.names)
-    x = fit.parameters[:p]
+    x, kept = fit.parameters[problem.index], np.ix_(problem.index, problem.index)
     moved = slopes(errors, lambda error, by: Whitened(error.pair(pair, by, camera.fps), tied).residual(x))
-    fitted, explained = response(*problem(x), fit.cov[:p, :p], moved)
+    fitted, explained = response(*problem(x), fit.cov[kept], moved)
     shift = np.zeros((len(fit.parameters), len(errors)))
-    shift[:p] = fitted
+    shift[problem.index] = fitted
 
     def quantities(at: Floats, diameter: float) -> Values:
         return of_tied(at, fit.cov, diameter, pair.spin) if tied else of_free(at, fit.cov, diameter, shift)
@@ -134,11 +133,10 @@ def touching(free: Fit, camera: Camera) -> tuple[float, float]:
         In diameters, and its standard error with those of scale and diameter.
     """
     problem, unit = Whitened(free.pair, False), CameraError("ball_diameter", camera.ball_diameter, 0.01)
-    p = len(problem.names)
-    x = free.parameters[:p]
+    x, kept = free.parameters[problem.index], np.ix_(problem.index, problem.index)
     residual, rows = problem(x)
     moved = slopes([unit], lambda error, by: Whitened(error.pair(free.pair, by, camera.fps), False).residual(x))
-    left = (moved + rows @ response(residual, rows, free.cov[:p, :p], moved)[0])[:, 0]
+    left = (moved + rows @ response(residual, rows, free.cov[kept], moved)[0])[:, 0]
     square = max(float(left @ left), 1e-300)
     off, worse = -float(left @ residual) / square, (free.chi2 - float(left @ residual) ** 2 / square) / max(free.dof, 1)
     known = [error.share for error in camera_errors(camera) if error.key != "fps"]

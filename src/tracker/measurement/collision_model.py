@@ -6,13 +6,15 @@ a streaked image measures, and come with exact derivatives.
 
 Two parameter vectors describe the same path:
 
-- **free** (20 numbers, `FREE`): after the hit each ball has any velocity, any slide time, any final velocity;
-- **tied** (13 numbers, `TIED`): restitution, friction and spin transfer decide them (`release`).
+- **free** (22 numbers, `FREE`): after the hit each ball has any velocity, any slide time, any final velocity;
+- **tied** (16 numbers, `TIED`): restitution, friction and spin transfer decide them (`release`).
 
 Both end with ball 1's velocity before the hit (`TARGET`), which a fit holds at zero where that ball rests; v0
-and heading are those of ball 2's velocity relative to it. The impact parameter enters as an angle beta, b/2R =
-sin(beta); friction and slide times as logarithms, so that every real vector is a valid motion. Source: Painter &
-Behringer 2000, eqs 1-4 for the head-on case; the impulse of two rolling balls is derived in `release`.
+and heading are those of ball 2's velocity relative to it. Before it stands how ball 2 is spun when it does not roll
+(`SPIN`, of the free motion the acceleration that this makes, `SLIDING`), held at zero where it rolls. The impact
+parameter enters as an angle beta, b/2R = sin(beta); friction and slide times as logarithms, so that every real vector
+is a valid motion. Source: Painter & Behringer 2000, eqs 1-4 for the head-on case; the impulse of two rolling balls is
+derived in `release`.
 """
 
 from __future__ import annotations
@@ -31,13 +33,17 @@ SHORTEST_EXPOSURE = 1e-8  # s; stands for an instant: below any jitter, above th
 
 LAUNCH = ("t_c", "x", "y", "heading", "beta", "v0", "drag", "decel")
 TARGET = ("wx", "wy")  # m/s, ball 1's velocity just before the hit
-TIED = (*LAUNCH, "r", "log_mu", "C", *TARGET)
+SPIN = ("ux", "uy", "side")  # m/s, ball 2 just before the hit: velocity of its lowest point, R times spin about z
+SLIDING = ("ax", "ay")  # m/s^2, of ball 2 before the hit
+TIED = (*LAUNCH, "r", "log_mu", "C", *SPIN, *TARGET)
 FREE = (
     *LAUNCH,
     *("v1x", "v1y", "f1x", "f1y", "log_tau1"),
     *("v2x", "v2y", "f2x", "f2y", "log_tau2"),
+    *SLIDING,
     *TARGET,
 )
+_SPIN, _SLIDING = TIED.index("ux"), FREE.index("ax")
 AFTER = {1: 8, 2: 13}  # where a ball's own five numbers begin in FREE
 
 
@@ -147,7 +153,7 @@ def path(
 
     Parameters
     ----------
-    free : ndarray of shape (20,)
+    free : ndarray of shape (22,)
         In the order of FREE.
     ball : int or ndarray of shape (n,)
         1 (struck) or 2 (striker).
@@ -162,7 +168,7 @@ def path(
     -------
     positions : ndarray of shape (n, 2)
         m.
-    derivatives : ndarray of shape (n, 2, 20)
+    derivatives : ndarray of shape (n, 2, 22)
         By `free`.
     """
     if exposure < SHORTEST_EXPOSURE:
@@ -184,7 +190,7 @@ def path(
 
 
 def _areas(free: Floats, second: NDArray[np.int64], since: Floats) -> tuple[Floats, Floats]:
-    """Integral over time, from t_c, of the displacement since t_c; (n, 2) m s and derivatives (20, n, 2).
+    """Integral over time, from t_c, of the displacement since t_c; (n, 2) m s and derivatives (22, n, 2).
 
     second (n,): 1 for ball 2, else 0.
     """
@@ -200,7 +206,7 @@ def _areas(free: Floats, second: NDArray[np.int64], since: Floats) -> tuple[Floa
 
 
 def _approach(free: Floats, second: NDArray[np.int64], s: Floats) -> tuple[Floats, Floats]:
-    """Balls rolling up to the contact."""
+    """Balls rolling up to the contact, or ball 2 sliding up to it."""
     heading, v0, drag, decel = free[[3, 5, 6, 7]]
     d = np.array([np.cos(heading), np.sin(heading)])
     speed, along = _polar(np.stack([free[-2:], free[-2:] + v0 * d]))
@@ -214,7 +220,27 @@ def _approach(free: Floats, second: NDArray[np.int64], s: Floats) -> tuple[Float
     launched = turned * second[:, None]
     part[3] = v0 * (launched[1] * d[0] - launched[0] * d[1])
     part[5] = launched[0] * d[0] + launched[1] * d[1]
-    return roll.area[:, None] * along, part
+    area = roll.area[:, None] * along
+    if free[_SLIDING : _SLIDING + 2].any():
+        rows = np.flatnonzero(second)
+        area[rows], part[:, rows] = _sliding_approach(free, s[rows])
+    return area, part
+
+
+def _sliding_approach(free: Floats, s: Floats) -> tuple[Floats, Floats]:
+    """Ball 2 sliding up to the contact: friction pulls one way all the while, for slip keeps its direction."""
+    heading, v0, pull = free[3], free[5], free[_SLIDING : _SLIDING + 2]
+    d = np.array([np.cos(heading), np.sin(heading)])
+    v = free[-2:] + v0 * d
+    square, cube = (s * s / 2)[:, None], (s**3 / 6)[:, None]
+    part = np.zeros((len(FREE), len(s), 2))
+    part[0] = -(s[:, None] * v + square * pull)
+    part[3] = square * v0 * np.array([-d[1], d[0]])
+    part[5] = square * d
+    for axis in (0, 1):
+        part[_SLIDING + axis, :, axis] = cube[:, 0]
+        part[axis - 2, :, axis] = square[:, 0]
+    return square * v + cube * pull, part
 
 
 def _polar(velocities: Floats) -> tuple[Floats, Floats]:
@@ -273,40 +299,43 @@ def _departure(free: Floats, second: NDArray[np.int64], s: Floats) -> tuple[Floa
 def release(tied: NDArray[np.inexact], spin: float = 0.0) -> NDArray[np.inexact]:
     """The impact and the slides of the model: the free parameters that follow from the tied ones.
 
-    Equal balls, both rolling or ball 1 at rest. P/m = (1 + r) v_n / 2 along n; J/m = -(2/5) C u_t on ball 2, u_t
+    Equal balls, ball 1 rolling or at rest. P/m = (1 + r) v_n / 2 along n; J/m = -(2/5) C u_t on ball 2, u_t
     the relative velocity of the touching surfaces: its part in the plane is the relative velocity along t, its
-    vertical part -S, S the sum of both balls' speeds along n, for a rolling ball's surface moves there at v_n. The
+    vertical part -S, S the sum of both balls' R w x z along n, which of a rolling ball is its velocity. The
     vertical impulse spins the balls, R dw = -C S t, and lifts nothing. A ball's lowest point then slips at
-    u = dv + C S n, dv its change of velocity; tau = |u| / (3.5 mu g) and v_f = v - 2u/7, for a force there leaves
-    (5v + 2R w x z)/7 as it is.
+    u = dv + C S n, dv its change of velocity, and at what it slipped before; tau = |u| / (3.5 mu g) and
+    v_f = v - 2u/7, for a force there leaves (5v + 2R w x z)/7 as it is.
 
     Parameters
     ----------
-    tied : (..., 13) array
+    tied : (..., 16) array
         In the order of TIED; complex too, for derivatives by complex steps.
     spin : float
         R times the sum of both balls' spins about the vertical, m/s, which an earlier oblique hit leaves.
 
     Returns
     -------
-    (..., 20) array
+    (..., 22) array
         In the order of FREE.
     """
     heading, beta, v0, target = tied[..., 3], tied[..., 4], tied[..., 5], tied[..., -2:]
     r, mu, c = tied[..., 8, None], np.exp(tied[..., 9]), tied[..., 10, None]
+    slips, side = tied[..., _SPIN : _SPIN + 2], tied[..., _SPIN + 2, None]
     d, n, t = directions(heading, beta)
     normal, tangent = (v0 * np.cos(beta))[..., None] * n, (v0 * np.sin(beta))[..., None] * t
-    twist = c * (normal + 2 * (target * n).sum(-1)[..., None] * n)  # C S n
-    kick = (1 + r) / 2 * normal + 0.4 * c * (tangent + spin * t)  # ball 1's change of velocity
+    surfaces = 2 * (target * n).sum(-1) - (slips * n).sum(-1)
+    twist = c * (normal + surfaces[..., None] * n)  # C S n
+    kick = (1 + r) / 2 * normal + 0.4 * c * (tangent + (spin + side) * t)  # ball 1's change of velocity
     parts = [tied[..., :8]]
-    for v, change in ((target, kick), (target + v0[..., None] * d, -kick)):
-        u = change + twist
+    for v, change, before in ((target, kick, 0.0), (target + v0[..., None] * d, -kick, slips)):
+        u = change + twist + before
         slip = np.sqrt((u**2).sum(-1) + 1e-30)  # keeps the logarithm when there is no slip at all
         parts += [v + change, v + change - 2 * u / 7, np.log(slip / (SLIP_RATE * mu * GRAVITY))[..., None]]
-    return np.concatenate([*parts, target], -1)
+    pull = -(mu * GRAVITY)[..., None] * slips / np.sqrt((slips**2).sum(-1) + 1e-30)[..., None]
+    return np.concatenate([*parts, pull, target], -1)
 
 
 def release_slope(tied: Floats, spin: float = 0.0) -> Floats:
-    """The derivatives (20, 13) of `release` at tied (13,), exact to rounding, by complex steps."""
+    """The derivatives (22, 16) of `release` at tied (16,), exact to rounding, by complex steps."""
     steps = tied + 1e-30j * np.eye(len(TIED))
     return np.asarray(release(steps, spin).imag.T / 1e-30, dtype=np.float64)

@@ -9,7 +9,7 @@ from itertools import combinations, product
 import numpy as np
 from numpy.typing import NDArray
 
-from tracker.measurement.collision_model import AFTER, directions, release
+from tracker.measurement.collision_model import AFTER, SPIN, directions, release
 from tracker.measurement.fitting import Pair
 from tracker.measurement.positions import Course
 
@@ -19,6 +19,7 @@ LONGEST = 15  # frames; older positions say nothing about the moment of contact
 CREEPING = 0.002  # of the relative speed: a target this slow is at rest for every purpose
 STILL = 150  # frames at rest, beyond which more of them add nothing: their shared error is the limit
 GRID = (0.5, 0.75, 0.95), (0.1, 0.2, 0.4), (0.1, 0.35)  # r, mu_k and C, from which a fit starts
+ROLLS = (0.0,) * len(SPIN)
 SAME = 0.3  # of a glint's width, within which a ball that has not moved is seen
 
 
@@ -232,7 +233,7 @@ def _thinned(course: Course, frame: int) -> Course:
 
 
 def first_guess(meeting: Encounter) -> Floats | None:
-    """Tied parameters (13,) to start from; None where the approach leads past the other ball.
+    """Tied parameters (16,) to start from; None where the approach leads past the other ball.
 
     The launch comes from the approach alone: straight lines, and the time at which the balls are one diameter
     apart. What the impact did comes from a coarse grid over all that is physical. Where frames about the contact
@@ -244,7 +245,7 @@ def first_guess(meeting: Encounter) -> Floats | None:
     for frame in (meeting.frame,) if whole else (meeting.frame - 1, meeting.frame, meeting.frame + 1):
         launch = _launch(meeting.pair, frame)
         if launch is not None:
-            starts += [[*launch[:8], r, np.log(mu), c, *launch[8:]] for r, mu, c in product(*GRID)]
+            starts += [[*launch[:8], r, np.log(mu), c, *ROLLS, *launch[8:]] for r, mu, c in product(*GRID)]
     if not starts:
         return None
     guesses = np.array(starts)
@@ -252,7 +253,7 @@ def first_guess(meeting: Encounter) -> Floats | None:
 
 
 def _misfit(pair: Pair, tied: Floats) -> Floats:
-    """Sums (k,) of squared distances, in their errors, between the positions after the hit and the guesses (k, 13).
+    """Sums (k,) of squared distances, in their errors, between the positions after the hit and the guesses (k, 16).
 
     Rough: instants for exposures, and a rolling ball loses speed evenly.
     """

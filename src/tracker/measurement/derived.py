@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from tracker.measurement.collision_model import AFTER, GRAVITY, release
+from tracker.measurement.collision_model import AFTER, GRAVITY, TIED, release
 
 Floats = NDArray[np.float64]
 
@@ -60,11 +60,11 @@ def of_free(free: Floats, cov: Floats, diameter: float, shift: Floats | None = N
 
     Parameters
     ----------
-    free, cov : ndarray of shape (20,), ndarray of shape (20, 20)
+    free, cov : ndarray of shape (22,), ndarray of shape (22, 22)
         Parameters in the order of FREE, and their covariance.
     diameter : float
         m.
-    shift : ndarray of shape (20, k), optional
+    shift : ndarray of shape (22, k), optional
         Further errors of the parameters, which count in those weights but not in the covariance.
 
     Returns
@@ -98,7 +98,7 @@ def of_tied(tied: Floats, cov: Floats, diameter: float, spin: float = 0.0) -> Va
 
     Parameters
     ----------
-    tied, cov : ndarray of shape (13,), ndarray of shape (13, 13)
+    tied, cov : ndarray of shape (16,), ndarray of shape (16, 16)
         Parameters in the order of TIED, and their covariance.
     diameter : float
         m.
@@ -111,7 +111,8 @@ def of_tied(tied: Floats, cov: Floats, diameter: float, spin: float = 0.0) -> Va
     """
 
     def single(p: Floats) -> Floats:
-        both = _both(np.asarray(release(p, spin), dtype=np.float64), diameter)
+        slip = p[..., TIED.index("ux") : TIED.index("uy") + 1]
+        both = _both(np.asarray(release(p, spin), dtype=np.float64), diameter, slip)
         return np.delete(both, [NAMES.index("mu_k") + 1, NAMES.index("C") + 2], axis=-1)
 
     value, slope = _with_slope(single, tied, cov)
@@ -142,8 +143,8 @@ def _of_difference(cov: Floats) -> float:
     return float(cov[0, 0] + cov[1, 1] - 2 * cov[0, 1])
 
 
-def _both(free: Floats, diameter: float) -> Floats:
-    """(..., 22): NAMES, with mu_k and C twice, once from each ball."""
+def _both(free: Floats, diameter: float, slip: Floats | float = 0.0) -> Floats:
+    """(..., 22): NAMES, with mu_k and C twice, once from each ball; slip (..., 2) of ball 2 before the hit, m/s."""
     radius = diameter / 2
     heading, beta, v0 = free[..., 3], free[..., 4], free[..., 5]
     d = np.stack([np.cos(heading), np.sin(heading)], -1)
@@ -158,7 +159,7 @@ def _both(free: Floats, diameter: float) -> Floats:
     first = free[..., -2:]
     second = first + v0[..., None] * d
     along, across = v0 * np.cos(beta), v0 * np.sin(beta)
-    rolls = _dot(first, n), _dot(second, n)  # R w_t before: a rolling ball's spin along t is its speed along n
+    rolls = _dot(first, n), _dot(second - slip, n)  # R w_t before: a rolling ball's spin along t is its speed along n
     total, start = _dot(first, first) + _dot(second, second), first + second
     with np.errstate(divide="ignore", invalid="ignore"):
         columns = [

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from tracker.detection.link import Tracks
 
 Floats = NDArray[np.float64]
+BEFORE = ("u2ix", "u2iy", "side2i", "v1ix", "v1iy")  # columns of estimates: SPIN and TARGET of a tied motion
 COLUMNS = ("t_s", "particle", "vx", "vy", "energy", "p_along", "p_across")
 
 
@@ -52,8 +53,8 @@ def slip_directions(row: Mapping[str, Any]) -> dict[int, Floats]:
     if row.get("status") not in MEASURED or not np.all(np.isfinite(launch)):
         return {}
     heading, b, v0, r, c = map(float, launch)
-    target = [float(np.nan_to_num(row.get(name, 0.0))) for name in ("v1ix", "v1iy")]
-    tied = np.array([0, 0, 0, heading, np.arcsin(np.clip(b, -1, 1)), v0, 0, 0, r, 0, c, *target])
+    before = [float(np.nan_to_num(row.get(name, 0.0))) for name in BEFORE]
+    tied = np.array([0, 0, 0, heading, np.arcsin(np.clip(b, -1, 1)), v0, 0, 0, r, 0, c, *before])
     free = np.asarray(release(tied), dtype=np.float64)
     out = {}
     for ball, at in AFTER.items():

@@ -17,10 +17,10 @@ from numpy.typing import NDArray
 from tracker.measurement import painter_behringer
 from tracker.measurement.adequacy import LEVEL, MISFIT, NO_TOUCH, agreement, distant, p_free, p_value, questioned
 from tracker.measurement.camera_errors import carry, shared_block, touching
-from tracker.measurement.collision_model import AFTER, FREE, TARGET, TIED, release
+from tracker.measurement.collision_model import AFTER, FREE, SPIN, TARGET, TIED, release
 from tracker.measurement.contacts import Encounter, Meeting, Past, encounter, first_guess, meetings
 from tracker.measurement.derived import NAMES, Values, of_free, of_tied
-from tracker.measurement.energy_momentum import motion_table
+from tracker.measurement.energy_momentum import BEFORE, motion_table
 from tracker.measurement.estimate_row import covariances, unmeasured
 from tracker.measurement.fitting import COARSE, Fit, Pair, fit_motion
 from tracker.measurement.joint_fit import fit_all
@@ -28,6 +28,7 @@ from tracker.measurement.noise_correlation import lasting
 from tracker.measurement.position_noise import Size, scatter
 from tracker.measurement.positions import Course, courses
 from tracker.measurement.rolling_ball import PARAMETERS, carry_alone, roll_alone
+from tracker.measurement.striker import CONVINCING, strikers
 
 if TYPE_CHECKING:
     from tracker.camera.camera import Camera
@@ -57,6 +58,7 @@ CONFIRMED = 1e-3  # p-value from which on whole fits confirm that errors are sma
 POOR_FIT = 1e4  # chi^2 per degree of freedom: 100 sigma off everywhere is no description of the motion
 ENDLESS = (0.9, 0.5)  # restitutions from which a fit of balls that slide on all the while starts
 FAR_CONTACT = 1.5  # diameters within which balls that change course are thought to have hit each other
+WORTH_A_SPIN = 0.6  # of chi^2 per degree of freedom, under which a striker that does not roll describes tracks better
 AS_GOOD = 10.0  # chi^2 by which a motion that is possible may fit worse than one that is not
 
 
@@ -70,6 +72,7 @@ class Reading:
     slides_seen: tuple[bool, bool]
     of_tied: Values
     of_free: Values
+    flags: tuple[str, ...] = ()
 
     @property
     def known(self) -> float:
@@ -96,6 +99,11 @@ class Reading:
         """Whether the data accept tied and free fit; nothing is rejected where the errors' size is not known."""
         free = not self.adequate_free < LEVEL
         return free and not (self.adequate < LEVEL or self.agree < LEVEL), free
+
+    @property
+    def convincing(self) -> bool:
+        """Whether the data accept both fits well, as they must where a freedom was added after a rejection."""
+        return bool(min(self.adequate, self.adequate_free, self.agree) > CONVINCING)
 
 
 def measure(tracks: Tracks, camera: Camera) -> list[dict[str, Any]]:
@@ -206,8 +214,11 @@ def _values(read: Reading, camera: Camera) -> dict[str, Any]:
     for suffix, values in (("", tied), ("_free", free)):
         for i, name in enumerate(NAMES):
             row[f"{name}{suffix}"], row[f"{name}{suffix}_std"] = values.value[i], values.std[i]
-    at = [TIED.index(name) for name in ("heading", "x", "y", *TARGET)]
-    row |= dict(zip(("heading", "x1", "y1", "v1ix", "v1iy"), read.tied.parameters[at].tolist(), strict=True))
+    at = [TIED.index(name) for name in ("heading", "x", "y", *SPIN, *TARGET)]
+    row |= dict(zip(("heading", "x1", "y1", *BEFORE), read.tied.parameters[at].tolist(), strict=True))
+    for column, name in zip(BEFORE, SPIN, strict=False):
+        known = name in read.meeting.pair.spun and read.accepted[0]
+        row[f"{column}_std"] = float(np.sqrt(read.tied.cov[TIED.index(name), TIED.index(name)])) if known else np.nan
     for suffix, fit in (("", read.tied), ("_free", read.free)):
         row |= {f"chi2{suffix}": fit.chi2, f"dof{suffix}": fit.dof, f"dropped{suffix}": fit.dropped}
     return row
@@ -218,7 +229,7 @@ def _judged(read: Reading, flag: str) -> dict[str, Any]:
     stretch = float(np.sqrt(max(1.0, read.tied.chi2 / read.tied.dof)))
     return {
         "status": "ok" if read.accepted[0] else MISFIT, "adequate": read.adequate, "adequate_free": read.adequate_free,
-        "agree": read.agree, "flags": "|".join(filter(None, [flag, questioned(read.of_tied, stretch)])),
+        "agree": read.agree, "flags": "|".join(filter(None, [*read.flags, flag, questioned(read.of_tied, stretch)])),
     }  # fmt: skip
 
 
@@ -229,10 +240,12 @@ def _left(read: Reading, pasts: dict[int, Past]) -> dict[int, Past]:
     both = (np.asarray(release(tied, pair.spin), dtype=np.float64), read.free.parameters)
     late = np.max([free[0] + np.exp(free[ends]) for free in both], axis=0)
     beta, v0, c = (tied[TIED.index(name)] for name in ("beta", "v0", "C"))
-    turn = -c * (v0 * np.sin(beta) + pair.spin)  # R dw = (5/2) n x J/m, the same for both
-    particles = [course.particle for _, course in pair.balls]
+    side = tied[TIED.index("side")]
+    turn = -c * (v0 * np.sin(beta) + pair.spin + side)  # R dw = (5/2) n x J/m, the same for both
+    particles, own = [course.particle for _, course in pair.balls], (0.0, side)
     return {
-        p: Past(float(end), pasts.get(p, Past()).spin + float(turn)) for p, end in zip(particles, late, strict=True)
+        p: Past(float(end), pasts.get(p, Past()).spin + float(turn + spin))
+        for p, end, spin in zip(particles, late, own, strict=True)
     }
 
 
@@ -241,11 +254,30 @@ def interpret(meeting: Encounter) -> Reading | str:
     guess = first_guess(meeting)
     if guess is None:
         return "the approach does not lead to the other ball"
-    read = _fitted(meeting, [guess])
+    read = _read(meeting, [guess])
+    if isinstance(read, Reading) and read.accepted[0]:
+        return read
+    least = np.inf if isinstance(read, str) else WORTH_A_SPIN * read.tied.chi2 / read.tied.dof
+    for other in strikers(meeting, guess if isinstance(read, str) else read.tied.parameters):
+        rough = fit_motion(other.meeting.pair, True, other.starts, COARSE)
+        per = rough.chi2 / max(rough.dof, 1)
+        if per > least:
+            continue
+        found = _read(other.meeting, [rough.parameters])
+        if isinstance(found, Reading):
+            read, least = replace(found, flags=other.flags), WORTH_A_SPIN * per
+            if found.convincing:
+                break
+    return read
+
+
+def _read(meeting: Encounter, starts: list[Floats]) -> Reading | str:
+    """Both fits, by errors as large and as lasting as the tracks show."""
+    read = _fitted(meeting, starts)
     pair = None if isinstance(read, str) else lasting(meeting.pair, read.free)
     if pair is None or isinstance(read, str):
         return read
-    return _fitted(replace(meeting, pair=pair), [guess, read.tied.parameters])
+    return _fitted(replace(meeting, pair=pair), [*starts, read.tied.parameters])
 
 
 def _fitted(meeting: Encounter, starts: list[Floats]) -> Reading | str:
@@ -254,7 +286,7 @@ def _fitted(meeting: Encounter, starts: list[Floats]) -> Reading | str:
     tied = fit_motion(pair, True, starts)
     free, seen = _free(pair, tied)
     if tied.chi2 > free.chi2 + 50:  # the free fit has no impact to get wrong: let it lead
-        again = fit_motion(pair, True, [_tied_from(free, pair.diameter)])
+        again = fit_motion(pair, True, [_tied_from(free, tied, pair.diameter)])
         if again.chi2 < tied.chi2:
             tied = again
             free, seen = _free(pair, tied)
@@ -334,11 +366,12 @@ def _endless(free: Floats, ball: int, left: float) -> Floats:
     return out
 
 
-def _tied_from(free: Fit, diameter: float) -> Floats:
-    """Tied parameters nearest to a free motion: its launch, and the r, mu_k and C it implies."""
+def _tied_from(free: Fit, tied: Fit, diameter: float) -> Floats:
+    """Tied parameters nearest to a free motion: its launch, the r, mu_k and C it implies, the spin of another fit."""
     said = dict(zip(NAMES, of_free(free.parameters, free.cov, diameter).value, strict=True))
     impact = [np.clip(said["r"], 0, 1), np.log(np.clip(said["mu_k"], 1e-3, 10)), np.clip(said["C"], -0.5, 1)]
-    return np.concatenate([free.parameters[:8], impact, free.parameters[-len(TARGET) :]])
+    spin = tied.parameters[TIED.index(SPIN[0]) : -len(TARGET)]
+    return np.concatenate([free.parameters[:8], impact, spin, free.parameters[-len(TARGET) :]])
 
 
 def claims(read: Reading) -> tuple[Values, Values]:
@@ -356,6 +389,8 @@ def claims(read: Reading) -> tuple[Values, Values]:
                 free_nan |= {*NEEDS_START, f"w{ball}n", f"w{ball}t"}
         if not _bent(read.of_free.value, read.of_free.std):
             free_nan |= {"s"}
+        if read.meeting.pair.spun:
+            free_nan |= {"C"}  # how the striker spins before the hit is not in the free fit
     tied, free = _claimed(read.of_tied, LIMITS, set()), _claimed(read.of_free, FREE_LIMITS, free_nan)
     if not read.accepted[0]:
         tied, free = tied.without_errors(NAMES), free.without_errors(BY_LAWS)

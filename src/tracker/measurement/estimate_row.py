@@ -8,7 +8,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tracker.measurement.collision_model import SPIN
 from tracker.measurement.derived import NAMES
+from tracker.measurement.energy_momentum import BEFORE
 
 if TYPE_CHECKING:
     from tracker.camera.camera import Camera
@@ -23,7 +25,8 @@ def unmeasured(camera: Camera, status: str, index: int = 0) -> dict[str, Any]:
         for kind in ("", "_free", "_paper"):
             row[f"{name}{kind}"] = row[f"{name}{kind}_std"] = np.nan
     row |= {"cov": "{}", "particle1": -1, "particle2": -1, "heading": np.nan, "x1": np.nan, "y1": np.nan}
-    row |= {"v1ix": np.nan, "v1iy": np.nan, "noise": "given", "noise_px": np.nan, "noise_ratio": np.nan}
+    row |= dict.fromkeys((*BEFORE, *(f"{name}_std" for name in BEFORE[: len(SPIN)])), np.nan)
+    row |= {"noise": "given", "noise_px": np.nan, "noise_ratio": np.nan}
     row |= {"noise_rho": 0.0, "adequate": np.nan, "adequate_free": np.nan, "agree": np.nan, "flags": ""}
     for suffix in ("", "_free"):
         row |= {f"chi2{suffix}": np.nan, f"dof{suffix}": 0, f"dropped{suffix}": 0}

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import leastsq
 
-from tracker.measurement.collision_model import FREE, TARGET, TIED, path, release, release_slope
+from tracker.measurement.collision_model import FREE, SLIDING, SPIN, TARGET, TIED, path, release, release_slope
 from tracker.measurement.positions import Course
 
 Floats = NDArray[np.float64]
@@ -33,7 +33,8 @@ BROAD: Mapping[str, tuple[float, float]] = {
     "log_mu": (float(np.log(0.2)), 4.0),
     "log_tau1": (float(np.log(0.03)), 4.0),
     "log_tau2": (float(np.log(0.03)), 4.0),
-    **dict.fromkeys(("v1x", "v1y", "f1x", "f1y", "v2x", "v2y", "f2x", "f2y"), (0.0, 10.0)),
+    **dict.fromkeys(("v1x", "v1y", "f1x", "f1y", "v2x", "v2y", "f2x", "f2y", *SPIN), (0.0, 10.0)),
+    **dict.fromkeys(SLIDING, (0.0, 100.0)),
 }
 
 
@@ -41,7 +42,8 @@ BROAD: Mapping[str, tuple[float, float]] = {
 class Pair:
     """Two balls about one contact: their positions, and what is known beforehand.
 
-    diameter m; moving: whether ball 1 (struck) moves before the hit; spin m/s: see `release`.
+    diameter m; moving: whether ball 1 (struck) moves before the hit; spin m/s: see `release`; spun: those of SPIN that
+    are not known of ball 2 (striker), which else rolls.
     """
 
     struck: Course
@@ -49,6 +51,17 @@ class Pair:
     diameter: float
     moving: bool = False
     spin: float = 0.0
+    spun: tuple[str, ...] = ()
+
+    @property
+    def sliding(self) -> bool:
+        """Whether the striker slides up to the contact."""
+        return "ux" in self.spun
+
+    @property
+    def held(self) -> set[str]:
+        """Parameters of TIED and FREE that are zero."""
+        return {*(() if self.moving else TARGET), *(set(SPIN) - set(self.spun)), *(() if self.sliding else SLIDING)}
 
     @property
     def balls(self) -> tuple[tuple[int, Course], tuple[int, Course]]:
@@ -77,13 +90,15 @@ class Fit:
 class Whitened:
     """The two balls' positions, in units of their own error, against a motion: residuals and derivatives.
 
-    x: the parameters that are fitted, all of TIED or FREE but, where ball 1 rests, its velocity.
+    x: the parameters that are fitted, all of TIED or FREE but those that the pair holds at zero.
     """
 
     def __init__(self, pair: Pair, tied: bool) -> None:
         self.pair, self.tied = pair, tied
-        names = TIED if tied else FREE
-        self.names = names if pair.moving else names[: -len(TARGET)]
+        every = TIED if tied else FREE
+        self.names = tuple(name for name in every if name not in pair.held)
+        self.index = np.array([every.index(name) for name in self.names])
+        self.size = len(every)
         centres = np.array([BROAD.get(name, (0.0, np.inf)) for name in self.names])
         self.prior, self.prior_weight = centres[:, 0], 1.0 / centres[:, 1]
         self._last: tuple[bytes, Floats, Floats] | None = None
@@ -108,8 +123,16 @@ class Whitened:
         return self(x)[1]
 
     def whole(self, x: Floats) -> Floats:
-        """All parameters (13,) or (20,) from the fitted ones."""
-        return x if self.pair.moving else np.concatenate([x, np.zeros(len(TARGET))])
+        """All parameters (16,) or (22,) from the fitted ones (p,)."""
+        out = np.zeros(self.size)
+        out[self.index] = x
+        return out
+
+    def whole_cov(self, cov: Floats) -> Floats:
+        """Covariance of all parameters from that of the fitted ones (p, p): zero where one is held."""
+        out = np.zeros((self.size, self.size))
+        out[np.ix_(self.index, self.index)] = cov
+        return out
 
     def _free(self, full: Floats) -> Floats:
         return np.asarray(release(full, self.pair.spin), dtype=np.float64) if self.tied else full
@@ -119,10 +142,11 @@ class Whitened:
         position, slope = self._path(self._free(full))
         slopes = np.moveaxis(slope, -1, 0)
         if self.tied:
-            slopes = (release_slope(full, self.pair.spin).T @ slopes.reshape(len(slopes), -1)).reshape(
-                -1, *position.shape
-            )
-        rows = np.concatenate([(position - self.seen)[None], slopes[: len(x)]])
+            by = release_slope(full, self.pair.spin)[:, self.index]
+            slopes = (by.T @ slopes.reshape(len(slopes), -1)).reshape(-1, *position.shape)
+        else:
+            slopes = slopes[self.index]
+        rows = np.concatenate([(position - self.seen)[None], slopes])
         cut = len(self.pair.struck)
         white = np.concatenate(
             [self.pair.struck.whiten(rows[:, :cut]), self.pair.striker.whiten(rows[:, cut:])], axis=1
@@ -134,7 +158,7 @@ class Whitened:
         return np.clip(residual, -1e9, 1e9), columns.T
 
     def _path(self, free: Floats) -> tuple[Floats, Floats]:
-        """Positions (n, 2) of both balls, ball 1's first, and derivatives (n, 2, 20)."""
+        """Positions (n, 2) of both balls, ball 1's first, and derivatives (n, 2, 22)."""
         pair = self.pair
         return path(free, self.ball, self.start, pair.struck.exposure, pair.diameter)
 
@@ -185,8 +209,8 @@ def fit_motion(pair: Pair, tied: bool, starts: list[Floats], close: float = FINE
     ----------
     pair : Pair
     tied : bool
-        Which motion: TIED, of 13 parameters, or FREE, of 20.
-    starts : list of ndarray of shape (13,) or (20,)
+        Which motion: TIED, of 16 parameters, or FREE, of 22.
+    starts : list of ndarray of shape (16,) or (22,)
     close : float
         Steps and gains, as shares, that end a descent.
     whole : bool
@@ -198,7 +222,7 @@ def fit_motion(pair: Pair, tied: bool, starts: list[Floats], close: float = FINE
     """
     problem = Whitened(pair, tied)
     p = len(problem.names)
-    best, converged = fit(problem, [start[:p] for start in starts], close)
+    best, converged = fit(problem, [start[problem.index] for start in starts], close)
     problem, dropped = (problem, 0) if whole else _without_outliers(problem, best)
     if dropped:
         best, converged = fit(problem, [best])
@@ -206,10 +230,7 @@ def fit_motion(pair: Pair, tied: bool, starts: list[Floats], close: float = FINE
     residual, rows = problem(best)
     n = 2 * len(problem.pair)
     cov, chi2, dof = covariance(rows), float(residual[:n] @ residual[:n]), n - p
-    found = problem.whole(best)
-    full = np.zeros((len(found), len(found)))
-    full[:p, :p] = cov
-    return Fit(found, full, chi2, dof, problem.pair, dropped, converged)
+    return Fit(problem.whole(best), problem.whole_cov(cov), chi2, dof, problem.pair, dropped, converged)
 
 
 def covariance(rows: Floats) -> Floats:

@@ -57,7 +57,7 @@ def lasting(pair: Pair, free: Fit) -> Pair | None:
 def _neighbours(free: Fit) -> float:
     """Correlation of neighbouring residuals of a free fit, in standard errors."""
     problem = Whitened(free.pair, False)
-    left = problem.residual(free.parameters[: len(problem.names)])[: 2 * len(free.pair)].reshape(-1, 2)
+    left = problem.residual(free.parameters[problem.index])[: 2 * len(free.pair)].reshape(-1, 2)
     cut = len(free.pair.struck)
     products = np.concatenate([part[1:] * part[:-1] for part in (left[:cut], left[cut:])])
     return float(products.mean() * np.sqrt(products.size) / max(float((left**2).mean()), 1e-300))

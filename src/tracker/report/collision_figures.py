@@ -14,7 +14,7 @@ from matplotlib.patches import Circle, Rectangle
 from numpy.typing import NDArray
 
 from tracker.measurement.collision_model import path, release
-from tracker.measurement.energy_momentum import motion_table
+from tracker.measurement.energy_momentum import BEFORE, motion_table
 from tracker.measurement.positions import Course
 
 if TYPE_CHECKING:
@@ -40,10 +40,10 @@ class Specimen:
 
     @property
     def tied(self) -> Floats:
-        """Tied parameters (13,) from the row."""
+        """Tied parameters (16,) from the row."""
         r = self.row
         launch = [r["t_c"], r["x1"], r["y1"], r["heading"], np.arcsin(r["b"]), r["v0"], r["drag"], r["decel"]]
-        return np.array([*launch, r["r"], np.log(r["mu_k"]), r["C"], r["v1ix"], r["v1iy"]], dtype=np.float64)
+        return np.array([*launch, r["r"], np.log(r["mu_k"]), r["C"], *(r[k] for k in BEFORE)], dtype=np.float64)
 
     def model(self, ball: int, start: Floats) -> Floats:
         """Positions (n, 2) m of the tied fit, averaged over exposures that begin at start (n,)."""

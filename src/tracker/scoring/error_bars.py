@@ -80,7 +80,7 @@ def true_motion(truth: pd.DataFrame, scalars: Mapping[str, float]) -> Floats | N
     b = float(np.clip(scalars["b"], -HEAVIEST, HEAVIEST))
     heading = np.arctan2(*(v - w)[::-1])
     launch = [t_c, x, y, heading, np.arcsin(b), scalars["v0"], scalars["drag"], scalars["decel"]]
-    tied = np.array([*launch, scalars["r"], np.log(scalars["mu_k"]), scalars["C"], *w], dtype=np.float64)
+    tied = np.array([*launch, scalars["r"], np.log(scalars["mu_k"]), scalars["C"], 0, 0, 0, *w], dtype=np.float64)
     return tied if np.isfinite(tied).all() else None
 
 
@@ -88,7 +88,7 @@ def quantity_bounds(matched: Matched, cov: Floats, tied: Floats, camera: Camera)
     """Q_bound and Q_free_bound of a clip: Fisher bounds of either fit at the true motion, on the positions found.
 
     cov (n, 2, 2) px^2: the localisation bound of each pair, not what the tracker claims; what a resting ball shares
-    of it from frame to frame is counted. tied (13,): the truth.
+    of it from frame to frame is counted. tied (16,): the truth.
     """
     if len(cov) == 0 or not np.isfinite(cov).all():
         return {}
@@ -100,9 +100,7 @@ def quantity_bounds(matched: Matched, cov: Floats, tied: Floats, camera: Camera)
     out: dict[str, float] = {}
     for kind, at, reading in (("", tied, of_tied), ("_free", free, of_free)):
         problem = Whitened(Pair(balls[0], balls[1], camera.ball_diameter, moving), kind == "")
-        p = len(problem.names)
-        whole = np.zeros((len(at), len(at)))
-        whole[:p, :p] = covariance(problem.slope(at[:p]))
+        whole = problem.whole_cov(covariance(problem.slope(at[problem.index])))
         values = reading(at, whole, camera.ball_diameter)
         out |= {f"{n}{kind}_bound": float(s) for n, s in zip(NAMES, values.std, strict=True)}
     return out

@@ -20,6 +20,7 @@ from tracker.measurement.collision_model import (
 R = 1.19e-3
 TYPICAL = {"t_c": 0.0913, "x": 2e-3, "y": -1e-3, "heading": 0.7, "beta": 0.2, "v0": 0.3, "drag": 0.135}
 TYPICAL |= {"decel": 0.0103, "r": 0.903, "log_mu": np.log(0.232), "C": 0.347, "wx": 0.0, "wy": 0.0}
+TYPICAL |= {"ux": 0.0, "uy": 0.0, "side": 0.0}
 
 
 def tied(**changes):
@@ -42,14 +43,15 @@ def test_head_on_finals_and_slide_times_are_the_papers(v0, r, mu, c):
 
 def spring_collision(theta, when):
     """Both balls' centres by integrating forces: a stiff contact impulse as initial data, then friction."""
-    t_c, x, y, heading, beta, v0, drag, decel, r, log_mu, c, *target = theta
+    t_c, x, y, heading, beta, v0, drag, decel, r, log_mu, c, ux, uy, side, *target = theta
     z = np.array([0.0, 0.0, 1.0])
     d = np.array([np.cos(heading), np.sin(heading), 0])
     n = np.array([np.cos(heading - beta), np.sin(heading - beta), 0])
     v1 = np.array([*target, 0.0])
     v2 = v1 + v0 * d
     early = {1: v1, 2: v2}
-    w1, w2 = (np.cross(z, v) / R for v in (v1, v2))
+    w1, w2 = np.cross(z, v1) / R, np.cross(z, v2 - [ux, uy, 0]) / R + side / R * z
+    spun = {1: w1, 2: w2}
     slip = v2 - v1 + np.cross(w2 + w1, n) * R
     slip -= slip @ n * n
     impulse = (1 + r) / 2 * ((v2 - v1) @ n) * n + 0.4 * c * slip  # on ball 1, per unit mass
@@ -82,11 +84,11 @@ def spring_collision(theta, when):
         slide = solve_ivp(force, (t_c, 9), np.concatenate(start), events=slip_gone, args=(False,), **options)
         end = slide.t[-1]
         roll = solve_ivp(force, (end, when.max() + 1), slide.y[:, -1], args=(True,), max_step=0.01, **options)
-        spin = np.cross(z, early[ball]) / R
+        slides = ball == 2 and bool(ux or uy)
         back = solve_ivp(
-            lambda t, s: force(t, s, True),
+            lambda t, s: force(t, s, not slides),  # noqa: B023
             (t_c, -0.1),
-            np.concatenate([start[0], early[ball], spin]),
+            np.concatenate([start[0], early[ball], spun[ball]]),
             **options,
         )
         legs = [back.sol(t) if t < t_c else (slide.sol if t < end else roll.sol)(t) for t in when]
@@ -95,10 +97,20 @@ def spring_collision(theta, when):
 
 
 MOVING = {"wx": 0.11, "wy": -0.06}
+SLIDING = {"ux": 0.13, "uy": -0.08, "side": 0.09}  # a draw shot, askew, with side
 
 
 @pytest.mark.parametrize(
-    "changes", [{}, {"beta": -0.9, "C": 0.12, "r": 0.78, "heading": 4.0}, {"beta": 1e-9}, MOVING | {"beta": 0.6}]
+    "changes",
+    [
+        {},
+        {"beta": -0.9, "C": 0.12, "r": 0.78, "heading": 4.0},
+        {"beta": 1e-9},
+        MOVING | {"beta": 0.6},
+        {"side": -0.2, "beta": 0.4},
+        SLIDING,
+        SLIDING | MOVING | {"beta": -0.7},
+    ],
 )
 def test_path_agrees_with_integrated_forces(changes):
     theta = tied(**changes)
@@ -127,22 +139,28 @@ def test_exposure_mean_is_the_integral_of_the_instants():
                 assert mean[k, axis] == pytest.approx(area / 5e-4, abs=1e-9)
 
 
+@pytest.mark.parametrize("spin", [{}, SLIDING])
 @pytest.mark.parametrize("decel", [0.0103, 0.4])  # at .4 the balls come to rest within view
-def test_derivatives_are_those_of_the_path(decel):
-    free = release(tied(decel=decel, **MOVING))
+def test_derivatives_are_those_of_the_path(decel, spin):
+    free = release(tied(decel=decel, **MOVING, **spin))
     start = np.arange(0, 0.8, 0.0041)
     for ball in (1, 2):
         _, slope = path(free, ball, start, 5e-4, 2 * R)
         for j in range(len(FREE)):
+            if not spin and FREE[j] in ("ax", "ay"):
+                continue  # without any pull the striker rolls
             h = 1e-5 * max(abs(free[j]), 0.1)
             step = h * np.eye(len(FREE))[j]
             high, low = (path(free + s * step, ball, start, 5e-4, 2 * R)[0] for s in (1, -1))
             np.testing.assert_allclose(slope[:, :, j], (high - low) / (2 * h), rtol=1e-6, atol=1e-7, err_msg=FREE[j])
 
 
-def test_tied_derivative_is_that_of_the_release():
-    theta = tied(**MOVING)
+@pytest.mark.parametrize("spin", [{}, SLIDING])
+def test_tied_derivative_is_that_of_the_release(spin):
+    theta = tied(**MOVING, **spin)
     for j, column in enumerate(release_slope(theta).T):
+        if not spin and TIED[j] in ("ux", "uy"):
+            continue  # friction has no direction where nothing slips
         step = 1e-6 * np.eye(len(TIED))[j]
         np.testing.assert_allclose(column, (release(theta + step) - release(theta - step)) / 2e-6, atol=1e-8)
 

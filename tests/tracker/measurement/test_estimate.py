@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from tracker_noisy import BENCHMARK, NOISE, dataset, measured, noisy, scalars_of, truth_of, without
 
-from tracker.measurement.collision_model import FREE, TIED, path, release
+from tracker.measurement.collision_model import FREE, path, release
 from tracker.measurement.derived import NAMES
 from tracker.measurement.estimate import fit_all, measure, motion_table
 from tracker.measurement.positions import Course, courses
@@ -210,7 +210,7 @@ def test_wrong_physics_shows_as_a_bad_fit(plain):
     (row,) = measure(noisy(truth, np.random.default_rng(0)), camera)
     launch = [row[k] for k in ("t_c", "x1", "y1", "heading")]
     tied = np.array(
-        [*launch, np.arcsin(row["b"]), row["v0"], 0.135, 0.0103, row["r"], np.log(row["mu_k"]), row["C"], 0, 0]
+        [*launch, np.arcsin(row["b"]), row["v0"], 0.135, 0.0103, row["r"], np.log(row["mu_k"]), row["C"], 0, 0, 0, 0, 0]
     )
     free = release(tied)
     free[FREE.index("log_tau2")] += 0.1
@@ -293,4 +293,3 @@ def test_courses_carry_the_pixels_errors_into_metres(plain):
     np.testing.assert_allclose(np.sqrt(balls[0].cov[:, 0, 0]), NOISE * camera.scale, rtol=1e-3)
     true = truth[truth["particle"] == 0][["x", "y"]].to_numpy()
     assert np.abs(balls[0].position - true).max() < 6 * NOISE * camera.scale
-    assert len(TIED) == 13

@@ -1,0 +1,96 @@
+"""Strikers that do not roll up to the hit: they slide, spin about the vertical, or roll only from some time on.
+
+Only where the tracks reject two rolling balls, and the simplest first: what was rolling stays as it is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from itertools import product
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tracker.measurement.collision_model import GRAVITY, SPIN, TIED
+from tracker.measurement.fitting import Pair
+
+if TYPE_CHECKING:
+    from tracker.measurement.contacts import Encounter
+
+Floats = NDArray[np.float64]
+CONVINCING = 1e-3  # p-value that a further freedom must reach: it is asked for after a fit was rejected
+KEPT = (0.6, 0.35)  # of the positions before the contact, the last ones
+FEWEST = 5  # positions before the contact
+SLIPS, TRANSFERS = (0.15, 0.5), (0.05, 0.3)  # slip over speed at contact, and C, from which a fit starts
+SLIDES, SPINS, LATE = "striker slides", "striker spins", "rolls late"
+
+
+@dataclass(frozen=True)
+class Striker:
+    """A way in which ball 2 may come: flags that say so, what is fitted then, and starts (16,)."""
+
+    flags: tuple[str, ...]
+    meeting: Encounter
+    starts: list[Floats]
+
+
+def strikers(meeting: Encounter, rolling: Floats) -> Iterator[Striker]:
+    """Ways in which ball 2 may come other than rolling all the while, the simplest first.
+
+    Parameters
+    ----------
+    meeting : Encounter
+    rolling : ndarray of shape (16,)
+        The tied parameters by which both balls roll.
+
+    Yields
+    ------
+    Striker
+    """
+    late = list(_late(meeting))
+    yield from (Striker((LATE,), one, [rolling]) for one in late)
+    spun = _spun(meeting, ("side",))
+    yield Striker((SPINS,), spun, [rolling])
+    yield from (Striker((LATE, SPINS), _spun(one, ("side",)), [rolling]) for one in late)
+    for one, flags in ((meeting, (SLIDES,)), *((one, (LATE, SLIDES)) for one in late)):
+        starts = _slides(one.pair, rolling)
+        if starts:
+            yield Striker(flags, _spun(one, SPIN), starts)
+
+
+def _spun(meeting: Encounter, names: tuple[str, ...]) -> Encounter:
+    return replace(meeting, pair=replace(meeting.pair, spun=names))
+
+
+def _late(meeting: Encounter) -> Iterator[Encounter]:
+    """The same without the first positions of the striker."""
+    course = meeting.pair.striker
+    before = np.flatnonzero(course.frame < meeting.frame)
+    for share in KEPT:
+        kept = round(share * len(before))
+        if FEWEST <= kept < len(before):
+            rows = course.frame >= course.frame[before[-kept]]
+            yield replace(meeting, pair=replace(meeting.pair, striker=course.where(rows)))
+
+
+def _slides(pair: Pair, rolling: Floats) -> list[Floats]:
+    """Starts (16,) by which the striker slides: its slip lies along its deceleration before the contact."""
+    course = pair.striker
+    before = course.where(course.start + course.exposure < rolling[0])
+    if len(before) < FEWEST:
+        return []
+    t = before.time - rolling[0]
+    pull = 2 * np.polynomial.polynomial.polyfit(t, before.position, 2)[2]
+    size = float(np.hypot(*pull))
+    if not size > 0:
+        return []
+    at, starts = {name: TIED.index(name) for name in TIED}, []
+    for slip, transfer in product(SLIPS, TRANSFERS):
+        start = rolling.copy()
+        start[at["ux"] : at["uy"] + 1] = -pull / size * slip * rolling[at["v0"]]
+        start[at["log_mu"]], start[at["C"]] = np.log(np.clip(size / GRAVITY, 1e-3, 1.0)), transfer
+        start[at["r"]] = np.clip(start[at["r"]], 0.5, 1.0)
+        starts.append(start)
+    return starts
