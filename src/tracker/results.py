@@ -130,6 +130,7 @@ def load_json(path: Path) -> Any:
 
 def tracks_table(tracks: Tracks) -> pa.Table:
     """The columns of tracks.parquet."""
+    times = {"t_s": tracks.time} if np.isfinite(tracks.time).any() else {}
     return pa.table(
         {
             "frame": tracks.frame,
@@ -146,6 +147,7 @@ def tracks_table(tracks: Tracks) -> pa.Table:
             "x_fixed_std": np.sqrt(tracks.fixed[:, 0, 0]),
             "y_fixed_std": np.sqrt(tracks.fixed[:, 1, 1]),
             "cov_xy_fixed": np.ascontiguousarray(tracks.fixed[:, 0, 1]),
+            **times,
         }
     )
 
@@ -278,7 +280,20 @@ def _to_tracks(table: pd.DataFrame, where: str) -> Tracks:
         glint_x=column("glint_x", math.nan),
         glint_y=column("glint_y", math.nan),
         fixed=covariance("x_fixed_std", "y_fixed_std", "cov_xy_fixed", 0.0),
+        time=_times(column("t_s", math.nan), frame[kept], particle[kept], where),
     )
+
+
+def _times(time: Any, frame: Any, particle: Any, where: str) -> Any:
+    """Times that a table gives; InputError where they do not grow with the frames of a particle."""
+    ball = np.diff(particle) == 0
+    back = ball & ~(np.diff(time) > 0)
+    if np.isfinite(time).any() and (back.any() or not np.isfinite(time).all()):
+        row = int(np.flatnonzero(back)[0]) + 1 if back.any() else int(np.flatnonzero(~np.isfinite(time))[0])
+        raise InputError(
+            f"{where}: t_s: {time[row]:g} in frame {frame[row]} of particle {particle[row]}, expected times that grow"
+        )
+    return time
 
 
 def _real(values: Any, name: str, where: str) -> Any:

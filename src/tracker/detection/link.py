@@ -36,7 +36,8 @@ class Tracks:
 
     ``x``, ``y`` px: ball centre, mean over the exposure, or the glint where ``flags`` says 'glint'; ``cov``
     (n, 2, 2) px^2, and ``fixed`` the part of it that a ball at rest has in every frame alike; ``flux`` counts;
-    ``flags`` words joined by '|'; ``glint_x``, ``glint_y`` px.
+    ``flags`` words joined by '|'; ``glint_x``, ``glint_y`` px; ``time`` s, of the exposures' start, NaN where the frame
+    rate gives it.
     """
 
     frame: Ints
@@ -49,10 +50,13 @@ class Tracks:
     glint_x: Array
     glint_y: Array
     fixed: Array = field(default_factory=lambda: np.empty(0))
+    time: Array = field(default_factory=lambda: np.empty(0))
 
     def __post_init__(self) -> None:
         if len(self.fixed) == 0:
             object.__setattr__(self, "fixed", np.zeros_like(self.cov))
+        if len(self.time) == 0:
+            object.__setattr__(self, "time", np.full(len(self.frame), np.nan))
 
     def __len__(self) -> int:
         return len(self.frame)

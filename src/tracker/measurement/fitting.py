@@ -111,7 +111,8 @@ class Whitened:
         """Residuals (2n + p,) and derivatives (2n + p, p), priors last; kept for the last x."""
         key = x.tobytes()
         if self._last is None or self._last[0] != key:
-            self._last = (key, *self._evaluate(x))
+            with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # a long step may overflow
+                self._last = (key, *self._evaluate(x))
         return self._last[1], self._last[2]
 
     def residual(self, x: Floats) -> Floats:
@@ -159,8 +160,8 @@ class Whitened:
 
     def _path(self, free: Floats) -> tuple[Floats, Floats]:
         """Positions (n, 2) of both balls, ball 1's first, and derivatives (n, 2, 22)."""
-        pair = self.pair
-        return path(free, self.ball, self.start, pair.struck.exposure, pair.diameter)
+        with np.errstate(over="ignore", invalid="ignore"):  # a slide without end
+            return path(free, self.ball, self.start, self.pair.struck.exposure, self.pair.diameter)
 
     def distances(self, x: Floats) -> Floats:
         """Squared Mahalanobis distance (n,) of each position by itself, ball 1's first."""
@@ -194,11 +195,10 @@ def fit(problem: Problem, starts: Sequence[Floats], close: float = FINE) -> tupl
 
 def _descend(problem: Problem, start: Floats, close: float) -> tuple[Floats, float, bool]:
     """Parameters, half their chi^2, whether a step or a gain under `close`, as a share, ended it."""
-    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # a long step may overflow
-        x, _, found, _, ended = leastsq(  # type: ignore[call-overload]
-            problem.residual, start, Dfun=lambda x: problem.slope(x).T, col_deriv=True, full_output=True, xtol=close,
-            ftol=close, gtol=FINE, maxfev=100,
-        )  # fmt: skip
+    x, _, found, _, ended = leastsq(  # type: ignore[call-overload]
+        problem.residual, start, Dfun=lambda x: problem.slope(x).T, col_deriv=True, full_output=True, xtol=close,
+        ftol=close, gtol=FINE, maxfev=100,
+    )  # fmt: skip
     return np.asarray(x, dtype=np.float64), float(found["fvec"] @ found["fvec"]) / 2, ended in (1, 2, 3, 4)
 
 

@@ -122,7 +122,9 @@ def courses(tracks: Tracks, camera: Camera) -> list[Course]:
     if not weighed:
         pixel, fixed = np.broadcast_to(np.eye(2) * UNKNOWN_PX**2, pixel.shape), np.zeros_like(pixel)
     cov, shared = (slope @ c @ np.swapaxes(slope, 1, 2) for c in (pixel, np.nan_to_num(fixed)))
-    start, width = frame / camera.fps + camera.line_time * xy[:, 1], (camera.sigma or GLINT_PX) * camera.scale
+    time = np.asarray(tracks.time, dtype=np.float64)[keep]
+    taken = np.where(np.isfinite(time), time, frame / camera.fps)
+    start, width = taken + camera.line_time * xy[:, 1], (camera.sigma or GLINT_PX) * camera.scale
     found = []
     for ball in np.unique(particle):
         rows = np.flatnonzero(particle == ball)

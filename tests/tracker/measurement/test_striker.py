@@ -1,0 +1,77 @@
+"""Strikers that do not roll up to the hit: filmed by an integration of the forces, found as what they are."""
+
+import numpy as np
+import pandas as pd
+import pytest
+from tracker_forces import R, spring_collision, tied
+
+from tracker import measure
+from tracker.measurement.adequacy import MISFIT
+
+CAMERA = {"fps": 250.0, "scale": 1.6e-4, "size": [800, 800], "ball_diameter": 2 * R, "exposure": 0.0}
+NOISE = 0.01  # px
+WHEN = np.arange(90) / 250
+
+
+def tracks(seed, **changes):
+    """Tracks of a struck and a striking ball, px with errors."""
+    truth, rng = spring_collision(tied(**changes), WHEN), np.random.default_rng(seed)
+    parts = []
+    for ball in (1, 2):
+        x, y = truth[ball].T / CAMERA["scale"] * [[1], [-1]] + 400 + rng.normal(0, NOISE, (2, len(WHEN)))
+        errors = {"x_std": NOISE, "y_std": NOISE}
+        parts.append(pd.DataFrame({"frame": np.arange(len(WHEN)), "particle": ball, "x": x, "y": y, **errors}))
+    return pd.concat(parts)
+
+
+def z(row, name, true):
+    return (row[name] - true) / row[f"{name}_std"]
+
+
+DRAW = {"ux": 0.13 * np.cos(0.7), "uy": 0.13 * np.sin(0.7), "side": 0.0, "beta": 0.4, "C": 0.1}
+
+
+@pytest.mark.parametrize(
+    "spin", [DRAW, DRAW | {"side": 0.08}, {"ux": -0.1, "uy": 0.05, "side": 0.05, "beta": -0.5, "C": 0.2}]
+)
+def test_a_striker_that_slides_is_fitted_as_sliding(spin):
+    rows = [measure(tracks(seed, **spin), CAMERA).rows[0] for seed in range(4)]
+    for row in rows:
+        assert row["status"] == "ok"
+        assert "striker slides" in row["flags"].split("|")
+    true = {"r": 0.903, "mu_k": 0.232, "v0": 0.3, "u2ix": spin["ux"], "u2iy": spin["uy"], "side2i": spin["side"]}
+    worst = [z(row, name, value) for row in rows for name, value in true.items()]
+    assert np.abs(worst).max() < 4
+    assert 0.5 < np.sqrt(np.mean(np.square(worst))) < 1.6
+
+
+def test_side_spin_alone_is_found():
+    row = measure(tracks(1, side=0.1, beta=0.5), CAMERA).rows[0]
+    assert (row["status"], row["flags"]) == ("ok", "striker spins")
+    assert abs(z(row, "side2i", 0.1)) < 4
+    assert abs(z(row, "r", 0.903)) < 4
+
+
+def test_a_striker_that_rolls_is_fitted_as_before():
+    row = measure(tracks(2), CAMERA).rows[0]
+    assert (row["status"], row["flags"]) == ("ok", "")
+    assert row["u2ix"] == row["u2iy"] == row["side2i"] == 0
+    assert np.isnan(row["side2i_std"])
+
+
+def test_one_that_rolls_late_is_fitted_from_then_on():
+    table = tracks(3)
+    early = (table["particle"] == 2) & (table["frame"] < 8)
+    table.loc[early, "x"] -= 0.05 * (8 - table["frame"][early]) ** 2  # it slides at first
+    row = measure(table, CAMERA).rows[0]
+    assert (row["status"], row["flags"]) == ("ok", "rolls late")
+    assert abs(z(row, "r", 0.903)) < 4
+
+
+def test_what_no_spin_explains_stays_a_misfit():
+    table = tracks(4)
+    late = (table["particle"] == 1) & (table["frame"] > 50)
+    table.loc[late, "y"] += 0.002 * (table["frame"][late] - 50) ** 2  # a slope on one side
+    row = measure(table, CAMERA).rows[0]
+    assert row["status"] == MISFIT
+    assert np.isnan(row["r_std"])
