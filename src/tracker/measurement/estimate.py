@@ -28,7 +28,7 @@ from tracker.measurement.noise_correlation import lasting
 from tracker.measurement.position_noise import Size, scatter
 from tracker.measurement.positions import Course, courses
 from tracker.measurement.rolling_ball import PARAMETERS, carry_alone, roll_alone
-from tracker.measurement.striker import CONVINCING, strikers
+from tracker.measurement.striker import CONVINCING, believable, strikers
 
 if TYPE_CHECKING:
     from tracker.camera.camera import Camera
@@ -58,7 +58,7 @@ CONFIRMED = 1e-3  # p-value from which on whole fits confirm that errors are sma
 POOR_FIT = 1e4  # chi^2 per degree of freedom: 100 sigma off everywhere is no description of the motion
 ENDLESS = (0.9, 0.5)  # restitutions from which a fit of balls that slide on all the while starts
 FAR_CONTACT = 1.5  # diameters within which balls that change course are thought to have hit each other
-WORTH_A_SPIN = 0.6  # of chi^2 per degree of freedom, under which a striker that does not roll describes tracks better
+WORTH_A_SPIN = 0.25  # of chi^2 per degree of freedom, under which a striker that does not roll describes tracks better
 AS_GOOD = 10.0  # chi^2 by which a motion that is possible may fit worse than one that is not
 
 
@@ -99,6 +99,11 @@ class Reading:
         """Whether the data accept tied and free fit; nothing is rejected where the errors' size is not known."""
         free = not self.adequate_free < LEVEL
         return free and not (self.adequate < LEVEL or self.agree < LEVEL), free
+
+    @property
+    def possible(self) -> bool:
+        """Whether two balls can do what the tied fit says."""
+        return not questioned(self.of_tied, float(np.sqrt(max(1.0, self.tied.chi2 / self.tied.dof))))
 
     @property
     def convincing(self) -> bool:
@@ -261,13 +266,15 @@ def interpret(meeting: Encounter) -> Reading | str:
     for other in strikers(meeting, guess if isinstance(read, str) else read.tied.parameters):
         rough = fit_motion(other.meeting.pair, True, other.starts, COARSE)
         per = rough.chi2 / max(rough.dof, 1)
-        if per > least:
+        if per > least and p_value(rough.chi2, rough.dof, other.meeting.pair.striker.known) < LEVEL:
             continue
         found = _read(other.meeting, [rough.parameters])
-        if isinstance(found, Reading):
+        if isinstance(found, str) or not (found.possible and believable(found.tied, found.free)):
+            continue
+        if found.convincing:
+            return replace(found, flags=other.flags)
+        if per < least:
             read, least = replace(found, flags=other.flags), WORTH_A_SPIN * per
-            if found.convincing:
-                break
     return read
 
 

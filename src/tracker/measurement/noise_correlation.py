@@ -21,7 +21,9 @@ from tracker.measurement.whitening import fresh
 Floats = NDArray[np.float64]
 ORDER = 3  # of the polynomial
 FEWEST = 12  # positions in a stretch that is used
-TRIED = np.tanh(np.linspace(0, 2.125, 18))  # correlations that are tried, from 0 to .972: 4 times the scatter
+# Correlations that are tried, from 0 to .972. There the noise is 4 times its scatter from frame to frame; what lasts
+# longer is motion that the model lacks, and no error of positions.
+TRIED = np.tanh(np.linspace(0, 2.125, 18))
 NOTICEABLE = 3.0  # standard errors of the correlation of neighbouring residuals, from which on it is fitted
 CLEAR = 10.0  # gain in the logarithm of the likelihood: beyond four standard errors
 
@@ -47,8 +49,8 @@ def lasting(pair: Pair, free: Fit) -> Pair | None:
         return None
     gains, sizes = zip(*(_likelihood(parts, float(rho)) for rho in TRIED), strict=True)
     best = int(np.argmax(gains))
-    if gains[best] - gains[0] < CLEAR or best == len(TRIED) - 1:
-        return None  # what lasts longer still is motion that the model lacks, and no error of positions
+    if gains[best] - gains[0] < CLEAR:
+        return None
     size, rho = sizes[best], float(TRIED[best])
     struck, striker = (replace(course.resized(size), rho=rho) for _, course in pair.balls)
     return replace(pair, struck=struck, striker=striker)

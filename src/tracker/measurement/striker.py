@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from tracker.measurement.collision_model import GRAVITY, SPIN, TIED
-from tracker.measurement.fitting import Pair
+from tracker.measurement.collision_model import FREE, GRAVITY, SLIDING, SPIN, TIED
+from tracker.measurement.fitting import Fit, Pair
 
 if TYPE_CHECKING:
     from tracker.measurement.contacts import Encounter
@@ -24,6 +24,8 @@ CONVINCING = 1e-3  # p-value that a further freedom must reach: it is asked for 
 KEPT = (0.6, 0.35)  # of the positions before the contact, the last ones
 FEWEST = 5  # positions before the contact
 SLIPS, TRANSFERS = (0.15, 0.5), (0.05, 0.3)  # slip over speed at contact, and C, from which a fit starts
+SEEN = 5.0  # standard errors by which the approach must be seen to slow down
+MOST_SPIN = 1.25  # R w over v of a ball struck half a radius off its centre, where a cue slips off: 5/2 times 1/2
 SLIDES, SPINS, LATE = "striker slides", "striker spins", "rolls late"
 
 
@@ -58,6 +60,18 @@ def strikers(meeting: Encounter, rolling: Floats) -> Iterator[Striker]:
         starts = _slides(one.pair, rolling)
         if starts:
             yield Striker(flags, _spun(one, SPIN), starts)
+
+
+def believable(tied: Fit, free: Fit) -> bool:
+    """Whether a ball can be spun so, and where it slides up to the contact is seen to slow down."""
+    v0, ux, uy, side = (tied.parameters[TIED.index(name)] for name in ("v0", *SPIN))
+    if abs(side) > MOST_SPIN * v0 or np.hypot(ux, uy) > (1 + MOST_SPIN) * v0:
+        return False
+    if not tied.pair.sliding:
+        return True
+    at = [FREE.index(name) for name in SLIDING]
+    pull = free.parameters[at]
+    return bool(pull @ np.linalg.pinv(free.cov[np.ix_(at, at)]) @ pull > SEEN**2)
 
 
 def _spun(meeting: Encounter, names: tuple[str, ...]) -> Encounter:

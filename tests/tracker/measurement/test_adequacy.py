@@ -136,6 +136,7 @@ def test_noise_that_lasts_is_counted(own, monkeypatch):
     assert kstest(table["adequate"], "uniform").pvalue > 1e-3
     assert dishonest(table) == []
     monkeypatch.setattr(estimate, "lasting", lambda pair, free: None)
+    monkeypatch.setattr(estimate, "strikers", lambda meeting, rolling: iter(()))
     assert len(dishonest(claiming(own, NOISE, NOISE, rho=0.9))) == len(SHOWN)
 
 
