@@ -14,7 +14,7 @@ from discrepancy.data.collisions import collision
 from tracker.camera.camera import Camera
 from tracker.cli import app
 from tracker.detection.link import Tracks
-from tracker.measurement import estimate, noise_correlation
+from tracker.measurement import collision_fit, estimate, noise_correlation
 from tracker.measurement.adequacy import LEVEL, p_value, warnings
 from tracker.measurement.derived import NAMES
 from tracker.measurement.estimate import fit_all, measure
@@ -135,8 +135,8 @@ def test_noise_that_lasts_is_counted(own, monkeypatch):
     assert table["noise_rho"].median() == pytest.approx(0.9, abs=0.05)
     assert kstest(table["adequate"], "uniform").pvalue > 1e-3
     assert dishonest(table) == []
-    monkeypatch.setattr(estimate, "lasting", lambda pair, free: None)
-    monkeypatch.setattr(estimate, "strikers", lambda meeting, rolling: iter(()))
+    monkeypatch.setattr(collision_fit, "lasting", lambda pair, free: None)
+    monkeypatch.setattr(collision_fit, "strikers", lambda meeting, rolling: iter(()))
     assert len(dishonest(claiming(own, NOISE, NOISE, rho=0.9))) == len(SHOWN)
 
 
