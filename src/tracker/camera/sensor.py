@@ -9,6 +9,8 @@ import numpy as np
 
 from tracker.camera.lens import Array
 
+COPIED = 0.5  # of an encoder's variance: what rests it copies, but what creeps it holds back and then moves on
+
 
 @dataclass(frozen=True)
 class Sensor:
@@ -40,7 +42,7 @@ class Sensor:
     def fixed_variance(self, mean: Array) -> Array:
         """The part of ``variance`` that is the same in every frame of a ball at rest: of pixels and of encoders."""
         signal = np.maximum(mean - self.black_level, 0.0)
-        return (self.dsnu / self.gain) ** 2 + (self.prnu * signal) ** 2 + self.codec_noise**2
+        return (self.dsnu / self.gain) ** 2 + (self.prnu * signal) ** 2 + COPIED * self.codec_noise**2
 
     def variance_slope(self, mean: Array) -> Array:
         """d variance / d mean, counts."""

@@ -25,6 +25,9 @@ FEWEST = 12  # positions in a stretch that is used
 # longer is motion that the model lacks, and no error of positions.
 TRIED = np.tanh(np.linspace(0, 2.125, 18))
 NOTICEABLE = 3.0  # standard errors of the correlation of neighbouring residuals, from which on it is fitted
+LARGEST = (
+    9.0  # of an encoder's errors' variance, over that which pixels and scatter show: beyond, the motion is another
+)
 CLEAR = 10.0  # gain in the logarithm of the likelihood: beyond four standard errors
 
 
@@ -42,6 +45,8 @@ def lasting(pair: Pair, free: Fit) -> Pair | None:
     Pair or None
         None where the errors are not clearly correlated, or no ball rolls for long enough to tell.
     """
+    if pair.striker.encoded:
+        return _encoded(pair, free)
     if _neighbours(free) < NOTICEABLE:
         return None
     parts = [_prepared(stretch) for stretch in _stretches(pair, free)]
@@ -53,6 +58,19 @@ def lasting(pair: Pair, free: Fit) -> Pair | None:
         return None
     size, rho = sizes[best], float(TRIED[best])
     struck, striker = (replace(course.resized(size), rho=rho) for _, course in pair.balls)
+    return replace(pair, struck=struck, striker=striker)
+
+
+def _encoded(pair: Pair, free: Fit) -> Pair | None:
+    """The pair with errors as large as a free fit leaves, if that is more, and not too much for an encoder's.
+
+    An encoder's errors are uneven: neither single pixels nor a few frames show their size. They last where a ball
+    creeps, which `fixed` stands for.
+    """
+    size = Size(free.chi2 / max(free.dof, 1), float(max(free.dof, 1)))
+    if not NOTICEABLE < size.sigmas or size.ratio > LARGEST:
+        return None
+    struck, striker = (course.resized(size) for _, course in pair.balls)
     return replace(pair, struck=struck, striker=striker)
 
 

@@ -64,6 +64,7 @@ class Course:
     known: float = np.inf
     stretch: float = 1.0
     rho: float = 0.0
+    encoded: bool = False
 
     def __post_init__(self) -> None:
         if len(self.fixed) == 0:
@@ -132,7 +133,7 @@ def courses(tracks: Tracks, camera: Camera) -> list[Course]:
         found.append(
             Course(
                 int(ball), frame[rows], start[rows], position[rows], cov[rows], camera.exposure, shared[rows], width,
-                weighed, np.inf if weighed else 0.0,
+                weighed, np.inf if weighed else 0.0, encoded=camera.sensor.codec_noise > 0,
             )
         )  # fmt: skip
     size = None if weighed else scatter(found)

@@ -99,3 +99,24 @@ def test_a_row_says_where_its_errors_come_from(clips):
         assert found["r"] == pytest.approx(given["r"], abs=given["r_std"])
         z.append(found["chi2_free"] / found["dof_free"])
     assert np.mean(z) == pytest.approx(1, abs=0.15)
+
+
+def test_of_an_encoded_film_errors_are_as_large_as_a_free_fit_leaves(clips):
+    """A wobble too slow for windows of seven frames, as large as the noise, is an encoder's doing."""
+    seen = []
+    for i, (truth, camera) in enumerate(clips):
+        tracks = noisy(truth, np.random.default_rng(i), 0.05)
+        wobble = 0.055 * np.sin(tracks.frame / 4.0 + tracks.particle)
+        wobbly = replace(tracks, x=tracks.x + wobble, y=tracks.y + wobble)
+        (plain,) = measure(wobbly, camera)
+        (coded,) = measure(wobbly, replace(camera, sensor=replace(camera.sensor, codec_noise=3.0)))
+        if plain["adequate_free"] < 1e-6 and plain["noise"] == "given":
+            assert (coded["status"], coded["noise"]) == ("ok", "scatter")
+            assert coded["noise_ratio"] == pytest.approx(np.sqrt(plain["chi2_free"] / plain["dof_free"]), rel=1e-6)
+        seen.append((plain["status"], coded["status"]))
+    assert seen.count(("misfit", "ok")) >= 3
+    tracks = noisy(clips[0][0], np.random.default_rng(0), 0.05)
+    torn = replace(tracks, x=tracks.x + 0.5 * np.sin(tracks.frame / 4.0))
+    camera = clips[0][1]
+    (row,) = measure(torn, replace(camera, sensor=replace(camera.sensor, codec_noise=3.0)))
+    assert row["status"] != "ok"  # no encoder does that
