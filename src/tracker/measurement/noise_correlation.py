@@ -68,7 +68,7 @@ def _encoded(pair: Pair, free: Fit) -> Pair | None:
     creeps, which `fixed` stands for.
     """
     size = Size(free.chi2 / max(free.dof, 1), float(max(free.dof, 1)))
-    if not NOTICEABLE < size.sigmas or size.ratio > LARGEST:
+    if not size.sigmas > NOTICEABLE or size.ratio > LARGEST:
         return None
     struck, striker = (course.resized(size) for _, course in pair.balls)
     return replace(pair, struck=struck, striker=striker)
