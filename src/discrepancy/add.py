@@ -21,6 +21,7 @@ from discrepancy.selection.profile_errors import profile_std
 from discrepancy.selection.score_test import ScoreTests
 from synthcam.library import library
 from synthcam.model import Model
+from synthcam.settings import did_you_mean
 from tracker.camera.camera import InputError
 
 
@@ -70,6 +71,13 @@ class Added:
         }
 
 
+def check_effect(effect: str) -> None:
+    """Raises InputError where the library has no effect of that name."""
+    if effect not in library():
+        known = did_you_mean(effect, library()) or f"; there are {', '.join(library())}"
+        raise InputError(f"{effect}: no such effect{known}")
+
+
 def add(clips: Sequence[Measured], model: Model, effect: str, progress: Progress = lambda stage: None) -> Added:
     """Add an effect to the model and fit it to all clips with everything else.
 
@@ -91,8 +99,7 @@ def add(clips: Sequence[Measured], model: Model, effect: str, progress: Progress
     InputError
         There is no such effect, or these collisions cannot identify it; or as `check` does.
     """
-    if effect not in library():
-        raise InputError(f"{effect}: no such effect; there are {', '.join(library())}")
+    check_effect(effect)
     check(clips, model)
     progress("noise")
     given, (clips, _) = clips, smoothed(without_outliers(clips), [], model, progress)

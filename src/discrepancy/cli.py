@@ -18,14 +18,11 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from synthcam.model import read_model, write_model
 from synthcam.settings import InputError as ModelError
 from tracker.camera.camera import Camera, InputError
+from tracker.command_line import EVERY, command_line, run
 from tracker.outputs import as_input_error, check_room
 
-app = typer.Typer(
-    help="Where do simulation and measured tracks disagree, and which effect is missing from the model?",
-    no_args_is_help=True,
-    add_completion=False,
-    pretty_exceptions_enable=False,
-    rich_markup_mode=None,
+app = command_line(
+    "discrepancy", "Where do simulation and measured tracks disagree, and which effect is missing from the model?"
 )
 STAGES = ("noise", "fit", "free laws", "search", "gap", "where", "report")
 MeasuredPath = Annotated[
@@ -38,7 +35,7 @@ Json = Annotated[bool, typer.Option("--json", help="Print a machine-readable sum
 
 @contextmanager
 def stages(names: Sequence[str]) -> Iterator[Callable[[str], None]]:
-    """A bar of the stages passed, and the time, on a terminal; nothing elsewhere. Yields what is told the stage.
+    """A bar of the stages passed, and the time, on a terminal; elsewhere a line now and then. Yields what is told them.
 
     How long a stage takes is not known beforehand, so there is no estimate. Where a search begins again, the bar goes
     back to the fit.
@@ -47,14 +44,20 @@ def stages(names: Sequence[str]) -> Iterator[Callable[[str], None]]:
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
     with Progress(*columns, console=console, disable=not console.is_terminal, transient=True) as bar:
         task, passed, turn = bar.add_task(names[0], total=len(names)), 0, 1
+        began = said = time.monotonic()
 
         def progress(stage: str) -> None:
-            nonlocal passed, turn
+            nonlocal passed, turn, said
             at = names.index(stage)
             if stage == "fit" and at < passed:
                 passed, turn = at, turn + 1
             passed = max(passed, at)
-            bar.update(task, completed=passed, description=stage + (f", round {turn}" if turn > 1 else ""))
+            told = stage + (f", round {turn}" if turn > 1 else "")
+            bar.update(task, completed=passed, description=told)
+            now = time.monotonic()
+            if bar.disable and now - said >= EVERY:
+                said = now
+                print(f"{told} after {now - began:.0f} s", file=sys.stderr, flush=True)
 
         yield progress
 
@@ -78,9 +81,9 @@ def find(
 
     started = time.monotonic()
     given = read_model(model)
-    _say_camera(measured, camera)
-    clips, left_out = read_measured(measured, camera)
     with aside(output) as folder:
+        _say_camera(measured, camera)
+        clips, left_out = read_measured(measured, camera)
         with stages(STAGES) as progress:
             found = searched(clips, given, left_out, progress)
             progress("report")
@@ -108,9 +111,11 @@ def add(
     Example: discrepancy add plate_tilt --model model.yaml --fit out/results -o tilted.yaml
     """
     from discrepancy.add import add as fitted
+    from discrepancy.add import check_effect
     from discrepancy.data.collisions import read_measured
 
     given = read_model(model)
+    check_effect(effect)
     if output.is_dir():
         raise InputError(f"{output}: a folder; expected the name of a model file")
     check_room(output)
@@ -150,17 +155,7 @@ def _say_lost(left_out: Sequence[str], most: bool) -> None:
 
 def main() -> None:
     """Entry point: 0 done, 2 bad input, 130 interrupted."""
-    try:
-        app()
-    except (InputError, ModelError) as e:
-        print(f"discrepancy: {e}", file=sys.stderr)
-        sys.exit(2)
-    except KeyboardInterrupt:
-        print("discrepancy: interrupted; nothing was written", file=sys.stderr)
-        sys.exit(130)
-    except OSError as e:
-        print(f"discrepancy: {e.filename or 'file'}: {e.strerror or e}", file=sys.stderr)
-        sys.exit(2)
+    run(app, "discrepancy", (InputError, ModelError), "nothing was written")
 
 
 if __name__ == "__main__":

@@ -10,26 +10,20 @@ import os
 import sys
 import textwrap
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from synthcam.settings import InputError
+from synthcam.command_line import command_line, progress_bar
+from synthcam.command_line import run as run_command
+from synthcam.settings import InputError, did_you_mean
 
 if TYPE_CHECKING:
     from synthcam.effect import Parameter
 
-app = typer.Typer(
-    help="Rolling steel balls that collide: their exact motion, their picture, and the truth about both.",
-    no_args_is_help=True,
-    add_completion=False,
-    pretty_exceptions_enable=False,
-    rich_markup_mode=None,
+app = command_line(
+    "synthcam", "Rolling steel balls that collide: their exact motion, their picture, and the truth about both."
 )
 Json = Annotated[bool, typer.Option("--json", help="Print a machine-readable summary.")]
 Withhold = Annotated[
@@ -39,21 +33,6 @@ Withhold = Annotated[
 MOST_CLIPS = 1_000_000
 SHOWN = 20  # failed clips listed, one line each; --json has them all
 Set = Annotated[list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Override a value of the scene.")]
-
-
-@contextmanager
-def progress_bar(what: str) -> Iterator[Callable[[int, int], None]]:
-    """A bar with an estimate on a terminal; nothing elsewhere."""
-    console = Console(stderr=True)
-    columns = (
-        TextColumn(what),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeRemainingColumn(elapsed_when_finished=True),
-    )
-    with Progress(*columns, console=console, disable=not console.is_terminal) as bar:
-        task = bar.add_task(what, total=None)
-        yield lambda done, total: bar.update(task, completed=done, total=total)
 
 
 @app.command()
@@ -170,6 +149,7 @@ def preview(
     frame: Annotated[int | None, typer.Option(min=0, help="Which frame; default: the one before the contact.")] = None,
     magnify: Annotated[int, typer.Option(min=0, help="Also show the balls so many times larger; 0: not.")] = 12,
     set_: Set = None,
+    as_json: Json = False,
 ) -> None:
     """Draw one frame of a scene, as the sensor gives it, with the balls magnified beside it (.png).
 
@@ -186,9 +166,10 @@ def preview(
     drawn = read_scene(scene, tuple(set_ or ())).draw(clip, seed)
     if kind == ".png":
         write_preview(drawn, output, frame, magnify)
-        print(output)
+        _say({"output": str(output)}, as_json, f"{output}")
     else:
-        print(f"{output}: {write_film(drawn, output):.3g} times slower than it was")
+        slower = write_film(drawn, output)
+        _say({"output": str(output), "slower": slower}, as_json, f"{output}: {slower:.3g} times slower than it was")
 
 
 @app.command()
@@ -249,7 +230,7 @@ def effects(
 
     known = library()
     if name is not None and name not in known:
-        raise InputError(f"{name}: no such effect; there are {', '.join(known)}")
+        raise InputError(f"{name}: no such effect{did_you_mean(name, known) or '; there are ' + ', '.join(known)}")
     if output is not None and (name is None or output.suffix.lower() != ".png"):
         raise InputError(f"-o {output}: expected the NAME of one effect, and a file that ends in .png")
     for effect in known.values() if name is None else [known[name]]:
@@ -314,20 +295,7 @@ def _say(summary: dict[str, Any], as_json: bool, text: str) -> None:
 def main() -> None:
     """Entry point: 0 done, 1 a check failed, 2 bad input, 130 interrupted."""
     try:
-        app()
-    except InputError as e:
-        print(f"synthcam: {e}", file=sys.stderr)
-        sys.exit(2)
-    except SystemExit as e:
-        if e.code == 130:  # typer makes this of Ctrl-C, and says nothing
-            print("synthcam: interrupted; the same command goes on where it stopped", file=sys.stderr)
-        raise
-    except MemoryError:
-        print("synthcam: not enough memory", file=sys.stderr)
-        sys.exit(2)
-    except OSError as e:
-        print(f"synthcam: {e.filename or 'file'}: {e.strerror or e}", file=sys.stderr)
-        sys.exit(2)
+        run_command(app, "synthcam", (InputError,), "the same command goes on where it stopped")
     except RuntimeError as e:
         if type(e).__name__ != "NoGL":
             raise

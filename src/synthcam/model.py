@@ -17,7 +17,7 @@ from pydantic import Field, ValidationError, create_model
 
 from synthcam.effect import Effect, Laws
 from synthcam.library import library
-from synthcam.settings import Fraction, InputError, NotNegative, Positive, Settings, one_line, read_yaml
+from synthcam.settings import Fraction, InputError, NotNegative, Positive, Settings, did_you_mean, one_line, read_yaml
 
 Array = NDArray[np.float64]
 
@@ -280,7 +280,8 @@ def check_free(names: Iterable[str], where: str) -> tuple[str, ...]:
     known = {*BASE, *(f"{n}.{p.name}" for n, e in library().items() for p in e.parameters())}
     for name in names:
         if name not in known:
-            raise InputError(f"{where}: free: {name} is no parameter; there are {', '.join(sorted(known))}")
+            near = did_you_mean(name, known) or f"; there are {', '.join(sorted(known))}"
+            raise InputError(f"{where}: free: {name} is no parameter{near}")
     return tuple(names)
 
 
@@ -289,7 +290,12 @@ def read_model(path: Path) -> Model:
 
     Raises InputError.
     """
-    return _checked(read_yaml(path), str(path))
+    loaded = read_yaml(path)
+    sections = model_file().model_fields
+    for key in map(str, loaded):
+        if key not in sections and (near := did_you_mean(key, sections)):
+            raise InputError(f"{path}: {key}: unknown key{near}")
+    return _checked(loaded, str(path))
 
 
 def _checked(loaded: Mapping[str, Any], where: str) -> Model:
@@ -297,7 +303,7 @@ def _checked(loaded: Mapping[str, Any], where: str) -> Model:
     try:
         plain = model_file().model_validate(known).model_dump()
     except ValidationError as e:
-        raise one_line(e, where) from None
+        raise one_line(e, where, model_file()) from None
     return build(plain, check_free(plain["free"], where))
 
 
@@ -310,7 +316,8 @@ def model_of(given: Model | Mapping[str, Any] | str | Path) -> Model:
     if not isinstance(given, Mapping):
         raise InputError(f"model: of type {type(given).__name__}, expected a model, its settings, or a path")
     if unknown := [str(k) for k in given if k not in model_file().model_fields]:
-        raise InputError(f"model: {unknown[0]}: unknown key; there are {', '.join(model_file().model_fields)}")
+        near = did_you_mean(unknown[0], model_file().model_fields)
+        raise InputError(f"model: {unknown[0]}: unknown key{near}; there are {', '.join(model_file().model_fields)}")
     return _checked(given, "model")
 
 

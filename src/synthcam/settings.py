@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterable, Iterator
+from difflib import get_close_matches
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, get_args
 
 import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
@@ -41,8 +43,12 @@ def read_yaml(path: Path) -> dict[str, Any]:
         text = path.read_text(encoding="utf-8")
     except FileNotFoundError:
         raise InputError(f"{path}: no such file") from None
-    except (OSError, UnicodeDecodeError) as e:
-        raise InputError(f"{path}: cannot be read as text ({e.__class__.__name__})") from None
+    except IsADirectoryError:
+        raise InputError(f"{path}: a folder, expected a YAML file") from None
+    except UnicodeDecodeError:
+        raise InputError(f"{path}: not text, expected a YAML file") from None
+    except OSError as e:
+        raise InputError(f"{path}: cannot be read ({e.strerror})") from None
     try:
         loaded = parse_yaml(text)
     except yaml.YAMLError as e:
@@ -91,13 +97,37 @@ _Loader.add_implicit_resolver("!number", re.compile(r"^[-+]?[0-9]+(\.[0-9]*)?[eE
 _Loader.add_constructor("!number", _number)
 
 
-def one_line(error: ValidationError, where: str) -> InputError:
-    """The first complaint of pydantic as one line: file, dotted key, what was expected."""
+def did_you_mean(word: str, known: Iterable[str], section: str = "") -> str:
+    """What to put behind a message on an unknown word: the nearest of the known ones, or nothing."""
+    near = get_close_matches(word.lower(), known, n=1, cutoff=0.5 if len(word) <= 3 else 0.6)
+    return f"; did you mean {section}{near[0]}?" if near else ""
+
+
+def _nearest(key: str, file: type[BaseModel]) -> str:
+    """As `did_you_mean`: a key of the same section, or else the same word in another section."""
+    section, dot, last = key.rpartition(".")
+    known = list(_dotted(file))
+    beside = [k.removeprefix(section + dot) for k in known if k.rpartition(".")[0] == section]
+    elsewhere = (f"; did you mean {k}?" for k in known if k.rpartition(".")[2] == last)
+    return did_you_mean(last, beside, section + dot) or next(elsewhere, "")
+
+
+def _dotted(file: type[BaseModel], below: str = "") -> Iterator[str]:
+    """Every key of a file with its sections, as launch.v0."""
+    for name, field in file.model_fields.items():
+        yield below + name
+        for kind in (field.annotation, *get_args(field.annotation)):
+            if isinstance(kind, type) and issubclass(kind, BaseModel):
+                yield from _dotted(kind, f"{below}{name}.")
+
+
+def one_line(error: ValidationError, where: str, file: type[BaseModel]) -> InputError:
+    """The first complaint of pydantic about `file` as one line: file, dotted key, what was expected."""
     first = error.errors()[0]
     keys = [p for p in first["loc"] if not re.fullmatch(r"(literal|list)\[.*\]", str(p))]
     key = ".".join(repr(p)[1:-1] if isinstance(p, str) else str(p) for p in keys) or "the whole"
     if first["type"] == "extra_forbidden":
-        return InputError(f"{where}: {key}: unknown key")
+        return InputError(f"{where}: {key}: unknown key{_nearest(key, file)}")
     either = [
         first,
         *(e for e in error.errors()[1:] if len(keys) < len(first["loc"]) and e["loc"][: len(keys)] == tuple(keys)),

@@ -8,26 +8,22 @@ import shlex
 import shutil
 import sys
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from tracker.camera.camera import InputError
+from tracker.command_line import command_line, progress_bar, run
 from tracker.detection import detectors as detector_files
 
 if TYPE_CHECKING:
     from tracker.camera.frames import Source
     from tracker.pipeline import Outcome
 
-app = typer.Typer(
-    help="Finds rolling steel balls by their glint, follows them, and measures the collision with standard errors.",
-    no_args_is_help=True,
-    add_completion=False,
-    pretty_exceptions_enable=False,
-    rich_markup_mode=None,
+app = command_line(
+    "tracker",
+    "Finds rolling steel balls by their glint, follows them, and measures the collision with standard errors.",
 )
 SCORE = "score.json"
 DETECTORS = ", ".join(m.name for m in pkgutil.iter_modules(detector_files.__path__)) + ", or an installed package's own"
@@ -37,31 +33,6 @@ WithPages = Annotated[
     typer.Option("--pages/--no-pages", help="Write a page for each recording; default: where there is one recording."),
 ]
 Json = Annotated[bool, typer.Option("--json", help="Print a machine-readable summary.")]
-
-
-@contextmanager
-def progress_bar(what: str) -> Iterator[Callable[[int, int], None]]:
-    """A bar with an estimate on a terminal, nothing elsewhere; interrupted, it says how to go on."""
-    try:
-        with _bar(what) as progress:
-            yield progress
-    except KeyboardInterrupt:
-        print("tracker: interrupted; the same command goes on where it stopped", file=sys.stderr)
-        raise typer.Exit(130) from None
-
-
-@contextmanager
-def _bar(what: str) -> Iterator[Callable[[int, int], None]]:
-    if not sys.stderr.isatty():
-        yield lambda done, total: None
-        return
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-
-    columns = (TextColumn(what), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=Console(stderr=True)) as bar:
-        task = bar.add_task(what, total=None)
-        yield lambda done, total: bar.update(task, completed=done, total=total)
 
 
 @app.command()
@@ -78,11 +49,12 @@ def track(
 
     Example: tracker track out/benchmark -o out/results
     """
-    from tracker.pipeline import default_workers, run
+    from tracker.pipeline import default_workers
+    from tracker.pipeline import run as track_all
 
     started = time.monotonic()
     with progress_bar("clips") as progress:
-        outcome = run(source, output, camera, detector, workers or default_workers(), progress)
+        outcome = track_all(source, output, camera, detector, workers or default_workers(), progress)
     seconds = time.monotonic() - started
     extra: dict[str, Any] = {"frames": outcome.frames, "seconds": round(seconds, 2)}
     if outcome.frames:
@@ -271,20 +243,7 @@ def _report(outcome: Outcome, output: Path, extra: dict[str, Any], as_json: bool
 
 def main() -> None:
     """Entry point: 0 done, whatever the clips' status; 2 bad input; 130 interrupted."""
-    try:
-        app()
-    except InputError as error:
-        print(f"tracker: {error}", file=sys.stderr)
-        sys.exit(2)
-    except KeyboardInterrupt:
-        print("tracker: interrupted; the same command goes on where it stopped", file=sys.stderr)
-        sys.exit(130)
-    except MemoryError:
-        print("tracker: not enough memory", file=sys.stderr)
-        sys.exit(2)
-    except OSError as error:
-        print(f"tracker: {error.filename or 'file'}: {error.strerror or error}", file=sys.stderr)
-        sys.exit(2)
+    run(app, "tracker", (InputError,), "the same command goes on where it stopped")
 
 
 if __name__ == "__main__":

@@ -88,12 +88,16 @@ def run(
     if name is not None:
         detector(name)
     source, why = open_source(path, camera), ""
+    output = output.resolve()
+    if source.path.resolve() in output.parents:
+        raise InputError(f"{output}: lies in {source.path}, expected a folder outside it")
+    if not output.exists():
+        check_room(output)
     if name is None:
         first = source.clip(0)
         name, why = choose(first.frames, first.camera)
     plan = _plan(source, name)
     numbers = [number for number, _ in source.clips]
-    output = output.resolve()
     if output.exists():
         _same_or_refuse(output, plan)
         return Outcome(results.gather(output, numbers), len(source), 0, 0)

@@ -23,7 +23,7 @@ import pyarrow.csv
 import pyarrow.parquet
 
 from tracker.camera.camera import Camera, InputError
-from tracker.camera.camera_keys import read_json
+from tracker.camera.camera_keys import read_json, shown
 from tracker.detection.link import Tracks
 from tracker.outputs import put
 
@@ -204,6 +204,8 @@ def read_tracks(path: Path) -> dict[int, tuple[Tracks, str | None]]:
 def split_tracks(table: pd.DataFrame, where: str) -> dict[int, tuple[Tracks, str | None]]:
     """`read_tracks` of a table in memory. where: what messages call it."""
     _check_columns(table, where)
+    if len(table) == 0:
+        raise InputError(f"{where}: no rows, expected a row for each ball and frame")
     clips = table["clip"] if "clip" in table else pd.Series(0, index=table.index)
     out: dict[int, tuple[Tracks, str | None]] = {}
     numbers = _whole(clips, "clip", where)
@@ -215,13 +217,19 @@ def split_tracks(table: pd.DataFrame, where: str) -> dict[int, tuple[Tracks, str
             if len(names) != 1 or names[0] not in ("a", "b"):
                 raise InputError(f"{where}: striker: clip {number} has {names}, expected one of a, b")
             striker = str(names[0])
-        out[number] = (_to_tracks(part, where), striker)
+        tracks = _to_tracks(part, where)
+        span = max(np.ptp(tracks.x), np.ptp(tracks.y)) if len(np.unique(tracks.particle)) > 1 else math.inf
+        if span < 1:
+            raise InputError(f"{where}: x, y: expected pixels, not metres: all balls lie within {span:.2g} px")
+        out[number] = (tracks, striker)
     return out
 
 
 def _load(path: Path) -> pd.DataFrame:
     if not path.is_file():
         raise InputError(f"{path}: no such file, expected a table of tracks (CSV or Parquet)")
+    if path.suffix.lower() in (".xlsx", ".xls", ".ods"):
+        raise InputError(f"{path}: a spreadsheet, expected a table of tracks; save it as CSV")
     try:
         table = pd.read_parquet(path) if path.suffix.lower() in (".parquet", ".pq") else pd.read_csv(path)
     except Exception as error:  # readers raise their own kinds
@@ -234,9 +242,11 @@ def _load(path: Path) -> pd.DataFrame:
 def _check_columns(table: pd.DataFrame, where: str) -> None:
     missing = [name for name in NEEDED if name not in table]
     if missing:
-        raise InputError(f"{where}: no column {', '.join(missing)}, expected {', '.join(NEEDED)}")
-    if len(table) == 0:
-        raise InputError(f"{where}: no rows, expected a row for each ball and frame")
+        there = shown(", ".join(map(str, table.columns)), quoted=False)
+        commas = " with commas between them" if ";" in there or "\t" in there else ""
+        raise InputError(
+            f"{where}: no column {', '.join(missing)}, expected {', '.join(NEEDED)}{commas}; found {there}"
+        )
 
 
 def _to_tracks(table: pd.DataFrame, where: str) -> Tracks:

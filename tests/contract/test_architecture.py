@@ -14,7 +14,7 @@ FILES = sorted(SRC.rglob("*.py"))
 # from one below. A file that stands in no row counts as its folder.
 LAYERS = {
     "synthcam": [
-        "settings effect",
+        "settings effect command_line",
         "effects outputs",
         "library",
         "model",
@@ -25,7 +25,7 @@ LAYERS = {
         "__main__",
     ],
     "tracker": [
-        "camera",
+        "camera command_line",
         "detection outputs",
         "measurement",
         "results",

@@ -104,7 +104,7 @@ def test_a_bad_override(command, scene, tmp_path, text, message):
 
 
 def test_a_missing_scene_and_a_folder_for_one(command, tmp_path):
-    for path, message in ((tmp_path / "none.yaml", "no such file"), (tmp_path, "cannot be read as text")):
+    for path, message in ((tmp_path / "none.yaml", "no such file"), (tmp_path, "a folder, expected a YAML file")):
         status, _, err = command("generate", path, "-o", tmp_path / "d", "--no-video")
         assert status == 2
         one_line(err, path, message)
@@ -189,7 +189,7 @@ def test_effects_and_schema(command):
     assert (knee["scale"], knee["unit"], knee["high"], knee["fixed"]) == (0.1, "m/s", 3, True)
     status, _, err = command("effects", "plate_tlit")
     assert status == 2
-    one_line(err, "plate_tlit: no such effect; there are ")
+    one_line(err, "plate_tlit: no such effect; did you mean plate_tilt?")
     status, out, _ = command("schema")
     assert status == 0
     assert json.loads(out)["properties"]["launch"]

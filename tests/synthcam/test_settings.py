@@ -39,10 +39,10 @@ def test_refused_in_one_line(tmp_path, case):
 def test_what_cannot_be_opened(tmp_path):
     with pytest.raises(InputError, match="no such file"):
         read_yaml(tmp_path / "none.yaml")
-    with pytest.raises(InputError, match="cannot be read as text"):
+    with pytest.raises(InputError, match="a folder, expected a YAML file"):
         read_yaml(tmp_path)
     (tmp_path / "raw.yaml").write_bytes(b"\xff\xfe\x00")
-    with pytest.raises(InputError, match="cannot be read as text"):
+    with pytest.raises(InputError, match="not text, expected a YAML file"):
         read_yaml(tmp_path / "raw.yaml")
 
 

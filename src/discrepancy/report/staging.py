@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import os
 import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 from tracker.camera.camera import InputError
-from tracker.outputs import as_input_error, check_room
+from tracker.outputs import as_input_error, check_room, held
 
 REPORT = ("discrepancy.json", "index.html", "model.yaml")
 
@@ -21,10 +20,11 @@ def aside(output: Path) -> Iterator[Path]:
     if output.exists() and (not output.is_dir() or any(p.name not in REPORT for p in output.iterdir())):
         raise InputError(f"{output}: holds something else; expected a report of an earlier search, or nothing")
     check_room(output)
-    folder = output.with_name(f"{output.name}.{os.getpid()}.tmp")
-    with as_input_error(output):
-        folder.mkdir(parents=True)
+    folder = output.with_name(f"{output.name}.tmp")
+    with as_input_error(output), held(folder):
         try:
+            for left in folder.iterdir():  # by a killed process
+                shutil.rmtree(left) if left.is_dir() else left.unlink()
             yield folder
             shutil.rmtree(output, ignore_errors=True)
             folder.rename(output)

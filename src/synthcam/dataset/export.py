@@ -6,7 +6,6 @@ import importlib
 import inspect
 import json
 import pkgutil
-import shutil
 from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
@@ -17,7 +16,7 @@ import pandas as pd
 from synthcam.dataset import exports
 from synthcam.dataset.files import clip_folders
 from synthcam.dataset.recorded import Recorded, first_line
-from synthcam.dataset.staging import aside
+from synthcam.dataset.staging import alone
 from synthcam.outputs import as_input_error, check_room
 from synthcam.settings import InputError
 
@@ -73,15 +72,10 @@ def export(
         raise InputError(f"{table}: no such file; expected a dataset with its truth (withheld: --truth TRUTH)")
     output = output.resolve()
     check_room(output)
-    beside = aside(output)
-    with as_input_error(output):
-        beside.mkdir(parents=True)
-        try:
-            rows = _rows(table)
-            write(_clips(dataset, truth or dataset, rows, progress), beside)
-            beside.rename(output)
-        finally:
-            shutil.rmtree(beside, ignore_errors=True)
+    with as_input_error(output), alone(output) as beside:
+        rows = _rows(table)
+        write(_clips(dataset, truth or dataset, rows, progress), beside)
+        beside.rename(output)
     return len(rows)
 
 

@@ -6,6 +6,8 @@ import json
 import os
 import shutil
 import uuid
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -123,6 +125,22 @@ def settle(aside: Path, final: Path) -> None:
         shutil.rmtree(aside)
 
 
+@contextmanager
+def alone(final: Path) -> Iterator[Path]:
+    """An empty folder beside `final`, for one process at a time; gone at the end, unless it has become `final`."""
+    beside = final.with_name(f"{final.name}.tmp")
+    beside.mkdir(parents=True, exist_ok=True)
+    lock = _locked(beside)
+    try:
+        for left in beside.iterdir():  # by a killed process
+            shutil.rmtree(left) if left.is_dir() else left.unlink()
+        yield beside
+    finally:
+        shutil.rmtree(beside, ignore_errors=True)
+        if lock >= 0:
+            os.close(lock)
+
+
 def aside(final: Path) -> Path:
     """A name beside `final` that no other worker on any machine uses."""
     return final.with_name(f"{final.name}-{uuid.uuid4().hex[:12]}.tmp")
@@ -148,7 +166,7 @@ def _locked(folder: Path) -> int:
         fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
         os.close(handle)
-        raise InputError(f"{folder}: another process is making this dataset") from None
+        raise InputError(f"{folder}: another process is at work there; wait for it, or choose another folder") from None
     except OSError:  # a file system without locks
         os.close(handle)
         return -1

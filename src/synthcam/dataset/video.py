@@ -115,7 +115,7 @@ def write_films(clips: Iterator[Recorded], folder: Path, text: str) -> None:
     try:
         how = VideoSettings.model_validate(given).model_dump(exclude_none=True)
     except ValidationError as error:
-        raise one_line(error, f"--format {text}") from None
+        raise one_line(error, f"--format {text}", VideoSettings) from None
     for clip in clips:
         if not clip.video:
             raise InputError(f"{clip.stack}: no such file; expected a dataset with video")

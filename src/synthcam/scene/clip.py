@@ -200,7 +200,7 @@ def clip_of(number: int, drawn: dict[str, Any], seed: int = 0, where: str = "") 
     if timing["exposure"] > 1 / timing["fps"]:
         raise InputError(f"{where}: timing.exposure: expected at most 1/fps, {1 / timing['fps']:g} s")
     if camera["height"] <= 2 * model.ball.diameter:
-        raise InputError(f"{where}: camera.height: expected more than two ball diameters")
+        raise InputError(f"{where}: camera.height: expected more than two ball diameters ({model.ball.diameter:g} m)")
     if drawn["lamp"]["position"][2] <= 2 * model.ball.diameter:
         raise InputError(f"{where}: lamp.position: expected z above the balls")
     if drawn.get("video") and (problem := unfit(drawn["video"], camera["size"], timing["fps"])):

@@ -9,7 +9,7 @@ from functools import cache
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, ValidationError, create_model
+from pydantic import AfterValidator, Field, ValidationError, create_model
 from yaml import YAMLError
 
 from synthcam.model import BallSettings, ModelSettings, check_free, effect_settings
@@ -30,7 +30,14 @@ Position = Annotated[
     list[Annotated[float, Field(ge=-1e3, le=1e3)]], Field(min_length=2, max_length=2)
 ]  # m, on the plate
 
+MOST_RADIANS = 10.0  # of a heading: more is one in degrees
 SHOWN = 4  # distributions, in a scene's repr
+
+
+def _radians(angle: float) -> float:
+    if abs(angle) > MOST_RADIANS:
+        raise ValueError(f"expected radians from {-MOST_RADIANS:g} to {MOST_RADIANS:g}")
+    return angle
 
 
 class LaunchSettings(Settings):
@@ -39,7 +46,7 @@ class LaunchSettings(Settings):
     kind: Literal["pair", "single"] = "pair"
     v0: Positive = 0.3
     b: Annotated[float, Field(gt=-1, lt=1)] = 0.0
-    heading: float = 0.0
+    heading: Annotated[float, AfterValidator(_radians)] = 0.0
     striker: Literal["a", "b"] = "b"
     contact: Literal["upstream"] | Position = "upstream"
 
@@ -216,7 +223,7 @@ def _checked(plain: dict[str, Any], where: str) -> dict[str, Any]:
     try:
         return scene_file().model_validate(plain).model_dump(exclude_none=True)
     except ValidationError as e:
-        raise one_line(e, where) from None
+        raise one_line(e, where, scene_file()) from None
 
 
 def _override(settings: dict[str, Any], text: str) -> None:

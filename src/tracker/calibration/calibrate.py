@@ -24,6 +24,7 @@ from tracker.results import write_json
 
 HEIGHTS = 2.5  # 1/m, scatter of 1/height of lamp less that of the camera: glints' distances differ from the balls'
 DISAGREE = 3.0  # standard errors between two ways to the scale, beyond which they disagree
+LARGEST_BALL = 0.5  # m
 FEWEST = 10  # glints, to say anything
 STRAY = 4.0  # deviations by which a contact may differ from the middle one
 NORMAL = 1.4826  # standard deviation of a normal spread over its median absolute deviation
@@ -121,6 +122,8 @@ def calibrate(
     for name, value in (("--diameter", diameter), ("--fps", fps)):
         if not (math.isfinite(value) and value > 0):
             raise InputError(f"{name}: expected a number over 0, not {value!r}")
+    if diameter > LARGEST_BALL:
+        raise InputError(f"--diameter: expected metres, as in 2.38e-3, not {diameter!r}")
     if exposure is not None and not 0 <= exposure <= 1.0 / fps * (1 + 1e-9):
         raise InputError(f"--exposure: expected 0 to one frame time, {1 / fps:g} s, not {exposure!r}")
     if not 0.2 <= gamma <= 5:

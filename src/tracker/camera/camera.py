@@ -300,6 +300,8 @@ class Camera:
             data = read_json(where)
         except FileNotFoundError:
             raise InputError(f"{where}: no such file, expected a camera.json") from None
+        except IsADirectoryError:
+            raise InputError(f"{where}: a folder, expected a camera.json") from None
         except (OSError, ValueError) as error:
             raise InputError(f"{where}: cannot be read as JSON ({error})") from None
         return Camera.from_dict(data, str(where))

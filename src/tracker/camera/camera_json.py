@@ -71,6 +71,8 @@ class _Reader:
         if not math.isnan(diameter) and not SMALLEST <= diameter / scale <= LARGEST * max(size):
             in_mm = SMALLEST <= diameter / scale / 1000 <= LARGEST * max(size)
             hint = f"; it is in m, did you mean {diameter / 1000:g}?" if in_mm else ""
+            if SMALLEST <= diameter / scale * 1000 <= LARGEST * max(size):
+                hint = f"; scale is in m/px, did you mean {scale / 1000:g}?"
             shows = f"a ball that the picture can show, not one of {diameter / scale:.3g} px{hint}"
             raise self._bad("ball_diameter", shows)
         found: dict[str, Any] = dict(

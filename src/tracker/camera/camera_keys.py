@@ -89,9 +89,14 @@ def unknown_keys(data: Mapping[str, Any]) -> Iterator[str]:
         table = data.get(section) if section else data
         for key in table if isinstance(table, Mapping) else ():
             if key not in keys.split():
-                near = get_close_matches(str(key).lower(), dotted, n=1, cutoff=0.7)
-                hint = f"; did you mean {dotted[near[0]]}?" if near else ""
+                hint = did_you_mean(str(key), dotted)
                 yield f"{shown(f'{section}.{key}'.lstrip('.'), quoted=False)}: not a key of camera.json{hint}"
+
+
+def did_you_mean(word: str, known: Mapping[str, str]) -> str:
+    """What to put behind a message on an unknown word: the nearest of the known ones as they are shown, or nothing."""
+    near = get_close_matches(word.lower(), known, n=1, cutoff=0.7)
+    return f"; did you mean {known[near[0]]}?" if near else ""
 
 
 def shown(value: Any, quoted: bool = True) -> str:

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from tracker.camera.camera import InputError
+from tracker.camera.camera_keys import did_you_mean
 from tracker.camera.frames import Clip
 from tracker.detection import detectors as detector_files
 from tracker.detection.autocalibrate import completed
@@ -54,7 +55,8 @@ def detector(name: str) -> Callable[[View], Detector]:
         return _from_file(name)  # without reading every other
     known = detectors()
     if name not in known:
-        raise InputError(f"--detector: no detector {name!r}, expected one of {', '.join(sorted(known))}")
+        near = did_you_mean(name, {k: k for k in known})
+        raise InputError(f"--detector: no detector {name!r}, expected one of {', '.join(sorted(known))}{near}")
     return known[name]
 
 

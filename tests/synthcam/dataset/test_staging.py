@@ -147,7 +147,7 @@ def test_a_worker_that_is_killed_loses_one_clip(scene, tmp_path):
     summary = json.loads(printed)
     assert (summary["made"], summary["failed"]) == (39, 1)
     assert summary["failures"][0].endswith("its worker was killed (SIGKILL)")
-    assert said.splitlines()[0] == f"synthcam: {summary['failures'][0]}"
+    assert f"synthcam: {summary['failures'][0]}" in said.splitlines()
     assert "1 of 40 clips could not be made; the rest are kept in" in said
     assert not list(tmp_path.glob("d.partial/clips/*.tmp"))
     again = subprocess.run(words, capture_output=True, check=True)
@@ -176,7 +176,7 @@ def test_two_commands_do_not_make_one_dataset(tmp_path):
 
     def tick(done, total):
         if done == 1:
-            with pytest.raises(InputError, match=r"d\.partial: another process is making this dataset"):
+            with pytest.raises(InputError, match=r"d\.partial: another process is at work there"):
                 run(silent(), tmp_path / "d", 1, quiet)
             seen.append(done)
 

@@ -1,0 +1,89 @@
+"""What all commands share: one line for what is wrong, the version, and how far the work is."""
+
+import re
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from importlib.metadata import version
+from typing import Annotated, Any
+
+import typer
+
+USAGE: Any = typer.BadParameter.__mro__[1]  # UsageError of click, or of the click that typer carries
+EVERY = 30.0  # s, from one line to the next where no bar is drawn
+
+
+def command_line(name: str, about: str) -> typer.Typer:
+    """An application without commands yet, which tells its version."""
+    app = typer.Typer(help=about, no_args_is_help=True, pretty_exceptions_enable=False, rich_markup_mode=None)
+
+    def tell(wanted: bool) -> None:
+        if wanted:
+            print(f"{name} {version('synthcam')}")
+            raise typer.Exit
+
+    @app.callback()
+    def options(
+        show: Annotated[
+            bool, typer.Option("--version", callback=tell, is_eager=True, help="Show the version.")
+        ] = False,
+    ) -> None: ...
+
+    return app
+
+
+def run(app: typer.Typer, name: str, wrong: tuple[type[Exception], ...], interrupted: str) -> None:
+    """Ends the process: 0 done, 1 a check failed, 2 bad input, 130 interrupted; with one line, unless all went well."""
+    try:
+        status = app(prog_name=name, standalone_mode=False)
+        if status == 130:  # typer makes this of Ctrl-C
+            raise KeyboardInterrupt
+        sys.exit(status)
+    except USAGE as error:
+        line = re.sub(r" \(Possible options: (.*)\)$", r". Did you mean \1?", error.format_message())
+        where = error.ctx.command_path if error.ctx else name
+        print(line if "\n" in line else f"{where}: {line} (see {where} --help)", file=sys.stderr)
+    except wrong as error:
+        print(f"{name}: {error}", file=sys.stderr)
+    except (KeyboardInterrupt, typer.Abort):
+        print(f"{name}: interrupted; {interrupted}", file=sys.stderr)
+        sys.exit(130)
+    except MemoryError:
+        print(f"{name}: not enough memory", file=sys.stderr)
+    except OSError as error:
+        print(f"{name}: {error.filename or 'file'}: {error.strerror or error}", file=sys.stderr)
+    sys.exit(2)
+
+
+@contextmanager
+def progress_bar(what: str) -> Iterator[Callable[[int, int], None]]:
+    """A bar with an estimate on a terminal; elsewhere a line on stderr every so many seconds."""
+    if not sys.stderr.isatty():
+        yield lines(what)
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+    columns = (TextColumn(what), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn(elapsed_when_finished=True))
+    with Progress(*columns, console=Console(stderr=True)) as bar:
+        task = bar.add_task(what, total=None)
+        yield lambda done, total: bar.update(task, completed=done, total=total)
+
+
+def lines(what: str) -> Callable[[int, int], None]:
+    """Prints what is done and how long the rest will take, at most every EVERY seconds."""
+    began = said = time.monotonic()
+    before: int | None = None  # done by an earlier run
+
+    def progress(done: int, total: int) -> None:
+        nonlocal said, before
+        before = done if before is None else before
+        now = time.monotonic()
+        if now - said < EVERY or done >= total:
+            return
+        said = now
+        left = f", about {(now - began) / (done - before) * (total - done):.0f} s left" if done > before else ""
+        print(f"{what}: {done} of {total} after {now - began:.0f} s{left}", file=sys.stderr, flush=True)
+
+    return progress
