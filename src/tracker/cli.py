@@ -8,6 +8,7 @@ import shlex
 import shutil
 import sys
 import time
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -227,7 +228,8 @@ def _report(outcome: Outcome, output: Path, extra: dict[str, Any], as_json: bool
         print(f"tracker: {line}", file=sys.stderr)
     if as_json:
         summary = {"results": str(output), "clips": outcome.clips, "fresh": outcome.fresh, "status": states, **extra}
-        summary["warnings"] = said
+        rows = (_collision(row) for row in outcome.estimates.to_dict("records"))
+        summary |= {"warnings": said, "collisions": list(rows)}
         print(json.dumps(summary))
         return
     for line in printed(outcome.estimates):
@@ -239,6 +241,15 @@ def _report(outcome: Outcome, output: Path, extra: dict[str, Any], as_json: bool
         print(f"{extra['frames']} frames, {extra['ms_per_frame']} ms a frame")
     if "page" in extra:
         print(extra["page"])
+
+
+def _collision(row: Mapping[Any, Any]) -> dict[str, Any]:
+    """A row of estimates as --json has it: the quantities of the tied fit in SI units, null for what is not known."""
+    from tracker.measurement.derived import NAMES
+    from tracker.results import finite
+
+    pairs = {name: {"value": finite(row[name]), "std": finite(row[f"{name}_std"])} for name in NAMES}
+    return {key: row[key] for key in ("clip", "collision", "status")} | pairs
 
 
 def main() -> None:

@@ -271,6 +271,12 @@ def test_summaries_and_help(dataset, tmp_path):
     summary = json.loads(done.stdout)
     assert (summary["clips"], summary["fresh"], summary["frames"]) == (2, 2, 80)
     assert sum(summary["status"].values()) == 2
+    rows = pd.read_parquet(tmp_path / "out/estimates.parquet").to_dict("records")
+    for told, row in zip(summary["collisions"], rows, strict=True):
+        assert [told[k] for k in ("clip", "collision", "status")] == [row[k] for k in ("clip", "collision", "status")]
+        for name in ("v0", "r", "mu_k", "C", "tau1", "energy_fraction"):
+            known = [None if np.isnan(v) else v for v in (row[name], row[f"{name}_std"])]
+            assert [told[name]["value"], told[name]["std"]] == known
     for name in ("track", "measure", "score", "compare", "calibrate"):
         told = runner.invoke(cli.app, [name, "--help"])
         assert told.exit_code == 0
