@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from benchmarks.harness import ROOT
 from synthcam.scene.clip import Clip
 from synthcam.scene.scene import check_scene
+from synthcam.settings import read_yaml
 
 Counts = NDArray[Any]
 ONE = {"launch": {"kind": "single", "contact": [0.0, 0.0], "v0": 0.01}}
@@ -25,6 +26,8 @@ CLOSE = {"size": [96, 64], "scale": 8e-5}
 ROOM = {"room": 0.2}
 PLATE = {"plate_gloss": 0.004, "plate_texture": 0.1, "plate_shadow": True, "steel": "iron"}
 OBLIQUE = {"position": [0.25, 0.15, 0.3], "facing": "centre", "room": 0.7}
+
+SNOOKER, WHITE = (read_yaml(ROOT / "scenes" / f"{name}.yaml") for name in ("snooker", "matte_white"))
 
 # name: settings, frame, gamma of the print (1: as it is, 2.5: the faint brought out)
 PICTURES: dict[str, tuple[dict[str, Any], int, float]] = {
@@ -86,12 +89,22 @@ PICTURES: dict[str, tuple[dict[str, Any], int, float]] = {
         1,
         2.2,
     ),
+    "snooker": (
+        SNOOKER | {"camera": SNOOKER["camera"] | {"size": [128, 84]}, "launch": TWO["launch"] | {"v0": 0.8}},
+        1,
+        2.2,
+    ),
+    "matte_white": (
+        WHITE | {"camera": WHITE["camera"] | {"size": [144, 96]}, "launch": TWO["launch"]},
+        1,
+        2.2,
+    ),
     "hot_pixels": (ONE | {"camera": CLOSE, "sensor": {"hot_pixels": 0.003, "hot_dark": 4e6}}, 1, 1.0),
 }
 
 
 def clip_of(settings: dict[str, Any]) -> Clip:
-    timing = {"frames": 3, "contact_frame": 1.06} | settings.get("timing", {})
+    timing = settings.get("timing", {}) | {"frames": 3, "contact_frame": 1.06}
     return check_scene({"name": "gallery"} | settings | {"timing": timing}, "gallery").draw(0, 0)
 
 
@@ -104,7 +117,8 @@ def printed(counts: Counts, clip: Clip, gamma: float, magnify: int) -> Counts:
     top = 2.0**clip.sensor.bits - 1
     black = clip.sensor.black_level if gamma != 1 else 0.0
     shown = 255 * np.clip((counts - black) / (top - black), 0, 1) ** (1 / gamma)
-    return np.kron(shown.astype(np.uint8), np.ones((magnify, magnify), np.uint8))
+    large = shown.astype(np.uint8).repeat(magnify, axis=0).repeat(magnify, axis=1)
+    return large[..., ::-1] if large.ndim == 3 else large  # as OpenCV writes colours
 
 
 def animation(path: Path) -> None:

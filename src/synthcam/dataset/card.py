@@ -32,6 +32,8 @@ TRUTH = (
 def card(about: dict[str, Any], clips: int, names: list[str], holds: str = "all") -> str:
     """The card of a dataset. holds: "all", "frames" of a challenge, whose card gives nothing away, or its "truth"."""
     video, plain = about.get("video", bool(about["gl"])), about.get("compression", "none") == "none"
+    matte = any(scene.get("surface", {}).get("ball", "steel") != "steel" for scene in about.get("scenes", ()))
+    made_of = "" if matte else "steel "
     readers: list[tuple[str, str]] = []
     if holds != "truth":
         readers += [*FRAMES, *(PLAIN if plain else ())] if video else []
@@ -40,7 +42,7 @@ def card(about: dict[str, Any], clips: int, names: list[str], holds: str = "all"
         readers += TRUTH
     return "\n".join(
         [
-            f"# {_title(clips, names, holds)}",
+            f"# {_title(clips, names, holds, made_of)}",
             "",
             *_provenance(about, holds),
             "SI units; x right and y down in the image, (0, 0) the centre of the top-left pixel.",
@@ -57,11 +59,11 @@ def card(about: dict[str, Any], clips: int, names: list[str], holds: str = "all"
     )
 
 
-def _title(clips: int, names: list[str], holds: str) -> str:
+def _title(clips: int, names: list[str], holds: str, made_of: str) -> str:
     if holds == "frames":
-        return f"A challenge: {clips} clips of rolling steel balls"
+        return f"A challenge: {clips} clips of rolling {made_of}balls"
     what = "truth of " if holds == "truth" else ""
-    return f"{', '.join(map(_plain, names))}: {what}{clips} clips of rolling steel balls"
+    return f"{', '.join(map(_plain, names))}: {what}{clips} clips of rolling {made_of}balls"
 
 
 def _plain(text: Any) -> str:

@@ -3,6 +3,7 @@
 Khronos glTF 2.0 and KHR_lights_punctual. Lengths are m; glTF's y points up, so the world's axes hang in a turned node.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -27,31 +28,34 @@ Z_UP = [-np.sqrt(0.5), 0.0, 0.0, np.sqrt(0.5)]  # turns the world's z to glTF's 
 @dataclass(frozen=True)
 class BallMotion:
     """One ball. times: (T,) s, increasing, of positions (T, 3) m; turn_times: (S,) s, of turns (S, 4), unit quaternions
-    x, y, z, w from the ball's axes to the world's."""
+    x, y, z, w from the ball's axes to the world's. paint: of matte balls, unit vectors (n, 3) on the ball's axes ->
+    what is reflected there of red, green, blue (n, 3)."""
 
     radius: float
     times: Array
     positions: Array
     turn_times: Array
     turns: Array
+    paint: Callable[[Array], Array] | None = None
 
 
 @dataclass(frozen=True)
 class Appearance:
     """What is seen, as glTF counts it: linear, 1 is white.
 
-    lamps: each with its candela. steel, plate: base colours of two metals. steel_roughness: glTF's.
+    lamps: each with its candela. steel, plate: base colours, of metals but where the plate is dull. roughness: glTF's.
     """
 
     lamps: tuple[tuple[Lamp, float], ...]
     steel: float
-    steel_roughness: float
-    plate: float
+    roughness: float
+    plate: float | tuple[float, ...]
+    dull: bool = False
 
 
 def glb(camera: dict[str, Any], balls: list[BallMotion], appearance: Appearance) -> bytes:
     """A binary glTF file of one clip. camera: the keys of camera.json; its lens distortion has no place in glTF."""
-    metals = {"plate": (appearance.plate, 1.0), "steel": (appearance.steel, appearance.steel_roughness)}
+    metals = {"plate": (appearance.plate, 1.0), "steel": (appearance.steel, appearance.roughness)}
     lights = {f"light{k or ''}": each for k, each in enumerate(appearance.lamps)}
 
     def animate(buffers: dict[Any, bytes], tree: dict[str, Any]) -> None:
@@ -80,7 +84,14 @@ def glb(camera: dict[str, Any], balls: list[BallMotion], appearance: Appearance)
         tree.setdefault("extensions", {})["KHR_lights_punctual"] = {"lights": punctual}
         for made_of in tree["materials"]:  # trimesh would round colours to 255ths
             if made_of["name"] in metals:
-                made_of["pbrMetallicRoughness"]["baseColorFactor"] = [*[metals[made_of["name"]][0]] * 3, 1.0]
+                colour = np.broadcast_to(metals[made_of["name"]][0], 3).tolist()
+                made_of["pbrMetallicRoughness"]["baseColorFactor"] = [*colour, 1.0]
+            if made_of["name"] == "plate" and appearance.dull:
+                made_of["pbrMetallicRoughness"]["metallicFactor"] = 0.0
+        for k in (k for k, ball in enumerate(balls) if ball.paint):
+            tree["meshes"][nodes[f"ball{k}"]["mesh"]]["primitives"][0]["material"] = len(tree["materials"])
+            surface = {"metallicFactor": 0.0, "roughnessFactor": appearance.roughness}
+            tree["materials"].append({"name": f"matte{k}", "pbrMetallicRoughness": surface})
 
     return bytes(
         untyped.exchange.gltf.export_glb(
@@ -95,7 +106,7 @@ def glb(camera: dict[str, Any], balls: list[BallMotion], appearance: Appearance)
 def _scene(
     camera: dict[str, Any],
     balls: list[BallMotion],
-    metals: dict[str, tuple[float, float]],
+    metals: dict[str, tuple[Any, float]],
     lights: dict[str, tuple[Lamp, float]],
 ) -> Any:
     """Plate, balls, lamps and camera as trimesh's scene. metals: base colour and roughness."""
@@ -109,7 +120,8 @@ def _scene(
     )
     _add(scene, "plate", plate, black, _at([0.0, 0.0, -THICK / 2]))
     for k, ball in enumerate(balls):
-        _add(scene, f"ball{k}", untyped.creation.icosphere(ROUND, ball.radius), steel, _at(ball.positions[0]))
+        sphere = untyped.creation.icosphere(ROUND + (ball.paint is not None), ball.radius)
+        _add(scene, f"ball{k}", sphere, steel, _at(ball.positions[0]), ball.paint)
     for name, (lamp, _) in lights.items():
         _add(scene, name.replace("light", "lamp"), _shape(lamp), LIGHT, _at(lamp.position, lamp.axes * [1, 1, -1]))
     for name in (*lights, "camera"):
@@ -148,8 +160,18 @@ def _at(position: ArrayLike, axes: Array | None = None) -> Array:
     return pose
 
 
-def _add(scene: Any, name: str, mesh: Any, made_of: Any, pose: Array) -> None:
-    mesh.visual = untyped.visual.TextureVisuals(material=made_of)
+def _add(
+    scene: Any, name: str, mesh: Any, made_of: Any, pose: Array, paint: Callable[[Array], Array] | None = None
+) -> None:
+    """paint: of BallMotion, as colours of the corners, which glTF takes as linear; its material is set later."""
+    if paint:
+        corners = mesh.vertices / np.linalg.norm(mesh.vertices, axis=1, keepdims=True)
+        shown = np.rint(255 * np.broadcast_to(paint(corners), corners.shape)).astype(np.uint8)
+        mesh.visual = untyped.visual.ColorVisuals(
+            mesh, vertex_colors=np.pad(shown, ((0, 0), (0, 1)), constant_values=255)
+        )
+    else:
+        mesh.visual = untyped.visual.TextureVisuals(material=made_of)
     scene.add_geometry(mesh, node_name=name, geom_name=name, parent_node_name="table", transform=pose)
 
 

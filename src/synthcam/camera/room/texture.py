@@ -41,12 +41,14 @@ def _cloth(points: Array, table: Array) -> Array:
 def _wood(points: Array, table: Array) -> Array:
     """A board along x: rings cut at a slant, pores, and a long swing of the shade."""
     x, y = points.T
-    bend = 2.5 * (_noise(x / 0.08, y / 0.03, table) - 0.5) + 0.4 * (_noise(x / 0.012, y / 0.004, table) - 0.5)
-    phase = (y / RING + bend) % 1
-    rings = np.where(phase < 0.8, phase / 0.8, (1 - phase) / 0.2) - 0.5  # late wood ends at once
-    pores = _noise(x / (20 * GRAIN), y / GRAIN, table)
-    swing = _noise(x / 0.2, y / 0.05, table) - 0.5
-    return np.asarray(-0.28 * rings - 0.25 * np.maximum(pores - 0.6, 0) + 0.2 * swing)
+    bend = 7 * _noise(x / 0.6, y / 0.07, table) + 0.9 * _noise(x / 0.15, y / 0.01, table)
+    ring = y / RING + bend
+    phase = ring % 1
+    strength = table[np.floor(ring).astype(np.int64) & (CELLS - 1)]  # a good year or a bad one
+    rings = strength * (np.where(phase < 0.85, (phase / 0.85) ** 2, (1 - phase) / 0.15) - 0.4)  # it ends at once
+    pores = _noise(x / (40 * GRAIN), y / GRAIN, table) + _noise(x / (15 * GRAIN), y / (2 * GRAIN), table)
+    swing = _noise(x / 0.5, y / 0.04, table) - 0.5
+    return np.asarray(-0.3 * rings - 0.16 * np.maximum(pores - 1, 0) + 0.25 * swing)
 
 
 def _paper(points: Array, table: Array) -> Array:

@@ -8,6 +8,7 @@ as the film's counts are above black, 1 being the sensor's full scale.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -29,6 +30,8 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 JUMPS = ("contact", "land")  # events at which velocity and spin jump
+TURN = ("qx", "qy", "qz", "qw")
+SHARP = 0.02  # radii in which a pattern's colour changes
 STEP = 1.0  # rad between two keys of a turn, at most: players take the shorter way round
 
 
@@ -37,15 +40,40 @@ def write(clips: Iterator[Recorded], folder: Path) -> None:
 
     for clip in clips:
         balls = []
+        drawn = check_scene(clip.drawn, f"{clip.stack.parent}, scene.json").draw(0, 0)
+        look, matte = drawn.look, drawn.drawn["surface"].get("ball") == "matte"
         tracks = clip.tracks.sort_values("frame")
         for number in range(int(tracks["particle"].max()) + 1):
             ball = tracks[tracks["particle"] == number]
             times, positions, spins = _keys(ball, _jumps(clip.events, number))
             resting = ball.loc[ball["state"] != "fly", "z"]
             radius = float(resting.median()) if len(resting) else clip.camera["ball_diameter"] / 2
-            balls.append(BallMotion(radius, times, positions, *_turns(times, spins)))
-        appearance = _appearance(check_scene(clip.drawn, f"{clip.stack.parent}, scene.json").draw(0, 0))
+            first = ball[list(TURN)].iloc[0].to_numpy(float) if "qx" in ball else None
+            paint = partial(look.balls[number].painted, sharp=SHARP) if look and matte else None
+            balls.append(BallMotion(radius, times, positions, *_turns(times, spins, first), paint))
+        appearance = (_lit if look else _appearance)(drawn)
         (folder / f"{clip.number:06d}.glb").write_bytes(glb(clip.camera, balls, appearance))
+
+
+def _lit(clip: Clip) -> Appearance:
+    """Matte balls, or a plate of a colour. glTF has no light from all sides: the lamps have the room's share too."""
+    from synthcam.camera.render.gltf import Appearance
+
+    assert clip.look
+    lamps = clip.lamp.all
+    middle = np.zeros(3)
+    each = [lamp.radiance * _area(lamp) * _towards(lamp, middle) for lamp in lamps]
+    lux = sum(
+        i * lamp.position[2] / float(np.linalg.norm(lamp.position)) ** 3 for i, lamp in zip(each, lamps, strict=True)
+    )
+    white = np.pi * clip.sensor.glint_peak / (2**clip.sensor.bits - 1) / lux
+    return Appearance(
+        lamps=tuple(zip(lamps, (i * white for i in each), strict=True)),
+        steel=clip.surface.head_on,
+        roughness=0.3,
+        plate=clip.look.plate * (3 // clip.look.channels),
+        dull=True,
+    )
 
 
 def _appearance(clip: Clip) -> Appearance:
@@ -74,7 +102,7 @@ def _appearance(clip: Clip) -> Appearance:
     return Appearance(
         lamps=tuple(zip(first.all, candela, strict=True)),
         steel=clip.surface.head_on,
-        steel_roughness=float(min(1.0, np.sqrt(np.sqrt(2) * slope))),
+        roughness=float(min(1.0, np.sqrt(np.sqrt(2) * slope))),
         plate=min(1.0, 4 * np.pi * plate),
     )
 
@@ -116,9 +144,9 @@ def _keys(ball: pd.DataFrame, jumps: Array) -> tuple[Array, Array, Array]:
     return np.array(times), np.array(positions), np.array(spins).reshape(-1, 2, 3)
 
 
-def _turns(times: Array, spins: Array) -> tuple[Array, Array]:
-    """Times (S,) and unit quaternions (S, 4) from spins that change evenly within each interval."""
-    at, turns = [times[0]], [Rotation.identity()]
+def _turns(times: Array, spins: Array, first_turn: Array | None = None) -> tuple[Array, Array]:
+    """Times (S,) and unit quaternions (S, 4) from spins that change evenly within each interval, from the first on."""
+    at, turns = [times[0]], [Rotation.identity() if first_turn is None else Rotation.from_quat(first_turn)]
     for start, end, (first, last) in zip(times[:-1], times[1:], spins, strict=True):
         fastest = max(np.linalg.norm(first), np.linalg.norm(last))
         count = max(1, int(np.ceil(fastest * (end - start) / STEP)))

@@ -186,3 +186,28 @@ def test_a_plain_renderer_shows_plate_and_glint_as_our_film_does(tmp_path, monke
     flux *= sum(lit) / lit[0]
     assert shown["flux"] == pytest.approx(flux, rel=0.1)
     assert shown["brightest"] > 100 * ours.max()
+
+
+def test_matte_balls_keep_their_colours_and_turns(tmp_path, monkeypatch):
+    surface = {"ball": "matte", "colour": "red", "b": {"colour": [0.2, 0.4, 0.8], "pattern": "half"}, "plate": "cloth"}
+    scene = SCENE | {"surface": surface, "camera": SCENE["camera"] | {"colour": True}, "launch": {"striker": "b"}}
+    data = make(tmp_path / "d", monkeypatch, clips=1, video=False, scene=scene)
+    export(data, "gltf", tmp_path / "out", lambda done, total: None)
+    tree, buffer = contents(tmp_path / "out/000000.glb")
+    tracks = pd.read_parquet(data / "clips/000000/truth/tracks.parquet")
+    nodes = {node["name"]: node for node in tree["nodes"]}
+    found = []
+    for k in (0, 1):
+        primitive = tree["meshes"][nodes[f"ball{k}"]["mesh"]]["primitives"][0]
+        assert tree["materials"][primitive["material"]]["pbrMetallicRoughness"]["metallicFactor"] == 0
+        view = tree["accessors"][primitive["attributes"]["COLOR_0"]]
+        start = tree["bufferViews"][view["bufferView"]]["byteOffset"]
+        colours = np.frombuffer(buffer, np.uint8, 4 * view["count"], start).reshape(-1, 4)[:, :3] / 255
+        found.append(np.unique(colours, axis=0))
+    np.testing.assert_allclose(found[0], [[0.85 * 0.75, 0.85 * 0.05, 0.85 * 0.05]], atol=3e-3)
+    for colour in ([0.17, 0.34, 0.68], [0.85 * 0.75, 0.85 * 0.05, 0.85 * 0.05]):
+        assert np.abs(found[1] - colour).max(axis=1).min() < 3e-3
+    first = tracks[tracks.particle == 1].iloc[0]
+    np.testing.assert_allclose(nodes["ball1"]["rotation"], first[["qx", "qy", "qz", "qw"]].to_numpy(float), atol=1e-6)
+    (plate,) = (m for m in tree["materials"] if m["name"] == "plate")
+    assert plate["pbrMetallicRoughness"]["baseColorFactor"] == pytest.approx([0.039, 0.3, 0.105, 1.0])
