@@ -40,6 +40,7 @@ Pictures = tuple[Picture, ...]
 
 FINENESS = 3  # samples of a ball a pixel, each way
 PLATE = 3  # of the plate
+TRAVEL = 1.5  # px, of a ball, while the light on the plate counts as one blurred by as much
 CELL = 0.4  # half-width of a lamp's cells as they are seen in a ball, over the blur's sigma
 
 
@@ -182,21 +183,35 @@ class RoomFilm:
         plates = self._plates_in(light)
         parts = [[plate[box] * 0.0 for box in boxes] for plate in plates]
         exchange = self.shade.exchange(positions[len(positions) // 2])  # it hardly changes meanwhile
-        for k, weight in enumerate(moments.weights):
-            among = Among(positions[k], exchange)
-            tiles = [
-                self._ball(ball, among, turned[k])
-                for ball in range(len(self.radii))
-                if self._in_view(positions[k], ball)
-            ]
+        for together in self._alike(positions):
+            weights = moments.weights[together]
+            shown = [np.zeros((1 + len(plates), *plates[0][box].shape), np.float32) for box in boxes]
+            for k, weight in zip(together.tolist(), weights, strict=True):
+                among = Among(positions[k], exchange)
+                balls = [b for b in range(len(self.radii)) if self._in_view(positions[k], b)]
+                tiles = [self._ball(ball, among, turned[k]) for ball in balls]
+                for total, box in zip(shown, boxes, strict=True):
+                    total += np.float32(weight) * self._laid(tiles, box)
+            middle = np.average(positions[together], axis=0, weights=weights)
+            travel = np.ptp(positions[together], axis=0).max(initial=0)
             for number, box in enumerate(boxes):
-                open_, own = self._laid(tiles, box)
-                points = self._points[box].reshape(-1, 3)
-                lit = self.shade.on_plate(points, positions[k], self._soft).reshape(*open_.shape, -1)
-                lit /= self._bare[box][..., None]
+                lit = self._lit(box, middle, np.hypot(self._soft, travel / np.sqrt(12)))
+                open_ = np.float32(weights.sum()) - shown[number][0]
                 for c, plate in enumerate(plates):
-                    parts[c][number] += np.float32(weight) * (plate[box] * (lit[..., c] * open_) + light * own[c])
+                    parts[c][number] += plate[box] * (lit[..., c] * open_) + light * shown[number][1 + c]
         return tuple(Picture(plate, boxes, tuple(part)) for plate, part in zip(plates, parts, strict=True))
+
+    def _alike(self, positions: Array) -> list[NDArray[np.intp]]:
+        """Moments in groups within which no ball moves by more than TRAVEL: they share the light on the plate."""
+        steps = np.linalg.norm(np.diff(positions, axis=0), axis=2).max(axis=1, initial=0) / self.camera.scale
+        count = max(1, min(len(positions), int(np.ceil(steps.sum() / TRAVEL))))
+        return np.array_split(np.arange(len(positions)), count)
+
+    def _lit(self, box: Box, centres: Array, soft: float) -> Array:
+        """Light (h, w, c) on the plate over that of the bare plate."""
+        bare = self._bare[box][..., None]
+        lit = self.shade.on_plate(self._points[box].reshape(-1, 3), centres, soft)
+        return np.asarray(lit.reshape(*bare.shape[:2], -1) / bare)
 
     @property
     def _soft(self) -> float:
@@ -297,8 +312,8 @@ class RoomFilm:
         rows *= (glints.flux * np.pi * self.shade.unit)[:, None]
         return (rows.T @ columns).astype(np.float32)
 
-    def _laid(self, tiles: list[tuple[NDArray[np.intp], Float32]], box: Box) -> tuple[Float32, list[Float32]]:
-        """Share (h, w) of a box that no ball covers, and what balls show there, by channel."""
+    def _laid(self, tiles: list[tuple[NDArray[np.intp], Float32]], box: Box) -> Float32:
+        """Share of a box that balls cover, and what they show there, by channel: (1 + c, h, w)."""
         rows, columns = box
         shape = (rows.stop - rows.start, columns.stop - columns.start)
         total = np.zeros((1 + self.look.channels, *shape), np.float32)
@@ -309,7 +324,7 @@ class RoomFilm:
                 total[:, top:bottom, left:right] += images[:, top - y : bottom - y, left - x : right - x]
         if self._vignette is not None:
             total[1:] *= self._vignette[box]
-        return 1 - total[0], list(total[1:])
+        return total
 
 
 def _cover(eye: Array, way: Array, centre: Array, radius: float) -> tuple[Array, Array]:
