@@ -28,6 +28,13 @@ PLATE = {"plate_gloss": 0.004, "plate_texture": 0.1, "plate_shadow": True, "stee
 OBLIQUE = {"position": [0.25, 0.15, 0.3], "facing": "centre", "room": 0.7}
 
 SNOOKER, WHITE = (read_yaml(ROOT / "scenes" / f"{name}.yaml") for name in ("snooker", "matte_white"))
+STEEL = {
+    "camera": {"size": [640, 360], "scale": 1.2e-5, "psf_sigma_px": 0.7, "colour": True},
+    "timing": {"frames": 2, "contact_frame": 0.5, "exposure": 2e-5, "fps": 1000},
+    "launch": {"v0": 0.05, "b": 0.1, "heading": 0.35, "contact": [0.0, 0.0]},
+    "lamp": {"ambient": 0.4, "radius": 0.12, "position": [0.15, 0.1, 0.35]},
+    "surface": {"ball": "steel", "plate": "wood", "plate_albedo": 0.4},
+}
 
 # name: settings, frame, gamma of the print (1: as it is, 2.5: the faint brought out)
 PICTURES: dict[str, tuple[dict[str, Any], int, float]] = {
@@ -135,6 +142,13 @@ def animation(path: Path) -> None:
     imageio.imwrite(path, shown, duration=40, loop=0)
 
 
+def steel(path: Path) -> None:
+    """Two steel balls on wood, in colour: the first picture of README.md."""
+    clip = check_scene(STEEL, "gallery").draw(0, 0)
+    picture = printed(next(iter(clip.pictures())), clip, 2.2, 1)
+    cv2.imwrite(str(path), picture, [cv2.IMWRITE_JPEG_QUALITY, 88])
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description="Draws the pictures of docs/pictures.md.")
     parser.add_argument("-o", "--output", type=Path, default=ROOT / "docs" / "pictures")
@@ -145,6 +159,7 @@ def main() -> None:
         picture = printed(frames_of(clip)[frame], clip, gamma, 5)
         cv2.imwrite(str(folder / f"{name}.png"), picture, [cv2.IMWRITE_PNG_COMPRESSION, 9])
     animation(folder / "collision.gif")
+    steel(folder / "steel.jpg")
 
 
 if __name__ == "__main__":

@@ -292,9 +292,10 @@ def read_model(path: Path) -> Model:
     """
     loaded = read_yaml(path)
     sections = model_file().model_fields
-    for key in map(str, loaded):
-        if key not in sections and (near := did_you_mean(key, sections)):
-            raise InputError(f"{path}: {key}: unknown key{near}")
+    for key in (k for k in loaded if k not in (*sections, "name")):
+        near = did_you_mean(str(key), sections)
+        if near or not isinstance(loaded[key], dict | None):  # else a section of a scene
+            raise InputError(f"{path}: {key}: unknown key{near}; expected a model or a scene")
     return _checked(loaded, str(path))
 
 

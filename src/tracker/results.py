@@ -227,7 +227,8 @@ def split_tracks(table: pd.DataFrame, where: str) -> dict[int, tuple[Tracks, str
 
 def _load(path: Path) -> pd.DataFrame:
     if not path.is_file():
-        raise InputError(f"{path}: no such file, expected a table of tracks (CSV or Parquet)")
+        what = "a folder" if path.is_dir() else "no such file"
+        raise InputError(f"{path}: {what}, expected a table of tracks (CSV or Parquet)")
     if path.suffix.lower() in (".xlsx", ".xls", ".ods"):
         raise InputError(f"{path}: a spreadsheet, expected a table of tracks; save it as CSV")
     try:

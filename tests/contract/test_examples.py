@@ -1,12 +1,15 @@
 """The notebooks of examples/ run as they stand, and hold the pictures that they draw."""
 
 import json
+import re
 import runpy
 
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 from repository import ROOT
+
+from tracker.camera.camera import Camera
 
 NOTEBOOKS = sorted((ROOT / "examples").glob("*.ipynb"))
 TOOL = runpy.run_path(str(ROOT / "tools/notebooks.py"))
@@ -68,3 +71,10 @@ def test_it_reads_on_a_forge(path):
     for cell in notebook["cells"]:
         for link in "".join(cell["source"]).split("](")[1:] if cell["cell_type"] == "markdown" else ():
             assert (path.parent / link.partition(")")[0]).is_file(), link
+
+
+def test_the_sample_camera_is_that_of_the_docs():
+    sample = ROOT / "examples/camera.json"
+    (shown,) = re.findall(r"```json\s+(.*?)```", (ROOT / "docs/own_video.md").read_text(), re.DOTALL)
+    assert json.loads(sample.read_text()) == json.loads(shown)
+    assert Camera.read(sample).unmodelled == ()

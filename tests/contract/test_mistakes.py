@@ -63,12 +63,7 @@ def bench(tmp_path_factory):
     table.to_csv(folder / "semicolons.csv", index=False, sep=";")
     table.to_csv(folder / "decimal_commas.csv", index=False, sep=";", decimal=",")
     table.rename(columns=str.upper).to_csv(folder / "capitals.csv", index=False)
-    table.rename(
-        columns={
-            "x": "no column x, y, expected frame, particle, x, y; found clip, frame, particle, pos_x",
-            "y": "pos_y",
-        }
-    ).to_csv(folder / "other_names.csv", index=False)
+    table.rename(columns={"x": "pos_x", "y": "pos_y"}).to_csv(folder / "other_names.csv", index=False)
     table.to_csv(folder / "no_header.csv", index=False, header=False)
     table.drop(columns="particle").to_csv(folder / "no_particle.csv", index=False)
     table.assign(frame=table.frame + 0.5).to_csv(folder / "half_frames.csv", index=False)
@@ -105,6 +100,13 @@ MISTAKES = {
     "synthcam generate s.yaml -o new --clips many": "--clips",
     "synthcam generate s.yaml -o new --clips -3": "--clips",
     "synthcam generate s.yaml -o new --seed today": "--seed",
+    "tracker track dataset -o new --workers 0": "--workers",
+    "tracker calibrate film.tif --diameter 2.38mm --fps 250 -o new": "--diameter",
+    "tracker calibrate film.tif --diameter 2.38e-3 -o new": "Missing option '--fps'",
+    "tracker calibrate film.tif --diameter 2,38 --fps 250 -o new": "--diameter",
+    "discrepancy find results -o new": "Missing option '--model'",
+    "synthcam doctr": "Did you mean 'doctor'",
+    "synthcam find results -o new": "No such command 'find'",
     "tracker track dataset -o new --detector centriod": "did you mean centroid?",
     # paths
     "synthcam generate sceen.yaml -o new": "sceen.yaml: no such file",
@@ -138,6 +140,21 @@ MISTAKES = {
     "discrepancy find results --model s.yaml -o results": "results: holds something else",
     "discrepancy find results --model model_section.yaml -o new": "effcts: unknown key; did you mean effects?",
     "discrepancy add plate_tlt --model s.yaml --fit results -o new.yaml": "plate_tlt",
+    "synthcam merge dataset s.yaml -o new": "not a finished shard",
+    "synthcam verify film.tif": "film.tif",
+    "tracker track camera.json -o new": "not a .json file",
+    "tracker track film.tif --camera tracks.csv -o new": "tracks.csv: cannot be read as JSON",
+    "tracker measure camera.json --camera tracks.csv -o new": "tracks.csv: cannot be read as JSON",
+    "tracker measure dataset --camera camera.json -o new": "dataset: a folder, expected",
+    "tracker score results --truth nowhere -o new": "nowhere/truth/clips.parquet: no such file",
+    "tracker score results --truth s.yaml -o new": "s.yaml/truth/clips.parquet: no such file",
+    "tracker compare dataset --detectors centroid;discs -o new": "no detector",
+    "tracker compare results --detectors centroid,discs -o new": "truth/clips.parquet",
+    "discrepancy find film.tif --model s.yaml --camera camera.json -o new": "film.tif",
+    "discrepancy find results --model camera.json -o new": "unknown key; expected a model or a scene",
+    "discrepancy find results --model film.tif -o new": "film.tif: not text",
+    "discrepancy add s.yaml --model s.yaml --fit results -o new.yaml": "s.yaml: no such effect",
+    "discrepancy add hop --model s.yaml --fit results -o full": "full: a folder",
     # camera files
     "tracker track film.tif --camera scale_in_mm.json -o new": "0.00016",
     "tracker track film.tif --camera fps_text.json -o new": "fps: expected a number",
