@@ -41,7 +41,7 @@ def track(
     source: Annotated[Path, typer.Argument(metavar="SOURCE", help="Dataset, clip, stack, video or pictures.")],
     output: Results,
     camera: Annotated[Path | None, typer.Option(help="camera.json, in place of the source's own.")] = None,
-    detector: Annotated[str | None, typer.Option(help=f"{DETECTORS}; default: what the film asks for.")] = None,
+    detector: Annotated[str | None, typer.Option(help=f"{DETECTORS}. Without it the film decides.")] = None,
     workers: Annotated[int | None, typer.Option(min=1, help="Processes; default: one a core.")] = None,
     pages: WithPages = None,
     as_json: Json = False,
