@@ -37,6 +37,18 @@ def test_steel_balls_are_glints(camera, peak, body):
     assert choose(frames_in_memory(np.array(frames))[0], camera) == ("maximum_likelihood", "")
 
 
+def test_glints_no_brighter_than_the_plate_leave_the_discs():
+    """Steel on an overexposed plate: of its glint nothing stands out, its outline does."""
+    rng = np.random.default_rng(3)
+    ways = collision(30, 12)
+    pictures = film(rng, ways, 20.0, ground=plate(rng, 270.0, 0.0)).astype(float)
+    for picture, *places in zip(pictures, *ways, strict=True):
+        for x, y in places:
+            picture += 700 * spot(picture.shape, x, y, 1.2) * 2 * np.pi * 1.44
+    frames = frames_in_memory(np.clip(pictures, 0, 255).astype(np.uint8))[0]
+    assert choose(frames, Camera.from_dict(CAMERA))[0] == "discs"
+
+
 def test_the_choice_is_said_and_can_be_forced():
     pictures = film(np.random.default_rng(2), collision(30, 12))
     result = tracker.track(pictures, CAMERA)
