@@ -39,7 +39,7 @@ def run(app: typer.Typer, name: str, wrong: tuple[type[Exception], ...], interru
         status = app(prog_name=name, standalone_mode=False)
         if status == 130:  # typer makes this of Ctrl-C
             raise KeyboardInterrupt
-        sys.exit(status)
+        sys.exit(status or 0)
     except USAGE as error:
         line = re.sub(r" \(Possible options: (.*)\)$", r". Did you mean \1?", error.format_message())
         where = error.ctx.command_path if error.ctx else name

@@ -243,8 +243,9 @@ def _load(path: Path) -> pd.DataFrame:
 def _check_columns(table: pd.DataFrame, where: str) -> None:
     missing = [name for name in NEEDED if name not in table]
     if missing:
-        there = shown(", ".join(map(str, table.columns)), quoted=False)
+        there = ", ".join(map(str, table.columns))
         commas = " with commas between them" if ";" in there or "\t" in there else ""
+        there = shown(there, quoted=False)
         raise InputError(
             f"{where}: no column {', '.join(missing)}, expected {', '.join(NEEDED)}{commas}; found {there}"
         )

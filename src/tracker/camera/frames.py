@@ -101,7 +101,9 @@ def open_source(path: Path | str, camera: Path | str | None = None) -> Source:
         number = int(location.name) if location.name.isdecimal() else 0
         return Source(location, ((number, film),), given)
     if not pictures_of(location):
-        raise InputError(f"{location}: an empty folder, expected clips/, frames.tif or pictures ({' '.join(PICTURES)})")
+        raise InputError(
+            f"{location}: nothing to track in it, expected clips/, frames.tif or pictures ({' '.join(PICTURES)})"
+        )
     return Source(location, ((0, location),), given)
 
 
