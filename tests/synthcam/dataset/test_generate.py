@@ -204,7 +204,8 @@ def test_killed_or_interrupted_it_goes_on(many, tmp_path, how, workers):
     made = len(clip_folders(partial))
     assert 10 <= made < MANY
     if how == signal.SIGINT:
-        assert said.splitlines()[-1] == "synthcam: interrupted; the same command goes on where it stopped"
+        assert "Traceback" not in said
+        assert "synthcam: interrupted; the same command goes on where it stopped" in said.splitlines()
     again = subprocess.run([*command, "--json"], capture_output=True, text=True, timeout=60, check=True)
     summary = json.loads(again.stdout)
     assert 0 < summary["made"] < MANY - 9

@@ -177,7 +177,7 @@ def test_gamma_makes_counts_linear_in_light(tmp_path):
 def test_bad_sources(tmp_path):
     one_line(lambda: open_source(tmp_path / "none"), "none", "no such file")
     (tmp_path / "empty").mkdir()
-    one_line(lambda: open_source(tmp_path / "empty"), "empty folder", "expected")
+    one_line(lambda: open_source(tmp_path / "empty"), "nothing to track in it", "expected")
     (tmp_path / "set" / "clips").mkdir(parents=True)
     one_line(lambda: open_source(tmp_path / "set"), "no clips")
     (tmp_path / "set" / "clips" / "000000").mkdir()
