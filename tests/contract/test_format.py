@@ -2,6 +2,7 @@
 
 import json
 import re
+import shlex
 import shutil
 import subprocess
 import sys
@@ -29,7 +30,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     assert len(commands) >= 6
     (folder / "scenes").symlink_to(ROOT / "scenes")
     for command in commands:
-        run(*re.sub(r"--clips \d+", "--clips 6", command).split(), cwd=folder)
+        run(*shlex.split(re.sub(r"--clips \d+", "--clips 6", command), comments=True), cwd=folder)
     return folder / "out"
 
 
