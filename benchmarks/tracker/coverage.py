@@ -30,9 +30,9 @@ from rich.table import Table
 
 from benchmarks.harness import ROOT, run, save
 from tracker.camera.camera import Camera
-from tracker.detection.cramer_rao import fixed_part, localisation_bound
+from tracker.detection.likelihood.cramer_rao import fixed_part, localisation_bound
 from tracker.measurement.estimate import FREE_LIMITS, LIMITS, LINEAR_UP_TO
-from tracker.measurement.whitening import covariance
+from tracker.measurement.noise.whitening import covariance
 from tracker.scoring.score import score
 
 JUDGED = "r s tau1 tau2 mu_k C v1f v2f energy_fraction momentum_fraction".split()

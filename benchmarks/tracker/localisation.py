@@ -27,9 +27,9 @@ from rich.table import Table
 from benchmarks.harness import ROOT, run, save
 from tracker.camera.camera import Camera
 from tracker.camera.frames import open_source
-from tracker.detection.cramer_rao import localisation_bound
 from tracker.detection.detect import DEFAULT, detector, view_of
 from tracker.detection.glints import Glints
+from tracker.detection.likelihood.cramer_rao import localisation_bound
 from tracker.scoring.localisation import Matched, localisation, match
 
 SCENE = "scenes/benchmark.yaml"

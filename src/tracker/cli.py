@@ -217,7 +217,7 @@ def _pages(outcome: Outcome, output: Path, given: Path, source: Source | None, w
 
 
 def _report(outcome: Outcome, output: Path, extra: dict[str, Any], as_json: bool) -> None:
-    from tracker.measurement.adequacy import warnings
+    from tracker.measurement.collision.adequacy import warnings
     from tracker.report.answer import printed
 
     for note, clips in outcome.notes.items():
@@ -245,7 +245,7 @@ def _report(outcome: Outcome, output: Path, extra: dict[str, Any], as_json: bool
 
 def _collision(row: Mapping[Any, Any]) -> dict[str, Any]:
     """A row of estimates as --json has it: the quantities of the tied fit in SI units, null for what is not known."""
-    from tracker.measurement.derived import NAMES
+    from tracker.measurement.collision.derived import NAMES
     from tracker.results import finite
 
     pairs = {name: {"value": finite(row[name]), "std": finite(row[f"{name}_std"])} for name in NAMES}

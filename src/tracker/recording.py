@@ -21,8 +21,8 @@ from tracker.detection.detect import DEFAULT, point_of, settled, view_of
 from tracker.detection.detect import detector as detector_named
 from tracker.detection.diagnose import why_no_disc, why_nothing
 from tracker.detection.link import Tracks, link
-from tracker.measurement.adequacy import MEASURED
-from tracker.measurement.derived import NAMES
+from tracker.measurement.collision.adequacy import MEASURED
+from tracker.measurement.collision.derived import NAMES
 from tracker.report.answer import with_error
 
 if TYPE_CHECKING:

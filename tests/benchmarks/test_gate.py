@@ -10,7 +10,7 @@ import pandas as pd
 import pytest
 
 from benchmarks.regression import gate as regression_gate
-from tracker.measurement.derived import NAMES
+from tracker.measurement.collision.derived import NAMES
 from tracker.scoring.error_bars import figures
 
 

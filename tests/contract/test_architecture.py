@@ -86,6 +86,21 @@ LAYERS = {
         "credible_band formula",
         "answer",
     ],
+    "tracker.measurement": [
+        "noise",
+        "positions",
+        "collision",
+        "camera_errors energy_momentum",
+        "estimate_row joint_fit painter_behringer rolling_ball",
+        "estimate",
+    ],
+    "tracker.measurement.collision": [
+        "collision_model",
+        "fitting derived",
+        "contacts adequacy",
+        "noise_correlation striker",
+        "collision_fit",
+    ],
     "tracker.report": [
         "answer collision_figures html overlay",
         "page",
@@ -93,6 +108,7 @@ LAYERS = {
     ],
     "tracker.detection": [
         "candidates",
+        "likelihood takes",
         "glints",
         "detectors",
         "detect",
@@ -162,7 +178,7 @@ def tops(path):
 
 
 def test_there_is_something_to_read():
-    assert {"synthcam.dynamics.solve", "tracker.measurement.collision_model", "discrepancy"} <= KNOWN
+    assert {"synthcam.dynamics.solve", "tracker.measurement.collision.collision_model", "discrepancy"} <= KNOWN
     assert "synthcam.dynamics.kinematics" in ARROWS["synthcam.dynamics.impact"]
     for finder in (
         "synthcam.library",

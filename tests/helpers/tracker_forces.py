@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from tracker.measurement.collision_model import GRAVITY, TIED
+from tracker.measurement.collision.collision_model import GRAVITY, TIED
 
 R = 1.19e-3
 TYPICAL = {"t_c": 0.0913, "x": 2e-3, "y": -1e-3, "heading": 0.7, "beta": 0.2, "v0": 0.3, "drag": 0.135}

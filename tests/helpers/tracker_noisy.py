@@ -10,7 +10,7 @@ from synthcam.dataset.generate import Plan, run
 from synthcam.scene.scene import check_scene
 from tracker.camera.camera import Camera
 from tracker.detection.link import Tracks
-from tracker.measurement.derived import NAMES
+from tracker.measurement.collision.derived import NAMES
 from tracker.measurement.estimate import fit_all, measure, motion_table
 
 NOISE = 0.015  # px an axis

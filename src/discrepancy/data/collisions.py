@@ -18,7 +18,7 @@ from discrepancy.data.sanity import exchanged, wrong_units
 from tracker.camera.camera import Camera
 from tracker.camera.camera import InputError as InputError
 from tracker.detection.link import Tracks
-from tracker.measurement.adequacy import MEASURED, MISFIT
+from tracker.measurement.collision.adequacy import MEASURED, MISFIT
 from tracker.measurement.estimate import measure
 from tracker.recording import Result
 from tracker.results import read_clip, read_tracks, split_tracks

@@ -13,7 +13,7 @@ from scipy.optimize import minimize_scalar
 from tracker.camera.camera import Camera
 from tracker.camera.sensor import Sensor
 from tracker.detection.candidates import Ground, Search
-from tracker.detection.glint_fit import Windows, fit
+from tracker.detection.likelihood.glint_fit import Windows, fit
 
 FRAMES = 40  # used
 DEEP = 400  # frames of 16 bits searched for the brightest pixel

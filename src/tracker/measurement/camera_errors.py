@@ -15,8 +15,8 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from tracker.measurement.derived import Values, of_free, of_tied
-from tracker.measurement.fitting import Fit, Pair, Whitened
+from tracker.measurement.collision.derived import Values, of_free, of_tied
+from tracker.measurement.collision.fitting import Fit, Pair, Whitened
 from tracker.measurement.positions import Course
 
 if TYPE_CHECKING:

@@ -9,8 +9,8 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from tracker.measurement.adequacy import MEASURED
-from tracker.measurement.collision_model import AFTER, release
+from tracker.measurement.collision.adequacy import MEASURED
+from tracker.measurement.collision.collision_model import AFTER, release
 from tracker.measurement.positions import Course, courses
 
 if TYPE_CHECKING:

@@ -14,16 +14,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tracker.measurement import painter_behringer
-from tracker.measurement.adequacy import LEVEL, MISFIT, NO_TOUCH, distant, p_free, questioned
 from tracker.measurement.camera_errors import carry, shared_block, touching
-from tracker.measurement.collision_fit import Reading, interpret
-from tracker.measurement.collision_model import FREE, SPIN, TARGET, TIED, release
-from tracker.measurement.contacts import Meeting, Past, encounter, meetings
-from tracker.measurement.derived import NAMES, Values
+from tracker.measurement.collision.adequacy import LEVEL, MISFIT, NO_TOUCH, distant, p_free, questioned
+from tracker.measurement.collision.collision_fit import Reading, interpret
+from tracker.measurement.collision.collision_model import FREE, SPIN, TARGET, TIED, release
+from tracker.measurement.collision.contacts import Meeting, Past, encounter, meetings
+from tracker.measurement.collision.derived import NAMES, Values
 from tracker.measurement.energy_momentum import BEFORE, motion_table
 from tracker.measurement.estimate_row import covariances, unmeasured
 from tracker.measurement.joint_fit import fit_all
-from tracker.measurement.position_noise import Size, scatter
+from tracker.measurement.noise.position_noise import Size, scatter
 from tracker.measurement.positions import Course, courses
 from tracker.measurement.rolling_ball import PARAMETERS, carry_alone, roll_alone
 

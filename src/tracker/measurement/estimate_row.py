@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tracker.measurement.collision_model import SPIN
-from tracker.measurement.derived import NAMES
+from tracker.measurement.collision.collision_model import SPIN
+from tracker.measurement.collision.derived import NAMES
 from tracker.measurement.energy_momentum import BEFORE
 
 if TYPE_CHECKING:

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from scipy.optimize import brentq, least_squares
 
 from tracker.measurement.camera_errors import shared, shared_part
-from tracker.measurement.collision_model import GRAVITY, SLIP_RATE
-from tracker.measurement.fitting import covariance
+from tracker.measurement.collision.collision_model import GRAVITY, SLIP_RATE
+from tracker.measurement.collision.fitting import covariance
 
 Floats = NDArray[np.float64]
 SHARED = ("r", "mu_k", "C")

@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tracker.measurement.camera_errors import camera_errors
-from tracker.measurement.collision_model import GRAVITY
-from tracker.measurement.contacts import Encounter
-from tracker.measurement.derived import NAMES
+from tracker.measurement.collision.collision_model import GRAVITY
+from tracker.measurement.collision.contacts import Encounter
+from tracker.measurement.collision.derived import NAMES
 from tracker.measurement.positions import Course
 
 if TYPE_CHECKING:

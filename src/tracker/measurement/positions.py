@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from tracker.measurement.position_noise import Size, scatter
-from tracker.measurement.whitening import Whitener
+from tracker.measurement.noise.position_noise import Size, scatter
+from tracker.measurement.noise.whitening import Whitener
 
 if TYPE_CHECKING:
     from tracker.camera.camera import Camera

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tracker.measurement.camera_errors import camera_errors, response, shared_block, slopes
-from tracker.measurement.collision_model import SHORTEST_EXPOSURE, rolled
-from tracker.measurement.fitting import BROAD, covariance, fit
+from tracker.measurement.collision.collision_model import SHORTEST_EXPOSURE, rolled
+from tracker.measurement.collision.fitting import BROAD, covariance, fit
 from tracker.measurement.positions import Course
 
 if TYPE_CHECKING:

@@ -8,8 +8,8 @@ from typing import Any, NamedTuple
 
 import pandas as pd
 
-from tracker.measurement.adequacy import MEASURED, MISFIT
-from tracker.measurement.derived import NAMES
+from tracker.measurement.collision.adequacy import MEASURED, MISFIT
+from tracker.measurement.collision.derived import NAMES
 
 # name: (symbol, its index after _, unit, how many of it in one SI unit, what it is)
 QUANTITIES: dict[str, tuple[str, str, float, str]] = {

@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Rectangle
 from numpy.typing import NDArray
 
-from tracker.measurement.collision_model import path, release
+from tracker.measurement.collision.collision_model import path, release
 from tracker.measurement.energy_momentum import BEFORE, motion_table
 from tracker.measurement.positions import Course
 

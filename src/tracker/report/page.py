@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 from tracker.camera.camera import Camera
 from tracker.camera.grey import Frames
 from tracker.detection.link import Tracks
-from tracker.measurement.adequacy import MEASURED, warnings
+from tracker.measurement.collision.adequacy import MEASURED, warnings
 from tracker.measurement.positions import courses
 from tracker.outputs import put
 from tracker.report.answer import KINDS, Line, fit_quality, heading, lines

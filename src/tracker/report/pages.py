@@ -10,7 +10,7 @@ import pandas as pd
 
 from tracker import results
 from tracker.camera.frames import Source
-from tracker.measurement.adequacy import warnings
+from tracker.measurement.collision.adequacy import warnings
 from tracker.outputs import as_input_error, put
 from tracker.report.answer import QUANTITIES, rows_of, value_of
 from tracker.report.html import HERE, made, rendered

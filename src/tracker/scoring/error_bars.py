@@ -9,10 +9,10 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from tracker.detection.cramer_rao import fixed_part
-from tracker.measurement.collision_model import TARGET, release
-from tracker.measurement.derived import NAMES, of_free, of_tied
-from tracker.measurement.fitting import Pair, Whitened, covariance
+from tracker.detection.likelihood.cramer_rao import fixed_part
+from tracker.measurement.collision.collision_model import TARGET, release
+from tracker.measurement.collision.derived import NAMES, of_free, of_tied
+from tracker.measurement.collision.fitting import Pair, Whitened, covariance
 from tracker.measurement.positions import Course
 from tracker.scoring.localisation import Matched
 

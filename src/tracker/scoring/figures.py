@@ -7,7 +7,7 @@ import pandas as pd
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from tracker.measurement.derived import NAMES
+from tracker.measurement.collision.derived import NAMES
 
 Floats = NDArray[np.float64]
 

@@ -10,7 +10,7 @@ import pandas as pd
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
-from tracker.detection.cramer_rao import localisation_bound
+from tracker.detection.likelihood.cramer_rao import localisation_bound
 
 if TYPE_CHECKING:
     from tracker.camera.camera import Camera

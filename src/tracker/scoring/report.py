@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from tracker.camera.camera import InputError
-from tracker.measurement.derived import NAMES
+from tracker.measurement.collision.derived import NAMES
 from tracker.measurement.positions import courses
 from tracker.outputs import put
 from tracker.report.collision_figures import Specimen, energy_figure, frame_figure, separation_figure, tracks_figure

@@ -12,8 +12,8 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from tracker.camera.camera import Camera, InputError
-from tracker.measurement.adequacy import MEASURED, MISFIT
-from tracker.measurement.derived import NAMES
+from tracker.measurement.collision.adequacy import MEASURED, MISFIT
+from tracker.measurement.collision.derived import NAMES
 from tracker.results import finite, write_json
 from tracker.scoring.error_bars import quantity_bounds, quantity_scores, true_motion
 from tracker.scoring.localisation import Matched, bounds, localisation, match

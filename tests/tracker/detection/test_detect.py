@@ -13,9 +13,9 @@ from tracker.camera.camera import Camera, InputError
 from tracker.camera.frames import Clip, Frames
 from tracker.camera.mirror_images import secondary_of_pair
 from tracker.detection import detect as detect_module
-from tracker.detection.cramer_rao import localisation_bound
 from tracker.detection.detect import detect, detectors, point_of, view_of
 from tracker.detection.glints import BLURRED, CLIPPED, MISFIT, NEAR, Glints
+from tracker.detection.likelihood.cramer_rao import localisation_bound
 from tracker.detection.link import assign
 
 CAM = Camera.from_dict({k: v for k, v in CAMERA.items() if k != "lamp"})  # no lamp: the profile is centred on the glint

@@ -8,7 +8,7 @@ from tracker_billiard import Physics, play, positions, rolling, slip, truth
 
 from tracker.camera.camera import Camera
 from tracker.detection.link import Tracks
-from tracker.measurement.derived import NAMES
+from tracker.measurement.collision.derived import NAMES
 from tracker.measurement.energy_momentum import slip_directions
 from tracker.measurement.estimate import measure
 

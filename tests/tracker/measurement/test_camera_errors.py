@@ -9,7 +9,7 @@ from tracker_noisy import BENCHMARK, dataset, noisy, scalars_of, truth_of
 
 from tracker.camera.camera import Camera, InputError
 from tracker.measurement import estimate
-from tracker.measurement.derived import NAMES
+from tracker.measurement.collision.derived import NAMES
 from tracker.measurement.estimate import fit_all, measure
 
 CLIPS = 40

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from tracker_noisy import BENCHMARK, NOISE, dataset, measured, noisy, scalars_of, truth_of, without
 
-from tracker.measurement.collision_model import FREE, path, release
-from tracker.measurement.derived import NAMES
+from tracker.measurement.collision.collision_model import FREE, path, release
+from tracker.measurement.collision.derived import NAMES
 from tracker.measurement.estimate import fit_all, measure, motion_table
 from tracker.measurement.positions import Course, courses
 

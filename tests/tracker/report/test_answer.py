@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from tracker.measurement.derived import NAMES
+from tracker.measurement.collision.derived import NAMES
 from tracker.report.answer import KINDS, QUANTITIES, heading, lines, printed, with_error
 
 

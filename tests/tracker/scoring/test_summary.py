@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from tracker.measurement.derived import NAMES
+from tracker.measurement.collision.derived import NAMES
 from tracker.scoring.score import Score
 from tracker.scoring.summary import FEW, summary, verdict
 

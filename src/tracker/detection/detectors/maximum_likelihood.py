@@ -12,15 +12,15 @@ from numpy.typing import NDArray
 
 from tracker.camera.lens import Array
 from tracker.camera.mirror_images import secondary_of_pair, secondary_share, zenith_of_glint
-from tracker.detection.ball_profile import BallProfile
 from tracker.detection.candidates import Search, coarse_position
-from tracker.detection.dsnu import Bare
-from tracker.detection.flux_prior import with_flux_prior
-from tracker.detection.glint_fit import Fit, Windows, fit, learn, stretch
 from tracker.detection.glints import BLURRED, CLIPPED, EDGE, MISFIT, NEAR, Glints, View
+from tracker.detection.likelihood.ball_profile import BallProfile
+from tracker.detection.likelihood.dsnu import Bare
+from tracker.detection.likelihood.flux_prior import with_flux_prior
+from tracker.detection.likelihood.glint_fit import Fit, Windows, fit, learn, stretch
+from tracker.detection.likelihood.secondary_glints import with_common_reflectance
 from tracker.detection.link import FASTEST, assign, velocities
 from tracker.detection.motion_blur import MotionBlur
-from tracker.detection.secondary_glints import with_common_reflectance
 
 Ints = NDArray[np.int64]
 

@@ -9,8 +9,8 @@ from itertools import combinations, product
 import numpy as np
 from numpy.typing import NDArray
 
-from tracker.measurement.collision_model import AFTER, SPIN, directions, release
-from tracker.measurement.fitting import Pair
+from tracker.measurement.collision.collision_model import AFTER, SPIN, directions, release
+from tracker.measurement.collision.fitting import Pair
 from tracker.measurement.positions import Course
 
 Floats = NDArray[np.float64]

@@ -7,7 +7,7 @@ import pytest
 from tracker_noisy import BENCHMARK, dataset, noisy, truth_of
 
 from tracker.measurement.estimate import measure
-from tracker.measurement.position_noise import scatter
+from tracker.measurement.noise.position_noise import scatter
 from tracker.measurement.positions import Course, courses
 
 

@@ -19,8 +19,8 @@ from scipy.special import log_ndtr
 
 from tracker.camera.lens import Array
 from tracker.camera.sensor import Sensor
-from tracker.detection.ball_profile import POWERS, BallProfile
-from tracker.detection.cramer_rao import ROOT_TWO_PI, fisher, glint_shape, information, spread
+from tracker.detection.likelihood.ball_profile import POWERS, BallProfile
+from tracker.detection.likelihood.cramer_rao import ROOT_TWO_PI, fisher, glint_shape, information, spread
 
 STEPS = 30
 LOG_FLUX = (-5.0, 18.0)

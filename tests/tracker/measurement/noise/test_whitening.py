@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from tracker_noisy import dataset, noisy, scalars_of, truth_of
 
-from tracker.measurement.contacts import STILL, _thinned
-from tracker.measurement.derived import NAMES
+from tracker.measurement.collision.contacts import STILL, _thinned
+from tracker.measurement.collision.derived import NAMES
 from tracker.measurement.estimate import measure
+from tracker.measurement.noise.whitening import Whitener, covariance
 from tracker.measurement.positions import Course
-from tracker.measurement.whitening import Whitener, covariance
 
 SIGMA = 1.25
 

@@ -8,9 +8,9 @@ from scipy.ndimage import gaussian_filter
 from tracker_film import disc, expose, spot
 
 from tracker.camera.sensor import Sensor
-from tracker.detection.ball_profile import BallProfile
-from tracker.detection.cramer_rao import fisher, information
-from tracker.detection.glint_fit import Windows, fit, learn
+from tracker.detection.likelihood.ball_profile import BallProfile
+from tracker.detection.likelihood.cramer_rao import fisher, information
+from tracker.detection.likelihood.glint_fit import Windows, fit, learn
 
 SENSOR = Sensor(bits=8, gain=20.0, read_noise=20.0, black_level=8.0)
 HALF, RADIUS = 5, 7.44

@@ -8,7 +8,7 @@ from scipy.stats import norm
 from tracker_film import CAMERA, spot
 
 from tracker.camera.camera import Camera, Sensor
-from tracker.detection.cramer_rao import glint_shape, information, localisation_bound
+from tracker.detection.likelihood.cramer_rao import glint_shape, information, localisation_bound
 
 SENSOR = Sensor(bits=8, gain=20, read_noise=20, prnu=0.005, dsnu=4, full_well=6000, black_level=8)
 

@@ -15,7 +15,16 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import leastsq
 
-from tracker.measurement.collision_model import FREE, SLIDING, SPIN, TARGET, TIED, path, release, release_slope
+from tracker.measurement.collision.collision_model import (
+    FREE,
+    SLIDING,
+    SPIN,
+    TARGET,
+    TIED,
+    path,
+    release,
+    release_slope,
+)
 from tracker.measurement.positions import Course
 
 Floats = NDArray[np.float64]

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from tracker.measurement.collision_model import AFTER, GRAVITY, TIED, release
+from tracker.measurement.collision.collision_model import AFTER, GRAVITY, TIED, release
 
 Floats = NDArray[np.float64]
 

@@ -12,7 +12,7 @@ from tracker.camera.camera import Camera
 from tracker.camera.frames import Clip, Frames
 from tracker.detection.candidates import Ground
 from tracker.detection.detect import detect, view_of
-from tracker.detection.dsnu import FEWEST, WIDE, Bare
+from tracker.detection.likelihood.dsnu import FEWEST, WIDE, Bare
 
 SHAPE, SPREAD, NOISE = (240, 320), 0.3, 1.0
 ALL = np.indices(SHAPE)

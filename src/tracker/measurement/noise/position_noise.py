@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
-from tracker.measurement.whitening import covariance
+from tracker.measurement.noise.whitening import covariance
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]

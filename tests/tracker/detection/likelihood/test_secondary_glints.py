@@ -10,9 +10,9 @@ from synthcam.camera.pinhole import Lamp, glint_px
 from tracker.camera.camera import Camera
 from tracker.camera.frames import Clip, Frames
 from tracker.camera.mirror_images import secondary_share
-from tracker.detection.cramer_rao import localisation_bound
 from tracker.detection.detect import detect, view_of
-from tracker.detection.secondary_glints import with_common_reflectance
+from tracker.detection.likelihood.cramer_rao import localisation_bound
+from tracker.detection.likelihood.secondary_glints import with_common_reflectance
 
 POSITION, CROSS = 0.01**2, np.array([0.45, 0.2])  # variance of a position; its correlation with the reflectance by axis
 

@@ -5,7 +5,7 @@ import pytest
 from scipy.integrate import quad, solve_ivp
 from tracker_forces import R, spring_collision, tied
 
-from tracker.measurement.collision_model import (
+from tracker.measurement.collision.collision_model import (
     AFTER,
     FREE,
     TIED,

@@ -14,9 +14,10 @@ from discrepancy.data.collisions import collision
 from tracker.camera.camera import Camera
 from tracker.cli import app
 from tracker.detection.link import Tracks
-from tracker.measurement import collision_fit, estimate, noise_correlation
-from tracker.measurement.adequacy import LEVEL, p_value, warnings
-from tracker.measurement.derived import NAMES
+from tracker.measurement import estimate
+from tracker.measurement.collision import collision_fit, noise_correlation
+from tracker.measurement.collision.adequacy import LEVEL, p_value, warnings
+from tracker.measurement.collision.derived import NAMES
 from tracker.measurement.estimate import fit_all, measure
 from tracker.recording import measure_clip
 from tracker.scoring.report import write_report

@@ -13,11 +13,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from tracker.measurement.collision_model import FREE, GRAVITY, SLIDING, SPIN, TIED
-from tracker.measurement.fitting import Fit, Pair
+from tracker.measurement.collision.collision_model import FREE, GRAVITY, SLIDING, SPIN, TIED
+from tracker.measurement.collision.fitting import Fit, Pair
 
 if TYPE_CHECKING:
-    from tracker.measurement.contacts import Encounter
+    from tracker.measurement.collision.contacts import Encounter
 
 Floats = NDArray[np.float64]
 CONVINCING = 1e-3  # p-value that a further freedom must reach: it is asked for after a fit was rejected

@@ -7,9 +7,9 @@ from tracker_film import film as drawn
 
 from tracker.camera.camera import Camera
 from tracker.camera.frames import Clip, Frames
-from tracker.detection import flux_prior
 from tracker.detection.detect import detect, view_of
-from tracker.detection.flux_prior import FEWEST, with_flux_prior
+from tracker.detection.likelihood import flux_prior
+from tracker.detection.likelihood.flux_prior import FEWEST, with_flux_prior
 
 CROSS, OWN = np.array([0.6, -0.5]), 0.01**2  # correlations of position with log flux; variance of log flux
 POSITION = 0.005**2

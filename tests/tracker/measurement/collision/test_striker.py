@@ -6,7 +6,7 @@ import pytest
 from tracker_forces import R, spring_collision, tied
 
 from tracker import measure
-from tracker.measurement.adequacy import MISFIT
+from tracker.measurement.collision.adequacy import MISFIT
 
 CAMERA = {"fps": 250.0, "scale": 1.6e-4, "size": [800, 800], "ball_diameter": 2 * R, "exposure": 0.0}
 NOISE = 0.01  # px

@@ -8,13 +8,13 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from tracker.measurement.adequacy import LEVEL, agreement, p_value, questioned
-from tracker.measurement.collision_model import AFTER, FREE, SPIN, TARGET, TIED, release
-from tracker.measurement.contacts import Encounter, first_guess
-from tracker.measurement.derived import NAMES, Values, of_free, of_tied
-from tracker.measurement.fitting import COARSE, Fit, Pair, fit_motion
-from tracker.measurement.noise_correlation import lasting
-from tracker.measurement.striker import CONVINCING, believable, strikers
+from tracker.measurement.collision.adequacy import LEVEL, agreement, p_value, questioned
+from tracker.measurement.collision.collision_model import AFTER, FREE, SPIN, TARGET, TIED, release
+from tracker.measurement.collision.contacts import Encounter, first_guess
+from tracker.measurement.collision.derived import NAMES, Values, of_free, of_tied
+from tracker.measurement.collision.fitting import COARSE, Fit, Pair, fit_motion
+from tracker.measurement.collision.noise_correlation import lasting
+from tracker.measurement.collision.striker import CONVINCING, believable, strikers
 
 Floats = NDArray[np.float64]
 

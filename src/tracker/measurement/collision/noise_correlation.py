@@ -12,11 +12,11 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from tracker.measurement.collision_model import FREE
-from tracker.measurement.fitting import Fit, Pair, Whitened
-from tracker.measurement.position_noise import Size
+from tracker.measurement.collision.collision_model import FREE
+from tracker.measurement.collision.fitting import Fit, Pair, Whitened
+from tracker.measurement.noise.position_noise import Size
+from tracker.measurement.noise.whitening import fresh
 from tracker.measurement.positions import Course
-from tracker.measurement.whitening import fresh
 
 Floats = NDArray[np.float64]
 ORDER = 3  # of the polynomial

@@ -9,7 +9,7 @@ from scipy.optimize import minimize
 from tracker_film import expose, spot
 
 from tracker.camera.sensor import Sensor
-from tracker.detection.glint_fit import Windows, fit
+from tracker.detection.likelihood.glint_fit import Windows, fit
 
 SENSOR = Sensor(bits=8, gain=20.0, read_noise=20.0, prnu=0.01, dsnu=4.0, black_level=8.0)
 

@@ -10,9 +10,9 @@ import numpy as np
 import pandas as pd
 from scipy.stats import chi2, f
 
-from tracker.measurement.derived import NAMES, Values
-from tracker.measurement.fitting import Fit
-from tracker.measurement.position_noise import Size
+from tracker.measurement.collision.derived import NAMES, Values
+from tracker.measurement.collision.fitting import Fit
+from tracker.measurement.noise.position_noise import Size
 
 MISFIT = "misfit"
 MEASURED = ("ok", MISFIT)  # statuses of a collision that has values
