@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from commandline.errors import InputError
 from discrepancy import policy
 from discrepancy.data.collisions import Measured
 from discrepancy.data.outlier_points import taken_out, without_outliers
@@ -22,7 +23,6 @@ from discrepancy.selection.score_test import ScoreTests
 from synthcam.library import library
 from synthcam.model import Model
 from synthcam.settings import did_you_mean
-from tracker.camera.camera import InputError
 
 
 @dataclass(frozen=True)

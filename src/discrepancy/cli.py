@@ -15,11 +15,11 @@ import typer
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
+from commandline.application import EVERY, command_line, run
+from commandline.errors import InputError
+from commandline.outputs import as_input_error, check_room
 from synthcam.model import read_model, write_model
-from synthcam.settings import InputError as ModelError
-from tracker.camera.camera import Camera, InputError
-from tracker.command_line import EVERY, command_line, run
-from tracker.outputs import as_input_error, check_room
+from tracker.camera.camera import Camera
 
 app = command_line(
     "discrepancy", "Where do simulation and measured tracks disagree, and which effect is missing from the model?"
@@ -155,7 +155,7 @@ def _say_lost(left_out: Sequence[str], most: bool) -> None:
 
 def main() -> None:
     """Entry point: 0 done, 2 bad input, 130 interrupted."""
-    run(app, "discrepancy", (InputError, ModelError), "nothing was written")
+    run(app, "discrepancy", (InputError,), "nothing was written")
 
 
 if __name__ == "__main__":

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import pandas as pd
 
+from commandline.errors import InputError
 from discrepancy.data.collisions import Measured, read_measured
 from discrepancy.diagnostics.gap import Gap
 from discrepancy.fitting.base_fit import Progress
@@ -19,8 +20,6 @@ from discrepancy.report.staging import aside
 from discrepancy.search import find as search
 from discrepancy.selection.named import Named
 from synthcam.model import Model, model_of
-from synthcam.settings import InputError as ModelError
-from tracker.camera.camera import InputError
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -190,11 +189,11 @@ def find(
     >>> discrepancy.find([], "painter_behringer")
     Traceback (most recent call last):
     ...
-    tracker.camera.camera_json.InputError: results: no clip with a measured collision
+    commandline.errors.InputError: results: no clip with a measured collision
     """
     try:
         given = model_of(model)
-    except ModelError as error:
+    except InputError as error:
         raise InputError(str(error)) from None
     source = Path(results) if isinstance(results, str) else results
     clips, left_out = read_measured(source, None if camera is None else Path(camera))

@@ -6,6 +6,7 @@ import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from commandline.errors import InputError
 from discrepancy import policy
 from discrepancy.data.collisions import Measured, cannot_tell, split
 from discrepancy.data.outlier_points import taken_out, without_outliers
@@ -27,7 +28,6 @@ from discrepancy.selection.free_law_contest import FreeLawContest, unseen
 from discrepancy.selection.named import Named
 from discrepancy.selection.stepwise import Selection, State, Stepwise
 from synthcam.model import Model
-from tracker.camera.camera import InputError
 
 ROUNDS = 4  # searches, at most: again without clips that are unlike all others, again with the noise read anew
 

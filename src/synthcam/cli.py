@@ -15,9 +15,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from synthcam.command_line import command_line, progress_bar
-from synthcam.command_line import run as run_command
-from synthcam.settings import InputError, did_you_mean
+from commandline.application import command_line, progress_bar
+from commandline.application import run as run_command
+from commandline.errors import InputError
+from synthcam.settings import did_you_mean
 
 if TYPE_CHECKING:
     from synthcam.effect import Parameter

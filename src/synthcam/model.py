@@ -15,9 +15,10 @@ import yaml
 from numpy.typing import NDArray
 from pydantic import Field, ValidationError, create_model
 
+from commandline.errors import InputError
 from synthcam.effect import Effect, Laws
 from synthcam.library import library
-from synthcam.settings import Fraction, InputError, NotNegative, Positive, Settings, did_you_mean, one_line, read_yaml
+from synthcam.settings import Fraction, NotNegative, Positive, Settings, did_you_mean, one_line, read_yaml
 
 Array = NDArray[np.float64]
 

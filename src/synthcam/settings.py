@@ -11,9 +11,7 @@ from typing import Annotated, Any, get_args
 import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-
-class InputError(ValueError):
-    """Bad input: one line that names the file, the key, and what was expected."""
+from commandline.errors import InputError as InputError
 
 
 class Settings(BaseModel):

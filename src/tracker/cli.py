@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from tracker.camera.camera import InputError
-from tracker.command_line import command_line, progress_bar, run
+from commandline.application import command_line, progress_bar, run
+from commandline.errors import InputError
 from tracker.detection import detectors as detector_files
 
 if TYPE_CHECKING:
@@ -105,7 +105,7 @@ def score(
 
     Example: tracker score out/results --truth out/benchmark -o out/report
     """
-    from tracker.outputs import as_input_error, check_room, held
+    from commandline.outputs import as_input_error, check_room, held
     from tracker.results import RUN, load_json
     from tracker.scoring.report import write_report
     from tracker.scoring.score import score as score_results

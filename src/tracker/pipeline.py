@@ -20,12 +20,13 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import cv2
 import pandas as pd
 
+from commandline.errors import InputError
+from commandline.outputs import as_input_error, check_room, held
 from tracker import results
-from tracker.camera.camera import Camera, InputError
+from tracker.camera.camera import Camera
 from tracker.camera.frames import Source, open_source
 from tracker.detection.choose import choose
 from tracker.detection.detect import detector
-from tracker.outputs import as_input_error, check_room, held
 from tracker.recording import followed, measured, unsaid
 
 if TYPE_CHECKING:

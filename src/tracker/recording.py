@@ -12,8 +12,9 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from commandline.errors import InputError
 from tracker import results
-from tracker.camera.camera import Camera, InputError
+from tracker.camera.camera import Camera
 from tracker.camera.frames import Clip, open_frames, open_source, recorded
 from tracker.camera.memory import FILM, frames_in_memory
 from tracker.detection.choose import choose

@@ -22,10 +22,11 @@ import pyarrow as pa
 import pyarrow.csv
 import pyarrow.parquet
 
-from tracker.camera.camera import Camera, InputError
+from commandline.errors import InputError
+from commandline.outputs import put
+from tracker.camera.camera import Camera
 from tracker.camera.camera_keys import read_json, shown
 from tracker.detection.link import Tracks
-from tracker.outputs import put
 
 RUN = "run.json"
 SEEN = "exposure_seen_s"  # of clips whose motion blur is not as long as the camera file's exposure makes it

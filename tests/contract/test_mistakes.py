@@ -11,13 +11,12 @@ import pytest
 import tifffile
 from tracker_film import CAMERA, write_clip, write_dataset
 
+import commandline.application
 import discrepancy.cli
 import synthcam.cli
-import synthcam.command_line
 import tracker.cli
-import tracker.command_line
+from commandline.outputs import held
 from tracker import pipeline
-from tracker.outputs import held
 
 MAINS = {"synthcam": synthcam.cli.main, "tracker": tracker.cli.main, "discrepancy": discrepancy.cli.main}
 CAMERAS = {
@@ -226,11 +225,10 @@ def test_every_command_tells_its_version(name, monkeypatch, capsys):
     assert capsys.readouterr().out == f"{name} {version('synthcam')}\n"
 
 
-@pytest.mark.parametrize("package", [synthcam.command_line, tracker.command_line])
-def test_without_a_terminal_progress_is_lines(package, monkeypatch, capsys):
+def test_without_a_terminal_progress_is_lines(monkeypatch, capsys):
     clock = iter([0.0, 4.0, 30.0, 32.0, 90.0, 150.0])
-    monkeypatch.setattr(package.time, "monotonic", lambda: next(clock))
-    with package.progress_bar("clips") as progress:
+    monkeypatch.setattr(commandline.application.time, "monotonic", lambda: next(clock))
+    with commandline.application.progress_bar("clips") as progress:
         for done in (20, 21, 22, 23, 30):  # 20 of an earlier run
             progress(done, 30)
     out, err = capsys.readouterr()

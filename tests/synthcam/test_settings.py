@@ -7,7 +7,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from repository import ROOT
 
-from synthcam.settings import SCENES, InputError, parse_yaml, read_yaml
+from commandline.errors import InputError
+from synthcam.settings import SCENES, parse_yaml, read_yaml
 
 REFUSED = {
     "python tag": ("a: !!python/object/apply:os.system ['true']", "line 1: not plain YAML"),

@@ -14,8 +14,8 @@ import tifffile
 from tracker_film import CAMERA, collision, film, write_clip, write_dataset
 from typer.testing import CliRunner
 
+from commandline.errors import InputError
 from tracker import cli, pipeline, recording, results
-from tracker.camera.camera import InputError
 from tracker.detection import detectors
 
 COLUMNS = [

@@ -15,11 +15,11 @@ from typing import Any
 
 import numpy as np
 
+from commandline.errors import InputError
 from discrepancy.data.collisions import Measured, read_measured
 from discrepancy.found import Found
 from discrepancy.search import find
 from synthcam.model import read_model, settings_of
-from tracker.camera.camera import InputError
 
 DIGITS = 7  # of an answer's numbers
 

@@ -14,12 +14,13 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
+from commandline.errors import InputError
 from discrepancy.data.collisions import Measured
 from discrepancy.fitting.predict import forecast
 from synthcam.effect import Effect
 from synthcam.library import library
 from synthcam.model import Model
-from tracker.camera.camera import Camera, InputError
+from tracker.camera.camera import Camera
 
 from . import outsiders
 

@@ -11,12 +11,12 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from commandline.errors import InputError as InputError
 from discrepancy import policy
 from discrepancy.arrays import Array, Ints
 from discrepancy.data.launch import T_C, V0, B
 from discrepancy.data.sanity import exchanged, wrong_units
 from tracker.camera.camera import Camera
-from tracker.camera.camera import InputError as InputError
 from tracker.detection.link import Tracks
 from tracker.measurement.collision.adequacy import MEASURED, MISFIT
 from tracker.measurement.estimate import measure

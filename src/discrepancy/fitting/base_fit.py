@@ -7,6 +7,7 @@ from contextlib import suppress
 
 import numpy as np
 
+from commandline.errors import InputError
 from discrepancy import policy
 from discrepancy.data.collisions import Measured
 from discrepancy.data.outlier_points import without_outliers
@@ -16,7 +17,6 @@ from discrepancy.fitting.parameters import fitted
 from discrepancy.fitting.predict import forecast
 from discrepancy.noise.model import Component, Noise, estimate
 from synthcam.model import Model
-from tracker.camera.camera import InputError
 from tracker.camera.same_view import first_difference
 
 CLAIMED = Noise(Component(1.0))  # white, and as large as is claimed

@@ -7,8 +7,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from tracker.camera.camera import InputError
-from tracker.outputs import as_input_error, check_room, held
+from commandline.errors import InputError
+from commandline.outputs import as_input_error, check_room, held
 
 REPORT = ("discrepancy.json", "index.html", "model.yaml")
 

@@ -10,7 +10,7 @@ from functools import cache
 from itertools import islice
 from typing import Any
 
-from synthcam.settings import InputError
+from commandline.errors import InputError
 
 try:
     from distributed import Client, KilledWorker, as_completed

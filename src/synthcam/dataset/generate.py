@@ -17,12 +17,12 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from commandline.errors import InputError
 from synthcam.dataset.files import finish, finish_shard, write_clip
 from synthcam.dataset.staging import PLAN, Partial, aside, begin, settle
 from synthcam.dataset.workers import each
 from synthcam.scene.clip import Clip
 from synthcam.scene.scene import Scene, check_scene
-from synthcam.settings import InputError
 
 FULL = {errno.ENOSPC, errno.EDQUOT, errno.EROFS}  # what will happen to the next clip as well
 

@@ -15,7 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 from skimage.exposure import adjust_gamma, rescale_intensity
 
-from synthcam.outputs import as_input_error, check_film, check_room, put
+from commandline.outputs import as_input_error, check_room, put
+from synthcam.dataset.video import check_film
 from synthcam.scene.clip import Clip
 from synthcam.scene.filming import Counts
 from synthcam.scene.scene import check_scene

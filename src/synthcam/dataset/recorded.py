@@ -11,7 +11,7 @@ import pandas as pd
 import tifffile
 from numpy.typing import NDArray
 
-from synthcam.settings import InputError
+from commandline.errors import InputError
 
 LARGEST = 1e9  # of any number that describes a camera or a stack
 

@@ -8,19 +8,22 @@ on a later one, and one thread encodes: the same frames give the same bytes with
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Iterator
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
 import av
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import ValidationError
 
+from commandline.errors import InputError
 from synthcam.dataset.recorded import Recorded
 from synthcam.scene.apparatus import AVI_FPS, VideoSettings, unfit
-from synthcam.settings import InputError, one_line, parse_yaml
+from synthcam.settings import one_line, parse_yaml
 
 Frames = Iterator[NDArray[Any]]
 FILMS = {"frames.mp4", "frames.avi", "frames.mov"}
@@ -130,3 +133,13 @@ def write_films(clips: Iterator[Recorded], folder: Path, text: str) -> None:
         for frame in clip.pictures():
             film.write(frame)
         film.close()
+
+
+def check_film(path: Path, frames: int) -> None:
+    """Raises OSError where a film is cut short: OpenCV does not say when a disk is full."""
+    film, count = cv2.VideoCapture(os.fspath(path), cv2.CAP_FFMPEG), 0
+    while film.grab():
+        count += 1
+    film.release()
+    if count != frames:
+        raise OSError(f"a film of {count} frames, expected {frames}; is there room for it?")

@@ -11,7 +11,7 @@ from contextlib import contextmanager, suppress
 from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
 
-from synthcam.settings import InputError
+from commandline.errors import InputError
 
 Work = Callable[[int], str]
 Worker = tuple[BaseProcess, int]

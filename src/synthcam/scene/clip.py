@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from commandline.errors import InputError
 from synthcam.camera.pinhole import Camera, Lamp
 from synthcam.camera.room.finish import Look
 from synthcam.camera.sensor import Sensor
@@ -25,7 +26,6 @@ from synthcam.scene.filmed_motion import View
 from synthcam.scene.filming import Counts, Seen, film
 from synthcam.scene.materials import look_of, mirror_of
 from synthcam.scene.motion import Motion
-from synthcam.settings import InputError
 
 if TYPE_CHECKING:
     import pandas as pd

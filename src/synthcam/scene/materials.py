@@ -7,9 +7,10 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import Field
 
+from commandline.errors import InputError
 from synthcam.camera.room.finish import GREY, Colour, Finish, Look, Pattern
 from synthcam.camera.surface import Surface
-from synthcam.settings import Fraction, InputError, NotNegative, Settings
+from synthcam.settings import Fraction, NotNegative, Settings
 
 COLOURS = {  # of light, not of a screen: shares that are reflected, over the brightest's
     "white": (1.0, 0.97, 0.9),

@@ -11,15 +11,16 @@ from typing import Any
 
 import numpy as np
 
+from commandline.errors import InputError
+from commandline.outputs import as_input_error, check_room
 from tracker.calibration.ball_outline import Outline, outline
 from tracker.calibration.contact_distance import ContactDistance, contact_distances
-from tracker.camera.camera import Camera, InputError
+from tracker.camera.camera import Camera
 from tracker.camera.camera_keys import read_json
 from tracker.camera.frames import open_source, recorded
 from tracker.camera.grey import Frames
 from tracker.detection.detect import DEFAULT, detect, view_of
 from tracker.detection.link import Tracks, link
-from tracker.outputs import as_input_error, check_room
 from tracker.results import write_json
 
 HEIGHTS = 2.5  # 1/m, scatter of 1/height of lamp less that of the camera: glints' distances differ from the balls'

@@ -14,7 +14,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from tracker.camera.camera_json import STANDARD_ERRORS, InputError, Lamp, parse
+from commandline.errors import InputError
+from tracker.camera.camera_json import STANDARD_ERRORS, Lamp, parse
 from tracker.camera.camera_keys import read_json
 from tracker.camera.lens import Array, distort, mirror_normal, undistort
 from tracker.camera.sensor import Sensor

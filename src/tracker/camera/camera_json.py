@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from commandline.errors import InputError as InputError
 from tracker.camera.camera_keys import LIMITS, LONGEST_SIDE, MOST_PIXELS, shown, unknown_keys
 from tracker.camera.lens import Array
 from tracker.camera.sensor import Sensor
@@ -25,10 +26,6 @@ BLURS = {  # keys that make a glint wider than psf.sigma_px, by section
     "psf": ("defocus_px", "f_number"),
     "surface": ("roughness", "scratches"),
 }
-
-
-class InputError(ValueError):
-    """Something the user gave cannot be used; one line naming file, key and what was expected."""
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from tracker.camera.camera import Camera, InputError
+from commandline.errors import InputError
+from tracker.camera.camera import Camera
 from tracker.camera.grey import Frames, linear
 from tracker.camera.pictures import PICTURES, TIFF, folder_frames, pictures_of
 from tracker.camera.stack import stack_frames

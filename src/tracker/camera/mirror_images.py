@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from tracker.camera.camera import Camera, InputError
+from commandline.errors import InputError
+from tracker.camera.camera import Camera
 from tracker.camera.lens import Array, mirror_normal, pair_normal
 
 FAR = 1e6  # m, of a point as good as straight overhead

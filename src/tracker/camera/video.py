@@ -22,7 +22,7 @@ from av.video.frame import VideoFrame
 from av.video.reformatter import ColorRange
 from numpy.typing import NDArray
 
-from tracker.camera.camera import InputError
+from commandline.errors import InputError
 from tracker.camera.grey import Frames, grey_frames, not_too_large
 
 VIDEOS = (".avi", ".mkv", ".mp4", ".mov", ".m4v", ".mpg", ".mpeg", ".webm")

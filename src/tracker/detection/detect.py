@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from tracker.camera.camera import InputError
+from commandline.errors import InputError
 from tracker.camera.camera_keys import did_you_mean
 from tracker.camera.frames import Clip
 from tracker.detection import detectors as detector_files

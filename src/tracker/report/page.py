@@ -12,12 +12,12 @@ import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
+from commandline.outputs import put
 from tracker.camera.camera import Camera
 from tracker.camera.grey import Frames
 from tracker.detection.link import Tracks
 from tracker.measurement.collision.adequacy import MEASURED, warnings
 from tracker.measurement.positions import courses
-from tracker.outputs import put
 from tracker.report.answer import KINDS, Line, fit_quality, heading, lines
 from tracker.report.collision_figures import (
     Specimen,

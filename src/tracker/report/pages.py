@@ -8,10 +8,10 @@ from pathlib import Path
 
 import pandas as pd
 
+from commandline.outputs import as_input_error, put
 from tracker import results
 from tracker.camera.frames import Source
 from tracker.measurement.collision.adequacy import warnings
-from tracker.outputs import as_input_error, put
 from tracker.report.answer import QUANTITIES, rows_of, value_of
 from tracker.report.html import HERE, made, rendered
 from tracker.report.page import PAGE, Recorded, write_page

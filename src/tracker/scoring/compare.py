@@ -10,10 +10,10 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from commandline.errors import InputError
+from commandline.outputs import as_input_error, check_room, held, put
 from tracker import results
-from tracker.camera.camera import InputError
 from tracker.detection.detect import detector
-from tracker.outputs import as_input_error, check_room, held, put
 from tracker.pipeline import run
 from tracker.report.html import made, rendered
 from tracker.scoring.score import Score, score

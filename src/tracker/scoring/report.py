@@ -12,10 +12,10 @@ import tifffile
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from tracker.camera.camera import InputError
+from commandline.errors import InputError
+from commandline.outputs import put
 from tracker.measurement.collision.derived import NAMES
 from tracker.measurement.positions import courses
-from tracker.outputs import put
 from tracker.report.collision_figures import Specimen, energy_figure, frame_figure, separation_figure, tracks_figure
 from tracker.report.html import made, rendered, svg
 from tracker.results import read_clip

@@ -11,7 +11,8 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from tracker.camera.camera import Camera, InputError
+from commandline.errors import InputError
+from tracker.camera.camera import Camera
 from tracker.measurement.collision.adequacy import MEASURED, MISFIT
 from tracker.measurement.collision.derived import NAMES
 from tracker.results import finite, write_json

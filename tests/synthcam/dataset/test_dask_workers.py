@@ -8,9 +8,9 @@ import sys
 import pytest
 from synthcam_stub import quiet, sums
 
+from commandline.errors import InputError
 from synthcam.dataset.generate import Plan, run
 from synthcam.scene.scene import check_scene
-from synthcam.settings import InputError
 
 needs_dask = pytest.mark.skipif(
     not importlib.util.find_spec("distributed"), reason="Dask is not installed: pip install 'synthcam[dask]'"

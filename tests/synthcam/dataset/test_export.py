@@ -12,8 +12,8 @@ import pandas as pd
 import pytest
 from synthcam_stub import SCENE, make
 
+from commandline.errors import InputError
 from synthcam.dataset.export import export, formats
-from synthcam.settings import InputError
 
 CLIPS = 3
 

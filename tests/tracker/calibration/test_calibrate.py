@@ -10,10 +10,11 @@ from scipy.ndimage import gaussian_filter
 from tracker_film import collision, disc, expose, film, spot, write_clip
 from tracker_video import encode
 
+from commandline.errors import InputError
 from tracker.calibration.ball_outline import outline
 from tracker.calibration.calibrate import calibrate, summary, weighted_mean
 from tracker.calibration.contact_distance import contact_distances
-from tracker.camera.camera import Camera, InputError
+from tracker.camera.camera import Camera
 from tracker.detection.candidates import Ground
 from tracker.detection.glints import Glints
 from tracker.detection.link import Tracks

@@ -11,8 +11,9 @@ import pytest
 from tracker_film import CAMERA, collision
 from tracker_noisy import NOISE, dataset, noisy, scalars_of, truth_of
 
+from commandline.errors import InputError
 from tracker import cli
-from tracker.camera.camera import Camera, InputError
+from tracker.camera.camera import Camera
 from tracker.measurement.estimate import measure
 
 

@@ -14,7 +14,7 @@ import pytest
 import tifffile
 from tracker_film import CAMERA, write_clip
 
-from tracker.camera.camera import InputError
+from commandline.errors import InputError
 from tracker.camera.frames import open_frames, open_source
 
 RNG = np.random.default_rng(0)
@@ -259,7 +259,8 @@ def test_pictures_larger_than_the_memory_are_one_line(tmp_path):
     script = (
         "import resource, sys\n"
         "from tracker.pipeline import _one\n"
-        "from tracker.camera.frames import InputError, open_source\n"
+        "from commandline.errors import InputError\n"
+        "from tracker.camera.frames import open_source\n"
         "import tracker.detection.detectors.maximum_likelihood\n"
         "held = next(line for line in open('/proc/self/status') if line.startswith('VmData'))\n"
         "limit = (int(held.split()[1]) << 10) + (100 << 20)\n"

@@ -9,7 +9,8 @@ import pytest
 from scipy.ndimage import gaussian_filter
 from tracker_film import CAMERA, collision, disc, expose, film, spot
 
-from tracker.camera.camera import Camera, InputError
+from commandline.errors import InputError
+from tracker.camera.camera import Camera
 from tracker.camera.frames import Clip, Frames
 from tracker.camera.mirror_images import secondary_of_pair
 from tracker.detection import detect as detect_module

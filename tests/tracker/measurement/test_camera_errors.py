@@ -7,7 +7,8 @@ import pandas as pd
 import pytest
 from tracker_noisy import BENCHMARK, dataset, noisy, scalars_of, truth_of
 
-from tracker.camera.camera import Camera, InputError
+from commandline.errors import InputError
+from tracker.camera.camera import Camera
 from tracker.measurement import estimate
 from tracker.measurement.collision.derived import NAMES
 from tracker.measurement.estimate import fit_all, measure

@@ -9,7 +9,7 @@ import pandas as pd
 import pytest
 from tracker_noisy import BENCHMARK, NOISE, dataset, noisy, results, scalars_of, truth_of
 
-from tracker.camera.camera import InputError
+from commandline.errors import InputError
 from tracker.measurement.collision.derived import NAMES
 from tracker.measurement.estimate import measure
 from tracker.scoring.error_bars import figures, quantity_bounds, true_motion

@@ -10,9 +10,9 @@ from pathlib import Path
 
 import cv2
 
+from commandline.errors import InputError
 from synthcam.dataset.recorded import Recorded
-from synthcam.outputs import check_film
-from synthcam.settings import InputError
+from synthcam.dataset.video import check_film
 
 
 def write(clips: Iterator[Recorded], folder: Path) -> None:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tracker.camera.camera import InputError
+from commandline.errors import InputError
 from tracker.detection.glints import CLIPPED, Glints, View
 
 BRIGHT = 80.0  # noise deviations, of a glint's peak, over which a wide mask is the better one

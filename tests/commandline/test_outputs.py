@@ -10,11 +10,12 @@ import numpy as np
 import pytest
 from tracker_film import CAMERA, collision
 
-from tracker import cli, outputs, pipeline
-from tracker.camera.camera import InputError
+from commandline import outputs
+from commandline.errors import InputError
+from tracker import cli, pipeline
 
 NOWHERE = Path("/proc/nowhere")  # nobody may write there, root neither
-SRC = Path(outputs.__file__).parent
+SRC = Path(cli.__file__).parent
 
 
 def three_clips(folder):

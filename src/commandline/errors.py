@@ -1,0 +1,5 @@
+"""The one error for what a user gave and cannot be used."""
+
+
+class InputError(ValueError):
+    """Bad input: one line that names the file, the key or frame, and what was expected."""
