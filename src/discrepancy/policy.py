@@ -2,7 +2,11 @@
 
 A value is changed here and nowhere else; users read `policy.NAME` when they need it and keep no copy. Each comment says
 what the constant decides and where it comes from. Cases on either side: tests/discrepancy/test_policy.py, and the tests
-of the files that use it. What blind boxes do when one is halved or doubled: benchmarks/search/sensitivity.py.
+of the files that use it.
+
+Each constant was halved and doubled (of a cosine, its distance from 1; of a count, to the nearest) on four boxes of the
+eighth blind round, with and without effects and laws of no library, strong and at the detection limit: no verdict changed,
+except where the comment says so. Again, on these or other boxes: benchmarks/search/sensitivity.py.
 
 Not here: numerical tolerances and steps, grids, limits on memory or effort, neighbours that a local path is fitted to,
 the family of noise models, the lengths and ranges of the free laws' priors, and what concerns only colours or words.
@@ -15,7 +19,8 @@ the family of noise models, the lengths and ranges of the free laws' priors, and
 SIGNIFICANCE_LEVEL = 1e-3
 
 # Sigma under which nothing is claimed, however few the candidates, since the noise itself is only estimated.
-# The level of one in a thousand for the first, smaller library; kept as a floor.
+# The level of one in a thousand for the first, smaller library; kept as a floor. Doubled, a true effect at its detection
+# limit is no longer named, but said to be in no library.
 LEAST_SIGMA_OF_A_CLAIM = 4.0
 
 # Effects named in one search at most: more together can imitate what is in no library. Chosen; not derived.
@@ -52,6 +57,7 @@ EFFECT_PREFERRED_BY = 5.0
 
 # Sigma of a free law, needed to declare it, and of an effect for it to be looked for or kept beside one.
 # Chosen; not derived. Corrected for the trials within one law: of 29 laws chance exceeds it in two of 10,000 searches.
+# Doubled, two laws of no library are no longer found.
 FREE_LAW_SIGMA = 4.5
 
 # Effects claimed beside a free law, after it was found, at most. Chosen; not derived.
@@ -203,7 +209,7 @@ SAME_BALL_WITHIN = 1e-3
 UNIT_WITHIN = 0.3
 
 # Diameters: the least distance of two balls, over the clips, is larger if it is in px; smaller ones would overlap.
-# Geometry gives 1; less by what places may be wrong by. Chosen.
+# Geometry gives 1; less by what places may be wrong by. Chosen. Doubled, all tracks are refused, as they must be.
 NEAREST_DIAMETERS = 0.8
 
 # Diameters: balls that never come nearer are measured in another unit. Chosen; not derived.
