@@ -4,9 +4,9 @@ A value is changed here and nowhere else; users read `policy.NAME` when they nee
 what the constant decides and where it comes from. Cases on either side: tests/discrepancy/test_policy.py, and the tests
 of the files that use it.
 
-Each constant was halved and doubled (of a cosine, its distance from 1; of a count, to the nearest) on four boxes of the
-eighth blind round, with and without effects and laws of no library, strong and at the detection limit: no verdict changed,
-except where the comment says so. Again, on these or other boxes: benchmarks/search/sensitivity.py.
+Each constant was halved and doubled (of a cosine, its distance from 1) on four boxes of the eighth blind round: with
+nothing hidden, an effect at its detection limit, and two laws of no library. No verdict changed but where the comment
+says so; what few boxes meet they cannot show. More boxes: benchmarks/search/sensitivity.py.
 
 Not here: numerical tolerances and steps, grids, limits on memory or effort, neighbours that a local path is fitted to,
 the family of noise models, the lengths and ranges of the free laws' priors, and what concerns only colours or words.
@@ -19,8 +19,8 @@ the family of noise models, the lengths and ranges of the free laws' priors, and
 SIGNIFICANCE_LEVEL = 1e-3
 
 # Sigma under which nothing is claimed, however few the candidates, since the noise itself is only estimated.
-# The level of one in a thousand for the first, smaller library; kept as a floor. Doubled, a true effect at its detection
-# limit is no longer named, but said to be in no library.
+# The level of one in a thousand for the first, smaller library; kept as a floor. Doubled, a true effect at its limit is
+# no longer named, but said to be in no library.
 LEAST_SIGMA_OF_A_CLAIM = 4.0
 
 # Effects named in one search at most: more together can imitate what is in no library. Chosen; not derived.
