@@ -1,4 +1,4 @@
-"""tracker: track, measure, score, compare, calibrate."""
+"""tracker: track, measure, export, score, compare, calibrate."""
 
 from __future__ import annotations
 
@@ -71,14 +71,24 @@ def track(
 
 @app.command()
 def measure(
-    tracks: Annotated[Path, typer.Argument(metavar="TRACKS", help="CSV or Parquet: clip, frame, particle, x, y.")],
+    tracks: Annotated[
+        Path,
+        typer.Argument(
+            metavar="TRACKS", help="CSV or Parquet: clip, frame, particle, x, y; or another program's file."
+        ),
+    ],
     camera: Annotated[Path, typer.Option(help="camera.json of the tracks.")],
     output: Results,
     point: Annotated[str, typer.Option(help="What x, y are: centre (mean over the exposure) or glint.")] = "centre",
+    columns: Annotated[str, typer.Option(help="x=POS_X,y=POS_Y,frame=FRAME,track=TRACK_ID: its own names.")] = "",
+    unit: Annotated[str, typer.Option(help="Of lengths: px, m, cm, mm, um, ... Default: as the file says.")] = "",
     pages: WithPages = None,
     as_json: Json = False,
 ) -> None:
     """Measure the collisions in tracks that any program made.
+
+    Known by their content: columns frame, particle, x, y, as trackpy's; TrackMate (CSV, XML); Particle Tracking
+    Challenge; MOTChallenge; Tracker (OSP), its exported tables and .trk.
 
     Example: tracker measure tracks.csv --camera camera.json -o out/measured
     """
@@ -86,10 +96,30 @@ def measure(
 
     if point not in ("centre", "glint"):
         raise InputError(f"--point: expected centre or glint, not {point!r}")
-    outcome, extra = measure_tables(tracks, output, camera, point), dict[str, Any]()
+    outcome, extra = measure_tables(tracks, output, camera, point, columns, unit), dict[str, Any]()
     if pages or (pages is None and outcome.clips == 1):
         extra["page"] = _pages(outcome, output, tracks, None, default_workers())
     _report(outcome, output, extra, as_json)
+
+
+@app.command()
+def export(
+    results: Annotated[Path, typer.Argument(metavar="RESULTS", help="What tracker track or measure made.")],
+    kind: Annotated[str, typer.Option("--format", metavar="NAME", help="csv, mot, ptc, trackmate or trackpy.")],
+    output: Annotated[
+        Path, typer.Option("-o", "--output", metavar="FILE|DIR", help="A file; of several clips, a folder.")
+    ],
+    as_json: Json = False,
+) -> None:
+    """Write the tracks for other programs.
+
+    Example: tracker export out/results --format trackmate -o tracks.xml
+    """
+    from tracker.export import export as export_tracks
+
+    clips = export_tracks(results, kind, output)
+    summary = {"exported": str(output), "format": kind, "clips": clips}
+    print(json.dumps(summary) if as_json else f"{output}: {clips} clips")
 
 
 @app.command()

@@ -23,11 +23,11 @@ import pandas as pd
 from commandline.errors import InputError
 from commandline.outputs import as_input_error, check_room, held
 from tracker import results
-from tracker.camera.camera import Camera
 from tracker.camera.frames import Source, open_source
 from tracker.detection.choose import choose
 from tracker.detection.detect import detector
 from tracker.recording import followed, measured, unsaid
+from tracker.tables.read import read_tracks
 
 if TYPE_CHECKING:
     from tracker.report.pages import Pages
@@ -114,19 +114,23 @@ def run(
     return Outcome(table, len(source), len(todo), frames, dict(notes))
 
 
-def measure_tables(path: Path, output: Path, camera: Path, point: str = "centre") -> Outcome:
+def measure_tables(
+    path: Path, output: Path, camera: Path, point: str = "centre", columns: str = "", unit: str = ""
+) -> Outcome:
     """Measure tracks that any program made, as `run` does its own.
 
     Parameters
     ----------
     path : Path
-        CSV or Parquet: clip, frame, particle, x, y.
+        CSV or Parquet: clip, frame, particle, x, y; or a file of another program.
     output : Path
         RESULTS.
     camera : Path
         The camera file of the tracks.
     point : {"centre", "glint"}
         What x and y are.
+    columns, unit : str
+        As `read_tracks` takes them.
 
     Returns
     -------
@@ -136,9 +140,9 @@ def measure_tables(path: Path, output: Path, camera: Path, point: str = "centre"
     ------
     InputError
     """
-    base = Camera.read(camera)
-    tables = results.read_tracks(path)
-    digest = hashlib.sha256(path.read_bytes() + camera.read_bytes() + point.encode()).hexdigest()
+    given = read_tracks(path, camera, columns, unit)
+    base, tables = given.camera, given.clips
+    digest = hashlib.sha256(path.read_bytes() + camera.read_bytes() + f"{point}{columns}{unit}".encode()).hexdigest()
     plan = {"made_by": "tracker measure", "input": digest}
     numbers = sorted(tables)
     output = output.resolve()
@@ -153,7 +157,8 @@ def measure_tables(path: Path, output: Path, camera: Path, point: str = "centre"
             result = measured(tracks, own, number, point)
             results.write_clip(partial, number, result.found, result.motion, result.rows, own)
         table = results.finish(partial, output, numbers)
-    notes = {note: len(numbers) for note in unsaid(base) if not note.startswith("assumed")}
+    said = (*given.notes, *unsaid(base))
+    notes = {note: len(numbers) for note in said if not note.startswith("assumed")}
     return Outcome(table, len(numbers), len(todo), 0, notes)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from pathlib import Path
@@ -25,14 +25,15 @@ from tracker.detection.link import Tracks, link
 from tracker.measurement.collision.adequacy import MEASURED
 from tracker.measurement.collision.derived import NAMES
 from tracker.report.answer import with_error
+from tracker.tables.read import SAME_RATE, GivenCamera, in_picture, read_tracks
+from tracker.tables.rows import tracks_table
+from tracker.tables.table import Table
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-GivenCamera = Camera | Mapping[str, Any] | str | Path
 Film = NDArray[Any] | Iterable[NDArray[Any]] | str | Path
 UNSIZED = "ball_diameter: not given; collisions are not measured, and glints are not taken to centres"
-SAME_RATE = 0.01  # 29.97 is 30
 TRACKS = "tracks"  # what messages call a table in memory
 SAID = {"v0": "m/s", "b": "", "r": "", "mu_k": "", "C": ""}  # in a repr, with units
 UNITS = {"m/s": "v0 v1f v2f", "s": "t_c tau1 tau2", "rad": "final_angle", "1/s": "drag", "m/s^2": "decel"} | {
@@ -88,7 +89,7 @@ class Result:
         y_std (px), cov_xy (px^2); flux (counts); flags; glint_x, glint_y (px); x_fixed_std, y_fixed_std, cov_xy_fixed:
         the part of the covariance that a resting ball has in every frame alike.
         """
-        table: pd.DataFrame = results.tracks_table(self.found).to_pandas()
+        table: pd.DataFrame = tracks_table(self.found).to_pandas()
         return table
 
     @cached_property
@@ -219,18 +220,24 @@ def _camera(given: GivenCamera | None) -> Camera | None:
     return Camera.read(given) if isinstance(given, str | Path) else Camera.from_dict(given)
 
 
-def measure(tracks: pd.DataFrame | str | Path, camera: GivenCamera, *, point: str = "centre") -> Result:
+def measure(
+    tracks: pd.DataFrame | str | Path, camera: GivenCamera, *, point: str = "centre", columns: str = "", unit: str = ""
+) -> Result:
     """Measure the collisions in tracks that any program made.
 
     Parameters
     ----------
     tracks : DataFrame, str or Path
         Of one clip, in trackpy's columns: frame, particle, x, y (px); x_std, y_std, cov_xy, clip and striker may be
-        there. Or a CSV or Parquet file of them.
+        there. Or a file of them, or one of the formats of docs/format.md.
     camera : Camera, dict, str or Path
         What camera.json holds, or where it lies.
     point : {"centre", "glint"}
         What x and y are: ball centres, means over the exposure, or glints.
+    columns : str
+        Of a file, its own names of columns, as in "x=POS_X,y=POS_Y,frame=FRAME,track=TRACK_ID".
+    unit : str
+        Of lengths: px, m, cm, mm, ...; default: what the file says, or px.
 
     Returns
     -------
@@ -253,17 +260,19 @@ def measure(tracks: pd.DataFrame | str | Path, camera: GivenCamera, *, point: st
     """
     if point not in ("centre", "glint"):
         raise InputError(f"point: expected centre or glint, not {point!r}")
-    known = _camera(camera)
-    if known is None:
+    if camera is None:
         raise InputError("camera: expected a camera, its keys, or a path; tracks alone have no times and lengths")
     if isinstance(tracks, pd.DataFrame):
-        tables = results.split_tracks(tracks, TRACKS)
+        given = in_picture(Table(tracks), TRACKS, camera, unit)
     else:
-        tables = results.read_tracks(Path(tracks))
-    if len(tables) > 1:
-        raise InputError(f"{TRACKS}: {len(tables)} clips, expected one; give them one by one, as of groupby('clip')")
-    ((number, (found, striker)),) = tables.items()
-    return measured(found, known if striker is None else replace(known, striker=striker), number, point)
+        given = read_tracks(Path(tracks), camera, columns, unit)
+    if len(given.clips) > 1:
+        clips = len(given.clips)
+        raise InputError(f"{TRACKS}: {clips} clips, expected one; give them one by one, as of groupby('clip')")
+    ((number, (found, striker)),) = given.clips.items()
+    known = given.camera if striker is None else replace(given.camera, striker=striker)
+    result = measured(found, known, number, point)
+    return replace(result, notes=(*given.notes, *result.notes))
 
 
 def followed(clip: Clip, name: str | None = None) -> Result:

@@ -28,9 +28,9 @@ LAYERS = {
     "tracker": [
         "camera",
         "detection",
-        "measurement",
+        "measurement tables",
         "results",
-        "report",
+        "report export",
         "recording calibration",
         "pipeline",
         "scoring",
@@ -102,6 +102,12 @@ LAYERS = {
         "noise_correlation striker",
         "collision_fit",
     ],
+    "tracker.tables": [
+        "content rows",
+        "table",
+        "formats",
+        "read",
+    ],
     "tracker.report": [
         "answer collision_figures html overlay",
         "page",
@@ -119,6 +125,7 @@ PEERS = {  # found by their being there
     "synthcam.effects",
     "synthcam.dataset.exports",
     "tracker.detection.detectors",
+    "tracker.tables.formats",
     "discrepancy.free_laws.laws",
 }
 
@@ -185,6 +192,7 @@ def test_there_is_something_to_read():
         "synthcam.library",
         "synthcam.dataset.export",
         "tracker.detection.detect",
+        "tracker.tables.read",
         "discrepancy.free_laws.library",
     ):
         assert any(m.startswith(f"{folder}.") for folder in PEERS for m in ARROWS[finder]), finder

@@ -59,9 +59,7 @@ def bench(tmp_path_factory):
         (folder / f"{name}.json").write_text(json.dumps(data))
     for name, text in SCENES.items():
         (folder / f"{name}.yaml").write_text(text)
-    table.to_csv(folder / "semicolons.csv", index=False, sep=";")
-    table.to_csv(folder / "decimal_commas.csv", index=False, sep=";", decimal=",")
-    table.to_csv(folder / "tabs.csv", index=False, sep="\t")
+    (folder / "unknown.xml").write_text("<gpx/>")
     table.rename(columns=str.upper).to_csv(folder / "capitals.csv", index=False)
     table.rename(columns={"x": "pos_x", "y": "pos_y"}).to_csv(folder / "other_names.csv", index=False)
     table.to_csv(folder / "no_header.csv", index=False, header=False)
@@ -145,7 +143,7 @@ MISTAKES = {
     "synthcam verify film.tif": "film.tif",
     "tracker track camera.json -o new": "not a .json file",
     "tracker track film.tif --camera tracks.csv -o new": "tracks.csv: cannot be read as JSON",
-    "tracker measure camera.json --camera tracks.csv -o new": "tracks.csv: cannot be read as JSON",
+    "tracker measure camera.json --camera tracks.csv -o new": "camera.json: JSON, expected a table of tracks",
     "tracker measure dataset --camera camera.json -o new": "dataset: a folder, expected",
     "tracker score results --truth nowhere -o new": "nowhere/truth/clips.parquet: no such file",
     "tracker score results --truth s.yaml -o new": "s.yaml/truth/clips.parquet: no such file",
@@ -168,9 +166,12 @@ MISTAKES = {
     "tracker track film.tif --camera not.json -o new": "not.json",
     "tracker track film.tif --camera film.tif -o new": "film.tif",
     # tables
-    "tracker measure semicolons.csv --camera camera.json -o new": "commas between them; found clip;frame",
-    "tracker measure tabs.csv --camera camera.json -o new": "commas between them; found clip frame",
-    "tracker measure decimal_commas.csv --camera camera.json -o new": "commas between them; found clip;frame",
+    "tracker measure tracks.csv --camera camera.json -o new --columns x=x": "no column frame, particle, y, expected",
+    "tracker measure tracks.csv --camera camera.json -o new --unit furlong": "--unit: 'furlong': expected a unit",
+    "tracker measure unknown.xml --camera camera.json -o new": "XML of <gpx>, expected one of MOTChallenge",
+    "tracker export results --format moot -o new": "did you mean mot?",
+    "tracker export dataset --format mot -o new": "expected RESULTS",
+    "tracker export results --format mot -o full": "full: exists, expected a new file",
     "tracker measure capitals.csv --camera camera.json -o new": "found CLIP, FRAME, PARTICLE",
     "tracker measure other_names.csv --camera camera.json -o new": "no column x, y, expected frame",
     "tracker measure no_header.csv --camera camera.json -o new": "frame",

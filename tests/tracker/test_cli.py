@@ -15,8 +15,9 @@ from tracker_film import CAMERA, collision, film, write_clip, write_dataset
 from typer.testing import CliRunner
 
 from commandline.errors import InputError
-from tracker import cli, pipeline, recording, results
+from tracker import cli, pipeline, recording
 from tracker.detection import detectors
+from tracker.tables.read import read_tracks
 
 COLUMNS = [
     "frame",
@@ -183,14 +184,14 @@ def test_bad_tables(tmp_path, text, word):
     path = tmp_path / "tracks.csv"
     path.write_text(text)
     with pytest.raises(InputError, match=word) as error:
-        results.read_tracks(path)
+        read_tracks(path, CAMERA)
     assert str(error.value).startswith(str(path))
 
 
 def test_lost_rows_of_a_table_are_left_out(tmp_path):
     path = tmp_path / "tracks.csv"
     path.write_text("frame,particle,x,y\n0,0,1,2\n1,0,,\n2,0,3,4\n")
-    tracks, striker = results.read_tracks(path)[0]
+    tracks, striker = read_tracks(path, CAMERA).clips[0]
     assert tracks.frame.tolist() == [0, 2]
     assert striker is None
 

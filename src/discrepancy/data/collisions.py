@@ -21,7 +21,9 @@ from tracker.detection.link import Tracks
 from tracker.measurement.collision.adequacy import MEASURED, MISFIT
 from tracker.measurement.estimate import measure
 from tracker.recording import Result
-from tracker.results import read_clip, read_tracks, split_tracks
+from tracker.results import read_clip
+from tracker.tables.read import read_tracks
+from tracker.tables.rows import split_tracks
 
 UNCLAIMED = 0.01  # px: stands in where tracks claim no error; the noise is then read off all the same
 GIVEN = "what tracker.track or tracker.measure gives"
@@ -219,8 +221,8 @@ def _results(folder: Path) -> Source:
 
 
 def _table(path: Path, camera: Path) -> Source:
-    base = Camera.read(camera)
-    tables = read_tracks(path)
+    given = read_tracks(path, camera)
+    base, tables = given.camera, given.clips
     if why := wrong_units((tracks, base) for tracks, _ in tables.values()):
         raise InputError(f"{path}: {why}")
     for number, (tracks, striker) in sorted(tables.items()):

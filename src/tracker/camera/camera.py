@@ -15,8 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from commandline.errors import InputError
-from tracker.camera.camera_json import STANDARD_ERRORS, Lamp, parse
-from tracker.camera.camera_keys import read_json
+from tracker.camera.camera_json import STANDARD_ERRORS, Lamp, parse, read_keys
 from tracker.camera.lens import Array, distort, mirror_normal, undistort
 from tracker.camera.sensor import Sensor
 
@@ -296,16 +295,7 @@ class Camera:
         InputError
             One line, with file and key.
         """
-        where = Path(path)
-        try:
-            data = read_json(where)
-        except FileNotFoundError:
-            raise InputError(f"{where}: no such file, expected a camera.json") from None
-        except IsADirectoryError:
-            raise InputError(f"{where}: a folder, expected a camera.json") from None
-        except (OSError, ValueError) as error:
-            raise InputError(f"{where}: cannot be read as JSON ({error})") from None
-        return Camera.from_dict(data, str(where))
+        return Camera.from_dict(read_keys(Path(path)), str(Path(path)))
 
     @staticmethod
     def from_dict(data: Any, where: str = "camera") -> Camera:

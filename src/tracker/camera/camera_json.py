@@ -5,12 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from commandline.errors import InputError as InputError
-from tracker.camera.camera_keys import LIMITS, LONGEST_SIDE, MOST_PIXELS, shown, unknown_keys
+from tracker.camera.camera_keys import LIMITS, LONGEST_SIDE, MOST_PIXELS, read_json, shown, unknown_keys
 from tracker.camera.lens import Array
 from tracker.camera.sensor import Sensor
 
@@ -26,6 +27,18 @@ BLURS = {  # keys that make a glint wider than psf.sigma_px, by section
     "psf": ("defocus_px", "f_number"),
     "surface": ("roughness", "scratches"),
 }
+
+
+def read_keys(path: Path) -> Any:
+    """What a camera file holds. Raises InputError where that is not JSON."""
+    try:
+        return read_json(path)
+    except FileNotFoundError:
+        raise InputError(f"{path}: no such file, expected a camera.json") from None
+    except IsADirectoryError:
+        raise InputError(f"{path}: a folder, expected a camera.json") from None
+    except (OSError, ValueError) as error:
+        raise InputError(f"{path}: cannot be read as JSON ({error})") from None
 
 
 @dataclass(frozen=True)

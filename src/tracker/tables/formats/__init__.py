@@ -1,0 +1,1 @@
+"""Other programs' files of tracks, one file each: `read`, `write`, or both."""

@@ -1,0 +1,69 @@
+"""Tracker (Open Source Physics): its exported table, a line of masses above t, x, y, ...; and its .trk file.
+
+A .trk holds marks in the picture, whose top left corner is (0, 0); the exported table lengths from the axes that the
+user set, y upwards, in a unit that it does not say.
+"""
+
+import math
+import re
+import xml.etree.ElementTree as ET
+from collections.abc import Iterator
+
+import pandas as pd
+
+from tracker.tables.content import Content
+from tracker.tables.rows import real
+from tracker.tables.table import Table, timed
+
+NAME = "Tracker (OSP)"
+OBJECT = "org.opensourcephysics.cabrillo.tracker."
+CENTRE = 0.5  # of the first pixel
+
+
+def read(content: Content) -> Table | None:
+    root = content.root
+    if root is None:
+        return _exported(content)
+    if not root.get("class", "").startswith(OBJECT):
+        return None
+    rows = pd.DataFrame(list(_marks(content, root)), columns=["frame", "particle", "x", "y"])
+    step = [content.number_in(p) for p in root.iter("property") if p.get("name") == "delta_t"]
+    return Table(rows, f"{NAME}: .trk", "px", fps=1e3 / step[0] if step and step[0] > 0 else math.nan)
+
+
+def _marks(content: Content, root: ET.Element) -> Iterator[tuple[float, ...]]:
+    masses = [one for one in root.iter("object") if one.get("class") == f"{OBJECT}PointMass"]
+    for number, mass in enumerate(masses):
+        for frame in mass.iterfind("property[@name='framedata']/property"):
+            at = re.fullmatch(r"\[(\d{1,9})\]", frame.get("name", ""))
+            place = {p.get("name"): p for p in frame.iterfind("object/property")}
+            if at is None or not {"x", "y"} <= set(place):
+                raise content.wrong("<property> of framedata: expected [frame] with x and y")
+            x, y = (content.number_in(place[name]) - CENTRE for name in ("x", "y"))
+            yield int(at[1]), number, x, y
+
+
+def _exported(content: Content) -> Table | None:
+    """Names of masses, each above its first column; then names of columns, the first t or step; then numbers."""
+    head = content.head
+    at = next((k for k, line in enumerate(head[:3]) if k and {"x", "y"} <= set(line) and line[0] in ("t", "step")), 0)
+    if not at:
+        return None
+    names = head[at][: max(k for k, name in enumerate(head[at]) if name) + 1]
+    starts = [k for k, name in enumerate(names) if name == names[1]]
+    cells = content.cells(at + 1, [f"{k}" for k in range(len(names))])
+    first = real(cells["0"], names[0], content.where)
+    extra, fps = {"frame": first}, math.nan
+    if names[0] == "t":
+        frame, time, fps = timed(first, content.where)
+        extra = {"frame": frame, "t_s": time}
+    parts = []
+    for particle, (start, end) in enumerate(zip(starts, [*starts[1:], len(names)], strict=True)):
+        column = {name: f"{start + k}" for k, name in enumerate(names[start:end])}
+        if not {"x", "y"} <= set(column):
+            raise content.wrong(f"{NAME}: mass {particle + 1} without x, y; expected them of each")
+        own = pd.DataFrame({**extra, "particle": particle, "x": cells[column["x"]], "y": cells[column["y"]]})
+        if "frame" in column:
+            own = own.assign(frame=cells[column["frame"]]).drop(columns="t_s", errors="ignore")
+        parts.append(own[own[["x", "y"]].notna().all(axis=1)])
+    return Table(pd.concat(parts), f"{NAME}: exported table", "", up=True, fps=fps)

@@ -1,0 +1,25 @@
+"""TrackMate's CSV of spots: with three more lines of names and units under the first, or the older with one."""
+
+import pandas as pd
+
+from tracker.tables.content import Content
+from tracker.tables.table import Table, unit_of
+
+NAME = "TrackMate's spots"
+NAMES = {"FRAME": "frame", "TRACK_ID": "particle", "POSITION_X": "x", "POSITION_Y": "y"}
+
+
+def read(content: Content) -> Table | None:
+    if not any({"TRACK_ID", "POSITION_X"} <= set(line) for line in content.head[:1]):
+        return None
+    rows = content.cells()
+    missing = [name for name in NAMES if name not in rows]
+    if missing:
+        raise content.wrong(f"{NAME} without {', '.join(missing)}; expected {', '.join(NAMES)}")
+    number = pd.to_numeric(rows["FRAME"], errors="coerce").notna().to_numpy()
+    first = int(number.argmax()) if number.any() else len(rows)
+    below = rows.iloc[:first]
+    unit = next((text for text in below["POSITION_X"].astype(str) if text.startswith("(")), "")
+    rows = rows.iloc[first:][list(NAMES)].rename(columns=NAMES)
+    in_track = rows["particle"].notna() & (rows["particle"].astype(str) != "None")
+    return Table(rows[in_track], NAME, unit_of(unit, content.where) if unit else "")

@@ -1,0 +1,176 @@
+"""Tracks from a file of any of the formats, which its content tells, or from a table in memory."""
+
+from __future__ import annotations
+
+import importlib
+import math
+import pkgutil
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from commandline.errors import InputError
+from tracker.camera.camera import Camera
+from tracker.camera.camera_json import read_keys
+from tracker.camera.camera_keys import did_you_mean, shown
+from tracker.detection.link import Tracks
+from tracker.tables import formats as format_files
+from tracker.tables.content import Content
+from tracker.tables.rows import NEEDED, check_columns, real, split_tracks
+from tracker.tables.table import SPELT, Table, timed, unit_of
+
+GivenCamera = Camera | Mapping[str, Any] | str | Path
+SAME_RATE = 0.01  # 29.97 is 30
+OPTIONAL = "t clip striker x_std y_std cov_xy ep".split()
+USUAL = 15  # px, of a ball in a picture that is made up for a table in metres
+WIDEST = 16000  # px, of such a picture
+FURTHEST = 1e3  # m, of a position in one
+ARCHIVE = b"PK\3\4"
+
+
+@dataclass(frozen=True)
+class TrackTable:
+    """What a table gives: by clip tracks, px, and the striker where it says it; the camera; what to tell the user."""
+
+    clips: dict[int, tuple[Tracks, str | None]]
+    camera: Camera
+    notes: tuple[str, ...] = ()
+
+
+def formats() -> dict[str, Any]:
+    """The modules of the formats, by name."""
+    names = sorted(info.name for info in pkgutil.iter_modules(format_files.__path__))
+    return {name: importlib.import_module(f"{format_files.__name__}.{name}") for name in names}
+
+
+def read_tracks(path: Path, camera: GivenCamera, columns: str = "", unit: str = "") -> TrackTable:
+    """Read a file of tracks.
+
+    Parameters
+    ----------
+    path : Path
+        CSV or Parquet with frame, particle, x, y; or a file of one of the formats.
+    camera : Camera, dict, str or Path
+        Of the tracks.
+    columns : str
+        The table's own names of columns: x=POS_X,y=POS_Y,frame=FRAME,track=TRACK_ID.
+    unit : str
+        Of lengths; default: what the file says, or px.
+
+    Returns
+    -------
+    TrackTable
+
+    Raises
+    ------
+    InputError
+    """
+    if path.suffix.lower() in (".xlsx", ".xls", ".ods") and path.is_file():
+        raise InputError(f"{path}: a spreadsheet, expected a table of tracks; save it as CSV")
+    content = Content.of(path)
+    if content.data.startswith(ARCHIVE):
+        raise content.wrong("an archive, expected a table of tracks in it; unpack it first")
+    return in_picture(_named(content, columns) if columns else _recognised(content), path.name, camera, unit, str(path))
+
+
+def _recognised(content: Content) -> Table:
+    every = formats().values()
+    for one in every:
+        table: Table | None = one.read(content) if hasattr(one, "read") else None
+        if table is not None:
+            return table
+    if content.text[:100].lstrip().startswith("{"):
+        raise content.wrong("JSON, expected a table of tracks; camera.json belongs behind --camera")
+    known = ", ".join(sorted(one.NAME for one in every if hasattr(one, "NAME")))
+    if content.root is not None:
+        raise content.wrong(f"XML of <{shown(content.root.tag, quoted=False)}>, expected one of {known}")
+    more = f", or {known}; --columns x=NAME,... names others"
+    check_columns(content.cells(), content.where, more)
+    raise AssertionError("a table with these columns is trackpy's")
+
+
+def _named(content: Content, columns: str) -> Table:
+    """A table whose columns the user names."""
+    pairs = dict(part.partition("=")[::2] for part in columns.split(","))
+    known = {name: name for name in (*NEEDED, "track", *OPTIONAL)}
+    for key, name in pairs.items():
+        if key not in known or not name:
+            hint = did_you_mean(key, known)
+            raise InputError(f"--columns: {shown(key)}: expected NAME=COLUMN of {', '.join(known)}{hint}")
+    rows = content.cells()
+    if missing := [name for name in pairs.values() if name not in rows]:
+        there = shown(", ".join(map(str, rows.columns)), quoted=False)
+        raise content.wrong(f"no column {', '.join(missing)}, as --columns says; found {there}")
+    rows = pd.DataFrame({key: rows[name] for key, name in pairs.items()}).rename(columns={"track": "particle"})
+    fps = math.nan
+    if "t" in rows:
+        frame, time, fps = timed(real(rows.pop("t"), "t", content.where), content.where)
+        rows = rows.assign(t_s=time) if "frame" in rows else rows.assign(t_s=time, frame=frame)
+    check_columns(rows, f"{content.where}, by --columns")
+    if "ep" in rows and "x_std" not in rows:
+        rows = rows.assign(x_std=rows["ep"], y_std=rows["ep"])
+    if not pd.api.types.is_numeric_dtype(rows["particle"]):  # names
+        rows = rows.assign(particle=pd.factorize(rows["particle"])[0])
+    return Table(rows, fps=fps)
+
+
+def in_picture(table: Table, name: str, camera: GivenCamera, unit: str = "", where: str = "") -> TrackTable:
+    """Tracks, px, of a table in whatever unit. where: what messages call it; name: what notes do."""
+    where, notes = where or name, []
+    given = unit_of(unit, "--unit") if unit else table.unit
+    used = given or ("m" if table.up else "px")
+    if table.format:
+        notes.append(f"{name}: read as {table.format}, lengths in {used}{'' if given else '; --unit if not so'}")
+    metre = SPELT[used][0]
+    metric = math.isfinite(metre)
+    up = table.up or (metric and not table.format)
+    known = _camera(camera, table.scaled(metre, where) if metric else None, where)
+    if abs(table.fps / known.fps - 1) <= SAME_RATE:
+        table = replace(table, rows=table.rows.drop(columns="t_s", errors="ignore"))
+    elif table.fps > 0:
+        whose = "its times are used" if "t_s" in table.rows else "the camera file's is used"
+        notes.append(f"fps: {known.fps:g} in the camera file, {table.fps:.4g} in {name}; {whose}")
+    factor = (metre if metric else known.scale) / (1.0 if up else known.scale)
+    rows = (table.scaled(factor, where) if up or metric else table).rows
+    clips = split_tracks(rows, where, metric or up)
+    if up:
+        clips = {number: (_projected(tracks, known), striker) for number, (tracks, striker) in clips.items()}
+    return TrackTable(clips, known, tuple(notes))
+
+
+def _camera(given: GivenCamera, metres: Table | None, where: str) -> Camera:
+    """The camera; where tracks are in metres and its file says nothing of a picture, one that they fit in."""
+    if isinstance(given, Camera):
+        return given
+    keys = dict(given) if isinstance(given, Mapping) else read_keys(Path(given))
+    named = "camera" if isinstance(given, Mapping) else f"{given}"
+    if metres is not None and isinstance(keys, dict):
+        check_columns(metres.rows, where)
+        reach = max(float(np.nanmax(np.abs(real(metres.rows[axis], axis, where)), initial=0.0)) for axis in ("x", "y"))
+        if not 0 < reach < FURTHEST:
+            raise InputError(
+                f"{where}: x, y: up to {reach:g} m, expected positions on a plate; --unit says what they are"
+            )
+        if "scale" not in keys and not {"K", "t"} <= set(keys):
+            ball = keys.get("ball_diameter", 0)
+            known = ball / USUAL if isinstance(ball, int | float) and 0 < ball < reach else 0.0
+            keys["scale"] = max(known, 2 * reach / WIDEST)
+        scale = keys.get("scale", 0)
+        if "size" not in keys and isinstance(scale, int | float) and scale > 0:
+            keys["size"] = [min(2 * math.ceil(reach / scale) + 2 * USUAL, WIDEST)] * 2
+    return Camera.from_dict(keys, named)
+
+
+def _projected(tracks: Tracks, camera: Camera) -> Tracks:
+    """Tracks in metres on the plate, as the camera sees them."""
+    height = np.full((len(tracks), 1), camera.centre_height)
+    pixels = camera.project(np.concatenate([tracks.xy, height], axis=1))
+    slope = np.linalg.inv(camera.unproject(pixels)[1])
+    cov, fixed = (slope @ c @ slope.transpose(0, 2, 1) for c in (tracks.cov, tracks.fixed))
+    unseen = np.full(len(tracks), np.nan)
+    x, y = pixels[:, 0].copy(), pixels[:, 1].copy()
+    return replace(tracks, x=x, y=y, cov=cov, fixed=fixed, glint_x=unseen, glint_y=unseen)

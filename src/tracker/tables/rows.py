@@ -1,0 +1,155 @@
+"""Rows of a table as tracks, and tracks as rows: the columns of tracks.parquet."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pyarrow as pa
+
+from commandline.errors import InputError
+from tracker.camera.camera_keys import shown
+from tracker.detection.link import Tracks
+
+MOST = (1 << 31) - 1  # frames, particles, clips
+FARTHEST = 1e6  # px, of a position, or of its standard deviation
+NEEDED = ("frame", "particle", "x", "y")
+
+
+def tracks_table(tracks: Tracks) -> pa.Table:
+    """The columns of tracks.parquet."""
+    times = {"t_s": tracks.time} if np.isfinite(tracks.time).any() else {}
+    return pa.table(
+        {
+            "frame": tracks.frame,
+            "particle": tracks.particle,
+            "x": tracks.x,
+            "y": tracks.y,
+            "x_std": np.sqrt(tracks.cov[:, 0, 0]),
+            "y_std": np.sqrt(tracks.cov[:, 1, 1]),
+            "cov_xy": np.ascontiguousarray(tracks.cov[:, 0, 1]),
+            "flux": tracks.flux,
+            "flags": pa.array(tracks.flags.tolist(), pa.string()),
+            "glint_x": tracks.glint_x,
+            "glint_y": tracks.glint_y,
+            "x_fixed_std": np.sqrt(tracks.fixed[:, 0, 0]),
+            "y_fixed_std": np.sqrt(tracks.fixed[:, 1, 1]),
+            "cov_xy_fixed": np.ascontiguousarray(tracks.fixed[:, 0, 1]),
+            **times,
+        }
+    )
+
+
+def split_tracks(table: pd.DataFrame, where: str, metres: bool = False) -> dict[int, tuple[Tracks, str | None]]:
+    """Tracks by clip, with the clip's striker where the table says it; InputError for what is no such table.
+
+    Rows without a finite position are left out. where: what messages call the table; metres: whether lengths are known
+    not to be pixels.
+    """
+    check_columns(table, where)
+    if len(table) == 0:
+        raise InputError(f"{where}: no rows, expected a row for each ball and frame")
+    clips = table["clip"] if "clip" in table else pd.Series(0, index=table.index)
+    out: dict[int, tuple[Tracks, str | None]] = {}
+    numbers = whole(clips, "clip", where)
+    for number in np.unique(numbers).tolist():
+        part = table[numbers == number]
+        striker = None
+        if "striker" in part:
+            names = part["striker"].unique().tolist()
+            if len(names) != 1 or names[0] not in ("a", "b"):
+                raise InputError(f"{where}: striker: clip {number} has {names}, expected one of a, b")
+            striker = str(names[0])
+        tracks = to_tracks(part, where)
+        span = max(np.ptp(tracks.x), np.ptp(tracks.y)) if len(np.unique(tracks.particle)) > 1 else math.inf
+        if span < 1 and not metres:
+            raise InputError(
+                f"{where}: x, y: expected pixels, not metres: all balls lie within {span:.2g} px; say --unit m"
+            )
+        out[number] = (tracks, striker)
+    return out
+
+
+def check_columns(table: pd.DataFrame, where: str, more: str = "") -> None:
+    """Raises InputError where a table lacks what every one needs."""
+    missing = [name for name in NEEDED if name not in table]
+    if missing:
+        there = shown(", ".join(map(str, table.columns)), quoted=False)
+        raise InputError(f"{where}: no column {', '.join(missing)}, expected {', '.join(NEEDED)}{more}; found {there}")
+
+
+def to_tracks(table: pd.DataFrame, where: str) -> Tracks:
+    """Rows of one clip as tracks."""
+    frame, particle = whole(table["frame"], "frame", where), whole(table["particle"], "particle", where)
+    x, y = real(table["x"], "x", where), real(table["y"], "y", where)
+    for name, values in (("x", x), ("y", y)):
+        if np.any(np.abs(values) > FARTHEST):
+            raise InputError(f"{where}: {name}: expected positions in px, not {values[np.abs(values) > FARTHEST][0]:g}")
+    kept = np.flatnonzero(np.isfinite(x) & np.isfinite(y))
+    kept = kept[np.lexsort((frame[kept], particle[kept]))]
+    twice = (np.diff(frame[kept]) == 0) & (np.diff(particle[kept]) == 0)
+    if twice.any():
+        row = kept[np.flatnonzero(twice)[0]]
+        raise InputError(f"{where}: particle {particle[row]} is twice in frame {frame[row]}, expected once")
+
+    def column(name: str, default: float) -> Any:
+        values = real(table[name], name, where) if name in table else np.full(len(table), default)
+        return values[kept]
+
+    def covariance(x_std: str, y_std: str, cov_xy: str, default: float) -> Any:
+        cov = np.empty((len(kept), 2, 2))
+        for axis, name in enumerate((x_std, y_std)):
+            std = column(name, default)
+            if np.any((std < 0) | (std > FARTHEST)):
+                raise InputError(f"{where}: {name}: expected standard errors from 0 to {FARTHEST:g} px")
+            cov[:, axis, axis] = std**2
+        cov[:, 0, 1] = cov[:, 1, 0] = column(cov_xy, 0.0)
+        if np.any(np.abs(cov[:, 0, 1]) > FARTHEST**2):
+            raise InputError(f"{where}: {cov_xy}: expected covariances from {-(FARTHEST**2):g} to {FARTHEST**2:g} px^2")
+        return cov
+
+    said = table["flags"].astype(object).fillna("") if "flags" in table else pd.Series("", index=table.index)
+    return Tracks(
+        frame=frame[kept],
+        particle=particle[kept],
+        x=x[kept],
+        y=y[kept],
+        cov=covariance("x_std", "y_std", "cov_xy", math.nan),
+        flux=column("flux", math.nan),
+        flags=said.astype(str).to_numpy()[kept].astype(np.str_),
+        glint_x=column("glint_x", math.nan),
+        glint_y=column("glint_y", math.nan),
+        fixed=covariance("x_fixed_std", "y_fixed_std", "cov_xy_fixed", 0.0),
+        time=_times(column("t_s", math.nan), frame[kept], particle[kept], where),
+    )
+
+
+def _times(time: Any, frame: Any, particle: Any, where: str) -> Any:
+    """Times that a table gives; InputError where they do not grow with the frames of a particle."""
+    ball = np.diff(particle) == 0
+    back = ball & ~(np.diff(time) > 0)
+    if np.isfinite(time).any() and (back.any() or not np.isfinite(time).all()):
+        row = int(np.flatnonzero(back)[0]) + 1 if back.any() else int(np.flatnonzero(~np.isfinite(time))[0])
+        raise InputError(
+            f"{where}: t_s: {time[row]:g} in frame {frame[row]} of particle {particle[row]}, expected times that grow"
+        )
+    return time
+
+
+def real(values: Any, name: str, where: str) -> Any:
+    """A column as numbers; InputError where some are none."""
+    try:
+        return pd.to_numeric(values).to_numpy(dtype=np.float64)
+    except (ValueError, TypeError):
+        raise InputError(f"{where}: {name}: expected numbers") from None
+
+
+def whole(values: Any, name: str, where: str) -> Any:
+    """A column as whole numbers from 0 on."""
+    numbers = real(values, name, where)
+    wrong = ~((numbers >= 0) & (numbers <= MOST) & (numbers == np.round(numbers)))  # NaN too
+    if wrong.any():
+        raise InputError(f"{where}: {name}: expected whole numbers from 0 to {MOST}, not {numbers[wrong][0]:g}")
+    return numbers.astype(np.int64)

@@ -1,0 +1,88 @@
+"""A table as a file gives it, before it is known what a pixel is: rows, their unit, where its axes begin."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from commandline.errors import InputError
+from tracker.camera.camera_keys import shown
+from tracker.tables.rows import real
+
+SPELT = {  # what one of a unit is in m, and what it is called; "px" has no length of its own
+    "px": (math.nan, "px pixel pixels"),
+    "m": (1.0, "m metre metres meter meters"),
+    "cm": (1e-2, "cm centimetre centimetres centimeter centimeters"),
+    "mm": (1e-3, "mm millimetre millimetres millimeter millimeters"),
+    "um": (1e-6, "um µm μm micron microns micrometre micrometres micrometer micrometers"),
+    "nm": (1e-9, "nm nanometre nanometres nanometer nanometers"),
+    "in": (0.0254, "in inch inches"),
+}
+LENGTHS = ("x", "y", "glint_x", "glint_y", "x_std", "y_std", "x_fixed_std", "y_fixed_std")
+AREAS = ("cov_xy", "cov_xy_fixed")
+EVEN = 0.2  # of a time step, by which times may be off even ones: they are printed to few digits
+
+
+@dataclass(frozen=True)
+class Table:
+    """Rows with the columns of docs/format.md: frame, particle, x, y, and what else there is.
+
+    Attributes
+    ----------
+    rows : DataFrame
+    format : str
+        What made it, for messages; "" for this project's own columns.
+    unit : str
+        Of lengths, a key of SPELT; "" where nothing says it.
+    up : bool
+        Whether lengths are on the plate, y upwards; else in the picture, y downwards from the top left pixel's centre.
+    fps : float
+        Frame rate that the file claims; NaN where it does not.
+    """
+
+    rows: pd.DataFrame
+    format: str = ""
+    unit: str = ""
+    up: bool = False
+    fps: float = math.nan
+
+    def scaled(self, factor: float, where: str) -> Table:
+        """The same with lengths of another unit."""
+        rows = self.rows.copy()
+        for names, by in ((LENGTHS, factor), (AREAS, factor**2)):
+            for name in (n for n in names if n in rows):
+                rows[name] = real(rows[name], name, where) * by
+        return replace(self, rows=rows)
+
+
+def unit_of(name: str, where: str) -> str:
+    """The unit that a name means. Raises InputError."""
+    found = [unit for unit, (_, names) in SPELT.items() if name.strip().strip("()").lower() in names.split()]
+    if not found:
+        raise InputError(f"{where}: {shown(name)}: expected a unit of length, one of {', '.join(SPELT)}")
+    return found[0]
+
+
+def per_second(interval: float, unit: str) -> float:
+    """Frames a second of an interval in a unit of time; NaN where that is none."""
+    seconds = {"s": 1.0, "sec": 1.0, "second": 1.0, "seconds": 1.0, "ms": 1e-3, "msec": 1e-3}.get(unit.strip().lower())
+    return 1.0 / (interval * seconds) if seconds and interval > 0 else math.nan
+
+
+def timed(times: NDArray[np.float64], where: str) -> tuple[NDArray[np.int64], NDArray[np.float64], float]:
+    """Frames, times and frame rate of times alone; even to a few digits they are evened out, else there is no rate."""
+    steps = np.unique(times)
+    if not np.isfinite(times).all() or len(steps) < 2:
+        raise InputError(f"{where}: t: expected a time in s in each row")
+    gaps = np.diff(steps)
+    known = np.concatenate([[0], np.cumsum(np.maximum(np.round(gaps / np.median(gaps)), 1))])
+    step, first = np.polyfit(known, steps, 1)
+    frame = known[np.searchsorted(steps, times)]
+    even = first + step * frame
+    if np.max(np.abs(even - times)) < EVEN * step:
+        return frame.astype(np.int64), even, 1.0 / float(step)
+    return frame.astype(np.int64), times, math.nan
