@@ -17,10 +17,10 @@ from tracker import results
 from tracker.camera.camera import Camera
 from tracker.camera.frames import Clip, open_frames, open_source, recorded
 from tracker.camera.memory import FILM, frames_in_memory
-from tracker.detection.choose import choose
+from tracker.detection.choose import DISCS, GLINTS, choose
 from tracker.detection.detect import DEFAULT, point_of, settled, view_of
 from tracker.detection.detect import detector as detector_named
-from tracker.detection.diagnose import why_no_disc, why_nothing
+from tracker.detection.diagnose import FEWEST, why_no_disc, why_nothing
 from tracker.detection.link import Tracks, link
 from tracker.measurement.collision.adequacy import MEASURED
 from tracker.measurement.collision.derived import NAMES
@@ -277,10 +277,16 @@ def measure(
 
 def followed(clip: Clip, name: str | None = None) -> Result:
     """A clip through the whole chain, by the detector ``name`` or the one that its film asks for."""
-    why = ""
+    why, other = "", ""
     if name is None:
         name, why = choose(clip.frames, clip.camera)
+        other = GLINTS if name == DISCS else DISCS
     tracks, camera, reason, said = track_clip(clip, name)
+    if reason and other:
+        second = track_clip(clip, other)
+        if not second[2] and len(second[0]) >= FEWEST:
+            why = f"detector: {other}, for {name} finds nothing ({reason}); --detector forces"
+            tracks, camera, reason, said = second
     rows, motion = measure_clip(tracks, camera)
     if reason:
         rows = [row if row["status"] in MEASURED else row | {"status": reason} for row in rows]

@@ -57,6 +57,24 @@ def film(rng, ways, ball=210.0, noise=2.0, ground=None, radius=R, blur=0.7, shut
     return np.array(out).astype(np.uint8)
 
 
+def lit_film(rng, ways, lamp=(0.6, -0.4), radius=R, noise=2.0, ground=None, shade=0.45):
+    """The same of white spheres under a lamp to one side, (x, y) of its direction, and the shadows that they cast."""
+    ground, out = plate(rng) if ground is None else ground, []
+    y, x = np.mgrid[: ground.shape[0], : ground.shape[1]].astype(float)
+    lamp = np.array([*lamp, np.sqrt(1 - np.hypot(*lamp) ** 2)])
+    for k in range(ways.shape[1]):
+        light = ground.copy()
+        for way in ways[:, k]:
+            light *= 1 - shade * disc(way - radius * lamp[:2] / lamp[2], radius, 1.5, (0, 0), ground.shape)
+        for way in ways[:, k]:
+            u, v = (x - way[0]) / radius, (y - way[1]) / radius
+            facing = u * lamp[0] + v * lamp[1] + np.sqrt(np.clip(1 - u * u - v * v, 0, 1)) * lamp[2]
+            cover = disc(way, radius, 0.7, (0, 0), ground.shape)
+            light = light * (1 - cover) + (60 + 160 * np.clip(facing, 0, 1)) * cover
+        out.append(np.clip(np.rint(light + rng.normal(0, noise, ground.shape)), 0, 255))
+    return np.array(out).astype(np.uint8)
+
+
 def recorded(pictures, camera):
     """The frames as a clip."""
     frames, note = frames_in_memory(pictures)

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from scipy.special import ndtr
 
 from tracker.camera.lens import Array
+from tracker.detection.shadow import lit
 from tracker.detection.still_background import Background
 
 SURE = 1.5  # deviations beyond which a pixel counts less (Huber)
@@ -18,7 +19,12 @@ RING = 3.0  # px on either side of the outline, of the pixels that tell the plac
 BLURRED = 1.5  # px, a way during the exposure that is fitted
 POINTS = 0.7  # px between the places that make up the way
 ASTRAY = 1.5  # px, or a quarter of the way, that a fit may move off its start
+LEANING = 0.25  # of the radius, the same, more, of a ball lit from one side: its bright part was the start
+DEEP = 0.3  # of the radius, the same as RING inwards, of such a ball
+GRAIN = 4  # px, of a texture's cells
+SECTORS = 16  # of the outline, each of which is off the model as a whole
 POOR = 0.25  # of the contrast, rms of what a fit leaves: no disc
+AGAIN, FIRM = 3, 0.3  # fits at most, and px that the last one moves, of a ball lit from one side
 Picture = NDArray[np.floating[Any]]
 
 
@@ -32,18 +38,35 @@ class Found:
     radius: float
 
 
+@dataclass(frozen=True)
+class Look:
+    """What the balls of a film share.
+
+    Attributes
+    ----------
+    radius : float
+        px.
+    noise : float
+        Of one pixel in one frame, counts.
+    shaded : bool
+        One side is brighter, and shadows fall.
+    tied : float
+        px, by which radii differ; 0 where each frame's is its own.
+    """
+
+    radius: float
+    noise: float
+    shaded: bool = False
+    tied: float = 0.0
+
+
 def fit_disc(
-    frame: Picture,
-    ground: Background,
-    start: Array,
-    radius: float,
-    way: Array,
-    others: list[tuple[float, float]],
-    noise: float,
+    frame: Picture, ground: Background, start: Array, look: Look, way: Array, others: list[tuple[float, float]]
 ) -> Found | None:
     """Fit place, radius, the edge's width, the ball's brightness there, and its way during the exposure.
 
-    Huber's weights, errors from the residuals.
+    Huber's weights, errors from the residuals. A shaded ball's brightness is that of a matte sphere under one lamp and
+    even light; the ground about it is taken as bright as it is in this frame, in its shadow too.
 
     Parameters
     ----------
@@ -51,63 +74,104 @@ def fit_disc(
     ground : Background
     start : (2,) array
         Place, px.
-    radius : float
-        px.
+    look : Look
     way : (2,) array
         During the exposure, px; fitted if it is BLURRED at least.
     others : list of (x, y)
         Places of balls that touch this one in the picture.
-    noise : float
-        Of one pixel in one frame, counts.
 
     Returns
     -------
     Found or None
         None where there is no disc.
     """
-    x, y, light, level, doubt = _pixels(frame, ground, start, radius, way, others)
-    swept = float(np.hypot(*way)) >= BLURRED
+    found, at = None, start
+    for _ in range(AGAIN if look.shaded else 1):
+        found = _fitted(frame, ground, at, look, way, others)
+        if found is None or (look.shaded and np.hypot(*(found.place - start)) > ASTRAY + LEANING * look.radius):
+            return None
+        moved, at = float(np.hypot(*(found.place - at))), found.place
+        if moved < FIRM:
+            break
+    return found
+
+
+def _fitted(
+    frame: Picture, ground: Background, start: Array, look: Look, way: Array, others: list[tuple[float, float]]
+) -> Found | None:
+    """One fit, from ``start``."""
+    x, y, light, level, doubt = _pixels(frame, ground, start, look, way, others)
+    long = float(np.hypot(*way))
     if len(x) < 16:
         return None
+    looks = _looks(x - start[0], y - start[1], look)
     far = np.hypot(x - start[0], y - start[1])
-    core = far < radius - 0.5 * RING
+    core = far < look.radius - 0.5 * RING
     ball = float(np.median(light[core] if core.any() else light[far <= np.median(far)]))
-    now = np.array([*start, radius, 1.0, ball, *(way if swept else ())])
+    swept = list(way) if long >= BLURRED else []
+    now = np.array([*start, look.radius, 1.0, *swept, ball, *np.zeros(len(looks) - 1)])
+    limit = np.array([0.5, 0.5, 0.5, 0.5, *np.ones(len(swept)), *np.full(len(looks), np.inf)])
     for _ in range(TURNS):
-        cover, slopes = _model(x, y, level, now)
-        left = light - level - (now[4] - level) * cover
+        cover, slopes = _model(x, y, level, now, looks)
+        left = light - level - (now[-len(looks) :] @ looks - level) * cover
         scatter = max(1.4826 * float(np.median(np.abs(left))), 0.3)
         weight = np.minimum(1.0, SURE * scatter / np.maximum(np.abs(left), 1e-12))
         weight = weight / (1 + (doubt * (1 - cover) / scatter) ** 2)
         normal = (slopes * weight) @ slopes.T + 1e-9 * np.eye(len(now))
-        step = np.linalg.solve(normal, slopes @ (weight * left))
-        limit = np.array([0.5, 0.5, 0.5, 0.5, np.inf, 1.0, 1.0])[: len(now)]
+        pull = slopes @ (weight * left)
+        if look.tied:
+            normal[2, 2] += (scatter / look.tied) ** 2
+            pull[2] += (scatter / look.tied) ** 2 * (look.radius - now[2])
+        step = np.linalg.solve(normal, pull)
         now = now + np.clip(step, -limit, limit)
         now[3] = np.clip(now[3], 0.3, RING)
         if np.abs(step[:2]).max() < 1e-4:
             break
     spread = float(np.sqrt((weight * left**2).sum() / max(weight.sum() - len(now), 1.0)))
     away = float(np.hypot(*(now[:2] - start)))
-    contrast = abs(now[4] - float(np.median(level)))
-    if away > max(ASTRAY, 0.25 * np.hypot(*way)) or spread > POOR * contrast:
+    inner = far <= max(look.radius, float(far.min()))
+    contrast = abs(float(np.median((now[-len(looks) :] @ looks)[inner])) - float(np.median(level)))
+    if away > max(ASTRAY + look.shaded * LEANING * look.radius, 0.25 * long) or spread > POOR * contrast:
         return None
     inverse = np.linalg.inv(normal)
-    usual = min(noise**2, spread**2)
-    lever = inverse @ (slopes * weight * doubt * (1 - cover))
+    usual = min(look.noise**2, spread**2)
+    lever = _alike(inverse @ (slopes * weight * doubt * (1 - cover)), x, y, ground)
     fixed = inverse * (spread**2 - usual) + lever @ lever.T
+    if look.shaded:  # errors of the model, which are those of whole sectors
+        sector = (np.arctan2(y - now[1], x - now[0]) // (2 * np.pi / SECTORS)).astype(int) + SECTORS
+        pulls = np.stack([np.bincount(sector, line) for line in inverse @ (slopes * weight * left)])
+        fixed = pulls @ pulls.T + lever @ lever.T
     return Found(now[:2], (inverse * usual + fixed)[:2, :2], fixed[:2, :2], float(now[2]))
+
+
+def _alike(lever: NDArray[np.float64], x: Array, y: Array, ground: Background) -> NDArray[np.float64]:
+    """Effects of pixels' errors, (parameters, n), those joined that err alike: where the ground was never seen."""
+    column, row = x.astype(int), y.astype(int)
+    own = np.arange(len(x)) + (row.max() + 1) * (column.max() + 1)
+    cell = np.where(ground.known[row, column], own, row // GRAIN * (column.max() + 1) + column // GRAIN)
+    cells = np.unique(cell, return_inverse=True)[1]
+    return np.stack([np.bincount(cells, line) for line in lever])
+
+
+def _looks(dx: Array, dy: Array, look: Look) -> NDArray[np.float64]:
+    """What a ball's brightness is a sum of, (terms, n) at places from its middle: even; of a sphere under a lamp."""
+    if not look.shaded:
+        return np.ones((1, len(dx)))
+    u, v = dx / look.radius, dy / look.radius
+    return np.stack([np.ones(len(u)), u, v, np.sqrt(np.maximum(1 - u * u - v * v, 0.0))])
 
 
 def _pixels(
     frame: Picture,
     ground: Background,
     start: Array,
-    radius: float,
+    look: Look,
     way: Array,
     others: list[tuple[float, float]],
 ) -> tuple[Array, Array, Array, Array, Array]:
     """x, y, count, ground and its error of the pixels near the outline, over a ground that is known."""
     height, width = frame.shape
+    radius, deep = look.radius, max(RING, DEEP * look.radius) if look.shaded else RING
     reach = int(radius + RING + 2 + np.abs(way).max() / 2)
     column, row = np.round(start).astype(int)
     top, bottom = max(row - reach, 1), min(row + reach + 1, height - 1)
@@ -118,18 +182,24 @@ def _pixels(
     dx, dy = columns - start[0], rows - start[1]
     share = np.clip(dx * along[0] + dy * along[1], -long / 2, long / 2)
     off = np.hypot(dx - share * along[0], dy - share * along[1]) - radius  # from the outline of all it sweeps
-    used = (off < RING) & (off > -RING - long / 2)
+    used = (off < RING) & (off > -deep - long / 2)
     for x, y in others:
         used &= np.hypot(columns - x, rows - y) > radius + RING
-    used[used] = ground.known[rows[used], columns[used]]
     at = rows[used], columns[used]
     seen, level, doubt = (p[at].astype(float) for p in (frame, ground.level, ground.error))
+    if look.shaded:
+        share, change = lit(frame, ground, start, radius, others)(dx[used], dy[used])
+        level, doubt = share * level, np.hypot(doubt, change * level)
     return columns[used].astype(float), rows[used].astype(float), seen, level, doubt
 
 
-def _model(x: Array, y: Array, level: Array, now: Array) -> tuple[Array, NDArray[np.float64]]:
+def _model(
+    x: Array, y: Array, level: Array, now: Array, looks: NDArray[np.float64]
+) -> tuple[Array, NDArray[np.float64]]:
     """Share of each pixel (n,) that the disc covers, and the slopes (parameters, n) of its counts."""
-    way = now[5:] if len(now) > 5 else np.zeros(2)
+    terms = len(looks)
+    swept = len(now) - terms > 4
+    way = now[4:6] if swept else np.zeros(2)
     points = min(1 + 2 * int(np.hypot(*way) / (2 * POINTS)), 61)
     cover, slopes = np.zeros(len(x)), np.zeros((len(now), len(x)))
     for s in (np.arange(points) + 0.5) / points - 0.5:
@@ -143,9 +213,9 @@ def _model(x: Array, y: Array, level: Array, now: Array) -> tuple[Array, NDArray
         slopes[1] += sides[1]
         slopes[2] += density
         slopes[3] += density * z
-        if len(now) > 5:
-            slopes[5] += s * sides[0]
-            slopes[6] += s * sides[1]
-    cover, slopes = cover / points, slopes * (now[4] - level) / points
-    slopes[4] = cover
+        if swept:
+            slopes[4] += s * sides[0]
+            slopes[5] += s * sides[1]
+    cover, slopes = cover / points, slopes * (now[-terms:] @ looks - level) / points
+    slopes[-terms:] = cover * looks
     return cover, slopes

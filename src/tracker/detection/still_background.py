@@ -18,12 +18,16 @@ APART = 6.0  # noise deviations between the two levels of a pixel
 ROUGH = 6.0  # times the usual difference from what lies around: a pixel that differs by more shows part of a ball
 SELDOM = 0.1  # of the samples: a pixel that is off its median less often has one level
 WIDTHS = (11, 31, 91, 271)  # px, of the neighbourhoods in which surroundings are looked for
+MIDDLE_HALF = 1.2  # variance of the mean of a sample's middle half, over that of its mean, of normal errors
 ENOUGH = 0.05  # of a neighbourhood, free of balls
 
 
 @dataclass(frozen=True, eq=False)
 class Background:
-    """The picture without balls: ``level`` (h, w) counts, its ``error``, and whether it is ``known`` at a pixel."""
+    """The picture without balls: ``level`` (h, w) counts, its ``error``, and whether it is ``known`` at a pixel.
+
+    Where it is not, the level is that of what lies around, and the error is the texture's.
+    """
 
     level: Array
     error: Array
@@ -71,7 +75,42 @@ def still_background(frames: Sequence[Any], noise: float) -> Background:
         seen = _nearest(stack[:, where[0], where[1]].astype(float), around, step, texture)
         level[where], known[where] = np.where(np.isnan(seen), around, seen), ~np.isnan(seen)
         error[where] = noise  # however many samples: a ball's rim may be in all of them
+        error[~known] = max(_texture(level, smooth, rested), noise)
     return Background(level, error, known)
+
+
+def without_balls(frames: Sequence[Any], covered: Sequence[NDArray[np.bool_]], noise: float) -> Background:
+    """Find the same picture, where it is known what of each frame balls cover: the mean of the middle half elsewhere.
+
+    Parameters
+    ----------
+    frames : sequence of (h, w) arrays
+    covered : sequence of (h, w) arrays of bool
+    noise : float
+        Of one pixel in one frame, counts.
+    """
+    count: NDArray[np.int64] = np.add.reduce([~c for c in covered], axis=0, dtype=np.int64)
+    level = np.empty(count.shape)
+    rows = max(BAND // (len(frames) * count.shape[1]), 1)
+    rank = np.arange(len(frames))[:, None, None]
+    for top in range(0, len(level), rows):
+        at = slice(top, top + rows)
+        free = [np.where(c[at], np.inf, np.asarray(f[at])) for f, c in zip(frames, covered, strict=True)]
+        ordered, n = np.sort(free, axis=0), count[at]
+        middle = (rank >= n // 4) & (rank < n - n // 4)
+        level[at] = np.where(middle, ordered, 0.0).sum(axis=0) / np.maximum(n - 2 * (n // 4), 1)
+    error, never = np.sqrt(MIDDLE_HALF / np.maximum(count, 1)) * noise, (count == 0).astype(np.uint8)
+    if never.any():
+        smooth = _around(level, never)
+        level[never == 1] = smooth[never == 1]
+        error[never == 1] = max(_texture(level, smooth, never), noise)
+    return Background(level, error, never == 0)
+
+
+def _texture(level: Array, smooth: Array, hidden: NDArray[np.uint8]) -> float:
+    """Standard deviation of the levels near what is hidden from what lies around, counts."""
+    beside = (cv2.dilate(hidden, np.ones((31, 31), np.uint8)) == 1) & (hidden == 0)
+    return 1.4826 * float(np.median(np.abs(level - smooth)[beside])) if beside.any() else 0.0
 
 
 def _nearest(samples: Array, around: Array, step: float, texture: float) -> Array:

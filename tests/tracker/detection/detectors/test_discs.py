@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from tracker_discs import CAMERA, SIZE, R, collision, disc, film, plate, recorded
+from tracker_discs import CAMERA, SIZE, R, collision, disc, film, lit_film, plate, recorded
 
 import tracker
 from tracker.camera.camera import Camera
@@ -64,3 +64,26 @@ def test_the_background_under_a_ball_that_rests_for_most_of_the_film():
     assert np.abs(level - ground)[known].max() < 30
     assert np.sqrt(np.mean((level - ground)[known] ** 2)) < 1.0
     assert np.mean(~known) < 0.02
+
+
+def test_balls_lit_from_one_side_that_cast_shadows():
+    """Every ball is found at its own place, not at that of its bright side, and no shadow is taken for one."""
+    ways = collision()
+    clip = recorded(lit_film(np.random.default_rng(7), ways), Camera.from_dict(CAMERA))
+    discs = Discs(view_of(clip, "discs"))
+    found = discs.many(enumerate(clip.frames))
+    places = ways[:, found.frame]
+    ball_of = np.hypot(*np.moveaxis(places - found.xy, -1, 0)).argmin(axis=0)
+    miss = found.xy - places[ball_of, np.arange(len(found))]
+    assert np.bincount(ball_of).tolist() == [ways.shape[1]] * 2
+    assert np.abs(miss).max() < 0.025 * R
+    assert any(note.startswith("shadows: ") for note in discs.notes())
+
+
+def test_what_one_detector_misses_is_left_to_the_other(monkeypatch):
+    """The film is of discs; told that it is of glints, the tracker tries both and says so."""
+    monkeypatch.setattr("tracker.recording.choose", lambda *_: ("maximum_likelihood", ""))
+    pictures = film(np.random.default_rng(8), collision(), 25.0, 0.3, np.full(SIZE, 150.0))
+    result = tracker.track(pictures, CAMERA)
+    assert result.tracks.groupby("particle").size().tolist() == [60, 60]
+    assert any(note.startswith("detector: discs, for maximum_likelihood finds nothing (") for note in result.notes)
