@@ -22,6 +22,7 @@ ASTRAY = 1.5  # px, or a quarter of the way, that a fit may move off its start
 LEANING = 0.25  # of the radius, the same, more, of a ball lit from one side: its bright part was the start
 DEEP = 0.3  # of the radius, the same as RING inwards, of such a ball
 GRAIN = 4  # px, of a texture's cells
+AWAY = 0.0, 0.2, 0.4  # radii from the lit side, of the places from which the fit of such a ball starts
 SECTORS = 16  # of the outline, each of which is off the model as a whole
 POOR = 0.25  # of the contrast, rms of what a fit leaves: no disc
 AGAIN, FIRM = 3, 0.3  # fits at most, and px that the last one moves, of a ball lit from one side
@@ -30,12 +31,15 @@ Picture = NDArray[np.floating[Any]]
 
 @dataclass(frozen=True)
 class Found:
-    """x, y px and their covariance, the part of it that a ball at rest has in every frame alike, and the radius."""
+    """x, y px and their covariance, the part of it that a ball at rest has in every frame alike; radius px; rms of what
+    the fit leaves, counts.
+    """
 
     place: Array
     cov: Array
     fixed: Array
     radius: float
+    spread: float
 
 
 @dataclass(frozen=True)
@@ -85,15 +89,39 @@ def fit_disc(
     Found or None
         None where there is no disc.
     """
-    found, at = None, start
-    for _ in range(AGAIN if look.shaded else 1):
-        found = _fitted(frame, ground, at, look, way, others)
-        if found is None or (look.shaded and np.hypot(*(found.place - start)) > ASTRAY + LEANING * look.radius):
+    if not look.shaded:
+        return _fitted(frame, ground, start, look, way, others)
+    starts = [start - share * look.radius * _lit_side(frame, start, look.radius) for share in AWAY]
+    tried = [f for f in (_fitted(frame, ground, at, look, way, others) for at in starts) if f is not None]
+    best = min(tried, key=lambda f: f.spread, default=None)
+    for _ in range(AGAIN):
+        if best is None or np.hypot(*(best.place - start)) > ASTRAY + LEANING * look.radius:
             return None
-        moved, at = float(np.hypot(*(found.place - at))), found.place
-        if moved < FIRM:
+        at = best.place
+        best = _fitted(frame, ground, at, look, way, others)
+        if best is not None and np.hypot(*(best.place - at)) < FIRM:
             break
-    return found
+    return best
+
+
+def _lit_side(frame: Picture, at: Array, radius: float) -> Array:
+    """The direction (2,) of the brightness on a disc; zero where none of it is in the picture."""
+    rows, columns = np.mgrid[_about(at, radius / 2, frame.shape)]
+    dx, dy = columns - at[0], rows - at[1]
+    inside = np.hypot(dx, dy) < radius / 2
+    light = frame[rows[inside], columns[inside]]
+    if len(light) == 0:
+        return np.zeros(2)
+    slope = np.array([np.mean(dx[inside] * (light - light.mean())), np.mean(dy[inside] * (light - light.mean()))])
+    return slope / max(float(np.hypot(*slope)), 1e-9)
+
+
+def _about(at: Array, reach: float, shape: tuple[int, ...]) -> tuple[slice, slice]:
+    """Rows and columns of a picture about a place."""
+    (column, row), far = np.round(at).astype(int), int(reach) + 1
+    return slice(max(row - far, 0), min(row + far + 1, shape[0])), slice(
+        max(column - far, 0), min(column + far + 1, shape[1])
+    )
 
 
 def _fitted(
@@ -131,7 +159,10 @@ def _fitted(
     away = float(np.hypot(*(now[:2] - start)))
     inner = far <= max(look.radius, float(far.min()))
     contrast = abs(float(np.median((now[-len(looks) :] @ looks)[inner])) - float(np.median(level)))
-    if away > max(ASTRAY + look.shaded * LEANING * look.radius, 0.25 * long) or spread > POOR * contrast:
+    if (
+        away > max(ASTRAY + look.shaded * LEANING * look.radius, 0.25 * long)
+        or np.hypot(POOR * contrast, 1.2 * look.noise) < spread
+    ):
         return None
     inverse = np.linalg.inv(normal)
     usual = min(look.noise**2, spread**2)
@@ -141,7 +172,7 @@ def _fitted(
         sector = (np.arctan2(y - now[1], x - now[0]) // (2 * np.pi / SECTORS)).astype(int) + SECTORS
         pulls = np.stack([np.bincount(sector, line) for line in inverse @ (slopes * weight * left)])
         fixed = pulls @ pulls.T + lever @ lever.T
-    return Found(now[:2], (inverse * usual + fixed)[:2, :2], fixed[:2, :2], float(now[2]))
+    return Found(now[:2], (inverse * usual + fixed)[:2, :2], fixed[:2, :2], float(now[2]), spread)
 
 
 def _alike(lever: NDArray[np.float64], x: Array, y: Array, ground: Background) -> NDArray[np.float64]:

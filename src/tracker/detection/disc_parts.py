@@ -52,6 +52,12 @@ class Part:
         sized = abs(self.minor / radius - 1) < ALIKE and abs(self.radius / radius - 1) < ALIKE
         return sized and self.full > FULL and long < LONGEST * radius
 
+    def fill(self, picture: NDArray[np.uint8]) -> None:
+        """Set its pixels in a picture (h, w) to 1."""
+        own = self.mask[1:-1, 1:-1]
+        at = slice(self.top + 1, self.top + 1 + own.shape[0]), slice(self.left + 1, self.left + 1 + own.shape[1])
+        picture[at] |= own
+
 
 def parts_of(apart: NDArray[Any], own: NDArray[np.bool_], box: Box, sign: int, low: float) -> list[Part]:
     """What in a region's box has half its contrast, or, of one sign, a quarter of it."""

@@ -75,7 +75,7 @@ def still_background(frames: Sequence[Any], noise: float) -> Background:
         seen = _nearest(stack[:, where[0], where[1]].astype(float), around, step, texture)
         level[where], known[where] = np.where(np.isnan(seen), around, seen), ~np.isnan(seen)
         error[where] = noise  # however many samples: a ball's rim may be in all of them
-        error[~known] = max(_texture(level, smooth, rested), noise)
+        error[~known] = max(_texture(level, rested), noise)
     return Background(level, error, known)
 
 
@@ -103,14 +103,15 @@ def without_balls(frames: Sequence[Any], covered: Sequence[NDArray[np.bool_]], n
     if never.any():
         smooth = _around(level, never)
         level[never == 1] = smooth[never == 1]
-        error[never == 1] = max(_texture(level, smooth, never), noise)
+        error[never == 1] = max(_texture(level, never), noise)
     return Background(level, error, never == 0)
 
 
-def _texture(level: Array, smooth: Array, hidden: NDArray[np.uint8]) -> float:
+def _texture(level: Array, hidden: NDArray[np.uint8]) -> float:
     """Standard deviation of the levels near what is hidden from what lies around, counts."""
     beside = (cv2.dilate(hidden, np.ones((31, 31), np.uint8)) == 1) & (hidden == 0)
-    return 1.4826 * float(np.median(np.abs(level - smooth)[beside])) if beside.any() else 0.0
+    off = level - cv2.blur(level, (WIDTHS[1], WIDTHS[1]))
+    return 1.4826 * float(np.median(np.abs(off)[beside])) if beside.any() else 0.0
 
 
 def _nearest(samples: Array, around: Array, step: float, texture: float) -> Array:

@@ -18,7 +18,8 @@ from tracker.detection.still_background import SAMPLES, Background, still_backgr
 from tracker.detection.takes import takes_of
 
 LEAST_CONTRAST = 8.0  # counts, of a ball over the background
-DEVIATIONS = 4.0  # of a pixel's noise, the same; means of 3 x 3 pixels are compared with it
+DEVIATIONS = 6.0  # the same, of the noise of a mean of 3 x 3 pixels
+NOISY, ROOMY = 4.0, 7.5  # counts of noise, from which means are of 5 x 5 pixels; px, of the radius for it
 FAINT, FAINTEST = 0.35, 0.2  # of the clearest discs' contrast: what is fainter is not asked for their size; is none
 ROUND = 0.35  # radii, a way of what is taken for a ball at rest
 RIM = 4  # px about an object, that may still be its
@@ -41,13 +42,18 @@ class Discs:
         self.view = view
         self.takes = view.takes or takes_of(view.frames)
         self.noise = self.takes.noise
-        self.low = max(DEVIATIONS * self.noise, LEAST_CONTRAST)
+        given = view.camera.diameter_px / 2
+        large = not view.camera.knows_diameter or given > ROOMY
+        self.box = (5, 5) if self.noise > NOISY and large else (3, 3)
+        self.low = max(DEVIATIONS * self.noise / self.box[0], LEAST_CONTRAST)
         self.refused: dict[int, int] = {}
         self.shadows = 0
         self.scenes = {
-            scene: still_background(self._samples(scene), self.noise) for scene in sorted(set(self.takes.scenes))
+            scene: still_background(
+                [cv2.blur(frame, self.box) for frame in self._samples(scene)], self.noise * 1.5 / self.box[0]
+            )
+            for scene in sorted(set(self.takes.scenes))
         }
-        given = view.camera.diameter_px / 2
         self.signs: tuple[int, ...] = (0,)
         self.dark_balls = True
         self.fitted: list[float] = []  # radii, px
@@ -108,14 +114,25 @@ class Discs:
 
     def _cleaned(self, scene: int) -> Background:
         """The background of a scene, from what is no ball, shadow or other object in its frames."""
-        ground, frames, covered = self.scenes[scene], [], []
+        ground = self._uncovered(scene, self.scenes[scene])
+        return ground if ground.known.all() else self._uncovered(scene, ground)
+
+    def _uncovered(self, scene: int, ground: Background) -> Background:
+        """The same, where objects are told by a background that may be wrong where balls rest."""
+        frames, covered = [], []
         for frame in self._samples(scene):
             light = frame.astype(np.float32)
             light -= _brighter(light, ground.level)
-            _, labels = self._regions((light - ground.level).astype(np.float32))
-            mask = (labels > 0).view(np.uint8)
+            apart = (light - ground.level).astype(np.float32)
+            boxes, labels = self._regions(apart)
+            mask = ((labels > 0) & ground.known).view(np.uint8)  # elsewhere what differs may be the plate
             for x, y in self._in_frame(frame, ground)[0].xy:
                 cv2.circle(mask, (round(x), round(y)), round(self.radius), 1, -1)
+            parts = [part for number, box in boxes[:MOST] for part in self._parts(apart, labels, number, box)]
+            balls = [part for part in parts if part.sign > 0 and part.is_disc(self.radius)]
+            for part in parts:
+                if any(casts(ball, part) for ball in balls):
+                    part.fill(mask)
             frames.append(light)
             covered.append(cv2.dilate(mask, np.ones((2 * RIM + 1, 2 * RIM + 1), np.uint8)).view(np.bool_))
         return without_balls(frames, covered, self.noise)
@@ -149,7 +166,7 @@ class Discs:
 
     def _regions(self, apart: NDArray[np.float32]) -> tuple[list[tuple[int, Box]], NDArray[np.int32]]:
         """Connected regions that differ from the background, largest first: number and box; and their picture."""
-        mask = (np.abs(cv2.blur(apart, (3, 3))) > self.low).view(np.uint8)
+        mask = (np.abs(cv2.blur(apart, self.box)) > self.low).view(np.uint8)
         count, labels, boxes, _ = cv2.connectedComponentsWithStats(mask, connectivity=4)
         large = [k for k in range(1, count) if boxes[k][4] > np.pi * SMALLEST**2]
         large.sort(key=lambda k: -int(boxes[k][4]))
@@ -158,7 +175,8 @@ class Discs:
     def _parts(self, apart: NDArray[np.float32], labels: NDArray[np.int32], number: int, box: Box) -> list[Part]:
         """What in a region has half its contrast: a ball without its shadow; or its brighter and its darker parts."""
         at = slice(box[1], box[1] + box[3]), slice(box[0], box[0] + box[2])
-        return [p for sign in self.signs for p in parts_of(apart[at], labels[at] == number, box, sign, self.low)]
+        smooth = cv2.blur(apart[at], (3, 3)) if self.noise > NOISY else apart[at]
+        return [p for sign in self.signs for p in parts_of(smooth, labels[at] == number, box, sign, self.low)]
 
     def _usual(self, given: float | None) -> tuple[list[float], float]:
         """The most common radius of discs in frames spread over the film, px, or the given one; and their contrast."""

@@ -38,6 +38,27 @@ def test_both_balls_in_every_frame_near_the_bound(ball, level):
     assert z.std() == pytest.approx(1.0, abs=4 / np.sqrt(2 * z.size))
 
 
+def test_dim_discs_in_noise_are_all_found():
+    """Contrast 25, noise 6; at rest too, where a pixel alone does not tell the ball from the plate."""
+    ways = collision()
+    clip = recorded(film(np.random.default_rng(1), ways, 95.0, 6.0), Camera.from_dict(CAMERA))
+    found = detect(clip, view_of(clip, "discs"), "discs")
+    away = np.hypot(*np.moveaxis(ways[:, found.frame] - found.xy, -1, 0))
+    assert np.bincount(away.argmin(axis=0)).tolist() == [ways.shape[1]] * 2
+    assert away.min(axis=0).max() < 0.5
+
+
+def test_the_background_that_balls_leave_free_has_true_errors():
+    """Over a strong texture; a ball rests for half the film."""
+    rng, ways = np.random.default_rng(2), collision()
+    ground = plate(rng, texture=150.0)
+    clip = recorded(film(rng, ways, ground=ground), Camera.from_dict(CAMERA))
+    found = Discs(view_of(clip, "discs")).scenes[0]
+    z = (found.level - ground)[found.known] / found.error[found.known]
+    assert found.known.mean() > 0.99
+    assert np.sqrt(np.mean(z**2)) == pytest.approx(1.0, abs=0.1)
+
+
 def test_the_diameter_is_found_from_the_film():
     pictures = film(np.random.default_rng(4), collision())
     clip = recorded(pictures, Camera.unknown((SIZE[1], SIZE[0]), 8))
