@@ -49,7 +49,7 @@ class Part:
     def is_disc(self, radius: float) -> bool:
         """Whether it looks as one disc of this radius that moved a little."""
         long = float(np.hypot(*self.way))
-        sized = abs(self.minor / radius - 1) < ALIKE and abs(self.radius / radius - 1) < ALIKE
+        sized = abs(self.minor - radius) < ALIKE * radius and abs(self.radius - radius) < ALIKE * radius
         return sized and self.full > FULL and long < LONGEST * radius
 
     def fill(self, picture: NDArray[np.uint8]) -> None:
