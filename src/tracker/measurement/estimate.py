@@ -134,6 +134,8 @@ def _collision(
     met = encounter(meeting, camera.ball_diameter, pasts)
     row = unmeasured(camera, met.reason or "ok", index)
     row |= {f"particle{i}": course.particle for i, course in met.pair.balls}
+    frames = np.concatenate([course.frame for _, course in met.pair.balls])
+    row |= {"frame_first": int(frames.min()), "frame_last": int(frames.max())}
     unknown = {course.particle: Past(np.inf) for _, course in met.pair.balls}
     if met.reason:
         return row, unknown

@@ -24,7 +24,8 @@ def unmeasured(camera: Camera, status: str, index: int = 0) -> dict[str, Any]:
     for name in NAMES:
         for kind in ("", "_free", "_paper"):
             row[f"{name}{kind}"] = row[f"{name}{kind}_std"] = np.nan
-    row |= {"cov": "{}", "particle1": -1, "particle2": -1, "heading": np.nan, "x1": np.nan, "y1": np.nan}
+    row |= dict.fromkeys(("particle1", "particle2", "frame_first", "frame_last"), -1)
+    row |= {"cov": "{}", "heading": np.nan, "x1": np.nan, "y1": np.nan}
     row |= dict.fromkeys((*BEFORE, *(f"{name}_std" for name in BEFORE[: len(SPIN)])), np.nan)
     row |= {"noise": "given", "noise_px": np.nan, "noise_ratio": np.nan}
     row |= {"noise_rho": 0.0, "adequate": np.nan, "adequate_free": np.nan, "agree": np.nan, "flags": ""}

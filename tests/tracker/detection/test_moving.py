@@ -115,6 +115,8 @@ def test_two_hits_in_one_recording(camera):
         for row, hit in zip(rows, hits, strict=True):
             true = truth(hit, p)
             scores += [(row[q] - true[q]) / row[f"{q}_std"] for q in ("r", "mu_k", "C", "tau1", "v1f", "t_c", "b")]
+            assert row["frame_first"] < hit[0] * camera.fps < row["frame_last"]
+        assert (rows[0]["frame_first"], rows[1]["frame_last"]) == (0, 124)
     assert np.abs(scores).max() < 4.5
     assert 0.75 < np.std(scores) < 1.25
 
