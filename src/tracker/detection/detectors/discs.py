@@ -22,6 +22,8 @@ DEVIATIONS = 6.0  # the same, of the noise of a mean of 3 x 3 pixels
 NOISY, ROOMY = 4.0, 7.5  # counts of noise, from which means are of 5 x 5 pixels; px, of the radius for it
 FAINT, FAINTEST = 0.35, 0.2  # of the clearest discs' contrast: what is fainter is not asked for their size; is none
 ROUND = 0.35  # radii, a way of what is taken for a ball at rest
+FREE = 0.5  # of a disc's place, seen without it; else it may be always there
+SHAKEN = 4  # such discs in a frame: more are parts of what shakes with the camera
 RIM = 4  # px about an object, that may still be its
 TRUSTED = 0.12  # of the radius that the camera file gives, by which that seen may differ
 TIED = 0.002  # of the radius: by which radii of balls lit from one side may differ, whose far sides are hardly seen
@@ -81,8 +83,8 @@ class Discs:
         if self.refused:
             count = sum(self.refused.values())
             said.append(
-                f"{count} objects in {len(self.refused)} frames are no balls (not round, or of another size): "
-                f"left out, frame {min(self.refused)} is the first"
+                f"{count} objects in {len(self.refused)} frames are no balls (not round, of another size, or "
+                f"always there): left out, frame {min(self.refused)} is the first"
             )
         if self.shadows:
             said.append(f"shadows: {self.shadows} dark parts beside brighter balls are taken for the shadows they cast")
@@ -96,7 +98,11 @@ class Discs:
         parts = []
         for number, frame in frames:
             if number in scene_of:
-                found, refused = self._in_frame(frame, self.scenes[scene_of[number]])
+                ground = self.scenes[scene_of[number]]
+                found, refused = self._in_frame(frame, ground)
+                moves = np.array([self._leaves(ground, at) for at in found.xy], dtype=bool)
+                if (~moves).sum() > SHAKEN:
+                    found, refused = found.take(moves), refused + int((~moves).sum())
                 parts.append(Glints(np.full(len(found), number, np.int64), *(getattr(found, n) for n in _REST)))
                 if refused:
                     self.refused[number] = refused
@@ -105,6 +111,12 @@ class Discs:
     def __call__(self, frame: NDArray[Any]) -> Glints:
         """Discs of one frame of the first scene; ``flux`` is their area, px^2, which balls of one size share."""
         return self._in_frame(frame, self.scenes[self.takes.scenes[0]])[0]
+
+    def _leaves(self, ground: Background, at: Array) -> bool:
+        """Whether the place of a disc was seen without it."""
+        x, y = np.round(at).astype(int)
+        reach = int(self.radius)
+        return bool(ground.known[max(y - reach, 0) : y + reach + 1, max(x - reach, 0) : x + reach + 1].mean() > FREE)
 
     def _samples(self, scene: int) -> list[NDArray[Any]]:
         """Frames spread over all takes of a scene."""
