@@ -96,6 +96,11 @@ def heading(row: Mapping[str, Any]) -> str:
     return MET.get(row["status"], f"not measured: {row['status']}")
 
 
+def frames_of(row: Mapping[str, Any]) -> str:
+    """The stretch of the recording that a collision is measured from; '' where there is none."""
+    return f", frames {row['frame_first']:.0f} to {row['frame_last']:.0f}" if row.get("frame_last", -1) >= 0 else ""
+
+
 def fit_quality(row: Mapping[str, Any]) -> str:
     """How well the tied fit describes the tracks; '' where there is none."""
     if row["status"] not in MEASURED or not row["dof"]:
@@ -120,7 +125,7 @@ def printed(estimates: pd.DataFrame) -> Iterator[str]:
 
 
 def _printed_row(row: Mapping[str, Any]) -> Iterator[str]:
-    yield f"clip {row['clip']}, collision {row['collision']}: {heading(row)}"
+    yield f"clip {row['clip']}, collision {row['collision']}{frames_of(row)}: {heading(row)}"
     found = lines(row, PRINTED if row["status"] in MEASURED else ROLLING)
     if not found:
         return

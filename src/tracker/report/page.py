@@ -18,7 +18,7 @@ from tracker.camera.grey import Frames
 from tracker.detection.link import Tracks
 from tracker.measurement.collision.adequacy import MEASURED, warnings
 from tracker.measurement.positions import courses
-from tracker.report.answer import KINDS, Line, fit_quality, heading, lines
+from tracker.report.answer import KINDS, Line, fit_quality, frames_of, heading, lines
 from tracker.report.collision_figures import (
     Specimen,
     courses_figure,
@@ -93,6 +93,7 @@ def write_page(recorded: Recorded, folder: Path, command: str) -> Path:
         recorded=recorded,
         collisions=[_shown(row, recorded) for row in recorded.rows],
         kinds=list(KINDS.values()),
+        frames_of=frames_of,
         overview={name: (svg(figure), CAPTIONS[name]) for name, figure in overview(recorded).items()},
         warnings=[*warnings(estimates), *recorded.notes],
         film=within(film, "video/mp4") if film else "",

@@ -13,6 +13,7 @@ from tracker.report.answer import KINDS, QUANTITIES, heading, lines, printed, wi
 def row(status="ok", **values):
     """A row of estimates: all quantities 1 +- .01 by each fit, but for those given."""
     one = {"clip": 0, "collision": 0, "status": status, "chi2": 90.0, "dof": 100, "adequate": 0.75}
+    one |= {"frame_first": 0, "frame_last": 99}
     for name in NAMES:
         for kind in KINDS:
             one |= {f"{name}{kind}": 1.0, f"{name}{kind}_std": 0.01}
@@ -46,7 +47,7 @@ def test_what_no_fit_has_is_left_out():
 
 def test_one_collision_is_printed_whole_and_many_as_medians():
     alone = "\n".join(printed(pd.DataFrame([row()])))
-    assert "clip 0, collision 0: two balls collide" in alone
+    assert "clip 0, collision 0, frames 0 to 99: two balls collide" in alone
     assert "χ²/dof 0.9, dof 100, p 0.75" in alone
     assert "1.000(10)" in alone
     many = "\n".join(printed(pd.DataFrame([row(r=0.8 + 0.01 * k) for k in range(9)])))
