@@ -87,7 +87,10 @@ class Discs:
                 f"always there): left out, frame {min(self.refused)} is the first"
             )
         if self.shadows:
-            said.append(f"shadows: {self.shadows} dark parts beside brighter balls are taken for the shadows they cast")
+            said.append(
+                f"shadows: {self.shadows} dark parts beside brighter balls are taken for the shadows they cast; such "
+                "balls may lie off by .2 px towards the lamp, and what is measured by more than its errors"
+            )
         if len(self.radii) > 1:
             said.append("discs of two sizes: " + " and ".join(f"{2 * r:.1f} px across" for r in self.radii))
         return said
