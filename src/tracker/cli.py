@@ -200,16 +200,36 @@ def calibrate(
     output: Annotated[Path, typer.Option("-o", "--output", metavar="CAMERA.JSON", help="File to write.")],
     exposure: Annotated[float | None, typer.Option(help="Of a frame, s, if known.")] = None,
     gamma: Annotated[float, typer.Option(help="Counts are light to the power of 1/gamma: often 2.2.")] = 1.0,
+    points: Annotated[
+        Path | None, typer.Option(help="Known points of the plate, a table of x_px, y_px (px), x, y (m, y up).")
+    ] = None,
+    board: Annotated[str, typer.Option(help="On the plate: 7x5,square=0.01[,marker=0.007,dict=4X4_50].")] = "",
+    error: Annotated[float | None, typer.Option(help="Of the points, px; default .5, of a board .2.")] = None,
+    height: Annotated[float | None, typer.Option(help="Of the camera above the plate, m, to 2 %.")] = None,
     as_json: Json = False,
 ) -> None:
     """Write a camera file: scale from balls that touch or are seen whole, glint width, noise, and what is not known.
 
+    With --points or --board: perspective and lens from four or more known points, with their errors.
+
     Example: tracker calibrate collision.avi --diameter 2.38e-3 --fps 250 -o camera.json
+
+    Example: tracker calibrate film.mp4 --points corners.csv --diameter 0.0525 --fps 240 -o camera.json
     """
     from tracker.calibration.calibrate import calibrate as calibrate_camera
     from tracker.calibration.calibrate import check_output, summary, summary_json
 
     check_output(output)
+    if points is not None or board:
+        from tracker.calibration.plate_camera import calibrate_plate
+
+        plate = calibrate_plate(video, (diameter, fps, exposure, gamma), points, board, error, height)
+        plate.write(output)
+        keys = {"camera": str(output), **plate.to_dict()}
+        print(json.dumps(keys) if as_json else "\n".join([*plate.summary(), f"{output}"]))
+        return
+    if error is not None or height is not None:
+        raise InputError("--error, --height: expected --points or --board beside them")
     result = calibrate_camera(video, diameter, fps, exposure, gamma)
     result.write(output)
     print(summary_json(result, output) if as_json else "\n".join([*summary(result), f"{output}"]))

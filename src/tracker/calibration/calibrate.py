@@ -93,6 +93,22 @@ def _made_here(path: Path) -> bool:
         return False
 
 
+def given_keys(diameter: float, fps: float, exposure: float | None, gamma: float) -> dict[str, Any]:
+    """The keys of camera.json that the user says. Raises InputError."""
+    for name, value in (("--diameter", diameter), ("--fps", fps)):
+        if not (math.isfinite(value) and value > 0):
+            raise InputError(f"{name}: expected a number over 0, not {value!r}")
+    if diameter > LARGEST_BALL:
+        raise InputError(f"--diameter: expected metres, as in 2.38e-3, not {diameter!r}")
+    if exposure is not None and not 0 <= exposure <= 1.0 / fps * (1 + 1e-9):
+        raise InputError(f"--exposure: expected 0 to one frame time, {1 / fps:g} s, not {exposure!r}")
+    if not 0.2 <= gamma <= 5:
+        raise InputError(f"--gamma: expected 0.2 to 5, as of most video 2.2, not {gamma!r}")
+    given: dict[str, Any] = {"fps": fps, "ball_diameter": diameter}
+    given |= {} if gamma == 1 else {"sensor": {"gamma": gamma}}
+    return given if exposure is None else given | {"exposure": exposure}
+
+
 def calibrate(
     video: Path, diameter: float, fps: float, exposure: float | None = None, gamma: float = 1.0
 ) -> Calibration:
@@ -120,21 +136,10 @@ def calibrate(
     InputError
         For what cannot be read, or has no glints.
     """
-    for name, value in (("--diameter", diameter), ("--fps", fps)):
-        if not (math.isfinite(value) and value > 0):
-            raise InputError(f"{name}: expected a number over 0, not {value!r}")
-    if diameter > LARGEST_BALL:
-        raise InputError(f"--diameter: expected metres, as in 2.38e-3, not {diameter!r}")
-    if exposure is not None and not 0 <= exposure <= 1.0 / fps * (1 + 1e-9):
-        raise InputError(f"--exposure: expected 0 to one frame time, {1 / fps:g} s, not {exposure!r}")
-    if not 0.2 <= gamma <= 5:
-        raise InputError(f"--gamma: expected 0.2 to 5, as of most video 2.2, not {gamma!r}")
+    given = given_keys(diameter, fps, exposure, gamma)
     source = open_source(video)
     width, height = source.film(0)[1].shape[:0:-1]
-    given: dict[str, Any] = {"fps": fps, "ball_diameter": diameter, "size": [width, height]}
-    given["sensor"] = {"gamma": gamma}
-    if exposure is not None:
-        given["exposure"] = exposure
+    given["size"] = [width, height]
     seen: list[_Seen] = []
     scale = Camera.unknown((width, height), 8).diameter_px
     ways: dict[str, tuple[float, float]] = {}

@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike
 
 from commandline.errors import InputError
 from tracker.camera.camera_json import STANDARD_ERRORS, Lamp, parse, read_keys
+from tracker.camera.camera_keys import NUMBERS
 from tracker.camera.lens import Array, distort, mirror_normal, undistort
 from tracker.camera.sensor import Sensor
 
@@ -65,6 +66,8 @@ class Camera:
         The exposure found from the motion blur of the glints, s, where it differs from `exposure`.
     scale_std, fps_std, ball_diameter_std : float
         Standard errors of these, m/px, 1/s, m; 0 where the file does not have them.
+    view_errors : ndarray of shape (n, 9)
+        What each of n independent standard errors changes of K, dist, R, t; see `view_errors.moved`.
 
     References
     ----------
@@ -102,6 +105,7 @@ class Camera:
     scale_std: float = 0.0
     fps_std: float = 0.0
     ball_diameter_std: float = 0.0
+    view_errors: Array = field(default_factory=lambda: np.zeros((0, NUMBERS)))
 
     @property
     def exposed(self) -> float:
@@ -377,6 +381,8 @@ class Camera:
         if self.knows_diameter:
             out["ball_diameter"] = self.ball_diameter
         out |= {key: getattr(self, key) for key in STANDARD_ERRORS if getattr(self, key) > 0}
+        if len(self.view_errors):
+            out["view_errors"] = self.view_errors.tolist()
         if self.lamp is not None:
             out["lamp"] = {"position": list(self.lamp.position), "radius": self.lamp.radius}
         if self.psf_sigma is not None:

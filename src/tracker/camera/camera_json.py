@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from commandline.errors import InputError as InputError
-from tracker.camera.camera_keys import LIMITS, LONGEST_SIDE, MOST_PIXELS, read_json, shown, unknown_keys
+from tracker.camera.camera_keys import LIMITS, LONGEST_SIDE, MOST_PIXELS, NUMBERS, read_json, shown, unknown_keys
 from tracker.camera.lens import Array
 from tracker.camera.sensor import Sensor
 
@@ -101,6 +101,7 @@ class _Reader:
             sensor=self._sensor(),
             metric=self._metric(),
             line_time=self._line_time(),
+            view_errors=self._view_errors(),
         )
         found |= {key: self._error(key, found[key.removesuffix("_std")]) for key in STANDARD_ERRORS}
         assumed = dict.fromkeys([*self.assumed, *self._said_to_be_assumed()])
@@ -113,6 +114,15 @@ class _Reader:
             name = key.removesuffix("_std")
             raise self._bad(key, f"the standard error of {name}, at most {LARGEST_ERROR:g} of what that is")
         return value
+
+    def _view_errors(self) -> Array:
+        value = self.data.get("view_errors", [])
+        if value and not {"K", "R", "t"} <= set(self.data):
+            raise self._bad("view_errors", "K, R and t beside it, whose errors these are")
+        if not isinstance(value, list) or len(value) > NUMBERS:
+            raise self._bad("view_errors", f"at most {NUMBERS} rows of {NUMBERS} numbers, not {shown(value)}")
+        none = np.zeros((0, NUMBERS))
+        return self._array("view_errors", (len(value), NUMBERS), none) if value else none
 
     def _said_to_be_assumed(self) -> list[str]:
         names = self.data.get("assumed", [])

@@ -11,11 +11,12 @@ from typing import Any
 MOST_BYTES = 1 << 20  # of a camera file
 MOST_PIXELS = 1 << 28  # of one frame
 LONGEST_SIDE = (1 << 15) - 1  # px, the most that OpenCV's routines take
+NUMBERS = 9  # of a row of view_errors: focal length over itself, k1, k2, rotation vector (rad) after R, t (m)
 SHOWN = 40  # characters of a wrong value in a message
 
 KEYS = {  # by section; "" is the file itself
     "": "K dist R t size fps exposure scale ball_diameter striker lamp psf sensor shutter lens surface "
-    "scale_std fps_std ball_diameter_std assumed metric exposure_seen_s calibration video ball",
+    "scale_std fps_std ball_diameter_std view_errors assumed metric exposure_seen_s calibration video ball",
     "lamp": "position radius shape inner length width angle facing flicker second radiance",
     "psf": "sigma_px defocus_px f_number pixel_pitch wavelength",
     "sensor": "bits gain read_noise dark prnu dsnu full_well black_level codec_noise gamma hot_pixels hot_dark",
@@ -34,6 +35,7 @@ LIMITS = {  # least and most, both included: wider than any apparatus, narrow en
     "scale_std": (0.0, 1.0),
     "fps_std": (0.0, 1e9),
     "ball_diameter_std": (0.0, 10.0),
+    "view_errors": (-1e3, 1e3),
     "K": (-1e9, 1e9),
     "dist": (-1e12, 1e12),
     "R": (-1.001, 1.001),

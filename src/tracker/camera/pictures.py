@@ -27,12 +27,12 @@ def pictures_of(folder: Path) -> list[Path]:
 
 def folder_frames(folder: Path) -> tuple[Frames, str]:
     paths = pictures_of(folder)
-    first = _picture(paths[0])
+    first = read_picture(paths[0])
     pixel_type(paths[0], first.dtype)
     not_too_large(paths[0], first.shape)
 
     def fetch(k: int) -> Any:
-        picture = _picture(paths[k])
+        picture = read_picture(paths[k])
         if picture.shape != first.shape or picture.dtype != first.dtype:
             has, wants = (f"{'x'.join(map(str, a.shape[1::-1]))} {a.dtype}" for a in (picture, first))
             raise InputError(f"{paths[k]}: {has}, expected {wants} as in {paths[0].name}")
@@ -43,7 +43,8 @@ def folder_frames(folder: Path) -> tuple[Frames, str]:
     return frames, note
 
 
-def _picture(path: Path) -> Any:
+def read_picture(path: Path) -> Any:
+    """A picture, in colour with red first. Raises InputError where it cannot be read."""
     if path.suffix.lower() in TIFF:
         try:
             return np.asarray(tifffile.imread(path))

@@ -1,4 +1,4 @@
-"""Errors of the camera file (scale, frame rate, ball diameter), carried into all that is measured.
+"""Errors of the camera file (scale, frame rate, ball diameter, view), carried into all that is measured.
 
 Each moves all estimates of all clips of one camera together. `carry` finds by how much, by a fit's linear response,
 and widens the estimates' covariance; `shared` gives a fit of many clips the part that does not average away.
@@ -15,6 +15,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from tracker.camera.view_errors import moved, scale_at
 from tracker.measurement.collision.derived import Values, of_free, of_tied
 from tracker.measurement.collision.fitting import Fit, Pair, Whitened
 from tracker.measurement.positions import Course
@@ -70,10 +71,33 @@ class CameraError:
         return replace(pair, struck=struck, striker=striker, diameter=self.diameter(pair.diameter, by))
 
 
+@dataclass(frozen=True)
+class ViewError(CameraError):
+    """One of the independent errors of the camera's view; `share` is what it does to the scale."""
+
+    camera: Camera
+    change: Floats
+
+    @staticmethod
+    def of(camera: Camera, number: int) -> ViewError:
+        """The error of that number in the camera file."""
+        change = camera.view_errors[number]
+        share = (scale_at(moved(camera, STEP * change)) / scale_at(camera) - 1) / STEP
+        return ViewError(f"view_errors[{number}]", float(camera.K[0, 0]), share, camera, change)
+
+    def course(self, course: Course, by: float, fps: float) -> Course:
+        """A ball's positions, as the other view places what is seen at the same pixels."""
+        height = self.camera.centre_height
+        middle = np.column_stack([course.position, np.full(len(course), height)])
+        position, _ = moved(self.camera, by * self.change).unproject(self.camera.project(middle), height)
+        return replace(course, position=position)
+
+
 def camera_errors(camera: Camera) -> tuple[CameraError, ...]:
     """The standard errors that the camera file gives."""
     given = [(key, getattr(camera, key), getattr(camera, f"{key}_std")) for key in SOURCES]
-    return tuple(CameraError(key, value, std / value) for key, value, std in given if std > 0)
+    known = [CameraError(key, value, std / value) for key, value, std in given if std > 0]
+    return (*known, *(ViewError.of(camera, number) for number in range(len(camera.view_errors))))
 
 
 def carry(fit: Fit, values: Values, tied: bool, camera: Camera) -> tuple[Fit, Values]:

@@ -1,0 +1,197 @@
+"""The camera's view of the plate, perspective and lens, from known points of the plate."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from scipy.optimize import least_squares
+from scipy.spatial.transform import Rotation
+from scipy.stats import chi2 as chi2_law
+
+from commandline.errors import InputError
+from tracker.calibration.plate_points import FEWEST, PlatePoints
+from tracker.camera.camera_keys import NUMBERS
+from tracker.camera.lens import Array, distort
+
+LENS = ((8, 1), (20, 2))  # points from which on so many numbers of the lens, k1 and k2, are found
+USUAL_FOCAL = (1.1, 0.5)  # of a picture's width, and how far cameras scatter about it (natural logarithm)
+USUAL_LENS = 0.5  # scatter of k1 and k2
+HEIGHT_KNOWN = 0.02  # of a height that was measured by hand
+STARTS = (0.4, 0.7, 1.1, 2.0, 4.0)  # widths, of the focal length
+TRIED = 30  # evaluations from each of these
+FLAT = 1e-3  # of the least over the largest singular value of what four points in general position determine
+WORST = 1e-4  # p-value under which the points are no plane seen by a camera
+
+
+@dataclass(frozen=True)
+class PlateView:
+    """K, dist, R, t as camera.json has them, with `errors` (n, 9), its view_errors; residuals (n, 2), px."""
+
+    K: Array
+    dist: Array
+    R: Array
+    t: Array
+    errors: Array
+    residuals: Array
+    lens: int
+
+
+def fit_view(points: PlatePoints, size: tuple[int, int], error: float, height: float | None = None) -> PlateView:
+    """Fit focal length, lens and pose to points of the plate.
+
+    A view from straight above does not show the focal length apart from the height; what is known of usual cameras, or
+    a height that was measured, then stands in with its error.
+
+    Parameters
+    ----------
+    points : PlatePoints
+    size : tuple of int
+        Width and height of the picture.
+    error : float
+        Standard error of the points' pixels.
+    height : float, optional
+        Of the camera above the plate, m, known to HEIGHT_KNOWN.
+
+    Returns
+    -------
+    PlateView
+
+    Raises
+    ------
+    InputError
+        One line, for points that do not tell a view.
+    """
+    _check(points, size)
+    lens = max((count for needed, count in LENS if len(points.pixels) >= needed), default=0)
+    problem = _Problem(points, size, error, height, lens)
+    tried = (_fitted(problem, turn, begin, TRIED) for turn, begin in _starts(problem))
+    turn, x, _, _ = min(tried, key=lambda fit: float(fit[2] @ fit[2]))
+    turn, x, residual, slope = _fitted(
+        problem, problem.turned(turn, x), problem.unturned(x)
+    )  # its rotation vector is 0
+    left = residual[: points.pixels.size].reshape(-1, 2) * error
+    _judge(points, residual, len(residual) - len(x), left)
+    values, vectors = np.linalg.eigh(np.linalg.inv(slope.T @ slope))
+    errors = np.zeros((len(x), NUMBERS))
+    errors[:, problem.free] = (vectors * np.sqrt(np.maximum(values, 0.0))).T
+    K, dist, shift = problem.view(x)
+    return PlateView(K, dist, problem.turned(turn, x), shift, errors, left, lens)
+
+
+@dataclass(frozen=True)
+class _Problem:
+    """What is fitted: x has ln of the focal length, k1 and k2 where they are free, a rotation vector, t."""
+
+    points: PlatePoints
+    size: tuple[int, int]
+    error: float
+    height: float | None
+    lens: int
+
+    @property
+    def free(self) -> list[int]:
+        """Which of NUMBERS x has."""
+        return [0, *range(1, 1 + self.lens), *range(3, NUMBERS)]
+
+    def turned(self, turn: Array, x: Array) -> Array:
+        """The rotation from world to camera."""
+        return np.asarray(Rotation.from_rotvec(x[-6:-3]).as_matrix() @ turn)
+
+    def unturned(self, x: Array) -> Array:
+        """x without its rotation vector."""
+        return np.concatenate([x[:-6], np.zeros(3), x[-3:]])
+
+    def view(self, x: Array) -> tuple[Array, Array, Array]:
+        """K, dist and t."""
+        focal, dist = math.exp(x[0]), np.zeros(5)
+        dist[: self.lens] = x[1 : 1 + self.lens]
+        (width, height) = self.size
+        return np.array([[focal, 0, (width - 1) / 2], [0, focal, (height - 1) / 2], [0, 0, 1.0]]), dist, x[-3:]
+
+    def residual(self, x: Array, turn: Array) -> Array:
+        """Of the pixels, and of what is known of cameras, in standard errors."""
+        K, dist, shift = self.view(x)
+        rotation = self.turned(turn, x)
+        seen = self.points.metres @ rotation[:, :2].T + shift
+        pixels = distort(seen[:, :2] / seen[:, 2:], dist)[0] @ K[:2, :2].T + K[:2, 2]
+        usual, scatter = USUAL_FOCAL
+        known = [(x[0] - math.log(usual * self.size[0])) / scatter, *(x[1 : 1 + self.lens] / USUAL_LENS)]
+        if self.height is not None:
+            known.append((-(rotation.T @ shift)[2] / self.height - 1) / HEIGHT_KNOWN)
+        return np.concatenate([((pixels - self.points.pixels) / self.error).ravel(), known])
+
+
+def _fitted(problem: _Problem, turn: Array, begin: Array, most: int = 300) -> tuple[Array, Array, Array, Array]:
+    """Rotation, x, residuals and their derivatives at the least squares near a beginning."""
+    fit = least_squares(problem.residual, begin, args=(turn,), x_scale="jac", max_nfev=most)
+    return turn, fit.x, fit.fun, np.asarray(fit.jac)
+
+
+def _starts(problem: _Problem) -> Iterator[tuple[Array, Array]]:
+    """Rotations and x to begin with: poses that show the points, for focal lengths from wide to long."""
+    points = problem.points
+    plate = np.column_stack([points.metres, np.zeros(len(points.metres))])
+    found = False
+    for share in STARTS:
+        x = np.concatenate([[math.log(share * problem.size[0])], np.zeros(problem.lens + 6)])
+        matrix, dist, _ = problem.view(x)
+        _, turns, shifts, _ = cv2.solvePnPGeneric(plate, points.pixels, matrix, dist, flags=cv2.SOLVEPNP_IPPE)
+        for turn, shift in zip(turns, shifts, strict=True):
+            rotation = np.asarray(cv2.Rodrigues(turn)[0], np.float64)
+            above = -(rotation.T @ shift)[2, 0] > 0 and (plate @ rotation.T + shift.ravel())[:, 2].min() > 0
+            if above:
+                found = True
+                yield rotation, np.concatenate([x[:-3], shift.ravel()])
+    if not found:
+        raise InputError(f"{points.where}: no camera above the plate sees the points so; are some of them exchanged?")
+
+
+def _check(points: PlatePoints, size: tuple[int, int]) -> None:
+    """Raises InputError for too few points, points on a line, exchanged or mirrored ones."""
+    where, count = points.where, len(points.pixels)
+    if count < FEWEST:
+        raise InputError(f"{where}: {count} points, expected at least {FEWEST}, of which no three lie on a line")
+    outside = ~np.all((points.pixels >= -0.5) & (points.pixels <= np.array(size) - 0.5), axis=1)
+    if outside.any():
+        x, y = points.pixels[outside][0]
+        raise InputError(f"{where}: {x:g}, {y:g} px lies outside the picture of {size[0]} x {size[1]}")
+    rows = []
+    spread = []
+    for values in (points.pixels, points.metres):
+        centred = values - values.mean(axis=0)
+        spread.append(centred / max(float(np.sqrt((centred**2).sum(axis=1).mean())), 1e-300))
+    for (u, v), (x, y) in zip(*spread, strict=True):
+        rows += [[x, y, 1, 0, 0, 0, -u * x, -u * y, -u], [0, 0, 0, x, y, 1, -v * x, -v * y, -v]]
+    strength = np.linalg.svd(np.array(rows), compute_uv=False)
+    if strength[7] < FLAT * strength[0]:
+        raise InputError(
+            f"{where}: the points lie on a line, or all but one do; expected four corners, as of a rectangle"
+        )
+    homography = np.asarray(cv2.findHomography(points.metres, points.pixels)[0], np.float64)
+    turned = np.array([np.linalg.det(_slope(homography, place)) for place in points.metres])
+    if (turned > 0).all():
+        raise InputError(f"{where}: x, y are mirrored: seen from above y grows upwards where x grows to the right")
+    if (turned > 0).any():
+        raise InputError(f"{where}: no camera sees the points so; are some of them exchanged?")
+
+
+def _slope(homography: Array, place: Array) -> Array:
+    """Derivative of pixels by places."""
+    x, y, w = homography @ np.array([*place, 1.0])
+    return np.array([homography[0, :2] / w - x * homography[2, :2] / w**2,
+                     homography[1, :2] / w - y * homography[2, :2] / w**2])  # fmt: skip
+
+
+def _judge(points: PlatePoints, residual: Array, dof: int, left: Array) -> None:
+    """Raises InputError where the points are farther off than their error."""
+    if chi2_law.sf(float(residual @ residual), dof) < WORST:
+        off = np.hypot(*left.T)
+        worst = int(off.argmax())
+        raise InputError(
+            f"{points.where}: the points are {math.sqrt((off**2).mean()):.2g} px off, rms, far more than the error "
+            f"given; worst is number {worst + 1}, {off[worst]:.2g} px; check it, or say --error"
+        )

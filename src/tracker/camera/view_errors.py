@@ -1,0 +1,26 @@
+"""Errors of a camera's view: what independent standard errors of focal length, lens and pose do to it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from tracker.camera.camera import Camera
+from tracker.camera.lens import Array
+
+
+def moved(camera: Camera, change: Array) -> Camera:
+    """The camera with focal length, lens and pose changed by a row of view_errors."""
+    matrix = camera.K.copy()
+    matrix[:2, :2] *= 1 + change[0]
+    dist = camera.dist + np.array([change[1], change[2], 0.0, 0.0, 0.0])
+    turned = Rotation.from_rotvec(change[3:6]).as_matrix() @ camera.R
+    return replace(camera, K=matrix, dist=dist, R=turned, t=camera.t + change[6:])
+
+
+def scale_at(camera: Camera) -> float:
+    """m/px in the picture's middle, at the height of the balls' centres."""
+    middle = (np.array(camera.size) - 1) / 2
+    return float(np.sqrt(np.abs(np.linalg.det(camera.unproject(middle)[1]))))
