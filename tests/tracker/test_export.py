@@ -114,6 +114,22 @@ def test_what_synthcam_writes_is_read(kind, file, truth, tmp_path):
     assert tracks.frame.tolist() == table["frame"].tolist()
 
 
+def test_trackeval_takes_its_boxes(truth, tmp_path):
+    """TrackEval's own readers of both sides and its HOTA; it brings an OpenCV of its own, so it is in no extra."""
+    trackeval = pytest.importorskip("trackeval")
+    truth_export.export(truth, "mot", tmp_path / "gt", lambda done, of: None)
+    pipeline.run(truth, tmp_path / "results", None, "maximum_likelihood", 1)
+    (tmp_path / "trackers/own/data").mkdir(parents=True)
+    export(tmp_path / "results", "mot", tmp_path / "trackers/own/data/clip-000000.txt")
+    folders = {"GT_FOLDER": str(tmp_path / "gt"), "TRACKERS_FOLDER": str(tmp_path / "trackers"), "SKIP_SPLIT_FOL": True}
+    which = {"TRACKERS_TO_EVAL": ["own"], "SEQ_INFO": {"clip-000000": None}, "DO_PREPROC": False, "PRINT_CONFIG": False}
+    dataset = trackeval.datasets.MotChallenge2DBox(folders | which)
+    raw = dataset.get_raw_seq_data("own", "clip-000000")
+    found = trackeval.metrics.HOTA().eval_sequence(dataset.get_preprocessed_seq_data(raw, "pedestrian"))
+    assert found["HOTA"].min() == 1
+    assert found["LocA"].mean() > 0.99
+
+
 @pytest.mark.parametrize(
     ("kind", "source", "output", "said"),
     [

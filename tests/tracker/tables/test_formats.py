@@ -225,6 +225,32 @@ def test_entities_that_grow_are_not_read(tmp_path, camera):
         read_tracks(path, camera)
 
 
+@pytest.mark.parametrize("write", [trackmate_csv, trackmate_model, mot, osp_marks, osp_table, plain])
+def test_damaged_files_end_in_one_line(write, rows, camera, tmp_path):
+    rng, path = np.random.default_rng(0), tmp_path / "tracks.any"
+    text, said = write(rows[:24]).encode(), []
+    for _ in range(60):
+        at, many = rng.integers(0, len(text), 3), rng.integers(1, 40, 3)
+        odd = rng.choice([b"9" * 20, b"nan", b"-inf", b"\n", b",", b";", b"<", b"1e999", b"\xff", b"e9"])
+        damaged = bytearray(text)
+        damaged[at[0] : at[0]] = odd
+        del damaged[at[1] : at[1] + many[1]]
+        damaged[at[2] : at[2]] = text[at[0] : at[0] + many[2]]
+        path.write_bytes(damaged)
+        try:
+            read_tracks(path, camera)
+        except InputError as error:
+            said.append(str(error))
+    assert len(said) > 5
+    assert all(line.startswith(str(path)) and "\n" not in line for line in said)
+
+
+def test_microns_of_which_one_is_missing(rows, camera, tmp_path):
+    path = tmp_path / "tracks.csv"
+    path.write_text(trackmate_csv(rows).replace("(micron),(micron),(micron),(sec)", ",(micron),(micron),(sec)"))
+    assert "lengths in px" in read_tracks(path, camera).notes[0]
+
+
 @pytest.mark.parametrize("cut", [0.1, 0.5, 0.9, 0.999])
 @pytest.mark.parametrize("write", [trackmate_model, ptc, osp_marks])
 def test_files_cut_short(write, cut, rows, camera, tmp_path):

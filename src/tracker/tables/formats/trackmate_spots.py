@@ -19,7 +19,7 @@ def read(content: Content) -> Table | None:
     number = pd.to_numeric(rows["FRAME"], errors="coerce").notna().to_numpy()
     first = int(number.argmax()) if number.any() else len(rows)
     below = rows.iloc[:first]
-    unit = next((text for text in below["POSITION_X"].astype(str) if text.startswith("(")), "")
+    unit = next((text for text in map(str, below["POSITION_X"]) if text.startswith("(")), "")
     rows = rows.iloc[first:][list(NAMES)].rename(columns=NAMES)
-    in_track = rows["particle"].notna() & (rows["particle"].astype(str) != "None")
+    in_track = rows["particle"].notna() & (rows["particle"].map(str) != "None")
     return Table(rows[in_track], NAME, unit_of(unit, content.where) if unit else "")
