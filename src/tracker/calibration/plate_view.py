@@ -19,6 +19,7 @@ from tracker.camera.lens import Array, distort
 
 LENS = ((8, 1), (20, 2))  # points from which on so many numbers of the lens, k1 and k2, are found
 USUAL_FOCAL = (1.1, 0.5)  # of a picture's width, and how far cameras scatter about it (natural logarithm)
+USUAL_CENTRE = 0.015  # of a picture's width: scatter of the principal point about its middle
 USUAL_LENS = 0.5  # scatter of k1 and k2
 HEIGHT_KNOWN = 0.02  # of a height that was measured by hand
 STARTS = (0.4, 0.7, 1.1, 2.0, 4.0)  # widths, of the focal length
@@ -29,7 +30,7 @@ WORST = 1e-4  # p-value under which the points are no plane seen by a camera
 
 @dataclass(frozen=True)
 class PlateView:
-    """K, dist, R, t as camera.json has them, with `errors` (n, 9), its view_errors; residuals (n, 2), px."""
+    """K, dist, R, t as camera.json has them, with `errors` (n, 11), its view_errors; residuals (n, 2), px."""
 
     K: Array
     dist: Array
@@ -84,7 +85,8 @@ def fit_view(points: PlatePoints, size: tuple[int, int], error: float, height: f
 
 @dataclass(frozen=True)
 class _Problem:
-    """What is fitted: x has ln of the focal length, k1 and k2 where they are free, a rotation vector, t."""
+    """What is fitted: x has ln of the focal length, how far the principal point is from the picture's middle (px), k1
+    and k2 where they are free, a rotation vector, t."""
 
     points: PlatePoints
     size: tuple[int, int]
@@ -95,7 +97,7 @@ class _Problem:
     @property
     def free(self) -> list[int]:
         """Which of NUMBERS x has."""
-        return [0, *range(1, 1 + self.lens), *range(3, NUMBERS)]
+        return [0, 1, 2, *range(3, 3 + self.lens), *range(5, NUMBERS)]
 
     def turned(self, turn: Array, x: Array) -> Array:
         """The rotation from world to camera."""
@@ -108,9 +110,13 @@ class _Problem:
     def view(self, x: Array) -> tuple[Array, Array, Array]:
         """K, dist and t."""
         focal, dist = math.exp(x[0]), np.zeros(5)
-        dist[: self.lens] = x[1 : 1 + self.lens]
+        dist[: self.lens] = x[3 : 3 + self.lens]
         (width, height) = self.size
-        return np.array([[focal, 0, (width - 1) / 2], [0, focal, (height - 1) / 2], [0, 0, 1.0]]), dist, x[-3:]
+        return (
+            np.array([[focal, 0, (width - 1) / 2 + x[1]], [0, focal, (height - 1) / 2 + x[2]], [0, 0, 1.0]]),
+            dist,
+            x[-3:],
+        )
 
     def residual(self, x: Array, turn: Array) -> Array:
         """Of the pixels, and of what is known of cameras, in standard errors."""
@@ -119,7 +125,9 @@ class _Problem:
         seen = self.points.metres @ rotation[:, :2].T + shift
         pixels = distort(seen[:, :2] / seen[:, 2:], dist)[0] @ K[:2, :2].T + K[:2, 2]
         usual, scatter = USUAL_FOCAL
-        known = [(x[0] - math.log(usual * self.size[0])) / scatter, *(x[1 : 1 + self.lens] / USUAL_LENS)]
+        aside = USUAL_CENTRE * self.size[0]
+        known = [(x[0] - math.log(usual * self.size[0])) / scatter, x[1] / aside, x[2] / aside]
+        known += (x[3 : 3 + self.lens] / USUAL_LENS).tolist()
         if self.height is not None:
             known.append((-(rotation.T @ shift)[2] / self.height - 1) / HEIGHT_KNOWN)
         return np.concatenate([((pixels - self.points.pixels) / self.error).ravel(), known])
@@ -137,7 +145,7 @@ def _starts(problem: _Problem) -> Iterator[tuple[Array, Array]]:
     plate = np.column_stack([points.metres, np.zeros(len(points.metres))])
     found = False
     for share in STARTS:
-        x = np.concatenate([[math.log(share * problem.size[0])], np.zeros(problem.lens + 6)])
+        x = np.concatenate([[math.log(share * problem.size[0])], np.zeros(problem.lens + 8)])
         matrix, dist, _ = problem.view(x)
         _, turns, shifts, _ = cv2.solvePnPGeneric(plate, points.pixels, matrix, dist, flags=cv2.SOLVEPNP_IPPE)
         for turn, shift in zip(turns, shifts, strict=True):

@@ -66,7 +66,7 @@ class Camera:
         The exposure found from the motion blur of the glints, s, where it differs from `exposure`.
     scale_std, fps_std, ball_diameter_std : float
         Standard errors of these, m/px, 1/s, m; 0 where the file does not have them.
-    view_errors : ndarray of shape (n, 9)
+    view_errors : ndarray of shape (n, 11)
         What each of n independent standard errors changes of K, dist, R, t; see `view_errors.moved`.
 
     References

@@ -15,9 +15,10 @@ def moved(camera: Camera, change: Array) -> Camera:
     """The camera with focal length, lens and pose changed by a row of view_errors."""
     matrix = camera.K.copy()
     matrix[:2, :2] *= 1 + change[0]
-    dist = camera.dist + np.array([change[1], change[2], 0.0, 0.0, 0.0])
-    turned = Rotation.from_rotvec(change[3:6]).as_matrix() @ camera.R
-    return replace(camera, K=matrix, dist=dist, R=turned, t=camera.t + change[6:])
+    matrix[:2, 2] += change[1:3]
+    dist = camera.dist + np.array([change[3], change[4], 0.0, 0.0, 0.0])
+    turned = Rotation.from_rotvec(change[5:8]).as_matrix() @ camera.R
+    return replace(camera, K=matrix, dist=dist, R=turned, t=camera.t + change[8:])
 
 
 def scale_at(camera: Camera) -> float:

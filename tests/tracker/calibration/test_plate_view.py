@@ -28,9 +28,12 @@ SAID = (DIAMETER, 250.0, None, 1.0)
 QUANTITIES = ["v0", "r", "mu_k"]
 
 
-def eye(tilt, k1=0.0):
-    """K, dist, rotation vector and t of a camera that looks down, tilted by so many degrees."""
-    matrix = np.array([[FOCAL, 0, 319.5], [0, FOCAL, 239.5], [0, 0, 1.0]])
+def eye(tilt, k1=0.0, aside=(0.0, 0.0)):
+    """K, dist, rotation vector and t of a camera that looks down, tilted by so many degrees.
+
+    aside: of the principal point from the picture's middle, px.
+    """
+    matrix = np.array([[FOCAL, 0, 319.5 + aside[0]], [0, FOCAL, 239.5 + aside[1]], [0, 0, 1.0]])
     turn = cv2.Rodrigues(np.array([np.radians(tilt), 0.03, 0.1]))[0] @ np.diag([1.0, -1.0, -1.0])
     return matrix, np.array([k1, 0, 0, 0, 0.0]), cv2.Rodrigues(turn)[0], np.array([0.002, -0.001, HEIGHT])
 
@@ -69,21 +72,38 @@ def test_without_noise_the_camera_is_found():
     ("tilt", "k1", "points"), [(25, 0.0, (2, 2)), (2, 0.0, (2, 2)), (30, 0.0, (3, 2)), (20, -0.1, (5, 4))]
 )
 def test_lengths_above_the_plate_are_within_their_errors(tilt, k1, points):
-    """Between the centres of two balls; from straight above, the height is what usual cameras make it."""
-    camera, rng, off = eye(tilt, k1), np.random.default_rng(1), []
+    """Between centres of balls, principal points as they scatter; from above, heights as usual cameras have them."""
+    rng, off = np.random.default_rng(1), []
     ends = np.array([[-0.025, -0.01, DIAMETER / 2], [0.02, 0.015, DIAMETER / 2]])
-    pixels, true = seen(ends, camera), np.linalg.norm(ends[1] - ends[0])
+    true = np.linalg.norm(ends[1] - ends[0])
 
     def length(one):
         return float(np.linalg.norm(np.subtract(*one.unproject(pixels)[0])))
 
     for _ in range(12):
+        camera = eye(tilt, k1, 0.015 * SIZE[0] * rng.standard_normal(2))
+        pixels = seen(ends, camera)
         found = calibrated(fit_view(marked(camera, grid(*points), rng), SIZE, ERROR))
         std = np.linalg.norm([(length(moved(found, 1e-3 * e)) - length(found)) / 1e-3 for e in found.view_errors])
         assert std < 0.01 * true
         off.append((length(found) - true) / std)
     assert np.sqrt(np.mean(np.square(off))) < 1 + 3 / np.sqrt(2 * len(off))
     assert tilt < 10 or np.std(off) > 1 - 3 / np.sqrt(2 * len(off))
+
+
+def test_each_number_of_an_error_does_what_the_format_says():
+    """Held to OpenCV's projection with the same changes made by hand."""
+    matrix, dist, turn, shift = eye(20, -0.1)
+    known = calibrated(fit_view(marked((matrix, dist, turn, shift), grid(6, 5)), SIZE, ERROR))
+    change = np.array([0.02, 3.0, -2.0, 0.05, -0.03, 0.01, -0.02, 0.03, 1e-3, 2e-3, -3e-3])
+    other = known.K.copy()
+    other[:2, :2] *= 1.02
+    other[:2, 2] += [3.0, -2.0]
+    turned = cv2.Rodrigues(cv2.Rodrigues(change[5:8])[0] @ known.R)[0]
+    places = np.column_stack([grid(3, 3), np.full(9, DIAMETER / 2)])
+    bent = known.dist + [0.05, -0.03, 0, 0, 0]
+    wanted = seen(places, (other, bent, turned, known.t + change[8:]))
+    assert np.allclose(moved(known, change).project(places), wanted, rtol=0, atol=1e-6)
 
 
 @pytest.fixture(scope="module")
@@ -119,7 +139,7 @@ def test_collisions_are_measured_within_their_errors(collision):
     without = scores(table, truth, camera, tracker.Camera.from_dict(known.to_dict() | {"view_errors": []}), rng)[1]
     assert row["v0_std"] > 2 * without["v0_std"]
     cov = json.loads(row["cov"])
-    assert set(cov["shared"]) == {f"view_errors[{k}]" for k in range(7)}
+    assert set(cov["shared"]) == {f"view_errors[{k}]" for k in range(9)}
 
 
 def test_without_it_they_are_not(collision):
@@ -243,7 +263,7 @@ def test_by_command(tmp_path, monkeypatch, capsys):
     assert "point 9: off by" in said
     assert "tilt: 2" in said
     camera = Camera.read(tmp_path / "camera.json")
-    assert camera.view_errors.shape == (8, 9)
+    assert camera.view_errors.shape == (10, 11)
     assert camera.unmodelled == ()
     assert Camera.from_dict(camera.to_dict()).view_errors.tolist() == camera.view_errors.tolist()
 
@@ -278,10 +298,10 @@ def test_wrong_tables(text, said, tmp_path):
         read_points(tmp_path / "points.csv")
 
 
-@pytest.mark.parametrize("value", [[[1, 2]], [[0] * 9] * 10, "all", [["a"] * 9], 3])
+@pytest.mark.parametrize("value", [[[1, 2]], [[0] * 11] * 12, "all", [["a"] * 11], 3])
 def test_wrong_view_errors(value):
     keys = calibrated(fit_view(marked(eye(25), grid(2, 2)), SIZE, ERROR)).to_dict()
     with pytest.raises(InputError, match="view_errors: expected"):
         Camera.from_dict(keys | {"view_errors": value})
     with pytest.raises(InputError, match="view_errors: expected K, R and t"):
-        Camera.from_dict({"size": [10, 10], "fps": 1, "scale": 1e-3, "view_errors": [[0] * 9]})
+        Camera.from_dict({"size": [10, 10], "fps": 1, "scale": 1e-3, "view_errors": [[0] * 11]})
