@@ -101,7 +101,7 @@ def test_each_number_of_an_error_does_what_the_format_says():
     other[:2, 2] += [3.0, -2.0]
     turned = cv2.Rodrigues(cv2.Rodrigues(change[5:8])[0] @ known.R)[0]
     places = np.column_stack([grid(3, 3), np.full(9, DIAMETER / 2)])
-    bent = known.dist + [0.05, -0.03, 0, 0, 0]
+    bent = np.add(known.dist, [0.05, -0.03, 0, 0, 0])
     wanted = seen(places, (other, bent, turned, known.t + change[8:]))
     assert np.allclose(moved(known, change).project(places), wanted, rtol=0, atol=1e-6)
 
