@@ -6,7 +6,6 @@ import importlib.util
 import inspect
 import json
 import math
-import os
 import sys
 import textwrap
 import time
@@ -42,7 +41,7 @@ def generate(
     output: Annotated[Path, typer.Option("-o", "--output", metavar="DATASET", help="Folder to make.")],
     clips: Annotated[int, typer.Option(min=1, help="Clips of each scene.")] = 1,
     seed: Annotated[int | None, typer.Option(min=0, help="Seed of everything drawn; default: 0.")] = None,
-    workers: Annotated[int | None, typer.Option(min=1, help="Processes; default: one a core.")] = None,
+    workers: Annotated[int | None, typer.Option(min=1, help="Processes; default: whatever is quickest.")] = None,
     shard: Annotated[str, typer.Option(metavar="I/N", help="Make every N-th clip from the I-th, to merge later.")] = "",
     scheduler: Annotated[str, typer.Option(metavar="ADDRESS", help="A Dask scheduler, whose workers do it.")] = "",
     no_video: Annotated[bool, typer.Option("--no-video", help="Truth and camera only, nothing drawn.")] = False,
@@ -74,7 +73,7 @@ def generate(
         raise InputError("--shard: a shard keeps its truth; give --withhold-truth to `synthcam merge`")
     with progress_bar("clips") as progress:
         tell = _say_first if sys.stderr.isatty() and not scheduler else None
-        outcome = run(plan, output, workers or os.cpu_count() or 1, progress, withhold_truth, scheduler, tell)
+        outcome = run(plan, output, workers or 0, progress, withhold_truth, scheduler, tell)
     for line in outcome.failed[:SHOWN]:
         print(f"synthcam: {line}", file=sys.stderr)
     if len(outcome.failed) > SHOWN:

@@ -42,7 +42,7 @@ def track(
     output: Results,
     camera: Annotated[Path | None, typer.Option(help="camera.json, in place of the source's own.")] = None,
     detector: Annotated[str | None, typer.Option(help=f"{DETECTORS}. Without it the film decides.")] = None,
-    workers: Annotated[int | None, typer.Option(min=1, help="Processes; default: one a core.")] = None,
+    workers: Annotated[int | None, typer.Option(min=1, help="Processes; default: whatever is quickest.")] = None,
     pages: WithPages = None,
     as_json: Json = False,
 ) -> None:
@@ -50,12 +50,11 @@ def track(
 
     Example: tracker track out/benchmark -o out/results
     """
-    from tracker.pipeline import default_workers
     from tracker.pipeline import run as track_all
 
     started = time.monotonic()
     with progress_bar("clips") as progress:
-        outcome = track_all(source, output, camera, detector, workers or default_workers(), progress)
+        outcome = track_all(source, output, camera, detector, workers or 0, progress)
     seconds = time.monotonic() - started
     extra: dict[str, Any] = {"frames": outcome.frames, "seconds": round(seconds, 2)}
     if outcome.frames:
@@ -65,7 +64,7 @@ def track(
     if pages or (pages is None and outcome.clips == 1):
         from tracker.camera.frames import open_source
 
-        extra["page"] = _pages(outcome, output, source, open_source(source, camera), workers or default_workers())
+        extra["page"] = _pages(outcome, output, source, open_source(source, camera), workers or 0)
     _report(outcome, output, extra, as_json)
 
 
@@ -92,13 +91,13 @@ def measure(
 
     Example: tracker measure tracks.csv --camera camera.json -o out/measured
     """
-    from tracker.pipeline import default_workers, measure_tables
+    from tracker.pipeline import measure_tables
 
     if point not in ("centre", "glint"):
         raise InputError(f"--point: expected centre or glint, not {point!r}")
     outcome, extra = measure_tables(tracks, output, camera, point, columns, unit), dict[str, Any]()
     if pages or (pages is None and outcome.clips == 1):
-        extra["page"] = _pages(outcome, output, tracks, None, default_workers())
+        extra["page"] = _pages(outcome, output, tracks, None, 0)
     _report(outcome, output, extra, as_json)
 
 

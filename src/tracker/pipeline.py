@@ -8,6 +8,7 @@ import hashlib
 import multiprocessing
 import os
 import shutil
+import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
@@ -35,6 +36,7 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 MALLOPT = (-1, -3)  # M_TRIM_THRESHOLD, M_MMAP_THRESHOLD of malloc.h
 KEPT = 32 << 20  # bytes
+STARTING = 5.0  # s of a processor: for less work it does not pay to start processes
 ENDS = 1 << 16  # bytes at either end of a file that distinguish recordings
 Progress = Callable[[int, int], None]
 
@@ -74,7 +76,7 @@ def run(
     name : str or None
         Of the detector; None: what the first clip asks for.
     workers : int
-        Processes.
+        Processes; 0: one a core, where so many are quicker.
     progress : callable
         Takes clips done and clips in all.
 
@@ -171,7 +173,7 @@ def write_pages(pages: Pages, estimates: pd.DataFrame, workers: int, progress: P
     estimates : DataFrame
         Of all its recordings.
     workers : int
-        Processes.
+        Processes; 0: one a core, where so many are quicker.
     progress : callable
         Takes pages done and pages in all.
 
@@ -243,7 +245,19 @@ def _each(source: Source, todo: list[int], partial: Path, name: str, workers: in
 
 
 def in_parallel(task: Callable[[int], T], todo: Sequence[int], workers: int, where: Path) -> Iterator[T]:
-    """What task gives for each number, in whatever order, by so many processes. where: what an error names."""
+    """What task gives for each number, in whatever order, by so many processes. where: what an error names.
+
+    workers 0: this process begins; others join it where the time of the second shows that it has much to do.
+    """
+    if workers == 0:
+        seconds = 0.0
+        for index in todo[:2]:  # the first loads libraries
+            started = time.process_time()
+            given = task(index)
+            seconds = time.process_time() - started
+            yield given
+        todo = todo[2:]
+        workers = _cores() if seconds * len(todo) > STARTING else 1
     if workers <= 1 or len(todo) <= 1:
         yield from map(task, todo)
         return
@@ -284,6 +298,6 @@ def _keep_memory() -> None:
             ctypes.CDLL(None).mallopt(option, KEPT)
 
 
-def default_workers() -> int:
-    """One a core that this process may use."""
+def _cores() -> int:
+    """Those that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import json
+import os
 import platform
 import shutil
 import time
@@ -25,6 +26,7 @@ from synthcam.scene.clip import Clip
 from synthcam.scene.scene import Scene, check_scene
 
 FULL = {errno.ENOSPC, errno.EDQUOT, errno.EROFS}  # what will happen to the next clip as well
+STARTING = 5.0  # s of a processor: for less work it does not pay to start processes
 
 
 @dataclass(frozen=True)
@@ -118,7 +120,7 @@ def run(
     output : Path
         Folder to make.
     workers : int
-        Processes.
+        Processes; 0: one a core, where so many are quicker.
     progress : callable
         Takes clips done and clips in all, after each clip.
     withheld : Path, optional
@@ -205,15 +207,18 @@ def _here(
 ) -> Iterator[tuple[int, str]]:
     """Make the clips on this machine: (number, '' or what went wrong), in the order in which they end."""
     folders = _folders(made)
-    if announce and todo:
+    if todo and (announce or not workers):
         trials = sorted({todo[0], todo[len(todo) // 2], todo[-1]})  # of several scenes, where there are several
         ends = []
         for number in trials:  # the first loads libraries, draws the chip and starts OpenGL
             yield number, make_clip(plan, number, *folders)
-            ends.append(time.perf_counter())
+            ends.append((time.perf_counter(), time.process_time()))
         todo = [k for k in todo if k not in trials]
         if todo:
-            announce(_estimate(made, trials, (ends[-1] - ends[0]) / (len(ends) - 1), len(todo), workers))
+            seconds, work = ((late - early) / (len(ends) - 1) for early, late in zip(ends[0], ends[-1], strict=True))
+            workers = workers or ((os.cpu_count() or 1) if work * len(todo) > STARTING else 1)
+            if announce:
+                announce(_estimate(made, trials, seconds, len(todo), workers))
     if min(workers, len(todo)) > 1:
         document = json.dumps(plan.document())
         yield from each(todo, min(workers, len(todo)), partial(_ready, document, *folders))

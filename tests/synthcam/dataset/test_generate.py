@@ -1,6 +1,7 @@
 """Generating: the same bytes whatever the workers, the order, and the interruptions. Without video: no OpenGL."""
 
 import functools
+import itertools
 import json
 import os
 import shutil
@@ -54,6 +55,23 @@ def test_two_workers_make_the_same_bytes(one, tmp_path):
     assert sums(tmp_path / "d") == sums(one)
     assert verify(tmp_path / "d").problems == ()
     assert not (tmp_path / "d.partial").exists()
+
+
+@pytest.mark.parametrize(("seconds", "elsewhere"), [(0.0, []), (2.0, [1, 2, 4])])
+def test_processes_start_where_there_is_much_to_do(one, tmp_path, monkeypatch, seconds, elsewhere):
+    """With three of six clips to come, each of so many seconds."""
+    clock, there = itertools.count(0, seconds), []
+
+    def each(todo, workers, prepare):
+        there.extend(todo)
+        return [(number, prepare()(number)) for number in todo]
+
+    monkeypatch.setattr(generate.time, "process_time", lambda: next(clock))
+    monkeypatch.setattr(generate.os, "cpu_count", lambda: 2)
+    monkeypatch.setattr(generate, "each", each)
+    run(plan(), tmp_path / "d", 0, quiet)
+    assert there == elsewhere
+    assert sums(tmp_path / "d") == sums(one)
 
 
 def test_so_does_the_other_order(one, tmp_path):
