@@ -2,6 +2,7 @@
 
 import ast
 import re
+from functools import cache
 from graphlib import TopologicalSorter
 
 import pytest
@@ -138,11 +139,16 @@ def module(path):
 KNOWN = {module(p) for p in FILES}
 
 
+@cache
+def parsed(path):
+    return [n for n in ast.walk(ast.parse(path.read_text())) if isinstance(n, ast.Import | ast.ImportFrom | ast.Call)]
+
+
 def imported(path):
     """Dotted names that a file imports; `from a import b` counts as a.b."""
     here = module(path).split(".")
     inside = here if path.name == "__init__.py" else here[:-1]
-    for node in ast.walk(ast.parse(path.read_text())):
+    for node in parsed(path):
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
@@ -153,9 +159,8 @@ def imported(path):
 
 def by_name(path):
     """Modules that a file imports by name: a constant, or every file of a folder whose __name__ begins the name."""
-    tree = ast.parse(path.read_text())
     folders = {name.rpartition(".")[2]: name for name in imported(path) if name in PEERS}
-    for node in ast.walk(tree):
+    for node in parsed(path):
         if isinstance(node, ast.Call) and ast.unparse(node.func) == "classes_in":
             yield from (m for m in KNOWN if m.startswith(f"{folders[ast.unparse(node.args[0])]}."))
         elif isinstance(node, ast.Call) and ast.unparse(node.func).endswith("import_module"):
@@ -169,9 +174,12 @@ def by_name(path):
                 yield from (m for m in KNOWN if m.startswith(f"{folder}."))
 
 
+BY_NAME = {module(p): set(by_name(p)) for p in FILES}
+
+
 def ours(path):
     """The modules of these packages that a file imports."""
-    for name in {*imported(path), *by_name(path)}:
+    for name in {*imported(path), *BY_NAME[module(path)]}:
         while name and name not in KNOWN:
             name = name.rpartition(".")[0]
         if name and name != module(path):
@@ -179,7 +187,6 @@ def ours(path):
 
 
 ARROWS = {module(p): set(ours(p)) for p in FILES}
-BY_NAME = {module(p): set(by_name(p)) for p in FILES}
 
 
 def tops(path):

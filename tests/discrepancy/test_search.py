@@ -121,7 +121,8 @@ def test_the_library_is_asked_again_for_what_stands_in_place_of_a_free_law(monke
 
 
 def test_an_effect_that_needs_friction_may_be_an_alias_in_a_textbook_collision(monkeypatch):
-    only(monkeypatch, **{n: library()[n] for n in ("stribeck", "viscous_friction", "rolling_quadratic")})
+    known = ("stribeck", "viscous_friction", "rolling_quadratic")
+    only(monkeypatch, ("friction_speed", "rolling_speed"), **{n: library()[n] for n in known})
     clips = collisions(Model().replace({"stribeck.rise": 0.004, "stribeck.slip": 0.3}), 10, 4)
     found = find(clips, Model(sliding_friction=0.0))
     assert "sliding_friction" in names(found)

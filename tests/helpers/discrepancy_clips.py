@@ -6,6 +6,7 @@ from functools import cache
 import numpy as np
 
 import discrepancy.fitting.parameters
+import discrepancy.free_laws.library
 import synthcam.model
 from discrepancy.data.collisions import Measured
 from discrepancy.fitting.jacobian import derivative, launch_derivatives
@@ -27,6 +28,7 @@ CAMERA = Camera.from_dict(
     | {"lamp": {"position": [0.05, 0.0, 0.45], "radius": 0.01}}
 )
 EFFECTS = ("velocity_restitution", "rolling_quadratic")
+FREE_LAWS = ("restitution_speed", "rolling_speed")
 HIDDEN = {
     "nothing": {},
     "velocity_restitution": {"velocity_restitution.e": 0.05},
@@ -34,9 +36,16 @@ HIDDEN = {
 }
 
 
-def only(monkeypatch, **effects):
-    """For a test: a library of these effects by name; with none, of EFFECTS."""
+def only(monkeypatch, free_laws=(), **effects):
+    """For a test: a library of these effects by name; with none, of EFFECTS and of the free laws in their place.
+
+    free_laws: those there are to be, by name; the fewer, the quicker the search.
+    """
     few = effects or {name: library()[name] for name in EFFECTS}
+    names = free_laws or (() if effects else FREE_LAWS)
+    if names:
+        kept = tuple(law for law in discrepancy.free_laws.library.library() if law.__module__.endswith(names))
+        monkeypatch.setattr(discrepancy.free_laws.library, "library", lambda: kept)
     for module in (discrepancy.fitting.parameters, synthcam.model):
         monkeypatch.setattr(module, "library", lambda: few)
 

@@ -134,7 +134,8 @@ def test_what_is_left_is_the_clip_without_them_and_it_is_said():
 
 @pytest.mark.parametrize("frame", [1.0, 40.0, 78.0, 79.0])
 def test_a_lost_frame_is_none_however_near_the_end(monkeypatch, frame):
-    only(monkeypatch, **{n: library()[n] for n in ("dropped_frame", "rolling_quadratic", "stribeck")})
+    known = ("dropped_frame", "rolling_quadratic", "stribeck")
+    only(monkeypatch, ("friction_speed", "lag_speed"), **{n: library()[n] for n in known})
     found = find(collisions(Model().replace({"dropped_frame.lost": 1.0, "dropped_frame.frame": frame}), 8, 3), Model())
     assert [n.effect for n in found.named] == ["dropped_frame"]
     assert found.model.value("dropped_frame.lost") == pytest.approx(1, abs=0.01)
