@@ -72,7 +72,7 @@ OUTSIDERS = {
     "friction_place": Streak(0.02),
     "restitution_speed": Step(0.004),
     "spin_transfer_speed": Resonance(0.01),
-    "force_speed": RootDrag(0.01),
+    "force_speed": RootDrag(0.015),
 }
 
 
@@ -82,7 +82,7 @@ def outsider(law, seed=3):
 
     An impact tells its law at one speed only, and a weak force little: there must be more of them.
     """
-    clips = {"friction_place": 10, "force_speed": 20}.get(law, 18)
+    clips = {"friction_place": 10, "force_speed": 12, "spin_transfer_speed": 12}.get(law, 18)
     hidden = dataclasses.replace(Model(), effects=(OUTSIDERS[law],))
     with pytest.MonkeyPatch.context() as patch:
         only(patch, **{name: library()[name] for name in FEW})

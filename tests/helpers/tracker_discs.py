@@ -46,6 +46,12 @@ def collision(frames=60, contact=25, radius=R, speed=1.7, rest=(90.3, 80.6)):
     return np.stack([rest + 1.1 * late * n, striker])
 
 
+def apart(frames=60):
+    """Places of two balls that move side by side and never meet: of them no collision has to be fitted."""
+    striker = collision(frames)[1]
+    return np.stack([striker + np.array([0.0, 50.0]), striker])
+
+
 def film(rng, ways, ball=210.0, noise=2.0, ground=None, radius=R, blur=0.7, shutter=0.0):
     """uint8 frames of discs at ways (balls, frames, 2); shutter: the exposure, of a frame's time."""
     ground = plate(rng) if ground is None else ground

@@ -74,7 +74,7 @@ def test_what_three_clips_have_in_one_frame_is_kept(clips, gone):
 @pytest.mark.parametrize("at", ["contact", "slide end", "first", "last"])
 def test_beside_a_model_it_is_found_at_every_event_and_at_both_ends(at, shift):
     wrong, rows = [], []
-    for k, clip in enumerate(CLIPS):
+    for k, clip in enumerate(CLIPS[:4]):  # each ball moved along x and along y
         ball = k % 2
         frame = {"contact": clip.launch[T_C], "slide end": clip.ends[ball]}.get(at, 0.0) * clip.fps + shift
         frame = {"first": shift + 2, "last": FRAMES - 3 + shift}.get(at, int(frame))

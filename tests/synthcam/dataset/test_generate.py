@@ -224,7 +224,9 @@ def test_killed_or_interrupted_it_goes_on(many, tmp_path, how, workers):
     if how == signal.SIGINT:
         assert "Traceback" not in said
         assert "synthcam: interrupted; the same command goes on where it stopped" in said.splitlines()
-    again = subprocess.run([*command, "--workers", "1", "--json"], capture_output=True, text=True, timeout=60, check=True)
+    again = subprocess.run(
+        [*command, "--workers", "1", "--json"], capture_output=True, text=True, timeout=60, check=True
+    )
     summary = json.loads(again.stdout)
     assert 0 < summary["made"] < MANY - 9
     assert sums(out) == sums(many)

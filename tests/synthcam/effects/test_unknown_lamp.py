@@ -13,6 +13,7 @@ from tracker.camera.camera import Lamp
 
 POSITION = (0.12, -0.08, 0.25)
 KNOWN = (*EFFECTS, "unknown_lamp", "glint_parallax", "scale_error", "aspect_error", "lens_distortion", "camera_tilt")
+RIVALS = ("warp_place", "friction_place", "restitution_speed")  # free laws
 
 
 def without_a_lamp(clips, lamp=None):
@@ -27,7 +28,7 @@ def without_a_lamp(clips, lamp=None):
 
 
 def test_the_lamp_is_named_and_found(monkeypatch):
-    only(monkeypatch, **{name: library()[name] for name in KNOWN})
+    only(monkeypatch, RIVALS, **{name: library()[name] for name in KNOWN})
     found = find(noisy(without_a_lamp(exact(Model(), 12, 3), Lamp(POSITION)), 3), Model())
     assert [n.effect for n in found.named] == ["unknown_lamp"]
     assert found.free_law is None
@@ -41,7 +42,7 @@ def test_the_lamp_is_named_and_found(monkeypatch):
 
 
 def test_no_lamp_given_and_none_there(monkeypatch):
-    only(monkeypatch, **{name: library()[name] for name in KNOWN})
+    only(monkeypatch, RIVALS, **{name: library()[name] for name in KNOWN})
     found = find(noisy(without_a_lamp(exact(Model(), 12, 4)), 4), Model())
     assert found.named == ()
     assert found.free_law is None
@@ -50,7 +51,7 @@ def test_no_lamp_given_and_none_there(monkeypatch):
 
 
 def test_a_lamp_that_is_given_is_not_unknown(monkeypatch):
-    only(monkeypatch, **{name: library()[name] for name in KNOWN})
+    only(monkeypatch, RIVALS, **{name: library()[name] for name in KNOWN})
     found = find(noisy(exact(Model(), 8, 4), 4), Model())
     assert found.named == ()
     assert "unknown_lamp" in found.unidentifiable

@@ -3,7 +3,7 @@
 import cv2
 import numpy as np
 import pytest
-from tracker_discs import CAMERA, R, collision, film, plate
+from tracker_discs import CAMERA, R, apart, collision, film, plate
 
 import tracker
 from tracker.camera.memory import frames_in_memory
@@ -37,7 +37,7 @@ def test_a_take_among_balls_only_is_none():
 def test_frames_given_twice_are_left_out(copies):
     """As of a film at 30 frames a second stored at 60; the codec's noise is in the copies."""
     rng = np.random.default_rng(2)
-    once = film(rng, collision(20, 8), noise=2.0)
+    once = film(rng, apart(20), noise=2.0)
     stored = np.repeat(once, copies, axis=0)
     stored[rng.random(stored.shape) < 0.01] += 1
     result = tracked(stored)
