@@ -3,3 +3,7 @@
 
 class InputError(ValueError):
     """Bad input: one line that names the file, the key or frame, and what was expected."""
+
+
+class PluginError(InputError, TypeError):
+    """A file of an effect, a free law or a detector that lacks what such a file must have."""

@@ -18,6 +18,8 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, fields
 from typing import Any, ClassVar, Self
 
+from commandline.errors import PluginError
+
 # All balls, or all nodes of an integration, come together: numbers are arrays (balls, n) or broadcast with them,
 # vectors have a last axis of two. "slip" is the unit vector of the contact velocity; "of_a" is 1 for the experimenter's
 # ball a, 0 for ball b; "other" is the position of the other ball relative to this one; "ball" is the model's,
@@ -49,6 +51,7 @@ LAWS: dict[str, tuple[str, ...]] = {
     # (x, y) itself where camera.json has a lamp
     "measure": ("glint", "mirrored"),
 }
+VECTORS = {"slip", "position", "velocity", "other", "glint", "mirrored"}  # of what laws ask for
 
 
 def parameter(
@@ -120,11 +123,11 @@ class Effect:
             if name.startswith("_") or not inspect.isfunction(member):
                 continue
             if name not in LAWS:
-                raise TypeError(f"{cls.__name__}.{name}: no such law; there are {', '.join(LAWS)}")
+                raise PluginError(f"{cls.__name__}.{name}: no such law; there are {', '.join(LAWS)}")
             asks = tuple(inspect.signature(member).parameters)[2:]
             unknown = [a for a in asks if a not in LAWS[name]]
             if unknown:
-                raise TypeError(
+                raise PluginError(
                     f"{cls.__name__}.{name} asks for {', '.join(unknown)}; {name} may ask for {', '.join(LAWS[name])}"
                 )
             cls.laws[name] = asks

@@ -10,6 +10,7 @@ from functools import cache
 from types import ModuleType
 from typing import TypeVar
 
+from commandline.errors import PluginError
 from synthcam import effects
 from synthcam.effect import Effect
 
@@ -23,7 +24,7 @@ def classes_in(package: ModuleType, base: type[T]) -> Iterator[type[T]]:
         own = [c for c in vars(module).values() if inspect.isclass(c) and issubclass(c, base)]
         own = [c for c in own if c.__module__ == module.__name__]
         if len(own) != 1:
-            raise TypeError(f"{module.__name__}: expected one {base.__name__} in the file, found {len(own)}")
+            raise PluginError(f"{module.__name__}: expected one {base.__name__} in the file, found {len(own)}")
         yield own[0]
 
 

@@ -229,7 +229,8 @@ def calibrate(
         return
     if error is not None or height is not None:
         raise InputError("--error, --height: expected --points or --board beside them")
-    result = calibrate_camera(video, diameter, fps, exposure, gamma)
+    with progress_bar("calibrate") as progress:
+        result = calibrate_camera(video, diameter, fps, exposure, gamma, 0, progress)
     result.write(output)
     print(summary_json(result, output) if as_json else "\n".join([*summary(result), f"{output}"]))
 

@@ -2,21 +2,15 @@
 
 from __future__ import annotations
 
-import ctypes
 import functools
 import hashlib
-import multiprocessing
-import os
 import shutil
-import time
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
-from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager, suppress
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any
 
 import cv2
 import pandas as pd
@@ -27,18 +21,14 @@ from tracker import results
 from tracker.camera.frames import Source, open_source
 from tracker.detection.choose import choose
 from tracker.detection.detect import detector
+from tracker.parallel import Progress, alone, in_parallel
 from tracker.recording import followed, measured, unsaid
 from tracker.tables.read import read_tracks
 
 if TYPE_CHECKING:
     from tracker.report.pages import Pages
 
-T = TypeVar("T")
-MALLOPT = (-1, -3)  # M_TRIM_THRESHOLD, M_MMAP_THRESHOLD of malloc.h
-KEPT = 32 << 20  # bytes
-STARTING = 5.0  # s of a processor: for less work it does not pay to start processes
 ENDS = 1 << 16  # bytes at either end of a file that distinguish recordings
-Progress = Callable[[int, int], None]
 
 
 @dataclass(frozen=True)
@@ -244,41 +234,8 @@ def _each(source: Source, todo: list[int], partial: Path, name: str, workers: in
     return in_parallel(functools.partial(_one, source, partial=partial, name=name), todo, workers, source.path)
 
 
-def in_parallel(task: Callable[[int], T], todo: Sequence[int], workers: int, where: Path) -> Iterator[T]:
-    """What task gives for each number, in whatever order, by so many processes. where: what an error names.
-
-    workers 0: this process begins; others join it where the time of the second shows that it has much to do.
-    """
-    if workers == 0:
-        seconds = 0.0
-        for index in todo[:2]:  # the first loads libraries
-            started = time.process_time()
-            given = task(index)
-            seconds = time.process_time() - started
-            yield given
-        todo = todo[2:]
-        workers = _cores() if seconds * len(todo) > STARTING else 1
-    if workers <= 1 or len(todo) <= 1:
-        yield from map(task, todo)
-        return
-    context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(min(workers, len(todo)), mp_context=context) as pool:
-        waiting = {pool.submit(task, index) for index in todo}
-        try:
-            while waiting:
-                done, waiting = wait(waiting, return_when=FIRST_COMPLETED)
-                for future in done:
-                    yield future.result()
-        except BrokenProcessPool:
-            raise InputError(f"{where}: a worker was killed; is there enough memory for each of them?") from None
-        except BaseException:
-            pool.shutdown(wait=True, cancel_futures=True)
-            raise
-
-
 def _one(source: Source, index: int, partial: Path, name: str) -> tuple[int, str]:
-    cv2.setNumThreads(1)  # clips run side by side
-    _keep_memory()
+    alone()
     clip = source.clip(index)
     try:
         result = followed(clip, name)
@@ -289,15 +246,3 @@ def _one(source: Source, index: int, partial: Path, name: str) -> tuple[int, str
         raise InputError(f"{source.clips[index][1]}: not enough memory for its {asked} pixels") from None
     results.write_clip(partial, result.number, result.found, result.motion, result.rows, result.camera)
     return result.frames, "; ".join(result.notes)
-
-
-def _keep_memory() -> None:
-    """Lets glibc keep what is freed: to take arrays anew from the system costs more than their arithmetic."""
-    with suppress(AttributeError, OSError, TypeError):  # another C library
-        for option in MALLOPT:
-            ctypes.CDLL(None).mallopt(option, KEPT)
-
-
-def _cores() -> int:
-    """Those that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

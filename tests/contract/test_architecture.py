@@ -27,7 +27,7 @@ LAYERS = {
         "__main__",
     ],
     "tracker": [
-        "camera",
+        "parallel camera",
         "detection",
         "measurement tables",
         "results",

@@ -1,13 +1,10 @@
 """The commands end to end: results that depend on nothing but the pictures, and clear words for bad input."""
 
-import itertools
 import json
 import os
 import shutil
 import subprocess
 import sys
-import threading
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -107,18 +104,6 @@ def test_workers_and_truth_change_nothing(dataset, tracked, tmp_path):
         shutil.rmtree(truth)
     pipeline.run(copy, tmp_path / "two", None, "maximum_likelihood", 2)
     assert contents(tmp_path / "two") == contents(tracked)
-
-
-@pytest.mark.parametrize(("seconds", "elsewhere"), [(0.0, 0), (2.0, 3)])
-def test_processes_start_where_there_is_much_to_do(monkeypatch, seconds, elsewhere):
-    """With three of five clips to come, each of so many seconds."""
-    clock = itertools.count(0, seconds)
-    monkeypatch.setattr(pipeline.time, "process_time", lambda: next(clock))
-    monkeypatch.setattr(pipeline, "_cores", lambda: 2)
-    monkeypatch.setattr(pipeline, "ProcessPoolExecutor", lambda most, mp_context: ThreadPoolExecutor(most))
-    done = list(pipeline.in_parallel(lambda clip: (clip, threading.current_thread()), range(5), 0, Path()))
-    assert sorted(clip for clip, _ in done) == [*range(5)]
-    assert sum(thread is not threading.main_thread() for _, thread in done) == elsewhere
 
 
 def test_an_interrupted_run_goes_on_to_the_same_bytes(dataset, tracked, tmp_path, monkeypatch):

@@ -15,6 +15,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from commandline.errors import PluginError
 from discrepancy.arrays import Array
 from discrepancy.data.collisions import Measured
 from discrepancy.fitting.jacobian import derivative
@@ -22,7 +23,7 @@ from discrepancy.fitting.predict import forecast
 from discrepancy.fitting.response import Leg, responses
 from discrepancy.free_laws.basis import Axis
 from discrepancy.free_laws.ranges import Ranges, over_clips
-from synthcam.effect import LAWS, Effect, Parameter
+from synthcam.effect import LAWS, VECTORS, Effect, Parameter
 from synthcam.model import Model
 
 MEAN = 200  # places on each axis, to take a mean over
@@ -77,13 +78,22 @@ class FreeLaw(ABC):
             return  # the kinds of free laws, which leave this to the laws themselves
         for name, example in cls.needs.items():
             if not getattr(cls, name, None):
-                raise TypeError(f"{cls.__module__}.{cls.__name__}: no {name}; expected it, as {example}")
+                raise PluginError(f"{cls.__module__}.{cls.__name__}: no {name}; expected it, as {example}")
         law, what = cls.bends or ("", "")
         if law and law not in LAWS:
-            raise TypeError(f"{cls.__module__}.{cls.__name__}: bends {law!r}, expected one of {', '.join(LAWS)}")
+            raise PluginError(f"{cls.__module__}.{cls.__name__}: bends {law!r}, expected one of {', '.join(LAWS)}")
         if what and what not in LAWS[law]:
             known = ", ".join(LAWS[law]) or "nothing"
-            raise TypeError(f"{cls.__module__}.{cls.__name__}: bends {law} by {what!r}, which depends on {known}")
+            raise PluginError(f"{cls.__module__}.{cls.__name__}: bends {law} by {what!r}, which depends on {known}")
+
+    def __post_init__(self) -> None:
+        what = self.bends[1] if self.bends else ""
+        straight = len(self.axes) == 1 and self.axes[0].kind == "line"
+        if what in VECTORS and straight and type(self).places is FreeLaw.places:
+            name = f"{type(self).__module__}.{type(self).__name__}"
+            raise PluginError(
+                f"{name}: one axis, but {what} is a vector; expected two axes, or places, which makes it one"
+            )
 
     @staticmethod
     @abstractmethod

@@ -61,8 +61,8 @@ def film(
     how = (centres, turns) if seen.look else (centres,)
     for k, found in enumerate(drawn.frames(*how, view.spans(frames), view.breaks())):
         pictures = found if isinstance(found, tuple) else (found,) * len(chips)
-        counts = [chip.expose(picture, number, k) for chip, picture in zip(chips, pictures, strict=True)]
-        yield np.stack(counts, axis=-1) if colour else counts[0]
+        exposed = (chip.expose(picture, number, k) for chip, picture in zip(chips, pictures, strict=True))
+        yield np.stack(list(exposed), axis=-1) if colour else next(exposed)
 
 
 @lru_cache(maxsize=2)

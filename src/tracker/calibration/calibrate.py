@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import functools
 import json
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -17,15 +19,16 @@ from tracker.calibration.ball_outline import Outline, outline
 from tracker.calibration.contact_distance import ContactDistance, contact_distances
 from tracker.camera.camera import Camera
 from tracker.camera.camera_keys import read_json
-from tracker.camera.frames import open_source, recorded
-from tracker.camera.grey import Frames
+from tracker.camera.frames import Source, open_source, recorded
 from tracker.detection.detect import DEFAULT, detect, view_of
 from tracker.detection.link import Tracks, link
+from tracker.parallel import Progress, alone, in_parallel
 from tracker.results import write_json
 
 HEIGHTS = 2.5  # 1/m, scatter of 1/height of lamp less that of the camera: glints' distances differ from the balls'
 DISAGREE = 3.0  # standard errors between two ways to the scale, beyond which they disagree
 LARGEST_BALL = 0.5  # m
+ROUGH = 12  # clips at most, from which scale, glint width and noise are first read
 FEWEST = 10  # glints, to say anything
 STRAY = 4.0  # deviations by which a contact may differ from the middle one
 NORMAL = 1.4826  # standard deviation of a normal spread over its median absolute deviation
@@ -52,13 +55,7 @@ class Calibration:
         }
         if "exposure" not in unknown:
             kept["exposure"] = whole["exposure"]
-        if self.camera.psf_sigma is not None:
-            kept["psf"] = whole["psf"]
-        kept["sensor"] = {
-            k: v
-            for k, v in whole["sensor"].items()
-            if k in ("bits", "gain", "read_noise", "black_level", "codec_noise", "gamma")
-        }
+        kept |= _sensor_keys(self.camera)
         if self.scale_from:
             kept["scale_std"] = self.scale_std
         kept["calibration"] = {
@@ -110,7 +107,13 @@ def given_keys(diameter: float, fps: float, exposure: float | None, gamma: float
 
 
 def calibrate(
-    video: Path, diameter: float, fps: float, exposure: float | None = None, gamma: float = 1.0
+    video: Path,
+    diameter: float,
+    fps: float,
+    exposure: float | None = None,
+    gamma: float = 1.0,
+    workers: int = 1,
+    progress: Progress = lambda done, of: None,
 ) -> Calibration:
     """Find scale, glint width and noise from a video of balls of known diameter.
 
@@ -126,6 +129,10 @@ def calibrate(
         Of a frame, s; separates motion blur from the glint's width.
     gamma : float
         Counts are light to the power of 1/gamma.
+    workers : int
+        Processes; 0: one a core, where so many are quicker.
+    progress : callable
+        Takes clips done and clips in all; those that are looked at twice count twice.
 
     Returns
     -------
@@ -140,15 +147,27 @@ def calibrate(
     source = open_source(video)
     width, height = source.film(0)[1].shape[:0:-1]
     given["size"] = [width, height]
-    seen: list[_Seen] = []
-    scale = Camera.unknown((width, height), 8).diameter_px
-    ways: dict[str, tuple[float, float]] = {}
+    last = len(source) - 1
+    rough = sorted({round(i * last / (ROUGH - 1)) for i in range(ROUGH)})
+    rest = sorted({*range(len(source))} - {*rough})
+    steps = count(1)
+
+    def survey(picks: Sequence[int], known: dict[str, Any], detector: str) -> list[_Seen]:
+        found = []
+        for one in in_parallel(functools.partial(_survey, source, known, detector), picks, workers, video):
+            found.append(one)
+            progress(next(steps), 2 * len(rough) + len(rest))
+        return sorted(found, key=lambda one: one.index)
+
+    given["scale"] = diameter / Camera.unknown((width, height), 8).diameter_px
     for detector in ("centroid", DEFAULT):  # the second time with the size of the balls known
-        known = {**given, "scale": diameter / scale}
-        seen = [_survey(*source.film(i)[:2], known, detector) for i in range(len(source))]
+        seen = survey(rough, given, detector)
         ways = _ways(seen, diameter)
         if ways:
-            scale = diameter / min(ways.values(), key=lambda way: way[1])[0]
+            given["scale"] = min(ways.values(), key=lambda way: way[1])[0]
+    if rest:
+        seen += survey(rest, given | _sensor_keys(_middle(seen)), DEFAULT)
+        ways = _ways(seen, diameter)
     return _gathered(seen, ways, video, exposure is not None)
 
 
@@ -156,6 +175,7 @@ def calibrate(
 class _Seen:
     """One clip's part."""
 
+    index: int
     camera: Camera
     glints: int
     contact_distances: list[ContactDistance]
@@ -163,14 +183,29 @@ class _Seen:
     encoded: bool
 
 
-def _survey(number: int, frames: Frames, known: dict[str, Any], detector: str) -> _Seen:
+def _survey(source: Source, known: dict[str, Any], detector: str, index: int) -> _Seen:
+    alone()
+    number, frames, _ = source.film(index)
     clip = recorded(number, frames, "", Camera.from_dict(known), ("", ""))
     view = view_of(clip)
     glints = detect(clip, view, detector)
     tracks: Tracks = link(glints, view.camera)
     encoded = view.camera.sensor.codec_noise > 0
     seen = None if encoded else outline(clip.frames, view.plate, glints, view.sigma)
-    return _Seen(view.camera, len(tracks), contact_distances(tracks), seen, encoded)
+    return _Seen(index, view.camera, len(tracks), contact_distances(tracks), seen, encoded)
+
+
+def _middle(seen: Sequence[_Seen]) -> Camera:
+    """The camera of the clip whose glints are of middle width."""
+    return sorted(seen, key=lambda s: s.camera.psf_sigma or 0.0)[len(seen) // 2].camera
+
+
+def _sensor_keys(camera: Camera) -> dict[str, Any]:
+    """The keys of camera.json that say how a film shows a glint."""
+    whole = camera.to_dict()
+    names = ("bits", "gain", "read_noise", "black_level", "codec_noise", "gamma")
+    sensor = {"sensor": {k: v for k, v in whole["sensor"].items() if k in names}}
+    return sensor if camera.psf_sigma is None else {"psf": whole["psf"], **sensor}
 
 
 def _ways(seen: Sequence[_Seen], diameter: float) -> dict[str, tuple[float, float]]:
@@ -205,7 +240,6 @@ def _gathered(seen: Sequence[_Seen], ways: dict[str, tuple[float, float]], video
     if found < FEWEST:
         raise InputError(f"{video}: {found} glints found, expected balls with a bright glint on a darker ground")
     best = min(ways, key=lambda name: ways[name][1]) if ways else ""
-    middle = sorted(seen, key=lambda s: s.camera.psf_sigma or 0.0)[len(seen) // 2].camera
     missing = []
     if not best:
         missing.append("scale: no two balls touch in view, and no outline is bright enough to be seen")
@@ -229,7 +263,7 @@ def _gathered(seen: Sequence[_Seen], ways: dict[str, tuple[float, float]], video
         "sensor: prnu, dsnu and dark current cannot be separated from the noise",
     ]
     scale, std = ways[best] if best else (math.nan, math.nan)
-    return Calibration(replace(middle, scale=scale), std, best, ways, tuple(missing))
+    return Calibration(replace(_middle(seen), scale=scale), std, best, ways, tuple(missing))
 
 
 def summary(result: Calibration) -> list[str]:

@@ -114,7 +114,10 @@ def _dataset(location: Path, camera: Path | None) -> Source:
         if folder.is_dir() and folder.name.isdecimal():
             film = _film(folder)
             if film is None:
-                raise InputError(f"{folder / 'frames.tif'}: no such file, expected the clip's frames")
+                raise InputError(
+                    f"{folder / 'frames.tif'}: no such file, expected the clip's frames; "
+                    "tracker measure takes the tracks of a dataset made without video"
+                )
             clips.append((int(folder.name), film))
     if not clips:
         raise InputError(f"{location / 'clips'}: no clips, expected folders 000000, 000001, ...")

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from commandline.errors import InputError
+from commandline.errors import InputError, PluginError
 from tracker.camera.camera_keys import did_you_mean
 from tracker.camera.frames import Clip
 from tracker.detection import detectors as detector_files
@@ -44,7 +44,7 @@ def _from_file(name: str) -> Callable[[View], Detector]:
     made: list[Any] = [c for c in vars(module).values() if inspect.isclass(c)]
     callables = [c for c in made if c.__module__ == module.__name__ and "__call__" in vars(c)]
     if len(callables) != 1:
-        raise TypeError(f"{module.__file__}: expected one callable class, found {len(callables)}")
+        raise PluginError(f"{module.__file__}: expected one callable class, found {len(callables)}")
     found: Callable[[View], Detector] = callables[0]
     return found
 

@@ -65,7 +65,10 @@ def _verdict(score: Score) -> str:
             f"Good enough to measure with: the standard errors hold; but {worst} is {far[worst]:.2g} times "
             "as far off as the sensor's noise makes necessary."
         )
-    return "Good enough to measure with: the standard errors hold, and are about as small as the sensor's noise allows."
+    good = "Good enough to measure with: the standard errors hold"
+    if any(x > NEAR for x in ratio.values()):
+        return f"{good}; so few clips do not show whether they could be smaller."
+    return f"{good}, and are about as small as the sensor's noise allows."
 
 
 def _figures(values: Mapping[str, float], factor: float) -> str:

@@ -7,6 +7,7 @@ import pytest
 from discrepancy_clips import exact
 from discrepancy_laws import with_constant
 
+from commandline.errors import InputError
 from discrepancy.data.launch import V0, B
 from discrepancy.fitting.predict import forecast
 from discrepancy.free_laws.basis import Axis
@@ -70,6 +71,14 @@ def test_free_laws_are_no_effects():
 def test_a_law_that_lacks_something_is_named(kind, given, said):
     with pytest.raises(TypeError, match=rf"^mine\.Law: .*{said}"):
         type("Law", (kind,), given | {"__module__": "mine"})
+
+
+def test_a_vector_on_one_axis_is_named():
+    speed = Axis("speed", "m/s", 0.0, 1.0, 9)
+    given = {"symbol": "mu", "bends": ("rolling", "velocity"), "over": staticmethod(lambda covered: (speed,))}
+    kind = type("Law", (MotionLaw,), given | {"__module__": "mine"})
+    with pytest.raises(InputError, match=r"^mine\.Law: one axis, but velocity is a vector"):
+        kind((speed,))
 
 
 def test_ranges_are_those_of_the_data():

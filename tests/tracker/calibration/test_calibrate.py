@@ -99,6 +99,23 @@ def test_an_encoded_film_is_calibrated_by_its_contacts(tmp_path, capfd, monkeypa
     assert capfd.readouterr() == ("", "")
 
 
+def test_clips_count_alike_in_whatever_order_they_are_looked_at(tmp_path, monkeypatch):
+    """Two of three clips say how glints look; the third is looked at with what they say, by one process or two."""
+    monkeypatch.setattr("tracker.calibration.calibrate.ROUGH", 2)
+    for k, angle in enumerate((0.4, 2.0, 3.9)):
+        home = tmp_path / "films" / "clips" / f"{k:06d}"
+        home.mkdir(parents=True)
+        paths = collision(24, contact=10.3, speed=2.5, angle=angle, centre=(95, 80))
+        tifffile.imwrite(
+            home / "frames.tif", film(np.random.default_rng(k), paths, sigma=1.2, profile=0.0), imagej=True
+        )
+    steps: list[tuple[int, int]] = []
+    found = calibrate(tmp_path / "films", DIAMETER, 250.0, 5e-4, progress=lambda *at: steps.append(at))
+    assert steps == [(k, 5) for k in range(1, 6)]
+    assert abs(found.camera.scale - DIAMETER / 14.875) < 3 * found.scale_std
+    assert found.to_dict() == calibrate(tmp_path / "films", DIAMETER, 250.0, 5e-4, workers=2).to_dict()
+
+
 def test_balls_that_pass_each_other_do_not_touch():
     time = np.arange(30.0)
     paths = np.stack([np.column_stack([2.0 * time, 0 * time]), np.column_stack([60 - 2.0 * time, 20 + 0 * time])])

@@ -59,6 +59,10 @@ def test_the_lines_hold_the_figures():
             with_quantity("mu_k", ratio=2.5),
             "Good enough to measure with: the standard errors hold; but mu_k is 2.5",
         ),
+        (
+            with_quantity("mu_k", ratio=2.5, n=6),
+            "Good enough to measure with: the standard errors hold; so few clips do not show",
+        ),
         (with_quantity("tau2_free", z_std=3.0), "Good enough to measure with"),
         (
             dataclasses.replace(
