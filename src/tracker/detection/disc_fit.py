@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from scipy.special import ndtr
 
 from tracker.camera.lens import Array
+from tracker.detection.glints import UNLIT
 from tracker.detection.shadow import lit
 from tracker.detection.still_background import Background
 
@@ -172,6 +173,7 @@ def _fitted(
         sector = (np.arctan2(y - now[1], x - now[0]) // (2 * np.pi / SECTORS)).astype(int) + SECTORS
         pulls = np.stack([np.bincount(sector, line) for line in inverse @ (slopes * weight * left)])
         fixed = pulls @ pulls.T + lever @ lever.T
+        fixed[:2, :2] += (UNLIT * look.radius) ** 2 * np.eye(2)
     return Found(now[:2], (inverse * usual + fixed)[:2, :2], fixed[:2, :2], float(now[2]), spread)
 
 

@@ -14,8 +14,12 @@ from tracker.camera.lens import Array
 from tracker.detection.candidates import Ground
 from tracker.detection.takes import Takes
 
-CLIPPED, BLURRED, NEAR, MISFIT, EDGE = 1, 2, 4, 8, 16
-WORDS = {CLIPPED: "clipped", BLURRED: "streak", NEAR: "near", MISFIT: "misfit", EDGE: "edge"}
+CLIPPED, BLURRED, NEAR, MISFIT, EDGE, SHADED = 1, 2, 4, 8, 16, 32
+WORDS = {CLIPPED: "clipped", BLURRED: "streak", NEAR: "near", MISFIT: "misfit", EDGE: "edge", SHADED: "shaded"}
+UNLIT = (
+    0.01  # of a radius, by which a ball lies off whose far side is in its own shadow, alike over a ball's width: rms of
+)
+# 640 positions in four films of white balls (scenes/matte_white.yaml)
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from tracker.detection.glints import SHADED, UNLIT, WORDS
 from tracker.measurement.noise.position_noise import Size, scatter
 from tracker.measurement.noise.whitening import Whitener
 
@@ -41,6 +42,9 @@ class Course:
         The part of `cov` that a ball at rest has in every frame alike.
     width : float
         Of a glint, m.
+    leaning : tuple of float
+        Of balls that lie partly in their own shadow: rms of the shift along either axis that `fixed` has in it and
+        that lasts, m; way over which it lasts, m.
     weighed : bool
         Whether the table of tracks claims errors.
     known : float
@@ -60,6 +64,7 @@ class Course:
     exposure: float
     fixed: Floats = field(default_factory=lambda: np.empty(0))
     width: float = 0.0
+    leaning: tuple[float, float] = (0.0, 0.0)
     weighed: bool = True
     known: float = np.inf
     stretch: float = 1.0
@@ -81,13 +86,14 @@ class Course:
     @cached_property
     def whiten(self) -> Whitener:
         """By the positions' full covariance."""
-        return Whitener(self.position, self.cov, self.fixed, self.width, self.frame, self.rho)
+        return Whitener(self.position, self.cov, self.fixed, self.width, self.frame, self.rho, self.leaning)
 
     def resized(self, size: Size) -> Course:
         """The same ball with errors of another size, as its own scatter shows them."""
         longer = float(np.sqrt(size.ratio)) * self.stretch
         cov, fixed = self.cov * size.ratio, self.fixed * size.ratio
-        return replace(self, cov=cov, fixed=fixed, known=size.dof, stretch=longer)
+        leaning = self.leaning[0] * float(np.sqrt(size.ratio)), self.leaning[1]
+        return replace(self, cov=cov, fixed=fixed, known=size.dof, stretch=longer, leaning=leaning)
 
     def where(self, rows: NDArray[np.bool_]) -> Course:
         """The same ball, only those rows."""
@@ -130,10 +136,12 @@ def courses(tracks: Tracks, camera: Camera) -> list[Course]:
     for ball in np.unique(particle):
         rows = np.flatnonzero(particle == ball)
         rows = rows[np.unique(frame[rows], return_index=True)[1]]  # in order; a frame given twice counts once
+        shaded = any(WORDS[SHADED] in words for words in tracks.flags[keep][rows])
+        leaning = (UNLIT * camera.ball_diameter / 2, camera.ball_diameter) if shaded else (0.0, 0.0)
         found.append(
             Course(
-                int(ball), frame[rows], start[rows], position[rows], cov[rows], camera.exposure, shared[rows], width,
-                weighed, np.inf if weighed else 0.0, encoded=camera.sensor.codec_noise > 0,
+                int(ball), frame[rows], start[rows], position[rows], cov[rows], camera.exposure, shared[rows],
+                width, leaning, weighed, np.inf if weighed else 0.0, encoded=camera.sensor.codec_noise > 0,
             )
         )  # fmt: skip
     size = None if weighed else scatter(found)

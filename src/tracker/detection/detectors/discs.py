@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from tracker.camera.lens import Array
 from tracker.detection.disc_fit import Found, Look, fit_disc
 from tracker.detection.disc_parts import ALIKE, SMALLEST, Box, Part, casts, middles_of, parts_of
-from tracker.detection.glints import BLURRED, EDGE, NEAR, Glints, View
+from tracker.detection.glints import BLURRED, EDGE, NEAR, SHADED, Glints, View
 from tracker.detection.outline import outline
 from tracker.detection.still_background import SAMPLES, Background, still_background, without_balls
 from tracker.detection.takes import takes_of
@@ -89,7 +89,7 @@ class Discs:
         if self.shadows:
             said.append(
                 f"shadows: {self.shadows} dark parts beside brighter balls are taken for the shadows they cast; such "
-                "balls may lie off by .2 px towards the lamp, and what is measured by more than its errors"
+                "balls may lie off by .2 px towards the lamp; their errors hold 1 % of the radius"
             )
         if len(self.radii) > 1:
             said.append("discs of two sizes: " + " and ".join(f"{2 * r:.1f} px across" for r in self.radii))
@@ -286,6 +286,7 @@ class Discs:
 
     def _row(self, found: Found, flag: int, radius: float, shape: tuple[int, ...]) -> tuple[float, ...]:
         x, y = found.place
+        flag |= SHADED if self.signs != (0,) else 0
         whole = radius < x < shape[1] - 1 - radius and radius < y < shape[0] - 1 - radius
         cov = [m[i, j] for m in (found.cov, found.fixed) for i, j in ((0, 0), (0, 1), (1, 1))]
         return x, y, *cov, np.pi * radius**2, flag | (0 if whole else EDGE)

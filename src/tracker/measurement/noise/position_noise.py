@@ -42,6 +42,8 @@ class Ball(Protocol):
     def fixed(self) -> Floats: ...
     @property
     def width(self) -> float: ...
+    @property
+    def leaning(self) -> tuple[float, float]: ...
     def __len__(self) -> int: ...
 
 
@@ -108,7 +110,7 @@ def _spread(course: Ball, windows: slice, over: Floats) -> Floats:
     rows = slice(windows.start, windows.stop + WINDOW - 1)
     out = np.zeros((k, 2, OVER, 2, OVER))
     if course.fixed.any() and course.width > 0:
-        whole = covariance(course.position[rows], course.cov[rows], course.fixed[rows], course.width)
+        whole = covariance(course.position[rows], course.cov[rows], course.fixed[rows], course.width, course.leaning)
         n = len(whole) // 2
         full = whole.reshape(n, 2, n, 2)
         each = np.arange(k)[:, None] + np.arange(WINDOW)

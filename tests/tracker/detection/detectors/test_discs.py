@@ -98,7 +98,7 @@ def test_balls_lit_from_one_side_that_cast_shadows():
     miss = found.xy - places[ball_of, np.arange(len(found))]
     assert np.bincount(ball_of).tolist() == [ways.shape[1]] * 2
     assert np.abs(miss).max() < 0.025 * R
-    assert any("taken for the shadows" in note and "more than its errors" in note for note in discs.notes())
+    assert any("taken for the shadows" in note and "1 % of the radius" in note for note in discs.notes())
 
 
 def test_what_one_detector_misses_is_left_to_the_other(monkeypatch):

@@ -4,8 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from tracker_noisy import dataset, noisy, scalars_of, truth_of
+from scipy.special import gamma, kv
+from tracker_noisy import BENCHMARK, dataset, noisy, scalars_of, truth_of
 
+from tracker.detection.glints import SHADED, UNLIT, WORDS
 from tracker.measurement.collision.contacts import STILL, _thinned
 from tracker.measurement.collision.derived import NAMES
 from tracker.measurement.estimate import measure
@@ -121,3 +123,55 @@ def test_errors_are_too_small_when_the_shared_part_is_left_out(repeated, name):
     )
     assert abs(told - 1) < 4 / np.sqrt(2 * len(rows))
     assert untold > 1.2 * told
+
+
+def test_a_lasting_shift_is_correlated_as_matern_says():
+    """Against the general Matern covariance, by Bessel's function (Rasmussen & Williams 2006, eq. 4.14, nu = 3/2)."""
+    rng = np.random.default_rng(3)
+    where, rms, over = rng.uniform(0, 4e-3, (12, 2)), 1.1e-5, 2.4e-3
+    cov = np.tile(np.eye(2) * 9e-10, (12, 1, 1))
+    whole = covariance(where, cov, 0.5 * cov, 2e-4, (rms, over)).reshape(12, 2, 12, 2)
+    less = cov - rms**2 * np.eye(2), 0.5 * cov - rms**2 * np.eye(2)
+    lasting = whole - covariance(where, *less, 2e-4).reshape(12, 2, 12, 2)
+    others = ~np.eye(12, dtype=bool)
+    apart = np.sqrt(3) * np.hypot(*(where[:, None] - where[None]).T)[others] / over
+    expected = 2 / gamma(1.5) * (apart / 2) ** 1.5 * kv(1.5, apart)
+    np.testing.assert_allclose(lasting[:, 1, :, 1][others], rms**2 * expected)
+    assert np.abs(lasting[:, 0, :, 1]).max() < 1e-20
+
+
+@pytest.fixture(scope="module")
+def shaded(tmp_path_factory):
+    """Rows of collisions, balls off by smooth fields of random waves: flagged so, and taken for a pattern of pixels."""
+    data = dataset(tmp_path_factory.mktemp("shaded") / "data", BENCHMARK, 16)
+    rng, rows, truths = np.random.default_rng(4), [], scalars_of(data)
+    for clip in range(16):
+        truth, camera = truth_of(data, clip)
+        tracks = noisy(truth, rng, 0.02)
+        own, rms = tracks.cov, UNLIT * camera.diameter_px / 2
+        waves, phases = rng.standard_normal((2, 2, 200, 2)) / camera.diameter_px, rng.uniform(0, 2 * np.pi, (2, 2, 200))
+        shift = np.empty((len(tracks.x), 2))
+        for ball in (0, 1):
+            its = tracks.particle == ball
+            for axis in (0, 1):
+                angle = np.column_stack([tracks.x, tracks.y])[its] @ waves[ball, axis].T + phases[ball, axis]
+                shift[its, axis] = rms * np.sqrt(2 / 200) * np.cos(angle).sum(axis=1)
+        fixed = np.broadcast_to(np.eye(2) * rms**2, own.shape)
+        off = replace(tracks, x=tracks.x + shift[:, 0], y=tracks.y + shift[:, 1], cov=own + fixed, fixed=fixed)
+        told = replace(off, flags=np.full(len(off.x), WORDS[SHADED]))
+        rows.append([measure(t, camera)[0] | {"true": truths.iloc[clip]} for t in (told, off)])
+    return rows
+
+
+@pytest.mark.parametrize("name", ["r", "mu_k", "v0"])
+def test_balls_in_their_own_shadow_have_errors_that_hold(shaded, name):
+    rows = [row for row, _ in shaded if row["status"] == "ok"]
+    z = np.array([(row[name] - row["true"][name]) / row[f"{name}_std"] for row in rows])
+    assert len(z) >= 15
+    assert np.sqrt(np.mean(z**2)) < 1 + 3 / np.sqrt(2 * len(z))
+
+
+def test_without_the_flag_a_smooth_shift_is_taken_for_rough_noise(shaded):
+    told, untold = (np.nanmedian([row["v0_std"] for row in part]) for part in zip(*shaded, strict=True))
+    assert told < 0.7 * untold
+    assert sum(row["status"] == "misfit" for _, row in shaded) > sum(row["status"] == "misfit" for row, _ in shaded)
