@@ -20,7 +20,7 @@ from tracker.camera.memory import FILM, frames_in_memory
 from tracker.detection.choose import DISCS, GLINTS, choose
 from tracker.detection.detect import DEFAULT, point_of, settled, view_of
 from tracker.detection.detect import detector as detector_named
-from tracker.detection.diagnose import FEWEST, why_no_disc, why_nothing
+from tracker.detection.diagnose import FEWEST, loose_ends, why_no_disc, why_nothing
 from tracker.detection.link import Tracks, link
 from tracker.measurement.collision.adequacy import MEASURED
 from tracker.measurement.collision.derived import NAMES
@@ -309,9 +309,11 @@ def track_clip(clip: Clip, name: str = DEFAULT) -> tuple[Tracks, Camera, str, tu
     glints, view = settled(clip, view, name)
     if view.takes is not None:
         tracks = link(glints, view.camera, point_of(name), view.takes.spans)
-        return tracks, view.camera, "" if len(tracks) else why_no_disc(clip.frames, view), view.notes
-    tracks = link(glints, view.camera, point_of(name))
-    return tracks, view.camera, why_nothing(clip.frames, view, glints), view.notes
+        why, spans = "" if len(tracks) else why_no_disc(clip.frames, view), list(view.takes.spans)
+    else:
+        tracks = link(glints, view.camera, point_of(name))
+        why, spans = why_nothing(clip.frames, view, glints), [(0, len(clip.frames) - 1)]
+    return tracks, view.camera, why, (*view.notes, *loose_ends(tracks, view.camera.size, spans))
 
 
 def measure_clip(tracks: Tracks, camera: Camera) -> tuple[list[dict[str, Any]], pd.DataFrame]:

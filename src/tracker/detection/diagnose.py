@@ -10,6 +10,7 @@ import numpy as np
 
 from tracker.detection.candidates import Search
 from tracker.detection.glints import Glints, View
+from tracker.detection.link import Tracks
 
 FEWEST = 6  # glints in a clip, below which a reason is given
 SAMPLED = 9  # frames
@@ -19,6 +20,7 @@ DIFFERS, LEAST = 4.0, 8.0  # noise deviations, and counts, of what differs from 
 SHIFTED = 1.0  # px, of the whole picture
 STIRRED, MOVED = 0.03, 0.3  # of the pixels, that differ: where the camera moves, and where there is no still background
 TINY, MANY = 28, 40  # px, of a disc; discs in a frame
+RIM, AT_ONCE, LOOSE = 0.06, 2, 4  # of the longer side; frames; ends of tracks: see loose_ends
 HOLE = 6.0  # noise deviations of a 5 x 5 mean, of something darker than the plate
 
 
@@ -70,6 +72,25 @@ def why_no_disc(frames: Sequence[Any], view: View) -> str:
     if np.median([np.sum(a > TINY) for a in areas]) > MANY:
         return f"too many: over {MANY} things differ from the background in most frames"
     return "nothing round moves on a still background"
+
+
+def loose_ends(tracks: Tracks, size: tuple[int, int], spans: Sequence[tuple[int, int]]) -> tuple[str, ...]:
+    """A warning where most tracks begin or end as no ball's does, amid the picture and amid a take; else none.
+
+    size: width and height, px. spans: first and last frame of each take.
+    """
+    rows = [np.flatnonzero(tracks.particle == one) for one in np.unique(tracks.particle)]
+    ends = np.array([r[[tracks.frame[r].argmin(), tracks.frame[r].argmax()]] for r in rows], dtype=int).ravel()
+    x, y, frame = tracks.x[ends], tracks.y[ends], tracks.frame[ends]
+    rim = np.minimum.reduce([x, y, size[0] - 1 - x, size[1] - 1 - y]) < RIM * max(size)
+    cut = np.abs(frame[:, None] - np.array(spans).ravel()).min(axis=1) <= AT_ONCE
+    loose = ~(rim | cut)
+    if loose.sum() < max(LOOSE, 0.5 * len(ends)):
+        return ()
+    return (
+        f"{loose.sum()} of the {len(ends)} ends of tracks lie amid the picture: what is followed may be no balls, "
+        "but reflections, specks, or more objects than can be told apart",
+    )
 
 
 def _hole(frame: Any, level: Any, noise: float, diameter: float) -> bool:

@@ -1,0 +1,43 @@
+"""Warnings from how tracks lie in a film."""
+
+import numpy as np
+import pytest
+
+from tracker.detection.diagnose import loose_ends
+from tracker.detection.link import Tracks
+
+SIZE, LAST = (400, 300), 99
+
+
+def tracks(*ways):
+    """Of (first frame, last frame, from, to) each."""
+    rows = [np.linspace((a, *start), (b, *end), b - a + 1) for a, b, start, end in ways]
+    frame, x, y = np.concatenate(rows).T
+    particle = np.repeat(np.arange(len(rows)), [len(r) for r in rows])
+    n, nothing = len(frame), np.full(len(frame), np.nan)
+    cov = np.tile(np.eye(2), (n, 1, 1))
+    return Tracks(frame.astype(int), particle, x, y, cov, np.ones(n), np.full(n, ""), nothing, nothing)
+
+
+BALLS = [(0, LAST, (5, 150), (200, 150)), (0, 60, (210, 160), (395, 40)), (20, LAST, (200, 295), (250, 100))]
+GLITTER = [(10 * k, 10 * k + 6, (100 + 20 * k, 120), (105 + 20 * k, 130)) for k in range(1, 8)]
+
+
+@pytest.mark.parametrize(
+    ("ways", "spans", "ends"),
+    [
+        (BALLS, [(0, LAST)], ""),
+        (GLITTER, [(0, LAST)], "14 of the 14 ends"),
+        (BALLS + GLITTER, [(0, LAST)], "14 of the 20 ends"),
+        (BALLS + GLITTER[:2], [(0, LAST)], ""),  # as many as a lost ball leaves
+        (GLITTER, [(10 * k, 10 * k + 6) for k in range(1, 8)], ""),  # a take each
+    ],
+)
+def test_ends_of_tracks_amid_the_picture_are_counted(ways, spans, ends):
+    said = loose_ends(tracks(*ways), SIZE, spans)
+    assert "".join(said)[: len(ends) or None] == ends
+
+
+def test_nothing_is_said_of_nothing():
+    none = Tracks(*(values[:0] for values in vars(tracks(BALLS[0])).values()))
+    assert loose_ends(none, SIZE, [(0, LAST)]) == ()
