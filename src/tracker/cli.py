@@ -19,7 +19,6 @@ from commandline.errors import InputError
 from tracker.detection import detectors as detector_files
 
 if TYPE_CHECKING:
-    from tracker.camera.frames import Source
     from tracker.pipeline import Outcome
 
 app = command_line(
@@ -27,6 +26,7 @@ app = command_line(
     "Finds rolling steel balls by their glint, follows them, and measures the collision with standard errors.",
 )
 SCORE = "score.json"
+CHANNELS = "grey, red, green or blue"
 DETECTORS = ", ".join(m.name for m in pkgutil.iter_modules(detector_files.__path__)) + ", or an installed package's own"
 Results = Annotated[Path, typer.Option("-o", "--output", metavar="RESULTS", help="Folder to make.")]
 WithPages = Annotated[
@@ -42,6 +42,9 @@ def track(
     output: Results,
     camera: Annotated[Path | None, typer.Option(help="camera.json, in place of the source's own.")] = None,
     detector: Annotated[str | None, typer.Option(help=f"{DETECTORS}. Without it the film decides.")] = None,
+    channel: Annotated[
+        str | None, typer.Option(help=f"{CHANNELS}, of a film in colour. Without it the film decides.")
+    ] = None,
     workers: Annotated[int | None, typer.Option(min=1, help="Processes; default: whatever is quickest.")] = None,
     pages: WithPages = None,
     as_json: Json = False,
@@ -54,7 +57,7 @@ def track(
 
     started = time.monotonic()
     with progress_bar("clips") as progress:
-        outcome = track_all(source, output, camera, detector, workers or 0, progress)
+        outcome = track_all(source, output, camera, detector, workers or 0, progress, channel)
     seconds = time.monotonic() - started
     extra: dict[str, Any] = {"frames": outcome.frames, "seconds": round(seconds, 2)}
     if outcome.frames:
@@ -62,9 +65,7 @@ def track(
     if as_json:
         extra["notes"] = outcome.notes
     if pages or (pages is None and outcome.clips == 1):
-        from tracker.camera.frames import open_source
-
-        extra["page"] = _pages(outcome, output, source, open_source(source, camera), workers or 0)
+        extra["page"] = _pages(outcome, output, source, workers or 0)
     _report(outcome, output, extra, as_json)
 
 
@@ -97,7 +98,7 @@ def measure(
         raise InputError(f"--point: expected centre or glint, not {point!r}")
     outcome, extra = measure_tables(tracks, output, camera, point, columns, unit), dict[str, Any]()
     if pages or (pages is None and outcome.clips == 1):
-        extra["page"] = _pages(outcome, output, tracks, None, 0)
+        extra["page"] = _pages(outcome, output, tracks, 0)
     _report(outcome, output, extra, as_json)
 
 
@@ -253,7 +254,7 @@ def _typed() -> str:
     return shlex.join(["tracker", *sys.argv[1:]])
 
 
-def _pages(outcome: Outcome, output: Path, given: Path, source: Source | None, workers: int) -> str:
+def _pages(outcome: Outcome, output: Path, given: Path, workers: int) -> str:
     """Write the pages of results; where the first one is."""
     from tracker.pipeline import write_pages
     from tracker.report.page import PAGE
@@ -261,7 +262,7 @@ def _pages(outcome: Outcome, output: Path, given: Path, source: Source | None, w
 
     numbers = [int(n) for n in outcome.estimates["clip"].unique()]
     with progress_bar("pages") as progress:
-        pages = Pages(output, numbers, source, given.name, list(outcome.notes), _typed())
+        pages = Pages(output, numbers, outcome.source, given.name, list(outcome.notes), _typed())
         write_pages(pages, outcome.estimates, workers, progress)
     return str(output / PAGE)
 

@@ -19,6 +19,8 @@ from commandline.errors import InputError
 from commandline.outputs import as_input_error, check_room, held
 from tracker import results
 from tracker.camera.frames import Source, open_source
+from tracker.camera.grey import GREY
+from tracker.detection.channel import in_its_channel
 from tracker.detection.choose import choose
 from tracker.detection.detect import detector
 from tracker.parallel import Progress, alone, in_parallel
@@ -35,7 +37,7 @@ ENDS = 1 << 16  # bytes at either end of a file that distinguish recordings
 class Outcome:
     """What a run did: the estimates, how many clips, how many of them now, frames tracked now.
 
-    notes: what was converted or assumed, each with the number of clips.
+    notes: what was converted or assumed, each with the number of clips. source: the films, as they were read.
     """
 
     estimates: pd.DataFrame
@@ -43,6 +45,7 @@ class Outcome:
     fresh: int
     frames: int
     notes: dict[str, int] = field(default_factory=dict)
+    source: Source | None = None
 
 
 def run(
@@ -52,6 +55,7 @@ def run(
     name: str | None,
     workers: int,
     progress: Progress = lambda done, of: None,
+    channel: str | None = None,
 ) -> Outcome:
     """Track every clip of a source into RESULTS; go on from what an interrupted run left in RESULTS.partial.
 
@@ -69,6 +73,8 @@ def run(
         Processes; 0: one a core, where so many are quicker.
     progress : callable
         Takes clips done and clips in all.
+    channel : str or None
+        Of films in colour; None: what the first clip asks for.
 
     Returns
     -------
@@ -80,21 +86,23 @@ def run(
     """
     if name is not None:
         detector(name)
-    source, why = open_source(path, camera), ""
+    source = open_source(path, camera)
     output = output.resolve()
     if source.path.resolve() in output.parents:
         raise InputError(f"{output}: lies in {source.path}, expected a folder outside it")
     if not output.exists():
         check_room(output)
+    first, why = in_its_channel(source.clip(0), channel)
+    source, said = replace(source, channel=first.channel), [why] if why else []
     if name is None:
-        first = source.clip(0)
         name, why = choose(first.frames, first.camera)
+        said += [why] if why else []
     plan = _plan(source, name)
     numbers = [number for number, _ in source.clips]
     if output.exists():
         _same_or_refuse(output, plan)
-        return Outcome(results.gather(output, numbers), len(source), 0, 0)
-    frames, notes = 0, Counter[str]({why: len(source)} if why else {})
+        return Outcome(results.gather(output, numbers), len(source), 0, 0, source=source)
+    frames, notes = 0, Counter[str]({note: len(source) for note in said})
     with _partial(output, plan) as partial:
         todo = [i for i, number in enumerate(numbers) if not results.is_done(partial, number)]
         progress(len(source) - len(todo), len(source))
@@ -103,7 +111,7 @@ def run(
             notes.update([note] if note else [])
             progress(len(source) - len(todo) + done, len(source))
         table = results.finish(partial, output, numbers)
-    return Outcome(table, len(source), len(todo), frames, dict(notes))
+    return Outcome(table, len(source), len(todo), frames, dict(notes), source)
 
 
 def measure_tables(
@@ -226,7 +234,8 @@ def _plan(source: Source, name: str) -> dict[str, Any]:
                 mark.update(stream.read(ENDS))
     for file in source.camera_files():
         mark.update(file.read_bytes())
-    return {"made_by": "tracker track", "detector": name, "clips": len(source), "input": mark.hexdigest()}
+    colour = {} if source.channel == GREY else {"channel": source.channel}
+    return {"made_by": "tracker track", "detector": name, "clips": len(source), "input": mark.hexdigest()} | colour
 
 
 def _each(source: Source, todo: list[int], partial: Path, name: str, workers: int) -> Iterator[tuple[int, str]]:

@@ -17,6 +17,7 @@ from tracker import results
 from tracker.camera.camera import Camera
 from tracker.camera.frames import Clip, open_frames, open_source, recorded
 from tracker.camera.memory import FILM, frames_in_memory
+from tracker.detection.channel import in_its_channel
 from tracker.detection.choose import DISCS, GLINTS, choose
 from tracker.detection.detect import DEFAULT, point_of, settled, view_of
 from tracker.detection.detect import detector as detector_named
@@ -157,7 +158,12 @@ class Result:
 
 
 def track(
-    film: Film, camera: GivenCamera | None = None, *, detector: str | None = None, number: int | None = None
+    film: Film,
+    camera: GivenCamera | None = None,
+    *,
+    detector: str | None = None,
+    channel: str | None = None,
+    number: int | None = None,
 ) -> Result:
     """Find, follow and measure the balls of one recording.
 
@@ -170,6 +176,8 @@ def track(
         What camera.json holds, or where it lies. Without one, what lies beside the film; else pixels are all there is.
     detector : str, optional
         How balls are found; default: what the film asks for.
+    channel : {"grey", "red", "green", "blue"}, optional
+        Of a film in colour; default: grey, unless another shows more balls.
     number : int, optional
         Of the clip; default: its folder's, else 0.
 
@@ -195,8 +203,9 @@ def track(
     """
     if detector is not None:
         detector_named(detector)  # an unknown one is reported before a film is read
-    clip = _opened(film, camera)
-    return followed(clip if number is None else replace(clip, number=number), detector)
+    clip, why = in_its_channel(_opened(film, camera), channel)
+    result = followed(clip if number is None else replace(clip, number=number), detector)
+    return replace(result, notes=(why, *result.notes)) if why else result
 
 
 def _opened(film: Film, camera: GivenCamera | None) -> Clip:

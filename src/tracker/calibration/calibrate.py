@@ -28,6 +28,7 @@ from tracker.results import write_json
 HEIGHTS = 2.5  # 1/m, scatter of 1/height of lamp less that of the camera: glints' distances differ from the balls'
 DISAGREE = 3.0  # standard errors between two ways to the scale, beyond which they disagree
 LARGEST_BALL = 0.5  # m
+ENCODED_ALIKE = 0.25  # of one contact's error, which lossy video has in all of them: encoders show slow balls late
 ROUGH = 12  # clips at most, from which scale, glint width and noise are first read
 FEWEST = 10  # glints, to say anything
 STRAY = 4.0  # deviations by which a contact may differ from the middle one
@@ -214,6 +215,8 @@ def _ways(seen: Sequence[_Seen], diameter: float) -> dict[str, tuple[float, floa
     contacts = [(t.distance, t.std) for s in seen for t in s.contact_distances]
     if contacts:
         distance, std = weighted_mean(contacts)  # of the glints, which are what is tracked without a lamp
+        if any(s.encoded for s in seen):
+            std = math.hypot(std, ENCODED_ALIKE * float(np.median([one for _, one in contacts])))
         out["contact"] = (diameter / distance, diameter / distance**2 * std)
     outlines = [(2.0 * s.outline.radius, 2.0 * s.outline.std) for s in seen if s.outline is not None]
     if outlines:

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from commandline.errors import InputError
 from tracker.camera.camera import Camera
-from tracker.camera.grey import Frames, linear
+from tracker.camera.grey import CONVERTED, GREY, Frames, linear
 from tracker.camera.pictures import PICTURES, TIFF, folder_frames, pictures_of
 from tracker.camera.stack import stack_frames
 from tracker.camera.video import VIDEOS, video_frames
@@ -21,12 +21,20 @@ GAMMA = "sensor.gamma: counts are made linear in light before anything else"
 
 @dataclass(frozen=True, eq=False)
 class Clip:
-    """One recording: its number, camera and frames; ``note`` says what was converted or assumed."""
+    """One recording: its number, camera and frames, of which channel; ``note`` says what was converted or assumed."""
 
     number: int
     camera: Camera
     frames: Frames
     note: str = ""
+    channel: str = GREY
+
+    def in_channel(self, name: str) -> Clip:
+        """The same recording in one colour of a film; "grey" is what it is."""
+        if name == GREY:
+            return self
+        note = self.note.replace(CONVERTED, f"of the colours, {name} is used")
+        return replace(self, frames=self.frames.in_channel(name), note=note, channel=name)
 
 
 @dataclass(frozen=True)
@@ -37,6 +45,7 @@ class Source:
     clips: tuple[tuple[int, Path], ...]
     camera: Path | None = None
     dataset: bool = False
+    channel: str = GREY
 
     def __len__(self) -> int:
         return len(self.clips)
@@ -50,7 +59,7 @@ class Source:
             raise InputError(f"{own}: no such file, expected the clip's camera.json")
         number, frames, note = self.film(index)
         camera = Camera.read(chosen) if chosen is not None else None
-        return recorded(number, frames, note, camera, (f"{location}", f"{chosen}"))
+        return recorded(number, frames, note, camera, (f"{location}", f"{chosen}")).in_channel(self.channel)
 
     def film(self, index: int) -> tuple[int, Frames, str]:
         """Number, frames and a note of clip ``index``, whatever its camera."""

@@ -1,4 +1,4 @@
-"""Frames in grey, each read when asked for, and what pictures may be."""
+"""Frames in grey, each read when asked for, and what pictures may be; of films in colour, one channel of them."""
 
 from __future__ import annotations
 
@@ -15,6 +15,9 @@ from tracker.camera.camera_keys import LONGEST_SIDE, MOST_PIXELS
 Frame = NDArray[np.uint8] | NDArray[np.uint16]
 
 GREY_WEIGHTS = (0.299, 0.587, 0.114)  # ITU-R BT.601, as OpenCV and scikit-image's users expect of red, green, blue
+GREY = "grey"
+CHANNELS = (GREY, "red", "green", "blue")
+CONVERTED = "colour converted to grey"
 
 
 class Frames(Sequence[Any]):
@@ -22,6 +25,7 @@ class Frames(Sequence[Any]):
 
     fps = 0.0  # that a video file claims
     lossy = False  # whether they were encoded with loss
+    colours: Callable[[int], Any] | None = None  # red, green and blue (h, w, 3) of a frame, where the film has them
 
     def __init__(self, count: int, shape: tuple[int, int], dtype: Any, fetch: Callable[[int], Frame]) -> None:
         self.shape: tuple[int, int, int] = (count, *shape)
@@ -45,6 +49,24 @@ class Frames(Sequence[Any]):
     def __iter__(self) -> Iterator[Frame]:
         return (self._fetch(k) for k in range(len(self)))
 
+    def like(self, fetch: Callable[[int], Frame], dtype: Any = None) -> Frames:
+        """As many frames of the same size, fetched in another way."""
+        out = Frames(len(self), self.shape[1:], dtype or self.dtype, fetch)
+        out.fps, out.lossy = self.fps, self.lossy
+        return out
+
+    def in_channel(self, name: str) -> Frames:
+        """The frames in "red", "green" or "blue"; "grey" is what they are. Raises InputError for a film in grey."""
+        if name not in CHANNELS:
+            raise InputError(f"--channel: expected one of {', '.join(CHANNELS)}, not {name!r}")
+        colours = self.colours
+        if name == GREY:
+            return self
+        if colours is None:
+            raise InputError(f"--channel: the film is in grey, expected no {name!r}")
+        layer = CHANNELS.index(name) - 1
+        return self.like(lambda k: np.ascontiguousarray(colours(k)[..., layer]))
+
 
 def grey_frames(
     path: Path | str, count: int, plane: tuple[int, ...], dtype: Any, fetch: Callable[[int], Any]
@@ -59,15 +81,18 @@ def grey_frames(
         mix = fetch(k)[..., :3] @ np.array(GREY_WEIGHTS)
         return np.round(mix).astype(dtype)
 
-    return Frames(count, (plane[0], plane[1]), dtype, grey), "colour converted to grey"
+    out = Frames(count, (plane[0], plane[1]), dtype, grey)
+    out.colours = fetch if plane[2] > 2 else None
+    return out, CONVERTED
 
 
 def linear(frames: Frames, gamma: float) -> Frames:
     """The same frames with counts in proportion to light, in 16 bits, where they were light to the power of 1/gamma."""
     top = 2.0 ** (8 * frames.dtype.itemsize) - 1
     table = np.rint((np.arange(top + 1) / top) ** gamma * (2**16 - 1)).astype(np.uint16)
-    out = Frames(len(frames), frames.shape[1:], np.uint16, lambda k: table[frames[k]])
-    out.fps, out.lossy = frames.fps, frames.lossy
+    out, colours = frames.like(lambda k: table[frames[k]], np.uint16), frames.colours
+    if colours is not None:
+        out.colours = lambda k: table[colours(k)]
     return out
 
 

@@ -23,7 +23,7 @@ from av.video.reformatter import ColorRange
 from numpy.typing import NDArray
 
 from commandline.errors import InputError
-from tracker.camera.grey import Frames, grey_frames, not_too_large
+from tracker.camera.grey import CONVERTED, Frames, grey_frames, not_too_large
 
 VIDEOS = (".avi", ".mkv", ".mp4", ".mov", ".m4v", ".mpg", ".mpeg", ".webm")
 LOSSLESS = "ffv1 rawvideo huffyuv ffvhuff utvideo magicyuv lagarith png tiff bmp dpx qtrle v210 v410 r210".split()
@@ -73,6 +73,8 @@ def video_frames(path: Path) -> tuple[Frames, str]:
     reader = _Reader(path, found, grey)
     frames, mixed = grey_frames(path, len(found.times), first.shape, dtype, reader)
     frames.fps, frames.lossy = found.fps, found.codec not in LOSSLESS
+    if coloured:
+        frames.colours = _Reader(path, found, _colours(found.first, deep))
     return frames, "; ".join(filter(None, [mixed or coloured, *_faults(found)]))
 
 
@@ -226,15 +228,10 @@ class _Reader:
 
 def _conversion(first: VideoFrame) -> tuple[Callable[[VideoFrame], NDArray[Any]], bool, str]:
     """How frames become counts (or red, green and blue), whether in 16 bits, and a note where chroma is left out."""
-    layout, turn = first.format, round(first.rotation / 90) % 4
+    layout, turn = first.format, _turn(first)
     bits = max(part.bits for part in layout.components)
     if layout.is_rgb or layout.has_palette or layout.is_bayer:
-        name = "rgb48le" if bits > 8 else "rgb24"
-
-        def colours(frame: VideoFrame) -> NDArray[Any]:
-            return np.rot90(frame.reformat(format=name).to_ndarray(), turn)
-
-        return colours, bits > 8, ""
+        return _colours(first, bits > 8), bits > 8, ""
     other = "" if LUMA_FIRST.fullmatch(layout.name) else "yuv444p16le" if bits > 8 else "yuv444p"
     bits = 16 if other == "yuv444p16le" else bits
     full = first.color_range == ColorRange.JPEG or layout.name.startswith("yuvj")
@@ -250,7 +247,18 @@ def _conversion(first: VideoFrame) -> tuple[Callable[[VideoFrame], NDArray[Any]]
             counts = plane.copy() if table is None else table[plane]
         return np.ascontiguousarray(np.rot90(counts, turn)) if turn else counts
 
-    return luma, bits > 8, "colour converted to grey" if _coloured(first) else ""
+    return luma, bits > 8, CONVERTED if _coloured(first) else ""
+
+
+def _colours(first: VideoFrame, deep: bool) -> Callable[[VideoFrame], NDArray[Any]]:
+    """Frames as red, green and blue, (h, w, 3)."""
+    name, turn = "rgb48le" if deep else "rgb24", _turn(first)
+    return lambda frame: np.rot90(frame.reformat(format=name).to_ndarray(), turn)
+
+
+def _turn(first: VideoFrame) -> int:
+    """Quarters of a turn to the left by which pictures are shown."""
+    return round(first.rotation / 90) % 4
 
 
 def _plane(frame: VideoFrame, index: int, bits: int) -> NDArray[Any]:

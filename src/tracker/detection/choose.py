@@ -54,7 +54,7 @@ def choose(frames: Sequence[Any], camera: Camera) -> tuple[str, str]:
     if not any(_large(np.asarray(frames[k]), level, least, smallest) for k in picks):
         return GLINTS, ""
     level = still_background(frames, noise).level
-    seen = [_radii(np.asarray(frames[k]), level, least, expected) for k in picks]
+    seen = [round_bodies(np.asarray(frames[k]), level, least, expected) for k in picks]
     radii = np.concatenate(seen)
     if len(radii) == 0:
         return GLINTS, ""
@@ -72,7 +72,7 @@ def _large(frame: NDArray[Any], level: NDArray[Any], least: float, smallest: flo
     return bool((areas > smallest).any())
 
 
-def _radii(frame: NDArray[Any], level: NDArray[Any], least: float, expected: float | None) -> NDArray[np.float64]:
+def round_bodies(frame: NDArray[Any], level: NDArray[Any], least: float, expected: float | None) -> NDArray[np.float64]:
     """Radii, px, of the round bodies in one frame."""
     mask = (np.abs(frame - level) > least).view(np.uint8)
     _, labels, boxes, middles = cv2.connectedComponentsWithStats(mask, connectivity=4)

@@ -37,6 +37,7 @@ class Part:
     way: Array  # px (2,), that a disc moved during the exposure to look so
     contrast: float  # counts, the median
     sign: int  # brighter than the background 1, darker -1, either 0
+    lean: Array  # (2,): the slope of its contrast over the contrast, a radius
 
     @property
     def radius(self) -> float:
@@ -86,8 +87,12 @@ def parts_of(apart: NDArray[Any], own: NDArray[np.bool_], box: Box, sign: int, l
             middle = cv2.minEnclosingCircle(line)[0] + np.array([left - 1, top - 1])
         minor = 2 * np.sqrt(max(most if leans else least, 0.0))
         full = float(m["m00"] / (4 * np.pi * np.sqrt(max(least * most, 1e-9))))
-        contrast = float(np.median(inside[(mask[1:-1, 1:-1] > 0) & own]))
-        parts.append(Part(mask, left - 1, top - 1, m["m00"], middle, minor, full, way, contrast, sign))
+        rows, columns = np.nonzero((mask[1:-1, 1:-1] > 0) & own)
+        light = inside[rows, columns]
+        moments = [np.dot(light, at - at.sum() / max(len(at), 1)) for at in (columns, rows)]
+        lean = 4 * np.array(moments) / max(float(light.sum()) * minor, 1e-9)
+        contrast = float(np.median(light))
+        parts.append(Part(mask, left - 1, top - 1, m["m00"], middle, minor, full, way, contrast, sign, lean))
     return parts
 
 

@@ -28,6 +28,8 @@ RIM = 4  # px about an object, that may still be its
 TRUSTED = 0.12  # of the radius that the camera file gives, by which that seen may differ
 TIED = 0.002  # of the radius: by which radii of balls lit from one side may differ, whose far sides are hardly seen
 SHADOWED = 0.5  # of the bright discs, beside which something is darker than the background: balls that cast shadows
+LIT = 0.15  # of the contrast, a radius: the slope by which a lamp on one side shows, where no shadow does
+MOST_LIT = 0.8  # of the discs, that have half that slope in the same direction
 CLOSE = 0.1  # of a radius, within which two are counted as the same
 SECOND = 0.3  # of the most common radius's count, that of a second one
 FEWEST = 3  # discs at rest, from which their radius is read
@@ -218,7 +220,7 @@ class Discs:
             dark = [p for p in parts if p.sign < 0 and p.is_disc(given or p.minor)]
             alone += sum(not any(casts(p, d) for p in balls) for d in dark)
         least = max(SHADOWED * len(bright), FEWEST)
-        if shadowed > least:
+        if shadowed > least or (len(bright) > FEWEST and 2 * len(bright) > len(either) and _lit_alike(bright)):
             self.dark_balls = alone > least
             return bright
         self.signs = (0,)
@@ -300,6 +302,14 @@ def _brighter(light: NDArray[np.float32], level: Array) -> float:
     step = max(1, int(np.sqrt(light.size / 16_000)))
     change = float(np.median(light[::step, ::step] - level[::step, ::step]))
     return change if abs(change) > 1 else 0.0
+
+
+def _lit_alike(discs: list[Part]) -> bool:
+    """Whether discs are brighter on one side, all on the same."""
+    leans = np.array([disc.lean for disc in discs])
+    mean = np.median(leans, axis=0)
+    size = float(np.hypot(*mean))
+    return size > LIT and float(np.quantile(leans @ mean / size, 1 - MOST_LIT)) > LIT / 2
 
 
 def _common(radii: Array) -> list[float]:

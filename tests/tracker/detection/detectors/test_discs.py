@@ -9,6 +9,7 @@ from tracker.camera.camera import Camera
 from tracker.camera.memory import frames_in_memory
 from tracker.detection.detect import detect, view_of
 from tracker.detection.detectors.discs import Discs
+from tracker.detection.glints import SHADED
 from tracker.detection.still_background import still_background
 
 
@@ -99,6 +100,20 @@ def test_balls_lit_from_one_side_that_cast_shadows():
     assert np.bincount(ball_of).tolist() == [ways.shape[1]] * 2
     assert np.abs(miss).max() < 0.025 * R
     assert any("taken for the shadows" in note and "1 % of the radius" in note for note in discs.notes())
+
+
+def test_balls_lit_from_one_side_on_a_plate_too_dark_for_shadows():
+    """Their bright sides alone tell the lamp: found at their own places, with errors that know of it."""
+    ways = collision()
+    ground = plate(np.random.default_rng(9), 14.0, 1.0) - plate(np.random.default_rng(9), 0.0, 0.0)
+    clip = recorded(lit_film(np.random.default_rng(7), ways, (0.35, -0.2), ground=ground), Camera.from_dict(CAMERA))
+    found = Discs(view_of(clip, "discs")).many(enumerate(clip.frames))
+    places = ways[:, found.frame]
+    ball_of = np.hypot(*np.moveaxis(places - found.xy, -1, 0)).argmin(axis=0)
+    miss = found.xy - places[ball_of, np.arange(len(found))]
+    assert np.bincount(ball_of).tolist() == [ways.shape[1]] * 2
+    assert (found.flags & SHADED).all()
+    assert np.abs(miss.mean(axis=0)).max() < 0.02 * R
 
 
 def test_what_one_detector_misses_is_left_to_the_other(monkeypatch):

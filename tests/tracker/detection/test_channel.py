@@ -1,0 +1,58 @@
+"""The colour in which a film shows its balls."""
+
+import numpy as np
+import pytest
+from tracker_discs import CAMERA, SIZE, apart, disc, film
+
+import tracker
+from commandline.errors import InputError
+from tracker.camera.camera import Camera
+from tracker.camera.memory import frames_in_memory
+from tracker.detection.channel import choose_channel
+
+GREEN, RED, WHITE = (20.0, 100.0, 30.0), (180.0, 18.0, 27.0), (200.0, 200.0, 200.0)  # green and red of one luma, 68
+
+
+def cloth(ways, balls):
+    """uint8 frames (n, h, w, 3) of coloured discs on green."""
+    rng, out = np.random.default_rng(1), []
+    for k in range(ways.shape[1]):
+        picture = np.broadcast_to(GREEN, (*SIZE, 3)).copy()
+        for way, ball in zip(ways, balls, strict=True):
+            cover = disc(way[k])[..., None]
+            picture = picture * (1 - cover) + np.array(ball) * cover
+        out.append(np.clip(np.rint(picture + rng.normal(0, 2.0, picture.shape)), 0, 255))
+    return np.array(out).astype(np.uint8)
+
+
+def test_a_ball_as_grey_as_the_cloth_is_seen_in_its_colour():
+    ways = apart(30)
+    pictures = cloth(ways, (RED, WHITE))
+    result = tracker.track(pictures, CAMERA)
+    assert any(note.startswith("channel: red, for ") for note in result.notes)
+    assert result.tracks.groupby("particle").size().tolist() == [30, 30]
+    places = ways[:, result.tracks["frame"]]
+    miss = np.hypot(*np.moveaxis(places - result.tracks[["x", "y"]].to_numpy(), -1, 0)).min(axis=0)
+    assert miss.max() < 0.1
+    grey = tracker.track(pictures, CAMERA, channel="grey")
+    assert len(grey.tracks) <= 35
+    assert not any("channel" in note for note in grey.notes)
+
+
+def test_grey_is_kept_where_it_shows_as_much():
+    assert choose_channel(frames_in_memory(cloth(apart(30), (WHITE, WHITE)))[0], Camera.from_dict(CAMERA)) == (
+        "grey",
+        "",
+    )
+    assert (
+        choose_channel(frames_in_memory(film(np.random.default_rng(0), apart(9)))[0], Camera.from_dict(CAMERA))[1] == ""
+    )
+
+
+@pytest.mark.parametrize(("pictures", "name", "said"), [
+    (np.zeros((5, 40, 40), np.uint8), "red", "--channel: the film is in grey, expected no 'red'"),
+    (np.zeros((5, 40, 40, 3), np.uint8), "mauve", "--channel: expected one of grey, red, green, blue, not 'mauve'"),
+])  # fmt: skip
+def test_a_channel_that_is_not_there_is_one_line(pictures, name, said):
+    with pytest.raises(InputError, match=said):
+        tracker.track(pictures, channel=name)
