@@ -6,8 +6,9 @@ import ctypes
 import multiprocessing
 import os
 import time
+from collections import deque
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import suppress
 from pathlib import Path
@@ -20,14 +21,16 @@ from commandline.errors import InputError
 T = TypeVar("T")
 MALLOPT = (-1, -3)  # M_TRIM_THRESHOLD, M_MMAP_THRESHOLD of malloc.h
 KEPT = 32 << 20  # bytes
-STARTING = 5.0  # s of a processor: for less work it does not pay to start processes
+STARTING = 3.0  # s of a processor: for less work it does not pay to start processes, which load for half as long
+AHEAD = 2  # numbers that each of the others has, so that none waits for this process
 Progress = Callable[[int, int], None]
 
 
 def in_parallel(task: Callable[[int], T], todo: Sequence[int], workers: int, where: Path) -> Iterator[T]:
-    """What task gives for each number, in whatever order, by so many processes. where: what an error names.
+    """What task gives for each number, in whatever order, by so many processes, this one among them.
 
-    workers 0: this process begins; others join it where the time of the second shows that it has much to do.
+    workers 0: others join this one where the time of its second number shows that it has much to do. where: what an
+    error names.
     """
     if workers == 0:
         seconds = 0.0
@@ -41,12 +44,16 @@ def in_parallel(task: Callable[[int], T], todo: Sequence[int], workers: int, whe
     if workers <= 1 or len(todo) <= 1:
         yield from map(task, todo)
         return
-    context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(min(workers, len(todo)), mp_context=context) as pool:
-        waiting = {pool.submit(task, index) for index in todo}
+    context, others = multiprocessing.get_context("spawn"), min(workers, len(todo)) - 1
+    with ProcessPoolExecutor(others, mp_context=context) as pool:
+        queue, waiting = deque(todo), set[Future[T]]()
         try:
-            while waiting:
-                done, waiting = wait(waiting, return_when=FIRST_COMPLETED)
+            while queue or waiting:
+                while queue and len(waiting) < AHEAD * others:
+                    waiting.add(pool.submit(task, queue.popleft()))
+                if queue:
+                    yield task(queue.popleft())
+                done, waiting = wait(waiting, 0 if queue else None, FIRST_COMPLETED)
                 for future in done:
                     yield future.result()
         except BrokenProcessPool:

@@ -14,8 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2 as chi2_law
-from scipy.stats import norm
+from scipy.special import chdtrc, ndtri
 
 from discrepancy import policy
 from discrepancy.arrays import Array, Ints
@@ -333,7 +332,7 @@ def _size(parts: Sequence[_Part], pulls: Array, noisy: float) -> float:
 
 
 def _corrected(chi2: float, dof: int, trials: int) -> float:
-    p = trials * float(chi2_law.sf(chi2, dof))
+    p = trials * float(chdtrc(dof, chi2))
     if p >= 1:
         return 0.0
-    return float(norm.isf(p / 2)) if p > 1e-250 else sigmas(chi2, dof)
+    return float(-ndtri(p / 2)) if p > 1e-250 else sigmas(chi2, dof)

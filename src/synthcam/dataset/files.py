@@ -21,7 +21,6 @@ from numpy.typing import NDArray
 
 from commandline.errors import InputError
 from synthcam.dataset.card import card
-from synthcam.dataset.video import Video
 from synthcam.scene import ground_truth
 from synthcam.scene.clip import Clip
 
@@ -52,6 +51,8 @@ def write_clip(
     if frames is not None:
         how, film = clip.drawn.get("video"), None
         if how:
+            from synthcam.dataset.video import Video  # here alone: FFmpeg's libraries are slow to load
+
             film = Video(folder, how, clip.camera.fps, clip.camera.size, clip.sensor.bits)
             frames = film.passing(frames)
         pixels, file = _write_tiff(folder / VIDEO, clip, frames, compression)

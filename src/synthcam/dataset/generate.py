@@ -26,7 +26,7 @@ from synthcam.scene.clip import Clip
 from synthcam.scene.scene import Scene, check_scene
 
 FULL = {errno.ENOSPC, errno.EDQUOT, errno.EROFS}  # what will happen to the next clip as well
-STARTING = 5.0  # s of a processor: for less work it does not pay to start processes
+STARTING = 3.0  # s of a processor: for less work it does not pay to start processes, which load for half as long
 
 
 @dataclass(frozen=True)
@@ -219,11 +219,8 @@ def _here(
             workers = workers or ((os.cpu_count() or 1) if work * len(todo) > STARTING else 1)
             if announce:
                 announce(_estimate(made, trials, seconds, len(todo), workers))
-    if min(workers, len(todo)) > 1:
-        document = json.dumps(plan.document())
-        yield from each(todo, min(workers, len(todo)), partial(_ready, document, *folders))
-    else:
-        yield from ((number, make_clip(plan, number, *folders)) for number in todo)
+    others, document = max(min(workers, len(todo)) - 1, 0), json.dumps(plan.document())
+    yield from each(todo, others, partial(_ready, document, *folders), lambda k: make_clip(plan, k, *folders))
 
 
 def _estimate(made: Partial, trials: list[int], seconds: float, clips: int, workers: int) -> str:

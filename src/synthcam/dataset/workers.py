@@ -6,28 +6,35 @@ import multiprocessing
 import os
 import signal
 import threading
+from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
+from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
 
 from commandline.errors import InputError
 
 Work = Callable[[int], str]
-Worker = tuple[BaseProcess, int]
+Worker = tuple[BaseProcess, deque[int]]  # and the numbers that it was given, the first of which it is at
 IN_A_ROW = 3  # workers lost one after the other, with nothing done in between, before all is given up
 
 
-def each(todo: Iterable[int], workers: int, prepare: Callable[[], Work]) -> Iterator[tuple[int, str]]:
+def each(
+    todo: Iterable[int], workers: int, prepare: Callable[[], Work], here: Work | None = None
+) -> Iterator[tuple[int, str]]:
     """Do numbered work in processes.
 
     Parameters
     ----------
     todo : iterable of int
     workers : int
+        Processes to start.
     prepare : callable
         Called once in each worker; gives the work, which takes a number and returns what went wrong, or ''. Must
         pickle.
+    here : callable, optional
+        The same work, that this process does beside them; workers are then given a number ahead.
 
     Yields
     ------
@@ -39,21 +46,26 @@ def each(todo: Iterable[int], workers: int, prepare: Callable[[], Work]) -> Iter
     InputError
         Where no worker lives long enough to do anything.
     """
-    queue, busy, lost = iter(todo), dict[Connection, Worker](), 0
+    queue, busy, lost = deque(todo), dict[Connection, Worker](), 0
+    ahead = 1 if here is None else 2
     try:
         for _ in range(workers):
-            _hand_out(queue, busy, *_start(prepare))
-        while busy:
-            for pipe in wait(list(busy)):
+            _hand_out(queue, busy, *_start(prepare), ahead)
+        while busy or queue:
+            if here is not None and queue:
+                number = queue.popleft()
+                yield number, here(number)
+            for pipe in wait(list(busy), 0 if here is not None and (queue or not busy) else None):
                 assert isinstance(pipe, Connection)
-                process, number = busy.pop(pipe)
-                said = _hear(pipe, process)
+                process, given = busy.pop(pipe)
+                said, number = _hear(pipe, process), given.popleft()
                 lost = 0 if said is not None else lost + 1
                 if said is not None:
-                    _hand_out(queue, busy, pipe, process)
+                    _hand_out(queue, busy, pipe, (process, given), ahead)
                 elif lost < IN_A_ROW:
                     pipe.close()
-                    _hand_out(queue, busy, *_start(prepare))
+                    queue.extendleft(reversed(given))
+                    _hand_out(queue, busy, *_start(prepare), ahead)
                 else:
                     raise InputError(f"clip {number}: {_end(process)}, the {lost}th in a row; is there enough memory?")
                 yield number, said if said is not None else f"its {_end(process)}"
@@ -64,7 +76,7 @@ def each(todo: Iterable[int], workers: int, prepare: Callable[[], Work]) -> Iter
             pipe.close()
 
 
-def _start(prepare: Callable[[], Work]) -> tuple[Connection, BaseProcess]:
+def _start(prepare: Callable[[], Work]) -> tuple[Connection, Worker]:
     # llvmpipe with its own threads, or BLAS with its own, would fight over the same cores
     os.environ |= {"LP_NUM_THREADS": "0", "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
     context = multiprocessing.get_context("spawn")
@@ -73,7 +85,7 @@ def _start(prepare: Callable[[], Work]) -> tuple[Connection, BaseProcess]:
     with _deaf():
         process.start()
     there.close()  # so that the worker's end is the only one, and its death is heard
-    return here, process
+    return here, (process, deque())
 
 
 @contextmanager
@@ -82,6 +94,7 @@ def _deaf() -> Iterator[None]:
     if not hasattr(signal, "pthread_sigmask"):
         yield
         return
+    resource_tracker.ensure_running()  # as the first process starts, this would let Ctrl-C through again
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield
@@ -89,15 +102,20 @@ def _deaf() -> Iterator[None]:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
-def _hand_out(queue: Iterator[int], busy: dict[Connection, Worker], pipe: Connection, process: BaseProcess) -> None:
-    number = next(queue, None)
+def _hand_out(queue: deque[int], busy: dict[Connection, Worker], pipe: Connection, worker: Worker, ahead: int) -> None:
+    """Give a worker numbers until it has `ahead` of them; without any it ends."""
+    process, given = worker
     with suppress(OSError):  # died meanwhile: heard as soon as one listens
-        pipe.send(number)
-    if number is None:
+        while queue and len(given) < ahead:
+            given.append(queue.popleft())
+            pipe.send(given[-1])
+        if not given:
+            pipe.send(None)
+    if given:
+        busy[pipe] = worker
+    else:
         process.join()
         pipe.close()
-    else:
-        busy[pipe] = (process, number)
 
 
 def _hear(pipe: Connection, process: BaseProcess) -> str | None:

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from commandline.errors import InputError
 from synthcam.camera.pinhole import Camera, Lamp
@@ -18,7 +17,6 @@ from synthcam.camera.room.finish import Look
 from synthcam.camera.sensor import Sensor
 from synthcam.camera.surface import Surface
 from synthcam.dynamics.launch import Launch
-from synthcam.dynamics.turning import Turning
 from synthcam.model import Model, build
 from synthcam.scene import ground_truth
 from synthcam.scene.apparatus import camera_json, camera_of, lamp_of, surface_of, unfit
@@ -29,6 +27,8 @@ from synthcam.scene.motion import Motion
 
 if TYPE_CHECKING:
     import pandas as pd
+
+    from synthcam.dynamics.turning import Turning
 
 LABELS = {"a": ("b", "a"), "b": ("a", "b")}  # of ball 1 and ball 2, by the striker
 UPSTREAM = 0.015 / 0.6  # s: at 0.6 m/s the contact lies 15 mm before the centre, so that the slide's end is in view
@@ -139,6 +139,10 @@ class Clip:
         """How the balls are turned, where a pattern shows it: at random as the motion starts."""
         if self.look is None or not self.look.turning:
             return None
+        from scipy.spatial.transform import Rotation  # here alone: slow to load, and few balls have a pattern
+
+        from synthcam.dynamics.turning import Turning
+
         stream = np.random.SeedSequence(self.seed, spawn_key=(self.number, zlib.crc32(b"turning")))
         first = Rotation.random(len(self.launch.bodies.radius), rng=np.random.default_rng(stream))
         return Turning(self.view.motion, first.as_quat())

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pickle
 from collections.abc import Iterator
 from functools import lru_cache
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,8 +14,10 @@ from synthcam.camera.pinhole import Camera, Lamp
 from synthcam.camera.room.finish import Look
 from synthcam.camera.sensor import Chip, Sensor
 from synthcam.camera.surface import Surface
-from synthcam.dynamics.turning import Turning
 from synthcam.scene.filmed_motion import View
+
+if TYPE_CHECKING:
+    from synthcam.dynamics.turning import Turning
 
 APART = 1 << 64  # between the seeds of a colour camera's chips
 Array = NDArray[np.float64]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
@@ -11,9 +11,11 @@ from synthcam.camera.pinhole import Camera, Lamp, glint_px
 from synthcam.dynamics.kinematics import Array, rolling_velocity
 from synthcam.dynamics.launch import Launch
 from synthcam.dynamics.trajectory import Event, Trajectory
-from synthcam.dynamics.turning import Turning
 from synthcam.model import Bodies, Model
 from synthcam.scene.filmed_motion import View
+
+if TYPE_CHECKING:
+    from synthcam.dynamics.turning import Turning
 
 NAN = float("nan")
 COLLISION = (

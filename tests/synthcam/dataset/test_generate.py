@@ -57,20 +57,20 @@ def test_two_workers_make_the_same_bytes(one, tmp_path):
     assert not (tmp_path / "d.partial").exists()
 
 
-@pytest.mark.parametrize(("seconds", "elsewhere"), [(0.0, []), (2.0, [1, 2, 4])])
-def test_processes_start_where_there_is_much_to_do(one, tmp_path, monkeypatch, seconds, elsewhere):
+@pytest.mark.parametrize(("seconds", "others"), [(0.0, 0), (2.0, 1)])
+def test_processes_start_where_there_is_much_to_do(one, tmp_path, monkeypatch, seconds, others):
     """With three of six clips to come, each of so many seconds."""
-    clock, there = itertools.count(0, seconds), []
+    clock, asked = itertools.count(0, seconds), []
 
-    def each(todo, workers, prepare):
-        there.extend(todo)
-        return [(number, prepare()(number)) for number in todo]
+    def each(todo, workers, prepare, here):
+        asked.append((todo, workers))
+        return [(number, (prepare() if workers else here)(number)) for number in todo]
 
     monkeypatch.setattr(generate.time, "process_time", lambda: next(clock))
     monkeypatch.setattr(generate.os, "cpu_count", lambda: 2)
     monkeypatch.setattr(generate, "each", each)
     run(plan(), tmp_path / "d", 0, quiet)
-    assert there == elsewhere
+    assert asked == [([1, 2, 4], others)]
     assert sums(tmp_path / "d") == sums(one)
 
 

@@ -56,6 +56,25 @@ def test_a_killed_worker_loses_its_number_only():
     assert all(said[k].startswith("odd") for k in (1, 3, 5, 7))
 
 
+def test_this_process_works_beside_the_others():
+    said = dict(each(range(100, 400), 1, functools.partial(ready, ()), ready(())))
+    assert sorted(said) == list(range(100, 400))
+    by = {int(said[k].split()[1]) for k in range(101, 400, 2)}
+    assert os.getpid() in by
+    assert len(by) == 2
+
+
+def test_what_a_killed_worker_had_ahead_is_done_by_others():
+    said = dict(each([2, 5, 4, 6, 8], 1, functools.partial(ready, (2,)), lambda number: f"here {number}"))
+    assert said.pop(2) == "its worker was killed (SIGKILL)"
+    assert sorted(said) == [4, 5, 6, 8]
+    assert not any("killed" in text for text in said.values())
+
+
+def test_without_workers_this_process_does_all():
+    assert dict(each([1, 2], 0, dead, str)) == {1: "1", 2: "2"}
+
+
 def test_workers_that_all_die_are_given_up():
     with pytest.raises(InputError, match=r"clip \d+: worker ended \(status 3\), the 3th in a row"):
         list(each(range(1000), 2, dead))

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from scipy.stats import chi2, f
+from scipy.special import chdtrc, fdtrc
 
 from tracker.measurement.collision.derived import NAMES, Values
 from tracker.measurement.collision.fitting import Fit
@@ -65,10 +65,10 @@ def p_value(square: float, dof: float, known: float) -> float:
     if not dof > 0 or not known > 0:
         return np.nan
     if np.isinf(known):
-        return float(chi2.sf(square, dof))
+        return float(chdtrc(dof, square))
     if known > 0.9 * dof:
-        return float(f.sf(square / dof, dof, known))
-    return float(f.sf(max(square - known, 0.0) / (dof - known), dof - known, known))
+        return float(fdtrc(dof, known, square / dof))
+    return float(fdtrc(dof - known, known, max(square - known, 0.0) / (dof - known)))
 
 
 def p_free(rows: list[dict[str, Any]], size: Size, ratio: float = 1.0) -> float:
@@ -86,7 +86,7 @@ def agreement(tied: Fit, free: Fit, known: float) -> float:
     more, rise = tied.dof - free.dof, max(tied.chi2 - free.chi2, 0.0)
     if not more > 0 or not known > 0:
         return np.nan
-    return float(chi2.sf(rise, more) if np.isinf(known) else f.sf(rise / more, more, known))
+    return float(chdtrc(more, rise) if np.isinf(known) else fdtrc(more, known, rise / more))
 
 
 def questioned(values: Values, stretch: float) -> str:

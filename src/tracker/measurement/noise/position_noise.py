@@ -12,7 +12,7 @@ from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
+from scipy.special import chdtr, chdtri
 
 from tracker.measurement.noise.whitening import covariance
 
@@ -43,7 +43,7 @@ class Ball(Protocol):
     @property
     def width(self) -> float: ...
     @property
-    def leaning(self) -> tuple[float, float]: ...
+    def drift(self) -> tuple[float, float]: ...
     def __len__(self) -> int: ...
 
 
@@ -79,10 +79,10 @@ def scatter(balls: Sequence[Ball]) -> Size | None:
     if sum(int(moved.sum()) for _, _, moved in parts) >= ENOUGH:
         parts = [(starts[moved], left[moved], moved[moved]) for starts, left, moved in parts]
     left = np.concatenate([part[1] for part in parts])
-    typical = float(np.median(left)) / chi2.ppf(0.5, DOF)
-    kept = left[left <= typical * chi2.ppf(KEPT, DOF)]
+    typical = float(np.median(left)) / chdtri(DOF, 0.5)
+    kept = left[left <= typical * chdtri(DOF, 1 - KEPT)]
     # the mean of what is kept of a window with normal errors, over that of a whole one
-    share = chi2.cdf(chi2.ppf(KEPT, DOF), DOF + 2) / KEPT
+    share = chdtr(DOF + 2, chdtri(DOF, 1 - KEPT)) / KEPT
     return Size(max(float(kept.mean() / (DOF * share)), LEAST), SPARED * _freedom([part[0] for part in parts]))
 
 
@@ -110,7 +110,7 @@ def _spread(course: Ball, windows: slice, over: Floats) -> Floats:
     rows = slice(windows.start, windows.stop + WINDOW - 1)
     out = np.zeros((k, 2, OVER, 2, OVER))
     if course.fixed.any() and course.width > 0:
-        whole = covariance(course.position[rows], course.cov[rows], course.fixed[rows], course.width, course.leaning)
+        whole = covariance(course.position[rows], course.cov[rows], course.fixed[rows], course.width, course.drift)
         n = len(whole) // 2
         full = whole.reshape(n, 2, n, 2)
         each = np.arange(k)[:, None] + np.arange(WINDOW)

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from tracker_noisy import BENCHMARK, dataset, noisy, truth_of
+from tracker_noisy import BENCHMARK, dataset, noisy, scalars_of, truth_of
 
 from tracker.measurement.estimate import measure
 from tracker.measurement.noise.position_noise import scatter
@@ -12,8 +12,12 @@ from tracker.measurement.positions import Course, courses
 
 
 @pytest.fixture(scope="module")
-def clips(tmp_path_factory):
-    data = dataset(tmp_path_factory.mktemp("scatter") / "data", BENCHMARK, 12)
+def data(tmp_path_factory):
+    return dataset(tmp_path_factory.mktemp("scatter") / "data", BENCHMARK, 12)
+
+
+@pytest.fixture(scope="module")
+def clips(data):
     return [truth_of(data, clip) for clip in range(12)]
 
 
@@ -101,6 +105,22 @@ def test_a_row_says_where_its_errors_come_from(clips):
     assert np.mean(z) == pytest.approx(1, abs=0.15)
 
 
+def test_errors_bear_what_an_encoder_shifts_for_long(data, clips):
+    """Positions off by .1 px, and by a fifth of that for some 30 frames on end, as at crf 28; z's of all quantities."""
+    names, truths, z = ("v0", "r", "mu_k", "tau1", "tau2", "energy_fraction"), scalars_of(data), []
+    for draw in range(72):
+        truth, camera = clips[draw % 12]
+        rng = np.random.default_rng(draw)
+        tracks = noisy(truth, rng, 0.1)
+        shift, kept = rng.normal(0, 0.1 * np.sqrt(0.05), (len(tracks.frame), 2)), np.exp(-1 / 30)
+        for k in np.flatnonzero(np.diff(tracks.particle) == 0) + 1:
+            shift[k] = kept * shift[k - 1] + np.sqrt(1 - kept**2) * shift[k]
+        moved = replace(tracks, x=tracks.x + shift[:, 0], y=tracks.y + shift[:, 1])
+        (row,) = measure(moved, replace(camera, sensor=replace(camera.sensor, codec_noise=3.0)))
+        z.append([(row[name] - truths[name][draw % 12]) / row[f"{name}_std"] for name in names])
+    assert np.sqrt(np.nanmean(np.square(z))) == pytest.approx(1, abs=0.1)
+
+
 def test_of_an_encoded_film_errors_are_as_large_as_a_free_fit_leaves(clips):
     """A wobble too slow for windows of seven frames, as large as the noise, is an encoder's doing."""
     seen = []
@@ -112,7 +132,7 @@ def test_of_an_encoded_film_errors_are_as_large_as_a_free_fit_leaves(clips):
         (coded,) = measure(wobbly, replace(camera, sensor=replace(camera.sensor, codec_noise=3.0)))
         if plain["adequate_free"] < 1e-6 and plain["noise"] == "given":
             assert (coded["status"], coded["noise"]) == ("ok", "scatter")
-            assert coded["noise_ratio"] == pytest.approx(np.sqrt(plain["chi2_free"] / plain["dof_free"]), rel=1e-6)
+            assert coded["noise_ratio"] == pytest.approx(np.sqrt(plain["chi2_free"] / plain["dof_free"]), rel=0.02)
         seen.append((plain["status"], coded["status"]))
     assert seen.count(("misfit", "ok")) >= 3
     tracks = noisy(clips[0][0], np.random.default_rng(0), 0.05)
