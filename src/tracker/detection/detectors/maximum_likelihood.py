@@ -148,7 +148,7 @@ class MaximumLikelihood:
         clipped = np.any((patches.counts >= self.sensor.ceiling) & patches.inside, axis=(1, 2))
         patches = self._level(patches)
         bowl = self._bowl(position)
-        if self.profile is None and self.bounded:
+        if self.profile is None and self.bounded and not self.sensor.codec_noise:  # encoders leave nothing of the shine
             self._learn(patches, position, blur, bowl)
         own = ~clipped & self.small
         found, good, light, _ = self._fit(patches, position, blur, bowl, own, np.zeros((len(position), 4)))

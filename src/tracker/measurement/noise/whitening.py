@@ -31,19 +31,19 @@ class Whitener:
     def __init__(
         self, position: Floats, cov: Floats, fixed: Floats, width: float,
         frame: NDArray[np.int64] | None = None, rho: float = 0.0,
-        leaning: tuple[float, float] = (0.0, 0.0),
+        drift: tuple[float, float] = (0.0, 0.0),
     ) -> None:  # fmt: skip
         """position (n, 2) m, cov (n, 2, 2) m^2, fixed (n, 2, 2) the shared part of it, width m of a glint; frame (n,).
 
-        rho: correlation of what is then left, from one frame to the next. leaning: see `positions.Course`.
+        rho: correlation of what is then left, from one frame to the next. drift: see `positions.Course`.
         """
         self.alone = _inverse_root(cov) if len(cov) else cov
         self.blocks: list[tuple[slice, Floats]] = []
         if width > 0 and len(cov) and fixed.any():
             step = np.hypot(*np.diff(position, axis=0).T)
-            for start, end in _stretches(step > FAR * max(width, leaning[1])):
+            for start, end in _stretches(step > FAR * max(width, drift[1])):
                 rows = slice(start, end)
-                whole = covariance(position[rows], cov[rows], fixed[rows], width, leaning)
+                whole = covariance(position[rows], cov[rows], fixed[rows], width, drift)
                 self.blocks.append((rows, _lower_root(whole)))
         self.kept = None if frame is None or rho == 0 else rho ** np.diff(frame)
 
@@ -82,15 +82,15 @@ def _stretches(breaks: NDArray[np.bool_]) -> list[tuple[int, int]]:
 
 
 def covariance(
-    position: Floats, cov: Floats, fixed: Floats, width: float, leaning: tuple[float, float] = (0.0, 0.0)
+    position: Floats, cov: Floats, fixed: Floats, width: float, drift: tuple[float, float] = (0.0, 0.0)
 ) -> Floats:
-    """Covariance (2n, 2n) m^2 of positions (n, 2) m; cov, fixed (n, 2, 2), width and leaning as for Whitener."""
+    """Covariance (2n, 2n) m^2 of positions (n, 2) m; cov, fixed (n, 2, 2), width and drift as for Whitener."""
     n = len(position)
-    if leaning[0]:
-        own = leaning[0] ** 2 * np.eye(2)
+    if drift[0]:
+        own = drift[0] ** 2 * np.eye(2)
         whole = covariance(position, cov - own, fixed - own, width).reshape(n, 2, n, 2)
-        apart = np.sqrt(3) * np.hypot(*(position[:, None] - position[None]).transpose(2, 0, 1)) / leaning[1]
-        near = leaning[0] ** 2 * (1 + apart) * np.exp(-apart)  # Matern's, of a shift that changes smoothly
+        apart = np.sqrt(3) * np.hypot(*(position[:, None] - position[None]).transpose(2, 0, 1)) / drift[1]
+        near = drift[0] ** 2 * (1 + apart) * np.exp(-apart)  # Matern's, of a shift that changes smoothly
         for axis in (0, 1):
             whole[:, axis, :, axis] += near
         return whole.reshape(2 * n, 2 * n)
