@@ -75,21 +75,25 @@ def why_no_disc(frames: Sequence[Any], view: View) -> str:
 
 
 def loose_ends(tracks: Tracks, size: tuple[int, int], spans: Sequence[tuple[int, int]]) -> tuple[str, ...]:
-    """A warning where most tracks begin or end as no ball's does, amid the picture and amid a take; else none.
+    """A warning where most tracks begin or end as no ball's does, amid a take and amid the picture; else none.
+
+    At the picture's rim as well, if they stay there: what flickers in one place does not come in from outside.
 
     size: width and height, px. spans: first and last frame of each take.
     """
     rows = [np.flatnonzero(tracks.particle == one) for one in np.unique(tracks.particle)]
     ends = np.array([r[[tracks.frame[r].argmin(), tracks.frame[r].argmax()]] for r in rows], dtype=int).ravel()
     x, y, frame = tracks.x[ends], tracks.y[ends], tracks.frame[ends]
+    way = np.array([max(np.ptp(tracks.x[r]), np.ptp(tracks.y[r])) for r in rows])
     rim = np.minimum.reduce([x, y, size[0] - 1 - x, size[1] - 1 - y]) < RIM * max(size)
+    rim &= np.repeat(way, 2) > RIM * max(size)
     cut = np.abs(frame[:, None] - np.array(spans).ravel()).min(axis=1) <= AT_ONCE
     loose = ~(rim | cut)
     if loose.sum() < max(LOOSE, 0.5 * len(ends)):
         return ()
     return (
-        f"{loose.sum()} of the {len(ends)} ends of tracks lie amid the picture: what is followed may be no balls, "
-        "but reflections, specks, or more objects than can be told apart",
+        f"{loose.sum()} of the {len(ends)} ends of tracks are no ball's that comes in or leaves: these may be "
+        "no balls, but reflections, specks, or more objects than can be told apart",
     )
 
 

@@ -21,6 +21,7 @@ def tracks(*ways):
 
 BALLS = [(0, LAST, (5, 150), (200, 150)), (0, 60, (210, 160), (395, 40)), (20, LAST, (200, 295), (250, 100))]
 GLITTER = [(10 * k, 10 * k + 6, (100 + 20 * k, 120), (105 + 20 * k, 130)) for k in range(1, 8)]
+SPECKS = [(10 * k, 10 * k + 6, (9 + k % 3, 120), (10, 121)) for k in range(1, 8)]
 
 
 @pytest.mark.parametrize(
@@ -28,6 +29,7 @@ GLITTER = [(10 * k, 10 * k + 6, (100 + 20 * k, 120), (105 + 20 * k, 130)) for k 
     [
         (BALLS, [(0, LAST)], ""),
         (GLITTER, [(0, LAST)], "14 of the 14 ends"),
+        (SPECKS, [(0, LAST)], "14 of the 14 ends"),  # at the rim, but they stay there
         (BALLS + GLITTER, [(0, LAST)], "14 of the 20 ends"),
         (BALLS + GLITTER[:2], [(0, LAST)], ""),  # as many as a lost ball leaves
         (GLITTER, [(10 * k, 10 * k + 6) for k in range(1, 8)], ""),  # a take each
