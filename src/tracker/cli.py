@@ -16,6 +16,7 @@ import typer
 
 from commandline.application import command_line, progress_bar, run
 from commandline.errors import InputError
+from tracker.camera.camera_keys import CHANNELS
 from tracker.detection import detectors as detector_files
 
 if TYPE_CHECKING:
@@ -26,7 +27,6 @@ app = command_line(
     "Finds rolling steel balls by their glint, follows them, and measures the collision with standard errors.",
 )
 SCORE = "score.json"
-CHANNELS = "grey, red, green or blue"
 DETECTORS = ", ".join(m.name for m in pkgutil.iter_modules(detector_files.__path__)) + ", or an installed package's own"
 Results = Annotated[Path, typer.Option("-o", "--output", metavar="RESULTS", help="Folder to make.")]
 WithPages = Annotated[
@@ -43,7 +43,7 @@ def track(
     camera: Annotated[Path | None, typer.Option(help="camera.json, in place of the source's own.")] = None,
     detector: Annotated[str | None, typer.Option(help=f"{DETECTORS}. Without it the film decides.")] = None,
     channel: Annotated[
-        str | None, typer.Option(help=f"{CHANNELS}, of a film in colour. Without it the film decides.")
+        str | None, typer.Option(help=f"{', '.join(CHANNELS)}, of a film in colour. Without it the film decides.")
     ] = None,
     workers: Annotated[int | None, typer.Option(min=1, help="Processes; default: whatever is quickest.")] = None,
     pages: WithPages = None,

@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from tracker.report.pages import Pages
 
 ENDS = 1 << 16  # bytes at either end of a file that distinguish recordings
+Done = tuple[int, tuple[str, ...]]  # frames of a clip, and notes on it
 
 
 @dataclass(frozen=True)
@@ -106,9 +107,9 @@ def run(
     with _partial(output, plan) as partial:
         todo = [i for i, number in enumerate(numbers) if not results.is_done(partial, number)]
         progress(len(source) - len(todo), len(source))
-        for done, (count, note) in enumerate(_each(source, todo, partial, name, workers), 1):
+        for done, (count, noted) in enumerate(_each(source, todo, partial, name, workers), 1):
             frames += count
-            notes.update([note] if note else [])
+            notes.update(noted)
             progress(len(source) - len(todo) + done, len(source))
         table = results.finish(partial, output, numbers)
     return Outcome(table, len(source), len(todo), frames, dict(notes), source)
@@ -238,12 +239,12 @@ def _plan(source: Source, name: str) -> dict[str, Any]:
     return {"made_by": "tracker track", "detector": name, "clips": len(source), "input": mark.hexdigest()} | colour
 
 
-def _each(source: Source, todo: list[int], partial: Path, name: str, workers: int) -> Iterator[tuple[int, str]]:
-    """Frames and note of each clip done, in whatever order; results do not depend on it."""
+def _each(source: Source, todo: list[int], partial: Path, name: str, workers: int) -> Iterator[Done]:
+    """Each clip done, in whatever order; results do not depend on it."""
     return in_parallel(functools.partial(_one, source, partial=partial, name=name), todo, workers, source.path)
 
 
-def _one(source: Source, index: int, partial: Path, name: str) -> tuple[int, str]:
+def _one(source: Source, index: int, partial: Path, name: str) -> Done:
     alone()
     clip = source.clip(index)
     try:
@@ -254,4 +255,4 @@ def _one(source: Source, index: int, partial: Path, name: str) -> tuple[int, str
         asked = " x ".join(map(str, clip.frames.shape))
         raise InputError(f"{source.clips[index][1]}: not enough memory for its {asked} pixels") from None
     results.write_clip(partial, result.number, result.found, result.motion, result.rows, result.camera)
-    return result.frames, "; ".join(result.notes)
+    return result.frames, result.notes

@@ -211,8 +211,7 @@ def track(
 def _opened(film: Film, camera: GivenCamera | None) -> Clip:
     names = FILM, f"{camera}" if isinstance(camera, str | Path) else "camera"
     if not isinstance(film, str | Path):
-        frames, note = frames_in_memory(film)
-        return recorded(0, frames, note, _camera(camera), names)
+        return recorded(0, frames_in_memory(film), _camera(camera), names)
     source = open_source(film)
     if len(source) > 1:
         first = source.clips[0][1].parent
@@ -220,7 +219,7 @@ def _opened(film: Film, camera: GivenCamera | None) -> Clip:
     if camera is None:
         return source.clip(0)
     ((number, location),) = source.clips
-    return recorded(number, *open_frames(location), _camera(camera), (f"{location}", names[1]))
+    return recorded(number, open_frames(location), _camera(camera), (f"{location}", names[1]))
 
 
 def _camera(given: GivenCamera | None) -> Camera | None:
@@ -299,7 +298,7 @@ def followed(clip: Clip, name: str | None = None) -> Result:
     rows, motion = measure_clip(tracks, camera)
     if reason:
         rows = [row if row["status"] in MEASURED else row | {"status": reason} for row in rows]
-    notes = tuple(filter(None, [clip.note, why, *said, *unsaid(camera), _blur_note(camera), _rate_note(clip)]))
+    notes = tuple(filter(None, [*clip.notes, why, *said, *unsaid(camera), _blur_note(camera), _rate_note(clip)]))
     return Result(clip.number, camera, tracks, tuple(rows), motion, notes, len(clip.frames))
 
 

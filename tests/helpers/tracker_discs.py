@@ -83,5 +83,4 @@ def lit_film(rng, ways, lamp=(0.6, -0.4), radius=R, noise=2.0, ground=None, shad
 
 def recorded(pictures, camera):
     """The frames as a clip."""
-    frames, note = frames_in_memory(pictures)
-    return Clip(0, camera, frames, note)
+    return Clip(0, camera, frames_in_memory(pictures))

@@ -186,8 +186,8 @@ class _Seen:
 
 def _survey(source: Source, known: dict[str, Any], detector: str, index: int) -> _Seen:
     alone()
-    number, frames, _ = source.film(index)
-    clip = recorded(number, frames, "", Camera.from_dict(known), ("", ""))
+    number, frames = source.film(index)
+    clip = recorded(number, frames, Camera.from_dict(known), ("", ""))
     view = view_of(clip)
     glints = detect(clip, view, detector)
     tracks: Tracks = link(glints, view.camera)

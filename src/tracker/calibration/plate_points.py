@@ -84,7 +84,7 @@ def find_board(source: Path, board: str) -> PlatePoints:
 def _pictures(source: Path) -> list[Any]:
     if source.is_file() and source.suffix.lower() in PICTURES:
         return [read_picture(source)]
-    frames = open_source(source).film(0)[1]
+    _, frames = open_source(source).film(0)
     return [frames[k] for k in range(min(len(frames), LOOKED_AT))]
 
 

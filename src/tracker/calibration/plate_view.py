@@ -9,8 +9,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 from scipy.optimize import least_squares
-from scipy.spatial.transform import Rotation
-from scipy.stats import chi2 as chi2_law
+from scipy.special import chdtrc
 
 from commandline.errors import InputError
 from tracker.calibration.plate_points import FEWEST, PlatePoints
@@ -101,7 +100,7 @@ class _Problem:
 
     def turned(self, turn: Array, x: Array) -> Array:
         """The rotation from world to camera."""
-        return np.asarray(Rotation.from_rotvec(x[-6:-3]).as_matrix() @ turn)
+        return np.asarray(cv2.Rodrigues(x[-6:-3])[0] @ turn)
 
     def unturned(self, x: Array) -> Array:
         """x without its rotation vector."""
@@ -196,7 +195,7 @@ def _slope(homography: Array, place: Array) -> Array:
 
 def _judge(points: PlatePoints, residual: Array, dof: int, left: Array) -> None:
     """Raises InputError where the points are farther off than their error."""
-    if chi2_law.sf(float(residual @ residual), dof) < WORST:
+    if chdtrc(dof, float(residual @ residual)) < WORST:
         off = np.hypot(*left.T)
         worst = int(off.argmax())
         raise InputError(

@@ -12,6 +12,7 @@ MOST_BYTES = 1 << 20  # of a camera file
 MOST_PIXELS = 1 << 28  # of one frame
 LONGEST_SIDE = (1 << 15) - 1  # px, the most that OpenCV's routines take
 NUMBERS = 11  # of a row of view_errors: focal length over itself, cx, cy, k1, k2, rotation vector after R, t
+CHANNELS = ("grey", "red", "green", "blue")  # of a film in colour, as one of which it is read
 SHOWN = 40  # characters of a wrong value in a message
 
 KEYS = {  # by section; "" is the file itself

@@ -11,30 +11,31 @@ from pathlib import Path
 
 from commandline.errors import InputError
 from tracker.camera.camera import Camera
-from tracker.camera.grey import CONVERTED, GREY, Frames, linear
+from tracker.camera.grey import GREY, Frames, linear
 from tracker.camera.pictures import PICTURES, TIFF, folder_frames, pictures_of
 from tracker.camera.stack import stack_frames
-from tracker.camera.video import VIDEOS, video_frames
 
+VIDEOS = (".avi", ".mkv", ".mp4", ".mov", ".m4v", ".mpg", ".mpeg", ".webm")
+CONVERTED = "colour converted to grey"
 GAMMA = "sensor.gamma: counts are made linear in light before anything else"
 
 
 @dataclass(frozen=True, eq=False)
 class Clip:
-    """One recording: its number, camera and frames, of which channel; ``note`` says what was converted or assumed."""
+    """One recording: its number, camera and frames, of which channel; ``notes`` say what was converted or assumed."""
 
     number: int
     camera: Camera
     frames: Frames
-    note: str = ""
+    notes: tuple[str, ...] = ()
     channel: str = GREY
 
     def in_channel(self, name: str) -> Clip:
         """The same recording in one colour of a film; "grey" is what it is."""
         if name == GREY:
             return self
-        note = self.note.replace(CONVERTED, f"of the colours, {name} is used")
-        return replace(self, frames=self.frames.in_channel(name), note=note, channel=name)
+        notes = tuple(note for note in self.notes if note != CONVERTED)
+        return replace(self, frames=self.frames.in_channel(name), notes=notes, channel=name)
 
 
 @dataclass(frozen=True)
@@ -57,14 +58,14 @@ class Source:
         chosen = self.camera if self.camera is not None else own if own.is_file() else None
         if chosen is None and self.dataset:
             raise InputError(f"{own}: no such file, expected the clip's camera.json")
-        number, frames, note = self.film(index)
+        number, frames = self.film(index)
         camera = Camera.read(chosen) if chosen is not None else None
-        return recorded(number, frames, note, camera, (f"{location}", f"{chosen}")).in_channel(self.channel)
+        return recorded(number, frames, camera, (f"{location}", f"{chosen}")).in_channel(self.channel)
 
-    def film(self, index: int) -> tuple[int, Frames, str]:
-        """Number, frames and a note of clip ``index``, whatever its camera."""
+    def film(self, index: int) -> tuple[int, Frames]:
+        """Number and frames of clip ``index``, whatever its camera."""
         number, location = self.clips[index]
-        return number, *open_frames(location)
+        return number, open_frames(location)
 
     def camera_files(self) -> list[Path]:
         """The camera file of each clip, where there is one."""
@@ -74,21 +75,21 @@ class Source:
         return [f for f in files if f.is_file()]
 
 
-def recorded(number: int, frames: Frames, note: str, camera: Camera | None, names: tuple[str, str]) -> Clip:
+def recorded(number: int, frames: Frames, camera: Camera | None, names: tuple[str, str]) -> Clip:
     """Frames and their camera as one clip. names: of film and camera, for the InputError where their sizes differ."""
     size, bits = (frames.shape[2], frames.shape[1]), 8 * frames.dtype.itemsize
+    notes = (*([] if frames.colours is None else [CONVERTED]), *frames.faults)
     if camera is None:
-        note = "; ".join(filter(None, [note, "no camera file: pixels only"]))
-        return Clip(number, Camera.unknown(size, bits), frames, note)
+        return Clip(number, Camera.unknown(size, bits), frames, (*notes, "no camera file: pixels only"))
     if camera.size != size:
         asked = "x".join(map(str, camera.size))
         raise InputError(f"{names[0]}: frames are {size[0]}x{size[1]}, expected {asked} by size in {names[1]}")
     if camera.sensor.gamma != 1:
-        frames, note = linear(frames, camera.sensor.gamma), "; ".join(filter(None, [note, GAMMA]))
+        frames, notes = linear(frames, camera.sensor.gamma), (*notes, GAMMA)
         camera = replace(camera, sensor=replace(camera.sensor, bits=16))
     elif "sensor.bits" in camera.assumed:
         camera = replace(camera, sensor=replace(camera.sensor, bits=bits))
-    return Clip(number, camera, frames, note)
+    return Clip(number, camera, frames, notes)
 
 
 def open_source(path: Path | str, camera: Path | str | None = None) -> Source:
@@ -139,16 +140,18 @@ def _film(folder: Path) -> Path | None:
     return next((film for film in films if film.is_file()), None)
 
 
-def open_frames(location: Path) -> tuple[Frames, str]:
-    """Frames of a stack, a video or a folder of pictures, and a note of what was converted."""
+def open_frames(location: Path) -> Frames:
+    """Frames of a stack, a video or a folder of pictures."""
     if location.is_dir():
-        frames, note = folder_frames(location)
+        frames = folder_frames(location)
     elif location.suffix.lower() in TIFF:
-        frames, note = stack_frames(location)
+        frames = stack_frames(location)
     else:
-        frames, note = video_frames(location)
+        from tracker.camera.video import video_frames  # here alone: FFmpeg's libraries are slow to load
+
+        frames = video_frames(location)
     at_least_two(location, frames)
-    return frames, note
+    return frames
 
 
 def at_least_two(location: Path | str, frames: Frames) -> None:

@@ -10,14 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from commandline.errors import InputError
-from tracker.camera.camera_keys import LONGEST_SIDE, MOST_PIXELS
+from tracker.camera.camera_keys import CHANNELS, LONGEST_SIDE, MOST_PIXELS
 
 Frame = NDArray[np.uint8] | NDArray[np.uint16]
 
 GREY_WEIGHTS = (0.299, 0.587, 0.114)  # ITU-R BT.601, as OpenCV and scikit-image's users expect of red, green, blue
-GREY = "grey"
-CHANNELS = (GREY, "red", "green", "blue")
-CONVERTED = "colour converted to grey"
+GREY = CHANNELS[0]
 
 
 class Frames(Sequence[Any]):
@@ -25,6 +23,7 @@ class Frames(Sequence[Any]):
 
     fps = 0.0  # that a video file claims
     lossy = False  # whether they were encoded with loss
+    faults: tuple[str, ...] = ()  # of their file
     colours: Callable[[int], Any] | None = None  # red, green and blue (h, w, 3) of a frame, where the film has them
 
     def __init__(self, count: int, shape: tuple[int, int], dtype: Any, fetch: Callable[[int], Frame]) -> None:
@@ -70,20 +69,22 @@ class Frames(Sequence[Any]):
 
 def grey_frames(
     path: Path | str, count: int, plane: tuple[int, ...], dtype: Any, fetch: Callable[[int], Any]
-) -> tuple[Frames, str]:
-    """Frames in grey, and a note where they were in colour."""
+) -> Frames:
+    """Frames in grey; those of pictures in colour have ``colours`` as well."""
     if len(plane) == 2:
-        return Frames(count, (plane[0], plane[1]), dtype, fetch), ""
+        return Frames(count, (plane[0], plane[1]), dtype, fetch)
     if len(plane) != 3 or plane[2] not in (2, 3, 4):
         raise InputError(f"{path}: pictures of shape {plane}, expected (height, width) or colour")
+    if plane[2] == 2:  # grey and alpha
+        return Frames(count, (plane[0], plane[1]), dtype, lambda k: np.ascontiguousarray(fetch(k)[..., 0]))
 
     def grey(k: int) -> Any:
         mix = fetch(k)[..., :3] @ np.array(GREY_WEIGHTS)
         return np.round(mix).astype(dtype)
 
     out = Frames(count, (plane[0], plane[1]), dtype, grey)
-    out.colours = fetch if plane[2] > 2 else None
-    return out, CONVERTED
+    out.colours = fetch
+    return out
 
 
 def linear(frames: Frames, gamma: float) -> Frames:

@@ -15,8 +15,8 @@ from tracker.camera.grey import Frames, grey_frames, not_too_large, pixel_type
 FILM = "film"  # what messages call it
 
 
-def frames_in_memory(film: NDArray[Any] | Iterable[NDArray[Any]]) -> tuple[Frames, str]:
-    """Frames of an array (n, height, width), in colour (n, height, width, 3), or of single pictures, and a note.
+def frames_in_memory(film: NDArray[Any] | Iterable[NDArray[Any]]) -> Frames:
+    """Frames of an array (n, height, width), in colour (n, height, width, 3), or of single pictures.
 
     What has a length and an index is read frame by frame, when asked for; what is only iterated is kept. Raises
     InputError, naming the frame, for what is no film.
@@ -37,9 +37,9 @@ def frames_in_memory(film: NDArray[Any] | Iterable[NDArray[Any]]) -> tuple[Frame
             raise InputError(f"{FILM}: frame {k} is {has}, expected {wants} as frame 0")
         return picture
 
-    frames, note = grey_frames(FILM, len(pictures), first.shape, first.dtype, fetch)
+    frames = grey_frames(FILM, len(pictures), first.shape, first.dtype, fetch)
     at_least_two(FILM, frames)
-    return frames, note
+    return frames
 
 
 def _is_indexed(film: Any) -> bool:

@@ -25,7 +25,7 @@ def pictures_of(folder: Path) -> list[Path]:
     return sorted(found, key=lambda p: [int(s) if s.isdigit() else s for s in re.split(r"(\d+)", p.name)])
 
 
-def folder_frames(folder: Path) -> tuple[Frames, str]:
+def folder_frames(folder: Path) -> Frames:
     paths = pictures_of(folder)
     first = read_picture(paths[0])
     pixel_type(paths[0], first.dtype)
@@ -38,9 +38,9 @@ def folder_frames(folder: Path) -> tuple[Frames, str]:
             raise InputError(f"{paths[k]}: {has}, expected {wants} as in {paths[0].name}")
         return picture
 
-    frames, note = grey_frames(folder, len(paths), first.shape, first.dtype, fetch)
+    frames = grey_frames(folder, len(paths), first.shape, first.dtype, fetch)
     frames.lossy = paths[0].suffix.lower() in JPEG
-    return frames, note
+    return frames
 
 
 def read_picture(path: Path) -> Any:

@@ -17,7 +17,7 @@ from tracker.camera.camera_keys import first_line
 from tracker.camera.grey import Frames, grey_frames, not_too_large, pixel_type
 
 
-def stack_frames(path: Path) -> tuple[Frames, str]:
+def stack_frames(path: Path) -> Frames:
     try:
         with _complaints(path), tifffile.TiffFile(path) as tif:
             shape, dtype, colour, offset = _layout(path, tif)
@@ -72,7 +72,7 @@ def _layout(path: Path, tif: tifffile.TiffFile) -> tuple[tuple[int, ...], Any, b
     """Shape, type, whether in colour, and where the pixels start if they lie in one piece."""
     series = tif.series[0]
     shape, dtype, offset = tuple(series.shape), np.dtype(series.dtype), series.dataoffset
-    colour = series.axes[-1:] == "S" and shape[-1] in (3, 4)
+    colour = series.axes[-1:] == "S" and shape[-1] in (2, 3, 4)
     if len(tif.series) > 1:  # pages that no program declared to be one stack
         if any(s.shape != shape or s.dtype != dtype for s in tif.series):
             raise InputError(f"{path}: pages of unequal size or type, expected all alike")

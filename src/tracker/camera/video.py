@@ -23,9 +23,8 @@ from av.video.reformatter import ColorRange
 from numpy.typing import NDArray
 
 from commandline.errors import InputError
-from tracker.camera.grey import CONVERTED, Frames, grey_frames, not_too_large
+from tracker.camera.grey import Frames, grey_frames, not_too_large
 
-VIDEOS = (".avi", ".mkv", ".mp4", ".mov", ".m4v", ".mpg", ".mpeg", ".webm")
 LOSSLESS = "ffv1 rawvideo huffyuv ffvhuff utvideo magicyuv lagarith png tiff bmp dpx qtrle v210 v410 r210".split()
 LUMA_FIRST = re.compile(r"(yuvj?4\d\dp|yuva4\d\dp|gray)(\d+le|8)?|nv(12|16|21|24)")  # the first plane is the luma
 BLACK, WHITE = 16, 235  # of 8 bits, of a limited range
@@ -59,8 +58,8 @@ class _Contents:
         return len(known) == len(self.times) and all(a < b for a, b in pairwise(known))
 
 
-def video_frames(path: Path) -> tuple[Frames, str]:
-    """Frames of a video, and a note of what was converted and what is wrong with it."""
+def video_frames(path: Path) -> Frames:
+    """Frames of a video; ``faults`` say what is wrong with its file."""
     try:
         found = _pass(path)
     except (av.error.FFmpegError, IndexError):  # no video in it
@@ -71,11 +70,12 @@ def video_frames(path: Path) -> tuple[Frames, str]:
     first = grey(found.first)
     dtype = np.dtype(np.uint16 if deep else np.uint8)
     reader = _Reader(path, found, grey)
-    frames, mixed = grey_frames(path, len(found.times), first.shape, dtype, reader)
+    frames = grey_frames(path, len(found.times), first.shape, dtype, reader)
     frames.fps, frames.lossy = found.fps, found.codec not in LOSSLESS
     if coloured:
         frames.colours = _Reader(path, found, _colours(found.first, deep))
-    return frames, "; ".join(filter(None, [mixed or coloured, *_faults(found)]))
+    frames.faults = tuple(_faults(found))
+    return frames
 
 
 def _opened(path: Path) -> tuple[Any, Any]:
@@ -226,12 +226,12 @@ class _Reader:
         self.close()
 
 
-def _conversion(first: VideoFrame) -> tuple[Callable[[VideoFrame], NDArray[Any]], bool, str]:
-    """How frames become counts (or red, green and blue), whether in 16 bits, and a note where chroma is left out."""
+def _conversion(first: VideoFrame) -> tuple[Callable[[VideoFrame], NDArray[Any]], bool, bool]:
+    """How frames become counts (or red, green and blue), whether in 16 bits, and whether chroma is left out."""
     layout, turn = first.format, _turn(first)
     bits = max(part.bits for part in layout.components)
     if layout.is_rgb or layout.has_palette or layout.is_bayer:
-        return _colours(first, bits > 8), bits > 8, ""
+        return _colours(first, bits > 8), bits > 8, False
     other = "" if LUMA_FIRST.fullmatch(layout.name) else "yuv444p16le" if bits > 8 else "yuv444p"
     bits = 16 if other == "yuv444p16le" else bits
     full = first.color_range == ColorRange.JPEG or layout.name.startswith("yuvj")
@@ -247,7 +247,7 @@ def _conversion(first: VideoFrame) -> tuple[Callable[[VideoFrame], NDArray[Any]]
             counts = plane.copy() if table is None else table[plane]
         return np.ascontiguousarray(np.rot90(counts, turn)) if turn else counts
 
-    return luma, bits > 8, CONVERTED if _coloured(first) else ""
+    return luma, bits > 8, _coloured(first)
 
 
 def _colours(first: VideoFrame, deep: bool) -> Callable[[VideoFrame], NDArray[Any]]:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import cv2
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from tracker.camera.camera import Camera
 from tracker.camera.lens import Array
@@ -17,7 +17,7 @@ def moved(camera: Camera, change: Array) -> Camera:
     matrix[:2, :2] *= 1 + change[0]
     matrix[:2, 2] += change[1:3]
     dist = camera.dist + np.array([change[3], change[4], 0.0, 0.0, 0.0])
-    turned = Rotation.from_rotvec(change[5:8]).as_matrix() @ camera.R
+    turned = cv2.Rodrigues(change[5:8])[0] @ camera.R
     return replace(camera, K=matrix, dist=dist, R=turned, t=camera.t + change[8:])
 
 

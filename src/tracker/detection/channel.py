@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from tracker.camera.camera import Camera
+from tracker.camera.camera_keys import CHANNELS
 from tracker.camera.frames import Clip
-from tracker.camera.grey import CHANNELS, GREY, Frame, Frames
+from tracker.camera.grey import GREY, Frame, Frames
 from tracker.camera.lens import Array
 from tracker.detection.candidates import median_of_nine, noise_of
 from tracker.detection.choose import ALIKE, LEAST, round_bodies

@@ -134,7 +134,7 @@ def _printed_row(row: Mapping[str, Any]) -> Iterator[str]:
         yield f"  {'':<8}{kinds[0]:>16}{kinds[1]:>16}  {fit_quality(row)}".rstrip()
     for line in found:
         shown = line.values[:2] if row["status"] in MEASURED else line.values[:1]
-        yield f"  {_plain(line.symbol):<8}{''.join(f'{v:>16}' for v in shown)}  {line.unit:<6}{line.what}".rstrip()
+        yield f"  {_plain(line.symbol):<8}{''.join(f' {v:>15}' for v in shown)}  {line.unit:<6}{line.what}".rstrip()
 
 
 def _times(value: Any, factor: float) -> float | None:

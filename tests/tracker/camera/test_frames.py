@@ -51,12 +51,13 @@ def test_stacks_of_all_kinds(tmp_path, how, deep):
     movie = MOVIE.astype(np.uint16) * 16 if deep else MOVIE
     path = tmp_path / "stack.tif"
     tifffile.imwrite(path, movie, photometric=None if "imagej" in how else "minisblack", **how)
-    frames, note = open_frames(path)
+    frames = open_frames(path)
     assert np.array_equal(held(frames), movie)
     assert np.array_equal(frames[-1], movie[-1])
     assert len(frames[1:3]) == 2
     assert frames.dtype == movie.dtype
-    assert note == ""
+    assert frames.colours is None
+    assert frames.faults == ()
 
 
 def test_pages_written_one_by_one(tmp_path):
@@ -64,7 +65,7 @@ def test_pages_written_one_by_one(tmp_path):
     with tifffile.TiffWriter(path) as writer:
         for frame in MOVIE:
             writer.write(frame, contiguous=False)
-    frames, _ = open_frames(path)
+    frames = open_frames(path)
     assert len(frames) == 6
     assert np.array_equal(held(frames), MOVIE)
 
@@ -84,7 +85,7 @@ def test_dataset_opens_frames_and_camera_only(tmp_path):
 def test_pictures_come_in_natural_order(tmp_path):
     for k, frame in enumerate(MOVIE):
         cv2.imwrite(str(tmp_path / f"frame{k + 7}.png"), frame)
-    frames, _ = open_frames(tmp_path)
+    frames = open_frames(tmp_path)
     assert np.array_equal(held(frames), MOVIE)  # frame10 after frame9
 
 
@@ -99,10 +100,19 @@ def test_colour_becomes_grey_and_is_said_so(tmp_path, kind):
         path = tmp_path
         for k in range(3):
             cv2.imwrite(str(path / f"{k}.png"), colour[k, :, :, ::-1])
-    frames, note = open_frames(path)
-    assert "colour converted to grey" in note
+    frames = open_frames(path)
+    assert frames.colours is not None
     assert frames.shape == (3, 20, 30)
     assert (frames[1] == round(0.299 * 200 + 0.587 * 100 + 0.114 * 50)).all()
+
+
+def test_grey_with_alpha_is_grey(tmp_path):
+    grey = RNG.integers(0, 256, (3, 20, 30), np.uint8)
+    path = tmp_path / "stack.tif"
+    tifffile.imwrite(path, np.stack([grey, np.full_like(grey, 255)], axis=-1), extrasamples=["unassalpha"])
+    frames = open_frames(path)
+    assert frames.colours is None
+    assert np.array_equal(held(frames), grey)
 
 
 def video(path, movie, code, colour=False):
@@ -121,20 +131,21 @@ def video(path, movie, code, colour=False):
 @pytest.mark.parametrize("bits", [8, 10, 12, 16])
 def test_lossless_video_keeps_every_bit(tmp_path, bits, capfd):
     movie = RNG.integers(0, 2**bits, MOVIE.shape).astype(np.uint8 if bits == 8 else np.uint16)
-    frames, note = open_frames(video(tmp_path / "film.mkv", movie, "FFV1"))
+    frames = open_frames(video(tmp_path / "film.mkv", movie, "FFV1"))
     assert frames.dtype == movie.dtype
     assert np.array_equal(held(frames), movie)
     assert np.array_equal(frames[4], movie[4])  # backwards and forwards
-    assert note == ""
+    assert frames.colours is None
+    assert frames.faults == ()
     assert capfd.readouterr().err == ""  # OpenCV warns of reading what is stored
 
 
 @pytest.mark.parametrize("code", ["FFV1", "HFYU"])
-def test_colour_video_becomes_grey_and_is_said_so(tmp_path, code):
+def test_colour_video_becomes_grey(tmp_path, code):
     colour = np.zeros((3, 48, 64, 3), np.uint8)
     colour[..., 2], colour[..., 1], colour[..., 0] = 200, 100, 50  # red, green, blue
-    frames, note = open_frames(video(tmp_path / "film.avi", colour, code, colour=True))
-    assert note == "colour converted to grey"
+    frames = open_frames(video(tmp_path / "film.avi", colour, code, colour=True))
+    assert frames.colours is not None
     assert np.abs(held(frames) - (0.299 * 200 + 0.587 * 100 + 0.114 * 50)).max() < 2
 
 
@@ -142,7 +153,7 @@ def test_memory_does_not_grow_with_length(tmp_path):
     path = tmp_path / "long.tif"
     with tifffile.TiffWriter(path, bigtiff=True) as writer:
         writer.write(np.zeros((400, 200, 250), np.uint8))
-    frames, _ = open_frames(path)
+    frames = open_frames(path)
     tracemalloc.start()
     total = sum(int(frame.shape[0]) for frame in frames)
     peak = tracemalloc.get_traced_memory()[1]
@@ -156,7 +167,7 @@ def test_no_camera_file_is_said(tmp_path):
     tifffile.imwrite(path, MOVIE, imagej=True)
     clip = open_source(path).clip(0)
     assert not clip.camera.metric
-    assert "no camera file" in clip.note
+    assert clip.notes == ("no camera file: pixels only",)
     (tmp_path / "camera.json").write_text(json.dumps(SMALL))
     assert open_source(path).clip(0).camera.metric  # one beside it is taken
     other = tmp_path / "other.json"
@@ -171,7 +182,7 @@ def test_gamma_makes_counts_linear_in_light(tmp_path):
     clip = open_source(tmp_path).clip(0)
     assert [frame[0, 0] / 65535 for frame in clip.frames] == pytest.approx([0, 0.25, 0.5, 1], abs=0.005)
     assert clip.camera.sensor.bits == 16
-    assert "linear in light" in clip.note
+    assert "linear in light" in clip.notes[-1]
 
 
 def test_bad_sources(tmp_path):
@@ -197,7 +208,7 @@ def test_damaged_stacks(tmp_path):
         whole = path.read_bytes()
         open_frames(path)
         path.write_bytes(whole[: int(len(whole) * 0.7)])
-        one_line(lambda: held(open_frames(path)[0]), "stack.tif", "truncated")
+        one_line(lambda: held(open_frames(path)), "stack.tif", "truncated")
     tifffile.imwrite(path, MOVIE[:1])
     one_line(lambda: open_frames(path), "one frame only", "at least two")
     tifffile.imwrite(path, np.full((5, 8, 8), np.nan, np.float32))
@@ -209,7 +220,7 @@ def test_damaged_stacks(tmp_path):
 def test_pictures_of_unequal_size(tmp_path):
     cv2.imwrite(str(tmp_path / "1.png"), MOVIE[0])
     cv2.imwrite(str(tmp_path / "2.png"), MOVIE[1, :20])
-    one_line(lambda: held(open_frames(tmp_path)[0]), "2.png", "64x20", "64x48")
+    one_line(lambda: held(open_frames(tmp_path)), "2.png", "64x20", "64x48")
 
 
 def test_camera_of_another_size(tmp_path):

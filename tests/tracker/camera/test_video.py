@@ -35,22 +35,22 @@ def folder(tmp_path_factory):
 
 @pytest.mark.parametrize("name", KINDS)
 def test_counts_are_those_before_the_encoder(folder, name, capfd):
-    frames, note = open_frames(folder / name)
+    frames = open_frames(folder / name)
     true, error = KINDS[name][3:]
     film = np.array(list(frames))
     assert film.shape == true.shape
     assert np.sqrt(np.mean((film - true) ** 2)) <= error + 0.3 * (true is FULL)
     assert frames.dtype == (np.uint16 if "10le" in KINDS[name][1] else np.uint8)
-    assert (note, frames.fps) == ("", 25)
+    assert (frames.faults, frames.fps) == ((), 25)
     assert capfd.readouterr() == ("", "")
 
 
 @pytest.mark.parametrize("name", KINDS)
 def test_order_of_reading_changes_nothing_and_steps_back_open_no_file_anew(folder, name, monkeypatch):
-    film = np.array(list(open_frames(folder / name)[0]))
+    film = np.array(list(open_frames(folder / name)))
     opened = []
     monkeypatch.setattr(av, "open", lambda path, whole=av.open: opened.append(path) or whole(path))
-    frames, _ = open_frames(folder / name)
+    frames = open_frames(folder / name)
     for k in (30, 31, 5, 4, 39, 13, 12, 0, 38, 20, -1):
         assert np.array_equal(frames[k], film[k])
     assert len(opened) <= (2 if name != "mpeg.mpg" else 8)  # MPEG program streams cannot be searched by time
@@ -58,7 +58,7 @@ def test_order_of_reading_changes_nothing_and_steps_back_open_no_file_anew(folde
 
 def test_codes_beyond_black_and_white_are_clipped_and_each_code_between_has_its_count(tmp_path):
     codes = np.tile(np.arange(256, dtype=np.uint8).reshape(16, 16), (3, 3, 3))
-    frames, _ = open_frames(encode(tmp_path / "film.mkv", codes, "ffv1", "yuv444p"))
+    frames = open_frames(encode(tmp_path / "film.mkv", codes, "ffv1", "yuv444p"))
     counts = frames[0][:16, :16].ravel()
     assert (counts[:17] == 0).all()
     assert (counts[235:] == 255).all()
@@ -68,28 +68,29 @@ def test_codes_beyond_black_and_white_are_clipped_and_each_code_between_has_its_
 def test_a_film_in_colour_is_its_luma_and_said_to_be_converted(tmp_path):
     """Red of BT.709: Y' = 16 + 219 x .2126, Cb 102, Cr 240."""
     red = np.stack([np.full((48, 64), code, np.uint8) for code in (63, 102, 240)])
-    frames, note = open_frames(encode(tmp_path / "film.mkv", [red] * 3, "ffv1", "yuv444p"))
-    assert note == "colour converted to grey"
+    frames = open_frames(encode(tmp_path / "film.mkv", [red] * 3, "ffv1", "yuv444p"))
+    assert frames.colours is not None
+    assert frames.faults == ()
     assert np.abs(frames[1] - 255 * 0.2126).max() < 1
 
 
 def test_uneven_times_are_said_with_where(tmp_path):
     even = encode(tmp_path / "even.mp4", CODES)
     dropped = encode(tmp_path / "dropped.mp4", CODES, times=[k + 2 * (k > 21) for k in range(40)])
-    assert open_frames(even)[1] == ""
-    note = open_frames(dropped)[1]
-    assert note.startswith("uneven frame rate: the file has 40 ms between frames, but 120 ms after frame 21;")
+    assert open_frames(even).faults == ()
+    (fault,) = open_frames(dropped).faults
+    assert fault.startswith("uneven frame rate: the file has 40 ms between frames, but 120 ms after frame 21;")
 
 
 def test_a_truncated_film_gives_what_can_be_decoded(folder, tmp_path, capfd):
     for name in ("mjpeg.avi", "grey.mkv", "full.mkv"):
         whole = (folder / name).read_bytes()
         (tmp_path / name).write_bytes(whole[: len(whole) * 8 // 10])
-        frames, note = open_frames(tmp_path / name)
+        frames = open_frames(tmp_path / name)
         film = np.array(list(frames))
         assert 10 < len(film) < 37
-        assert np.array_equal(film[:10], np.array(list(open_frames(folder / name)[0][:10])))
-        assert f"{len(film)} of the 40 frames" in note
+        assert np.array_equal(film[:10], np.array(list(open_frames(folder / name)[:10])))
+        assert f"{len(film)} of the 40 frames" in frames.faults[0]
     assert capfd.readouterr() == ("", "")
 
 
@@ -98,9 +99,9 @@ def test_a_damaged_film_is_read_on_and_said(folder, tmp_path, capfd):
     at = len(data) // 2
     data[at : at + 400] = bytes(400)
     (tmp_path / "film.mkv").write_bytes(data)
-    frames, note = open_frames(tmp_path / "film.mkv")
+    frames = open_frames(tmp_path / "film.mkv")
     assert len(list(frames)) == len(frames) >= 20
-    assert "damaged" in note
+    assert "damaged" in frames.faults[0]
     assert capfd.readouterr() == ("", "")
 
 

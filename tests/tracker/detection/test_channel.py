@@ -30,6 +30,7 @@ def test_a_ball_as_grey_as_the_cloth_is_seen_in_its_colour():
     pictures = cloth(ways, (RED, WHITE))
     result = tracker.track(pictures, CAMERA)
     assert any(note.startswith("channel: red, for ") for note in result.notes)
+    assert not any("grey" in note for note in result.notes if not note.startswith("channel"))
     assert result.tracks.groupby("particle").size().tolist() == [30, 30]
     places = ways[:, result.tracks["frame"]]
     miss = np.hypot(*np.moveaxis(places - result.tracks[["x", "y"]].to_numpy(), -1, 0)).min(axis=0)
@@ -37,16 +38,15 @@ def test_a_ball_as_grey_as_the_cloth_is_seen_in_its_colour():
     grey = tracker.track(pictures, CAMERA, channel="grey")
     assert len(grey.tracks) <= 35
     assert not any("channel" in note for note in grey.notes)
+    assert "colour converted to grey" in grey.notes
 
 
 def test_grey_is_kept_where_it_shows_as_much():
-    assert choose_channel(frames_in_memory(cloth(apart(30), (WHITE, WHITE)))[0], Camera.from_dict(CAMERA)) == (
+    assert choose_channel(frames_in_memory(cloth(apart(30), (WHITE, WHITE))), Camera.from_dict(CAMERA)) == (
         "grey",
         "",
     )
-    assert (
-        choose_channel(frames_in_memory(film(np.random.default_rng(0), apart(9)))[0], Camera.from_dict(CAMERA))[1] == ""
-    )
+    assert choose_channel(frames_in_memory(film(np.random.default_rng(0), apart(9))), Camera.from_dict(CAMERA))[1] == ""
 
 
 @pytest.mark.parametrize(("pictures", "name", "said"), [

@@ -20,7 +20,7 @@ def overlay(dtype=np.uint8, shape=SHAPE, places=PLACES):
     nothing, cov = np.zeros(n), np.tile(np.eye(2), (n, 1, 1))
     names = np.array([""] * n)
     tracks = Tracks(np.arange(n), np.zeros(n, int), *places.T, cov, nothing, names, *places.T)
-    frames, _ = frames_in_memory(film)
+    frames = frames_in_memory(film)
     return Overlay(frames, tracks, Camera.from_dict(known), 0, n - 1, ((0.05, "after the contact"),))
 
 

@@ -81,7 +81,7 @@ def test_the_background_under_a_ball_that_rests_for_most_of_the_film():
     rng, ways = np.random.default_rng(6), collision(contact=45)
     ground = plate(rng)
     pictures = film(rng, ways, ground=ground)
-    found = still_background(frames_in_memory(pictures)[0], 2.0)
+    found = still_background(frames_in_memory(pictures), 2.0)
     level, known = found.level, found.known
     assert np.abs(level - ground)[known].max() < 30
     assert np.sqrt(np.mean((level - ground)[known] ** 2)) < 1.0
