@@ -272,7 +272,7 @@ def _report(outcome: Outcome, output: Path, extra: dict[str, Any], as_json: bool
     from tracker.report.answer import printed
 
     for note, clips in outcome.notes.items():
-        print(f"tracker: {note} ({clips} clips)", file=sys.stderr)
+        print(f"tracker: {note}{f' ({clips} of {outcome.clips} clips)' if outcome.clips > 1 else ''}", file=sys.stderr)
     states = {str(k): int(v) for k, v in outcome.estimates["status"].value_counts().sort_index().items()}
     said = list(warnings(outcome.estimates))
     for line in said:
@@ -287,7 +287,7 @@ def _report(outcome: Outcome, output: Path, extra: dict[str, Any], as_json: bool
         print(line)
     counts = ", ".join(f"{count} {state}" for state, count in states.items())
     made = f"{outcome.fresh} made now" if outcome.fresh else "complete before"
-    print(f"{output}: {outcome.clips} clips, {made}: {counts}")
+    print(f"{output}: {outcome.clips} clip{'s' * (outcome.clips != 1)}, {made}: {counts}")
     if "ms_per_frame" in extra:
         print(f"{extra['frames']} frames, {extra['ms_per_frame']} ms a frame")
     if "page" in extra:

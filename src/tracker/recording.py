@@ -341,7 +341,7 @@ def measure_clip(tracks: Tracks, camera: Camera) -> tuple[list[dict[str, Any]], 
 
 def unsaid(camera: Camera) -> list[str]:
     """What the camera file left out, and what in it is not accounted for."""
-    assumed = [name for name in camera.assumed if name != "ball_diameter"]
+    assumed = [name for name in camera.assumed if name != "ball_diameter" and camera.metric]
     return [
         *([f"assumed or estimated: {', '.join(assumed)}"] if assumed else []),
         *([] if camera.knows_diameter or not camera.metric else [UNSIZED]),

@@ -14,6 +14,7 @@ import synthcam
 import tracker
 from synthcam.dataset.generate import Plan, run
 from tracker import cli
+from tracker.camera.frames import UNSCALED
 
 SCENE = synthcam.Scene.read(
     "painter_behringer", camera={"size": [200, 160], "scale": 3e-4}, timing={"frames": 60, "contact_frame": 20}
@@ -103,7 +104,7 @@ def test_a_video_that_claims_another_frame_rate_is_said(clip, tmp_path, rate, sa
 
 def test_without_a_camera_there_are_pixels(clip):
     result = tracker.track(clip.film())
-    assert "no camera file: pixels only" in result.notes
+    assert UNSCALED in result.notes
     assert len(result.tracks) > 90
 
 

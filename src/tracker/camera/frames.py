@@ -17,6 +17,7 @@ from tracker.camera.stack import stack_frames
 
 VIDEOS = (".avi", ".mkv", ".mp4", ".mov", ".m4v", ".mpg", ".mpeg", ".webm")
 CONVERTED = "colour converted to grey"
+UNSCALED = "no camera file: positions in px only; `tracker calibrate FILM --diameter M --fps HZ -o camera.json` makes one"
 GAMMA = "sensor.gamma: counts are made linear in light before anything else"
 
 
@@ -80,7 +81,7 @@ def recorded(number: int, frames: Frames, camera: Camera | None, names: tuple[st
     size, bits = (frames.shape[2], frames.shape[1]), 8 * frames.dtype.itemsize
     notes = (*([] if frames.colours is None else [CONVERTED]), *frames.faults)
     if camera is None:
-        return Clip(number, Camera.unknown(size, bits), frames, (*notes, "no camera file: pixels only"))
+        return Clip(number, Camera.unknown(size, bits), frames, (*notes, UNSCALED))
     if camera.size != size:
         asked = "x".join(map(str, camera.size))
         raise InputError(f"{names[0]}: frames are {size[0]}x{size[1]}, expected {asked} by size in {names[1]}")

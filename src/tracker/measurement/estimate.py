@@ -61,7 +61,7 @@ def measure(tracks: Tracks, camera: Camera) -> list[dict[str, Any]]:
     (then v0, drag and decel of the ball that rolls), or the reason why nothing can be measured.
     """
     if not camera.metric:
-        return [unmeasured(camera, "no scale: lengths need a camera file")]
+        return [unmeasured(camera, "no scale: lengths need a camera file, which tracker calibrate makes")]
     balls = courses(tracks, camera)
     if not any(len(course) >= 2 for course in balls):
         return [unmeasured(camera, "too few detections")]

@@ -208,10 +208,10 @@ def test_a_misspelt_key_is_named(tmp_path, monkeypatch, capsys):
     status, err = measured(tmp_path, monkeypatch, capsys)
     assert status == 0
     assert err.splitlines() == [
-        "tracker: ball_diameter: not given; collisions are not measured, and glints are not taken to centres (1 clips)",
-        "tracker: ball_diametre: not a key of camera.json; did you mean ball_diameter? (1 clips)",
-        "tracker: operator: not a key of camera.json (1 clips)",
-        "tracker: psf.sigma: not a key of camera.json; did you mean psf.sigma_px? (1 clips)",
+        "tracker: ball_diameter: not given; collisions are not measured, and glints are not taken to centres",
+        "tracker: ball_diametre: not a key of camera.json; did you mean ball_diameter?",
+        "tracker: operator: not a key of camera.json",
+        "tracker: psf.sigma: not a key of camera.json; did you mean psf.sigma_px?",
     ]
     (row,) = pd.read_parquet(tmp_path / "out/estimates.parquet").to_dict("records")
     assert row["status"].startswith("no ball_diameter in the camera file")

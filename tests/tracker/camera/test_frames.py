@@ -15,7 +15,7 @@ import tifffile
 from tracker_film import CAMERA, write_clip
 
 from commandline.errors import InputError
-from tracker.camera.frames import open_frames, open_source
+from tracker.camera.frames import UNSCALED, open_frames, open_source
 
 RNG = np.random.default_rng(0)
 MOVIE = RNG.integers(0, 255, (6, 48, 64), dtype=np.uint8)
@@ -167,7 +167,7 @@ def test_no_camera_file_is_said(tmp_path):
     tifffile.imwrite(path, MOVIE, imagej=True)
     clip = open_source(path).clip(0)
     assert not clip.camera.metric
-    assert clip.notes == ("no camera file: pixels only",)
+    assert clip.notes == (UNSCALED,)
     (tmp_path / "camera.json").write_text(json.dumps(SMALL))
     assert open_source(path).clip(0).camera.metric  # one beside it is taken
     other = tmp_path / "other.json"

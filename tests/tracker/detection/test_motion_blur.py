@@ -81,7 +81,7 @@ def test_the_exposure_seen_is_in_the_results_whatever_the_workers(tmp_path):
         done = CliRunner().invoke(cli.app, command)
         assert done.exit_code == 0, done.output
         assert done.stderr.count("motion blur is longer") == 1
-        assert "(1 clips)" in done.stderr
+        assert "(1 of 2 clips)" in done.stderr
     one, two = (
         {p.relative_to(tmp_path / w): p.read_bytes() for p in (tmp_path / w).rglob("*") if p.is_file()} for w in "12"
     )
