@@ -15,30 +15,31 @@ import numpy as np
 
 from commandline.errors import InputError
 from commandline.outputs import as_input_error, check_room
-from tracker.calibration.ball_outline import Outline, outline
-from tracker.calibration.contact_distance import ContactDistance, contact_distances
+from tracker.calibration.survey import Seen, survey, unscaled
 from tracker.camera.camera import Camera
 from tracker.camera.camera_keys import read_json
 from tracker.camera.frames import Source, open_source, recorded
-from tracker.detection.detect import DEFAULT, detect, view_of
-from tracker.detection.link import Tracks, link
-from tracker.parallel import Progress, alone, in_parallel
+from tracker.detection.channel import in_its_channel
+from tracker.detection.choose import DISCS, GLINTS, choose
+from tracker.parallel import Progress, in_parallel
 from tracker.results import write_json
 
-HEIGHTS = 2.5  # 1/m, scatter of 1/height of lamp less that of the camera: glints' distances differ from the balls'
 DISAGREE = 3.0  # standard errors between two ways to the scale, beyond which they disagree
 LARGEST_BALL = 0.5  # m
 ENCODED_ALIKE = 0.25  # of one contact's error, which lossy video has in all of them: encoders show slow balls late
 ROUGH = 12  # clips at most, from which scale, glint width and noise are first read
-FEWEST = 10  # glints, to say anything
-STRAY = 4.0  # deviations by which a contact may differ from the middle one
+FEWEST = 10  # balls, to say anything
+GLINTLESS = "glints found, expected balls with a bright glint on a darker ground, or seen whole on a still one"
+BLURRED_GLINT = "; the glint's width includes the motion blur"
 NORMAL = 1.4826  # standard deviation of a normal spread over its median absolute deviation
+STRAY = 4.0  # deviations by which a contact may differ from the middle one
 
 
 @dataclass(frozen=True)
 class Calibration:
     """What was found from a video: the camera; ``scale_std`` m/px; ``scale_from`` (contact, outline, or nothing); by
-    each way the scale and its error, m/px; in ``missing`` a line for each thing that the video does not show.
+    each way the scale and its error, m/px; in ``missing`` a line for each thing that the video does not show; whether
+    balls are seen as ``discs``, which tell nothing of the sensor.
     """
 
     camera: Camera
@@ -46,6 +47,7 @@ class Calibration:
     scale_from: str
     ways: dict[str, tuple[float, float]]
     missing: tuple[str, ...]
+    discs: bool = False
 
     def to_dict(self) -> dict[str, Any]:
         """camera.json, with a key ``calibration`` that says how good it is."""
@@ -56,7 +58,10 @@ class Calibration:
         }
         if "exposure" not in unknown:
             kept["exposure"] = whole["exposure"]
-        kept |= _sensor_keys(self.camera)
+        if not self.discs:
+            kept |= _sensor_keys(self.camera)
+        elif self.camera.sensor.gamma != 1:
+            kept["sensor"] = {"gamma": self.camera.sensor.gamma}
         if self.scale_from:
             kept["scale_std"] = self.scale_std
         kept["calibration"] = {
@@ -146,57 +151,37 @@ def calibrate(
     """
     given = given_keys(diameter, fps, exposure, gamma)
     source = open_source(video)
-    width, height = source.film(0)[1].shape[:0:-1]
-    given["size"] = [width, height]
+    number, frames = source.film(0)
+    width, height = frames.shape[:0:-1]
+    given |= {"size": [width, height], "scale": diameter / Camera.unknown((width, height), 8).diameter_px}
     last = len(source) - 1
     rough = sorted({round(i * last / (ROUGH - 1)) for i in range(ROUGH)})
     rest = sorted({*range(len(source))} - {*rough})
-    steps = count(1)
+    steps, total, ways = count(1), 2 * len(rough) + len(rest), dict[str, tuple[float, float]]()
 
-    def survey(picks: Sequence[int], known: dict[str, Any], detector: str) -> list[_Seen]:
+    def survey_all(source: Source, picks: Sequence[int], known: dict[str, Any], detector: str) -> list[Seen]:
         found = []
-        for one in in_parallel(functools.partial(_survey, source, known, detector), picks, workers, video):
+        for one in in_parallel(functools.partial(survey, source, known, detector, bool(ways)), picks, workers, video):
             found.append(one)
-            progress(next(steps), 2 * len(rough) + len(rest))
+            progress(next(steps), total)
         return sorted(found, key=lambda one: one.index)
 
-    given["scale"] = diameter / Camera.unknown((width, height), 8).diameter_px
-    for detector in ("centroid", DEFAULT):  # the second time with the size of the balls known
-        seen = survey(rough, given, detector)
+    first_by, then_by = "centroid", GLINTS
+    first = unscaled(recorded(number, frames, Camera.from_dict(given), ("", "")))
+    if choose((coloured := in_its_channel(first, None)[0]).frames, first.camera)[0] == DISCS:
+        source, first_by, then_by = replace(source, channel=coloured.channel), DISCS, DISCS
+    for detector in (first_by, then_by):  # the second time with the size of the balls known
+        seen = survey_all(source, rough, given, detector)
         ways = _ways(seen, diameter)
         if ways:
             given["scale"] = min(ways.values(), key=lambda way: way[1])[0]
     if rest:
-        seen += survey(rest, given | _sensor_keys(_middle(seen)), DEFAULT)
+        seen += survey_all(source, rest, given | (_sensor_keys(_middle(seen)) if then_by == GLINTS else {}), then_by)
         ways = _ways(seen, diameter)
-    return _gathered(seen, ways, video, exposure is not None)
+    return _gathered(seen, ways, video, exposure is not None, then_by)
 
 
-@dataclass(frozen=True)
-class _Seen:
-    """One clip's part."""
-
-    index: int
-    camera: Camera
-    glints: int
-    contact_distances: list[ContactDistance]
-    outline: Outline | None
-    encoded: bool
-
-
-def _survey(source: Source, known: dict[str, Any], detector: str, index: int) -> _Seen:
-    alone()
-    number, frames = source.film(index)
-    clip = recorded(number, frames, Camera.from_dict(known), ("", ""))
-    view = view_of(clip)
-    glints = detect(clip, view, detector)
-    tracks: Tracks = link(glints, view.camera)
-    encoded = view.camera.sensor.codec_noise > 0
-    seen = None if encoded else outline(clip.frames, view.plate, glints, view.sigma)
-    return _Seen(index, view.camera, len(tracks), contact_distances(tracks), seen, encoded)
-
-
-def _middle(seen: Sequence[_Seen]) -> Camera:
+def _middle(seen: Sequence[Seen]) -> Camera:
     """The camera of the clip whose glints are of middle width."""
     return sorted(seen, key=lambda s: s.camera.psf_sigma or 0.0)[len(seen) // 2].camera
 
@@ -209,7 +194,7 @@ def _sensor_keys(camera: Camera) -> dict[str, Any]:
     return sensor if camera.psf_sigma is None else {"psf": whole["psf"], **sensor}
 
 
-def _ways(seen: Sequence[_Seen], diameter: float) -> dict[str, tuple[float, float]]:
+def _ways(seen: Sequence[Seen], diameter: float) -> dict[str, tuple[float, float]]:
     """Scale and standard error, m/px, by each way that some clip allows."""
     out = {}
     contacts = [(t.distance, t.std) for s in seen for t in s.contact_distances]
@@ -221,7 +206,7 @@ def _ways(seen: Sequence[_Seen], diameter: float) -> dict[str, tuple[float, floa
     outlines = [(2.0 * s.outline.radius, 2.0 * s.outline.std) for s in seen if s.outline is not None]
     if outlines:
         width = float(np.median([w for w, _ in outlines]))
-        std = math.hypot(min(std for _, std in outlines), HEIGHTS * diameter / 4.0 * width)
+        std = min(std for _, std in outlines)
         out["outline"] = (diameter / width, diameter / width**2 * std)
     return out
 
@@ -238,35 +223,39 @@ def weighted_mean(values: list[tuple[float, float]]) -> tuple[float, float]:
     return mean, math.sqrt(max(1.0, chi2) / float(np.sum(weight)))
 
 
-def _gathered(seen: Sequence[_Seen], ways: dict[str, tuple[float, float]], video: Path, timed: bool) -> Calibration:
-    found = sum(s.glints for s in seen)
+def _gathered(
+    seen: Sequence[Seen], ways: dict[str, tuple[float, float]], video: Path, timed: bool, detector: str
+) -> Calibration:
+    found, discs = sum(s.balls for s in seen), detector == DISCS
     if found < FEWEST:
-        raise InputError(f"{video}: {found} glints found, expected balls with a bright glint on a darker ground")
+        what = "discs found, expected balls on a still background" if discs else GLINTLESS
+        raise InputError(f"{video}: {found} {what}")
     best = min(ways, key=lambda name: ways[name][1]) if ways else ""
-    missing = []
-    if not best:
-        missing.append("scale: no two balls touch in view, and no outline is bright enough to be seen")
-    elif len(ways) == 1:
-        unseen = (
-            "an encoder has changed the outlines"
-            if all(s.encoded for s in seen)
-            else "no outline bright enough to be seen"
-        )
-        other = {"contact": unseen, "outline": "no two balls touch in view"}[best]
-        missing.append(f"scale: from the {best} alone, {other}")
-    else:
-        (one, one_std), (two, two_std) = ways["contact"], ways["outline"]
-        if abs(one - two) > DISAGREE * math.hypot(one_std, two_std):
-            missing.append("scale: contact and outline disagree; are the balls alike, and of that diameter?")
+    missing = [*_of_scale(seen, ways, best, discs)]
     if not timed:
-        missing.append("exposure: a video does not show it; the glint's width includes the motion blur")
-    missing += [
-        "lamp: its position is not known; tracks will be those of glints, not of centres",
-        "height: the camera's is not known; it is assumed straight above, without distortion",
-        "sensor: prnu, dsnu and dark current cannot be separated from the noise",
-    ]
+        missing.append("exposure: a video does not show it" + BLURRED_GLINT * (not discs))
+    missing += [] if discs else ["lamp: its position is not known; tracks will be those of glints, not of centres"]
+    missing.append("height: the camera's is not known; it is assumed straight above, without distortion")
+    missing += [] if discs else ["sensor: prnu, dsnu and dark current cannot be separated from the noise"]
     scale, std = ways[best] if best else (math.nan, math.nan)
-    return Calibration(replace(_middle(seen), scale=scale), std, best, ways, tuple(missing))
+    return Calibration(replace(_middle(seen), scale=scale), std, best, ways, tuple(missing), discs)
+
+
+def _of_scale(seen: Sequence[Seen], ways: dict[str, tuple[float, float]], best: str, discs: bool) -> Sequence[str]:
+    """What the ways to the scale do not show."""
+    unseen = "no outline is bright enough to be seen"
+    if discs:
+        unseen = "no outline is seen whole, for the balls are darker on one side or too few"
+    if not best:
+        return [f"scale: no two balls are seen to hit each other, and {unseen}"]
+    if len(ways) == 1:
+        unseen = "an encoder has changed the outlines" if not discs and all(s.encoded for s in seen) else unseen
+        other = {"contact": unseen, "outline": "no two balls are seen to hit each other"}[best]
+        return [f"scale: from the {best} alone, {other}"]
+    (one, one_std), (two, two_std) = ways["contact"], ways["outline"]
+    if abs(one - two) > DISAGREE * math.hypot(one_std, two_std):
+        return ["scale: contact and outline disagree; are the balls alike, and of that diameter?"]
+    return []
 
 
 def summary(result: Calibration) -> list[str]:
@@ -275,6 +264,8 @@ def summary(result: Calibration) -> list[str]:
     lines = [
         f"{name}: scale {value:.6g} m/px +- {100 * std / value:.2g} %" for name, (value, std) in result.ways.items()
     ]
+    if result.discs:
+        return lines + [f"not found - {line}" for line in result.missing]
     lines.append(f"glint: sigma {camera.sigma or math.nan:.3g} px")
     noise = math.sqrt(float(sensor.variance(np.array(sensor.black_level))))
     lines.append(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from itertools import combinations
 from typing import Any
@@ -10,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tracker.camera.lens import Array
+from tracker.detection.glints import SHADED, WORDS
 from tracker.detection.link import Tracks
 
 BEFORE = 7  # frames used before the contact
@@ -32,8 +34,8 @@ def contact_distances(tracks: Tracks) -> list[ContactDistance]:
     """The contacts between the balls of one clip that can be measured."""
     out = []
     for one, two in combinations(np.unique(tracks.particle).tolist(), 2):
-        frame, gap, cov = _relative(tracks, one, two)
-        contacts = (_touch(frame, gap, cov, k) for k in _nearest(np.hypot(*gap.T)))
+        frame, gap, cov, fixed = _relative(tracks, one, two)
+        contacts = (_touch(frame, gap, cov, fixed, k) for k in _nearest(np.hypot(*gap.T)))
         out += [contact for contact in contacts if contact is not None]
     return out
 
@@ -46,14 +48,18 @@ def _nearest(distance: Array) -> NDArray[np.int64]:
     return np.flatnonzero(np.argmin(around, axis=1) == BEFORE)
 
 
-def _relative(tracks: Tracks, one: int, two: int) -> tuple[NDArray[np.int64], Array, Array]:
-    """Frames in which both are seen, vectors (n, 2) px from one to two, and their covariances."""
+def _relative(tracks: Tracks, one: int, two: int) -> tuple[NDArray[np.int64], Array, Array, Array]:
+    """Frames in which both are seen, vectors (n, 2) px from one to two, their covariances from frame to frame,
+    and those of a shift that lasts."""
     a, b = (np.flatnonzero(tracks.particle == p) for p in (one, two))
     frame, i, j = np.intersect1d(tracks.frame[a], tracks.frame[b], return_indices=True)
-    return frame, tracks.xy[b[j]] - tracks.xy[a[i]], tracks.cov[b[j]] + tracks.cov[a[i]]
+    shaded = np.array([WORDS[SHADED] in words for words in tracks.flags])
+    lasting = tracks.fixed * shaded[:, None, None]
+    cov, fixed = (c[b[j]] + c[a[i]] for c in (tracks.cov - lasting, lasting))
+    return frame, tracks.xy[b[j]] - tracks.xy[a[i]], cov, fixed
 
 
-def _touch(frame: NDArray[np.int64], gap: Array, cov: Array, k: int) -> ContactDistance | None:
+def _touch(frame: NDArray[np.int64], gap: Array, cov: Array, fixed: Array, k: int) -> ContactDistance | None:
     """Parabolas before and after row k of least distance, and the distance where they meet."""
     best = None
     for span in AFTER:
@@ -66,10 +72,13 @@ def _touch(frame: NDArray[np.int64], gap: Array, cov: Array, k: int) -> ContactD
                 best = found
         if best is not None and best[1] < GOOD:
             break
-    if best is None or best[1] > POOR:
+    if best is None:
         return None
     contact, chi2 = best
-    return ContactDistance(contact.distance, contact.std * max(1.0, chi2) ** 0.5, contact.instant)
+    random, lasting = (float(np.trace(c[k])) / 2 for c in (cov, fixed))
+    if chi2 * random > POOR * (random + lasting):
+        return None
+    return ContactDistance(contact.distance, math.sqrt(contact.std**2 * max(1.0, chi2) + lasting), contact.instant)
 
 
 def _meet(

@@ -17,7 +17,9 @@ from tracker.camera.stack import stack_frames
 
 VIDEOS = (".avi", ".mkv", ".mp4", ".mov", ".m4v", ".mpg", ".mpeg", ".webm")
 CONVERTED = "colour converted to grey"
-UNSCALED = "no camera file: positions in px only; `tracker calibrate FILM --diameter M --fps HZ -o camera.json` makes one"
+UNSCALED = (
+    "no camera file: positions in px only; `tracker calibrate FILM --diameter M --fps HZ -o camera.json` makes one"
+)
 GAMMA = "sensor.gamma: counts are made linear in light before anything else"
 
 

@@ -21,6 +21,7 @@ MOST = 40  # regions of a frame
 ROUND = 0.6  # area over that of the circle around it
 BODY = 0.25  # of the brightest spot on it, a ball's contrast halfway out: of a steel ball only the glint is seen
 STEEP = 0.4  # of the pixels over a fifth of the contrast, those over four fifths: discs have edges, glints fade
+NOISY, LEFT = 4.0, 0.5  # counts of noise, from which means are of 3 x 3 pixels; and what is then left of it
 LARGE = 4.0  # px, a radius where the camera file gives none: a clipped glint looks like a small disc
 SIZES = 0.8, 1.25  # times the radius that a camera file gives: a glint out of focus is smaller than its ball
 ALIKE = 0.25  # of a radius
@@ -46,7 +47,11 @@ def choose(frames: Sequence[Any], camera: Camera) -> tuple[str, str]:
     """
     last = len(frames) - 1
     sample = [np.array(frames[round(k * last / 8)]) for k in range(9)]
-    noise, level = noise_of(sample), median_of_nine(sample)
+    noise = noise_of(sample)
+    if noise > NOISY:
+        frames, noise = Smoothed(frames), noise * LEFT
+        sample = [frames[round(k * last / 8)] for k in range(9)]
+    level = median_of_nine(sample)
     picks = sorted({round(k * last / (LOOKED - 1)) for k in range(LOOKED)})
     least = max(LEAST * noise, LEAST)
     expected = camera.diameter_px / 2 if camera.knows_diameter else None
@@ -63,6 +68,19 @@ def choose(frames: Sequence[Any], camera: Camera) -> tuple[str, str]:
     if having < max(OFTEN * len(picks), 3):
         return GLINTS, ""
     return DISCS, f"detector: discs, for bodies of {2 * usual:.0f} px are seen, not glints alone; --detector forces"
+
+
+class Smoothed(Sequence[Any]):
+    """The frames of a film, each the means of 3 x 3 of its pixels."""
+
+    def __init__(self, frames: Sequence[Any]) -> None:
+        self.frames = frames
+
+    def __len__(self) -> int:
+        return len(self.frames)
+
+    def __getitem__(self, k: Any) -> Any:
+        return cv2.blur(np.asarray(self.frames[k]), (3, 3))
 
 
 def _large(frame: NDArray[Any], level: NDArray[Any], least: float, smallest: float) -> bool:

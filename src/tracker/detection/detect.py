@@ -78,7 +78,7 @@ def point_of(name: str) -> str:
 
 def detect(clip: Clip, view: View, name: str = DEFAULT) -> Glints:
     """All glints of a clip by the detector ``name``, in the order of frames."""
-    return _searched(clip, detector(name)(view), name)
+    return searched(clip, detector(name)(view), name)
 
 
 def settled(clip: Clip, view: View, name: str = DEFAULT) -> tuple[Glints, View]:
@@ -101,7 +101,7 @@ def settled(clip: Clip, view: View, name: str = DEFAULT) -> tuple[Glints, View]:
     view : View
     """
     finder: Any = detector(name)(view)
-    first = _searched(clip, finder, name)
+    first = searched(clip, finder, name)
     if hasattr(finder, "notes"):
         view = replace(view, notes=tuple(finder.notes()))
     blur = getattr(finder, "motion_blur", None)
@@ -115,7 +115,7 @@ def settled(clip: Clip, view: View, name: str = DEFAULT) -> tuple[Glints, View]:
         seen = min(current.camera.exposed * length, 1.0 / current.camera.fps)
         current = replace(current, camera=replace(current.camera, exposure_seen=seen))
         finder, previous = detector(name)(current), length
-        glints = _searched(clip, finder, name)
+        glints = searched(clip, finder, name)
         length, error, _ = finder.motion_blur.length()
         if abs(length - 1.0) < SETTLED:
             change = abs(1.0 - view.camera.exposure / seen)
@@ -125,7 +125,7 @@ def settled(clip: Clip, view: View, name: str = DEFAULT) -> tuple[Glints, View]:
     return first, view
 
 
-def _searched(clip: Clip, finder: Any, name: str) -> Glints:
+def searched(clip: Clip, finder: Any, name: str) -> Glints:
     """All glints of a clip. Raises InputError where the detector returns anything but Glints as they must be."""
     frames = enumerate(clip.frames)
     if hasattr(finder, "many"):

@@ -238,14 +238,15 @@ def _model(
     for s in (np.arange(points) + 0.5) / points - 0.5:
         dx, dy = x - now[0] - s * way[0], y - now[1] - s * way[1]
         r = np.maximum(np.hypot(dx, dy), 1e-9)
-        z = (r - now[2]) / now[3]
+        bent = now[3] / (2 * now[2])  # widths by which a blurred disc's half brightness lies inside its outline
+        z = (r - now[2]) / now[3] + bent
         density = np.exp(-z * z / 2) / np.sqrt(2 * np.pi) / now[3]
         cover += ndtr(-z)
         sides = density * dx / r, density * dy / r
         slopes[0] += sides[0]
         slopes[1] += sides[1]
         slopes[2] += density
-        slopes[3] += density * z
+        slopes[3] += density * (z - 2 * bent)
         if swept:
             slopes[4] += s * sides[0]
             slopes[5] += s * sides[1]

@@ -33,6 +33,8 @@ MOST_LIT = 0.8  # of the discs, that have half that slope in the same direction
 CLOSE = 0.1  # of a radius, within which two are counted as the same
 SECOND = 0.3  # of the most common radius's count, that of a second one
 FEWEST = 3  # discs at rest, from which their radius is read
+ENOUGH = 10  # discs seen whole, to say how large they are
+NORMAL = 1.4826  # standard deviation of a normal spread over its median absolute deviation
 LOOKED = 25  # frames, for the usual radius
 MOST = 40  # objects in a frame: beyond that it is no picture of a few balls
 
@@ -67,7 +69,7 @@ class Discs:
         self.low = max(self.low, FAINTEST * contrast)
         self.scenes = {scene: self._cleaned(scene) for scene in self.scenes}
         self.shadows = 0  # those met so far were the samples'
-        if self.signs != (0,) and len(self.fitted) > FEWEST:
+        if self.shaded and len(self.fitted) > FEWEST:
             fitted = np.array(self.fitted)
             near = np.abs(fitted[:, None] - self.radii).argmin(axis=1)
             self.tied, self.radii = TIED, [float(np.median(fitted[near == k])) for k in np.unique(near)]
@@ -78,6 +80,23 @@ class Discs:
     def radius(self) -> float:
         """The balls', px, or the most common one."""
         return self.radii[0]
+
+    @property
+    def shaded(self) -> bool:
+        """Whether balls are brighter on one side, or cast shadows."""
+        return self.signs != (0,)
+
+    def seen_radius(self) -> tuple[float, float]:
+        """Median radius of the discs fitted so far, px, and its random error; 0 where it is not to be seen.
+
+        So it is of balls with one dark side, and where few are seen whole.
+        """
+        radii = np.array(self.fitted)
+        radii = radii[np.abs(radii / self.radius - 1) < CLOSE]
+        if self.shaded or len(radii) < ENOUGH:
+            return 0.0, 0.0
+        spread = NORMAL * float(np.median(np.abs(radii - np.median(radii))))
+        return float(np.median(radii)), spread / float(np.sqrt(len(radii)))
 
     def notes(self) -> list[str]:
         """What a user has to know, once the frames have been searched."""
@@ -263,7 +282,7 @@ class Discs:
         return found
 
     def _look(self, radius: float) -> Look:
-        return Look(radius * self.larger, self.noise, self.signs != (0,), self.tied * radius)
+        return Look(radius * self.larger, self.noise, self.shaded, self.tied * radius)
 
     def _touching(
         self, light: NDArray[np.float32], ground: Background, part: Part, radius: float
@@ -288,7 +307,7 @@ class Discs:
 
     def _row(self, found: Found, flag: int, radius: float, shape: tuple[int, ...]) -> tuple[float, ...]:
         x, y = found.place
-        flag |= SHADED if self.signs != (0,) else 0
+        flag |= SHADED if self.shaded else 0
         whole = radius < x < shape[1] - 1 - radius and radius < y < shape[0] - 1 - radius
         cov = [m[i, j] for m in (found.cov, found.fixed) for i, j in ((0, 0), (0, 1), (1, 1))]
         return x, y, *cov, np.pi * radius**2, flag | (0 if whole else EDGE)
