@@ -46,7 +46,7 @@ def test_scale_from_the_contact_is_within_its_error(told):
 
 
 def measured(rng, noise, slow=0.0, lasting=np.inf):
-    """Tracks of a hit with that much noise, px; then the struck ball slows down by ``slow`` px a frame^2, for a time."""
+    """Tracks of a hit with that much noise, px; then the struck ball slows by ``slow`` px a frame^2, for a time."""
     n, contact = 30, 13 + rng.random()
     paths = collision(n, contact, speed=2.5, angle=6.28 * rng.random(), offset=0.5 - rng.random())
     after = np.maximum(np.arange(n) - contact, 0.0)[:, None]
@@ -235,7 +235,7 @@ def test_a_shift_that_lasts_hides_no_bend():
     shaded = []
     for seed in range(40):
         tracks = measured(np.random.default_rng(seed), 0.02, slow=0.3, lasting=3.5)
-        own = np.tile(0.2**2 * np.eye(2), (len(tracks), 1, 1))
+        own = np.tile(0.12**2 * np.eye(2), (len(tracks), 1, 1))
         words = np.full(len(tracks), "shaded")
         shaded += contact_distances(replace(tracks, cov=tracks.cov + own, fixed=own, flags=words))
     off = np.array([(t.distance - 14.875) / t.std for t in shaded])
