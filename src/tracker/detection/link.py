@@ -80,6 +80,7 @@ class _Ball:
     moving: bool = False  # whether a velocity is known
     ahead: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
     bounced: bool = False
+    struck: tuple[int, float, float, float, float] | None = None  # frame, place, velocity after a hit not seen since
 
 
 def link(glints: Glints, camera: Camera, point: str = "glint", takes: Sequence[tuple[int, int]] = ()) -> Tracks:
@@ -212,7 +213,10 @@ def _follow(glints: Glints, camera: Camera, diameter: float, seen_whole: bool) -
         pairs = _match(live, found, x, y, k, (reach, 0.6 * diameter, loose))
         for ball, row in pairs:
             _extend(ball, row, k, x[row], y[row])
-        taken = {row for _, row in pairs}
+        taken, seen = {row for _, row in pairs}, {id(ball) for ball, _ in pairs}
+        for ball in live:
+            if ball.bounced and id(ball) not in seen and ball.struck is None:
+                ball.struck = (k, *ball.ahead)
         live += [_Ball([row], k, x[row], y[row]) for row in found if row not in taken]
     return done + live
 
@@ -220,11 +224,12 @@ def _follow(glints: Glints, camera: Camera, diameter: float, seen_whole: bool) -
 def _expect(live: list[_Ball], frame: int, diameter: float) -> None:
     """Sets where each ball is expected and with what velocity, pairs bouncing off each other on the way."""
     for ball in live:
-        span = frame - ball.frame
-        ball.ahead = (ball.x + ball.vx * span, ball.y + ball.vy * span, ball.vx, ball.vy)
-        ball.bounced = False
-    for i, one in enumerate(live):
-        for two in live[i + 1 :]:
+        since, x, y, vx, vy = ball.struck or (ball.frame, ball.x, ball.y, ball.vx, ball.vy)
+        ball.ahead = (x + vx * (frame - since), y + vy * (frame - since), vx, vy)
+        ball.bounced = ball.struck is not None
+    free = [ball for ball in live if ball.struck is None]
+    for i, one in enumerate(free):
+        for two in free[i + 1 :]:
             _bounce(one, two, frame, diameter)
 
 
@@ -290,7 +295,7 @@ def _extend(ball: _Ball, row: int, frame: int, x: float, y: float) -> None:
         ball.vx, ball.vy = ball.ahead[2:]
     else:
         ball.vx, ball.vy = (x - ball.x) / span, (y - ball.y) / span
-    ball.moving = True
+    ball.moving, ball.struck = True, None
     ball.rows.append(row)
     ball.frame, ball.x, ball.y = frame, x, y
 
