@@ -33,8 +33,11 @@ def command_line(name: str, about: str) -> typer.Typer:
     return app
 
 
-def run(app: typer.Typer, name: str, wrong: tuple[type[Exception], ...], interrupted: str) -> None:
-    """Ends the process: 0 done, 1 a check failed, 2 bad input, 130 interrupted; with one line, unless all went well."""
+def run(app: typer.Typer, name: str, wrong: tuple[type[Exception], ...], resumed: tuple[str, ...] = ()) -> None:
+    """Ends the process: 0 done, 1 a check failed, 2 bad input, 130 interrupted; with one line, unless all went well.
+
+    resumed: the commands that, interrupted, keep what they have made; the others leave nothing.
+    """
     try:
         status = app(prog_name=name, standalone_mode=False)
         if status == 130:  # typer makes this of Ctrl-C
@@ -47,7 +50,9 @@ def run(app: typer.Typer, name: str, wrong: tuple[type[Exception], ...], interru
     except wrong as error:
         print(f"{name}: {error}", file=sys.stderr)
     except (KeyboardInterrupt, typer.Abort):
-        print(f"{name}: interrupted; {interrupted}", file=sys.stderr)
+        kept = any(word in resumed for word in sys.argv[1:2])
+        then = "the same command goes on where it stopped" if kept else "nothing was written"
+        print(f"{name}: interrupted; {then}", file=sys.stderr)
         sys.exit(130)
     except MemoryError:
         print(f"{name}: not enough memory", file=sys.stderr)

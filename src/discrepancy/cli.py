@@ -155,7 +155,7 @@ def _say_lost(left_out: Sequence[str], most: bool) -> None:
 
 def main() -> None:
     """Entry point: 0 done, 2 bad input, 130 interrupted."""
-    run(app, "discrepancy", (InputError,), "nothing was written")
+    run(app, "discrepancy", (InputError,))
 
 
 if __name__ == "__main__":

@@ -295,7 +295,7 @@ def _say(summary: dict[str, Any], as_json: bool, text: str) -> None:
 def main() -> None:
     """Entry point: 0 done, 1 a check failed, 2 bad input, 130 interrupted."""
     try:
-        run_command(app, "synthcam", (InputError,), "the same command goes on where it stopped")
+        run_command(app, "synthcam", (InputError,), ("generate", "merge"))
     except RuntimeError as e:
         if type(e).__name__ != "NoGL":
             raise

@@ -305,7 +305,7 @@ def _collision(row: Mapping[Any, Any]) -> dict[str, Any]:
 
 def main() -> None:
     """Entry point: 0 done, whatever the clips' status; 2 bad input; 130 interrupted."""
-    run(app, "tracker", (InputError,), "the same command goes on where it stopped")
+    run(app, "tracker", (InputError,), ("track", "measure", "compare"))
 
 
 if __name__ == "__main__":
