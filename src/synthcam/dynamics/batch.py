@@ -15,16 +15,16 @@ from numpy.typing import NDArray
 
 from synthcam.dynamics import kinematics
 from synthcam.dynamics.contact_time import STAYING
-from synthcam.dynamics.creep import CLINGING, PUSHED_AWAY, approach, excess
+from synthcam.dynamics.creep import CLINGING, PUSHED_AWAY, UNKNOWN_PAST, approach, excess
 from synthcam.dynamics.forces import FLY, LAWS, REST, ROLL, SLIDE, STILL, Balls, Ints, ending_slip, modes_of
 from synthcam.dynamics.hermite import between
 from synthcam.dynamics.impact import collide, land
 from synthcam.dynamics.integrate import Way, back, lead
 from synthcam.dynamics.kinematics import Array, contact_velocity, rolling_state, rolling_velocity
-from synthcam.dynamics.launch import Launch, touching
+from synthcam.dynamics.launch import NONE, Launch, touching
 from synthcam.dynamics.led import arrived
 from synthcam.dynamics.packed import Packed
-from synthcam.dynamics.segments import Alone, Bent, Flying, Resting, Rolling, Segment, Sliding
+from synthcam.dynamics.segments import Alone, Bent, Flying, Resting, Rolling, Segment, Sliding, put, without
 from synthcam.dynamics.solve import solve
 from synthcam.model import Bodies, Model
 
@@ -63,7 +63,7 @@ class Batch:
         own = np.broadcast_to(times, (2 * self.size, times.shape[-1]))
         out = np.empty((*own.shape, 9))
         for segment in self.segments:
-            _put(segment, own, out, slice(9))
+            put(segment, own, out, slice(9))
         return out.reshape(2, self.size, own.shape[-1], 9)
 
     def heights(self, times: Array) -> Array:
@@ -72,7 +72,7 @@ class Batch:
         out = np.repeat(self.radius, own.shape[-1]).reshape(*own.shape, 1)
         for segment in self.segments:
             if segment.aloft:
-                _put(segment, own, out, slice(2, 3))
+                put(segment, own, out, slice(2, 3))
         return out.reshape(2, self.size, own.shape[-1])
 
     def means(self, starts: Array, exposure: float) -> Array:
@@ -112,18 +112,8 @@ class Batch:
         return np.moveaxis(out.reshape(2, 2, self.size, own.shape[-1]), 0, -1)
 
 
-def _put(segment: Segment, times: Array, out: Array, part: slice) -> None:
-    """A part of the states of a segment's balls into out (2n, m, ...), at those of the times (2n, m) within it."""
-    mine, begins, ends = times[segment.who], segment.begins[:, None], segment.ends[:, None]
-    here = Packed((mine >= begins) & (mine <= ends))
-    if here.any:
-        states = segment.states(np.clip(here.gather(mine), begins, ends))
-        rows, columns = np.nonzero(here.mask)
-        out[segment.who[rows], columns] = states[here.inside, part]
-
-
 def collisions(model: Model, launches: Array, start: float, end: float, striker_is_a: Any = False) -> Batch:
-    """The collisions of `launches` (n, 6), columns LAUNCH, from `start` to `end`, s.
+    """The collisions of `launches` (n, 6), columns LAUNCH, or (n, 9), and SPIN, from `start` to `end`, s.
 
     striker_is_a: (n,) or one for all: was the experimenter's ball a launched? Raises ValueError as `solve` does.
     """
@@ -132,7 +122,8 @@ def collisions(model: Model, launches: Array, start: float, end: float, striker_
     two = model.bodies(["a" if a else "b" for a in is_a])
     both = Bodies(*(np.concatenate([getattr(one, f), getattr(two, f)]) for f in ("radius", "mass", "of_a")))
     t_c = launches[:, 2].astype(float)
-    target, striker = touching(one, two, launches[:, 3], launches[:, 5], launches[:, 4], launches[:, :2])
+    spin = launches[:, 6:] if launches.shape[1] > len(LAUNCH) else None
+    target, striker = touching(one, two, launches[:, 3], launches[:, 5], launches[:, 4], launches[:, :2], spin)
 
     run = _Run(model, both, Batch(float(start), float(end), radius=both.radius), np.concatenate([t_c, t_c]))
     target, striker = run.before(target, striker)
@@ -177,11 +168,13 @@ def _by_solve(model: Model, launches: Array, is_a: NDArray[np.bool_], out: Batch
     if len(which) == 0:
         return out
     n, kinks = out.size, [list(row) for row in out.breaks]
-    out.segments = [_without(s, np.isin(s.who % n, which)) for s in out.segments]
+    out.segments = [without(s, np.isin(s.who % n, which)) for s in out.segments]
     for k in which:
-        x, y, t_c, v0, heading, b = launches[k]
+        x, y, t_c, v0, heading, b, *spin = launches[k]
         labels = ("b", "a") if is_a[k] else ("a", "b")
-        motion = solve(model, Launch.pair(model.bodies(labels), t_c, v0, b, heading, (x, y)), out.start, out.end)
+        motion = solve(
+            model, Launch.pair(model.bodies(labels), t_c, v0, b, heading, (x, y), spin or NONE), out.start, out.end
+        )
         for ball in (0, 1):
             row, its = np.array([k + ball * n]), dataclasses.replace(motion, legs=motion.legs[ball : ball + 1])
             out.segments.append(Alone(row, np.array([out.start]), np.array([out.end]), its))
@@ -191,12 +184,6 @@ def _by_solve(model: Model, launches: Array, is_a: NDArray[np.bool_], out: Batch
     most = max(map(len, kinks))
     out.breaks = np.array([row + [np.inf] * (most - len(row)) for row in kinks])
     return out
-
-
-def _without(segment: Segment, gone: NDArray[np.bool_]) -> Segment:
-    """Of some balls no time is left in it."""
-    ends = np.where(gone, segment.begins, segment.ends)
-    return dataclasses.replace(segment, ends=ends) if np.any(gone) else segment  # type: ignore[type-var]
 
 
 def _alike(who: Ints, size: Array) -> list[Ints]:
@@ -217,25 +204,38 @@ class _Run:
         self.floor = np.full(len(t_c), np.inf)
 
     def before(self, target: Array, striker: Array) -> tuple[Array, Array]:
-        """The approach: targets at rest, strikers rolling. Their states at the contact."""
+        """The approach: targets at rest, strikers rolling or sliding. Their states at the contact."""
         n, start = len(target), np.full(len(self.t_c), self.out.start)
         if self.mutual:
             return self._pulled(np.concatenate([target, striker]))
         early = np.flatnonzero(self.t_c > self.out.start)
         self._rest(early[early < n], target[early[early < n]], start, self.t_c)
         who = early[early >= n]
-        for some in _alike(who, np.hypot(striker[who - n, 3], striker[who - n, 4])):
-            if self.bent[ROLL]:
-                balls = Balls.undrilled(self.model, self.bodies[some], striker[some - n])
-                for units, led in back(balls, self.t_c[some], start[some]):
-                    self.out.segments += Bent.of(some[units], led, self.out.start)
-            else:
-                self._roll(some, striker[some - n], start[some], self.t_c[some], self.t_c[some])
+        modes = modes_of(striker, self.bodies.radius[n:])[who - n]
+        for mode in (ROLL, SLIDE):
+            own = who[modes == mode]
+            for some in _alike(own, np.hypot(striker[own - n, 3], striker[own - n, 4])):
+                if self.bent[mode]:
+                    balls = Balls.undrilled(self.model, self.bodies[some], striker[some - n])
+                    for units, led in back(balls, self.t_c[some], start[some]):
+                        self.out.segments += Bent.of(some[units], led, self.out.start)
+                elif mode == ROLL:
+                    self._roll(some, striker[some - n], start[some], self.t_c[some], self.t_c[some])
+                else:
+                    self._slid(some, striker[some - n], start[some])
         return target, striker
+
+    def _slid(self, who: Ints, states: Array, start: Array) -> None:
+        """Slides in closed form that led to these states at the contacts."""
+        radius, slowing = self.bodies.radius[who], np.full(len(who), self.model.sliding_friction * self.model.gravity)
+        first = kinematics.slide(states, radius, slowing, (start - self.t_c[who])[:, None])[:, 0]
+        self.out.segments.append(Sliding(who, start, self.t_c[who], first, radius, slowing))
 
     def _pulled(self, states: Array) -> tuple[Array, Array]:
         """The approach of balls that push each other."""
         n, t_c = len(states) // 2, self.t_c[: len(states) // 2]
+        if np.any(modes_of(states, self.bodies.radius) == SLIDE):
+            raise ValueError(UNKNOWN_PAST)
         hit, pieces, onset = approach(self.model, self.bodies, states, np.maximum(t_c - self.out.start, 0.0))
         for units, led in pieces:
             rows = np.concatenate([units, units + n])

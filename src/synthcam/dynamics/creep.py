@@ -25,6 +25,7 @@ SETTLED = 2e-13  # m/s, of an iteration's change
 TRUE, STEADY = 3e-14, 5e-13  # m, m/s: of the last coefficients
 AWAY = 8.0  # distances of touching: a ball at rest is let go when the other comes so near, if not yet pulled off
 CLINGING = 1e-4  # m/s: a softer impact of balls that push each other is one of an endless row
+UNKNOWN_PAST = "a ball that slides or flies at its launch, pushed by another, has no past: start the run at the launch"
 PUSHED_AWAY = "the ball at rest would be pushed away faster than the other comes"
 NEVER = (
     "no approach was found to such a contact: for a push so strong the ball that comes, at {:.4g} m/s, is too slow, "

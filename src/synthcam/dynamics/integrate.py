@@ -32,8 +32,10 @@ from synthcam.dynamics.forces import (
     Flags,
     Forces,
     Ints,
+    ending_slip,
     flight_time,
     last_axis,
+    modes_of,
 )
 from synthcam.dynamics.kinematics import Array, contact_velocity, rolling_velocity
 from synthcam.dynamics.led import Led, Pieces, arrived
@@ -287,13 +289,13 @@ Ways = Iterator[tuple[Ints, Way]]
 
 
 def lead(balls: Balls, goal: Array) -> Ways:
-    """The next piece of motion of k units, on the way to `goal`, s from now (k,).
+    """The next piece of motion of k units, on the way to `goal`, s from now (k,), which may be negative.
 
     It leads no further than to the first end of a slide, roll or flight of a unit. Yields units and their balls' ways.
     """
     k = len(balls)
     spans, ender, drills, stops = np.zeros(k), np.zeros(k, dtype=np.intp), np.zeros(k, bool), balls.any(balls.slow)
-    if balls.each > 1 or not np.all(balls.modes == SLIDE):
+    if balls.each > 1 or not np.all(balls.modes == SLIDE) or np.any(goal < 0):
         spans, ender, drills = _plan(balls, goal)
     for some in (stops, ~stops & (ender >= 0) & drills, ~stops & (ender >= 0) & ~drills, ~stops & (ender < 0)):
         if some.any():
@@ -304,6 +306,7 @@ def _plan(balls: Balls, goal: Array) -> tuple[Array, Ints, Flags]:
     """How long the next pieces may be, (k,); which ball's slide ends one, or -1; whether that drills."""
     phase = Phase(balls, goal, np.full(len(balls), -1))
     dq, slowing, *_ = phase.act(phase.first, phase.start)
+    dq = dq + np.zeros((2, *phase.first.shape))
     v, modes, first = balls.states[:, 3:5].T, balls.modes, phase.first[:, 0]
     half = np.hypot(v[0], v[1]) / np.maximum(2 * np.hypot(dq[0], dq[1])[:, 0], TINY)
     falls = flight_time(balls.model, balls.states, balls.bodies)
@@ -311,6 +314,7 @@ def _plan(balls: Balls, goal: Array) -> tuple[Array, Ints, Flags]:
     drills = first > balls.floor * (1 + NEAR)
     left = first - np.where(drills, balls.floor, 0.0)
     lasts = np.where(modes == SLIDE, left / np.maximum((slowing + 0 * phase.first)[:, 0], TINY), np.inf)
+    lasts = np.where(np.tile(goal < 0, balls.each), np.inf, lasts)  # back in time a slip only grows
     ender, ends = np.argmin(lasts.reshape(balls.each, -1), axis=0), balls.least(lasts)
     limit = np.minimum(half, np.abs(goal))
     if balls.each > 1:  # through one another is no way
@@ -332,7 +336,7 @@ def _ways(balls: Balls, units: Ints, spans: Array, ender: Ints, stops: bool, dep
         way = phase.stop() if stops else phase.run()
         good = ~some.any(~way.sound)
     except ValueError:
-        if depth == 0 or (balls.each == 1 and phase.slides):
+        if depth == 0 or (balls.each == 1 and phase.slides and phase.paced):
             raise
         if len(units) > 1 and balls.each > 1:
             for half in np.array_split(units, 2):
@@ -345,21 +349,23 @@ def _ways(balls: Balls, units: Ints, spans: Array, ender: Ints, stops: bool, dep
 
 
 def back(balls: Balls, now: Array, until: Array) -> Iterator[tuple[Ints, Led]]:
-    """Motions of units whose balls roll or rest at `now` (k,), led back.
+    """Motions of units whose balls roll, slide or rest at `now` (k,), led back. What slides has slid all the while.
 
     Raises ValueError where a ball would have come from rest, or too fast.
     """
-    states, now = balls.states.copy(), now.copy()
+    states, now, floor = balls.states.copy(), now.copy(), np.full(len(balls.states), np.inf)
+    if balls.model.laws.bent("drilling"):
+        floor = np.where(balls.modes == SLIDE, ending_slip(balls.model, states, balls.bodies), np.inf)
     for _ in range(MOST):
         speed = np.hypot(states[:, 3], states[:, 4])
         left = np.flatnonzero((now > until) & balls.any(speed > STILL))
         if len(left) == 0:
             return
-        if np.any((speed > STILL) & (speed <= SLOWEST)):
+        if np.any((speed > STILL) & (speed <= SLOWEST) & (modes_of(states, balls.bodies.radius) == ROLL)):
             raise ValueError(f"a ball has no past before {now[left].max():g} s: it would have had to come from rest")
         if not np.all(speed < FASTEST):
             break
-        some = Balls.undrilled(balls.model, balls.bodies, states, balls.each)[left]
+        some = Balls(balls.model, balls.bodies, states, floor, balls.each)[left]
         for units, way in lead(some, (until - now)[left]):
             mine = left[units]
             yield mine, way.led.later(np.tile(now[mine], balls.each))

@@ -8,13 +8,16 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from synthcam.dynamics.contact_time import TOUCHING
-from synthcam.dynamics.kinematics import Array, rolling_state
+from synthcam.dynamics.kinematics import Array, plate_state, rolling_state
 from synthcam.model import Bodies
+
+SPIN = ("slip_along", "slip_across", "side")  # of a striker, m/s, as of `Launch.pair`
+NONE = (0.0, 0.0, 0.0)  # of a striker that rolls
 
 
 @dataclass(frozen=True)
 class Launch:
-    """States (balls, 9) of `bodies` at `time`, s. Before it every ball rolled or was at rest.
+    """States (balls, 9) of `bodies` at `time`, s. Before it every ball rolled, slid all the while, or was at rest.
 
     Where balls push each other, one that rests while another touches it was at rest long before, until it was pulled
     off: its place here is that of the contact, its velocity then follows.
@@ -32,14 +35,25 @@ class Launch:
         return bool(np.any(gap[~np.eye(len(gap), dtype=bool)] <= TOUCHING * self.bodies.radius.min()))
 
     @classmethod
-    def pair(cls, bodies: Bodies, time: float, v0: float, b: float, heading: float, contact: ArrayLike) -> Launch:
-        """Ball 1, bodies[0], at rest is touched by the rolling ball 2 at `time`, at the place `contact` between them.
+    def pair(
+        cls,
+        bodies: Bodies,
+        time: float,
+        v0: float,
+        b: float,
+        heading: float,
+        contact: ArrayLike,
+        spin: ArrayLike = NONE,
+    ) -> Launch:
+        """Ball 1, bodies[0], at rest is touched by ball 2 at `time`, at the place `contact` between them.
 
         v0 in m/s, heading in rad from x to y; b is the impact parameter over the sum of the radii, |b| < 1: with d the
-        heading, b = z . [d x (x2 - x1)] / (R1 + R2). All are those of ball 2, whatever ball 1 does by then.
-        """
+        heading, b = z . [d x (x2 - x1)] / (R1 + R2). All are those of ball 2, whatever ball 1 does by then. spin, m/s:
+        the velocity of ball 2's lowest point along the heading and to the left of it, zero where it rolls; R times its
+        spin about the vertical.
+        """  # fmt: skip
         numbers = np.array([v0]), np.array([b]), np.array([heading])
-        states = touching(bodies[:1], bodies[1:], *numbers, np.array([contact]))
+        states = touching(bodies[:1], bodies[1:], *numbers, np.array([contact]), np.array([spin], dtype=float))
         return cls(time, np.concatenate(states), bodies)
 
     @classmethod
@@ -49,8 +63,10 @@ class Launch:
         return cls(time, rolling_state(np.array([place], dtype=float), v[None], 0.0, bodies.radius), bodies)
 
 
-def touching(one: Bodies, two: Bodies, v0: Array, b: Array, heading: Array, contact: Array) -> tuple[Array, Array]:
-    """Place balls at their contacts: targets at rest, and strikers that roll and touch them.
+def touching(
+    one: Bodies, two: Bodies, v0: Array, b: Array, heading: Array, contact: Array, spin: Array | None = None
+) -> tuple[Array, Array]:
+    """Place balls at their contacts: targets at rest, and strikers that touch them.
 
     Parameters
     ----------
@@ -60,6 +76,8 @@ def touching(one: Bodies, two: Bodies, v0: Array, b: Array, heading: Array, cont
         The strikers' speed, m/s, impact parameter over the sum of radii, and heading, rad.
     contact : (k, 2) array
         Place between the balls, m.
+    spin : (k, 3) array, optional
+        Of the strikers, as of `Launch.pair`; without it they roll.
 
     Returns
     -------
@@ -79,5 +97,8 @@ def touching(one: Bodies, two: Bodies, v0: Array, b: Array, heading: Array, cont
     n = np.sqrt(1 - sine * sine)[:, None] * d + sine[:, None] * np.stack([-d[:, 1], d[:, 0]], axis=-1)
     share = (one.radius / (one.radius + two.radius))[:, None]
     target = rolling_state(contact + share * apart[:, None] * n, np.zeros_like(n), 0.0, one.radius)
-    striker = rolling_state(contact - (1 - share) * apart[:, None] * n, v0[:, None] * d, 0.0, two.radius)
-    return target, striker
+    place, v = contact - (1 - share) * apart[:, None] * n, v0[:, None] * d
+    if spin is None:
+        return target, rolling_state(place, v, 0.0, two.radius)
+    u = spin[:, :1] * d + spin[:, 1:2] * np.stack([-d[:, 1], d[:, 0]], axis=-1)
+    return target, plate_state(place, v - 2 / 7 * u, u, spin[:, 2] / two.radius, two.radius)

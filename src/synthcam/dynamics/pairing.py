@@ -7,7 +7,7 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from synthcam.dynamics.creep import PUSHED_AWAY, STARTS, approach, creep, excess, push_at_rest
+from synthcam.dynamics.creep import PUSHED_AWAY, STARTS, UNKNOWN_PAST, approach, creep, excess, push_at_rest
 from synthcam.dynamics.forces import FLY, REST, ROLL, SLIDE, SLOWEST, Balls, Flags, Ints, ending_slip, modes_of
 from synthcam.dynamics.integrate import back, lead
 from synthcam.dynamics.kinematics import Array, State, made_rolling, resting
@@ -72,7 +72,7 @@ class Pairing:
         if lasted[0] == 0:
             return []
         if np.any(modes > ROLL):
-            raise ValueError("a ball that slides or flies at its launch has no past: start the run at the launch")
+            raise ValueError(UNKNOWN_PAST)
         pieces = list(back(Balls.undrilled(self.model, self.bodies, rows, 2), np.zeros(1), -lasted))
         for _, led in pieces:
             states = led.at(led.begins[:, None] + led.lasts[:, None] * np.linspace(0, 1, LOOKS))

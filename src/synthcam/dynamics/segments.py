@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from synthcam.dynamics.forces import Ints
 from synthcam.dynamics.kinematics import Array, Real, coast, contact_velocity, fly, roll, slide
 from synthcam.dynamics.led import Led, arrived
+from synthcam.dynamics.packed import Packed
 from synthcam.dynamics.trajectory import Trajectory
 
 
@@ -168,3 +170,19 @@ class Alone:
 def _plane(vectors: Array) -> Array:
     """(k, 2) as (2, k, 1)."""
     return np.asarray(vectors.T[..., None])
+
+
+def without(segment: Segment, gone: NDArray[np.bool_]) -> Segment:
+    """Of some balls no time is left in it."""
+    ends = np.where(gone, segment.begins, segment.ends)
+    return replace(segment, ends=ends) if np.any(gone) else segment  # type: ignore[type-var]
+
+
+def put(segment: Segment, times: Array, out: Array, part: slice) -> None:
+    """A part of the states of a segment's balls into out (2n, m, ...), at those of the times (2n, m) within it."""
+    mine, begins, ends = times[segment.who], segment.begins[:, None], segment.ends[:, None]
+    here = Packed((mine >= begins) & (mine <= ends))
+    if here.any:
+        states = segment.states(np.clip(here.gather(mine), begins, ends))
+        rows, columns = np.nonzero(here.mask)
+        out[segment.who[rows], columns] = states[here.inside, part]

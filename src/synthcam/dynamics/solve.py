@@ -124,22 +124,25 @@ class _Run:
         return self.bodies[k : k + 1]
 
     def _before(self, k: int, state: State, time: float) -> list[Leg]:
-        """The legs that lead to a launch: a ball rolling, or at rest."""
+        """The legs that lead to a launch: a ball rolling, sliding all the while, or at rest."""
         if self.start >= time:
             return []
-        if math.hypot(*slip(state, self.radius[k])) > STILL or state[5] != 0:
-            raise ValueError("a ball that slides or flies at its launch has no past: start the run at the launch")
-        if math.hypot(state[3], state[4]) <= STILL:
+        if state[5] != 0:
+            raise ValueError("a ball that flies at its launch has no past: start the run at the launch")
+        slides = math.hypot(*slip(state, self.radius[k])) > STILL
+        if not slides and math.hypot(state[3], state[4]) <= STILL:
             still = resting(state, self.radius[k])
             if self._excess(k, still) > 0:
                 raise ValueError(HELD)
             return [Rest(self.start, time, still)]
-        if not self.rolls:
+        if slides and not self.slides:
+            legs: list[Leg] = [self._slide(k, state, time).spanning(self.start, time)]
+        elif not slides and not self.rolls:
             legs = [self._roll(k, state, time, self.start).spanning(self.start, time)]
         else:
             row, span = np.array([state]), np.array([self.start - time])
             legs = [
-                leg_of(led, 0, ROLL, time)
+                leg_of(led, 0, SLIDE if slides else ROLL, time)
                 for _, led in back(Balls.undrilled(self.model, self._body(k), row), 0 * span, span)
             ][::-1]
         try:

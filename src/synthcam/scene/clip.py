@@ -16,7 +16,7 @@ from synthcam.camera.pinhole import Camera, Lamp
 from synthcam.camera.room.finish import Look
 from synthcam.camera.sensor import Sensor
 from synthcam.camera.surface import Surface
-from synthcam.dynamics.launch import Launch
+from synthcam.dynamics.launch import SPIN, Launch
 from synthcam.model import Model, build
 from synthcam.scene import ground_truth
 from synthcam.scene.apparatus import camera_json, camera_of, lamp_of, surface_of, unfit
@@ -250,4 +250,5 @@ def _launch(model: Model, launch: dict[str, Any], time: float) -> Launch:
     bodies = model.bodies(_labels(launch))
     if launch["kind"] == "single":
         return Launch.single(bodies, time, v0, heading, position)
-    return Launch.pair(bodies, time, v0, launch["b"], heading, position)
+    spin = [launch[name] for name in SPIN]
+    return Launch.pair(bodies, time, v0, launch["b"], heading, position, spin)

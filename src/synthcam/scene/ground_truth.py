@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 
 from synthcam.camera.pinhole import Camera, Lamp, glint_px
-from synthcam.dynamics.kinematics import Array, rolling_velocity
+from synthcam.dynamics.kinematics import Array, contact_velocity, rolling_velocity
 from synthcam.dynamics.launch import Launch
 from synthcam.dynamics.trajectory import Event, Trajectory
 from synthcam.model import Bodies, Model
@@ -19,7 +19,8 @@ if TYPE_CHECKING:
 
 NAN = float("nan")
 COLLISION = (
-    "v0 b t_c r s mu_k C drag decel tau1 tau2 v1f v2f energy_fraction momentum_fraction final_angle w1n w1t w2n w2t"
+    "v0 b u2ix u2iy side2i t_c r s mu_k C drag decel tau1 tau2 v1f v2f energy_fraction momentum_fraction final_angle "
+    "w1n w1t w2n w2t"
 ).split()
 
 
@@ -39,10 +40,12 @@ def scalars(model: Model, launch: Launch, motion: Trajectory) -> dict[str, float
     v0 = float(np.hypot(*approach))
     d = approach / v0
     b = float(d[1] * side[0] - d[0] * side[1])  # z . [d x (x2 - x1)] / (R1 + R2), x2 - x1 = -(R1 + R2) n
-    across = float(approach @ t)
+    across, radius = float(approach @ t), launch.bodies.radius[hit.j]
     row |= {
         "v0": v0,
         "b": b,
+        **dict(zip(("u2ix", "u2iy"), contact_velocity(hit.before[1], radius).tolist(), strict=True)),
+        "side2i": float(radius * hit.before[1, 8]),
         "t_c": hit.t,
         "r": float(-(parting @ n) / (approach @ n)),
         "s": float(parting @ t) / across if abs(across) > 1e-12 * v0 else NAN,

@@ -30,6 +30,8 @@ Position = Annotated[
     list[Annotated[float, Field(ge=-1e3, le=1e3)]], Field(min_length=2, max_length=2)
 ]  # m, on the plate
 
+Speed = Annotated[float, Field(ge=-1e3, le=1e3)]  # m/s
+
 MOST_RADIANS = 10.0  # of a heading: more is one in degrees
 SHOWN = 4  # distributions, in a scene's repr
 
@@ -41,7 +43,10 @@ def _radians(angle: float) -> float:
 
 
 class LaunchSettings(Settings):
-    """`launch:` a pair that collides, or a single ball that rolls through `contact` at the contact frame."""
+    """`launch:` a pair that collides, or a single ball that rolls through `contact` at the contact frame.
+
+    slip_along, slip_across, side: of a striker that does not roll, as of `Launch.pair`.
+    """
 
     kind: Literal["pair", "single"] = "pair"
     v0: Positive = 0.3
@@ -49,6 +54,9 @@ class LaunchSettings(Settings):
     heading: Annotated[float, AfterValidator(_radians)] = 0.0
     striker: Literal["a", "b"] = "b"
     contact: Literal["upstream"] | Position = "upstream"
+    slip_along: Speed = 0.0
+    slip_across: Speed = 0.0
+    side: Speed = 0.0
 
 
 class TimingSettings(Settings):

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from synthcam.dynamics.batch import AT_ONCE, LAUNCH, collisions
+from synthcam.dynamics.kinematics import contact_velocity
 from synthcam.dynamics.launch import Launch
 from synthcam.dynamics.solve import solve
 from synthcam.library import library
@@ -123,3 +124,46 @@ def test_what_has_no_solution_says_so():
     downhill = Model().replace({"plate_waviness.a": -5e-5, "plate_waviness.wavelength": 0.1})
     with pytest.raises(ValueError, match="come from rest"):
         collisions(downhill, np.array([[-1.19e-3, 0.0, 2.9, 0.01, 0.0, 0.0]]), 0.0, 3.0)
+
+
+SPUN = np.array(
+    [
+        [0.01, -0.02, 0.10, 0.4, 0.7, 0.3, 0.15, -0.1, 0.2],
+        [0.0, 0.01, 0.12, 0.5, -0.7, -0.3, -0.25, 0.1, 0.0],
+        [0.0, 0.0, 0.12, 0.5, 2.7, 0.2, 0.0, 0.0, 0.3],
+    ]
+)  # columns LAUNCH and SPIN
+PAIRED = ("magnetic_attraction",)  # of balls that push each other only rolling ones have a past
+
+
+@pytest.mark.parametrize("kind", [k for n, k in library().items() if n not in PAIRED], ids=lambda k: k.name())
+def test_strikers_that_slide_or_spin_come_to_their_hit(kind):
+    """What led to the contact, found back in time, leads there: from the state at 0 on, forwards, to the same hit."""
+    model, times = realistic(kind), np.linspace(0.0, END, 31)
+    batch = collisions(model, SPUN, 0.0, END)
+    for k, (x, y, t_c, v0, heading, b, *spin) in enumerate(SPUN):
+        launch = Launch.pair(model.bodies("ab"), t_c, v0, b, heading, (x, y), spin)
+        back = solve(model, launch, 0.0, END)
+        on = solve(model, Launch(0.0, back.at(np.zeros(1))[:, 0], launch.bodies), 0.0, END)
+        hit = on.first("contact")
+        assert hit.t == pytest.approx(t_c, abs=1e-9)
+        assert np.abs(hit.before - launch.states).max() < 1e-6
+        assert np.abs(on.at(times)[..., :2] - back.at(times)[..., :2]).max() < 1e-9
+        assert np.abs(batch.at(times)[:, k, :, :2] - back.at(times)[..., :2]).max() < 1e-12
+
+
+def test_a_sliding_approach_is_a_parabola_along_its_slip():
+    """Back by t: the place v t and mu g t^2 / 2 along the slip away, the slip longer by 7/2 mu g t."""
+    model, t = Model(), 0.05
+    slowing = model.sliding_friction * model.gravity
+    for row in SPUN[:2]:
+        x, y, t_c, v0, heading, b, *spin = row
+        bodies = model.bodies("ab")
+        before = Launch.pair(bodies, t_c, v0, b, heading, (x, y), spin).states[1]
+        u = contact_velocity(before, bodies.radius[1])
+        assert np.hypot(*u) == pytest.approx(np.hypot(*spin[:2]))
+        there = collisions(model, row[None], 0.0, END).at(np.array([t_c - t]))[1, 0, 0]
+        hat = u / np.hypot(*u)
+        assert there[:2] == pytest.approx(before[:2] - before[3:5] * t - slowing * hat * t**2 / 2, abs=1e-12)
+        assert contact_velocity(there, bodies.radius[1]) == pytest.approx(u + 3.5 * slowing * hat * t, abs=1e-12)
+        assert there[8] == pytest.approx(spin[2] / bodies.radius[1])
