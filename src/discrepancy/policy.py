@@ -197,6 +197,10 @@ FEWEST_COLLISIONS = 6
 # Frames in which each ball must be seen before the contact. Chosen: a straight path and one to spare.
 FEWEST_FRAMES_BEFORE_CONTACT = 3
 
+# m/s^2, by which a striker must slow down before the contact to be taken for sliding where the tracker's model of it
+# is rejected: rolling takes .1, sliding with a friction of .05 takes .5. Chosen; not derived.
+SLIDING_APPROACH = 0.3
+
 # m/s, of the median clip: no ball is launched faster, and scale or frame rate are wrong. Chosen; not derived.
 FASTEST_LAUNCH = 20.0
 

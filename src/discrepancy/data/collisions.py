@@ -14,7 +14,7 @@ import pandas as pd
 from commandline.errors import InputError as InputError
 from discrepancy import policy
 from discrepancy.arrays import Array, Ints
-from discrepancy.data.launch import T_C, V0, B
+from discrepancy.data.launch import HEADING, T_C, V0, B, alike, spin
 from discrepancy.data.sanity import exchanged, wrong_units
 from tracker.camera.camera import Camera
 from tracker.detection.link import Tracks
@@ -44,7 +44,7 @@ class Measured:
         Centres on the plate, m, means over the exposure.
     covariance : (n, 2, 2) array
         As claimed, m^2.
-    launch : (6,) array
+    launch : (6,) or (9,) array
         A first guess, columns as in `discrepancy.data.launch`.
     ends : (2,) array
         When each ball is thought to stop sliding, s.
@@ -180,7 +180,7 @@ def read_measured(measured: Path | Sequence[Result], camera: Path | None = None)
     typical = float(np.median([c.launch[V0] for c in kept]))
     if typical > policy.FASTEST_LAUNCH:
         raise InputError(f"{measured}: speeds of {typical:.3g} m/s; are scale and fps of the camera right?")
-    return kept, left_out
+    return [replace(c, launch=one) for c, one in zip(kept, alike([c.launch for c in kept]), strict=True)], left_out
 
 
 Source = Iterator[tuple[int, Tracks, Camera, Callable[[], list[dict[Any, Any]]]]]  # the last measures, when asked
@@ -252,7 +252,9 @@ def collision(tracks: Tracks, row: Mapping[Any, Any], camera: Camera) -> Measure
     resting = early & (ball == 0)
     covariance, fixed = (slope @ c @ np.swapaxes(slope, 1, 2) for c in (spread, steady))
     covariance[resting] -= fixed[resting]
-    heading = _heading(frame[early & (ball == 1)], xy[early & (ball == 1)])
+    coming = early & (ball == 1)
+    heading = _heading(frame[coming], xy[coming])
+    spun = row["status"] != MISFIT or _slowing(frame[coming] / camera.fps, xy[coming]) > policy.SLIDING_APPROACH
     d = np.array([np.cos(heading), np.sin(heading)])
     n = np.sqrt(max(1 - b * b, 0.0)) * d - b * np.array([-d[1], d[0]])
     place = xy[early & (ball == 0)].mean(axis=0) - camera.radius * n
@@ -264,7 +266,7 @@ def collision(tracks: Tracks, row: Mapping[Any, Any], camera: Camera) -> Measure
         ball=ball,
         xy=xy,
         covariance=covariance,
-        launch=np.array([*place, t_c, v0, heading, b]),
+        launch=np.array([*place, t_c, v0, heading, b, *(spin(row, heading) if spun else ())]),
         ends=t_c + np.array(taus),
         offset=float(np.sqrt(np.trace(fixed[resting], axis1=1, axis2=2).mean() / 2)),
     )
@@ -281,9 +283,16 @@ def _heading(frame: Ints, xy: Array) -> float:
     return float(np.arctan2(velocity[1], velocity[0]))
 
 
+def _slowing(times: Array, xy: Array) -> float:
+    """How fast a ball's velocity changes, m/s^2, by a parabola through its places."""
+    if len(times) < policy.FEWEST_FRAMES_BEFORE_CONTACT + 2:
+        return 0.0
+    return float(2 * np.hypot(*np.polyfit(times - times.mean(), xy, 2)[0]))
+
+
 def cannot_tell(clips: Sequence[Measured]) -> list[str]:
     """A line for each thing that these clips can hardly tell, however many, because they are all alike in it."""
-    _, _, _, speeds, headings, b = np.array([c.launch for c in clips]).T
+    speeds, headings, b = np.array([c.launch for c in clips]).T[[V0, HEADING, B]]
     said, normal = [], speeds * np.sqrt(1 - b**2)
     laws = {"restitution": normal, "spin transfer": speeds}  # the speeds that they hang on; friction's falls in a clip
     if same := [law for law, v in laws.items() if v.max() < policy.ALIKE_SPEEDS * v.min()]:

@@ -19,7 +19,7 @@ from scipy.special import chdtrc, ndtri
 from discrepancy import policy
 from discrepancy.arrays import Array, Ints
 from discrepancy.data.collisions import Measured
-from discrepancy.data.launch import HEADING, T_C, V0
+from discrepancy.data.launch import HEADING, T_C, V0, B
 from discrepancy.fitting.model_fit import Fit
 from discrepancy.fitting.predict import forecast
 from discrepancy.fitting.significance import sigmas
@@ -228,7 +228,7 @@ def _directions(clip: Measured, stage: Ints, path: Array) -> Array:
 
 def _features(launch: Array, place: Array, direction: Array) -> dict[str, Array]:
     """What a clip's amplitude may change with. A force of the place counts by its part along the trial's direction."""
-    _, _, _, speed, heading, b = launch
+    speed, heading, b = launch[[V0, HEADING, B]]
     x, y = place / PLATE
     field = np.array([1, x, y, x * x, x * y, y * y])
     return {

@@ -10,6 +10,7 @@ import numpy as np
 from commandline.errors import InputError
 from discrepancy import policy
 from discrepancy.data.collisions import Measured
+from discrepancy.data.launch import T_C, V0, B
 from discrepancy.data.outlier_points import without_outliers
 from discrepancy.fitting.gauss_newton import fit_model
 from discrepancy.fitting.model_fit import Fit
@@ -122,7 +123,7 @@ def smoothed(
 
 def _rescaled(clips: Sequence[Measured], model: Model) -> Model:
     """With mu = 2 u / (7 g tau), from the speed u at which the hit target slips and from how long tau it does so."""
-    _, _, t_c, v0, _, b = np.array([c.launch for c in clips]).T
+    t_c, v0, b = np.array([c.launch for c in clips]).T[[T_C, V0, B]]
     lasts = np.array([c.ends[0] for c in clips]) - t_c
     slip = (1 + model.restitution) / 2 * v0 * np.sqrt(1 - b**2)
     known = lasts > 0

@@ -14,7 +14,7 @@ from scipy.optimize import lsq_linear
 
 from discrepancy.arrays import Array
 from discrepancy.data.collisions import Measured
-from discrepancy.data.launch import SIZE, possible
+from discrepancy.data.launch import possible
 from discrepancy.fitting.jacobian import coupling, derivatives, launch_derivatives
 from discrepancy.fitting.model_fit import Evidence, Fit, Tangent
 from discrepancy.fitting.parameters import parameter_of, span_of, within
@@ -50,7 +50,7 @@ def fit_model(
     names : sequence of str
         The shared parameters; with none only the launches are fitted.
     noise : Noise
-    launches : (clips, 6) array, optional
+    launches : (clips, p) array, optional
         To start from; by default the clips' own first guesses.
     progress : callable
         Called at every step.
@@ -147,7 +147,7 @@ def linearised(evidence: Evidence, model: Model, names: tuple[str, ...], launche
     model : Model
     names : tuple of str
         The shared parameters to take derivatives by.
-    launches : (clips, 6) array
+    launches : (clips, p) array
     exact : bool
         Count the push between balls in all derivatives; see `jacobian.derivatives`.
 
@@ -285,14 +285,15 @@ def solve(fit: Fit, damping: float, least: Array, most: Array) -> tuple[Array, A
     -------
     shared : (S,) array
         Changes of the shared parameters.
-    own_steps : (clips, 6) array
+    own_steps : (clips, p) array
         Changes of the launches.
     """
     size = len(fit.names)
     matrix, right, blocks = np.zeros((size, size)), np.zeros(size), []
     for r, s, a in zip(fit.residuals, fit.slopes, fit.launch_slopes, strict=True):
         own = a.T @ a
-        own[np.diag_indices(SIZE)] *= 1 + damping
+        size_of_own = np.diag(own)
+        own[np.diag_indices(len(own))] = np.where(size_of_own > 0, size_of_own * (1 + damping), 1.0)
         coupling, pull = a.T @ s, a.T @ r
         solved = _solved(own, np.column_stack([coupling, pull]))
         blocks.append(solved)

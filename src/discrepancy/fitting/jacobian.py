@@ -10,7 +10,7 @@ import numpy as np
 
 from discrepancy.arrays import Array
 from discrepancy.data.collisions import Measured
-from discrepancy.data.launch import SIZE
+from discrepancy.data.launch import free
 from discrepancy.fitting.parameters import FINE, limits_of, step_of
 from discrepancy.fitting.predict import forecast
 from synthcam.dynamics.solve import uncoupled
@@ -31,7 +31,7 @@ def derivative(
     Parameters
     ----------
     model : Model
-    launches : (clips, 6) array
+    launches : (clips, p) array
         Columns as in `discrepancy.data.launch`.
     clips : sequence of Measured
     name : str
@@ -133,8 +133,8 @@ def launch_derivatives(model: Model, launches: Array, clips: Sequence[Measured])
     -------
     here : list of (n, 2) array
         Of each clip, m.
-    slopes : list of (n, 2, 6) array
-        By the columns of `discrepancy.data.launch`.
+    slopes : list of (n, 2, p) array
+        By the columns of `discrepancy.data.launch`; zero for those that are not free.
     """
     here: list[Array] = []
     slopes: list[Array] = []
@@ -150,19 +150,21 @@ def launch_derivatives(model: Model, launches: Array, clips: Sequence[Measured])
 
 
 def _nudged(model: Model, launches: Array, clips: Sequence[Measured]) -> tuple[list[Array], list[Array]]:
-    nudges, k = LAUNCH_STEP * np.concatenate([np.zeros((1, SIZE)), np.eye(SIZE)]), len(clips)
-    every = forecast(model, (launches[None] + nudges[:, None]).reshape(-1, SIZE), list(clips) * len(nudges))
+    k, size = launches.shape
+    nudges = LAUNCH_STEP * np.concatenate([np.zeros((1, size)), np.eye(size)])[:, None] * free(launches)
+    every = forecast(model, (launches[None] + nudges).reshape(-1, size), list(clips) * len(nudges))
     slopes = [
-        np.stack([(every[(1 + j) * k + i] - every[i]) / LAUNCH_STEP for j in range(SIZE)], axis=-1) for i in range(k)
+        np.stack([(every[(1 + j) * k + i] - every[i]) / LAUNCH_STEP for j in range(size)], axis=-1) for i in range(k)
     ]
     return every[:k], slopes
 
 
 def _at_the_edge(model: Model, launch: Array, clip: Measured) -> tuple[list[Array], list[Array]]:
     (here,) = forecast(model, launch[None], [clip])
-    slopes = np.zeros((*here.shape, SIZE))
-    for j, step in itertools.product(range(SIZE), (-LAUNCH_STEP, LAUNCH_STEP)):  # the later counts
+    slopes = np.zeros((*here.shape, len(launch)))
+    own = np.flatnonzero(free(launch[None])[0]).tolist()
+    for j, step in itertools.product(own, (-LAUNCH_STEP, LAUNCH_STEP)):  # the later counts
         with suppress(ValueError):
-            (there,) = forecast(model, (launch + step * np.eye(SIZE)[j])[None], [clip])
+            (there,) = forecast(model, (launch + step * np.eye(len(launch))[j])[None], [clip])
             slopes[..., j] = (there - here) / step
     return [here], [slopes]

@@ -47,7 +47,7 @@ class Tangent:
     ----------
     slopes : tuple of (2n, S) arrays
         By the shared parameters.
-    launch_slopes : tuple of (2n, 6) arrays
+    launch_slopes : tuple of (2n, p) arrays
         By the clip's own launch.
     """
 
@@ -67,7 +67,7 @@ class Fit:
     model : Model
     names : tuple of str
         The shared parameters fitted.
-    launches : (clips, 6) array
+    launches : (clips, p) array
         Columns as in `discrepancy.data.launch`.
     residuals : tuple of (2n,) arrays
         Whitened, of each clip.
@@ -88,7 +88,7 @@ class Fit:
 
     @property
     def launch_slopes(self) -> tuple[Array, ...]:
-        """Whitened derivatives by the clip's own launch, (2n, 6) of each clip."""
+        """Whitened derivatives by the clip's own launch, (2n, p) of each clip."""
         return self.tangent.launch_slopes
 
     @property

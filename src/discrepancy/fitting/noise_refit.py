@@ -18,8 +18,7 @@ from numpy.typing import NDArray
 from discrepancy import policy
 from discrepancy.arrays import Array
 from discrepancy.data.collisions import Measured
-from discrepancy.data.launch import SIZE
-from discrepancy.fitting.model_fit import Fit
+from discrepancy.fitting.model_fit import Fit, basis
 from discrepancy.noise.model import (
     KERNELS,
     Component,
@@ -81,6 +80,7 @@ class _Left:
 
     clips: Sequence[Measured]
     columns: tuple[Array, ...]
+    own: int  # numbers of a launch
     penalty: float  # of a number more, Schwarz
 
     @classmethod
@@ -92,17 +92,19 @@ class _Left:
             both = np.column_stack([fit.launch_slopes[k], fit.slopes[k] * unit, fit.residuals[k]])
             columns.append(Whitener.of(clips[k], noise).undo(both))
         some = tuple(clips[k] for k in places)
-        return cls(some, tuple(columns), float(np.log(sum(2 * len(c.frame) - SIZE for c in some))))
+        own = fit.launches.shape[1]
+        return cls(some, tuple(columns), own, float(np.log(sum(2 * len(c.frame) - own for c in some))))
 
     def cost(self, noise: Noise) -> float:
         """-2 log restricted likelihood, up to a constant."""
-        size = self.columns[0].shape[2] - SIZE
+        size = self.columns[0].shape[2] - self.own
         gram, logs = np.zeros((size, size)), 0.0
         for clip, columns in zip(self.clips, self.columns, strict=True):
             white = Whitener.of(clip, noise)
             seen = white(columns)
-            q, r = np.linalg.qr(seen[:, :SIZE])
-            rest = seen[:, SIZE:] - q @ (q.T @ seen[:, SIZE:])
+            own = seen[:, : self.own]
+            q, r = np.linalg.qr(own[:, own.any(axis=0)])
+            rest = seen[:, self.own :] - q @ (q.T @ seen[:, self.own :])
             gram += rest.T @ rest
             logs += white.log_determinant + 2 * float(np.log(np.maximum(np.abs(np.diag(r)), TINY)).sum())
         values, axes = np.linalg.eigh(gram[:-1, :-1])
@@ -135,7 +137,7 @@ class _Left:
         for clip, columns in zip(self.clips, self.columns, strict=True):
             white = Whitener.of(clip, noise)
             seen = white(columns)
-            q, _ = np.linalg.qr(seen[:, :SIZE])
+            q = basis(seen[:, : self.own])
             left = seen[:, -1] - q @ (q.T @ seen[:, -1])
             rows = [np.flatnonzero(clip.ball == ball) for ball in (0, 1)]
             apart = np.abs(np.subtract.outer(clip.frame[rows[0]], clip.frame[rows[1]]))

@@ -10,7 +10,7 @@ import numpy as np
 
 from discrepancy.arrays import Array
 from discrepancy.data.collisions import Measured
-from discrepancy.data.launch import SIZE, T_C
+from discrepancy.data.launch import T_C
 from synthcam.camera.pinhole import Camera as Optics
 from synthcam.dynamics.batch import Batch, collisions
 from synthcam.model import Model
@@ -27,7 +27,7 @@ def forecast(model: Model, launches: Array, clips: Sequence[Measured]) -> list[A
     Parameters
     ----------
     model : Model
-    launches : (clips, 6) array
+    launches : (clips, p) array
         Columns as in `discrepancy.data.launch`.
     clips : sequence of Measured
         All of one camera.
@@ -133,6 +133,6 @@ def _spatial(places: Array, height: Array | float) -> Array:
 
 def velocities(model: Model, launches: Array, clips: Sequence[Measured]) -> list[Array]:
     """How fast the forecast positions move, (n_k, 2) m/s of each clip: by shifting the contact's time."""
-    nudge = LATE * (np.arange(SIZE) == T_C)
+    nudge = LATE * (np.arange(launches.shape[1]) == T_C)
     ahead, behind = (forecast(model, launches + way * nudge, clips) for way in (-1, 1))
     return [(a - b) / (2 * LATE) for a, b in zip(ahead, behind, strict=True)]

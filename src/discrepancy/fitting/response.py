@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from discrepancy.arrays import Array
 from discrepancy.data.collisions import Measured
-from discrepancy.data.launch import SIZE, T_C
+from discrepancy.data.launch import T_C
 from synthcam.dynamics.batch import Batch, collisions
 from synthcam.dynamics.kinematics import contact_velocity
 from synthcam.model import Model
@@ -81,7 +81,7 @@ def responses(
     Parameters
     ----------
     model : Model
-    launches : (clips, 6) array
+    launches : (clips, p) array
     clips : sequence of Measured
     changes : mapping of str to callable
         For "friction", "rolling" or "push", what `size` changes add to the law on a leg: `Change`.
@@ -125,8 +125,8 @@ def _some(
 
 @lru_cache(maxsize=16)
 def _legs(model: Model, launches: bytes, a_strikes: tuple[bool, ...], start: float, end: float) -> tuple[Leg, Leg, Leg]:
-    """Before the contact, sliding and rolling; launches: (clips, 6). Many laws are tried on one motion."""
-    places = np.frombuffer(launches).reshape(-1, SIZE)
+    """Before the contact, sliding and rolling; launches: (clips, p). Many laws are tried on one motion."""
+    places = np.frombuffer(launches).reshape(len(a_strikes), -1)
     motion = collisions(model, places, start, end, a_strikes)
     contact = np.tile(places[:, T_C], 2)
     over, whole = np.minimum(motion.slide_ends, end), np.ones(len(contact))

@@ -50,7 +50,7 @@ def scanned(
     ----------
     model : Model
         Without the candidate.
-    launches : (clips, 6) array
+    launches : (clips, p) array
     clips : sequence of Measured
     candidate : Candidate
         For which `scannable` holds.

@@ -32,7 +32,7 @@ def free_laws(model: Model, launches: Array, clips: Sequence[Measured]) -> tuple
     ----------
     model : Model
         A fit, whose motion is looked at for the ranges.
-    launches : (clips, 6) array
+    launches : (clips, p) array
         Columns as in `discrepancy.data.launch`.
     clips : sequence of Measured
 

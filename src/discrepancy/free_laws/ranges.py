@@ -28,7 +28,7 @@ class Ranges:
 
     Attributes
     ----------
-    launches : (clips, 6) array
+    launches : (clips, p) array
         Columns as in `discrepancy.data.launch`.
     clips : sequence of Measured
     slips : (m,) array
@@ -57,7 +57,7 @@ def ranges(model: Model, launches: Array, clips: Sequence[Measured]) -> dict[str
     Parameters
     ----------
     model : Model
-    launches : (clips, 6) array
+    launches : (clips, p) array
         Columns as in `discrepancy.data.launch`.
     clips : sequence of Measured
 

@@ -335,7 +335,7 @@ def tried(
     evidence : Evidence
     model : Model
         Without the candidate.
-    launches : (clips, 6) array
+    launches : (clips, p) array
     candidate : Candidate
     shapes : dict of str to float
     here : sequence of (n, 2) array

@@ -87,8 +87,8 @@ def test_frames_that_are_not_the_clips_are_refused(tmp_path, wrong):
 def test_clips_parquet(dataset):
     table = pd.read_parquet(dataset / "truth/clips.parquet")
     columns = (
-        "clip seed_key scene v0 b u2ix u2iy side2i t_c r s mu_k C drag decel tau1 tau2 v1f v2f energy_fraction momentum_fraction "
-        "final_angle w1n w1t w2n w2t striker effects frames_sha256 pixels_sha256"
+        "clip seed_key scene v0 b u2ix u2iy side2i t_c r s mu_k C drag decel tau1 tau2 v1f v2f energy_fraction "
+        "momentum_fraction final_angle w1n w1t w2n w2t striker effects frames_sha256 pixels_sha256"
     )
     assert list(table) == columns.split()
     assert table["clip"].tolist() == [0, 1]
