@@ -254,7 +254,7 @@ def collision(tracks: Tracks, row: Mapping[Any, Any], camera: Camera) -> Measure
     covariance[resting] -= fixed[resting]
     coming = early & (ball == 1)
     heading = _heading(frame[coming], xy[coming])
-    spun = row["status"] != MISFIT or _slowing(frame[coming] / camera.fps, xy[coming]) > policy.SLIDING_APPROACH
+    pull = _acceleration(frame[coming] / camera.fps, xy[coming])
     d = np.array([np.cos(heading), np.sin(heading)])
     n = np.sqrt(max(1 - b * b, 0.0)) * d - b * np.array([-d[1], d[0]])
     place = xy[early & (ball == 0)].mean(axis=0) - camera.radius * n
@@ -266,7 +266,7 @@ def collision(tracks: Tracks, row: Mapping[Any, Any], camera: Camera) -> Measure
         ball=ball,
         xy=xy,
         covariance=covariance,
-        launch=np.array([*place, t_c, v0, heading, b, *(spin(row, heading) if spun else ())]),
+        launch=np.array([*place, t_c, v0, heading, b, *spin(row, heading, v0, pull)]),
         ends=t_c + np.array(taus),
         offset=float(np.sqrt(np.trace(fixed[resting], axis1=1, axis2=2).mean() / 2)),
     )
@@ -283,11 +283,11 @@ def _heading(frame: Ints, xy: Array) -> float:
     return float(np.arctan2(velocity[1], velocity[0]))
 
 
-def _slowing(times: Array, xy: Array) -> float:
-    """How fast a ball's velocity changes, m/s^2, by a parabola through its places."""
+def _acceleration(times: Array, xy: Array) -> Array:
+    """Of a ball, (2,) m/s^2, by a parabola through its places; zero where they are few."""
     if len(times) < policy.FEWEST_FRAMES_BEFORE_CONTACT + 2:
-        return 0.0
-    return float(2 * np.hypot(*np.polyfit(times - times.mean(), xy, 2)[0]))
+        return np.zeros(2)
+    return np.asarray(2 * np.polyfit(times - times.mean(), xy, 2)[0])
 
 
 def cannot_tell(clips: Sequence[Measured]) -> list[str]:

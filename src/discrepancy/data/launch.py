@@ -13,12 +13,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from discrepancy import policy
 from discrepancy.arrays import Array
 from synthcam.dynamics.batch import LAUNCH
 from synthcam.dynamics.launch import SPIN
+from tracker.measurement.collision.adequacy import MISFIT
 
 X, Y, T_C, V0, HEADING, B = range(len(LAUNCH))
 SLIP, SIDE = slice(len(LAUNCH), len(LAUNCH) + 2), len(LAUNCH) + 2
+GUESS = 0.2  # of the speed, a slip and a spin to start from
 WITH_SPIN = len(LAUNCH) + len(SPIN)
 
 
@@ -36,11 +39,28 @@ def free(launches: Array) -> NDArray[np.bool_]:
     return out
 
 
-def spin(row: Mapping[Any, Any], heading: float) -> Array:
-    """The last three of a launch, from a row of estimates: zero where the striker rolls."""
-    ux, uy, side = (float(row.get(name, 0.0)) for name in ("u2ix", "u2iy", "side2i"))
-    found = np.array([ux * np.cos(heading) + uy * np.sin(heading), uy * np.cos(heading) - ux * np.sin(heading), side])
-    return np.asarray(np.nan_to_num(found))
+def spin(row: Mapping[Any, Any], heading: float, v0: float, pull: Array) -> Array:
+    """A first guess of the last three of a launch: zero where the striker rolls.
+
+    Parameters
+    ----------
+    row : mapping
+        Of the estimates. Where its fit was rejected, a spin is believed only of a ball that slows down as one that
+        slides, and one that does so slides.
+    heading, v0 : float
+        rad, m/s.
+    pull : (2,) array
+        The striker's acceleration before the contact, m/s^2.
+    """
+    ahead = np.array([np.cos(heading), np.sin(heading)])
+    axes = np.stack([ahead, [-ahead[1], ahead[0]]])
+    slip, side = np.array([row.get("u2ix", 0.0), row.get("u2iy", 0.0)], dtype=float), float(row.get("side2i", 0.0))
+    size = float(np.hypot(*pull))
+    if row["status"] == MISFIT and size < policy.SLIDING_APPROACH:
+        slip, side = np.zeros(2), 0.0
+    elif row["status"] == MISFIT and not np.any(np.nan_to_num(slip)):
+        slip, side = -GUESS * v0 * pull / size, GUESS * v0
+    return np.asarray(np.nan_to_num([*(axes @ slip), side]))
 
 
 def alike(launches: list[Array]) -> list[Array]:
