@@ -5,7 +5,20 @@ from itertools import islice
 
 import numpy as np
 import pytest
-from discrepancy_clips import CAMERA, EXPOSURE, FPS, HIDDEN, STD, blank, collisions, launches, only, searched
+from discrepancy_clips import (
+    CAMERA,
+    EXPOSURE,
+    FPS,
+    HIDDEN,
+    STD,
+    blank,
+    collisions,
+    exact,
+    launches,
+    noisy,
+    only,
+    searched,
+)
 from discrepancy_outsiders import FEW, OUTSIDERS, outsider
 
 from benchmarks.search.sealed.integrator import Plate, collision, means
@@ -55,6 +68,23 @@ def test_a_hidden_effect_is_named_with_its_strength(hidden):
     assert names(found) == [hidden]
     within(found, HIDDEN[hidden])
     assert found.model.value(next(iter(HIDDEN[hidden]))) == next(iter(found.named[0].values.values()))
+
+
+SPUN = [[0.05, -0.06, 0.1], [0.0, 0.0, 0.08], [-0.08, 0.03, -0.05], [0.0, 0.0, 0.0]]  # slide, spin, slide, roll
+
+
+@pytest.mark.parametrize("strength", [0.0, 0.05])
+def test_strikers_that_slide_or_spin_hide_nothing_and_are_nothing(monkeypatch, strength):
+    """Each has a spin of its own, that is fitted; without it the hits of the same balls fit nothing."""
+    only(monkeypatch)
+    clips = noisy(exact(Model().replace({"velocity_restitution.e": strength}), 8, 3, spins=SPUN), 3)
+    found = find(clips, Model())
+    assert found.verdict == ("named" if strength else "none")
+    assert [n.effect for n in found.named] == ["velocity_restitution"] * bool(strength)
+    for clip, launch in zip(found.data.clips, found.selected.best.launches, strict=True):
+        assert launch[6:] == pytest.approx(SPUN[clip.clip % 4], abs=3e-4)
+    if strength:
+        within(found, {"velocity_restitution.e": strength})
 
 
 def test_a_tilt_hidden_by_another_integrator_is_named(monkeypatch):

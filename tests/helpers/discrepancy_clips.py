@@ -93,9 +93,11 @@ def unabsorbed(fit, columns):
     return columns - dense @ np.linalg.lstsq(dense, columns, rcond=None)[0]
 
 
-def exact(model, count, seed, frames=FRAMES):
-    """Clips without noise."""
+def exact(model, count, seed, frames=FRAMES, spins=None):
+    """Clips without noise. spins: rows of SPIN, in turn."""
     starts = np.array(list(launches(np.random.default_rng(seed), count)))
+    if spins is not None:
+        starts = np.concatenate([starts, np.resize(spins, (count, 3))], axis=1)
     ends = batch.collisions(model, starts, 0.0, frames / FPS).slide_ends.reshape(2, -1).T
     clips = [blank(k, *both, frames) for k, both in enumerate(zip(starts, ends, strict=True))]
     return [dataclasses.replace(c, xy=xy) for c, xy in zip(clips, forecast(model, starts, clips), strict=True)]
@@ -106,6 +108,7 @@ def noisy(clips, seed, rho=0.0):
     rng, out = np.random.default_rng([seed, 1]), []
     for clip in clips:
         off = rng.standard_normal(6) * [1e-6, 1e-6, 2e-5, 2e-4, 3e-4, 3e-4]
+        off = np.concatenate([off, 1e-3 * (clip.launch[6:] != 0)])
         late = 1e-3 * rng.standard_normal(2)
         xy = clip.xy + noise_of_pair(rng, rho, len(clip.frame) // 2)
         out.append(dataclasses.replace(clip, xy=xy, launch=clip.launch + off, ends=clip.ends + late))

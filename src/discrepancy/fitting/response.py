@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from discrepancy.arrays import Array
 from discrepancy.data.collisions import Measured
-from discrepancy.data.launch import T_C
+from discrepancy.data.launch import T_C, WITH_SPIN
 from synthcam.dynamics.batch import Batch, collisions
 from synthcam.dynamics.kinematics import contact_velocity
 from synthcam.model import Model
@@ -28,6 +28,7 @@ Change = Callable[["Leg"], Array]  # (k, m, J) of friction and loss, (k, m, 2, J
 
 POINTS = 65  # of a leg
 AT_ONCE = 32  # clips
+SLIPS = 1e-6  # m/s, of a ball that slides all the while before the contact
 NUMBERS = 250_000  # at once, for the processor's cache
 
 
@@ -50,7 +51,7 @@ class Leg:
         states = motion.at(inside).reshape(len(times), POINTS, 9)
         return cls(times, states[..., :2], states[..., 3:5], contact_velocity(states, radius))
 
-    def __getitem__(self, rows: slice) -> Leg:
+    def __getitem__(self, rows: slice | NDArray[np.bool_]) -> Leg:
         return Leg(self.times[rows], self.place[rows], self.velocity[rows], self.contact[rows])
 
     @property
@@ -129,8 +130,9 @@ def _legs(model: Model, launches: bytes, a_strikes: tuple[bool, ...], start: flo
     places = np.frombuffer(launches).reshape(len(a_strikes), -1)
     motion = collisions(model, places, start, end, a_strikes)
     contact = np.tile(places[:, T_C], 2)
+    before = np.nextafter(contact, -np.inf) if places.shape[1] == WITH_SPIN else contact  # the slip still as it came
     over, whole = np.minimum(motion.slide_ends, end), np.ones(len(contact))
-    ends = (contact, start * whole), (contact, over), (over, end * whole)
+    ends = (before, start * whole), (contact, over), (over, end * whole)
     early, slide, roll = (Leg.of(motion, model.ball.radius, *e) for e in ends)
     return early, slide, roll
 
@@ -146,8 +148,11 @@ def _shifts(
     """How far some balls are moved, (k, m, 2, J) in each of their three legs."""
     nothing = np.zeros((len(early.times), 2, size))
     slid, left = _sliding(model, slide, roll, changes, size)
+    came, slides = _rolling(model, early, changes, size, nothing, nothing), early.slip_speed.min(axis=1) > SLIPS
+    if slides.any():
+        came[slides] = _sliding(model, early[slides], early[slides], changes, size)[0]
     return (
-        _rolling(model, early, changes, size, nothing, nothing),
+        came,
         slid,
         _rolling(model, roll, changes, size, slid[:, -1], left),
     )

@@ -3,15 +3,32 @@
 import numpy as np
 import pytest
 
-from discrepancy.data.launch import HEADING, SIZE, T_C, V0, B, X, Y, normal_speed, possible
+from discrepancy.data.launch import (
+    HEADING,
+    SIDE,
+    SLIP,
+    T_C,
+    V0,
+    WITH_SPIN,
+    B,
+    X,
+    Y,
+    alike,
+    free,
+    normal_speed,
+    possible,
+    spin,
+)
 from synthcam.dynamics.batch import LAUNCH
+from synthcam.dynamics.launch import SPIN
 
 HITS = np.array([[0.0, 0.0, 0.1, 0.5, 1.0, 0.6], [0.0, 0.0, 0.1, 0.2, 1.0, -0.8]])
 
 
 def test_names_are_those_of_the_motion():
     assert [LAUNCH[k] for k in (X, Y, T_C, V0, HEADING, B)] == ["x", "y", "t_c", "v0", "heading", "b"]
-    assert len(LAUNCH) == SIZE
+    assert [(LAUNCH + SPIN)[k] for k in (*range(WITH_SPIN)[SLIP], SIDE)] == ["slip_along", "slip_across", "side"]
+    assert len(LAUNCH + SPIN) == WITH_SPIN
 
 
 def test_the_normal_speed_is_the_part_along_the_line_of_centres():
@@ -24,3 +41,26 @@ def test_a_striker_that_rests_or_misses_is_no_launch(column, value):
     wrong = HITS.copy()
     wrong[1, column] = value
     assert not possible(wrong)
+
+
+def test_a_ball_that_rolls_has_no_slip_to_be_fitted():
+    rolls, spins, slides = HITS[0], [*HITS[0], 0.0, 0.0, 0.1], [*HITS[0], 0.0, -0.1, 0.0]
+    every = np.array(alike([rolls, np.array(spins), np.array(slides)]))
+    assert free(every)[:, :6].all()
+    assert free(every)[:, 6:].tolist() == [[False] * 3, [False, False, True], [True, True, False]]
+    assert [len(one) for one in alike([rolls, np.array([*rolls, 0.0, 0.0, 0.0])])] == [6, 6]
+
+
+def test_a_spin_is_that_of_the_estimates_along_the_heading():
+    row = {"status": "ok", "u2ix": 0.3, "u2iy": 0.1, "side2i": -0.2}
+    assert spin(row, np.pi / 2, 0.5, np.zeros(2)) == pytest.approx([0.1, -0.3, -0.2])
+    assert not spin({"status": "ok"}, 0.3, 0.5, np.array([5.0, 0.0])).any()
+
+
+def test_of_a_misfit_only_a_ball_that_slows_down_slides():
+    row = {"status": "misfit", "u2ix": 0.3, "u2iy": 0.1, "side2i": -0.2}
+    assert not spin(row, 0.0, 0.5, np.array([-0.1, 0.0])).any()
+    assert spin(row, 0.0, 0.5, np.array([-2.0, 0.0])) == pytest.approx([0.3, 0.1, -0.2])
+    unseen = spin({"status": "misfit"}, 0.0, 0.5, np.array([-2.0, 0.0]))
+    assert unseen[0] > 0  # friction is against the slip
+    assert unseen[1] == 0

@@ -40,6 +40,19 @@ def test_derivatives_are_those_of_the_forward_model(name):
         assert np.linalg.norm(told @ way - true) < 0.02 * np.linalg.norm(true)
 
 
+@pytest.mark.parametrize("name", ["friction_speed", "friction_heading", "rolling_speed", "force_speed", "force_place"])
+def test_strikers_that_slide_are_moved_by_the_law_of_slides(name):
+    rng = np.random.default_rng(2)
+    spins = [[0.1, -0.1, 0.2], [-0.15, 0.05, 0.0], [0.0, 0.0, 0.3], [0.0, 0.0, 0.0]]
+    places = np.concatenate([LAUNCHES, np.resize(spins, (len(LAUNCHES), 3))], axis=1)
+    (law,) = (s for s in free_laws(Model(), places, CLIPS) if s.name == name)
+    step, way = STEP.get(law.bends[0], 1e-3), rng.standard_normal(law.size) / np.sqrt(law.size)
+    told = np.concatenate(law.columns(Model(), places, CLIPS)) @ way
+    ahead, behind = (np.concatenate(forecast(law.bent(Model(), sign * step * way), places, CLIPS)) for sign in (1, -1))
+    true = (ahead - behind) / (2 * step)
+    assert np.linalg.norm(told - true) < 0.02 * np.linalg.norm(true)
+
+
 def test_an_empty_free_law_changes_nothing():
     for name in BENT:
         bent = LAWS[name].bent(Model(), np.zeros(LAWS[name].size))
