@@ -18,6 +18,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from commandline.application import EVERY, command_line, run
 from commandline.errors import InputError
 from commandline.outputs import as_input_error, check_room
+from synthcam.library import add_effects
 from synthcam.model import read_model, write_model
 from tracker.camera.camera import Camera
 
@@ -30,6 +31,10 @@ MeasuredPath = Annotated[
 ]
 CameraPath = Annotated[Path | None, typer.Option("--camera", metavar="camera.json", help="The camera of a table.")]
 ModelPath = Annotated[Path, typer.Option("--model", metavar="MODEL.yaml", help="The model to hold against the tracks.")]
+EffectsDir = Annotated[
+    list[Path] | None,
+    typer.Option("--effects", metavar="DIR", help="A folder with effects of your own, NAME.py; more than one may be."),
+]
 Json = Annotated[bool, typer.Option("--json", help="Print a machine-readable summary.")]
 
 
@@ -68,6 +73,7 @@ def find(
     model: ModelPath,
     output: Annotated[Path, typer.Option("-o", "--output", metavar="REPORT", help="Folder to write.")],
     camera: CameraPath = None,
+    effects_dir: EffectsDir = None,
     as_json: Json = False,
 ) -> None:
     """Search for what the model lacks, name it, and show the gap shrink on collisions kept out of every fit.
@@ -80,6 +86,7 @@ def find(
     from discrepancy.report.staging import aside
 
     started = time.monotonic()
+    _known_effects(effects_dir)
     given = read_model(model)
     with aside(output) as folder:
         _say_camera(measured, camera)
@@ -104,6 +111,7 @@ def add(
     measured: Annotated[Path, typer.Option("--fit", metavar="MEASURED", help="RESULTS or tracks to fit it to.")],
     output: Annotated[Path, typer.Option("-o", "--output", metavar="NEW.yaml", help="Model file to write.")],
     camera: CameraPath = None,
+    effects_dir: EffectsDir = None,
     as_json: Json = False,
 ) -> None:
     """Add an effect that you suspect to a model and fit its strength, with everything else, to measured tracks.
@@ -114,6 +122,7 @@ def add(
     from discrepancy.add import check_effect
     from discrepancy.data.collisions import read_measured
 
+    _known_effects(effects_dir)
     given = read_model(model)
     check_effect(effect)
     if output.is_dir():
@@ -137,6 +146,11 @@ def add(
     else:
         print(f"{output}: {new.sentence()} ({len(clips)} of {len(clips) + len(left_out)})")
         _say_lost([*left_out, *new.left_out], len(left_out) > len(clips))
+
+
+def _known_effects(folders: Sequence[Path] | None) -> None:
+    for folder in folders or ():
+        add_effects(folder)
 
 
 def _say_camera(measured: Path, camera: Path | None) -> None:

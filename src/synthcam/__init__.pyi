@@ -1,6 +1,7 @@
 """The public names, listed once."""
 
 from .camera.render import NoGL as NoGL
+from .library import add_effects as add_effects
 from .model import Ball as Ball
 from .model import Model as Model
 from .scene.clip import Clip as Clip
@@ -9,4 +10,4 @@ from .scene.scene import Scene as Scene
 from .settings import InputError as InputError
 
 __version__: str
-__all__ = ["Ball", "Clip", "InputError", "Model", "Motion", "NoGL", "Scene", "__version__"]
+__all__ = ["Ball", "Clip", "InputError", "Model", "Motion", "NoGL", "Scene", "__version__", "add_effects"]

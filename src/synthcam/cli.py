@@ -34,6 +34,19 @@ MOST_CLIPS = 1_000_000
 SHOWN = 20  # failed clips listed, one line each; --json has them all
 Set = Annotated[list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Override a value of the scene.")]
 
+EffectsDir = Annotated[
+    list[Path] | None,
+    typer.Option("--effects", metavar="DIR", help="A folder with effects of your own, NAME.py; more than one may be."),
+]
+
+
+def known_effects(folders: list[Path] | None) -> None:
+    """Add the effects of these folders to the library. Raises InputError."""
+    from synthcam.library import add_effects
+
+    for folder in folders or ():
+        add_effects(folder)
+
 
 @app.command()
 def generate(
@@ -49,12 +62,14 @@ def generate(
     encode: Annotated[str, typer.Option(metavar="CODEC", help="A video too: h264:crf=23,gamma=2.2, mjpeg, ffv1.")] = "",
     withhold_truth: Withhold = None,
     set_: Set = None,
+    effects_dir: EffectsDir = None,
     as_json: Json = False,
 ) -> None:
     """Make a dataset: simulate, draw, expose, write. Interrupted, the same command goes on.
 
     Example: synthcam generate scenes/benchmark.yaml -o out/benchmark --clips 100
     """
+    known_effects(effects_dir)
     from synthcam.dataset.generate import Plan, run
     from synthcam.dataset.staging import check_apart
     from synthcam.scene.scene import read_scene
@@ -127,12 +142,14 @@ def merge(
     shards: Annotated[list[Path], typer.Argument(metavar="SHARD...", help="Finished shards, in any order.")],
     output: Annotated[Path, typer.Option("-o", "--output", metavar="DATASET", help="Folder to make.")],
     withhold_truth: Withhold = None,
+    effects_dir: EffectsDir = None,
     as_json: Json = False,
 ) -> None:
     """Put shards together: the same dataset, byte for byte, as one process makes. The shards stay as they are.
 
     Example: synthcam merge out/part1 out/part2 out/part3 -o out/benchmark
     """
+    known_effects(effects_dir)
     from synthcam.dataset.merge import merge as merge_shards
 
     with progress_bar("clips") as progress:
@@ -149,6 +166,7 @@ def preview(
     frame: Annotated[int | None, typer.Option(min=0, help="Which frame; default: the one before the contact.")] = None,
     magnify: Annotated[int, typer.Option(min=0, help="Also show the balls so many times larger; 0: not.")] = 12,
     set_: Set = None,
+    effects_dir: EffectsDir = None,
     as_json: Json = False,
 ) -> None:
     """Draw one frame of a scene, as the sensor gives it, with the balls magnified beside it (.png).
@@ -157,6 +175,7 @@ def preview(
 
     Example: synthcam preview scenes/painter_behringer.yaml -o frame.png
     """
+    known_effects(effects_dir)
     from synthcam.dataset.preview import write_film, write_preview
     from synthcam.scene.scene import read_scene
 
@@ -203,12 +222,14 @@ def export(
     kind: Annotated[str, typer.Option("--format", metavar="NAME", help="mot, zarr, ffv1, h264:crf=23, ...")],
     output: Annotated[Path, typer.Option("-o", "--output", metavar="DIR", help="Folder to make.")],
     truth: Annotated[Path | None, typer.Option(metavar="TRUTH", help="The truth, where it was withheld.")] = None,
+    effects_dir: EffectsDir = None,
     as_json: Json = False,
 ) -> None:
     """Write a dataset in another program's format.
 
     Example: synthcam export out/benchmark --format mot -o out/benchmark_mot
     """
+    known_effects(effects_dir)
     from synthcam.dataset.export import export as export_dataset
 
     with progress_bar("clips") as progress:
@@ -220,12 +241,14 @@ def export(
 def effects(
     name: Annotated[str | None, typer.Argument(metavar="NAME", help="One effect; default: all.")] = None,
     output: Annotated[Path | None, typer.Option("-o", "--output", metavar="FILE", help="A .png to draw.")] = None,
+    folder: EffectsDir = None,
     as_json: Json = False,
 ) -> None:
     """The library of effects: laws, parameters, typical values. With -o, what one of them does to the tracks.
 
     Example: synthcam effects hop -o hop.png
     """
+    known_effects(folder)
     from synthcam.library import library
 
     known = library()
@@ -263,11 +286,12 @@ def _as_json(parameter: Parameter) -> dict[str, Any]:
 
 
 @app.command()
-def schema() -> None:
+def schema(effects_dir: EffectsDir = None) -> None:
     """Print the JSON Schema of a scene, for editors and other programs.
 
     Example: synthcam schema > scene.schema.json
     """
+    known_effects(effects_dir)
     from synthcam.scene.scene import schema as scene_schema
 
     print(json.dumps(scene_schema(), indent=1))

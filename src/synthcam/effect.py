@@ -7,7 +7,8 @@ that instant, by name, and returns the bent value::
     def friction(self, mu, slip_speed):
         return mu * (1 + self.rise * np.exp(-slip_speed / self.slip))
 
-`LAWS` lists the laws and what each may ask for. Several effects on one law are applied in the order of their names.
+`LAWS` lists the laws and what each may ask for. Several effects on one law are applied in the order of their names,
+after the model's tables (`free_law.py`).
 """
 
 from __future__ import annotations
@@ -115,6 +116,7 @@ class Effect:
     """Base of all effects. A subclass holds parameters and the laws it bends, and lives in a file of its own name."""
 
     laws: ClassVar[dict[str, tuple[str, ...]]] = {}
+    first: ClassVar[bool] = False  # does it act before all others, whatever its name?
 
     def __init_subclass__(cls) -> None:
         super().__init_subclass__()
@@ -175,7 +177,7 @@ class Laws:
     """The laws of a model with its active effects applied; one callable attribute for each law."""
 
     def __init__(self, effects: Iterable[Effect]) -> None:
-        active = sorted((e for e in effects if e.active), key=lambda e: e.name())
+        active = sorted((e for e in effects if e.active), key=lambda e: (not e.first, e.name()))
         self._bends: dict[str, list[tuple[Callable[..., Any], tuple[str, ...]]]] = {law: [] for law in LAWS}
         for effect in active:
             for law, bend, asks in effect.bends:

@@ -1,34 +1,190 @@
-"""The library of effects: each is a file of the folder `effects`, found by its being there."""
+"""The library of effects: each is a file of the folder `effects`, found by its being there.
+
+Further ones come from folders that a user names, and from packages, as entry points of the group `synthcam.effects`.
+"""
 
 from __future__ import annotations
 
+import hashlib
 import importlib
+import importlib.util
 import inspect
 import pkgutil
-from collections.abc import Iterator
-from functools import cache
+import sys
+from collections.abc import Callable, Iterator
+from dataclasses import MISSING, fields
+from functools import _lru_cache_wrapper, cache
+from importlib.metadata import entry_points
+from pathlib import Path
 from types import ModuleType
 from typing import TypeVar
 
-from commandline.errors import PluginError
+from commandline.errors import InputError, PluginError
 from synthcam import effects
-from synthcam.effect import Effect
+from synthcam.effect import LAWS, Effect
+from synthcam.free_law import NOT_YET, names
 
 T = TypeVar("T")
+GROUP = "synthcam.effects"
+PREFIX = "synthcam_effects_of_a_folder"  # of the modules' names, which no package may have
+_folders: dict[Path, dict[str, type[Effect]]] = {}
+_forget: list[Callable[[], None]] = []
 
 
 def classes_in(package: ModuleType, base: type[T]) -> Iterator[type[T]]:
     """The one subclass of `base` in each module of a package, by the modules' names. Raises TypeError."""
     for info in sorted(pkgutil.iter_modules(package.__path__), key=lambda i: i.name):
-        module = importlib.import_module(f"{package.__name__}.{info.name}")
-        own = [c for c in vars(module).values() if inspect.isclass(c) and issubclass(c, base)]
-        own = [c for c in own if c.__module__ == module.__name__]
-        if len(own) != 1:
-            raise PluginError(f"{module.__name__}: expected one {base.__name__} in the file, found {len(own)}")
-        yield own[0]
+        yield _only_class(importlib.import_module(f"{package.__name__}.{info.name}"), base)
 
 
-@cache
+def _only_class(module: ModuleType, base: type[T]) -> type[T]:
+    own = [c for c in vars(module).values() if inspect.isclass(c) and issubclass(c, base)]
+    own = [c for c in own if c.__module__ == module.__name__]
+    if len(own) != 1:
+        raise PluginError(f"{module.__name__}: expected one {base.__name__} in the file, found {len(own)}")
+    return own[0]
+
+
+def once_a_library(make: Callable[[], T]) -> _lru_cache_wrapper[T]:
+    """Decorate what is made of the library, and must be made anew when effects are added to it."""
+    made = cache(make)
+    _forget.append(made.cache_clear)
+    return made
+
+
+@once_a_library
 def library() -> dict[str, type[Effect]]:
-    """Every effect found in the folder `effects`, by name."""
-    return {e.name(): e for e in classes_in(effects, Effect)}
+    """Every effect by name: the files of the folder `effects`, those of packages, those of the folders added."""
+    found = {e.name(): e for e in classes_in(effects, Effect)}
+    for point in sorted(entry_points(group=GROUP), key=lambda p: p.name):
+        found[point.name] = _of_package(point.name, point.load, found)
+    for added in _folders.values():
+        found |= added
+    return found
+
+
+def _of_package(name: str, load: Callable[[], object], known: dict[str, type[Effect]]) -> type[Effect]:
+    where = f"entry point {name} of {GROUP}"
+    _check_free(name, known, where)
+    try:
+        kind = load()
+    except Exception as error:  # whatever that package raises
+        raise PluginError(f"{where}: {type(error).__name__}: {' '.join(str(error).split())}") from None
+    if not (inspect.isclass(kind) and issubclass(kind, Effect)):
+        raise PluginError(f"{where}: expected a class of Effect, found {type(kind).__name__}")
+    if kind.name() != name:
+        raise PluginError(f"{where}: expected the name of the effect's file, {kind.name()}")
+    _check(kind, where)
+    return kind
+
+
+def add_effects(folder: str | Path) -> None:
+    """Add the effects of a folder of one's own to the library: a file for each, as those of synthcam.
+
+    Parameters
+    ----------
+    folder : str or Path
+        Every .py file in it, but for those whose names begin with "_", must hold one effect. A folder that was added
+        before changes nothing.
+
+    Raises
+    ------
+    InputError
+        One line: which file, and what is wrong with it.
+
+    Examples
+    --------
+    >>> import synthcam
+    >>> synthcam.add_effects("my_effects")
+    Traceback (most recent call last):
+    ...
+    commandline.errors.InputError: my_effects: no such folder; expected one with effects, NAME.py
+    """
+    folder = Path(folder)
+    if not folder.is_dir():
+        raise InputError(f"{folder}: no such folder; expected one with effects, NAME.py")
+    if folder.resolve() in _folders:
+        return
+    files = sorted(f for f in folder.glob("*.py") if not f.name.startswith("_"))
+    if not files:
+        raise InputError(f"{folder}: holds no effect; expected files NAME.py")
+    found: dict[str, type[Effect]] = {}
+    for file in files:
+        found[file.stem] = _read(file, library())
+    _folders[folder.resolve()] = found
+    for forget in _forget:
+        forget()
+
+
+def added_folders() -> tuple[Path, ...]:
+    """The folders added, for processes that must add them too."""
+    return tuple(_folders)
+
+
+def digest(name: str) -> str | None:
+    """SHA-256 of an effect's file, where it is one of a folder that was added."""
+    for folder, found in _folders.items():
+        if name in found:
+            return hashlib.sha256((folder / f"{name}.py").read_bytes()).hexdigest()
+    return None
+
+
+def check_name(name: str, where: str) -> None:
+    """Raises PluginError where an effect cannot have that name, or another one has it. where: for the message."""
+    _check_free(name, library(), where)
+
+
+def _check_free(name: str, known: dict[str, type[Effect]], where: str) -> None:
+    if not (name.isascii() and name.isidentifier() and name == name.lower()) or name.startswith("_"):
+        raise PluginError(f"{where}: expected a name of small letters, digits and _, as my_effect")
+    if name in known:
+        raise PluginError(f"{where}: there is an effect of this name already")
+    if name in {*names(), *NOT_YET, *LAWS}:
+        raise PluginError(f"{where}: that is a law's name; expected another")
+
+
+def _read(file: Path, known: dict[str, type[Effect]]) -> type[Effect]:
+    """The effect in a file. Raises PluginError."""
+    _check_free(file.stem, known, str(file))
+    key = hashlib.sha256(str(file.resolve().parent).encode()).hexdigest()[:12]
+    name = f"{PREFIX}_{key}.{file.stem}"
+    spec = importlib.util.spec_from_file_location(name, file)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[name] = module  # where dataclasses look for it
+    try:
+        spec.loader.exec_module(module)
+        kind = _only_class(module, Effect)
+        _check(kind, str(file))
+    except BaseException as error:
+        del sys.modules[name]
+        if not isinstance(error, Exception):
+            raise
+        said = " ".join(str(error).split()).removeprefix(f"{name}: ").removeprefix(f"{file}: ")
+        if isinstance(error, SyntaxError):
+            said = f"line {error.lineno}: {error.msg}"
+        elif not isinstance(error, InputError):
+            said = f"{type(error).__name__}: {said}"
+        raise PluginError(f"{file}: {said}") from None
+    return kind
+
+
+def _check(kind: type[Effect], where: str) -> None:
+    """Raises PluginError where a class is no complete effect."""
+    if "__dataclass_params__" not in vars(kind):
+        raise PluginError(f"{where}: expected @dataclass(frozen=True) before class {kind.__name__}")
+    plain = [f.name for f in fields(kind) if "typical" not in f.metadata or f.default is MISSING]
+    if plain:
+        raise PluginError(
+            f'{where}: {plain[0]}: expected a parameter, as {plain[0]}: float = parameter("1", typical=1)'
+        )
+    if not kind.laws:
+        raise PluginError(f"{where}: bends no law; expected a method of the name of one of {', '.join(LAWS)}")
+    if not kind.strengths():
+        raise PluginError(f"{where}: expected a parameter that is not fixed: the effect's strength")
+    try:
+        kind.absent()
+        kind()
+    except ValueError as error:
+        raise PluginError(f"{where}: {error}") from None

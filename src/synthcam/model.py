@@ -8,16 +8,17 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache, cached_property
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, ClassVar, Self
 
 import numpy as np
 import yaml
 from numpy.typing import NDArray
-from pydantic import Field, ValidationError, create_model
+from pydantic import Field, ValidationError, create_model, model_validator
 
 from commandline.errors import InputError
 from synthcam.effect import Effect, Laws
-from synthcam.library import library
+from synthcam.free_law import NOT_YET, TabulatedLaw, kind_of, names
+from synthcam.library import library, once_a_library
 from synthcam.settings import Fraction, NotNegative, Positive, Settings, did_you_mean, one_line, read_yaml
 
 Array = NDArray[np.float64]
@@ -47,7 +48,7 @@ class ModelFileSettings(ModelSettings):
     sliding_friction: NotNegative = 0.232
 
 
-@cache
+@once_a_library
 def effect_settings() -> type[Settings]:
     """`effects:` a key for each effect of the library, its parameters below it."""
     kinds: dict[str, Any] = {}
@@ -59,6 +60,33 @@ def effect_settings() -> type[Settings]:
         settings = create_model(f"{effect.__name__}Settings", __base__=Settings, **numbers)
         kinds[name] = (settings | None, None)
     return create_model("EffectSettings", __base__=Settings, __doc__="`effects:` the library.", **kinds)
+
+
+class TableSettings(Settings):
+    """A law as a table; `docs/format.md` says what each is of."""
+
+    x: list[float] | list[list[float]]
+    y: list[float] | list[list[float]]
+    law: ClassVar[str]
+
+    @model_validator(mode="after")
+    def _possible(self) -> Self:
+        owners = dict.fromkeys((name for name, _ in kind_of(self.law)[0].owners), 0.0)
+        TabulatedLaw.of(self.law, self.x, self.y, owners)
+        return self
+
+
+@cache
+def table_settings() -> type[Settings]:
+    """`free_laws:` a key for each law that a model may hold as a table."""
+    kinds: dict[str, Any] = {}
+    for name in names():
+        kind, ball = kind_of(name)
+        about = f"{kind.law}, {kind.unit}, of {kind.what}, {kind.x_unit}{f', of ball {ball}' if ball else ''}"
+        settings = create_model(f"{name}_table", __base__=TableSettings, __doc__=about)
+        settings.law = name
+        kinds[name] = (settings | None, None)
+    return create_model("FreeLawSettings", __base__=Settings, __doc__="`free_laws:` laws as tables.", **kinds)
 
 
 @dataclass(frozen=True)
@@ -119,6 +147,7 @@ class Model:
     rolling_drag, rolling_decel : float
         Rolling loss, drag v + decel: 1/s and m/s^2.
     effects : tuple of Effect
+        With the laws that are tables, `free_laws` of a file, among them.
     free : tuple of str
         What a fit may change, by dotted name: "restitution", "plate_tilt.x".
 
@@ -246,34 +275,49 @@ BASE = tuple(ModelSettings.model_fields)
 
 
 def build(settings: Mapping[str, Any], free: tuple[str, ...] = ()) -> Model:
-    """The model of checked plain settings with the keys ball, model and effects."""
+    """The model of checked plain settings with the keys ball, model, effects and free_laws."""
     effects = tuple(
         library()[name](**values) for name, values in (settings.get("effects") or {}).items() if values is not None
     )
-    return Model(ball=Ball(**settings["ball"]), effects=effects, free=free, **settings["model"])
+    tables = tuple(
+        TabulatedLaw.of(name, values["x"], values["y"], settings["model"])
+        for name, values in (settings.get("free_laws") or {}).items()
+        if values is not None
+    )
+    return Model(ball=Ball(**settings["ball"]), effects=(*effects, *tables), free=free, **settings["model"])
 
 
 def settings_of(model: Model) -> dict[str, Any]:
-    """The inverse of `build`: plain ball, model, effects (and free, when there is any)."""
+    """The inverse of `build`: plain ball, model, effects (and free_laws and free, when there are any)."""
+    numbers = {k: getattr(model, k) for k in BASE}
     plain: dict[str, Any] = {
         "ball": dataclasses.asdict(model.ball),
-        "model": {k: getattr(model, k) for k in BASE},
-        "effects": {e.name(): dataclasses.asdict(e) for e in model.effects},
+        "model": numbers,
+        "effects": {e.name(): dataclasses.asdict(e) for e in model.effects if not isinstance(e, TabulatedLaw)},
     }
-    return plain | ({"free": list(model.free)} if model.free else {})
+    tables = {e.law: e.plain(numbers) for e in model.effects if isinstance(e, TabulatedLaw)}
+    return plain | ({"free_laws": tables} if tables else {}) | ({"free": list(model.free)} if model.free else {})
 
 
-@cache
+@once_a_library
 def model_file() -> type[Settings]:
-    """What a model file may hold: a scene's ball, model and effects, and `free`."""
+    """What a model file may hold: a scene's ball, model, effects and free laws, and `free`."""
     return create_model(
         "ModelFile",
         __base__=Settings,
         ball=(BallSettings, BallSettings()),
         model=(ModelFileSettings, ModelFileSettings()),
         effects=(effect_settings(), effect_settings()()),
+        free_laws=(table_settings(), table_settings()()),
         free=(list[str], []),
     )
+
+
+def check_held(free_laws: Any, where: str) -> None:
+    """Raises InputError for a free law of a search that no model holds, with why."""
+    for name in free_laws if isinstance(free_laws, Mapping) else ():
+        if why := NOT_YET.get(str(name)):
+            raise InputError(f"{where}: free_laws.{name}: {why}")
 
 
 def check_free(names: Iterable[str], where: str) -> tuple[str, ...]:
@@ -301,7 +345,8 @@ def read_model(path: Path) -> Model:
 
 
 def _checked(loaded: Mapping[str, Any], where: str) -> Model:
-    known = {k: v for k, v in loaded.items() if k in ("ball", "model", "effects", "free")}
+    known = {k: v for k, v in loaded.items() if k in model_file().model_fields}
+    check_held(known.get("free_laws"), where)
     try:
         plain = model_file().model_validate(known).model_dump()
     except ValidationError as e:
@@ -325,4 +370,5 @@ def model_of(given: Model | Mapping[str, Any] | str | Path) -> Model:
 
 def write_model(model: Model, path: Path) -> None:
     """Write a model file that `read_model` gives back and `synthcam generate` takes."""
-    path.write_text(yaml.safe_dump(settings_of(model), sort_keys=False), encoding="utf-8")
+    text = yaml.safe_dump(settings_of(model), sort_keys=False, default_flow_style=None, width=120)
+    path.write_text(text, encoding="utf-8")

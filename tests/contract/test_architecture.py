@@ -16,8 +16,8 @@ FILES = sorted(SRC.rglob("*.py"))
 LAYERS = {
     "commandline": ["errors", "outputs application"],
     "synthcam": [
-        "settings effect",
-        "effects",
+        "settings effect table",
+        "effects free_law",
         "library",
         "model",
         "dynamics camera",

@@ -128,7 +128,7 @@ def _tried(bare: FittedLaw, where: Array, x: Array) -> tuple[Array, Array, Array
     z2 = np.maximum(pull**2 / seen, 1.0)
     size = (1 - 1 / z2) / seen  # the height's variance: none of a step that hardly shows
     here = np.array([x**power for _, power in bare.owners]).reshape(-1, len(x)).T
-    known = sum((fit.model.value(name) * x**power for name, power in law.owners), np.zeros(len(x)))
+    known = law.known(fit.model, x)[:, 0]
     parts = [known + here @ own, here, step.basis(x) - here @ back]
     middle, base, curve = (p - p.mean(axis=0) for p in parts) if law.centred else parts
     mean = middle[:, None] + curve * (size * pull)

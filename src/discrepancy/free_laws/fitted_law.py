@@ -61,9 +61,7 @@ class FittedLaw:
 
     def curve(self, *x: Array) -> tuple[Array, Array]:
         """The law at x: values (n, parts), and their covariances over the places, (parts, n, n)."""
-        values = self.law.values(self.coefs, *x).reshape(len(x[0]), self.law.parts)
-        for name, power in self.law.owners:
-            values = values + (self.fit.model.value(name) * x[0] ** power)[:, None]
+        values = self.law.known(self.fit.model, *x) + self.law.values(self.coefs, *x).reshape(-1, self.law.parts)
         spread, extra, one = self._covariance(), len(self.owners), self.law.size // self.law.parts
         own = np.stack([x[0] ** power for _, power in self.owners], axis=-1) if extra else np.zeros((len(x[0]), 0))
         covariances = []

@@ -17,7 +17,8 @@ from discrepancy import policy
 from discrepancy.arrays import Array
 from discrepancy.free_laws.basis import Axis
 from discrepancy.free_laws.fitted_law import FittedLaw
-from discrepancy.free_laws.free_law import PACE, FreeLaw
+from discrepancy.free_laws.free_law import FreeLaw
+from synthcam.free_law import PACE
 
 Terms = list[tuple[str, Array]]  # in words, and drawn on the grid: (n,) of a number, (n, 2) of a vector
 
@@ -71,10 +72,7 @@ class _Drawn:
         seen = values > SEEN * values[-1]
         self.weight = (axes[:, seen] * np.sqrt(values[seen])).T
         self.inverse = np.linalg.pinv(law.basis(*places), rcond=1e-6)
-        own = np.zeros((len(places[0]), law.parts))
-        for name, power in law.owners:
-            own += (fitted_law.fit.model.value(name) * places[0] ** power)[:, None]
-        self.target = self.weight @ peak + self.seen(own)
+        self.target = self.weight @ peak + self.seen(law.known(fitted_law.fit.model, *places))
         self.slight = policy.FORMULA_SLIGHT_SHARE * fitted_law.sigma**2
 
     def seen(self, column: Array) -> Array:

@@ -8,7 +8,7 @@ brings its own derivatives.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, ClassVar
@@ -23,11 +23,11 @@ from discrepancy.fitting.predict import forecast
 from discrepancy.fitting.response import Leg, responses
 from discrepancy.free_laws.basis import Axis
 from discrepancy.free_laws.ranges import Ranges, over_clips
-from synthcam.effect import LAWS, VECTORS, Effect, Parameter
+from synthcam.effect import LAWS, VECTORS
+from synthcam.free_law import PACE, AddedLaw, TabulatedLaw
 from synthcam.model import Model
 
 MEAN = 200  # places on each axis, to take a mean over
-PACE = 0.1  # m/s: at this speed a rolling loss's part in proportion to the speed counts as its constant part does
 
 
 @dataclass(frozen=True)
@@ -157,6 +157,16 @@ class FreeLaw(ABC):
             out = out - parts @ self._middle
         return np.asarray(out[..., 0] if self.parts == 1 else out)
 
+    def known(self, model: Model, *x: Any) -> Array:
+        """What the model has of the law at x already, (n, parts): its base parameters, and a table of this very law."""
+        out = np.zeros((len(x[0]), self.parts))
+        for name, power in self.owners:
+            out += (model.value(name) * x[0] ** power)[:, None]
+        for held in model.effects:
+            if isinstance(held, TabulatedLaw) and held.law == self.name:
+                out += held.beyond(*x).reshape(out.shape)
+        return out
+
     def spread(self, *lengths: float) -> Array:
         """Prior variances of all coefficients, (size,), of a law that changes over a length, or one of each axis."""
         out = np.ones(1)
@@ -267,8 +277,8 @@ class ClipNumber(ImpactLaw):
 
 
 @dataclass(frozen=True)
-class LawEffect(Effect):
-    """A free law with its coefficients as an effect: it has no parameters, since no file can hold it."""
+class LawEffect(AddedLaw):
+    """A free law with its coefficients as an effect: it has no parameters, and no file holds it in this form."""
 
     law: FreeLaw
     coefs: tuple[float, ...]
@@ -277,32 +287,19 @@ class LawEffect(Effect):
     def name(cls) -> str:
         return "series"
 
-    @classmethod
-    def parameters(cls) -> tuple[Parameter, ...]:
-        return ()
-
     @property
     def active(self) -> bool:
         return any(self.coefs)
 
     @property
-    def bends(self) -> Iterator[tuple[str, Callable[..., Any], tuple[str, ...]]]:
-        if self.law.bends:
-            law, what = self.law.bends
-            asks = dict.fromkeys([what] * bool(what) + ["speed"] * (law == "rolling") + ["of_a"] * bool(self.law.ball))
-            yield law, lambda value, *known: self._added(value, dict(zip(asks, known, strict=True))), tuple(asks)
+    def bent(self) -> tuple[str, str, str] | None:
+        return (*self.law.bends, self.law.ball) if self.law.bends else None
 
-    def _added(self, value: Any, instant: Mapping[str, Any]) -> Any:
-        """The law's value, bent."""
-        assert self.law.bends
-        law, name = self.law.bends
-        what = instant[name] if name else value
+    def _added(self, what: Any, speed: Any) -> Array:
         out = self.law.values(np.array(self.coefs), *self.law.places(what))
-        factors = self.law.factors(what, instant.get("speed"))
-        if factors is not None:
-            parts = out if self.law.parts > 1 else out[..., None]
-            out = (factors * (parts[..., None, :] if law == "push" else parts)).sum(axis=-1)
-        if self.law.ball:
-            share = instant["of_a"] if self.law.ball == "a" else 1 - instant["of_a"]
-            out = out * (np.asarray(share)[..., None] if law == "push" else share)
-        return value + out
+        factors = self.law.factors(what, speed)
+        if factors is None:
+            return out
+        parts = out if self.law.parts > 1 else out[..., None]
+        push = self.law.bends is not None and self.law.bends[0] == "push"
+        return np.asarray((factors * (parts[..., None, :] if push else parts)).sum(axis=-1))

@@ -22,6 +22,7 @@ from commandline.errors import InputError
 from synthcam.dataset.files import finish, finish_shard, write_clip
 from synthcam.dataset.staging import PLAN, Partial, aside, begin, settle
 from synthcam.dataset.workers import each
+from synthcam.library import add_effects, added_folders, digest
 from synthcam.scene.clip import Clip
 from synthcam.scene.scene import Scene, check_scene
 
@@ -65,7 +66,13 @@ class Plan:
             "version": version("synthcam"),
             **({"compression": self.compression} if self.compression != "none" else {}),
             **({"shard": list(self.shard)} if self.shard else {}),
+            **({"effect_files": files} if (files := self._effect_files()) else {}),
         }
+
+    def _effect_files(self) -> dict[str, str]:
+        """SHA-256 of the files of those effects in the scenes that no package brings."""
+        used = sorted({name for s in self.scenes for name in s.settings.get("effects") or {}})
+        return {name: found for name in used if (found := digest(name))}
 
     @classmethod
     def of(cls, document: dict[str, Any]) -> Plan:
@@ -175,7 +182,7 @@ def _make(
 
         cluster = Cluster(scheduler)
         drawn_by = cluster.everywhere(partial(drawing, plan.video))
-        results = cluster.each(todo, partial(_make_anywhere, json.dumps(plan.document()), *_folders(made)))
+        results = cluster.each(todo, partial(_make_anywhere, *_known(plan), *_folders(made)))
     else:
         results = _here(plan, made, todo, workers, announce)
     progress(len(done), plan.total)
@@ -219,8 +226,8 @@ def _here(
             workers = workers or ((os.cpu_count() or 1) if work * len(todo) > STARTING else 1)
             if announce:
                 announce(_estimate(made, trials, seconds, len(todo), workers))
-    others, document = max(min(workers, len(todo)) - 1, 0), json.dumps(plan.document())
-    yield from each(todo, others, partial(_ready, document, *folders), lambda k: make_clip(plan, k, *folders))
+    others = max(min(workers, len(todo)) - 1, 0)
+    yield from each(todo, others, partial(_ready, *_known(plan), *folders), lambda k: make_clip(plan, k, *folders))
 
 
 def _estimate(made: Partial, trials: list[int], seconds: float, clips: int, workers: int) -> str:
@@ -243,9 +250,14 @@ def _folders(made: Partial) -> tuple[Path, Path]:
     return made.folder.absolute(), made.truth.absolute()
 
 
-def _ready(document: str, folder: Path, secret: Path) -> Callable[[int], str]:
+def _known(plan: Plan) -> tuple[str, tuple[Path, ...]]:
+    """What a worker must know: the plan's document, and the folders with effects."""
+    return json.dumps(plan.document()), added_folders()
+
+
+def _ready(document: str, effects: tuple[Path, ...], folder: Path, secret: Path) -> Callable[[int], str]:
     """In a worker: what makes a clip."""
-    return partial(_make_anywhere, document, folder, secret)
+    return partial(_make_anywhere, document, effects, folder, secret)
 
 
 @lru_cache(maxsize=2)
@@ -253,11 +265,13 @@ def _plan(document: str) -> Plan:
     return Plan.of(json.loads(document))
 
 
-def _make_anywhere(document: str, folder: Path, secret: Path, number: int) -> str:
+def _make_anywhere(document: str, effects: tuple[Path, ...], folder: Path, secret: Path, number: int) -> str:
     """In a worker, perhaps on another machine: make one clip of the plan of `document`."""
     wanted = json.loads(document)["version"]
     if version("synthcam") != wanted:
         return f"its worker has synthcam {version('synthcam')}, expected {wanted}"
+    for known in effects:
+        add_effects(known)
     if not (folder / "clips").is_dir():
         return f"{folder}: no such folder on {platform.node()}; workers must see the dataset's folder at the same path"
     return make_clip(_plan(document), number, folder, secret)

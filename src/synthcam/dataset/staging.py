@@ -18,7 +18,7 @@ from synthcam.dataset.files import SUMS, clip_folders
 
 PLAN = "plan.json"
 ABOUT = ("truth/dataset.json", "truth/shard.json")
-OPTIONAL = ("compression", "shard")  # keys of a document that are not there when they say nothing
+OPTIONAL = ("compression", "shard", "effect_files")  # keys of a document that are not there when they say nothing
 
 
 @dataclass

@@ -5,14 +5,14 @@ from __future__ import annotations
 import copy
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cache
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, Field, ValidationError, create_model
 from yaml import YAMLError
 
-from synthcam.model import BallSettings, ModelSettings, check_free, effect_settings
+from synthcam.library import once_a_library
+from synthcam.model import BallSettings, ModelSettings, check_free, check_held, effect_settings, table_settings
 from synthcam.scene.apparatus import CameraSettings, LampSettings, SensorSettings, SurfaceSettings, VideoSettings
 from synthcam.scene.clip import Clip, clip_of
 from synthcam.scene.distribution import choices, corner, drawn, replaced, representative
@@ -68,7 +68,7 @@ class TimingSettings(Settings):
     contact_frame: float = 25.0
 
 
-@cache
+@once_a_library
 def scene_file() -> type[Settings]:
     """What a scene may hold, as numbers; any number may be a distribution instead."""
     sections: dict[str, Any] = {
@@ -83,6 +83,7 @@ def scene_file() -> type[Settings]:
         "sensor": SensorSettings,
     }
     fields: dict[str, Any] = {k: (v, v()) for k, v in sections.items()}
+    fields["free_laws"] = (table_settings() | None, None)
     return create_model(
         "Scene",
         __base__=Settings,
@@ -217,6 +218,7 @@ def check_scene(loaded: dict[str, Any], where: str, overrides: tuple[str, ...] =
     settings = copy.deepcopy(loaded)
     for text in overrides:
         _override(settings, text)
+    check_held(settings.get("free_laws"), where)
     for end in ("low", "high"):
         clip_of(0, _checked(corner(settings, end, "", where), where), where=where)
     low = corner(settings, "low", "", where)

@@ -16,13 +16,13 @@ from discrepancy.fitting.parameters import BASE
 from discrepancy.fitting.predict import forecast
 from discrepancy.free_laws import laws
 from discrepancy.free_laws.answer import Answer, words
-from discrepancy.free_laws.free_law import PACE
 from discrepancy.free_laws.library import free_laws, law_count, library
 from discrepancy.noise.model import Component, Noise
 from discrepancy.search import find
 from discrepancy.selection.free_law_contest import FreeLawContest
 from synthcam.effect import Effect, parameter
 from synthcam.effects.rolling_mismatch import RollingMismatch
+from synthcam.free_law import PACE
 from synthcam.library import library as effects
 from synthcam.model import Model
 

@@ -1,0 +1,252 @@
+"""Laws that a model holds as a table: a curve, or a map, in place of numbers of the base model.
+
+`free_laws: {friction_speed: {x: [0, 0.1, 0.2], y: [0.20, 0.23, 0.24]}}` of a model file is mu at those slip speeds. Its
+names are those of the free laws of a search, which writes what it found in this form.
+"""
+
+from __future__ import annotations
+
+import math
+from abc import abstractmethod
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from functools import cached_property, partial
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from synthcam.effect import LAWS, Effect, Parameter
+from synthcam.table import Table, plain
+
+Array = NDArray[np.float64]
+Owners = tuple[tuple[str, int], ...]
+
+PACE = 0.1  # m/s: at this speed a rolling loss's part in proportion to the speed counts as its constant part does
+LINE, TURN, PLACE = "line", "turn", "place"
+
+
+@dataclass(frozen=True)
+class Kind:
+    """What a table may be of.
+
+    Attributes
+    ----------
+    law, what : str
+        The law of `LAWS` that it makes, and what that depends on.
+    owners : tuple of (str, int)
+        The numbers of the base model that it stands for, each times x to a power; none: it adds to the law.
+    axis : str
+        LINE, TURN (the direction of a vector, rad) or PLACE (a map).
+    unit, x_unit : str
+    parts : int
+        2: of a force its parts along x and y, or, over an angle, along the motion and across it, over the speed; of a
+        rolling loss a constant part, and one in proportion to the speed, as it is at PACE.
+    low, high : float
+        Between them the law must stay.
+    one_ball : bool
+        Whether it may be that of ball a or b alone: NAME_a, NAME_b.
+    """
+
+    law: str
+    what: str
+    owners: Owners = ()
+    axis: str = LINE
+    unit: str = "1"
+    x_unit: str = "m/s"
+    parts: int = 1
+    low: float = -math.inf
+    high: float = math.inf
+    one_ball: bool = False
+
+
+def _friction(what: str, axis: str = LINE, **more: Any) -> Kind:
+    return Kind("friction", what, (("sliding_friction", 0),), axis, low=0.0, **more)
+
+
+def _restitution(what: str, axis: str = LINE, **more: Any) -> Kind:
+    return Kind("restitution", what, (("restitution", 0),), axis, low=0.0, high=1.0, **more)
+
+
+def _spin_transfer(what: str, axis: str = LINE, **more: Any) -> Kind:
+    return Kind("spin_transfer", what, (("spin_transfer", 0),), axis, low=0.0, high=5 / 7, **more)
+
+
+def _rolling(what: str, axis: str = LINE, owners: Owners = (), **more: Any) -> Kind:
+    return Kind("rolling", what, owners, axis, "m/s^2", **more)
+
+
+_LOSS: Owners = (("rolling_decel", 0), ("rolling_drag", 1))
+KINDS: dict[str, Kind] = {
+    "friction_speed": _friction("slip_speed", one_ball=True),
+    "friction_heading": _friction("slip", TURN, x_unit="rad"),
+    "friction_place": _friction("position", PLACE, x_unit="m"),
+    "restitution_speed": _restitution("normal_speed"),
+    "restitution_heading": _restitution("heading", TURN, x_unit="rad"),
+    "restitution_obliqueness": _restitution("obliqueness", x_unit="1"),
+    "spin_transfer_speed": _spin_transfer("contact_speed"),
+    "spin_transfer_heading": _spin_transfer("heading", TURN, x_unit="rad"),
+    "spin_transfer_obliqueness": _spin_transfer("obliqueness", x_unit="1"),
+    "rolling_speed": _rolling("speed", owners=_LOSS, low=0.0, one_ball=True),
+    "rolling_heading": _rolling("velocity", TURN, x_unit="rad", parts=2),
+    "rolling_place": _rolling("position", PLACE, x_unit="m", parts=2),
+    "force_speed": Kind("push", "velocity", unit="m/s^2", one_ball=True),
+    "force_heading": Kind("push", "velocity", (), TURN, "1/s", "rad", parts=2),
+    "force_place": Kind("push", "position", (), PLACE, "m/s^2", "m", parts=2, one_ball=True),
+}
+NOT_YET = {  # free laws of a search that no model holds, and why
+    **dict.fromkeys(("lag_speed", "warp_place"), "of the instrument; a model holds only laws of motion"),
+    **dict.fromkeys(
+        ("restitution_clip", "spin_transfer_clip", "friction_clip", "rolling_clip"),
+        "another number in each clip; a scene has such as a distribution, as in restitution: {normal: [0.9, 0.01]}",
+    ),
+}
+
+
+def kind_of(name: str) -> tuple[Kind, str]:
+    """What a table of that name is of, and of which ball alone ("a", "b" or "" for both). Raises KeyError."""
+    if name in KINDS:
+        return KINDS[name], ""
+    own, _, ball = name.rpartition("_")
+    if ball in ("a", "b") and own in KINDS and KINDS[own].one_ball:
+        return KINDS[own], ball
+    raise KeyError(name)
+
+
+def names() -> Iterator[str]:
+    """Every name that a table may have."""
+    for name, kind in KINDS.items():
+        yield name
+        if kind.one_ball:
+            yield from (f"{name}_a", f"{name}_b")
+
+
+@dataclass(frozen=True)
+class AddedLaw(Effect):
+    """Base of what is added to one law, a function of one thing it depends on, of both balls or of one alone.
+
+    It has no parameters, and acts before all effects: what these multiply is the law with it.
+    """
+
+    first: ClassVar[bool] = True
+
+    def __init_subclass__(cls) -> None:
+        cls.laws = {}  # its methods are no laws
+
+    @classmethod
+    def parameters(cls) -> tuple[Parameter, ...]:
+        return ()
+
+    @property
+    @abstractmethod
+    def bent(self) -> tuple[str, str, str] | None:
+        """The law, what it depends on ("": the value itself), and the ball that it is of; None: no law of a model."""
+
+    @abstractmethod
+    def _added(self, what: Any, speed: Any) -> Array:
+        """What it adds to the law where that depends on `what`: (...), or (..., 2) of a push."""
+
+    @property
+    def bends(self) -> Iterator[tuple[str, Callable[..., Any], tuple[str, ...]]]:
+        if self.bent:
+            law, what, ball = self.bent
+            asks = dict.fromkeys([what] * bool(what) + ["speed"] * (law == "rolling") + ["of_a"] * bool(ball))
+            yield law, partial(self._bend, tuple(asks)), tuple(asks)
+
+    def _bend(self, asks: tuple[str, ...], value: Any, *known: Any) -> Any:
+        """The law's value, bent. known: what it asks for."""
+        assert self.bent
+        law, what, ball = self.bent
+        instant = dict(zip(asks, known, strict=True))
+        out = self._added(instant[what] if what else value, instant.get("speed"))
+        if ball:
+            share = instant["of_a"] if ball == "a" else 1 - instant["of_a"]
+            out = out * (np.asarray(share)[..., None] if law == "push" else share)
+        return value + out
+
+
+@dataclass(frozen=True)
+class TabulatedLaw(AddedLaw):
+    """A law from a table, in place of the numbers of the base model that it stands for.
+
+    Attributes
+    ----------
+    law : str
+        One of `names()`.
+    table : Table
+        The law's values, where those numbers are `stood_for`; where they are others, it is shifted by the difference.
+    stood_for : tuple of float
+        The values of `Kind.owners`.
+    """
+
+    law: str
+    table: Table
+    stood_for: tuple[float, ...] = ()
+
+    @classmethod
+    def of(cls, law: str, x: Any, y: Any, numbers: Mapping[str, float]) -> TabulatedLaw:
+        """A table beside these numbers of the base model. Raises ValueError, which says what was expected."""
+        kind, _ = kind_of(law)
+        table = Table(plain(x), plain(y), kind.axis == TURN)
+        if table.plane != (kind.axis == PLACE):
+            raise ValueError(f"x: expected {'pairs' if kind.axis == PLACE else 'numbers'}, {kind.x_unit}")
+        if table.parts != kind.parts:
+            raise ValueError(f"y: expected {'pairs' if kind.parts == 2 else 'numbers'}, {kind.unit}")
+        low, high = float(np.min(table.y)), float(np.max(table.y))
+        if low < kind.low or high > kind.high:
+            allowed = f"from {kind.low:g} to {kind.high:g}" if math.isfinite(kind.high) else f"of {kind.low:g} or more"
+            raise ValueError(f"y: expected numbers {allowed}, found {low if low < kind.low else high:g}")
+        return cls(law, table, tuple(float(numbers[name]) for name, _ in kind.owners))
+
+    def name(self) -> str:  # type: ignore[override]
+        """The name in YAML."""
+        return self.law
+
+    @property
+    def active(self) -> bool:
+        return True
+
+    @cached_property
+    def kind(self) -> Kind:
+        return kind_of(self.law)[0]
+
+    @cached_property
+    def bent(self) -> tuple[str, str, str] | None:
+        kind, ball = kind_of(self.law)
+        return kind.law, kind.what, ball
+
+    def beyond(self, *x: Any) -> Array:
+        """What it has beyond the numbers that it stands for, at places x: (...), or (..., 2) of two parts."""
+        out = self.table(*x)
+        for (_, power), value in zip(self.kind.owners, self.stood_for, strict=True):
+            out = out - value * np.asarray(x[0]) ** power
+        return np.asarray(out)
+
+    def _added(self, what: Any, speed: Any) -> Array:
+        kind = self.kind
+        what = np.asarray(what)
+        if kind.axis == PLACE:
+            out = self.beyond(what[..., 0], what[..., 1])
+        elif kind.axis == TURN:
+            out = self.beyond(np.arctan2(what[..., 1], what[..., 0]))
+        elif kind.law == "push":
+            size = np.hypot(what[..., 0], what[..., 1])
+            return np.asarray((self.beyond(size) / np.maximum(size, 1e-9))[..., None] * what)
+        else:
+            out = self.beyond(what)
+        if kind.law == "rolling" and kind.parts == 2:
+            return np.asarray(out[..., 0] + out[..., 1] * (speed / PACE))
+        if kind.law == "push" and kind.axis == TURN:
+            return np.asarray(out[..., :1] * what + out[..., 1:] * np.stack([-what[..., 1], what[..., 0]], axis=-1))
+        return out
+
+    def plain(self, numbers: Mapping[str, float]) -> dict[str, list[Any]]:
+        """x and y as `of` takes them, beside these numbers of the base model."""
+        x, y = np.array(self.table.x), np.array(self.table.y)
+        for (name, power), value in zip(self.kind.owners, self.stood_for, strict=True):
+            if numbers[name] != value:
+                y = np.clip(y + (numbers[name] - value) * x**power, self.kind.low, self.kind.high)
+        return {"x": x.tolist(), "y": y.tolist()}
+
+
+assert all(kind.law in LAWS and kind.what in LAWS[kind.law] for kind in KINDS.values())

@@ -1,0 +1,173 @@
+"""Effects of one's own: from a folder, and from a package."""
+
+import json
+import sys
+
+import pytest
+
+import synthcam.library as module
+from commandline.errors import InputError
+from synthcam.cli import app
+from synthcam.dataset import generate, preview
+from synthcam.dataset.generate import Plan, make_clip, run
+from synthcam.library import add_effects, digest, library
+from synthcam.model import Model, read_model, write_model
+from synthcam.scene.scene import check_scene, schema
+
+STICKY = '''
+"""Friction that grows with speed."""
+
+from dataclasses import dataclass
+
+from synthcam.effect import Effect, parameter
+
+
+@dataclass(frozen=True)
+class StickyFingers(Effect):
+    """mu (1 + k u)."""
+
+    k: float = parameter("s/m", typical=0.05, low=0)
+
+    def friction(self, mu, slip_speed):
+        return mu * (1 + self.k * slip_speed)
+'''
+
+
+@pytest.fixture
+def own(tmp_path, monkeypatch):
+    """A folder for effects; what a test adds of it is forgotten afterwards."""
+    monkeypatch.setattr(module, "_folders", {})
+    for forget in module._forget:
+        forget()
+    yield tmp_path
+    monkeypatch.undo()
+    for forget in module._forget:
+        forget()
+    for name in [n for n in sys.modules if n.startswith(module.PREFIX)]:
+        del sys.modules[name]
+
+
+def test_an_effect_of_a_folder_is_one_of_the_library(own):
+    (own / "sticky_fingers.py").write_text(STICKY)
+    (own / "_notes.py").write_text("1 / 0")
+    add_effects(own)
+    add_effects(str(own))  # again: nothing
+    model = Model().replace({"sticky_fingers.k": 0.1})
+    write_model(model, own / "m.yaml")
+    assert read_model(own / "m.yaml") == model
+    assert "sticky_fingers" in schema()["$defs"]["EffectSettings"]["properties"]
+    with pytest.raises(InputError, match=r"sticky_fingers\.k: input should be greater than or equal to 0"):
+        check_scene({"effects": {"sticky_fingers": {"k": -1}}}, "x")
+
+
+def test_workers_know_the_folder_and_the_dataset_which_file_it_was(own, tmp_path, monkeypatch):
+    (own / "sticky_fingers.py").write_text(STICKY)
+    add_effects(own)
+    scene = check_scene({"effects": {"sticky_fingers": {"k": 0.5}}, "timing": {"frames": 5}}, "x")
+    plan = Plan((scene,), 4, 1, video=False)
+    outcome = run(plan, tmp_path / "d", 2, lambda done, of: None)
+    assert (outcome.made, outcome.failed) == (4, ())
+    about = json.loads((tmp_path / "d/truth/dataset.json").read_text())
+    assert about["effect_files"] == {"sticky_fingers": digest("sticky_fingers")}
+    truth = json.loads((tmp_path / "d/clips/000003/truth/scene.json").read_text())
+    assert truth["drawn"]["effects"] == {"sticky_fingers": {"k": 0.5}}
+    with monkeypatch.context() as patch, pytest.raises(InputError, match="another effect_files"):
+        patch.setattr(generate, "digest", lambda name: None)  # a package brings it now
+        run(plan, tmp_path / "d", 1, lambda done, of: None)
+    with pytest.raises(InputError, match="another effect_files"):
+        (own / "sticky_fingers.py").write_text(STICKY + "# changed\n")
+        run(plan, tmp_path / "d", 1, lambda done, of: None)
+    assert make_clip(plan, 0, tmp_path) == ""
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "said"),
+    [
+        ("a", "def (", "line 1: invalid syntax"),
+        ("a", "\n1 / 0", "ZeroDivisionError: division by zero"),
+        ("a", "import nothing_of_this_name", "ModuleNotFoundError: No module"),
+        ("a", "x = 1", "expected one Effect in the file, found 0"),
+        ("a", STICKY.replace("friction(", "fiction("), "StickyFingers.fiction: no such law; there are mass, "),
+        ("a", STICKY.replace("slip_speed", "speed"), "asks for speed; friction may ask for slip_speed"),
+        ("a", STICKY.replace("@dataclass(frozen=True)", ""), r"expected @dataclass\(frozen=True\) before class"),
+        (
+            "a",
+            STICKY.replace('parameter("s/m", typical=0.05, low=0)', "0.1"),
+            "k: expected a parameter, as k: float = ",
+        ),
+        ("a", STICKY.replace("low=0)", "low=0, fixed=True)"), "expected a parameter that is not fixed"),
+        ("a", STICKY.replace("low=0)", "low=1)"), r"a\.k = 0: expected a number from 1"),
+        ("a", STICKY.replace("def friction", "def _friction"), "bends no law; expected a method"),
+        ("stribeck", STICKY, "there is an effect of this name already"),
+        ("friction_speed", STICKY, "that is a law's name"),
+        ("Sticky", STICKY, "expected a name of small letters, digits and _"),
+    ],
+)
+def test_a_file_that_is_no_effect_is_one_line(own, name, text, said):
+    (own / f"{name}.py").write_text(text)
+    before = set(library())
+    with pytest.raises(InputError, match=rf"{name}\.py: .*{said}") as error:
+        add_effects(own)
+    assert "\n" not in str(error.value)
+    assert set(library()) == before
+    assert not [m for m in sys.modules if m.startswith(module.PREFIX)]
+
+
+def test_a_folder_without_any(own):
+    with pytest.raises(InputError, match="holds no effect; expected files NAME.py"):
+        add_effects(own)
+    with pytest.raises(InputError, match="no such folder"):
+        add_effects(own / "none")
+
+
+class Point:
+    def __init__(self, name, load):
+        self.name, self.load = name, load
+
+
+def test_a_package_brings_an_effect_as_an_entry_point(own, monkeypatch):
+    (own / "sticky_fingers.py").write_text(STICKY)
+    add_effects(own)
+    kind = library()["sticky_fingers"]
+    module._folders.clear()
+
+    def brought(*points):
+        monkeypatch.setattr(module, "entry_points", lambda group: points if group == "synthcam.effects" else ())
+        library.cache_clear()
+        return library()
+
+    assert brought(Point("sticky_fingers", lambda: kind))["sticky_fingers"] is kind
+    for point, said in (
+        (Point("sticky", lambda: kind), "expected the name of the effect's file, sticky_fingers"),
+        (Point("sticky_fingers", lambda: 3), "expected a class of Effect, found int"),
+        (Point("sticky_fingers", lambda: 1 / 0), "ZeroDivisionError"),
+        (Point("hop", lambda: kind), "there is an effect of this name already"),
+    ):
+        with pytest.raises(InputError, match=f"entry point {point.name} of synthcam.effects: .*{said}"):
+            brought(point)
+
+
+SCENE = "effects: {sticky_fingers: {k: 0.1}}\ntiming: {frames: 5}\n"
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["effects", "sticky_fingers"],
+        ["schema"],
+        ["generate", "scene.yaml", "-o", "d", "--no-video"],
+        ["preview", "scene.yaml", "-o", "frame.png"],
+    ],
+    ids=lambda words: words[0],
+)
+def test_the_commands_take_a_folder(own, monkeypatch, capsys, words):
+    (own / "mine").mkdir()
+    (own / "mine/sticky_fingers.py").write_text(STICKY)
+    (own / "scene.yaml").write_text(SCENE)
+    monkeypatch.chdir(own)
+    monkeypatch.setattr(preview, "write_preview", lambda clip, output, frame, magnify: output.write_text("drawn"))
+    app([*words, "--effects", "mine"], standalone_mode=False)
+    if "-o" in words:
+        assert (own / words[-1 if words[0] == "preview" else 3]).exists()
+    else:
+        assert "sticky_fingers" in capsys.readouterr().out
