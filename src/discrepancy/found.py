@@ -66,6 +66,8 @@ class Found:
         Effects that these collisions could not show, however real.
     claims, withdrawn : tuple of Claim
         Those that stand; those that collisions which had no part in them did not bear.
+    held : Fit, optional
+        With the free law as a table in the model, all else fitted again.
     """
 
     verdict: str
@@ -82,6 +84,7 @@ class Found:
     unidentifiable: tuple[str, ...]
     claims: tuple[Claim, ...] = ()
     withdrawn: tuple[Claim, ...] = ()
+    held: Fit | None = None
 
     @property
     def base(self) -> Fit:
@@ -95,7 +98,9 @@ class Found:
 
     @property
     def model(self) -> Model:
-        """The model with the named effects, refitted. A free law is no effect: no file can hold it."""
+        """The model with the named effects, and the free law as a table where a model can hold it, refitted."""
+        if self.held:
+            return self.held.model
         return self.free_law.plain if self.free_law else self.selected.best.model
 
     @property
@@ -128,7 +133,8 @@ class Found:
             parts.insert(
                 0, f"{self.answer.said}, which no effect of the library makes ({self.free_law.sigma:.0f} sigma)"
             )
-            closed = f"Proposed: {self.answer.formula}. model.yaml cannot hold it. {closed}"
+            where = "model.yaml holds its curve" if self.held else "model.yaml cannot hold it"
+            closed = f"Proposed: {self.answer.formula}. {where}. {closed}"
         elif self.verdict == "outside_library":
             what = f": {self.left[0]} ({self.left[0].sigma:.0f} sigma)" if unexplained(self.left) else ""
             closed = f"Something else is missing that neither the library nor a free law holds{what}. {closed}"
@@ -154,7 +160,7 @@ class Found:
                 for n in self.named
             ],
             "aliases": [list(n.aliases) for n in self.named if len(n.aliases) > 1],
-            "outside": [self.answer.document()] if self.answer else [],
+            "outside": [self.answer.document() | {"in_model": self.held is not None}] if self.answer else [],
             "where": [vars(p) for p in self.where],
             "left": [vars(p) for p in self.left],
             "ranking": [{"effect": c.effect, "sigma": c.sigma} for c in self.selected.ranking],

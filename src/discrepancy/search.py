@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from commandline.errors import InputError
@@ -22,6 +22,7 @@ from discrepancy.fitting.parameters import candidates_of
 from discrepancy.found import Data, Found, more_missing, unexplained
 from discrepancy.free_laws.answer import Answer
 from discrepancy.free_laws.fitted_law import FittedLaw
+from discrepancy.free_laws.tabulated import in_model
 from discrepancy.selection.experiment_design import advice, designs
 from discrepancy.selection.fit_store import FitStore
 from discrepancy.selection.free_law_contest import FreeLawContest, unseen
@@ -62,6 +63,9 @@ def find(clips: Sequence[Measured], model: Model, progress: Progress = lambda st
     if stands.withdrawn:
         chosen = dataclasses.replace(chosen, selected=stands.selected, free_law=stands.free_law)
         shown = gap_of(data, chosen, progress)
+    held = in_model(chosen.free_law, lambda: progress("gap")) if chosen.free_law else None
+    if held:
+        shown = _gap(data, chosen.selected.base, held, progress)
     progress("where")
     where = locate(data.clips, chosen.selected.base, data.noise)
     left = locate(chosen.cleaned(data), chosen.best, data.noise) if chosen.anything else where
@@ -82,6 +86,7 @@ def find(clips: Sequence[Measured], model: Model, progress: Progress = lambda st
         steps.unidentifiable(chosen.selected.state),
         stands.claims,
         stands.withdrawn,
+        held,
     )
 
 
@@ -180,8 +185,12 @@ def gap_of(data: Data, chosen: Chosen, progress: Progress) -> Shown:
     """The gap on the clips kept out. Raises InputError where the base model has no motion for them."""
     clips, law = data.kept_out, chosen.free_law
     outside = None if law is None else lambda before: unseen(law, clips, before, data.noise)
+    return _gap(data, chosen.selected.base, chosen.selected.best, progress, outside)
+
+
+def _gap(data: Data, base: Fit, best: Fit, progress: Progress, outside: Callable[[Fit], Fit] | None = None) -> Shown:
     try:
-        return show(clips, chosen.selected.base, chosen.selected.best, data.noise, lambda: progress("gap"), outside)
+        return show(data.kept_out, base, best, data.noise, lambda: progress("gap"), outside)
     except ValueError as e:
         raise InputError(f"the fitted base model has no motion for the collisions kept out: {e}") from None
 

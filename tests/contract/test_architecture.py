@@ -86,7 +86,7 @@ LAYERS = {
         "library evidence",
         "fitted_law",
         "credible_band formula",
-        "answer",
+        "answer tabulated",
     ],
     "tracker.measurement": [
         "noise",

@@ -4,6 +4,7 @@ import pickle
 
 import numpy as np
 import pytest
+from scipy.integrate import quad
 
 from commandline.errors import InputError
 from synthcam.dynamics.launch import Launch
@@ -11,6 +12,7 @@ from synthcam.dynamics.solve import solve
 from synthcam.free_law import KINDS, NOT_YET, TabulatedLaw, kind_of, names
 from synthcam.model import Model, build, read_model, settings_of, write_model
 from synthcam.scene.scene import check_scene
+from synthcam.table import Table
 
 G = Model().gravity
 
@@ -47,6 +49,16 @@ def test_friction_that_grows_with_the_slip_ends_the_slide_as_it_must():
     model = held({"spin_transfer": 0.0}, friction_speed=(speeds, m0 + m1 * speeds))
     slip = (1 + model.restitution) / 2 * 0.5
     assert slide_ends(hit(model))[0] == pytest.approx(np.log(1 + m1 * slip / m0) / (3.5 * G * m1), rel=1e-6)
+
+
+def test_a_rough_table_is_smooth_enough_to_be_integrated():
+    rng = np.random.default_rng(3)
+    x, y = np.linspace(0, 0.6, 25), rng.uniform(0.15, 0.3, 25)
+    model = held({"spin_transfer": 0.0}, friction_speed=(x, y))
+    slip = (1 + model.restitution) / 2 * 0.5
+    curve = Table(tuple(x.tolist()), tuple(y.tolist()))
+    expected = quad(lambda u: 1 / (3.5 * G * float(curve(np.array(u)))), 0, slip, limit=500, epsabs=1e-12)[0]
+    assert slide_ends(hit(model))[0] == pytest.approx(expected, rel=1e-9)
 
 
 def test_beyond_its_ends_a_curve_stays_as_it_is_there():

@@ -6,20 +6,25 @@ from synthcam.table import Table
 X = (0.0, 0.1, 0.25, 0.3, 0.6)
 
 
-def test_a_cubic_is_itself_between_uneven_places():
+def test_a_straight_line_is_itself_whatever_the_places_and_goes_through_all_values():
     places = np.linspace(0, 0.6, 97)
-    curve = Table(X, tuple(1 + x - 4 * x**3 for x in X))
-    np.testing.assert_allclose(curve(places), 1 + places - 4 * places**3, rtol=1e-13)
-
-
-def test_two_and_three_places_are_a_line_and_a_parabola():
+    np.testing.assert_allclose(Table(X, tuple(1 - 2 * x for x in X))(places), 1 - 2 * places, atol=1e-13)
+    rough = (0.1, 0.5, -0.2, 0.3, 0.25)
+    np.testing.assert_allclose(Table(X, rough)(np.array(X)), rough, atol=1e-13)
     assert Table((0.0, 1.0), (2.0, 4.0))(np.array(0.25)) == pytest.approx(2.5, rel=1e-14)
-    assert Table((0.0, 1.0, 2.0), (0.0, 1.0, 4.0))(np.array(0.5)) == pytest.approx(0.25, rel=1e-14)
 
 
-def test_beyond_the_ends_it_stays_as_it_is_there():
-    curve = Table(X, tuple(x**2 for x in X))
-    np.testing.assert_allclose(curve(np.array([-1.0, 0.6, 0.7, 50.0])), [0.0, 0.36, 0.36, 0.36], atol=1e-15)
+def test_a_smooth_curve_is_followed_between_its_places():
+    x, between = np.linspace(0, 1, 41), np.linspace(0, 1, 977)
+    bump = Table(tuple(x.tolist()), tuple(np.exp(-(((x - 0.4) / 0.1) ** 2) / 2).tolist()))
+    np.testing.assert_allclose(bump(between), np.exp(-(((between - 0.4) / 0.1) ** 2) / 2), atol=1e-5)
+
+
+def test_beyond_the_ends_it_levels_off_within_a_twentieth_of_the_range():
+    line = Table((0.0, 0.2, 1.0), (0.0, 0.4, 2.0))
+    np.testing.assert_allclose(line(np.array([1.2, 7.0, -3.0])), [2.1, 2.1, -0.1], atol=1e-9)
+    flat = Table((0.0, 1.0), (3.0, 3.0))
+    np.testing.assert_allclose(flat(np.array([-1.0, 2.0])), 3.0, atol=1e-14)
 
 
 @pytest.mark.parametrize("closed", [True, False])
@@ -29,18 +34,21 @@ def test_of_an_angle_it_goes_on_after_a_whole_turn(closed):
         angles = angles[:-1]
     curve = Table(tuple(angles.tolist()), tuple(np.cos(2 * angles).tolist()), turn=True)
     where = np.array([-3.1, 0.02, 3.14159, 0.02 + 2 * np.pi, -40.0])
-    np.testing.assert_allclose(curve(where), np.cos(2 * where), atol=2e-5)  # (2 pi / 36)^4 / 384 is 2.4e-6 of a step
+    np.testing.assert_allclose(curve(where), np.cos(2 * where), atol=1e-7)
     assert curve(np.array(0.02)) == pytest.approx(curve(np.array(0.02 + 2 * np.pi)), abs=1e-13)
+    three = Table((-2.0, 0.0, 2.0), (1.0, 2.0, 1.0), turn=True)
+    assert three(np.array(np.pi)) == pytest.approx(three(np.array(-np.pi)), abs=1e-13)
 
 
-def test_a_map_of_two_parts_is_a_product_of_cubics_within_and_its_edge_without():
+def test_a_map_of_two_parts_is_a_product_of_lines_within_and_level_without():
     sides = np.linspace(0, 1, 5), np.linspace(-1, 1, 4)
     x, y = (s.ravel() for s in np.meshgrid(*sides))  # not in the order of the sides
     pairs = tuple(zip(x.tolist(), y.tolist(), strict=True))
-    both = Table(pairs, tuple(zip((x**3 * y**2).tolist(), (x - y**3).tolist(), strict=True)))
+    both = Table(pairs, tuple(zip((x * (2 + y)).tolist(), (x - y).tolist(), strict=True)))
     a, b = np.array([0.13, 0.7]), np.array([0.41, -0.9])
-    np.testing.assert_allclose(both(a, b), np.stack([a**3 * b**2, a - b**3], axis=-1), atol=1e-13)
-    np.testing.assert_allclose(both(np.array(7.0), np.array(0.5)), [0.25, 1 - 0.125], atol=1e-13)
+    np.testing.assert_allclose(both(a, b), np.stack([a * (2 + b), a - b], axis=-1), atol=1e-12)
+    np.testing.assert_allclose(both(np.array(7.0), np.array(0.5)), [1.05 * 2.5, 1.05 - 0.5], atol=1e-8)
+    assert both(np.zeros((3, 4)), np.zeros((3, 4))).shape == (3, 4, 2)
 
 
 @pytest.mark.parametrize(
@@ -52,8 +60,9 @@ def test_a_map_of_two_parts_is_a_product_of_cubics_within_and_its_edge_without()
         ((0.0, float("nan")), (1.0, 2.0), False, "x: expected finite"),
         ((0.0, 1.0), (1.0, (2.0, 3.0)), False, "y: expected finite numbers, or pairs"),
         (((0.0, 0.0), (0.0, 1.0), (1.0, 0.0)), (1.0, 1.0, 1.0), False, "whole grid"),
-        (((0.0, 0.0), (0.0, 1.0)), (1.0, 1.0), False, "two places or more along each axis"),
+        (((0.0, 0.0), (0.0, 1.0)), (1.0, 1.0), False, "2 places or more along each axis"),
         ((0.0, 7.0), (1.0, 2.0), True, "within one turn"),
+        ((0.0, 1e-9, 2e-9, 1.0), (1.0, 2.0, 1.0, 2.0), False, "places that stand apart more evenly"),
         ((0.0, 3.0, 2 * np.pi), (1.0, 2.0, 1.5), True, "same value after a whole turn"),
     ],
 )

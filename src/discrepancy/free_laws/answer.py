@@ -35,6 +35,8 @@ class Answer:
     refused : bool
         Whether the data want more than the formula.
     sigma : float
+    covariance : (n, n) array or None
+        Of the curve where it is smooth and of one part; None otherwise.
     """
 
     law: FreeLaw
@@ -45,6 +47,7 @@ class Answer:
     formula: str
     refused: bool
     sigma: float
+    covariance: Array | None = None
 
     @classmethod
     def of(cls, fitted_law: FittedLaw) -> Answer:
@@ -54,12 +57,14 @@ class Answer:
         else:
             x = tuple(side.ravel() for side in np.meshgrid(*(a.grid(SIDE) for a in law.axes), indexing="ij"))
         mixture, formula = Mixture.of(fitted_law, *x), propose(fitted_law)
+        covariance = fitted_law.curve(*x)[1][0] if len(law.axes) == law.parts == 1 else None
         if law.each_clip:
             x = (np.array([float(c.clip) for c in fitted_law.evidence.clips]),)
         bands = {
             k: np.stack([mixture.quantile(-times), mixture.quantile(times)], axis=-1) for k, times in BANDS.items()
         }
-        return cls(law, words(law), x, mixture.quantile(0.0), bands, formula.text, formula.refused, fitted_law.sigma)
+        said, curve = words(law), mixture.quantile(0.0)
+        return cls(law, said, x, curve, bands, formula.text, formula.refused, fitted_law.sigma, covariance)
 
     def document(self) -> dict[str, Any]:
         """Its part in discrepancy.json. Of a curve x is a list of numbers, of a map a list of pairs; of a force or a
@@ -78,6 +83,7 @@ class Answer:
             "formula": self.formula,
             "formula_suffices": not self.refused,
             "sigma": self.sigma,
+            "covariance": None if self.covariance is None else self.covariance.tolist(),
         }
 
 
