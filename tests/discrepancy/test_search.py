@@ -175,8 +175,7 @@ def test_an_effect_outside_the_library_gets_its_free_law_and_no_name(law):
     found = outsider(law)
     assert found.verdict == "outside_library"
     assert names(found) == []
-    assert found.model.effects == ()
-    assert found.free_law.law.name == law
+    assert [e.name() for e in found.model.effects] == [found.free_law.law.name] == [law]
     assert found.selected.ranking[0].sigma > found.selected.claim  # the nearest of the library would have been claimed
     gap, points = found.shown.gap, found.shown.after.points
     chance = 4 * np.sqrt(2 / points) / (gap.before - gap.floor)  # in chi^2 a point of so few clips kept out

@@ -35,7 +35,9 @@ def test_what_is_missing_is_said_with_its_numbers():
     assert "velocity_restitution (e = 0.05" in what
     outside = story(outsider("restitution_speed"))[2]
     assert "r that depends on the normal speed, which no effect of the library makes" in outside
-    assert "model.yaml cannot hold it" in outside
+    assert "model.yaml holds its curve" in outside
+    unheld = dataclasses.replace(outsider("restitution_speed"), held=None)
+    assert "model.yaml cannot hold it" in story(unheld)[2]
     assert "Nothing is missing" in story(searched("nothing"))[2]
 
 
