@@ -70,11 +70,23 @@ def test_a_search_that_begins_with_it_finds_nothing(law, seeds, tmp_path, monkey
         assert again.shown.gap.before == pytest.approx(known, rel=0.03 if seed == 3 else 0.15)
 
 
-def test_a_law_found_once_more_takes_the_place_of_its_table():
-    """Half of what was hidden is in the model already."""
-    found = outsider("restitution_speed")
-    law = dataclasses.replace(found.free_law, plain=found.model)
-    assert [e.name() for e in in_model(law).model.effects] == ["restitution_speed"]
+def test_a_law_found_once_more_is_the_whole_law_and_takes_the_place_of_its_table(monkeypatch):
+    """The model has a third of what is hidden as a table."""
+    only(monkeypatch, ("restitution_speed",), **{name: library()[name] for name in FEW})
+    step, x = OUTSIDERS["restitution_speed"], np.linspace(0, 0.7, 41)
+    base = Model()
+    third = base.restitution + (step._law(x) - base.restitution) / 3
+    table = TabulatedLaw.of("restitution_speed", x, third, {"restitution": base.restitution})
+    hidden = dataclasses.replace(base, effects=(step,))
+    found = find(collisions(hidden, 18, 3), dataclasses.replace(base, effects=(table,)))
+    assert [e.name() for e in found.model.effects] == ["restitution_speed"]
+    said = found.document()["outside"][0]
+    places, curve, band = (np.array(said[k]) for k in ("x", "curve", "band"))
+    truth = step._law(places)
+    assert np.sqrt(np.mean((curve - truth) ** 2)) < 0.2 * np.std(truth)
+    assert ((truth > band[:, 0]) & (truth < band[:, 1])).mean() > 0.75
+    held = table_of(found.model).beyond(places) + found.model.restitution
+    assert np.sqrt(np.mean((held - truth) ** 2)) < 0.2 * np.std(truth)
 
 
 def test_what_no_model_holds_has_no_table():
