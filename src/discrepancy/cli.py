@@ -148,6 +148,32 @@ def add(
         _say_lost([*left_out, *new.left_out], len(left_out) > len(clips))
 
 
+@app.command()
+def adopt(
+    report: Annotated[Path, typer.Argument(metavar="REPORT", help="What `discrepancy find` wrote.")],
+    name: Annotated[str, typer.Option("--name", metavar="NAME", help="Of the effect, as slick_patch.")],
+    output: Annotated[Path, typer.Option("-o", "--output", metavar="DIR", help="Folder for effects.")] = Path(
+        "effects"
+    ),
+    effects_dir: EffectsDir = None,
+    as_json: Json = False,
+) -> None:
+    """Make an effect of the law outside the library that a search found: DIR/NAME.py, and DIR/NAME.yaml, which has it.
+
+    Example: discrepancy adopt out/search --name slick_patch -o effects
+    """
+    from discrepancy.adopt import adopt as adopted
+
+    _known_effects(effects_dir)
+    new = adopted(report, name, output)
+    if as_json:
+        print(json.dumps(new.document()))
+        return
+    print(f"{new.effect}: {new.formula or 'its curve, since no short formula in Python suffices'}")
+    print(f"{new.model}: the model with it; elsewhere say\n  {new.line}")
+    print(f"and give --effects {output} to each command")
+
+
 def _known_effects(folders: Sequence[Path] | None) -> None:
     for folder in folders or ():
         add_effects(folder)

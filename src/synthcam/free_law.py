@@ -245,7 +245,8 @@ class TabulatedLaw(AddedLaw):
         x, y = np.array(self.table.x), np.array(self.table.y)
         for (name, power), value in zip(self.kind.owners, self.stood_for, strict=True):
             if numbers[name] != value:
-                y = np.clip(y + (numbers[name] - value) * x**power, self.kind.low, self.kind.high)
+                first = x[:, 0] if self.table.plane else x
+                y = np.clip(y + (numbers[name] - value) * first**power, self.kind.low, self.kind.high)
         return {"x": x.tolist(), "y": y.tolist()}
 
 

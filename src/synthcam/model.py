@@ -370,5 +370,9 @@ def model_of(given: Model | Mapping[str, Any] | str | Path) -> Model:
 
 def write_model(model: Model, path: Path) -> None:
     """Write a model file that `read_model` gives back and `synthcam generate` takes."""
-    text = yaml.safe_dump(settings_of(model), sort_keys=False, default_flow_style=None, width=120)
-    path.write_text(text, encoding="utf-8")
+    path.write_text(dumped(settings_of(model)), encoding="utf-8")
+
+
+def dumped(settings: Mapping[str, Any]) -> str:
+    """Settings as the text of a YAML file."""
+    return yaml.safe_dump(dict(settings), sort_keys=False, default_flow_style=None, width=120)

@@ -143,6 +143,9 @@ def test_it_survives_yaml_also_where_its_number_was_changed(tmp_path):
     model = held(friction_speed=((0.0, 0.5, 1.0), (0.2, 0.25, 0.3)), rolling_speed=((0.0, 1.0), (0.1, 0.4)))
     write_model(model, tmp_path / "m.yaml")
     assert read_model(tmp_path / "m.yaml") == model == pickle.loads(pickle.dumps(model))
+    pairs = [[0.0, 0.0], [0.0, 1.0], [1.0, 0.0], [1.0, 1.0]]
+    map_ = held(friction_place=(pairs, [0.2, 0.2, 0.3, 0.4])).replace({"sliding_friction": 0.242})
+    np.testing.assert_allclose(settings_of(map_)["free_laws"]["friction_place"]["y"], [0.21, 0.21, 0.31, 0.41])
     raised = model.replace({"sliding_friction": model.sliding_friction + 0.01, "rolling_drag": 0.235})
     write_model(raised, tmp_path / "raised.yaml")
     again = read_model(tmp_path / "raised.yaml")
@@ -165,7 +168,7 @@ def test_a_scene_simulates_with_it():
         ("friction_speed", {"x": [1, 0], "y": [1, 1]}, "friction_speed: .*x: expected rising"),
         ("friction_speed", {"x": [0, 1], "y": [1, -1]}, "y: expected numbers of 0 or more, found -1"),
         ("spin_transfer_speed", {"x": [0, 1], "y": [0, 0.8]}, "y: expected numbers from 0 to 0.714"),
-        ("rolling_heading", {"x": [0, 1], "y": [1, 1]}, "y: expected pairs, m/s\\^2"),
+        ("rolling_heading", {"x": [0, 1, 2], "y": [1, 1, 1]}, "y: expected pairs, m/s\\^2"),
         ("friction_place", {"x": [0, 1], "y": [1, 1]}, "x: expected pairs, m"),
         ("friction_speed", {"x": [0, 1]}, "free_laws.friction_speed.y: field required"),
         ("lag_speed", {"x": [0, 1], "y": [1, 1]}, "free_laws.lag_speed: of the instrument"),

@@ -10,7 +10,7 @@ import numpy as np
 from discrepancy.arrays import Array
 from discrepancy.free_laws.credible_band import Mixture
 from discrepancy.free_laws.fitted_law import FittedLaw
-from discrepancy.free_laws.formula import propose
+from discrepancy.free_laws.formula import Formula, propose
 from discrepancy.free_laws.free_law import FreeLaw
 
 PLACES, SIDE = 41, 25  # at which a curve is given; along each side of a map
@@ -37,6 +37,8 @@ class Answer:
     sigma : float
     covariance : (n, n) array or None
         Of the curve where it is smooth and of one part; None otherwise.
+    parts : Formula
+        The formula's shape, and its numbers by name.
     """
 
     law: FreeLaw
@@ -48,6 +50,7 @@ class Answer:
     refused: bool
     sigma: float
     covariance: Array | None = None
+    parts: Formula | None = None
 
     @classmethod
     def of(cls, fitted_law: FittedLaw) -> Answer:
@@ -64,7 +67,7 @@ class Answer:
             k: np.stack([mixture.quantile(-times), mixture.quantile(times)], axis=-1) for k, times in BANDS.items()
         }
         said, curve = words(law), mixture.quantile(0.0)
-        return cls(law, said, x, curve, bands, formula.text, formula.refused, fitted_law.sigma, covariance)
+        return cls(law, said, x, curve, bands, formula.text, formula.refused, fitted_law.sigma, covariance, formula)
 
     def document(self) -> dict[str, Any]:
         """Its part in discrepancy.json. Of a curve x is a list of numbers, of a map a list of pairs; of a force or a
@@ -83,8 +86,14 @@ class Answer:
             "formula": self.formula,
             "formula_suffices": not self.refused,
             "sigma": self.sigma,
+            "formula_parts": self._parts(),
             "covariance": None if self.covariance is None else self.covariance.tolist(),
         }
+
+    def _parts(self) -> dict[str, Any] | None:
+        if self.parts is None or not self.parts.factors:
+            return None
+        return {"shape": self.parts.shape, "factors": self.parts.factors, "numbers": self.parts.numbers}
 
 
 def words(law: FreeLaw) -> str:

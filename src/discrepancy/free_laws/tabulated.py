@@ -14,7 +14,7 @@ from discrepancy.fitting.model_fit import Fit
 from discrepancy.free_laws.credible_band import Mixture
 from discrepancy.free_laws.fitted_law import FittedLaw
 from synthcam.free_law import TabulatedLaw, kind_of
-from synthcam.model import BASE, Model
+from synthcam.model import BASE, Model, build, settings_of
 
 PLACES, TURN, SIDE = 81, 73, 25  # of a table: of a curve, of one over all directions, along each side of a map
 
@@ -46,7 +46,8 @@ def in_model(fitted_law: FittedLaw, progress: Callable[[], None] = lambda: None)
             model = _with_table(fitted_law.plain, law.name, x, curve)
             start = linearised(fitted_law.evidence, model, fitted_law.fit.names, fitted_law.fit.launches)
             found.append(settle(fitted_law.evidence, start, progress))
-    return min(found, key=lambda fit: fit.chi2, default=None)
+    best = min(found, key=lambda fit: fit.chi2, default=None)
+    return replace(best, model=build(settings_of(best.model), best.model.free)) if best else None  # as a file has it
 
 
 def _grid(fitted_law: FittedLaw) -> tuple[Array, ...]:

@@ -12,8 +12,9 @@ from discrepancy_outsiders import outsider
 from discrepancy.fitting.gauss_newton import fit_model
 from discrepancy.fitting.model_fit import Evidence
 from discrepancy.fitting.parameters import BASE
-from discrepancy.free_laws.formula import _Drawn, _shapes, _written, propose
+from discrepancy.free_laws.formula import _Drawn, _written, propose
 from discrepancy.free_laws.library import free_laws
+from discrepancy.free_laws.shapes import shapes_of
 from discrepancy.noise.model import Component, Noise
 from discrepancy.selection.free_law_contest import FreeLawContest
 from synthcam.model import Model
@@ -86,7 +87,7 @@ def test_a_lag_is_told_but_for_a_constant():
     factor = float(re.fullmatch(r"lag of the picture = (\S+) v\^2 s, v in m/s", formula.text).group(1))
     assert factor == pytest.approx(2e-4, rel=0.1)
     drawn = _Drawn(found)
-    assert "" not in {w for s in _shapes(found.law, drawn.x) for w, _ in drawn.terms(s, *(t[0] for t in s.tries))}
+    assert "" not in {t.word for s in shapes_of(found.law, drawn.x) for t in drawn.terms(s, *(t[0] for t in s.tries))}
 
 
 def test_a_formula_that_suffices_is_not_refused():

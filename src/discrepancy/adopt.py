@@ -1,0 +1,184 @@
+"""Make an effect of a free law that a search found: a file with its formula, or with its curve."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from commandline.errors import InputError
+from commandline.outputs import as_input_error, check_room, put
+from discrepancy.effect_file import ValueOf, curve_effect, formula_effect
+from discrepancy.free_laws.basis import Axis
+from discrepancy.free_laws.library import library as free_laws
+from discrepancy.free_laws.shapes import CONSTANT, Shape, Term, shapes_of
+from synthcam.free_law import NOT_YET, TURN, Kind, TabulatedLaw, kind_of
+from synthcam.library import check_name
+from synthcam.model import Model, dumped, read_model, settings_of
+
+MATCH = {CONSTANT: 0, "linear": 1}  # terms that a number of the base model is, by its power of x
+DRAWN = 50  # places: enough to draw shapes at
+
+
+@dataclass(frozen=True)
+class Adopted:
+    """effect, model: the files. line: what a model or scene says to have the effect. formula: None of a curve."""
+
+    name: str
+    effect: Path
+    model: Path
+    line: str
+    formula: str | None
+
+    def document(self) -> dict[str, Any]:
+        """For other programs."""
+        return {k: str(v) if isinstance(v, Path) else v for k, v in vars(self).items()}
+
+
+def adopt(report: str | Path, name: str, folder: str | Path = "effects") -> Adopted:
+    """Write an effect file from the free law in a search's report, and a model file that has it.
+
+    The effect has the proposed formula where that suffices, of a law over one axis; elsewhere the curve or map.
+
+    Parameters
+    ----------
+    report : str or Path
+        Folder that ``discrepancy find`` wrote.
+    name : str
+        Of the effect: small letters, digits and "_"; not that of a known effect or law.
+    folder : str or Path
+        Where NAME.py and NAME.yaml are put; made if need be.
+
+    Returns
+    -------
+    Adopted
+
+    Raises
+    ------
+    InputError
+        One line: what is no report, has no free law or one that no effect holds; a name that is taken; files that
+        are there already.
+    """
+    report, folder = Path(report), Path(folder)
+    check_name(name, f"--name {name}")
+    said = _outside(report)
+    model = read_model(report / "model.yaml")
+    slot = str(said.get("slot"))
+    held = next((e for e in model.effects if isinstance(e, TabulatedLaw) and e.law == slot), None)
+    if held is None:
+        why = f": {NOT_YET[slot]}" if slot in NOT_YET else ""
+        raise InputError(f"{report}: its free law is {slot}, which model.yaml does not hold{why}")
+    files = folder / f"{name}.py", folder / f"{name}.yaml"
+    for file in files:
+        if file.exists():
+            raise InputError(f"{file}: exists; expected another name or folder")
+    where = f"{report / 'discrepancy.json'}: outside"
+    try:
+        text, values, plain, formula = _effect(name, model, held, said, _source(report, said))
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        raise InputError(f"{where}: not as `discrepancy find` writes it ({error!r})") from None
+    plain["effects"] = plain.get("effects", {}) | {name: values}
+    plain["free"] = [*plain.get("free", []), *(f"{name}.{k}" for k in values if formula)]
+    if not plain["free"]:
+        del plain["free"]
+    check_room(files[0])
+    with as_input_error(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+        put(files[0], text)
+        put(files[1], dumped(plain))
+    line = f"effects: {{{name}: {{{', '.join(f'{k}: {v:.6g}' for k, v in values.items())}}}}}"
+    return Adopted(name, *files, line, formula)
+
+
+def _outside(report: Path) -> dict[str, Any]:
+    """The free law of a report. Raises InputError."""
+    file = report / "discrepancy.json"
+    try:
+        document = json.loads(file.read_text(encoding="utf-8"))
+        verdict, outside = document["verdict"], document["outside"]
+    except OSError as error:
+        raise InputError(f"{file}: {error.strerror or error}; expected a report of `discrepancy find`") from None
+    except (ValueError, KeyError, TypeError):
+        raise InputError(f"{file}: not as `discrepancy find` writes it") from None
+    if not (isinstance(outside, list) and outside and isinstance(outside[0], dict)):
+        raise InputError(f"{report}: its verdict is {verdict}, without a free law; there is nothing to adopt")
+    return dict(outside[0]) | {"gap": document.get("gap"), "clips": document.get("clips")}
+
+
+def _source(report: Path, said: Mapping[str, Any]) -> list[str]:
+    """Where it comes from, in sentences."""
+    gap, clips = said["gap"], said["clips"]
+    return [
+        f"Found by `discrepancy find` ({report.name}): {said['law']}, {said['sigma']:.0f} sigma in {clips['fitted']} "
+        f"collisions. On {clips['kept_out']} kept out, chi^2 a point goes from {gap['before']:.3g} to "
+        f"{gap['after']:.3g}; noise leaves {gap['floor']:.3g}.",
+        f"Proposed: {said['formula']}." + ("" if said["formula_suffices"] else " That does not suffice."),
+    ]
+
+
+def _effect(
+    name: str, model: Model, held: TabulatedLaw, said: Mapping[str, Any], source: list[str]
+) -> tuple[str, dict[str, float], dict[str, Any], str | None]:
+    """The file's text, the effect's values, the settings of the model less the table, the formula if it has one."""
+    kind, ball = kind_of(held.law)
+    bare = replace(model, effects=tuple(e for e in model.effects if e is not held))
+    parts = said["formula_parts"] if said["formula_suffices"] else None
+    shape = _shape(held.law, kind, said, parts) if parts else None
+    if shape and parts:
+        numbers = [float(parts["numbers"][n]) for n, _ in shape.numbers]
+        terms = [(t, float(parts["factors"][t.name])) for t in shape.terms(*numbers)]
+        beside = _beside(kind, ball, bare, terms)
+        if beside:
+            values, base = beside
+            shaped = [ValueOf(n, float(v), power) for (n, power), v in zip(shape.numbers, numbers, strict=True)]
+            text = formula_effect(name, held.law, values, shaped, source)
+            every = {v.name: v.value for _, v in values} | {v.name: v.value for v in shaped}
+            return text, every, settings_of(bare.replace(base)), str(said["formula"])
+    numbers_of = {owner: bare.value(owner) for owner, _ in kind.owners}
+    return curve_effect(name, held, numbers_of, source), {"share": 1.0}, settings_of(bare), None
+
+
+def _shape(law: str, kind: Kind, said: Mapping[str, Any], parts: Mapping[str, Any]) -> Shape | None:
+    """The shape of that name and those terms; None where it has no code."""
+    own = law.removesuffix("_a").removesuffix("_b") if kind.one_ball else law
+    search = next((k for k in free_laws() if k.__module__.rpartition(".")[2] == own), None)
+    if search is None or len(said["axes"]) != 1 or kind.parts != 1:
+        return None
+    x = np.array(said["x"], dtype=float)
+    axis = Axis("x", kind.x_unit, float(x[0]), float(x[-1]), DRAWN, "circle" if kind.axis == TURN else "line", "x")
+    for shape in shapes_of(search((axis,)), [axis.grid(DRAWN)]):
+        named = [t.name for t in shape.terms(*(t[0] for t in shape.tries))]
+        if shape.name == parts["shape"] and set(named) == set(parts["factors"]):
+            return shape
+    return None
+
+
+def _beside(
+    kind: Kind, ball: str, model: Model, terms: list[tuple[Term, float]]
+) -> tuple[list[tuple[Term, ValueOf]], dict[str, float]] | None:
+    """The effect's strengths, and numbers of the base model beside it; None where no such model can be.
+
+    A law of its one number is that number times a sum; others are sums. Terms that the base model's numbers make are
+    theirs; of one ball alone the effect has what that ball's differ by.
+    """
+    owners = {power: name for name, power in kind.owners}
+    relative, base, values = list(owners) == [0], {}, []
+    if relative and CONSTANT not in {t.name for t, _ in terms}:
+        return None
+    lead = next((f for t, f in terms if t.name == CONSTANT), 1.0) if relative and not ball else 1.0
+    lead = model.value(owners[0]) if relative and ball else lead
+    if relative and not lead:
+        return None
+    for term, factor in terms:
+        owner = owners.get(MATCH.get(term.name, -1))
+        if owner and not ball:
+            base[owner] = factor
+            continue
+        strength = factor / lead - (model.value(owner) / lead if owner else 0.0)
+        values.append((term, ValueOf(term.name, strength, term.power)))
+    low_enough = all(v >= 0 for v in base.values())
+    return (values, base) if values and low_enough else None

@@ -1,0 +1,212 @@
+"""The text of an effect file: one class, as those of synthcam."""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from discrepancy.free_laws.shapes import Term
+from synthcam.free_law import LINE, PACE, PLACE, TURN, Kind, TabulatedLaw, kind_of
+
+WIDTH = 110  # of a line of text
+WIDER = 10.0  # times and over its value: where a shape parameter may go
+BENT = {"friction": "mu", "restitution": "r", "spin_transfer": "c", "rolling": "loss", "push": "acceleration"}
+
+
+@dataclass(frozen=True)
+class ValueOf:
+    """A parameter by name, its value, and the power of the law's argument in its unit."""
+
+    name: str
+    value: float
+    power: float = 0.0
+
+
+def formula_effect(
+    name: str,
+    law: str,
+    strengths: Sequence[tuple[Term, ValueOf]],
+    shape: Sequence[ValueOf],
+    source: Sequence[str],
+) -> str:
+    """An effect with a formula.
+
+    Parameters
+    ----------
+    name : str
+        Of the effect.
+    law : str
+        Of the free law, as `synthcam.free_law.names` has it.
+    strengths : sequence of (Term, ValueOf)
+        What is added to the law, over it where it is one number of the base model: each term times its strength.
+    shape : sequence of ValueOf
+        The shape's numbers.
+    source : sequence of str
+        Where it comes from.
+
+    Returns
+    -------
+    str
+    """
+    kind, ball = kind_of(law)
+    relative, x, old = len(kind.owners) == 1, _argument(kind), BENT[kind.law]
+    numbers = {v.name: f"self.{v.name}" for v in shape}
+    added = [f"self.{v.name} * {t.code.format(x=x, **numbers)}".removesuffix(" * 1") for t, v in strengths]
+    said = " + ".join(f"{v.name} {_words(t, x)}".strip() for t, v in strengths)
+    law_said = f"{old} [1 + {said}]" if relative else f"{old} + {said}"
+    unit = "1" if relative else kind.unit
+    parameters = [
+        f'{v.name}: float = parameter("{_unit(unit, kind.x_unit, -v.power)}", typical={abs(v.value) or 1.0:.3g})'
+        for _, v in strengths
+    ] + [_shape_parameter(v, kind) for v in shape]
+    doc = [f"{law_said}, {_meaning(kind, x)}.{_whose(ball)}", *source]
+    return _file(name, f"{_title(kind)}, by a formula", doc, parameters, _method(kind, ball, added, relative))
+
+
+def curve_effect(name: str, held: TabulatedLaw, numbers: Mapping[str, float], source: Sequence[str]) -> str:
+    """An effect with a table: the law is the table's where `share` is 1, and the base model's where it is 0.
+
+    Parameters
+    ----------
+    name : str
+        Of the effect.
+    held : TabulatedLaw
+    numbers : mapping of str to float
+        Of the base model that the table stands for, which the model beside the effect has too.
+    source : sequence of str
+        Where it comes from.
+
+    Returns
+    -------
+    str
+    """
+    kind, ball = kind_of(held.law)
+    plain, x, old = held.plain(numbers), _argument(kind), BENT[kind.law]
+    value = f"CURVE({'position[..., 0], position[..., 1]' if kind.axis == PLACE else x})"
+    if kind.law == "rolling" and kind.parts == 2:
+        value = f"({value} * np.stack([np.ones_like(speed), speed / {PACE:g}], axis=-1)).sum(axis=-1)"
+    base = [f"{numbers[n]!r}" + (f" * {x}" if power else "") for n, power in kind.owners]
+    added = f"self.share * ({' - '.join([value, *base])})" if base else f"self.share * {value}"
+    tables = [
+        f"X = {_listed(plain['x'])}",
+        f"Y = {_listed(plain['y'])}",
+        f"CURVE = Table(X, Y{', turn=True' if kind.axis == TURN else ''})",
+    ]
+    stands = " and ".join(f"{n} {v:.6g}" for n, v in numbers.items())
+    where = "place, m" if kind.axis == PLACE else _meaning(kind, x)
+    doc = [
+        f"{old} as in the table Y, {kind.unit}, where share is 1: X {where}.{_whose(ball)}"
+        + (f" Share 0 is a base model of {stands}." if stands else ""),
+        *source,
+    ]
+    method = _method(kind, ball, [added], relative=False)
+    parameters = ['share: float = parameter("1", typical=1.0, default=1.0)']
+    return _file(name, f"{_title(kind)}, by a table", doc, parameters, method, tables)
+
+
+def _file(
+    name: str, title: str, doc: Sequence[str], parameters: Sequence[str], method: str, tables: Sequence[str] = ()
+) -> str:
+    """All of it."""
+    said = "\n\n    ".join(textwrap.fill(" ".join(d.split()), WIDTH, subsequent_indent="    ") for d in doc)
+    imports = "import numpy as np\n\n" if "np." in method else ""
+    uses = "from synthcam.effect import Effect, parameter\n" + ("from synthcam.table import Table\n" if tables else "")
+    head = "\n" + "\n".join(tables) + "\n" if tables else ""
+    own = "\n".join(f"    {p}" for p in parameters)
+    class_name = "".join(part.title() for part in name.split("_"))
+    return (
+        f'"""{title}."""\n\nfrom dataclasses import dataclass\nfrom typing import Any\n\n{imports}{uses}{head}\n\n'
+        f'@dataclass(frozen=True)\nclass {class_name}(Effect):\n    """{said}\n    """\n\n{own}\n\n{method}'
+    )
+
+
+def _method(kind: Kind, ball: str, added: Sequence[str], relative: bool) -> str:
+    """The method that bends the law. added: Python of what is added, or of its share of the law; a sum."""
+    old, sum_ = BENT[kind.law], _sum(added)
+    asks = [kind.what, *["speed"] * ("speed / " in sum_), *["of_a"] * bool(ball)]
+    whose = {"a": "of_a", "b": "(1 - of_a)", "": ""}[ball]
+    if kind.law == "push" and kind.axis == LINE:
+        lines = [
+            "speed = np.hypot(velocity[..., 0], velocity[..., 1])",
+            f"force = {whose} * ({sum_})" if whose else f"force = {sum_}",
+            f"return np.asarray({old} + (force / np.maximum(speed, 1e-9))[..., None] * velocity)",
+        ]
+    elif kind.law == "push" and kind.axis == TURN:
+        lines = [
+            f"force = {sum_}",
+            "across = np.stack([-velocity[..., 1], velocity[..., 0]], axis=-1)",
+            f"return np.asarray({old} + force[..., :1] * velocity + force[..., 1:] * across)",
+        ]
+    elif kind.law == "push":
+        share = f"np.asarray({whose})[..., None] * " if whose else ""
+        lines = [f"return np.asarray({old} + {share}{sum_})"]
+    else:
+        sum_ = f"{whose} * ({sum_})" if whose else sum_
+        lines = [f"return {old} * (1 + {sum_})" if relative else f"return {old} + {sum_}"]
+    own = "".join(f", {a}: Any" for a in asks)
+    return f"    def {kind.law}(self, {old}: Any{own}) -> Any:\n" + "".join(f"        {line}\n" for line in lines)
+
+
+def _sum(added: Sequence[str]) -> str:
+    """On several lines where one would be long."""
+    one = " + ".join(added)
+    return one if len(one) < WIDTH - 40 else "(\n            " + "\n            + ".join(added) + "\n        )"
+
+
+def _whose(ball: str) -> str:
+    return f" Of ball {ball} alone." if ball else ""
+
+
+def _argument(kind: Kind) -> str:
+    """What x is, in Python."""
+    if kind.axis == TURN:
+        return f"np.arctan2({kind.what}[..., 1], {kind.what}[..., 0])"
+    return "speed" if kind.law == "push" else kind.what
+
+
+def _meaning(kind: Kind, x: str) -> str:
+    if kind.axis == TURN:
+        return f"th the direction of the {kind.what.replace('_', ' ')}, rad"
+    unit = "" if kind.x_unit == "1" else f", {kind.x_unit}"
+    return f"{x} the {x.replace('_', ' ')}{unit}"
+
+
+def _words(term: Term, x: str) -> str:
+    """A term's code as a formula is written."""
+    out = term.code.format_map(_Bare(x="th" if "arctan2" in x else x)).replace("np.", "").replace("maximum(", "max(")
+    return "" if out == "1" else out.replace("**", "^").replace(" * ", " ")
+
+
+class _Bare(dict[str, str]):
+    """Names stay as they are."""
+
+    def __missing__(self, key: str) -> str:
+        return key
+
+
+def _title(kind: Kind) -> str:
+    word = {"push": "force over mass", "rolling": "rolling loss"}.get(kind.law, kind.law.replace("_", " "))
+    return f"{word.capitalize()} that depends on the {kind.what.replace('_', ' ')}"
+
+
+def _shape_parameter(v: ValueOf, kind: Kind) -> str:
+    low, high = (v.value / WIDER, v.value * WIDER) if v.name != "power" and v.value > 0 else (-WIDER, WIDER)
+    unit = _unit("1", kind.x_unit, v.power)
+    return f'{v.name}: float = parameter("{unit}", typical={v.value:.6g}, low={low:.6g}, high={high:.6g}, fixed=True)'
+
+
+def _unit(unit: str, x_unit: str, power: float) -> str:
+    """A unit times another to a power."""
+    if not power or x_unit in ("1", "rad"):
+        return unit
+    if power > 0:
+        times = x_unit if power == 1 else f"({x_unit})^{power:g}"
+        return times if unit == "1" else f"{unit} {times}"
+    less = f"({x_unit})" if power == -1 else f"({x_unit})^{-power:.3g}"
+    return f"{unit}/{less}"
+
+
+def _listed(values: Sequence[object]) -> str:
+    text = ", ".join(repr(tuple(v) if isinstance(v, list) else v) for v in values)
+    return "(\n" + textwrap.fill(f"{text},", WIDTH, initial_indent="    ", subsequent_indent="    ") + "\n)"
