@@ -99,12 +99,12 @@ def _outside(report: Path) -> dict[str, Any]:
     file = report / "discrepancy.json"
     try:
         document = json.loads(file.read_text(encoding="utf-8"))
-        verdict, outside = document["verdict"], document["outside"]
+        verdict, outside = document["verdict"], list(document["outside"])
     except OSError as error:
         raise InputError(f"{file}: {error.strerror or error}; expected a report of `discrepancy find`") from None
     except (ValueError, KeyError, TypeError):
         raise InputError(f"{file}: not as `discrepancy find` writes it") from None
-    if not (isinstance(outside, list) and outside and isinstance(outside[0], dict)):
+    if not (outside and isinstance(outside[0], dict)):
         raise InputError(f"{report}: its verdict is {verdict}, without a free law; there is nothing to adopt")
     return dict(outside[0]) | {"gap": document.get("gap"), "clips": document.get("clips")}
 

@@ -84,7 +84,7 @@ def curve_effect(name: str, held: TabulatedLaw, numbers: Mapping[str, float], so
     kind, ball = kind_of(held.law)
     plain, x, old = held.plain(numbers), _argument(kind), BENT[kind.law]
     value = f"CURVE({'position[..., 0], position[..., 1]' if kind.axis == PLACE else x})"
-    if kind.law == "rolling" and kind.parts == 2:
+    if _paced(kind):
         value = f"({value} * np.stack([np.ones_like(speed), speed / {PACE:g}], axis=-1)).sum(axis=-1)"
     base = [f"{numbers[n]!r}" + (f" * {x}" if power else "") for n, power in kind.owners]
     added = f"self.share * ({' - '.join([value, *base])})" if base else f"self.share * {value}"
@@ -124,7 +124,7 @@ def _file(
 def _method(kind: Kind, ball: str, added: Sequence[str], relative: bool) -> str:
     """The method that bends the law. added: Python of what is added, or of its share of the law; a sum."""
     old, sum_ = BENT[kind.law], _sum(added)
-    asks = [kind.what, *["speed"] * ("speed / " in sum_), *["of_a"] * bool(ball)]
+    asks = [kind.what, *["speed"] * _paced(kind), *["of_a"] * bool(ball)]
     whose = {"a": "of_a", "b": "(1 - of_a)", "": ""}[ball]
     if kind.law == "push" and kind.axis == LINE:
         lines = [
@@ -154,6 +154,11 @@ def _sum(added: Sequence[str]) -> str:
     return one if len(one) < WIDTH - 40 else "(\n            " + "\n            + ".join(added) + "\n        )"
 
 
+def _paced(kind: Kind) -> bool:
+    """Whether a part of it is in proportion to the speed."""
+    return kind.law == "rolling" and kind.parts == 2
+
+
 def _whose(ball: str) -> str:
     return f" Of ball {ball} alone." if ball else ""
 
@@ -168,14 +173,13 @@ def _argument(kind: Kind) -> str:
 def _meaning(kind: Kind, x: str) -> str:
     if kind.axis == TURN:
         return f"th the direction of the {kind.what.replace('_', ' ')}, rad"
-    unit = "" if kind.x_unit == "1" else f", {kind.x_unit}"
-    return f"{x} the {x.replace('_', ' ')}{unit}"
+    return x if kind.x_unit == "1" else f"{x} in {kind.x_unit}"
 
 
 def _words(term: Term, x: str) -> str:
     """A term's code as a formula is written."""
     out = term.code.format_map(_Bare(x="th" if "arctan2" in x else x)).replace("np.", "").replace("maximum(", "max(")
-    return "" if out == "1" else out.replace("**", "^").replace(" * ", " ")
+    return "" if out == "1" else out.replace(" ** ", "^").replace("**", "^").replace(" * ", " ")
 
 
 class _Bare(dict[str, str]):

@@ -39,6 +39,13 @@ EffectsDir = Annotated[
     typer.Option("--effects", metavar="DIR", help="A folder with effects of your own, NAME.py; more than one may be."),
 ]
 
+ModelFile = Annotated[
+    Path | None,
+    typer.Option(
+        "--model", metavar="MODEL", help="A model file, for ball, model, effects and free laws of the scenes."
+    ),
+]
+
 
 def known_effects(folders: list[Path] | None) -> None:
     """Add the effects of these folders to the library. Raises InputError."""
@@ -62,6 +69,7 @@ def generate(
     encode: Annotated[str, typer.Option(metavar="CODEC", help="A video too: h264:crf=23,gamma=2.2, mjpeg, ffv1.")] = "",
     withhold_truth: Withhold = None,
     set_: Set = None,
+    model: ModelFile = None,
     effects_dir: EffectsDir = None,
     as_json: Json = False,
 ) -> None:
@@ -82,7 +90,7 @@ def generate(
     if withhold_truth and seed is None:
         raise InputError("--withhold-truth: expected --seed too, one nobody guesses: scene and seed give the truth")
     changes = (*(set_ or ()), *_encoding(encode))
-    read = tuple(read_scene(s, changes) for s in scenes)
+    read = tuple(read_scene(s, changes, model) for s in scenes)
     plan = Plan(read, clips, seed or 0, not no_video, _compression(compression), _shard(shard))
     if plan.shard and withhold_truth:
         raise InputError("--shard: a shard keeps its truth; give --withhold-truth to `synthcam merge`")
@@ -166,6 +174,7 @@ def preview(
     frame: Annotated[int | None, typer.Option(min=0, help="Which frame; default: the one before the contact.")] = None,
     magnify: Annotated[int, typer.Option(min=0, help="Also show the balls so many times larger; 0: not.")] = 12,
     set_: Set = None,
+    model: ModelFile = None,
     effects_dir: EffectsDir = None,
     as_json: Json = False,
 ) -> None:
@@ -182,7 +191,7 @@ def preview(
     kind = output.suffix.lower()
     if kind not in (".png", ".gif", ".mp4"):
         raise InputError(f"{output}: expected a name that ends in .png, .gif or .mp4")
-    drawn = read_scene(scene, tuple(set_ or ())).draw(clip, seed)
+    drawn = read_scene(scene, tuple(set_ or ()), model).draw(clip, seed)
     if kind == ".png":
         write_preview(drawn, output, frame, magnify)
         _say({"output": str(output)}, as_json, f"{output}")

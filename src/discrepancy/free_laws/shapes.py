@@ -156,7 +156,7 @@ def _curves(v: str, x: Array, owned: list[int]) -> Iterator[Shape]:
         return [*one, Term(f"[{v} > {a:.3g}]", np.where(x > a, 1.0, 0.0), "size", sharp)]
 
     yield Shape(step, (inner,), (("at", 1.0),), "step")
-    widths = span * np.array([0.06, 0.12, 0.25])
+    widths = span * np.array([0.03, 0.06, 0.12, 0.25])
 
     def bump(a: float, s: float) -> Terms:
         word, column = f"exp(-({v} - {a:.3g})^2 / (2 {s:.3g}^2))", np.asarray(np.exp(-(((x - a) / s) ** 2) / 2))

@@ -12,7 +12,17 @@ from pydantic import AfterValidator, Field, ValidationError, create_model
 from yaml import YAMLError
 
 from synthcam.library import once_a_library
-from synthcam.model import BallSettings, ModelSettings, check_free, check_held, effect_settings, table_settings
+from synthcam.model import (
+    BallSettings,
+    ModelSettings,
+    check_free,
+    check_held,
+    effect_settings,
+    model_file,
+    read_model,
+    settings_of,
+    table_settings,
+)
 from synthcam.scene.apparatus import CameraSettings, LampSettings, SensorSettings, SurfaceSettings, VideoSettings
 from synthcam.scene.clip import Clip, clip_of
 from synthcam.scene.distribution import choices, corner, drawn, replaced, representative
@@ -190,9 +200,16 @@ def _plain(value: Any) -> Any:
     return [_plain(v) for v in value] if isinstance(value, list | tuple) else value
 
 
-def read_scene(path: Path, overrides: tuple[str, ...] = ()) -> Scene:
-    """Read and check a scene file, `overrides` as "launch.v0=0.2". Raises InputError."""
-    return check_scene(read_yaml(path), str(path), overrides)
+def read_scene(path: Path, overrides: tuple[str, ...] = (), model: Path | None = None) -> Scene:
+    """Read and check a scene file, `overrides` as "launch.v0=0.2". Raises InputError.
+
+    model: a model file, whose ball, model, effects and free laws take the place of the scene's.
+    """
+    loaded = read_yaml(path)
+    if model is not None:
+        physics = settings_of(read_model(model))
+        loaded = {k: v for k, v in loaded.items() if k not in model_file().model_fields} | physics
+    return check_scene(loaded, str(path), overrides)
 
 
 def check_scene(loaded: dict[str, Any], where: str, overrides: tuple[str, ...] = ()) -> Scene:

@@ -1,0 +1,246 @@
+"""A free law made an effect: the file bends the law as the formula or the curve says, and a search finds no more."""
+
+import ast
+import dataclasses
+import json
+import re
+import shutil
+import sys
+
+import numpy as np
+import pytest
+from discrepancy_clips import collisions
+from discrepancy_outsiders import OUTSIDERS, outsider
+
+import synthcam.library as effects_module
+from commandline.errors import InputError
+from discrepancy import cli
+from discrepancy.adopt import adopt
+from discrepancy.effect_file import ValueOf, curve_effect, formula_effect
+from discrepancy.fitting.gauss_newton import fit_model
+from discrepancy.free_laws.basis import Axis
+from discrepancy.free_laws.library import library as free_laws
+from discrepancy.free_laws.shapes import shapes_of
+from discrepancy.noise.model import Component, Noise
+from discrepancy.report import html
+from synthcam.effect import LAWS, VECTORS
+from synthcam.free_law import KINDS, LINE, PLACE, TURN, TabulatedLaw, names
+from synthcam.library import add_effects, library
+from synthcam.model import BASE, Model, read_model
+from synthcam.scene.scene import read_scene
+
+CURVES = [n for n, k in KINDS.items() if k.axis != PLACE and k.parts == 1]
+RANGE = (0.05, 0.45)
+
+
+@pytest.fixture
+def own(tmp_path, monkeypatch):
+    """A folder for effects; what a test adds of it is forgotten afterwards."""
+    monkeypatch.setattr(effects_module, "_folders", {})
+    yield tmp_path
+    monkeypatch.undo()
+    for forget in effects_module._forget:
+        forget()
+    for name in [n for n in sys.modules if n.startswith(effects_module.PREFIX)]:
+        del sys.modules[name]
+
+
+@pytest.fixture(scope="module")
+def reports(tmp_path_factory):
+    """By free law, a folder with the report of a search that found it."""
+    folder = tmp_path_factory.mktemp("reports")
+    for law in OUTSIDERS:
+        html.write(outsider(law), folder / law, [])
+    return folder
+
+
+def read(folder, name, text):
+    (folder / f"{name}.py").write_text(text)
+    add_effects(folder)
+    return library()[name]
+
+
+def instant(kind, rng):
+    shapes = {w: (5, 7, 2) if w in {*VECTORS, "heading"} else (5, 7) for w in LAWS[kind.law]}
+    known = {w: rng.uniform(*RANGE, shape) / (np.sqrt(2) if len(shape) == 3 else 1) for w, shape in shapes.items()}
+    return known | {"of_a": np.array([1.0, 1.0, 0.0, 0.0, 0.0])[:, None]}
+
+
+def argument(kind, known):
+    what = known[kind.what]
+    if kind.axis == TURN:
+        return np.arctan2(what[..., 1], what[..., 0])
+    return np.hypot(what[..., 0], what[..., 1]) if kind.law == "push" else what
+
+
+@pytest.mark.parametrize("law", CURVES)
+@pytest.mark.parametrize("ball", ["", "a", "b"])
+def test_every_shape_as_an_effect_is_what_was_drawn(law, ball, own):
+    """The columns that formulas are fitted with, and the code that an effect has, are written apart."""
+    kind, rng = KINDS[law], np.random.default_rng(4)
+    if ball and not kind.one_ball:
+        return
+    known = instant(kind, rng)
+    x = argument(kind, known)
+    order = np.argsort(x.ravel())
+    search = next(k for k in free_laws() if k.__module__.endswith(f".{law}"))
+    circle = kind.axis == TURN
+    axis = Axis("x", kind.x_unit, *((-np.pi, np.pi) if circle else RANGE), 9, "circle" if circle else "line", "x")
+    tried = 0
+    for k, shape in enumerate(shapes_of(search((axis,)), [x.ravel()[order]])):
+        numbers = [float(t[len(t) // 2]) for t in shape.tries]
+        terms = shape.terms(*numbers)
+        if shape.name == "step":
+            terms = [t._replace(column=np.where(abs(t.column - 0.5) < 0.6, t.column, 0)) for t in terms]
+        values = [ValueOf(t.name, float(rng.uniform(0.05, 0.1)), t.power) for t in terms]
+        shaped = [ValueOf(n, v, p) for (n, p), v in zip(shape.numbers, numbers, strict=True)]
+        name = f"made_{k}"
+        folder = own / name
+        folder.mkdir()
+        whose = f"{law}_{ball}" if ball else law
+        made = read(folder, name, formula_effect(name, whose, list(zip(terms, values, strict=True)), shaped, []))
+        effect = made(**{v.name: v.value for v in [*values, *shaped]})
+        added = np.empty(x.size)
+        added[order] = sum(v.value * t.column for t, v in zip(terms, values, strict=True))
+        added = added.reshape(x.shape) * {"": 1.0, "a": known["of_a"], "b": 1 - known["of_a"]}[ball]
+        old = rng.uniform(0.1, 0.2, (*x.shape, 2) if kind.law == "push" else x.shape)
+        ((bent, bend, asks),) = effect.bends
+        found = bend(old, *[known[a] for a in asks])
+        if kind.law == "push":
+            expected = old + (added / x)[..., None] * known["velocity"]
+        else:
+            expected = old * (1 + added) if len(kind.owners) == 1 else old + added
+        assert bent == kind.law
+        far = np.abs(x - numbers[0]) > 0.03 if shape.name == "step" else np.full(x.shape, True)
+        np.testing.assert_allclose(found[far], expected[far], rtol=1e-6)
+        tried += 1
+    assert tried > 5
+
+
+@pytest.mark.parametrize("law", list(names()))
+def test_every_table_as_an_effect_is_the_table(law, own):
+    own_kind = KINDS.get(law) or KINDS[law[:-2]]
+    rng = np.random.default_rng(5)
+    x = {LINE: np.linspace(*RANGE, 9), TURN: np.linspace(-np.pi, np.pi, 9)[:-1]}.get(own_kind.axis)
+    if x is None:
+        side = np.linspace(0, 0.5, 4)
+        x = np.stack([s.ravel() for s in np.meshgrid(side, side)], axis=1)
+    y = rng.uniform(0.1, 0.3, (len(x), 2) if own_kind.parts == 2 else len(x))
+    base = {n: getattr(Model(), n) for n in BASE}
+    held = TabulatedLaw.of(law, x, y, base)
+    text = curve_effect("made", held, {n: base[n] for n, _ in own_kind.owners}, ["Found somewhere."])
+    effect = read(own, "made", text)
+    known = instant(own_kind, rng)
+    shape = known[own_kind.what].shape[:2]
+    old = rng.uniform(0.1, 0.2, (*shape, 2) if own_kind.law == "push" else shape)
+    results = []
+    for one in (effect(), held):
+        ((bent, bend, asks),) = one.bends
+        assert bent == own_kind.law
+        results.append(bend(old, *[known[a] for a in asks]))
+    np.testing.assert_allclose(*results, atol=1e-12)
+    assert np.abs(results[0] - old).max() > 1e-3
+    assert not effect(share=0.0).active
+
+
+@pytest.mark.parametrize("law", list(OUTSIDERS))
+def test_the_model_with_the_effect_foretells_collisions_kept_out_as_the_true_law_does(law, reports, own):
+    new = adopt(reports / law, "slick_patch", own)
+    add_effects(own)
+    model, found = read_model(new.model), outsider(law)
+    assert [e.name() for e in model.effects] == ["slick_patch"]
+    assert bool(new.formula) == (law != "friction_place")
+    there = fit_model(found.data.kept_out, model, (), found.data.noise, found.shown.before.launches)
+    gap = found.shown.gap
+    assert gap.before - there.chi2 / there.points > 0.97 * (gap.before - gap.after)
+    assert read_scene(new.model).draw().model.laws.bent(KINDS[law].law)
+
+
+def test_the_formula_is_that_of_what_was_hidden(reports, own):
+    """0.903 - 0.004 (1 + tanh((v - 0.2) / 0.03)) / 2, its strength and shape free in the model."""
+    new = adopt(reports / "restitution_speed", "late_drop", own)
+    add_effects(own)
+    model = read_model(new.model)
+    assert set(model.free) == {"late_drop.size", "late_drop.at", "late_drop.width"}
+    assert model.restitution * model.value("late_drop.size") == pytest.approx(-0.004, rel=0.2)
+    assert model.value("late_drop.at") == pytest.approx(0.2, abs=0.02)
+    seen = collisions(dataclasses.replace(Model(), effects=(OUTSIDERS["restitution_speed"],)), 12, 7)
+    fit = fit_model(seen, model, (*BASE, *model.free), Noise(Component(1.0)))
+    assert fit.chi2 / (fit.points - fit.parameters) < 1.1
+
+
+def test_the_file_is_python_that_says_what_it_is(reports, own):
+    text = adopt(reports / "spin_transfer_speed", "late_grip", own).effect.read_text()
+    tree = ast.parse(text)
+    (kind,) = (n for n in tree.body if isinstance(n, ast.ClassDef))
+    assert kind.name == "LateGrip"
+    said = ast.get_docstring(kind)
+    assert "Found by `discrepancy find`" in said
+    assert re.search(r"C that depends on the contact speed, \d+ sigma in \d+ collisions", " ".join(said.split()))
+    assert all(word in said for word in ("size", "at", "width", "contact_speed in m/s"))
+    assert max(map(len, text.splitlines())) <= 120
+    assert 'parameter("m/s", typical=' in text
+
+
+def test_the_command_writes_and_says_the_line(reports, own, capsys):
+    words = ["adopt", reports / "restitution_speed", "--name", "late_drop", "-o", own / "mine", "--json"]
+    assert command(*words) == 0
+    said = json.loads(capsys.readouterr().out)
+    assert sorted(p.name for p in (own / "mine").iterdir()) == ["late_drop.py", "late_drop.yaml"]
+    assert said["line"].startswith("effects: {late_drop: {size: -0.00")
+    assert command(*words) == 2
+    assert "late_drop.py: exists; expected another name" in capsys.readouterr().err
+    assert command("find", "none.csv", "--model", said["model"], "--effects", own / "mine", "-o", own / "x") == 2
+    assert "none.csv: no such file" in capsys.readouterr().err  # so the model was read
+
+
+def command(*words):
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(sys, "argv", ["discrepancy", *map(str, words)])
+        with pytest.raises(SystemExit) as left:
+            cli.main()
+    return left.value.code
+
+
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [
+        ("../x", "expected a name of small letters"),
+        ("x y", "expected a name of small letters"),
+        ("stribeck", "an effect of this name already"),
+        ("friction_speed", "that is a law's name"),
+    ],
+)
+def test_a_name_that_cannot_be(name, said, reports, own):
+    with pytest.raises(InputError, match=f"--name {re.escape(name)}: .*{said}"):
+        adopt(reports / "restitution_speed", name, own / "new")
+    assert not (own / "new").exists()
+
+
+def changed(report, folder, **keys):
+    shutil.copytree(report, folder)
+    document = json.loads((folder / "discrepancy.json").read_text())
+    (folder / "discrepancy.json").write_text(json.dumps(document | keys))
+    return folder
+
+
+def test_what_is_no_report_or_has_no_law_is_one_line(reports, own):
+    report = reports / "restitution_speed"
+    outside = json.loads((report / "discrepancy.json").read_text())["outside"][0]
+    cases = {
+        "discrepancy.json: No such file": own / "none",
+        "its verdict is named, without a free law": changed(report, own / "a", outside=[], verdict="named"),
+        "its free law is lag_speed, which model.yaml does not hold: of the instrument": changed(
+            report, own / "b", outside=[outside | {"slot": "lag_speed"}]
+        ),
+        "outside: not as `discrepancy find` writes it": changed(report, own / "c", outside=[{"slot": outside["slot"]}]),
+        "discrepancy.json: not as": changed(report, own / "d", outside=3),
+    }
+    (own / "e").mkdir()
+    (own / "e/discrepancy.json").write_text("{")
+    cases["e/discrepancy.json: not as"] = own / "e"
+    for said, folder in cases.items():
+        with pytest.raises(InputError, match=said) as error:
+            adopt(folder, "some_name", own / "new")
+        assert "\n" not in str(error.value)
+    assert not (own / "new").exists()
