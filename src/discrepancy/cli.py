@@ -74,6 +74,9 @@ def find(
     output: Annotated[Path, typer.Option("-o", "--output", metavar="REPORT", help="Folder to write.")],
     camera: CameraPath = None,
     effects_dir: EffectsDir = None,
+    minutes: Annotated[
+        float, typer.Option(min=0.0, help="After which a search is cut short; it then names nothing.")
+    ] = 10.0,
     as_json: Json = False,
 ) -> None:
     """Search for what the model lacks, name it, and show the gap shrink on collisions kept out of every fit.
@@ -92,7 +95,7 @@ def find(
         _say_camera(measured, camera)
         clips, left_out = read_measured(measured, camera)
         with stages(STAGES) as progress:
-            found = searched(clips, given, left_out, progress)
+            found = searched(clips, given, left_out, progress, 60 * minutes)
             progress("report")
             html.write(found.outcome, folder, found.left_out)
         document = json.loads((folder / "discrepancy.json").read_text())

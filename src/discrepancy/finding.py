@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -156,6 +157,7 @@ def find(
     model: Model | Mapping[str, Any] | str | Path,
     camera: str | Path | None = None,
     progress: Progress = lambda stage: None,
+    minutes: float = math.inf,
 ) -> Finding:
     """Search for what a model lacks, from measured collisions.
 
@@ -171,6 +173,8 @@ def find(
         camera.json of a table.
     progress : callable
         Told the stage, many times.
+    minutes : float
+        After which the search is cut short; it then names nothing, and says how far it came.
 
     Returns
     -------
@@ -197,10 +201,12 @@ def find(
         raise InputError(str(error)) from None
     source = Path(results) if isinstance(results, str) else results
     clips, left_out = read_measured(source, None if camera is None else Path(camera))
-    return searched(clips, given, left_out, progress)
+    return searched(clips, given, left_out, progress, 60 * minutes)
 
 
-def searched(clips: Sequence[Measured], model: Model, left_out: Sequence[str], progress: Progress) -> Finding:
+def searched(
+    clips: Sequence[Measured], model: Model, left_out: Sequence[str], progress: Progress, seconds: float = math.inf
+) -> Finding:
     """Search collisions that `read_measured` has read, with its lines about what was left out."""
-    outcome = search(clips, model, progress)
+    outcome = search(clips, model, progress, seconds)
     return Finding(outcome, (*left_out, *outcome.data.left_out))

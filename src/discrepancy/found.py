@@ -39,6 +39,15 @@ class Data:
 
 
 @dataclass(frozen=True)
+class SoFar:
+    """What a search had tried when its time, s, was over: the effects that fit best, and chi^2 a point with them."""
+
+    effects: tuple[str, ...]
+    chi2: float
+    seconds: float
+
+
+@dataclass(frozen=True)
 class Found:
     """The outcome of a search.
 
@@ -68,6 +77,8 @@ class Found:
         Those that stand; those that collisions which had no part in them did not bear.
     held : Fit, optional
         With the free law as a table in the model, all else fitted again.
+    so_far : SoFar, optional
+        Of a search that was cut short; it names nothing.
     """
 
     verdict: str
@@ -85,6 +96,7 @@ class Found:
     claims: tuple[Claim, ...] = ()
     withdrawn: tuple[Claim, ...] = ()
     held: Fit | None = None
+    so_far: SoFar | None = None
 
     @property
     def base(self) -> Fit:
@@ -113,10 +125,21 @@ class Found:
         """Whether nothing more is missing: only then do errors of the strengths hold."""
         return not more_missing(self.left, self.withdrawn)
 
+    def _cut_short(self, tried: SoFar) -> str:
+        said = (
+            f"Cut short after {tried.seconds / 60:.3g} minutes, so nothing is named: the model as given leaves "
+            f"{self.base.chi2 / self.base.points:.3g} in chi^2 a point, "
+        )
+        if not tried.effects:
+            return said + "and nothing that was tried leaves less."
+        return f"{said}{tried.chi2:.3g} with {', '.join(tried.effects)}, not yet held to other collisions."
+
     def sentence(self) -> str:
         """The outcome in one sentence."""
         gap = self.shown.gap
         dropped = f" Withdrawn: {'; '.join(f'{c.name} ({c.why})' for c in self.withdrawn)}." if self.withdrawn else ""
+        if self.so_far:
+            return self._cut_short(self.so_far)
         if self.verdict == "none":
             return f"Nothing is missing: simulation and measurement agree to within the noise.{dropped}"
         if self.verdict == "inadequate":
@@ -170,6 +193,7 @@ class Found:
             "withdrawn": [c.document() for c in self.withdrawn],
             "gap": as_dict(self.shown.gap) | {"by_claim": {c.name: c.gap() for c in self.claims}},
             "experiment": self.experiment,
+            "cut_short": None if self.so_far is None else vars(self.so_far) | {"effects": list(self.so_far.effects)},
             "noise": {"scale": noise.scale, "correlation": noise.correlation, "shake": noise.common_mode},
             "clips": {"fitted": len(data.clips), "kept_out": len(data.kept_out), "left_out": list(data.left_out)},
         }

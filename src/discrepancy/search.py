@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -10,6 +11,7 @@ from commandline.errors import InputError
 from discrepancy import policy
 from discrepancy.data.collisions import Measured, cannot_tell, split
 from discrepancy.data.outlier_points import taken_out, without_outliers
+from discrepancy.deadline import Deadline, OutOfTime
 from discrepancy.diagnostics.claims import Standing, Validation
 from discrepancy.diagnostics.gap import Shown, show
 from discrepancy.diagnostics.held_out import Claim
@@ -19,7 +21,7 @@ from discrepancy.fitting.base_fit import Progress, base_fit, check, noise_of, sm
 from discrepancy.fitting.model_fit import Evidence, Fit
 from discrepancy.fitting.noise_refit import refined
 from discrepancy.fitting.parameters import candidates_of
-from discrepancy.found import Data, Found, more_missing, unexplained
+from discrepancy.found import Data, Found, SoFar, more_missing, unexplained
 from discrepancy.free_laws.answer import Answer
 from discrepancy.free_laws.fitted_law import FittedLaw
 from discrepancy.free_laws.tabulated import in_model
@@ -33,7 +35,9 @@ from synthcam.model import Model
 ROUNDS = 4  # searches, at most: again without clips that are unlike all others, again with the noise read anew
 
 
-def find(clips: Sequence[Measured], model: Model, progress: Progress = lambda stage: None) -> Found:
+def find(
+    clips: Sequence[Measured], model: Model, progress: Progress = lambda stage: None, seconds: float = math.inf
+) -> Found:
     """Search for what `model` lacks. Its base parameters that are not zero and those in `model.free` are fitted.
 
     Noise, fit and selection are repeated until the noise and the clips stay; then what was selected is validated.
@@ -44,6 +48,8 @@ def find(clips: Sequence[Measured], model: Model, progress: Progress = lambda st
     model : Model
     progress : callable
         Told the stage, many times.
+    seconds : float
+        How long the search may go on; then what it has come to is looked at, and if it has not ended nothing is named.
 
     Returns
     -------
@@ -55,9 +61,12 @@ def find(clips: Sequence[Measured], model: Model, progress: Progress = lambda st
         As `check` does.
     """
     check(clips, model)
+    deadline = Deadline(progress, seconds)
     data = read(clips, model, progress)
-    data, steps, chosen = converged(data, model, progress)
+    data, steps, chosen = converged(data, model, deadline)
     progress("gap")
+    if chosen.so_far is not None:
+        return _unfinished(clips, data, steps, chosen, progress)
     data, shown = seen_apart(data, chosen, progress)
     stands = validated(data, steps, chosen, shown, progress)
     if stands.withdrawn:
@@ -92,11 +101,15 @@ def find(clips: Sequence[Measured], model: Model, progress: Progress = lambda st
 
 @dataclass(frozen=True)
 class Chosen:
-    """What one selection came to. nearly: a free law that explains nearly as much as the library's best model."""
+    """What one selection came to. nearly: a free law that explains nearly as much as the library's best model.
+
+    so_far: what it had tried when the time was over; nothing is then selected.
+    """
 
     selected: Selection
     free_law: FittedLaw | None
     nearly: FittedLaw | None
+    so_far: SoFar | None = None
 
     @property
     def anything(self) -> bool:
@@ -123,15 +136,15 @@ def read(clips: Sequence[Measured], model: Model, progress: Progress) -> Data:
     return Data(tuple(some), tuple(kept_out), noise, tuple(taken_out(clips, [*some, *kept_out])))
 
 
-def converged(data: Data, model: Model, progress: Progress) -> tuple[Data, Stepwise, Chosen]:
+def converged(data: Data, model: Model, deadline: Deadline) -> tuple[Data, Stepwise, Chosen]:
     """The selection, made again without clips that are unlike all others, and again with the noise read anew.
 
     With the way there, which validation goes further along.
     """
     gone = 0
     for turn in range(ROUNDS):
-        steps, chosen = select(data, model, progress)
-        if turn == ROUNDS - 1:
+        steps, chosen = select(data, model, deadline)
+        if turn == ROUNDS - 1 or chosen.so_far is not None:
             break
         cleaned = chosen.cleaned(data)
         outliers = outlier_clips(cleaned, chosen.selected.base, chosen.best, gone)
@@ -148,25 +161,46 @@ def converged(data: Data, model: Model, progress: Progress) -> tuple[Data, Stepw
     return data, steps, chosen
 
 
-def select(data: Data, model: Model, progress: Progress) -> tuple[Stepwise, Chosen]:
+def select(data: Data, model: Model, deadline: Deadline) -> tuple[Stepwise, Chosen]:
     """What the library names, and the free law that explains more, if one does."""
-    evidence, base = Evidence.of(data.clips, data.noise), base_fit(data.clips, model, data.noise, progress)
-    contest = FreeLawContest.of(evidence, base, lambda: progress("free laws"))
-    store = FitStore(evidence, base, lambda: progress("search"))
+    evidence, base = Evidence.of(data.clips, data.noise), base_fit(data.clips, model, data.noise, deadline)
+    store = FitStore(evidence, base, lambda: deadline("search"))
     steps = Stepwise.of(store)
-    state: State = ()
+    try:
+        with deadline.limited():
+            return steps, _chosen(steps, FreeLawContest.of(evidence, base, lambda: deadline("free laws")))
+    except OutOfTime:
+        best = min(store.fits, key=store.cost_of)
+        tried = SoFar(tuple(sorted(c.name for c in best)), store.fits[best].chi2 / base.points, deadline.seconds)
+        return steps, Chosen(steps.selection(()), None, None, tried)
+
+
+def _chosen(steps: Stepwise, contest: FreeLawContest) -> Chosen:
+    store, state = steps.store, State()
     for state in steps.states():
         contest = contest.against(store.settled(state), store.rivals(state))
         if contest.ended:
             break
     selected = steps.selection(state)
     free_law, contest = contest.outcome(selected.best)
-    beside = free_law.beside(base) if free_law else {}
+    beside = free_law.beside(store.base) if free_law else {}
     again = steps.from_there(selected, beside, free_law.plain) if free_law and beside else None
     if again:  # the free law led to effects that the library's search has not begun with
         selected, contest = again, contest.against(again.best, store.rivals(again.state))
         free_law, contest = contest.outcome(selected.best)
-    return steps, Chosen(selected, free_law, None if free_law else contest.nearly(selected.best))
+    return Chosen(selected, free_law, None if free_law else contest.nearly(selected.best))
+
+
+def _unfinished(clips: Sequence[Measured], data: Data, steps: Stepwise, chosen: Chosen, progress: Progress) -> Found:
+    """Nothing is claimed by a search that was cut short: what it has tried was held to no other collisions."""
+    data, shown = seen_apart(data, chosen, progress)
+    progress("where")
+    where = tuple(locate(data.clips, chosen.selected.base, data.noise))
+    alike = tuple(cannot_tell(clips))
+    return Found(
+        "inadequate" if unexplained(where) else "none", data, chosen.selected, None, None, (), where, where, shown, "",
+        alike, steps.unidentifiable(()), so_far=chosen.so_far,
+    )  # fmt: skip
 
 
 def seen_apart(data: Data, chosen: Chosen, progress: Progress) -> tuple[Data, Shown]:

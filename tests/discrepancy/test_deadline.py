@@ -1,0 +1,37 @@
+"""A search that is cut short says so, and names nothing."""
+
+import pytest
+from discrepancy_clips import HIDDEN, collisions, only
+
+from discrepancy.deadline import Deadline, OutOfTime
+from discrepancy.search import find
+from synthcam.model import Model
+
+
+def test_the_time_counts_only_where_it_is_limited():
+    told = []
+    spent, ample = Deadline(told.append, -1.0), Deadline(told.append, 1e6)
+    spent("fit")
+    with ample.limited():
+        ample("search")
+    with pytest.raises(OutOfTime), spent.limited():
+        spent("search")
+    spent("gap")
+    assert told == ["fit", "search", "search", "gap"]
+
+
+def test_a_search_cut_short_names_nothing(monkeypatch):
+    only(monkeypatch)
+    clips = collisions(Model().replace(HIDDEN["velocity_restitution"]), 8, 3)
+    found = find(clips, Model(), seconds=0.0)
+    assert found.verdict == "inadequate"
+    assert (found.named, found.free_law, found.selected.state) == ((), None, ())
+    assert found.sentence().startswith("Cut short after 0 minutes, so nothing is named: the model as given leaves ")
+    assert found.document()["cut_short"]["effects"] == list(found.so_far.effects)
+    assert found.document()["gap"]["before"] > found.document()["gap"]["floor"]
+    assert find(clips, Model()).document()["cut_short"] is None
+
+
+def test_nothing_hidden_is_nothing_found_however_short_the_time(monkeypatch):
+    only(monkeypatch)
+    assert find(collisions(Model(), 8, 3), Model(), seconds=0.0).verdict == "none"
