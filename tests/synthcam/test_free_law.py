@@ -7,6 +7,7 @@ import pytest
 from scipy.integrate import quad
 
 from commandline.errors import InputError
+from synthcam.dynamics.batch import collisions
 from synthcam.dynamics.launch import Launch
 from synthcam.dynamics.solve import solve
 from synthcam.free_law import KINDS, NOT_YET, TabulatedLaw, kind_of, names
@@ -153,6 +154,16 @@ def test_it_survives_yaml_also_where_its_number_was_changed(tmp_path):
     np.testing.assert_allclose(tables["friction_speed"], [0.21, 0.26, 0.31], rtol=1e-14)
     np.testing.assert_allclose(tables["rolling_speed"], [0.1, 0.5], rtol=1e-14)
     assert slide_ends(hit(again)) == pytest.approx(slide_ends(hit(raised)), rel=1e-12)
+
+
+@pytest.mark.parametrize("law", ["friction_speed", "rolling_speed_a", "force_speed_b", "restitution_obliqueness"])
+def test_many_collisions_at_once_move_as_one_does(law):
+    x = np.linspace(0, 1, 9)
+    model = held(**{law: (x, 0.2 + 0.1 * np.sin(3 * x))})
+    times = np.linspace(-0.01, 0.3, 40)
+    many = collisions(model, np.array([[0.0, 0.0, 0.0, 0.5, 0.0, 0.3]]), -0.01, 0.3).at(times)[:, 0]
+    np.testing.assert_allclose(many, hit(model, b=0.3).at(times), atol=1e-9)
+    assert np.abs(many - hit(Model(), b=0.3).at(times)).max() > 1e-4
 
 
 def test_a_scene_simulates_with_it():

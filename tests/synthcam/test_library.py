@@ -171,3 +171,22 @@ def test_the_commands_take_a_folder(own, monkeypatch, capsys, words):
         assert (own / words[-1 if words[0] == "preview" else 3]).exists()
     else:
         assert "sticky_fingers" in capsys.readouterr().out
+
+
+def test_a_scene_takes_its_physics_from_a_model_file(own, monkeypatch):
+    """Ball, base model, effects and tables of the model; the launch of the scene."""
+    (own / "scene.yaml").write_text(
+        "ball: {diameter: 3.0e-3}\neffects: {plate_tilt: {x: 1.0e-3}}\nlaunch: {v0: 0.4}\ntiming: {frames: 5}\n"
+        "free: [spin_transfer]\n"
+    )
+    (own / "model.yaml").write_text(
+        "model: {spin_transfer: 0.2}\nfree_laws: {restitution_speed: {x: [0, 1], y: [0.5, 0.9]}}\n"
+    )
+    monkeypatch.chdir(own)
+    app(["generate", "scene.yaml", "--model", "model.yaml", "-o", "d", "--no-video"], standalone_mode=False)
+    truth = json.loads((own / "d/clips/000000/truth/scene.json").read_text())
+    assert truth["row"]["r"] == pytest.approx(0.66, abs=1e-9)  # at 0.4 m/s
+    assert truth["row"]["v0"] == pytest.approx(0.4)
+    assert truth["drawn"]["ball"]["diameter"] == Model().ball.diameter
+    assert truth["drawn"]["model"]["spin_transfer"] == 0.2
+    assert (truth["drawn"]["effects"], truth["drawn"]["free"]) == ({}, [])
