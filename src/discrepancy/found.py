@@ -125,6 +125,16 @@ class Found:
         """Whether nothing more is missing: only then do errors of the strengths hold."""
         return not more_missing(self.left, self.withdrawn)
 
+    def slow_noise(self) -> str:
+        """A sentence where much of what is taken for noise is slow, else nothing."""
+        noise = self.data.noise
+        if not noise.slow:
+            return ""
+        return (
+            f" Noise is {noise.scale:.3g} times what the tracks claim, {noise.quick:.3g} times of it new from frame to "
+            "frame: what lasts may be missing physics."
+        )
+
     def _cut_short(self, tried: SoFar) -> str:
         said = (
             f"Cut short after {tried.seconds / 60:.3g} minutes, so nothing is named: the model as given leaves "
@@ -136,15 +146,17 @@ class Found:
 
     def sentence(self) -> str:
         """The outcome in one sentence."""
-        gap = self.shown.gap
+        gap, slow = self.shown.gap, self.slow_noise()
         dropped = f" Withdrawn: {'; '.join(f'{c.name} ({c.why})' for c in self.withdrawn)}." if self.withdrawn else ""
         if self.so_far:
             return self._cut_short(self.so_far)
         if self.verdict == "none":
-            return f"Nothing is missing: simulation and measurement agree to within the noise.{dropped}"
+            return f"Nothing is missing: simulation and measurement agree to within the noise.{dropped}{slow}"
         if self.verdict == "inadequate":
             most = f", most of all {self.left[0]} ({self.left[0].sigma:.0f} sigma)" if unexplained(self.left) else ""
-            return f"Something is missing{most}, and nothing that was tried bears the collisions kept out.{dropped}"
+            return (
+                f"Something is missing{most}, and nothing that was tried bears the collisions kept out.{dropped}{slow}"
+            )
         closed = (
             f"On collisions kept out, the gap {_moved(gap.before, gap.after)} in chi^2 a point; noise alone leaves "
             f"{gap.floor:.3g}."
@@ -194,7 +206,8 @@ class Found:
             "gap": as_dict(self.shown.gap) | {"by_claim": {c.name: c.gap() for c in self.claims}},
             "experiment": self.experiment,
             "cut_short": None if self.so_far is None else vars(self.so_far) | {"effects": list(self.so_far.effects)},
-            "noise": {"scale": noise.scale, "correlation": noise.correlation, "shake": noise.common_mode},
+            "noise": {"scale": noise.scale, "quick": noise.quick, "correlation": noise.correlation}
+            | {"shake": noise.common_mode},
             "clips": {"fitted": len(data.clips), "kept_out": len(data.kept_out), "left_out": list(data.left_out)},
         }
 

@@ -197,6 +197,10 @@ FEWEST_COLLISIONS = 6
 # Frames in which each ball must be seen before the contact. Chosen: a straight path and one to spare.
 FEWEST_FRAMES_BEFORE_CONTACT = 3
 
+# Times by which noise over whole phases may be larger than what is new of it from frame to frame, before it is said
+# that it may be missing physics: real billiard tracks had 2.8 mm beside .2 to .5 mm. Chosen; not derived.
+SLOW_NOISE = 3.0
+
 # m/s^2, by which a striker must slow down before the contact to be taken for sliding where the tracker's model of it
 # is rejected: rolling takes .1, sliding with a friction of .05 takes .5. Chosen; not derived.
 SLIDING_APPROACH = 0.3

@@ -97,6 +97,18 @@ class Noise:
         return float(lags[1] / lags[0])
 
     @property
+    def quick(self) -> float:
+        """The same of what is new from frame to frame: all of a noise that is white, little of a slow one."""
+        own = self.own
+        news = float(np.prod([1 - p * p for p in own.partial]))
+        return self.scale * float(np.sqrt(own.white + (1 - own.white) * news))
+
+    @property
+    def slow(self) -> bool:
+        """Whether so much of it lasts that it may hide what a model lacks."""
+        return self.scale > policy.SLOW_NOISE * self.quick
+
+    @property
     def common_mode(self) -> float:
         """rms of what both balls share, each axis, m."""
         return float(np.sqrt(np.mean([s.variance for s in self.shared]))) if self.shared else 0.0

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from discrepancy.data.launch import V0, B
+from discrepancy.data.launch import V0, WITH_SPIN, B
 from discrepancy.fitting.gauss_newton import solve
 from discrepancy.fitting.model_fit import Fit
 from discrepancy.found import Found
@@ -31,15 +31,16 @@ def _fitted(found: Found) -> str:
     speeds = [float(c.launch[V0]) for c in data.clips]
     widest = max(abs(float(c.launch[B])) for c in data.clips)
     shared = ", ".join(base.names) or "nothing"
+    numbers = "six" if base.launches.shape[1] < WITH_SPIN else "six to nine"
     gain = rest(base)
     settled = (
         "converged" if gain < SETTLED else f"did not fully converge: a further step would gain {gain:.2g} in chi^2"
     )
     return (
         f"{len(data.clips)} collisions at {min(speeds):.2f} to {max(speeds):.2f} m/s, |b| up to {widest:.2f}, were "
-        f"fitted together ({shared} shared, six numbers of launch each; the fit {settled}), and {len(data.kept_out)} "
-        f"more were kept out; noise is {noise.scale:.2f} times what the tracks claim, its correlation from frame "
-        f"to frame {noise.correlation:+.2f}{_common_mode(found)}."
+        f"fitted together ({shared} shared, {numbers} numbers of launch each; the fit {settled}), and "
+        f"{len(data.kept_out)} more were kept out; noise is {noise.scale:.2f} times what the tracks claim, its correlation from frame "
+        f"to frame {noise.correlation:+.2f}{_common_mode(found)}.{found.slow_noise()}"
     )
 
 

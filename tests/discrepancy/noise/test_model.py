@@ -202,3 +202,19 @@ def test_noise_at_the_end_of_its_range_is_a_start_like_any_other(part):
     numbers = free_numbers(Component(1.0, (0.5,), part))
     assert np.isfinite(numbers).all()
     assert component_of((1, True), 1.0, numbers).white == pytest.approx(part, abs=1.1e-3)
+
+
+def test_what_is_new_from_frame_to_frame():
+    """Of an autoregression its innovations, of white noise all: by the spread of differences from the best forecast."""
+    rng, rho = np.random.default_rng(4), 0.97
+    drift, steps = np.zeros(200_000), rng.standard_normal(200_000)
+    for k in range(1, len(drift)):
+        drift[k] = rho * drift[k - 1] + steps[k]
+    slow = Noise(Component(4.0 / (1 - rho**2), (rho,)))
+    assert 2.0 * np.std(drift[1:] - rho * drift[:-1]) == pytest.approx(slow.quick, rel=0.01)
+    assert slow.scale == pytest.approx(2.0 * np.std(drift), rel=0.1)
+    assert slow.slow
+    assert not Noise(Component(4.0)).slow
+    assert Noise(Component(4.0)).quick == 2.0
+    mixed = Noise(Component(4.0, (rho,), 0.25))
+    assert mixed.quick == pytest.approx(2 * np.sqrt(0.25 + 0.75 * (1 - rho**2)))
