@@ -39,7 +39,7 @@ LAYERS = {
         "__main__",
     ],
     "discrepancy": [
-        "policy arrays",
+        "policy arrays deadline",
         "data",
         "noise",
         "fitting",
