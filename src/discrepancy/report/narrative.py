@@ -39,8 +39,8 @@ def _fitted(found: Found) -> str:
     return (
         f"{len(data.clips)} collisions at {min(speeds):.2f} to {max(speeds):.2f} m/s, |b| up to {widest:.2f}, were "
         f"fitted together ({shared} shared, {numbers} numbers of launch each; the fit {settled}), and "
-        f"{len(data.kept_out)} more were kept out; noise is {noise.scale:.2f} times what the tracks claim, its correlation from frame "
-        f"to frame {noise.correlation:+.2f}{_common_mode(found)}.{found.slow_noise()}"
+        f"{len(data.kept_out)} more were kept out; noise is {noise.scale:.2f} times what the tracks claim, its "
+        f"correlation from frame to frame {noise.correlation:+.2f}{_common_mode(found)}.{found.slow_noise()}"
     )
 
 
