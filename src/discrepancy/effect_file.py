@@ -109,7 +109,8 @@ def _file(
     name: str, title: str, doc: Sequence[str], parameters: Sequence[str], method: str, tables: Sequence[str] = ()
 ) -> str:
     """All of it."""
-    said = "\n\n    ".join(textwrap.fill(" ".join(d.split()), WIDTH, subsequent_indent="    ") for d in doc)
+    plain = [" ".join(d.split()).replace("\\", "/").replace('"', "'") for d in doc]  # a report's words end no string
+    said = "\n\n    ".join(textwrap.fill(d, WIDTH, subsequent_indent="    ") for d in plain)
     imports = "import numpy as np\n\n" if "np." in method else ""
     uses = "from synthcam.effect import Effect, parameter\n" + ("from synthcam.table import Table\n" if tables else "")
     head = "\n" + "\n".join(tables) + "\n" if tables else ""

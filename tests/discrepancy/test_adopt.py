@@ -244,3 +244,15 @@ def test_what_is_no_report_or_has_no_law_is_one_line(reports, own):
             adopt(folder, "some_name", own / "new")
         assert "\n" not in str(error.value)
     assert not (own / "new").exists()
+
+
+def test_a_hostile_report_writes_no_code(reports, own):
+    """Its words end up in a docstring, whatever they are."""
+    report = reports / "restitution_speed"
+    outside = json.loads((report / "discrepancy.json").read_text())["outside"][0]
+    words = 'r """\n\nBAD = 1\n"""\\'
+    hostile = changed(report, own / "f", outside=[outside | {"law": words, "formula": words}])
+    tree = ast.parse(adopt(hostile, "some_name", own / "new").effect.read_text())
+    kinds = [type(n) for n in tree.body]
+    assert set(kinds) <= {ast.Expr, ast.ImportFrom, ast.Import, ast.ClassDef}
+    assert "BAD" in ast.get_docstring(tree.body[-1])
