@@ -102,6 +102,8 @@ def find(
     seconds = time.monotonic() - started
     print(json.dumps(document | {"seconds": round(seconds, 2)}) if as_json else found.sentence())
     if not as_json:
+        for line in document["processed"]:
+            print(f"The tracks: {line}.")
         _say_lost(document["clips"]["left_out"], len(left_out) > len(clips))
         used = f"{len(found.outcome.data.clips) + len(found.outcome.data.kept_out)} of {len(clips) + len(left_out)}"
         print(f"{output / 'index.html'}  ({used} collisions, {seconds:.0f} s)")

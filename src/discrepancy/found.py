@@ -77,6 +77,8 @@ class Found:
         Those that stand; those that collisions which had no part in them did not bear.
     held : Fit, optional
         With the free law as a table in the model, all else fitted again.
+    processed : tuple of str
+        What was done to the tracks before they came here.
     so_far : SoFar, optional
         Of a search that was cut short; it names nothing.
     """
@@ -96,6 +98,7 @@ class Found:
     claims: tuple[Claim, ...] = ()
     withdrawn: tuple[Claim, ...] = ()
     held: Fit | None = None
+    processed: tuple[str, ...] = ()
     so_far: SoFar | None = None
 
     @property
@@ -202,6 +205,7 @@ class Found:
             "claim": self.selected.claim,
             "untold": list(self.unidentifiable),
             "alike": list(self.alike),
+            "processed": list(self.processed),
             "withdrawn": [c.document() for c in self.withdrawn],
             "gap": as_dict(self.shown.gap) | {"by_claim": {c.name: c.gap() for c in self.claims}},
             "experiment": self.experiment,

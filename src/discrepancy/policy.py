@@ -201,6 +201,13 @@ FEWEST_FRAMES_BEFORE_CONTACT = 3
 # that it may be missing physics: real billiard tracks had 2.8 mm beside .2 to .5 mm. Chosen; not derived.
 SLOW_NOISE = 3.0
 
+# Frames by which a clip's times may lie beside an even rate: the search takes each frame at its number over the rate.
+# At .1 frames a ball of half its diameter a frame is 5 % of a diameter off. Chosen; not derived.
+UNEVEN_TIMES = 0.1
+
+# Of the errors that are claimed, the step of a grid before it is said that places are rounded. Chosen; not derived.
+GRID_OF_ERRORS = 0.5
+
 # m/s^2, by which a striker must slow down before the contact to be taken for sliding where the tracker's model of it
 # is rejected: rolling takes .1, sliding with a friction of .05 takes .5. Chosen; not derived.
 SLIDING_APPROACH = 0.3

@@ -11,6 +11,7 @@ from commandline.errors import InputError
 from discrepancy import policy
 from discrepancy.data.collisions import Measured, cannot_tell, split
 from discrepancy.data.outlier_points import taken_out, without_outliers
+from discrepancy.data.processed import processed
 from discrepancy.deadline import Deadline, OutOfTime
 from discrepancy.diagnostics.claims import Standing, Validation
 from discrepancy.diagnostics.gap import Shown, show
@@ -96,6 +97,7 @@ def find(
         stands.claims,
         stands.withdrawn,
         held,
+        processed(clips),
     )
 
 
@@ -199,7 +201,7 @@ def _unfinished(clips: Sequence[Measured], data: Data, steps: Stepwise, chosen: 
     alike = tuple(cannot_tell(clips))
     return Found(
         "inadequate" if unexplained(where) else "none", data, chosen.selected, None, None, (), where, where, shown, "",
-        alike, steps.unidentifiable(()), so_far=chosen.so_far,
+        alike, steps.unidentifiable(()), processed=processed(clips), so_far=chosen.so_far,
     )  # fmt: skip
 
 

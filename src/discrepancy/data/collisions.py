@@ -166,6 +166,11 @@ def read_measured(measured: Path | Sequence[Result], camera: Path | None = None)
         if (frame := exchanged(tracks, own)) is not None:
             left_out.append(f"clip {number}: the balls have exchanged their names at frame {frame}")
             continue
+        if (late := _uneven(tracks, own)) > policy.UNEVEN_TIMES:
+            left_out.append(
+                f"clip {number}: its times are up to {late:.2g} frames beside an even rate of {own.fps:g} a second"
+            )
+            continue
         rows = measured_rows()
         if len(rows) > 1:
             left_out.append(f"clip {number}: {len(rows)} collisions in one recording")
@@ -281,6 +286,12 @@ def _guess(row: Mapping[Any, Any], name: str) -> float:
 def _heading(frame: Ints, xy: Array) -> float:
     velocity = np.polyfit(frame - frame.mean(), xy, 1)[0]
     return float(np.arctan2(velocity[1], velocity[0]))
+
+
+def _uneven(tracks: Tracks, camera: Camera) -> float:
+    """By how much its times lie beside an even rate, frames; 0 where the rate gives them."""
+    off = tracks.time * camera.fps - tracks.frame
+    return float(np.ptp(off) / 2) if len(off) and np.all(np.isfinite(off)) else 0.0
 
 
 def _acceleration(times: Array, xy: Array) -> Array:

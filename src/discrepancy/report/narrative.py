@@ -95,7 +95,7 @@ def _open(found: Found) -> str:
         said = f"These collisions cannot tell {'; nor '.join(parts)}"
     else:
         said = "Every effect of the library would have shown at a realistic size"
-    return "; ".join([said, *found.alike]) + "."
+    return "; ".join([said, *found.alike, *found.processed]) + "."
 
 
 def _listed(words: Sequence[str], last: str) -> str:

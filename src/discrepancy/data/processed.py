@@ -1,0 +1,65 @@
+"""What somebody has done to tracks: places rounded to a grid, or left out where balls are slow."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from discrepancy import policy
+from discrepancy.arrays import Array
+from discrepancy.data.collisions import Measured
+
+FEWEST = 30  # different numbers, to see a grid, and gaps, to see a rule in them
+OFF = 0.02  # of a step: so far a number may lie beside the grid
+MOST = 0.98  # of the numbers, or of the steps, that must follow the rule
+REST = 1e-9  # m: what moves less between two frames rests
+SLIGHT = 1e-3  # px: a finer grid is rounding of the table
+
+
+def processed(clips: Sequence[Measured]) -> tuple[str, ...]:
+    """A line for each thing that was done to the tracks of these clips, as far as they show it."""
+    said = []
+    if step := _grid(clips):
+        said.append(
+            f"places are rounded to {step:.3g} px: their errors are not random, but hang on the place; give all digits"
+        )
+    if least := _thinned(clips):
+        said.append(
+            f"places less than {1e3 * least:.3g} mm from the one before are left out: slow balls are hardly seen"
+        )
+    return tuple(said)
+
+
+def _grid(clips: Sequence[Measured]) -> float:
+    """The step of a grid, px, that all coordinates lie on and that is not small beside their errors; or 0."""
+    steps = []
+    for clip in clips:
+        height = np.full((len(clip.xy), 1), clip.camera.radius)
+        pixels = clip.camera.project(np.concatenate([clip.xy, height], axis=1))
+        errors = float(np.median(clip.claimed())) / clip.camera.scale
+        for values in pixels.T:
+            rows = np.diff(np.unique(np.round(values / SLIGHT)) * SLIGHT)
+            if len(rows) < FEWEST:
+                continue
+            step = float(rows.min())
+            whole = np.abs(rows / step - np.round(rows / step)) < OFF + SLIGHT / step
+            steps.append(step if np.mean(whole) > MOST and step > policy.GRID_OF_ERRORS * errors else 0.0)
+    return float(np.median(steps)) if steps else 0.0
+
+
+def _thinned(clips: Sequence[Measured]) -> float:
+    """The least step of moving balls, m, where frames are missing just when it would be less; or 0."""
+    kept, gaps = list[Array](), list[Array]()
+    for clip in clips:
+        for ball in (0, 1):
+            rows = np.flatnonzero(clip.ball == ball)
+            frames, step = np.diff(clip.frame[rows]), np.hypot(*np.diff(clip.xy[rows], axis=0).T)
+            moves = step > REST
+            kept.append(step[moves & (frames == 1)])
+            gaps.append((step / frames)[moves & (frames > 1)])
+    steps, slow = np.concatenate(kept), np.concatenate(gaps)
+    if len(slow) < FEWEST or len(steps) < FEWEST:
+        return 0.0
+    least = float(np.quantile(steps, 1 - MOST))
+    return least if np.mean(slow < least) > MOST else 0.0

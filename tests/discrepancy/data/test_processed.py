@@ -1,0 +1,57 @@
+"""Tracks that somebody has rounded or thinned are known by it; others are not."""
+
+import dataclasses
+import re
+
+import numpy as np
+import pytest
+from discrepancy_clips import CAMERA, collisions
+
+from discrepancy.data.processed import processed
+from synthcam.model import Model
+
+CLIPS = collisions(Model(), 8, 5)
+
+
+def rounded(clip, step):
+    """Its pixels, to a multiple of so many."""
+    pixels = CAMERA.project(np.concatenate([clip.xy, np.full((len(clip.xy), 1), CAMERA.radius)], axis=1))
+    return dataclasses.replace(clip, xy=CAMERA.unproject(step * np.round(pixels / step))[0])
+
+
+def thinned(clip, least):
+    """Of a ball that moves, only places at least so far from the last one kept."""
+    kept = []
+    for ball in (0, 1):
+        last = None
+        for row in np.flatnonzero(clip.ball == ball):
+            way = np.inf if last is None else np.hypot(*(clip.xy[row] - clip.xy[last]))
+            if way >= least:
+                kept.append(row)
+                last = row
+    return clip.of(np.array(kept))
+
+
+def test_of_tracks_as_they_were_measured_nothing_is_said():
+    assert processed(CLIPS) == ()
+
+
+@pytest.mark.parametrize("step", [0.05, 0.25, 1.0])
+def test_a_grid_is_found_with_its_step(step):
+    (said,) = processed([rounded(c, step) for c in CLIPS])
+    assert float(re.search(r"rounded to (\S+) px", said)[1]) == pytest.approx(step, rel=0.05)
+
+
+def test_digits_far_beyond_the_errors_are_no_grid():
+    assert processed([rounded(c, 0.002) for c in CLIPS]) == ()
+
+
+@pytest.mark.parametrize("least", [8e-4, 1.2e-3])
+def test_a_least_step_is_found(least):
+    (said,) = processed([thinned(c, least) for c in CLIPS])
+    assert float(re.search(r"less than (\S+) mm", said)[1]) == pytest.approx(1e3 * least, rel=0.1)
+
+
+def test_frames_lost_at_random_are_no_rule():
+    rng = np.random.default_rng(1)
+    assert processed([c.of(np.flatnonzero(rng.random(len(c.frame)) > 0.2)) for c in CLIPS]) == ()
