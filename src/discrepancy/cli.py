@@ -15,7 +15,7 @@ import typer
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
-from commandline.application import EVERY, command_line, run
+from commandline.application import EVERY, command_line, progress_bar, run
 from commandline.errors import InputError
 from commandline.outputs import as_input_error, check_room
 from synthcam.library import add_effects
@@ -182,6 +182,58 @@ def adopt(
 def _known_effects(folders: Sequence[Path] | None) -> None:
     for folder in folders or ():
         add_effects(folder)
+
+
+@app.command()
+def plan(
+    scene: Annotated[Path, typer.Argument(metavar="SCENE", help="The experiment: a scene's file.")],
+    output: Annotated[Path, typer.Option("-o", "--output", metavar="REPORT", help="Folder to write.")],
+    effects: Annotated[str, typer.Option(metavar="NAMES", help="Separated by commas; default: all.")] = "",
+    clips: Annotated[int, typer.Option(metavar="N", help="Collisions to record.")] = 30,
+    noise: Annotated[
+        float | None, typer.Option(metavar="PX", help="Error of a position; default: what camera and lamp allow.")
+    ] = None,
+    limit: Annotated[
+        list[str] | None, typer.Option(metavar="EFFECT=STRENGTH", help="How many collisions would show so little?")
+    ] = None,
+    changes: Annotated[list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Change the scene.")] = None,
+    seed: Annotated[int, typer.Option(metavar="S", help="Of everything drawn.")] = 0,
+    as_json: Json = False,
+) -> None:
+    """Say what an experiment could show before a recording is made, and which change of it would show more.
+
+    Example: discrepancy plan scenes/oblique.yaml --clips 30 -o out/plan
+    """
+    from discrepancy.planned import plan as planned
+    from discrepancy.report import plan_page
+    from discrepancy.report.staging import PLAN, aside
+    from synthcam.scene.scene import read_scene
+
+    started = time.monotonic()
+    given, wanted = read_scene(scene, tuple(changes or ())), _wanted(limit or [])
+    names = [name.strip() for name in effects.split(",") if name.strip()] or None
+    with aside(output, PLAN) as folder, progress_bar("experiments") as progress:
+        found = planned(given, names, clips, noise, wanted, seed, progress)
+        plan_page.write(found.outcome, folder)
+    if as_json:
+        print(json.dumps(found.document() | {"seconds": round(time.monotonic() - started, 2)}))
+        return
+    print(found.sentence())
+    for w in found.wanted:
+        print(f"{w.strength} = {w.limit:g}: {w.clips or 'no number of'} collisions would show it")
+    print(f"{output / 'index.html'}  ({time.monotonic() - started:.0f} s)")
+
+
+def _wanted(texts: Sequence[str]) -> dict[str, float]:
+    """Of "plate_tilt=1e-5", strengths by name."""
+    found = {}
+    for text in texts:
+        name, _, size = text.partition("=")
+        try:
+            found[name] = float(size)
+        except ValueError:
+            raise InputError(f"--limit {text}: expected EFFECT=STRENGTH, as in plate_tilt=1e-5") from None
+    return found
 
 
 def _say_camera(measured: Path, camera: Path | None) -> None:

@@ -26,7 +26,7 @@ from discrepancy.found import Data, Found, SoFar, more_missing, unexplained
 from discrepancy.free_laws.answer import Answer
 from discrepancy.free_laws.fitted_law import FittedLaw
 from discrepancy.free_laws.tabulated import in_model
-from discrepancy.selection.experiment_design import advice, designs
+from discrepancy.planning.pair_advice import advice, designs
 from discrepancy.selection.fit_store import FitStore
 from discrepancy.selection.free_law_contest import FreeLawContest, unseen
 from discrepancy.selection.named import Named

@@ -40,7 +40,7 @@ def write(found: Found, folder: Path, left_out: Sequence[str]) -> None:
 
 def document(found: Found, left_out: Sequence[str]) -> dict[str, Any]:
     """The keys of discrepancy.json, plain; None for what is not finite."""
-    whole: dict[str, Any] = _plain(found.document())
+    whole: dict[str, Any] = plain(found.document())
     whole["clips"]["left_out"] = list(left_out)
     return whole
 
@@ -51,12 +51,12 @@ def _unit(name: str) -> str:
     return "" if unit == "1" else unit
 
 
-def _plain(value: Any) -> Any:
+def plain(value: Any) -> Any:
     """For JSON: no numpy, NaN and infinity as null."""
     if isinstance(value, dict):
-        return {k: _plain(v) for k, v in value.items()}
+        return {k: plain(v) for k, v in value.items()}
     if isinstance(value, list | tuple):
-        return [_plain(v) for v in value]
+        return [plain(v) for v in value]
     if isinstance(value, float | np.floating):
         return float(value) if np.isfinite(value) else None
     return value

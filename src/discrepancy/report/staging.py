@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -11,14 +11,16 @@ from commandline.errors import InputError
 from commandline.outputs import as_input_error, check_room, held
 
 REPORT = ("discrepancy.json", "index.html", "model.yaml")
+PLAN = ("plan.json", "index.html")
 
 
 @contextmanager
-def aside(output: Path) -> Iterator[Path]:
-    """A folder to write into that becomes `output` when all went well. Refuses a folder that holds something else."""
+def aside(output: Path, files: Sequence[str] = REPORT) -> Iterator[Path]:
+    """A folder to write into that becomes `output` when all went well. Refuses a folder that holds other files."""
     output = output.resolve()
-    if output.exists() and (not output.is_dir() or any(p.name not in REPORT for p in output.iterdir())):
-        raise InputError(f"{output}: holds something else; expected a report of an earlier search, or nothing")
+    if output.exists() and (not output.is_dir() or any(p.name not in files for p in output.iterdir())):
+        earlier = "an earlier plan" if files == PLAN else "a report of an earlier search"
+        raise InputError(f"{output}: holds something else; expected {earlier}, or nothing")
     check_room(output)
     folder = output.with_name(f"{output.name}.tmp")
     with as_input_error(output), held(folder):

@@ -16,34 +16,13 @@ from discrepancy.fitting.model_fit import Evidence, Fit, basis
 from discrepancy.fitting.parameters import Candidate, between, candidates, parameter_of
 from discrepancy.fitting.shape_scan import scannable, scanned
 from discrepancy.fitting.significance import by_chance, sigmas, trials_factor
-from discrepancy.selection.scored import Score, Scored, Trial
+from discrepancy.selection.scored import Score, Scored, Sizes, Trial
 from synthcam.model import Model
 
 SEEN = 1e-4  # of a signature's length that must be left when all that the fit absorbs is taken out
 ZOOMS = 2  # times that the grid of a shape parameter is made finer about the best
 ROWS = 1500  # of the signatures, to count independent trials by
 MOST = 20_000_000  # numbers in the derivatives by one candidate's strengths
-
-
-@dataclass(frozen=True)
-class _Way:
-    """Realistic sizes (k,) of a candidate's strengths, and how many of them its limits allow.
-
-    side: 1 where a single strength stands at its lower limit and can only grow, -1 at its upper, else 0.
-    """
-
-    sizes: Array
-    allowed: float
-    side: int
-
-    @classmethod
-    def of(cls, candidate: Candidate, fit: Fit) -> _Way:
-        ways = [parameter_of(fit.model, s) for s in candidate.strengths]
-        sizes = np.array([p.typical or 1.0 for p in ways])
-        allowed = max(max(abs(p.low), abs(p.high)) / size for p, size in zip(ways, sizes, strict=True))
-        value, p = fit.model.value(candidate.strengths[0]), ways[0]
-        side = int(value <= p.low) - int(value >= p.high) if len(ways) == 1 else 0
-        return cls(sizes, allowed, side)
 
 
 @dataclass(frozen=True)
@@ -162,7 +141,7 @@ class ScoreTests:
         left, absorbed = self._left(None)
         _, rows, lengths = self._products
         gram, _, taken = self._against(absorbed, left)
-        axes = [_axes(gram[s, s], lengths[s]) for s in self._spans]
+        axes = [seen_axes(gram[s, s], lengths[s]) for s in self._spans]
         rows = rows - absorbed[:: self._step] @ taken
         whole = block_diag(*axes)
         return whole.T @ gram @ whole, [rows[:, s] @ a for s, a in zip(self._spans, axes, strict=True)]
@@ -293,7 +272,7 @@ class ScoreTests:
         gram (k, k), pull (k,): products of its signature with itself and the residuals; length (k,) of its columns. A
         strength that has one sign scores nothing when the data ask for the other.
         """
-        axes = _axes(gram, length)
+        axes = seen_axes(gram, length)
         spread = axes.shape[1]
         candidate, way = trial.candidate, self._ways[trial.candidate]
         chi2 = float(((axes.T @ pull) ** 2).sum())
@@ -305,8 +284,8 @@ class ScoreTests:
         return Score(trial, sigma, chi2, limit, limit <= min(policy.LARGEST_LIMIT, way.allowed), axes)
 
     @cached_property
-    def _ways(self) -> dict[Candidate, _Way]:
-        return {candidate: _Way.of(candidate, self.fit) for candidate in {t.candidate for t in self.trials}}
+    def _ways(self) -> dict[Candidate, Sizes]:
+        return {candidate: Sizes.of(candidate, self.fit.model) for candidate in {t.candidate for t in self.trials}}
 
     def claim(self, level: float | None = None) -> float:
         """The sigma that the best candidate exceeds by chance in a share of searches, by default that of a claim."""
@@ -381,7 +360,7 @@ def _lengths(columns: Sequence[Array]) -> Array:
     return np.asarray(np.sqrt(sum((c**2).sum(axis=0) for c in columns)))
 
 
-def _axes(gram: Array, length: Array) -> Array:
+def seen_axes(gram: Array, length: Array) -> Array:
     """(k, m) that makes an orthonormal basis of the m directions of a signature that are seen; gram: its products."""
     scale = np.where(length > 0, length, 1)
     values, axes = np.linalg.eigh(gram / np.outer(scale, scale))

@@ -7,7 +7,30 @@ from dataclasses import dataclass
 import numpy as np
 
 from discrepancy.arrays import Array
-from discrepancy.fitting.parameters import Candidate
+from discrepancy.fitting.parameters import Candidate, parameter_of
+from synthcam.model import Model
+
+
+@dataclass(frozen=True)
+class Sizes:
+    """Realistic sizes (k,) of a candidate's strengths, and how many of them its limits allow.
+
+    side: 1 where a single strength stands at its lower limit and can only grow, -1 at its upper, else 0.
+    """
+
+    sizes: Array
+    allowed: float
+    side: int
+
+    @classmethod
+    def of(cls, candidate: Candidate, model: Model) -> Sizes:
+        """Of a candidate beside this model."""
+        ways = [parameter_of(model, s) for s in candidate.strengths]
+        sizes = np.array([p.typical or 1.0 for p in ways])
+        allowed = max(max(abs(p.low), abs(p.high)) / size for p, size in zip(ways, sizes, strict=True))
+        value, p = model.value(candidate.strengths[0]), ways[0]
+        side = int(value <= p.low) - int(value >= p.high) if len(ways) == 1 else 0
+        return cls(sizes, allowed, side)
 
 
 @dataclass(frozen=True)

@@ -2,27 +2,26 @@
 
 from __future__ import annotations
 
-import dataclasses
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from discrepancy import policy
-from discrepancy.arrays import Array
 from discrepancy.data.collisions import Measured
-from discrepancy.data.launch import HEADING, T_C, V0, B
-from discrepancy.fitting.gauss_newton import linearised
-from discrepancy.fitting.model_fit import Evidence, Fit
+from discrepancy.fitting.model_fit import Fit
 from discrepancy.fitting.parameters import Candidate
 from discrepancy.fitting.predict import forecast
 from discrepancy.noise.model import Noise
+from discrepancy.planning import changes
+from discrepancy.planning.experiment import Experiment
+from discrepancy.planning.position_errors import StatedErrors
 from discrepancy.selection.score_test import ScoreTests, likeness, tried
 
 Shaped = tuple[Candidate, dict[str, float]]  # an effect, with values of its shape parameters
 
 MOST = 24  # collisions in a design
-ASIDE = 0.25  # of the picture's size, from its middle
+THESE = "these collisions"
 OUTSIDE: dict[str, str] = {
     "camera": "film a plate of known lengths with the same camera",
     "measure": "film balls at rest at known places, or move the lamp",
@@ -39,50 +38,6 @@ class Design:
 
     words: str
     cosine: float
-
-
-@dataclass(frozen=True)
-class _Way:
-    words: str
-    change: Callable[[Measured, Array, float, int], tuple[Measured, Array]]  # clip, launch, share from 0 to 1, number
-
-
-def _exchanged(clip: Measured, launch: Array, share: float, number: int) -> tuple[Measured, Array]:
-    return dataclasses.replace(clip, striker="ab"[number % 2]), launch
-
-
-def _put(column: int, low: float, high: float) -> Callable[[Measured, Array, float, int], tuple[Measured, Array]]:
-    def change(clip: Measured, launch: Array, share: float, number: int) -> tuple[Measured, Array]:
-        new = launch.copy()
-        new[column] = low + (high - low) * share
-        return clip, new
-
-    return change
-
-
-def _longer(clip: Measured, launch: Array, share: float, number: int) -> tuple[Measured, Array]:
-    first, last = int(clip.frame.min()), int(clip.frame.max())
-    count = 2 * (last - first + 1)
-    spread = np.tile(clip.covariance.mean(axis=0), (2 * count, 1, 1))
-    frame, ball = np.tile(np.arange(first, first + count), 2), np.repeat([0, 1], count)
-    new = dataclasses.replace(clip, frame=frame, ball=ball, xy=np.zeros((2 * count, 2)), covariance=spread)
-    return new, launch
-
-
-def _aside(clip: Measured, launch: Array, share: float, number: int) -> tuple[Measured, Array]:
-    corner = np.array([1 if number & 1 else -1, 1 if number & 2 else -1]) * ASIDE
-    pixel = (0.5 + corner) * np.array(clip.camera.size)
-    return clip, np.concatenate([clip.camera.unproject(pixel)[0], launch[T_C:]])
-
-
-WAYS = (
-    _Way("the balls exchanged in half of the collisions", _exchanged),
-    _Way("oblique collisions, |b| up to 0.6", _put(B, -0.6, 0.6)),
-    _Way("speeds from 0.1 to 0.6 m/s", _put(V0, 0.1, 0.6)),
-    _Way("headings all round", _put(HEADING, 0.0, 2 * np.pi)),
-    _Way("films twice as long", _longer),
-    _Way("collisions spread over the picture", _aside),
-)
 
 
 def designs(
@@ -109,40 +64,44 @@ def designs(
     Returns
     -------
     tuple of Design
-        The collisions as they are; changed in each of WAYS; changed in all of these together.
+        The collisions as they are; changed in each of `changes.CHANGES` that is possible; changed in all launches.
     """
-    chosen = np.unique(np.linspace(0, len(clips) - 1, min(MOST, len(clips))).astype(int))
     for candidate, _ in (one, other):
         fit = fit.reduced(candidate.without(fit.model), candidate.strengths + candidate.shapes)
-    mixed = np.random.default_rng(0)
-    found = []
-    for words, ways in (
-        ("these collisions", ()),
-        *((w.words, (w,)) for w in WAYS),
-        ("all of that together", WAYS),
-    ):
-        shares = [mixed.permutation(len(chosen)) / max(len(chosen) - 1, 1) for _ in ways]
-        some, launches = [], []
-        for number, k in enumerate(chosen):
-            clip, launch = clips[k], fit.launches[k]
-            for way, share in zip(ways, shares, strict=True):
-                clip, launch = way.change(clip, launch, float(share[number]), number)
-            some.append(clip)
-            launches.append(launch)
-        found.append(Design(words, _cosine(Evidence.of(some, noise), fit, np.array(launches), one, other)))
+    claimed = np.concatenate([c.claimed() for c in clips])
+    error_px = float(np.sqrt((claimed**2).mean())) / clips[0].camera.scale
+    filmed = Experiment(
+        fit.model,
+        fit.names,
+        tuple(clips),
+        fit.launches,
+        tuple(range(int(c.frame.min()), int(c.frame.max()) + 1) for c in clips),
+        StatedErrors(error_px),
+        noise,
+    )
+    filmed = few(filmed)
+    found = [Design(THESE, _cosine(filmed, one, other))]
+    for change in (*changes.CHANGES, changes.TOGETHER):
+        try:
+            changed = changes.tried(change, filmed)
+        except ValueError:  # no motion
+            continue
+        if changed is not None:
+            found.append(Design(changed[0], _cosine(changed[1], one, other)))
     return tuple(found)
 
 
-def _cosine(
-    evidence: Evidence,
-    fit: Fit,
-    launches: Array,
-    one: Shaped,
-    other: Shaped,
-) -> float:
+def few(experiment: Experiment) -> Experiment:
+    """At most MOST of its collisions, to change and compare."""
+    count = len(experiment.clips)
+    return experiment.part(np.unique(np.linspace(0, count - 1, min(MOST, count)).astype(int)).tolist())
+
+
+def _cosine(experiment: Experiment, one: Shaped, other: Shaped) -> float:
     """The cosine between two effects' signatures; 1 where there is no motion, or the fit absorbs one of the two."""
+    evidence, launches = experiment.evidence, experiment.launches
     try:
-        here = linearised(evidence, fit.model, fit.names, launches)
+        here = experiment.fit()
         expected = forecast(here.model, launches, evidence.clips)
         trials = tuple(
             tried(evidence, here.model, launches, candidate, shapes, expected) for candidate, shapes in (one, other)

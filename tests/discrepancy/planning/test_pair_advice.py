@@ -8,7 +8,7 @@ from discrepancy_clips import collisions
 from discrepancy.fitting.gauss_newton import fit_model
 from discrepancy.fitting.parameters import BASE, candidates
 from discrepancy.noise.model import estimate
-from discrepancy.selection.experiment_design import Design, advice, designs
+from discrepancy.planning.pair_advice import Design, advice, designs
 from synthcam.model import Model
 
 CANDIDATES = {s.name: s for s in candidates(Model(), BASE)}

@@ -1,0 +1,236 @@
+"""A plan for people: from a scene to what its experiment could show, as a table, a sentence and a report."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+
+from commandline.errors import InputError
+from discrepancy.fitting.parameters import candidates
+from discrepancy.planning.changes import CHANGES
+from discrepancy.planning.compare import Tried, Wanted, alike, changed, clips_for, cosine_of, gain
+from discrepancy.planning.of_scene import Designed, experiment_of
+from discrepancy.planning.outcome import AlikePair, Planned
+from discrepancy.planning.pair_advice import THESE, Design, advice
+from discrepancy.planning.signatures import Limit, Signatures
+from discrepancy.report import plan_page
+from discrepancy.report.staging import PLAN, aside
+from synthcam.library import library
+from synthcam.scene.scene import Scene
+from synthcam.settings import did_you_mean
+
+MOST_DRAWN = 400  # collisions drawn to work out a limit that is wanted
+Progress = Callable[[int, int], None]
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Plan:
+    """What an experiment could show, before a recording is made.
+
+    Attributes
+    ----------
+    outcome : Planned
+        All of it: limits, likest rivals, changes.
+    """
+
+    outcome: Planned
+
+    @property
+    def table(self) -> pd.DataFrame:
+        """A row for each strength of each effect, those that show best first.
+
+        effect, strength, unit; typical: a realistic size; limit: the strength that half of such experiments show at 5
+        sigma; naming_limit: from which it is told from its likest rival; shows; rival, cosine: the likest; alike: all
+        that it could not be told from; best_change, limit_then, naming_then: the change that lowers its naming limit
+        most, and the limits with it.
+        """
+        return pd.DataFrame(self.outcome.rows())
+
+    @property
+    def changes(self) -> pd.DataFrame:
+        """A row for each change of the experiment, the best first: name, words, limit and naming (how many times
+        smaller those limits become), parts, joins (pairs of effects)."""
+        names = ["name", "words", "limit", "naming", "parts", "joins"]
+        return pd.DataFrame([[getattr(g, n) for n in names] for g in self.outcome.gains], columns=names)
+
+    @property
+    def wanted(self) -> tuple[Wanted, ...]:
+        """For each limit asked for, how many collisions it takes."""
+        return self.outcome.wanted
+
+    def sentence(self) -> str:
+        """The plan in a sentence or two.
+
+        Returns
+        -------
+        str
+        """
+        return self.outcome.sentence()
+
+    def document(self) -> dict[str, Any]:
+        """The contents of ``plan.json``.
+
+        Returns
+        -------
+        dict
+            docs/format.md lists the keys.
+        """
+        return plan_page.document(self.outcome)
+
+    def __repr__(self) -> str:
+        return self.sentence()
+
+    def _repr_html_(self) -> str:
+        columns = ["strength", "limit", "naming_limit", "unit", "rival", "cosine"]
+        return f"<p>{self!r}</p>" + self.table[columns].to_html(index=False, float_format="{:.3g}".format)
+
+    def report(self, folder: str | Path) -> Path:
+        """Write the report: ``plan.json`` and a self-contained ``index.html``.
+
+        Parameters
+        ----------
+        folder : str or Path
+            Made, or replaced where it holds an earlier plan.
+
+        Returns
+        -------
+        Path
+            Of ``index.html``.
+
+        Raises
+        ------
+        InputError
+            Where the folder holds something else, or cannot be written.
+        """
+        with aside(Path(folder), PLAN) as place:
+            plan_page.write(self.outcome, place)
+        return Path(folder) / "index.html"
+
+
+def plan(
+    scene: Scene | str | Path,
+    effects: Sequence[str] | None = None,
+    clips: int = 30,
+    noise: float | None = None,
+    limits: Mapping[str, float] | None = None,
+    seed: int = 0,
+    progress: Progress = lambda done, total: None,
+) -> Plan:
+    """Work out what a search could find in an experiment, before a recording is made.
+
+    Parameters
+    ----------
+    scene : Scene, str or Path
+        The experiment: a scene, its file, or the name of one that comes with synthcam.
+    effects : sequence of str, optional
+        Effects of interest; default: all of the library. Rivals are always all.
+    clips : int
+        Collisions to record, of which a search keeps a quarter out of its fits.
+    noise : float, optional
+        Error of a position, each axis, px; default: the Cramer-Rao bound of the scene's camera and lamp, which the
+        tracker attains.
+    limits : mapping of str to float, optional
+        Limits that are wanted, by effect or by dotted strength: how many collisions would they take?
+    seed : int
+        Of everything drawn.
+    progress : callable
+        Takes experiments worked out and their number.
+
+    Returns
+    -------
+    Plan
+
+    Raises
+    ------
+    InputError
+        One line: what is no scene, no effect, or no experiment with collisions.
+
+    Examples
+    --------
+    >>> import discrepancy
+    >>> planned = discrepancy.plan("oblique", effects=["plate_tilt", "hop"], clips=8)
+    >>> planned.table[["strength", "rival", "shows"]]
+           strength           rival  shows
+    0     hop.share   dropped_frame   True
+    """
+    given = scene if isinstance(scene, Scene) else Scene.read(Path(scene))
+    designed = experiment_of(given, clips, noise, seed)
+    known = [c.name for c in candidates(designed.fitted.model, designed.fitted.names)]
+    chosen, wished = _chosen(effects, known), _wished(limits or {}, known)
+    total, done = len(CHANGES) + 3 + 2 * len(wished), 0
+
+    def tick() -> None:
+        nonlocal done
+        done += 1
+        progress(done, total)
+
+    found = Signatures.of(designed.fitted).limits()
+    tick()
+    rows = tuple(x for x in found if x.effect in chosen)
+    before, after = changed(designed.fitted, tick)
+    gains = sorted((gain(before, t, chosen) for t in after), key=lambda g: -g.naming)
+    wanted = []
+    for strength, size in wished.items():
+
+        def limit_at(count: int, strength: str = strength) -> float:
+            there = experiment_of(given, count, noise, seed).fitted
+            tick()
+            return _row(Signatures.of(there, [strength.partition(".")[0]]).limits(), strength).limit
+
+        wanted.append(clips_for(strength, size, _row(found, strength), clips, limit_at, MOST_DRAWN))
+    progress(total, total)
+    pairs = _pairs(found, before, after, chosen, designed)
+    return Plan(Planned(given.name, designed, rows, pairs, after, tuple(gains), tuple(wanted)))
+
+
+def _row(limits: Sequence[Limit], strength: str) -> Limit:
+    return next(x for x in limits if x.strength == strength)
+
+
+def _chosen(effects: Sequence[str] | None, known: Sequence[str]) -> list[str]:
+    if isinstance(effects, str) or effects == []:
+        raise InputError(f"effects: expected a list of names, found {effects!r}")
+    for name in effects or ():
+        _check(name, known)
+    return list(effects or known)
+
+
+def _check(name: str, known: Sequence[str]) -> None:
+    if name in known:
+        return
+    if name in library():
+        raise InputError(f"{name}: changes nothing in this model")
+    near = did_you_mean(name, known) or f"; there are {', '.join(known)}"
+    raise InputError(f"{name}: no such effect{near}")
+
+
+def _wished(limits: Mapping[str, float], known: Sequence[str]) -> dict[str, float]:
+    """The limits wanted by dotted strength. Raises InputError."""
+    found: dict[str, float] = {}
+    for key, size in limits.items():
+        effect = key if key in known else key.partition(".")[0]
+        _check(effect, known)
+        strengths = [f"{effect}.{p.name}" for p in library()[effect].strengths()] if effect in library() else [effect]
+        if key not in (effect, *strengths):
+            raise InputError(f"limit {key}: no such strength; {effect} has {', '.join(strengths)}")
+        if not 0 < size < math.inf:
+            raise InputError(f"limit {key}: expected a strength over 0, found {size:g}")
+        found |= dict.fromkeys(strengths if key == effect else [key], size)
+    return found
+
+
+def _pairs(
+    found: tuple[Limit, ...], before: tuple[Limit, ...], after: Sequence[Tried], chosen: Sequence[str], here: Designed
+) -> tuple[AlikePair, ...]:
+    """The pairs that could not be told apart, each with what would part it."""
+    known = {c.name: c for c in candidates(here.fitted.model, here.fitted.names)}
+    out = []
+    for pair in alike(found, chosen):
+        tries = [Design(THESE, cosine_of(before, pair)), *(Design(t.words, cosine_of(t.limits, pair)) for t in after)]
+        out.append(AlikePair(pair, cosine_of(found, pair), advice(known[pair[0]], known[pair[1]], tries)))
+    return tuple(out)

@@ -1,0 +1,211 @@
+"""The changes of an experiment that are tried: of launches, of film and camera, of the plate."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from discrepancy.arrays import Array
+from discrepancy.data.launch import HEADING, SIZE, V0, B, X, Y
+from discrepancy.planning.experiment import Experiment
+from tracker.camera.camera import Camera
+
+ASIDE = 0.25  # of the picture's size, from its middle
+HOLDS = 0.5  # of the steepest tilt at which a ball at rest stays
+ALL = "balls exchanged, oblique hits, many speeds and headings, all over the picture, films twice as long: all at once"
+Changed = tuple[str, Experiment]  # what was changed, in words; and the experiment, not yet filmed
+
+
+@dataclass(frozen=True)
+class Change:
+    """A change of an experiment.
+
+    Attributes
+    ----------
+    name : str
+    make : callable
+        Takes an experiment and random numbers; gives what was changed in words and the experiment, not yet filmed, or
+        None where that is not possible.
+    launches : bool
+        Whether only the launches are changed, so that it goes with all others of that kind.
+    """
+
+    name: str
+    make: Callable[[Experiment, np.random.Generator], Changed | None]
+    launches: bool = False
+
+
+def tried(change: Change, experiment: Experiment, seed: int = 0) -> Changed | None:
+    """A changed experiment as it would be seen, and what was changed; None where that is not possible.
+
+    Raises ValueError where the model has no motion for it.
+    """
+    made = change.make(experiment, np.random.default_rng(seed))
+    if made is None:
+        return None
+    words, changed = made
+    filmed = changed.filmed()
+    return (words, filmed) if 2 * len(filmed.clips) >= len(experiment.clips) else None
+
+
+def together(experiment: Experiment, rng: np.random.Generator) -> Changed:
+    """All changes of launches at once."""
+    for change in CHANGES:
+        if change.launches and (made := change.make(experiment, rng)):
+            experiment = made[1]
+    return ALL, experiment
+
+
+def _put(experiment: Experiment, rng: np.random.Generator, values: dict[int, Array]) -> Experiment:
+    """With columns of the launches spread evenly over the collisions; values: low and high, or one for each."""
+    launches = experiment.launches.copy()
+    for column, ends in values.items():
+        share = rng.permutation(len(launches)) / max(len(launches) - 1, 1)
+        launches[:, column] = ends[0] + (ends[1] - ends[0]) * share
+    return dataclasses.replace(experiment, launches=launches)
+
+
+def _exchanged(experiment: Experiment, rng: np.random.Generator) -> Changed:
+    order = rng.permutation(len(experiment.clips))
+    clips = tuple(dataclasses.replace(c, striker="ab"[k % 2]) for c, k in zip(experiment.clips, order, strict=True))
+    return "the balls exchanged in half of the collisions", dataclasses.replace(experiment, clips=clips)
+
+
+def _oblique(experiment: Experiment, rng: np.random.Generator) -> Changed:
+    return "oblique collisions, |b| up to 0.6", _put(experiment, rng, {B: np.array([-0.6, 0.6])})
+
+
+def _speeds(experiment: Experiment, rng: np.random.Generator) -> Changed:
+    ends = np.median(experiment.launches[:, V0]) * np.array([0.3, 1.8])  # the paper's 0.1 to 0.6 m/s
+    return f"speeds from {ends[0]:.2g} to {ends[1]:.2g} m/s", _put(experiment, rng, {V0: ends})
+
+
+def _faster(experiment: Experiment, rng: np.random.Generator) -> Changed:
+    return "balls twice as fast", _times(experiment, 2.0)
+
+
+def _slower(experiment: Experiment, rng: np.random.Generator) -> Changed:
+    return "balls half as fast", _times(experiment, 0.5)
+
+
+def _times(experiment: Experiment, factor: float) -> Experiment:
+    column = np.where(np.arange(SIZE) == V0, factor, 1.0)
+    return dataclasses.replace(experiment, launches=experiment.launches * column)
+
+
+def _headings(experiment: Experiment, rng: np.random.Generator) -> Changed:
+    turn = 2 * np.pi * (1 - 1 / max(len(experiment.clips), 1))
+    return "headings all round", _put(experiment, rng, {HEADING: np.array([0.0, turn])})
+
+
+def _aside(experiment: Experiment, rng: np.random.Generator) -> Changed:
+    camera, launches = experiment.camera, experiment.launches.copy()
+    number = rng.permutation(len(launches))
+    corner = np.stack([np.where(number & 1, ASIDE, -ASIDE), np.where(number & 2, ASIDE, -ASIDE)], axis=-1)
+    launches[:, [X, Y]] = camera.unproject((0.5 + corner) * np.array(camera.size))[0]
+    return "collisions spread over the picture", dataclasses.replace(experiment, launches=launches)
+
+
+def _longer(experiment: Experiment, rng: np.random.Generator) -> Changed:
+    films = tuple(range(f.start, f.start + 2 * len(f)) for f in experiment.films)
+    return "films twice as long", dataclasses.replace(experiment, films=films)
+
+
+def _frame_rate(experiment: Experiment, rng: np.random.Generator) -> Changed | None:
+    """The same time filmed in twice the frames, with the same exposure where it fits between them."""
+    camera = experiment.camera
+    fps = 2 * camera.fps
+    cut = _exposed(experiment, min(camera.exposure, 1 / fps))
+    if cut is None:
+        return None
+    films = tuple(range(2 * f.start, 2 * f.stop) for f in cut.films)
+    shorter = f", {1e3 * cut.camera.exposure:.3g} ms each" if cut.camera.exposure < camera.exposure else ""
+    changed = dataclasses.replace(cut.at(dataclasses.replace(cut.camera, fps=fps)), films=films)
+    return f"{fps:g} frames a second{shorter}", changed
+
+
+def _exposure_longer(experiment: Experiment, rng: np.random.Generator) -> Changed | None:
+    return _with_exposure(experiment, 2 * experiment.camera.exposure)
+
+
+def _exposure_shorter(experiment: Experiment, rng: np.random.Generator) -> Changed | None:
+    return _with_exposure(experiment, experiment.camera.exposure / 2)
+
+
+def _with_exposure(experiment: Experiment, exposure: float) -> Changed | None:
+    camera = experiment.camera
+    if not 0 < exposure <= 1 / camera.fps:
+        return None
+    changed = _exposed(experiment, exposure)
+    return None if changed is None else (f"exposures of {1e3 * exposure:.3g} ms", changed)
+
+
+def _exposed(experiment: Experiment, exposure: float) -> Experiment | None:
+    """With another exposure, and light in proportion; None where nobody knows what that does to the errors."""
+    camera = experiment.camera
+    if exposure == camera.exposure:
+        return experiment
+    errors = experiment.errors.brighter(exposure / camera.exposure)
+    if errors is None:
+        return None
+    return dataclasses.replace(experiment, errors=errors).at(dataclasses.replace(camera, exposure=exposure))
+
+
+def _field_wider(experiment: Experiment, rng: np.random.Generator) -> Changed:
+    return "a field of view twice as wide", experiment.at(_magnified(experiment.camera, 0.5))
+
+
+def _field_narrower(experiment: Experiment, rng: np.random.Generator) -> Changed:
+    return "a field of view half as wide", experiment.at(_magnified(experiment.camera, 2.0))
+
+
+def _magnified(camera: Camera, times: float) -> Camera:
+    matrix = camera.K.copy()
+    matrix[:2, :2] *= times
+    return dataclasses.replace(camera, K=matrix, scale=camera.scale / times)
+
+
+def _more(experiment: Experiment, rng: np.random.Generator) -> Changed:
+    twice = dataclasses.replace(
+        experiment,
+        clips=experiment.clips * 2,
+        films=experiment.films * 2,
+        launches=np.concatenate([experiment.launches] * 2),
+    )
+    return "twice as many collisions", twice
+
+
+def _tilted(experiment: Experiment, rng: np.random.Generator) -> Changed | None:
+    """The plate tilted on purpose, as nobody knows to a part in a thousand: the fit finds by how much."""
+    model = experiment.model
+    held = 7 / 5 * model.rolling_decel / model.gravity
+    slopes = ("plate_tilt.x", "plate_tilt.y")
+    if held == 0 or any(model.value(s) or s in experiment.names for s in slopes):
+        return None
+    changed = dataclasses.replace(
+        experiment, model=model.replace({slopes[0]: HOLDS * held}), names=(*experiment.names, *slopes)
+    )
+    return f"the plate tilted by about {1e3 * HOLDS * held:.2g} mrad along x", changed
+
+
+CHANGES = (
+    Change("exchanged", _exchanged, launches=True),
+    Change("oblique", _oblique, launches=True),
+    Change("speeds", _speeds, launches=True),
+    Change("headings", _headings, launches=True),
+    Change("longer", _longer, launches=True),
+    Change("aside", _aside, launches=True),
+    Change("faster", _faster),
+    Change("slower", _slower),
+    Change("frame_rate", _frame_rate),
+    Change("exposure_longer", _exposure_longer),
+    Change("exposure_shorter", _exposure_shorter),
+    Change("field_wider", _field_wider),
+    Change("field_narrower", _field_narrower),
+    Change("more", _more),
+    Change("tilted", _tilted),
+)
+TOGETHER = Change("together", together)

@@ -1,0 +1,144 @@
+"""The experiment of a scene: its collisions solved, not drawn, with the errors that its camera would leave."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+
+import numpy as np
+
+from commandline.errors import InputError
+from discrepancy import policy
+from discrepancy.arrays import Array
+from discrepancy.data.collisions import split
+from discrepancy.fitting.parameters import fitted
+from discrepancy.planning.experiment import Experiment, unfilmed
+from discrepancy.planning.position_errors import Errors, GlintErrors, StatedErrors
+from synthcam.model import Model
+from synthcam.scene.clip import Clip
+from synthcam.scene.scene import Scene
+from tracker.camera.camera import Camera
+from tracker.camera.same_view import first_difference
+
+
+@dataclass(frozen=True)
+class Designed:
+    """What a scene's experiment comes to.
+
+    Attributes
+    ----------
+    fitted : Experiment
+        The collisions that a search would fit: a quarter is kept out.
+    drawn, usable : int
+        How many collisions were drawn, and of how many enough is in view.
+    notes : tuple of str
+        What was not counted.
+    """
+
+    fitted: Experiment
+    drawn: int
+    usable: int
+    notes: tuple[str, ...]
+
+
+def experiment_of(scene: Scene, count: int, noise_px: float | None = None, seed: int = 0) -> Designed:
+    """Draw a scene's collisions and work out what would be seen of them.
+
+    Parameters
+    ----------
+    scene : Scene
+    count : int
+        Collisions to record.
+    noise_px : float, optional
+        Error of a position, each axis; default: what the scene's camera and lamp allow.
+    seed : int
+        Of everything drawn.
+
+    Returns
+    -------
+    Designed
+
+    Raises
+    ------
+    InputError
+        Where no search could be made of such clips.
+    """
+    least = policy.FEWEST_COLLISIONS
+    if count < least:
+        raise InputError(f"clips: expected {least} or more, some to fit, some to keep out; found {count}")
+    if noise_px is not None and not 0 < noise_px < np.inf:
+        raise InputError(f"noise: expected an error of positions over 0 px, found {noise_px:g}")
+    clips = [_colliding(scene, number, seed) for number in range(count)]
+    model, camera = _shared(scene, clips)
+    rows = [unfilmed(k, str(c.drawn["launch"]["striker"]), camera, _launch(c)) for k, c in enumerate(clips)]
+    whole = Experiment(
+        model,
+        fitted(model),
+        tuple(rows),
+        np.array([r.launch for r in rows]),
+        tuple(range(c.frames) for c in clips),
+        _errors(clips[0], noise_px, scene.where),
+    )
+    try:
+        filmed = whole.filmed()
+    except ValueError as e:
+        raise InputError(f"{scene.where}: the model has no motion for these launches: {e}") from None
+    usable = len(filmed.clips)
+    if usable < least:
+        raise InputError(
+            f"{scene.where}: both balls are seen before and after the contact in {usable} of {count} clips; expected "
+            f"{least} or more"
+        )
+    kept = {c.clip for c in split(filmed.clips)[0]}
+    rest = filmed.part([k for k, c in enumerate(filmed.clips) if c.clip in kept])
+    return Designed(rest, count, usable, _notes(clips[0], noise_px))
+
+
+def _colliding(scene: Scene, number: int, seed: int) -> Clip:
+    clip = scene.draw(number, seed)
+    if clip.drawn["launch"]["kind"] != "pair":
+        raise InputError(
+            f"{scene.where}: launch.kind: expected pair, found {clip.drawn['launch']['kind']}: no collision"
+        )
+    return clip
+
+
+def _shared(scene: Scene, clips: list[Clip]) -> tuple[Model, Camera]:
+    """The model and the camera that all clips have. Raises InputError where they have several."""
+    first = clips[0]
+    camera = Camera.from_dict(first.camera_json, scene.where)
+    for clip in clips[1:]:
+        if clip.model != first.model:
+            raise InputError(
+                f"{scene.where}: ball, model or effects are drawn anew for each clip; a search fits one model to all: "
+                "expected numbers, as by --set model.restitution=0.9"
+            )
+        if key := first_difference(Camera.from_dict(clip.camera_json, scene.where), camera):
+            raise InputError(f"{scene.where}: the camera's {key} is drawn anew for each clip; expected one camera")
+    free = tuple(scene.settings.get("free") or ())
+    return dataclasses.replace(first.model, free=free), camera
+
+
+def _launch(clip: Clip) -> Array:
+    """Columns of `discrepancy.data.launch`."""
+    radius, (target, striker) = clip.launch.bodies.radius, clip.launch.states[:, :2]
+    share = radius[0] / radius.sum()  # of the way between the centres, from the target
+    drawn = clip.drawn["launch"]
+    place = target + share * (striker - target)
+    return np.array([*place, clip.launch.time, drawn["v0"], drawn["heading"], drawn["b"]])
+
+
+def _errors(clip: Clip, noise_px: float | None, where: str) -> Errors:
+    if noise_px is not None:
+        return StatedErrors(noise_px)
+    if clip.look is not None:
+        raise InputError(
+            f"{where}: surface: the errors of balls under room light are not worked out; say them (--noise PX)"
+        )
+    return GlintErrors(clip.sensor.glint_peak, clip.room)
+
+
+def _notes(clip: Clip, noise_px: float | None) -> tuple[str, ...]:
+    if noise_px is None and clip.drawn.get("video"):
+        return ("what the video's encoder takes away is not counted; --noise PX says the error of a position instead",)
+    return ()

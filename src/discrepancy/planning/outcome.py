@@ -1,0 +1,133 @@
+"""A plan, as values: what an experiment could show, what it could not tell apart, what would gain."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from discrepancy.data.launch import V0, B
+from discrepancy.planning.compare import Gain, Tried, Wanted
+from discrepancy.planning.of_scene import Designed
+from discrepancy.planning.signatures import Limit
+
+USEFUL = 1.05  # times: a change that gains less is not recommended
+
+
+@dataclass(frozen=True)
+class AlikePair:
+    """Two effects that could not be told apart; cosine: of their signatures; advice: what would part them."""
+
+    effects: tuple[str, str]
+    cosine: float
+    advice: str
+
+
+@dataclass(frozen=True)
+class Planned:
+    """What an experiment could show.
+
+    Attributes
+    ----------
+    name : str
+        Of the scene.
+    designed : Designed
+        The collisions, and the errors that their positions would have.
+    limits : tuple of Limit
+        Of the effects asked for.
+    pairs : tuple of AlikePair
+        That could not be told apart.
+    tried : tuple of Tried
+        Changes of the experiment, with the limits of all effects.
+    gains : tuple of Gain
+        What each change would gain, the best first.
+    wanted : tuple of Wanted
+    """
+
+    name: str
+    designed: Designed
+    limits: tuple[Limit, ...]
+    pairs: tuple[AlikePair, ...]
+    tried: tuple[Tried, ...]
+    gains: tuple[Gain, ...]
+    wanted: tuple[Wanted, ...]
+
+    @property
+    def shown(self) -> tuple[Limit, ...]:
+        """The limits of the strengths that such an experiment could show, the best first."""
+        return tuple(sorted((x for x in self.limits if x.shows), key=lambda x: x.limit / x.typical))
+
+    @property
+    def hidden(self) -> tuple[Limit, ...]:
+        """The others."""
+        return tuple(x for x in self.limits if not x.shows)
+
+    def best_change(self, limit: Limit) -> tuple[str, Limit] | None:
+        """The change, in words, that lowers a strength's naming limit most, and its limits then."""
+        then = ((t.words, x) for t in self.tried for x in t.limits if x.strength == limit.strength and x.shows)
+        best = min(then, key=lambda pair: pair[1].naming_limit, default=None)
+        return best if best and best[1].naming_limit < limit.naming_limit / USEFUL else None
+
+    def rows(self) -> list[dict[str, Any]]:
+        """A row for each strength, as of `discrepancy.Plan.table`."""
+        return [self._row(x) for x in (*self.shown, *self.hidden)]
+
+    def _row(self, x: Limit) -> dict[str, Any]:
+        rival, best = x.rivals[0] if x.rivals else None, self.best_change(x)
+        return {
+            "effect": x.effect,
+            "strength": x.strength,
+            "unit": x.unit,
+            "typical": x.typical,
+            "shapes": x.shapes,
+            "limit": x.limit,
+            "limit_over_shapes": [x.best, x.worst],
+            "naming_limit": x.naming_limit,
+            "shows": x.shows,
+            "rival": rival.effect if rival else None,
+            "cosine": rival.cosine if rival else math.nan,
+            "alike": list(x.alike),
+            "best_change": best[0] if best else None,
+            "limit_then": best[1].limit if best else math.nan,
+            "naming_then": best[1].naming_limit if best else math.nan,
+        }
+
+    @property
+    def error_um(self) -> float:
+        """Error of a position, rms, each axis, um."""
+        return 1e6 * self.designed.fitted.error_px * self.designed.fitted.camera.scale
+
+    def sentence(self) -> str:
+        """What was planned and what it could show."""
+        here = self.designed
+        effects = {x.effect for x in self.limits}
+        shows = {x.effect for x in self.shown}
+        said = (
+            f"{here.drawn} collisions of {self.name}, positions to {here.fitted.error_px:.2g} px ({self.error_um:.2g} "
+            f"um): {len(shows)} of {len(effects)} effects would show at a realistic size"
+        )
+        said += f"; {len(self.pairs)} pairs could not be told apart." if self.pairs else ", each told from all others."
+        useful = [g for g in self.gains if g.naming > USEFUL]
+        if useful:
+            said += f" Most would gain from {useful[0].words}: naming limits fall {useful[0].naming:.2g} times."
+        return said
+
+    def experiment(self) -> dict[str, Any]:
+        """What was planned, in numbers."""
+        here, speeds = self.designed, self.designed.fitted.launches[:, V0]
+        camera = here.fitted.camera
+        return {
+            "scene": self.name,
+            "clips": {"recorded": here.drawn, "usable": here.usable, "fitted": len(here.fitted.clips)},
+            "v0": [float(speeds.min()), float(speeds.max())],
+            "b": float(np.abs(here.fitted.launches[:, B]).max()),
+            "fps": camera.fps,
+            "exposure": camera.exposure,
+            "scale": camera.scale,
+            "error_px": here.fitted.error_px,
+            "error_um": self.error_um,
+            "fitted": list(here.fitted.names),
+            "notes": list(here.notes),
+        }

@@ -1,0 +1,219 @@
+"""What each effect would do to an experiment's tracks that nothing fitted can do: its limits, its likeness."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy.optimize import brentq
+
+from discrepancy import policy
+from discrepancy.arrays import Array
+from discrepancy.fitting.parameters import Candidate, candidates, parameter_of
+from discrepancy.fitting.significance import sigmas
+from discrepancy.planning.experiment import Experiment
+from discrepancy.selection.score_test import ScoreTests, seen_axes
+from discrepancy.selection.scored import Sizes, Trial
+from synthcam.model import Model
+
+SAME = 1e-9  # of 1 - cosine^2: nothing parts two signatures that are nearer
+
+
+@dataclass(frozen=True)
+class Rival:
+    """An effect with nearly the signature of another. cosine: between the two; shapes: at which it is likest."""
+
+    effect: str
+    cosine: float
+    shapes: dict[str, float]
+
+
+@dataclass(frozen=True)
+class Limit:
+    """What an experiment could tell of one strength.
+
+    Attributes
+    ----------
+    effect, strength : str
+        The strength's name is dotted: "plate_tilt.x".
+    unit : str
+    typical : float
+        A realistic size.
+    shapes : dict of str to float
+        The effect's shape parameters, by dotted name, for which the limits hold.
+    limit : float
+        The strength of which half of such experiments show more than `policy.DETECTION_LIMIT_SIGMA`; infinite where
+        the fit absorbs it.
+    naming_limit : float
+        The strength at which it is as far from what its likest rival can do.
+    shows : bool
+        Whether the limit is of a size that a search takes seriously, and that the effect allows.
+    rivals : tuple of Rival
+        The likest first.
+    best, worst : float
+        The limits over all shapes that a search tries.
+    """
+
+    effect: str
+    strength: str
+    unit: str
+    typical: float
+    shapes: dict[str, float]
+    limit: float
+    naming_limit: float
+    shows: bool
+    rivals: tuple[Rival, ...]
+    best: float
+    worst: float
+
+    @property
+    def alike(self) -> tuple[str, ...]:
+        """Effects that such an experiment could not tell from it, whatever their shapes."""
+        return tuple(r.effect for r in self.rivals if r.cosine > policy.ALIAS_COSINE)
+
+
+@dataclass(frozen=True)
+class Signatures:
+    """The signatures of effects in an experiment, as `find` scores them.
+
+    Attributes
+    ----------
+    model : Model
+    trials : tuple of Trial
+        Every candidate with each value tried of its shape parameters.
+    gram : (K, K) array
+        Products of all trials' columns, less all that shared parameters and launches absorb.
+    trials_factors : mapping of str to float
+        By the candidate's name.
+    """
+
+    model: Model
+    trials: tuple[Trial, ...]
+    gram: Array
+    trials_factors: Mapping[str, float]
+
+    @classmethod
+    def of(cls, experiment: Experiment, only: Sequence[str] = ()) -> Signatures:
+        """Work out the signatures of all candidates, or of those named.
+
+        Raises
+        ------
+        ValueError
+            Where the model has no motion for these launches.
+        """
+        every = candidates(experiment.model, experiment.names)
+        chosen = [c for c in every if not only or c.name in only]
+        fit = experiment.fit()
+        tests = ScoreTests.of(experiment.evidence, fit, only=chosen)
+        columns = [np.concatenate(c, axis=1) for c in zip(*(t.columns for t in tests.trials), strict=True)]
+        return cls(experiment.model, tests.trials, fit.information(columns)[0], tests.trials_factors)
+
+    @cached_property
+    def _spans(self) -> list[slice]:
+        ends = np.cumsum([t.columns[0].shape[1] for t in self.trials]).tolist()
+        return [slice(a, b) for a, b in zip([0, *ends[:-1]], ends, strict=True)]
+
+    @cached_property
+    def _axes(self) -> list[Array]:
+        """Of each trial, (k, m) that makes an orthonormal basis of its signature."""
+        lengths = [np.sqrt(sum((c**2).sum(axis=0) for c in t.columns)) for t in self.trials]
+        return [seen_axes(self.gram[s, s], length) for s, length in zip(self._spans, lengths, strict=True)]
+
+    @cached_property
+    def _sizes(self) -> dict[Candidate, Sizes]:
+        return {c: Sizes.of(c, self.model) for c in dict.fromkeys(t.candidate for t in self.trials)}
+
+    def _limit(self, trial: int, strength: int) -> float:
+        """Of one strength of a trial, alone."""
+        axes, span = self._axes[trial], self._spans[trial]
+        shown = float(((axes.T @ self.gram[span, span.start + strength]) ** 2).sum()) if axes.size else 0.0
+        if shown <= 0:
+            return math.inf
+        factor = self.trials_factors.get(self.trials[trial].candidate.name, 1.0)
+        return math.sqrt(needed(axes.shape[1], factor) / shown)
+
+    def limits(self) -> tuple[Limit, ...]:
+        """Of every strength of every candidate, in the candidates' order."""
+        known = {c: self._least(c) for c in self._sizes}
+        rivals = [k for k, t in enumerate(self.trials) if self._shows(t.candidate, known[t.candidate])]
+        return tuple(
+            self._row(candidate, k, rivals) for candidate in self._sizes for k in range(len(candidate.strengths))
+        )
+
+    def _numbers(self, candidate: Candidate) -> list[int]:
+        return [k for k, t in enumerate(self.trials) if t.candidate == candidate]
+
+    def _least(self, candidate: Candidate) -> float:
+        """The least limit of a candidate over its strengths and shapes, in realistic sizes."""
+        sizes = self._sizes[candidate].sizes
+        return min(self._limit(k, i) / float(size) for k in self._numbers(candidate) for i, size in enumerate(sizes))
+
+    def _shows(self, candidate: Candidate, least: float) -> bool:
+        return bool(least <= min(policy.LARGEST_LIMIT, self._sizes[candidate].allowed))
+
+    def _row(self, candidate: Candidate, strength: int, others: Sequence[int]) -> Limit:
+        numbers, name = self._numbers(candidate), candidate.strengths[strength]
+        at = min(numbers, key=lambda k: _untypical(self.model, self.trials[k].shapes))
+        limit, every = self._limit(at, strength), [self._limit(k, strength) for k in numbers]
+        p, seen = parameter_of(self.model, name), [x for x in every if math.isfinite(x)]
+        rivals = self._rivals(at, strength, others) if math.isfinite(limit) else ()
+        apart = 1 - rivals[0].cosine ** 2 if rivals else 1.0
+        return Limit(
+            effect=candidate.name,
+            strength=name,
+            unit=p.unit,
+            typical=p.typical or 1.0,
+            shapes=self.trials[at].shapes,
+            limit=limit,
+            naming_limit=limit / math.sqrt(apart) if apart > SAME else math.inf,
+            shows=self._shows(candidate, limit / (p.typical or 1.0)),
+            rivals=rivals,
+            best=min(seen, default=math.inf),
+            worst=max(seen, default=math.inf),
+        )
+
+    def _rivals(self, trial: int, strength: int, others: Sequence[int]) -> tuple[Rival, ...]:
+        """What each other candidate can do of this, at the shapes at which it can do most."""
+        candidate, column = self.trials[trial].candidate, self._spans[trial].start + strength
+        own, best = self.gram[column, column], dict[str, Rival]()
+        one_way = self._sizes[candidate].side
+        for k in others:
+            other, span = self.trials[k].candidate, self._spans[k]
+            pull = self.gram[span, column]
+            way = one_way * self._sizes[other].side * pull[0]
+            if other == candidate or way < 0:  # each can only have the sign that is the wrong one for the other
+                continue
+            share = float(((self._axes[k].T @ pull) ** 2).sum()) / own
+            cosine = math.sqrt(min(share, 1.0))
+            if cosine > best.get(other.name, Rival("", -1.0, {})).cosine:
+                best[other.name] = Rival(other.name, cosine, self.trials[k].shapes)
+        return tuple(sorted(best.values(), key=lambda r: -r.cosine))
+
+
+def needed(dof: int, trials_factor: float) -> float:
+    """The chi^2 that an effect must make for half of all experiments to show it at the sigma of a detection limit.
+
+    The median of a non-central chi^2 is that of its centre plus dof - 1, nearly: Sankaran, Biometrika 46 (1959) 235.
+    """
+    wanted = policy.DETECTION_LIMIT_SIGMA
+
+    def short(chi2: float) -> float:
+        return sigmas(chi2 + dof - 1, dof, trials_factor) - wanted
+
+    most = (wanted**2 + 2 * math.log(max(trials_factor, 1.0))) * (1 + dof)
+    return float(brentq(short, 1e-6, most + 10 * dof))
+
+
+def _untypical(model: Model, shapes: Mapping[str, float]) -> float:
+    """How far shape parameters are from their realistic sizes, to choose those tried that are nearest."""
+    far = 0.0
+    for name, value in shapes.items():
+        p = parameter_of(model, name)
+        if p.low > 0:
+            far += abs(math.log(value / p.typical))
+        else:
+            far += abs(value - p.typical) / (abs(p.typical) or 1.0)
+    return far

@@ -1,0 +1,119 @@
+"""The report of a plan: plan.json and a self-contained index.html."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.figure import Figure
+
+from discrepancy import policy
+from discrepancy.planning.changes import TOGETHER
+from discrepancy.planning.outcome import Planned
+from discrepancy.planning.signatures import Limit
+from discrepancy.report.figures import AFTER, BEFORE, FLOOR, OTHER, STYLE, inline
+from discrepancy.report.html import plain
+from tracker.report.html import made, rendered
+
+RIVALS = 3  # of each strength, in plan.json
+
+
+def document(found: Planned) -> dict[str, Any]:
+    """The keys of plan.json, plain; None for what is not finite."""
+    rows = [
+        row | {"rivals": [dataclasses.asdict(r) for r in x.rivals[:RIVALS]]}
+        for row, x in zip(found.rows(), (*found.shown, *found.hidden), strict=True)
+    ]
+    whole: dict[str, Any] = plain(
+        found.experiment()
+        | {
+            "sentence": found.sentence(),
+            "effects": rows,
+            "pairs": [dataclasses.asdict(p) for p in found.pairs],
+            "changes": [dataclasses.asdict(g) for g in found.gains],
+            "wanted": [dataclasses.asdict(w) for w in found.wanted],
+        }
+    )
+    return whole
+
+
+def write(found: Planned, folder: Path) -> None:
+    """Write the report's two files into a folder, made if need be."""
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / "plan.json").write_text(json.dumps(document(found), indent=1, allow_nan=False) + "\n")
+    page = rendered(
+        Path(__file__).with_name("plan.html"),
+        found=found,
+        experiment=found.experiment(),
+        figures=_drawn(found),
+        sigma=policy.DETECTION_LIMIT_SIGMA,
+        alias=policy.ALIAS_COSINE,
+        finite=np.isfinite,
+        unit=lambda x: "" if x.unit == "1" else x.unit,
+        shapes=_shapes,
+        made=made("discrepancy plan"),
+    )
+    (folder / "index.html").write_text(page, encoding="utf-8")
+
+
+def _shapes(values: Mapping[str, float]) -> str:
+    return ", ".join(f"{name.rpartition('.')[2]} {value:.3g}" for name, value in values.items())
+
+
+def _drawn(found: Planned) -> list[dict[str, str]]:
+    """title, note and address of each figure."""
+    with mpl.rc_context(STYLE):
+        out = []
+        if found.shown:
+            note = (
+                "Over the realistic size of each strength: what is left of the dashed line shows, or is named, at a "
+                "realistic size. The thin line: over all shape parameters that a search tries."
+            )
+            out.append(inline("Limits", _limits(found.shown), note))
+        if found.gains:
+            note = (
+                "How many times smaller the limits become: geometric mean over all strengths that show with and "
+                "without the change."
+            )
+            out.append(inline("Changes", _changes(found), note))
+    return out
+
+
+def _limits(shown: tuple[Limit, ...]) -> Figure:
+    figure = Figure(figsize=(8, 1.1 + 0.21 * len(shown)), layout="constrained")
+    ax, place = figure.subplots(), np.arange(len(shown))
+    sizes = np.array([x.typical for x in shown])
+    limit, naming, best, worst = (
+        np.array([getattr(x, key) for x in shown]) / sizes for key in ("limit", "naming_limit", "best", "worst")
+    )
+    told = np.isfinite(naming)
+    ax.hlines(place, best, worst, color=OTHER, lw=1)
+    ax.plot(limit, place, "o", ms=5, color=AFTER, label="detection limit")
+    ax.plot(naming[told], place[told], "D", ms=4, mfc="none", color=BEFORE, label="naming limit")
+    ax.axvline(1, color=FLOOR, ls="--", lw=1)
+    ax.set_xscale("log")
+    ax.set_yticks(place, [x.strength for x in shown])
+    ax.set(ylim=(len(shown) - 0.5, -0.5), xlabel="strength over its realistic size")
+    ax.grid(axis="x", color="#e3e3e3", lw=0.5)
+    figure.legend(*ax.get_legend_handles_labels(), loc="outside upper center", ncols=2)
+    return figure
+
+
+def _changes(found: Planned) -> Figure:
+    figure = Figure(figsize=(8, 1.1 + 0.28 * len(found.gains)), layout="constrained")
+    ax, place = figure.subplots(), np.arange(len(found.gains))
+    for k, (key, label, colour) in enumerate((("limit", "detection", AFTER), ("naming", "naming", BEFORE))):
+        values = [getattr(g, key) - 1 for g in found.gains]
+        ax.barh(place + 0.38 * (k - 0.5), values, 0.36, left=1, color=colour, label=f"{label} limits")
+    ax.axvline(1, color=FLOOR, lw=1)
+    ax.set_xscale("log", base=2)
+    ax.xaxis.set_major_formatter("{x:g}")
+    ax.set_yticks(place, [g.words if g.name != TOGETHER.name else "all launches at once" for g in found.gains])
+    ax.set(ylim=(len(found.gains) - 0.5, -0.5), xlabel="limit now over limit with the change (more is better)")
+    figure.legend(*ax.get_legend_handles_labels(), loc="outside upper center", ncols=2)
+    return figure

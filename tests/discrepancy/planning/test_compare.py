@@ -1,0 +1,62 @@
+"""What a change gains, and how many collisions a limit takes."""
+
+import dataclasses
+import math
+
+import pytest
+
+from discrepancy.planning.compare import Tried, alike, clips_for, cosine_of, gain
+from discrepancy.planning.signatures import Limit, Rival
+
+
+def limit(effect, size, rival="other", cosine=0.5, shows=True):
+    naming = size / math.sqrt(1 - cosine**2)
+    rivals = (Rival(rival, cosine, {}),)
+    return Limit(effect, f"{effect}.x", "1", 1.0, {}, size, naming, shows, rivals, size, size)
+
+
+BEFORE = (limit("one", 0.4, "two", 0.95), limit("two", 0.1, "one", 0.95))
+
+
+def test_a_gain_is_the_mean_ratio_and_the_pairs_parted():
+    after = Tried("c", "words", (limit("one", 0.1, "two", 0.6), limit("two", 0.1, "one", 0.6)))
+    found = gain(BEFORE, after, ["one", "two"])
+    assert found.limit == pytest.approx(2.0)
+    assert found.naming == pytest.approx(2 * 0.8 / math.sqrt(1 - 0.95**2))
+    assert found.parts == (("one", "two"),)
+    assert found.joins == ()
+
+
+def test_an_effect_that_no_longer_shows_is_not_parted_but_hidden():
+    after = Tried("c", "words", (limit("one", 0.1, "two", 0.6, shows=False), limit("two", 0.1, "one", 0.6)))
+    found = gain(BEFORE, after, ["one", "two"])
+    assert found.parts == ()
+    assert found.hides == ("one.x",)
+    assert found.limit == pytest.approx(1.0)
+
+
+def test_pairs_are_of_those_asked_for():
+    assert alike(BEFORE, ["one"]) == (("one", "two"),)
+    assert alike(BEFORE, ["three"]) == ()
+    assert cosine_of(BEFORE, ("one", "two")) == 0.95
+    assert cosine_of(BEFORE, ("one", "three")) == 1.0
+
+
+@pytest.mark.parametrize(("wanted", "clips"), [(0.1, 40), (0.2, 10), (0.05, 160), (0.001, 400_000), (1.0, 6)])
+def test_a_limit_that_falls_as_the_root_takes_the_square(wanted, clips):
+    here = limit("one", 0.2 * math.sqrt(10 / 30))
+    asked = []
+
+    def limit_at(count):
+        asked.append(count)
+        return 0.2 * math.sqrt(10 / count)
+
+    found = clips_for("one.x", wanted, here, 30, limit_at, 400)
+    assert found.clips == clips
+    assert max(asked) <= 400
+    assert found.clips_to_name >= found.clips
+
+
+def test_what_the_fit_absorbs_takes_no_number():
+    here = dataclasses.replace(limit("one", 1.0), limit=math.inf, naming_limit=math.inf)
+    assert clips_for("one.x", 0.1, here, 30, lambda count: math.inf, 400).clips is None
