@@ -213,7 +213,7 @@ def plan(
     given, wanted = read_scene(scene, tuple(changes or ())), _wanted(limit or [])
     names = [name.strip() for name in effects.split(",") if name.strip()] or None
     with aside(output, PLAN) as folder, progress_bar("experiments") as progress:
-        found = planned(given, names, clips, noise, wanted, seed, progress)
+        found = planned(given, names, clips, noise, wanted, seed, progress=progress)
         plan_page.write(found.outcome, folder)
     if as_json:
         print(json.dumps(found.document() | {"seconds": round(time.monotonic() - started, 2)}))

@@ -119,6 +119,7 @@ def plan(
     noise: float | None = None,
     limits: Mapping[str, float] | None = None,
     seed: int = 0,
+    changes: bool = True,
     progress: Progress = lambda done, total: None,
 ) -> Plan:
     """Work out what a search could find in an experiment, before a recording is made.
@@ -138,6 +139,8 @@ def plan(
         Limits that are wanted, by effect or by dotted strength: how many collisions would they take?
     seed : int
         Of everything drawn.
+    changes : bool
+        Whether to try changes of the experiment, which takes ten times as long.
     progress : callable
         Takes experiments worked out and their number.
 
@@ -153,16 +156,18 @@ def plan(
     Examples
     --------
     >>> import discrepancy
-    >>> planned = discrepancy.plan("oblique", effects=["plate_tilt", "hop"], clips=8)
+    >>> planned = discrepancy.plan("oblique", effects=["plate_tilt", "hop"], clips=8, changes=False)
     >>> planned.table[["strength", "rival", "shows"]]
            strength           rival  shows
-    0     hop.share   dropped_frame   True
+    0  plate_tilt.x  plate_waviness   True
+    1     hop.share   dropped_frame   True
+    2  plate_tilt.y  plate_waviness   True
     """
     given = scene if isinstance(scene, Scene) else Scene.read(Path(scene))
     designed = experiment_of(given, clips, noise, seed)
     known = [c.name for c in candidates(designed.fitted.model, designed.fitted.names)]
     chosen, wished = _chosen(effects, known), _wished(limits or {}, known)
-    total, done = len(CHANGES) + 3 + 2 * len(wished), 0
+    total, done = 1 + changes * (len(CHANGES) + 2) + 2 * len(wished), 0
 
     def tick() -> None:
         nonlocal done
@@ -172,7 +177,7 @@ def plan(
     found = Signatures.of(designed.fitted).limits()
     tick()
     rows = tuple(x for x in found if x.effect in chosen)
-    before, after = changed(designed.fitted, tick)
+    before, after = changed(designed.fitted, tick) if changes else (found, ())
     gains = sorted((gain(before, t, chosen) for t in after), key=lambda g: -g.naming)
     wanted = []
     for strength, size in wished.items():
@@ -204,7 +209,7 @@ def _check(name: str, known: Sequence[str]) -> None:
     if name in known:
         return
     if name in library():
-        raise InputError(f"{name}: changes nothing in this model")
+        raise InputError(f"{name}: is free in this scene; expected an effect that the fit does not have")
     near = did_you_mean(name, known) or f"; there are {', '.join(known)}"
     raise InputError(f"{name}: no such effect{near}")
 
@@ -232,5 +237,6 @@ def _pairs(
     out = []
     for pair in alike(found, chosen):
         tries = [Design(THESE, cosine_of(before, pair)), *(Design(t.words, cosine_of(t.limits, pair)) for t in after)]
-        out.append(AlikePair(pair, cosine_of(found, pair), advice(known[pair[0]], known[pair[1]], tries)))
+        said = advice(known[pair[0]], known[pair[1]], tries) if after else ""
+        out.append(AlikePair(pair, cosine_of(found, pair), said))
     return tuple(out)

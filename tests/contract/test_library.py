@@ -25,7 +25,7 @@ from tracker import pipeline
 mpl.use("Agg")
 PACKAGES = ("synthcam", "tracker", "discrepancy")
 PUBLIC = [(p, n) for p in PACKAGES for n in import_module(p).__all__ if n != "__version__"]
-SILENT = {"NoGL", "InputError", "Finding"}  # without an example of their own
+SILENT = {"NoGL", "InputError", "Finding", "Plan"}  # without an example of their own
 HEAVY = ("numpy", "pandas", "cv2", "scipy", "matplotlib", "pydantic", "OpenGL")
 
 

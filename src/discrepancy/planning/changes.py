@@ -10,6 +10,7 @@ import numpy as np
 
 from discrepancy.arrays import Array
 from discrepancy.data.launch import HEADING, SIZE, V0, B, X, Y
+from discrepancy.fitting.parameters import candidates
 from discrepancy.planning.experiment import Experiment
 from tracker.camera.camera import Camera
 
@@ -183,7 +184,8 @@ def _tilted(experiment: Experiment, rng: np.random.Generator) -> Changed | None:
     model = experiment.model
     held = 7 / 5 * model.rolling_decel / model.gravity
     slopes = ("plate_tilt.x", "plate_tilt.y")
-    if held == 0 or any(model.value(s) or s in experiment.names for s in slopes):
+    level = any(c.strengths == slopes and not any(c.held) for c in candidates(model, experiment.names))
+    if held == 0 or not level:
         return None
     changed = dataclasses.replace(
         experiment, model=model.replace({slopes[0]: HOLDS * held}), names=(*experiment.names, *slopes)

@@ -103,7 +103,7 @@ class Planned:
         """What was planned and what it could show."""
         here = self.designed
         effects = {x.effect for x in self.limits}
-        shows = {x.effect for x in self.shown}
+        shows = {x.effect for x in self.shown if x.limit <= x.typical}
         said = (
             f"{here.drawn} collisions of {self.name}, positions to {here.fitted.error_px:.2g} px ({self.error_um:.2g} "
             f"um): {len(shows)} of {len(effects)} effects would show at a realistic size"

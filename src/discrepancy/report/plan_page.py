@@ -13,7 +13,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from discrepancy import policy
-from discrepancy.planning.changes import TOGETHER
+from discrepancy.planning.changes import ALL
 from discrepancy.planning.outcome import Planned
 from discrepancy.planning.signatures import Limit
 from discrepancy.report.figures import AFTER, BEFORE, FLOOR, OTHER, STYLE, inline
@@ -21,6 +21,7 @@ from discrepancy.report.html import plain
 from tracker.report.html import made, rendered
 
 RIVALS = 3  # of each strength, in plan.json
+TICKS = (0.1, 0.2, 0.3, 0.5, 0.7, 1, 1.5, 2, 3, 5, 10)  # of a ratio
 
 
 def document(found: Planned) -> dict[str, Any]:
@@ -56,9 +57,15 @@ def write(found: Planned, folder: Path) -> None:
         finite=np.isfinite,
         unit=lambda x: "" if x.unit == "1" else x.unit,
         shapes=_shapes,
+        short=_short,
         made=made("discrepancy plan"),
     )
     (folder / "index.html").write_text(page, encoding="utf-8")
+
+
+def _short(words: str) -> str:
+    """What was changed, for a narrow place."""
+    return "all launches at once" if words == ALL else words
 
 
 def _shapes(values: Mapping[str, float]) -> str:
@@ -71,8 +78,8 @@ def _drawn(found: Planned) -> list[dict[str, str]]:
         out = []
         if found.shown:
             note = (
-                "Over the realistic size of each strength: what is left of the dashed line shows, or is named, at a "
-                "realistic size. The thin line: over all shape parameters that a search tries."
+                "Over the realistic size of each strength: a limit left of the dashed line is one under a "
+                "realistic size. Thin lines: over all shape parameters that a search tries."
             )
             out.append(inline("Limits", _limits(found.shown), note))
         if found.gains:
@@ -80,7 +87,7 @@ def _drawn(found: Planned) -> list[dict[str, str]]:
                 "How many times smaller the limits become: geometric mean over all strengths that show with and "
                 "without the change."
             )
-            out.append(inline("Changes", _changes(found), note))
+            out.append(inline("What changes would gain", _changes(found), note))
     return out
 
 
@@ -111,9 +118,14 @@ def _changes(found: Planned) -> Figure:
         values = [getattr(g, key) - 1 for g in found.gains]
         ax.barh(place + 0.38 * (k - 0.5), values, 0.36, left=1, color=colour, label=f"{label} limits")
     ax.axvline(1, color=FLOOR, lw=1)
-    ax.set_xscale("log", base=2)
-    ax.xaxis.set_major_formatter("{x:g}")
-    ax.set_yticks(place, [g.words if g.name != TOGETHER.name else "all launches at once" for g in found.gains])
+    ax.set_xscale("log")
+    ends = [t for g in found.gains for t in (g.limit, g.naming)]
+    ticks = [t for t in TICKS if min(ends) / 1.1 < t < max(ends) * 1.1]
+    ax.set_xticks(ticks, [f"{t:g}" for t in ticks])
+    ax.set_xticks([], minor=True)
+    ax.grid(axis="x", color="#e3e3e3", lw=0.5)
+    ax.set_axisbelow(True)
+    ax.set_yticks(place, [_short(g.words) for g in found.gains])
     ax.set(ylim=(len(found.gains) - 0.5, -0.5), xlabel="limit now over limit with the change (more is better)")
     figure.legend(*ax.get_legend_handles_labels(), loc="outside upper center", ncols=2)
     return figure
