@@ -76,11 +76,11 @@ def trial(planned: discrepancy.Plan, strength: str, options: argparse.Namespace)
     limit, effect = float(table["limit"][strength]), strength.partition(".")[0]
     shapes = dict(table["shapes"][strength])
     model, ratios, sigmas = read_model(MODEL), [], []
-    for ratio in RATIOS:
+    for k, ratio in enumerate(RATIOS):
         values = {strength: ratio * limit} | shapes
         hidden = read_scene(SCENE, tuple(f"effects.{k}={v:.9e}" for k, v in values.items()))
         for number in range(options.trials):
-            results = tracks(hidden, options.clips, options.noise, FIRST_SEED + number)
+            results = tracks(hidden, options.clips, options.noise, FIRST_SEED + k * options.trials + number)
             ratios.append(ratio)
             sigmas.append(score(results, model, effect))
     slope, offset = np.polyfit(ratios, sigmas, 1)

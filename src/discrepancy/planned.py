@@ -18,6 +18,7 @@ from discrepancy.planning.of_scene import Designed, experiment_of
 from discrepancy.planning.outcome import AlikePair, Planned
 from discrepancy.planning.pair_advice import THESE, Design, advice
 from discrepancy.planning.signatures import Limit, Signatures
+from discrepancy.planning.typical import draws_of, typical
 from discrepancy.report import plan_page
 from discrepancy.report.staging import PLAN, aside
 from synthcam.library import library
@@ -45,9 +46,9 @@ class Plan:
         """A row for each strength of each effect, those that show best first.
 
         effect, strength, unit; typical: a realistic size; limit: the strength that half of such experiments show at 5
-        sigma; naming_limit: from which it is told from its likest rival; shows; rival, cosine: the likest; alike: all
-        that it could not be told from; best_change, limit_then, naming_then: the change that lowers its naming limit
-        most, and the limits with it.
+        sigma, the median over several draws; naming_limit: from which it is told from its likest rival; shows; rival,
+        cosine: the likest; alike: all that it could not be told from; best_change, limit_then, naming_then: the change
+        that lowers its naming limit most, and the limits with it. And shapes, limit_over_shapes, limit_over_draws.
         """
         return pd.DataFrame(self.outcome.rows())
 
@@ -156,26 +157,24 @@ def plan(
     Examples
     --------
     >>> import discrepancy
-    >>> planned = discrepancy.plan("oblique", effects=["plate_tilt", "hop"], clips=8, changes=False)
-    >>> planned.table[["strength", "rival", "shows"]]
-           strength           rival  shows
-    0  plate_tilt.x  plate_waviness   True
-    1     hop.share   dropped_frame   True
-    2  plate_tilt.y  plate_waviness   True
+    >>> planned = discrepancy.plan("oblique", effects=["hop", "viscous_friction"], clips=8, changes=False)
+    >>> planned.table[["strength", "shows", "alike"]]
+                 strength  shows       alike
+    0           hop.share   True          []
+    1  viscous_friction.k   True  [stribeck]
     """
     given = scene if isinstance(scene, Scene) else Scene.read(Path(scene))
     designed = experiment_of(given, clips, noise, seed)
     known = [c.name for c in candidates(designed.fitted.model, designed.fitted.names)]
     chosen, wished = _chosen(effects, known), _wished(limits or {}, known)
-    total, done = 1 + changes * (len(CHANGES) + 2) + 2 * len(wished), 0
+    total, done = draws_of(clips) + changes * (len(CHANGES) + 2) + 2 * len(wished), 0
 
     def tick() -> None:
         nonlocal done
         done += 1
         progress(done, total)
 
-    found = Signatures.of(designed.fitted).limits()
-    tick()
+    found = _typical(given, clips, noise, seed, tick)
     rows = tuple(x for x in found if x.effect in chosen)
     before, after = changed(designed.fitted, tick) if changes else (found, ())
     gains = sorted((gain(before, t, chosen) for t in after), key=lambda g: -g.naming)
@@ -183,14 +182,30 @@ def plan(
     for strength, size in wished.items():
 
         def limit_at(count: int, strength: str = strength) -> float:
-            there = experiment_of(given, count, noise, seed).fitted
+            there = _typical(given, count, noise, seed, only=[strength.partition(".")[0]])
             tick()
-            return _row(Signatures.of(there, [strength.partition(".")[0]]).limits(), strength).limit
+            return _row(there, strength).limit
 
         wanted.append(clips_for(strength, size, _row(found, strength), clips, limit_at, MOST_DRAWN))
     progress(total, total)
     pairs = _pairs(found, before, after, chosen, designed)
     return Plan(Planned(given.name, designed, rows, pairs, after, tuple(gains), tuple(wanted)))
+
+
+def _typical(
+    scene: Scene,
+    count: int,
+    noise: float | None,
+    seed: int,
+    tick: Callable[[], None] = lambda: None,
+    only: Sequence[str] = (),
+) -> tuple[Limit, ...]:
+    """Limits of a typical draw of a scene's experiment."""
+    draws = []
+    for k in range(draws_of(count)):
+        draws.append(Signatures.of(experiment_of(scene, count, noise, seed + k).fitted, only).limits())
+        tick()
+    return typical(draws)
 
 
 def _row(limits: Sequence[Limit], strength: str) -> Limit:

@@ -84,6 +84,7 @@ class Planned:
             "shapes": x.shapes,
             "limit": x.limit,
             "limit_over_shapes": [x.best, x.worst],
+            "limit_over_draws": list(x.scatter),
             "naming_limit": x.naming_limit,
             "shows": x.shows,
             "rival": rival.effect if rival else None,

@@ -55,6 +55,8 @@ class Limit:
         The likest first.
     best, worst : float
         The limits over all shapes that a search tries.
+    scatter : (float, float)
+        The least and the largest limit over several draws of the experiment.
     """
 
     effect: str
@@ -68,6 +70,7 @@ class Limit:
     rivals: tuple[Rival, ...]
     best: float
     worst: float
+    scatter: tuple[float, float]
 
     @property
     def alike(self) -> tuple[str, ...]:
@@ -173,6 +176,7 @@ class Signatures:
             rivals=rivals,
             best=min(seen, default=math.inf),
             worst=max(seen, default=math.inf),
+            scatter=(limit, limit),
         )
 
     def _rivals(self, trial: int, strength: int, others: Sequence[int]) -> tuple[Rival, ...]:
