@@ -188,7 +188,13 @@ def _known_effects(folders: Sequence[Path] | None) -> None:
 def plan(
     scene: Annotated[Path, typer.Argument(metavar="SCENE", help="The experiment: a scene's file.")],
     output: Annotated[Path, typer.Option("-o", "--output", metavar="REPORT", help="Folder to write.")],
-    effects: Annotated[str, typer.Option(metavar="NAMES", help="Separated by commas; default: all.")] = "",
+    effects: Annotated[
+        list[str] | None,
+        typer.Option(metavar="NAMES", help="Separated by commas, default: all; or a folder with effects of your own."),
+    ] = None,
+    model: Annotated[
+        Path | None, typer.Option(metavar="MODEL.yaml", help="The physics, in place of the scene's.")
+    ] = None,
     clips: Annotated[int, typer.Option(metavar="N", help="Collisions to record.")] = 30,
     noise: Annotated[
         float | None, typer.Option(metavar="PX", help="Error of a position; default: what camera and lamp allow.")
@@ -210,10 +216,11 @@ def plan(
     from synthcam.scene.scene import read_scene
 
     started = time.monotonic()
-    given, wanted = read_scene(scene, tuple(changes or ())), _wanted(limit or [])
-    names = [name.strip() for name in effects.split(",") if name.strip()] or None
+    _known_effects([Path(text) for text in effects or () if Path(text).is_dir()])
+    names = [n.strip() for text in effects or () if not Path(text).is_dir() for n in text.split(",") if n.strip()]
+    given, wanted = read_scene(scene, tuple(changes or ()), model), _wanted(limit or [])
     with aside(output, PLAN) as folder, progress_bar("experiments") as progress:
-        found = planned(given, names, clips, noise, wanted, seed, progress=progress)
+        found = planned(given, names or None, clips, noise, wanted, seed, progress=progress)
         plan_page.write(found.outcome, folder)
     if as_json:
         print(json.dumps(found.document() | {"seconds": round(time.monotonic() - started, 2)}))

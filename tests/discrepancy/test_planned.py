@@ -153,3 +153,18 @@ def test_without_changes_limits_are_the_same(planned, monkeypatch):
     )
     assert quick.changes.empty
     assert not quick.table["best_change"].any()
+
+
+def test_the_physics_may_be_a_model_file_and_effects_of_ones_own(tmp_path, monkeypatch, capsys):
+    (tmp_path / "mine.yaml").write_text(FILE + "model: {restitution: {uniform: [0.8, 0.9]}}\n")
+    (tmp_path / "model.yaml").write_text("model: {restitution: 0.7}\n")
+    assert command(tmp_path / "mine.yaml", "-o", tmp_path / "plan") == 2
+    assert "expected numbers, as by --model MODEL.yaml" in capsys.readouterr().err
+    only(monkeypatch)
+    (tmp_path / "effects").mkdir()
+    words = [tmp_path / "mine.yaml", "--model", tmp_path / "model.yaml", "--clips", "6", "-o", tmp_path / "plan"]
+    assert command(*words, "--effects", tmp_path / "effects") == 2
+    assert "effects: holds no effect" in capsys.readouterr().err
+    assert command(*words, "--effects", "velocity_restitution") == 0
+    rows = json.loads((tmp_path / "plan/plan.json").read_text())["effects"]
+    assert [row["effect"] for row in rows] == ["velocity_restitution"]

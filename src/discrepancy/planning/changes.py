@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from discrepancy.arrays import Array
-from discrepancy.data.launch import HEADING, SIZE, V0, B, X, Y
+from discrepancy.data.launch import HEADING, SIDE, SLIP, V0, B, X, Y
 from discrepancy.fitting.parameters import candidates
 from discrepancy.planning.experiment import Experiment
 from tracker.camera.camera import Camera
@@ -81,20 +81,24 @@ def _oblique(experiment: Experiment, rng: np.random.Generator) -> Changed:
 
 def _speeds(experiment: Experiment, rng: np.random.Generator) -> Changed:
     ends = np.median(experiment.launches[:, V0]) * np.array([0.3, 1.8])  # the paper's 0.1 to 0.6 m/s
-    return f"speeds from {ends[0]:.2g} to {ends[1]:.2g} m/s", _put(experiment, rng, {V0: ends})
+    speeds = _put(experiment, rng, {V0: ends}).launches[:, V0]
+    return f"speeds from {ends[0]:.2g} to {ends[1]:.2g} m/s", _at_speeds(experiment, speeds)
 
 
 def _faster(experiment: Experiment, rng: np.random.Generator) -> Changed:
-    return "balls twice as fast", _times(experiment, 2.0)
+    return "balls twice as fast", _at_speeds(experiment, 2 * experiment.launches[:, V0])
 
 
 def _slower(experiment: Experiment, rng: np.random.Generator) -> Changed:
-    return "balls half as fast", _times(experiment, 0.5)
+    return "balls half as fast", _at_speeds(experiment, experiment.launches[:, V0] / 2)
 
 
-def _times(experiment: Experiment, factor: float) -> Experiment:
-    column = np.where(np.arange(SIZE) == V0, factor, 1.0)
-    return dataclasses.replace(experiment, launches=experiment.launches * column)
+def _at_speeds(experiment: Experiment, speeds: Array) -> Experiment:
+    """With strikers of these speeds (clips,), m/s; slips and spins, where they have any, in proportion."""
+    launches = experiment.launches.copy()
+    launches[:, V0] = speeds
+    launches[:, SLIP.start : SIDE + 1] *= (speeds / experiment.launches[:, V0])[:, None]
+    return dataclasses.replace(experiment, launches=launches)
 
 
 def _headings(experiment: Experiment, rng: np.random.Generator) -> Changed:

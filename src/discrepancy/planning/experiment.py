@@ -37,7 +37,7 @@ class Experiment:
         The shared parameters that a search would fit.
     clips : tuple of Measured
         Where each ball is seen, by which errors; all of one camera.
-    launches : (clips, 6) array
+    launches : (clips, p) array
         Columns as in `discrepancy.data.launch`.
     films : tuple of range
         The frames of each clip's film, whether a ball is in view or not.

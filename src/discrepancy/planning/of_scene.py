@@ -11,9 +11,11 @@ from commandline.errors import InputError
 from discrepancy import policy
 from discrepancy.arrays import Array
 from discrepancy.data.collisions import split
+from discrepancy.data.launch import alike
 from discrepancy.fitting.parameters import fitted
 from discrepancy.planning.experiment import Experiment, unfilmed
 from discrepancy.planning.position_errors import Errors, GlintErrors, StatedErrors
+from synthcam.dynamics.launch import SPIN
 from synthcam.model import Model
 from synthcam.scene.clip import Clip
 from synthcam.scene.scene import Scene
@@ -70,12 +72,13 @@ def experiment_of(scene: Scene, count: int, noise_px: float | None = None, seed:
         raise InputError(f"noise: expected an error of positions over 0 px, found {noise_px:g}")
     clips = [_colliding(scene, number, seed) for number in range(count)]
     model, camera = _shared(scene, clips)
-    rows = [unfilmed(k, str(c.drawn["launch"]["striker"]), camera, _launch(c)) for k, c in enumerate(clips)]
+    strikers, launches = [str(c.drawn["launch"]["striker"]) for c in clips], alike([_launch(c) for c in clips])
+    rows = [unfilmed(k, striker, camera, launches[k]) for k, striker in enumerate(strikers)]
     whole = Experiment(
         model,
         fitted(model),
         tuple(rows),
-        np.array([r.launch for r in rows]),
+        np.array(launches),
         tuple(range(c.frames) for c in clips),
         _errors(clips[0], noise_px, scene.where),
     )
@@ -111,7 +114,7 @@ def _shared(scene: Scene, clips: list[Clip]) -> tuple[Model, Camera]:
         if clip.model != first.model:
             raise InputError(
                 f"{scene.where}: ball, model or effects are drawn anew for each clip; a search fits one model to all: "
-                "expected numbers, as by --set model.restitution=0.9"
+                "expected numbers, as by --model MODEL.yaml"
             )
         if key := first_difference(Camera.from_dict(clip.camera_json, scene.where), camera):
             raise InputError(f"{scene.where}: the camera's {key} is drawn anew for each clip; expected one camera")
@@ -125,7 +128,8 @@ def _launch(clip: Clip) -> Array:
     share = radius[0] / radius.sum()  # of the way between the centres, from the target
     drawn = clip.drawn["launch"]
     place = target + share * (striker - target)
-    return np.array([*place, clip.launch.time, drawn["v0"], drawn["heading"], drawn["b"]])
+    spin = [drawn[name] for name in SPIN]
+    return np.array([*place, clip.launch.time, drawn["v0"], drawn["heading"], drawn["b"], *spin])
 
 
 def _errors(clip: Clip, noise_px: float | None, where: str) -> Errors:

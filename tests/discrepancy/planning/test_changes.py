@@ -68,3 +68,11 @@ def test_speeds_change_as_the_words_say():
     before = dict(zip((c.clip for c in small().clips), small().launches[:, V0], strict=True))
     speeds = [before[c.clip] for c in changed.clips]
     assert changed.launches[:, V0] == pytest.approx(2 * np.array(speeds))
+
+
+def test_strikers_that_spin_keep_their_share_of_it():
+    spinning = experiment_of(scene(launch={"slip_along": 0.05, "side": 0.1}), 8).fitted
+    assert spinning.launches.shape[1] == 9
+    assert len(made("speeds", spinning).clips) >= 4
+    faster = made("faster", spinning)
+    assert faster.launches[:, 6:] == pytest.approx(np.tile([0.1, 0.0, 0.2], (len(faster.clips), 1)))
