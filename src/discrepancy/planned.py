@@ -141,7 +141,7 @@ def plan(
     seed : int
         Of everything drawn.
     changes : bool
-        Whether to try changes of the experiment, which takes ten times as long.
+        Whether to try changes of the experiment, which takes most of the time.
     progress : callable
         Takes experiments worked out and their number.
 

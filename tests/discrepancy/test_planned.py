@@ -24,7 +24,7 @@ FLAGS = ["--clips", "8", "--effects", "rolling_quadratic", "--limit", "rolling_q
 def planned():
     with pytest.MonkeyPatch.context() as patch:
         only(patch)
-        return discrepancy.plan(scene(), clips=8, limits={"rolling_quadratic.K": 0.02})
+        return discrepancy.plan(scene(), clips=8, limits={"rolling_quadratic.K": 0.01})
 
 
 def command(*words):
@@ -55,7 +55,7 @@ def test_the_number_of_collisions_brings_the_limit_down_to_what_is_wanted(planne
     only(monkeypatch)
     (wanted,) = planned.wanted
     there = discrepancy.plan(scene(), ["rolling_quadratic"], wanted.clips, changes=False).table
-    assert there["limit"][0] == pytest.approx(0.02, rel=0.1)
+    assert there["limit"][0] == pytest.approx(0.01, rel=0.05)
 
 
 def test_the_sentence_and_the_repr_are_short(planned):
