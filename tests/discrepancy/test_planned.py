@@ -7,8 +7,8 @@ import sys
 
 import numpy as np
 import pytest
-from discrepancy_clips import EFFECTS, only
-from discrepancy_plans import scene
+from discrepancy_clips import EFFECTS
+from discrepancy_plans import few, scene
 
 import discrepancy
 from discrepancy import cli
@@ -23,7 +23,7 @@ FLAGS = ["--clips", "8", "--effects", "rolling_quadratic", "--limit", "rolling_q
 @pytest.fixture(scope="module")
 def planned():
     with pytest.MonkeyPatch.context() as patch:
-        only(patch)
+        few(patch)
         return discrepancy.plan(scene(), clips=8, limits={"rolling_quadratic.K": 0.01})
 
 
@@ -52,7 +52,7 @@ def test_every_change_is_ranked(planned):
 
 
 def test_the_number_of_collisions_brings_the_limit_down_to_what_is_wanted(planned, monkeypatch):
-    only(monkeypatch)
+    few(monkeypatch)
     (wanted,) = planned.wanted
     there = discrepancy.plan(scene(), ["rolling_quadratic"], wanted.clips, changes=False).table
     assert there["limit"][0] == pytest.approx(0.01, rel=0.05)
@@ -86,7 +86,7 @@ def test_a_report_replaces_a_plan_and_nothing_else(planned, tmp_path):
 
 
 def test_the_command_writes_what_python_gives(tmp_path, monkeypatch, capsys):
-    only(monkeypatch)
+    few(monkeypatch)
     path = tmp_path / "mine.yaml"
     path.write_text(FILE)
     assert command(path, *FLAGS, "-o", tmp_path / "plan", "--json") == 0
@@ -139,14 +139,14 @@ def test_effects_are_a_list(effects):
 
 
 def test_a_scene_by_its_name_is_its_file(monkeypatch):
-    only(monkeypatch)
+    few(monkeypatch)
     given = "oblique", Scene.read("scenes/oblique.yaml")
     one, two = (discrepancy.plan(s, ["rolling_quadratic"], 6, 0.05, changes=False) for s in given)
     assert one.document() == two.document()
 
 
 def test_without_changes_limits_are_the_same(planned, monkeypatch):
-    only(monkeypatch)
+    few(monkeypatch)
     quick = discrepancy.plan(scene(), clips=8, changes=False)
     assert quick.table[["strength", "limit", "naming_limit"]].equals(
         planned.table[["strength", "limit", "naming_limit"]]
@@ -160,7 +160,7 @@ def test_the_physics_may_be_a_model_file_and_effects_of_ones_own(tmp_path, monke
     (tmp_path / "model.yaml").write_text("model: {restitution: 0.7}\n")
     assert command(tmp_path / "mine.yaml", "-o", tmp_path / "plan") == 2
     assert "expected numbers, as by --model MODEL.yaml" in capsys.readouterr().err
-    only(monkeypatch)
+    few(monkeypatch)
     (tmp_path / "effects").mkdir()
     words = [tmp_path / "mine.yaml", "--model", tmp_path / "model.yaml", "--clips", "6", "-o", tmp_path / "plan"]
     assert command(*words, "--effects", tmp_path / "effects") == 2

@@ -2,8 +2,11 @@
 
 from functools import cache
 
+from discrepancy_clips import only
+
 from discrepancy.planning.of_scene import experiment_of
-from synthcam.scene.scene import Scene
+from synthcam.model import model_file
+from synthcam.scene.scene import Scene, scene_file
 
 SMALL = {"timing": {"frames": 60, "contact_frame": 20.0}}
 
@@ -16,3 +19,9 @@ def scene(name="oblique", **sections):
 def small(noise_px=None):
     """Eight collisions, of which six are fitted."""
     return experiment_of(scene(), 8, noise_px).fitted
+
+
+def few(patch):
+    """A library of two effects; what scenes and models may hold is kept, and must first be made of the whole one."""
+    scene_file(), model_file()
+    only(patch)
