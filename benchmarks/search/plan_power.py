@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import argparse
 import os
+import sys
 import time
 from pathlib import Path
 from typing import Any
@@ -129,6 +130,7 @@ def main() -> None:
     worst = max(abs(r["ratio"] - 1) for r in done)
     good = "ok  " if worst <= AGREE else "MISS"
     print(f"{good} limits within {100 * worst:.0f} % (at most {100 * AGREE:.0f} %); {time.monotonic() - began:.0f} s")
+    sys.exit(0 if worst <= AGREE else 1)
 
 
 if __name__ == "__main__":
