@@ -189,7 +189,7 @@ def plan(
         wanted.append(clips_for(strength, size, _row(found, strength), clips, limit_at, MOST_DRAWN))
     progress(total, total)
     pairs = _pairs(found, before, after, chosen, designed)
-    return Plan(Planned(given.name, designed, rows, pairs, after, tuple(gains), tuple(wanted)))
+    return Plan(Planned(given.name, designed, rows, pairs, before, after, tuple(gains), tuple(wanted)))
 
 
 def _typical(

@@ -44,6 +44,15 @@ def test_a_row_for_each_strength_the_clearest_first(planned):
     assert (table["naming_then"].dropna() < table["naming_limit"][table["naming_then"].notna()]).all()
 
 
+def test_what_a_change_does_to_a_large_experiment_is_scaled_from_some_of_it(planned, monkeypatch):
+    """Changes are tried on 24 collisions at most, here of 120 fitted, and must gain as they do of six."""
+    few(monkeypatch)
+    table = discrepancy.plan(scene(), clips=160).table
+    assert (table["naming_then"] < table["naming_limit"]).all()
+    ratio, before = (t["naming_then"] / t["naming_limit"] for t in (table, planned.table))
+    assert ratio.to_numpy() == pytest.approx(before.to_numpy(), rel=0.4)
+
+
 def test_every_change_is_ranked(planned):
     possible = {c.name for c in CHANGES} - {"tilted"}  # which that library does not know
     assert set(planned.changes["name"]) == possible | {"together"}

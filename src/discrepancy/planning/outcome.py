@@ -26,6 +26,15 @@ class AlikePair:
 
 
 @dataclass(frozen=True)
+class Better:
+    """A change, in words, and a strength's limits with it."""
+
+    words: str
+    limit: float
+    naming_limit: float
+
+
+@dataclass(frozen=True)
 class Planned:
     """What an experiment could show.
 
@@ -39,8 +48,10 @@ class Planned:
         Of the effects asked for.
     pairs : tuple of AlikePair
         That could not be told apart.
+    before : tuple of Limit
+        Of all effects, for the collisions that changes were tried on.
     tried : tuple of Tried
-        Changes of the experiment, with the limits of all effects.
+        Changes of these, with the limits of all effects.
     gains : tuple of Gain
         What each change would gain, the best first.
     wanted : tuple of Wanted
@@ -50,6 +61,7 @@ class Planned:
     designed: Designed
     limits: tuple[Limit, ...]
     pairs: tuple[AlikePair, ...]
+    before: tuple[Limit, ...]
     tried: tuple[Tried, ...]
     gains: tuple[Gain, ...]
     wanted: tuple[Wanted, ...]
@@ -64,11 +76,16 @@ class Planned:
         """The others."""
         return tuple(x for x in self.limits if not x.shows)
 
-    def best_change(self, limit: Limit) -> tuple[str, Limit] | None:
-        """The change, in words, that lowers a strength's naming limit most, and its limits then."""
+    def best_change(self, limit: Limit) -> Better | None:
+        """The change that lowers a strength's naming limit most."""
+        now = next((x for x in self.before if x.strength == limit.strength), None)
         then = ((t.words, x) for t in self.tried for x in t.limits if x.strength == limit.strength and x.shows)
         best = min(then, key=lambda pair: pair[1].naming_limit, default=None)
-        return best if best and best[1].naming_limit < limit.naming_limit / USEFUL else None
+        if now is None or best is None or not math.isfinite(now.naming_limit):
+            return None
+        words, x = best
+        falls = now.naming_limit / x.naming_limit
+        return Better(words, limit.limit * x.limit / now.limit, limit.naming_limit / falls) if falls > USEFUL else None
 
     def rows(self) -> list[dict[str, Any]]:
         """A row for each strength, as of `discrepancy.Plan.table`."""
@@ -90,9 +107,9 @@ class Planned:
             "rival": rival.effect if rival else None,
             "cosine": rival.cosine if rival else math.nan,
             "alike": list(x.alike),
-            "best_change": best[0] if best else None,
-            "limit_then": best[1].limit if best else math.nan,
-            "naming_then": best[1].naming_limit if best else math.nan,
+            "best_change": best.words if best else None,
+            "limit_then": best.limit if best else math.nan,
+            "naming_then": best.naming_limit if best else math.nan,
         }
 
     @property
