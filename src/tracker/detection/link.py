@@ -80,6 +80,7 @@ class _Ball:
     moving: bool = False  # whether a velocity is known
     ahead: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
     bounced: bool = False
+    sure: bool = False  # off a ball that, like this one, was followed before
     struck: tuple[int, float, float, float, float] | None = None  # frame, place, velocity after a hit not seen since
 
 
@@ -215,7 +216,7 @@ def _follow(glints: Glints, camera: Camera, diameter: float, seen_whole: bool) -
             _extend(ball, row, k, x[row], y[row])
         taken, seen = {row for _, row in pairs}, {id(ball) for ball, _ in pairs}
         for ball in live:
-            if ball.bounced and id(ball) not in seen and ball.struck is None:
+            if ball.bounced and ball.sure and id(ball) not in seen and ball.struck is None:
                 ball.struck = (k, *ball.ahead)
         live += [_Ball([row], k, x[row], y[row]) for row in found if row not in taken]
     return done + live
@@ -257,6 +258,7 @@ def _bounce(one: _Ball, two: _Ball, frame: int, diameter: float) -> None:
     x, y, vx, vy = two.ahead
     two.ahead = (x - push * nx * left, y - push * ny * left, vx - push * nx, vy - push * ny)
     one.bounced = two.bounced = True
+    one.sure = two.sure = min(len(one.rows), len(two.rows)) >= SHORT
 
 
 def _match(
