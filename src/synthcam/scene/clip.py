@@ -247,8 +247,11 @@ def _launch(model: Model, launch: dict[str, Any], time: float) -> Launch:
     heading, v0, position = launch["heading"], launch["v0"], launch["contact"]
     if position == "upstream":
         position = -UPSTREAM * v0 * np.array([np.cos(heading), np.sin(heading)])
-    bodies = model.bodies(_labels(launch))
+    bodies, spin = model.bodies(_labels(launch)), [launch[name] for name in SPIN]
     if launch["kind"] == "single":
+        if any(spin):
+            raise InputError(
+                f"launch.{SPIN[int(np.flatnonzero(spin)[0])]}: of a pair's striker; expected 0 of a single ball"
+            )
         return Launch.single(bodies, time, v0, heading, position)
-    spin = [launch[name] for name in SPIN]
     return Launch.pair(bodies, time, v0, launch["b"], heading, position, spin)

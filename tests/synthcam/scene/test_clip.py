@@ -8,6 +8,7 @@ import pytest
 import tifffile
 
 import synthcam
+from commandline.errors import InputError
 from synthcam.dataset.generate import Plan, run
 from synthcam.scene.scene import Scene
 
@@ -75,3 +76,12 @@ def test_its_repr_says_what_was_drawn(scene):
     assert repr(clip).startswith(f"Clip 1 of oblique: 2 balls, v0 {clip.truth['v0']:.3g} m/s, b {clip.truth['b']:.3g};")
     assert repr(clip).endswith("30 frames of 160 x 120 px at 250 a second")
     assert repr(synthcam.Scene.read("single_roller").draw()).startswith("Clip 0 of single-roller: 1 ball, v0")
+
+
+def test_the_striker_comes_as_the_scene_says():
+    """Its lowest point slips along and across the heading, and it spins: in truth, by the axes of the world."""
+    launch = {"heading": np.pi / 2, "v0": 0.3, "slip_along": 0.1, "slip_across": -0.05, "side": 0.2}
+    truth = Scene.read("oblique", launch=launch).draw(seed=1).truth
+    assert [truth[k] for k in ("u2ix", "u2iy", "side2i")] == pytest.approx([0.05, 0.1, 0.2])
+    with pytest.raises(InputError, match=r"launch.side: of a pair's striker; expected 0"):
+        Scene.read("oblique", launch={"kind": "single", "side": 0.2}).draw(seed=1)
