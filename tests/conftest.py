@@ -5,10 +5,13 @@ With `--dist loadfile` the tests of a file run in one process, and so do those o
 
 import os
 import re
+import sys
 from pathlib import Path
 
 import pytest
 from hypothesis import settings
+
+import synthcam.library as effects_module
 
 SHARED = re.compile(r"^from discrepancy_\w+ import .*\b(searched|outsider)\b", re.MULTILINE)
 
@@ -32,3 +35,17 @@ def pytest_xdist_make_scheduler(config, log):
             return "searches" if path in searches else path
 
     return Sharing(config, log)
+
+
+@pytest.fixture
+def own(tmp_path, monkeypatch):
+    """A folder for effects; what a test adds of it is forgotten afterwards."""
+    monkeypatch.setattr(effects_module, "_folders", {})
+    for forget in effects_module._forget:
+        forget()
+    yield tmp_path
+    monkeypatch.undo()
+    for forget in effects_module._forget:
+        forget()
+    for name in [n for n in sys.modules if n.startswith(effects_module.PREFIX)]:
+        del sys.modules[name]

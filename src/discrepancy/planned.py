@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -167,29 +168,38 @@ def plan(
     designed = experiment_of(given, clips, noise, seed)
     known = [c.name for c in candidates(designed.fitted.model, designed.fitted.names)]
     chosen, wished = _chosen(effects, known), _wished(limits or {}, known)
-    total, done = draws_of(clips) + changes * (len(CHANGES) + 2) + 2 * len(wished), 0
-
-    def tick() -> None:
-        nonlocal done
-        done += 1
-        progress(done, total)
-
+    tick = _Ticks(progress, draws_of(clips) + changes * (len(CHANGES) + 2) + 2 * len(wished))
     found = _typical(given, clips, noise, seed, tick)
     rows = tuple(x for x in found if x.effect in chosen)
     before, after = changed(designed.fitted, tick) if changes else (found, ())
     gains = sorted((gain(before, t, chosen) for t in after), key=lambda g: -g.naming)
-    wanted = []
-    for strength, size in wished.items():
 
-        def limit_at(count: int, strength: str = strength) -> float:
-            there = _typical(given, count, noise, seed, only=[strength.partition(".")[0]])
-            tick()
-            return _row(there, strength).limit
+    def limit_at(strength: str, count: int) -> float:
+        there = _typical(given, count, noise, seed, only=[strength.partition(".")[0]])
+        tick()
+        return _row(there, strength).limit
 
-        wanted.append(clips_for(strength, size, _row(found, strength), clips, limit_at, MOST_DRAWN))
-    progress(total, total)
+    wanted = [
+        clips_for(one, size, _row(found, one), clips, partial(limit_at, one), MOST_DRAWN)
+        for one, size in wished.items()
+    ]
+    tick.end()
     pairs = _pairs(found, before, after, chosen, designed)
     return Plan(Planned(given.name, designed, rows, pairs, before, after, tuple(gains), tuple(wanted)))
+
+
+class _Ticks:
+    """Counts the experiments worked out."""
+
+    def __init__(self, progress: Progress, total: int) -> None:
+        self.progress, self.total, self.done = progress, total, 0
+
+    def __call__(self) -> None:
+        self.done += 1
+        self.progress(self.done, self.total)
+
+    def end(self) -> None:
+        self.progress(self.total, self.total)
 
 
 def _typical(

@@ -7,6 +7,7 @@ import sys
 import numpy as np
 import pytest
 import yaml
+from sticky_effect import STICKY
 
 import synthcam.effects
 from commandline.errors import InputError
@@ -152,25 +153,6 @@ def test_no_two_effects_say_the_same():
     """A file that was copied, and its docstring left as it was."""
     said = [" ".join((kind.__doc__ or "").split()) for kind in library().values()]
     assert len(set(said)) == len(said)
-
-
-STICKY = '''
-"""Friction that grows with speed."""
-
-from dataclasses import dataclass
-
-from synthcam.effect import Effect, parameter
-
-
-@dataclass(frozen=True)
-class StickyFingers(Effect):
-    """mu (1 + k u)."""
-
-    k: float = parameter("s/m", typical=0.05, low=0)
-
-    def friction(self, mu, slip_speed):
-        return mu * (1 + self.k * slip_speed)
-'''
 
 
 def test_a_file_dropped_into_the_folder_is_an_effect(tmp_path, monkeypatch):

@@ -5,16 +5,14 @@ import dataclasses
 import json
 import re
 import shutil
-import sys
 
 import numpy as np
 import pytest
 from discrepancy_clips import collisions
+from discrepancy_files import command
 from discrepancy_outsiders import OUTSIDERS, outsider
 
-import synthcam.library as effects_module
 from commandline.errors import InputError
-from discrepancy import cli
 from discrepancy.adopt import adopt
 from discrepancy.effect_file import ValueOf, curve_effect, formula_effect
 from discrepancy.fitting.gauss_newton import fit_model
@@ -31,18 +29,6 @@ from synthcam.scene.scene import read_scene
 
 CURVES = [n for n, k in KINDS.items() if k.axis != PLACE and k.parts == 1]
 RANGE = (0.05, 0.45)
-
-
-@pytest.fixture
-def own(tmp_path, monkeypatch):
-    """A folder for effects; what a test adds of it is forgotten afterwards."""
-    monkeypatch.setattr(effects_module, "_folders", {})
-    yield tmp_path
-    monkeypatch.undo()
-    for forget in effects_module._forget:
-        forget()
-    for name in [n for n in sys.modules if n.startswith(effects_module.PREFIX)]:
-        del sys.modules[name]
 
 
 @pytest.fixture(scope="module")
@@ -192,14 +178,6 @@ def test_the_command_writes_and_says_the_line(reports, own, capsys):
     assert "late_drop.py: exists; expected another name" in capsys.readouterr().err
     assert command("find", "none.csv", "--model", said["model"], "--effects", own / "mine", "-o", own / "x") == 2
     assert "none.csv: no such file" in capsys.readouterr().err  # so the model was read
-
-
-def command(*words):
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(sys, "argv", ["discrepancy", *map(str, words)])
-        with pytest.raises(SystemExit) as left:
-            cli.main()
-    return left.value.code
 
 
 @pytest.mark.parametrize(

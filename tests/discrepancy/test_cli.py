@@ -12,7 +12,7 @@ import sys
 import pandas as pd
 import pytest
 from discrepancy_clips import only
-from discrepancy_files import SCENE, TRUTH, record
+from discrepancy_files import SCENE, TRUTH, command, record
 from repository import ROOT
 from rich.console import Console
 
@@ -31,15 +31,6 @@ def recorded(tmp_path_factory):
 def report(recorded):
     assert command("find", recorded / "results", "--model", MODEL, "-o", recorded / "report") == 0
     return recorded / "report"
-
-
-def command(*words):
-    """Exit status, in this process."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(sys, "argv", ["discrepancy", *map(str, words)])
-        with pytest.raises(SystemExit) as left:
-            cli.main()
-    return left.value.code
 
 
 def document(report):

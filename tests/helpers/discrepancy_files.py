@@ -1,8 +1,12 @@
 """Measured collisions as files, for the tests of the search: filmed by nobody, tracked with noise of 0.01 px."""
 
+import sys
+
 import numpy as np
 import pandas as pd
+import pytest
 
+from discrepancy import cli
 from synthcam.dataset.generate import Plan, run
 from synthcam.scene.scene import read_scene
 from tracker.pipeline import measure_tables
@@ -32,3 +36,12 @@ def record(folder, scene):
     camera.write_bytes((folder / "dataset/clips/000000/camera.json").read_bytes())
     measure_tables(folder / "tracks.csv", folder / "results", camera)
     return folder
+
+
+def command(*words):
+    """Exit status of a discrepancy command, in this process."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(sys, "argv", ["discrepancy", *map(str, words)])
+        with pytest.raises(SystemExit) as left:
+            cli.main()
+    return left.value.code

@@ -4,6 +4,7 @@ import json
 import sys
 
 import pytest
+from sticky_effect import STICKY
 
 import synthcam.library as module
 from commandline.errors import InputError
@@ -13,38 +14,6 @@ from synthcam.dataset.generate import Plan, make_clip, run
 from synthcam.library import add_effects, digest, library
 from synthcam.model import Model, read_model, write_model
 from synthcam.scene.scene import check_scene, schema
-
-STICKY = '''
-"""Friction that grows with speed."""
-
-from dataclasses import dataclass
-
-from synthcam.effect import Effect, parameter
-
-
-@dataclass(frozen=True)
-class StickyFingers(Effect):
-    """mu (1 + k u)."""
-
-    k: float = parameter("s/m", typical=0.05, low=0)
-
-    def friction(self, mu, slip_speed):
-        return mu * (1 + self.k * slip_speed)
-'''
-
-
-@pytest.fixture
-def own(tmp_path, monkeypatch):
-    """A folder for effects; what a test adds of it is forgotten afterwards."""
-    monkeypatch.setattr(module, "_folders", {})
-    for forget in module._forget:
-        forget()
-    yield tmp_path
-    monkeypatch.undo()
-    for forget in module._forget:
-        forget()
-    for name in [n for n in sys.modules if n.startswith(module.PREFIX)]:
-        del sys.modules[name]
 
 
 def test_an_effect_of_a_folder_is_one_of_the_library(own):
