@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from discrepancy.fitting.similarity import similar, sized
 from synthcam.effect import Effect, Parameter
 from synthcam.library import library
 from synthcam.model import Model
@@ -158,9 +159,11 @@ def parameter_of(model: Model, name: str) -> Parameter:
     effect, dot, own = name.rpartition(".")
     if not dot:
         high = _LIMITED[name][1] if name in _LIMITED else math.inf
-        return Parameter(name, _UNITS.get(name, "1"), getattr(Model(), name), 0.0, high, fixed=False, default=0.0)
+        unit = _UNITS.get(name, "1")
+        typical = similar(getattr(Model(), name), unit, model.ball.diameter)
+        return Parameter(name, unit, typical, 0.0, high, fixed=False, default=0.0)
     kind = next((type(e) for e in model.effects if e.name() == effect), None) or library()[effect]
-    return next(p for p in kind.parameters() if p.name == own)
+    return sized(kind, own, model.ball.diameter)
 
 
 def step_of(model: Model, name: str) -> float:

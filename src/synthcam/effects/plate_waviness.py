@@ -22,7 +22,7 @@ class PlateWaviness(Effect):
 
     a: float = parameter("m", typical=2e-6, low=-5e-5, high=5e-5)
     b: float = parameter("m", typical=2e-6, low=-5e-5, high=5e-5)
-    wavelength: float = parameter("m", typical=0.02, low=0.003, high=1, fixed=True, tries=np.geomspace(0.006, 0.08, 12))
+    wavelength: float = parameter("m", typical=0.02, low=3e-3, high=10, fixed=True, tries=np.geomspace(6e-3, 8e-2, 12))
     angle: float = parameter("rad", typical=0.0, low=-4, high=4, fixed=True, tries=np.pi / 12 * np.arange(12))
 
     def push(self, acceleration: Any, position: Any, gravity: float) -> NDArray[np.float64]:
