@@ -64,10 +64,10 @@ def _where(found: Found) -> str:
 
 def _closed(found: Found) -> str:
     gap = found.shown.gap
-    if found.verdict == "none":
+    if not found.anything:
         return (
-            f"On collisions that no fit has seen it leaves {gap.before_um:.2f} um rms, where noise alone leaves "
-            f"{gap.floor_um:.2f} um."
+            f"On collisions that no fit has seen the base model leaves {gap.before_um:.2f} um rms, where noise alone "
+            f"leaves {gap.floor_um:.2f} um."
         )
     if np.isfinite(gap.closure):
         closed = f"{100 * gap.closure:.1f} % of the gap in chi^2 is closed"

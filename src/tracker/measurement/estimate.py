@@ -54,7 +54,7 @@ CONFIRMED = 1e-3  # p-value from which on whole fits confirm that errors are sma
 FAR_CONTACT = 1.5  # diameters within which balls that change course are thought to have hit each other
 
 
-@np.errstate(over="ignore", invalid="ignore")  # a fit of what is no collision may lead anywhere; its row says so
+@np.errstate(over="ignore", invalid="ignore", divide="ignore")  # a fit of what is no collision may lead anywhere
 def measure(tracks: Tracks, camera: Camera) -> list[dict[str, Any]]:
     """One row per collision of a clip, in the columns of estimates.parquet without `clip`; never empty.
 

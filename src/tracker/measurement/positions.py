@@ -20,9 +20,11 @@ if TYPE_CHECKING:
 Floats = NDArray[np.float64]
 UNKNOWN_PX = 0.1  # of a position, where a table gives no errors and is too short to show them
 GLINT_PX = 1.0  # width of a glint where the camera file does not have it
-# Of the variance of positions in encoded video, and px over which it lasts: an encoder shows a moving ball ahead or
-# late by much the same while it moves on. At crf 23 and 28 errors correlate by .03 to .06 after 3 to 30 frames.
-ENCODED = (0.05, 60.0)
+# Of the variance of positions in encoded video, and px over which it lasts: an encoder shows a moving ball beside its
+# place by much the same while it moves on. Likeliest for the errors of 332 stretches, px, by H.264 at crf 18, 23, 28,
+# with a gamma untold, MJPEG q 3: .02, .02, .05, .08, .03 at 120 to 1000, of which 250 is worse by 5 at most in the
+# logarithm of the likelihood. A film does not show its own: the motion takes up what lasts.
+ENCODED = (0.1, 250.0)
 
 
 @dataclass(frozen=True, eq=False)

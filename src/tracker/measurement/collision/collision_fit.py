@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from tracker.measurement.collision.adequacy import LEVEL, agreement, p_value, questioned
 from tracker.measurement.collision.collision_model import AFTER, FREE, SPIN, TARGET, TIED, release
-from tracker.measurement.collision.contacts import Encounter, first_guess
+from tracker.measurement.collision.contacts import Encounter, first_guesses
 from tracker.measurement.collision.derived import NAMES, Values, of_free, of_tied
 from tracker.measurement.collision.fitting import COARSE, Fit, Pair, fit_motion
 from tracker.measurement.collision.noise_correlation import lasting
@@ -76,11 +76,15 @@ class Reading:
 
 def interpret(meeting: Encounter) -> Reading | str:
     """Tied and free fit of one collision; or the reason why there is none."""
-    guess = first_guess(meeting)
-    if guess is None:
+    guesses = first_guesses(meeting)
+    if not guesses:
         return "the approach does not lead to the other ball"
+    guess, *others = guesses
     read = _read(meeting, [guess])
-    if isinstance(read, Reading) and read.accepted[0]:
+    if not _accepted(read):  # it may have gone astray
+        again = _read(meeting, [*others, guess])
+        read = min(read, again, key=_poor)
+    if _accepted(read):
         return read
     least = np.inf if isinstance(read, str) else WORTH_A_SPIN * read.tied.chi2 / read.tied.dof
     for other in strikers(meeting, guess if isinstance(read, str) else read.tied.parameters):
@@ -96,6 +100,14 @@ def interpret(meeting: Encounter) -> Reading | str:
         if per < least:
             read, least = replace(found, flags=other.flags), WORTH_A_SPIN * per
     return read
+
+
+def _accepted(read: Reading | str) -> bool:
+    return isinstance(read, Reading) and read.accepted[0]
+
+
+def _poor(read: Reading | str) -> float:
+    return np.inf if isinstance(read, str) else read.tied.chi2 / read.tied.dof
 
 
 def _read(meeting: Encounter, starts: list[Floats]) -> Reading | str:

@@ -9,7 +9,7 @@ from itertools import combinations, product
 import numpy as np
 from numpy.typing import NDArray
 
-from tracker.measurement.collision.collision_model import AFTER, SPIN, directions, release
+from tracker.measurement.collision.collision_model import AFTER, SPIN, TIED, directions, release
 from tracker.measurement.collision.fitting import Pair
 from tracker.measurement.positions import Course
 
@@ -232,12 +232,12 @@ def _thinned(course: Course, frame: int) -> Course:
     return course.where(keep)
 
 
-def first_guess(meeting: Encounter) -> Floats | None:
-    """Tied parameters (16,) to start from; None where the approach leads past the other ball.
+def first_guesses(meeting: Encounter) -> list[Floats]:
+    """Tied parameters (16,) to start from, the likeliest first; none where the approach leads past the other ball.
 
     The launch comes from the approach alone: straight lines, and the time at which the balls are one diameter
-    apart. What the impact did comes from a coarse grid over all that is physical. Where frames about the contact
-    are missing, it may have been a frame earlier or later than it seems.
+    apart. What the impact did comes from a coarse grid over all that is physical, the best for each friction. Where
+    frames about the contact are missing, it may have been a frame earlier or later than it seems.
     """
     near = np.arange(meeting.frame - 2, meeting.frame + 3)
     whole = all(np.isin(near, course.frame).all() for _, course in meeting.pair.balls)
@@ -247,9 +247,11 @@ def first_guess(meeting: Encounter) -> Floats | None:
         if launch is not None:
             starts += [[*launch[:8], r, np.log(mu), c, *ROLLS, *launch[8:]] for r, mu, c in product(*GRID)]
     if not starts:
-        return None
+        return []
     guesses = np.array(starts)
-    return np.asarray(guesses[int(np.argmin(_misfit(meeting.pair, guesses)))])
+    ordered = guesses[np.argsort(_misfit(meeting.pair, guesses), kind="stable")]
+    first = np.unique(ordered[:, TIED.index("log_mu")], return_index=True)[1]
+    return list(ordered[np.sort(first)])
 
 
 def _misfit(pair: Pair, tied: Floats) -> Floats:
