@@ -1,4 +1,4 @@
-"""tracker: track, measure, export, score, compare, calibrate."""
+"""tracker: track, measure, export, score, compare, benchmark, calibrate."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ import typer
 
 from commandline.application import command_line, progress_bar, run
 from commandline.errors import InputError
+from tracker.benchmark.commands import app as benchmark_app
 from tracker.camera.camera_keys import CHANNELS
 from tracker.detection import detectors as detector_files
 
@@ -26,6 +27,7 @@ app = command_line(
     "tracker",
     "Finds rolling steel balls by their glint, follows them, and measures the collision with standard errors.",
 )
+app.add_typer(benchmark_app, name="benchmark")
 SCORE = "score.json"
 DETECTORS = ", ".join(m.name for m in pkgutil.iter_modules(detector_files.__path__)) + ", or an installed package's own"
 Results = Annotated[Path, typer.Option("-o", "--output", metavar="RESULTS", help="Folder to make.")]
@@ -305,7 +307,7 @@ def _collision(row: Mapping[Any, Any]) -> dict[str, Any]:
 
 def main() -> None:
     """Entry point: 0 done, whatever the clips' status; 2 bad input; 130 interrupted."""
-    run(app, "tracker", (InputError,), ("track", "measure", "compare"))
+    run(app, "tracker", (InputError,), ("track", "measure", "compare", "benchmark"))
 
 
 if __name__ == "__main__":

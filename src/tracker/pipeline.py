@@ -6,7 +6,7 @@ import functools
 import hashlib
 import shutil
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -57,6 +57,7 @@ def run(
     workers: int,
     progress: Progress = lambda done, of: None,
     channel: str | None = None,
+    only: Collection[int] | None = None,
 ) -> Outcome:
     """Track every clip of a source into RESULTS; go on from what an interrupted run left in RESULTS.partial.
 
@@ -76,6 +77,8 @@ def run(
         Takes clips done and clips in all.
     channel : str or None
         Of films in colour; None: what the first clip asks for.
+    only : collection of int, optional
+        The clips wanted, by number; default: all.
 
     Returns
     -------
@@ -88,6 +91,8 @@ def run(
     if name is not None:
         detector(name)
     source = open_source(path, camera)
+    if only is not None:
+        source = replace(source, clips=tuple(clip for clip in source.clips if clip[0] in only))
     output = output.resolve()
     if source.path.resolve() in output.parents:
         raise InputError(f"{output}: lies in {source.path}, expected a folder outside it")

@@ -19,7 +19,7 @@ from tracker.camera.frames import Clip, open_frames, open_source, recorded
 from tracker.camera.memory import FILM, frames_in_memory
 from tracker.detection.channel import in_its_channel
 from tracker.detection.choose import DISCS, GLINTS, choose
-from tracker.detection.detect import DEFAULT, point_of, settled, view_of
+from tracker.detection.detect import DEFAULT, Named, point_of, settled, view_of
 from tracker.detection.detect import detector as detector_named
 from tracker.detection.diagnose import FEWEST, loose_ends, why_no_disc, why_nothing
 from tracker.detection.link import Tracks, link
@@ -161,7 +161,7 @@ def track(
     film: Film,
     camera: GivenCamera | None = None,
     *,
-    detector: str | None = None,
+    detector: Named | None = None,
     channel: str | None = None,
     number: int | None = None,
 ) -> Result:
@@ -174,8 +174,8 @@ def track(
         What has a length and an index is read frame by frame.
     camera : Camera, dict, str or Path, optional
         What camera.json holds, or where it lies. Without one, what lies beside the film; else pixels are all there is.
-    detector : str, optional
-        How balls are found; default: what the film asks for.
+    detector : str or callable, optional
+        How balls are found, by name, or a class as the files of ``detectors/`` hold; default: what the film asks for.
     channel : {"grey", "red", "green", "blue"}, optional
         Of a film in colour; default: grey, unless another shows more balls.
     number : int, optional
@@ -283,7 +283,7 @@ def measure(
     return replace(result, notes=(*given.notes, *result.notes))
 
 
-def followed(clip: Clip, name: str | None = None) -> Result:
+def followed(clip: Clip, name: Named | None = None) -> Result:
     """A clip through the whole chain, by the detector ``name`` or the one that its film asks for."""
     why, other = "", ""
     if name is None:
@@ -311,15 +311,15 @@ def measured(tracks: Tracks, camera: Camera, number: int, point: str) -> Result:
     return Result(number, camera, tracks, tuple(rows), motion, notes)
 
 
-def track_clip(clip: Clip, name: str = DEFAULT) -> tuple[Tracks, Camera, str, tuple[str, ...]]:
+def track_clip(clip: Clip, name: Named = DEFAULT) -> tuple[Tracks, Camera, str, tuple[str, ...]]:
     """Tracks of one clip, its camera completed from the clip, why there is nothing, or '', and notes."""
     view = view_of(clip, name)
     glints, view = settled(clip, view, name)
     if view.takes is not None:
-        tracks = link(glints, view.camera, point_of(name), view.takes.spans)
+        tracks = link(glints, view.camera, point_of(name, clip.camera), view.takes.spans)
         why, spans = "" if len(tracks) else why_no_disc(clip.frames, view), list(view.takes.spans)
     else:
-        tracks = link(glints, view.camera, point_of(name))
+        tracks = link(glints, view.camera, point_of(name, clip.camera))
         why, spans = why_nothing(clip.frames, view, glints), [(0, len(clip.frames) - 1)]
     return tracks, view.camera, why, (*view.notes, *loose_ends(tracks, view.camera.size, spans))
 

@@ -35,6 +35,7 @@ LAYERS = {
         "recording calibration",
         "pipeline",
         "scoring",
+        "benchmark",
         "cli",
         "__main__",
     ],
@@ -103,6 +104,14 @@ LAYERS = {
         "contacts adequacy",
         "noise_correlation striker",
         "collision_fit",
+    ],
+    "tracker.benchmark": [
+        "suite",
+        "judging",
+        "report trackers",
+        "contest",
+        "submission",
+        "commands",
     ],
     "tracker.tables": [
         "content rows",

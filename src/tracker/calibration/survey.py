@@ -78,7 +78,10 @@ def _discs(clip: Clip, index: int, sized: bool) -> Seen:
     finder: Any = detector(DISCS)(view)
     lossy = clip.frames.lossy
     tracks = link(
-        searched(looked_at, finder, DISCS), view.camera, point_of(DISCS), view.takes.spans if view.takes else ()
+        searched(looked_at, finder, DISCS),
+        view.camera,
+        point_of(DISCS, view.camera),
+        view.takes.spans if view.takes else (),
     )
     contacts = [replace(c, std=math.hypot(c.std, ENCODED_PX * lossy)) for c in contact_distances(tracks)]
     return Seen(index, clip.camera, len(tracks), contacts, _outline(finder), lossy)

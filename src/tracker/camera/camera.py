@@ -68,6 +68,8 @@ class Camera:
         Standard errors of these, m/px, 1/s, m; 0 where the file does not have them.
     view_errors : ndarray of shape (n, 11)
         What each of n independent standard errors changes of K, dist, R, t; see `view_errors.moved`.
+    matte : bool
+        Whether the balls mirror no lamp: they are seen whole.
 
     References
     ----------
@@ -106,6 +108,7 @@ class Camera:
     fps_std: float = 0.0
     ball_diameter_std: float = 0.0
     view_errors: Array = field(default_factory=lambda: np.zeros((0, NUMBERS)))
+    matte: bool = False
 
     @property
     def exposed(self) -> float:
@@ -389,6 +392,8 @@ class Camera:
             out["psf"] = {"sigma_px": self.psf_sigma}
         if self.line_time:
             out["shutter"] = {"kind": "rolling", "line_time": self.line_time}
+        if self.matte:
+            out["ball"] = {"finish": "matte"}
         if self.exposure_seen is not None:
             out["exposure_seen_s"] = self.exposure_seen
         return out

@@ -102,6 +102,7 @@ class _Reader:
             metric=self._metric(),
             line_time=self._line_time(),
             view_errors=self._view_errors(),
+            matte=self._table(self.data.get("ball", {}), "ball").get("finish") == "matte",
         )
         found |= {key: self._error(key, found[key.removesuffix("_std")]) for key in STANDARD_ERRORS}
         assumed = dict.fromkeys([*self.assumed, *self._said_to_be_assumed()])

@@ -9,11 +9,12 @@ import pkgutil
 from collections.abc import Callable
 from dataclasses import fields, replace
 from importlib.metadata import entry_points
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 
 from commandline.errors import InputError, PluginError
+from tracker.camera.camera import Camera
 from tracker.camera.camera_keys import did_you_mean
 from tracker.camera.frames import Clip
 from tracker.detection import detectors as detector_files
@@ -24,6 +25,7 @@ from tracker.detection.motion_blur import CURIOUS, PLAIN, SETTLED, SURE, MotionB
 from tracker.detection.takes import takes_of
 
 GROUP = "tracker.detectors"
+Named: TypeAlias = str | Callable[[View], Detector]  # a detector, by its name or itself
 ROUNDS = 5  # of the search, until the motion blur is as long as it was taken to be
 SWINGS = 0.8  # of the last change's logarithm, one back again that is too large
 DEFAULT = "maximum_likelihood"
@@ -49,8 +51,10 @@ def _from_file(name: str) -> Callable[[View], Detector]:
     return found
 
 
-def detector(name: str) -> Callable[[View], Detector]:
-    """The detector of that name; InputError lists those there are."""
+def detector(name: Named) -> Callable[[View], Detector]:
+    """The detector of that name, or the one given; InputError lists those there are."""
+    if not isinstance(name, str):
+        return name
     if name in {module.name for module in pkgutil.iter_modules(detector_files.__path__)}:
         return _from_file(name)  # without reading every other
     known = detectors()
@@ -60,9 +64,14 @@ def detector(name: str) -> Callable[[View], Detector]:
     return known[name]
 
 
-def view_of(clip: Clip, name: str = DEFAULT) -> View:
+def name_of(name: Named) -> str:
+    """What messages and files call a detector."""
+    return name if isinstance(name, str) else str(getattr(name, "__name__", type(name).__name__))
+
+
+def view_of(clip: Clip, name: Named = DEFAULT) -> View:
     """Plate and noise of a clip, and, for a detector of glints, from them what its camera file leaves open."""
-    if point_of(name) == "centre":
+    if point_of(name, clip.camera) == "centre":
         takes = takes_of(clip.frames)
         return View(clip.camera, Ground(np.asarray(clip.frames[0]), takes.noise), clip.frames, takes)
     plate = ground(clip.frames)
@@ -71,17 +80,18 @@ def view_of(clip: Clip, name: str = DEFAULT) -> View:
     return View(completed(clip.camera, plate, clip.frames), plate, clip.frames)
 
 
-def point_of(name: str) -> str:
-    """What a detector finds: the "glint", or the "centre" of a ball's outline."""
-    return str(getattr(detector(name), "point", "glint"))
+def point_of(name: Named, camera: Camera) -> str:
+    """What a detector finds: the "glint", or the "centre" of a ball's outline; one of "either" that of matte balls."""
+    point = str(getattr(detector(name), "point", "glint"))
+    return ("centre" if camera.matte else "glint") if point == "either" else point
 
 
-def detect(clip: Clip, view: View, name: str = DEFAULT) -> Glints:
+def detect(clip: Clip, view: View, name: Named = DEFAULT) -> Glints:
     """All glints of a clip by the detector ``name``, in the order of frames."""
-    return searched(clip, detector(name)(view), name)
+    return searched(clip, detector(name)(view), name_of(name))
 
 
-def settled(clip: Clip, view: View, name: str = DEFAULT) -> tuple[Glints, View]:
+def settled(clip: Clip, view: View, name: Named = DEFAULT) -> tuple[Glints, View]:
     """Find all glints of a clip, and the exposure that their motion blur shows where that is not the camera file's.
 
     That is so where they differ by more than SURE of its errors and by PLAIN. Else, or where the rounds do not
@@ -91,8 +101,8 @@ def settled(clip: Clip, view: View, name: str = DEFAULT) -> tuple[Glints, View]:
     ----------
     clip : Clip
     view : View
-    name : str
-        Of the detector.
+    name : str or callable
+        The detector.
 
     Returns
     -------
@@ -101,7 +111,7 @@ def settled(clip: Clip, view: View, name: str = DEFAULT) -> tuple[Glints, View]:
     view : View
     """
     finder: Any = detector(name)(view)
-    first = searched(clip, finder, name)
+    first = searched(clip, finder, name_of(name))
     if hasattr(finder, "notes"):
         view = replace(view, notes=tuple(finder.notes()))
     blur = getattr(finder, "motion_blur", None)
@@ -115,7 +125,7 @@ def settled(clip: Clip, view: View, name: str = DEFAULT) -> tuple[Glints, View]:
         seen = min(current.camera.exposed * length, 1.0 / current.camera.fps)
         current = replace(current, camera=replace(current.camera, exposure_seen=seen))
         finder, previous = detector(name)(current), length
-        glints = searched(clip, finder, name)
+        glints = searched(clip, finder, name_of(name))
         length, error, _ = finder.motion_blur.length()
         if abs(length - 1.0) < SETTLED:
             change = abs(1.0 - view.camera.exposure / seen)

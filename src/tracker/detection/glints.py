@@ -70,6 +70,15 @@ class Glints:
         )  # fmt: skip
 
     @staticmethod
+    def at(x: Any, y: Any, std: Any, flux: Any = 1.0, full: Any = False) -> Glints:
+        """Glints at places (n,), px, with standard errors in x and y alike; full: whether a pixel is clipped."""
+        n = np.size(x)
+        place = [np.array(np.broadcast_to(np.asarray(v, np.float64), (n,))) for v in (x, y, std, flux)]
+        cov = np.square(place[2])[:, None, None] * np.eye(2)
+        flags = np.array(np.broadcast_to(np.where(full, CLIPPED, 0), (n,)), np.int64)
+        return Glints(np.zeros(n, np.int64), place[0], place[1], cov, place[3], np.zeros(n), flags)
+
+    @staticmethod
     def join(parts: Iterable[Glints]) -> Glints:
         """All the parts' glints, in their order."""
         kept = list(parts) or [Glints.none()]

@@ -96,15 +96,15 @@ def score(
         matched = match(truth, found, GATE_PX, camera.diameter_px)
         cov = bounds(matched, camera)
         clips.append((matched, cov))
-        dots.append(_dots(matched))
+        dots.append(dots_of(matched))
         rows.append({"clip": clip} | _clip_bounds(matched, cov, scalars, clip, camera))
-    table = _joined(scalars, estimates, pd.DataFrame(rows))
+    table = joined(scalars, estimates, pd.DataFrame(rows))
     return Score(
         suite="+".join(sorted(scalars["scene"].astype(str).unique())) if "scene" in scalars else "",
         detector=detector,
         localisation=localisation(clips),
         tracking=tracking_scores(dots),
-        quantities=quantity_scores(_held_to(table)),
+        quantities=quantity_scores(held_to(table)),
         statuses={"n": len(scalars)} | {str(k): int(v) for k, v in table["status"].value_counts().items()},
         ms_per_frame=ms_per_frame,
         table=table,
@@ -143,7 +143,7 @@ def _clips(
         yield clip, truth, found, Camera.read(known)
 
 
-def _dots(matched: Matched) -> tuple[Dots, Dots]:
+def dots_of(matched: Matched) -> tuple[Dots, Dots]:
     """Tracks for the tracking measures: balls whole in view, and the detections that count."""
     truth = matched.truth[matched.truth["visible"].to_numpy(bool)]
     found = matched.found[matched.counted]
@@ -162,7 +162,7 @@ def _clip_bounds(matched: Matched, cov: Floats, scalars: pd.DataFrame, clip: int
     return {} if tied is None else quantity_bounds(matched, cov, tied, camera)
 
 
-def _joined(scalars: pd.DataFrame, estimates: pd.DataFrame, limits: pd.DataFrame) -> pd.DataFrame:
+def joined(scalars: pd.DataFrame, estimates: pd.DataFrame, limits: pd.DataFrame) -> pd.DataFrame:
     """One row a clip: its first measured collision, the truth beside it, the bounds beside that."""
     bad = ~estimates["status"].isin(MEASURED)
     order = estimates.assign(_bad=bad).sort_values(["clip", "_bad", "collision"], kind="stable")
@@ -173,7 +173,7 @@ def _joined(scalars: pd.DataFrame, estimates: pd.DataFrame, limits: pd.DataFrame
     return table.assign(status=table["status"].fillna("no result"))
 
 
-def _held_to(table: pd.DataFrame) -> pd.DataFrame:
+def held_to(table: pd.DataFrame) -> pd.DataFrame:
     """The rows' claims that a truth can be held against.
 
     Without a collision only the rolling loss; of a misfit nothing of the tied fit, which claims nothing.

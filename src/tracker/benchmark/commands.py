@@ -1,0 +1,127 @@
+"""tracker benchmark: make, run, submit."""
+
+from __future__ import annotations
+
+import json
+import shlex
+import sys
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from commandline.application import progress_bar
+
+app = typer.Typer(
+    help="One benchmark for every tracker: make its films, run trackers on them, submit results.",
+    no_args_is_help=True,
+    rich_markup_mode=None,
+)
+Json = Annotated[bool, typer.Option("--json", help="Print a machine-readable summary.")]
+Size = Annotated[str, typer.Option(help="full (20 minutes on two cores with the peers) or small (a minute).")]
+Own = Annotated[Path | None, typer.Option("--definition", metavar="YAML", help="A suite of your own.")]
+Report = Annotated[Path, typer.Option("-o", "--output", metavar="REPORT", help="Folder to make, or to add to.")]
+Truth = Annotated[Path | None, typer.Option(metavar="TRUTH", help="Where a withheld truth lies.")]
+
+
+@app.command()
+def make(
+    output: Annotated[Path, typer.Option("-o", "--output", metavar="SUITE", help="Folder to make.")],
+    size: Size = "full",
+    definition: Own = None,
+    withhold_truth: Annotated[
+        Path | None,
+        typer.Option(metavar="TRUTH", help="Another folder for the truth; the seed is drawn."),
+    ] = None,
+    seed: Annotated[int | None, typer.Option(min=0, help="Of everything drawn, in place of the suite's own.")] = None,
+    as_json: Json = False,
+) -> None:
+    """Make the films of the suite, the truth apart from them, and the card.
+
+    Example: tracker benchmark make -o out/suite
+    """
+    from tracker.benchmark.suite.definition import read_definition
+    from tracker.benchmark.suite.make import make as make_suite
+
+    with progress_bar("steps") as progress:
+        suite = make_suite(output, read_definition(definition, size), withhold_truth, seed, progress=progress)
+    said = {"suite": str(output), "truth": str(suite.truth), **suite.about}
+    print(
+        json.dumps(said) if as_json else f"{output}: version {said['version']}, {len(suite.parts)} parts; {suite.truth}"
+    )
+
+
+@app.command()
+def run(
+    output: Report,
+    suite: Annotated[Path | None, typer.Option(metavar="SUITE", help="Default: made in REPORT/suite.")] = None,
+    trackers: Annotated[str, typer.Option(help="Names with commas between; default: ours and the peers.")] = "",
+    size: Size = "full",
+    truth: Truth = None,
+    as_json: Json = False,
+) -> None:
+    """Make the suite, run trackers on it, and set them beside one another on one page.
+
+    Example: tracker benchmark run -o out/benchmark
+
+    Example: tracker benchmark run --trackers synthcam,my_detector --size small -o out/mine
+    """
+    from tracker.benchmark.contest import SUITE, contest
+    from tracker.benchmark.suite.definition import read_definition
+    from tracker.benchmark.suite.folder import open_suite, with_truth
+    from tracker.benchmark.suite.make import make as make_suite
+
+    with progress_bar("steps") as progress:
+        if suite is None:
+            made = make_suite(output / SUITE, read_definition(None, size), progress=progress)
+        else:
+            made = with_truth(open_suite(suite, truth))
+    with progress_bar("trackers") as progress:
+        entries, notes = contest(made, output, trackers, _typed(), progress)
+    _say(entries, notes, output, as_json)
+
+
+@app.command()
+def submit(
+    suite: Annotated[Path, typer.Argument(metavar="SUITE", help="The suite whose films were tracked.")],
+    tables: Annotated[Path, typer.Argument(metavar="FOLDER", help="submission.json, and a table for each film.")],
+    output: Report,
+    truth: Truth = None,
+    as_json: Json = False,
+) -> None:
+    """Score the tables of a tracker in any language, and add it to a report.
+
+    The form of FOLDER is said in SUITE/README.md and docs/benchmark.md.
+
+    Example: tracker benchmark submit out/suite my_tables -o out/benchmark
+    """
+    from tracker.benchmark.submission import submitted
+    from tracker.benchmark.suite.folder import open_suite, with_truth
+
+    with progress_bar("films") as progress:
+        entries, notes = submitted(with_truth(open_suite(suite, truth)), tables, output, _typed(), progress)
+    _say(entries, notes, output, as_json)
+
+
+def _typed() -> str:
+    """The command, as it was typed."""
+    return shlex.join(["tracker", *sys.argv[1:]])
+
+
+def _say(entries: Sequence[Mapping[str, Any]], notes: Sequence[str], output: Path, as_json: bool) -> None:
+    from tracker.benchmark.report.leaderboard import row
+
+    for note in notes:
+        print(f"tracker: {note}", file=sys.stderr)
+    rows = [row(rank, one) for rank, one in enumerate(entries, 1)]
+    if as_json:
+        print(json.dumps({"report": str(output), "notes": list(notes), "leaderboard": rows}))
+        return
+    print(f"{'':<24}{'score':>7}{'rmse/bound':>12}{'found':>8}{'false':>8}{'HOTA':>8}{'ms/frame':>10}")
+    for line in rows:
+        keys = ("score", "ratio_median", "found", "false_per_ball", "hota", "ms_per_frame")
+        texts = ["–" if line[key] is None else f"{line[key]:.3g}" for key in keys]
+        widths = (7, 12, 8, 8, 8, 10)
+        print(f"{line['name']:<24}" + "".join(f"{text:>{width}}" for text, width in zip(texts, widths, strict=True)))
+    print(output / "index.html")

@@ -1,0 +1,101 @@
+"""Trackers on a suite: run, scored, set beside each other. Each step is kept, so that the same call goes on."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from commandline.errors import InputError
+from commandline.outputs import as_input_error, check_room, held
+from tracker.benchmark.judging.entry import entry
+from tracker.benchmark.judging.tracked import InFolder
+from tracker.benchmark.report.leaderboard import ENTRIES, entries, file_name, save, write_leaderboard
+from tracker.benchmark.report.page import write_page
+from tracker.benchmark.suite.folder import Suite
+from tracker.benchmark.trackers import Entrant, about, entrants, tracked
+from tracker.parallel import in_parallel
+from tracker.results import load_json
+
+RESULTS, SUITE = "results", "suite"
+Progress = Callable[[int, int], None]
+Entries = Sequence[Mapping[str, Any]]
+
+
+def contest(
+    suite: Suite,
+    report: Path,
+    names: str = "",
+    how: str = "tracker benchmark run",
+    progress: Progress = lambda done, of: None,
+) -> tuple[list[Mapping[str, Any]], list[str]]:
+    """Run trackers on a suite, score them, and write the leaderboard and the page.
+
+    Parameters
+    ----------
+    suite : Suite
+        With its truth, which no tracker is given.
+    report : Path
+        Folder to make. Entries that are there stay.
+    names : str
+        Trackers, with commas between; default: the suite's own list.
+    how : str
+        What the page says that made it.
+    progress : callable
+        Takes steps done and steps in all.
+
+    Returns
+    -------
+    entries : list of dict
+        All of the report, the best first.
+    notes : list of str
+        Of trackers that were left out.
+
+    Raises
+    ------
+    InputError
+    """
+    chosen, notes = entrants(suite, names)
+    with in_report(report):
+        (report / RESULTS).mkdir(exist_ok=True)
+        steps, found = 2 * len(chosen), []
+        for number, one in enumerate(chosen):
+            found.append(tracked(suite, one, report / RESULTS / one.name, lambda done, of: None))
+            progress(number + 1, steps)
+        todo = [k for k, one in enumerate(chosen) if not _scored(report, suite, one.name)]
+        task = partial(_scored_entry, suite, chosen, found, report)
+        for done, scored in enumerate(in_parallel(task, todo, 0, report), 1):
+            save(report, scored)
+            progress(len(chosen) + len(chosen) - len(todo) + done, steps)
+        whole = published(suite, report, how)
+    return whole, notes
+
+
+def published(suite: Suite, report: Path, how: str) -> list[Mapping[str, Any]]:
+    """Leaderboard and page of the entries that a report has."""
+    whole = entries(report, suite.about)
+    write_leaderboard(report, whole)
+    write_page(report, whole, suite.definition, suite.about, how)
+    return whole
+
+
+@contextmanager
+def in_report(report: Path) -> Iterator[None]:
+    """The report's folder, held by one process. Raises InputError where it holds something else."""
+    mine = any((report / name).is_dir() for name in (RESULTS, ENTRIES, SUITE))
+    if report.exists() and not (report.is_dir() and (mine or not any(report.iterdir()))):
+        raise InputError(f"{report}: exists and holds something else, expected a new folder for the report")
+    check_room(report)
+    with held(report), as_input_error(report, "; the same command goes on where it stopped"):
+        yield
+
+
+def _scored(report: Path, suite: Suite, name: str) -> bool:
+    path = report / ENTRIES / file_name(name)
+    return path.is_file() and load_json(path)["suite"]["truth_sha256"] == suite.about["truth_sha256"]
+
+
+def _scored_entry(suite: Suite, chosen: list[Entrant], found: list[InFolder], report: Path, k: int) -> dict[str, Any]:
+    return entry(suite, found[k], about(chosen[k], report / RESULTS / chosen[k].name))

@@ -1,0 +1,147 @@
+"""What a tracker's defects do to the physics: each alone, put into true tracks, which are then measured.
+
+The true tracks have the noise of the bound, the same for all trackers and defects: a difference is the defect's.
+
+- locking: the error that follows the phase of the glint within the pixel, as it was seen in this tracker's own tracks
+- glint: the share of the way from centre to glint by which its own positions are off, before a camera file takes them
+  to the centre: 1 of a tracker that takes the glint for the ball
+- lost: the frames in which it missed a ball are taken out
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from tracker.benchmark.judging.positions import Held, locking
+from tracker.benchmark.suite.definition import Part
+from tracker.benchmark.suite.folder import Suite, covariances
+from tracker.camera.camera import Camera
+from tracker.measurement.collision.adequacy import MEASURED
+from tracker.recording import measure_clip
+from tracker.tables.rows import to_tracks
+
+Floats = NDArray[np.float64]
+QUANTITIES = ("r", "tau1", "energy_fraction")
+KINDS = ("", "_free")
+DEFECTS = ("locking", "glint", "lost")
+SEED = 21
+LEVER = 0.05  # px, rms of the way from centre to glint, from which on a share of it can be read
+
+
+def confusion(pairs: pd.DataFrame) -> float:
+    """Share of the way from centre to glint by which a tracker's own positions are off; NaN where there is no way."""
+    lever = pairs[["lever_x", "lever_y"]].to_numpy(np.float64).ravel()
+    own = pairs[["own_x", "own_y"]].to_numpy(np.float64).ravel()
+    use = np.isfinite(lever) & np.isfinite(own)
+    weight = float((lever[use] ** 2).sum())
+    return float((lever[use] * own[use]).sum()) / weight if weight > LEVER**2 * max(use.sum(), 1) else np.nan
+
+
+def defects(suite: Suite, part: Part, held: Held, base: Mapping[int, Any]) -> dict[str, Any]:
+    """How far each defect alone moves each quantity.
+
+    Parameters
+    ----------
+    suite : Suite
+    part : Part
+        Whose true tracks are used.
+    held : Held
+        This tracker's positions of that part.
+    base : mapping
+        Clip -> what `undisturbed` gave for it.
+
+    Returns
+    -------
+    dict
+        `size`: of locking (px, peak to peak), of glint (the share), of lost (the share of the balls); and by defect and
+        quantity, tied and free: n, bias (mean shift), rms, and in_errors, the rms shift over the bound; `unmeasured`,
+        clips of which nothing could be measured any more.
+    """
+    waves, peak = locking(held.pairs)
+    share = confusion(held.pairs)
+    missed = sum(len(rows) for rows in held.lost.values())
+    size = {"locking": peak, "glint": share, "lost": missed / max(missed + len(held.pairs), 1)}
+    disturb: dict[str, Callable[[int, pd.DataFrame], pd.DataFrame]] = {
+        "locking": lambda clip, table: _locked(table, waves),
+        "glint": lambda clip, table: _moved(table, np.nan_to_num(share) * _lever(table)),
+        "lost": lambda clip, table: _without(table, held.lost.get(clip)),
+    }
+    out: dict[str, Any] = {"size": size}
+    for name, change in disturb.items():
+        rows = {c: measured(change(c, table), camera) for c, (table, camera, _) in base.items() if c in held.lost}
+        out[name] = _shifts(rows, {clip: one[2] for clip, one in base.items()})
+    return out
+
+
+def undisturbed(suite: Suite, part: Part, clip: int) -> tuple[pd.DataFrame, Camera, Mapping[str, Any]]:
+    """True tracks of a clip with the noise of the bound, its camera, and what is measured in them."""
+    camera = suite.camera(part, clip)
+    truth = suite.tracks(part.truth, clip)
+    truth = truth[truth["visible"].to_numpy(bool) & np.isfinite(truth["xx"].to_numpy(float))].reset_index(drop=True)
+    rng = np.random.default_rng([SEED, clip])
+    cov = covariances(truth)
+    noise = np.einsum("nij,nj->ni", np.linalg.cholesky(cov), rng.standard_normal((len(truth), 2)))
+    table = truth.assign(
+        x=truth["x_mean_px"] + noise[:, 0],
+        y=truth["y_mean_px"] + noise[:, 1],
+        x_std=np.sqrt(cov[:, 0, 0]),
+        y_std=np.sqrt(cov[:, 1, 1]),
+        cov_xy=cov[:, 0, 1],
+    )
+    return table, camera, measured(table, camera)
+
+
+def measured(table: pd.DataFrame, camera: Camera) -> Mapping[str, Any]:
+    """The first collision that tracks show; an empty row where they show none."""
+    columns = ["frame", "particle", "x", "y", "x_std", "y_std", "cov_xy"]
+    rows, _ = measure_clip(to_tracks(table[columns], "true tracks"), camera)
+    return next((row for row in rows if row["status"] in MEASURED), {})
+
+
+def _lever(table: pd.DataFrame) -> Floats:
+    """From centre to glint, px."""
+    glint, centre = table[["glint_x_px", "glint_y_px"]], table[["x_px", "y_px"]]
+    by: Floats = glint.to_numpy(np.float64) - centre.to_numpy(np.float64)
+    return by
+
+
+def _moved(table: pd.DataFrame, by: Floats) -> pd.DataFrame:
+    return table.assign(x=table["x"] + by[:, 0], y=table["y"] + by[:, 1])
+
+
+def _locked(table: pd.DataFrame, waves: Floats) -> pd.DataFrame:
+    phase = table[["glint_x_px", "glint_y_px"]].to_numpy(np.float64) * 2 * np.pi
+    parts = [np.cos(phase), np.sin(phase), np.cos(2 * phase), np.sin(2 * phase)]
+    by: Floats = np.sum([part * waves[:, k] for k, part in enumerate(parts)], axis=0)
+    return _moved(table, by)
+
+
+def _without(table: pd.DataFrame, lost: pd.DataFrame | None) -> pd.DataFrame:
+    if lost is None or not len(lost):
+        return table
+    gone = pd.MultiIndex.from_frame(lost)
+    return table[~pd.MultiIndex.from_frame(table[["frame", "particle"]]).isin(gone)].reset_index(drop=True)
+
+
+def _shifts(rows: Mapping[int, Mapping[str, Any]], base: Mapping[int, Mapping[str, Any]]) -> dict[str, Any]:
+    known = [clip for clip in rows if base[clip]]
+    out: dict[str, Any] = {"unmeasured": sum(not rows[clip] for clip in known), "clips": len(known)}
+    for name in (f"{quantity}{kind}" for quantity in QUANTITIES for kind in KINDS):
+        pairs = [(rows[c].get(name, np.nan), base[c][name], base[c][f"{name}_std"]) for c in known if rows[c]]
+        values = np.array(pairs, dtype=np.float64).reshape(-1, 3)
+        shift = (values[:, 0] - values[:, 1])[np.isfinite(values).all(axis=1)]
+        limit = values[np.isfinite(values).all(axis=1), 2]
+        rms = float(np.sqrt((shift**2).mean())) if len(shift) else np.nan
+        spread = float(np.sqrt((limit**2).mean())) if len(shift) else np.nan
+        out[name] = {
+            "n": len(shift),
+            "bias": float(shift.mean()) if len(shift) else np.nan,
+            "rms": rms,
+            "in_errors": rms / spread if len(shift) else np.nan,
+        }
+    return out

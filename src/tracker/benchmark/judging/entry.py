@@ -1,0 +1,70 @@
+"""One tracker's entry: all its figures on a suite, as a file that others may set beside theirs."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from tracker.benchmark.judging.defects import defects, undisturbed
+from tracker.benchmark.judging.positions import Held, gap_curve, held_to_truth, phase_curve
+from tracker.benchmark.judging.quantities import quantities
+from tracker.benchmark.judging.tracked import Tracked
+from tracker.benchmark.suite.folder import Suite
+from tracker.results import finite
+
+SHOWN_DEFECTS = 12  # clips into which defects are put
+ABOUT = ("version", "size", "split", "definition_sha256", "truth_sha256")
+
+
+def entry(suite: Suite, tracked: Tracked, about: Mapping[str, Any]) -> dict[str, Any]:
+    """All figures of a tracker on a suite.
+
+    Parameters
+    ----------
+    suite : Suite
+        With its truth.
+    tracked : Tracked
+    about : mapping
+        Of the tracker: name, and what else there is to say.
+
+    Returns
+    -------
+    dict
+        tracker, suite, score, parts {part: figures}, phase {part: curve}, gap (curve), quantities {part: ...}, defects.
+        Plain values; None for what is not known.
+    """
+    chosen = suite.definition
+    run = {name: part for name, part in suite.parts.items() if tracked.sample.of(part)}
+    held = {name: held_to_truth(suite, tracked, part) for name, part in run.items()}
+    parts = {name: one.figures for name, one in held.items()}
+    out: dict[str, Any] = {
+        "tracker": dict(about),
+        "suite": {key: suite.about[key] for key in ABOUT},
+        "score": score(parts, list(chosen.headline)),
+        "parts": parts,
+        "phase": {name: phase_curve(held[name].pairs) for name in chosen.there("phase") if name in run},
+        "gap": [point for name in chosen.there("near") if name in run for point in gap_curve(held[name].pairs)],
+        "quantities": {n: quantities(suite, tracked, run[n]) for n in chosen.there("measured") if n in run},
+        "defects": _defects(suite, tracked, held),
+    }
+    whole: dict[str, Any] = finite(out)
+    return whole
+
+
+def score(parts: Mapping[str, Mapping[str, float]], headline: list[str]) -> float:
+    """100 times the mean efficiency over the headline's parts that have a bound."""
+    values = [
+        parts[name]["efficiency"] for name in headline if name in parts and np.isfinite(parts[name]["efficiency"])
+    ]
+    return 100 * float(np.mean(values)) if values else float("nan")
+
+
+def _defects(suite: Suite, tracked: Tracked, held: Mapping[str, Held]) -> dict[str, Any]:
+    for name in (name for name in suite.definition.there("physics") if name in held):
+        part = suite.parts[name]
+        clips = tracked.sample.of(part)[:SHOWN_DEFECTS]
+        base = {clip: undisturbed(suite, part, clip) for clip in clips}
+        return defects(suite, part, held[name], base)
+    return {}

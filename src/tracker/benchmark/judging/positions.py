@@ -1,0 +1,172 @@
+"""Positions of a part's clips held to the truth: figures, and how the error follows the pixel's phase and the gap."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from tracker.benchmark.judging.tracked import Tracked
+from tracker.benchmark.suite.definition import Part
+from tracker.benchmark.suite.folder import Suite, covariances
+from tracker.scoring.localisation import MOVING_PX, Matched, localisation, match
+from tracker.scoring.score import dots_of
+from tracker.scoring.tracking_metrics import GATE_PX, tracking_scores
+
+Floats = NDArray[np.float64]
+BINS = 16  # of the phase within the pixel
+FEWEST = 5  # errors of which a mean is shown
+GAPS = (0.0, 0.06, 0.15, 0.3, 0.6, 1.2, 2.4)  # between two balls, in diameters
+KEPT = "alpha beta jsc jsc_theta mota idf1 hota swaps".split()
+
+
+@dataclass(frozen=True)
+class Held:
+    """The clips of a part: `pairs` has a row for each position found, `figures` the part's."""
+
+    figures: dict[str, float]
+    pairs: pd.DataFrame
+    lost: dict[int, pd.DataFrame]  # clip -> frame, particle of the balls whole in view that were missed
+
+
+def held_to_truth(suite: Suite, tracked: Tracked, part: Part) -> Held:
+    """Match the tracks of a part with its truth.
+
+    Parameters
+    ----------
+    suite : Suite
+    tracked : Tracked
+    part : Part
+
+    Returns
+    -------
+    Held
+        Columns of `pairs`: clip, frame, particle; off_x, off_y (px, found - true); std_x, std_y (claimed); own_x, own_y
+        (px, off of what the tracker itself found, before glints are taken to centres); lever_x, lever_y (px, from
+        centre to glint); phase_x, phase_y (of the glint within the pixel, -.5 to .5); moving_x, moving_y; gap
+        (diameters); along (px, towards the other ball); bound (px).
+    """
+    clips, dots, rows, lost = [], [], [], {}
+    for clip in tracked.sample.of(part):
+        camera = suite.camera(part, clip)
+        truth, (found, _) = suite.tracks(part.truth, clip), tracked.of(part.film, clip)
+        near = match(truth, found, GATE_PX, camera.diameter_px)
+        cov = covariances(truth)[near.pairs[:, 0]]
+        clips.append((near, cov))
+        dots.append(dots_of(near))
+        rows.append(_pairs(near, cov, camera.diameter_px, tracked.own).assign(clip=clip))
+        missed = truth["visible"].to_numpy(bool, copy=True)
+        missed[near.pairs[:, 0]] = False
+        lost[clip] = truth.loc[missed, ["frame", "particle"]]
+    pairs = pd.concat(rows, ignore_index=True)
+    figures = localisation(clips)
+    whole, n = figures["n"] + figures["missed"], figures["n"]
+    figures["clips"] = len(clips)
+    figures["found"] = n / whole if whole else np.nan
+    figures["jaccard"] = n / (whole + figures["false"]) if whole else np.nan
+    figures["phase_bias_px"] = locking(pairs)[1]
+    figures["z"] = _claims(pairs)
+    figures["efficiency"] = efficiency(figures)
+    return Held(figures | {name: tracking_scores(dots)[name] for name in KEPT}, pairs, lost)
+
+
+def efficiency(figures: Mapping[str, float]) -> float:
+    """1: every ball found and nothing else, each at its bound. NaN without a bound; 0 where nothing is found."""
+    if not figures["n"]:
+        return 0.0
+    return float(figures["jaccard"] / max(figures["ratio"], 1.0)) if np.isfinite(figures["ratio"]) else np.nan
+
+
+def _claims(pairs: pd.DataFrame) -> float:
+    """Errors over the standard errors that the tracker claims, root mean square: 1 where they hold."""
+    z = pairs[["off_x", "off_y"]].to_numpy() / pairs[["std_x", "std_y"]].to_numpy()
+    z = z[np.isfinite(z)]
+    return float(np.sqrt((z**2).mean())) if len(z) else np.nan
+
+
+def _pairs(near: Matched, cov: Floats, ball_px: float, point: str) -> pd.DataFrame:
+    true, found = near.truth.iloc[near.pairs[:, 0]], near.found.iloc[near.pairs[:, 1]]
+    out = true[["frame", "particle"]].reset_index(drop=True)
+    centre = true[["x_mean_px", "y_mean_px"]].to_numpy(np.float64)
+    lever = true[["glint_x_px", "glint_y_px"]].to_numpy(np.float64) - true[["x_px", "y_px"]].to_numpy(np.float64)
+    own = near.off
+    if point == "glint" and "glint_x" in found:
+        raw = found[["glint_x", "glint_y"]].to_numpy(np.float64) - centre
+        own = np.where(np.isfinite(raw), raw, own)
+    pace = near.truth.sort_values("frame").groupby("particle")[["x_mean_px", "y_mean_px"]].diff().abs()
+    moving = pace.reindex(true.index).to_numpy(np.float64) > MOVING_PX
+    bright = centre + np.where(np.isfinite(lever), lever, 0.0)
+    for k, axis in enumerate("xy"):
+        std = found[f"{axis}_std"].to_numpy(np.float64) if f"{axis}_std" in found else np.full(len(out), np.nan)
+        out[f"off_{axis}"], out[f"std_{axis}"], out[f"own_{axis}"] = near.off[:, k], std, own[:, k]
+        out[f"lever_{axis}"], out[f"moving_{axis}"] = lever[:, k], moving[:, k]
+        out[f"phase_{axis}"] = bright[:, k] - np.rint(bright[:, k])
+    gap, along = _about_the_other(near.truth, true, near.off)
+    bound = np.sqrt(np.trace(cov, axis1=1, axis2=2) / 2)
+    return out.assign(gap=gap / ball_px - 1.0, along=along, bound=bound)
+
+
+def _about_the_other(truth: pd.DataFrame, true: pd.DataFrame, off: Floats) -> tuple[Floats, Floats]:
+    """Distance to the other ball, px, and the error towards it; NaN where there is none."""
+    place = truth.set_index(["frame", "particle"])[["x_mean_px", "y_mean_px"]]
+    wanted = pd.MultiIndex.from_arrays([true["frame"], 1 - true["particle"]])
+    way = place.reindex(wanted).to_numpy(np.float64) - true[["x_mean_px", "y_mean_px"]].to_numpy(np.float64)
+    length = np.hypot(*way.T)
+    return length, np.asarray((off * way).sum(axis=1) / length, dtype=np.float64)
+
+
+def locking(pairs: pd.DataFrame) -> tuple[Floats, float]:
+    """How the error follows the phase of the glint within the pixel.
+
+    Returns
+    -------
+    waves : (2, 4) array
+        By axis, px: cosine and sine of one and of two periods a pixel, fitted to the errors of moving balls.
+    bias : float
+        Peak to peak of the first, the worse axis, px, less what noise makes of it; NaN of few errors.
+    """
+    waves, worst = np.zeros((2, 4)), np.nan
+    for k, axis in enumerate("xy"):
+        use = pairs[f"moving_{axis}"].to_numpy(bool)
+        phase, off = (pairs[f"{name}_{axis}"].to_numpy(np.float64)[use] for name in ("phase", "off"))
+        if len(off) < 4 * FEWEST:
+            continue
+        by = [wave(n * phase * 2 * np.pi) for n in (1, 2) for wave in (np.cos, np.sin)]
+        fit = np.linalg.lstsq(np.column_stack([*by, np.ones_like(phase)]), off, rcond=None)[0]
+        waves[k] = fit[:4]
+        noise = 4 * off.var() / len(off)
+        worst = np.fmax(worst, 2 * np.sqrt(max(fit[0] ** 2 + fit[1] ** 2 - noise, 0.0)))
+    return waves, float(worst)
+
+
+def phase_curve(pairs: pd.DataFrame) -> list[list[float | None]]:
+    """Phase, mean error px and its standard error, both axes together, of moving balls."""
+    phase, off = (
+        np.concatenate([pairs[f"{name}_{a}"].to_numpy(float)[pairs[f"moving_{a}"].to_numpy(bool)] for a in "xy"])
+        for name in ("phase", "off")
+    )
+    edges = np.linspace(-0.5, 0.5, BINS + 1)
+    return [
+        [float(middle), float(part.mean()), float(part.std() / np.sqrt(len(part)))]
+        for low, high in pairwise(edges)
+        if len(part := off[(phase >= low) & (phase < high)]) >= FEWEST
+        for middle in [(low + high) / 2]
+    ]
+
+
+def gap_curve(pairs: pd.DataFrame) -> list[dict[str, float]]:
+    """By the gap to the other ball: rmse over bound, and the mean error towards it, px."""
+    out = []
+    for low, high in pairwise(GAPS):
+        part = pairs[(pairs["gap"] >= low) & (pairs["gap"] < high)]
+        if len(part) >= FEWEST:
+            rmse = float(np.sqrt((part[["off_x", "off_y"]].to_numpy() ** 2).mean()))
+            bound = float(np.sqrt((part["bound"] ** 2).mean()))
+            middle = float(part["gap"].mean())
+            out.append({"gap": middle, "n": len(part), "rmse_px": rmse, "ratio": rmse / bound,
+                        "towards_px": float(part["along"].mean())})  # fmt: skip
+    return out

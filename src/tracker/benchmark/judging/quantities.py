@@ -1,0 +1,69 @@
+"""What a tracker would have published of the collisions of a part, held to the truth."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from tracker.benchmark.judging.tracked import Tracked
+from tracker.benchmark.suite.definition import Part
+from tracker.benchmark.suite.folder import Suite
+from tracker.results import estimates_table
+from tracker.scoring.error_bars import quantity_scores
+from tracker.scoring.score import held_to, joined
+
+NAMES = ("r", "mu_k", "C", "tau1", "tau2", "energy_fraction")
+KINDS = ("", "_free")
+SPINS = ("u2ix", "u2iy", "side2i")  # of a striker that does not roll: the bounds are those of one that does
+STILL = 1e-6  # m/s
+FEWEST = 3  # collisions of which something is published
+
+
+def quantities(suite: Suite, tracked: Tracked, part: Part) -> dict[str, Any]:
+    """Figures of each quantity, tied and free.
+
+    Parameters
+    ----------
+    suite : Suite
+    tracked : Tracked
+    part : Part
+
+    Returns
+    -------
+    dict
+        `clips`, `measured` (clips with a collision that was measured), and by quantity the figures of score.json with
+        `published`: the mean error over all collisions, each weighted by the error bar that it claims, and
+        `published_std`, the error bar of that mean.
+    """
+    clips = tracked.sample.of(part)
+    scalars = suite.scalars(part.truth)
+    scalars = scalars[scalars["clip"].isin(clips)].reset_index(drop=True)
+    rows = [{"clip": clip, "collision": 0, "status": "no result"} | dict(row)
+            for clip in clips for row in tracked.of(part.film, clip)[1]]  # fmt: skip
+    empty = pd.DataFrame({"clip": [], "collision": [], "status": []}).astype({"clip": int, "status": str})
+    limits = suite.quantity_bounds(part.truth)
+    if any((scalars.get(name, pd.Series(0.0)).abs() > STILL).any() for name in SPINS):
+        limits = limits[["clip"]]
+    table = held_to(joined(scalars, estimates_table(rows) if rows else empty, limits))
+    out: dict[str, Any] = {"clips": len(clips), "measured": int(table["status"].isin(["ok"]).sum())}
+    scores = quantity_scores(table)
+    for name in (f"{name}{kind}" for name in NAMES for kind in KINDS):
+        if name in scores:
+            out[name] = dict(scores[name]) | _published(table, name)
+    return out
+
+
+def _published(table: pd.DataFrame, name: str) -> dict[str, float]:
+    """The weighted mean of the errors that come with an error bar, and its own error bar."""
+    value, std = (table[column].to_numpy(np.float64) for column in (name, f"{name}_std"))
+    true = table[f"{name.removesuffix('_free')}_true"].to_numpy(np.float64)
+    use = np.isfinite(value) & np.isfinite(true) & np.isfinite(std) & (std > 0)
+    if use.sum() < FEWEST:
+        return {"published": np.nan, "published_std": np.nan}
+    weight = std[use] ** -2
+    return {
+        "published": float(((value - true)[use] * weight).sum() / weight.sum()),
+        "published_std": float(weight.sum() ** -0.5),
+    }

@@ -1,0 +1,86 @@
+"""What a tracker gave for the films of a suite, in files or in memory."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+import pandas as pd
+
+from tracker import results
+from tracker.benchmark.suite.definition import Part
+from tracker.recording import Result
+
+Rows = list[Mapping[str, Any]]
+NOTHING = pd.DataFrame(
+    {"frame": np.empty(0, np.int64), "particle": np.empty(0, np.int64), "x": np.empty(0), "y": np.empty(0)}
+)
+
+
+@dataclass(frozen=True)
+class Sample:
+    """What of a suite a tracker is run on: so many clips of each part (None: all), and no part of some films."""
+
+    clips: int | None = None
+    without: tuple[str, ...] = ()
+
+    def of(self, part: Part) -> tuple[int, ...]:
+        """The clips of a part that count."""
+        return () if part.truth in self.without else part.clips[: self.clips]
+
+    def of_film(self, parts: Iterable[Part], film: str) -> set[int]:
+        """The clips of a film that count."""
+        return {clip for part in parts if part.film == film for clip in self.of(part)}
+
+
+ALL = Sample()
+
+
+class Tracked(Protocol):
+    """Tracks and estimates of the clips of each film."""
+
+    @property
+    def sample(self) -> Sample:
+        """What it was run on."""
+
+    @property
+    def own(self) -> str:
+        """ "centre" where it says itself where centres are; "glint" where the camera file took what it found there."""
+
+    def of(self, film: str, clip: int) -> tuple[pd.DataFrame, Rows]:
+        """Tracks as in tracks.parquet, a row of estimates for each collision; nothing of a clip that is not there."""
+
+
+@dataclass(frozen=True)
+class InFolder:
+    """RESULTS for each film, in FOLDER/FILM."""
+
+    folder: Path
+    sample: Sample = ALL
+    own: str = "centre"
+
+    def of(self, film: str, clip: int) -> tuple[pd.DataFrame, Rows]:
+        """Tracks and estimates of a clip."""
+        home = results.clip_folder(self.folder / film, clip)
+        if not home.is_dir():
+            return NOTHING, []
+        return pd.read_parquet(home / "tracks.parquet"), results.load_json(home / "estimates.json")
+
+
+@dataclass
+class InMemory:
+    """Results by film and clip."""
+
+    found: dict[tuple[str, int], Result] = field(default_factory=dict)
+    sample: Sample = ALL
+    own: str = "centre"
+
+    def of(self, film: str, clip: int) -> tuple[pd.DataFrame, Rows]:
+        """Tracks and estimates of a clip."""
+        if (film, clip) not in self.found:
+            return NOTHING, []
+        result = self.found[film, clip]
+        return result.tracks, [results.finite(row) for row in result.rows]

@@ -1,0 +1,1 @@
+"""Entries beside one another: leaderboard, pictures, page."""

@@ -1,0 +1,219 @@
+"""The pictures of the page: who is how good where, against what, and what it does to the physics."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from matplotlib import colormaps
+from matplotlib.axes import Axes
+from matplotlib.colors import LogNorm
+from matplotlib.figure import Figure
+
+from tracker.benchmark.suite.definition import Definition
+from tracker.scoring.figures import SHOWN
+
+Entry = Mapping[str, Any]
+Entries = Sequence[Entry]
+COLOURS = ("#14508c", "#c1440e", "#4d9221", "#7b3294", "#b8860b", "#008080", "#d6438a", "#555555", "#6b8e23", "#8b4513")
+MARKERS = "osD^vP*X<>"
+WORST = 30.0  # times the bound, the darkest colour
+PLAIN_PX = 0.05  # px; where there is no bound, errors are shown over this
+LOST = 0.5  # of the balls found and nothing else, under which a part counts as lost
+WIDE = 10.2
+NOTHING = {"ratio": None, "rmse_px": None, "jaccard": None}
+DEFECTS = {"locking": "locked to pixels", "glint": "glint taken for centre", "lost": "frames lost"}
+
+
+def name_of(entry: Entry) -> str:
+    """Of its tracker."""
+    return str(entry["tracker"]["name"])
+
+
+def _style(k: int) -> dict[str, Any]:
+    return {"color": COLOURS[k % len(COLOURS)], "marker": MARKERS[k % len(MARKERS)], "ms": 4, "lw": 1.2}
+
+
+def headline_figure(entries: Entries, definition: Definition) -> Figure:
+    """Rows of trackers, columns of settings: rmse over the bound, or how many balls are lost."""
+    columns = definition.headline
+    height = 0.42 * len(entries) + 1.25
+    figure = Figure(figsize=(WIDE, height))
+    axes = figure.add_axes((0.165, 0.02, 0.83, 1 - 1.0 / height))
+    colours, norm = colormaps["RdYlGn_r"], LogNorm(1.0, WORST)
+    for i, entry in enumerate(entries):
+        score = entry["score"]
+        axes.text(-0.85, i, f"{score:.0f}" if score is not None else "–", ha="center", va="center", weight="bold")
+        for j, part in enumerate(columns):
+            text, value = cell(entry["parts"].get(part))
+            colour = "#c9c9c9" if value is None else colours(norm(np.clip(value, 1.0, WORST)))
+            axes.add_patch(_box(j, i, colour))
+            dark = value is not None and not 1.4 < value < WORST / 2
+            axes.text(j, i, text, ha="center", va="center", fontsize=8, color="white" if dark else "black")
+    axes.set(xlim=(-1.3, len(columns) - 0.5), ylim=(len(entries) - 0.5, -0.5))
+    axes.set_xticks([-0.85, *range(len(columns))], ["score", *columns.values()], rotation=35, ha="left", fontsize=9)
+    axes.set_yticks(range(len(entries)), [name_of(e) for e in entries], fontsize=9)
+    axes.xaxis.tick_top()
+    axes.tick_params(length=0)
+    axes.spines[:].set_visible(False)
+    return figure
+
+
+def cell(part: Mapping[str, Any] | None) -> tuple[str, float | None]:
+    """Text of a part in the first picture, and what its colour shows; None of what is lost, or was not run."""
+    if part is None:
+        return "not run", None
+    found, jaccard = part["found"] or 0.0, part["jaccard"] or 0.0
+    if not part["n"] or jaccard < LOST:
+        false = part["false"] / max(part["n"] + part["missed"], 1)
+        return (f"{false:.0f} false\na ball" if false > 1 - found else f"{100 * found:.0f} %\nfound"), None
+    if part["ratio"] is None:
+        value = part["rmse_px"] / PLAIN_PX
+        text = f"{part['rmse_px']:.2g} px"
+    else:
+        value, text = part["ratio"], f"{part['ratio']:.3g}" if part["ratio"] < 10 else f"{part['ratio']:.0f}"
+    return (f"{text}\n{100 * found:.0f} % found" if found < 0.99 else text), value
+
+
+def _box(x: float, y: float, colour: Any) -> Any:
+    from matplotlib.patches import Rectangle
+
+    return Rectangle((x - 0.48, y - 0.46), 0.96, 0.92, color=colour)
+
+
+def axes_figure(entries: Entries, definition: Definition) -> Figure:
+    """The error against each axis of the suite, the gap between balls and the phase within the pixel."""
+    axes = list(definition.axes())
+    near = [e for e in entries if e["gap"]]
+    phase = next((name for name in definition.there("phase") if any(e["phase"].get(name) for e in entries)), "")
+    count = len(axes) + bool(near) + bool(phase)
+    rows = -(-count // 3)
+    figure = Figure(figsize=(WIDE, 2.75 * rows + 0.5), layout="constrained")
+    panels = list(np.atleast_1d(figure.subplots(rows, 3, squeeze=False)).ravel())
+    for panel, (_, axis, points) in zip(panels, axes, strict=False):
+        _axis_panel(panel, entries, axis, points)
+    rest = iter(panels[len(axes) :])
+    if near:
+        _gap_panel(next(rest), entries)
+    if phase:
+        _phase_panel(next(rest), entries, phase)
+    for panel in rest:
+        panel.set_axis_off()
+    handles, labels = panels[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=5, fontsize=8, frameon=False)
+    return figure
+
+
+def _axis_panel(panel: Axes, entries: Entries, axis: Mapping[str, Any], points: list[tuple[Any, str]]) -> None:
+    named = any(isinstance(value, str) for value, _ in points)
+    x = np.arange(len(points)) if named else np.array([value for value, _ in points], float)
+    every = [e["parts"][part] for e in entries for _, part in points if part in e["parts"]]
+    whole = all(figures["ratio"] is not None or not figures["n"] for figures in every)
+    key = "ratio" if whole else "rmse_px"
+    for k, entry in enumerate(entries):
+        parts = [entry["parts"].get(part, NOTHING) for _, part in points]
+        y = np.array([np.nan if p[key] is None else p[key] for p in parts], float)
+        kept = np.array([(p["jaccard"] or 0.0) >= LOST for p in parts])
+        panel.plot(x, np.where(kept, y, np.nan), label=name_of(entry), **_style(k))
+        panel.plot(x[~kept], y[~kept], ls="", marker="x", ms=5, color=COLOURS[k % len(COLOURS)], alpha=0.6)
+    if axis.get("log"):
+        panel.set_xscale("log")
+        panel.set_xticks(x.tolist(), [f"{v:g}" for v, _ in points], minor=False)
+        panel.set_xticks([], minor=True)
+    if named:
+        panel.set_xticks(x.tolist(), [str(v) for v, _ in points], rotation=25, ha="right")
+    panel.set_yscale("log")
+    if key == "ratio":
+        panel.axhline(1.0, color="0.3", lw=0.8, ls=":")
+    _named(panel, axis["title"], axis["label"], "rmse / bound" if key == "ratio" else "rmse, px")
+
+
+def _gap_panel(panel: Axes, entries: Entries) -> None:
+    for k, entry in enumerate(entries):
+        curve = entry["gap"]
+        panel.plot([p["gap"] for p in curve], [p["ratio"] for p in curve], label=name_of(entry), **_style(k))
+    panel.axhline(1.0, color="0.3", lw=0.8, ls=":")
+    panel.set(xscale="log", yscale="log")
+    panel.set_xticks([0.05, 0.1, 0.2, 0.5, 1, 2], ["0.05", "0.1", "0.2", "0.5", "1", "2"])
+    panel.set_xticks([], minor=True)
+    _named(panel, "Balls about to touch", "gap between them, diameters", "rmse / bound")
+
+
+def _phase_panel(panel: Axes, entries: Entries, part: str) -> None:
+    for k, entry in enumerate(entries):
+        curve = np.array(entry["phase"].get(part) or np.empty((0, 3)), float).reshape(-1, 3)
+        panel.plot(curve[:, 0], 1e3 * curve[:, 1], label=name_of(entry), **_style(k) | {"ms": 3})
+    panel.axhline(0.0, color="0.3", lw=0.8, ls=":")
+    panel.set_yscale("symlog", linthresh=10.0)
+    _named(panel, f"Locking to pixels ({part})", "glint within its pixel, px", "mean error, 0.001 px")
+
+
+def _named(panel: Axes, title: str, x: str, y: str) -> None:
+    panel.set_title(title, fontsize=10)
+    panel.set_xlabel(x, fontsize=8)
+    panel.set_ylabel(y, fontsize=8)
+    panel.tick_params(labelsize=7)
+
+
+def published_figure(entries: Entries, part: str, names: Sequence[str], kind: str = "") -> Figure:
+    """Rows of trackers, columns of quantities: the published value's error with the error bar that it would bear."""
+    height = 0.42 * len(entries) + 0.95
+    figure = Figure(figsize=(WIDE, height))
+    axes = figure.add_axes((0.165, 0.02, 0.83, 1 - 0.75 / height))
+    for i, entry in enumerate(entries):
+        for j, name in enumerate(names):
+            text, colour = published_cell(entry["quantities"].get(part, {}), name, kind)
+            axes.add_patch(_box(j, i, colour))
+            axes.text(j, i, text, ha="center", va="center", fontsize=8)
+    axes.set(xlim=(-0.5, len(names) - 0.5), ylim=(len(entries) - 0.5, -0.5))
+    heads = [f"{SHOWN[name][0]}, {SHOWN[name][1]}" for name in names]
+    axes.set_xticks(range(len(names)), heads, fontsize=9)
+    axes.set_yticks(range(len(entries)), [name_of(e) for e in entries], fontsize=9)
+    axes.xaxis.tick_top()
+    axes.tick_params(length=0)
+    axes.spines[:].set_visible(False)
+    return figure
+
+
+def published_cell(found: Mapping[str, Any], name: str, kind: str) -> tuple[str, Any]:
+    """Text and colour: green within 2 of its error bars, yellow, red from 4 on; grey where nothing is published."""
+    figures = found.get(f"{name}{kind}") or {}
+    off, std = figures.get("published"), figures.get("published_std")
+    if off is None or std is None:
+        return f"none of {found.get('clips', 0)}", "#c9c9c9"
+    factor, z = SHOWN[name][2], abs(off) / std
+    colour = "#a6d96a" if z < 2 else "#ffe08a" if z < 4 else "#f08a5d"
+    return f"{_plain(off * factor, '+')} ± {_plain(std * factor)}", colour
+
+
+def _plain(value: float, sign: str = "") -> str:
+    """Two digits, and no powers of ten of what is large."""
+    return f"{value:{sign}.0f}" if abs(value) >= 100 else f"{value:{sign}.2g}"
+
+
+def defects_figure(entries: Entries, names: Sequence[str], kind: str) -> Figure | None:
+    """What each defect alone moves a quantity by, in error bars of one collision; None where none was put in."""
+    kept = [e for e in entries if e["defects"]]
+    if not kept:
+        return None
+    figure = Figure(figsize=(WIDE, 0.36 * len(kept) + 1.1), layout="constrained")
+    panels = np.atleast_1d(figure.subplots(1, len(names), sharey=True))
+    colours = dict(zip(DEFECTS, ("#14508c", "#c1440e", "#777777"), strict=True))
+    for panel, name in zip(panels, names, strict=True):
+        for j, (defect, word) in enumerate(DEFECTS.items()):
+            values = [(e["defects"][defect].get(f"{name}{kind}") or {}).get("in_errors") or 0.0 for e in kept]
+            places = np.arange(len(kept)) + 0.26 * (j - 1)
+            panel.barh(places, np.maximum(values, 1e-3), 0.24, left=0.0, color=colours[defect], label=word)
+        panel.set_xscale("log")
+        panel.set_xlim(0.01, None)
+        panel.axvline(1.0, color="0.3", lw=0.8, ls=":")
+        panel.set_title(SHOWN[name][0], fontsize=10)
+        panel.set_xlabel("shift, error bars of one collision", fontsize=8)
+        panel.tick_params(labelsize=8)
+    panels[0].set_yticks(range(len(kept)), [name_of(e) for e in kept], fontsize=9)
+    panels[0].invert_yaxis()
+    figure.legend(
+        *panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=3, fontsize=8, frameon=False
+    )
+    return figure

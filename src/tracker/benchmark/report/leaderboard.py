@@ -1,0 +1,82 @@
+"""The entries of a report beside one another: a file, and who is how good."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from commandline.errors import InputError
+from commandline.outputs import put
+from tracker.results import load_json, write_json
+
+ENTRIES = "entries"
+LEADERBOARD = "leaderboard.csv"
+COLUMNS = ("rank name score ratio_median found false_per_ball hota ms_per_frame r_tied_rmse r_tied_z_std made truth "
+           "suite_version truth_sha256").split()  # fmt: skip
+Entries = Sequence[Mapping[str, Any]]
+
+
+def file_name(name: str) -> str:
+    """Of an entry, such that any name makes one."""
+    kept = "".join(c if c.isalnum() or c in "-_+." else "_" for c in name).strip(".")
+    return f"{kept or 'tracker'}.json"
+
+
+def save(report: Path, entry: Mapping[str, Any]) -> None:
+    """REPORT/entries/NAME.json."""
+    (report / ENTRIES).mkdir(parents=True, exist_ok=True)
+    write_json(report / ENTRIES / file_name(entry["tracker"]["name"]), entry)
+
+
+def entries(report: Path, suite: Mapping[str, Any]) -> list[Mapping[str, Any]]:
+    """All entries of a report, the best first. Raises InputError for one of another suite."""
+    found = []
+    for path in sorted((report / ENTRIES).glob("*.json")):
+        one = load_json(path)
+        if not isinstance(one, dict) or not {"tracker", "suite", "parts", "score"} <= set(one):
+            raise InputError(f"{path}: damaged, expected an entry of `tracker benchmark`")
+        if one["suite"]["truth_sha256"] != suite["truth_sha256"]:
+            raise InputError(f"{path}: of another suite (version {one['suite']['version']}); figures of two suites are "
+                             "not set beside each other, expected a report of its own")  # fmt: skip
+        found.append(one)
+    return sorted(found, key=lambda one: (-(one["score"] or 0.0), one["tracker"]["name"]))
+
+
+def row(rank: int, one: Mapping[str, Any]) -> dict[str, Any]:
+    """A line of the leaderboard."""
+    parts = one["parts"].values()
+    ratios = [part["ratio"] for part in parts if part["ratio"] is not None]
+    whole = sum(part["n"] + part["missed"] for part in parts)
+    measured: Mapping[str, Any] = next(iter(one["quantities"].values()), {"r": {}}).get("r") or {}
+    withheld = one["suite"]["split"] == "withheld"
+    return {
+        "rank": rank,
+        "name": one["tracker"]["name"],
+        "score": one["score"],
+        "ratio_median": float(np.median(ratios)) if ratios else None,
+        "found": sum(part["n"] for part in parts) / whole if whole else None,
+        "false_per_ball": sum(part["false"] for part in parts) / whole if whole else None,
+        "hota": float(np.mean([part["hota"] or 0.0 for part in parts])),
+        "ms_per_frame": one["tracker"].get("ms_per_frame"),
+        "r_tied_rmse": measured.get("rmse"),
+        "r_tied_z_std": measured.get("z_std"),
+        "made": one["tracker"].get("made", ""),
+        "truth": "withheld from the tracker's authors" if withheld else "open to the tracker's authors",
+        "suite_version": one["suite"]["version"],
+        "truth_sha256": one["suite"]["truth_sha256"],
+    }
+
+
+def write_leaderboard(report: Path, found: Entries) -> None:
+    """REPORT/leaderboard.csv."""
+    text = io.StringIO()
+    table = csv.DictWriter(text, COLUMNS, lineterminator="\n")
+    table.writeheader()
+    for rank, one in enumerate(found, 1):
+        table.writerow({k: f"{v:.6g}" if isinstance(v, float) else v for k, v in row(rank, one).items()})
+    put(report / LEADERBOARD, text.getvalue())

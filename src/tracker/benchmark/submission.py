@@ -1,0 +1,129 @@
+"""Tables of a tracker in any language, measured and scored as those that run here.
+
+FOLDER has submission.json, of which only `name` is needed, and for each film of the suite FILM.csv or FILM.parquet with
+a column `clip`, or FILM/NNNNNN.EXT, a file a clip in any of the formats that `tracker measure` reads.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+from commandline.errors import InputError
+from tracker.benchmark.contest import in_report, published
+from tracker.benchmark.judging.entry import entry
+from tracker.benchmark.judging.tracked import InMemory
+from tracker.benchmark.report.leaderboard import save
+from tracker.benchmark.suite.folder import Suite
+from tracker.camera.camera import Camera
+from tracker.camera.camera_keys import did_you_mean
+from tracker.detection.link import Tracks
+from tracker.recording import measured
+from tracker.results import load_json
+from tracker.tables.read import read_tracks
+
+FORM = "submission.json"
+KEYS = ("name", "authors", "url", "version", "licence", "point", "ms_per_frame", "machine", "notes")
+TABLES = (".csv", ".parquet", ".txt", ".xml")
+Progress = Callable[[int, int], None]
+
+
+def submitted(
+    suite: Suite, folder: Path, report: Path, how: str, progress: Progress = lambda done, of: None
+) -> tuple[list[Mapping[str, Any]], list[str]]:
+    """Score a submission and add it to a report.
+
+    Parameters
+    ----------
+    suite : Suite
+        With its truth, of which only sums over clips go into the report.
+    folder : Path
+        The submission.
+    report : Path
+        Folder to make, or to add to.
+    how : str
+        What the page says that made it.
+    progress : callable
+        Takes films done and films in all.
+
+    Returns
+    -------
+    entries : list of dict
+        All of the report, the best first.
+    notes : list of str
+        Films and clips without a table.
+
+    Raises
+    ------
+    InputError
+    """
+    about = read_form(folder)
+    found, notes = read_tables(suite, folder, about.get("point", "centre"), progress)
+    with in_report(report):
+        save(report, entry(suite, found, {**about, "made": "submitted"}))
+        return published(suite, report, how), notes
+
+
+def read_form(folder: Path) -> dict[str, Any]:
+    """What submission.json says. Raises InputError."""
+    path = folder / FORM
+    if not path.is_file():
+        raise InputError(f"{path}: no such file, expected a submission: {FORM} and a table for each film")
+    about = load_json(path)
+    if not isinstance(about, dict) or not isinstance(about.get("name"), str) or not about["name"].strip():
+        raise InputError(f"{path}: name: expected the tracker's name")
+    for key, value in about.items():
+        if key not in KEYS:
+            near = did_you_mean(key, {k: k for k in KEYS})
+            raise InputError(f"{path}: {key}: unknown, expected one of {', '.join(KEYS)}{near}")
+        number = isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value) and value > 0
+        if key == "ms_per_frame" and not (value is None or number):
+            raise InputError(f"{path}: ms_per_frame: expected a number over 0, not {value!r}")
+    if about.get("point", "centre") not in ("centre", "glint"):
+        raise InputError(f"{path}: point: expected centre or glint, not {about['point']!r}")
+    return about
+
+
+def read_tables(
+    suite: Suite, folder: Path, point: str, progress: Progress = lambda done, of: None
+) -> tuple[InMemory, list[str]]:
+    """The tables of a submission, each clip measured by its own camera; and what is missing."""
+    found, notes = InMemory(), []
+    films = dict.fromkeys(part.film for part in suite.parts.values())
+    for number, film in enumerate(films, 1):
+        clips = sorted({clip for part in suite.parts.values() if part.film == film for clip in part.clips})
+        camera = {clip: _camera(suite, film, clip) for clip in clips}
+        given = dict(_given(folder, film, camera))
+        if strange := sorted(set(given) - set(clips)):
+            raise InputError(
+                f"{folder}: {film}: clip {strange[0]}: not in the suite, expected {clips[0]} to {clips[-1]}"
+            )
+        for clip, tracks in given.items():
+            own = "centre" if camera[clip].matte else point
+            found.found[film, clip] = measured(tracks, camera[clip], clip, own)
+        if missing := len(clips) - len(given):
+            notes.append(f"{film}: no table of {missing} of {len(clips)} clips, which count as not found")
+        progress(number, len(films))
+    return found, notes
+
+
+def _camera(suite: Suite, film: str, clip: int) -> Camera:
+    return Camera.read(suite.film(film) / "clips" / f"{clip:06d}" / "camera.json")
+
+
+def _given(folder: Path, film: str, camera: Mapping[int, Camera]) -> Iterator[tuple[int, Tracks]]:
+    """Clip and tracks of the tables that there are of a film."""
+    whole = [path for ending in TABLES if (path := folder / f"{film}{ending}").is_file()]
+    for path in whole[:1]:
+        for clip, (tracks, _) in read_tracks(path, next(iter(camera.values()))).clips.items():
+            yield clip, tracks
+        return
+    for path in sorted((folder / film).glob("*")) if (folder / film).is_dir() else []:
+        if path.suffix in TABLES:
+            if not path.stem.isdecimal() or int(path.stem) not in camera:
+                raise InputError(f"{path}: not named after a clip of {film}, expected NNNNNN{path.suffix}")
+            clip = int(path.stem)
+            for tracks, _ in read_tracks(path, camera[clip]).clips.values():
+                yield clip, tracks

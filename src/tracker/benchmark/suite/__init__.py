@@ -1,0 +1,1 @@
+"""A suite: its definition, the films and the truth that are made of it, the bounds, the card."""

@@ -1,0 +1,75 @@
+"""The Cramer-Rao bound of every true position of a film, and of the quantities of its collisions.
+
+A bound needs the light of the glint. It is measured once, when the suite is made, by the maximum-likelihood detector:
+the median over the clip, for each ball. All trackers are then held to the same bounds.
+"""
+
+from __future__ import annotations
+
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from commandline.outputs import put
+from tracker.benchmark.suite.folder import BOUNDS, QUANTITY_BOUNDS
+from tracker.camera.frames import Source, open_source
+from tracker.detection.detect import detect, view_of
+from tracker.parallel import alone, in_parallel
+from tracker.scoring.error_bars import quantity_bounds, true_motion
+from tracker.scoring.localisation import Matched, bounds, match
+from tracker.scoring.tracking_metrics import GATE_PX
+
+Rows = tuple[pd.DataFrame, dict[str, float]]
+SCALARS = ("v0", "b", "t_c", "r", "mu_k", "C", "drag", "decel")
+
+
+def write_bounds(film: Path, truth: Path, workers: int = 0) -> None:
+    """Write the bounds of a film beside its truth, unless they are there."""
+    if (truth / BOUNDS).is_file() and (truth / QUANTITY_BOUNDS).is_file():
+        return
+    source = open_source(film)
+    found = in_parallel(partial(_of_clip, source, truth), range(len(source)), workers, film)
+    rows, quantities = zip(*sorted(found, key=lambda one: one[1]["clip"]), strict=True)
+    for name, table in ((QUANTITY_BOUNDS, pd.DataFrame(quantities)), (BOUNDS, pd.concat(rows, ignore_index=True))):
+        put(truth / name, table.to_parquet(index=False))
+
+
+def _of_clip(source: Source, truth: Path, index: int) -> Rows:
+    """Frame, particle, xx, xy, yy (px^2) of each true position, and the bounds of the clip's quantities."""
+    alone()
+    clip = source.clip(index)
+    folder = truth / "clips" / f"{clip.number:06d}" / "truth"
+    true = pd.read_parquet(folder / "tracks.parquet")
+    table = true[["frame", "particle"]].assign(clip=clip.number, xx=np.nan, xy=np.nan, yy=np.nan)
+    quantities: dict[str, Any] = {"clip": clip.number}
+    if clip.camera.matte:
+        return table, quantities  # whole balls in room light have no bound here
+    seen = detect(clip, view_of(clip))
+    place, _ = clip.camera.centre_of_glint(seen.xy)
+    found = pd.DataFrame({"frame": seen.frame, "x": place[:, 0], "y": place[:, 1], "flux": seen.flux})
+    near = match(true, found, GATE_PX, clip.camera.diameter_px)
+    flux = true.iloc[near.pairs[:, 0]].assign(flux=found["flux"].to_numpy()[near.pairs[:, 1]])
+    bright = true["particle"].map(flux.groupby("particle")["flux"].median())
+    perfect = _perfect(true, bright)
+    cov = bounds(perfect, clip.camera)
+    for name, (i, j) in {"xx": (0, 0), "xy": (0, 1), "yy": (1, 1)}.items():
+        values = np.full(len(table), np.nan)
+        values[perfect.pairs[:, 0]] = cov[:, i, j]
+        table[name] = values
+    scalars = pd.read_parquet(truth / "truth" / "clips.parquet")
+    row = scalars[scalars["clip"] == clip.number].iloc[0]
+    tied = true_motion(true, {name: float(row[name]) for name in SCALARS})
+    if tied is not None:
+        quantities |= quantity_bounds(perfect, cov, tied, clip.camera)
+    return table, quantities
+
+
+def _perfect(true: pd.DataFrame, flux: pd.Series[float]) -> Matched:
+    """The truth as a tracker would give it that makes no error: all balls whole in view."""
+    whole = np.flatnonzero(true["visible"].to_numpy(bool) & np.isfinite(flux.to_numpy(float)))
+    found = true.iloc[whole].assign(x=true["x_mean_px"], y=true["y_mean_px"], flux=flux)
+    pairs = np.stack([whole, np.arange(len(whole))], axis=1)
+    return Matched(true, found.reset_index(drop=True), pairs, np.ones(len(whole), bool), 0, 0)

@@ -1,0 +1,147 @@
+"""The suite as a file defines it: films, their scenes and seeds, the axes along which errors are drawn."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from commandline.errors import InputError
+
+OWN = Path(__file__).with_name("suite.yaml")
+SIZES = ("full", "small")
+KEYS = "name version seed licence films axes headline near phase measured physics trackers sampled".split()
+FILM_KEYS = "clips small scene scenes encoded small_encoded".split()
+
+
+@dataclass(frozen=True)
+class Film:
+    """One dataset: so many clips of each scene, and the encoded copies of it."""
+
+    name: str
+    clips: int
+    scenes: Mapping[str, Mapping[str, Any]]
+    encoded: Mapping[str, str]
+
+
+@dataclass(frozen=True)
+class Part:
+    """Clips of one scene in one film: what an error is given for. truth: the film that holds their truth."""
+
+    name: str
+    film: str
+    truth: str
+    clips: tuple[int, ...]
+
+
+@dataclass(frozen=True)
+class Definition:
+    """A suite, in one of its sizes. `text` is the file's."""
+
+    text: str
+    size: str
+    data: Mapping[str, Any]
+    films: tuple[Film, ...]
+
+    @property
+    def version(self) -> str:
+        """Of the suite; the small size says so."""
+        return str(self.data["version"]) + ("" if self.size == "full" else f"-{self.size}")
+
+    @property
+    def digest(self) -> str:
+        """SHA-256 of the file's text: two suites of one digest, size and seed are the same films."""
+        return hashlib.sha256(self.text.encode()).hexdigest()
+
+    @property
+    def parts(self) -> dict[str, Part]:
+        """By name, in the file's order."""
+        found = {}
+        for film in self.films:
+            for k, scene in enumerate(film.scenes):
+                clips = tuple(range(k * film.clips, (k + 1) * film.clips))
+                found[scene] = Part(scene, film.name, film.name, clips)
+            for name in film.encoded:
+                found[name] = Part(name, name, film.name, tuple(range(len(film.scenes) * film.clips)))
+        return found
+
+    def axes(self) -> Iterator[tuple[str, Mapping[str, Any], list[tuple[Any, str]]]]:
+        """Name, settings and points (value, part) of each axis that has two parts or more in this size."""
+        known = self.parts
+        for name, axis in self.data["axes"].items():
+            points = [(value, part) for value, part in axis["points"] if part in known]
+            if len(points) > 1:
+                yield name, axis, points
+
+    @property
+    def headline(self) -> dict[str, str]:
+        """Part and its word in the first picture."""
+        return {part: str(word) for part, word in self.data["headline"].items() if part in self.parts}
+
+    def there(self, key: str) -> list[str]:
+        """The parts that a key names, in this size."""
+        named = self.data[key]
+        return [part for part in ([named] if isinstance(named, str) else named) if part in self.parts]
+
+
+def read_definition(path: Path | None = None, size: str = "full") -> Definition:
+    """The suite of a file, or the one that comes with the package. Raises InputError."""
+    path = path or OWN
+    if size not in SIZES:
+        raise InputError(f"--size: expected one of {', '.join(SIZES)}, not {size!r}")
+    if not path.is_file():
+        raise InputError(f"{path}: no such file, expected the definition of a suite (YAML)")
+    return from_text(path.read_text(encoding="utf-8"), size, str(path))
+
+
+def from_text(text: str, size: str, where: str) -> Definition:
+    """A suite of its YAML. Raises InputError."""
+    try:
+        data = yaml.safe_load(text)
+    except yaml.YAMLError as error:
+        raise InputError(f"{where}: damaged, expected YAML ({' '.join(str(error).split())[:120]})") from None
+    _check(data, KEYS, where, "a suite")
+    films = tuple(film for name, given in data["films"].items() if (film := _film(name, given, size, where)).clips)
+    names = [scene for film in films for scene in (*film.scenes, *film.encoded)]
+    if len(set(names)) < len(names):
+        raise InputError(f"{where}: films: a scene's name stands twice, expected each once")
+    made = Definition(text, size, data, films)
+    known = {scene for given in data["films"].values() for scene in (*given["scenes"], *given.get("encoded", {}))}
+    named = [part for axis in data["axes"].values() for _, part in axis["points"]]
+    named += [*data["headline"], *data["phase"], *data["measured"], data["near"], data["physics"]]
+    if unknown := sorted(set(named) - known):
+        raise InputError(f"{where}: {', '.join(unknown)}: no such scene, expected one of {', '.join(sorted(known))}")
+    return made
+
+
+def _film(name: str, given: Any, size: str, where: str) -> Film:
+    _check(given, FILM_KEYS[:1], f"{where}: films.{name}", "a film", extra=FILM_KEYS)
+    less = given.get("small", {}) if size == "small" else {}
+    chosen = less.get("scenes", list(given["scenes"]))
+    scenes = {scene: merged(given.get("scene", {}), given["scenes"][scene]) for scene in chosen}
+    coded = dict(given.get("encoded", {}))
+    if size == "small":
+        coded = {one: coded[one] for one in given.get("small_encoded", [])}
+    return Film(name, int(less.get("clips", given["clips"])), scenes, coded)
+
+
+def _check(data: Any, keys: list[str], where: str, what: str, extra: list[str] | None = None) -> None:
+    if not isinstance(data, Mapping):
+        raise InputError(f"{where}: expected {what}: {', '.join(keys)}")
+    if missing := [key for key in keys if key not in data]:
+        raise InputError(f"{where}: {missing[0]} is missing, expected {what}: {', '.join(keys)}")
+    if unknown := [key for key in data if key not in (extra or keys)]:
+        raise InputError(f"{where}: {unknown[0]}: unknown, expected {', '.join(extra or keys)}")
+
+
+def merged(one: Mapping[str, Any], other: Mapping[str, Any]) -> dict[str, Any]:
+    """Settings with those of `other` over them, one section at a time; a distribution is replaced whole."""
+    out = dict(one)
+    for key, value in other.items():
+        section = isinstance(value, Mapping) and isinstance(out.get(key), Mapping)
+        out[key] = {**out[key], **value} if section else value
+    return out

@@ -1,0 +1,118 @@
+"""A suite on disk: the films that a tracker may see, and the truth in a folder apart from them."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from commandline.errors import InputError
+from tracker.benchmark.suite.definition import Definition, Part, from_text
+from tracker.camera.camera import Camera
+from tracker.results import load_json
+
+SUITE, DEFINITION, TRUTH, FILMS = "suite.json", "suite.yaml", "truth", "films"
+BOUNDS, QUANTITY_BOUNDS = "bounds.parquet", "quantity_bounds.parquet"
+
+
+@dataclass(frozen=True)
+class Suite:
+    """`path` has films/FILM, `truth` has FILM; the latter may be anywhere."""
+
+    path: Path
+    truth: Path
+    definition: Definition
+    about: Mapping[str, Any]
+
+    @property
+    def parts(self) -> dict[str, Part]:
+        """By name."""
+        return self.definition.parts
+
+    def film(self, name: str) -> Path:
+        """The folder that a tracker is given."""
+        return self.path / FILMS / name
+
+    def camera(self, part: Part, clip: int) -> Camera:
+        """Of a clip."""
+        return Camera.read(self.film(part.film) / "clips" / f"{clip:06d}" / "camera.json")
+
+    def scalars(self, film: str) -> pd.DataFrame:
+        """truth/clips.parquet of a film."""
+        return _read(self.truth / film / "truth" / "clips.parquet")
+
+    def tracks(self, film: str, clip: int) -> pd.DataFrame:
+        """True tracks of a clip, with the bound of each position as xx, xy, yy (px^2; NaN where there is none)."""
+        truth = _read(self.truth / film / "clips" / f"{clip:06d}" / "truth" / "tracks.parquet")
+        limits = self.bounds(film)
+        own = limits[limits["clip"] == clip].drop(columns="clip")
+        return truth.merge(own, on=["frame", "particle"], how="left")
+
+    def bounds(self, film: str) -> pd.DataFrame:
+        """Cramer-Rao bounds of all true positions of a film."""
+        return self._limits[film][0]
+
+    def quantity_bounds(self, film: str) -> pd.DataFrame:
+        """Bounds of the quantities of its collisions."""
+        return self._limits[film][1]
+
+    @cached_property
+    def _limits(self) -> dict[str, tuple[pd.DataFrame, pd.DataFrame]]:
+        names = (BOUNDS, QUANTITY_BOUNDS)
+        return {f.name: (_read(self.truth / f.name / names[0]), _read(self.truth / f.name / names[1]))
+                for f in self.definition.films}  # fmt: skip
+
+
+def open_suite(path: Path, truth: Path | None = None) -> Suite:
+    """A suite that was made. truth: where it lies, of a suite that withholds it.
+
+    Raises InputError where it is none, or where the truth is not the one that the suite was made with.
+    """
+    if not (path / SUITE).is_file():
+        raise InputError(f"{path / SUITE}: no such file, expected a suite of `tracker benchmark make`")
+    about = load_json(path / SUITE)
+    if not isinstance(about, dict) or not {"version", "size", "split", "truth_sha256"} <= set(about):
+        raise InputError(f"{path / SUITE}: damaged, expected what `tracker benchmark make` writes")
+    definition = from_text((path / DEFINITION).read_text(encoding="utf-8"), str(about["size"]), str(path / DEFINITION))
+    return Suite(path, truth or path / TRUTH, definition, about)
+
+
+def with_truth(suite: Suite) -> Suite:
+    """The suite, its truth held to the digest in its card. Raises InputError."""
+    if not suite.truth.is_dir():
+        withheld = suite.about["split"] == "withheld"
+        more = "; this suite's truth is withheld: --truth TRUTH, for those who have it" if withheld else ""
+        raise InputError(f"{suite.truth}: no such folder, expected the truth of the suite{more}")
+    if truth_digest(suite.truth, suite.definition) != suite.about["truth_sha256"]:
+        raise InputError(f"{suite.truth}: not the truth of {suite.path}: its SHA-256 differs from that in {SUITE}")
+    return suite
+
+
+def truth_digest(truth: Path, definition: Definition) -> str:
+    """SHA-256 over names and bytes of all true files; bounds, which follow from them, are left out."""
+    mark = hashlib.sha256()
+    for film in sorted(one.name for one in definition.films):
+        for path in sorted(p for p in (truth / film).rglob("*") if p.is_file()):
+            if path.name not in (BOUNDS, QUANTITY_BOUNDS):
+                mark.update(f"{path.relative_to(truth).as_posix()}\n".encode())
+                mark.update(hashlib.sha256(path.read_bytes()).digest())
+    return mark.hexdigest()
+
+
+def covariances(truth: pd.DataFrame) -> NDArray[np.float64]:
+    """(n, 2, 2) px^2, the bounds beside true tracks."""
+    xx, xy, yy = (truth[name].to_numpy(np.float64) for name in ("xx", "xy", "yy"))
+    return np.stack([np.stack([xx, xy], -1), np.stack([xy, yy], -1)], -2)
+
+
+def _read(path: Path) -> pd.DataFrame:
+    if not path.is_file():
+        raise InputError(f"{path}: no such file, expected a part of the suite's truth")
+    return pd.read_parquet(path)

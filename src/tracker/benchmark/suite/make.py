@@ -1,0 +1,151 @@
+"""Making a suite: films by the command `synthcam`, the bounds of their positions, and the card."""
+
+from __future__ import annotations
+
+import os
+import secrets
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import yaml
+
+from commandline.errors import InputError
+from commandline.outputs import as_input_error, check_room, held, put
+from tracker.benchmark.suite.bounds import write_bounds
+from tracker.benchmark.suite.card import card
+from tracker.benchmark.suite.definition import Definition, Film
+from tracker.benchmark.suite.folder import DEFINITION, FILMS, SUITE, TRUTH, Suite, open_suite, truth_digest, with_truth
+from tracker.results import load_json, write_json
+
+SEED = "seed.json"  # with the truth
+GENERATOR = (sys.executable, "-m", "synthcam")
+Progress = Callable[[int, int], None]
+
+
+def make(
+    output: Path,
+    definition: Definition,
+    withhold: Path | None = None,
+    seed: int | None = None,
+    workers: int = 0,
+    progress: Progress = lambda done, of: None,
+) -> Suite:
+    """Make a suite. What is complete is kept: interrupted, the same call goes on.
+
+    Parameters
+    ----------
+    output : Path
+        Folder to make.
+    definition : Definition
+    withhold : Path, optional
+        Where the truth goes, apart from the films; default: output/truth.
+    seed : int, optional
+        Of everything drawn; default: the definition's, or, where the truth is withheld, one that nobody guesses.
+    workers : int
+        Processes; 0: one a core. A script without `if __name__ == "__main__"` needs 1.
+    progress : callable
+        Takes steps done and steps in all.
+
+    Returns
+    -------
+    Suite
+
+    Raises
+    ------
+    InputError
+        Where a folder holds something else, or `synthcam` refuses.
+    """
+    output = output.resolve()
+    truth = withhold.resolve() if withhold else output / TRUTH
+    if withhold and (output in truth.parents or truth in output.parents or truth == output):
+        raise InputError(f"{truth}: lies in {output}, or around it; expected a folder for the truth apart from it")
+    if (output / SUITE).is_file():
+        return _same(output, truth, definition, seed)
+    if output.exists() and any(output.iterdir()) and not (output / DEFINITION).is_file():
+        raise InputError(f"{output}: exists and holds something else, expected a new folder for the suite")
+    check_room(output)
+    with held(output), as_input_error(output, "; the same command goes on where it stopped"):
+        put(output / DEFINITION, definition.text)
+        truth.mkdir(parents=True, exist_ok=True)
+        chosen = _seed(truth, definition, seed, withhold is not None)
+        steps = sum(2 + len(film.encoded) for film in definition.films)
+        done = 0
+        for number, film in enumerate(definition.films):
+            _filmed(output, truth, film, chosen + number)
+            progress(done := done + 1, steps)
+            for name, codec in film.encoded.items():
+                _encoded(output, truth, film, name, codec)
+                progress(done := done + 1, steps)
+            write_bounds(output / FILMS / film.name, truth / film.name, workers)
+            progress(done := done + 1, steps)
+        about = {
+            "name": definition.data["name"],
+            "version": definition.version,
+            "size": definition.size,
+            "split": "withheld" if withhold else "open",
+            "seed": None if withhold else chosen,
+            "licence": definition.data["licence"],
+            "definition_sha256": definition.digest,
+            "truth_sha256": truth_digest(truth, definition),
+            "parts": {name: {"film": part.film, "clips": list(part.clips)} for name, part in definition.parts.items()},
+        }
+        put(output / "README.md", card(about, definition))
+        write_json(output / SUITE, about)
+    return open_suite(output, truth)
+
+
+def _same(output: Path, truth: Path, definition: Definition, seed: int | None) -> Suite:
+    """A suite that is complete, if it is the one asked for."""
+    suite = open_suite(output, truth)
+    there = (suite.about["size"], suite.about["definition_sha256"])
+    if there != (definition.size, definition.digest) or (seed is not None and suite.about["seed"] not in (None, seed)):
+        raise InputError(f"{output}: holds another suite (version {suite.about['version']}), expected a new folder")
+    return with_truth(suite)
+
+
+def _seed(truth: Path, definition: Definition, seed: int | None, withheld: bool) -> int:
+    """The seed, kept with the truth so that an interrupted command goes on with it."""
+    known = truth / SEED
+    if known.is_file():
+        return int(load_json(known)["seed"])
+    chosen = seed if seed is not None else secrets.randbits(48) if withheld else int(definition.data["seed"])
+    write_json(known, {"seed": chosen})
+    return chosen
+
+
+def _filmed(output: Path, truth: Path, film: Film, seed: int) -> None:
+    """The clips of a film, its truth apart from them; nothing where they are there."""
+    folder, kept = output / FILMS / film.name, truth / film.name
+    scenes = output / "scenes"
+    scenes.mkdir(exist_ok=True)
+    files = []
+    for name, scene in film.scenes.items():
+        files.append(scenes / f"{name}.yaml")
+        put(files[-1], yaml.safe_dump({**scene, "name": name}, sort_keys=False))
+    folder.parent.mkdir(exist_ok=True)
+    asked = ["--clips", str(film.clips), "--seed", str(seed), "--withhold-truth", str(kept)]
+    _synthcam("generate", *map(str, files), "-o", str(folder), *asked)
+    shutil.rmtree(scenes)
+
+
+def _encoded(output: Path, truth: Path, film: Film, name: str, codec: str) -> None:
+    """The same clips, encoded."""
+    folder = output / FILMS / name
+    if not folder.exists():
+        whole = str(output / FILMS / film.name)
+        _synthcam("export", whole, "--format", codec, "--truth", str(truth / film.name), "-o", str(folder))
+
+
+def _synthcam(*words: str) -> None:
+    """Run the command. What it says is wrong is what the user reads."""
+    threads = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
+    done = subprocess.run(
+        [*GENERATOR, *words], stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, check=False,
+        env=os.environ | threads,
+    )  # fmt: skip
+    if done.returncode:
+        said = [line for line in done.stderr.splitlines() if line.strip()]
+        raise InputError(f"synthcam {words[0]} ended with status {done.returncode}: {said[-1] if said else ''}")

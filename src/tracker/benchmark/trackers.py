@@ -1,0 +1,112 @@
+"""Trackers by name, run on the films of a suite."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from commandline.errors import InputError
+from tracker.benchmark.judging.tracked import ALL, InFolder, Sample
+from tracker.benchmark.suite.folder import Suite
+from tracker.camera.frames import Clip, open_source
+from tracker.detection.choose import choose
+from tracker.detection.detect import detector, view_of
+from tracker.pipeline import run
+from tracker.recording import track_clip
+from tracker.results import load_json, write_json
+
+OWN = "synthcam"  # this package's own: the detector that the film asks for
+CENTRES = (OWN, "maximum_likelihood", "discs")  # that say themselves where centres are
+PACE = "pace.json"
+Progress = Callable[[int, int], None]
+
+
+@dataclass(frozen=True)
+class Entrant:
+    """A tracker by name: the detector of that name, or this package's own; and on which clips it runs."""
+
+    name: str
+    sample: Sample = ALL
+
+    @property
+    def detector(self) -> str | None:
+        """None: the film decides."""
+        return None if self.name == OWN else self.name
+
+    @property
+    def own(self) -> str:
+        """Whose word it is where a centre lies: see `Tracked`."""
+        return "centre" if self.name in CENTRES else "glint"
+
+
+def entrants(suite: Suite, names: str = "") -> tuple[list[Entrant], list[str]]:
+    """Trackers by their names with commas between; '': the suite's own list, without those that cannot run here.
+
+    Returns
+    -------
+    entrants : list of Entrant
+    notes : list of str
+        Of those that were left out, and why.
+
+    Raises
+    ------
+    InputError
+        For a name that is none, or whose package is missing.
+    """
+    data, notes, out = suite.definition.data, [], []
+    wanted = [name.strip() for name in names.split(",") if name.strip()]
+    clip = _first(suite)
+    for name in dict.fromkeys(wanted or map(str, data["trackers"])):
+        one = Entrant(name, _sample(data["sampled"].get(name, {})))
+        try:
+            if one.detector is not None:
+                detector(one.detector)(view_of(clip, one.detector))
+        except InputError as error:
+            if wanted:
+                raise
+            notes.append(f"{name}: left out: {error}")
+            continue
+        out.append(one)
+    return out, notes
+
+
+def tracked(suite: Suite, one: Entrant, folder: Path, progress: Progress, workers: int = 0) -> InFolder:
+    """Run a tracker on all films into FOLDER/FILM; what is there is kept."""
+    folder.mkdir(parents=True, exist_ok=True)
+    films = list(dict.fromkeys(part.film for part in suite.parts.values()))
+    for number, film in enumerate(films):
+        only = one.sample.of_film(suite.parts.values(), film)
+        if only:
+            run(suite.film(film), folder / film, None, one.detector, workers, only=only)
+        progress(number + 1, len(films))
+    if not (folder / PACE).is_file():
+        write_json(folder / PACE, {"ms_per_frame": pace(suite, one)})
+    return InFolder(folder, one.sample, one.own)
+
+
+def pace(suite: Suite, one: Entrant) -> float:
+    """ms of processor time a frame, of finding and linking in the suite's first clip, by one process."""
+    clip = _first(suite)
+    name = one.detector or choose(clip.frames, clip.camera)[0]
+    started = time.process_time()
+    track_clip(clip, name)
+    return 1e3 * (time.process_time() - started) / len(clip.frames)
+
+
+def about(one: Entrant, folder: Path) -> Mapping[str, Any]:
+    """What an entry says of a tracker that was run here."""
+    spent = load_json(folder / PACE)["ms_per_frame"]
+    limits = {"clips_of_each_part": one.sample.clips, "not_run_on": list(one.sample.without)}
+    more = {} if one.sample == ALL else limits
+    return {"name": one.name, "made": "run here", "ms_per_frame": spent, "point": one.own} | more
+
+
+def _sample(given: Mapping[str, Any]) -> Sample:
+    return Sample(given.get("clips"), tuple(given.get("without", ())))
+
+
+def _first(suite: Suite) -> Clip:
+    return open_source(suite.film(suite.definition.films[0].name)).clip(0)

@@ -1,0 +1,42 @@
+"""The suite that comes with the package, and mistakes in one's own."""
+
+import pytest
+from benchmark_suite import TINY
+
+from commandline.errors import InputError
+from tracker.benchmark.suite.definition import from_text, merged, read_definition
+
+
+def test_the_packages_own_suite_covers_its_axes():
+    full, small = read_definition(), read_definition(size="small")
+    assert {"brightness", "blur", "noise", "codec", "lens", "scene"} == {name for name, *_ in full.axes()}
+    assert {"contact", "spins", "collisions", "matte_wood", "h264_28", "mjpeg_10"} <= set(full.parts)
+    assert set(small.parts) < set(full.parts)
+    assert small.version == f"{full.version}-small"
+    assert full.parts["h264_23"].truth == "codec"
+    assert full.parts["peak_25"].clips == tuple(range(12, 18))  # the third scene of six clips each
+
+
+def test_a_scene_over_the_films_own_replaces_values_and_keeps_the_rest():
+    assert merged({"a": {"x": 1, "y": {"uniform": [0, 1]}}}, {"a": {"y": 2}}) == {"a": {"x": 1, "y": 2}}
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("seed: 5", "sed: 5", "seed is missing"),
+        ("near: bright", "near: brigt", "brigt: no such scene, expected one of bright, dim"),
+        ("clips: 2", "clips: 2\n    encode: {}", "films.axes: encode: unknown"),
+        ("name: tiny", "name: [", "damaged, expected YAML"),
+    ],
+)
+def test_a_mistake_is_one_line(old, new, said):
+    with pytest.raises(InputError, match=said) as caught:
+        from_text(TINY.replace(old, new), "full", "tiny.yaml")
+    assert "\n" not in str(caught.value)
+    assert str(caught.value).startswith("tiny.yaml: ")
+
+
+def test_an_unknown_size():
+    with pytest.raises(InputError, match="--size: expected one of full, small"):
+        read_definition(size="huge")

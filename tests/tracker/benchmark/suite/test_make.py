@@ -1,0 +1,88 @@
+"""Films apart from the truth; the same suite for the same seed; a truth withheld and known by its digest."""
+
+import json
+import shutil
+
+import numpy as np
+import pytest
+from benchmark_suite import suite, tiny
+
+from commandline.errors import InputError
+from tracker.benchmark.suite import make as module
+from tracker.benchmark.suite.folder import open_suite, truth_digest, with_truth
+from tracker.benchmark.suite.make import make
+
+
+def test_no_film_holds_the_truth_and_the_card_says_what_it_is():
+    made = suite()
+    names = {path.name for path in (made.path / "films").rglob("*") if path.is_file()}
+    assert names == {"README.md", "SHA256SUMS", "frames.tif", "camera.json"}
+    assert not list((made.path / "films").rglob("truth"))
+    about = json.loads((made.path / "suite.json").read_text())
+    assert about["truth_sha256"] == truth_digest(made.truth, made.definition)
+    card = (made.path / "README.md").read_text()
+    for word in (about["truth_sha256"], "| seed | 5 |", "license: cc0-1.0", "tracker benchmark submit"):
+        assert word in card
+
+
+def test_bounds_are_those_of_all_balls_in_view_and_a_dim_one_has_a_wider_one():
+    made = suite()
+    limits = made.bounds("axes")
+    spread = np.sqrt((limits["xx"] + limits["yy"]) / 2).groupby(limits["clip"]).median()
+    assert len(limits) == 4 * 36 * 2
+    assert limits["xx"].notna().all()
+    assert spread[2] > 5 * spread[0]  # clips 2, 3 are dim: a peak of 12 in place of 200
+    assert (made.quantity_bounds("axes")["r_bound"] > 0).all()
+
+
+def test_a_second_call_keeps_what_is_there(monkeypatch):
+    made = suite()
+    monkeypatch.setattr(module, "_synthcam", lambda *words: pytest.fail("made again"))
+    assert make(made.path, tiny(), workers=1).about == made.about
+    with pytest.raises(InputError, match="holds another suite"):
+        make(made.path, tiny("small"), workers=1)
+
+
+def test_a_withheld_truth_lies_apart_with_a_seed_that_is_drawn(tmp_path, monkeypatch):
+    made = suite()
+    asked = []
+
+    def copied(*words):
+        asked.append(words)
+        out, truth = (words[words.index(option) + 1] for option in ("-o", "--withhold-truth"))
+        shutil.copytree(made.film("axes"), out)
+        shutil.copytree(made.truth / "axes", truth)
+
+    monkeypatch.setattr(module, "_synthcam", copied)
+    withheld = make(tmp_path / "suite", tiny(), tmp_path / "truth", workers=1)
+    assert withheld.about["split"] == "withheld"
+    assert withheld.about["seed"] is None
+    drawn = json.loads((tmp_path / "truth" / "seed.json").read_text())["seed"]
+    assert str(drawn) == asked[0][asked[0].index("--seed") + 1]
+    assert drawn != 5
+    text = "".join(path.read_text() for path in (tmp_path / "suite").glob("*.*"))
+    assert str(drawn) not in text
+    alone = open_suite(tmp_path / "suite")
+    with pytest.raises(InputError, match="this suite's truth is withheld: --truth TRUTH"):
+        with_truth(alone)
+    assert with_truth(open_suite(tmp_path / "suite", tmp_path / "truth")).bounds("axes") is not None
+    tracks = next((tmp_path / "truth").rglob("tracks.parquet"))
+    tracks.write_bytes(tracks.read_bytes()[:-1] + b"x")
+    with pytest.raises(InputError, match="its SHA-256 differs"):
+        with_truth(open_suite(tmp_path / "suite", tmp_path / "truth"))
+
+
+def test_a_truth_within_the_films_is_refused(tmp_path):
+    for truth in (tmp_path / "suite" / "truth", tmp_path):
+        with pytest.raises(InputError, match="expected a folder for the truth apart from it"):
+            make(tmp_path / "suite", tiny(), truth)
+
+
+def test_what_synthcam_refuses_is_said(tmp_path):
+    from benchmark_suite import TINY
+
+    from tracker.benchmark.suite.definition import from_text
+
+    wrong = from_text(TINY.replace("v0: 0.25", "v1: 0.25"), "full", "tiny.yaml")
+    with pytest.raises(InputError, match=r"synthcam generate ended with status 2: .*launch\.v1"):
+        make(tmp_path / "suite", wrong, workers=1)

@@ -1,0 +1,100 @@
+"""Trackers run on a suite: scored, on one page, on a leaderboard; what is done is kept, and the truth is not seen."""
+
+import csv
+import json
+import shutil
+import sys
+from dataclasses import replace
+
+import pytest
+from benchmark_suite import suite
+
+from commandline.errors import InputError
+from tracker.benchmark import contest as module
+from tracker.benchmark.contest import contest
+from tracker.benchmark.report.leaderboard import COLUMNS
+from tracker.benchmark.trackers import Entrant, entrants, tracked
+
+
+@pytest.fixture(scope="module")
+def report(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("contest") / "report"
+    entries, notes = contest(suite(), folder, how="tracker benchmark run -o report")
+    assert notes == []
+    return folder, entries
+
+
+def test_the_likelihood_is_ahead_of_the_centroid_and_at_the_bound(report):
+    _, entries = report
+    assert [one["tracker"]["name"] for one in entries] == ["synthcam", "centroid"]
+    best = entries[0]
+    assert best["score"] > 85
+    for part in ("bright", "dim"):
+        assert best["parts"][part]["ratio"] == pytest.approx(1.0, abs=0.25)
+        assert best["parts"][part]["found"] == 1.0
+    assert best["quantities"]["bright"]["measured"] == 2
+    assert best["tracker"]["ms_per_frame"] > 0
+    assert abs(best["defects"]["size"]["glint"]) < 0.02  # it takes glints to centres itself
+    assert entries[1]["defects"]["size"]["glint"] == pytest.approx(1.0, abs=0.05)
+
+
+def test_leaderboard_and_page(report):
+    folder, entries = report
+    rows = list(csv.DictReader((folder / "leaderboard.csv").read_text().splitlines()))
+    assert list(rows[0]) == COLUMNS
+    assert [(row["rank"], row["name"]) for row in rows] == [("1", "synthcam"), ("2", "centroid")]
+    assert rows[0]["truth"] == "open to the tracker's authors"
+    page = (folder / "index.html").read_text()
+    for word in (
+        "synthcam",
+        "centroid",
+        "Leaderboard",
+        "CC0-1.0",
+        entries[0]["suite"]["truth_sha256"],
+        "HOTA",
+        "run -o report",
+    ):
+        assert word in page
+    assert page.count("data:image/svg+xml") == 5
+    assert "http://" not in page.replace("http://www.w3.org", "")
+    assert "https://" not in page
+
+
+def test_the_same_call_does_nothing_twice(report, monkeypatch):
+    folder, entries = report
+    monkeypatch.setattr(module, "entry", lambda *words: pytest.fail("scored again"))
+    monkeypatch.setattr("tracker.pipeline._one", lambda *words: pytest.fail("tracked again"))
+    assert contest(suite(), folder)[0] == entries
+
+
+def test_a_tracker_needs_no_truth(report, tmp_path):
+    blind = replace(suite(), path=tmp_path / "films_only", truth=tmp_path / "none")
+    shutil.copytree(suite().path / "films", blind.path / "films")
+    tracked(blind, Entrant("centroid"), tmp_path / "out", lambda done, of: None, 1)
+    for path in (tmp_path / "out").rglob("tracks.parquet"):
+        assert (
+            path.read_bytes() == (report[0] / "results" / "centroid" / path.relative_to(tmp_path / "out")).read_bytes()
+        )
+
+
+def test_an_unknown_tracker_and_another_suites_report(report, tmp_path):
+    with pytest.raises(InputError, match=r"no detector 'centriod'.*did you mean"):
+        entrants(suite(), "centriod")
+    other = replace(suite(), about={**suite().about, "truth_sha256": "0"})
+    copy = shutil.copytree(report[0], tmp_path / "copy")
+    with pytest.raises(InputError, match="figures of two suites are not set beside each other"):
+        module.published(other, copy, "")
+    (tmp_path / "full").mkdir()
+    (tmp_path / "full" / "mine.txt").write_text("")
+    with pytest.raises(InputError, match="holds something else"):
+        contest(suite(), tmp_path / "full", "centroid")
+
+
+def test_a_peer_that_is_not_installed_is_left_out_and_named(monkeypatch):
+    monkeypatch.setitem(sys.modules, "trackpy", None)
+    made = suite()
+    data = {**made.definition.data, "trackers": ["synthcam", "trackpy_locate"]}
+    found, notes = entrants(replace(made, definition=replace(made.definition, data=data)))
+    assert [one.name for one in found] == ["synthcam"]
+    assert "trackpy_locate: left out" in notes[0]
+    assert json.dumps(notes).count("pip install synthcam[peers]") == 1

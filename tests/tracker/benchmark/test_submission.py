@@ -1,0 +1,128 @@
+"""Tables of another program, scored as those that run here; a truth that does not leave its folder."""
+
+import json
+import shutil
+import sys
+
+import pandas as pd
+import pytest
+from benchmark_suite import Given, noisy, suite
+
+from commandline.errors import InputError
+from tracker.benchmark.submission import read_form, submitted
+from tracker.cli import main
+
+
+@pytest.fixture(autouse=True)
+def drawn(monkeypatch):
+    """No pictures, which take seconds: test_contest.py looks at the page."""
+    monkeypatch.setattr("tracker.benchmark.contest.write_page", lambda *words: None)
+
+
+def tables(folder, clips=range(4), change=noisy, **form):
+    """A submission as another program would write it: clip, frame, particle, x, y and errors."""
+    made = suite()
+    folder.mkdir()
+    (folder / "submission.json").write_text(json.dumps({"name": "theirs", **form}))
+    columns = ["frame", "particle", "x", "y", "x_std", "y_std", "cov_xy"]
+    rows = [Given(made, change).of("axes", clip)[0][columns].assign(clip=clip) for clip in clips]
+    if rows:
+        pd.concat(rows).to_csv(folder / "axes.csv", index=False)
+    return folder
+
+
+def test_tables_at_the_bound_score_as_a_tracker_at_the_bound(tmp_path):
+    entries, notes = submitted(
+        suite(), tables(tmp_path / "s", authors="A. N. Other", ms_per_frame=3), tmp_path / "r", ""
+    )
+    assert notes == []
+    (one,) = entries
+    assert one["tracker"] == {"name": "theirs", "authors": "A. N. Other", "ms_per_frame": 3, "made": "submitted"}
+    assert one["score"] > 85
+    assert one["quantities"]["bright"]["measured"] == 2
+    assert abs(one["quantities"]["bright"]["r"]["bias"]) < 0.01
+
+
+def test_a_file_a_clip_in_another_programs_format_gives_the_same(tmp_path):
+    whole = tables(tmp_path / "s")
+    parted = tmp_path / "t"
+    (parted / "axes").mkdir(parents=True)
+    (parted / "submission.json").write_text('{"name": "theirs"}')
+    for clip, rows in pd.read_csv(whole / "axes.csv").groupby("clip"):
+        rows.drop(columns="clip").to_csv(parted / "axes" / f"{clip:06d}.csv", index=False)
+    one, other = (submitted(suite(), s, tmp_path / f"r{k}", "")[0][0] for k, s in enumerate((whole, parted)))
+    assert one == other
+
+
+def test_clips_without_a_table_are_not_found(tmp_path):
+    (one,), notes = submitted(suite(), tables(tmp_path / "s", clips=(0, 1)), tmp_path / "r", "")
+    assert notes == ["axes: no table of 2 of 4 clips, which count as not found"]
+    assert one["parts"]["bright"]["found"] == 1.0
+    assert one["parts"]["dim"]["found"] == 0.0
+    assert one["parts"]["dim"]["efficiency"] == 0.0
+
+
+def test_glints_are_taken_to_centres_where_the_form_says_so(tmp_path):
+    def glints(table, rng):
+        moved = noisy(table, rng)
+        return moved.assign(
+            x=moved["x"] + table["glint_x_px"] - table["x_px"], y=moved["y"] + table["glint_y_px"] - table["y_px"]
+        )
+
+    wrong, right = (
+        submitted(suite(), tables(tmp_path / f"s{k}", change=glints, **form), tmp_path / f"r{k}", "")[0][0]
+        for k, form in enumerate(({}, {"point": "glint"}))
+    )
+    assert wrong["parts"]["bright"]["ratio"] > 20
+    assert wrong["defects"]["size"]["glint"] == pytest.approx(1, abs=0.01)
+    assert right["parts"]["bright"]["ratio"] < 1.3
+
+
+def test_a_withheld_truth_is_scored_where_it_lies(tmp_path, monkeypatch, capsys):
+    made = suite()
+    films, truth = tmp_path / "suite", tmp_path / "kept"
+    shutil.copytree(made.path, films, ignore=shutil.ignore_patterns("truth"))
+    shutil.copytree(made.truth, truth)
+    (films / "suite.json").write_text(json.dumps({**made.about, "split": "withheld", "seed": None}))
+    typed = ["tracker", "benchmark", "submit", str(films), str(tables(tmp_path / "s")), "-o", str(tmp_path / "r")]
+    monkeypatch.setattr(sys, "argv", typed)
+    with pytest.raises(SystemExit) as stopped:
+        main()
+    err = capsys.readouterr().err
+    assert (stopped.value.code, err.count("\n")) == (2, 1)
+    assert "this suite's truth is withheld" in err
+    before = {path: path.read_bytes() for path in truth.rglob("*") if path.is_file()}
+    monkeypatch.setattr(sys, "argv", [*typed, "--truth", str(truth), "--json"])
+    with pytest.raises(SystemExit) as stopped:
+        main()
+    assert stopped.value.code == 0
+    (line,) = json.loads(capsys.readouterr().out)["leaderboard"]
+    assert line["truth"] == "withheld from the tracker's authors"
+    assert {path: path.read_bytes() for path in truth.rglob("*") if path.is_file()} == before
+    assert not [path for path in (tmp_path / "r").rglob("*") if path.suffix == ".parquet"]
+    true = pd.read_parquet(truth / "axes" / "clips" / "000000" / "truth" / "tracks.parquet")["x_mean_px"]
+    told = "".join(path.read_text() for path in (tmp_path / "r").rglob("*.*") if path.is_file())
+    assert not [value for value in true if f"{value:.6f}" in told]
+
+
+@pytest.mark.parametrize(
+    ("form", "said"),
+    [
+        ({"nam": "x"}, "name: expected the tracker's name"),
+        ({"name": "x", "pont": "glint"}, "pont: unknown, expected one of .*did you mean point"),
+        ({"name": "x", "point": "edge"}, "point: expected centre or glint, not 'edge'"),
+        ({"name": "x", "ms_per_frame": -1}, "ms_per_frame: expected a number over 0, not -1"),
+    ],
+)
+def test_a_wrong_form_is_one_line(tmp_path, form, said):
+    (tmp_path / "submission.json").write_text(json.dumps(form))
+    with pytest.raises(InputError, match=said):
+        read_form(tmp_path)
+
+
+def test_a_clip_that_the_suite_does_not_have(tmp_path):
+    folder = tables(tmp_path / "s", clips=(0,))
+    rows = pd.read_csv(folder / "axes.csv").assign(clip=9)
+    rows.to_csv(folder / "axes.csv", index=False)
+    with pytest.raises(InputError, match="axes: clip 9: not in the suite, expected 0 to 3"):
+        submitted(suite(), folder, tmp_path / "r", "")
