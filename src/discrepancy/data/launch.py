@@ -23,6 +23,7 @@ X, Y, T_C, V0, HEADING, B = range(len(LAUNCH))
 SLIP, SIDE = slice(len(LAUNCH), len(LAUNCH) + 2), len(LAUNCH) + 2
 GUESS = 0.2  # of the speed, a slip and a spin to start from
 WITH_SPIN = len(LAUNCH) + len(SPIN)
+LEAST_SLIP = 0.02  # of the speed: where a slip ends, its direction decides a whole past, and no derivative leads on
 
 
 def free(launches: Array) -> NDArray[np.bool_]:
@@ -36,6 +37,15 @@ def free(launches: Array) -> NDArray[np.bool_]:
     if launches.shape[1] == WITH_SPIN:
         out[:, SLIP] = np.any(launches[:, SLIP] != 0, axis=1)[:, None]
         out[:, SIDE] = launches[:, SIDE] != 0
+    return out
+
+
+def without_least_slips(launches: Array) -> Array:
+    """The launches (clips, p), of which strikers that have all but ended to slide roll."""
+    if launches.shape[1] != WITH_SPIN:
+        return launches
+    out = launches.copy()
+    out[np.hypot(*launches[:, SLIP].T) < LEAST_SLIP * launches[:, V0], SLIP] = 0.0
     return out
 
 
@@ -67,7 +77,7 @@ def alike(launches: list[Array]) -> list[Array]:
     """Launches of equal length: without spins where no striker has one."""
     if all(len(launch) == len(LAUNCH) or not launch[len(LAUNCH) :].any() for launch in launches):
         return [launch[: len(LAUNCH)] for launch in launches]
-    return [np.concatenate([launch, np.zeros(WITH_SPIN - len(launch))]) for launch in launches]
+    return list(without_least_slips(np.array([[*launch, *np.zeros(WITH_SPIN - len(launch))] for launch in launches])))
 
 
 def normal_speed(launches: Array) -> Array:

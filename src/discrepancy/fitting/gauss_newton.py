@@ -10,11 +10,12 @@ import dataclasses
 from collections.abc import Callable, Iterator, Mapping, Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
 from discrepancy.arrays import Array
 from discrepancy.data.collisions import Measured
-from discrepancy.data.launch import possible
+from discrepancy.data.launch import possible, without_least_slips
 from discrepancy.fitting.jacobian import coupling, derivatives, launch_derivatives
 from discrepancy.fitting.model_fit import Evidence, Fit, Tangent
 from discrepancy.fitting.parameters import parameter_of, span_of, within
@@ -29,6 +30,7 @@ ROUGH = 0.1  # of chi^2: enough to see which of two models fits better
 FORETOLD = 0.2  # of what the derivatives foretell: chi^2 falling so much more or less calls for new ones
 SHARES = (1.0, 0.3, 0.1)  # of a step, tried in turn: along a valley that bends, a part of it still leads down
 DAMPED = 1e6  # the strongest damping
+FEW, GUILTY = 0.2, 0.1  # of the clips, whose launches alone may be damped; of the largest rise of chi^2 in a clip
 FAILED = (ValueError, ArithmeticError)  # of a step: no motion, a singular matrix, an overflow
 
 
@@ -86,10 +88,11 @@ def settle(evidence: Evidence, fit: Fit, progress: Callable[[], None] = lambda: 
     Fit
     """
     damping, settled, last = 0.0, ROUGH if rough else SETTLED, False
+    held = np.zeros(len(fit.residuals))  # damping of single launches
     for _ in range(ITERATIONS):
         progress()
         try:
-            values, own = _step(fit, damping)
+            values, own = _step(fit, damping, held)
         except FAILED:
             break
         foretold = fit.chi2 - _foretold(fit, values, own)
@@ -101,10 +104,12 @@ def settle(evidence: Evidence, fit: Fit, progress: Callable[[], None] = lambda: 
         for share in SHARES if fit.local else (1.0,):
             moved = _moved(evidence, fit, _part(fit, values, share), share * own)
             gained = fit.chi2 - moved.chi2 if moved else -np.inf
-            if gained > 0:
+            if gained > 0 or (few := _astray(fit, moved, held)).any():
                 break
         if moved is None or not gained > 0:
-            if fit.local:
+            if fit.local and few.any():
+                held[few] = np.maximum(10 * held[few], 1e-3)
+            elif fit.local:
                 damping = max(10 * damping, 1e-3)
                 if damping > DAMPED:
                     break
@@ -113,7 +118,7 @@ def settle(evidence: Evidence, fit: Fit, progress: Callable[[], None] = lambda: 
             else:
                 fit = here
             continue
-        damping = damping / 10 if damping > 1e-4 else 0.0
+        damping, held = float(_less(damping)), np.asarray(_less(held))
         last = gained < settled and share == 1
         if last and fit.local:
             return moved if rough else _here(evidence, moved) or moved
@@ -123,6 +128,23 @@ def settle(evidence: Evidence, fit: Fit, progress: Callable[[], None] = lambda: 
                 break
             fit = here
     return fit
+
+
+def _less(damping: Array | float) -> Array | np.float64:
+    """The damping after a step that gained."""
+    return np.where(np.greater(damping, 1e-4), np.divide(damping, 10), 0.0)
+
+
+def _astray(fit: Fit, moved: Fit | None, held: Array) -> NDArray[np.bool_]:
+    """Which clips alone made a step fail, if they are few: their launches are to be damped, and no others."""
+    none = np.zeros(len(fit.residuals), dtype=bool)
+    if moved is None or not fit.local:
+        return none
+    rise = np.array([(a**2).sum() - (b**2).sum() for a, b in zip(moved.residuals, fit.residuals, strict=True)])
+    few = (rise > GUILTY * rise.max()) & (rise > 0)
+    if few.mean() > FEW or rise[~few].sum() > 0 or held[few].max() > DAMPED:
+        return none
+    return np.asarray(few)
 
 
 def _here(evidence: Evidence, fit: Fit) -> Fit | None:
@@ -247,7 +269,7 @@ def _beside(
 
 def _moved(evidence: Evidence, fit: Fit, values: Mapping[str, float], own: Array) -> Fit | None:
     """The fit after a step, with its derivatives as they were; None where the model has no motion there."""
-    launches = fit.launches + own
+    launches = without_least_slips(fit.launches + own)
     if not possible(launches):
         return None
     try:
@@ -264,13 +286,13 @@ def _foretold(fit: Fit, values: Mapping[str, float], own: Array) -> float:
     return float(sum(((r - s @ shared - a @ o) ** 2).sum() for r, s, a, o in parts))
 
 
-def _step(fit: Fit, damping: float) -> tuple[dict[str, float], Array]:
+def _step(fit: Fit, damping: float, held: Array | float = 0.0) -> tuple[dict[str, float], Array]:
     """The Gauss-Newton step within the limits: new values of the shared parameters, changes of the launches."""
-    shared, own = solve(fit, damping, *fit.room())
+    shared, own = solve(fit, damping, *fit.room(), held)
     return dict(zip(fit.names, (fit.values() + shared).tolist(), strict=True)), own
 
 
-def solve(fit: Fit, damping: float, least: Array, most: Array) -> tuple[Array, Array]:
+def solve(fit: Fit, damping: float, least: Array, most: Array, held: Array | float = 0.0) -> tuple[Array, Array]:
     """The Gauss-Newton step of a fit, the launches eliminated clip by clip.
 
     Parameters
@@ -280,6 +302,8 @@ def solve(fit: Fit, damping: float, least: Array, most: Array) -> tuple[Array, A
         Marquardt's, as a share of each diagonal element.
     least, most : (S,) array
         Bounds of the shared parameters' changes.
+    held : (clips,) array, optional
+        Damping of each clip's launch, beyond that.
 
     Returns
     -------
@@ -290,10 +314,11 @@ def solve(fit: Fit, damping: float, least: Array, most: Array) -> tuple[Array, A
     """
     size = len(fit.names)
     matrix, right, blocks = np.zeros((size, size)), np.zeros(size), []
-    for r, s, a in zip(fit.residuals, fit.slopes, fit.launch_slopes, strict=True):
+    every = damping + np.broadcast_to(held, len(fit.residuals))
+    for r, s, a, damped in zip(fit.residuals, fit.slopes, fit.launch_slopes, every, strict=True):
         own = a.T @ a
         size_of_own = np.diag(own)
-        own[np.diag_indices(len(own))] = np.where(size_of_own > 0, size_of_own * (1 + damping), 1.0)
+        own[np.diag_indices(len(own))] = np.where(size_of_own > 0, size_of_own * (1 + damped), 1.0)
         coupling, pull = a.T @ s, a.T @ r
         solved = _solved(own, np.column_stack([coupling, pull]))
         blocks.append(solved)

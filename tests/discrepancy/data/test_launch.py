@@ -18,6 +18,7 @@ from discrepancy.data.launch import (
     normal_speed,
     possible,
     spin,
+    without_least_slips,
 )
 from synthcam.dynamics.batch import LAUNCH
 from synthcam.dynamics.launch import SPIN
@@ -64,3 +65,12 @@ def test_of_a_misfit_only_a_ball_that_slows_down_slides():
     unseen = spin({"status": "misfit"}, 0.0, 0.5, np.array([-2.0, 0.0]))
     assert unseen[0] > 0  # friction is against the slip
     assert unseen[1] == 0
+
+
+def test_a_striker_whose_slide_has_all_but_ended_rolls():
+    """A slip that ends has no direction: derivatives by it were 1e5 of those by all else, and no step gained."""
+    launches = np.array([[0, 0, 0.1, 2.0, 0, 0.3, 0.03, -0.02, 1.0], [0, 0, 0.1, 2.0, 0, 0.3, 0.05, 0.0, 0.0]])
+    rolling = without_least_slips(launches)
+    assert rolling[0].tolist() == [0, 0, 0.1, 2.0, 0, 0.3, 0, 0, 1.0]
+    assert np.array_equal(rolling[1], launches[1])
+    assert np.array_equal(without_least_slips(launches[:, :6]), launches[:, :6])
