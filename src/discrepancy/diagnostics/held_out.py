@@ -83,6 +83,12 @@ class Held:
         """Foretold no better with the claim."""
         return self.gap[1] >= self.gap[0]
 
+    @property
+    def closes_little(self) -> bool:
+        """Whether far more is missing than the claim explains."""
+        without, with_ = self.gap
+        return with_ > policy.NOT_DESCRIBED and without - with_ < policy.LEAST_SHARE_CLOSED * (without - 1)
+
 
 @dataclass(frozen=True)
 class Claim:
@@ -147,6 +153,11 @@ def refused(kept_out: Held, turns: Held) -> str:
         return "collisions are foretold worse with it, each held out once"
     if turns.sigma < policy.HELD_OUT_IN_TURN_SIGMA:
         return "collisions, each held out once, do not ask for it beyond chance"
+    if kept_out.closes_little and turns.closes_little:
+        without, with_ = kept_out.gap
+        return (
+            f"far more is missing: with it collisions kept out are at {with_:.3g} in chi^2 a point, not {without:.3g}"
+        )
     return ""
 
 

@@ -7,7 +7,7 @@ import pytest
 from discrepancy_clips import HIDDEN, collisions, only, searched
 
 from discrepancy.data.collisions import split
-from discrepancy.diagnostics.held_out import Held, foretold
+from discrepancy.diagnostics.held_out import Held, foretold, refused
 from discrepancy.fitting.gauss_newton import fit_model
 from discrepancy.fitting.parameters import BASE
 from discrepancy.noise.model import Component, Noise
@@ -91,3 +91,11 @@ def test_no_error_is_given_of_a_strength_where_more_is_missing():
     assert np.isnan(found.document()["named"][0]["std"][E])
     assert "e = 0.05 without an error" in found.sentence()
     assert "+-" not in found.sentence()
+
+
+def test_a_claim_that_closes_little_of_what_is_missing_does_not_stand():
+    """A hundred sigma of a claim mean nothing where the model with it leaves thrice the noise."""
+    little, much = Held((56.0, 55.8), 53.0, 50.0), Held((56.0, 40.0), 53.0, 50.0)
+    assert "far more is missing" in refused(little, Held((2.7, 2.65), 53.0, 50.0))
+    assert refused(much, Held((2.7, 2.65), 53.0, 50.0)) == ""
+    assert refused(Held((1.3, 1.25), 53.0, 50.0), Held((1.3, 1.25), 53.0, 50.0)) == ""
