@@ -1,5 +1,6 @@
 """The public names, listed once."""
 
+from . import benchmark as benchmark
 from .camera.camera import Camera as Camera
 from .camera.camera_json import InputError as InputError
 from .recording import Result as Result

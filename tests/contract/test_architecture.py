@@ -109,7 +109,7 @@ LAYERS = {
         "suite",
         "judging",
         "report trackers",
-        "contest",
+        "contest library",
         "submission",
         "commands",
     ],

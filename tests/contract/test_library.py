@@ -24,8 +24,9 @@ from tracker import pipeline
 
 mpl.use("Agg")
 PACKAGES = ("synthcam", "tracker", "discrepancy")
-PUBLIC = [(p, n) for p in PACKAGES for n in import_module(p).__all__ if n != "__version__"]
-SILENT = {"NoGL", "InputError", "Finding", "Plan"}  # without an example of their own
+NAMES = [(p, n) for p in (*PACKAGES, "tracker.benchmark") for n in import_module(p).__all__ if n != "__version__"]
+PUBLIC = [(p, n) for p, n in NAMES if not inspect.ismodule(getattr(import_module(p), n))]
+SILENT = {"NoGL", "InputError", "Finding", "Plan", "run", "Trial"}  # without an example of their own
 HEAVY = ("numpy", "pandas", "cv2", "scipy", "matplotlib", "pydantic", "OpenGL")
 
 

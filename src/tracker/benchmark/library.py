@@ -1,0 +1,184 @@
+"""The benchmark from Python: a detector of one's own, as a function or a class, held to the truth in a notebook."""
+
+from __future__ import annotations
+
+import inspect
+import os
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pandas as pd
+from numpy.typing import ArrayLike, NDArray
+
+from commandline.errors import InputError
+from tracker.benchmark.judging.entry import entry
+from tracker.benchmark.judging.tracked import InMemory
+from tracker.benchmark.suite.definition import read_definition
+from tracker.benchmark.suite.folder import Suite, open_suite, with_truth
+from tracker.benchmark.suite.make import make
+from tracker.camera.frames import open_source
+from tracker.detection.detect import Named, name_of
+from tracker.detection.glints import Detector, Glints, View
+from tracker.recording import followed
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+UNSAID = 0.1  # px, of places without an error; the fits find out from the tracks how large it is
+FIGURES = "ratio rmse_px bound_px found false phase_bias_px z jsc mota idf1 hota clips".split()
+QUANTITIES = "n bias rmse bound ratio z_mean z_std cover68 cover95 published published_std".split()
+Finder = Callable[[NDArray[Any]], ArrayLike]
+
+
+@dataclass(frozen=True, repr=False)
+class Trial:
+    """How a detector did on a suite.
+
+    Attributes
+    ----------
+    entry : dict
+        All figures, as a report's entries/NAME.json has them.
+    headline : dict
+        The parts that the score is made of, and a word for each.
+    """
+
+    entry: Mapping[str, Any]
+    headline: Mapping[str, str]
+
+    @property
+    def score(self) -> float:
+        """100: every ball found, nothing else, at the bound."""
+        value = self.entry["score"]
+        return float("nan") if value is None else float(value)
+
+    @cached_property
+    def table(self) -> pd.DataFrame:
+        """A row for each part of the suite.
+
+        ratio: rmse over the Cramer-Rao bound; rmse_px, bound_px (px, each axis); found: share of the balls in view;
+        false: detections of nothing; phase_bias_px; z: errors over those claimed; jsc, mota, idf1, hota; clips.
+        """
+        rows = {name: {key: part[key] for key in FIGURES} for name, part in self.entry["parts"].items()}
+        table = pd.DataFrame.from_dict(rows, orient="index", columns=FIGURES, dtype=float)
+        return table.rename_axis("part")
+
+    @cached_property
+    def quantities(self) -> pd.DataFrame:
+        """A row for each part and quantity, SI: what was measured of the collisions, held to the truth."""
+        rows = {
+            (part, name): {key: figures.get(key) for key in QUANTITIES}
+            for part, found in self.entry["quantities"].items()
+            for name, figures in found.items()
+            if isinstance(figures, Mapping)
+        }
+        index = pd.MultiIndex.from_tuples(list(rows), names=["part", "quantity"])
+        return pd.DataFrame(list(rows.values()), index=index, columns=QUANTITIES, dtype=float)
+
+    def __repr__(self) -> str:
+        lost = self.table["found"] < 1
+        name = self.entry["tracker"]["name"]
+        said = f"{name}: score {self.score:.0f} of 100, median {self.table['ratio'].median():.3g} times the bound"
+        return f"{said}; balls lost in {int(lost.sum())} of {len(lost)} parts"
+
+    def _repr_html_(self) -> str:
+        return f"<p>{self!r}</p>{self.table.to_html(float_format=lambda v: f'{v:.3g}')}"
+
+    def plot(self, ax: Axes | None = None) -> Axes:
+        """Plot the error over its bound in the settings that the score is made of.
+
+        Parameters
+        ----------
+        ax : Axes, optional
+            Where to draw; default: a new figure.
+
+        Returns
+        -------
+        Axes
+        """
+        if ax is None:
+            import matplotlib.pyplot as plt
+
+            ax = plt.subplots(layout="constrained")[1]
+        parts = [part for part in self.headline if part in self.table.index]
+        ratio = self.table.loc[parts, "ratio"].to_numpy(float)
+        ax.plot(ratio, np.arange(len(parts)), "o", label=str(self.entry["tracker"]["name"]))
+        ax.axvline(1.0, color="0.4", ls=":")
+        ax.set_yticks(range(len(parts)), [self.headline[part] for part in parts])
+        ax.set(xscale="log", xlabel="rmse / bound", ylim=(len(parts) - 0.5, -0.5))
+        return ax
+
+
+def run(
+    detector: Named | Finder, suite: Path | str | None = None, *, name: str | None = None, point: str = "either"
+) -> Trial:
+    """Run a detector on the benchmark and hold it to the truth.
+
+    Parameters
+    ----------
+    detector : callable or str
+        A function that is given a frame, (height, width) counts, and returns places (n, 2), x and y in px, pixel
+        centres at whole numbers; or a class as the files of ``detectors/`` hold, which may give errors; or such a one's name.
+    suite : str or Path, optional
+        One that `tracker benchmark make` made; default: the small one, made once and kept among the user's caches.
+    name : str, optional
+        What to call it; default: its own.
+    point : {"either", "glint", "centre"}
+        What a function finds: the bright spot, which the camera file takes to the centre, or the centre; "either" the
+        spot on balls that mirror the lamp, the centre of matte ones.
+
+    Returns
+    -------
+    Trial
+        `table` and `quantities` (DataFrames), `score`, `plot()`.
+
+    Raises
+    ------
+    InputError
+        For what is no suite, and a detector that returns something else.
+    """
+    if point not in ("either", "glint", "centre"):
+        raise InputError(f"point: expected either, glint or centre, not {point!r}")
+    made = _suite(suite)
+    function = callable(detector) and not inspect.isclass(detector)
+    used: Any = _finder(detector, point) if function else detector
+    found = InMemory(own="centre" if function and point == "centre" else "glint")
+    for film in dict.fromkeys(part.film for part in made.parts.values()):
+        source = open_source(made.film(film))
+        for index, (number, _) in enumerate(source.clips):
+            found.found[film, number] = followed(source.clip(index), used)
+    given: Any = detector
+    about = {"name": name or name_of(given), "made": "run here", "point": found.own}
+    return Trial(entry(made, found, about), made.definition.headline)
+
+
+def _suite(given: Path | str | None) -> Suite:
+    """The suite, with its truth; the small one is made where none is given."""
+    if given is not None:
+        return with_truth(open_suite(Path(given)))
+    definition = read_definition(size="small")
+    cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+    return make(cache / "synthcam" / f"benchmark-{definition.version}-{definition.digest[:8]}", definition, workers=1)
+
+
+def _finder(function: Any, what: str) -> Callable[[View], Detector]:
+    """A class of detectors that ask a function."""
+
+    class Asked:
+        point = what
+
+        def __init__(self, view: View) -> None:
+            self.area = float(np.pi / 4 * view.camera.diameter_px**2)
+
+        def __call__(self, frame: NDArray[Any]) -> Glints:
+            given = np.asarray(function(np.asarray(frame)), dtype=np.float64)
+            if given.size and (given.ndim != 2 or given.shape[1] != 2):
+                raise InputError(f"{name_of(function)}: returned an array {given.shape}, expected places (n, 2)")
+            x, y = given.reshape(-1, 2).T
+            return Glints.at(x, y, UNSAID, self.area)
+
+    Asked.__name__ = name_of(function)
+    return Asked

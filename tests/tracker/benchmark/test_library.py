@@ -1,0 +1,53 @@
+"""The detector of ten lines in the docs runs as it stands; what comes back is what the files say."""
+
+import re
+
+import matplotlib as mpl
+import numpy as np
+import pytest
+from benchmark_suite import suite
+from repository import ROOT
+
+import tracker
+from commandline.errors import InputError
+from tracker.benchmark import library, run
+
+mpl.use("Agg")
+
+
+def test_the_ten_lines_of_the_docs_run_as_they_stand(monkeypatch, capsys):
+    (code,) = re.findall(r"```python\n(.*?)```", (ROOT / "docs/benchmark.md").read_text(), re.DOTALL)
+    monkeypatch.setattr(library, "_suite", lambda given: suite())
+    names = {}
+    exec(compile(code, "docs/benchmark.md", "exec"), names)
+    assert re.match(r"brightest: score \d+ of 100, median \S+ times the bound", capsys.readouterr().out)
+    table = names["trial"].table
+    assert list(table.index) == ["bright", "dim"]
+    assert table.loc["bright", "found"] > 0.9
+    assert 1 < table.loc["bright", "ratio"] < 10
+    assert names["trial"].quantities.loc[("bright", "r"), "n"] >= 1
+    assert len([line for line in code.partition("def ")[2].partition("\ntrial")[0].splitlines() if line.strip()]) <= 12
+    mpl.pyplot.close("all")
+
+
+def test_a_detector_by_name_is_the_one_that_runs_from_files():
+    trial = run("centroid", suite().path)
+    own = run(tracker.detection.detect.detector("centroid"), suite().path, name="mine")
+    assert own.table.equals(trial.table)
+    assert trial.entry["tracker"]["name"] == "centroid"
+    assert own.entry["tracker"]["name"] == "mine"
+    axes = trial.plot()
+    assert [text.get_text() for text in axes.get_yticklabels()] == ["bright", "dim"]
+    assert "<table" in trial._repr_html_()
+    mpl.pyplot.close("all")
+
+
+def test_what_is_no_list_of_places_is_said():
+    with pytest.raises(InputError, match=r"three: returned an array \(2, 3\), expected places \(n, 2\)"):
+        run(three, suite().path)
+    with pytest.raises(InputError, match="point: expected either, glint or centre"):
+        run(three, suite().path, point="edge")
+
+
+def three(frame):
+    return np.zeros((2, 3))
