@@ -127,15 +127,21 @@ def export(
 @app.command()
 def score(
     results: Annotated[Path, typer.Argument(metavar="RESULTS|TRACKS", help="What tracker track made, or a table.")],
-    truth: Annotated[Path, typer.Option(metavar="DATASET", help="The dataset, with its truth.")],
+    truth: Annotated[Path, typer.Option(metavar="DATASET|TABLE", help="The dataset, with its truth, or a true table.")],
     output: Annotated[Path, typer.Option("-o", "--output", metavar="REPORT", help="Folder to make.")],
     name: Annotated[str, typer.Option(help="What to call the detector in the report.")] = "",
     point: Annotated[str, typer.Option(help="Of a table: x, y are centre or glint.")] = "centre",
+    gate: Annotated[float | None, typer.Option(help="Of two tables: largest distance of a pair; default 5.")] = None,
     as_json: Json = False,
 ) -> None:
     """Hold results to the truth: localisation against its bound, tracking measures, bias and coverage.
 
+    A table of any program may be held to a true table of any program: CSV, MOTChallenge, Particle Tracking Challenge,
+    TrackMate. Boxes are then compared by their overlap, points by their distance.
+
     Example: tracker score out/results --truth out/benchmark -o out/report
+
+    Example: tracker score theirs.txt --truth gt.txt -o out/report
     """
     from commandline.outputs import as_input_error, check_room, held
     from tracker.results import RUN, load_json
@@ -149,6 +155,11 @@ def score(
     new = not output.exists()
     with held(output), as_input_error(output):
         try:
+            if truth.is_file():
+                _score_tables(results, truth, output, gate, name, as_json)
+                return
+            if gate is not None:
+                raise InputError("--gate: expected a true table behind --truth; a dataset is held to 5 px")
             if results.is_file():
                 name = name or results.stem
                 results = _measured(results, truth, output, point)
@@ -249,6 +260,16 @@ def _measured(tracks: Path, truth: Path, output: Path, point: str) -> Path:
     folder = output / "results"
     measure_tables(tracks, folder, cameras[0], point)
     return folder
+
+
+def _score_tables(found: Path, truth: Path, output: Path, gate: float | None, name: str, as_json: bool) -> None:
+    from tracker.scoring.tables_score import score_tables
+
+    if gate is not None and not gate > 0:
+        raise InputError(f"--gate {gate:g}: expected a distance over 0")
+    verdict = score_tables(found, truth, gate, name)
+    path = verdict.write(output)
+    print(json.dumps(verdict.to_dict()) if as_json else "\n".join([*verdict.summary(), f"{path}"]))
 
 
 def _typed() -> str:

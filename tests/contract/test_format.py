@@ -88,7 +88,7 @@ def test_score_and_search_hold_their_keys(made: Path) -> None:
     score = json.loads((made / "score/score.json").read_text())
     found = next(iter(score["detectors"].values()))
     assert set(found["localisation"]) == {"n", "missed", "false", "rmse_px", "bound_px", "ratio", "phase_bias_px"}
-    tracking = {"alpha", "beta", "jsc", "jsc_theta", "mota", "idf1", "hota", "swaps"}
+    tracking = {"alpha", "beta", "jsc", "jsc_theta", "mota", "motp", "idf1", "hota", "deta", "assa", "swaps"}
     assert set(found["tracking"]) == tracking
     quantity = {"n", "bias", "rmse", "bound", "ratio", "z_mean", "z_std", "cover68", "cover95"}
     assert set(found["quantities"]["r_free"]) == quantity

@@ -121,7 +121,7 @@ def run(
     ----------
     detector : callable or str
         A function that is given a frame, (height, width) counts, and returns places (n, 2), x and y in px, pixel
-        centres at whole numbers; or a class as the files of ``detectors/`` hold, which may give errors; or such a one's name.
+        centres at whole numbers; or a class as the files of ``detectors/`` hold, which may give errors; or its name.
     suite : str or Path, optional
         One that `tracker benchmark make` made; default: the small one, made once and kept among the user's caches.
     name : str, optional

@@ -1,14 +1,17 @@
 """How well tracks follow the truth, in the measures that tracking papers use.
 
 alpha, beta, JSC and JSC_theta of the Particle Tracking Challenge (Chenouard et al. 2014, Nature Methods 11, 281);
-MOTA and identity switches (Bernardin & Stiefelhagen 2008), IDF1 (Ristani et al. 2016), HOTA (Luiten et al. 2021)
-with the similarity 1 - distance/gate. All are counts first and ratios last, so clips pool by adding.
+MOTA, MOTP and identity switches (Bernardin & Stiefelhagen 2008), IDF1 (Ristani et al. 2016), HOTA, DetA and AssA
+(Luiten et al. 2021). Of boxes the similarity is their intersection over union, and two that are alike by half are
+paired; of points it is 1 - distance/gate for HOTA and 1 - distance/(2 gate) for the others. All are counts first and
+ratios last, so clips pool by adding.
 """
 
 from __future__ import annotations
 
 from collections import defaultdict
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,20 +23,33 @@ Ints = NDArray[np.int64]
 GATE_PX = 5.0
 Counts = dict[str, float]
 HOTA_LEVELS = np.arange(0.05, 0.99, 0.05)
+HALF = 0.5 - float(np.finfo(float).eps)  # similarity from which two are paired
+KEEP = 1000.0  # over any similarity: a partner is kept before a better one is looked for
+
+
+class Near(NamedTuple):
+    """A frame: rows of truth and of found; distances px; similarity for pairs, and for HOTA."""
+
+    i: Ints
+    j: Ints
+    apart: Floats
+    alike: Floats
+    alike_hota: Floats
 
 
 @dataclass(frozen=True)
 class Dots:
-    """Points of several tracks: frame (n,), track (n,) numbered 0..k-1, position (n, 2) px."""
+    """Points of several tracks: frame (n,), track (n,) numbered 0..k-1, position (n, 2) px; of boxes their size too."""
 
     frame: Ints
     track: Ints
     xy: Floats
+    size: Floats | None = None
 
     @classmethod
-    def of(cls, frame: Ints, track: Ints, xy: Floats) -> Dots:
+    def of(cls, frame: Ints, track: Ints, xy: Floats, size: Floats | None = None) -> Dots:
         """Renumbers the tracks."""
-        return cls(frame, np.unique(track, return_inverse=True)[1].astype(np.int64), xy)
+        return cls(frame, np.unique(track, return_inverse=True)[1].astype(np.int64), xy, size)
 
     @property
     def tracks(self) -> int:
@@ -46,23 +62,28 @@ def tracking_scores(clips: list[tuple[Dots, Dots]], gate: float = GATE_PX) -> di
     n: defaultdict[str, float] = defaultdict(float)
     levels = np.zeros((4, len(HOTA_LEVELS)))
     for truth, found in clips:
-        near = _distances(truth, found)
-        for counts in (_challenge, _clear, _identity):
-            for name, count in counts(truth, found, near, gate).items():
-                n[name] += count
-        levels += _hota(truth, found, near, gate)
+        near = _near(truth, found, gate)
+        for count in (_challenge(truth, found, near, gate), _clear(truth, found, near), _identity(truth, found, near)):
+            for name, value in count.items():
+                n[name] += value
+        levels += _hota(truth, found, near)
     hits, misses, extras, linked = levels
     with np.errstate(invalid="ignore", divide="ignore"):
         det, ass = hits / (hits + misses + extras), linked / hits
-        hota = float(np.mean(np.nan_to_num(np.sqrt(det * ass)))) if n["truth"] else np.nan
+        hota, det_a, ass_a = (
+            float(np.mean(np.nan_to_num(level))) if n["truth"] else np.nan for level in (np.sqrt(det * ass), det, ass)
+        )
     return {
         "alpha": 1 - _ratio(n["distance"], n["empty"]),
         "beta": _ratio(n["empty"] - n["distance"], n["empty"] + n["spurious"]),
         "jsc": _ratio(n["tp"], n["tp"] + n["fn"] + n["fp"]),
         "jsc_theta": _ratio(n["tp_track"], n["tp_track"] + n["fn_track"] + n["fp_track"]),
         "mota": 1 - _ratio(n["clear_fn"] + n["clear_fp"] + n["swaps"], n["truth"]),
+        "motp": _ratio(n["clear_alike"], n["truth"] - n["clear_fn"]),
         "idf1": _ratio(2 * n["idtp"], n["truth"] + n["found"]),
         "hota": hota,
+        "deta": det_a,
+        "assa": ass_a,
         "swaps": int(n["swaps"]),
     }
 
@@ -71,23 +92,37 @@ def _ratio(part: float, whole: float) -> float:
     return part / whole if whole else np.nan
 
 
-def _distances(truth: Dots, found: Dots) -> dict[int, tuple[Ints, Ints, Floats]]:
-    """frame -> (rows of truth, rows of found, distances px)."""
+def _near(truth: Dots, found: Dots, gate: float) -> dict[int, Near]:
+    """By frame."""
     out = {}
     for frame in np.union1d(truth.frame, found.frame):
         i, j = np.flatnonzero(truth.frame == frame), np.flatnonzero(found.frame == frame)
         apart = np.linalg.norm(truth.xy[i][:, None] - found.xy[j][None], axis=-1)
-        out[int(frame)] = (i, j, apart)
+        if truth.size is not None and found.size is not None:
+            alike = hota = _overlap(truth.xy[i], truth.size[i], found.xy[j], found.size[j])
+        else:
+            alike, hota = np.maximum(1 - apart / (2 * gate), 0.0), np.maximum(1 - apart / gate, 0.0)
+        out[int(frame)] = Near(i, j, apart, alike, hota)
     return out
 
 
-def _challenge(truth: Dots, found: Dots, near: dict[int, tuple[Ints, Ints, Floats]], gate: float) -> Counts:
+def _overlap(one: Floats, size: Floats, other: Floats, other_size: Floats) -> Floats:
+    """Intersection over union of boxes, (n, m), by their middles and sizes."""
+    low = np.maximum((one - size / 2)[:, None], (other - other_size / 2)[None])
+    high = np.minimum((one + size / 2)[:, None], (other + other_size / 2)[None])
+    both = np.prod(np.maximum(high - low, 0.0), axis=-1)
+    union = np.prod(size, axis=1)[:, None] + np.prod(other_size, axis=1)[None] - both
+    alike: Floats = np.divide(both, union, out=np.zeros_like(both), where=union > 0)
+    return alike
+
+
+def _challenge(truth: Dots, found: Dots, near: dict[int, Near], gate: float) -> Counts:
     """Whole tracks paired so that the sum of gated distances is least; a track may stay without partner."""
     n, m = truth.tracks, found.tracks
     length, size = np.bincount(truth.track, minlength=n), np.bincount(found.track, minlength=m)
     cost = np.asarray((length[:, None] + size[None, :]) * gate, dtype=np.float64)  # if they never meet
     close = np.zeros((n, m), dtype=np.int64)
-    for i, j, apart in near.values():
+    for i, j, apart, *_ in near.values():
         for a, b in np.ndindex(*apart.shape):
             pair = truth.track[i[a]], found.track[j[b]]
             cost[pair] += np.minimum(apart[a, b], gate) - 2 * gate
@@ -108,56 +143,58 @@ def _challenge(truth: Dots, found: Dots, near: dict[int, tuple[Ints, Ints, Float
     }  # fmt: skip
 
 
-def _clear(truth: Dots, found: Dots, near: dict[int, tuple[Ints, Ints, Floats]], gate: float) -> Counts:
-    """Frame by frame, a partner is kept while it stays within the gate."""
+def _clear(truth: Dots, found: Dots, near: dict[int, Near]) -> Counts:
+    """Frame by frame, a partner is kept while it stays within the gate; a frame without either changes nothing."""
     partner: dict[int, int] = {}
     previous: dict[int, int] = {}
     swaps = misses = extras = 0
-    for _, (i, j, apart) in sorted(near.items()):
-        gain = np.where(apart <= gate, gate + 1e-6 - apart, 0.0)
+    summed = 0.0
+    for _, (i, j, _, alike, _) in sorted(near.items()):
+        if not len(i) or not len(j):
+            misses, extras = misses + len(i), extras + len(j)
+            continue
+        gain = np.where(alike >= HALF, alike, 0.0)
         for a, b in zip(*np.nonzero(gain), strict=True):
             if previous.get(int(truth.track[i[a]])) == found.track[j[b]]:
-                gain[a, b] += 1000 * gate
+                gain[a, b] += KEEP
         rows, columns = linear_sum_assignment(-gain)
         met = gain[rows, columns] > 0
         kept = list(zip(truth.track[i[rows[met]]].tolist(), found.track[j[columns[met]]].tolist(), strict=True))
         swaps += sum(partner.get(a, b) != b for a, b in kept)
+        summed += float(alike[rows[met], columns[met]].sum())
         misses += len(i) - len(kept)
         extras += len(j) - len(kept)
         previous = dict(kept)
         partner |= previous
     counts = {"truth": len(truth.frame), "found": len(found.frame)}
-    return {**counts, "swaps": swaps, "clear_fn": misses, "clear_fp": extras}
+    return {**counts, "swaps": swaps, "clear_fn": misses, "clear_fp": extras, "clear_alike": summed}
 
 
-def _identity(truth: Dots, found: Dots, near: dict[int, tuple[Ints, Ints, Floats]], gate: float) -> Counts:
+def _identity(truth: Dots, found: Dots, near: dict[int, Near]) -> Counts:
     """One partner for the whole clip, for as many frames as possible."""
     both = np.zeros((truth.tracks, found.tracks))
-    for i, j, apart in near.values():
-        for a, b in np.argwhere(apart <= gate):
+    for i, j, _, alike, _ in near.values():
+        for a, b in np.argwhere(alike >= HALF):
             both[truth.track[i[a]], found.track[j[b]]] += 1
     rows, columns = linear_sum_assignment(-both)
     return {"idtp": float(both[rows, columns].sum())}
 
 
-def _hota(truth: Dots, found: Dots, near: dict[int, tuple[Ints, Ints, Floats]], gate: float) -> Floats:
+def _hota(truth: Dots, found: Dots, near: dict[int, Near]) -> Floats:
     """(4, levels): hits, misses, extras, and the sum over hits of their association's Jaccard index."""
     n, m = truth.tracks, found.tracks
-    alike = {f: np.clip(1 - apart / gate, 0, 1) for f, (_, _, apart) in near.items()}
     overlap = np.zeros((n, m))
-    for f, (i, j, _) in near.items():
-        s = alike[f]
+    for i, j, _, _, s in near.values():
         union = s.sum(axis=0)[None, :] + s.sum(axis=1)[:, None] - s
         overlap[np.ix_(truth.track[i], found.track[j])] += np.divide(s, union, out=np.zeros_like(s), where=union > 0)
     length, size = np.bincount(truth.track, minlength=n), np.bincount(found.track, minlength=m)
     jaccard = overlap / np.maximum(length[:, None] + size[None, :] - overlap, 1e-12)
     hits = np.zeros(len(HOTA_LEVELS))
     joint = np.zeros((len(HOTA_LEVELS), n, m))
-    for f, (i, j, _) in near.items():
-        s = alike[f]
+    for i, j, _, _, s in near.values():
         score = jaccard[np.ix_(truth.track[i], found.track[j])] * s
         for a, b in zip(*linear_sum_assignment(-score), strict=True):
-            passed = s[a, b] >= HOTA_LEVELS - 1e-12
+            passed = s[a, b] >= HOTA_LEVELS - float(np.finfo(float).eps)
             hits += passed
             joint[:, truth.track[i[a]], found.track[j[b]]] += passed
     association = joint / np.maximum(length[:, None] + size[None, :] - joint, 1e-12)

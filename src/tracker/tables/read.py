@@ -74,10 +74,11 @@ def read_tracks(path: Path, camera: GivenCamera, columns: str = "", unit: str = 
     content = Content.of(path)
     if content.data.startswith(ARCHIVE):
         raise content.wrong("an archive, expected a table of tracks in it; unpack it first")
-    return in_picture(_named(content, columns) if columns else _recognised(content), path.name, camera, unit, str(path))
+    return in_picture(_named(content, columns) if columns else recognised(content), path.name, camera, unit, str(path))
 
 
-def _recognised(content: Content) -> Table:
+def recognised(content: Content) -> Table:
+    """A table as its file gives it, known by its content. Raises InputError for what is none."""
     every = formats().values()
     for one in every:
         table: Table | None = one.read(content) if hasattr(one, "read") else None

@@ -175,7 +175,19 @@ def test_score_has_the_contracts_keys(found, data, tmp_path):
     assert path.name == "score.json"
     parts = table["detectors"]["noisy"]
     assert set(parts["localisation"]) == {"n", "missed", "false", "rmse_px", "bound_px", "ratio", "phase_bias_px"}
-    assert set(parts["tracking"]) == {"alpha", "beta", "jsc", "jsc_theta", "mota", "idf1", "hota", "swaps"}
+    assert set(parts["tracking"]) == {
+        "alpha",
+        "beta",
+        "jsc",
+        "jsc_theta",
+        "mota",
+        "motp",
+        "idf1",
+        "hota",
+        "deta",
+        "assa",
+        "swaps",
+    }
     keys = {"n", "bias", "rmse", "bound", "ratio", "z_mean", "z_std", "cover68", "cover95"}
     assert set(parts["quantities"]) == {f"{n}{k}" for n in NAMES for k in ("", "_free", "_paper")}
     assert all(set(v) == keys for v in parts["quantities"].values())

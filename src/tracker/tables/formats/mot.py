@@ -30,6 +30,7 @@ def read(content: Content) -> Table | None:
     rows = pd.DataFrame({"frame": boxes["frame"] - 1, "particle": boxes["particle"]})
     for name, corner, side in (("x", "left", "width"), ("y", "top", "height")):
         rows[name] = boxes[corner] + boxes[side] / 2 - CORNER
+        rows[side] = boxes[side]
     return Table(rows, NAME, "px")
 
 

@@ -1,0 +1,153 @@
+"""Tables of any program held to a true table of any program: tracks and positions, without films or cameras."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+from scipy.optimize import linear_sum_assignment
+
+from commandline.errors import InputError
+from commandline.outputs import put
+from tracker.report.html import made, rendered
+from tracker.results import finite, write_json
+from tracker.scoring.tracking_metrics import GATE_PX, Dots, tracking_scores
+from tracker.tables.content import Content
+from tracker.tables.read import recognised
+from tracker.tables.rows import real, whole
+from tracker.tables.table import Table
+
+SIZE = ("width", "height")
+SAID = (
+    ("mota", "1 - (missed + false + switches) / balls"),
+    ("motp", "mean similarity of what is paired"),
+    ("idf1", "share of the positions that one partner for the whole film explains"),
+    ("hota", "geometric mean of detection and association, over 19 levels of similarity"),
+    ("deta", "its part of detection"),
+    ("assa", "its part of association"),
+    ("swaps", "identity switches"),
+    ("alpha", "1 - distance of paired tracks, over that of none (Particle Tracking Challenge)"),
+    ("beta", "the same, less for spurious tracks"),
+    ("jsc", "share of the positions that are paired"),
+    ("jsc_theta", "share of the tracks that are paired"),
+)
+
+
+@dataclass(frozen=True)
+class TablesScore:
+    """Figures of one table; `by` says how positions were compared."""
+
+    truth: str
+    name: str
+    by: str
+    localisation: dict[str, float]
+    tracking: dict[str, float]
+
+    def to_dict(self) -> dict[str, Any]:
+        """The contents of score.json."""
+        parts = {"localisation": self.localisation, "tracking": self.tracking, "by": self.by}
+        whole_table: dict[str, Any] = finite({"suite": self.truth, "detectors": {self.name: parts}})
+        return whole_table
+
+    def summary(self) -> list[str]:
+        """Lines for a terminal."""
+        where = self.localisation
+        lines = [
+            f"{where['n']} found, {where['missed']} missed, {where['false']} false ({self.by})",
+            f"rmse of those found {where['rmse']:.4g} {where['unit']}, each axis",
+        ]
+        return lines + [f"{name:<10}{self.tracking[name]:>12.9g}  {meaning}" for name, meaning in SAID]
+
+    def write(self, report: Path) -> Path:
+        """REPORT/score.json and index.html; where the former is."""
+        report.mkdir(parents=True, exist_ok=True)
+        rows = [(name, f"{self.tracking[name]:.9g}", meaning) for name, meaning in SAID]
+        page = rendered(Path(__file__).with_name("tables.html"), score=self, rows=rows, made=made("tracker score"))
+        put(report / "index.html", page)
+        write_json(report / "score.json", self.to_dict())
+        return report / "score.json"
+
+
+def score_tables(found: Path, truth: Path, gate: float | None = None, name: str = "") -> TablesScore:
+    """Hold a table to a true one.
+
+    Parameters
+    ----------
+    found, truth : Path
+        Files of tracks, of one format or of two, their lengths in one unit.
+    gate : float, optional
+        Largest distance of a pair, in that unit; default: 5. Boxes, where both files have them, are compared by their
+        overlap, unless a gate is given.
+    name : str
+        What to call the table; default: its file's.
+
+    Returns
+    -------
+    TablesScore
+
+    Raises
+    ------
+    InputError
+    """
+    one, other = (recognised(Content.of(path)) for path in (truth, found))
+    units = [table.unit or ("m" if table.up else "px") for table in (one, other)]
+    if units[0] != units[1] or one.up != other.up:
+        raise InputError(f"{found}: lengths in {units[1]}, those of {truth} in {units[0]}; expected one unit")
+    clips = [_dots(table, path) for table, path in ((one, truth), (other, found))]
+    boxes = gate is None and all(set(SIZE) <= set(table.rows) for table in (one, other))
+    reach = GATE_PX if gate is None else gate
+    pairs = []
+    for clip in sorted(set(clips[0]) | set(clips[1])):
+        both = [part.get(clip, NOTHING) for part in clips]
+        pairs.append(tuple(both) if boxes else tuple(Dots(d.frame, d.track, d.xy) for d in both))
+    by = "boxes by their overlap, half or more" if boxes else f"points, up to {reach:g} {units[0]} apart"
+    return TablesScore(
+        truth.name,
+        name or found.stem,
+        by,
+        _localisation([(a, b) for a, b in pairs], reach) | {"unit": units[0]},
+        tracking_scores([(a, b) for a, b in pairs], reach),
+    )
+
+
+NOTHING = Dots(np.empty(0, np.int64), np.empty(0, np.int64), np.empty((0, 2)), np.empty((0, 2)))
+
+
+def _dots(table: Table, path: Path) -> dict[int, Dots]:
+    """By clip. Rows without a finite position are left out."""
+    rows, where = table.rows, str(path)
+    columns = [real(rows[name], name, where) for name in ("x", "y")]
+    xy: NDArray[np.float64] = np.stack(columns, axis=1)
+    frame, track = (whole(rows[name], name, where) for name in ("frame", "particle"))
+    numbers = whole(rows["clip"], "clip", where) if "clip" in rows else np.zeros(len(rows), np.int64)
+    size = np.stack([real(rows[name], name, where) for name in SIZE], axis=1) if set(SIZE) <= set(rows) else None
+    keys = pd.DataFrame({"clip": numbers, "frame": frame, "particle": track})
+    if keys.duplicated().any():
+        first = keys[keys.duplicated()].iloc[0]
+        raise InputError(f"{path}: frame {first['frame']}: particle {first['particle']} twice, expected once")
+    good = np.isfinite(xy).all(axis=1)
+    return {
+        int(clip): Dots.of(frame[use], track[use], xy[use], None if size is None else size[use])
+        for clip in np.unique(numbers)
+        for use in [good & (numbers == clip)]
+    }
+
+
+def _localisation(clips: list[tuple[Dots, Dots]], gate: float) -> dict[str, Any]:
+    """Positions paired frame by frame, whatever their tracks."""
+    off, missed, false = [], 0, 0
+    for truth, found in clips:
+        for frame in np.union1d(truth.frame, found.frame):
+            a, b = truth.xy[truth.frame == frame], found.xy[found.frame == frame]
+            apart = np.linalg.norm(a[:, None] - b[None], axis=-1)
+            rows, columns = linear_sum_assignment(np.minimum(apart, 10 * gate))
+            met = apart[rows, columns] <= gate
+            off.append(b[columns[met]] - a[rows[met]])
+            missed, false = missed + len(a) - int(met.sum()), false + len(b) - int(met.sum())
+    errors = np.concatenate([np.empty((0, 2)), *off])
+    rmse = float(np.sqrt((errors**2).mean())) if len(errors) else float("nan")
+    return {"n": len(errors), "missed": missed, "false": false, "rmse": rmse}

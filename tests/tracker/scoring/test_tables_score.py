@@ -1,0 +1,112 @@
+"""A table of any program held to one of any program, from files, by the command."""
+
+import json
+import shlex
+import sys
+
+import numpy as np
+import pytest
+
+from commandline.errors import InputError
+from tracker.cli import main
+from tracker.scoring.tables_score import score_tables
+
+TRUE = [(f, k, 10.0 + 8 * f, 20.0 + 30 * k) for f in range(6) for k in (0, 1)]
+FOUND = [(f, 5 + k, x + 0.3, y - 0.4) for f, k, x, y in TRUE if (f, k) != (3, 1)] + [(2, 9, 100.0, 100.0)]
+
+
+def as_csv(rows):
+    return "frame,particle,x,y\n" + "".join(f"{f},{k},{x},{y}\n" for f, k, x, y in rows)
+
+
+def as_mot(rows):
+    """Boxes of 10 x 10 px; the corner of the picture is (1, 1) in frames counted from 1."""
+    return "".join(f"{f + 1},{k + 1},{x - 5 + 1.5},{y - 5 + 1.5},10,10,1,-1,-1,-1\n" for f, k, x, y in rows)
+
+
+def as_ptc(rows):
+    tracks = {}
+    for f, k, x, y in rows:
+        tracks.setdefault(k, []).append(f'<detection t="{f}" x="{x}" y="{y}" z="0"/>')
+    inner = "".join(f"<particle>{''.join(points)}</particle>" for points in tracks.values())
+    return f'<root><TrackContestISBI2012 snr="1" density="low" scenario="x">{inner}</TrackContestISBI2012></root>'
+
+
+def as_trackmate(rows):
+    inner = as_ptc(rows).partition("<particle>")[2].rpartition("</TrackContest")[0]
+    return f'<Tracks nTracks="2" spaceUnits="pixel" frameInterval="1" timeUnits="frame"><particle>{inner}</Tracks>'
+
+
+FORMATS = {"csv": as_csv, "txt": as_mot, "xml": as_ptc, "trackmate.xml": as_trackmate}
+
+
+@pytest.mark.parametrize("other", FORMATS)
+@pytest.mark.parametrize("one", FORMATS)
+def test_figures_by_hand_from_any_two_formats(tmp_path, one, other):
+    truth, found = tmp_path / f"gt.{one}", tmp_path / f"found.{other}"
+    truth.write_text(FORMATS[one](TRUE))
+    found.write_text(FORMATS[other](FOUND))
+    got = score_tables(found, truth, gate=5.0)
+    assert (got.localisation["n"], got.localisation["missed"], got.localisation["false"]) == (11, 1, 1)
+    assert got.localisation["rmse"] == pytest.approx(np.sqrt(0.5 * 0.25))
+    t = got.tracking
+    assert t["mota"] == pytest.approx(1 - 2 / 12)
+    assert t["motp"] == pytest.approx(1 - 0.5 / 10)
+    assert t["idf1"] == pytest.approx(2 * 11 / 24)
+    assert t["alpha"] == pytest.approx(1 - (11 * 0.5 + 5) / 60)
+    assert t["beta"] == pytest.approx((60 - (11 * 0.5 + 5)) / (60 + 5))
+    assert t["jsc"] == pytest.approx(11 / 13)
+    assert t["jsc_theta"] == pytest.approx(2 / 3)
+    assert t["swaps"] == 0
+
+
+def test_boxes_are_compared_by_their_overlap(tmp_path):
+    truth, found = tmp_path / "gt.txt", tmp_path / "found.txt"
+    truth.write_text(as_mot(TRUE))
+    found.write_text(as_mot([(f, k, x + 2, y) for f, k, x, y in TRUE]))
+    got = score_tables(found, truth)
+    assert "overlap" in got.by
+    assert got.tracking["motp"] == pytest.approx(8 / 12)  # 8 x 10 of 12 x 10 px
+    assert got.tracking["hota"] == pytest.approx(13 / 19)  # the levels up to .65
+    found.write_text(as_mot([(f, k, x + 4, y) for f, k, x, y in TRUE]))
+    assert score_tables(found, truth).tracking["mota"] == pytest.approx(-1)  # 6 of 14: under half
+    assert score_tables(found, truth, gate=5.0).tracking["mota"] == 1
+
+
+def typed(monkeypatch, capsys, line):
+    monkeypatch.setattr(sys, "argv", shlex.split(line))
+    with pytest.raises(SystemExit) as stopped:
+        main()
+    return stopped.value.code, *capsys.readouterr()
+
+
+def test_the_command(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "gt.csv").write_text(as_csv(TRUE))
+    (tmp_path / "found.txt").write_text(as_mot(FOUND))
+    code, out, err = typed(monkeypatch, capsys, "tracker score found.txt --truth gt.csv -o report")
+    assert (code, err) == (0, "")
+    assert "11 found, 1 missed, 1 false (points, up to 5 px apart)" in out
+    told = json.loads((tmp_path / "report" / "score.json").read_text())
+    assert told["detectors"]["found"]["tracking"]["idf1"] == pytest.approx(11 / 12)
+    assert "geometric mean of detection and association" in (tmp_path / "report" / "index.html").read_text()
+    for line, said in (
+        ("tracker score found.txt --truth gt.csv --gate -1 -o new", "--gate -1: expected a distance over 0"),
+        ("tracker score found.txt --truth . --gate 3 -o new", "--gate: expected a true table behind --truth"),
+        ("tracker score none.txt --truth gt.csv -o new", "none.txt: no such file"),
+    ):
+        code, out, err = typed(monkeypatch, capsys, line)
+        assert (code, out, err.count("\n")) == (2, "", 1)
+        assert said in err
+        assert not (tmp_path / "new").exists()
+
+
+def test_two_units_and_a_particle_twice_are_refused(tmp_path):
+    truth, found = tmp_path / "gt.csv", tmp_path / "found.xml"
+    truth.write_text(as_csv(TRUE))
+    found.write_text(as_trackmate(FOUND).replace("pixel", "micron"))
+    with pytest.raises(InputError, match=r"lengths in um, those of .*gt\.csv in px; expected one unit"):
+        score_tables(found, truth)
+    truth.write_text(as_csv([*TRUE, TRUE[0]]))
+    with pytest.raises(InputError, match="frame 0: particle 0 twice"):
+        score_tables(truth, truth)
