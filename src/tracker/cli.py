@@ -155,7 +155,7 @@ def score(
     new = not output.exists()
     with held(output), as_input_error(output):
         try:
-            if truth.is_file():
+            if truth.is_file() and not results.is_dir():
                 _score_tables(results, truth, output, gate, name, as_json)
                 return
             if gate is not None:
