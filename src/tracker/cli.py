@@ -48,6 +48,7 @@ def track(
         str | None, typer.Option(help=f"{', '.join(CHANNELS)}, of a film in colour. Without it the film decides.")
     ] = None,
     workers: Annotated[int | None, typer.Option(min=1, help="Processes; default: whatever is quickest.")] = None,
+    scheduler: Annotated[str, typer.Option(metavar="ADDRESS", help="A Dask scheduler, whose workers do it.")] = "",
     pages: WithPages = None,
     as_json: Json = False,
 ) -> None:
@@ -59,7 +60,7 @@ def track(
 
     started = time.monotonic()
     with progress_bar("clips") as progress:
-        outcome = track_all(source, output, camera, detector, workers or 0, progress, channel)
+        outcome = track_all(source, output, camera, detector, workers or 0, progress, channel, scheduler=scheduler)
     seconds = time.monotonic() - started
     extra: dict[str, Any] = {"frames": outcome.frames, "seconds": round(seconds, 2)}
     if outcome.frames:

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import functools
 import hashlib
+import json
 import shutil
 from collections import Counter
-from collections.abc import Collection, Iterator
+from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -22,7 +23,7 @@ from tracker.camera.frames import Source, open_source
 from tracker.camera.grey import GREY
 from tracker.detection.channel import in_its_channel
 from tracker.detection.choose import choose
-from tracker.detection.detect import detector
+from tracker.detection.detect import detector, linker
 from tracker.parallel import Progress, alone, in_parallel
 from tracker.recording import followed, measured, unsaid
 from tracker.tables.read import read_tracks
@@ -58,6 +59,7 @@ def run(
     progress: Progress = lambda done, of: None,
     channel: str | None = None,
     only: Collection[int] | None = None,
+    scheduler: str = "",
 ) -> Outcome:
     """Track every clip of a source into RESULTS; go on from what an interrupted run left in RESULTS.partial.
 
@@ -79,6 +81,8 @@ def run(
         Of films in colour; None: what the first clip asks for.
     only : collection of int, optional
         The clips wanted, by number; default: all.
+    scheduler : str
+        Address of a Dask scheduler, whose workers see the same folders.
 
     Returns
     -------
@@ -99,6 +103,8 @@ def run(
     if not output.exists():
         check_room(output)
     first, why = in_its_channel(source.clip(0), channel)
+    if name is not None:
+        linker(name, first.camera)
     source, said = replace(source, channel=first.channel), [why] if why else []
     if name is None:
         name, why = choose(first.frames, first.camera)
@@ -112,7 +118,8 @@ def run(
     with _partial(output, plan) as partial:
         todo = [i for i, number in enumerate(numbers) if not results.is_done(partial, number)]
         progress(len(source) - len(todo), len(source))
-        for done, (count, noted) in enumerate(_each(source, todo, partial, name, workers), 1):
+        each = _on_cluster(scheduler) if scheduler else functools.partial(_each, workers=workers)
+        for done, (count, noted) in enumerate(each(source, todo, partial, name), 1):
             frames += count
             notes.update(noted)
             progress(len(source) - len(todo) + done, len(source))
@@ -247,6 +254,32 @@ def _plan(source: Source, name: str) -> dict[str, Any]:
 def _each(source: Source, todo: list[int], partial: Path, name: str, workers: int) -> Iterator[Done]:
     """Each clip done, in whatever order; results do not depend on it."""
     return in_parallel(functools.partial(_one, source, partial=partial, name=name), todo, workers, source.path)
+
+
+def _on_cluster(address: str) -> Callable[..., Iterator[Done]]:
+    """The same by the workers of a Dask scheduler; one that is lost has its clips done by others."""
+    from commandline.dask_workers import Cluster  # here alone: Dask is an extra
+
+    cluster = Cluster(address)
+
+    def each(source: Source, todo: list[int], partial: Path, name: str) -> Iterator[Done]:
+        clips = tuple((number, path.resolve()) for number, path in source.clips)
+        camera = source.camera.resolve() if source.camera is not None else None
+        everywhere = replace(source, path=source.path.resolve(), clips=clips, camera=camera)
+        for index, said in cluster.each(todo, functools.partial(_told, everywhere, partial=partial, name=name)):
+            if not said.startswith("["):
+                raise InputError(f"{clips[index][1]}: {said}")
+            frames, notes = json.loads(said)
+            yield frames, tuple(notes)
+
+    return each
+
+
+def _told(source: Source, index: int, partial: Path, name: str) -> str:
+    """`_one`, as text; a clip that a lost worker had finished is done."""
+    if results.is_done(partial, source.clips[index][0]):
+        return json.dumps([0, []])
+    return json.dumps(_one(source, index, partial, name))
 
 
 def _one(source: Source, index: int, partial: Path, name: str) -> Done:

@@ -19,7 +19,7 @@ from tracker.camera.frames import Clip, open_frames, open_source, recorded
 from tracker.camera.memory import FILM, frames_in_memory
 from tracker.detection.channel import in_its_channel
 from tracker.detection.choose import DISCS, GLINTS, choose
-from tracker.detection.detect import DEFAULT, Named, point_of, settled, view_of
+from tracker.detection.detect import DEFAULT, Named, linker, point_of, settled, view_of
 from tracker.detection.detect import detector as detector_named
 from tracker.detection.diagnose import FEWEST, loose_ends, why_no_disc, why_nothing
 from tracker.detection.link import Tracks, link
@@ -315,11 +315,12 @@ def track_clip(clip: Clip, name: Named = DEFAULT) -> tuple[Tracks, Camera, str, 
     """Tracks of one clip, its camera completed from the clip, why there is nothing, or '', and notes."""
     view = view_of(clip, name)
     glints, view = settled(clip, view, name)
+    by = linker(name, view.camera)
     if view.takes is not None:
-        tracks = link(glints, view.camera, point_of(name, clip.camera), view.takes.spans)
+        tracks = link(glints, view.camera, point_of(name, clip.camera), view.takes.spans, by)
         why, spans = "" if len(tracks) else why_no_disc(clip.frames, view), list(view.takes.spans)
     else:
-        tracks = link(glints, view.camera, point_of(name, clip.camera))
+        tracks = link(glints, view.camera, point_of(name, clip.camera), by=by)
         why, spans = why_nothing(clip.frames, view, glints), [(0, len(clip.frames) - 1)]
     return tracks, view.camera, why, (*view.notes, *loose_ends(tracks, view.camera.size, spans))
 

@@ -14,7 +14,7 @@ FILES = sorted(SRC.rglob("*.py"))
 # Rooms and files of each package, from the bottom up: one may import from rows above its own, never from its own row or
 # from one below. A file that stands in no row counts as its folder.
 LAYERS = {
-    "commandline": ["errors", "outputs application"],
+    "commandline": ["errors", "outputs application dask_workers"],
     "synthcam": [
         "settings effect table",
         "effects free_law",
@@ -128,7 +128,7 @@ LAYERS = {
         "candidates",
         "likelihood takes",
         "glints",
-        "detectors",
+        "detectors linkers",
         "detect",
     ],
 }
@@ -136,6 +136,7 @@ PEERS = {  # found by their being there
     "synthcam.effects",
     "synthcam.dataset.exports",
     "tracker.detection.detectors",
+    "tracker.detection.linkers",
     "tracker.tables.formats",
     "discrepancy.free_laws.laws",
 }

@@ -178,7 +178,7 @@ def _make(
     _check_disk(plan, made.folder, len(todo))
     drawn_by: list[dict[str, Any]] = []
     if scheduler:
-        from synthcam.dataset.dask_workers import Cluster  # here alone: Dask is an extra
+        from commandline.dask_workers import Cluster  # here alone: Dask is an extra
 
         cluster = Cluster(scheduler)
         drawn_by = cluster.everywhere(partial(drawing, plan.video))

@@ -13,7 +13,7 @@ from tracker.benchmark.judging.tracked import ALL, InFolder, Sample
 from tracker.benchmark.suite.folder import Suite
 from tracker.camera.frames import Clip, open_source
 from tracker.detection.choose import choose
-from tracker.detection.detect import detector, view_of
+from tracker.detection.detect import detector, linker, view_of
 from tracker.pipeline import run
 from tracker.recording import track_clip
 from tracker.results import load_json, write_json
@@ -39,7 +39,7 @@ class Entrant:
     @property
     def own(self) -> str:
         """Whose word it is where a centre lies: see `Tracked`."""
-        return "centre" if self.name in CENTRES else "glint"
+        return "centre" if self.name.partition("+")[0] in CENTRES else "glint"
 
 
 def entrants(suite: Suite, names: str = "") -> tuple[list[Entrant], list[str]]:
@@ -64,6 +64,7 @@ def entrants(suite: Suite, names: str = "") -> tuple[list[Entrant], list[str]]:
         try:
             if one.detector is not None:
                 detector(one.detector)(view_of(clip, one.detector))
+                linker(one.detector, clip.camera)
         except InputError as error:
             if wanted:
                 raise

@@ -12,12 +12,14 @@ from importlib.metadata import entry_points
 from typing import Any, TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 
 from commandline.errors import InputError, PluginError
 from tracker.camera.camera import Camera
 from tracker.camera.camera_keys import did_you_mean
 from tracker.camera.frames import Clip
 from tracker.detection import detectors as detector_files
+from tracker.detection import linkers as linker_files
 from tracker.detection.autocalibrate import completed
 from tracker.detection.candidates import Ground, ground
 from tracker.detection.glints import Detector, Glints, View
@@ -55,6 +57,7 @@ def detector(name: Named) -> Callable[[View], Detector]:
     """The detector of that name, or the one given; InputError lists those there are."""
     if not isinstance(name, str):
         return name
+    name = name.partition("+")[0]
     if name in {module.name for module in pkgutil.iter_modules(detector_files.__path__)}:
         return _from_file(name)  # without reading every other
     known = detectors()
@@ -62,6 +65,20 @@ def detector(name: Named) -> Callable[[View], Detector]:
         near = did_you_mean(name, {k: k for k in known})
         raise InputError(f"--detector: no detector {name!r}, expected one of {', '.join(sorted(known))}{near}")
     return known[name]
+
+
+def linker(name: Named, camera: Camera) -> Callable[[Glints], NDArray[np.int64]] | None:
+    """Of a name that ends in +LINKER that program; None where this package links. InputError lists those there are."""
+    wanted = name.partition("+")[2] if isinstance(name, str) else ""
+    if not wanted:
+        return None
+    there = sorted(module.name for module in pkgutil.iter_modules(linker_files.__path__))
+    if wanted not in there:
+        raise InputError(f"--detector: no linker {wanted!r} behind +, expected one of {', '.join(there)}")
+    module = importlib.import_module(f"{linker_files.__name__}.{wanted}")
+    made: list[Any] = [c for c in vars(module).values() if inspect.isclass(c) and c.__module__ == module.__name__]
+    given: Callable[[Glints], NDArray[np.int64]] = made[0](camera)
+    return given
 
 
 def name_of(name: Named) -> str:

@@ -7,7 +7,7 @@ bounce takes it if they would meet on the way. Glints go to expectations by leas
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -84,7 +84,13 @@ class _Ball:
     struck: tuple[int, float, float, float, float] | None = None  # frame, place, velocity after a hit not seen since
 
 
-def link(glints: Glints, camera: Camera, point: str = "glint", takes: Sequence[tuple[int, int]] = ()) -> Tracks:
+def link(
+    glints: Glints,
+    camera: Camera,
+    point: str = "glint",
+    takes: Sequence[tuple[int, int]] = (),
+    by: Callable[[Glints], Ints] | None = None,
+) -> Tracks:
     """Join the glints of a clip into tracks of ball centres.
 
     Parameters
@@ -97,6 +103,8 @@ def link(glints: Glints, camera: Camera, point: str = "glint", takes: Sequence[t
         "glint"; or "centre" where centres of outlines were found, whose flux is the area, px^2.
     takes : sequence of (int, int)
         First and last frames of takes: no track goes from one to the next.
+    by : callable, optional
+        Another program, in place of `assign`: glints -> particles.
 
     Returns
     -------
@@ -104,7 +112,10 @@ def link(glints: Glints, camera: Camera, point: str = "glint", takes: Sequence[t
         By particle, then frame; glints that belong to no track are left out.
     """
     diameter = 2 * float(np.sqrt(np.median(glints.flux) / np.pi)) if point == "centre" and len(glints) else None
-    ids = _by_take(glints, camera, diameter, takes) if len(takes) > 1 else assign(glints, camera, diameter)
+    if by is not None:
+        ids = by(glints)
+    else:
+        ids = _by_take(glints, camera, diameter, takes) if len(takes) > 1 else assign(glints, camera, diameter)
     kept = np.flatnonzero(ids >= 0)
     order = kept[np.lexsort((glints.frame[kept], ids[kept]))]
     chosen, particle = glints.take(order), ids[order]

@@ -2,12 +2,17 @@
 
 import numpy as np
 import pytest
-from tracker_film import CAMERA, collision
+from tracker_film import CAMERA, collision, film
 
+from commandline.errors import InputError
 from tracker.camera.camera import Camera
+from tracker.camera.frames import Clip
+from tracker.camera.memory import frames_in_memory
 from tracker.detection import link as link_module
+from tracker.detection.detect import linker
 from tracker.detection.glints import CLIPPED, Glints
 from tracker.detection.link import assign, link, velocities
+from tracker.recording import track_clip
 
 CAM = Camera.from_dict({**CAMERA, "size": [640, 480]})
 
@@ -183,3 +188,19 @@ def test_order_of_glints_does_not_matter(seed):
     plain = link(found, CAM)
     assert np.array_equal(mixed.x, plain.x)
     assert np.array_equal(mixed.particle, plain.particle)
+
+
+def test_another_programs_links_join_the_same_balls():
+    pytest.importorskip("laptrack", exc_type=ImportError)
+    frames = frames_in_memory(film(np.random.default_rng(3), collision(30, contact=14.0, speed=2.0)))
+    shown = Clip(0, Camera.from_dict(CAMERA), frames)
+    own, other = (track_clip(shown, f"maximum_likelihood{end}")[0] for end in ("", "+laptrack"))
+    assert len(np.unique(other.particle)) == 2
+    paths = [sorted(t.xy[t.particle == ball].tolist() for ball in (0, 1)) for t in (own, other)]
+    assert paths[0] == paths[1]
+
+
+def test_a_linker_that_there_is_not():
+    with pytest.raises(InputError, match=r"no linker 'laptrek' behind \+, expected one of laptrack"):
+        linker("centroid+laptrek", CAM)
+    assert linker("centroid", CAM) is None

@@ -61,7 +61,7 @@ def test_a_cluster_makes_the_same_bytes(tmp_path):
     "address", ["tcp://127.0.0.1:1", "nonsense", "tls://127.0.0.1:8786", "ucx://h:1", "tcp://", "h:99999"]
 )
 def test_an_address_without_a_scheduler(tmp_path, monkeypatch, address):
-    from synthcam.dataset import dask_workers as cluster
+    from commandline import dask_workers as cluster
 
     monkeypatch.setattr(cluster, "PATIENCE", 0.5)
     with pytest.raises(InputError, match=f"--scheduler {address}: expected a Dask scheduler's address"):
