@@ -32,7 +32,8 @@ from pathlib import Path
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # before numpy: its matrices here are too small to share out
 
 from benchmarks.search.sealed import oracle, page, rounds
-from benchmarks.search.sealed.boxes import Study, Truth, draw
+from benchmarks.search.sealed.boxes import Study, Truth
+from benchmarks.search.sealed.drawing import draw
 from benchmarks.search.sealed.evidence import alone, prepare
 from benchmarks.search.sealed.judge import judge
 from benchmarks.search.sealed.ledger import Broken, Ledger

@@ -11,7 +11,7 @@ from discrepancy_clips import only
 from discrepancy_outsiders import FEW
 
 from benchmarks.search import blind
-from benchmarks.search.sealed import analysis, boxes, page, rounds
+from benchmarks.search.sealed import analysis, drawing, page, rounds
 from benchmarks.search.sealed.boxes import Study
 from benchmarks.search.sealed.ledger import Broken, Ledger
 from benchmarks.search.sealed.studies import STUDIES
@@ -57,7 +57,7 @@ def test_a_box_answered_before_a_kill_is_opened_with_that_answer(tmp_path, monke
     study, said = Study("killed", {"none": 1}, 1, **TINY), ANSWER | {"code": "before"}
     ledger = Ledger(tmp_path, study.name)
     ledger.commit("s")
-    ledger.seal(0, boxes.draw(study, 0, "s"))
+    ledger.seal(0, drawing.draw(study, 0, "s"))
     ledger.answer(0, said)
     monkeypatch.setattr(blind, "answered", lambda *_: pytest.fail("analysed again"))
     assert "none" in blind.trial(study, 0, tmp_path, "s")
@@ -105,7 +105,7 @@ def test_a_killed_run_loses_no_box_and_opens_none_twice(tmp_path):
 
 def test_the_secret_is_on_record_before_the_boxes_that_it_draws(tmp_path):
     study = Study("none", {"none": 1}, 1, **TINY)
-    one, same, other = (boxes.draw(study, 0, secret) for secret in ("s", "s", "t"))
+    one, same, other = (drawing.draw(study, 0, secret) for secret in ("s", "s", "t"))
     assert one == same
     assert one["seed"] != other["seed"]
     assert one["base"] != other["base"]
@@ -209,7 +209,7 @@ def test_published_boxes_are_those_that_the_secret_draws(finished):
     ledger, study = Ledger(out, "filmed_nulls-x"), dataclasses.replace(STUDIES["filmed_nulls"], name="filmed_nulls-x")
     ledger.commit("s")
     for box in (0, 1):
-        ledger.seal(box, boxes.draw(study, box, "s") | ({"seed": 1} if box else {}))
+        ledger.seal(box, drawing.draw(study, box, "s") | ({"seed": 1} if box else {}))
         ledger.answer(box, ANSWER)
         ledger.open(box, ANSWER, {})
     for path in out.glob("[en]*-x*.jsonl"):

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from blind_boxes import truth_of
 
-from benchmarks.search.sealed import boxes, evidence
+from benchmarks.search.sealed import boxes, drawing, evidence
 from benchmarks.search.sealed.boxes import NOISES, UNDRAWN, Study
 from benchmarks.search.sealed.fisher import LIMIT, Fisher
 from benchmarks.search.sealed.integrator import PHYSICS
@@ -91,8 +91,8 @@ def test_limits_are_those_of_other_trials():
 def test_a_draw_is_the_same_again_and_within_its_bounds():
     study = Study("test", {"one": 1}, 3, clips=6, frames=60)
     for box in range(study.boxes):
-        truth = boxes.draw(study, box, "s")
-        assert json.dumps(truth) == json.dumps(boxes.draw(study, box, "s"))
+        truth = drawing.draw(study, box, "s")
+        assert json.dumps(truth) == json.dumps(drawing.draw(study, box, "s"))
         (about,) = truth["about"]
         assert 0.85 <= about["ratio"] <= 20
         assert 0 <= about["nearest"] <= 1 + 1e-9
@@ -106,16 +106,16 @@ def undesigned(monkeypatch):
     def entry(_, kind, shapes, way, ratio, __):
         return {"effect": kind.name(), "values": {}, "ratio": ratio}
 
-    monkeypatch.setattr(boxes, "fitted", lambda _: [])
-    monkeypatch.setattr(boxes, "Fisher", lambda *_: None)
-    monkeypatch.setattr(boxes, "_entry", entry)
+    monkeypatch.setattr(drawing, "fitted", lambda _: [])
+    monkeypatch.setattr(drawing, "Fisher", lambda *_: None)
+    monkeypatch.setattr(drawing, "_entry", entry)
 
 
 @pytest.mark.parametrize(
     ("study", "kinds"), [("every", set(library()) - set(UNDRAWN)), ("outside", OUTSIDERS), ("ordinary", UNKNOWN)]
 )
 def test_a_round_hides_each_of_them(study, kinds, undesigned):
-    drawn = [boxes.draw(STUDIES[study], box, "s") for box in range(ROUND[study])]
+    drawn = [drawing.draw(STUDIES[study], box, "s") for box in range(ROUND[study])]
     hidden = [truth["effects"][0] for truth in drawn]
     assert set(hidden) == set(kinds)
     assert {t["source"] for t in drawn} == ({"synthcam"} if study != "every" else {"synthcam", "integrator"})
@@ -124,7 +124,7 @@ def test_a_round_hides_each_of_them(study, kinds, undesigned):
         assert truth["effects"] != ["glint_parallax"] or truth["lamp"][2] <= 0.2
         assert truth["exchanged"] or study != "ordinary"
     assert len(UNKNOWN) >= 10
-    again = [boxes.draw(STUDIES[study], box, "t")["effects"][0] for box in range(5)]
+    again = [drawing.draw(STUDIES[study], box, "t")["effects"][0] for box in range(5)]
     assert again != hidden[:5]  # another secret, another order
 
 
@@ -157,7 +157,7 @@ def test_outsiders_are_in_no_library():
 def test_what_the_library_has_taken_in_is_its_effect_exactly(name, design):
     _, fisher = design
     kind, rng = ORDINARY[name], np.random.default_rng(1)
-    entry = boxes._entry(fisher, kind, boxes._shapes(kind, rng), boxes._way(kind, rng), 5.0, naming=False)
+    entry = drawing._entry(fisher, kind, drawing._shapes(kind, rng), drawing._way(kind, rng), 5.0, naming=False)
     assert kind.SAME[0] in entry["class"]
     assert entry["nearest"] == pytest.approx(1, abs=1e-4)
 
@@ -173,7 +173,7 @@ def test_an_ordinary_fault_shows_and_is_like_no_effect(name, design):
     """The tracks of a box move as its limit was worked out with; and no effect of the library does the same."""
     truth, fisher = design
     kind, rng = ORDINARY[name], np.random.default_rng(1)
-    entry = boxes._entry(fisher, kind, boxes._shapes(kind, rng), boxes._way(kind, rng), 5.0, naming=False)
+    entry = drawing._entry(fisher, kind, drawing._shapes(kind, rng), drawing._way(kind, rng), 5.0, naming=False)
     assert entry["nearest"] < boxes.ALIKE
     hidden = truth | {"hidden": entry["values"], "effects": [name], "kind": "ordinary"}
     foreseen = [a - p for a, p in zip(fisher._tracks(boxes.model_of(hidden)), fisher.plain, strict=True)]
@@ -189,7 +189,7 @@ def test_an_ordinary_fault_shows_and_is_like_no_effect(name, design):
 
 
 def test_strengths_at_the_limit_lie_on_both_sides_of_it(undesigned):
-    ratios = [boxes.draw(STUDIES["limit"], box, "s")["about"][0]["ratio"] for box in range(30)]
+    ratios = [drawing.draw(STUDIES["limit"], box, "s")["about"][0]["ratio"] for box in range(30)]
     assert all(0.85 <= r <= 1.2 for r in ratios)
     assert min(ratios) < 0.9
     assert max(ratios) > 1.15
@@ -202,5 +202,5 @@ def test_no_box_has_a_shutter_that_opens_for_no_time_or_too_long(tilted, longer,
     design = Fisher(boxes.base_model(truth), rows, NOISES["white"])
     for name, said in (("limit", 1.0), ("signature", np.ones(9)), ("likeness", {"other": 0.5})):
         monkeypatch.setattr(design, name, lambda *_, said=said: said)
-    entry = boxes._entry(design, library()["exposure_blur"], {}, {"longer": longer}, 1.0, naming=False)
+    entry = drawing._entry(design, library()["exposure_blur"], {}, {"longer": longer}, 1.0, naming=False)
     assert (entry is not None) == allowed

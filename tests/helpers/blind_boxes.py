@@ -1,6 +1,7 @@
 """Truths and answers of sealed boxes, made up for the tests."""
 
 from benchmarks.search.sealed import boxes
+from benchmarks.search.sealed.fisher import FREE
 
 TINY = {"clips": 8, "frames": 60, "noises": {"white": 1}, "ratios": (20,)}
 
@@ -17,7 +18,7 @@ def truth_of(hidden, clips=2, **more):
         "effects": names,
         "hidden": hidden,
     }
-    return plain | {"base": {k: getattr(boxes.Model(), k) for k in boxes.FREE}} | more
+    return plain | {"base": {k: getattr(boxes.Model(), k) for k in FREE}} | more
 
 
 def line(effects, named, aliases=(), verdict="named", **more):

@@ -20,6 +20,7 @@ from synthcam.dataset.files import write_clip
 from synthcam.scene.clip import Clip
 from tracker.camera.camera import Camera, Lamp
 
+from . import worlds
 from .boxes import NOISES, SCALE, Truth, camera_file, camera_of, clips_of, launch_of, model_of
 from .integrator import Plate, collision, means
 from .outsiders import moved
@@ -48,16 +49,54 @@ def _tracks(truth: Truth, clip: Clip, camera: Camera, rng: np.random.Generator) 
     """Visible balls of one clip with noise, px, in the columns of TRACKS."""
     if truth["source"] == "integrator":
         pixels, seen = integrated(truth, clip, camera)
+    elif "by" in truth.get("world", {}):
+        pixels, seen = _at_own_times(truth, clip, camera)
     else:
         pixels, seen = _by_synthcam(clip, camera)
     pixels = _mismeasured(pixels.reshape(-1, 2), truth, camera).reshape(pixels.shape)
     pixels = pixels + noise_of(truth["noise"], clip.frames, rng) / SCALE
-    std = NOISES[truth["noise"]].std / SCALE / truth["claimed"]
+    if "world" in truth:
+        return _hostile(truth, clip, pixels, seen, rng)
     frame, particle = np.tile(np.arange(clip.frames), 2), np.repeat([0, 1], clip.frames)
+    return _rows(truth, clip, frame, particle, pixels.reshape(-1, 2))[seen.ravel()]
+
+
+def _rows(truth: Truth, clip: Clip, frame: Any, particle: Any, pixels: Array) -> pd.DataFrame:
+    std = NOISES[truth["noise"]].std / SCALE / truth["claimed"]
     columns = {"clip": clip.number, "frame": frame, "particle": particle}
-    columns |= {"x": pixels[..., 0].ravel(), "y": pixels[..., 1].ravel(), "x_std": std, "y_std": std, "cov_xy": 0.0}
-    table = pd.DataFrame(columns | {"striker": clip.drawn["launch"]["striker"]})
-    return table[seen.ravel()]
+    columns |= {"x": pixels[:, 0], "y": pixels[:, 1], "x_std": std, "y_std": std, "cov_xy": 0.0}
+    return pd.DataFrame(columns | {"striker": clip.drawn["launch"]["striker"]})
+
+
+def _at_own_times(truth: Truth, clip: Clip, camera: Camera) -> tuple[Array, NDArray[np.bool_]]:
+    """As `_by_synthcam`, each frame as late as this world has it."""
+    finer = worlds.FINER
+    quick = dataclasses.replace(clip.camera, fps=finer * clip.camera.fps)
+    pixels, seen = _by_synthcam(dataclasses.replace(clip, camera=quick, frames=finer * clip.frames), camera)
+    late = worlds.late(truth["world"], clip.number, clip.frames, truth["seed"])
+    rows = np.minimum(np.rint(finer * (np.arange(clip.frames) + late)).astype(int), pixels.shape[1] - 1)
+    return pixels[:, rows], seen[:, rows]
+
+
+def _hostile(truth: Truth, clip: Clip, pixels: Array, seen: worlds.Mask, rng: np.random.Generator) -> pd.DataFrame:
+    """The table of a clip in a hostile world, with what a third ball leaves in it and its times, if uneven."""
+    world, seed, number = truth["world"], truth["seed"], clip.number
+    passing = worlds.third(world, number, pixels, seen, seed)
+    there = seen & worlds.kept(world, number, pixels, seed)
+    pixels = worlds.processed(world, pixels, there)
+    frame = np.arange(clip.frames)
+    parts = [(frame[s], np.full(s.sum(), k), p[s]) for k, (p, s) in enumerate(zip(pixels, there, strict=True))]
+    if passing:
+        path, taken = passing
+        path = path + noise_of(truth["noise"], clip.frames, rng)[0] / SCALE
+        parts[1][2][np.isin(parts[1][0], taken)] = path[np.intersect1d(parts[1][0], taken)]
+        own = np.setdiff1d(np.flatnonzero(worlds.within(path, truth["size"])), taken)
+        parts.append((own, np.full(len(own), 2), path[own]))
+    table = _rows(truth, clip, *(np.concatenate(part) for part in zip(*parts, strict=True)))
+    if "by" not in world:
+        return table
+    times = worlds.late(world, number, clip.frames, seed)
+    return table.assign(t_s=(table["frame"] + times[table["frame"]]) / clip.camera.fps)
 
 
 def _by_synthcam(clip: Clip, camera: Camera) -> tuple[Array, NDArray[np.bool_]]:

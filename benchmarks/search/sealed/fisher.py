@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from commandline.errors import InputError
 from discrepancy.data.collisions import Measured
+from discrepancy.data.launch import free as launch_numbers
 from discrepancy.fitting.predict import forecast
 from synthcam.effect import Effect
 from synthcam.library import library
@@ -30,6 +31,7 @@ LIMIT = 5.0  # expected |z| at the detection limit
 CLASS = 0.9  # of the cosine: beyond it two effects are a class
 FREE = ("restitution", "sliding_friction", "spin_transfer", "rolling_drag", "rolling_decel")
 NUDGES = np.array([1e-6, 1e-6, 1e-6, 1e-5, 1e-5, 1e-5])  # of a launch
+SPUN = np.append(NUDGES, [1e-5, 1e-5, 1e-5])  # of one whose striker does not roll
 PART = 5e-4  # of a signature's length: less is the second order, and rounding, of one that the base model absorbs
 BENT = 8.0  # times the length at four times the strength: 4 of the first order, 16 of the second
 
@@ -68,19 +70,29 @@ def where(model: Model, launches: Array, rows: Sequence[Rows]) -> list[Array]:
 class Fisher:
     """The design of a box: launches (n, 6) in `rows`, a base model, noise."""
 
-    def __init__(self, model: Model, rows: Sequence[Rows], noise: Noise) -> None:
+    def __init__(self, model: Model, rows: Sequence[Rows], noise: Noise, each: Sequence[str] = ()) -> None:
+        """each: base parameters that are another number in each clip."""
         self.model, self.rows = model, rows
         self.launches = np.array([r.launch for r in rows])
         self.roots = [np.linalg.inv(np.linalg.cholesky(noise.covariance(r))) for r in rows]
         self.plain = self._tracks(model)
-        n, many = len(rows), np.concatenate([np.diag(NUDGES), -np.diag(NUDGES)])
-        moved = where(model, (self.launches[None] + many[:, None]).reshape(-1, 6), [*rows] * 12)
-        self.own = []
-        for k in range(n):
-            slopes = [(moved[j * n + k] - moved[(j + 6) * n + k]) / (2 * NUDGES[j]) for j in range(6)]
-            self.own.append(np.linalg.qr(self._white(k, np.stack(slopes, axis=-1)))[0])
-        base = np.stack([self._cleaned(self._slope(name)) for name in FREE], axis=-1)
+        own = [self._slope(name) for name in each]
+        slopes = [[*s, *(o[k] for o in own)] for k, s in enumerate(self._launch_slopes())]
+        self.own = [np.linalg.qr(self._white(k, np.stack(s, axis=-1)))[0] for k, s in enumerate(slopes)]
+        base = np.stack([self._cleaned(self._slope(name)) for name in FREE if name not in each], axis=-1)
         self.base = np.linalg.qr(base)[0]
+
+    def _launch_slopes(self) -> list[list[Array]]:
+        """Derivatives (n_k, 2) by the numbers of each clip's launch that are free."""
+        nudges, n = SPUN[: self.launches.shape[1]], len(self.rows)
+        free = launch_numbers(self.launches)
+        out: list[list[Array]] = [[] for _ in range(n)]
+        for j, nudge in enumerate(nudges):
+            step = np.where(free[:, j], nudge, 0.0)[:, None] * np.eye(len(nudges))[j]
+            ahead, behind = (where(self.model, self.launches + way * step, self.rows) for way in (1, -1))
+            for k in np.flatnonzero(free[:, j]):
+                out[k].append((ahead[k] - behind[k]) / (2 * nudge))
+        return out
 
     @staticmethod
     def places(model: Model, rows: Sequence[Rows]) -> list[Array]:

@@ -99,9 +99,10 @@ def goals(every: Sequence[Row]) -> list[Goal]:
     out = []
     for where, filmed in (("tracks", False), ("video", True)):
         asked = [r for r in every if r.filmed == filmed]
-        rows = [r for r in asked if r.worked]
+        rows = [r for r in asked if r.worked and r.kind != "hostile"]
         if asked:
-            out.append(at_least("an answer at all", where, 1.0, [r.worked for r in asked]))
+            out.append(at_least("an answer at all", where, 1.0, [r.worked for r in asked if r.kind != "hostile"]))
+            out += _hostile([r for r in asked if r.kind == "hostile"], where)
         if rows:
             out += _claims(rows, where) + _names(rows, where) + _outside(rows, where)
             out += _ordinary(rows, where) + _numbers(rows, where)
@@ -170,6 +171,23 @@ def _ordinary(rows: list[Row], where: str) -> list[Goal]:
     return [
         at_least(text, where, 0.95, [r.right for r in strong], split(strong)),
         at_most("an ordinary fault at 2 x: called by a name of the library", where, 0.1, weak),
+    ]
+
+
+def _hostile(rows: list[Row], where: str) -> list[Goal]:
+    """A box that is refused makes no false claim and names nothing."""
+    if not rows:
+        return []
+    plain = [r for r in rows if not r.hidden]
+    laws = [r for r in rows if r.lawless]
+    named = [r.kin for r in rows if r.nameable]
+    return [
+        at_least("hostile worlds: an answer at all", where, 1.0, [r.worked for r in rows]),
+        at_most("hostile worlds: a box with a false claim", where, 0.02, [bool(r.false) for r in rows]),
+        at_least("an effect of the library at 5 to 12 x: named, by its class", where, 0.95, named),
+        at_least("a law that no library has: outside_library or inadequate", where, 0.95, [r.declared for r in laws]),
+        at_least("nothing missing: none, or inadequate", where, 0.95, [r.right for r in plain]),
+        at_least("a claim that stands closes part of the gap", where, 1.0, [c for r in rows for c in r.closes]),
     ]
 
 

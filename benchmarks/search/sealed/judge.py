@@ -11,11 +11,12 @@ import numpy as np
 from synthcam.library import library
 
 from .boxes import DEFECTS, FOREIGN
+from .worlds import LAWS, UNTOLD
 
 INSIDE = 0.9  # of a true curve's places must lie in the 95 % band
 OWNERS = {"friction": "sliding_friction", "restitution": "restitution", "spin_transfer": "spin_transfer"}
 CENTRED = ("lag_speed", "warp_place")
-NAMES = ("none", "one", "two", "outside", "ordinary", "defect")
+NAMES = ("none", "one", "two", "outside", "ordinary", "defect", "hostile")
 STRANGE = ("outside", "ordinary")  # kinds that no library holds
 WIDEST = 6  # names: a larger class says nothing, and counts as the first name alone
 OUTSIDE, INADEQUATE = "outside the library", "inadequate"
@@ -53,6 +54,8 @@ class Row:
     box: int = -1
     withdrawn: tuple[str, ...] = ()  # claims that the answer takes back: none of its claims
     code: str = ""  # a fingerprint of what made the box and answered it
+    world: str = ""  # of a hostile box
+    closes: tuple[bool, ...] = ()  # of each claim that stands: does it close part of the gap on clips kept out?
 
     @property
     def worked(self) -> bool:
@@ -68,7 +71,26 @@ class Row:
         """By name; of an outsider: declared, with no name of the library beside it; of a defect: no false claim."""
         if self.kind in STRANGE:
             return self.declared and not self.false
+        if self.kind == "hostile":
+            return self.worked and not self.false and self._answered
         return self.worked and (not self.false if self.kind == "defect" else self.name)
+
+    @property
+    def nameable(self) -> bool:
+        """Does a hostile box hide an effect of the library that its tracks can tell?"""
+        return self.world not in UNTOLD and any(h not in FOREIGN for h in self.hidden)
+
+    @property
+    def lawless(self) -> bool:
+        """Is a hostile world one of laws that no library has?"""
+        return self.world in LAWS
+
+    @property
+    def _answered(self) -> bool:
+        """Is a hostile box answered as far as can be? What can be named by class, what cannot declared."""
+        if self.nameable and not self.kin:
+            return False
+        return self.declared if self.lawless else self.nameable or not self.called or self.declared
 
     @property
     def declared(self) -> bool:
@@ -100,9 +122,12 @@ def judge(line: dict[str, Any]) -> Row:
     classes = [next((tuple(a) for a in answer.get("aliases", []) if n in a), (n,)) for n in named]
     kins = [kin if len(kin) <= WIDEST else (n,) for n, kin in zip(named, classes, strict=True)]
     said = [word for word, verdict in WORDS.items() if answer["verdict"] == verdict]
-    allowed = {*hidden, *(n for d in truth["defect"] for n in DEFECTS[d])}
+    allowed = {*hidden, *_rounded(truth), *(n for d in truth["defect"] for n in DEFECTS[d])}
     false = [n for n, kin in zip(named, kins, strict=True) if not allowed & {n, *kin}]
     false += [word for word in said if truth["kind"] in FALSE[word]]
+    world = truth.get("world", {}).get("name", "")
+    if world and world not in LAWS and OUTSIDE in said:
+        false.append(OUTSIDE)
     ours = [h for h in hidden if h not in FOREIGN]
     ratio = min((a["ratio"] for a in about), default=0.0)
     nearest = max((a["nearest"] for a in about), default=0.0)
@@ -120,7 +145,7 @@ def judge(line: dict[str, Any]) -> Row:
         classes=tuple(classes),
         false=tuple(false),
         name=not said and sorted(named) == sorted(ours) and len(ours) == len(hidden),
-        kin=not said and len(ours) == len(hidden) and _matched(ours, named, kins),
+        kin=_matched(ours, named, kins) and (bool(world) or (not said and len(ours) == len(hidden))),
         noise=truth["noise"],
         source=truth["source"],
         free_law=free_law,
@@ -132,7 +157,20 @@ def judge(line: dict[str, Any]) -> Row:
         box=truth["box"],
         withdrawn=tuple(w["claim"] for w in answer.get("withdrawn", [])),
         code=answer.get("code", ""),
+        world=world,
+        closes=tuple(_closes(answer)),
     )
+
+
+def _rounded(truth: dict[str, Any]) -> tuple[str, ...]:
+    """What the library has for a grid of whole pixels."""
+    return ("pixel_locking",) if truth.get("world", {}).get("step", 0.0) >= 1 else ()
+
+
+def _closes(answer: dict[str, Any]) -> list[bool]:
+    """Is the gap on the clips kept out smaller with each claim that stands? By the answer's own document."""
+    gaps = answer.get("gap", {}).get("by_claim", {})
+    return [g["with"] < g["without"] for g in gaps.values() if g["with"] is not None and g["without"] is not None]
 
 
 WORDS = {OUTSIDE: "outside_library", INADEQUATE: "inadequate"}

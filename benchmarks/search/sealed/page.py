@@ -113,6 +113,8 @@ def _called(r: Row) -> str:
 
 
 def _hidden(r: Row) -> str:
+    if r.kind == "hostile":
+        return " + ".join([r.world.replace("_", " "), *(["an effect"] if set(r.hidden) - set(FOREIGN) else [])])
     if r.kind in ("none", "defect"):
         return "nothing" if r.kind == "none" else "a tracker's defect"
     return "a pair" if r.kind == "two" else r.hidden[0]

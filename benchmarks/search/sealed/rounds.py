@@ -15,7 +15,8 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from .boxes import UNDRAWN, draw
+from .boxes import UNDRAWN
+from .drawing import draw
 from .goals import Goal, goals
 from .judge import STRANGE, Row, judge
 from .ledger import Broken, Json, digest, lines, sealing

@@ -7,6 +7,7 @@ from synthcam.library import library
 from .boxes import AT, UNDRAWN, Study
 from .ordinary import UNKNOWN
 from .outsiders import OUTSIDERS
+from .worlds import WORLDS
 
 ALL = {"none": 0.2, "one": 0.35, "two": 0.1, "outside": 0.1, "ordinary": 0.15, "defect": 0.1}
 EVERY = len(library()) - len(UNDRAWN)
@@ -23,6 +24,7 @@ STUDIES = {
         Study("outside", {"outside": 1}, 100, ratios=(2, 5)),
         Study("ordinary", {"ordinary": 1}, 100, ratios=(5,)),
         Study("ordinary_weak", {"ordinary": 1}, 100, ratios=(2,)),
+        Study("hostile", {"hostile": 1}, 6 * len(WORLDS), within=(5, 12), integrated=0.0),
         Study("video", ALL, 40, filmed=True),
         Study("filmed", {"none": 0.2, "one": 0.8}, 40, ratios=(1.5, 5), filmed=True),
         Study("filmed_nulls", {"none": 1}, 30, filmed=True),
