@@ -11,6 +11,7 @@ import numpy as np
 
 from discrepancy import policy
 from discrepancy.data.collisions import Measured
+from discrepancy.data.processed import SMOOTHED
 from discrepancy.diagnostics.gap import Shown, as_dict
 from discrepancy.diagnostics.held_out import Claim
 from discrepancy.diagnostics.residual_map import Place
@@ -25,12 +26,16 @@ from synthcam.model import Model
 
 @dataclass(frozen=True)
 class Data:
-    """Collisions to fit and to keep out, their noise, and a line for each that has no part, or not all its places."""
+    """Collisions to fit and to keep out, their noise, and a line for each that has no part, or not all its places.
+
+    smoothed: whether somebody has put the tracks through a filter.
+    """
 
     clips: tuple[Measured, ...]
     kept_out: tuple[Measured, ...]
     noise: Noise
     left_out: tuple[str, ...]
+    smoothed: bool = False
 
     def without(self, outliers: Mapping[int, str]) -> Data:
         """Without some of the clips to fit, by their place, each with a line that says why."""
@@ -153,6 +158,9 @@ class Found:
         dropped = f" Withdrawn: {'; '.join(f'{c.name} ({c.why})' for c in self.withdrawn)}." if self.withdrawn else ""
         if self.so_far:
             return self._cut_short(self.so_far)
+        if self.data.smoothed:
+            agree = "" if self.verdict == "none" else f" They disagree most at {self.left[0]}."
+            return f"Nothing is named, since {SMOOTHED}.{agree}"
         if self.verdict == "none":
             return f"Nothing is missing: simulation and measurement agree to within the noise.{dropped}{slow}"
         if self.verdict == "inadequate":

@@ -162,6 +162,15 @@ NOISE_GAIN = 9.0
 # Derived: one chance in a thousand for five numbers, as many as such a noise may have.
 NOISE_EXCLUDED_BY = 20.0
 
+# Partial correlation of noise two frames apart under which tracks are taken for smoothed by a filter, whose window ends
+# as no noise does. On drawn tracks moving means, Gaussians and Savitzky-Golay filters give -1 to -.17; without a filter
+# there is no such term. Chosen between, on boxes of one secret; shown on hostile boxes of another.
+SMOOTHED_UNDER = -0.12
+
+# Frames to either side of a contact, and of a gap or an end, that have no part in a search of smoothed tracks.
+# Derived: half of a window of 11, the widest that is usual.
+SMOOTHED_REACH = 5
+
 # --- Single places left out ---
 
 # Sigma off a smooth path through its neighbours that makes a place an outlier, in units of the typical such number.

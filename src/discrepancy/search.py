@@ -11,7 +11,7 @@ from commandline.errors import InputError
 from discrepancy import policy
 from discrepancy.data.collisions import Measured, cannot_tell, split
 from discrepancy.data.outlier_points import taken_out, without_outliers
-from discrepancy.data.processed import processed
+from discrepancy.data.processed import SMOOTHED, beyond_reach, processed
 from discrepancy.deadline import Deadline, OutOfTime
 from discrepancy.diagnostics.claims import Standing, Validation
 from discrepancy.diagnostics.gap import Shown, show
@@ -64,10 +64,10 @@ def find(
     check(clips, model)
     deadline = Deadline(progress, seconds)
     data = read(clips, model, progress)
-    data, steps, chosen = converged(data, model, deadline)
+    data, steps, chosen = unselected(data, model, deadline) if data.smoothed else converged(data, model, deadline)
     progress("gap")
-    if chosen.so_far is not None:
-        return _unfinished(clips, data, steps, chosen, progress)
+    if data.smoothed or chosen.so_far is not None:
+        return _unnamed(clips, data, steps, chosen, progress)
     data, shown = seen_apart(data, chosen, progress)
     stands = validated(data, steps, chosen, shown, progress)
     if stands.withdrawn:
@@ -131,11 +131,27 @@ class Chosen:
 def read(clips: Sequence[Measured], model: Model, progress: Progress) -> Data:
     """The clips without outlier points, some kept out, and the noise of the others."""
     progress("noise")
-    some, kept_out = smoothed(*split(without_outliers(clips)), model, progress)
+    some, kept_out = split(without_outliers(clips))
+    if noise_of(some).smoothed:
+        return _beyond_reach(some, kept_out)
+    some, kept_out = smoothed(some, kept_out, model, progress)
     noise = noise_of(some)
     # read without any claim first: one made with too little noise could explain the rest of the noise away
     noise = refined(some, base_fit(some, model, noise, progress), noise, explained=False) or noise
     return Data(tuple(some), tuple(kept_out), noise, tuple(taken_out(clips, [*some, *kept_out])))
+
+
+def _beyond_reach(some: Sequence[Measured], kept_out: Sequence[Measured]) -> Data:
+    """Of tracks that somebody has smoothed."""
+    clips, others = ([beyond_reach(c) for c in every] for every in (some, kept_out))
+    return Data(tuple(clips), tuple(others), noise_of(clips), (), smoothed=True)
+
+
+def unselected(data: Data, model: Model, deadline: Deadline) -> tuple[Data, Stepwise, Chosen]:
+    """The base model's fit alone: of such tracks nothing is named."""
+    base = base_fit(data.clips, model, data.noise, deadline)
+    steps = Stepwise.of(FitStore(Evidence.of(data.clips, data.noise), base, lambda: deadline("search")))
+    return data, steps, Chosen(steps.selection(()), None, None)
 
 
 def converged(data: Data, model: Model, deadline: Deadline) -> tuple[Data, Stepwise, Chosen]:
@@ -193,15 +209,19 @@ def _chosen(steps: Stepwise, contest: FreeLawContest) -> Chosen:
     return Chosen(selected, free_law, None if free_law else contest.nearly(selected.best))
 
 
-def _unfinished(clips: Sequence[Measured], data: Data, steps: Stepwise, chosen: Chosen, progress: Progress) -> Found:
-    """Nothing is claimed by a search that was cut short: what it has tried was held to no other collisions."""
+def _unnamed(clips: Sequence[Measured], data: Data, steps: Stepwise, chosen: Chosen, progress: Progress) -> Found:
+    """Nothing is claimed by a search that was cut short: what it has tried was held to no other collisions.
+
+    Nor of tracks that a filter has smoothed.
+    """
     data, shown = seen_apart(data, chosen, progress)
     progress("where")
     where = tuple(locate(data.clips, chosen.selected.base, data.noise))
     alike = tuple(cannot_tell(clips))
     return Found(
         "inadequate" if unexplained(where) else "none", data, chosen.selected, None, None, (), where, where, shown, "",
-        alike, steps.unidentifiable(()), processed=processed(clips), so_far=chosen.so_far,
+        alike, steps.unidentifiable(()), processed=(*([SMOOTHED] if data.smoothed else []), *processed(clips)),
+        so_far=chosen.so_far,
     )  # fmt: skip
 
 

@@ -9,6 +9,7 @@ import numpy as np
 from discrepancy import policy
 from discrepancy.arrays import Array
 from discrepancy.data.collisions import Measured
+from discrepancy.data.launch import T_C
 
 FEWEST = 30  # different numbers, to see a grid, and gaps, to see a rule in them
 OFF = 0.02  # of a step: so far a number may lie beside the grid
@@ -29,6 +30,23 @@ def processed(clips: Sequence[Measured]) -> tuple[str, ...]:
             f"places less than {1e3 * least:.3g} mm from the one before are left out: slow balls are hardly seen"
         )
     return tuple(said)
+
+
+SMOOTHED = (
+    "places have been smoothed by a filter, which moves them near hits, gaps and ends by more than their noise; give "
+    "them as they were measured"
+)
+
+
+def beyond_reach(clip: Measured) -> Measured:
+    """A clip without the places that a filter moves: near the contact, a gap, or where a ball is seen first or last."""
+    reach = policy.SMOOTHED_REACH
+    kept = np.abs(clip.frame - clip.launch[T_C] * clip.fps) > reach
+    for ball in (0, 1):
+        rows = np.flatnonzero(clip.ball == ball)
+        for part in np.split(rows, np.flatnonzero(np.diff(clip.frame[rows]) != 1) + 1):
+            kept[part[:reach]] = kept[part[len(part) - reach :]] = False
+    return clip.of(np.flatnonzero(kept))
 
 
 def _grid(clips: Sequence[Measured]) -> float:

@@ -109,6 +109,12 @@ class Noise:
         return self.scale > policy.SLOW_NOISE * self.quick
 
     @property
+    def smoothed(self) -> bool:
+        """Whether it is that of tracks that somebody has put through a filter."""
+        own = self.own.partial
+        return len(own) > 1 and own[1] < policy.SMOOTHED_UNDER
+
+    @property
     def common_mode(self) -> float:
         """rms of what both balls share, each axis, m."""
         return float(np.sqrt(np.mean([s.variance for s in self.shared]))) if self.shared else 0.0
