@@ -139,9 +139,15 @@ ALIKE_IMPACT_PARAMETERS = 0.05
 
 # --- What is taken for noise ---
 
-# Frames of an unbroken stretch from which the noise is read; a shorter one says little beside a cubic of 4 numbers.
+# Places of a stretch from which the noise is read; a shorter one says little beside a cubic of 4 numbers.
 # Chosen; not derived.
 SHORTEST_STRETCH = 12
+
+# The same where no stretch is so long. Chosen; not derived: twice the cubic's numbers.
+SHORTEST_OF_SHORT = 8
+
+# Frames from one place to the next in a stretch. Chosen; not derived: trackers lose a ball for a few frames.
+LONGEST_BREAK = 5
 
 # Frames at either end of a phase that the noise is not read from, since they may hold a misplaced event.
 # Chosen; not derived.

@@ -168,6 +168,14 @@ def _rounded(truth: dict[str, Any]) -> tuple[str, ...]:
     return ("pixel_locking",) if truth.get("world", {}).get("step", 0.0) >= 1 else ()
 
 
+def _unrounded(
+    truth: dict[str, Any], named: list[str], kins: list[tuple[str, ...]]
+) -> tuple[list[str], list[tuple[str, ...]]]:
+    """What is named, and the classes, without what is true of a grid."""
+    kept = [k for k, n in enumerate(named) if n in truth["effects"] or n not in _rounded(truth)]
+    return [named[k] for k in kept], [kins[k] for k in kept]
+
+
 def _closes(answer: dict[str, Any]) -> list[bool]:
     """Is the gap on the clips kept out smaller with each claim that stands? By the answer's own document."""
     gaps = answer.get("gap", {}).get("by_claim", {})

@@ -87,17 +87,17 @@ class Measured:
         out[(opens >= self.launch[T_C]) & (opens >= end)] = 2
         return out
 
-    def stretches(self) -> Iterator[tuple[Array, Array]]:
-        """Unbroken stretches of one ball in one phase: places (n, 2) and claimed standard deviations (n,), m."""
+    def stretches(self) -> Iterator[tuple[Array, Array, Ints]]:
+        """Stretches of one ball in one phase: places (n, 2), claimed standard deviations (n,), m, and frames (n,)."""
         phase, claimed = self.phase(), self.claimed()
         for p in range(3):
             for b in range(2):
                 rows = np.flatnonzero((phase == p) & (self.ball == b))
                 for kept in _unbroken(rows, self.frame[rows]):
-                    yield self.xy[kept], claimed[kept]
+                    yield self.xy[kept], claimed[kept], self.frame[kept]
 
-    def together(self) -> Iterator[tuple[Array, Array, Array, Array]]:
-        """Unbroken stretches of both balls, each in one phase: places (n, 2) and (n, 2), claimed (n,) and (n,), m."""
+    def together(self) -> Iterator[tuple[Array, Array, Array, Array, Ints]]:
+        """Of both balls, each in one phase: places (n, 2) and (n, 2), claimed (n,) and (n,), m, and frames (n,)."""
         phase, claimed = self.phase(), self.claimed()
         split = int(np.sum(self.ball == 0))
         frame, one, two = np.intersect1d(self.frame[:split], self.frame[split:], return_indices=True)
@@ -107,7 +107,7 @@ class Measured:
                 rows = np.flatnonzero((phase[one] == p) & (phase[two] == q))
                 for kept in _unbroken(rows, frame[rows]):
                     i, j = one[kept], two[kept]
-                    yield self.xy[i], self.xy[j], claimed[i], claimed[j]
+                    yield self.xy[i], self.xy[j], claimed[i], claimed[j], frame[kept]
 
     def claimed(self) -> Array:
         """Standard deviation of each row that the tracks claim, (n,), m: rms of the axes."""
@@ -125,9 +125,11 @@ class Measured:
 
 
 def _unbroken(rows: Ints, frame: Ints) -> Iterator[Ints]:
-    """Rows in runs of successive frames, less a margin at either end."""
-    for part in np.split(rows, np.flatnonzero(np.diff(frame) != 1) + 1):
-        yield part[policy.EVENT_MARGIN : len(part) - policy.EVENT_MARGIN]
+    """Rows in runs in which few frames are missing at a time, less a margin at either end."""
+    for part in np.split(np.arange(len(rows)), np.flatnonzero(np.diff(frame) > policy.LONGEST_BREAK) + 1):
+        if len(part):
+            off = frame[part] - frame[part[0]]
+            yield rows[part[(off >= policy.EVENT_MARGIN) & (off <= off[-1] - policy.EVENT_MARGIN)]]
 
 
 def read_measured(measured: Path | Sequence[Result], camera: Path | None = None) -> tuple[list[Measured], list[str]]:

@@ -14,29 +14,27 @@ from functools import partial
 from typing import TypeVar
 
 import numpy as np
-from scipy.linalg import toeplitz
 from scipy.optimize import minimize
 from scipy.special import expit, logit
 
 from discrepancy import policy
 from discrepancy.arrays import Array, Ints
 from discrepancy.data.collisions import Measured
+from discrepancy.noise.stretches import Bundle, Stretch, alike, bundles, cubic, shortest
 
 T = TypeVar("T")
 Shape = tuple[int, bool]  # order of an autoregression; whether there is white noise beside it
-Stretch = tuple[Array, Array]  # places (n, axes) and claimed standard deviations (n,)
-Pair = tuple[Array, Array, Array, Array]  # places of both balls (n, 2) in the same frames, and what they claim (n,)
+Pair = tuple[Array, Array, Array, Array, Ints]  # places of both balls (n, 2), what they claim (n,), and frames (n,)
 
-SMOOTH = 4  # coefficients of the cubic
 SHAPES: tuple[Shape, ...] = ((0, False), (1, False), (1, True), (2, False), (3, False), (5, False))
 COMMON_MODES: tuple[Shape, ...] = ((0, False), (1, False), (1, True), (2, False))  # of what the balls share
 SLOWEST = 0.999  # the largest partial autocorrelation: beyond it a clip cannot tell it from 1
 KERNELS = (0.0, 0.7, 0.97)  # correlations from frame to frame at which shared noise is looked for
 IMPOSSIBLE = 1e12  # of -2 log likelihood, where a covariance is singular
-FEWER = 1.4  # a bundle's stretches are longer than its longest over this
 FLAT = 2.0  # of the cost's slope: its curvature is some hundreds
 STEP = 1e-4  # of the transformed parameters, for numerical derivatives
 FLOOR, CEILING = 1e-9, 0.99  # of a part that is white
+Shut = tuple[Array, Array, float, float, Ints]  # a pair: places less their mean, what each claims (rms), frames
 
 
 @dataclass(frozen=True)
@@ -134,89 +132,29 @@ def estimate(clips: Sequence[Measured]) -> Noise:
     return pairs.noise() if pairs.common_mode_score(own) > policy.SHARED_NOISE_SIGMA else Noise(own)
 
 
-@dataclass(frozen=True)
-class Bundle:
-    """k stretches of much the same length. values (k, n, d) without their cubics, and the cubic's basis (k, n, SMOOTH).
-
-    Both over claimed deviations, and zero beyond each one's own length. lengths (k,); n is the longest.
-    """
-
-    values: Array
-    basis: Array
-    lengths: Ints
-
-    @classmethod
-    def of(cls, values: Sequence[Array], claims: Sequence[Array]) -> Bundle:
-        """Bundle stretches: the positions (n, d) and the claimed deviations (n,) of each."""
-        lengths = np.array([len(v) for v in values])
-        cubics, rest = (np.zeros((len(values), int(lengths.max()), m)) for m in (SMOOTH, values[0].shape[1]))
-        for k, (places, claimed) in enumerate(zip(values, claims, strict=True)):
-            n = len(places)
-            cubic, own = np.vander(np.linspace(-1, 1, n), SMOOTH) / claimed[:, None], places / claimed[:, None]
-            q, _ = np.linalg.qr(cubic)
-            cubics[k, :n], rest[k, :n] = q, own - q @ (q.T @ own)
-        return cls(rest, cubics, lengths)
-
-    def restricted(self, covariance: Array) -> tuple[float, float]:
-        """(log determinants, sum of squares) of REML's -2 log likelihood; covariance (n, n) or of each (k, n, n).
-
-        Of a shorter stretch only the first rows and columns count: their inverse Cholesky factor is the first part of
-        the whole one's.
-        """
-        inside = np.arange(self.values.shape[1]) < self.lengths[:, None]
-        factor = np.linalg.cholesky(covariance)
-        white = np.linalg.inv(factor) @ np.concatenate([self.basis, self.values], axis=2) * inside[..., None]
-        cubic, seen = white[..., :SMOOTH], white[..., SMOOTH:]
-        gram, pull = cubic.swapaxes(1, 2) @ cubic, cubic.swapaxes(1, 2) @ seen
-        squares = (seen**2).sum() - (pull * np.linalg.solve(gram, pull)).sum()
-        logs = (np.log(np.diagonal(factor, axis1=-2, axis2=-1)) * inside).sum() + np.linalg.slogdet(gram)[1].sum() / 2
-        return float(2 * self.values.shape[2] * logs), float(squares)
-
-    @property
-    def freedom(self) -> int:
-        return int((self.lengths - SMOOTH).sum()) * int(self.values.shape[2])
-
-
-def _alike(lengths: Sequence[int]) -> list[list[int]]:
-    """Which stretches to put into one bundle."""
-    out: list[list[int]] = []
-    for k in sorted(range(len(lengths)), key=lambda k: -lengths[k]):
-        if lengths[k] >= policy.SHORTEST_STRETCH:
-            if not out or lengths[out[-1][0]] > FEWER * lengths[k]:
-                out.append([])
-            out[-1].append(k)
-    return out
-
-
-def _bundles(stretches: Iterable[Stretch]) -> list[Bundle]:
-    every = list(stretches)
-    groups = _alike([len(places) for places, _ in every])
-    return [Bundle.of([every[k][0] for k in group], [every[k][1] for k in group]) for group in groups]
-
-
 def _usual(clips: Sequence[Measured]) -> list[Measured]:
     """The clips whose noise is of the usual size."""
     sizes = []
     for clip in clips:
-        bundles = _bundles(clip.stretches())
-        freedom = sum(b.freedom for b in bundles)
-        sizes.append(sum(float((b.values**2).sum()) for b in bundles) / freedom if freedom else 0.0)
+        every = bundles(clip.stretches())
+        freedom = sum(b.freedom for b in every)
+        sizes.append(sum(float((b.values**2).sum()) for b in every) / freedom if freedom else 0.0)
     most = policy.UNUSUAL_NOISE_POWER * float(np.median([s for s in sizes if s > 0] or [0.0]))
     return [c for c, s in zip(clips, sizes, strict=True) if s <= most]
 
 
 def own_noise(stretches: Iterable[Stretch]) -> Component:
     """The noise of single tracks from unbroken stretches, each within one phase. Raises ValueError when too few."""
-    bundles = _bundles(stretches)
-    if not bundles:
+    every = bundles(stretches)
+    if not every:
         raise ValueError("too few unbroken frames to read the noise from")
-    longest = max(b.values.shape[1] for b in bundles)
-    freedom = sum(b.freedom for b in bundles)
+    longest = max(b.span for b in every)
+    freedom = sum(b.freedom for b in every)
 
     def profiled(component: Component) -> tuple[float, float]:
         """(-2 log likelihood at the best variance, that variance)."""
         lags = component.lags(longest)
-        parts = [b.restricted(toeplitz(lags[: b.values.shape[1]])) for b in bundles]
+        parts = [b.restricted(b.covariance(lags)) for b in every]
         logs, squares = (sum(p[k] for p in parts) for k in (0, 1))
         if not squares > 0:
             raise ValueError("no noise to be seen between the frames")
@@ -322,21 +260,24 @@ class Pairs:
     """Both balls in the same frames, each in one phase: their sum holds what they share, their difference does not."""
 
     def __init__(self, pairs: Iterable[Pair]):
-        every = [
-            (one - one.mean(axis=0), two - two.mean(axis=0), *(float(np.sqrt(np.mean(c**2))) for c in claims))
-            for one, two, *claims in pairs
-            if len(one) >= policy.SHORTEST_STRETCH
+        given = list(pairs)
+        least = shortest([len(one) for one, *_ in given])
+        self.pairs = [
+            (one - one.mean(axis=0), two - two.mean(axis=0), *(float(np.sqrt(np.mean(c**2))) for c in claims), frame)
+            for one, two, *claims, frame in given
+            if len(one) >= least
         ]
-        self.pairs = every
-        self.longest = max((len(one) for one, *_ in every), default=0)
-        self.differences, self.sums, self.weights = [], [], []
-        for group in _alike([len(one) for one, *_ in every]):
-            size = np.array([np.hypot(*every[k][2:]) for k in group])
+        every = self.pairs
+        self.differences, self.sums, self.weights = list[Bundle](), list[list[Bundle]](), list[Array]()
+        for group in alike([len(one) for one, *_ in every]):
+            size = np.array([np.hypot(*every[k][2:4]) for k in group])
             claimed = [np.full(len(every[k][0]), s) for k, s in zip(group, size, strict=True)]
-            self.differences.append(Bundle.of([every[k][0] - every[k][1] for k in group], claimed))
+            frames = [every[k][4] for k in group]
+            self.differences.append(Bundle.of([every[k][0] - every[k][1] for k in group], claimed, frames))
             together = [every[k][0] + every[k][1] for k in group]
-            self.sums.append([Bundle.of([t[:, [a]] for t in together], claimed) for a in (0, 1)])
+            self.sums.append([Bundle.of([t[:, [a]] for t in together], claimed, frames) for a in (0, 1)])
             self.weights.append(4 / size[:, None, None] ** 2)  # of the shared variance in the sum's, own being 1
+        self.longest = max((b.span for b in self.differences), default=0)
 
     def common_mode_score(self, own: Component) -> float:
         """The most significant score of shared noise, in sigma under independence, over KERNELS and axes.
@@ -345,16 +286,18 @@ class Pairs:
         independence its mean is zero and its variance the sum of tr(K A K A), A that weight.
         """
         scores, variances = np.zeros((len(KERNELS), 2)), np.zeros(len(KERNELS))
-        for n in {len(one) for one, *_ in self.pairs}:
-            members = [p for p in self.pairs if len(p[0]) == n]
-            both, claims = np.array([p[:2] for p in members]), np.array([p[2:] for p in members])
-            factor = np.linalg.cholesky(toeplitz(own.lags(n)))
-            q, _ = np.linalg.qr(np.linalg.solve(factor, np.vander(np.linspace(-1, 1, n), SMOOTH)))
+        lags = own.lags(self.longest)
+        for frames, members in self._alike().items():
+            since = np.array(frames)
+            apart = np.abs(since[:, None] - since)
+            both, claims = np.array([p[:2] for p in members]), np.array([p[2:4] for p in members])
+            factor = np.linalg.cholesky(lags[apart])
+            q, _ = np.linalg.qr(np.linalg.solve(factor, cubic(since)))
             root = np.linalg.inv(factor) - q @ np.linalg.solve(factor.T, q).T
             weight = root.T @ root
             pulls = weight @ both / (claims**2)[..., None, None]
             for j, rho in enumerate(KERNELS):
-                kernel = toeplitz(rho ** np.arange(n))
+                kernel = rho ** apart.astype(float)
                 scores[j] += np.einsum("kma,mn,kna->a", pulls[:, 0], kernel, pulls[:, 1])
                 variances[j] += np.trace(kernel @ weight @ kernel @ weight) * float(
                     np.sum(1 / claims.prod(axis=1) ** 2)
@@ -364,35 +307,42 @@ class Pairs:
         single = scores / np.sqrt(variances)[:, None]
         return float(max(single.max(), (single.sum(axis=1) / np.sqrt(2)).max()))
 
+    def _alike(self) -> dict[tuple[int, ...], list[Shut]]:
+        """The pairs by their frames, from the first on."""
+        out: dict[tuple[int, ...], list[Shut]] = {}
+        for pair in self.pairs:
+            out.setdefault(tuple((pair[4] - pair[4][0]).tolist()), []).append(pair)
+        return out
+
     def cost(self, noise: Noise) -> float:
         """-2 log likelihood, up to a constant."""
         own = noise.own.lags(self.longest)
         shared = [s.lags(self.longest) for s in noise.shared]
         out = 0.0
         for difference, sums, weight in zip(self.differences, self.sums, self.weights, strict=True):
-            n = int(difference.lengths.max())
-            alone = toeplitz(own[:n])
+            alone = difference.covariance(own)
             out += sum(difference.restricted(alone))
             if not shared:
                 out += sum(sum(s.restricted(alone)) for s in sums)
             else:
                 out += sum(
-                    sum(s.restricted(alone + weight * toeplitz(lags[:n]))) for s, lags in zip(sums, shared, strict=True)
+                    sum(s.restricted(alone + weight * s.covariance(lags))) for s, lags in zip(sums, shared, strict=True)
                 )
         return out
 
     def own(self) -> Component:
         """What the balls do not share, from their differences."""
-        size = [float(np.hypot(*claims)) for _, _, *claims in self.pairs]
+        size = [float(np.hypot(*pair[2:4])) for pair in self.pairs]
         return own_noise(
-            ((one - two) / s, np.ones(len(one))) for (one, two, *_), s in zip(self.pairs, size, strict=True)
+            ((one - two) / s, np.ones(len(one)), frame)
+            for (one, two, _, _, frame), s in zip(self.pairs, size, strict=True)
         )
 
     def noise(self) -> Noise:
         """Own and shared noise together."""
         alone = self.own()
         shape = shape_of(alone)
-        shared = 0.5 * alone.variance * float(np.mean([np.square(p[2:]) for p in self.pairs]))
+        shared = 0.5 * alone.variance * float(np.mean([np.square(p[2:4]) for p in self.pairs]))
         start = np.array([np.log(alone.variance), *free_numbers(alone), np.log(shared), np.log(shared)])
         freedom = 2 * sum(d.freedom for d in self.differences)
         return chosen(COMMON_MODES, lambda common, x: noise_of(shape, common, x), self.cost, np.log(freedom), start)

@@ -1,19 +1,20 @@
 """The noise is what the tracks show, however smooth the motion below it, however long it lasts, whoever shares it."""
 
 import dataclasses
+from functools import partial
 
 import numpy as np
 import pytest
 from discrepancy_clips import FRAMES, STD, correlated, exact, noise_of_pair
 from scipy.linalg import null_space, toeplitz
+from scipy.ndimage import gaussian_filter1d, uniform_filter1d
+from scipy.signal import savgol_filter
 from scipy.stats import multivariate_normal
 
 from discrepancy.noise.model import (
     CEILING,
     FLOOR,
     IMPOSSIBLE,
-    SMOOTH,
-    Bundle,
     Component,
     Noise,
     Pairs,
@@ -24,13 +25,14 @@ from discrepancy.noise.model import (
     own_noise,
     possible,
 )
+from discrepancy.noise.stretches import SMOOTH, Bundle
 from synthcam.model import Model
 
 
 def stretches(rng, rho, count=60, frames=(14, 22, 37, 59), std=1.0):
     for _ in range(count):
         n = int(rng.choice(frames))
-        yield std * correlated(rng, n, rho), np.ones(n)
+        yield std * correlated(rng, n, rho), np.ones(n), np.arange(n)
 
 
 def agree(values, truth):
@@ -76,7 +78,7 @@ def test_scale_and_correlation_are_recovered(rho):
 
 def test_white_noise_beside_slow_noise_is_told_apart():
     rng = np.random.default_rng(2)
-    both = [(p + rng.standard_normal(p.shape), c) for p, c in stretches(rng, 0.95, count=200, frames=(40, 59))]
+    both = [(p + rng.standard_normal(p.shape), c, f) for p, c, f in stretches(rng, 0.95, count=200, frames=(40, 59))]
     found = own_noise(both)
     assert found.white * found.variance == pytest.approx(1.0, rel=0.1)
     assert found.partial[0] == pytest.approx(0.95, abs=0.06)
@@ -84,16 +86,47 @@ def test_white_noise_beside_slow_noise_is_told_apart():
 
 def test_smooth_motion_is_no_noise():
     plain = list(stretches(np.random.default_rng(2), 0.5))
-    moved = [(p + 1e4 * np.vander(np.linspace(-1, 1, len(p)), SMOOTH) @ np.ones((SMOOTH, 2)), c) for p, c in plain]
+    moved = [
+        (p + 1e4 * np.vander(np.linspace(-1, 1, len(p)), SMOOTH) @ np.ones((SMOOTH, 2)), c, f) for p, c, f in plain
+    ]
     assert own_noise(moved).lags(6) == pytest.approx(own_noise(plain).lags(6), rel=1e-4)
+
+
+@pytest.mark.parametrize("rho", [0.0, 0.5, 0.9])
+def test_missing_frames_do_not_change_the_noise(rho):
+    """The correlation is that of neighbouring frames, whether a third of them are missing or two of three."""
+    found = []
+    for seed in range(4):
+        rng, some = np.random.default_rng(seed), []
+        for places, claimed, frame in stretches(rng, rho, count=90, frames=(40, 59)):
+            kept = rng.random(len(frame)) < 0.67 if seed % 2 else frame % 3 == 0
+            some.append((places[kept], claimed[kept], frame[kept]))
+        found.append(own_noise(some))
+    assert agree([f.lags(1)[0] for f in found], 1.0)
+    assert np.mean([f.lags(2)[1] / f.lags(1)[0] for f in found]) == pytest.approx(rho, abs=0.04)
+
+
+@pytest.mark.parametrize("rho", [0.0, 0.5, 0.9])
+@pytest.mark.parametrize(
+    "smooth",
+    [
+        partial(uniform_filter1d, size=3, axis=0),
+        partial(gaussian_filter1d, sigma=1.0, axis=0),
+        partial(savgol_filter, window_length=9, polyorder=2, axis=0),
+    ],
+)
+def test_a_filter_is_recognised(rho, smooth):
+    plain = list(stretches(np.random.default_rng(1), rho, frames=(22, 37, 59)))
+    assert not Noise(own_noise(plain)).smoothed
+    assert Noise(own_noise([(smooth(p), c, f) for p, c, f in plain])).smoothed
 
 
 def test_noise_is_counted_in_claimed_standard_deviations():
     plain = list(stretches(np.random.default_rng(3), 0.0))
     rng = np.random.default_rng(4)
-    claims = [rng.uniform(0.5, 2, len(p)) for p, _ in plain]
-    scaled = [(p * c[:, None] * 1e-6, c * 1e-6) for (p, _), c in zip(plain, claims, strict=True)]
-    assert np.sqrt(own_noise(scaled).variance) == pytest.approx(1, abs=4 / np.sqrt(2 * sum(p.size for p, _ in plain)))
+    claims = [rng.uniform(0.5, 2, len(p)) for p, *_ in plain]
+    scaled = [(p * c[:, None] * 1e-6, c * 1e-6, f) for (p, _, f), c in zip(plain, claims, strict=True)]
+    assert np.sqrt(own_noise(scaled).variance) == pytest.approx(1, abs=4 / np.sqrt(2 * sum(p.size for p, *_ in plain)))
 
 
 def common_mode_score(clips, seed, walk=0.0, jitter=0.0, rho=0.0, axes=(1, 1)):
@@ -187,9 +220,9 @@ def test_a_noise_far_from_the_tracks_has_a_cost_too():
 
 def test_too_little_to_read_noise_from():
     with pytest.raises(ValueError, match="too few"):
-        own_noise(stretches(np.random.default_rng(6), 0.0, frames=(8, 11)))
+        own_noise(stretches(np.random.default_rng(6), 0.0, frames=(5, 7)))
     with pytest.raises(ValueError, match="no noise"):
-        own_noise([(np.zeros((40, 2)), np.ones(40))])
+        own_noise([(np.zeros((40, 2)), np.ones(40), np.arange(40))])
 
 
 def test_a_noise_says_its_scale_and_correlation():

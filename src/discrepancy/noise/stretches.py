@@ -1,0 +1,107 @@
+"""Stretches of tracks in which motion is smooth, in bundles, and the restricted likelihood of what a cubic leaves."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import toeplitz
+
+from discrepancy import policy
+from discrepancy.arrays import Array, Ints
+
+Stretch = tuple[Array, Array, Ints]  # places (n, axes), claimed standard deviations (n,), and frames (n,)
+
+SMOOTH = 4  # coefficients of the cubic
+FEWER = 1.4  # a bundle's stretches are longer than its longest over this
+
+
+@dataclass(frozen=True)
+class Bundle:
+    """k stretches of much the same length. values (k, n, d) without their cubics, and the cubic's basis (k, n, SMOOTH).
+
+    Both over claimed deviations, and zero beyond each one's own length. lengths (k,); n is the longest. frames (k, n)
+    from the first on, which go on beyond a stretch's end; None where none is missing.
+    """
+
+    values: Array
+    basis: Array
+    lengths: Ints
+    frames: Ints | None = None
+
+    @classmethod
+    def of(cls, values: Sequence[Array], claims: Sequence[Array], frames: Sequence[Ints] | None = None) -> Bundle:
+        """Bundle stretches: the positions (n, d), the claimed deviations (n,) and the frames (n,) of each."""
+        lengths = np.array([len(v) for v in values])
+        since = np.tile(np.arange(lengths.max()), (len(values), 1))
+        cubics, rest = (np.zeros((len(values), int(lengths.max()), m)) for m in (SMOOTH, values[0].shape[1]))
+        for k, (places, claimed) in enumerate(zip(values, claims, strict=True)):
+            n = len(places)
+            if frames is not None:
+                since[k, :n] = frames[k] - frames[k][0]
+                since[k, n:] = since[k, n - 1] + 1 + np.arange(since.shape[1] - n)
+            powers, own = cubic(since[k, :n]) / claimed[:, None], places / claimed[:, None]
+            q, _ = np.linalg.qr(powers)
+            cubics[k, :n], rest[k, :n] = q, own - q @ (q.T @ own)
+        return cls(rest, cubics, lengths, since if np.any(np.diff(since) != 1) else None)
+
+    @property
+    def span(self) -> int:
+        """Frames from the first to the last, both counted."""
+        return int(self.lengths.max()) if self.frames is None else int(self.frames.max()) + 1
+
+    def covariance(self, lags: Array) -> Array:
+        """From autocovariances at lags 0 to span - 1: (n, n), or of each (k, n, n) where frames are missing."""
+        if self.frames is None:
+            return np.asarray(toeplitz(lags[: self.values.shape[1]]))
+        return np.asarray(lags[np.abs(self.frames[:, :, None] - self.frames[:, None])])
+
+    def restricted(self, covariance: Array) -> tuple[float, float]:
+        """(log determinants, sum of squares) of REML's -2 log likelihood; covariance (n, n) or of each (k, n, n).
+
+        Of a shorter stretch only the first rows and columns count: their inverse Cholesky factor is the first part of
+        the whole one's.
+        """
+        inside = np.arange(self.values.shape[1]) < self.lengths[:, None]
+        factor = np.linalg.cholesky(covariance)
+        white = np.linalg.inv(factor) @ np.concatenate([self.basis, self.values], axis=2) * inside[..., None]
+        fitted, seen = white[..., :SMOOTH], white[..., SMOOTH:]
+        gram, pull = fitted.swapaxes(1, 2) @ fitted, fitted.swapaxes(1, 2) @ seen
+        squares = (seen**2).sum() - (pull * np.linalg.solve(gram, pull)).sum()
+        logs = (np.log(np.diagonal(factor, axis1=-2, axis2=-1)) * inside).sum() + np.linalg.slogdet(gram)[1].sum() / 2
+        return float(2 * self.values.shape[2] * logs), float(squares)
+
+    @property
+    def freedom(self) -> int:
+        return int((self.lengths - SMOOTH).sum()) * int(self.values.shape[2])
+
+
+def cubic(since: Ints) -> Array:
+    """(n, SMOOTH), of frames (n,) that grow."""
+    return np.vander(2 * (since - since[0]) / (since[-1] - since[0]) - 1, SMOOTH)
+
+
+def alike(lengths: Sequence[int]) -> list[list[int]]:
+    """Which stretches to put into one bundle."""
+    out: list[list[int]] = []
+    least = shortest(lengths)
+    for k in sorted(range(len(lengths)), key=lambda k: -lengths[k]):
+        if lengths[k] >= least:
+            if not out or lengths[out[-1][0]] > FEWER * lengths[k]:
+                out.append([])
+            out[-1].append(k)
+    return out
+
+
+def shortest(lengths: Sequence[int]) -> int:
+    """Places that a stretch must have, of those there are."""
+    enough = max(lengths, default=0) >= policy.SHORTEST_STRETCH
+    return policy.SHORTEST_STRETCH if enough else policy.SHORTEST_OF_SHORT
+
+
+def bundles(stretches: Iterable[Stretch]) -> list[Bundle]:
+    every = list(stretches)
+    groups = alike([len(places) for places, *_ in every])
+    parts = [[every[k] for k in group] for group in groups]
+    return [Bundle.of([p for p, _, _ in some], [c for _, c, _ in some], [f for _, _, f in some]) for some in parts]
