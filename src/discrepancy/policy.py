@@ -233,6 +233,10 @@ GRID_OF_ERRORS = 0.5
 # is rejected: rolling takes .1, sliding with a friction of .05 takes .5. Chosen; not derived.
 SLIDING_APPROACH = 0.3
 
+# Share of the strikers that spin about the vertical beyond which each is taken to, also where the tracker's model of
+# its clip is rejected, as it is where an effect is missing. Chosen; not derived.
+MOST_STRIKERS_SPIN = 0.5
+
 # m/s, of the median clip: no ball is launched faster, and scale or frame rate are wrong. Chosen; not derived.
 FASTEST_LAUNCH = 20.0
 

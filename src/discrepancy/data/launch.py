@@ -74,10 +74,18 @@ def spin(row: Mapping[Any, Any], heading: float, v0: float, pull: Array) -> Arra
 
 
 def alike(launches: list[Array]) -> list[Array]:
-    """Launches of equal length: without spins where no striker has one."""
+    """Launches of equal length: without spins where no striker has one.
+
+    Where most strikers spin about the vertical, each may, one too whose clip the tracker's model rejects: its spin is
+    begun with a hundredth of theirs.
+    """
     if all(len(launch) == len(LAUNCH) or not launch[len(LAUNCH) :].any() for launch in launches):
         return [launch[: len(LAUNCH)] for launch in launches]
-    return list(without_least_slips(np.array([[*launch, *np.zeros(WITH_SPIN - len(launch))] for launch in launches])))
+    out = without_least_slips(np.array([[*launch, *np.zeros(WITH_SPIN - len(launch))] for launch in launches]))
+    spins = out[:, SIDE] != 0
+    if np.mean(spins) > policy.MOST_STRIKERS_SPIN:
+        out[~spins, SIDE] = 0.01 * np.median(np.abs(out[spins, SIDE]))
+    return list(out)
 
 
 def normal_speed(launches: Array) -> Array:
