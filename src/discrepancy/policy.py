@@ -197,6 +197,17 @@ SAME_FRAME_IN_CLIPS = 3
 # Frames by which the first guess of the contact may be wrong: places so near count as in an event. Chosen; not derived.
 CONTACT_KNOWN_TO = 0.25
 
+# Diameters that a ball must jump in a frame, and be off its way, for places to be taken for another ball's: two balls
+# are a diameter apart at least. Chosen; not derived.
+STRAY_JUMP = 0.8
+
+# Places of another ball in a row, at most. Chosen; not derived: a longer run is a track of its own.
+LONGEST_STRAY = 12
+
+# Diameters by which a ball may be off a straight line through the places before and after those.
+# Chosen; not derived: where a ball is hit in between, it is off by more.
+STRAIGHT_TO = 0.2
+
 # --- Whole clips left out ---
 
 # Spreads of the logarithm of the clips' chi^2 that make one unlike all others, whatever the model. Chosen; not derived:

@@ -16,6 +16,7 @@ from discrepancy import policy
 from discrepancy.arrays import Array, Ints
 from discrepancy.data.launch import HEADING, T_C, V0, B, alike, spin
 from discrepancy.data.sanity import exchanged, wrong_units
+from discrepancy.data.strays import without_strays
 from tracker.camera.camera import Camera
 from tracker.detection.link import Tracks
 from tracker.measurement.collision.adequacy import MEASURED, MISFIT
@@ -164,7 +165,7 @@ def read_measured(measured: Path | Sequence[Result], camera: Path | None = None)
     else:
         source = _table(measured, camera)
     kept, left_out = [], []
-    for number, tracks, own, measured_rows in source:
+    for number, tracks, own, measured_rows, strays in source:
         if (frame := exchanged(tracks, own)) is not None:
             left_out.append(f"clip {number}: the balls have exchanged their names at frame {frame}")
             continue
@@ -180,6 +181,11 @@ def read_measured(measured: Path | Sequence[Result], camera: Path | None = None)
         outcome = collision(tracks, {"clip": number} | rows[0], own)
         if isinstance(outcome, Measured):
             kept.append(outcome)
+            if strays:
+                frames = ", ".join(map(str, strays))
+                left_out.append(
+                    f"clip {number}: places of another ball, in frame {frames}, to which a ball jumps and back"
+                )
         else:
             left_out.append(f"clip {number}: {outcome}")
     if not kept:
@@ -190,7 +196,8 @@ def read_measured(measured: Path | Sequence[Result], camera: Path | None = None)
     return [replace(c, launch=one) for c, one in zip(kept, alike([c.launch for c in kept]), strict=True)], left_out
 
 
-Source = Iterator[tuple[int, Tracks, Camera, Callable[[], list[dict[Any, Any]]]]]  # the last measures, when asked
+# number, tracks, camera, what measures when asked, and the frames of places taken out as another ball's
+Source = Iterator[tuple[int, Tracks, Camera, Callable[[], list[dict[Any, Any]]], list[int]]]
 
 
 def _in_memory(results: Sequence[Result]) -> Source:
@@ -208,7 +215,7 @@ def _in_memory(results: Sequence[Result]) -> Source:
         ((_, (tracks, _)),) = split_tracks(result.tracks, f"results: number {k}").items()
         known = Camera.from_dict(result.camera.to_dict())
         number = result.number if own else k
-        yield number, tracks, known, partial(result.estimates.assign(clip=number).to_dict, "records")
+        yield number, tracks, known, partial(result.estimates.assign(clip=number).to_dict, "records"), []
 
 
 def _results(folder: Path) -> Source:
@@ -224,7 +231,7 @@ def _results(folder: Path) -> Source:
         raise InputError(f"{path}: no column {', '.join(missing)}")
     for number, rows in table.groupby("clip"):
         clip = int(str(number))
-        yield clip, *read_clip(folder, clip), partial(rows.to_dict, "records")
+        yield clip, *read_clip(folder, clip), partial(rows.to_dict, "records"), []
 
 
 def _table(path: Path, camera: Path) -> Source:
@@ -234,7 +241,8 @@ def _table(path: Path, camera: Path) -> Source:
         raise InputError(f"{path}: {why}")
     for number, (tracks, striker) in sorted(tables.items()):
         own = replace(base, striker=striker) if striker is not None else base
-        yield number, tracks, own, partial(measure, tracks, own)
+        tracks, strays = without_strays(tracks, own)
+        yield number, tracks, own, partial(measure, tracks, own), strays
 
 
 def collision(tracks: Tracks, row: Mapping[Any, Any], camera: Camera) -> Measured | str:
