@@ -145,8 +145,8 @@ def judge(line: dict[str, Any]) -> Row:
         classes=tuple(classes),
         false=tuple(false),
         name=not said and sorted(named) == sorted(ours) and len(ours) == len(hidden),
-        kin=_matched(ours, named, kins)
-        and (bool(world and "gap" in answer) or (not said and len(ours) == len(hidden))),
+        kin=_matched(ours, *_unrounded(truth, named, kins))
+        and ("gap" in answer if world else not said and len(ours) == len(hidden)),
         noise=truth["noise"],
         source=truth["source"],
         free_law=free_law,

@@ -79,7 +79,8 @@ class Bundle:
 
 def cubic(since: Ints) -> Array:
     """(n, SMOOTH), of frames (n,) that grow."""
-    return np.vander(2 * (since - since[0]) / (since[-1] - since[0]) - 1, SMOOTH)
+    even = np.linspace(-1, 1, since[-1] - since[0] + 1)
+    return np.vander(even[since - since[0]], SMOOTH)
 
 
 def alike(lengths: Sequence[int]) -> list[list[int]]:

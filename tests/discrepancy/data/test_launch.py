@@ -74,3 +74,9 @@ def test_a_striker_whose_slide_has_all_but_ended_rolls():
     assert rolling[0].tolist() == [0, 0, 0.1, 2.0, 0, 0.3, 0, 0, 1.0]
     assert np.array_equal(rolling[1], launches[1])
     assert np.array_equal(without_least_slips(launches[:, :6]), launches[:, :6])
+
+
+def test_where_most_strikers_spin_each_may():
+    rolls, spins = HITS[0], np.array([*HITS[0], 0.0, 0.0, 0.1])
+    assert free(np.array(alike([rolls, spins, -spins])))[:, SIDE].all()
+    assert free(np.array(alike([rolls, rolls, spins])))[:, SIDE].tolist() == [False, False, True]

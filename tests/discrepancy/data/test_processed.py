@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 from discrepancy_clips import CAMERA, collisions
 
-from discrepancy.data.processed import processed
+from discrepancy.data.launch import T_C
+from discrepancy.data.processed import beyond_reach, processed
 from synthcam.model import Model
 
 CLIPS = collisions(Model(), 8, 5)
@@ -55,3 +56,16 @@ def test_a_least_step_is_found(least):
 def test_frames_lost_at_random_are_no_rule():
     rng = np.random.default_rng(1)
     assert processed([c.of(np.flatnonzero(rng.random(len(c.frame)) > 0.2)) for c in CLIPS]) == ()
+
+
+def test_what_a_filter_may_move_has_no_part():
+    """A window of 11 about a place that is left holds neither a hit, nor a gap, nor an end."""
+    clip = CLIPS[0].of(np.flatnonzero(CLIPS[0].frame != 60))
+    left = beyond_reach(clip)
+    assert len(left.frame) > 0
+    for ball in (0, 1):
+        frames = set(clip.frame[clip.ball == ball].tolist())
+        for frame in left.frame[left.ball == ball].tolist():
+            window = set(range(frame - 5, frame + 6))
+            assert window <= frames
+            assert abs(frame - clip.launch[T_C] * clip.fps) > 5
