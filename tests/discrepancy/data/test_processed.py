@@ -6,9 +6,11 @@ import re
 import numpy as np
 import pytest
 from discrepancy_clips import CAMERA, collisions
+from scipy.ndimage import uniform_filter1d
 
 from discrepancy.data.launch import T_C
 from discrepancy.data.processed import beyond_reach, processed
+from discrepancy.search import find
 from synthcam.model import Model
 
 CLIPS = collisions(Model(), 8, 5)
@@ -69,3 +71,18 @@ def test_what_a_filter_may_move_has_no_part():
             window = set(range(frame - 5, frame + 6))
             assert window <= frames
             assert abs(frame - clip.launch[T_C] * clip.fps) > 5
+
+
+def test_of_smoothed_tracks_nothing_is_named_and_it_is_said():
+    """A filter washes out the hit: effects of the library would be named for it."""
+    smoothed = []
+    for clip in collisions(Model(), 8, 3):
+        xy = clip.xy.reshape(2, -1, 2)
+        smoothed.append(dataclasses.replace(clip, xy=uniform_filter1d(xy, 3, axis=1, mode="nearest").reshape(-1, 2)))
+    found = find(smoothed, Model())
+    assert found.data.smoothed
+    assert found.verdict in ("none", "inadequate")
+    assert not found.named
+    assert found.answer is None
+    assert "smoothed by a filter" in found.sentence()
+    assert any("smoothed" in line for line in found.document()["processed"])
