@@ -25,6 +25,7 @@ STUDIES = {
         Study("ordinary", {"ordinary": 1}, 100, ratios=(5,)),
         Study("ordinary_weak", {"ordinary": 1}, 100, ratios=(2,)),
         Study("hostile", {"hostile": 1}, 6 * len(WORLDS), within=(5, 12), integrated=0.0),
+        Study("air_drag", {"one": 1}, 5, ratios=(7,), effects=("air_drag",)),
         Study("video", ALL, 40, filmed=True),
         Study("filmed", {"none": 0.2, "one": 0.8}, 40, ratios=(1.5, 5), filmed=True),
         Study("filmed_nulls", {"none": 1}, 30, filmed=True),
