@@ -94,11 +94,14 @@ SHORT_OF_PROMISE_SIGMA = 2.0
 # Sigma of a claim in all collisions, each held out once, under which chance may do it. A convention (3 sigma).
 HELD_OUT_IN_TURN_SIGMA = 3.0
 
-# chi^2 a point beyond which collisions are not described, and the share of what is over one that a claim must then
-# close to stand: beside so much that is missing, sigma says little. Chosen; not derived: real billiard hits were at 50
-# and 3 with a claim of 53 sigma that closed .4 and 2 %. In sealed boxes chi^2 a point is 1.2 at most where a claim is
-# true and nothing else is missing.
-NOT_DESCRIBED, LEAST_SHARE_CLOSED = 2.0, 0.1
+# chi^2 a point beyond which collisions are not described: beside so much that is missing, sigma says little.
+# Chosen; not derived: real billiard hits were at 50 and 3. In sealed boxes it is 1.2 at most where a claim is true and
+# nothing else is missing.
+NOT_DESCRIBED = 2.0
+
+# Share of what is over one that a claim must then close to stand. Chosen; not derived: of those hits, a claim of 53
+# sigma closed .4 and 2 %.
+LEAST_SHARE_CLOSED = 0.1
 
 # Standard deviations of chi^2 a point that a gap must exceed for a share of it to be given: else it is one of noise.
 # A convention (3 sigma).
