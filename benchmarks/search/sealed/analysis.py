@@ -22,7 +22,7 @@ from discrepancy.search import find
 from synthcam.model import read_model, settings_of
 
 DIGITS = 7  # of an answer's numbers
-LONGEST = 120.0  # s, of a search, that is then cut short; the command's own limit is 600
+LONGEST = 600.0  # s, of a search, that is then cut short: as the command's
 
 
 def plain(value: Any) -> Any:
