@@ -218,8 +218,9 @@ def _unnamed(clips: Sequence[Measured], data: Data, steps: Stepwise, chosen: Cho
     progress("where")
     where = tuple(locate(data.clips, chosen.selected.base, data.noise))
     alike = tuple(cannot_tell(clips))
+    missing = unexplained(where) or (chosen.so_far is not None and chosen.selected.promising)
     return Found(
-        "inadequate" if unexplained(where) else "none", data, chosen.selected, None, None, (), where, where, shown, "",
+        "inadequate" if missing else "none", data, chosen.selected, None, None, (), where, where, shown, "",
         alike, steps.unidentifiable(()), processed=(*([SMOOTHED] if data.smoothed else []), *processed(clips)),
         so_far=chosen.so_far,
     )  # fmt: skip

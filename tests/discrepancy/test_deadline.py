@@ -35,3 +35,12 @@ def test_a_search_cut_short_names_nothing(monkeypatch):
 def test_nothing_hidden_is_nothing_found_however_short_the_time(monkeypatch):
     only(monkeypatch)
     assert find(collisions(Model(), 8, 3), Model(), seconds=0.0).verdict == "none"
+
+
+def test_what_score_tests_show_is_not_nothing_however_short_the_time(monkeypatch):
+    """Where no residual is beyond chance by itself, but an effect's signature is."""
+    only(monkeypatch)
+    monkeypatch.setattr("discrepancy.search.unexplained", lambda where: False)
+    clips = collisions(Model().replace(HIDDEN["velocity_restitution"]), 8, 3)
+    assert find(clips, Model(), seconds=0.0).verdict == "inadequate"
+    assert find(collisions(Model(), 8, 3), Model(), seconds=0.0).verdict == "none"

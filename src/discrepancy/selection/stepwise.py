@@ -52,6 +52,11 @@ class Selection:
     claim: float
     trials_factors: Mapping[str, float]
 
+    @property
+    def promising(self) -> bool:
+        """Whether a score test beside the base is as significant as a claim must be."""
+        return any(c.sigma > self.claim for c in self.ranking[:1])
+
     def paid(self, effect: str, sigma: float) -> float:
         """Sigma of an effect, corrected by the trials factor of its shape parameters."""
         return math.sqrt(max(sigma**2 - 2 * math.log(self.trials_factors.get(effect, 1.0)), 0.0))
