@@ -40,7 +40,7 @@ def headline_figure(entries: Entries, definition: Definition) -> Figure:
     columns = definition.headline
     height = 0.42 * len(entries) + 1.25
     figure = Figure(figsize=(WIDE, height))
-    axes = figure.add_axes((0.165, 0.02, 0.83, 1 - 1.0 / height))
+    axes = figure.add_axes((0.165, 0.02, 0.79, 1 - 1.0 / height))
     colours, norm = colormaps["RdYlGn_r"], LogNorm(1.0, WORST)
     for i, entry in enumerate(entries):
         score = entry["score"]

@@ -80,7 +80,7 @@ def write_page(report: Path, entries: Entries, definition: Definition, about: Ma
 
 def verdict(entry: Mapping[str, Any], definition: Definition) -> tuple[str, str]:
     """Where a tracker is at the bound, and the three settings where it fails most."""
-    good, bad = 0, []
+    good, held, bad = 0, 0, []
     for part, word in definition.headline.items():
         figures = entry["parts"].get(part)
         if figures is None:
@@ -89,13 +89,14 @@ def verdict(entry: Mapping[str, Any], definition: Definition) -> tuple[str, str]
         plain = " ".join(text.split())
         if figures["ratio"] is None and value is not None:
             continue
+        held += 1
         if value is None:
             bad.append((1e9 - (figures["jaccard"] or 0.0), f"{word} ({plain})"))
         elif value > BAD:
             bad.append((value, f"{word} (× {plain})"))
         good += value is not None and value <= GOOD
     worst = ", ".join(text for _, text in sorted(bad, reverse=True)[:3])
-    return f"{good} of {len(definition.headline)}", worst or "nowhere by more than twice the bound"
+    return f"{good} of {held}", worst or "nowhere by more than twice the bound"
 
 
 def tables(entries: Entries, definition: Definition) -> list[Table]:
