@@ -118,10 +118,10 @@ def _say(entries: Sequence[Mapping[str, Any]], notes: Sequence[str], output: Pat
     if as_json:
         print(json.dumps({"report": str(output), "notes": list(notes), "leaderboard": rows}))
         return
-    print(f"{'':<24}{'score':>7}{'rmse/bound':>12}{'found':>8}{'false':>8}{'HOTA':>8}{'ms/frame':>10}")
+    print(f"{'':<30}{'score':>7}{'rmse/bound':>12}{'found':>8}{'false':>10}{'HOTA':>8}{'ms/frame':>10}")
     for line in rows:
         keys = ("score", "ratio_median", "found", "false_per_ball", "hota", "ms_per_frame")
         texts = ["–" if line[key] is None else f"{line[key]:.3g}" for key in keys]
-        widths = (7, 12, 8, 8, 8, 10)
-        print(f"{line['name']:<24}" + "".join(f"{text:>{width}}" for text, width in zip(texts, widths, strict=True)))
+        widths = (7, 12, 8, 10, 8, 10)
+        print(f"{line['name']:<30}" + "".join(f"{text:>{width}}" for text, width in zip(texts, widths, strict=True)))
     print(output / "index.html")

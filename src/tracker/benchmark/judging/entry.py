@@ -42,7 +42,7 @@ def entry(suite: Suite, tracked: Tracked, about: Mapping[str, Any]) -> dict[str,
     out: dict[str, Any] = {
         "tracker": dict(about),
         "suite": {key: suite.about[key] for key in ABOUT},
-        "score": score(parts, list(chosen.headline)),
+        "score": score(parts, [name for name in chosen.headline if suite.bounded(suite.parts[name])]),
         "parts": parts,
         "phase": {name: phase_curve(held[name].pairs) for name in chosen.there("phase") if name in run},
         "gap": [point for name in chosen.there("near") if name in run for point in gap_curve(held[name].pairs)],
@@ -54,10 +54,8 @@ def entry(suite: Suite, tracked: Tracked, about: Mapping[str, Any]) -> dict[str,
 
 
 def score(parts: Mapping[str, Mapping[str, float]], headline: list[str]) -> float:
-    """100 times the mean efficiency over the headline's parts that have a bound."""
-    values = [
-        parts[name]["efficiency"] for name in headline if name in parts and np.isfinite(parts[name]["efficiency"])
-    ]
+    """100 times the mean efficiency over these parts; one that was not run counts 0. NaN where there is none."""
+    values = [parts[name]["efficiency"] if name in parts else 0.0 for name in headline]
     return 100 * float(np.mean(values)) if values else float("nan")
 
 

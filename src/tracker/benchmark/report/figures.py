@@ -40,7 +40,7 @@ def headline_figure(entries: Entries, definition: Definition) -> Figure:
     columns = definition.headline
     height = 0.42 * len(entries) + 1.25
     figure = Figure(figsize=(WIDE, height))
-    axes = figure.add_axes((0.165, 0.02, 0.79, 1 - 1.0 / height))
+    axes = figure.add_axes((0.2, 0.02, 0.755, 1 - 1.0 / height))
     colours, norm = colormaps["RdYlGn_r"], LogNorm(1.0, WORST)
     for i, entry in enumerate(entries):
         score = entry["score"]
@@ -160,7 +160,7 @@ def published_figure(entries: Entries, part: str, names: Sequence[str], kind: st
     """Rows of trackers, columns of quantities: the published value's error with the error bar that it would bear."""
     height = 0.42 * len(entries) + 0.95
     figure = Figure(figsize=(WIDE, height))
-    axes = figure.add_axes((0.165, 0.02, 0.83, 1 - 0.75 / height))
+    axes = figure.add_axes((0.2, 0.02, 0.79, 1 - 0.75 / height))
     for i, entry in enumerate(entries):
         for j, name in enumerate(names):
             text, colour = published_cell(entry["quantities"].get(part, {}), name, kind)

@@ -59,6 +59,11 @@ class Suite:
         """Cramer-Rao bounds of all true positions of a film."""
         return self._limits[film][0]
 
+    def bounded(self, part: Part) -> bool:
+        """Whether positions of a part have a bound: those of matte balls have none."""
+        limits = self.bounds(part.truth)
+        return bool(limits.loc[limits["clip"].isin(part.clips), "xx"].notna().any())
+
     def quantity_bounds(self, film: str) -> pd.DataFrame:
         """Bounds of the quantities of its collisions."""
         return self._limits[film][1]

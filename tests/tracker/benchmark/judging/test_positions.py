@@ -5,6 +5,7 @@ import pytest
 from benchmark_suite import Given, noisy, suite
 
 from tracker.benchmark.judging.defects import confusion
+from tracker.benchmark.judging.entry import score
 from tracker.benchmark.judging.positions import efficiency, gap_curve, held_to_truth, locking, phase_curve
 from tracker.benchmark.judging.tracked import Sample
 
@@ -89,3 +90,8 @@ def test_towards_the_other_ball_near_the_contact():
 def test_only_the_clips_of_a_sample_count():
     found = held(noisy, sample=Sample(1))
     assert (found.figures["clips"], found.figures["n"]) == (1, 2 * 36)
+
+
+def test_a_part_that_was_not_run_counts_nothing():
+    assert score({"a": {"efficiency": 0.8}}, ["a", "b"]) == pytest.approx(40)
+    assert np.isnan(score({}, []))
