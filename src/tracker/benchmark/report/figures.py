@@ -73,7 +73,7 @@ def cell(part: Mapping[str, Any] | None) -> tuple[str, float | None]:
         text = f"{part['rmse_px']:.2g} px"
     else:
         value, text = part["ratio"], f"{part['ratio']:.3g}" if part["ratio"] < 10 else f"{part['ratio']:.0f}"
-    return (f"{text}\n{100 * found:.0f} % found" if found < 0.99 else text), value
+    return (f"{text}\n{100 * found:.0f} %" if found < 0.99 else text), value
 
 
 def _box(x: float, y: float, colour: Any) -> Any:

@@ -86,7 +86,7 @@ def verdict(entry: Mapping[str, Any], definition: Definition) -> tuple[str, str]
         if figures is None:
             continue
         text, value = cell(figures)
-        plain = " ".join(text.split())
+        plain = " ".join(text.split()) if value is None else ", ".join(text.split("\n"))
         if figures["ratio"] is None and value is not None:
             continue
         held += 1
