@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from discrepancy.free_laws.shapes import Term
+from synthcam.effect import VECTORS
 from synthcam.free_law import LINE, PACE, PLACE, TURN, Kind, TabulatedLaw, kind_of
 
 WIDTH = 110  # of a line of text
@@ -83,7 +84,7 @@ def curve_effect(name: str, held: TabulatedLaw, numbers: Mapping[str, float], so
     """
     kind, ball = kind_of(held.law)
     plain, x, old = held.plain(numbers), _argument(kind), BENT[kind.law]
-    value = f"CURVE({'position[..., 0], position[..., 1]' if kind.axis == PLACE else x})"
+    value = f"CURVE({f'{kind.what}[..., 0], {kind.what}[..., 1]' if kind.axis == PLACE else x})"
     if _paced(kind):
         value = f"({value} * np.stack([np.ones_like(speed), speed / {PACE:g}], axis=-1)).sum(axis=-1)"
     base = [f"{numbers[n]!r}" + (f" * {x}" if power else "") for n, power in kind.owners]
@@ -94,7 +95,7 @@ def curve_effect(name: str, held: TabulatedLaw, numbers: Mapping[str, float], so
         f"CURVE = Table(X, Y{', turn=True' if kind.axis == TURN else ''})",
     ]
     stands = " and ".join(f"{n} {v:.6g}" for n, v in numbers.items())
-    where = "place, m" if kind.axis == PLACE else _meaning(kind, x)
+    where = f"{kind.what}, {kind.x_unit}" if kind.axis == PLACE else _meaning(kind, x)
     doc = [
         f"{old} as in the table Y, {kind.unit}, where share is 1: X {where}.{_whose(ball)}"
         + (f" Share 0 is a base model of {stands}." if stands else ""),
@@ -127,9 +128,9 @@ def _method(kind: Kind, ball: str, added: Sequence[str], relative: bool) -> str:
     old, sum_ = BENT[kind.law], _sum(added)
     asks = [kind.what, *["speed"] * _paced(kind), *["of_a"] * bool(ball)]
     whose = {"a": "of_a", "b": "(1 - of_a)", "": ""}[ball]
+    sized = [f"speed = np.hypot({kind.what}[..., 0], {kind.what}[..., 1])"] if _sized(kind) else []
     if kind.law == "push" and kind.axis == LINE:
         lines = [
-            "speed = np.hypot(velocity[..., 0], velocity[..., 1])",
             f"force = {whose} * ({sum_})" if whose else f"force = {sum_}",
             f"return np.asarray({old} + (force / np.maximum(speed, 1e-9))[..., None] * velocity)",
         ]
@@ -145,6 +146,7 @@ def _method(kind: Kind, ball: str, added: Sequence[str], relative: bool) -> str:
     else:
         sum_ = f"{whose} * ({sum_})" if whose else sum_
         lines = [f"return {old} * (1 + {sum_})" if relative else f"return {old} + {sum_}"]
+    lines = sized + lines
     own = "".join(f", {a}: Any" for a in asks)
     return f"    def {kind.law}(self, {old}: Any{own}) -> Any:\n" + "".join(f"        {line}\n" for line in lines)
 
@@ -168,7 +170,12 @@ def _argument(kind: Kind) -> str:
     """What x is, in Python."""
     if kind.axis == TURN:
         return f"np.arctan2({kind.what}[..., 1], {kind.what}[..., 0])"
-    return "speed" if kind.law == "push" else kind.what
+    return "speed" if _sized(kind) else kind.what
+
+
+def _sized(kind: Kind) -> bool:
+    """Whether x is the size of a vector."""
+    return kind.axis == LINE and kind.what in VECTORS
 
 
 def _meaning(kind: Kind, x: str) -> str:

@@ -16,7 +16,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from synthcam.effect import LAWS, Effect, Parameter
+from synthcam.effect import LAWS, VECTORS, Effect, Parameter
 from synthcam.table import Table, plain
 
 Array = NDArray[np.float64]
@@ -37,7 +37,7 @@ class Kind:
     owners : tuple of (str, int)
         The numbers of the base model that it stands for, each times x to a power; none: it adds to the law.
     axis : str
-        LINE, TURN (the direction of a vector, rad) or PLACE (a map).
+        LINE (of a vector its size), TURN (the direction of a vector, rad) or PLACE (a map over both parts of a vector).
     unit, x_unit : str
     parts : int
         2: of a force its parts along x and y, or, over an angle, along the motion and across it, over the speed; of a
@@ -79,6 +79,7 @@ def _rolling(what: str, axis: str = LINE, owners: Owners = (), **more: Any) -> K
 _LOSS: Owners = (("rolling_decel", 0), ("rolling_drag", 1))
 KINDS: dict[str, Kind] = {
     "friction_speed": _friction("slip_speed", one_ball=True),
+    "friction_ball_speed": _friction("velocity"),
     "friction_heading": _friction("slip", TURN, x_unit="rad"),
     "friction_place": _friction("position", PLACE, x_unit="m"),
     "restitution_speed": _restitution("normal_speed"),
@@ -91,6 +92,7 @@ KINDS: dict[str, Kind] = {
     "rolling_heading": _rolling("velocity", TURN, x_unit="rad", parts=2),
     "rolling_place": _rolling("position", PLACE, x_unit="m", parts=2),
     "force_speed": Kind("push", "velocity", unit="m/s^2", one_ball=True),
+    "force_velocity": Kind("push", "velocity", (), PLACE, "m/s^2", "m/s", parts=2, one_ball=True),
     "force_heading": Kind("push", "velocity", (), TURN, "1/s", "rad", parts=2),
     "force_place": Kind("push", "position", (), PLACE, "m/s^2", "m", parts=2, one_ball=True),
 }
@@ -233,7 +235,7 @@ class TabulatedLaw(AddedLaw):
             size = np.hypot(what[..., 0], what[..., 1])
             return np.asarray((self.beyond(size) / np.maximum(size, 1e-9))[..., None] * what)
         else:
-            out = self.beyond(what)
+            out = self.beyond(np.hypot(what[..., 0], what[..., 1]) if kind.what in VECTORS else what)
         if kind.law == "rolling" and kind.parts == 2:
             return np.asarray(out[..., 0] + out[..., 1] * (speed / PACE))
         if kind.law == "push" and kind.axis == TURN:

@@ -6,6 +6,7 @@ import json
 import numpy as np
 import pytest
 from blind_boxes import truth_of
+from discrepancy_clips import exact
 
 from benchmarks.search.sealed import boxes, drawing, evidence
 from benchmarks.search.sealed.boxes import NOISES, UNDRAWN, Study
@@ -15,7 +16,9 @@ from benchmarks.search.sealed.ordinary import ORDINARY, UNKNOWN
 from benchmarks.search.sealed.outsiders import OUTSIDERS
 from benchmarks.search.sealed.studies import ROUND, STUDIES
 from discrepancy.fitting.predict import forecast
+from discrepancy.free_laws.library import free_laws
 from synthcam.library import library
+from synthcam.model import Model
 from tracker.camera.camera import Camera
 
 SIZES = {name: {f"{name}.{p.name}": p.typical for p in library()[name].parameters()} for name in PHYSICS}
@@ -150,16 +153,34 @@ def test_outsiders_are_in_no_library():
     assert len(OUTSIDERS) >= 8
     assert not {*OUTSIDERS, *ORDINARY} & set(library())
     assert not any(hasattr(e, "_moved") and e.VIDEO for e in (OUTSIDERS | ORDINARY).values())
-    assert not any(e.FREE_LAW for e in ORDINARY.values())
+    assert not any(ORDINARY[name].FREE_LAW for name in UNKNOWN)
 
 
-@pytest.mark.parametrize("name", sorted(set(ORDINARY) - set(UNKNOWN)))
+@pytest.mark.parametrize("name", [n for n, kind in ORDINARY.items() if kind.SAME])
 def test_what_the_library_has_taken_in_is_its_effect_exactly(name, design):
     _, fisher = design
     kind, rng = ORDINARY[name], np.random.default_rng(1)
     entry = drawing._entry(fisher, kind, drawing._shapes(kind, rng), drawing._way(kind, rng), 5.0, naming=False)
     assert kind.SAME[0] in entry["class"]
     assert entry["nearest"] == pytest.approx(1, abs=1e-4)
+
+
+@pytest.mark.parametrize("name", [n for n, kind in ORDINARY.items() if kind.FREE_LAW])
+def test_what_a_free_law_has_taken_in_is_a_series_of_it_and_of_no_other(name):
+    kind, clips = ORDINARY[name], exact(Model(), 20, 11)
+    fault = kind(**{p.name: p.typical for p in kind.parameters()})
+    launches = np.array([c.launch for c in clips])
+    bent = dataclasses.replace(Model(), effects=(fault,))
+    moved = np.concatenate(forecast(bent, launches, clips)) - np.concatenate(forecast(Model(), launches, clips))
+    left = {}
+    for law in free_laws(Model(), launches, clips):
+        if law.name in {kind.FREE_LAW, "friction_speed", "force_heading"}:
+            columns = np.concatenate(law.columns(Model(), launches, clips)).reshape(-1, law.size)
+            best = columns @ np.linalg.lstsq(columns, moved.ravel(), rcond=1e-9)[0]
+            left[law.name] = np.linalg.norm(moved.ravel() - best) / np.linalg.norm(moved)
+    own = left.pop(kind.FREE_LAW)
+    assert own < 0.01
+    assert min(left.values()) > 3 * own
 
 
 @pytest.fixture(scope="module")

@@ -56,7 +56,7 @@ def argument(kind, known):
     what = known[kind.what]
     if kind.axis == TURN:
         return np.arctan2(what[..., 1], what[..., 0])
-    return np.hypot(what[..., 0], what[..., 1]) if kind.law == "push" else what
+    return np.hypot(what[..., 0], what[..., 1]) if kind.what in VECTORS else what
 
 
 @pytest.mark.parametrize("law", CURVES)

@@ -2,7 +2,8 @@
 
 As `outsiders`, in nobody's library, and without a free law of their own. Some differ from clip to clip: `_in` gives
 what such a fault is in one clip. SAME: an effect that holds exactly this law. Where the library has it, the fault is no
-longer drawn, and a box of it is judged as one of that effect.
+longer drawn, and a box of it is judged as one of that effect. FREE_LAW: a free law of the search that holds it by now:
+it is no longer drawn either.
 """
 
 from __future__ import annotations
@@ -85,6 +86,7 @@ class BallDragged(Ordinary):
 class BallCurves(Ordinary):
     """Ball a runs in a curve, as a loaded bowl does."""
 
+    FREE_LAW = "force_velocity_a"
     rate: float = parameter("1/s", typical=0.02, low=-0.5, high=0.5)
 
     def push(self, acceleration: Any, velocity: Any, of_a: Any) -> Any:
@@ -190,6 +192,7 @@ class HalfPolished(Ordinary):
 class FrictionPace(Ordinary):
     """Friction that depends on how fast the ball itself goes, not on its slip."""
 
+    FREE_LAW = "friction_ball_speed"
     rise: float = parameter("1", typical=0.05, low=-0.4, high=1)
 
     def friction(self, mu: Any, velocity: Any) -> Any:
@@ -239,12 +242,47 @@ class RestitutionSide(Ordinary):
 class Draught(Ordinary):
     """A wind along x: a drag that is quadratic in the speed through moving air."""
 
+    FREE_LAW = "force_velocity"
     size: float = parameter("1/m", typical=0.02, low=0, high=0.15)
     wind: float = parameter("m/s", typical=0.25, low=-1, high=1, fixed=True)
 
     def push(self, acceleration: Any, velocity: Any) -> Any:
         through = velocity - np.array([self.wind, 0.0])
         return acceleration - self.size * speed_of(through)[..., None] * through
+
+
+@dataclass(frozen=True)
+class DraughtAtWall(Ordinary):
+    """The same wind on one side of the plate alone."""
+
+    size: float = parameter("1/m", typical=0.02, low=0, high=0.3)
+    wind: float = parameter("m/s", typical=0.25, low=-1, high=1, fixed=True)
+
+    def push(self, acceleration: Any, position: Any, velocity: Any) -> Any:
+        through = velocity - np.array([self.wind, 0.0])
+        share = self.size * step(position[..., 1], 0.0, 0.003)
+        return acceleration - (share * speed_of(through))[..., None] * through
+
+
+@dataclass(frozen=True)
+class FrictionWay(Ordinary):
+    """Friction that depends on the angle between a ball's slip and its way: dust is swept off or rolled in."""
+
+    size: float = parameter("1", typical=0.02, low=-0.5, high=0.5)
+
+    def friction(self, mu: Any, slip: Any, velocity: Any) -> Any:
+        cosine = (slip * velocity).sum(axis=-1) / np.maximum(speed_of(velocity), 1e-9)
+        return mu * (1 + self.size * cosine)
+
+
+@dataclass(frozen=True)
+class BallRollsAskew(Ordinary):
+    """Ball a has a flat band: it rolls worse one way than the other, the faster the more."""
+
+    size: float = parameter("1/s", typical=0.02, low=-0.3, high=0.3)
+
+    def rolling(self, loss: Any, velocity: Any, of_a: Any) -> Any:
+        return loss + of_a * self.size * (0.8 * velocity[..., 0] - 0.6 * velocity[..., 1])
 
 
 @dataclass(frozen=True)
@@ -325,4 +363,4 @@ class ClockScatter(Ordinary):
 
 
 ORDINARY = {kind.name(): kind for kind in Ordinary.__subclasses__()}
-UNKNOWN = [name for name, kind in ORDINARY.items() if not set(kind.SAME) & set(library())]  # to the library
+UNKNOWN = [n for n, kind in ORDINARY.items() if not kind.FREE_LAW and not set(kind.SAME) & set(library())]

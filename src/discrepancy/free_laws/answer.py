@@ -99,7 +99,7 @@ class Answer:
 def words(law: FreeLaw) -> str:
     """ "mu that depends on the slip speed" """
     if len(law.axes) == 2:
-        return f"{law.title} that depends on the place"
+        return f"{law.title} that depends on the {'velocity' if law.axes[0].unit == 'm/s' else 'place'}"
     if law.each_clip:
         return f"{law.title} that is another from clip to clip"
     return f"{law.title} that depends on the {law.axes[0].name}"

@@ -35,7 +35,7 @@ class Ranges:
         Contact speeds while sliding, m/s.
     slip_places : (m, 2) array
         Places there, m.
-    places, speeds : (p, 2) and (p,) arrays
+    places, velocities, speeds : (p, 2), (p, 2) and (p,) arrays
         Of moving balls, m and m/s.
     roll_speeds, roll_places : (q,) and (q, 2) arrays
         While rolling, m/s and m.
@@ -46,6 +46,7 @@ class Ranges:
     slips: Array
     slip_places: Array
     places: Array
+    velocities: Array
     speeds: Array
     roll_speeds: Array
     roll_places: Array
@@ -71,17 +72,18 @@ def ranges(model: Model, launches: Array, clips: Sequence[Measured]) -> dict[str
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         states = np.nan_to_num(collisions(model, launches, times[0], times[-1], a_strikes).at(times))
     slip = np.hypot(*np.moveaxis(contact_velocity(states, model.ball.radius), -1, 0))
-    speed, place = np.hypot(states[..., 3], states[..., 4]), states[..., :2]
+    place, velocity = states[..., :2], states[..., 3:5]
 
-    def covered(slip: Array, speed: Array, place: Array) -> Ranges:
+    def covered(slip: Array, velocity: Array, place: Array) -> Ranges:
+        speed = np.hypot(velocity[..., 0], velocity[..., 1])
         slides, moves = slip > SLIPS, speed > SLIPS
         rolls = moves & ~slides
-        own = slip[slides], place[slides], place[moves], speed[moves], speed[rolls], place[rolls]
+        own = slip[slides], place[slides], place[moves], velocity[moves], speed[moves], speed[rolls], place[rolls]
         return Ranges(launches, clips, *own)
 
     is_a = np.stack([~a_strikes, a_strikes])
     mine = {"": np.ones_like(is_a), "a": is_a, "b": ~is_a}
-    return {ball: covered(slip[own], speed[own], place[own]) for ball, own in mine.items()}
+    return {ball: covered(slip[own], velocity[own], place[own]) for ball, own in mine.items()}
 
 
 def over_speed(name: str, letter: str, values: Array, low: float | None = None) -> tuple[Axis, ...]:
