@@ -19,6 +19,7 @@ from discrepancy.search import find
 from synthcam.dynamics import batch
 from synthcam.library import library
 from synthcam.model import Model
+from synthcam.scene.scene import scene_file
 from tracker.camera.camera import Camera
 
 STD = 1.6e-6  # m, 0.01 px
@@ -41,6 +42,7 @@ def only(monkeypatch, free_laws=(), **effects):
 
     free_laws: those there are to be, by name; the fewer, the quicker the search.
     """
+    scene_file()  # is kept for all tests to come: with every effect
     few = effects or {name: library()[name] for name in EFFECTS}
     names = free_laws or (() if effects else FREE_LAWS)
     if names:
