@@ -12,7 +12,7 @@ from benchmarks.paper.results import Results
 NUMBER, TITLE = "A3", "Candidate effects"
 MODELS = True  # needs the comparison of models
 PAPER = "Not in the paper."
-SHOWN = (("4 ms", "both"), ("4 ms", "target"))
+SHOWN = ("4 ms, both", "4 ms, target")
 MOST = 16
 
 

@@ -48,7 +48,7 @@ def best_of(table: pd.DataFrame) -> pd.DataFrame:
         best = mine.iloc[int(mine["chi2"].argmin())]
         score = least.min() - 2 * np.log(np.exp(-(least - least.min()) / 2).mean()) + 2 * best["extra"]
         row: dict[Any, Any] = {"name": name, "words": best["words"], "score": float(score), "extra": int(best["extra"])}
-        rows.append(row | dict(zip(WAYS, least, strict=True)))
+        rows.append(row | dict(zip(map(", ".join, WAYS), least, strict=True)))
     return pd.DataFrame(rows).sort_values("score", ignore_index=True)
 
 

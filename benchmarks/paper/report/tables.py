@@ -65,7 +65,7 @@ def _scan(results: Results) -> Table:
     found = found[(found.index < MOST) | (found["name"] == "base")]
     least = found["score"].min()
     rows = [
-        [str(x["name"]), str(x["words"]), *(f"{x[w]:.1f}" for w in WAYS), f"{x['score'] - least:.1f}"]
+        [str(x["name"]), str(x["words"]), *(f"{x[', '.join(w)]:.1f}" for w in WAYS), f"{x['score'] - least:.1f}"]
         for _, x in found.iterrows()
     ]
     note = (
