@@ -1,9 +1,9 @@
-# make install | demo | test | lint | types | gate | coverage | notebooks | bench-NAME    each does its own set-up; doing it twice costs nothing.
+# make install | demo | test | lint | types | gate | coverage | notebooks | paper | bench-NAME    each does its own set-up; doing it twice costs nothing.
 PYTHON ?= python3
 BIN := .venv/bin
 READY := .venv/ready
 
-.PHONY: install demo test lint types gate coverage notebooks clean
+.PHONY: install demo test lint types gate coverage notebooks paper clean
 
 install: $(READY)
 
@@ -37,6 +37,10 @@ bench-%: $(READY)
 # run the notebooks of examples/ and store their outputs
 notebooks: $(READY)
 	$(BIN)/python tools/notebooks.py
+
+# the paper's experiment from rendered video: every figure and number of it, out/paper/index.html and paper.pdf
+paper: $(READY)
+	$(BIN)/python -m benchmarks.paper.make
 
 clean:
 	rm -rf .venv demo

@@ -14,6 +14,7 @@ import argparse
 import os
 import sys
 import time
+from collections.abc import Iterable
 from pathlib import Path
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # before numpy: films and scan use processes
@@ -26,9 +27,9 @@ from benchmarks.paper.results import Results
 from commandline.application import progress_bar
 
 
-def film_all(results: Results, workers: int, quick: bool) -> None:
-    """All series of the paper."""
-    for series in experiment.SERIES.values():
+def film(results: Results, names: Iterable[str], workers: int, quick: bool) -> None:
+    """Series of the paper."""
+    for series in map(experiment.SERIES.__getitem__, names):
         wanted = experiment.smaller(series) if quick else series
         with progress_bar(f"filming {series.about}") as progress:
             experiment.film(wanted, results.series, workers, progress)
@@ -57,7 +58,7 @@ def main(arguments: list[str] | None = None) -> None:
     results, began = Results(output.resolve()), time.monotonic()
     try:
         results.series.mkdir(parents=True, exist_ok=True)
-        film_all(results, given.workers, given.quick)
+        film(results, page.needs(given.figure) if given.figure else experiment.SERIES, given.workers, given.quick)
         if given.figure is None or page.compares(given.figure):
             compare(results, given.workers, given.quick)
         made = page.one_figure(results, given.figure) if given.figure else page.write(results)

@@ -9,6 +9,7 @@ from benchmarks.paper import style
 from benchmarks.paper.results import Results
 
 NUMBER, TITLE = "1", "Rolling loss"
+NEEDS = ("rolling",)
 PAPER = (
     "Acceleration due to rolling friction for a single particle on a horizontal flat surface: measured values against"
     " velocity, best-fit line."

@@ -10,6 +10,7 @@ from benchmarks.paper import style
 from benchmarks.paper.results import Results
 
 NUMBER, TITLE = "2", "Tracks"
+NEEDS = ("slow", "fast")
 PAPER = (
     "Tracks of two particles colliding: one enters from the left with v = 10 cm/s and strikes a stationary one; both"
     " exit to the right. Circles every 0.02 s; inset: near the collision, with a particle diameter for scale."

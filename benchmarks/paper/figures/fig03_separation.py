@@ -9,6 +9,7 @@ from benchmarks.paper import style
 from benchmarks.paper.results import Results
 
 NUMBER, TITLE = "3", "Separation"
+NEEDS = ("slow", "fast")
 PAPER = "Separation s between the centers of the particles shown in Fig. 2 vs. time."
 
 

@@ -12,6 +12,7 @@ from benchmarks.paper.results import WINDOW, Results
 from benchmarks.paper.shaken import shaken_to
 
 NUMBER, TITLE = "4", "Restitution by differences"
+NEEDS = ("histogram",)
 PAPER = "Histogram for the coefficient of restitution, as determined immediately following a collision, for 28 samples."
 
 

@@ -9,6 +9,7 @@ from benchmarks.paper import kondic, style
 from benchmarks.paper.results import Floats, Results
 
 NUMBER, TITLE = "5", "Angle between the velocities"
+NEEDS = ("slow", "fast")
 PAPER = (
     "Angle between particle velocities; the collision at t = 0.06 s, dashed, where the particles move at nearly 90"
     " degrees to each other. The angle between the incoming velocity and n is 5.5 degrees. Oscillations are noise."

@@ -8,6 +8,7 @@ from benchmarks.paper import style
 from benchmarks.paper.results import Results
 
 NUMBER, TITLE = "8", "Energy in one collision"
+NEEDS = ("slow", "fast")
 PAPER = (
     "Total system energy versus time in a single collision; dotted: the collision; dashed: the final energy if the"
     " fractional loss was (1-r^2)/2."

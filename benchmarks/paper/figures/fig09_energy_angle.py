@@ -9,6 +9,7 @@ from benchmarks.paper import kondic, style
 from benchmarks.paper.results import Results
 
 NUMBER, TITLE = "9", "Energy against the final angle"
+NEEDS = ("angles", "histogram", "speeds")
 PAPER = (
     "Energy loss vs. angle between final velocities; dashed: two particles without substrate, r = 0.903; solid:"
     " predictions with r=0.903, mu_k=0.232, C=0.347."

@@ -11,6 +11,7 @@ from benchmarks.paper import style
 from benchmarks.paper.results import Results
 
 NUMBER, TITLE = "10", "Velocities of a sliding ball"
+NEEDS = ("fast",)
 PAPER = "Sketch of velocities for a sliding particle."
 
 

@@ -8,6 +8,7 @@ from benchmarks.paper import style
 from benchmarks.paper.results import Floats, Results
 
 NUMBER, TITLE = "11", "Momentum along the slip"
+NEEDS = ("slow", "fast")
 PAPER = (
     "Momentum parallel to x vs. time, for (a) the initially stationary particle and (b) the initially moving particle"
     " (x is different for each); collision at 0.06 s, dotted. A large part is transferred at the collision; v_x2"

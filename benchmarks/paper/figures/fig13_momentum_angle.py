@@ -10,6 +10,7 @@ from benchmarks.paper.figures.fig09_energy_angle import SERIES
 from benchmarks.paper.results import Results
 
 NUMBER, TITLE = "13", "Momentum against the final angle"
+NEEDS = ("angles", "histogram", "speeds")
 PAPER = (
     "Momentum fraction remaining after relaxation in the direction of the initial momentum versus final angle; head-on"
     " about 20 % is lost; solid: prediction with the fitted parameters."

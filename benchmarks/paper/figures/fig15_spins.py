@@ -8,6 +8,7 @@ from benchmarks.paper import style
 from benchmarks.paper.results import Results
 
 NUMBER, TITLE = "A2", "Spin transfer from the spins"
+NEEDS = ("histogram", "speeds", "spins", "slow")
 MODELS = True  # needs the comparison of models
 PAPER = "Not in the paper, which gives C = 0.25 +- 0.02 from the spins and 0.347 +- 0.008 from the fit."
 PARTS = (

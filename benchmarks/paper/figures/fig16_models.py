@@ -10,6 +10,7 @@ from benchmarks.paper.models import contradictions
 from benchmarks.paper.results import Results
 
 NUMBER, TITLE = "A3", "Candidate effects"
+NEEDS = ()
 MODELS = True  # needs the comparison of models
 PAPER = "Not in the paper."
 SHOWN = ("4 ms, both", "4 ms, target")

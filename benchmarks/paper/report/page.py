@@ -31,6 +31,12 @@ def _module(name: str) -> ModuleType:
     return importlib.import_module(f"benchmarks.paper.figures.{name}")
 
 
+def needs(name: str) -> tuple[str, ...]:
+    """The series that a figure is drawn from."""
+    series: tuple[str, ...] = _module(name).NEEDS
+    return series
+
+
 def compares(name: str) -> bool:
     """Whether a figure needs the comparison of models."""
     return bool(getattr(_module(name), "MODELS", False))
