@@ -159,9 +159,8 @@ def read(films: Films) -> pd.DataFrame:
         first = np.ceil(touch).astype(int) if window is None else k + window[0]
         second = first + 1 if window is None else k + window[1]
         after = velocity(films, first, second)
-        rolled = (
-            7 * v - 5 * after
-        ) / 2  # R w x z just after the impact: later friction cannot change (5 v + 2 R w x z)/7
+        # R w x z just after the impact: later friction cannot change (5 v + 2 R w x z)/7
+        rolled = (7 * v - 5 * after) / 2
         along, beside = (rolled * normal).sum(axis=2), (rolled * across).sum(axis=2)
         was = -_dot(direction, across) * v0
         table |= {
