@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import cv2
@@ -16,6 +17,8 @@ from tracker.camera.lens import Array
 SIGNIFICANCE = 6.5  # noise deviations of a box sum; one false find in some 10^10 pixels
 MOST = 64  # finds a frame: beyond that it is no picture of a few balls
 CROWDED = 0.3  # share of a frame's pixels over the threshold that is too much to be balls
+RAISED = 0.01  # the same, from which on the plate itself may be lighter than it was
+SHIFTED = 3.0  # counts, by which an encoder shifts a whole plate, or half of one, at most; more is no plate
 ROUNDING = 0.29  # counts, the noise of rounding alone
 ALONE = 0.25  # of a pixel's height, what its neighbours have at least beside a glint of width .55 px
 CELL = 12  # px, of the coarse picture that gives the plate's smooth part
@@ -121,7 +124,7 @@ class Search:
     """Candidates of a frame: local maxima of a box sum over the plate, each the strongest within ``apart`` px."""
 
     def __init__(self, plate: Ground, sigma: float, apart: float) -> None:
-        self.apart = apart
+        self.apart, self.plate = apart, plate
         self.box = max(3, 2 * round(1.2 * sigma) + 1)
         # Negative noise must survive an unsigned difference: subtract a little less than the plate.
         drop = math.ceil(3.0 * plate.noise)
@@ -137,17 +140,30 @@ class Search:
         self.threshold = math.floor(least)  # whole, so that whole sums are compared as they are
         self.base = float(area * drop)
 
+    @cached_property
+    def smooth(self) -> NDArray[np.float32]:
+        """The plate's smooth part."""
+        return _smooth(self.plate.level)
+
     def __call__(self, frame: NDArray[Any]) -> Finds:
-        lifted = cv2.subtract(frame, self.floor, dst=self.lifted)
-        box, edge = (self.box, self.box), cv2.BORDER_REFLECT
-        sums = cv2.boxFilter(lifted, self.depth, box, dst=self.sums, normalize=False, borderType=edge)
-        hits = np.flatnonzero(np.greater(sums, self.threshold, out=self.over).ravel())
+        hits = self._over(frame, self.floor)
+        if len(hits) > RAISED * self.sums.size:
+            raised = np.rint(_smooth(frame) - self.smooth)
+            level = self.floor + np.where(np.abs(raised) <= SHIFTED, raised, 0.0)
+            hits = self._over(frame, np.clip(level, 0, np.iinfo(frame.dtype).max).astype(frame.dtype))
         if len(hits) == 0:
             return NONE
-        if len(hits) > CROWDED * sums.size:
+        if len(hits) > CROWDED * self.sums.size:
             return Finds(NONE.column, NONE.row, NONE.strength, crowded=True)
-        rows, columns = np.divmod(hits, sums.shape[1])
-        return self._strongest(columns, rows, sums.ravel()[hits].astype(np.float64))
+        rows, columns = np.divmod(hits, frame.shape[1])
+        return self._strongest(columns, rows, self.sums.ravel()[hits].astype(np.float64))
+
+    def _over(self, frame: NDArray[Any], floor: NDArray[Any]) -> NDArray[np.int64]:
+        """Pixels (k,) of the flattened frame whose box sum over `floor` exceeds the threshold; `sums` has the sums."""
+        lifted = cv2.subtract(frame, floor, dst=self.lifted)
+        box, edge = (self.box, self.box), cv2.BORDER_REFLECT
+        sums = cv2.boxFilter(lifted, self.depth, box, dst=self.sums, normalize=False, borderType=edge)
+        return np.flatnonzero(np.greater(sums, self.threshold, out=self.over).ravel())
 
     def _strongest(self, columns: NDArray[np.int64], rows: NDArray[np.int64], values: Array) -> Finds:
         left = values.copy()

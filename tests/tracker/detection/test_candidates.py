@@ -1,0 +1,41 @@
+"""The first search for glints, in frames drawn here."""
+
+import numpy as np
+import pytest
+
+from tracker.detection.candidates import Ground, Search
+
+SIZE = (120, 160)
+PLACES = [(40, 30), (100, 90)]
+
+
+def drawn(level, seed=0):
+    """A plate of a level (h, w), read out with a noise of .3 counts, and two glints on it."""
+    picture = level + np.random.default_rng(seed).normal(0, 0.3, SIZE)
+    y, x = np.mgrid[: SIZE[0], : SIZE[1]]
+    for column, row in PLACES:
+        picture += 60 * np.exp(-((x - column) ** 2 + (y - row) ** 2) / 2)
+    return np.rint(picture).astype(np.uint8)
+
+
+def half(by):
+    level = np.full(SIZE, 8.0)
+    level[:, SIZE[1] // 2 :] += by
+    return level
+
+
+@pytest.mark.parametrize("by", [0, 1, 2])
+def test_glints_are_found_where_an_encoder_shifts_the_plate(by):
+    """By a count or two in all of the picture or in half of it, as H.264 does from one group of pictures to the next."""
+    search = Search(Ground(np.full(SIZE, 8, np.uint8), 0.3), 1.0, apart=10.0)
+    for level in (half(by), np.full(SIZE, 8.0 + by)):
+        found = search(drawn(level))
+        assert set(zip(found.column[:2].tolist(), found.row[:2].tolist(), strict=True)) == set(PLACES)
+        assert len(found.row) < 20
+
+
+def test_a_picture_full_of_light_is_crowded():
+    search = Search(Ground(np.full(SIZE, 8, np.uint8), 0.3), 1.0, apart=10.0)
+    found = search(drawn(np.full(SIZE, 40.0)))
+    assert found.crowded
+    assert len(found.row) == 0
