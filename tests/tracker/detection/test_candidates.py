@@ -26,7 +26,7 @@ def half(by):
 
 @pytest.mark.parametrize("by", [0, 1, 2])
 def test_glints_are_found_where_an_encoder_shifts_the_plate(by):
-    """By a count or two in all of the picture or in half of it, as H.264 does from one group of pictures to the next."""
+    """By a count or two, in all of the picture or in half of it, as H.264 does from one group of frames to the next."""
     search = Search(Ground(np.full(SIZE, 8, np.uint8), 0.3), 1.0, apart=10.0)
     for level in (half(by), np.full(SIZE, 8.0 + by)):
         found = search(drawn(level))
