@@ -6,7 +6,7 @@ Each codec's clips are calibrated all together (`tracker calibrate`), and tracke
 with the errors of its scale, without lamp, exposure and lens. Printed per codec: share of the balls found, false finds,
 rmse of glints against the truth's; the scale's error over its standard error; z = error / standard error of each
 quantity, root mean square +- its sampling error (an error that all clips share counts once), by the tied and by the
-free fit; clips by status.
+free fit; clips by status. The last row is of all codecs together, as of a user who does not know what encoded his film.
 """
 
 from __future__ import annotations
@@ -104,6 +104,14 @@ def spread(table: pd.DataFrame, name: str, fit: str) -> dict[str, float]:
     return {"rms": rms, "error": float(np.sqrt(2 * np.sum(alike**2)) / n / 2), "n": len(values)}
 
 
+def together(figures: dict[str, dict[str, Any]], fit: str, name: str) -> dict[str, float]:
+    """As `spread`, of the clips of all codecs."""
+    each = [row["z"][fit][name] for row in figures.values() if row["z"][fit][name]["n"]]
+    n = sum(z["n"] for z in each)
+    rms = float(np.sqrt(sum(z["n"] * z["rms"] ** 2 for z in each) / max(n, 1)))
+    return {"rms": rms, "error": float(np.hypot.reduce([z["n"] * z["error"] for z in each])) / max(n, 1), "n": n}
+
+
 def common(cov: str, name: str, fit: str) -> float:
     """What one standard error of the scale does to a quantity."""
     table = json.loads(cov)
@@ -151,6 +159,10 @@ def shown(figures: dict[str, dict[str, Any]]) -> Table:
         for fit, z in row["z"].items():
             values = [f"{v['rms']:.2f}±{v['error']:.2f} ({v['n']})" for v in z.values()]
             table.add_row(*(cells if fit == "tied" else [""] * len(cells)), fit, *values)
+    if len(figures) > 1:
+        for fit in ("tied", "free"):
+            all_ = [together(figures, fit, name) for name in QUANTITIES]
+            table.add_row("all", *[""] * 10, fit, *(f"{v['rms']:.2f}±{v['error']:.2f} ({v['n']})" for v in all_))
     return table
 
 

@@ -181,7 +181,7 @@ def published_cell(found: Mapping[str, Any], name: str, kind: str) -> tuple[str,
     figures = found.get(f"{name}{kind}") or {}
     off, std = figures.get("published"), figures.get("published_std")
     if off is None or std is None:
-        return f"none of {found.get('clips', 0)}", "#c9c9c9"
+        return f"none of {found['clips']}" if found.get("clips") else "not run", "#c9c9c9"
     factor, z = SHOWN[name][2], abs(off) / std
     colour = "#a6d96a" if z < 2 else "#ffe08a" if z < 4 else "#f08a5d"
     return f"{_plain(off * factor, '+')} ± {_plain(std * factor)}", colour
