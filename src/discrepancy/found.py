@@ -14,7 +14,7 @@ from discrepancy.data.collisions import Measured
 from discrepancy.data.processed import SMOOTHED
 from discrepancy.diagnostics.gap import Shown, as_dict
 from discrepancy.diagnostics.held_out import Claim
-from discrepancy.diagnostics.residual_map import Place
+from discrepancy.diagnostics.residual_map import Place, unexplained
 from discrepancy.fitting.model_fit import Fit
 from discrepancy.free_laws.answer import Answer
 from discrepancy.free_laws.fitted_law import FittedLaw
@@ -229,10 +229,6 @@ def _moved(before: float, after: float) -> str:
     if one == other:
         return f"stays at {one}"
     return f"{'falls' if after < before else 'does not fall but goes'} from {one} to {other}"
-
-
-def unexplained(left: Sequence[Place]) -> bool:
-    return bool(left) and left[0].sigma > policy.UNEXPLAINED_SIGMA
 
 
 def more_missing(left: Sequence[Place], withdrawn: Sequence[Claim]) -> bool:

@@ -63,7 +63,8 @@ FREE_LAW_SIGMA = 4.5
 # Effects claimed beside a free law, after it was found, at most. Chosen; not derived.
 MOST_EFFECTS_BESIDE_FREE_LAW = 2
 
-# Sigma of an effect beside a free law, or where one was withdrawn: what is weaker may be a part of a law nobody knows.
+# Sigma of an effect beside a free law, or where one was withdrawn, or where the model with it still leaves something
+# unexplained: what is weaker may be a part of a law nobody knows.
 # Chosen, twice FREE_LAW_SIGMA: a review had found effects of no significance named beside free laws.
 SIGMA_BESIDE_FREE_LAW = 9.0
 

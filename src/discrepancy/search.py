@@ -17,12 +17,12 @@ from discrepancy.diagnostics.claims import Standing, Validation
 from discrepancy.diagnostics.gap import Shown, show
 from discrepancy.diagnostics.held_out import Claim
 from discrepancy.diagnostics.outlier_clips import outlier_clips
-from discrepancy.diagnostics.residual_map import Place, locate
+from discrepancy.diagnostics.residual_map import Place, locate, unexplained
 from discrepancy.fitting.base_fit import Progress, base_fit, check, noise_of, smoothed
 from discrepancy.fitting.model_fit import Evidence, Fit
 from discrepancy.fitting.noise_refit import refined
 from discrepancy.fitting.parameters import candidates_of
-from discrepancy.found import Data, Found, SoFar, more_missing, unexplained
+from discrepancy.found import Data, Found, SoFar, more_missing
 from discrepancy.free_laws.answer import Answer
 from discrepancy.free_laws.fitted_law import FittedLaw
 from discrepancy.free_laws.tabulated import in_model

@@ -299,17 +299,27 @@ def test_beside_an_unknown_law_a_name_needs_nine_sigma(monkeypatch, sigma, stand
 
 
 @pytest.mark.parametrize(
-    ("law", "free", "levels"), [(None, False, [4.2, 4.2]), ("law", False, [9.0, 4.2]), ("law", True, [9.0, 9.0])]
+    ("law", "free", "left", "levels"),
+    [
+        (None, False, 4.5, [4.2, 4.2]),
+        (None, False, 5.5, [9.0, 9.0]),
+        ("law", False, 0.0, [9.0, 4.2]),
+        ("law", True, 0.0, [9.0, 9.0]),
+    ],
 )
-def test_nine_sigma_are_asked_beside_an_unknown_law_and_where_one_was_withdrawn(monkeypatch, law, free, levels):
+def test_nine_sigma_are_asked_beside_what_is_unknown_and_where_a_law_was_withdrawn(
+    monkeypatch, law, free, left, levels
+):
     asked = []
+    monkeypatch.setattr(stand, "locate", lambda *_: (Made(sigma=left),))
 
     def claims(self, search, law, level):
         asked.append(level)
         return [Made(name="x", free=free, turns=BORNE, why="" if asked[1:] else "not borne")], {"x": (search, None)}, ()
 
     monkeypatch.setattr(stand.Validation, "_claims", claims)
-    stands = stand.Validation(None, None, (), None, NOISE, lambda: None).standing(Made(claim=4.2), law)
+    validation = stand.Validation(None, Made(clips=()), (), None, NOISE, lambda: None)
+    stands = validation.standing(Made(claim=4.2, state=("effect",), best=None), law)
     assert asked == levels
     assert len(stands.withdrawn) == 1
 

@@ -11,6 +11,7 @@ from discrepancy import policy
 from discrepancy.arrays import Array
 from discrepancy.data.collisions import Measured
 from discrepancy.diagnostics.held_out import Claim, Held, foretold, in_turn, refused
+from discrepancy.diagnostics.residual_map import locate, unexplained
 from discrepancy.fitting.gauss_newton import fit_model, linearised
 from discrepancy.fitting.model_fit import Evidence, Fit
 from discrepancy.fitting.parameters import candidates_of
@@ -68,7 +69,8 @@ class Validation:
         """
         withdrawn: list[Claim] = []
         while True:
-            level = policy.SIGMA_BESIDE_FREE_LAW if free_law or any(c.free for c in withdrawn) else selected.claim
+            beside = free_law is not None or any(c.free for c in withdrawn) or self._lacks(selected)
+            level = policy.SIGMA_BESIDE_FREE_LAW if beside else selected.claim
             claims, without, named = self._claims(selected, free_law, level)
             falls = [c for c in claims if c.why]
             if not falls:
@@ -77,6 +79,10 @@ class Validation:
             if worst.why != EXCHANGED:
                 withdrawn.append(worst)
             selected, free_law = without[worst.name]
+
+    def _lacks(self, selected: Selection) -> bool:
+        """Whether effects were named and yet something is left unexplained."""
+        return bool(selected.state) and unexplained(locate(self.evidence.clips, selected.best, self.noise))
 
     def _claims(self, selected: Selection, free_law: FittedLaw | None, level: float) -> Weighed:
         """Each claim, what is left without it, and the effects named. level: the sigma that an effect needs."""

@@ -336,3 +336,8 @@ def _corrected(chi2: float, dof: int, trials: int) -> float:
     if p >= 1:
         return 0.0
     return float(-ndtri(p / 2)) if p > 1e-250 else sigmas(chi2, dof)
+
+
+def unexplained(left: Sequence[Place]) -> bool:
+    """Whether what `locate` found is more than chance does."""
+    return bool(left) and left[0].sigma > policy.UNEXPLAINED_SIGMA
