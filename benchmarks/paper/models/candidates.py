@@ -52,7 +52,7 @@ def sizes_of(effect: str) -> Iterator[Candidate]:
         if p.fixed:
             continue
         wanted = SHARES if p.name == "share" else [sign * s * p.typical for s in SIZES for sign in (1, -1)]
-        values = np.unique(np.clip(wanted, p.low, p.high))
+        values = np.unique(np.round(np.clip(wanted, p.low, p.high), 12))
         for value in values[values != 0]:
             for shape in shapes:
                 fixed = tuple((f"{effect}.{name}", float(x)) for name, x in shape.items())

@@ -12,11 +12,11 @@ from matplotlib.figure import Figure
 
 from benchmarks.paper.report.tables import Table
 
-PAPER = (8.27, 11.69)  # inches: A4
+PORTRAIT, LANDSCAPE = (8.27, 11.69), (11.69, 8.27)  # inches: A4
 MARGIN = 0.07
-LINE = 0.0125  # of the page's height
+LINE = 0.146  # inches
 WIDE = 118  # characters a line of words
-CELL = 150  # characters a line of a table
+CELL = 205  # characters a line of a table
 
 
 def write(
@@ -27,11 +27,11 @@ def write(
     with PdfPages(
         aside, metadata={"Title": "Two-particle granular collisions on a surface, reproduced from video"}
     ) as pages:
-        for lines in _pages(list(_text(words))):
-            pages.savefig(_page(lines, "DejaVu Sans", 7.6))
+        for lines in _pages(list(_text(words)), PORTRAIT):
+            pages.savefig(_page(lines, "DejaVu Sans", 7.6, PORTRAIT))
         for table in tables:
-            for lines in _pages(list(_table(table))):
-                pages.savefig(_page(lines, "DejaVu Sans Mono", 5.4))
+            for lines in _pages(list(_table(table)), LANDSCAPE):
+                pages.savefig(_page(lines, "DejaVu Sans Mono", 5.8, LANDSCAPE))
         for about, figure in figures:
             caption = f"Figure {about['number']}. {about['title']}. {about['caption']}"
             lines = [
@@ -48,11 +48,11 @@ def write(
     aside.replace(path)
 
 
-def _page(lines: Sequence[str], family: str, size: float) -> Figure:
-    figure = Figure(figsize=PAPER)
+def _page(lines: Sequence[str], family: str, size: float, paper: tuple[float, float]) -> Figure:
+    figure = Figure(figsize=paper)
     for row, line in enumerate(lines):
         bold = line.startswith("# ")
-        y = 1 - MARGIN / 1.5 - row * LINE
+        y = 1 - MARGIN / 1.5 - row * LINE / paper[1]
         figure.text(
             MARGIN, y, line.removeprefix("# "), family=family, fontsize=size * (1.15 if bold else 1), va="top",
             weight="bold" if bold else "normal", parse_math=False,
@@ -60,8 +60,8 @@ def _page(lines: Sequence[str], family: str, size: float) -> Figure:
     return figure
 
 
-def _pages(lines: list[str]) -> Iterator[list[str]]:
-    fit = int((1 - 1.4 * MARGIN) / LINE)
+def _pages(lines: list[str], paper: tuple[float, float]) -> Iterator[list[str]]:
+    fit = int((1 - 1.4 * MARGIN) * paper[1] / LINE)
     for start in range(0, len(lines), fit):
         yield lines[start : start + fit]
 
