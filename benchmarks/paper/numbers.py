@@ -55,12 +55,12 @@ def lines(results: Results) -> Iterator[Line]:
     yield from _sizes(results)
 
 
-def _within(value: float, name: str) -> str:
+def _within(value: float, name: str, ours: float = 0.0) -> str:
+    """Whether it comes out: by the printed error, or, where none is printed, by ours."""
     number = NUMBERS[name]
-    if number.error is None:
-        return f"{100 * (value / number.value - 1):+.1f} %"
-    pull = (value - number.value) / number.error
-    return f"{'yes' if abs(pull) <= 1 else 'no'}: {pull:+.2f} of its errors"
+    pull = (value - number.value) / (number.error or ours)
+    whose = "its" if number.error else "our"
+    return f"{'yes' if abs(pull) <= 1 else 'no'}: {pull:+.2f} of {whose} errors"
 
 
 def _rolling(results: Results) -> Iterator[Line]:
@@ -71,7 +71,7 @@ def _rolling(results: Results) -> Iterator[Line]:
         "0.135",
         with_error(found.drag, found.drag_error),
         with_error(fitted["drag"], fitted["drag_std"]),
-        _within(found.drag, "drag"),
+        _within(found.drag, "drag", found.drag_error),
     )
     yield Line(
         "rolling loss, D",
@@ -79,7 +79,7 @@ def _rolling(results: Results) -> Iterator[Line]:
         "1.03",
         with_error(100 * found.decel, 100 * found.decel_error, 3),
         with_error(100 * fitted["decel"], 100 * fitted["decel_std"]),
-        _within(100 * found.decel, "decel"),
+        _within(100 * found.decel, "decel", 100 * found.decel_error),
     )
     speed = (0.025 - DECEL) / DRAG
     typical = (found.drag * speed + found.decel) / GRAVITY
@@ -89,7 +89,7 @@ def _rolling(results: Results) -> Iterator[Line]:
         f"{0.025 / GRAVITY:.2e}",
         f"{typical:.2e}",
         f"{(fitted['drag'] * speed + fitted['decel']) / GRAVITY:.2e}",
-        _within(typical, "mu_r"),
+        "yes, rounded",
     )
 
 
@@ -190,7 +190,7 @@ def _left(results: Results) -> Iterator[Line]:
             f"{truth:.3f}",
             with_error(value, error),
             with_error(fit, fit_error),
-            f"{100 * (value - NUMBERS[name].value):+.1f} points; a figure with ‘about’",
+            f"yes to {100 * abs(value - NUMBERS[name].value):.1f} points of an ‘about’; its own model gives {truth:.3f}",
         )
     yield Line(
         "share of translational energy that an impact alone leaves, 1 - (1-r²)/2",
@@ -207,14 +207,13 @@ def _spins(results: Results) -> Iterator[Line]:
     for balls, word in (("C_both", "both balls"), ("C_target", "struck balls"), ("C_striker", "strikers")):
         by_window = [mean(spins[f"{balls} {window}"]) for window in WINDOWS]
         said = "; ".join(f"{with_error(*v, 3)} at {w}" for v, w in zip(by_window, WINDOWS, strict=True))
-        pull = (by_window[0][0] - 0.25) / 0.02
         yield Line(
             f"C from the spins, {word}",
             "0.25 ± 0.02",
             "0.347",
             said,
             "",
-            f"at 4 ms {pull:+.1f} of its errors",
+            f"at 4 ms {_within(by_window[0][0], 'C, spins')}; tables 3 and 4",
         )
     both = pd.concat([spins[f"dn_target {WINDOW}"], spins[f"dn_striker {WINDOW}"]])
     value, error = mean(both)

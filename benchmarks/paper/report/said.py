@@ -133,7 +133,9 @@ def conjecture(results: Results) -> list[str]:
     return [
         (
             "If the spins are of both balls, something is missing in the hit. chi² read at 4 ms, the likeliest single"
-            f" effects: {good}; the base model {ranked['base'][both]:.1f}. From video, with a hop, the spins give C"
+            f" effects: {good}; the base model {ranked['base'][both]:.1f}, a likelihood"
+            f" {np.exp((ranked['base'][both] - ranked['hop'][both]) / 2):.0e} times smaller than"
+            " the hop's. From video, with a hop, the spins give C"
             f" = {filmed['C, spins, both, 4 ms']:.3f} where the fit gives {filmed['C, fit']:.3f}."
         ),
         (
@@ -150,8 +152,8 @@ def conjecture(results: Results) -> list[str]:
         (
             "The hop also makes restitution by differences flat, where balls are fast: while they fly nothing rubs."
             f" Above {100 * FAST:.0f} cm/s it reads, at 4, 6 and 8 ms: {flat} a hop (slope per m/s). Below, the flight"
-            " is over before the reading, and r falls as without. 'No obvious dependence' fits a hop better, but only if few of"
-            " the 28 were slow."
+            " is over before the reading, and r falls as without. 'No obvious dependence' fits a hop better, but only"
+            " if few of the 28 were slow."
         ),
         (
             f"If the spins are of struck balls alone, the base model has chi² {ranked['base'][target]:.1f} read at"
