@@ -190,7 +190,7 @@ def _left(results: Results) -> Iterator[Line]:
             f"{truth:.3f}",
             with_error(value, error),
             with_error(fit, fit_error),
-            f"yes to {100 * abs(value - NUMBERS[name].value):.1f} points of an ‘about’; its own model gives {truth:.3f}",
+            f"yes to {100 * abs(value - NUMBERS[name].value):.1f} points of ‘about’; its own model gives {truth:.3f}",
         )
     yield Line(
         "share of translational energy that an impact alone leaves, 1 - (1-r²)/2",
