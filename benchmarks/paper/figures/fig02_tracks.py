@@ -50,5 +50,5 @@ def draw(results: Results) -> Figure:
         wide.set(xlabel="x / mm", ylabel="y / mm", ylim=(-max(reach, 6), max(reach, 6)))
         close.set(xlabel="x / mm")
         style.letter(wide, word)
-        style.legend(wide, loc="lower right")
+        style.legend(wide, loc="upper left")
     return figure

@@ -60,13 +60,13 @@ def draw(results: Results) -> Figure:
     course = results.course("fast")
     k, end = int(course.read["k"]), course.ends.velocity[1, 0] * 100
     first = (course.position[1, k + 2] - course.position[1, k + 1]) * 250 * 100
-    _arrow(above, (0, 0), tuple(first), style.STRIKER, "$v_{cm}$ after the hit", (-1.2, 0.7))
-    _arrow(above, (0, 0), tuple(end), style.TARGET, "$v_{cm}$, rolling", (0.2, -1.0))
+    _arrow(above, (0, 0), tuple(first), style.STRIKER, "$v_{cm}$ after the hit", (-2.6, 0.6))
+    _arrow(above, (0, 0), tuple(end), style.TARGET, "$v_{cm}$, rolling", (2.0, -0.7))
     _arrow(above, tuple(first), tuple(end - first), style.MODEL, "$\\Delta v_{cm}$", (-2.4, 1.1))
     _arrow(above, (0, 0), tuple(-3.5 * course.slide[1]), style.HOP, "$\\hat{x}$", (-0.5, 0.2))
     reach = float(np.abs([*first, *end]).max())
     above.set(
-        xlim=(-5, reach + 2), ylim=(-2, reach + 1), aspect="equal", xlabel="$v_x$ / (cm/s)", ylabel="$v_y$ / (cm/s)"
+        xlim=(-5, reach + 4.5), ylim=(-2, reach + 1), aspect="equal", xlabel="$v_x$ / (cm/s)", ylabel="$v_y$ / (cm/s)"
     )
     style.letter(above, "from above, striker, measured")
     return figure
