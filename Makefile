@@ -1,9 +1,10 @@
-# make install | demo | test | lint | types | gate | coverage | notebooks | paper | bench-NAME    each does its own set-up; doing it twice costs nothing.
+# make install | demo | test | lint | types | gate | coverage | notebooks | paper | docs | docs-links | docs-test | bench-NAME    each does its own set-up; doing it twice costs nothing.
 PYTHON ?= python3
 BIN := .venv/bin
 READY := .venv/ready
+DOCS_READY := .venv/ready-docs
 
-.PHONY: install demo test lint types gate coverage notebooks paper clean
+.PHONY: install demo test lint types gate coverage notebooks paper docs docs-links docs-test clean
 
 install: $(READY)
 
@@ -42,5 +43,22 @@ notebooks: $(READY)
 paper: $(READY)
 	$(BIN)/python -m benchmarks.paper.make
 
+$(DOCS_READY): requirements-docs.lock $(READY)
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements-docs.lock
+	@touch $@
+
+# the site: each warning is an error, so are links that lead nowhere; no network is needed
+docs: $(DOCS_READY)
+	@$(BIN)/python -m sphinx --fail-on-warning --keep-going --fresh-env --quiet --doctree-dir out/docs/doctrees docs out/docs/html
+	@echo out/docs/html/index.html
+
+# links to other places; without a network it cannot be run
+docs-links: $(DOCS_READY)
+	$(BIN)/python -m sphinx --builder linkcheck --quiet --doctree-dir out/docs/doctrees docs out/docs/links
+
+# every block of code of the docs, as it stands
+docs-test: $(READY)
+	OMP_NUM_THREADS=1 $(BIN)/python tools/doc_blocks.py
+
 clean:
-	rm -rf .venv demo
+	rm -rf .venv demo docs/generated

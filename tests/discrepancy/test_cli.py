@@ -87,7 +87,7 @@ def test_the_ten_lines_of_the_docs_run_as_they_stand(recorded, tmp_path, monkeyp
     exec(compile(code, "docs/discrepancy.md", "exec"), {})
     said = capsys.readouterr().out
     assert "velocity_restitution" in said
-    assert (tmp_path / "out/search/index.html").is_file()
+    assert (tmp_path / "out/search_py/index.html").is_file()
 
 
 def test_add_fits_a_candidate(recorded, tmp_path, capsys):

@@ -1,0 +1,162 @@
+"""Code in the docs: cheap pages run as they stand, every command and option is one that there is."""
+
+import ast
+import importlib.util
+import re
+import runpy
+import shlex
+import subprocess
+import sys
+from importlib import import_module
+from pathlib import Path
+
+import numpy as np
+import pytest
+import typer
+from repository import ROOT
+
+from discrepancy.free_laws import laws, library
+from discrepancy.free_laws.basis import Axis
+from discrepancy.free_laws.free_law import LawEffect
+from synthcam import free_law
+from synthcam.scene.scene import check_scene
+from synthcam.settings import parse_yaml
+
+TOOL = runpy.run_path(str(ROOT / "tools/doc_blocks.py"))
+PAGES = TOOL["pages"]()
+BLOCKS = [block for page in PAGES for block in TOOL["blocks"](page)]
+CHEAP = ("background/physics.md", "background/statistics.md", "howto/effect.md", "howto/detector.md")
+NAMES = ("synthcam", "tracker", "discrepancy")
+PROGRAMS = {name: typer.main.get_command(import_module(f"{name}.cli").app) for name in NAMES}
+OTHERS = ("git", "cd", "pip", ".")  # commands of a shell, not looked into
+INLINE = re.compile(r"(?<!`)`((?:synthcam|tracker|discrepancy|make|python -m) [^`]+)`")
+
+
+def wrong_in(line, whole=True):
+    """What a command line asks for that is not there; of a whole one also what it lacks."""
+    words = shlex.split(line, comments=True)
+    if not words or words[0] in OTHERS:
+        return []
+    program = words[0].rpartition("/")[2]
+    if program == "make":
+        return wrong_in_make(words[1:])
+    return wrong_in_python(words[2:]) if program == "python" else wrong_in_program([program, *words[1:]], whole)
+
+
+def wrong_in_make(words):
+    targets = set(re.findall(r"^([a-z-]+):", (ROOT / "Makefile").read_text(), re.MULTILINE))
+    studies = {f"bench-{p.stem.replace('_', '-')}" for p in (ROOT / "benchmarks").glob("*/*.py")}
+    return [w for w in words if "=" not in w and w not in targets | studies | {"bench-NAME"}]
+
+
+def wrong_in_python(words):
+    """What `python -m` runs is there, and its text has the options that it is given."""
+    module, *rest = words
+    if module == "pytest":
+        return [p for p in rest if p.startswith("tests/") and not (ROOT / p).exists()]
+    found = importlib.util.find_spec(module)
+    if found is None:
+        return [module]
+    text = Path(found.origin).read_text()
+    return [w for w in rest if w.startswith("--") and w.partition("=")[0] not in text]
+
+
+def wrong_in_program(words, whole):
+    command, rest = PROGRAMS[words[0]], words[1:]
+    while hasattr(command, "commands") and rest and not rest[0].startswith("-"):
+        if rest[0] not in command.commands:
+            return [rest[0]]
+        command = command.commands[rest.pop(0)]
+    options = {name: p for p in command.params if p.param_type_name == "option" for name in p.opts}
+    wrong, given, named = [], 0, set()
+    while rest:
+        name, equals, _ = rest.pop(0).partition("=")
+        if not name.startswith("-"):
+            given += 1
+        elif name in options:
+            named.add(options[name].name)
+            if not (equals or options[name].is_flag):
+                rest[:1] = []
+        elif name != "--help":
+            wrong.append(name)
+    if not whole or wrong:
+        return wrong
+    arguments = [p for p in command.params if p.param_type_name == "argument"]
+    most = 99 if any(p.nargs == -1 for p in arguments) else len(arguments)
+    lacks = {f"no {p.opts[0]}" for p in options.values() if p.required and p.name not in named}
+    return [*([] if sum(p.required for p in arguments) <= given <= most else [f"{given} arguments"]), *sorted(lacks)]
+
+
+@pytest.mark.parametrize("block", [b for b in BLOCKS if b.language == "sh"], ids=lambda b: b.where)
+def test_each_command_of_a_block_is_there(block):
+    assert [(line, wrong) for line in block.text.splitlines() if (wrong := wrong_in(line))] == []
+
+
+@pytest.mark.parametrize("page", [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *PAGES], ids=lambda p: p.name)
+def test_each_command_within_a_sentence_is_there(page):
+    text = " ".join(re.sub(r"^ *```.*?^ *```", "", page.read_text(), flags=re.DOTALL | re.MULTILINE).split())
+    found = [re.sub(r"[\[\]]|\.\.\.", "", line) for line in INLINE.findall(text)]
+    assert [(line, wrong) for line in found if (wrong := wrong_in(line, whole=False))] == []
+
+
+@pytest.mark.parametrize(
+    ("line", "wrong"),
+    [
+        ("synthcam generat scenes/oblique.yaml -o out", ["generat"]),
+        ("tracker track film.mp4 --kamera camera.json -o out", ["--kamera"]),
+        ("tracker track film.mp4", ["no -o"]),
+        ("discrepancy find --model m.yaml -o out", ["0 arguments"]),
+        ("make bench-nothing", ["bench-nothing"]),
+        ("python -m benchmarks.tracker.discs --reels 4", ["--reels"]),
+        ("python -m benchmarks.tracker.nothing", ["benchmarks.tracker.nothing"]),
+    ],
+)
+def test_a_command_that_is_none_is_seen(line, wrong):
+    assert wrong_in(line) == wrong
+
+
+@pytest.mark.parametrize("block", BLOCKS, ids=lambda b: b.where)
+def test_a_block_says_what_it_is_and_can_be_read(block):
+    assert block.language in TOOL["LANGUAGES"]
+    assert {name for name, _ in block.orders} <= set(re.findall(r"<!-- docs-test: (\w+)", TOOL["__doc__"]))
+    if block.language == "python" and not block.asked("after"):
+        ast.parse(block.text)
+    if block.language == "yaml":
+        check_scene(parse_yaml(block.text), block.where)
+
+
+@pytest.mark.parametrize("name", CHEAP)
+def test_a_page_runs_as_it_stands(name, tmp_path):
+    """Its files and its Python; in a process of its own, since effects that are added stay."""
+    code = """
+import runpy, sys, pathlib
+tool, names = runpy.run_path(sys.argv[1]), {}
+for block in tool["blocks"](pathlib.Path(sys.argv[2])):
+    if block.language == "python" or block.asked("file"):
+        tool["run"](block, names)
+"""
+    words = [sys.executable, "-W", "error", "-c", code, ROOT / "tools/doc_blocks.py", ROOT / "docs" / name]
+    done = subprocess.run(words, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+
+
+def test_the_free_law_of_the_page_is_found_and_a_model_holds_it(tmp_path, monkeypatch):
+    """In a folder beside the package's own; make docs-test puts it where the page says."""
+    page = [b for b in BLOCKS if b.where.startswith("howto/free_law.md")]
+    (tmp_path / "friction_radius.py").write_text(page[0].text)
+    monkeypatch.setattr(laws, "__path__", [*laws.__path__, str(tmp_path)])
+    library.library.cache_clear()
+    try:
+        (kind,) = (k for k in library.library() if k.__name__ == "FrictionRadius")
+    finally:
+        library.library.cache_clear()
+        sys.modules.pop("discrepancy.free_laws.laws.friction_radius", None)
+    (line,) = (b.text for b in page if b.asked("after"))
+    held = eval(f"{{{line}}}", vars(free_law))["friction_radius"]
+    assert ((held.law, held.what), held.owners, held.unit) == (kind.bends, kind.owners, kind.unit)
+    series = LawEffect(kind((Axis("distance from the middle", "m", 0.0, 0.05, 6),)), tuple(1e-3 * np.arange(1.0, 7.0)))
+    ((law, bend, asks),) = series.bends
+    assert (law, asks) == ("friction", ("position",))
+    found = bend(np.full((1, 3), 0.2), np.array([[[0.03, 0.0], [0.0, -0.03], [0.01, 0.02]]]))[0]
+    assert found[0] == pytest.approx(found[1], abs=1e-15)
+    assert abs(found[2] - found[0]) > 1e-6
