@@ -38,8 +38,8 @@ def effect_pages() -> dict[str, str | bytes]:
         made[f"effects/{name}.png"] = picture
         parts.append(section(name, effect, most))
     head = (
-        "# Effects\n\nWhat a collision may have that the base model lacks, and that a search can find. The list is made "
-        "of the files of `src/synthcam/effects` when the site is built; `synthcam effects` shows it in a terminal. "
+        "# Effects\n\nWhat a collision may have that the base model lacks, and that a search can find. The list is "
+        "made of the files of `src/synthcam/effects` when the site is built; `synthcam effects` shows it in a terminal. "
         "A strength is zero where the effect is absent; a shape parameter says where or how it acts. "
         "One of your own: [](../howto/effect.md).\n"
     )
@@ -95,8 +95,8 @@ def free_law_page() -> str:
         rows.append([f"`{name}`", said, plain(law.symbol), plain(law.unit), depends, owners, balls])
     head = (
         "# Free laws\n\nLaws that a search leaves free, as a curve or a map, where no effect of the library explains "
-        "what it sees ([](../discrepancy.md)). The list is made of the files of `src/discrepancy/free_laws/laws` when the "
-        "site is built. One of your own: [](../howto/free_law.md).\n\n"
+        "what it sees ([](../discrepancy.md)). The list is made of the files of `src/discrepancy/free_laws/laws` when "
+        "the site is built. One of your own: [](../howto/free_law.md).\n\n"
     )
     titles = ["free law", "what", "symbol", "unit", "law that it bends", "in place of", "of which balls"]
     return head + table(titles, rows) + "\n"
