@@ -39,8 +39,8 @@ def effect_pages() -> dict[str, str | bytes]:
         parts.append(section(name, effect, most))
     head = (
         "# Effects\n\nWhat a collision may have that the base model lacks, and that a search can find. The list is "
-        "made of the files of `src/synthcam/effects` when the site is built; `synthcam effects` shows it in a terminal. "
-        "A strength is zero where the effect is absent; a shape parameter says where or how it acts. "
+        "made of the files of `src/synthcam/effects` when the site is built; `synthcam effects` shows it in a "
+        "terminal. A strength is zero where the effect is absent; a shape parameter says where or how it acts. "
         "One of your own: [](../howto/effect.md).\n"
     )
     made["effects.md"] = "\n".join([head, table(["effect", "of the", "law", "typical size"], rows), *parts])
