@@ -20,11 +20,11 @@ if TYPE_CHECKING:
 Floats = NDArray[np.float64]
 UNKNOWN_PX = 0.1  # of a position, where a table gives no errors and is too short to show them
 GLINT_PX = 1.0  # width of a glint where the camera file does not have it
-# Of the variance of positions in encoded video, and px over which it lasts: an encoder shows a moving ball beside its
-# place by much the same while it moves on. Likeliest for the errors of 332 stretches, px, by H.264 at crf 18, 23, 28,
-# with a gamma untold, MJPEG q 3: .02, .02, .05, .08, .03 at 120 to 1000, of which 250 is worse by 5 at most in the
-# logarithm of the likelihood. A film does not show its own: the motion takes up what lasts.
-ENCODED = (0.1, 250.0)
+# An encoder shows a moving ball beside its place by much the same while it moves on. LASTING is the share of this in
+# the variance of positions that are off by AT px; it grows with the square of that, to MOST, and lasts over WAY px. In
+# 200 films errors 5 to 40 px apart correlate by .02 at H.264 of crf 18 and 23 (.06, .07 px), .05 at 28 (.10 px), .07
+# with a gamma untold (.07 px), 0 by MJPEG (.02, .05 px). A film does not show its own: the motion takes up what lasts.
+LASTING, AT, MOST, WAY = 0.1, 0.075, 0.25, 250.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,18 +144,28 @@ def courses(tracks: Tracks, camera: Camera) -> list[Course]:
         alike, drift, encoded = shared[rows], (0.0, 0.0), camera.sensor.codec_noise > 0
         if any(WORDS[SHADED] in words for words in tracks.flags[keep][rows]):
             drift = UNLIT * camera.ball_diameter / 2, camera.ball_diameter
-        elif encoded and weighed:
-            least, every = np.linalg.eigvalsh(cov[rows])[:, 0].min(), np.trace(cov[rows], axis1=1, axis2=2) / 2
-            own = min(ENCODED[0] * float(np.median(every)), float(least) / 2)
-            alike, drift = alike + own * np.eye(2), (float(np.sqrt(own)), ENCODED[1] * camera.scale)
         found.append(
             Course(
                 int(ball), frame[rows], start[rows], position[rows], cov[rows], camera.exposure, alike,
                 width, drift, weighed, np.inf if weighed else 0.0, encoded=encoded,
             )
         )  # fmt: skip
-    size = None if weighed else scatter(found)
+    if weighed:
+        return _lasting(found, camera) if camera.sensor.codec_noise > 0 else found
+    size = scatter(found)
     return found if size is None else [course.resized(size) for course in found]
+
+
+def _lasting(balls: list[Course], camera: Camera) -> list[Course]:
+    """The same with the share of an encoder's errors that lasts."""
+    size, every = scatter(balls), [np.trace(course.cov, axis1=1, axis2=2) / 2 for course in balls]
+    off = float(np.median(np.concatenate(every))) * (size.ratio if size else 1.0) / camera.scale**2 if balls else 0.0
+    share, out = min(LASTING * off / AT**2, MOST), []
+    for course, variances in zip(balls, every, strict=True):
+        own = min(share * float(np.median(variances)), float(np.linalg.eigvalsh(course.cov)[:, 0].min()) / 2)
+        drift = float(np.sqrt(own)), WAY * camera.scale
+        out.append(course if course.drift[0] else replace(course, fixed=course.fixed + own * np.eye(2), drift=drift))
+    return out
 
 
 def _usable(pixel: Floats) -> bool:
