@@ -48,7 +48,7 @@ def of_command(command: Any, path: str) -> str:
     said, _, example = doc.partition("Example: ")
     parts = [f"## {path}\n", *(plain(p) + "\n" for p in re.split(r"\n\s*\n", said) if p.strip())]
     if example:
-        parts.append(fence(" ".join(example.split()), "console") + "\n")
+        parts.append(fence(" ".join(example.split()), "sh") + "\n")
     rows = [row(p) for p in command.params if not getattr(p, "hidden", False) and p.name != "help"]
     if rows:
         parts.append(table(["argument or option", "what it says", "default"], rows) + "\n")
