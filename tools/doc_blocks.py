@@ -153,7 +153,7 @@ def in_a_folder(page: Path) -> bool:
         root = ROOT
         if any(block.asked("checkout") for block in blocks(page)):
             root = Path(folder)
-            for name in ("src", "tests", "tools", "scenes", "examples", "docs"):
+            for name in ("src", "tests", "benchmarks", "tools", "scenes", "examples", "docs"):
                 shutil.copytree(ROOT / name, root / name, ignore=shutil.ignore_patterns("__pycache__", "generated"))
             shutil.copy(ROOT / "pyproject.toml", root)
         else:

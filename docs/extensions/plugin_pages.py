@@ -92,13 +92,13 @@ def free_law_page() -> str:
         owners = ", ".join(f"`{owner}`" for owner, _ in law.owners) or "nothing: it adds"
         balls = "both, a or b" if law.one_ball else "both"
         said = plain(paragraphs(sys.modules[law.__module__])[0])
-        rows.append([f"`{name}`", said, plain(law.symbol), plain(law.unit), depends, owners, balls])
+        rows.append([f"`{name}`", said, plain(law.unit), depends, owners, balls])
     head = (
         "# Free laws\n\nLaws that a search leaves free, as a curve or a map, where no effect of the library explains "
         "what it sees ([](../discrepancy.md)). The list is made of the files of `src/discrepancy/free_laws/laws` when "
         "the site is built. One of your own: [](../howto/free_law.md).\n\n"
     )
-    titles = ["free law", "what", "symbol", "unit", "law that it bends", "in place of", "of which balls"]
+    titles = ["free law", "what", "unit", "law that it bends", "in place of", "of which balls"]
     return head + table(titles, rows) + "\n"
 
 
