@@ -10,6 +10,7 @@ import numpy as np
 from discrepancy import policy
 from discrepancy.arrays import Array
 from discrepancy.data.collisions import Measured
+from discrepancy.diagnostics.constancy import change
 from discrepancy.diagnostics.held_out import Claim, Held, foretold, in_turn, refused
 from discrepancy.diagnostics.residual_map import locate, unexplained
 from discrepancy.fitting.gauss_newton import fit_model, linearised
@@ -118,6 +119,7 @@ class Validation:
                 if other and not refused(*self._between(named.sigma, less.best, other.best)):
                     left[candidate.name], why = (other, None), EXCHANGED
                     break
+            why = why or change(self.evidence, selected.best, candidate.strengths).refuses(named.sigma)
             claims.append(Claim(candidate.name, named.sigma, *held, why))
         return claims, left, every
 

@@ -1,0 +1,51 @@
+"""A true effect is the same in all collisions; what only resembles one is not."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from discrepancy_clips import collisions
+
+from benchmarks.search.sealed.ordinary import ORDINARY
+from discrepancy.diagnostics.constancy import Change, change
+from discrepancy.fitting.gauss_newton import fit_model
+from discrepancy.fitting.model_fit import Evidence
+from discrepancy.fitting.parameters import BASE
+from discrepancy.noise.model import Component, Noise
+from synthcam.library import library
+from synthcam.model import Model
+
+CLAIMED = Noise(Component(1.0))
+
+
+def fitted(hidden, name, seed):
+    """Of 16 collisions with something hidden, the sigma of an effect, and what it changes with most."""
+    clips = collisions(dataclasses.replace(Model(), effects=(hidden,)), 16, seed)
+    base = fit_model(clips, Model(), BASE, CLAIMED)
+    best = fit_model(clips, Model(), [*BASE, name], CLAIMED, base.launches)
+    return np.sqrt(base.chi2 - best.chi2), change(Evidence.of(clips, CLAIMED), best, [name])
+
+
+@pytest.mark.parametrize(
+    ("name", "value"), [("plate_tilt.x", 1e-3), ("stribeck.rise", 0.1), ("velocity_restitution.e", 0.05)]
+)
+def test_a_true_effect_is_the_same_everywhere(name, value):
+    effect, _, own = name.partition(".")
+    seen = [fitted(library()[effect](**{own: value}), name, seed) for seed in range(6)]
+    assert min(sigma for sigma, _ in seen) > 8
+    assert max(found.sigma for _, found in seen) < 4
+
+
+def test_what_resembles_an_effect_is_told_by_where_it_changes():
+    """Friction that rises at slow slip, as stribeck's does, but on one half of the plate."""
+    sigma, found = fitted(ORDINARY["half_polished"](rise=0.3), "stribeck.rise", 5)
+    assert sigma > 8
+    assert found.against in ("place", "heading")  # balls are hit in the middle of the plate
+    assert found.refuses(sigma).startswith(f"it is another with the {found.against}")
+
+
+@pytest.mark.parametrize(
+    ("sigma", "own", "stands"), [(4.9, 10, True), (5.1, 10, False), (19, 100, True), (21, 100, False)]
+)
+def test_a_fifth_of_itself_and_five_sigma_refuse_it(sigma, own, stands):
+    assert (Change("speed", sigma).refuses(own) == "") == stands
