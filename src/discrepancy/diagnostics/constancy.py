@@ -1,8 +1,8 @@
 """Is a named effect the same in all collisions? One that is not stands for another law, which it resembles.
 
 With the model complete its residuals are noise, whatever they are held against; so they are against the effect's own
-signature times what changes from place to place and from clip to clip. Had the strength been another there, that is
-what would be left, to first order: a score test of each such change.
+signature times what changes from place to place, from clip to clip and with time. Had the strength been another there,
+that is what would be left, to first order: a score test of each such change.
 """
 
 from __future__ import annotations
@@ -15,11 +15,12 @@ import numpy as np
 from discrepancy import policy
 from discrepancy.arrays import Array
 from discrepancy.data.collisions import Measured
-from discrepancy.data.launch import HEADING, V0, B
+from discrepancy.data.launch import HEADING, T_C, V0, B
 from discrepancy.fitting.jacobian import derivative
 from discrepancy.fitting.model_fit import Evidence, Fit
 from discrepancy.fitting.significance import sigmas
 
+SINCE = 0.1  # s, of time since the hit
 SEEN = 1e-8  # of the columns' own size: what the fit leaves less of shows nothing
 
 
@@ -74,6 +75,7 @@ def change(evidence: Evidence, fit: Fit, strengths: Sequence[str]) -> Change:
 
 def _features(clip: Measured, number: int, launch: Array) -> dict[str, Array]:
     """By what it is, numbers (n, f) of each place of a clip, of size one or so."""
+    since = np.maximum(clip.frame / clip.fps - launch[T_C], 0) / SINCE
     b, is_a = float(launch[B]), (clip.ball == int(clip.striker == "a")).astype(float)
 
     def alike(*values: float) -> Array:
@@ -88,4 +90,5 @@ def _features(clip: Measured, number: int, launch: Array) -> dict[str, Array]:
         "ball that strikes": alike(float(clip.striker == "a")),
         "ball": is_a[:, None],
         "place": np.asarray(clip.xy),
+        "time since the hit": np.stack([since, since**2], axis=1),
     }

@@ -44,6 +44,14 @@ def test_what_resembles_an_effect_is_told_by_where_it_changes():
     assert found.refuses(sigma).startswith(f"it is another with the {found.against}")
 
 
+def test_what_resembles_an_effect_is_told_by_when_it_changes():
+    """Friction by the angle between slip and way moves the balls for as long as they slide: no restitution does."""
+    sigma, found = fitted(ORDINARY["friction_way"](size=0.02), "velocity_restitution.e", 5)
+    assert sigma > 8
+    assert found.against == "time since the hit"
+    assert found.refuses(sigma)
+
+
 @pytest.mark.parametrize(
     ("sigma", "own", "stands"), [(4.9, 10, True), (5.1, 10, False), (19, 100, True), (21, 100, False)]
 )
