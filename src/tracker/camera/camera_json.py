@@ -43,10 +43,11 @@ def read_keys(path: Path) -> Any:
 
 @dataclass(frozen=True)
 class Lamp:
-    """A disc lamp, or what is as wide as one: position of its centre and radius, m."""
+    """A disc lamp, or what is as wide as one: position of its centre, radius, standard errors of the position, m."""
 
     position: tuple[float, float, float]
     radius: float = 0.0
+    position_std: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
 
 def parse(data: Any, where: str) -> dict[str, Any]:
@@ -200,7 +201,10 @@ class _Reader:
             raise self._bad("lamp.position", f"a lamp above the plate, not at z = {z:g} m")
         if lamp.get("second"):
             self.unmodelled.append("lamp.second: positions are biased towards its glints")
-        return Lamp((x, y, z), self._lamp_radius(lamp))
+        off = self._array("position_std", (3,), np.zeros(3), lamp, "lamp.").tolist()
+        if not off[2] <= LARGEST_ERROR * z:
+            raise self._bad("lamp.position_std", f"at most {LARGEST_ERROR:g} of the lamp's height, not {off[2]:g} m")
+        return Lamp((x, y, z), self._lamp_radius(lamp), (off[0], off[1], off[2]))
 
     def _lamp_radius(self, lamp: Mapping[str, Any]) -> float:
         """Of the disc whose image is as wide as the lamp's, by the mean square from its middle."""

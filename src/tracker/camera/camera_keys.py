@@ -18,7 +18,7 @@ SHOWN = 40  # characters of a wrong value in a message
 KEYS = {  # by section; "" is the file itself
     "": "K dist R t size fps exposure scale ball_diameter striker lamp psf sensor shutter lens surface "
     "scale_std fps_std ball_diameter_std view_errors assumed metric exposure_seen_s calibration video ball",
-    "lamp": "position radius shape inner length width angle facing flicker second radiance",
+    "lamp": "position position_std radius shape inner length width angle facing flicker second radiance",
     "psf": "sigma_px defocus_px f_number pixel_pitch wavelength",
     "sensor": "bits gain read_noise dark prnu dsnu full_well black_level codec_noise gamma hot_pixels hot_dark",
     "shutter": "kind line_time",
@@ -42,6 +42,7 @@ LIMITS = {  # least and most, both included: wider than any apparatus, narrow en
     "R": (-1.001, 1.001),
     "t": (-1e6, 1e6),
     "lamp.position": (-1e6, 1e6),
+    "lamp.position_std": (0.0, 100.0),
     "lamp.radius": (0.0, 100.0),
     "lamp.inner": (0.0, 100.0),
     "lamp.length": (0.0, 100.0),

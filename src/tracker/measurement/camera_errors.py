@@ -1,4 +1,4 @@
-"""Errors of the camera file (scale, frame rate, ball diameter, view), carried into all that is measured.
+"""Errors of the camera file (scale, frame rate, ball diameter, view, lamp), carried into all that is measured.
 
 Each moves all estimates of all clips of one camera together. `carry` finds by how much, by a fit's linear response,
 and widens the estimates' covariance; `shared` gives a fit of many clips the part that does not average away.
@@ -21,7 +21,7 @@ from tracker.measurement.collision.fitting import Fit, Pair, Whitened
 from tracker.measurement.positions import Course
 
 if TYPE_CHECKING:
-    from tracker.camera.camera import Camera
+    from tracker.camera.camera import Camera, Lamp
 
 Floats = NDArray[np.float64]
 FIRST_ORDER = 0.03  # of an effect, to which it is known: clips are not to find the camera's error from less
@@ -93,11 +93,44 @@ class ViewError(CameraError):
         return replace(course, position=position)
 
 
+@dataclass(frozen=True)
+class LampError(CameraError):
+    """That of a coordinate of the lamp, by which glints are taken to centres; `share` is what it does to the scale."""
+
+    camera: Camera
+    step: Floats
+
+    @staticmethod
+    def of(camera: Camera, lamp: Lamp, axis: int) -> LampError:
+        """The error of coordinate `axis`."""
+        key, step = f"lamp.position[{axis}]", lamp.position_std[axis] * np.eye(3)[axis]
+        error, side = LampError(key, lamp.position[axis], 0.0, camera, step), camera.scale * min(camera.size) / 2
+        corners = camera.unproject((np.array(camera.size) - 1) / 2)[0] + side * np.array([[0.0, 0], [1, 0], [0, 1]])
+        other = error.centres(corners, STEP)
+        larger = float(np.sqrt(abs(np.linalg.det(other[1:] - other[0])))) / side
+        return replace(error, share=(larger - 1) / STEP)
+
+    def centres(self, given: Floats, by: float) -> Floats:
+        """Where balls (n, 2) are whose glints, by the lamp as it is given, lie at the glints of balls at `given`."""
+        lamp = self.camera.lamp
+        assert lamp is not None
+        x, y, z = np.array(lamp.position) + by * self.step
+        other = replace(self.camera, lamp=replace(lamp, position=(x, y, z)))
+        return other.ball_of_glint(self.camera.glint_of_centre(given))[..., :2]
+
+    def course(self, course: Course, by: float, fps: float) -> Course:
+        """A ball's positions, if they were found from its glints."""
+        return replace(course, position=self.centres(course.position, by)) if course.mirrored else course
+
+
 def camera_errors(camera: Camera) -> tuple[CameraError, ...]:
     """The standard errors that the camera file gives."""
     given = [(key, getattr(camera, key), getattr(camera, f"{key}_std")) for key in SOURCES]
     known = [CameraError(key, value, std / value) for key, value, std in given if std > 0]
-    return (*known, *(ViewError.of(camera, number) for number in range(len(camera.view_errors))))
+    views = (ViewError.of(camera, number) for number in range(len(camera.view_errors)))
+    lamp = camera.lamp if camera.corrects_glint and not camera.matte else None
+    lamps = (LampError.of(camera, lamp, axis) for axis in range(3) if lamp.position_std[axis]) if lamp else ()
+    return (*known, *views, *lamps)
 
 
 def carry(fit: Fit, values: Values, tied: bool, camera: Camera) -> tuple[Fit, Values]:

@@ -59,6 +59,10 @@ class Course:
         That size over the size before.
     rho : float
         Correlation of the errors from one frame to the next, beyond `fixed`.
+    encoded : bool
+        Whether the film was encoded with loss.
+    mirrored : bool
+        Whether these are centres that were found from glints.
     """
 
     particle: int
@@ -75,6 +79,7 @@ class Course:
     stretch: float = 1.0
     rho: float = 0.0
     encoded: bool = False
+    mirrored: bool = False
 
     def __post_init__(self) -> None:
         if len(self.fixed) == 0:
@@ -137,6 +142,7 @@ def courses(tracks: Tracks, camera: Camera) -> list[Course]:
     time = np.asarray(tracks.time, dtype=np.float64)[keep]
     taken = np.where(np.isfinite(time), time, frame / camera.fps)
     start, width = taken + camera.line_time * xy[:, 1], (camera.sigma or GLINT_PX) * camera.scale
+    apart = np.hypot(tracks.x - tracks.glint_x, tracks.y - tracks.glint_y)[keep]  # NaN or 0 where no glint was seen
     found = []
     for ball in np.unique(particle):
         rows = np.flatnonzero(particle == ball)
@@ -148,6 +154,7 @@ def courses(tracks: Tracks, camera: Camera) -> list[Course]:
             Course(
                 int(ball), frame[rows], start[rows], position[rows], cov[rows], camera.exposure, alike,
                 width, drift, weighed, np.inf if weighed else 0.0, encoded=encoded,
+                mirrored=bool((apart[rows] > 0).any()),
             )
         )  # fmt: skip
     if weighed:

@@ -1,6 +1,7 @@
 """Errors of the camera file in all that is measured: held to draws of wrong cameras, and to units."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
@@ -9,9 +10,10 @@ from tracker_noisy import BENCHMARK, dataset, noisy, scalars_of, truth_of
 
 from commandline.errors import InputError
 from tracker.camera.camera import Camera
-from tracker.measurement import estimate
+from tracker.measurement import camera_errors, estimate
 from tracker.measurement.collision.derived import NAMES
 from tracker.measurement.estimate import fit_all, measure
+from tracker.results import to_centres
 
 CLIPS, FEW = 20, 12
 SHARE = 0.004
@@ -63,6 +65,44 @@ def test_a_camera_wrong_by_its_error_leaves_all_errors_true(own, key, touched, m
     monkeypatch.setattr(estimate, "carry", lambda fit, values, tied, camera: (fit, values))
     monkeypatch.setattr(estimate, "shared_block", lambda camera, blocks: {})
     assert set(touched.split()) <= set(dishonest(drawn(own, key, FEW), ""))
+
+
+LOW, OFF = 0.08, 0.012  # m: the lamp's height, and the error of each of its coordinates
+
+
+def lit(data, rng, clips):
+    """Rows of clips whose glints are of one lamp, taken to centres by another, which a person has measured."""
+    rows, truths = [], scalars_of(data)
+    for clip in range(clips):
+        truth, camera = truth_of(data, clip)
+        given = camera.to_dict() | {"lamp": {"position": [0.01, -0.01, LOW], "position_std": [OFF] * 3}}
+        told = Camera.from_dict(given)
+        place = np.array(told.lamp.position) + rng.normal(0, OFF, 3)
+        true = replace(told, lamp=replace(told.lamp, position=tuple(place)))
+        tracks = noisy(truth, rng)
+        middle = true.unproject(np.column_stack([tracks.x, tracks.y]))[0]
+        seen = true.glint_of_centre(middle)
+        (row,) = measure(to_centres(replace(tracks, x=seen[:, 0], y=seen[:, 1]), told), told)
+        rows.append(row | {f"{n}_true": truths[n].iloc[clip] for n in NAMES})
+    return pd.DataFrame(rows)
+
+
+def test_a_lamp_that_stands_elsewhere_by_its_error_leaves_all_errors_true(own, monkeypatch):
+    table = lit(own, np.random.default_rng(11), CLIPS)
+    assert (table["status"] == "ok").all()
+    assert dishonest(table, "") == ["w1n"]
+    assert dishonest(table, "_free") == []
+    assert set(json.loads(table["cov"][0])["shared"]) == {f"lamp.position[{axis}]" for axis in range(3)}
+    monkeypatch.setattr(camera_errors.LampError, "course", lambda error, course, by, fps: course)
+    assert {"v0", "b"} <= set(dishonest(lit(own, np.random.default_rng(11), FEW), ""))
+
+
+def test_the_lamps_error_is_not_that_of_outlines(own):
+    truth, camera = truth_of(own, 0)
+    told = Camera.from_dict(camera.to_dict() | {"lamp": {"position": [0.01, -0.01, LOW], "position_std": [OFF] * 3}})
+    tracks = noisy(truth, np.random.default_rng(0))  # centres, as a detector of outlines gives them
+    (row,), (without,) = (measure(tracks, c) for c in (told, camera))
+    assert row["v0_std"] == pytest.approx(without["v0_std"], rel=1e-6)
 
 
 def power(data, key, name):
@@ -144,6 +184,11 @@ def test_what_clips_of_one_camera_share_does_not_average_away(tmp_path):
     [
         ({"scale_std": 1e-4}, "camera: scale_std: expected the standard error of scale, at most 0.5 of what that is"),
         ({"ball_diameter_std": 1e-5}, "camera: ball_diameter_std: expected the standard error of ball_diameter"),
+        (
+            {"lamp": {"position": [0, 0, 0.4], "position_std": [0, 0, 0.3]}},
+            "camera: lamp.position_std: expected at most",
+        ),
+        ({"lamp": {"position": [0, 0, 0.4], "position_std": 0.01}}, "camera: lamp.position_std: expected"),
         ({"fps_std": -1.0}, "camera: fps_std: expected a number from 0 to 1e"),
     ],
 )
@@ -158,4 +203,6 @@ def test_errors_stay_with_the_camera():
     errors = {"scale_std": 1e-6, "fps_std": 0.1, "ball_diameter_std": 1e-6}
     written = Camera.from_dict(given | errors).to_dict()
     assert {key: written[key] for key in errors} == errors
+    lamp = {"position": [0.0, 0.0, 0.4], "radius": 0.01, "position_std": [0.01, 0.0, 0.02]}
+    assert Camera.from_dict(given | {"lamp": lamp}).to_dict()["lamp"] == lamp
     assert not set(errors) & set(Camera.from_dict(given).to_dict())
