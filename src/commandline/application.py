@@ -1,5 +1,6 @@
 """What all commands share: one line for what is wrong, the version, and how far the work is."""
 
+import os
 import re
 import sys
 import time
@@ -12,6 +13,11 @@ import typer
 
 USAGE: Any = typer.BadParameter.__mro__[1]  # UsageError of click, or of the click that typer carries
 EVERY = 30.0  # s, from one line to the next where no bar is drawn
+
+# Before numpy is loaded: its matrices are small here, and threads of BLAS wait for one another for longer than they
+# work, the more so beside other processes.
+for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"):
+    os.environ.setdefault(name, "1")
 
 
 def command_line(name: str, about: str) -> typer.Typer:

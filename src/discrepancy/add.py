@@ -12,7 +12,7 @@ from commandline.errors import InputError
 from discrepancy import policy
 from discrepancy.data.collisions import Measured
 from discrepancy.data.outlier_points import taken_out, without_outliers
-from discrepancy.fitting.base_fit import Progress, base_fit, check, noise_of, smoothed
+from discrepancy.fitting.base_fit import Progress, base_fit, checked, noise_of, smoothed
 from discrepancy.fitting.gauss_newton import settle
 from discrepancy.fitting.model_fit import Evidence, Fit
 from discrepancy.fitting.significance import sigmas
@@ -97,10 +97,10 @@ def add(clips: Sequence[Measured], model: Model, effect: str, progress: Progress
     Raises
     ------
     InputError
-        There is no such effect, or these collisions cannot identify it; or as `check` does.
+        There is no such effect, or these collisions cannot identify it; or as `checked` does.
     """
     check_effect(effect)
-    check(clips, model)
+    clips = checked(clips, model)
     progress("noise")
     given, (clips, _) = clips, smoothed(without_outliers(clips), [], model, progress)
     noise = noise_of(clips)

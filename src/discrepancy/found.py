@@ -121,7 +121,15 @@ class Found:
         """The model with the named effects, and the free law as a table where a model can hold it, refitted."""
         if self.held:
             return self.held.model
-        return self.free_law.plain if self.free_law else self.selected.best.model
+        if not self.free_law:
+            return self.selected.best.model
+        free = (*self.free_law.plain.free, *filter(None, [self.free_law.law.frees]))
+        return dataclasses.replace(self.free_law.plain, free=tuple(dict.fromkeys(free)))
+
+    @property
+    def in_model(self) -> bool:
+        """Whether that model has what the free law found."""
+        return self.held is not None or bool(self.free_law and self.free_law.law.frees)
 
     @property
     def anything(self) -> bool:
@@ -179,7 +187,9 @@ class Found:
             parts.insert(
                 0, f"{self.answer.said}, which no effect of the library makes ({self.free_law.sigma:.0f} sigma)"
             )
-            where = "model.yaml holds its curve" if self.held else "model.yaml cannot hold it"
+            frees = self.free_law.law.frees
+            beside = f"In model.yaml {frees} is free" if frees else "model.yaml cannot hold it"
+            where = "model.yaml holds its curve" if self.held else beside
             closed = f"Proposed: {self.answer.formula}. {where}. {closed}"
         elif self.verdict == "outside_library":
             what = f": {self.left[0]} ({self.left[0].sigma:.0f} sigma)" if unexplained(self.left) else ""
@@ -206,7 +216,7 @@ class Found:
                 for n in self.named
             ],
             "aliases": [list(n.aliases) for n in self.named if len(n.aliases) > 1],
-            "outside": [self.answer.document() | {"in_model": self.held is not None}] if self.answer else [],
+            "outside": [self.answer.document() | {"in_model": self.in_model}] if self.answer else [],
             "where": [vars(p) for p in self.where],
             "left": [vars(p) for p in self.left],
             "ranking": [{"effect": c.effect, "sigma": c.sigma} for c in self.selected.ranking],

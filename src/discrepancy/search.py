@@ -18,7 +18,7 @@ from discrepancy.diagnostics.gap import Shown, show
 from discrepancy.diagnostics.held_out import Claim
 from discrepancy.diagnostics.outlier_clips import outlier_clips
 from discrepancy.diagnostics.residual_map import Place, locate, unexplained
-from discrepancy.fitting.base_fit import Progress, base_fit, check, noise_of, smoothed
+from discrepancy.fitting.base_fit import Progress, base_fit, checked, noise_of, smoothed
 from discrepancy.fitting.model_fit import Evidence, Fit
 from discrepancy.fitting.noise_refit import refined
 from discrepancy.fitting.parameters import candidates_of
@@ -59,9 +59,9 @@ def find(
     Raises
     ------
     InputError
-        As `check` does.
+        As `checked` does.
     """
-    check(clips, model)
+    clips = checked(clips, model)
     deadline = Deadline(progress, seconds)
     data = read(clips, model, progress)
     data, steps, chosen = unselected(data, model, deadline) if data.smoothed else converged(data, model, deadline)

@@ -98,6 +98,7 @@ KINDS: dict[str, Kind] = {
 }
 NOT_YET = {  # free laws of a search that no model holds, and why
     **dict.fromkeys(("lag_speed", "warp_place"), "of the instrument; a model holds only laws of motion"),
+    "side_spin_clip": "of the launches: `free: [launch.spin]` has it fitted in each, launch.side of a scene makes it",
     **dict.fromkeys(
         ("restitution_clip", "spin_transfer_clip", "friction_clip", "rolling_clip"),
         "another number in each clip; a scene has such as a distribution, as in restitution: {normal: [0.9, 0.01]}",

@@ -272,6 +272,7 @@ class Model:
 
 
 BASE = tuple(ModelSettings.model_fields)
+LAUNCH_SPIN = "launch.spin"  # what `free` may hold beside parameters: the spin about the vertical of each launch
 
 
 def build(settings: Mapping[str, Any], free: tuple[str, ...] = ()) -> Model:
@@ -321,8 +322,8 @@ def check_held(free_laws: Any, where: str) -> None:
 
 
 def check_free(names: Iterable[str], where: str) -> tuple[str, ...]:
-    """The names as a tuple; InputError when one is no parameter of the model or of an effect."""
-    known = {*BASE, *(f"{n}.{p.name}" for n, e in library().items() for p in e.parameters())}
+    """The names as a tuple; InputError when one is no parameter of the model or of an effect, nor LAUNCH_SPIN."""
+    known = {*BASE, LAUNCH_SPIN, *(f"{n}.{p.name}" for n, e in library().items() for p in e.parameters())}
     for name in names:
         if name not in known:
             near = did_you_mean(name, known) or f"; there are {', '.join(sorted(known))}"

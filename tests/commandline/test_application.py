@@ -1,5 +1,7 @@
 """How a command ends: its exit status, and the one line that it leaves."""
 
+import os
+import subprocess
 import sys
 
 import pytest
@@ -39,3 +41,14 @@ def test_a_command_that_fails_leaves_one_line(command, status, line, monkeypatch
         run(app, "tool", (InputError,), ("keep",))
     assert ended.value.code == status
     assert capsys.readouterr().err == f"{line}\n"
+
+
+@pytest.mark.parametrize("package", ["synthcam", "tracker", "discrepancy"])
+@pytest.mark.parametrize("given", [None, "3"])
+def test_a_command_computes_on_one_thread_unless_told_otherwise(package, given):
+    asked = f"import {package}.cli, os, sys; print(os.environ['OPENBLAS_NUM_THREADS'])"
+    early = "import commandline.application, sys; assert 'numpy' not in sys.modules; "
+    others = {k: v for k, v in os.environ.items() if not k.endswith("_NUM_THREADS")}
+    own = others | ({"OPENBLAS_NUM_THREADS": given} if given else {})
+    done = subprocess.run([sys.executable, "-c", early + asked], env=own, capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == (given or "1")

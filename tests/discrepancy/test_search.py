@@ -9,6 +9,7 @@ from discrepancy_clips import (
     CAMERA,
     EXPOSURE,
     FPS,
+    FRAMES,
     HIDDEN,
     STD,
     blank,
@@ -26,6 +27,7 @@ from commandline.errors import InputError
 from discrepancy.add import add
 from discrepancy.data.collisions import split
 from discrepancy.data.launch import HEADING, X, Y
+from discrepancy.fitting.predict import forecast
 from discrepancy.search import find
 from discrepancy.selection.stepwise import Stepwise
 from synthcam.library import library
@@ -422,3 +424,19 @@ def test_how_the_gap_goes_is_said_as_it_is(after, said):
     gap = dataclasses.replace(found.shown.gap, before=1.0, after=after)
     moved = dataclasses.replace(found, shown=dataclasses.replace(found.shown, gap=gap))
     assert f"On collisions kept out, the gap {said} in chi^2 a point" in moved.sentence()
+
+
+def test_clips_of_two_frame_rates_are_searched_together(monkeypatch):
+    only(monkeypatch)
+    true = Model().replace({"rolling_quadratic.K": 0.2})
+    clips = exact(true, 12, 4)
+    slow = dataclasses.replace(clips[0].camera, fps=125.0, exposure=1e-3)
+    for k in range(0, len(clips), 2):
+        frame = np.tile(np.arange(FRAMES // 2), 2)
+        half = dataclasses.replace(clips[k].of(np.flatnonzero(clips[k].frame % 2 == 0)), camera=slow, frame=frame)
+        clips[k] = dataclasses.replace(half, xy=forecast(true, half.launch[None], [half])[0])
+    found = find(noisy(clips, 4), Model())
+    assert (found.verdict, found.named[0].effect) == ("named", "rolling_quadratic")
+    value, std = (d["rolling_quadratic.K"] for d in (found.named[0].values, found.named[0].std))
+    assert abs(value - 0.2) < 3 * std
+    assert found.shown.gap.after < 1.2

@@ -23,6 +23,7 @@ X, Y, T_C, V0, HEADING, B = range(len(LAUNCH))
 SLIP, SIDE = slice(len(LAUNCH), len(LAUNCH) + 2), len(LAUNCH) + 2
 GUESS = 0.2  # of the speed, a slip and a spin to start from
 WITH_SPIN = len(LAUNCH) + len(SPIN)
+BEGUN = 1e-3  # of the speed, a spin about the vertical to start from where it is asked for
 LEAST_SLIP = 0.02  # of the speed: where a slip ends, its direction decides a whole past, and no derivative leads on
 
 
@@ -38,6 +39,18 @@ def free(launches: Array) -> NDArray[np.bool_]:
         out[:, SLIP] = np.any(launches[:, SLIP] != 0, axis=1)[:, None]
         out[:, SIDE] = launches[:, SIDE] != 0
     return out
+
+
+def with_spins(launches: Array) -> Array:
+    """The launches (clips, 6) or (clips, 9), as (clips, 9)."""
+    return np.pad(launches, ((0, 0), (0, WITH_SPIN - launches.shape[1])))
+
+
+def spun(launch: Array) -> Array:
+    """A launch (6,) or (9,) whose striker may spin about the vertical: (9,)."""
+    out = with_spins(launch[None])[0]
+    out[SIDE] = out[SIDE] or BEGUN * out[V0]
+    return np.asarray(out)
 
 
 def without_least_slips(launches: Array) -> Array:

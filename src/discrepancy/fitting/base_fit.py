@@ -4,31 +4,39 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from contextlib import suppress
+from dataclasses import replace
 
 import numpy as np
 
 from commandline.errors import InputError
 from discrepancy import policy
 from discrepancy.data.collisions import Measured
-from discrepancy.data.launch import T_C, V0, B
+from discrepancy.data.launch import T_C, V0, B, spun
 from discrepancy.data.outlier_points import without_outliers
 from discrepancy.fitting.gauss_newton import fit_model
 from discrepancy.fitting.model_fit import Fit
 from discrepancy.fitting.parameters import fitted
 from discrepancy.fitting.predict import forecast
 from discrepancy.noise.model import Component, Noise, estimate
-from synthcam.model import Model
+from synthcam.model import LAUNCH_SPIN, Model
 from tracker.camera.same_view import first_difference
 
+TIMING = ("fps", "exposure")  # in which clips of one study may differ
 CLAIMED = Noise(Component(1.0))  # white, and as large as is claimed
 LOST = 100.0  # chi^2 a degree of freedom of a fit that may have lost its way
 Progress = Callable[[str], None]
 
 
-def check(clips: Sequence[Measured], model: Model) -> None:
+def checked(clips: Sequence[Measured], model: Model) -> Sequence[Measured]:
     """Check that there are enough clips, all of one camera, and that they are measured by the model's ball.
 
-    A ball of another size, or another camera, would otherwise pass for a discovery.
+    A ball of another size, or another camera, would otherwise pass for a discovery. Frame rates and exposures may
+    differ.
+
+    Returns
+    -------
+    sequence of Measured
+        With a spin of each striker where the model calls that free.
 
     Raises
     ------
@@ -44,11 +52,12 @@ def check(clips: Sequence[Measured], model: Model) -> None:
                 f"the ball of camera.json is {1e3 * c.camera.ball_diameter:.6g} mm wide (clip {c.clip}), that of the "
                 f"model {1e3 * held:.6g} mm; expected the same"
             )
-        if other := first_difference(c.camera, first):
+        if other := first_difference(c.camera, first, besides=TIMING):
             raise InputError(
                 f"camera.json: {other} of clip {c.clip} is not that of clip {clips[0].clip}; expected clips of one "
                 "camera; search those of each by themselves"
             )
+    return [replace(c, launch=spun(c.launch)) for c in clips] if LAUNCH_SPIN in model.free else clips
 
 
 def noise_of(clips: Sequence[Measured]) -> Noise:

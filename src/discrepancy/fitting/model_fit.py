@@ -57,6 +57,21 @@ class Tangent:
     slopes: tuple[Array, ...]
     launch_slopes: tuple[Array, ...]
 
+    @cached_property
+    def launch_bases(self) -> tuple[Array, ...]:
+        """Orthonormal bases of what each clip's launch absorbs, (2n, p)."""
+        return tuple(basis(a) for a in self.launch_slopes)
+
+    @cached_property
+    def cleaned(self) -> tuple[Array, ...]:
+        """The derivatives by the shared parameters less what the launches absorb, (2n, S) of each clip."""
+        return tuple(s - q @ (q.T @ s) for q, s in zip(self.launch_bases, self.slopes, strict=True))
+
+    @cached_property
+    def shared_bases(self) -> list[Array]:
+        """An orthonormal basis of those, as far as it lies in each clip, (2n, s)."""
+        return np.split(basis(np.concatenate(self.cleaned)), np.cumsum([len(s) for s in self.slopes])[:-1])
+
 
 @dataclass(frozen=True)
 class Fit:
@@ -130,9 +145,9 @@ class Fit:
         return len(self.names) + self.launches.size
 
     @property
-    def cleaned(self) -> list[Array]:
+    def cleaned(self) -> tuple[Array, ...]:
         """The derivatives by the shared parameters less what the launches absorb, (2n, S) of each clip."""
-        return [off(a, s) for a, s in zip(self.launch_slopes, self.slopes, strict=True)]
+        return self.tangent.cleaned
 
     def added(self, base: Fit) -> dict[str, list[str]]:
         """The parameters that are fitted here and not in the base, by effect; a base parameter by its own name."""
@@ -175,12 +190,11 @@ class Fit:
         pull : (k,) array
             Its products with the residuals.
         """
-        cleaned = self.cleaned
-        shared = np.split(basis(np.concatenate(cleaned)), np.cumsum([len(r) for r in self.residuals])[:-1])
+        shared, launches = self.tangent.shared_bases, self.tangent.launch_bases
         taken = np.asarray(sum(q.T @ c for q, c in zip(shared, columns, strict=True)))  # q is off the launches already
         gram, pull = np.zeros((len(taken.T), len(taken.T))), np.zeros(len(taken.T))
-        for q, a, c, r in zip(shared, self.launch_slopes, columns, self.residuals, strict=True):
-            left = off(a, c) - q @ taken
+        for q, a, c, r in zip(shared, launches, columns, self.residuals, strict=True):
+            left = c - a @ (a.T @ c) - q @ taken
             gram += left.T @ left
             pull += left.T @ r
         return gram, pull

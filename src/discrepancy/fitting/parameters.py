@@ -13,7 +13,7 @@ import numpy as np
 from discrepancy.fitting.similarity import similar, sized
 from synthcam.effect import Effect, Parameter
 from synthcam.library import library
-from synthcam.model import Model
+from synthcam.model import LAUNCH_SPIN, Model
 
 _UNLIMITED = {"gravity": 1e-4, "sliding_friction": 1e-5, "rolling_drag": 1e-4, "rolling_decel": 1e-5}  # their steps
 _LIMITED = {"restitution": (1e-5, 1.0), "spin_transfer": (1e-5, 5 / 7)}
@@ -147,8 +147,9 @@ def strengths_of(effect: type[Effect]) -> tuple[str, ...]:
 
 
 def fitted(model: Model) -> tuple[str, ...]:
-    """What a fit of this model changes: the base parameters that are not zero, and those that it calls free."""
-    return tuple(dict.fromkeys([*(n for n in BASE if model.value(n) != 0), *model.free]))
+    """What a fit of this model changes beside the launches: base parameters that are not zero, those it calls free."""
+    named = (n for n in model.free if n != LAUNCH_SPIN)
+    return tuple(dict.fromkeys([*(n for n in BASE if model.value(n) != 0), *named]))
 
 
 _UNITS = {"rolling_drag": "1/s", "rolling_decel": "m/s^2"}  # the other base parameters are pure numbers

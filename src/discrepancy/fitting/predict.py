@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
-from discrepancy.arrays import Array
+from discrepancy.arrays import Array, Ints
 from discrepancy.data.collisions import Measured
 from discrepancy.data.launch import T_C
 from synthcam.camera.pinhole import Camera as Optics
@@ -30,7 +30,7 @@ def forecast(model: Model, launches: Array, clips: Sequence[Measured]) -> list[A
     launches : (clips, p) array
         Columns as in `discrepancy.data.launch`.
     clips : sequence of Measured
-        All of one camera.
+        All of one camera, at any frame rates.
 
     Returns
     -------
@@ -43,10 +43,30 @@ def forecast(model: Model, launches: Array, clips: Sequence[Measured]) -> list[A
         The model has no motion for such a launch, or one that leads farther than any number should.
     """
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-        places = _forecast(model, launches, clips)
+        places = each_rate(clips, lambda rows, some: _forecast(model, launches[rows], some))
     if not all(np.abs(p).max(initial=0.0) < FAR for p in places):  # NaN too
         raise ValueError("the motion leads out of the world")
     return places
+
+
+def each_rate(clips: Sequence[Measured], of: Callable[[Ints, Sequence[Measured]], Sequence[Array]]) -> list[Array]:
+    """What a function gives for clips of one frame rate and exposure, for all clips.
+
+    Parameters
+    ----------
+    clips : sequence of Measured
+    of : callable
+        (places of some clips, these clips) -> an array of each.
+    """
+    rates: dict[tuple[str, str], list[int]] = {}
+    for k, clip in enumerate(clips):
+        rates.setdefault((f"{clip.fps:.6g}", f"{clip.exposure:.6g}"), []).append(k)
+    if len(rates) == 1:
+        return list(of(np.arange(len(clips)), clips))
+    found: dict[int, Array] = {}
+    for rows in rates.values():
+        found |= zip(rows, of(np.array(rows), [clips[k] for k in rows]), strict=True)
+    return [found[k] for k in range(len(clips))]
 
 
 def _forecast(model: Model, launches: Array, clips: Sequence[Measured]) -> list[Array]:

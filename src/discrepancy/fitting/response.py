@@ -17,9 +17,10 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from discrepancy.arrays import Array
+from discrepancy.arrays import Array, Ints
 from discrepancy.data.collisions import Measured
 from discrepancy.data.launch import T_C, WITH_SPIN
+from discrepancy.fitting.predict import each_rate
 from synthcam.dynamics.batch import Batch, collisions
 from synthcam.dynamics.kinematics import contact_velocity
 from synthcam.model import Model
@@ -93,10 +94,13 @@ def responses(
     list of (n, 2, size) array
         Of each clip, m for a change of one unit; zero where it overflows.
     """
-    out: list[Array] = []
+
+    def of(rows: Ints, own: Sequence[Measured]) -> list[Array]:
+        parts = [slice(k, k + AT_ONCE) for k in range(0, len(own), AT_ONCE)]
+        return [xy for p in parts for xy in _some(model, launches[rows[p]], own[p], changes, size)]
+
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-        for first in range(0, len(clips), AT_ONCE):
-            out += _some(model, launches[first : first + AT_ONCE], clips[first : first + AT_ONCE], changes, size)
+        out = each_rate(clips, of)
     return [np.nan_to_num(xy, copy=False, nan=0.0, posinf=0.0, neginf=0.0) for xy in out]
 
 

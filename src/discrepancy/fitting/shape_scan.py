@@ -114,10 +114,12 @@ def _later(
     moving: Sequence[Array], clips: Sequence[Measured], fitted_law: Sequence[tuple[Effect, float]]
 ) -> list[Array]:
     """Displacements (n_k, 2, columns) of each clip by an effect on the clock: the velocity times how late it is."""
-    t, fps = np.concatenate([c.frame for c in clips]) / clips[0].fps, clips[0].fps
-    late = np.stack([(e.clock(t, fps) - t) / size for e, size in fitted_law], axis=-1)  # type: ignore[attr-defined]
-    cuts = np.cumsum([len(c.frame) for c in clips])[:-1]
-    return [v[..., None] * own[:, None] for v, own in zip(moving, np.split(late, cuts), strict=True)]
+    out = []
+    for v, clip in zip(moving, clips, strict=True):
+        t = clip.frame / clip.fps
+        late = [(e.clock(t, clip.fps) - t) / size for e, size in fitted_law]  # type: ignore[attr-defined]
+        out.append(v[..., None] * np.stack(late, axis=-1)[:, None])
+    return out
 
 
 def _mistaken(

@@ -129,17 +129,19 @@ def weigh(law: FreeLaw, information: Array, pull: Array) -> Weight:
     best: Weight | None = None
     gains = dict.fromkeys(LENGTHS, -math.inf)
     for length, spread, cost in priors(law):
-        root = np.sqrt(spread)
-        values, axes = np.linalg.eigh(root[:, None] * information * root)
+        acts = np.flatnonzero(spread > IDLE * spread.max())  # of a part that does not, next to nothing is explained
+        root = np.sqrt(spread[acts])
+        values, axes = np.linalg.eigh(root[:, None] * information[np.ix_(acts, acts)] * root)
         values = np.maximum(values, 0.0)
-        pulls = axes.T @ (root * pull)
+        pulls = axes.T @ (root * pull[acts])
         sizes, each = _gains(values, pulls)
         k = int(each.argmax())
         gain = float(each[k]) - cost
         gains[length] = max(gains[length], gain)
         if best is None or gain > best.gain:
             size = float(sizes[k])
-            coefs = root * (axes @ (size**2 / (1 + size**2 * values) * pulls))
+            coefs = np.zeros(len(spread))
+            coefs[acts] = root * (axes @ (size**2 / (1 + size**2 * values) * pulls))
             best = Weight(gain, Prior(length, size, spread, cost), coefs)
     assert best is not None
     mean = 2 * float(logsumexp(np.array(list(gains.values())) / 2) - np.log(len(gains)))

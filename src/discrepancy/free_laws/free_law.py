@@ -56,6 +56,8 @@ class FreeLaw(ABC):
     bends : (str, str) or None
         The law that an effect of it bends, and what that depends on, as an effect asks for it; None where no effect can
         hold it.
+    frees : str
+        What a model may call free instead, so that every fit has these numbers.
     """
 
     axes: tuple[Axis, ...]
@@ -70,6 +72,7 @@ class FreeLaw(ABC):
     one_ball: ClassVar[bool] = False
     paced: ClassVar[bool] = False
     bends: ClassVar[tuple[str, str] | None] = None
+    frees: ClassVar[str] = ""
     needs: ClassVar[dict[str, str]] = {"symbol": 'symbol = "mu"'}  # what a file must give, and an example
 
     def __init_subclass__(cls) -> None:

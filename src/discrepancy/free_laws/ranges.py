@@ -66,8 +66,8 @@ def ranges(model: Model, launches: Array, clips: Sequence[Measured]) -> dict[str
     -------
     dict of str to Ranges
     """
-    first, last = min(int(c.frame.min()) for c in clips), max(int(c.frame.max()) for c in clips)
-    times = np.linspace(min(first / clips[0].fps, launches[:, T_C].min()), (last + 1) / clips[0].fps, SAMPLES)
+    first, last = min(c.frame.min() / c.fps for c in clips), max((c.frame.max() + 1) / c.fps for c in clips)
+    times = np.linspace(min(first, launches[:, T_C].min()), last, SAMPLES)
     a_strikes = np.array([c.striker == "a" for c in clips])
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         states = np.nan_to_num(collisions(model, launches, times[0], times[-1], a_strikes).at(times))

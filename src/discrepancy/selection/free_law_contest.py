@@ -10,6 +10,7 @@ import dataclasses
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -46,7 +47,13 @@ class LawTest:
     law: FreeLaw
     fit: Fit
     sigma: float
-    weight: Weight
+    information: Array
+    pull: Array
+
+    @cached_property
+    def weight(self) -> Weight:
+        """What its coefficients explain; asked of few laws, since it takes the longest."""
+        return weigh(self.law, self.information, self.pull)
 
     def score(self, base: Fit) -> float:
         """What the model with the law would cost, in chi^2."""
@@ -60,7 +67,7 @@ def _moves(evidence: Evidence, law: FreeLaw, model: Model, launches: Array) -> t
 
 def _tested(law: FreeLaw, fit: Fit, moves: Sequence[Array]) -> LawTest:
     information, pull = fit.information(moves)
-    return LawTest(law, fit, significance(law, information, pull), weigh(law, information, pull))
+    return LawTest(law, fit, significance(law, information, pull), information, pull)
 
 
 def fill(evidence: Evidence, test: LawTest, base: Fit, progress: Callable[[], None] = lambda: None) -> FittedLaw:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
+
 import numpy as np
 
 from tracker.camera.camera import Camera
@@ -10,12 +12,12 @@ PLACING = ("K", "dist", "R", "t", "size", "fps", "exposure", "line_time", "ball_
 ALIKE = 1e-6  # relative: numbers of two camera files that differ by less are the same
 
 
-def first_difference(camera: Camera, other: Camera) -> str:
+def first_difference(camera: Camera, other: Camera, besides: Collection[str] = ()) -> str:
     """The first key of camera.json by which two cameras see the same balls at other pixels; empty where there is none.
 
-    In what is measured anew of each clip (the exposure as seen, the glints' width) they may differ.
+    In what is measured anew of each clip (the exposure as seen, the glints' width) they may differ, and in `besides`.
     """
-    for key in PLACING:
+    for key in (k for k in PLACING if k not in besides):
         one, two = (getattr(c, key) for c in (camera, other))
         if key == "lamp":
             one, two = (lamp.position if lamp else () for lamp in (one, two))

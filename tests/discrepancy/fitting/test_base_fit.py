@@ -7,7 +7,7 @@ import pytest
 from discrepancy_clips import collisions, exact
 
 from commandline.errors import InputError
-from discrepancy.fitting.base_fit import base_fit, check, noise_of
+from discrepancy.fitting.base_fit import base_fit, checked, noise_of
 from synthcam.model import Model
 
 
@@ -44,14 +44,14 @@ def test_balls_that_differ_by_a_thousandth_are_two(off):
     camera = dataclasses.replace(clips[0].camera, ball_diameter=2 * Model().ball.radius * (1 + off))
     clips = [dataclasses.replace(c, camera=camera) for c in clips]
     if abs(off) < 1e-3:
-        check(clips, Model())
+        checked(clips, Model())
     else:
         with pytest.raises(InputError, match=r"the ball of camera\.json is"):
-            check(clips, Model())
+            checked(clips, Model())
 
 
 def test_six_collisions_are_enough_and_five_are_not():
     clips = exact(Model(), 6, 4)
-    check(clips, Model())
+    checked(clips, Model())
     with pytest.raises(InputError, match="5 measured collisions: expected 6 or more"):
-        check(clips[:5], Model())
+        checked(clips[:5], Model())

@@ -9,6 +9,7 @@ from discrepancy_clips import FPS, blank, exact
 
 from discrepancy.data.launch import HEADING, T_C, V0, B
 from discrepancy.fitting.predict import forecast
+from discrepancy.free_laws.library import free_laws
 from synthcam.dataset.generate import Plan, run
 from synthcam.model import Model
 from synthcam.scene.scene import read_scene
@@ -89,3 +90,28 @@ def test_no_motion_is_an_error():
     clip = exact(Model(), 1, 16)[0]
     with pytest.raises(ValueError, match="rest"):
         forecast(Model().replace({"plate_tilt.x": 0.05, "rolling_decel": 1e-6}), clip.launch[None], [clip])
+
+
+def slower(clip, fps=110.0, exposure=2e-3):
+    """The same collision as another frame rate sees it, without places."""
+    camera = dataclasses.replace(clip.camera, fps=fps, exposure=exposure)
+    count = int(len(clip.frame) // 2 * fps / FPS)
+    other = blank(clip.clip, clip.launch, clip.ends, count)
+    return dataclasses.replace(other, camera=camera)
+
+
+def test_clips_of_two_frame_rates_are_foretold_as_each_alone():
+    plain = exact(Model(), 4, 12)
+    clips = [slower(c) if k % 2 else c for k, c in enumerate(plain)]
+    launches = np.array([c.launch for c in clips])
+    every = forecast(Model(), launches, clips)
+    laws = [law for law in free_laws(Model(), launches, clips) if law.name in ("friction_speed", "force_place")]
+    moves = {law.name: law.columns(Model(), launches, clips) for law in laws}
+    assert len(moves) == 2
+    for k, clip in enumerate(clips):
+        assert every[k] == pytest.approx(forecast(Model(), launches[k : k + 1], [clip])[0], abs=1e-12)
+        for law in laws:
+            (alone,) = law.columns(Model(), launches[k : k + 1], [clip])
+            assert moves[law.name][k] == pytest.approx(alone, abs=1e-6 * np.abs(alone).max())
+    wrong = forecast(Model(), launches[1:2], [dataclasses.replace(clips[1], camera=plain[1].camera)])[0]
+    assert np.abs(every[1] - wrong).max() > 1e-4
