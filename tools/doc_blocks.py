@@ -37,7 +37,7 @@ import yaml
 
 ROOT = Path(__file__).resolve().parent.parent
 DOCS = ROOT / "docs"
-FENCE = re.compile(r"((?:^<!-- docs-test: .*? -->\n)*)^( *)```([^\n`]*)\n(.*?)^ *```$", re.MULTILINE | re.DOTALL)
+FENCE = re.compile(r"((?:^ *<!-- docs-test: .*? -->\n)*)^( *)```([^\n`]*)\n(.*?)^ *```$", re.MULTILINE | re.DOTALL)
 LANGUAGES = ("python", "sh", "yaml", "json", "toml", "text")
 
 
