@@ -27,6 +27,7 @@ class Laws:
 
 
 PUBLISHED = Laws()
+PRINTED = Laws(0.008, 0.008, 0.023)  # the paper's errors of them
 
 
 def head_on(v0: Floats, laws: Laws = PUBLISHED) -> Floats:
@@ -36,6 +37,15 @@ def head_on(v0: Floats, laws: Laws = PUBLISHED) -> Floats:
     one = ((1 + r) * INERTIA - 2 * c) / double
     two = (2 + (1 - r) * INERTIA - 2 * c) / double
     return np.column_stack([one * v0, two * v0, ((1 + r) / 2 + c) / rate * v0, ((1 + r) / 2 - c) / rate * v0])
+
+
+def head_on_errors(v0: Floats, laws: Laws = PUBLISHED, errors: Laws = PRINTED) -> Floats:
+    """(n, 4): what the errors of r, C and mu, taken as independent, make of v1f, v2f, tau1, tau2."""
+    steps = [
+        head_on(v0, Laws(*(getattr(laws, k) + (getattr(errors, k) if k == name else 0.0) for k in ("r", "C", "mu"))))
+        for name in ("r", "C", "mu")
+    ]
+    return np.asarray(np.sqrt(sum((step - head_on(v0, laws)) ** 2 for step in steps)))
 
 
 def just_after(b: Floats, laws: Laws = PUBLISHED) -> tuple[Floats, Floats]:

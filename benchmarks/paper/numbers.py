@@ -116,7 +116,7 @@ def _impact(results: Results) -> Iterator[Line]:
         _within(float(shaken.mean()), "r, differences"),
     )
     yield Line(
-        "share of such sets of 28 in which r rises with v0 by 2 errors or more",
+        f"share of such sets of {len(table)} in which r rises with v0 by 2 errors or more",
         "no obvious dependence",
         "",
         f"{100 * trend_seen(results, error):.0f} %",
@@ -218,7 +218,7 @@ def _spins(results: Results) -> Iterator[Line]:
     both = pd.concat([spins[f"dn_target {WINDOW}"], spins[f"dn_striker {WINDOW}"]])
     value, error = mean(both)
     yield Line(
-        "change of the spin along n, over v0/R, 50 balls",
+        f"change of the spin along n, over v0/R, {len(both)} balls",
         "0.01 ± 0.02",
         "0",
         with_error(value, error),
@@ -228,7 +228,7 @@ def _spins(results: Results) -> Iterator[Line]:
     left = mean(1 - 2 * spins["C_both 4 ms"])
     kept = mean(results.read("speeds")["momentum"])
     yield Line(
-        "spin of both balls left just after the hit, of the striker's",
+        "spin of both balls just after the hit, of the striker's; .80 when both roll",
         "“lost to the substrate”",
         f"{1 - 2 * PUBLISHED.C:.3f}",
         with_error(*left, 3),
@@ -263,7 +263,8 @@ def _sizes(results: Results) -> Iterator[Line]:
         "",
         f"{slide / roll:.0f}",
         "",
-        f"{slide * 1e4:.0f} cm²/s³ a unit of mass against {roll * 1e4:.0f}; slow balls roll at a smaller loss",
+        f"in order of magnitude: {slide * 1e4:.0f} cm²/s³ a unit of mass against {roll * 1e4:.0f}; slow balls roll at a"
+        " smaller loss",
     )
     ball = Ball()
     change = course.v0 * 1.9 / 2
@@ -320,4 +321,4 @@ def added(results: Results) -> pd.DataFrame:
         row(f"v{ball}f over v0", "", (speeds[f"v{ball}f"].to_numpy() - model[:, ball - 1]) / v0)
     for name in ("C_both", "C_target", "C_striker"):
         row(f"{name}, spins at 4 ms", "", speeds[f"{name} 4 ms"].to_numpy() - PUBLISHED.C)
-    return pd.DataFrame(rows, columns=["reading", "unit", "bias under 25 cm/s", "bias over 45 cm/s", "scatter of 28"])
+    return pd.DataFrame(rows, columns=["reading", "unit", "bias under 25 cm/s", "bias over 45 cm/s", "scatter"])

@@ -68,6 +68,16 @@ class Results:
         """A series' tracks and estimates."""
         return _filmed(self.series, name)
 
+    def count(self, name: str) -> int:
+        """How many collisions, or single balls, of a series were filmed."""
+        return len(self.filmed(name).films)
+
+    @cached_property
+    def quick(self) -> bool:
+        """Whether these are the fifth of the clips that --quick films."""
+        kept = (name for name in experiment.SERIES if (self.series / f"{name}.parquet").exists())
+        return any(self.count(name) < experiment.SERIES[name].clips for name in kept)
+
     def read(self, name: str) -> pd.DataFrame:
         """A series as the paper would read it."""
         return _read(self.series, name)

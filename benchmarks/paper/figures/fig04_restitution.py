@@ -21,7 +21,8 @@ def caption(results: Results) -> str:
     said = ", ".join(f"{table[f'r {w}'].mean():.3f} +- {table[f'r {w}'].std():.3f} at {w}" for w in WINDOWS)
     error, shaken = shaken_to(results, R_SCATTER)
     return (
-        "Restitution of 28 collisions by differences of positions within 0.01 s of the hit, the truth being r = 0.903"
+        f"Restitution of {len(table)} collisions by differences of positions within 0.01 s of the hit, the truth being"
+        " r = 0.903"
         f" in all (solid line). (a) As our tracker gives the positions: mean and scatter {said} after the hit, the mean"
         " instant of the two frames that are differenced. Sliding has by then changed both velocities. (b) The same at"
         f" {WINDOW} with the positions worsened by {error * 1e6:.0f} um rms, which gives the paper's scatter of .11:"

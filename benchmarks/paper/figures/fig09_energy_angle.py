@@ -21,10 +21,12 @@ def caption(results: Results) -> str:
     near = results.read("speeds")["energy"]
     return (
         "Share of the translational energy that is left once both balls roll, against the angle between their"
-        " velocities then. Points: filmed collisions, at 30 cm/s with impact parameters up to .9, and the 28 of figure"
-        " 4. Solid: the model with the paper's numbers, extended to oblique hits with one C (its upper branch: grazing"
+        " velocities then. Points: filmed collisions, at 30 cm/s with impact parameters up to .9, and those of"
+        " figure 4. Solid: the model with the paper's numbers, extended to oblique hits with one C (its upper branch:"
+        " grazing"
         f" hits). Dashed: without a plate, r = 0.903. Nearly head-on {near.mean():.3f} +- {near.std():.3f} is left"
-        " (mean and scatter of 28), by the model .386; the paper says about 37 %."
+        f" (mean and scatter of {len(near)}), by the model .386; the paper says about 37 %. The errors of single points"
+        " are smaller than the symbols."
     )
 
 

@@ -21,7 +21,7 @@ def caption(results: Results) -> str:
         "Velocities of a sliding ball. From the side, the struck ball just after the hit, to the right x, the"
         " direction of its slip. The contact velocity v_ct = v_cm + a x w is that of the lowest point, a pointing from"
         " there to the centre; friction acts against it, so that the velocity changes along x alone. From above: to"
-        f" scale, the striker that came with {read['v0'] * 100:.0f} cm/s, b/2R = {read['b']:.2f}: its velocity as it is"
+        f" scale, the striker that came with {read['v0'] * 100:.0f} cm/s, b/2R = .25: its velocity as it is"
         " first read after the hit and as it rolls, and the change between the two, against its contact velocity, x."
     )
 

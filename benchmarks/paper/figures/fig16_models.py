@@ -33,8 +33,8 @@ def caption(results: Results) -> str:
         " once: chi^2 of the best size tried, with r, C and mu fitted. All single effects, and the"
         f" {PAIRS} likeliest of the pairs with a hop; {len(table)} models were tried. Filled: C from the spins of both"
         " balls; open: of struck balls alone; velocities read 4 ms after the hit. Solved motions with the tracker's"
-        f" noise. The base model has {base[SHOWN[0]]:.0f} and {base[SHOWN[1]]:.1f}. If the paper's 50 particles are"
-        " both balls of 25 collisions, only models with a hop or unequal balls come under 20."
+        f" noise. The base model has {base[SHOWN[0]]:.0f} and {base[SHOWN[1]]:.1f}. If the paper's C is"
+        " the mean over both balls of each collision, only models with a hop or unequal balls come under 20."
     )
 
 

@@ -63,7 +63,7 @@ def one_figure(results: Results, name: str) -> Path:
 
 def write(results: Results) -> Path:
     """index.html, paper.pdf, figures/ and tables/ in the output folder; where the page is."""
-    shown = []
+    shown, command = [], COMMAND + (" --quick" if results.quick else "")
     for name in figures():
         one_figure(results, name)
         module = _module(name)
@@ -73,7 +73,7 @@ def write(results: Results) -> Path:
             "title": module.TITLE,
             "paper": module.PAPER,
             "caption": module.caption(results),
-            "command": f"{COMMAND} --figure {name}",
+            "command": f"{command} --figure {name}",
             "address": svg(drawn(results, name)),
         })  # fmt: skip
     found = tables.all_tables(results)
@@ -86,7 +86,7 @@ def write(results: Results) -> Path:
         "conjecture": said.conjecture(results),
         "decide": said.decide(results),
     }
-    page = rendered(HERE / "page.html", figures=shown, tables=found, made=made(COMMAND), **words)
+    page = rendered(HERE / "page.html", figures=shown, tables=found, made=made(command), quick=results.quick, **words)
     put(results.output / "index.html", page)
     with mpl.rc_context(RC):
         pdf.write(results.output / "paper.pdf", words, found, [(s, drawn(results, s["name"])) for s in shown])
