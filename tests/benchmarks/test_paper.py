@@ -7,7 +7,7 @@ from benchmarks.paper import experiment, kondic, make, readings
 from benchmarks.paper.kondic import GRAVITY, Laws
 from benchmarks.paper.models import candidates, contradictions, observed
 from benchmarks.paper.published import OBSERVED
-from benchmarks.paper.report import page
+from benchmarks.paper.report import page, said
 from tracker.measurement.joint_fit import predicted
 
 FPS, DIAMETER, FRAMES = 250.0, 2.38e-3, 100
@@ -141,3 +141,33 @@ def test_every_figure_says_what_the_page_needs():
     for name in names:
         assert set(page.needs(name)) <= set(experiment.SERIES)
         assert page._module(name).PAPER
+
+
+def stepped(v0, until, step=2e-6):
+    """A head-on collision by small steps of friction, no formula: velocities then and when both roll; slides' ends."""
+    v = np.array([(1 + LAWS.r) / 2, (1 - LAWS.r) / 2]) * v0
+    w = np.array([-LAWS.C, 1 - LAWS.C]) * v0  # R times the spins, struck ball and striker
+    then, ends, time = v, [0.0, 0.0], 0.0
+    while np.abs(v - w).max() > 0:
+        slip = np.sign(v - w)
+        left = np.minimum(LAWS.mu * GRAVITY * step, np.abs(v - w) / 3.5)
+        v, w, time = v - slip * left, w + 2.5 * slip * left, time + step
+        v, w = np.where(np.abs(v - w) < 1e-12, (v + w) / 2, v), np.where(np.abs(v - w) < 1e-12, (v + w) / 2, w)
+        ends = [time if s else e for s, e in zip(slip, ends, strict=True)]
+        then = v if time <= until else then
+    return then, v, ends
+
+
+def test_the_mean_of_both_spins_tells_c_while_both_slide_and_falls_later():
+    for late, c in ((0.002, 0.347), (0.006, 0.347), (said.read_for_mean(0.25)[0], 0.25)):
+        then, last, ends = stepped(0.1, late)
+        spins = (7 * last - 5 * then) / 2 / 0.1
+        assert (1 - spins.sum()) / 2 == pytest.approx(c, abs=1e-3)
+    assert (then[0] - then[1]) / 0.1 == pytest.approx(said.read_for_mean(0.25)[1], abs=1e-3)  # r by differences: .48
+    assert ends == pytest.approx([0.0163, 0.0076], abs=5e-5)
+
+
+def test_printed_errors_make_errors_of_the_lines():
+    found = kondic.head_on_errors(np.array([1.0]), errors=Laws(0.008, 0.0, 0.023))[0]
+    assert found[0] == pytest.approx(2.5 * 0.008 / 7)
+    assert found[2] == pytest.approx(kondic.head_on(np.array([1.0]))[0, 2] * np.hypot(0.091, 0.004 / 1.2985), rel=0.02)
