@@ -45,7 +45,8 @@ def _of(output: Path, file: Path) -> bool:
 
 
 def put(path: Path, data: str | bytes) -> None:
-    """Writes a file aside and moves it into place. Where that fails, what was there before stays."""
+    """Writes a file aside and moves it into place, in a new folder if need be. Where it fails, what was there stays."""
+    path.parent.mkdir(parents=True, exist_ok=True)
     aside = path.with_name(f"{path.name}.{os.getpid()}.part")
     try:
         aside.write_bytes(data.encode() if isinstance(data, str) else data)

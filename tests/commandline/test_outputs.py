@@ -201,3 +201,8 @@ def results_of(tmp_path_factory):
     folder = tmp_path_factory.mktemp("results")
     measure(three_clips(folder), folder / "d")
     return folder / "d"
+
+
+def test_a_file_in_a_folder_that_is_not_there_yet_makes_the_folder(tmp_path):
+    outputs.put(tmp_path / "new/deep/file.txt", "text")
+    assert contents(tmp_path) == {"new/deep/file.txt": b"text"}

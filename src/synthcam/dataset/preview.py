@@ -77,6 +77,8 @@ def write_film(clip: Clip, path: Path) -> float:
             yield _with_caption(large, f"{slower:.3g} x slower   {1e3 * k / clip.camera.fps:.0f} ms")
 
     check_room(path)
+    with as_input_error(path):
+        path.parent.mkdir(parents=True, exist_ok=True)
     with as_input_error(path), tempfile.TemporaryDirectory(dir=path.parent, prefix=f".{path.name}-") as folder:
         aside = Path(folder) / f"film{path.suffix.lower()}"
         if aside.suffix == ".gif":
