@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import re
 import uuid
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import cache
 from itertools import islice
-from typing import Any
+from typing import Any, TypeVar
 
 from commandline.errors import InputError
 
@@ -17,6 +17,7 @@ try:
     from distributed.client import FutureCancelledError
 except ImportError:
     Client = None
+T = TypeVar("T")
 AHEAD = 3  # clips handed out for each thread of a worker
 ADDRESS = re.compile(r"((tcp|tls|ws|wss)://)?[^/\s]+:[0-9]{1,5}")
 LAST_PORT = 65535
@@ -49,9 +50,14 @@ class Cluster:
         return answers
 
     def each(self, todo: list[int], work: Callable[[int], str]) -> Iterator[tuple[int, str]]:
-        """Do the work of each number: (number, '' or what went wrong), in the order in which they end.
+        """Do the work of each number: (number, '' or what went wrong), in the order in which they end."""
+        for number, said in self.values(todo, work):
+            yield number, "its workers were lost" if said is None else said
 
-        A worker that is lost has its numbers done by others; one that loses three workers is given up.
+    def values(self, todo: Sequence[int], work: Callable[[int], T]) -> Iterator[tuple[int, T | None]]:
+        """What the work gives for each number, in the order in which they end.
+
+        A worker that is lost has its numbers done by others; a number that loses three workers is given up: None.
         """
         queue, run = iter(todo), uuid.uuid4().hex
         numbers: dict[str, int] = {}
@@ -66,11 +72,12 @@ class Cluster:
             running = as_completed([submit(k) for k in islice(queue, AHEAD * threads)], loop=self.client.loop)
             for future in running:
                 number = numbers.pop(future.key)
+                given: T | None
                 try:
-                    said = str(future.result())
+                    given = future.result()
                 except (KilledWorker, FutureCancelledError):
-                    said = "its workers were lost"
-                yield number, said
+                    given = None
+                yield number, given
                 for k in islice(queue, 1):
                     running.add(submit(k))
 

@@ -133,6 +133,7 @@ def score(
     name: Annotated[str, typer.Option(help="What to call the detector in the report.")] = "",
     point: Annotated[str, typer.Option(help="Of a table: x, y are centre or glint.")] = "centre",
     gate: Annotated[float | None, typer.Option(help="Of two tables: largest distance of a pair; default 5.")] = None,
+    scheduler: Annotated[str, typer.Option(metavar="ADDRESS", help="A Dask scheduler, whose workers do it.")] = "",
     as_json: Json = False,
 ) -> None:
     """Hold results to the truth: localisation against its bound, tracking measures, bias and coverage.
@@ -167,7 +168,7 @@ def score(
             if not name and (results / RUN).is_file():
                 run = load_json(results / RUN)
                 name = str(run.get("detector", "")) if isinstance(run, dict) else ""
-            verdict = score_results(results, truth, name or "default")
+            verdict = score_results(results, truth, name or "default", scheduler=scheduler)
             write_report(verdict, results, truth, output, _typed())
             path = verdict.write(output)
         except BaseException:

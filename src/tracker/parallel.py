@@ -26,12 +26,17 @@ AHEAD = 2  # numbers that each of the others has, so that none waits for this pr
 Progress = Callable[[int, int], None]
 
 
-def in_parallel(task: Callable[[int], T], todo: Sequence[int], workers: int, where: Path) -> Iterator[T]:
+def in_parallel(
+    task: Callable[[int], T], todo: Sequence[int], workers: int, where: Path, scheduler: str = ""
+) -> Iterator[T]:
     """What task gives for each number, in whatever order, by so many processes, this one among them.
 
     workers 0: others join this one where the time of its second number shows that it has much to do. where: what an
-    error names.
+    error names. scheduler: of Dask, whose workers do it in place of processes here.
     """
+    if scheduler:
+        yield from _on_cluster(task, todo, where, scheduler)
+        return
     if workers == 0:
         seconds = 0.0
         for index in todo[:2]:  # the first loads libraries
@@ -61,6 +66,15 @@ def in_parallel(task: Callable[[int], T], todo: Sequence[int], workers: int, whe
         except BaseException:
             pool.shutdown(wait=True, cancel_futures=True)
             raise
+
+
+def _on_cluster(task: Callable[[int], T], todo: Sequence[int], where: Path, address: str) -> Iterator[T]:
+    from commandline.dask_workers import Cluster  # here alone: Dask is an extra
+
+    for number, given in Cluster(address).values(todo, task):
+        if given is None:
+            raise InputError(f"{where}: the Dask workers that had its number {number} were lost, three times")
+        yield given
 
 
 def alone() -> None:

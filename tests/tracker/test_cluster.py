@@ -1,14 +1,18 @@
-"""Clips tracked by a Dask cluster: the same bytes, one of whose workers is killed on the way."""
+"""Clips tracked, scored, and a whole suite made by a Dask cluster: the same bytes, though its workers are killed."""
 
 import importlib.util
+import json
+import shutil
 import subprocess
 import sys
 
 import pytest
-from benchmark_suite import suite
+from benchmark_suite import TINY, suite
 
 from commandline.errors import InputError
+from tracker.benchmark.contest import contest
 from tracker.pipeline import run
+from tracker.scoring.score import score
 
 needs_dask = pytest.mark.skipif(
     not importlib.util.find_spec("distributed"), reason="Dask is not installed: pip install 'synthcam[dask]'"
@@ -29,20 +33,78 @@ if __name__ == "__main__":
         outcome = run(Path(sys.argv[1]), Path(sys.argv[2]), None, "centroid", 0, tick, scheduler=address)
     print(outcome.clips, len(killed))
 """
+SUITE_SCRIPT = """
+import os, signal, sys
+from pathlib import Path
+from distributed import LocalCluster, SchedulerPlugin
+from tracker.benchmark.contest import contest
+from tracker.benchmark.suite.definition import from_text
+from tracker.benchmark.suite.make import make
+from tracker.scoring.score import score
+class Count(SchedulerPlugin):
+    done = set()
+    def transition(self, key, start, finish, *args, **more):
+        self.done |= {key} if finish == "memory" and str(key).startswith("clip-") else set()
+if __name__ == "__main__":
+    killed = []
+    with LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None, silence_logs=60) as cluster:
+        def tick(done, total):
+            if done == 1:
+                killed.append(next(iter(cluster.workers.values())).pid)
+                os.kill(killed[-1], signal.SIGKILL)
+        cluster.scheduler.add_plugin(Count())
+        address, text = cluster.scheduler_address, Path(sys.argv[1]).read_text()
+        made = make(Path("suite"), from_text(text, "full", "tiny.yaml"), progress=tick, scheduler=address)
+        contest(made, Path("report"), "centroid", progress=tick, scheduler=address)
+        score(Path("report/results/centroid/axes"), Path("whole"), scheduler=address).write("score")
+    print(len(killed), len(Count.done))
+"""
+
+
+def same_files(one, other):
+    """How many files are the same in both folders."""
+    names = [path.relative_to(one) for path in one.rglob("*") if path.is_file()]
+    for path in names:
+        assert (other / path).read_bytes() == (one / path).read_bytes(), path
+    return len(names)
+
+
+def by_cluster(folder, script, *words):
+    """What a script prints that has a cluster of its own."""
+    (folder / "script.py").write_text(script)
+    said = subprocess.run(
+        [sys.executable, "script.py", *words], capture_output=True, text=True, timeout=240, cwd=folder, check=False
+    )
+    assert said.returncode == 0, said.stderr
+    return said.stdout
 
 
 @needs_dask
 def test_a_cluster_gives_the_same_bytes(tmp_path):
     film = suite().film("axes")
     run(film, tmp_path / "one", None, "centroid", 1)
-    (tmp_path / "script.py").write_text(SCRIPT)
-    words = [sys.executable, "script.py", str(film), "many"]
-    said = subprocess.run(words, capture_output=True, text=True, timeout=120, cwd=tmp_path, check=False)
-    assert (said.returncode, said.stdout) == (0, "4 1\n"), said.stderr
-    files = [path.relative_to(tmp_path / "one") for path in (tmp_path / "one").rglob("*") if path.is_file()]
-    assert len(files) > 4 * 4
-    for path in files:
-        assert (tmp_path / "many" / path).read_bytes() == (tmp_path / "one" / path).read_bytes()
+    assert by_cluster(tmp_path, SCRIPT, str(film), "many") == "4 1\n"
+    assert same_files(tmp_path / "one", tmp_path / "many") > 4 * 4
+
+
+@needs_dask
+def test_a_suite_made_run_and_scored_by_a_cluster_is_the_same(tmp_path, monkeypatch):
+    monkeypatch.setattr("tracker.benchmark.contest.write_page", lambda *words: None)
+    made, whole = suite(), tmp_path / "whole"  # films and truth in one folder, as `tracker score` takes them
+    shutil.copytree(made.film("axes"), whole)
+    shutil.copytree(made.truth / "axes", whole, dirs_exist_ok=True)
+    (tmp_path / "tiny.yaml").write_text(TINY)
+    assert (
+        by_cluster(tmp_path, SUITE_SCRIPT, "tiny.yaml") == f"2 {4 + 4 + 4 + 1 + 4}\n"
+    )  # films, bounds, tracks, entry, score
+    assert same_files(made.path, tmp_path / "suite") > 30
+    (here,), _ = contest(made, tmp_path / "here", "centroid")
+    results = tmp_path / "here" / "results" / "centroid" / "axes"
+    assert same_files(results, tmp_path / "report" / "results" / "centroid" / "axes") > 4 * 4
+    there = json.loads((tmp_path / "report" / "entries" / "centroid.json").read_text())
+    assert {**there, "tracker": None} == {**here, "tracker": None}
+    score(results, whole).write(tmp_path / "score_here")
+    assert same_files(tmp_path / "score_here", tmp_path / "score") == 1
 
 
 @needs_dask

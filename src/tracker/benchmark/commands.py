@@ -22,6 +22,7 @@ Json = Annotated[bool, typer.Option("--json", help="Print a machine-readable sum
 Size = Annotated[str, typer.Option(help="full (20 minutes on two cores with the peers) or small (a minute).")]
 Own = Annotated[Path | None, typer.Option("--definition", metavar="YAML", help="A suite of your own.")]
 Report = Annotated[Path, typer.Option("-o", "--output", metavar="REPORT", help="Folder to make, or to add to.")]
+Scheduler = Annotated[str, typer.Option(metavar="ADDRESS", help="A Dask scheduler, whose workers do it.")]
 Truth = Annotated[Path | None, typer.Option(metavar="TRUTH", help="Where a withheld truth lies.")]
 
 
@@ -35,6 +36,7 @@ def make(
         typer.Option(metavar="TRUTH", help="Another folder for the truth; the seed is drawn."),
     ] = None,
     seed: Annotated[int | None, typer.Option(min=0, help="Of everything drawn, in place of the suite's own.")] = None,
+    scheduler: Scheduler = "",
     as_json: Json = False,
 ) -> None:
     """Make the films of the suite, the truth apart from them, and the card.
@@ -45,7 +47,8 @@ def make(
     from tracker.benchmark.suite.make import make as make_suite
 
     with progress_bar("steps") as progress:
-        suite = make_suite(output, read_definition(definition, size), withhold_truth, seed, progress=progress)
+        chosen = read_definition(definition, size)
+        suite = make_suite(output, chosen, withhold_truth, seed, progress=progress, scheduler=scheduler)
     said = {"suite": str(output), "truth": str(suite.truth), **suite.about}
     print(
         json.dumps(said) if as_json else f"{output}: version {said['version']}, {len(suite.parts)} parts; {suite.truth}"
@@ -59,6 +62,7 @@ def run(
     trackers: Annotated[str, typer.Option(help="Names with commas between; default: ours and the peers.")] = "",
     size: Size = "full",
     truth: Truth = None,
+    scheduler: Scheduler = "",
     as_json: Json = False,
 ) -> None:
     """Make the suite, run trackers on it, and set them beside one another on one page.
@@ -74,11 +78,11 @@ def run(
 
     with progress_bar("steps") as progress:
         if suite is None:
-            made = make_suite(output / SUITE, read_definition(None, size), progress=progress)
+            made = make_suite(output / SUITE, read_definition(None, size), progress=progress, scheduler=scheduler)
         else:
             made = with_truth(open_suite(suite, truth))
     with progress_bar("trackers") as progress:
-        entries, notes = contest(made, output, trackers, _typed(), progress)
+        entries, notes = contest(made, output, trackers, _typed(), progress, scheduler)
     _say(entries, notes, output, as_json)
 
 

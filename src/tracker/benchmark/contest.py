@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -30,6 +31,7 @@ def contest(
     names: str = "",
     how: str = "tracker benchmark run",
     progress: Progress = lambda done, of: None,
+    scheduler: str = "",
 ) -> tuple[list[Mapping[str, Any]], list[str]]:
     """Run trackers on a suite, score them, and write the leaderboard and the page.
 
@@ -45,6 +47,8 @@ def contest(
         What the page says that made it.
     progress : callable
         Takes steps done and steps in all.
+    scheduler : str
+        Address of a Dask scheduler, whose workers see the same folders and have the same packages.
 
     Returns
     -------
@@ -57,16 +61,18 @@ def contest(
     ------
     InputError
     """
+    if scheduler:  # the workers may stand elsewhere
+        suite, report = replace(suite, path=suite.path.resolve(), truth=suite.truth.resolve()), report.resolve()
     chosen, notes = entrants(suite, names)
     with in_report(report):
         (report / RESULTS).mkdir(exist_ok=True)
         steps, found = 2 * len(chosen), []
         for number, one in enumerate(chosen):
-            found.append(tracked(suite, one, report / RESULTS / one.name, lambda done, of: None))
+            found.append(tracked(suite, one, report / RESULTS / one.name, lambda done, of: None, 0, scheduler))
             progress(number + 1, steps)
         todo = [k for k, one in enumerate(chosen) if not _scored(report, suite, one.name)]
         task = partial(_scored_entry, suite, chosen, found, report)
-        for done, scored in enumerate(in_parallel(task, todo, 0, report), 1):
+        for done, scored in enumerate(in_parallel(task, todo, 0, report, scheduler), 1):
             save(report, scored)
             progress(len(chosen) + len(chosen) - len(todo) + done, steps)
         whole = published(suite, report, how)

@@ -74,14 +74,16 @@ def entrants(suite: Suite, names: str = "") -> tuple[list[Entrant], list[str]]:
     return out, notes
 
 
-def tracked(suite: Suite, one: Entrant, folder: Path, progress: Progress, workers: int = 0) -> InFolder:
-    """Run a tracker on all films into FOLDER/FILM; what is there is kept."""
+def tracked(
+    suite: Suite, one: Entrant, folder: Path, progress: Progress, workers: int = 0, scheduler: str = ""
+) -> InFolder:
+    """Run a tracker on all films into FOLDER/FILM; what is there is kept. scheduler: Dask's, in place of processes."""
     folder.mkdir(parents=True, exist_ok=True)
     films = list(dict.fromkeys(part.film for part in suite.parts.values()))
     for number, film in enumerate(films):
         only = one.sample.of_film(suite.parts.values(), film)
         if only:
-            run(suite.film(film), folder / film, None, one.detector, workers, only=only)
+            run(suite.film(film), folder / film, None, one.detector, workers, only=only, scheduler=scheduler)
         progress(number + 1, len(films))
     if not (folder / PACE).is_file():
         write_json(folder / PACE, {"ms_per_frame": pace(suite, one)})

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass, field
+from functools import lru_cache, partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -15,6 +15,7 @@ from commandline.errors import InputError
 from tracker.camera.camera import Camera
 from tracker.measurement.collision.adequacy import MEASURED, MISFIT
 from tracker.measurement.collision.derived import NAMES
+from tracker.parallel import in_parallel
 from tracker.results import finite, write_json
 from tracker.scoring.error_bars import quantity_bounds, quantity_scores, true_motion
 from tracker.scoring.localisation import Matched, bounds, localisation, match
@@ -64,7 +65,11 @@ class Score:
 
 
 def score(
-    results: Path | str, dataset: Path | str, detector: str = "default", ms_per_frame: float | None = None
+    results: Path | str,
+    dataset: Path | str,
+    detector: str = "default",
+    ms_per_frame: float | None = None,
+    scheduler: str = "",
 ) -> Score:
     """Compare results with the truth.
 
@@ -78,6 +83,8 @@ def score(
         What to call it.
     ms_per_frame : float, optional
         What it took.
+    scheduler : str
+        Address of a Dask scheduler, whose workers see the same folders and hold the clips to the truth.
 
     Returns
     -------
@@ -89,16 +96,17 @@ def score(
         Where either lacks what it must have.
     """
     results, dataset = Path(results), Path(dataset)
-    scalars = _table(dataset / "truth" / "clips.parquet", "a dataset's truth", TRUTH)
+    if scheduler:  # the workers may stand elsewhere
+        results, dataset = results.resolve(), dataset.resolve()
+    scalars = _scalars(dataset)
     estimates = _table(results / "estimates.parquet", "results of tracker track", "clip collision status")
-    clips, dots, rows = [], [], []
-    for clip, truth, found, camera in _clips(results, dataset, scalars):
-        matched = match(truth, found, GATE_PX, camera.diameter_px)
-        cov = bounds(matched, camera)
-        clips.append((matched, cov))
-        dots.append(dots_of(matched))
-        rows.append({"clip": clip} | _clip_bounds(matched, cov, scalars, clip, camera))
-    table = joined(scalars, estimates, pd.DataFrame(rows))
+    task = partial(_of_clip, results, dataset)
+    numbers = [int(clip) for clip in scalars["clip"]]
+    held = dict(in_parallel(task, numbers, 1, results, scheduler))
+    every = [held[clip] for clip in numbers]
+    clips = [(one.matched, one.cov) for one in every]
+    dots = [dots_of(one.matched) for one in every]
+    table = joined(scalars, estimates, pd.DataFrame([{"clip": k, **held[k].bounds} for k in numbers]))
     return Score(
         suite="+".join(sorted(scalars["scene"].astype(str).unique())) if "scene" in scalars else "",
         detector=detector,
@@ -109,6 +117,17 @@ def score(
         ms_per_frame=ms_per_frame,
         table=table,
     )
+
+
+def _scalars(dataset: Path) -> pd.DataFrame:
+    """True quantities of all clips, read once by each process."""
+    path = dataset / "truth" / "clips.parquet"
+    return _kept(path, path.stat().st_mtime_ns if path.is_file() else 0)
+
+
+@lru_cache(maxsize=1)
+def _kept(path: Path, changed: int) -> pd.DataFrame:
+    return _table(path, "a dataset's truth", TRUTH)
 
 
 def _table(path: Path, what: str, columns: str) -> pd.DataFrame:
@@ -125,22 +144,35 @@ def _table(path: Path, what: str, columns: str) -> pd.DataFrame:
     return table
 
 
-def _clips(
-    results: Path, dataset: Path, scalars: pd.DataFrame
-) -> Iterator[tuple[int, pd.DataFrame, pd.DataFrame, Camera]]:
-    for clip in scalars["clip"].astype(int):
-        name = f"{clip:06d}"
-        truth = _table(dataset / "clips" / name / "truth" / "tracks.parquet", "true tracks", TRACKS)
-        path = results / "clips" / name / "tracks.parquet"
-        empty = pd.DataFrame({"frame": np.empty(0, np.int64), "particle": np.empty(0, np.int64)})
-        found = empty.assign(x=np.empty(0), y=np.empty(0))
-        if path.is_file():
-            found = _table(path, "tracks", "frame particle x y")
-        cameras = (dataset / "clips" / name, results / "clips" / name, results)
-        known = next((c / "camera.json" for c in cameras if (c / "camera.json").is_file()), None)
-        if known is None:
-            raise InputError(f"{results / 'camera.json'}: no such file, expected the camera of clip {clip}")
-        yield clip, truth, found, Camera.read(known)
+class HeldClip(NamedTuple):
+    """A clip beside its truth: the bounds of its positions, (n, 2, 2) px^2, and of its quantities, by name."""
+
+    matched: Matched
+    cov: Floats
+    bounds: dict[str, float]
+
+
+def _of_clip(results: Path, dataset: Path, clip: int) -> tuple[int, HeldClip]:
+    truth, found, camera = _clip(results, dataset, clip)
+    matched = match(truth, found, GATE_PX, camera.diameter_px)
+    cov = bounds(matched, camera)
+    return clip, HeldClip(matched, cov, _clip_bounds(matched, cov, _scalars(dataset), clip, camera))
+
+
+def _clip(results: Path, dataset: Path, clip: int) -> tuple[pd.DataFrame, pd.DataFrame, Camera]:
+    """True tracks, tracks, camera."""
+    name = f"{clip:06d}"
+    truth = _table(dataset / "clips" / name / "truth" / "tracks.parquet", "true tracks", TRACKS)
+    path = results / "clips" / name / "tracks.parquet"
+    empty = pd.DataFrame({"frame": np.empty(0, np.int64), "particle": np.empty(0, np.int64)})
+    found = empty.assign(x=np.empty(0), y=np.empty(0))
+    if path.is_file():
+        found = _table(path, "tracks", "frame particle x y")
+    cameras = (dataset / "clips" / name, results / "clips" / name, results)
+    known = next((c / "camera.json" for c in cameras if (c / "camera.json").is_file()), None)
+    if known is None:
+        raise InputError(f"{results / 'camera.json'}: no such file, expected the camera of clip {clip}")
+    return truth, found, Camera.read(known)
 
 
 def dots_of(matched: Matched) -> tuple[Dots, Dots]:

@@ -26,12 +26,12 @@ Rows = tuple[pd.DataFrame, dict[str, float]]
 SCALARS = ("v0", "b", "t_c", "r", "mu_k", "C", "drag", "decel")
 
 
-def write_bounds(film: Path, truth: Path, workers: int = 0) -> None:
-    """Write the bounds of a film beside its truth, unless they are there."""
+def write_bounds(film: Path, truth: Path, workers: int = 0, scheduler: str = "") -> None:
+    """Write the bounds of a film beside its truth, unless they are there; by processes here, or by Dask's workers."""
     if (truth / BOUNDS).is_file() and (truth / QUANTITY_BOUNDS).is_file():
         return
     source = open_source(film)
-    found = in_parallel(partial(_of_clip, source, truth), range(len(source)), workers, film)
+    found = in_parallel(partial(_of_clip, source, truth), range(len(source)), workers, film, scheduler)
     rows, quantities = zip(*sorted(found, key=lambda one: one[1]["clip"]), strict=True)
     for name, table in ((QUANTITY_BOUNDS, pd.DataFrame(quantities)), (BOUNDS, pd.concat(rows, ignore_index=True))):
         put(truth / name, table.to_parquet(index=False))

@@ -32,6 +32,7 @@ def make(
     seed: int | None = None,
     workers: int = 0,
     progress: Progress = lambda done, of: None,
+    scheduler: str = "",
 ) -> Suite:
     """Make a suite. What is complete is kept: interrupted, the same call goes on.
 
@@ -48,6 +49,8 @@ def make(
         Processes; 0: one a core. A script without `if __name__ == "__main__"` needs 1.
     progress : callable
         Takes steps done and steps in all.
+    scheduler : str
+        Address of a Dask scheduler, whose workers see the same folders; they film the clips and find the bounds.
 
     Returns
     -------
@@ -74,12 +77,12 @@ def make(
         steps = sum(2 + len(film.encoded) for film in definition.films)
         done = 0
         for number, film in enumerate(definition.films):
-            _filmed(output, truth, film, chosen + number)
+            _filmed(output, truth, film, chosen + number, scheduler)
             progress(done := done + 1, steps)
             for name, codec in film.encoded.items():
                 _encoded(output, truth, film, name, codec)
                 progress(done := done + 1, steps)
-            write_bounds(output / FILMS / film.name, truth / film.name, workers)
+            write_bounds(output / FILMS / film.name, truth / film.name, workers, scheduler)
             progress(done := done + 1, steps)
         about = {
             "name": definition.data["name"],
@@ -116,7 +119,7 @@ def _seed(truth: Path, definition: Definition, seed: int | None, withheld: bool)
     return chosen
 
 
-def _filmed(output: Path, truth: Path, film: Film, seed: int) -> None:
+def _filmed(output: Path, truth: Path, film: Film, seed: int, scheduler: str) -> None:
     """The clips of a film, its truth apart from them; nothing where they are there."""
     folder, kept = output / FILMS / film.name, truth / film.name
     scenes = output / "scenes"
@@ -127,6 +130,7 @@ def _filmed(output: Path, truth: Path, film: Film, seed: int) -> None:
         put(files[-1], yaml.safe_dump({**scene, "name": name}, sort_keys=False))
     folder.parent.mkdir(exist_ok=True)
     asked = ["--clips", str(film.clips), "--seed", str(seed), "--withhold-truth", str(kept)]
+    asked += ["--scheduler", scheduler] if scheduler else []
     _synthcam("generate", *map(str, files), "-o", str(folder), *asked)
     shutil.rmtree(scenes)
 
