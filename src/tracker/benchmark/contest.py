@@ -16,7 +16,7 @@ from tracker.benchmark.judging.tracked import InFolder
 from tracker.benchmark.report.leaderboard import ENTRIES, entries, file_name, save, write_leaderboard
 from tracker.benchmark.report.page import write_page
 from tracker.benchmark.suite.folder import Suite
-from tracker.benchmark.trackers import Entrant, about, entrants, tracked
+from tracker.benchmark.trackers import RUN_HERE, Entrant, about, entrants, tracked
 from tracker.parallel import in_parallel
 from tracker.results import load_json
 
@@ -100,7 +100,11 @@ def in_report(report: Path) -> Iterator[None]:
 
 def _scored(report: Path, suite: Suite, name: str) -> bool:
     path = report / ENTRIES / file_name(name)
-    return path.is_file() and load_json(path)["suite"]["truth_sha256"] == suite.about["truth_sha256"]
+    if not path.is_file():
+        return False
+    there = load_json(path)
+    own = (there["tracker"]["name"], there["tracker"]["made"]) == (name, RUN_HERE)
+    return own and there["suite"]["truth_sha256"] == suite.about["truth_sha256"]
 
 
 def _scored_entry(suite: Suite, chosen: list[Entrant], found: list[InFolder], report: Path, k: int) -> dict[str, Any]:

@@ -58,6 +58,7 @@ def submitted(
     Raises
     ------
     InputError
+        For a form or a table that is wrong, and where no table has a position.
     """
     about = read_form(folder)
     found, notes = read_tables(suite, folder, about.get("point", "centre"), progress)
@@ -92,6 +93,7 @@ def read_tables(
     """The tables of a submission, each clip measured by its own camera; and what is missing."""
     found, notes = InMemory(), []
     films = dict.fromkeys(part.film for part in suite.parts.values())
+    _check_names(folder, list(films))
     for number, film in enumerate(films, 1):
         clips = sorted({clip for part in suite.parts.values() if part.film == film for clip in part.clips})
         camera = {clip: _camera(suite, film, clip) for clip in clips}
@@ -106,7 +108,23 @@ def read_tables(
         if missing := len(clips) - len(given):
             notes.append(f"{film}: no table of {missing} of {len(clips)} clips, which count as not found")
         progress(number, len(films))
+    if not any(len(result.tracks) for result in found.found.values()):
+        raise InputError(f"{folder}: no position in any table, expected the balls of {', '.join(films)}")
     return found, notes
+
+
+def _check_names(folder: Path, films: list[str]) -> None:
+    """Each table, and each folder of tables, is named after a film. Raises InputError."""
+    given = [p for p in sorted(folder.iterdir()) if p.suffix in TABLES or (p.is_dir() and not p.name.startswith("."))]
+    for path in given:
+        name = path.name if path.is_dir() else path.stem
+        if name not in films:
+            near = did_you_mean(name, {film: film for film in films})
+            raise InputError(f"{path}: not named after a film, expected {', '.join(films)}{near}")
+    if not given:
+        raise InputError(
+            f"{folder}: no table, expected FILM.csv or FILM.parquet, or a folder FILM, of {', '.join(films)}"
+        )
 
 
 def _camera(suite: Suite, film: str, clip: int) -> Camera:
@@ -117,6 +135,8 @@ def _given(folder: Path, film: str, camera: Mapping[int, Camera]) -> Iterator[tu
     """Clip and tracks of the tables that there are of a film."""
     whole = [path for ending in TABLES if (path := folder / f"{film}{ending}").is_file()]
     for path in whole[:1]:
+        if path.suffix == ".csv" and len(camera) > 1:
+            _check_clips(path)
         for clip, (tracks, _) in read_tracks(path, next(iter(camera.values()))).clips.items():
             yield clip, tracks
         return
@@ -127,3 +147,11 @@ def _given(folder: Path, film: str, camera: Mapping[int, Camera]) -> Iterator[tu
             clip = int(path.stem)
             for tracks, _ in read_tracks(path, camera[clip]).clips.values():
                 yield clip, tracks
+
+
+def _check_clips(path: Path) -> None:
+    """A table of a film with several clips says which clip a row is of. Raises InputError."""
+    with path.open(encoding="utf-8", errors="replace") as stream:
+        names = [name.strip().strip('"') for name in stream.readline().split(",")]
+    if {"frame", "x", "y"} <= set(names) and "clip" not in names:
+        raise InputError(f"{path}: no column clip, expected clip, frame, particle, x, y; found {', '.join(names)}")

@@ -21,6 +21,7 @@ from tracker.results import load_json, write_json
 OWN = "synthcam"  # this package's own: the detector that the film asks for
 CENTRES = (OWN, "maximum_likelihood", "discs")  # that say themselves where centres are
 PACE = "pace.json"
+RUN_HERE = "run here"  # and not submitted
 Progress = Callable[[int, int], None]
 
 
@@ -104,7 +105,7 @@ def about(one: Entrant, folder: Path) -> Mapping[str, Any]:
     spent = load_json(folder / PACE)["ms_per_frame"]
     limits = {"clips_of_each_part": one.sample.clips, "not_run_on": list(one.sample.without)}
     more = {} if one.sample == ALL else limits
-    return {"name": one.name, "made": "run here", "ms_per_frame": spent, "point": one.own} | more
+    return {"name": one.name, "made": RUN_HERE, "ms_per_frame": spent, "point": one.own} | more
 
 
 def _sample(given: Mapping[str, Any]) -> Sample:

@@ -9,6 +9,7 @@ import pytest
 from benchmark_suite import Given, noisy, suite
 
 from commandline.errors import InputError
+from tracker.benchmark.report.leaderboard import save
 from tracker.benchmark.submission import read_form, submitted
 from tracker.cli import main
 
@@ -126,3 +127,41 @@ def test_a_clip_that_the_suite_does_not_have(tmp_path):
     rows.to_csv(folder / "axes.csv", index=False)
     with pytest.raises(InputError, match="axes: clip 9: not in the suite, expected 0 to 3"):
         submitted(suite(), folder, tmp_path / "r", "")
+
+
+def without_clip(folder):
+    pd.read_csv(folder / "axes.csv").drop(columns="clip").to_csv(folder / "axes.csv", index=False)
+
+
+def without_positions(folder):
+    pd.read_csv(folder / "axes.csv").assign(x=float("nan"), y=float("nan")).to_csv(folder / "axes.csv", index=False)
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda folder: (folder / "axes.csv").unlink(), "s: no table, expected FILM.csv or FILM.parquet, or a folder"),
+        (lambda folder: (folder / "axes.csv").rename(folder / "axis.csv"), "axis.csv: not named after a film, expected "
+         "axes; did you mean axes"),
+        (lambda folder: (folder / "axis").mkdir(), "axis: not named after a film"),
+        (without_clip, "axes.csv: no column clip, expected clip, frame, particle, x, y; found frame, particle"),
+        (without_positions, "s: no position in any table, expected the balls of axes"),
+    ],
+)  # fmt: skip
+def test_a_submission_without_what_it_must_have_is_one_line(tmp_path, change, said):
+    folder = tables(tmp_path / "s")
+    change(folder)
+    with pytest.raises(InputError, match=said) as stopped:
+        submitted(suite(), folder, tmp_path / "r", "")
+    assert "\n" not in str(stopped.value)
+    assert not (tmp_path / "r").exists()
+
+
+def test_a_submission_may_be_replaced_by_its_like_alone(tmp_path):
+    submitted(suite(), tables(tmp_path / "s", name="mine"), tmp_path / "r", "")
+    assert len(submitted(suite(), tables(tmp_path / "t", name="mine"), tmp_path / "r", "")[0]) == 1
+    with pytest.raises(InputError, match=r"mine.json: is of 'mine', submitted; expected another name than 'mine'"):
+        save(tmp_path / "r", {"tracker": {"name": "mine", "made": "run here"}})
+    submitted(suite(), tables(tmp_path / "u", name="a b"), tmp_path / "r", "")
+    with pytest.raises(InputError, match=r"a_b.json: is of 'a b', submitted; expected another name than 'a_b'"):
+        submitted(suite(), tables(tmp_path / "v", name="a_b"), tmp_path / "r", "")

@@ -46,7 +46,7 @@ def quantities(suite: Suite, tracked: Tracked, part: Part) -> dict[str, Any]:
     limits = suite.quantity_bounds(part.truth)
     if any((scalars.get(name, pd.Series(0.0)).abs() > STILL).any() for name in SPINS):
         limits = limits[["clip"]]
-    table = held_to(joined(scalars, estimates_table(rows) if rows else empty, limits))
+    table = held_to(joined(scalars, estimates_table(rows).copy() if rows else empty, limits))
     out: dict[str, Any] = {"clips": len(clips), "measured": int(table["status"].isin(["ok"]).sum())}
     scores = quantity_scores(table)
     for name in (f"{name}{kind}" for name in NAMES for kind in KINDS):

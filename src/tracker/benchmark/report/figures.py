@@ -31,6 +31,12 @@ def name_of(entry: Entry) -> str:
     return str(entry["tracker"]["name"])
 
 
+def label_of(entry: Entry) -> str:
+    """The same in a picture, where a dollar would begin a formula and what begins with _ has no place in a legend."""
+    name = name_of(entry).replace("$", r"\$")
+    return f"\u200b{name}" if name.startswith("_") else name
+
+
 def _style(k: int) -> dict[str, Any]:
     return {"color": COLOURS[k % len(COLOURS)], "marker": MARKERS[k % len(MARKERS)], "ms": 4, "lw": 1.2}
 
@@ -53,7 +59,7 @@ def headline_figure(entries: Entries, definition: Definition) -> Figure:
             axes.text(j, i, text, ha="center", va="center", fontsize=8, color="white" if dark else "black")
     axes.set(xlim=(-1.3, len(columns) - 0.5), ylim=(len(entries) - 0.5, -0.5))
     axes.set_xticks([-0.85, *range(len(columns))], ["score", *columns.values()], rotation=35, ha="left", fontsize=9)
-    axes.set_yticks(range(len(entries)), [name_of(e) for e in entries], fontsize=9)
+    axes.set_yticks(range(len(entries)), [label_of(e) for e in entries], fontsize=9)
     axes.xaxis.tick_top()
     axes.tick_params(length=0)
     axes.spines[:].set_visible(False)
@@ -86,8 +92,8 @@ def axes_figure(entries: Entries, definition: Definition) -> Figure:
     """The error against each axis of the suite, the gap between balls and the phase within the pixel."""
     axes = list(definition.axes())
     near = [e for e in entries if e["gap"]]
-    phase = next((name for name in definition.there("phase") if any(e["phase"].get(name) for e in entries)), "")
-    count = len(axes) + bool(near) + bool(phase)
+    phases = [name for name in definition.there("phase") if any(e["phase"].get(name) for e in entries)]
+    count = len(axes) + bool(near) + len(phases)
     rows = -(-count // 3)
     figure = Figure(figsize=(WIDE, 2.75 * rows + 0.5), layout="constrained")
     panels = list(np.atleast_1d(figure.subplots(rows, 3, squeeze=False)).ravel())
@@ -96,12 +102,15 @@ def axes_figure(entries: Entries, definition: Definition) -> Figure:
     rest = iter(panels[len(axes) :])
     if near:
         _gap_panel(next(rest), entries)
-    if phase:
-        _phase_panel(next(rest), entries, phase)
+    for part in phases:
+        _phase_panel(next(rest), entries, part, definition.headline.get(part, part))
+    named = panels[0].get_legend_handles_labels()
+    if count == len(panels):
+        figure.legend(*named, loc="outside lower center", ncols=4, fontsize=8, frameon=False)
+    else:
+        panels[count].legend(*named, loc="center left", fontsize=9, frameon=False)
     for panel in rest:
         panel.set_axis_off()
-    handles, labels = panels[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=5, fontsize=8, frameon=False)
     return figure
 
 
@@ -115,7 +124,7 @@ def _axis_panel(panel: Axes, entries: Entries, axis: Mapping[str, Any], points: 
         parts = [entry["parts"].get(part, NOTHING) for _, part in points]
         y = np.array([np.nan if p[key] is None else p[key] for p in parts], float)
         kept = np.array([(p["jaccard"] or 0.0) >= LOST for p in parts])
-        panel.plot(x, np.where(kept, y, np.nan), label=name_of(entry), **_style(k))
+        panel.plot(x, np.where(kept, y, np.nan), label=label_of(entry), **_style(k))
         panel.plot(x[~kept], y[~kept], ls="", marker="x", ms=5, color=COLOURS[k % len(COLOURS)], alpha=0.6)
     if axis.get("log"):
         panel.set_xscale("log")
@@ -132,7 +141,7 @@ def _axis_panel(panel: Axes, entries: Entries, axis: Mapping[str, Any], points: 
 def _gap_panel(panel: Axes, entries: Entries) -> None:
     for k, entry in enumerate(entries):
         curve = entry["gap"]
-        panel.plot([p["gap"] for p in curve], [p["ratio"] for p in curve], label=name_of(entry), **_style(k))
+        panel.plot([p["gap"] for p in curve], [p["ratio"] for p in curve], label=label_of(entry), **_style(k))
     panel.axhline(1.0, color="0.3", lw=0.8, ls=":")
     panel.set(xscale="log", yscale="log")
     panel.set_xticks([0.05, 0.1, 0.2, 0.5, 1, 2], ["0.05", "0.1", "0.2", "0.5", "1", "2"])
@@ -140,13 +149,13 @@ def _gap_panel(panel: Axes, entries: Entries) -> None:
     _named(panel, "Balls about to touch", "gap between them, diameters", "rmse / bound")
 
 
-def _phase_panel(panel: Axes, entries: Entries, part: str) -> None:
+def _phase_panel(panel: Axes, entries: Entries, part: str, word: str) -> None:
     for k, entry in enumerate(entries):
         curve = np.array(entry["phase"].get(part) or np.empty((0, 3)), float).reshape(-1, 3)
-        panel.plot(curve[:, 0], 1e3 * curve[:, 1], label=name_of(entry), **_style(k) | {"ms": 3})
+        panel.plot(curve[:, 0], 1e3 * curve[:, 1], label=label_of(entry), **_style(k) | {"ms": 3})
     panel.axhline(0.0, color="0.3", lw=0.8, ls=":")
     panel.set_yscale("symlog", linthresh=10.0)
-    _named(panel, f"Locking to pixels ({part})", "glint within its pixel, px", "mean error, 0.001 px")
+    _named(panel, f"Locking to pixels ({word})", "glint within its pixel, px", "mean error, 0.001 px")
 
 
 def _named(panel: Axes, title: str, x: str, y: str) -> None:
@@ -169,7 +178,7 @@ def published_figure(entries: Entries, part: str, names: Sequence[str], kind: st
     axes.set(xlim=(-0.5, len(names) - 0.5), ylim=(len(entries) - 0.5, -0.5))
     heads = [f"{SHOWN[name][0]}, {SHOWN[name][1]}" for name in names]
     axes.set_xticks(range(len(names)), heads, fontsize=9)
-    axes.set_yticks(range(len(entries)), [name_of(e) for e in entries], fontsize=9)
+    axes.set_yticks(range(len(entries)), [label_of(e) for e in entries], fontsize=9)
     axes.xaxis.tick_top()
     axes.tick_params(length=0)
     axes.spines[:].set_visible(False)
@@ -202,16 +211,20 @@ def defects_figure(entries: Entries, names: Sequence[str], kind: str) -> Figure 
     colours = dict(zip(DEFECTS, ("#14508c", "#c1440e", "#777777"), strict=True))
     for panel, name in zip(panels, names, strict=True):
         for j, (defect, word) in enumerate(DEFECTS.items()):
-            values = [(e["defects"][defect].get(f"{name}{kind}") or {}).get("in_errors") or 0.0 for e in kept]
+            known = [(e["defects"][defect].get(f"{name}{kind}") or {}).get("in_errors") for e in kept]
+            values = np.array([0.0 if value is None else value for value in known])
             places = np.arange(len(kept)) + 0.26 * (j - 1)
             panel.barh(places, np.maximum(values, 1e-3), 0.24, left=0.0, color=colours[defect], label=word)
+            for place, value in zip(places, known, strict=True):
+                if value is None:  # with this defect no collision gives the quantity
+                    panel.text(0.0115, place, "no result", color=colours[defect], fontsize=7, va="center_baseline")
         panel.set_xscale("log")
         panel.set_xlim(0.01, None)
         panel.axvline(1.0, color="0.3", lw=0.8, ls=":")
         panel.set_title(SHOWN[name][0], fontsize=10)
         panel.set_xlabel("shift, error bars of one collision", fontsize=8)
         panel.tick_params(labelsize=8)
-    panels[0].set_yticks(range(len(kept)), [name_of(e) for e in kept], fontsize=9)
+    panels[0].set_yticks(range(len(kept)), [label_of(e) for e in kept], fontsize=9)
     panels[0].invert_yaxis()
     figure.legend(
         *panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=3, fontsize=8, frameon=False

@@ -28,9 +28,15 @@ def file_name(name: str) -> str:
 
 
 def save(report: Path, entry: Mapping[str, Any]) -> None:
-    """REPORT/entries/NAME.json."""
-    (report / ENTRIES).mkdir(parents=True, exist_ok=True)
-    write_json(report / ENTRIES / file_name(entry["tracker"]["name"]), entry)
+    """REPORT/entries/NAME.json. A submission may take the place of its like, and of nothing else: InputError."""
+    name, made = entry["tracker"]["name"], entry["tracker"]["made"]
+    path = report / ENTRIES / file_name(name)
+    if path.is_file():
+        there = load_json(path)["tracker"]
+        if (there["name"], there["made"]) != (name, made):
+            raise InputError(f"{path}: is of {there['name']!r}, {there['made']}; expected another name than {name!r}")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_json(path, entry)
 
 
 def entries(report: Path, suite: Mapping[str, Any]) -> list[Mapping[str, Any]]:

@@ -1,0 +1,62 @@
+"""The page's pictures: every curve that was measured is drawn, and a name is a name."""
+
+from dataclasses import replace
+
+import pytest
+from benchmark_suite import tiny
+
+from tracker.benchmark.report.figures import DEFECTS, axes_figure, defects_figure, headline_figure, published_figure
+
+FIGURES = {"ratio": 1.5, "rmse_px": 0.02, "jaccard": 1.0, "found": 1.0, "false": 0, "n": 60, "missed": 0}
+
+
+def entry(name):
+    curve = [[-0.25, 0.001, 0.001], [0.25, -0.001, 0.001]]
+    shift = {f"{q}{kind}": {"in_errors": 0.5} for q in ("r", "tau1", "energy_fraction") for kind in ("", "_free")}
+    return {
+        "tracker": {"name": name},
+        "score": 50.0,
+        "parts": dict.fromkeys(("bright", "dim"), FIGURES),
+        "phase": dict.fromkeys(("bright", "dim"), curve),
+        "gap": [{"gap": 0.1, "ratio": 2.0}],
+        "quantities": {},
+        "defects": dict.fromkeys(DEFECTS, shift),
+    }
+
+
+def texts(figure):
+    return [text.get_text() for axes in figure.axes for text in axes.texts]
+
+
+def definition():
+    return replace(tiny(), data={**tiny().data, "phase": ["bright", "dim"]})
+
+
+def test_each_phase_has_a_panel_with_the_word_of_its_setting():
+    titles = [axes.get_title() for axes in axes_figure([entry("one")], definition()).axes if axes.axison]
+    assert titles == ["Brightness", "Balls about to touch", "Locking to pixels (bright)", "Locking to pixels (dim)"]
+
+
+@pytest.mark.parametrize("name", ["$a$", r"$\\foo$", "_mine", "a_b", "<b>"])
+def test_a_name_is_shown_as_it_is(name):
+    """A dollar is no formula, and what begins with _ stands in the legend too."""
+    one = entry(name)
+    for figure in (
+        headline_figure([one], definition()),
+        axes_figure([one], definition()),
+        published_figure([one], "bright", ["r"]),
+        defects_figure([one], ["r"], ""),
+    ):
+        figure.draw_without_rendering()
+    drawn = axes_figure([one], definition())
+    legends = [axes.get_legend() for axes in drawn.axes if axes.get_legend()] + list(drawn.legends)
+    assert len(legends) == 1
+    assert len(legends[0].get_texts()) == 1
+
+
+def test_a_quantity_that_a_defect_takes_away_is_not_shown_as_unmoved():
+    one = entry("one")
+    assert "no result" not in texts(defects_figure([one], ["r"], "_free"))
+    one["defects"] = one["defects"] | {"locking": {"r_free": {"in_errors": None}}}
+    assert texts(defects_figure([one], ["r"], "_free")).count("no result") == 1
+    assert texts(defects_figure([one], ["r"], "")).count("no result") == 1
