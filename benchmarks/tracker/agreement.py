@@ -2,9 +2,7 @@
 
 agreement.py TRUTH.txt FOUND.txt [TRUTH FOUND ...]    default: the example sets that come with motmetrics
 
-TrackEval asks for a second OpenCV, so it stands apart from this environment:
-pip install --no-deps --target out/judges trackeval==1.3.0
-PYTHONPATH=out/judges python -m benchmarks.tracker.agreement
+Needs TrackEval, without the second OpenCV that it asks for: pip install --no-deps trackeval==1.3.0
 
 Where the two do not agree with each other (motmetrics gives a ball back to the last track that it had, however long
 ago, TrackEval to that of the frame before), `tracker score` is held to TrackEval.

@@ -19,7 +19,7 @@ app = typer.Typer(
     rich_markup_mode=None,
 )
 Json = Annotated[bool, typer.Option("--json", help="Print a machine-readable summary.")]
-Size = Annotated[str, typer.Option(help="full (20 minutes on two cores with the peers) or small (a minute).")]
+Size = Annotated[str, typer.Option(help="full (20 minutes on two cores with the peers) or small (a few minutes).")]
 Own = Annotated[Path | None, typer.Option("--definition", metavar="YAML", help="A suite of your own.")]
 Report = Annotated[Path, typer.Option("-o", "--output", metavar="REPORT", help="Folder to make, or to add to.")]
 Scheduler = Annotated[str, typer.Option(metavar="ADDRESS", help="A Dask scheduler, whose workers do it.")]
