@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -24,6 +24,8 @@ from tracker.scoring.tracking_metrics import GATE_PX, Dots, tracking_scores
 Floats = NDArray[np.float64]
 TRUTH = "clip v0 b t_c r mu_k C drag decel"  # columns of clips.parquet that are needed, and of a clip's tracks
 TRACKS = "frame t_s particle visible x y z vx vy vz glint_x_px glint_y_px x_mean_px y_mean_px"
+KEPT = ["frame", "particle", "x", "y"]  # what the figures over all clips need
+KEPT_TRUE = ["frame", "particle", "visible", "x_mean_px", "y_mean_px"]
 OF_ONE_BALL = ("drag", "decel")  # what a clip without a collision is held to
 
 
@@ -156,7 +158,9 @@ def _of_clip(results: Path, dataset: Path, clip: int) -> tuple[int, HeldClip]:
     truth, found, camera = _clip(results, dataset, clip)
     matched = match(truth, found, GATE_PX, camera.diameter_px)
     cov = bounds(matched, camera)
-    return clip, HeldClip(matched, cov, _clip_bounds(matched, cov, _scalars(dataset), clip, camera))
+    limits = _clip_bounds(matched, cov, _scalars(dataset), clip, camera)
+    slim = replace(matched, truth=truth[KEPT_TRUE].copy(), found=found[KEPT].copy())  # 24 kB of each of many clips
+    return clip, HeldClip(slim, cov, limits)
 
 
 def _clip(results: Path, dataset: Path, clip: int) -> tuple[pd.DataFrame, pd.DataFrame, Camera]:
