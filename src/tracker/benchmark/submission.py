@@ -26,6 +26,7 @@ from tracker.tables.read import read_tracks
 
 FORM = "submission.json"
 KEYS = ("name", "authors", "url", "version", "licence", "point", "ms_per_frame", "machine", "notes")
+LONGEST = 60  # characters of a name
 TABLES = (".csv", ".parquet", ".txt", ".xml")
 Progress = Callable[[int, int], None]
 
@@ -75,6 +76,8 @@ def read_form(folder: Path) -> dict[str, Any]:
     about = load_json(path)
     if not isinstance(about, dict) or not isinstance(about.get("name"), str) or not about["name"].strip():
         raise InputError(f"{path}: name: expected the tracker's name")
+    if len(about["name"]) > LONGEST or not about["name"].isprintable():
+        raise InputError(f"{path}: name: expected one line of at most {LONGEST} characters")
     for key, value in about.items():
         if key not in KEYS:
             near = did_you_mean(key, {k: k for k in KEYS})

@@ -110,6 +110,8 @@ def test_a_withheld_truth_is_scored_where_it_lies(tmp_path, monkeypatch, capsys)
     ("form", "said"),
     [
         ({"nam": "x"}, "name: expected the tracker's name"),
+        ({"name": "x" * 300}, "name: expected one line of at most 60 characters"),
+        ({"name": "x\ny"}, "name: expected one line"),
         ({"name": "x", "pont": "glint"}, "pont: unknown, expected one of .*did you mean point"),
         ({"name": "x", "point": "edge"}, "point: expected centre or glint, not 'edge'"),
         ({"name": "x", "ms_per_frame": -1}, "ms_per_frame: expected a number over 0, not -1"),
