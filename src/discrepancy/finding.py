@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pandas as pd
+from threadpoolctl import threadpool_limits
 
 from commandline.errors import InputError
 from discrepancy.data.collisions import Measured, read_measured
@@ -208,5 +209,6 @@ def searched(
     clips: Sequence[Measured], model: Model, left_out: Sequence[str], progress: Progress, seconds: float = math.inf
 ) -> Finding:
     """Search collisions that `read_measured` has read, with its lines about what was left out."""
-    outcome = search(clips, model, progress, seconds)
+    with threadpool_limits(1, "blas"):  # matrices here are small: threads wait for one another longer than they work
+        outcome = search(clips, model, progress, seconds)
     return Finding(outcome, (*left_out, *outcome.data.left_out))

@@ -60,7 +60,7 @@ def each_rate(clips: Sequence[Measured], of: Callable[[Ints, Sequence[Measured]]
     """
     rates: dict[tuple[str, str], list[int]] = {}
     for k, clip in enumerate(clips):
-        rates.setdefault((f"{clip.fps:.6g}", f"{clip.exposure:.6g}"), []).append(k)
+        rates.setdefault((f"{clip.camera.fps:.6g}", f"{clip.camera.exposure:.6g}"), []).append(k)
     if len(rates) == 1:
         return list(of(np.arange(len(clips)), clips))
     found: dict[int, Array] = {}

@@ -51,8 +51,7 @@ class LawTest:
     pull: Array
 
     @cached_property
-    def weight(self) -> Weight:
-        """What its coefficients explain; asked of few laws, since it takes the longest."""
+    def weight(self) -> Weight:  # asked of few laws: it takes the longest
         return weigh(self.law, self.information, self.pull)
 
     def score(self, base: Fit) -> float:

@@ -387,9 +387,7 @@ class Camera:
         if len(self.view_errors):
             out["view_errors"] = self.view_errors.tolist()
         if self.lamp is not None:
-            out["lamp"] = {"position": list(self.lamp.position), "radius": self.lamp.radius}
-            if any(self.lamp.position_std):
-                out["lamp"]["position_std"] = list(self.lamp.position_std)
+            out["lamp"] = self.lamp.to_dict()
         if self.psf_sigma is not None:
             out["psf"] = {"sigma_px": self.psf_sigma}
         if self.line_time:

@@ -49,6 +49,11 @@ class Lamp:
     radius: float = 0.0
     position_std: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
+    def to_dict(self) -> dict[str, Any]:
+        """As camera.json has it."""
+        known = {"position": list(self.position), "radius": self.radius}
+        return known | ({"position_std": list(self.position_std)} if any(self.position_std) else {})
+
 
 def parse(data: Any, where: str) -> dict[str, Any]:
     """The fields of a Camera from the keys of camera.json; InputError names ``where`` and the key at fault."""
