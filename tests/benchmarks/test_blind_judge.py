@@ -75,6 +75,18 @@ def test_an_outsider_is_declared_without_a_false_name_beside_it(kind, text):
     assert goal.beside == "declared 4, 2 of them inadequate; with a false name 2"
 
 
+def test_a_law_in_the_model_is_held_to_what_the_true_law_leaves():
+    lines = []
+    for held, augmented in [(True, 1049.0), (True, 1120.0), (False, 3000.0)]:
+        one = line(["root_drag"], [], verdict="outside_library", kind="outside")
+        one["truth"]["hidden"] = {}
+        one["answer"]["outside"] = [
+            {"slot": "force_speed", "in_model": held, "x": [0.0], "curve": [0.0], "band": [[0, 0]]}
+        ]
+        lines.append(one | {"gap": {"base": 5000.0, "augmented": augmented, "oracle": 1000.0, "points": 1000.0}})
+    assert reached(lines, "the law in the model") == (1, 2)
+
+
 def test_inadequate_is_false_of_nothing_and_a_miss_of_what_the_library_has():
     nothing = judge.judge(line([], [], verdict="inadequate", kind="none"))
     assert nothing.false == (judge.INADEQUATE,)

@@ -17,6 +17,7 @@ SURE = 0.95  # of a bound on one side
 FEW = 10  # boxes: the scatter of fewer says nothing of a mean
 AGAIN = 2000  # draws of the bootstrap
 Z = 1.645  # errors to a bound
+WORSE = 0.1  # of chi^2: a law in a model may leave so much more than the true law
 FITS = 500  # whose coverage is asked for
 FROM = 0.999  # of a ratio: from there on it is "from that on", however it is rounded
 
@@ -154,11 +155,13 @@ def _outside(rows: list[Row], where: str) -> list[Goal]:
     out = [r for r in rows if r.kind == "outside"]
     strong = [r for r in out if r.ratio >= 5 * FROM]
     curves = [bool(r.curve) for r in strong if r.curve is not None]
+    near_truth = [r.left < 1 + WORSE for r in strong if r.in_model and r.gap]
     text = "outside the library, from 5 x: declared, with no false name"
     return [
         at_least(text, where, 0.98, [r.right for r in strong], split(strong)),
         at_least("the right free law", where, 0.95, [r.free_law for r in strong]),
         at_least("the curve in its band", where, 0.9, curves),
+        at_least("the law in the model: gap on clips kept out within 10 % of the true law's", where, 0.9, near_truth),
         at_most("at 2 x: called by a name of the library", where, 0.1, [r.misnamed for r in near(out, 2)]),
     ]
 

@@ -55,6 +55,7 @@ class Row:
     withdrawn: tuple[str, ...] = ()  # claims that the answer takes back: none of its claims
     code: str = ""  # a fingerprint of what made the box and answered it
     world: str = ""  # of a hostile box
+    in_model: bool = False  # does the answer's model hold the free law that was found?
     closes: tuple[bool, ...] = ()  # of each claim that stands: does it close part of the gap on clips kept out?
 
     @property
@@ -159,6 +160,7 @@ def judge(line: dict[str, Any]) -> Row:
         withdrawn=tuple(w["claim"] for w in answer.get("withdrawn", [])),
         code=answer.get("code", ""),
         world=world,
+        in_model=any(entry.get("in_model", False) for entry in answer.get("outside") or []),
         closes=tuple(_closes(answer)),
     )
 
