@@ -6,10 +6,21 @@ import math
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from contextvars import ContextVar
 
 
 class OutOfTime(Exception):
     """The time is over."""
+
+
+_running: ContextVar[Deadline | None] = ContextVar("deadline", default=None)
+
+
+def check() -> None:
+    """Raises OutOfTime where a deadline counts that is over: asked at each forecast, of which some take a minute."""
+    deadline = _running.get()
+    if deadline is not None and deadline.over:
+        raise OutOfTime
 
 
 class Deadline:
@@ -31,8 +42,9 @@ class Deadline:
     @contextmanager
     def limited(self) -> Iterator[None]:
         """Where the time counts: what is done with what there is by then is not cut short."""
-        self.counts = True
+        self.counts, before = True, _running.set(self)
         try:
             yield
         finally:
             self.counts = False
+            _running.reset(before)

@@ -1,9 +1,11 @@
 """A search that is cut short says so, and names nothing."""
 
+import numpy as np
 import pytest
 from discrepancy_clips import HIDDEN, collisions, only
 
 from discrepancy.deadline import Deadline, OutOfTime
+from discrepancy.fitting.predict import forecast
 from discrepancy.search import find
 from synthcam.model import Model
 
@@ -18,6 +20,17 @@ def test_the_time_counts_only_where_it_is_limited():
         spent("search")
     spent("gap")
     assert told == ["fit", "search", "search", "gap"]
+
+
+def test_each_forecast_asks_for_the_time():
+    """One candidate's derivatives may take minutes: where balls push each other, each clip is solved alone."""
+    clips = collisions(Model(), 2, 3)
+    launches = np.array([c.launch for c in clips])
+    with Deadline(print, 1e6).limited():
+        forecast(Model(), launches, clips)
+    with pytest.raises(OutOfTime), Deadline(print, -1.0).limited():
+        forecast(Model(), launches, clips)
+    forecast(Model(), launches, clips)
 
 
 def test_a_search_cut_short_names_nothing(monkeypatch):

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from discrepancy import deadline
 from discrepancy.arrays import Array, Ints
 from discrepancy.data.collisions import Measured
 from discrepancy.data.launch import T_C
@@ -41,7 +42,10 @@ def forecast(model: Model, launches: Array, clips: Sequence[Measured]) -> list[A
     ------
     ValueError
         The model has no motion for such a launch, or one that leads farther than any number should.
+    OutOfTime
+        Where a search's time is over.
     """
+    deadline.check()
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         places = each_rate(clips, lambda rows, some: _forecast(model, launches[rows], some))
     if not all(np.abs(p).max(initial=0.0) < FAR for p in places):  # NaN too
