@@ -172,15 +172,15 @@ def _by_solve(model: Model, launches: Array, is_a: NDArray[np.bool_], out: Batch
     for k in which:
         x, y, t_c, v0, heading, b, *spin = launches[k]
         labels = ("b", "a") if is_a[k] else ("a", "b")
-        motion = solve(
-            model, Launch.pair(model.bodies(labels), t_c, v0, b, heading, (x, y), spin or NONE), out.start, out.end
-        )
+        launch = Launch.pair(model.bodies(labels), t_c, v0, b, heading, (x, y), spin or NONE)
+        motion = solve(model, launch, out.start, out.end, settled=False)  # a slide may last for hours
         for ball in (0, 1):
             row, its = np.array([k + ball * n]), dataclasses.replace(motion, legs=motion.legs[ball : ball + 1])
             out.segments.append(Alone(row, np.array([out.start]), np.array([out.end]), its))
             kinks[row[0]] = [e.t for e in motion.events if ball in (e.i, e.j)]
             ends = [e.t for e in motion.events if e.kind == "slide_end" and e.i == ball]
-            out.slide_ends[row[0]] = ends[0] if ends else t_c
+            later = out.end if its.legs[0][-1].motion == "slide" else t_c
+            out.slide_ends[row[0]] = ends[0] if ends else later
     most = max(map(len, kinks))
     out.breaks = np.array([row + [np.inf] * (most - len(row)) for row in kinks])
     return out

@@ -24,8 +24,8 @@ NEVER = np.full(1, math.inf)  # slips at which a ball that does not drill no lon
 LONG = 60.0  # s: balls that push each other are led in small steps
 
 
-def solve(model: Model, launch: Launch, start: float = 0.0, end: float = 0.0) -> Trajectory:
-    """The motion from `start` to `end` (s) or to the last slide's end, whichever is later.
+def solve(model: Model, launch: Launch, start: float = 0.0, end: float = 0.0, settled: bool = True) -> Trajectory:
+    """The motion from `start` to `end` (s) or, if it is to be `settled`, to the last slide's end, if that is later.
 
     Legs are closed forms where no active effect bends them, numerical solutions elsewhere. Raises ValueError when a
     ball that should be at rest cannot stay there, when balls overlap, when a slide or the motion does not end, and when
@@ -40,7 +40,7 @@ def solve(model: Model, launch: Launch, start: float = 0.0, end: float = 0.0) ->
             raise ValueError(f"balls that push each other are modelled in twos, not {len(launch.states)} at a time")
         if lasts > LONG:
             raise ValueError(f"balls that push each other are followed for {LONG:g} s, not for {lasts:g} s")
-    return _Run(model, launch, start, end).motion()
+    return _Run(model, launch, start, end, settled).motion()
 
 
 def uncoupled(model: Model) -> Model:
@@ -51,8 +51,8 @@ def uncoupled(model: Model) -> Model:
 class _Run:
     """One run of the event loop; states are nine floats. Two balls that push each other are led together."""
 
-    def __init__(self, model: Model, launch: Launch, start: float, end: float) -> None:
-        self.model, self.bodies, self.end = model, launch.bodies, end
+    def __init__(self, model: Model, launch: Launch, start: float, end: float, settled: bool) -> None:
+        self.model, self.bodies, self.end, self.settled = model, launch.bodies, end, settled
         self.radius, self.mass = launch.bodies.radius.tolist(), launch.bodies.mass.tolist()
         self.start, self.t = start, launch.time
         self.events: list[Event] = []
@@ -73,7 +73,7 @@ class _Run:
 
     def motion(self) -> Trajectory:
         for _ in range(LIMIT):
-            busy = any(leg.motion in ("slide", "fly") for leg in self.legs)
+            busy = self.settled and any(leg.motion in ("slide", "fly") for leg in self.legs)
             horizon = min([self.until, *(leg.t1 for leg in self.legs)] + ([] if busy else [max(self.end, self.t)]))
             contact = first_contact(self.legs, self.radius, self.t, horizon)
             if contact is not None:

@@ -371,6 +371,15 @@ def test_the_run_lasts_until_the_last_slide_ends():
     assert motion.t1 == max(motion.first("slide_end", ball).t for ball in (0, 1)) > 0.11
 
 
+def test_a_run_that_need_not_settle_ends_in_time_as_it_would_have_been_there():
+    launch, times = Launch.pair(PAIR, 0.1, 0.6, 0.2, 0.0, (0, 0)), np.linspace(0, 0.3, 40)
+    for friction in (0.05, 1e-4):
+        model = Model(sliding_friction=friction)
+        whole, part = solve(model, launch, 0.0, 0.3), solve(model, launch, 0.0, 0.3, settled=False)
+        assert part.t1 == 0.3 < whole.t1
+        np.testing.assert_array_equal(part.at(times), whole.at(times))
+
+
 def test_a_slow_catch_up_collides_again():
     """Head-on the striker overtakes the target where 5 r < 2."""
     for r, again in ((0.36, True), (0.42, False)):
