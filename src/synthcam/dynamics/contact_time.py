@@ -63,6 +63,8 @@ def _contact(a: Leg, b: Leg, t: float, horizon: float, reach: float) -> float | 
         vx, vy, vz = one[3] - two[3], one[4] - two[4], one[5] - two[5]
         distance = math.sqrt(x * x + y * y + z * z)
         gap = distance - reach
+        if math.isnan(gap):  # it compares with nothing, and would be stepped over for ever
+            raise ValueError(f"the motion of a ball cannot be followed beyond {begun:.6g} s")
         rate = (x * vx + y * vy + z * vz) / distance
         if gap <= touching:
             parting = (vx * vx + vy * vy + vz * vz - rate * rate) / distance - steepest  # as they pass each other

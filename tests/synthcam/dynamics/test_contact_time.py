@@ -66,3 +66,10 @@ def test_balls_that_touch(vx):
 def test_an_overlap_is_said():
     with pytest.raises(ValueError, match=r"balls overlap by 0\.000238 m at 0 s"):
         first_contact([rest(0.0), roll(-1.8 * R, 0.0, -0.1, 0.0)], [R, R], 0.0, 1.0)
+
+
+def test_a_motion_without_numbers_is_refused():
+    """It compares with nothing: a search of a fit led astray never came to an end."""
+    legs = [rest(0.0), roll(-0.02, math.nan, 0.1, 0.0)]
+    with pytest.raises(ValueError, match="the motion of a ball cannot be followed beyond 0.1 s"):
+        first_contact(legs, [R, R], 0.1, 1.0)
