@@ -58,7 +58,8 @@ def ripples(clips: Sequence[Measured], fit: Fit, noise: Noise) -> Iterator[tuple
                 if mine:
                     found.setdefault((name, *which), []).append(_part(solved, mine, raw[..., mine]))
     for where, parts in found.items():
-        yield where, *next(results(parts))
+        for result in results(parts):  # none where the shared parameters can make them all
+            yield where, *result
 
 
 def _part(solved: Solved, mine: list[int], columns: Array) -> Part:

@@ -90,7 +90,7 @@ def results(parts: Sequence[Part]) -> Iterator[tuple[str, float, int, float]]:
     freedom = len(pulls) - taken.shape[1]
     if freedom:
         yield "", float(left @ left), freedom, _size(parts, left, freedom / len(pulls))
-    if len(parts) < policy.FEWEST_CLIPS_OF_A_TREND:
+    if not parts[0].features or len(parts) < policy.FEWEST_CLIPS_OF_A_TREND:
         return
     always = _basis(np.column_stack([_stacked([g.per_metre for g in parts], len(rest)), taken]))
     for against in parts[0].features:
