@@ -179,7 +179,7 @@ def _by_solve(model: Model, launches: Array, is_a: NDArray[np.bool_], out: Batch
             out.segments.append(Alone(row, np.array([out.start]), np.array([out.end]), its))
             kinks[row[0]] = [e.t for e in motion.events if ball in (e.i, e.j)]
             ends = [e.t for e in motion.events if e.kind == "slide_end" and e.i == ball]
-            later = out.end if its.legs[0][-1].motion == "slide" else t_c
+            later = out.end if its.legs[0][-1].motion in ("slide", "fly") else t_c
             out.slide_ends[row[0]] = ends[0] if ends else later
     most = max(map(len, kinks))
     out.breaks = np.array([row + [np.inf] * (most - len(row)) for row in kinks])
