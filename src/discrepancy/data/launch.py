@@ -94,7 +94,7 @@ def alike(launches: list[Array]) -> list[Array]:
     """
     if all(len(launch) == len(LAUNCH) or not launch[len(LAUNCH) :].any() for launch in launches):
         return [launch[: len(LAUNCH)] for launch in launches]
-    out = without_least_slips(np.array([[*launch, *np.zeros(WITH_SPIN - len(launch))] for launch in launches]))
+    out = without_least_slips(np.concatenate([with_spins(launch[None]) for launch in launches]))
     spins = out[:, SIDE] != 0
     if np.mean(spins) > policy.MOST_STRIKERS_SPIN:
         out[~spins, SIDE] = 0.01 * np.median(np.abs(out[spins, SIDE]))

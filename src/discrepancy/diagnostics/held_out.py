@@ -15,7 +15,7 @@ import numpy as np
 
 from discrepancy import policy
 from discrepancy.arrays import Array
-from discrepancy.fitting.model_fit import Fit, basis, off
+from discrepancy.fitting.model_fit import Fit, off
 from discrepancy.fitting.parameters import limits_of
 from discrepancy.free_laws.fitted_law import FittedLaw
 
@@ -178,7 +178,7 @@ def foretold(fit: Fit, precision: Array | None = None) -> list[Array]:
     list of (2n,) array
     """
     free = np.array([not _at_limit(fit, n) for n in fit.names], dtype=bool)
-    own = [basis(a) for a in fit.launch_slopes]
+    own = fit.tangent.launch_bases
     slopes = [s[:, free] - q @ (q.T @ s[:, free]) for q, s in zip(own, fit.slopes, strict=True)]
     left = [r - q @ (q.T @ r) for q, r in zip(own, fit.residuals, strict=True)]
     if not free.any():

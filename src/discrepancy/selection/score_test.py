@@ -82,14 +82,9 @@ class ScoreTests:
         """How many numbers all derivatives hold: their memory."""
         return sum(c.size for t in self.trials for c in t.columns)
 
-    @cached_property
-    def _own(self) -> list[Array]:
-        """Of each clip, an orthonormal basis of what its launch absorbs."""
-        return [basis(a) for a in self.fit.launch_slopes]
-
     def _stacked(self, columns: Sequence[Array]) -> Array:
         """Columns of every clip less what the launches absorb, stacked."""
-        return np.concatenate([c - q @ (q.T @ c) for q, c in zip(self._own, columns, strict=True)])
+        return np.concatenate([c - q @ (q.T @ c) for q, c in zip(self.fit.tangent.launch_bases, columns, strict=True)])
 
     @cached_property
     def _shared(self) -> Array:
@@ -113,7 +108,7 @@ class ScoreTests:
         """
         count, step = self._spans[-1].stop, self._step
         gram, squares, rows, first = np.zeros((count, count)), np.zeros(count), [], 0
-        for q, columns in zip(self._own, self._every(), strict=True):
+        for q, columns in zip(self.fit.tangent.launch_bases, self._every(), strict=True):
             squares += np.einsum("nk,nk->k", columns, columns)
             columns -= q @ (q.T @ columns)
             gram += columns.T @ columns
