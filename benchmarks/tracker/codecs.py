@@ -4,7 +4,8 @@
 
 Each codec's clips are calibrated all together (`tracker calibrate`), and tracked by the camera file that this writes:
 with the errors of its scale, without lamp, exposure and lens. Printed per codec: share of the balls found, false finds,
-rmse of glints against the truth's; the scale's error over its standard error; z = error / standard error of each
+rmse of glints against the truth's; share of their steps from frame to frame that are quarters of a pixel (H.264 moves
+what it shows by such; by chance .24); the scale's error over its standard error; z = error / standard error of each
 quantity, root mean square +- its sampling error (an error that all clips share counts once), by the tied and by the
 free fit; clips by status. The last row is of all codecs together, as of a user who does not know what encoded his film.
 """
@@ -31,6 +32,7 @@ from benchmarks.harness import ROOT, run, save
 
 QUANTITIES = ("v0", "r", "mu_k", "tau1", "tau2", "energy_fraction")
 FOUND = 3.0  # px, between a glint and its truth
+MOVED, NEAR = 1.0, 0.03  # px a frame, from which a ball counts as moving; px, from a multiple of a quarter
 CODECS: dict[str, tuple[str, str, str, dict[str, str], float]] = {  # ending, codec, pixels, options, gamma
     "raw": ("mkv", "ffv1", "gray", {}, 1.0),
     "h264_18": ("mp4", "libx264", "yuv420p", {"crf": "18"}, 1.0),
@@ -76,9 +78,9 @@ def encoded(film: Path, folder: Path, codec: str) -> Path:
 
 
 def places(film: Path, results: Path) -> dict[str, float]:
-    """Share of the balls found, false finds a clip, rmse of glints in px."""
+    """Share of the balls found, false finds a clip, rmse of glints in px, share of steps by quarters of a pixel."""
     found = wanted = false = 0
-    square = 0.0
+    square, steps = 0.0, list[NDArray[np.float64]]()
     for clip in sorted((film / "clips").iterdir()):
         truth = pd.read_parquet(clip / "truth/tracks.parquet").query("visible")
         tracks = pd.read_parquet(results / "clips" / clip.name / "tracks.parquet")
@@ -87,7 +89,12 @@ def places(film: Path, results: Path) -> dict[str, float]:
         near = off[off < FOUND]
         wanted, found, false = wanted + len(truth), found + len(near), false + len(tracks) - len(near)
         square += float((near**2).sum()) / 2
-    return {"found": found / wanted, "false": false / wanted, "rmse_px": float(np.sqrt(square / max(found, 1)))}
+        shifts = tracks.sort_values(["particle", "frame"]).groupby("particle")[["glint_x", "glint_y"]].diff().to_numpy()
+        steps.append(shifts[np.hypot(*shifts.T) > MOVED].ravel())
+    fourths = np.concatenate(steps) * 4
+    quarters = float(np.mean(np.abs(fourths - np.rint(fourths)) < 4 * NEAR))
+    rmse = float(np.sqrt(square / max(found, 1)))
+    return {"found": found / wanted, "false": false / wanted, "rmse_px": rmse, "quarters": quarters}
 
 
 def spread(table: pd.DataFrame, name: str, fit: str) -> dict[str, float]:
@@ -148,12 +155,12 @@ def judged(film: Path, folder: Path, codec: str) -> dict[str, Any]:
 
 
 def shown(figures: dict[str, dict[str, Any]]) -> Table:
-    heads = "codec,found,false,rmse px,scale off %,std %,z,ok,misfit,other,chi2/dof,fit"
+    heads = "codec,found,false,rmse px,¼ px,scale off %,std %,z,ok,misfit,other,chi2/dof,fit"
     table = Table(*heads.split(","), *(f"z {name}" for name in QUANTITIES))
     for codec, row in figures.items():
         status = row["status"]
         ok, misfit = status.get("ok", 0), status.get("misfit", 0)
-        cells = [codec, f"{row['found']:.4f}", f"{row['false']:.4f}", f"{row['rmse_px']:.4f}"]
+        cells = [codec, f"{row['found']:.4f}", f"{row['false']:.4f}", f"{row['rmse_px']:.4f}", f"{row['quarters']:.2f}"]
         cells += [f"{100 * row['scale_off']:+.3f}", f"{100 * row['scale_std']:.3f}", f"{row['scale_z']:+.2f}"]
         cells += [f"{ok}", f"{misfit}", f"{sum(status.values()) - ok - misfit}", f"{row['chi2']:.2f}"]
         for fit, z in row["z"].items():
@@ -162,7 +169,7 @@ def shown(figures: dict[str, dict[str, Any]]) -> Table:
     if len(figures) > 1:
         for fit in ("tied", "free"):
             all_ = [together(figures, fit, name) for name in QUANTITIES]
-            table.add_row("all", *[""] * 10, fit, *(f"{v['rms']:.2f}±{v['error']:.2f} ({v['n']})" for v in all_))
+            table.add_row("all", *[""] * 11, fit, *(f"{v['rms']:.2f}±{v['error']:.2f} ({v['n']})" for v in all_))
     return table
 
 
