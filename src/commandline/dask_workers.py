@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import re
+import time
 import uuid
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from functools import cache
 from itertools import islice
 from typing import Any, TypeVar
@@ -13,15 +15,16 @@ from typing import Any, TypeVar
 from commandline.errors import InputError
 
 try:
-    from distributed import Client, KilledWorker, as_completed
+    from distributed import Client, KilledWorker, WorkerPlugin, as_completed
     from distributed.client import FutureCancelledError
 except ImportError:
-    Client = None
+    Client, WorkerPlugin = None, object
 T = TypeVar("T")
 AHEAD = 3  # clips handed out for each thread of a worker
 ADDRESS = re.compile(r"((tcp|tls|ws|wss)://)?[^/\s]+:[0-9]{1,5}")
 LAST_PORT = 65535
 PATIENCE = 10.0  # s, for the scheduler to answer
+TRIES, PAUSE = 5, 1.0  # s, in which a scheduler notices that a worker is lost
 
 
 class Cluster:
@@ -63,23 +66,60 @@ class Cluster:
         numbers: dict[str, int] = {}
 
         def submit(number: int) -> Any:
-            future = self.client.submit(_in_lane, work, number, key=f"clip-{number}-{run}", pure=False)
+            future = self.client.submit(_held, run, number, key=f"clip-{number}-{run}", pure=False)
             numbers[future.key] = number
             return future
 
         with self.client:
-            threads = max(sum(self.client.nthreads().values()), 1)
-            running = as_completed([submit(k) for k in islice(queue, AHEAD * threads)], loop=self.client.loop)
-            for future in running:
-                number = numbers.pop(future.key)
-                given: T | None
-                try:
-                    given = future.result()
-                except (KilledWorker, FutureCancelledError):
-                    given = None
-                yield number, given
-                for k in islice(queue, 1):
-                    running.add(submit(k))
+            self._send(run, work)
+            try:
+                threads = max(sum(self.client.nthreads().values()), 1)
+                running = as_completed([submit(k) for k in islice(queue, AHEAD * threads)], loop=self.client.loop)
+                for future in running:
+                    number = numbers.pop(future.key)
+                    given: T | None
+                    try:
+                        given = future.result()
+                    except (KilledWorker, FutureCancelledError):
+                        given = None
+                    yield number, given
+                    for k in islice(queue, 1):
+                        running.add(submit(k))
+            finally:
+                with suppress(OSError):  # the scheduler may be gone
+                    self.client.unregister_worker_plugin(run)
+
+    def _send(self, run: str, work: Callable[[int], Any]) -> None:
+        """Let the workers know a run's work; a worker that is lost on the way is left out."""
+        for left in reversed(range(TRIES)):
+            try:
+                self.client.register_plugin(_Work(run, work), name=run)
+                return
+            except OSError as error:
+                if not left:
+                    said = " ".join(str(error).split())[:120]
+                    raise InputError(f"--scheduler {self.address}: its workers cannot be reached ({said})") from None
+                time.sleep(PAUSE)
+
+
+_WORK: dict[str, Callable[[int], Any]] = {}  # of this worker, by run
+
+
+class _Work(WorkerPlugin):  # type: ignore[misc]
+    """A run's work, which may know of a million clips: sent once to each worker, and to those that join later."""
+
+    def __init__(self, run: str, work: Callable[[int], Any]) -> None:
+        self.run, self.work = run, work
+
+    def setup(self, worker: Any) -> None:
+        _WORK[self.run] = self.work
+
+    def teardown(self, worker: Any) -> None:
+        _WORK.pop(self.run, None)
+
+
+def _held(run: str, number: int) -> Any:
+    return _in_lane(_WORK[run], number)
 
 
 @cache

@@ -12,7 +12,7 @@ from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wai
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import suppress
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import cv2
 
@@ -50,12 +50,12 @@ def in_parallel(
         yield from map(task, todo)
         return
     context, others = multiprocessing.get_context("spawn"), min(workers, len(todo)) - 1
-    with ProcessPoolExecutor(others, mp_context=context) as pool:
+    with ProcessPoolExecutor(others, mp_context=context, initializer=_hold, initargs=(task,)) as pool:
         queue, waiting = deque(todo), set[Future[T]]()
         try:
             while queue or waiting:
                 while queue and len(waiting) < AHEAD * others:
-                    waiting.add(pool.submit(task, queue.popleft()))
+                    waiting.add(pool.submit(_held, queue.popleft()))
                 if queue:
                     yield task(queue.popleft())
                 done, waiting = wait(waiting, 0 if queue else None, FIRST_COMPLETED)
@@ -66,6 +66,17 @@ def in_parallel(
         except BaseException:
             pool.shutdown(wait=True, cancel_futures=True)
             raise
+
+
+_TASK: dict[str, Callable[[int], Any]] = {}  # of a process here; it may know of a million clips, and is sent once
+
+
+def _hold(task: Callable[[int], Any]) -> None:
+    _TASK["task"] = task
+
+
+def _held(number: int) -> Any:
+    return _TASK["task"](number)
 
 
 def _on_cluster(task: Callable[[int], T], todo: Sequence[int], where: Path, address: str) -> Iterator[T]:

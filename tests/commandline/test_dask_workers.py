@@ -34,6 +34,22 @@ if __name__ == "__main__":
     print(outcome.made, len(outcome.failed), len(killed))
 """
 
+COUNTING = """
+import operator
+from distributed import LocalCluster
+from commandline.dask_workers import Cluster
+class Counted:
+    sent = 0
+    def __reduce__(self):
+        Counted.sent += 1
+        return operator.methodcaller, ("bit_length",)
+if __name__ == "__main__":
+    with LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None, silence_logs=60) as cluster:
+        said = dict(Cluster(cluster.scheduler_address).values(range(60), Counted()))
+    assert said == {n: n.bit_length() for n in range(60)}, said
+    print(Counted.sent)
+"""
+
 
 def plan(clips):
     return Plan((check_scene(SCENE, "s.yaml"),), clips, 5, video=False)
@@ -54,6 +70,16 @@ def test_a_cluster_makes_the_same_bytes(tmp_path):
     run(plan(24), tmp_path / "one", 1, quiet)
     assert on_cluster(tmp_path / "many", 24, "kill") == [24, 0, 1]
     assert sums(tmp_path / "many") == sums(tmp_path / "one")
+
+
+@needs_dask
+def test_work_is_sent_once_to_a_cluster_not_with_each_number(tmp_path):
+    """Of ten thousand clips it names ten thousand files: the scheduler would hold them for each clip."""
+    path = tmp_path / "script.py"
+    path.write_text(COUNTING)
+    said = subprocess.run([sys.executable, str(path)], capture_output=True, text=True, timeout=120)
+    assert said.returncode == 0, said.stderr
+    assert int(said.stdout) <= 2
 
 
 @needs_dask

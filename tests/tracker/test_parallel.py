@@ -1,6 +1,9 @@
 """Clips side by side: where it pays, and nowhere else."""
 
+from __future__ import annotations
+
 import itertools
+import operator
 import threading
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -16,7 +19,30 @@ def test_processes_start_where_there_is_much_to_do(monkeypatch, seconds, elsewhe
     clock = itertools.count(0, seconds)
     monkeypatch.setattr(parallel.time, "process_time", lambda: next(clock))
     monkeypatch.setattr(parallel, "_cores", lambda: 2)
-    monkeypatch.setattr(parallel, "ProcessPoolExecutor", lambda most, mp_context: ThreadPoolExecutor(most))
+    monkeypatch.setattr(
+        parallel, "ProcessPoolExecutor", lambda most, mp_context, **first: ThreadPoolExecutor(most, **first)
+    )
     done = list(parallel.in_parallel(lambda clip: (clip, threading.current_thread()), range(5), 0, Path()))
     assert sorted(clip for clip, _ in done) == [*range(5)]
     assert sum(thread is not threading.main_thread() for _, thread in done) == elsewhere
+
+
+class Counted:
+    """Work that counts how often it is sent to another process, where it is int.bit_length."""
+
+    sent = 0
+
+    def __call__(self, number: int) -> int:
+        return number.bit_length()
+
+    def __reduce__(self) -> tuple[object, tuple[str]]:
+        Counted.sent += 1
+        return operator.methodcaller, ("bit_length",)
+
+
+def test_work_is_sent_once_to_a_process_not_with_each_number(monkeypatch):
+    """Of ten thousand clips it names ten thousand files."""
+    monkeypatch.setattr(Counted, "sent", 0)
+    done = list(parallel.in_parallel(Counted(), range(60), 2, Path()))
+    assert sorted(done) == sorted(n.bit_length() for n in range(60))
+    assert Counted.sent == 1
