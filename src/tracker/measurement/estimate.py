@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from tracker.measurement import painter_behringer
 from tracker.measurement.camera_errors import carry, shared_block, touching
-from tracker.measurement.collision.adequacy import LEVEL, MISFIT, NO_TOUCH, distant, p_free, questioned
+from tracker.measurement.collision.adequacy import LEVEL, MEASURED, MISFIT, NO_TOUCH, distant, p_free, questioned
 from tracker.measurement.collision.collision_fit import Reading, interpret
 from tracker.measurement.collision.collision_model import FREE, SPIN, TARGET, TIED, release
 from tracker.measurement.collision.contacts import Meeting, Past, encounter, meetings
@@ -51,7 +51,8 @@ UNLIKELY = 10.0  # standard deviations of chi^2 beyond which a lone ball was not
 NO_DIAMETER = "no ball_diameter in the camera file: a collision is measured by where balls of that diameter touch"
 UNLIKE = 5.0  # standard errors by which the tracks' own scatter differs from what a table claims
 CONFIRMED = 1e-3  # p-value from which on whole fits confirm that errors are smaller than claimed
-FAR_CONTACT = 1.5  # diameters within which balls that change course are thought to have hit each other
+# Diameters, and frames' worth of approach beyond, within which balls that change course are thought to have met.
+FAR_CONTACT, FAR_STEPS = 1.5, 2.0
 
 
 @np.errstate(over="ignore", invalid="ignore", divide="ignore")  # a fit of what is no collision may lead anywhere
@@ -97,10 +98,17 @@ def _rows(balls: list[Course], camera: Camera) -> list[dict[str, Any]]:
     if len(balls) > 1 and not camera.knows_diameter:
         return [unmeasured(camera, NO_DIAMETER) | noise]
     met = meetings(balls, camera.ball_diameter) if len(balls) > 1 else []
-    if not met:
-        near = len(balls) > 1 and meetings(balls, FAR_CONTACT * camera.ball_diameter)
-        flag = {"flags": NO_TOUCH} if near else {}
-        return [unmeasured(camera, "no_collision") | noise | _alone(balls, camera) | flag]
+    if met:
+        return _collisions(met, noise, camera)
+    near = meetings(balls, FAR_CONTACT * camera.ball_diameter, FAR_STEPS) if len(balls) > 1 else []
+    rows = _collisions(near, noise, camera)  # a filter that smooths tracks parts the balls, or the scale is wrong
+    if any(row["status"] in MEASURED for row in rows):
+        return rows
+    return [unmeasured(camera, "no_collision") | noise | _alone(balls, camera) | ({"flags": NO_TOUCH} if near else {})]
+
+
+def _collisions(met: list[Meeting], noise: dict[str, Any], camera: Camera) -> list[dict[str, Any]]:
+    """A row for each contact, in order of time."""
     rows, pasts = [], dict[int, Past]()
     for i, meeting in enumerate(met):
         try:

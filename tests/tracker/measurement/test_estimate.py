@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.ndimage import gaussian_filter1d
 from tracker_noisy import BENCHMARK, NOISE, dataset, measured, noisy, scalars_of, truth_of, without
 
 from tracker.measurement.collision.collision_model import FREE, path, release
@@ -49,6 +50,23 @@ def test_every_clip_is_measured_and_fits(table):
     for kind in ("", "_free"):
         per_dof = table[f"chi2{kind}"].sum() / table[f"dof{kind}"].sum()
         assert per_dof == pytest.approx(1, abs=4 * np.sqrt(2 / table[f"dof{kind}"].sum()))
+
+
+@pytest.mark.parametrize("frames", [1, 2])
+def test_tracks_smoothed_over_a_hit_are_a_misfit_not_no_collision(benchmark, frames):
+    """The filter parts the balls: at .6 m/s by a third of a diameter and more."""
+    rng, said = np.random.default_rng(4), []
+    for clip in range(12):
+        truth, camera = truth_of(benchmark, clip)
+        tracks = noisy(truth, rng)
+        for ball in (0, 1):
+            rows = tracks.particle == ball
+            for xy in (tracks.x, tracks.y):
+                xy[rows] = gaussian_filter1d(xy[rows], frames, mode="nearest")
+        (row,) = measure(tracks, camera)
+        said.append(row["status"])
+        assert np.isnan(row["r_std"])
+    assert set(said) == {"misfit"}
 
 
 @pytest.mark.parametrize("kind", ["", "_free"])

@@ -38,7 +38,7 @@ ALSO = {  # flags, and what to check of them
     "striker slides": "it is fitted as sliding up to the contact, with a spin of its own (u2ix, u2iy, side2i)",
     "striker spins": "a spin about the vertical is fitted (side2i); what else adds to the rub of the hit looks alike",
     "rolls late": "the first positions of the striker are left out, where it does not roll",
-    NO_TOUCH: "they change course more than a diameter apart: check scale, ball_diameter and fps",
+    NO_TOUCH: "they change course more than a diameter apart: check scale, ball_diameter, fps; or they are smoothed",
 }
 
 

@@ -21,6 +21,7 @@ STILL = 150  # frames at rest, beyond which more of them add nothing: their shar
 GRID = (0.5, 0.75, 0.95), (0.1, 0.2, 0.4), (0.1, 0.35)  # r, mu_k and C, from which a fit starts
 ROLLS = (0.0,) * len(SPIN)
 SAME = 0.3  # of a glint's width, within which a ball that has not moved is seen
+NEAR = 0.75  # frames' worth of approach, by which balls that touch may be apart in the frames to either side
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,7 +53,7 @@ class Meeting:
     frame: int
 
 
-def meetings(balls: list[Course], diameter: float) -> list[Meeting]:
+def meetings(balls: list[Course], diameter: float, steps: float = NEAR) -> list[Meeting]:
     """Find all contacts of a recording.
 
     Parameters
@@ -60,13 +61,15 @@ def meetings(balls: list[Course], diameter: float) -> list[Meeting]:
     balls : list of Course
     diameter : float
         m.
+    steps : float
+        Frames' worth of approach by which balls that touch between two frames may be farther apart in both.
 
     Returns
     -------
     list of Meeting
         In order of time.
     """
-    found = [(k, a, b) for a, b in combinations(balls, 2) for k in _contact_frames(a, b, diameter)]
+    found = [(k, a, b) for a, b in combinations(balls, 2) for k in _contact_frames(a, b, diameter, steps)]
     found.sort(key=lambda m: m[0])
     out = []
     for i, (frame, a, b) in enumerate(found):
@@ -139,7 +142,7 @@ def _ranked(rows: NDArray[np.bool_], last: bool) -> NDArray[np.bool_]:
     return out
 
 
-def _contact_frames(a: Course, b: Course, diameter: float) -> list[int]:
+def _contact_frames(a: Course, b: Course, diameter: float, steps: float) -> list[int]:
     """Frames of least separation at which two balls touched and changed course; gaps are bridged straight."""
     frames = np.arange(max(a.frame[0], b.frame[0]), min(a.frame[-1], b.frame[-1]) + 1)
     if len(frames) < 5:
@@ -152,7 +155,7 @@ def _contact_frames(a: Course, b: Course, diameter: float) -> list[int]:
         if not closest:
             continue
         reach = step[max(k - 3, 0) : k + 3].max() * max(_gap(c, int(frames[k])) for c in (a, b))
-        if apart[k] < diameter * 1.01 + 0.75 * reach and _kicked(a, b, int(frames[k])):
+        if apart[k] < diameter * 1.01 + steps * reach and _kicked(a, b, int(frames[k])):
             found.append(int(frames[k]))
     return found
 
