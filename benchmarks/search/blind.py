@@ -174,9 +174,9 @@ def verify(options: argparse.Namespace) -> None:
 
 
 def table(options: argparse.Namespace) -> None:
-    """Of a published round, by default the last one."""
-    chosen = [ROUNDS / name for name in options.studies] or rounds.published(ROUNDS)[-1:]
-    text = rounds.told([row for place in chosen for row in rounds.rows_of(place)], ROUNDS)
+    """Of published rounds; by default of each study in the last round that has it."""
+    chosen = [row for name in options.studies for row in rounds.rows_of(ROUNDS / name)] or rounds.latest(ROUNDS)
+    text = rounds.told(chosen, ROUNDS)
     if options.write:
         DOCS.write_text(rounds.within(DOCS.read_text(), text))
     else:

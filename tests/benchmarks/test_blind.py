@@ -218,6 +218,16 @@ def test_published_boxes_are_those_that_the_secret_draws(finished):
     assert rounds.redrawn(place / "x") == ["filmed_nulls-x 1: the secret draws another box"]
 
 
+def test_of_each_study_the_last_round_that_has_it_is_told(monkeypatch, tmp_path):
+    """Round 10 comes after round 9; what it does not ask is told of the one before."""
+    rows = {"9": ["nulls-9", "nulls-9", "pairs-9"], "10": ["nulls-10"]}
+    for name in rows:
+        (tmp_path / name).mkdir()
+        (tmp_path / name / rounds.ABOUT).write_text("{}")
+    monkeypatch.setattr(rounds, "rows_of", lambda place: [SimpleNamespace(study=one) for one in rows[place.name]])
+    assert [row.study for row in rounds.latest(tmp_path)] == ["nulls-10", "pairs-9"]
+
+
 def test_no_box_of_a_published_round_is_opened(tmp_path, monkeypatch):
     monkeypatch.setattr(blind, "ROUNDS", tmp_path)
     (tmp_path / "x").mkdir()
@@ -237,11 +247,10 @@ def test_a_secret_is_made_once_and_for_its_owner_alone(tmp_path):
 
 def test_what_the_docs_tell_of_the_rounds_is_what_the_rounds_tell():
     """And each round that lies in the repository holds, and is small."""
-    latest = rounds.published(blind.ROUNDS)[-1:]
     for place in rounds.published(blind.ROUNDS):
         assert rounds.verify(place) == []
         assert sum(p.stat().st_size for p in place.iterdir()) < 1e6
-    text = rounds.told([row for place in latest for row in rounds.rows_of(place)], blind.ROUNDS)
+    text = rounds.told(rounds.latest(blind.ROUNDS), blind.ROUNDS)
     assert rounds.within(blind.DOCS.read_text(), text) == blind.DOCS.read_text()
 
 

@@ -197,8 +197,20 @@ def _count(rows: Sequence[Row]) -> str:
 
 
 def published(rounds: Path) -> list[Path]:
-    """The rounds in the repository, in the order of their names."""
-    return sorted(p.parent for p in rounds.glob(f"[!.]*/{ABOUT}"))
+    """The rounds in the repository, in the order of their names: 9 before 10."""
+    places = (p.parent for p in rounds.glob(f"[!.]*/{ABOUT}"))
+    return sorted(places, key=lambda place: (len(place.name), place.name))
+
+
+def latest(rounds: Path) -> list[Row]:
+    """The boxes of each study in the last round that has it: a round may be of a few studies."""
+    found = dict[str, list[Row]]()
+    for place in published(rounds):
+        studies = collections.defaultdict[str, list[Row]](list)
+        for row in rows_of(place):
+            studies[row.study.removesuffix(f"-{place.name}")].append(row)
+        found |= studies
+    return [row for rows in found.values() for row in rows]
 
 
 def within(page: str, table: str) -> str:
