@@ -253,6 +253,11 @@ GRID_OF_ERRORS = 0.5
 # is rejected: rolling takes .1, sliding with a friction of .05 takes .5. Chosen; not derived.
 SLIDING_APPROACH = 0.3
 
+# p-value of the tracker's two fits of a clip, errors as large as the free one leaves, from which on a striker's spin
+# is believed although the clip was rejected. In 25 clips with errors claimed a quarter too small it is 1e-4 and more;
+# where the spin was wrong, under 1e-50. Chosen between.
+SPIN_AGREES = 1e-6
+
 # Share of the strikers that spin about the vertical beyond which each is taken to, also where the tracker's model of
 # its clip is rejected, as it is where an effect is missing. Chosen; not derived.
 MOST_STRIKERS_SPIN = 0.5

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import chdtrc
 
 from discrepancy import policy
 from discrepancy.arrays import Array
@@ -68,8 +69,8 @@ def spin(row: Mapping[Any, Any], heading: float, v0: float, pull: Array) -> Arra
     Parameters
     ----------
     row : mapping
-        Of the estimates. Where its fit was rejected, a spin is believed only of a ball that slows down as one that
-        slides, and one that does so slides.
+        Of the estimates. Where its fit was rejected, and not for errors alone that are claimed too small, a spin is
+        believed only of a ball that slows down as one that slides, and one that does so slides.
     heading, v0 : float
         rad, m/s.
     pull : (2,) array
@@ -79,11 +80,20 @@ def spin(row: Mapping[Any, Any], heading: float, v0: float, pull: Array) -> Arra
     axes = np.stack([ahead, [-ahead[1], ahead[0]]])
     slip, side = np.array([row.get("u2ix", 0.0), row.get("u2iy", 0.0)], dtype=float), float(row.get("side2i", 0.0))
     size = float(np.hypot(*pull))
-    if row["status"] == MISFIT and size < policy.SLIDING_APPROACH:
+    doubted = row["status"] == MISFIT and not _by_errors_alone(row)
+    if doubted and size < policy.SLIDING_APPROACH:
         slip, side = np.zeros(2), 0.0
-    elif row["status"] == MISFIT and not np.any(np.nan_to_num(slip)):
+    elif doubted and not np.any(np.nan_to_num(slip)):
         slip, side = -GUESS * v0 * pull / size, GUESS * v0
     return np.asarray(np.nan_to_num([*(axes @ slip), side]))
+
+
+def _by_errors_alone(row: Mapping[Any, Any]) -> bool:
+    """Whether the tied fit agrees with the free one, once errors are as large as that leaves."""
+    tied, dof, free, dof_free = (float(row.get(name, np.nan)) for name in ("chi2", "dof", "chi2_free", "dof_free"))
+    if not (dof > dof_free > 0 and free > 0):
+        return False
+    return bool(chdtrc(dof - dof_free, max(tied - free, 0.0) * dof_free / free) > policy.SPIN_AGREES)
 
 
 def alike(launches: list[Array]) -> list[Array]:

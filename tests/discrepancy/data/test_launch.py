@@ -67,6 +67,14 @@ def test_of_a_misfit_only_a_ball_that_slows_down_slides():
     assert unseen[1] == 0
 
 
+@pytest.mark.parametrize(("chi2", "believed"), [(602.0, True), (700.0, False)])
+def test_a_spin_is_believed_where_only_the_errors_are_claimed_too_small(chi2, believed):
+    """The tied fit agrees with the free one, both at 1.6 a degree of freedom; or it does not."""
+    row = {"status": "misfit", "u2ix": 0.0, "u2iy": 0.0, "side2i": -0.2, "chi2": chi2, "dof": 376}
+    said = spin(row | {"chi2_free": 592.0, "dof_free": 370}, 0.0, 0.5, np.array([-0.1, 0.0]))
+    assert said.tolist() == [0.0, 0.0, -0.2 if believed else 0.0]
+
+
 def test_a_striker_whose_slide_has_all_but_ended_rolls():
     """A slip that ends has no direction: derivatives by it were 1e5 of those by all else, and no step gained."""
     launches = np.array([[0, 0, 0.1, 2.0, 0, 0.3, 0.03, -0.02, 1.0], [0, 0, 0.1, 2.0, 0, 0.3, 0.05, 0.0, 0.0]])
