@@ -213,6 +213,7 @@ def test_status_two_and_one_line(tmp_path):
         (["track", "{tmp}/two.tif", "-o", "{tmp}/out", "--detector", "magic"], "no detector 'magic', expected one of"),
         (["track", "{tmp}/two.tif", "-o", "{tmp}/out", "--camera", "{tmp}/no.json"], "no such file"),
         (["compare", "{tmp}/none", "--detectors", "centroid,magic", "-o", "{tmp}/out"], "no detector 'magic'"),
+        (["benchmark", "run", "--trackers", "synthcam,magic", "-o", "{tmp}/out"], "no detector 'magic'"),
         (
             ["compare", "{tmp}/none", "--detectors", "centroid,centroid", "-o", "{tmp}/out"],
             "--detectors: expected different",

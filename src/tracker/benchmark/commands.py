@@ -75,7 +75,9 @@ def run(
     from tracker.benchmark.suite.definition import read_definition
     from tracker.benchmark.suite.folder import open_suite, with_truth
     from tracker.benchmark.suite.make import make as make_suite
+    from tracker.benchmark.trackers import asked
 
+    asked(trackers)  # before films are made for minutes
     with progress_bar("steps") as progress:
         if suite is None:
             made = make_suite(output / SUITE, read_definition(None, size), progress=progress, scheduler=scheduler)

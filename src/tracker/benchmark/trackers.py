@@ -43,6 +43,15 @@ class Entrant:
         return "centre" if self.name.partition("+")[0] in CENTRES else "glint"
 
 
+def asked(names: str) -> list[str]:
+    """The names between commas, each once. Raises InputError for one that is none, or whose package is missing."""
+    wanted = list(dict.fromkeys(name.strip() for name in names.split(",") if name.strip()))
+    for name in wanted:
+        if name != OWN:
+            detector(name)
+    return wanted
+
+
 def entrants(suite: Suite, names: str = "") -> tuple[list[Entrant], list[str]]:
     """Trackers by their names with commas between; '': the suite's own list, without those that cannot run here.
 
@@ -58,9 +67,8 @@ def entrants(suite: Suite, names: str = "") -> tuple[list[Entrant], list[str]]:
         For a name that is none, or whose package is missing.
     """
     data, notes, out = suite.definition.data, [], []
-    wanted = [name.strip() for name in names.split(",") if name.strip()]
-    clip = _first(suite)
-    for name in dict.fromkeys(wanted or map(str, data["trackers"])):
+    wanted, clip = asked(names), _first(suite)
+    for name in wanted or map(str, data["trackers"]):
         one = Entrant(name, _sample(data["sampled"].get(name, {})))
         try:
             if one.detector is not None:
