@@ -242,9 +242,12 @@ FEWEST_FRAMES_BEFORE_CONTACT = 3
 # that it may be missing physics: real billiard tracks had 2.8 mm beside .2 to .5 mm. Chosen; not derived.
 SLOW_NOISE = 3.0
 
-# Frames by which a clip's times may lie beside an even rate: the search takes each frame at its number over the rate.
-# At .1 frames a ball of half its diameter a frame is 5 % of a diameter off. Chosen; not derived.
+# Frames by which a clip's times may lie beside an even rate before its places are moved to even times. Below it times
+# may be rounded ones; at .1 frames a ball of half its diameter a frame is 5 % of a diameter off. Chosen; not derived.
 UNEVEN_TIMES = 0.1
+
+# Frames by which a place is moved to its even time at most: with more it is nearer to another frame's. Chosen.
+MOST_UNEVEN = 0.5
 
 # Of the errors that are claimed, the step of a grid before it is said that places are rounded. Chosen; not derived.
 GRID_OF_ERRORS = 0.5

@@ -14,6 +14,7 @@ import pandas as pd
 from commandline.errors import InputError as InputError
 from discrepancy import policy
 from discrepancy.arrays import Array, Ints
+from discrepancy.data.even_times import cannot_be_evened, clock_start, evened, uneven
 from discrepancy.data.launch import HEADING, T_C, V0, B, alike, spin
 from discrepancy.data.sanity import exchanged, wrong_units
 from discrepancy.data.strays import without_strays
@@ -51,6 +52,8 @@ class Measured:
         When each ball is thought to stop sliding, s.
     offset : float
         Error of the target's place while it rests, alike in all frames and beside the covariance, each axis, m.
+    moved : float
+        Frames by which places were moved to an even rate at most; 0 where times are even.
     """
 
     clip: int
@@ -63,6 +66,7 @@ class Measured:
     launch: Array
     ends: Array
     offset: float = 0.0
+    moved: float = 0.0
 
     @property
     def fps(self) -> float:
@@ -169,10 +173,8 @@ def read_measured(measured: Path | Sequence[Result], camera: Path | None = None)
         if (frame := exchanged(tracks, own)) is not None:
             left_out.append(f"clip {number}: the balls have exchanged their names at frame {frame}")
             continue
-        if (late := _uneven(tracks, own)) > policy.UNEVEN_TIMES:
-            left_out.append(
-                f"clip {number}: its times are up to {late:.2g} frames beside an even rate of {own.fps:g} a second"
-            )
+        if why := cannot_be_evened(tracks, own):
+            left_out.append(f"clip {number}: {why}")
             continue
         rows = measured_rows()
         if len(rows) > 1:
@@ -252,12 +254,18 @@ def collision(tracks: Tracks, row: Mapping[Any, Any], camera: Camera) -> Measure
     guess = np.array([_guess(row, name) for name in ("t_c", "v0", "b", "tau1", "tau2")])
     if not np.all(np.isfinite(guess)):
         return "no estimate of the contact"
-    t_c, v0, b, *taus = guess
-    pair = {ball: tracks.particle == row[name] for ball, name in enumerate(("particle1", "particle2"))}
+    start = clock_start(tracks, camera)
+    tracks = replace(tracks, time=tracks.time - start)
+    t_c, v0, b, *taus = guess - np.array([start, 0, 0, 0, 0])
+    ends = t_c + np.array(taus)
+    names = [row["particle1"], row["particle2"]]
+    if (moved := uneven(tracks, camera)) > policy.UNEVEN_TIMES:
+        tracks = evened(tracks, [np.flatnonzero(tracks.particle == name) for name in names], t_c, ends, camera)
+    pair = [tracks.particle == name for name in names]
     early = tracks.frame / camera.fps + camera.exposure <= t_c
-    if any((early & rows).sum() < policy.FEWEST_FRAMES_BEFORE_CONTACT for rows in pair.values()):
+    if any((early & rows).sum() < policy.FEWEST_FRAMES_BEFORE_CONTACT for rows in pair):
         return f"a ball is seen in fewer than {policy.FEWEST_FRAMES_BEFORE_CONTACT} frames before the contact"
-    rows = np.concatenate([np.flatnonzero(pair[ball]) for ball in (0, 1)])
+    rows = np.concatenate([np.flatnonzero(ball) for ball in pair])
     frame, early = tracks.frame[rows], early[rows]
     ball = np.repeat([0, 1], [pair[0].sum(), pair[1].sum()])
     xy, slope = camera.unproject(tracks.xy[rows])
@@ -282,8 +290,9 @@ def collision(tracks: Tracks, row: Mapping[Any, Any], camera: Camera) -> Measure
         xy=xy,
         covariance=covariance,
         launch=np.array([*place, t_c, v0, heading, b, *spin(row, heading, v0, pull)]),
-        ends=t_c + np.array(taus),
+        ends=ends,
         offset=float(np.sqrt(np.trace(fixed[resting], axis1=1, axis2=2).mean() / 2)),
+        moved=moved if moved > policy.UNEVEN_TIMES else 0.0,
     )
 
 
@@ -296,12 +305,6 @@ def _guess(row: Mapping[Any, Any], name: str) -> float:
 def _heading(frame: Ints, xy: Array) -> float:
     velocity = np.polyfit(frame - frame.mean(), xy, 1)[0]
     return float(np.arctan2(velocity[1], velocity[0]))
-
-
-def _uneven(tracks: Tracks, camera: Camera) -> float:
-    """By how much its times lie beside an even rate, frames; 0 where the rate gives them."""
-    off = tracks.time * camera.fps - tracks.frame
-    return float(np.ptp(off) / 2) if len(off) and np.all(np.isfinite(off)) else 0.0
 
 
 def _acceleration(times: Array, xy: Array) -> Array:

@@ -1,4 +1,4 @@
-"""What somebody has done to tracks: places rounded to a grid, or left out where balls are slow."""
+"""What somebody has done to tracks: places rounded to a grid, left out where balls are slow, or at uneven times."""
 
 from __future__ import annotations
 
@@ -28,6 +28,11 @@ def processed(clips: Sequence[Measured]) -> tuple[str, ...]:
     if least := _thinned(clips):
         said.append(
             f"places less than {1e3 * least:.3g} mm from the one before are left out: slow balls are hardly seen"
+        )
+    if moved := max((clip.moved for clip in clips), default=0.0):
+        said.append(
+            f"frames are at uneven times, up to {moved:.2g} frames beside an even rate: places are moved along their "
+            "paths to even times, and those at the contact are left out"
         )
     return tuple(said)
 

@@ -282,17 +282,3 @@ def test_each_ball_is_seen_in_three_frames_before_the_contact(recorded, frames, 
     found = collision(dataclasses.replace(tracks, **some), row, camera)
     assert (found != "a ball is seen in fewer than 3 frames before the contact") is used
     assert isinstance(found, str) is not used
-
-
-def test_a_clip_at_uneven_times_is_left_out(tmp_path):
-    """The search takes each frame at its number over the rate; times of a table that lie beside it are not dropped."""
-    folder = record(tmp_path, ROOT / SCENE)
-    table = pd.read_csv(folder / "tracks.csv")
-    table["t_s"] = table["frame"] / 250.0
-    table.loc[table["clip"] == 2, "t_s"] += 1.2e-3 * (table["frame"] % 2)
-    table.to_csv(folder / "timed.csv", index=False)
-    clips, left_out = read_measured(folder / "timed.csv", folder / "camera.json")
-    assert [c.clip for c in clips] == [0, 1, 3, 4, 5]
-    assert [line for line in left_out if line.startswith("clip 2")] == [
-        "clip 2: its times are up to 0.15 frames beside an even rate of 250 a second"
-    ]
