@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from tracker.measurement.collision.collision_model import FREE
 from tracker.measurement.collision.fitting import Fit, Pair, Whitened
-from tracker.measurement.noise.position_noise import Size
+from tracker.measurement.noise.position_noise import Size, quick_share, scatter
 from tracker.measurement.noise.whitening import fresh
 from tracker.measurement.positions import Course
 
@@ -28,6 +28,9 @@ NOTICEABLE = 3.0  # standard errors of the correlation of neighbouring residuals
 LARGEST = (
     9.0  # of an encoder's errors' variance, over that which pixels and scatter show: beyond, the motion is another
 )
+# Variance from frame to frame that lasting errors would have, over what is seen: beyond, a cubic does not describe the
+# motion (a ball that is pushed), and what it leaves is no error. Chosen: twice the error.
+UNSEEN = 4.0
 CLEAR = 10.0  # gain in the logarithm of the likelihood: beyond four standard errors
 
 
@@ -43,7 +46,8 @@ def lasting(pair: Pair, free: Fit) -> Pair | None:
     Returns
     -------
     Pair or None
-        None where the errors are not clearly correlated, or no ball rolls for long enough to tell.
+        None where the errors are not clearly correlated, or no ball rolls for long enough to tell, or what a cubic
+        leaves cannot be errors, for it would scatter more from frame to frame than it does.
     """
     if pair.striker.encoded:
         return _encoded(pair, free)
@@ -57,6 +61,9 @@ def lasting(pair: Pair, free: Fit) -> Pair | None:
     if gains[best] - gains[0] < CLEAR:
         return None
     size, rho = sizes[best], float(TRIED[best])
+    quick = scatter([course for _, course in pair.balls])
+    if quick is not None and size.ratio * quick_share(rho) > UNSEEN * quick.ratio:
+        return None
     struck, striker = (replace(course.resized(size), rho=rho) for _, course in pair.balls)
     return replace(pair, struck=struck, striker=striker)
 

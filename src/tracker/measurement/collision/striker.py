@@ -15,13 +15,14 @@ from numpy.typing import NDArray
 
 from tracker.measurement.collision.collision_model import FREE, GRAVITY, SLIDING, SPIN, TIED
 from tracker.measurement.collision.fitting import Fit, Pair
+from tracker.measurement.noise.position_noise import WINDOW, bent
 
 if TYPE_CHECKING:
     from tracker.measurement.collision.contacts import Encounter
 
 Floats = NDArray[np.float64]
 CONVINCING = 1e-3  # p-value that a further freedom must reach: it is asked for after a fit was rejected
-KEPT = (0.6, 0.35)  # of the positions before the contact, the last ones
+KEPT = (0.6, 0.35)  # of the positions before the contact, the last ones, where no push is seen or is not all
 FEWEST = 5  # positions before the contact
 SLIPS, TRANSFERS = (0.15, 0.5), (0.05, 0.3)  # slip over speed at contact, and C, from which a fit starts
 SEEN = 5.0  # standard errors by which the approach must be seen to slow down
@@ -79,11 +80,12 @@ def _spun(meeting: Encounter, names: tuple[str, ...]) -> Encounter:
 
 
 def _late(meeting: Encounter) -> Iterator[Encounter]:
-    """The same without the first positions of the striker."""
+    """The same without the first positions of the striker: those up to the last push, if one is seen, or a share."""
     course = meeting.pair.striker
     before = np.flatnonzero(course.frame < meeting.frame)
-    for share in KEPT:
-        kept = round(share * len(before))
+    pushed = bent(course.where(course.frame < meeting.frame - 1))
+    since = [int((course.frame[before] >= pushed[-1] + WINDOW).sum())] if len(pushed) else []
+    for kept in since + [round(share * len(before)) for share in KEPT]:
         if FEWEST <= kept < len(before):
             rows = course.frame >= course.frame[before[-kept]]
             yield replace(meeting, pair=replace(meeting.pair, striker=course.where(rows)))

@@ -25,6 +25,7 @@ KEPT = 0.95  # quantile of a window with normal errors beyond which a window is 
 SPARED = 0.84  # share of the degrees of freedom that this leaves
 MOVED = 3.0  # widths of a glint in a window: a ball that rests may be given in whole pixels, and then never scatters
 ENOUGH = 20  # windows of moving balls, without which those of resting ones count too
+BENT = 1e-6  # of the probability of so large a chi^2, below which a window holds a push or a hit
 LEAST = 1e-10  # of the variance expected: perfect positions have some error yet
 STRIDE = 94  # windows whose covariance is made in one go
 
@@ -84,6 +85,20 @@ def scatter(balls: Sequence[Ball]) -> Size | None:
     # the mean of what is kept of a window with normal errors, over that of a whole one
     share = chdtr(DOF + 2, chdtri(DOF, 1 - KEPT)) / KEPT
     return Size(max(float(kept.mean() / (DOF * share)), LEAST), SPARED * _freedom([part[0] for part in parts]))
+
+
+def bent(course: Ball) -> Ints:
+    """First frames of the windows in which a ball's motion is no cubic, beside what its positions scatter: (m,)."""
+    starts, left, _ = _windows(course)
+    return starts[left > np.median(left) * chdtri(DOF, BENT) / chdtri(DOF, 0.5)] if len(left) else starts
+
+
+def quick_share(rho: float) -> float:
+    """Of the variance of errors that last by `rho` from frame to frame, the share that `scatter` sees."""
+    t = np.linspace(-1, 1, WINDOW)
+    over = np.linalg.qr(np.vander(t, ORDER + 1), mode="complete")[0][:, ORDER + 1 :]
+    lag = np.abs(np.subtract.outer(np.arange(WINDOW), np.arange(WINDOW)))
+    return float(np.trace(over.T @ rho**lag @ over)) / OVER
 
 
 def _windows(course: Ball) -> tuple[Ints, Floats, NDArray[np.bool_]]:

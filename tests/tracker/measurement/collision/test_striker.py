@@ -75,3 +75,38 @@ def test_what_no_spin_explains_stays_a_misfit():
     row = measure(table, CAMERA).rows[0]
     assert row["status"] == MISFIT
     assert np.isnan(row["r_std"])
+
+
+def pushed(seed, frames):
+    """Tracks in which the striker rests, is pushed for 12 frames, and rolls for the last so many before frame 22."""
+    whole, rng = tracks(seed), np.random.default_rng(seed)
+    rolls = whole[(whole["particle"] == 2) & (whole["frame"] < 22)]
+    x, y = (np.polyfit(rolls["frame"], rolls[name], 2) for name in ("x", "y"))
+    first = 22 - frames
+    back = np.maximum(np.arange(-60, first) - first, -12)  # frames before the push ends, 12 at most
+    way = back + back**2 / 24  # of the speed with which it rolls off: evenly speeded up
+    start = pd.DataFrame({"frame": np.arange(-60, first), "particle": 2, "x_std": NOISE, "y_std": NOISE})
+    for name, fit in (("x", x), ("y", y)):
+        speed = np.polyval(np.polyder(fit), first)
+        start[name] = np.polyval(fit, first) + speed * way + rng.normal(0, NOISE, len(way))
+    target = whole[whole["particle"] == 1]
+    rest = target.iloc[[0] * 60].assign(frame=np.arange(-60, 0))
+    rest[["x", "y"]] = target[["x", "y"]].iloc[:20].mean().to_numpy() + rng.normal(0, NOISE, (60, 2))
+    table = pd.concat([rest, start, whole[(whole["particle"] == 1) | (whole["frame"] >= first)]])
+    return table.assign(frame=table["frame"] + 60)
+
+
+@pytest.mark.parametrize("frames", [20, 12])
+def test_a_hand_that_pushes_the_striker_is_left_out(frames):
+    """It is no noise that lasts from frame to frame, which would leave an error of r that nothing rejects."""
+    row = measure(pushed(4, frames), CAMERA).rows[0]
+    assert (row["status"], row["flags"], row["noise_rho"]) == ("ok", "rolls late", 0)
+    assert abs(z(row, "r", 0.903)) < 4
+    assert row["r_std"] < 0.01
+
+
+def test_a_push_until_just_before_the_hit_is_no_noise():
+    """Too few frames are left to see how it ends; what it leaves lasts, as no error of the positions does."""
+    row = measure(pushed(8, 8), CAMERA).rows[0]
+    assert (row["status"], row["noise"], row["noise_rho"]) == (MISFIT, "given", 0)
+    assert np.isnan(row["r_std"])
