@@ -115,7 +115,7 @@ class Table:
 
     @cached_property
     def _curve(self) -> Any:
-        """Its pieces, (..., parts); of a map the heights of the lines' corners, (sides' places, parts)."""
+        """Its pieces, (..., parts); of a map the heights of the lines' corners, (parts, sides' places)."""
         y = np.array(self.y).reshape(len(self.x), -1)
         if not self.plane:
             (line,) = self._lines
@@ -123,7 +123,7 @@ class Table:
         grid = np.empty((*map(len, self._sides), y.shape[1]))
         grid[tuple(np.searchsorted(s, v) for s, v in zip(self._sides, np.array(self.x).T, strict=True))] = y
         one, other = self._lines
-        return other.through(one.through(grid).swapaxes(0, 1)).swapaxes(0, 1)
+        return np.moveaxis(other.through(one.through(grid).swapaxes(0, 1)), -1, 0).swapaxes(1, 2)
 
     @cached_property
     def _bases(self) -> tuple[Any, ...]:
@@ -144,7 +144,7 @@ class Table:
         inside = [line.inside(w) for line, w in zip(self._lines, where, strict=True)]
         if self.plane:
             one, other = (basis(w) for basis, w in zip(self._bases, inside, strict=True))
-            out = np.einsum("...i,...j,ijp->...p", one, other, self._curve, optimize=True)
+            out = np.einsum("...pj,...j->...p", np.tensordot(one, self._curve, (-1, 1)), other)
         else:
             out = self._curve(inside[0])
         return np.asarray(out if self.parts == 2 else out[..., 0])

@@ -232,8 +232,12 @@ def test_the_page(tmp_path):
     assert "stribeck" in html
 
 
-def test_a_model_without_a_motion_closes_nothing(tmp_path):
-    """Of the clips kept out, that is; a truth that leaves the noise alone closes all."""
+@pytest.mark.parametrize("spin", [(), (0.1, 0.02, 0.01)])
+def test_a_model_without_a_motion_closes_nothing(spin, tmp_path):
+    """Of the clips kept out, that is; a truth that leaves the noise alone closes all.
+
+    Also where strikers are taken to spin.
+    """
     truth = truth_of({}, clips=4)
     rows = boxes.fitted(truth)
     truth = truth | {"hidden": {"rolling_quadratic.K": 0.1}, "effects": ["rolling_quadratic"]}
@@ -241,7 +245,11 @@ def test_a_model_without_a_motion_closes_nothing(tmp_path):
     kept = []
     for k, (r, xy) in enumerate(zip(rows, places, strict=True)):
         claimed = np.tile(25e-12 * np.eye(2), (len(xy), 1, 1))
-        kept.append(SimpleNamespace(clip=k, frame=r.frame, ball=r.ball, xy=xy, covariance=claimed, launch=r.launch))
+        kept.append(
+            SimpleNamespace(
+                clip=k, frame=r.frame, ball=r.ball, xy=xy, covariance=claimed, launch=np.append(r.launch, spin)
+            )
+        )
     analysis.keep(kept, tmp_path / "kept_out.npz")
     base = boxes.base_model(truth)
     said = {"base": settings_of(base), "model": settings_of(base.replace({"plate_tilt.x": 5e-3}))}

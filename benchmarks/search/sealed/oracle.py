@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import dataclasses
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from discrepancy.data.launch import free as launch_numbers
 from synthcam.model import Model, build
 from tracker.camera.camera import Camera
 
 from .boxes import NOISES, Truth, camera_of, model_of, scene_of
-from .fisher import NUDGES, Rows, where
+from .fisher import NUDGES, SPUN, Rows, where
 
 Array = NDArray[np.float64]
 
@@ -46,9 +48,26 @@ def held(path: Path, truth: Truth, camera: Camera) -> list[Held]:
 
 
 def chi2(model: Model, clips: list[Held]) -> float:
-    """Sum of whitened squares with each clip's launch fitted and all physics frozen."""
-    places, many = np.array([c.rows.launch for c in clips]), np.concatenate([np.diag(NUDGES), -np.diag(NUDGES)])
-    rows, n = [c.rows for c in clips], len(clips)
+    """Sum of whitened squares with each clip's launch fitted and all physics frozen.
+
+    Where the search has strikers that spin, a clip counts with one that does or one that rolls, whichever fits.
+    """
+    launches = np.array([c.rows.launch for c in clips])
+    ways = [launches] if launches.shape[1] == len(NUDGES) else [launches, launches[:, : len(NUDGES)]]
+    found = []
+    for way in ways:
+        with suppress(ValueError):
+            found.append(_fitted(model, way, clips))
+    if not found:
+        raise ValueError("no motion")
+    return float(np.min(found, axis=0).sum())
+
+
+def _fitted(model: Model, places: Array, clips: list[Held]) -> Array:
+    """Of each clip, (n,): the whitened squares with its launch, (n, p) to start from, fitted. Raises ValueError."""
+    rows, n, size = [c.rows for c in clips], len(clips), places.shape[1]
+    nudges, free = SPUN[:size], launch_numbers(places)
+    many = np.concatenate([np.diag(nudges), -np.diag(nudges)])
 
     def left(at: Array) -> list[Array]:
         there = where(model, at, rows)
@@ -56,17 +75,18 @@ def chi2(model: Model, clips: list[Held]) -> float:
 
     now = left(places)
     for _ in range(8):
-        moved = where(model, (places[None] + many[:, None]).reshape(-1, 6), rows * 12)
-        steps = []
+        moved = where(model, (places[None] + many[:, None] * free).reshape(-1, size), rows * (2 * size))
+        steps = np.zeros((n, size))
         for k, c in enumerate(clips):
-            slopes = [(moved[j * n + k] - moved[(j + 6) * n + k]).ravel() / (2 * NUDGES[j]) for j in range(6)]
-            steps.append(np.linalg.lstsq(c.root @ np.stack(slopes, axis=-1), now[k], rcond=None)[0])
-        gained, places = sum(float(x @ x) for x in now), places + np.array(steps)
+            slopes = [(moved[j * n + k] - moved[(j + size) * n + k]).ravel() / (2 * nudges[j]) for j in range(size)]
+            slope = c.root @ np.stack(slopes, axis=-1)[:, free[k]]
+            steps[k, free[k]] = np.linalg.lstsq(slope, now[k], rcond=None)[0]
+        gained, places = sum(float(x @ x) for x in now), places + steps
         now = left(places)
         gained -= sum(float(x @ x) for x in now)
         if abs(gained) < 1e-3:
             break
-    return sum(float(x @ x) for x in now)
+    return np.array([float(x @ x) for x in now])
 
 
 def gap(truth: Truth, answer: dict[str, Any], folder: Path) -> dict[str, float]:

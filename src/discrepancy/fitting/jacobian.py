@@ -150,13 +150,13 @@ def launch_derivatives(model: Model, launches: Array, clips: Sequence[Measured])
 
 
 def _nudged(model: Model, launches: Array, clips: Sequence[Measured]) -> tuple[list[Array], list[Array]]:
-    k, size = launches.shape
-    nudges = LAUNCH_STEP * np.concatenate([np.zeros((1, size)), np.eye(size)])[:, None] * free(launches)
+    (k, size), own = launches.shape, free(launches)
+    nudges = LAUNCH_STEP * np.concatenate([np.zeros((1, size)), np.eye(size)])[:, None] * own
     every = forecast(model, (launches[None] + nudges).reshape(-1, size), list(clips) * len(nudges))
     slopes = [
         np.stack([(every[(1 + j) * k + i] - every[i]) / LAUNCH_STEP for j in range(size)], axis=-1) for i in range(k)
-    ]
-    return every[:k], slopes
+    ]  # unmoved launches differ too, by rounding: the steps of their integration are of all that are solved together
+    return every[:k], [s * free_here for s, free_here in zip(slopes, own, strict=True)]
 
 
 def _at_the_edge(model: Model, launch: Array, clip: Measured) -> tuple[list[Array], list[Array]]:

@@ -153,7 +153,7 @@ class FreeLaw(ABC):
         if len(self.axes) == 2:
             first, second = (a.basis(v) for a, v in zip(self.axes, x, strict=True))
             grid = parts.reshape(self.parts, self.axes[0].count, -1)
-            out = np.einsum("...i,...j,pij->...p", first, second, grid, optimize=True)
+            out = np.einsum("...pj,...j->...p", np.tensordot(first, grid, (-1, 1)), second)
         else:
             out = self.axes[0].basis(x[0]) @ parts.T
         if self.centred:

@@ -5,7 +5,7 @@ import pytest
 from discrepancy_clips import exact
 
 from discrepancy.fitting.gauss_newton import linearised
-from discrepancy.fitting.jacobian import derivatives
+from discrepancy.fitting.jacobian import derivatives, launch_derivatives
 from discrepancy.fitting.model_fit import Evidence
 from discrepancy.fitting.parameters import BASE, candidates
 from discrepancy.fitting.predict import forecast
@@ -38,3 +38,14 @@ def test_score_tests_beside_such_a_model():
     (drag,) = (c for c in candidates(model, fit.names) if c.name == "air_drag")
     (scored,) = ScoreTests.of(evidence, fit, only=[drag]).ranking()
     assert np.isfinite(scored.sigma)
+
+
+def test_what_is_not_free_moves_nothing():
+    """No side spin but in one clip: no slope by it elsewhere, nor by slips; rounding would make steps of 10^5 m/s."""
+    waves = {"plate_waviness.a": 3e-6, "plate_waviness.b": 1.5e-6, "plate_waviness.wavelength": 0.02}
+    model, spins = Model().replace(waves), [[0.0, 0.0, 0.01], *[[0.0, 0.0, 0.0]] * 11]
+    clips = exact(model, 12, 3, spins=spins)
+    _, slopes = launch_derivatives(model, np.array([clip.launch for clip in clips]), clips)
+    assert np.abs(slopes[0][..., 8]).max() > 1e-3
+    assert not any(s[..., 6:8].any() for s in slopes)
+    assert not any(s[..., 8].any() for s in slopes[1:])
