@@ -46,6 +46,7 @@ NEEDS = {  # what falls with a slide end that the clip does not show, by ball
 }
 NEEDS_START = ("r", "s", "mu_k", "C")  # what falls with a slide too short to show the velocity just after the hit
 BY_LAWS = ("C", "w1n", "w1t", "w2n", "w2t")  # what the free fit infers of spins by laws that a misfit puts in doubt
+AT_THE_HIT = ("t_c", "v0", "b", "r", "s")  # what differences show whatever the balls do afterwards
 NEEDS_BOTH = ("energy_fraction", "momentum_fraction", "final_angle")
 UNLIKELY = 10.0  # standard deviations of chi^2 beyond which a lone ball was not rolling freely
 NO_DIAMETER = "no ball_diameter in the camera file: a collision is measured by where balls of that diameter touch"
@@ -155,6 +156,8 @@ def _collision(
     row |= _values(read, camera) | _noise(read.meeting.pair.striker, camera)
     row |= _judged(read, distant(*touching(read.free, camera)))
     row |= painter_behringer.columns(met, camera)
+    if row["status"] == MISFIT:
+        row |= {f"{name}_paper_std": np.nan for name in NAMES if name not in AT_THE_HIT}
     return (row, unknown) if row["status"] == MISFIT else (row, _left(read, pasts))
 
 
