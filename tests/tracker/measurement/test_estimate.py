@@ -64,7 +64,7 @@ def test_tracks_smoothed_over_a_hit_are_a_misfit_not_no_collision(benchmark):
                 xy[rows] = gaussian_filter1d(xy[rows], 2, mode="nearest")
         (row,) = measure(tracks, camera)
         said.append(row["status"])
-        assert np.isnan([row["r_std"], row["mu_k_paper_std"], row["C_paper_std"], row["tau1_paper_std"]]).all()
+        assert np.isnan([row["r_std"], row["tau2_paper_std"], row["v2f_paper_std"], row["drag_paper_std"]]).all()
         assert np.isfinite([row["v0_paper_std"], row["r_paper_std"]]).all()
     assert set(said) == {"misfit"}
 
