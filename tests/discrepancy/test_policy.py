@@ -282,8 +282,8 @@ def test_all_clips_must_ask_for_a_claim_by_three_sigma(sigma, stands):
     assert refused(BORNE, Held((1.0, 1.01), 9.0, 9.0)) != ""
 
 
-@pytest.mark.parametrize(("sigma", "stands"), [(7.0, False), (11.0, True)])
-def test_beside_an_unknown_law_a_name_needs_nine_sigma(monkeypatch, sigma, stands):
+@pytest.mark.parametrize(("sigma", "stands"), [(18.0, False), (24.0, True)])
+def test_beside_an_unknown_law_a_name_needs_twenty_sigma(monkeypatch, sigma, stands):
     for name in ("refilled", "in_turn"):
         monkeypatch.setattr(stand, name, lambda *_: Made(score=500.0))
     for name, said in (("_unseen", None), ("_held", (BORNE, BORNE)), ("_free_law", None)):
@@ -304,12 +304,12 @@ def test_beside_an_unknown_law_a_name_needs_nine_sigma(monkeypatch, sigma, stand
     ("law", "free", "left", "levels"),
     [
         (None, False, 4.5, [4.2, 4.2]),
-        (None, False, 5.5, [9.0, 9.0]),
-        ("law", False, 0.0, [9.0, 4.2]),
-        ("law", True, 0.0, [9.0, 9.0]),
+        (None, False, 5.5, [20.0, 20.0]),
+        ("law", False, 0.0, [20.0, 4.2]),
+        ("law", True, 0.0, [20.0, 20.0]),
     ],
 )
-def test_nine_sigma_are_asked_beside_what_is_unknown_and_where_a_law_was_withdrawn(
+def test_twenty_sigma_are_asked_beside_what_is_unknown_and_where_a_law_was_withdrawn(
     monkeypatch, law, free, left, levels
 ):
     asked = []
