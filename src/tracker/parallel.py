@@ -17,6 +17,7 @@ from typing import Any, TypeVar
 import cv2
 
 from commandline.errors import InputError
+from commandline.workers import leave_with_parent
 
 T = TypeVar("T")
 MALLOPT = (-1, -3)  # M_TRIM_THRESHOLD, M_MMAP_THRESHOLD of malloc.h
@@ -72,6 +73,7 @@ _TASK: dict[str, Callable[[int], Any]] = {}  # of a process here; it may know of
 
 
 def _hold(task: Callable[[int], Any]) -> None:
+    leave_with_parent()
     _TASK["task"] = task
 
 

@@ -4,11 +4,15 @@ from __future__ import annotations
 
 import itertools
 import operator
+import signal
+import subprocess
+import sys
 import threading
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
+from processes import alive, until
 
 from tracker import parallel
 
@@ -46,3 +50,24 @@ def test_work_is_sent_once_to_a_process_not_with_each_number(monkeypatch):
     done = list(parallel.in_parallel(Counted(), range(60), 2, Path()))
     assert sorted(done) == sorted(n.bit_length() for n in range(60))
     assert Counted.sent == 1
+
+
+BUSY = """
+import time
+from pathlib import Path
+from tracker.parallel import in_parallel
+
+if __name__ == "__main__":
+    list(in_parallel(time.sleep, [0.01] * 2 + [60] * 4, 3, Path()))
+"""
+
+
+@pytest.mark.skipif(not Path("/proc").exists(), reason="reads /proc")
+@pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGTERM])
+def test_workers_do_not_outlive_a_killed_parent(how, tmp_path):
+    (tmp_path / "busy.py").write_text(BUSY)
+    first = subprocess.Popen([sys.executable, str(tmp_path / "busy.py")], start_new_session=True)
+    assert until(lambda: len(alive(first.pid)) >= 3)
+    first.send_signal(how)
+    first.wait()
+    assert until(lambda: not alive(first.pid))

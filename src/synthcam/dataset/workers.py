@@ -5,7 +5,6 @@ from __future__ import annotations
 import multiprocessing
 import os
 import signal
-import threading
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
@@ -14,6 +13,7 @@ from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
 
 from commandline.errors import InputError
+from commandline.workers import leave_with_parent
 
 Work = Callable[[int], str]
 Worker = tuple[BaseProcess, deque[int]]  # and the numbers that it was given, the first of which it is at
@@ -137,7 +137,7 @@ def _end(process: BaseProcess) -> str:
 
 def _serve(pipe: Connection, prepare: Callable[[], Work]) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent decides
-    threading.Thread(target=_leave_with_parent, daemon=True).start()
+    leave_with_parent()
     try:
         work = prepare()
         while (number := pipe.recv()) is not None:
@@ -146,11 +146,3 @@ def _serve(pipe: Connection, prepare: Callable[[], Work]) -> None:
         return
     except Exception as error:
         pipe.send(error)
-
-
-def _leave_with_parent() -> None:
-    """Without this, workers of a killed parent would wait for ever, or write into the folder of the next run."""
-    parent = multiprocessing.parent_process()
-    if parent is not None:
-        parent.join()
-        os._exit(1)

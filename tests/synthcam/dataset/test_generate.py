@@ -12,6 +12,7 @@ import time
 from pathlib import Path
 
 import pytest
+from processes import alive, until
 
 from commandline.errors import InputError
 from synthcam.dataset import generate
@@ -241,21 +242,5 @@ def test_workers_do_not_outlive_a_killed_parent(tmp_path):
         time.sleep(0.002)
     first.kill()
     first.wait()
-    deadline = time.monotonic() + 5
-    while time.monotonic() < deadline and alive(first.pid):
-        time.sleep(0.05)
-    assert alive(first.pid) == []
+    assert until(lambda: not alive(first.pid))
     shutil.rmtree(tmp_path / "d.partial")
-
-
-def alive(session):
-    """Processes of a session that still run."""
-    found = []
-    for stat in Path("/proc").glob("[0-9]*/stat"):
-        try:
-            fields = stat.read_text().rpartition(")")[2].split()
-        except OSError:
-            continue
-        if int(fields[3]) == session and fields[0] != "Z":
-            found.append(stat.parent.name)
-    return found
