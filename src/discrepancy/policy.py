@@ -239,6 +239,13 @@ FEWEST_COLLISIONS = 6
 # Frames in which each ball must be seen before the contact. Chosen: a straight path and one to spare.
 FEWEST_FRAMES_BEFORE_CONTACT = 3
 
+# Frames after a hit, in which both balls are to be seen, to find the hit where tracks start at it. Chosen: twice the
+# numbers of two parabolas that join.
+FRAMES_AFTER_HIT = 10
+
+# Frames, at most, between such a hit and the first one in which both balls are seen. Chosen; not derived.
+UNSEEN_AFTER_HIT = 5.0
+
 # Times by which noise over whole phases may be larger than what is new of it from frame to frame, before it is said
 # that it may be missing physics: real billiard tracks had 2.8 mm beside .2 to .5 mm. Chosen; not derived.
 SLOW_NOISE = 3.0

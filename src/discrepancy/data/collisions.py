@@ -14,6 +14,7 @@ import pandas as pd
 from commandline.errors import InputError as InputError
 from discrepancy import policy
 from discrepancy.arrays import Array, Ints
+from discrepancy.data.after_hit import Hit, after_hit
 from discrepancy.data.even_times import cannot_be_evened, clock_start, evened, uneven
 from discrepancy.data.launch import HEADING, T_C, V0, B, alike, spin
 from discrepancy.data.sanity import exchanged, wrong_units
@@ -248,23 +249,24 @@ def _table(path: Path, camera: Path) -> Source:
 
 
 def collision(tracks: Tracks, row: Mapping[Any, Any], camera: Camera) -> Measured | str:
-    """The collision that `row` of the estimates describes, or why it cannot be used."""
-    if row["status"] not in MEASURED:  # what a misfit lacks is what a search looks for
-        return str(row["status"])
-    guess = np.array([_guess(row, name) for name in ("t_c", "v0", "b", "tau1", "tau2")])
-    if not np.all(np.isfinite(guess)):
-        return "no estimate of the contact"
-    start = clock_start(tracks, camera)
+    """The collision that `row` of the estimates describes, or why it cannot be used.
+
+    Where the tracker has none, tracks that start at the hit may still show it.
+    """
+    measured, start = row["status"] in MEASURED, clock_start(tracks, camera)  # what a misfit lacks is what we look for
+    hit = _told(row, start) if measured else after_hit(tracks, camera)
+    if hit is None:
+        return "no estimate of the contact" if measured else str(row["status"])
+    if hit.launch is None and _frames_before(tracks, hit, camera) < policy.FEWEST_FRAMES_BEFORE_CONTACT:
+        hit = after_hit(tracks, camera, hit.t_c)
+        if hit is None:
+            return f"a ball is seen in fewer than {policy.FEWEST_FRAMES_BEFORE_CONTACT} frames before the contact"
     tracks = replace(tracks, time=tracks.time - start)
-    t_c, v0, b, *taus = guess - np.array([start, 0, 0, 0, 0])
-    ends = t_c + np.array(taus)
-    names = [row["particle1"], row["particle2"]]
     if (moved := uneven(tracks, camera)) > policy.UNEVEN_TIMES:
-        tracks = evened(tracks, [np.flatnonzero(tracks.particle == name) for name in names], t_c, ends, camera)
-    pair = [tracks.particle == name for name in names]
-    early = tracks.frame / camera.fps + camera.exposure <= t_c
-    if any((early & rows).sum() < policy.FEWEST_FRAMES_BEFORE_CONTACT for rows in pair):
-        return f"a ball is seen in fewer than {policy.FEWEST_FRAMES_BEFORE_CONTACT} frames before the contact"
+        balls = [np.flatnonzero(tracks.particle == name) for name in hit.names]
+        tracks = evened(tracks, balls, hit.t_c, hit.ends, camera)
+    pair = [tracks.particle == name for name in hit.names]
+    early = tracks.frame / camera.fps + camera.exposure <= hit.t_c
     rows = np.concatenate([np.flatnonzero(ball) for ball in pair])
     frame, early = tracks.frame[rows], early[rows]
     ball = np.repeat([0, 1], [pair[0].sum(), pair[1].sum()])
@@ -275,12 +277,10 @@ def collision(tracks: Tracks, row: Mapping[Any, Any], camera: Camera) -> Measure
     resting = early & (ball == 0)
     covariance, fixed = (slope @ c @ np.swapaxes(slope, 1, 2) for c in (spread, steady))
     covariance[resting] -= fixed[resting]
-    coming = early & (ball == 1)
-    heading = _heading(frame[coming], xy[coming])
-    pull = _acceleration(frame[coming] / camera.fps, xy[coming])
-    d = np.array([np.cos(heading), np.sin(heading)])
-    n = np.sqrt(max(1 - b * b, 0.0)) * d - b * np.array([-d[1], d[0]])
-    place = xy[early & (ball == 0)].mean(axis=0) - camera.radius * n
+    launch = hit.launch
+    if launch is None:
+        coming = early & (ball == 1)
+        launch = _launch(hit, row, frame[coming] / camera.fps, xy[coming], xy[resting].mean(axis=0), camera.radius)
     return Measured(
         clip=int(row["clip"]),
         striker=str(row["striker"]),
@@ -289,11 +289,35 @@ def collision(tracks: Tracks, row: Mapping[Any, Any], camera: Camera) -> Measure
         ball=ball,
         xy=xy,
         covariance=covariance,
-        launch=np.array([*place, t_c, v0, heading, b, *spin(row, heading, v0, pull)]),
-        ends=ends,
-        offset=float(np.sqrt(np.trace(fixed[resting], axis1=1, axis2=2).mean() / 2)),
+        launch=launch,
+        ends=hit.ends,
+        offset=float(np.sqrt(np.trace(fixed[resting], axis1=1, axis2=2).mean() / 2)) if resting.any() else 0.0,
         moved=moved if moved > policy.UNEVEN_TIMES else 0.0,
     )
+
+
+def _frames_before(tracks: Tracks, hit: Hit, camera: Camera) -> int:
+    """The frames in which each ball is seen before the contact."""
+    early = tracks.frame / camera.fps + camera.exposure <= hit.t_c
+    return int(min((early & (tracks.particle == name)).sum() for name in hit.names))
+
+
+def _told(row: Mapping[Any, Any], start: float) -> Hit | None:
+    """The hit by the tracker's estimates, its clock begun at `start`, s; None where they leave something open."""
+    guess = np.array([_guess(row, name) for name in ("t_c", "v0", "b", "tau1", "tau2")])
+    if not np.all(np.isfinite(guess)):
+        return None
+    t_c = guess[0] - start
+    return Hit((row["particle1"], row["particle2"]), t_c, guess[1], guess[2], t_c + guess[3:])
+
+
+def _launch(hit: Hit, row: Mapping[Any, Any], times: Array, coming: Array, resting: Array, radius: float) -> Array:
+    """The launch (9,) of a striker seen at `times` (n,), s, and places `coming` (n, 2), m, and a ball resting there."""
+    heading = _heading(times, coming)
+    d, b = np.array([np.cos(heading), np.sin(heading)]), hit.b
+    n = np.sqrt(max(1 - b * b, 0.0)) * d - b * np.array([-d[1], d[0]])
+    spins = spin(row, heading, hit.v0, _acceleration(times, coming))
+    return np.array([*(resting - radius * n), hit.t_c, hit.v0, heading, b, *spins])
 
 
 def _guess(row: Mapping[Any, Any], name: str) -> float:
@@ -302,8 +326,8 @@ def _guess(row: Mapping[Any, Any], name: str) -> float:
     return free if np.isfinite(free) else float(row[name])
 
 
-def _heading(frame: Ints, xy: Array) -> float:
-    velocity = np.polyfit(frame - frame.mean(), xy, 1)[0]
+def _heading(times: Array, xy: Array) -> float:
+    velocity = np.polyfit(times - times.mean(), xy, 1)[0]
     return float(np.arctan2(velocity[1], velocity[0]))
 
 
