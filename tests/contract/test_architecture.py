@@ -14,7 +14,7 @@ FILES = sorted(SRC.rglob("*.py"))
 # Rooms and files of each package, from the bottom up: one may import from rows above its own, never from its own row or
 # from one below. A file that stands in no row counts as its folder.
 LAYERS = {
-    "commandline": ["errors", "outputs application dask_workers"],
+    "commandline": ["errors", "outputs application dask_workers workers"],
     "synthcam": [
         "settings effect table",
         "effects free_law",

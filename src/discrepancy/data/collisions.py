@@ -280,7 +280,7 @@ def collision(tracks: Tracks, row: Mapping[Any, Any], camera: Camera) -> Measure
     launch = hit.launch
     if launch is None:
         coming = early & (ball == 1)
-        launch = _launch(hit, row, frame[coming] / camera.fps, xy[coming], xy[resting].mean(axis=0), camera.radius)
+        launch = _launch(hit, row, frame[coming], xy[coming], xy[resting].mean(axis=0), camera)
     return Measured(
         clip=int(row["clip"]),
         striker=str(row["striker"]),
@@ -311,13 +311,13 @@ def _told(row: Mapping[Any, Any], start: float) -> Hit | None:
     return Hit((row["particle1"], row["particle2"]), t_c, guess[1], guess[2], t_c + guess[3:])
 
 
-def _launch(hit: Hit, row: Mapping[Any, Any], times: Array, coming: Array, resting: Array, radius: float) -> Array:
-    """The launch (9,) of a striker seen at `times` (n,), s, and places `coming` (n, 2), m, and a ball resting there."""
-    heading = _heading(times, coming)
+def _launch(hit: Hit, row: Mapping[Any, Any], frame: Ints, coming: Array, resting: Array, camera: Camera) -> Array:
+    """The launch (9,) of a striker seen in frames (n,) at places `coming` (n, 2), m, and a ball resting there."""
+    heading = _heading(frame, coming)
     d, b = np.array([np.cos(heading), np.sin(heading)]), hit.b
     n = np.sqrt(max(1 - b * b, 0.0)) * d - b * np.array([-d[1], d[0]])
-    spins = spin(row, heading, hit.v0, _acceleration(times, coming))
-    return np.array([*(resting - radius * n), hit.t_c, hit.v0, heading, b, *spins])
+    spins = spin(row, heading, hit.v0, _acceleration(frame / camera.fps, coming))
+    return np.array([*(resting - camera.radius * n), hit.t_c, hit.v0, heading, b, *spins])
 
 
 def _guess(row: Mapping[Any, Any], name: str) -> float:
@@ -326,8 +326,8 @@ def _guess(row: Mapping[Any, Any], name: str) -> float:
     return free if np.isfinite(free) else float(row[name])
 
 
-def _heading(times: Array, xy: Array) -> float:
-    velocity = np.polyfit(times - times.mean(), xy, 1)[0]
+def _heading(frame: Ints, xy: Array) -> float:
+    velocity = np.polyfit(frame - frame.mean(), xy, 1)[0]
     return float(np.arctan2(velocity[1], velocity[0]))
 
 
