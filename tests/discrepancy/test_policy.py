@@ -300,6 +300,18 @@ def test_beside_an_unknown_law_a_name_needs_twenty_sigma(monkeypatch, sigma, sta
     assert (claims[0].why == "") is stands
 
 
+@pytest.mark.parametrize(("end", "stands"), [("", True), ("its bounce stands at 0.9, the end of its range", False)])
+def test_an_effect_whose_shape_is_at_an_end_of_its_range_is_not_claimed(monkeypatch, end, stands):
+    named = Made(sigma=30.0, aliases=("hop",), at_end_of_range=lambda: end)
+    steps = Made(named=lambda state: (named,), less=lambda *_: Made(best=None))
+    monkeypatch.setattr(stand.Validation, "_between", lambda *_: (BORNE, BORNE))
+    monkeypatch.setattr(stand, "change", lambda *_: Made(refuses=lambda sigma: ""))
+    looked = Made(state=(Made(name="hop", strengths=()),), best=None, claim=4.2)
+    claims, *_ = stand.Validation(steps, None, (), None, NOISE, lambda: None)._claims(looked, None, 4.2)
+    assert claims[0].why == end
+    assert (claims[0].why == "") is stands
+
+
 @pytest.mark.parametrize(
     ("law", "free", "left", "levels"),
     [

@@ -103,7 +103,7 @@ class Validation:
             left[effect] = selected, less
             why = "" if own > max(level, selected.claim) and less.score > free_law.score else UNSURE
             held = self._held(own, (self._unseen(less), with_), (in_turn(less), turned))
-            claims.append(Claim(effect, own, *held, why or refused(*held)))
+            claims.append(Claim(effect, own, *held, why or refused(*held) or named[-1].at_end_of_range()))
         left[free_law.law.name] = selected, None
         return [*claims, self._free_law(selected, free_law, with_, turned)], left, tuple(named)
 
@@ -113,7 +113,8 @@ class Validation:
             less = self.steps.less(selected, candidate)
             left[candidate.name] = less, None
             held = self._between(named.sigma, less.best, selected.best)
-            why = refused(*held) if named.sigma > max(level, selected.claim) else UNSURE
+            sure = named.sigma > max(level, selected.claim)
+            why = refused(*held) or named.at_end_of_range() if sure else UNSURE
             for alias in named.aliases[1:] if why and why != UNSURE else ():
                 other = self.steps.instead(selected, candidate, alias)
                 if other and not refused(*self._between(named.sigma, less.best, other.best)):

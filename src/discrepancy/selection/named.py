@@ -81,10 +81,17 @@ class Named:
 
     def at_limit(self, name: str) -> bool:
         """Whether a strength stands at the end of what its effect allows: it might lie beyond, so it has no error."""
-        if name not in self.values:
-            return False
-        value, p = self.values[name], parameter_of(Model(), name)
-        return any(abs(value - end) < 1e-6 * max(abs(end), p.typical) for end in limits_of(Model(), name))
+        return name in self.values and at_end(name, self.values[name])
+
+    def at_end_of_range(self) -> str:
+        """Why it cannot be this effect: a shape parameter at an end of its range, without an error; empty if none is.
+
+        The collisions would have it beyond: what moves the balls has another law. Zero is no such end.
+        """
+        for name, value in self.shapes.items():
+            if value != 0 and at_end(name, value) and not np.isfinite(self.shape_std[name]):
+                return f"its {name.rpartition('.')[2]} stands at {value:.3g}, the end of its range"
+        return ""
 
     def held(self, base: Model) -> bool:
         """Whether the base model has this effect, with another strength."""
@@ -118,6 +125,12 @@ def as_sure(value: float, std: float, digits: int) -> str:
     if abs(value) < 1e-4:
         return f"{value:.{figures - 1}e}"
     return f"{value:.{places}f}" if places > 0 else f"{value:.{figures}g}"
+
+
+def at_end(name: str, value: float) -> bool:
+    """Whether a parameter has the least or the greatest value that its effect allows."""
+    typical = parameter_of(Model(), name).typical
+    return any(abs(value - end) < 1e-6 * max(abs(end), typical) for end in limits_of(Model(), name))
 
 
 def determined(fit: Fit, shape: str, std: float) -> float:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from discrepancy.fitting.parameters import Candidate
-from discrepancy.selection.named import sums
+from discrepancy.selection.named import Named, sums
 from discrepancy.selection.scored import Scored
 from synthcam.library import library
 
@@ -28,3 +28,16 @@ def test_an_effect_that_is_alike_by_itself_is_in_no_pair():
     axes = np.eye(20)
     own = 0.95 * axes[:, :1] + np.sqrt(1 - 0.95**2) * axes[:, 1:2]
     assert sums(own, [scored("one", axes[:, :1]), scored("other", axes[:, 1:2])]) == ()
+
+
+def hop(bounce, std):
+    return Named(
+        "hop", {"hop.share": 0.02}, {"hop.share": 0.002}, 20.0, ("hop",), {"hop.bounce": bounce}, {"hop.bounce": std}
+    )
+
+
+def test_a_shape_at_an_end_of_its_range_without_an_error_speaks_against_the_effect():
+    assert hop(0.9, np.inf).at_end_of_range() == "its bounce stands at 0.9, the end of its range"
+    assert not hop(0.0, np.inf).at_end_of_range()  # a plate that gives nothing back
+    assert not hop(0.9, 0.1).at_end_of_range()
+    assert not hop(0.4, np.inf).at_end_of_range()
