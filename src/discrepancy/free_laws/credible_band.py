@@ -28,7 +28,7 @@ AT_ONCE = 60  # columns
 ENOUGH = 12.0  # steps that share the weight: the tries are close enough
 ZOOMS = 6  # at most, into where the weight is
 LEAST = 1e-6  # of the weight: components with less have no part
-SEEN = 1e-8  # of the largest information: a step with less is in the span of the law's own parameters
+SEEN = 1e-6  # of a step's information were all else known: with less it is in the span of all else, or error of slopes
 HALVINGS = 60  # of an interval in which a quantile lies
 
 
@@ -124,7 +124,8 @@ def _tried(bare: FittedLaw, where: Array, x: Array) -> tuple[Array, Array, Array
     step = replace(law, axes=(_Steps(axis.name, axis.unit, axis.low, axis.high, len(where), where=where),))
     moves = bare.evidence.white(step.columns(fit.model, fit.launches, bare.evidence.clips))
     information, pull, own, spread, back = _seen(bare, moves)
-    seen = np.maximum(np.diag(information), SEEN * np.diag(information).max())
+    alone = sum((m**2).sum(axis=0) for m in moves) + np.finfo(float).tiny
+    seen = np.maximum(np.diag(information), SEEN * alone)
     z2 = np.maximum(pull**2 / seen, 1.0)
     size = (1 - 1 / z2) / seen  # the height's variance: none of a step that hardly shows
     here = np.array([x**power for _, power in bare.owners]).reshape(-1, len(x)).T

@@ -13,7 +13,7 @@ from discrepancy.fitting.gauss_newton import linearised, solve
 from discrepancy.fitting.jacobian import derivative
 from discrepancy.fitting.model_fit import Evidence
 from discrepancy.fitting.parameters import BASE
-from discrepancy.free_laws.credible_band import Mixture, stepped
+from discrepancy.free_laws.credible_band import Mixture, _tried, stepped
 from discrepancy.free_laws.evidence import weigh
 from discrepancy.free_laws.fitted_law import FittedLaw
 from discrepancy.free_laws.library import free_laws
@@ -121,3 +121,14 @@ def test_a_free_law_is_worth_more_where_the_law_steps_and_a_little_less_where_it
     """With a clear step the clips are a hundred times as likely, and more; of a smooth law, the one half is lost."""
     assert stepped(drawn(step, 30, seed)[0]) > 2 * np.log(100)
     assert stepped(drawn(smooth, 10, seed)[0]) == pytest.approx(-2 * np.log(2), abs=0.2)
+
+
+@pytest.mark.parametrize("size", [30, 300])
+def test_a_step_below_the_slowest_collision_is_the_constant_whatever_error_the_slopes_have(size):
+    filled, _ = drawn(smooth, size, 0)
+    bare = dataclasses.replace(filled, fit=filled.fit.explained_by(filled.moves, -filled.coefs))
+    where = np.stack(
+        [np.linspace(-1.0, -0.5, 20), np.full(20, np.log(0.025))], axis=1
+    )  # shares of the range: tanh is 1
+    gains, _, _ = _tried(bare, where, X)
+    assert gains == pytest.approx(0.0, abs=0.5)  # the law itself has a chi^2 of 20,000 and 2,000,000
