@@ -7,7 +7,7 @@ import multiprocessing
 import os
 import time
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import suppress
@@ -67,6 +67,16 @@ def in_parallel(
         except BaseException:
             pool.shutdown(wait=True, cancel_futures=True)
             raise
+
+
+def in_order(given: Iterable[tuple[int, T]], numbers: Iterable[int]) -> Iterator[T]:
+    """What tasks gave, (number, value) in whatever order, in that of the numbers; early ones are kept till then."""
+    early: dict[int, T] = {}
+    values = iter(given)
+    for number in numbers:
+        while number not in early:
+            early |= [next(values)]
+        yield early.pop(number)
 
 
 _TASK: dict[str, Callable[[int], Any]] = {}  # of a process here; it may know of a million clips, and is sent once

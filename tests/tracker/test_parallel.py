@@ -17,6 +17,17 @@ from processes import alive, until
 from tracker import parallel
 
 
+def test_what_tasks_gave_is_put_in_order_as_soon_as_it_can_be():
+    def given():
+        yield from [(7, "seven"), (5, "five"), (9, "nine")]
+        raise AssertionError("asked for more before it was needed")
+
+    ordered = parallel.in_order(given(), [5, 7, 9, 11])
+    assert [next(ordered) for _ in range(3)] == ["five", "seven", "nine"]
+    with pytest.raises(AssertionError):
+        next(ordered)
+
+
 @pytest.mark.parametrize(("seconds", "elsewhere"), [(0.0, 0), (2.0, 2)])
 def test_processes_start_where_there_is_much_to_do(monkeypatch, seconds, elsewhere):
     """With three of five clips to come, each of so many seconds; this process does the third of them."""

@@ -1,8 +1,12 @@
-"""Detections held to the true positions: missed, false, how far off, and how that compares with the bound."""
+"""Detections held to the true positions: missed, false, how far off, and how that compares with the bound.
+
+All are sums first and figures last, so clips pool by adding.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterable
+from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -101,46 +105,94 @@ def bounds(matched: Matched, camera: Camera) -> Floats:
     return out
 
 
-def localisation(clips: list[tuple[Matched, Floats]]) -> dict[str, float]:
-    """The contract's localisation figures over clips of (matched, bounds).
+@dataclass(frozen=True)
+class PositionSums:
+    """Sums over the positions of clips, which add.
 
-    rmse_px, bound_px per axis; phase_bias_px: peak to peak of the error's first harmonic in the sub-pixel phase
-    of moving balls, the worse axis, less what noise makes of it.
+    Attributes
+    ----------
+    n, missed, false : int
+    squares : float
+        Of the errors, both axes, px^2.
+    bound : float
+        Of the traces of the bounds' covariances, px^2.
+    waves : (2, 3, 3) array
+        Of each axis, over moving balls: products of cos, sin and 1 of the sub-pixel phase.
+    errors : (2, 3) array
+        Of each axis: the errors of moving balls times these, px.
+    moving_squares : (2,) array
+        Of each axis: their squares, px^2.
     """
-    off = np.concatenate([m.off for m, _ in clips]) if clips else np.empty((0, 2))
-    cov = np.concatenate([c for _, c in clips]) if clips else np.empty((0, 2, 2))
-    rmse = float(np.sqrt((off**2).mean())) if len(off) else np.nan
-    bound = float(np.sqrt(np.trace(cov, axis1=1, axis2=2).mean() / 2)) if len(off) else np.nan
-    return {
-        "n": len(off),
-        "missed": sum(m.missed for m, _ in clips),
-        "false": sum(m.false for m, _ in clips),
-        "rmse_px": rmse,
-        "bound_px": bound,
-        "ratio": rmse / bound if bound else np.nan,
-        "phase_bias_px": _phase_bias([m for m, _ in clips]),
-    }
+
+    n: int
+    missed: int
+    false: int
+    squares: float
+    bound: float
+    waves: Floats
+    errors: Floats
+    moving_squares: Floats
+
+    @classmethod
+    def none(cls) -> PositionSums:
+        """Those of no clip."""
+        return cls(0, 0, 0, 0.0, 0.0, np.zeros((2, 3, 3)), np.zeros((2, 3)), np.zeros(2))
+
+    @classmethod
+    def of(cls, matched: Matched, cov: Floats) -> PositionSums:
+        """Those of one clip; cov (n, 2, 2) px^2: the bounds of its pairs."""
+        off, true, moving = matched.off, _true(matched.truth)[matched.pairs[:, 0]], _moving(matched)
+        waves, errors, squares = np.zeros((2, 3, 3)), np.zeros((2, 3)), np.zeros(2)
+        for axis in (0, 1):
+            phase, error = (x[moving[:, axis], axis] for x in (true, off))
+            terms = np.stack([np.cos(2 * np.pi * phase), np.sin(2 * np.pi * phase), np.ones_like(phase)])
+            waves[axis], errors[axis], squares[axis] = terms @ terms.T, terms @ error, error @ error
+        trace = float(np.trace(cov, axis1=1, axis2=2).sum())
+        return cls(len(off), matched.missed, matched.false, float((off**2).sum()), trace, waves, errors, squares)
+
+    def __add__(self, other: PositionSums) -> PositionSums:
+        return PositionSums(*(getattr(self, f.name) + getattr(other, f.name) for f in fields(self)))
+
+    def figures(self) -> dict[str, float]:
+        """The contract's localisation figures.
+
+        rmse_px, bound_px per axis; phase_bias_px: peak to peak of the error's first harmonic in the sub-pixel phase
+        of moving balls, the worse axis, less what noise makes of it.
+        """
+        rmse, bound = (float(np.sqrt(x / (2 * self.n))) if self.n else np.nan for x in (self.squares, self.bound))
+        return {
+            "n": self.n,
+            "missed": self.missed,
+            "false": self.false,
+            "rmse_px": rmse,
+            "bound_px": bound,
+            "ratio": rmse / bound if bound else np.nan,
+            "phase_bias_px": self._phase_bias(),
+        }
+
+    def _phase_bias(self) -> float:
+        worst = np.nan
+        for waves, errors, squares in zip(self.waves, self.errors, self.moving_squares, strict=True):
+            count, mean = waves[2, 2], errors[2] / max(waves[2, 2], 1.0)
+            if count < 20:
+                continue
+            fit = np.linalg.pinv(waves, rcond=1e-12, hermitian=True) @ errors
+            noise = (
+                4 * (squares / count - mean**2) / count
+            )  # square of the amplitude that noise alone makes, on average
+            worst = np.fmax(worst, 2 * np.sqrt(max(fit[0] ** 2 + fit[1] ** 2 - noise, 0.0)))
+        return float(worst)
 
 
-def _phase_bias(clips: list[Matched]) -> float:
-    phases, errors = [], []
-    for m in clips:
-        rows = m.pairs[:, 0]
-        pace = m.truth.sort_values("frame").groupby("particle")[["x_mean_px", "y_mean_px"]].diff().abs()
-        moving = pace.reindex(m.truth.index).to_numpy(float)[rows] > MOVING_PX
-        phases.append(np.where(moving, _true(m.truth)[rows], np.nan))
-        errors.append(m.off)
-    worst = np.nan
-    for axis in (0, 1):
-        phase, error = (np.concatenate([np.empty((0, 2)), *part])[:, axis] for part in (phases, errors))
-        phase, error = phase[np.isfinite(phase)], error[np.isfinite(phase)]
-        if len(phase) < 20:
-            continue
-        waves = np.column_stack([np.cos(2 * np.pi * phase), np.sin(2 * np.pi * phase), np.ones_like(phase)])
-        fit = np.linalg.lstsq(waves, error, rcond=None)[0]
-        noise = 4 * error.var() / len(error)  # square of the amplitude that noise alone makes, on average
-        worst = np.fmax(worst, 2 * np.sqrt(max(fit[0] ** 2 + fit[1] ** 2 - noise, 0.0)))
-    return float(worst)
+def localisation(clips: Iterable[tuple[Matched, Floats]]) -> dict[str, float]:
+    """The contract's localisation figures, as of `PositionSums`, over clips of (matched, bounds)."""
+    return sum((PositionSums.of(*clip) for clip in clips), PositionSums.none()).figures()
+
+
+def _moving(matched: Matched) -> NDArray[np.bool_]:
+    """(n, 2): whether the ball of a pair moves along each axis."""
+    pace = matched.truth.sort_values("frame").groupby("particle")[["x_mean_px", "y_mean_px"]].diff().abs()
+    return np.asarray(pace.reindex(matched.truth.index).to_numpy(float)[matched.pairs[:, 0]] > MOVING_PX)
 
 
 def _true(truth: pd.DataFrame) -> Floats:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -15,17 +15,15 @@ from commandline.errors import InputError
 from tracker.camera.camera import Camera
 from tracker.measurement.collision.adequacy import MEASURED, MISFIT
 from tracker.measurement.collision.derived import NAMES
-from tracker.parallel import in_parallel
+from tracker.parallel import in_order, in_parallel
 from tracker.results import finite, write_json
 from tracker.scoring.error_bars import quantity_bounds, quantity_scores, true_motion
-from tracker.scoring.localisation import Matched, bounds, localisation, match
-from tracker.scoring.tracking_metrics import GATE_PX, Dots, tracking_scores
+from tracker.scoring.localisation import Matched, PositionSums, bounds, match
+from tracker.scoring.tracking_metrics import GATE_PX, Dots, TrackingCounts
 
 Floats = NDArray[np.float64]
 TRUTH = "clip v0 b t_c r mu_k C drag decel"  # columns of clips.parquet that are needed, and of a clip's tracks
 TRACKS = "frame t_s particle visible x y z vx vy vz glint_x_px glint_y_px x_mean_px y_mean_px"
-KEPT = ["frame", "particle", "x", "y"]  # what the figures over all clips need
-KEPT_TRUE = ["frame", "particle", "visible", "x_mean_px", "y_mean_px"]
 OF_ONE_BALL = ("drag", "decel")  # what a clip without a collision is held to
 
 
@@ -104,16 +102,16 @@ def score(
     estimates = _table(results / "estimates.parquet", "results of tracker track", "clip collision status")
     task = partial(_of_clip, results, dataset)
     numbers = [int(clip) for clip in scalars["clip"]]
-    held = dict(in_parallel(task, numbers, 1, results, scheduler))
-    every = [held[clip] for clip in numbers]
-    clips = [(one.matched, one.cov) for one in every]
-    dots = [dots_of(one.matched) for one in every]
-    table = joined(scalars, estimates, pd.DataFrame([{"clip": k, **held[k].bounds} for k in numbers]))
+    positions, tracking, limits = PositionSums.none(), TrackingCounts.none(), []
+    for one in in_order(in_parallel(task, numbers, 1, results, scheduler), numbers):
+        positions, tracking = positions + one.positions, tracking + one.tracking
+        limits.append(one.bounds)
+    table = joined(scalars, estimates, pd.DataFrame(limits).assign(clip=numbers))
     return Score(
         suite="+".join(sorted(scalars["scene"].astype(str).unique())) if "scene" in scalars else "",
         detector=detector,
-        localisation=localisation(clips),
-        tracking=tracking_scores(dots),
+        localisation=positions.figures(),
+        tracking=tracking.scores(),
         quantities=quantity_scores(held_to(table)),
         statuses={"n": len(scalars)} | {str(k): int(v) for k, v in table["status"].value_counts().items()},
         ms_per_frame=ms_per_frame,
@@ -147,10 +145,10 @@ def _table(path: Path, what: str, columns: str) -> pd.DataFrame:
 
 
 class HeldClip(NamedTuple):
-    """A clip beside its truth: the bounds of its positions, (n, 2, 2) px^2, and of its quantities, by name."""
+    """A clip beside its truth: what adds up over clips, and the bounds of its quantities, by name."""
 
-    matched: Matched
-    cov: Floats
+    positions: PositionSums
+    tracking: TrackingCounts
     bounds: dict[str, float]
 
 
@@ -159,8 +157,7 @@ def _of_clip(results: Path, dataset: Path, clip: int) -> tuple[int, HeldClip]:
     matched = match(truth, found, GATE_PX, camera.diameter_px)
     cov = bounds(matched, camera)
     limits = _clip_bounds(matched, cov, _scalars(dataset), clip, camera)
-    slim = replace(matched, truth=truth[KEPT_TRUE].copy(), found=found[KEPT].copy())  # 24 kB of each of many clips
-    return clip, HeldClip(slim, cov, limits)
+    return clip, HeldClip(PositionSums.of(matched, cov), TrackingCounts.of(*dots_of(matched)), limits)
 
 
 def _clip(results: Path, dataset: Path, clip: int) -> tuple[pd.DataFrame, pd.DataFrame, Camera]:

@@ -9,7 +9,8 @@ ratios last, so clips pool by adding.
 
 from __future__ import annotations
 
-from collections import defaultdict
+from collections import Counter
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -57,35 +58,62 @@ class Dots:
         return int(self.track.max()) + 1 if len(self.track) else 0
 
 
-def tracking_scores(clips: list[tuple[Dots, Dots]], gate: float = GATE_PX) -> dict[str, float]:
-    """All measures over clips of (truth, found); gate in px. NaN where nothing was there to be tracked."""
-    n: defaultdict[str, float] = defaultdict(float)
-    levels = np.zeros((4, len(HOTA_LEVELS)))
-    for truth, found in clips:
-        near = _near(truth, found, gate)
+@dataclass(frozen=True)
+class TrackingCounts:
+    """Counts of clips, which add.
+
+    counts: by name. levels (4, 19): of each level of HOTA hits, misses, extras, and the sum over hits of their
+    association's Jaccard index.
+    """
+
+    counts: Counter[str]
+    levels: Floats
+
+    @classmethod
+    def none(cls) -> TrackingCounts:
+        """Those of no clip."""
+        return cls(Counter(), np.zeros((4, len(HOTA_LEVELS))))
+
+    @classmethod
+    def of(cls, truth: Dots, found: Dots, gate: float = GATE_PX) -> TrackingCounts:
+        """Those of one clip; gate in px."""
+        near, counts = _near(truth, found, gate), Counter[str]()
         for count in (_challenge(truth, found, near, gate), _clear(truth, found, near), _identity(truth, found, near)):
-            for name, value in count.items():
-                n[name] += value
-        levels += _hota(truth, found, near)
-    hits, misses, extras, linked = levels
-    with np.errstate(invalid="ignore", divide="ignore"):
-        det, ass = hits / (hits + misses + extras), linked / hits
-        hota, det_a, ass_a = (
-            float(np.mean(np.nan_to_num(level))) if n["truth"] else np.nan for level in (np.sqrt(det * ass), det, ass)
-        )
-    return {
-        "alpha": 1 - _ratio(n["distance"], n["empty"]),
-        "beta": _ratio(n["empty"] - n["distance"], n["empty"] + n["spurious"]),
-        "jsc": _ratio(n["tp"], n["tp"] + n["fn"] + n["fp"]),
-        "jsc_theta": _ratio(n["tp_track"], n["tp_track"] + n["fn_track"] + n["fp_track"]),
-        "mota": 1 - _ratio(n["clear_fn"] + n["clear_fp"] + n["swaps"], n["truth"]),
-        "motp": _ratio(n["clear_alike"], n["truth"] - n["clear_fn"]),
-        "idf1": _ratio(2 * n["idtp"], n["truth"] + n["found"]),
-        "hota": hota,
-        "deta": det_a,
-        "assa": ass_a,
-        "swaps": int(n["swaps"]),
-    }
+            counts.update(count)
+        return cls(counts, _hota(truth, found, near))
+
+    def __add__(self, other: TrackingCounts) -> TrackingCounts:
+        counts = self.counts.copy()
+        counts.update(other.counts)
+        return TrackingCounts(counts, self.levels + other.levels)
+
+    def scores(self) -> dict[str, float]:
+        """All measures; NaN where nothing was there to be tracked."""
+        n, (hits, misses, extras, linked) = self.counts, self.levels
+        with np.errstate(invalid="ignore", divide="ignore"):
+            det, ass = hits / (hits + misses + extras), linked / hits
+            hota, det_a, ass_a = (
+                float(np.mean(np.nan_to_num(level))) if n["truth"] else np.nan
+                for level in (np.sqrt(det * ass), det, ass)
+            )
+        return {
+            "alpha": 1 - _ratio(n["distance"], n["empty"]),
+            "beta": _ratio(n["empty"] - n["distance"], n["empty"] + n["spurious"]),
+            "jsc": _ratio(n["tp"], n["tp"] + n["fn"] + n["fp"]),
+            "jsc_theta": _ratio(n["tp_track"], n["tp_track"] + n["fn_track"] + n["fp_track"]),
+            "mota": 1 - _ratio(n["clear_fn"] + n["clear_fp"] + n["swaps"], n["truth"]),
+            "motp": _ratio(n["clear_alike"], n["truth"] - n["clear_fn"]),
+            "idf1": _ratio(2 * n["idtp"], n["truth"] + n["found"]),
+            "hota": hota,
+            "deta": det_a,
+            "assa": ass_a,
+            "swaps": int(n["swaps"]),
+        }
+
+
+def tracking_scores(clips: Iterable[tuple[Dots, Dots]], gate: float = GATE_PX) -> dict[str, float]:
+    """All measures over clips of (truth, found); gate in px. NaN where nothing was there to be tracked."""
+    return sum((TrackingCounts.of(*clip, gate) for clip in clips), TrackingCounts.none()).scores()
 
 
 def _ratio(part: float, whole: float) -> float:

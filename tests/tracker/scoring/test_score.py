@@ -1,6 +1,7 @@
 """Scores against hand-worked cases, Monte Carlo, and results spoiled on purpose."""
 
 import json
+import pickle
 import re
 import shutil
 
@@ -13,8 +14,8 @@ from commandline.errors import InputError
 from tracker.measurement.collision.derived import NAMES
 from tracker.measurement.estimate import measure
 from tracker.scoring.error_bars import figures, quantity_bounds, true_motion
-from tracker.scoring.localisation import bounds, localisation, match
-from tracker.scoring.score import score
+from tracker.scoring.localisation import PositionSums, bounds, localisation, match
+from tracker.scoring.score import _of_clip, score
 from tracker.scoring.tracking_metrics import Dots, tracking_scores
 
 CLIPS = 4
@@ -117,6 +118,27 @@ def test_pixel_locking_shows_as_phase_bias():
         got = localisation([(matched, np.full((len(x), 2, 2), np.nan))])
         assert got["phase_bias_px"] == pytest.approx(locked, abs=0.002)
         assert np.isnan(got["bound_px"])
+
+
+def test_clips_pool_as_all_their_positions_at_once(data, found):
+    """The figures by their definitions."""
+    clips = []
+    for clip in range(CLIPS):
+        truth, camera = truth_of(data, clip)
+        tracks = pd.read_parquet(found / "clips" / f"{clip:06d}" / "tracks.parquet")
+        matched = match(truth, tracks, 5.0, camera.diameter_px)
+        clips.append((matched, bounds(matched, camera)))
+    got = localisation(clips)
+    off, cov = (np.concatenate(parts) for parts in zip(*((m.off, c) for m, c in clips), strict=True))
+    assert got["n"] == len(off) > 300
+    assert got["rmse_px"] == pytest.approx(np.sqrt((off**2).mean()), rel=1e-12)
+    assert got["bound_px"] == pytest.approx(np.sqrt(np.mean([np.trace(c) for c in cov]) / 2), rel=1e-12)
+
+
+def test_what_is_kept_of_a_clip_does_not_grow_with_its_frames(data, found):
+    _, held = _of_clip(found, data, 0)
+    assert isinstance(held.positions, PositionSums)
+    assert len(pickle.dumps(held)) < 4000  # its tracks and bounds alone have 20 kB
 
 
 def test_figures_of_known_errors():
