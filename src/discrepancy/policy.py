@@ -171,6 +171,10 @@ UNUSUAL_NOISE_POWER = 9.0
 # LEAST_SIGMA_OF_A_CLAIM, so that no search without shake has one by chance.
 SHARED_NOISE_SIGMA = 4.0
 
+# Times by which what both balls share may be larger over whole clips than within their phases; what grows more may be
+# a force. Chosen between, on opened boxes: 1.5 at most where a camera shook, 7 where a table leant.
+SHARED_NOISE_GROWS = 3.0
+
 # -2 log likelihood that another noise must gain for everything to be fitted again. Derived: 3 sigma of one number.
 NOISE_GAIN = 9.0
 

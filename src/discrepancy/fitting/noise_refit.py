@@ -53,7 +53,8 @@ def refined(clips: Sequence[Measured], fit: Fit, noise: Noise, explained: bool =
     Returns
     -------
     Noise or None
-        None when that gains little, or is what the phases exclude.
+        None when that gains little, or is what the phases exclude: what moves both balls alike over whole clips, and
+        much more than what they share from frame to frame, may be a table that leans.
     """
     if noise.shared and not explained:
         return None
@@ -62,6 +63,8 @@ def refined(clips: Sequence[Measured], fit: Fit, noise: Noise, explained: bool =
     sigma, rho = (0.0, 0.0) if noise.shared or not explained else left.common_mode_score(noise)
     if noise.shared:
         new = left.best(noise)[1]
+        if new.common_mode > policy.SHARED_NOISE_GROWS * noise.common_mode:
+            return None
     elif sigma > policy.SHARED_NOISE_SIGMA and within.pairs:
         own, size = within.own(), float(np.mean([np.mean(c.claimed() ** 2) for c in left.clips]))
         slow = Component(0.2 * own.variance * size, (rho,))

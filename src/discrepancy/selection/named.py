@@ -84,12 +84,12 @@ class Named:
         return name in self.values and at_end(name, self.values[name])
 
     def at_end_of_range(self) -> str:
-        """Why it cannot be this effect: a shape parameter at an end of its range, without an error; empty if none is.
+        """Why it cannot be this effect: a shape parameter at an end of its range; empty if none is.
 
         The collisions would have it beyond: what moves the balls has another law. Zero is no such end.
         """
         for name, value in self.shapes.items():
-            if value != 0 and at_end(name, value) and not np.isfinite(self.shape_std[name]):
+            if value != 0 and at_end(name, value):
                 return f"its {name.rpartition('.')[2]} stands at {value:.3g}, the end of its range"
         return ""
 

@@ -5,7 +5,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from discrepancy_clips import FRAMES, STD, collisions, exact, noise_of_pair
+from discrepancy_clips import FRAMES, STD, collisions, correlated, exact, noise_of_pair
 
 from discrepancy.fitting.gauss_newton import fit_model
 from discrepancy.fitting.noise_refit import refined
@@ -81,6 +81,21 @@ def test_what_a_model_lacks_is_not_taken_for_a_camera_that_shakes():
     assert base.chi2 > 1.1 * base.points
     assert refined(clips, base, noise, explained=False).shared == ()
     assert refined(clips, fit_model(clips, tilted, BASE, noise), noise) is None
+
+
+@pytest.mark.parametrize("leans", [False, True])
+def test_a_table_that_leans_another_way_in_each_clip_is_no_camera_that_shakes(leans):
+    """Beside one that does shake, whose noise was found within the phases."""
+    rng, clips = np.random.default_rng(4), []
+    for k in range(8):
+        tilt = {"plate_tilt.x": 1e-4 * np.cos(2.4 * k), "plate_tilt.y": 1e-4 * np.sin(2.4 * k)}
+        clip = exact(Model().replace(tilt if leans else {}), 8, 5)[k]
+        shake = 2 * STD * correlated(rng, FRAMES, 0.9)
+        clips.append(dataclasses.replace(clip, xy=clip.xy + noise_of_pair(rng, 0.0) + np.concatenate([shake, shake])))
+    noise = estimate(clips)
+    assert noise.common_mode == pytest.approx(2 * STD, rel=0.5)
+    better = refined(clips, fit_model(clips, Model(), BASE, noise), noise) or noise
+    assert better.common_mode == pytest.approx(2 * STD, rel=0.5)
 
 
 def test_noise_that_the_phases_exclude_is_refused():
