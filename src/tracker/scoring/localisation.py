@@ -177,9 +177,8 @@ class PositionSums:
             if count < 20:
                 continue
             fit = np.linalg.pinv(waves, rcond=1e-12, hermitian=True) @ errors
-            noise = (
-                4 * (squares / count - mean**2) / count
-            )  # square of the amplitude that noise alone makes, on average
+            # square of the amplitude that noise alone makes, on average
+            noise = 4 * (squares / count - mean**2) / count
             worst = np.fmax(worst, 2 * np.sqrt(max(fit[0] ** 2 + fit[1] ** 2 - noise, 0.0)))
         return float(worst)
 
