@@ -11,7 +11,7 @@ from commandline.errors import InputError
 from discrepancy import policy
 from discrepancy.data.collisions import Measured, cannot_tell, split
 from discrepancy.data.outlier_points import taken_out, without_outliers
-from discrepancy.data.processed import SMOOTHED, beyond_reach, processed
+from discrepancy.data.processed import NOTHING_LEFT, SMOOTHED, beyond_reach, processed, seen_around_contact
 from discrepancy.deadline import Deadline, OutOfTime
 from discrepancy.diagnostics.claims import Standing, Validation
 from discrepancy.diagnostics.gap import Shown, show
@@ -131,9 +131,10 @@ class Chosen:
 def read(clips: Sequence[Measured], model: Model, progress: Progress) -> Data:
     """The clips without outlier points, some kept out, and the noise of the others."""
     progress("noise")
-    some, kept_out = split(without_outliers(clips))
+    usual = without_outliers(clips)
+    some, kept_out = split(usual)
     if noise_of(some).smoothed:
-        return _beyond_reach(some, kept_out)
+        return _beyond_reach(usual, taken_out(clips, usual))
     some, kept_out = smoothed(some, kept_out, model, progress)
     noise = noise_of(some)
     # read without any claim first: one made with too little noise could explain the rest of the noise away
@@ -141,10 +142,18 @@ def read(clips: Sequence[Measured], model: Model, progress: Progress) -> Data:
     return Data(tuple(some), tuple(kept_out), noise, tuple(taken_out(clips, [*some, *kept_out])))
 
 
-def _beyond_reach(some: Sequence[Measured], kept_out: Sequence[Measured]) -> Data:
-    """Of tracks that somebody has smoothed."""
-    clips, others = ([beyond_reach(c) for c in every] for every in (some, kept_out))
-    return Data(tuple(clips), tuple(others), noise_of(clips), (), smoothed=True)
+def _beyond_reach(smoothed: Sequence[Measured], outliers: Sequence[str]) -> Data:
+    """Of tracks that somebody has smoothed: what the filter has not moved, of clips of which enough is left."""
+    clips = [beyond_reach(clip) for clip in smoothed]
+    kept = [clip for clip in clips if seen_around_contact(clip)]
+    if len(kept) < policy.FEWEST_COLLISIONS:
+        raise InputError(
+            f"{SMOOTHED}: of {len(kept)} of {len(clips)} collisions enough is left beyond the filter's reach; expected "
+            f"{policy.FEWEST_COLLISIONS} or more"
+        )
+    lost = tuple(f"clip {clip.clip}: {NOTHING_LEFT}" for clip in clips if not seen_around_contact(clip))
+    some, kept_out = split(kept)
+    return Data(tuple(some), tuple(kept_out), noise_of(some), (*outliers, *lost), smoothed=True)
 
 
 def unselected(data: Data, model: Model, deadline: Deadline) -> tuple[Data, Stepwise, Chosen]:

@@ -42,6 +42,11 @@ SMOOTHED = (
     "them as they were measured"
 )
 
+NOTHING_LEFT = (
+    f"fewer than {policy.FEWEST_FRAMES_BEFORE_CONTACT} places of a ball before or after the contact are left without "
+    "those that a filter moves"
+)
+
 
 def beyond_reach(clip: Measured) -> Measured:
     """A clip without the places that a filter moves: near the contact, a gap, or where a ball is seen first or last."""
@@ -52,6 +57,13 @@ def beyond_reach(clip: Measured) -> Measured:
         for part in np.split(rows, np.flatnonzero(np.diff(clip.frame[rows]) != 1) + 1):
             kept[part[:reach]] = kept[part[len(part) - reach :]] = False
     return clip.of(np.flatnonzero(kept))
+
+
+def seen_around_contact(clip: Measured) -> bool:
+    """Whether each ball has places enough on either side of the contact to tell its way there."""
+    early = clip.frame < clip.launch[T_C] * clip.fps
+    counts = [np.sum((clip.ball == ball) & (early == before)) for ball in (0, 1) for before in (True, False)]
+    return bool(min(counts) >= policy.FEWEST_FRAMES_BEFORE_CONTACT)
 
 
 def _grid(clips: Sequence[Measured]) -> float:

@@ -108,9 +108,14 @@ class Noise:
 
     @property
     def smoothed(self) -> bool:
-        """Whether it is that of tracks that somebody has put through a filter."""
+        """Whether it is that of tracks that somebody has put through a filter.
+
+        Motion that a cubic does not follow looks like it, but leaves the short lags as they were: a forecast of slow
+        motion beside noise that is not filtered takes the mean of more places.
+        """
         own = self.own.partial
-        return len(own) > 1 and own[1] < policy.SMOOTHED_UNDER
+        unfiltered = self.slow and len(own) > 2 and own[2] < policy.SMOOTHED_UNDER
+        return len(own) > 1 and own[1] < policy.SMOOTHED_UNDER and not unfiltered
 
     @property
     def common_mode(self) -> float:

@@ -8,6 +8,7 @@ import pytest
 from discrepancy_clips import CAMERA, collisions
 from scipy.ndimage import uniform_filter1d
 
+from commandline.errors import InputError
 from discrepancy.data.launch import T_C
 from discrepancy.data.processed import beyond_reach, processed
 from discrepancy.search import find
@@ -73,16 +74,40 @@ def test_what_a_filter_may_move_has_no_part():
             assert abs(frame - clip.launch[T_C] * clip.fps) > 5
 
 
-def test_of_smoothed_tracks_nothing_is_named_and_it_is_said():
-    """A filter washes out the hit: effects of the library would be named for it."""
-    smoothed = []
+def smoothed():
+    """Collisions whose tracks went through a moving mean of 3."""
+    out = []
     for clip in collisions(Model(), 8, 3):
         xy = clip.xy.reshape(2, -1, 2)
-        smoothed.append(dataclasses.replace(clip, xy=uniform_filter1d(xy, 3, axis=1, mode="nearest").reshape(-1, 2)))
-    found = find(smoothed, Model())
+        out.append(dataclasses.replace(clip, xy=uniform_filter1d(xy, 3, axis=1, mode="nearest").reshape(-1, 2)))
+    return out
+
+
+def near(clip, frames):
+    """Only what is seen within so many frames of the contact."""
+    return clip.of(np.flatnonzero(np.abs(clip.frame - clip.launch[T_C] * clip.fps) < frames))
+
+
+def test_of_smoothed_tracks_nothing_is_named_and_it_is_said():
+    """A filter washes out the hit: effects of the library would be named for it."""
+    found = find(smoothed(), Model())
     assert found.data.smoothed
     assert found.verdict in ("none", "inadequate")
     assert not found.named
     assert found.answer is None
     assert "smoothed by a filter" in found.sentence()
     assert any("smoothed" in line for line in found.document()["processed"])
+
+
+def test_a_smoothed_collision_of_which_too_little_is_left_has_no_part():
+    """12 frames on either side, less 5 at either end: 2 are left."""
+    clips = smoothed()
+    found = find([*clips[:3], near(clips[3], 12), *clips[4:]], Model())
+    assert [line for line in found.data.left_out if line.startswith(f"clip {clips[3].clip}: fewer than 3 places")]
+    assert clips[3].clip not in {clip.clip for clip in (*found.data.clips, *found.data.kept_out)}
+
+
+def test_smoothed_collisions_all_too_short_are_refused():
+    clips = smoothed()
+    with pytest.raises(InputError, match=r"smoothed by a filter.*: of 5 of 8 collisions enough is left.*expected 6"):
+        find([*(near(c, 12) for c in clips[:3]), *clips[3:]], Model())

@@ -121,6 +121,18 @@ def test_a_filter_is_recognised(rho, smooth):
     assert Noise(own_noise([(smooth(p), c, f) for p, c, f in plain])).smoothed
 
 
+@pytest.mark.parametrize("rho", [0.0, 0.5, 0.9])
+def test_motion_that_no_cubic_follows_is_not_taken_for_a_filter(rho):
+    """Balls that begin to roll within a stretch: their acceleration jumps, and what a cubic leaves is smooth."""
+    rng, bent = np.random.default_rng(2), []
+    for places, claimed, frame in stretches(np.random.default_rng(1), rho, frames=(22, 37, 59)):
+        late = np.clip(frame / len(frame) - rng.uniform(0.2, 0.8), 0, None)
+        bent.append((places + 1000 * late[:, None] ** 2 * rng.standard_normal(2), claimed, frame))
+    noise = Noise(own_noise(bent))
+    assert noise.slow
+    assert not noise.smoothed
+
+
 def test_noise_is_counted_in_claimed_standard_deviations():
     plain = list(stretches(np.random.default_rng(3), 0.0))
     rng = np.random.default_rng(4)
