@@ -185,8 +185,8 @@ NOISE_EXCLUDED_BY = 20.0
 # Partial correlation of noise two frames apart under which tracks are taken for smoothed by a filter, whose window ends
 # as no noise does. On drawn tracks moving means, Gaussians and Savitzky-Golay filters give -1 to -.17; without a filter
 # there is no such term. Chosen between, on boxes of one secret; shown on hostile boxes of another. Where the noise is
-# slow, one so negative three frames apart too is motion that a cubic does not follow: on drawn tracks slow noise through
-# those filters has -.08 at least, kinks of 200 to 2,000 times the noise without a filter -.13 at most.
+# slow, one so negative three frames apart too is motion that a cubic does not follow: 1 of 220 sets of tracks drawn
+# through those filters has it, and all of those without a filter whose path bends by 200 to 2,000 times the noise.
 SMOOTHED_UNDER = -0.12
 
 # Frames to either side of a contact, and of a gap or an end, that have no part in a search of smoothed tracks.
