@@ -17,6 +17,7 @@ from discrepancy import policy
 from discrepancy.arrays import Array
 from discrepancy.fitting.model_fit import Fit, off
 from discrepancy.fitting.parameters import limits_of
+from discrepancy.fitting.significance import closes_little
 from discrepancy.free_laws.fitted_law import FittedLaw
 
 Parts = Sequence[Array]
@@ -86,8 +87,7 @@ class Held:
     @property
     def closes_little(self) -> bool:
         """Whether far more is missing than the claim explains."""
-        without, with_ = self.gap
-        return with_ > policy.NOT_DESCRIBED and without - with_ < policy.LEAST_SHARE_CLOSED * (without - 1)
+        return closes_little(*self.gap)
 
 
 @dataclass(frozen=True)

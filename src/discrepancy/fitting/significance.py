@@ -45,6 +45,11 @@ def sigmas(chi2: float, dof: int, trials_factor: float = 1.0) -> float:
     return max(-float(ndtri_exp(log_p - math.log(2))), 0.0)
 
 
+def closes_little(without: float, with_: float) -> bool:
+    """Whether far more is missing than a claim explains, by chi^2 a point without it and with it."""
+    return with_ > policy.NOT_DESCRIBED and without - with_ < policy.LEAST_SHARE_CLOSED * (without - 1)
+
+
 def trials_factor(every: Sequence[Array]) -> float:
     """How many independent trials so many signatures make, each a basis (points, k); 1 where all are alike."""
     columns = np.concatenate(every, axis=1)

@@ -12,7 +12,7 @@ from discrepancy import policy
 from discrepancy.fitting.gauss_newton import linearised, settle
 from discrepancy.fitting.model_fit import Fit
 from discrepancy.fitting.parameters import Candidate, candidates_of
-from discrepancy.fitting.significance import sigmas
+from discrepancy.fitting.significance import closes_little, sigmas
 from discrepancy.selection.fit_store import FitStore
 from discrepancy.selection.model_cost import cost_of
 from discrepancy.selection.named import Named, determined, sums
@@ -191,7 +191,7 @@ class Stepwise:
     def _winner(self, state: State, tests: ScoreTests, claim: float) -> Candidate | None:
         """The candidate to add: of the leader and its rivals, all fitted, the simplest that fits as well as the best.
 
-        None where no candidate is significant beyond `claim`.
+        None where no candidate is significant beyond `claim`, or far more is missing than any explains.
         """
         ranking = tests.leaders(claim)
         if not ranking or ranking[0].sigma <= claim:
@@ -207,8 +207,13 @@ class Stepwise:
             if self.store.cost_of(key) < self.store.cost_of(keys[0]) + NEAR:
                 self.store.settled(tuple(key))
         said = {key: next(iter(key - frozenset(state))) for key in keys}
-        claimed = [k for k in keys if self._sigma(fit.chi2 - self.store.fits[k].chi2, said[k]) > claim]
+        claimed = [k for k in keys if self._claimed(fit, self.store.fits[k], said[k], claim)]
         return said[self._simplest(claimed)] if min(keys, key=self.store.cost_of) in claimed else None
+
+    def _claimed(self, fit: Fit, more: Fit, candidate: Candidate, claim: float) -> bool:
+        """Whether the fit with a candidate more is better than that without by what a claim needs."""
+        enough = self._sigma(fit.chi2 - more.chi2, candidate) > claim
+        return enough and not closes_little(fit.chi2 / fit.points, more.chi2 / more.points)
 
     def _simplest(self, keys: Collection[frozenset[Candidate]]) -> frozenset[Candidate]:
         """Of models that fit as well as the best: the fewest strengths, then shape parameters, then the best fit."""

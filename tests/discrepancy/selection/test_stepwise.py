@@ -5,7 +5,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from discrepancy_clips import EFFECTS, collisions, design, exact, noise_of_pair, nulls, only
+from discrepancy_clips import EFFECTS, STD, collisions, design, exact, noise_of_pair, nulls, only
 from discrepancy_selected import named as effects_named
 from discrepancy_selected import selected, stored
 from scipy.stats import chi2 as chi2_law
@@ -94,6 +94,20 @@ def test_an_effect_that_is_not_needed_is_dropped(monkeypatch):
     )
     better = steps._better(state, steps.store.score_tests(state), policy.LEAST_SIGMA_OF_A_CLAIM)
     assert [s.name for s in better] == ["velocity_restitution"]
+
+
+@pytest.mark.parametrize(("size", "names"), [(0.0, ["rolling_quadratic"]), (10.0, [])])
+def test_an_effect_is_not_added_where_far_more_is_missing(size, names, monkeypatch):
+    """What closes less than a tenth of the gap could not be claimed afterwards. Here each clip sways its own way."""
+    few(monkeypatch, ["rolling_quadratic"])
+    clips, _, noise = started(Model().replace({"rolling_quadratic.K": 0.02}))
+    rng = np.random.default_rng(4)
+    turns = [np.sin(clip.frame / 6 + rng.uniform(0, 2 * np.pi)) for clip in clips]
+    sway = [size * STD * turn[:, None] * rng.standard_normal(2) for turn in turns]
+    clips = [dataclasses.replace(clip, xy=clip.xy + off) for clip, off in zip(clips, sway, strict=True)]
+    steps = Stepwise.of(stored(clips, fit_model(clips, Model(), fitted(Model()), noise), noise))
+    assert steps.ranking[0].sigma > steps.claim
+    assert [s.name for s in next(steps.states(), ())] == names
 
 
 def test_a_search_goes_on_from_other_effects(monkeypatch):
