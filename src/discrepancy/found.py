@@ -144,6 +144,11 @@ class Found:
     def slow_noise(self) -> str:
         """A sentence where much of what is taken for noise is slow, else nothing."""
         noise = self.data.noise
+        if noise.over_phases:
+            return (
+                f" Noise is {noise.scale:.3g} times what the tracks claim within {policy.SHORTEST_OF_SHORT} places; "
+                f"over whole phases of motion it would be {noise.over_phases:.3g} times, which is missing physics."
+            )
         if not noise.slow:
             return ""
         return (
@@ -229,7 +234,8 @@ class Found:
             "experiment": self.experiment,
             "cut_short": None if self.so_far is None else vars(self.so_far) | {"effects": list(self.so_far.effects)},
             "noise": {"scale": noise.scale, "quick": noise.quick, "correlation": noise.correlation}
-            | {"shake": noise.common_mode},
+            | {"shake": noise.common_mode}
+            | ({"over_phases": noise.over_phases} if noise.over_phases else {}),
             "clips": {"fitted": len(data.clips), "kept_out": len(data.kept_out), "left_out": list(data.left_out)},
         }
 

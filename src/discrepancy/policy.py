@@ -175,6 +175,15 @@ SHARED_NOISE_SIGMA = 4.0
 # a force. Chosen between, on opened boxes: 1.5 at most where a camera shook, 7 where a table leant.
 SHARED_NOISE_GROWS = 3.0
 
+# Times by which a ball's own noise may be larger over whole phases than within pieces of 8 places; what grows more is
+# motion that no cubic follows over a phase. Chosen between, on drawn tracks and real ones: at most 3 where noise is
+# correlated by up to .99 from frame to frame; 9 and more where slides end .02 to .1 s before it is thought, 20 for real
+# pucks, 100 for real billiard balls. A drift of ten times the white noise beside it (5 to 8) is taken for motion.
+NOISE_GROWS = 5.0
+
+# Times the median piece's noise power: a piece of 8 places beyond it holds an event. Chosen: of white noise 1 in 200.
+UNUSUAL_POWER_OF_A_PIECE = 3.0
+
 # -2 log likelihood that another noise must gain for everything to be fitted again. Derived: 3 sigma of one number.
 NOISE_GAIN = 9.0
 
@@ -184,9 +193,7 @@ NOISE_EXCLUDED_BY = 20.0
 
 # Partial correlation of noise two frames apart under which tracks are taken for smoothed by a filter, whose window ends
 # as no noise does. On drawn tracks moving means, Gaussians and Savitzky-Golay filters give -1 to -.17; without a filter
-# there is no such term. Chosen between, on boxes of one secret; shown on hostile boxes of another. Where the noise is
-# slow, one so negative three frames apart too is motion that a cubic does not follow: 1 of 220 sets of tracks drawn
-# through those filters has it, and all of those without a filter whose path bends by 200 to 2,000 times the noise.
+# there is no such term. Chosen between, on boxes of one secret; shown on hostile boxes of another.
 SMOOTHED_UNDER = -0.12
 
 # Frames to either side of a contact, and of a gap or an end, that have no part in a search of smoothed tracks.

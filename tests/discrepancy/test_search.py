@@ -439,3 +439,19 @@ def test_clips_of_two_frame_rates_are_searched_together(monkeypatch):
     value, std = (d["rolling_quadratic.K"] for d in (found.named[0].values, found.named[0].std))
     assert abs(value - 0.2) < 3 * std
     assert found.shown.gap.after < 1.2
+
+
+def test_noise_that_motion_fills_is_read_from_short_pieces_and_it_is_said(monkeypatch):
+    """Balls roll where they are said to slide, and each clip sways in its own way: what is missing is no noise."""
+    only(monkeypatch)
+    rng, clips = np.random.default_rng(5), []
+    for clip in collisions(Model(), 8, 3):
+        sway = 300 * STD * np.sin(clip.frame / 20 + rng.uniform(0, 2 * np.pi))[:, None] * rng.standard_normal(2)
+        clips.append(dataclasses.replace(clip, xy=clip.xy + sway, ends=clip.ends + 0.1))
+    found = find(clips, Model())
+    assert found.verdict == "inadequate"
+    noise = found.document()["noise"]
+    assert noise["scale"] == pytest.approx(1, rel=0.2)
+    assert noise["over_phases"] > 10
+    said = f"over whole phases of motion it would be {noise['over_phases']:.3g} times, which is missing physics"
+    assert said in found.sentence()

@@ -53,10 +53,11 @@ def refined(clips: Sequence[Measured], fit: Fit, noise: Noise, explained: bool =
     Returns
     -------
     Noise or None
-        None when that gains little, or is what the phases exclude: what moves both balls alike over whole clips, and
-        much more than what they share from frame to frame, may be a table that leans.
+        None when that gains little, or is what the phases exclude, or where already whole phases hold motion: what
+        moves both balls alike over whole clips, and much more than what they share from frame to frame, may be a table
+        that leans.
     """
-    if noise.shared and not explained:
+    if (noise.shared and not explained) or noise.over_phases:
         return None
     places = np.unique(np.linspace(0, len(clips) - 1, min(CLIPS, len(clips))).astype(int)).tolist()
     left, within = _Left.of(clips, fit, noise, places), Pairs(pair for k in places for pair in clips[k].together())

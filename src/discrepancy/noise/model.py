@@ -1,7 +1,8 @@
 """The noise of measured tracks, from the tracks themselves: each ball's own, and what both balls share.
 
 Within one phase of motion (before, sliding, rolling) a track is smooth; a cubic there leaves the noise, whatever the
-physics. A low-order autoregression, with or without white noise beside it, is fitted to what is left by restricted
+physics; where one does not follow, noise over whole phases is many times that of short pieces, which is then taken. A
+low-order autoregression, with or without white noise beside it, is fitted to what is left by restricted
 maximum likelihood (REML; Patterson & Thompson, Biometrika 58 (1971) 545), which counts what the cubic took. What both
 balls share, as when the camera shakes, is in their sum and not in their difference.
 """
@@ -78,10 +79,14 @@ class Noise:
         Of each ball and axis by itself, in claimed standard deviations.
     shared : tuple of Component
         What both balls share, of x and of y, m^2; or nothing.
+    over_phases : float
+        Like `scale`, read over whole phases of motion, where that is so much more that it must hold motion; the noise
+        is then that of short pieces. Else 0.
     """
 
     own: Component
     shared: tuple[Component, ...] = ()
+    over_phases: float = 0.0
 
     @property
     def scale(self) -> float:
@@ -108,14 +113,9 @@ class Noise:
 
     @property
     def smoothed(self) -> bool:
-        """Whether it is that of tracks that somebody has put through a filter.
-
-        Motion that a cubic does not follow looks like it, but leaves the short lags as they were: a forecast of slow
-        motion beside noise that is not filtered takes the mean of more places.
-        """
+        """Whether it is that of tracks that somebody has put through a filter."""
         own = self.own.partial
-        unfiltered = self.slow and len(own) > 2 and own[2] < policy.SMOOTHED_UNDER
-        return len(own) > 1 and own[1] < policy.SMOOTHED_UNDER and not unfiltered
+        return len(own) > 1 and own[1] < policy.SMOOTHED_UNDER
 
     @property
     def common_mode(self) -> float:
@@ -132,9 +132,28 @@ def estimate(clips: Sequence[Measured]) -> Noise:
         These are too few.
     """
     clips = _usual(clips)
-    own = own_noise(stretch for clip in clips for stretch in clip.stretches())
-    pairs = Pairs(pair for clip in clips for pair in clip.together())
-    return pairs.noise() if pairs.common_mode_score(own) > policy.SHARED_NOISE_SIGMA else Noise(own)
+    stretches = [stretch for clip in clips for stretch in clip.stretches()]
+    noise, pairs = Noise(own_noise(stretches)), Pairs(pair for clip in clips for pair in clip.together())
+    if pairs.common_mode_score(noise.own) > policy.SHARED_NOISE_SIGMA:
+        return pairs.noise()
+    return _without_motion(noise, stretches) if noise.slow else noise
+
+
+def _without_motion(noise: Noise, stretches: Sequence[Stretch]) -> Noise:
+    """The noise, or that of short pieces where it must hold motion that no cubic follows over a phase."""
+    short = Noise(own_noise(_pieces(stretches)), over_phases=noise.scale)
+    return short if noise.scale > policy.NOISE_GROWS * short.scale else noise
+
+
+def _pieces(stretches: Sequence[Stretch]) -> list[Stretch]:
+    """Pieces of stretches, so short that a cubic follows any motion, without those that an event still shows in."""
+    size = policy.SHORTEST_OF_SHORT
+    starts = [(arrays, first) for arrays in stretches for first in range(0, len(arrays[0]) - size + 1, size)]
+    cut = [(p[k : k + size], c[k : k + size], f[k : k + size]) for (p, c, f), k in starts]
+    left = Bundle.of([p for p, _, _ in cut], [c for _, c, _ in cut], [f for _, _, f in cut]).values
+    power = (left**2).sum(axis=(1, 2))
+    most = policy.UNUSUAL_POWER_OF_A_PIECE * float(np.median(power))
+    return [piece for piece, own in zip(cut, power, strict=True) if own <= most]
 
 
 def _usual(clips: Sequence[Measured]) -> list[Measured]:

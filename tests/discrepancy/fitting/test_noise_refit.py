@@ -104,3 +104,14 @@ def test_noise_that_the_phases_exclude_is_refused():
     base = fit_model(clips, Model(), BASE, noise)
     assert base.chi2 > 20 * base.points
     assert refined(clips, base, noise) is None
+
+
+def test_where_phases_hold_motion_the_noise_is_not_read_over_more():
+    """Balls roll where they are said to slide, and more than that is missing: none of it is noise."""
+    clips = [dataclasses.replace(c, ends=c.ends + 0.1) for c in measured(1, hidden=0.2)]
+    noise = estimate(clips)
+    base = fit_model(clips, Model(), BASE, noise)
+    assert noise.over_phases > 100
+    assert base.chi2 > 100 * base.points
+    assert refined(clips, base, noise) is None
+    assert refined(clips, base, noise, explained=False) is None

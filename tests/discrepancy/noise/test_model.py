@@ -5,7 +5,7 @@ from functools import partial
 
 import numpy as np
 import pytest
-from discrepancy_clips import FRAMES, STD, correlated, exact, noise_of_pair
+from discrepancy_clips import FRAMES, STD, collisions, correlated, exact, noise_of_pair
 from scipy.linalg import null_space, toeplitz
 from scipy.ndimage import gaussian_filter1d, uniform_filter1d
 from scipy.signal import savgol_filter
@@ -121,16 +121,17 @@ def test_a_filter_is_recognised(rho, smooth):
     assert Noise(own_noise([(smooth(p), c, f) for p, c, f in plain])).smoothed
 
 
+@pytest.mark.parametrize("late", [0.02, 0.1])
 @pytest.mark.parametrize("rho", [0.0, 0.5, 0.9])
-def test_motion_that_no_cubic_follows_is_not_taken_for_a_filter(rho):
-    """Balls that begin to roll within a stretch: their acceleration jumps, and what a cubic leaves is smooth."""
-    rng, bent = np.random.default_rng(2), []
-    for places, claimed, frame in stretches(np.random.default_rng(1), rho, frames=(22, 37, 59)):
-        late = np.clip(frame / len(frame) - rng.uniform(0.2, 0.8), 0, None)
-        bent.append((places + 1000 * late[:, None] ** 2 * rng.standard_normal(2), claimed, frame))
-    noise = Noise(own_noise(bent))
-    assert noise.slow
-    assert not noise.smoothed
+def test_motion_within_a_phase_is_no_noise_and_no_filter(rho, late):
+    """Balls roll where they are said to slide: no cubic follows them over the phase, but over eight places."""
+    clips = collisions(Model(), 12, 3, rho=rho)
+    right = estimate(clips)
+    wrong = estimate([dataclasses.replace(c, ends=c.ends + late) for c in clips])
+    assert right.over_phases == 0
+    assert wrong.over_phases > 10
+    assert not wrong.smoothed
+    assert [n.quick for n in (right, wrong)] == pytest.approx(2 * [np.sqrt(1 - rho**2)], rel=0.1)
 
 
 def test_noise_is_counted_in_claimed_standard_deviations():
