@@ -356,6 +356,26 @@ def test_the_fields_made_here_are_those_of_the_real_ones():
 
 SOURCE = Path(policy.__file__)
 MODULES = sorted(p for p in SOURCE.parent.rglob("*.py") if p != SOURCE)
+
+
+@pytest.mark.parametrize(("times", "read"), [(4.0, 0.0), (6.0, 6.0)])
+def test_noise_over_phases_is_held_against_that_of_short_pieces(monkeypatch, times, read):
+    """A slow noise of so many times that of the pieces, which is 1."""
+    rng = np.random.default_rng(1)
+    stretches = [(rng.standard_normal((40, 2)), np.ones(40), np.arange(40)) for _ in range(30)]
+    over_phases = Noise(Component(times**2, (0.99,)))
+    assert noise._without_motion(over_phases, stretches).over_phases == read
+
+
+@pytest.mark.parametrize(("times", "kept"), [(1.5, True), (2.2, False)])
+def test_a_piece_that_holds_an_event_has_no_part_in_the_noise(times, kept):
+    """One piece of eight has so many times the noise of the others, power 2.25 or 4.8 times."""
+    rng = np.random.default_rng(2)
+    unit = rng.standard_normal((8, 2))
+    stretches = [((times if k == 5 else 1.0) * unit, np.ones(8), np.arange(8)) for k in range(8)]
+    assert len(noise._pieces(stretches)) == (8 if kept else 7)
+
+
 CONSTANTS = [name for name in vars(policy) if name.isupper()]
 ORIGIN = re.compile(r"\b(Derived|Chosen|A convention|target|blind rounds|As [A-Z_]+|floor)\b")
 

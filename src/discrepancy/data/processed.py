@@ -42,10 +42,7 @@ SMOOTHED = (
     "them as they were measured"
 )
 
-NOTHING_LEFT = (
-    f"fewer than {policy.FEWEST_FRAMES_BEFORE_CONTACT} places of a ball before or after the contact are left without "
-    "those that a filter moves"
-)
+NOTHING_LEFT = "too few places of a ball before or after the contact are left without those that a filter moves"
 
 
 def beyond_reach(clip: Measured) -> Measured:

@@ -103,7 +103,7 @@ def test_a_smoothed_collision_of_which_too_little_is_left_has_no_part():
     """12 frames on either side, less 5 at either end: 2 are left."""
     clips = smoothed()
     found = find([*clips[:3], near(clips[3], 12), *clips[4:]], Model())
-    assert [line for line in found.data.left_out if line.startswith(f"clip {clips[3].clip}: fewer than 3 places")]
+    assert [line for line in found.data.left_out if line.startswith(f"clip {clips[3].clip}: too few places")]
     assert clips[3].clip not in {clip.clip for clip in (*found.data.clips, *found.data.kept_out)}
 
 
