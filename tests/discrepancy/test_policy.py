@@ -376,6 +376,15 @@ def test_a_piece_that_holds_an_event_has_no_part_in_the_noise(times, kept):
     assert len(noise._pieces(stretches)) == (8 if kept else 7)
 
 
+def test_a_ball_whose_place_is_given_once_has_no_noise_to_be_read():
+    """Ten pieces of a ball that does not move at all, beside four that move."""
+    rng = np.random.default_rng(2)
+    unit = rng.standard_normal((8, 2))
+    still = [(np.full((8, 2), 0.3), np.ones(8), np.arange(8))] * 10
+    moving = [(unit, np.ones(8), np.arange(8))] * 4
+    assert len(noise._pieces([*still, *moving])) == 4
+
+
 CONSTANTS = [name for name in vars(policy) if name.isupper()]
 ORIGIN = re.compile(r"\b(Derived|Chosen|A convention|target|blind rounds|As [A-Z_]+|floor)\b")
 

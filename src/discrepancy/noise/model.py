@@ -34,6 +34,7 @@ KERNELS = (0.0, 0.7, 0.97)  # correlations from frame to frame at which shared n
 IMPOSSIBLE = 1e12  # of -2 log likelihood, where a covariance is singular
 FLAT = 2.0  # of the cost's slope: its curvature is some hundreds
 STEP = 1e-4  # of the transformed parameters, for numerical derivatives
+STILL = 1e-9  # of claimed variances: so little is rounding
 FLOOR, CEILING = 1e-9, 0.99  # of a part that is white
 Shut = tuple[Array, Array, float, float, Ints]  # a pair: places less their mean, what each claims (rms), frames
 
@@ -146,14 +147,18 @@ def _without_motion(noise: Noise, stretches: Sequence[Stretch]) -> Noise:
 
 
 def _pieces(stretches: Sequence[Stretch]) -> list[Stretch]:
-    """Pieces of stretches, so short that a cubic follows any motion, without those that an event still shows in."""
+    """Pieces of stretches, so short that a cubic follows any motion, without those that an event still shows in.
+
+    Nor those of a ball that does not move at all, as where a resting ball's place is given once.
+    """
     size = policy.SHORTEST_OF_SHORT
     starts = [(arrays, first) for arrays in stretches for first in range(0, len(arrays[0]) - size + 1, size)]
     cut = [(p[k : k + size], c[k : k + size], f[k : k + size]) for (p, c, f), k in starts]
     left = Bundle.of([p for p, _, _ in cut], [c for _, c, _ in cut], [f for _, _, f in cut]).values
     power = (left**2).sum(axis=(1, 2))
-    most = policy.UNUSUAL_POWER_OF_A_PIECE * float(np.median(power))
-    return [piece for piece, own in zip(cut, power, strict=True) if own <= most]
+    moves = power > STILL
+    most = policy.UNUSUAL_POWER_OF_A_PIECE * float(np.median(power[moves] if moves.any() else power))
+    return [piece for piece, own in zip(cut, power, strict=True) if STILL < own <= most]
 
 
 def _usual(clips: Sequence[Measured]) -> list[Measured]:
