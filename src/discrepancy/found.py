@@ -200,7 +200,7 @@ class Found:
             what = f": {self.left[0]} ({self.left[0].sigma:.0f} sigma)" if unexplained(self.left) else ""
             closed = f"Something else is missing that neither the library nor a free law holds{what}. {closed}"
         told = [f"{word}: {'; '.join(lines)}." for word, lines in (("Missing", parts), ("Wrong", wrong)) if lines]
-        return " ".join([*told, closed]) + dropped
+        return " ".join([*told, closed]) + dropped + slow
 
     def document(self) -> dict[str, Any]:
         """The contract's discrepancy.json."""

@@ -79,7 +79,7 @@ def find(
     progress("where")
     where = locate(data.clips, chosen.selected.base, data.noise)
     left = locate(chosen.cleaned(data), chosen.best, data.noise) if chosen.anything else where
-    named = tuple(n.unsure() for n in stands.named) if more_missing(left, stands.withdrawn) else stands.named
+    named = stands.unsure() if more_missing(left, stands.withdrawn) else stands.named
     verdict = _verdict(chosen.free_law, named, left, stands.withdrawn)
     return Found(
         verdict,

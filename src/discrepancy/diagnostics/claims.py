@@ -42,6 +42,11 @@ class Standing:
     claims: tuple[Claim, ...]
     withdrawn: tuple[Claim, ...] = ()
 
+    def unsure(self) -> tuple[Named, ...]:
+        """What is named, where more is missing."""
+        sigma = {claim.name: claim.turns.sigma for claim in self.claims}
+        return tuple(n.unsure(sigma.get(n.effect, n.sigma)) for n in self.named)
+
 
 @dataclass(frozen=True)
 class Validation:

@@ -85,6 +85,11 @@ class Held:
         return self.gap[1] >= self.gap[0]
 
     @property
+    def described(self) -> bool:
+        """Whether the model with the claim describes these collisions."""
+        return self.gap[1] <= policy.NOT_DESCRIBED
+
+    @property
     def closes_little(self) -> bool:
         """Whether far more is missing than the claim explains."""
         return closes_little(*self.gap)
@@ -153,6 +158,8 @@ def refused(kept_out: Held, turns: Held) -> str:
         return "collisions are foretold worse with it, each held out once"
     if turns.sigma < policy.HELD_OUT_IN_TURN_SIGMA:
         return "collisions, each held out once, do not ask for it beyond chance"
+    if not turns.described and turns.sigma < policy.SIGMA_BESIDE_FREE_LAW:
+        return f"far more is missing, and from collision to collision it scatters: {turns.sigma:.3g} sigma"
     if kept_out.closes_little and turns.closes_little:
         without, with_ = kept_out.gap
         return (

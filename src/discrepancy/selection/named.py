@@ -75,9 +75,13 @@ class Named:
         own, bent = {k: std.get(k, np.inf) for k in values}, {k: determined(fit, k, std.get(k, 0.0)) for k in shapes}
         return cls(candidate.name, values, own, sigma, (candidate.name,), shapes, bent)
 
-    def unsure(self) -> Named:
-        """The same without standard deviations, which would hold only if nothing else were missing."""
-        return replace(self, std=dict.fromkeys(self.std, np.nan), shape_std=dict.fromkeys(self.shape_std, np.nan))
+    def unsure(self, sigma: float) -> Named:
+        """The same without standard deviations, which would hold only if nothing else were missing.
+
+        sigma: by how the strength scatters from collision to collision; the lesser sigma is given.
+        """
+        none = dict.fromkeys(self.std, np.nan), dict.fromkeys(self.shape_std, np.nan)
+        return replace(self, std=none[0], shape_std=none[1], sigma=min(self.sigma, sigma))
 
     def at_limit(self, name: str) -> bool:
         """Whether a strength stands at the end of what its effect allows: it might lie beyond, so it has no error."""
