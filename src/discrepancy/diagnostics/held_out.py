@@ -158,7 +158,7 @@ def refused(kept_out: Held, turns: Held) -> str:
         return "collisions are foretold worse with it, each held out once"
     if turns.sigma < policy.HELD_OUT_IN_TURN_SIGMA:
         return "collisions, each held out once, do not ask for it beyond chance"
-    if not turns.described and turns.sigma < policy.SIGMA_BESIDE_FREE_LAW:
+    if not (kept_out.described or turns.described) and turns.sigma < policy.SIGMA_BESIDE_FREE_LAW:
         return f"far more is missing, and from collision to collision it scatters: {turns.sigma:.3g} sigma"
     if kept_out.closes_little and turns.closes_little:
         without, with_ = kept_out.gap
