@@ -105,6 +105,10 @@ NOT_DESCRIBED = 2.0
 # sigma closed .4 and 2 %.
 LEAST_SHARE_CLOSED = 0.1
 
+# The same for a claim of fewer sigma, by its scatter from collision to collision, than SIGMA_BESIDE_FREE_LAW.
+# Derived: what is left is then less than what the claim explains.
+LARGER_SHARE = 0.5
+
 # Of the sigma of a claim, that by which its strength may change with place, heading, speed or clip, beyond
 # UNEXPLAINED_SIGMA: what changes more is another law. Chosen; not derived: in sealed boxes true claims of 9 to 28 sigma
 # had 2.7 at most; friction that rises on one half of a plate, named stribeck at 17, had 6.4.

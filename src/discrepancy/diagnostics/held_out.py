@@ -84,15 +84,9 @@ class Held:
         """Foretold no better with the claim."""
         return self.gap[1] >= self.gap[0]
 
-    @property
-    def described(self) -> bool:
-        """Whether the model with the claim describes these collisions."""
-        return self.gap[1] <= policy.NOT_DESCRIBED
-
-    @property
-    def closes_little(self) -> bool:
-        """Whether far more is missing than the claim explains."""
-        return closes_little(*self.gap)
+    def closes_less(self, share: float) -> bool:
+        """Whether they are not described with the claim, and it closes less than this share of what is missing."""
+        return closes_little(*self.gap, share)
 
 
 @dataclass(frozen=True)
@@ -158,9 +152,10 @@ def refused(kept_out: Held, turns: Held) -> str:
         return "collisions are foretold worse with it, each held out once"
     if turns.sigma < policy.HELD_OUT_IN_TURN_SIGMA:
         return "collisions, each held out once, do not ask for it beyond chance"
-    if not (kept_out.described or turns.described) and turns.sigma < policy.SIGMA_BESIDE_FREE_LAW:
+    leaves_more = kept_out.closes_less(policy.LARGER_SHARE) and turns.closes_less(policy.LARGER_SHARE)
+    if leaves_more and turns.sigma < policy.SIGMA_BESIDE_FREE_LAW:
         return f"far more is missing, and from collision to collision it scatters: {turns.sigma:.3g} sigma"
-    if kept_out.closes_little and turns.closes_little:
+    if kept_out.closes_less(policy.LEAST_SHARE_CLOSED) and turns.closes_less(policy.LEAST_SHARE_CLOSED):
         without, with_ = kept_out.gap
         return (
             f"far more is missing: with it collisions kept out are at {with_:.3g} in chi^2 a point, not {without:.3g}"
