@@ -185,6 +185,11 @@ SHARED_NOISE_GROWS = 3.0
 # pucks, 100 for real billiard balls. A drift of ten times the white noise beside it (5 to 8) is taken for motion.
 NOISE_GROWS = 5.0
 
+# Times the noise of the pieces that cubics must leave over whole phases for that: the scale of a noise whose
+# correlation is near one says little by itself. Chosen between: 1.04 in a sealed box whose camera shook, 1.7 and 1.8 of
+# real balls and pucks.
+LEFT_BY_MOTION = 1.4
+
 # Times the median piece's noise power: a piece of 8 places beyond it holds an event. Chosen: of white noise 1 in 200.
 UNUSUAL_POWER_OF_A_PIECE = 3.0
 

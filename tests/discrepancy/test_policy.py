@@ -358,11 +358,12 @@ SOURCE = Path(policy.__file__)
 MODULES = sorted(p for p in SOURCE.parent.rglob("*.py") if p != SOURCE)
 
 
-@pytest.mark.parametrize(("times", "read"), [(4.0, 0.0), (6.0, 6.0)])
-def test_noise_over_phases_is_held_against_that_of_short_pieces(monkeypatch, times, read):
-    """A slow noise of so many times that of the pieces, which is 1."""
+@pytest.mark.parametrize(("times", "sways", "read"), [(4.0, 3.0, 0.0), (6.0, 3.0, 6.0), (6.0, 0.5, 0.0)])
+def test_noise_over_phases_is_held_against_that_of_short_pieces(monkeypatch, times, sways, read):
+    """A slow noise of so many times that of the pieces, which is 1; balls sway by so many, which no cubic follows."""
     rng = np.random.default_rng(1)
-    stretches = [(rng.standard_normal((40, 2)), np.ones(40), np.arange(40)) for _ in range(30)]
+    sway = sways * np.sin(np.arange(40) / 4)[:, None]
+    stretches = [(rng.standard_normal((40, 2)) + sway, np.ones(40), np.arange(40)) for _ in range(30)]
     over_phases = Noise(Component(times**2, (0.99,)))
     assert noise._without_motion(over_phases, stretches).over_phases == read
 

@@ -142,8 +142,10 @@ def estimate(clips: Sequence[Measured]) -> Noise:
 
 def _without_motion(noise: Noise, stretches: Sequence[Stretch]) -> Noise:
     """The noise, or that of short pieces where it must hold motion that no cubic follows over a phase."""
-    short = Noise(own_noise(_pieces(stretches)), over_phases=noise.scale)
-    return short if noise.scale > policy.NOISE_GROWS * short.scale else noise
+    short, every = Noise(own_noise(_pieces(stretches)), over_phases=noise.scale), bundles(stretches)
+    left = np.sqrt(sum(float((b.values**2).sum()) for b in every) / sum(b.freedom for b in every))
+    grows = left > policy.LEFT_BY_MOTION * short.scale and noise.scale > policy.NOISE_GROWS * short.scale
+    return short if grows else noise
 
 
 def _pieces(stretches: Sequence[Stretch]) -> list[Stretch]:
