@@ -187,7 +187,7 @@ NOISE_GROWS = 5.0
 
 # Times the noise of the pieces that cubics must leave over whole phases for that: the scale of a noise whose
 # correlation is near one says little by itself. Chosen between: 1.04 in a sealed box whose camera shook, 1.7 and 1.8 of
-# real balls and pucks.
+# real balls and pucks. Not enough by itself: drawn drifts leave up to 1.7 over phases of 80 places.
 LEFT_BY_MOTION = 1.4
 
 # Times the median piece's noise power: a piece of 8 places beyond it holds an event. Chosen: of white noise 1 in 200.

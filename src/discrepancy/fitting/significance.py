@@ -45,13 +45,12 @@ def sigmas(chi2: float, dof: int, trials_factor: float = 1.0) -> float:
     return max(-float(ndtri_exp(log_p - math.log(2))), 0.0)
 
 
-def closes_little(without: float, with_: float, share: float | None = None) -> bool:
+def closes_little(without: float, with_: float, share: float) -> bool:
     """Whether far more is missing than a claim explains, by chi^2 a point without it and with it.
 
-    share: what it must close of what is over one; default: the least.
+    share: what it must close of what is over one.
     """
-    least = policy.LEAST_SHARE_CLOSED if share is None else share
-    return with_ > policy.NOT_DESCRIBED and without - with_ < least * (without - 1)
+    return with_ > policy.NOT_DESCRIBED and without - with_ < share * (without - 1)
 
 
 def trials_factor(every: Sequence[Array]) -> float:

@@ -213,7 +213,7 @@ class Stepwise:
     def _claimed(self, fit: Fit, more: Fit, candidate: Candidate, claim: float) -> bool:
         """Whether the fit with a candidate more is better than that without by what a claim needs."""
         enough = self._sigma(fit.chi2 - more.chi2, candidate) > claim
-        return enough and not closes_little(fit.chi2 / fit.points, more.chi2 / more.points)
+        return enough and not closes_little(fit.chi2 / fit.points, more.chi2 / more.points, policy.LEAST_SHARE_CLOSED)
 
     def _simplest(self, keys: Collection[frozenset[Candidate]]) -> frozenset[Candidate]:
         """Of models that fit as well as the best: the fewest strengths, then shape parameters, then the best fit."""
