@@ -28,7 +28,8 @@ from discrepancy.free_laws.fitted_law import FittedLaw
 from discrepancy.free_laws.tabulated import in_model
 from discrepancy.planning.pair_advice import advice, designs
 from discrepancy.selection.fit_store import FitStore
-from discrepancy.selection.free_law_contest import FreeLawContest, unseen
+from discrepancy.selection.free_law_contest import FreeLawContest
+from discrepancy.selection.free_law_fit import unseen
 from discrepancy.selection.named import Named
 from discrepancy.selection.stepwise import Selection, State, Stepwise
 from synthcam.model import Model

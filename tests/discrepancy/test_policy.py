@@ -27,8 +27,9 @@ from discrepancy.free_laws.library import free_laws
 from discrepancy.noise import model as noise
 from discrepancy.noise.model import Component, Noise, estimate
 from discrepancy.search import _verdict
-from discrepancy.selection import free_law_contest
-from discrepancy.selection.free_law_contest import FreeLawContest, LawTest
+from discrepancy.selection import free_law_contest, free_law_fit
+from discrepancy.selection.free_law_contest import FreeLawContest
+from discrepancy.selection.free_law_fit import LawTest
 from discrepancy.selection.score_test import ScoreTests
 from discrepancy.selection.scored import Scored
 from discrepancy.selection.stepwise import Stepwise
@@ -92,10 +93,7 @@ def test_two_effects_are_claimed_beside_a_free_law_however_many_more_would_be_be
         return Made(score=score, fit=begun, plain=Model(), law=None, beside=lambda base: {})
 
     contest = dataclasses.replace(contest, fitted=(law(500.0),))
-    for name in ("linearised", "settle", "_moves"):
-        monkeypatch.setattr(free_law_contest, name, lambda *_: begun)
-    monkeypatch.setattr(free_law_contest, "_tested", lambda *_: Made(sigma=9.0))
-    monkeypatch.setattr(free_law_contest, "fill", lambda *_: law(next(scores)))
+    monkeypatch.setattr(free_law_contest, "with_effect", lambda *_: (9.0, law(next(scores))))
     monkeypatch.setattr(FreeLawContest, "_asked", lambda self, place: self)
     monkeypatch.setattr(FreeLawContest, "_lacks", lambda self, place: Made(shapes={}, strengths=("hop.share",)))
     assert contest.outcome(fit)[0].score == 300.0
@@ -180,9 +178,9 @@ def test_noise_that_the_phases_exclude_by_twenty_is_refused(monkeypatch, worse, 
 def test_a_free_law_needs_four_and_a_half_sigma(monkeypatch, sigma, declared):
     contest, fit = made_laws(monkeypatch, 100.0, [])
     contest = dataclasses.replace(contest, laws=(None,), base=Made(names=(), model=None, launches=None))
-    monkeypatch.setattr(free_law_contest, "_moves", lambda *_: ())
+    monkeypatch.setattr(free_law_contest, "moves_of", lambda *_: ())
     monkeypatch.setattr(
-        free_law_contest, "_tested", lambda law, fit, moves: Made(sigma=sigma, fit=fit, score=lambda base: 0.0)
+        free_law_contest, "tested", lambda law, fit, moves: Made(sigma=sigma, fit=fit, score=lambda base: 0.0)
     )
     monkeypatch.setattr(free_law_contest, "fill", lambda *_: Made(score=0.0))
     contest = contest._considered([fit])
@@ -195,9 +193,9 @@ def test_one_of_so_many_free_laws_costs_its_choice(monkeypatch, share, better):
     """As likely as each other beforehand, one of n costs 2 ln n."""
     clips = exact(Model(), 4, 3)
     every = free_laws(Model(), np.array([c.launch for c in clips]), clips)
-    monkeypatch.setattr(free_law_contest, "cost_of", lambda fit, base: 100.0)
+    monkeypatch.setattr(free_law_fit, "cost_of", lambda fit, base: 100.0)
     weight = Weight(share * 2 * np.log(len(every)), None, np.zeros(0))
-    monkeypatch.setattr(free_law_contest, "weigh", lambda law, information, pull: weight)
+    monkeypatch.setattr(free_law_fit, "weigh", lambda law, information, pull: weight)
     look = LawTest(every[0], None, 9.0, np.zeros((0, 0)), np.zeros(0))
     assert (look.score(None) < 100.0) == better
 
@@ -282,22 +280,45 @@ def test_all_clips_must_ask_for_a_claim_by_three_sigma(sigma, stands):
     assert refused(BORNE, Held((1.0, 1.01), 9.0, 9.0)) != ""
 
 
-@pytest.mark.parametrize(("sigma", "stands"), [(18.0, False), (24.0, True)])
-def test_beside_an_unknown_law_a_name_needs_twenty_sigma(monkeypatch, sigma, stands):
+def beside_law(monkeypatch, sigma=30.0, less=500.0, others=()):
+    """The claim of an effect beside a free law of score 100, 500 without the effect, and the effects named."""
     for name in ("refilled", "in_turn"):
-        monkeypatch.setattr(stand, name, lambda *_: Made(score=500.0))
+        monkeypatch.setattr(stand, name, lambda *_: Made(score=less))
+    monkeypatch.setattr(stand, "in_its_place", lambda *_: others)
     for name, said in (("_unseen", None), ("_held", (BORNE, BORNE)), ("_free_law", None)):
         monkeypatch.setattr(stand.Validation, name, lambda *_, said=said: said)
-    base = Made(model=Model(), names=BASE)
-    whole = Made(model=Model(), std={})
+    base, whole = Made(model=Model(), names=BASE), Made(model=Model(), std={})
     law = Made(
         score=100.0, plain=Model(), whole=whole, law=Made(name="law"), beside=lambda base: {"rolling_quadratic": sigma}
     )
     looked = Made(base=base, claim=4.0, paid=lambda effect, sigma: sigma)
-    claims, *_ = stand.Validation(None, None, (), None, NOISE, lambda: None)._claims(
-        looked, law, policy.SIGMA_BESIDE_FREE_LAW
-    )
-    assert (claims[0].why == "") is stands
+    validation = stand.Validation(Made(absorbed=()), None, (), None, NOISE, lambda: None)
+    (claim, _), left, named = validation._claims(looked, law, policy.SIGMA_BESIDE_FREE_LAW)
+    return claim, left["rolling_quadratic"][1], named[0].aliases
+
+
+@pytest.mark.parametrize(("sigma", "stands"), [(18.0, False), (24.0, True)])
+def test_beside_an_unknown_law_a_name_needs_twenty_sigma(monkeypatch, sigma, stands):
+    assert (beside_law(monkeypatch, sigma)[0].why == "") is stands
+
+
+@pytest.mark.parametrize(
+    ("score", "aliases", "why"),
+    [(88.0, 2, stand.EXCHANGED), (92.0, 2, ""), (108.0, 2, ""), (112.0, 1, "")],
+)
+def test_beside_an_unknown_law_what_fits_as_well_is_told_and_what_fits_better_by_nine_is_taken(
+    monkeypatch, score, aliases, why
+):
+    other = Made(score=score)
+    claim, without, names = beside_law(monkeypatch, others=[("stribeck", other)])
+    assert (claim.why, len(names)) == (why, aliases)
+    assert (without is other) is (why == stand.EXCHANGED)
+
+
+def test_an_effect_without_which_all_else_explains_as_much_leaves_nothing_missing(monkeypatch):
+    claim, _, _ = beside_law(monkeypatch, less=90.0)
+    assert claim.why == stand.ABSORBED
+    assert claim.why in stand.NO_LOSS
 
 
 @pytest.mark.parametrize(("end", "stands"), [("", True), ("its bounce stands at 0.9, the end of its range", False)])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -15,10 +15,11 @@ from discrepancy.diagnostics.held_out import Claim, Held, foretold, in_turn, ref
 from discrepancy.diagnostics.residual_map import locate, unexplained
 from discrepancy.fitting.gauss_newton import fit_model, linearised
 from discrepancy.fitting.model_fit import Evidence, Fit
-from discrepancy.fitting.parameters import candidates_of
+from discrepancy.fitting.parameters import Candidate, candidates_of
 from discrepancy.free_laws.fitted_law import FittedLaw
 from discrepancy.noise.model import Noise
-from discrepancy.selection.free_law_contest import emptied, refilled, scatter, unseen
+from discrepancy.selection.beside_free_law import in_its_place
+from discrepancy.selection.free_law_fit import emptied, refilled, scatter, unseen
 from discrepancy.selection.model_cost import cost_of
 from discrepancy.selection.named import Named
 from discrepancy.selection.stepwise import Selection, Stepwise
@@ -30,6 +31,8 @@ Weighed = tuple[list[Claim], Left, tuple[Named, ...]]
 
 UNSURE = "not significant beside all else"
 EXCHANGED = "another that fits as well is borne"  # a class is claimed, and collisions kept out may tell which of it
+ABSORBED = "all else explains as much without it"
+NO_LOSS = {EXCHANGED, ABSORBED}  # with what takes their place nothing is missing
 
 
 @dataclass(frozen=True)
@@ -80,9 +83,12 @@ class Validation:
             claims, without, named = self._claims(selected, free_law, level)
             falls = [c for c in claims if c.why]
             if not falls:
-                return Standing(selected, free_law, named, tuple(claims), tuple(withdrawn))
-            worst = min(falls, key=lambda c: c.turns.sigma)
-            if worst.why != EXCHANGED:
+                stand = {claim.name for claim in claims}  # in the place of another, where it had fallen beside it
+                return Standing(
+                    selected, free_law, named, tuple(claims), tuple(c for c in withdrawn if c.name not in stand)
+                )
+            worst = min(falls, key=lambda c: (c.why != ABSORBED, c.turns.sigma))
+            if worst.why not in NO_LOSS:
                 withdrawn.append(worst)
             selected, free_law = without[worst.name]
 
@@ -100,17 +106,29 @@ class Validation:
         known = candidates_of(free_law.plain, base.model, base.names)
         for effect, sigma in free_law.beside(base).items():
             own = selected.paid(effect, sigma)
-            named.append(Named.of(known[effect], whole, whole.std, own))
+            one = Named.of(known[effect], whole, whole.std, own)
+            named.append(one)
             try:
                 less = refilled(self.evidence, free_law, known[effect], base, self.progress)
             except ValueError:  # the clips have no motion without it
                 continue
             left[effect] = selected, less
-            why = "" if own > max(level, selected.claim) and less.score > free_law.score else UNSURE
             held = self._held(own, (self._unseen(less), with_), (in_turn(less), turned))
-            claims.append(Claim(effect, own, *held, why or refused(*held) or named[-1].at_end_of_range()))
+            sure, absorbed = own > max(level, selected.claim), less.score <= free_law.score
+            why = (ABSORBED if absorbed else refused(*held) or one.at_end_of_range()) if sure else UNSURE
+            others = [] if why else self._in_its_place(less, known[effect], free_law.score, base)
+            named[-1] = replace(one, aliases=(effect, *(name for name, _ in others)))
+            if others and others[0][1].score < free_law.score - policy.RIVAL_EXCLUDED_BY:
+                left[effect], why = (selected, others[0][1]), EXCHANGED
+            claims.append(Claim(effect, own, *held, why))
         left[free_law.law.name] = selected, None
         return [*claims, self._free_law(selected, free_law, with_, turned)], left, tuple(named)
+
+    def _in_its_place(self, less: FittedLaw, named: Candidate, score: float, base: Fit) -> list[tuple[str, FittedLaw]]:
+        """What fits as well beside a free law as an effect, better ones first. score: of the fit with the effect."""
+        absorbed = self.steps.absorbed
+        others = in_its_place(self.evidence, less, named, absorbed, base, self.progress)
+        return [(name, other) for name, other in others if other.score < score + policy.RIVAL_EXCLUDED_BY]
 
     def _named(self, selected: Selection, level: float) -> Weighed:
         claims, left, every = [], Left(), self.steps.named(selected.state)

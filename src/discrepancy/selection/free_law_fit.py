@@ -1,0 +1,246 @@
+"""Fit a free law in full, with other library effects beside it, without it, and to clips that it has not seen."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from discrepancy.arrays import Array
+from discrepancy.data.collisions import Measured
+from discrepancy.data.launch import possible
+from discrepancy.fitting.gauss_newton import FAILED, fit_model, linearised, settle, solve
+from discrepancy.fitting.model_fit import Evidence, Fit
+from discrepancy.fitting.parameters import Candidate, within
+from discrepancy.free_laws.credible_band import stepped
+from discrepancy.free_laws.evidence import Weight, significance, weigh
+from discrepancy.free_laws.fitted_law import FittedLaw
+from discrepancy.free_laws.free_law import FreeLaw
+from discrepancy.free_laws.ranges import over_clips
+from discrepancy.noise.model import Noise
+from discrepancy.selection.model_cost import cost_of, law_chosen
+from discrepancy.selection.scored import Scored
+from synthcam.model import Model
+
+ROUNDS = 30
+TURNS = 10  # of a law and the shape parameters of an effect beside it
+SETTLED = 0.05  # of chi^2: what a further step would gain
+SHORTER = (1.0, 0.5, 0.25, 0.1, 0.02)  # shares of a step that are tried
+
+
+@dataclass(frozen=True)
+class LawTest:
+    """A free law held against a fit, to first order."""
+
+    law: FreeLaw
+    fit: Fit
+    sigma: float
+    information: Array
+    pull: Array
+
+    @cached_property
+    def weight(self) -> Weight:  # asked of few laws: it takes the longest
+        return weigh(self.law, self.information, self.pull)
+
+    def score(self, base: Fit) -> float:
+        """What the model with the law would cost, in chi^2."""
+        return cost_of(self.fit, base) + law_chosen() - self.weight.gain
+
+
+def moves_of(evidence: Evidence, law: FreeLaw, model: Model, launches: Array) -> tuple[Array, ...]:
+    """Whitened derivatives by the coefficients, (2n, J) of each clip."""
+    return evidence.white(law.columns(model, launches, evidence.clips))
+
+
+def tested(law: FreeLaw, fit: Fit, moves: Sequence[Array]) -> LawTest:
+    information, pull = fit.information(moves)
+    return LawTest(law, fit, significance(law, information, pull), information, pull)
+
+
+def fill(
+    evidence: Evidence,
+    test: LawTest,
+    base: Fit,
+    progress: Callable[[], None] = lambda: None,
+    begun: FittedLaw | None = None,
+) -> FittedLaw:
+    """Fit a free law together with everything that another fit has, the law's prior chosen by the evidence.
+
+    Parameters
+    ----------
+    evidence : Evidence
+    test : LawTest
+        The law, and the fit without it.
+    base : Fit
+        What the cost of effects beside the law is counted from.
+    progress : callable
+        Told of progress.
+    begun : FittedLaw, optional
+        The same law to go on from, with all that is to be fitted beside it.
+
+    Returns
+    -------
+    FittedLaw
+
+    Raises
+    ------
+    ValueError
+        Where a law on the way has no motion.
+    """
+    law = test.law
+    if begun is None:
+        plain, fit, here, coefs = test.fit.model, test.fit, evidence, np.zeros(law.size)
+    else:
+        plain, fit, here, coefs = begun.plain, begun.fit, begun.evidence, begun.coefs
+    moves = moves_of(here, law, fit.model, fit.launches)
+    for _ in range(ROUNDS):
+        progress()
+        information, pull = fit.information(moves)
+        weight = weigh(law, information, pull + information @ coefs)
+        precision, step = weight.prior.precision, weight.coefs - coefs
+        moved = None
+        if step @ (information + precision) @ step > SETTLED:
+            before = fit.chi2 + coefs @ precision @ coefs
+            for share in SHORTER:
+                moved = _moved(evidence, law, plain, fit, moves, coefs, share * step)
+                if moved and moved[1].chi2 + (coefs + share * step) @ precision @ (coefs + share * step) < before:
+                    coefs = coefs + share * step
+                    here, fit, plain = moved
+                    break
+                moved = None
+        if moved is None:
+            if fit.local:
+                break
+            fit = linearised(here, fit.model, fit.names, fit.launches)
+            moves = moves_of(evidence, law, law.bent(plain, coefs), fit.launches)
+    freedom = np.linalg.slogdet(np.eye(law.size) + information / np.diag(weight.prior.precision)[:, None])
+    paid = law_chosen() + weight.prior.cost + float(coefs @ weight.prior.precision @ coefs + freedom[1])
+    smooth = FittedLaw(law, coefs, weight.prior, fit, plain, here, moves, test.sigma, cost_of(fit, base) + paid)
+    return dataclasses.replace(smooth, score=smooth.score - stepped(smooth))
+
+
+def _moved(
+    evidence: Evidence, law: FreeLaw, plain: Model, fit: Fit, moves: Sequence[Array], coefs: Array, step: Array
+) -> tuple[Evidence, Fit, Model] | None:
+    """Take a step of the coefficients, and with it the step of all else that fits best to first order.
+
+    Returns the clips (less what the law moves, where no effect can hold it), the fit there, and its model without the
+    law; None where that has no motion.
+    """
+    shared, own = solve(fit.explained_by(moves, step), 0.0, *fit.room())
+    launches = fit.launches + own
+    if not possible(launches):
+        return None
+    try:
+        plain = within(plain, dict(zip(fit.names, (fit.values() + shared).tolist(), strict=True)))
+        model = law.bent(plain, coefs + step)
+        here = dataclasses.replace(evidence, clips=tuple(law.undone(evidence.clips, plain, launches, coefs + step)))
+        residuals = here.left(model, launches)
+    except FAILED:
+        return None
+    return here, dataclasses.replace(fit, model=model, launches=launches, residuals=residuals), plain
+
+
+def with_effect(
+    evidence: Evidence, known: FittedLaw, effect: Scored, base: Fit, progress: Callable[[], None]
+) -> tuple[float, FittedLaw]:
+    """Fit a free law again with an effect of the library more beside it. Raises ValueError: without the law no motion.
+
+    Returns
+    -------
+    sigma : float
+        Of the law there.
+    fitted : FittedLaw
+    """
+    model, names = known.plain.replace(effect.shapes | dict.fromkeys(effect.strengths, 0.0)), known.fit.names
+    start = settle(evidence, linearised(evidence, model, (*names, *effect.strengths), known.fit.launches), progress)
+    test = tested(known.law, start, moves_of(evidence, known.law, start.model, start.launches))
+    fitted = fill(evidence, test, base, progress)
+    names = (*start.names, *effect.shapes)
+    for _ in range(TURNS if effect.shapes else 0):  # without the law they may run off
+        here, one = fitted.evidence, fitted.fit
+        whole = settle(here, linearised(here, one.model, names, one.launches), progress)
+        plain = within(fitted.plain, dict(zip(whole.names, whole.values().tolist(), strict=True)))
+        before = fitted.score
+        fitted = fill(evidence, test, base, progress, dataclasses.replace(fitted, fit=whole, plain=plain))
+        if fitted.score > before - SETTLED:
+            break
+    information, pull = fitted.fit.information(fitted.moves)
+    return significance(fitted.law, information, pull + information @ fitted.coefs), fitted
+
+
+def refilled(
+    evidence: Evidence, fitted_law: FittedLaw, gone: Candidate, base: Fit, progress: Callable[[], None]
+) -> FittedLaw:
+    """Fit a free law again without the effect `gone` beside it. Raises ValueError where that has no motion."""
+    names = tuple(n for n in fitted_law.fit.names if n not in gone.strengths + gone.shapes)
+    start = linearised(evidence, gone.without(fitted_law.plain), names, fitted_law.fit.launches)
+    fit = settle(evidence, start, progress)
+    return fill(
+        evidence,
+        tested(fitted_law.law, fit, moves_of(evidence, fitted_law.law, fit.model, fit.launches)),
+        base,
+        progress,
+    )
+
+
+def emptied(evidence: Evidence, fitted_law: FittedLaw, progress: Callable[[], None]) -> Fit:
+    """Fit all else that a fitted law has beside it, without the law. Raises ValueError where that has no motion."""
+    return settle(
+        evidence, linearised(evidence, fitted_law.plain, fitted_law.fit.names, fitted_law.fit.launches), progress
+    )
+
+
+def scatter(fitted_law: FittedLaw, clips: Sequence[Measured], without: Fit, noise: Noise) -> tuple[float, float, float]:
+    """Whether a law that gives each clip a number of its own holds in clips that it was not fitted to.
+
+    Those clips have numbers of their own; what the law foretells is only how much these scatter. `without` is the fit
+    of these clips without the law.
+
+    Returns
+    -------
+    gain : float
+        By how much the marginal likelihood with numbers of that size exceeds that without, in chi^2.
+    expected, std : float
+        The mean of this gain and its standard deviation, were the numbers of that size.
+    """
+    evidence = Evidence.of(clips, noise)
+    law = dataclasses.replace(fitted_law.law, axes=over_clips(len(clips)))
+    fit = linearised(evidence, without.model, (), without.launches)
+    information, pull = fit.information(moves_of(evidence, law, fit.model, fit.launches))
+    size = fitted_law.prior.size * np.sqrt(law.spread(fitted_law.prior.length))
+    values, axes = np.linalg.eigh(size[:, None] * information * size)
+    values, pulls = np.maximum(values, 0.0), axes.T @ (size * pull)
+    gain = float((pulls**2 / (1 + values) - np.log1p(values)).sum())
+    return gain, float((values - np.log1p(values)).sum()), float(np.sqrt(2 * (values**2).sum()))
+
+
+def unseen(fitted_law: FittedLaw, clips: Sequence[Measured], before: Fit, noise: Noise) -> Fit:
+    """Fit the launches of clips that a free law was not fitted to, with the law as it was found.
+
+    Parameters
+    ----------
+    fitted_law : FittedLaw
+        Where it is a number for each clip, these clips' own numbers are fitted too.
+    clips : sequence of Measured
+    before : Fit
+        Of these clips, without the law.
+    noise : Noise
+
+    Returns
+    -------
+    Fit
+        Its model holds the law; where no effect can hold it, what the law moves is taken out of the clips instead.
+    """
+    plain = fitted_law.plain
+    if fitted_law.law.each_clip:
+        evidence = Evidence.of(clips, noise)
+        there = settle(evidence, linearised(evidence, plain, (), before.launches))
+        law = dataclasses.replace(fitted_law.law, axes=over_clips(len(clips)))
+        test = tested(law, there, moves_of(evidence, law, plain, there.launches))
+        return fill(evidence, test, there).fit
+    left = fitted_law.law.undone(clips, plain, before.launches, fitted_law.coefs)
+    return fit_model(left, fitted_law.fit.model, (), noise, before.launches)

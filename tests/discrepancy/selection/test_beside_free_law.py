@@ -1,0 +1,71 @@
+"""Beside a free law an effect is told from others that could stand there."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from discrepancy_clips import exact, noisy
+
+from discrepancy import policy
+from discrepancy.fitting.gauss_newton import fit_model
+from discrepancy.fitting.model_fit import Evidence
+from discrepancy.fitting.parameters import BASE, candidates_of
+from discrepancy.free_laws.library import free_laws
+from discrepancy.noise.model import Component, Noise
+from discrepancy.selection.beside_free_law import in_its_place
+from discrepancy.selection.free_law_fit import fill, moves_of, refilled, with_effect
+from discrepancy.selection.free_law_fit import tested as held_against
+from discrepancy.selection.score_test import ScoreTests
+from synthcam.model import Model
+
+NOISE = Noise(Component(1.0))
+CLIPS = 12
+SLIP, RISE, SCATTER = 0.25, 0.03, 0.003
+
+
+@pytest.fixture(scope="module")
+def rubbed():
+    """Friction is another in each clip, and falls with the slip, over so wide a range that viscous friction is near."""
+    model, clips = Model().replace({"stribeck.rise": RISE, "stribeck.slip": SLIP}), []
+    for k, mu in enumerate(np.random.default_rng(2).normal(0.24, SCATTER, CLIPS)):
+        clips.append(exact(model.replace({"sliding_friction": mu}), CLIPS, 6)[k])
+    clips = noisy(clips, 6)
+    base, evidence = fit_model(clips, Model(), BASE, NOISE), Evidence.of(clips, NOISE)
+    law = next(s for s in free_laws(base.model, base.launches, clips) if s.name == "friction_clip")
+    known = fill(evidence, held_against(law, base, moves_of(evidence, law, base.model, base.launches)), base)
+    tests = ScoreTests.of(known.evidence, known.whole, about=known.plain)
+    return evidence, base, known, {c.effect: c for c in tests.ranking()}
+
+
+def beside(rubbed, name, **shapes):
+    evidence, base, known, ranking = rubbed
+    scored = dataclasses.replace(ranking[name], shapes={f"{name}.{k}": v for k, v in shapes.items()})
+    return with_effect(evidence, known, scored, base, lambda: None)
+
+
+def test_what_fits_better_in_the_place_of_an_effect_is_found(rubbed):
+    evidence, base, *_ = rubbed
+    sigma, wrong = beside(rubbed, "viscous_friction")
+    named = candidates_of(wrong.plain, base.model, base.names)["viscous_friction"]
+    less = refilled(evidence, wrong, named, base, lambda: None)
+    ((name, best), *_) = in_its_place(evidence, less, named, (), base, lambda: None)
+    assert sigma > policy.FREE_LAW_SIGMA
+    assert name == "stribeck"
+    assert best.score < wrong.score - policy.RIVAL_EXCLUDED_BY
+    assert best.plain.value("stribeck.slip") == pytest.approx(SLIP, abs=4 * best.whole.std["stribeck.slip"])
+
+
+@pytest.mark.parametrize("start", [0.1, 0.3])
+def test_a_shape_parameter_is_found_from_far_beside_a_free_law(rubbed, start):
+    near, far = (beside(rubbed, "stribeck", slip=s)[1] for s in (SLIP, start))
+    assert far.score == pytest.approx(near.score, abs=1)
+
+
+def test_an_effect_that_is_no_rival_is_not_asked(rubbed):
+    evidence, base, *_ = rubbed
+    wrong = beside(rubbed, "viscous_friction")[1]
+    named = candidates_of(wrong.plain, base.model, base.names)["viscous_friction"]
+    less = refilled(evidence, wrong, named, base, lambda: None)
+    assert "stribeck" not in [
+        name for name, _ in in_its_place(evidence, less, named, ("stribeck",), base, lambda: None)
+    ]
