@@ -180,7 +180,7 @@ def test_a_free_law_needs_four_and_a_half_sigma(monkeypatch, sigma, declared):
     contest = dataclasses.replace(contest, laws=(None,), base=Made(names=(), model=None, launches=None))
     monkeypatch.setattr(free_law_contest, "moves_of", lambda *_: ())
     monkeypatch.setattr(
-        free_law_contest, "tested", lambda law, fit, moves: Made(sigma=sigma, fit=fit, score=lambda base: 0.0)
+        free_law_contest, "held_against", lambda law, fit, moves: Made(sigma=sigma, fit=fit, score=lambda base: 0.0)
     )
     monkeypatch.setattr(free_law_contest, "fill", lambda *_: Made(score=0.0))
     contest = contest._considered([fit])
@@ -350,7 +350,11 @@ def test_twenty_sigma_are_asked_beside_what_is_unknown_and_where_a_law_was_withd
 
     def claims(self, search, law, level):
         asked.append(level)
-        return [Made(name="x", free=free, turns=BORNE, why="" if asked[1:] else "not borne")], {"x": (search, None)}, ()
+        return (
+            [Made(name="x" if not asked[1:] else "y", free=free, turns=BORNE, why="" if asked[1:] else "not borne")],
+            {"x": (search, None)},
+            (),
+        )
 
     monkeypatch.setattr(stand.Validation, "_claims", claims)
     validation = stand.Validation(None, Made(clips=()), (), None, NOISE, lambda: None)

@@ -17,7 +17,7 @@ from discrepancy.fitting.model_fit import Evidence, Fit
 from discrepancy.free_laws.fitted_law import FittedLaw
 from discrepancy.free_laws.free_law import FreeLaw
 from discrepancy.free_laws.library import free_laws
-from discrepancy.selection.free_law_fit import fill, moves_of, tested, with_effect
+from discrepancy.selection.free_law_fit import fill, held_against, moves_of, with_effect
 from discrepancy.selection.model_cost import cost_of
 from discrepancy.selection.score_test import ScoreTests
 from discrepancy.selection.scored import Scored
@@ -174,7 +174,7 @@ class FreeLawContest:
         seen, fitted = [], list(self.fitted)
         for law in self.laws:
             moves = moves_of(self.evidence, law, self.base.model, self.base.launches)  # near enough for all fits
-            seen += [(tested(law, fit, moves), k) for k, fit in enumerate(fits, 1 - len(fits))]
+            seen += [(held_against(law, fit, moves), k) for k, fit in enumerate(fits, 1 - len(fits))]
             self.progress()
         leaders = [(test, k) for test, k in seen if test.sigma > policy.FREE_LAW_SIGMA]
         leaders.sort(key=lambda pair: pair[0].score(self.base))

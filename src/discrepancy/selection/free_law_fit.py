@@ -55,7 +55,7 @@ def moves_of(evidence: Evidence, law: FreeLaw, model: Model, launches: Array) ->
     return evidence.white(law.columns(model, launches, evidence.clips))
 
 
-def tested(law: FreeLaw, fit: Fit, moves: Sequence[Array]) -> LawTest:
+def held_against(law: FreeLaw, fit: Fit, moves: Sequence[Array]) -> LawTest:
     information, pull = fit.information(moves)
     return LawTest(law, fit, significance(law, information, pull), information, pull)
 
@@ -157,7 +157,7 @@ def with_effect(
     """
     model, names = known.plain.replace(effect.shapes | dict.fromkeys(effect.strengths, 0.0)), known.fit.names
     start = settle(evidence, linearised(evidence, model, (*names, *effect.strengths), known.fit.launches), progress)
-    test = tested(known.law, start, moves_of(evidence, known.law, start.model, start.launches))
+    test = held_against(known.law, start, moves_of(evidence, known.law, start.model, start.launches))
     fitted = fill(evidence, test, base, progress)
     names = (*start.names, *effect.shapes)
     for _ in range(TURNS if effect.shapes else 0):  # without the law they may run off
@@ -181,7 +181,7 @@ def refilled(
     fit = settle(evidence, start, progress)
     return fill(
         evidence,
-        tested(fitted_law.law, fit, moves_of(evidence, fitted_law.law, fit.model, fit.launches)),
+        held_against(fitted_law.law, fit, moves_of(evidence, fitted_law.law, fit.model, fit.launches)),
         base,
         progress,
     )
@@ -240,7 +240,7 @@ def unseen(fitted_law: FittedLaw, clips: Sequence[Measured], before: Fit, noise:
         evidence = Evidence.of(clips, noise)
         there = settle(evidence, linearised(evidence, plain, (), before.launches))
         law = dataclasses.replace(fitted_law.law, axes=over_clips(len(clips)))
-        test = tested(law, there, moves_of(evidence, law, plain, there.launches))
+        test = held_against(law, there, moves_of(evidence, law, plain, there.launches))
         return fill(evidence, test, there).fit
     left = fitted_law.law.undone(clips, plain, before.launches, fitted_law.coefs)
     return fit_model(left, fitted_law.fit.model, (), noise, before.launches)

@@ -13,8 +13,7 @@ from discrepancy.fitting.parameters import BASE, candidates_of
 from discrepancy.free_laws.library import free_laws
 from discrepancy.noise.model import Component, Noise
 from discrepancy.selection.beside_free_law import in_its_place
-from discrepancy.selection.free_law_fit import fill, moves_of, refilled, with_effect
-from discrepancy.selection.free_law_fit import tested as held_against
+from discrepancy.selection.free_law_fit import fill, held_against, moves_of, refilled, with_effect
 from discrepancy.selection.score_test import ScoreTests
 from synthcam.model import Model
 

@@ -14,7 +14,7 @@ from discrepancy.fitting.predict import forecast
 from discrepancy.free_laws.library import free_laws
 from discrepancy.noise.model import Component, Noise
 from discrepancy.selection.free_law_contest import FreeLawContest
-from discrepancy.selection.free_law_fit import fill, moves_of, tested, unseen
+from discrepancy.selection.free_law_fit import fill, held_against, moves_of, unseen
 from discrepancy.selection.model_cost import cost_of
 from synthcam.model import Model
 
@@ -136,7 +136,7 @@ def test_what_the_base_holds_rightly_is_no_effect_beside_a_free_law():
     base, fit = based(clips, held), fit_model(clips, held, (*BASE, "rolling_quadratic.K"), NOISE)
     evidence = Evidence.of(clips, NOISE)
     law = next(s for s in free_laws(base.model, base.launches, clips) if s.name == "restitution_speed")
-    look = tested(law, fit, moves_of(evidence, law, base.model, base.launches))
+    look = held_against(law, fit, moves_of(evidence, law, base.model, base.launches))
     filled = fill(evidence, look, base)
     assert 0.1 / filled.whole.std["rolling_quadratic.K"] > 30
     assert filled.beside(base)["rolling_quadratic"] < 3.5
