@@ -363,6 +363,46 @@ def test_twenty_sigma_are_asked_beside_what_is_unknown_and_where_a_law_was_withd
     assert len(stands.withdrawn) == 1
 
 
+@pytest.mark.parametrize(("why", "withdrawn"), [("not borne", ["a"]), (stand.ABSORBED, []), (stand.EXCHANGED, [])])
+def test_what_is_exchanged_or_explained_by_all_else_is_not_withdrawn(monkeypatch, why, withdrawn):
+    turns = iter([[Made(name="a", free=False, turns=BORNE, why=why)], []])
+    stands = standing_of(monkeypatch, turns)
+    assert [c.name for c in stands.withdrawn] == withdrawn
+
+
+def test_what_fell_beside_another_and_stands_in_its_place_is_not_withdrawn(monkeypatch):
+    """The one that all else explains as well goes first, though it has more sigma."""
+    weak, strong = Held((1.0, 0.9), 3.0, 3.0), BORNE
+    turns = iter(
+        [
+            [
+                Made(name="a", free=False, turns=weak, why="not borne"),
+                Made(name="b", free=False, turns=strong, why=stand.ABSORBED),
+            ],
+            [Made(name="a", free=False, turns=weak, why="not borne")],
+            [Made(name="a", free=False, turns=weak, why="")],
+        ]
+    )
+    gone = []
+    stands = standing_of(monkeypatch, turns, gone)
+    assert gone == ["b", "a"]
+    assert stands.withdrawn == ()
+
+
+def standing_of(monkeypatch, turns, gone=None):
+    """What stands of claims that are looked at in these turns; what falls is told in `gone`."""
+
+    class Left(dict):
+        def __getitem__(self, name):
+            if gone is not None:
+                gone.append(name)
+            return Made(claim=4.2, state=(), best=None), "law"
+
+    monkeypatch.setattr(stand.Validation, "_claims", lambda *_: (next(turns), Left(), ()))
+    validation = stand.Validation(None, Made(clips=()), (), None, NOISE, lambda: None)
+    return validation.standing(Made(claim=4.2, state=(), best=None), "law")
+
+
 @pytest.mark.parametrize(("sigma", "told"), [(2.0, False), (4.5, True)])
 def test_a_share_is_told_of_a_gap_of_three_sigma(sigma, told):
     whole = Part(1 + sigma * np.sqrt(2 / 5000), 1.0, 1.0, 1.0, 1.0, 1.0)
