@@ -292,7 +292,7 @@ SLIDING_APPROACH = 0.3
 SPIN_AGREES = 1e-6
 
 # Share of the strikers that spin about the vertical beyond which each is taken to, also where the tracker's model of
-# its clip is rejected, as it is where an effect is missing. Chosen; not derived.
+# its clip is rejected, as it is where an effect is missing; those do not count. Chosen; not derived.
 MOST_STRIKERS_SPIN = 0.5
 
 # m/s, of the median clip: no ball is launched faster, and scale or frame rate are wrong. Chosen; not derived.

@@ -169,7 +169,7 @@ def read_measured(measured: Path | Sequence[Result], camera: Path | None = None)
         raise InputError(f"{measured}: expected --camera camera.json with a table of tracks")
     else:
         source = _table(measured, camera)
-    kept, left_out = [], []
+    kept, rejected, left_out = [], [], []
     for number, tracks, own, measured_rows, strays in source:
         if (frame := exchanged(tracks, own)) is not None:
             left_out.append(f"clip {number}: the balls have exchanged their names at frame {frame}")
@@ -184,6 +184,7 @@ def read_measured(measured: Path | Sequence[Result], camera: Path | None = None)
         outcome = collision(tracks, {"clip": number} | rows[0], own)
         if isinstance(outcome, Measured):
             kept.append(outcome)
+            rejected.append(rows[0]["status"] == MISFIT)
             if strays:
                 frames = ", ".join(map(str, strays))
                 left_out.append(
@@ -196,7 +197,8 @@ def read_measured(measured: Path | Sequence[Result], camera: Path | None = None)
     typical = float(np.median([c.launch[V0] for c in kept]))
     if typical > policy.FASTEST_LAUNCH:
         raise InputError(f"{measured}: speeds of {typical:.3g} m/s; are scale and fps of the camera right?")
-    return [replace(c, launch=one) for c, one in zip(kept, alike([c.launch for c in kept]), strict=True)], left_out
+    launches = alike([c.launch for c in kept], rejected)
+    return [replace(c, launch=one) for c, one in zip(kept, launches, strict=True)], left_out
 
 
 # number, tracks, camera, what measures when asked, and the frames of places taken out as another ball's

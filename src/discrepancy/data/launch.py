@@ -96,17 +96,27 @@ def _by_errors_alone(row: Mapping[Any, Any]) -> bool:
     return bool(chdtrc(dof - dof_free, max(tied - free, 0.0) * dof_free / free) > policy.SPIN_AGREES)
 
 
-def alike(launches: list[Array]) -> list[Array]:
+def alike(launches: list[Array], rejected: list[bool] | None = None) -> list[Array]:
     """Launches of equal length: without spins where no striker has one.
 
-    Where most strikers spin about the vertical, each may, one too whose clip the tracker's model rejects: its spin is
-    begun with a hundredth of theirs.
+    Where most strikers spin about the vertical, each may: the spin of one that seems not to is begun with a hundredth
+    of theirs.
+
+    Parameters
+    ----------
+    launches : list of (6,) or (9,) arrays
+    rejected : list of bool, optional
+        Whether the tracker's model of each clip is rejected: that it found no spin there says nothing. So few others
+        that they make no study say nothing of all.
     """
     if all(len(launch) == len(LAUNCH) or not launch[len(LAUNCH) :].any() for launch in launches):
         return [launch[: len(LAUNCH)] for launch in launches]
     out = without_least_slips(np.concatenate([with_spins(launch[None]) for launch in launches]))
     spins = out[:, SIDE] != 0
-    if np.mean(spins) > policy.MOST_STRIKERS_SPIN:
+    told = spins | ~np.array(rejected if rejected else np.zeros(len(out), dtype=bool))
+    if told.sum() < policy.FEWEST_COLLISIONS:
+        told[:] = True
+    if np.mean(spins[told]) > policy.MOST_STRIKERS_SPIN:
         out[~spins, SIDE] = 0.01 * np.median(np.abs(out[spins, SIDE]))
     return list(out)
 

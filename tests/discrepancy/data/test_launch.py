@@ -52,6 +52,18 @@ def test_a_ball_that_rolls_has_no_slip_to_be_fitted():
     assert [len(one) for one in alike([rolls, np.array([*rolls, 0.0, 0.0, 0.0])])] == [6, 6]
 
 
+@pytest.mark.parametrize(
+    ("rejected", "told", "each"),
+    [(8, 6, True), (8, 5, False), (0, 6, False)],
+)
+def test_where_strikers_spin_that_no_rejected_model_tells_each_may(rejected, told, each):
+    """Of strikers of which six spin, eight others are in clips whose model is rejected; five are too few to tell."""
+    rolls, spins = HITS[0], np.array([*HITS[0], 0.0, 0.0, 0.1])
+    every = np.array(alike(told * [spins] + 8 * [rolls], told * [False] + rejected * [True] + (8 - rejected) * [False]))
+    assert free(every)[told:, 8].all() == each
+    assert free(every)[:told, 8].all()
+
+
 def test_a_spin_is_that_of_the_estimates_along_the_heading():
     row = {"status": "ok", "u2ix": 0.3, "u2iy": 0.1, "side2i": -0.2}
     assert spin(row, np.pi / 2, 0.5, np.zeros(2)) == pytest.approx([0.1, -0.3, -0.2])
