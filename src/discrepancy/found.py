@@ -173,7 +173,7 @@ class Found:
             return self._cut_short(self.so_far)
         if self.data.smoothed:
             agree = "" if self.verdict == "none" else f" They disagree most at {self.left[0]}."
-            return f"Nothing is named, since {SMOOTHED}.{agree}"
+            return f"Nothing is named, since {SMOOTHED}.{agree}{slow}"
         if self.verdict == "none":
             return f"Nothing is missing: simulation and measurement agree to within the noise.{dropped}{slow}"
         if self.verdict == "inadequate":

@@ -34,6 +34,10 @@ UNEXPLAINED_SIGMA = 5.0
 # Chosen; not derived.
 FEWEST_CLIPS_OF_A_TREND = 6
 
+# Times the residuals that a disagreement may be, since launches take most of it, before no size of it is given.
+# Chosen; not derived: of effects of the library 1.3, of 56 hits of pucks on air 4, of real billiard balls 50 and more.
+CANCELLED = 10.0
+
 # chi^2 a degree of freedom of a fit with an effect added by hand, over which more is said to be missing.
 # Chosen; not derived: twice what noise leaves.
 POOR_CHI2 = 2.0

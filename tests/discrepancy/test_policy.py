@@ -14,6 +14,7 @@ from discrepancy_selected import selected
 from discrepancy import policy
 from discrepancy.add import Added
 from discrepancy.diagnostics import claims as stand
+from discrepancy.diagnostics import trial
 from discrepancy.diagnostics.gap import Part, _closure
 from discrepancy.diagnostics.held_out import Held, refused
 from discrepancy.diagnostics.outlier_clips import outlier_clips
@@ -407,6 +408,17 @@ def standing_of(monkeypatch, turns, gone=None):
 def test_a_share_is_told_of_a_gap_of_three_sigma(sigma, told):
     whole = Part(1 + sigma * np.sqrt(2 / 5000), 1.0, 1.0, 1.0, 1.0, 1.0)
     assert np.isfinite(_closure(whole, 5000)) == told
+
+
+@pytest.mark.parametrize(("times", "told"), [(7.0, True), (14.0, False)])
+def test_a_disagreement_far_larger_than_the_residuals_has_no_size(times, told):
+    """A push of 5 mm in one frame of one clip, beside terms that take nearly all of it."""
+    one, nothing = np.eye(1), np.zeros((1, 0))
+    part = trial.Part(
+        np.array([1e3]), one * 2e5, nothing, np.zeros((0, 0)), np.zeros(0), one, 1, (5e-3 / times) ** 2, {}
+    )
+    ((_, _, _, size),) = trial.results([part])
+    assert (size == pytest.approx(5000, rel=1e-3)) if told else np.isnan(size)
 
 
 @pytest.mark.parametrize(("chi2", "more"), [(1.5, False), (3.0, True)])

@@ -82,7 +82,8 @@ class Place:
     against : str
         What the disagreement changes with from clip to clip, or "" for any.
     size : float
-        rms of the disagreement in that phase, noise subtracted, um.
+        rms of the disagreement in that phase, noise subtracted, um; nan where the residuals are too small to bear it,
+        as of a model that is wrong throughout.
     """
 
     phase: str
@@ -163,7 +164,8 @@ def _parts(clip: Measured, path: Array, fit: Fit, k: int, noise: Noise) -> Itera
                 squares[np.ix_(shown, shown)] = columns.T @ columns
                 features = _features(fit.launches[k], path[rows].mean(axis=0), motion[rows, a].mean(axis=0))
                 rest = (solved.information, solved.pull)
-                yield (phase, b, a), Part(pulls, full, shared, *rest, squares, int(rows.sum()), features)
+                left = float(((clip.xy - path)[rows] ** 2).sum())
+                yield (phase, b, a), Part(pulls, full, shared, *rest, squares, int(rows.sum()), left, features)
 
 
 def _beyond(columns: Array, time: Array, powers: int) -> Array:

@@ -56,17 +56,20 @@ def ripples(clips: Sequence[Measured], fit: Fit, noise: Noise) -> Iterator[tuple
             for which in sorted({term for term in terms if term}):
                 mine = [i for i, term in enumerate(terms) if term == which and solved.kept[i]]
                 if mine:
-                    found.setdefault((name, *which), []).append(_part(solved, mine, raw[..., mine]))
+                    found.setdefault((name, *which), []).append(
+                        _part(solved, mine, raw[..., mine], clip.xy - expected[k])
+                    )
     for where, parts in found.items():
         for result in results(parts):  # none where the shared parameters can make them all
             yield where, *result
 
 
-def _part(solved: Solved, mine: list[int], columns: Array) -> Part:
+def _part(solved: Solved, mine: list[int], columns: Array, residual: Array) -> Part:
     pulls, per_metre, shared = solved.group(mine)
     squares = np.einsum("nai,naj->ij", columns, columns)
-    rows = int((columns != 0).any(axis=(1, 2)).sum())
-    return Part(pulls, per_metre, shared, solved.information, solved.pull, squares, rows, {})
+    rows = (columns != 0).any(axis=(1, 2))
+    left = float((residual[rows] ** 2).sum())
+    return Part(pulls, per_metre, shared, solved.information, solved.pull, squares, int(rows.sum()), left, {})
 
 
 def _terms(clip: Measured, path: Array, times: int) -> tuple[list[tuple[int, int] | None], Array]:

@@ -21,8 +21,9 @@ class Part:
     """One clip's part in a trial. P terms, of which the clip tells m combinations.
 
     pulls (m,): amplitudes, of unit variance; per_metre (m, P): pulls that a metre of each term would make;
-    shared (m, S): those of the shared parameters; squares (P, P): products of the terms, summed over `rows` rows;
-    features: by what the trial is held against, numbers (f,) of this clip.
+    shared (m, S): those of the shared parameters; squares (P, P): products of the terms, summed over `rows` rows, in
+    which `left` is the sum of squares of the residuals, m^2; features: by what the trial is held against, numbers (f,)
+    of this clip.
     """
 
     pulls: Array
@@ -32,6 +33,7 @@ class Part:
     pull: Array
     squares: Array
     rows: int
+    left: float
     features: dict[str, Array]
 
 
@@ -117,11 +119,16 @@ def _basis(columns: Array, besides: Array | None = None) -> Array:
 
 
 def _size(parts: Sequence[Part], pulls: Array, noisy: float) -> float:
-    """rms displacement, um, that makes these pulls, less what noise makes: `noisy` of its directions are in them."""
+    """rms displacement, um, that makes these pulls, less what noise makes: `noisy` of its directions are in them.
+
+    nan where the residuals are so much smaller that the terms of this trial and those beside it all but cancel.
+    """
     total, rows, first = 0.0, 0, 0
     for g in parts:
         metres = np.linalg.pinv(g.per_metre)
         terms = metres @ pulls[first : first + len(g.pulls)]
         total += float(terms @ g.squares @ terms - noisy * np.trace(metres.T @ g.squares @ metres))
         rows, first = rows + g.rows, first + len(g.pulls)
+    if total > policy.CANCELLED**2 * sum(g.left for g in parts):
+        return float("nan")
     return 1e6 * float(np.sqrt(max(total, 0.0) / rows))

@@ -1,4 +1,4 @@
-"""The search in five plain sentences: what was fitted, where it disagrees, what lacks, what closes, what stays open."""
+"""The search in plain sentences: what was fitted, where it disagrees, what closes, what stays open."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ SETTLED = 0.1  # of chi^2 that a further step may gain
 
 
 def story(found: Found) -> list[str]:
-    """Five sentences."""
-    return [_fitted(found), _where(found), found.sentence(), _closed(found), _open(found)]
+    """Four sentences, beside that of the outcome (`Found.sentence`)."""
+    return [_fitted(found), _where(found), _closed(found), _open(found)]
 
 
 def rest(fit: Fit) -> float:
@@ -40,7 +40,7 @@ def _fitted(found: Found) -> str:
         f"{len(data.clips)} collisions at {min(speeds):.2f} to {max(speeds):.2f} m/s, |b| up to {widest:.2f}, were "
         f"fitted together ({shared} shared, {numbers} numbers of launch each; the fit {settled}), and "
         f"{len(data.kept_out)} more were kept out; noise is {noise.scale:.2f} times what the tracks claim, its "
-        f"correlation from frame to frame {noise.correlation:+.2f}{_common_mode(found)}.{found.slow_noise()}"
+        f"correlation from frame to frame {noise.correlation:+.2f}{_common_mode(found)}."
     )
 
 
@@ -56,9 +56,10 @@ def _where(found: Found) -> str:
     worst = found.where[0] if found.where else None
     if worst is None or worst.sigma == 0:
         return f"The base model {left} and disagrees in no place that stands out."
+    size = f", {worst.size:.2g} um rms" if np.isfinite(worst.size) else ""
     return (
         f"The base model {left} and disagrees most with {worst}: {worst.sigma:.1f} sigma after {len(found.where)} "
-        f"trials, {worst.size:.2g} um rms."
+        f"trials{size}."
     )
 
 

@@ -61,7 +61,7 @@ def test_noise_alone_draws_uniform_chances():
 
 def test_a_ripple_that_shared_parameters_can_make_tells_nothing(monkeypatch):
     """Real pucks, of which few turn once in view, ended a search with a traceback."""
-    absorbed = Part(np.ones(2), np.eye(2), np.eye(2), np.zeros((2, 2)), np.zeros(2), np.eye(2), 4, {})
+    absorbed = Part(np.ones(2), np.eye(2), np.eye(2), np.zeros((2, 2)), np.zeros(2), np.eye(2), 4, 1.0, {})
     assert list(results([absorbed])) == []
     clips = marked(1, count=6)
     monkeypatch.setattr("discrepancy.diagnostics.ripple.results", lambda parts: results([absorbed]))

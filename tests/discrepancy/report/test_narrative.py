@@ -1,4 +1,4 @@
-"""Five sentences, each of which says what the numbers say."""
+"""Each sentence says what the numbers say."""
 
 import dataclasses
 
@@ -19,34 +19,33 @@ def found(request):
     return outsider(request.param) if request.param == "restitution_speed" else searched(request.param)
 
 
-def test_five_sentences_with_the_numbers(found):
-    fitted, where, what, closed, still = story(found)
+def test_sentences_with_the_numbers(found):
+    fitted, where, closed, still = story(found)
     assert fitted.startswith(f"{len(found.data.clips)} collisions")
     assert f"{len(found.data.kept_out)} more were kept out" in fitted
     assert "converged" in fitted
     assert "The base model leaves chi^2" in where
-    assert what == found.sentence()
     assert f"{found.shown.gap.floor_um:.2f} um" in closed
     assert still.startswith(("These collisions cannot tell", "Every effect"))
 
 
 def test_what_is_missing_is_said_with_its_numbers():
-    what = story(searched("velocity_restitution"))[2]
+    what = searched("velocity_restitution").sentence()
     assert "velocity_restitution (e = 0.05" in what
-    outside = story(outsider("restitution_speed"))[2]
+    outside = outsider("restitution_speed").sentence()
     assert "r that depends on the normal speed, which no effect of the library makes" in outside
     assert "model.yaml holds its curve" in outside
     unheld = dataclasses.replace(outsider("restitution_speed"), held=None)
-    assert "model.yaml cannot hold it" in story(unheld)[2]
-    assert "Nothing is missing" in story(searched("nothing"))[2]
+    assert "model.yaml cannot hold it" in unheld.sentence()
+    assert "Nothing is missing" in searched("nothing").sentence()
 
 
 def test_a_share_of_chance_is_not_told():
     found = searched("velocity_restitution")
-    assert "% of the gap in chi^2 is closed." in story(found)[3]
+    assert "% of the gap in chi^2 is closed." in story(found)[2]
     gap = dataclasses.replace(found.shown.gap, closure=float("nan"))
     none = dataclasses.replace(found, shown=dataclasses.replace(found.shown, gap=gap))
-    assert story(none)[3].endswith("too small a gap to tell what share of it is closed.")
+    assert story(none)[2].endswith("too small a gap to tell what share of it is closed.")
 
 
 def test_a_fit_that_did_not_converge_is_said():
@@ -74,6 +73,11 @@ def test_a_parameter_that_stands_at_its_limit_has_converged():
     assert rest(fit) < 0.1
 
 
+def test_a_place_without_a_size_is_told_without_one(found):
+    unsized = tuple(dataclasses.replace(p, size=float("nan")) for p in found.where)
+    assert "um rms" not in story(dataclasses.replace(found, where=unsized))[1]
+
+
 def test_what_clips_all_alike_cannot_tell_is_said():
     found = dataclasses.replace(searched("nothing"), alike=("all clips go one way: no tilt can be told",))
-    assert story(found)[4].endswith("; all clips go one way: no tilt can be told.")
+    assert story(found)[3].endswith("; all clips go one way: no tilt can be told.")
