@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -112,6 +113,13 @@ class _Path:
     rest: float
 
 
+@lru_cache(maxsize=4096)
+def _parabola(frames: tuple[int, ...]) -> tuple[Array, Array]:
+    """Places (n, 3) at these frames by the coefficients of a parabola, and the inverse of that."""
+    design = np.vander(np.array(frames) / REACH, 3, increasing=True)
+    return design, np.linalg.pinv(design)
+
+
 @dataclass(frozen=True)
 class _Paths:
     """frame, ball (n,); xy (n, 2), m; phase (n,), -1 in an exposure that holds an event; claimed (n,), m.
@@ -148,8 +156,7 @@ class _Paths:
         return min((self._path(np.delete(rows, k), row) for k in range(len(rows))), key=lambda p: p.rest)
 
     def _path(self, rows: Ints, row: int) -> _Path:
-        design = np.vander((self.frame[rows] - self.frame[row]) / REACH, 3, increasing=True)
-        inverse = np.linalg.pinv(design)
+        design, inverse = _parabola(tuple((self.frame[rows] - self.frame[row]).tolist()))
         fitted = inverse @ self.xy[rows]
         left = (self.xy[rows] - design @ fitted) / self.claimed[rows, None]
         rest = float(np.sqrt((left**2).sum() / (2 * (len(rows) - 3))))
