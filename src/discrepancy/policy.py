@@ -204,7 +204,7 @@ NOISE_GAIN = 9.0
 # Derived: one chance in a thousand for five numbers, as many as such a noise may have.
 NOISE_EXCLUDED_BY = 20.0
 
-# Partial correlation of noise two frames apart under which tracks are taken for smoothed by a filter, whose window ends
+# Partial correlation of noise two places apart under which tracks are taken for smoothed by a filter, whose window ends
 # as no noise does. On drawn tracks moving means, Gaussians and Savitzky-Golay filters give -1 to -.17; without a filter
 # there is no such term. Chosen between, on boxes of one secret; shown on hostile boxes of another.
 SMOOTHED_UNDER = -0.12

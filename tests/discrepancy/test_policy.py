@@ -149,7 +149,7 @@ def test_noise_is_shared_beyond_four_sigma(monkeypatch, sigma, shared):
     both = Noise(Component(1.0), (Component(1.0), Component(1.0)))
     monkeypatch.setattr(noise.Pairs, "common_mode_score", lambda self, own: sigma)
     monkeypatch.setattr(noise.Pairs, "noise", lambda self: both)
-    assert (estimate(noisy(exact(Model(), 2, 3), 3)) is both) is shared
+    assert (estimate(noisy(exact(Model(), 2, 3), 3)) == both) is shared
     assert bool(read_again(monkeypatch, gain=99.0, worse=0.0, sigma=sigma).shared) is shared
 
 

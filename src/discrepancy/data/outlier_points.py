@@ -117,7 +117,7 @@ class _Path:
 def _parabola(frames: tuple[int, ...]) -> tuple[Array, Array]:
     """Places (n, 3) at these frames by the coefficients of a parabola, and the inverse of that."""
     design = np.vander(np.array(frames) / REACH, 3, increasing=True)
-    return design, np.linalg.pinv(design)
+    return design, np.asarray(np.linalg.pinv(design))
 
 
 @dataclass(frozen=True)

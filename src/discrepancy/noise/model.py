@@ -10,7 +10,7 @@ balls share, as when the camera shakes, is in their sum and not in their differe
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import TypeVar
 
@@ -83,11 +83,14 @@ class Noise:
     over_phases : float
         Like `scale`, read over whole phases of motion, where that is so much more that it must hold motion; the noise
         is then that of short pieces. Else 0.
+    spacing : int
+        Frames of which the tracks have one at most: the noise at other lags is not seen.
     """
 
     own: Component
     shared: tuple[Component, ...] = ()
     over_phases: float = 0.0
+    spacing: int = 1
 
     @property
     def scale(self) -> float:
@@ -115,8 +118,10 @@ class Noise:
     @property
     def smoothed(self) -> bool:
         """Whether it is that of tracks that somebody has put through a filter."""
-        own = self.own.partial
-        return len(own) > 1 and own[1] < policy.SMOOTHED_UNDER
+        if len(self.own.partial) < 2:
+            return False
+        size, near, far = self.own.lags(2 * self.spacing + 1)[:: self.spacing]
+        return bool((far * size - near**2) / (size**2 - near**2) < policy.SMOOTHED_UNDER)
 
     @property
     def common_mode(self) -> float:
@@ -134,15 +139,22 @@ def estimate(clips: Sequence[Measured]) -> Noise:
     """
     clips = _usual(clips)
     stretches = [stretch for clip in clips for stretch in clip.stretches()]
-    noise, pairs = Noise(own_noise(stretches)), Pairs(pair for clip in clips for pair in clip.together())
+    spacing = int(np.gcd.reduce(np.concatenate([[0], *(np.diff(frames) for *_, frames in stretches)]))) or 1
+    noise, pairs = (
+        Noise(own_noise(stretches), spacing=spacing),
+        Pairs(pair for clip in clips for pair in clip.together()),
+    )
     if pairs.common_mode_score(noise.own) > policy.SHARED_NOISE_SIGMA:
-        return pairs.noise()
+        return replace(pairs.noise(), spacing=spacing)
     return _without_motion(noise, stretches) if noise.slow else noise
 
 
 def _without_motion(noise: Noise, stretches: Sequence[Stretch]) -> Noise:
     """The noise, or that of short pieces where it must hold motion that no cubic follows over a phase."""
-    short, every = Noise(own_noise(_pieces(stretches)), over_phases=noise.scale), bundles(stretches)
+    short, every = (
+        Noise(own_noise(_pieces(stretches)), over_phases=noise.scale, spacing=noise.spacing),
+        bundles(stretches),
+    )
     left = np.sqrt(sum(float((b.values**2).sum()) for b in every) / sum(b.freedom for b in every))
     grows = left > policy.LEFT_BY_MOTION * short.scale and noise.scale > policy.NOISE_GROWS * short.scale
     return short if grows else noise

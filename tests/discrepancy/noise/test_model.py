@@ -121,6 +121,15 @@ def test_a_filter_is_recognised(rho, smooth):
     assert Noise(own_noise([(smooth(p), c, f) for p, c, f in plain])).smoothed
 
 
+@pytest.mark.parametrize(("every", "rho", "seed"), [(2, 0.5, 30), (3, 0.9, 32)])
+def test_every_other_frame_of_lasting_noise_is_no_filter(every, rho, seed):
+    """Noise that swings from frame to frame can be the same at the frames that are seen."""
+    thin = [c.of(np.flatnonzero(c.frame % every == 0)) for c in collisions(Model(), 24, seed, rho=rho)]
+    noise = estimate(thin)
+    assert noise.own.partial[1] < -0.12
+    assert not noise.smoothed
+
+
 @pytest.mark.parametrize("late", [0.02, 0.1])
 @pytest.mark.parametrize("rho", [0.0, 0.5, 0.9])
 def test_motion_within_a_phase_is_no_noise_and_no_filter(rho, late):
