@@ -1,5 +1,6 @@
 """The report: the contract's keys, a model that reads back, and a page that needs nothing but itself."""
 
+import dataclasses
 import html
 import json
 import re
@@ -66,6 +67,15 @@ def test_the_same_search_gives_the_same_files(written, tmp_path):
     for path in written[1].iterdir():
         one, other = (re.sub("<footer>.*</footer>", "", p.read_text()) for p in (path, tmp_path / path.name))
         assert one == other  # but for when the page was made
+
+
+def test_a_place_without_a_size_has_an_empty_cell(tmp_path):
+    found = searched("velocity_restitution")
+    first, second = (dataclasses.replace(found.where[0], size=size) for size in (float("nan"), 12345.6))
+    report.write(dataclasses.replace(found, where=(first, second)), tmp_path, [])
+    (table,) = re.findall(r"<h2>Where</h2>(.*?)</table>", (tmp_path / "index.html").read_text(), re.DOTALL)
+    assert re.findall(r'<td class="n">([^<]*)</td></tr>', table) == ["", "12000"]
+    assert [p["size"] for p in json.loads((tmp_path / "discrepancy.json").read_text())["where"]] == [None, 12345.6]
 
 
 def test_the_formula_and_its_curve_are_on_the_page():
