@@ -25,6 +25,7 @@ SLIP, SIDE = slice(len(LAUNCH), len(LAUNCH) + 2), len(LAUNCH) + 2
 GUESS = 0.2  # of the speed, a slip and a spin to start from
 WITH_SPIN = len(LAUNCH) + len(SPIN)
 BEGUN = 1e-3  # of the speed, a spin about the vertical to start from where it is asked for
+LARGEST_SPIN = 10.0  # of the speed: a cue gives 3 or 4
 LEAST_SLIP = 0.02  # of the speed: where a slip ends, its direction decides a whole past, and no derivative leads on
 
 

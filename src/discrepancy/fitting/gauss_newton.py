@@ -15,12 +15,13 @@ from scipy.optimize import lsq_linear
 
 from discrepancy.arrays import Array
 from discrepancy.data.collisions import Measured
-from discrepancy.data.launch import possible, without_least_slips
+from discrepancy.data.launch import LARGEST_SPIN, V0, WITH_SPIN, possible, without_least_slips
 from discrepancy.fitting.jacobian import coupling, derivatives, launch_derivatives
 from discrepancy.fitting.model_fit import Evidence, Fit, Tangent
 from discrepancy.fitting.parameters import parameter_of, span_of, within
 from discrepancy.fitting.predict import forecast
 from discrepancy.noise.model import Noise
+from synthcam.dynamics.batch import LAUNCH
 from synthcam.dynamics.solve import uncoupled
 from synthcam.model import Model
 
@@ -190,7 +191,8 @@ def linearised(evidence: Evidence, model: Model, names: tuple[str, ...], launche
         slopes = identifiable(model, names, slopes)
     else:
         slopes = tuple(np.zeros((len(r), 0)) for r in residuals)
-    return Fit(model, names, launches, residuals, Tangent(model, names, launches, slopes, evidence.white(own)))
+    own_slopes = identifiable_spins(launches, evidence.white(own))
+    return Fit(model, names, launches, residuals, Tangent(model, names, launches, slopes, own_slopes))
 
 
 def identifiable(model: Model, names: Sequence[str], slopes: tuple[Array, ...]) -> tuple[Array, ...]:
@@ -219,6 +221,28 @@ def identifiable(model: Model, names: Sequence[str], slopes: tuple[Array, ...]) 
     )
     silent = np.sqrt(sum((s**2).sum(axis=0) for s in slopes)) < 1 / spans
     return tuple(np.where(silent, 0.0, s) for s in slopes) if silent.any() else slopes
+
+
+def identifiable_spins(launches: Array, slopes: tuple[Array, ...]) -> tuple[Array, ...]:
+    """Set to zero the derivatives by spins that move nothing by one sigma, however large they may be.
+
+    Without friction and spin transfer no track shows a striker's spin, and rounding would pass for a derivative.
+
+    Parameters
+    ----------
+    launches : (clips, p) array
+    slopes : tuple of (2n, p) array
+        Whitened derivatives of each clip by its launch.
+
+    Returns
+    -------
+    tuple of (2n, p) array
+    """
+    if launches.shape[1] != WITH_SPIN:
+        return slopes
+    sizes = np.array([np.linalg.norm(s[:, len(LAUNCH) :], axis=0) for s in slopes])
+    silent = np.pad(sizes * LARGEST_SPIN * launches[:, [V0]] < 1, ((0, 0), (len(LAUNCH), 0)))
+    return tuple(np.where(none, 0.0, s) for none, s in zip(silent, slopes, strict=True)) if silent.any() else slopes
 
 
 def nudged(evidence: Evidence, fit: Fit, model: Model) -> Fit | None:

@@ -276,3 +276,16 @@ def test_one_launch_that_leads_astray_is_damped_and_no_other():
     held, own = solve(fit, 0.0, *fit.room(), np.eye(8)[2] * 1e9)
     assert np.abs(own[2]).max() < 1e-9
     assert np.allclose(held, free, atol=np.sqrt(np.diag(fit.covariance)))
+
+
+@pytest.mark.parametrize(("smooth", "shown"), [({"sliding_friction": 0.0, "spin_transfer": 0.0}, 0), ({}, 3)])
+def test_a_spin_that_no_track_shows_stays_where_it_is(smooth, shown):
+    """As of pucks on air: rounding would pass for a derivative, and make steps of 10^7 m/s."""
+    model = TRUTH.replace(smooth)
+    clips = noisy(exact(model, 6, 12, spins=[[0.1, 0.03, 0.05]]), 12)
+    evidence, starts = Evidence.of(clips, WHITE), np.array([c.launch for c in clips])
+    here = linearised(evidence, model, ("restitution",), starts)
+    assert [int(np.any(s[:, 6:] != 0, axis=0).sum()) for s in here.launch_slopes] == 6 * [shown]
+    spins = settle(evidence, here).launches[:, 6:]
+    assert np.abs(spins - [0.1, 0.03, 0.05]).max() < 0.05
+    assert np.array_equal(spins, starts[:, 6:]) == (not shown)
