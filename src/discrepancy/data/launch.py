@@ -25,7 +25,7 @@ SLIP, SIDE = slice(len(LAUNCH), len(LAUNCH) + 2), len(LAUNCH) + 2
 GUESS = 0.2  # of the speed, a slip and a spin to start from
 WITH_SPIN = len(LAUNCH) + len(SPIN)
 BEGUN = 1e-3  # of the speed, a spin about the vertical to start from where it is asked for
-LARGEST_SPIN = 10.0  # of the speed: a cue gives 3 or 4
+LARGEST_SPIN = 10.0  # of the speed, a slip and a spin: a cue gives 3 or 4
 LEAST_SLIP = 0.02  # of the speed: where a slip ends, its direction decides a whole past, and no derivative leads on
 
 
@@ -55,12 +55,15 @@ def spun(launch: Array) -> Array:
     return np.asarray(out)
 
 
-def without_least_slips(launches: Array) -> Array:
-    """The launches (clips, p), of which strikers that have all but ended to slide roll."""
+def with_possible_spins(launches: Array) -> Array:
+    """The launches (clips, p): strikers that have all but ended to slide roll; none spins faster than LARGEST_SPIN."""
     if launches.shape[1] != WITH_SPIN:
         return launches
-    out = launches.copy()
-    out[np.hypot(*launches[:, SLIP].T) < LEAST_SLIP * launches[:, V0], SLIP] = 0.0
+    out, slip, most = launches.copy(), np.hypot(*launches[:, SLIP].T), LARGEST_SPIN * np.abs(launches[:, V0])
+    fast = slip > most
+    out[fast, SLIP] *= (most[fast] / slip[fast])[:, None]
+    out[:, SIDE] = np.clip(out[:, SIDE], -most, most)
+    out[slip < LEAST_SLIP * launches[:, V0], SLIP] = 0.0
     return out
 
 
@@ -112,7 +115,7 @@ def alike(launches: list[Array], rejected: list[bool] | None = None) -> list[Arr
     """
     if all(len(launch) == len(LAUNCH) or not launch[len(LAUNCH) :].any() for launch in launches):
         return [launch[: len(LAUNCH)] for launch in launches]
-    out = without_least_slips(np.concatenate([with_spins(launch[None]) for launch in launches]))
+    out = with_possible_spins(np.concatenate([with_spins(launch[None]) for launch in launches]))
     spins = out[:, SIDE] != 0
     told = spins | ~np.array(rejected if rejected else np.zeros(len(out), dtype=bool))
     if told.sum() < policy.FEWEST_COLLISIONS:

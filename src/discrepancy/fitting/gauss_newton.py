@@ -15,7 +15,7 @@ from scipy.optimize import lsq_linear
 
 from discrepancy.arrays import Array
 from discrepancy.data.collisions import Measured
-from discrepancy.data.launch import LARGEST_SPIN, V0, WITH_SPIN, possible, without_least_slips
+from discrepancy.data.launch import LARGEST_SPIN, V0, WITH_SPIN, possible, with_possible_spins
 from discrepancy.fitting.jacobian import coupling, derivatives, launch_derivatives
 from discrepancy.fitting.model_fit import Evidence, Fit, Tangent
 from discrepancy.fitting.parameters import parameter_of, span_of, within
@@ -293,7 +293,7 @@ def _beside(
 
 def _moved(evidence: Evidence, fit: Fit, values: Mapping[str, float], own: Array) -> Fit | None:
     """The fit after a step, with its derivatives as they were; None where the model has no motion there."""
-    launches = without_least_slips(fit.launches + own)
+    launches = with_possible_spins(fit.launches + own)
     if not possible(launches):
         return None
     try:

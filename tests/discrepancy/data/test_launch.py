@@ -18,7 +18,7 @@ from discrepancy.data.launch import (
     normal_speed,
     possible,
     spin,
-    without_least_slips,
+    with_possible_spins,
 )
 from synthcam.dynamics.batch import LAUNCH
 from synthcam.dynamics.launch import SPIN
@@ -90,10 +90,19 @@ def test_a_spin_is_believed_where_only_the_errors_are_claimed_too_small(chi2, be
 def test_a_striker_whose_slide_has_all_but_ended_rolls():
     """A slip that ends has no direction: derivatives by it were 1e5 of those by all else, and no step gained."""
     launches = np.array([[0, 0, 0.1, 2.0, 0, 0.3, 0.03, -0.02, 1.0], [0, 0, 0.1, 2.0, 0, 0.3, 0.05, 0.0, 0.0]])
-    rolling = without_least_slips(launches)
+    rolling = with_possible_spins(launches)
     assert rolling[0].tolist() == [0, 0, 0.1, 2.0, 0, 0.3, 0, 0, 1.0]
     assert np.array_equal(rolling[1], launches[1])
-    assert np.array_equal(without_least_slips(launches[:, :6]), launches[:, :6])
+    assert np.array_equal(with_possible_spins(launches[:, :6]), launches[:, :6])
+
+
+def test_no_striker_spins_far_faster_than_it_moves():
+    """Slips of 10^3 m/s were fitted to strikers of 4 m/s that did not slide as the model says."""
+    launches = np.array([[0, 0, 0.1, 2.0, 0, 0.3, 300.0, -400.0, 90.0], [0, 0, 0.1, 2.0, 0, 0.3, 6.0, 3.0, -19.0]])
+    held = with_possible_spins(launches)
+    assert held[0, 6:] == pytest.approx([12.0, -16.0, 20.0])
+    assert np.array_equal(held[1], launches[1])
+    assert np.array_equal(held[:, :6], launches[:, :6])
 
 
 def test_where_most_strikers_spin_each_may():
