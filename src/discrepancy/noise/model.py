@@ -139,22 +139,22 @@ def estimate(clips: Sequence[Measured]) -> Noise:
     """
     clips = _usual(clips)
     stretches = [stretch for clip in clips for stretch in clip.stretches()]
-    spacing = int(np.gcd.reduce(np.concatenate([[0], *(np.diff(frames) for *_, frames in stretches)]))) or 1
-    noise, pairs = (
-        Noise(own_noise(stretches), spacing=spacing),
-        Pairs(pair for clip in clips for pair in clip.together()),
-    )
+    noise = Noise(own_noise(stretches), spacing=_spacing(stretches))
+    pairs = Pairs(pair for clip in clips for pair in clip.together())
     if pairs.common_mode_score(noise.own) > policy.SHARED_NOISE_SIGMA:
-        return replace(pairs.noise(), spacing=spacing)
+        return replace(pairs.noise(), spacing=noise.spacing)
     return _without_motion(noise, stretches) if noise.slow else noise
+
+
+def _spacing(stretches: Sequence[Stretch]) -> int:
+    """Frames of which the tracks have one at most."""
+    return int(np.gcd.reduce([step for *_, frames in stretches for step in np.diff(frames)] or [1]))
 
 
 def _without_motion(noise: Noise, stretches: Sequence[Stretch]) -> Noise:
     """The noise, or that of short pieces where it must hold motion that no cubic follows over a phase."""
-    short, every = (
-        Noise(own_noise(_pieces(stretches)), over_phases=noise.scale, spacing=noise.spacing),
-        bundles(stretches),
-    )
+    short = Noise(own_noise(_pieces(stretches)), over_phases=noise.scale, spacing=noise.spacing)
+    every = bundles(stretches)
     left = np.sqrt(sum(float((b.values**2).sum()) for b in every) / sum(b.freedom for b in every))
     grows = left > policy.LEFT_BY_MOTION * short.scale and noise.scale > policy.NOISE_GROWS * short.scale
     return short if grows else noise
