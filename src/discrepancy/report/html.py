@@ -12,7 +12,7 @@ import numpy as np
 from discrepancy.fitting.parameters import parameter_of
 from discrepancy.found import Found
 from discrepancy.report.figures import drawn
-from discrepancy.report.narrative import story, two_digits
+from discrepancy.report.narrative import rounded, story
 from discrepancy.selection.named import as_sure
 from synthcam.model import Model, write_model
 from tracker.report.html import made, rendered
@@ -32,7 +32,7 @@ def write(found: Found, folder: Path, left_out: Sequence[str]) -> None:
         figures=drawn(found),
         finite=np.isfinite,
         as_sure=as_sure,
-        two_digits=two_digits,
+        rounded=rounded,
         unit=_unit,
         made=made("discrepancy find"),
     )

@@ -56,16 +56,16 @@ def _where(found: Found) -> str:
     worst = found.where[0] if found.where else None
     if worst is None or worst.sigma == 0:
         return f"The base model {left} and disagrees in no place that stands out."
-    size = f", {two_digits(worst.size)} um rms" if np.isfinite(worst.size) else ""
+    size = f", {rounded(worst.size, 2)} um rms" if np.isfinite(worst.size) else ""
     return (
         f"The base model {left} and disagrees most with {worst}: {worst.sigma:.1f} sigma after {len(found.where)} "
         f"trials{size}."
     )
 
 
-def two_digits(value: float) -> str:
-    """A number rounded to two digits, without an exponent up to a million."""
-    return f"{float(f'{value:.2g}'):g}"
+def rounded(value: float, digits: int) -> str:
+    """A number of so many digits, without an exponent up to a million."""
+    return f"{float(f'{value:.{digits}g}'):g}"
 
 
 def _closed(found: Found) -> str:
