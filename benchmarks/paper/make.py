@@ -24,7 +24,7 @@ from benchmarks.paper import experiment
 from benchmarks.paper.models import contradictions, scan
 from benchmarks.paper.report import page
 from benchmarks.paper.results import Results
-from commandline.application import progress_bar
+from synthcam_shared.application import progress_bar
 
 
 def film(results: Results, names: Iterable[str], workers: int, quick: bool) -> None:

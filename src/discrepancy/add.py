@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 
-from commandline.errors import InputError
 from discrepancy import policy
 from discrepancy.data.collisions import Measured
 from discrepancy.data.outlier_points import taken_out, without_outliers
@@ -23,6 +22,7 @@ from discrepancy.selection.score_test import ScoreTests
 from synthcam.library import library
 from synthcam.model import Model
 from synthcam.settings import did_you_mean
+from synthcam_shared.errors import InputError
 
 
 @dataclass(frozen=True)

@@ -10,8 +10,6 @@ from typing import Any
 
 import numpy as np
 
-from commandline.errors import InputError
-from commandline.outputs import as_input_error, check_room, put
 from discrepancy.effect_file import ValueOf, curve_effect, formula_effect
 from discrepancy.free_laws.basis import Axis
 from discrepancy.free_laws.library import library as free_laws
@@ -19,6 +17,8 @@ from discrepancy.free_laws.shapes import CONSTANT, Shape, Term, shapes_of
 from synthcam.free_law import NOT_YET, TURN, Kind, TabulatedLaw, kind_of
 from synthcam.library import check_name
 from synthcam.model import Model, dumped, read_model, settings_of
+from synthcam_shared.errors import InputError
+from synthcam_shared.outputs import as_input_error, check_room, put
 
 MATCH = {CONSTANT: 0, "linear": 1}  # terms that a number of the base model is, by its power of x
 DRAWN = 50  # places: enough to draw shapes at

@@ -15,11 +15,11 @@ import typer
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
-from commandline.application import EVERY, command_line, progress_bar, run
-from commandline.errors import InputError
-from commandline.outputs import as_input_error, check_room
 from synthcam.library import add_effects
 from synthcam.model import read_model, write_model
+from synthcam_shared.application import EVERY, command_line, progress_bar, run
+from synthcam_shared.errors import InputError
+from synthcam_shared.outputs import as_input_error, check_room
 from tracker.camera.camera import Camera
 
 app = command_line(

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any
 import pandas as pd
 from threadpoolctl import threadpool_limits
 
-from commandline.errors import InputError
 from discrepancy.data.collisions import Measured, read_measured
 from discrepancy.diagnostics.gap import Gap
 from discrepancy.fitting.base_fit import Progress
@@ -22,6 +21,7 @@ from discrepancy.report.staging import aside
 from discrepancy.search import find as search
 from discrepancy.selection.named import Named
 from synthcam.model import Model, model_of
+from synthcam_shared.errors import InputError
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -194,7 +194,7 @@ def find(
     >>> discrepancy.find([], "painter_behringer")
     Traceback (most recent call last):
     ...
-    commandline.errors.InputError: results: no clip with a measured collision
+    synthcam_shared.errors.InputError: results: no clip with a measured collision
     """
     try:
         given = model_of(model)

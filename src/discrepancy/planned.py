@@ -11,7 +11,6 @@ from typing import Any
 
 import pandas as pd
 
-from commandline.errors import InputError
 from discrepancy.fitting.parameters import candidates
 from discrepancy.planning.changes import CHANGES
 from discrepancy.planning.compare import Tried, Wanted, alike, changed, clips_for, cosine_of, gain
@@ -25,6 +24,7 @@ from discrepancy.report.staging import PLAN, aside
 from synthcam.library import library
 from synthcam.scene.scene import Scene
 from synthcam.settings import did_you_mean
+from synthcam_shared.errors import InputError
 
 MOST_DRAWN = 400  # collisions drawn to work out a limit that is wanted
 Progress = Callable[[int, int], None]

@@ -7,7 +7,6 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from commandline.errors import InputError
 from discrepancy import policy
 from discrepancy.data.collisions import Measured, cannot_tell, split
 from discrepancy.data.outlier_points import taken_out, without_outliers
@@ -33,6 +32,7 @@ from discrepancy.selection.free_law_fit import unseen
 from discrepancy.selection.named import Named
 from discrepancy.selection.stepwise import Selection, State, Stepwise
 from synthcam.model import Model
+from synthcam_shared.errors import InputError
 
 ROUNDS = 4  # searches, at most: again without clips that are unlike all others, again with the noise read anew
 

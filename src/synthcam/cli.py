@@ -14,10 +14,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from commandline.application import command_line, progress_bar
-from commandline.application import run as run_command
-from commandline.errors import InputError
 from synthcam.settings import did_you_mean
+from synthcam_shared.application import command_line, progress_bar
+from synthcam_shared.application import run as run_command
+from synthcam_shared.errors import InputError
 
 if TYPE_CHECKING:
     from synthcam.effect import Parameter

@@ -19,7 +19,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, fields
 from typing import Any, ClassVar, Self
 
-from commandline.errors import PluginError
+from synthcam_shared.errors import PluginError
 
 # All balls, or all nodes of an integration, come together: numbers are arrays (balls, n) or broadcast with them,
 # vectors have a last axis of two. "slip" is the unit vector of the contact velocity; "of_a" is 1 for the experimenter's

@@ -19,10 +19,10 @@ from pathlib import Path
 from types import ModuleType
 from typing import TypeVar
 
-from commandline.errors import InputError, PluginError
 from synthcam import effects
 from synthcam.effect import LAWS, Effect
 from synthcam.free_law import NOT_YET, names
+from synthcam_shared.errors import InputError, PluginError
 
 T = TypeVar("T")
 GROUP = "synthcam.effects"
@@ -98,7 +98,7 @@ def add_effects(folder: str | Path) -> None:
     >>> synthcam.add_effects("my_effects")
     Traceback (most recent call last):
     ...
-    commandline.errors.InputError: my_effects: no such folder; expected one with effects, NAME.py
+    synthcam_shared.errors.InputError: my_effects: no such folder; expected one with effects, NAME.py
     """
     folder = Path(folder)
     if not folder.is_dir():

@@ -15,11 +15,11 @@ import yaml
 from numpy.typing import NDArray
 from pydantic import Field, ValidationError, create_model, model_validator
 
-from commandline.errors import InputError
 from synthcam.effect import Effect, Laws
 from synthcam.free_law import NOT_YET, TabulatedLaw, kind_of, names
 from synthcam.library import library, once_a_library
 from synthcam.settings import Fraction, NotNegative, Positive, Settings, did_you_mean, one_line, read_yaml
+from synthcam_shared.errors import InputError
 
 Array = NDArray[np.float64]
 

@@ -11,7 +11,7 @@ from typing import Annotated, Any, get_args
 import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from commandline.errors import InputError as InputError
+from synthcam_shared.errors import InputError as InputError
 
 
 class Settings(BaseModel):

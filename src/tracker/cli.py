@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from commandline.application import command_line, progress_bar, run
-from commandline.errors import InputError
+from synthcam_shared.application import command_line, progress_bar, run
+from synthcam_shared.errors import InputError
 from tracker.benchmark.commands import app as benchmark_app
 from tracker.camera.camera_keys import CHANNELS
 from tracker.detection import detectors as detector_files
@@ -145,7 +145,7 @@ def score(
 
     Example: tracker score theirs.txt --truth gt.txt -o out/report
     """
-    from commandline.outputs import as_input_error, check_room, held
+    from synthcam_shared.outputs import as_input_error, check_room, held
     from tracker.results import RUN, load_json
     from tracker.scoring.report import write_report
     from tracker.scoring.score import score as score_results

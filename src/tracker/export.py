@@ -6,8 +6,8 @@ import shutil
 from pathlib import Path
 from typing import Any
 
-from commandline.errors import InputError
-from commandline.outputs import as_input_error, check_room, put
+from synthcam_shared.errors import InputError
+from synthcam_shared.outputs import as_input_error, check_room, put
 from tracker.camera.camera_keys import did_you_mean
 from tracker.results import read_clip
 from tracker.tables.read import formats

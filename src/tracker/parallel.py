@@ -16,8 +16,8 @@ from typing import Any, TypeVar
 
 import cv2
 
-from commandline.errors import InputError
-from commandline.workers import leave_with_parent
+from synthcam_shared.errors import InputError
+from synthcam_shared.workers import leave_with_parent
 
 T = TypeVar("T")
 MALLOPT = (-1, -3)  # M_TRIM_THRESHOLD, M_MMAP_THRESHOLD of malloc.h
@@ -92,7 +92,7 @@ def _held(number: int) -> Any:
 
 
 def _on_cluster(task: Callable[[int], T], todo: Sequence[int], where: Path, address: str) -> Iterator[T]:
-    from commandline.dask_workers import Cluster  # here alone: Dask is an extra
+    from synthcam_shared.dask_workers import Cluster  # here alone: Dask is an extra
 
     for number, given in Cluster(address).values(todo, task):
         if given is None:

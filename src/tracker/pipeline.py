@@ -16,8 +16,8 @@ from typing import TYPE_CHECKING, Any
 import cv2
 import pandas as pd
 
-from commandline.errors import InputError
-from commandline.outputs import as_input_error, check_room, held
+from synthcam_shared.errors import InputError
+from synthcam_shared.outputs import as_input_error, check_room, held
 from tracker import results
 from tracker.camera.frames import Source, open_source
 from tracker.camera.grey import GREY
@@ -258,7 +258,7 @@ def _each(source: Source, todo: list[int], partial: Path, name: str, workers: in
 
 def _on_cluster(address: str) -> Callable[..., Iterator[Done]]:
     """The same by the workers of a Dask scheduler; one that is lost has its clips done by others."""
-    from commandline.dask_workers import Cluster  # here alone: Dask is an extra
+    from synthcam_shared.dask_workers import Cluster  # here alone: Dask is an extra
 
     cluster = Cluster(address)
 

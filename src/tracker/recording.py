@@ -12,7 +12,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from commandline.errors import InputError
+from synthcam_shared.errors import InputError
 from tracker import results
 from tracker.camera.camera import Camera
 from tracker.camera.frames import Clip, open_frames, open_source, recorded

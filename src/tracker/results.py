@@ -22,8 +22,8 @@ import pyarrow as pa
 import pyarrow.csv
 import pyarrow.parquet
 
-from commandline.errors import InputError
-from commandline.outputs import put
+from synthcam_shared.errors import InputError
+from synthcam_shared.outputs import put
 from tracker.camera.camera import Camera
 from tracker.camera.camera_keys import read_json
 from tracker.detection.link import Tracks

@@ -10,7 +10,6 @@ import yaml
 from sticky_effect import STICKY
 
 import synthcam.effects
-from commandline.errors import InputError
 from synthcam import model as model_module
 from synthcam.camera.pinhole import Camera, Lamp, glint_px
 from synthcam.dynamics.batch import collisions
@@ -22,6 +21,7 @@ from synthcam.model import Model, build, read_model, settings_of, write_model
 from synthcam.scene import scene as scene_module
 from synthcam.scene.filmed_motion import View
 from synthcam.scene.scene import check_scene
+from synthcam_shared.errors import InputError
 
 SETUP = {"time": 0.1, "v0": 0.5, "b": 0.4, "heading": 0.7, "contact": (0.003, -0.001)}
 LAMP = (0.05, 0.0, 0.45)

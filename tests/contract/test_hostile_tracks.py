@@ -9,7 +9,6 @@ from discrepancy_clips import STD, collisions, exact, only
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from commandline.errors import InputError
 from discrepancy.fitting.gauss_newton import _part, fit_model, linearised, settle
 from discrepancy.fitting.model_fit import Evidence
 from discrepancy.fitting.parameters import BASE, limits_of, within
@@ -17,6 +16,7 @@ from discrepancy.noise.model import Component, Noise
 from discrepancy.search import find
 from synthcam.library import library
 from synthcam.model import Model
+from synthcam_shared.errors import InputError
 
 NOISE = Noise(Component(1.0))
 CLIPS = collisions(Model(), 2, 3, frames=40)

@@ -33,7 +33,7 @@ HEAVY = ("numpy", "pandas", "cv2", "scipy", "matplotlib", "pydantic", "OpenGL")
 @pytest.mark.parametrize(("package", "name"), PUBLIC)
 def test_public_names_are_there_and_documented(package, name):
     thing = getattr(import_module(package), name)
-    assert thing.__module__.partition(".")[0] in ("commandline", *PACKAGES)
+    assert thing.__module__.partition(".")[0] in ("synthcam_shared", *PACKAGES)
     assert len(inspect.getdoc(thing).splitlines()[0]) > 20
     assert name in dir(import_module(package))
 

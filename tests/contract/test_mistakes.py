@@ -11,11 +11,11 @@ import pytest
 import tifffile
 from tracker_film import CAMERA, write_clip, write_dataset
 
-import commandline.application
 import discrepancy.cli
 import synthcam.cli
+import synthcam_shared.application
 import tracker.cli
-from commandline.outputs import held
+from synthcam_shared.outputs import held
 from tracker import pipeline
 
 MAINS = {"synthcam": synthcam.cli.main, "tracker": tracker.cli.main, "discrepancy": discrepancy.cli.main}
@@ -228,8 +228,8 @@ def test_every_command_tells_its_version(name, monkeypatch, capsys):
 
 def test_without_a_terminal_progress_is_lines(monkeypatch, capsys):
     clock = iter([0.0, 4.0, 30.0, 32.0, 90.0, 150.0])
-    monkeypatch.setattr(commandline.application.time, "monotonic", lambda: next(clock))
-    with commandline.application.progress_bar("clips") as progress:
+    monkeypatch.setattr(synthcam_shared.application.time, "monotonic", lambda: next(clock))
+    with synthcam_shared.application.progress_bar("clips") as progress:
         for done in (20, 21, 22, 23, 30):  # 20 of an earlier run
             progress(done, 30)
     out, err = capsys.readouterr()

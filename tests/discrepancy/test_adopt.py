@@ -12,7 +12,6 @@ from discrepancy_clips import collisions
 from discrepancy_files import command
 from discrepancy_outsiders import OUTSIDERS, outsider
 
-from commandline.errors import InputError
 from discrepancy.adopt import adopt
 from discrepancy.effect_file import ValueOf, curve_effect, formula_effect
 from discrepancy.fitting.gauss_newton import fit_model
@@ -26,6 +25,7 @@ from synthcam.free_law import KINDS, LINE, PLACE, TURN, TabulatedLaw, names
 from synthcam.library import add_effects, library
 from synthcam.model import BASE, Model, read_model
 from synthcam.scene.scene import read_scene
+from synthcam_shared.errors import InputError
 
 CURVES = [n for n, k in KINDS.items() if k.axis != PLACE and k.parts == 1]
 RANGE = (0.05, 0.45)

@@ -23,7 +23,6 @@ from discrepancy_clips import (
 from discrepancy_outsiders import FEW, OUTSIDERS, outsider
 
 from benchmarks.search.sealed.integrator import Plate, collision, means
-from commandline.errors import InputError
 from discrepancy.add import add
 from discrepancy.data.collisions import split
 from discrepancy.data.launch import HEADING, X, Y
@@ -32,6 +31,7 @@ from discrepancy.search import find
 from discrepancy.selection.stepwise import Stepwise
 from synthcam.library import library
 from synthcam.model import Ball, Model
+from synthcam_shared.errors import InputError
 from tracker.camera.camera import Lamp
 
 KEYS = {"verdict", "named", "aliases", "outside", "where", "ranking", "gap", "experiment"}

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from scipy.integrate import quad
 
-from commandline.errors import InputError
 from synthcam.dynamics.batch import collisions
 from synthcam.dynamics.launch import Launch
 from synthcam.dynamics.solve import solve
@@ -14,6 +13,7 @@ from synthcam.free_law import KINDS, NOT_YET, TabulatedLaw, kind_of, names
 from synthcam.model import Model, build, read_model, settings_of, write_model
 from synthcam.scene.scene import check_scene
 from synthcam.table import Table
+from synthcam_shared.errors import InputError
 
 G = Model().gravity
 

@@ -7,13 +7,13 @@ import pytest
 from sticky_effect import STICKY
 
 import synthcam.library as module
-from commandline.errors import InputError
 from synthcam.cli import app
 from synthcam.dataset import generate, preview
 from synthcam.dataset.generate import Plan, make_clip, run
 from synthcam.library import add_effects, digest, library
 from synthcam.model import Model, read_model, write_model
 from synthcam.scene.scene import check_scene, schema
+from synthcam_shared.errors import InputError
 
 
 def test_an_effect_of_a_folder_is_one_of_the_library(own):

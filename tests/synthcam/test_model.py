@@ -4,9 +4,9 @@ import math
 
 import pytest
 
-from commandline.errors import InputError
 from synthcam.effects.plate_tilt import PlateTilt
 from synthcam.model import Ball, Model, check_free, read_model, write_model
+from synthcam_shared.errors import InputError
 
 
 def test_the_defaults_are_the_papers():

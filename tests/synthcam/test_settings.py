@@ -7,8 +7,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from repository import ROOT
 
-from commandline.errors import InputError
 from synthcam.settings import SCENES, parse_yaml, read_yaml
+from synthcam_shared.errors import InputError
 
 REFUSED = {
     "python tag": ("a: !!python/object/apply:os.system ['true']", "line 1: not plain YAML"),

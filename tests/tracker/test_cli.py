@@ -14,7 +14,7 @@ import tifffile
 from tracker_film import CAMERA, collision, film, write_clip, write_dataset
 from typer.testing import CliRunner
 
-from commandline.errors import InputError
+from synthcam_shared.errors import InputError
 from tracker import cli, pipeline, recording
 from tracker.detection import detectors
 from tracker.tables.read import read_tracks

@@ -9,7 +9,7 @@ import sys
 import pytest
 from benchmark_suite import TINY, suite
 
-from commandline.errors import InputError
+from synthcam_shared.errors import InputError
 from tracker.benchmark.contest import contest
 from tracker.pipeline import run
 from tracker.scoring.score import score
@@ -109,7 +109,7 @@ def test_a_suite_made_run_and_scored_by_a_cluster_is_the_same(tmp_path, monkeypa
 
 @needs_dask
 def test_an_address_without_a_scheduler(tmp_path, monkeypatch):
-    monkeypatch.setattr("commandline.dask_workers.PATIENCE", 0.5)
+    monkeypatch.setattr("synthcam_shared.dask_workers.PATIENCE", 0.5)
     with pytest.raises(InputError, match="--scheduler nonsense: expected a Dask scheduler's address"):
         run(suite().film("axes"), tmp_path / "d", None, "centroid", 0, scheduler="nonsense")
     assert not list(tmp_path.iterdir())

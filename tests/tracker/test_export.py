@@ -10,10 +10,10 @@ import pytest
 from tracker_film import CAMERA, write_dataset
 
 import synthcam
-from commandline.errors import InputError
 from synthcam.dataset import export as truth_export
 from synthcam.dataset.generate import Plan
 from synthcam.dataset.generate import run as generate
+from synthcam_shared.errors import InputError
 from tracker import cli, pipeline
 from tracker.export import export
 from tracker.tables.read import formats, read_tracks

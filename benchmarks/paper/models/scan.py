@@ -24,8 +24,8 @@ from benchmarks.paper.models.candidates import BASE, Candidate
 from benchmarks.paper.models.observed import WAYS, chi2, observed, pulls
 from benchmarks.paper.published import OBSERVED
 from benchmarks.paper.readings import Films, read
-from commandline.outputs import put
 from synthcam.dynamics.batch import collisions
+from synthcam_shared.outputs import put
 from tracker.parallel import in_parallel
 
 Floats = NDArray[np.float64]

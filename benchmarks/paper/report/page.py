@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 
 from benchmarks.paper.report import pdf, said, tables
 from benchmarks.paper.results import Results
-from commandline.outputs import put
+from synthcam_shared.outputs import put
 from tracker.report.html import made, rendered, svg
 
 HERE = Path(__file__).parent

@@ -15,11 +15,11 @@ from typing import Any
 
 import numpy as np
 
-from commandline.errors import InputError
 from discrepancy.data.collisions import Measured, read_measured
 from discrepancy.found import Found
 from discrepancy.search import find
 from synthcam.model import read_model, settings_of
+from synthcam_shared.errors import InputError
 
 DIGITS = 7  # of an answer's numbers
 LONGEST = 600.0  # s, of a search, that is then cut short: as the command's

@@ -14,13 +14,13 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from commandline.errors import InputError
 from discrepancy.data.collisions import Measured
 from discrepancy.data.launch import free as launch_numbers
 from discrepancy.fitting.predict import forecast
 from synthcam.effect import Effect
 from synthcam.library import library
 from synthcam.model import Model
+from synthcam_shared.errors import InputError
 from tracker.camera.camera import Camera
 
 from . import outsiders

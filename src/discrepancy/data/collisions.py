@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from commandline.errors import InputError as InputError
 from discrepancy import policy
 from discrepancy.arrays import Array, Ints
 from discrepancy.data.after_hit import Hit, after_hit
@@ -19,6 +18,7 @@ from discrepancy.data.even_times import cannot_be_evened, clock_start, evened, u
 from discrepancy.data.launch import HEADING, T_C, V0, B, alike, spin
 from discrepancy.data.sanity import exchanged, wrong_units
 from discrepancy.data.strays import without_strays
+from synthcam_shared.errors import InputError as InputError
 from tracker.camera.camera import Camera
 from tracker.detection.link import Tracks
 from tracker.measurement.collision.adequacy import MEASURED, MISFIT

@@ -8,7 +8,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from commandline.errors import InputError
 from discrepancy import policy
 from discrepancy.data.collisions import Measured
 from discrepancy.data.launch import T_C, V0, B, spun
@@ -19,6 +18,7 @@ from discrepancy.fitting.parameters import fitted
 from discrepancy.fitting.predict import forecast
 from discrepancy.noise.model import Component, Noise, estimate
 from synthcam.model import LAUNCH_SPIN, Model
+from synthcam_shared.errors import InputError
 from tracker.camera.same_view import first_difference
 
 TIMING = ("fps", "exposure")  # in which clips of one study may differ

@@ -15,7 +15,6 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from commandline.errors import PluginError
 from discrepancy.arrays import Array
 from discrepancy.data.collisions import Measured
 from discrepancy.fitting.jacobian import derivative
@@ -26,6 +25,7 @@ from discrepancy.free_laws.ranges import Ranges, over_clips
 from synthcam.effect import LAWS, VECTORS
 from synthcam.free_law import PACE, AddedLaw, TabulatedLaw
 from synthcam.model import Model
+from synthcam_shared.errors import PluginError
 
 MEAN = 200  # places on each axis, to take a mean over
 

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from commandline.errors import InputError
 from discrepancy import policy
 from discrepancy.arrays import Array
 from discrepancy.data.collisions import split
@@ -19,6 +18,7 @@ from synthcam.dynamics.launch import SPIN
 from synthcam.model import Model
 from synthcam.scene.clip import Clip
 from synthcam.scene.scene import Scene
+from synthcam_shared.errors import InputError
 from tracker.camera.camera import Camera
 from tracker.camera.same_view import first_difference
 

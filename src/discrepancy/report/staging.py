@@ -7,8 +7,8 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
-from commandline.errors import InputError
-from commandline.outputs import as_input_error, check_room, held
+from synthcam_shared.errors import InputError
+from synthcam_shared.outputs import as_input_error, check_room, held
 
 REPORT = ("discrepancy.json", "index.html", "model.yaml")
 PLAN = ("plan.json", "index.html")

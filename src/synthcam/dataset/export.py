@@ -13,12 +13,12 @@ from typing import Any
 
 import pandas as pd
 
-from commandline.errors import InputError
-from commandline.outputs import as_input_error, check_room
 from synthcam.dataset import exports
 from synthcam.dataset.files import clip_folders
 from synthcam.dataset.recorded import Recorded, first_line
 from synthcam.dataset.staging import alone
+from synthcam_shared.errors import InputError
+from synthcam_shared.outputs import as_input_error, check_room
 
 
 def formats() -> dict[str, str]:

@@ -19,10 +19,10 @@ import pyarrow.parquet as pq
 import tifffile
 from numpy.typing import NDArray
 
-from commandline.errors import InputError
 from synthcam.dataset.card import card
 from synthcam.scene import ground_truth
 from synthcam.scene.clip import Clip
+from synthcam_shared.errors import InputError
 
 Frames = Iterator[NDArray[np.uint8] | NDArray[np.uint16]]
 SUMS = "SHA256SUMS"

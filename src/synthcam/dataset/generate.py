@@ -18,13 +18,13 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from commandline.errors import InputError
 from synthcam.dataset.files import finish, finish_shard, write_clip
 from synthcam.dataset.staging import PLAN, Partial, aside, begin, settle
 from synthcam.dataset.workers import each
 from synthcam.library import add_effects, added_folders, digest
 from synthcam.scene.clip import Clip
 from synthcam.scene.scene import Scene, check_scene
+from synthcam_shared.errors import InputError
 
 FULL = {errno.ENOSPC, errno.EDQUOT, errno.EROFS}  # what will happen to the next clip as well
 STARTING = 3.0  # s of a processor: for less work it does not pay to start processes, which load for half as long
@@ -178,7 +178,7 @@ def _make(
     _check_disk(plan, made.folder, len(todo))
     drawn_by: list[dict[str, Any]] = []
     if scheduler:
-        from commandline.dask_workers import Cluster  # here alone: Dask is an extra
+        from synthcam_shared.dask_workers import Cluster  # here alone: Dask is an extra
 
         cluster = Cluster(scheduler)
         drawn_by = cluster.everywhere(partial(drawing, plan.video))

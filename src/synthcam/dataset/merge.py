@@ -11,12 +11,12 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from commandline.errors import InputError
-from commandline.outputs import as_input_error
 from synthcam.dataset.files import VIDEO, read_sums
 from synthcam.dataset.generate import Plan, complete
 from synthcam.dataset.staging import Partial, aside, begin, check_apart, settle
 from synthcam.dataset.video import FILMS
+from synthcam_shared.errors import InputError
+from synthcam_shared.outputs import as_input_error
 
 OWN = {"shard", "clips", "gl", "machine", "drawn_by"}  # what two shards of a dataset need not share
 CHUNK = 1 << 20

@@ -15,11 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 from skimage.exposure import adjust_gamma, rescale_intensity
 
-from commandline.outputs import as_input_error, check_room, put
 from synthcam.dataset.video import check_film
 from synthcam.scene.clip import Clip
 from synthcam.scene.filming import Counts
 from synthcam.scene.scene import check_scene
+from synthcam_shared.outputs import as_input_error, check_room, put
 
 TIMED = 40  # frames
 SHOWN_FPS = 20  # of a film for people: GIF counts in hundredths of a second

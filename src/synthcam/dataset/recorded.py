@@ -11,7 +11,7 @@ import pandas as pd
 import tifffile
 from numpy.typing import NDArray
 
-from commandline.errors import InputError
+from synthcam_shared.errors import InputError
 
 LARGEST = 1e9  # of any number that describes a camera or a stack
 

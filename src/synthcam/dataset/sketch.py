@@ -8,13 +8,13 @@ from pathlib import Path
 
 import numpy as np
 
-from commandline.outputs import as_input_error, check_room, put
 from synthcam.camera.pinhole import Camera, Lamp, glint_px
 from synthcam.dynamics.kinematics import Array
 from synthcam.dynamics.launch import Launch
 from synthcam.effect import Effect
 from synthcam.model import Model
 from synthcam.scene.filmed_motion import View
+from synthcam_shared.outputs import as_input_error, check_room, put
 
 LAUNCH = {"time": 0.04, "v0": 0.4, "b": 0.35, "heading": 0.0, "contact": (-0.01, 0.0)}
 FRAMES, FPS = 80, 250.0

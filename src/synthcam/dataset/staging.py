@@ -12,9 +12,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from commandline.errors import InputError
-from commandline.outputs import as_input_error, put
 from synthcam.dataset.files import SUMS, clip_folders
+from synthcam_shared.errors import InputError
+from synthcam_shared.outputs import as_input_error, put
 
 PLAN = "plan.json"
 ABOUT = ("truth/dataset.json", "truth/shard.json")

@@ -20,10 +20,10 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import ValidationError
 
-from commandline.errors import InputError
 from synthcam.dataset.recorded import Recorded
 from synthcam.scene.apparatus import AVI_FPS, VideoSettings, unfit
 from synthcam.settings import one_line, parse_yaml
+from synthcam_shared.errors import InputError
 
 Frames = Iterator[NDArray[Any]]
 FILMS = {"frames.mp4", "frames.avi", "frames.mov"}

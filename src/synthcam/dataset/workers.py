@@ -12,8 +12,8 @@ from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
 
-from commandline.errors import InputError
-from commandline.workers import leave_with_parent
+from synthcam_shared.errors import InputError
+from synthcam_shared.workers import leave_with_parent
 
 Work = Callable[[int], str]
 Worker = tuple[BaseProcess, deque[int]]  # and the numbers that it was given, the first of which it is at

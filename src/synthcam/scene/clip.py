@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from commandline.errors import InputError
 from synthcam.camera.pinhole import Camera, Lamp
 from synthcam.camera.room.finish import Look
 from synthcam.camera.sensor import Sensor
@@ -24,6 +23,7 @@ from synthcam.scene.filmed_motion import View
 from synthcam.scene.filming import Counts, Seen, film
 from synthcam.scene.materials import look_of, mirror_of
 from synthcam.scene.motion import Motion
+from synthcam_shared.errors import InputError
 
 if TYPE_CHECKING:
     import pandas as pd

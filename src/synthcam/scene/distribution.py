@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from commandline.errors import InputError
+from synthcam_shared.errors import InputError
 
 LARGEST = float(np.finfo(float).max)  # YAML has integers beyond it
 MOST = 1000  # different options of a choice that are no numbers

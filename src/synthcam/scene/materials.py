@@ -7,10 +7,10 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import Field
 
-from commandline.errors import InputError
 from synthcam.camera.room.finish import GREY, Colour, Finish, Look, Pattern
 from synthcam.camera.surface import Surface
 from synthcam.settings import Fraction, NotNegative, Settings
+from synthcam_shared.errors import InputError
 
 COLOURS = {  # of light, not of a screen: shares that are reflected, over the brightest's
     "white": (1.0, 0.97, 0.9),

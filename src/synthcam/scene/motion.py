@@ -10,9 +10,9 @@ import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
 
-from commandline.errors import InputError
 from synthcam.dynamics.trajectory import Trajectory
 from synthcam.scene import ground_truth
+from synthcam_shared.errors import InputError
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

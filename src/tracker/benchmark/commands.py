@@ -11,7 +11,7 @@ from typing import Annotated, Any
 
 import typer
 
-from commandline.application import progress_bar
+from synthcam_shared.application import progress_bar
 
 app = typer.Typer(
     help="One benchmark for every tracker: make its films, run trackers on them, submit results.",

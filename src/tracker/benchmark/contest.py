@@ -9,8 +9,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from commandline.errors import InputError
-from commandline.outputs import as_input_error, check_room, held
+from synthcam_shared.errors import InputError
+from synthcam_shared.outputs import as_input_error, check_room, held
 from tracker.benchmark.judging.entry import entry
 from tracker.benchmark.judging.tracked import InFolder
 from tracker.benchmark.report.leaderboard import ENTRIES, entries, file_name, save, write_leaderboard

@@ -14,7 +14,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike, NDArray
 
-from commandline.errors import InputError
+from synthcam_shared.errors import InputError
 from tracker.benchmark.judging.entry import entry
 from tracker.benchmark.judging.tracked import InMemory
 from tracker.benchmark.suite.definition import read_definition

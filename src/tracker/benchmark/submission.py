@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from commandline.errors import InputError
+from synthcam_shared.errors import InputError
 from tracker.benchmark.contest import in_report, published
 from tracker.benchmark.judging.entry import entry
 from tracker.benchmark.judging.tracked import InMemory

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from commandline.errors import InputError
+from synthcam_shared.errors import InputError
 from tracker.benchmark.judging.tracked import ALL, InFolder, Sample
 from tracker.benchmark.suite.folder import Suite
 from tracker.camera.frames import Clip, open_source

@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from commandline.errors import InputError
-from commandline.outputs import as_input_error, check_room
+from synthcam_shared.errors import InputError
+from synthcam_shared.outputs import as_input_error, check_room
 from tracker.calibration.survey import Seen, survey, unscaled
 from tracker.camera.camera import Camera
 from tracker.camera.camera_keys import read_json

@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from commandline.errors import InputError
-from commandline.outputs import as_input_error
+from synthcam_shared.errors import InputError
+from synthcam_shared.outputs import as_input_error
 from tracker.calibration.calibrate import check_output, given_keys
 from tracker.calibration.plate_points import PlatePoints, find_board, read_points, size_of
 from tracker.calibration.plate_view import PlateView, fit_view

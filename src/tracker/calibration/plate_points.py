@@ -10,7 +10,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from commandline.errors import InputError
+from synthcam_shared.errors import InputError
 from tracker.camera.camera_keys import did_you_mean, shown
 from tracker.camera.frames import open_source
 from tracker.camera.lens import Array

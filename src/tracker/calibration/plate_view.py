@@ -11,7 +11,7 @@ import numpy as np
 from scipy.optimize import least_squares
 from scipy.special import chdtrc
 
-from commandline.errors import InputError
+from synthcam_shared.errors import InputError
 from tracker.calibration.plate_points import FEWEST, PlatePoints
 from tracker.camera.camera_keys import NUMBERS
 from tracker.camera.lens import Array, distort

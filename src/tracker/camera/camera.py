@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from commandline.errors import InputError
+from synthcam_shared.errors import InputError
 from tracker.camera.camera_json import STANDARD_ERRORS, Lamp, parse, read_keys
 from tracker.camera.camera_keys import NUMBERS
 from tracker.camera.lens import Array, distort, mirror_normal, undistort

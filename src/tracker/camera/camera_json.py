@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from commandline.errors import InputError as InputError
+from synthcam_shared.errors import InputError as InputError
 from tracker.camera.camera_keys import LIMITS, LONGEST_SIDE, MOST_PIXELS, NUMBERS, read_json, shown, unknown_keys
 from tracker.camera.lens import Array
 from tracker.camera.sensor import Sensor

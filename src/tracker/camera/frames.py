@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from commandline.errors import InputError
+from synthcam_shared.errors import InputError
 from tracker.camera.camera import Camera
 from tracker.camera.grey import GREY, Frames, linear
 from tracker.camera.pictures import PICTURES, TIFF, folder_frames, pictures_of

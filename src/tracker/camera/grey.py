@@ -9,7 +9,7 @@ from typing import Any, overload
 import numpy as np
 from numpy.typing import NDArray
 
-from commandline.errors import InputError
+from synthcam_shared.errors import InputError
 from tracker.camera.camera_keys import CHANNELS, LONGEST_SIDE, MOST_PIXELS
 
 Frame = NDArray[np.uint8] | NDArray[np.uint16]

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from commandline.errors import InputError
+from synthcam_shared.errors import InputError
 from tracker.camera.frames import at_least_two
 from tracker.camera.grey import Frames, grey_frames, not_too_large, pixel_type
 

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import tifffile
 
-from commandline.errors import InputError
+from synthcam_shared.errors import InputError
 from tracker.camera.camera_keys import first_line
 from tracker.camera.grey import Frames, grey_frames, not_too_large, pixel_type
 

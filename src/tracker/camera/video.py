@@ -22,7 +22,7 @@ from av.video.frame import VideoFrame
 from av.video.reformatter import ColorRange
 from numpy.typing import NDArray
 
-from commandline.errors import InputError
+from synthcam_shared.errors import InputError
 from tracker.camera.grey import Frames, grey_frames, not_too_large
 
 LOSSLESS = "ffv1 rawvideo huffyuv ffvhuff utvideo magicyuv lagarith png tiff bmp dpx qtrle v210 v410 r210".split()

@@ -14,7 +14,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from commandline.errors import InputError, PluginError
+from synthcam_shared.errors import InputError, PluginError
 from tracker.camera.camera import Camera
 from tracker.camera.camera_keys import did_you_mean
 from tracker.camera.frames import Clip

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from commandline.errors import InputError
+from synthcam_shared.errors import InputError
 from tracker.detection.glints import Glints, View
 
 UNKNOWN = 0.1  # px, where trackpy gives no error

@@ -12,7 +12,7 @@ import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
-from commandline.outputs import put
+from synthcam_shared.outputs import put
 from tracker.camera.camera import Camera
 from tracker.camera.grey import Frames
 from tracker.detection.link import Tracks

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pandas as pd
 
-from commandline.outputs import as_input_error, put
+from synthcam_shared.outputs import as_input_error, put
 from tracker import results
 from tracker.camera.frames import Source
 from tracker.measurement.collision.adequacy import warnings

@@ -10,8 +10,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from commandline.errors import InputError
-from commandline.outputs import as_input_error, check_room, held, put
+from synthcam_shared.errors import InputError
+from synthcam_shared.outputs import as_input_error, check_room, held, put
 from tracker import results
 from tracker.detection.detect import detector
 from tracker.pipeline import run

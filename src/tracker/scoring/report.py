@@ -12,8 +12,8 @@ import tifffile
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from commandline.errors import InputError
-from commandline.outputs import put
+from synthcam_shared.errors import InputError
+from synthcam_shared.outputs import put
 from tracker.measurement.collision.derived import NAMES
 from tracker.measurement.positions import courses
 from tracker.report.collision_figures import Specimen, energy_figure, frame_figure, separation_figure, tracks_figure

@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from commandline.errors import InputError
+from synthcam_shared.errors import InputError
 from tracker.camera.camera import Camera
 from tracker.measurement.collision.adequacy import MEASURED, MISFIT
 from tracker.measurement.collision.derived import NAMES

@@ -11,8 +11,8 @@ import pandas as pd
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
-from commandline.errors import InputError
-from commandline.outputs import put
+from synthcam_shared.errors import InputError
+from synthcam_shared.outputs import put
 from tracker.report.html import made, rendered
 from tracker.results import finite, write_json
 from tracker.scoring.tracking_metrics import GATE_PX, Dots, tracking_scores

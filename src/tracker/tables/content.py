@@ -13,7 +13,7 @@ from xml.parsers import expat
 
 import pandas as pd
 
-from commandline.errors import InputError
+from synthcam_shared.errors import InputError
 from tracker.camera.camera_keys import first_line, shown
 
 MOST_BYTES = 1 << 28  # of XML, all of which is held in memory, many times as large

@@ -12,10 +12,10 @@ from discrepancy_clips import exact
 from discrepancy_files import NOISE, SCENE, record
 from repository import ROOT
 
-from commandline.errors import InputError
 from discrepancy.data.collisions import UNCLAIMED, cannot_tell, collision, read_measured, split
 from discrepancy.data.launch import T_C, V0, B, X, Y
 from synthcam.model import Model
+from synthcam_shared.errors import InputError
 from tracker.results import read_clip
 
 

@@ -8,11 +8,11 @@ import pytest
 from discrepancy_files import NOISE, SCENE
 from repository import ROOT
 
-from commandline.errors import InputError
 from discrepancy.data.collisions import read_measured
 from discrepancy.data.processed import processed
 from synthcam.dataset.generate import Plan, run
 from synthcam.scene.scene import read_scene
+from synthcam_shared.errors import InputError
 
 FINER = 5  # times the frame rate of 250, at which the motion is solved
 CLIPS = 4

@@ -8,11 +8,11 @@ import pytest
 from discrepancy_clips import CAMERA, collisions
 from scipy.ndimage import uniform_filter1d
 
-from commandline.errors import InputError
 from discrepancy.data.launch import T_C
 from discrepancy.data.processed import beyond_reach, processed
 from discrepancy.search import find
 from synthcam.model import Model
+from synthcam_shared.errors import InputError
 
 CLIPS = collisions(Model(), 8, 5)
 

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from discrepancy_clips import collisions, exact
 
-from commandline.errors import InputError
 from discrepancy.fitting.base_fit import base_fit, checked, noise_of
 from synthcam.model import Model
+from synthcam_shared.errors import InputError
 
 
 def slower(clip, factor):

@@ -7,7 +7,6 @@ import pytest
 from discrepancy_clips import exact
 from discrepancy_laws import with_constant
 
-from commandline.errors import InputError
 from discrepancy.data.launch import V0, B
 from discrepancy.fitting.predict import forecast
 from discrepancy.free_laws.basis import Axis
@@ -16,6 +15,7 @@ from discrepancy.free_laws.laws.force_place import ForcePlace
 from discrepancy.free_laws.library import free_laws
 from synthcam.library import library
 from synthcam.model import Model
+from synthcam_shared.errors import InputError
 
 CLIPS = exact(Model(), 5, 11)
 LAUNCHES = np.array([c.launch for c in CLIPS])

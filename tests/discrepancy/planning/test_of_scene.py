@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from discrepancy_plans import scene, small
 
-from commandline.errors import InputError
 from discrepancy.planning.of_scene import experiment_of
+from synthcam_shared.errors import InputError
 
 
 def test_places_and_rows_are_those_of_the_clips_of_that_seed():

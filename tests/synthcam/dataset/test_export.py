@@ -12,8 +12,8 @@ import pandas as pd
 import pytest
 from synthcam_stub import SCENE, make
 
-from commandline.errors import InputError
 from synthcam.dataset.export import export, formats
+from synthcam_shared.errors import InputError
 
 CLIPS = 3
 

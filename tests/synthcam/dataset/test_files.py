@@ -8,9 +8,9 @@ import pandas as pd
 import pytest
 import tifffile
 
-from commandline.errors import InputError
 from synthcam.dataset.files import clip_folders, finish, sha256, verify, write_clip
 from synthcam.scene.scene import check_scene
+from synthcam_shared.errors import InputError
 
 SCENE = check_scene(
     {

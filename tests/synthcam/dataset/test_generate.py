@@ -14,11 +14,11 @@ from pathlib import Path
 import pytest
 from processes import alive, until
 
-from commandline.errors import InputError
 from synthcam.dataset import generate
 from synthcam.dataset.files import clip_folders, verify
 from synthcam.dataset.generate import Plan, make_clip, run
 from synthcam.scene.scene import check_scene
+from synthcam_shared.errors import InputError
 
 TEXT = """
 launch: {v0: {uniform: [0.1, 0.6]}, b: {uniform: [-0.3, 0.3]}, striker: {choice: [a, b]}}

@@ -8,10 +8,10 @@ import shutil
 import pytest
 from synthcam_stub import make, plan, quiet, sums
 
-from commandline.errors import InputError
 from synthcam.dataset.files import clip_folders, verify
 from synthcam.dataset.generate import run
 from synthcam.dataset.merge import merge
+from synthcam_shared.errors import InputError
 
 
 @pytest.fixture

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from synthcam_stub import film, plan
 
-from commandline.errors import InputError
 from synthcam.dataset import preview
 from synthcam.scene.clip import Clip
+from synthcam_shared.errors import InputError
 
 
 @pytest.fixture

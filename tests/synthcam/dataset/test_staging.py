@@ -16,10 +16,10 @@ from types import SimpleNamespace
 import pytest
 from synthcam_stub import make, plan, quiet, sums
 
-from commandline.errors import InputError
 from synthcam.dataset import generate, staging
 from synthcam.dataset.files import clip_folders, verify
 from synthcam.dataset.generate import run
+from synthcam_shared.errors import InputError
 from tracker.detection.detect import DEFAULT
 from tracker.pipeline import run as tracked
 from tracker.scoring.score import score

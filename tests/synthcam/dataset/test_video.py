@@ -8,11 +8,11 @@ import pytest
 import tifffile
 from synthcam_stub import SCENE, make
 
-from commandline.errors import InputError
 from synthcam.dataset.export import export
 from synthcam.dataset.files import verify
 from synthcam.dataset.video import Video
 from synthcam.scene.scene import check_scene
+from synthcam_shared.errors import InputError
 
 HOW = {"gamma": 1.0, "chroma": 420, "crf": 23, "q": 3}
 

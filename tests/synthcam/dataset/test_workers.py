@@ -7,8 +7,8 @@ import time
 
 import pytest
 
-from commandline.errors import InputError
 from synthcam.dataset.workers import each
+from synthcam_shared.errors import InputError
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="kills processes by signals")
 

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from commandline.errors import InputError
 from synthcam.scene.scene import check_scene
+from synthcam_shared.errors import InputError
 
 SET = {
     "camera": {"defocus_px": 2.0, "f_number": 8, "pixel_pitch": 4e-6, "vignetting": 0.2, "shutter": "rolling"},

@@ -8,9 +8,9 @@ import pytest
 import tifffile
 
 import synthcam
-from commandline.errors import InputError
 from synthcam.dataset.generate import Plan, run
 from synthcam.scene.scene import Scene
+from synthcam_shared.errors import InputError
 
 SMALL = {
     "camera": {"size": [160, 120], "scale": 3e-4},

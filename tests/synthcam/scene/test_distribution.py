@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from commandline.errors import InputError
 from synthcam.scene.distribution import as_distribution, choices, corner, drawn, replaced
 from synthcam.scene.scene import check_scene
+from synthcam_shared.errors import InputError
 
 SCENE = {"launch": {"v0": {"uniform": [0.1, 0.6]}, "b": {"normal": [0.0, 0.1]}}, "ball": {"diameter": 2e-3}}
 

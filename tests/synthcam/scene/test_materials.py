@@ -9,12 +9,12 @@ import pytest
 import tifffile
 from scipy.spatial.transform import Rotation
 
-from commandline.errors import InputError
 from synthcam.dataset import generate
 from synthcam.dataset.export import export
 from synthcam.dataset.files import verify
 from synthcam.dataset.generate import Plan, run
 from synthcam.scene.scene import check_scene
+from synthcam_shared.errors import InputError
 
 SNOOKER = {
     "name": "small",

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from repository import ROOT
 
-from commandline.errors import InputError
 from synthcam.dynamics.solve import solve
 from synthcam.model import Model
 from synthcam.scene.scene import Scene, check_scene, read_scene, schema
+from synthcam_shared.errors import InputError
 
 SHIPPED = sorted((ROOT / "scenes").glob("*.yaml"))
 WRONG = {

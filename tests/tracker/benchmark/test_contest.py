@@ -9,7 +9,7 @@ from dataclasses import replace
 import pytest
 from benchmark_suite import suite
 
-from commandline.errors import InputError
+from synthcam_shared.errors import InputError
 from tracker.benchmark import contest as module
 from tracker.benchmark.contest import contest
 from tracker.benchmark.report.leaderboard import COLUMNS

@@ -9,7 +9,7 @@ from benchmark_suite import suite
 from repository import ROOT
 
 import tracker
-from commandline.errors import InputError
+from synthcam_shared.errors import InputError
 from tracker.benchmark import library, run
 
 mpl.use("Agg")

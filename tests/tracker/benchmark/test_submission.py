@@ -8,7 +8,7 @@ import pandas as pd
 import pytest
 from benchmark_suite import Given, noisy, suite
 
-from commandline.errors import InputError
+from synthcam_shared.errors import InputError
 from tracker.benchmark.report.leaderboard import save
 from tracker.benchmark.submission import read_form, submitted
 from tracker.cli import main

@@ -13,7 +13,7 @@ from scipy.ndimage import gaussian_filter
 from tracker_film import collision, disc, expose, film, spot, write_clip
 from tracker_video import encode
 
-from commandline.errors import InputError
+from synthcam_shared.errors import InputError
 from tracker.calibration.ball_outline import outline
 from tracker.calibration.calibrate import calibrate, summary, weighted_mean
 from tracker.calibration.contact_distance import contact_distances

@@ -10,7 +10,7 @@ import pytest
 
 import synthcam
 import tracker
-from commandline.errors import InputError
+from synthcam_shared.errors import InputError
 from tracker import cli
 from tracker.calibration.plate_camera import calibrate_plate
 from tracker.calibration.plate_points import PlatePoints, find_board, read_points

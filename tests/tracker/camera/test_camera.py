@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from scipy.optimize import minimize
 from tracker_film import CAMERA
 
-from commandline.errors import InputError
+from synthcam_shared.errors import InputError
 from tracker.camera.camera import Camera
 from tracker.camera.mirror_images import secondary_of_pair, zenith_of_glint
 from tracker.camera.same_view import first_difference

@@ -11,7 +11,7 @@ import pytest
 from tracker_film import CAMERA, collision
 from tracker_noisy import NOISE, dataset, noisy, scalars_of, truth_of
 
-from commandline.errors import InputError
+from synthcam_shared.errors import InputError
 from tracker import cli
 from tracker.camera.camera import Camera
 from tracker.measurement.estimate import measure

@@ -14,7 +14,7 @@ import pytest
 import tifffile
 from tracker_film import CAMERA, write_clip
 
-from commandline.errors import InputError
+from synthcam_shared.errors import InputError
 from tracker.camera.frames import UNSCALED, open_frames, open_source
 
 RNG = np.random.default_rng(0)
@@ -270,7 +270,7 @@ def test_pictures_larger_than_the_memory_are_one_line(tmp_path):
     script = (
         "import resource, sys\n"
         "from tracker.pipeline import _one\n"
-        "from commandline.errors import InputError\n"
+        "from synthcam_shared.errors import InputError\n"
         "from tracker.camera.frames import open_source\n"
         "import tracker.detection.detectors.maximum_likelihood\n"
         "held = next(line for line in open('/proc/self/status') if line.startswith('VmData'))\n"

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from tracker_video import encode
 
-from commandline.errors import InputError
+from synthcam_shared.errors import InputError
 from tracker.camera.frames import open_frames
 
 ROWS, COLUMNS = np.mgrid[:48, :64]

@@ -5,7 +5,7 @@ import pytest
 from tracker_discs import CAMERA, SIZE, apart, disc, film
 
 import tracker
-from commandline.errors import InputError
+from synthcam_shared.errors import InputError
 from tracker.camera.camera import Camera
 from tracker.camera.memory import frames_in_memory
 from tracker.detection.channel import choose_channel

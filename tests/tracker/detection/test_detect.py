@@ -11,7 +11,7 @@ from tracker_film import CAMERA, collision, disc, expose, film, spot
 
 import synthcam
 from benchmarks.tracker.codecs import encode
-from commandline.errors import InputError
+from synthcam_shared.errors import InputError
 from tracker.camera.camera import Camera
 from tracker.camera.frames import Clip, Frames, open_frames
 from tracker.camera.mirror_images import secondary_of_pair

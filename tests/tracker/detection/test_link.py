@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from tracker_film import CAMERA, collision, film
 
-from commandline.errors import InputError
+from synthcam_shared.errors import InputError
 from tracker.camera.camera import Camera
 from tracker.camera.frames import Clip
 from tracker.camera.memory import frames_in_memory

@@ -8,7 +8,7 @@ import pandas as pd
 import pytest
 from tracker_noisy import BENCHMARK, dataset, noisy, scalars_of, truth_of
 
-from commandline.errors import InputError
+from synthcam_shared.errors import InputError
 from tracker.camera.camera import Camera
 from tracker.measurement import camera_errors, estimate
 from tracker.measurement.collision.derived import NAMES

@@ -10,7 +10,7 @@ import tifffile
 from tracker_film import film
 from tracker_noisy import dataset
 
-from commandline.errors import InputError
+from synthcam_shared.errors import InputError
 from tracker.camera.frames import open_source
 from tracker.detection.detect import detectors, view_of
 from tracker.scoring import compare as module

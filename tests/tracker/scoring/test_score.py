@@ -10,7 +10,7 @@ import pandas as pd
 import pytest
 from tracker_noisy import BENCHMARK, NOISE, dataset, noisy, results, scalars_of, truth_of
 
-from commandline.errors import InputError
+from synthcam_shared.errors import InputError
 from tracker.measurement.collision.derived import NAMES
 from tracker.measurement.estimate import measure
 from tracker.scoring.error_bars import figures, quantity_bounds, true_motion

@@ -7,7 +7,7 @@ import sys
 import numpy as np
 import pytest
 
-from commandline.errors import InputError
+from synthcam_shared.errors import InputError
 from tracker.cli import main
 from tracker.scoring.tables_score import score_tables
 

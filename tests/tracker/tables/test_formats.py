@@ -19,7 +19,7 @@ from tracker_tables import (
 
 import synthcam
 import tracker
-from commandline.errors import InputError
+from synthcam_shared.errors import InputError
 from tracker.tables.read import read_tracks
 
 SCENE = synthcam.Scene.read(

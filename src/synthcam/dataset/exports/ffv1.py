@@ -10,9 +10,9 @@ from pathlib import Path
 
 import cv2
 
-from commandline.errors import InputError
 from synthcam.dataset.recorded import Recorded
 from synthcam.dataset.video import check_film
+from synthcam_shared.errors import InputError
 
 
 def write(clips: Iterator[Recorded], folder: Path) -> None:

@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from commandline.errors import InputError
 from synthcam.dataset.recorded import Recorded
+from synthcam_shared.errors import InputError
 
 STATES = ("rest", "roll", "slide", "fly")
 FRAMES_AXES, TRUTH_AXES = ("clip", "frame", "y", "x"), ("clip", "particle", "frame")

@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from commandline.errors import InputError
-from commandline.outputs import put
+from synthcam_shared.errors import InputError
+from synthcam_shared.outputs import put
 from tracker.results import load_json, write_json
 
 ENTRIES = "entries"

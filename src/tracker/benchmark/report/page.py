@@ -7,7 +7,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from commandline.outputs import put
+from synthcam_shared.outputs import put
 from tracker.benchmark.report.figures import (
     DEFECTS,
     axes_figure,

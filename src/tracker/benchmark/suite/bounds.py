@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from commandline.outputs import put
+from synthcam_shared.outputs import put
 from tracker.benchmark.suite.folder import BOUNDS, QUANTITY_BOUNDS
 from tracker.camera.frames import Source, open_source
 from tracker.detection.detect import detect, view_of

@@ -10,7 +10,7 @@ from typing import Any
 
 import yaml
 
-from commandline.errors import InputError
+from synthcam_shared.errors import InputError
 
 OWN = Path(__file__).with_name("suite.yaml")
 SIZES = ("full", "small")

@@ -13,7 +13,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from commandline.errors import InputError
+from synthcam_shared.errors import InputError
 from tracker.benchmark.suite.definition import Definition, Part, from_text
 from tracker.camera.camera import Camera
 from tracker.results import load_json

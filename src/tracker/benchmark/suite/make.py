@@ -12,8 +12,8 @@ from pathlib import Path
 
 import yaml
 
-from commandline.errors import InputError
-from commandline.outputs import as_input_error, check_room, held, put
+from synthcam_shared.errors import InputError
+from synthcam_shared.outputs import as_input_error, check_room, held, put
 from tracker.benchmark.suite.bounds import write_bounds
 from tracker.benchmark.suite.card import card
 from tracker.benchmark.suite.definition import Definition, Film

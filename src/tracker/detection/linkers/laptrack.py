@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from commandline.errors import InputError
+from synthcam_shared.errors import InputError
 from tracker.camera.camera import Camera
 from tracker.detection.glints import Glints
 

@@ -3,7 +3,7 @@
 import pytest
 from benchmark_suite import TINY
 
-from commandline.errors import InputError
+from synthcam_shared.errors import InputError
 from tracker.benchmark.suite.definition import from_text, merged, read_definition
 
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from benchmark_suite import suite, tiny
 
-from commandline.errors import InputError
+from synthcam_shared.errors import InputError
 from tracker.benchmark.suite import make as module
 from tracker.benchmark.suite.folder import open_suite, truth_digest, with_truth
 from tracker.benchmark.suite.make import make

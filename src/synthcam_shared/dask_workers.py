@@ -12,7 +12,7 @@ from functools import cache
 from itertools import islice
 from typing import Any, TypeVar
 
-from commandline.errors import InputError
+from synthcam_shared.errors import InputError
 
 try:
     from distributed import Client, KilledWorker, WorkerPlugin, as_completed

@@ -6,8 +6,8 @@ import sys
 
 import pytest
 
-from commandline.application import command_line, run
-from commandline.errors import InputError
+from synthcam_shared.application import command_line, run
+from synthcam_shared.errors import InputError
 
 app = command_line("tool", "Does nothing.")
 
@@ -47,7 +47,7 @@ def test_a_command_that_fails_leaves_one_line(command, status, line, monkeypatch
 @pytest.mark.parametrize("given", [None, "3"])
 def test_a_command_computes_on_one_thread_unless_told_otherwise(package, given):
     asked = f"import {package}.cli, os, sys; print(os.environ['OPENBLAS_NUM_THREADS'])"
-    early = "import commandline.application, sys; assert 'numpy' not in sys.modules; "
+    early = "import synthcam_shared.application, sys; assert 'numpy' not in sys.modules; "
     others = {k: v for k, v in os.environ.items() if not k.endswith("_NUM_THREADS")}
     own = others | ({"OPENBLAS_NUM_THREADS": given} if given else {})
     done = subprocess.run([sys.executable, "-c", early + asked], env=own, capture_output=True, text=True, check=True)

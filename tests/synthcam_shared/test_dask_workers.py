@@ -8,9 +8,9 @@ import sys
 import pytest
 from synthcam_stub import quiet, sums
 
-from commandline.errors import InputError
 from synthcam.dataset.generate import Plan, run
 from synthcam.scene.scene import check_scene
+from synthcam_shared.errors import InputError
 
 needs_dask = pytest.mark.skipif(
     not importlib.util.find_spec("distributed"), reason="Dask is not installed: pip install 'synthcam[dask]'"
@@ -37,7 +37,7 @@ if __name__ == "__main__":
 COUNTING = """
 import operator
 from distributed import LocalCluster
-from commandline.dask_workers import Cluster
+from synthcam_shared.dask_workers import Cluster
 class Counted:
     sent = 0
     def __reduce__(self):
@@ -87,7 +87,7 @@ def test_work_is_sent_once_to_a_cluster_not_with_each_number(tmp_path):
     "address", ["tcp://127.0.0.1:1", "nonsense", "tls://127.0.0.1:8786", "ucx://h:1", "tcp://", "h:99999"]
 )
 def test_an_address_without_a_scheduler(tmp_path, monkeypatch, address):
-    from commandline import dask_workers as cluster
+    from synthcam_shared import dask_workers as cluster
 
     monkeypatch.setattr(cluster, "PATIENCE", 0.5)
     with pytest.raises(InputError, match=f"--scheduler {address}: expected a Dask scheduler's address"):

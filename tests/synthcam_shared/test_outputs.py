@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from tracker_film import CAMERA, collision
 
-from commandline import outputs
-from commandline.errors import InputError
+from synthcam_shared import outputs
+from synthcam_shared.errors import InputError
 from tracker import cli, pipeline
 
 NOWHERE = Path("/proc/nowhere")  # nobody may write there, root neither

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from commandline.errors import InputError
+from synthcam_shared.errors import InputError
 
 ROOM = 1 << 16  # bytes that must fit before anything is begun
 
