@@ -1,0 +1,71 @@
+"""Write the map of the code in CONTRIBUTING.md from the first lines of module docstrings.
+
+    python tools/plan.py            print the map
+    python tools/plan.py --write    put it into CONTRIBUTING.md, between its two marks
+
+Folders whose files are plug-ins (an effect, a free law, a detector, a format) are listed on one line each.
+"""
+
+from __future__ import annotations
+
+import ast
+import sys
+import textwrap
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parent.parent
+PAGE = ROOT / "CONTRIBUTING.md"
+BEGIN, END = "<!-- map of the code: python tools/plan.py --write -->", "<!-- end of the map -->"
+PACKAGES = ("synthcam_shared", "synthcam", "tracker", "discrepancy")  # lowest layer first
+PLUGINS = ("effects", "exports", "formats", "detectors", "linkers", "laws")
+WIDTH = 120
+
+
+def summary(path: Path) -> str:
+    """The first sentence of a module's docstring, without its full stop; empty where there is none."""
+    docstring = ast.get_docstring(ast.parse(path.read_text(encoding="utf-8"))) or ""
+    return " ".join(docstring.partition("\n\n")[0].split()).rstrip(".")
+
+
+def folder_lines(folder: Path, depth: int = 0) -> list[str]:
+    """Lines for a folder: its summary, its files, then its subfolders."""
+    indent = "  " * depth
+    name = folder.relative_to(ROOT) if depth == 0 else folder.name
+    files = [p for p in sorted(folder.glob("*.py")) if p.stem not in ("__init__", "__main__")]
+    about = summary(folder / "__init__.py")
+    lines = entry(f"{indent}{name}/", about)
+    if folder.name in PLUGINS:
+        return lines + entry(f"{indent}  one file each:", ", ".join(p.stem for p in files))
+    for path in files:
+        lines += entry(f"{indent}  {path.stem}", summary(path))
+    for inner in sorted(p for p in folder.iterdir() if (p / "__init__.py").is_file()):
+        lines += folder_lines(inner, depth + 1)
+    return lines
+
+
+def entry(name: str, about: str) -> list[str]:
+    """A name with its summary, folded under itself."""
+    first = f"{name:<28} "
+    return textwrap.wrap(f"{first}{about}".rstrip(), WIDTH, subsequent_indent=" " * len(first), drop_whitespace=True)
+
+
+def plan() -> str:
+    """The whole map, as a block of text."""
+    lines = [line for name in PACKAGES for line in [*folder_lines(ROOT / "src" / name), ""]]
+    return "\n".join(["```text", *lines[:-1], "```"])
+
+
+def with_plan(text: str) -> str:
+    """A page's text with the map between its marks."""
+    before, _, rest = text.partition(BEGIN)
+    _, mark, after = rest.partition(END)
+    if not mark:
+        sys.exit(f"{PAGE.name}: expected the lines {BEGIN!r} and {END!r}, which hold the map between them")
+    return f"{before}{BEGIN}\n{plan()}\n{END}{after}"
+
+
+if __name__ == "__main__":
+    if sys.argv[1:] == ["--write"]:
+        PAGE.write_text(with_plan(PAGE.read_text(encoding="utf-8")), encoding="utf-8")
+    else:
+        print(plan())
