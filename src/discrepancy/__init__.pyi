@@ -3,8 +3,8 @@
 from .data.collisions import InputError as InputError
 from .finding import Finding as Finding
 from .finding import find as find
-from .planned import Plan as Plan
-from .planned import plan as plan
+from .plan_experiment import Plan as Plan
+from .plan_experiment import plan as plan
 
 __version__: str
 __all__ = ["Finding", "InputError", "Plan", "__version__", "find", "plan"]

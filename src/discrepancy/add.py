@@ -26,7 +26,7 @@ from synthcam_shared.errors import InputError
 
 
 @dataclass(frozen=True)
-class Added:
+class AddedEffect:
     """A candidate fitted with everything else.
 
     Attributes
@@ -78,7 +78,7 @@ def check_effect(effect: str) -> None:
         raise InputError(f"{effect}: no such effect{known}")
 
 
-def add(clips: Sequence[Measured], model: Model, effect: str, progress: Progress = lambda stage: None) -> Added:
+def add(clips: Sequence[Measured], model: Model, effect: str, progress: Progress = lambda stage: None) -> AddedEffect:
     """Add an effect to the model and fit it to all clips with everything else.
 
     Parameters
@@ -121,4 +121,4 @@ def add(clips: Sequence[Measured], model: Model, effect: str, progress: Progress
     fit = settle(evidence, extended(evidence, base, best, lambda: progress("search")), lambda: progress("search"))
     sigma = sigmas(base.chi2 - fit.chi2, len(candidate.strengths), tests.trials_factors[effect])
     std = fit.std | profile_std(evidence, base, fit, candidate)
-    return Added(base, fit, Named.of(candidate, fit, std, sigma), tuple(taken_out(given, clips)))
+    return AddedEffect(base, fit, Named.of(candidate, fit, std, sigma), tuple(taken_out(given, clips)))

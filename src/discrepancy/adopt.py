@@ -10,10 +10,10 @@ from typing import Any
 
 import numpy as np
 
-from discrepancy.effect_file import ValueOf, curve_effect, formula_effect
-from discrepancy.free_laws.basis import Axis
+from discrepancy.effect_file import ParameterValue, render_formula_effect, render_table_effect
+from discrepancy.free_laws.axis import Axis
 from discrepancy.free_laws.library import library as free_laws
-from discrepancy.free_laws.shapes import CONSTANT, Shape, Term, shapes_of
+from discrepancy.free_laws.shapes import CONSTANT, LawShape, Term, iterate_shapes
 from synthcam.free_law import NOT_YET, TURN, Kind, TabulatedLaw, kind_of
 from synthcam.library import check_name
 from synthcam.model import Model, dumped, read_model, settings_of
@@ -25,7 +25,7 @@ DRAWN = 50  # places: enough to draw shapes at
 
 
 @dataclass(frozen=True)
-class Adopted:
+class AdoptedEffect:
     """effect, model: the files. line: what a model or scene says to have the effect. formula: None of a curve."""
 
     name: str
@@ -39,7 +39,7 @@ class Adopted:
         return {k: str(v) if isinstance(v, Path) else v for k, v in vars(self).items()}
 
 
-def adopt(report: str | Path, name: str, folder: str | Path = "effects") -> Adopted:
+def adopt(report: str | Path, name: str, folder: str | Path = "effects") -> AdoptedEffect:
     """Write an effect file from the free law in a search's report, and a model file that has it.
 
     The effect has the proposed formula where that suffices, of a law over one axis; elsewhere the curve or map.
@@ -65,7 +65,7 @@ def adopt(report: str | Path, name: str, folder: str | Path = "effects") -> Adop
     """
     report, folder = Path(report), Path(folder)
     check_name(name, f"--name {name}")
-    said = _outside(report)
+    said = _read_free_law(report)
     model = read_model(report / "model.yaml")
     slot = str(said.get("slot"))
     held = next((e for e in model.effects if isinstance(e, TabulatedLaw) and e.law == slot), None)
@@ -78,7 +78,7 @@ def adopt(report: str | Path, name: str, folder: str | Path = "effects") -> Adop
             raise InputError(f"{file}: exists; expected another name or folder")
     where = f"{report / 'discrepancy.json'}: outside"
     try:
-        text, values, plain, formula = _effect(name, model, held, said, _source(report, said))
+        text, values, plain, formula = _render_effect(name, model, held, said, _describe_source(report, said))
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise InputError(f"{where}: not as `discrepancy find` writes it ({error!r})") from None
     plain["effects"] = plain.get("effects", {}) | {name: values}
@@ -91,10 +91,10 @@ def adopt(report: str | Path, name: str, folder: str | Path = "effects") -> Adop
         put(files[0], text)
         put(files[1], dumped(plain))
     line = f"effects: {{{name}: {{{', '.join(f'{k}: {v:.6g}' for k, v in values.items())}}}}}"
-    return Adopted(name, *files, line, formula)
+    return AdoptedEffect(name, *files, line, formula)
 
 
-def _outside(report: Path) -> dict[str, Any]:
+def _read_free_law(report: Path) -> dict[str, Any]:
     """The free law of a report. Raises InputError."""
     file = report / "discrepancy.json"
     try:
@@ -109,7 +109,7 @@ def _outside(report: Path) -> dict[str, Any]:
     return dict(outside[0]) | {"gap": document.get("gap"), "clips": document.get("clips")}
 
 
-def _source(report: Path, said: Mapping[str, Any]) -> list[str]:
+def _describe_source(report: Path, said: Mapping[str, Any]) -> list[str]:
     """Where it comes from, in sentences."""
     gap, clips = said["gap"], said["clips"]
     return [
@@ -120,29 +120,29 @@ def _source(report: Path, said: Mapping[str, Any]) -> list[str]:
     ]
 
 
-def _effect(
+def _render_effect(
     name: str, model: Model, held: TabulatedLaw, said: Mapping[str, Any], source: list[str]
 ) -> tuple[str, dict[str, float], dict[str, Any], str | None]:
     """The file's text, the effect's values, the settings of the model less the table, the formula if it has one."""
     kind, ball = kind_of(held.law)
     bare = replace(model, effects=tuple(e for e in model.effects if e is not held))
     parts = said["formula_parts"] if said["formula_suffices"] else None
-    shape = _shape(held.law, kind, said, parts) if parts else None
+    shape = _find_shape(held.law, kind, said, parts) if parts else None
     if shape and parts:
         numbers = [float(parts["numbers"][n]) for n, _ in shape.numbers]
         terms = [(t, float(parts["factors"][t.name])) for t in shape.terms(*numbers)]
-        beside = _beside(kind, ball, bare, terms)
+        beside = _split_strengths(kind, ball, bare, terms)
         if beside:
             values, base = beside
-            shaped = [ValueOf(n, float(v), power) for (n, power), v in zip(shape.numbers, numbers, strict=True)]
-            text = formula_effect(name, held.law, values, shaped, source)
+            shaped = [ParameterValue(n, float(v), power) for (n, power), v in zip(shape.numbers, numbers, strict=True)]
+            text = render_formula_effect(name, held.law, values, shaped, source)
             every = {v.name: v.value for _, v in values} | {v.name: v.value for v in shaped}
             return text, every, settings_of(bare.replace(base)), str(said["formula"])
     numbers_of = {owner: bare.value(owner) for owner, _ in kind.owners}
-    return curve_effect(name, held, numbers_of, source), {"share": 1.0}, settings_of(bare), None
+    return render_table_effect(name, held, numbers_of, source), {"share": 1.0}, settings_of(bare), None
 
 
-def _shape(law: str, kind: Kind, said: Mapping[str, Any], parts: Mapping[str, Any]) -> Shape | None:
+def _find_shape(law: str, kind: Kind, said: Mapping[str, Any], parts: Mapping[str, Any]) -> LawShape | None:
     """The shape of that name and those terms; None where it has no code."""
     own = law.removesuffix("_a").removesuffix("_b") if kind.one_ball else law
     search = next((k for k in free_laws() if k.__module__.rpartition(".")[2] == own), None)
@@ -150,16 +150,16 @@ def _shape(law: str, kind: Kind, said: Mapping[str, Any], parts: Mapping[str, An
         return None
     x = np.array(said["x"], dtype=float)
     axis = Axis("x", kind.x_unit, float(x[0]), float(x[-1]), DRAWN, "circle" if kind.axis == TURN else "line", "x")
-    for shape in shapes_of(search((axis,)), [axis.grid(DRAWN)]):
+    for shape in iterate_shapes(search((axis,)), [axis.grid(DRAWN)]):
         named = [t.name for t in shape.terms(*(t[0] for t in shape.tries))]
         if shape.name == parts["shape"] and set(named) == set(parts["factors"]):
             return shape
     return None
 
 
-def _beside(
+def _split_strengths(
     kind: Kind, ball: str, model: Model, terms: list[tuple[Term, float]]
-) -> tuple[list[tuple[Term, ValueOf]], dict[str, float]] | None:
+) -> tuple[list[tuple[Term, ParameterValue]], dict[str, float]] | None:
     """The effect's strengths, and numbers of the base model beside it; None where no such model can be.
 
     A law of its one number is that number times a sum; others are sums. Terms that the base model's numbers make are
@@ -179,6 +179,6 @@ def _beside(
             base[owner] = factor
             continue
         strength = factor / lead - (model.value(owner) / lead if owner else 0.0)
-        values.append((term, ValueOf(term.name, strength, term.power)))
+        values.append((term, ParameterValue(term.name, strength, term.power)))
     low_enough = all(v >= 0 for v in base.values())
     return (values, base) if values and low_enough else None

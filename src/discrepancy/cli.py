@@ -39,7 +39,7 @@ Json = Annotated[bool, typer.Option("--json", help="Print a machine-readable sum
 
 
 @contextmanager
-def stages(names: Sequence[str]) -> Iterator[Callable[[str], None]]:
+def show_stages(names: Sequence[str]) -> Iterator[Callable[[str], None]]:
     """A bar of the stages passed, and the time, on a terminal; elsewhere a line now and then. Yields what is told them.
 
     How long a stage takes is not known beforehand, so there is no estimate. Where a search begins again, the bar goes
@@ -89,12 +89,12 @@ def find(
     from discrepancy.report.staging import aside
 
     started = time.monotonic()
-    _known_effects(effects_dir)
+    _add_effect_folders(effects_dir)
     given = read_model(model)
     with aside(output) as folder:
-        _say_camera(measured, camera)
+        _print_camera_notes(measured, camera)
         clips, left_out = read_measured(measured, camera)
-        with stages(STAGES) as progress:
+        with show_stages(STAGES) as progress:
             found = searched(clips, given, left_out, progress, 60 * minutes)
             progress("report")
             html.write(found.outcome, folder, found.left_out)
@@ -104,7 +104,7 @@ def find(
     if not as_json:
         for line in document["processed"]:
             print(f"The tracks: {line}.")
-        _say_lost(document["clips"]["left_out"], len(left_out) > len(clips))
+        _print_left_out(document["clips"]["left_out"], len(left_out) > len(clips))
         used = f"{len(found.outcome.data.clips) + len(found.outcome.data.kept_out)} of {len(clips) + len(left_out)}"
         print(f"{output / 'index.html'}  ({used} collisions, {seconds:.0f} s)")
 
@@ -127,15 +127,15 @@ def add(
     from discrepancy.add import check_effect
     from discrepancy.data.collisions import read_measured
 
-    _known_effects(effects_dir)
+    _add_effect_folders(effects_dir)
     given = read_model(model)
     check_effect(effect)
     if output.is_dir():
         raise InputError(f"{output}: a folder; expected the name of a model file")
     check_room(output)
-    _say_camera(measured, camera)
+    _print_camera_notes(measured, camera)
     clips, left_out = read_measured(measured, camera)
-    with stages(("noise", "fit", "search")) as progress:
+    with show_stages(("noise", "fit", "search")) as progress:
         new = fitted(clips, given, effect, progress)
     output.parent.mkdir(parents=True, exist_ok=True)
     beside = output.with_name(f"{output.name}.{os.getpid()}.tmp")
@@ -150,7 +150,7 @@ def add(
         print(json.dumps({"model": str(output)} | new.document() | {"clips": len(clips), "left_out": lost}))
     else:
         print(f"{output}: {new.sentence()} ({len(clips)} of {len(clips) + len(left_out)})")
-        _say_lost([*left_out, *new.left_out], len(left_out) > len(clips))
+        _print_left_out([*left_out, *new.left_out], len(left_out) > len(clips))
 
 
 @app.command()
@@ -169,7 +169,7 @@ def adopt(
     """
     from discrepancy.adopt import adopt as adopted
 
-    _known_effects(effects_dir)
+    _add_effect_folders(effects_dir)
     new = adopted(report, name, output)
     if as_json:
         print(json.dumps(new.document()))
@@ -179,7 +179,7 @@ def adopt(
     print(f"and give --effects {output} to each command")
 
 
-def _known_effects(folders: Sequence[Path] | None) -> None:
+def _add_effect_folders(folders: Sequence[Path] | None) -> None:
     for folder in folders or ():
         add_effects(folder)
 
@@ -210,15 +210,15 @@ def plan(
 
     Example: discrepancy plan scenes/oblique.yaml --clips 30 -o out/plan
     """
-    from discrepancy.planned import plan as planned
+    from discrepancy.plan_experiment import plan as planned
     from discrepancy.report import plan_page
     from discrepancy.report.staging import PLAN, aside
     from synthcam.scene.scene import read_scene
 
     started = time.monotonic()
-    _known_effects([Path(text) for text in effects or () if Path(text).is_dir()])
+    _add_effect_folders([Path(text) for text in effects or () if Path(text).is_dir()])
     names = [n.strip() for text in effects or () if not Path(text).is_dir() for n in text.split(",") if n.strip()]
-    given, wanted = read_scene(scene, tuple(changes or ()), model), _wanted(limit or [])
+    given, wanted = read_scene(scene, tuple(changes or ()), model), _parse_limits(limit or [])
     with aside(output, PLAN) as folder, progress_bar("experiments") as progress:
         found = planned(given, names or None, clips, noise, wanted, seed, progress=progress)
         plan_page.write(found.outcome, folder)
@@ -231,7 +231,7 @@ def plan(
     print(f"{output / 'index.html'}  ({time.monotonic() - started:.0f} s)")
 
 
-def _wanted(texts: Sequence[str]) -> dict[str, float]:
+def _parse_limits(texts: Sequence[str]) -> dict[str, float]:
     """Of "plate_tilt=1e-5", strengths by name."""
     found = {}
     for text in texts:
@@ -243,14 +243,14 @@ def _wanted(texts: Sequence[str]) -> dict[str, float]:
     return found
 
 
-def _say_camera(measured: Path, camera: Path | None) -> None:
+def _print_camera_notes(measured: Path, camera: Path | None) -> None:
     """On stderr, what in a table's camera.json nothing reads or accounts for, as the tracker says it."""
     if camera is not None and measured.is_file():
         for note in Camera.read(camera).unmodelled:
             print(f"discrepancy: {note}", file=sys.stderr)
 
 
-def _say_lost(left_out: Sequence[str], most: bool) -> None:
+def _print_left_out(left_out: Sequence[str], most: bool) -> None:
     if most:
         print("Most collisions are left out; are fps, scale and ball_diameter of the camera right?")
     if left_out:

@@ -16,7 +16,7 @@ BENT = {"friction": "mu", "restitution": "r", "spin_transfer": "c", "rolling": "
 
 
 @dataclass(frozen=True)
-class ValueOf:
+class ParameterValue:
     """A parameter by name, its value, and the power of the law's argument in its unit."""
 
     name: str
@@ -24,11 +24,11 @@ class ValueOf:
     power: float = 0.0
 
 
-def formula_effect(
+def render_formula_effect(
     name: str,
     law: str,
-    strengths: Sequence[tuple[Term, ValueOf]],
-    shape: Sequence[ValueOf],
+    strengths: Sequence[tuple[Term, ParameterValue]],
+    shape: Sequence[ParameterValue],
     source: Sequence[str],
 ) -> str:
     """An effect with a formula.
@@ -51,21 +51,23 @@ def formula_effect(
     str
     """
     kind, ball = kind_of(law)
-    relative, x, old = len(kind.owners) == 1, _argument(kind), BENT[kind.law]
+    relative, x, old = len(kind.owners) == 1, _argument_code(kind), BENT[kind.law]
     numbers = {v.name: f"self.{v.name}" for v in shape}
     added = [f"self.{v.name} * {t.code.format(x=x, **numbers)}".removesuffix(" * 1") for t, v in strengths]
-    said = " + ".join(f"{v.name} {_words(t, x)}".strip() for t, v in strengths)
+    said = " + ".join(f"{v.name} {_term_text(t, x)}".strip() for t, v in strengths)
     law_said = f"{old} [1 + {said}]" if relative else f"{old} + {said}"
     unit = "1" if relative else kind.unit
     parameters = [
-        f'{v.name}: float = parameter("{_unit(unit, kind.x_unit, -v.power)}", typical={abs(v.value) or 1.0:.3g})'
+        f'{v.name}: float = parameter("{_unit_times(unit, kind.x_unit, -v.power)}", typical={abs(v.value) or 1.0:.3g})'
         for _, v in strengths
-    ] + [_shape_parameter(v, kind) for v in shape]
-    doc = [f"{law_said}, {_meaning(kind, x)}.{_whose(ball)}", *source]
-    return _file(name, f"{_title(kind)}, by a formula", doc, parameters, _method(kind, ball, added, relative))
+    ] + [_render_shape_parameter(v, kind) for v in shape]
+    doc = [f"{law_said}, {_describe_argument(kind, x)}.{_ball_sentence(ball)}", *source]
+    return _render_file(
+        name, f"{_make_title(kind)}, by a formula", doc, parameters, _render_method(kind, ball, added, relative)
+    )
 
 
-def curve_effect(name: str, held: TabulatedLaw, numbers: Mapping[str, float], source: Sequence[str]) -> str:
+def render_table_effect(name: str, held: TabulatedLaw, numbers: Mapping[str, float], source: Sequence[str]) -> str:
     """An effect with a table: the law is the table's where `share` is 1, and the base model's where it is 0.
 
     Parameters
@@ -83,30 +85,30 @@ def curve_effect(name: str, held: TabulatedLaw, numbers: Mapping[str, float], so
     str
     """
     kind, ball = kind_of(held.law)
-    plain, x, old = held.plain(numbers), _argument(kind), BENT[kind.law]
+    plain, x, old = held.plain(numbers), _argument_code(kind), BENT[kind.law]
     value = f"CURVE({f'{kind.what}[..., 0], {kind.what}[..., 1]' if kind.axis == PLACE else x})"
-    if _paced(kind):
+    if _has_speed_part(kind):
         value = f"({value} * np.stack([np.ones_like(speed), speed / {PACE:g}], axis=-1)).sum(axis=-1)"
     base = [f"{numbers[n]!r}" + (f" * {x}" if power else "") for n, power in kind.owners]
     added = f"self.share * ({' - '.join([value, *base])})" if base else f"self.share * {value}"
     tables = [
-        f"X = {_listed(plain['x'])}",
-        f"Y = {_listed(plain['y'])}",
+        f"X = {_render_tuple(plain['x'])}",
+        f"Y = {_render_tuple(plain['y'])}",
         f"CURVE = Table(X, Y{', turn=True' if kind.axis == TURN else ''})",
     ]
     stands = " and ".join(f"{n} {v:.6g}" for n, v in numbers.items())
-    where = f"{kind.what}, {kind.x_unit}" if kind.axis == PLACE else _meaning(kind, x)
+    where = f"{kind.what}, {kind.x_unit}" if kind.axis == PLACE else _describe_argument(kind, x)
     doc = [
-        f"{old} as in the table Y, {kind.unit}, where share is 1: X {where}.{_whose(ball)}"
+        f"{old} as in the table Y, {kind.unit}, where share is 1: X {where}.{_ball_sentence(ball)}"
         + (f" Share 0 is a base model of {stands}." if stands else ""),
         *source,
     ]
-    method = _method(kind, ball, [added], relative=False)
+    method = _render_method(kind, ball, [added], relative=False)
     parameters = ['share: float = parameter("1", typical=1.0, default=1.0)']
-    return _file(name, f"{_title(kind)}, by a table", doc, parameters, method, tables)
+    return _render_file(name, f"{_make_title(kind)}, by a table", doc, parameters, method, tables)
 
 
-def _file(
+def _render_file(
     name: str, title: str, doc: Sequence[str], parameters: Sequence[str], method: str, tables: Sequence[str] = ()
 ) -> str:
     """All of it."""
@@ -123,12 +125,12 @@ def _file(
     )
 
 
-def _method(kind: Kind, ball: str, added: Sequence[str], relative: bool) -> str:
+def _render_method(kind: Kind, ball: str, added: Sequence[str], relative: bool) -> str:
     """The method that bends the law. added: Python of what is added, or of its share of the law; a sum."""
-    old, sum_ = BENT[kind.law], _sum(added)
-    asks = [kind.what, *["speed"] * _paced(kind), *["of_a"] * bool(ball)]
+    old, sum_ = BENT[kind.law], _join_terms(added)
+    asks = [kind.what, *["speed"] * _has_speed_part(kind), *["of_a"] * bool(ball)]
     whose = {"a": "of_a", "b": "(1 - of_a)", "": ""}[ball]
-    sized = [f"speed = np.hypot({kind.what}[..., 0], {kind.what}[..., 1])"] if _sized(kind) else []
+    sized = [f"speed = np.hypot({kind.what}[..., 0], {kind.what}[..., 1])"] if _is_vector_size(kind) else []
     if kind.law == "push" and kind.axis == LINE:
         lines = [
             f"force = {whose} * ({sum_})" if whose else f"force = {sum_}",
@@ -151,40 +153,40 @@ def _method(kind: Kind, ball: str, added: Sequence[str], relative: bool) -> str:
     return f"    def {kind.law}(self, {old}: Any{own}) -> Any:\n" + "".join(f"        {line}\n" for line in lines)
 
 
-def _sum(added: Sequence[str]) -> str:
+def _join_terms(added: Sequence[str]) -> str:
     """On several lines where one would be long."""
     one = " + ".join(added)
     return one if len(one) < WIDTH - 40 else "(\n            " + "\n            + ".join(added) + "\n        )"
 
 
-def _paced(kind: Kind) -> bool:
+def _has_speed_part(kind: Kind) -> bool:
     """Whether a part of it is in proportion to the speed."""
     return kind.law == "rolling" and kind.parts == 2
 
 
-def _whose(ball: str) -> str:
+def _ball_sentence(ball: str) -> str:
     return f" Of ball {ball} alone." if ball else ""
 
 
-def _argument(kind: Kind) -> str:
+def _argument_code(kind: Kind) -> str:
     """What x is, in Python."""
     if kind.axis == TURN:
         return f"np.arctan2({kind.what}[..., 1], {kind.what}[..., 0])"
-    return "speed" if _sized(kind) else kind.what
+    return "speed" if _is_vector_size(kind) else kind.what
 
 
-def _sized(kind: Kind) -> bool:
+def _is_vector_size(kind: Kind) -> bool:
     """Whether x is the size of a vector."""
     return kind.axis == LINE and kind.what in VECTORS
 
 
-def _meaning(kind: Kind, x: str) -> str:
+def _describe_argument(kind: Kind, x: str) -> str:
     if kind.axis == TURN:
         return f"th the direction of the {kind.what.replace('_', ' ')}, rad"
     return x if kind.x_unit == "1" else f"{x} in {kind.x_unit}"
 
 
-def _words(term: Term, x: str) -> str:
+def _term_text(term: Term, x: str) -> str:
     """A term's code as a formula is written."""
     out = term.code.format_map(_Bare(x="th" if "arctan2" in x else x)).replace("np.", "").replace("maximum(", "max(")
     return "" if out == "1" else out.replace(" ** ", "^").replace("**", "^").replace(" * ", " ")
@@ -197,18 +199,18 @@ class _Bare(dict[str, str]):
         return key
 
 
-def _title(kind: Kind) -> str:
+def _make_title(kind: Kind) -> str:
     word = {"push": "force over mass", "rolling": "rolling loss"}.get(kind.law, kind.law.replace("_", " "))
     return f"{word.capitalize()} that depends on the {kind.what.replace('_', ' ')}"
 
 
-def _shape_parameter(v: ValueOf, kind: Kind) -> str:
+def _render_shape_parameter(v: ParameterValue, kind: Kind) -> str:
     low, high = (v.value / WIDER, v.value * WIDER) if v.name != "power" and v.value > 0 else (-WIDER, WIDER)
-    unit = _unit("1", kind.x_unit, v.power)
+    unit = _unit_times("1", kind.x_unit, v.power)
     return f'{v.name}: float = parameter("{unit}", typical={v.value:.6g}, low={low:.6g}, high={high:.6g}, fixed=True)'
 
 
-def _unit(unit: str, x_unit: str, power: float) -> str:
+def _unit_times(unit: str, x_unit: str, power: float) -> str:
     """A unit times another to a power."""
     if not power or x_unit in ("1", "rad"):
         return unit
@@ -219,6 +221,6 @@ def _unit(unit: str, x_unit: str, power: float) -> str:
     return f"{unit}/{less}"
 
 
-def _listed(values: Sequence[object]) -> str:
+def _render_tuple(values: Sequence[object]) -> str:
     text = ", ".join(repr(tuple(v) if isinstance(v, list) else v) for v in values)
     return "(\n" + textwrap.fill(f"{text},", WIDTH, initial_indent="    ", subsequent_indent="    ") + "\n)"

@@ -16,8 +16,8 @@ from discrepancy.diagnostics.gap import Shown, as_dict
 from discrepancy.diagnostics.held_out import Claim
 from discrepancy.diagnostics.residual_map import Place, unexplained
 from discrepancy.fitting.model_fit import Fit
-from discrepancy.free_laws.answer import Answer
 from discrepancy.free_laws.fitted_law import FittedLaw
+from discrepancy.free_laws.law_summary import LawSummary
 from discrepancy.noise.model import Noise
 from discrepancy.selection.named import Named
 from discrepancy.selection.stepwise import Selection
@@ -92,7 +92,7 @@ class Found:
     data: Data
     selected: Selection
     free_law: FittedLaw | None
-    answer: Answer | None
+    answer: LawSummary | None
     named: tuple[Named, ...]
     where: tuple[Place, ...]
     left: tuple[Place, ...]
@@ -123,8 +123,8 @@ class Found:
             return self.held.model
         if not self.free_law:
             return self.selected.best.model
-        free = (*self.free_law.plain.free, *filter(None, [self.free_law.law.frees]))
-        return dataclasses.replace(self.free_law.plain, free=tuple(dict.fromkeys(free)))
+        free = (*self.free_law.model_without_law.free, *filter(None, [self.free_law.law.frees]))
+        return dataclasses.replace(self.free_law.model_without_law, free=tuple(dict.fromkeys(free)))
 
     @property
     def in_model(self) -> bool:
@@ -190,7 +190,7 @@ class Found:
         wrong = [n.said(base) for n in self.named if n.held(base)]
         if self.free_law and self.answer:
             parts.insert(
-                0, f"{self.answer.said}, which no effect of the library makes ({self.free_law.sigma:.0f} sigma)"
+                0, f"{self.answer.description}, which no effect of the library makes ({self.free_law.sigma:.0f} sigma)"
             )
             frees = self.free_law.law.frees
             beside = f"In model.yaml {frees} is free" if frees else "model.yaml cannot hold it"

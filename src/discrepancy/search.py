@@ -22,10 +22,10 @@ from discrepancy.fitting.model_fit import Evidence, Fit
 from discrepancy.fitting.noise_refit import refined
 from discrepancy.fitting.parameters import candidates_of
 from discrepancy.found import Data, Found, SoFar, more_missing
-from discrepancy.free_laws.answer import Answer
 from discrepancy.free_laws.fitted_law import FittedLaw
-from discrepancy.free_laws.tabulated import in_model
-from discrepancy.planning.pair_advice import advice, designs
+from discrepancy.free_laws.law_summary import LawSummary
+from discrepancy.free_laws.tabulate import tabulate_and_refit
+from discrepancy.planning.pair_advice import advise, compare_designs
 from discrepancy.selection.fit_store import FitStore
 from discrepancy.selection.free_law_contest import FreeLawContest
 from discrepancy.selection.free_law_fit import unseen
@@ -74,7 +74,7 @@ def find(
     if stands.withdrawn:
         chosen = dataclasses.replace(chosen, selected=stands.selected, free_law=stands.free_law)
         shown = gap_of(data, chosen, progress)
-    held = in_model(chosen.free_law, lambda: progress("gap")) if chosen.free_law else None
+    held = tabulate_and_refit(chosen.free_law, lambda: progress("gap")) if chosen.free_law else None
     if held:
         shown = _gap(data, chosen.selected.base, held, progress)
     progress("where")
@@ -87,7 +87,7 @@ def find(
         data,
         chosen.selected,
         chosen.free_law,
-        Answer.of(chosen.free_law) if chosen.free_law else None,
+        LawSummary.of(chosen.free_law) if chosen.free_law else None,
         named,
         where,
         left,
@@ -122,7 +122,7 @@ class Chosen:
     @property
     def best(self) -> Fit:
         """The fit with everything that was found."""
-        return self.free_law.whole if self.free_law else self.selected.best
+        return self.free_law.joint_fit if self.free_law else self.selected.best
 
     def cleaned(self, data: Data) -> tuple[Measured, ...]:
         """The clips with what a free law moves taken out of them, where no effect can hold it."""
@@ -182,7 +182,7 @@ def converged(data: Data, model: Model, deadline: Deadline) -> tuple[Data, Stepw
             continue
         noise = refined(cleaned, chosen.best, data.noise)
         if noise is None and chosen.nearly:  # the library's model may lack what the free law has, and call it noise
-            noise = refined(chosen.nearly.evidence.clips, chosen.nearly.whole, data.noise)
+            noise = refined(chosen.nearly.evidence.clips, chosen.nearly.joint_fit, data.noise)
         if noise is None:
             break
         data = dataclasses.replace(data, noise=noise)
@@ -211,8 +211,8 @@ def _chosen(steps: Stepwise, contest: FreeLawContest) -> Chosen:
             break
     selected = steps.selection(state)
     free_law, contest = contest.outcome(selected.best)
-    beside = free_law.beside(store.base) if free_law else {}
-    again = steps.from_there(selected, beside, free_law.plain) if free_law and beside else None
+    beside = free_law.significances_of_effects(store.base) if free_law else {}
+    again = steps.from_there(selected, beside, free_law.model_without_law) if free_law and beside else None
     if again:  # the free law led to effects that the library's search has not begun with
         selected, contest = again, contest.against(again.best, store.rivals(again.state))
         free_law, contest = contest.outcome(selected.best)
@@ -290,5 +290,5 @@ def _experiment(selected: Selection, named: Sequence[Named], data: Data) -> str:
         for rival in n.aliases[1:2]:
             one, other = known[n.effect], known[rival]
             pair = (one, n.shapes), (other, shapes.get(rival, {}))
-            said.append(advice(one, other, designs(data.clips, data.noise, best, *pair)))
+            said.append(advise(one, other, compare_designs(data.clips, data.noise, best, *pair)))
     return " ".join(said)

@@ -16,7 +16,7 @@ from benchmarks.search.sealed.ordinary import ORDINARY, UNKNOWN
 from benchmarks.search.sealed.outsiders import OUTSIDERS
 from benchmarks.search.sealed.studies import ROUND, STUDIES
 from discrepancy.fitting.predict import forecast
-from discrepancy.free_laws.library import free_laws
+from discrepancy.free_laws.library import free_laws_over
 from synthcam.library import library
 from synthcam.model import Model
 from tracker.camera.camera import Camera
@@ -174,7 +174,7 @@ def test_what_a_free_law_has_taken_in_is_a_series_of_it_and_of_no_other(name):
     bent = dataclasses.replace(Model(), effects=(fault,))
     moved = np.concatenate(forecast(bent, launches, clips)) - np.concatenate(forecast(Model(), launches, clips))
     left = {}
-    for law in free_laws(Model(), launches, clips):
+    for law in free_laws_over(Model(), launches, clips):
         if law.name in {kind.FREE_LAW, "friction_speed", "force_heading"}:
             columns = np.concatenate(law.columns(Model(), launches, clips)).reshape(-1, law.size)
             best = columns @ np.linalg.lstsq(columns, moved.ravel(), rcond=1e-9)[0]

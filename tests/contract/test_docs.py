@@ -16,8 +16,8 @@ import typer
 from repository import ROOT
 
 from discrepancy.free_laws import laws, library
-from discrepancy.free_laws.basis import Axis
-from discrepancy.free_laws.free_law import LawEffect
+from discrepancy.free_laws.axis import Axis
+from discrepancy.free_laws.law_kinds import SeriesEffect
 from synthcam import free_law
 from synthcam.scene.scene import check_scene
 from synthcam.settings import parse_yaml
@@ -154,7 +154,9 @@ def test_the_free_law_of_the_page_is_found_and_a_model_holds_it(tmp_path, monkey
     (line,) = (b.text for b in page if b.asked("after"))
     held = eval(f"{{{line}}}", vars(free_law))["friction_radius"]
     assert ((held.law, held.what), held.owners, held.unit) == (kind.bends, kind.owners, kind.unit)
-    series = LawEffect(kind((Axis("distance from the middle", "m", 0.0, 0.05, 6),)), tuple(1e-3 * np.arange(1.0, 7.0)))
+    series = SeriesEffect(
+        kind((Axis("distance from the middle", "m", 0.0, 0.05, 6),)), tuple(1e-3 * np.arange(1.0, 7.0))
+    )
     ((law, bend, asks),) = series.bends
     assert (law, asks) == ("friction", ("position",))
     found = bend(np.full((1, 3), 0.2), np.array([[[0.03, 0.0], [0.0, -0.03], [0.01, 0.02]]]))[0]

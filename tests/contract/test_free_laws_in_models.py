@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from discrepancy.free_laws.basis import Axis
-from discrepancy.free_laws.free_law import LawEffect
+from discrepancy.free_laws.axis import Axis
+from discrepancy.free_laws.law_kinds import SeriesEffect
 from discrepancy.free_laws.library import library
 from synthcam.effect import LAWS, VECTORS
 from synthcam.free_law import KINDS, LINE, NOT_YET, PLACE, TURN, TabulatedLaw
@@ -37,11 +37,13 @@ def test_a_table_of_a_series_bends_the_law_as_the_series_does(name, ball):
         return
     law = search(axes_of(kind), ball)
     rng = np.random.default_rng(1)
-    series = LawEffect(law, tuple(1e-3 * rng.standard_normal(law.size)))
+    series = SeriesEffect(law, tuple(1e-3 * rng.standard_normal(law.size)))
     grids = [a.grid(PLACES[kind.axis]) for a in law.axes]
     x = [g.ravel() for g in np.meshgrid(*grids, indexing="ij")]
     model = Model()
-    y = law.values(np.array(series.coefs), *x) + law.known(model, *x).reshape((-1, 2) if law.parts == 2 else -1)
+    y = law.values(np.array(series.coefs), *x) + law.value_in_model(model, *x).reshape(
+        (-1, 2) if law.parts == 2 else -1
+    )
     places = x[0].tolist() if len(x) == 1 else np.stack(x, axis=1).tolist()
     table = TabulatedLaw.of(law.name, places, np.abs(y) if kind.low == 0 else y, {n: getattr(model, n) for n in BASE})
     instant = {

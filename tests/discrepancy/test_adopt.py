@@ -13,11 +13,11 @@ from discrepancy_files import command
 from discrepancy_outsiders import OUTSIDERS, outsider
 
 from discrepancy.adopt import adopt
-from discrepancy.effect_file import ValueOf, curve_effect, formula_effect
+from discrepancy.effect_file import ParameterValue, render_formula_effect, render_table_effect
 from discrepancy.fitting.gauss_newton import fit_model
-from discrepancy.free_laws.basis import Axis
+from discrepancy.free_laws.axis import Axis
 from discrepancy.free_laws.library import library as free_laws
-from discrepancy.free_laws.shapes import shapes_of
+from discrepancy.free_laws.shapes import iterate_shapes
 from discrepancy.noise.model import Component, Noise
 from discrepancy.report import html
 from synthcam.effect import LAWS, VECTORS
@@ -73,18 +73,18 @@ def test_every_shape_as_an_effect_is_what_was_drawn(law, ball, own):
     circle = kind.axis == TURN
     axis = Axis("x", kind.x_unit, *((-np.pi, np.pi) if circle else RANGE), 9, "circle" if circle else "line", "x")
     tried = 0
-    for k, shape in enumerate(shapes_of(search((axis,)), [x.ravel()[order]])):
+    for k, shape in enumerate(iterate_shapes(search((axis,)), [x.ravel()[order]])):
         numbers = [float(t[len(t) // 2]) for t in shape.tries]
         terms = shape.terms(*numbers)
         if shape.name == "step":
             terms = [t._replace(column=np.where(abs(t.column - 0.5) < 0.6, t.column, 0)) for t in terms]
-        values = [ValueOf(t.name, float(rng.uniform(0.05, 0.1)), t.power) for t in terms]
-        shaped = [ValueOf(n, v, p) for (n, p), v in zip(shape.numbers, numbers, strict=True)]
+        values = [ParameterValue(t.name, float(rng.uniform(0.05, 0.1)), t.power) for t in terms]
+        shaped = [ParameterValue(n, v, p) for (n, p), v in zip(shape.numbers, numbers, strict=True)]
         name = f"made_{k}"
         folder = own / name
         folder.mkdir()
         whose = f"{law}_{ball}" if ball else law
-        made = read(folder, name, formula_effect(name, whose, list(zip(terms, values, strict=True)), shaped, []))
+        made = read(folder, name, render_formula_effect(name, whose, list(zip(terms, values, strict=True)), shaped, []))
         effect = made(**{v.name: v.value for v in [*values, *shaped]})
         added = np.empty(x.size)
         added[order] = sum(v.value * t.column for t, v in zip(terms, values, strict=True))
@@ -114,7 +114,7 @@ def test_every_table_as_an_effect_is_the_table(law, own):
     y = rng.uniform(0.1, 0.3, (len(x), 2) if own_kind.parts == 2 else len(x))
     base = {n: getattr(Model(), n) for n in BASE}
     held = TabulatedLaw.of(law, x, y, base)
-    text = curve_effect("made", held, {n: base[n] for n, _ in own_kind.owners}, ["Found somewhere."])
+    text = render_table_effect("made", held, {n: base[n] for n, _ in own_kind.owners}, ["Found somewhere."])
     effect = read(own, "made", text)
     known = instant(own_kind, rng)
     shape = known[own_kind.what].shape[:2]

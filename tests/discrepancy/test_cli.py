@@ -181,7 +181,7 @@ def test_the_bar_goes_through_the_stages_and_back(monkeypatch):
         (("noise", "fit", "fit", "search", "fit"), r"fit, round 2 .* 1/7 "),
     ):
         screen.truncate(0)
-        with cli.stages(cli.STAGES) as progress:
+        with cli.show_stages(cli.STAGES) as progress:
             for stage in told:
                 progress(stage)
         assert re.search(shown, re.sub(r"\x1b\[[0-9;?]*\w", "", screen.getvalue()))

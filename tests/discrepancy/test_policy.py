@@ -12,7 +12,7 @@ from discrepancy_clips import exact, noisy, only
 from discrepancy_selected import selected
 
 from discrepancy import policy
-from discrepancy.add import Added
+from discrepancy.add import AddedEffect
 from discrepancy.diagnostics import claims as stand
 from discrepancy.diagnostics import trial
 from discrepancy.diagnostics.gap import Part, _closure
@@ -22,9 +22,9 @@ from discrepancy.fitting import noise_refit
 from discrepancy.fitting.gauss_newton import fit_model
 from discrepancy.fitting.model_fit import Evidence, Fit, Tangent
 from discrepancy.fitting.parameters import BASE, Candidate, candidates
-from discrepancy.free_laws.evidence import Weight
 from discrepancy.free_laws.fitted_law import FittedLaw
-from discrepancy.free_laws.library import free_laws
+from discrepancy.free_laws.library import free_laws_over
+from discrepancy.free_laws.marginal_likelihood import CurveEvidence
 from discrepancy.noise import model as noise
 from discrepancy.noise.model import Component, Noise, estimate
 from discrepancy.search import _verdict
@@ -193,9 +193,9 @@ def test_a_free_law_needs_four_and_a_half_sigma(monkeypatch, sigma, declared):
 def test_one_of_so_many_free_laws_costs_its_choice(monkeypatch, share, better):
     """As likely as each other beforehand, one of n costs 2 ln n."""
     clips = exact(Model(), 4, 3)
-    every = free_laws(Model(), np.array([c.launch for c in clips]), clips)
+    every = free_laws_over(Model(), np.array([c.launch for c in clips]), clips)
     monkeypatch.setattr(free_law_fit, "cost_of", lambda fit, base: 100.0)
-    weight = Weight(share * 2 * np.log(len(every)), None, np.zeros(0))
+    weight = CurveEvidence(share * 2 * np.log(len(every)), None, np.zeros(0))
     monkeypatch.setattr(free_law_fit, "weigh", lambda law, information, pull: weight)
     look = LawTest(every[0], None, 9.0, np.zeros((0, 0)), np.zeros(0))
     assert (look.score(None) < 100.0) == better
@@ -424,7 +424,7 @@ def test_a_disagreement_far_larger_than_the_residuals_has_no_size(times, told):
 @pytest.mark.parametrize(("chi2", "more"), [(1.5, False), (3.0, True)])
 def test_twice_the_noise_left_beside_an_effect_that_was_added_is_something_more(chi2, more):
     fits = (Made(chi2=c * 900, points=1000, parameters=100, model=None) for c in (9.0, chi2))
-    assert ("more is missing" in Added(*fits, Made(said=lambda model: "hop")).sentence()) is more
+    assert ("more is missing" in AddedEffect(*fits, Made(said=lambda model: "hop")).sentence()) is more
 
 
 def test_the_fields_made_here_are_those_of_the_real_ones():

@@ -4,7 +4,7 @@ from functools import cache
 
 from discrepancy_clips import only
 
-from discrepancy.planning.of_scene import experiment_of
+from discrepancy.planning.of_scene import design_experiment
 from synthcam.model import model_file
 from synthcam.scene.scene import Scene, scene_file
 
@@ -18,7 +18,7 @@ def scene(name="oblique", **sections):
 @cache
 def small(noise_px=None):
     """Eight collisions, of which six are fitted."""
-    return experiment_of(scene(), 8, noise_px).fitted
+    return design_experiment(scene(), 8, noise_px).experiment
 
 
 def few(patch):

@@ -101,10 +101,10 @@ class Validation:
         if free_law is None:
             return self._named(selected, level)
         claims, left, named = [], Left(), []
-        whole, base = free_law.whole, selected.base
+        whole, base = free_law.joint_fit, selected.base
         with_, turned = self._unseen(free_law), in_turn(free_law)
-        known = candidates_of(free_law.plain, base.model, base.names)
-        for effect, sigma in free_law.beside(base).items():
+        known = candidates_of(free_law.model_without_law, base.model, base.names)
+        for effect, sigma in free_law.significances_of_effects(base).items():
             own = selected.paid(effect, sigma)
             one = Named.of(known[effect], whole, whole.std, own)
             named.append(one)
@@ -160,7 +160,7 @@ class Validation:
             held = self._held(own, (None, with_), (turned, turned))
             return Claim(name, own, *held, refused(*held), free=True)
         without = self._launched(empty)
-        if without is None or not free_law.law.each_clip:
+        if without is None or not free_law.law.is_per_clip:
             held = self._held(own, (without, with_), (foretold(empty), turned))
             return Claim(name, own, *held, refused(*held), free=True)
         gain, promised, std = scatter(free_law, self.kept_out, without, self.noise)

@@ -206,4 +206,4 @@ def _at_limit(fit: Fit, name: str) -> bool:
 
 def in_turn(fitted_law: FittedLaw) -> list[Array]:
     """`foretold` by a fit that holds a free law, with the law's prior."""
-    return foretold(fitted_law.whole, fitted_law.prior.precision)
+    return foretold(fitted_law.joint_fit, fitted_law.prior.precision)

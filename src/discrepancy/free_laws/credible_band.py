@@ -18,9 +18,9 @@ import numpy as np
 from scipy.special import logsumexp, ndtr
 
 from discrepancy.arrays import Array
-from discrepancy.free_laws.basis import Axis
-from discrepancy.free_laws.evidence import weigh
+from discrepancy.free_laws.axis import Axis
 from discrepancy.free_laws.fitted_law import FittedLaw
+from discrepancy.free_laws.marginal_likelihood import maximise_evidence
 
 PLACES, WIDTHS = 40, 6  # of steps that are tried at once
 WIDTH = (0.004, 0.15)  # of a step's tanh, from, to: shares of the range; by its logarithm
@@ -33,7 +33,7 @@ HALVINGS = 60  # of an interval in which a quantile lies
 
 
 @dataclass(frozen=True)
-class Mixture:
+class NormalMixture:
     """A law at n places by normal components. weight: (k,), of sum one; mean, std: (k, n, parts)."""
 
     weight: Array
@@ -41,13 +41,13 @@ class Mixture:
     std: Array
 
     @classmethod
-    def of(cls, fitted_law: FittedLaw, *x: Array) -> Mixture:
+    def of(cls, fitted_law: FittedLaw, *x: Array) -> NormalMixture:
         """The law at x. Maps, laws of an angle and numbers of each clip have no steps."""
         mean, covariance = fitted_law.curve(*x)
         std = np.sqrt(np.maximum(np.diagonal(covariance, axis1=1, axis2=2), 0.0)).T
-        if not _may_step(fitted_law):
+        if not _can_have_step(fitted_law):
             return cls(np.ones(1), mean[None], std[None])
-        odds, means, stds = _steps(fitted_law, x[0])
+        odds, means, stds = _weigh_steps(fitted_law, x[0])
         odds = np.array([0.0, *odds])
         weight = np.exp(odds - logsumexp(odds))
         kept = weight > LEAST
@@ -66,20 +66,20 @@ class Mixture:
         return np.asarray((low + high) / 2)
 
 
-def stepped(fitted_law: FittedLaw) -> float:
+def gain_of_steps(fitted_law: FittedLaw) -> float:
     """How much likelier, in chi^2, the clips are where the law may be smooth or have a step than where it is smooth."""
-    if not _may_step(fitted_law):
+    if not _can_have_step(fitted_law):
         return 0.0
-    odds, _, _ = _steps(fitted_law, fitted_law.law.axes[0].grid(1))
+    odds, _, _ = _weigh_steps(fitted_law, fitted_law.law.axes[0].grid(1))
     return float(2 * (logsumexp([0.0, *odds]) - np.log(2)))
 
 
-def _may_step(fitted_law: FittedLaw) -> bool:
+def _can_have_step(fitted_law: FittedLaw) -> bool:
     return len(fitted_law.law.axes) == 1 and fitted_law.law.axes[0].kind == "line"
 
 
 @dataclass(frozen=True)
-class _Steps(Axis):
+class _StepAxis(Axis):
     """An axis whose series is steps. where: (count, 2), places and ln of widths, shares of the range."""
 
     where: Array | None = None
@@ -90,20 +90,20 @@ class _Steps(Axis):
         return np.asarray((1 + np.tanh((share - self.where[:, 0]) / np.exp(self.where[:, 1]))) / 2)
 
 
-def _steps(fitted_law: FittedLaw, x: Array) -> tuple[Array, Array, Array]:
+def _weigh_steps(fitted_law: FittedLaw, x: Array) -> tuple[Array, Array, Array]:
     """ln of the odds (k,) of each step against the smooth curve; their laws at x: means and deviations, (k, n, 1).
 
     Tried anew within the box of places and widths that holds the weight, until that is shared by enough of them.
     """
-    bare = replace(fitted_law, fit=fitted_law.fit.explained_by(fitted_law.moves, -fitted_law.coefs))  # of no curve
-    smooth = weigh(fitted_law.law, *_seen(bare, fitted_law.moves)[:2]).gain
+    bare = replace(fitted_law, fit=fitted_law.fit.explained_by(fitted_law.slopes, -fitted_law.coefs))  # of no curve
+    smooth = maximise_evidence(fitted_law.law, *_reduce_to_columns(bare, fitted_law.slopes)[:2]).gain
     whole = box = np.array([[0.0, 1.0], np.log(WIDTH)])
     counts = np.array([PLACES, WIDTHS])
     for _ in range(ZOOMS):
         cell = np.ptp(box, axis=1) / counts
         sides = [low + side * (np.arange(n) + 0.5) for low, side, n in zip(box[:, 0], cell, counts, strict=True)]
         where = np.stack(np.meshgrid(*sides, indexing="ij"), axis=-1).reshape(-1, 2)
-        tried = [_tried(bare, some, x) for some in np.array_split(where, -(-len(where) // AT_ONCE))]
+        tried = [_fit_steps(bare, some, x) for some in np.array_split(where, -(-len(where) // AT_ONCE))]
         gains, means, stds = (np.concatenate(each) for each in zip(*tried, strict=True))
         odds = (gains - smooth) / 2 + np.log(np.prod(cell / np.ptp(whole, axis=1)))
         weight = np.exp(odds - logsumexp(odds))
@@ -115,21 +115,21 @@ def _steps(fitted_law: FittedLaw, x: Array) -> tuple[Array, Array, Array]:
     return odds, means, stds
 
 
-def _tried(bare: FittedLaw, where: Array, x: Array) -> tuple[Array, Array, Array]:
+def _fit_steps(bare: FittedLaw, where: Array, x: Array) -> tuple[Array, Array, Array]:
     """Of steps: what each gains over no curve, in chi^2, its freedom paid for; means and deviations, (k, n, 1), at x.
 
     Like the curve, a step stands on those of the law's own parameters that are fitted.
     """
     law, fit, axis = bare.law, bare.fit, bare.law.axes[0]
-    step = replace(law, axes=(_Steps(axis.name, axis.unit, axis.low, axis.high, len(where), where=where),))
+    step = replace(law, axes=(_StepAxis(axis.name, axis.unit, axis.low, axis.high, len(where), where=where),))
     moves = bare.evidence.white(step.columns(fit.model, fit.launches, bare.evidence.clips))
-    information, pull, own, spread, back = _seen(bare, moves)
+    information, pull, own, spread, back = _reduce_to_columns(bare, moves)
     alone = sum((m**2).sum(axis=0) for m in moves) + np.finfo(float).tiny
     seen = np.maximum(np.diag(information), SEEN * alone)
     z2 = np.maximum(pull**2 / seen, 1.0)
     size = (1 - 1 / z2) / seen  # the height's variance: none of a step that hardly shows
     here = np.array([x**power for _, power in bare.owners]).reshape(-1, len(x)).T
-    known = law.known(fit.model, x)[:, 0]
+    known = law.value_in_model(fit.model, x)[:, 0]
     parts = [known + here @ own, here, step.basis(x) - here @ back]
     middle, base, curve = (p - p.mean(axis=0) for p in parts) if law.centred else parts
     mean = middle[:, None] + curve * (size * pull)
@@ -137,7 +137,7 @@ def _tried(bare: FittedLaw, where: Array, x: Array) -> tuple[Array, Array, Array
     return z2 - 1 - np.log(z2), mean.T[..., None], std.T[..., None]
 
 
-def _seen(fitted_law: FittedLaw, moves: Sequence[Array]) -> tuple[Array, Array, Array, Array, Array]:
+def _reduce_to_columns(fitted_law: FittedLaw, moves: Sequence[Array]) -> tuple[Array, Array, Array, Array, Array]:
     """Of columns, the law's own parameters marginal: information and pull; of those, without the columns: by how much
     they change, and covariance; and by how much a unit of each column makes them less, (own, columns).
     """

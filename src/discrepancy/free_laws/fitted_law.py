@@ -10,8 +10,8 @@ from discrepancy.arrays import Array
 from discrepancy.fitting.model_fit import Evidence, Fit
 from discrepancy.fitting.parameters import parameter_of
 from discrepancy.fitting.significance import sigmas
-from discrepancy.free_laws.evidence import Prior
-from discrepancy.free_laws.free_law import FreeLaw
+from discrepancy.free_laws.law_kinds import FreeLaw
+from discrepancy.free_laws.marginal_likelihood import Prior
 from synthcam.model import Model
 
 
@@ -42,17 +42,17 @@ class FittedLaw:
     coefs: Array
     prior: Prior
     fit: Fit
-    plain: Model
+    model_without_law: Model
     evidence: Evidence
-    moves: tuple[Array, ...]
+    slopes: tuple[Array, ...]
     sigma: float
     score: float
 
     @property
-    def whole(self) -> Fit:
+    def joint_fit(self) -> Fit:
         """The fit with the coefficients among its parameters."""
         names = [f"{self.law.name} {j}" for j in range(self.law.size)]
-        return self.fit.extended(self.fit.model, names, self.moves)
+        return self.fit.extended(self.fit.model, names, self.slopes)
 
     @property
     def owners(self) -> list[tuple[str, int]]:
@@ -61,7 +61,9 @@ class FittedLaw:
 
     def curve(self, *x: Array) -> tuple[Array, Array]:
         """The law at x: values (n, parts), and their covariances over the places, (parts, n, n)."""
-        values = self.law.known(self.fit.model, *x) + self.law.values(self.coefs, *x).reshape(-1, self.law.parts)
+        values = self.law.value_in_model(self.fit.model, *x) + self.law.values(self.coefs, *x).reshape(
+            -1, self.law.parts
+        )
         spread, extra, one = self._covariance(), len(self.owners), self.law.size // self.law.parts
         own = np.stack([x[0] ** power for _, power in self.owners], axis=-1) if extra else np.zeros((len(x[0]), 0))
         covariances = []
@@ -77,18 +79,18 @@ class FittedLaw:
         """Of the law's own parameters and the coefficients, all else marginal."""
         names = [name for name, _ in self.owners]
         own = [s[:, self.fit.rows(names)] for s in self.fit.slopes]
-        both = [np.concatenate(pair, axis=1) for pair in zip(own, self.moves, strict=True)]
+        both = [np.concatenate(pair, axis=1) for pair in zip(own, self.slopes, strict=True)]
         matrix, _ = self.fit.reduced(self.fit.model, names).information(both)
         matrix[len(names) :, len(names) :] += self.prior.precision
         scale = np.sqrt(np.diag(matrix))
         return np.asarray(np.linalg.inv(matrix / np.outer(scale, scale)) / np.outer(scale, scale))
 
-    def beside(self, base: Fit) -> dict[str, float]:
+    def significances_of_effects(self, base: Fit) -> dict[str, float]:
         """Sigma of what is fitted beside the free law and not in the base, by effect, the free law being free.
 
         How far its strengths are from what the base holds them at.
         """
-        fit, found = self.whole, {}
+        fit, found = self.joint_fit, {}
         for effect, names in self.fit.added(base).items():
             own = [n for n in names if "." not in n or not parameter_of(fit.model, n).fixed]
             rows = fit.rows(own)
@@ -97,12 +99,12 @@ class FittedLaw:
             found[effect] = sigmas(float(moved @ np.linalg.pinv(covariance, hermitian=True) @ moved), len(own))
         return found
 
-    def likelihood(self) -> tuple[Array, Array]:
+    def likelihood_of_curve(self) -> tuple[Array, Array]:
         """Of the whole law as coefficients, its own parameters among them: where it is largest, and its information.
 
         (J,) and (J, J), no prior in either; relative to the law's own parameters as fitted.
         """
         names = [name for name, _ in self.owners]
-        information, pull = self.fit.reduced(self.fit.model, names).information(self.moves)
+        information, pull = self.fit.reduced(self.fit.model, names).information(self.slopes)
         pull = pull + information @ self.coefs
         return np.asarray(np.linalg.pinv(information, rcond=1e-10, hermitian=True) @ pull), information

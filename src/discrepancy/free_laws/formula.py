@@ -14,10 +14,10 @@ from scipy.optimize import minimize
 
 from discrepancy import policy
 from discrepancy.arrays import Array
-from discrepancy.free_laws.basis import Axis
+from discrepancy.free_laws.axis import Axis
 from discrepancy.free_laws.fitted_law import FittedLaw
-from discrepancy.free_laws.free_law import FreeLaw
-from discrepancy.free_laws.shapes import Shape, Terms, shapes_of
+from discrepancy.free_laws.law_kinds import FreeLaw
+from discrepancy.free_laws.shapes import LawShape, Terms, iterate_shapes
 
 GRID, SIDE = 200, 25  # places at which a shape is drawn: on a line, along each side of a map
 SEEN = 1e-10  # of the largest information
@@ -34,25 +34,29 @@ class Formula:
     text: str
     chi2: float
     parameters: int
-    refused: bool
+    is_rejected: bool
     factors: dict[str, float] = field(default_factory=dict)
     numbers: dict[str, float] = field(default_factory=dict)
     shape: str = ""
 
 
-def propose(fitted_law: FittedLaw) -> Formula:
+def propose_formula(fitted_law: FittedLaw) -> Formula:
     """The best formula by BIC."""
     law = fitted_law.law
-    if law.each_clip:
+    if law.is_per_clip:
         mean = sum(fitted_law.fit.model.value(name) for name, _ in law.owners) + float(fitted_law.coefs.mean())
         text = f"{law.title} = {mean:.4g}, and other in each clip, by {fitted_law.prior.size:.2g} rms"
         return Formula(text, 0.0, 2, False)
-    drawn = _Drawn(fitted_law)
-    found = [drawn.best(shape) for shape in shapes_of(law, drawn.x) if drawn.terms(shape, *(t[0] for t in shape.tries))]
+    drawn = _ShapeFitter(fitted_law)
+    found = [
+        drawn.fit_shape(shape)
+        for shape in iterate_shapes(law, drawn.x)
+        if drawn.terms(shape, *(t[0] for t in shape.tries))
+    ]
     return min(found, key=lambda f: f.chi2 + float(np.log(fitted_law.fit.points)) * f.parameters)
 
 
-class _Drawn:
+class _ShapeFitter:
     """The curve's coefficients as the data see them, and what a drawn shape would have them be."""
 
     def __init__(self, fitted_law: FittedLaw) -> None:
@@ -61,32 +65,32 @@ class _Drawn:
             places: tuple[Array, ...] = (law.axes[0].grid(GRID),)
         else:
             places = tuple(s.ravel() for s in np.meshgrid(*(a.grid(SIDE) for a in law.axes), indexing="ij"))
-        self.x = [_shown(a) * p for a, p in zip(law.axes, places, strict=True)]
-        peak, information = fitted_law.likelihood()
+        self.x = [_display_scale(a) * p for a, p in zip(law.axes, places, strict=True)]
+        peak, information = fitted_law.likelihood_of_curve()
         values, axes = np.linalg.eigh(information)
         seen = values > SEEN * values[-1]
         self.weight = (axes[:, seen] * np.sqrt(values[seen])).T
         self.inverse = np.linalg.pinv(law.basis(*places), rcond=1e-6)
-        self.target = self.weight @ peak + self.seen(law.known(fitted_law.fit.model, *places))
+        self.target = self.weight @ peak + self.project(law.value_in_model(fitted_law.fit.model, *places))
         self.slight = policy.FORMULA_SLIGHT_SHARE * fitted_law.sigma**2
 
-    def seen(self, column: Array) -> Array:
+    def project(self, column: Array) -> Array:
         return np.asarray(self.weight @ (self.inverse @ column.reshape(len(column), -1)).T.ravel())
 
-    def terms(self, shape: Shape, *extra: float) -> Terms:
+    def terms(self, shape: LawShape, *extra: float) -> Terms:
         """Those that say anything: of a centred law no constant."""
         return [t for t in shape.terms(*extra) if not self.law.centred or np.ptp(t.column, axis=0).any()]
 
-    def fitted(self, shape: Shape, extra: Array) -> tuple[float, Array]:
+    def fitted(self, shape: LawShape, extra: Array) -> tuple[float, Array]:
         """Fit the factors of a shape's terms: chi^2, and the factors (terms,). extra: the shape's own numbers."""
         columns = [t.column for t in self.terms(shape, *extra)]
-        matrix = np.stack([self.seen(c) for c in columns], axis=1)
+        matrix = np.stack([self.project(c) for c in columns], axis=1)
         scale = np.maximum(np.linalg.norm(matrix, axis=0), 1e-300)
         factors = np.linalg.lstsq(matrix / scale, self.target, rcond=1e-9)[0]
         left = self.target - matrix / scale @ factors
         return float(left @ left), factors / scale
 
-    def best(self, shape: Shape) -> Formula:
+    def fit_shape(self, shape: LawShape) -> Formula:
         extra = np.zeros(0)
         if shape.tries:
             extra = np.array(min(itertools.product(*shape.tries), key=lambda t: self.fitted(shape, np.array(t))[0]))
@@ -104,8 +108,8 @@ class _Drawn:
         count = len(factors) + len(extra)
         dof = max(len(self.target) - count, 1)
         terms = self.terms(shape, *extra)
-        words = _written([t.word for t in terms], factors, bool(self.law.owners))
-        text = f"{self.law.title} = {words}{_units(self.law)}"
+        words = _write_sum([t.text for t in terms], factors, bool(self.law.owners))
+        text = f"{self.law.title} = {words}{_describe_units(self.law)}"
         refused = chi2 > dof + max(policy.FORMULA_REFUSED_SIGMA * float(np.sqrt(2 * dof)), self.slight)
         if not all(t.code for t in terms) or len(extra) > len(shape.numbers):
             return Formula(text, chi2, count, refused)
@@ -114,7 +118,7 @@ class _Drawn:
         return Formula(text, chi2, count, refused, named, numbers, shape.name)
 
 
-def _written(words: list[str], factors: Array, relative: bool) -> str:
+def _write_sum(words: list[str], factors: Array, relative: bool) -> str:
     """The sum; a sine and a cosine of the same as one sine. relative: a (1 + ...)."""
     lead = float(factors[0])
     if not relative or words[0] or len(words) == 1:
@@ -126,22 +130,22 @@ def _written(words: list[str], factors: Array, relative: bool) -> str:
             other = rest.pop(0)[1]
             phase = float(np.arctan2(other, factor))
             inside, _, way = word.rpartition(")")
-            factor, word = float(np.hypot(factor, other)), f"{inside} {_signed(phase, 2)}){way}"
-        parts.append(f"{_signed(factor, 4 if not word else 3)} {word}".strip())
+            factor, word = float(np.hypot(factor, other)), f"{inside} {_format_signed(phase, 2)}){way}"
+        parts.append(f"{_format_signed(factor, 4 if not word else 3)} {word}".strip())
     text = " ".join(parts).removeprefix("+ ")
     return f"{lead:.4g} ({text})" if relative else text
 
 
-def _signed(x: float, digits: int) -> str:
+def _format_signed(x: float, digits: int) -> str:
     return f"{'-' if x < 0 else '+'} {abs(x):.{digits}g}"
 
 
-def _shown(axis: Axis) -> float:
+def _display_scale(axis: Axis) -> float:
     """Lengths are written in mm."""
     return 1e3 if axis.unit == "m" else 1.0
 
 
-def _units(law: FreeLaw) -> str:
+def _describe_units(law: FreeLaw) -> str:
     unit = "" if law.unit == "1" else f" {law.unit}"
     paced = ", v in m/s" if law.paced else ""
     if law.axes[0].kind == "circle":

@@ -8,8 +8,8 @@ from functools import cache
 from discrepancy.arrays import Array
 from discrepancy.data.collisions import Measured
 from discrepancy.free_laws import laws
-from discrepancy.free_laws.free_law import FreeLaw
-from discrepancy.free_laws.ranges import ranges
+from discrepancy.free_laws.law_kinds import FreeLaw
+from discrepancy.free_laws.ranges import compute_ranges
 from synthcam.library import classes_in
 from synthcam.model import Model
 
@@ -25,7 +25,7 @@ def law_count() -> int:
     return sum(3 if kind.one_ball else 1 for kind in library())
 
 
-def free_laws(model: Model, launches: Array, clips: Sequence[Measured]) -> tuple[FreeLaw, ...]:
+def free_laws_over(model: Model, launches: Array, clips: Sequence[Measured]) -> tuple[FreeLaw, ...]:
     """Every free law, each over the range that these clips cover; sorted by name.
 
     Parameters
@@ -41,7 +41,7 @@ def free_laws(model: Model, launches: Array, clips: Sequence[Measured]) -> tuple
     tuple of FreeLaw
         Without those of which the clips show nothing.
     """
-    covered, found = ranges(model, launches, clips), []
+    covered, found = compute_ranges(model, launches, clips), []
     for kind in library():
         for ball in ("", "a", "b") if kind.one_ball else ("",):
             if axes := kind.over(covered[ball]):

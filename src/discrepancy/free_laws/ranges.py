@@ -10,7 +10,7 @@ import numpy as np
 from discrepancy.arrays import Array
 from discrepancy.data.collisions import Measured
 from discrepancy.data.launch import T_C, B
-from discrepancy.free_laws.basis import Axis
+from discrepancy.free_laws.axis import Axis
 from synthcam.dynamics.batch import collisions
 from synthcam.dynamics.kinematics import contact_velocity
 from synthcam.model import Model
@@ -23,7 +23,7 @@ OBLIQUE = 0.1  # of the impact parameter: a law of it is looked at up to there a
 
 
 @dataclass(frozen=True)
-class Ranges:
+class CoveredRanges:
     """The motion of a fit, sampled and flattened over clips and instants; of both balls or of one.
 
     Attributes
@@ -52,7 +52,7 @@ class Ranges:
     roll_places: Array
 
 
-def ranges(model: Model, launches: Array, clips: Sequence[Measured]) -> dict[str, Ranges]:
+def compute_ranges(model: Model, launches: Array, clips: Sequence[Measured]) -> dict[str, CoveredRanges]:
     """What the motion of a fit covers, by ball: "" for both together, "a" and "b".
 
     Parameters
@@ -64,7 +64,7 @@ def ranges(model: Model, launches: Array, clips: Sequence[Measured]) -> dict[str
 
     Returns
     -------
-    dict of str to Ranges
+    dict of str to CoveredRanges
     """
     first, last = min(c.frame.min() / c.fps for c in clips), max((c.frame.max() + 1) / c.fps for c in clips)
     times = np.linspace(min(first, launches[:, T_C].min()), last, SAMPLES)
@@ -74,12 +74,12 @@ def ranges(model: Model, launches: Array, clips: Sequence[Measured]) -> dict[str
     slip = np.hypot(*np.moveaxis(contact_velocity(states, model.ball.radius), -1, 0))
     place, velocity = states[..., :2], states[..., 3:5]
 
-    def covered(slip: Array, velocity: Array, place: Array) -> Ranges:
+    def covered(slip: Array, velocity: Array, place: Array) -> CoveredRanges:
         speed = np.hypot(velocity[..., 0], velocity[..., 1])
         slides, moves = slip > SLIPS, speed > SLIPS
         rolls = moves & ~slides
         own = slip[slides], place[slides], place[moves], velocity[moves], speed[moves], speed[rolls], place[rolls]
-        return Ranges(launches, clips, *own)
+        return CoveredRanges(launches, clips, *own)
 
     is_a = np.stack([~a_strikes, a_strikes])
     mine = {"": np.ones_like(is_a), "a": is_a, "b": ~is_a}

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from discrepancy.arrays import Array
-from discrepancy.free_laws.free_law import FreeLaw
+from discrepancy.free_laws.law_kinds import FreeLaw
 from synthcam.free_law import PACE
 
 SHARP = 0.01  # of the range: over so much a step in words is a slope in code, for motion to be integrated
@@ -19,11 +19,11 @@ SHARP = 0.01  # of the range: over so much a step in words is a slope in code, f
 class Term(NamedTuple):
     """A term of a sum, but for its factor.
 
-    word: with its numbers. column: drawn on the grid, (n,) of a number, (n, 2) of a vector. Of a curve, name: what its
+    text: with its numbers. column: drawn on the grid, (n,) of a number, (n, 2) of a vector. Of a curve, name: what its
     factor is called; code: Python of {x} and the shape's numbers; power: that of {x} in its unit.
     """
 
-    word: str
+    text: str
     column: Array
     name: str = ""
     code: str = ""
@@ -35,7 +35,7 @@ CONSTANT = "constant"
 
 
 @dataclass(frozen=True)
-class Shape:
+class LawShape:
     """A sum of terms, whose factors are fitted, given shape parameters; those are tried, then fitted too.
 
     numbers: the names of the shape parameters, as in the terms' code, each with the power of x in its unit. name: of a
@@ -52,7 +52,7 @@ def _over(k: float) -> str:
     return f"{1 / k:.3g}" if k else "inf"
 
 
-def shapes_of(law: FreeLaw, x: list[Array]) -> Iterator[Shape]:
+def iterate_shapes(law: FreeLaw, x: list[Array]) -> Iterator[LawShape]:
     """The shapes that are tried for a law, drawn at places x, an array for each axis."""
     if law.paced:
         return _paced(_turns(x[0]) if law.axes[0].kind == "circle" else _maps(*x))
@@ -76,29 +76,29 @@ def _sines(word: str, phase: Array, order: int | None = None) -> Terms:
     ]
 
 
-def _turns(th: Array) -> Iterator[Shape]:
+def _turns(th: Array) -> Iterator[LawShape]:
     one = _constant(len(th))
     for orders in ((), (1,), (2,), (3,), (4,), (1, 2), (1, 2, 3)):
         sines = [t for n in orders for t in _sines(f"{n} th" if n > 1 else "th", n * th, n)]
-        yield Shape(lambda sines=sines: [one, *sines])
+        yield LawShape(lambda sines=sines: [one, *sines])
 
 
-def _paced(shapes: Iterator[Shape]) -> Iterator[Shape]:
+def _paced(shapes: Iterator[LawShape]) -> Iterator[LawShape]:
     """Of a rolling loss: each shape constant, in proportion to the speed, or both."""
     words = "", f"v/{PACE:g}"
     for shape, parts in itertools.product(list(shapes), ((0,), (1,), (0, 1))):
 
-        def terms(*extra: float, shape: Shape = shape, parts: tuple[int, ...] = parts) -> Terms:
+        def terms(*extra: float, shape: LawShape = shape, parts: tuple[int, ...] = parts) -> Terms:
             return [
-                Term(f"{t.word} {words[p]}".strip(), t.column[:, None] * np.eye(2)[p])
+                Term(f"{t.text} {words[p]}".strip(), t.column[:, None] * np.eye(2)[p])
                 for p in parts
                 for t in shape.terms(*extra)
             ]
 
-        yield Shape(terms, shape.tries)
+        yield LawShape(terms, shape.tries)
 
 
-def _pulls(th: Array) -> Iterator[Shape]:
+def _pulls(th: Array) -> Iterator[LawShape]:
     """A vector of the heading, in t along the motion and n a quarter turn from it."""
     zero = np.zeros(len(th))
 
@@ -109,15 +109,15 @@ def _pulls(th: Array) -> Iterator[Shape]:
     constant = both("", zero + 1)
     for orders in ((), (1,), (2,), (3,), (1, 2), (1, 2, 3)):
         waves = [t for n in orders for t in _sines(f"{n} th" if n > 1 else "th", n * th)]
-        sines = [t for wave in waves for t in both(wave.word, wave.column)]
-        yield Shape(lambda sines=sines: [*constant, *sines])
+        sines = [t for wave in waves for t in both(wave.text, wave.column)]
+        yield LawShape(lambda sines=sines: [*constant, *sines])
     one = np.stack([np.cos(th), -np.sin(th)], 1)  # a drag on one component of the velocity alone
     other = np.stack([np.sin(th), np.cos(th)], 1)
-    yield Shape(lambda: [Term("cos(th) ex", one * np.cos(th)[:, None])])
-    yield Shape(lambda: [Term("sin(th) ey", other * np.sin(th)[:, None])])
+    yield LawShape(lambda: [Term("cos(th) ex", one * np.cos(th)[:, None])])
+    yield LawShape(lambda: [Term("sin(th) ey", other * np.sin(th)[:, None])])
 
 
-def _curves(v: str, x: Array, owned: list[int]) -> Iterator[Shape]:
+def _curves(v: str, x: Array, owned: list[int]) -> Iterator[LawShape]:
     """owned: the powers that the model's own law has already."""
     span, top = float(np.ptp(x)), float(x[-1])
     powers = [
@@ -127,10 +127,10 @@ def _curves(v: str, x: Array, owned: list[int]) -> Iterator[Shape]:
     ]
     one = [_constant(len(x)), *powers[: max(owned, default=0)]]
     for count in range(len(one) - 1, 3):
-        yield Shape(lambda count=count: [one[0], *powers[:count]])
+        yield LawShape(lambda count=count: [one[0], *powers[:count]])
     if not owned:
         for power in powers:
-            yield Shape(lambda power=power: [power])
+            yield LawShape(lambda power=power: [power])
     low = x[0] > 0.03 * top
     exponents = np.array([-2, -1, -0.5, -0.2, 0.2, 0.5, 1.5, 2, 3] if low else [0.3, 0.5, 1.5, 2, 3])
     safe: Array = np.maximum(x, 1e-9)
@@ -138,24 +138,24 @@ def _curves(v: str, x: Array, owned: list[int]) -> Iterator[Shape]:
     def raised(p: float) -> Term:
         return Term(f"{v}^{p:.3g}", safe**p, "size", "np.maximum({x}, 1e-9) ** {power}", p)
 
-    yield Shape(lambda p: [raised(p)], (exponents,), (("power", 0.0),), "power alone")
-    yield Shape(lambda p: [*one, raised(p)], (exponents,), (("power", 0.0),), "power")
+    yield LawShape(lambda p: [raised(p)], (exponents,), (("power", 0.0),), "power alone")
+    yield LawShape(lambda p: [*one, raised(p)], (exponents,), (("power", 0.0),), "power")
     if low:
-        yield Shape(lambda: [*one, Term(f"/ {v}", 1 / x, "size", "1 / np.maximum({x}, 1e-9)", -1)], name="inverse")
+        yield LawShape(lambda: [*one, Term(f"/ {v}", 1 / x, "size", "1 / np.maximum({x}, 1e-9)", -1)], name="inverse")
     scales = span * np.geomspace(0.05, 1, 8)
 
     def fall(s: float) -> Terms:
         s = max(s, 1e-3 * span)
         return [*one, Term(f"exp(-{v} / {s:.3g})", np.asarray(np.exp(-x / s)), "size", "np.exp(-{x} / {scale})")]
 
-    yield Shape(fall, (scales,), (("scale", 1.0),), "fall")
+    yield LawShape(fall, (scales,), (("scale", 1.0),), "fall")
     inner = x[0] + span * np.linspace(0.05, 0.95, 37)
 
     def step(a: float) -> Terms:
         sharp = f"(1 + np.tanh(({{x}} - {{at}}) / {SHARP * span:.2g})) / 2"
         return [*one, Term(f"[{v} > {a:.3g}]", np.where(x > a, 1.0, 0.0), "size", sharp)]
 
-    yield Shape(step, (inner,), (("at", 1.0),), "step")
+    yield LawShape(step, (inner,), (("at", 1.0),), "step")
     widths = span * np.array([0.03, 0.06, 0.12, 0.25])
 
     def bump(a: float, s: float) -> Terms:
@@ -166,20 +166,20 @@ def _curves(v: str, x: Array, owned: list[int]) -> Iterator[Shape]:
         word, column = f"(1 + tanh(({v} - {a:.3g}) / {s:.3g})) / 2", np.asarray((1 + np.tanh((x - a) / s)) / 2)
         return [*one, Term(word, column, "size", "(1 + np.tanh(({x} - {at}) / {width})) / 2")]
 
-    yield Shape(bump, (inner[::2], widths), (("at", 1.0), ("width", 1.0)), "bump")
-    yield Shape(rise, (inner[::2], widths), (("at", 1.0), ("width", 1.0)), "rise")
+    yield LawShape(bump, (inner[::2], widths), (("at", 1.0), ("width", 1.0)), "bump")
+    yield LawShape(rise, (inner[::2], widths), (("at", 1.0), ("width", 1.0)), "rise")
     waves = 2 * np.pi / span * np.linspace(0.5, 4, 15)
-    yield Shape(lambda k: [*one, *_sines(f"{v} / {_over(k)}", k * x)], (waves,), (("wave_number", -1.0),), "waves")
+    yield LawShape(lambda k: [*one, *_sines(f"{v} / {_over(k)}", k * x)], (waves,), (("wave_number", -1.0),), "waves")
 
 
-def _maps(x: Array, y: Array) -> Iterator[Shape]:
+def _maps(x: Array, y: Array) -> Iterator[LawShape]:
     one, span = _constant(len(x)), float(np.ptp(x))
     slopes = [Term("x", x), Term("y", y)]
     for terms in ([], slopes, [*slopes, Term("x^2", x**2), Term("x y", x * y), Term("y^2", y**2)]):
-        yield Shape(lambda terms=terms: [one, *terms])
+        yield LawShape(lambda terms=terms: [one, *terms])
     waves, turns = 2 * np.pi / span * np.linspace(0.5, 4, 15), np.pi * np.arange(12) / 12
-    yield Shape(lambda k: [one, *_sines(f"x / {_over(k)} mm", k * x)], (waves,))
-    yield Shape(lambda k: [one, *_sines(f"y / {_over(k)} mm", k * y)], (waves,))
+    yield LawShape(lambda k: [one, *_sines(f"x / {_over(k)} mm", k * x)], (waves,))
+    yield LawShape(lambda k: [one, *_sines(f"y / {_over(k)} mm", k * y)], (waves,))
 
     def oblique(k: float, turn: float) -> Terms:
         word = f"(x cos {turn:.3g} + y sin {turn:.3g}) / {_over(k)} mm"
@@ -194,13 +194,13 @@ def _maps(x: Array, y: Array) -> Iterator[Shape]:
         word = f"exp(-((x - {a:.3g})^2 + (y - {b:.3g})^2) / (2 {s:.3g}^2))"
         return [one, Term(word, np.exp(-((x - a) ** 2 + (y - b) ** 2) / (2 * s**2)))]
 
-    yield Shape(oblique, (waves, turns))
+    yield LawShape(oblique, (waves, turns))
     places, widths = span * np.linspace(-0.4, 0.4, 9), span * np.array([0.06, 0.12, 0.25])
-    yield Shape(streak, (turns, places, widths))
-    yield Shape(spot, (places + x.mean(), places + y.mean(), widths))
+    yield LawShape(streak, (turns, places, widths))
+    yield LawShape(spot, (places + x.mean(), places + y.mean(), widths))
 
 
-def _fields(x: Array, y: Array) -> Iterator[Shape]:
+def _fields(x: Array, y: Array) -> Iterator[LawShape]:
     zero, span = np.zeros(len(x)), float(np.ptp(x))
 
     def both(word: str, column: Array) -> Terms:
@@ -210,11 +210,11 @@ def _fields(x: Array, y: Array) -> Iterator[Shape]:
         ]
 
     constant, linear = both("", zero + 1), [*both("x", x), *both("y", y)]
-    yield Shape(lambda: constant)
-    yield Shape(lambda: [*constant, *linear])
+    yield LawShape(lambda: constant)
+    yield LawShape(lambda: [*constant, *linear])
     r2 = (x - x.mean()) ** 2 + (y - y.mean()) ** 2
     barrel = Term("r^2 (x ex + y ey)", np.stack([(x - x.mean()) * r2, (y - y.mean()) * r2], 1))
-    yield Shape(lambda: [*constant, *linear, barrel])
+    yield LawShape(lambda: [*constant, *linear, barrel])
 
     places, widths = span * np.linspace(-0.4, 0.4, 9), span * np.array([0.04, 0.08, 0.16, 0.3])
 
@@ -223,11 +223,11 @@ def _fields(x: Array, y: Array) -> Iterator[Shape]:
         word = f"exp(-r^2 / (2 {s:.3g}^2)) r, r from ({a + x.mean():.3g}, {b + y.mean():.3g})"
         return [Term(word, np.stack([dx, dy], 1) * np.exp(-(dx**2 + dy**2) / (2 * s**2))[:, None])]
 
-    yield Shape(hill, (places, places, widths))
+    yield LawShape(hill, (places, places, widths))
 
     def wave(k: float, turn: float) -> Terms:
         word = f"(x cos {turn:.3g} + y sin {turn:.3g}) / {_over(k)}"
         sines = _sines(word, k * (x * np.cos(turn) + y * np.sin(turn)))
-        return [t for axis in (0, 1) for sine in sines for t in both(sine.word, sine.column)[axis : axis + 1]]
+        return [t for axis in (0, 1) for sine in sines for t in both(sine.text, sine.column)[axis : axis + 1]]
 
-    yield Shape(wave, (2 * np.pi / span * np.linspace(0.5, 3, 11), np.pi * np.arange(12) / 12))
+    yield LawShape(wave, (2 * np.pi / span * np.linspace(0.5, 3, 11), np.pi * np.arange(12) / 12))

@@ -16,12 +16,14 @@ from tracker.camera.camera import Camera
 
 ASIDE = 0.25  # of the picture's size, from its middle
 HOLDS = 0.5  # of the steepest tilt at which a ball at rest stays
-ALL = "balls exchanged, oblique hits, many speeds and headings, all over the picture, films twice as long: all at once"
-Changed = tuple[str, Experiment]  # what was changed, in words; and the experiment, not yet filmed
+ALL_LAUNCHES_CHANGED = (
+    "balls exchanged, oblique hits, many speeds and headings, all over the picture, films twice as long: all at once"
+)
+ChangedExperiment = tuple[str, Experiment]  # what was changed, in words; and the experiment, not yet filmed
 
 
 @dataclass(frozen=True)
-class Change:
+class DesignChange:
     """A change of an experiment.
 
     Attributes
@@ -35,11 +37,11 @@ class Change:
     """
 
     name: str
-    make: Callable[[Experiment, np.random.Generator], Changed | None]
+    make: Callable[[Experiment, np.random.Generator], ChangedExperiment | None]
     launches: bool = False
 
 
-def tried(change: Change, experiment: Experiment, seed: int = 0) -> Changed | None:
+def apply_change(change: DesignChange, experiment: Experiment, seed: int = 0) -> ChangedExperiment | None:
     """A changed experiment as it would be seen, and what was changed; None where that is not possible.
 
     Raises ValueError where the model has no motion for it.
@@ -48,19 +50,19 @@ def tried(change: Change, experiment: Experiment, seed: int = 0) -> Changed | No
     if made is None:
         return None
     words, changed = made
-    filmed = changed.filmed()
+    filmed = changed.observe()
     return (words, filmed) if 2 * len(filmed.clips) >= len(experiment.clips) else None
 
 
-def together(experiment: Experiment, rng: np.random.Generator) -> Changed:
+def change_all_launches(experiment: Experiment, rng: np.random.Generator) -> ChangedExperiment:
     """All changes of launches at once."""
     for change in CHANGES:
         if change.launches and (made := change.make(experiment, rng)):
             experiment = made[1]
-    return ALL, experiment
+    return ALL_LAUNCHES_CHANGED, experiment
 
 
-def _put(experiment: Experiment, rng: np.random.Generator, values: dict[int, Array]) -> Experiment:
+def _spread_evenly(experiment: Experiment, rng: np.random.Generator, values: dict[int, Array]) -> Experiment:
     """With columns of the launches spread evenly over the collisions; values: low and high, or one for each."""
     launches = experiment.launches.copy()
     for column, ends in values.items():
@@ -69,31 +71,31 @@ def _put(experiment: Experiment, rng: np.random.Generator, values: dict[int, Arr
     return dataclasses.replace(experiment, launches=launches)
 
 
-def _exchanged(experiment: Experiment, rng: np.random.Generator) -> Changed:
+def _exchange_balls(experiment: Experiment, rng: np.random.Generator) -> ChangedExperiment:
     order = rng.permutation(len(experiment.clips))
     clips = tuple(dataclasses.replace(c, striker="ab"[k % 2]) for c, k in zip(experiment.clips, order, strict=True))
     return "the balls exchanged in half of the collisions", dataclasses.replace(experiment, clips=clips)
 
 
-def _oblique(experiment: Experiment, rng: np.random.Generator) -> Changed:
-    return "oblique collisions, |b| up to 0.6", _put(experiment, rng, {B: np.array([-0.6, 0.6])})
+def _make_oblique(experiment: Experiment, rng: np.random.Generator) -> ChangedExperiment:
+    return "oblique collisions, |b| up to 0.6", _spread_evenly(experiment, rng, {B: np.array([-0.6, 0.6])})
 
 
-def _speeds(experiment: Experiment, rng: np.random.Generator) -> Changed:
+def _vary_speeds(experiment: Experiment, rng: np.random.Generator) -> ChangedExperiment:
     ends = np.median(experiment.launches[:, V0]) * np.array([0.3, 1.8])  # the paper's 0.1 to 0.6 m/s
-    speeds = _put(experiment, rng, {V0: ends}).launches[:, V0]
-    return f"speeds from {ends[0]:.2g} to {ends[1]:.2g} m/s", _at_speeds(experiment, speeds)
+    speeds = _spread_evenly(experiment, rng, {V0: ends}).launches[:, V0]
+    return f"speeds from {ends[0]:.2g} to {ends[1]:.2g} m/s", _set_speeds(experiment, speeds)
 
 
-def _faster(experiment: Experiment, rng: np.random.Generator) -> Changed:
-    return "balls twice as fast", _at_speeds(experiment, 2 * experiment.launches[:, V0])
+def _double_speeds(experiment: Experiment, rng: np.random.Generator) -> ChangedExperiment:
+    return "balls twice as fast", _set_speeds(experiment, 2 * experiment.launches[:, V0])
 
 
-def _slower(experiment: Experiment, rng: np.random.Generator) -> Changed:
-    return "balls half as fast", _at_speeds(experiment, experiment.launches[:, V0] / 2)
+def _halve_speeds(experiment: Experiment, rng: np.random.Generator) -> ChangedExperiment:
+    return "balls half as fast", _set_speeds(experiment, experiment.launches[:, V0] / 2)
 
 
-def _at_speeds(experiment: Experiment, speeds: Array) -> Experiment:
+def _set_speeds(experiment: Experiment, speeds: Array) -> Experiment:
     """With strikers of these speeds (clips,), m/s; slips and spins, where they have any, in proportion."""
     launches = experiment.launches.copy()
     launches[:, V0] = speeds
@@ -101,12 +103,12 @@ def _at_speeds(experiment: Experiment, speeds: Array) -> Experiment:
     return dataclasses.replace(experiment, launches=launches)
 
 
-def _headings(experiment: Experiment, rng: np.random.Generator) -> Changed:
+def _vary_headings(experiment: Experiment, rng: np.random.Generator) -> ChangedExperiment:
     turn = 2 * np.pi * (1 - 1 / max(len(experiment.clips), 1))
-    return "headings all round", _put(experiment, rng, {HEADING: np.array([0.0, turn])})
+    return "headings all round", _spread_evenly(experiment, rng, {HEADING: np.array([0.0, turn])})
 
 
-def _aside(experiment: Experiment, rng: np.random.Generator) -> Changed:
+def _vary_positions(experiment: Experiment, rng: np.random.Generator) -> ChangedExperiment:
     camera, launches = experiment.camera, experiment.launches.copy()
     number = rng.permutation(len(launches))
     corner = np.stack([np.where(number & 1, ASIDE, -ASIDE), np.where(number & 2, ASIDE, -ASIDE)], axis=-1)
@@ -114,41 +116,41 @@ def _aside(experiment: Experiment, rng: np.random.Generator) -> Changed:
     return "collisions spread over the picture", dataclasses.replace(experiment, launches=launches)
 
 
-def _longer(experiment: Experiment, rng: np.random.Generator) -> Changed:
+def _double_length(experiment: Experiment, rng: np.random.Generator) -> ChangedExperiment:
     films = tuple(range(f.start, f.start + 2 * len(f)) for f in experiment.films)
     return "films twice as long", dataclasses.replace(experiment, films=films)
 
 
-def _frame_rate(experiment: Experiment, rng: np.random.Generator) -> Changed | None:
+def _double_frame_rate(experiment: Experiment, rng: np.random.Generator) -> ChangedExperiment | None:
     """The same time filmed in twice the frames, with the same exposure where it fits between them."""
     camera = experiment.camera
     fps = 2 * camera.fps
-    cut = _exposed(experiment, min(camera.exposure, 1 / fps))
+    cut = _set_exposure(experiment, min(camera.exposure, 1 / fps))
     if cut is None:
         return None
     films = tuple(range(2 * f.start, 2 * f.stop) for f in cut.films)
     shorter = f", {1e3 * cut.camera.exposure:.3g} ms each" if cut.camera.exposure < camera.exposure else ""
-    changed = dataclasses.replace(cut.at(dataclasses.replace(cut.camera, fps=fps)), films=films)
+    changed = dataclasses.replace(cut.through_camera(dataclasses.replace(cut.camera, fps=fps)), films=films)
     return f"{fps:g} frames a second{shorter}", changed
 
 
-def _exposure_longer(experiment: Experiment, rng: np.random.Generator) -> Changed | None:
-    return _with_exposure(experiment, 2 * experiment.camera.exposure)
+def _double_exposure(experiment: Experiment, rng: np.random.Generator) -> ChangedExperiment | None:
+    return _set_possible_exposure(experiment, 2 * experiment.camera.exposure)
 
 
-def _exposure_shorter(experiment: Experiment, rng: np.random.Generator) -> Changed | None:
-    return _with_exposure(experiment, experiment.camera.exposure / 2)
+def _halve_exposure(experiment: Experiment, rng: np.random.Generator) -> ChangedExperiment | None:
+    return _set_possible_exposure(experiment, experiment.camera.exposure / 2)
 
 
-def _with_exposure(experiment: Experiment, exposure: float) -> Changed | None:
+def _set_possible_exposure(experiment: Experiment, exposure: float) -> ChangedExperiment | None:
     camera = experiment.camera
     if not 0 < exposure <= 1 / camera.fps:
         return None
-    changed = _exposed(experiment, exposure)
+    changed = _set_exposure(experiment, exposure)
     return None if changed is None else (f"exposures of {1e3 * exposure:.3g} ms", changed)
 
 
-def _exposed(experiment: Experiment, exposure: float) -> Experiment | None:
+def _set_exposure(experiment: Experiment, exposure: float) -> Experiment | None:
     """With another exposure, and light in proportion; None where nobody knows what that does to the errors."""
     camera = experiment.camera
     if exposure == camera.exposure:
@@ -156,24 +158,24 @@ def _exposed(experiment: Experiment, exposure: float) -> Experiment | None:
     errors = experiment.errors.brighter(exposure / camera.exposure)
     if errors is None:
         return None
-    return dataclasses.replace(experiment, errors=errors).at(dataclasses.replace(camera, exposure=exposure))
+    return dataclasses.replace(experiment, errors=errors).through_camera(dataclasses.replace(camera, exposure=exposure))
 
 
-def _field_wider(experiment: Experiment, rng: np.random.Generator) -> Changed:
-    return "a field of view twice as wide", experiment.at(_magnified(experiment.camera, 0.5))
+def _widen_field(experiment: Experiment, rng: np.random.Generator) -> ChangedExperiment:
+    return "a field of view twice as wide", experiment.through_camera(_magnify(experiment.camera, 0.5))
 
 
-def _field_narrower(experiment: Experiment, rng: np.random.Generator) -> Changed:
-    return "a field of view half as wide", experiment.at(_magnified(experiment.camera, 2.0))
+def _narrow_field(experiment: Experiment, rng: np.random.Generator) -> ChangedExperiment:
+    return "a field of view half as wide", experiment.through_camera(_magnify(experiment.camera, 2.0))
 
 
-def _magnified(camera: Camera, times: float) -> Camera:
+def _magnify(camera: Camera, times: float) -> Camera:
     matrix = camera.K.copy()
     matrix[:2, :2] *= times
     return dataclasses.replace(camera, K=matrix, scale=camera.scale / times)
 
 
-def _more(experiment: Experiment, rng: np.random.Generator) -> Changed:
+def _double_collisions(experiment: Experiment, rng: np.random.Generator) -> ChangedExperiment:
     twice = dataclasses.replace(
         experiment,
         clips=experiment.clips * 2,
@@ -183,7 +185,7 @@ def _more(experiment: Experiment, rng: np.random.Generator) -> Changed:
     return "twice as many collisions", twice
 
 
-def _tilted(experiment: Experiment, rng: np.random.Generator) -> Changed | None:
+def _tilt_plate(experiment: Experiment, rng: np.random.Generator) -> ChangedExperiment | None:
     """The plate tilted on purpose, as nobody knows to a part in a thousand: the fit finds by how much."""
     model = experiment.model
     held = 7 / 5 * model.rolling_decel / model.gravity
@@ -198,20 +200,20 @@ def _tilted(experiment: Experiment, rng: np.random.Generator) -> Changed | None:
 
 
 CHANGES = (
-    Change("exchanged", _exchanged, launches=True),
-    Change("oblique", _oblique, launches=True),
-    Change("speeds", _speeds, launches=True),
-    Change("headings", _headings, launches=True),
-    Change("longer", _longer, launches=True),
-    Change("aside", _aside, launches=True),
-    Change("faster", _faster),
-    Change("slower", _slower),
-    Change("frame_rate", _frame_rate),
-    Change("exposure_longer", _exposure_longer),
-    Change("exposure_shorter", _exposure_shorter),
-    Change("field_wider", _field_wider),
-    Change("field_narrower", _field_narrower),
-    Change("more", _more),
-    Change("tilted", _tilted),
+    DesignChange("exchanged", _exchange_balls, launches=True),
+    DesignChange("oblique", _make_oblique, launches=True),
+    DesignChange("speeds", _vary_speeds, launches=True),
+    DesignChange("headings", _vary_headings, launches=True),
+    DesignChange("longer", _double_length, launches=True),
+    DesignChange("aside", _vary_positions, launches=True),
+    DesignChange("faster", _double_speeds),
+    DesignChange("slower", _halve_speeds),
+    DesignChange("frame_rate", _double_frame_rate),
+    DesignChange("exposure_longer", _double_exposure),
+    DesignChange("exposure_shorter", _halve_exposure),
+    DesignChange("field_wider", _widen_field),
+    DesignChange("field_narrower", _narrow_field),
+    DesignChange("more", _double_collisions),
+    DesignChange("tilted", _tilt_plate),
 )
-TOGETHER = Change("together", together)
+TOGETHER = DesignChange("together", change_all_launches)

@@ -10,9 +10,9 @@ from itertools import combinations
 import numpy as np
 
 from discrepancy import policy
-from discrepancy.planning.changes import CHANGES, TOGETHER, tried
+from discrepancy.planning.changes import CHANGES, TOGETHER, apply_change
 from discrepancy.planning.experiment import Experiment
-from discrepancy.planning.pair_advice import few
+from discrepancy.planning.pair_advice import thin_out
 from discrepancy.planning.signatures import Limit, Signatures
 
 LEAST_APART = 1e-2  # sine between signatures: alike beyond that, a change of it is no gain
@@ -21,7 +21,7 @@ Pair = tuple[str, str]
 
 
 @dataclass(frozen=True)
-class Tried:
+class ChangeLimits:
     """A change of the experiment, and the limits with it. name: as of `changes`; words: what was changed."""
 
     name: str
@@ -30,7 +30,7 @@ class Tried:
 
 
 @dataclass(frozen=True)
-class Gain:
+class ChangeGain:
     """What a change would gain.
 
     Attributes
@@ -56,7 +56,9 @@ class Gain:
     hides: tuple[str, ...]
 
 
-def changed(experiment: Experiment, progress: Callable[[], None] = lambda: None) -> tuple[Limits, tuple[Tried, ...]]:
+def limits_with_changes(
+    experiment: Experiment, progress: Callable[[], None] = lambda: None
+) -> tuple[Limits, tuple[ChangeLimits, ...]]:
     """The limits of all effects as the experiment is, and under every change that is possible.
 
     Of a large experiment some collisions are taken; limits are of these.
@@ -72,31 +74,31 @@ def changed(experiment: Experiment, progress: Callable[[], None] = lambda: None)
     before : tuple of Limit
     after : tuple of Tried
     """
-    part = few(experiment)
+    part = thin_out(experiment)
     before, after = Signatures.of(part).limits(), []
     progress()
     for change in (*CHANGES, TOGETHER):
         try:
-            made = tried(change, part)
+            made = apply_change(change, part)
             if made is not None:
-                after.append(Tried(change.name, made[0], Signatures.of(made[1]).limits()))
+                after.append(ChangeLimits(change.name, made[0], Signatures.of(made[1]).limits()))
         except ValueError:  # the changed experiment has no motion
             pass
         progress()
     return before, tuple(after)
 
 
-def gain(before: Limits, after: Tried, of: Sequence[str]) -> Gain:
+def compute_gain(before: Limits, after: ChangeLimits, of: Sequence[str]) -> ChangeGain:
     """What a change gains for the effects named."""
     one, other = ({x.strength: x for x in limits if x.effect in of} for limits in (before, after.limits))
     both = [(one[k], other[k]) for k in one if k in other and one[k].shows and other[k].shows]
-    pairs, again = alike(before, of), alike(after.limits, of)
+    pairs, again = indistinguishable_pairs(before, of), indistinguishable_pairs(after.limits, of)
     seen = {x.effect for x in after.limits if x.shows}
-    return Gain(
+    return ChangeGain(
         after.name,
         after.words,
-        _mean([a.limit / b.limit for a, b in both]),
-        _mean([_naming(a) / _naming(b) for a, b in both]),
+        _geometric_mean([a.limit / b.limit for a, b in both]),
+        _geometric_mean([_naming_limit(a) / _naming_limit(b) for a, b in both]),
         tuple(p for p in pairs if p not in again and seen.issuperset(p)),
         tuple(p for p in again if p not in pairs),
         tuple(k for k in one if k in other and other[k].shows and not one[k].shows),
@@ -104,16 +106,16 @@ def gain(before: Limits, after: Tried, of: Sequence[str]) -> Gain:
     )
 
 
-def _naming(limit: Limit) -> float:
+def _naming_limit(limit: Limit) -> float:
     cosine = limit.rivals[0].cosine if limit.rivals else 0.0
     return limit.limit / max(math.sqrt(1 - cosine**2), LEAST_APART)
 
 
-def _mean(ratios: Sequence[float]) -> float:
+def _geometric_mean(ratios: Sequence[float]) -> float:
     return float(np.exp(np.mean(np.log(ratios)))) if ratios else 1.0
 
 
-def cosine_of(limits: Limits, pair: Pair) -> float:
+def largest_cosine(limits: Limits, pair: Pair) -> float:
     """The largest cosine between the signatures of two effects; 1 where one of them has none."""
     found = [
         r.cosine
@@ -126,16 +128,16 @@ def cosine_of(limits: Limits, pair: Pair) -> float:
     return max(found, default=1.0)
 
 
-def alike(limits: Limits, of: Sequence[str]) -> tuple[Pair, ...]:
+def indistinguishable_pairs(limits: Limits, of: Sequence[str]) -> tuple[Pair, ...]:
     """Pairs of effects, one of them at least among those named, that could not be told apart; the likest first."""
     shown = sorted({x.effect for x in limits if x.shows})
-    known = {frozenset((x.effect, a)) for x in limits if x.shows for a in x.alike}
+    known = {frozenset((x.effect, a)) for x in limits if x.shows for a in x.indistinguishable}
     pairs = [p for p in combinations(shown, 2) if frozenset(p) in known and set(p) & set(of)]
-    return tuple(sorted(pairs, key=lambda p: -cosine_of(limits, p)))
+    return tuple(sorted(pairs, key=lambda p: -largest_cosine(limits, p)))
 
 
 @dataclass(frozen=True)
-class Wanted:
+class CollisionsNeeded:
     """A limit that is asked for.
 
     Attributes
@@ -156,9 +158,9 @@ class Wanted:
     at: dict[int, float]
 
 
-def clips_for(
+def count_collisions_needed(
     strength: str, wanted: float, here: Limit, count: int, limit_at: Callable[[int], float], most: int
-) -> Wanted:
+) -> CollisionsNeeded:
     """How many collisions would bring a strength's limit down to one that is wanted.
 
     The limit is worked out for `count` and twice as many; a power law through both leads to a number, at which it is
@@ -180,7 +182,7 @@ def clips_for(
     Wanted
     """
     if not math.isfinite(here.limit):
-        return Wanted(strength, wanted, None, None, {})
+        return CollisionsNeeded(strength, wanted, None, None, {})
     least, at = policy.FEWEST_COLLISIONS, {count: here.limit, 2 * count: limit_at(2 * count)}
     power = max(math.log2(at[count] / at[2 * count]), 0.25)
     near = max(math.ceil(count * (here.limit / wanted) ** (1 / power)), least)
@@ -192,4 +194,6 @@ def clips_for(
         exact = base * (at[base] * times / wanted) ** 2
         return max(math.ceil(exact - 1e-9), least) if math.isfinite(exact) else None
 
-    return Wanted(strength, wanted, number(1.0), number(here.naming_limit / here.limit), dict(sorted(at.items())))
+    return CollisionsNeeded(
+        strength, wanted, number(1.0), number(here.naming_limit / here.limit), dict(sorted(at.items()))
+    )

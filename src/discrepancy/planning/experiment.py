@@ -76,16 +76,16 @@ class Experiment:
         squares = np.concatenate([c.claimed() ** 2 + (c.offset * (c.resting_offset > 0)) ** 2 for c in self.clips])
         return float(np.sqrt(squares.mean()) / self.camera.scale)
 
-    def at(self, camera: Camera) -> Experiment:
+    def through_camera(self, camera: Camera) -> Experiment:
         """Through another camera."""
         return dataclasses.replace(self, clips=tuple(dataclasses.replace(c, camera=camera) for c in self.clips))
 
-    def part(self, rows: Sequence[int]) -> Experiment:
+    def select(self, rows: Sequence[int]) -> Experiment:
         """Some of its collisions."""
         clips, films = tuple(self.clips[k] for k in rows), tuple(self.films[k] for k in rows)
         return dataclasses.replace(self, clips=clips, films=films, launches=self.launches[list(rows)])
 
-    def filmed(self) -> Experiment:
+    def observe(self) -> Experiment:
         """The same with rows for every frame in which a ball is whole in the picture, and errors as they are there.
 
         Collisions of which too little is seen are left out.
@@ -100,12 +100,12 @@ class Experiment:
         ValueError
             Where the model has no motion for these launches.
         """
-        blank = [_blank(*each) for each in zip(self.clips, self.launches, self.films, strict=True)]
+        blank = [_make_blank_clip(*each) for each in zip(self.clips, self.launches, self.films, strict=True)]
         places, speeds = (f(self.model, self.launches, blank) for f in (forecast, velocities))
-        rows = [_inside(self.camera, xy) for xy in places]
+        rows = [_rows_in_picture(self.camera, xy) for xy in places]
         seen = [dataclasses.replace(c, xy=xy).of(r) for c, xy, r in zip(blank, places, rows, strict=True)]
         moving = [v[r] for v, r in zip(speeds, rows, strict=True)]
-        kept = [k for k, clip in enumerate(seen) if _shown(clip)]
+        kept = [k for k, clip in enumerate(seen) if _is_usable(clip)]
         if not kept:
             return dataclasses.replace(self, clips=(), films=(), launches=self.launches[:0])
         clips = _with_errors([seen[k] for k in kept], [moving[k] for k in kept], self.errors)
@@ -113,20 +113,20 @@ class Experiment:
         return dataclasses.replace(self, clips=clips, films=films, launches=self.launches[kept])
 
 
-def unfilmed(number: int, striker: str, camera: Camera, launch: Array) -> Measured:
+def make_unfilmed_clip(number: int, striker: str, camera: Camera, launch: Array) -> Measured:
     """A collision of which nothing is seen yet."""
     none = np.zeros(0, dtype=np.int64)
     return Measured(number, striker, camera, none, none, np.zeros((0, 2)), np.zeros((0, 2, 2)), launch, NEVER)
 
 
-def _blank(clip: Measured, launch: Array, film: range) -> Measured:
+def _make_blank_clip(clip: Measured, launch: Array, film: range) -> Measured:
     frame, ball = np.tile(np.array(film, dtype=np.int64), 2), np.repeat(np.arange(2), len(film))
-    new = unfilmed(clip.clip, clip.striker, clip.camera, launch)
+    new = make_unfilmed_clip(clip.clip, clip.striker, clip.camera, launch)
     nothing = np.zeros((len(frame), 2)), np.zeros((len(frame), 2, 2))
     return dataclasses.replace(new, frame=frame, ball=ball, xy=nothing[0], covariance=nothing[1])
 
 
-def _inside(camera: Camera, xy: Array) -> Ints:
+def _rows_in_picture(camera: Camera, xy: Array) -> Ints:
     """Rows (k,) at which the ball's whole outline is in the picture."""
     ring = camera.radius * np.stack([np.cos(OUTLINE), np.sin(OUTLINE)], axis=-1)
     around = xy[:, None] + ring
@@ -135,7 +135,7 @@ def _inside(camera: Camera, xy: Array) -> Ints:
     return np.flatnonzero(inside.all(axis=(1, 2)))
 
 
-def _shown(clip: Measured) -> bool:
+def _is_usable(clip: Measured) -> bool:
     """Whether both balls are seen long enough before the contact, and after it."""
     opens = clip.frame / clip.fps
     early, late = opens + clip.exposure <= clip.launch[T_C], opens >= clip.launch[T_C]

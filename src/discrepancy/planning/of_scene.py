@@ -12,7 +12,7 @@ from discrepancy.arrays import Array
 from discrepancy.data.collisions import split
 from discrepancy.data.launch import alike
 from discrepancy.fitting.parameters import fitted
-from discrepancy.planning.experiment import Experiment, unfilmed
+from discrepancy.planning.experiment import Experiment, make_unfilmed_clip
 from discrepancy.planning.position_errors import Errors, GlintErrors, StatedErrors
 from synthcam.dynamics.launch import SPIN
 from synthcam.model import Model
@@ -24,12 +24,12 @@ from tracker.camera.same_view import first_difference
 
 
 @dataclass(frozen=True)
-class Designed:
+class DesignedExperiment:
     """What a scene's experiment comes to.
 
     Attributes
     ----------
-    fitted : Experiment
+    experiment : Experiment
         The collisions that a search would fit: a quarter is kept out.
     drawn, usable : int
         How many collisions were drawn, and of how many enough is in view.
@@ -37,13 +37,13 @@ class Designed:
         What was not counted.
     """
 
-    fitted: Experiment
+    experiment: Experiment
     drawn: int
     usable: int
     notes: tuple[str, ...]
 
 
-def experiment_of(scene: Scene, count: int, noise_px: float | None = None, seed: int = 0) -> Designed:
+def design_experiment(scene: Scene, count: int, noise_px: float | None = None, seed: int = 0) -> DesignedExperiment:
     """Draw a scene's collisions and work out what would be seen of them.
 
     Parameters
@@ -70,10 +70,10 @@ def experiment_of(scene: Scene, count: int, noise_px: float | None = None, seed:
         raise InputError(f"clips: expected {least} or more, some to fit, some to keep out; found {count}")
     if noise_px is not None and not 0 < noise_px < np.inf:
         raise InputError(f"noise: expected an error of positions over 0 px, found {noise_px:g}")
-    clips = [_colliding(scene, number, seed) for number in range(count)]
-    model, camera = _shared(scene, clips)
+    clips = [_draw_collision(scene, number, seed) for number in range(count)]
+    model, camera = _shared_model_and_camera(scene, clips)
     strikers, launches = [str(c.drawn["launch"]["striker"]) for c in clips], alike([_launch(c) for c in clips])
-    rows = [unfilmed(k, striker, camera, launches[k]) for k, striker in enumerate(strikers)]
+    rows = [make_unfilmed_clip(k, striker, camera, launches[k]) for k, striker in enumerate(strikers)]
     whole = Experiment(
         model,
         fitted(model),
@@ -83,7 +83,7 @@ def experiment_of(scene: Scene, count: int, noise_px: float | None = None, seed:
         _errors(clips[0], noise_px, scene.where),
     )
     try:
-        filmed = whole.filmed()
+        filmed = whole.observe()
     except ValueError as e:
         raise InputError(f"{scene.where}: the model has no motion for these launches: {e}") from None
     usable = len(filmed.clips)
@@ -93,11 +93,11 @@ def experiment_of(scene: Scene, count: int, noise_px: float | None = None, seed:
             f"{least} or more"
         )
     kept = {c.clip for c in split(filmed.clips)[0]}
-    rest = filmed.part([k for k, c in enumerate(filmed.clips) if c.clip in kept])
-    return Designed(rest, count, usable, _notes(clips[0], noise_px))
+    rest = filmed.select([k for k, c in enumerate(filmed.clips) if c.clip in kept])
+    return DesignedExperiment(rest, count, usable, _notes(clips[0], noise_px))
 
 
-def _colliding(scene: Scene, number: int, seed: int) -> Clip:
+def _draw_collision(scene: Scene, number: int, seed: int) -> Clip:
     clip = scene.draw(number, seed)
     if clip.drawn["launch"]["kind"] != "pair":
         raise InputError(
@@ -106,7 +106,7 @@ def _colliding(scene: Scene, number: int, seed: int) -> Clip:
     return clip
 
 
-def _shared(scene: Scene, clips: list[Clip]) -> tuple[Model, Camera]:
+def _shared_model_and_camera(scene: Scene, clips: list[Clip]) -> tuple[Model, Camera]:
     """The model and the camera that all clips have. Raises InputError where they have several."""
     first = clips[0]
     camera = Camera.from_dict(first.camera_json, scene.where)

@@ -9,15 +9,15 @@ from typing import Any
 import numpy as np
 
 from discrepancy.data.launch import V0, B
-from discrepancy.planning.compare import Gain, Tried, Wanted
-from discrepancy.planning.of_scene import Designed
+from discrepancy.planning.compare import ChangeGain, ChangeLimits, CollisionsNeeded
+from discrepancy.planning.of_scene import DesignedExperiment
 from discrepancy.planning.signatures import Limit
 
 USEFUL = 1.05  # times: a change that gains less is not recommended
 
 
 @dataclass(frozen=True)
-class AlikePair:
+class IndistinguishablePair:
     """Two effects that could not be told apart; cosine: of their signatures; advice: what would part them."""
 
     effects: tuple[str, str]
@@ -26,7 +26,7 @@ class AlikePair:
 
 
 @dataclass(frozen=True)
-class Better:
+class BestChange:
     """A change, in words, and a strength's limits with it."""
 
     words: str
@@ -35,7 +35,7 @@ class Better:
 
 
 @dataclass(frozen=True)
-class Planned:
+class PlanResult:
     """What an experiment could show.
 
     Attributes
@@ -58,13 +58,13 @@ class Planned:
     """
 
     name: str
-    designed: Designed
+    designed: DesignedExperiment
     limits: tuple[Limit, ...]
-    pairs: tuple[AlikePair, ...]
+    pairs: tuple[IndistinguishablePair, ...]
     before: tuple[Limit, ...]
-    tried: tuple[Tried, ...]
-    gains: tuple[Gain, ...]
-    wanted: tuple[Wanted, ...]
+    tried: tuple[ChangeLimits, ...]
+    gains: tuple[ChangeGain, ...]
+    wanted: tuple[CollisionsNeeded, ...]
 
     @property
     def shown(self) -> tuple[Limit, ...]:
@@ -76,7 +76,7 @@ class Planned:
         """The others."""
         return tuple(x for x in self.limits if not x.shows)
 
-    def best_change(self, limit: Limit) -> Better | None:
+    def best_change(self, limit: Limit) -> BestChange | None:
         """The change that lowers a strength's naming limit most."""
         now = next((x for x in self.before if x.strength == limit.strength), None)
         then = ((t.words, x) for t in self.tried for x in t.limits if x.strength == limit.strength and x.shows)
@@ -85,7 +85,9 @@ class Planned:
             return None
         words, x = best
         falls = now.naming_limit / x.naming_limit
-        return Better(words, limit.limit * x.limit / now.limit, limit.naming_limit / falls) if falls > USEFUL else None
+        return (
+            BestChange(words, limit.limit * x.limit / now.limit, limit.naming_limit / falls) if falls > USEFUL else None
+        )
 
     def rows(self) -> list[dict[str, Any]]:
         """A row for each strength, as of `discrepancy.Plan.table`."""
@@ -106,7 +108,7 @@ class Planned:
             "shows": x.shows,
             "rival": rival.effect if rival else None,
             "cosine": rival.cosine if rival else math.nan,
-            "alike": list(x.alike),
+            "alike": list(x.indistinguishable),
             "best_change": best.words if best else None,
             "limit_then": best.limit if best else math.nan,
             "naming_then": best.naming_limit if best else math.nan,
@@ -115,7 +117,7 @@ class Planned:
     @property
     def error_um(self) -> float:
         """Error of a position, rms, each axis, um."""
-        return 1e6 * self.designed.fitted.error_px * self.designed.fitted.camera.scale
+        return 1e6 * self.designed.experiment.error_px * self.designed.experiment.camera.scale
 
     def sentence(self) -> str:
         """What was planned and what it could show."""
@@ -123,8 +125,8 @@ class Planned:
         effects = {x.effect for x in self.limits}
         shows = {x.effect for x in self.shown if x.limit <= x.typical}
         said = (
-            f"{here.drawn} collisions of {self.name}, positions to {here.fitted.error_px:.2g} px ({self.error_um:.2g} "
-            f"um): {len(shows)} of {len(effects)} effects would show at a realistic size"
+            f"{here.drawn} collisions of {self.name}, positions to {here.experiment.error_px:.2g} px "
+            f"({self.error_um:.2g} um): {len(shows)} of {len(effects)} effects would show at a realistic size"
         )
         said += f"; {len(self.pairs)} pairs could not be told apart." if self.pairs else ", each told from all others."
         useful = [g for g in self.gains if g.naming > USEFUL]
@@ -134,18 +136,18 @@ class Planned:
 
     def experiment(self) -> dict[str, Any]:
         """What was planned, in numbers."""
-        here, speeds = self.designed, self.designed.fitted.launches[:, V0]
-        camera = here.fitted.camera
+        here, speeds = self.designed, self.designed.experiment.launches[:, V0]
+        camera = here.experiment.camera
         return {
             "scene": self.name,
-            "clips": {"recorded": here.drawn, "usable": here.usable, "fitted": len(here.fitted.clips)},
+            "clips": {"recorded": here.drawn, "usable": here.usable, "fitted": len(here.experiment.clips)},
             "v0": [float(speeds.min()), float(speeds.max())],
-            "b": float(np.abs(here.fitted.launches[:, B]).max()),
+            "b": float(np.abs(here.experiment.launches[:, B]).max()),
             "fps": camera.fps,
             "exposure": camera.exposure,
             "scale": camera.scale,
-            "error_px": here.fitted.error_px,
+            "error_px": here.experiment.error_px,
             "error_um": self.error_um,
-            "fitted": list(here.fitted.names),
+            "fitted": list(here.experiment.names),
             "notes": list(here.notes),
         }

@@ -21,7 +21,7 @@ from discrepancy.selection.score_test import ScoreTests, likeness, tried
 Shaped = tuple[Candidate, dict[str, float]]  # an effect, with values of its shape parameters
 
 MOST = 24  # collisions in a design
-THESE = "these collisions"
+AS_FILMED = "these collisions"
 OUTSIDE: dict[str, str] = {
     "camera": "film a plate of known lengths with the same camera",
     "measure": "film balls at rest at known places, or move the lamp",
@@ -33,20 +33,20 @@ OUTSIDE: dict[str, str] = {
 
 
 @dataclass(frozen=True)
-class Design:
+class ComparedDesign:
     """Collisions that could be filmed. cosine: between the two effects' signatures in them."""
 
     words: str
     cosine: float
 
 
-def designs(
+def compare_designs(
     clips: Sequence[Measured],
     noise: Noise,
     fit: Fit,
     one: Shaped,
     other: Shaped,
-) -> tuple[Design, ...]:
+) -> tuple[ComparedDesign, ...]:
     """How alike the signatures of two effects are, in the collisions filmed and in others that could be filmed.
 
     Both are taken at zero strength, everything else as it was fitted.
@@ -79,22 +79,22 @@ def designs(
         StatedErrors(error_px),
         noise,
     )
-    filmed = few(filmed)
-    found = [Design(THESE, _cosine(filmed, one, other))]
+    filmed = thin_out(filmed)
+    found = [ComparedDesign(AS_FILMED, _cosine(filmed, one, other))]
     for change in (*changes.CHANGES, changes.TOGETHER):
         try:
-            changed = changes.tried(change, filmed)
+            changed = changes.apply_change(change, filmed)
         except ValueError:  # no motion
             continue
         if changed is not None:
-            found.append(Design(changed[0], _cosine(changed[1], one, other)))
+            found.append(ComparedDesign(changed[0], _cosine(changed[1], one, other)))
     return tuple(found)
 
 
-def few(experiment: Experiment) -> Experiment:
+def thin_out(experiment: Experiment) -> Experiment:
     """At most MOST of its collisions, to change and compare."""
     count = len(experiment.clips)
-    return experiment.part(np.unique(np.linspace(0, count - 1, min(MOST, count)).astype(int)).tolist())
+    return experiment.select(np.unique(np.linspace(0, count - 1, min(MOST, count)).astype(int)).tolist())
 
 
 def _cosine(experiment: Experiment, one: Shaped, other: Shaped) -> float:
@@ -112,7 +112,7 @@ def _cosine(experiment: Experiment, one: Shaped, other: Shaped) -> float:
     return 1.0 if second.absorbed else likeness(first.signature, second.signature)
 
 
-def advice(one: Candidate, other: Candidate, found: Sequence[Design]) -> str:
+def advise(one: Candidate, other: Candidate, found: Sequence[ComparedDesign]) -> str:
     """The experiment that parts two effects best, in a sentence; found: as of `designs`."""
     fit, *proposed = found
     best = min(proposed, key=lambda d: d.cosine)

@@ -73,7 +73,7 @@ class Limit:
     scatter: tuple[float, float]
 
     @property
-    def alike(self) -> tuple[str, ...]:
+    def indistinguishable(self) -> tuple[str, ...]:
         """Effects that such an experiment could not tell from it, whatever their shapes."""
         return tuple(r.effect for r in self.rivals if r.cosine > policy.ALIAS_COSINE)
 
@@ -136,7 +136,7 @@ class Signatures:
         if shown <= 0:
             return math.inf
         factor = self.trials_factors.get(self.trials[trial].candidate.name, 1.0)
-        return math.sqrt(needed(axes.shape[1], factor) / shown)
+        return math.sqrt(chi2_to_detect(axes.shape[1], factor) / shown)
 
     def limits(self) -> tuple[Limit, ...]:
         """Of every strength of every candidate, in the candidates' order."""
@@ -159,7 +159,7 @@ class Signatures:
 
     def _row(self, candidate: Candidate, strength: int, others: Sequence[int]) -> Limit:
         numbers, name = self._numbers(candidate), candidate.strengths[strength]
-        at = min(numbers, key=lambda k: _untypical(self.model, self.trials[k].shapes))
+        at = min(numbers, key=lambda k: _distance_from_typical(self.model, self.trials[k].shapes))
         limit, every = self._limit(at, strength), [self._limit(k, strength) for k in numbers]
         p, seen = parameter_of(self.model, name), [x for x in every if math.isfinite(x)]
         rivals = self._rivals(at, strength, others) if math.isfinite(limit) else ()
@@ -197,7 +197,7 @@ class Signatures:
         return tuple(sorted(best.values(), key=lambda r: -r.cosine))
 
 
-def needed(dof: int, trials_factor: float) -> float:
+def chi2_to_detect(dof: int, trials_factor: float) -> float:
     """The chi^2 that an effect must make for half of all experiments to show it at the sigma of a detection limit.
 
     The median of a non-central chi^2 is that of its centre plus dof - 1, nearly: Sankaran, Biometrika 46 (1959) 235.
@@ -211,7 +211,7 @@ def needed(dof: int, trials_factor: float) -> float:
     return float(brentq(short, 1e-6, most + 10 * dof))
 
 
-def _untypical(model: Model, shapes: Mapping[str, float]) -> float:
+def _distance_from_typical(model: Model, shapes: Mapping[str, float]) -> float:
     """How far shape parameters are from their realistic sizes, to choose those tried that are nearest."""
     far = 0.0
     for name, value in shapes.items():

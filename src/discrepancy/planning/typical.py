@@ -14,12 +14,12 @@ ENOUGH = 150  # collisions, over all draws: limits of 30 scatter by a fifth from
 MOST = 5  # draws
 
 
-def draws_of(clips: int) -> int:
+def count_draws(clips: int) -> int:
     """How many draws of so many collisions make a typical one."""
     return min(MOST, math.ceil(ENOUGH / clips))
 
 
-def typical(draws: Sequence[tuple[Limit, ...]]) -> tuple[Limit, ...]:
+def median_limits(draws: Sequence[tuple[Limit, ...]]) -> tuple[Limit, ...]:
     """The median over draws of each strength's limit, and of its likeness to each other effect.
 
     Parameters

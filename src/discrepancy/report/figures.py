@@ -17,7 +17,7 @@ from discrepancy.diagnostics.gap import Gap
 from discrepancy.fitting.model_fit import Fit
 from discrepancy.fitting.predict import forecast
 from discrepancy.found import Found
-from discrepancy.free_laws.answer import Answer
+from discrepancy.free_laws.law_summary import LawSummary
 from tracker.report.html import svg
 
 BEFORE, AFTER, FLOOR, OTHER = "#b2182b", "#2166ac", "#4d4d4d", "#bdbdbd"
@@ -154,7 +154,7 @@ def _binned(stage: Array, left: Array) -> tuple[Array, list[Array]]:
     return (np.array(kept) + 0.5) / BINS - 1, [left[which == k] for k in kept]
 
 
-def _curve(answer: Answer) -> Figure:
+def _curve(answer: LawSummary) -> Figure:
     law = answer.law
     if len(answer.x) == 2:
         return _map(answer)
@@ -162,7 +162,7 @@ def _curve(answer: Answer) -> Figure:
     axis, x = law.axes[0], answer.x[0]
     for part, (word, colour) in enumerate(zip(law.part_names, (AFTER, BEFORE), strict=False)):
         y = answer.curve[:, part]
-        if law.each_clip:
+        if law.is_per_clip:
             ax.errorbar(x, y, np.abs(answer.bands["band"][:, part].T - y), fmt="o", ms=3, lw=1, color=colour)
             continue
         for name, alpha in (("band", 0.2), ("band68", 0.35)):
@@ -175,7 +175,7 @@ def _curve(answer: Answer) -> Figure:
     return figure
 
 
-def _map(answer: Answer) -> Figure:
+def _map(answer: LawSummary) -> Figure:
     law = answer.law
     side = round(np.sqrt(len(answer.x[0])))
     scale = 1e3 if law.axes[0].unit == "m" else 1.0

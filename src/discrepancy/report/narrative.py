@@ -90,7 +90,7 @@ def _open(found: Found) -> str:
     classes = [n.aliases for n in found.named if len(n.aliases) > 1]
     if classes:
         parts.append(f"{_listed([' from '.join(c) for c in classes], 'nor')} (see the experiment below)")
-    if found.answer and found.answer.refused:
+    if found.answer and found.answer.formula_rejected:
         parts.append("which short formula the free curve follows, since none of those tried does")
     undetermined = [s for n in found.named for s, std in n.shape_std.items() if not np.isfinite(std)]
     if undetermined:

@@ -13,8 +13,8 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from discrepancy import policy
-from discrepancy.planning.changes import ALL
-from discrepancy.planning.outcome import Planned
+from discrepancy.planning.changes import ALL_LAUNCHES_CHANGED
+from discrepancy.planning.outcome import PlanResult
 from discrepancy.planning.signatures import Limit
 from discrepancy.report.figures import AFTER, BEFORE, FLOOR, OTHER, STYLE, inline
 from discrepancy.report.html import plain
@@ -24,7 +24,7 @@ RIVALS = 3  # of each strength, in plan.json
 TICKS = (0.1, 0.2, 0.3, 0.5, 0.7, 1, 1.5, 2, 3, 5, 10)  # of a ratio
 
 
-def document(found: Planned) -> dict[str, Any]:
+def document(found: PlanResult) -> dict[str, Any]:
     """The keys of plan.json, plain; None for what is not finite."""
     rows = [
         row | {"rivals": [dataclasses.asdict(r) for r in x.rivals[:RIVALS]]}
@@ -43,7 +43,7 @@ def document(found: Planned) -> dict[str, Any]:
     return whole
 
 
-def write(found: Planned, folder: Path) -> None:
+def write(found: PlanResult, folder: Path) -> None:
     """Write the report's two files into a folder, made if need be."""
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "plan.json").write_text(json.dumps(document(found), indent=1, allow_nan=False) + "\n")
@@ -65,14 +65,14 @@ def write(found: Planned, folder: Path) -> None:
 
 def _short(words: str) -> str:
     """What was changed, for a narrow place."""
-    return "all launches at once" if words == ALL else words
+    return "all launches at once" if words == ALL_LAUNCHES_CHANGED else words
 
 
 def _shapes(values: Mapping[str, float]) -> str:
     return ", ".join(f"{name.rpartition('.')[2]} {value:.3g}" for name, value in values.items())
 
 
-def _drawn(found: Planned) -> list[dict[str, str]]:
+def _drawn(found: PlanResult) -> list[dict[str, str]]:
     """title, note and address of each figure."""
     with mpl.rc_context(STYLE):
         out = []
@@ -111,7 +111,7 @@ def _limits(shown: tuple[Limit, ...]) -> Figure:
     return figure
 
 
-def _changes(found: Planned) -> Figure:
+def _changes(found: PlanResult) -> Figure:
     figure = Figure(figsize=(8, 1.1 + 0.28 * len(found.gains)), layout="constrained")
     ax, place = figure.subplots(), np.arange(len(found.gains))
     for k, (key, label, colour) in enumerate((("limit", "detection", AFTER), ("naming", "naming", BEFORE))):

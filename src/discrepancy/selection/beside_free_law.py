@@ -41,7 +41,7 @@ def in_its_place(
     list of (str, FittedLaw)
         The effects that to first order explain nearly as much, fitted in full, the best first.
     """
-    tests = ScoreTests.of(less.evidence, less.whole, progress, about=less.plain)
+    tests = ScoreTests.of(less.evidence, less.joint_fit, progress, about=less.model_without_law)
     ranking = {c.effect: c for c in tests.ranking()}
     if named.name not in ranking:
         return []

@@ -15,8 +15,8 @@ from discrepancy import policy
 from discrepancy.fitting.gauss_newton import linearised, settle
 from discrepancy.fitting.model_fit import Evidence, Fit
 from discrepancy.free_laws.fitted_law import FittedLaw
-from discrepancy.free_laws.free_law import FreeLaw
-from discrepancy.free_laws.library import free_laws
+from discrepancy.free_laws.law_kinds import FreeLaw
+from discrepancy.free_laws.library import free_laws_over
 from discrepancy.selection.free_law_fit import fill, held_against, moves_of, with_effect
 from discrepancy.selection.model_cost import cost_of
 from discrepancy.selection.score_test import ScoreTests
@@ -82,7 +82,7 @@ class FreeLawContest:
     @classmethod
     def of(cls, evidence: Evidence, base: Fit, progress: Callable[[], None] = lambda: None) -> FreeLawContest:
         """Hold every free law that the clips can show against the base model."""
-        laws = free_laws(base.model, base.launches, evidence.clips)
+        laws = free_laws_over(base.model, base.launches, evidence.clips)
         return cls(evidence, base, laws, progress)._considered([base])
 
     @property
@@ -160,7 +160,7 @@ class FreeLawContest:
 
     def _needed(self, fitted_law: FittedLaw) -> bool:
         """Whether every library effect beside a free law is significant there, and not held by the law as well."""
-        return all(sigma > policy.FREE_LAW_SIGMA for sigma in fitted_law.beside(self.base).values())
+        return all(sigma > policy.FREE_LAW_SIGMA for sigma in fitted_law.significances_of_effects(self.base).values())
 
     def _cost(self, fit: Fit) -> float:
         return min(cost_of(f, self.base) for f in (fit, *self.rivals))
@@ -190,7 +190,7 @@ class FreeLawContest:
         if self.asked is not None and self.asked[0] == place:
             return self
         known = self.fitted[place]
-        tests = ScoreTests.of(known.evidence, known.whole, self.progress, about=known.plain)
+        tests = ScoreTests.of(known.evidence, known.joint_fit, self.progress, about=known.model_without_law)
         ranking = tests.leaders(policy.FREE_LAW_SIGMA)
         claimed = ranking and ranking[0].sigma > policy.FREE_LAW_SIGMA and ranking[0].sigma > tests.claim()
         return dataclasses.replace(self, asked=(place, ranking[0] if claimed else None))

@@ -15,10 +15,10 @@ from discrepancy.data.launch import possible
 from discrepancy.fitting.gauss_newton import FAILED, fit_model, linearised, settle, solve
 from discrepancy.fitting.model_fit import Evidence, Fit
 from discrepancy.fitting.parameters import Candidate, within
-from discrepancy.free_laws.credible_band import stepped
-from discrepancy.free_laws.evidence import Weight, significance, weigh
+from discrepancy.free_laws.credible_band import gain_of_steps
 from discrepancy.free_laws.fitted_law import FittedLaw
-from discrepancy.free_laws.free_law import FreeLaw
+from discrepancy.free_laws.law_kinds import FreeLaw
+from discrepancy.free_laws.marginal_likelihood import CurveEvidence, compute_significance, maximise_evidence
 from discrepancy.free_laws.ranges import over_clips
 from discrepancy.noise.model import Noise
 from discrepancy.selection.model_cost import cost_of, law_chosen
@@ -42,8 +42,8 @@ class LawTest:
     pull: Array
 
     @cached_property
-    def weight(self) -> Weight:  # asked of few laws: it takes the longest
-        return weigh(self.law, self.information, self.pull)
+    def weight(self) -> CurveEvidence:  # asked of few laws: it takes the longest
+        return maximise_evidence(self.law, self.information, self.pull)
 
     def score(self, base: Fit) -> float:
         """What the model with the law would cost, in chi^2."""
@@ -57,7 +57,7 @@ def moves_of(evidence: Evidence, law: FreeLaw, model: Model, launches: Array) ->
 
 def held_against(law: FreeLaw, fit: Fit, moves: Sequence[Array]) -> LawTest:
     information, pull = fit.information(moves)
-    return LawTest(law, fit, significance(law, information, pull), information, pull)
+    return LawTest(law, fit, compute_significance(law, information, pull), information, pull)
 
 
 def fill(
@@ -94,12 +94,12 @@ def fill(
     if begun is None:
         plain, fit, here, coefs = test.fit.model, test.fit, evidence, np.zeros(law.size)
     else:
-        plain, fit, here, coefs = begun.plain, begun.fit, begun.evidence, begun.coefs
+        plain, fit, here, coefs = begun.model_without_law, begun.fit, begun.evidence, begun.coefs
     moves = moves_of(here, law, fit.model, fit.launches)
     for _ in range(ROUNDS):
         progress()
         information, pull = fit.information(moves)
-        weight = weigh(law, information, pull + information @ coefs)
+        weight = maximise_evidence(law, information, pull + information @ coefs)
         precision, step = weight.prior.precision, weight.coefs - coefs
         moved = None
         if step @ (information + precision) @ step > SETTLED:
@@ -119,7 +119,7 @@ def fill(
     freedom = np.linalg.slogdet(np.eye(law.size) + information / np.diag(weight.prior.precision)[:, None])
     paid = law_chosen() + weight.prior.cost + float(coefs @ weight.prior.precision @ coefs + freedom[1])
     smooth = FittedLaw(law, coefs, weight.prior, fit, plain, here, moves, test.sigma, cost_of(fit, base) + paid)
-    return dataclasses.replace(smooth, score=smooth.score - stepped(smooth))
+    return dataclasses.replace(smooth, score=smooth.score - gain_of_steps(smooth))
 
 
 def _moved(
@@ -155,7 +155,10 @@ def with_effect(
         Of the law there.
     fitted : FittedLaw
     """
-    model, names = known.plain.replace(effect.shapes | dict.fromkeys(effect.strengths, 0.0)), known.fit.names
+    model, names = (
+        known.model_without_law.replace(effect.shapes | dict.fromkeys(effect.strengths, 0.0)),
+        known.fit.names,
+    )
     start = settle(evidence, linearised(evidence, model, (*names, *effect.strengths), known.fit.launches), progress)
     test = held_against(known.law, start, moves_of(evidence, known.law, start.model, start.launches))
     fitted = fill(evidence, test, base, progress)
@@ -163,13 +166,13 @@ def with_effect(
     for _ in range(TURNS if effect.shapes else 0):  # without the law they may run off
         here, one = fitted.evidence, fitted.fit
         whole = settle(here, linearised(here, one.model, names, one.launches), progress)
-        plain = within(fitted.plain, dict(zip(whole.names, whole.values().tolist(), strict=True)))
+        plain = within(fitted.model_without_law, dict(zip(whole.names, whole.values().tolist(), strict=True)))
         before = fitted.score
-        fitted = fill(evidence, test, base, progress, dataclasses.replace(fitted, fit=whole, plain=plain))
+        fitted = fill(evidence, test, base, progress, dataclasses.replace(fitted, fit=whole, model_without_law=plain))
         if fitted.score > before - SETTLED:
             break
-    information, pull = fitted.fit.information(fitted.moves)
-    return significance(fitted.law, information, pull + information @ fitted.coefs), fitted
+    information, pull = fitted.fit.information(fitted.slopes)
+    return compute_significance(fitted.law, information, pull + information @ fitted.coefs), fitted
 
 
 def refilled(
@@ -177,7 +180,7 @@ def refilled(
 ) -> FittedLaw:
     """Fit a free law again without the effect `gone` beside it. Raises ValueError where that has no motion."""
     names = tuple(n for n in fitted_law.fit.names if n not in gone.strengths + gone.shapes)
-    start = linearised(evidence, gone.without(fitted_law.plain), names, fitted_law.fit.launches)
+    start = linearised(evidence, gone.without(fitted_law.model_without_law), names, fitted_law.fit.launches)
     fit = settle(evidence, start, progress)
     return fill(
         evidence,
@@ -190,7 +193,9 @@ def refilled(
 def emptied(evidence: Evidence, fitted_law: FittedLaw, progress: Callable[[], None]) -> Fit:
     """Fit all else that a fitted law has beside it, without the law. Raises ValueError where that has no motion."""
     return settle(
-        evidence, linearised(evidence, fitted_law.plain, fitted_law.fit.names, fitted_law.fit.launches), progress
+        evidence,
+        linearised(evidence, fitted_law.model_without_law, fitted_law.fit.names, fitted_law.fit.launches),
+        progress,
     )
 
 
@@ -211,7 +216,7 @@ def scatter(fitted_law: FittedLaw, clips: Sequence[Measured], without: Fit, nois
     law = dataclasses.replace(fitted_law.law, axes=over_clips(len(clips)))
     fit = linearised(evidence, without.model, (), without.launches)
     information, pull = fit.information(moves_of(evidence, law, fit.model, fit.launches))
-    size = fitted_law.prior.size * np.sqrt(law.spread(fitted_law.prior.length))
+    size = fitted_law.prior.size * np.sqrt(law.prior_variances(fitted_law.prior.length))
     values, axes = np.linalg.eigh(size[:, None] * information * size)
     values, pulls = np.maximum(values, 0.0), axes.T @ (size * pull)
     gain = float((pulls**2 / (1 + values) - np.log1p(values)).sum())
@@ -235,8 +240,8 @@ def unseen(fitted_law: FittedLaw, clips: Sequence[Measured], before: Fit, noise:
     Fit
         Its model holds the law; where no effect can hold it, what the law moves is taken out of the clips instead.
     """
-    plain = fitted_law.plain
-    if fitted_law.law.each_clip:
+    plain = fitted_law.model_without_law
+    if fitted_law.law.is_per_clip:
         evidence = Evidence.of(clips, noise)
         there = settle(evidence, linearised(evidence, plain, (), before.launches))
         law = dataclasses.replace(fitted_law.law, axes=over_clips(len(clips)))

@@ -9,14 +9,14 @@ from numpy.typing import NDArray
 
 from discrepancy.fitting.model_fit import Fit
 from discrepancy.fitting.parameters import parameter_of, span_of
-from discrepancy.free_laws.evidence import choice, freedom
 from discrepancy.free_laws.library import law_count
+from discrepancy.free_laws.marginal_likelihood import cost_of_choice, cost_of_strengths
 from synthcam.library import library
 
 
 def law_chosen() -> float:
     """What it costs to choose one law to be left free, in chi^2."""
-    return choice(law_count())
+    return cost_of_choice(law_count())
 
 
 def cost_of(fit: Fit, base: Fit) -> float:
@@ -36,7 +36,7 @@ def cost_of(fit: Fit, base: Fit) -> float:
     float
         In chi^2.
     """
-    paid, chosen = fit.chi2, choice(len(library()))
+    paid, chosen = fit.chi2, cost_of_choice(len(library()))
     for names in fit.added(base).values():
         own = {n: parameter_of(fit.model, n) for n in names if "." in n}
         if not own:
@@ -46,7 +46,7 @@ def cost_of(fit: Fit, base: Fit) -> float:
         size = np.array([own[n].typical or 1.0 for n in strengths])
         information = _information(fit, strengths + shapes)[: len(size), : len(size)] * np.outer(size, size)
         moved = (fit.values(strengths) - base.values(strengths)) / size
-        paid += freedom(information, moved)
+        paid += cost_of_strengths(information, moved)
         span = np.array([span_of(own[n]) * (fit.model.value(n) if own[n].low > 0 else 1.0) for n in shapes])
         known = _information(fit, shapes) * np.outer(span, span) / (2 * np.pi)
         paid += np.linalg.slogdet(np.eye(len(span)) + known)[1]

@@ -9,7 +9,7 @@ from discrepancy_clips import FPS, blank, exact
 
 from discrepancy.data.launch import HEADING, T_C, V0, B
 from discrepancy.fitting.predict import forecast
-from discrepancy.free_laws.library import free_laws
+from discrepancy.free_laws.library import free_laws_over
 from synthcam.dataset.generate import Plan, run
 from synthcam.model import Model
 from synthcam.scene.scene import read_scene
@@ -105,7 +105,7 @@ def test_clips_of_two_frame_rates_are_foretold_as_each_alone():
     clips = [slower(c) if k % 2 else c for k, c in enumerate(plain)]
     launches = np.array([c.launch for c in clips])
     every = forecast(Model(), launches, clips)
-    laws = [law for law in free_laws(Model(), launches, clips) if law.name in ("friction_speed", "force_place")]
+    laws = [law for law in free_laws_over(Model(), launches, clips) if law.name in ("friction_speed", "force_place")]
     moves = {law.name: law.columns(Model(), launches, clips) for law in laws}
     assert len(moves) == 2
     for k, clip in enumerate(clips):

@@ -13,10 +13,10 @@ from discrepancy.fitting.gauss_newton import linearised, solve
 from discrepancy.fitting.jacobian import derivative
 from discrepancy.fitting.model_fit import Evidence
 from discrepancy.fitting.parameters import BASE
-from discrepancy.free_laws.credible_band import Mixture, _tried, stepped
-from discrepancy.free_laws.evidence import weigh
+from discrepancy.free_laws.credible_band import NormalMixture, _fit_steps, gain_of_steps
 from discrepancy.free_laws.fitted_law import FittedLaw
-from discrepancy.free_laws.library import free_laws
+from discrepancy.free_laws.library import free_laws_over
+from discrepancy.free_laws.marginal_likelihood import maximise_evidence
 from discrepancy.noise.model import Component, Noise
 from synthcam.model import Model
 
@@ -35,7 +35,7 @@ def experiment(count=24):
     ]
     evidence, launches = Evidence.of(clips, NOISE), np.array([c.launch for c in clips])
     start = linearised(evidence, Model(), BASE, launches)
-    law = next(s for s in free_laws(Model(), launches, clips) if s.name == "restitution_speed")
+    law = next(s for s in free_laws_over(Model(), launches, clips) if s.name == "restitution_speed")
     moves = evidence.white(law.columns(Model(), launches, clips))
     single = evidence.white(derivative(Model(), launches, clips, "restitution"))
     return evidence, start, law, moves, single
@@ -49,7 +49,7 @@ def drawn(law, size, seed):
     speed = start.launches[:, V0] * np.sqrt(1 - start.launches[:, B] ** 2)
     residuals = [s * scale * law(v) + rng.standard_normal(len(s)) for s, v in zip(single, speed, strict=True)]
     fit = dataclasses.replace(start, residuals=tuple(residuals))
-    weight = weigh(free_law, *fit.information(moves))
+    weight = maximise_evidence(free_law, *fit.information(moves))
     rest = [r - m @ weight.coefs for r, m in zip(residuals, moves, strict=True)]
     fit = dataclasses.replace(fit, residuals=tuple(rest))
     shared, own = solve(fit, 0.0, np.full(len(BASE), -np.inf), np.full(len(BASE), np.inf))
@@ -62,7 +62,7 @@ def drawn(law, size, seed):
 def bands(law, size, seed):
     """What the truth is at X, (n,); the band of 95 %, and that of the smooth curve alone, (2, n) each."""
     filled, scale = drawn(law, size, seed)
-    mixture = Mixture.of(filled, X)
+    mixture = NormalMixture.of(filled, X)
     curve, covariance = filled.curve(X)
     half = 1.96 * np.sqrt(np.diag(covariance[0]))
     alone = np.stack([curve[:, 0] - half, curve[:, 0] + half])
@@ -106,12 +106,12 @@ def test_beside_a_smooth_law_nothing_changes(seed):
 
 def test_quantiles_of_a_mixture():
     """Of one normal, of two far apart, and of two about one place, where distributions are known."""
-    one = Mixture(np.ones(1), np.full((1, 2, 1), 3.0), np.full((1, 2, 1), 0.5))
+    one = NormalMixture(np.ones(1), np.full((1, 2, 1), 3.0), np.full((1, 2, 1), 0.5))
     assert one.quantile(1.96) == pytest.approx(np.full((2, 1), 3 + 0.98))
-    apart = Mixture(np.array([0.25, 0.75]), np.array([[[0.0]], [[100.0]]]), np.ones((2, 1, 1)))
+    apart = NormalMixture(np.array([0.25, 0.75]), np.array([[[0.0]], [[100.0]]]), np.ones((2, 1, 1)))
     assert apart.quantile(norm.ppf(0.125)) == pytest.approx(0.0)
     assert apart.quantile(norm.ppf(0.625)) == pytest.approx(100.0)
-    about = Mixture(np.array([0.5, 0.5]), np.zeros((2, 1, 1)), np.array([[[1.0]], [[2.0]]]))
+    about = NormalMixture(np.array([0.5, 0.5]), np.zeros((2, 1, 1)), np.array([[[1.0]], [[2.0]]]))
     at = float(about.quantile(1.0)[0, 0])
     assert (norm.cdf(at) + norm.cdf(at / 2)) / 2 == pytest.approx(norm.cdf(1.0))
 
@@ -119,16 +119,16 @@ def test_quantiles_of_a_mixture():
 @pytest.mark.parametrize("seed", range(3))
 def test_a_free_law_is_worth_more_where_the_law_steps_and_a_little_less_where_it_does_not(seed):
     """With a clear step the clips are a hundred times as likely, and more; of a smooth law, the one half is lost."""
-    assert stepped(drawn(step, 30, seed)[0]) > 2 * np.log(100)
-    assert stepped(drawn(smooth, 10, seed)[0]) == pytest.approx(-2 * np.log(2), abs=0.2)
+    assert gain_of_steps(drawn(step, 30, seed)[0]) > 2 * np.log(100)
+    assert gain_of_steps(drawn(smooth, 10, seed)[0]) == pytest.approx(-2 * np.log(2), abs=0.2)
 
 
 @pytest.mark.parametrize("size", [30, 300])
 def test_a_step_below_the_slowest_collision_is_the_constant_whatever_error_the_slopes_have(size):
     filled, _ = drawn(smooth, size, 0)
-    bare = dataclasses.replace(filled, fit=filled.fit.explained_by(filled.moves, -filled.coefs))
+    bare = dataclasses.replace(filled, fit=filled.fit.explained_by(filled.slopes, -filled.coefs))
     where = np.stack(
         [np.linspace(-1.0, -0.5, 20), np.full(20, np.log(0.025))], axis=1
     )  # shares of the range: tanh is 1
-    gains, _, _ = _tried(bare, where, X)
+    gains, _, _ = _fit_steps(bare, where, X)
     assert gains == pytest.approx(0.0, abs=0.5)  # the law itself has a chi^2 of 20,000 and 2,000,000

@@ -12,9 +12,9 @@ from discrepancy_outsiders import outsider
 from discrepancy.fitting.gauss_newton import fit_model
 from discrepancy.fitting.model_fit import Evidence
 from discrepancy.fitting.parameters import BASE
-from discrepancy.free_laws.formula import _Drawn, _written, propose
-from discrepancy.free_laws.library import free_laws
-from discrepancy.free_laws.shapes import shapes_of
+from discrepancy.free_laws.formula import _ShapeFitter, _write_sum, propose_formula
+from discrepancy.free_laws.library import free_laws_over
+from discrepancy.free_laws.shapes import iterate_shapes
 from discrepancy.noise.model import Component, Noise
 from discrepancy.selection.free_law_contest import FreeLawContest
 from synthcam.model import Model
@@ -39,7 +39,7 @@ def test_a_sine_and_a_cosine_are_one_sine_of_a_field_too():
     """3 sin w + 4 cos w = 5 sin(w + atan(4/3))"""
     for way in ("", " ex"):
         words = [f"sin(x / 3){way}", f"cos(x / 3){way}"]
-        assert _written(words, np.array([3.0, 4.0]), relative=False) == f"5 sin(x / 3 + 0.93){way}"
+        assert _write_sum(words, np.array([3.0, 4.0]), relative=False) == f"5 sin(x / 3 + 0.93){way}"
 
 
 def test_a_step():
@@ -74,7 +74,7 @@ def test_a_lag_is_told_but_for_a_constant():
     """2e-4 v^2"""
     clips = exact(Model(), 8, 6)
     launches = np.array([c.launch for c in clips])
-    late = with_constant(next(s for s in free_laws(Model(), launches, clips) if s.name == "lag_speed"))
+    late = with_constant(next(s for s in free_laws_over(Model(), launches, clips) if s.name == "lag_speed"))
     x = late.axes[0].grid(200)
     moves = late.columns(Model(), launches, clips)
     coefs = np.linalg.lstsq(late.basis(x), 2e-4 * x**2, rcond=None)[0]
@@ -82,16 +82,18 @@ def test_a_lag_is_told_but_for_a_constant():
     noise = Noise(Component(1.0))
     base = fit_model(seen, Model(), BASE, noise)
     found = min(FreeLawContest.of(Evidence.of(seen, noise), base).fitted, key=lambda f: f.score)
-    formula = propose(found)
-    assert (found.law.name, formula.refused) == ("lag_speed", False)
+    formula = propose_formula(found)
+    assert (found.law.name, formula.is_rejected) == ("lag_speed", False)
     factor = float(re.fullmatch(r"lag of the picture = (\S+) v\^2 s, v in m/s", formula.text).group(1))
     assert factor == pytest.approx(2e-4, rel=0.1)
-    drawn = _Drawn(found)
-    assert "" not in {t.word for s in shapes_of(found.law, drawn.x) for t in drawn.terms(s, *(t[0] for t in s.tries))}
+    drawn = _ShapeFitter(found)
+    assert "" not in {
+        t.text for s in iterate_shapes(found.law, drawn.x) for t in drawn.terms(s, *(t[0] for t in s.tries))
+    }
 
 
 def test_a_formula_that_suffices_is_not_refused():
-    proposed = propose(outsider("spin_transfer_speed").free_law)
-    assert not proposed.refused
+    proposed = propose_formula(outsider("spin_transfer_speed").free_law)
+    assert not proposed.is_rejected
     assert proposed.parameters == 4
     assert np.isfinite(proposed.chi2)

@@ -15,8 +15,8 @@ from discrepancy.fitting.model_fit import Evidence
 from discrepancy.fitting.parameters import BASE
 from discrepancy.fitting.predict import forecast
 from discrepancy.free_laws import laws
-from discrepancy.free_laws.answer import Answer, words
-from discrepancy.free_laws.library import free_laws, law_count, library
+from discrepancy.free_laws.law_summary import LawSummary, describe_law
+from discrepancy.free_laws.library import free_laws_over, law_count, library
 from discrepancy.noise.model import Component, Noise
 from discrepancy.search import find
 from discrepancy.selection.free_law_contest import FreeLawContest
@@ -36,7 +36,7 @@ def exchanged(count, seed):
 
 CLIPS = exchanged(6, 11)
 LAUNCHES = np.array([c.launch for c in CLIPS])
-FREE = {s.name: s for s in free_laws(Model(), LAUNCHES, CLIPS)}
+FREE = {s.name: s for s in free_laws_over(Model(), LAUNCHES, CLIPS)}
 ALONE = sorted({law.name.removesuffix("_a") for law in FREE.values() if law.ball == "a"})
 MINE = [c.ball == int(c.striker == "a") for c in CLIPS]
 
@@ -157,8 +157,8 @@ def likeliest(effect):
 def test_a_loss_by_heading_is_found_and_written():
     best = likeliest(Grain(0.1))
     assert best.law.name == "rolling_heading"
-    answer = Answer.of(best)
-    assert answer.said == "added rolling loss that depends on the heading"
+    answer = LawSummary.of(best)
+    assert answer.description == "added rolling loss that depends on the heading"
     assert "(2 th" in answer.formula
     assert "v in m/s" in answer.formula
     rest, pace = (0.1 * share * np.cos(2 * answer.x[0] - 0.7) for share in (0.0103, 0.135 * PACE))
@@ -171,8 +171,8 @@ def test_a_loss_by_heading_is_found_and_written():
 def test_a_friction_of_one_ball_is_found_and_said_to_be_of_that_ball():
     best = likeliest(Rust(0.02))
     assert best.law.name == "friction_speed_a"
-    assert words(best.law) == "mu of ball a that depends on the slip speed"
-    answer = Answer.of(best)
+    assert describe_law(best.law) == "mu of ball a that depends on the slip speed"
+    answer = LawSummary.of(best)
     assert answer.formula.startswith("mu of ball a = 0.2")
     true, std = (
         Model().sliding_friction + Rust(0.02)._law(answer.x[0]),
@@ -197,8 +197,8 @@ SIDE = '''
 """Restitution that depends on the impact parameter, its sign included."""
 
 from discrepancy.data.launch import B
-from discrepancy.free_laws.basis import Axis
-from discrepancy.free_laws.free_law import ImpactLaw
+from discrepancy.free_laws.axis import Axis
+from discrepancy.free_laws.law_kinds import ImpactLaw
 from discrepancy.free_laws.ranges import CURVE
 
 

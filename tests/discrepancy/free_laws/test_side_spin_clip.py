@@ -8,7 +8,7 @@ from discrepancy_clips import exact, noisy, only
 
 from discrepancy.data.launch import SIDE
 from discrepancy.fitting.predict import forecast
-from discrepancy.free_laws.library import free_laws
+from discrepancy.free_laws.library import free_laws_over
 from discrepancy.search import find
 from synthcam.model import LAUNCH_SPIN, Model
 
@@ -52,7 +52,7 @@ def test_rolling_strikers_with_free_spins_leave_nothing(monkeypatch):
 def test_derivatives_are_those_of_a_launch_that_spins():
     plain = exact(Model(), 4, 11)
     launches = np.array([c.launch for c in plain])
-    (law,) = (s for s in free_laws(Model(), launches, plain) if s.name == "side_spin_clip")
+    (law,) = (s for s in free_laws_over(Model(), launches, plain) if s.name == "side_spin_clip")
     spins = np.array([1e-3, -2e-3, 3e-3, 1e-3])
     told = [m @ spins for m in law.columns(Model(), launches, plain)]
     true = forecast(Model(), np.column_stack([launches, np.zeros((4, 2)), spins]), plain)
@@ -63,4 +63,4 @@ def test_derivatives_are_those_of_a_launch_that_spins():
 def test_launches_that_have_a_spin_leave_no_such_law():
     plain = exact(Model(), 4, 11, spins=[[0.0, 0.0, 0.01]])
     launches = np.array([c.launch for c in plain])
-    assert "side_spin_clip" not in [s.name for s in free_laws(Model(), launches, plain)]
+    assert "side_spin_clip" not in [s.name for s in free_laws_over(Model(), launches, plain)]

@@ -7,14 +7,14 @@ import pytest
 from discrepancy_plans import scene, small
 
 from discrepancy.data.launch import V0
-from discrepancy.planning.changes import CHANGES, TOGETHER, tried
-from discrepancy.planning.of_scene import experiment_of
+from discrepancy.planning.changes import CHANGES, TOGETHER, apply_change
+from discrepancy.planning.of_scene import design_experiment
 
 CHANGE = {c.name: c for c in (*CHANGES, TOGETHER)}
 
 
 def made(name, experiment=None):
-    found = tried(CHANGE[name], experiment or small())
+    found = apply_change(CHANGE[name], experiment or small())
     return found and found[1]
 
 
@@ -38,17 +38,17 @@ def test_twice_the_frame_rate_sees_the_same_motion_twice_as_often():
 
 
 def test_a_frame_rate_that_would_cut_exposures_cuts_the_light_too():
-    whole = experiment_of(scene(timing={"frames": 60, "contact_frame": 20.0, "exposure": 0.004}), 8).fitted
+    whole = design_experiment(scene(timing={"frames": 60, "contact_frame": 20.0, "exposure": 0.004}), 8).experiment
     after = made("frame_rate", whole)
     assert after.camera.exposure == 1 / after.camera.fps
     assert after.errors.peak == pytest.approx(whole.errors.peak / 2)
-    assert tried(CHANGE["exposure_longer"], whole) is None
+    assert apply_change(CHANGE["exposure_longer"], whole) is None
 
 
 def test_what_light_does_to_stated_errors_is_not_guessed():
     stated = small(0.02)
-    assert tried(CHANGE["exposure_longer"], stated) is None
-    assert tried(CHANGE["exposure_shorter"], stated) is None
+    assert apply_change(CHANGE["exposure_longer"], stated) is None
+    assert apply_change(CHANGE["exposure_shorter"], stated) is None
     assert made("frame_rate", stated).error_px == pytest.approx(0.02)
 
 
@@ -59,11 +59,11 @@ def test_a_wider_field_makes_errors_in_metres_larger():
 
 def test_a_plate_without_rolling_loss_cannot_be_tilted():
     flat = dataclasses.replace(small(), model=small().model.replace({"rolling_decel": 0.0}))
-    assert tried(CHANGE["tilted"], flat) is None
+    assert apply_change(CHANGE["tilted"], flat) is None
 
 
 def test_speeds_change_as_the_words_say():
-    words, changed = tried(CHANGE["faster"], small())
+    words, changed = apply_change(CHANGE["faster"], small())
     assert words == "balls twice as fast"
     before = dict(zip((c.clip for c in small().clips), small().launches[:, V0], strict=True))
     speeds = [before[c.clip] for c in changed.clips]
@@ -71,7 +71,7 @@ def test_speeds_change_as_the_words_say():
 
 
 def test_strikers_that_spin_keep_their_share_of_it():
-    spinning = experiment_of(scene(launch={"slip_along": 0.05, "side": 0.1}), 8).fitted
+    spinning = design_experiment(scene(launch={"slip_along": 0.05, "side": 0.1}), 8).experiment
     assert spinning.launches.shape[1] == 9
     assert len(made("speeds", spinning).clips) >= 4
     faster = made("faster", spinning)

@@ -5,7 +5,13 @@ import math
 
 import pytest
 
-from discrepancy.planning.compare import Tried, alike, clips_for, cosine_of, gain
+from discrepancy.planning.compare import (
+    ChangeLimits,
+    compute_gain,
+    count_collisions_needed,
+    indistinguishable_pairs,
+    largest_cosine,
+)
 from discrepancy.planning.signatures import Limit, Rival
 
 
@@ -19,8 +25,8 @@ BEFORE = (limit("one", 0.4, "two", 0.95), limit("two", 0.1, "one", 0.95))
 
 
 def test_a_gain_is_the_mean_ratio_and_the_pairs_parted():
-    after = Tried("c", "words", (limit("one", 0.1, "two", 0.6), limit("two", 0.1, "one", 0.6)))
-    found = gain(BEFORE, after, ["one", "two"])
+    after = ChangeLimits("c", "words", (limit("one", 0.1, "two", 0.6), limit("two", 0.1, "one", 0.6)))
+    found = compute_gain(BEFORE, after, ["one", "two"])
     assert found.limit == pytest.approx(2.0)
     assert found.naming == pytest.approx(2 * 0.8 / math.sqrt(1 - 0.95**2))
     assert found.parts == (("one", "two"),)
@@ -28,18 +34,18 @@ def test_a_gain_is_the_mean_ratio_and_the_pairs_parted():
 
 
 def test_an_effect_that_no_longer_shows_is_not_parted_but_hidden():
-    after = Tried("c", "words", (limit("one", 0.1, "two", 0.6, shows=False), limit("two", 0.1, "one", 0.6)))
-    found = gain(BEFORE, after, ["one", "two"])
+    after = ChangeLimits("c", "words", (limit("one", 0.1, "two", 0.6, shows=False), limit("two", 0.1, "one", 0.6)))
+    found = compute_gain(BEFORE, after, ["one", "two"])
     assert found.parts == ()
     assert found.hides == ("one.x",)
     assert found.limit == pytest.approx(1.0)
 
 
 def test_pairs_are_of_those_asked_for():
-    assert alike(BEFORE, ["one"]) == (("one", "two"),)
-    assert alike(BEFORE, ["three"]) == ()
-    assert cosine_of(BEFORE, ("one", "two")) == 0.95
-    assert cosine_of(BEFORE, ("one", "three")) == 1.0
+    assert indistinguishable_pairs(BEFORE, ["one"]) == (("one", "two"),)
+    assert indistinguishable_pairs(BEFORE, ["three"]) == ()
+    assert largest_cosine(BEFORE, ("one", "two")) == 0.95
+    assert largest_cosine(BEFORE, ("one", "three")) == 1.0
 
 
 @pytest.mark.parametrize(("wanted", "clips"), [(0.1, 40), (0.2, 10), (0.05, 160), (0.001, 400_000), (1.0, 6)])
@@ -51,7 +57,7 @@ def test_a_limit_that_falls_as_the_root_takes_the_square(wanted, clips):
         asked.append(count)
         return 0.2 * math.sqrt(10 / count)
 
-    found = clips_for("one.x", wanted, here, 30, limit_at, 400)
+    found = count_collisions_needed("one.x", wanted, here, 30, limit_at, 400)
     assert found.clips == clips
     assert max(asked) <= 400
     assert found.clips_to_name >= found.clips
@@ -59,4 +65,4 @@ def test_a_limit_that_falls_as_the_root_takes_the_square(wanted, clips):
 
 def test_what_the_fit_absorbs_takes_no_number():
     here = dataclasses.replace(limit("one", 1.0), limit=math.inf, naming_limit=math.inf)
-    assert clips_for("one.x", 0.1, here, 30, lambda count: math.inf, 400).clips is None
+    assert count_collisions_needed("one.x", 0.1, here, 30, lambda count: math.inf, 400).clips is None

@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 from discrepancy_plans import scene, small
 
-from discrepancy.planning.of_scene import experiment_of
+from discrepancy.planning.of_scene import design_experiment
 from synthcam_shared.errors import InputError
 
 
 def test_places_and_rows_are_those_of_the_clips_of_that_seed():
     given = scene("painter_behringer", timing={"frames": 90, "contact_frame": 20.0})
-    found = experiment_of(given, 8, seed=3).fitted
+    found = design_experiment(given, 8, seed=3).experiment
     assert len(found.clips) == 6
     for clip in found.clips:
         truth = given.draw(clip.clip, 3).tracks
@@ -41,10 +41,10 @@ def test_a_stated_error_is_taken():
 )
 def test_what_is_no_experiment_is_said(given, message):
     with pytest.raises(InputError, match=message):
-        experiment_of(given, 8)
+        design_experiment(given, 8)
 
 
 @pytest.mark.parametrize(("count", "noise"), [(0, None), (5, None), (8, 0.0), (8, float("nan"))])
 def test_numbers_that_make_no_plan_are_refused(count, noise):
     with pytest.raises(InputError, match="expected"):
-        experiment_of(scene(), count, noise)
+        design_experiment(scene(), count, noise)

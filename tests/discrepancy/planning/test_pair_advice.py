@@ -8,7 +8,7 @@ from discrepancy_clips import collisions
 from discrepancy.fitting.gauss_newton import fit_model
 from discrepancy.fitting.parameters import BASE, candidates
 from discrepancy.noise.model import estimate
-from discrepancy.planning.pair_advice import Design, advice, designs
+from discrepancy.planning.pair_advice import ComparedDesign, advise, compare_designs
 from synthcam.model import Model
 
 CANDIDATES = {s.name: s for s in candidates(Model(), BASE)}
@@ -20,7 +20,7 @@ def found(one, other):
     noise = estimate(clips)
     fit = fit_model(clips, Model(), BASE, noise)
     pair = [(CANDIDATES[n], next(iter(CANDIDATES[n].grid(Model())))) for n in (one, other)]
-    return {d.words: d.cosine for d in designs(clips, noise, fit, *pair)}
+    return {d.words: d.cosine for d in compare_designs(clips, noise, fit, *pair)}
 
 
 def test_exchanged_balls_part_a_hop_from_a_heavier_ball():
@@ -36,12 +36,14 @@ def test_nothing_parts_a_heavier_ball_from_a_larger_one():
 
 
 def test_the_advice_is_the_best_of_the_designs():
-    said = advice(
-        CANDIDATES["hop"], CANDIDATES["mass_mismatch"], [Design(w, c) for w, c in found("hop", "mass_mismatch").items()]
+    said = advise(
+        CANDIDATES["hop"],
+        CANDIDATES["mass_mismatch"],
+        [ComparedDesign(w, c) for w, c in found("hop", "mass_mismatch").items()],
     )
     assert said.startswith("To part hop and mass_mismatch: the balls exchanged in half of the collisions;")
-    hopeless = advice(
-        CANDIDATES["mass_mismatch"], CANDIDATES["diameter_mismatch"], [Design("these collisions", 1.0)] * 3
+    hopeless = advise(
+        CANDIDATES["mass_mismatch"], CANDIDATES["diameter_mismatch"], [ComparedDesign("these collisions", 1.0)] * 3
     )
     assert "No collisions" in hopeless
     assert "weigh the balls" in hopeless
@@ -52,12 +54,15 @@ def test_nothing_parts_an_effect_from_one_that_the_fit_absorbs():
     pair = ("clock_error", "rolling_quadratic")
     cosines = found(*pair)
     assert set(cosines.values()) == {1.0}
-    said = advice(*(CANDIDATES[n] for n in pair), [Design(w, c) for w, c in cosines.items()])
+    said = advise(*(CANDIDATES[n] for n in pair), [ComparedDesign(w, c) for w, c in cosines.items()])
     assert said.startswith("No collisions of two balls part ")
 
 
 @pytest.mark.parametrize(("cosine", "parted"), [(0.87, True), (0.93, False)])
 def test_two_effects_are_parted_under_nine_tenths(cosine, parted):
     pair = CANDIDATES["hop"], CANDIDATES["mass_mismatch"]
-    said = advice(*pair, [Design("these collisions", 0.99), Design("longer films", cosine), Design("all", 0.99)])
+    said = advise(
+        *pair,
+        [ComparedDesign("these collisions", 0.99), ComparedDesign("longer films", cosine), ComparedDesign("all", 0.99)],
+    )
     assert ("To part hop and mass_mismatch: longer films" in said) is parted

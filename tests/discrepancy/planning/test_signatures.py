@@ -9,7 +9,7 @@ from discrepancy_plans import small
 
 from discrepancy.fitting.jacobian import derivative
 from discrepancy.fitting.significance import sigmas
-from discrepancy.planning.signatures import Signatures, needed
+from discrepancy.planning.signatures import Signatures, chi2_to_detect
 
 PAIR = ("air_drag", "rolling_quadratic")
 
@@ -57,10 +57,10 @@ def test_limits_hold_for_realistic_shapes():
     found = limits(only=("stribeck", "viscous_friction"))
     assert found["stribeck.rise"].shapes == {"stribeck.slip": pytest.approx(0.1)}
     assert found["stribeck.rise"].best < found["stribeck.rise"].limit < found["stribeck.rise"].worst
-    assert found["stribeck.rise"].alike == ("viscous_friction",)
+    assert found["stribeck.rise"].indistinguishable == ("viscous_friction",)
 
 
 @pytest.mark.parametrize(("dof", "factor"), [(1, 1.0), (2, 1.0), (2, 80.0), (3, 1.0)])
 def test_half_of_all_experiments_show_more_than_five_sigma_at_the_limit(dof, factor):
-    draws = np.random.default_rng(1).noncentral_chisquare(dof, needed(dof, factor), 4001)
+    draws = np.random.default_rng(1).noncentral_chisquare(dof, chi2_to_detect(dof, factor), 4001)
     assert sigmas(float(np.median(draws)), dof, factor) == pytest.approx(5, abs=0.05)

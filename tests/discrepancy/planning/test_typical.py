@@ -5,7 +5,7 @@ import math
 import pytest
 
 from discrepancy.planning.signatures import Limit, Rival
-from discrepancy.planning.typical import draws_of, typical
+from discrepancy.planning.typical import count_draws, median_limits
 
 
 def limit(size, shows=True, **cosines):
@@ -14,7 +14,7 @@ def limit(size, shows=True, **cosines):
 
 
 def test_limits_and_cosines_are_medians():
-    (found,) = typical([(limit(1.0, a=0.9, b=0.6),), (limit(4.0, a=0.1, b=0.6),), (limit(2.0, a=0.2, b=0.6),)])
+    (found,) = median_limits([(limit(1.0, a=0.9, b=0.6),), (limit(4.0, a=0.1, b=0.6),), (limit(2.0, a=0.2, b=0.6),)])
     assert found.limit == found.best == found.worst == 2.0
     assert [(r.effect, r.cosine) for r in found.rivals] == [("b", 0.6), ("a", 0.2)]
     assert found.naming_limit == pytest.approx(2.0 / 0.8)
@@ -23,16 +23,16 @@ def test_limits_and_cosines_are_medians():
 
 def test_what_shows_in_most_draws_shows():
     one, two = limit(1.0), limit(math.inf, shows=False)
-    assert typical([(one,), (one,), (two,)])[0].shows
-    assert not typical([(one,), (two,), (two,)])[0].shows
+    assert median_limits([(one,), (one,), (two,)])[0].shows
+    assert not median_limits([(one,), (two,), (two,)])[0].shows
 
 
 def test_a_rival_in_few_draws_is_none():
-    (found,) = typical([(limit(1.0, a=0.9),), (limit(1.0),), (limit(1.0),)])
+    (found,) = median_limits([(limit(1.0, a=0.9),), (limit(1.0),), (limit(1.0),)])
     assert found.rivals == ()
     assert found.naming_limit == 1.0
 
 
 @pytest.mark.parametrize(("clips", "draws"), [(6, 5), (30, 5), (60, 3), (150, 1), (1000, 1)])
 def test_few_collisions_are_drawn_more_often(clips, draws):
-    assert draws_of(clips) == draws
+    assert count_draws(clips) == draws

@@ -10,7 +10,7 @@ from discrepancy import policy
 from discrepancy.fitting.gauss_newton import fit_model
 from discrepancy.fitting.model_fit import Evidence
 from discrepancy.fitting.parameters import BASE, candidates_of
-from discrepancy.free_laws.library import free_laws
+from discrepancy.free_laws.library import free_laws_over
 from discrepancy.noise.model import Component, Noise
 from discrepancy.selection.beside_free_law import in_its_place
 from discrepancy.selection.free_law_fit import fill, held_against, moves_of, refilled, with_effect
@@ -30,9 +30,9 @@ def rubbed():
         clips.append(exact(model.replace({"sliding_friction": mu}), CLIPS, 6)[k])
     clips = noisy(clips, 6)
     base, evidence = fit_model(clips, Model(), BASE, NOISE), Evidence.of(clips, NOISE)
-    law = next(s for s in free_laws(base.model, base.launches, clips) if s.name == "friction_clip")
+    law = next(s for s in free_laws_over(base.model, base.launches, clips) if s.name == "friction_clip")
     known = fill(evidence, held_against(law, base, moves_of(evidence, law, base.model, base.launches)), base)
-    tests = ScoreTests.of(known.evidence, known.whole, about=known.plain)
+    tests = ScoreTests.of(known.evidence, known.joint_fit, about=known.model_without_law)
     return evidence, base, known, {c.effect: c for c in tests.ranking()}
 
 
@@ -45,13 +45,15 @@ def beside(rubbed, name, **shapes):
 def test_what_fits_better_in_the_place_of_an_effect_is_found(rubbed):
     evidence, base, *_ = rubbed
     sigma, wrong = beside(rubbed, "viscous_friction")
-    named = candidates_of(wrong.plain, base.model, base.names)["viscous_friction"]
+    named = candidates_of(wrong.model_without_law, base.model, base.names)["viscous_friction"]
     less = refilled(evidence, wrong, named, base, lambda: None)
     ((name, best), *_) = in_its_place(evidence, less, named, (), base, lambda: None)
     assert sigma > policy.FREE_LAW_SIGMA
     assert name == "stribeck"
     assert best.score < wrong.score - policy.RIVAL_EXCLUDED_BY
-    assert best.plain.value("stribeck.slip") == pytest.approx(SLIP, abs=4 * best.whole.std["stribeck.slip"])
+    assert best.model_without_law.value("stribeck.slip") == pytest.approx(
+        SLIP, abs=4 * best.joint_fit.std["stribeck.slip"]
+    )
 
 
 @pytest.mark.parametrize("start", [0.1, 0.3])
@@ -63,7 +65,7 @@ def test_a_shape_parameter_is_found_from_far_beside_a_free_law(rubbed, start):
 def test_an_effect_that_is_no_rival_is_not_asked(rubbed):
     evidence, base, *_ = rubbed
     wrong = beside(rubbed, "viscous_friction")[1]
-    named = candidates_of(wrong.plain, base.model, base.names)["viscous_friction"]
+    named = candidates_of(wrong.model_without_law, base.model, base.names)["viscous_friction"]
     less = refilled(evidence, wrong, named, base, lambda: None)
     assert "stribeck" not in [
         name for name, _ in in_its_place(evidence, less, named, ("stribeck",), base, lambda: None)

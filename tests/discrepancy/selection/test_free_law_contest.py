@@ -11,7 +11,7 @@ from discrepancy.fitting.gauss_newton import fit_model
 from discrepancy.fitting.model_fit import Evidence
 from discrepancy.fitting.parameters import BASE
 from discrepancy.fitting.predict import forecast
-from discrepancy.free_laws.library import free_laws
+from discrepancy.free_laws.library import free_laws_over
 from discrepancy.noise.model import Component, Noise
 from discrepancy.selection.free_law_contest import FreeLawContest
 from discrepancy.selection.free_law_fit import fill, held_against, moves_of, unseen
@@ -42,7 +42,7 @@ def filled_with(name, curve, clips=8, seed=6):
     """Collisions in which one free law is filled with a curve, and the contest's best free law."""
     plain = exact(Model(), clips, seed)
     launches = np.array([c.launch for c in plain])
-    law = next(s for s in free_laws(Model(), launches, plain) if s.name == name)
+    law = next(s for s in free_laws_over(Model(), launches, plain) if s.name == name)
     x = law.axes[0].grid(200)
     coefs = np.linalg.lstsq(law.basis(x), curve(x), rcond=None)[0]
     measured = collisions(law.bent(Model(), coefs), clips, seed)
@@ -74,7 +74,7 @@ def test_its_curve_is_the_truth_within_the_band(wavy):
     std = np.sqrt(np.diag(spread[0]))
     assert np.mean(np.abs(off) < 1.96 * std) >= 0.9
     assert np.median(std) < 5e-4
-    peak, information = best.likelihood()
+    peak, information = best.likelihood_of_curve()
     assert best.law.basis(th) @ peak == pytest.approx(best.law.basis(th) @ best.coefs, abs=1e-3)
     assert np.linalg.eigvalsh(information).min() > -1e-6 * np.linalg.eigvalsh(information).max()
 
@@ -97,15 +97,15 @@ def test_a_free_law_that_beats_the_base_alone_is_the_outcome(wavy):
     outcome, _ = contest.outcome(base)
     assert outcome is not None
     assert outcome.law.name == "restitution_heading"
-    assert outcome.beside(base) == {}
-    assert outcome.plain.effects == ()
+    assert outcome.significances_of_effects(base) == {}
+    assert outcome.model_without_law.effects == ()
 
 
 def test_a_number_of_each_clip_is_fitted_to_clips_kept_out():
     """Restitution that is another in each clip: the law is found, and clips that it never saw fit as well with it."""
     plain = exact(Model(), 12, 9)
     launches = np.array([c.launch for c in plain])
-    law = next(s for s in free_laws(Model(), launches, plain) if s.name == "restitution_clip")
+    law = next(s for s in free_laws_over(Model(), launches, plain) if s.name == "restitution_clip")
     coefs = 3e-3 * np.random.default_rng(3).standard_normal(12)
     shifted = law.undone(plain, Model(), launches, -coefs)
     rng = np.random.default_rng(4)
@@ -135,8 +135,8 @@ def test_what_the_base_holds_rightly_is_no_effect_beside_a_free_law():
     clips = collisions(held, 8, 3)
     base, fit = based(clips, held), fit_model(clips, held, (*BASE, "rolling_quadratic.K"), NOISE)
     evidence = Evidence.of(clips, NOISE)
-    law = next(s for s in free_laws(base.model, base.launches, clips) if s.name == "restitution_speed")
+    law = next(s for s in free_laws_over(base.model, base.launches, clips) if s.name == "restitution_speed")
     look = held_against(law, fit, moves_of(evidence, law, base.model, base.launches))
     filled = fill(evidence, look, base)
-    assert 0.1 / filled.whole.std["rolling_quadratic.K"] > 30
-    assert filled.beside(base)["rolling_quadratic"] < 3.5
+    assert 0.1 / filled.joint_fit.std["rolling_quadratic.K"] > 30
+    assert filled.significances_of_effects(base)["rolling_quadratic"] < 3.5

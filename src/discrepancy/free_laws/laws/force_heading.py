@@ -5,9 +5,9 @@ from typing import Any
 import numpy as np
 
 from discrepancy.arrays import Array
-from discrepancy.free_laws.basis import Axis
-from discrepancy.free_laws.free_law import MotionLaw
-from discrepancy.free_laws.ranges import Ranges, over_heading
+from discrepancy.free_laws.axis import Axis
+from discrepancy.free_laws.law_kinds import MotionLaw
+from discrepancy.free_laws.ranges import CoveredRanges, over_heading
 
 
 class ForceHeading(MotionLaw):
@@ -18,7 +18,7 @@ class ForceHeading(MotionLaw):
     bends = ("push", "velocity")
 
     @staticmethod
-    def over(covered: Ranges) -> tuple[Axis, ...]:
+    def over(covered: CoveredRanges) -> tuple[Axis, ...]:
         return over_heading()
 
     def factors(self, what: Any, speed: Any) -> Array:

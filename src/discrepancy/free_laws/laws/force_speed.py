@@ -5,9 +5,9 @@ from typing import Any
 import numpy as np
 
 from discrepancy.arrays import Array
-from discrepancy.free_laws.basis import Axis
-from discrepancy.free_laws.free_law import MotionLaw
-from discrepancy.free_laws.ranges import Ranges, over_speed
+from discrepancy.free_laws.axis import Axis
+from discrepancy.free_laws.law_kinds import MotionLaw
+from discrepancy.free_laws.ranges import CoveredRanges, over_speed
 
 
 class ForceSpeed(MotionLaw):
@@ -17,12 +17,12 @@ class ForceSpeed(MotionLaw):
     bends = ("push", "velocity")
 
     @staticmethod
-    def over(covered: Ranges) -> tuple[Axis, ...]:
+    def over(covered: CoveredRanges) -> tuple[Axis, ...]:
         return over_speed("speed", "v", covered.speeds, 0.0)
 
     @property
     def title(self) -> str:
-        return f"{self.symbol}{self.whose} along the motion"
+        return f"{self.symbol}{self.ball_suffix} along the motion"
 
     def places(self, what: Any) -> tuple[Array, ...]:
         return (np.asarray(np.hypot(what[..., 0], what[..., 1])),)

@@ -5,9 +5,9 @@ from typing import Any
 import numpy as np
 
 from discrepancy.arrays import Array
-from discrepancy.free_laws.basis import Axis
-from discrepancy.free_laws.free_law import MotionLaw
-from discrepancy.free_laws.ranges import FIELD, Ranges, over_place
+from discrepancy.free_laws.axis import Axis
+from discrepancy.free_laws.law_kinds import MotionLaw
+from discrepancy.free_laws.ranges import FIELD, CoveredRanges, over_place
 
 
 class ForceVelocity(MotionLaw):
@@ -19,7 +19,7 @@ class ForceVelocity(MotionLaw):
     bends = ("push", "velocity")
 
     @staticmethod
-    def over(covered: Ranges) -> tuple[Axis, ...]:
+    def over(covered: CoveredRanges) -> tuple[Axis, ...]:
         return over_place(covered.velocities, FIELD, "m/s")
 
     def factors(self, what: Any, speed: Any) -> Array:

@@ -5,9 +5,9 @@ from typing import Any
 import numpy as np
 
 from discrepancy.arrays import Array
-from discrepancy.free_laws.basis import Axis
-from discrepancy.free_laws.free_law import MotionLaw
-from discrepancy.free_laws.ranges import Ranges, over_speed
+from discrepancy.free_laws.axis import Axis
+from discrepancy.free_laws.law_kinds import MotionLaw
+from discrepancy.free_laws.ranges import CoveredRanges, over_speed
 
 
 class FrictionBallSpeed(MotionLaw):
@@ -16,7 +16,7 @@ class FrictionBallSpeed(MotionLaw):
     bends = ("friction", "velocity")
 
     @staticmethod
-    def over(covered: Ranges) -> tuple[Axis, ...]:
+    def over(covered: CoveredRanges) -> tuple[Axis, ...]:
         return over_speed("speed of the ball", "v", covered.speeds, 0.0)
 
     def places(self, what: Any) -> tuple[Array, ...]:

@@ -1,8 +1,8 @@
 """Sliding friction that depends on the direction of slip."""
 
-from discrepancy.free_laws.basis import Axis
-from discrepancy.free_laws.free_law import MotionLaw
-from discrepancy.free_laws.ranges import Ranges, over_heading
+from discrepancy.free_laws.axis import Axis
+from discrepancy.free_laws.law_kinds import MotionLaw
+from discrepancy.free_laws.ranges import CoveredRanges, over_heading
 
 
 class FrictionHeading(MotionLaw):
@@ -11,5 +11,5 @@ class FrictionHeading(MotionLaw):
     bends = ("friction", "slip")
 
     @staticmethod
-    def over(covered: Ranges) -> tuple[Axis, ...]:
+    def over(covered: CoveredRanges) -> tuple[Axis, ...]:
         return over_heading() if len(covered.slips) else ()

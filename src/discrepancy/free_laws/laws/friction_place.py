@@ -1,8 +1,8 @@
 """Sliding friction that depends on the place."""
 
-from discrepancy.free_laws.basis import Axis
-from discrepancy.free_laws.free_law import MotionLaw
-from discrepancy.free_laws.ranges import MAP, Ranges, over_place
+from discrepancy.free_laws.axis import Axis
+from discrepancy.free_laws.law_kinds import MotionLaw
+from discrepancy.free_laws.ranges import MAP, CoveredRanges, over_place
 
 
 class FrictionPlace(MotionLaw):
@@ -11,5 +11,5 @@ class FrictionPlace(MotionLaw):
     bends = ("friction", "position")
 
     @staticmethod
-    def over(covered: Ranges) -> tuple[Axis, ...]:
+    def over(covered: CoveredRanges) -> tuple[Axis, ...]:
         return over_place(covered.slip_places, MAP)

@@ -1,8 +1,8 @@
 """Sliding friction that depends on the slip speed."""
 
-from discrepancy.free_laws.basis import Axis
-from discrepancy.free_laws.free_law import MotionLaw
-from discrepancy.free_laws.ranges import Ranges, over_speed
+from discrepancy.free_laws.axis import Axis
+from discrepancy.free_laws.law_kinds import MotionLaw
+from discrepancy.free_laws.ranges import CoveredRanges, over_speed
 
 
 class FrictionSpeed(MotionLaw):
@@ -12,5 +12,5 @@ class FrictionSpeed(MotionLaw):
     bends = ("friction", "slip_speed")
 
     @staticmethod
-    def over(covered: Ranges) -> tuple[Axis, ...]:
+    def over(covered: CoveredRanges) -> tuple[Axis, ...]:
         return over_speed("slip speed", "u", covered.slips, 0.0)

@@ -7,9 +7,9 @@ import numpy as np
 from discrepancy.arrays import Array
 from discrepancy.data.collisions import Measured
 from discrepancy.fitting.predict import velocities
-from discrepancy.free_laws.basis import Axis
-from discrepancy.free_laws.free_law import FreeLaw
-from discrepancy.free_laws.ranges import Ranges, over_speed
+from discrepancy.free_laws.axis import Axis
+from discrepancy.free_laws.law_kinds import FreeLaw
+from discrepancy.free_laws.ranges import CoveredRanges, over_speed
 from synthcam.model import Model
 
 
@@ -19,7 +19,7 @@ class LagSpeed(FreeLaw):
     centred = True
 
     @staticmethod
-    def over(covered: Ranges) -> tuple[Axis, ...]:
+    def over(covered: CoveredRanges) -> tuple[Axis, ...]:
         return over_speed("speed", "v", covered.speeds, 0.0)
 
     def columns(self, model: Model, launches: Array, clips: Sequence[Measured]) -> list[Array]:

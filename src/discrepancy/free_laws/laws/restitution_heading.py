@@ -2,9 +2,9 @@
 
 from discrepancy.arrays import Array
 from discrepancy.data.launch import HEADING
-from discrepancy.free_laws.basis import Axis
-from discrepancy.free_laws.free_law import ImpactLaw
-from discrepancy.free_laws.ranges import Ranges, over_heading
+from discrepancy.free_laws.axis import Axis
+from discrepancy.free_laws.law_kinds import ImpactLaw
+from discrepancy.free_laws.ranges import CoveredRanges, over_heading
 
 
 class RestitutionHeading(ImpactLaw):
@@ -13,7 +13,7 @@ class RestitutionHeading(ImpactLaw):
     bends = ("restitution", "heading")
 
     @staticmethod
-    def over(covered: Ranges) -> tuple[Axis, ...]:
+    def over(covered: CoveredRanges) -> tuple[Axis, ...]:
         return over_heading()
 
     def at_impact(self, launches: Array) -> Array:

@@ -2,9 +2,9 @@
 
 from discrepancy.arrays import Array
 from discrepancy.data.launch import normal_speed
-from discrepancy.free_laws.basis import Axis
-from discrepancy.free_laws.free_law import ImpactLaw
-from discrepancy.free_laws.ranges import Ranges, over_speed
+from discrepancy.free_laws.axis import Axis
+from discrepancy.free_laws.law_kinds import ImpactLaw
+from discrepancy.free_laws.ranges import CoveredRanges, over_speed
 
 
 class RestitutionSpeed(ImpactLaw):
@@ -13,7 +13,7 @@ class RestitutionSpeed(ImpactLaw):
     bends = ("restitution", "normal_speed")
 
     @staticmethod
-    def over(covered: Ranges) -> tuple[Axis, ...]:
+    def over(covered: CoveredRanges) -> tuple[Axis, ...]:
         return over_speed("normal speed", "v_n", normal_speed(covered.launches))
 
     def at_impact(self, launches: Array) -> Array:

@@ -1,6 +1,6 @@
 """A rolling loss at rest of each clip."""
 
-from discrepancy.free_laws.free_law import ClipNumber
+from discrepancy.free_laws.law_kinds import ClipNumber
 
 
 class RollingClip(ClipNumber):

@@ -1,8 +1,8 @@
 """A rolling loss that depends on the speed."""
 
-from discrepancy.free_laws.basis import Axis
-from discrepancy.free_laws.free_law import MotionLaw
-from discrepancy.free_laws.ranges import Ranges, over_speed
+from discrepancy.free_laws.axis import Axis
+from discrepancy.free_laws.law_kinds import MotionLaw
+from discrepancy.free_laws.ranges import CoveredRanges, over_speed
 
 
 class RollingSpeed(MotionLaw):
@@ -13,5 +13,5 @@ class RollingSpeed(MotionLaw):
     bends = ("rolling", "speed")
 
     @staticmethod
-    def over(covered: Ranges) -> tuple[Axis, ...]:
+    def over(covered: CoveredRanges) -> tuple[Axis, ...]:
         return over_speed("speed", "v", covered.roll_speeds, 0.0)

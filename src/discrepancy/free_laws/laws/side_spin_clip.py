@@ -11,9 +11,9 @@ from discrepancy.arrays import Array
 from discrepancy.data.collisions import Measured
 from discrepancy.data.launch import SIDE, with_spins
 from discrepancy.fitting.predict import forecast
-from discrepancy.free_laws.basis import Axis
-from discrepancy.free_laws.free_law import FreeLaw
-from discrepancy.free_laws.ranges import Ranges, over_clips
+from discrepancy.free_laws.axis import Axis
+from discrepancy.free_laws.law_kinds import FreeLaw
+from discrepancy.free_laws.ranges import CoveredRanges, over_clips
 from synthcam.model import LAUNCH_SPIN, Model
 
 STEP = 1e-4  # m/s
@@ -25,7 +25,7 @@ class SideSpinClip(FreeLaw):
     frees = LAUNCH_SPIN
 
     @staticmethod
-    def over(covered: Ranges) -> tuple[Axis, ...]:
+    def over(covered: CoveredRanges) -> tuple[Axis, ...]:
         own = with_spins(covered.launches)[:, SIDE]
         return () if own.any() else over_clips(len(own))  # the launches have it
 

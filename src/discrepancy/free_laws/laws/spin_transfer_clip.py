@@ -1,6 +1,6 @@
 """A spin transfer of each clip."""
 
-from discrepancy.free_laws.free_law import ClipNumber
+from discrepancy.free_laws.law_kinds import ClipNumber
 
 
 class SpinTransferClip(ClipNumber):

@@ -4,9 +4,9 @@ import numpy as np
 
 from discrepancy.arrays import Array
 from discrepancy.data.launch import B
-from discrepancy.free_laws.basis import Axis
-from discrepancy.free_laws.free_law import ImpactLaw
-from discrepancy.free_laws.ranges import Ranges, over_obliqueness
+from discrepancy.free_laws.axis import Axis
+from discrepancy.free_laws.law_kinds import ImpactLaw
+from discrepancy.free_laws.ranges import CoveredRanges, over_obliqueness
 
 
 class SpinTransferObliqueness(ImpactLaw):
@@ -15,7 +15,7 @@ class SpinTransferObliqueness(ImpactLaw):
     bends = ("spin_transfer", "obliqueness")
 
     @staticmethod
-    def over(covered: Ranges) -> tuple[Axis, ...]:
+    def over(covered: CoveredRanges) -> tuple[Axis, ...]:
         return over_obliqueness(covered.launches)
 
     def at_impact(self, launches: Array) -> Array:

@@ -7,9 +7,9 @@ import numpy as np
 from discrepancy.arrays import Array
 from discrepancy.data.collisions import Measured
 from discrepancy.fitting.predict import forecast
-from discrepancy.free_laws.basis import Axis
-from discrepancy.free_laws.free_law import FreeLaw
-from discrepancy.free_laws.ranges import FIELD, Ranges, over_place
+from discrepancy.free_laws.axis import Axis
+from discrepancy.free_laws.law_kinds import FreeLaw
+from discrepancy.free_laws.ranges import FIELD, CoveredRanges, over_place
 from synthcam.model import Model
 
 
@@ -22,7 +22,7 @@ class WarpPlace(FreeLaw):
     bends = ("measure", "")
 
     @staticmethod
-    def over(covered: Ranges) -> tuple[Axis, ...]:
+    def over(covered: CoveredRanges) -> tuple[Axis, ...]:
         seen = np.concatenate([c.xy for c in covered.clips])  # a ball may move where no camera looks
         return over_place(_pixels(covered.clips[0], seen), FIELD, "px")
 

@@ -9,17 +9,17 @@ from discrepancy_laws import with_constant
 
 from discrepancy.data.launch import V0, B
 from discrepancy.fitting.predict import forecast
-from discrepancy.free_laws.basis import Axis
-from discrepancy.free_laws.free_law import ImpactLaw, MotionLaw
+from discrepancy.free_laws.axis import Axis
+from discrepancy.free_laws.law_kinds import ImpactLaw, MotionLaw
 from discrepancy.free_laws.laws.force_place import ForcePlace
-from discrepancy.free_laws.library import free_laws
+from discrepancy.free_laws.library import free_laws_over
 from synthcam.library import library
 from synthcam.model import Model
 from synthcam_shared.errors import InputError
 
 CLIPS = exact(Model(), 5, 11)
 LAUNCHES = np.array([c.launch for c in CLIPS])
-LAWS = {s.name: s for s in free_laws(Model(), LAUNCHES, CLIPS)}
+LAWS = {s.name: s for s in free_laws_over(Model(), LAUNCHES, CLIPS)}
 STEP = {"rolling": 3e-4, "measure": 1e-2}  # of the others 1e-3
 BENT = [name for name, law in LAWS.items() if law.bends]
 
@@ -45,7 +45,7 @@ def test_strikers_that_slide_are_moved_by_the_law_of_slides(name):
     rng = np.random.default_rng(2)
     spins = [[0.1, -0.1, 0.2], [-0.15, 0.05, 0.0], [0.0, 0.0, 0.3], [0.0, 0.0, 0.0]]
     places = np.concatenate([LAUNCHES, np.resize(spins, (len(LAUNCHES), 3))], axis=1)
-    (law,) = (s for s in free_laws(Model(), places, CLIPS) if s.name == name)
+    (law,) = (s for s in free_laws_over(Model(), places, CLIPS) if s.name == name)
     step, way = STEP.get(law.bends[0], 1e-3), rng.standard_normal(law.size) / np.sqrt(law.size)
     told = np.concatenate(law.columns(Model(), places, CLIPS)) @ way
     ahead, behind = (np.concatenate(forecast(law.bent(Model(), sign * step * way), places, CLIPS)) for sign in (1, -1))
@@ -115,7 +115,7 @@ def test_a_warp_is_looked_for_where_balls_were_seen():
         dataclasses.replace(c, frame=c.frame[k], ball=c.ball[k], xy=c.xy[k], covariance=c.covariance[k])
         for c, k in zip(CLIPS, near, strict=True)
     ]
-    x, _ = next(s for s in free_laws(Model(), LAUNCHES, cut) if s.name == "warp_place").axes
+    x, _ = next(s for s in free_laws_over(Model(), LAUNCHES, cut) if s.name == "warp_place").axes
     xy = np.concatenate([c.xy for c in cut])
     seen = cut[0].camera.project(np.concatenate([xy, np.full((len(xy), 1), cut[0].camera.radius)], axis=1))[:, 0]
     assert (x.low, x.high) == (pytest.approx(seen.min()), pytest.approx(seen.max()))

@@ -11,8 +11,8 @@ from discrepancy_outsiders import OUTSIDERS, outsider
 from discrepancy.fitting.gauss_newton import fit_model
 from discrepancy.fitting.model_fit import Evidence
 from discrepancy.fitting.parameters import BASE
-from discrepancy.free_laws.answer import SIDE, Answer, words
-from discrepancy.free_laws.library import free_laws
+from discrepancy.free_laws.law_summary import SIDE, LawSummary, describe_law
+from discrepancy.free_laws.library import free_laws_over
 from discrepancy.noise.model import Component, Noise
 from discrepancy.selection.free_law_contest import FreeLawContest
 from synthcam.model import Model
@@ -36,17 +36,17 @@ def test_a_map_is_given_at_pairs_within_its_ranges():
 
 
 def test_words():
-    assert words(outsider("friction_place").free_law.law) == "mu that depends on the place"
-    assert words(outsider("restitution_speed").free_law.law) == "r that depends on the normal speed"
+    assert describe_law(outsider("friction_place").free_law.law) == "mu that depends on the place"
+    assert describe_law(outsider("restitution_speed").free_law.law) == "r that depends on the normal speed"
 
 
 def test_a_number_for_each_clip_is_given_with_the_clips_own_number():
     numbers = [0, 2, 3, 7, 9, 20]
     plain = [dataclasses.replace(c, clip=n) for c, n in zip(exact(Model(), 6, 9), numbers, strict=True)]
     starts, noise = np.array([c.launch for c in plain]), Noise(Component(1.0))
-    law = next(s for s in free_laws(Model(), starts, plain) if s.name == "restitution_clip")
+    law = next(s for s in free_laws_over(Model(), starts, plain) if s.name == "restitution_clip")
     clips = noisy(law.undone(plain, Model(), starts, 3e-3 * np.array([1, -1, 0, 2, -2, 0])), 9)
     filled = FreeLawContest.of(Evidence.of(clips, noise), fit_model(clips, Model(), BASE, noise)).fitted
-    answer = Answer.of(next(f for f in filled if f.law.name == "restitution_clip"))
+    answer = LawSummary.of(next(f for f in filled if f.law.name == "restitution_clip"))
     assert answer.x[0].tolist() == answer.document()["x"] == numbers
     assert len(answer.curve) == len(numbers)

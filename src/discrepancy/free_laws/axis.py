@@ -46,7 +46,7 @@ class Axis:
         start = (self.low + self.high) / 2 - WIDER * (self.high - self.low) / 2
         return _cosines(self._waves[1] * (x[..., 0] - start), self.count)
 
-    def spread(self, length: float) -> Array:
+    def prior_variances(self, length: float) -> Array:
         """Prior variances (count,) of the coefficients of a curve that changes over `length`, of the range or of a
         radian; its own variance is about one.
 

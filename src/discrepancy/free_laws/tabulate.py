@@ -11,7 +11,7 @@ import numpy as np
 from discrepancy.arrays import Array
 from discrepancy.fitting.gauss_newton import linearised, settle
 from discrepancy.fitting.model_fit import Fit
-from discrepancy.free_laws.credible_band import Mixture
+from discrepancy.free_laws.credible_band import NormalMixture
 from discrepancy.free_laws.fitted_law import FittedLaw
 from synthcam.free_law import TabulatedLaw, kind_of
 from synthcam.model import BASE, Model, build, settings_of
@@ -19,7 +19,7 @@ from synthcam.model import BASE, Model, build, settings_of
 PLACES, TURN, SIDE = 81, 73, 25  # of a table: of a curve, of one over all directions, along each side of a map
 
 
-def in_model(fitted_law: FittedLaw, progress: Callable[[], None] = lambda: None) -> Fit | None:
+def tabulate_and_refit(fitted_law: FittedLaw, progress: Callable[[], None] = lambda: None) -> Fit | None:
     """Put a free law into the model as a table and fit all else that is fitted again.
 
     The smooth curve and the one that may have a step are tried; the one that leaves less is taken.
@@ -41,9 +41,9 @@ def in_model(fitted_law: FittedLaw, progress: Callable[[], None] = lambda: None)
     except KeyError:
         return None
     x = _grid(fitted_law)
-    for curve in (fitted_law.curve(*x)[0], Mixture.of(fitted_law, *x).quantile(0.0)):
+    for curve in (fitted_law.curve(*x)[0], NormalMixture.of(fitted_law, *x).quantile(0.0)):
         with suppress(ValueError):
-            model = _with_table(fitted_law.plain, law.name, x, curve)
+            model = _with_table(fitted_law.model_without_law, law.name, x, curve)
             start = linearised(fitted_law.evidence, model, fitted_law.fit.names, fitted_law.fit.launches)
             found.append(settle(fitted_law.evidence, start, progress))
     best = min(found, key=lambda fit: fit.chi2, default=None)

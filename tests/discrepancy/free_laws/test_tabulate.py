@@ -8,7 +8,7 @@ from discrepancy_clips import collisions, only
 from discrepancy_outsiders import FEW, OUTSIDERS, outsider
 
 from discrepancy.fitting.gauss_newton import fit_model
-from discrepancy.free_laws.tabulated import in_model
+from discrepancy.free_laws.tabulate import tabulate_and_refit
 from discrepancy.report.html import document
 from discrepancy.search import find
 from synthcam.free_law import TabulatedLaw
@@ -95,7 +95,7 @@ def test_what_no_model_holds_has_no_table():
     class Unknown(type(found.law)):
         name = "restitution_of_the_weather"
 
-    assert in_model(dataclasses.replace(found, law=Unknown(found.law.axes))) is None
+    assert tabulate_and_refit(dataclasses.replace(found, law=Unknown(found.law.axes))) is None
 
 
 def test_the_covariance_of_the_curve_is_that_of_its_band():

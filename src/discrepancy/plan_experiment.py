@@ -13,12 +13,20 @@ import pandas as pd
 
 from discrepancy.fitting.parameters import candidates
 from discrepancy.planning.changes import CHANGES
-from discrepancy.planning.compare import Tried, Wanted, alike, changed, clips_for, cosine_of, gain
-from discrepancy.planning.of_scene import Designed, experiment_of
-from discrepancy.planning.outcome import AlikePair, Planned
-from discrepancy.planning.pair_advice import THESE, Design, advice
+from discrepancy.planning.compare import (
+    ChangeLimits,
+    CollisionsNeeded,
+    compute_gain,
+    count_collisions_needed,
+    indistinguishable_pairs,
+    largest_cosine,
+    limits_with_changes,
+)
+from discrepancy.planning.of_scene import DesignedExperiment, design_experiment
+from discrepancy.planning.outcome import IndistinguishablePair, PlanResult
+from discrepancy.planning.pair_advice import AS_FILMED, ComparedDesign, advise
 from discrepancy.planning.signatures import Limit, Signatures
-from discrepancy.planning.typical import draws_of, typical
+from discrepancy.planning.typical import count_draws, median_limits
 from discrepancy.report import plan_page
 from discrepancy.report.staging import PLAN, aside
 from synthcam.library import library
@@ -26,7 +34,7 @@ from synthcam.scene.scene import Scene
 from synthcam.settings import did_you_mean
 from synthcam_shared.errors import InputError
 
-MOST_DRAWN = 400  # collisions drawn to work out a limit that is wanted
+MAX_COLLISIONS_DRAWN = 400  # collisions drawn to work out a limit that is wanted
 Progress = Callable[[int, int], None]
 
 
@@ -40,7 +48,7 @@ class Plan:
         All of it: limits, likest rivals, changes.
     """
 
-    outcome: Planned
+    outcome: PlanResult
 
     @property
     def table(self) -> pd.DataFrame:
@@ -61,7 +69,7 @@ class Plan:
         return pd.DataFrame([[getattr(g, n) for n in names] for g in self.outcome.gains], columns=names)
 
     @property
-    def wanted(self) -> tuple[Wanted, ...]:
+    def wanted(self) -> tuple[CollisionsNeeded, ...]:
         """For each limit asked for, how many collisions it takes."""
         return self.outcome.wanted
 
@@ -165,30 +173,30 @@ def plan(
     1  viscous_friction.k   True  [stribeck]
     """
     given = scene if isinstance(scene, Scene) else Scene.read(Path(scene))
-    designed = experiment_of(given, clips, noise, seed)
-    known = [c.name for c in candidates(designed.fitted.model, designed.fitted.names)]
-    chosen, wished = _chosen(effects, known), _wished(limits or {}, known)
-    tick = _Ticks(progress, draws_of(clips) + changes * (len(CHANGES) + 2) + 2 * len(wished))
-    found = _typical(given, clips, noise, seed, tick)
+    designed = design_experiment(given, clips, noise, seed)
+    known = [c.name for c in candidates(designed.experiment.model, designed.experiment.names)]
+    chosen, wished = _choose_effects(effects, known), _parse_wanted(limits or {}, known)
+    tick = _ProgressCounter(progress, count_draws(clips) + changes * (len(CHANGES) + 2) + 2 * len(wished))
+    found = _typical_limits(given, clips, noise, seed, tick)
     rows = tuple(x for x in found if x.effect in chosen)
-    before, after = changed(designed.fitted, tick) if changes else (found, ())
-    gains = sorted((gain(before, t, chosen) for t in after), key=lambda g: -g.naming)
+    before, after = limits_with_changes(designed.experiment, tick) if changes else (found, ())
+    gains = sorted((compute_gain(before, t, chosen) for t in after), key=lambda g: -g.naming)
 
     def limit_at(strength: str, count: int) -> float:
-        there = _typical(given, count, noise, seed, only=[strength.partition(".")[0]])
+        there = _typical_limits(given, count, noise, seed, only=[strength.partition(".")[0]])
         tick()
-        return _row(there, strength).limit
+        return _limit_of(there, strength).limit
 
     wanted = [
-        clips_for(one, size, _row(found, one), clips, partial(limit_at, one), MOST_DRAWN)
+        count_collisions_needed(one, size, _limit_of(found, one), clips, partial(limit_at, one), MAX_COLLISIONS_DRAWN)
         for one, size in wished.items()
     ]
     tick.end()
-    pairs = _pairs(found, before, after, chosen, designed)
-    return Plan(Planned(given.name, designed, rows, pairs, before, after, tuple(gains), tuple(wanted)))
+    pairs = _pairs_with_advice(found, before, after, chosen, designed)
+    return Plan(PlanResult(given.name, designed, rows, pairs, before, after, tuple(gains), tuple(wanted)))
 
 
-class _Ticks:
+class _ProgressCounter:
     """Counts the experiments worked out."""
 
     def __init__(self, progress: Progress, total: int) -> None:
@@ -202,7 +210,7 @@ class _Ticks:
         self.progress(self.total, self.total)
 
 
-def _typical(
+def _typical_limits(
     scene: Scene,
     count: int,
     noise: float | None,
@@ -212,25 +220,25 @@ def _typical(
 ) -> tuple[Limit, ...]:
     """Limits of a typical draw of a scene's experiment."""
     draws = []
-    for k in range(draws_of(count)):
-        draws.append(Signatures.of(experiment_of(scene, count, noise, seed + k).fitted, only).limits())
+    for k in range(count_draws(count)):
+        draws.append(Signatures.of(design_experiment(scene, count, noise, seed + k).experiment, only).limits())
         tick()
-    return typical(draws)
+    return median_limits(draws)
 
 
-def _row(limits: Sequence[Limit], strength: str) -> Limit:
+def _limit_of(limits: Sequence[Limit], strength: str) -> Limit:
     return next(x for x in limits if x.strength == strength)
 
 
-def _chosen(effects: Sequence[str] | None, known: Sequence[str]) -> list[str]:
+def _choose_effects(effects: Sequence[str] | None, known: Sequence[str]) -> list[str]:
     if isinstance(effects, str) or effects == []:
         raise InputError(f"effects: expected a list of names, found {effects!r}")
     for name in effects or ():
-        _check(name, known)
+        _check_effect(name, known)
     return list(effects or known)
 
 
-def _check(name: str, known: Sequence[str]) -> None:
+def _check_effect(name: str, known: Sequence[str]) -> None:
     if name in known:
         return
     if name in library():
@@ -239,12 +247,12 @@ def _check(name: str, known: Sequence[str]) -> None:
     raise InputError(f"{name}: no such effect{near}")
 
 
-def _wished(limits: Mapping[str, float], known: Sequence[str]) -> dict[str, float]:
+def _parse_wanted(limits: Mapping[str, float], known: Sequence[str]) -> dict[str, float]:
     """The limits wanted by dotted strength. Raises InputError."""
     found: dict[str, float] = {}
     for key, size in limits.items():
         effect = key if key in known else key.partition(".")[0]
-        _check(effect, known)
+        _check_effect(effect, known)
         strengths = [f"{effect}.{p.name}" for p in library()[effect].strengths()] if effect in library() else [effect]
         if key not in (effect, *strengths):
             raise InputError(f"limit {key}: no such strength; {effect} has {', '.join(strengths)}")
@@ -254,14 +262,21 @@ def _wished(limits: Mapping[str, float], known: Sequence[str]) -> dict[str, floa
     return found
 
 
-def _pairs(
-    found: tuple[Limit, ...], before: tuple[Limit, ...], after: Sequence[Tried], chosen: Sequence[str], here: Designed
-) -> tuple[AlikePair, ...]:
+def _pairs_with_advice(
+    found: tuple[Limit, ...],
+    before: tuple[Limit, ...],
+    after: Sequence[ChangeLimits],
+    chosen: Sequence[str],
+    here: DesignedExperiment,
+) -> tuple[IndistinguishablePair, ...]:
     """The pairs that could not be told apart, each with what would part it."""
-    known = {c.name: c for c in candidates(here.fitted.model, here.fitted.names)}
+    known = {c.name: c for c in candidates(here.experiment.model, here.experiment.names)}
     out = []
-    for pair in alike(found, chosen):
-        tries = [Design(THESE, cosine_of(before, pair)), *(Design(t.words, cosine_of(t.limits, pair)) for t in after)]
-        said = advice(known[pair[0]], known[pair[1]], tries) if after else ""
-        out.append(AlikePair(pair, cosine_of(found, pair), said))
+    for pair in indistinguishable_pairs(found, chosen):
+        tries = [
+            ComparedDesign(AS_FILMED, largest_cosine(before, pair)),
+            *(ComparedDesign(t.words, largest_cosine(t.limits, pair)) for t in after),
+        ]
+        said = advise(known[pair[0]], known[pair[1]], tries) if after else ""
+        out.append(IndistinguishablePair(pair, largest_cosine(found, pair), said))
     return tuple(out)

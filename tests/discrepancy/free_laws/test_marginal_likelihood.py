@@ -7,11 +7,16 @@ import pytest
 from scipy.optimize import minimize_scalar
 from scipy.stats import multivariate_normal
 
-from discrepancy.free_laws.basis import Axis
-from discrepancy.free_laws.evidence import LENGTHS, freedom, significance, weigh
+from discrepancy.free_laws.axis import Axis
 from discrepancy.free_laws.laws.friction_place import FrictionPlace
 from discrepancy.free_laws.laws.restitution_speed import RestitutionSpeed
 from discrepancy.free_laws.laws.warp_place import WarpPlace
+from discrepancy.free_laws.marginal_likelihood import (
+    LENGTHS,
+    compute_significance,
+    cost_of_strengths,
+    maximise_evidence,
+)
 
 LAW = RestitutionSpeed((Axis("normal speed", "m/s", 0.1, 0.6, 8),))
 RNG = np.random.default_rng(5)
@@ -27,11 +32,11 @@ def evidence(left, prior, size):
 
 def test_the_gain_is_the_mean_marginal_likelihood_of_all_lengths_each_of_its_best_size():
     left = DESIGN @ RNG.standard_normal(8) + RNG.standard_normal(30)
-    weight = weigh(LAW, DESIGN.T @ DESIGN, DESIGN.T @ left)
+    weight = maximise_evidence(LAW, DESIGN.T @ DESIGN, DESIGN.T @ left)
     prior = weight.prior
 
     def best(length):
-        some = dataclasses.replace(prior, spread=LAW.spread(length))
+        some = dataclasses.replace(prior, spread=LAW.prior_variances(length))
         found = minimize_scalar(lambda s: -evidence(left, some, np.exp(s)), bounds=(-6, 6), method="bounded")
         return -found.fun
 
@@ -47,10 +52,12 @@ def test_the_gain_is_the_mean_marginal_likelihood_of_all_lengths_each_of_its_bes
 
 def test_a_curve_that_is_there_is_worth_its_freedom_and_noise_is_not():
     noise = RNG.standard_normal((200, 30))
-    gains = [weigh(LAW, DESIGN.T @ DESIGN, DESIGN.T @ n).gain for n in noise]
+    gains = [maximise_evidence(LAW, DESIGN.T @ DESIGN, DESIGN.T @ n).gain for n in noise]
     assert np.quantile(gains, 0.99) < 9.5
     curve = DESIGN @ (3 * np.eye(8)[1])
-    assert np.quantile([weigh(LAW, DESIGN.T @ DESIGN, DESIGN.T @ (n + curve)).gain for n in noise], 0.01) > 9.5
+    assert (
+        np.quantile([maximise_evidence(LAW, DESIGN.T @ DESIGN, DESIGN.T @ (n + curve)).gain for n in noise], 0.01) > 9.5
+    )
 
 
 def test_a_field_that_acts_and_changes_along_one_axis_costs_less_freedom():
@@ -63,8 +70,8 @@ def test_a_field_that_acts_and_changes_along_one_axis_costs_less_freedom():
     design = np.kron(np.eye(2), one)
     signal = np.concatenate([one @ truth, np.zeros(400)])
     pull = design.T @ (10 * signal / np.linalg.norm(signal - signal.mean()))
-    weight = weigh(law, design.T @ design, pull)
-    spread = law.spread(weight.prior.length)
+    weight = maximise_evidence(law, design.T @ design, pull)
+    spread = law.prior_variances(weight.prior.length)
     matrix = np.eye(128) + weight.prior.size**2 * spread[:, None] * (design.T @ design)
     alike = pull @ np.linalg.solve(matrix, weight.prior.size**2 * spread * pull) - np.linalg.slogdet(matrix)[1]
     assert 0 < weight.prior.cost - 4 * np.log(3) < 2 * np.log(len(LENGTHS))
@@ -73,7 +80,9 @@ def test_a_field_that_acts_and_changes_along_one_axis_costs_less_freedom():
 
 
 def test_significance_is_rare_in_noise():
-    scores = np.array([significance(LAW, DESIGN.T @ DESIGN, DESIGN.T @ n) for n in RNG.standard_normal((600, 30))])
+    scores = np.array(
+        [compute_significance(LAW, DESIGN.T @ DESIGN, DESIGN.T @ n) for n in RNG.standard_normal((600, 30))]
+    )
     assert 0.01 < np.mean(scores > 1.96) < 0.06  # 5 % of a normal variable; the trials overlap
     assert scores.max() < 4
 
@@ -85,24 +94,24 @@ def test_a_smooth_map_is_found_among_many_coefficients():
     x, y = RNG.uniform(0, 1, (2, 400))
     design = plate.basis(x, y)
     smooth = 10 * design[:, 1] / np.linalg.norm(design[:, 1])
-    assert 8.5 < significance(plate, design.T @ design, design.T @ smooth) <= 10
+    assert 8.5 < compute_significance(plate, design.T @ design, design.T @ smooth) <= 10
 
 
 def test_nothing_seen_is_nothing():
-    assert significance(LAW, np.zeros((8, 8)), np.zeros(8)) == 0
+    assert compute_significance(LAW, np.zeros((8, 8)), np.zeros(8)) == 0
 
 
 @pytest.mark.parametrize("z", [2.0, 10.0, 300.0])
 def test_the_price_of_freedom_in_closed_form(z):
     """One number, z standard deviations from zero: 1 + ln z^2. Two alike: twice that. Units are nothing to it."""
     one = 1 + np.log(z**2)
-    assert freedom(np.eye(1), np.array([z])) == pytest.approx(one, abs=0.02)
-    assert freedom(np.eye(2), np.array([z, -z])) == pytest.approx(2 * one, abs=0.04)
-    assert freedom(1e6 * np.eye(2), np.array([z, z]) / 1e3) == pytest.approx(2 * one, abs=0.04)
-    assert freedom(np.eye(2), np.array([0, z])) == pytest.approx(
+    assert cost_of_strengths(np.eye(1), np.array([z])) == pytest.approx(one, abs=0.02)
+    assert cost_of_strengths(np.eye(2), np.array([z, -z])) == pytest.approx(2 * one, abs=0.04)
+    assert cost_of_strengths(1e6 * np.eye(2), np.array([z, z]) / 1e3) == pytest.approx(2 * one, abs=0.04)
+    assert cost_of_strengths(np.eye(2), np.array([0, z])) == pytest.approx(
         min(one + 2 * np.log(3), 2 + 2 * np.log(z**2 / 2)), abs=0.04
     )
 
 
 def test_nothing_found_costs_nothing_more_than_it_gains():
-    assert freedom(np.eye(1), np.array([0.5])) == pytest.approx(0.25)
+    assert cost_of_strengths(np.eye(1), np.array([0.5])) == pytest.approx(0.25)

@@ -20,8 +20,8 @@ from discrepancy.data.collisions import Measured
 from discrepancy.fitting.jacobian import derivative
 from discrepancy.fitting.predict import forecast
 from discrepancy.fitting.response import Leg, responses
-from discrepancy.free_laws.basis import Axis
-from discrepancy.free_laws.ranges import Ranges, over_clips
+from discrepancy.free_laws.axis import Axis
+from discrepancy.free_laws.ranges import CoveredRanges, over_clips
 from synthcam.effect import LAWS, VECTORS
 from synthcam.free_law import PACE, AddedLaw, TabulatedLaw
 from synthcam.model import Model
@@ -100,7 +100,7 @@ class FreeLaw(ABC):
 
     @staticmethod
     @abstractmethod
-    def over(covered: Ranges) -> tuple[Axis, ...]:
+    def over(covered: CoveredRanges) -> tuple[Axis, ...]:
         """Its axes over what the tracks cover; none where they show nothing of it."""
 
     @abstractmethod
@@ -113,17 +113,17 @@ class FreeLaw(ABC):
         return type(self).__module__.rpartition(".")[2] + (f"_{self.ball}" if self.ball else "")
 
     @property
-    def whose(self) -> str:
+    def ball_suffix(self) -> str:
         """ " of ball a", or nothing."""
         return f" of ball {self.ball}" if self.ball else ""
 
     @property
     def title(self) -> str:
         """Its symbol, and whose it is."""
-        return self.symbol + self.whose
+        return self.symbol + self.ball_suffix
 
     @property
-    def each_clip(self) -> bool:
+    def is_per_clip(self) -> bool:
         """Whether it is a number of each clip."""
         return self.axes[0].kind == "set"
 
@@ -160,7 +160,7 @@ class FreeLaw(ABC):
             out = out - parts @ self._middle
         return np.asarray(out[..., 0] if self.parts == 1 else out)
 
-    def known(self, model: Model, *x: Any) -> Array:
+    def value_in_model(self, model: Model, *x: Any) -> Array:
         """What the model has of the law at x already, (n, parts): its base parameters, and a table of this very law."""
         out = np.zeros((len(x[0]), self.parts))
         for name, power in self.owners:
@@ -170,11 +170,11 @@ class FreeLaw(ABC):
                 out += held.beyond(*x).reshape(out.shape)
         return out
 
-    def spread(self, *lengths: float) -> Array:
+    def prior_variances(self, *lengths: float) -> Array:
         """Prior variances of all coefficients, (size,), of a law that changes over a length, or one of each axis."""
         out = np.ones(1)
         for axis, length in zip(self.axes, lengths * (len(self.axes) // len(lengths)), strict=True):
-            out = np.outer(out, axis.spread(length)).ravel()
+            out = np.outer(out, axis.prior_variances(length)).ravel()
         return np.tile(out, self.parts)
 
     def places(self, what: Any) -> tuple[Array, ...]:
@@ -202,8 +202,8 @@ class FreeLaw(ABC):
         """The model with the law, given its coefficients, as an effect; unchanged where no effect can hold it."""
         if not self.bends:
             return model
-        others = tuple(e for e in model.effects if not (isinstance(e, LawEffect) and e.law.name == self.name))
-        return replace(model, effects=(*others, LawEffect(self, tuple(np.asarray(coefs, dtype=float).tolist()))))
+        others = tuple(e for e in model.effects if not (isinstance(e, SeriesEffect) and e.law.name == self.name))
+        return replace(model, effects=(*others, SeriesEffect(self, tuple(np.asarray(coefs, dtype=float).tolist()))))
 
 
 class MotionLaw(FreeLaw):
@@ -264,7 +264,7 @@ class ClipNumber(ImpactLaw):
     """A number of its one owner for each clip. No effect can hold it, since a model is that of all clips."""
 
     @staticmethod
-    def over(covered: Ranges) -> tuple[Axis, ...]:
+    def over(covered: CoveredRanges) -> tuple[Axis, ...]:
         return over_clips(len(covered.clips))
 
     def at_impact(self, launches: Array) -> Array:
@@ -280,7 +280,7 @@ class ClipNumber(ImpactLaw):
 
 
 @dataclass(frozen=True)
-class LawEffect(AddedLaw):
+class SeriesEffect(AddedLaw):
     """A free law with its coefficients as an effect: it has no parameters, and no file holds it in this form."""
 
     law: FreeLaw

@@ -17,7 +17,7 @@ from scipy.special import logsumexp
 from discrepancy import policy
 from discrepancy.arrays import Array
 from discrepancy.fitting.significance import sigmas
-from discrepancy.free_laws.free_law import FreeLaw
+from discrepancy.free_laws.law_kinds import FreeLaw
 
 LENGTHS = (0.05, 0.12, 0.35, 1.0)  # over which the prior's curves change, shares of the range
 FLAT = 5.0  # likewise, of a field that hardly changes along an axis
@@ -46,7 +46,7 @@ class Prior:
 
 
 @dataclass(frozen=True)
-class Weight:
+class CurveEvidence:
     """What a free law's coefficients explain: gain > 0 is better than no law, in units of chi^2, freedom paid for."""
 
     gain: float
@@ -54,12 +54,12 @@ class Weight:
     coefs: Array
 
 
-def choice(count: int) -> float:
+def cost_of_choice(count: int) -> float:
     """What it costs to choose one of so many that are alike beforehand, in chi^2."""
     return policy.COST_OF_A_CHOICE * math.log(count)
 
 
-def freedom(information: Array, found: Array) -> float:
+def cost_of_strengths(information: Array, found: Array) -> float:
     """What the freedom of an effect's strengths costs, by the same rule as of a free law's coefficients.
 
     Either all of them may differ from zero or only one, whichever is the likelier.
@@ -76,34 +76,34 @@ def freedom(information: Array, found: Array) -> float:
     float
         In chi^2.
     """
-    pull, one = information @ found, choice(1 + len(found))
+    pull, one = information @ found, cost_of_choice(1 + len(found))
     ways = [(np.arange(len(found)), 0.0)] + [(np.array([k]), one) for k in range(len(found)) if len(found) > 1]
     gains = []
     for way, cost in ways:
         values, axes = np.linalg.eigh(information[np.ix_(way, way)])
         values = np.maximum(values, 1e-300)
-        _, each = _gains(values, axes.T @ pull[way])
+        _, each = _gain_at_sizes(values, axes.T @ pull[way])
         gains.append(each.max() - cost)
     return float(found @ pull - max(*gains, 0.0))
 
 
-def _gains(values: Array, pulls: Array) -> tuple[Array, Array]:
+def _gain_at_sizes(values: Array, pulls: Array) -> tuple[Array, Array]:
     """The sizes tried of a prior, and the gain of each, from the information (rising) and the pull along its axes."""
     sizes = np.exp(SIZES) / np.sqrt(max(values[-1], 1e-300))
     square = sizes[:, None] ** 2
     return sizes, (square * pulls**2 / (1 + square * values) - np.log1p(square * values)).sum(axis=1)
 
 
-def priors(law: FreeLaw) -> Iterator[tuple[float, Array, float]]:
+def iterate_priors(law: FreeLaw) -> Iterator[tuple[float, Array, float]]:
     """What the coefficients may be like: the length of change, their variances (J,), and the cost of the choice.
 
     A field changes along both axes or along one, and acts along both or along one: three ways of each.
     """
-    one = choice(3)
+    one = cost_of_choice(3)
     for length in LENGTHS:
-        ways = [(law.spread(length), 0.0)]
+        ways = [(law.prior_variances(length), 0.0)]
         if len(law.axes) == 2:
-            ways += [(law.spread(length, FLAT), one), (law.spread(FLAT, length), one)]
+            ways += [(law.prior_variances(length, FLAT), one), (law.prior_variances(FLAT, length), one)]
         for spread, cost in ways:
             yield length, spread, cost
             for part in range(law.parts if law.parts > 1 else 0):
@@ -111,7 +111,7 @@ def priors(law: FreeLaw) -> Iterator[tuple[float, Array, float]]:
                 yield length, np.where(acts, spread, IDLE * spread), cost + one
 
 
-def weigh(law: FreeLaw, information: Array, pull: Array) -> Weight:
+def maximise_evidence(law: FreeLaw, information: Array, pull: Array) -> CurveEvidence:
     """Choose a free law's prior by the evidence, and the coefficients that are likeliest with it.
 
     All lengths are as likely beforehand: the gain is that of their mean likelihood, which the best one's choice costs.
@@ -126,15 +126,15 @@ def weigh(law: FreeLaw, information: Array, pull: Array) -> Weight:
     -------
     Weight
     """
-    best: Weight | None = None
+    best: CurveEvidence | None = None
     gains = dict.fromkeys(LENGTHS, -math.inf)
-    for length, spread, cost in priors(law):
+    for length, spread, cost in iterate_priors(law):
         acts = np.flatnonzero(spread > IDLE * spread.max())  # of a part that does not, next to nothing is explained
         root = np.sqrt(spread[acts])
         values, axes = np.linalg.eigh(root[:, None] * information[np.ix_(acts, acts)] * root)
         values = np.maximum(values, 0.0)
         pulls = axes.T @ (root * pull[acts])
-        sizes, each = _gains(values, pulls)
+        sizes, each = _gain_at_sizes(values, pulls)
         k = int(each.argmax())
         gain = float(each[k]) - cost
         gains[length] = max(gains[length], gain)
@@ -142,20 +142,20 @@ def weigh(law: FreeLaw, information: Array, pull: Array) -> Weight:
             size = float(sizes[k])
             coefs = np.zeros(len(spread))
             coefs[acts] = root * (axes @ (size**2 / (1 + size**2 * values) * pulls))
-            best = Weight(gain, Prior(length, size, spread, cost), coefs)
+            best = CurveEvidence(gain, Prior(length, size, spread, cost), coefs)
     assert best is not None
     mean = 2 * float(logsumexp(np.array(list(gains.values())) / 2) - np.log(len(gains)))
     prior = replace(best.prior, cost=best.prior.cost + best.gain - mean)
     return replace(best, gain=mean, prior=prior)
 
 
-def significance(law: FreeLaw, information: Array, pull: Array) -> float:
+def compute_significance(law: FreeLaw, information: Array, pull: Array) -> float:
     """How significant a free law is, in sigma: the best of its chi^2 in 1, 2, 4, ... directions, less these trials.
 
     The directions are those in which a smooth curve would show most. With nothing hidden the pull along them is
     independent and of unit variance. Arguments as of `weigh`.
     """
-    root = np.sqrt(law.spread(SMOOTH))
+    root = np.sqrt(law.prior_variances(SMOOTH))
     values, axes = np.linalg.eigh(root[:, None] * information * root)
     seen = values > SEEN * max(values[-1], 1e-300)
     if not seen.any():
