@@ -15,8 +15,8 @@ from discrepancy.fitting.base_fit import Progress, base_fit, checked, noise_of, 
 from discrepancy.fitting.gauss_newton import settle
 from discrepancy.fitting.model_fit import Evidence, Fit
 from discrepancy.fitting.significance import sigmas
-from discrepancy.selection.extend import extended
-from discrepancy.selection.named import Named
+from discrepancy.selection.extend import fit_with_candidate
+from discrepancy.selection.named import EffectClaim
 from discrepancy.selection.profile_errors import profile_std
 from discrepancy.selection.score_test import ScoreTests
 from synthcam.library import library
@@ -33,14 +33,14 @@ class AddedEffect:
     ----------
     before, fit : Fit
         Without and with it, of all clips.
-    named : Named
+    named : EffectClaim
     left_out : tuple of str
         A line for each clip of which some places had no part in them.
     """
 
     before: Fit
     fit: Fit
-    named: Named
+    named: EffectClaim
     left_out: tuple[str, ...] = ()
 
     @property
@@ -118,7 +118,9 @@ def add(clips: Sequence[Measured], model: Model, effect: str, progress: Progress
         )
         raise InputError(f"{effect}: these collisions cannot tell it: the fit absorbs it, or it hardly shows{why}")
     candidate, best = scored.candidate, tests.sharper(evidence, scored)
-    fit = settle(evidence, extended(evidence, base, best, lambda: progress("search")), lambda: progress("search"))
+    fit = settle(
+        evidence, fit_with_candidate(evidence, base, best, lambda: progress("search")), lambda: progress("search")
+    )
     sigma = sigmas(base.chi2 - fit.chi2, len(candidate.strengths), tests.trials_factors[effect])
     std = fit.std | profile_std(evidence, base, fit, candidate)
-    return AddedEffect(base, fit, Named.of(candidate, fit, std, sigma), tuple(taken_out(given, clips)))
+    return AddedEffect(base, fit, EffectClaim.of(candidate, fit, std, sigma), tuple(taken_out(given, clips)))

@@ -14,12 +14,12 @@ from threadpoolctl import threadpool_limits
 from discrepancy.data.collisions import Measured, read_measured
 from discrepancy.diagnostics.gap import Gap
 from discrepancy.fitting.base_fit import Progress
-from discrepancy.found import Found
+from discrepancy.found import SearchResult
 from discrepancy.report import html
 from discrepancy.report.figures import gap_bars
 from discrepancy.report.staging import aside
 from discrepancy.search import find as search
-from discrepancy.selection.named import Named
+from discrepancy.selection.named import EffectClaim
 from synthcam.model import Model, model_of
 from synthcam_shared.errors import InputError
 
@@ -35,13 +35,13 @@ class Finding:
 
     Attributes
     ----------
-    outcome : Found
+    outcome : SearchResult
         All of it: fits, noise, candidates, claims.
     left_out : tuple of str
         A line for each collision, or part of one, that had no part in the search.
     """
 
-    outcome: Found
+    outcome: SearchResult
     left_out: tuple[str, ...] = ()
 
     @property
@@ -50,7 +50,7 @@ class Finding:
         return self.outcome.verdict
 
     @property
-    def named(self) -> tuple[Named, ...]:
+    def named(self) -> tuple[EffectClaim, ...]:
         """The effects named, each with its values, their errors (`std`), `sigma`, and `aliases` that fit as well."""
         return self.outcome.named
 

@@ -12,20 +12,20 @@ import numpy as np
 from discrepancy import policy
 from discrepancy.data.collisions import Measured
 from discrepancy.data.processed import SMOOTHED
-from discrepancy.diagnostics.gap import Shown, as_dict
-from discrepancy.diagnostics.held_out import Claim
-from discrepancy.diagnostics.residual_map import Place, unexplained
+from discrepancy.diagnostics.gap import GapFits, as_dict
+from discrepancy.diagnostics.held_out import ClaimTest
+from discrepancy.diagnostics.residual_map import Disagreement, unexplained
 from discrepancy.fitting.model_fit import Fit
 from discrepancy.free_laws.fitted_law import FittedLaw
 from discrepancy.free_laws.law_summary import LawSummary
 from discrepancy.noise.model import Noise
-from discrepancy.selection.named import Named
+from discrepancy.selection.named import EffectClaim
 from discrepancy.selection.stepwise import Selection
 from synthcam.model import Model
 
 
 @dataclass(frozen=True)
-class Data:
+class SearchData:
     """Collisions to fit and to keep out, their noise, and a line for each that has no part, or not all its places.
 
     smoothed: whether somebody has put the tracks through a filter.
@@ -37,14 +37,14 @@ class Data:
     left_out: tuple[str, ...]
     smoothed: bool = False
 
-    def without(self, outliers: Mapping[int, str]) -> Data:
+    def without(self, outliers: Mapping[int, str]) -> SearchData:
         """Without some of the clips to fit, by their place, each with a line that says why."""
         clips = tuple(c for k, c in enumerate(self.clips) if k not in outliers)
         return dataclasses.replace(self, clips=clips, left_out=(*self.left_out, *outliers.values()))
 
 
 @dataclass(frozen=True)
-class SoFar:
+class InterruptedSearch:
     """What a search had tried when its time, s, was over: the effects that fit best, and chi^2 a point with them."""
 
     effects: tuple[str, ...]
@@ -53,24 +53,24 @@ class SoFar:
 
 
 @dataclass(frozen=True)
-class Found:
+class SearchResult:
     """The outcome of a search.
 
     Attributes
     ----------
     verdict : str
         none, named, ambiguous, outside_library or inadequate.
-    data : Data
+    data : SearchData
         The collisions, and what was taken for their noise.
     selected : Selection
         The effects that stand, and what they were chosen by.
     free_law, answer : FittedLaw and Answer, or None
         The law left free that explains what no effect of the library does; its curve and formula.
-    named : tuple of Named
+    named : tuple of EffectClaim
         The effects, with their numbers.
-    where, left : tuple of Place
+    where, left : tuple of Disagreement
         Where model and data disagree: before anything was found, and after all that was.
-    shown : Shown
+    shown : GapFits
         The gap on the collisions kept out.
     experiment : str
         What would part the effects of a class.
@@ -78,7 +78,7 @@ class Found:
         What no such clips can tell, because they are all alike in it.
     unidentifiable : tuple of str
         Effects that these collisions could not show, however real.
-    claims, withdrawn : tuple of Claim
+    claims, withdrawn : tuple of ClaimTest
         Those that stand; those that collisions which had no part in them did not bear.
     held : Fit, optional
         With the free law as a table in the model, all else fitted again.
@@ -89,22 +89,22 @@ class Found:
     """
 
     verdict: str
-    data: Data
+    data: SearchData
     selected: Selection
     free_law: FittedLaw | None
     answer: LawSummary | None
-    named: tuple[Named, ...]
-    where: tuple[Place, ...]
-    left: tuple[Place, ...]
-    shown: Shown
+    named: tuple[EffectClaim, ...]
+    where: tuple[Disagreement, ...]
+    left: tuple[Disagreement, ...]
+    shown: GapFits
     experiment: str
     alike: tuple[str, ...]
     unidentifiable: tuple[str, ...]
-    claims: tuple[Claim, ...] = ()
-    withdrawn: tuple[Claim, ...] = ()
+    claims: tuple[ClaimTest, ...] = ()
+    withdrawn: tuple[ClaimTest, ...] = ()
     held: Fit | None = None
     processed: tuple[str, ...] = ()
-    so_far: SoFar | None = None
+    so_far: InterruptedSearch | None = None
 
     @property
     def base(self) -> Fit:
@@ -156,7 +156,7 @@ class Found:
             "frame: what lasts may be missing physics."
         )
 
-    def _cut_short(self, tried: SoFar) -> str:
+    def _cut_short(self, tried: InterruptedSearch) -> str:
         said = (
             f"Cut short after {tried.seconds / 60:.3g} minutes, so nothing is named: the model as given leaves "
             f"{self.base.chi2 / self.base.points:.3g} in chi^2 a point, "
@@ -226,7 +226,8 @@ class Found:
             "left": [vars(p) for p in self.left],
             "ranking": [{"effect": c.effect, "sigma": c.sigma} for c in self.selected.ranking],
             "claim": self.selected.claim,
-            "untold": list(self.unidentifiable),
+            "undetectable": list(self.unidentifiable),
+            "untold": list(self.unidentifiable),  # its former name, kept for one version
             "alike": list(self.alike),
             "processed": list(self.processed),
             "withdrawn": [c.document() for c in self.withdrawn],
@@ -247,6 +248,6 @@ def _moved(before: float, after: float) -> str:
     return f"{'falls' if after < before else 'does not fall but goes'} from {one} to {other}"
 
 
-def more_missing(left: Sequence[Place], withdrawn: Sequence[Claim]) -> bool:
+def more_missing(left: Sequence[Disagreement], withdrawn: Sequence[ClaimTest]) -> bool:
     """Whether something is missing beside all that was found: a law left free that was not borne is a sign of it."""
     return unexplained(left) or any(c.free and c.own > policy.UNEXPLAINED_SIGMA for c in withdrawn)

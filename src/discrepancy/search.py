@@ -12,24 +12,24 @@ from discrepancy.data.collisions import Measured, cannot_tell, split
 from discrepancy.data.outlier_points import taken_out, without_outliers
 from discrepancy.data.processed import NOTHING_LEFT, SMOOTHED, beyond_reach, processed, seen_around_contact
 from discrepancy.deadline import Deadline, OutOfTime
-from discrepancy.diagnostics.claims import Standing, Validation
-from discrepancy.diagnostics.gap import Shown, show
-from discrepancy.diagnostics.held_out import Claim
+from discrepancy.diagnostics.claims import ValidatedSelection, Validation
+from discrepancy.diagnostics.gap import GapFits, measure_gap
+from discrepancy.diagnostics.held_out import ClaimTest
 from discrepancy.diagnostics.outlier_clips import outlier_clips
-from discrepancy.diagnostics.residual_map import Place, locate, unexplained
+from discrepancy.diagnostics.residual_map import Disagreement, locate, unexplained
 from discrepancy.fitting.base_fit import Progress, base_fit, checked, noise_of, smoothed
 from discrepancy.fitting.model_fit import Evidence, Fit
 from discrepancy.fitting.noise_refit import refined
 from discrepancy.fitting.parameters import candidates_of
-from discrepancy.found import Data, Found, SoFar, more_missing
+from discrepancy.found import InterruptedSearch, SearchData, SearchResult, more_missing
 from discrepancy.free_laws.fitted_law import FittedLaw
 from discrepancy.free_laws.law_summary import LawSummary
 from discrepancy.free_laws.tabulate import tabulate_and_refit
 from discrepancy.planning.pair_advice import advise, compare_designs
 from discrepancy.selection.fit_store import FitStore
 from discrepancy.selection.free_law_contest import FreeLawContest
-from discrepancy.selection.free_law_fit import unseen
-from discrepancy.selection.named import Named
+from discrepancy.selection.free_law_fit import fit_unseen_clips
+from discrepancy.selection.named import EffectClaim
 from discrepancy.selection.stepwise import Selection, State, Stepwise
 from synthcam.model import Model
 from synthcam_shared.errors import InputError
@@ -39,7 +39,7 @@ ROUNDS = 4  # searches, at most: again without clips that are unlike all others,
 
 def find(
     clips: Sequence[Measured], model: Model, progress: Progress = lambda stage: None, seconds: float = math.inf
-) -> Found:
+) -> SearchResult:
     """Search for what `model` lacks. Its base parameters that are not zero and those in `model.free` are fitted.
 
     Noise, fit and selection are repeated until the noise and the clips stay; then what was selected is validated.
@@ -55,7 +55,7 @@ def find(
 
     Returns
     -------
-    Found
+    SearchResult
 
     Raises
     ------
@@ -82,7 +82,7 @@ def find(
     left = locate(chosen.cleaned(data), chosen.best, data.noise) if chosen.anything else where
     named = stands.unsure() if more_missing(left, stands.withdrawn) else stands.named
     verdict = _verdict(chosen.free_law, named, left, stands.withdrawn)
-    return Found(
+    return SearchResult(
         verdict,
         data,
         chosen.selected,
@@ -112,7 +112,7 @@ class Chosen:
     selected: Selection
     free_law: FittedLaw | None
     nearly: FittedLaw | None
-    so_far: SoFar | None = None
+    so_far: InterruptedSearch | None = None
 
     @property
     def anything(self) -> bool:
@@ -124,12 +124,12 @@ class Chosen:
         """The fit with everything that was found."""
         return self.free_law.joint_fit if self.free_law else self.selected.best
 
-    def cleaned(self, data: Data) -> tuple[Measured, ...]:
+    def cleaned(self, data: SearchData) -> tuple[Measured, ...]:
         """The clips with what a free law moves taken out of them, where no effect can hold it."""
         return self.free_law.evidence.clips if self.free_law else data.clips
 
 
-def read(clips: Sequence[Measured], model: Model, progress: Progress) -> Data:
+def read(clips: Sequence[Measured], model: Model, progress: Progress) -> SearchData:
     """The clips without outlier points, some kept out, and the noise of the others."""
     progress("noise")
     usual = without_outliers(clips)
@@ -140,10 +140,10 @@ def read(clips: Sequence[Measured], model: Model, progress: Progress) -> Data:
     noise = noise_of(some)
     # read without any claim first: one made with too little noise could explain the rest of the noise away
     noise = refined(some, base_fit(some, model, noise, progress), noise, explained=False) or noise
-    return Data(tuple(some), tuple(kept_out), noise, tuple(taken_out(clips, [*some, *kept_out])))
+    return SearchData(tuple(some), tuple(kept_out), noise, tuple(taken_out(clips, [*some, *kept_out])))
 
 
-def _beyond_reach(smoothed: Sequence[Measured], outliers: Sequence[str]) -> Data:
+def _beyond_reach(smoothed: Sequence[Measured], outliers: Sequence[str]) -> SearchData:
     """Of tracks that somebody has smoothed: what the filter has not moved, of clips of which enough is left."""
     clips = [beyond_reach(clip) for clip in smoothed]
     kept = [clip for clip in clips if seen_around_contact(clip)]
@@ -154,17 +154,17 @@ def _beyond_reach(smoothed: Sequence[Measured], outliers: Sequence[str]) -> Data
         )
     lost = tuple(f"clip {clip.clip}: {NOTHING_LEFT}" for clip in clips if not seen_around_contact(clip))
     some, kept_out = split(kept)
-    return Data(tuple(some), tuple(kept_out), noise_of(some), (*outliers, *lost), smoothed=True)
+    return SearchData(tuple(some), tuple(kept_out), noise_of(some), (*outliers, *lost), smoothed=True)
 
 
-def unselected(data: Data, model: Model, deadline: Deadline) -> tuple[Data, Stepwise, Chosen]:
+def unselected(data: SearchData, model: Model, deadline: Deadline) -> tuple[SearchData, Stepwise, Chosen]:
     """The base model's fit alone: of such tracks nothing is named."""
     base = base_fit(data.clips, model, data.noise, deadline)
     steps = Stepwise.of(FitStore(Evidence.of(data.clips, data.noise), base, lambda: deadline("search")))
     return data, steps, Chosen(steps.selection(()), None, None)
 
 
-def converged(data: Data, model: Model, deadline: Deadline) -> tuple[Data, Stepwise, Chosen]:
+def converged(data: SearchData, model: Model, deadline: Deadline) -> tuple[SearchData, Stepwise, Chosen]:
     """The selection, made again without clips that are unlike all others, and again with the noise read anew.
 
     With the way there, which validation goes further along.
@@ -189,7 +189,7 @@ def converged(data: Data, model: Model, deadline: Deadline) -> tuple[Data, Stepw
     return data, steps, chosen
 
 
-def select(data: Data, model: Model, deadline: Deadline) -> tuple[Stepwise, Chosen]:
+def select(data: SearchData, model: Model, deadline: Deadline) -> tuple[Stepwise, Chosen]:
     """What the library names, and the free law that explains more, if one does."""
     evidence, base = Evidence.of(data.clips, data.noise), base_fit(data.clips, model, data.noise, deadline)
     store = FitStore(evidence, base, lambda: deadline("search"))
@@ -199,7 +199,9 @@ def select(data: Data, model: Model, deadline: Deadline) -> tuple[Stepwise, Chos
             return steps, _chosen(steps, FreeLawContest.of(evidence, base, lambda: deadline("free laws")))
     except OutOfTime:
         best = min(store.fits, key=store.cost_of)
-        tried = SoFar(tuple(sorted(c.name for c in best)), store.fits[best].chi2 / base.points, deadline.seconds)
+        tried = InterruptedSearch(
+            tuple(sorted(c.name for c in best)), store.fits[best].chi2 / base.points, deadline.seconds
+        )
         return steps, Chosen(steps.selection(()), None, None, tried)
 
 
@@ -219,7 +221,9 @@ def _chosen(steps: Stepwise, contest: FreeLawContest) -> Chosen:
     return Chosen(selected, free_law, None if free_law else contest.nearly(selected.best))
 
 
-def _unnamed(clips: Sequence[Measured], data: Data, steps: Stepwise, chosen: Chosen, progress: Progress) -> Found:
+def _unnamed(
+    clips: Sequence[Measured], data: SearchData, steps: Stepwise, chosen: Chosen, progress: Progress
+) -> SearchResult:
     """Nothing is claimed by a search that was cut short: what it has tried was held to no other collisions.
 
     Nor of tracks that a filter has smoothed.
@@ -229,14 +233,14 @@ def _unnamed(clips: Sequence[Measured], data: Data, steps: Stepwise, chosen: Cho
     where = tuple(locate(data.clips, chosen.selected.base, data.noise))
     alike = tuple(cannot_tell(clips))
     missing = unexplained(where) or (chosen.so_far is not None and chosen.selected.promising)
-    return Found(
+    return SearchResult(
         "inadequate" if missing else "none", data, chosen.selected, None, None, (), where, where, shown, "",
         alike, steps.unidentifiable(()), processed=(*([SMOOTHED] if data.smoothed else []), *processed(clips)),
         so_far=chosen.so_far,
     )  # fmt: skip
 
 
-def seen_apart(data: Data, chosen: Chosen, progress: Progress) -> tuple[Data, Shown]:
+def seen_apart(data: SearchData, chosen: Chosen, progress: Progress) -> tuple[SearchData, GapFits]:
     """The gap on the clips kept out, without those of them that are unlike all others."""
     shown = gap_of(data, chosen, progress)
     outliers = outlier_clips(data.kept_out, shown.before, shown.after)
@@ -248,21 +252,25 @@ def seen_apart(data: Data, chosen: Chosen, progress: Progress) -> tuple[Data, Sh
     return data, gap_of(data, chosen, progress)
 
 
-def gap_of(data: Data, chosen: Chosen, progress: Progress) -> Shown:
+def gap_of(data: SearchData, chosen: Chosen, progress: Progress) -> GapFits:
     """The gap on the clips kept out. Raises InputError where the base model has no motion for them."""
     clips, law = data.kept_out, chosen.free_law
-    outside = None if law is None else lambda before: unseen(law, clips, before, data.noise)
+    outside = None if law is None else lambda before: fit_unseen_clips(law, clips, before, data.noise)
     return _gap(data, chosen.selected.base, chosen.selected.best, progress, outside)
 
 
-def _gap(data: Data, base: Fit, best: Fit, progress: Progress, outside: Callable[[Fit], Fit] | None = None) -> Shown:
+def _gap(
+    data: SearchData, base: Fit, best: Fit, progress: Progress, outside: Callable[[Fit], Fit] | None = None
+) -> GapFits:
     try:
-        return show(data.kept_out, base, best, data.noise, lambda: progress("gap"), outside)
+        return measure_gap(data.kept_out, base, best, data.noise, lambda: progress("gap"), outside)
     except ValueError as e:
         raise InputError(f"the fitted base model has no motion for the collisions kept out: {e}") from None
 
 
-def validated(data: Data, steps: Stepwise, chosen: Chosen, shown: Shown, progress: Progress) -> Standing:
+def validated(
+    data: SearchData, steps: Stepwise, chosen: Chosen, shown: GapFits, progress: Progress
+) -> ValidatedSelection:
     """What stands of a selection before collisions that had no part in it."""
     evidence = Evidence.of(data.clips, data.noise)
     held_to = Validation(steps, evidence, data.kept_out, shown.before, data.noise, lambda: progress("gap"))
@@ -270,7 +278,10 @@ def validated(data: Data, steps: Stepwise, chosen: Chosen, shown: Shown, progres
 
 
 def _verdict(
-    free_law: FittedLaw | None, named: Sequence[Named], left: Sequence[Place], withdrawn: Sequence[Claim]
+    free_law: FittedLaw | None,
+    named: Sequence[EffectClaim],
+    left: Sequence[Disagreement],
+    withdrawn: Sequence[ClaimTest],
 ) -> str:
     if free_law or (named and more_missing(left, withdrawn)):
         return "outside_library"
@@ -280,7 +291,7 @@ def _verdict(
     return "ambiguous" if any(len(n.aliases) > 1 for n in named) else "named"
 
 
-def _experiment(selected: Selection, named: Sequence[Named], data: Data) -> str:
+def _experiment(selected: Selection, named: Sequence[EffectClaim], data: SearchData) -> str:
     """What would part each class's effect from its nearest alias."""
     base, best = selected.base, selected.best
     known = candidates_of(best.model, base.model, base.names)

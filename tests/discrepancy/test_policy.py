@@ -15,8 +15,8 @@ from discrepancy import policy
 from discrepancy.add import AddedEffect
 from discrepancy.diagnostics import claims as stand
 from discrepancy.diagnostics import trial
-from discrepancy.diagnostics.gap import Part, _closure
-from discrepancy.diagnostics.held_out import Held, refused
+from discrepancy.diagnostics.gap import GapPhase, _closure
+from discrepancy.diagnostics.held_out import HeldOutTest, reason_to_reject
 from discrepancy.diagnostics.outlier_clips import outlier_clips
 from discrepancy.fitting import noise_refit
 from discrepancy.fitting.gauss_newton import fit_model
@@ -30,9 +30,9 @@ from discrepancy.noise.model import Component, Noise, estimate
 from discrepancy.search import _verdict
 from discrepancy.selection import free_law_contest, free_law_fit
 from discrepancy.selection.free_law_contest import FreeLawContest
-from discrepancy.selection.free_law_fit import LawTest
+from discrepancy.selection.free_law_fit import LawScore
 from discrepancy.selection.score_test import ScoreTests
-from discrepancy.selection.scored import Scored
+from discrepancy.selection.scored import CandidateScore
 from discrepancy.selection.stepwise import Stepwise
 from synthcam.library import library
 from synthcam.model import Model
@@ -94,7 +94,7 @@ def test_two_effects_are_claimed_beside_a_free_law_however_many_more_would_be_be
         return Made(score=score, fit=begun, plain=Model(), law=None, beside=lambda base: {})
 
     contest = dataclasses.replace(contest, fitted=(law(500.0),))
-    monkeypatch.setattr(free_law_contest, "with_effect", lambda *_: (9.0, law(next(scores))))
+    monkeypatch.setattr(free_law_contest, "fit_law_with_effect", lambda *_: (9.0, law(next(scores))))
     monkeypatch.setattr(FreeLawContest, "_asked", lambda self, place: self)
     monkeypatch.setattr(FreeLawContest, "_lacks", lambda self, place: Made(shapes={}, strengths=("hop.share",)))
     assert contest.outcome(fit)[0].score == 300.0
@@ -115,7 +115,7 @@ def test_what_looks_like_the_leader_by_nine_tenths_is_fitted_too(cosine, rival):
     kind = library()["velocity_restitution"]
 
     def of(name, gain, signature):
-        return Scored(Candidate(name, (f"{name}.e",), (), kind), {}, gain**0.5, gain, 1.0, True, signature, ())
+        return CandidateScore(Candidate(name, (f"{name}.e",), (), kind), {}, gain**0.5, gain, 1.0, True, signature, ())
 
     ranking = [of("leader", 400.0, one), of("rival", 200.0, cosine * one + (1 - cosine**2) ** 0.5 * other)]
     steps = Stepwise(Made(evidence=None), (), 4.0, {}, frozenset())
@@ -179,11 +179,11 @@ def test_noise_that_the_phases_exclude_by_twenty_is_refused(monkeypatch, worse, 
 def test_a_free_law_needs_four_and_a_half_sigma(monkeypatch, sigma, declared):
     contest, fit = made_laws(monkeypatch, 100.0, [])
     contest = dataclasses.replace(contest, laws=(None,), base=Made(names=(), model=None, launches=None))
-    monkeypatch.setattr(free_law_contest, "moves_of", lambda *_: ())
+    monkeypatch.setattr(free_law_contest, "whiten_law_columns", lambda *_: ())
     monkeypatch.setattr(
-        free_law_contest, "held_against", lambda law, fit, moves: Made(sigma=sigma, fit=fit, score=lambda base: 0.0)
+        free_law_contest, "score_law", lambda law, fit, moves: Made(sigma=sigma, fit=fit, score=lambda base: 0.0)
     )
-    monkeypatch.setattr(free_law_contest, "fill", lambda *_: Made(score=0.0))
+    monkeypatch.setattr(free_law_contest, "fit_law", lambda *_: Made(score=0.0))
     contest = contest._considered([fit])
     assert contest.refuted is declared
     assert len(contest.fitted) == declared
@@ -197,7 +197,7 @@ def test_one_of_so_many_free_laws_costs_its_choice(monkeypatch, share, better):
     monkeypatch.setattr(free_law_fit, "cost_of", lambda fit, base: 100.0)
     weight = CurveEvidence(share * 2 * np.log(len(every)), None, np.zeros(0))
     monkeypatch.setattr(free_law_fit, "weigh", lambda law, information, pull: weight)
-    look = LawTest(every[0], None, 9.0, np.zeros((0, 0)), np.zeros(0))
+    look = LawScore(every[0], None, 9.0, np.zeros((0, 0)), np.zeros(0))
     assert (look.score(None) < 100.0) == better
 
 
@@ -266,26 +266,26 @@ def test_a_free_law_withdrawn_says_that_the_library_does_not_suffice(own, verdic
     assert _verdict(None, [Made(aliases=("hop",))], [], [Made(own=own, free=True)]) == verdict
 
 
-BORNE = Held((1.0, 0.9), 9.0, 9.0)
+BORNE = HeldOutTest((1.0, 0.9), 9.0, 9.0)
 
 
 @pytest.mark.parametrize(("sigma", "stands"), [(1.4, True), (0.6, False)])
 def test_clips_kept_out_may_fall_short_by_two_sigma_of_what_is_promised(sigma, stands):
-    assert (refused(Held((1.0, 1.01), sigma, 3.0), BORNE) == "") is stands
-    assert refused(Held((1.0, 0.99), sigma, 3.0), BORNE) == ""  # foretold better, it is borne
+    assert (reason_to_reject(HeldOutTest((1.0, 1.01), sigma, 3.0), BORNE) == "") is stands
+    assert reason_to_reject(HeldOutTest((1.0, 0.99), sigma, 3.0), BORNE) == ""  # foretold better, it is borne
 
 
 @pytest.mark.parametrize(("sigma", "stands"), [(2.4, False), (4.0, True)])
 def test_all_clips_must_ask_for_a_claim_by_three_sigma(sigma, stands):
-    assert (refused(BORNE, Held((1.0, 0.99), sigma, 9.0)) == "") is stands
-    assert refused(BORNE, Held((1.0, 1.01), 9.0, 9.0)) != ""
+    assert (reason_to_reject(BORNE, HeldOutTest((1.0, 0.99), sigma, 9.0)) == "") is stands
+    assert reason_to_reject(BORNE, HeldOutTest((1.0, 1.01), 9.0, 9.0)) != ""
 
 
 def beside_law(monkeypatch, sigma=30.0, less=500.0, others=()):
     """The claim of an effect beside a free law of score 100, 500 without the effect, and the effects named."""
-    for name in ("refilled", "in_turn"):
+    for name in ("refit_without_effect", "leave_one_out_with_law"):
         monkeypatch.setattr(stand, name, lambda *_: Made(score=less))
-    monkeypatch.setattr(stand, "in_its_place", lambda *_: others)
+    monkeypatch.setattr(stand, "find_replacements", lambda *_: others)
     for name, said in (("_unseen", None), ("_held", (BORNE, BORNE)), ("_free_law", None)):
         monkeypatch.setattr(stand.Validation, name, lambda *_, said=said: said)
     base, whole = Made(model=Model(), names=BASE), Made(model=Model(), std={})
@@ -327,7 +327,7 @@ def test_an_effect_whose_shape_is_at_an_end_of_its_range_is_not_claimed(monkeypa
     named = Made(sigma=30.0, aliases=("hop",), at_end_of_range=lambda: end)
     steps = Made(named=lambda state: (named,), less=lambda *_: Made(best=None))
     monkeypatch.setattr(stand.Validation, "_between", lambda *_: (BORNE, BORNE))
-    monkeypatch.setattr(stand, "change", lambda *_: Made(refuses=lambda sigma: ""))
+    monkeypatch.setattr(stand, "find_variation", lambda *_: Made(refuses=lambda sigma: ""))
     looked = Made(state=(Made(name="hop", strengths=()),), best=None, claim=4.2)
     claims, *_ = stand.Validation(steps, None, (), None, NOISE, lambda: None)._claims(looked, None, 4.2)
     assert claims[0].why == end
@@ -373,7 +373,7 @@ def test_what_is_exchanged_or_explained_by_all_else_is_not_withdrawn(monkeypatch
 
 def test_what_fell_beside_another_and_stands_in_its_place_is_not_withdrawn(monkeypatch):
     """The one that all else explains as well goes first, though it has more sigma."""
-    weak, strong = Held((1.0, 0.9), 3.0, 3.0), BORNE
+    weak, strong = HeldOutTest((1.0, 0.9), 3.0, 3.0), BORNE
     turns = iter(
         [
             [
@@ -406,7 +406,7 @@ def standing_of(monkeypatch, turns, gone=None):
 
 @pytest.mark.parametrize(("sigma", "told"), [(2.0, False), (4.5, True)])
 def test_a_share_is_told_of_a_gap_of_three_sigma(sigma, told):
-    whole = Part(1 + sigma * np.sqrt(2 / 5000), 1.0, 1.0, 1.0, 1.0, 1.0)
+    whole = GapPhase(1 + sigma * np.sqrt(2 / 5000), 1.0, 1.0, 1.0, 1.0, 1.0)
     assert np.isfinite(_closure(whole, 5000)) == told
 
 
@@ -414,7 +414,7 @@ def test_a_share_is_told_of_a_gap_of_three_sigma(sigma, told):
 def test_a_disagreement_far_larger_than_the_residuals_has_no_size(times, told):
     """A push of 5 mm in one frame of one clip, beside terms that take nearly all of it."""
     one, nothing = np.eye(1), np.zeros((1, 0))
-    part = trial.Part(
+    part = trial.ClipAmplitudes(
         np.array([1e3]), one * 2e5, nothing, np.zeros((0, 0)), np.zeros(0), one, 1, (5e-3 / times) ** 2, {}
     )
     ((_, _, _, size),) = trial.results([part])

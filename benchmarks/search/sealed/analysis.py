@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from discrepancy.data.collisions import Measured, read_measured
-from discrepancy.found import Found
+from discrepancy.found import SearchResult
 from discrepancy.search import find
 from synthcam.model import read_model, settings_of
 from synthcam_shared.errors import InputError
@@ -38,7 +38,7 @@ def plain(value: Any) -> Any:
     return int(value) if isinstance(value, np.integer) else value
 
 
-def answer(found: Found) -> dict[str, Any]:
+def answer(found: SearchResult) -> dict[str, Any]:
     """What is put on record: the report's document and both models."""
     models = {"base": settings_of(found.shown.before.model), "model": settings_of(found.model)}
     return found.document() | models

@@ -25,7 +25,7 @@ SEEN = 1e-8  # of the columns' own size: what the fit leaves less of shows nothi
 
 
 @dataclass(frozen=True)
-class Change:
+class StrengthVariation:
     """What strengths change with, and by how many sigma, corrected for all that was tried."""
 
     against: str
@@ -38,7 +38,7 @@ class Change:
         return ""
 
 
-def change(evidence: Evidence, fit: Fit, strengths: Sequence[str]) -> Change:
+def find_variation(evidence: Evidence, fit: Fit, strengths: Sequence[str]) -> StrengthVariation:
     """What the strengths of an effect change with most.
 
     Parameters
@@ -56,7 +56,7 @@ def change(evidence: Evidence, fit: Fit, strengths: Sequence[str]) -> Change:
     features = [_features(*each) for each in zip(evidence.clips, range(len(fit.launches)), fit.launches, strict=True)]
     own = [derivative(fit.model, fit.launches, evidence.clips, name) for name in strengths]
     moves = [np.stack(each, axis=-1)[..., None] for each in zip(*own, strict=True)]  # (n, 2, strengths, 1)
-    best = Change("", 0.0)
+    best = StrengthVariation("", 0.0)
     for against in features[0]:
         columns = [
             (m * f[against][:, None, None]).reshape(*m.shape[:2], -1) for m, f in zip(moves, features, strict=True)
@@ -68,7 +68,7 @@ def change(evidence: Evidence, fit: Fit, strengths: Sequence[str]) -> Change:
         if not seen.any():
             continue  # it is the same in all clips, or the fit takes it up
         chi2 = float(((axes[:, seen].T @ pull) ** 2 / values[seen]).sum())
-        found = Change(against, sigmas(chi2, int(seen.sum()), len(features[0])))
+        found = StrengthVariation(against, sigmas(chi2, int(seen.sum()), len(features[0])))
         best = max(best, found, key=lambda c: c.sigma)
     return best
 

@@ -21,7 +21,7 @@ PHASES = ("before", "sliding", "rolling")
 
 
 @dataclass(frozen=True)
-class Part:
+class GapPhase:
     """The gap in a phase of the clips kept out: chi^2 a point, and rms in um. The floor is what noise alone leaves."""
 
     before: float
@@ -33,7 +33,7 @@ class Part:
 
 
 @dataclass(frozen=True)
-class Gap(Part):
+class Gap(GapPhase):
     """The gap in all phases together.
 
     Attributes
@@ -46,11 +46,11 @@ class Gap(Part):
     """
 
     closure: float
-    by_phase: dict[str, Part]
+    by_phase: dict[str, GapPhase]
 
 
 @dataclass(frozen=True)
-class Shown:
+class GapFits:
     """The gap with the two fits of the clips kept out, for the figures."""
 
     gap: Gap
@@ -58,14 +58,14 @@ class Shown:
     after: Fit
 
 
-def show(
+def measure_gap(
     clips: Sequence[Measured],
     base: Fit,
     best: Fit,
     noise: Noise,
     progress: Callable[[], None] = lambda: None,
     outside: Callable[[Fit], Fit] | None = None,
-) -> Shown:
+) -> GapFits:
     """The gap on clips that were kept out of both fits; only their launches are fitted.
 
     Parameters
@@ -82,7 +82,7 @@ def show(
 
     Returns
     -------
-    Shown
+    GapFits
         A best model that has no motion for one of the clips closes nothing.
     """
     before = fit_model(clips, base.model, (), noise, progress=progress)
@@ -102,10 +102,10 @@ def show(
     phase = np.concatenate([c.phase() for c in clips])
     whole = _part(squares)
     by_phase = {name: _part(squares[phase == k]) for k, name in enumerate(PHASES) if np.any(phase == k)}
-    return Shown(Gap(**vars(whole), closure=_closure(whole, before.points), by_phase=by_phase), before, after)
+    return GapFits(Gap(**vars(whole), closure=_closure(whole, before.points), by_phase=by_phase), before, after)
 
 
-def _closure(whole: Part, points: int) -> float:
+def _closure(whole: GapPhase, points: int) -> float:
     """The share of the gap that is closed; NaN of one that chance may make."""
     room = whole.before - whole.floor
     least = policy.GAP_BEYOND_CHANCE * float(np.sqrt(2 / points))
@@ -128,9 +128,9 @@ def _squares(clip: Measured, before: Array, after: Array, launch: Array, noise: 
     return np.stack([np.mean(np.reshape(x, (-1, 2)), axis=1) for x in (*chi2, *metres)], axis=1)
 
 
-def _part(squares: Array) -> Part:
+def _part(squares: Array) -> GapPhase:
     means = squares.mean(axis=0)
-    return Part(*means[:3].tolist(), *(1e6 * np.sqrt(means[3:])).tolist())
+    return GapPhase(*means[:3].tolist(), *(1e6 * np.sqrt(means[3:])).tolist())
 
 
 def as_dict(gap: Gap) -> dict[str, Any]:

@@ -24,7 +24,7 @@ Parts = Sequence[Array]
 
 
 @dataclass(frozen=True)
-class Held:
+class HeldOutTest:
     """What collisions that had no part in a claim say of it.
 
     Attributes
@@ -44,7 +44,7 @@ class Held:
     @classmethod
     def of(
         cls, without: Parts, with_: Parts, known: float, there: Fit | None = None, covariance: Array | None = None
-    ) -> Held:
+    ) -> HeldOutTest:
         """Hold a claim to clips: do they ask for it as much as it promised?
 
         Where the clips scatter about the claim by more than noise makes them, sigma is as much smaller.
@@ -90,7 +90,7 @@ class Held:
 
 
 @dataclass(frozen=True)
-class Claim:
+class ClaimTest:
     """A claim, and what it is held to.
 
     Attributes
@@ -108,8 +108,8 @@ class Claim:
 
     name: str
     own: float
-    kept_out: Held
-    turns: Held
+    kept_out: HeldOutTest
+    turns: HeldOutTest
     why: str = ""
     free: bool = False
 
@@ -130,7 +130,7 @@ class Claim:
         return {"claim": self.name, "own_sigma": self.own, "why": self.why} | self.gap()
 
 
-def refused(kept_out: Held, turns: Held) -> str:
+def reason_to_reject(kept_out: HeldOutTest, turns: HeldOutTest) -> str:
     """Why a claim is withdrawn; empty where the collisions bear it.
 
     The clips kept out are a quarter of all: they see a claim at the detection limit at some 2.5 sigma, and one in ten
@@ -163,7 +163,7 @@ def refused(kept_out: Held, turns: Held) -> str:
     return ""
 
 
-def foretold(fit: Fit, precision: Array | None = None) -> list[Array]:
+def leave_one_out_residuals(fit: Fit, precision: Array | None = None) -> list[Array]:
     """Whitened residuals of each clip by the shared parameters of all other clips, to first order.
 
     The clip's own launch is fitted to it. Parameters that stand at a limit stay there.
@@ -204,6 +204,6 @@ def _at_limit(fit: Fit, name: str) -> bool:
     return fit.model.value(name) in limits_of(fit.model, name)
 
 
-def in_turn(fitted_law: FittedLaw) -> list[Array]:
+def leave_one_out_with_law(fitted_law: FittedLaw) -> list[Array]:
     """`foretold` by a fit that holds a free law, with the law's prior."""
-    return foretold(fitted_law.joint_fit, fitted_law.prior.precision)
+    return leave_one_out_residuals(fitted_law.joint_fit, fitted_law.prior.precision)

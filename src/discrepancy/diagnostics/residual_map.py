@@ -22,7 +22,7 @@ from discrepancy.data.launch import HEADING, V0, B
 from discrepancy.diagnostics.ripple import SAID as OF_RIPPLES
 from discrepancy.diagnostics.ripple import ripples
 from discrepancy.diagnostics.stages import BEFORE, ROLLING, SLIDING, directions, stages
-from discrepancy.diagnostics.trial import Part, Solved, results
+from discrepancy.diagnostics.trial import ClipAmplitudes, ClipSolution, results
 from discrepancy.fitting.model_fit import Fit
 from discrepancy.fitting.predict import forecast
 from discrepancy.fitting.significance import sigmas
@@ -71,7 +71,7 @@ PLATE = 0.02  # m, of places
 
 
 @dataclass(frozen=True)
-class Place:
+class Disagreement:
     """One test of the residuals of a ball in a phase, along or across its motion.
 
     Attributes
@@ -98,7 +98,7 @@ class Place:
         return f"{self.ball} {SAID[self.phase]}, {self.observable} its motion{changing}"
 
 
-def locate(clips: Sequence[Measured], fit: Fit, noise: Noise) -> tuple[Place, ...]:
+def locate(clips: Sequence[Measured], fit: Fit, noise: Noise) -> tuple[Disagreement, ...]:
     """Test where the residuals of a fit disagree with noise: by phase, ball and direction, and against what.
 
     Parameters
@@ -110,12 +110,12 @@ def locate(clips: Sequence[Measured], fit: Fit, noise: Noise) -> tuple[Place, ..
 
     Returns
     -------
-    tuple of Place
+    tuple of Disagreement
         Every test, most significant first.
     """
     found = [*trials(clips, fit, noise), *ripples(clips, fit, noise)]
     places = [
-        Place(p, BALLS[b], AXES[a], _corrected(chi2, dof, len(found)), against, size)
+        Disagreement(p, BALLS[b], AXES[a], _corrected(chi2, dof, len(found)), against, size)
         for (p, b, a), against, chi2, dof, size in found
     ]
     return tuple(sorted(places, key=lambda x: -x.sigma))
@@ -123,7 +123,7 @@ def locate(clips: Sequence[Measured], fit: Fit, noise: Noise) -> tuple[Place, ..
 
 def trials(clips: Sequence[Measured], fit: Fit, noise: Noise) -> Iterator[tuple[Where, str, float, int, float]]:
     """(phase, ball, axis), what it is held against, chi^2, degrees of freedom and size, um, of each trial."""
-    all_: dict[Where, list[Part]] = {}
+    all_: dict[Where, list[ClipAmplitudes]] = {}
     expected = forecast(fit.model, fit.launches, clips)
     for k, clip in enumerate(clips):
         for where, part in _parts(clip, expected[k], fit, k, noise):
@@ -133,7 +133,7 @@ def trials(clips: Sequence[Measured], fit: Fit, noise: Noise) -> Iterator[tuple[
             yield where, *result
 
 
-def _parts(clip: Measured, path: Array, fit: Fit, k: int, noise: Noise) -> Iterator[tuple[Where, Part]]:
+def _parts(clip: Measured, path: Array, fit: Fit, k: int, noise: Noise) -> Iterator[tuple[Where, ClipAmplitudes]]:
     """One clip's part in every trial."""
     stage, time = stages(clip)
     motion = directions(clip, stage, path)
@@ -147,7 +147,7 @@ def _parts(clip: Measured, path: Array, fit: Fit, k: int, noise: Noise) -> Itera
         raw = np.stack([_column(t, stage, clip.ball, time, motion) for t in terms], axis=-1)
         if phase == "contact":  # an impact's natural measure
             raw[..., first:] *= fit.launches[k, V0]
-        solved = Solved.of(fit.launch_slopes[k], white(raw), fit.residuals[k], fit.slopes[k] * unit)
+        solved = ClipSolution.of(fit.launch_slopes[k], white(raw), fit.residuals[k], fit.slopes[k] * unit)
         for b in range(2):
             rows = np.isin(stage, [s for name in names for s in TERMS[name]]) & (clip.ball == b)
             for a in range(2):
@@ -165,7 +165,10 @@ def _parts(clip: Measured, path: Array, fit: Fit, k: int, noise: Noise) -> Itera
                 features = _features(fit.launches[k], path[rows].mean(axis=0), motion[rows, a].mean(axis=0))
                 rest = (solved.information, solved.pull)
                 left = float(((clip.xy - path)[rows] ** 2).sum())
-                yield (phase, b, a), Part(pulls, full, shared, *rest, squares, int(rows.sum()), left, features)
+                yield (
+                    (phase, b, a),
+                    ClipAmplitudes(pulls, full, shared, *rest, squares, int(rows.sum()), left, features),
+                )
 
 
 def _beyond(columns: Array, time: Array, powers: int) -> Array:
@@ -203,6 +206,6 @@ def _corrected(chi2: float, dof: int, trials: int) -> float:
     return float(-ndtri(p / 2)) if p > 1e-250 else sigmas(chi2, dof)
 
 
-def unexplained(left: Sequence[Place]) -> bool:
+def unexplained(left: Sequence[Disagreement]) -> bool:
     """Whether what `locate` found is more than chance does."""
     return bool(left) and left[0].sigma > policy.UNEXPLAINED_SIGMA

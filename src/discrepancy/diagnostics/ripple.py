@@ -13,7 +13,7 @@ import numpy as np
 from discrepancy.arrays import Array, Ints
 from discrepancy.data.collisions import Measured
 from discrepancy.diagnostics.stages import BEFORE, ROLLING, directions, stages
-from discrepancy.diagnostics.trial import Part, Solved, results
+from discrepancy.diagnostics.trial import ClipAmplitudes, ClipSolution, results
 from discrepancy.fitting.model_fit import Fit
 from discrepancy.fitting.predict import forecast
 from discrepancy.noise.model import Noise
@@ -42,7 +42,7 @@ def ripples(clips: Sequence[Measured], fit: Fit, noise: Noise) -> Iterator[tuple
     tuple
         (ripple, ball, axis), "", chi^2, degrees of freedom, size in um.
     """
-    found: dict[Where, list[Part]] = {}
+    found: dict[Where, list[ClipAmplitudes]] = {}
     expected = forecast(fit.model, fit.launches, clips)
     size = np.sqrt(sum((s**2).sum(axis=0) for s in fit.slopes))
     unit = 1 / np.where(size > 0, size, 1)
@@ -52,7 +52,7 @@ def ripples(clips: Sequence[Measured], fit: Fit, noise: Noise) -> Iterator[tuple
             terms, raw = _terms(clip, expected[k], times)
             if not terms:
                 continue
-            solved = Solved.of(fit.launch_slopes[k], white(raw), fit.residuals[k], fit.slopes[k] * unit)
+            solved = ClipSolution.of(fit.launch_slopes[k], white(raw), fit.residuals[k], fit.slopes[k] * unit)
             for which in sorted({term for term in terms if term}):
                 mine = [i for i, term in enumerate(terms) if term == which and solved.kept[i]]
                 if mine:
@@ -64,12 +64,12 @@ def ripples(clips: Sequence[Measured], fit: Fit, noise: Noise) -> Iterator[tuple
             yield where, *result
 
 
-def _part(solved: Solved, mine: list[int], columns: Array, residual: Array) -> Part:
+def _part(solved: ClipSolution, mine: list[int], columns: Array, residual: Array) -> ClipAmplitudes:
     pulls, per_metre, shared = solved.group(mine)
     squares = np.einsum("nai,naj->ij", columns, columns)
     rows = (columns != 0).any(axis=(1, 2))
     left = float((residual[rows] ** 2).sum())
-    return Part(pulls, per_metre, shared, solved.information, solved.pull, squares, int(rows.sum()), left, {})
+    return ClipAmplitudes(pulls, per_metre, shared, solved.information, solved.pull, squares, int(rows.sum()), left, {})
 
 
 def _terms(clip: Measured, path: Array, times: int) -> tuple[list[tuple[int, int] | None], Array]:

@@ -17,7 +17,7 @@ SPANNED = 1e-3  # of a template's length that others must leave
 
 
 @dataclass(frozen=True)
-class Part:
+class ClipAmplitudes:
     """One clip's part in a trial. P terms, of which the clip tells m combinations.
 
     pulls (m,): amplitudes, of unit variance; per_metre (m, P): pulls that a metre of each term would make;
@@ -38,7 +38,7 @@ class Part:
 
 
 @dataclass(frozen=True)
-class Solved:
+class ClipSolution:
     """Least squares of one clip: amplitudes of unit-length terms, their covariance, and what shared parameters do.
 
     information (S, S) and pull (S,): of the shared parameters in what the terms leave free.
@@ -53,7 +53,7 @@ class Solved:
     pull: Array
 
     @classmethod
-    def of(cls, launch: Array, columns: Array, residual: Array, shared: Array) -> Solved:
+    def of(cls, launch: Array, columns: Array, residual: Array, shared: Array) -> ClipSolution:
         """columns (2n, T) of the terms; the launch is free beside them. All whitened."""
         both = np.column_stack([launch, columns])
         length = np.linalg.norm(both, axis=0)
@@ -77,7 +77,7 @@ class Solved:
         return root @ self.amplitude[rows], root * self.length[rows], root @ self.shared[rows]
 
 
-def results(parts: Sequence[Part]) -> Iterator[tuple[str, float, int, float]]:
+def results(parts: Sequence[ClipAmplitudes]) -> Iterator[tuple[str, float, int, float]]:
     """(against, chi^2, degrees of freedom, size in um) of one trial over all clips.
 
     The shared parameters are free; what the trial leaves of the clips tells of them too, as a few rows more.
@@ -118,7 +118,7 @@ def _basis(columns: Array, besides: Array | None = None) -> Array:
     return np.asarray(axes[:, sizes > SPANNED])
 
 
-def _size(parts: Sequence[Part], pulls: Array, noisy: float) -> float:
+def _size(parts: Sequence[ClipAmplitudes], pulls: Array, noisy: float) -> float:
     """rms displacement, um, that makes these pulls, less what noise makes: `noisy` of its directions are in them.
 
     nan where the residuals are so much smaller that the terms of this trial and those beside it all but cancel.

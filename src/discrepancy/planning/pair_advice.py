@@ -16,7 +16,7 @@ from discrepancy.noise.model import Noise
 from discrepancy.planning import changes
 from discrepancy.planning.experiment import Experiment
 from discrepancy.planning.position_errors import StatedErrors
-from discrepancy.selection.score_test import ScoreTests, likeness, tried
+from discrepancy.selection.score_test import ScoreTests, derive_trial, largest_cosine
 
 Shaped = tuple[Candidate, dict[str, float]]  # an effect, with values of its shape parameters
 
@@ -104,12 +104,13 @@ def _cosine(experiment: Experiment, one: Shaped, other: Shaped) -> float:
         here = experiment.fit()
         expected = forecast(here.model, launches, evidence.clips)
         trials = tuple(
-            tried(evidence, here.model, launches, candidate, shapes, expected) for candidate, shapes in (one, other)
+            derive_trial(evidence, here.model, launches, candidate, shapes, expected)
+            for candidate, shapes in (one, other)
         )
     except ValueError:
         return 1.0
     first, second = ScoreTests(here, trials).ranking()  # what is absorbed comes last
-    return 1.0 if second.absorbed else likeness(first.signature, second.signature)
+    return 1.0 if second.absorbed else largest_cosine(first.signature, second.signature)
 
 
 def advise(one: Candidate, other: Candidate, found: Sequence[ComparedDesign]) -> str:

@@ -15,8 +15,8 @@ from discrepancy.arrays import Array
 from discrepancy.fitting.parameters import Candidate, candidates, parameter_of
 from discrepancy.fitting.significance import sigmas
 from discrepancy.planning.experiment import Experiment
-from discrepancy.selection.score_test import ScoreTests, seen_axes
-from discrepancy.selection.scored import Sizes, Trial
+from discrepancy.selection.score_test import ScoreTests, detectable_axes
+from discrepancy.selection.scored import CandidateTrial, RealisticSizes
 from synthcam.model import Model
 
 SAME = 1e-9  # of 1 - cosine^2: nothing parts two signatures that are nearer
@@ -94,7 +94,7 @@ class Signatures:
     """
 
     model: Model
-    trials: tuple[Trial, ...]
+    trials: tuple[CandidateTrial, ...]
     gram: Array
     trials_factors: Mapping[str, float]
 
@@ -123,11 +123,11 @@ class Signatures:
     def _axes(self) -> list[Array]:
         """Of each trial, (k, m) that makes an orthonormal basis of its signature."""
         lengths = [np.sqrt(sum((c**2).sum(axis=0) for c in t.columns)) for t in self.trials]
-        return [seen_axes(self.gram[s, s], length) for s, length in zip(self._spans, lengths, strict=True)]
+        return [detectable_axes(self.gram[s, s], length) for s, length in zip(self._spans, lengths, strict=True)]
 
     @cached_property
-    def _sizes(self) -> dict[Candidate, Sizes]:
-        return {c: Sizes.of(c, self.model) for c in dict.fromkeys(t.candidate for t in self.trials)}
+    def _sizes(self) -> dict[Candidate, RealisticSizes]:
+        return {c: RealisticSizes.of(c, self.model) for c in dict.fromkeys(t.candidate for t in self.trials)}
 
     def _limit(self, trial: int, strength: int) -> float:
         """Of one strength of a trial, alone."""

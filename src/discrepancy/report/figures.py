@@ -16,7 +16,7 @@ from discrepancy.data.launch import HEADING, T_C, V0
 from discrepancy.diagnostics.gap import Gap
 from discrepancy.fitting.model_fit import Fit
 from discrepancy.fitting.predict import forecast
-from discrepancy.found import Found
+from discrepancy.found import SearchResult
 from discrepancy.free_laws.law_summary import LawSummary
 from tracker.report.html import svg
 
@@ -28,7 +28,7 @@ FEWEST = 3  # points of a bin
 SHOWN = 20  # candidates, at most
 
 
-def drawn(found: Found) -> list[dict[str, str]]:
+def drawn(found: SearchResult) -> list[dict[str, str]]:
     """title, note and png of each."""
     with matplotlib.rc_context(STYLE):
         out = [
@@ -71,14 +71,14 @@ def inline(title: str, figure: Figure, note: str) -> dict[str, str]:
     return {"title": title, "note": note, "address": svg(figure)}
 
 
-def _sets(found: Found) -> list[tuple[Sequence[Measured], Fit, str, str]]:
+def _sets(found: SearchResult) -> list[tuple[Sequence[Measured], Fit, str, str]]:
     sets: list[tuple[Sequence[Measured], Fit, str, str]] = [(found.data.clips, found.base, BEFORE, "before")]
     if found.anything:
         sets.append((found.free_law.evidence.clips if found.free_law else found.data.clips, found.best, AFTER, "after"))
     return sets
 
 
-def _stacked(found: Found) -> Figure:
+def _stacked(found: SearchResult) -> Figure:
     figure, axes = _subplots(2, 2, figsize=(8, 4.6), sharex=True)
     for k, (clips, fit, colour, label) in enumerate(_sets(found)):
         stage, ball, left = _residuals(clips, fit)
@@ -96,7 +96,7 @@ def _stacked(found: Found) -> Figure:
     return figure
 
 
-def _sizes(found: Found) -> Figure:
+def _sizes(found: SearchResult) -> Figure:
     figure, axes = _subplots(1, 2, figsize=(8, 2.8), sharey=True)
     for k, (clips, fit, colour, label) in enumerate(_sets(found)):
         stage, ball, left = _residuals(clips, fit)
@@ -190,7 +190,7 @@ def _map(answer: LawSummary) -> Figure:
     return figure
 
 
-def _ranking(found: Found) -> Figure:
+def _ranking(found: SearchResult) -> Figure:
     ranking = found.selected.ranking[:SHOWN][::-1]
     figure, ax = _subplots(figsize=(6, 0.6 + 0.25 * len(ranking)))
     claimed = {n.effect for n in found.named}
@@ -206,7 +206,7 @@ def _ranking(found: Found) -> Figure:
     return figure
 
 
-def _by_phase(found: Found) -> Figure:
+def _by_phase(found: SearchResult) -> Figure:
     gap = found.shown.gap
     figure, axes = _subplots(1, 2, figsize=(8, 3))
     for ax, ending in zip(axes, ("", "_um"), strict=True):
@@ -228,7 +228,7 @@ def gap_bars(ax: Axes, gap: Gap, ending: str, labels: Sequence[str] = ("before",
     ax.set(ylabel="rms residual, each axis (um)" if ending else "chi^2 a point")
 
 
-def _by_clip(found: Found) -> Figure:
+def _by_clip(found: SearchResult) -> Figure:
     figure, ax = _subplots(figsize=(6, 3))
     speeds = [float(c.launch[V0]) for c in found.data.kept_out]
     for fit, colour, label in ((found.shown.before, BEFORE, "before"), (found.shown.after, AFTER, "after")):

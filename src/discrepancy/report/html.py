@@ -10,15 +10,15 @@ from typing import Any
 import numpy as np
 
 from discrepancy.fitting.parameters import parameter_of
-from discrepancy.found import Found
+from discrepancy.found import SearchResult
 from discrepancy.report.figures import drawn
 from discrepancy.report.narrative import rounded, story
-from discrepancy.selection.named import as_sure
+from discrepancy.selection.named import format_with_error
 from synthcam.model import Model, write_model
 from tracker.report.html import made, rendered
 
 
-def write(found: Found, folder: Path, left_out: Sequence[str]) -> None:
+def write(found: SearchResult, folder: Path, left_out: Sequence[str]) -> None:
     """Write the report's three files into a folder, made if need be. left_out: a line for each clip, or part of one."""
     folder.mkdir(parents=True, exist_ok=True)
     content = document(found, left_out)
@@ -31,7 +31,7 @@ def write(found: Found, folder: Path, left_out: Sequence[str]) -> None:
         story=story(found),
         figures=drawn(found),
         finite=np.isfinite,
-        as_sure=as_sure,
+        format_with_error=format_with_error,
         rounded=rounded,
         unit=_unit,
         made=made("discrepancy find"),
@@ -39,7 +39,7 @@ def write(found: Found, folder: Path, left_out: Sequence[str]) -> None:
     (folder / "index.html").write_text(page, encoding="utf-8")
 
 
-def document(found: Found, left_out: Sequence[str]) -> dict[str, Any]:
+def document(found: SearchResult, left_out: Sequence[str]) -> dict[str, Any]:
     """The keys of discrepancy.json, plain; None for what is not finite."""
     whole: dict[str, Any] = plain(found.document())
     whole["clips"]["left_out"] = list(left_out)

@@ -9,13 +9,13 @@ import numpy as np
 from discrepancy.data.launch import V0, WITH_SPIN, B
 from discrepancy.fitting.gauss_newton import solve
 from discrepancy.fitting.model_fit import Fit
-from discrepancy.found import Found
+from discrepancy.found import SearchResult
 
 SETTLED = 0.1  # of chi^2 that a further step may gain
 
 
-def story(found: Found) -> list[str]:
-    """Four sentences, beside that of the outcome (`Found.sentence`)."""
+def story(found: SearchResult) -> list[str]:
+    """Four sentences, beside that of the outcome (`SearchResult.sentence`)."""
     return [_fitted(found), _where(found), _closed(found), _open(found)]
 
 
@@ -26,7 +26,7 @@ def rest(fit: Fit) -> float:
     return fit.chi2 - sum(float((r - s) @ (r - s)) for r, s in zip(fit.residuals, steps, strict=True))
 
 
-def _fitted(found: Found) -> str:
+def _fitted(found: SearchResult) -> str:
     base, data, noise = found.base, found.data, found.data.noise
     speeds = [float(c.launch[V0]) for c in data.clips]
     widest = max(abs(float(c.launch[B])) for c in data.clips)
@@ -44,13 +44,13 @@ def _fitted(found: Found) -> str:
     )
 
 
-def _common_mode(found: Found) -> str:
+def _common_mode(found: SearchResult) -> str:
     return (
         f", {1e6 * found.data.noise.common_mode:.2g} um of it common to both balls" if found.data.noise.shared else ""
     )
 
 
-def _where(found: Found) -> str:
+def _where(found: SearchResult) -> str:
     base = found.base
     left = f"leaves chi^2 = {base.chi2 / (base.points - base.parameters):.3f} per degree of freedom"
     worst = found.where[0] if found.where else None
@@ -68,7 +68,7 @@ def rounded(value: float, digits: int) -> str:
     return f"{float(f'{value:.{digits}g}'):g}"
 
 
-def _closed(found: Found) -> str:
+def _closed(found: SearchResult) -> str:
     gap = found.shown.gap
     if not found.anything:
         return (
@@ -85,7 +85,7 @@ def _closed(found: Found) -> str:
     )
 
 
-def _open(found: Found) -> str:
+def _open(found: SearchResult) -> str:
     parts = []
     classes = [n.aliases for n in found.named if len(n.aliases) > 1]
     if classes:

@@ -7,12 +7,12 @@ from collections.abc import Callable, Collection
 from discrepancy.fitting.model_fit import Evidence, Fit
 from discrepancy.fitting.parameters import Candidate
 from discrepancy.free_laws.fitted_law import FittedLaw
-from discrepancy.selection.free_law_fit import with_effect
+from discrepancy.selection.free_law_fit import fit_law_with_effect
 from discrepancy.selection.score_test import ScoreTests
 from discrepancy.selection.stepwise import LOOSE, NEAR, SWAPS
 
 
-def in_its_place(
+def find_replacements(
     evidence: Evidence,
     less: FittedLaw,
     named: Candidate,
@@ -51,7 +51,7 @@ def in_its_place(
     fitted = []
     for rival in sorted(rivals, key=lambda c: -c.gain)[:SWAPS]:
         try:
-            fitted.append((rival.effect, with_effect(evidence, less, rival, base, progress)[1]))
+            fitted.append((rival.effect, fit_law_with_effect(evidence, less, rival, base, progress)[1]))
         except ValueError:  # no motion
             continue
     return sorted(fitted, key=lambda pair: pair[1].score)

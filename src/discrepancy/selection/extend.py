@@ -11,13 +11,15 @@ from discrepancy.fitting.jacobian import derivatives
 from discrepancy.fitting.model_fit import Evidence, Fit
 from discrepancy.fitting.parameters import limits_of, parameter_of
 from discrepancy.fitting.predict import forecast
-from discrepancy.selection.scored import Scored
+from discrepancy.selection.scored import CandidateScore
 
 KEPT = 0.5  # of the gain that the score promises
 STARTS, FAR = (0.1, 0.3, 1.0), 2  # of a realistic size, where the way is too far for the score; that many are followed
 
 
-def extended(evidence: Evidence, fit: Fit, scored: Scored, progress: Callable[[], None] = lambda: None) -> Fit:
+def fit_with_candidate(
+    evidence: Evidence, fit: Fit, scored: CandidateScore, progress: Callable[[], None] = lambda: None
+) -> Fit:
     """Fit a candidate's strengths, then its shape parameters, together with all that a fit has already.
 
     The descent starts where the score test leads, and where that gains less than KEPT of what the test promised, from
@@ -28,7 +30,7 @@ def extended(evidence: Evidence, fit: Fit, scored: Scored, progress: Callable[[]
     evidence : Evidence
     fit : Fit
         Without the candidate.
-    scored : Scored
+    scored : CandidateScore
         The candidate and its score test beside `fit`.
     progress : callable
         Told of progress.
@@ -44,7 +46,7 @@ def extended(evidence: Evidence, fit: Fit, scored: Scored, progress: Callable[[]
     return min(tries, key=lambda f: f.chi2, default=fit)
 
 
-def _from_here(evidence: Evidence, fit: Fit, scored: Scored, progress: Callable[[], None]) -> Fit:
+def _from_here(evidence: Evidence, fit: Fit, scored: CandidateScore, progress: Callable[[], None]) -> Fit:
     candidate, model = scored.candidate, fit.model.replace(scored.shapes)
     strong = settle(evidence, fit.extended(model, scored.strengths, scored.columns), progress, rough=True)
     if not candidate.shapes or all(strong.model.value(s) == 0 for s in scored.strengths):
@@ -56,7 +58,7 @@ def _from_here(evidence: Evidence, fit: Fit, scored: Scored, progress: Callable[
     return settle(evidence, strong.extended(strong.model, candidate.shapes, columns), progress, rough=True)
 
 
-def _far(evidence: Evidence, fit: Fit, scored: Scored) -> list[Fit]:
+def _far(evidence: Evidence, fit: Fit, scored: CandidateScore) -> list[Fit]:
     """The FAR best starts with the candidate's single strength at a realistic size, all else adapted by one step."""
     candidate = scored.candidate
     if len(candidate.strengths) > 1:

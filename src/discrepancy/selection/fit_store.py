@@ -9,11 +9,11 @@ from discrepancy.fitting.gauss_newton import likeliest, linearised, nudged, sett
 from discrepancy.fitting.model_fit import Evidence, Fit
 from discrepancy.fitting.parameters import Candidate, parameter_of
 from discrepancy.fitting.shape_scan import scannable
-from discrepancy.selection.extend import extended
+from discrepancy.selection.extend import fit_with_candidate
 from discrepancy.selection.model_cost import cost_of
 from discrepancy.selection.profile_errors import GAINED
 from discrepancy.selection.score_test import ScoreTests
-from discrepancy.selection.scored import Scored
+from discrepancy.selection.scored import CandidateScore
 from synthcam.dynamics.solve import uncoupled
 
 Key = frozenset[Candidate]
@@ -86,9 +86,9 @@ class FitStore:
             self.fits[key] = exact
         return self.fits[key]
 
-    def extend(self, key: Key, fit: Fit, scored: Scored) -> None:
+    def extend(self, key: Key, fit: Fit, scored: CandidateScore) -> None:
         """Fit and keep the model of `key`: that of `fit` with the scored candidate added."""
-        self._keep(key, extended(self.evidence, fit, scored, self.progress))
+        self._keep(key, fit_with_candidate(self.evidence, fit, scored, self.progress))
         self.latest[key] = scored.candidate
 
     def offer(self, key: Key, fit: Fit) -> None:
@@ -114,7 +114,7 @@ class FitStore:
             tests = ScoreTests.of(self.evidence, reduced, self.progress, [candidate])
             scored = tests.sharper(self.evidence, tests.ranking()[0])
             if tests.chi2() - scored.gain < fit.chi2 - GAINED:
-                fit = self._or_better(fit, extended(self.evidence, reduced, scored, self.progress))
+                fit = self._or_better(fit, fit_with_candidate(self.evidence, reduced, scored, self.progress))
         return fit
 
     def _or_better(self, fit: Fit, other: Fit) -> Fit:

@@ -17,16 +17,16 @@ from discrepancy.fitting.model_fit import Evidence, Fit
 from discrepancy.free_laws.fitted_law import FittedLaw
 from discrepancy.free_laws.law_kinds import FreeLaw
 from discrepancy.free_laws.library import free_laws_over
-from discrepancy.selection.free_law_fit import fill, held_against, moves_of, with_effect
+from discrepancy.selection.free_law_fit import fit_law, fit_law_with_effect, score_law, whiten_law_columns
 from discrepancy.selection.model_cost import cost_of
 from discrepancy.selection.score_test import ScoreTests
-from discrepancy.selection.scored import Scored
+from discrepancy.selection.scored import CandidateScore
 
 LEADERS = 3  # fitted in full
 NEAR, LOOSE = 15.0, 0.01  # of chi^2, and of what a free law explains: what the first order may be wrong by
 
 
-def alone(evidence: Evidence, base: Fit, best: Fit, progress: Callable[[], None] = lambda: None) -> list[Fit]:
+def fit_each_alone(evidence: Evidence, base: Fit, best: Fit, progress: Callable[[], None] = lambda: None) -> list[Fit]:
     """Fit each effect of the best model alone, where it has several that the base has not."""
     added = best.added(base)
     if len(added) < 2:
@@ -65,7 +65,7 @@ class FreeLawContest:
         Whether the library's latest model leaves a free law significant.
     beaten : int
         How many of the library's models in a row a free law beside a smaller model has explained more than.
-    asked : (int, Scored or None) or None
+    asked : (int, CandidateScore or None) or None
         The place in `fitted` of the free law that was last asked what it lacks, and the answer.
     """
 
@@ -77,7 +77,7 @@ class FreeLawContest:
     rivals: tuple[Fit, ...] = ()
     refuted: bool = False
     beaten: int = 0
-    asked: tuple[int, Scored | None] | None = None
+    asked: tuple[int, CandidateScore | None] | None = None
 
     @classmethod
     def of(cls, evidence: Evidence, base: Fit, progress: Callable[[], None] = lambda: None) -> FreeLawContest:
@@ -110,7 +110,7 @@ class FreeLawContest:
         -------
         FreeLawContest
         """
-        fits = [*alone(self.evidence, self.base, fit, self.progress), fit]
+        fits = [*fit_each_alone(self.evidence, self.base, fit, self.progress), fit]
         there = dataclasses.replace(self, rivals=tuple(rivals))._considered(fits)
         best = there._best(fit, 1)
         if best is not None and there._count(fit) == 1:
@@ -136,7 +136,7 @@ class FreeLawContest:
             if beside is None:
                 break
             try:
-                sigma, trial = with_effect(there.evidence, known, beside, there.base, there.progress)
+                sigma, trial = fit_law_with_effect(there.evidence, known, beside, there.base, there.progress)
             except ValueError:  # without the free law there is no motion
                 break
             if trial.score >= known.score or sigma < policy.FREE_LAW_SIGMA:
@@ -173,8 +173,10 @@ class FreeLawContest:
         """With those free laws fitted that to first order may be the best beside these models, the latest last."""
         seen, fitted = [], list(self.fitted)
         for law in self.laws:
-            moves = moves_of(self.evidence, law, self.base.model, self.base.launches)  # near enough for all fits
-            seen += [(held_against(law, fit, moves), k) for k, fit in enumerate(fits, 1 - len(fits))]
+            moves = whiten_law_columns(
+                self.evidence, law, self.base.model, self.base.launches
+            )  # near enough for all fits
+            seen += [(score_law(law, fit, moves), k) for k, fit in enumerate(fits, 1 - len(fits))]
             self.progress()
         leaders = [(test, k) for test, k in seen if test.sigma > policy.FREE_LAW_SIGMA]
         leaders.sort(key=lambda pair: pair[0].score(self.base))
@@ -182,7 +184,7 @@ class FreeLawContest:
             slack = NEAR + LOOSE * (cost_of(test.fit, self.base) - test.score(self.base))
             if all(test.score(self.base) < f.score + slack for f in fitted):
                 with suppress(ValueError):  # a curve on whose way there is no motion
-                    fitted.append(fill(self.evidence, test, self.base, self.progress))
+                    fitted.append(fit_law(self.evidence, test, self.base, self.progress))
         return dataclasses.replace(self, fitted=tuple(fitted), refuted=any(k == 0 for _, k in leaders))
 
     def _asked(self, place: int) -> FreeLawContest:
@@ -195,5 +197,5 @@ class FreeLawContest:
         claimed = ranking and ranking[0].sigma > policy.FREE_LAW_SIGMA and ranking[0].sigma > tests.claim()
         return dataclasses.replace(self, asked=(place, ranking[0] if claimed else None))
 
-    def _lacks(self, place: int) -> Scored | None:
+    def _lacks(self, place: int) -> CandidateScore | None:
         return self.asked[1] if self.asked is not None and self.asked[0] == place else None

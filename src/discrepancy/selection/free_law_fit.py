@@ -21,8 +21,8 @@ from discrepancy.free_laws.law_kinds import FreeLaw
 from discrepancy.free_laws.marginal_likelihood import CurveEvidence, compute_significance, maximise_evidence
 from discrepancy.free_laws.ranges import over_clips
 from discrepancy.noise.model import Noise
-from discrepancy.selection.model_cost import cost_of, law_chosen
-from discrepancy.selection.scored import Scored
+from discrepancy.selection.model_cost import cost_of, law_choice_cost
+from discrepancy.selection.scored import CandidateScore
 from synthcam.model import Model
 
 ROUNDS = 30
@@ -32,7 +32,7 @@ SHORTER = (1.0, 0.5, 0.25, 0.1, 0.02)  # shares of a step that are tried
 
 
 @dataclass(frozen=True)
-class LawTest:
+class LawScore:
     """A free law held against a fit, to first order."""
 
     law: FreeLaw
@@ -47,22 +47,22 @@ class LawTest:
 
     def score(self, base: Fit) -> float:
         """What the model with the law would cost, in chi^2."""
-        return cost_of(self.fit, base) + law_chosen() - self.weight.gain
+        return cost_of(self.fit, base) + law_choice_cost() - self.weight.gain
 
 
-def moves_of(evidence: Evidence, law: FreeLaw, model: Model, launches: Array) -> tuple[Array, ...]:
+def whiten_law_columns(evidence: Evidence, law: FreeLaw, model: Model, launches: Array) -> tuple[Array, ...]:
     """Whitened derivatives by the coefficients, (2n, J) of each clip."""
     return evidence.white(law.columns(model, launches, evidence.clips))
 
 
-def held_against(law: FreeLaw, fit: Fit, moves: Sequence[Array]) -> LawTest:
+def score_law(law: FreeLaw, fit: Fit, moves: Sequence[Array]) -> LawScore:
     information, pull = fit.information(moves)
-    return LawTest(law, fit, compute_significance(law, information, pull), information, pull)
+    return LawScore(law, fit, compute_significance(law, information, pull), information, pull)
 
 
-def fill(
+def fit_law(
     evidence: Evidence,
-    test: LawTest,
+    test: LawScore,
     base: Fit,
     progress: Callable[[], None] = lambda: None,
     begun: FittedLaw | None = None,
@@ -95,7 +95,7 @@ def fill(
         plain, fit, here, coefs = test.fit.model, test.fit, evidence, np.zeros(law.size)
     else:
         plain, fit, here, coefs = begun.model_without_law, begun.fit, begun.evidence, begun.coefs
-    moves = moves_of(here, law, fit.model, fit.launches)
+    moves = whiten_law_columns(here, law, fit.model, fit.launches)
     for _ in range(ROUNDS):
         progress()
         information, pull = fit.information(moves)
@@ -115,9 +115,9 @@ def fill(
             if fit.local:
                 break
             fit = linearised(here, fit.model, fit.names, fit.launches)
-            moves = moves_of(evidence, law, law.bent(plain, coefs), fit.launches)
+            moves = whiten_law_columns(evidence, law, law.bent(plain, coefs), fit.launches)
     freedom = np.linalg.slogdet(np.eye(law.size) + information / np.diag(weight.prior.precision)[:, None])
-    paid = law_chosen() + weight.prior.cost + float(coefs @ weight.prior.precision @ coefs + freedom[1])
+    paid = law_choice_cost() + weight.prior.cost + float(coefs @ weight.prior.precision @ coefs + freedom[1])
     smooth = FittedLaw(law, coefs, weight.prior, fit, plain, here, moves, test.sigma, cost_of(fit, base) + paid)
     return dataclasses.replace(smooth, score=smooth.score - gain_of_steps(smooth))
 
@@ -144,8 +144,8 @@ def _moved(
     return here, dataclasses.replace(fit, model=model, launches=launches, residuals=residuals), plain
 
 
-def with_effect(
-    evidence: Evidence, known: FittedLaw, effect: Scored, base: Fit, progress: Callable[[], None]
+def fit_law_with_effect(
+    evidence: Evidence, known: FittedLaw, effect: CandidateScore, base: Fit, progress: Callable[[], None]
 ) -> tuple[float, FittedLaw]:
     """Fit a free law again with an effect of the library more beside it. Raises ValueError: without the law no motion.
 
@@ -160,37 +160,39 @@ def with_effect(
         known.fit.names,
     )
     start = settle(evidence, linearised(evidence, model, (*names, *effect.strengths), known.fit.launches), progress)
-    test = held_against(known.law, start, moves_of(evidence, known.law, start.model, start.launches))
-    fitted = fill(evidence, test, base, progress)
+    test = score_law(known.law, start, whiten_law_columns(evidence, known.law, start.model, start.launches))
+    fitted = fit_law(evidence, test, base, progress)
     names = (*start.names, *effect.shapes)
     for _ in range(TURNS if effect.shapes else 0):  # without the law they may run off
         here, one = fitted.evidence, fitted.fit
         whole = settle(here, linearised(here, one.model, names, one.launches), progress)
         plain = within(fitted.model_without_law, dict(zip(whole.names, whole.values().tolist(), strict=True)))
         before = fitted.score
-        fitted = fill(evidence, test, base, progress, dataclasses.replace(fitted, fit=whole, model_without_law=plain))
+        fitted = fit_law(
+            evidence, test, base, progress, dataclasses.replace(fitted, fit=whole, model_without_law=plain)
+        )
         if fitted.score > before - SETTLED:
             break
     information, pull = fitted.fit.information(fitted.slopes)
     return compute_significance(fitted.law, information, pull + information @ fitted.coefs), fitted
 
 
-def refilled(
+def refit_without_effect(
     evidence: Evidence, fitted_law: FittedLaw, gone: Candidate, base: Fit, progress: Callable[[], None]
 ) -> FittedLaw:
     """Fit a free law again without the effect `gone` beside it. Raises ValueError where that has no motion."""
     names = tuple(n for n in fitted_law.fit.names if n not in gone.strengths + gone.shapes)
     start = linearised(evidence, gone.without(fitted_law.model_without_law), names, fitted_law.fit.launches)
     fit = settle(evidence, start, progress)
-    return fill(
+    return fit_law(
         evidence,
-        held_against(fitted_law.law, fit, moves_of(evidence, fitted_law.law, fit.model, fit.launches)),
+        score_law(fitted_law.law, fit, whiten_law_columns(evidence, fitted_law.law, fit.model, fit.launches)),
         base,
         progress,
     )
 
 
-def emptied(evidence: Evidence, fitted_law: FittedLaw, progress: Callable[[], None]) -> Fit:
+def fit_without_law(evidence: Evidence, fitted_law: FittedLaw, progress: Callable[[], None]) -> Fit:
     """Fit all else that a fitted law has beside it, without the law. Raises ValueError where that has no motion."""
     return settle(
         evidence,
@@ -199,7 +201,9 @@ def emptied(evidence: Evidence, fitted_law: FittedLaw, progress: Callable[[], No
     )
 
 
-def scatter(fitted_law: FittedLaw, clips: Sequence[Measured], without: Fit, noise: Noise) -> tuple[float, float, float]:
+def compare_scatter(
+    fitted_law: FittedLaw, clips: Sequence[Measured], without: Fit, noise: Noise
+) -> tuple[float, float, float]:
     """Whether a law that gives each clip a number of its own holds in clips that it was not fitted to.
 
     Those clips have numbers of their own; what the law foretells is only how much these scatter. `without` is the fit
@@ -215,7 +219,7 @@ def scatter(fitted_law: FittedLaw, clips: Sequence[Measured], without: Fit, nois
     evidence = Evidence.of(clips, noise)
     law = dataclasses.replace(fitted_law.law, axes=over_clips(len(clips)))
     fit = linearised(evidence, without.model, (), without.launches)
-    information, pull = fit.information(moves_of(evidence, law, fit.model, fit.launches))
+    information, pull = fit.information(whiten_law_columns(evidence, law, fit.model, fit.launches))
     size = fitted_law.prior.size * np.sqrt(law.prior_variances(fitted_law.prior.length))
     values, axes = np.linalg.eigh(size[:, None] * information * size)
     values, pulls = np.maximum(values, 0.0), axes.T @ (size * pull)
@@ -223,7 +227,7 @@ def scatter(fitted_law: FittedLaw, clips: Sequence[Measured], without: Fit, nois
     return gain, float((values - np.log1p(values)).sum()), float(np.sqrt(2 * (values**2).sum()))
 
 
-def unseen(fitted_law: FittedLaw, clips: Sequence[Measured], before: Fit, noise: Noise) -> Fit:
+def fit_unseen_clips(fitted_law: FittedLaw, clips: Sequence[Measured], before: Fit, noise: Noise) -> Fit:
     """Fit the launches of clips that a free law was not fitted to, with the law as it was found.
 
     Parameters
@@ -245,7 +249,7 @@ def unseen(fitted_law: FittedLaw, clips: Sequence[Measured], before: Fit, noise:
         evidence = Evidence.of(clips, noise)
         there = settle(evidence, linearised(evidence, plain, (), before.launches))
         law = dataclasses.replace(fitted_law.law, axes=over_clips(len(clips)))
-        test = held_against(law, there, moves_of(evidence, law, plain, there.launches))
-        return fill(evidence, test, there).fit
+        test = score_law(law, there, whiten_law_columns(evidence, law, plain, there.launches))
+        return fit_law(evidence, test, there).fit
     left = fitted_law.law.undone(clips, plain, before.launches, fitted_law.coefs)
     return fit_model(left, fitted_law.fit.model, (), noise, before.launches)

@@ -14,7 +14,7 @@ from discrepancy.free_laws.marginal_likelihood import cost_of_choice, cost_of_st
 from synthcam.library import library
 
 
-def law_chosen() -> float:
+def law_choice_cost() -> float:
     """What it costs to choose one law to be left free, in chi^2."""
     return cost_of_choice(law_count())
 

@@ -13,13 +13,13 @@ from discrepancy import policy
 from discrepancy.arrays import Array
 from discrepancy.fitting.model_fit import Fit
 from discrepancy.fitting.parameters import Candidate, limits_of, parameter_of
-from discrepancy.selection.score_test import likeness
-from discrepancy.selection.scored import Scored
+from discrepancy.selection.score_test import largest_cosine
+from discrepancy.selection.scored import CandidateScore
 from synthcam.model import Model
 
 
 @dataclass(frozen=True)
-class Named:
+class EffectClaim:
     """An effect added to the model.
 
     Attributes
@@ -53,7 +53,7 @@ class Named:
     naming: dict[str, float] = field(default_factory=dict)
 
     @classmethod
-    def of(cls, candidate: Candidate, fit: Fit, std: Mapping[str, float], sigma: float) -> Named:
+    def of(cls, candidate: Candidate, fit: Fit, std: Mapping[str, float], sigma: float) -> EffectClaim:
         """Name a candidate with the values that a fit gives it.
 
         Parameters
@@ -68,14 +68,14 @@ class Named:
 
         Returns
         -------
-        Named
+        EffectClaim
             Without aliases or limits.
         """
         values, shapes = ({k: fit.model.value(k) for k in names} for names in (candidate.strengths, candidate.shapes))
-        own, bent = {k: std.get(k, np.inf) for k in values}, {k: determined(fit, k, std.get(k, 0.0)) for k in shapes}
+        own, bent = {k: std.get(k, np.inf) for k in values}, {k: shape_error(fit, k, std.get(k, 0.0)) for k in shapes}
         return cls(candidate.name, values, own, sigma, (candidate.name,), shapes, bent)
 
-    def unsure(self, sigma: float) -> Named:
+    def unsure(self, sigma: float) -> EffectClaim:
         """The same without standard deviations, which would hold only if nothing else were missing.
 
         sigma: by how the strength scatters from collision to collision; the lesser sigma is given.
@@ -85,7 +85,7 @@ class Named:
 
     def at_limit(self, name: str) -> bool:
         """Whether a strength stands at the end of what its effect allows: it might lie beyond, so it has no error."""
-        return name in self.values and at_end(name, self.values[name])
+        return name in self.values and is_at_limit(name, self.values[name])
 
     def at_end_of_range(self) -> str:
         """Why it cannot be this effect: a shape parameter at an end of its range; empty if none is.
@@ -93,7 +93,7 @@ class Named:
         The collisions would have it beyond: what moves the balls has another law. Zero is no such end.
         """
         for name, value in self.shapes.items():
-            if value != 0 and at_end(name, value):
+            if value != 0 and is_at_limit(name, value):
                 return f"its {name.rpartition('.')[2]} stands at {value:.3g}, the end of its range"
         return ""
 
@@ -104,11 +104,11 @@ class Named:
     def said(self, base: Model) -> str:
         """The effect with its numbers; where the base model holds a strength, that it is another."""
         rivals = f" or {' or '.join(self.aliases[1:])}" if len(self.aliases) > 1 else ""
-        shown = {k: as_sure(v, 0.0 if self.at_limit(k) else self.std[k], 1) for k, v in self.values.items()}
+        shown = {k: format_with_error(v, 0.0 if self.at_limit(k) else self.std[k], 1) for k, v in self.values.items()}
         errors = {k: f"+- {self.std[k]:.1g}" if np.isfinite(self.std[k]) else "without an error" for k in self.values}
         errors |= {k: "at its limit" for k in self.values if self.at_limit(k)}
         shapes = [
-            f"{k.rpartition('.')[2]} = {as_sure(v, self.shape_std[k], 1)} +- {self.shape_std[k]:.1g}"
+            f"{k.rpartition('.')[2]} = {format_with_error(v, self.shape_std[k], 1)} +- {self.shape_std[k]:.1g}"
             if np.isfinite(self.shape_std[k])
             else f"{k.rpartition('.')[2]} undetermined"
             for k, v in self.shapes.items()
@@ -120,7 +120,7 @@ class Named:
         return f"{self.effect}{rivals} ({', '.join([*strengths, *shapes])}; {self.sigma:.0f} sigma)"
 
 
-def as_sure(value: float, std: float, digits: int) -> str:
+def format_with_error(value: float, std: float, digits: int) -> str:
     """A value as text, to the decimal place of the last of `digits` digits of its error; without one, three digits."""
     if not (np.isfinite(std) and std > 0 and value):
         return f"{value:.3g}"
@@ -131,27 +131,27 @@ def as_sure(value: float, std: float, digits: int) -> str:
     return f"{value:.{places}f}" if places > 0 else f"{value:.{figures}g}"
 
 
-def at_end(name: str, value: float) -> bool:
+def is_at_limit(name: str, value: float) -> bool:
     """Whether a parameter has the least or the greatest value that its effect allows."""
     typical = parameter_of(Model(), name).typical
     return any(abs(value - end) < 1e-6 * max(abs(end), typical) for end in limits_of(Model(), name))
 
 
-def determined(fit: Fit, shape: str, std: float) -> float:
+def shape_error(fit: Fit, shape: str, std: float) -> float:
     """The standard deviation of a fitted shape parameter; infinite where it exceeds half of the parameter's size."""
     p = parameter_of(fit.model, shape)
     size = max(abs(fit.model.value(shape)), p.typical) if p.low >= 0 else (p.high - p.low) / 2
     return std if 0 < std < size / 2 else np.inf
 
 
-def sums(own: Array, ranking: Sequence[Scored]) -> tuple[tuple[tuple[str, ...], float], ...]:
+def find_similar_pairs(own: Array, ranking: Sequence[CandidateScore]) -> tuple[tuple[tuple[str, ...], float], ...]:
     """Find pairs of effects whose sum has nearly a given signature, where neither of them has it alone.
 
     Parameters
     ----------
     own : (points, k) array
         The signature, as of `ScoreTests.signature`.
-    ranking : sequence of Scored
+    ranking : sequence of CandidateScore
         The effects to pair; those of one strength only are paired.
 
     Returns
@@ -159,10 +159,12 @@ def sums(own: Array, ranking: Sequence[Scored]) -> tuple[tuple[tuple[str, ...], 
     tuple of ((str, str), float)
         Names and cosine of the three likest pairs, the likest first.
     """
-    alone = [c for c in ranking if c.signature.shape[1] == 1 and 0 < likeness(own, c.signature) <= policy.ALIAS_COSINE]
+    alone = [
+        c for c in ranking if c.signature.shape[1] == 1 and 0 < largest_cosine(own, c.signature) <= policy.ALIAS_COSINE
+    ]
     found = []
     for one, other in itertools.combinations(alone, 2):
-        cosine = likeness(own, np.concatenate([one.signature, other.signature], axis=1))
+        cosine = largest_cosine(own, np.concatenate([one.signature, other.signature], axis=1))
         if cosine > policy.ALIAS_COSINE_OF_PAIRS:
             found.append(((one.effect, other.effect), cosine))
     return tuple(sorted(found, key=lambda f: -f[1])[:3])

@@ -12,7 +12,7 @@ from discrepancy.fitting.jacobian import quicker
 from discrepancy.fitting.model_fit import Evidence, Fit
 from discrepancy.fitting.parameters import Candidate, limits_of
 from discrepancy.fitting.shape_scan import MANY, scannable
-from discrepancy.selection.score_test import ScoreTests, tried
+from discrepancy.selection.score_test import ScoreTests, derive_trial
 from synthcam.model import Model
 
 GAINED = 2.0  # of chi^2, by other shapes: less is not worth another fit
@@ -46,7 +46,7 @@ def profile_std(evidence: Evidence, reduced: Fit, fit: Fit, candidate: Candidate
     if len(found) > 1:  # along a valley that runs between the places of a coarse grid
         near = [found | {s: shapes[s]} for s in found for shapes in tries]
         tries += [shapes for k, shapes in enumerate(near) if shapes not in near[:k]]
-    trials = [tried(evidence, plain, reduced.launches, candidate, shapes, here) for shapes in (*tries, found)]
+    trials = [derive_trial(evidence, plain, reduced.launches, candidate, shapes, here) for shapes in (*tries, found)]
     tests = ScoreTests(reduced, tuple(trials))
     *others, (_, most, strengths) = tests.estimates()
     middle = dict(zip(candidate.strengths, strengths, strict=True)) | found

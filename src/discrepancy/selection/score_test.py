@@ -16,7 +16,7 @@ from discrepancy.fitting.model_fit import Evidence, Fit, basis
 from discrepancy.fitting.parameters import Candidate, between, candidates, parameter_of
 from discrepancy.fitting.shape_scan import scannable, scanned
 from discrepancy.fitting.significance import by_chance, sigmas, trials_factor
-from discrepancy.selection.scored import Score, Scored, Sizes, Trial
+from discrepancy.selection.scored import CandidateScore, CandidateTrial, RealisticSizes, TrialScore
 from synthcam.model import Model
 
 SEEN = 1e-4  # of a signature's length that must be left when all that the fit absorbs is taken out
@@ -33,12 +33,12 @@ class ScoreTests:
     ----------
     fit : Fit
         What the candidates would be added to.
-    trials : tuple of Trial
+    trials : tuple of CandidateTrial
         Every candidate with each value tried of its shape parameters.
     """
 
     fit: Fit
-    trials: tuple[Trial, ...]
+    trials: tuple[CandidateTrial, ...]
 
     @classmethod
     def of(
@@ -73,7 +73,7 @@ class ScoreTests:
             if scannable(candidate, grid):
                 trials += _scanned(evidence, plain, fit.launches, candidate, grid, here)
             else:
-                trials += [tried(evidence, plain, fit.launches, candidate, shapes, here) for shapes in grid]
+                trials += [derive_trial(evidence, plain, fit.launches, candidate, shapes, here) for shapes in grid]
             progress()
         return cls(fit, tuple(trials))
 
@@ -136,7 +136,7 @@ class ScoreTests:
         left, absorbed = self._left(None)
         _, rows, lengths = self._products
         gram, _, taken = self._against(absorbed, left)
-        axes = [seen_axes(gram[s, s], lengths[s]) for s in self._spans]
+        axes = [detectable_axes(gram[s, s], lengths[s]) for s in self._spans]
         rows = rows - absorbed[:: self._step] @ taken
         whole = block_diag(*axes)
         return whole.T @ gram @ whole, [rows[:, s] @ a for s, a in zip(self._spans, axes, strict=True)]
@@ -177,20 +177,20 @@ class ScoreTests:
         kept = basis(self._shared[:, rest])
         return np.asarray(self._shared[:, own] - kept @ (kept.T @ self._shared[:, own]))
 
-    def sharper(self, evidence: Evidence, scored: Scored, without: Candidate | None = None) -> Scored:
+    def sharper(self, evidence: Evidence, scored: CandidateScore, without: Candidate | None = None) -> CandidateScore:
         """Look for better shape parameters of a candidate between those tried.
 
         Parameters
         ----------
         evidence : Evidence
-        scored : Scored
+        scored : CandidateScore
             As of `ranking`.
         without : Candidate, optional
             A named effect to take away first.
 
         Returns
         -------
-        Scored
+        CandidateScore
             The same candidate, with the best shape parameters found.
         """
         candidate, model = scored.candidate, self.fit.model
@@ -202,7 +202,7 @@ class ScoreTests:
         for closer in range(ZOOMS):
             for name in candidate.shapes:
                 for value in between(parameter_of(model, name), scored.shapes[name], closer):
-                    trial = tried(evidence, plain, launches, candidate, scored.shapes | {name: value}, here)
+                    trial = derive_trial(evidence, plain, launches, candidate, scored.shapes | {name: value}, here)
                     columns = self._stacked(trial.columns)
                     signature = columns - absorbed @ (absorbed.T @ columns)
                     score = self._score(trial, signature.T @ signature, signature.T @ left, _lengths(trial.columns))
@@ -210,7 +210,7 @@ class ScoreTests:
                         scored = score.scored(signature)
         return scored
 
-    def ranking(self, without: Candidate | None = None) -> tuple[Scored, ...]:
+    def ranking(self, without: Candidate | None = None) -> tuple[CandidateScore, ...]:
         """Each candidate with the best of its shape parameters, most significant first.
 
         Candidates that are not identifiable come last however well they score: what the fit absorbs of them up to first
@@ -223,13 +223,13 @@ class ScoreTests:
 
         Returns
         -------
-        tuple of Scored
+        tuple of CandidateScore
         """
         if not self.trials:
             return ()
         left, absorbed = self._left(without)
         gram, pulls, _ = self._against(absorbed, left)
-        lengths, best = self._products[2], dict[str, Score]()
+        lengths, best = self._products[2], dict[str, TrialScore]()
         for trial, s in zip(self.trials, self._spans, strict=True):
             score = self._score(trial, gram[s, s], pulls[s], lengths[s])
             known = best.get(trial.candidate.name)
@@ -241,7 +241,7 @@ class ScoreTests:
             found.append(score.scored(columns - absorbed @ (absorbed.T @ columns)))
         return tuple(found)
 
-    def leaders(self, claim: float) -> tuple[Scored, ...]:
+    def leaders(self, claim: float) -> tuple[CandidateScore, ...]:
         """The candidates that a search may add, most significant first.
 
         Weakly identifiable candidates are considered only if no identifiable one is significant: a refit may tell more.
@@ -261,13 +261,13 @@ class ScoreTests:
             found.append((trial.shapes, score.gain, strengths if score.gain else 0 * strengths))
         return found
 
-    def _score(self, trial: Trial, gram: Array, pull: Array, length: Array) -> Score:
+    def _score(self, trial: CandidateTrial, gram: Array, pull: Array, length: Array) -> TrialScore:
         """The score of one trial; directions that the fit absorbs, as it does a wrong clock, count for nothing.
 
         gram (k, k), pull (k,): products of its signature with itself and the residuals; length (k,) of its columns. A
         strength that has one sign scores nothing when the data ask for the other.
         """
-        axes = seen_axes(gram, length)
+        axes = detectable_axes(gram, length)
         spread = axes.shape[1]
         candidate, way = trial.candidate, self._ways[trial.candidate]
         chi2 = float(((axes.T @ pull) ** 2).sum())
@@ -276,11 +276,13 @@ class ScoreTests:
         seen = float((way.sizes * np.sqrt(np.diag(gram).clip(0))).max())
         limit = policy.DETECTION_LIMIT_SIGMA / max(seen, 1e-300) if spread else np.inf
         sigma = sigmas(chi2, spread, self.trials_factors.get(candidate.name, 1.0)) if spread else 0.0
-        return Score(trial, sigma, chi2, limit, limit <= min(policy.LARGEST_LIMIT, way.allowed), axes)
+        return TrialScore(trial, sigma, chi2, limit, limit <= min(policy.LARGEST_LIMIT, way.allowed), axes)
 
     @cached_property
-    def _ways(self) -> dict[Candidate, Sizes]:
-        return {candidate: Sizes.of(candidate, self.fit.model) for candidate in {t.candidate for t in self.trials}}
+    def _ways(self) -> dict[Candidate, RealisticSizes]:
+        return {
+            candidate: RealisticSizes.of(candidate, self.fit.model) for candidate in {t.candidate for t in self.trials}
+        }
 
     def claim(self, level: float | None = None) -> float:
         """The sigma that the best candidate exceeds by chance in a share of searches, by default that of a claim."""
@@ -294,14 +296,14 @@ class ScoreTests:
         return by_chance(gram * np.outer(signs, signs), sizes, [side != 0 for side in sides], level, trials_factors)
 
 
-def tried(
+def derive_trial(
     evidence: Evidence,
     model: Model,
     launches: Array,
     candidate: Candidate,
     shapes: dict[str, float],
     here: Sequence[Array],
-) -> Trial:
+) -> CandidateTrial:
     """Take the derivatives by a candidate's strengths, with these values of its shape parameters.
 
     Parameters
@@ -317,13 +319,15 @@ def tried(
 
     Returns
     -------
-    Trial
+    CandidateTrial
         Its columns whitened.
     """
     bent = model.replace(shapes)
     slopes = [derivative(bent, launches, evidence.clips, s, here) for s in candidate.strengths]
     columns = [np.stack([s[k] for s in slopes], axis=-1) for k in range(len(here))]
-    return Trial(candidate, shapes, tuple(white(c) for white, c in zip(evidence.whiteners, columns, strict=True)))
+    return CandidateTrial(
+        candidate, shapes, tuple(white(c) for white, c in zip(evidence.whiteners, columns, strict=True))
+    )
 
 
 def _scanned(
@@ -333,7 +337,7 @@ def _scanned(
     candidate: Candidate,
     grid: Sequence[dict[str, float]],
     here: Sequence[Array],
-) -> list[Trial]:
+) -> list[CandidateTrial]:
     """`tried` at many values of the shape parameters at once, by integrals over the motion (`shape_scan`).
 
     Only values at which the strengths move any track are kept, or else the first. So that no more than MOST numbers are
@@ -347,7 +351,9 @@ def _scanned(
     both = zip(evidence.whiteners, every, strict=True)
     white = [whiten(e[:, :, kept].reshape(*e.shape[:2], -1)) for whiten, e in both]
     parts = [np.split(w, len(kept), axis=1) for w in white]
-    return [Trial(candidate, grid[k], columns) for k, columns in zip(kept, zip(*parts, strict=True), strict=True)]
+    return [
+        CandidateTrial(candidate, grid[k], columns) for k, columns in zip(kept, zip(*parts, strict=True), strict=True)
+    ]
 
 
 def _lengths(columns: Sequence[Array]) -> Array:
@@ -355,7 +361,7 @@ def _lengths(columns: Sequence[Array]) -> Array:
     return np.asarray(np.sqrt(sum((c**2).sum(axis=0) for c in columns)))
 
 
-def seen_axes(gram: Array, length: Array) -> Array:
+def detectable_axes(gram: Array, length: Array) -> Array:
     """(k, m) that makes an orthonormal basis of the m directions of a signature that are seen; gram: its products."""
     scale = np.where(length > 0, length, 1)
     values, axes = np.linalg.eigh(gram / np.outer(scale, scale))
@@ -363,7 +369,7 @@ def seen_axes(gram: Array, length: Array) -> Array:
     return np.asarray(axes[:, seen] / np.sqrt(values[seen]) / scale[:, None])
 
 
-def likeness(one: Array, other: Array) -> float:
+def largest_cosine(one: Array, other: Array) -> float:
     """The largest cosine between the spans of two signatures."""
     a, b = basis(one), basis(other)
     return float(np.linalg.svd(a.T @ b, compute_uv=False).max()) if a.size and b.size else 0.0

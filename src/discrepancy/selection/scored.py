@@ -12,7 +12,7 @@ from synthcam.model import Model
 
 
 @dataclass(frozen=True)
-class Sizes:
+class RealisticSizes:
     """Realistic sizes (k,) of a candidate's strengths, and how many of them its limits allow.
 
     side: 1 where a single strength stands at its lower limit and can only grow, -1 at its upper, else 0.
@@ -23,7 +23,7 @@ class Sizes:
     side: int
 
     @classmethod
-    def of(cls, candidate: Candidate, model: Model) -> Sizes:
+    def of(cls, candidate: Candidate, model: Model) -> RealisticSizes:
         """Of a candidate beside this model."""
         ways = [parameter_of(model, s) for s in candidate.strengths]
         sizes = np.array([p.typical or 1.0 for p in ways])
@@ -34,7 +34,7 @@ class Sizes:
 
 
 @dataclass(frozen=True)
-class Scored:
+class CandidateScore:
     """A candidate with its score test.
 
     Attributes
@@ -79,7 +79,7 @@ class Scored:
 
 
 @dataclass(frozen=True)
-class Trial:
+class CandidateTrial:
     """A candidate with values of its shape parameters, and the derivatives by its strengths, (2n, k) of each clip."""
 
     candidate: Candidate
@@ -88,10 +88,10 @@ class Trial:
 
 
 @dataclass(frozen=True)
-class Score:
-    """The score of a trial, as in `Scored`. axes (k, m): its signature times these is an orthonormal basis."""
+class TrialScore:
+    """The score of a trial, as in `CandidateScore`. axes (k, m): its signature times these is an orthonormal basis."""
 
-    trial: Trial
+    trial: CandidateTrial
     sigma: float
     gain: float
     limit: float
@@ -103,10 +103,10 @@ class Score:
         """The key to sort scores by, the best first."""
         return not self.identifiable, -self.sigma, self.limit
 
-    def scored(self, signature: Array) -> Scored:
+    def scored(self, signature: Array) -> CandidateScore:
         """The candidate as scored. signature (points, k): the trial's columns less all that the fit absorbs."""
         columns = tuple(np.array(c) for c in self.trial.columns)  # no views, which would keep all trials alive
-        return Scored(
+        return CandidateScore(
             self.trial.candidate,
             self.trial.shapes,
             self.sigma,

@@ -15,10 +15,10 @@ from discrepancy.fitting.parameters import Candidate, candidates_of
 from discrepancy.fitting.significance import closes_little, sigmas
 from discrepancy.selection.fit_store import FitStore
 from discrepancy.selection.model_cost import cost_of
-from discrepancy.selection.named import Named, determined, sums
+from discrepancy.selection.named import EffectClaim, find_similar_pairs, shape_error
 from discrepancy.selection.profile_errors import profile_std
-from discrepancy.selection.score_test import ScoreTests, likeness
-from discrepancy.selection.scored import Scored
+from discrepancy.selection.score_test import ScoreTests, largest_cosine
+from discrepancy.selection.scored import CandidateScore
 from synthcam.model import Model
 
 State = tuple[Candidate, ...]
@@ -37,7 +37,7 @@ class Selection:
         The effects.
     base, best : Fit
         The fits before any effect and with these.
-    ranking : tuple of Scored
+    ranking : tuple of CandidateScore
         The score tests of all candidates beside the base, most significant first.
     claim : float
         The sigma that a claim needs.
@@ -48,7 +48,7 @@ class Selection:
     state: State
     base: Fit
     best: Fit
-    ranking: tuple[Scored, ...]
+    ranking: tuple[CandidateScore, ...]
     claim: float
     trials_factors: Mapping[str, float]
 
@@ -78,7 +78,7 @@ class Stepwise:
     """
 
     store: FitStore
-    ranking: tuple[Scored, ...]
+    ranking: tuple[CandidateScore, ...]
     claim: float
     trials_factors: Mapping[str, float]
     absorbed: frozenset[str]
@@ -176,7 +176,7 @@ class Stepwise:
             state = better
         return state
 
-    def named(self, state: State) -> tuple[Named, ...]:
+    def named(self, state: State) -> tuple[EffectClaim, ...]:
         """What is known of each of the effects in a model."""
         return tuple(self._named(state, k, self.store.score_tests(state)) for k in range(len(state)))
 
@@ -225,7 +225,7 @@ class Stepwise:
 
         return min((k for k in keys if self.store.cost_of(k) <= near), key=order)
 
-    def _contenders(self, tests: ScoreTests, ranking: Sequence[Scored], claim: float) -> list[Scored]:
+    def _contenders(self, tests: ScoreTests, ranking: Sequence[CandidateScore], claim: float) -> list[CandidateScore]:
         """The candidates worth fitting: those that may explain as much as the leader, or look like it.
 
         Their shape parameters are first looked for between those tried; then at most RIVALS are kept.
@@ -237,7 +237,7 @@ class Stepwise:
             c
             for c in chosen
             if c.gain > (1 - LOOSE) * leader.gain - NEAR
-            or likeness(leader.signature, c.signature) > policy.ALIAS_COSINE
+            or largest_cosine(leader.signature, c.signature) > policy.ALIAS_COSINE
             or (c.candidate.kind is None and c.sigma > claim)
         ]
         return sorted(near, key=lambda c: (c.candidate.kind is not None, -c.gain))[:RIVALS]
@@ -268,7 +268,7 @@ class Stepwise:
                 return (*state[:k], keys[simplest], *state[k + 1 :])
         return None
 
-    def _rivals(self, tests: ScoreTests, candidate: Candidate) -> list[Scored]:
+    def _rivals(self, tests: ScoreTests, candidate: Candidate) -> list[CandidateScore]:
         """At most SWAPS candidates that to first order do nearly as well in the place of a named effect."""
         total = tests.chi2(candidate)
         rise = total - tests.fit.chi2
@@ -276,7 +276,7 @@ class Stepwise:
         rivals = [c for c in tests.ranking(candidate) if total - c.gain < near and c.effect not in self.absorbed]
         return sorted(rivals, key=lambda c: -c.gain)[:SWAPS]
 
-    def _named(self, state: State, k: int, tests: ScoreTests) -> Named:
+    def _named(self, state: State, k: int, tests: ScoreTests) -> EffectClaim:
         """What is known of the k-th effect of a model: values, errors, aliases, limits."""
         candidate, fit = state[k], tests.fit
         rest = frozenset(state) - {candidate}
@@ -295,19 +295,19 @@ class Stepwise:
             near = [(p, n) for p, n in near if n in {c.effect for c in ranking}]
         aliases = (candidate.name, *(n for _, n in near if n != candidate.name))
         own = tests.signature(candidate)
-        cosines = sorted(((likeness(own, c.signature), c.effect) for c in ranking), reverse=True)
+        cosines = sorted(((largest_cosine(own, c.signature), c.effect) for c in ranking), reverse=True)
         told = max((c for c, effect in cosines if effect not in aliases), default=0.0)
         limit = {s: policy.DETECTION_LIMIT_SIGMA * fit.std[s] for s in candidate.strengths}
         std = profile_std(self.store.evidence, self.store.without(fit, candidate), fit, candidate)
-        return Named(
+        return EffectClaim(
             candidate.name,
             {s: fit.model.value(s) for s in candidate.strengths},
             {s: std[s] for s in candidate.strengths},
             self._sigma(worse, candidate),
             aliases,
             {s: fit.model.value(s) for s in candidate.shapes},
-            {s: determined(fit, s, std.get(s, 0.0)) for s in candidate.shapes},
-            (*(((e,), c) for c, e in cosines if c > policy.ALIAS_COSINE), *sums(own, ranking)),
+            {s: shape_error(fit, s, std.get(s, 0.0)) for s in candidate.shapes},
+            (*(((e,), c) for c, e in cosines if c > policy.ALIAS_COSINE), *find_similar_pairs(own, ranking)),
             limit,
             {s: x / float(np.sqrt(max(1 - told**2, 1e-12))) for s, x in limit.items()},
         )

@@ -7,7 +7,7 @@ import pytest
 from discrepancy_clips import collisions
 
 from benchmarks.search.sealed.ordinary import ORDINARY
-from discrepancy.diagnostics.constancy import Change, change
+from discrepancy.diagnostics.constancy import StrengthVariation, find_variation
 from discrepancy.fitting.gauss_newton import fit_model
 from discrepancy.fitting.model_fit import Evidence
 from discrepancy.fitting.parameters import BASE
@@ -23,7 +23,7 @@ def fitted(hidden, name, seed):
     clips = collisions(dataclasses.replace(Model(), effects=(hidden,)), 16, seed)
     base = fit_model(clips, Model(), BASE, CLAIMED)
     best = fit_model(clips, Model(), [*BASE, name], CLAIMED, base.launches)
-    return np.sqrt(base.chi2 - best.chi2), change(Evidence.of(clips, CLAIMED), best, [name])
+    return np.sqrt(base.chi2 - best.chi2), find_variation(Evidence.of(clips, CLAIMED), best, [name])
 
 
 @pytest.mark.parametrize(
@@ -56,4 +56,4 @@ def test_what_resembles_an_effect_is_told_by_when_it_changes():
     ("sigma", "own", "stands"), [(4.9, 10, True), (5.1, 10, False), (19, 100, True), (21, 100, False)]
 )
 def test_a_fifth_of_itself_and_five_sigma_refuse_it(sigma, own, stands):
-    assert (Change("speed", sigma).refuses(own) == "") == stands
+    assert (StrengthVariation("speed", sigma).refuses(own) == "") == stands

@@ -8,7 +8,7 @@ from discrepancy_clips import exact, searched
 
 from discrepancy.data.collisions import split
 from discrepancy.data.launch import V0, B
-from discrepancy.diagnostics.gap import show
+from discrepancy.diagnostics.gap import measure_gap
 from discrepancy.fitting.gauss_newton import fit_model
 from discrepancy.noise.model import Component, Noise
 from discrepancy.noise.whitening import Whitener
@@ -100,5 +100,5 @@ def test_a_model_without_a_motion_closes_nothing():
     clips, white = exact(Model(), 2, 5), Noise(Component(1.0))
     base = fit_model(clips, Model(), (), white)
     steep = dataclasses.replace(base, model=Model().replace({"plate_tilt.x": 5e-3}))
-    shown = show(clips, base, steep, white)
+    shown = measure_gap(clips, base, steep, white)
     assert shown.gap.after == shown.gap.before

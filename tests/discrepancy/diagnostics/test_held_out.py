@@ -7,7 +7,7 @@ import pytest
 from discrepancy_clips import HIDDEN, collisions, only, searched
 
 from discrepancy.data.collisions import split
-from discrepancy.diagnostics.held_out import Held, foretold, refused
+from discrepancy.diagnostics.held_out import HeldOutTest, leave_one_out_residuals, reason_to_reject
 from discrepancy.fitting.gauss_newton import fit_model
 from discrepancy.fitting.parameters import BASE
 from discrepancy.noise.model import Component, Noise
@@ -22,7 +22,7 @@ def test_each_clip_is_foretold_as_a_fit_to_all_others_foretells_it():
     """The fit itself done again without it, and its launch alone to it."""
     clips = collisions(Model().replace({E: 0.02}), 6, 3)
     fit = fit_model(clips, Model(), (*BASE, E), NOISE)
-    turned = foretold(fit)
+    turned = leave_one_out_residuals(fit)
     for k in (0, 4):
         others = fit_model([c for c in clips if c is not clips[k]], fit.model, fit.names, NOISE)
         alone = fit_model([clips[k]], others.model, (), NOISE)
@@ -41,7 +41,7 @@ def test_sigma_is_normal_about_what_is_there(true):
         y, later = ((0.3 * true * x + rng.standard_normal(x.shape)) for x in (fitted, kept))
         if true:
             slope = float((fitted * y).sum() / (fitted**2).sum())
-        held = Held.of(list(later), list(later - slope * kept), slope * float((fitted**2).sum()) ** 0.5)
+        held = HeldOutTest.of(list(later), list(later - slope * kept), slope * float((fitted**2).sum()) ** 0.5)
         sigmas.append(held.sigma - true * held.promised)
         promised.append(held.promised)
     assert np.mean(sigmas) == pytest.approx(0.0, abs=0.08)
@@ -95,18 +95,18 @@ def test_no_error_is_given_of_a_strength_where_more_is_missing():
 
 def test_a_claim_that_closes_little_of_what_is_missing_does_not_stand():
     """A hundred sigma of a claim mean nothing where the model with it leaves thrice the noise."""
-    little, much = Held((56.0, 55.8), 53.0, 50.0), Held((56.0, 40.0), 53.0, 50.0)
-    assert "far more is missing" in refused(little, Held((2.7, 2.65), 53.0, 50.0))
-    assert refused(much, Held((2.7, 2.65), 53.0, 50.0)) == ""
-    assert refused(Held((1.3, 1.25), 53.0, 50.0), Held((1.3, 1.25), 53.0, 50.0)) == ""
+    little, much = HeldOutTest((56.0, 55.8), 53.0, 50.0), HeldOutTest((56.0, 40.0), 53.0, 50.0)
+    assert "far more is missing" in reason_to_reject(little, HeldOutTest((2.7, 2.65), 53.0, 50.0))
+    assert reason_to_reject(much, HeldOutTest((2.7, 2.65), 53.0, 50.0)) == ""
+    assert reason_to_reject(HeldOutTest((1.3, 1.25), 53.0, 50.0), HeldOutTest((1.3, 1.25), 53.0, 50.0)) == ""
 
 
 def test_a_claim_that_scatters_from_collision_to_collision_does_not_stand_where_far_more_is_missing():
     """Of real billiard hits one of 1201 sigma by their noise had 6.6; a true one of real pucks has 29."""
-    kept_out = Held((648.0, 482.0), 383.0, 362.0)
-    assert "it scatters: 6.6 sigma" in refused(kept_out, Held((496.0, 316.0), 6.6, 8.0))
-    assert refused(kept_out, Held((496.0, 316.0), 29.0, 31.0)) == ""
-    assert refused(Held((1.5, 1.1), 6.0, 6.0), Held((1.5, 1.1), 6.6, 8.0)) == ""
+    kept_out = HeldOutTest((648.0, 482.0), 383.0, 362.0)
+    assert "it scatters: 6.6 sigma" in reason_to_reject(kept_out, HeldOutTest((496.0, 316.0), 6.6, 8.0))
+    assert reason_to_reject(kept_out, HeldOutTest((496.0, 316.0), 29.0, 31.0)) == ""
+    assert reason_to_reject(HeldOutTest((1.5, 1.1), 6.0, 6.0), HeldOutTest((1.5, 1.1), 6.6, 8.0)) == ""
     # what closes more than it leaves, and a curve held out at its end, which is foretold badly though it is right
-    assert refused(Held((648.0, 300.0), 383.0, 362.0), Held((496.0, 216.0), 6.6, 8.0)) == ""
-    assert refused(Held((93.0, 1.04), 212.0, 214.0), Held((57.0, 11.6), 7.9, 6.7)) == ""
+    assert reason_to_reject(HeldOutTest((648.0, 300.0), 383.0, 362.0), HeldOutTest((496.0, 216.0), 6.6, 8.0)) == ""
+    assert reason_to_reject(HeldOutTest((93.0, 1.04), 212.0, 214.0), HeldOutTest((57.0, 11.6), 7.9, 6.7)) == ""

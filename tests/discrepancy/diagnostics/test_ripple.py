@@ -10,7 +10,7 @@ from scipy.stats import kstest
 
 from discrepancy.diagnostics.residual_map import locate
 from discrepancy.diagnostics.ripple import ripples
-from discrepancy.diagnostics.trial import Part, results
+from discrepancy.diagnostics.trial import ClipAmplitudes, results
 from discrepancy.fitting.gauss_newton import fit_model
 from discrepancy.fitting.parameters import BASE
 from discrepancy.noise.model import Component, Noise
@@ -61,7 +61,7 @@ def test_noise_alone_draws_uniform_chances():
 
 def test_a_ripple_that_shared_parameters_can_make_tells_nothing(monkeypatch):
     """Real pucks, of which few turn once in view, ended a search with a traceback."""
-    absorbed = Part(np.ones(2), np.eye(2), np.eye(2), np.zeros((2, 2)), np.zeros(2), np.eye(2), 4, 1.0, {})
+    absorbed = ClipAmplitudes(np.ones(2), np.eye(2), np.eye(2), np.zeros((2, 2)), np.zeros(2), np.eye(2), 4, 1.0, {})
     assert list(results([absorbed])) == []
     clips = marked(1, count=6)
     monkeypatch.setattr("discrepancy.diagnostics.ripple.results", lambda parts: results([absorbed]))

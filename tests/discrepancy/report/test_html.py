@@ -13,7 +13,7 @@ from discrepancy_outsiders import OUTSIDERS, outsider
 from discrepancy.report import html as report
 from discrepancy.report.figures import drawn
 from discrepancy.report.narrative import story
-from discrepancy.selection.named import as_sure
+from discrepancy.selection.named import format_with_error
 from synthcam.model import read_model
 from synthcam.scene.scene import read_scene
 
@@ -98,7 +98,7 @@ def test_the_formula_and_its_curve_are_on_the_page():
     ],
 )
 def test_a_value_is_shown_as_far_as_its_error_goes(value, std, digits, shown):
-    assert as_sure(value, std, digits) == shown
+    assert format_with_error(value, std, digits) == shown
 
 
 def test_strengths_and_fitted_parameters_have_their_units(written):

@@ -12,8 +12,14 @@ from discrepancy.fitting.model_fit import Evidence
 from discrepancy.fitting.parameters import BASE, candidates_of
 from discrepancy.free_laws.library import free_laws_over
 from discrepancy.noise.model import Component, Noise
-from discrepancy.selection.beside_free_law import in_its_place
-from discrepancy.selection.free_law_fit import fill, held_against, moves_of, refilled, with_effect
+from discrepancy.selection.beside_free_law import find_replacements
+from discrepancy.selection.free_law_fit import (
+    fit_law,
+    fit_law_with_effect,
+    refit_without_effect,
+    score_law,
+    whiten_law_columns,
+)
 from discrepancy.selection.score_test import ScoreTests
 from synthcam.model import Model
 
@@ -31,7 +37,7 @@ def rubbed():
     clips = noisy(clips, 6)
     base, evidence = fit_model(clips, Model(), BASE, NOISE), Evidence.of(clips, NOISE)
     law = next(s for s in free_laws_over(base.model, base.launches, clips) if s.name == "friction_clip")
-    known = fill(evidence, held_against(law, base, moves_of(evidence, law, base.model, base.launches)), base)
+    known = fit_law(evidence, score_law(law, base, whiten_law_columns(evidence, law, base.model, base.launches)), base)
     tests = ScoreTests.of(known.evidence, known.joint_fit, about=known.model_without_law)
     return evidence, base, known, {c.effect: c for c in tests.ranking()}
 
@@ -39,15 +45,15 @@ def rubbed():
 def beside(rubbed, name, **shapes):
     evidence, base, known, ranking = rubbed
     scored = dataclasses.replace(ranking[name], shapes={f"{name}.{k}": v for k, v in shapes.items()})
-    return with_effect(evidence, known, scored, base, lambda: None)
+    return fit_law_with_effect(evidence, known, scored, base, lambda: None)
 
 
 def test_what_fits_better_in_the_place_of_an_effect_is_found(rubbed):
     evidence, base, *_ = rubbed
     sigma, wrong = beside(rubbed, "viscous_friction")
     named = candidates_of(wrong.model_without_law, base.model, base.names)["viscous_friction"]
-    less = refilled(evidence, wrong, named, base, lambda: None)
-    ((name, best), *_) = in_its_place(evidence, less, named, (), base, lambda: None)
+    less = refit_without_effect(evidence, wrong, named, base, lambda: None)
+    ((name, best), *_) = find_replacements(evidence, less, named, (), base, lambda: None)
     assert sigma > policy.FREE_LAW_SIGMA
     assert name == "stribeck"
     assert best.score < wrong.score - policy.RIVAL_EXCLUDED_BY
@@ -66,7 +72,7 @@ def test_an_effect_that_is_no_rival_is_not_asked(rubbed):
     evidence, base, *_ = rubbed
     wrong = beside(rubbed, "viscous_friction")[1]
     named = candidates_of(wrong.model_without_law, base.model, base.names)["viscous_friction"]
-    less = refilled(evidence, wrong, named, base, lambda: None)
+    less = refit_without_effect(evidence, wrong, named, base, lambda: None)
     assert "stribeck" not in [
-        name for name, _ in in_its_place(evidence, less, named, ("stribeck",), base, lambda: None)
+        name for name, _ in find_replacements(evidence, less, named, ("stribeck",), base, lambda: None)
     ]

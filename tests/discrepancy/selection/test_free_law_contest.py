@@ -14,7 +14,7 @@ from discrepancy.fitting.predict import forecast
 from discrepancy.free_laws.library import free_laws_over
 from discrepancy.noise.model import Component, Noise
 from discrepancy.selection.free_law_contest import FreeLawContest
-from discrepancy.selection.free_law_fit import fill, held_against, moves_of, unseen
+from discrepancy.selection.free_law_fit import fit_law, fit_unseen_clips, score_law, whiten_law_columns
 from discrepancy.selection.model_cost import cost_of
 from synthcam.model import Model
 
@@ -117,7 +117,7 @@ def test_a_number_of_each_clip_is_fitted_to_clips_kept_out():
     assert best.law.name == "restitution_clip"
     assert best.prior.size == pytest.approx(3e-3, rel=0.7)
     before = fit_model(kept_out, base.model, (), NOISE)
-    after = unseen(best, kept_out, before, NOISE)
+    after = fit_unseen_clips(best, kept_out, before, NOISE)
     assert before.chi2 > 3 * before.points
     assert after.chi2 < 1.1 * after.points
 
@@ -136,7 +136,7 @@ def test_what_the_base_holds_rightly_is_no_effect_beside_a_free_law():
     base, fit = based(clips, held), fit_model(clips, held, (*BASE, "rolling_quadratic.K"), NOISE)
     evidence = Evidence.of(clips, NOISE)
     law = next(s for s in free_laws_over(base.model, base.launches, clips) if s.name == "restitution_speed")
-    look = held_against(law, fit, moves_of(evidence, law, base.model, base.launches))
-    filled = fill(evidence, look, base)
+    look = score_law(law, fit, whiten_law_columns(evidence, law, base.model, base.launches))
+    filled = fit_law(evidence, look, base)
     assert 0.1 / filled.joint_fit.std["rolling_quadratic.K"] > 30
     assert filled.significances_of_effects(base)["rolling_quadratic"] < 3.5

@@ -12,7 +12,7 @@ from discrepancy.fitting.model_fit import Evidence
 from discrepancy.fitting.parameters import BASE, Candidate
 from discrepancy.fitting.predict import forecast
 from discrepancy.noise.model import estimate
-from discrepancy.selection.score_test import ScoreTests, likeness
+from discrepancy.selection.score_test import ScoreTests, largest_cosine
 from synthcam.library import library
 from synthcam.model import Model
 
@@ -133,13 +133,13 @@ def test_a_shape_is_made_out_between_those_tried():
 def test_likeness_is_a_cosine():
     rng = np.random.default_rng(4)
     one, other = np.linalg.qr(rng.standard_normal((50, 2)))[0].T
-    assert likeness(one[:, None], 3 * one[:, None]) == pytest.approx(1)
-    assert likeness(one[:, None], other[:, None]) == pytest.approx(0, abs=1e-12)
-    assert likeness(one[:, None], (0.6 * one + 0.8 * other)[:, None]) == pytest.approx(0.6)
-    assert likeness(one[:, None], np.zeros((50, 0))) == 0
+    assert largest_cosine(one[:, None], 3 * one[:, None]) == pytest.approx(1)
+    assert largest_cosine(one[:, None], other[:, None]) == pytest.approx(0, abs=1e-12)
+    assert largest_cosine(one[:, None], (0.6 * one + 0.8 * other)[:, None]) == pytest.approx(0.6)
+    assert largest_cosine(one[:, None], np.zeros((50, 0))) == 0
 
 
 def test_signatures_of_the_library_can_be_told_apart():
     signatures = {c.effect: c.signature for c in nothing()[1].ranking()}
-    assert likeness(signatures["velocity_restitution"], signatures["rolling_quadratic"]) < 0.9
-    assert likeness(signatures["mass_mismatch"], signatures["diameter_mismatch"]) > 0.9
+    assert largest_cosine(signatures["velocity_restitution"], signatures["rolling_quadratic"]) < 0.9
+    assert largest_cosine(signatures["mass_mismatch"], signatures["diameter_mismatch"]) > 0.9
