@@ -68,7 +68,7 @@ def test_four_sigma_make_a_claim_however_few_the_candidates(monkeypatch, sized, 
 def made_laws(monkeypatch, cost, scores):
     """The contest of free laws with these scores, beside a library's best model of this cost."""
     base, fit = Made(names=()), Made(names=("hop.share",), added=lambda base: {"hop": ["hop.share"]})
-    fitted = tuple(Made(score=s, fit=fit, beside=lambda base: {}) for s in scores)
+    fitted = tuple(Made(score=s, fit=fit, significances_of_effects=lambda base: {}) for s in scores)
     contest = FreeLawContest(None, base, (), fitted=fitted)
     monkeypatch.setattr(free_law_contest, "cost_of", lambda f, base: cost)
     return contest, fit
@@ -91,7 +91,7 @@ def test_two_effects_are_claimed_beside_a_free_law_however_many_more_would_be_be
     scores, begun = iter((400.0, 300.0, 200.0, 100.0)), flat([1.0])
 
     def law(score):
-        return Made(score=score, fit=begun, plain=Model(), law=None, beside=lambda base: {})
+        return Made(score=score, fit=begun, model_without_law=Model(), law=None, significances_of_effects=lambda base: {})
 
     contest = dataclasses.replace(contest, fitted=(law(500.0),))
     monkeypatch.setattr(free_law_contest, "fit_law_with_effect", lambda *_: (9.0, law(next(scores))))
@@ -196,7 +196,7 @@ def test_one_of_so_many_free_laws_costs_its_choice(monkeypatch, share, better):
     every = free_laws_over(Model(), np.array([c.launch for c in clips]), clips)
     monkeypatch.setattr(free_law_fit, "cost_of", lambda fit, base: 100.0)
     weight = CurveEvidence(share * 2 * np.log(len(every)), None, np.zeros(0))
-    monkeypatch.setattr(free_law_fit, "weigh", lambda law, information, pull: weight)
+    monkeypatch.setattr(free_law_fit, "maximise_evidence", lambda law, information, pull: weight)
     look = LawScore(every[0], None, 9.0, np.zeros((0, 0)), np.zeros(0))
     assert (look.score(None) < 100.0) == better
 
@@ -290,7 +290,7 @@ def beside_law(monkeypatch, sigma=30.0, less=500.0, others=()):
         monkeypatch.setattr(stand.Validation, name, lambda *_, said=said: said)
     base, whole = Made(model=Model(), names=BASE), Made(model=Model(), std={})
     law = Made(
-        score=100.0, plain=Model(), whole=whole, law=Made(name="law"), beside=lambda base: {"rolling_quadratic": sigma}
+        score=100.0, model_without_law=Model(), joint_fit=whole, law=Made(name="law"), significances_of_effects=lambda base: {"rolling_quadratic": sigma}
     )
     looked = Made(base=base, claim=4.0, paid=lambda effect, sigma: sigma)
     validation = stand.Validation(Made(absorbed=()), None, (), None, NOISE, lambda: None)
@@ -428,7 +428,7 @@ def test_twice_the_noise_left_beside_an_effect_that_was_added_is_something_more(
 
 
 def test_the_fields_made_here_are_those_of_the_real_ones():
-    assert {"score", "fit", "plain", "law"} <= {f.name for f in dataclasses.fields(FittedLaw)}
+    assert {"score", "fit", "model_without_law", "law"} <= {f.name for f in dataclasses.fields(FittedLaw)}
 
 
 SOURCE = Path(policy.__file__)
