@@ -91,7 +91,9 @@ def test_two_effects_are_claimed_beside_a_free_law_however_many_more_would_be_be
     scores, begun = iter((400.0, 300.0, 200.0, 100.0)), flat([1.0])
 
     def law(score):
-        return Made(score=score, fit=begun, model_without_law=Model(), law=None, significances_of_effects=lambda base: {})
+        return Made(
+            score=score, fit=begun, model_without_law=Model(), law=None, significances_of_effects=lambda base: {}
+        )
 
     contest = dataclasses.replace(contest, fitted=(law(500.0),))
     monkeypatch.setattr(free_law_contest, "fit_law_with_effect", lambda *_: (9.0, law(next(scores))))
@@ -290,7 +292,11 @@ def beside_law(monkeypatch, sigma=30.0, less=500.0, others=()):
         monkeypatch.setattr(stand.Validation, name, lambda *_, said=said: said)
     base, whole = Made(model=Model(), names=BASE), Made(model=Model(), std={})
     law = Made(
-        score=100.0, model_without_law=Model(), joint_fit=whole, law=Made(name="law"), significances_of_effects=lambda base: {"rolling_quadratic": sigma}
+        score=100.0,
+        model_without_law=Model(),
+        joint_fit=whole,
+        law=Made(name="law"),
+        significances_of_effects=lambda base: {"rolling_quadratic": sigma},
     )
     looked = Made(base=base, claim=4.0, paid=lambda effect, sigma: sigma)
     validation = stand.Validation(Made(absorbed=()), None, (), None, NOISE, lambda: None)
