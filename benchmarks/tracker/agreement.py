@@ -24,7 +24,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from tracker.scoring.tables_score import score_tables
+from tracker.scoring.external_tables import score_table
 
 EXACT = 1e-9
 EXAMPLES = ("TUD-Campus", "TUD-Stadtmitte")
@@ -86,7 +86,7 @@ def examples() -> list[Path]:
 
 def show(truth: Path, found: Path) -> float:
     """A table of one set; the largest difference from TrackEval, and from motmetrics where the two agree."""
-    ours: dict[str, Any] = score_tables(found, truth).tracking
+    ours: dict[str, Any] = score_table(found, truth).tracking
     with tempfile.TemporaryDirectory() as folder:
         theirs = {"TrackEval": by_trackeval(truth, found, Path(folder)), "motmetrics": by_motmetrics(truth, found)}
     table = Table("", "tracker score", *(cell for name in theirs for cell in (name, "less ours")))

@@ -30,7 +30,7 @@ from tracker.camera.frames import open_source
 from tracker.detection.detect import DEFAULT, detector, view_of
 from tracker.detection.glints import Glints
 from tracker.detection.likelihood.cramer_rao import localisation_bound
-from tracker.scoring.localisation import Matched, localisation, match
+from tracker.scoring.localisation import MatchedDetections, match, score_positions
 
 SCENE = "scenes/benchmark.yaml"
 PEERS = ("trackpy_locate", "opencv_components", "skimage_regionprops", "skimage_blob_log", "centroid")
@@ -89,7 +89,7 @@ def fluxes(truth: pd.DataFrame, found: pd.DataFrame, camera: Camera) -> pd.Serie
     return truth["particle"].map(seen.groupby("particle")["flux"].median())
 
 
-def bounds(matched: Matched, camera: Camera) -> np.ndarray:
+def bounds(matched: MatchedDetections, camera: Camera) -> np.ndarray:
     """Cramer-Rao covariances of the true places that were found."""
     rows = matched.truth.iloc[matched.pairs[:, 0]]
     here = rows[["x", "y", "z"]].to_numpy(float)
@@ -99,7 +99,7 @@ def bounds(matched: Matched, camera: Camera) -> np.ndarray:
     return localisation_bound(camera, rows["flux"].to_numpy(float), glint, blur)
 
 
-def towards(matched: Matched) -> np.ndarray:
+def towards(matched: MatchedDetections) -> np.ndarray:
     """Errors along the line to the other ball, px, within a frame of the contact: + is towards it."""
     pairs = matched.truth.pivot(index="frame", columns="particle", values=["x_mean_px", "y_mean_px"])
     way = np.stack([pairs[axis][1] - pairs[axis][0] for axis in ("x_mean_px", "y_mean_px")], axis=1)
@@ -136,7 +136,7 @@ def judged(folder: Path, peak: int) -> dict[str, dict[str, float]]:
                 touching[name].append(towards(matched))
     out = {}
     for name, clips in parts.items():
-        figures = localisation(clips) | {"ms_per_frame": 1e3 * float(np.median(spent[name]))}
+        figures = score_positions(clips) | {"ms_per_frame": 1e3 * float(np.median(spent[name]))}
         if touching[name]:
             figures["at_contact_px"] = float(np.mean(np.concatenate(touching[name])))
         out[name] = figures

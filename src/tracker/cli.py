@@ -147,9 +147,9 @@ def score(
     """
     from synthcam_shared.outputs import as_input_error, check_room, held
     from tracker.results import RUN, load_json
-    from tracker.scoring.report import write_report
     from tracker.scoring.score import score as score_results
-    from tracker.scoring.summary import summary
+    from tracker.scoring.score_page import write_report
+    from tracker.scoring.summary import summarise
 
     if output.exists() and not (output.is_dir() and (not any(output.iterdir()) or (output / SCORE).is_file())):
         raise InputError(f"{output}: exists and holds something else, expected a new folder for the report")
@@ -175,7 +175,7 @@ def score(
             if new:
                 shutil.rmtree(output, ignore_errors=True)
             raise
-    print(json.dumps(verdict.to_dict()) if as_json else "\n".join([*summary(verdict), f"{path}"]))
+    print(json.dumps(verdict.to_dict()) if as_json else "\n".join([*summarise(verdict), f"{path}"]))
 
 
 @app.command()
@@ -189,8 +189,8 @@ def compare(
 
     Example: tracker compare out/benchmark --detectors maximum_likelihood,centroid -o out/compared
     """
-    from tracker.scoring.compare import compare as compare_detectors
-    from tracker.scoring.compare import tables
+    from tracker.scoring.detector_comparison import compare as compare_detectors
+    from tracker.scoring.detector_comparison import tables
 
     with progress_bar("clips") as progress:
         whole = compare_detectors(dataset, detectors.split(","), output, progress)
@@ -265,11 +265,11 @@ def _measured(tracks: Path, truth: Path, output: Path, point: str) -> Path:
 
 
 def _score_tables(found: Path, truth: Path, output: Path, gate: float | None, name: str, as_json: bool) -> None:
-    from tracker.scoring.tables_score import score_tables
+    from tracker.scoring.external_tables import score_table
 
     if gate is not None and not gate > 0:
         raise InputError(f"--gate {gate:g}: expected a distance over 0")
-    verdict = score_tables(found, truth, gate, name)
+    verdict = score_table(found, truth, gate, name)
     path = verdict.write(output)
     print(json.dumps(verdict.to_dict()) if as_json else "\n".join([*verdict.summary(), f"{path}"]))
 
@@ -282,19 +282,19 @@ def _typed() -> str:
 def _pages(outcome: Outcome, output: Path, given: Path, workers: int) -> str:
     """Write the pages of results; where the first one is."""
     from tracker.pipeline import write_pages
-    from tracker.report.page import PAGE
-    from tracker.report.pages import Pages
+    from tracker.report.recording_page import PAGE
+    from tracker.report.result_pages import ResultPages
 
     numbers = [int(n) for n in outcome.estimates["clip"].unique()]
     with progress_bar("pages") as progress:
-        pages = Pages(output, numbers, outcome.source, given.name, list(outcome.notes), _typed())
+        pages = ResultPages(output, numbers, outcome.source, given.name, list(outcome.notes), _typed())
         write_pages(pages, outcome.estimates, workers, progress)
     return str(output / PAGE)
 
 
 def _report(outcome: Outcome, output: Path, extra: dict[str, Any], as_json: bool) -> None:
     from tracker.measurement.collision.adequacy import warnings
-    from tracker.report.answer import printed
+    from tracker.report.estimates_text import format_for_terminal
 
     for note, clips in outcome.notes.items():
         print(f"tracker: {note}{f' ({clips} of {outcome.clips} clips)' if outcome.clips > 1 else ''}", file=sys.stderr)
@@ -308,7 +308,7 @@ def _report(outcome: Outcome, output: Path, extra: dict[str, Any], as_json: bool
         summary |= {"warnings": said, "collisions": list(rows)}
         print(json.dumps(summary))
         return
-    for line in printed(outcome.estimates):
+    for line in format_for_terminal(outcome.estimates):
         print(line)
     counts = ", ".join(f"{count} {state}" for state, count in states.items())
     made = f"{outcome.fresh} made now" if outcome.fresh else "complete before"

@@ -29,7 +29,7 @@ from tracker.recording import followed, measured, unsaid
 from tracker.tables.read import read_tracks
 
 if TYPE_CHECKING:
-    from tracker.report.pages import Pages
+    from tracker.report.result_pages import ResultPages
 
 ENDS = 1 << 16  # bytes at either end of a file that distinguish recordings
 Done = tuple[int, tuple[str, ...]]  # frames of a clip, and notes on it
@@ -175,7 +175,7 @@ def measure_tables(
     return Outcome(table, len(numbers), len(todo), 0, notes)
 
 
-def write_pages(pages: Pages, estimates: pd.DataFrame, workers: int, progress: Progress) -> None:
+def write_pages(pages: ResultPages, estimates: pd.DataFrame, workers: int, progress: Progress) -> None:
     """Write the pages of RESULTS that are not there yet.
 
     Parameters

@@ -25,7 +25,7 @@ from tracker.detection.diagnose import FEWEST, loose_ends, why_no_disc, why_noth
 from tracker.detection.link import Tracks, link
 from tracker.measurement.collision.adequacy import MEASURED
 from tracker.measurement.collision.derived import NAMES
-from tracker.report.answer import with_error
+from tracker.report.estimates_text import format_with_error
 from tracker.tables.read import SAME_RATE, GivenCamera, in_picture, read_tracks
 from tracker.tables.rows import tracks_table
 from tracker.tables.table import Table
@@ -108,7 +108,8 @@ class Result:
         lines = [f"Clip {self.number}: {balls} ball{'s' * (balls != 1)} tracked{seen}"]
         for row in self.rows:
             values = (
-                f"{name} {with_error(row[name], row[f'{name}_std'])} {unit}".strip() for name, unit in SAID.items()
+                f"{name} {format_with_error(row[name], row[f'{name}_std'])} {unit}".strip()
+                for name, unit in SAID.items()
             )
             measured_values = f": {', '.join(values)}" if row["status"] in MEASURED else ""
             lines.append(f"  collision {row['collision']} {row['status']}{measured_values}")
@@ -124,7 +125,7 @@ class Result:
                 continue
             kinds = {"tied fit": "", "free fit": "_free", "as the paper": "_paper"}
             table = pd.DataFrame(
-                {k: [with_error(row[n + s], row[f"{n}{s}_std"]) for n in NAMES] for k, s in kinds.items()},
+                {k: [format_with_error(row[n + s], row[f"{n}{s}_std"]) for n in NAMES] for k, s in kinds.items()},
                 index=pd.Index([f"{n} ({units[n]})" if n in units else n for n in NAMES]),
             )
             parts.append(f"<p>{title}</p>{table.to_html()}")

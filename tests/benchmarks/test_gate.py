@@ -11,7 +11,7 @@ import pytest
 
 from benchmarks.regression import gate as regression_gate
 from tracker.measurement.collision.derived import NAMES
-from tracker.scoring.error_bars import figures
+from tracker.scoring.error_bars import error_statistics
 
 
 @pytest.fixture
@@ -73,7 +73,7 @@ def watched(gate, claims, truth):
     out = gate.spreads(claims, truth)
     for q in NAMES:
         for suffix in ("", "_free"):
-            got = figures(
+            got = error_statistics(
                 *(claims[f"{q}{suffix}{end}"].to_numpy() for end in ("", "_std")),
                 truth[q].to_numpy(),
                 np.ones(gate.TRACKS),

@@ -7,8 +7,8 @@ from tempfile import mkdtemp
 
 import numpy as np
 
-from tracker.benchmark.judging.tracked import ALL, NOTHING, Sample
-from tracker.benchmark.suite.definition import from_text
+from tracker.benchmark.judging.tracker_results import ALL, NOTHING, ClipSample
+from tracker.benchmark.suite.definition import parse_definition
 from tracker.benchmark.suite.folder import covariances
 from tracker.benchmark.suite.make import make
 
@@ -42,7 +42,7 @@ sampled: {}
 
 
 def tiny(size="full"):
-    return from_text(TINY, size, "tiny.yaml")
+    return parse_definition(TINY, size, "tiny.yaml")
 
 
 @cache
@@ -57,7 +57,7 @@ class Given:
 
     suite: object
     change: object = lambda table, rng: table
-    sample: Sample = ALL
+    sample: ClipSample = ALL
     own: str = "centre"
     rows: list = field(default_factory=list)
 

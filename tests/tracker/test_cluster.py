@@ -10,7 +10,7 @@ import pytest
 from benchmark_suite import TINY, suite
 
 from synthcam_shared.errors import InputError
-from tracker.benchmark.contest import contest
+from tracker.benchmark.contest import run_contest
 from tracker.pipeline import run
 from tracker.scoring.score import score
 
@@ -98,7 +98,7 @@ def test_a_suite_made_run_and_scored_by_a_cluster_is_the_same(tmp_path, monkeypa
         by_cluster(tmp_path, SUITE_SCRIPT, "tiny.yaml") == f"2 {4 + 4 + 4 + 1 + 4}\n"
     )  # films, bounds, tracks, entry, score
     assert same_files(made.path, tmp_path / "suite") > 30
-    (here,), _ = contest(made, tmp_path / "here", "centroid")
+    (here,), _ = run_contest(made, tmp_path / "here", "centroid")
     results = tmp_path / "here" / "results" / "centroid" / "axes"
     assert same_files(results, tmp_path / "report" / "results" / "centroid" / "axes") > 4 * 4
     there = json.loads((tmp_path / "report" / "entries" / "centroid.json").read_text())

@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from benchmarks.paper.report import pdf, said, tables
 from benchmarks.paper.results import Results
 from synthcam_shared.outputs import put
-from tracker.report.html import made, rendered, svg
+from tracker.report.html import describe_creation, embed_figure, render
 
 HERE = Path(__file__).parent
 FIGURES = HERE.parent / "figures"
@@ -74,7 +74,7 @@ def write(results: Results) -> Path:
             "paper": module.PAPER,
             "caption": module.caption(results),
             "command": f"{command} --figure {name}",
-            "address": svg(drawn(results, name)),
+            "address": embed_figure(drawn(results, name)),
         })  # fmt: skip
     found = tables.all_tables(results)
     (results.output / "tables").mkdir(exist_ok=True)
@@ -86,7 +86,9 @@ def write(results: Results) -> Path:
         "conjecture": said.conjecture(results),
         "decide": said.decide(results),
     }
-    page = rendered(HERE / "page.html", figures=shown, tables=found, made=made(command), quick=results.quick, **words)
+    page = render(
+        HERE / "page.html", figures=shown, tables=found, made=describe_creation(command), quick=results.quick, **words
+    )
     put(results.output / "index.html", page)
     with mpl.rc_context(RC):
         pdf.write(results.output / "paper.pdf", words, found, [(s, drawn(results, s["name"])) for s in shown])

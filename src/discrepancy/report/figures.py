@@ -18,7 +18,7 @@ from discrepancy.fitting.model_fit import Fit
 from discrepancy.fitting.predict import forecast
 from discrepancy.found import SearchResult
 from discrepancy.free_laws.law_summary import LawSummary
-from tracker.report.html import svg
+from tracker.report.html import embed_figure
 
 BEFORE, AFTER, FLOOR, OTHER = "#b2182b", "#2166ac", "#4d4d4d", "#bdbdbd"
 STYLE: Any = {"font.size": 9, "axes.spines.top": False, "axes.spines.right": False, "legend.frameon": False}
@@ -68,7 +68,7 @@ def _subplots(rows: int = 1, columns: int = 1, *, figsize: tuple[float, float], 
 
 def inline(title: str, figure: Figure, note: str) -> dict[str, str]:
     """A figure for a self-contained page; title and note (what it shows) stand beside it."""
-    return {"title": title, "note": note, "address": svg(figure)}
+    return {"title": title, "note": note, "address": embed_figure(figure)}
 
 
 def _sets(found: SearchResult) -> list[tuple[Sequence[Measured], Fit, str, str]]:

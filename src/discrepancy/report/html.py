@@ -15,7 +15,7 @@ from discrepancy.report.figures import drawn
 from discrepancy.report.narrative import rounded, story
 from discrepancy.selection.named import format_with_error
 from synthcam.model import Model, write_model
-from tracker.report.html import made, rendered
+from tracker.report.html import describe_creation, render
 
 
 def write(found: SearchResult, folder: Path, left_out: Sequence[str]) -> None:
@@ -24,7 +24,7 @@ def write(found: SearchResult, folder: Path, left_out: Sequence[str]) -> None:
     content = document(found, left_out)
     (folder / "discrepancy.json").write_text(json.dumps(content, indent=1, allow_nan=False) + "\n")
     write_model(found.model, folder / "model.yaml")
-    page = rendered(
+    page = render(
         Path(__file__).with_name("report.html"),
         found=found,
         document=found.document() | {"clips": content["clips"]},
@@ -34,7 +34,7 @@ def write(found: SearchResult, folder: Path, left_out: Sequence[str]) -> None:
         format_with_error=format_with_error,
         rounded=rounded,
         unit=_unit,
-        made=made("discrepancy find"),
+        made=describe_creation("discrepancy find"),
     )
     (folder / "index.html").write_text(page, encoding="utf-8")
 

@@ -18,7 +18,7 @@ from discrepancy.planning.outcome import PlanResult
 from discrepancy.planning.signatures import Limit
 from discrepancy.report.figures import AFTER, BEFORE, FLOOR, OTHER, STYLE, inline
 from discrepancy.report.html import plain
-from tracker.report.html import made, rendered
+from tracker.report.html import describe_creation, render
 
 RIVALS = 3  # of each strength, in plan.json
 TICKS = (0.1, 0.2, 0.3, 0.5, 0.7, 1, 1.5, 2, 3, 5, 10)  # of a ratio
@@ -47,7 +47,7 @@ def write(found: PlanResult, folder: Path) -> None:
     """Write the report's two files into a folder, made if need be."""
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "plan.json").write_text(json.dumps(document(found), indent=1, allow_nan=False) + "\n")
-    page = rendered(
+    page = render(
         Path(__file__).with_name("plan.html"),
         found=found,
         experiment=found.experiment(),
@@ -58,7 +58,7 @@ def write(found: PlanResult, folder: Path) -> None:
         unit=lambda x: "" if x.unit == "1" else x.unit,
         shapes=_shapes,
         short=_short,
-        made=made("discrepancy plan"),
+        made=describe_creation("discrepancy plan"),
     )
     (folder / "index.html").write_text(page, encoding="utf-8")
 

@@ -1,6 +1,6 @@
 """The public names, listed once."""
 
-from .library import Trial as Trial
+from .library import TrackerRun as TrackerRun
 from .library import run as run
 
-__all__ = ["Trial", "run"]
+__all__ = ["TrackerRun", "run"]

@@ -71,21 +71,21 @@ def run(
 
     Example: tracker benchmark run --trackers synthcam,my_detector --size small -o out/mine
     """
-    from tracker.benchmark.contest import SUITE, contest
+    from tracker.benchmark.contest import SUITE, run_contest
     from tracker.benchmark.suite.definition import read_definition
     from tracker.benchmark.suite.folder import open_suite, with_truth
     from tracker.benchmark.suite.make import make as make_suite
-    from tracker.benchmark.trackers import asked
+    from tracker.benchmark.trackers import parse_names
 
-    asked(trackers)  # before films are made for minutes
+    parse_names(trackers)  # before films are made for minutes
     with progress_bar("steps") as progress:
         if suite is None:
             made = make_suite(output / SUITE, read_definition(None, size), progress=progress, scheduler=scheduler)
         else:
             made = with_truth(open_suite(suite, truth))
     with progress_bar("trackers") as progress:
-        entries, notes = contest(made, output, trackers, _typed(), progress, scheduler)
-    _say(entries, notes, output, as_json)
+        entries, notes = run_contest(made, output, trackers, _command_line(), progress, scheduler)
+    _print_leaderboard(entries, notes, output, as_json)
 
 
 @app.command()
@@ -102,20 +102,22 @@ def submit(
 
     Example: tracker benchmark submit out/suite my_tables -o out/benchmark
     """
-    from tracker.benchmark.submission import submitted
+    from tracker.benchmark.submission import score_submission
     from tracker.benchmark.suite.folder import open_suite, with_truth
 
     with progress_bar("films") as progress:
-        entries, notes = submitted(with_truth(open_suite(suite, truth)), tables, output, _typed(), progress)
-    _say(entries, notes, output, as_json)
+        entries, notes = score_submission(
+            with_truth(open_suite(suite, truth)), tables, output, _command_line(), progress
+        )
+    _print_leaderboard(entries, notes, output, as_json)
 
 
-def _typed() -> str:
+def _command_line() -> str:
     """The command, as it was typed."""
     return shlex.join(["tracker", *sys.argv[1:]])
 
 
-def _say(entries: Sequence[Mapping[str, Any]], notes: Sequence[str], output: Path, as_json: bool) -> None:
+def _print_leaderboard(entries: Sequence[Mapping[str, Any]], notes: Sequence[str], output: Path, as_json: bool) -> None:
     from tracker.benchmark.report.leaderboard import row
 
     for note in notes:

@@ -11,12 +11,12 @@ from typing import Any
 
 from synthcam_shared.errors import InputError
 from synthcam_shared.outputs import as_input_error, check_room, held
-from tracker.benchmark.judging.entry import entry
-from tracker.benchmark.judging.tracked import InFolder
+from tracker.benchmark.judging.entry import make_entry
+from tracker.benchmark.judging.tracker_results import ResultsInFolder
 from tracker.benchmark.report.leaderboard import ENTRIES, entries, file_name, save, write_leaderboard
 from tracker.benchmark.report.page import write_page
 from tracker.benchmark.suite.folder import Suite
-from tracker.benchmark.trackers import RUN_HERE, Entrant, about, entrants, tracked
+from tracker.benchmark.trackers import RUN_HERE, Entrant, describe, entrants, run_tracker
 from tracker.parallel import in_parallel
 from tracker.results import load_json
 
@@ -25,7 +25,7 @@ Progress = Callable[[int, int], None]
 Entries = Sequence[Mapping[str, Any]]
 
 
-def contest(
+def run_contest(
     suite: Suite,
     report: Path,
     names: str = "",
@@ -64,22 +64,22 @@ def contest(
     if scheduler:  # the workers may stand elsewhere
         suite, report = replace(suite, path=suite.path.resolve(), truth=suite.truth.resolve()), report.resolve()
     chosen, notes = entrants(suite, names)
-    with in_report(report):
+    with open_report(report):
         (report / RESULTS).mkdir(exist_ok=True)
         steps, found = 2 * len(chosen), []
         for number, one in enumerate(chosen):
-            found.append(tracked(suite, one, report / RESULTS / one.name, lambda done, of: None, 0, scheduler))
+            found.append(run_tracker(suite, one, report / RESULTS / one.name, lambda done, of: None, 0, scheduler))
             progress(number + 1, steps)
-        todo = [k for k, one in enumerate(chosen) if not _scored(report, suite, one.name)]
-        task = partial(_scored_entry, suite, chosen, found, report)
+        todo = [k for k, one in enumerate(chosen) if not _has_score(report, suite, one.name)]
+        task = partial(_make_entry, suite, chosen, found, report)
         for done, scored in enumerate(in_parallel(task, todo, 0, report, scheduler), 1):
             save(report, scored)
             progress(len(chosen) + len(chosen) - len(todo) + done, steps)
-        whole = published(suite, report, how)
+        whole = publish(suite, report, how)
     return whole, notes
 
 
-def published(suite: Suite, report: Path, how: str) -> list[Mapping[str, Any]]:
+def publish(suite: Suite, report: Path, how: str) -> list[Mapping[str, Any]]:
     """Leaderboard and page of the entries that a report has."""
     whole = entries(report, suite.about)
     write_leaderboard(report, whole)
@@ -88,7 +88,7 @@ def published(suite: Suite, report: Path, how: str) -> list[Mapping[str, Any]]:
 
 
 @contextmanager
-def in_report(report: Path) -> Iterator[None]:
+def open_report(report: Path) -> Iterator[None]:
     """The report's folder, held by one process. Raises InputError where it holds something else."""
     mine = any((report / name).is_dir() for name in (RESULTS, ENTRIES, SUITE))
     if report.exists() and not (report.is_dir() and (mine or not any(report.iterdir()))):
@@ -98,7 +98,7 @@ def in_report(report: Path) -> Iterator[None]:
         yield
 
 
-def _scored(report: Path, suite: Suite, name: str) -> bool:
+def _has_score(report: Path, suite: Suite, name: str) -> bool:
     path = report / ENTRIES / file_name(name)
     if not path.is_file():
         return False
@@ -107,5 +107,7 @@ def _scored(report: Path, suite: Suite, name: str) -> bool:
     return own and there["suite"]["truth_sha256"] == suite.about["truth_sha256"]
 
 
-def _scored_entry(suite: Suite, chosen: list[Entrant], found: list[InFolder], report: Path, k: int) -> dict[str, Any]:
-    return entry(suite, found[k], about(chosen[k], report / RESULTS / chosen[k].name))
+def _make_entry(
+    suite: Suite, chosen: list[Entrant], found: list[ResultsInFolder], report: Path, k: int
+) -> dict[str, Any]:
+    return make_entry(suite, found[k], describe(chosen[k], report / RESULTS / chosen[k].name))

@@ -15,8 +15,8 @@ import pandas as pd
 from numpy.typing import ArrayLike, NDArray
 
 from synthcam_shared.errors import InputError
-from tracker.benchmark.judging.entry import entry
-from tracker.benchmark.judging.tracked import InMemory
+from tracker.benchmark.judging.entry import make_entry
+from tracker.benchmark.judging.tracker_results import ResultsInMemory
 from tracker.benchmark.suite.definition import read_definition
 from tracker.benchmark.suite.folder import Suite, open_suite, with_truth
 from tracker.benchmark.suite.make import make
@@ -35,7 +35,7 @@ Finder = Callable[[NDArray[Any]], ArrayLike]
 
 
 @dataclass(frozen=True, repr=False)
-class Trial:
+class TrackerRun:
     """How a detector did on a suite.
 
     Attributes
@@ -114,7 +114,7 @@ class Trial:
 
 def run(
     detector: Named | Finder, suite: Path | str | None = None, *, name: str | None = None, point: str = "either"
-) -> Trial:
+) -> TrackerRun:
     """Run a detector on the benchmark and hold it to the truth.
 
     Parameters
@@ -145,14 +145,14 @@ def run(
     made = _suite(suite)
     function = callable(detector) and not inspect.isclass(detector)
     used: Any = _finder(detector, point) if function else detector
-    found = InMemory(own="centre" if function and point == "centre" else "glint")
+    found = ResultsInMemory(own="centre" if function and point == "centre" else "glint")
     for film in dict.fromkeys(part.film for part in made.parts.values()):
         source = open_source(made.film(film))
         for index, (number, _) in enumerate(source.clips):
             found.found[film, number] = followed(source.clip(index), used)
     given: Any = detector
     about = {"name": name or name_of(given), "made": "run here", "point": found.own}
-    return Trial(entry(made, found, about), made.definition.headline)
+    return TrackerRun(make_entry(made, found, about), made.definition.headline)
 
 
 def _suite(given: Path | str | None) -> Suite:

@@ -12,9 +12,9 @@ from pathlib import Path
 from typing import Any
 
 from synthcam_shared.errors import InputError
-from tracker.benchmark.contest import in_report, published
-from tracker.benchmark.judging.entry import entry
-from tracker.benchmark.judging.tracked import InMemory
+from tracker.benchmark.contest import open_report, publish
+from tracker.benchmark.judging.entry import make_entry
+from tracker.benchmark.judging.tracker_results import ResultsInMemory
 from tracker.benchmark.report.leaderboard import save
 from tracker.benchmark.suite.folder import Suite
 from tracker.camera.camera import Camera
@@ -31,7 +31,7 @@ TABLES = (".csv", ".parquet", ".txt", ".xml")
 Progress = Callable[[int, int], None]
 
 
-def submitted(
+def score_submission(
     suite: Suite, folder: Path, report: Path, how: str, progress: Progress = lambda done, of: None
 ) -> tuple[list[Mapping[str, Any]], list[str]]:
     """Score a submission and add it to a report.
@@ -63,9 +63,9 @@ def submitted(
     """
     about = read_form(folder)
     found, notes = read_tables(suite, folder, about.get("point", "centre"), progress)
-    with in_report(report):
-        save(report, entry(suite, found, {**about, "made": "submitted"}))
-        return published(suite, report, how), notes
+    with open_report(report):
+        save(report, make_entry(suite, found, {**about, "made": "submitted"}))
+        return publish(suite, report, how), notes
 
 
 def read_form(folder: Path) -> dict[str, Any]:
@@ -92,15 +92,15 @@ def read_form(folder: Path) -> dict[str, Any]:
 
 def read_tables(
     suite: Suite, folder: Path, point: str, progress: Progress = lambda done, of: None
-) -> tuple[InMemory, list[str]]:
+) -> tuple[ResultsInMemory, list[str]]:
     """The tables of a submission, each clip measured by its own camera; and what is missing."""
-    found, notes = InMemory(), []
+    found, notes = ResultsInMemory(), []
     films = dict.fromkeys(part.film for part in suite.parts.values())
     _check_names(folder, list(films))
     for number, film in enumerate(films, 1):
         clips = sorted({clip for part in suite.parts.values() if part.film == film for clip in part.clips})
         camera = {clip: _camera(suite, film, clip) for clip in clips}
-        given = dict(_given(folder, film, camera))
+        given = dict(_read_given(folder, film, camera))
         if strange := sorted(set(given) - set(clips)):
             raise InputError(
                 f"{folder}: {film}: clip {strange[0]}: not in the suite, expected {clips[0]} to {clips[-1]}"
@@ -134,7 +134,7 @@ def _camera(suite: Suite, film: str, clip: int) -> Camera:
     return Camera.read(suite.film(film) / "clips" / f"{clip:06d}" / "camera.json")
 
 
-def _given(folder: Path, film: str, camera: Mapping[int, Camera]) -> Iterator[tuple[int, Tracks]]:
+def _read_given(folder: Path, film: str, camera: Mapping[int, Camera]) -> Iterator[tuple[int, Tracks]]:
     """Clip and tracks of the tables that there are of a film."""
     whole = [path for ending in TABLES if (path := folder / f"{film}{ending}").is_file()]
     for path in whole[:1]:

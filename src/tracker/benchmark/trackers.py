@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from synthcam_shared.errors import InputError
-from tracker.benchmark.judging.tracked import ALL, InFolder, Sample
+from tracker.benchmark.judging.tracker_results import ALL, ClipSample, ResultsInFolder
 from tracker.benchmark.suite.folder import Suite
 from tracker.camera.frames import Clip, open_source
 from tracker.detection.choose import choose
@@ -30,7 +30,7 @@ class Entrant:
     """A tracker by name: the detector of that name, or this package's own; and on which clips it runs."""
 
     name: str
-    sample: Sample = ALL
+    sample: ClipSample = ALL
 
     @property
     def detector(self) -> str | None:
@@ -43,7 +43,7 @@ class Entrant:
         return "centre" if self.name.partition("+")[0] in CENTRES else "glint"
 
 
-def asked(names: str) -> list[str]:
+def parse_names(names: str) -> list[str]:
     """The names between commas, each once. Raises InputError for one that is none, or whose package is missing."""
     wanted = list(dict.fromkeys(name.strip() for name in names.split(",") if name.strip()))
     for name in wanted:
@@ -67,7 +67,7 @@ def entrants(suite: Suite, names: str = "") -> tuple[list[Entrant], list[str]]:
         For a name that is none, or whose package is missing.
     """
     data, notes, out = suite.definition.data, [], []
-    wanted, clip = asked(names), _first(suite)
+    wanted, clip = parse_names(names), _first(suite)
     for name in wanted or map(str, data["trackers"]):
         one = Entrant(name, _sample(data["sampled"].get(name, {})))
         try:
@@ -83,9 +83,9 @@ def entrants(suite: Suite, names: str = "") -> tuple[list[Entrant], list[str]]:
     return out, notes
 
 
-def tracked(
+def run_tracker(
     suite: Suite, one: Entrant, folder: Path, progress: Progress, workers: int = 0, scheduler: str = ""
-) -> InFolder:
+) -> ResultsInFolder:
     """Run a tracker on all films into FOLDER/FILM; what is there is kept. scheduler: Dask's, in place of processes."""
     folder.mkdir(parents=True, exist_ok=True)
     films = list(dict.fromkeys(part.film for part in suite.parts.values()))
@@ -95,11 +95,11 @@ def tracked(
             run(suite.film(film), folder / film, None, one.detector, workers, only=only, scheduler=scheduler)
         progress(number + 1, len(films))
     if not (folder / PACE).is_file():
-        write_json(folder / PACE, {"ms_per_frame": pace(suite, one)})
-    return InFolder(folder, one.sample, one.own)
+        write_json(folder / PACE, {"ms_per_frame": time_frame(suite, one)})
+    return ResultsInFolder(folder, one.sample, one.own)
 
 
-def pace(suite: Suite, one: Entrant) -> float:
+def time_frame(suite: Suite, one: Entrant) -> float:
     """ms of processor time a frame, of finding and linking in the suite's first clip, by one process."""
     clip = _first(suite)
     name = one.detector or choose(clip.frames, clip.camera)[0]
@@ -108,7 +108,7 @@ def pace(suite: Suite, one: Entrant) -> float:
     return 1e3 * (time.process_time() - started) / len(clip.frames)
 
 
-def about(one: Entrant, folder: Path) -> Mapping[str, Any]:
+def describe(one: Entrant, folder: Path) -> Mapping[str, Any]:
     """What an entry says of a tracker that was run here."""
     spent = load_json(folder / PACE)["ms_per_frame"]
     limits = {"clips_of_each_part": one.sample.clips, "not_run_on": list(one.sample.without)}
@@ -116,8 +116,8 @@ def about(one: Entrant, folder: Path) -> Mapping[str, Any]:
     return {"name": one.name, "made": RUN_HERE, "ms_per_frame": spent, "point": one.own} | more
 
 
-def _sample(given: Mapping[str, Any]) -> Sample:
-    return Sample(given.get("clips"), tuple(given.get("without", ())))
+def _sample(given: Mapping[str, Any]) -> ClipSample:
+    return ClipSample(given.get("clips"), tuple(given.get("without", ())))
 
 
 def _first(suite: Suite) -> Clip:

@@ -30,7 +30,7 @@ MOST_NAMED = 12  # particles in a legend
 
 
 @dataclass(frozen=True)
-class Specimen:
+class CollisionView:
     """One measured collision: its row of estimates, its balls' courses (1 struck, 2 striker) and the camera."""
 
     clip: int
@@ -39,15 +39,15 @@ class Specimen:
     camera: Camera
 
     @property
-    def tied(self) -> Floats:
+    def parameters(self) -> Floats:
         """Tied parameters (16,) from the row."""
         r = self.row
         launch = [r["t_c"], r["x1"], r["y1"], r["heading"], np.arcsin(r["b"]), r["v0"], r["drag"], r["decel"]]
         return np.array([*launch, r["r"], np.log(r["mu_k"]), r["C"], *(r[k] for k in BEFORE)], dtype=np.float64)
 
-    def model(self, ball: int, start: Floats) -> Floats:
+    def predict(self, ball: int, start: Floats) -> Floats:
         """Positions (n, 2) m of the tied fit, averaged over exposures that begin at start (n,)."""
-        free = np.asarray(release(self.tied), dtype=np.float64)
+        free = np.asarray(release(self.parameters), dtype=np.float64)
         return path(free, ball, start, self.camera.exposure, self.camera.ball_diameter)[0]
 
 
@@ -77,7 +77,7 @@ def frame_figure(image: Floats, spots: pd.DataFrame, frame: int, camera: Camera)
     return figure
 
 
-def tracks_figure(specimen: Specimen) -> Figure:
+def tracks_figure(specimen: CollisionView) -> Figure:
     """The paper's figure 2: both tracks, a mark every .02 s, and the collision enlarged."""
     figure = Figure(figsize=(8.2, 4.4), layout="constrained")
     axes, inset = figure.subplots(1, 2, width_ratios=[1.5, 1])
@@ -99,7 +99,7 @@ def tracks_figure(specimen: Specimen) -> Figure:
             label=f"{label}, every {every / specimen.camera.fps:g} s",
         )
         inset.plot(*position.T, mark, color=colour, ms=3.2, mfc="white", label="every frame")
-        contact[ball] = specimen.model(ball, np.array([t_c - specimen.camera.exposure / 2]))[0] * 1e3
+        contact[ball] = specimen.predict(ball, np.array([t_c - specimen.camera.exposure / 2]))[0] * 1e3
         inset.add_patch(Circle(tuple(contact[ball]), radius, fill=False, ec=colour, lw=1))
     middle = (contact[1] + contact[2]) / 2
     inset.set(xlim=middle[0] + np.array([-3, 3]) * radius, ylim=middle[1] + np.array([-3, 3]) * radius)
@@ -112,7 +112,7 @@ def tracks_figure(specimen: Specimen) -> Figure:
     return figure
 
 
-def separation_figure(specimen: Specimen) -> Figure:
+def separation_figure(specimen: CollisionView) -> Figure:
     """The paper's figure 3: separation of the centres against time, with what the tied fit leaves over."""
     figure = Figure(figsize=(8.2, 4.6), layout="constrained")
     axes, rest = figure.subplots(2, 1, sharex=True, height_ratios=[2.2, 1])
@@ -122,11 +122,11 @@ def separation_figure(specimen: Specimen) -> Figure:
     apart = np.hypot(*along.T)
     unit = along / apart[:, None]
     variance = np.einsum("ni,nij,nj->n", unit, one.cov[i] + two.cov[j], unit)
-    fitted = np.hypot(*(specimen.model(1, one.start[i]) - specimen.model(2, two.start[j])).T)
+    fitted = np.hypot(*(specimen.predict(1, one.start[i]) - specimen.predict(2, two.start[j])).T)
     time = one.time[i]
     axes.plot(time * 1e3, apart * 1e3, "o", color=STYLE[2][0], ms=3.2, mfc="white", label="measured")
     fine = np.linspace(time[0], time[-1], 800)
-    smooth = np.hypot(*(specimen.model(1, fine) - specimen.model(2, fine)).T)
+    smooth = np.hypot(*(specimen.predict(1, fine) - specimen.predict(2, fine)).T)
     axes.plot(fine * 1e3, smooth * 1e3, "-", color=MODEL, lw=0.9, label="tied fit")
     axes.axhline(specimen.camera.ball_diameter * 1e3, color="0.6", lw=0.8, ls="--", label="ball diameter")
     axes.set_ylabel("separation / mm")
@@ -141,7 +141,7 @@ def separation_figure(specimen: Specimen) -> Figure:
     return figure
 
 
-def energy_figure(specimen: Specimen, tracks: object, camera: Camera) -> Figure:
+def energy_figure(specimen: CollisionView, tracks: object, camera: Camera) -> Figure:
     """The paper's energy against time, with the tied fit and the loss that an impact alone would make."""
     figure = Figure(figsize=(8.2, 3.6), layout="constrained")
     axes = figure.subplots()
@@ -165,7 +165,7 @@ def energy_figure(specimen: Specimen, tracks: object, camera: Camera) -> Figure:
     return figure
 
 
-def _mark_times(panels: tuple[Axes, ...], specimen: Specimen) -> None:
+def _mark_times(panels: tuple[Axes, ...], specimen: CollisionView) -> None:
     t_c = float(specimen.row["t_c"])
     for axes in panels:
         axes.axvline(t_c * 1e3, color="0.3", lw=0.8, ls=":")
@@ -179,12 +179,12 @@ def _mark_times(panels: tuple[Axes, ...], specimen: Specimen) -> None:
         )
 
 
-def residuals_figure(specimen: Specimen) -> Figure:
+def residuals_figure(specimen: CollisionView) -> Figure:
     """Position less the tied fit, each ball and axis, with the positions' standard errors."""
     figure = Figure(figsize=(8.2, 4.2), layout="constrained")
     panels = figure.subplots(2, 1, sharex=True, sharey=True)
     for axes, (ball, course) in zip(panels, sorted(specimen.balls.items()), strict=True):
-        off = (course.position - specimen.model(ball, course.start)) * 1e6
+        off = (course.position - specimen.predict(ball, course.start)) * 1e6
         for axis, (name, mark, colour) in enumerate((("x", "o", "#14508c"), ("y", "s", "#c1440e"))):
             error = np.sqrt(course.cov[:, axis, axis]) * 1e6
             axes.errorbar(
@@ -213,7 +213,7 @@ def speed_figure(motion: pd.DataFrame, contacts: Sequence[float]) -> Figure:
     return figure
 
 
-def courses_figure(tracks: Tracks, camera: Camera) -> Figure:
+def all_tracks_figure(tracks: Tracks, camera: Camera) -> Figure:
     """All tracks as they lie in the picture, px."""
     figure = Figure(figsize=(8.2, 4.2), layout="constrained")
     axes = figure.subplots()

@@ -42,8 +42,8 @@ class Overlay:
 
     def __iter__(self) -> Iterator[Picture]:
         """(h, w, 3) pictures, red first, all of one even size."""
-        low, high = self._levels()
-        times = self._enlarged()
+        low, high = self._grey_range()
+        times = self._magnification()
         for k in range(self.first, self.last + 1):
             grey = np.clip((self.frames[k].astype(np.float32) - low) / (high - low), 0, 1) ** BRIGHTER * 255
             if times >= 1:
@@ -55,14 +55,14 @@ class Overlay:
             height, width = (n - n % 2 for n in picture.shape[:2])  # as H.264 wants it
             yield np.ascontiguousarray(picture[:height, :width])
 
-    def _levels(self) -> tuple[float, float]:
+    def _grey_range(self) -> tuple[float, float]:
         """Counts shown as black and as white."""
         chosen = np.linspace(self.first, self.last, min(LOOKED_AT, self.last - self.first + 1)).astype(int)
         sample = np.stack([self.frames[int(k)] for k in np.unique(chosen)]).astype(np.float64)
         low, high = float(np.percentile(sample, 1)), float(sample.max())
         return low, max(high, low + 1.0)
 
-    def _enlarged(self) -> float:
+    def _magnification(self) -> float:
         width = max(self.frames.shape[2], self.frames.shape[1])
         return float(min(MOST_TIMES, WIDEST // width)) if width <= WIDEST else WIDEST / width
 
@@ -72,7 +72,7 @@ class Overlay:
         for particle in np.unique(tracks.particle[recent]):
             colour = COLOURS[int(particle) % len(COLOURS)]
             mine = recent & (tracks.particle == particle)
-            trail = _fixed(tracks.xy[mine], times)
+            trail = _to_fixed_point(tracks.xy[mine], times)
             cv2.polylines(picture, [trail], False, colour, 1, cv2.LINE_AA, SHIFT)
             for row in np.flatnonzero(mine & (tracks.frame == k)).tolist():
                 self._ball(picture, row, times * radius if self.camera.knows_diameter else 0.0, times, colour)
@@ -80,7 +80,7 @@ class Overlay:
 
     def _ball(self, picture: Picture, row: int, radius: float, times: float, colour: tuple[int, int, int]) -> None:
         tracks = self.tracks
-        ((x, y),) = _fixed(tracks.xy[row : row + 1], times)
+        ((x, y),) = _to_fixed_point(tracks.xy[row : row + 1], times)
         if radius:
             cv2.circle(picture, (int(x), int(y)), round(radius * 2**SHIFT), colour, 1, cv2.LINE_AA, SHIFT)
         cv2.drawMarker(picture, (int(x) >> SHIFT, int(y) >> SHIFT), colour, cv2.MARKER_CROSS, 9, 1, cv2.LINE_AA)
@@ -96,12 +96,12 @@ class Overlay:
         return f"frame {k}   {1e3 * time:.1f} ms   {met[-1] if met else ''}"
 
 
-def _fixed(xy: NDArray[np.float64], times: float) -> NDArray[np.int32]:
+def _to_fixed_point(xy: NDArray[np.float64], times: float) -> NDArray[np.int32]:
     """Pixels of the recording as OpenCV's fixed-point coordinates of the overlay."""
     return np.asarray(np.round(((xy + 0.5) * times - 0.5) * 2**SHIFT), dtype=np.int32)
 
 
-def mp4(pictures: Iterable[Picture]) -> bytes:
+def encode_mp4(pictures: Iterable[Picture]) -> bytes:
     """The pictures as an H.264 film; the same bytes for the same pictures."""
     stream = io.BytesIO()
     film: Any = None
@@ -118,7 +118,7 @@ def mp4(pictures: Iterable[Picture]) -> bytes:
     return stream.getvalue()
 
 
-def shown(frames: int, contacts: Sequence[float], most: int) -> tuple[int, int]:
+def choose_frames(frames: int, contacts: Sequence[float], most: int) -> tuple[int, int]:
     """First and last of the frames to show: all, or of many as many as allowed, the first contact (frame) early."""
     if frames <= most:
         return 0, frames - 1

@@ -14,7 +14,7 @@ from tracker.measurement.collision.collision_model import TARGET, release
 from tracker.measurement.collision.derived import NAMES, of_free, of_tied
 from tracker.measurement.collision.fitting import Pair, Whitened, covariance
 from tracker.measurement.positions import Course
-from tracker.scoring.localisation import Matched
+from tracker.scoring.localisation import MatchedDetections
 
 if TYPE_CHECKING:
     from tracker.camera.camera import Camera
@@ -25,7 +25,7 @@ HEAVIEST = 0.9999  # |b/2R| beyond which a hit is a miss
 FIGURES = ("n", "bias", "rmse", "bound", "ratio", "z_mean", "z_std", "cover68", "cover95")
 
 
-def quantity_scores(table: pd.DataFrame) -> dict[str, dict[str, float]]:
+def score_quantities(table: pd.DataFrame) -> dict[str, dict[str, float]]:
     """Q (with "", "_free", "_paper") -> the contract's figures.
 
     table: one row a clip, with Q, Q_std, the truth as Q_true, and the bounds as Q_bound. Rows without a claim or
@@ -39,11 +39,11 @@ def quantity_scores(table: pd.DataFrame) -> dict[str, dict[str, float]]:
                 value, std, true, bound = (
                     table[c].to_numpy(float) if c in table else np.full(len(table), np.nan) for c in columns
                 )
-                out[f"{name}{kind}"] = figures(value, std, true, bound)
+                out[f"{name}{kind}"] = error_statistics(value, std, true, bound)
     return out
 
 
-def figures(value: Floats, std: Floats, true: Floats, bound: Floats) -> dict[str, float]:
+def error_statistics(value: Floats, std: Floats, true: Floats, bound: Floats) -> dict[str, float]:
     """The contract's figures of one quantity over clips (n,); NaN marks what is not claimed or not known."""
     use = np.isfinite(value) & np.isfinite(true)
     off = value[use] - true[use]
@@ -84,7 +84,7 @@ def true_motion(truth: pd.DataFrame, scalars: Mapping[str, float]) -> Floats | N
     return tied if np.isfinite(tied).all() else None
 
 
-def quantity_bounds(matched: Matched, cov: Floats, tied: Floats, camera: Camera) -> dict[str, float]:
+def quantity_bounds(matched: MatchedDetections, cov: Floats, tied: Floats, camera: Camera) -> dict[str, float]:
     """Q_bound and Q_free_bound of a clip: Fisher bounds of either fit at the true motion, on the positions found.
 
     cov (n, 2, 2) px^2: the localisation bound of each pair, not what the tracker claims; what a resting ball shares
@@ -92,7 +92,7 @@ def quantity_bounds(matched: Matched, cov: Floats, tied: Floats, camera: Camera)
     """
     if len(cov) == 0 or not np.isfinite(cov).all():
         return {}
-    balls = _bounded_courses(matched, cov, camera)
+    balls = _tracks_at_bound(matched, cov, camera)
     if not all(len(course) for course in balls):
         return {}
     moving = bool(tied[-len(TARGET) :].any())
@@ -106,7 +106,7 @@ def quantity_bounds(matched: Matched, cov: Floats, tied: Floats, camera: Camera)
     return out
 
 
-def _bounded_courses(matched: Matched, cov: Floats, camera: Camera) -> list[Course]:
+def _tracks_at_bound(matched: MatchedDetections, cov: Floats, camera: Camera) -> list[Course]:
     """Both balls' true courses with the errors of the localisation bound; px to m at each position."""
     rows = matched.truth.iloc[matched.pairs[:, 0]]
     _, slope = camera.unproject(rows[["x_mean_px", "y_mean_px"]].to_numpy(float))

@@ -54,7 +54,7 @@ def residual_figure(table: pd.DataFrame, kind: str) -> Figure:
     return figure
 
 
-def honesty_figure(table: pd.DataFrame) -> Figure:
+def error_bars_figure(table: pd.DataFrame) -> Figure:
     """Errors in units of the claimed standard error, all quantities together, against the normal law."""
     figure = Figure(figsize=(8.2, 3.0), layout="constrained")
     bins = np.linspace(-5, 5, 41)

@@ -25,7 +25,7 @@ MOVING_PX = 0.05  # per frame; a resting ball shows one sub-pixel phase over and
 
 
 @dataclass(frozen=True)
-class Matched:
+class MatchedDetections:
     """One clip's detections beside the truth.
 
     truth, found: the tables; pairs (n, 2): rows of truth and found that belong together, whole balls only;
@@ -46,7 +46,7 @@ class Matched:
         return _xy(self.found)[self.pairs[:, 1]] - _true(self.truth)[self.pairs[:, 0]]
 
 
-def match(truth: pd.DataFrame, found: pd.DataFrame, gate: float, ball_px: float) -> Matched:
+def match(truth: pd.DataFrame, found: pd.DataFrame, gate: float, ball_px: float) -> MatchedDetections:
     """Pair detections with true balls, frame by frame.
 
     A ball that is not whole in view need not be found, and a detection on what shows of it is neither right nor wrong.
@@ -81,10 +81,10 @@ def match(truth: pd.DataFrame, found: pd.DataFrame, gate: float, ball_px: float)
                 counted[j[b]] = True
     table = np.array(pairs, dtype=np.int64).reshape(-1, 2)
     false = int(counted.sum()) - len(table)
-    return Matched(truth, found, table, counted, int(whole.sum()) - len(table), false)
+    return MatchedDetections(truth, found, table, counted, int(whole.sum()) - len(table), false)
 
 
-def bounds(matched: Matched, camera: Camera) -> Floats:
+def position_bounds(matched: MatchedDetections, camera: Camera) -> Floats:
     """Cramer-Rao covariance (n, 2, 2) px^2 of each paired position.
 
     Flux from the detection, motion blur from the true velocity. NaN where the camera or the table lack what it needs.
@@ -139,7 +139,7 @@ class PositionSums:
         return cls(0, 0, 0, 0.0, 0.0, np.zeros((2, 3, 3)), np.zeros((2, 3)), np.zeros(2))
 
     @classmethod
-    def of(cls, matched: Matched, cov: Floats) -> PositionSums:
+    def of(cls, matched: MatchedDetections, cov: Floats) -> PositionSums:
         """Those of one clip; cov (n, 2, 2) px^2: the bounds of its pairs."""
         off, true, moving = matched.off, _true(matched.truth)[matched.pairs[:, 0]], _moving(matched)
         waves, errors, squares = np.zeros((2, 3, 3)), np.zeros((2, 3)), np.zeros(2)
@@ -153,7 +153,7 @@ class PositionSums:
     def __add__(self, other: PositionSums) -> PositionSums:
         return PositionSums(*(getattr(self, f.name) + getattr(other, f.name) for f in fields(self)))
 
-    def figures(self) -> dict[str, float]:
+    def statistics(self) -> dict[str, float]:
         """The contract's localisation figures.
 
         rmse_px, bound_px per axis; phase_bias_px: peak to peak of the error's first harmonic in the sub-pixel phase
@@ -183,12 +183,12 @@ class PositionSums:
         return float(worst)
 
 
-def localisation(clips: Iterable[tuple[Matched, Floats]]) -> dict[str, float]:
+def score_positions(clips: Iterable[tuple[MatchedDetections, Floats]]) -> dict[str, float]:
     """The contract's localisation figures, as of `PositionSums`, over clips of (matched, bounds)."""
-    return sum((PositionSums.of(*clip) for clip in clips), PositionSums.none()).figures()
+    return sum((PositionSums.of(*clip) for clip in clips), PositionSums.none()).statistics()
 
 
-def _moving(matched: Matched) -> NDArray[np.bool_]:
+def _moving(matched: MatchedDetections) -> NDArray[np.bool_]:
     """(n, 2): whether the ball of a pair moves along each axis."""
     pace = matched.truth.sort_values("frame").groupby("particle")[["x_mean_px", "y_mean_px"]].diff().abs()
     return np.asarray(pace.reindex(matched.truth.index).to_numpy(float)[matched.pairs[:, 0]] > MOVING_PX)

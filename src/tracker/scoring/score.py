@@ -17,9 +17,9 @@ from tracker.measurement.collision.adequacy import MEASURED, MISFIT
 from tracker.measurement.collision.derived import NAMES
 from tracker.parallel import in_order, in_parallel
 from tracker.results import finite, write_json
-from tracker.scoring.error_bars import quantity_bounds, quantity_scores, true_motion
-from tracker.scoring.localisation import Matched, PositionSums, bounds, match
-from tracker.scoring.tracking_metrics import GATE_PX, Dots, TrackingCounts
+from tracker.scoring.error_bars import quantity_bounds, score_quantities, true_motion
+from tracker.scoring.localisation import MatchedDetections, PositionSums, match, position_bounds
+from tracker.scoring.tracking_metrics import GATE_PX, TrackingCounts, TrackPoints
 
 Floats = NDArray[np.float64]
 TRUTH = "clip v0 b t_c r mu_k C drag decel"  # columns of clips.parquet that are needed, and of a clip's tracks
@@ -28,7 +28,7 @@ OF_ONE_BALL = ("drag", "decel")  # what a clip without a collision is held to
 
 
 @dataclass(frozen=True)
-class Score:
+class DetectorScore:
     """How one set of results compares with the truth.
 
     table: a row a clip, with the estimates, the truth as Q_true and the Fisher bounds as Q_bound; the rest are
@@ -70,7 +70,7 @@ def score(
     detector: str = "default",
     ms_per_frame: float | None = None,
     scheduler: str = "",
-) -> Score:
+) -> DetectorScore:
     """Compare results with the truth.
 
     Parameters
@@ -100,19 +100,19 @@ def score(
         results, dataset = results.resolve(), dataset.resolve()
     scalars = _scalars(dataset)
     estimates = _table(results / "estimates.parquet", "results of tracker track", "clip collision status")
-    task = partial(_of_clip, results, dataset)
+    task = partial(_score_clip, results, dataset)
     numbers = [int(clip) for clip in scalars["clip"]]
     positions, tracking, limits = PositionSums.none(), TrackingCounts.none(), []
     for one in in_order(in_parallel(task, numbers, 1, results, scheduler), numbers):
         positions, tracking = positions + one.positions, tracking + one.tracking
         limits.append(one.bounds)
-    table = joined(scalars, estimates, pd.DataFrame(limits).assign(clip=numbers))
-    return Score(
+    table = join_truth(scalars, estimates, pd.DataFrame(limits).assign(clip=numbers))
+    return DetectorScore(
         suite="+".join(sorted(scalars["scene"].astype(str).unique())) if "scene" in scalars else "",
         detector=detector,
-        localisation=positions.figures(),
+        localisation=positions.statistics(),
         tracking=tracking.scores(),
-        quantities=quantity_scores(held_to(table)),
+        quantities=score_quantities(drop_unclaimed(table)),
         statuses={"n": len(scalars)} | {str(k): int(v) for k, v in table["status"].value_counts().items()},
         ms_per_frame=ms_per_frame,
         table=table,
@@ -122,11 +122,11 @@ def score(
 def _scalars(dataset: Path) -> pd.DataFrame:
     """True quantities of all clips, read once by each process."""
     path = dataset / "truth" / "clips.parquet"
-    return _kept(path, path.stat().st_mtime_ns if path.is_file() else 0)
+    return _read_scalars(path, path.stat().st_mtime_ns if path.is_file() else 0)
 
 
 @lru_cache(maxsize=1)
-def _kept(path: Path, changed: int) -> pd.DataFrame:
+def _read_scalars(path: Path, changed: int) -> pd.DataFrame:
     return _table(path, "a dataset's truth", TRUTH)
 
 
@@ -144,7 +144,7 @@ def _table(path: Path, what: str, columns: str) -> pd.DataFrame:
     return table
 
 
-class HeldClip(NamedTuple):
+class ClipScore(NamedTuple):
     """A clip beside its truth: what adds up over clips, and the bounds of its quantities, by name."""
 
     positions: PositionSums
@@ -152,15 +152,15 @@ class HeldClip(NamedTuple):
     bounds: dict[str, float]
 
 
-def _of_clip(results: Path, dataset: Path, clip: int) -> tuple[int, HeldClip]:
-    truth, found, camera = _clip(results, dataset, clip)
+def _score_clip(results: Path, dataset: Path, clip: int) -> tuple[int, ClipScore]:
+    truth, found, camera = _read_clip(results, dataset, clip)
     matched = match(truth, found, GATE_PX, camera.diameter_px)
-    cov = bounds(matched, camera)
+    cov = position_bounds(matched, camera)
     limits = _clip_bounds(matched, cov, _scalars(dataset), clip, camera)
-    return clip, HeldClip(PositionSums.of(matched, cov), TrackingCounts.of(*dots_of(matched)), limits)
+    return clip, ClipScore(PositionSums.of(matched, cov), TrackingCounts.of(*to_track_points(matched)), limits)
 
 
-def _clip(results: Path, dataset: Path, clip: int) -> tuple[pd.DataFrame, pd.DataFrame, Camera]:
+def _read_clip(results: Path, dataset: Path, clip: int) -> tuple[pd.DataFrame, pd.DataFrame, Camera]:
     """True tracks, tracks, camera."""
     name = f"{clip:06d}"
     truth = _table(dataset / "clips" / name / "truth" / "tracks.parquet", "true tracks", TRACKS)
@@ -176,26 +176,28 @@ def _clip(results: Path, dataset: Path, clip: int) -> tuple[pd.DataFrame, pd.Dat
     return truth, found, Camera.read(known)
 
 
-def dots_of(matched: Matched) -> tuple[Dots, Dots]:
+def to_track_points(matched: MatchedDetections) -> tuple[TrackPoints, TrackPoints]:
     """Tracks for the tracking measures: balls whole in view, and the detections that count."""
     truth = matched.truth[matched.truth["visible"].to_numpy(bool)]
     found = matched.found[matched.counted]
     tables = ((truth, ["x_mean_px", "y_mean_px"]), (found, ["x", "y"]))
     one, other = (
-        Dots.of(t["frame"].to_numpy(np.int64), t["particle"].to_numpy(np.int64), t[xy].to_numpy(np.float64))
+        TrackPoints.of(t["frame"].to_numpy(np.int64), t["particle"].to_numpy(np.int64), t[xy].to_numpy(np.float64))
         for t, xy in tables
     )
     return one, other
 
 
-def _clip_bounds(matched: Matched, cov: Floats, scalars: pd.DataFrame, clip: int, camera: Camera) -> dict[str, float]:
+def _clip_bounds(
+    matched: MatchedDetections, cov: Floats, scalars: pd.DataFrame, clip: int, camera: Camera
+) -> dict[str, float]:
     row = scalars[scalars["clip"] == clip].iloc[0]
     wanted = ("v0", "b", "t_c", "r", "mu_k", "C", "drag", "decel")
     tied = true_motion(matched.truth, {name: float(row[name]) for name in wanted})
     return {} if tied is None else quantity_bounds(matched, cov, tied, camera)
 
 
-def joined(scalars: pd.DataFrame, estimates: pd.DataFrame, limits: pd.DataFrame) -> pd.DataFrame:
+def join_truth(scalars: pd.DataFrame, estimates: pd.DataFrame, limits: pd.DataFrame) -> pd.DataFrame:
     """One row a clip: its first measured collision, the truth beside it, the bounds beside that."""
     bad = ~estimates["status"].isin(MEASURED)
     order = estimates.assign(_bad=bad).sort_values(["clip", "_bad", "collision"], kind="stable")
@@ -206,7 +208,7 @@ def joined(scalars: pd.DataFrame, estimates: pd.DataFrame, limits: pd.DataFrame)
     return table.assign(status=table["status"].fillna("no result"))
 
 
-def held_to(table: pd.DataFrame) -> pd.DataFrame:
+def drop_unclaimed(table: pd.DataFrame) -> pd.DataFrame:
     """The rows' claims that a truth can be held against.
 
     Without a collision only the rolling loss; of a misfit nothing of the tied fit, which claims nothing.

@@ -6,8 +6,8 @@ from collections.abc import Iterator, Mapping
 
 import numpy as np
 
-from tracker.report.answer import QUANTITIES
-from tracker.scoring.score import Score
+from tracker.report.estimates_text import QUANTITIES
+from tracker.scoring.score import DetectorScore
 
 SAID = ("r", "mu_k", "tau1", "tau2")
 LOST = 0.01  # share of the balls missed, or found where none is, up to which tracks are good
@@ -16,7 +16,7 @@ FEW = 20  # clips, from which on the spread of z says something
 SAMPLING = 3.0  # standard errors by which a spread of z may be over 1
 
 
-def summary(score: Score) -> Iterator[str]:
+def summarise(score: DetectorScore) -> Iterator[str]:
     """Lines for a terminal, the last of which says what the tracks are good for."""
     where, swaps = score.localisation, score.tracking["swaps"]
     yield f"{score.statuses['n']} clips: " + ", ".join(f"{v} {k}" for k, v in score.statuses.items() if k != "n")
@@ -29,16 +29,16 @@ def summary(score: Score) -> Iterator[str]:
         _, unit, factor, _ = QUANTITIES[name]
         tied, free = (_figures(score.quantities[f"{name}{kind}"], factor) for kind in ("", "_free"))
         yield f"{f'{name} {unit}':<10}{tied}{free}"
-    yield verdict(score)
+    yield judge(score)
 
 
-def verdict(score: Score) -> str:
+def judge(score: DetectorScore) -> str:
     """Whether these results are good enough, and for what, in a sentence; and another where it stands on few clips."""
     few = f" Fewer than {FEW} clips: the spread of z is uncertain." if score.statuses["n"] < FEW else ""
-    return _verdict(score) + few
+    return _judge(score) + few
 
 
-def _verdict(score: Score) -> str:
+def _judge(score: DetectorScore) -> str:
     where, swaps = score.localisation, score.tracking["swaps"]
     lost = max(where["missed"], where["false"]) / max(where["n"] + where["missed"], 1)
     if lost > LOST or swaps:

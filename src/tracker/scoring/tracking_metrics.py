@@ -28,7 +28,7 @@ HALF = 0.5 - float(np.finfo(float).eps)  # similarity from which two are paired
 KEEP = 1000.0  # over any similarity: a partner is kept before a better one is looked for
 
 
-class Near(NamedTuple):
+class FrameDistances(NamedTuple):
     """A frame: rows of truth and of found; distances px; similarity for pairs, and for HOTA."""
 
     i: Ints
@@ -39,7 +39,7 @@ class Near(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Dots:
+class TrackPoints:
     """Points of several tracks: frame (n,), track (n,) numbered 0..k-1, position (n, 2) px; of boxes their size too."""
 
     frame: Ints
@@ -48,7 +48,7 @@ class Dots:
     size: Floats | None = None
 
     @classmethod
-    def of(cls, frame: Ints, track: Ints, xy: Floats, size: Floats | None = None) -> Dots:
+    def of(cls, frame: Ints, track: Ints, xy: Floats, size: Floats | None = None) -> TrackPoints:
         """Renumbers the tracks."""
         return cls(frame, np.unique(track, return_inverse=True)[1].astype(np.int64), xy, size)
 
@@ -75,12 +75,16 @@ class TrackingCounts:
         return cls(Counter(), np.zeros((4, len(HOTA_LEVELS))))
 
     @classmethod
-    def of(cls, truth: Dots, found: Dots, gate: float = GATE_PX) -> TrackingCounts:
+    def of(cls, truth: TrackPoints, found: TrackPoints, gate: float = GATE_PX) -> TrackingCounts:
         """Those of one clip; gate in px."""
-        near, counts = _near(truth, found, gate), Counter[str]()
-        for count in (_challenge(truth, found, near, gate), _clear(truth, found, near), _identity(truth, found, near)):
+        near, counts = _frame_distances(truth, found, gate), Counter[str]()
+        for count in (
+            _count_challenge(truth, found, near, gate),
+            _count_clear(truth, found, near),
+            _count_identity(truth, found, near),
+        ):
             counts.update(count)
-        return cls(counts, _hota(truth, found, near))
+        return cls(counts, _count_hota(truth, found, near))
 
     def __add__(self, other: TrackingCounts) -> TrackingCounts:
         counts = self.counts.copy()
@@ -111,7 +115,7 @@ class TrackingCounts:
         }
 
 
-def tracking_scores(clips: Iterable[tuple[Dots, Dots]], gate: float = GATE_PX) -> dict[str, float]:
+def score_tracks(clips: Iterable[tuple[TrackPoints, TrackPoints]], gate: float = GATE_PX) -> dict[str, float]:
     """All measures over clips of (truth, found); gate in px. NaN where nothing was there to be tracked."""
     return sum((TrackingCounts.of(*clip, gate) for clip in clips), TrackingCounts.none()).scores()
 
@@ -120,7 +124,7 @@ def _ratio(part: float, whole: float) -> float:
     return part / whole if whole else np.nan
 
 
-def _near(truth: Dots, found: Dots, gate: float) -> dict[int, Near]:
+def _frame_distances(truth: TrackPoints, found: TrackPoints, gate: float) -> dict[int, FrameDistances]:
     """By frame."""
     out = {}
     for frame in np.union1d(truth.frame, found.frame):
@@ -130,7 +134,7 @@ def _near(truth: Dots, found: Dots, gate: float) -> dict[int, Near]:
             alike = hota = _overlap(truth.xy[i], truth.size[i], found.xy[j], found.size[j])
         else:
             alike, hota = np.maximum(1 - apart / (2 * gate), 0.0), np.maximum(1 - apart / gate, 0.0)
-        out[int(frame)] = Near(i, j, apart, alike, hota)
+        out[int(frame)] = FrameDistances(i, j, apart, alike, hota)
     return out
 
 
@@ -144,7 +148,7 @@ def _overlap(one: Floats, size: Floats, other: Floats, other_size: Floats) -> Fl
     return alike
 
 
-def _challenge(truth: Dots, found: Dots, near: dict[int, Near], gate: float) -> Counts:
+def _count_challenge(truth: TrackPoints, found: TrackPoints, near: dict[int, FrameDistances], gate: float) -> Counts:
     """Whole tracks paired so that the sum of gated distances is least; a track may stay without partner."""
     n, m = truth.tracks, found.tracks
     length, size = np.bincount(truth.track, minlength=n), np.bincount(found.track, minlength=m)
@@ -171,7 +175,7 @@ def _challenge(truth: Dots, found: Dots, near: dict[int, Near], gate: float) -> 
     }  # fmt: skip
 
 
-def _clear(truth: Dots, found: Dots, near: dict[int, Near]) -> Counts:
+def _count_clear(truth: TrackPoints, found: TrackPoints, near: dict[int, FrameDistances]) -> Counts:
     """Frame by frame, a partner is kept while it stays within the gate; a frame without either changes nothing."""
     partner: dict[int, int] = {}
     previous: dict[int, int] = {}
@@ -198,7 +202,7 @@ def _clear(truth: Dots, found: Dots, near: dict[int, Near]) -> Counts:
     return {**counts, "swaps": swaps, "clear_fn": misses, "clear_fp": extras, "clear_alike": summed}
 
 
-def _identity(truth: Dots, found: Dots, near: dict[int, Near]) -> Counts:
+def _count_identity(truth: TrackPoints, found: TrackPoints, near: dict[int, FrameDistances]) -> Counts:
     """One partner for the whole clip, for as many frames as possible."""
     both = np.zeros((truth.tracks, found.tracks))
     for i, j, _, alike, _ in near.values():
@@ -208,7 +212,7 @@ def _identity(truth: Dots, found: Dots, near: dict[int, Near]) -> Counts:
     return {"idtp": float(both[rows, columns].sum())}
 
 
-def _hota(truth: Dots, found: Dots, near: dict[int, Near]) -> Floats:
+def _count_hota(truth: TrackPoints, found: TrackPoints, near: dict[int, FrameDistances]) -> Floats:
     """(4, levels): hits, misses, extras, and the sum over hits of their association's Jaccard index."""
     n, m = truth.tracks, found.tracks
     overlap = np.zeros((n, m))

@@ -11,15 +11,15 @@ from benchmark_suite import suite
 
 from synthcam_shared.errors import InputError
 from tracker.benchmark import contest as module
-from tracker.benchmark.contest import contest
+from tracker.benchmark.contest import run_contest
 from tracker.benchmark.report.leaderboard import COLUMNS
-from tracker.benchmark.trackers import Entrant, entrants, tracked
+from tracker.benchmark.trackers import Entrant, entrants, run_tracker
 
 
 @pytest.fixture(scope="module")
 def report(tmp_path_factory):
     folder = tmp_path_factory.mktemp("contest") / "report"
-    entries, notes = contest(suite(), folder, how="tracker benchmark run -o report")
+    entries, notes = run_contest(suite(), folder, how="tracker benchmark run -o report")
     assert notes == []
     return folder, entries
 
@@ -64,13 +64,13 @@ def test_the_same_call_does_nothing_twice(report, monkeypatch):
     folder, entries = report
     monkeypatch.setattr(module, "entry", lambda *words: pytest.fail("scored again"))
     monkeypatch.setattr("tracker.pipeline._one", lambda *words: pytest.fail("tracked again"))
-    assert contest(suite(), folder)[0] == entries
+    assert run_contest(suite(), folder)[0] == entries
 
 
 def test_a_tracker_needs_no_truth(report, tmp_path):
     blind = replace(suite(), path=tmp_path / "films_only", truth=tmp_path / "none")
     shutil.copytree(suite().path / "films", blind.path / "films")
-    tracked(blind, Entrant("centroid"), tmp_path / "out", lambda done, of: None, 1)
+    run_tracker(blind, Entrant("centroid"), tmp_path / "out", lambda done, of: None, 1)
     for path in (tmp_path / "out").rglob("tracks.parquet"):
         assert (
             path.read_bytes() == (report[0] / "results" / "centroid" / path.relative_to(tmp_path / "out")).read_bytes()
@@ -83,11 +83,11 @@ def test_an_unknown_tracker_and_another_suites_report(report, tmp_path):
     other = replace(suite(), about={**suite().about, "truth_sha256": "0"})
     copy = shutil.copytree(report[0], tmp_path / "copy")
     with pytest.raises(InputError, match="figures of two suites are not set beside each other"):
-        module.published(other, copy, "")
+        module.publish(other, copy, "")
     (tmp_path / "full").mkdir()
     (tmp_path / "full" / "mine.txt").write_text("")
     with pytest.raises(InputError, match="holds something else"):
-        contest(suite(), tmp_path / "full", "centroid")
+        run_contest(suite(), tmp_path / "full", "centroid")
 
 
 def test_a_peer_that_is_not_installed_is_left_out_and_named(monkeypatch):

@@ -10,7 +10,7 @@ from benchmark_suite import Given, noisy, suite
 
 from synthcam_shared.errors import InputError
 from tracker.benchmark.report.leaderboard import save
-from tracker.benchmark.submission import read_form, submitted
+from tracker.benchmark.submission import read_form, score_submission
 from tracker.cli import main
 
 
@@ -33,7 +33,7 @@ def tables(folder, clips=range(4), change=noisy, **form):
 
 
 def test_tables_at_the_bound_score_as_a_tracker_at_the_bound(tmp_path):
-    entries, notes = submitted(
+    entries, notes = score_submission(
         suite(), tables(tmp_path / "s", authors="A. N. Other", ms_per_frame=3), tmp_path / "r", ""
     )
     assert notes == []
@@ -51,12 +51,12 @@ def test_a_file_a_clip_in_another_programs_format_gives_the_same(tmp_path):
     (parted / "submission.json").write_text('{"name": "theirs"}')
     for clip, rows in pd.read_csv(whole / "axes.csv").groupby("clip"):
         rows.drop(columns="clip").to_csv(parted / "axes" / f"{clip:06d}.csv", index=False)
-    one, other = (submitted(suite(), s, tmp_path / f"r{k}", "")[0][0] for k, s in enumerate((whole, parted)))
+    one, other = (score_submission(suite(), s, tmp_path / f"r{k}", "")[0][0] for k, s in enumerate((whole, parted)))
     assert one == other
 
 
 def test_clips_without_a_table_are_not_found(tmp_path):
-    (one,), notes = submitted(suite(), tables(tmp_path / "s", clips=(0, 1)), tmp_path / "r", "")
+    (one,), notes = score_submission(suite(), tables(tmp_path / "s", clips=(0, 1)), tmp_path / "r", "")
     assert notes == ["axes: no table of 2 of 4 clips, which count as not found"]
     assert one["parts"]["bright"]["found"] == 1.0
     assert one["parts"]["dim"]["found"] == 0.0
@@ -71,7 +71,7 @@ def test_glints_are_taken_to_centres_where_the_form_says_so(tmp_path):
         )
 
     wrong, right = (
-        submitted(suite(), tables(tmp_path / f"s{k}", change=glints, **form), tmp_path / f"r{k}", "")[0][0]
+        score_submission(suite(), tables(tmp_path / f"s{k}", change=glints, **form), tmp_path / f"r{k}", "")[0][0]
         for k, form in enumerate(({}, {"point": "glint"}))
     )
     assert wrong["parts"]["bright"]["ratio"] > 20
@@ -128,7 +128,7 @@ def test_a_clip_that_the_suite_does_not_have(tmp_path):
     rows = pd.read_csv(folder / "axes.csv").assign(clip=9)
     rows.to_csv(folder / "axes.csv", index=False)
     with pytest.raises(InputError, match="axes: clip 9: not in the suite, expected 0 to 3"):
-        submitted(suite(), folder, tmp_path / "r", "")
+        score_submission(suite(), folder, tmp_path / "r", "")
 
 
 def without_clip(folder):
@@ -154,16 +154,16 @@ def test_a_submission_without_what_it_must_have_is_one_line(tmp_path, change, sa
     folder = tables(tmp_path / "s")
     change(folder)
     with pytest.raises(InputError, match=said) as stopped:
-        submitted(suite(), folder, tmp_path / "r", "")
+        score_submission(suite(), folder, tmp_path / "r", "")
     assert "\n" not in str(stopped.value)
     assert not (tmp_path / "r").exists()
 
 
 def test_a_submission_may_be_replaced_by_its_like_alone(tmp_path):
-    submitted(suite(), tables(tmp_path / "s", name="mine"), tmp_path / "r", "")
-    assert len(submitted(suite(), tables(tmp_path / "t", name="mine"), tmp_path / "r", "")[0]) == 1
+    score_submission(suite(), tables(tmp_path / "s", name="mine"), tmp_path / "r", "")
+    assert len(score_submission(suite(), tables(tmp_path / "t", name="mine"), tmp_path / "r", "")[0]) == 1
     with pytest.raises(InputError, match=r"mine.json: is of 'mine', submitted; expected another name than 'mine'"):
         save(tmp_path / "r", {"tracker": {"name": "mine", "made": "run here"}})
-    submitted(suite(), tables(tmp_path / "u", name="a b"), tmp_path / "r", "")
+    score_submission(suite(), tables(tmp_path / "u", name="a b"), tmp_path / "r", "")
     with pytest.raises(InputError, match=r"a_b.json: is of 'a b', submitted; expected another name than 'a_b'"):
-        submitted(suite(), tables(tmp_path / "v", name="a_b"), tmp_path / "r", "")
+        score_submission(suite(), tables(tmp_path / "v", name="a_b"), tmp_path / "r", "")

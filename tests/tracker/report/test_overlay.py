@@ -7,7 +7,7 @@ import pytest
 from tracker.camera.camera import Camera
 from tracker.camera.memory import frames_in_memory
 from tracker.detection.link import Tracks
-from tracker.report.overlay import COLOURS, Overlay, mp4, shown
+from tracker.report.overlay import COLOURS, Overlay, choose_frames, encode_mp4
 
 SHAPE = (81, 121)
 PLACES = np.array([[30.0 + 2 * k, 40.0] for k in range(12)])
@@ -45,7 +45,7 @@ def test_each_ball_has_its_outline_and_a_cross_at_its_place(dtype):
 
 def test_a_film_plays_elsewhere_with_every_frame(tmp_path):
     path = tmp_path / "film.mp4"
-    path.write_bytes(mp4(overlay()))
+    path.write_bytes(encode_mp4(overlay()))
     film, seen = cv2.VideoCapture(str(path)), []
     while True:
         ok, picture = film.read()
@@ -56,7 +56,7 @@ def test_a_film_plays_elsewhere_with_every_frame(tmp_path):
     for k, picture in enumerate(seen):
         x, y = (2 * PLACES[k] + 0.5).astype(int)
         assert coloured(picture)[y - 2 : y + 3, x - 2 : x + 3].any()
-    assert mp4(overlay()) == path.read_bytes()
+    assert encode_mp4(overlay()) == path.read_bytes()
 
 
 def test_a_wide_picture_is_made_smaller():
@@ -66,7 +66,7 @@ def test_a_wide_picture_is_made_smaller():
 
 
 def test_of_a_long_film_the_contact_is_shown():
-    assert shown(100, [50], 200) == (0, 99)
-    assert shown(5000, [3000], 400) == (2900, 3299)
-    assert shown(5000, [4999], 400) == (4600, 4999)
-    assert shown(5000, [], 400) == (0, 399)
+    assert choose_frames(100, [50], 200) == (0, 99)
+    assert choose_frames(5000, [3000], 400) == (2900, 3299)
+    assert choose_frames(5000, [4999], 400) == (4600, 4999)
+    assert choose_frames(5000, [], 400) == (0, 399)

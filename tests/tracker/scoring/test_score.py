@@ -13,10 +13,10 @@ from tracker_noisy import BENCHMARK, NOISE, dataset, noisy, results, scalars_of,
 from synthcam_shared.errors import InputError
 from tracker.measurement.collision.derived import NAMES
 from tracker.measurement.estimate import measure
-from tracker.scoring.error_bars import figures, quantity_bounds, true_motion
-from tracker.scoring.localisation import PositionSums, bounds, localisation, match
-from tracker.scoring.score import _of_clip, score
-from tracker.scoring.tracking_metrics import Dots, tracking_scores
+from tracker.scoring.error_bars import error_statistics, quantity_bounds, true_motion
+from tracker.scoring.localisation import PositionSums, match, position_bounds, score_positions
+from tracker.scoring.score import _score_clip, score
+from tracker.scoring.tracking_metrics import TrackPoints, score_tracks
 
 CLIPS = 4
 
@@ -33,7 +33,7 @@ def found(tmp_path_factory, data):
 
 def dots(*points):
     frame, track, x, y = np.array(points, dtype=float).reshape(-1, 4).T
-    return Dots.of(frame.astype(int), track.astype(int), np.column_stack([x, y]))
+    return TrackPoints.of(frame.astype(int), track.astype(int), np.column_stack([x, y]))
 
 
 LINE = dots(*((f, 0, 20 * f, 0) for f in range(4)))
@@ -41,14 +41,14 @@ LINE = dots(*((f, 0, 20 * f, 0) for f in range(4)))
 
 def test_perfect_tracks_score_one():
     both = dots(*((f, k, 20 * f, 50 * k) for f in range(4) for k in (0, 1)))
-    for name, value in tracking_scores([(both, both), (LINE, LINE)]).items():
+    for name, value in score_tracks([(both, both), (LINE, LINE)]).items():
         assert value == (0 if name == "swaps" else pytest.approx(1))
 
 
 def test_a_track_broken_in_the_middle():
     """Worked by hand: four points, found as two tracks of two."""
     broken = dots(*((f, f // 2, 20 * f, 0) for f in range(4)))
-    got = tracking_scores([(LINE, broken)])
+    got = score_tracks([(LINE, broken)])
     by_hand = {"alpha": 1 / 2, "beta": 1 / 3, "jsc": 1 / 3, "jsc_theta": 1 / 2, "mota": 3 / 4, "idf1": 1 / 2}
     for name, value in by_hand.items():
         assert got[name] == pytest.approx(value)
@@ -59,24 +59,24 @@ def test_a_track_broken_in_the_middle():
 def test_misses_extras_and_offsets():
     """One of four points missed, one point from nowhere; then all points 1 px off with a gate of 5."""
     partial = dots((0, 0, 0, 0), (1, 0, 20, 0), (2, 0, 40, 0), (3, 1, 300, 300))
-    got = tracking_scores([(LINE, partial)])
+    got = score_tracks([(LINE, partial)])
     assert got["mota"] == pytest.approx(1 - 2 / 4)
     assert got["idf1"] == pytest.approx(2 * 3 / 8)
     assert got["alpha"] == pytest.approx(3 / 4)
     assert got["beta"] == pytest.approx((4 - 1) / (4 + 1))
     assert got["jsc"] == pytest.approx(3 / 5)
-    off = Dots(LINE.frame, LINE.track, LINE.xy + np.array([0, 1.0]))
-    assert tracking_scores([(LINE, off)])["alpha"] == pytest.approx(0.8)
-    assert tracking_scores([(LINE, off)])["hota"] == pytest.approx(16 / 19)  # alike .8: the levels up to .8 of 19
-    lost = Dots(LINE.frame, LINE.track, LINE.xy + np.array([0, 6.0]))
-    assert tracking_scores([(LINE, lost)])["mota"] == pytest.approx(-1)
-    assert tracking_scores([(LINE, lost)])["jsc_theta"] == 0
+    off = TrackPoints(LINE.frame, LINE.track, LINE.xy + np.array([0, 1.0]))
+    assert score_tracks([(LINE, off)])["alpha"] == pytest.approx(0.8)
+    assert score_tracks([(LINE, off)])["hota"] == pytest.approx(16 / 19)  # alike .8: the levels up to .8 of 19
+    lost = TrackPoints(LINE.frame, LINE.track, LINE.xy + np.array([0, 6.0]))
+    assert score_tracks([(LINE, lost)])["mota"] == pytest.approx(-1)
+    assert score_tracks([(LINE, lost)])["jsc_theta"] == 0
 
 
 def test_exchanged_balls_are_two_swaps():
     truth = dots(*((f, k, 20 * f, 50 * k) for f in range(6) for k in (0, 1)))
     crossed = dots(*((f, k if f < 3 else 1 - k, 20 * f, 50 * k) for f in range(6) for k in (0, 1)))
-    got = tracking_scores([(truth, crossed)])
+    got = score_tracks([(truth, crossed)])
     assert got["swaps"] == 2
     assert got["idf1"] == pytest.approx(0.5)
     assert got["mota"] == pytest.approx(1 - 2 / 12)
@@ -84,9 +84,9 @@ def test_exchanged_balls_are_two_swaps():
 
 def test_nothing_found_and_nothing_there():
     nothing = dots()
-    got = tracking_scores([(LINE, nothing)])
+    got = score_tracks([(LINE, nothing)])
     assert (got["alpha"], got["jsc"], got["hota"], got["mota"]) == (0, 0, 0, 0)
-    assert np.isnan(tracking_scores([(nothing, nothing)])["alpha"])
+    assert np.isnan(score_tracks([(nothing, nothing)])["alpha"])
 
 
 def ball_table(positions, visible=True):
@@ -115,7 +115,7 @@ def test_pixel_locking_shows_as_phase_bias():
         spots = pd.DataFrame({"frame": truth["frame"], "particle": 0, "x": x + locked / 2 * np.sin(2 * np.pi * x)})
         spots = spots.assign(x=spots["x"] + noise[0], y=truth["y_mean_px"] + noise[1])
         matched = match(truth, spots, 5.0, 14.9)
-        got = localisation([(matched, np.full((len(x), 2, 2), np.nan))])
+        got = score_positions([(matched, np.full((len(x), 2, 2), np.nan))])
         assert got["phase_bias_px"] == pytest.approx(locked, abs=0.002)
         assert np.isnan(got["bound_px"])
 
@@ -127,8 +127,8 @@ def test_clips_pool_as_all_their_positions_at_once(data, found):
         truth, camera = truth_of(data, clip)
         tracks = pd.read_parquet(found / "clips" / f"{clip:06d}" / "tracks.parquet")
         matched = match(truth, tracks, 5.0, camera.diameter_px)
-        clips.append((matched, bounds(matched, camera)))
-    got = localisation(clips)
+        clips.append((matched, position_bounds(matched, camera)))
+    got = score_positions(clips)
     off, cov = (np.concatenate(parts) for parts in zip(*((m.off, c) for m, c in clips), strict=True))
     assert got["n"] == len(off) > 300
     assert got["rmse_px"] == pytest.approx(np.sqrt((off**2).mean()), rel=1e-12)
@@ -136,7 +136,7 @@ def test_clips_pool_as_all_their_positions_at_once(data, found):
 
 
 def test_what_is_kept_of_a_clip_does_not_grow_with_its_frames(data, found):
-    _, held = _of_clip(found, data, 0)
+    _, held = _score_clip(found, data, 0)
     assert isinstance(held.positions, PositionSums)
     assert len(pickle.dumps(held)) < 4000  # its tracks and bounds alone have 20 kB
 
@@ -146,13 +146,13 @@ def test_figures_of_known_errors():
     n = 4000
     std = rng.uniform(0.5, 2.0, n)
     off = rng.normal(0, 1, n) * std
-    got = figures(3 + off, std, np.full(n, 3.0), std)
+    got = error_statistics(3 + off, std, np.full(n, 3.0), std)
     assert got["ratio"] == pytest.approx(1, abs=4 / np.sqrt(n))
     assert got["z_std"] == pytest.approx(1, abs=4 / np.sqrt(2 * n))
     assert got["cover68"] == pytest.approx(0.6827, abs=4 * np.sqrt(0.22 / n))
     assert got["cover95"] == pytest.approx(0.95, abs=4 * np.sqrt(0.0475 / n))
-    assert figures(3 + off, std / 2, np.full(n, 3.0), std)["cover68"] < 0.45  # what too small errors look like
-    some = figures(np.array([1.0, np.nan, 2.0]), np.array([0.1, 0.1, 0.0]), np.array([1.1, 1, 2]), np.ones(3))
+    assert error_statistics(3 + off, std / 2, np.full(n, 3.0), std)["cover68"] < 0.45  # what too small errors look like
+    some = error_statistics(np.array([1.0, np.nan, 2.0]), np.array([0.1, 0.1, 0.0]), np.array([1.1, 1, 2]), np.ones(3))
     assert some["n"] == 2
     assert some["z_mean"] == pytest.approx(-1.0)  # an error of zero is no claim
 
@@ -238,11 +238,11 @@ def test_localisation_bound_is_used(data):
     tracks = noisy(truth, np.random.default_rng(0))
     spots = pd.DataFrame({n: getattr(tracks, n) for n in ("frame", "particle", "x", "y", "flux")})
     matched = match(truth, spots, 5.0, camera.diameter_px)
-    cov = bounds(matched, camera)
+    cov = position_bounds(matched, camera)
     assert cov.shape == (len(matched.pairs), 2, 2)
-    dim = bounds(match(truth, spots.assign(flux=spots["flux"] / 4), 5.0, camera.diameter_px), camera)
+    dim = position_bounds(match(truth, spots.assign(flux=spots["flux"] / 4), 5.0, camera.diameter_px), camera)
     assert (np.trace(dim, axis1=1, axis2=2) > 3 * np.trace(cov, axis1=1, axis2=2)).all()
-    assert np.isnan(bounds(match(truth, spots.drop(columns="flux"), 5.0, camera.diameter_px), camera)).all()
+    assert np.isnan(position_bounds(match(truth, spots.drop(columns="flux"), 5.0, camera.diameter_px), camera)).all()
 
 
 def test_what_is_missing_is_named(found, data, tmp_path):

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tracker.scoring.tracking_metrics import GATE_PX, Dots, tracking_scores
+from tracker.scoring.tracking_metrics import GATE_PX, TrackPoints, score_tracks
 from tracker.tables.content import Content
 from tracker.tables.formats import mot
 
@@ -53,7 +53,7 @@ def crowd(seed, boxes, n=6, frames=40):
 def dots(rows):
     table = np.array(rows, dtype=float)
     size = table[:, 4:6] if table.shape[1] > 4 else None
-    return Dots.of(table[:, 0].astype(int), table[:, 1].astype(int), table[:, 2:4], size)
+    return TrackPoints.of(table[:, 0].astype(int), table[:, 1].astype(int), table[:, 2:4], size)
 
 
 def cut(whole):
@@ -61,7 +61,7 @@ def cut(whole):
     order = np.lexsort((whole.frame, whole.track))
     frame, track = whole.frame[order], whole.track[order]
     begins = np.concatenate([[True], (np.diff(track) != 0) | (np.diff(frame) != 1)])
-    return Dots.of(frame, np.cumsum(begins), whole.xy[order])
+    return TrackPoints.of(frame, np.cumsum(begins), whole.xy[order])
 
 
 def overlaps(one, other):
@@ -116,7 +116,7 @@ def trackeval(monkeypatch):
 @pytest.mark.parametrize("seed", range(4))
 def test_trackeval_gives_the_same(trackeval, seed, boxes):
     truth, found = crowd(seed, boxes)
-    got, theirs = tracking_scores([(truth, found)]), trackeval(truth, found)
+    got, theirs = score_tracks([(truth, found)]), trackeval(truth, found)
     assert 0.3 < got["mota"] < 0.9
     for name, key in (("mota", "MOTA"), ("motp", "MOTP"), ("idf1", "IDF1"), ("swaps", "IDSW")):
         assert got[name] == pytest.approx(theirs[key], abs=EXACT), name
@@ -132,7 +132,7 @@ def example(name):
 
 @pytest.mark.parametrize("seed", TRACKMATE)
 def test_trackmate_gives_the_same(seed):
-    got = tracking_scores([tuple(map(cut, crowd(seed, boxes=False)))])
+    got = score_tracks([tuple(map(cut, crowd(seed, boxes=False)))])
     assert [got[name] for name in ("alpha", "beta", "jsc", "jsc_theta")] == pytest.approx(TRACKMATE[seed], abs=EXACT)
 
 
@@ -140,7 +140,7 @@ def test_trackmate_gives_the_same(seed):
 def test_the_example_sets_of_motmetrics(name):
     """Read from its files as any are, held to what it prints of them and to its program."""
     motmetrics, truth, found = example(name)
-    got = tracking_scores([(truth, found)])
+    got = score_tracks([(truth, found)])
     idf1, mota, motp, swaps = PUBLISHED[name]
     assert (round(got["idf1"], 3), round(got["mota"], 3), got["swaps"]) == (idf1, mota, swaps)
     assert round(1 - got["motp"], 3) == motp
@@ -153,7 +153,7 @@ def test_the_example_sets_of_motmetrics(name):
 @pytest.mark.parametrize("name", PUBLISHED)
 def test_trackeval_gives_the_same_of_those_sets(trackeval, name):
     _, truth, found = example(name)
-    got, theirs = tracking_scores([(truth, found)]), trackeval(truth, found)
+    got, theirs = score_tracks([(truth, found)]), trackeval(truth, found)
     for ours, key in (("mota", "MOTA"), ("motp", "MOTP"), ("idf1", "IDF1")):
         assert got[ours] == pytest.approx(theirs[key], abs=EXACT)
     assert got["hota"] == pytest.approx(np.mean(theirs["HOTA"]), abs=EXACT)
@@ -162,7 +162,9 @@ def test_trackeval_gives_the_same_of_those_sets(trackeval, name):
 def boxes_of(path):
     rows = mot.read(Content.of(path)).rows
     columns = [rows[name].to_numpy(float) for name in ("frame", "particle", "x", "y", "width", "height")]
-    return Dots.of(columns[0].astype(int), columns[1].astype(int), np.stack(columns[2:4], 1), np.stack(columns[4:], 1))
+    return TrackPoints.of(
+        columns[0].astype(int), columns[1].astype(int), np.stack(columns[2:4], 1), np.stack(columns[4:], 1)
+    )
 
 
 def accumulated(motmetrics, truth, found):

@@ -17,8 +17,8 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from tracker.benchmark.judging.positions import Held, locking
-from tracker.benchmark.suite.definition import Part
+from tracker.benchmark.judging.positions import PositionMatches, fit_pixel_locking
+from tracker.benchmark.suite.definition import SuitePart
 from tracker.benchmark.suite.folder import Suite, covariances
 from tracker.camera.camera import Camera
 from tracker.measurement.collision.adequacy import MEASURED
@@ -33,7 +33,7 @@ SEED = 21
 LEVER = 0.05  # px, rms of the way from centre to glint, from which on a share of it can be read
 
 
-def confusion(pairs: pd.DataFrame) -> float:
+def glint_share(pairs: pd.DataFrame) -> float:
     """Share of the way from centre to glint by which a tracker's own positions are off; NaN where there is no way."""
     lever = pairs[["lever_x", "lever_y"]].to_numpy(np.float64).ravel()
     own = pairs[["own_x", "own_y"]].to_numpy(np.float64).ravel()
@@ -42,7 +42,7 @@ def confusion(pairs: pd.DataFrame) -> float:
     return float((lever[use] * own[use]).sum()) / weight if weight > LEVER**2 * max(use.sum(), 1) else np.nan
 
 
-def defects(suite: Suite, part: Part, held: Held, base: Mapping[int, Any]) -> dict[str, Any]:
+def measure_defects(suite: Suite, part: SuitePart, held: PositionMatches, base: Mapping[int, Any]) -> dict[str, Any]:
     """How far each defect alone moves each quantity.
 
     Parameters
@@ -62,23 +62,25 @@ def defects(suite: Suite, part: Part, held: Held, base: Mapping[int, Any]) -> di
         quantity, tied and free: n, bias (mean shift), rms, and in_errors, the rms shift over the bound; `unmeasured`,
         clips of which nothing could be measured any more.
     """
-    waves, peak = locking(held.pairs)
-    share = confusion(held.pairs)
+    waves, peak = fit_pixel_locking(held.pairs)
+    share = glint_share(held.pairs)
     missed = sum(len(rows) for rows in held.lost.values())
     size = {"locking": peak, "glint": share, "lost": missed / max(missed + len(held.pairs), 1)}
     disturb: dict[str, Callable[[int, pd.DataFrame], pd.DataFrame]] = {
-        "locking": lambda clip, table: _locked(table, waves),
-        "glint": lambda clip, table: _moved(table, np.nan_to_num(share) * _lever(table)),
-        "lost": lambda clip, table: _without(table, held.lost.get(clip)),
+        "locking": lambda clip, table: _lock_to_pixels(table, waves),
+        "glint": lambda clip, table: _shift(table, np.nan_to_num(share) * _lever(table)),
+        "lost": lambda clip, table: _drop_lost(table, held.lost.get(clip)),
     }
     out: dict[str, Any] = {"size": size}
     for name, change in disturb.items():
-        rows = {c: measured(change(c, table), camera) for c, (table, camera, _) in base.items() if c in held.lost}
+        rows = {
+            c: measure_collision(change(c, table), camera) for c, (table, camera, _) in base.items() if c in held.lost
+        }
         out[name] = _shifts(rows, {clip: one[2] for clip, one in base.items()})
     return out
 
 
-def undisturbed(suite: Suite, part: Part, clip: int) -> tuple[pd.DataFrame, Camera, Mapping[str, Any]]:
+def simulate_at_bound(suite: Suite, part: SuitePart, clip: int) -> tuple[pd.DataFrame, Camera, Mapping[str, Any]]:
     """True tracks of a clip with the noise of the bound, its camera, and what is measured in them."""
     camera = suite.camera(part, clip)
     truth = suite.tracks(part.truth, clip)
@@ -93,10 +95,10 @@ def undisturbed(suite: Suite, part: Part, clip: int) -> tuple[pd.DataFrame, Came
         y_std=np.sqrt(cov[:, 1, 1]),
         cov_xy=cov[:, 0, 1],
     )
-    return table, camera, measured(table, camera)
+    return table, camera, measure_collision(table, camera)
 
 
-def measured(table: pd.DataFrame, camera: Camera) -> Mapping[str, Any]:
+def measure_collision(table: pd.DataFrame, camera: Camera) -> Mapping[str, Any]:
     """The first collision that tracks show; an empty row where they show none."""
     columns = ["frame", "particle", "x", "y", "x_std", "y_std", "cov_xy"]
     rows, _ = measure_clip(to_tracks(table[columns], "true tracks"), camera)
@@ -110,18 +112,18 @@ def _lever(table: pd.DataFrame) -> Floats:
     return by
 
 
-def _moved(table: pd.DataFrame, by: Floats) -> pd.DataFrame:
+def _shift(table: pd.DataFrame, by: Floats) -> pd.DataFrame:
     return table.assign(x=table["x"] + by[:, 0], y=table["y"] + by[:, 1])
 
 
-def _locked(table: pd.DataFrame, waves: Floats) -> pd.DataFrame:
+def _lock_to_pixels(table: pd.DataFrame, waves: Floats) -> pd.DataFrame:
     phase = table[["glint_x_px", "glint_y_px"]].to_numpy(np.float64) * 2 * np.pi
     parts = [np.cos(phase), np.sin(phase), np.cos(2 * phase), np.sin(2 * phase)]
     by: Floats = np.sum([part * waves[:, k] for k, part in enumerate(parts)], axis=0)
-    return _moved(table, by)
+    return _shift(table, by)
 
 
-def _without(table: pd.DataFrame, lost: pd.DataFrame | None) -> pd.DataFrame:
+def _drop_lost(table: pd.DataFrame, lost: pd.DataFrame | None) -> pd.DataFrame:
     if lost is None or not len(lost):
         return table
     gone = pd.MultiIndex.from_frame(lost)

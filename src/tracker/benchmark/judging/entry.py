@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from tracker.benchmark.judging.defects import defects, undisturbed
-from tracker.benchmark.judging.positions import Held, gap_curve, held_to_truth, phase_curve
-from tracker.benchmark.judging.quantities import quantities
-from tracker.benchmark.judging.tracked import Tracked
+from tracker.benchmark.judging.defects import measure_defects, simulate_at_bound
+from tracker.benchmark.judging.positions import PositionMatches, gap_curve, match_positions, phase_curve
+from tracker.benchmark.judging.quantities import judge_quantities
+from tracker.benchmark.judging.tracker_results import TrackerResults
 from tracker.benchmark.suite.folder import Suite
 from tracker.results import finite
 
@@ -18,7 +18,7 @@ SHOWN_DEFECTS = 12  # clips into which defects are put
 ABOUT = ("version", "size", "split", "definition_sha256", "truth_sha256")
 
 
-def entry(suite: Suite, tracked: Tracked, about: Mapping[str, Any]) -> dict[str, Any]:
+def make_entry(suite: Suite, tracked: TrackerResults, about: Mapping[str, Any]) -> dict[str, Any]:
     """All figures of a tracker on a suite.
 
     Parameters
@@ -37,32 +37,32 @@ def entry(suite: Suite, tracked: Tracked, about: Mapping[str, Any]) -> dict[str,
     """
     chosen = suite.definition
     run = {name: part for name, part in suite.parts.items() if tracked.sample.of(part)}
-    held = {name: held_to_truth(suite, tracked, part) for name, part in run.items()}
-    parts = {name: one.figures for name, one in held.items()}
+    held = {name: match_positions(suite, tracked, part) for name, part in run.items()}
+    parts = {name: one.statistics for name, one in held.items()}
     out: dict[str, Any] = {
         "tracker": dict(about),
         "suite": {key: suite.about[key] for key in ABOUT},
-        "score": score(parts, [name for name in chosen.headline if suite.bounded(suite.parts[name])]),
+        "score": overall_score(parts, [name for name in chosen.headline if suite.has_bounds(suite.parts[name])]),
         "parts": parts,
-        "phase": {name: phase_curve(held[name].pairs) for name in chosen.there("phase") if name in run},
-        "gap": [point for name in chosen.there("near") if name in run for point in gap_curve(held[name].pairs)],
-        "quantities": {n: quantities(suite, tracked, run[n]) for n in chosen.there("measured") if n in run},
+        "phase": {name: phase_curve(held[name].pairs) for name in chosen.named_parts("phase") if name in run},
+        "gap": [point for name in chosen.named_parts("near") if name in run for point in gap_curve(held[name].pairs)],
+        "quantities": {n: judge_quantities(suite, tracked, run[n]) for n in chosen.named_parts("measured") if n in run},
         "defects": _defects(suite, tracked, held),
     }
     whole: dict[str, Any] = finite(out)
     return whole
 
 
-def score(parts: Mapping[str, Mapping[str, float]], headline: list[str]) -> float:
+def overall_score(parts: Mapping[str, Mapping[str, float]], headline: list[str]) -> float:
     """100 times the mean efficiency over these parts; one that was not run counts 0. NaN where there is none."""
     values = [parts[name]["efficiency"] if name in parts else 0.0 for name in headline]
     return 100 * float(np.mean(values)) if values else float("nan")
 
 
-def _defects(suite: Suite, tracked: Tracked, held: Mapping[str, Held]) -> dict[str, Any]:
-    for name in (name for name in suite.definition.there("physics") if name in held):
+def _defects(suite: Suite, tracked: TrackerResults, held: Mapping[str, PositionMatches]) -> dict[str, Any]:
+    for name in (name for name in suite.definition.named_parts("physics") if name in held):
         part = suite.parts[name]
         clips = tracked.sample.of(part)[:SHOWN_DEFECTS]
-        base = {clip: undisturbed(suite, part, clip) for clip in clips}
-        return defects(suite, part, held[name], base)
+        base = {clip: simulate_at_bound(suite, part, clip) for clip in clips}
+        return measure_defects(suite, part, held[name], base)
     return {}

@@ -10,12 +10,12 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from tracker.benchmark.judging.tracked import Tracked
-from tracker.benchmark.suite.definition import Part
+from tracker.benchmark.judging.tracker_results import TrackerResults
+from tracker.benchmark.suite.definition import SuitePart
 from tracker.benchmark.suite.folder import Suite, covariances
-from tracker.scoring.localisation import MOVING_PX, Matched, localisation, match
-from tracker.scoring.score import dots_of
-from tracker.scoring.tracking_metrics import GATE_PX, tracking_scores
+from tracker.scoring.localisation import MOVING_PX, MatchedDetections, match, score_positions
+from tracker.scoring.score import to_track_points
+from tracker.scoring.tracking_metrics import GATE_PX, score_tracks
 
 Floats = NDArray[np.float64]
 BINS = 16  # of the phase within the pixel
@@ -25,15 +25,15 @@ KEPT = "alpha beta jsc jsc_theta mota idf1 hota swaps".split()
 
 
 @dataclass(frozen=True)
-class Held:
+class PositionMatches:
     """The clips of a part: `pairs` has a row for each position found, `figures` the part's."""
 
-    figures: dict[str, float]
+    statistics: dict[str, float]
     pairs: pd.DataFrame
     lost: dict[int, pd.DataFrame]  # clip -> frame, particle of the balls whole in view that were missed
 
 
-def held_to_truth(suite: Suite, tracked: Tracked, part: Part) -> Held:
+def match_positions(suite: Suite, tracked: TrackerResults, part: SuitePart) -> PositionMatches:
     """Match the tracks of a part with its truth.
 
     Parameters
@@ -57,21 +57,21 @@ def held_to_truth(suite: Suite, tracked: Tracked, part: Part) -> Held:
         near = match(truth, found, GATE_PX, camera.diameter_px)
         cov = covariances(truth)[near.pairs[:, 0]]
         clips.append((near, cov))
-        dots.append(dots_of(near))
+        dots.append(to_track_points(near))
         rows.append(_pairs(near, cov, camera.diameter_px, tracked.own).assign(clip=clip))
         missed = truth["visible"].to_numpy(bool, copy=True)
         missed[near.pairs[:, 0]] = False
         lost[clip] = truth.loc[missed, ["frame", "particle"]]
     pairs = pd.concat(rows, ignore_index=True)
-    figures = localisation(clips)
+    figures = score_positions(clips)
     whole, n = figures["n"] + figures["missed"], figures["n"]
     figures["clips"] = len(clips)
     figures["found"] = n / whole if whole else np.nan
     figures["jaccard"] = n / (whole + figures["false"]) if whole else np.nan
-    figures["phase_bias_px"] = locking(pairs)[1]
-    figures["z"] = _claims(pairs)
+    figures["phase_bias_px"] = fit_pixel_locking(pairs)[1]
+    figures["z"] = _claimed_z(pairs)
     figures["efficiency"] = efficiency(figures)
-    return Held(figures | {name: tracking_scores(dots)[name] for name in KEPT}, pairs, lost)
+    return PositionMatches(figures | {name: score_tracks(dots)[name] for name in KEPT}, pairs, lost)
 
 
 def efficiency(figures: Mapping[str, float]) -> float:
@@ -81,14 +81,14 @@ def efficiency(figures: Mapping[str, float]) -> float:
     return float(figures["jaccard"] / max(figures["ratio"], 1.0)) if np.isfinite(figures["ratio"]) else np.nan
 
 
-def _claims(pairs: pd.DataFrame) -> float:
+def _claimed_z(pairs: pd.DataFrame) -> float:
     """Errors over the standard errors that the tracker claims, root mean square: 1 where they hold."""
     z = pairs[["off_x", "off_y"]].to_numpy() / pairs[["std_x", "std_y"]].to_numpy()
     z = z[np.isfinite(z)]
     return float(np.sqrt((z**2).mean())) if len(z) else np.nan
 
 
-def _pairs(near: Matched, cov: Floats, ball_px: float, point: str) -> pd.DataFrame:
+def _pairs(near: MatchedDetections, cov: Floats, ball_px: float, point: str) -> pd.DataFrame:
     true, found = near.truth.iloc[near.pairs[:, 0]], near.found.iloc[near.pairs[:, 1]]
     out = true[["frame", "particle"]].reset_index(drop=True)
     centre = true[["x_mean_px", "y_mean_px"]].to_numpy(np.float64)
@@ -119,7 +119,7 @@ def _about_the_other(truth: pd.DataFrame, true: pd.DataFrame, off: Floats) -> tu
     return length, np.asarray((off * way).sum(axis=1) / length, dtype=np.float64)
 
 
-def locking(pairs: pd.DataFrame) -> tuple[Floats, float]:
+def fit_pixel_locking(pairs: pd.DataFrame) -> tuple[Floats, float]:
     """How the error follows the phase of the glint within the pixel.
 
     Returns

@@ -7,12 +7,12 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from tracker.benchmark.judging.tracked import Tracked
-from tracker.benchmark.suite.definition import Part
+from tracker.benchmark.judging.tracker_results import TrackerResults
+from tracker.benchmark.suite.definition import SuitePart
 from tracker.benchmark.suite.folder import Suite
 from tracker.results import estimates_table
-from tracker.scoring.error_bars import quantity_scores
-from tracker.scoring.score import held_to, joined
+from tracker.scoring.error_bars import score_quantities
+from tracker.scoring.score import drop_unclaimed, join_truth
 
 NAMES = ("r", "mu_k", "C", "tau1", "tau2", "energy_fraction")
 KINDS = ("", "_free")
@@ -21,7 +21,7 @@ STILL = 1e-6  # m/s
 FEWEST = 3  # collisions of which something is published
 
 
-def quantities(suite: Suite, tracked: Tracked, part: Part) -> dict[str, Any]:
+def judge_quantities(suite: Suite, tracked: TrackerResults, part: SuitePart) -> dict[str, Any]:
     """Figures of each quantity, tied and free.
 
     Parameters
@@ -46,16 +46,16 @@ def quantities(suite: Suite, tracked: Tracked, part: Part) -> dict[str, Any]:
     limits = suite.quantity_bounds(part.truth)
     if any((scalars.get(name, pd.Series(0.0)).abs() > STILL).any() for name in SPINS):
         limits = limits[["clip"]]
-    table = held_to(joined(scalars, estimates_table(rows).copy() if rows else empty, limits))
+    table = drop_unclaimed(join_truth(scalars, estimates_table(rows).copy() if rows else empty, limits))
     out: dict[str, Any] = {"clips": len(clips), "measured": int(table["status"].isin(["ok"]).sum())}
-    scores = quantity_scores(table)
+    scores = score_quantities(table)
     for name in (f"{name}{kind}" for name in NAMES for kind in KINDS):
         if name in scores:
-            out[name] = dict(scores[name]) | _published(table, name)
+            out[name] = dict(scores[name]) | _weighted_error(table, name)
     return out
 
 
-def _published(table: pd.DataFrame, name: str) -> dict[str, float]:
+def _weighted_error(table: pd.DataFrame, name: str) -> dict[str, float]:
     """The weighted mean of the errors that come with an error bar, and its own error bar."""
     value, std = (table[column].to_numpy(np.float64) for column in (name, f"{name}_std"))
     true = table[f"{name.removesuffix('_free')}_true"].to_numpy(np.float64)

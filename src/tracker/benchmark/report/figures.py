@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 
-from tracker.benchmark.suite.definition import Definition
+from tracker.benchmark.suite.definition import SuiteDefinition
 from tracker.scoring.figures import SHOWN
 
 Entry = Mapping[str, Any]
@@ -41,7 +41,7 @@ def _style(k: int) -> dict[str, Any]:
     return {"color": COLOURS[k % len(COLOURS)], "marker": MARKERS[k % len(MARKERS)], "ms": 4, "lw": 1.2}
 
 
-def headline_figure(entries: Entries, definition: Definition) -> Figure:
+def headline_figure(entries: Entries, definition: SuiteDefinition) -> Figure:
     """Rows of trackers, columns of settings: rmse over the bound, or how many balls are lost."""
     columns = definition.headline
     height = 0.42 * len(entries) + 1.25
@@ -88,11 +88,11 @@ def _box(x: float, y: float, colour: Any) -> Any:
     return Rectangle((x - 0.48, y - 0.46), 0.96, 0.92, color=colour)
 
 
-def axes_figure(entries: Entries, definition: Definition) -> Figure:
+def axes_figure(entries: Entries, definition: SuiteDefinition) -> Figure:
     """The error against each axis of the suite, the gap between balls and the phase within the pixel."""
     axes = list(definition.axes())
     near = [e for e in entries if e["gap"]]
-    phases = [name for name in definition.there("phase") if any(e["phase"].get(name) for e in entries)]
+    phases = [name for name in definition.named_parts("phase") if any(e["phase"].get(name) for e in entries)]
     count = len(axes) + bool(near) + len(phases)
     rows = -(-count // 3)
     figure = Figure(figsize=(WIDE, 2.75 * rows + 0.5), layout="constrained")
@@ -135,7 +135,7 @@ def _axis_panel(panel: Axes, entries: Entries, axis: Mapping[str, Any], points: 
     panel.set_yscale("log")
     if key == "ratio":
         panel.axhline(1.0, color="0.3", lw=0.8, ls=":")
-    _named(panel, axis["title"], axis["label"], "rmse / bound" if key == "ratio" else "rmse, px")
+    _label_axes(panel, axis["title"], axis["label"], "rmse / bound" if key == "ratio" else "rmse, px")
 
 
 def _gap_panel(panel: Axes, entries: Entries) -> None:
@@ -146,7 +146,7 @@ def _gap_panel(panel: Axes, entries: Entries) -> None:
     panel.set(xscale="log", yscale="log")
     panel.set_xticks([0.05, 0.1, 0.2, 0.5, 1, 2], ["0.05", "0.1", "0.2", "0.5", "1", "2"])
     panel.set_xticks([], minor=True)
-    _named(panel, "Balls about to touch", "gap between them, diameters", "rmse / bound")
+    _label_axes(panel, "Balls about to touch", "gap between them, diameters", "rmse / bound")
 
 
 def _phase_panel(panel: Axes, entries: Entries, part: str, word: str) -> None:
@@ -155,24 +155,24 @@ def _phase_panel(panel: Axes, entries: Entries, part: str, word: str) -> None:
         panel.plot(curve[:, 0], 1e3 * curve[:, 1], label=label_of(entry), **_style(k) | {"ms": 3})
     panel.axhline(0.0, color="0.3", lw=0.8, ls=":")
     panel.set_yscale("symlog", linthresh=10.0)
-    _named(panel, f"Locking to pixels ({word})", "glint within its pixel, px", "mean error, 0.001 px")
+    _label_axes(panel, f"Locking to pixels ({word})", "glint within its pixel, px", "mean error, 0.001 px")
 
 
-def _named(panel: Axes, title: str, x: str, y: str) -> None:
+def _label_axes(panel: Axes, title: str, x: str, y: str) -> None:
     panel.set_title(title, fontsize=10)
     panel.set_xlabel(x, fontsize=8)
     panel.set_ylabel(y, fontsize=8)
     panel.tick_params(labelsize=7)
 
 
-def published_figure(entries: Entries, part: str, names: Sequence[str], kind: str = "") -> Figure:
+def publication_figure(entries: Entries, part: str, names: Sequence[str], kind: str = "") -> Figure:
     """Rows of trackers, columns of quantities: the published value's error with the error bar that it would bear."""
     height = 0.42 * len(entries) + 0.95
     figure = Figure(figsize=(WIDE, height))
     axes = figure.add_axes((0.2, 0.02, 0.79, 1 - 0.75 / height))
     for i, entry in enumerate(entries):
         for j, name in enumerate(names):
-            text, colour = published_cell(entry["quantities"].get(part, {}), name, kind)
+            text, colour = publication_cell(entry["quantities"].get(part, {}), name, kind)
             axes.add_patch(_box(j, i, colour))
             axes.text(j, i, text, ha="center", va="center", fontsize=8)
     axes.set(xlim=(-0.5, len(names) - 0.5), ylim=(len(entries) - 0.5, -0.5))
@@ -185,7 +185,7 @@ def published_figure(entries: Entries, part: str, names: Sequence[str], kind: st
     return figure
 
 
-def published_cell(found: Mapping[str, Any], name: str, kind: str) -> tuple[str, Any]:
+def publication_cell(found: Mapping[str, Any], name: str, kind: str) -> tuple[str, Any]:
     """Text and colour: green within 2 of its error bars, yellow, red from 4 on; grey where nothing is published."""
     figures = found.get(f"{name}{kind}") or {}
     off, std = figures.get("published"), figures.get("published_std")

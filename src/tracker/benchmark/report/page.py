@@ -15,12 +15,12 @@ from tracker.benchmark.report.figures import (
     defects_figure,
     headline_figure,
     name_of,
-    published_figure,
+    publication_figure,
 )
 from tracker.benchmark.report.leaderboard import row
 from tracker.benchmark.suite.card import CITATION
-from tracker.benchmark.suite.definition import Definition
-from tracker.report.html import made, rendered, svg
+from tracker.benchmark.suite.definition import SuiteDefinition
+from tracker.report.html import describe_creation, embed_figure, render
 from tracker.scoring.figures import SHOWN
 
 Entries = Sequence[Mapping[str, Any]]
@@ -53,32 +53,35 @@ MEANINGS = {
 }
 
 
-def write_page(report: Path, entries: Entries, definition: Definition, about: Mapping[str, Any], how: str) -> Path:
+def write_page(report: Path, entries: Entries, definition: SuiteDefinition, about: Mapping[str, Any], how: str) -> Path:
     """Write the page; how: what it says that made it."""
-    pictures = {"headline": svg(headline_figure(entries, definition)), "axes": svg(axes_figure(entries, definition))}
-    for part in definition.there("measured"):
-        pictures[f"published {part}"] = svg(published_figure(entries, part, QUANTITIES))
+    pictures = {
+        "headline": embed_figure(headline_figure(entries, definition)),
+        "axes": embed_figure(axes_figure(entries, definition)),
+    }
+    for part in definition.named_parts("measured"):
+        pictures[f"published {part}"] = embed_figure(publication_figure(entries, part, QUANTITIES))
     for kind, word in (("_free", "free fit"), ("", "tied fit")):
         drawn = defects_figure(entries, SHIFTED, kind)
         if drawn is not None:
-            pictures[f"defects {word}"] = svg(drawn)
+            pictures[f"defects {word}"] = embed_figure(drawn)
     values = {
         "about": about,
         "title": definition.data["name"],
         "pictures": pictures,
-        "verdicts": [(name_of(e), *verdict(e, definition)) for e in entries],
+        "verdicts": [(name_of(e), *judge(e, definition)) for e in entries],
         "board": [row(rank, e) for rank, e in enumerate(entries, 1)],
-        "tables": list(tables(entries, definition)),
+        "tables": list(make_tables(entries, definition)),
         "meanings": MEANINGS,
         "citation": CITATION.format(version=version("synthcam")),
-        "made": made(how),
+        "made": describe_creation(how),
         "text": _text,
     }
-    put(report / "index.html", rendered(Path(__file__).with_name("page.html"), **values))
+    put(report / "index.html", render(Path(__file__).with_name("page.html"), **values))
     return report / "index.html"
 
 
-def verdict(entry: Mapping[str, Any], definition: Definition) -> tuple[str, str]:
+def judge(entry: Mapping[str, Any], definition: SuiteDefinition) -> tuple[str, str]:
     """Where a tracker is at the bound, and the three settings where it fails most."""
     good, held, bad = 0, 0, []
     for part, word in definition.headline.items():
@@ -99,7 +102,7 @@ def verdict(entry: Mapping[str, Any], definition: Definition) -> tuple[str, str]
     return f"{good} of {held}", worst or "nowhere by more than twice the bound"
 
 
-def tables(entries: Entries, definition: Definition) -> list[Table]:
+def make_tables(entries: Entries, definition: SuiteDefinition) -> list[Table]:
     """Positions and tracks of each part, quantities, defects."""
     out: list[Table] = []
     heads = ["tracker", *definition.parts]
@@ -117,7 +120,7 @@ def tables(entries: Entries, definition: Definition) -> list[Table]:
             [name_of(e), *(_text(e["parts"].get(p, {}).get(key), digits) for p in definition.parts)] for e in entries
         ]
         out.append((title, heads, rows))
-    for part in definition.there("measured"):
+    for part in definition.named_parts("measured"):
         for kind, word in (("", "tied fit"), ("_free", "free fit")):
             out.append(_quantity_table(entries, part, kind, f"{part}, {word}: rmse (/ bound; z std; collisions)"))
     kept = [e for e in entries if e["defects"]]

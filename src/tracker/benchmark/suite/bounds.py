@@ -19,7 +19,7 @@ from tracker.camera.frames import Source, open_source
 from tracker.detection.detect import detect, view_of
 from tracker.parallel import alone, in_parallel
 from tracker.scoring.error_bars import quantity_bounds, true_motion
-from tracker.scoring.localisation import Matched, bounds, match
+from tracker.scoring.localisation import MatchedDetections, match, position_bounds
 from tracker.scoring.tracking_metrics import GATE_PX
 
 Rows = tuple[pd.DataFrame, dict[str, float]]
@@ -54,7 +54,7 @@ def _of_clip(source: Source, truth: Path, index: int) -> Rows:
     flux = true.iloc[near.pairs[:, 0]].assign(flux=found["flux"].to_numpy()[near.pairs[:, 1]])
     bright = true["particle"].map(flux.groupby("particle")["flux"].median())
     perfect = _perfect(true, bright)
-    cov = bounds(perfect, clip.camera)
+    cov = position_bounds(perfect, clip.camera)
     for name, (i, j) in {"xx": (0, 0), "xy": (0, 1), "yy": (1, 1)}.items():
         values = np.full(len(table), np.nan)
         values[perfect.pairs[:, 0]] = cov[:, i, j]
@@ -67,9 +67,9 @@ def _of_clip(source: Source, truth: Path, index: int) -> Rows:
     return table, quantities
 
 
-def _perfect(true: pd.DataFrame, flux: pd.Series[float]) -> Matched:
+def _perfect(true: pd.DataFrame, flux: pd.Series[float]) -> MatchedDetections:
     """The truth as a tracker would give it that makes no error: all balls whole in view."""
     whole = np.flatnonzero(true["visible"].to_numpy(bool) & np.isfinite(flux.to_numpy(float)))
     found = true.iloc[whole].assign(x=true["x_mean_px"], y=true["y_mean_px"], flux=flux)
     pairs = np.stack([whole, np.arange(len(whole))], axis=1)
-    return Matched(true, found.reset_index(drop=True), pairs, np.ones(len(whole), bool), 0, 0)
+    return MatchedDetections(true, found.reset_index(drop=True), pairs, np.ones(len(whole), bool), 0, 0)

@@ -6,12 +6,12 @@ from collections.abc import Mapping
 from importlib.metadata import version
 from typing import Any
 
-from tracker.benchmark.suite.definition import Definition
+from tracker.benchmark.suite.definition import SuiteDefinition
 
 CITATION = "The synthcam developers, synthcam: films of rolling balls with the truth about them, version {version}"
 
 
-def card(about: Mapping[str, Any], definition: Definition) -> str:
+def card(about: Mapping[str, Any], definition: SuiteDefinition) -> str:
     """README.md of a suite."""
     clips = sum(len(part["clips"]) for part in about["parts"].values())
     open_split = about["split"] == "open"

@@ -19,7 +19,7 @@ FILM_KEYS = "clips small scene scenes encoded small_encoded".split()
 
 
 @dataclass(frozen=True)
-class Film:
+class SuiteFilm:
     """One dataset: so many clips of each scene, and the encoded copies of it."""
 
     name: str
@@ -29,7 +29,7 @@ class Film:
 
 
 @dataclass(frozen=True)
-class Part:
+class SuitePart:
     """Clips of one scene in one film: what an error is given for. truth: the film that holds their truth."""
 
     name: str
@@ -39,13 +39,13 @@ class Part:
 
 
 @dataclass(frozen=True)
-class Definition:
+class SuiteDefinition:
     """A suite, in one of its sizes. `text` is the file's."""
 
     text: str
     size: str
     data: Mapping[str, Any]
-    films: tuple[Film, ...]
+    films: tuple[SuiteFilm, ...]
 
     @property
     def version(self) -> str:
@@ -58,15 +58,15 @@ class Definition:
         return hashlib.sha256(self.text.encode()).hexdigest()
 
     @property
-    def parts(self) -> dict[str, Part]:
+    def parts(self) -> dict[str, SuitePart]:
         """By name, in the file's order."""
         found = {}
         for film in self.films:
             for k, scene in enumerate(film.scenes):
                 clips = tuple(range(k * film.clips, (k + 1) * film.clips))
-                found[scene] = Part(scene, film.name, film.name, clips)
+                found[scene] = SuitePart(scene, film.name, film.name, clips)
             for name in film.encoded:
-                found[name] = Part(name, name, film.name, tuple(range(len(film.scenes) * film.clips)))
+                found[name] = SuitePart(name, name, film.name, tuple(range(len(film.scenes) * film.clips)))
         return found
 
     def axes(self) -> Iterator[tuple[str, Mapping[str, Any], list[tuple[Any, str]]]]:
@@ -82,23 +82,23 @@ class Definition:
         """Part and its word in the first picture."""
         return {part: str(word) for part, word in self.data["headline"].items() if part in self.parts}
 
-    def there(self, key: str) -> list[str]:
+    def named_parts(self, key: str) -> list[str]:
         """The parts that a key names, in this size."""
         named = self.data[key]
         return [part for part in ([named] if isinstance(named, str) else named) if part in self.parts]
 
 
-def read_definition(path: Path | None = None, size: str = "full") -> Definition:
+def read_definition(path: Path | None = None, size: str = "full") -> SuiteDefinition:
     """The suite of a file, or the one that comes with the package. Raises InputError."""
     path = path or OWN
     if size not in SIZES:
         raise InputError(f"--size: expected one of {', '.join(SIZES)}, not {size!r}")
     if not path.is_file():
         raise InputError(f"{path}: no such file, expected the definition of a suite (YAML)")
-    return from_text(path.read_text(encoding="utf-8"), size, str(path))
+    return parse_definition(path.read_text(encoding="utf-8"), size, str(path))
 
 
-def from_text(text: str, size: str, where: str) -> Definition:
+def parse_definition(text: str, size: str, where: str) -> SuiteDefinition:
     """A suite of its YAML. Raises InputError."""
     try:
         data = yaml.safe_load(text)
@@ -109,7 +109,7 @@ def from_text(text: str, size: str, where: str) -> Definition:
     names = [scene for film in films for scene in (*film.scenes, *film.encoded)]
     if len(set(names)) < len(names):
         raise InputError(f"{where}: films: a scene's name stands twice, expected each once")
-    made = Definition(text, size, data, films)
+    made = SuiteDefinition(text, size, data, films)
     known = {scene for given in data["films"].values() for scene in (*given["scenes"], *given.get("encoded", {}))}
     named = [part for axis in data["axes"].values() for _, part in axis["points"]]
     named += [*data["headline"], *data["phase"], *data["measured"], data["near"], data["physics"]]
@@ -118,15 +118,15 @@ def from_text(text: str, size: str, where: str) -> Definition:
     return made
 
 
-def _film(name: str, given: Any, size: str, where: str) -> Film:
+def _film(name: str, given: Any, size: str, where: str) -> SuiteFilm:
     _check(given, FILM_KEYS[:1], f"{where}: films.{name}", "a film", extra=FILM_KEYS)
     less = given.get("small", {}) if size == "small" else {}
     chosen = less.get("scenes", list(given["scenes"]))
-    scenes = {scene: merged(given.get("scene", {}), given["scenes"][scene]) for scene in chosen}
+    scenes = {scene: merge_settings(given.get("scene", {}), given["scenes"][scene]) for scene in chosen}
     coded = dict(given.get("encoded", {}))
     if size == "small":
         coded = {one: coded[one] for one in given.get("small_encoded", [])}
-    return Film(name, int(less.get("clips", given["clips"])), scenes, coded)
+    return SuiteFilm(name, int(less.get("clips", given["clips"])), scenes, coded)
 
 
 def _check(data: Any, keys: list[str], where: str, what: str, extra: list[str] | None = None) -> None:
@@ -138,7 +138,7 @@ def _check(data: Any, keys: list[str], where: str, what: str, extra: list[str] |
         raise InputError(f"{where}: {unknown[0]}: unknown, expected {', '.join(extra or keys)}")
 
 
-def merged(one: Mapping[str, Any], other: Mapping[str, Any]) -> dict[str, Any]:
+def merge_settings(one: Mapping[str, Any], other: Mapping[str, Any]) -> dict[str, Any]:
     """Settings with those of `other` over them, one section at a time; a distribution is replaced whole."""
     out = dict(one)
     for key, value in other.items():

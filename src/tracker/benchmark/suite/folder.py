@@ -14,7 +14,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from synthcam_shared.errors import InputError
-from tracker.benchmark.suite.definition import Definition, Part, from_text
+from tracker.benchmark.suite.definition import SuiteDefinition, SuitePart, parse_definition
 from tracker.camera.camera import Camera
 from tracker.results import load_json
 
@@ -28,11 +28,11 @@ class Suite:
 
     path: Path
     truth: Path
-    definition: Definition
+    definition: SuiteDefinition
     about: Mapping[str, Any]
 
     @property
-    def parts(self) -> dict[str, Part]:
+    def parts(self) -> dict[str, SuitePart]:
         """By name."""
         return self.definition.parts
 
@@ -40,7 +40,7 @@ class Suite:
         """The folder that a tracker is given."""
         return self.path / FILMS / name
 
-    def camera(self, part: Part, clip: int) -> Camera:
+    def camera(self, part: SuitePart, clip: int) -> Camera:
         """Of a clip."""
         return Camera.read(self.film(part.film) / "clips" / f"{clip:06d}" / "camera.json")
 
@@ -59,7 +59,7 @@ class Suite:
         """Cramer-Rao bounds of all true positions of a film."""
         return self._limits[film][0]
 
-    def bounded(self, part: Part) -> bool:
+    def has_bounds(self, part: SuitePart) -> bool:
         """Whether positions of a part have a bound: those of matte balls have none."""
         limits = self.bounds(part.truth)
         return bool(limits.loc[limits["clip"].isin(part.clips), "xx"].notna().any())
@@ -85,7 +85,9 @@ def open_suite(path: Path, truth: Path | None = None) -> Suite:
     about = load_json(path / SUITE)
     if not isinstance(about, dict) or not {"version", "size", "split", "truth_sha256"} <= set(about):
         raise InputError(f"{path / SUITE}: damaged, expected what `tracker benchmark make` writes")
-    definition = from_text((path / DEFINITION).read_text(encoding="utf-8"), str(about["size"]), str(path / DEFINITION))
+    definition = parse_definition(
+        (path / DEFINITION).read_text(encoding="utf-8"), str(about["size"]), str(path / DEFINITION)
+    )
     return Suite(path, truth or path / TRUTH, definition, about)
 
 
@@ -100,7 +102,7 @@ def with_truth(suite: Suite) -> Suite:
     return suite
 
 
-def truth_digest(truth: Path, definition: Definition) -> str:
+def truth_digest(truth: Path, definition: SuiteDefinition) -> str:
     """SHA-256 over names and bytes of all true files; bounds, which follow from them, are left out."""
     mark = hashlib.sha256()
     for film in sorted(one.name for one in definition.films):

@@ -16,7 +16,7 @@ from synthcam_shared.errors import InputError
 from synthcam_shared.outputs import as_input_error, check_room, held, put
 from tracker.benchmark.suite.bounds import write_bounds
 from tracker.benchmark.suite.card import card
-from tracker.benchmark.suite.definition import Definition, Film
+from tracker.benchmark.suite.definition import SuiteDefinition, SuiteFilm
 from tracker.benchmark.suite.folder import DEFINITION, FILMS, SUITE, TRUTH, Suite, open_suite, truth_digest, with_truth
 from tracker.results import load_json, write_json
 
@@ -27,7 +27,7 @@ Progress = Callable[[int, int], None]
 
 def make(
     output: Path,
-    definition: Definition,
+    definition: SuiteDefinition,
     withhold: Path | None = None,
     seed: int | None = None,
     workers: int = 0,
@@ -66,7 +66,7 @@ def make(
     if withhold and (output in truth.parents or truth in output.parents or truth == output):
         raise InputError(f"{truth}: lies in {output}, or around it; expected a folder for the truth apart from it")
     if (output / SUITE).is_file():
-        return _same(output, truth, definition, seed)
+        return _reopen(output, truth, definition, seed)
     if output.exists() and any(output.iterdir()) and not (output / DEFINITION).is_file():
         raise InputError(f"{output}: exists and holds something else, expected a new folder for the suite")
     check_room(output)
@@ -77,10 +77,10 @@ def make(
         steps = sum(2 + len(film.encoded) for film in definition.films)
         done = 0
         for number, film in enumerate(definition.films):
-            _filmed(output, truth, film, chosen + number, scheduler)
+            _film(output, truth, film, chosen + number, scheduler)
             progress(done := done + 1, steps)
             for name, codec in film.encoded.items():
-                _encoded(output, truth, film, name, codec)
+                _encode(output, truth, film, name, codec)
                 progress(done := done + 1, steps)
             write_bounds(output / FILMS / film.name, truth / film.name, workers, scheduler)
             progress(done := done + 1, steps)
@@ -100,7 +100,7 @@ def make(
     return open_suite(output, truth)
 
 
-def _same(output: Path, truth: Path, definition: Definition, seed: int | None) -> Suite:
+def _reopen(output: Path, truth: Path, definition: SuiteDefinition, seed: int | None) -> Suite:
     """A suite that is complete, if it is the one asked for."""
     suite = open_suite(output, truth)
     there = (suite.about["size"], suite.about["definition_sha256"])
@@ -109,7 +109,7 @@ def _same(output: Path, truth: Path, definition: Definition, seed: int | None) -
     return with_truth(suite)
 
 
-def _seed(truth: Path, definition: Definition, seed: int | None, withheld: bool) -> int:
+def _seed(truth: Path, definition: SuiteDefinition, seed: int | None, withheld: bool) -> int:
     """The seed, kept with the truth so that an interrupted command goes on with it."""
     known = truth / SEED
     if known.is_file():
@@ -119,7 +119,7 @@ def _seed(truth: Path, definition: Definition, seed: int | None, withheld: bool)
     return chosen
 
 
-def _filmed(output: Path, truth: Path, film: Film, seed: int, scheduler: str) -> None:
+def _film(output: Path, truth: Path, film: SuiteFilm, seed: int, scheduler: str) -> None:
     """The clips of a film, its truth apart from them; nothing where they are there."""
     folder, kept = output / FILMS / film.name, truth / film.name
     scenes = output / "scenes"
@@ -135,7 +135,7 @@ def _filmed(output: Path, truth: Path, film: Film, seed: int, scheduler: str) ->
     shutil.rmtree(scenes)
 
 
-def _encoded(output: Path, truth: Path, film: Film, name: str, codec: str) -> None:
+def _encode(output: Path, truth: Path, film: SuiteFilm, name: str, codec: str) -> None:
     """The same clips, encoded."""
     folder = output / FILMS / name
     if not folder.exists():

@@ -4,20 +4,20 @@ import numpy as np
 import pytest
 from benchmark_suite import Given, noisy, suite
 
-from tracker.benchmark.judging.defects import defects, undisturbed
-from tracker.benchmark.judging.positions import held_to_truth
+from tracker.benchmark.judging.defects import measure_defects, simulate_at_bound
+from tracker.benchmark.judging.positions import match_positions
 
 
 @pytest.fixture(scope="module")
 def base():
     made = suite()
-    return {clip: undisturbed(made, made.parts["bright"], clip) for clip in made.parts["bright"].clips}
+    return {clip: simulate_at_bound(made, made.parts["bright"], clip) for clip in made.parts["bright"].clips}
 
 
 def judged(base, change):
     made = suite()
     part = made.parts["bright"]
-    return defects(made, part, held_to_truth(made, Given(made, change), part), base)
+    return measure_defects(made, part, match_positions(made, Given(made, change), part), base)
 
 
 def test_a_tracker_without_defects_moves_nothing(base):
@@ -29,14 +29,14 @@ def test_a_tracker_without_defects_moves_nothing(base):
 
 
 def test_locking_moves_r_as_the_same_wave_put_in_by_hand_does(base):
-    from tracker.benchmark.judging.defects import measured
+    from tracker.benchmark.judging.defects import measure_collision
 
     def wave(table):
         by = {a: 0.06 * np.sin(2 * np.pi * table[f"glint_{a}_px"]) for a in "xy"}
         return table.assign(x=table["x"] + by["x"], y=table["y"] + by["y"])
 
     found = judged(base, lambda table, rng: wave(table))
-    by_hand = [measured(wave(table), camera)["r"] - row["r"] for table, camera, row in base.values()]
+    by_hand = [measure_collision(wave(table), camera)["r"] - row["r"] for table, camera, row in base.values()]
     assert found["size"]["locking"] == pytest.approx(0.12, rel=0.03)
     assert found["locking"]["r"]["bias"] == pytest.approx(np.mean(by_hand), rel=0.1)
     assert found["locking"]["r"]["in_errors"] > 1

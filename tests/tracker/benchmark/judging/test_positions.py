@@ -4,29 +4,29 @@ import numpy as np
 import pytest
 from benchmark_suite import Given, noisy, suite
 
-from tracker.benchmark.judging.defects import confusion
-from tracker.benchmark.judging.entry import score
-from tracker.benchmark.judging.positions import efficiency, gap_curve, held_to_truth, locking, phase_curve
-from tracker.benchmark.judging.tracked import Sample
+from tracker.benchmark.judging.defects import glint_share
+from tracker.benchmark.judging.entry import overall_score
+from tracker.benchmark.judging.positions import efficiency, fit_pixel_locking, gap_curve, match_positions, phase_curve
+from tracker.benchmark.judging.tracker_results import ClipSample
 
 
 def held(change, part="bright", **more):
     made = suite()
-    return held_to_truth(made, Given(made, change, **more), made.parts[part])
+    return match_positions(made, Given(made, change, **more), made.parts[part])
 
 
 def test_the_noise_of_the_bound_is_at_the_bound():
     found = held(noisy)
-    n = found.figures["n"]
+    n = found.statistics["n"]
     assert n == 2 * 2 * 36
-    assert found.figures["ratio"] == pytest.approx(1.0, abs=4 / np.sqrt(4 * n))
-    assert found.figures["z"] == pytest.approx(1.0, abs=4 / np.sqrt(4 * n))
-    assert (found.figures["found"], found.figures["jaccard"], found.figures["hota"]) == (
+    assert found.statistics["ratio"] == pytest.approx(1.0, abs=4 / np.sqrt(4 * n))
+    assert found.statistics["z"] == pytest.approx(1.0, abs=4 / np.sqrt(4 * n))
+    assert (found.statistics["found"], found.statistics["jaccard"], found.statistics["hota"]) == (
         1.0,
         1.0,
         pytest.approx(1, abs=1e-3),
     )
-    assert found.figures["efficiency"] == pytest.approx(1.0, abs=0.2)
+    assert found.statistics["efficiency"] == pytest.approx(1.0, abs=0.2)
 
 
 def test_a_wave_within_the_pixel_is_read_back():
@@ -34,7 +34,7 @@ def test_a_wave_within_the_pixel_is_read_back():
         return table.assign(x=table["x"] + 0.05 * np.sin(2 * np.pi * table["glint_x_px"]))
 
     found = held(wave)
-    waves, peak = locking(found.pairs)
+    waves, peak = fit_pixel_locking(found.pairs)
     assert peak == pytest.approx(0.1, rel=0.02)
     assert waves[0] == pytest.approx([0, 0.05, 0, 0], abs=1e-3)
     curve = np.array(phase_curve(found.pairs))
@@ -48,16 +48,16 @@ def test_a_glint_taken_for_the_centre_is_read_back_as_a_share():
             y=table["y"] + 0.7 * (table["glint_y_px"] - table["y_px"]),
         )
 
-    assert confusion(held(part_of_the_way).pairs) == pytest.approx(0.7, abs=1e-6)
-    assert confusion(held(noisy).pairs) == pytest.approx(0.0, abs=0.01)
+    assert glint_share(held(part_of_the_way).pairs) == pytest.approx(0.7, abs=1e-6)
+    assert glint_share(held(noisy).pairs) == pytest.approx(0.0, abs=0.01)
 
 
 def test_what_it_found_itself_counts_where_the_camera_file_took_it_to_the_centre():
     def corrected(table, rng):
         return table.assign(glint_x=table["glint_x_px"], glint_y=table["glint_y_px"])
 
-    assert confusion(held(corrected, own="glint").pairs) == pytest.approx(1.0, abs=0.01)
-    assert confusion(held(corrected, own="centre").pairs) == pytest.approx(0.0, abs=0.01)
+    assert glint_share(held(corrected, own="glint").pairs) == pytest.approx(1.0, abs=0.01)
+    assert glint_share(held(corrected, own="centre").pairs) == pytest.approx(0.0, abs=0.01)
 
 
 def test_missed_and_false_lower_the_efficiency():
@@ -65,7 +65,7 @@ def test_missed_and_false_lower_the_efficiency():
         more = table.iloc[:36].assign(y=table["y"].iloc[:36] + 40, particle=7)
         return table.iloc[18:].merge(more, how="outer")
 
-    figures = held(worse).figures
+    figures = held(worse).statistics
     n = 2 * 2 * 36
     assert (figures["missed"], figures["false"]) == (2 * 18, 2 * 36)
     assert figures["jaccard"] == pytest.approx((n - 36) / (n + 72))
@@ -88,10 +88,10 @@ def test_towards_the_other_ball_near_the_contact():
 
 
 def test_only_the_clips_of_a_sample_count():
-    found = held(noisy, sample=Sample(1))
-    assert (found.figures["clips"], found.figures["n"]) == (1, 2 * 36)
+    found = held(noisy, sample=ClipSample(1))
+    assert (found.statistics["clips"], found.statistics["n"]) == (1, 2 * 36)
 
 
 def test_a_part_that_was_not_run_counts_nothing():
-    assert score({"a": {"efficiency": 0.8}}, ["a", "b"]) == pytest.approx(40)
-    assert np.isnan(score({}, []))
+    assert overall_score({"a": {"efficiency": 0.8}}, ["a", "b"]) == pytest.approx(40)
+    assert np.isnan(overall_score({}, []))

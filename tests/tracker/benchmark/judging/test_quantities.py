@@ -7,7 +7,7 @@ import pytest
 from benchmark_suite import Given, suite
 
 from tracker.benchmark.judging import quantities as module
-from tracker.benchmark.judging.quantities import quantities
+from tracker.benchmark.judging.quantities import judge_quantities
 
 
 def test_the_published_value_is_the_weighted_mean_of_the_errors(monkeypatch):
@@ -22,7 +22,7 @@ def test_the_published_value_is_the_weighted_mean_of_the_errors(monkeypatch):
             row = {"collision": 0, "status": "ok", "r": true[clip] + offs[clip], "r_std": stds[clip]}
             return super().of(film, clip)[0], [row]
 
-    found = quantities(made, Claims(made), part)
+    found = judge_quantities(made, Claims(made), part)
     weights = np.array([1 / stds[c] ** 2 for c in (0, 1)])
     mean = float((weights * [offs[0], offs[1]]).sum() / weights.sum())
     assert (found["clips"], found["measured"]) == (2, 2)
@@ -33,6 +33,6 @@ def test_the_published_value_is_the_weighted_mean_of_the_errors(monkeypatch):
 
 def test_of_nothing_measured_nothing_is_published():
     made = suite()
-    found = quantities(made, Given(made), made.parts["bright"])
+    found = judge_quantities(made, Given(made), made.parts["bright"])
     assert found["measured"] == 0
     assert "r" not in found or math.isnan(found["r"]["published"])

@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 from benchmark_suite import tiny
 
-from tracker.benchmark.report.figures import DEFECTS, axes_figure, defects_figure, headline_figure, published_figure
+from tracker.benchmark.report.figures import DEFECTS, axes_figure, defects_figure, headline_figure, publication_figure
 
 FIGURES = {"ratio": 1.5, "rmse_px": 0.02, "jaccard": 1.0, "found": 1.0, "false": 0, "n": 60, "missed": 0}
 
@@ -44,7 +44,7 @@ def test_a_name_is_shown_as_it_is(name):
     for figure in (
         headline_figure([one], definition()),
         axes_figure([one], definition()),
-        published_figure([one], "bright", ["r"]),
+        publication_figure([one], "bright", ["r"]),
         defects_figure([one], ["r"], ""),
     ):
         figure.draw_without_rendering()

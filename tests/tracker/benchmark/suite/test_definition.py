@@ -4,7 +4,7 @@ import pytest
 from benchmark_suite import TINY
 
 from synthcam_shared.errors import InputError
-from tracker.benchmark.suite.definition import from_text, merged, read_definition
+from tracker.benchmark.suite.definition import merge_settings, parse_definition, read_definition
 
 
 def test_the_packages_own_suite_covers_its_axes():
@@ -18,7 +18,7 @@ def test_the_packages_own_suite_covers_its_axes():
 
 
 def test_a_scene_over_the_films_own_replaces_values_and_keeps_the_rest():
-    assert merged({"a": {"x": 1, "y": {"uniform": [0, 1]}}}, {"a": {"y": 2}}) == {"a": {"x": 1, "y": 2}}
+    assert merge_settings({"a": {"x": 1, "y": {"uniform": [0, 1]}}}, {"a": {"y": 2}}) == {"a": {"x": 1, "y": 2}}
 
 
 @pytest.mark.parametrize(
@@ -32,7 +32,7 @@ def test_a_scene_over_the_films_own_replaces_values_and_keeps_the_rest():
 )
 def test_a_mistake_is_one_line(old, new, said):
     with pytest.raises(InputError, match=said) as caught:
-        from_text(TINY.replace(old, new), "full", "tiny.yaml")
+        parse_definition(TINY.replace(old, new), "full", "tiny.yaml")
     assert "\n" not in str(caught.value)
     assert str(caught.value).startswith("tiny.yaml: ")
 

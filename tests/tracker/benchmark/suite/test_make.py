@@ -81,8 +81,8 @@ def test_a_truth_within_the_films_is_refused(tmp_path):
 def test_what_synthcam_refuses_is_said(tmp_path):
     from benchmark_suite import TINY
 
-    from tracker.benchmark.suite.definition import from_text
+    from tracker.benchmark.suite.definition import parse_definition
 
-    wrong = from_text(TINY.replace("v0: 0.25", "v1: 0.25"), "full", "tiny.yaml")
+    wrong = parse_definition(TINY.replace("v0: 0.25", "v1: 0.25"), "full", "tiny.yaml")
     with pytest.raises(InputError, match=r"synthcam generate ended with status 2: .*launch\.v1"):
         make(tmp_path / "suite", wrong, workers=1)

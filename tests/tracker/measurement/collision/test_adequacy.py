@@ -20,8 +20,8 @@ from tracker.measurement.collision.adequacy import LEVEL, p_value, warnings
 from tracker.measurement.collision.derived import NAMES
 from tracker.measurement.estimate import fit_all, measure
 from tracker.recording import measure_clip
-from tracker.scoring.report import write_report
 from tracker.scoring.score import score
+from tracker.scoring.score_page import write_report
 
 CLIPS = 14
 SHOWN = ("v0", "b", "r", "mu_k", "C", "tau1", "energy_fraction")

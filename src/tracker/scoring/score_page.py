@@ -16,11 +16,17 @@ from synthcam_shared.errors import InputError
 from synthcam_shared.outputs import put
 from tracker.measurement.collision.derived import NAMES
 from tracker.measurement.positions import courses
-from tracker.report.collision_figures import Specimen, energy_figure, frame_figure, separation_figure, tracks_figure
-from tracker.report.html import made, rendered, svg
+from tracker.report.collision_figures import (
+    CollisionView,
+    energy_figure,
+    frame_figure,
+    separation_figure,
+    tracks_figure,
+)
+from tracker.report.html import describe_creation, embed_figure, render
 from tracker.results import read_clip
-from tracker.scoring.figures import SHOWN, honesty_figure, residual_figure
-from tracker.scoring.score import Score
+from tracker.scoring.figures import SHOWN, error_bars_figure, residual_figure
+from tracker.scoring.score import DetectorScore
 
 Floats = NDArray[np.float64]
 KINDS = {"": "tied fit", "_free": "free fit", "_paper": "the paper's differences"}
@@ -29,7 +35,7 @@ RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
 def write_report(
-    score: Score, results: Path | str, dataset: Path | str, report: Path | str, command: str = "tracker score"
+    score: DetectorScore, results: Path | str, dataset: Path | str, report: Path | str, command: str = "tracker score"
 ) -> Path:
     """Write REPORT/index.html beside score.json: one self-contained file.
 
@@ -49,25 +55,30 @@ def write_report(
     Path
         Of index.html.
     """
-    drawn = figures(score, Path(results), Path(dataset))
-    images = {name: svg(figure) for name, figure in drawn.items()}
-    values = {"tables": tables(score), "clip": shown_clip(score), "kinds": KINDS, "made": made(command)}
-    html = rendered(Path(__file__).with_name("report.html"), score=score, images=images, **values)
+    drawn = draw_figures(score, Path(results), Path(dataset))
+    images = {name: embed_figure(figure) for name, figure in drawn.items()}
+    values = {
+        "tables": make_tables(score),
+        "clip": choose_clip(score),
+        "kinds": KINDS,
+        "made": describe_creation(command),
+    }
+    html = render(Path(__file__).with_name("report.html"), score=score, images=images, **values)
     folder = Path(report)
     folder.mkdir(parents=True, exist_ok=True)
     put(folder / "index.html", html)
     return folder / "index.html"
 
 
-def figures(score: Score, results: Path, dataset: Path) -> dict[str, Figure]:
+def draw_figures(score: DetectorScore, results: Path, dataset: Path) -> dict[str, Figure]:
     """The report's figures by name; those that the data do not allow are absent."""
     out: dict[str, Figure] = {}
-    clip = shown_clip(score)
+    clip = choose_clip(score)
     if clip is not None:
         tracks, camera = read_clip(results, clip)
         row = score.table[score.table["clip"] == clip].iloc[0]
         course = {c.particle: c for c in courses(tracks, camera)}
-        specimen = Specimen(clip, row, {k: course[int(row[f"particle{k}"])] for k in (1, 2)}, camera)
+        specimen = CollisionView(clip, row, {k: course[int(row[f"particle{k}"])] for k in (1, 2)}, camera)
         spots = _at_contact(results, clip, specimen)
         image = _picture(dataset, clip, int(spots["frame"].iloc[0]))
         if image is not None:
@@ -77,11 +88,11 @@ def figures(score: Score, results: Path, dataset: Path) -> dict[str, Figure]:
         out["energy"] = energy_figure(specimen, tracks, camera)
         for name, kind in (("tied", ""), ("free", "_free"), ("paper", "_paper")):
             out[name] = residual_figure(score.table, kind)
-        out["honesty"] = honesty_figure(score.table)
+        out["honesty"] = error_bars_figure(score.table)
     return out
 
 
-def shown_clip(score: Score) -> int | None:
+def choose_clip(score: DetectorScore) -> int | None:
     """The clip looked at closely: the one nearest to TYPICAL_SPEED whose tied fit gives everything."""
     table = score.table[score.table["status"] == "ok"]
     if len(table):
@@ -92,7 +103,7 @@ def shown_clip(score: Score) -> int | None:
     return int(table["clip"].to_numpy(int)[nearest])
 
 
-def tables(score: Score) -> dict[str, Any]:
+def make_tables(score: DetectorScore) -> dict[str, Any]:
     """Numbers for the template: rows of (label, unit, figures) by kind, as text."""
     out: dict[str, Any] = {}
     for kind in KINDS:
@@ -112,7 +123,7 @@ def tables(score: Score) -> dict[str, Any]:
     return out
 
 
-def _at_contact(results: Path, clip: int, specimen: Specimen) -> pd.DataFrame:
+def _at_contact(results: Path, clip: int, specimen: CollisionView) -> pd.DataFrame:
     """Detections of the frame nearest to the contact in which both balls are seen, and both are apart."""
     table = pd.read_parquet(results / "clips" / f"{clip:06d}" / "tracks.parquet")
     camera = specimen.camera

@@ -13,8 +13,8 @@ from tracker_noisy import dataset
 from synthcam_shared.errors import InputError
 from tracker.camera.frames import open_source
 from tracker.detection.detect import detectors, view_of
-from tracker.scoring import compare as module
-from tracker.scoring.compare import compare, tables
+from tracker.scoring import detector_comparison as module
+from tracker.scoring.detector_comparison import compare, tables
 from tracker.scoring.score import score
 
 

@@ -18,18 +18,25 @@ from tracker.camera.grey import Frames
 from tracker.detection.link import Tracks
 from tracker.measurement.collision.adequacy import MEASURED, warnings
 from tracker.measurement.positions import courses
-from tracker.report.answer import KINDS, Line, fit_quality, frames_of, heading, lines
 from tracker.report.collision_figures import (
-    Specimen,
-    courses_figure,
+    CollisionView,
+    all_tracks_figure,
     energy_figure,
     residuals_figure,
     separation_figure,
     speed_figure,
     tracks_figure,
 )
-from tracker.report.html import HERE, made, rendered, svg, within
-from tracker.report.overlay import RATE, Overlay, mp4, shown
+from tracker.report.estimates_text import (
+    KINDS,
+    QuantityLine,
+    describe_fit,
+    describe_frames,
+    describe_status,
+    list_quantities,
+)
+from tracker.report.html import HERE, describe_creation, embed_figure, make_data_uri, render
+from tracker.report.overlay import RATE, Overlay, choose_frames, encode_mp4
 
 PAGE, FILM = "index.html", "overlay.mp4"
 MOST_FRAMES = 750  # of the film on a page
@@ -47,7 +54,7 @@ CAPTIONS = {
 
 
 @dataclass(frozen=True)
-class Recorded:
+class RecordingPage:
     """One recording and what was measured of it, as its page shows it.
 
     rows: of estimates, one a collision; motion: as in motion.parquet; frames: None of tracks made elsewhere; name: of
@@ -63,7 +70,7 @@ class Recorded:
     notes: Sequence[str] = ()
 
 
-def write_page(recorded: Recorded, folder: Path, command: str) -> Path:
+def write_page(recorded: RecordingPage, folder: Path, command: str) -> Path:
     """Write FOLDER/index.html, and FOLDER/overlay.mp4, the film that is also within the page.
 
     Parameters
@@ -83,31 +90,31 @@ def write_page(recorded: Recorded, folder: Path, command: str) -> Path:
     film, steps, span = b"", list[dict[str, Any]](), (0, 0)
     if recorded.frames is not None:
         contacts = [row["t_c"] * recorded.camera.fps for row in recorded.rows if _is_measured(row)]
-        span = shown(len(recorded.frames), contacts, MOST_FRAMES)
-        film = mp4(Overlay(recorded.frames, recorded.tracks, recorded.camera, *span, marks(recorded.rows)))
-        steps = stepped(recorded, *span)
+        span = choose_frames(len(recorded.frames), contacts, MOST_FRAMES)
+        film = encode_mp4(Overlay(recorded.frames, recorded.tracks, recorded.camera, *span, list_events(recorded.rows)))
+        steps = list_frames(recorded, *span)
         put(folder / FILM, film)
     estimates = pd.DataFrame([{"clip": 0, **row} for row in recorded.rows])
-    html = rendered(
+    html = render(
         HERE / "page.html",
         recorded=recorded,
-        collisions=[_shown(row, recorded) for row in recorded.rows],
+        collisions=[_collision_content(row, recorded) for row in recorded.rows],
         kinds=list(KINDS.values()),
-        frames_of=frames_of,
-        overview={name: (svg(figure), CAPTIONS[name]) for name, figure in overview(recorded).items()},
+        frames_of=describe_frames,
+        overview={name: (embed_figure(figure), CAPTIONS[name]) for name, figure in draw_overview(recorded).items()},
         warnings=[*warnings(estimates), *recorded.notes],
-        film=within(film, "video/mp4") if film else "",
+        film=make_data_uri(film, "video/mp4") if film else "",
         steps=json.dumps(steps).replace("<", "\\u003c"),  # within a script
         span=span,
         rate=RATE,
         no_film=NO_FILM,
-        made=made(command),
+        made=describe_creation(command),
     )
     put(folder / PAGE, html)
     return folder / PAGE
 
 
-def marks(rows: Iterable[Mapping[str, Any]]) -> tuple[tuple[float, str], ...]:
+def list_events(rows: Iterable[Mapping[str, Any]]) -> tuple[tuple[float, str], ...]:
     """What happens when (s), in order: contacts, and the ends of the slides."""
     found = []
     for row in filter(_is_measured, rows):
@@ -116,7 +123,7 @@ def marks(rows: Iterable[Mapping[str, Any]]) -> tuple[tuple[float, str], ...]:
     return tuple(sorted((float(t), said) for t, said in found if np.isfinite(t)))
 
 
-def stepped(recorded: Recorded, first: int, last: int) -> list[dict[str, Any]]:
+def list_frames(recorded: RecordingPage, first: int, last: int) -> list[dict[str, Any]]:
     """What the page lists of each frame shown: for each ball its position, errors, residuals (µm) and flags."""
     off = _residuals(recorded)
     tracks, out = recorded.tracks, []
@@ -132,34 +139,36 @@ def stepped(recorded: Recorded, first: int, last: int) -> list[dict[str, Any]]:
     return out
 
 
-def overview(recorded: Recorded) -> dict[str, Figure]:
+def draw_overview(recorded: RecordingPage) -> dict[str, Figure]:
     """The figures of the whole recording."""
     out = {}
     if len(recorded.motion):
         contacts = [float(row["t_c"]) for row in recorded.rows if _is_measured(row)]
         out["speed"] = speed_figure(recorded.motion, contacts)
     if len(recorded.tracks):
-        out["courses"] = courses_figure(recorded.tracks, recorded.camera)
+        out["courses"] = all_tracks_figure(recorded.tracks, recorded.camera)
     return out
 
 
-def specimen(row: Mapping[str, Any], recorded: Recorded) -> Specimen | None:
+def measured_collision(row: Mapping[str, Any], recorded: RecordingPage) -> CollisionView | None:
     """A collision with its balls' courses; None where the tied fit does not say everything."""
     if not _is_measured(row):
         return None
     course = {c.particle: c for c in courses(recorded.tracks, recorded.camera)}
     balls = {k: course[int(row[f"particle{k}"])] for k in (1, 2)}
-    one = Specimen(0, pd.Series(row), balls, recorded.camera)
-    return one if np.isfinite(one.tied).all() else None
+    one = CollisionView(0, pd.Series(row), balls, recorded.camera)
+    return one if np.isfinite(one.parameters).all() else None
 
 
 def _is_measured(row: Mapping[str, Any]) -> bool:
     return row["status"] in MEASURED
 
 
-def _shown(row: Mapping[str, Any], recorded: Recorded) -> tuple[Mapping[str, Any], str, str, list[Line], Any]:
+def _collision_content(
+    row: Mapping[str, Any], recorded: RecordingPage
+) -> tuple[Mapping[str, Any], str, str, list[QuantityLine], Any]:
     """A collision for the template: row, what it is, how well it fits, its quantities, its figures."""
-    one = specimen(row, recorded)
+    one = measured_collision(row, recorded)
     figures = {}
     if one is not None:
         drawn = {
@@ -168,17 +177,17 @@ def _shown(row: Mapping[str, Any], recorded: Recorded) -> tuple[Mapping[str, Any
             "separation": separation_figure(one),
             "energy": energy_figure(one, recorded.tracks, recorded.camera),
         }
-        figures = {name: (svg(figure), CAPTIONS[name]) for name, figure in drawn.items()}
-    return row, heading(row), fit_quality(row), lines(row), figures
+        figures = {name: (embed_figure(figure), CAPTIONS[name]) for name, figure in drawn.items()}
+    return row, describe_status(row), describe_fit(row), list_quantities(row), figures
 
 
-def _residuals(recorded: Recorded) -> dict[tuple[int, int], tuple[float, float]]:
+def _residuals(recorded: RecordingPage) -> dict[tuple[int, int], tuple[float, float]]:
     """By particle and frame: position less the tied fit of the first collision that has one, µm, along x and y."""
     out: dict[tuple[int, int], tuple[float, float]] = {}
     for row in recorded.rows:
-        one = specimen(row, recorded)
+        one = measured_collision(row, recorded)
         for ball, course in one.balls.items() if one is not None else ():
-            off = (course.position - one.model(ball, course.start)) * 1e6  # type: ignore[union-attr]
+            off = (course.position - one.predict(ball, course.start)) * 1e6  # type: ignore[union-attr]
             for frame, (x, y) in zip(course.frame.tolist(), off.tolist(), strict=True):
                 out.setdefault((course.particle, frame), (x, y))
     return out

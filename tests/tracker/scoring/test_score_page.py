@@ -8,8 +8,8 @@ import pytest
 import tifffile
 from tracker_noisy import BENCHMARK, dataset, results, truth_of
 
-from tracker.scoring.report import figures, shown_clip, tables, write_report
 from tracker.scoring.score import score
+from tracker.scoring.score_page import choose_clip, draw_figures, make_tables, write_report
 
 FIGURE_NAMES = {"frame", "tracks", "separation", "energy", "tied", "free", "paper", "honesty"}
 
@@ -26,9 +26,9 @@ def folders(tmp_path_factory):
 def drawn(folders):
     data, found = folders
     verdict = score(found, data)
-    clip = shown_clip(verdict)
+    clip = choose_clip(verdict)
     film(data, clip)
-    return verdict, figures(verdict, found, data)
+    return verdict, draw_figures(verdict, found, data)
 
 
 def film(data, clip):
@@ -73,13 +73,13 @@ def test_figures_have_labelled_axes_with_units(drawn):
 def test_detections_are_drawn_where_they_were_found(folders, drawn):
     verdict, shown = drawn
     circles = [p.center for p in shown["frame"].axes[0].patches if hasattr(p, "center")]
-    truth, camera = truth_of(folders[0], shown_clip(verdict))
+    truth, camera = truth_of(folders[0], choose_clip(verdict))
     frame = int(re.search(r"frame (\d+)", shown["frame"].axes[0].get_title())[1])
     true = truth[truth["frame"] == frame][["x_mean_px", "y_mean_px"]].to_numpy()
     assert len(circles) == 2
     apart = np.linalg.norm(np.array(circles)[:, None] - true[None], axis=-1).min(axis=1)
     assert (apart < 0.1).all()
-    assert frame / camera.fps > verdict.table.set_index("clip")["t_c"][shown_clip(verdict)]
+    assert frame / camera.fps > verdict.table.set_index("clip")["t_c"][choose_clip(verdict)]
 
 
 def test_fitted_curve_goes_through_the_measured_separation(drawn):
@@ -100,7 +100,7 @@ def test_residual_panels_show_estimate_less_truth(drawn):
 
 def test_table_holds_the_scores(drawn):
     verdict, _ = drawn
-    (row,) = [r for r in tables(verdict)[""] if r["name"] == "r"]
+    (row,) = [r for r in make_tables(verdict)[""] if r["name"] == "r"]
     assert float(row["ratio"]) == pytest.approx(verdict.quantities["r"]["ratio"], rel=0.01)
     assert float(row["rmse"]) == pytest.approx(verdict.quantities["r"]["rmse"] * 1e3, rel=0.01)
 

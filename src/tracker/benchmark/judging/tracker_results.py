@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 
 from tracker import results
-from tracker.benchmark.suite.definition import Part
+from tracker.benchmark.suite.definition import SuitePart
 from tracker.recording import Result
 
 Rows = list[Mapping[str, Any]]
@@ -21,29 +21,29 @@ NOTHING = pd.DataFrame(
 
 
 @dataclass(frozen=True)
-class Sample:
+class ClipSample:
     """What of a suite a tracker is run on: so many clips of each part (None: all), and no part of some films."""
 
     clips: int | None = None
     without: tuple[str, ...] = ()
 
-    def of(self, part: Part) -> tuple[int, ...]:
+    def of(self, part: SuitePart) -> tuple[int, ...]:
         """The clips of a part that count."""
         return () if part.truth in self.without else part.clips[: self.clips]
 
-    def of_film(self, parts: Iterable[Part], film: str) -> set[int]:
+    def of_film(self, parts: Iterable[SuitePart], film: str) -> set[int]:
         """The clips of a film that count."""
         return {clip for part in parts if part.film == film for clip in self.of(part)}
 
 
-ALL = Sample()
+ALL = ClipSample()
 
 
-class Tracked(Protocol):
+class TrackerResults(Protocol):
     """Tracks and estimates of the clips of each film."""
 
     @property
-    def sample(self) -> Sample:
+    def sample(self) -> ClipSample:
         """What it was run on."""
 
     @property
@@ -55,11 +55,11 @@ class Tracked(Protocol):
 
 
 @dataclass(frozen=True)
-class InFolder:
+class ResultsInFolder:
     """RESULTS for each film, in FOLDER/FILM."""
 
     folder: Path
-    sample: Sample = ALL
+    sample: ClipSample = ALL
     own: str = "centre"
 
     def of(self, film: str, clip: int) -> tuple[pd.DataFrame, Rows]:
@@ -71,11 +71,11 @@ class InFolder:
 
 
 @dataclass
-class InMemory:
+class ResultsInMemory:
     """Results by film and clip."""
 
     found: dict[tuple[str, int], Result] = field(default_factory=dict)
-    sample: Sample = ALL
+    sample: ClipSample = ALL
     own: str = "centre"
 
     def of(self, film: str, clip: int) -> tuple[pd.DataFrame, Rows]:

@@ -15,8 +15,8 @@ from synthcam_shared.outputs import as_input_error, check_room, held, put
 from tracker import results
 from tracker.detection.detect import detector
 from tracker.pipeline import run
-from tracker.report.html import made, rendered
-from tracker.scoring.score import Score, score
+from tracker.report.html import describe_creation, render
+from tracker.scoring.score import DetectorScore, score
 
 TIMES = "times.json"
 LOCALISATION = ("n", "missed", "false", "rmse_px", "bound_px", "ratio", "phase_bias_px")
@@ -70,22 +70,26 @@ def compare(
         (report / "results").mkdir(exist_ok=True)
         scores = []
         for k, name in enumerate(chosen):
-            scores.append(_scored(dataset, name, report, partial(_part, progress, k, len(chosen))))
+            scores.append(_track_and_score(dataset, name, report, partial(_report_progress, progress, k, len(chosen))))
         whole = scores[0].to_dict()
         for other in scores[1:]:
             whole["detectors"] |= other.to_dict()["detectors"]
-        values = {"suite": whole["suite"], "tables": tables(whole["detectors"]), "made": made("tracker compare")}
-        html = rendered(Path(__file__).with_name("compare.html"), **values)
+        values = {
+            "suite": whole["suite"],
+            "tables": tables(whole["detectors"]),
+            "made": describe_creation("tracker compare"),
+        }
+        html = render(Path(__file__).with_name("compare.html"), **values)
         put(report / "index.html", html)
         results.write_json(report / "score.json", whole)
     return whole
 
 
-def _part(progress: Progress, k: int, of: int, done: int, clips: int) -> None:
+def _report_progress(progress: Progress, k: int, of: int, done: int, clips: int) -> None:
     progress(k * clips + done, of * clips)
 
 
-def _scored(dataset: Path, name: str, report: Path, progress: Progress) -> Score:
+def _track_and_score(dataset: Path, name: str, report: Path, progress: Progress) -> DetectorScore:
     folder = report / "results" / name
     started = time.perf_counter()
     outcome = run(dataset, folder, None, name, 1, progress)

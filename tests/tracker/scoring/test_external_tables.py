@@ -9,7 +9,7 @@ import pytest
 
 from synthcam_shared.errors import InputError
 from tracker.cli import main
-from tracker.scoring.tables_score import score_tables
+from tracker.scoring.external_tables import score_table
 
 TRUE = [(f, k, 10.0 + 8 * f, 20.0 + 30 * k) for f in range(6) for k in (0, 1)]
 FOUND = [(f, 5 + k, x + 0.3, y - 0.4) for f, k, x, y in TRUE if (f, k) != (3, 1)] + [(2, 9, 100.0, 100.0)]
@@ -46,7 +46,7 @@ def test_figures_by_hand_from_any_two_formats(tmp_path, one, other):
     truth, found = tmp_path / f"gt.{one}", tmp_path / f"found.{other}"
     truth.write_text(FORMATS[one](TRUE))
     found.write_text(FORMATS[other](FOUND))
-    got = score_tables(found, truth, gate=5.0)
+    got = score_table(found, truth, gate=5.0)
     assert (got.localisation["n"], got.localisation["missed"], got.localisation["false"]) == (11, 1, 1)
     assert got.localisation["rmse"] == pytest.approx(np.sqrt(0.5 * 0.25))
     t = got.tracking
@@ -64,13 +64,13 @@ def test_boxes_are_compared_by_their_overlap(tmp_path):
     truth, found = tmp_path / "gt.txt", tmp_path / "found.txt"
     truth.write_text(as_mot(TRUE))
     found.write_text(as_mot([(f, k, x + 2, y) for f, k, x, y in TRUE]))
-    got = score_tables(found, truth)
+    got = score_table(found, truth)
     assert "overlap" in got.by
     assert got.tracking["motp"] == pytest.approx(8 / 12)  # 8 x 10 of 12 x 10 px
     assert got.tracking["hota"] == pytest.approx(13 / 19)  # the levels up to .65
     found.write_text(as_mot([(f, k, x + 4, y) for f, k, x, y in TRUE]))
-    assert score_tables(found, truth).tracking["mota"] == pytest.approx(-1)  # 6 of 14: under half
-    assert score_tables(found, truth, gate=5.0).tracking["mota"] == 1
+    assert score_table(found, truth).tracking["mota"] == pytest.approx(-1)  # 6 of 14: under half
+    assert score_table(found, truth, gate=5.0).tracking["mota"] == 1
 
 
 def typed(monkeypatch, capsys, line):
@@ -106,7 +106,7 @@ def test_two_units_and_a_particle_twice_are_refused(tmp_path):
     truth.write_text(as_csv(TRUE))
     found.write_text(as_trackmate(FOUND).replace("pixel", "micron"))
     with pytest.raises(InputError, match=r"lengths in um, those of .*gt\.csv in px; expected one unit"):
-        score_tables(found, truth)
+        score_table(found, truth)
     truth.write_text(as_csv([*TRUE, TRUE[0]]))
     with pytest.raises(InputError, match="frame 0: particle 0 twice"):
-        score_tables(truth, truth)
+        score_table(truth, truth)

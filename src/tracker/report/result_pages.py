@@ -12,15 +12,15 @@ from synthcam_shared.outputs import as_input_error, put
 from tracker import results
 from tracker.camera.frames import Source
 from tracker.measurement.collision.adequacy import warnings
-from tracker.report.answer import QUANTITIES, rows_of, value_of
-from tracker.report.html import HERE, made, rendered
-from tracker.report.page import PAGE, Recorded, write_page
+from tracker.report.estimates_text import QUANTITIES, format_value, rows_as_dicts
+from tracker.report.html import HERE, describe_creation, render
+from tracker.report.recording_page import PAGE, RecordingPage, write_page
 
 LISTED = ("v0", "b", "r", "mu_k", "C", "tau1", "tau2", "energy_fraction")
 
 
 @dataclass(frozen=True)
-class Pages:
+class ResultPages:
     """What the pages of one RESULTS are made of. Cheap to send to another process.
 
     source: where the films are, in the order of `numbers`; None of tracks made elsewhere. name: of what was tracked;
@@ -48,28 +48,28 @@ class Pages:
         number = self.numbers[index]
         tracks, camera = results.read_clip(self.output, number)
         folder = results.clip_folder(self.output, number)
-        rows = rows_of(results.estimates_table(results.load_json(folder / "estimates.json")))
+        rows = rows_as_dicts(results.estimates_table(results.load_json(folder / "estimates.json")))
         motion = pd.read_parquet(folder / "motion.parquet")
         frames = None if self.source is None else self.source.clip(index).frames
         name = self.name if self.alone else f"{self.name}, clip {number}"
         with as_input_error(self.output):
             write_page(
-                Recorded(name, camera, tracks, rows, motion, frames, self.notes), self._folder(index), self.command
+                RecordingPage(name, camera, tracks, rows, motion, frames, self.notes), self._folder(index), self.command
             )
 
     def write_overview(self, estimates: pd.DataFrame) -> None:
         """Of several recordings, the table that leads to their pages."""
         if self.alone:
             return
-        rows = [(row, [value_of(row, name) for name in LISTED]) for row in rows_of(estimates)]
-        html = rendered(
+        rows = [(row, [format_value(row, name) for name in LISTED]) for row in rows_as_dicts(estimates)]
+        html = render(
             HERE / "overview.html",
             name=self.name,
             statuses=estimates["status"].value_counts().to_dict(),
             warnings=[*warnings(estimates), *self.notes],
             heads=[QUANTITIES[name][:2] for name in LISTED],
             rows=rows,
-            made=made(self.command),
+            made=describe_creation(self.command),
         )
         with as_input_error(self.output):
             put(self.output / PAGE, html)

@@ -13,7 +13,7 @@ from tracker_film import CAMERA, film
 
 import tracker
 from tracker.camera.memory import frames_in_memory
-from tracker.report.page import PAGE, Recorded, write_page
+from tracker.report.recording_page import PAGE, RecordingPage, write_page
 
 
 def paths():
@@ -30,7 +30,7 @@ def recorded():
     result = tracker.track(pictures, CAMERA)
     frames = frames_in_memory(pictures)
     motion, rows = result.motion, [dict(row) for row in result.rows]
-    return Recorded("a <b>bold</b> name", result.camera, result.found, rows, motion, frames, ("it is assumed",))
+    return RecordingPage("a <b>bold</b> name", result.camera, result.found, rows, motion, frames, ("it is assumed",))
 
 
 @pytest.fixture(scope="module")
@@ -87,7 +87,7 @@ def test_tracks_without_a_film_and_without_a_collision_have_a_page(recorded, tmp
     first = recorded.tracks.particle == recorded.tracks.particle[0]
     table = tracker.Result(0, recorded.camera, recorded.tracks, (), recorded.motion).tracks[first]
     alone = tracker.measure(table, recorded.camera)
-    bare = Recorded("tracks", alone.camera, alone.found, alone.rows, alone.motion)
+    bare = RecordingPage("tracks", alone.camera, alone.found, alone.rows, alone.motion)
     text = write_page(bare, tmp_path, "tracker measure").read_text(encoding="utf-8")
     assert "Tracks only" in text
     assert "no ball rolls freely" in text
@@ -98,7 +98,7 @@ def test_an_empty_recording_has_a_page(recorded, tmp_path):
     camera, blank = recorded.camera, np.full((5, 160, 200), 8, np.uint8)
     result = tracker.track(blank, CAMERA)
     frames = frames_in_memory(blank)
-    empty = Recorded("nothing", camera, result.found, result.rows, result.motion, frames)
+    empty = RecordingPage("nothing", camera, result.found, result.rows, result.motion, frames)
     text = write_page(empty, tmp_path, "tracker track").read_text(encoding="utf-8")
     assert "not measured: nothing moves" in text
     pixels = replace(empty, camera=tracker.track(blank).camera)

@@ -13,9 +13,9 @@ from scipy.optimize import linear_sum_assignment
 
 from synthcam_shared.errors import InputError
 from synthcam_shared.outputs import put
-from tracker.report.html import made, rendered
+from tracker.report.html import describe_creation, render
 from tracker.results import finite, write_json
-from tracker.scoring.tracking_metrics import GATE_PX, Dots, tracking_scores
+from tracker.scoring.tracking_metrics import GATE_PX, TrackPoints, score_tracks
 from tracker.tables.content import Content
 from tracker.tables.read import recognised
 from tracker.tables.rows import real, whole
@@ -38,7 +38,7 @@ SAID = (
 
 
 @dataclass(frozen=True)
-class TablesScore:
+class TableScore:
     """Figures of one table; `by` says how positions were compared."""
 
     truth: str
@@ -66,13 +66,15 @@ class TablesScore:
         """REPORT/score.json and index.html; where the former is."""
         report.mkdir(parents=True, exist_ok=True)
         rows = [(name, f"{self.tracking[name]:.9g}", meaning) for name, meaning in SAID]
-        page = rendered(Path(__file__).with_name("tables.html"), score=self, rows=rows, made=made("tracker score"))
+        page = render(
+            Path(__file__).with_name("tables.html"), score=self, rows=rows, made=describe_creation("tracker score")
+        )
         put(report / "index.html", page)
         write_json(report / "score.json", self.to_dict())
         return report / "score.json"
 
 
-def score_tables(found: Path, truth: Path, gate: float | None = None, name: str = "") -> TablesScore:
+def score_table(found: Path, truth: Path, gate: float | None = None, name: str = "") -> TableScore:
     """Hold a table to a true one.
 
     Parameters
@@ -103,21 +105,21 @@ def score_tables(found: Path, truth: Path, gate: float | None = None, name: str 
     pairs = []
     for clip in sorted(set(clips[0]) | set(clips[1])):
         both = [part.get(clip, NOTHING) for part in clips]
-        pairs.append(tuple(both) if boxes else tuple(Dots(d.frame, d.track, d.xy) for d in both))
+        pairs.append(tuple(both) if boxes else tuple(TrackPoints(d.frame, d.track, d.xy) for d in both))
     by = "boxes by their overlap, half or more" if boxes else f"points, up to {reach:g} {units[0]} apart"
-    return TablesScore(
+    return TableScore(
         truth.name,
         name or found.stem,
         by,
         _localisation([(a, b) for a, b in pairs], reach) | {"unit": units[0]},
-        tracking_scores([(a, b) for a, b in pairs], reach),
+        score_tracks([(a, b) for a, b in pairs], reach),
     )
 
 
-NOTHING = Dots(np.empty(0, np.int64), np.empty(0, np.int64), np.empty((0, 2)), np.empty((0, 2)))
+NOTHING = TrackPoints(np.empty(0, np.int64), np.empty(0, np.int64), np.empty((0, 2)), np.empty((0, 2)))
 
 
-def _dots(table: Table, path: Path) -> dict[int, Dots]:
+def _dots(table: Table, path: Path) -> dict[int, TrackPoints]:
     """By clip. Rows without a finite position are left out."""
     rows, where = table.rows, str(path)
     columns = [real(rows[name], name, where) for name in ("x", "y")]
@@ -131,13 +133,13 @@ def _dots(table: Table, path: Path) -> dict[int, Dots]:
         raise InputError(f"{path}: frame {first['frame']}: particle {first['particle']} twice, expected once")
     good = np.isfinite(xy).all(axis=1)
     return {
-        int(clip): Dots.of(frame[use], track[use], xy[use], None if size is None else size[use])
+        int(clip): TrackPoints.of(frame[use], track[use], xy[use], None if size is None else size[use])
         for clip in np.unique(numbers)
         for use in [good & (numbers == clip)]
     }
 
 
-def _localisation(clips: list[tuple[Dots, Dots]], gate: float) -> dict[str, Any]:
+def _localisation(clips: list[tuple[TrackPoints, TrackPoints]], gate: float) -> dict[str, Any]:
     """Positions paired frame by frame, whatever their tracks."""
     off, missed, false = [], 0, 0
     for truth, found in clips:

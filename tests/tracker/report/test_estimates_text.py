@@ -7,7 +7,14 @@ import pandas as pd
 import pytest
 
 from tracker.measurement.collision.derived import NAMES
-from tracker.report.answer import KINDS, QUANTITIES, heading, lines, printed, with_error
+from tracker.report.estimates_text import (
+    KINDS,
+    QUANTITIES,
+    describe_status,
+    format_for_terminal,
+    format_with_error,
+    list_quantities,
+)
 
 
 def row(status="ok", **values):
@@ -26,12 +33,13 @@ def row(status="ok", **values):
      (math.nan, 1.0, "–"), (None, None, "–"), (1.0, 0.0, "1")],
 )  # fmt: skip
 def test_a_value_has_two_digits_of_its_error(value, std, said):
-    assert with_error(value, std) == said
+    assert format_with_error(value, std) == said
 
 
 def test_units_are_those_named():
     shown = {
-        line.name: line for line in lines(row(tau1=0.0123, tau1_std=1e-4, v0=0.35, v0_std=1e-3, final_angle=np.pi))
+        line.name: line
+        for line in list_quantities(row(tau1=0.0123, tau1_std=1e-4, v0=0.35, v0_std=1e-3, final_angle=np.pi))
     }
     assert (shown["tau1"].values[0], shown["tau1"].unit) == ("12.30(10)", "ms")
     assert (shown["v0"].values[0], shown["v0"].unit) == ("35.00(10)", "cm/s")
@@ -41,26 +49,26 @@ def test_units_are_those_named():
 
 def test_what_no_fit_has_is_left_out():
     nothing = {f"mu_k{kind}{end}": np.nan for kind in KINDS for end in ("", "_std")}
-    assert "mu_k" not in [line.name for line in lines(row(**nothing))]
-    assert "mu_k" in [line.name for line in lines(row(**(nothing | {"mu_k_free": 0.2})))]
+    assert "mu_k" not in [line.name for line in list_quantities(row(**nothing))]
+    assert "mu_k" in [line.name for line in list_quantities(row(**(nothing | {"mu_k_free": 0.2})))]
 
 
 def test_one_collision_is_printed_whole_and_many_as_medians():
-    alone = "\n".join(printed(pd.DataFrame([row()])))
+    alone = "\n".join(format_for_terminal(pd.DataFrame([row()])))
     assert "clip 0, collision 0, frames 0 to 99: two balls collide" in alone
     assert "χ²/dof 0.9, dof 100, p 0.75" in alone
     assert "1.000(10)" in alone
-    many = "\n".join(printed(pd.DataFrame([row(r=0.8 + 0.01 * k) for k in range(9)])))
+    many = "\n".join(format_for_terminal(pd.DataFrame([row(r=0.8 + 0.01 * k) for k in range(9)])))
     assert "median of 9 ok" in many
     assert "0.84" in many
-    assert list(printed(pd.DataFrame([row("no_collision")] * 9))) == []
+    assert list(format_for_terminal(pd.DataFrame([row("no_collision")] * 9))) == []
 
 
 def test_what_was_not_measured_is_said():
-    assert heading(row("no balls")) == "not measured: no balls"
-    said = "\n".join(printed(pd.DataFrame([row("misfit", r_std=np.nan)])))
+    assert describe_status(row("no balls")) == "not measured: no balls"
+    said = "\n".join(format_for_terminal(pd.DataFrame([row("misfit", r_std=np.nan)])))
     assert "the tracks reject" in said
-    rolling = "\n".join(printed(pd.DataFrame([row("no_collision")])))
+    rolling = "\n".join(format_for_terminal(pd.DataFrame([row("no_collision")])))
     assert "no two balls touch" in rolling
     assert "rolling loss" in rolling
     assert "restitution" not in rolling

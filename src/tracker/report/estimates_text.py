@@ -46,7 +46,7 @@ MET = {
 }
 
 
-class Line(NamedTuple):
+class QuantityLine(NamedTuple):
     """A quantity: its name, symbol, unit, what it is, and its value with error by each fit, as text."""
 
     name: str
@@ -56,7 +56,7 @@ class Line(NamedTuple):
     values: tuple[str, ...]
 
 
-def with_error(value: float | None, std: float | None) -> str:
+def format_with_error(value: float | None, std: float | None) -> str:
     """As 0.9027(12): a value to two digits of its error; without one, to four; a dash for none."""
     if value is None or not math.isfinite(value):
         return NOT_SEEN
@@ -68,51 +68,51 @@ def with_error(value: float | None, std: float | None) -> str:
     return f"{value:.{digits}f}({std * 10**digits:.0f})"
 
 
-def rows_of(estimates: pd.DataFrame) -> list[dict[str, Any]]:
+def rows_as_dicts(estimates: pd.DataFrame) -> list[dict[str, Any]]:
     """A table of estimates as rows by column."""
     return [{str(name): value for name, value in row.items()} for row in estimates.to_dict("records")]
 
 
-def lines(row: Mapping[str, Any], names: Sequence[str] = NAMES) -> list[Line]:
+def list_quantities(row: Mapping[str, Any], names: Sequence[str] = NAMES) -> list[QuantityLine]:
     """The quantities of a collision, or of a ball that rolls alone; those that no fit has are left out."""
     out = []
     for name in names:
         symbol, unit, factor, what = QUANTITIES[name]
         pairs = [(row[f"{name}{kind}"], row[f"{name}{kind}_std"]) for kind in KINDS]
-        values = tuple(with_error(_times(v, factor), _times(s, factor)) for v, s in pairs)
+        values = tuple(format_with_error(_times(v, factor), _times(s, factor)) for v, s in pairs)
         if any(v != NOT_SEEN for v in values):
-            out.append(Line(name, symbol, unit, what, values))
+            out.append(QuantityLine(name, symbol, unit, what, values))
     return out
 
 
-def value_of(row: Mapping[str, Any], name: str) -> str:
+def format_value(row: Mapping[str, Any], name: str) -> str:
     """A quantity by the tied fit with its error, in its unit of QUANTITIES."""
     factor = QUANTITIES[name][2]
-    return with_error(_times(row[name], factor), _times(row[f"{name}_std"], factor))
+    return format_with_error(_times(row[name], factor), _times(row[f"{name}_std"], factor))
 
 
-def heading(row: Mapping[str, Any]) -> str:
+def describe_status(row: Mapping[str, Any]) -> str:
     """What a row is of, in a sentence."""
     return MET.get(row["status"], f"not measured: {row['status']}")
 
 
-def frames_of(row: Mapping[str, Any]) -> str:
+def describe_frames(row: Mapping[str, Any]) -> str:
     """The stretch of the recording that a collision is measured from; '' where there is none."""
     return f", frames {row['frame_first']:.0f} to {row['frame_last']:.0f}" if row.get("frame_last", -1) >= 0 else ""
 
 
-def fit_quality(row: Mapping[str, Any]) -> str:
+def describe_fit(row: Mapping[str, Any]) -> str:
     """How well the tied fit describes the tracks; '' where there is none."""
     if row["status"] not in MEASURED or not row["dof"]:
         return ""
     return f"χ²/dof {row['chi2'] / row['dof']:.3g}, dof {int(row['dof'])}, p {row['adequate']:.2g}"
 
 
-def printed(estimates: pd.DataFrame) -> Iterator[str]:
+def format_for_terminal(estimates: pd.DataFrame) -> Iterator[str]:
     """Lines for a terminal: each collision's answer, or of many the medians of those that fit."""
     if len(estimates) <= MOST_PRINTED:
-        for row in rows_of(estimates):
-            yield from _printed_row(row)
+        for row in rows_as_dicts(estimates):
+            yield from _format_row(row)
         return
     ok = estimates[estimates["status"] == "ok"]
     if len(ok):
@@ -124,14 +124,14 @@ def printed(estimates: pd.DataFrame) -> Iterator[str]:
             yield f"  {_plain(symbol):<16}{value:>12.4g}{std:>14.2g}  {unit}".rstrip()
 
 
-def _printed_row(row: Mapping[str, Any]) -> Iterator[str]:
-    yield f"clip {row['clip']}, collision {row['collision']}{frames_of(row)}: {heading(row)}"
-    found = lines(row, PRINTED if row["status"] in MEASURED else ROLLING)
+def _format_row(row: Mapping[str, Any]) -> Iterator[str]:
+    yield f"clip {row['clip']}, collision {row['collision']}{describe_frames(row)}: {describe_status(row)}"
+    found = list_quantities(row, PRINTED if row["status"] in MEASURED else ROLLING)
     if not found:
         return
     if row["status"] in MEASURED:
         kinds = [title for kind, title in KINDS.items() if kind != "_paper"]
-        yield f"  {'':<8}{kinds[0]:>16}{kinds[1]:>16}  {fit_quality(row)}".rstrip()
+        yield f"  {'':<8}{kinds[0]:>16}{kinds[1]:>16}  {describe_fit(row)}".rstrip()
     for line in found:
         shown = line.values[:2] if row["status"] in MEASURED else line.values[:1]
         yield f"  {_plain(line.symbol):<8}{''.join(f' {v:>15}' for v in shown)}  {line.unit:<6}{line.what}".rstrip()
