@@ -20,7 +20,7 @@ import pandas as pd
 import synthcam
 import tracker
 from benchmarks.paper.readings import Films
-from tracker.measurement.positions import courses
+from tracker.measurement.positions import to_ball_tracks
 from tracker.parallel import alone, in_parallel
 
 Progress = Callable[[int, int], None]
@@ -163,7 +163,7 @@ def _film_one(series: Series, parts: Path, number: int) -> int:
     result = tracker.track(clip.film(), camera, number=number)
     row = result.rows[0]
     rows = []
-    for course in courses(result.found, result.camera):
+    for course in to_ball_tracks(result.found, result.camera):
         ball = {row.get("particle1"): 1, row.get("particle2"): 2}.get(course.particle, 2)
         x, y = course.position.T
         rows.append(pd.DataFrame({"clip": number, "ball": ball, "frame": course.frame, "x": x, "y": y}))

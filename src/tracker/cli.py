@@ -21,7 +21,7 @@ from tracker.camera.camera_keys import CHANNELS
 from tracker.detection import detectors as detector_files
 
 if TYPE_CHECKING:
-    from tracker.pipeline import Outcome
+    from tracker.pipeline import ClipOutcome
 
 app = command_line(
     "tracker",
@@ -279,7 +279,7 @@ def _typed() -> str:
     return shlex.join(["tracker", *sys.argv[1:]])
 
 
-def _pages(outcome: Outcome, output: Path, given: Path, workers: int) -> str:
+def _pages(outcome: ClipOutcome, output: Path, given: Path, workers: int) -> str:
     """Write the pages of results; where the first one is."""
     from tracker.pipeline import write_pages
     from tracker.report.recording_page import PAGE
@@ -292,7 +292,7 @@ def _pages(outcome: Outcome, output: Path, given: Path, workers: int) -> str:
     return str(output / PAGE)
 
 
-def _report(outcome: Outcome, output: Path, extra: dict[str, Any], as_json: bool) -> None:
+def _report(outcome: ClipOutcome, output: Path, extra: dict[str, Any], as_json: bool) -> None:
     from tracker.measurement.collision.adequacy import warnings
     from tracker.report.estimates_text import format_for_terminal
 
@@ -321,10 +321,10 @@ def _report(outcome: Outcome, output: Path, extra: dict[str, Any], as_json: bool
 
 def _collision(row: Mapping[Any, Any]) -> dict[str, Any]:
     """A row of estimates as --json has it: the quantities of the tied fit in SI units, null for what is not known."""
-    from tracker.measurement.collision.derived import NAMES
+    from tracker.measurement.collision.derived import QUANTITY_NAMES
     from tracker.results import finite
 
-    pairs = {name: {"value": finite(row[name]), "std": finite(row[f"{name}_std"])} for name in NAMES}
+    pairs = {name: {"value": finite(row[name]), "std": finite(row[f"{name}_std"])} for name in QUANTITY_NAMES}
     return {key: row[key] for key in ("clip", "collision", "status")} | pairs
 
 

@@ -25,7 +25,7 @@ from tracker.detection.channel import in_its_channel
 from tracker.detection.choose import choose
 from tracker.detection.detect import detector, linker
 from tracker.parallel import Progress, alone, in_parallel
-from tracker.recording import followed, measured, unsaid
+from tracker.recording import describe_camera_gaps, measure_tracks, track_and_measure
 from tracker.tables.read import read_tracks
 
 if TYPE_CHECKING:
@@ -36,7 +36,7 @@ Done = tuple[int, tuple[str, ...]]  # frames of a clip, and notes on it
 
 
 @dataclass(frozen=True)
-class Outcome:
+class ClipOutcome:
     """What a run did: the estimates, how many clips, how many of them now, frames tracked now.
 
     notes: what was converted or assumed, each with the number of clips. source: the films, as they were read.
@@ -60,7 +60,7 @@ def run(
     channel: str | None = None,
     only: Collection[int] | None = None,
     scheduler: str = "",
-) -> Outcome:
+) -> ClipOutcome:
     """Track every clip of a source into RESULTS; go on from what an interrupted run left in RESULTS.partial.
 
     Parameters
@@ -113,7 +113,7 @@ def run(
     numbers = [number for number, _ in source.clips]
     if output.exists():
         _same_or_refuse(output, plan)
-        return Outcome(results.gather(output, numbers), len(source), 0, 0, source=source)
+        return ClipOutcome(results.gather(output, numbers), len(source), 0, 0, source=source)
     frames, notes = 0, Counter[str]({note: len(source) for note in said})
     with _partial(output, plan) as partial:
         todo = [i for i, number in enumerate(numbers) if not results.is_done(partial, number)]
@@ -124,12 +124,12 @@ def run(
             notes.update(noted)
             progress(len(source) - len(todo) + done, len(source))
         table = results.finish(partial, output, numbers)
-    return Outcome(table, len(source), len(todo), frames, dict(notes), source)
+    return ClipOutcome(table, len(source), len(todo), frames, dict(notes), source)
 
 
 def measure_tables(
     path: Path, output: Path, camera: Path, point: str = "centre", columns: str = "", unit: str = ""
-) -> Outcome:
+) -> ClipOutcome:
     """Measure tracks that any program made, as `run` does its own.
 
     Parameters
@@ -161,18 +161,18 @@ def measure_tables(
     output = output.resolve()
     if output.exists():
         _same_or_refuse(output, plan)
-        return Outcome(results.gather(output, numbers), len(numbers), 0, 0)
+        return ClipOutcome(results.gather(output, numbers), len(numbers), 0, 0)
     with _partial(output, plan) as partial:
         todo = [n for n in numbers if not results.is_done(partial, n)]
         for number in todo:
             tracks, striker = tables[number]
             own = replace(base, striker=striker) if striker is not None else base
-            result = measured(tracks, own, number, point)
+            result = measure_tracks(tracks, own, number, point)
             results.write_clip(partial, number, result.found, result.motion, result.rows, own)
         table = results.finish(partial, output, numbers)
-    said = (*given.notes, *unsaid(base))
+    said = (*given.notes, *describe_camera_gaps(base))
     notes = {note: len(numbers) for note in said if not note.startswith("assumed")}
-    return Outcome(table, len(numbers), len(todo), 0, notes)
+    return ClipOutcome(table, len(numbers), len(todo), 0, notes)
 
 
 def write_pages(pages: ResultPages, estimates: pd.DataFrame, workers: int, progress: Progress) -> None:
@@ -266,7 +266,9 @@ def _on_cluster(address: str) -> Callable[..., Iterator[Done]]:
         clips = tuple((number, path.resolve()) for number, path in source.clips)
         camera = source.camera.resolve() if source.camera is not None else None
         everywhere = replace(source, path=source.path.resolve(), clips=clips, camera=camera)
-        for index, said in cluster.each(todo, functools.partial(_told, everywhere, partial=partial, name=name)):
+        for index, said in cluster.each(
+            todo, functools.partial(_track_as_text, everywhere, partial=partial, name=name)
+        ):
             if not said.startswith("["):
                 raise InputError(f"{clips[index][1]}: {said}")
             frames, notes = json.loads(said)
@@ -275,7 +277,7 @@ def _on_cluster(address: str) -> Callable[..., Iterator[Done]]:
     return each
 
 
-def _told(source: Source, index: int, partial: Path, name: str) -> str:
+def _track_as_text(source: Source, index: int, partial: Path, name: str) -> str:
     """`_one`, as text; a clip that a lost worker had finished is done."""
     if results.is_done(partial, source.clips[index][0]):
         return json.dumps([0, []])
@@ -286,7 +288,7 @@ def _one(source: Source, index: int, partial: Path, name: str) -> Done:
     alone()
     clip = source.clip(index)
     try:
-        result = followed(clip, name)
+        result = track_and_measure(clip, name)
     except (MemoryError, cv2.error) as error:
         if isinstance(error, cv2.error) and error.code != cv2.Error.StsNoMem:
             raise

@@ -24,11 +24,11 @@ from tracker.detection.detect import detector as detector_named
 from tracker.detection.diagnose import FEWEST, loose_ends, why_no_disc, why_nothing
 from tracker.detection.link import Tracks, link
 from tracker.measurement.collision.adequacy import MEASURED
-from tracker.measurement.collision.derived import NAMES
+from tracker.measurement.collision.derived import QUANTITY_NAMES
 from tracker.report.estimates_text import format_with_error
-from tracker.tables.read import SAME_RATE, GivenCamera, in_picture, read_tracks
+from tracker.tables.read import SAME_RATE, GivenCamera, read_tracks, to_pixels
 from tracker.tables.rows import tracks_table
-from tracker.tables.table import Table
+from tracker.tables.table import TrackTable
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -125,8 +125,11 @@ class Result:
                 continue
             kinds = {"tied fit": "", "free fit": "_free", "as the paper": "_paper"}
             table = pd.DataFrame(
-                {k: [format_with_error(row[n + s], row[f"{n}{s}_std"]) for n in NAMES] for k, s in kinds.items()},
-                index=pd.Index([f"{n} ({units[n]})" if n in units else n for n in NAMES]),
+                {
+                    k: [format_with_error(row[n + s], row[f"{n}{s}_std"]) for n in QUANTITY_NAMES]
+                    for k, s in kinds.items()
+                },
+                index=pd.Index([f"{n} ({units[n]})" if n in units else n for n in QUANTITY_NAMES]),
             )
             parts.append(f"<p>{title}</p>{table.to_html()}")
         return "".join(parts)
@@ -204,12 +207,12 @@ def track(
     """
     if detector is not None:
         detector_named(detector)  # an unknown one is reported before a film is read
-    clip, why = in_its_channel(_opened(film, camera), channel)
-    result = followed(clip if number is None else replace(clip, number=number), detector)
+    clip, why = in_its_channel(_open(film, camera), channel)
+    result = track_and_measure(clip if number is None else replace(clip, number=number), detector)
     return replace(result, notes=(why, *result.notes)) if why else result
 
 
-def _opened(film: Film, camera: GivenCamera | None) -> Clip:
+def _open(film: Film, camera: GivenCamera | None) -> Clip:
     names = FILM, f"{camera}" if isinstance(camera, str | Path) else "camera"
     if not isinstance(film, str | Path):
         return recorded(0, frames_in_memory(film), _camera(camera), names)
@@ -272,7 +275,7 @@ def measure(
     if camera is None:
         raise InputError("camera: expected a camera, its keys, or a path; tracks alone have no times and lengths")
     if isinstance(tracks, pd.DataFrame):
-        given = in_picture(Table(tracks), TRACKS, camera, unit)
+        given = to_pixels(TrackTable(tracks), TRACKS, camera, unit)
     else:
         given = read_tracks(Path(tracks), camera, columns, unit)
     if len(given.clips) > 1:
@@ -280,11 +283,11 @@ def measure(
         raise InputError(f"{TRACKS}: {clips} clips, expected one; give them one by one, as of groupby('clip')")
     ((number, (found, striker)),) = given.clips.items()
     known = given.camera if striker is None else replace(given.camera, striker=striker)
-    result = measured(found, known, number, point)
+    result = measure_tracks(found, known, number, point)
     return replace(result, notes=(*given.notes, *result.notes))
 
 
-def followed(clip: Clip, name: Named | None = None) -> Result:
+def track_and_measure(clip: Clip, name: Named | None = None) -> Result:
     """A clip through the whole chain, by the detector ``name`` or the one that its film asks for."""
     why, other = "", ""
     if name is None:
@@ -299,16 +302,18 @@ def followed(clip: Clip, name: Named | None = None) -> Result:
     rows, motion = measure_clip(tracks, camera)
     if reason:
         rows = [row if row["status"] in MEASURED else row | {"status": reason} for row in rows]
-    notes = tuple(filter(None, [*clip.notes, why, *said, *unsaid(camera), _blur_note(camera), _rate_note(clip)]))
+    notes = tuple(
+        filter(None, [*clip.notes, why, *said, *describe_camera_gaps(camera), _blur_note(camera), _rate_note(clip)])
+    )
     return Result(clip.number, camera, tracks, tuple(rows), motion, notes, len(clip.frames))
 
 
-def measured(tracks: Tracks, camera: Camera, number: int, point: str) -> Result:
-    """Tracks made elsewhere, measured as `followed` does its own."""
+def measure_tracks(tracks: Tracks, camera: Camera, number: int, point: str) -> Result:
+    """Tracks made elsewhere, measured as `track_and_measure` does its own."""
     if point == "glint":
         tracks = results.to_centres(tracks, camera)
     rows, motion = measure_clip(tracks, camera)
-    notes = tuple(note for note in unsaid(camera) if not note.startswith("assumed"))
+    notes = tuple(note for note in describe_camera_gaps(camera) if not note.startswith("assumed"))
     return Result(number, camera, tracks, tuple(rows), motion, notes)
 
 
@@ -328,8 +333,8 @@ def track_clip(clip: Clip, name: Named = DEFAULT) -> tuple[Tracks, Camera, str, 
 
 def measure_clip(tracks: Tracks, camera: Camera) -> tuple[list[dict[str, Any]], pd.DataFrame]:
     """Rows of estimates, and the table of motion about the first collision."""
-    from tracker.measurement.estimate import failure, measure, motion_table
-    from tracker.measurement.estimate_row import unmeasured
+    from tracker.measurement.estimate import failure_status, measure, motion_table
+    from tracker.measurement.estimate_row import empty_row
 
     try:
         rows = measure(tracks, camera)
@@ -338,10 +343,10 @@ def measure_clip(tracks: Tracks, camera: Camera) -> tuple[list[dict[str, Any]], 
         raise
     except (ArithmeticError, ValueError, IndexError) as error:  # one clip never costs the others
         nothing = replace(tracks, **{f.name: getattr(tracks, f.name)[:0] for f in fields(tracks)})
-        return [unmeasured(camera, failure(error))], motion_table(nothing, camera, {})
+        return [empty_row(camera, failure_status(error))], motion_table(nothing, camera, {})
 
 
-def unsaid(camera: Camera) -> list[str]:
+def describe_camera_gaps(camera: Camera) -> list[str]:
     """What the camera file left out, and what in it is not accounted for."""
     assumed = [name for name in camera.assumed if name != "ball_diameter" and camera.metric]
     return [

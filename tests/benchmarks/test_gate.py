@@ -10,7 +10,7 @@ import pandas as pd
 import pytest
 
 from benchmarks.regression import gate as regression_gate
-from tracker.measurement.collision.derived import NAMES
+from tracker.measurement.collision.derived import QUANTITY_NAMES
 from tracker.scoring.error_bars import error_statistics
 
 
@@ -27,8 +27,8 @@ def gate(tmp_path, monkeypatch):
 
 
 def test_every_quantity_of_both_fits_is_watched(gate):
-    assert set(gate.QUANTITIES) == set(NAMES)
-    for name in NAMES:
+    assert set(gate.QUANTITIES) == set(QUANTITY_NAMES)
+    for name in QUANTITY_NAMES:
         for fit in ("", "_free"):
             watched = {key.rpartition(".")[2] for key in gate.accepted if key.rpartition(".")[0] == name + fit}
             assert watched == ({"n"} if name + fit == "w1n" else {"n", "z_mean", "z_std", "std"})
@@ -53,25 +53,25 @@ def test_what_grows_fails_and_what_shrinks_does_not(gate):
 
 def drawn(gate, seed):
     """Estimates off by what correlated errors make them, with their covariance, and the truth."""
-    rng, n = np.random.default_rng(seed), len(NAMES)
+    rng, n = np.random.default_rng(seed), len(QUANTITY_NAMES)
     root = np.tril(rng.normal(0, 0.3, (n, n)), -1) + np.diag(rng.uniform(0.5, 2, n))
     cov, truth = root @ root.T, rng.uniform(1, 2, (gate.TRACKS, n))
     values = {
         "": truth + rng.standard_normal(truth.shape) @ root.T,
         "_free": truth + rng.standard_normal(truth.shape) @ root.T,
     }
-    block = json.dumps({"names": list(NAMES), "tied": cov.tolist(), "free": cov.tolist()})
+    block = json.dumps({"names": list(QUANTITY_NAMES), "tied": cov.tolist(), "free": cov.tolist()})
     claims = pd.DataFrame({"clip": range(gate.TRACKS), "cov": block})
     for suffix, value in values.items():
-        claims = claims.assign(**{f"{q}{suffix}": value[:, i] for i, q in enumerate(NAMES)})
-        claims = claims.assign(**{f"{q}{suffix}_std": np.sqrt(cov[i, i]) for i, q in enumerate(NAMES)})
-    return claims, pd.DataFrame(truth, columns=list(NAMES)).assign(clip=range(gate.TRACKS))
+        claims = claims.assign(**{f"{q}{suffix}": value[:, i] for i, q in enumerate(QUANTITY_NAMES)})
+        claims = claims.assign(**{f"{q}{suffix}_std": np.sqrt(cov[i, i]) for i, q in enumerate(QUANTITY_NAMES)})
+    return claims, pd.DataFrame(truth, columns=list(QUANTITY_NAMES)).assign(clip=range(gate.TRACKS))
 
 
 def watched(gate, claims, truth):
     """What the gate computes of error bars."""
     out = gate.spreads(claims, truth)
-    for q in NAMES:
+    for q in QUANTITY_NAMES:
         for suffix in ("", "_free"):
             got = error_statistics(
                 *(claims[f"{q}{suffix}{end}"].to_numpy() for end in ("", "_std")),

@@ -10,7 +10,7 @@ from synthcam.dataset.generate import Plan, run
 from synthcam.scene.scene import check_scene
 from tracker.camera.camera import Camera
 from tracker.detection.link import Tracks
-from tracker.measurement.collision.derived import NAMES
+from tracker.measurement.collision.derived import QUANTITY_NAMES
 from tracker.measurement.estimate import fit_all, measure, motion_table
 
 NOISE = 0.015  # px an axis
@@ -63,7 +63,7 @@ def measured(folder: Path, clips: int, noise: float = NOISE, seed: int = 0) -> p
     for clip in range(clips):
         truth, camera = truth_of(folder, clip)
         (row,) = measure(noisy(truth, rng, noise), camera)
-        rows.append(row | {"clip": clip} | {f"{n}_true": truths[n].iloc[clip] for n in NAMES})
+        rows.append(row | {"clip": clip} | {f"{n}_true": truths[n].iloc[clip] for n in QUANTITY_NAMES})
     return pd.DataFrame(rows)
 
 

@@ -23,7 +23,7 @@ from tracker.benchmark.suite.make import make
 from tracker.camera.frames import open_source
 from tracker.detection.detect import Named, name_of
 from tracker.detection.glints import Detector, Glints, View
-from tracker.recording import followed
+from tracker.recording import track_and_measure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -149,7 +149,7 @@ def run(
     for film in dict.fromkeys(part.film for part in made.parts.values()):
         source = open_source(made.film(film))
         for index, (number, _) in enumerate(source.clips):
-            found.found[film, number] = followed(source.clip(index), used)
+            found.found[film, number] = track_and_measure(source.clip(index), used)
     given: Any = detector
     about = {"name": name or name_of(given), "made": "run here", "point": found.own}
     return TrackerRun(make_entry(made, found, about), made.definition.headline)

@@ -20,7 +20,7 @@ from tracker.benchmark.suite.folder import Suite
 from tracker.camera.camera import Camera
 from tracker.camera.camera_keys import did_you_mean
 from tracker.detection.link import Tracks
-from tracker.recording import measured
+from tracker.recording import measure_tracks
 from tracker.results import load_json
 from tracker.tables.read import read_tracks
 
@@ -107,7 +107,7 @@ def read_tables(
             )
         for clip, tracks in given.items():
             own = "centre" if camera[clip].matte else point
-            found.found[film, clip] = measured(tracks, camera[clip], clip, own)
+            found.found[film, clip] = measure_tracks(tracks, camera[clip], clip, own)
         if missing := len(clips) - len(given):
             notes.append(f"{film}: no table of {missing} of {len(clips)} clips, which count as not found")
         progress(number, len(films))

@@ -39,7 +39,7 @@ class Outline:
     std: float
 
 
-def outline(frames: Sequence[Any], plate: Ground, glints: Glints, sigma: float) -> Outline | None:
+def measure_outline(frames: Sequence[Any], plate: Ground, glints: Glints, sigma: float) -> Outline | None:
     """The radius that the mean picture shows; None where the ball is too dark to be seen, or not round."""
     stack = _mean(frames, plate, glints, sigma)
     if stack is None:
@@ -60,7 +60,7 @@ def outline(frames: Sequence[Any], plate: Ground, glints: Glints, sigma: float) 
     rivals = [fit.cost for fit in fits if abs(fit.x[0] - best.x[0]) > ANOTHER]
     if rivals and min(rivals) - best.cost < SURE * max(1.0, 2.0 * best.cost / freedom):
         return None
-    if not inside or not std < radius / VISIBLE or not _needed(picture, weight, best.cost, freedom):
+    if not inside or not std < radius / VISIBLE or not _is_ball_needed(picture, weight, best.cost, freedom):
         return None
     return Outline(radius, math.hypot(std, SYSTEMATIC * radius))
 
@@ -69,7 +69,7 @@ def _mean(frames: Sequence[Any], plate: Ground, glints: Glints, sigma: float) ->
     """Mean over the plate (s, s) about single glints, and the root of each pixel's weight, 1/counts."""
     h, w = plate.level.shape
     column, row = np.rint(glints.x).astype(np.int64), np.rint(glints.y).astype(np.int64)
-    clear = (column >= HALF) & (column < w - HALF) & (row >= HALF) & (row < h - HALF) & _alone(glints)
+    clear = (column >= HALF) & (column < w - HALF) & (row >= HALF) & (row < h - HALF) & _is_only_glint(glints)
     chosen = np.flatnonzero(clear)
     if len(chosen) < FEWEST:
         return None
@@ -84,7 +84,7 @@ def _mean(frames: Sequence[Any], plate: Ground, glints: Glints, sigma: float) ->
     return total / len(chosen), np.where(core, 0.0, math.sqrt(len(chosen)) / plate.noise)
 
 
-def _alone(glints: Glints) -> NDArray[np.bool_]:
+def _is_only_glint(glints: Glints) -> NDArray[np.bool_]:
     """Which glints are the only one of their frame within the window."""
     alone = np.ones(len(glints), dtype=bool)
     for number in np.unique(glints.frame).tolist():
@@ -124,7 +124,7 @@ def _parts(radius: float, x: float, y: float, blur: float) -> Array:
     return np.stack([disc, bowl, np.ones_like(disc)], axis=-1)
 
 
-def _needed(picture: Array, weight: Array, cost: float, freedom: int) -> bool:
+def _is_ball_needed(picture: Array, weight: Array, cost: float, freedom: int) -> bool:
     """Whether there is anything but ground: chi^2 without a ball beyond doubt larger."""
     used = weight > 0
     flat = picture[used] * weight[used]

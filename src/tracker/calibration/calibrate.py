@@ -15,7 +15,7 @@ import numpy as np
 
 from synthcam_shared.errors import InputError
 from synthcam_shared.outputs import as_input_error, check_room
-from tracker.calibration.survey import Seen, survey, unscaled
+from tracker.calibration.survey import BallSighting, survey, without_scale
 from tracker.camera.camera import Camera
 from tracker.camera.camera_keys import read_json
 from tracker.camera.frames import Source, open_source, recorded
@@ -84,19 +84,19 @@ class Calibration:
 
 def check_output(path: Path) -> None:
     """Raises InputError where a camera file cannot be written, or would take another file's place."""
-    if path.exists() and not _made_here(path):
+    if path.exists() and not _is_calibration(path):
         raise InputError(f"{path}: exists and was not made by tracker calibrate, expected a new file")
     check_room(path)
 
 
-def _made_here(path: Path) -> bool:
+def _is_calibration(path: Path) -> bool:
     try:
         return "calibration" in read_json(path)
     except (OSError, ValueError, TypeError):
         return False
 
 
-def given_keys(diameter: float, fps: float, exposure: float | None, gamma: float) -> dict[str, Any]:
+def keys_from_options(diameter: float, fps: float, exposure: float | None, gamma: float) -> dict[str, Any]:
     """The keys of camera.json that the user says. Raises InputError."""
     for name, value in (("--diameter", diameter), ("--fps", fps)):
         if not (math.isfinite(value) and value > 0):
@@ -149,7 +149,7 @@ def calibrate(
     InputError
         For what cannot be read, or has no glints.
     """
-    given = given_keys(diameter, fps, exposure, gamma)
+    given = keys_from_options(diameter, fps, exposure, gamma)
     source = open_source(video)
     number, frames = source.film(0)
     width, height = frames.shape[:0:-1]
@@ -159,7 +159,7 @@ def calibrate(
     rest = sorted({*range(len(source))} - {*rough})
     steps, total, ways = count(1), 2 * len(rough) + len(rest), dict[str, tuple[float, float]]()
 
-    def survey_all(source: Source, picks: Sequence[int], known: dict[str, Any], detector: str) -> list[Seen]:
+    def survey_all(source: Source, picks: Sequence[int], known: dict[str, Any], detector: str) -> list[BallSighting]:
         found = []
         for one in in_parallel(functools.partial(survey, source, known, detector, bool(ways)), picks, workers, video):
             found.append(one)
@@ -167,7 +167,7 @@ def calibrate(
         return sorted(found, key=lambda one: one.index)
 
     first_by, then_by = "centroid", GLINTS
-    first = unscaled(recorded(number, frames, Camera.from_dict(given), ("", "")))
+    first = without_scale(recorded(number, frames, Camera.from_dict(given), ("", "")))
     if choose((coloured := in_its_channel(first, None)[0]).frames, first.camera)[0] == DISCS:
         source, first_by, then_by = replace(source, channel=coloured.channel), DISCS, DISCS
     for detector in (first_by, then_by):  # the second time with the size of the balls known
@@ -178,10 +178,10 @@ def calibrate(
     if rest:
         seen += survey_all(source, rest, given | (_sensor_keys(_middle(seen)) if then_by == GLINTS else {}), then_by)
         ways = _ways(seen, diameter)
-    return _gathered(seen, ways, video, exposure is not None, then_by)
+    return _combine(seen, ways, video, exposure is not None, then_by)
 
 
-def _middle(seen: Sequence[Seen]) -> Camera:
+def _middle(seen: Sequence[BallSighting]) -> Camera:
     """The camera of the clip whose glints are of middle width."""
     return sorted(seen, key=lambda s: s.camera.psf_sigma or 0.0)[len(seen) // 2].camera
 
@@ -194,12 +194,12 @@ def _sensor_keys(camera: Camera) -> dict[str, Any]:
     return sensor if camera.psf_sigma is None else {"psf": whole["psf"], **sensor}
 
 
-def _ways(seen: Sequence[Seen], diameter: float) -> dict[str, tuple[float, float]]:
+def _ways(seen: Sequence[BallSighting], diameter: float) -> dict[str, tuple[float, float]]:
     """Scale and standard error, m/px, by each way that some clip allows."""
     out = {}
     contacts = [(t.distance, t.std) for s in seen for t in s.contact_distances]
     if contacts:
-        distance, std = weighted_mean(contacts)  # of the glints, which are what is tracked without a lamp
+        distance, std = inverse_variance_mean(contacts)  # of the glints, which are what is tracked without a lamp
         if any(s.encoded for s in seen):
             std = math.hypot(std, ENCODED_ALIKE * float(np.median([one for _, one in contacts])))
         out["contact"] = (diameter / distance, diameter / distance**2 * std)
@@ -211,7 +211,7 @@ def _ways(seen: Sequence[Seen], diameter: float) -> dict[str, tuple[float, float
     return out
 
 
-def weighted_mean(values: list[tuple[float, float]]) -> tuple[float, float]:
+def inverse_variance_mean(values: list[tuple[float, float]]) -> tuple[float, float]:
     """Weighted mean and its error, no smaller than their own scatter says; without strays."""
     value, std = np.array(values).T
     off = np.abs(value - np.median(value))
@@ -223,8 +223,8 @@ def weighted_mean(values: list[tuple[float, float]]) -> tuple[float, float]:
     return mean, math.sqrt(max(1.0, chi2) / float(np.sum(weight)))
 
 
-def _gathered(
-    seen: Sequence[Seen], ways: dict[str, tuple[float, float]], video: Path, timed: bool, detector: str
+def _combine(
+    seen: Sequence[BallSighting], ways: dict[str, tuple[float, float]], video: Path, timed: bool, detector: str
 ) -> Calibration:
     found, discs = sum(s.balls for s in seen), detector == DISCS
     if found < FEWEST:
@@ -241,7 +241,9 @@ def _gathered(
     return Calibration(replace(_middle(seen), scale=scale), std, best, ways, tuple(missing), discs)
 
 
-def _of_scale(seen: Sequence[Seen], ways: dict[str, tuple[float, float]], best: str, discs: bool) -> Sequence[str]:
+def _of_scale(
+    seen: Sequence[BallSighting], ways: dict[str, tuple[float, float]], best: str, discs: bool
+) -> Sequence[str]:
     """What the ways to the scale do not show."""
     unseen = "no outline is bright enough to be seen"
     if discs:

@@ -11,7 +11,7 @@ import numpy as np
 
 from synthcam_shared.errors import InputError
 from synthcam_shared.outputs import as_input_error
-from tracker.calibration.calibrate import check_output, given_keys
+from tracker.calibration.calibrate import check_output, keys_from_options
 from tracker.calibration.plate_points import PlatePoints, find_board, read_points, size_of
 from tracker.calibration.plate_view import PlateView, fit_view
 from tracker.camera.camera import Camera
@@ -127,7 +127,7 @@ def calibrate_plate(
     ------
     InputError
     """
-    given = given_keys(*said)
+    given = keys_from_options(*said)
     if points is not None and board:
         raise InputError("--points, --board: expected one of them")
     for name, value in (("--error", error), ("--height", height)):

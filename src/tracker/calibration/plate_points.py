@@ -16,7 +16,7 @@ from tracker.camera.frames import open_source
 from tracker.camera.lens import Array
 from tracker.camera.pictures import PICTURES, read_picture
 from tracker.tables.content import Content
-from tracker.tables.rows import real
+from tracker.tables.rows import to_numbers
 
 COLUMNS = ("x_px", "y_px", "x", "y")
 FEWEST = 4
@@ -45,7 +45,7 @@ def read_points(path: Path) -> PlatePoints:
         there = shown(", ".join(map(str, table.columns)), quoted=False)
         raise content.wrong(f"no column {', '.join(missing)}, expected {', '.join(COLUMNS)} (px, m); found {there}")
     pixels, metres = (
-        np.column_stack([real(table[name], name, content.where) for name in names])
+        np.column_stack([to_numbers(table[name], name, content.where) for name in names])
         for names in (COLUMNS[:2], COLUMNS[2:])
     )
     if not np.isfinite(pixels).all() or not np.isfinite(metres).all():

@@ -68,11 +68,9 @@ def fit_view(points: PlatePoints, size: tuple[int, int], error: float, height: f
     _check(points, size)
     lens = max((count for needed, count in LENS if len(points.pixels) >= needed), default=0)
     problem = _Problem(points, size, error, height, lens)
-    tried = (_fitted(problem, turn, begin, TRIED) for turn, begin in _starts(problem))
+    tried = (_fit(problem, turn, begin, TRIED) for turn, begin in _starts(problem))
     turn, x, _, _ = min(tried, key=lambda fit: float(fit[2] @ fit[2]))
-    turn, x, residual, slope = _fitted(
-        problem, problem.turned(turn, x), problem.unturned(x)
-    )  # its rotation vector is 0
+    turn, x, residual, slope = _fit(problem, problem.turned(turn, x), problem.unturned(x))  # its rotation vector is 0
     left = residual[: points.pixels.size].reshape(-1, 2) * error
     _judge(points, residual, len(residual) - len(x), left)
     values, vectors = np.linalg.eigh(np.linalg.inv(slope.T @ slope))
@@ -132,7 +130,7 @@ class _Problem:
         return np.concatenate([((pixels - self.points.pixels) / self.error).ravel(), known])
 
 
-def _fitted(problem: _Problem, turn: Array, begin: Array, most: int = 300) -> tuple[Array, Array, Array, Array]:
+def _fit(problem: _Problem, turn: Array, begin: Array, most: int = 300) -> tuple[Array, Array, Array, Array]:
     """Rotation, x, residuals and their derivatives at the least squares near a beginning."""
     fit = least_squares(problem.residual, begin, args=(turn,), x_scale="jac", max_nfev=most)
     return turn, fit.x, fit.fun, np.asarray(fit.jac)

@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass, replace
 from typing import Any
 
-from tracker.calibration.ball_outline import Outline, outline
+from tracker.calibration.ball_outline import Outline, measure_outline
 from tracker.calibration.contact_distance import ContactDistance, contact_distances
 from tracker.camera.camera import Camera
 from tracker.camera.frames import Clip, Source, recorded
@@ -21,7 +21,7 @@ ENCODED_PX = 0.3  # of a contact's distance in lossy video: read from ten drawn 
 
 
 @dataclass(frozen=True)
-class Seen:
+class BallSighting:
     """One clip's part: balls found in all frames together, and how large they are seen.
 
     Attributes
@@ -44,7 +44,7 @@ class Seen:
     encoded: bool
 
 
-def survey(source: Source, known: dict[str, Any], name: str, sized: bool, index: int) -> Seen:
+def survey(source: Source, known: dict[str, Any], name: str, sized: bool, index: int) -> BallSighting:
     """Clip ``index`` of a source, searched by the detector ``name``.
 
     known: keys of camera.json; sized: whether the scale among them is more than a guess.
@@ -55,25 +55,25 @@ def survey(source: Source, known: dict[str, Any], name: str, sized: bool, index:
     return _discs(clip, index, sized) if name == DISCS else _glints(clip, name, index)
 
 
-def unscaled(clip: Clip) -> Clip:
+def without_scale(clip: Clip) -> Clip:
     """The same recording, in which nothing ties pixels to metres."""
     bare = Camera.unknown(clip.camera.size, clip.camera.sensor.bits)
     return replace(clip, camera=replace(bare, sensor=clip.camera.sensor))
 
 
-def _glints(clip: Clip, name: str, index: int) -> Seen:
+def _glints(clip: Clip, name: str, index: int) -> BallSighting:
     view = view_of(clip)
     glints = detect(clip, view, name)
     tracks = link(glints, view.camera)
     encoded = view.camera.sensor.codec_noise > 0
-    seen = None if encoded else outline(clip.frames, view.plate, glints, view.sigma)
+    seen = None if encoded else measure_outline(clip.frames, view.plate, glints, view.sigma)
     if seen is not None:
         seen = replace(seen, std=math.hypot(seen.std, HEIGHTS * clip.camera.ball_diameter / 4 * seen.radius))
-    return Seen(index, view.camera, len(tracks), contact_distances(tracks), seen, encoded)
+    return BallSighting(index, view.camera, len(tracks), contact_distances(tracks), seen, encoded)
 
 
-def _discs(clip: Clip, index: int, sized: bool) -> Seen:
-    looked_at = clip if sized else unscaled(clip)
+def _discs(clip: Clip, index: int, sized: bool) -> BallSighting:
+    looked_at = clip if sized else without_scale(clip)
     view = view_of(looked_at, DISCS)
     finder: Any = detector(DISCS)(view)
     lossy = clip.frames.lossy
@@ -84,7 +84,7 @@ def _discs(clip: Clip, index: int, sized: bool) -> Seen:
         view.takes.spans if view.takes else (),
     )
     contacts = [replace(c, std=math.hypot(c.std, ENCODED_PX * lossy)) for c in contact_distances(tracks)]
-    return Seen(index, clip.camera, len(tracks), contacts, _outline(finder), lossy)
+    return BallSighting(index, clip.camera, len(tracks), contacts, _outline(finder), lossy)
 
 
 def _outline(finder: Any) -> Outline | None:

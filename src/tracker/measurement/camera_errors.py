@@ -16,9 +16,9 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from tracker.camera.view_errors import moved, scale_at
-from tracker.measurement.collision.derived import Values, of_free, of_tied
-from tracker.measurement.collision.fitting import Fit, Pair, Whitened
-from tracker.measurement.positions import Course
+from tracker.measurement.collision.derived import DerivedValues, derive_from_free, derive_from_tied
+from tracker.measurement.collision.least_squares import BallPair, CollisionFit, WhitenedResiduals
+from tracker.measurement.positions import BallTrack
 
 if TYPE_CHECKING:
     from tracker.camera.camera import Camera, Lamp
@@ -49,13 +49,13 @@ class CameraError:
     value: float
     share: float
 
-    def course(self, course: Course, by: float, fps: float) -> Course:
+    def move_track(self, track: BallTrack, by: float, fps: float) -> BallTrack:
         """A ball's positions and times."""
         if self.key == "scale":
-            return replace(course, position=course.position * (1 + by * self.share))
+            return replace(track, position=track.position * (1 + by * self.share))
         if self.key == "fps":
-            return replace(course, start=course.start - course.frame / fps * by * self.share)
-        return course
+            return replace(track, start=track.start - track.frame / fps * by * self.share)
+        return track
 
     def diameter(self, diameter: float, by: float) -> float:
         """The balls' diameter."""
@@ -65,9 +65,9 @@ class CameraError:
         """The frame rate."""
         return fps * (1 + by * self.share) if self.key == "fps" else fps
 
-    def pair(self, pair: Pair, by: float, fps: float) -> Pair:
+    def pair(self, pair: BallPair, by: float, fps: float) -> BallPair:
         """Both balls of a pair, and their diameter."""
-        struck, striker = (self.course(course, by, fps) for _, course in pair.balls)
+        struck, striker = (self.move_track(track, by, fps) for _, track in pair.balls)
         return replace(pair, struck=struck, striker=striker, diameter=self.diameter(pair.diameter, by))
 
 
@@ -85,12 +85,12 @@ class ViewError(CameraError):
         share = (scale_at(moved(camera, STEP * change)) / scale_at(camera) - 1) / STEP
         return ViewError(f"view_errors[{number}]", float(camera.K[0, 0]), share, camera, change)
 
-    def course(self, course: Course, by: float, fps: float) -> Course:
+    def move_track(self, track: BallTrack, by: float, fps: float) -> BallTrack:
         """A ball's positions, as the other view places what is seen at the same pixels."""
         height = self.camera.centre_height
-        middle = np.column_stack([course.position, np.full(len(course), height)])
+        middle = np.column_stack([track.position, np.full(len(track), height)])
         position, _ = moved(self.camera, by * self.change).unproject(self.camera.project(middle), height)
-        return replace(course, position=position)
+        return replace(track, position=position)
 
 
 @dataclass(frozen=True)
@@ -118,9 +118,9 @@ class LampError(CameraError):
         other = replace(self.camera, lamp=replace(lamp, position=(x, y, z)))
         return other.ball_of_glint(self.camera.glint_of_centre(given))[..., :2]
 
-    def course(self, course: Course, by: float, fps: float) -> Course:
+    def move_track(self, track: BallTrack, by: float, fps: float) -> BallTrack:
         """A ball's positions, if they were found from its glints."""
-        return replace(course, position=self.centres(course.position, by)) if course.mirrored else course
+        return replace(track, position=self.centres(track.position, by)) if track.from_glint else track
 
 
 def camera_errors(camera: Camera) -> tuple[CameraError, ...]:
@@ -133,7 +133,9 @@ def camera_errors(camera: Camera) -> tuple[CameraError, ...]:
     return (*known, *views, *lamps)
 
 
-def carry(fit: Fit, values: Values, tied: bool, camera: Camera) -> tuple[Fit, Values]:
+def add_camera_errors(
+    fit: CollisionFit, values: DerivedValues, tied: bool, camera: Camera
+) -> tuple[CollisionFit, DerivedValues]:
     """Add the errors of the camera file to a fit and its quantities.
 
     The parameters keep their values: the errors of the camera are not estimated.
@@ -157,25 +159,31 @@ def carry(fit: Fit, values: Values, tied: bool, camera: Camera) -> tuple[Fit, Va
     errors, pair = camera_errors(camera), fit.pair
     if not errors:
         return fit, values
-    problem = Whitened(pair, tied)
+    problem = WhitenedResiduals(pair, tied)
     x, kept = fit.parameters[problem.index], np.ix_(problem.index, problem.index)
-    moved = slopes(errors, lambda error, by: Whitened(error.pair(pair, by, camera.fps), tied).residual(x))
-    fitted, explained = response(*problem(x), fit.cov[kept], moved)
+    moved = differentiate(
+        errors, lambda error, by: WhitenedResiduals(error.pair(pair, by, camera.fps), tied).residual(x)
+    )
+    fitted, explained = linear_response(*problem(x), fit.cov[kept], moved)
     shift = np.zeros((len(fit.parameters), len(errors)))
     shift[problem.index] = fitted
 
-    def quantities(at: Floats, diameter: float) -> Values:
-        return of_tied(at, fit.cov, diameter, pair.spin) if tied else of_free(at, fit.cov, diameter, shift)
+    def quantities(at: Floats, diameter: float) -> DerivedValues:
+        return (
+            derive_from_tied(at, fit.cov, diameter, pair.spin)
+            if tied
+            else derive_from_free(at, fit.cov, diameter, shift)
+        )
 
     def changed(error: CameraError, by: float) -> Floats:
         at = fit.parameters + by * shift[:, errors.index(error)]
         return quantities(at, error.diameter(pair.diameter, by)).value
 
     values = quantities(fit.parameters, pair.diameter)
-    return replace(fit, chi2=fit.chi2 - explained), values.with_shared(slopes(errors, changed))
+    return replace(fit, chi2=fit.chi2 - explained), values.with_shared(differentiate(errors, changed))
 
 
-def touching(free: Fit, camera: Camera) -> tuple[float, float]:
+def measure_contact_distance(free: CollisionFit, camera: Camera) -> tuple[float, float]:
     """How far apart the balls' centres are at the contact, by their tracks alone.
 
     Parameters
@@ -189,18 +197,20 @@ def touching(free: Fit, camera: Camera) -> tuple[float, float]:
     distance, std : float
         In diameters, and its standard error with those of scale and diameter.
     """
-    problem, unit = Whitened(free.pair, False), CameraError("ball_diameter", camera.ball_diameter, 0.01)
+    problem, unit = WhitenedResiduals(free.pair, False), CameraError("ball_diameter", camera.ball_diameter, 0.01)
     x, kept = free.parameters[problem.index], np.ix_(problem.index, problem.index)
     residual, rows = problem(x)
-    moved = slopes([unit], lambda error, by: Whitened(error.pair(free.pair, by, camera.fps), False).residual(x))
-    left = (moved + rows @ response(residual, rows, free.cov[kept], moved)[0])[:, 0]
+    moved = differentiate(
+        [unit], lambda error, by: WhitenedResiduals(error.pair(free.pair, by, camera.fps), False).residual(x)
+    )
+    left = (moved + rows @ linear_response(residual, rows, free.cov[kept], moved)[0])[:, 0]
     square = max(float(left @ left), 1e-300)
     off, worse = -float(left @ residual) / square, (free.chi2 - float(left @ residual) ** 2 / square) / max(free.dof, 1)
     known = [error.share for error in camera_errors(camera) if error.key != "fps"]
     return 1 + off * unit.share, float(np.linalg.norm([unit.share * np.sqrt(max(worse, 1.0) / square), *known]))
 
 
-def slopes(errors: Sequence[CameraError], function: Callable[[CameraError, float], Floats]) -> Floats:
+def differentiate(errors: Sequence[CameraError], function: Callable[[CameraError, float], Floats]) -> Floats:
     """Derivatives (m, k) by each of k keys of the camera, per standard error.
 
     function(error, by) gives the m values, were the key larger by so many of its standard errors.
@@ -208,7 +218,7 @@ def slopes(errors: Sequence[CameraError], function: Callable[[CameraError, float
     return np.array([(function(e, STEP) - function(e, -STEP)) / (2 * STEP) for e in errors]).T
 
 
-def response(residual: Floats, rows: Floats, cov: Floats, by: Floats) -> tuple[Floats, float]:
+def linear_response(residual: Floats, rows: Floats, cov: Floats, by: Floats) -> tuple[Floats, float]:
     """What disturbances of normal size 1 do to a least-squares fit.
 
     Parameters
@@ -231,7 +241,7 @@ def response(residual: Floats, rows: Floats, cov: Floats, by: Floats) -> tuple[F
     return shift, float(pull @ np.linalg.solve(np.eye(by.shape[1]) + left.T @ left, pull))
 
 
-def shared_block(camera: Camera, blocks: dict[str, Floats]) -> dict[str, Any]:
+def effects_to_json(camera: Camera, blocks: dict[str, Floats]) -> dict[str, Any]:
     """The entry "shared" of `cov` in estimates.parquet; see docs/format.md.
 
     Parameters
@@ -255,7 +265,7 @@ def _plain(numbers: Floats) -> list[float | None]:
     return [float(v) if np.isfinite(v) else None for v in numbers]
 
 
-def shared(rows: pd.DataFrame, names: Sequence[str], *fits: str) -> Floats:
+def shared_effects(rows: pd.DataFrame, names: Sequence[str], *fits: str) -> Floats:
     """What errors of the camera file that several rows have in common do to their quantities.
 
     Parameters
@@ -289,7 +299,7 @@ def shared(rows: pd.DataFrame, names: Sequence[str], *fits: str) -> Floats:
     return out
 
 
-def shared_part(effects: Floats) -> Floats:
+def covariance_of_shared(effects: Floats) -> Floats:
     """What such effects (..., names, errors) make of a covariance (..., names, names), as far as clips share it."""
     part = effects @ np.swapaxes(effects, -1, -2)
     return np.asarray(part * (1 - FIRST_ORDER**2 * np.eye(part.shape[-1])))

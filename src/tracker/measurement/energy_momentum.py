@@ -10,8 +10,8 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from tracker.measurement.collision.adequacy import MEASURED
-from tracker.measurement.collision.collision_model import AFTER, release
-from tracker.measurement.positions import Course, courses
+from tracker.measurement.collision.collision_model import AFTER, tied_to_free
+from tracker.measurement.positions import BallTrack, to_ball_tracks
 
 if TYPE_CHECKING:
     from tracker.camera.camera import Camera
@@ -40,9 +40,9 @@ def motion_table(tracks: Tracks, camera: Camera, row: Mapping[str, Any]) -> pd.D
         slip after the collision and across it (z x that), the paper's x and y; NaN for a ball that took no part in it.
     """
     slips = slip_directions(row)
-    balls = [c for c in courses(tracks, camera) if len(c) >= 2] if camera.metric else []
+    balls = [c for c in to_ball_tracks(tracks, camera) if len(c) >= 2] if camera.metric else []
     empty = [np.empty(0, np.int64 if name == "particle" else float) for name in COLUMNS]
-    parts = [empty, *(_of_ball(course, slips.get(course.particle)) for course in balls)]
+    parts = [empty, *(_of_ball(track, slips.get(track.particle)) for track in balls)]
     whole = map(np.concatenate, zip(*parts, strict=True))
     return pd.DataFrame(dict(zip(COLUMNS, whole, strict=True)))
 
@@ -55,7 +55,7 @@ def slip_directions(row: Mapping[str, Any]) -> dict[int, Floats]:
     heading, b, v0, r, c = map(float, launch)
     before = [float(np.nan_to_num(row.get(name, 0.0))) for name in BEFORE]
     tied = np.array([0, 0, 0, heading, np.arcsin(np.clip(b, -1, 1)), v0, 0, 0, r, 0, c, *before])
-    free = np.asarray(release(tied), dtype=np.float64)
+    free = np.asarray(tied_to_free(tied), dtype=np.float64)
     out = {}
     for ball, at in AFTER.items():
         lost = free[at : at + 2] - free[at + 2 : at + 4]
@@ -63,20 +63,20 @@ def slip_directions(row: Mapping[str, Any]) -> dict[int, Floats]:
     return out
 
 
-def differences(course: Course) -> tuple[Floats, Floats]:
+def differences(track: BallTrack) -> tuple[Floats, Floats]:
     """Velocity (n, 2) m/s at each frame from its neighbours, and what noise adds to v^2 (n,)."""
-    last = len(course) - 1
+    last = len(track) - 1
     ahead, behind = np.minimum(np.arange(last + 1) + 1, last), np.maximum(np.arange(last + 1) - 1, 0)
-    span = (course.start[ahead] - course.start[behind])[:, None]
-    velocity = (course.position[ahead] - course.position[behind]) / span
-    noise = np.trace(course.cov[ahead] + course.cov[behind], axis1=1, axis2=2) / span[:, 0] ** 2
+    span = (track.start[ahead] - track.start[behind])[:, None]
+    velocity = (track.position[ahead] - track.position[behind]) / span
+    noise = np.trace(track.cov[ahead] + track.cov[behind], axis1=1, axis2=2) / span[:, 0] ** 2
     return velocity, noise
 
 
-def _of_ball(course: Course, slip: Floats | None) -> list[NDArray[Any]]:
+def _of_ball(track: BallTrack, slip: Floats | None) -> list[NDArray[Any]]:
     """The columns of one ball."""
-    velocity, noise = differences(course)
+    velocity, noise = differences(track)
     along = np.full(2, np.nan) if slip is None else slip
     across = np.array([-along[1], along[0]])
-    values = [course.time, np.full(len(course), course.particle), velocity[:, 0], velocity[:, 1]]
+    values = [track.time, np.full(len(track), track.particle), velocity[:, 0], velocity[:, 1]]
     return [*values, ((velocity**2).sum(axis=1) - noise) / 2, velocity @ along, velocity @ across]

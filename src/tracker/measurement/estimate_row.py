@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tracker.measurement.collision.collision_model import SPIN
-from tracker.measurement.collision.derived import NAMES
+from tracker.measurement.collision.derived import QUANTITY_NAMES
 from tracker.measurement.energy_momentum import BEFORE
 
 if TYPE_CHECKING:
@@ -18,10 +18,10 @@ if TYPE_CHECKING:
 Floats = NDArray[np.float64]
 
 
-def unmeasured(camera: Camera, status: str, index: int = 0) -> dict[str, Any]:
+def empty_row(camera: Camera, status: str, index: int = 0) -> dict[str, Any]:
     """A row in which nothing is measured."""
     row: dict[str, Any] = {"collision": index, "striker": camera.striker, "status": status}
-    for name in NAMES:
+    for name in QUANTITY_NAMES:
         for kind in ("", "_free", "_paper"):
             row[f"{name}{kind}"] = row[f"{name}{kind}_std"] = np.nan
     row |= dict.fromkeys(("particle1", "particle2", "frame_first", "frame_last"), -1)

@@ -10,9 +10,9 @@ import pandas as pd
 from numpy.typing import NDArray
 from scipy.optimize import brentq, least_squares
 
-from tracker.measurement.camera_errors import shared, shared_part
+from tracker.measurement.camera_errors import covariance_of_shared, shared_effects
 from tracker.measurement.collision.collision_model import GRAVITY, SLIP_RATE
-from tracker.measurement.collision.fitting import covariance
+from tracker.measurement.collision.least_squares import covariance
 
 Floats = NDArray[np.float64]
 SHARED = ("r", "mu_k", "C")
@@ -35,11 +35,13 @@ def fit_all(estimates: pd.DataFrame) -> dict[str, Any]:
     """
     ok = estimates[estimates["status"] == "ok"] if len(estimates) else estimates
     roll = estimates[estimates["status"].isin(["ok", "no_collision"])] if len(estimates) else estimates
-    scatter = {name: _between(ok, name) for name in SHARED} | {name: _between(roll, name) for name in ROLLING}
+    scatter = {name: _mean_and_scatter(ok, name) for name in SHARED} | {
+        name: _mean_and_scatter(roll, name) for name in ROLLING
+    }
     return {"clips": len(ok), "chi2": _paper_chi2(ok), "scatter": scatter, "rolling": _rolling(roll)}
 
 
-def predicted(v0: Floats, b: Floats, shared: Floats) -> Floats:
+def predict(v0: Floats, b: Floats, shared: Floats) -> Floats:
     """(n, 4): v1f, v2f, tau1, tau2 for speeds v0 and impact parameters b/2R (n,), shared = (r, mu_k, C).
 
     The paper's F, G, H, I (eqs 1-4) for any b: the normal part scaled by sqrt(1 - b^2), the tangential part
@@ -68,16 +70,16 @@ def _paper_chi2(ok: pd.DataFrame) -> dict[str, Any]:
     good = np.array([_positive(cov) for cov in weights])
     if not good.any():
         return {**nothing, "chi2": None, "dof": 0}
-    common = shared(rows[good], (*OBSERVED, *GIVEN), "free")  # what each shared error adds to seen, v0 and b
+    common = shared_effects(rows[good], (*OBSERVED, *GIVEN), "free")  # what each shared error adds to seen, v0 and b
     weights, seen, v0, b = weights[good], seen[good], v0[good], np.clip(b[good], -STEEPEST, STEEPEST)
-    weights = weights - shared_part(common)
+    weights = weights - covariance_of_shared(common)
     start = np.append(start, np.zeros(common.shape[2]))
     for _ in range(3):  # the errors of v0 and b count too, and how much depends on r, mu_k, C
         whiten = _whiten(weights, v0, b, start[:3])
 
         def residual(p: Floats, whiten: Floats = whiten) -> Floats:
             off = common @ p[3:]
-            model = predicted(v0 - off[:, 4], np.clip(b - off[:, 5], -STEEPEST, STEEPEST), p[:3])
+            model = predict(v0 - off[:, 4], np.clip(b - off[:, 5], -STEEPEST, STEEPEST), p[:3])
             return np.append(np.matmul(whiten, (model - seen + off[:, :4])[..., None]).ravel(), p[3:])
 
         found = least_squares(residual, start, method="lm", x_scale="jac")
@@ -124,7 +126,7 @@ def _whiten(covs: Floats, v0: Floats, b: Floats, shared: Floats) -> Floats:
     slope = np.zeros((n, 4, 6))
     slope[:, range(4), range(4)] = 1.0
     for column, (dv, db) in enumerate(((1e-6, 0.0), (0.0, 1e-6)), start=4):
-        slope[:, :, column] = -(predicted(v0 + dv, b + db, shared) - predicted(v0 - dv, b - db, shared)) / 2e-6
+        slope[:, :, column] = -(predict(v0 + dv, b + db, shared) - predict(v0 - dv, b - db, shared)) / 2e-6
     cov = slope @ covs @ np.swapaxes(slope, 1, 2)
     size, axes = np.linalg.eigh(cov)
     least = np.maximum(size, ROUNDED * size[:, -1:])
@@ -133,7 +135,7 @@ def _whiten(covs: Floats, v0: Floats, b: Floats, shared: Floats) -> Floats:
 
 def _rolling(rows: pd.DataFrame) -> dict[str, Any]:
     """drag and decel of all clips, weighed by the inverse of their joint covariances."""
-    common = shared(rows, ROLLING, "tied", "rolling")
+    common = shared_effects(rows, ROLLING, "tied", "rolling")
     errors = common.shape[2]  # each an unknown of normal size 1 beside drag and decel
     information, pull, n = np.diag([0.0, 0.0, *np.ones(errors)]), np.zeros(2 + errors), 0
     for (_, row), effect in zip(rows.iterrows(), common, strict=True):
@@ -143,7 +145,7 @@ def _rolling(rows: pd.DataFrame) -> dict[str, Any]:
         if block is None:
             continue
         pick = [table["names"].index(name) for name in ROLLING]
-        cov = np.array(block, dtype=np.float64)[np.ix_(pick, pick)] - shared_part(effect)
+        cov = np.array(block, dtype=np.float64)[np.ix_(pick, pick)] - covariance_of_shared(effect)
         if np.isfinite(value).all() and _positive(cov):
             design = np.column_stack([np.eye(2), effect])
             weight = design.T @ np.linalg.inv(cov)
@@ -158,7 +160,7 @@ def _rolling(rows: pd.DataFrame) -> dict[str, Any]:
     return values | stds | {"n": n} | ({"shared_std": part} if errors else {})
 
 
-def _between(rows: pd.DataFrame, name: str) -> dict[str, Any]:
+def _mean_and_scatter(rows: pd.DataFrame, name: str) -> dict[str, Any]:
     """Weighted mean over clips, its error, and the scatter between clips beyond their errors.
 
     The scatter makes the weighted sum of squares its own expectation, n - 1 (Paule & Mandel 1982).
@@ -167,9 +169,12 @@ def _between(rows: pd.DataFrame, name: str) -> dict[str, Any]:
     kept = rows.dropna(subset=columns) if set(columns) <= set(rows.columns) else rows.iloc[:0]
     if not len(kept):
         return {"mean": None, "std": None, "scatter": None, "n": 0}
-    effects = shared(kept, (name,), "tied", "rolling")
+    effects = shared_effects(kept, (name,), "tied", "rolling")
     common = effects[:, 0]
-    x, s2 = kept[name].to_numpy(float), kept[f"{name}_std"].to_numpy(float) ** 2 - shared_part(effects)[:, 0, 0]
+    x, s2 = (
+        kept[name].to_numpy(float),
+        kept[f"{name}_std"].to_numpy(float) ** 2 - covariance_of_shared(effects)[:, 0, 0],
+    )
 
     def weighed(spread: float) -> tuple[float, float, float, float]:
         """Weighted mean, the weights' sum without and with the shared errors, chi^2."""

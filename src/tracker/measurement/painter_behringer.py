@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 
 from tracker.measurement.camera_errors import camera_errors
 from tracker.measurement.collision.collision_model import GRAVITY
-from tracker.measurement.collision.contacts import Encounter
-from tracker.measurement.collision.derived import NAMES
-from tracker.measurement.positions import Course
+from tracker.measurement.collision.contacts import Contact
+from tracker.measurement.collision.derived import QUANTITY_NAMES
+from tracker.measurement.positions import BallTrack
 
 if TYPE_CHECKING:
     from tracker.camera.camera import Camera
@@ -28,13 +28,15 @@ SETTLED = 0.3  # of its peak: acceleration under this means that sliding is over
 READING = float(np.sqrt(2 / 12))  # frames; std of a time between two instants, each known to one frame
 
 
-def columns(meeting: Encounter, camera: Camera) -> dict[str, float]:
+def paper_columns(contact: Contact, camera: Camera) -> dict[str, float]:
     """NAME_paper and NAME_paper_std, with the errors of the camera file."""
-    table = read(meeting, camera.fps)
+    table = read_differences(contact, camera.fps)
     square = {name: std**2 for name, (_, std) in table.items()}
     for error in camera_errors(camera):
         high, low = (
-            read(replace(meeting, pair=error.pair(meeting.pair, sign, camera.fps)), error.rate(camera.fps, sign))
+            read_differences(
+                replace(contact, pair=error.pair(contact.pair, sign, camera.fps)), error.rate(camera.fps, sign)
+            )
             for sign in (1, -1)
         )
         for name in table:
@@ -43,39 +45,39 @@ def columns(meeting: Encounter, camera: Camera) -> dict[str, float]:
     return values | {f"{name}_paper_std": float(np.sqrt(s)) for name, s in square.items()}
 
 
-def read(meeting: Encounter, fps: float) -> dict[str, tuple[float, float]]:
-    """NAME -> (value, standard error) for all of NAMES; NaN where the frames it needs are missing.
+def read_differences(contact: Contact, fps: float) -> dict[str, tuple[float, float]]:
+    """NAME -> (value, standard error) for all of QUANTITY_NAMES; NaN where the frames it needs are missing.
 
     Errors propagate those of the positions through the differences; a time is known to a frame.
     """
-    balls, diameter = (meeting.pair.struck, meeting.pair.striker), meeting.pair.diameter
-    ends = [slide_end(course, meeting.frame, fps) for course in balls]
-    positions, covs = zip(*(_sample(c, meeting.frame, end) for c, end in zip(balls, ends, strict=True)), strict=True)
-    taus = np.array([np.nan if end is None else (end - meeting.frame) / fps for end in ends])
+    balls, diameter = (contact.pair.struck, contact.pair.striker), contact.pair.diameter
+    ends = [slide_end(track, contact.frame, fps) for track in balls]
+    positions, covs = zip(*(_sample(c, contact.frame, end) for c, end in zip(balls, ends, strict=True)), strict=True)
+    taus = np.array([np.nan if end is None else (end - contact.frame) / fps for end in ends])
     sample, cov = np.stack(positions), np.stack(covs)  # (2, 7, 2), (2, 7, 2, 2)
     steps = np.zeros((2, 7, 2, *sample.shape))  # by ball, frame and column of the covariance's root
     for ball, row in np.argwhere(np.isfinite(sample).all(axis=2)):
         steps[ball, row, :, ball, row] = np.linalg.cholesky(cov[ball, row]).T
     moved = np.concatenate([sample[None], sample + steps.reshape(-1, *sample.shape)])
-    value, *others = _read(moved, taus, diameter, fps, meeting.pair.moving)
+    value, *others = _read(moved, taus, diameter, fps, contact.pair.target_moves)
     spread = np.nansum((np.array(others) - value) ** 2, axis=0)
     table = {name: (float(v), float(s)) for name, v, s in zip(_READ, value, np.sqrt(spread), strict=True)}
     for name, tau in zip(("tau1", "tau2"), taus, strict=True):
         table[name] = (float(tau), READING / fps if np.isfinite(tau) else np.nan)
     mu, mu_std = table["mu_k"]
     table["mu_k"] = (mu, float(np.hypot(mu_std, mu * READING / fps / np.mean(taus))))
-    contact = balls[0].time[balls[0].frame == meeting.frame]
-    table["t_c"] = (float(contact[0]) if len(contact) else np.nan, 1 / fps / np.sqrt(12))
-    table["drag"], table["decel"] = rolling_loss(balls, meeting.frame, ends, fps)
-    return {n: table[n] if np.isfinite(table[n][0]) else (np.nan, np.nan) for n in NAMES}
+    instant = balls[0].time[balls[0].frame == contact.frame]
+    table["t_c"] = (float(instant[0]) if len(instant) else np.nan, 1 / fps / np.sqrt(12))
+    table["drag"], table["decel"] = rolling_loss(balls, contact.frame, ends, fps)
+    return {n: table[n] if np.isfinite(table[n][0]) else (np.nan, np.nan) for n in QUANTITY_NAMES}
 
 
-def slide_end(course: Course, contact: int, fps: float) -> int | None:
+def slide_end(track: BallTrack, contact: int, fps: float) -> int | None:
     """First frame after the contact at which acceleration has fallen under SETTLED of its peak; None if none.
 
     Only positions after the contact are differenced, or the kick itself would be the peak.
     """
-    late = course.where(course.frame > contact)
+    late = track.where(track.frame > contact)
     whole = np.flatnonzero(np.diff(late.frame, n=1) != 1)
     late = late.where(np.arange(len(late)) <= (whole[0] if len(whole) else len(late)))
     if len(late) < 5:
@@ -90,16 +92,16 @@ def slide_end(course: Course, contact: int, fps: float) -> int | None:
 
 
 def rolling_loss(
-    balls: tuple[Course, Course], contact: int, ends: list[int | None], fps: float
+    balls: tuple[BallTrack, BallTrack], contact: int, ends: list[int | None], fps: float
 ) -> tuple[tuple[float, float], tuple[float, float]]:
     """drag and decel, each with its error: a straight line through acceleration against speed while rolling."""
     speed, loss = [], []
-    for course, end, start in zip(balls, ends, (contact, -1), strict=True):
-        stretches = [course.frame > end] if end is not None else []
+    for track, end, start in zip(balls, ends, (contact, -1), strict=True):
+        stretches = [track.frame > end] if end is not None else []
         if start < 0:
-            stretches.append(course.frame < contact)
+            stretches.append(track.frame < contact)
         for rows in stretches:
-            v = np.diff(course.position[rows], axis=0) * fps / np.diff(course.frame[rows])[:, None]
+            v = np.diff(track.position[rows], axis=0) * fps / np.diff(track.frame[rows])[:, None]
             size = np.hypot(v[:, 0], v[:, 1])
             speed.append((size[1:] + size[:-1]) / 2)
             loss.append(np.diff(size) * fps)
@@ -113,15 +115,15 @@ def rolling_loss(
     return (float(-slope[0]), float(std[0])), (float(-slope[1]), float(std[1]))
 
 
-def _sample(course: Course, contact: int, end: int | None) -> tuple[Floats, Floats]:
+def _sample(track: BallTrack, contact: int, end: int | None) -> tuple[Floats, Floats]:
     """Positions (7, 2) and covariances at the seven frames that are differenced; NaN where there is none."""
     wanted = [contact + k for k in (*BEFORE, AT, *AFTER)]
     wanted += [-1, -1] if end is None else [end + k for k in AFTER]
-    row = {int(f): i for i, f in enumerate(course.frame)}
+    row = {int(f): i for i, f in enumerate(track.frame)}
     position, cov = np.full((7, 2), np.nan), np.full((7, 2, 2), np.nan)
     for i, frame in enumerate(wanted):
         if frame in row:
-            position[i], cov[i] = course.position[row[frame]], course.cov[row[frame]]
+            position[i], cov[i] = track.position[row[frame]], track.cov[row[frame]]
     return position, cov
 
 

@@ -29,7 +29,7 @@ LASTING, AT, MOST, WAY = 0.25, 0.075, 0.45, 250.0
 
 
 @dataclass(frozen=True, eq=False)
-class Course:
+class BallTrack:
     """One ball's positions on the plate, by frame.
 
     Attributes
@@ -51,18 +51,18 @@ class Course:
     drift : tuple of float
         Of balls that lie partly in their own shadow, and of video encoded with loss: rms of the shift along either
         axis that `fixed` has in it and that lasts as a ball moves on, m; the way over which it lasts, m.
-    weighed : bool
+    has_errors : bool
         Whether the table of tracks claims errors.
-    known : float
+    noise_dof : float
         inf where the claimed errors are kept; else the degrees of freedom of the tracks' own scatter, which gave the
         errors their size.
-    stretch : float
+    error_scale : float
         That size over the size before.
     rho : float
         Correlation of the errors from one frame to the next, beyond `fixed`.
     encoded : bool
         Whether the film was encoded with loss.
-    mirrored : bool
+    from_glint : bool
         Whether these are centres that were found from glints.
     """
 
@@ -75,12 +75,12 @@ class Course:
     fixed: Floats = field(default_factory=lambda: np.empty(0))
     width: float = 0.0
     drift: tuple[float, float] = (0.0, 0.0)
-    weighed: bool = True
-    known: float = np.inf
-    stretch: float = 1.0
+    has_errors: bool = True
+    noise_dof: float = np.inf
+    error_scale: float = 1.0
     rho: float = 0.0
     encoded: bool = False
-    mirrored: bool = False
+    from_glint: bool = False
 
     def __post_init__(self) -> None:
         if len(self.fixed) == 0:
@@ -99,23 +99,23 @@ class Course:
         """By the positions' full covariance."""
         return Whitener(self.position, self.cov, self.fixed, self.width, self.frame, self.rho, self.drift)
 
-    def resized(self, size: Size) -> Course:
+    def scale_errors(self, size: Size) -> BallTrack:
         """The same ball with errors of another size, as its own scatter shows them."""
-        longer = float(np.sqrt(size.ratio)) * self.stretch
+        longer = float(np.sqrt(size.ratio)) * self.error_scale
         cov, fixed = self.cov * size.ratio, self.fixed * size.ratio
         drift = self.drift[0] * float(np.sqrt(size.ratio)), self.drift[1]
-        return replace(self, cov=cov, fixed=fixed, known=size.dof, stretch=longer, drift=drift)
+        return replace(self, cov=cov, fixed=fixed, noise_dof=size.dof, error_scale=longer, drift=drift)
 
-    def where(self, rows: NDArray[np.bool_]) -> Course:
+    def where(self, rows: NDArray[np.bool_]) -> BallTrack:
         """The same ball, only those rows."""
         if rows.all():
             return self
         parts = {f.name: getattr(self, f.name) for f in fields(self)}
         rowed = {name: v[rows] for name, v in parts.items() if isinstance(v, np.ndarray)}
-        return Course(**(parts | rowed))
+        return BallTrack(**(parts | rowed))
 
 
-def courses(tracks: Tracks, camera: Camera) -> list[Course]:
+def to_ball_tracks(tracks: Tracks, camera: Camera) -> list[BallTrack]:
     """Take tracks from pixels to the plate.
 
     Rows without a finite position are left out. Where not every row has a covariance, all get that of the tracks' own
@@ -128,7 +128,7 @@ def courses(tracks: Tracks, camera: Camera) -> list[Course]:
 
     Returns
     -------
-    list of Course
+    list of BallTrack
         One for each particle, in order of its number.
     """
     xy = np.column_stack([tracks.x, tracks.y]).astype(np.float64)
@@ -152,28 +152,28 @@ def courses(tracks: Tracks, camera: Camera) -> list[Course]:
         if any(WORDS[SHADED] in words for words in tracks.flags[keep][rows]):
             drift = UNLIT * camera.ball_diameter / 2, camera.ball_diameter
         found.append(
-            Course(
+            BallTrack(
                 int(ball), frame[rows], start[rows], position[rows], cov[rows], camera.exposure, alike,
                 width, drift, weighed, np.inf if weighed else 0.0, encoded=encoded,
-                mirrored=bool((apart[rows] > 0).any()),
+                from_glint=bool((apart[rows] > 0).any()),
             )
         )  # fmt: skip
     if weighed:
-        return _lasting(found, camera) if camera.sensor.codec_noise > 0 else found
+        return _with_codec_noise(found, camera) if camera.sensor.codec_noise > 0 else found
     size = scatter(found)
-    return found if size is None else [course.resized(size) for course in found]
+    return found if size is None else [track.scale_errors(size) for track in found]
 
 
-def _lasting(balls: list[Course], camera: Camera) -> list[Course]:
+def _with_codec_noise(balls: list[BallTrack], camera: Camera) -> list[BallTrack]:
     """The same with the part of an encoder's errors that lasts, beside what is claimed and scatters."""
-    size, every = scatter(balls), [np.trace(course.cov, axis1=1, axis2=2) / 2 for course in balls]
+    size, every = scatter(balls), [np.trace(track.cov, axis1=1, axis2=2) / 2 for track in balls]
     off = float(np.median(np.concatenate(every))) * (size.ratio if size else 1.0) / camera.scale**2 if balls else 0.0
     share, out = min(LASTING * off / AT**2, MOST), []
-    for course, variances in zip(balls, every, strict=True):
+    for track, variances in zip(balls, every, strict=True):
         own = share * float(np.median(variances))
         drift, shift = (float(np.sqrt(own)), WAY * camera.scale), own * np.eye(2)
-        wider = replace(course, cov=course.cov + shift, fixed=course.fixed + shift, drift=drift)
-        out.append(course if course.drift[0] else wider)
+        wider = replace(track, cov=track.cov + shift, fixed=track.fixed + shift, drift=drift)
+        out.append(track if track.drift[0] else wider)
     return out
 
 

@@ -13,9 +13,9 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Rectangle
 from numpy.typing import NDArray
 
-from tracker.measurement.collision.collision_model import path, release
+from tracker.measurement.collision.collision_model import mean_positions, tied_to_free
 from tracker.measurement.energy_momentum import BEFORE, motion_table
-from tracker.measurement.positions import Course
+from tracker.measurement.positions import BallTrack
 
 if TYPE_CHECKING:
     from tracker.camera.camera import Camera
@@ -31,11 +31,11 @@ MOST_NAMED = 12  # particles in a legend
 
 @dataclass(frozen=True)
 class CollisionView:
-    """One measured collision: its row of estimates, its balls' courses (1 struck, 2 striker) and the camera."""
+    """One measured collision: its row of estimates, its balls' to_ball_tracks (1 struck, 2 striker) and the camera."""
 
     clip: int
     row: pd.Series
-    balls: dict[int, Course]
+    balls: dict[int, BallTrack]
     camera: Camera
 
     @property
@@ -47,8 +47,8 @@ class CollisionView:
 
     def predict(self, ball: int, start: Floats) -> Floats:
         """Positions (n, 2) m of the tied fit, averaged over exposures that begin at start (n,)."""
-        free = np.asarray(release(self.parameters), dtype=np.float64)
-        return path(free, ball, start, self.camera.exposure, self.camera.ball_diameter)[0]
+        free = np.asarray(tied_to_free(self.parameters), dtype=np.float64)
+        return mean_positions(free, ball, start, self.camera.exposure, self.camera.ball_diameter)[0]
 
 
 def frame_figure(image: Floats, spots: pd.DataFrame, frame: int, camera: Camera) -> Figure:

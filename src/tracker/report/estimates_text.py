@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import pandas as pd
 
 from tracker.measurement.collision.adequacy import MEASURED, MISFIT
-from tracker.measurement.collision.derived import NAMES
+from tracker.measurement.collision.derived import QUANTITY_NAMES
 
 # name: (symbol, its index after _, unit, how many of it in one SI unit, what it is)
 QUANTITIES: dict[str, tuple[str, str, float, str]] = {
@@ -73,7 +73,7 @@ def rows_as_dicts(estimates: pd.DataFrame) -> list[dict[str, Any]]:
     return [{str(name): value for name, value in row.items()} for row in estimates.to_dict("records")]
 
 
-def list_quantities(row: Mapping[str, Any], names: Sequence[str] = NAMES) -> list[QuantityLine]:
+def list_quantities(row: Mapping[str, Any], names: Sequence[str] = QUANTITY_NAMES) -> list[QuantityLine]:
     """The quantities of a collision, or of a ball that rolls alone; those that no fit has are left out."""
     out = []
     for name in names:

@@ -17,7 +17,7 @@ from tracker.camera.camera import Camera
 from tracker.camera.grey import Frames
 from tracker.detection.link import Tracks
 from tracker.measurement.collision.adequacy import MEASURED, warnings
-from tracker.measurement.positions import courses
+from tracker.measurement.positions import to_ball_tracks
 from tracker.report.collision_figures import (
     CollisionView,
     all_tracks_figure,
@@ -49,7 +49,7 @@ CAPTIONS = {
     "energy": "Translational energy against time, from differences of neighbouring frames less what noise adds. "
     "Dashed: what the impact alone would leave of a head-on hit. Sliding takes the rest.",
     "speed": "Speed of each ball, from differences of neighbouring frames.",
-    "courses": "All tracks as they lie in the picture.",
+    "to_ball_tracks": "All tracks as they lie in the picture.",
 }
 
 
@@ -146,15 +146,15 @@ def draw_overview(recorded: RecordingPage) -> dict[str, Figure]:
         contacts = [float(row["t_c"]) for row in recorded.rows if _is_measured(row)]
         out["speed"] = speed_figure(recorded.motion, contacts)
     if len(recorded.tracks):
-        out["courses"] = all_tracks_figure(recorded.tracks, recorded.camera)
+        out["to_ball_tracks"] = all_tracks_figure(recorded.tracks, recorded.camera)
     return out
 
 
 def measured_collision(row: Mapping[str, Any], recorded: RecordingPage) -> CollisionView | None:
-    """A collision with its balls' courses; None where the tied fit does not say everything."""
+    """A collision with its balls' to_ball_tracks; None where the tied fit does not say everything."""
     if not _is_measured(row):
         return None
-    course = {c.particle: c for c in courses(recorded.tracks, recorded.camera)}
+    course = {c.particle: c for c in to_ball_tracks(recorded.tracks, recorded.camera)}
     balls = {k: course[int(row[f"particle{k}"])] for k in (1, 2)}
     one = CollisionView(0, pd.Series(row), balls, recorded.camera)
     return one if np.isfinite(one.parameters).all() else None

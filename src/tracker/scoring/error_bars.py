@@ -10,10 +10,10 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from tracker.detection.likelihood.cramer_rao import fixed_part
-from tracker.measurement.collision.collision_model import TARGET, release
-from tracker.measurement.collision.derived import NAMES, of_free, of_tied
-from tracker.measurement.collision.fitting import Pair, Whitened, covariance
-from tracker.measurement.positions import Course
+from tracker.measurement.collision.collision_model import TARGET, tied_to_free
+from tracker.measurement.collision.derived import QUANTITY_NAMES, derive_from_free, derive_from_tied
+from tracker.measurement.collision.least_squares import BallPair, WhitenedResiduals, covariance
+from tracker.measurement.positions import BallTrack
 from tracker.scoring.localisation import MatchedDetections
 
 if TYPE_CHECKING:
@@ -32,7 +32,7 @@ def score_quantities(table: pd.DataFrame) -> dict[str, dict[str, float]]:
     without a truth do not count; z only where an error is claimed. bound: root mean square over those rows.
     """
     out = {}
-    for name in NAMES:
+    for name in QUANTITY_NAMES:
         for kind in KINDS:
             if f"{name}{kind}" in table:
                 columns = (f"{name}{kind}", f"{name}{kind}_std", f"{name}_true", f"{name}{kind}_bound")
@@ -96,18 +96,18 @@ def quantity_bounds(matched: MatchedDetections, cov: Floats, tied: Floats, camer
     if not all(len(course) for course in balls):
         return {}
     moving = bool(tied[-len(TARGET) :].any())
-    free = np.asarray(release(tied), dtype=np.float64)
+    free = np.asarray(tied_to_free(tied), dtype=np.float64)
     out: dict[str, float] = {}
-    for kind, at, reading in (("", tied, of_tied), ("_free", free, of_free)):
-        problem = Whitened(Pair(balls[0], balls[1], camera.ball_diameter, moving), kind == "")
+    for kind, at, reading in (("", tied, derive_from_tied), ("_free", free, derive_from_free)):
+        problem = WhitenedResiduals(BallPair(balls[0], balls[1], camera.ball_diameter, moving), kind == "")
         whole = problem.whole_cov(covariance(problem.slope(at[problem.index])))
         values = reading(at, whole, camera.ball_diameter)
-        out |= {f"{n}{kind}_bound": float(s) for n, s in zip(NAMES, values.std, strict=True)}
+        out |= {f"{n}{kind}_bound": float(s) for n, s in zip(QUANTITY_NAMES, values.std, strict=True)}
     return out
 
 
-def _tracks_at_bound(matched: MatchedDetections, cov: Floats, camera: Camera) -> list[Course]:
-    """Both balls' true courses with the errors of the localisation bound; px to m at each position."""
+def _tracks_at_bound(matched: MatchedDetections, cov: Floats, camera: Camera) -> list[BallTrack]:
+    """Both balls' true to_ball_tracks with the errors of the localisation bound; px to m at each position."""
     rows = matched.truth.iloc[matched.pairs[:, 0]]
     _, slope = camera.unproject(rows[["x_mean_px", "y_mean_px"]].to_numpy(float))
     found, fixed = matched.found.iloc[matched.pairs[:, 1]], np.zeros_like(cov)
@@ -121,5 +121,5 @@ def _tracks_at_bound(matched: MatchedDetections, cov: Floats, camera: Camera) ->
         frame = rows["frame"].to_numpy(np.int64)[mine]
         position = rows[["x", "y"]].to_numpy(float)[mine]  # only how they depend on the motion matters
         start = frame / camera.fps
-        balls.append(Course(particle, frame, start, position, metres[mine], camera.exposure, shared[mine], width))
+        balls.append(BallTrack(particle, frame, start, position, metres[mine], camera.exposure, shared[mine], width))
     return balls

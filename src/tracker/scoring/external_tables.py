@@ -17,9 +17,9 @@ from tracker.report.html import describe_creation, render
 from tracker.results import finite, write_json
 from tracker.scoring.tracking_metrics import GATE_PX, TrackPoints, score_tracks
 from tracker.tables.content import Content
-from tracker.tables.read import recognised
-from tracker.tables.rows import real, whole
-from tracker.tables.table import Table
+from tracker.tables.read import recognise_format
+from tracker.tables.rows import to_numbers, to_whole_numbers
+from tracker.tables.table import TrackTable
 
 SIZE = ("width", "height")
 SAID = (
@@ -95,7 +95,7 @@ def score_table(found: Path, truth: Path, gate: float | None = None, name: str =
     ------
     InputError
     """
-    one, other = (recognised(Content.of(path)) for path in (truth, found))
+    one, other = (recognise_format(Content.of(path)) for path in (truth, found))
     units = [table.unit or ("m" if table.up else "px") for table in (one, other)]
     if units[0] != units[1] or one.up != other.up:
         raise InputError(f"{found}: lengths in {units[1]}, those of {truth} in {units[0]}; expected one unit")
@@ -119,14 +119,14 @@ def score_table(found: Path, truth: Path, gate: float | None = None, name: str =
 NOTHING = TrackPoints(np.empty(0, np.int64), np.empty(0, np.int64), np.empty((0, 2)), np.empty((0, 2)))
 
 
-def _dots(table: Table, path: Path) -> dict[int, TrackPoints]:
+def _dots(table: TrackTable, path: Path) -> dict[int, TrackPoints]:
     """By clip. Rows without a finite position are left out."""
     rows, where = table.rows, str(path)
-    columns = [real(rows[name], name, where) for name in ("x", "y")]
+    columns = [to_numbers(rows[name], name, where) for name in ("x", "y")]
     xy: NDArray[np.float64] = np.stack(columns, axis=1)
-    frame, track = (whole(rows[name], name, where) for name in ("frame", "particle"))
-    numbers = whole(rows["clip"], "clip", where) if "clip" in rows else np.zeros(len(rows), np.int64)
-    size = np.stack([real(rows[name], name, where) for name in SIZE], axis=1) if set(SIZE) <= set(rows) else None
+    frame, track = (to_whole_numbers(rows[name], name, where) for name in ("frame", "particle"))
+    numbers = to_whole_numbers(rows["clip"], "clip", where) if "clip" in rows else np.zeros(len(rows), np.int64)
+    size = np.stack([to_numbers(rows[name], name, where) for name in SIZE], axis=1) if set(SIZE) <= set(rows) else None
     keys = pd.DataFrame({"clip": numbers, "frame": frame, "particle": track})
     if keys.duplicated().any():
         first = keys[keys.duplicated()].iloc[0]

@@ -7,7 +7,7 @@ import pandas as pd
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from tracker.measurement.collision.derived import NAMES
+from tracker.measurement.collision.derived import QUANTITY_NAMES
 
 Floats = NDArray[np.float64]
 
@@ -30,7 +30,7 @@ SHOWN: dict[str, tuple[str, str, float]] = {
 def residual_figure(table: pd.DataFrame, kind: str) -> Figure:
     """Estimate - truth with error bars against v0, one panel a quantity; kind: "", "_free" or "_paper"."""
     colour = {"": TIED_COLOUR, "_free": FREE_COLOUR, "_paper": PAPER_COLOUR}[kind]
-    names = [n for n in NAMES if f"{n}_true" in table and _claims(table, n, kind) is not None]
+    names = [n for n in QUANTITY_NAMES if f"{n}_true" in table and _claims(table, n, kind) is not None]
     columns, rows = 4, max(1, -(-len(names) // 4))
     height = 1.9 * rows + 0.3
     figure = Figure(figsize=(10.2, height))
@@ -61,7 +61,7 @@ def error_bars_figure(table: pd.DataFrame) -> Figure:
     grid = np.linspace(-5, 5, 300)
     kinds = (("", TIED_COLOUR, "tied fit"), ("_free", FREE_COLOUR, "free fit"))
     for axes, (kind, colour, title) in zip(figure.subplots(1, 2, sharey=True), kinds, strict=True):
-        z = [c[1][c[2] > 0] / c[2][c[2] > 0] for n in NAMES if (c := _claims(table, n, kind)) is not None]
+        z = [c[1][c[2] > 0] / c[2][c[2] > 0] for n in QUANTITY_NAMES if (c := _claims(table, n, kind)) is not None]
         values = np.concatenate([*z, np.empty(0)])
         axes.hist(values.clip(-5, 5), bins=bins.tolist(), density=True, color=colour, alpha=0.55)
         axes.plot(grid, np.exp(-(grid**2) / 2) / np.sqrt(2 * np.pi), "-", color="0.1", lw=1, label="normal law")

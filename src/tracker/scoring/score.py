@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from synthcam_shared.errors import InputError
 from tracker.camera.camera import Camera
 from tracker.measurement.collision.adequacy import MEASURED, MISFIT
-from tracker.measurement.collision.derived import NAMES
+from tracker.measurement.collision.derived import QUANTITY_NAMES
 from tracker.parallel import in_order, in_parallel
 from tracker.results import finite, write_json
 from tracker.scoring.error_bars import quantity_bounds, score_quantities, true_motion
@@ -202,7 +202,7 @@ def join_truth(scalars: pd.DataFrame, estimates: pd.DataFrame, limits: pd.DataFr
     bad = ~estimates["status"].isin(MEASURED)
     order = estimates.assign(_bad=bad).sort_values(["clip", "_bad", "collision"], kind="stable")
     first = order.drop_duplicates("clip").drop(columns="_bad")
-    names = [n for n in NAMES if n in scalars]
+    names = [n for n in QUANTITY_NAMES if n in scalars]
     truth = scalars[["clip", *names]].rename(columns={n: f"{n}_true" for n in names})
     table = truth.merge(first, on="clip", how="left").merge(limits, on="clip", how="left")
     return table.assign(status=table["status"].fillna("no result"))
@@ -214,7 +214,7 @@ def drop_unclaimed(table: pd.DataFrame) -> pd.DataFrame:
     Without a collision only the rolling loss; of a misfit nothing of the tied fit, which claims nothing.
     """
     held = table.copy()
-    other = [f"{n}{kind}" for n in NAMES if n not in OF_ONE_BALL for kind in ("", "_free", "_paper")]
+    other = [f"{n}{kind}" for n in QUANTITY_NAMES if n not in OF_ONE_BALL for kind in ("", "_free", "_paper")]
     held.loc[~held["status"].isin(MEASURED), [c for c in other if c in held]] = np.nan
-    held.loc[held["status"] == MISFIT, [n for n in NAMES if n in held]] = np.nan
+    held.loc[held["status"] == MISFIT, [n for n in QUANTITY_NAMES if n in held]] = np.nan
     return held

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from synthcam_shared.errors import InputError
 from synthcam_shared.outputs import put
-from tracker.measurement.collision.derived import NAMES
-from tracker.measurement.positions import courses
+from tracker.measurement.collision.derived import QUANTITY_NAMES
+from tracker.measurement.positions import to_ball_tracks
 from tracker.report.collision_figures import (
     CollisionView,
     energy_figure,
@@ -77,7 +77,7 @@ def draw_figures(score: DetectorScore, results: Path, dataset: Path) -> dict[str
     if clip is not None:
         tracks, camera = read_clip(results, clip)
         row = score.table[score.table["clip"] == clip].iloc[0]
-        course = {c.particle: c for c in courses(tracks, camera)}
+        course = {c.particle: c for c in to_ball_tracks(tracks, camera)}
         specimen = CollisionView(clip, row, {k: course[int(row[f"particle{k}"])] for k in (1, 2)}, camera)
         spots = _at_contact(results, clip, specimen)
         image = _picture(dataset, clip, int(spots["frame"].iloc[0]))
@@ -96,7 +96,7 @@ def choose_clip(score: DetectorScore) -> int | None:
     """The clip looked at closely: the one nearest to TYPICAL_SPEED whose tied fit gives everything."""
     table = score.table[score.table["status"] == "ok"]
     if len(table):
-        table = table.dropna(subset=[n for n in NAMES if n in table and n != "final_angle"])
+        table = table.dropna(subset=[n for n in QUANTITY_NAMES if n in table and n != "final_angle"])
     if not len(table):
         return None
     nearest = int(np.argmin(np.abs(table["v0"].to_numpy(float) - TYPICAL_SPEED)))
@@ -108,7 +108,7 @@ def make_tables(score: DetectorScore) -> dict[str, Any]:
     out: dict[str, Any] = {}
     for kind in KINDS:
         rows = []
-        for name in NAMES:
+        for name in QUANTITY_NAMES:
             values = score.quantities.get(f"{name}{kind}")
             if values is None or not values["n"]:
                 continue

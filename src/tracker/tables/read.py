@@ -20,8 +20,8 @@ from tracker.camera.camera_keys import did_you_mean, shown
 from tracker.detection.link import Tracks
 from tracker.tables import formats as format_files
 from tracker.tables.content import Content
-from tracker.tables.rows import NEEDED, check_columns, real, split_tracks
-from tracker.tables.table import SPELT, Table, timed, unit_of
+from tracker.tables.rows import NEEDED, check_columns, split_tracks, to_numbers
+from tracker.tables.table import LENGTH_UNITS, TrackTable, frames_from_times, unit_of
 
 GivenCamera = Camera | Mapping[str, Any] | str | Path
 SAME_RATE = 0.01  # 29.97 is 30
@@ -33,7 +33,7 @@ ARCHIVE = b"PK\3\4"
 
 
 @dataclass(frozen=True)
-class TrackTable:
+class ClipTracks:
     """What a table gives: by clip tracks, px, and the striker where it says it; the camera; what to tell the user."""
 
     clips: dict[int, tuple[Tracks, str | None]]
@@ -47,7 +47,7 @@ def formats() -> dict[str, Any]:
     return {name: importlib.import_module(f"{format_files.__name__}.{name}") for name in names}
 
 
-def read_tracks(path: Path, camera: GivenCamera, columns: str = "", unit: str = "") -> TrackTable:
+def read_tracks(path: Path, camera: GivenCamera, columns: str = "", unit: str = "") -> ClipTracks:
     """Read a file of tracks.
 
     Parameters
@@ -74,14 +74,16 @@ def read_tracks(path: Path, camera: GivenCamera, columns: str = "", unit: str = 
     content = Content.of(path)
     if content.data.startswith(ARCHIVE):
         raise content.wrong("an archive, expected a table of tracks in it; unpack it first")
-    return in_picture(_named(content, columns) if columns else recognised(content), path.name, camera, unit, str(path))
+    return to_pixels(
+        _pick_columns(content, columns) if columns else recognise_format(content), path.name, camera, unit, str(path)
+    )
 
 
-def recognised(content: Content) -> Table:
+def recognise_format(content: Content) -> TrackTable:
     """A table as its file gives it, known by its content. Raises InputError for what is none."""
     every = formats().values()
     for one in every:
-        table: Table | None = one.read(content) if hasattr(one, "read") else None
+        table: TrackTable | None = one.read(content) if hasattr(one, "read") else None
         if table is not None:
             return table
     if content.text[:100].lstrip().startswith("{"):
@@ -94,7 +96,7 @@ def recognised(content: Content) -> Table:
     raise AssertionError("a table with these columns is trackpy's")
 
 
-def _named(content: Content, columns: str) -> Table:
+def _pick_columns(content: Content, columns: str) -> TrackTable:
     """A table whose columns the user names."""
     pairs = dict(part.partition("=")[::2] for part in columns.split(","))
     known = {name: name for name in (*NEEDED, "track", *OPTIONAL)}
@@ -109,41 +111,41 @@ def _named(content: Content, columns: str) -> Table:
     rows = pd.DataFrame({key: rows[name] for key, name in pairs.items()}).rename(columns={"track": "particle"})
     fps = math.nan
     if "t" in rows:
-        frame, time, fps = timed(real(rows.pop("t"), "t", content.where), content.where)
+        frame, time, fps = frames_from_times(to_numbers(rows.pop("t"), "t", content.where), content.where)
         rows = rows.assign(t_s=time) if "frame" in rows else rows.assign(t_s=time, frame=frame)
     check_columns(rows, f"{content.where}, by --columns")
     if "ep" in rows and "x_std" not in rows:
         rows = rows.assign(x_std=rows["ep"], y_std=rows["ep"])
     if not pd.api.types.is_numeric_dtype(rows["particle"]):  # names
         rows = rows.assign(particle=pd.factorize(rows["particle"])[0])
-    return Table(rows, fps=fps)
+    return TrackTable(rows, fps=fps)
 
 
-def in_picture(table: Table, name: str, camera: GivenCamera, unit: str = "", where: str = "") -> TrackTable:
+def to_pixels(table: TrackTable, name: str, camera: GivenCamera, unit: str = "", where: str = "") -> ClipTracks:
     """Tracks, px, of a table in whatever unit. where: what messages call it; name: what notes do."""
     where, notes = where or name, []
     given = unit_of(unit, "--unit") if unit else table.unit
     used = given or ("m" if table.up else "px")
     if table.format:
         notes.append(f"{name}: read as {table.format}, lengths in {used}{'' if given else '; --unit if not so'}")
-    metre = SPELT[used][0]
+    metre = LENGTH_UNITS[used][0]
     metric = math.isfinite(metre)
     up = table.up or (metric and not table.format)
-    known = _camera(camera, table.scaled(metre, where) if metric else None, where)
+    known = _camera(camera, table.scale_lengths(metre, where) if metric else None, where)
     if abs(table.fps / known.fps - 1) <= SAME_RATE:
         table = replace(table, rows=table.rows.drop(columns="t_s", errors="ignore"))
     elif table.fps > 0:
         whose = "its times are used" if "t_s" in table.rows else "the camera file's is used"
         notes.append(f"fps: {known.fps:g} in the camera file, {table.fps:.4g} in {name}; {whose}")
     factor = (metre if metric else known.scale) / (1.0 if up else known.scale)
-    rows = (table.scaled(factor, where) if up or metric else table).rows
+    rows = (table.scale_lengths(factor, where) if up or metric else table).rows
     clips = split_tracks(rows, where, metric or up)
     if up:
-        clips = {number: (_projected(tracks, known), striker) for number, (tracks, striker) in clips.items()}
-    return TrackTable(clips, known, tuple(notes))
+        clips = {number: (_project(tracks, known), striker) for number, (tracks, striker) in clips.items()}
+    return ClipTracks(clips, known, tuple(notes))
 
 
-def _camera(given: GivenCamera, metres: Table | None, where: str) -> Camera:
+def _camera(given: GivenCamera, metres: TrackTable | None, where: str) -> Camera:
     """The camera; where tracks are in metres and its file says nothing of a picture, one that they fit in."""
     if isinstance(given, Camera):
         return given
@@ -151,7 +153,9 @@ def _camera(given: GivenCamera, metres: Table | None, where: str) -> Camera:
     named = "camera" if isinstance(given, Mapping) else f"{given}"
     if metres is not None and isinstance(keys, dict):
         check_columns(metres.rows, where)
-        reach = max(float(np.nanmax(np.abs(real(metres.rows[axis], axis, where)), initial=0.0)) for axis in ("x", "y"))
+        reach = max(
+            float(np.nanmax(np.abs(to_numbers(metres.rows[axis], axis, where)), initial=0.0)) for axis in ("x", "y")
+        )
         if not 0 < reach < FURTHEST:
             raise InputError(
                 f"{where}: x, y: up to {reach:g} m, expected positions on a plate; --unit says what they are"
@@ -166,7 +170,7 @@ def _camera(given: GivenCamera, metres: Table | None, where: str) -> Camera:
     return Camera.from_dict(keys, named)
 
 
-def _projected(tracks: Tracks, camera: Camera) -> Tracks:
+def _project(tracks: Tracks, camera: Camera) -> Tracks:
     """Tracks in metres on the plate, as the camera sees them."""
     height = np.full((len(tracks), 1), camera.centre_height)
     pixels = camera.project(np.concatenate([tracks.xy, height], axis=1))

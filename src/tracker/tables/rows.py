@@ -53,7 +53,7 @@ def split_tracks(table: pd.DataFrame, where: str, metres: bool = False) -> dict[
         raise InputError(f"{where}: no rows, expected a row for each ball and frame")
     clips = table["clip"] if "clip" in table else pd.Series(0, index=table.index)
     out: dict[int, tuple[Tracks, str | None]] = {}
-    numbers = whole(clips, "clip", where)
+    numbers = to_whole_numbers(clips, "clip", where)
     for number in np.unique(numbers).tolist():
         part = table[numbers == number]
         striker = None
@@ -82,8 +82,11 @@ def check_columns(table: pd.DataFrame, where: str, more: str = "") -> None:
 
 def to_tracks(table: pd.DataFrame, where: str) -> Tracks:
     """Rows of one clip as tracks."""
-    frame, particle = whole(table["frame"], "frame", where), whole(table["particle"], "particle", where)
-    x, y = real(table["x"], "x", where), real(table["y"], "y", where)
+    frame, particle = (
+        to_whole_numbers(table["frame"], "frame", where),
+        to_whole_numbers(table["particle"], "particle", where),
+    )
+    x, y = to_numbers(table["x"], "x", where), to_numbers(table["y"], "y", where)
     for name, values in (("x", x), ("y", y)):
         if np.any(np.abs(values) > FARTHEST):
             raise InputError(f"{where}: {name}: expected positions in px, not {values[np.abs(values) > FARTHEST][0]:g}")
@@ -95,7 +98,7 @@ def to_tracks(table: pd.DataFrame, where: str) -> Tracks:
         raise InputError(f"{where}: particle {particle[row]} is twice in frame {frame[row]}, expected once")
 
     def column(name: str, default: float) -> Any:
-        values = real(table[name], name, where) if name in table else np.full(len(table), default)
+        values = to_numbers(table[name], name, where) if name in table else np.full(len(table), default)
         return values[kept]
 
     def covariance(x_std: str, y_std: str, cov_xy: str, default: float) -> Any:
@@ -138,7 +141,7 @@ def _times(time: Any, frame: Any, particle: Any, where: str) -> Any:
     return time
 
 
-def real(values: Any, name: str, where: str) -> Any:
+def to_numbers(values: Any, name: str, where: str) -> Any:
     """A column as numbers; InputError where some are none."""
     try:
         return pd.to_numeric(values).to_numpy(dtype=np.float64)
@@ -146,9 +149,9 @@ def real(values: Any, name: str, where: str) -> Any:
         raise InputError(f"{where}: {name}: expected numbers") from None
 
 
-def whole(values: Any, name: str, where: str) -> Any:
+def to_whole_numbers(values: Any, name: str, where: str) -> Any:
     """A column as whole numbers from 0 on."""
-    numbers = real(values, name, where)
+    numbers = to_numbers(values, name, where)
     wrong = ~((numbers >= 0) & (numbers <= MOST) & (numbers == np.round(numbers)))  # NaN too
     if wrong.any():
         raise InputError(f"{where}: {name}: expected whole numbers from 0 to {MOST}, not {numbers[wrong][0]:g}")

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from synthcam_shared.errors import InputError
 from tracker.camera.camera_keys import shown
-from tracker.tables.rows import real
+from tracker.tables.rows import to_numbers
 
-SPELT = {  # what one of a unit is in m, and what it is called; "px" has no length of its own
+LENGTH_UNITS = {  # what one of a unit is in m, and what it is called; "px" has no length of its own
     "px": (math.nan, "px pixel pixels"),
     "m": (1.0, "m metre metres meter meters"),
     "cm": (1e-2, "cm centimetre centimetres centimeter centimeters"),
@@ -28,7 +28,7 @@ EVEN = 0.2  # of a time step, by which times may be off even ones: they are prin
 
 
 @dataclass(frozen=True)
-class Table:
+class TrackTable:
     """Rows with the columns of docs/format.md: frame, particle, x, y, and what else there is.
 
     Attributes
@@ -50,20 +50,20 @@ class Table:
     up: bool = False
     fps: float = math.nan
 
-    def scaled(self, factor: float, where: str) -> Table:
+    def scale_lengths(self, factor: float, where: str) -> TrackTable:
         """The same with lengths of another unit."""
         rows = self.rows.copy()
         for names, by in ((LENGTHS, factor), (AREAS, factor**2)):
             for name in (n for n in names if n in rows):
-                rows[name] = real(rows[name], name, where) * by
+                rows[name] = to_numbers(rows[name], name, where) * by
         return replace(self, rows=rows)
 
 
 def unit_of(name: str, where: str) -> str:
     """The unit that a name means. Raises InputError."""
-    found = [unit for unit, (_, names) in SPELT.items() if name.strip().strip("()").lower() in names.split()]
+    found = [unit for unit, (_, names) in LENGTH_UNITS.items() if name.strip().strip("()").lower() in names.split()]
     if not found:
-        raise InputError(f"{where}: {shown(name)}: expected a unit of length, one of {', '.join(SPELT)}")
+        raise InputError(f"{where}: {shown(name)}: expected a unit of length, one of {', '.join(LENGTH_UNITS)}")
     return found[0]
 
 
@@ -73,7 +73,7 @@ def per_second(interval: float, unit: str) -> float:
     return 1.0 / (interval * seconds) if seconds and interval > 0 else math.nan
 
 
-def timed(times: NDArray[np.float64], where: str) -> tuple[NDArray[np.int64], NDArray[np.float64], float]:
+def frames_from_times(times: NDArray[np.float64], where: str) -> tuple[NDArray[np.int64], NDArray[np.float64], float]:
     """Frames, times and frame rate of times alone; even to a few digits they are evened out, else there is no rate."""
     steps = np.unique(times)
     if not np.isfinite(times).all() or len(steps) < 2:

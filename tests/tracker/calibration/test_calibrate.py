@@ -14,8 +14,8 @@ from tracker_film import collision, disc, expose, film, spot, write_clip
 from tracker_video import encode
 
 from synthcam_shared.errors import InputError
-from tracker.calibration.ball_outline import outline
-from tracker.calibration.calibrate import calibrate, summary, weighted_mean
+from tracker.calibration.ball_outline import measure_outline
+from tracker.calibration.calibrate import calibrate, inverse_variance_mean, summary
 from tracker.calibration.contact_distance import contact_distances
 from tracker.camera.camera import Camera
 from tracker.detection.candidates import Ground
@@ -81,7 +81,7 @@ def test_every_hit_of_a_long_film_counts():
     found = contact_distances(Tracks(**columns))
     assert [int(contact.instant // 30) for contact in found] == [0, 1, 2]
     each = [(contact.distance, contact.std) for contact in found]
-    mean, std = weighted_mean([*each, *each, (17.0, 0.05)])
+    mean, std = inverse_variance_mean([*each, *each, (17.0, 0.05)])
     assert abs(mean - 14.875) < 4 * std < 0.3
 
 
@@ -182,7 +182,7 @@ PLATE = Ground(np.full((160, 200), 8, np.uint8), 1.04)
 def test_outline_of_a_bright_ball(radius):
     """No contact is needed: what a ball mirrors of the room ends at .71 of its radius."""
     frames, glints = rolling(radius, 30.0)
-    found = outline(frames, PLATE, glints, 1.0)
+    found = measure_outline(frames, PLATE, glints, 1.0)
     assert found is not None
     assert found.std < 0.05 * radius
     assert abs(found.radius - radius) < 3 * found.std
@@ -191,7 +191,7 @@ def test_outline_of_a_bright_ball(radius):
 @pytest.mark.parametrize(("radius", "body"), [(5.0, 30.0), (9.0, 30.0), (12.0, 0.0)])
 def test_no_outline_under_the_glint_or_in_the_dark(radius, body):
     frames, glints = rolling(radius, body)
-    assert outline(frames, PLATE, glints, 1.0) is None
+    assert measure_outline(frames, PLATE, glints, 1.0) is None
 
 
 def test_no_contact_and_no_outline_is_no_scale(tmp_path):

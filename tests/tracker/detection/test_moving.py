@@ -8,7 +8,7 @@ from tracker_billiard import Physics, play, positions, rolling, slip, truth
 
 from tracker.camera.camera import Camera
 from tracker.detection.link import Tracks
-from tracker.measurement.collision.derived import NAMES
+from tracker.measurement.collision.derived import QUANTITY_NAMES
 from tracker.measurement.energy_momentum import slip_directions
 from tracker.measurement.estimate import measure
 
@@ -73,7 +73,7 @@ def test_a_moving_target_is_measured(moving):
 @pytest.mark.parametrize("kind", ["", "_free"])
 def test_error_bars_of_moving_targets_are_true(moving, kind):
     off = []
-    for name in NAMES:
+    for name in QUANTITY_NAMES:
         z = np.array([(row[f"{name}{kind}"] - true[name]) / row[f"{name}{kind}_std"] for row, true, _, _ in moving])
         z = z[np.isfinite(z)]
         assert len(z) > 20, name

@@ -11,7 +11,7 @@ from tracker_noisy import BENCHMARK, dataset, noisy, scalars_of, truth_of
 from synthcam_shared.errors import InputError
 from tracker.camera.camera import Camera
 from tracker.measurement import camera_errors, estimate
-from tracker.measurement.collision.derived import NAMES
+from tracker.measurement.collision.derived import QUANTITY_NAMES
 from tracker.measurement.estimate import fit_all, measure
 from tracker.results import to_centres
 
@@ -37,14 +37,14 @@ def drawn(data, key, clips=CLIPS):
     for clip in range(clips):
         truth, camera = truth_of(data, clip)
         (row,) = measure(noisy(truth, rng), wrong(camera, key, rng.normal()))
-        rows.append(row | {f"{n}_true": truths[n].iloc[clip] for n in NAMES})
+        rows.append(row | {f"{n}_true": truths[n].iloc[clip] for n in QUANTITY_NAMES})
     return pd.DataFrame(rows)
 
 
 def dishonest(table, kind):
     """Quantities whose z has not the standard deviation 1, within 4 of its sampling errors; those without z too."""
     found = []
-    for name in NAMES:
+    for name in QUANTITY_NAMES:
         z = ((table[f"{name}{kind}"] - table[f"{name}_true"]) / table[f"{name}{kind}_std"]).to_numpy(float)
         z = z[np.isfinite(z)]
         if not (len(z) and abs(z.std() - 1) < 4 / np.sqrt(2 * len(z)) and abs(z.mean()) < 4 / np.sqrt(len(z))):
@@ -62,8 +62,8 @@ def test_a_camera_wrong_by_its_error_leaves_all_errors_true(own, key, touched, m
     assert table["chi2"].sum() / table["dof"].sum() == pytest.approx(1, abs=4 * np.sqrt(2 / table["dof"].sum()))
     assert dishonest(table, "") == ["w1n"]  # zero by the model
     assert dishonest(table, "_free") == []
-    monkeypatch.setattr(estimate, "carry", lambda fit, values, tied, camera: (fit, values))
-    monkeypatch.setattr(estimate, "shared_block", lambda camera, blocks: {})
+    monkeypatch.setattr(estimate, "add_camera_errors", lambda fit, values, tied, camera: (fit, values))
+    monkeypatch.setattr(estimate, "effects_to_json", lambda camera, blocks: {})
     assert set(touched.split()) <= set(dishonest(drawn(own, key, FEW), ""))
 
 
@@ -83,7 +83,7 @@ def lit(data, rng, clips):
         middle = true.unproject(np.column_stack([tracks.x, tracks.y]))[0]
         seen = true.glint_of_centre(middle)
         (row,) = measure(to_centres(replace(tracks, x=seen[:, 0], y=seen[:, 1]), told), told)
-        rows.append(row | {f"{n}_true": truths[n].iloc[clip] for n in NAMES})
+        rows.append(row | {f"{n}_true": truths[n].iloc[clip] for n in QUANTITY_NAMES})
     return pd.DataFrame(rows)
 
 
@@ -93,7 +93,7 @@ def test_a_lamp_that_stands_elsewhere_by_its_error_leaves_all_errors_true(own, m
     assert dishonest(table, "") == ["w1n"]
     assert dishonest(table, "_free") == []
     assert set(json.loads(table["cov"][0])["shared"]) == {f"lamp.position[{axis}]" for axis in range(3)}
-    monkeypatch.setattr(camera_errors.LampError, "course", lambda error, course, by, fps: course)
+    monkeypatch.setattr(camera_errors.LampError, "move_track", lambda error, course, by, fps: course)
     assert {"v0", "b"} <= set(dishonest(lit(own, np.random.default_rng(11), FEW), ""))
 
 
@@ -133,7 +133,7 @@ def test_covariances_and_what_is_shared_in_the_row(own):
     truth, camera = truth_of(own, 0)
     (row,) = measure(noisy(truth, np.random.default_rng(0)), wrong(camera, "scale", 0))
     table = json.loads(row["cov"])
-    at = NAMES.index("v0")
+    at = QUANTITY_NAMES.index("v0")
     assert np.sqrt(table["tied"][at][at]) == pytest.approx(row["v0_std"], rel=1e-12)
     assert table["shared"]["scale"]["of"] == camera.scale
     assert table["shared"]["scale"]["free"][at] == pytest.approx(SHARE * row["v0_free"], rel=0.1)

@@ -8,10 +8,10 @@ import pytest
 from scipy.ndimage import gaussian_filter1d
 from tracker_noisy import BENCHMARK, NOISE, dataset, measured, noisy, scalars_of, truth_of, without
 
-from tracker.measurement.collision.collision_model import FREE, path, release
-from tracker.measurement.collision.derived import NAMES
+from tracker.measurement.collision.collision_model import FREE, mean_positions, tied_to_free
+from tracker.measurement.collision.derived import QUANTITY_NAMES
 from tracker.measurement.estimate import fit_all, measure, motion_table
-from tracker.measurement.positions import Course, courses
+from tracker.measurement.positions import BallTrack, to_ball_tracks
 
 CLIPS = 48
 
@@ -71,7 +71,7 @@ def test_tracks_smoothed_over_a_hit_are_a_misfit_not_no_collision(benchmark):
 
 @pytest.mark.parametrize("kind", ["", "_free"])
 def test_error_bars_are_true_and_the_test_can_fail(table, kind):
-    names = [n for n in NAMES if not (n == "w1n" and kind == "")]
+    names = [n for n in QUANTITY_NAMES if not (n == "w1n" and kind == "")]
     dishonest = [n for n in names if not honest(scores(table, n, kind))]
     assert dishonest == []
     caught = [n for n in names if not honest(scores(table, n, kind, stretch=0.5))]
@@ -85,7 +85,7 @@ def test_figures_of_the_tied_fit(table):
 
 
 def test_nearly_every_quantity_is_claimed(table):
-    for name in NAMES:
+    for name in QUANTITY_NAMES:
         assert np.isfinite(table[name]).mean() > 0.9
         assert np.isfinite(table[f"{name}_free"]).mean() > 0.7
 
@@ -149,7 +149,7 @@ def test_unknown_noise_is_found_from_the_tracks(plain):
     tracks = noisy(truth, np.random.default_rng(4))
     (known,) = measure(tracks, camera)
     (unknown,) = measure(replace(tracks, cov=np.full_like(tracks.cov, np.nan)), camera)
-    for name in NAMES:
+    for name in QUANTITY_NAMES:
         for kind in ("", "_free"):
             if known[f"{name}{kind}_std"] > 0:
                 assert unknown[f"{name}{kind}_std"] == pytest.approx(known[f"{name}{kind}_std"], rel=0.2)
@@ -230,10 +230,10 @@ def test_wrong_physics_shows_as_a_bad_fit(plain):
     tied = np.array(
         [*launch, np.arcsin(row["b"]), row["v0"], 0.135, 0.0103, row["r"], np.log(row["mu_k"]), row["C"], 0, 0, 0, 0, 0]
     )
-    free = release(tied)
+    free = tied_to_free(tied)
     free[FREE.index("log_tau2")] += 0.1
     start = np.arange(100) / camera.fps
-    px = [path(free, ball, start, camera.exposure, camera.ball_diameter)[0] for ball in (1, 2)]
+    px = [mean_positions(free, ball, start, camera.exposure, camera.ball_diameter)[0] for ball in (1, 2)]
     flat = np.concatenate([np.column_stack([p, np.full(100, camera.radius)]) for p in px])
     xy = camera.project(flat) + np.random.default_rng(0).normal(0, NOISE, (200, 2))
     base = noisy(truth, np.random.default_rng(0))
@@ -247,10 +247,10 @@ def test_wrong_physics_shows_as_a_bad_fit(plain):
 def test_covariance_in_the_row_is_that_of_its_errors(table):
     row = table.iloc[0]
     block = json.loads(row["cov"])
-    assert tuple(block["names"]) == NAMES
+    assert tuple(block["names"]) == QUANTITY_NAMES
     for fit, kind in (("tied", ""), ("free", "_free")):
         diagonal = np.sqrt(np.diag(np.array(block[fit], dtype=float)))
-        for value, name in zip(diagonal, NAMES, strict=True):
+        for value, name in zip(diagonal, QUANTITY_NAMES, strict=True):
             if np.isfinite(row[f"{name}{kind}_std"]):
                 assert value == pytest.approx(row[f"{name}{kind}_std"], rel=1e-5, abs=1e-12)
 
@@ -305,9 +305,9 @@ def test_scatter_between_clips_is_that_of_the_truth(table, benchmark):
 
 def test_courses_carry_the_pixels_errors_into_metres(plain):
     truth, camera = truth_of(plain, 0)
-    balls = courses(noisy(truth, np.random.default_rng(0)), camera)
+    balls = to_ball_tracks(noisy(truth, np.random.default_rng(0)), camera)
     assert [len(c) for c in balls] == [100, 100]
-    assert all(isinstance(c, Course) and c.weighed for c in balls)
+    assert all(isinstance(c, BallTrack) and c.has_errors for c in balls)
     np.testing.assert_allclose(np.sqrt(balls[0].cov[:, 0, 0]), NOISE * camera.scale, rtol=1e-3)
     true = truth[truth["particle"] == 0][["x", "y"]].to_numpy()
     assert np.abs(balls[0].position - true).max() < 6 * NOISE * camera.scale

@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from tracker.measurement.collision.derived import NAMES
+from tracker.measurement.collision.derived import QUANTITY_NAMES
 from tracker.report.estimates_text import (
     KINDS,
     QUANTITIES,
@@ -21,7 +21,7 @@ def row(status="ok", **values):
     """A row of estimates: all quantities 1 +- .01 by each fit, but for those given."""
     one = {"clip": 0, "collision": 0, "status": status, "chi2": 90.0, "dof": 100, "adequate": 0.75}
     one |= {"frame_first": 0, "frame_last": 99}
-    for name in NAMES:
+    for name in QUANTITY_NAMES:
         for kind in KINDS:
             one |= {f"{name}{kind}": 1.0, f"{name}{kind}_std": 0.01}
     return one | values
@@ -44,7 +44,7 @@ def test_units_are_those_named():
     assert (shown["tau1"].values[0], shown["tau1"].unit) == ("12.30(10)", "ms")
     assert (shown["v0"].values[0], shown["v0"].unit) == ("35.00(10)", "cm/s")
     assert shown["final_angle"].values[0].startswith("180.0")
-    assert list(shown) == list(NAMES) == list(QUANTITIES)
+    assert list(shown) == list(QUANTITY_NAMES) == list(QUANTITIES)
 
 
 def test_what_no_fit_has_is_left_out():

@@ -11,7 +11,7 @@ import pytest
 from tracker_noisy import BENCHMARK, NOISE, dataset, noisy, results, scalars_of, truth_of
 
 from synthcam_shared.errors import InputError
-from tracker.measurement.collision.derived import NAMES
+from tracker.measurement.collision.derived import QUANTITY_NAMES
 from tracker.measurement.estimate import measure
 from tracker.scoring.error_bars import error_statistics, quantity_bounds, true_motion
 from tracker.scoring.localisation import PositionSums, match, position_bounds, score_positions
@@ -211,7 +211,7 @@ def test_score_has_the_contracts_keys(found, data, tmp_path):
         "swaps",
     }
     keys = {"n", "bias", "rmse", "bound", "ratio", "z_mean", "z_std", "cover68", "cover95"}
-    assert set(parts["quantities"]) == {f"{n}{k}" for n in NAMES for k in ("", "_free", "_paper")}
+    assert set(parts["quantities"]) == {f"{n}{k}" for n in QUANTITY_NAMES for k in ("", "_free", "_paper")}
     assert all(set(v) == keys for v in parts["quantities"].values())
     assert parts["ms_per_frame"] is None
     assert parts["clips"] == {"n": CLIPS, "ok": CLIPS}

@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from tracker.measurement.collision.derived import NAMES
+from tracker.measurement.collision.derived import QUANTITY_NAMES
 from tracker.scoring.score import DetectorScore
 from tracker.scoring.summary import FEW, judge, summarise
 
@@ -20,7 +20,7 @@ GOOD = DetectorScore(
     detector="made",
     localisation={"n": 1000, "missed": 2, "false": 1, "rmse_px": 0.00871, "ratio": 1.005},
     tracking={"swaps": 0},
-    quantities={f"{name}{kind}": figures() for name in NAMES for kind in ("", "_free")},
+    quantities={f"{name}{kind}": figures() for name in QUANTITY_NAMES for kind in ("", "_free")},
     statuses={"n": 100, "ok": 99, "misfit": 1},
     ms_per_frame=None,
     table=pd.DataFrame(),

@@ -10,8 +10,8 @@ import numpy as np
 import pandas as pd
 from scipy.special import chdtrc, fdtrc
 
-from tracker.measurement.collision.derived import NAMES, Values
-from tracker.measurement.collision.fitting import Fit
+from tracker.measurement.collision.derived import QUANTITY_NAMES, DerivedValues
+from tracker.measurement.collision.least_squares import CollisionFit
 from tracker.measurement.noise.position_noise import Size
 
 MISFIT = "misfit"
@@ -38,7 +38,7 @@ ALSO = {  # flags, and what to check of them
     "striker slides": "it is fitted as sliding up to the contact, with a spin of its own (u2ix, u2iy, side2i)",
     "striker spins": "a spin about the vertical is fitted (side2i); what else adds to the rub of the hit looks alike",
     "rolls late": "the first positions of the striker are left out, where it does not roll",
-    NO_TOUCH: "they change course more than a diameter apart: check scale, ball_diameter, fps; or they are smoothed",
+    NO_TOUCH: "they change direction more than a diameter apart: check scale, ball_diameter, fps; or they are smoothed",
 }
 
 
@@ -54,7 +54,7 @@ def p_value(square: float, dof: float, known: float) -> float:
         chi^2.
     dof : float
         Its degrees of freedom.
-    known : float
+    noise_dof : float
         Degrees of freedom from which the errors' size was found; inf where it was given.
 
     Returns
@@ -78,7 +78,7 @@ def p_free(rows: list[dict[str, Any]], size: Size, ratio: float = 1.0) -> float:
     return p_value(float(square) / ratio, float(dof), size.dof)
 
 
-def agreement(tied: Fit, free: Fit, known: float) -> float:
+def agreement(tied: CollisionFit, free: CollisionFit, known: float) -> float:
     """The probability of so large a rise of chi^2 from the free fit to the tied one; `known` as of `p_value`.
 
     NaN where the tied fit has no more degrees of freedom than the free one. Both are of the same positions.
@@ -89,7 +89,7 @@ def agreement(tied: Fit, free: Fit, known: float) -> float:
     return float(chdtrc(more, rise) if np.isinf(known) else fdtrc(more, known, rise / more))
 
 
-def questioned(values: Values, stretch: float) -> str:
+def impossible_values(values: DerivedValues, stretch: float) -> str:
     """Flags of the quantities that are impossible for two equal rolling balls, joined by "|".
 
     A quantity is questioned where it is beyond a limit of POSSIBLE by BEYOND of its standard errors times `stretch`, by
@@ -97,7 +97,10 @@ def questioned(values: Values, stretch: float) -> str:
     """
     said = []
     for name, ((low, under), (high, over)) in POSSIBLE.items():
-        value, error = values.value[NAMES.index(name)], BEYOND * stretch * values.std[NAMES.index(name)]
+        value, error = (
+            values.value[QUANTITY_NAMES.index(name)],
+            BEYOND * stretch * values.std[QUANTITY_NAMES.index(name)],
+        )
         if value - error > high:
             said.append(over)
         elif value + error < low:
@@ -105,7 +108,7 @@ def questioned(values: Values, stretch: float) -> str:
     return "|".join(said)
 
 
-def distant(distance: float, std: float) -> str:
+def contact_distance_flag(distance: float, std: float) -> str:
     """The flag of balls that touch at `distance` diameters with standard error `std`; '' where that may be one."""
     if abs(distance - 1) - BEYOND * std < APART:
         return ""

@@ -8,13 +8,13 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from tracker.measurement.collision.adequacy import LEVEL, agreement, p_value, questioned
-from tracker.measurement.collision.collision_model import AFTER, FREE, SPIN, TARGET, TIED, release
-from tracker.measurement.collision.contacts import Encounter, first_guesses
-from tracker.measurement.collision.derived import NAMES, Values, of_free, of_tied
-from tracker.measurement.collision.fitting import COARSE, Fit, Pair, fit_motion
-from tracker.measurement.collision.noise_correlation import lasting
-from tracker.measurement.collision.striker import CONVINCING, believable, strikers
+from tracker.measurement.collision.adequacy import LEVEL, agreement, impossible_values, p_value
+from tracker.measurement.collision.collision_model import AFTER, FREE, SPIN, TARGET, TIED, tied_to_free
+from tracker.measurement.collision.contacts import Contact, guess_parameters
+from tracker.measurement.collision.derived import QUANTITY_NAMES, DerivedValues, derive_from_free, derive_from_tied
+from tracker.measurement.collision.least_squares import COARSE, BallPair, CollisionFit, fit_motion
+from tracker.measurement.collision.noise_correlation import with_correlated_noise
+from tracker.measurement.collision.striker import CONVINCING, alternative_strikers, is_believable
 
 Floats = NDArray[np.float64]
 
@@ -26,155 +26,165 @@ WORTH_A_SPIN = 0.25  # of chi^2 per degree of freedom, under which a striker tha
 
 
 @dataclass(frozen=True)
-class Reading:
+class CollisionFits:
     """Both fits of one collision and what they say."""
 
-    meeting: Encounter
-    tied: Fit
-    free: Fit
-    slides_seen: tuple[bool, bool]
-    of_tied: Values
-    of_free: Values
+    contact: Contact
+    tied: CollisionFit
+    free: CollisionFit
+    slide_ends_seen: tuple[bool, bool]
+    tied_values: DerivedValues
+    free_values: DerivedValues
     flags: tuple[str, ...] = ()
 
     @property
-    def known(self) -> float:
+    def noise_dof(self) -> float:
         """Degrees of freedom from which the errors' size was found; inf: it was given."""
-        return self.meeting.pair.striker.known
+        return self.contact.pair.striker.noise_dof
 
     @cached_property
-    def adequate(self) -> float:
+    def p_tied(self) -> float:
         """p-value of the tied fit's chi^2."""
-        return p_value(self.tied.chi2, self.tied.dof, self.known)
+        return p_value(self.tied.chi2, self.tied.dof, self.noise_dof)
 
     @cached_property
-    def adequate_free(self) -> float:
+    def p_free(self) -> float:
         """p-value of the free fit's chi^2."""
-        return p_value(self.free.chi2, self.free.dof, self.known)
+        return p_value(self.free.chi2, self.free.dof, self.noise_dof)
 
     @cached_property
-    def agree(self) -> float:
+    def p_agree(self) -> float:
         """p-value of what the tied fit's chi^2 has beyond the free one's."""
-        return agreement(self.tied, self.free, self.known)
+        return agreement(self.tied, self.free, self.noise_dof)
 
     @property
-    def accepted(self) -> tuple[bool, bool]:
-        """Whether the data accept tied and free fit; nothing is rejected where the errors' size is not known."""
-        free = not self.adequate_free < LEVEL
-        return free and not (self.adequate < LEVEL or self.agree < LEVEL), free
+    def is_free_accepted(self) -> bool:
+        """Whether the data accept the free fit; they reject nothing where the errors' size is not known."""
+        return not self.p_free < LEVEL
 
     @property
-    def possible(self) -> bool:
+    def is_tied_accepted(self) -> bool:
+        """Whether the data accept the tied fit beside the free one."""
+        return self.is_free_accepted and not (self.p_tied < LEVEL or self.p_agree < LEVEL)
+
+    @property
+    def is_possible(self) -> bool:
         """Whether two balls can do what the tied fit says."""
-        return not questioned(self.of_tied, float(np.sqrt(max(1.0, self.tied.chi2 / self.tied.dof))))
+        return not impossible_values(self.tied_values, float(np.sqrt(max(1.0, self.tied.chi2 / self.tied.dof))))
 
     @property
-    def convincing(self) -> bool:
+    def is_convincing(self) -> bool:
         """Whether the data accept both fits well, as they must where a freedom was added after a rejection."""
-        return bool(min(self.adequate, self.adequate_free, self.agree) > CONVINCING)
+        return bool(min(self.p_tied, self.p_free, self.p_agree) > CONVINCING)
 
 
-def interpret(meeting: Encounter) -> Reading | str:
+def fit_collision(contact: Contact) -> CollisionFits | str:
     """Tied and free fit of one collision; or the reason why there is none."""
-    guesses = first_guesses(meeting)
+    guesses = guess_parameters(contact)
     if not guesses:
         return "the approach does not lead to the other ball"
     guess, *others = guesses
-    read = _read(meeting, [guess])
-    if not _accepted(read):  # it may have gone astray
-        again = _read(meeting, [*others, guess])
-        read = min(read, again, key=_poor)
-    if _accepted(read):
+    read = _fit_with_noise(contact, [guess])
+    if not _is_accepted(read):  # it may have gone astray
+        again = _fit_with_noise(contact, [*others, guess])
+        read = min(read, again, key=_reduced_chi2)
+    if _is_accepted(read):
         return read
     least = np.inf if isinstance(read, str) else WORTH_A_SPIN * read.tied.chi2 / read.tied.dof
-    for other in strikers(meeting, guess if isinstance(read, str) else read.tied.parameters):
-        rough = fit_motion(other.meeting.pair, True, other.starts, COARSE)
+    for other in alternative_strikers(contact, guess if isinstance(read, str) else read.tied.parameters):
+        rough = fit_motion(other.contact.pair, True, other.starts, COARSE)
         per = rough.chi2 / max(rough.dof, 1)
-        if per > least and p_value(rough.chi2, rough.dof, other.meeting.pair.striker.known) < LEVEL:
+        if per > least and p_value(rough.chi2, rough.dof, other.contact.pair.striker.noise_dof) < LEVEL:
             continue
-        found = _read(other.meeting, [rough.parameters])
-        if isinstance(found, str) or not (found.possible and believable(found.tied, found.free)):
+        found = _fit_with_noise(other.contact, [rough.parameters])
+        if isinstance(found, str) or not (found.is_possible and is_believable(found.tied, found.free)):
             continue
-        if found.convincing:
+        if found.is_convincing:
             return replace(found, flags=other.flags)
         if per < least:
             read, least = replace(found, flags=other.flags), WORTH_A_SPIN * per
     return read
 
 
-def _accepted(read: Reading | str) -> bool:
-    return isinstance(read, Reading) and read.accepted[0]
+def _is_accepted(read: CollisionFits | str) -> bool:
+    return isinstance(read, CollisionFits) and read.is_tied_accepted
 
 
-def _poor(read: Reading | str) -> float:
+def _reduced_chi2(read: CollisionFits | str) -> float:
     return np.inf if isinstance(read, str) else read.tied.chi2 / read.tied.dof
 
 
-def _read(meeting: Encounter, starts: list[Floats]) -> Reading | str:
+def _fit_with_noise(contact: Contact, starts: list[Floats]) -> CollisionFits | str:
     """Both fits, by errors as large and as lasting as the tracks show."""
-    read = _fitted(meeting, starts)
-    pair = None if isinstance(read, str) else lasting(meeting.pair, read.free)
+    read = _fit_both(contact, starts)
+    pair = None if isinstance(read, str) else with_correlated_noise(contact.pair, read.free)
     if pair is None or isinstance(read, str):
         return read
-    return _fitted(replace(meeting, pair=pair), [*starts, read.tied.parameters])
+    return _fit_both(replace(contact, pair=pair), [*starts, read.tied.parameters])
 
 
-def _fitted(meeting: Encounter, starts: list[Floats]) -> Reading | str:
+def _fit_both(contact: Contact, starts: list[Floats]) -> CollisionFits | str:
     """Tied and free fit by the errors that the positions have."""
-    pair = meeting.pair
+    pair = contact.pair
     tied = fit_motion(pair, True, starts)
-    free, seen = _free(pair, tied)
+    free, seen = _fit_free(pair, tied)
     if tied.chi2 > free.chi2 + 50:  # the free fit has no impact to get wrong: let it lead
-        again = fit_motion(pair, True, [_tied_from(free, tied, pair.diameter)])
+        again = fit_motion(pair, True, [_free_to_tied(free, tied, pair.diameter)])
         if again.chi2 < tied.chi2:
             tied = again
-            free, seen = _free(pair, tied)
-    tied = _possible(pair, tied)
+            free, seen = _fit_free(pair, tied)
+    tied = _prefer_possible(pair, tied)
     if tied.dropped or free.dropped:
-        tied, free, seen = _on_the_same(tied, free, seen)
-    read = Reading(
-        meeting, tied, free, seen,
-        of_tied(tied.parameters, tied.cov, pair.diameter, pair.spin), of_free(free.parameters, free.cov, pair.diameter),
-    )  # fmt: skip
+        tied, free, seen = _fit_same_positions(tied, free, seen)
+    read = CollisionFits(
+        contact=contact,
+        tied=tied,
+        free=free,
+        slide_ends_seen=seen,
+        tied_values=derive_from_tied(tied.parameters, tied.cov, pair.diameter, pair.spin),
+        free_values=derive_from_free(free.parameters, free.cov, pair.diameter),
+    )
     if free.chi2 > POOR_FIT * free.dof:
         return "no collision of two rolling balls fits the tracks"
-    return read if tied.converged or not read.accepted[0] else "the fit did not converge"
+    return read if tied.converged or not read.is_tied_accepted else "the fit did not converge"
 
 
-def _on_the_same(tied: Fit, free: Fit, seen: tuple[bool, bool]) -> tuple[Fit, Fit, tuple[bool, bool]]:
+def _fit_same_positions(
+    tied: CollisionFit, free: CollisionFit, seen: tuple[bool, bool]
+) -> tuple[CollisionFit, CollisionFit, tuple[bool, bool]]:
     """Fit both to the same positions, less the outliers of the fit that has fewer; with the slide ends seen."""
     fewer = min(tied, free, key=lambda fit: fit.dropped)
     if fewer is tied:
-        free, seen = _free(fewer.pair, tied, whole=True)
+        free, seen = _fit_free(fewer.pair, tied, whole=True)
     else:
         tied = fit_motion(fewer.pair, True, [tied.parameters], whole=True)
     return replace(tied, dropped=fewer.dropped), replace(free, dropped=fewer.dropped), seen
 
 
-def _possible(pair: Pair, tied: Fit) -> Fit:
+def _prefer_possible(pair: BallPair, tied: CollisionFit) -> CollisionFit:
     """The tied fit, or one as good by which the balls slide on all the while.
 
     Balls that go straight on after the hit either did all their sliding at once or never roll: the positions do not
     decide, but the first may take a restitution that cannot be.
     """
-    if not questioned(of_tied(tied.parameters, tied.cov, pair.diameter, pair.spin), 1.0):
+    if not impossible_values(derive_from_tied(tied.parameters, tied.cov, pair.diameter, pair.spin), 1.0):
         return tied
     start = tied.parameters.copy()
     for r in ENDLESS:
         start[[TIED.index(name) for name in ("r", "log_mu", "C")]] = r, np.log(1e-3), 0.0
         other = fit_motion(pair, True, [start])
-        values = of_tied(other.parameters, other.cov, pair.diameter, pair.spin)
-        if other.dropped <= tied.dropped and other.chi2 < tied.chi2 + AS_GOOD and not questioned(values, 1.0):
+        values = derive_from_tied(other.parameters, other.cov, pair.diameter, pair.spin)
+        if other.dropped <= tied.dropped and other.chi2 < tied.chi2 + AS_GOOD and not impossible_values(values, 1.0):
             return other
     return tied
 
 
-def _free(pair: Pair, tied: Fit, whole: bool = False) -> tuple[Fit, tuple[bool, bool]]:
+def _fit_free(pair: BallPair, tied: CollisionFit, whole: bool = False) -> tuple[CollisionFit, tuple[bool, bool]]:
     """The free fit, and for each ball whether its slide's end shows.
 
     Short slides have several minima: other slide times are tried. One without end is the null hypothesis.
     """
-    start = np.asarray(release(tied.parameters, pair.spin), dtype=np.float64)
+    start = np.asarray(tied_to_free(tied.parameters, pair.spin), dtype=np.float64)
     ends = [FREE.index(name) for name in ("log_tau1", "log_tau2")]
     starts = [start]
     for shift in (-0.5, 0.5):
@@ -183,12 +193,12 @@ def _free(pair: Pair, tied: Fit, whole: bool = False) -> tuple[Fit, tuple[bool, 
         starts.append(other)
     best = fit_motion(pair, False, starts, whole=whole)
     seen = [True, True]
-    for i, (end, (_, course)) in enumerate(zip(ends, pair.balls, strict=True)):
-        left = course.start[-1] + course.exposure - best.parameters[0]
+    for i, (end, (_, track)) in enumerate(zip(ends, pair.balls, strict=True)):
+        left = track.start[-1] + track.exposure - best.parameters[0]
         if np.exp(best.parameters[end]) > left:
             seen[i] = False
         elif np.exp(best.parameters[end]) > 0.5 * left:
-            endless = _endless(best.parameters, 1 + i, left)
+            endless = _without_slide_end(best.parameters, 1 + i, left)
             without = fit_motion(pair, False, [endless], COARSE, whole)
             if without.chi2 < best.chi2:
                 best = without = fit_motion(pair, False, [without.parameters], whole=whole)
@@ -196,7 +206,7 @@ def _free(pair: Pair, tied: Fit, whole: bool = False) -> tuple[Fit, tuple[bool, 
     return best, (seen[0], seen[1])
 
 
-def _endless(free: Floats, ball: int, left: float) -> Floats:
+def _without_slide_end(free: Floats, ball: int, left: float) -> Floats:
     """The same start of a slide, but one that goes on after the ball is last seen."""
     out, at = free.copy(), AFTER[ball]
     tau, longer = np.exp(free[at + 4]), 1.5 * left
@@ -205,9 +215,9 @@ def _endless(free: Floats, ball: int, left: float) -> Floats:
     return out
 
 
-def _tied_from(free: Fit, tied: Fit, diameter: float) -> Floats:
+def _free_to_tied(free: CollisionFit, tied: CollisionFit, diameter: float) -> Floats:
     """Tied parameters nearest to a free motion: its launch, the r, mu_k and C it implies, the spin of another fit."""
-    said = dict(zip(NAMES, of_free(free.parameters, free.cov, diameter).value, strict=True))
+    said = dict(zip(QUANTITY_NAMES, derive_from_free(free.parameters, free.cov, diameter).value, strict=True))
     impact = [np.clip(said["r"], 0, 1), np.log(np.clip(said["mu_k"], 1e-3, 10)), np.clip(said["C"], -0.5, 1)]
     spin = tied.parameters[TIED.index(SPIN[0]) : -len(TARGET)]
     return np.concatenate([free.parameters[:8], impact, spin, free.parameters[-len(TARGET) :]])

@@ -7,14 +7,14 @@ a streaked image measures, and come with exact derivatives.
 Two parameter vectors describe the same path:
 
 - **free** (22 numbers, `FREE`): after the hit each ball has any velocity, any slide time, any final velocity;
-- **tied** (16 numbers, `TIED`): restitution, friction and spin transfer decide them (`release`).
+- **tied** (16 numbers, `TIED`): restitution, friction and spin transfer decide them (`tied_to_free`).
 
 Both end with ball 1's velocity before the hit (`TARGET`), which a fit holds at zero where that ball rests; v0
 and heading are those of ball 2's velocity relative to it. Before it stands how ball 2 is spun when it does not roll
 (`SPIN`, of the free motion the acceleration that this makes, `SLIDING`), held at zero where it rolls. The impact
 parameter enters as an angle beta, b/2R = sin(beta); friction and slide times as logarithms, so that every real vector
 is a valid motion. Source: Painter & Behringer 2000, eqs 1-4 for the head-on case; the impulse of two rolling balls is
-derived in `release`.
+derived in `tied_to_free`.
 """
 
 from __future__ import annotations
@@ -75,7 +75,7 @@ def _phis(z: Floats) -> list[Floats]:
 
 
 @dataclass(frozen=True)
-class Rolled:
+class RollingMotion:
     """A rolling ball after time t: way, integral of the way, and what they owe to speed, drag and decel."""
 
     way: Floats
@@ -85,7 +85,7 @@ class Rolled:
     area_decel: Floats
 
 
-def rolled(speed: float | Floats, drag: float, decel: float, t: Floats) -> Rolled:
+def roll_freely(speed: float | Floats, drag: float, decel: float, t: Floats) -> RollingMotion:
     """Rolling under a = -(drag v + decel) until the ball stops, with phi functions: drag = 0 is no special case.
 
     Parameters
@@ -117,7 +117,7 @@ def rolled(speed: float | Floats, drag: float, decel: float, t: Floats) -> Rolle
         area_speed += run * p1 * rest
         area_drag += way_drag * rest
         area_decel -= square * p2 * rest
-    return Rolled(way, area, area_speed, area_drag, area_decel)
+    return RollingMotion(way, area, area_speed, area_drag, area_decel)
 
 
 def stopping_time(speed: float | Floats, drag: float, decel: float) -> Floats:
@@ -144,7 +144,7 @@ def directions(
     return d, n, np.stack([-n[..., 1], n[..., 0]], -1)
 
 
-def path(
+def mean_positions(
     free: Floats, ball: int | NDArray[np.int64], start: Floats, exposure: float, diameter: float
 ) -> tuple[Floats, Floats]:
     """Mean positions of balls over exposures, and their derivatives, by closed-form integrals over each leg.
@@ -211,7 +211,7 @@ def _approach(free: Floats, second: NDArray[np.int64], s: Floats) -> tuple[Float
     d = np.array([np.cos(heading), np.sin(heading)])
     speed, along = _polar(np.stack([free[-2:], free[-2:] + v0 * d]))
     speed, along = speed[second], along[second]
-    roll = rolled(speed, drag, decel, s)
+    roll = roll_freely(speed, drag, decel, s)
     part = np.zeros((len(FREE), len(s), 2))
     part[0] = -roll.way[:, None] * along
     part[6] = roll.area_drag[:, None] * along
@@ -249,7 +249,7 @@ def _polar(velocities: Floats) -> tuple[Floats, Floats]:
     return speed, velocities / np.maximum(speed, 1e-300)[:, None]
 
 
-def _by_velocity(roll: Rolled, speed: Floats, along: Floats) -> Floats:
+def _by_velocity(roll: RollingMotion, speed: Floats, along: Floats) -> Floats:
     """d(area)/d(velocity), by its component (2, n, 2): a velocity that turns takes the whole rolled way with it."""
     turn = roll.area / np.maximum(speed, 1e-300)
     x, y = along[:, 0], along[:, 1]
@@ -269,7 +269,7 @@ def _departure(free: Floats, second: NDArray[np.int64], s: Floats) -> tuple[Floa
     v, change = own[second, :2], (own[:, 2:4] - own[:, :2])[second]
     slide = np.minimum(s, tau)
     roll_time = s - slide
-    roll = rolled(speed, free[6], free[7], roll_time)
+    roll = roll_freely(speed, free[6], free[7], roll_time)
 
     square = slide * slide
     both = square / 2 + slide * roll_time  # weight of the velocity a ball keeps throughout
@@ -296,7 +296,7 @@ def _departure(free: Floats, second: NDArray[np.int64], s: Floats) -> tuple[Floa
 # --- the impact ---
 
 
-def release(tied: NDArray[np.inexact], spin: float = 0.0) -> NDArray[np.inexact]:
+def tied_to_free(tied: NDArray[np.inexact], spin: float = 0.0) -> NDArray[np.inexact]:
     """The impact and the slides of the model: the free parameters that follow from the tied ones.
 
     Equal balls, ball 1 rolling or at rest. P/m = (1 + r) v_n / 2 along n; J/m = -(2/5) C u_t on ball 2, u_t
@@ -335,7 +335,7 @@ def release(tied: NDArray[np.inexact], spin: float = 0.0) -> NDArray[np.inexact]
     return np.concatenate([*parts, pull, target], -1)
 
 
-def release_slope(tied: Floats, spin: float = 0.0) -> Floats:
-    """The derivatives (22, 16) of `release` at tied (16,), exact to rounding, by complex steps."""
+def tied_to_free_jacobian(tied: Floats, spin: float = 0.0) -> Floats:
+    """The derivatives (22, 16) of `tied_to_free` at tied (16,), exact to rounding, by complex steps."""
     steps = tied + 1e-30j * np.eye(len(TIED))
-    return np.asarray(release(steps, spin).imag.T / 1e-30, dtype=np.float64)
+    return np.asarray(tied_to_free(steps, spin).imag.T / 1e-30, dtype=np.float64)

@@ -9,9 +9,9 @@ from itertools import combinations, product
 import numpy as np
 from numpy.typing import NDArray
 
-from tracker.measurement.collision.collision_model import AFTER, SPIN, TIED, directions, release
-from tracker.measurement.collision.fitting import Pair
-from tracker.measurement.positions import Course
+from tracker.measurement.collision.collision_model import AFTER, SPIN, TIED, directions, tied_to_free
+from tracker.measurement.collision.least_squares import BallPair
+from tracker.measurement.positions import BallTrack
 
 Floats = NDArray[np.float64]
 APPROACH = 6  # positions from which the approach is read
@@ -25,19 +25,19 @@ NEAR = 0.75  # frames' worth of approach, by which balls that touch may be apart
 
 
 @dataclass(frozen=True, eq=False)
-class Encounter:
+class Contact:
     """Two balls about one contact, `frame` that of least separation; ball 2, the striker, is the faster.
 
     reason: why it cannot be fitted.
     """
 
-    pair: Pair
+    pair: BallPair
     frame: int
     reason: str = ""
 
 
 @dataclass(frozen=True)
-class Past:
+class EarlierHit:
     """What earlier hits left of a ball: it slides until rolls_from, s (inf: not known), and R w_z is spin, m/s."""
 
     rolls_from: float = -np.inf
@@ -45,20 +45,20 @@ class Past:
 
 
 @dataclass(frozen=True, eq=False)
-class Meeting:
+class ContactCandidate:
     """A contact as it is found: two balls, each with the stretch in which it meets no third or again the other."""
 
-    one: Course
-    other: Course
+    one: BallTrack
+    other: BallTrack
     frame: int
 
 
-def meetings(balls: list[Course], diameter: float, steps: float = NEAR) -> list[Meeting]:
+def find_contacts(balls: list[BallTrack], diameter: float, steps: float = NEAR) -> list[ContactCandidate]:
     """Find all contacts of a recording.
 
     Parameters
     ----------
-    balls : list of Course
+    balls : list of BallTrack
     diameter : float
         m.
     steps : float
@@ -66,7 +66,7 @@ def meetings(balls: list[Course], diameter: float, steps: float = NEAR) -> list[
 
     Returns
     -------
-    list of Meeting
+    list of ContactCandidate
         In order of time.
     """
     found = [(k, a, b) for a, b in combinations(balls, 2) for k in _contact_frames(a, b, diameter, steps)]
@@ -74,21 +74,21 @@ def meetings(balls: list[Course], diameter: float, steps: float = NEAR) -> list[
     out = []
     for i, (frame, a, b) in enumerate(found):
         cut = []
-        for course in (a, b):
-            others = [f for j, (f, *pair) in enumerate(found) if j != i and course in pair]
+        for track in (a, b):
+            others = [f for j, (f, *pair) in enumerate(found) if j != i and track in pair]
             first = max((f for f in others if f < frame), default=-1)
             last = min((f for f in others if f > frame), default=np.iinfo(np.int64).max)
-            cut.append(course.where((course.frame > first) & (course.frame < last)))
-        out.append(Meeting(cut[0], cut[1], frame))
+            cut.append(track.where((track.frame > first) & (track.frame < last)))
+        out.append(ContactCandidate(cut[0], cut[1], frame))
     return out
 
 
-def encounter(meeting: Meeting, diameter: float, pasts: Mapping[int, Past]) -> Encounter:
+def prepare_contact(candidate: ContactCandidate, diameter: float, pasts: Mapping[int, EarlierHit]) -> Contact:
     """Prepare a contact to be fitted: which ball strikes, and which of their positions count.
 
     Parameters
     ----------
-    meeting : Meeting
+    candidate : ContactCandidate
     diameter : float
         m.
     pasts : mapping of int to Past
@@ -96,45 +96,45 @@ def encounter(meeting: Meeting, diameter: float, pasts: Mapping[int, Past]) -> E
 
     Returns
     -------
-    Encounter
+    Contact
         With a reason where it cannot be fitted.
     """
     balls, spin = [], 0.0
-    for course in (meeting.one, meeting.other):
-        past = pasts.get(course.particle, Past())
-        rolls = course.where(course.start > past.rolls_from)
-        if not (rolls.frame < meeting.frame).any() and (course.frame < meeting.frame).any():
+    for track in (candidate.one, candidate.other):
+        past = pasts.get(track.particle, EarlierHit())
+        rolls = track.where(track.start > past.rolls_from)
+        if not (rolls.frame < candidate.frame).any() and (track.frame < candidate.frame).any():
             reason = "a ball still slides when it is hit again: how it spins then is not known well enough"
             if np.isinf(past.rolls_from):
                 reason = "an earlier hit of a ball could not be measured"
-            return Encounter(Pair(meeting.one, meeting.other, diameter), meeting.frame, reason)
-        balls.append(_thinned(rolls, meeting.frame))
+            return Contact(BallPair(candidate.one, candidate.other, diameter), candidate.frame, reason)
+        balls.append(_shorten_rest(rolls, candidate.frame))
         spin += past.spin
-    return _roles(Pair(balls[0], balls[1], diameter, spin=spin), meeting.frame)
+    return _assign_roles(BallPair(balls[0], balls[1], diameter, spin=spin), candidate.frame)
 
 
-def velocity(course: Course) -> tuple[Floats, Floats, float]:
+def fit_velocity(track: BallTrack) -> tuple[Floats, Floats, float]:
     """Fit a straight line to a few positions.
 
     Returns the velocity (2,) m/s, the position (2,) m at the mean time, and the velocity's standard error, m/s.
     """
-    t = course.time - course.time.mean()
+    t = track.time - track.time.mean()
     spread = float((t**2).sum())
-    std = float(np.sqrt(np.trace(course.cov.mean(axis=0)) / 2 / spread))
-    return t @ course.position / spread, course.position.mean(axis=0), std
+    std = float(np.sqrt(np.trace(track.cov.mean(axis=0)) / 2 / spread))
+    return t @ track.position / spread, track.position.mean(axis=0), std
 
 
-def _before(course: Course, frame: int) -> Course:
+def _before(track: BallTrack, frame: int) -> BallTrack:
     """The last few positions before a frame."""
-    return course.where((course.frame >= frame - LONGEST) & _ranked(course.frame < frame, last=True))
+    return track.where((track.frame >= frame - LONGEST) & _first_or_last(track.frame < frame, last=True))
 
 
-def _after(course: Course, frame: int) -> Course:
+def _after(track: BallTrack, frame: int) -> BallTrack:
     """The first few positions after a frame."""
-    return course.where((course.frame <= frame + LONGEST) & _ranked(course.frame > frame, last=False))
+    return track.where((track.frame <= frame + LONGEST) & _first_or_last(track.frame > frame, last=False))
 
 
-def _ranked(rows: NDArray[np.bool_], last: bool) -> NDArray[np.bool_]:
+def _first_or_last(rows: NDArray[np.bool_], last: bool) -> NDArray[np.bool_]:
     """The first or the last APPROACH of the rows that are set."""
     chosen = np.flatnonzero(rows)
     out = np.zeros_like(rows)
@@ -142,12 +142,12 @@ def _ranked(rows: NDArray[np.bool_], last: bool) -> NDArray[np.bool_]:
     return out
 
 
-def _contact_frames(a: Course, b: Course, diameter: float, steps: float) -> list[int]:
-    """Frames of least separation at which two balls touched and changed course; gaps are bridged straight."""
+def _contact_frames(a: BallTrack, b: BallTrack, diameter: float, steps: float) -> list[int]:
+    """Frames of least separation at which two balls touched and changed direction; gaps are bridged straight."""
     frames = np.arange(max(a.frame[0], b.frame[0]), min(a.frame[-1], b.frame[-1]) + 1)
     if len(frames) < 5:
         return []
-    apart = np.hypot(*(_bridged(a, frames) - _bridged(b, frames)).T)
+    apart = np.hypot(*(_interpolate(a, frames) - _interpolate(b, frames)).T)
     step = np.abs(np.diff(apart))
     found = []
     for k in range(1, len(frames) - 1):
@@ -155,66 +155,66 @@ def _contact_frames(a: Course, b: Course, diameter: float, steps: float) -> list
         if not closest:
             continue
         reach = step[max(k - 3, 0) : k + 3].max() * max(_gap(c, int(frames[k])) for c in (a, b))
-        if apart[k] < diameter * 1.01 + steps * reach and _kicked(a, b, int(frames[k])):
+        if apart[k] < diameter * 1.01 + steps * reach and _changed_velocity(a, b, int(frames[k])):
             found.append(int(frames[k]))
     return found
 
 
-def _bridged(course: Course, frames: NDArray[np.int64]) -> Floats:
-    return np.column_stack([np.interp(frames, course.frame, course.position[:, axis]) for axis in (0, 1)])
+def _interpolate(track: BallTrack, frames: NDArray[np.int64]) -> Floats:
+    return np.column_stack([np.interp(frames, track.frame, track.position[:, axis]) for axis in (0, 1)])
 
 
-def _gap(course: Course, frame: int) -> int:
+def _gap(track: BallTrack, frame: int) -> int:
     """Longest stretch, in frames, between positions next to a frame."""
-    i = int(np.searchsorted(course.frame, frame))
-    near = course.frame[max(i - 2, 0) : i + 3]
+    i = int(np.searchsorted(track.frame, frame))
+    near = track.frame[max(i - 2, 0) : i + 3]
     return int(np.diff(near).max(initial=1))
 
 
-def _kicked(a: Course, b: Course, frame: int) -> bool:
+def _changed_velocity(a: BallTrack, b: BallTrack, frame: int) -> bool:
     """Whether either ball's velocity changed there by more than noise and friction do."""
-    for course in (a, b):
-        early, late = _before(course, frame), _after(course, frame)
+    for track in (a, b):
+        early, late = _before(track, frame), _after(track, frame)
         if len(early) < 2 or len(late) < 2:
             continue
-        (v, _, s), (w, _, q) = velocity(early), velocity(late)
+        (v, _, s), (w, _, q) = fit_velocity(early), fit_velocity(late)
         if np.linalg.norm(w - v) > max(6 * np.hypot(s, q), 0.05 * max(np.linalg.norm(v), np.linalg.norm(w))):
             return True
     return False
 
 
-def _roles(pair: Pair, frame: int) -> Encounter:
+def _assign_roles(pair: BallPair, frame: int) -> Contact:
     """Ball 2 is the faster before contact; says why where a clip shows too little."""
     early = [_before(c, frame) for _, c in pair.balls]
     if min(len(e) for e in early) < 2:
-        return Encounter(pair, frame, "the approach is not in view")
-    speeds = [float(np.linalg.norm(velocity(e)[0])) for e in early]
+        return Contact(pair, frame, "the approach is not in view")
+    speeds = [float(np.linalg.norm(fit_velocity(e)[0])) for e in early]
     if speeds[0] > speeds[1]:
         pair = replace(pair, struck=pair.striker, striker=pair.struck)
-    rest = _at_rest(pair.struck, frame, CREEPING * max(speeds))
+    rest = _rest_start(pair.struck, frame, CREEPING * max(speeds))
     if rest is not None:
         pair = replace(pair, struck=pair.struck.where(pair.struck.frame >= rest))
     if min(int((c.frame > frame).sum()) for _, c in pair.balls) < 4:
-        return Encounter(pair, frame, "too few frames after the contact")
-    return Encounter(replace(pair, moving=rest is None), frame)
+        return Contact(pair, frame, "too few frames after the contact")
+    return Contact(replace(pair, target_moves=rest is None), frame)
 
 
-def _at_rest(course: Course, frame: int, slow: float) -> int | None:
+def _rest_start(track: BallTrack, frame: int, slow: float) -> int | None:
     """First frame from which a ball rests until the contact; None if it moves then.
 
     The stretch grows from the contact outwards for as long as one position describes it, so that a ball which rolled
     to a stop before is taken from there on. The frame next to the contact may be late where others are missing.
     """
-    rows = np.flatnonzero(course.frame < frame - 1)
+    rows = np.flatnonzero(track.frame < frame - 1)
     if len(rows) < 2:
-        rows = np.flatnonzero(course.frame < frame)
+        rows = np.flatnonzero(track.frame < frame)
     first = None
     count = min(APPROACH, len(rows))
     while count <= len(rows):
-        mask = np.zeros(len(course), dtype=bool)
+        mask = np.zeros(len(track), dtype=bool)
         mask[rows[-count:]] = True
-        part = course.where(mask)
-        v, _, std = velocity(part)
+        part = track.where(mask)
+        v, _, std = fit_velocity(part)
         if np.linalg.norm(v) > max(slow, 5 * std):
             break
         first = int(part.frame[0])
@@ -224,70 +224,70 @@ def _at_rest(course: Course, frame: int, slow: float) -> int | None:
     return first
 
 
-def _thinned(course: Course, frame: int) -> Course:
+def _shorten_rest(track: BallTrack, frame: int) -> BallTrack:
     """The ball without the part of a rest that is more than STILL positions from the contact: it adds nothing."""
-    if len(course) <= STILL or course.width <= 0:
-        return course
-    keep = np.ones(len(course), dtype=bool)
-    still = np.hypot(*(course.position[STILL:] - course.position[:-STILL]).T) < SAME * course.width
-    keep[:-STILL] &= ~(still & (course.frame[STILL:] < frame))
-    keep[STILL:] &= ~(still & (course.frame[:-STILL] > frame))
-    return course.where(keep)
+    if len(track) <= STILL or track.width <= 0:
+        return track
+    keep = np.ones(len(track), dtype=bool)
+    still = np.hypot(*(track.position[STILL:] - track.position[:-STILL]).T) < SAME * track.width
+    keep[:-STILL] &= ~(still & (track.frame[STILL:] < frame))
+    keep[STILL:] &= ~(still & (track.frame[:-STILL] > frame))
+    return track.where(keep)
 
 
-def first_guesses(meeting: Encounter) -> list[Floats]:
+def guess_parameters(contact: Contact) -> list[Floats]:
     """Tied parameters (16,) to start from, the likeliest first; none where the approach leads past the other ball.
 
     The launch comes from the approach alone: straight lines, and the time at which the balls are one diameter
     apart. What the impact did comes from a coarse grid over all that is physical, the best for each friction. Where
     frames about the contact are missing, it may have been a frame earlier or later than it seems.
     """
-    near = np.arange(meeting.frame - 2, meeting.frame + 3)
-    whole = all(np.isin(near, course.frame).all() for _, course in meeting.pair.balls)
+    near = np.arange(contact.frame - 2, contact.frame + 3)
+    whole = all(np.isin(near, track.frame).all() for _, track in contact.pair.balls)
     starts = []
-    for frame in (meeting.frame,) if whole else (meeting.frame - 1, meeting.frame, meeting.frame + 1):
-        launch = _launch(meeting.pair, frame)
+    for frame in (contact.frame,) if whole else (contact.frame - 1, contact.frame, contact.frame + 1):
+        launch = _guess_launch(contact.pair, frame)
         if launch is not None:
             starts += [[*launch[:8], r, np.log(mu), c, *ROLLS, *launch[8:]] for r, mu, c in product(*GRID)]
     if not starts:
         return []
     guesses = np.array(starts)
-    ordered = guesses[np.argsort(_misfit(meeting.pair, guesses), kind="stable")]
+    ordered = guesses[np.argsort(_rough_chi2(contact.pair, guesses), kind="stable")]
     first = np.unique(ordered[:, TIED.index("log_mu")], return_index=True)[1]
     return list(ordered[np.sort(first)])
 
 
-def _misfit(pair: Pair, tied: Floats) -> Floats:
+def _rough_chi2(pair: BallPair, tied: Floats) -> Floats:
     """Sums (k,) of squared distances, in their errors, between the positions after the hit and the guesses (k, 16).
 
     Rough: instants for exposures, and a rolling ball loses speed evenly.
     """
-    free = np.asarray(release(tied, pair.spin), dtype=np.float64)
+    free = np.asarray(tied_to_free(tied, pair.spin), dtype=np.float64)
     _, normal, _ = directions(tied[:, 3], tied[:, 4])
     total = np.zeros(len(tied))
-    for ball, course in pair.balls:
+    for ball, track in pair.balls:
         at, contact = AFTER[ball], free[:, 1:3] - (ball - 1) * pair.diameter * normal
         v, f, tau = free[:, at : at + 2], free[:, at + 2 : at + 4], np.exp(free[:, at + 4 : at + 5])
-        since = course.time - free[:, :1]  # (k, n)
+        since = track.time - free[:, :1]  # (k, n)
         slide = np.clip(since, 0.0, tau)
         speed = np.maximum(np.hypot(f[:, 0], f[:, 1]), 1e-9)[:, None]
         loss = free[:, 6:7] * speed + free[:, 7:8]
         roll = np.clip(since - tau, 0.0, speed / loss)
         grown = roll - loss * roll**2 / (2 * speed) + slide**2 / (2 * tau)  # weight of f
         way = (slide - slide**2 / (2 * tau))[..., None] * v[:, None] + grown[..., None] * f[:, None]
-        off = contact[:, None] + way - course.position
-        total += np.where(since > 0, course.whiten.distance(off), 0.0).sum(-1)
+        off = contact[:, None] + way - track.position
+        total += np.where(since > 0, track.whiten.distance(off), 0.0).sum(-1)
     return total
 
 
-def _launch(pair: Pair, frame: int) -> list[float] | None:
+def _guess_launch(pair: BallPair, frame: int) -> list[float] | None:
     """The first eight of the tied parameters and ball 1's velocity, from what lies before `frame`."""
     line, target = _before(pair.striker, frame), _before(pair.struck, frame)
-    if len(line) < 2 or len(target) < 1 + pair.moving:
+    if len(line) < 2 or len(target) < 1 + pair.target_moves:
         return None
-    v, middle, _ = velocity(line)
-    w, position = velocity(target)[:2] if pair.moving else (np.zeros(2), target.position.mean(axis=0))
-    late = float(line.time.mean() - target.time.mean()) if pair.moving else 0.0
+    v, middle, _ = fit_velocity(line)
+    w, position = fit_velocity(target)[:2] if pair.target_moves else (np.zeros(2), target.position.mean(axis=0))
+    late = float(line.time.mean() - target.time.mean()) if pair.target_moves else 0.0
     v0 = float(np.linalg.norm(v - w))
     if v0 == 0:
         return None

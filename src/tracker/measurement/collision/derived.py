@@ -12,11 +12,11 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from tracker.measurement.collision.collision_model import AFTER, GRAVITY, TIED, release
+from tracker.measurement.collision.collision_model import AFTER, GRAVITY, TIED, tied_to_free
 
 Floats = NDArray[np.float64]
 
-NAMES = (
+QUANTITY_NAMES = (
     *("v0", "b", "t_c", "r", "s", "mu_k", "C", "tau1", "tau2", "v1f", "v2f"),
     *("energy_fraction", "momentum_fraction", "final_angle", "drag", "decel", "w1n", "w1t", "w2n", "w2t"),
 )
@@ -25,33 +25,33 @@ STEP = 0.01  # of a standard error, for derivatives: second-order terms cancel, 
 
 
 @dataclass(frozen=True)
-class Values:
-    """Quantities in the order of NAMES: value (20,) and covariance (20, 20).
+class DerivedValues:
+    """Quantities in the order of QUANTITY_NAMES: value (20,) and covariance (20, 20).
 
     shared (20, k): what one standard error of each thing known of the camera does to them; part of cov.
     """
 
     value: Floats
     cov: Floats
-    shared: Floats = field(default_factory=lambda: np.zeros((len(NAMES), 0)))
+    shared: Floats = field(default_factory=lambda: np.zeros((len(QUANTITY_NAMES), 0)))
 
     @property
     def std(self) -> Floats:
         """(20,) standard errors."""
         return np.sqrt(np.diag(self.cov))
 
-    def without_errors(self, names: Collection[str]) -> Values:
+    def without_errors(self, names: Collection[str]) -> DerivedValues:
         """The same, but of these names the values alone."""
-        lost, cov, shared = [NAMES.index(name) for name in names], self.cov.copy(), self.shared.copy()
+        lost, cov, shared = [QUANTITY_NAMES.index(name) for name in names], self.cov.copy(), self.shared.copy()
         cov[lost, :] = cov[:, lost] = shared[lost] = np.nan
-        return Values(self.value, cov, shared)
+        return DerivedValues(self.value, cov, shared)
 
-    def with_shared(self, shared: Floats) -> Values:
+    def with_shared(self, shared: Floats) -> DerivedValues:
         """The same with further errors, (20, k), each of which moves all quantities together."""
         return replace(self, cov=self.cov + shared @ shared.T, shared=shared)
 
 
-def of_free(free: Floats, cov: Floats, diameter: float, shift: Floats | None = None) -> Values:
+def derive_from_free(free: Floats, cov: Floats, diameter: float, shift: Floats | None = None) -> DerivedValues:
     """Quantities of a free motion.
 
     Friction and spin transfer follow from either ball; the two are weighted by their errors. Where they differ by more
@@ -71,15 +71,15 @@ def of_free(free: Floats, cov: Floats, diameter: float, shift: Floats | None = N
     -------
     Values
     """
-    twice, slope = _with_slope(lambda p: _both(p, diameter), free, cov)
+    twice, slope = _with_slope(lambda p: _derive_from_each_ball(p, diameter), free, cov)
     unknown = ~(np.isfinite(twice) & np.isfinite(slope).all(axis=1))  # s at b = 0 exactly is 0 / 0
     slope[unknown] = 0.0
     spread = slope @ cov @ slope.T
     further = slope @ (np.zeros((len(free), 0)) if shift is None else shift)
     wide = spread + further @ further.T
-    merge, apart = np.zeros((len(NAMES), len(NAMES) + 2)), list[str]()
-    for row, name in enumerate(NAMES):
-        column = row + (row > NAMES.index("mu_k")) + (row > NAMES.index("C"))
+    merge, apart = np.zeros((len(QUANTITY_NAMES), len(QUANTITY_NAMES) + 2)), list[str]()
+    for row, name in enumerate(QUANTITY_NAMES):
+        column = row + (row > QUANTITY_NAMES.index("mu_k")) + (row > QUANTITY_NAMES.index("C"))
         if name in ("mu_k", "C"):
             pair = slice(column, column + 2)
             merge[row, pair] = _weights(wide[pair, pair])
@@ -89,11 +89,11 @@ def of_free(free: Floats, cov: Floats, diameter: float, shift: Floats | None = N
             merge[row, column] = 1.0
     value = merge @ np.where(unknown, 0.0, twice)
     value[merge[:, unknown].any(axis=1)] = np.nan
-    lost = [name for name, known in zip(NAMES, np.isfinite(value), strict=True) if not known]
-    return Values(value, merge @ spread @ merge.T).without_errors([*apart, *lost])
+    lost = [name for name, known in zip(QUANTITY_NAMES, np.isfinite(value), strict=True) if not known]
+    return DerivedValues(value, merge @ spread @ merge.T).without_errors([*apart, *lost])
 
 
-def of_tied(tied: Floats, cov: Floats, diameter: float, spin: float = 0.0) -> Values:
+def derive_from_tied(tied: Floats, cov: Floats, diameter: float, spin: float = 0.0) -> DerivedValues:
     """Quantities of a tied motion.
 
     Parameters
@@ -103,7 +103,7 @@ def of_tied(tied: Floats, cov: Floats, diameter: float, spin: float = 0.0) -> Va
     diameter : float
         m.
     spin : float
-        m/s; see `release`.
+        m/s; see `tied_to_free`.
 
     Returns
     -------
@@ -112,14 +112,16 @@ def of_tied(tied: Floats, cov: Floats, diameter: float, spin: float = 0.0) -> Va
 
     def single(p: Floats) -> Floats:
         slip = p[..., TIED.index("ux") : TIED.index("uy") + 1]
-        both = _both(np.asarray(release(p, spin), dtype=np.float64), diameter, slip)
-        return np.delete(both, [NAMES.index("mu_k") + 1, NAMES.index("C") + 2], axis=-1)
+        both = _derive_from_each_ball(np.asarray(tied_to_free(p, spin), dtype=np.float64), diameter, slip)
+        return np.delete(both, [QUANTITY_NAMES.index("mu_k") + 1, QUANTITY_NAMES.index("C") + 2], axis=-1)
 
     value, slope = _with_slope(single, tied, cov)
     if not tied[-2:].any():
-        spin = NAMES.index("w1n")  # nothing turns a resting ball about n: zero by the model, not by measurement
+        spin = QUANTITY_NAMES.index(
+            "w1n"
+        )  # nothing turns a resting ball about n: zero by the model, not by measurement
         value[spin], slope[spin] = 0.0, 0.0
-    return Values(value, slope @ cov @ slope.T)
+    return DerivedValues(value, slope @ cov @ slope.T)
 
 
 def _with_slope(function, at: Floats, cov: Floats) -> tuple[Floats, Floats]:  # type: ignore[no-untyped-def]
@@ -143,8 +145,8 @@ def _of_difference(cov: Floats) -> float:
     return float(cov[0, 0] + cov[1, 1] - 2 * cov[0, 1])
 
 
-def _both(free: Floats, diameter: float, slip: Floats | float = 0.0) -> Floats:
-    """(..., 22): NAMES, with mu_k and C twice, once from each ball; slip (..., 2) of ball 2 before the hit, m/s."""
+def _derive_from_each_ball(free: Floats, diameter: float, slip: Floats | float = 0.0) -> Floats:
+    """QUANTITY_NAMES, mu_k and C from each ball: (..., 22); slip (..., 2) of ball 2 before the hit, m/s."""
     radius = diameter / 2
     heading, beta, v0 = free[..., 3], free[..., 4], free[..., 5]
     d = np.stack([np.cos(heading), np.sin(heading)], -1)

@@ -13,10 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tracker.measurement.collision.collision_model import FREE
-from tracker.measurement.collision.fitting import Fit, Pair, Whitened
+from tracker.measurement.collision.least_squares import BallPair, CollisionFit, WhitenedResiduals
 from tracker.measurement.noise.position_noise import Size, quick_share, scatter
 from tracker.measurement.noise.whitening import fresh
-from tracker.measurement.positions import Course
+from tracker.measurement.positions import BallTrack
 
 Floats = NDArray[np.float64]
 ORDER = 3  # of the polynomial
@@ -34,7 +34,7 @@ UNSEEN = 4.0
 CLEAR = 10.0  # gain in the logarithm of the likelihood: beyond four standard errors
 
 
-def lasting(pair: Pair, free: Fit) -> Pair | None:
+def with_correlated_noise(pair: BallPair, free: CollisionFit) -> BallPair | None:
     """The pair with errors of the size and the correlation from frame to frame that its tracks show.
 
     Parameters
@@ -50,25 +50,25 @@ def lasting(pair: Pair, free: Fit) -> Pair | None:
         leaves cannot be errors, for it would scatter more from frame to frame than it does.
     """
     if pair.striker.encoded:
-        return _encoded(pair, free)
-    if _neighbours(free) < NOTICEABLE:
+        return _with_codec_errors(pair, free)
+    if _neighbour_correlation(free) < NOTICEABLE:
         return None
-    parts = [_prepared(stretch) for stretch in _stretches(pair, free)]
+    parts = [_whiten_with_cubics(stretch) for stretch in _rolling_stretches(pair, free)]
     if not parts:
         return None
-    gains, sizes = zip(*(_likelihood(parts, float(rho)) for rho in TRIED), strict=True)
+    gains, sizes = zip(*(_restricted_likelihood(parts, float(rho)) for rho in TRIED), strict=True)
     best = int(np.argmax(gains))
     if gains[best] - gains[0] < CLEAR:
         return None
     size, rho = sizes[best], float(TRIED[best])
-    quick = scatter([course for _, course in pair.balls])
+    quick = scatter([track for _, track in pair.balls])
     if quick is not None and size.ratio * quick_share(rho) > UNSEEN * quick.ratio:
         return None
-    struck, striker = (replace(course.resized(size), rho=rho) for _, course in pair.balls)
+    struck, striker = (replace(track.scale_errors(size), rho=rho) for _, track in pair.balls)
     return replace(pair, struck=struck, striker=striker)
 
 
-def _encoded(pair: Pair, free: Fit) -> Pair | None:
+def _with_codec_errors(pair: BallPair, free: CollisionFit) -> BallPair | None:
     """The pair with errors as large as a free fit leaves, if that is more, and not too much for an encoder's.
 
     An encoder's errors are uneven: neither single pixels nor a few frames show their size. They last where a ball
@@ -77,40 +77,40 @@ def _encoded(pair: Pair, free: Fit) -> Pair | None:
     size = Size(free.chi2 / max(free.dof, 1), float(max(free.dof, 1)))
     if not size.sigmas > NOTICEABLE or size.ratio > LARGEST:
         return None
-    struck, striker = (course.resized(size) for _, course in pair.balls)
+    struck, striker = (track.scale_errors(size) for _, track in pair.balls)
     return replace(pair, struck=struck, striker=striker)
 
 
-def _neighbours(free: Fit) -> float:
+def _neighbour_correlation(free: CollisionFit) -> float:
     """Correlation of neighbouring residuals of a free fit, in standard errors."""
-    problem = Whitened(free.pair, False)
+    problem = WhitenedResiduals(free.pair, False)
     left = problem.residual(free.parameters[problem.index])[: 2 * len(free.pair)].reshape(-1, 2)
     cut = len(free.pair.struck)
     products = np.concatenate([part[1:] * part[:-1] for part in (left[:cut], left[cut:])])
     return float(products.mean() * np.sqrt(products.size) / max(float((left**2).mean()), 1e-300))
 
 
-def _stretches(pair: Pair, free: Fit) -> Iterator[Course]:
+def _rolling_stretches(pair: BallPair, free: CollisionFit) -> Iterator[BallTrack]:
     """Each ball before the contact and after its slide, a frame away from either."""
-    for ball, course in pair.balls:
-        t_c, frame = free.parameters[0], float(np.median(np.diff(course.start))) if len(course) > 1 else 0.0
+    for ball, track in pair.balls:
+        t_c, frame = free.parameters[0], float(np.median(np.diff(track.start))) if len(track) > 1 else 0.0
         end = t_c + np.exp(free.parameters[FREE.index(f"log_tau{ball}")])
-        for rows in (course.start + course.exposure < t_c - frame, course.start > end + frame):
+        for rows in (track.start + track.exposure < t_c - frame, track.start > end + frame):
             if rows.sum() >= FEWEST:
-                yield course.where(rows)
+                yield track.where(rows)
 
 
-def _prepared(course: Course) -> tuple[Floats, NDArray[np.int64]]:
+def _whiten_with_cubics(track: BallTrack) -> tuple[Floats, NDArray[np.int64]]:
     """Cubics of either axis and positions, whitened by what is claimed, (9, 2n); frames (n,)."""
-    powers = np.interp(course.frame, [course.frame[0], course.frame[-1]], [-1, 1])[:, None] ** np.arange(ORDER + 1)
-    columns = np.zeros((2 * ORDER + 3, len(course), 2))
+    powers = np.interp(track.frame, [track.frame[0], track.frame[-1]], [-1, 1])[:, None] ** np.arange(ORDER + 1)
+    columns = np.zeros((2 * ORDER + 3, len(track), 2))
     for axis in (0, 1):
         columns[axis * (ORDER + 1) : (axis + 1) * (ORDER + 1), :, axis] = powers.T
-    columns[-1] = course.position - course.position.mean(axis=0)
-    return replace(course, rho=0.0).whiten(columns), course.frame
+    columns[-1] = track.position - track.position.mean(axis=0)
+    return replace(track, rho=0.0).whiten(columns), track.frame
 
 
-def _likelihood(parts: list[tuple[Floats, NDArray[np.int64]]], rho: float) -> tuple[float, Size]:
+def _restricted_likelihood(parts: list[tuple[Floats, NDArray[np.int64]]], rho: float) -> tuple[float, Size]:
     """Logarithm of the restricted likelihood at a correlation, with the size that maximises it."""
     squares, freedom, volume = 0.0, 0, 0.0
     for columns, frame in parts:

@@ -14,11 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tracker.measurement.collision.collision_model import FREE, GRAVITY, SLIDING, SPIN, TIED
-from tracker.measurement.collision.fitting import Fit, Pair
+from tracker.measurement.collision.least_squares import BallPair, CollisionFit
 from tracker.measurement.noise.position_noise import WINDOW, bent
 
 if TYPE_CHECKING:
-    from tracker.measurement.collision.contacts import Encounter
+    from tracker.measurement.collision.contacts import Contact
 
 Floats = NDArray[np.float64]
 CONVINCING = 1e-3  # p-value that a further freedom must reach: it is asked for after a fit was rejected
@@ -31,20 +31,20 @@ SLIDES, SPINS, LATE = "striker slides", "striker spins", "rolls late"
 
 
 @dataclass(frozen=True)
-class Striker:
+class StrikerHypothesis:
     """A way in which ball 2 may come: flags that say so, what is fitted then, and starts (16,)."""
 
     flags: tuple[str, ...]
-    meeting: Encounter
+    contact: Contact
     starts: list[Floats]
 
 
-def strikers(meeting: Encounter, rolling: Floats) -> Iterator[Striker]:
+def alternative_strikers(contact: Contact, rolling: Floats) -> Iterator[StrikerHypothesis]:
     """Ways in which ball 2 may come other than rolling all the while, the simplest first.
 
     Parameters
     ----------
-    meeting : Encounter
+    contact : Contact
     rolling : ndarray of shape (16,)
         The tied parameters by which both balls roll.
 
@@ -52,49 +52,49 @@ def strikers(meeting: Encounter, rolling: Floats) -> Iterator[Striker]:
     ------
     Striker
     """
-    late = list(_late(meeting))
-    yield from (Striker((LATE,), one, [rolling]) for one in late)
-    spun = _spun(meeting, ("side",))
-    yield Striker((SPINS,), spun, [rolling])
-    yield from (Striker((LATE, SPINS), _spun(one, ("side",)), [rolling]) for one in late)
-    for one, flags in ((meeting, (SLIDES,)), *((one, (LATE, SLIDES)) for one in late)):
-        starts = _slides(one.pair, rolling)
+    late = list(_without_first_positions(contact))
+    yield from (StrikerHypothesis((LATE,), one, [rolling]) for one in late)
+    spun = _with_spin(contact, ("side",))
+    yield StrikerHypothesis((SPINS,), spun, [rolling])
+    yield from (StrikerHypothesis((LATE, SPINS), _with_spin(one, ("side",)), [rolling]) for one in late)
+    for one, flags in ((contact, (SLIDES,)), *((one, (LATE, SLIDES)) for one in late)):
+        starts = _sliding_starts(one.pair, rolling)
         if starts:
-            yield Striker(flags, _spun(one, SPIN), starts)
+            yield StrikerHypothesis(flags, _with_spin(one, SPIN), starts)
 
 
-def believable(tied: Fit, free: Fit) -> bool:
+def is_believable(tied: CollisionFit, free: CollisionFit) -> bool:
     """Whether a ball can be spun so, and where it slides up to the contact is seen to slow down."""
     v0, ux, uy, side = (tied.parameters[TIED.index(name)] for name in ("v0", *SPIN))
     if abs(side) > MOST_SPIN * v0 or np.hypot(ux, uy) > (1 + MOST_SPIN) * v0:
         return False
-    if not tied.pair.sliding:
+    if not tied.pair.striker_slides:
         return True
     at = [FREE.index(name) for name in SLIDING]
     pull = free.parameters[at]
     return bool(pull @ np.linalg.pinv(free.cov[np.ix_(at, at)]) @ pull > SEEN**2)
 
 
-def _spun(meeting: Encounter, names: tuple[str, ...]) -> Encounter:
-    return replace(meeting, pair=replace(meeting.pair, spun=names))
+def _with_spin(contact: Contact, names: tuple[str, ...]) -> Contact:
+    return replace(contact, pair=replace(contact.pair, fitted_spin=names))
 
 
-def _late(meeting: Encounter) -> Iterator[Encounter]:
+def _without_first_positions(contact: Contact) -> Iterator[Contact]:
     """The same without the first positions of the striker: those up to the last push, if one is seen, or a share."""
-    course = meeting.pair.striker
-    before = np.flatnonzero(course.frame < meeting.frame)
-    pushed = bent(course.where(course.frame < meeting.frame - 1))
-    since = [int((course.frame[before] >= pushed[-1] + WINDOW).sum())] if len(pushed) else []
+    track = contact.pair.striker
+    before = np.flatnonzero(track.frame < contact.frame)
+    pushed = bent(track.where(track.frame < contact.frame - 1))
+    since = [int((track.frame[before] >= pushed[-1] + WINDOW).sum())] if len(pushed) else []
     for kept in since + [round(share * len(before)) for share in KEPT]:
         if FEWEST <= kept < len(before):
-            rows = course.frame >= course.frame[before[-kept]]
-            yield replace(meeting, pair=replace(meeting.pair, striker=course.where(rows)))
+            rows = track.frame >= track.frame[before[-kept]]
+            yield replace(contact, pair=replace(contact.pair, striker=track.where(rows)))
 
 
-def _slides(pair: Pair, rolling: Floats) -> list[Floats]:
+def _sliding_starts(pair: BallPair, rolling: Floats) -> list[Floats]:
     """Starts (16,) by which the striker slides: its slip lies along its deceleration before the contact."""
-    course = pair.striker
-    before = course.where(course.start + course.exposure < rolling[0])
+    track = pair.striker
+    before = track.where(track.start + track.exposure < rolling[0])
     if len(before) < FEWEST:
         return []
     t = before.time - rolling[0]

@@ -31,7 +31,7 @@ STRIDE = 94  # windows whose covariance is made in one go
 
 
 class Ball(Protocol):
-    """What is needed of a ball's positions: see `positions.Course`."""
+    """What is needed of a ball's positions: see `positions.BallTrack`."""
 
     @property
     def frame(self) -> Ints: ...

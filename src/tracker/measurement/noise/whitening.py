@@ -35,7 +35,7 @@ class Whitener:
     ) -> None:  # fmt: skip
         """position (n, 2) m, cov (n, 2, 2) m^2, fixed (n, 2, 2) the shared part of it, width m of a glint; frame (n,).
 
-        rho: correlation of what is then left, from one frame to the next. drift: see `positions.Course`.
+        rho: correlation of what is then left, from one frame to the next. drift: see `positions.BallTrack`.
         """
         self.alone = _inverse_root(cov) if len(cov) else cov
         self.blocks: list[tuple[slice, Floats]] = []

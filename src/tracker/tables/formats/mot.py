@@ -6,7 +6,7 @@ import pandas as pd
 from tracker.camera.camera import Camera
 from tracker.detection.link import Tracks
 from tracker.tables.content import Content
-from tracker.tables.table import Table
+from tracker.tables.table import TrackTable
 
 NAME = "MOTChallenge's boxes"
 SUFFIX = ".txt"
@@ -15,7 +15,7 @@ FEWEST, MOST = 6, 10
 CORNER = 1.5  # of a pixel's centre at (0, 0), in a frame in which the picture's corner is (1, 1)
 
 
-def read(content: Content) -> Table | None:
+def read(content: Content) -> TrackTable | None:
     first = content.head[0] if content.head else []
     if not FEWEST <= len(first) <= MOST or not all(map(_is_number, first)):
         return None
@@ -31,7 +31,7 @@ def read(content: Content) -> Table | None:
     for name, corner, side in (("x", "left", "width"), ("y", "top", "height")):
         rows[name] = boxes[corner] + boxes[side] / 2 - CORNER
         rows[side] = boxes[side]
-    return Table(rows, NAME, "px")
+    return TrackTable(rows, NAME, "px")
 
 
 def _is_number(cell: str) -> bool:

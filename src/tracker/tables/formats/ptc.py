@@ -11,14 +11,14 @@ import pandas as pd
 from tracker.camera.camera import Camera
 from tracker.detection.link import Tracks
 from tracker.tables.content import Content
-from tracker.tables.table import Table
+from tracker.tables.table import TrackTable
 
 NAME = "the Particle Tracking Challenge's XML"
 SUFFIX = ".xml"
 TAG = "TrackContestISBI2012"
 
 
-def read(content: Content) -> Table | None:
+def read(content: Content) -> TrackTable | None:
     root = content.root
     challenge = None if root is None else root if root.tag == TAG else root.find(TAG)
     if challenge is None:
@@ -28,7 +28,7 @@ def read(content: Content) -> Table | None:
         for number, particle in enumerate(challenge.iter("particle"))
         for detection in particle.iter("detection")
     ]
-    return Table(pd.DataFrame(rows, columns=["frame", "particle", "x", "y"]), NAME, "px")
+    return TrackTable(pd.DataFrame(rows, columns=["frame", "particle", "x", "y"]), NAME, "px")
 
 
 def write(tracks: Tracks, camera: Camera) -> str:

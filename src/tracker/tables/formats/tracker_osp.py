@@ -12,23 +12,23 @@ from collections.abc import Iterator
 import pandas as pd
 
 from tracker.tables.content import Content
-from tracker.tables.rows import real
-from tracker.tables.table import Table, timed
+from tracker.tables.rows import to_numbers
+from tracker.tables.table import TrackTable, frames_from_times
 
 NAME = "Tracker (OSP)"
 OBJECT = "org.opensourcephysics.cabrillo.tracker."
 CENTRE = 0.5  # of the first pixel
 
 
-def read(content: Content) -> Table | None:
+def read(content: Content) -> TrackTable | None:
     root = content.root
     if root is None:
-        return _exported(content)
+        return _read_exported(content)
     if not root.get("class", "").startswith(OBJECT):
         return None
     rows = pd.DataFrame(list(_marks(content, root)), columns=["frame", "particle", "x", "y"])
     step = [content.number_in(p) for p in root.iter("property") if p.get("name") == "delta_t"]
-    return Table(rows, f"{NAME}: .trk", "px", fps=1e3 / step[0] if step and step[0] > 0 else math.nan)
+    return TrackTable(rows, f"{NAME}: .trk", "px", fps=1e3 / step[0] if step and step[0] > 0 else math.nan)
 
 
 def _marks(content: Content, root: ET.Element) -> Iterator[tuple[float, ...]]:
@@ -43,7 +43,7 @@ def _marks(content: Content, root: ET.Element) -> Iterator[tuple[float, ...]]:
             yield int(at[1]), number, x, y
 
 
-def _exported(content: Content) -> Table | None:
+def _read_exported(content: Content) -> TrackTable | None:
     """Names of masses, each above its first column; then names of columns, the first t or step; then numbers."""
     head = content.head
     at = next((k for k, line in enumerate(head[:3]) if k and {"x", "y"} <= set(line) and line[0] in ("t", "step")), 0)
@@ -52,10 +52,10 @@ def _exported(content: Content) -> Table | None:
     names = head[at][: max(k for k, name in enumerate(head[at]) if name) + 1]
     starts = [k for k, name in enumerate(names) if name == names[1]]
     cells = content.cells(at + 1, [f"{k}" for k in range(len(names))])
-    first = real(cells["0"], names[0], content.where)
+    first = to_numbers(cells["0"], names[0], content.where)
     extra, fps = {"frame": first}, math.nan
     if names[0] == "t":
-        frame, time, fps = timed(first, content.where)
+        frame, time, fps = frames_from_times(first, content.where)
         extra = {"frame": frame, "t_s": time}
     parts = []
     for particle, (start, end) in enumerate(zip(starts, [*starts[1:], len(names)], strict=True)):
@@ -66,4 +66,4 @@ def _exported(content: Content) -> Table | None:
         if "frame" in column:
             own = own.assign(frame=cells[column["frame"]]).drop(columns="t_s", errors="ignore")
         parts.append(own[own[["x", "y"]].notna().all(axis=1)])
-    return Table(pd.concat(parts), f"{NAME}: exported table", "", up=True, fps=fps)
+    return TrackTable(pd.concat(parts), f"{NAME}: exported table", "", up=True, fps=fps)

@@ -12,14 +12,14 @@ import pandas as pd
 from tracker.camera.camera import Camera
 from tracker.detection.link import Tracks
 from tracker.tables.content import Content
-from tracker.tables.table import Table, per_second, unit_of
+from tracker.tables.table import TrackTable, per_second, unit_of
 
 NAME = "TrackMate's XML"
 SUFFIX = ".xml"
 COLUMNS = ["frame", "particle", "x", "y"]
 
 
-def read(content: Content) -> Table | None:
+def read(content: Content) -> TrackTable | None:
     root = content.root
     if root is None or root.tag not in ("TrackMate", "Tracks"):
         return None
@@ -35,7 +35,7 @@ def read(content: Content) -> Table | None:
         interval = content.number(image, "timeinterval") if image is not None else np.nan
         fps = per_second(interval, model.get("timeunits", ""))
         rows = pd.DataFrame(list(_spots(content, model)), columns=COLUMNS)
-    return Table(rows, NAME, unit_of(unit, content.where), fps=fps)
+    return TrackTable(rows, NAME, unit_of(unit, content.where), fps=fps)
 
 
 def _particles(content: Content, root: ET.Element) -> Iterator[tuple[float, ...]]:

@@ -6,17 +6,17 @@ import pandas as pd
 from tracker.camera.camera import Camera
 from tracker.detection.link import Tracks
 from tracker.tables.content import Content
-from tracker.tables.rows import NEEDED, real
-from tracker.tables.table import Table
+from tracker.tables.rows import NEEDED, to_numbers
+from tracker.tables.table import TrackTable
 
 SUFFIX = ".csv"
 ERRORS = (("x_std", ("ep_x", "ep")), ("y_std", ("ep_y", "ep")))
 
 
-def read(content: Content) -> Table | None:
+def read(content: Content) -> TrackTable | None:
     if content.root is not None or not set(NEEDED) <= set(rows := content.cells()):
         return None
-    return Table(with_errors(rows, content.where))
+    return TrackTable(with_errors(rows, content.where))
 
 
 def with_errors(rows: pd.DataFrame, where: str) -> pd.DataFrame:
@@ -26,7 +26,7 @@ def with_errors(rows: pd.DataFrame, where: str) -> pd.DataFrame:
     for name, given in ERRORS:
         found = next((ep for ep in given if ep in rows), None)
         if found is not None:
-            error = real(rows[found], found, where)
+            error = to_numbers(rows[found], found, where)
             rows = rows.assign(**{name: np.where(error > 0, error, np.nan)})
     return rows
 

@@ -17,7 +17,7 @@ from tracker.detection.link import Tracks
 from tracker.measurement import estimate
 from tracker.measurement.collision import collision_fit, noise_correlation
 from tracker.measurement.collision.adequacy import LEVEL, p_value, warnings
-from tracker.measurement.collision.derived import NAMES
+from tracker.measurement.collision.derived import QUANTITY_NAMES
 from tracker.measurement.estimate import fit_all, measure
 from tracker.recording import measure_clip
 from tracker.scoring.score import score
@@ -57,7 +57,7 @@ def claiming(own, size, claim, rho=0.0, clips=CLIPS):
         xy = tracks.xy + size * off
         cov = np.broadcast_to(np.eye(2) * (np.nan if claim is None else claim) ** 2, tracks.cov.shape)
         (row,) = measure(replace(tracks, x=xy[:, 0], y=xy[:, 1], cov=cov), camera)
-        rows.append(row | {f"{n}_true": truths[n].iloc[clip] for n in NAMES})
+        rows.append(row | {f"{n}_true": truths[n].iloc[clip] for n in QUANTITY_NAMES})
     return pd.DataFrame(rows)
 
 
@@ -78,10 +78,10 @@ def test_what_the_data_reject_has_no_errors_and_stays_for_looking_at(hopping):
     assert (table["adequate"] < LEVEL).all()
     accepted = table["adequate_free"] > LEVEL
     assert accepted.sum() == 3  # of the fastest the flight shows in the free fit too
-    assert table.loc[~accepted, [f"{name}_free_std" for name in NAMES]].isna().all(axis=None)
+    assert table.loc[~accepted, [f"{name}_free_std" for name in QUANTITY_NAMES]].isna().all(axis=None)
     for name in ("v0", "r", "mu_k", "C", "tau1"):
         assert np.isfinite(table[name]).all()
-    assert table[[f"{name}_std" for name in NAMES]].isna().all(axis=None)
+    assert table[[f"{name}_std" for name in QUANTITY_NAMES]].isna().all(axis=None)
     assert np.isfinite(table.loc[accepted, "v0_free_std"]).all()
     assert table[[f"{n}_free_std" for n in ("C", "w1t", "w2t")]].isna().all(axis=None)  # by laws that are in doubt
     blocks = json.loads(table["cov"][0])
@@ -136,8 +136,8 @@ def test_noise_that_lasts_is_counted(own, monkeypatch):
     assert table["noise_rho"].median() == pytest.approx(0.9, abs=0.05)
     assert kstest(table["adequate"], "uniform").pvalue > 1e-3
     assert dishonest(table) == []
-    monkeypatch.setattr(collision_fit, "lasting", lambda pair, free: None)
-    monkeypatch.setattr(collision_fit, "strikers", lambda meeting, rolling: iter(()))
+    monkeypatch.setattr(collision_fit, "with_correlated_noise", lambda pair, free: None)
+    monkeypatch.setattr(collision_fit, "alternative_strikers", lambda meeting, rolling: iter(()))
     assert len(dishonest(claiming(own, NOISE, NOISE, rho=0.9))) == len(SHOWN)
 
 
@@ -238,7 +238,7 @@ def test_a_clip_whose_arithmetic_fails_says_so(own, monkeypatch, error):
     def fails(*_):
         raise error
 
-    for name in ("interpret", "meetings"):
+    for name in ("fit_collision", "find_contacts"):
         with monkeypatch.context() as spoilt:
             spoilt.setattr(estimate, name, fails)
             (row,), motion = measure_clip(tracks, camera)

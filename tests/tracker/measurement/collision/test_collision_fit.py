@@ -19,7 +19,7 @@ def clip(tmp_path_factory):
 def test_a_start_that_leads_astray_is_not_the_last(clip, monkeypatch):
     """Of tracks by H.264 the fit from the likeliest start of a grid ended in chi^2 of 400 a degree of freedom."""
     tracks, camera, restitution = clip
-    found = collision_fit.first_guesses
+    found = collision_fit.guess_parameters
 
     def astray(meeting):
         good = found(meeting)
@@ -27,9 +27,9 @@ def test_a_start_that_leads_astray_is_not_the_last(clip, monkeypatch):
         bad[TIED.index("t_c")] += 0.1
         return [bad, *good]
 
-    monkeypatch.setattr(collision_fit, "first_guesses", lambda meeting: astray(meeting)[:1])
+    monkeypatch.setattr(collision_fit, "guess_parameters", lambda meeting: astray(meeting)[:1])
     assert measure(tracks, camera)[0]["status"] != "ok"
-    monkeypatch.setattr(collision_fit, "first_guesses", astray)
+    monkeypatch.setattr(collision_fit, "guess_parameters", astray)
     (row,) = measure(tracks, camera)
     assert row["status"] == "ok"
     assert row["r"] == pytest.approx(restitution, abs=4 * row["r_std"])

@@ -8,7 +8,7 @@ from tracker_noisy import BENCHMARK, dataset, noisy, scalars_of, truth_of
 
 from tracker.measurement.estimate import measure
 from tracker.measurement.noise.position_noise import scatter
-from tracker.measurement.positions import Course, courses
+from tracker.measurement.positions import BallTrack, to_ball_tracks
 
 
 @pytest.fixture(scope="module")
@@ -26,7 +26,7 @@ def balls_of(frame, particle, xy, claimed=1.0):
     rows = [np.flatnonzero(particle == ball) for ball in np.unique(particle)]
     rows = [r[np.argsort(frame[r])] for r in rows]
     cov = claimed**2 * np.eye(2)
-    return [Course(0, frame[r], frame[r] / 250, xy[r], np.tile(cov, (len(r), 1, 1)), 5e-4, width=1.0) for r in rows]
+    return [BallTrack(0, frame[r], frame[r] / 250, xy[r], np.tile(cov, (len(r), 1, 1)), 5e-4, width=1.0) for r in rows]
 
 
 def noise_of(*table):
@@ -63,7 +63,9 @@ def test_errors_that_a_resting_ball_repeats_are_not_missed():
         shared = np.sqrt(0.9) * 0.1 * rng.standard_normal(2)
         xy = position + shared + rng.normal(0, own, (120, 2))
         cov = np.tile(0.1**2 * np.eye(2), (120, 1, 1))
-        ratios.append(scatter([Course(0, frame, frame / 250, xy, cov, 0.0, np.tile(fixed, (120, 1, 1)), 50.0)]).ratio)
+        ratios.append(
+            scatter([BallTrack(0, frame, frame / 250, xy, cov, 0.0, np.tile(fixed, (120, 1, 1)), 50.0)]).ratio
+        )
     assert np.mean(ratios) == pytest.approx(1, abs=0.1)
 
 
@@ -71,7 +73,7 @@ def test_a_ball_at_rest_in_whole_pixels_shows_no_error(clips):
     truth, camera = clips[0]
     tracks = noisy(truth, np.random.default_rng(0), 0.02)
     tracks = replace(tracks, x=np.round(tracks.x), y=np.round(tracks.y), cov=np.full_like(tracks.cov, np.nan))
-    found = courses(tracks, camera)[0].cov[0]
+    found = to_ball_tracks(tracks, camera)[0].cov[0]
     assert np.sqrt(np.trace(found) / 2) / camera.scale == pytest.approx(np.sqrt(1 / 12), rel=0.3)
 
 

@@ -8,11 +8,11 @@ from scipy.special import gamma, kv
 from tracker_noisy import BENCHMARK, dataset, noisy, scalars_of, truth_of
 
 from tracker.detection.glints import SHADED, UNLIT, WORDS
-from tracker.measurement.collision.contacts import STILL, _thinned
-from tracker.measurement.collision.derived import NAMES
+from tracker.measurement.collision.contacts import STILL, _shorten_rest
+from tracker.measurement.collision.derived import QUANTITY_NAMES
 from tracker.measurement.estimate import measure
 from tracker.measurement.noise.whitening import Whitener, covariance
-from tracker.measurement.positions import Course
+from tracker.measurement.positions import BallTrack
 
 SIGMA = 1.25
 
@@ -67,8 +67,8 @@ def test_more_of_a_long_rest_is_left_out_and_a_motion_is_not():
     frame, cov = np.arange(n), np.tile(np.eye(2) * 1e-12, (n, 1, 1))
     where = np.zeros((n, 2))
     where[1000:, 0] = np.minimum(np.arange(n - 1000), 400) * 1e-4
-    course = Course(0, frame, frame / 250, where, cov, 0.0, 0.1 * cov, 2e-4)
-    left = _thinned(course, 1000)
+    course = BallTrack(0, frame, frame / 250, where, cov, 0.0, 0.1 * cov, 2e-4)
+    left = _shorten_rest(course, 1000)
     assert set(range(1000, 1400)) <= set(left.frame)
     assert (left.frame < 1000).sum() == pytest.approx(STILL, abs=3)
     assert (left.frame > 1400).sum() == pytest.approx(STILL, abs=3)
@@ -106,7 +106,7 @@ def test_fisher_errors_agree_with_repetition(repeated, kind):
     """The claimed covariance against the scatter of many films of one collision: a parametric bootstrap."""
     rows, _ = repeated
     ratios = {}
-    for name in NAMES:
+    for name in QUANTITY_NAMES:
         values, claimed = (np.array([row[f"{name}{kind}{end}"] for row, _ in rows]) for end in ("", "_std"))
         if claimed[0] > 0:
             ratios[name] = np.nanstd(values) / np.sqrt(np.nanmean(claimed**2))

@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tracker.measurement.camera_errors import camera_errors, response, shared_block, slopes
-from tracker.measurement.collision.collision_model import SHORTEST_EXPOSURE, rolled
-from tracker.measurement.collision.fitting import BROAD, covariance, fit
-from tracker.measurement.positions import Course
+from tracker.measurement.camera_errors import camera_errors, differentiate, effects_to_json, linear_response
+from tracker.measurement.collision.collision_model import SHORTEST_EXPOSURE, roll_freely
+from tracker.measurement.collision.least_squares import BROAD_PRIORS, covariance, minimise
+from tracker.measurement.positions import BallTrack
 
 if TYPE_CHECKING:
     from tracker.camera.camera import Camera
@@ -22,10 +22,10 @@ PARAMETERS = ("x", "y", "heading", "v0", "drag", "decel")
 
 
 @dataclass(frozen=True)
-class Alone:
+class LoneBallFit:
     """Fit of one rolling ball: PARAMETERS at the first frame it is seen in, covariance (6, 6), chi^2."""
 
-    course: Course
+    track: BallTrack
     parameters: Floats
     cov: Floats
     chi2: float
@@ -34,7 +34,7 @@ class Alone:
     @property
     def particle(self) -> int:
         """The ball's number."""
-        return self.course.particle
+        return self.track.particle
 
     @property
     def speed(self) -> float:
@@ -50,17 +50,17 @@ class Alone:
 class _Rolling:
     """Residuals of a straight, slowing way, averaged over each exposure."""
 
-    def __init__(self, course: Course) -> None:
-        self.whiten, self.position = course.whiten, course.position
-        self.exposure = max(course.exposure, SHORTEST_EXPOSURE)
-        start = course.start - course.start[0]
+    def __init__(self, track: BallTrack) -> None:
+        self.whiten, self.position = track.whiten, track.position
+        self.exposure = max(track.exposure, SHORTEST_EXPOSURE)
+        start = track.start - track.start[0]
         self.edges = np.concatenate([start, start + self.exposure])
-        self.prior = [BROAD.get(name, (0.0, np.inf)) for name in PARAMETERS]
+        self.prior = [BROAD_PRIORS.get(name, (0.0, np.inf)) for name in PARAMETERS]
 
     def _model(self, x: Floats) -> tuple[Floats, Floats]:
         d = np.array([np.cos(x[2]), np.sin(x[2])])
         across = np.array([-d[1], d[0]])
-        roll = rolled(float(x[3]), float(x[4]), float(x[5]), self.edges)
+        roll = roll_freely(float(x[3]), float(x[4]), float(x[5]), self.edges)
         n = len(self.position)
 
         def mean(area: Floats) -> Floats:
@@ -83,27 +83,27 @@ class _Rolling:
         return np.concatenate([rows, np.diag([1 / w for _, w in self.prior])])
 
 
-def roll_alone(course: Course) -> Alone | None:
+def fit_lone_ball(track: BallTrack) -> LoneBallFit | None:
     """Fit one ball that meets no other; None with fewer than four positions."""
-    if len(course) < 4:
+    if len(track) < 4:
         return None
-    span = course.start[-1] - course.start[0]
-    step = (course.position[-1] - course.position[0]) / span
-    begin = np.array([*course.position[0], np.arctan2(step[1], step[0]), np.hypot(*step), 0.0, 0.0])
-    problem = _Rolling(course)
-    best, _ = fit(problem, [begin])
-    off = problem.residual(best)[: 2 * len(course)]
-    cov, chi2, dof = covariance(problem.slope(best)), float(off @ off), 2 * len(course) - 6
-    return Alone(course, best, cov, chi2, dof)
+    span = track.start[-1] - track.start[0]
+    step = (track.position[-1] - track.position[0]) / span
+    begin = np.array([*track.position[0], np.arctan2(step[1], step[0]), np.hypot(*step), 0.0, 0.0])
+    problem = _Rolling(track)
+    best, _ = minimise(problem, [begin])
+    off = problem.residual(best)[: 2 * len(track)]
+    cov, chi2, dof = covariance(problem.slope(best)), float(off @ off), 2 * len(track) - 6
+    return LoneBallFit(track, best, cov, chi2, dof)
 
 
-def carry_alone(alone: Alone, camera: Camera) -> tuple[Alone, dict[str, Any]]:
+def add_camera_errors_to_lone_ball(alone: LoneBallFit, camera: Camera) -> tuple[LoneBallFit, dict[str, Any]]:
     """Add the errors of the camera file to the fit of a ball alone; with the entry of `camera_errors.shared_block`."""
-    errors, course, x = camera_errors(camera), alone.course, alone.parameters
+    errors, track, x = camera_errors(camera), alone.track, alone.parameters
     if not errors:
         return alone, {}
-    moved = slopes(errors, lambda error, by: _Rolling(error.course(course, by, camera.fps)).residual(x))
-    problem = _Rolling(course)
-    shift, explained = response(problem.residual(x), problem.slope(x), alone.cov, moved)
+    moved = differentiate(errors, lambda error, by: _Rolling(error.move_track(track, by, camera.fps)).residual(x))
+    problem = _Rolling(track)
+    shift, explained = linear_response(problem.residual(x), problem.slope(x), alone.cov, moved)
     wider = replace(alone, cov=alone.cov + shift @ shift.T, chi2=alone.chi2 - explained)
-    return wider, shared_block(camera, {"rolling": shift[-3:]})
+    return wider, effects_to_json(camera, {"rolling": shift[-3:]})

@@ -21,11 +21,11 @@ from tracker.measurement.collision.collision_model import (
     SPIN,
     TARGET,
     TIED,
-    path,
-    release,
-    release_slope,
+    mean_positions,
+    tied_to_free,
+    tied_to_free_jacobian,
 )
-from tracker.measurement.positions import Course
+from tracker.measurement.positions import BallTrack
 
 Floats = NDArray[np.float64]
 OUTLIER = 36.0  # Mahalanobis distance squared: 6 sigma, one in 10^8 for a position with normal errors
@@ -34,7 +34,7 @@ FINE, COARSE = 1e-10, 1e-4  # steps and gains, as shares, that end a descent
 WORTH = 1e-3  # of half the chi^2: less is the same minimum again
 
 # name: (centre, width). Wide enough to weigh nothing against data, stated here and nowhere else.
-BROAD: Mapping[str, tuple[float, float]] = {
+BROAD_PRIORS: Mapping[str, tuple[float, float]] = {
     "drag": (0.0, 20.0),
     "decel": (0.0, 2.0),
     "r": (0.5, 5.0),
@@ -48,32 +48,46 @@ BROAD: Mapping[str, tuple[float, float]] = {
 
 
 @dataclass(frozen=True, eq=False)
-class Pair:
+class BallPair:
     """Two balls about one contact: their positions, and what is known beforehand.
 
-    diameter m; moving: whether ball 1 (struck) moves before the hit; spin m/s: see `release`; spun: those of SPIN that
-    are not known of ball 2 (striker), which else rolls.
+    Attributes
+    ----------
+    struck, striker : BallTrack
+        Ball 1 and ball 2.
+    diameter : float
+        m.
+    target_moves : bool
+        Whether ball 1 moves before the hit.
+    spin : float
+        m/s; see `tied_to_free`.
+    fitted_spin : tuple of str
+        Names of SPIN that are fitted. The others are zero: the striker rolls.
     """
 
-    struck: Course
-    striker: Course
+    struck: BallTrack
+    striker: BallTrack
     diameter: float
-    moving: bool = False
+    target_moves: bool = False
     spin: float = 0.0
-    spun: tuple[str, ...] = ()
+    fitted_spin: tuple[str, ...] = ()
 
     @property
-    def sliding(self) -> bool:
+    def striker_slides(self) -> bool:
         """Whether the striker slides up to the contact."""
-        return "ux" in self.spun
+        return "ux" in self.fitted_spin
 
     @property
-    def held(self) -> set[str]:
+    def zero_parameters(self) -> set[str]:
         """Parameters of TIED and FREE that are zero."""
-        return {*(() if self.moving else TARGET), *(set(SPIN) - set(self.spun)), *(() if self.sliding else SLIDING)}
+        return {
+            *(() if self.target_moves else TARGET),
+            *(set(SPIN) - set(self.fitted_spin)),
+            *(() if self.striker_slides else SLIDING),
+        }
 
     @property
-    def balls(self) -> tuple[tuple[int, Course], tuple[int, Course]]:
+    def balls(self) -> tuple[tuple[int, BallTrack], tuple[int, BallTrack]]:
         """(1, struck), (2, striker)."""
         return (1, self.struck), (2, self.striker)
 
@@ -82,7 +96,7 @@ class Pair:
 
 
 @dataclass(frozen=True)
-class Fit:
+class CollisionFit:
     """Best parameters (p,), covariance (p, p), zero where a parameter is held; chi^2 of the data alone, degrees of
     freedom; the pair that was fitted, without the positions dropped as outliers.
     """
@@ -91,30 +105,30 @@ class Fit:
     cov: Floats
     chi2: float
     dof: int
-    pair: Pair
+    pair: BallPair
     dropped: int = 0
     converged: bool = True
 
 
-class Whitened:
+class WhitenedResiduals:
     """The two balls' positions, in units of their own error, against a motion: residuals and derivatives.
 
     x: the parameters that are fitted, all of TIED or FREE but those that the pair holds at zero.
     """
 
-    def __init__(self, pair: Pair, tied: bool) -> None:
+    def __init__(self, pair: BallPair, tied: bool) -> None:
         self.pair, self.tied = pair, tied
         every = TIED if tied else FREE
-        self.names = tuple(name for name in every if name not in pair.held)
+        self.names = tuple(name for name in every if name not in pair.zero_parameters)
         self.index = np.array([every.index(name) for name in self.names])
         self.size = len(every)
-        centres = np.array([BROAD.get(name, (0.0, np.inf)) for name in self.names])
+        centres = np.array([BROAD_PRIORS.get(name, (0.0, np.inf)) for name in self.names])
         self.prior, self.prior_weight = centres[:, 0], 1.0 / centres[:, 1]
         self._last: tuple[bytes, Floats, Floats] | None = None
-        courses = [course for _, course in pair.balls]
-        self.ball = np.repeat([1, 2], [len(course) for course in courses])
-        self.start = np.concatenate([course.start for course in courses])
-        self.seen = np.concatenate([course.position for course in courses])
+        ball_tracks = [track for _, track in pair.balls]
+        self.ball = np.repeat([1, 2], [len(track) for track in ball_tracks])
+        self.start = np.concatenate([track.start for track in ball_tracks])
+        self.seen = np.concatenate([track.position for track in ball_tracks])
 
     def __call__(self, x: Floats) -> tuple[Floats, Floats]:
         """Residuals (2n + p,) and derivatives (2n + p, p), priors last; kept for the last x."""
@@ -145,14 +159,14 @@ class Whitened:
         return out
 
     def _free(self, full: Floats) -> Floats:
-        return np.asarray(release(full, self.pair.spin), dtype=np.float64) if self.tied else full
+        return np.asarray(tied_to_free(full, self.pair.spin), dtype=np.float64) if self.tied else full
 
     def _evaluate(self, x: Floats) -> tuple[Floats, Floats]:
         full = self.whole(x)
         position, slope = self._path(self._free(full))
         slopes = np.moveaxis(slope, -1, 0)
         if self.tied:
-            by = release_slope(full, self.pair.spin)[:, self.index]
+            by = tied_to_free_jacobian(full, self.pair.spin)[:, self.index]
             slopes = (by.T @ slopes.reshape(len(slopes), -1)).reshape(-1, *position.shape)
         else:
             slopes = slopes[self.index]
@@ -170,7 +184,7 @@ class Whitened:
     def _path(self, free: Floats) -> tuple[Floats, Floats]:
         """Positions (n, 2) of both balls, ball 1's first, and derivatives (n, 2, 22)."""
         with np.errstate(over="ignore", invalid="ignore"):  # a slide without end
-            return path(free, self.ball, self.start, self.pair.struck.exposure, self.pair.diameter)
+            return mean_positions(free, self.ball, self.start, self.pair.struck.exposure, self.pair.diameter)
 
     def distances(self, x: Floats) -> Floats:
         """Squared Mahalanobis distance (n,) of each position by itself, ball 1's first."""
@@ -187,7 +201,7 @@ class Problem(Protocol):
     def slope(self, x: Floats) -> Floats: ...
 
 
-def fit(problem: Problem, starts: Sequence[Floats], close: float = FINE) -> tuple[Floats, bool]:
+def minimise(problem: Problem, starts: Sequence[Floats], close: float = FINE) -> tuple[Floats, bool]:
     """The best of several descents (Levenberg-Marquardt, MINPACK): parameters, and whether that descent converged.
 
     The first start's minimum is found to `close`; from the others only so far as to distinguish it from that one.
@@ -211,7 +225,9 @@ def _descend(problem: Problem, start: Floats, close: float) -> tuple[Floats, flo
     return np.asarray(x, dtype=np.float64), float(found["fvec"] @ found["fvec"]) / 2, ended in (1, 2, 3, 4)
 
 
-def fit_motion(pair: Pair, tied: bool, starts: list[Floats], close: float = FINE, whole: bool = False) -> Fit:
+def fit_motion(
+    pair: BallPair, tied: bool, starts: list[Floats], close: float = FINE, whole: bool = False
+) -> CollisionFit:
     """Fit a motion to two balls. A few outliers are dropped once.
 
     Parameters
@@ -229,17 +245,17 @@ def fit_motion(pair: Pair, tied: bool, starts: list[Floats], close: float = FINE
     -------
     Fit
     """
-    problem = Whitened(pair, tied)
+    problem = WhitenedResiduals(pair, tied)
     p = len(problem.names)
-    best, converged = fit(problem, [start[problem.index] for start in starts], close)
-    problem, dropped = (problem, 0) if whole else _without_outliers(problem, best)
+    best, converged = minimise(problem, [start[problem.index] for start in starts], close)
+    problem, dropped = (problem, 0) if whole else _drop_outliers(problem, best)
     if dropped:
-        best, converged = fit(problem, [best])
-    best, converged = _across_frame_edges(problem, best, converged)
+        best, converged = minimise(problem, [best])
+    best, converged = _try_across_frame_edge(problem, best, converged)
     residual, rows = problem(best)
     n = 2 * len(problem.pair)
     cov, chi2, dof = covariance(rows), float(residual[:n] @ residual[:n]), n - p
-    return Fit(problem.whole(best), problem.whole_cov(cov), chi2, dof, problem.pair, dropped, converged)
+    return CollisionFit(problem.whole(best), problem.whole_cov(cov), chi2, dof, problem.pair, dropped, converged)
 
 
 def covariance(rows: Floats) -> Floats:
@@ -250,7 +266,7 @@ def covariance(rows: Floats) -> Floats:
     return np.asarray(inverse / np.outer(size, size))
 
 
-def _across_frame_edges(problem: Whitened, best: Floats, converged: bool) -> tuple[Floats, bool]:
+def _try_across_frame_edge(problem: WhitenedResiduals, best: Floats, converged: bool) -> tuple[Floats, bool]:
     """chi^2 has a kink where t_c crosses an exposure: try the other side when one is near.
 
     Near: within some standard errors, widened where the fit is worse than its errors.
@@ -265,16 +281,16 @@ def _across_frame_edges(problem: Whitened, best: Floats, converged: bool) -> tup
         return best, converged
     other = best.copy()
     other[0] = 2 * near[0] - best[0]
-    found, fine = fit(problem, [other])
+    found, fine = minimise(problem, [other])
     better = problem(found)[0]
     return (found, fine) if better @ better < residual @ residual else (best, converged)
 
 
-def _without_outliers(problem: Whitened, best: Floats) -> tuple[Whitened, int]:
+def _drop_outliers(problem: WhitenedResiduals, best: Floats) -> tuple[WhitenedResiduals, int]:
     distance = problem.distances(best)
     far = distance > OUTLIER
     if not far.any() or far.sum() > OUTLIER_SHARE * len(far):
         return problem, 0
     cut, pair = len(problem.pair.struck), problem.pair
     kept = replace(pair, struck=pair.struck.where(~far[:cut]), striker=pair.striker.where(~far[cut:]))
-    return Whitened(kept, problem.tied), int(far.sum())
+    return WhitenedResiduals(kept, problem.tied), int(far.sum())
