@@ -65,8 +65,8 @@ def stages(folder: Path) -> dict[str, float]:
     from synthcam.dataset.files import write_clip
     from synthcam.scene.filmed_motion import View
     from synthcam.scene.scene import read_scene
-    from tracker.camera.frames import open_source
-    from tracker.detection.detect import DEFAULT, detect, view_of
+    from tracker.camera.recordings import open_source
+    from tracker.detection.detect import DEFAULT, detect, make_view
     from tracker.detection.link import link
     from tracker.recording import measure_clip
 
@@ -88,13 +88,13 @@ def stages(folder: Path) -> dict[str, float]:
         "write and hash": timed(write),
     }
     source = open_source(folder / "one")
-    video = source.clip(0)
-    view = view_of(video)
+    video = source.open_clip(0)
+    view = make_view(video)
     glints = detect(video, view, DEFAULT)
     tracks = link(glints, view.camera)
     out |= {
-        "read": timed(lambda: exhaust(source.clip(0).frames)),
-        "background, noise": timed(lambda: view_of(video)),
+        "read": timed(lambda: exhaust(source.open_clip(0).frames)),
+        "background, noise": timed(lambda: make_view(video)),
         "detect": timed(lambda: detect(video, view, DEFAULT)),
         "link": timed(lambda: link(glints, view.camera)),
         "fits": timed(lambda: measure_clip(tracks, view.camera)),

@@ -30,7 +30,7 @@ from rich.table import Table
 
 from benchmarks.harness import ROOT, run, save
 from tracker.camera.camera import Camera
-from tracker.detection.likelihood.cramer_rao import fixed_part, localisation_bound
+from tracker.detection.likelihood.cramer_rao import localisation_bound, localisation_bound_fixed
 from tracker.measurement.estimate import FREE_LIMITS, LIMITS, LINEAR_UP_TO
 from tracker.measurement.noise.whitening import covariance
 from tracker.scoring.score import score
@@ -78,7 +78,7 @@ def noisy(clip: Path, rng: np.random.Generator) -> pd.DataFrame:
         here = true[["x", "y", "z"]].to_numpy(float)
         there = here + true[["vx", "vy", "vz"]].to_numpy(float) * camera.exposure
         blur = camera.project(there) - camera.project(here)
-        cov, fixed = localisation_bound(camera, flux, glint, blur), fixed_part(camera, flux, glint)
+        cov, fixed = localisation_bound(camera, flux, glint, blur), localisation_bound_fixed(camera, flux, glint)
         root = np.linalg.cholesky(covariance(glint, cov, fixed, sigma))
         xy = true[["x_mean_px", "y_mean_px"]].to_numpy() + (root @ rng.standard_normal(len(root))).reshape(-1, 2)
         table = {"frame": true["frame"], "particle": true["particle"], "x": xy[:, 0], "y": xy[:, 1], "flux": flux}

@@ -25,7 +25,7 @@ import numpy as np
 
 from benchmarks.harness import ROOT
 from tracker.camera.camera import Camera
-from tracker.detection.detect import detect, view_of
+from tracker.detection.detect import detect, make_view
 
 sys.path.insert(0, str(ROOT / "tests" / "helpers"))
 drawing: Any = importlib.import_module("tracker_discs")
@@ -78,7 +78,7 @@ def located(pictures: Any, s: dict[str, Any]) -> tuple[Any, Any, Any]:
     clip = drawing.recorded(
         pictures, Camera.from_dict({"size": size, "fps": 60.0, "scale": 1e-3, "ball_diameter": 2e-3 * s["radius"]})
     )
-    found = detect(clip, view_of(clip, "discs"), "discs")
+    found = detect(clip, make_view(clip, "discs"), "discs")
     return found.frame, found.xy, found.cov
 
 

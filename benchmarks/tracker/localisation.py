@@ -26,8 +26,8 @@ from rich.table import Table
 
 from benchmarks.harness import ROOT, run, save
 from tracker.camera.camera import Camera
-from tracker.camera.frames import open_source
-from tracker.detection.detect import DEFAULT, detector, view_of
+from tracker.camera.recordings import open_source
+from tracker.detection.detect import DEFAULT, load_detector, make_view
 from tracker.detection.glints import Glints
 from tracker.detection.likelihood.cramer_rao import localisation_bound
 from tracker.scoring.localisation import MatchedDetections, match, score_positions
@@ -63,8 +63,8 @@ def generate(folder: Path, peak: int, clips: int, seed: int) -> Path:
 def found_by(name: str, clip: Any, every: int) -> tuple[pd.DataFrame, Camera, float]:
     """Detections as ball centres, the camera, and seconds spent on reading and detecting."""
     started = time.process_time()
-    view = view_of(clip)
-    finder = detector(name)(view)
+    view = make_view(clip)
+    finder = load_detector(name)(view)
     numbers = range(0, len(clip.frames), every)
     pictures = ((k, clip.frames[k]) for k in numbers)
     if hasattr(finder, "many"):
@@ -121,7 +121,7 @@ def judged(folder: Path, peak: int) -> dict[str, dict[str, float]]:
     spent: dict[str, list[float]] = {name: [] for name in parts}
     touching: dict[str, list[np.ndarray]] = {name: [] for name in parts}
     for index in range(len(source)):
-        clip = source.clip(index)
+        clip = source.open_clip(index)
         path = folder / "clips" / f"{clip.number:06d}" / "truth" / "tracks.parquet"
         truth = pd.read_parquet(path)
         for name in parts:

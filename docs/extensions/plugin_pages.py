@@ -14,7 +14,7 @@ from myst_text import paragraphs, plain, table
 from discrepancy.free_laws.library import library as free_laws
 from synthcam.dataset.sketch import sketch, typical
 from synthcam.library import library as effects
-from tracker.detection.detect import detectors
+from tracker.detection.detect import list_detectors
 
 PICTURE = {"camera", "clock", "exposure", "measure"}  # laws of the picture; the others are of the motion
 
@@ -105,7 +105,7 @@ def free_law_page() -> str:
 def detector_page() -> str:
     """All detectors in a table."""
     rows = []
-    for name, detector in detectors().items():
+    for name, detector in list_detectors().items():
         point = str(getattr(detector, "point", "glint"))
         module = inspect.getmodule(detector)
         rows.append([f"`{name}`", plain(paragraphs(module)[0]), point])

@@ -253,7 +253,7 @@ def calibrate(
 
 def _measured(tracks: Path, truth: Path, output: Path, point: str) -> Path:
     """RESULTS of a table of tracks, kept in the report, by the dataset's own camera."""
-    from tracker.camera.frames import open_source
+    from tracker.camera.recordings import open_source
     from tracker.pipeline import measure_tables
 
     cameras = open_source(truth).camera_files()

@@ -19,11 +19,11 @@ import pandas as pd
 from synthcam_shared.errors import InputError
 from synthcam_shared.outputs import as_input_error, check_room, held
 from tracker import results
-from tracker.camera.frames import Source, open_source
-from tracker.camera.grey import GREY
-from tracker.detection.channel import in_its_channel
-from tracker.detection.choose import choose
-from tracker.detection.detect import detector, linker
+from tracker.camera.frames import GREY
+from tracker.camera.recordings import RecordingSource, open_source
+from tracker.detection.channel import select_channel
+from tracker.detection.choose import choose_detector
+from tracker.detection.detect import load_detector, load_linker
 from tracker.parallel import Progress, alone, in_parallel
 from tracker.recording import describe_camera_gaps, measure_tracks, track_and_measure
 from tracker.tables.read import read_tracks
@@ -47,7 +47,7 @@ class ClipOutcome:
     fresh: int
     frames: int
     notes: dict[str, int] = field(default_factory=dict)
-    source: Source | None = None
+    source: RecordingSource | None = None
 
 
 def run(
@@ -93,7 +93,7 @@ def run(
     InputError
     """
     if name is not None:
-        detector(name)
+        load_detector(name)
     source = open_source(path, camera)
     if only is not None:
         source = replace(source, clips=tuple(clip for clip in source.clips if clip[0] in only))
@@ -102,12 +102,12 @@ def run(
         raise InputError(f"{output}: lies in {source.path}, expected a folder outside it")
     if not output.exists():
         check_room(output)
-    first, why = in_its_channel(source.clip(0), channel)
+    first, why = select_channel(source.open_clip(0), channel)
     if name is not None:
-        linker(name, first.camera)
+        load_linker(name, first.camera)
     source, said = replace(source, channel=first.channel), [why] if why else []
     if name is None:
-        name, why = choose(first.frames, first.camera)
+        name, why = choose_detector(first.frames, first.camera)
         said += [why] if why else []
     plan = _plan(source, name)
     numbers = [number for number, _ in source.clips]
@@ -232,7 +232,7 @@ def _same_or_refuse(folder: Path, plan: dict[str, Any]) -> None:
         raise InputError(f"{folder}: holds the results of another run, expected a new folder for the results")
 
 
-def _plan(source: Source, name: str) -> dict[str, Any]:
+def _plan(source: RecordingSource, name: str) -> dict[str, Any]:
     """What distinguishes one run from another, without paths or times."""
     mark = hashlib.sha256()
     for number, location in source.clips:
@@ -251,7 +251,7 @@ def _plan(source: Source, name: str) -> dict[str, Any]:
     return {"made_by": "tracker track", "detector": name, "clips": len(source), "input": mark.hexdigest()} | colour
 
 
-def _each(source: Source, todo: list[int], partial: Path, name: str, workers: int) -> Iterator[Done]:
+def _each(source: RecordingSource, todo: list[int], partial: Path, name: str, workers: int) -> Iterator[Done]:
     """Each clip done, in whatever order; results do not depend on it."""
     return in_parallel(functools.partial(_one, source, partial=partial, name=name), todo, workers, source.path)
 
@@ -262,7 +262,7 @@ def _on_cluster(address: str) -> Callable[..., Iterator[Done]]:
 
     cluster = Cluster(address)
 
-    def each(source: Source, todo: list[int], partial: Path, name: str) -> Iterator[Done]:
+    def each(source: RecordingSource, todo: list[int], partial: Path, name: str) -> Iterator[Done]:
         clips = tuple((number, path.resolve()) for number, path in source.clips)
         camera = source.camera.resolve() if source.camera is not None else None
         everywhere = replace(source, path=source.path.resolve(), clips=clips, camera=camera)
@@ -277,16 +277,16 @@ def _on_cluster(address: str) -> Callable[..., Iterator[Done]]:
     return each
 
 
-def _track_as_text(source: Source, index: int, partial: Path, name: str) -> str:
+def _track_as_text(source: RecordingSource, index: int, partial: Path, name: str) -> str:
     """`_one`, as text; a clip that a lost worker had finished is done."""
     if results.is_done(partial, source.clips[index][0]):
         return json.dumps([0, []])
     return json.dumps(_one(source, index, partial, name))
 
 
-def _one(source: Source, index: int, partial: Path, name: str) -> Done:
+def _one(source: RecordingSource, index: int, partial: Path, name: str) -> Done:
     alone()
-    clip = source.clip(index)
+    clip = source.open_clip(index)
     try:
         result = track_and_measure(clip, name)
     except (MemoryError, cv2.error) as error:

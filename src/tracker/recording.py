@@ -15,13 +15,20 @@ from numpy.typing import NDArray
 from synthcam_shared.errors import InputError
 from tracker import results
 from tracker.camera.camera import Camera
-from tracker.camera.frames import Clip, open_frames, open_source, recorded
-from tracker.camera.memory import FILM, frames_in_memory
-from tracker.detection.channel import in_its_channel
-from tracker.detection.choose import DISCS, GLINTS, choose
-from tracker.detection.detect import DEFAULT, Named, linker, point_of, settled, view_of
-from tracker.detection.detect import detector as detector_named
-from tracker.detection.diagnose import FEWEST, loose_ends, why_no_disc, why_nothing
+from tracker.camera.film_in_memory import FILM, wrap_frames
+from tracker.camera.recordings import Recording, make_recording, open_frames, open_source
+from tracker.detection.channel import select_channel
+from tracker.detection.choose import DISCS, GLINTS, choose_detector
+from tracker.detection.detect import (
+    DEFAULT,
+    DetectorChoice,
+    detect_until_blur_converges,
+    detected_point,
+    load_detector,
+    load_linker,
+    make_view,
+)
+from tracker.detection.diagnose import FEWEST, explain_no_discs, explain_no_glints, warn_of_loose_ends
 from tracker.detection.link import Tracks, link
 from tracker.measurement.collision.adequacy import MEASURED
 from tracker.measurement.collision.derived import QUANTITY_NAMES
@@ -71,7 +78,7 @@ class Result:
     >>> clip = synthcam.Scene.read("painter_behringer").draw(seed=1)
     >>> table = clip.tracks[["frame", "particle"]].assign(x=clip.tracks.x_mean_px, y=clip.tracks.y_mean_px)
     >>> print(repr(tracker.measure(table, clip.camera_json)).partition(":")[0])
-    Clip 0
+    Recording 0
     """
 
     number: int
@@ -165,7 +172,7 @@ def track(
     film: Film,
     camera: GivenCamera | None = None,
     *,
-    detector: Named | None = None,
+    detector: DetectorChoice | None = None,
     channel: str | None = None,
     number: int | None = None,
 ) -> Result:
@@ -206,24 +213,24 @@ def track(
     np.True_
     """
     if detector is not None:
-        detector_named(detector)  # an unknown one is reported before a film is read
-    clip, why = in_its_channel(_open(film, camera), channel)
+        load_detector(detector)  # an unknown one is reported before a film is read
+    clip, why = select_channel(_open(film, camera), channel)
     result = track_and_measure(clip if number is None else replace(clip, number=number), detector)
     return replace(result, notes=(why, *result.notes)) if why else result
 
 
-def _open(film: Film, camera: GivenCamera | None) -> Clip:
+def _open(film: Film, camera: GivenCamera | None) -> Recording:
     names = FILM, f"{camera}" if isinstance(camera, str | Path) else "camera"
     if not isinstance(film, str | Path):
-        return recorded(0, frames_in_memory(film), _camera(camera), names)
+        return make_recording(0, wrap_frames(film), _camera(camera), names)
     source = open_source(film)
     if len(source) > 1:
         first = source.clips[0][1].parent
         raise InputError(f"{film}: holds {len(source)} clips, expected one, as {first}; `tracker track` takes them all")
     if camera is None:
-        return source.clip(0)
+        return source.open_clip(0)
     ((number, location),) = source.clips
-    return recorded(number, open_frames(location), _camera(camera), (f"{location}", names[1]))
+    return make_recording(number, open_frames(location), _camera(camera), (f"{location}", names[1]))
 
 
 def _camera(given: GivenCamera | None) -> Camera | None:
@@ -287,11 +294,11 @@ def measure(
     return replace(result, notes=(*given.notes, *result.notes))
 
 
-def track_and_measure(clip: Clip, name: Named | None = None) -> Result:
+def track_and_measure(clip: Recording, name: DetectorChoice | None = None) -> Result:
     """A clip through the whole chain, by the detector ``name`` or the one that its film asks for."""
     why, other = "", ""
     if name is None:
-        name, why = choose(clip.frames, clip.camera)
+        name, why = choose_detector(clip.frames, clip.camera)
         other = GLINTS if name == DISCS else DISCS
     tracks, camera, reason, said = track_clip(clip, name)
     if reason and other:
@@ -317,18 +324,18 @@ def measure_tracks(tracks: Tracks, camera: Camera, number: int, point: str) -> R
     return Result(number, camera, tracks, tuple(rows), motion, notes)
 
 
-def track_clip(clip: Clip, name: Named = DEFAULT) -> tuple[Tracks, Camera, str, tuple[str, ...]]:
+def track_clip(clip: Recording, name: DetectorChoice = DEFAULT) -> tuple[Tracks, Camera, str, tuple[str, ...]]:
     """Tracks of one clip, its camera completed from the clip, why there is nothing, or '', and notes."""
-    view = view_of(clip, name)
-    glints, view = settled(clip, view, name)
-    by = linker(name, view.camera)
+    view = make_view(clip, name)
+    glints, view = detect_until_blur_converges(clip, view, name)
+    by = load_linker(name, view.camera)
     if view.takes is not None:
-        tracks = link(glints, view.camera, point_of(name, clip.camera), view.takes.spans, by)
-        why, spans = "" if len(tracks) else why_no_disc(clip.frames, view), list(view.takes.spans)
+        tracks = link(glints, view.camera, detected_point(name, clip.camera), view.takes.spans, by)
+        why, spans = "" if len(tracks) else explain_no_discs(clip.frames, view), list(view.takes.spans)
     else:
-        tracks = link(glints, view.camera, point_of(name, clip.camera), by=by)
-        why, spans = why_nothing(clip.frames, view, glints), [(0, len(clip.frames) - 1)]
-    return tracks, view.camera, why, (*view.notes, *loose_ends(tracks, view.camera.size, spans))
+        tracks = link(glints, view.camera, detected_point(name, clip.camera), by=by)
+        why, spans = explain_no_glints(clip.frames, view, glints), [(0, len(clip.frames) - 1)]
+    return tracks, view.camera, why, (*view.notes, *warn_of_loose_ends(tracks, view.camera.size, spans))
 
 
 def measure_clip(tracks: Tracks, camera: Camera) -> tuple[list[dict[str, Any]], pd.DataFrame]:
@@ -357,14 +364,14 @@ def describe_camera_gaps(camera: Camera) -> list[str]:
 
 
 def _blur_note(camera: Camera) -> str:
-    if camera.exposure_seen is None:
+    if camera.exposure_from_blur is None:
         return ""
-    kind = "longer" if camera.exposure_seen > camera.exposure else "shorter"
+    kind = "longer" if camera.exposure_from_blur > camera.exposure else "shorter"
     seen = f"{results.SEEN} in {results.RUN}"
     return f"exposure: motion blur is {kind} than it makes it; taken as it is seen ({seen})"
 
 
-def _rate_note(clip: Clip) -> str:
+def _rate_note(clip: Recording) -> str:
     """Where a video file claims another frame rate: a film for slow motion, or a wrong camera file."""
     said, claimed = clip.camera.fps, clip.frames.fps
     if not clip.camera.metric or not claimed > 0 or abs(claimed / said - 1) < SAME_RATE:

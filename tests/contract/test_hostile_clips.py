@@ -12,8 +12,8 @@ from tracker_film import CAMERA, collision, disc, expose, film, spot, write_clip
 
 from tracker import cli, pipeline, recording
 from tracker.camera.camera import Camera
-from tracker.camera.frames import Clip, Frames, open_source
-from tracker.detection.detect import detect, view_of
+from tracker.camera.recordings import Frames, Recording, open_source
+from tracker.detection.detect import detect, make_view
 from tracker.detection.link import link
 
 SHAPE = (160, 200)
@@ -57,8 +57,8 @@ def test_dark_balls_with_a_bright_glint_are_followed():
     draw = lambda x: 1500 * spot(SHAPE, x, 80.0, 1.0) - 50.0 * (np.hypot(*np.ogrid[-80:80, -x : 200 - x]) < 7)  # noqa: E731
     frames = moving(rng, 60.0, draw)
     camera = Camera.from_dict({k: v for k, v in CAMERA.items() if k != "lamp"})
-    clip = Clip(0, camera, Frames(len(frames), SHAPE, frames.dtype, lambda k: frames[k]))
-    view = view_of(clip)
+    clip = Recording(0, camera, Frames(len(frames), SHAPE, frames.dtype, lambda k: frames[k]))
+    view = make_view(clip)
     tracks = link(detect(clip, view), view.camera)
     assert len(tracks) == 20
     assert np.abs(tracks.x - (20.3 + 7.0 * np.arange(20))).max() < 0.1
@@ -88,7 +88,7 @@ def test_three_balls_are_three_tracks_and_the_hit_is_still_measured():
     third = np.column_stack([30.0 + 2.5 * np.arange(50), np.full(50, 20.0)])[:, None]
     frames = film(rng, np.concatenate([pair, third], axis=1))
     camera = Camera.from_dict(CAMERA)
-    clip = Clip(0, camera, Frames(len(frames), SHAPE, frames.dtype, lambda k: frames[k]))
+    clip = Recording(0, camera, Frames(len(frames), SHAPE, frames.dtype, lambda k: frames[k]))
     tracks, _, reason, _ = recording.track_clip(clip)
     assert reason == ""
     assert np.bincount(tracks.particle).tolist() == [50, 50, 50]
@@ -140,13 +140,13 @@ def test_a_stack_ten_times_the_memory_allowed(tmp_path):
     del movie
     script = (
         "import resource, sys\n"
-        "from tracker.camera.frames import open_source\n"
+        "from tracker.camera.recordings import open_source\n"
         "from tracker.recording import track_clip, measure_clip\n"
         "import tracker.detection.detectors.maximum_likelihood, tracker.measurement.estimate\n"
         "held = next(line for line in open('/proc/self/status') if line.startswith('VmData'))\n"
         "limit = (int(held.split()[1]) << 10) + (130 << 20)\n"
         "resource.setrlimit(resource.RLIMIT_DATA, (limit, limit))\n"
-        "tracks, camera, _, _ = track_clip(open_source(sys.argv[1]).clip(0))\n"
+        "tracks, camera, _, _ = track_clip(open_source(sys.argv[1]).open_clip(0))\n"
         "print(len(tracks), measure_clip(tracks, camera)[0][0]['status'])\n"
     )
     done = subprocess.run([sys.executable, "-c", script, folder], capture_output=True, text=True, check=False)
@@ -159,8 +159,8 @@ def peak_memory(clip):
     script = (
         "import sys, resource\n"
         "from tracker.recording import track_clip\n"
-        "from tracker.camera.frames import open_source\n"
-        "tracks, _, _, _ = track_clip(open_source(sys.argv[1]).clip(0))\n"
+        "from tracker.camera.recordings import open_source\n"
+        "tracks, _, _, _ = track_clip(open_source(sys.argv[1]).open_clip(0))\n"
         "print(len(tracks), resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)\n"
     )
     done = subprocess.run([sys.executable, "-c", script, clip], capture_output=True, text=True, check=True)

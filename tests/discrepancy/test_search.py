@@ -32,7 +32,7 @@ from discrepancy.selection.stepwise import Stepwise
 from synthcam.library import library
 from synthcam.model import Ball, Model
 from synthcam_shared.errors import InputError
-from tracker.camera.camera import Lamp
+from tracker.camera.camera import LampSettings
 
 KEYS = {"verdict", "named", "aliases", "outside", "where", "ranking", "gap", "experiment"}
 
@@ -365,7 +365,7 @@ def test_a_camera_and_a_model_of_different_balls_are_refused(wide):
             asked()
 
 
-MOVED = dataclasses.replace(CAMERA, lamp=Lamp((0.05, 0.01, 0.45), 0.01))
+MOVED = dataclasses.replace(CAMERA, lamp=LampSettings((0.05, 0.01, 0.45), 0.01))
 WIDER = dataclasses.replace(CAMERA, K=CAMERA.K * [[1.01, 1, 1], [1, 1.01, 1], [1, 1, 1]])
 
 
@@ -381,7 +381,7 @@ def test_clips_of_two_cameras_are_refused(key, camera):
 def test_what_is_measured_anew_of_each_clip_makes_no_other_camera(monkeypatch):
     only(monkeypatch)
     clips = collisions(Model(), 6, 5)
-    anew = {"psf_sigma": 1.3, "sensor": dataclasses.replace(CAMERA.sensor, gain=3.0), "exposure_seen": 6e-4}
+    anew = {"psf_sigma": 1.3, "sensor": dataclasses.replace(CAMERA.sensor, gain=3.0), "exposure_from_blur": 6e-4}
     clips[4] = dataclasses.replace(clips[4], camera=dataclasses.replace(CAMERA, **anew))
     assert find(clips, Model()).verdict == "none"
 

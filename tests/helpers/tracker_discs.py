@@ -3,8 +3,8 @@
 import numpy as np
 from scipy.ndimage import gaussian_filter
 
-from tracker.camera.frames import Clip
-from tracker.camera.memory import frames_in_memory
+from tracker.camera.film_in_memory import wrap_frames
+from tracker.camera.recordings import Recording
 
 SIZE, R, FINE, FPS = (160, 200), 9.3, 8, 60.0  # (h, w) px; px; samples a pixel and direction
 CAMERA = {"size": [200, 160], "fps": FPS, "scale": 1e-3, "ball_diameter": 2 * R * 1e-3}
@@ -83,4 +83,4 @@ def lit_film(rng, ways, lamp=(0.6, -0.4), radius=R, noise=2.0, ground=None, shad
 
 def recorded(pictures, camera):
     """The frames as a clip."""
-    return Clip(0, camera, frames_in_memory(pictures))
+    return Recording(0, camera, wrap_frames(pictures))

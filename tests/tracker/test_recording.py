@@ -14,7 +14,7 @@ import synthcam
 import tracker
 from synthcam.dataset.generate import Plan, run
 from tracker import cli
-from tracker.camera.frames import UNSCALED
+from tracker.camera.recordings import UNSCALED
 
 SCENE = synthcam.Scene.read(
     "painter_behringer", camera={"size": [200, 160], "scale": 3e-4}, timing={"frames": 60, "contact_frame": 20}

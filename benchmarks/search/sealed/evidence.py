@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from discrepancy.fitting.predict import known_to_measure
 from synthcam.dataset.files import write_clip
 from synthcam.scene.clip import Clip
-from tracker.camera.camera import Camera, Lamp
+from tracker.camera.camera import Camera, LampSettings
 
 from . import worlds
 from .boxes import NOISES, SCALE, Truth, camera_file, camera_of, clips_of, launch_of, model_of
@@ -144,7 +144,7 @@ def _on_plate(camera: Camera, pixels: Array) -> Array:
     return camera.unproject(pixels)[0]
 
 
-def _moved_lamp(camera: Camera, by: float) -> Lamp:
+def _moved_lamp(camera: Camera, by: float) -> LampSettings:
     assert camera.lamp is not None
     x, y, z = camera.lamp.position
     return dataclasses.replace(camera.lamp, position=(x + by, y + by, z + by))

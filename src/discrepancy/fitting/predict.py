@@ -15,7 +15,7 @@ from discrepancy.data.launch import T_C
 from synthcam.camera.pinhole import Camera as Optics
 from synthcam.dynamics.batch import Batch, collisions
 from synthcam.model import Model
-from tracker.camera.camera import Camera, Lamp
+from tracker.camera.camera import Camera, LampSettings
 
 FRICTIONLESS = 1e-9  # stands in for no sliding friction: a slide then outlasts every film, but ends
 LATE = 1e-4  # s, the step of a numerical derivative
@@ -142,7 +142,7 @@ def known_to_measure(camera: Camera) -> dict[str, Any]:
     def mirrored(seen: Array, lamp: tuple[float, float, float]) -> Array:
         if camera.lamp is not None:
             return seen
-        return replace(camera, lamp=Lamp(lamp)).glint_of_centre(camera.unproject(seen)[0])
+        return replace(camera, lamp=LampSettings(lamp)).glint_of_centre(camera.unproject(seen)[0])
 
     return {"glint": glint, "mirrored": mirrored}
 

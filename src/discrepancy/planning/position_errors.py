@@ -9,7 +9,7 @@ import numpy as np
 
 from discrepancy.arrays import Array
 from tracker.camera.camera import Camera
-from tracker.detection.likelihood.cramer_rao import fixed_part, glint_shape, localisation_bound
+from tracker.detection.likelihood.cramer_rao import glint_shape, localisation_bound, localisation_bound_fixed
 
 WINDOW = 4  # half widths, px, of a glint's window over its own width, to find its peak pixel's share
 
@@ -71,7 +71,7 @@ class GlintErrors:
         share = float(glint_shape(np.zeros((1, 2)), np.zeros((1, 2)), camera.sigma, half).value.max())
         flux = np.full(len(glints), self.peak / share)
         ground = camera.sensor.black_level + self.room * self.peak
-        return localisation_bound(camera, flux, glints, blur, ground), fixed_part(camera, flux, glints)
+        return localisation_bound(camera, flux, glints, blur, ground), localisation_bound_fixed(camera, flux, glints)
 
     def brighter(self, times: float) -> GlintErrors:
         """With so many times as much light."""

@@ -20,8 +20,8 @@ from tracker.benchmark.judging.tracker_results import ResultsInMemory
 from tracker.benchmark.suite.definition import read_definition
 from tracker.benchmark.suite.folder import Suite, open_suite, with_truth
 from tracker.benchmark.suite.make import make
-from tracker.camera.frames import open_source
-from tracker.detection.detect import Named, name_of
+from tracker.camera.recordings import open_source
+from tracker.detection.detect import DetectorChoice, detector_name
 from tracker.detection.glints import Detector, Glints, View
 from tracker.recording import track_and_measure
 
@@ -113,7 +113,11 @@ class TrackerRun:
 
 
 def run(
-    detector: Named | Finder, suite: Path | str | None = None, *, name: str | None = None, point: str = "either"
+    detector: DetectorChoice | Finder,
+    suite: Path | str | None = None,
+    *,
+    name: str | None = None,
+    point: str = "either",
 ) -> TrackerRun:
     """Run a detector on the benchmark and hold it to the truth.
 
@@ -149,9 +153,9 @@ def run(
     for film in dict.fromkeys(part.film for part in made.parts.values()):
         source = open_source(made.film(film))
         for index, (number, _) in enumerate(source.clips):
-            found.found[film, number] = track_and_measure(source.clip(index), used)
+            found.found[film, number] = track_and_measure(source.open_clip(index), used)
     given: Any = detector
-    about = {"name": name or name_of(given), "made": "run here", "point": found.own}
+    about = {"name": name or detector_name(given), "made": "run here", "point": found.own}
     return TrackerRun(make_entry(made, found, about), made.definition.headline)
 
 
@@ -176,9 +180,9 @@ def _finder(function: Any, what: str) -> Callable[[View], Detector]:
         def __call__(self, frame: NDArray[Any]) -> Glints:
             given = np.asarray(function(np.asarray(frame)), dtype=np.float64)
             if given.size and (given.ndim != 2 or given.shape[1] != 2):
-                raise InputError(f"{name_of(function)}: returned an array {given.shape}, expected places (n, 2)")
+                raise InputError(f"{detector_name(function)}: returned an array {given.shape}, expected places (n, 2)")
             x, y = given.reshape(-1, 2).T
             return Glints.at(x, y, UNSAID, self.area)
 
-    Asked.__name__ = name_of(function)
+    Asked.__name__ = detector_name(function)
     return Asked

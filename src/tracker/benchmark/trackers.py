@@ -11,9 +11,9 @@ from typing import Any
 from synthcam_shared.errors import InputError
 from tracker.benchmark.judging.tracker_results import ALL, ClipSample, ResultsInFolder
 from tracker.benchmark.suite.folder import Suite
-from tracker.camera.frames import Clip, open_source
-from tracker.detection.choose import choose
-from tracker.detection.detect import detector, linker, view_of
+from tracker.camera.recordings import Recording, open_source
+from tracker.detection.choose import choose_detector
+from tracker.detection.detect import load_detector, load_linker, make_view
 from tracker.pipeline import run
 from tracker.recording import track_clip
 from tracker.results import load_json, write_json
@@ -48,7 +48,7 @@ def parse_names(names: str) -> list[str]:
     wanted = list(dict.fromkeys(name.strip() for name in names.split(",") if name.strip()))
     for name in wanted:
         if name != OWN:
-            detector(name)
+            load_detector(name)
     return wanted
 
 
@@ -72,8 +72,8 @@ def entrants(suite: Suite, names: str = "") -> tuple[list[Entrant], list[str]]:
         one = Entrant(name, _sample(data["sampled"].get(name, {})))
         try:
             if one.detector is not None:
-                detector(one.detector)(view_of(clip, one.detector))
-                linker(one.detector, clip.camera)
+                load_detector(one.detector)(make_view(clip, one.detector))
+                load_linker(one.detector, clip.camera)
         except InputError as error:
             if wanted:
                 raise
@@ -102,7 +102,7 @@ def run_tracker(
 def time_frame(suite: Suite, one: Entrant) -> float:
     """ms of processor time a frame, of finding and linking in the suite's first clip, by one process."""
     clip = _first(suite)
-    name = one.detector or choose(clip.frames, clip.camera)[0]
+    name = one.detector or choose_detector(clip.frames, clip.camera)[0]
     started = time.process_time()
     track_clip(clip, name)
     return 1e3 * (time.process_time() - started) / len(clip.frames)
@@ -120,5 +120,5 @@ def _sample(given: Mapping[str, Any]) -> ClipSample:
     return ClipSample(given.get("clips"), tuple(given.get("without", ())))
 
 
-def _first(suite: Suite) -> Clip:
-    return open_source(suite.film(suite.definition.films[0].name)).clip(0)
+def _first(suite: Suite) -> Recording:
+    return open_source(suite.film(suite.definition.films[0].name)).open_clip(0)

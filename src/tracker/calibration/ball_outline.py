@@ -17,7 +17,7 @@ from scipy.optimize import least_squares
 from scipy.special import ndtr
 
 from tracker.camera.lens import Array
-from tracker.detection.candidates import Ground
+from tracker.detection.candidates import EmptyPlate
 from tracker.detection.glints import Glints
 
 HALF = 36  # px, of the mean picture
@@ -39,7 +39,7 @@ class Outline:
     std: float
 
 
-def measure_outline(frames: Sequence[Any], plate: Ground, glints: Glints, sigma: float) -> Outline | None:
+def measure_outline(frames: Sequence[Any], plate: EmptyPlate, glints: Glints, sigma: float) -> Outline | None:
     """The radius that the mean picture shows; None where the ball is too dark to be seen, or not round."""
     stack = _mean(frames, plate, glints, sigma)
     if stack is None:
@@ -65,7 +65,7 @@ def measure_outline(frames: Sequence[Any], plate: Ground, glints: Glints, sigma:
     return Outline(radius, math.hypot(std, SYSTEMATIC * radius))
 
 
-def _mean(frames: Sequence[Any], plate: Ground, glints: Glints, sigma: float) -> tuple[Array, Array] | None:
+def _mean(frames: Sequence[Any], plate: EmptyPlate, glints: Glints, sigma: float) -> tuple[Array, Array] | None:
     """Mean over the plate (s, s) about single glints, and the root of each pixel's weight, 1/counts."""
     h, w = plate.level.shape
     column, row = np.rint(glints.x).astype(np.int64), np.rint(glints.y).astype(np.int64)

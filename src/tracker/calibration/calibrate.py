@@ -18,9 +18,9 @@ from synthcam_shared.outputs import as_input_error, check_room
 from tracker.calibration.survey import BallSighting, survey, without_scale
 from tracker.camera.camera import Camera
 from tracker.camera.camera_keys import read_json
-from tracker.camera.frames import Source, open_source, recorded
-from tracker.detection.channel import in_its_channel
-from tracker.detection.choose import DISCS, GLINTS, choose
+from tracker.camera.recordings import RecordingSource, make_recording, open_source
+from tracker.detection.channel import select_channel
+from tracker.detection.choose import DISCS, GLINTS, choose_detector
 from tracker.parallel import Progress, in_parallel
 from tracker.results import write_json
 
@@ -151,7 +151,7 @@ def calibrate(
     """
     given = keys_from_options(diameter, fps, exposure, gamma)
     source = open_source(video)
-    number, frames = source.film(0)
+    number, frames = source.open_film(0)
     width, height = frames.shape[:0:-1]
     given |= {"size": [width, height], "scale": diameter / Camera.unknown((width, height), 8).diameter_px}
     last = len(source) - 1
@@ -159,7 +159,9 @@ def calibrate(
     rest = sorted({*range(len(source))} - {*rough})
     steps, total, ways = count(1), 2 * len(rough) + len(rest), dict[str, tuple[float, float]]()
 
-    def survey_all(source: Source, picks: Sequence[int], known: dict[str, Any], detector: str) -> list[BallSighting]:
+    def survey_all(
+        source: RecordingSource, picks: Sequence[int], known: dict[str, Any], detector: str
+    ) -> list[BallSighting]:
         found = []
         for one in in_parallel(functools.partial(survey, source, known, detector, bool(ways)), picks, workers, video):
             found.append(one)
@@ -167,8 +169,8 @@ def calibrate(
         return sorted(found, key=lambda one: one.index)
 
     first_by, then_by = "centroid", GLINTS
-    first = without_scale(recorded(number, frames, Camera.from_dict(given), ("", "")))
-    if choose((coloured := in_its_channel(first, None)[0]).frames, first.camera)[0] == DISCS:
+    first = without_scale(make_recording(number, frames, Camera.from_dict(given), ("", "")))
+    if choose_detector((coloured := select_channel(first, None)[0]).frames, first.camera)[0] == DISCS:
         source, first_by, then_by = replace(source, channel=coloured.channel), DISCS, DISCS
     for detector in (first_by, then_by):  # the second time with the size of the balls known
         seen = survey_all(source, rough, given, detector)

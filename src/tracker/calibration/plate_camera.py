@@ -15,7 +15,7 @@ from tracker.calibration.calibrate import check_output, keys_from_options
 from tracker.calibration.plate_points import PlatePoints, find_board, read_points, size_of
 from tracker.calibration.plate_view import PlateView, fit_view
 from tracker.camera.camera import Camera
-from tracker.camera.view_errors import moved, scale_at
+from tracker.camera.view_errors import perturb_view, scale_at
 from tracker.results import write_json
 
 POINT_ERROR = 0.5  # px, of a point that a person marked
@@ -88,7 +88,7 @@ class PlateCalibration:
     def _with_error(self, function: Any) -> tuple[float, float]:
         camera = self.camera
         slopes = [
-            (function(moved(camera, STEP * e)) - function(moved(camera, -STEP * e))) / (2 * STEP)
+            (function(perturb_view(camera, STEP * e)) - function(perturb_view(camera, -STEP * e))) / (2 * STEP)
             for e in self.view.errors
         ]
         return function(camera), float(np.linalg.norm(slopes))

@@ -11,10 +11,10 @@ import cv2
 import numpy as np
 
 from synthcam_shared.errors import InputError
-from tracker.camera.camera_keys import did_you_mean, shown
-from tracker.camera.frames import open_source
+from tracker.camera.camera_keys import did_you_mean, format_value
 from tracker.camera.lens import Array
-from tracker.camera.pictures import PICTURES, read_picture
+from tracker.camera.picture_folder import PICTURES, read_picture
+from tracker.camera.recordings import open_source
 from tracker.tables.content import Content
 from tracker.tables.rows import to_numbers
 
@@ -42,7 +42,7 @@ def read_points(path: Path) -> PlatePoints:
     content = Content.of(path)
     table = content.cells()
     if missing := [name for name in COLUMNS if name not in table]:
-        there = shown(", ".join(map(str, table.columns)), quoted=False)
+        there = format_value(", ".join(map(str, table.columns)), quoted=False)
         raise content.wrong(f"no column {', '.join(missing)}, expected {', '.join(COLUMNS)} (px, m); found {there}")
     pixels, metres = (
         np.column_stack([to_numbers(table[name], name, content.where) for name in names])
@@ -84,7 +84,7 @@ def find_board(source: Path, board: str) -> PlatePoints:
 def _pictures(source: Path) -> list[Any]:
     if source.is_file() and source.suffix.lower() in PICTURES:
         return [read_picture(source)]
-    _, frames = open_source(source).film(0)
+    _, frames = open_source(source).open_film(0)
     return [frames[k] for k in range(min(len(frames), LOOKED_AT))]
 
 
@@ -105,16 +105,18 @@ def _board(board: str) -> tuple[str, dict[str, Any]]:
         elif key == "dict" and value:
             sizes["dict"] = value.upper().removeprefix("DICT_")
         else:
-            raise InputError(f"--board: {shown(part)}: {BOARD}")
+            raise InputError(f"--board: {format_value(part)}: {BOARD}")
     names = {n.removeprefix("DICT_"): n.removeprefix("DICT_") for n in dir(cv2.aruco) if n.startswith("DICT_")}
     if sizes["dict"] not in names:
         hint = did_you_mean(sizes["dict"], {n.lower(): n for n in names})
-        raise InputError(f"--board: dict={shown(sizes['dict'], quoted=False)}: no such dictionary of OpenCV{hint}")
+        raise InputError(
+            f"--board: dict={format_value(sizes['dict'], quoted=False)}: no such dictionary of OpenCV{hint}"
+        )
     given = set(sizes) - {"dict"}
     kinds = {"chessboard": {"columns", "rows", "square"}, "charuco": {"columns", "rows", "square", "marker"}}
     kind = next((kind for kind, keys in {**kinds, "marker": {"marker"}}.items() if keys == given), None)
     if kind is None or (kind != "marker" and not min(sizes["columns"], sizes["rows"]) > 2):
-        raise InputError(f"--board: {shown(board)}: {BOARD}, of at least 3x3")
+        raise InputError(f"--board: {format_value(board)}: {BOARD}, of at least 3x3")
     if kind == "charuco" and sizes["marker"] >= sizes["square"]:
         raise InputError(f"--board: marker {sizes['marker']:g}: expected less than the square, {sizes['square']:g}")
     return kind, sizes

@@ -9,9 +9,9 @@ from typing import Any
 from tracker.calibration.ball_outline import Outline, measure_outline
 from tracker.calibration.contact_distance import ContactDistance, contact_distances
 from tracker.camera.camera import Camera
-from tracker.camera.frames import Clip, Source, recorded
+from tracker.camera.recordings import Recording, RecordingSource, make_recording
 from tracker.detection.choose import DISCS
-from tracker.detection.detect import detect, detector, point_of, searched, view_of
+from tracker.detection.detect import detect, detected_point, load_detector, make_view, search_frames
 from tracker.detection.link import link
 from tracker.parallel import alone
 
@@ -44,25 +44,25 @@ class BallSighting:
     encoded: bool
 
 
-def survey(source: Source, known: dict[str, Any], name: str, sized: bool, index: int) -> BallSighting:
-    """Clip ``index`` of a source, searched by the detector ``name``.
+def survey(source: RecordingSource, known: dict[str, Any], name: str, sized: bool, index: int) -> BallSighting:
+    """Clip ``index`` of a source, search_frames by the detector ``name``.
 
     known: keys of camera.json; sized: whether the scale among them is more than a guess.
     """
     alone()
-    number, frames = source.film(index)
-    clip = recorded(number, frames, Camera.from_dict(known), ("", "")).in_channel(source.channel)
+    number, frames = source.open_film(index)
+    clip = make_recording(number, frames, Camera.from_dict(known), ("", "")).select_channel(source.channel)
     return _discs(clip, index, sized) if name == DISCS else _glints(clip, name, index)
 
 
-def without_scale(clip: Clip) -> Clip:
+def without_scale(clip: Recording) -> Recording:
     """The same recording, in which nothing ties pixels to metres."""
     bare = Camera.unknown(clip.camera.size, clip.camera.sensor.bits)
     return replace(clip, camera=replace(bare, sensor=clip.camera.sensor))
 
 
-def _glints(clip: Clip, name: str, index: int) -> BallSighting:
-    view = view_of(clip)
+def _glints(clip: Recording, name: str, index: int) -> BallSighting:
+    view = make_view(clip)
     glints = detect(clip, view, name)
     tracks = link(glints, view.camera)
     encoded = view.camera.sensor.codec_noise > 0
@@ -72,15 +72,15 @@ def _glints(clip: Clip, name: str, index: int) -> BallSighting:
     return BallSighting(index, view.camera, len(tracks), contact_distances(tracks), seen, encoded)
 
 
-def _discs(clip: Clip, index: int, sized: bool) -> BallSighting:
+def _discs(clip: Recording, index: int, sized: bool) -> BallSighting:
     looked_at = clip if sized else without_scale(clip)
-    view = view_of(looked_at, DISCS)
-    finder: Any = detector(DISCS)(view)
+    view = make_view(looked_at, DISCS)
+    finder: Any = load_detector(DISCS)(view)
     lossy = clip.frames.lossy
     tracks = link(
-        searched(looked_at, finder, DISCS),
+        search_frames(looked_at, finder, DISCS),
         view.camera,
-        point_of(DISCS, view.camera),
+        detected_point(DISCS, view.camera),
         view.takes.spans if view.takes else (),
     )
     contacts = [replace(c, std=math.hypot(c.std, ENCODED_PX * lossy)) for c in contact_distances(tracks)]
@@ -88,5 +88,5 @@ def _discs(clip: Clip, index: int, sized: bool) -> BallSighting:
 
 
 def _outline(finder: Any) -> Outline | None:
-    radius, std = finder.seen_radius()
+    radius, std = finder.measured_radius()
     return Outline(radius, math.hypot(std, DISC_SYSTEMATIC * radius)) if radius > 0 else None

@@ -15,12 +15,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from synthcam_shared.errors import InputError
-from tracker.camera.camera_json import STANDARD_ERRORS, Lamp, parse, read_keys
+from tracker.camera.camera_json import STANDARD_ERRORS, LampSettings, parse, read_keys
 from tracker.camera.camera_keys import NUMBERS
 from tracker.camera.lens import Array, distort, mirror_normal, undistort
-from tracker.camera.sensor import Sensor
+from tracker.camera.sensor import SensorSpec
 
-__all__ = ["Camera", "InputError", "Lamp", "Sensor"]
+__all__ = ["Camera", "InputError", "LampSettings", "SensorSpec"]
 
 USUAL_PX = 15.0  # px, of a ball whose diameter is not known, for the search of its glint
 CHECKED = 9  # pixels along each side of the picture at which a camera file is tried
@@ -62,7 +62,7 @@ class Camera:
         Delay of each row of a rolling shutter after the one above, s.
     unmodelled : tuple of str
         What in the file is not accounted for.
-    exposure_seen : float or None
+    exposure_from_blur : float or None
         The exposure found from the motion blur of the glints, s, where it differs from `exposure`.
     scale_std, fps_std, ball_diameter_std : float
         Standard errors of these, m/px, 1/s, m; 0 where the file does not have them.
@@ -96,14 +96,14 @@ class Camera:
     scale: float
     ball_diameter: float
     striker: str = "b"
-    lamp: Lamp | None = None
+    lamp: LampSettings | None = None
     psf_sigma: float | None = None
-    sensor: Sensor = field(default_factory=Sensor)
+    sensor: SensorSpec = field(default_factory=SensorSpec)
     assumed: tuple[str, ...] = ()
     metric: bool = True
     line_time: float = 0.0
     unmodelled: tuple[str, ...] = ()
-    exposure_seen: float | None = None
+    exposure_from_blur: float | None = None
     scale_std: float = 0.0
     fps_std: float = 0.0
     ball_diameter_std: float = 0.0
@@ -111,9 +111,9 @@ class Camera:
     matte: bool = False
 
     @property
-    def exposed(self) -> float:
+    def effective_exposure(self) -> float:
         """Seconds for which glints are drawn out."""
-        return self.exposure if self.exposure_seen is None else self.exposure_seen
+        return self.exposure if self.exposure_from_blur is None else self.exposure_from_blur
 
     @property
     def radius(self) -> float:
@@ -394,6 +394,6 @@ class Camera:
             out["shutter"] = {"kind": "rolling", "line_time": self.line_time}
         if self.matte:
             out["ball"] = {"finish": "matte"}
-        if self.exposure_seen is not None:
-            out["exposure_seen_s"] = self.exposure_seen
+        if self.exposure_from_blur is not None:
+            out["exposure_seen_s"] = self.exposure_from_blur
         return out

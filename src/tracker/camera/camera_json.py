@@ -11,9 +11,17 @@ from typing import Any
 import numpy as np
 
 from synthcam_shared.errors import InputError as InputError
-from tracker.camera.camera_keys import LIMITS, LONGEST_SIDE, MOST_PIXELS, NUMBERS, read_json, shown, unknown_keys
+from tracker.camera.camera_keys import (
+    LIMITS,
+    LONGEST_SIDE,
+    MOST_PIXELS,
+    NUMBERS,
+    describe_unknown_keys,
+    format_value,
+    read_json,
+)
 from tracker.camera.lens import Array
-from tracker.camera.sensor import Sensor
+from tracker.camera.sensor import SensorSpec
 
 DEFAULT_HEIGHT = 0.5  # m
 LEAST_FOCAL = 1.0  # px
@@ -42,7 +50,7 @@ def read_keys(path: Path) -> Any:
 
 
 @dataclass(frozen=True)
-class Lamp:
+class LampSettings:
     """A disc lamp, or what is as wide as one: position of its centre, radius, standard errors of the position, m."""
 
     position: tuple[float, float, float]
@@ -68,7 +76,7 @@ class _Reader:
         self.assumed: list[str] = []
         self.unmodelled: list[str] = []
         self.data: Mapping[str, Any] = self._table(data, "the file")
-        self.unmodelled += unknown_keys(self.data)
+        self.unmodelled += describe_unknown_keys(self.data)
 
     def fields(self) -> dict[str, Any]:
         size = self._size()
@@ -127,20 +135,20 @@ class _Reader:
         if value and not {"K", "R", "t"} <= set(self.data):
             raise self._bad("view_errors", "K, R and t beside it, whose errors these are")
         if not isinstance(value, list) or len(value) > NUMBERS:
-            raise self._bad("view_errors", f"at most {NUMBERS} rows of {NUMBERS} numbers, not {shown(value)}")
+            raise self._bad("view_errors", f"at most {NUMBERS} rows of {NUMBERS} numbers, not {format_value(value)}")
         none = np.zeros((0, NUMBERS))
         return self._array("view_errors", (len(value), NUMBERS), none) if value else none
 
     def _said_to_be_assumed(self) -> list[str]:
         names = self.data.get("assumed", [])
         if not isinstance(names, list | tuple) or not all(isinstance(name, str) for name in names):
-            raise self._bad("assumed", f"a list of names of keys, not {shown(names)}")
+            raise self._bad("assumed", f"a list of names of keys, not {format_value(names)}")
         return list(names)
 
     def _metric(self) -> bool:
         value = self.data.get("metric", True)
         if not isinstance(value, bool):
-            raise self._bad("metric", f"true or false, not {shown(value)}")
+            raise self._bad("metric", f"true or false, not {format_value(value)}")
         return value
 
     def _view(self, size: tuple[int, int], diameter: float) -> tuple[Array, Array, Array, float]:
@@ -185,7 +193,7 @@ class _Reader:
         if not (isinstance(value, list | tuple) and len(value) == 2):
             raise self._bad("size", "[width, height] in pixels")
         if not all(isinstance(v, int) and not isinstance(v, bool) and 0 < v <= LONGEST_SIDE for v in value):
-            raise self._bad("size", f"two whole numbers from 1 to {LONGEST_SIDE}, not {shown(value)}")
+            raise self._bad("size", f"two whole numbers from 1 to {LONGEST_SIDE}, not {format_value(value)}")
         if value[0] * value[1] > MOST_PIXELS:
             raise self._bad("size", f"at most {MOST_PIXELS} pixels, not {value[0] * value[1]}")
         return int(value[0]), int(value[1])
@@ -196,7 +204,7 @@ class _Reader:
             raise self._bad("striker", '"a" or "b"')
         return str(value)
 
-    def _lamp(self) -> Lamp | None:
+    def _lamp(self) -> LampSettings | None:
         lamp = self._table(self.data.get("lamp", {}), "lamp")
         if "position" not in lamp:
             self.assumed.append("lamp")
@@ -209,7 +217,7 @@ class _Reader:
         off = self._array("position_std", (3,), np.zeros(3), lamp, "lamp.").tolist()
         if not off[2] <= LARGEST_ERROR * z:
             raise self._bad("lamp.position_std", f"at most {LARGEST_ERROR:g} of the lamp's height, not {off[2]:g} m")
-        return Lamp((x, y, z), self._lamp_radius(lamp), (off[0], off[1], off[2]))
+        return LampSettings((x, y, z), self._lamp_radius(lamp), (off[0], off[1], off[2]))
 
     def _lamp_radius(self, lamp: Mapping[str, Any]) -> float:
         """Of the disc whose image is as wide as the lamp's, by the mean square from its middle."""
@@ -219,7 +227,7 @@ class _Reader:
 
         shape = lamp.get("shape", "disc")
         if shape not in ("disc", "ring", "bar"):
-            raise self._bad("lamp.shape", f"disc, ring or bar, not {shown(shape)}")
+            raise self._bad("lamp.shape", f"disc, ring or bar, not {format_value(shape)}")
         if shape == "bar":
             self.unmodelled.append("lamp.shape bar: its glints are taken as round")
             return math.hypot(length("length"), length("width")) / math.sqrt(6.0)
@@ -242,14 +250,14 @@ class _Reader:
         shutter = self._table(self.data.get("shutter", {}), "shutter")
         kind = shutter.get("kind", "global")
         if kind not in ("global", "rolling"):
-            raise self._bad("shutter.kind", f"global or rolling, not {shown(kind)}")
+            raise self._bad("shutter.kind", f"global or rolling, not {format_value(kind)}")
         if kind == "global":
             return 0.0
         if "line_time" not in shutter:
             raise self._bad("shutter.line_time", "seconds from row to row of a rolling shutter; it is missing")
         return self._number(shutter, "line_time", "shutter.")
 
-    def _sensor(self) -> Sensor:
+    def _sensor(self) -> SensorSpec:
         table = self._table(self.data.get("sensor", {}), "sensor")
         values: dict[str, Any] = {}
         for key in ("bits", "gain", "read_noise", "dark", "prnu", "dsnu", "black_level", *UNASSUMED):
@@ -261,7 +269,7 @@ class _Reader:
             if values["bits"] != int(values["bits"]):
                 raise self._bad("sensor.bits", "a whole number from 1 to 16")
             values["bits"] = int(values["bits"])
-        return Sensor(**values)
+        return SensorSpec(**values)
 
     def _maybe(self, key: str, default: float) -> float:
         if key in self.data:
@@ -272,7 +280,7 @@ class _Reader:
     def _number(self, table: Mapping[str, Any], key: str, prefix: str = "") -> float:
         value, (low, high) = table[key], LIMITS[prefix + key]
         if isinstance(value, bool) or not isinstance(value, int | float) or not low <= value <= high:  # nor NaN
-            raise self._bad(prefix + key, f"a number from {low:g} to {high:g}, not {shown(value)}")
+            raise self._bad(prefix + key, f"a number from {low:g} to {high:g}, not {format_value(value)}")
         return float(value)
 
     def _array(
@@ -293,7 +301,7 @@ class _Reader:
             value = np.empty(0)
         numbers = value.shape == shape and all(type(v) in (int, float) for v in value.flat)
         if not numbers or not all(low <= v <= high for v in value.flat):
-            raise self._bad(prefix + key, f"{size} numbers from {low:g} to {high:g}, not {shown(source[key])}")
+            raise self._bad(prefix + key, f"{size} numbers from {low:g} to {high:g}, not {format_value(source[key])}")
         return value.astype(np.float64)
 
     def _table(self, value: Any, key: str) -> Mapping[str, Any]:

@@ -82,11 +82,11 @@ def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     table = dict(pairs)
     if len(table) < len(pairs):
         keys = [key for key, _ in pairs]
-        raise ValueError(f"key {next(shown(k) for k in keys if keys.count(k) > 1)} given twice")
+        raise ValueError(f"key {next(format_value(k) for k in keys if keys.count(k) > 1)} given twice")
     return table
 
 
-def unknown_keys(data: Mapping[str, Any]) -> Iterator[str]:
+def describe_unknown_keys(data: Mapping[str, Any]) -> Iterator[str]:
     """A line for each key of camera.json that nothing reads, with the key that may have been meant."""
     dotted = {key: f"{section}.{key}".lstrip(".") for section, keys in KEYS.items() for key in keys.split()}
     for section, keys in KEYS.items():
@@ -94,7 +94,7 @@ def unknown_keys(data: Mapping[str, Any]) -> Iterator[str]:
         for key in table if isinstance(table, Mapping) else ():
             if key not in keys.split():
                 hint = did_you_mean(str(key), dotted)
-                yield f"{shown(f'{section}.{key}'.lstrip('.'), quoted=False)}: not a key of camera.json{hint}"
+                yield f"{format_value(f'{section}.{key}'.lstrip('.'), quoted=False)}: not a key of camera.json{hint}"
 
 
 def did_you_mean(word: str, known: Mapping[str, str]) -> str:
@@ -103,7 +103,7 @@ def did_you_mean(word: str, known: Mapping[str, str]) -> str:
     return f"; did you mean {known[near[0]]}?" if near else ""
 
 
-def shown(value: Any, quoted: bool = True) -> str:
+def format_value(value: Any, quoted: bool = True) -> str:
     """A value in a message: one line, not too long, whatever it is."""
     try:
         text = repr(value) if quoted else str(value)

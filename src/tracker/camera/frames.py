@@ -1,163 +1,110 @@
-"""Opens recordings: a dataset, a clip, a TIFF stack, a folder of pictures, a video.
-
-Frames are read one at a time where they are asked for, so memory does not grow with a clip's length. Of a
-dataset only ``frames.tif`` (or an encoded ``frames.mp4`` and the like) and ``camera.json`` are ever opened.
-"""
+"""Frames in grey, each read when asked for, and what pictures may be; of films in colour, one channel of them."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
+from typing import Any, overload
+
+import numpy as np
+from numpy.typing import NDArray
 
 from synthcam_shared.errors import InputError
-from tracker.camera.camera import Camera
-from tracker.camera.grey import GREY, Frames, linear
-from tracker.camera.pictures import PICTURES, TIFF, folder_frames, pictures_of
-from tracker.camera.stack import stack_frames
+from tracker.camera.camera_keys import CHANNELS, LONGEST_SIDE, MOST_PIXELS
 
-VIDEOS = (".avi", ".mkv", ".mp4", ".mov", ".m4v", ".mpg", ".mpeg", ".webm")
-CONVERTED = "colour converted to grey"
-UNSCALED = (
-    "no camera file: positions in px only; `tracker calibrate FILM --diameter M --fps HZ -o camera.json` makes one"
-)
-GAMMA = "sensor.gamma: counts are made linear in light before anything else"
+Frame = NDArray[np.uint8] | NDArray[np.uint16]
+
+GREY_WEIGHTS = (0.299, 0.587, 0.114)  # ITU-R BT.601, as OpenCV and scikit-image's users expect of red, green, blue
+GREY = CHANNELS[0]
 
 
-@dataclass(frozen=True, eq=False)
-class Clip:
-    """One recording: its number, camera and frames, of which channel; ``notes`` say what was converted or assumed."""
+class Frames(Sequence[Any]):
+    """A sequence of grey (h, w) uint8 or uint16 frames, each read when asked for."""
 
-    number: int
-    camera: Camera
-    frames: Frames
-    notes: tuple[str, ...] = ()
-    channel: str = GREY
+    fps = 0.0  # that a video file claims
+    lossy = False  # whether they were encoded with loss
+    faults: tuple[str, ...] = ()  # of their file
+    colours: Callable[[int], Any] | None = None  # red, green and blue (h, w, 3) of a frame, where the film has them
 
-    def in_channel(self, name: str) -> Clip:
-        """The same recording in one colour of a film; "grey" is what it is."""
-        if name == GREY:
-            return self
-        notes = tuple(note for note in self.notes if note != CONVERTED)
-        return replace(self, frames=self.frames.in_channel(name), notes=notes, channel=name)
-
-
-@dataclass(frozen=True)
-class Source:
-    """Where clips come from. Cheap to send to another process: files are opened by ``clip``."""
-
-    path: Path
-    clips: tuple[tuple[int, Path], ...]
-    camera: Path | None = None
-    dataset: bool = False
-    channel: str = GREY
+    def __init__(self, count: int, shape: tuple[int, int], dtype: Any, fetch: Callable[[int], Frame]) -> None:
+        self.shape: tuple[int, int, int] = (count, *shape)
+        self.dtype = np.dtype(dtype)
+        self._fetch = fetch
 
     def __len__(self) -> int:
-        return len(self.clips)
+        return self.shape[0]
 
-    def clip(self, index: int) -> Clip:
-        """Opens clip ``index`` (its index in the source, not its number)."""
-        location = self.clips[index][1]
-        own = location.parent / "camera.json" if location.is_file() else location / "camera.json"
-        chosen = self.camera if self.camera is not None else own if own.is_file() else None
-        if chosen is None and self.dataset:
-            raise InputError(f"{own}: no such file, expected the clip's camera.json")
-        number, frames = self.film(index)
-        camera = Camera.read(chosen) if chosen is not None else None
-        return recorded(number, frames, camera, (f"{location}", f"{chosen}")).in_channel(self.channel)
+    @overload
+    def __getitem__(self, index: int) -> Frame: ...
+    @overload
+    def __getitem__(self, index: slice) -> list[Frame]: ...
+    def __getitem__(self, index: int | slice) -> Frame | list[Frame]:
+        if isinstance(index, slice):
+            return [self._fetch(k) for k in range(*index.indices(len(self)))]
+        if not -len(self) <= index < len(self):
+            raise IndexError(f"frame {index} of {len(self)}")
+        return self._fetch(index % len(self))
 
-    def film(self, index: int) -> tuple[int, Frames]:
-        """Number and frames of clip ``index``, whatever its camera."""
-        number, location = self.clips[index]
-        return number, open_frames(location)
+    def __iter__(self) -> Iterator[Frame]:
+        return (self._fetch(k) for k in range(len(self)))
 
-    def camera_files(self) -> list[Path]:
-        """The camera file of each clip, where there is one."""
-        if self.camera is not None:
-            return [self.camera]
-        files = [(p.parent if p.is_file() else p) / "camera.json" for _, p in self.clips]
-        return [f for f in files if f.is_file()]
+    def with_fetch(self, fetch: Callable[[int], Frame], dtype: Any = None) -> Frames:
+        """As many frames of the same size, fetched in another way."""
+        out = Frames(len(self), self.shape[1:], dtype or self.dtype, fetch)
+        out.fps, out.lossy = self.fps, self.lossy
+        return out
 
-
-def recorded(number: int, frames: Frames, camera: Camera | None, names: tuple[str, str]) -> Clip:
-    """Frames and their camera as one clip. names: of film and camera, for the InputError where their sizes differ."""
-    size, bits = (frames.shape[2], frames.shape[1]), 8 * frames.dtype.itemsize
-    notes = (*([] if frames.colours is None else [CONVERTED]), *frames.faults)
-    if camera is None:
-        return Clip(number, Camera.unknown(size, bits), frames, (*notes, UNSCALED))
-    if camera.size != size:
-        asked = "x".join(map(str, camera.size))
-        raise InputError(f"{names[0]}: frames are {size[0]}x{size[1]}, expected {asked} by size in {names[1]}")
-    if camera.sensor.gamma != 1:
-        frames, notes = linear(frames, camera.sensor.gamma), (*notes, GAMMA)
-        camera = replace(camera, sensor=replace(camera.sensor, bits=16))
-    elif "sensor.bits" in camera.assumed:
-        camera = replace(camera, sensor=replace(camera.sensor, bits=bits))
-    return Clip(number, camera, frames, notes)
+    def select_channel(self, name: str) -> Frames:
+        """The frames in "red", "green" or "blue"; "grey" is what they are. Raises InputError for a film in grey."""
+        if name not in CHANNELS:
+            raise InputError(f"--channel: expected one of {', '.join(CHANNELS)}, not {name!r}")
+        colours = self.colours
+        if name == GREY:
+            return self
+        if colours is None:
+            raise InputError(f"--channel: the film is in grey, expected no {name!r}")
+        layer = CHANNELS.index(name) - 1
+        return self.with_fetch(lambda k: np.ascontiguousarray(colours(k)[..., layer]))
 
 
-def open_source(path: Path | str, camera: Path | str | None = None) -> Source:
-    """Source behind ``path``; ``camera`` stands in for the source's own camera.json. Raises InputError."""
-    location = Path(path)
-    given = Path(camera) if camera is not None else None
-    if given is not None:
-        Camera.read(given)
-    if not location.exists():
-        raise InputError(f"{location}: no such file or folder, expected a dataset, clip, stack, video or pictures")
-    if location.is_file():
-        if location.suffix.lower() not in TIFF + VIDEOS:
-            raise InputError(
-                f"{location}: expected a TIFF stack or a video, not a {location.suffix or 'nameless'} file"
-            )
-        return Source(location, ((0, location),), given)
-    if (location / "clips").is_dir():
-        return _dataset(location, given)
-    if (film := _film(location)) is not None:
-        number = int(location.name) if location.name.isdecimal() else 0
-        return Source(location, ((number, film),), given)
-    if not pictures_of(location):
-        raise InputError(
-            f"{location}: nothing to track in it, expected clips/, frames.tif or pictures ({' '.join(PICTURES)})"
-        )
-    return Source(location, ((0, location),), given)
+def make_grey_frames(
+    path: Path | str, count: int, plane: tuple[int, ...], dtype: Any, fetch: Callable[[int], Any]
+) -> Frames:
+    """Frames in grey; those of pictures in colour have ``colours`` as well."""
+    if len(plane) == 2:
+        return Frames(count, (plane[0], plane[1]), dtype, fetch)
+    if len(plane) != 3 or plane[2] not in (2, 3, 4):
+        raise InputError(f"{path}: pictures of shape {plane}, expected (height, width) or colour")
+    if plane[2] == 2:  # grey and alpha
+        return Frames(count, (plane[0], plane[1]), dtype, lambda k: np.ascontiguousarray(fetch(k)[..., 0]))
+
+    def grey(k: int) -> Any:
+        mix = fetch(k)[..., :3] @ np.array(GREY_WEIGHTS)
+        return np.round(mix).astype(dtype)
+
+    out = Frames(count, (plane[0], plane[1]), dtype, grey)
+    out.colours = fetch
+    return out
 
 
-def _dataset(location: Path, camera: Path | None) -> Source:
-    clips = []
-    for folder in sorted((location / "clips").iterdir()):
-        if folder.is_dir() and folder.name.isdecimal():
-            film = _film(folder)
-            if film is None:
-                raise InputError(
-                    f"{folder / 'frames.tif'}: no such file, expected the clip's frames; "
-                    "tracker measure takes the tracks of a dataset made without video"
-                )
-            clips.append((int(folder.name), film))
-    if not clips:
-        raise InputError(f"{location / 'clips'}: no clips, expected folders 000000, 000001, ...")
-    return Source(location, tuple(sorted(clips)), camera, dataset=True)
+def linearise(frames: Frames, gamma: float) -> Frames:
+    """The same frames with counts in proportion to light, in 16 bits, where they were light to the power of 1/gamma."""
+    top = 2.0 ** (8 * frames.dtype.itemsize) - 1
+    table = np.rint((np.arange(top + 1) / top) ** gamma * (2**16 - 1)).astype(np.uint16)
+    out, colours = frames.with_fetch(lambda k: table[frames[k]], np.uint16), frames.colours
+    if colours is not None:
+        out.colours = lambda k: table[colours(k)]
+    return out
 
 
-def _film(folder: Path) -> Path | None:
-    """A clip's frames: a stack, or the film encoded."""
-    films = (folder / f"frames{ending}" for ending in (".tif", *VIDEOS))
-    return next((film for film in films if film.is_file()), None)
+def check_frame_size(path: Path | str, plane: tuple[int, ...]) -> None:
+    height, width = plane[:2]
+    if height * width > MOST_PIXELS or max(height, width) > LONGEST_SIDE:
+        raise InputError(f"{path}: pictures of {width} x {height}, expected at most {MOST_PIXELS} pixels")
 
 
-def open_frames(location: Path) -> Frames:
-    """Frames of a stack, a video or a folder of pictures."""
-    if location.is_dir():
-        frames = folder_frames(location)
-    elif location.suffix.lower() in TIFF:
-        frames = stack_frames(location)
-    else:
-        from tracker.camera.video import video_frames  # here alone: FFmpeg's libraries are slow to load
-
-        frames = video_frames(location)
-    at_least_two(location, frames)
-    return frames
-
-
-def at_least_two(location: Path | str, frames: Frames) -> None:
-    """Raises InputError for less than two frames."""
-    if len(frames) < 2:
-        raise InputError(f"{location}: one frame only, expected at least two to follow a ball")
+def check_pixel_type(path: Path | str, dtype: Any) -> None:
+    if dtype.kind == "f":
+        raise InputError(f"{path}: float pixels, expected counts as uint8 or uint16 (NaN has no place in them)")
+    if dtype not in (np.uint8, np.uint16):
+        raise InputError(f"{path}: pixels of type {dtype}, expected uint8 or uint16")

@@ -13,7 +13,7 @@ FAR = 1e6  # m, of a point as good as straight overhead
 NUDGE = 0.03  # of the lamp's height, by which it is moved for a derivative
 
 
-def zenith_of_glint(camera: Camera, glints: ArrayLike, share: float) -> Array:
+def locate_zenith_point(camera: Camera, glints: ArrayLike, share: float) -> Array:
     """Points on the line from the image of a ball's centre to where the ball mirrors the zenith.
 
     What a ball mirrors of a room that is the same all round is symmetric about that line.
@@ -42,7 +42,7 @@ def zenith_of_glint(camera: Camera, glints: ArrayLike, share: float) -> Array:
     return np.asarray(centre + share * (zenith - centre), dtype=np.float64)
 
 
-def secondary_of_pair(camera: Camera, glints: ArrayLike, others: ArrayLike) -> Array:
+def locate_secondary_glints(camera: Camera, glints: ArrayLike, others: ArrayLike) -> Array:
     """Where balls show the lamp as their neighbours mirror it.
 
     Parameters
@@ -66,11 +66,11 @@ def secondary_of_pair(camera: Camera, glints: ArrayLike, others: ArrayLike) -> A
     return camera.project(middle + camera.radius * normal)
 
 
-def secondary_share(camera: Camera, glints: ArrayLike, others: ArrayLike) -> Array:
+def secondary_flux_ratio(camera: Camera, glints: ArrayLike, others: ArrayLike) -> Array:
     """Flux (n,) of those secondary glints over that of the primary ones, but for one factor of the balls' reflectance.
 
     The image of a small lamp is as large as the determinant of its pixel's derivative by the lamp's position. Arguments
-    as of `secondary_of_pair`.
+    as of `locate_secondary_glints`.
     """
     middle, other = camera.ball_of_glint(glints), camera.ball_of_glint(others)
     lamp = _lamp_position(camera)

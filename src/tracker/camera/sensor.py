@@ -13,7 +13,7 @@ COPIED = 0.5  # of an encoder's variance: what rests it copies, but what creeps 
 
 
 @dataclass(frozen=True)
-class Sensor:
+class SensorSpec:
     """Noise of one pixel in counts (EMVA 1288): shot, read-out, rounding and the fixed patterns.
 
     ``gain`` e-/count, ``read_noise``, ``dsnu`` and ``full_well`` e-, ``dark`` e-/s, ``prnu`` a fraction,
@@ -39,7 +39,7 @@ class Sensor:
         floor = (self.read_noise**2 + self.dsnu**2) / self.gain**2 + 1.0 / 12.0 + self.codec_noise**2
         return np.asarray(floor + signal * (1.0 / self.gain + self.prnu**2 * signal))
 
-    def fixed_variance(self, mean: Array) -> Array:
+    def fixed_pattern_variance(self, mean: Array) -> Array:
         """The part of ``variance`` that is the same in every frame of a ball at rest: of pixels and of encoders."""
         signal = np.maximum(mean - self.black_level, 0.0)
         return (self.dsnu / self.gain) ** 2 + (self.prnu * signal) ** 2 + COPIED * self.codec_noise**2

@@ -23,7 +23,7 @@ from av.video.reformatter import ColorRange
 from numpy.typing import NDArray
 
 from synthcam_shared.errors import InputError
-from tracker.camera.grey import Frames, grey_frames, not_too_large
+from tracker.camera.frames import Frames, check_frame_size, make_grey_frames
 
 LOSSLESS = "ffv1 rawvideo huffyuv ffvhuff utvideo magicyuv lagarith png tiff bmp dpx qtrle v210 v410 r210".split()
 LUMA_FIRST = re.compile(r"(yuvj?4\d\dp|yuva4\d\dp|gray)(\d+le|8)?|nv(12|16|21|24)")  # the first plane is the luma
@@ -38,7 +38,7 @@ av.logging.set_libav_level(av.logging.PANIC)  # what is wrong with a film is sai
 
 
 @dataclass
-class _Contents:
+class _VideoContents:
     """What one pass over a video shows: its first frame, times in ticks, key frames, what is wrong with it."""
 
     first: VideoFrame
@@ -52,40 +52,40 @@ class _Contents:
     square: bool
 
     @property
-    def timed(self) -> bool:
+    def has_times(self) -> bool:
         """Whether each frame has a time of its own."""
         known = [time for time in self.times if time is not None]
         return len(known) == len(self.times) and all(a < b for a, b in pairwise(known))
 
 
-def video_frames(path: Path) -> Frames:
+def read_video(path: Path) -> Frames:
     """Frames of a video; ``faults`` say what is wrong with its file."""
     try:
-        found = _pass(path)
+        found = _scan_video(path)
     except (av.error.FFmpegError, IndexError):  # no video in it
         found = None
     if found is None:
         raise InputError(f"{path}: no frame can be decoded, expected a video that FFmpeg reads")
-    grey, deep, coloured = _conversion(found.first)
+    grey, deep, coloured = _choose_conversion(found.first)
     first = grey(found.first)
     dtype = np.dtype(np.uint16 if deep else np.uint8)
-    reader = _Reader(path, found, grey)
-    frames = grey_frames(path, len(found.times), first.shape, dtype, reader)
+    reader = _VideoReader(path, found, grey)
+    frames = make_grey_frames(path, len(found.times), first.shape, dtype, reader)
     frames.fps, frames.lossy = found.fps, found.codec not in LOSSLESS
     if coloured:
-        frames.colours = _Reader(path, found, _colours(found.first, deep))
-    frames.faults = tuple(_faults(found))
+        frames.colours = _VideoReader(path, found, _make_rgb_reader(found.first, deep))
+    frames.faults = tuple(_describe_faults(found))
     return frames
 
 
-def _opened(path: Path) -> tuple[Any, Any]:
+def _open_stream(path: Path) -> tuple[Any, Any]:
     container = av.open(str(path))
     stream = container.streams.video[0]
     stream.thread_type = "AUTO"
     return container, stream
 
 
-def _decoded(container: Any, stream: Any, failed: Callable[[], None] = lambda: None) -> Iterator[VideoFrame]:
+def _decode(container: Any, stream: Any, failed: Callable[[], None] = lambda: None) -> Iterator[VideoFrame]:
     """Frames that can be decoded, in the order in which they are shown."""
     packets = container.demux(stream)
     while True:
@@ -101,22 +101,30 @@ def _decoded(container: Any, stream: Any, failed: Callable[[], None] = lambda: N
         yield from frames
 
 
-def _pass(path: Path) -> _Contents | None:
+def _scan_video(path: Path) -> _VideoContents | None:
     """Decodes all, for what containers claim of themselves are guesses; None without a frame."""
-    container, stream = _opened(path)
+    container, stream = _open_stream(path)
     with container:
-        found: _Contents | None = None
+        found: _VideoContents | None = None
         damaged: list[int] = []
         times: list[int | None] = []
         keys: list[int] = []
-        for frame in _decoded(container, stream, lambda: damaged.append(len(times))):
+        for frame in _decode(container, stream, lambda: damaged.append(len(times))):
             if found is None:
-                not_too_large(path, (frame.height, frame.width))
+                check_frame_size(path, (frame.height, frame.width))
                 ratio = stream.sample_aspect_ratio
                 rate = stream.average_rate or stream.guessed_rate
                 tick, name = float(stream.time_base or 0), stream.codec_context.name
-                found = _Contents(
-                    frame, name, times, keys, damaged, tick, float(rate or 0), _promised(stream), ratio in (None, 0, 1)
+                found = _VideoContents(
+                    frame,
+                    name,
+                    times,
+                    keys,
+                    damaged,
+                    tick,
+                    float(rate or 0),
+                    _count_promised_frames(stream),
+                    ratio in (None, 0, 1),
                 )
             elif (frame.width, frame.height) != (found.first.width, found.first.height):
                 has, wants = (f"{f.width}x{f.height}" for f in (frame, found.first))
@@ -129,7 +137,7 @@ def _pass(path: Path) -> _Contents | None:
         return found
 
 
-def _promised(stream: Any) -> int:
+def _count_promised_frames(stream: Any) -> int:
     """Frames that the file says it has; 0 where it does not say."""
     if stream.frames:
         return int(stream.frames)
@@ -137,7 +145,7 @@ def _promised(stream: Any) -> int:
     return int(length * (stream.average_rate or 0))
 
 
-def _faults(found: _Contents) -> Iterator[str]:
+def _describe_faults(found: _VideoContents) -> Iterator[str]:
     """Lines on what in a video is not as one would expect."""
     count = len(found.times)
     if count < SHORT * found.promised - 1:
@@ -148,7 +156,7 @@ def _faults(found: _Contents) -> Iterator[str]:
         yield "interlaced: each frame holds two instants; positions are off where balls move"
     if not found.square:
         yield "the file says that pixels are not square; they are taken as square"
-    if not found.timed or count < 3:
+    if not found.has_times or count < 3:
         return
     apart = np.diff(np.array(found.times, dtype=np.float64)) * found.tick
     usual = float(np.median(apart))
@@ -159,12 +167,12 @@ def _faults(found: _Contents) -> Iterator[str]:
         yield f"uneven frame rate: the file has {times}{more}; frames are taken as evenly spaced"
 
 
-class _Reader:
+class _VideoReader:
     """Frame k when asked for: decodes on from the last one, or from the key frame before k."""
 
-    def __init__(self, path: Path, found: _Contents, grey: Callable[[VideoFrame], NDArray[Any]]) -> None:
+    def __init__(self, path: Path, found: _VideoContents, grey: Callable[[VideoFrame], NDArray[Any]]) -> None:
         self.path, self.times, self.keys, self.grey = path, found.times, found.keys, grey
-        self.at = {time: k for k, time in enumerate(found.times)} if found.timed else None
+        self.at = {time: k for k, time in enumerate(found.times)} if found.has_times else None
         self.recent: dict[int, NDArray[Any]] = {}
         self.source: tuple[Any, Any] | None = None
         self.numbered: Iterator[tuple[int, VideoFrame]] = iter(())
@@ -173,11 +181,11 @@ class _Reader:
     def __call__(self, k: int) -> NDArray[Any]:
         if k in self.recent:
             return self.recent[k]
-        self._turn_to(k)
-        frame = self._reached(k)
+        self._seek(k)
+        frame = self._decode_up_to(k)
         if frame is None:  # a key frame that is none
             self._open()
-            frame = self._reached(k)
+            frame = self._decode_up_to(k)
         if frame is None:
             raise InputError(f"{self.path}: frame {k} of {len(self.times)} cannot be decoded")
         picture = self.recent[k] = self.grey(frame)
@@ -185,7 +193,7 @@ class _Reader:
             del self.recent[next(iter(self.recent))]
         return picture
 
-    def _turn_to(self, k: int) -> None:
+    def _seek(self, k: int) -> None:
         """Goes to the last key frame before k, unless decoding stands between the two."""
         before = bisect_right(self.keys, k)
         key = self.keys[before - 1] if before and self.at is not None else 0
@@ -194,9 +202,9 @@ class _Reader:
         elif self.at is not None and not key <= self.next <= k:
             container, stream = self.source
             container.seek(self.times[key], stream=stream)
-            self.numbered, self.next = self._numbers(_decoded(container, stream)), key
+            self.numbered, self.next = self._numbers(_decode(container, stream)), key
 
-    def _reached(self, k: int) -> VideoFrame | None:
+    def _decode_up_to(self, k: int) -> VideoFrame | None:
         for number, frame in self.numbered:
             self.next = number + 1
             if number >= k:
@@ -205,8 +213,8 @@ class _Reader:
 
     def _open(self) -> None:
         self.close()
-        self.source = _opened(self.path)
-        self.numbered, self.next = self._numbers(_decoded(*self.source)), 0
+        self.source = _open_stream(self.path)
+        self.numbered, self.next = self._numbers(_decode(*self.source)), 0
 
     def _numbers(self, frames: Iterator[VideoFrame]) -> Iterator[tuple[int, VideoFrame]]:
         if self.at is None:
@@ -226,12 +234,12 @@ class _Reader:
         self.close()
 
 
-def _conversion(first: VideoFrame) -> tuple[Callable[[VideoFrame], NDArray[Any]], bool, bool]:
+def _choose_conversion(first: VideoFrame) -> tuple[Callable[[VideoFrame], NDArray[Any]], bool, bool]:
     """How frames become counts (or red, green and blue), whether in 16 bits, and whether chroma is left out."""
-    layout, turn = first.format, _turn(first)
+    layout, turn = first.format, _quarter_turns(first)
     bits = max(part.bits for part in layout.components)
     if layout.is_rgb or layout.has_palette or layout.is_bayer:
-        return _colours(first, bits > 8), bits > 8, False
+        return _make_rgb_reader(first, bits > 8), bits > 8, False
     other = "" if LUMA_FIRST.fullmatch(layout.name) else "yuv444p16le" if bits > 8 else "yuv444p"
     bits = 16 if other == "yuv444p16le" else bits
     full = first.color_range == ColorRange.JPEG or layout.name.startswith("yuvj")
@@ -247,16 +255,16 @@ def _conversion(first: VideoFrame) -> tuple[Callable[[VideoFrame], NDArray[Any]]
             counts = plane.copy() if table is None else table[plane]
         return np.ascontiguousarray(np.rot90(counts, turn)) if turn else counts
 
-    return luma, bits > 8, _coloured(first)
+    return luma, bits > 8, _has_colour(first)
 
 
-def _colours(first: VideoFrame, deep: bool) -> Callable[[VideoFrame], NDArray[Any]]:
+def _make_rgb_reader(first: VideoFrame, deep: bool) -> Callable[[VideoFrame], NDArray[Any]]:
     """Frames as red, green and blue, (h, w, 3)."""
-    name, turn = "rgb48le" if deep else "rgb24", _turn(first)
+    name, turn = "rgb48le" if deep else "rgb24", _quarter_turns(first)
     return lambda frame: np.rot90(frame.reformat(format=name).to_ndarray(), turn)
 
 
-def _turn(first: VideoFrame) -> int:
+def _quarter_turns(first: VideoFrame) -> int:
     """Quarters of a turn to the left by which pictures are shown."""
     return round(first.rotation / 90) % 4
 
@@ -275,7 +283,7 @@ def _full_range(bits: int) -> NDArray[Any]:
     return np.clip(np.rint(counts), 0, top).astype(np.uint8 if bits == 8 else np.uint16)
 
 
-def _coloured(frame: VideoFrame) -> bool:
+def _has_colour(frame: VideoFrame) -> bool:
     """Whether a Y'CbCr picture has chroma to speak of."""
     parts = frame.format.components
     if len(parts) < 3:

@@ -11,7 +11,7 @@ from tracker.camera.camera import Camera
 from tracker.camera.lens import Array
 
 
-def moved(camera: Camera, change: Array) -> Camera:
+def perturb_view(camera: Camera, change: Array) -> Camera:
     """The camera with focal length, lens and pose changed by a row of view_errors."""
     matrix = camera.K.copy()
     matrix[:2, :2] *= 1 + change[0]

@@ -11,9 +11,9 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 
 from tracker.camera.camera import Camera
-from tracker.camera.sensor import Sensor
-from tracker.detection.candidates import Ground, Search
-from tracker.detection.likelihood.glint_fit import Windows, fit
+from tracker.camera.sensor import SensorSpec
+from tracker.detection.candidates import CandidateSearch, EmptyPlate
+from tracker.detection.likelihood.glint_fit import GlintWindows, fit_glints
 
 FRAMES = 40  # used
 DEEP = 400  # frames of 16 bits searched for the brightest pixel
@@ -30,7 +30,7 @@ SURE = 1.5  # spread of the logarithm of gains that cameras have, about 20 e-/co
 BRIGHT = 20.0  # deviations of a box sum over the plate, for a glint that is measured
 
 
-def completed(camera: Camera, plate: Ground, frames: Sequence[Any]) -> Camera:
+def estimate_unknown_settings(camera: Camera, plate: EmptyPlate, frames: Sequence[Any]) -> Camera:
     """The camera with black level, read noise, gain and PSF filled in where its file does not give them."""
     sensor = camera.sensor
     encoded = getattr(frames, "lossy", False) and not sensor.codec_noise
@@ -43,7 +43,7 @@ def completed(camera: Camera, plate: Ground, frames: Sequence[Any]) -> Camera:
         sensor = replace(sensor, bits=_bits(8 * plate.level.dtype.itemsize, frames))
     if "sensor.black_level" in camera.assumed:
         sensor = replace(sensor, black_level=level)
-    sensor = _calmed(camera, sensor, plate.noise, level)
+    sensor = _with_read_noise(camera, sensor, plate.noise, level)
     camera = replace(camera, sensor=sensor)
     wants_gain = "sensor.gain" in camera.assumed
     if camera.psf_sigma is not None and not wants_gain and not encoded:
@@ -73,7 +73,7 @@ def _bits(container: int, frames: Sequence[Any]) -> int:
     return next(bits for bits in (8, 10, 12, 14, 16) if top < 2**bits)
 
 
-def _calmed(camera: Camera, sensor: Sensor, noise: float, level: float) -> Sensor:
+def _with_read_noise(camera: Camera, sensor: SensorSpec, noise: float, level: float) -> SensorSpec:
     """Read noise such that the plate flickers as it does, if the file does not give it."""
     if "sensor.read_noise" not in camera.assumed:
         return sensor
@@ -82,10 +82,10 @@ def _calmed(camera: Camera, sensor: Sensor, noise: float, level: float) -> Senso
     return replace(sensor, read_noise=sensor.gain * math.sqrt(rest))
 
 
-def _brightest(camera: Camera, plate: Ground, frames: Sequence[Any]) -> Windows | None:
+def _brightest(camera: Camera, plate: EmptyPlate, frames: Sequence[Any]) -> GlintWindows | None:
     """Windows about clear glints, the way of each from its nearest neighbour one frame before."""
     radius = camera.diameter_px / 2.0 if camera.metric else 8.0
-    search = Search(plate, TYPICAL, apart=1.6 * radius)
+    search = CandidateSearch(plate, TYPICAL, apart=1.6 * radius)
     half = max(3, min(6, round(0.58 * radius)))
     least = BRIGHT * search.box * plate.noise
     share = camera.exposure * camera.fps if camera.metric else 0.125
@@ -109,15 +109,15 @@ def _brightest(camera: Camera, plate: Ground, frames: Sequence[Any]) -> Windows 
     counts, blurs = np.stack(cuts).astype(np.float64), np.array(ways, dtype=np.float64)
     n = len(counts)
     nothing = np.zeros((n, 2))
-    return Windows(counts, np.ones_like(counts), nothing, blurs, nothing, np.zeros((n, 0, 3)))
+    return GlintWindows(counts, np.ones_like(counts), nothing, blurs, nothing, np.zeros((n, 0, 3)))
 
 
-def _width(windows: Windows, sensor: Sensor) -> float:
+def _width(windows: GlintWindows, sensor: SensorSpec) -> float:
     """The width under which the windows are most likely."""
     return _likeliest(lambda sigma: _loglik(windows, sigma, sensor), WIDTHS)
 
 
-def _codec_noise(windows: Windows, camera: Camera, noise: float, level: float, wants_gain: bool) -> float:
+def _codec_noise(windows: GlintWindows, camera: Camera, noise: float, level: float, wants_gain: bool) -> float:
     """What an encoder leaves out beside glints, counts; 0 where the windows are as likely without.
 
     It is spread over the blocks in which something is seen; a bare plate is smoothed.
@@ -142,12 +142,12 @@ def _codec_noise(windows: Windows, camera: Camera, noise: float, level: float, w
     return size if likely(size) > likely(0.0) + CLEARLY else 0.0
 
 
-def _gain(windows: Windows, sigma: float, camera: Camera, noise: float, level: float) -> tuple[Sensor, float]:
+def _gain(windows: GlintWindows, sigma: float, camera: Camera, noise: float, level: float) -> tuple[SensorSpec, float]:
     """The gain under which the glints scatter as they do, a dark pixel's noise kept, and how likely they are by it."""
     unit = 2.0 ** (8 - camera.sensor.bits)
 
-    def sensor(gain: float) -> Sensor:
-        return _calmed(camera, replace(camera.sensor, gain=gain), noise, level)
+    def sensor(gain: float) -> SensorSpec:
+        return _with_read_noise(camera, replace(camera.sensor, gain=gain), noise, level)
 
     def loglik(gain: float) -> float:
         return _loglik(windows, sigma, sensor(gain)) - 0.5 * (math.log(gain / 20.0) / SURE) ** 2
@@ -165,6 +165,6 @@ def _likeliest(loglik: Callable[[float], float], limits: tuple[float, float]) ->
     return math.exp(float(found.x))
 
 
-def _loglik(windows: Windows, sigma: float, sensor: Sensor) -> float:
-    result = fit(windows, sigma, sensor)
+def _loglik(windows: GlintWindows, sigma: float, sensor: SensorSpec) -> float:
+    result = fit_glints(windows, sigma, sensor)
     return float(np.sum(np.nan_to_num(result.loglik, nan=-1e9, neginf=-1e9)))

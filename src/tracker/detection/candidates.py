@@ -30,7 +30,7 @@ MEDIAN_OF_NINE = (
 
 
 @dataclass(frozen=True, eq=False)
-class Ground:
+class EmptyPlate:
     """The plate without balls: ``level`` (h, w) counts in the frames' type, ``noise`` counts a pixel a frame, and
     ``hot``: which pixels (k,) of the flattened plate stand out alone and are no ball.
     """
@@ -40,7 +40,7 @@ class Ground:
     hot: NDArray[np.int64] = field(default_factory=lambda: np.empty(0, np.int64))
 
 
-def ground(frames: Sequence[Any]) -> Ground:
+def estimate_empty_plate(frames: Sequence[Any]) -> EmptyPlate:
     """Plate and noise of a clip from nine frames spread over it.
 
     The median of the nine loses what moves. What rests stays in it, and is found because it stands out
@@ -48,7 +48,7 @@ def ground(frames: Sequence[Any]) -> Ground:
     """
     last = len(frames) - 1
     sample = [np.array(frames[round(k * last / 8)]) for k in range(9)]
-    noise = noise_of(sample)
+    noise = estimate_noise(sample)
     middle = median_of_nine(sample)
     smooth = _smooth(middle)
     over = np.asarray(cv2.subtract(middle, smooth, dtype=cv2.CV_32F), dtype=np.float32)
@@ -59,7 +59,7 @@ def ground(frames: Sequence[Any]) -> Ground:
     kept = middle.ravel()[hot]
     middle.ravel()[wide] = np.rint(smooth.ravel()[wide]).astype(middle.dtype)
     middle.ravel()[hot] = kept
-    return Ground(middle, noise, hot)
+    return EmptyPlate(middle, noise, hot)
 
 
 def _lone(over: NDArray[np.float32], risen: NDArray[np.int64], noise: float) -> NDArray[np.int64]:
@@ -91,7 +91,7 @@ def _smooth(picture: NDArray[Any]) -> NDArray[np.float32]:
     return np.asarray(cv2.resize(calm, (w, h), interpolation=cv2.INTER_LINEAR), dtype=np.float32)
 
 
-def noise_of(sample: list[NDArray[Any]]) -> float:
+def estimate_noise(sample: list[NDArray[Any]]) -> float:
     """Noise of one pixel in one frame, counts, from differences of frames; balls are too few to matter."""
     h, w = sample[0].shape
     step = max(1, math.isqrt(h * w // 4000))
@@ -108,7 +108,7 @@ def noise_of(sample: list[NDArray[Any]]) -> float:
 
 
 @dataclass(frozen=True, eq=False)
-class Finds:
+class Candidates:
     """Candidates of one frame, brightest first: pixel ``column``, ``row``, and the box sum there, counts."""
 
     column: NDArray[np.int64]
@@ -117,13 +117,13 @@ class Finds:
     crowded: bool = False
 
 
-NONE = Finds(np.empty(0, np.int64), np.empty(0, np.int64), np.empty(0))
+NONE = Candidates(np.empty(0, np.int64), np.empty(0, np.int64), np.empty(0))
 
 
-class Search:
+class CandidateSearch:
     """Candidates of a frame: local maxima of a box sum over the plate, each the strongest within ``apart`` px."""
 
-    def __init__(self, plate: Ground, sigma: float, apart: float) -> None:
+    def __init__(self, plate: EmptyPlate, sigma: float, apart: float) -> None:
         self.apart, self.plate = apart, plate
         self.box = max(3, 2 * round(1.2 * sigma) + 1)
         # Negative noise must survive an unsigned difference: subtract a little less than the plate.
@@ -145,7 +145,7 @@ class Search:
         """The plate's smooth part."""
         return _smooth(self.plate.level)
 
-    def __call__(self, frame: NDArray[Any]) -> Finds:
+    def __call__(self, frame: NDArray[Any]) -> Candidates:
         hits = self._over(frame, self.floor)
         if len(hits) > RAISED * self.sums.size:
             raised = np.rint(_smooth(frame) - self.smooth)
@@ -154,7 +154,7 @@ class Search:
         if len(hits) == 0:
             return NONE
         if len(hits) > CROWDED * self.sums.size:
-            return Finds(NONE.column, NONE.row, NONE.strength, crowded=True)
+            return Candidates(NONE.column, NONE.row, NONE.strength, crowded=True)
         rows, columns = np.divmod(hits, frame.shape[1])
         return self._strongest(columns, rows, self.sums.ravel()[hits].astype(np.float64))
 
@@ -165,7 +165,7 @@ class Search:
         sums = cv2.boxFilter(lifted, self.depth, box, dst=self.sums, normalize=False, borderType=edge)
         return np.flatnonzero(np.greater(sums, self.threshold, out=self.over).ravel())
 
-    def _strongest(self, columns: NDArray[np.int64], rows: NDArray[np.int64], values: Array) -> Finds:
+    def _strongest(self, columns: NDArray[np.int64], rows: NDArray[np.int64], values: Array) -> Candidates:
         left = values.copy()
         chosen: list[int] = []
         while len(chosen) < MOST:
@@ -175,10 +175,10 @@ class Search:
             chosen.append(best)
             across, down = columns - columns[best], rows - rows[best]
             left[across * across + down * down <= self.apart**2] = 0.0
-        return Finds(columns[chosen], rows[chosen], values[chosen] - self.base)
+        return Candidates(columns[chosen], rows[chosen], values[chosen] - self.base)
 
 
-def coarse_position(windows: Array, half: int) -> Array:
+def estimate_coarse_positions(windows: Array, half: int) -> Array:
     """First positions (n, 2), px from the central pixel, of glints in (n, s, s) counts: centroid of the core."""
     core = windows[:, half - 1 : half + 2, half - 1 : half + 2]
     weight = np.maximum(core - np.median(windows.reshape(len(windows), -1), axis=1)[:, None, None], 0.0)

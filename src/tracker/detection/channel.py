@@ -6,25 +6,25 @@ import numpy as np
 
 from tracker.camera.camera import Camera
 from tracker.camera.camera_keys import CHANNELS
-from tracker.camera.frames import Clip
-from tracker.camera.grey import GREY, Frame, Frames
+from tracker.camera.frames import GREY, Frame, Frames
 from tracker.camera.lens import Array
-from tracker.detection.candidates import median_of_nine, noise_of
-from tracker.detection.choose import ALIKE, LEAST, round_bodies
+from tracker.camera.recordings import Recording
+from tracker.detection.candidates import estimate_noise, median_of_nine
+from tracker.detection.choose import ALIKE, LEAST, find_round_bodies
 
 MORE = 1.25  # times the bodies that are seen in grey, from which on
 EXTRA = 6  # and by so many, a colour is taken instead
 
 
-def in_its_channel(clip: Clip, name: str | None) -> tuple[Clip, str]:
+def select_channel(clip: Recording, name: str | None) -> tuple[Recording, str]:
     """A recording in the channel ``name``, or in that which its film asks for, and why, for a note.
 
     Raises InputError for a channel that the film has not.
     """
     if name is not None:
-        return clip.in_channel(name), ""
+        return clip.select_channel(name), ""
     best, why = choose_channel(clip.frames, clip.camera)
-    return clip.in_channel(best), why
+    return clip.select_channel(best), why
 
 
 def choose_channel(frames: Frames, camera: Camera) -> tuple[str, str]:
@@ -64,5 +64,5 @@ def choose_channel(frames: Frames, camera: Camera) -> tuple[str, str]:
 def _bodies(pictures: list[Frame], expected: float | None) -> Array:
     """Radii, px, of what is round and differs from the median of nine pictures."""
     level = median_of_nine([picture.copy() for picture in pictures]).astype(float)
-    least = max(LEAST * noise_of(pictures), LEAST)
-    return np.concatenate([round_bodies(picture, level, least, expected) for picture in pictures])
+    least = max(LEAST * estimate_noise(pictures), LEAST)
+    return np.concatenate([find_round_bodies(picture, level, least, expected) for picture in pictures])

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tracker.camera.camera import Camera
-from tracker.detection.candidates import median_of_nine, noise_of
-from tracker.detection.still_background import still_background
+from tracker.detection.candidates import estimate_noise, median_of_nine
+from tracker.detection.still_background import estimate_still_background
 
 GLINTS, DISCS = "maximum_likelihood", "discs"
 LOOKED = 25  # frames
@@ -28,7 +28,7 @@ ALIKE = 0.25  # of a radius
 OFTEN = 0.2  # of the frames
 
 
-def choose(frames: Sequence[Any], camera: Camera) -> tuple[str, str]:
+def choose_detector(frames: Sequence[Any], camera: Camera) -> tuple[str, str]:
     """Choose a detector from frames spread over a film.
 
     Parameters
@@ -47,9 +47,9 @@ def choose(frames: Sequence[Any], camera: Camera) -> tuple[str, str]:
     """
     last = len(frames) - 1
     sample = [np.array(frames[round(k * last / 8)]) for k in range(9)]
-    noise = noise_of(sample)
+    noise = estimate_noise(sample)
     if noise > NOISY:
-        frames, noise = Smoothed(frames), noise * LEFT
+        frames, noise = SmoothedFrames(frames), noise * LEFT
         sample = [frames[round(k * last / 8)] for k in range(9)]
     level = median_of_nine(sample)
     picks = sorted({round(k * last / (LOOKED - 1)) for k in range(LOOKED)})
@@ -58,8 +58,8 @@ def choose(frames: Sequence[Any], camera: Camera) -> tuple[str, str]:
     smallest = max(SMALLEST, 0.25 * np.pi * expected**2) if expected else SMALLEST
     if not any(_large(np.asarray(frames[k]), level, least, smallest) for k in picks):
         return GLINTS, ""
-    level = still_background(frames, noise).level
-    seen = [round_bodies(np.asarray(frames[k]), level, least, expected) for k in picks]
+    level = estimate_still_background(frames, noise).level
+    seen = [find_round_bodies(np.asarray(frames[k]), level, least, expected) for k in picks]
     radii = np.concatenate(seen)
     if len(radii) == 0:
         return GLINTS, ""
@@ -70,7 +70,7 @@ def choose(frames: Sequence[Any], camera: Camera) -> tuple[str, str]:
     return DISCS, f"detector: discs, for bodies of {2 * usual:.0f} px are seen, not glints alone; --detector forces"
 
 
-class Smoothed(Sequence[Any]):
+class SmoothedFrames(Sequence[Any]):
     """The frames of a film, each the means of 3 x 3 of its pixels."""
 
     def __init__(self, frames: Sequence[Any]) -> None:
@@ -90,7 +90,9 @@ def _large(frame: NDArray[Any], level: NDArray[Any], least: float, smallest: flo
     return bool((areas > smallest).any())
 
 
-def round_bodies(frame: NDArray[Any], level: NDArray[Any], least: float, expected: float | None) -> NDArray[np.float64]:
+def find_round_bodies(
+    frame: NDArray[Any], level: NDArray[Any], least: float, expected: float | None
+) -> NDArray[np.float64]:
     """Radii, px, of the round bodies in one frame."""
     mask = (np.abs(frame - level) > least).view(np.uint8)
     _, labels, boxes, middles = cv2.connectedComponentsWithStats(mask, connectivity=4)

@@ -17,23 +17,23 @@ from numpy.typing import NDArray
 from synthcam_shared.errors import InputError, PluginError
 from tracker.camera.camera import Camera
 from tracker.camera.camera_keys import did_you_mean
-from tracker.camera.frames import Clip
+from tracker.camera.recordings import Recording
 from tracker.detection import detectors as detector_files
 from tracker.detection import linkers as linker_files
-from tracker.detection.autocalibrate import completed
-from tracker.detection.candidates import Ground, ground
+from tracker.detection.autocalibrate import estimate_unknown_settings
+from tracker.detection.candidates import EmptyPlate, estimate_empty_plate
 from tracker.detection.glints import Detector, Glints, View
-from tracker.detection.motion_blur import CURIOUS, PLAIN, SETTLED, SURE, MotionBlur
-from tracker.detection.takes import takes_of
+from tracker.detection.motion_blur import CURIOUS, PLAIN, SETTLED, SURE, MotionBlurEvidence
+from tracker.detection.takes import find_takes
 
 GROUP = "tracker.detectors"
-Named: TypeAlias = str | Callable[[View], Detector]  # a detector, by its name or itself
+DetectorChoice: TypeAlias = str | Callable[[View], Detector]  # a detector, by its name or itself
 ROUNDS = 5  # of the search, until the motion blur is as long as it was taken to be
 SWINGS = 0.8  # of the last change's logarithm, one back again that is too large
 DEFAULT = "maximum_likelihood"
 
 
-def detectors() -> dict[str, Callable[[View], Detector]]:
+def list_detectors() -> dict[str, Callable[[View], Detector]]:
     """Every detector by name: the files of ``detectors/`` and the entry points of group tracker.detectors."""
     found: dict[str, Callable[[View], Detector]] = {}
     for module in pkgutil.iter_modules(detector_files.__path__):
@@ -53,21 +53,21 @@ def _from_file(name: str) -> Callable[[View], Detector]:
     return found
 
 
-def detector(name: Named) -> Callable[[View], Detector]:
+def load_detector(name: DetectorChoice) -> Callable[[View], Detector]:
     """The detector of that name, or the one given; InputError lists those there are."""
     if not isinstance(name, str):
         return name
     name = name.partition("+")[0]
     if name in {module.name for module in pkgutil.iter_modules(detector_files.__path__)}:
         return _from_file(name)  # without reading every other
-    known = detectors()
+    known = list_detectors()
     if name not in known:
         near = did_you_mean(name, {k: k for k in known})
         raise InputError(f"--detector: no detector {name!r}, expected one of {', '.join(sorted(known))}{near}")
     return known[name]
 
 
-def linker(name: Named, camera: Camera) -> Callable[[Glints], NDArray[np.int64]] | None:
+def load_linker(name: DetectorChoice, camera: Camera) -> Callable[[Glints], NDArray[np.int64]] | None:
     """Of a name that ends in +LINKER that program; None where this package links. InputError lists those there are."""
     wanted = name.partition("+")[2] if isinstance(name, str) else ""
     if not wanted:
@@ -81,34 +81,34 @@ def linker(name: Named, camera: Camera) -> Callable[[Glints], NDArray[np.int64]]
     return given
 
 
-def name_of(name: Named) -> str:
+def detector_name(name: DetectorChoice) -> str:
     """What messages and files call a detector."""
     return name if isinstance(name, str) else str(getattr(name, "__name__", type(name).__name__))
 
 
-def view_of(clip: Clip, name: Named = DEFAULT) -> View:
+def make_view(clip: Recording, name: DetectorChoice = DEFAULT) -> View:
     """Plate and noise of a clip, and, for a detector of glints, from them what its camera file leaves open."""
-    if point_of(name, clip.camera) == "centre":
-        takes = takes_of(clip.frames)
-        return View(clip.camera, Ground(np.asarray(clip.frames[0]), takes.noise), clip.frames, takes)
-    plate = ground(clip.frames)
+    if detected_point(name, clip.camera) == "centre":
+        takes = find_takes(clip.frames)
+        return View(clip.camera, EmptyPlate(np.asarray(clip.frames[0]), takes.noise), clip.frames, takes)
+    plate = estimate_empty_plate(clip.frames)
     if plate.level.shape != clip.frames.shape[1:]:
         raise InputError(f"clip {clip.number}: frames of unequal sizes")
-    return View(completed(clip.camera, plate, clip.frames), plate, clip.frames)
+    return View(estimate_unknown_settings(clip.camera, plate, clip.frames), plate, clip.frames)
 
 
-def point_of(name: Named, camera: Camera) -> str:
+def detected_point(name: DetectorChoice, camera: Camera) -> str:
     """What a detector finds: the "glint", or the "centre" of a ball's outline; one of "either" that of matte balls."""
-    point = str(getattr(detector(name), "point", "glint"))
+    point = str(getattr(load_detector(name), "point", "glint"))
     return ("centre" if camera.matte else "glint") if point == "either" else point
 
 
-def detect(clip: Clip, view: View, name: Named = DEFAULT) -> Glints:
+def detect(clip: Recording, view: View, name: DetectorChoice = DEFAULT) -> Glints:
     """All glints of a clip by the detector ``name``, in the order of frames."""
-    return searched(clip, detector(name)(view), name_of(name))
+    return search_frames(clip, load_detector(name)(view), detector_name(name))
 
 
-def settled(clip: Clip, view: View, name: Named = DEFAULT) -> tuple[Glints, View]:
+def detect_until_blur_converges(clip: Recording, view: View, name: DetectorChoice = DEFAULT) -> tuple[Glints, View]:
     """Find all glints of a clip, and the exposure that their motion blur shows where that is not the camera file's.
 
     That is so where they differ by more than SURE of its errors and by PLAIN. Else, or where the rounds do not
@@ -127,23 +127,23 @@ def settled(clip: Clip, view: View, name: Named = DEFAULT) -> tuple[Glints, View
         In the order of frames.
     view : View
     """
-    finder: Any = detector(name)(view)
-    first = searched(clip, finder, name_of(name))
+    finder: Any = load_detector(name)(view)
+    first = search_frames(clip, finder, detector_name(name))
     if hasattr(finder, "notes"):
         view = replace(view, notes=tuple(finder.notes()))
     blur = getattr(finder, "motion_blur", None)
-    if not isinstance(blur, MotionBlur):
+    if not isinstance(blur, MotionBlurEvidence):
         return first, view
-    length, error, hint = blur.length()
+    length, error, hint = blur.estimate_length()
     if hint < CURIOUS or abs(length - 1.0) < PLAIN:
         return first, view
     current = view
     for _ in range(ROUNDS):
-        seen = min(current.camera.exposed * length, 1.0 / current.camera.fps)
-        current = replace(current, camera=replace(current.camera, exposure_seen=seen))
-        finder, previous = detector(name)(current), length
-        glints = searched(clip, finder, name_of(name))
-        length, error, _ = finder.motion_blur.length()
+        seen = min(current.camera.effective_exposure * length, 1.0 / current.camera.fps)
+        current = replace(current, camera=replace(current.camera, exposure_from_blur=seen))
+        finder, previous = load_detector(name)(current), length
+        glints = search_frames(clip, finder, detector_name(name))
+        length, error, _ = finder.motion_blur.estimate_length()
         if abs(length - 1.0) < SETTLED:
             change = abs(1.0 - view.camera.exposure / seen)
             return (glints, current) if change > max(PLAIN, SURE * error) else (first, view)
@@ -152,19 +152,19 @@ def settled(clip: Clip, view: View, name: Named = DEFAULT) -> tuple[Glints, View
     return first, view
 
 
-def searched(clip: Clip, finder: Any, name: str) -> Glints:
+def search_frames(clip: Recording, finder: Any, name: str) -> Glints:
     """All glints of a clip. Raises InputError where the detector returns anything but Glints as they must be."""
     frames = enumerate(clip.frames)
     if hasattr(finder, "many"):
-        return _checked(finder.many(frames), f"detector {name}")
+        return _check_glints(finder.many(frames), f"detector {name}")
     parts = []
     for number, frame in frames:
-        glints = _checked(finder(frame), f"detector {name}, frame {number}")
+        glints = _check_glints(finder(frame), f"detector {name}, frame {number}")
         parts.append(replace(glints, frame=np.full(len(glints), number, dtype=np.int64)))
     return Glints.join(parts)
 
 
-def _checked(found: Any, said_by: str) -> Glints:
+def _check_glints(found: Any, said_by: str) -> Glints:
     if not isinstance(found, Glints):
         raise InputError(f"{said_by}: returned {type(found).__name__}, expected Glints")
     n = int(np.size(found.x))

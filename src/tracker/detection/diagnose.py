@@ -8,7 +8,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from tracker.detection.candidates import Search
+from tracker.detection.candidates import CandidateSearch
 from tracker.detection.glints import Glints, View
 from tracker.detection.link import Tracks
 
@@ -20,11 +20,11 @@ DIFFERS, LEAST = 4.0, 8.0  # noise deviations, and counts, of what differs from 
 SHIFTED = 1.0  # px, of the whole picture
 STIRRED, MOVED = 0.03, 0.3  # of the pixels, that differ: where the camera moves, and where there is no still background
 TINY, MANY = 28, 40  # px, of a disc; discs in a frame
-RIM, AT_ONCE, LOOSE = 0.06, 2, 4  # of the longer side; frames; ends of tracks: see loose_ends
+RIM, AT_ONCE, LOOSE = 0.06, 2, 4  # of the longer side; frames; ends of tracks: see warn_of_loose_ends
 HOLE = 6.0  # noise deviations of a 5 x 5 mean, of something darker than the plate
 
 
-def why_nothing(frames: Sequence[Any], view: View, glints: Glints) -> str:
+def explain_no_glints(frames: Sequence[Any], view: View, glints: Glints) -> str:
     """The reason in one line; '' where there are glints enough."""
     still = np.array_equal(frames[0], frames[-1])
     if len(glints) >= FEWEST and not still:
@@ -37,7 +37,7 @@ def why_nothing(frames: Sequence[Any], view: View, glints: Glints) -> str:
         return "nothing moves: all frames are the same picture"
     if len(glints) >= FEWEST:
         return ""
-    search = Search(view.plate, view.sigma, apart=max(4.0, 0.8 * view.camera.diameter_px))
+    search = CandidateSearch(view.plate, view.sigma, apart=max(4.0, 0.8 * view.camera.diameter_px))
     crowded = sum(search(s).crowded for s in sample) > SAMPLED // 2
     if crowded or np.ptp([np.median(s) for s in sample]) > FLICKER:
         return "the light changes: most of the picture stands out from the plate"
@@ -48,7 +48,7 @@ def why_nothing(frames: Sequence[Any], view: View, glints: Glints) -> str:
     return "no balls: nothing stands out from the plate"
 
 
-def why_no_disc(frames: Sequence[Any], view: View) -> str:
+def explain_no_discs(frames: Sequence[Any], view: View) -> str:
     """The reason in one line why a film shows no disc that moves on a still background."""
     picks = [round(k * (len(frames) - 1) / (SAMPLED - 1)) for k in range(SAMPLED)]
     sample = [np.asarray(frames[k]).astype(np.float32) for k in picks]
@@ -74,7 +74,7 @@ def why_no_disc(frames: Sequence[Any], view: View) -> str:
     return "nothing round moves on a still background"
 
 
-def loose_ends(tracks: Tracks, size: tuple[int, int], spans: Sequence[tuple[int, int]]) -> tuple[str, ...]:
+def warn_of_loose_ends(tracks: Tracks, size: tuple[int, int], spans: Sequence[tuple[int, int]]) -> tuple[str, ...]:
     """A warning where most tracks begin or end as no ball's does, amid a take and amid the picture; else none.
 
     At the picture's rim as well, if they stay there: what flickers in one place does not come in from outside.

@@ -11,8 +11,8 @@ from scipy.special import ndtr
 
 from tracker.camera.lens import Array
 from tracker.detection.glints import UNLIT
-from tracker.detection.shadow import lit
-from tracker.detection.still_background import Background
+from tracker.detection.shadow import measure_ground_light
+from tracker.detection.still_background import StillBackground
 
 SURE = 1.5  # deviations beyond which a pixel counts less (Huber)
 TURNS = 15
@@ -31,7 +31,7 @@ Picture = NDArray[np.floating[Any]]
 
 
 @dataclass(frozen=True)
-class Found:
+class DiscFit:
     """x, y px and their covariance, the part of it that a ball at rest has in every frame alike; radius px; rms of what
     the fit leaves, counts.
     """
@@ -44,7 +44,7 @@ class Found:
 
 
 @dataclass(frozen=True)
-class Look:
+class DiscAppearance:
     """What the balls of a film share.
 
     Attributes
@@ -66,8 +66,13 @@ class Look:
 
 
 def fit_disc(
-    frame: Picture, ground: Background, start: Array, look: Look, way: Array, others: list[tuple[float, float]]
-) -> Found | None:
+    frame: Picture,
+    ground: StillBackground,
+    start: Array,
+    look: DiscAppearance,
+    way: Array,
+    others: list[tuple[float, float]],
+) -> DiscFit | None:
     """Fit place, radius, the edge's width, the ball's brightness there, and its way during the exposure.
 
     Huber's weights, errors from the residuals. A shaded ball's brightness is that of a matte sphere under one lamp and
@@ -91,15 +96,15 @@ def fit_disc(
         None where there is no disc.
     """
     if not look.shaded:
-        return _fitted(frame, ground, start, look, way, others)
+        return _fit_from(frame, ground, start, look, way, others)
     starts = [start - share * look.radius * _lit_side(frame, start, look.radius) for share in AWAY]
-    tried = [f for f in (_fitted(frame, ground, at, look, way, others) for at in starts) if f is not None]
+    tried = [f for f in (_fit_from(frame, ground, at, look, way, others) for at in starts) if f is not None]
     best = min(tried, key=lambda f: f.spread, default=None)
     for _ in range(AGAIN):
         if best is None or np.hypot(*(best.place - start)) > ASTRAY + LEANING * look.radius:
             return None
         at = best.place
-        best = _fitted(frame, ground, at, look, way, others)
+        best = _fit_from(frame, ground, at, look, way, others)
         if best is not None and np.hypot(*(best.place - at)) < FIRM:
             break
     return best
@@ -125,9 +130,14 @@ def _about(at: Array, reach: float, shape: tuple[int, ...]) -> tuple[slice, slic
     )
 
 
-def _fitted(
-    frame: Picture, ground: Background, start: Array, look: Look, way: Array, others: list[tuple[float, float]]
-) -> Found | None:
+def _fit_from(
+    frame: Picture,
+    ground: StillBackground,
+    start: Array,
+    look: DiscAppearance,
+    way: Array,
+    others: list[tuple[float, float]],
+) -> DiscFit | None:
     """One fit, from ``start``."""
     x, y, light, level, doubt = _pixels(frame, ground, start, look, way, others)
     long = float(np.hypot(*way))
@@ -167,17 +177,17 @@ def _fitted(
         return None
     inverse = np.linalg.inv(normal)
     usual = min(look.noise**2, spread**2)
-    lever = _alike(inverse @ (slopes * weight * doubt * (1 - cover)), x, y, ground)
+    lever = _pool_unknown_cells(inverse @ (slopes * weight * doubt * (1 - cover)), x, y, ground)
     fixed = inverse * (spread**2 - usual) + lever @ lever.T
     if look.shaded:  # errors of the model, which are those of whole sectors
         sector = (np.arctan2(y - now[1], x - now[0]) // (2 * np.pi / SECTORS)).astype(int) + SECTORS
         pulls = np.stack([np.bincount(sector, line) for line in inverse @ (slopes * weight * left)])
         fixed = pulls @ pulls.T + lever @ lever.T
         fixed[:2, :2] += (UNLIT * look.radius) ** 2 * np.eye(2)
-    return Found(now[:2], (inverse * usual + fixed)[:2, :2], fixed[:2, :2], float(now[2]), spread)
+    return DiscFit(now[:2], (inverse * usual + fixed)[:2, :2], fixed[:2, :2], float(now[2]), spread)
 
 
-def _alike(lever: NDArray[np.float64], x: Array, y: Array, ground: Background) -> NDArray[np.float64]:
+def _pool_unknown_cells(lever: NDArray[np.float64], x: Array, y: Array, ground: StillBackground) -> NDArray[np.float64]:
     """Effects of pixels' errors, (parameters, n), those joined that err alike: where the ground was never seen."""
     column, row = x.astype(int), y.astype(int)
     own = np.arange(len(x)) + (row.max() + 1) * (column.max() + 1)
@@ -186,7 +196,7 @@ def _alike(lever: NDArray[np.float64], x: Array, y: Array, ground: Background) -
     return np.stack([np.bincount(cells, line) for line in lever])
 
 
-def _looks(dx: Array, dy: Array, look: Look) -> NDArray[np.float64]:
+def _looks(dx: Array, dy: Array, look: DiscAppearance) -> NDArray[np.float64]:
     """What a ball's brightness is a sum of, (terms, n) at places from its middle: even; of a sphere under a lamp."""
     if not look.shaded:
         return np.ones((1, len(dx)))
@@ -196,9 +206,9 @@ def _looks(dx: Array, dy: Array, look: Look) -> NDArray[np.float64]:
 
 def _pixels(
     frame: Picture,
-    ground: Background,
+    ground: StillBackground,
     start: Array,
-    look: Look,
+    look: DiscAppearance,
     way: Array,
     others: list[tuple[float, float]],
 ) -> tuple[Array, Array, Array, Array, Array]:
@@ -221,7 +231,7 @@ def _pixels(
     at = rows[used], columns[used]
     seen, level, doubt = (p[at].astype(float) for p in (frame, ground.level, ground.error))
     if look.shaded:
-        share, change = lit(frame, ground, start, radius, others)(dx[used], dy[used])
+        share, change = measure_ground_light(frame, ground, start, radius, others)(dx[used], dy[used])
         level, doubt = share * level, np.hypot(doubt, change * level)
     return columns[used].astype(float), rows[used].astype(float), seen, level, doubt
 

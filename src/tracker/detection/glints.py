@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from tracker.camera.camera import Camera
 from tracker.camera.lens import Array
-from tracker.detection.candidates import Ground
+from tracker.detection.candidates import EmptyPlate
 from tracker.detection.takes import Takes
 
 CLIPPED, BLURRED, NEAR, MISFIT, EDGE, SHADED = 1, 2, 4, 8, 16, 32
@@ -91,7 +91,7 @@ class View:
     """What a detector knows of a clip: the camera, nothing missing in it, the plate without balls, and the frames."""
 
     camera: Camera
-    plate: Ground
+    plate: EmptyPlate
     frames: Sequence[Any] = ()
     takes: Takes | None = None
     notes: tuple[str, ...] = ()
@@ -99,7 +99,7 @@ class View:
     @property
     def sigma(self) -> float:
         """Width of a resting glint, px."""
-        assert self.camera.sigma is not None  # filled in by ``completed``
+        assert self.camera.sigma is not None  # filled in by ``estimate_unknown_settings``
         return self.camera.sigma
 
 
@@ -112,7 +112,7 @@ class Detector(Protocol):
         """Glints of one grey (h, w) frame; their frame number is ignored."""
 
 
-def flag_words(flags: NDArray[np.int64], always: Sequence[str] = ()) -> NDArray[np.str_]:
+def describe_flags(flags: NDArray[np.int64], always: Sequence[str] = ()) -> NDArray[np.str_]:
     """Flags as words joined by '|', '' where there is none."""
     table = {
         value: "|".join([*always, *(word for bit, word in WORDS.items() if value & bit)])

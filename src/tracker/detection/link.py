@@ -16,7 +16,7 @@ from scipy.optimize import linear_sum_assignment
 
 from tracker.camera.camera import Camera
 from tracker.camera.lens import Array
-from tracker.detection.glints import Glints, flag_words
+from tracker.detection.glints import Glints, describe_flags
 
 Ints = NDArray[np.int64]
 
@@ -68,7 +68,7 @@ class Tracks:
 
 
 @dataclass
-class _Ball:
+class _OpenTrack:
     """A track being extended: plain floats, for there are few balls and many frames."""
 
     rows: list[int]
@@ -121,10 +121,10 @@ def link(
     chosen, particle = glints.take(order), ids[order]
     seen = chosen.xy
     if point == "centre":
-        centre, jacobian, words = seen, np.broadcast_to(np.eye(2), chosen.cov.shape), flag_words(chosen.flags)
+        centre, jacobian, words = seen, np.broadcast_to(np.eye(2), chosen.cov.shape), describe_flags(chosen.flags)
     else:
         centre, jacobian = camera.centre_of_glint(seen)
-        words = flag_words(chosen.flags, () if camera.corrects_glint else ("glint",))
+        words = describe_flags(chosen.flags, () if camera.corrects_glint else ("glint",))
     return Tracks(
         frame=chosen.frame,
         particle=particle,
@@ -168,12 +168,12 @@ def assign(glints: Glints, camera: Camera, diameter: float | None = None) -> Int
     if len(glints) == 0:
         return ids
     balls = _follow(glints, camera, diameter or camera.diameter_px, seen_whole=diameter is not None)
-    for number, ball in enumerate(_trusted(balls, glints, SHORT if diameter else 1)):
+    for number, ball in enumerate(_keep_ball_tracks(balls, glints, SHORT if diameter else 1)):
         ids[ball.rows] = number
     return ids
 
 
-def velocities(frame: Ints, ids: Ints, xy: Array) -> Array:
+def estimate_velocities(frame: Ints, ids: Ints, xy: Array) -> Array:
     """Velocities of glints by differences within their tracks.
 
     Next to a collision the two sides disagree: then the side is taken that agrees with the step beyond it.
@@ -208,15 +208,15 @@ def velocities(frame: Ints, ids: Ints, xy: Array) -> Array:
     return out
 
 
-def _follow(glints: Glints, camera: Camera, diameter: float, seen_whole: bool) -> list[_Ball]:
+def _follow(glints: Glints, camera: Camera, diameter: float, seen_whole: bool) -> list[_OpenTrack]:
     reach = FASTEST / camera.fps / camera.scale if camera.metric else DEFAULT_REACH
     reach = max(reach, (WIDE if seen_whole else 2.0) * diameter)
     loose = 1.0 if seen_whole else LOOSE
     order = np.argsort(glints.frame, kind="stable")
     frames, starts = np.unique(glints.frame[order], return_index=True)
     x, y = glints.x.tolist(), glints.y.tolist()
-    done: list[_Ball] = []
-    live: list[_Ball] = []
+    done: list[_OpenTrack] = []
+    live: list[_OpenTrack] = []
     for k, rows in zip(frames.tolist(), np.split(order, starts[1:]), strict=True):
         done += [b for b in live if k - b.frame > MAX_GAP + 1]
         live = [b for b in live if k - b.frame <= MAX_GAP + 1]
@@ -229,11 +229,11 @@ def _follow(glints: Glints, camera: Camera, diameter: float, seen_whole: bool) -
         for ball in live:
             if ball.bounced and ball.sure and id(ball) not in seen and ball.struck is None:
                 ball.struck = (k, *ball.ahead)
-        live += [_Ball([row], k, x[row], y[row]) for row in found if row not in taken]
+        live += [_OpenTrack([row], k, x[row], y[row]) for row in found if row not in taken]
     return done + live
 
 
-def _expect(live: list[_Ball], frame: int, diameter: float) -> None:
+def _expect(live: list[_OpenTrack], frame: int, diameter: float) -> None:
     """Sets where each ball is expected and with what velocity, pairs bouncing off each other on the way."""
     for ball in live:
         since, x, y, vx, vy = ball.struck or (ball.frame, ball.x, ball.y, ball.vx, ball.vy)
@@ -245,7 +245,7 @@ def _expect(live: list[_Ball], frame: int, diameter: float) -> None:
             _bounce(one, two, frame, diameter)
 
 
-def _bounce(one: _Ball, two: _Ball, frame: int, diameter: float) -> None:
+def _bounce(one: _OpenTrack, two: _OpenTrack, frame: int, diameter: float) -> None:
     """Elastic-like exchange along the line of centres, if the two meet before ``frame``."""
     span = frame - max(one.frame, two.frame)
     ax, ay = one.x + one.vx * (frame - span - one.frame), one.y + one.vy * (frame - span - one.frame)
@@ -273,13 +273,13 @@ def _bounce(one: _Ball, two: _Ball, frame: int, diameter: float) -> None:
 
 
 def _match(
-    live: list[_Ball],
+    live: list[_OpenTrack],
     found: list[int],
     x: list[float],
     y: list[float],
     frame: int,
     gate: tuple[float, float, float],
-) -> list[tuple[_Ball, int]]:
+) -> list[tuple[_OpenTrack, int]]:
     """Pairs of ball and glint of least summed squared distance, none further than its gate."""
     if not live or not found:
         return []
@@ -294,7 +294,7 @@ def _match(
     return [(live[i], found[j]) for i, j in chosen if cost[i][j] < gates[i]]
 
 
-def _gate(ball: _Ball, frame: int, reach: float, least: float, loose: float) -> float:
+def _gate(ball: _OpenTrack, frame: int, reach: float, least: float, loose: float) -> float:
     span = frame - ball.frame
     if not ball.moving:
         return reach * span
@@ -302,7 +302,7 @@ def _gate(ball: _Ball, frame: int, reach: float, least: float, loose: float) -> 
     return (least + (1.0 if ball.bounced else loose) * speed) * span
 
 
-def _extend(ball: _Ball, row: int, frame: int, x: float, y: float) -> None:
+def _extend(ball: _OpenTrack, row: int, frame: int, x: float, y: float) -> None:
     span = frame - ball.frame
     if ball.bounced:  # a difference across the bounce is neither velocity
         ball.vx, ball.vy = ball.ahead[2:]
@@ -313,7 +313,7 @@ def _extend(ball: _Ball, row: int, frame: int, x: float, y: float) -> None:
     ball.frame, ball.x, ball.y = frame, x, y
 
 
-def _trusted(balls: list[_Ball], glints: Glints, fewest: int) -> list[_Ball]:
+def _keep_ball_tracks(balls: list[_OpenTrack], glints: Glints, fewest: int) -> list[_OpenTrack]:
     """Tracks that are balls: not faint beside the others, and not a blip of a frame or two."""
     long = [b for b in balls if len(b.rows) >= SHORT] or balls
     fluxes = {id(b): float(np.median(glints.flux[b.rows])) for b in balls}

@@ -18,7 +18,7 @@ STRETCH = (0.4, 2.5)  # of the length, from round to round
 
 
 @dataclass
-class MotionBlur:
+class MotionBlurEvidence:
     """Score and information of a clip's moving glints on the length of their motion blur, gathered block by block."""
 
     score: list[Array] = field(default_factory=list)
@@ -30,7 +30,7 @@ class MotionBlur:
         self.score.append(score[kept])
         self.information.append(information[kept])
 
-    def length(self) -> tuple[float, float, float]:
+    def estimate_length(self) -> tuple[float, float, float]:
         """Factor by which the blur is longer than it was taken to be, its error, and its significance to first order;
         (1, inf, 0) if nothing is known.
 

@@ -21,7 +21,7 @@ ANGLES = 2 * np.pi * np.arange(RAYS) / RAYS
 WAYS = np.stack([np.cos(ANGLES), np.sin(ANGLES)], axis=1)
 
 
-def outline(
+def fit_outline_circle(
     frame: Picture, level: Array, at: tuple[float, float], radius: float, others: list[tuple[float, float]], low: float
 ) -> Array | None:
     """Centre (2,) px of the circle through the outline, at half the contrast along rays; None where there is none.

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tracker.camera.lens import Array
-from tracker.detection.still_background import Background
+from tracker.detection.still_background import StillBackground
 
 NEAREST, FURTHEST = 1.5, 4.5  # px off the outline, of the ground that is looked at
 ARC = 2.5  # px along the outline, that have one brightness
@@ -18,8 +18,8 @@ SURE = 4.0  # errors, by which the ground must be darker to be called so
 Picture = NDArray[np.floating[Any]]
 
 
-def lit(
-    frame: Picture, ground: Background, at: Array, radius: float, others: list[tuple[float, float]]
+def measure_ground_light(
+    frame: Picture, ground: StillBackground, at: Array, radius: float, others: list[tuple[float, float]]
 ) -> Callable[[Array, Array], tuple[Array, Array]]:
     """Give the share of its light that the ground has about a ball, by direction.
 

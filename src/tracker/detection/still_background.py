@@ -23,7 +23,7 @@ ENOUGH = 0.05  # of a neighbourhood, free of balls
 
 
 @dataclass(frozen=True, eq=False)
-class Background:
+class StillBackground:
     """The picture without balls: ``level`` (h, w) counts, its ``error``, and whether it is ``known`` at a pixel.
 
     Where it is not, the level is that of what lies around, and the error is the texture's.
@@ -34,7 +34,7 @@ class Background:
     known: NDArray[np.bool_]
 
 
-def still_background(frames: Sequence[Any], noise: float) -> Background:
+def estimate_still_background(frames: Sequence[Any], noise: float) -> StillBackground:
     """Find the picture without balls.
 
     A pixel's level is its median, unless it is off that in more than SELDOM of the samples: there a ball rested, or
@@ -76,10 +76,10 @@ def still_background(frames: Sequence[Any], noise: float) -> Background:
         level[where], known[where] = np.where(np.isnan(seen), around, seen), ~np.isnan(seen)
         error[where] = noise  # however many samples: a ball's rim may be in all of them
         error[~known] = max(_texture(level, rested), noise)
-    return Background(level, error, known)
+    return StillBackground(level, error, known)
 
 
-def without_balls(frames: Sequence[Any], covered: Sequence[NDArray[np.bool_]], noise: float) -> Background:
+def average_uncovered(frames: Sequence[Any], covered: Sequence[NDArray[np.bool_]], noise: float) -> StillBackground:
     """Find the same picture, where it is known what of each frame balls cover: the mean of the middle half elsewhere.
 
     Parameters
@@ -104,7 +104,7 @@ def without_balls(frames: Sequence[Any], covered: Sequence[NDArray[np.bool_]], n
         smooth = _around(level, never)
         level[never == 1] = smooth[never == 1]
         error[never == 1] = max(_texture(level, never), noise)
-    return Background(level, error, never == 0)
+    return StillBackground(level, error, never == 0)
 
 
 def _texture(level: Array, hidden: NDArray[np.uint8]) -> float:

@@ -43,7 +43,7 @@ class Takes:
     repeated: frozenset[int]
     noise: float
 
-    def notes(self) -> list[str]:
+    def describe(self) -> list[str]:
         """What a user has to know."""
         said = []
         if len(self.spans) > 1:
@@ -55,7 +55,7 @@ class Takes:
         return said
 
 
-def takes_of(frames: Sequence[Any]) -> Takes:
+def find_takes(frames: Sequence[Any]) -> Takes:
     """Go once through a film."""
     step = max(1, int(np.sqrt(np.prod(np.shape(frames[0])) / THIN)))
     half, mean, spread, previous = [], [], [], None

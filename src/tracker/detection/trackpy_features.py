@@ -15,7 +15,7 @@ from tracker.detection.glints import Glints, View
 UNKNOWN = 0.1  # px, where trackpy gives no error
 
 
-def trackpy_named(detector: str) -> Any:
+def import_trackpy(detector: str) -> Any:
     """The package. Raises InputError where it is not installed."""
     try:
         return importlib.import_module("trackpy")
@@ -25,12 +25,12 @@ def trackpy_named(detector: str) -> Any:
         ) from None
 
 
-def odd(width: float) -> int:
+def odd_diameter(width: float) -> int:
     """The odd number of pixels, 5 or more, that is next to a width: what trackpy takes as a diameter."""
     return 2 * max(2, round((width - 1.0) / 2.0)) + 1
 
 
-def located(trackpy: Any, frame: NDArray[Any], diameter: int, view: View, **options: Any) -> Glints:
+def locate_features(trackpy: Any, frame: NDArray[Any], diameter: int, view: View, **options: Any) -> Glints:
     """``trackpy.locate`` with its static error for standard error, UNKNOWN where it gives none."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of features it drops, and of what pandas will drop

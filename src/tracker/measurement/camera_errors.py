@@ -15,13 +15,13 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from tracker.camera.view_errors import moved, scale_at
+from tracker.camera.view_errors import perturb_view, scale_at
 from tracker.measurement.collision.derived import DerivedValues, derive_from_free, derive_from_tied
 from tracker.measurement.collision.least_squares import BallPair, CollisionFit, WhitenedResiduals
 from tracker.measurement.positions import BallTrack
 
 if TYPE_CHECKING:
-    from tracker.camera.camera import Camera, Lamp
+    from tracker.camera.camera import Camera, LampSettings
 
 Floats = NDArray[np.float64]
 FIRST_ORDER = 0.03  # of an effect, to which it is known: clips are not to find the camera's error from less
@@ -82,14 +82,14 @@ class ViewError(CameraError):
     def of(camera: Camera, number: int) -> ViewError:
         """The error of that number in the camera file."""
         change = camera.view_errors[number]
-        share = (scale_at(moved(camera, STEP * change)) / scale_at(camera) - 1) / STEP
+        share = (scale_at(perturb_view(camera, STEP * change)) / scale_at(camera) - 1) / STEP
         return ViewError(f"view_errors[{number}]", float(camera.K[0, 0]), share, camera, change)
 
     def move_track(self, track: BallTrack, by: float, fps: float) -> BallTrack:
         """A ball's positions, as the other view places what is seen at the same pixels."""
         height = self.camera.centre_height
         middle = np.column_stack([track.position, np.full(len(track), height)])
-        position, _ = moved(self.camera, by * self.change).unproject(self.camera.project(middle), height)
+        position, _ = perturb_view(self.camera, by * self.change).unproject(self.camera.project(middle), height)
         return replace(track, position=position)
 
 
@@ -101,7 +101,7 @@ class LampError(CameraError):
     step: Floats
 
     @staticmethod
-    def of(camera: Camera, lamp: Lamp, axis: int) -> LampError:
+    def of(camera: Camera, lamp: LampSettings, axis: int) -> LampError:
         """The error of coordinate `axis`."""
         key, step = f"lamp.position[{axis}]", lamp.position_std[axis] * np.eye(3)[axis]
         error, side = LampError(key, lamp.position[axis], 0.0, camera, step), camera.scale * min(camera.size) / 2
@@ -161,10 +161,10 @@ def add_camera_errors(
         return fit, values
     problem = WhitenedResiduals(pair, tied)
     x, kept = fit.parameters[problem.index], np.ix_(problem.index, problem.index)
-    moved = differentiate(
+    perturb_view = differentiate(
         errors, lambda error, by: WhitenedResiduals(error.pair(pair, by, camera.fps), tied).residual(x)
     )
-    fitted, explained = linear_response(*problem(x), fit.cov[kept], moved)
+    fitted, explained = linear_response(*problem(x), fit.cov[kept], perturb_view)
     shift = np.zeros((len(fit.parameters), len(errors)))
     shift[problem.index] = fitted
 
@@ -200,10 +200,10 @@ def measure_contact_distance(free: CollisionFit, camera: Camera) -> tuple[float,
     problem, unit = WhitenedResiduals(free.pair, False), CameraError("ball_diameter", camera.ball_diameter, 0.01)
     x, kept = free.parameters[problem.index], np.ix_(problem.index, problem.index)
     residual, rows = problem(x)
-    moved = differentiate(
+    perturb_view = differentiate(
         [unit], lambda error, by: WhitenedResiduals(error.pair(free.pair, by, camera.fps), False).residual(x)
     )
-    left = (moved + rows @ linear_response(residual, rows, free.cov[kept], moved)[0])[:, 0]
+    left = (perturb_view + rows @ linear_response(residual, rows, free.cov[kept], perturb_view)[0])[:, 0]
     square = max(float(left @ left), 1e-300)
     off, worse = -float(left @ residual) / square, (free.chi2 - float(left @ residual) ** 2 / square) / max(free.dof, 1)
     known = [error.share for error in camera_errors(camera) if error.key != "fps"]

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 if TYPE_CHECKING:
     from tracker.camera.camera import Camera
-    from tracker.camera.grey import Frames
+    from tracker.camera.frames import Frames
     from tracker.detection.link import Tracks
 
 Picture = NDArray[np.uint8]

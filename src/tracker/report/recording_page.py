@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 
 from synthcam_shared.outputs import put
 from tracker.camera.camera import Camera
-from tracker.camera.grey import Frames
+from tracker.camera.frames import Frames
 from tracker.detection.link import Tracks
 from tracker.measurement.collision.adequacy import MEASURED, warnings
 from tracker.measurement.positions import to_ball_tracks

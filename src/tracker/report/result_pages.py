@@ -10,7 +10,7 @@ import pandas as pd
 
 from synthcam_shared.outputs import as_input_error, put
 from tracker import results
-from tracker.camera.frames import Source
+from tracker.camera.recordings import RecordingSource
 from tracker.measurement.collision.adequacy import warnings
 from tracker.report.estimates_text import QUANTITIES, format_value, rows_as_dicts
 from tracker.report.html import HERE, describe_creation, render
@@ -29,7 +29,7 @@ class ResultPages:
 
     output: Path
     numbers: Sequence[int]
-    source: Source | None
+    source: RecordingSource | None
     name: str
     notes: Sequence[str]
     command: str
@@ -50,7 +50,7 @@ class ResultPages:
         folder = results.clip_folder(self.output, number)
         rows = rows_as_dicts(results.estimates_table(results.load_json(folder / "estimates.json")))
         motion = pd.read_parquet(folder / "motion.parquet")
-        frames = None if self.source is None else self.source.clip(index).frames
+        frames = None if self.source is None else self.source.open_clip(index).frames
         name = self.name if self.alone else f"{self.name}, clip {number}"
         with as_input_error(self.output):
             write_page(

@@ -13,7 +13,7 @@ from typing import Any
 from synthcam_shared.errors import InputError
 from synthcam_shared.outputs import as_input_error, check_room, held, put
 from tracker import results
-from tracker.detection.detect import detector
+from tracker.detection.detect import load_detector
 from tracker.pipeline import run
 from tracker.report.html import describe_creation, render
 from tracker.scoring.score import DetectorScore, score
@@ -58,7 +58,7 @@ def compare(
             "--detectors: expected different names with commas between them, as maximum_likelihood,centroid"
         )
     for name in chosen:
-        detector(name)
+        load_detector(name)
     known = dataset / "truth" / "clips.parquet"
     if not known.is_file():
         raise InputError(f"{known}: no such file, expected a dataset with its truth")

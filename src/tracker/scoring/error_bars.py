@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from tracker.detection.likelihood.cramer_rao import fixed_part
+from tracker.detection.likelihood.cramer_rao import localisation_bound_fixed
 from tracker.measurement.collision.collision_model import TARGET, tied_to_free
 from tracker.measurement.collision.derived import QUANTITY_NAMES, derive_from_free, derive_from_tied
 from tracker.measurement.collision.least_squares import BallPair, WhitenedResiduals, covariance
@@ -112,7 +112,9 @@ def _tracks_at_bound(matched: MatchedDetections, cov: Floats, camera: Camera) ->
     _, slope = camera.unproject(rows[["x_mean_px", "y_mean_px"]].to_numpy(float))
     found, fixed = matched.found.iloc[matched.pairs[:, 1]], np.zeros_like(cov)
     if "flux" in found and camera.sigma is not None:
-        fixed = fixed_part(camera, found["flux"].to_numpy(float), rows[["glint_x_px", "glint_y_px"]].to_numpy(float))
+        fixed = localisation_bound_fixed(
+            camera, found["flux"].to_numpy(float), rows[["glint_x_px", "glint_y_px"]].to_numpy(float)
+        )
     metres, shared = (slope @ c @ np.swapaxes(slope, 1, 2) for c in (cov, fixed))
     width = (camera.sigma or 0.0) * camera.scale
     balls = []

@@ -14,7 +14,7 @@ from xml.parsers import expat
 import pandas as pd
 
 from synthcam_shared.errors import InputError
-from tracker.camera.camera_keys import first_line, shown
+from tracker.camera.camera_keys import first_line, format_value
 
 MOST_BYTES = 1 << 28  # of XML, all of which is held in memory, many times as large
 DEEPEST = 50  # levels of XML; TrackMate's files have 6, Tracker's 12
@@ -126,7 +126,7 @@ class Content:
     def attribute(self, element: ET.Element, name: str) -> str:
         """Of an element of XML. Raises InputError where it is missing."""
         if name not in element.attrib:
-            raise self.wrong(f"<{shown(element.tag, quoted=False)}> without {name}")
+            raise self.wrong(f"<{format_value(element.tag, quoted=False)}> without {name}")
         return element.attrib[name]
 
     def number(self, element: ET.Element, name: str) -> float:
@@ -141,5 +141,5 @@ class Content:
         try:
             return float(text)
         except ValueError:
-            tag = shown(f"<{element.tag}> {name}", quoted=False)
-            raise self.wrong(f"{tag}: expected a number, not {shown(text)}") from None
+            tag = format_value(f"<{element.tag}> {name}", quoted=False)
+            raise self.wrong(f"{tag}: expected a number, not {format_value(text)}") from None

@@ -16,7 +16,7 @@ import pandas as pd
 from synthcam_shared.errors import InputError
 from tracker.camera.camera import Camera
 from tracker.camera.camera_json import read_keys
-from tracker.camera.camera_keys import did_you_mean, shown
+from tracker.camera.camera_keys import did_you_mean, format_value
 from tracker.detection.link import Tracks
 from tracker.tables import formats as format_files
 from tracker.tables.content import Content
@@ -90,7 +90,7 @@ def recognise_format(content: Content) -> TrackTable:
         raise content.wrong("JSON, expected a table of tracks; camera.json belongs behind --camera")
     known = ", ".join(sorted(one.NAME for one in every if hasattr(one, "NAME")))
     if content.root is not None:
-        raise content.wrong(f"XML of <{shown(content.root.tag, quoted=False)}>, expected one of {known}")
+        raise content.wrong(f"XML of <{format_value(content.root.tag, quoted=False)}>, expected one of {known}")
     more = f", or {known}; --columns x=NAME,... names others"
     check_columns(content.cells(), content.where, more)
     raise AssertionError("a table with these columns is trackpy's")
@@ -103,10 +103,10 @@ def _pick_columns(content: Content, columns: str) -> TrackTable:
     for key, name in pairs.items():
         if key not in known or not name:
             hint = did_you_mean(key, known)
-            raise InputError(f"--columns: {shown(key)}: expected NAME=COLUMN of {', '.join(known)}{hint}")
+            raise InputError(f"--columns: {format_value(key)}: expected NAME=COLUMN of {', '.join(known)}{hint}")
     rows = content.cells()
     if missing := [name for name in pairs.values() if name not in rows]:
-        there = shown(", ".join(map(str, rows.columns)), quoted=False)
+        there = format_value(", ".join(map(str, rows.columns)), quoted=False)
         raise content.wrong(f"no column {', '.join(missing)}, as --columns says; found {there}")
     rows = pd.DataFrame({key: rows[name] for key, name in pairs.items()}).rename(columns={"track": "particle"})
     fps = math.nan

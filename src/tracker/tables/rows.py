@@ -10,7 +10,7 @@ import pandas as pd
 import pyarrow as pa
 
 from synthcam_shared.errors import InputError
-from tracker.camera.camera_keys import shown
+from tracker.camera.camera_keys import format_value
 from tracker.detection.link import Tracks
 
 MOST = (1 << 31) - 1  # frames, particles, clips
@@ -76,7 +76,7 @@ def check_columns(table: pd.DataFrame, where: str, more: str = "") -> None:
     """Raises InputError where a table lacks what every one needs."""
     missing = [name for name in NEEDED if name not in table]
     if missing:
-        there = shown(", ".join(map(str, table.columns)), quoted=False)
+        there = format_value(", ".join(map(str, table.columns)), quoted=False)
         raise InputError(f"{where}: no column {', '.join(missing)}, expected {', '.join(NEEDED)}{more}; found {there}")
 
 

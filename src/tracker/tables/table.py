@@ -10,7 +10,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from synthcam_shared.errors import InputError
-from tracker.camera.camera_keys import shown
+from tracker.camera.camera_keys import format_value
 from tracker.tables.rows import to_numbers
 
 LENGTH_UNITS = {  # what one of a unit is in m, and what it is called; "px" has no length of its own
@@ -63,7 +63,7 @@ def unit_of(name: str, where: str) -> str:
     """The unit that a name means. Raises InputError."""
     found = [unit for unit, (_, names) in LENGTH_UNITS.items() if name.strip().strip("()").lower() in names.split()]
     if not found:
-        raise InputError(f"{where}: {shown(name)}: expected a unit of length, one of {', '.join(LENGTH_UNITS)}")
+        raise InputError(f"{where}: {format_value(name)}: expected a unit of length, one of {', '.join(LENGTH_UNITS)}")
     return found[0]
 
 

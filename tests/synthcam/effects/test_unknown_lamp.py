@@ -9,7 +9,7 @@ from discrepancy.add import add
 from discrepancy.search import find
 from synthcam.library import library
 from synthcam.model import Model
-from tracker.camera.camera import Lamp
+from tracker.camera.camera import LampSettings
 
 POSITION = (0.12, -0.08, 0.25)
 KNOWN = (*EFFECTS, "unknown_lamp", "glint_parallax", "scale_error", "aspect_error", "lens_distortion", "camera_tilt")
@@ -29,7 +29,7 @@ def without_a_lamp(clips, lamp=None):
 
 def test_the_lamp_is_named_and_found(monkeypatch):
     only(monkeypatch, RIVALS, **{name: library()[name] for name in KNOWN})
-    found = find(noisy(without_a_lamp(exact(Model(), 12, 3), Lamp(POSITION)), 3), Model())
+    found = find(noisy(without_a_lamp(exact(Model(), 12, 3), LampSettings(POSITION)), 3), Model())
     assert [n.effect for n in found.named] == ["unknown_lamp"]
     assert found.free_law is None
     assert found.verdict == "named"
@@ -60,6 +60,6 @@ def test_a_lamp_that_is_given_is_not_unknown(monkeypatch):
 def test_errors_reach_along_the_valley_of_share_and_height(monkeypatch):
     """A small share of a lamp aside is nearly as likely: eight clips tell little more."""
     only(monkeypatch, unknown_lamp=library()["unknown_lamp"])
-    new = add(noisy(without_a_lamp(exact(Model(), 8, 7), Lamp((0.05, 0.0, 0.45))), 7), Model(), "unknown_lamp")
+    new = add(noisy(without_a_lamp(exact(Model(), 8, 7), LampSettings((0.05, 0.0, 0.45))), 7), Model(), "unknown_lamp")
     assert new.named.shapes["unknown_lamp.x"] > 0.12
     assert new.named.shape_std["unknown_lamp.x"] > 1.3 * new.fit.std["unknown_lamp.x"]

@@ -18,7 +18,7 @@ from tracker.calibration.ball_outline import measure_outline
 from tracker.calibration.calibrate import calibrate, inverse_variance_mean, summary
 from tracker.calibration.contact_distance import contact_distances
 from tracker.camera.camera import Camera
-from tracker.detection.candidates import Ground
+from tracker.detection.candidates import EmptyPlate
 from tracker.detection.glints import Glints
 from tracker.detection.link import Tracks
 
@@ -175,7 +175,7 @@ def rolling(radius, body):
     )
 
 
-PLATE = Ground(np.full((160, 200), 8, np.uint8), 1.04)
+PLATE = EmptyPlate(np.full((160, 200), 8, np.uint8), 1.04)
 
 
 @pytest.mark.parametrize("radius", [12.0, 16.0])

@@ -16,7 +16,7 @@ from tracker.calibration.plate_camera import calibrate_plate
 from tracker.calibration.plate_points import PlatePoints, find_board, read_points
 from tracker.calibration.plate_view import fit_view
 from tracker.camera.camera import Camera
-from tracker.camera.view_errors import moved
+from tracker.camera.view_errors import perturb_view
 
 SIZE = (640, 480)
 DIAMETER = 2.38e-3
@@ -84,7 +84,9 @@ def test_lengths_above_the_plate_are_within_their_errors(tilt, k1, points):
         camera = eye(tilt, k1, 0.015 * SIZE[0] * rng.standard_normal(2))
         pixels = seen(ends, camera)
         found = calibrated(fit_view(marked(camera, grid(*points), rng), SIZE, ERROR))
-        std = np.linalg.norm([(length(moved(found, 1e-3 * e)) - length(found)) / 1e-3 for e in found.view_errors])
+        std = np.linalg.norm(
+            [(length(perturb_view(found, 1e-3 * e)) - length(found)) / 1e-3 for e in found.view_errors]
+        )
         assert std < 0.01 * true
         off.append((length(found) - true) / std)
     assert np.sqrt(np.mean(np.square(off))) < 1 + 3 / np.sqrt(2 * len(off))
@@ -103,7 +105,7 @@ def test_each_number_of_an_error_does_what_the_format_says():
     places = np.column_stack([grid(3, 3), np.full(9, DIAMETER / 2)])
     bent = np.add(known.dist, [0.05, -0.03, 0, 0, 0])
     wanted = seen(places, (other, bent, turned, known.t + change[8:]))
-    assert np.allclose(moved(known, change).project(places), wanted, rtol=0, atol=1e-6)
+    assert np.allclose(perturb_view(known, change).project(places), wanted, rtol=0, atol=1e-6)
 
 
 @pytest.fixture(scope="module")

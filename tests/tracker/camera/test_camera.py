@@ -14,7 +14,7 @@ from tracker_film import CAMERA
 
 from synthcam_shared.errors import InputError
 from tracker.camera.camera import Camera
-from tracker.camera.mirror_images import secondary_of_pair, zenith_of_glint
+from tracker.camera.mirror_images import locate_secondary_glints, locate_zenith_point
 from tracker.camera.same_view import first_difference
 
 
@@ -116,8 +116,8 @@ def test_rings_of_the_mirrored_sky_stand_between_zenith_and_centre():
     seen = camera.project(middle + camera.radius * normal[each, ring])
     rows = np.column_stack([2 * seen, np.ones(len(seen))])
     circle = np.linalg.lstsq(rows, np.sum(seen**2, axis=1), rcond=None)[0][:2]
-    assert np.abs(zenith_of_glint(camera, glint, np.cos(np.pi / 6))[0] - circle).max() < 0.003
-    assert np.abs(zenith_of_glint(camera, glint, 1.0)[0] - circle).max() > 0.04
+    assert np.abs(locate_zenith_point(camera, glint, np.cos(np.pi / 6))[0] - circle).max() < 0.003
+    assert np.abs(locate_zenith_point(camera, glint, 1.0)[0] - circle).max() > 0.04
 
 
 @pytest.mark.parametrize("missing", ["lamp", "ball_diameter"])
@@ -148,7 +148,7 @@ def test_secondary_glint_is_the_shortest_path_by_two_balls():
     best = minimize(
         length, start, method="Nelder-Mead", options={"xatol": 1e-9, "fatol": 1e-12, "maxiter": 20000, "maxfev": 20000}
     )
-    seen = secondary_of_pair(camera, camera.glint_of_centre([one]), camera.glint_of_centre([two]))
+    seen = locate_secondary_glints(camera, camera.glint_of_centre([one]), camera.glint_of_centre([two]))
     assert np.allclose(seen[0], camera.project(corner(last, best.x[2:])), atol=2e-3)
 
 
@@ -249,4 +249,4 @@ def test_a_turned_camera_differs():
 def test_a_camera_differs_from_none_that_locates_a_ball_alike():
     anew = {"psf": {"sigma_px": 1.2}, "sensor": CAMERA["sensor"] | {"gain": 21}, "fps": 250.0 * (1 + 1e-9)}
     one, two = Camera.from_dict(CAMERA), Camera.from_dict(CAMERA | anew)
-    assert first_difference(one, dataclasses.replace(two, exposure_seen=6e-4, striker="a")) == ""
+    assert first_difference(one, dataclasses.replace(two, exposure_from_blur=6e-4, striker="a")) == ""

@@ -6,7 +6,7 @@ import pytest
 from tracker_video import encode
 
 from synthcam_shared.errors import InputError
-from tracker.camera.frames import open_frames
+from tracker.camera.recordings import open_frames
 
 ROWS, COLUMNS = np.mgrid[:48, :64]
 CODES = np.array([np.rint(120 + 80 * np.sin((COLUMNS + 3 * k) / 9) * np.cos(ROWS / 7)) for k in range(40)], np.uint8)

@@ -5,20 +5,20 @@ import pytest
 from tracker_film import CAMERA, collision, film
 
 from tracker.camera.camera import Camera
-from tracker.camera.frames import Clip, Frames
-from tracker.detection.detect import detect, view_of
+from tracker.camera.recordings import Frames, Recording
+from tracker.detection.detect import detect, make_view
 
 
 def shown(frames, without, **changed):
     data = {k: v for k, v in CAMERA.items() if k not in without} | changed
     camera = Camera.from_dict(data)
-    return Clip(0, camera, Frames(len(frames), frames.shape[1:], frames.dtype, lambda k: frames[k]))
+    return Recording(0, camera, Frames(len(frames), frames.shape[1:], frames.dtype, lambda k: frames[k]))
 
 
 @pytest.mark.parametrize("sigma", [0.8, 1.0, 1.5])
 def test_width_of_the_glints(sigma):
     frames = film(np.random.default_rng(0), collision(40, contact=18.3, speed=3.0), sigma=sigma)
-    view = view_of(shown(frames, {"psf", "lamp"}))
+    view = make_view(shown(frames, {"psf", "lamp"}))
     assert view.sigma == pytest.approx(sigma, rel=0.03)
     assert "psf.sigma_px" in view.camera.assumed
 
@@ -28,7 +28,7 @@ def test_noise_of_the_sensor(gain, read, black):
     """Of sensors quieter and noisier than the one that a film's estimate starts from, too."""
     paths = collision(40, contact=18.3, speed=3.0)
     frames = film(np.random.default_rng(1), paths, peak=220.0, gain=gain, read=read, black=black)
-    view = view_of(shown(frames, {"sensor"}, sensor={"bits": 8}))
+    view = make_view(shown(frames, {"sensor"}, sensor={"bits": 8}))
     sensor = view.camera.sensor
     assert sensor.black_level == pytest.approx(black + 0.5, abs=1)
     assert sensor.gain == pytest.approx(gain, rel=0.35)
@@ -39,15 +39,15 @@ def test_noise_of_the_sensor(gain, read, black):
 def test_twelve_bits_in_sixteen_are_known_by_their_ceiling():
     rng = np.random.default_rng(5)
     frames = np.minimum(film(rng, collision(20, contact=8.3, speed=3.0)).astype(np.uint16) * 20, 4095)
-    view = view_of(shown(frames, {"sensor"}))
+    view = make_view(shown(frames, {"sensor"}))
     assert view.camera.sensor.ceiling == 4095
-    assert view_of(shown(frames, {"sensor"}, sensor={"bits": 14})).camera.sensor.bits == 14
+    assert make_view(shown(frames, {"sensor"}, sensor={"bits": 14})).camera.sensor.bits == 14
 
 
 def test_what_is_given_is_left_alone():
     frames = film(np.random.default_rng(2), collision(20, contact=8.3, speed=3.0))
     clip = shown(frames, set())
-    assert view_of(clip).camera.to_dict() == clip.camera.to_dict()
+    assert make_view(clip).camera.to_dict() == clip.camera.to_dict()
 
 
 @pytest.mark.parametrize(
@@ -59,7 +59,7 @@ def test_errors_stay_honest_with_estimated_noise_and_width(sensor, sigma, diamet
     paths = collision(60, contact=25.3, speed=2.5, diameter=diameter)
     frames = film(rng, paths, exposure_share=1e-9, sigma=sigma, **sensor)
     clip = shown(frames, {"psf", "lamp", "ball_diameter"}, sensor={"bits": 8}, exposure=0.0)
-    found = detect(clip, view_of(clip))
+    found = detect(clip, make_view(clip))
     assert len(found) == 120
     truth = np.array(
         [min(paths[k], key=lambda p: np.hypot(*(p - xy))) for k, xy in zip(found.frame, found.xy, strict=True)]
@@ -71,7 +71,7 @@ def test_errors_stay_honest_with_estimated_noise_and_width(sensor, sigma, diamet
 def test_a_clip_that_shows_nothing_gets_defaults():
     rng = np.random.default_rng(4)
     frames = np.clip(8 + rng.normal(0, 1, (12, 160, 200)), 0, 255).astype(np.uint8)
-    view = view_of(shown(frames, {"psf", "sensor"}))
+    view = make_view(shown(frames, {"psf", "sensor"}))
     assert view.sigma == pytest.approx(1.0, rel=0.01)
 
 
@@ -88,11 +88,11 @@ def test_what_an_encoder_leaves_out_is_found_beside_glints_where_the_film_is_enc
     for lossy in (True, False):
         clip = shown(frames, set())
         clip.frames.lossy = lossy
-        sensor = view_of(clip).camera.sensor
+        sensor = make_view(clip).camera.sensor
         assert sensor.codec_noise == (pytest.approx(4.0, rel=0.15) if lossy else 0.0)
     clip = shown(frames, {"psf", "lamp"}, sensor={"bits": 8}, exposure=0.0)
     clip.frames.lossy = True
-    found = detect(clip, view_of(clip))
+    found = detect(clip, make_view(clip))
     truth = np.array(
         [min(paths[k], key=lambda p: np.hypot(*(p - xy))) for k, xy in zip(found.frame, found.xy, strict=True)]
     )

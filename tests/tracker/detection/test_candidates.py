@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tracker.detection.candidates import Ground, Search
+from tracker.detection.candidates import CandidateSearch, EmptyPlate
 
 SIZE = (120, 160)
 PLACES = [(40, 30), (100, 90)]
@@ -27,7 +27,7 @@ def half(by):
 @pytest.mark.parametrize("by", [0, 1, 2])
 def test_glints_are_found_where_an_encoder_shifts_the_plate(by):
     """By a count or two, in all of the picture or in half of it, as H.264 does from one group of frames to the next."""
-    search = Search(Ground(np.full(SIZE, 8, np.uint8), 0.3), 1.0, apart=10.0)
+    search = CandidateSearch(EmptyPlate(np.full(SIZE, 8, np.uint8), 0.3), 1.0, apart=10.0)
     for level in (half(by), np.full(SIZE, 8.0 + by)):
         found = search(drawn(level))
         assert set(zip(found.column[:2].tolist(), found.row[:2].tolist(), strict=True)) == set(PLACES)
@@ -35,7 +35,7 @@ def test_glints_are_found_where_an_encoder_shifts_the_plate(by):
 
 
 def test_a_picture_full_of_light_is_crowded():
-    search = Search(Ground(np.full(SIZE, 8, np.uint8), 0.3), 1.0, apart=10.0)
+    search = CandidateSearch(EmptyPlate(np.full(SIZE, 8, np.uint8), 0.3), 1.0, apart=10.0)
     found = search(drawn(np.full(SIZE, 40.0)))
     assert found.crowded
     assert len(found.row) == 0

@@ -7,7 +7,7 @@ from tracker_discs import CAMERA, SIZE, apart, disc, film
 import tracker
 from synthcam_shared.errors import InputError
 from tracker.camera.camera import Camera
-from tracker.camera.memory import frames_in_memory
+from tracker.camera.film_in_memory import wrap_frames
 from tracker.detection.channel import choose_channel
 
 GREEN, RED, WHITE = (20.0, 100.0, 30.0), (180.0, 18.0, 27.0), (200.0, 200.0, 200.0)  # green and red of one luma, 68
@@ -42,11 +42,11 @@ def test_a_ball_as_grey_as_the_cloth_is_seen_in_its_colour():
 
 
 def test_grey_is_kept_where_it_shows_as_much():
-    assert choose_channel(frames_in_memory(cloth(apart(30), (WHITE, WHITE))), Camera.from_dict(CAMERA)) == (
+    assert choose_channel(wrap_frames(cloth(apart(30), (WHITE, WHITE))), Camera.from_dict(CAMERA)) == (
         "grey",
         "",
     )
-    assert choose_channel(frames_in_memory(film(np.random.default_rng(0), apart(9))), Camera.from_dict(CAMERA))[1] == ""
+    assert choose_channel(wrap_frames(film(np.random.default_rng(0), apart(9))), Camera.from_dict(CAMERA))[1] == ""
 
 
 @pytest.mark.parametrize(("pictures", "name", "said"), [

@@ -8,8 +8,8 @@ from tracker_film import expose, spot
 
 import tracker
 from tracker.camera.camera import Camera
-from tracker.camera.memory import frames_in_memory
-from tracker.detection.choose import choose
+from tracker.camera.film_in_memory import wrap_frames
+from tracker.detection.choose import choose_detector
 
 BARE = Camera.unknown((200, 160), 8)
 
@@ -19,7 +19,7 @@ BARE = Camera.unknown((200, 160), 8)
 def test_bright_and_dark_bodies_are_discs(camera, ball, level):
     rng = np.random.default_rng(0)
     pictures = film(rng, collision(30, 12), ball, ground=plate(rng, level))
-    name, why = choose(frames_in_memory(pictures), camera)
+    name, why = choose_detector(wrap_frames(pictures), camera)
     assert name == "discs"
     assert "bodies of 19 px" in why
 
@@ -34,7 +34,7 @@ def test_steel_balls_are_glints(camera, peak, body):
         x = 20.3 + 5 * k
         ball = body * min(peak, 250) * (np.hypot(*np.ogrid[-80:80, -x : 200 - x]) < 7.4)
         frames.append(expose(rng, 8 + peak * spot((160, 200), x, 80.0, 1.2) * 2 * np.pi * 1.44 + ball))
-    assert choose(frames_in_memory(np.array(frames)), camera) == ("maximum_likelihood", "")
+    assert choose_detector(wrap_frames(np.array(frames)), camera) == ("maximum_likelihood", "")
 
 
 def test_glints_no_brighter_than_the_plate_leave_the_discs():
@@ -45,8 +45,8 @@ def test_glints_no_brighter_than_the_plate_leave_the_discs():
     for picture, *places in zip(pictures, *ways, strict=True):
         for x, y in places:
             picture += 700 * spot(picture.shape, x, y, 1.2) * 2 * np.pi * 1.44
-    frames = frames_in_memory(np.clip(pictures, 0, 255).astype(np.uint8))
-    assert choose(frames, Camera.from_dict(CAMERA))[0] == "discs"
+    frames = wrap_frames(np.clip(pictures, 0, 255).astype(np.uint8))
+    assert choose_detector(frames, Camera.from_dict(CAMERA))[0] == "discs"
 
 
 def test_the_choice_is_said_and_can_be_forced():

@@ -13,10 +13,10 @@ import synthcam
 from benchmarks.tracker.codecs import encode
 from synthcam_shared.errors import InputError
 from tracker.camera.camera import Camera
-from tracker.camera.frames import Clip, Frames, open_frames
-from tracker.camera.mirror_images import secondary_of_pair
+from tracker.camera.mirror_images import locate_secondary_glints
+from tracker.camera.recordings import Frames, Recording, open_frames
 from tracker.detection import detect as detect_module
-from tracker.detection.detect import detect, detectors, point_of, view_of
+from tracker.detection.detect import detect, detected_point, list_detectors, make_view
 from tracker.detection.glints import BLURRED, CLIPPED, MISFIT, NEAR, Glints
 from tracker.detection.likelihood.cramer_rao import localisation_bound
 from tracker.detection.link import assign
@@ -27,7 +27,7 @@ GRID = [(x, y) for y in range(20, 150, 26) for x in range(20, 190, 26)]
 
 
 def clip(frames, camera=CAM):
-    return Clip(0, camera, Frames(len(frames), frames.shape[1:], frames.dtype, lambda k: frames[k]))
+    return Recording(0, camera, Frames(len(frames), frames.shape[1:], frames.dtype, lambda k: frames[k]))
 
 
 def many_glints(rng, peak, frames=14, blur=(0.0, 0.0), profile=4.0, sigma=1.0):
@@ -60,7 +60,7 @@ def errors(found, positions):
 def test_precision_is_the_bounds_and_errors_are_honest(peak, limit):
     rng = np.random.default_rng(peak)
     frames, positions = many_glints(rng, peak)
-    view = view_of(clip(frames))
+    view = make_view(clip(frames))
     miss, found = errors(detect(clip(frames), view), positions)
     flux = np.full(len(positions), peak * 2 * math.pi)
     bound = localisation_bound(CAM, flux, positions[:, 1:], background=8.5 + 4.0 * peak / 200)
@@ -78,8 +78,8 @@ def test_glints_are_found_among_more_specks_that_an_encoder_leaves(tmp_path):
     encode(drawn.pictures(), tmp_path / "frames.mp4", "h264_28", 250.0)
     known = {"psf": {"sigma_px": 1.09}, "fps": 250.0, "scale": 1.6e-4, "size": [640, 480], "ball_diameter": 2.38e-3}
     camera = Camera.from_dict(known | {"sensor": CODED})
-    encoded = Clip(0, camera, open_frames(tmp_path / "frames.mp4"))
-    found = detect(encoded, view_of(encoded))
+    encoded = Recording(0, camera, open_frames(tmp_path / "frames.mp4"))
+    found = detect(encoded, make_view(encoded))
     truth = drawn.tracks.query("visible")
     near = [
         np.hypot(*(found.xy[found.frame == k] - at).T).min(initial=9)
@@ -92,14 +92,14 @@ def test_a_centroid_is_far_from_the_bound():
     """The test above can fail: a plain centroid does, and worst where the glint clips."""
     for peak, least in ((200, 1.3), (700, 1.5)):
         frames, positions = many_glints(np.random.default_rng(peak), peak)
-        miss, _ = errors(detect(clip(frames), view_of(clip(frames)), "centroid"), positions)
+        miss, _ = errors(detect(clip(frames), make_view(clip(frames)), "centroid"), positions)
         bound = localisation_bound(CAM, np.full(len(positions), peak * 2 * math.pi), positions[:, 1:], background=12.5)
         assert math.sqrt(np.mean(miss**2) / (np.trace(bound, axis1=1, axis2=2).mean() / 2)) > least
 
 
 def test_position_does_not_depend_on_the_position_within_the_pixel():
     frames, positions = many_glints(np.random.default_rng(9), 200, frames=20)
-    miss, found = errors(detect(clip(frames), view_of(clip(frames))), positions)
+    miss, found = errors(detect(clip(frames), make_view(clip(frames))), positions)
     phase = 2 * math.pi * positions[:, 1:]
     for axis in range(2):
         wave = np.column_stack([np.cos(phase[:, axis]), np.sin(phase[:, axis]), np.ones(len(positions))])
@@ -122,7 +122,7 @@ def test_what_a_resting_ball_shares_between_frames():
             part = picture[y - 12 : y + 13, x - 12 : x + 13]
             part += 200 * 2 * math.pi * spot(part.shape, *(positions[-1] - [x - 12, y - 12]), 1.0)
         frames = np.array([expose(rng, picture * response + offset) for _ in range(30)])
-        found = detect(clip(frames, camera), view_of(clip(frames, camera)))
+        found = detect(clip(frames, camera), make_view(clip(frames, camera)))
         for position in positions:
             own = found.take(np.hypot(*(found.xy - position).T) < 2)
             assert len(own) == 30
@@ -157,7 +157,7 @@ def test_a_blurred_glint_is_measured_at_its_middle():
     for _ in range(3):
         frames, paths = two_rolling(rng, 9.0, exposure_share=0.5)
         shown = clip(frames, camera)
-        found = detect(shown, view_of(shown))
+        found = detect(shown, make_view(shown))
         positions = np.array([(k, *p) for k in range(len(paths)) for p in paths[k]])
         miss, ordered = errors(found, positions)
         assert (ordered.flags[::2] & BLURRED).all()
@@ -172,7 +172,7 @@ def test_ball_at_rest_through_the_whole_clip_is_found_in_every_frame():
     rng = np.random.default_rng(4)
     paths = np.tile(np.array([[[60.3, 70.2], [130.4, 90.1]]]), (30, 1, 1))
     frames = film(rng, paths)
-    found = detect(clip(frames), view_of(clip(frames)))
+    found = detect(clip(frames), make_view(clip(frames)))
     assert len(found) == 60
     assert np.bincount(found.frame).tolist() == [2] * 30
 
@@ -196,7 +196,7 @@ def test_neighbour_and_its_secondary_glints_do_not_pull(gap):
         blank = np.full((160, 200), 0.5)
         frames = np.array([expose(rng, p) for p in (blank, picture, blank)])
         shown = clip(frames, CAM_LAMP)
-        found = detect(shown, view_of(shown))
+        found = detect(shown, make_view(shown))
         assert len(found) == 2
         assert ((found.flags & NEAR) > 0).all()
         order = np.argsort(np.hypot(*(found.xy - seen[0]).T))
@@ -217,12 +217,14 @@ def test_a_neighbour_three_diameters_off_does_not_pull_either():
         centres = np.array([one, one + 45 * way])
         seen = CAM_LAMP.glint_of_centre(CAM_LAMP.unproject(centres)[0])
         picture = np.full((160, 200), 8.5)
-        for glint, centre, second in zip(seen, centres, secondary_of_pair(CAM_LAMP, seen, seen[::-1]), strict=True):
+        for glint, centre, second in zip(
+            seen, centres, locate_secondary_glints(CAM_LAMP, seen, seen[::-1]), strict=True
+        ):
             picture += 1500 * spot(picture.shape, *glint, 1.0) + 80 * spot(picture.shape, *second, 1.0)
             picture += 4 * disc(picture.shape, *centre, 7.44)
         blank = np.full((160, 200), 8.0)
         shown = clip(np.rint([blank, picture, blank]).clip(0, 255).astype(np.uint8), CAM_LAMP)
-        found = detect(shown, view_of(shown))
+        found = detect(shown, make_view(shown))
         miss = found.xy[np.argsort(np.hypot(*(found.xy - seen[0]).T))] - seen
         pulls += [miss[0] @ way, -miss[1] @ way]
     assert abs(np.mean(pulls)) < 0.0015
@@ -234,7 +236,7 @@ CAM_LAMP = Camera.from_dict(CAMERA)
 def test_two_balls_two_detections_through_a_collision():
     frames = film(np.random.default_rng(5), collision(60, speed=2.5))
     shown = clip(frames)
-    found = detect(shown, view_of(shown))
+    found = detect(shown, make_view(shown))
     assert np.bincount(found.frame, minlength=60).tolist() == [2] * 60
     assert set(assign(found, CAM).tolist()) == {0, 1}
 
@@ -244,7 +246,7 @@ def test_a_neighbour_takes_the_learnt_profile_from_no_clipped_glint():
     paths, stds, misses = collision(60, speed=2.5), [], []
     for seed in range(4):
         shown = clip(film(np.random.default_rng(seed), paths, peak=700.0, profile=14.0))
-        found = detect(shown, view_of(shown))
+        found = detect(shown, make_view(shown))
         off = found.xy[:, None] - paths[found.frame]
         pick = np.argmin(np.hypot(*np.moveaxis(off, 2, 0)), axis=1)
         std = np.sqrt(np.trace(found.cov, axis1=1, axis2=2) / 2)
@@ -285,7 +287,7 @@ def test_far_from_the_axis_the_profile_pulls_no_clipped_glint():
         frames.append(np.rint(picture).clip(0, 255).astype(np.uint8))
         true.append(glint)
     shown = clip(np.array([*frames, frames[0]]), camera)
-    off = detect(shown, view_of(shown)).xy - np.array(true)
+    off = detect(shown, make_view(shown)).xy - np.array(true)
     assert np.abs(off.mean(axis=0)).max() < 0.0008
 
 
@@ -300,7 +302,7 @@ def test_hot_pixels_are_no_balls_and_pull_none():
     leak = np.zeros(frames.shape[1:], np.int64)
     leak[y, x] = rng.integers(15, 90, len(x))
     frames = np.clip(frames + leak, 0, 255).astype(np.uint8)
-    view = view_of(clip(frames))
+    view = make_view(clip(frames))
     assert set((y * 200 + x).tolist()) <= set(view.plate.hot.tolist())
     found = detect(clip(frames), view)
     assert np.bincount(found.frame, minlength=60).tolist() == [2] * 60
@@ -315,7 +317,7 @@ def test_empty_frames_have_nothing(level):
     rng = np.random.default_rng(6)
     frames = np.array([expose(rng, np.full((160, 200), float(level))) for _ in range(20)])
     shown = clip(frames)
-    assert len(detect(shown, view_of(shown))) == 0
+    assert len(detect(shown, make_view(shown))) == 0
 
 
 def test_a_profile_without_its_glint_is_no_glint():
@@ -323,7 +325,7 @@ def test_a_profile_without_its_glint_is_no_glint():
     picture = np.full((160, 200), 0.5) + 20 * disc((160, 200), 80.2, 70.3, 7.44)
     frames = np.array([expose(rng, np.full((160, 200), 0.5))] * 8 + [expose(rng, picture) for _ in range(12)])
     shown = clip(frames)
-    assert len(detect(shown, view_of(shown))) == 0
+    assert len(detect(shown, make_view(shown))) == 0
 
 
 def test_sixteen_bit_frames():
@@ -335,7 +337,7 @@ def test_sixteen_bit_frames():
         picture = np.full((160, 200), 3.0) + 2500 * 2 * math.pi * spot((160, 200), 60.25 + 5 * k, 80.4, 1.0)
         pictures.append(expose(rng, picture, gain=2.0, read=4.0, black=8.0, bits=12))
     shown = clip(np.array(pictures), Camera.from_dict({**data, "exposure": 0.0}))
-    found = detect(shown, view_of(shown))
+    found = detect(shown, make_view(shown))
     miss = found.x - (60.25 + 5 * np.arange(12))
     assert np.abs(miss).max() < 4 * np.sqrt(found.cov[:, 0, 0]).min() < 0.03
     assert camera.sensor.ceiling == 4095
@@ -345,12 +347,12 @@ def test_every_detector_keeps_the_promise():
     """One contract over all that the folder holds."""
     frames = film(np.random.default_rng(10), collision(12, contact=30.0, speed=2.0))
     shown = clip(frames)
-    view = view_of(shown)
-    assert {"maximum_likelihood", "centroid"} <= set(detectors())
-    for name, make in detectors().items():
+    view = make_view(shown)
+    assert {"maximum_likelihood", "centroid"} <= set(list_detectors())
+    for name, make in list_detectors().items():
         if name.startswith("trackpy") and importlib.util.find_spec("trackpy") is None:
             continue
-        if point_of(name, shown.camera) == "centre":  # looks for outlines that move, where these are glints
+        if detected_point(name, shown.camera) == "centre":  # looks for outlines that move, where these are glints
             continue
         one = make(view)(frames[3])
         if name == "trackpy_defaults":  # which finds all that it can, untold
@@ -371,9 +373,9 @@ def test_outsiders_come_by_entry_point(monkeypatch):
             return lambda view: None
 
     monkeypatch.setattr(detect_module, "entry_points", lambda group: [Point()] if group == "tracker.detectors" else [])
-    assert "outsider" in detectors()
+    assert "outsider" in list_detectors()
     with pytest.raises(InputError, match=r"expected one of .*maximum_likelihood.*outsider"):
-        detect_module.detector("nobody")
+        detect_module.load_detector("nobody")
 
 
 def promised(**wrong):
@@ -401,8 +403,8 @@ def promised(**wrong):
     ],
 )
 def test_a_detector_that_returns_something_else_is_named(monkeypatch, finder, said):
-    monkeypatch.setattr(detect_module, "detectors", lambda: {"outsider": finder})
+    monkeypatch.setattr(detect_module, "list_detectors", lambda: {"outsider": finder})
     shown = clip(np.zeros((9, 160, 200), np.uint8))
     with pytest.raises(InputError, match=rf"^detector outsider, frame 0: {said}") as error:
-        detect(shown, view_of(shown), "outsider")
+        detect(shown, make_view(shown), "outsider")
     assert "\n" not in str(error.value)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tracker.detection.diagnose import loose_ends
+from tracker.detection.diagnose import warn_of_loose_ends
 from tracker.detection.link import Tracks
 
 SIZE, LAST = (400, 300), 99
@@ -36,10 +36,10 @@ SPECKS = [(10 * k, 10 * k + 6, (9 + k % 3, 120), (10, 121)) for k in range(1, 8)
     ],
 )
 def test_ends_of_tracks_amid_the_picture_are_counted(ways, spans, ends):
-    said = loose_ends(tracks(*ways), SIZE, spans)
+    said = warn_of_loose_ends(tracks(*ways), SIZE, spans)
     assert "".join(said)[: len(ends) or None] == ends
 
 
 def test_nothing_is_said_of_nothing():
     none = Tracks(*(values[:0] for values in vars(tracks(BALLS[0])).values()))
-    assert loose_ends(none, SIZE, [(0, LAST)]) == ()
+    assert warn_of_loose_ends(none, SIZE, [(0, LAST)]) == ()

@@ -6,12 +6,12 @@ from tracker_film import CAMERA, collision, film
 
 from synthcam_shared.errors import InputError
 from tracker.camera.camera import Camera
-from tracker.camera.frames import Clip
-from tracker.camera.memory import frames_in_memory
+from tracker.camera.film_in_memory import wrap_frames
+from tracker.camera.recordings import Recording
 from tracker.detection import link as link_module
-from tracker.detection.detect import linker
+from tracker.detection.detect import load_linker
 from tracker.detection.glints import CLIPPED, Glints
-from tracker.detection.link import assign, link, velocities
+from tracker.detection.link import assign, estimate_velocities, link
 from tracker.recording import track_clip
 
 CAM = Camera.from_dict({**CAMERA, "size": [640, 480]})
@@ -159,7 +159,7 @@ def test_velocities_take_the_calm_side_of_a_collision():
     truth = np.concatenate(
         [np.where(np.arange(40)[:, None] < 20.5, p[1] - p[0], p[-1] - p[-2]) for p in (paths[:, 0], paths[:, 1])]
     )
-    assert np.abs(velocities(frame, ids, xy) - truth).max() < 1e-9
+    assert np.abs(estimate_velocities(frame, ids, xy) - truth).max() < 1e-9
 
 
 def test_tracks_hold_centres_and_say_when_they_do_not():
@@ -192,8 +192,8 @@ def test_order_of_glints_does_not_matter(seed):
 
 def test_another_programs_links_join_the_same_balls():
     pytest.importorskip("laptrack", exc_type=ImportError)
-    frames = frames_in_memory(film(np.random.default_rng(3), collision(30, contact=14.0, speed=2.0)))
-    shown = Clip(0, Camera.from_dict(CAMERA), frames)
+    frames = wrap_frames(film(np.random.default_rng(3), collision(30, contact=14.0, speed=2.0)))
+    shown = Recording(0, Camera.from_dict(CAMERA), frames)
     own, other = (track_clip(shown, f"maximum_likelihood{end}")[0] for end in ("", "+laptrack"))
     assert len(np.unique(other.particle)) == 2
     paths = [sorted(t.xy[t.particle == ball].tolist() for ball in (0, 1)) for t in (own, other)]
@@ -202,5 +202,5 @@ def test_another_programs_links_join_the_same_balls():
 
 def test_a_linker_that_there_is_not():
     with pytest.raises(InputError, match=r"no linker 'laptrek' behind \+, expected one of laptrack"):
-        linker("centroid+laptrek", CAM)
-    assert linker("centroid", CAM) is None
+        load_linker("centroid+laptrek", CAM)
+    assert load_linker("centroid", CAM) is None

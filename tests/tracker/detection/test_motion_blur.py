@@ -10,10 +10,10 @@ from typer.testing import CliRunner
 
 from tracker import cli
 from tracker.camera.camera import Camera
-from tracker.camera.frames import Clip, Frames
-from tracker.detection.detect import detect, settled, view_of
+from tracker.camera.recordings import Frames, Recording
+from tracker.detection.detect import detect, detect_until_blur_converges, make_view
 from tracker.detection.glints import MISFIT
-from tracker.detection.motion_blur import MotionBlur
+from tracker.detection.motion_blur import MotionBlurEvidence
 
 CAM = Camera.from_dict({k: v for k, v in CAMERA.items() if k != "lamp"})  # no lamp: the profile is centred on the glint
 SHARE = CAMERA["exposure"] * CAMERA["fps"]
@@ -21,7 +21,7 @@ PATHS = collision(frames=40, contact=14.4, speed=7.0, angle=0.5)
 
 
 def clip(frames):
-    return Clip(0, CAM, Frames(len(frames), frames.shape[1:], frames.dtype, lambda k: frames[k]))
+    return Recording(0, CAM, Frames(len(frames), frames.shape[1:], frames.dtype, lambda k: frames[k]))
 
 
 def misses(glints):
@@ -39,20 +39,20 @@ def misses(glints):
 @pytest.mark.parametrize(("longer", "within"), [(1.5, 0.1), (2.5, 0.04)])  # four of its own deviations
 def test_a_wrong_exposure_is_seen_and_the_motion_blur_fits(longer, within):
     shown = clip(film(np.random.default_rng(2), PATHS, exposure_share=SHARE * longer))
-    glints, view = settled(shown, view_of(shown))
-    assert view.camera.exposure_seen == pytest.approx(longer * CAM.exposure, rel=within)
+    glints, view = detect_until_blur_converges(shown, make_view(shown))
+    assert view.camera.exposure_from_blur == pytest.approx(longer * CAM.exposure, rel=within)
     assert view.camera.exposure == CAM.exposure
     assert np.mean(misses(glints) ** 2) < 1.25
     assert np.mean(glints.flags & MISFIT > 0) < 0.03
     if longer > 2:
-        assert np.mean(detect(shown, view_of(shown)).flags & MISFIT > 0) > 0.3  # what it cures
+        assert np.mean(detect(shown, make_view(shown)).flags & MISFIT > 0) > 0.3  # what it cures
 
 
 @pytest.mark.parametrize("seed", range(3))
 def test_a_right_exposure_changes_nothing(seed):
     shown = clip(film(np.random.default_rng(seed), PATHS, exposure_share=SHARE))
-    view = view_of(shown)
-    glints, same = settled(shown, view)
+    view = make_view(shown)
+    glints, same = detect_until_blur_converges(shown, view)
     assert same is view
     plain = detect(shown, view)
     assert all(np.array_equal(getattr(glints, n), getattr(plain, n)) for n in ("frame", "x", "y", "cov", "flux"))
@@ -68,8 +68,8 @@ def test_a_glint_that_is_long_at_rest_is_no_long_exposure():
                 picture += 1400 * spot(picture.shape, x, y, 1.0, way, steps=8) + 4 * disc(picture.shape, x, y, 7.44)
         frames.append(expose(rng, gaussian_filter1d(picture, 0.6, axis=1)))  # balls come and go along x, nearly
     shown = clip(np.array(frames))
-    view = view_of(shown)
-    assert settled(shown, view)[1] is view
+    view = make_view(shown)
+    assert detect_until_blur_converges(shown, view)[1] is view
 
 
 def test_the_exposure_seen_is_in_the_results_whatever_the_workers(tmp_path):
@@ -100,10 +100,14 @@ def test_a_few_misfits_neither_decide_nor_hide():
     told = np.full(48, 100.0)
     noise = 10.0 * np.random.default_rng(0).standard_normal(48)
     for all_longer, sure in ((0.0, False), (40.0, True)):
-        blurs, score = MotionBlur(), noise + all_longer
+        blurs, score = MotionBlurEvidence(), noise + all_longer
         score[:2] = 5000.0
         blurs.add(score, told)
-        assert (blurs.length()[2] > 5.0) == sure
-    even = MotionBlur()
+        assert (blurs.estimate_length()[2] > 5.0) == sure
+    even = MotionBlurEvidence()
     even.add(0.2 * told, told)
-    assert even.length() == (pytest.approx(1.4**0.5), pytest.approx(4800**-0.5), pytest.approx(0.2 * 4800**0.5))
+    assert even.estimate_length() == (
+        pytest.approx(1.4**0.5),
+        pytest.approx(4800**-0.5),
+        pytest.approx(0.2 * 4800**0.5),
+    )

@@ -6,8 +6,8 @@ import pytest
 from tracker_discs import CAMERA, R, apart, collision, film, plate
 
 import tracker
-from tracker.camera.memory import frames_in_memory
-from tracker.detection.takes import takes_of
+from tracker.camera.film_in_memory import wrap_frames
+from tracker.detection.takes import find_takes
 
 
 def tracked(pictures):
@@ -20,7 +20,7 @@ def test_takes_are_found_and_followed_apart():
     second = film(rng, collision(30, 12), ground=plate(rng, 110.0))
     black = rng.integers(0, 2, (5, *first.shape[1:])).astype(np.uint8)
     joined = np.concatenate([first, black, second])
-    assert takes_of(frames_in_memory(joined)).spans == ((0, 29), (35, 64))
+    assert find_takes(wrap_frames(joined)).spans == ((0, 29), (35, 64))
     result = tracked(joined)
     assert result.tracks.groupby("particle").frame.agg(["min", "max", "size"]).to_numpy().tolist() == [
         [0, 29, 30], [0, 29, 30], [35, 64, 30], [35, 64, 30],
@@ -30,7 +30,7 @@ def test_takes_are_found_and_followed_apart():
 
 
 def test_a_take_among_balls_only_is_none():
-    assert takes_of(frames_in_memory(film(np.random.default_rng(1), collision(30, 12)))).spans == ((0, 29),)
+    assert find_takes(wrap_frames(film(np.random.default_rng(1), collision(30, 12)))).spans == ((0, 29),)
 
 
 @pytest.mark.parametrize("copies", [2, 3])
@@ -48,7 +48,7 @@ def test_frames_given_twice_are_left_out(copies):
 def test_noise_and_rest_are_no_copies():
     ways = collision(30, 12)
     ways[:, :] = ways[:, :1]
-    assert not takes_of(frames_in_memory(film(np.random.default_rng(3), ways))).repeated
+    assert not find_takes(wrap_frames(film(np.random.default_rng(3), ways))).repeated
 
 
 def test_hand_cue_and_caption_are_refused():

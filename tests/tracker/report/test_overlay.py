@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from tracker.camera.camera import Camera
-from tracker.camera.memory import frames_in_memory
+from tracker.camera.film_in_memory import wrap_frames
 from tracker.detection.link import Tracks
 from tracker.report.overlay import COLOURS, Overlay, choose_frames, encode_mp4
 
@@ -20,7 +20,7 @@ def overlay(dtype=np.uint8, shape=SHAPE, places=PLACES):
     nothing, cov = np.zeros(n), np.tile(np.eye(2), (n, 1, 1))
     names = np.array([""] * n)
     tracks = Tracks(np.arange(n), np.zeros(n, int), *places.T, cov, nothing, names, *places.T)
-    frames = frames_in_memory(film)
+    frames = wrap_frames(film)
     return Overlay(frames, tracks, Camera.from_dict(known), 0, n - 1, ((0.05, "after the contact"),))
 
 

@@ -12,7 +12,7 @@ import pytest
 from tracker_film import CAMERA, film
 
 import tracker
-from tracker.camera.memory import frames_in_memory
+from tracker.camera.film_in_memory import wrap_frames
 from tracker.report.recording_page import PAGE, RecordingPage, write_page
 
 
@@ -28,7 +28,7 @@ def paths():
 def recorded():
     pictures = film(np.random.default_rng(1), paths())
     result = tracker.track(pictures, CAMERA)
-    frames = frames_in_memory(pictures)
+    frames = wrap_frames(pictures)
     motion, rows = result.motion, [dict(row) for row in result.rows]
     return RecordingPage("a <b>bold</b> name", result.camera, result.found, rows, motion, frames, ("it is assumed",))
 
@@ -97,7 +97,7 @@ def test_tracks_without_a_film_and_without_a_collision_have_a_page(recorded, tmp
 def test_an_empty_recording_has_a_page(recorded, tmp_path):
     camera, blank = recorded.camera, np.full((5, 160, 200), 8, np.uint8)
     result = tracker.track(blank, CAMERA)
-    frames = frames_in_memory(blank)
+    frames = wrap_frames(blank)
     empty = RecordingPage("nothing", camera, result.found, result.rows, result.motion, frames)
     text = write_page(empty, tmp_path, "tracker track").read_text(encoding="utf-8")
     assert "not measured: nothing moves" in text

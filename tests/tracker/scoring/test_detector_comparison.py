@@ -11,8 +11,8 @@ from tracker_film import film
 from tracker_noisy import dataset
 
 from synthcam_shared.errors import InputError
-from tracker.camera.frames import open_source
-from tracker.detection.detect import detectors, view_of
+from tracker.camera.recordings import open_source
+from tracker.detection.detect import list_detectors, make_view
 from tracker.scoring import detector_comparison as module
 from tracker.scoring.detector_comparison import compare, tables
 from tracker.scoring.score import score
@@ -86,7 +86,7 @@ def test_a_folder_of_anything_else_is_left_alone(filmed, tmp_path):
 
 def test_a_peer_that_is_not_installed_is_one_line(filmed, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "trackpy", None)
-    assert "trackpy_locate" in detectors()
+    assert "trackpy_locate" in list_detectors()
     with pytest.raises(InputError, match="trackpy is not installed") as error:
         compare(filmed, ["trackpy_locate"], tmp_path / "report")
     assert "\n" not in str(error.value)
@@ -105,8 +105,8 @@ PEERS = [
 def test_peers_find_the_same_balls(filmed, name, furthest, claimed):
     if name == "trackpy_locate":
         pytest.importorskip("trackpy")
-    clip = open_source(filmed).clip(0)
-    finder = detectors()[name](view_of(clip))
+    clip = open_source(filmed).open_clip(0)
+    finder = list_detectors()[name](make_view(clip))
     truth = pd.read_parquet(filmed / "clips/000000/truth/tracks.parquet")
     whole = truth[truth["visible"]].groupby("frame")["particle"].size()
     for k in whole.index[whole == 2][[0, 5, -1]]:
@@ -119,11 +119,11 @@ def test_peers_find_the_same_balls(filmed, name, furthest, claimed):
 
 
 def test_two_libraries_weigh_the_same_regions_alike(filmed):
-    clip = open_source(filmed).clip(0)
-    view = view_of(clip)
+    clip = open_source(filmed).open_clip(0)
+    view = make_view(clip)
     for k in (0, 20, 39):
         opencv, skimage = (
-            detectors()[name](view)(clip.frames[k]) for name in ("opencv_components", "skimage_regionprops")
+            list_detectors()[name](view)(clip.frames[k]) for name in ("opencv_components", "skimage_regionprops")
         )
         order = [np.lexsort((found.x, found.y)) for found in (opencv, skimage)]
         for name in ("x", "y", "cov", "flux", "flags"):

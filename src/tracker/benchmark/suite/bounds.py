@@ -15,8 +15,8 @@ import pandas as pd
 
 from synthcam_shared.outputs import put
 from tracker.benchmark.suite.folder import BOUNDS, QUANTITY_BOUNDS
-from tracker.camera.frames import Source, open_source
-from tracker.detection.detect import detect, view_of
+from tracker.camera.recordings import RecordingSource, open_source
+from tracker.detection.detect import detect, make_view
 from tracker.parallel import alone, in_parallel
 from tracker.scoring.error_bars import quantity_bounds, true_motion
 from tracker.scoring.localisation import MatchedDetections, match, position_bounds
@@ -37,17 +37,17 @@ def write_bounds(film: Path, truth: Path, workers: int = 0, scheduler: str = "")
         put(truth / name, table.to_parquet(index=False))
 
 
-def _of_clip(source: Source, truth: Path, index: int) -> Rows:
+def _of_clip(source: RecordingSource, truth: Path, index: int) -> Rows:
     """Frame, particle, xx, xy, yy (px^2) of each true position, and the bounds of the clip's quantities."""
     alone()
-    clip = source.clip(index)
+    clip = source.open_clip(index)
     folder = truth / "clips" / f"{clip.number:06d}" / "truth"
     true = pd.read_parquet(folder / "tracks.parquet")
     table = true[["frame", "particle"]].assign(clip=clip.number, xx=np.nan, xy=np.nan, yy=np.nan)
     quantities: dict[str, Any] = {"clip": clip.number}
     if clip.camera.matte:
         return table, quantities  # whole balls in room light have no bound here
-    seen = detect(clip, view_of(clip))
+    seen = detect(clip, make_view(clip))
     place, _ = clip.camera.centre_of_glint(seen.xy)
     found = pd.DataFrame({"frame": seen.frame, "x": place[:, 0], "y": place[:, 1], "flux": seen.flux})
     near = match(true, found, GATE_PX, clip.camera.diameter_px)

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tracker.detection.candidates import Search
+from tracker.detection.candidates import CandidateSearch
 from tracker.detection.glints import CLIPPED, Glints, View
 
 
@@ -17,7 +17,7 @@ class Centroid:
     def __init__(self, view: View) -> None:
         self.view = view
         radius = view.camera.diameter_px / 2.0
-        self.search = Search(view.plate, view.sigma, apart=max(1.6 * radius, 4.0 * view.sigma))
+        self.search = CandidateSearch(view.plate, view.sigma, apart=max(1.6 * radius, 4.0 * view.sigma))
         self.half = max(2, round(2.5 * view.sigma))
 
     def __call__(self, frame: NDArray[Any]) -> Glints:

@@ -10,12 +10,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tracker.camera.lens import Array
-from tracker.detection.disc_fit import Found, Look, fit_disc
-from tracker.detection.disc_parts import ALIKE, SMALLEST, Box, Part, casts, middles_of, parts_of
+from tracker.detection.contrast_regions import (
+    ALIKE,
+    SMALLEST,
+    Box,
+    ContrastRegion,
+    casts_shadow,
+    find_disc_centres,
+    split_region,
+)
+from tracker.detection.disc_fit import DiscAppearance, DiscFit, fit_disc
 from tracker.detection.glints import BLURRED, EDGE, NEAR, SHADED, Glints, View
-from tracker.detection.outline import outline
-from tracker.detection.still_background import SAMPLES, Background, still_background, without_balls
-from tracker.detection.takes import takes_of
+from tracker.detection.outline import fit_outline_circle
+from tracker.detection.still_background import SAMPLES, StillBackground, average_uncovered, estimate_still_background
+from tracker.detection.takes import find_takes
 
 LEAST_CONTRAST = 8.0  # counts, of a ball over the background
 DEVIATIONS = 6.0  # the same, of the noise of a mean of 3 x 3 pixels
@@ -46,7 +54,7 @@ class Discs:
 
     def __init__(self, view: View) -> None:
         self.view = view
-        self.takes = view.takes or takes_of(view.frames)
+        self.takes = view.takes or find_takes(view.frames)
         self.noise = self.takes.noise
         given = view.camera.diameter_px / 2
         large = not view.camera.knows_diameter or given > ROOMY
@@ -55,7 +63,7 @@ class Discs:
         self.refused: dict[int, int] = {}
         self.shadows = 0
         self.scenes = {
-            scene: still_background(
+            scene: estimate_still_background(
                 [cv2.blur(frame, self.box) for frame in self._samples(scene)], self.noise * 1.5 / self.box[0]
             )
             for scene in sorted(set(self.takes.scenes))
@@ -65,11 +73,11 @@ class Discs:
         self.fitted: list[float] = []  # radii, px
         self.tied = 0.0  # of a radius
         self.larger = 1.0  # the balls' radius over that which is seen
-        self.radii, contrast = self._usual(given if view.camera.knows_diameter else None)
+        self.radii, contrast = self._usual_radius(given if view.camera.knows_diameter else None)
         self.low = max(self.low, FAINTEST * contrast)
-        self.scenes = {scene: self._cleaned(scene) for scene in self.scenes}
+        self.scenes = {scene: self._clean_background(scene) for scene in self.scenes}
         self.shadows = 0  # those met so far were the samples'
-        if self.shaded and len(self.fitted) > FEWEST:
+        if self.is_shaded and len(self.fitted) > FEWEST:
             fitted = np.array(self.fitted)
             near = np.abs(fitted[:, None] - self.radii).argmin(axis=1)
             self.tied, self.radii = TIED, [float(np.median(fitted[near == k])) for k in np.unique(near)]
@@ -82,25 +90,25 @@ class Discs:
         return self.radii[0]
 
     @property
-    def shaded(self) -> bool:
+    def is_shaded(self) -> bool:
         """Whether balls are brighter on one side, or cast shadows."""
         return self.signs != (0,)
 
-    def seen_radius(self) -> tuple[float, float]:
+    def measured_radius(self) -> tuple[float, float]:
         """Median radius of the discs fitted so far, px, and its random error; 0 where it is not to be seen.
 
         So it is of balls with one dark side, and where few are seen whole.
         """
         radii = np.array(self.fitted)
         radii = radii[np.abs(radii / self.radius - 1) < CLOSE]
-        if self.shaded or len(radii) < ENOUGH:
+        if self.is_shaded or len(radii) < ENOUGH:
             return 0.0, 0.0
         spread = NORMAL * float(np.median(np.abs(radii - np.median(radii))))
         return float(np.median(radii)), spread / float(np.sqrt(len(radii)))
 
     def notes(self) -> list[str]:
         """What a user has to know, once the frames have been searched."""
-        said = self.takes.notes()
+        said = self.takes.describe()
         if self.refused:
             count = sum(self.refused.values())
             said.append(
@@ -136,7 +144,7 @@ class Discs:
         """Discs of one frame of the first scene; ``flux`` is their area, px^2, which balls of one size share."""
         return self._in_frame(frame, self.scenes[self.takes.scenes[0]])[0]
 
-    def _leaves(self, ground: Background, at: Array) -> bool:
+    def _leaves(self, ground: StillBackground, at: Array) -> bool:
         """Whether the place of a disc was seen without it."""
         x, y = np.round(at).astype(int)
         reach = int(self.radius)
@@ -148,12 +156,12 @@ class Discs:
         picks = sorted({fresh[round(i * (len(fresh) - 1) / (SAMPLES - 1))] for i in range(SAMPLES)})
         return [np.asarray(self.view.frames[k]) for k in picks]
 
-    def _cleaned(self, scene: int) -> Background:
+    def _clean_background(self, scene: int) -> StillBackground:
         """The background of a scene, from what is no ball, shadow or other object in its frames."""
-        ground = self._uncovered(scene, self.scenes[scene])
-        return ground if ground.known.all() else self._uncovered(scene, ground)
+        ground = self._average_uncovered(scene, self.scenes[scene])
+        return ground if ground.known.all() else self._average_uncovered(scene, ground)
 
-    def _uncovered(self, scene: int, ground: Background) -> Background:
+    def _average_uncovered(self, scene: int, ground: StillBackground) -> StillBackground:
         """The same, where objects are told by a background that may be wrong where balls rest."""
         frames, covered = [], []
         for frame in self._samples(scene):
@@ -167,25 +175,25 @@ class Discs:
             parts = [part for number, box in boxes[:MOST] for part in self._parts(apart, labels, number, box)]
             balls = [part for part in parts if part.sign > 0 and part.is_disc(self.radius)]
             for part in parts:
-                if any(casts(ball, part) for ball in balls):
+                if any(casts_shadow(ball, part) for ball in balls):
                     part.fill(mask)
             frames.append(light)
             covered.append(cv2.dilate(mask, np.ones((2 * RIM + 1, 2 * RIM + 1), np.uint8)).view(np.bool_))
-        return without_balls(frames, covered, self.noise)
+        return average_uncovered(frames, covered, self.noise)
 
-    def _in_frame(self, frame: NDArray[Any], ground: Background) -> tuple[Glints, int]:
+    def _in_frame(self, frame: NDArray[Any], ground: StillBackground) -> tuple[Glints, int]:
         """Discs of one frame, and how many objects are none."""
         light = frame.astype(np.float32)
         light -= _brighter(light, ground.level)
         apart = light - ground.level.astype(np.float32)
         boxes, labels = self._regions(apart)
         parts = [part for number, box in boxes[:MOST] for part in self._parts(apart, labels, number, box)]
-        rows, refused, balls = list[tuple[float, ...]](), 0, list[Part]()
+        rows, refused, balls = list[tuple[float, ...]](), 0, list[ContrastRegion]()
         for part in sorted(parts, key=lambda p: -p.sign):
             radius = min(self.radii, key=lambda r: abs(r - part.minor))
             if part.sign > 0 and part.is_disc(radius):
                 balls.append(part)
-            elif any(casts(ball, part) for ball in balls) and not (self.dark_balls and part.is_disc(radius)):
+            elif any(casts_shadow(ball, part) for ball in balls) and not (self.dark_balls and part.is_disc(radius)):
                 self.shadows += 1
                 continue
             dark = part.sign < 0 and not self.dark_balls
@@ -208,13 +216,15 @@ class Discs:
         large.sort(key=lambda k: -int(boxes[k][4]))
         return [(k, tuple(boxes[k].tolist())) for k in large], np.asarray(labels, dtype=np.int32)
 
-    def _parts(self, apart: NDArray[np.float32], labels: NDArray[np.int32], number: int, box: Box) -> list[Part]:
+    def _parts(
+        self, apart: NDArray[np.float32], labels: NDArray[np.int32], number: int, box: Box
+    ) -> list[ContrastRegion]:
         """What in a region has half its contrast: a ball without its shadow; or its brighter and its darker parts."""
         at = slice(box[1], box[1] + box[3]), slice(box[0], box[0] + box[2])
         smooth = cv2.blur(apart[at], (3, 3)) if self.noise > NOISY else apart[at]
-        return [p for sign in self.signs for p in parts_of(smooth, labels[at] == number, box, sign, self.low)]
+        return [p for sign in self.signs for p in split_region(smooth, labels[at] == number, box, sign, self.low)]
 
-    def _usual(self, given: float | None) -> tuple[list[float], float]:
+    def _usual_radius(self, given: float | None) -> tuple[list[float], float]:
         """The most common radius of discs in frames spread over the film, px, or the given one; and their contrast."""
         seen = self._without_shadows(given)
         if not seen:
@@ -225,27 +235,27 @@ class Discs:
         usual = float(contrasts[order][np.searchsorted(weight, weight[-1] / 2)])
         strong = contrasts > FAINT * usual
         still = strong & [float(np.hypot(*p.way)) < ROUND * p.minor for p in seen]
-        return [given] if given else _common(radii[still if still.sum() > FEWEST else strong]), usual
+        return [given] if given else _common_radii(radii[still if still.sum() > FEWEST else strong]), usual
 
-    def _without_shadows(self, given: float | None) -> list[Part]:
+    def _without_shadows(self, given: float | None) -> list[ContrastRegion]:
         """Discs in frames spread over the film; sets what is told apart in all of them."""
-        either = [p for parts in self._looked_at() for p in parts if p.is_disc(given or p.minor)]
+        either = [p for parts in self._survey() for p in parts if p.is_disc(given or p.minor)]
         self.signs = (1, -1)
-        bright, shadowed, alone = list[Part](), 0, 0
-        for parts in self._looked_at():
+        bright, shadowed, alone = list[ContrastRegion](), 0, 0
+        for parts in self._survey():
             balls = [p for p in parts if p.sign > 0 and p.is_disc(given or p.minor)]
             bright += balls
-            shadowed += sum(any(casts(p, other) for other in parts) for p in balls)
+            shadowed += sum(any(casts_shadow(p, other) for other in parts) for p in balls)
             dark = [p for p in parts if p.sign < 0 and p.is_disc(given or p.minor)]
-            alone += sum(not any(casts(p, d) for p in balls) for d in dark)
+            alone += sum(not any(casts_shadow(p, d) for p in balls) for d in dark)
         least = max(SHADOWED * len(bright), FEWEST)
-        if shadowed > least or (len(bright) > FEWEST and 2 * len(bright) > len(either) and _lit_alike(bright)):
+        if shadowed > least or (len(bright) > FEWEST and 2 * len(bright) > len(either) and _lit_from_one_side(bright)):
             self.dark_balls = alone > least
             return bright
         self.signs = (0,)
         return either
 
-    def _looked_at(self) -> Iterator[list[Part]]:
+    def _survey(self) -> Iterator[list[ContrastRegion]]:
         """Parts clear of the picture's rim, of frames spread over the film."""
         scene_of = self._scene_of()
         frames = sorted(scene_of)
@@ -267,10 +277,10 @@ class Discs:
         return {k: scene for k, scene in every.items() if k not in self.takes.repeated}
 
     def _in_part(
-        self, light: NDArray[np.float32], ground: Background, part: Part, radius: float
-    ) -> list[tuple[Found, int]]:
+        self, light: NDArray[np.float32], ground: StillBackground, part: ContrastRegion, radius: float
+    ) -> list[tuple[DiscFit, int]]:
         """Discs in one part, with their flags."""
-        found: list[tuple[Found, int]] = []
+        found: list[tuple[DiscFit, int]] = []
         if part.is_disc(radius):
             fitted = fit_disc(light, ground, part.middle, self._look(radius), part.way, [])
             flag = BLURRED if np.hypot(*part.way) > ROUND * radius else 0
@@ -281,21 +291,21 @@ class Discs:
         self.fitted += [f.radius for f, flag in found if flag == 0]
         return found
 
-    def _look(self, radius: float) -> Look:
-        return Look(radius * self.larger, self.noise, self.shaded, self.tied * radius)
+    def _look(self, radius: float) -> DiscAppearance:
+        return DiscAppearance(radius * self.larger, self.noise, self.is_shaded, self.tied * radius)
 
     def _touching(
-        self, light: NDArray[np.float32], ground: Background, part: Part, radius: float
-    ) -> list[tuple[Found, int]]:
+        self, light: NDArray[np.float32], ground: StillBackground, part: ContrastRegion, radius: float
+    ) -> list[tuple[DiscFit, int]]:
         """Discs in a part that is not one whole disc: cut by the picture's rim, or several that touch."""
-        places = [(x + part.left, y + part.top) for x, y in middles_of(part, radius)]
+        places = [(x + part.left, y + part.top) for x, y in find_disc_centres(part, radius)]
         found, own = [], light
         if part.sign:  # without the others' shadows
             level = ground.level.astype(np.float32)
             own = level + part.sign * np.maximum(part.sign * (light - level), 0)
         for at in places:
             others = [p for p in places if p != at]
-            start = outline(own, ground.level, at, radius, others, self.low)
+            start = fit_outline_circle(own, ground.level, at, radius, others, self.low)
             if start is None and part.sign and others:  # what is lit of a ball is not round
                 start = np.array(at)
             fitted = None
@@ -305,9 +315,9 @@ class Discs:
                 found.append((fitted, NEAR if others else 0))
         return found
 
-    def _row(self, found: Found, flag: int, radius: float, shape: tuple[int, ...]) -> tuple[float, ...]:
+    def _row(self, found: DiscFit, flag: int, radius: float, shape: tuple[int, ...]) -> tuple[float, ...]:
         x, y = found.place
-        flag |= SHADED if self.shaded else 0
+        flag |= SHADED if self.is_shaded else 0
         whole = radius < x < shape[1] - 1 - radius and radius < y < shape[0] - 1 - radius
         cov = [m[i, j] for m in (found.cov, found.fixed) for i, j in ((0, 0), (0, 1), (1, 1))]
         return x, y, *cov, np.pi * radius**2, flag | (0 if whole else EDGE)
@@ -323,7 +333,7 @@ def _brighter(light: NDArray[np.float32], level: Array) -> float:
     return change if abs(change) > 1 else 0.0
 
 
-def _lit_alike(discs: list[Part]) -> bool:
+def _lit_from_one_side(discs: list[ContrastRegion]) -> bool:
     """Whether discs are brighter on one side, all on the same."""
     leans = np.array([disc.lean for disc in discs])
     mean = np.median(leans, axis=0)
@@ -331,7 +341,7 @@ def _lit_alike(discs: list[Part]) -> bool:
     return size > LIT and float(np.quantile(leans @ mean / size, 1 - MOST_LIT)) > LIT / 2
 
 
-def _common(radii: Array) -> list[float]:
+def _common_radii(radii: Array) -> list[float]:
     """The most common of radii, and a second if it is common, px."""
     common: list[float] = []
     for _ in range(2):

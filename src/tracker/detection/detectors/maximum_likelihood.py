@@ -11,16 +11,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tracker.camera.lens import Array
-from tracker.camera.mirror_images import secondary_of_pair, secondary_share, zenith_of_glint
-from tracker.detection.candidates import Search, coarse_position
+from tracker.camera.mirror_images import locate_secondary_glints, locate_zenith_point, secondary_flux_ratio
+from tracker.detection.candidates import CandidateSearch, estimate_coarse_positions
 from tracker.detection.glints import BLURRED, CLIPPED, EDGE, MISFIT, NEAR, Glints, View
 from tracker.detection.likelihood.ball_profile import BallProfile
-from tracker.detection.likelihood.dsnu import Bare
-from tracker.detection.likelihood.flux_prior import with_flux_prior
-from tracker.detection.likelihood.glint_fit import Fit, Windows, fit, learn, stretch
-from tracker.detection.likelihood.secondary_glints import with_common_reflectance
-from tracker.detection.link import FASTEST, assign, velocities
-from tracker.detection.motion_blur import MotionBlur
+from tracker.detection.likelihood.dsnu import DsnuEstimator
+from tracker.detection.likelihood.flux_prior import apply_flux_prior
+from tracker.detection.likelihood.glint_fit import GlintFit, GlintWindows, fit_glints, learn_profile, score_blur_length
+from tracker.detection.likelihood.secondary_glints import apply_common_reflectance
+from tracker.detection.link import FASTEST, assign, estimate_velocities
+from tracker.detection.motion_blur import MotionBlurEvidence
 
 Ints = NDArray[np.int64]
 
@@ -71,19 +71,19 @@ class MaximumLikelihood:
         self.size = (view.plate.level.shape[1], view.plate.level.shape[0])
         radius = self.camera.diameter_px / 2.0
         # A ball's own secondary glints stand .7 R from its centre, the next ball's glint at least 2 R away.
-        self.search = Search(view.plate, self.sigma, apart=max(1.6 * radius, 4.0 * self.sigma))
+        self.search = CandidateSearch(view.plate, self.sigma, apart=max(1.6 * radius, 4.0 * self.sigma))
         self.half = max(2, round(WIDTHS * self.sigma + 0.5))
         self.end, self.clear = END * radius, CLEAR * radius
         self.bounded = LIKE * radius > 2.5 * self.sigma
         # On a small ball that would cut the glint itself, and the blur makes the profile another than the one learnt.
         self.small = self.bounded and LIKE * radius < WIDTHS * self.sigma
         self.limit = min(self.clear, WIDTHS * self.sigma) if self.small else LIKE * radius
-        travel = FASTEST * self.camera.exposed / self.camera.scale if self.camera.metric else 4.0
+        travel = FASTEST * self.camera.effective_exposure / self.camera.scale if self.camera.metric else 4.0
         self.profile: BallProfile | None = None
-        self.motion_blur = MotionBlur()
+        self.motion_blur = MotionBlurEvidence()
         self.reach = self.half + math.ceil(min(travel, 60.0) / 2.0) + 1
         self.levelled = self.sensor = self.camera.sensor
-        self.bare = Bare(view.plate, math.ceil(HIDES * radius) + 2) if self.sensor.dsnu else None
+        self.bare = DsnuEstimator(view.plate, math.ceil(HIDES * radius) + 2) if self.sensor.dsnu else None
         self.sound = np.ones(view.plate.level.shape, dtype=np.bool_)
         self.sound.ravel()[view.plate.hot] = False
 
@@ -141,7 +141,7 @@ class MaximumLikelihood:
         names = _Patches.__dataclass_fields__
         patches = _Patches(*(np.concatenate([getattr(p, n) for p in held]) for n in names))
         corner = np.column_stack([patches.column, patches.row]).astype(np.float64)
-        position = corner + coarse_position(patches.counts, self.reach)
+        position = corner + estimate_coarse_positions(patches.counts, self.reach)
         rough = self._rough(patches, position)
         ids = assign(rough, self.camera)
         blur = self._blurs(rough, ids)
@@ -176,7 +176,7 @@ class MaximumLikelihood:
         found, light = found.take(good), light[good]
         if not clipped.any():  # position and flux of an open glint are hardly correlated
             return found
-        xy, cov = with_flux_prior(found.xy, found.cov, np.log(found.flux), light[:, :2], light[:, 2])
+        xy, cov = apply_flux_prior(found.xy, found.cov, np.log(found.flux), light[:, :2], light[:, 2])
         return replace(found, x=xy[:, 0], y=xy[:, 1], cov=cov)
 
     def _agree(self, found: Glints, second: Array, share: Array, open_: NDArray[np.bool_]) -> None:
@@ -184,7 +184,7 @@ class MaximumLikelihood:
         rows = np.flatnonzero(open_ & (share > 0) & (second[:, 3] > 0))
         unit = share[rows] * found.flux[rows]
         ratios = second[rows] / np.column_stack([unit, unit, unit, unit**2])
-        xy, cov = with_common_reflectance(found.xy[rows], found.cov[rows], ratios[:, 0], ratios[:, 1:3], ratios[:, 3])
+        xy, cov = apply_common_reflectance(found.xy[rows], found.cov[rows], ratios[:, 0], ratios[:, 1:3], ratios[:, 3])
         found.x[rows], found.y[rows] = xy.T
         found.cov[rows] = cov
 
@@ -207,7 +207,7 @@ class MaximumLikelihood:
         What mirrors the sky at an angle a from the zenith is a circle about cos(a/2) of the way from the ball's
         centre to where it mirrors the zenith.
         """
-        return zenith_of_glint(self.camera, position, MIDDLE) - position
+        return locate_zenith_point(self.camera, position, MIDDLE) - position
 
     def _rough(self, patches: _Patches, position: Array) -> Glints:
         n = len(position)
@@ -217,14 +217,14 @@ class MaximumLikelihood:
         )  # fmt: skip
 
     def _blurs(self, glints: Glints, ids: Ints) -> Array:
-        if self.camera.exposed == 0.0:
+        if self.camera.effective_exposure == 0.0:
             return np.zeros((len(glints), 2))
-        return velocities(glints.frame, ids, glints.xy) * (self.camera.exposed * self.camera.fps)
+        return estimate_velocities(glints.frame, ids, glints.xy) * (self.camera.effective_exposure * self.camera.fps)
 
     def _stretch(self, patches: _Patches, found: Glints, blur: Array, bowl: Array, good: NDArray[np.bool_]) -> None:
         """Gathers what the block's fastest single glints show of the length of the motion blur."""
         length = np.hypot(*blur.T)
-        rows = np.flatnonzero(good & self._apart(patches.frame, found.xy))
+        rows = np.flatnonzero(good & self._find_isolated(patches.frame, found.xy))
         rows = rows[np.argsort(-length[rows], kind="stable")]
         if len(rows) < MOVED + STILL or length[rows[MOVED - 1]] < LEAST * self.sigma:
             return
@@ -232,7 +232,7 @@ class MaximumLikelihood:
         half = min(self.half + math.floor(float(np.max(np.abs(blur[rows]))) / 2.0 + 0.35), self.reach)
         windows, origin = self._windows(patches, found.xy, blur, bowl, rows, half, self.limit)
         known = np.column_stack([found.xy[rows] - origin, np.log(found.flux[rows]), found.background[rows]])
-        self.motion_blur.add(*stretch(windows, known, np.arange(len(rows)) >= MOVED, self.sigma, self.sensor))
+        self.motion_blur.add(*score_blur_length(windows, known, np.arange(len(rows)) >= MOVED, self.sigma, self.sensor))
 
     def _fit(
         self, patches: _Patches, position: Array, blur: Array, bowl: Array, own: NDArray[np.bool_], secondaries: Array
@@ -259,7 +259,7 @@ class MaximumLikelihood:
             if kind & 1:
                 spots = secondaries[rows, :3] - np.column_stack([origin, np.zeros(len(rows))])
                 windows = replace(windows, secondaries=spots[:, None, :])
-            result = fit(windows, self.sigma, self.levelled if kind & 4 else self.sensor, known)
+            result = fit_glints(windows, self.sigma, self.levelled if kind & 4 else self.sensor, known)
             inflation = _inflation(result, windows)
             out.x[rows], out.y[rows] = (origin + result.xy).T
             out.cov[rows] = result.cov * inflation[:, None, None]
@@ -276,15 +276,15 @@ class MaximumLikelihood:
         """The clip's ball profile, from bright single glints of the block; ``position`` gets their better positions."""
         clear = patches.strength > 0.5 * float(np.median(patches.strength))
         clear &= np.hypot(*blur.T) < SMEARED * self.camera.diameter_px / 2.0
-        rows = np.flatnonzero(clear & self._apart(patches.frame, position))
+        rows = np.flatnonzero(clear & self._find_isolated(patches.frame, position))
         if len(rows) < FEWEST:
             return
         rows = rows[np.unique(np.linspace(0, len(rows) - 1, PUPILS).round().astype(np.int64))]
         windows, origin = self._windows(patches, position, blur, bowl, rows, self.half + 1, self.clear)
-        self.profile, found = learn(windows, self.sigma, self.levelled, self.end)
+        self.profile, found = learn_profile(windows, self.sigma, self.levelled, self.end)
         position[rows] = origin + found
 
-    def _apart(self, frame: Ints, position: Array) -> NDArray[np.bool_]:
+    def _find_isolated(self, frame: Ints, position: Array) -> NDArray[np.bool_]:
         """Which candidates have no other within three diameters in their frame; sorted by frame."""
         alone = np.ones(len(frame), dtype=bool)
         for lag in range(1, min(len(frame), CROWD)):
@@ -297,7 +297,7 @@ class MaximumLikelihood:
 
     def _windows(
         self, patches: _Patches, position: Array, blur: Array, bowl: Array, rows: Ints, half: int, limit: float
-    ) -> tuple[Windows, Array]:
+    ) -> tuple[GlintWindows, Array]:
         """Windows of 2 half + 1 pixels about the pixels nearest to ``position``, and those pixels' positions."""
         corner = np.column_stack([patches.column[rows], patches.row[rows]])
         room = self.reach - half
@@ -316,7 +316,7 @@ class MaximumLikelihood:
         used = inside * near[:, 1, :, None] * near[:, 0, None, :]
         used *= self._on_body(start + bowl[rows], blur[rows], half, limit)
         secondaries = np.zeros((len(rows), 0, 3))
-        return Windows(counts, used, start, blur[rows], bowl[rows], secondaries), origin
+        return GlintWindows(counts, used, start, blur[rows], bowl[rows], secondaries), origin
 
     def _on_body(self, middle: Array, blur: Array, half: int, limit: float) -> Array:
         """1 where a pixel sees the part of the ball that mirrors the room, in which the profile is a smooth bowl."""
@@ -332,7 +332,7 @@ class MaximumLikelihood:
         aside = np.where(length > 0, aside, np.hypot(across, down))
         return np.asarray(along**2 + aside**2 <= limit**2, dtype=np.float64)
 
-    def _flags(self, result: Fit, windows: Windows, blur: Array) -> Ints:
+    def _flags(self, result: GlintFit, windows: GlintWindows, blur: Array) -> Ints:
         full = ((windows.counts >= self.sensor.ceiling) & (windows.used > 0)).any(axis=(1, 2))
         flags = np.where(full, CLIPPED, 0)
         flags |= np.where(np.hypot(blur[:, 0], blur[:, 1]) > 0.5 * self.sigma, BLURRED, 0)
@@ -341,11 +341,11 @@ class MaximumLikelihood:
         edge = windows.used.sum(axis=(1, 2)) < 0.8 * min((2 * self.half + 1) ** 2, math.pi * self.limit**2)
         return np.asarray(flags | np.where(edge | cut, EDGE, 0), dtype=np.int64)
 
-    def _good(self, result: Fit, xy: Array, half: int) -> NDArray[np.bool_]:
+    def _good(self, result: GlintFit, xy: Array, half: int) -> NDArray[np.bool_]:
         in_view = np.all((xy > -0.5) & (xy < np.array(self.size) - 0.5), axis=1)
         kept_place = np.max(np.abs(result.xy), axis=1) < half
         bright = result.flux > SIGNIFICANT * result.flux_std
-        return np.asarray(in_view & kept_place & bright & (result.settled > 0))
+        return np.asarray(in_view & kept_place & bright & (result.converged > 0))
 
     def _neighbours(self, glints: Glints, good: NDArray[np.bool_]) -> tuple[NDArray[np.bool_], Array]:
         """Which glints (n,) have another ball near, and where that one makes a secondary glint on theirs (n, 4): its
@@ -368,15 +368,15 @@ class MaximumLikelihood:
         paired = nearest < SHOWING * self.camera.diameter_px
         secondaries = np.zeros((len(glints), 4))
         if self.camera.corrects_glint and paired.any():
-            secondaries[paired, :2] = secondary_of_pair(self.camera, glints.xy[paired], other[paired])
+            secondaries[paired, :2] = locate_secondary_glints(self.camera, glints.xy[paired], other[paired])
             secondaries[paired, 2] = 1.0
         bright = nearest < AGREE * self.camera.diameter_px
         if self.camera.corrects_glint and bright.any():
-            secondaries[bright, 3] = secondary_share(self.camera, glints.xy[bright], other[bright])
+            secondaries[bright, 3] = secondary_flux_ratio(self.camera, glints.xy[bright], other[bright])
         return nearest < NEARBY * self.camera.diameter_px, secondaries
 
 
-def _inflation(result: Fit, windows: Windows) -> Array:
+def _inflation(result: GlintFit, windows: GlintWindows) -> Array:
     """What the covariance is multiplied by where residuals are beyond doubt larger than the noise."""
     freedom = np.maximum(windows.used.sum(axis=(1, 2)) - 5.0, 1.0)
     return np.where(result.chi2 > 1.0 + 4.0 * np.sqrt(2.0 / freedom), result.chi2, 1.0)

@@ -7,7 +7,7 @@ from typing import Any
 from numpy.typing import NDArray
 
 from tracker.detection.glints import Glints, View
-from tracker.detection.trackpy_features import located, odd, trackpy_named
+from tracker.detection.trackpy_features import import_trackpy, locate_features, odd_diameter
 
 WIDTHS = 8.0  # of a glint, that its feature spans
 
@@ -18,10 +18,10 @@ class TrackpyDefaults:
     point = "either"
 
     def __init__(self, view: View) -> None:
-        self.trackpy: Any = trackpy_named("trackpy_defaults")
+        self.trackpy: Any = import_trackpy("trackpy_defaults")
         self.view = view
-        self.diameter = odd(WIDTHS * view.sigma if view.takes is None else view.camera.diameter_px)
+        self.diameter = odd_diameter(WIDTHS * view.sigma if view.takes is None else view.camera.diameter_px)
 
     def __call__(self, frame: NDArray[Any]) -> Glints:
         """All features of one frame."""
-        return located(self.trackpy, frame, self.diameter, self.view)
+        return locate_features(self.trackpy, frame, self.diameter, self.view)

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tracker.detection.glints import Glints, View
-from tracker.detection.trackpy_features import located, odd, trackpy_named
+from tracker.detection.trackpy_features import import_trackpy, locate_features, odd_diameter
 
 BRIGHT = 80.0  # noise deviations, of a glint's peak, over which a wide mask is the better one
 MASK = {False: (4.0, 68.0), True: (5.0, 107.0)}  # mask's half width over the glint's, and a mass that noise stays under
@@ -22,17 +22,17 @@ class TrackpyLocate:
     point = "either"
 
     def __init__(self, view: View) -> None:
-        self.trackpy: Any = trackpy_named("trackpy_locate")
+        self.trackpy: Any = import_trackpy("trackpy_locate")
         self.view = view
         self.apart = 0.8 * view.camera.diameter_px
 
     def __call__(self, frame: NDArray[Any]) -> Glints:
         """Glints of one frame; trackpy's static error for covariance, .1 px where it gives none."""
         if self.view.takes is not None:
-            diameter = odd(self.view.camera.diameter_px)
-            return located(self.trackpy, frame, diameter, self.view, separation=self.apart, topn=BALLS)
+            diameter = odd_diameter(self.view.camera.diameter_px)
+            return locate_features(self.trackpy, frame, diameter, self.view, separation=self.apart, topn=BALLS)
         wide, least = MASK[float(np.max(frame)) - float(np.median(frame)) > BRIGHT * self.view.plate.noise]
         diameter = 2 * max(2, round(wide * self.view.sigma)) + 1
         apart = max(self.apart, diameter + 1.0)
         limits = {"minmass": least * self.view.plate.noise, "percentile": BRIGHTEST}
-        return located(self.trackpy, frame, diameter, self.view, separation=apart, **limits)
+        return locate_features(self.trackpy, frame, diameter, self.view, separation=apart, **limits)

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tracker.detection.glints import Glints, View
-from tracker.detection.trackpy_features import located, odd, trackpy_named
+from tracker.detection.trackpy_features import import_trackpy, locate_features, odd_diameter
 
 Floats = NDArray[np.float64]
 WIDTHS, BRIGHTEST, LEAST = 8.0, 99.9, 68.0  # as for trackpy_locate of dim glints
@@ -30,18 +30,20 @@ class TrackpySpiff:
     point = "either"
 
     def __init__(self, view: View) -> None:
-        self.trackpy: Any = trackpy_named("trackpy_spiff")
+        self.trackpy: Any = import_trackpy("trackpy_spiff")
         self.view = view
 
     def __call__(self, frame: NDArray[Any]) -> Glints:
         """Glints of one frame, before SPIFF."""
         apart = 0.8 * self.view.camera.diameter_px
         if self.view.takes is not None:
-            diameter = odd(self.view.camera.diameter_px)
-            return located(self.trackpy, frame, diameter, self.view, separation=apart, topn=BALLS)
-        diameter = odd(WIDTHS * self.view.sigma)
+            diameter = odd_diameter(self.view.camera.diameter_px)
+            return locate_features(self.trackpy, frame, diameter, self.view, separation=apart, topn=BALLS)
+        diameter = odd_diameter(WIDTHS * self.view.sigma)
         limits = {"minmass": LEAST * self.view.plate.noise, "percentile": BRIGHTEST}
-        return located(self.trackpy, frame, diameter, self.view, separation=max(apart, diameter + 1.0), **limits)
+        return locate_features(
+            self.trackpy, frame, diameter, self.view, separation=max(apart, diameter + 1.0), **limits
+        )
 
     def many(self, frames: Iterable[tuple[int, NDArray[Any]]]) -> Glints:
         """Glints of a whole clip."""
@@ -50,10 +52,10 @@ class TrackpySpiff:
             one = self(frame)
             parts.append(replace(one, frame=np.full(len(one), number, dtype=np.int64)))
         found = Glints.join(parts)
-        return replace(found, x=evened(found.x), y=evened(found.y))
+        return replace(found, x=flatten_subpixel_distribution(found.x), y=flatten_subpixel_distribution(found.y))
 
 
-def evened(place: Floats) -> Floats:
+def flatten_subpixel_distribution(place: Floats) -> Floats:
     """Places along one axis, px, such that their parts within the pixel are evenly spread."""
     pixel = np.rint(place)
     order = np.sort(place)

@@ -17,7 +17,7 @@ from scipy.special import log_ndtr, ndtr
 
 from tracker.camera.camera import Camera
 from tracker.camera.lens import Array
-from tracker.camera.sensor import Sensor
+from tracker.camera.sensor import SensorSpec
 
 ROOT_TWO_PI = math.sqrt(2.0 * math.pi)
 CLEAR = 6.0  # deviations under the ceiling, from where on it does not matter
@@ -25,7 +25,7 @@ REACH = 4.0  # widths of the glint that a window must hold on each side
 
 
 @dataclass(frozen=True)
-class Shape:
+class GlintShape:
     """Unit-flux glints on (n, rows, columns) pixels, and their derivatives by position, 1/px."""
 
     value: Array
@@ -46,7 +46,7 @@ def _legendre(count: int) -> tuple[Array, Array]:
     return np.polynomial.legendre.leggauss(count)
 
 
-def glint_shape(xy: Array, blurs: Array, sigma: float, half: int) -> Shape:
+def glint_shape(xy: Array, blurs: Array, sigma: float, half: int) -> GlintShape:
     """Gaussian glints of unit flux, integrated over the pixels of square windows.
 
     Parameters
@@ -75,34 +75,34 @@ def glint_shape(xy: Array, blurs: Array, sigma: float, half: int) -> Shape:
     col_slope, row_slope = slope[:, :, 0], slope[:, :, 1] * weights[:, None]
     if len(weights) == 1:
         row, row_slope = row.transpose(0, 2, 1), row_slope.transpose(0, 2, 1)
-        return Shape(row * col, row * col_slope, row_slope * col)
+        return GlintShape(row * col, row * col_slope, row_slope * col)
     up, up_slope = row.transpose(0, 2, 1), row_slope.transpose(0, 2, 1)
-    return Shape(up @ col, up @ col_slope, up_slope @ col)
+    return GlintShape(up @ col, up @ col_slope, up_slope @ col)
 
 
-def spread(mean: Array, sensor: Sensor) -> tuple[Array, Array]:
+def pixel_noise(mean: Array, sensor: SensorSpec) -> tuple[Array, Array]:
     """Variance of pixels at their means, counts^2, and k = v'/(2v), 1/counts; any shape."""
     variance = sensor.variance(mean)
     return variance, sensor.variance_slope(mean) / (2.0 * variance)
 
 
-def information(mean: Array, sensor: Sensor, noise: tuple[Array, Array] | None = None) -> Array:
+def information(mean: Array, sensor: SensorSpec, noise: tuple[Array, Array] | None = None) -> Array:
     """Fisher information of one pixel about its own mean, 1/counts^2, any shape; clipping included.
 
     Open pixel: 1/v + (v'/v)^2 / 2. At the ceiling c a pixel says only that it is over c - 1/2, and the
     integrals of the squared score up to there, and of the tail beyond, take its place. noise: ``spread`` there.
     """
-    variance, k = spread(mean, sensor) if noise is None else noise
+    variance, k = pixel_noise(mean, sensor) if noise is None else noise
     info = np.asarray(1.0 / variance + 2.0 * k * k, dtype=np.float64)
     room = sensor.ceiling - 0.5 - mean
     if np.min(room, initial=np.inf) < CLEAR * math.sqrt(np.max(variance, initial=0.0)):
         z = room / np.sqrt(variance)
         near = z < CLEAR
-        info[near] = _censored(z[near], 1.0 / np.sqrt(variance[near]), k[near])
+        info[near] = _censored_information(z[near], 1.0 / np.sqrt(variance[near]), k[near])
     return info
 
 
-def _censored(z: Array, root: Array, k: Array) -> Array:
+def _censored_information(z: Array, root: Array, k: Array) -> Array:
     """Information with a ceiling z deviations over the mean; below it score = root u + k (u^2 - 1)."""
     low = ndtr(z)
     phi = np.exp(-0.5 * z * z) / ROOT_TWO_PI
@@ -113,7 +113,7 @@ def _censored(z: Array, root: Array, k: Array) -> Array:
     return np.asarray(open_part + phi * hazard * (root + k * z) ** 2, dtype=np.float64)
 
 
-def slopes(shape: Shape, flux: Array) -> Array:
+def slopes(shape: GlintShape, flux: Array) -> Array:
     """(n, 4, h, w) derivatives of the pixels' means by x, y, log flux and background."""
     grown = flux[:, None, None]
     return np.stack([grown * shape.by_x, grown * shape.by_y, grown * shape.value, np.ones_like(shape.value)], 1)
@@ -163,7 +163,7 @@ def localisation_bound(
     return _bound(camera, flux, xy, blur, background)[0]
 
 
-def fixed_part(camera: Camera, flux: ArrayLike, xy: ArrayLike) -> Array:
+def localisation_bound_fixed(camera: Camera, flux: ArrayLike, xy: ArrayLike) -> Array:
     """The part (n, 2, 2) px^2 of a resting glint's bound that is the same in every frame: of the pixels' own
     response and offset. A fixed error of a pixel shifts the position by cov d_a m / v. Arguments as above.
     """
@@ -189,6 +189,6 @@ def _bound(
         mean = ground[part, None, None] + flux_[part, None, None] * shape.value
         info, parts = information(mean, camera.sensor), slopes(shape, flux_[part])
         cov = np.linalg.inv(fisher(info, parts))
-        pattern = cov @ fisher(info**2 * camera.sensor.fixed_variance(mean), parts) @ cov
+        pattern = cov @ fisher(info**2 * camera.sensor.fixed_pattern_variance(mean), parts) @ cov
         out[part], fixed[part] = cov[:, :2, :2], pattern[:, :2, :2]
     return out, fixed

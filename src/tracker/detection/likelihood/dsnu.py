@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tracker.camera.lens import Array
-from tracker.detection.candidates import Ground
+from tracker.detection.candidates import EmptyPlate
 
 Ints = NDArray[np.int64]
 
@@ -20,10 +20,10 @@ WIDE = 9  # px, of the surroundings over which an offset is counted: what is smo
 OUTLIER = 4.0  # deviations: a mark on the plate, which a ball hides, is no offset
 
 
-class Bare:
+class DsnuEstimator:
     """Mean of a film's frames, of each all but the squares ``reach`` px about what was found there."""
 
-    def __init__(self, plate: Ground, reach: int) -> None:
+    def __init__(self, plate: EmptyPlate, reach: int) -> None:
         self.plate, self.frames, self.reach = plate, 0, reach
         self.sums, self.hidden = np.zeros((2, *plate.level.shape), np.float32)
 

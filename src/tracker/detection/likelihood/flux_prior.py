@@ -16,7 +16,7 @@ STRANGE = 5.0  # deviations of the bulk: another lamp's glint, or none
 NORMAL = 1.4826  # standard deviation of a normal spread over its median absolute deviation
 
 
-def with_flux_prior(xy: Array, cov: Array, log_flux: Array, cross: Array, own: Array) -> tuple[Array, Array]:
+def apply_flux_prior(xy: Array, cov: Array, log_flux: Array, cross: Array, own: Array) -> tuple[Array, Array]:
     """Glints' positions with what the flux of the film's other glints adds to them.
 
     Conditioning of normal errors: where the log flux is off by d, and d has the variance v = own + the scatter of true

@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 from scipy.special import log_ndtr
 
 from tracker.camera.lens import Array
-from tracker.camera.sensor import Sensor
+from tracker.camera.sensor import SensorSpec
 from tracker.detection.likelihood.ball_profile import POWERS, BallProfile
-from tracker.detection.likelihood.cramer_rao import ROOT_TWO_PI, fisher, glint_shape, information, spread
+from tracker.detection.likelihood.cramer_rao import ROOT_TWO_PI, fisher, glint_shape, information, pixel_noise
 
 STEPS = 30
 LOG_FLUX = (-5.0, 18.0)
@@ -34,7 +34,7 @@ CLOSE = 0.003  # px and log flux: a step this small is the last one, for the nex
 
 
 @dataclass(frozen=True, eq=False)
-class Windows:
+class GlintWindows:
     """What is fitted: ``counts`` (n, s, s), ``used`` (n, s, s) 1 where a pixel counts, ``start`` (n, 2) px from
     the central pixel, ``blur`` (n, 2) px the way during the exposure, ``bowl`` (n, 2) px from glint to the
     profile's centre. ``secondaries`` (n, g, 3): positions from the central pixel, px, of weaker glints and 1 where
@@ -55,13 +55,13 @@ class Windows:
     def half(self) -> int:
         return int(self.counts.shape[1]) // 2
 
-    def take(self, rows: Any) -> Windows:
+    def take(self, rows: Any) -> GlintWindows:
         """The windows of ``rows``."""
-        return Windows(*(getattr(self, name)[rows] for name in self.__dataclass_fields__))
+        return GlintWindows(*(getattr(self, name)[rows] for name in self.__dataclass_fields__))
 
 
 @dataclass(frozen=True, eq=False)
-class Fit:
+class GlintFit:
     """Of n windows: ``xy`` (n, 2) px from the central pixel, ``flux`` and ``background`` (n,) counts, ``cov``
     (n, 2, 2) px^2 and ``fixed``, the part of it that a resting ball has in every frame alike, ``flux_std``,
     ``chi2`` a degree of freedom over open pixels, ``loglik``, ``settled`` (n,), ``cross`` (n, 2) px the covariance
@@ -77,14 +77,14 @@ class Fit:
     flux_std: Array
     chi2: Array
     loglik: Array
-    settled: Array
+    converged: Array
     cross: Array
     secondary: Array
 
 
-def fit(
-    windows: Windows, sigma: float, sensor: Sensor, profile: BallProfile | None = None, close: float = CLOSE
-) -> Fit:
+def fit_glints(
+    windows: GlintWindows, sigma: float, sensor: SensorSpec, profile: BallProfile | None = None, close: float = CLOSE
+) -> GlintFit:
     """Fit a glint to each window, on a ball profile of known shape or on a bowl of its own.
 
     Parameters
@@ -103,7 +103,7 @@ def fit(
     """
     theta, n = _start(windows, sigma, sensor, profile), len(windows)
     active = np.arange(n)
-    _bounded(theta, active, windows.half)
+    _clip_parameters(theta, active, windows.half)
     part, values = windows, np.full((n, 17), np.nan)
     limit = _longest(sigma)
     for number in range(STEPS):
@@ -115,7 +115,7 @@ def fit(
         if number >= SWINGING:
             step *= 0.5
         theta[active] += step
-        _bounded(theta, active, part.half)
+        _clip_parameters(theta, active, part.half)
         still = np.max(np.abs(step[:, :3]), axis=1) > close
         if number == STEPS - 1 or not still.all():
             ended = np.flatnonzero(~still) if number < STEPS - 1 else np.arange(len(active))
@@ -125,13 +125,13 @@ def fit(
             part = windows.take(active)
     cov, fixed = values[:, :4].reshape(n, 2, 2).copy(), values[:, 4:8].reshape(n, 2, 2).copy()
     flux = np.exp(theta[:, 2])
-    return Fit(
+    return GlintFit(
         theta[:, :2].copy(), flux, theta[:, 3].copy(), cov, fixed, flux * values[:, 8], values[:, 9], values[:, 10],
         values[:, 11], values[:, 12:14], np.column_stack([_secondary(theta, windows, profile), values[:, 14:]]),
     )  # fmt: skip
 
 
-def _secondary(theta: Array, windows: Windows, profile: BallProfile | None) -> Array:
+def _secondary(theta: Array, windows: GlintWindows, profile: BallProfile | None) -> Array:
     """Flux (n,) of each window's first secondary glint."""
     return theta[:, 4 + (profile is None)] if windows.secondaries.shape[1] else np.full(len(theta), np.nan)
 
@@ -141,7 +141,7 @@ def _longest(sigma: float) -> Array:
     return 0.7 * np.array([sigma, sigma, 1.0])
 
 
-def _bounded(theta: Array, active: NDArray[np.int64], half: int) -> None:
+def _clip_parameters(theta: Array, active: NDArray[np.int64], half: int) -> None:
     """Keeps runaway fits where they can still be computed; they never settle."""
     theta[active, :2] = np.clip(theta[active, :2], -half, half)
     theta[active, 2] = np.clip(theta[active, 2], *LOG_FLUX)
@@ -149,7 +149,7 @@ def _bounded(theta: Array, active: NDArray[np.int64], half: int) -> None:
 
 
 def _model(
-    theta: Array, windows: Windows, sigma: float, profile: BallProfile | None, room: int = 0
+    theta: Array, windows: GlintWindows, sigma: float, profile: BallProfile | None, room: int = 0
 ) -> tuple[Array, Array]:
     """Means (n, s, s) and their derivatives (n, p, s, s) by x, y, log flux, level, a free bowl, the secondaries'
     fluxes; room: for how many further derivatives, left empty.
@@ -181,7 +181,7 @@ def _model(
 
 
 @dataclass(frozen=True, eq=False)
-class _Evaluated:
+class _Evaluation:
     """A model beside its windows: ``mean`` and ``variance`` (n, s, s), ``parts`` (n, p, s, s), the information
     ``info`` (n, p, p) and the score ``slope`` (n, p) of the parameters.
     """
@@ -193,39 +193,44 @@ class _Evaluated:
     slope: Array
 
     @staticmethod
-    def of(windows: Windows, mean: Array, parts: Array, sensor: Sensor) -> _Evaluated:
-        noise = spread(mean, sensor)
+    def of(windows: GlintWindows, mean: Array, parts: Array, sensor: SensorSpec) -> _Evaluation:
+        noise = pixel_noise(mean, sensor)
         info = fisher(information(mean, sensor, noise) * windows.used, parts)
         score = _score(windows.counts, mean, sensor, noise)
         score *= windows.used
         slope = parts.reshape(*parts.shape[:2], -1) @ score.reshape(len(parts), -1, 1)
-        return _Evaluated(mean, noise[0], parts, _loaded(info), slope[..., 0])
+        return _Evaluation(mean, noise[0], parts, _add_ridge(info), slope[..., 0])
 
-    def take(self, rows: NDArray[np.int64]) -> _Evaluated:
+    def take(self, rows: NDArray[np.int64]) -> _Evaluation:
         if len(rows) == len(self.mean):
             return self
-        return _Evaluated(*(getattr(self, name)[rows] for name in self.__dataclass_fields__))
+        return _Evaluation(*(getattr(self, name)[rows] for name in self.__dataclass_fields__))
 
 
 def _evaluate(
-    theta: Array, windows: Windows, sigma: float, sensor: Sensor, profile: BallProfile | None, shared: bool = False
-) -> _Evaluated:
+    theta: Array,
+    windows: GlintWindows,
+    sigma: float,
+    sensor: SensorSpec,
+    profile: BallProfile | None,
+    shared: bool = False,
+) -> _Evaluation:
     """shared: by the profile's coefficients too, last of the parameters."""
     room = len(POWERS) if shared else 0
     mean, parts = _model(theta, windows, sigma, profile, room)
     if shared and profile is not None:
         parts[:, -room:] = profile.basis(theta[:, :2] + windows.bowl, windows.half)
-    return _Evaluated.of(windows, mean, parts, sensor)
+    return _Evaluation.of(windows, mean, parts, sensor)
 
 
-def _loaded(info: Array) -> Array:
+def _add_ridge(info: Array) -> Array:
     """A trace of ridge, so that a window that lacks a glint or a secondary stays solvable."""
     size = np.diagonal(info, axis1=1, axis2=2)
     ridge = 1e-9 * size + 1e-12
     return np.asarray(info + np.eye(info.shape[1]) * ridge[:, None, :], dtype=np.float64)
 
 
-def _start(windows: Windows, sigma: float, sensor: Sensor, profile: BallProfile | None) -> Array:
+def _start(windows: GlintWindows, sigma: float, sensor: SensorSpec, profile: BallProfile | None) -> Array:
     """Positions as given; flux and level by weighted linear least squares of the open pixels at those positions."""
     shape = glint_shape(windows.start, windows.blur, sigma, windows.half)
     weight = windows.used * (windows.counts < sensor.ceiling) / np.maximum(sensor.variance(windows.counts), 1e-9)
@@ -240,7 +245,7 @@ def _start(windows: Windows, sigma: float, sensor: Sensor, profile: BallProfile 
     return np.column_stack([windows.start, np.log(flux), mean_count - flux * mean_shape, rest])
 
 
-def _score(counts: Array, mean: Array, sensor: Sensor, noise: tuple[Array, Array]) -> Array:
+def _score(counts: Array, mean: Array, sensor: SensorSpec, noise: tuple[Array, Array]) -> Array:
     """d log likelihood / d mean of each pixel."""
     variance, k = noise
     miss = counts - mean
@@ -255,14 +260,14 @@ def _score(counts: Array, mean: Array, sensor: Sensor, noise: tuple[Array, Array
     return score
 
 
-def learn(windows: Windows, sigma: float, sensor: Sensor, end: float) -> tuple[BallProfile, Array]:
+def learn_profile(windows: GlintWindows, sigma: float, sensor: SensorSpec, end: float) -> tuple[BallProfile, Array]:
     """The one profile under which all the windows are likeliest, and their positions (n, 2) px from the central pixel.
 
     Each has a position, flux and level of its own; these are eliminated (Schur complement), and the rest is nearly
     linear.
     """
     profile, limit = BallProfile(end, np.zeros(len(POWERS))), _longest(sigma)
-    theta, own = _start(windows, sigma, sensor, profile), fit(windows, sigma, sensor, close=ROUGH)
+    theta, own = _start(windows, sigma, sensor, profile), fit_glints(windows, sigma, sensor, close=ROUGH)
     theta[:, :3] = np.column_stack([own.xy, np.log(own.flux)])
     for _ in range(LESSONS):
         seen = _evaluate(theta, windows, sigma, sensor, profile, shared=True)
@@ -275,13 +280,13 @@ def learn(windows: Windows, sigma: float, sensor: Sensor, end: float) -> tuple[B
         step = (solved[:, :, -1:] - solved[:, :, :-1] @ change)[..., 0]
         step[:, :3] = np.clip(step[:, :3], -limit, limit)
         theta += step
-        _bounded(theta, np.arange(len(theta)), windows.half)
+        _clip_parameters(theta, np.arange(len(theta)), windows.half)
         profile = BallProfile(end, np.clip(profile.coefficients + change[:, 0], -MOST, MOST))
     return profile, theta[:, :2]
 
 
-def stretch(
-    windows: Windows, known: Array, still: NDArray[np.bool_], sigma: float, sensor: Sensor
+def score_blur_length(
+    windows: GlintWindows, known: Array, still: NDArray[np.bool_], sigma: float, sensor: SensorSpec
 ) -> tuple[Array, Array]:
     """Score and information of each window on the logarithm of the length of the motion blur.
 
@@ -307,10 +312,10 @@ def stretch(
     mean, parts = _model(theta, windows, sigma, None, room=1)
     along, twist, across = _bends(theta, windows, sigma)
     parts[:, 5] = wider = sigma**2 * (along + across)
-    seen = _Evaluated.of(windows, mean, parts, sensor)
+    seen = _Evaluation.of(windows, mean, parts, sensor)
     step = np.linalg.solve(seen.info, seen.slope[..., None])[..., 0]
     theta += step[:, :5]
-    _bounded(theta, np.arange(len(theta)), windows.half)
+    _clip_parameters(theta, np.arange(len(theta)), windows.half)
     sigma *= math.exp(float(np.clip(np.median(step[still, 5]), *WIDER)))
     mean, parts = _model(theta, windows, sigma, None, room=4)
     parts[:, 5], parts[:, 6], parts[:, 7] = wider, along - across, twist
@@ -318,7 +323,7 @@ def stretch(
         glint_shape(theta[:, :2], (1.0 + by) * windows.blur, sigma, windows.half).value for by in (-NUDGE, NUDGE)
     )
     parts[:, 8] = np.exp(theta[:, 2])[:, None, None] * (other - one) / (2.0 * NUDGE)
-    seen = _Evaluated.of(windows, mean, parts, sensor)
+    seen = _Evaluation.of(windows, mean, parts, sensor)
     mixed = seen.info[:, :6, 6:]
     solved = np.linalg.solve(seen.info[:, :6, :6], np.concatenate([mixed, seen.slope[:, :6, None]], axis=2))
     left = seen.info[:, 6:, 6:] - mixed.transpose(0, 2, 1) @ solved[..., :3]
@@ -328,7 +333,7 @@ def stretch(
     return score @ by, np.einsum("i,nij,j->n", by, left, by)
 
 
-def _bends(theta: Array, windows: Windows, sigma: float) -> tuple[Array, Array, Array]:
+def _bends(theta: Array, windows: GlintWindows, sigma: float) -> tuple[Array, Array, Array]:
     """Second derivatives of glints by xx, xy and yy, counts/px^2, (n, s, s) each."""
     flux, by = np.exp(theta[:, 2])[:, None, None], NUDGE * sigma
     left, right, up, down = (
@@ -339,7 +344,9 @@ def _bends(theta: Array, windows: Windows, sigma: float) -> tuple[Array, Array, 
     return factor * (right.by_x - left.by_x), factor * (right.by_y - left.by_y), factor * (down.by_y - up.by_y)
 
 
-def _figures(seen: _Evaluated, windows: Windows, step: Array, settled: NDArray[np.bool_], sensor: Sensor) -> Array:
+def _figures(
+    seen: _Evaluation, windows: GlintWindows, step: Array, settled: NDArray[np.bool_], sensor: SensorSpec
+) -> Array:
     """(n, 17): cov and fixed of the position, error of log flux, chi^2 a degree of freedom, log likelihood, settled,
     covariance of position and log flux; of the first secondary's flux its covariance with the position and its
     variance.
@@ -352,7 +359,7 @@ def _figures(seen: _Evaluated, windows: Windows, step: Array, settled: NDArray[n
     is_open = windows.used * ~full if full.any() else windows.used
     square = (windows.counts - mean) ** 2 / variance
     # A fixed error of a pixel shifts the position by cov d_a m / v: its covariance is that of these shifts.
-    pattern = cov @ fisher(is_open * sensor.fixed_variance(mean) / variance**2, seen.parts) @ cov
+    pattern = cov @ fisher(is_open * sensor.fixed_pattern_variance(mean) / variance**2, seen.parts) @ cov
     freedom = np.maximum(is_open.sum(axis=(1, 2)) - step.shape[1], 1.0)
     gain = np.where(settled, (step * seen.slope).sum(axis=1), 0.0)
     loglik = is_open * (-0.5 * square - 0.5 * np.log(variance))

@@ -12,7 +12,9 @@ ROUNDS = 3  # in which the scatter of the reflectances is found
 LOOSE = 0.1  # of the reflectance, what geometry leaves out: images of higher order, the neighbour's dark side
 
 
-def with_common_reflectance(xy: Array, cov: Array, reflectance: Array, cross: Array, own: Array) -> tuple[Array, Array]:
+def apply_common_reflectance(
+    xy: Array, cov: Array, reflectance: Array, cross: Array, own: Array
+) -> tuple[Array, Array]:
     """Glints' positions with what the reflectance of the other balls adds to them.
 
     Conditioning of normal errors on the mean of all the others, which leaves out what a window says itself.

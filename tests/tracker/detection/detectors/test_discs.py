@@ -6,11 +6,11 @@ from tracker_discs import CAMERA, SIZE, R, collision, disc, film, lit_film, plat
 
 import tracker
 from tracker.camera.camera import Camera
-from tracker.camera.memory import frames_in_memory
-from tracker.detection.detect import detect, view_of
+from tracker.camera.film_in_memory import wrap_frames
+from tracker.detection.detect import detect, make_view
 from tracker.detection.detectors.discs import Discs
 from tracker.detection.glints import SHADED
-from tracker.detection.still_background import still_background
+from tracker.detection.still_background import estimate_still_background
 
 
 def bound(ball, ground, noise):
@@ -28,7 +28,7 @@ def test_both_balls_in_every_frame_near_the_bound(ball, level):
     ground = plate(rng, level)
     pictures = film(rng, ways, ball, ground=ground)
     clip = recorded(pictures, Camera.from_dict(CAMERA))
-    found = detect(clip, view_of(clip, "discs"), "discs")
+    found = detect(clip, make_view(clip, "discs"), "discs")
     places = ways[:, found.frame]
     ball_of = np.hypot(*np.moveaxis(places - found.xy, -1, 0)).argmin(axis=0)
     miss = found.xy - places[ball_of, np.arange(len(found))]
@@ -43,7 +43,7 @@ def test_dim_discs_in_noise_are_all_found():
     """Contrast 25, noise 6; at rest too, where a pixel alone does not tell the ball from the plate."""
     ways = collision()
     clip = recorded(film(np.random.default_rng(1), ways, 95.0, 6.0), Camera.from_dict(CAMERA))
-    found = detect(clip, view_of(clip, "discs"), "discs")
+    found = detect(clip, make_view(clip, "discs"), "discs")
     away = np.hypot(*np.moveaxis(ways[:, found.frame] - found.xy, -1, 0))
     assert np.bincount(away.argmin(axis=0)).tolist() == [ways.shape[1]] * 2
     assert away.min(axis=0).max() < 0.5
@@ -54,7 +54,7 @@ def test_the_background_that_balls_leave_free_has_true_errors():
     rng, ways = np.random.default_rng(2), collision()
     ground = plate(rng, texture=150.0)
     clip = recorded(film(rng, ways, ground=ground), Camera.from_dict(CAMERA))
-    found = Discs(view_of(clip, "discs")).scenes[0]
+    found = Discs(make_view(clip, "discs")).scenes[0]
     z = (found.level - ground)[found.known] / found.error[found.known]
     assert found.known.mean() > 0.99
     assert np.sqrt(np.mean(z**2)) == pytest.approx(1.0, abs=0.1)
@@ -63,7 +63,7 @@ def test_the_background_that_balls_leave_free_has_true_errors():
 def test_the_diameter_is_found_from_the_film():
     pictures = film(np.random.default_rng(4), collision())
     clip = recorded(pictures, Camera.unknown((SIZE[1], SIZE[0]), 8))
-    assert Discs(view_of(clip, "discs")).radius == pytest.approx(R, rel=0.03)
+    assert Discs(make_view(clip, "discs")).radius == pytest.approx(R, rel=0.03)
     tracks = tracker.track(pictures, detector="discs").tracks
     assert tracks.groupby("particle").size().tolist() == [60, 60]
     assert not tracks["flags"].str.contains("glint").any()
@@ -81,7 +81,7 @@ def test_the_background_under_a_ball_that_rests_for_most_of_the_film():
     rng, ways = np.random.default_rng(6), collision(contact=45)
     ground = plate(rng)
     pictures = film(rng, ways, ground=ground)
-    found = still_background(frames_in_memory(pictures), 2.0)
+    found = estimate_still_background(wrap_frames(pictures), 2.0)
     level, known = found.level, found.known
     assert np.abs(level - ground)[known].max() < 30
     assert np.sqrt(np.mean((level - ground)[known] ** 2)) < 1.0
@@ -92,7 +92,7 @@ def test_balls_lit_from_one_side_that_cast_shadows():
     """Every ball is found at its own place, not at that of its bright side, and no shadow is taken for one."""
     ways = collision()
     clip = recorded(lit_film(np.random.default_rng(7), ways), Camera.from_dict(CAMERA))
-    discs = Discs(view_of(clip, "discs"))
+    discs = Discs(make_view(clip, "discs"))
     found = discs.many(enumerate(clip.frames))
     places = ways[:, found.frame]
     ball_of = np.hypot(*np.moveaxis(places - found.xy, -1, 0)).argmin(axis=0)
@@ -107,7 +107,7 @@ def test_balls_lit_from_one_side_on_a_plate_too_dark_for_shadows():
     ways = collision()
     ground = plate(np.random.default_rng(9), 14.0, 1.0) - plate(np.random.default_rng(9), 0.0, 0.0)
     clip = recorded(lit_film(np.random.default_rng(7), ways, (0.35, -0.2), ground=ground), Camera.from_dict(CAMERA))
-    found = Discs(view_of(clip, "discs")).many(enumerate(clip.frames))
+    found = Discs(make_view(clip, "discs")).many(enumerate(clip.frames))
     places = ways[:, found.frame]
     ball_of = np.hypot(*np.moveaxis(places - found.xy, -1, 0)).argmin(axis=0)
     miss = found.xy - places[ball_of, np.arange(len(found))]
@@ -118,7 +118,7 @@ def test_balls_lit_from_one_side_on_a_plate_too_dark_for_shadows():
 
 def test_what_one_detector_misses_is_left_to_the_other(monkeypatch):
     """The film is of discs; told that it is of glints, the tracker tries both and says so."""
-    monkeypatch.setattr("tracker.recording.choose", lambda *_: ("maximum_likelihood", ""))
+    monkeypatch.setattr("tracker.recording.choose_detector", lambda *_: ("maximum_likelihood", ""))
     pictures = film(np.random.default_rng(8), collision(), 25.0, 0.3, np.full(SIZE, 150.0))
     result = tracker.track(pictures, CAMERA)
     assert result.tracks.groupby("particle").size().tolist() == [60, 60]

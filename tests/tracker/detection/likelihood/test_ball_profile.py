@@ -7,12 +7,12 @@ import pytest
 from scipy.ndimage import gaussian_filter
 from tracker_film import disc, expose, spot
 
-from tracker.camera.sensor import Sensor
+from tracker.camera.sensor import SensorSpec
 from tracker.detection.likelihood.ball_profile import BallProfile
 from tracker.detection.likelihood.cramer_rao import fisher, information
-from tracker.detection.likelihood.glint_fit import Windows, fit, learn
+from tracker.detection.likelihood.glint_fit import GlintWindows, fit_glints, learn_profile
 
-SENSOR = Sensor(bits=8, gain=20.0, read_noise=20.0, black_level=8.0)
+SENSOR = SensorSpec(bits=8, gain=20.0, read_noise=20.0, black_level=8.0)
 HALF, RADIUS = 5, 7.44
 BODY = BallProfile(0.9 * RADIUS, np.array([3.0, 8.0, -2.0]))
 
@@ -30,7 +30,9 @@ def windows(rng, n, peak=200.0, profile=14.0, reach=0.68):
     middle, offsets = positions + away, np.arange(-HALF, HALF + 1.0)
     square = (offsets[:, None] - middle[:, None, 1:]) ** 2 + (offsets - middle[:, None, :1]) ** 2
     used = (square < (reach * RADIUS) ** 2).astype(float)
-    shown = Windows(np.array(counts, float), used, positions.round(1), nothing, nothing + away, np.zeros((n, 0, 3)))
+    shown = GlintWindows(
+        np.array(counts, float), used, positions.round(1), nothing, nothing + away, np.zeros((n, 0, 3))
+    )
     return shown, positions
 
 
@@ -55,7 +57,7 @@ def test_motion_blur_is_the_mean_over_its_way():
 
 def test_the_profile_is_learnt_as_it_is_drawn():
     shown, positions = windows(np.random.default_rng(0), 128)
-    profile, found = learn(shown, 1.0, SENSOR, 0.9 * RADIUS)
+    profile, found = learn_profile(shown, 1.0, SENSOR, 0.9 * RADIUS)
     assert np.std(found - positions) < 0.02  # px
     distance = np.linspace(0, 4.5, 10)
     drawn = gaussian_filter(14.0 * disc((41, 41), 20, 20, RADIUS), 1.0)[20]
@@ -71,8 +73,8 @@ def test_a_known_profile_is_worth_more_than_a_bowl_of_ones_own():
     errors, claims = [], []
     for reach, known in ((0.55, False), (0.68, True)):  # a bowl of its own holds less far out
         shown, positions = windows(np.random.default_rng(1), 400, peak=700.0, reach=reach)
-        profile = learn(shown.take(np.arange(128)), 1.0, SENSOR, 0.9 * RADIUS)[0] if known else None
-        result = fit(shown, 1.0, SENSOR, profile)
+        profile = learn_profile(shown.take(np.arange(128)), 1.0, SENSOR, 0.9 * RADIUS)[0] if known else None
+        result = fit_glints(shown, 1.0, SENSOR, profile)
         miss = result.xy - positions
         z = np.linalg.solve(np.linalg.cholesky(result.cov), miss[..., None])
         assert abs(z.std() - 1) < 4 / math.sqrt(2 * z.size)

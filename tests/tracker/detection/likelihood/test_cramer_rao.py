@@ -7,10 +7,10 @@ import pytest
 from scipy.stats import norm
 from tracker_film import CAMERA, spot
 
-from tracker.camera.camera import Camera, Sensor
+from tracker.camera.camera import Camera, SensorSpec
 from tracker.detection.likelihood.cramer_rao import glint_shape, information, localisation_bound
 
-SENSOR = Sensor(bits=8, gain=20, read_noise=20, prnu=0.005, dsnu=4, full_well=6000, black_level=8)
+SENSOR = SensorSpec(bits=8, gain=20, read_noise=20, prnu=0.005, dsnu=4, full_well=6000, black_level=8)
 
 
 def by_counts(mean, sensor):
@@ -35,8 +35,8 @@ def test_information_is_that_of_the_counts(mean):
 
 
 def test_clipping_costs_information():
-    wide = Sensor(bits=12, gain=20, read_noise=20, full_well=80000, black_level=8)
-    narrow = Sensor(bits=8, gain=20, read_noise=20, full_well=80000, black_level=8)
+    wide = SensorSpec(bits=12, gain=20, read_noise=20, full_well=80000, black_level=8)
+    narrow = SensorSpec(bits=8, gain=20, read_noise=20, full_well=80000, black_level=8)
     mean = np.array([200.0, 254.5, 300.0])
     ratio = information(mean, narrow) / information(mean, wide)
     assert ratio[0] == pytest.approx(1, abs=1e-6)
@@ -45,9 +45,9 @@ def test_clipping_costs_information():
 
 
 def test_full_well_below_the_converter_is_the_ceiling():
-    shallow = Sensor(bits=12, gain=20, read_noise=20, full_well=6000, black_level=8)
+    shallow = SensorSpec(bits=12, gain=20, read_noise=20, full_well=6000, black_level=8)
     assert shallow.ceiling == 304
-    assert Sensor(bits=8, gain=20, full_well=6000, black_level=8).ceiling == 255
+    assert SensorSpec(bits=8, gain=20, full_well=6000, black_level=8).ceiling == 255
 
 
 @pytest.mark.parametrize("blur", [(0.0, 0.0), (3.0, -2.0), (0.3, 0.1), (11.0, 4.0)])

@@ -9,10 +9,10 @@ from scipy.ndimage import binary_dilation, uniform_filter
 from tracker_film import CAMERA, disc, spot
 
 from tracker.camera.camera import Camera
-from tracker.camera.frames import Clip, Frames
-from tracker.detection.candidates import Ground
-from tracker.detection.detect import detect, view_of
-from tracker.detection.likelihood.dsnu import FEWEST, WIDE, Bare
+from tracker.camera.recordings import Frames, Recording
+from tracker.detection.candidates import EmptyPlate
+from tracker.detection.detect import detect, make_view
+from tracker.detection.likelihood.dsnu import FEWEST, WIDE, DsnuEstimator
 
 SHAPE, SPREAD, NOISE = (240, 320), 0.3, 1.0
 ALL = np.indices(SHAPE)
@@ -24,7 +24,7 @@ def shown(rng, frames, spread=SPREAD, texture=None, reach=3, finds=()):
     light = 8.0 + ALL[1] / 80 + (0.0 if texture is None else texture)
     hot = np.flatnonzero(light > 20)
     level = np.rint(8.0 + ALL[1] / 80).astype(np.uint8)
-    plate = Bare(Ground(level, noise(), hot), reach)
+    plate = DsnuEstimator(EmptyPlate(level, noise(), hot), reach)
     for k in range(frames):
         frame = np.rint(light + own + NOISE * rng.standard_normal(SHAPE)).astype(np.uint8)
         at = np.array([f(k) for f in finds], dtype=np.int64).reshape(-1, 2)
@@ -120,7 +120,7 @@ def test_positions_gain_what_the_pattern_costs():
     frames, positions = np.clip(frames, 0, 255).astype(np.uint8), np.array(positions)
     known = {k: v for k, v in CAMERA.items() if k != "lamp"}
     camera = Camera.from_dict(known | {"sensor": CAMERA["sensor"] | {"dsnu": 20 * dsnu}})
-    clip = Clip(0, camera, Frames(len(frames), frames.shape[1:], frames.dtype, lambda k: frames[k]))
+    clip = Recording(0, camera, Frames(len(frames), frames.shape[1:], frames.dtype, lambda k: frames[k]))
 
     def errors(view):
         found = detect(clip, view)
@@ -128,7 +128,7 @@ def test_positions_gain_what_the_pattern_costs():
         z = np.linalg.solve(np.linalg.cholesky(found.cov[order]), (found.xy[order] - positions[:, 1:])[..., None])
         return np.sqrt(np.mean((found.xy[order] - positions[:, 1:]) ** 2)), np.sqrt(np.mean(z**2))
 
-    view = view_of(clip)
+    view = make_view(clip)
     rms, z = errors(view)
     raw = dataclasses.replace(camera, sensor=dataclasses.replace(camera.sensor, dsnu=0.0, read_noise=20 * math.sqrt(2)))
     ignorant, _ = errors(dataclasses.replace(view, camera=raw))

@@ -8,10 +8,10 @@ import pytest
 from scipy.optimize import minimize
 from tracker_film import expose, spot
 
-from tracker.camera.sensor import Sensor
-from tracker.detection.likelihood.glint_fit import Windows, fit
+from tracker.camera.sensor import SensorSpec
+from tracker.detection.likelihood.glint_fit import GlintWindows, fit_glints
 
-SENSOR = Sensor(bits=8, gain=20.0, read_noise=20.0, prnu=0.01, dsnu=4.0, black_level=8.0)
+SENSOR = SensorSpec(bits=8, gain=20.0, read_noise=20.0, prnu=0.01, dsnu=4.0, black_level=8.0)
 
 
 def shown(rng, n, peak, half=4):
@@ -22,7 +22,7 @@ def shown(rng, n, peak, half=4):
     counts = [expose(rng, 4.0 + flux * spot((side, side), half + x, half + y, 1.0)) for x, y in positions]
     nothing = np.zeros((n, 2))
     start = np.clip(positions + rng.normal(0, 0.2, (n, 2)), -1, 1)
-    return Windows(np.array(counts, float), np.ones((n, side, side)), start, nothing, nothing, np.zeros((n, 0, 3)))
+    return GlintWindows(np.array(counts, float), np.ones((n, side, side)), start, nothing, nothing, np.zeros((n, 0, 3)))
 
 
 def negative_loglik(theta, counts, middle, half=4):
@@ -44,7 +44,7 @@ def negative_loglik(theta, counts, middle, half=4):
 def test_the_fit_ends_at_the_greatest_likelihood(peak):
     """One step after a step of some thousandths of a pixel is enough: another minimiser finds the same position."""
     windows = shown(np.random.default_rng(peak), 4, peak)
-    found = fit(windows, 1.0, SENSOR)
+    found = fit_glints(windows, 1.0, SENSOR)
     for k in range(4):
         begin = [*found.xy[k], math.log(found.flux[k]), found.background[k], 0.0]
         best = minimize(negative_loglik, begin, args=(windows.counts[k], found.xy[k]), method="BFGS", jac="3-point")
@@ -55,9 +55,9 @@ def test_the_fit_ends_at_the_greatest_likelihood(peak):
 
 def test_where_it_starts_does_not_matter():
     windows = shown(np.random.default_rng(1), 40, 120.0)
-    one = fit(windows, 1.0, SENSOR)
-    other = fit(replace(windows, start=np.zeros((40, 2))), 1.0, SENSOR)
-    assert one.settled.all()
+    one = fit_glints(windows, 1.0, SENSOR)
+    other = fit_glints(replace(windows, start=np.zeros((40, 2))), 1.0, SENSOR)
+    assert one.converged.all()
     std = np.sqrt(np.diagonal(one.cov, axis1=1, axis2=2))
     assert np.abs((one.xy - other.xy) / std).max() < 0.02
     np.testing.assert_allclose(one.cov, other.cov, rtol=0.01, atol=1e-7)
@@ -67,6 +67,6 @@ def test_where_it_starts_does_not_matter():
 def test_a_window_without_a_pixel_has_no_information_and_warns_of_nothing():
     windows = shown(np.random.default_rng(2), 3, 120.0)
     windows.used[1] = 0.0
-    found = fit(windows, 1.0, SENSOR)
+    found = fit_glints(windows, 1.0, SENSOR)
     assert not found.flux[1] > found.flux_std[1]
     assert (found.flux[[0, 2]] > 20 * found.flux_std[[0, 2]]).all()

@@ -8,11 +8,11 @@ from synthcam.camera.glints import find_glints
 from synthcam.camera.pinhole import Camera as Drawn
 from synthcam.camera.pinhole import Lamp, glint_px
 from tracker.camera.camera import Camera
-from tracker.camera.frames import Clip, Frames
-from tracker.camera.mirror_images import secondary_share
-from tracker.detection.detect import detect, view_of
+from tracker.camera.mirror_images import secondary_flux_ratio
+from tracker.camera.recordings import Frames, Recording
+from tracker.detection.detect import detect, make_view
 from tracker.detection.likelihood.cramer_rao import localisation_bound
-from tracker.detection.likelihood.secondary_glints import with_common_reflectance
+from tracker.detection.likelihood.secondary_glints import apply_common_reflectance
 
 POSITION, CROSS = 0.01**2, np.array([0.45, 0.2])  # variance of a position; its correlation with the reflectance by axis
 
@@ -35,7 +35,7 @@ def z_of(miss, cov):
 
 def test_it_gains_what_conditioning_gains():
     true, seen, *rest = film(np.random.default_rng(1), 4000)
-    better, cov = with_common_reflectance(seen, *rest)
+    better, cov = apply_common_reflectance(seen, *rest)
     left = ((better - true) ** 2).mean(axis=0) / POSITION
     assert left == pytest.approx(1 - CROSS**2, abs=0.05)
     assert np.diagonal(cov, axis1=1, axis2=2).mean(axis=0) / POSITION == pytest.approx(left, rel=0.05)
@@ -47,17 +47,17 @@ def test_few_stay_honest(n):
     rng, z = np.random.default_rng(n), []
     for _ in range(6000 // n):
         true, seen, *rest = film(rng, n)
-        better, cov = with_common_reflectance(seen, *rest)
+        better, cov = apply_common_reflectance(seen, *rest)
         z.append(z_of(better - true, cov))
     assert np.concatenate(z).std() == pytest.approx(1.0, abs=0.02)
 
 
 def test_balls_that_differ_share_little():
     true, seen, cov, *rest = film(np.random.default_rng(3), 400, noise=0.05, scatter=1.0)
-    better, surer = with_common_reflectance(seen, cov, *rest)
+    better, surer = apply_common_reflectance(seen, cov, *rest)
     assert np.abs(better - seen).max() < 0.2 * np.sqrt(POSITION)
     np.testing.assert_allclose(surer, cov, atol=0.01 * POSITION)
-    alone, same = with_common_reflectance(seen[:1], cov[:1], *[part[:1] for part in rest])
+    alone, same = apply_common_reflectance(seen[:1], cov[:1], *[part[:1] for part in rest])
     np.testing.assert_array_equal(alone, seen[:1])
     np.testing.assert_array_equal(same, cov[:1])
     assert len(true) == 400
@@ -77,7 +77,7 @@ def test_the_share_of_light_is_the_films(gap):
         found = find_glints(drawn, lamp, centres[None], radii, np.ones((1, 2), bool))
         one, two = (np.array([found.flux[(found.ball == k) & (found.order == n)][0] for k in (0, 1)]) for n in (1, 2))
         seen = glint_px(drawn, lamp, centres, camera.radius)
-        np.testing.assert_allclose(0.55 * secondary_share(camera, seen, seen[::-1]), two / one, rtol=0.025)
+        np.testing.assert_allclose(0.55 * secondary_flux_ratio(camera, seen, seen[::-1]), two / one, rtol=0.025)
 
 
 def test_small_balls_that_touch_are_where_the_bound_says():
@@ -105,8 +105,8 @@ def test_small_balls_that_touch_are_where_the_bound_says():
             true.append([[len(pictures), *position] for position in found.pixels[found.order == 1]])
         pictures.append(picture)
     frames = np.array([expose(rng, picture) for picture in pictures])
-    clip = Clip(0, camera, Frames(len(frames), frames.shape[1:], frames.dtype, lambda k: frames[k]))
-    found, positions = detect(clip, view_of(clip)), np.concatenate(true)
+    clip = Recording(0, camera, Frames(len(frames), frames.shape[1:], frames.dtype, lambda k: frames[k]))
+    found, positions = detect(clip, make_view(clip)), np.concatenate(true)
     far = np.hypot(*(found.xy[:, None] - positions[:, 1:]).T) + 1e3 * (positions[:, :1] != found.frame)
     assert len(found) == len(positions) == 320
     order = far.argmin(axis=1)

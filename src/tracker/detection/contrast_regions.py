@@ -24,7 +24,7 @@ Box = tuple[int, ...]
 
 
 @dataclass(frozen=True, eq=False)
-class Part:
+class ContrastRegion:
     """A connected region of about one contrast: its filled mask at ``left``, ``top``, and its moments."""
 
     mask: NDArray[np.uint8]
@@ -60,7 +60,7 @@ class Part:
         picture[at] |= own
 
 
-def parts_of(apart: NDArray[Any], own: NDArray[np.bool_], box: Box, sign: int, low: float) -> list[Part]:
+def split_region(apart: NDArray[Any], own: NDArray[np.bool_], box: Box, sign: int, low: float) -> list[ContrastRegion]:
     """What in a region's box has half its contrast, or, of one sign, a quarter of it."""
     left, top, width, height, _ = box
     inside = sign * apart if sign else np.abs(apart)
@@ -92,17 +92,17 @@ def parts_of(apart: NDArray[Any], own: NDArray[np.bool_], box: Box, sign: int, l
         moments = [np.dot(light, at - at.sum() / max(len(at), 1)) for at in (columns, rows)]
         lean = 4 * np.array(moments) / max(float(light.sum()) * minor, 1e-9)
         contrast = float(np.median(light))
-        parts.append(Part(mask, left - 1, top - 1, m["m00"], middle, minor, full, way, contrast, sign, lean))
+        parts.append(ContrastRegion(mask, left - 1, top - 1, m["m00"], middle, minor, full, way, contrast, sign, lean))
     return parts
 
 
-def casts(ball: Part, dark: Part) -> bool:
+def casts_shadow(ball: ContrastRegion, dark: ContrastRegion) -> bool:
     """Whether a darker part lies as the shadow of a ball would."""
     away = float(np.hypot(*(ball.middle - dark.middle))) / ball.minor
     return dark.sign < 0 and BESIDE < away < CAST and dark.area > LARGE * ball.area
 
 
-def middles_of(part: Part, radius: float) -> list[tuple[float, float]]:
+def find_disc_centres(part: ContrastRegion, radius: float) -> list[tuple[float, float]]:
     """Where balls' middles may be in a part: the places furthest from its rim, a radius apart at least."""
     balls = round(part.area / (np.pi * radius**2))
     if balls <= 1:

@@ -12,24 +12,24 @@ import tifffile
 
 from synthcam_shared.errors import InputError
 from tracker.camera.camera_keys import first_line
-from tracker.camera.grey import Frames, grey_frames, not_too_large, pixel_type
+from tracker.camera.frames import Frames, check_frame_size, check_pixel_type, make_grey_frames
 
 TIFF = (".tif", ".tiff")
 PICTURES = (".png", ".tif", ".tiff", ".jpg", ".jpeg", ".bmp")
 JPEG = (".jpg", ".jpeg")
 
 
-def pictures_of(folder: Path) -> list[Path]:
+def list_pictures(folder: Path) -> list[Path]:
     """Pictures of a folder, 2 before 10."""
     found = [p for p in folder.iterdir() if p.suffix.lower() in PICTURES and p.is_file()]
     return sorted(found, key=lambda p: [int(s) if s.isdigit() else s for s in re.split(r"(\d+)", p.name)])
 
 
-def folder_frames(folder: Path) -> Frames:
-    paths = pictures_of(folder)
+def read_picture_folder(folder: Path) -> Frames:
+    paths = list_pictures(folder)
     first = read_picture(paths[0])
-    pixel_type(paths[0], first.dtype)
-    not_too_large(paths[0], first.shape)
+    check_pixel_type(paths[0], first.dtype)
+    check_frame_size(paths[0], first.shape)
 
     def fetch(k: int) -> Any:
         picture = read_picture(paths[k])
@@ -38,7 +38,7 @@ def folder_frames(folder: Path) -> Frames:
             raise InputError(f"{paths[k]}: {has}, expected {wants} as in {paths[0].name}")
         return picture
 
-    frames = grey_frames(folder, len(paths), first.shape, first.dtype, fetch)
+    frames = make_grey_frames(folder, len(paths), first.shape, first.dtype, fetch)
     frames.lossy = paths[0].suffix.lower() in JPEG
     return frames
 

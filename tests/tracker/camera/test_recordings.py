@@ -15,7 +15,7 @@ import tifffile
 from tracker_film import CAMERA, write_clip
 
 from synthcam_shared.errors import InputError
-from tracker.camera.frames import UNSCALED, open_frames, open_source
+from tracker.camera.recordings import UNSCALED, open_frames, open_source
 
 RNG = np.random.default_rng(0)
 MOVIE = RNG.integers(0, 255, (6, 48, 64), dtype=np.uint8)
@@ -75,11 +75,11 @@ def test_dataset_opens_frames_and_camera_only(tmp_path):
         folder = write_clip(tmp_path / "clips" / f"{number:06d}", MOVIE, SMALL)
         (folder / "truth").write_text("a file where a folder should be: it is not looked at")
     source = open_source(tmp_path)
-    assert [source.clip(i).number for i in range(len(source))] == [0, 3]
-    assert np.array_equal(held(source.clip(1).frames), MOVIE)
-    assert source.clip(0).camera.fps == 250
+    assert [source.open_clip(i).number for i in range(len(source))] == [0, 3]
+    assert np.array_equal(held(source.open_clip(1).frames), MOVIE)
+    assert source.open_clip(0).camera.fps == 250
     single = open_source(tmp_path / "clips" / "000003")
-    assert single.clip(0).number == 3
+    assert single.open_clip(0).number == 3
 
 
 def test_pictures_come_in_natural_order(tmp_path):
@@ -165,21 +165,21 @@ def test_memory_does_not_grow_with_length(tmp_path):
 def test_no_camera_file_is_said(tmp_path):
     path = tmp_path / "stack.tif"
     tifffile.imwrite(path, MOVIE, imagej=True)
-    clip = open_source(path).clip(0)
+    clip = open_source(path).open_clip(0)
     assert not clip.camera.metric
     assert clip.notes == (UNSCALED,)
     (tmp_path / "camera.json").write_text(json.dumps(SMALL))
-    assert open_source(path).clip(0).camera.metric  # one beside it is taken
+    assert open_source(path).open_clip(0).camera.metric  # one beside it is taken
     other = tmp_path / "other.json"
     other.write_text(json.dumps({**SMALL, "fps": 100}))
-    assert open_source(path, other).clip(0).camera.fps == 100
+    assert open_source(path, other).open_clip(0).camera.fps == 100
 
 
 def test_gamma_makes_counts_linear_in_light(tmp_path):
     """Light of 1/4 and 1/2 of white, stored by a curve of 1/2.2."""
     codes = np.rint(255 * np.array([0.0, 0.25, 0.5, 1.0]) ** (1 / 2.2)).astype(np.uint8)
     write_clip(tmp_path, np.tile(codes[:, None, None], (1, 48, 64)), {**SMALL, "sensor": {"gamma": 2.2}})
-    clip = open_source(tmp_path).clip(0)
+    clip = open_source(tmp_path).open_clip(0)
     assert [frame[0, 0] / 65535 for frame in clip.frames] == pytest.approx([0, 0.25, 0.5, 1], abs=0.005)
     assert clip.camera.sensor.bits == 16
     assert "linear in light" in clip.notes[-1]
@@ -225,7 +225,7 @@ def test_pictures_of_unequal_size(tmp_path):
 
 def test_camera_of_another_size(tmp_path):
     write_clip(tmp_path, MOVIE, CAMERA)
-    one_line(lambda: open_source(tmp_path).clip(0), "64x48", "200x160", "size", "camera.json")
+    one_line(lambda: open_source(tmp_path).open_clip(0), "64x48", "200x160", "size", "camera.json")
 
 
 def bomb(path, side):
@@ -271,7 +271,7 @@ def test_pictures_larger_than_the_memory_are_one_line(tmp_path):
         "import resource, sys\n"
         "from tracker.pipeline import _one\n"
         "from synthcam_shared.errors import InputError\n"
-        "from tracker.camera.frames import open_source\n"
+        "from tracker.camera.recordings import open_source\n"
         "import tracker.detection.detectors.maximum_likelihood\n"
         "held = next(line for line in open('/proc/self/status') if line.startswith('VmData'))\n"
         "limit = (int(held.split()[1]) << 10) + (100 << 20)\n"

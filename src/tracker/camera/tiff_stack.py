@@ -14,12 +14,12 @@ import tifffile
 
 from synthcam_shared.errors import InputError
 from tracker.camera.camera_keys import first_line
-from tracker.camera.grey import Frames, grey_frames, not_too_large, pixel_type
+from tracker.camera.frames import Frames, check_frame_size, check_pixel_type, make_grey_frames
 
 
-def stack_frames(path: Path) -> Frames:
+def read_tiff_stack(path: Path) -> Frames:
     try:
-        with _complaints(path), tifffile.TiffFile(path) as tif:
+        with _raise_logged_errors(path), tifffile.TiffFile(path) as tif:
             shape, dtype, colour, offset = _layout(path, tif)
             order = tif.byteorder
     except (tifffile.TiffFileError, OSError, IndexError, KeyError, struct.error) as error:
@@ -27,24 +27,24 @@ def stack_frames(path: Path) -> Frames:
     plane = shape[-3:] if colour else shape[-2:]
     if len(shape) < len(plane) or 0 in shape:
         raise InputError(f"{path}: expected a stack of pictures, not an array of {shape}")
-    not_too_large(path, plane)
+    check_frame_size(path, plane)
     count = int(np.prod(shape[: len(shape) - len(plane)], dtype=np.int64))
-    pixel_type(path, dtype)
+    check_pixel_type(path, dtype)
     if offset is not None:
-        fetch: Callable[[int], Any] = _Pieces(path, offset, count, plane, dtype.newbyteorder(order))
+        fetch: Callable[[int], Any] = _ContiguousFrames(path, offset, count, plane, dtype.newbyteorder(order))
     else:
-        fetch = _Pages(path, plane)
+        fetch = _TiffPages(path, plane)
         try:
             fetch(count - 1)
         except InputError:
             raise InputError(f"{path}: truncated, frame {count - 1} of {count} cannot be read") from None
-    return grey_frames(path, count, plane, dtype, fetch)
+    return make_grey_frames(path, count, plane, dtype, fetch)
 
 
 @contextmanager
-def _complaints(path: Path) -> Iterator[None]:
+def _raise_logged_errors(path: Path) -> Iterator[None]:
     """tifffile logs a broken chain of pages and goes on with the pages it has: here that is an error."""
-    heard, logger = _Heard(logging.ERROR), logging.getLogger("tifffile")
+    heard, logger = _LogCollector(logging.ERROR), logging.getLogger("tifffile")
     passed_on = logger.propagate
     logger.addHandler(heard)
     logger.propagate = False
@@ -57,7 +57,7 @@ def _complaints(path: Path) -> Iterator[None]:
         raise InputError(f"{path}: truncated or damaged ({heard.said[0].splitlines()[0][:120]})")
 
 
-class _Heard(logging.Handler):
+class _LogCollector(logging.Handler):
     """Keeps what is logged."""
 
     def __init__(self, level: int) -> None:
@@ -81,7 +81,7 @@ def _layout(path: Path, tif: tifffile.TiffFile) -> tuple[tuple[int, ...], Any, b
     return shape, dtype, colour, None if offset is None else int(offset)
 
 
-class _Pieces:
+class _ContiguousFrames:
     """Frames that lie one after the other: read by their offset in the file, so that no more than one is held."""
 
     def __init__(self, path: Path, offset: int, count: int, plane: tuple[int, ...], dtype: Any) -> None:
@@ -104,7 +104,7 @@ class _Pieces:
             self.file.close()
 
 
-class _Pages:
+class _TiffPages:
     """Compressed frames or frames apart: one page of the file each; the file stays open between them."""
 
     def __init__(self, path: Path, plane: tuple[int, ...]) -> None:

@@ -9,13 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from synthcam_shared.errors import InputError
-from tracker.camera.frames import at_least_two
-from tracker.camera.grey import Frames, grey_frames, not_too_large, pixel_type
+from tracker.camera.frames import Frames, check_frame_size, check_pixel_type, make_grey_frames
+from tracker.camera.recordings import check_two_frames
 
 FILM = "film"  # what messages call it
 
 
-def frames_in_memory(film: NDArray[Any] | Iterable[NDArray[Any]]) -> Frames:
+def wrap_frames(film: NDArray[Any] | Iterable[NDArray[Any]]) -> Frames:
     """Frames of an array (n, height, width), in colour (n, height, width, 3), or of single pictures.
 
     What has a length and an index is read frame by frame, when asked for; what is only iterated is kept. Raises
@@ -27,8 +27,8 @@ def frames_in_memory(film: NDArray[Any] | Iterable[NDArray[Any]]) -> Frames:
     first = _picture(pictures, 0)
     if first.ndim not in (2, 3) or 0 in first.shape:
         raise InputError(f"{FILM}: pictures of shape {first.shape}, expected (height, width) of each frame")
-    pixel_type(FILM, first.dtype)
-    not_too_large(FILM, first.shape)
+    check_pixel_type(FILM, first.dtype)
+    check_frame_size(FILM, first.shape)
 
     def fetch(k: int) -> Any:
         picture = _picture(pictures, k)
@@ -37,8 +37,8 @@ def frames_in_memory(film: NDArray[Any] | Iterable[NDArray[Any]]) -> Frames:
             raise InputError(f"{FILM}: frame {k} is {has}, expected {wants} as frame 0")
         return picture
 
-    frames = grey_frames(FILM, len(pictures), first.shape, first.dtype, fetch)
-    at_least_two(FILM, frames)
+    frames = make_grey_frames(FILM, len(pictures), first.shape, first.dtype, fetch)
+    check_two_frames(FILM, frames)
     return frames
 
 

@@ -1,0 +1,163 @@
+"""Opens recordings: a dataset, a clip, a TIFF stack, a folder of pictures, a video.
+
+Frames are read one at a time where they are asked for, so memory does not grow with a clip's length. Of a
+dataset only ``frames.tif`` (or an encoded ``frames.mp4`` and the like) and ``camera.json`` are ever opened.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from synthcam_shared.errors import InputError
+from tracker.camera.camera import Camera
+from tracker.camera.frames import GREY, Frames, linearise
+from tracker.camera.picture_folder import PICTURES, TIFF, list_pictures, read_picture_folder
+from tracker.camera.tiff_stack import read_tiff_stack
+
+VIDEOS = (".avi", ".mkv", ".mp4", ".mov", ".m4v", ".mpg", ".mpeg", ".webm")
+CONVERTED = "colour converted to grey"
+UNSCALED = (
+    "no camera file: positions in px only; `tracker calibrate FILM --diameter M --fps HZ -o camera.json` makes one"
+)
+GAMMA = "sensor.gamma: counts are made linear in light before anything else"
+
+
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """One recording: its number, camera and frames, of which channel; ``notes`` say what was converted or assumed."""
+
+    number: int
+    camera: Camera
+    frames: Frames
+    notes: tuple[str, ...] = ()
+    channel: str = GREY
+
+    def select_channel(self, name: str) -> Recording:
+        """The same recording in one colour of a film; "grey" is what it is."""
+        if name == GREY:
+            return self
+        notes = tuple(note for note in self.notes if note != CONVERTED)
+        return replace(self, frames=self.frames.select_channel(name), notes=notes, channel=name)
+
+
+@dataclass(frozen=True)
+class RecordingSource:
+    """Where clips come from. Cheap to send to another process: files are opened by `open_clip`."""
+
+    path: Path
+    clips: tuple[tuple[int, Path], ...]
+    camera: Path | None = None
+    dataset: bool = False
+    channel: str = GREY
+
+    def __len__(self) -> int:
+        return len(self.clips)
+
+    def open_clip(self, index: int) -> Recording:
+        """Opens clip ``index`` (its index in the source, not its number)."""
+        location = self.clips[index][1]
+        own = location.parent / "camera.json" if location.is_file() else location / "camera.json"
+        chosen = self.camera if self.camera is not None else own if own.is_file() else None
+        if chosen is None and self.dataset:
+            raise InputError(f"{own}: no such file, expected the clip's camera.json")
+        number, frames = self.open_film(index)
+        camera = Camera.read(chosen) if chosen is not None else None
+        return make_recording(number, frames, camera, (f"{location}", f"{chosen}")).select_channel(self.channel)
+
+    def open_film(self, index: int) -> tuple[int, Frames]:
+        """Number and frames of clip ``index``, whatever its camera."""
+        number, location = self.clips[index]
+        return number, open_frames(location)
+
+    def camera_files(self) -> list[Path]:
+        """The camera file of each clip, where there is one."""
+        if self.camera is not None:
+            return [self.camera]
+        files = [(p.parent if p.is_file() else p) / "camera.json" for _, p in self.clips]
+        return [f for f in files if f.is_file()]
+
+
+def make_recording(number: int, frames: Frames, camera: Camera | None, names: tuple[str, str]) -> Recording:
+    """Frames and their camera as one clip. names: of film and camera, for the InputError where their sizes differ."""
+    size, bits = (frames.shape[2], frames.shape[1]), 8 * frames.dtype.itemsize
+    notes = (*([] if frames.colours is None else [CONVERTED]), *frames.faults)
+    if camera is None:
+        return Recording(number, Camera.unknown(size, bits), frames, (*notes, UNSCALED))
+    if camera.size != size:
+        asked = "x".join(map(str, camera.size))
+        raise InputError(f"{names[0]}: frames are {size[0]}x{size[1]}, expected {asked} by size in {names[1]}")
+    if camera.sensor.gamma != 1:
+        frames, notes = linearise(frames, camera.sensor.gamma), (*notes, GAMMA)
+        camera = replace(camera, sensor=replace(camera.sensor, bits=16))
+    elif "sensor.bits" in camera.assumed:
+        camera = replace(camera, sensor=replace(camera.sensor, bits=bits))
+    return Recording(number, camera, frames, notes)
+
+
+def open_source(path: Path | str, camera: Path | str | None = None) -> RecordingSource:
+    """Source behind ``path``; ``camera`` stands in for the source's own camera.json. Raises InputError."""
+    location = Path(path)
+    given = Path(camera) if camera is not None else None
+    if given is not None:
+        Camera.read(given)
+    if not location.exists():
+        raise InputError(f"{location}: no such file or folder, expected a dataset, clip, stack, video or pictures")
+    if location.is_file():
+        if location.suffix.lower() not in TIFF + VIDEOS:
+            raise InputError(
+                f"{location}: expected a TIFF stack or a video, not a {location.suffix or 'nameless'} file"
+            )
+        return RecordingSource(location, ((0, location),), given)
+    if (location / "clips").is_dir():
+        return _dataset(location, given)
+    if (film := _film(location)) is not None:
+        number = int(location.name) if location.name.isdecimal() else 0
+        return RecordingSource(location, ((number, film),), given)
+    if not list_pictures(location):
+        raise InputError(
+            f"{location}: nothing to track in it, expected clips/, frames.tif or pictures ({' '.join(PICTURES)})"
+        )
+    return RecordingSource(location, ((0, location),), given)
+
+
+def _dataset(location: Path, camera: Path | None) -> RecordingSource:
+    clips = []
+    for folder in sorted((location / "clips").iterdir()):
+        if folder.is_dir() and folder.name.isdecimal():
+            film = _film(folder)
+            if film is None:
+                raise InputError(
+                    f"{folder / 'frames.tif'}: no such file, expected the clip's frames; "
+                    "tracker measure takes the tracks of a dataset made without video"
+                )
+            clips.append((int(folder.name), film))
+    if not clips:
+        raise InputError(f"{location / 'clips'}: no clips, expected folders 000000, 000001, ...")
+    return RecordingSource(location, tuple(sorted(clips)), camera, dataset=True)
+
+
+def _film(folder: Path) -> Path | None:
+    """A clip's frames: a stack, or the film encoded."""
+    films = (folder / f"frames{ending}" for ending in (".tif", *VIDEOS))
+    return next((film for film in films if film.is_file()), None)
+
+
+def open_frames(location: Path) -> Frames:
+    """Frames of a stack, a video or a folder of pictures."""
+    if location.is_dir():
+        frames = read_picture_folder(location)
+    elif location.suffix.lower() in TIFF:
+        frames = read_tiff_stack(location)
+    else:
+        from tracker.camera.video import read_video  # here alone: FFmpeg's libraries are slow to load
+
+        frames = read_video(location)
+    check_two_frames(location, frames)
+    return frames
+
+
+def check_two_frames(location: Path | str, frames: Frames) -> None:
+    """Raises InputError for less than two frames."""
+    if len(frames) < 2:
+        raise InputError(f"{location}: one frame only, expected at least two to follow a ball")
