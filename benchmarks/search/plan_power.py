@@ -28,11 +28,11 @@ from rich.table import Table
 import discrepancy
 import tracker
 from benchmarks.harness import ROOT, save
-from discrepancy import policy
 from discrepancy.data.collisions import read_measured, split
 from discrepancy.fitting.base_fit import base_fit, noise_of
 from discrepancy.fitting.model_fit import Evidence
 from discrepancy.fitting.parameters import candidates
+from discrepancy.policy import current_policy
 from discrepancy.selection.score_test import ScoreTests
 from synthcam.model import Model, read_model
 from synthcam.scene.scene import Scene, read_scene
@@ -85,7 +85,7 @@ def trial(planned: discrepancy.Plan, strength: str, options: argparse.Namespace)
             ratios.append(ratio)
             sigmas.append(score(results, model, effect))
     slope, offset = np.polyfit(ratios, sigmas, 1)
-    measured = (policy.DETECTION_LIMIT_SIGMA - offset) / slope
+    measured = (current_policy().detection_limit_sigma - offset) / slope
     at_limit = np.array(sigmas)[np.array(ratios) == 1.0]
     return {
         "strength": strength,

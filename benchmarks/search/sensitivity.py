@@ -1,13 +1,14 @@
-"""Which verdicts hang on which constant: opened boxes of a published round searched again with one constant changed.
+"""Which verdicts depend on which threshold: opened boxes of a published round searched again with one changed.
 
-    sensitivity.py [CONSTANT ...] [--round 7] [--studies nulls,limit:6] [--boxes 5] [--factors 0.5,2] [--jobs 2]
+    sensitivity.py [FIELD ...] [--round 7] [--studies nulls,limit:6] [--boxes 5] [--factors 0.5,2] [--jobs 2]
                    [--minutes 60] [-o out/sensitivity]
     sensitivity.py --table         the table alone, of all searches so far
 
-CONSTANT: names in src/discrepancy/policy.py, all by default. The tracks of each box are made again from its truth and
-searched once as things are and once with each constant times each factor; of a cosine its distance from 1 is
-multiplied, counts are rounded, to 1 at least. Each search is a line of searches.jsonl, written when it ends; a study
-goes on where it stopped. Searches by another version of the code do not count.
+FIELD: names of `SearchPolicy` (src/discrepancy/policy.py), all by default. The tracks of each box are made again from
+its truth. They are searched once with the default policy and once with each field times each factor. A cosine has its
+distance from 1 multiplied; a count is rounded, to 1 at least. Each search is a line of
+searches.jsonl, written when it ends; a study goes on where it stopped. Searches by another version of the code do not
+count.
 """
 
 from __future__ import annotations
@@ -31,28 +32,34 @@ from benchmarks.search.sealed.analysis import analysed
 from benchmarks.search.sealed.evidence import prepare
 from benchmarks.search.sealed.judge import judge
 from benchmarks.search.sealed.ledger import append, lines
-from discrepancy import policy
+from discrepancy.policy import SearchPolicy, applied_policy
 from synthcam.model import Model, write_model
 
-CONSTANTS = [name for name in vars(policy) if name.isupper()]
+FIELDS = list(SearchPolicy.model_fields)
 AS_IT_IS = ("", 1.0)
 HEADS = ["constant", "value", "factor", "changed to", "boxes", "verdicts changed", "now wrong", "now right", "which"]
 Json = dict[str, Any]
-Change = tuple[str, float]  # a constant and the factor
+Change = tuple[str, float]  # a field and the factor
+
+
+def default(name: str) -> float | int:
+    """The default of a field of the policy."""
+    value: float | int = SearchPolicy.model_fields[name].default
+    return value
 
 
 def changed(name: str, factor: float) -> float | int:
-    """The constant's value, times the factor."""
-    value: float | int = getattr(policy, name)
+    """The default of a field, times the factor."""
+    value = default(name)
     if isinstance(value, int):
         return max(1, int(value * factor + 0.5))
-    return 1 - (1 - value) * factor if "COSINE" in name else value * factor
+    return 1 - (1 - value) * factor if name.endswith("_cosine") else value * factor
 
 
 def changes(names: Sequence[str], factors: Sequence[float]) -> list[Change]:
     """Those that change anything, and none first."""
     every = [(name, factor) for name in names for factor in factors]
-    return [AS_IT_IS, *(c for c in every if changed(*c) != getattr(policy, c[0]))]
+    return [AS_IT_IS, *(c for c in every if changed(*c) != default(c[0]))]
 
 
 def searched(line: Json, todo: Sequence[Change], place: Path, until: float, version: str) -> str:
@@ -66,14 +73,9 @@ def searched(line: Json, todo: Sequence[Change], place: Path, until: float, vers
         for name, factor in todo:
             if time.time() > until:
                 break
-            kept = getattr(policy, name, None)
-            if name:
-                setattr(policy, name, changed(name, factor))
-            try:
+            change: dict[str, Any] = {name: changed(name, factor)} if name else {}
+            with applied_policy(SearchPolicy(**change)):
                 answer = analysed(measured, camera, model, folder)
-            finally:
-                if name:
-                    setattr(policy, name, kept)
             row = judge({"truth": truth, "answer": answer})
             said = {"study": truth["study"], "box": truth["box"], "constant": name, "factor": factor, "code": version}
             said |= {"verdict": row.verdict, "called": sorted(row.called), "right": row.right or row.kin}
@@ -98,7 +100,7 @@ def opened(options: argparse.Namespace) -> list[Json]:
 def run(options: argparse.Namespace, place: Path) -> None:
     version, until = code(), time.time() + 60 * options.minutes
     done = {(r["study"], r["box"], r["constant"], r["factor"]) for r in lines(place) if r["code"] == version}
-    asked = changes(options.constants or CONSTANTS, [float(f) for f in options.factors.split(",")])
+    asked = changes(options.constants or FIELDS, [float(f) for f in options.factors.split(",")])
     jobs = []
     for line in opened(options):
         key = line["truth"]["study"], line["truth"]["box"]
@@ -117,7 +119,7 @@ def table(found: Iterable[Json]) -> str:
     """Of each change: boxes, and how many of their answers are others than without it. Those of one version only."""
     rows = {(r["study"], r["box"], r["constant"], r["factor"]): r for r in found if r["code"] == code()}
     before = {(study, box): r for (study, box, *change), r in rows.items() if tuple(change) == AS_IT_IS}
-    order, out = {name: k for k, name in enumerate(CONSTANTS)}, []
+    order, out = {name: k for k, name in enumerate(FIELDS)}, []
     for name, factor in sorted({(c, f) for *_, c, f in rows if c in order}, key=lambda c: (order[c[0]], c[1])):
         pairs = [(before[r["study"], r["box"]], r) for (s, b, *c), r in rows.items()
                  if c == [name, factor] and (s, b) in before]  # fmt: skip
@@ -125,7 +127,7 @@ def table(found: Iterable[Json]) -> str:
         worse = [b for a, b in others if a["right"] and not b["right"]]
         better = [b for a, b in others if b["right"] and not a["right"]]
         which = "; ".join(f"{b['study']} {b['box']}: {_said(a)} -> {_said(b)}" for a, b in others)
-        values = [f"{x:.4g}" for x in (getattr(policy, name), changed(name, factor))]
+        values = [f"{x:.4g}" for x in (default(name), changed(name, factor))]
         counts = [str(len(x)) for x in (pairs, others, worse, better)]
         out.append([name, values[0], f"{factor:g}", values[1], *counts, which])
     right = sum(r["right"] for r in before.values())
@@ -138,8 +140,8 @@ def _said(row: Json) -> str:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description="Opened boxes searched again with one deciding constant changed.")
-    parser.add_argument("constants", nargs="*", metavar="CONSTANT", help="of src/discrepancy/policy.py; default all")
+    parser = argparse.ArgumentParser(description="Opened boxes searched again with one threshold changed.")
+    parser.add_argument("constants", nargs="*", metavar="FIELD", help="fields of SearchPolicy; default all")
     parser.add_argument("--round", default="7", help="a published round")
     parser.add_argument("--studies", default="", help="of the round, or STUDY:BOX, separated by commas; default all")
     parser.add_argument("--boxes", type=int, help="the first so many of each study; default all")
@@ -151,8 +153,8 @@ def main() -> None:
     parser.add_argument("--table", action="store_true", help="only print the table")
     parser.add_argument("-o", "--output", type=Path, default=ROOT / "out" / "sensitivity")
     options = parser.parse_args()
-    if unknown := set(options.constants) - set(CONSTANTS):
-        parser.error(f"no constant {', '.join(sorted(unknown))} in src/discrepancy/policy.py")
+    if unknown := set(options.constants) - set(FIELDS):
+        parser.error(f"no field {', '.join(sorted(unknown))} in SearchPolicy")
     if not (ROUNDS / options.round / rounds.ABOUT).exists():
         parser.error(f"no round {options.round} in {ROUNDS}")
     place = options.output / "searches.jsonl"

@@ -8,13 +8,13 @@ from typing import Any
 
 import numpy as np
 
-from discrepancy import policy
 from discrepancy.data.collisions import Measured
 from discrepancy.data.outlier_points import taken_out, without_outliers
 from discrepancy.fitting.base_fit import Progress, base_fit, checked, noise_of, smoothed
 from discrepancy.fitting.gauss_newton import settle
 from discrepancy.fitting.model_fit import Evidence, Fit
 from discrepancy.fitting.significance import sigmas
+from discrepancy.policy import current_policy
 from discrepancy.selection.extend import fit_with_candidate
 from discrepancy.selection.named import EffectClaim
 from discrepancy.selection.profile_errors import profile_std
@@ -52,7 +52,11 @@ class AddedEffect:
     def sentence(self) -> str:
         """Its strength, and how far chi^2 falls."""
         one, other = self.chi2
-        poor = "; more is missing, and its error holds only if nothing is" if other > policy.POOR_CHI2 else ""
+        poor = (
+            "; more is missing, and its error holds only if nothing is"
+            if other > current_policy().poor_chi2_per_dof
+            else ""
+        )
         return (
             f"{self.named.said(self.before.model)}; chi^2 a degree of freedom goes from {one:.4g} to {other:.4g} on "
             f"the collisions fitted{poor}"
@@ -113,7 +117,7 @@ def add(clips: Sequence[Measured], model: Model, effect: str, progress: Progress
         far = base.chi2 / (base.points - base.parameters)
         why = (
             f"; without it chi^2 is {far:.3g} a degree of freedom: something larger is missing"
-            if far > policy.POOR_CHI2
+            if far > current_policy().poor_chi2_per_dof
             else ""
         )
         raise InputError(f"{effect}: these collisions cannot tell it: the fit absorbs it, or it hardly shows{why}")

@@ -77,6 +77,10 @@ def find(
     minutes: Annotated[
         float, typer.Option(min=0.0, help="After which a search is cut short; it then names nothing.")
     ] = 10.0,
+    policy: Annotated[
+        Path | None,
+        typer.Option(metavar="POLICY.yaml", help="Thresholds that decide, in place of the defaults (SearchPolicy)."),
+    ] = None,
     as_json: Json = False,
 ) -> None:
     """Search for what the model lacks, name it, and show the gap shrink on collisions kept out of every fit.
@@ -85,13 +89,14 @@ def find(
     """
     from discrepancy.data.collisions import read_measured
     from discrepancy.finding import searched
+    from discrepancy.policy import SearchPolicy, applied_policy, read_policy
     from discrepancy.report import html
     from discrepancy.report.staging import aside
 
     started = time.monotonic()
     _add_effect_folders(effects_dir)
-    given = read_model(model)
-    with aside(output) as folder:
+    given, thresholds = read_model(model), read_policy(policy) if policy else SearchPolicy()
+    with applied_policy(thresholds), aside(output) as folder:
         _print_camera_notes(measured, camera)
         clips, left_out = read_measured(measured, camera)
         with show_stages(STAGES) as progress:

@@ -15,13 +15,13 @@ from discrepancy.data.collisions import Measured, read_measured
 from discrepancy.diagnostics.gap import Gap
 from discrepancy.fitting.base_fit import Progress
 from discrepancy.found import SearchResult
+from discrepancy.policy import SearchPolicy, applied_policy
 from discrepancy.report import html
 from discrepancy.report.figures import gap_bars
 from discrepancy.report.staging import aside
 from discrepancy.search import find as search
 from discrepancy.selection.named import EffectClaim
 from synthcam.model import Model, model_of
-from synthcam_shared.errors import InputError
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -159,6 +159,7 @@ def find(
     camera: str | Path | None = None,
     progress: Progress = lambda stage: None,
     minutes: float = math.inf,
+    policy: SearchPolicy | None = None,
 ) -> Finding:
     """Search for what a model lacks, from measured collisions.
 
@@ -176,6 +177,8 @@ def find(
         Told the stage, many times.
     minutes : float
         After which the search is cut short; it then names nothing, and says how far it came.
+    policy : SearchPolicy, optional
+        The thresholds that decide; default: ``SearchPolicy()``.
 
     Returns
     -------
@@ -196,13 +199,11 @@ def find(
     ...
     synthcam_shared.errors.InputError: results: no clip with a measured collision
     """
-    try:
-        given = model_of(model)
-    except InputError as error:
-        raise InputError(str(error)) from None
+    given = model_of(model)
     source = Path(results) if isinstance(results, str) else results
-    clips, left_out = read_measured(source, None if camera is None else Path(camera))
-    return searched(clips, given, left_out, progress, 60 * minutes)
+    with applied_policy(policy or SearchPolicy()):
+        clips, left_out = read_measured(source, None if camera is None else Path(camera))
+        return searched(clips, given, left_out, progress, 60 * minutes)
 
 
 def searched(

@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 
-from discrepancy import policy
 from discrepancy.data.collisions import Measured
 from discrepancy.data.processed import SMOOTHED
 from discrepancy.diagnostics.gap import GapFits, as_dict
@@ -19,6 +18,7 @@ from discrepancy.fitting.model_fit import Fit
 from discrepancy.free_laws.fitted_law import FittedLaw
 from discrepancy.free_laws.law_summary import LawSummary
 from discrepancy.noise.model import Noise
+from discrepancy.policy import current_policy
 from discrepancy.selection.named import EffectClaim
 from discrepancy.selection.stepwise import Selection
 from synthcam.model import Model
@@ -146,7 +146,8 @@ class SearchResult:
         noise = self.data.noise
         if noise.over_phases:
             return (
-                f" Noise is {noise.scale:.3g} times what the tracks claim within {policy.SHORTEST_OF_SHORT} places; "
+                f" Noise is {noise.scale:.3g} times what the tracks claim within "
+                f"{current_policy().min_short_stretch_positions} positions; "
                 f"over whole phases of motion it would be {noise.over_phases:.3g} times, which is missing physics."
             )
         if not noise.slow:
@@ -250,4 +251,4 @@ def _moved(before: float, after: float) -> str:
 
 def more_missing(left: Sequence[Disagreement], withdrawn: Sequence[ClaimTest]) -> bool:
     """Whether something is missing beside all that was found: a law left free that was not borne is a sign of it."""
-    return unexplained(left) or any(c.free and c.own > policy.UNEXPLAINED_SIGMA for c in withdrawn)
+    return unexplained(left) or any(c.free and c.own > current_policy().unexplained_sigma for c in withdrawn)

@@ -1,325 +1,392 @@
-"""Every constant that decides a verdict: what is claimed, withdrawn, called alike, taken for noise or left out.
+"""The numbers that decide what a search claims, rejects, takes for noise or leaves out, as one `SearchPolicy`."""
 
-A value is changed here and nowhere else; users read `policy.NAME` when they need it and keep no copy. Each comment says
-what the constant decides and where it comes from. Cases on either side: tests/discrepancy/test_policy.py, and the tests
-of the files that use it.
+from __future__ import annotations
 
-Each constant was halved and doubled (of a cosine, its distance from 1) on four boxes of the eighth blind round: with
-nothing hidden, an effect at its detection limit, and two laws of no library. No verdict changed but where the comment
-says so; what few boxes meet they cannot show. More boxes: benchmarks/search/sensitivity.py.
+from collections.abc import Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
+from pathlib import Path
+from typing import Annotated
 
-Not here: numerical tolerances and steps, grids, limits on memory or effort, neighbours that a local path is fitted to,
-the family of noise models, the lengths and ranges of the free laws' priors, and what concerns only colours or words.
-"""
+from pydantic import Field, ValidationError
 
-# --- What a claim needs ---
+from synthcam.settings import Positive, Settings, one_line, read_yaml
 
-# Share of searches with nothing hidden that claim something; sets the sigma needed, from the candidates' Gram matrix.
-# A false-alarm target: docs/decisions/0009. Blind goal: at most 2 in 300; reached in rounds 1 to 7: docs/blind.md.
-SIGNIFICANCE_LEVEL = 1e-3
+Share = Annotated[float, Field(gt=0, le=1)]
+Count = Annotated[int, Field(ge=1)]
 
-# Sigma under which nothing is claimed, however few the candidates, since the noise itself is only estimated.
-# The level of one in a thousand for the first, smaller library; kept as a floor. Doubled, a true effect at its limit is
-# no longer named, but said to be in no library.
-LEAST_SIGMA_OF_A_CLAIM = 4.0
 
-# Effects named in one search at most: more together can imitate what is in no library. Chosen; not derived.
-MOST_EFFECTS_NAMED = 4
+class SearchPolicy(Settings):
+    """The thresholds of a search. `discrepancy.find(..., policy=SearchPolicy(significance_level=1e-4))` changes one.
 
-# Sigma of disagreement left after everything, or of a claim withdrawn, beyond which something more is missing.
-# Corrected by the trials factor: by chance once in two million. A convention (5 sigma).
-UNEXPLAINED_SIGMA = 5.0
+    `discrepancy find --policy policy.yaml` reads the same fields from a file. Each field says where its value comes
+    from: derived, a convention, chosen between cases on either side, or chosen.
 
-# Clips in which a residual must be seen before it is held against speed, heading, place or impact parameter.
-# Chosen; not derived.
-FEWEST_CLIPS_OF_A_TREND = 6
+    Notes
+    -----
+    Each value was halved and doubled (a cosine: its distance from 1) on four boxes of the eighth blind round. The boxes
+    held nothing, an effect at its detection limit, and two laws of no library. No verdict changed except where the
+    field says so. `benchmarks/search/sensitivity.py` repeats this on more boxes. `tests/discrepancy/test_policy.py` has
+    a case on either side of most values.
 
-# Times the residuals that a disagreement may be, since launches take most of it, before no size of it is given.
-# Chosen; not derived: of effects of the library it is 1.3, under models that are wrong throughout 4 (pucks on air) and
-# 10 to 50 and more (real billiard balls).
-CANCELLED = 3.0
+    Numerical tolerances, grids, limits on memory and the priors of free laws are not here. They are local to the
+    function that uses them.
+    """
 
-# chi^2 a degree of freedom of a fit with an effect added by hand, over which more is said to be missing.
-# Chosen; not derived: twice what noise leaves.
-POOR_CHI2 = 2.0
+    def changed(self) -> dict[str, float]:
+        """The fields that differ from their defaults."""
+        return {name: value for name, value in self if value != type(self).model_fields[name].default}
 
-# --- What freedom costs ---
+    # --- What a claim needs ---
 
-# chi^2 times ln n: the cost of one choice among n that are alike beforehand, of an effect, a free law or a part of one.
-# Derived: -2 ln of a probability 1 / n.
-COST_OF_A_CHOICE = 2.0
+    significance_level: Share = 1e-3
+    """Share of searches with nothing hidden that may claim something. It sets the required sigma, from the candidates'
+    Gram matrix. A false-alarm target (docs/decisions/0009); blind rounds allow 2 in 300 (docs/blind.md)."""
 
-# chi^2, costs included, by which a rival must be worse to be excluded: of models nearer than that the simplest is
-# named and the others are its class; to replace a named effect a rival must be better by as much.
-# Chosen; not derived: odds of 116 to 1. It was also the flat cost of a strength before the evidence set that.
-RIVAL_EXCLUDED_BY = 9.5
+    min_claim_sigma: Positive = 4.0
+    """Least sigma of a claim, however few the candidates, because the noise itself is only estimated.
+    A floor: the level of one in a thousand for the first, smaller library. Doubled, the search no longer names a true
+    effect at its limit; it then reports it as outside the library."""
 
-# chi^2, costs included, by which a free law must be better than a library that explains all: so much likelier is an
-# effect that somebody knows. From blind rounds: 9.5, then 5.5, then 5 on boxes where a law of no library fell short.
-EFFECT_PREFERRED_BY = 5.0
+    max_effects: Count = 4
+    """Most effects that one search names. More together can imitate a law of no library. Chosen; not derived."""
 
-# --- Free laws ---
+    unexplained_sigma: Positive = 5.0
+    """Sigma beyond which a remaining disagreement, or a rejected claim, shows that something more is missing.
+    Corrected for the trials: chance exceeds it once in two million. A convention (5 sigma)."""
 
-# Sigma of a free law, needed to declare it, and of an effect for it to be looked for or kept beside one.
-# Chosen; not derived. Corrected for the trials within one law: of 29 laws chance exceeds it in two of 10,000 searches.
-# Doubled, two laws of no library are no longer found.
-FREE_LAW_SIGMA = 4.5
+    min_clips_for_trend: Count = 6
+    """Clips that must show a residual before it is tested against speed, heading, position or impact parameter.
+    Chosen; not derived."""
 
-# Effects claimed beside a free law, after it was found, at most. Chosen; not derived.
-MOST_EFFECTS_BESIDE_FREE_LAW = 2
+    max_disagreement_to_residual: Positive = 3.0
+    """Largest ratio of a disagreement to the residuals for which a size is reported: launches absorb most of it.
+    Chosen; not derived. Effects of the library have 1.3; models that are wrong throughout have 4 (pucks on air) and
+    10 to 50 and more (real billiard balls)."""
 
-# Sigma of an effect beside a free law, or where one was withdrawn, or where the model with it still leaves something
-# unexplained: what is weaker may be a part of a law nobody knows.
-# Chosen between, in boxes of two rounds and of one more secret: true names beside a free law had 27, 29 and 30 sigma,
-# false ones, which imitated a second law of no library, 11, 16, 17 and 18.
-SIGMA_BESIDE_FREE_LAW = 20.0
+    poor_chi2_per_dof: Positive = 2.0
+    """chi^2 per degree of freedom, with an effect added by hand, above which more is missing.
+    Chosen; not derived: twice what noise leaves."""
 
-# chi^2, costs included: a free law so near to the library's model may be the truth once the noise is known better, and
-# the noise is read again beside it. Chosen; not derived: twice EFFECT_PREFERRED_BY.
-FREE_LAW_NEAR = 10.0
+    # --- The cost of freedom ---
 
-# Sigma at which the data tell a formula from the free curve: it is then said not to suffice. As LEAST_SIGMA_OF_A_CLAIM.
-FORMULA_REFUSED_SIGMA = 4.0
+    choice_cost: Positive = 2.0
+    """chi^2 per ln n: the cost of one choice among n equally likely effects, free laws or parts of one.
+    Derived: -2 ln of a probability 1 / n."""
 
-# Share of what the curve explains: a formula that lacks less is not refused. Chosen; not derived.
-FORMULA_SLIGHT_SHARE = 0.01
+    rival_excluded_chi2: Positive = 9.5
+    """chi^2, costs included, by which a rival must be worse to be excluded. Among closer models the search names the
+    simplest and lists the others as its aliases. A rival replaces a named effect only if it is better by as much.
+    Chosen; not derived: odds of 116 to 1."""
 
-# --- Collisions that had no part in a claim ---
+    effect_preferred_chi2: Positive = 5.0
+    """chi^2, costs included, by which a free law must beat a library that explains everything: a known effect is more
+    likely beforehand. Chosen between 9.5 and 5.5 on blind rounds, where a law of no library fell short."""
 
-# One collision in so many is kept out of every fit, evenly over the speeds. Chosen; not derived: of a claim at the
-# detection limit they then see 2.5 sigma (docs/discrepancy.md).
-KEPT_OUT_ONE_IN = 4
+    # --- Free laws ---
 
-# Collisions from which on the fastest and the most oblique are among those kept out. Chosen; not derived: from there on
-# two of the collisions can be kept out.
-EXTREMES_KEPT_OUT_FROM = 8
+    free_law_sigma: Positive = 4.5
+    """Sigma that a free law needs, and that an effect needs beside one. Chosen; not derived. It is corrected for the
+    trials within one law: chance exceeds it, over 29 laws, in two of 10,000 searches. Doubled, the search no longer
+    finds two laws of no library."""
 
-# Sigma by which collisions kept out, foretold worse with a claim, may fall short of what it promised.
-# Derived: refuses one true claim in 40 at the detection limit, none of strong ones (docs/discrepancy.md).
-SHORT_OF_PROMISE_SIGMA = 2.0
+    max_effects_beside_free_law: Count = 2
+    """Most effects that are claimed beside a free law after it was found. Chosen; not derived."""
 
-# Sigma of a claim in all collisions, each held out once, under which chance may do it. A convention (3 sigma).
-HELD_OUT_IN_TURN_SIGMA = 3.0
+    beside_free_law_sigma: Positive = 20.0
+    """Sigma that an effect needs beside a free law, beside a rejected one, or where the model still leaves something
+    unexplained: a weaker effect may be part of an unknown law. Chosen between, on sealed boxes: true effects beside a
+    free law had 27, 29 and 30 sigma; false ones, which imitated a second unknown law, had 11, 16, 17 and 18."""
 
-# chi^2 a point beyond which collisions are not described: beside so much that is missing, sigma says little.
-# Chosen; not derived: real billiard hits were at 50 and 3. In sealed boxes it is 1.2 at most where a claim is true and
-# nothing else is missing.
-NOT_DESCRIBED = 2.0
+    near_free_law_chi2: Positive = 10.0
+    """chi^2, costs included, within which a free law may still overtake the library's model once the noise is better
+    known. The noise is then estimated with that law. Chosen; not derived: twice `effect_preferred_chi2`."""
 
-# Share of what is over one that a claim must then close to stand. Chosen; not derived: of those hits, a claim of 53
-# sigma closed .4 and 2 %.
-LEAST_SHARE_CLOSED = 0.1
+    formula_rejected_sigma: Positive = 4.0
+    """Sigma at which the data distinguish a formula from the free curve and so reject it. As `min_claim_sigma`."""
 
-# The same for a claim of fewer sigma, by its scatter from collision to collision, than SIGMA_BESIDE_FREE_LAW.
-# Derived: what is left is then less than what the claim explains.
-LARGER_SHARE = 0.5
+    formula_tolerated_share: Share = 0.01
+    """Share of the curve's chi^2 that a formula may lack without being rejected. Chosen; not derived."""
 
-# Of the sigma of a claim, that by which its strength may change with place, heading, speed or clip, beyond
-# UNEXPLAINED_SIGMA: what changes more is another law. Chosen; not derived: in sealed boxes true claims of 9 to 28 sigma
-# had 2.7 at most; friction that rises on one half of a plate, named stribeck at 17, had 6.4.
-NOT_THE_SAME = 0.2
+    # --- Held-out collisions ---
 
-# Standard deviations of chi^2 a point that a gap must exceed for a share of it to be given: else it is one of noise.
-# A convention (3 sigma).
-GAP_BEYOND_CHANCE = 3.0
+    hold_out_one_in: Count = 4
+    """One collision in so many is held out of every fit, evenly over the speeds. Chosen; not derived: held-out
+    collisions then see a claim at the detection limit at 2.5 sigma."""
 
-# --- What these collisions cannot tell ---
+    min_clips_to_hold_out_extremes: Count = 8
+    """Collisions from which on the fastest and the most oblique are held out. Chosen; not derived: two of the
+    collisions can then be held out."""
 
-# Sigma expected of a strength at its detection limit. A convention: at the level of 4.2 it is seen in 79 of 100.
-DETECTION_LIMIT_SIGMA = 5.0
+    max_shortfall_sigma: Positive = 2.0
+    """Sigma by which held-out collisions that a claim predicts worse may fall short of what the claim promised.
+    Derived: it rejects one true claim in 40 at the detection limit, and no strong one."""
 
-# Realistic sizes: an effect whose detection limit is larger cannot be told, and leads only where nothing else claims.
-# Chosen; not derived.
-LARGEST_LIMIT = 10.0
+    leave_one_out_sigma: Positive = 3.0
+    """Sigma that a claim needs in all collisions, each left out once. A convention (3 sigma)."""
 
-# Cosine of two signatures beyond which they are reported as alike, and rivals of the leader fitted in full.
-# Chosen; not derived: there the naming limit is 2.3 times the detection limit.
-ALIAS_COSINE = 0.9
+    poor_chi2_per_point: Positive = 2.0
+    """chi^2 per point above which a model does not describe the collisions, so that sigma says little.
+    Chosen; not derived: real billiard hits had 50 and 3. In sealed boxes a true claim leaves 1.2 at most."""
 
-# The same for the span of two other effects, which can nearly always do more than one. Chosen; not derived: there the
-# naming limit is 5 times the detection limit.
-ALIAS_COSINE_OF_PAIRS = 0.98
+    min_closed_share: Share = 0.1
+    """Share of the excess of chi^2 per point over one that a claim must then close.
+    Chosen; not derived: a claim of 53 sigma closed 0.4 and 2 % of real billiard hits."""
 
-# Cosine under which a proposed experiment is said to part two effects. As ALIAS_COSINE.
-PARTED_COSINE = 0.9
+    min_closed_share_of_weak_claim: Share = 0.5
+    """The same for a claim of fewer sigma, by its scatter between collisions, than `beside_free_law_sigma`.
+    Derived: the claim then explains more than it leaves."""
 
-# Of that cosine: what all changes of an experiment together must gain over the best single one. Chosen; not derived.
-PARTED_BETTER_BY = 0.02
+    max_strength_variation: Positive = 0.2
+    """Share of a claim's sigma by which its strength may vary with position, heading, speed or clip, if that is more
+    than `unexplained_sigma`. A strength that varies more belongs to another law. Chosen; not derived: in sealed boxes
+    true claims of 9 to 28 sigma varied by 2.7 at most; friction that rises on half a plate, named stribeck at 17, by
+    6.4."""
 
-# Clips are said to be alike where the largest speed is less than so many times the least, ...
-# Chosen; not derived.
-ALIKE_SPEEDS = 1.2
+    min_gap_sigma: Positive = 3.0
+    """Standard deviations of chi^2 per point that a gap must have before a share of it is reported as closed.
+    A convention (3 sigma)."""
 
-# ... where no heading is further from their mean, in degrees, ... Chosen; not derived.
-ALIKE_HEADINGS = 30.0
+    # --- What these collisions cannot distinguish ---
 
-# ... and where the impact parameters span less. Chosen; not derived.
-ALIKE_IMPACT_PARAMETERS = 0.05
+    detection_limit_sigma: Positive = 5.0
+    """Expected sigma of a strength at its detection limit. A convention: a search that asks 4.2 sees 79 in 100."""
 
-# --- What is taken for noise ---
+    max_detection_limit: Positive = 10.0
+    """Realistic sizes: an effect with a larger detection limit is undetectable. It is considered only where nothing
+    else is significant. Chosen; not derived."""
 
-# Places of a stretch from which the noise is read; a shorter one says little beside a cubic of 4 numbers.
-# Chosen; not derived.
-SHORTEST_STRETCH = 12
+    alias_cosine: Share = 0.9
+    """Cosine of two signatures above which they are reported as similar, and rivals of the leader are fitted in full.
+    Chosen; not derived: the naming limit is there 2.3 times the detection limit."""
 
-# The same where no stretch is so long. Chosen; not derived: twice the cubic's numbers.
-SHORTEST_OF_SHORT = 8
+    pair_alias_cosine: Share = 0.98
+    """The same for the span of two other effects, which nearly always fits better than one.
+    Chosen; not derived: the naming limit is there 5 times the detection limit."""
 
-# Frames from one place to the next in a stretch. Chosen; not derived: trackers lose a ball for a few frames.
-LONGEST_BREAK = 5
+    separated_cosine: Share = 0.9
+    """Cosine below which a proposed experiment separates two effects. As `alias_cosine`."""
 
-# Frames at either end of a phase that the noise is not read from, since they may hold a misplaced event.
-# Chosen; not derived.
-EVENT_MARGIN = 2
+    min_cosine_gain: Share = 0.02
+    """Decrease of that cosine that all changes of an experiment together need over the best single one.
+    Chosen; not derived."""
 
-# Times the median clip's noise power: a noisier clip has no part in the noise, or it would count for all others.
-# Chosen; not derived: 3 times the rms.
-UNUSUAL_NOISE_POWER = 9.0
+    same_speed_ratio: Positive = 1.2
+    """Ratio of the largest to the least speed below which all clips count as equally fast. Chosen; not derived."""
 
-# Sigma under independence beyond which both balls are taken to share noise. Chosen; not derived. As much as
-# LEAST_SIGMA_OF_A_CLAIM, so that no search without shake has one by chance.
-SHARED_NOISE_SIGMA = 4.0
+    same_heading_deg: Positive = 30.0
+    """Degrees from the mean heading within which all clips count as going one way. Chosen; not derived."""
 
-# Times by which what both balls share may be larger over whole clips than within their phases; what grows more may be
-# a force. Chosen between, on opened boxes: 1.5 at most where a camera shook, 7 where a table leant.
-SHARED_NOISE_GROWS = 3.0
+    same_impact_parameter: Positive = 0.05
+    """Span of the impact parameters below which all clips count as equally oblique. Chosen; not derived."""
 
-# Times by which a ball's own noise may be larger over whole phases than within pieces of 8 places; what grows more is
-# motion that no cubic follows over a phase. Chosen between, on drawn tracks and real ones: at most 3 where noise is
-# correlated by up to .99 from frame to frame; 9 and more where slides end .02 to .1 s before it is thought, 20 for real
-# pucks, 100 for real billiard balls. A drift of ten times the white noise beside it (5 to 8) is taken for motion.
-NOISE_GROWS = 5.0
+    # --- What is taken for noise ---
 
-# Times the noise of the pieces that cubics must leave over whole phases for that: the scale of a noise whose
-# correlation is near one says little by itself. Chosen between: 1.04 in a sealed box whose camera shook, 1.7 and 1.8 of
-# real balls and pucks. Not enough by itself: drawn drifts leave up to 1.7 over phases of 80 places.
-LEFT_BY_MOTION = 1.4
+    min_stretch_positions: Count = 12
+    """Positions of a stretch from which the noise is estimated; beside a cubic of 4 numbers a shorter one says little.
+    Chosen; not derived."""
 
-# Times the median piece's noise power: a piece of 8 places beyond it holds an event. Chosen: of white noise 1 in 200.
-UNUSUAL_POWER_OF_A_PIECE = 3.0
+    min_short_stretch_positions: Count = 8
+    """The same where no stretch is so long. Chosen; not derived: twice the cubic's numbers."""
 
-# -2 log likelihood that another noise must gain for everything to be fitted again. Derived: 3 sigma of one number.
-NOISE_GAIN = 9.0
+    max_frame_gap: Count = 5
+    """Frames from one position to the next within a stretch. Chosen; not derived: trackers lose a ball for a few."""
 
-# -2 log likelihood within the phases of motion by which they exclude a noise read from whole clips.
-# Derived: one chance in a thousand for five numbers, as many as such a noise may have.
-NOISE_EXCLUDED_BY = 20.0
+    event_margin_frames: Count = 2
+    """Frames at either end of a phase that the noise estimate skips, since they may hold a misplaced event.
+    Chosen; not derived."""
 
-# Partial correlation of noise two places apart under which tracks are taken for smoothed by a filter, whose window ends
-# as no noise does. On drawn tracks moving means, Gaussians and Savitzky-Golay filters give -1 to -.17; without a filter
-# there is no such term. Chosen between, on boxes of one secret; shown on hostile boxes of another.
-SMOOTHED_UNDER = -0.12
+    max_clip_noise_power: Positive = 9.0
+    """Ratio to the median clip's noise power above which a clip does not enter the noise estimate: it would outweigh
+    all others. Chosen; not derived: 3 times the rms."""
 
-# Frames to either side of a contact, and of a gap or an end, that have no part in a search of smoothed tracks.
-# Derived: half of a window of 11, the widest that is usual.
-SMOOTHED_REACH = 5
+    shared_noise_sigma: Positive = 4.0
+    """Sigma against independence above which both balls are taken to share noise. Chosen; not derived. As
+    `min_claim_sigma`, so that no search of a steady camera finds shared noise by chance."""
 
-# --- Single places left out ---
+    max_shared_noise_growth: Positive = 3.0
+    """Largest ratio of the noise shared over whole clips to that shared within phases; a larger one may be a force.
+    Chosen between, on opened boxes: 1.5 at most where a camera shook, 7 where a table leant."""
 
-# Sigma off a smooth path through its neighbours that makes a place an outlier, in units of the typical such number.
-# Chosen; not derived: noise never reaches it, one Gaussian number in 10^15.
-OUTLIER_POINT_SIGMA = 8.0
+    max_noise_growth: Positive = 5.0
+    """Largest ratio of a ball's own noise over whole phases to that within pieces of 8 positions; a larger one is
+    motion that no cubic follows. Chosen between, on drawn and real tracks: at most 3 for noise correlated by up to
+    0.99 between frames; 9 and more where slides end 0.02 to 0.1 s early, 20 for real pucks, 100 for real billiard
+    balls. A drift of ten times the white noise beside it (5 to 8) counts as motion."""
 
-# rms, in the same units, by which the neighbours may be off that path themselves: a jump is no single place.
-# Chosen; not derived.
-NEIGHBOURS_SMOOTH_TO = 2.0
+    min_cubic_residual_ratio: Positive = 1.4
+    """Ratio of what cubics leave over whole phases to the noise of the pieces that motion must exceed too: the scale
+    of a noise with a correlation near one says little. Chosen between: 1.04 where a camera shook, 1.7 and 1.8 for real
+    balls and pucks. Not enough by itself: drawn drifts leave up to 1.7 over phases of 80 positions."""
 
-# Claimed standard deviations, in the median, that a model may be off for outliers beside it to be looked for.
-# Chosen; not derived.
-MODEL_NEARLY_RIGHT = 10.0
+    max_piece_noise_power: Positive = 3.0
+    """Ratio to the median piece's noise power above which a piece of 8 positions holds an event.
+    Chosen: white noise exceeds it in 1 piece of 200."""
 
-# Clips: an outlier beside a model in the same frame of so many is none, since a clock does that. Chosen; not derived.
-SAME_FRAME_IN_CLIPS = 3
+    min_noise_gain: Positive = 9.0
+    """-2 log likelihood that another noise must gain before everything is fitted again.
+    Derived: 3 sigma of one number."""
 
-# Frames by which the first guess of the contact may be wrong: places so near count as in an event. Chosen; not derived.
-CONTACT_KNOWN_TO = 0.25
+    noise_excluded_by: Positive = 20.0
+    """-2 log likelihood within the phases of motion by which they exclude a noise estimated over whole clips.
+    Derived: one chance in a thousand for five numbers, the most that such a noise has."""
 
-# Diameters that a ball must jump in a frame, and be off its way, for places to be taken for another ball's: two balls
-# are a diameter apart at least. Chosen; not derived.
-STRAY_JUMP = 0.8
+    smoothed_partial_correlation: Annotated[float, Field(gt=-1, lt=0)] = -0.12
+    """Partial correlation of noise two positions apart below which tracks count as smoothed: a filter's window ends,
+    as no noise does. Moving means, Gaussians and Savitzky-Golay filters give -1 to -0.17 on drawn tracks, unfiltered
+    tracks none. Chosen between, on boxes of one secret; confirmed on hostile boxes of another."""
 
-# Places of another ball in a row, at most. Chosen; not derived: a longer run is a track of its own.
-LONGEST_STRAY = 12
+    smoothing_reach_frames: Count = 5
+    """Frames on either side of a contact, a gap or an end that a search of smoothed tracks skips.
+    Derived: half of a window of 11, the widest that is usual."""
 
-# Diameters by which a ball may be off a straight line through the places before and after those.
-# Chosen; not derived: where a ball is hit in between, it is off by more.
-STRAIGHT_TO = 0.2
+    # --- Single positions that are left out ---
 
-# --- Whole clips left out ---
+    outlier_position_sigma: Positive = 8.0
+    """Sigma from a smooth path through its neighbours beyond which a position is an outlier, in units of the typical
+    such number. Chosen; not derived: noise exceeds it in one Gaussian number of 10^15."""
 
-# Spreads of the logarithm of the clips' chi^2 that make one unlike all others, whatever the model. Chosen; not derived:
-# a missing effect makes clips worse by factors, and must not be taken out with the worst.
-OUTLIER_CLIP_SPREADS = 8.0
+    max_neighbour_rms: Positive = 2.0
+    """Largest rms of the neighbours about that path, in the same units: a jump is no single position.
+    Chosen; not derived."""
 
-# Sigma between what one clip and all others say of the shared parameters. A convention (5 sigma).
-OUTLIER_CLIP_SIGMA = 5.0
+    max_model_error_sigma: Positive = 10.0
+    """Largest median residual of a model, in claimed standard deviations, beside which outliers are sought.
+    Chosen; not derived."""
 
-# One clip in so many may be left out: where more are unlike the others, the model is wrong and not they.
-# Chosen; not derived.
-OUTLIER_CLIPS_ONE_IN = 10
+    same_frame_clips: Count = 3
+    """Clips with an outlier in the same frame from which on a clock is to blame, so none is an outlier.
+    Chosen; not derived."""
 
-# --- What is refused or doubted before anything is fitted ---
+    contact_error_frames: Positive = 0.25
+    """Frames by which the first guess of the contact may be wrong; positions so close count as in an event.
+    Chosen; not derived."""
 
-# Collisions, at least: with fewer some would not be left to show the gap on. Chosen; not derived.
-FEWEST_COLLISIONS = 6
+    stray_jump_diameters: Positive = 0.8
+    """Diameters that a ball must jump in a frame, and be off its path, for positions to count as another ball's: two
+    balls are at least a diameter apart. Chosen; not derived."""
 
-# Frames in which each ball must be seen before the contact. Chosen: a straight path and one to spare.
-FEWEST_FRAMES_BEFORE_CONTACT = 3
+    max_stray_positions: Count = 12
+    """Most positions of another ball in a row. Chosen; not derived: a longer run is a track of its own."""
 
-# Frames after a hit, in which both balls are to be seen, to find the hit where tracks start at it. Chosen: twice the
-# numbers of two parabolas that join.
-FRAMES_AFTER_HIT = 10
+    max_straightness_diameters: Positive = 0.2
+    """Diameters by which a ball may be off a straight line through the positions before and after those.
+    Chosen; not derived: a ball that is hit in between is off by more."""
 
-# Frames, at most, between such a hit and the first one in which both balls are seen. Chosen; not derived.
-UNSEEN_AFTER_HIT = 5.0
+    # --- Whole clips that are left out ---
 
-# Times by which noise over whole phases may be larger than what is new of it from frame to frame, before it is said
-# that it may be missing physics: real billiard tracks had 2.8 mm beside .2 to .5 mm. Chosen; not derived.
-SLOW_NOISE = 3.0
+    outlier_clip_spreads: Positive = 8.0
+    """Spreads of the logarithm of the clips' chi^2 that make one an outlier under every model. Chosen; not derived: a
+    missing effect makes clips worse by factors and must not be taken out with the worst."""
 
-# Frames by which a clip's times may lie beside an even rate before its places are moved to even times. Below it times
-# may be rounded ones; at .1 frames a ball of half its diameter a frame is 5 % of a diameter off. Chosen; not derived.
-UNEVEN_TIMES = 0.1
+    outlier_clip_sigma: Positive = 5.0
+    """Sigma between the shared parameters of one clip and those of all others. A convention (5 sigma)."""
 
-# Frames by which a place is moved to its even time at most: with more it is nearer to another frame's. Chosen.
-MOST_UNEVEN = 0.5
+    outlier_clips_one_in: Count = 10
+    """One clip in so many may be left out; if more are outliers, the model is wrong. Chosen; not derived."""
 
-# Of the errors that are claimed, the step of a grid before it is said that places are rounded. Chosen; not derived.
-GRID_OF_ERRORS = 0.5
+    # --- What is refused or doubted before any fit ---
 
-# m/s^2, by which a striker must slow down before the contact to be taken for sliding where the tracker's model of it
-# is rejected: rolling takes .1, sliding with a friction of .05 takes .5. Chosen; not derived.
-SLIDING_APPROACH = 0.3
+    min_collisions: Count = 6
+    """Least number of collisions: with fewer none would remain to show the gap. Chosen; not derived."""
 
-# p-value of the tracker's two fits of a clip, errors as large as the free one leaves, from which on a striker's spin
-# is believed although the clip was rejected. In 25 clips with errors claimed a quarter too small it is 1e-4 and more;
-# where the spin was wrong, under 1e-50. Chosen between.
-SPIN_AGREES = 1e-6
+    min_frames_before_contact: Count = 3
+    """Frames that must show each ball before the contact. Chosen: a straight path and one more."""
 
-# Share of the strikers that spin about the vertical beyond which each is taken to, also where the tracker's model of
-# its clip is rejected, as it is where an effect is missing; those do not count. Chosen; not derived.
-MOST_STRIKERS_SPIN = 0.5
+    min_frames_after_hit: Count = 10
+    """Frames that must show both balls after a hit that the tracks start at. Chosen: twice the numbers of two joined
+    parabolas."""
 
-# m/s, of the median clip: no ball is launched faster, and scale or frame rate are wrong. Chosen; not derived.
-FASTEST_LAUNCH = 20.0
+    max_unseen_frames_after_hit: Positive = 5.0
+    """Most frames between such a hit and the first one that shows both balls. Chosen; not derived."""
 
-# Relative difference between the ball's diameter in camera.json and in the model that is refused: it would pass for an
-# effect. Chosen; not derived.
-SAME_BALL_WITHIN = 1e-3
+    slow_noise_ratio: Positive = 3.0
+    """Ratio of the noise over whole phases to its part that is new from frame to frame, above which the report warns
+    that the noise may be missing physics. Chosen; not derived: real billiard tracks had 2.8 mm beside 0.2 to 0.5 mm."""
 
-# How far, as a natural logarithm, the least distance of two balls may lie from a diameter in a unit that is then
-# suggested in place of px. Chosen; not derived.
-UNIT_WITHIN = 0.3
+    max_uneven_frames: Positive = 0.1
+    """Frames by which a clip's times may deviate from an even rate before its positions are moved to even times.
+    Smaller deviations may be rounding. Chosen; not derived: a ball that covers half its diameter in a frame moves by
+    5 % of a diameter in 0.1 frames."""
 
-# Diameters: the least distance of two balls, over the clips, is larger if it is in px; smaller ones would overlap.
-# Geometry gives 1; less by what places may be wrong by. Chosen. Doubled, all tracks are refused, as they must be.
-NEAREST_DIAMETERS = 0.8
+    max_time_shift_frames: Positive = 0.5
+    """Most frames by which a position is moved to its even time; beyond, it is nearer to another frame's. Chosen."""
 
-# Diameters: balls that never come nearer are measured in another unit. Chosen; not derived.
-FURTHEST_DIAMETERS = 30.0
+    max_grid_step_to_error: Positive = 0.5
+    """Step of a grid, in claimed errors, above which the report says that positions are rounded.
+    Chosen; not derived."""
 
-# Of the picture's size: no track reaches further, in px. Chosen; not derived.
-FURTHEST_OUTSIDE = 2.0
+    sliding_deceleration_m_s2: Positive = 0.3
+    """m/s^2 by which a striker must slow down before the contact to count as sliding, where its clip is a misfit.
+    Chosen; not derived: rolling takes 0.1, sliding with a friction of 0.05 takes 0.5."""
 
-# Frames between two sights of both balls, at most, to tell that they have exchanged their names. Chosen; not derived.
-EXCHANGE_WITHIN_FRAMES = 3
+    spin_p_value: Share = 1e-6
+    """p-value of the tracker's two fits of a clip, with errors as large as the free fit leaves, above which a
+    striker's spin is believed although the clip is a misfit. Chosen between: 1e-4 and more in 25 clips with errors
+    claimed a quarter too small, below 1e-50 where the spin was wrong."""
+
+    spinning_strikers_share: Share = 0.5
+    """Share of strikers that spin about the vertical above which every striker is fitted with a spin. Clips that are
+    misfits, as a missing effect makes them, do not count. Chosen; not derived."""
+
+    max_launch_speed_m_s: Positive = 20.0
+    """m/s of the median clip above which scale or frame rate must be wrong. Chosen; not derived."""
+
+    max_diameter_mismatch: Positive = 1e-3
+    """Relative difference of the ball's diameter in camera.json and in the model that is refused: the fit would take
+    it for an effect. Chosen; not derived."""
+
+    max_unit_mismatch: Positive = 0.3
+    """Natural logarithm of the ratio of the least distance of two balls to a diameter, within which a unit other than
+    px is suggested. Chosen; not derived."""
+
+    min_distance_diameters: Positive = 0.8
+    """Diameters below which the least distance of two balls, over the clips, cannot be in px: balls would overlap.
+    Geometry gives 1, less the errors of the positions. Chosen. Doubled, all tracks are refused, as they must be."""
+
+    max_distance_diameters: Positive = 30.0
+    """Diameters above which balls that never come nearer are measured in another unit. Chosen; not derived."""
+
+    max_picture_sizes: Positive = 2.0
+    """Sizes of the picture beyond which no track in px reaches. Chosen; not derived."""
+
+    max_exchange_frames: Count = 3
+    """Most frames between two sightings of both balls that can show an exchange of their names.
+    Chosen; not derived."""
+
+
+_default = SearchPolicy()
+_current: ContextVar[SearchPolicy] = ContextVar("search_policy", default=_default)
+
+
+def current_policy() -> SearchPolicy:
+    """The policy of the search that is running; the default policy outside one."""
+    return _current.get()
+
+
+@contextmanager
+def applied_policy(policy: SearchPolicy) -> Iterator[None]:
+    """Within this context `current_policy` is `policy`, as `decimal.localcontext` sets the precision of arithmetic.
+
+    A search passes through some sixty functions that each need one or two fields; so the policy goes with the context
+    and not with each call. It holds for this thread only and ends with the block.
+    """
+    before = _current.set(policy)
+    try:
+        yield
+    finally:
+        _current.reset(before)
+
+
+def read_policy(path: Path) -> SearchPolicy:
+    """Read a YAML file with fields of `SearchPolicy`; fields that it leaves out keep their defaults.
+
+    Raises
+    ------
+    InputError
+        One line: an unknown key, a wrong type, or a value out of range.
+    """
+    try:
+        return SearchPolicy.model_validate(read_yaml(path))
+    except ValidationError as error:
+        raise one_line(error, str(path), SearchPolicy) from None

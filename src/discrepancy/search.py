@@ -7,7 +7,6 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from discrepancy import policy
 from discrepancy.data.collisions import Measured, cannot_tell, split
 from discrepancy.data.outlier_points import taken_out, without_outliers
 from discrepancy.data.processed import NOTHING_LEFT, SMOOTHED, beyond_reach, processed, seen_around_contact
@@ -26,6 +25,7 @@ from discrepancy.free_laws.fitted_law import FittedLaw
 from discrepancy.free_laws.law_summary import LawSummary
 from discrepancy.free_laws.tabulate import tabulate_and_refit
 from discrepancy.planning.pair_advice import advise, compare_designs
+from discrepancy.policy import current_policy
 from discrepancy.selection.fit_store import FitStore
 from discrepancy.selection.free_law_contest import FreeLawContest
 from discrepancy.selection.free_law_fit import fit_unseen_clips
@@ -147,10 +147,10 @@ def _beyond_reach(smoothed: Sequence[Measured], outliers: Sequence[str]) -> Sear
     """Of tracks that somebody has smoothed: what the filter has not moved, of clips of which enough is left."""
     clips = [beyond_reach(clip) for clip in smoothed]
     kept = [clip for clip in clips if seen_around_contact(clip)]
-    if len(kept) < policy.FEWEST_COLLISIONS:
+    if len(kept) < current_policy().min_collisions:
         raise InputError(
             f"{SMOOTHED}: of {len(kept)} of {len(clips)} collisions enough is left beyond the filter's reach; expected "
-            f"{policy.FEWEST_COLLISIONS} or more"
+            f"{current_policy().min_collisions} or more"
         )
     lost = tuple(f"clip {clip.clip}: {NOTHING_LEFT}" for clip in clips if not seen_around_contact(clip))
     some, kept_out = split(kept)
@@ -287,7 +287,11 @@ def _verdict(
         return "outside_library"
     if not named:
         # what chance or a bad clip may do is no claim, and no sign that something is missing
-        return "inadequate" if unexplained(left) or any(c.own > policy.UNEXPLAINED_SIGMA for c in withdrawn) else "none"
+        return (
+            "inadequate"
+            if unexplained(left) or any(c.own > current_policy().unexplained_sigma for c in withdrawn)
+            else "none"
+        )
     return "ambiguous" if any(len(n.aliases) > 1 for n in named) else "named"
 
 

@@ -6,7 +6,7 @@ import pytest
 
 from benchmarks.search import sensitivity
 from benchmarks.search.sealed.ledger import lines
-from discrepancy import policy
+from discrepancy.policy import SearchPolicy, current_policy
 
 TRUTH = {"study": "nulls-7", "box": 3, "kind": "none", "effects": [], "defect": {}, "source": "synthcam"}
 TRUTH |= {"noise": "white", "hidden": {}}
@@ -18,7 +18,7 @@ def searches(monkeypatch):
     seen = []
 
     def analysed(measured, camera, model, folder):
-        seen.append(policy.LEAST_SIGMA_OF_A_CLAIM)
+        seen.append(current_policy().min_claim_sigma)
         named = [{"effect": "hop", "parameters": {}}] if seen[-1] < 3 else []
         return {"verdict": "named" if named else "none", "named": named}
 
@@ -32,19 +32,19 @@ def search(place, todo, until=float("inf")):
 
 
 def test_numbers_are_multiplied_cosines_come_nearer_to_one_and_counts_stay_counts():
-    assert sensitivity.changed("LEAST_SIGMA_OF_A_CLAIM", 2.0) == 2 * policy.LEAST_SIGMA_OF_A_CLAIM
-    assert sensitivity.changed("ALIAS_COSINE", 0.5) == pytest.approx((1 + policy.ALIAS_COSINE) / 2)
-    assert sensitivity.changed("ALIAS_COSINE", 2.0) < policy.ALIAS_COSINE < 1
-    assert sensitivity.changed("MOST_EFFECTS_NAMED", 0.1) == 1
-    assert all(type(sensitivity.changed(n, 0.5)) is type(getattr(policy, n)) for n in sensitivity.CONSTANTS)
-    assert sensitivity.changes(["MOST_EFFECTS_NAMED"], [1.1, 2.0]) == [("", 1.0), ("MOST_EFFECTS_NAMED", 2.0)]
+    assert sensitivity.changed("min_claim_sigma", 2.0) == 2 * SearchPolicy().min_claim_sigma
+    assert sensitivity.changed("alias_cosine", 0.5) == pytest.approx((1 + SearchPolicy().alias_cosine) / 2)
+    assert sensitivity.changed("alias_cosine", 2.0) < SearchPolicy().alias_cosine < 1
+    assert sensitivity.changed("max_effects", 0.1) == 1
+    assert all(type(sensitivity.changed(n, 0.5)) is type(getattr(SearchPolicy(), n)) for n in sensitivity.FIELDS)
+    assert sensitivity.changes(["max_effects"], [1.1, 2.0]) == [("", 1.0), ("max_effects", 2.0)]
 
 
 def test_each_search_sees_its_change_and_the_value_is_put_back(searches, tmp_path):
-    floor, name = policy.LEAST_SIGMA_OF_A_CLAIM, "LEAST_SIGMA_OF_A_CLAIM"
+    floor, name = SearchPolicy().min_claim_sigma, "min_claim_sigma"
     search(tmp_path / "searches.jsonl", [("", 1.0), (name, 0.5), (name, 2.0)])
     assert searches == [floor, floor / 2, 2 * floor]
-    assert floor == policy.LEAST_SIGMA_OF_A_CLAIM
+    assert floor == SearchPolicy().min_claim_sigma
     found = list(lines(tmp_path / "searches.jsonl"))
     assert [(r["factor"], r["verdict"], r["right"]) for r in found] == [
         (1.0, "none", True), (0.5, "named", False), (2.0, "none", True)]  # fmt: skip
@@ -55,7 +55,7 @@ def test_each_search_sees_its_change_and_the_value_is_put_back(searches, tmp_pat
 
 
 def test_a_study_goes_on_where_it_stopped(searches, tmp_path, monkeypatch, capsys):
-    place, name = tmp_path / "searches.jsonl", "LEAST_SIGMA_OF_A_CLAIM"
+    place, name = tmp_path / "searches.jsonl", "min_claim_sigma"
     assert search(place, [("", 1.0)], until=0.0) == "nulls-7 3: 0 of 1 searches"
     search(place, [("", 1.0), (name, 0.5)])
     asked = []

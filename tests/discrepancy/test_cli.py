@@ -280,6 +280,24 @@ def test_a_bad_model(recorded, tmp_path, capsys, text, expected):
     assert not (tmp_path / "report").exists()
 
 
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("min_collision: 5", "unknown key; did you mean min_collisions?"),
+        ("max_effects: many", "input should be a valid integer"),
+        ("min_collisions: 7", "6 measured collisions: expected 7 or more"),
+    ],
+)
+def test_a_policy_file_is_read_and_used(recorded, tmp_path, capsys, text, expected):
+    (tmp_path / "policy.yaml").write_text(text)
+    words = ("find", recorded / "results", "--model", MODEL, "--policy", tmp_path / "policy.yaml", "-o", tmp_path / "r")
+    assert command(*words) == 2
+    err = capsys.readouterr().err
+    assert err.count("\n") == 1
+    assert expected in err
+    assert not (tmp_path / "r").exists()
+
+
 def test_an_output_that_holds_something_else(recorded, tmp_path, monkeypatch, capsys):
     (tmp_path / "notes.txt").write_text("mine")
     monkeypatch.chdir(tmp_path)

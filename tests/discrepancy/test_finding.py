@@ -124,6 +124,18 @@ def test_what_is_no_model_is_one_line(results, model, said):
     assert "\n" not in str(error.value)
 
 
+@pytest.mark.parametrize(
+    ("policy", "said"),
+    [
+        (discrepancy.SearchPolicy(min_collisions=7), "6 measured collisions: expected 7 or more"),
+        (discrepancy.SearchPolicy(max_launch_speed_m_s=0.1), "are scale and fps of the camera right?"),
+    ],
+)
+def test_a_policy_reaches_reading_and_search(results, policy, said):
+    with pytest.raises(discrepancy.InputError, match=re.escape(said)):
+        discrepancy.find(results, Model(), policy=policy)
+
+
 def test_what_are_no_results_is_one_line(recorded, results):
     for wrong, said in (
         ([], "results: no clip with a measured collision"),

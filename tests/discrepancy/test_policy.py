@@ -2,7 +2,9 @@
 
 import ast
 import dataclasses
+import itertools
 import re
+from contextlib import suppress
 from pathlib import Path
 from types import SimpleNamespace as Made
 
@@ -27,6 +29,7 @@ from discrepancy.free_laws.library import free_laws_over
 from discrepancy.free_laws.marginal_likelihood import CurveEvidence
 from discrepancy.noise import model as noise
 from discrepancy.noise.model import Component, Noise, estimate
+from discrepancy.policy import SearchPolicy, applied_policy, current_policy, read_policy
 from discrepancy.search import _verdict
 from discrepancy.selection import free_law_contest, free_law_fit
 from discrepancy.selection.free_law_contest import FreeLawContest
@@ -36,6 +39,7 @@ from discrepancy.selection.scored import CandidateScore
 from discrepancy.selection.stepwise import Stepwise
 from synthcam.library import library
 from synthcam.model import Model
+from synthcam.settings import InputError
 
 NOISE = Noise(Component(1.0))
 E = "velocity_restitution.e"
@@ -300,7 +304,7 @@ def beside_law(monkeypatch, sigma=30.0, less=500.0, others=()):
     )
     looked = Made(base=base, claim=4.0, paid=lambda effect, sigma: sigma)
     validation = stand.Validation(Made(absorbed=()), None, (), None, NOISE, lambda: None)
-    (claim, _), left, named = validation._claims(looked, law, policy.SIGMA_BESIDE_FREE_LAW)
+    (claim, _), left, named = validation._claims(looked, law, SearchPolicy().beside_free_law_sigma)
     return claim, left["rolling_quadratic"][1], named[0].aliases
 
 
@@ -469,54 +473,82 @@ def test_a_ball_whose_place_is_given_once_has_no_noise_to_be_read():
     assert len(noise._pieces([*still, *moving])) == 4
 
 
-CONSTANTS = [name for name in vars(policy) if name.isupper()]
-ORIGIN = re.compile(r"\b(Derived|Chosen|A convention|target|blind rounds|As [A-Z_]+|floor)\b")
+FIELDS = list(SearchPolicy.model_fields)
 
 
-def test_there_are_constants_each_a_number_set_once():
-    tree = ast.parse(SOURCE.read_text())
-    assert [node.targets[0].id for node in tree.body if isinstance(node, ast.Assign)] == CONSTANTS
-    assert all(type(getattr(policy, name)) in (int, float) for name in CONSTANTS)
-    assert all(isinstance(node, ast.Assign | ast.Expr) for node in tree.body), "it imports nothing"
-    assert len(CONSTANTS) > 40
+def fields_with_docs():
+    (policy_class,) = [n for n in ast.parse(SOURCE.read_text()).body if isinstance(n, ast.ClassDef)]
+    body = policy_class.body
+    return {
+        a.target.id: b.value.value for a, b in itertools.pairwise(body) if isinstance(a, ast.AnnAssign) and is_text(b)
+    }
 
 
-@pytest.mark.parametrize("name", CONSTANTS)
-def test_each_says_above_it_where_it_comes_from(name):
-    lines = SOURCE.read_text().splitlines()
-    row = next(k for k, line in enumerate(lines) if line.startswith(f"{name} = "))
-    said = []
-    while lines[row - 1].startswith("# ") and not lines[row - 1].startswith("# ---"):
-        row -= 1
-        said.insert(0, lines[row])
-    assert ORIGIN.search(" ".join(said)), said
+def is_text(node):
+    return isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant) and isinstance(node.value.value, str)
 
 
-@pytest.mark.parametrize("name", CONSTANTS)
-def test_each_is_used(name):
-    assert any(re.search(rf"\bpolicy\.{name}\b", path.read_text()) for path in MODULES)
+@pytest.mark.parametrize("name", FIELDS)
+def test_each_field_says_where_its_default_comes_from(name):
+    assert re.search(r"Derived|Chosen|A convention|target|blind rounds|As `|A floor", fields_with_docs()[name])
+
+
+@pytest.mark.parametrize("name", FIELDS)
+def test_each_field_is_used(name):
+    assert any(re.search(rf"\.{name}\b", path.read_text()) for path in MODULES)
 
 
 @pytest.mark.parametrize("path", MODULES, ids=lambda p: p.relative_to(SOURCE.parent).as_posix())
-def test_none_is_copied_when_a_file_is_imported(path):
-    """A default argument, or a number made of one at the top of a file, would not follow a change."""
+def test_no_file_reads_the_policy_when_it_is_imported(path):
+    """A default argument, or a number at the top of a file, would not follow a change."""
     tree = ast.parse(path.read_text())
     inside = [n for f in ast.walk(tree) if isinstance(f, ast.FunctionDef | ast.Lambda) for n in _body(f)]
     late = {id(n) for part in inside for n in ast.walk(part)}
     for node in ast.walk(tree):
-        if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name) and node.value.id == "policy":
-            assert node.attr in CONSTANTS
-            assert id(node) in late, f"line {node.lineno}: policy.{node.attr} is read on import"
-        if isinstance(node, ast.ImportFrom):
-            assert node.module != "discrepancy.policy", f"line {node.lineno}: import policy, and read it there"
+        if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id == "current_policy":
+            assert id(node) in late, f"line {node.lineno}: the policy is read on import"
 
 
 def _body(function):
     return function.body if isinstance(function.body, list) else [function.body]
 
 
-def test_a_value_is_changed_in_one_place(monkeypatch):
+def test_a_policy_holds_within_its_block():
     left, one = [Made(sigma=6.0)], [Made(aliases=("hop",))]
     assert _verdict(None, one, left, ()) == "outside_library"
-    monkeypatch.setattr(policy, "UNEXPLAINED_SIGMA", 7.0)
-    assert _verdict(None, one, left, ()) == "named"
+    with applied_policy(SearchPolicy(unexplained_sigma=7.0)):
+        assert _verdict(None, one, left, ()) == "named"
+        with suppress(KeyError), applied_policy(SearchPolicy()):
+            raise KeyError
+        assert current_policy().changed() == {"unexplained_sigma": 7.0}
+    assert current_policy() == SearchPolicy()
+
+
+def test_a_policy_cannot_be_changed():
+    with pytest.raises(ValueError, match="frozen"):
+        SearchPolicy().max_effects = 3
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("min_claim_sigmas: 5", "min_claim_sigmas: unknown key; did you mean min_claim_sigma?"),
+        ("max_effects: 2.5", "max_effects: input should be a valid integer"),
+        ("alias_cosine: 1.5", "alias_cosine: input should be less than or equal to 1, found 1.5"),
+        ("significance_level: 0", "significance_level: input should be greater than 0, found 0"),
+        ("min_claim_sigma: .nan", "min_claim_sigma: input should be a finite number, found nan"),
+        ("min_claim_sigma: '5'", "min_claim_sigma: input should be a valid number, found '5'"),
+    ],
+)
+def test_a_wrong_policy_file_is_refused_in_one_line(tmp_path, text, message):
+    path = tmp_path / "policy.yaml"
+    path.write_text(text)
+    with pytest.raises(InputError) as caught:
+        read_policy(path)
+    assert str(caught.value).startswith(f"{path}: {message}")
+    assert "\n" not in str(caught.value)
+
+
+def test_a_policy_file_sets_what_it_names(tmp_path):
+    (tmp_path / "policy.yaml").write_text("significance_level: 1e-4\nmax_effects: 2\n")
+    assert read_policy(tmp_path / "policy.yaml") == SearchPolicy(significance_level=1e-4, max_effects=2)

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import brentq
 
-from discrepancy import policy
 from discrepancy.arrays import Array
 from discrepancy.data.launch import with_spins
+from discrepancy.policy import current_policy
 from tracker.camera.camera import Camera
 from tracker.detection.link import Tracks
 
@@ -53,12 +53,15 @@ def after_hit(tracks: Tracks, camera: Camera, since: float = -math.inf) -> Hit |
     paths, later = {}, tracks.frame / camera.fps > since
     for name in np.unique(tracks.particle).tolist():
         rows = np.flatnonzero((tracks.particle == name) & later)[UNSURE:]
-        if len(rows) >= policy.FRAMES_AFTER_HIT and np.hypot(*(xy[rows[-1]] - xy[rows[0]])) > camera.radius:
+        if (
+            len(rows) >= current_policy().min_frames_after_hit
+            and np.hypot(*(xy[rows[-1]] - xy[rows[0]])) > camera.radius
+        ):
             paths[int(name)] = _slide(tracks.frame[rows] / camera.fps + camera.exposure / 2, xy[rows])
     if len(paths) != 2:
         return None
     names, ((first, one, _), (second, two, _)) = [*paths], paths.values()
-    late, reach = max(first, second), policy.UNSEEN_AFTER_HIT / camera.fps
+    late, reach = max(first, second), current_policy().max_unseen_frames_after_hit / camera.fps
     if abs(first - second) > reach:
         return None
 

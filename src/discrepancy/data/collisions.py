@@ -11,13 +11,13 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from discrepancy import policy
 from discrepancy.arrays import Array, Ints
 from discrepancy.data.after_hit import Hit, after_hit
 from discrepancy.data.even_times import cannot_be_evened, clock_start, evened, uneven
 from discrepancy.data.launch import HEADING, T_C, V0, B, alike, spin
 from discrepancy.data.sanity import exchanged, wrong_units
 from discrepancy.data.strays import without_strays
+from discrepancy.policy import current_policy
 from synthcam_shared.errors import InputError as InputError
 from tracker.camera.camera import Camera
 from tracker.detection.link import Tracks
@@ -132,10 +132,15 @@ class Measured:
 
 def _unbroken(rows: Ints, frame: Ints) -> Iterator[Ints]:
     """Rows in runs in which few frames are missing at a time, less a margin at either end."""
-    for part in np.split(np.arange(len(rows)), np.flatnonzero(np.diff(frame) > policy.LONGEST_BREAK) + 1):
+    for part in np.split(np.arange(len(rows)), np.flatnonzero(np.diff(frame) > current_policy().max_frame_gap) + 1):
         if len(part):
             off = frame[part] - frame[part[0]]
-            yield rows[part[(off >= policy.EVENT_MARGIN) & (off <= off[-1] - policy.EVENT_MARGIN)]]
+            yield rows[
+                part[
+                    (off >= current_policy().event_margin_frames)
+                    & (off <= off[-1] - current_policy().event_margin_frames)
+                ]
+            ]
 
 
 def read_measured(measured: Path | Sequence[Result], camera: Path | None = None) -> tuple[list[Measured], list[str]]:
@@ -195,7 +200,7 @@ def read_measured(measured: Path | Sequence[Result], camera: Path | None = None)
     if not kept:
         raise InputError(f"{measured}: no clip with a measured collision" + "".join(f"; {x}" for x in left_out[:1]))
     typical = float(np.median([c.launch[V0] for c in kept]))
-    if typical > policy.FASTEST_LAUNCH:
+    if typical > current_policy().max_launch_speed_m_s:
         raise InputError(f"{measured}: speeds of {typical:.3g} m/s; are scale and fps of the camera right?")
     launches = alike([c.launch for c in kept], rejected)
     return [replace(c, launch=one) for c, one in zip(kept, launches, strict=True)], left_out
@@ -259,12 +264,14 @@ def collision(tracks: Tracks, row: Mapping[Any, Any], camera: Camera) -> Measure
     hit = _told(row, start) if measured else after_hit(tracks, camera)
     if hit is None:
         return "no estimate of the contact" if measured else str(row["status"])
-    if hit.launch is None and _frames_before(tracks, hit, camera) < policy.FEWEST_FRAMES_BEFORE_CONTACT:
+    if hit.launch is None and _frames_before(tracks, hit, camera) < current_policy().min_frames_before_contact:
         hit = after_hit(tracks, camera, hit.t_c)
         if hit is None:
-            return f"a ball is seen in fewer than {policy.FEWEST_FRAMES_BEFORE_CONTACT} frames before the contact"
+            return (
+                f"a ball is seen in fewer than {current_policy().min_frames_before_contact} frames before the contact"
+            )
     tracks = replace(tracks, time=tracks.time - start)
-    if (moved := uneven(tracks, camera)) > policy.UNEVEN_TIMES:
+    if (moved := uneven(tracks, camera)) > current_policy().max_uneven_frames:
         balls = [np.flatnonzero(tracks.particle == name) for name in hit.names]
         tracks = evened(tracks, balls, hit.t_c, hit.ends, camera)
     pair = [tracks.particle == name for name in hit.names]
@@ -294,7 +301,7 @@ def collision(tracks: Tracks, row: Mapping[Any, Any], camera: Camera) -> Measure
         launch=launch,
         ends=hit.ends,
         offset=float(np.sqrt(np.trace(fixed[resting], axis1=1, axis2=2).mean() / 2)) if resting.any() else 0.0,
-        moved=moved if moved > policy.UNEVEN_TIMES else 0.0,
+        moved=moved if moved > current_policy().max_uneven_frames else 0.0,
     )
 
 
@@ -335,7 +342,7 @@ def _heading(frame: Ints, xy: Array) -> float:
 
 def _acceleration(times: Array, xy: Array) -> Array:
     """Of a ball, (2,) m/s^2, by a parabola through its places; zero where they are few."""
-    if len(times) < policy.FEWEST_FRAMES_BEFORE_CONTACT + 2:
+    if len(times) < current_policy().min_frames_before_contact + 2:
         return np.zeros(2)
     return np.asarray(2 * np.polyfit(times - times.mean(), xy, 2)[0])
 
@@ -345,18 +352,18 @@ def cannot_tell(clips: Sequence[Measured]) -> list[str]:
     speeds, headings, b = np.array([c.launch for c in clips]).T[[V0, HEADING, B]]
     said, normal = [], speeds * np.sqrt(1 - b**2)
     laws = {"restitution": normal, "spin transfer": speeds}  # the speeds that they hang on; friction's falls in a clip
-    if same := [law for law, v in laws.items() if v.max() < policy.ALIKE_SPEEDS * v.min()]:
+    if same := [law for law, v in laws.items() if v.max() < current_policy().same_speed_ratio * v.min()]:
         said.append(
             f"all clips are at {np.median(speeds):.2g} m/s: how {' or '.join(same)} changes with the speed can hardly "
             "be told"
         )
-    if np.ptp(b) < policy.ALIKE_IMPACT_PARAMETERS:
+    if np.ptp(b) < current_policy().same_impact_parameter:
         said.append(
             f"all clips have b near {np.median(b):.2f}: nothing that changes with it can be told, and "
             "hop and mass_mismatch look alike"
         )
     mean = np.exp(1j * headings).mean()
-    if np.abs(np.angle(np.exp(1j * headings) / mean)).max() < np.radians(policy.ALIKE_HEADINGS):
+    if np.abs(np.angle(np.exp(1j * headings) / mean)).max() < np.radians(current_policy().same_heading_deg):
         said.append(
             "all clips go one way: a tilt of the plate, a grain or a tilted camera can hardly be told from drag"
         )
@@ -369,9 +376,9 @@ def split(clips: Sequence[Measured]) -> tuple[list[Measured], list[Measured]]:
     With clips enough the fastest and the most oblique are among it: what the fit never saw.
     """
     order = sorted(range(len(clips)), key=lambda k: float(clips[k].launch[V0]))
-    count = max(len(clips) // policy.KEPT_OUT_ONE_IN, 1)
+    count = max(len(clips) // current_policy().hold_out_one_in, 1)
     kept_out: set[int] = set()
-    if len(clips) >= policy.EXTREMES_KEPT_OUT_FROM:
+    if len(clips) >= current_policy().min_clips_to_hold_out_extremes:
         kept_out = {order[-1], max(order[:-1], key=lambda k: abs(float(clips[k].launch[B])))}
     rest = [k for k in order if k not in kept_out]
     more = max(count - len(kept_out), 0)

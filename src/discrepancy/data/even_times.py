@@ -7,8 +7,8 @@ from dataclasses import fields, replace
 
 import numpy as np
 
-from discrepancy import policy
 from discrepancy.arrays import Array, Ints
+from discrepancy.policy import current_policy
 from tracker.camera.camera import Camera
 from tracker.detection.link import Tracks
 
@@ -80,6 +80,6 @@ def evened(tracks: Tracks, balls: Sequence[Ints], t_c: float, ends: Array, camer
 
 def cannot_be_evened(tracks: Tracks, camera: Camera) -> str | None:
     """Why the places of a clip cannot be moved to even times, or None."""
-    if np.abs(_off(tracks, camera)).max(initial=0.0) <= policy.MOST_UNEVEN:
+    if np.abs(_off(tracks, camera)).max(initial=0.0) <= current_policy().max_time_shift_frames:
         return None
     return f"its times are up to {uneven(tracks, camera):.2g} frames beside an even rate of {camera.fps:g} a second"

@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtrc
 
-from discrepancy import policy
 from discrepancy.arrays import Array
+from discrepancy.policy import current_policy
 from synthcam.dynamics.batch import LAUNCH
 from synthcam.dynamics.launch import SPIN
 from tracker.measurement.collision.adequacy import MISFIT
@@ -85,7 +85,7 @@ def spin(row: Mapping[Any, Any], heading: float, v0: float, pull: Array) -> Arra
     slip, side = np.array([row.get("u2ix", 0.0), row.get("u2iy", 0.0)], dtype=float), float(row.get("side2i", 0.0))
     size = float(np.hypot(*pull))
     doubted = row["status"] == MISFIT and not _by_errors_alone(row)
-    if doubted and size < policy.SLIDING_APPROACH:
+    if doubted and size < current_policy().sliding_deceleration_m_s2:
         slip, side = np.zeros(2), 0.0
     elif doubted and not np.any(np.nan_to_num(slip)):
         slip, side = -GUESS * v0 * pull / size, GUESS * v0
@@ -97,7 +97,7 @@ def _by_errors_alone(row: Mapping[Any, Any]) -> bool:
     tied, dof, free, dof_free = (float(row.get(name, np.nan)) for name in ("chi2", "dof", "chi2_free", "dof_free"))
     if not (dof > dof_free > 0 and free > 0):
         return False
-    return bool(chdtrc(dof - dof_free, max(tied - free, 0.0) * dof_free / free) > policy.SPIN_AGREES)
+    return bool(chdtrc(dof - dof_free, max(tied - free, 0.0) * dof_free / free) > current_policy().spin_p_value)
 
 
 def alike(launches: list[Array], rejected: list[bool] | None = None) -> list[Array]:
@@ -118,9 +118,9 @@ def alike(launches: list[Array], rejected: list[bool] | None = None) -> list[Arr
     out = with_possible_spins(np.concatenate([with_spins(launch[None]) for launch in launches]))
     spins = out[:, SIDE] != 0
     told = spins | ~np.array(rejected if rejected else np.zeros(len(out), dtype=bool))
-    if told.sum() < policy.FEWEST_COLLISIONS:
+    if told.sum() < current_policy().min_collisions:
         told[:] = True
-    if np.mean(spins[told]) > policy.MOST_STRIKERS_SPIN:
+    if np.mean(spins[told]) > current_policy().spinning_strikers_share:
         out[~spins, SIDE] = 0.01 * np.median(np.abs(out[spins, SIDE]))
     return list(out)
 

@@ -10,10 +10,10 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from discrepancy import policy
 from discrepancy.arrays import Array, Ints
 from discrepancy.data.collisions import Measured
 from discrepancy.data.launch import T_C
+from discrepancy.policy import current_policy
 
 REACH = 4  # frames to either side, of the same ball and phase, that say where a place should be
 BESIDE = 2  # of them on either side at least: where a phase ends, the path may bend
@@ -40,7 +40,9 @@ def without_outliers(clips: Sequence[Measured], expected: Sequence[Array] | None
         often = Counter(frame for own in both for frame in own)
         for c, own, rows in zip(clips, both, found, strict=True):
             rows -= {
-                k for k in rows if own[int(c.frame[k])] > 1 or often[int(c.frame[k])] >= policy.SAME_FRAME_IN_CLIPS
+                k
+                for k in rows
+                if own[int(c.frame[k])] > 1 or often[int(c.frame[k])] >= current_policy().same_frame_clips
             }
     return [c.of(np.delete(np.arange(len(c.frame)), sorted(r))) if r else c for c, r in zip(clips, found, strict=True)]
 
@@ -64,7 +66,10 @@ def outliers(clip: Measured, expected: Array | None = None) -> set[int]:
     contact: outliers are then seen there too, where a slide ends, and at both ends of the clip.
     """
     paths, gone = _Paths.of(clip, expected), set[int]()
-    if expected is not None and float(np.median(np.abs(paths.xy) / paths.claimed[:, None])) > policy.MODEL_NEARLY_RIGHT:
+    if (
+        expected is not None
+        and float(np.median(np.abs(paths.xy) / paths.claimed[:, None])) > current_policy().max_model_error_sigma
+    ):
         return gone
     todo = range(len(clip.frame))
     inner = paths.inner(todo, gone)
@@ -74,8 +79,8 @@ def outliers(clip: Measured, expected: Array | None = None) -> set[int]:
         wrong = {row: offset for row, offset in inner.items() if offset.far(typical)}
         if expected is not None and not wrong:
             if outer is None:
-                outer = paths.outer(todo, gone, policy.NEIGHBOURS_SMOOTH_TO * typical)
-            told = {row for row, offset in inner.items() if offset.rest < policy.NEIGHBOURS_SMOOTH_TO * typical}
+                outer = paths.outer(todo, gone, current_policy().max_neighbour_rms * typical)
+            told = {row for row, offset in inner.items() if offset.rest < current_policy().max_neighbour_rms * typical}
             wrong = {row: offset for row, offset in outer.items() if row not in told and offset.far(typical)}
         if not wrong:
             return gone
@@ -84,7 +89,7 @@ def outliers(clip: Measured, expected: Array | None = None) -> set[int]:
         near = paths.near(worst)
         inner = {row: offset for row, offset in inner.items() if row not in near} | paths.inner(near, gone)
         if outer is not None:
-            again = paths.outer(near, gone, policy.NEIGHBOURS_SMOOTH_TO * typical)
+            again = paths.outer(near, gone, current_policy().max_neighbour_rms * typical)
             outer = {row: offset for row, offset in outer.items() if row not in near} | again
 
 
@@ -98,8 +103,8 @@ class _Offset:
     def far(self, typical: float) -> bool:
         """typical: the size of such numbers where there are only errors."""
         return bool(
-            np.abs(self.off).max() > policy.OUTLIER_POINT_SIGMA * typical
-            and self.rest < policy.NEIGHBOURS_SMOOTH_TO * typical
+            np.abs(self.off).max() > current_policy().outlier_position_sigma * typical
+            and self.rest < current_policy().max_neighbour_rms * typical
         )
 
 
@@ -140,18 +145,23 @@ class _Paths:
             return cls(clip.frame, clip.ball, clip.xy, clip.phase(), clip.claimed())
         contact, wide = clip.launch[T_C] * clip.fps, clip.exposure * clip.fps
         early, late = (
-            clip.frame + wide + policy.CONTACT_KNOWN_TO <= contact,
-            clip.frame - policy.CONTACT_KNOWN_TO >= contact,
+            clip.frame + wide + current_policy().contact_error_frames <= contact,
+            clip.frame - current_policy().contact_error_frames >= contact,
         )
         phase = np.where(early, 0, np.where(late, 1, -1))
         return cls(
-            clip.frame, clip.ball, clip.xy - expected, phase, clip.claimed(), (wide + policy.CONTACT_KNOWN_TO) / 4
+            clip.frame,
+            clip.ball,
+            clip.xy - expected,
+            phase,
+            clip.claimed(),
+            (wide + current_policy().contact_error_frames) / 4,
         )
 
     def _through(self, rows: Ints, row: int) -> _Path:
         """The smoothest path through them or through all but one, which may be an outlier itself."""
         path = self._path(rows, row)
-        if path.rest < policy.NEIGHBOURS_SMOOTH_TO or len(rows) <= FEWEST:
+        if path.rest < current_policy().max_neighbour_rms or len(rows) <= FEWEST:
             return path
         return min((self._path(np.delete(rows, k), row) for k in range(len(rows))), key=lambda p: p.rest)
 

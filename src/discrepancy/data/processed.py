@@ -6,10 +6,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from discrepancy import policy
 from discrepancy.arrays import Array
 from discrepancy.data.collisions import Measured
 from discrepancy.data.launch import T_C
+from discrepancy.policy import current_policy
 
 FEWEST = 30  # different numbers, to see a grid, and gaps, to see a rule in them
 OFF = 0.02  # of a step: so far a number may lie beside the grid
@@ -47,7 +47,7 @@ NOTHING_LEFT = "too few places of a ball before or after the contact are left wi
 
 def beyond_reach(clip: Measured) -> Measured:
     """A clip without the places that a filter moves: near the contact, a gap, or where a ball is seen first or last."""
-    reach = policy.SMOOTHED_REACH
+    reach = current_policy().smoothing_reach_frames
     kept = np.abs(clip.frame - clip.launch[T_C] * clip.fps) > reach
     for ball in (0, 1):
         rows = np.flatnonzero(clip.ball == ball)
@@ -60,7 +60,7 @@ def seen_around_contact(clip: Measured) -> bool:
     """Whether each ball has places enough on either side of the contact to tell its way there."""
     early = clip.frame < clip.launch[T_C] * clip.fps
     counts = [np.sum((clip.ball == ball) & (early == before)) for ball in (0, 1) for before in (True, False)]
-    return bool(min(counts) >= policy.FEWEST_FRAMES_BEFORE_CONTACT)
+    return bool(min(counts) >= current_policy().min_frames_before_contact)
 
 
 def _grid(clips: Sequence[Measured]) -> float:
@@ -76,7 +76,9 @@ def _grid(clips: Sequence[Measured]) -> float:
                 continue
             step = float(rows.min())
             whole = np.abs(rows / step - np.round(rows / step)) < OFF + SLIGHT / step
-            steps.append(step if np.mean(whole) > MOST and step > policy.GRID_OF_ERRORS * errors else 0.0)
+            steps.append(
+                step if np.mean(whole) > MOST and step > current_policy().max_grid_step_to_error * errors else 0.0
+            )
     return float(np.median(steps)) if steps else 0.0
 
 

@@ -7,8 +7,8 @@ from collections.abc import Iterable
 import numpy as np
 from numpy.typing import NDArray
 
-from discrepancy import policy
 from discrepancy.arrays import Array
+from discrepancy.policy import current_policy
 from tracker.camera.camera import Camera
 from tracker.detection.link import Tracks
 
@@ -28,13 +28,13 @@ def wrong_units(clips: Iterable[tuple[Tracks, Camera]]) -> str | None:
         return None
     least = float(np.quantile(nearest, 0.25))
     if (
-        policy.NEAREST_DIAMETERS * touching < least < policy.FURTHEST_DIAMETERS * touching
-        and np.median(far) < policy.FURTHEST_OUTSIDE
+        current_policy().min_distance_diameters * touching < least < current_policy().max_distance_diameters * touching
+        and np.median(far) < current_policy().max_picture_sizes
     ):
         return None
     said = f"the balls come as near as {least:.3g}; expected px, and {touching:.3g} of them, a diameter"
     for unit, factor in UNITS.items():
-        if abs(np.log(max(least, 1e-300) / (factor * diameter))) < policy.UNIT_WITHIN:
+        if abs(np.log(max(least, 1e-300) / (factor * diameter))) < current_policy().max_unit_mismatch:
             return f"the places look like {unit}: {said}"
     return said
 
@@ -47,7 +47,7 @@ def exchanged(tracks: Tracks, camera: Camera) -> int | None:
     frame, one, two = _pair(tracks)
     stay = np.hypot(*np.diff(one, axis=0).T) + np.hypot(*np.diff(two, axis=0).T)
     swap = np.hypot(*(one[1:] - two[:-1]).T) + np.hypot(*(two[1:] - one[:-1]).T)
-    wrong = (np.diff(frame) <= policy.EXCHANGE_WITHIN_FRAMES) & (swap + camera.diameter_px / 2 < stay)
+    wrong = (np.diff(frame) <= current_policy().max_exchange_frames) & (swap + camera.diameter_px / 2 < stay)
     return int(frame[1:][wrong][0]) if wrong.any() else None
 
 

@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from discrepancy import policy
 from discrepancy.arrays import Array, Ints
+from discrepancy.policy import current_policy
 from tracker.camera.camera import Camera
 from tracker.detection.link import Tracks
 
@@ -46,10 +46,10 @@ def without_strays(tracks: Tracks, camera: Camera) -> tuple[Tracks, list[int]]:
 def _strays(frame: Ints, xy: Array, diameter: float) -> Ints:
     """Rows of one track, in order of frames."""
     steps = np.diff(xy, axis=0)
-    jumps = np.flatnonzero(np.hypot(*steps.T) > policy.STRAY_JUMP * diameter) + 1
+    jumps = np.flatnonzero(np.hypot(*steps.T) > current_policy().stray_jump_diameters * diameter) + 1
     out = list[int]()
     for first in jumps.tolist():
-        for last in jumps[(jumps > first) & (jumps - first <= policy.LONGEST_STRAY)].tolist():
+        for last in jumps[(jumps > first) & (jumps - first <= current_policy().max_stray_positions)].tolist():
             if _away(frame, xy, first, last, diameter):
                 out += range(first, last)
                 break
@@ -69,4 +69,7 @@ def _away(frame: Ints, xy: Array, first: int, last: int, diameter: float) -> boo
         there = line[0] + (frame[some] - middle)[:, None] * line[1]
         return np.asarray(np.hypot(*(xy[some] - there).T))
 
-    return bool(off(beside).max() < policy.STRAIGHT_TO * diameter and off(rows).min() > policy.STRAY_JUMP * diameter)
+    return bool(
+        off(beside).max() < current_policy().max_straightness_diameters * diameter
+        and off(rows).min() > current_policy().stray_jump_diameters * diameter
+    )

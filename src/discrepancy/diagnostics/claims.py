@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from discrepancy import policy
 from discrepancy.arrays import Array
 from discrepancy.data.collisions import Measured
 from discrepancy.diagnostics.constancy import find_variation
@@ -24,6 +23,7 @@ from discrepancy.fitting.model_fit import Evidence, Fit
 from discrepancy.fitting.parameters import Candidate, candidates_of
 from discrepancy.free_laws.fitted_law import FittedLaw
 from discrepancy.noise.model import Noise
+from discrepancy.policy import current_policy
 from discrepancy.selection.beside_free_law import find_replacements
 from discrepancy.selection.free_law_fit import compare_scatter, fit_unseen_clips, fit_without_law, refit_without_effect
 from discrepancy.selection.model_cost import cost_of
@@ -85,7 +85,7 @@ class Validation:
         withdrawn: list[ClaimTest] = []
         while True:
             beside = free_law is not None or any(c.free for c in withdrawn) or self._lacks(selected)
-            level = policy.SIGMA_BESIDE_FREE_LAW if beside else selected.claim
+            level = current_policy().beside_free_law_sigma if beside else selected.claim
             claims, without, named = self._claims(selected, free_law, level)
             falls = [c for c in claims if c.why]
             if not falls:
@@ -124,7 +124,7 @@ class Validation:
             why = (ABSORBED if absorbed else reason_to_reject(*held) or one.at_end_of_range()) if sure else UNSURE
             others = [] if why else self._in_its_place(less, known[effect], free_law.score, base)
             named[-1] = replace(one, aliases=(effect, *(name for name, _ in others)))
-            if others and others[0][1].score < free_law.score - policy.RIVAL_EXCLUDED_BY:
+            if others and others[0][1].score < free_law.score - current_policy().rival_excluded_chi2:
                 left[effect], why = (selected, others[0][1]), EXCHANGED
             claims.append(ClaimTest(effect, own, *held, why))
         left[free_law.law.name] = selected, None
@@ -134,7 +134,7 @@ class Validation:
         """What fits as well beside a free law as an effect, better ones first. score: of the fit with the effect."""
         absorbed = self.steps.absorbed
         others = find_replacements(self.evidence, less, named, absorbed, base, self.progress)
-        return [(name, other) for name, other in others if other.score < score + policy.RIVAL_EXCLUDED_BY]
+        return [(name, other) for name, other in others if other.score < score + current_policy().rival_excluded_chi2]
 
     def _named(self, selected: Selection, level: float) -> Weighed:
         claims, left, every = [], Left(), self.steps.named(selected.state)

@@ -12,13 +12,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from discrepancy import policy
 from discrepancy.arrays import Array
 from discrepancy.data.collisions import Measured
 from discrepancy.data.launch import HEADING, T_C, V0, B
 from discrepancy.fitting.jacobian import derivative
 from discrepancy.fitting.model_fit import Evidence, Fit
 from discrepancy.fitting.significance import sigmas
+from discrepancy.policy import current_policy
 
 SINCE = 0.1  # s, of time since the hit
 SEEN = 1e-8  # of the columns' own size: what the fit leaves less of shows nothing
@@ -33,7 +33,7 @@ class StrengthVariation:
 
     def refuses(self, own: float) -> str:
         """Why a claim of `own` sigma is withdrawn; empty where it is as good as the same everywhere."""
-        if self.sigma > max(policy.UNEXPLAINED_SIGMA, policy.NOT_THE_SAME * own):
+        if self.sigma > max(current_policy().unexplained_sigma, current_policy().max_strength_variation * own):
             return f"it is another with the {self.against} ({self.sigma:.0f} sigma)"
         return ""
 

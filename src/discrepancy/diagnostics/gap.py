@@ -9,13 +9,13 @@ from typing import Any
 
 import numpy as np
 
-from discrepancy import policy
 from discrepancy.arrays import Array
 from discrepancy.data.collisions import Measured
 from discrepancy.fitting.gauss_newton import fit_model
 from discrepancy.fitting.model_fit import Fit, basis
 from discrepancy.noise.model import Noise
 from discrepancy.noise.whitening import Whitener
+from discrepancy.policy import current_policy
 
 PHASES = ("before", "sliding", "rolling")
 
@@ -108,7 +108,7 @@ def measure_gap(
 def _closure(whole: GapPhase, points: int) -> float:
     """The share of the gap that is closed; NaN of one that chance may make."""
     room = whole.before - whole.floor
-    least = policy.GAP_BEYOND_CHANCE * float(np.sqrt(2 / points))
+    least = current_policy().min_gap_sigma * float(np.sqrt(2 / points))
     return (whole.before - whole.after) / room if room > least else float("nan")
 
 

@@ -13,12 +13,12 @@ from typing import Any
 
 import numpy as np
 
-from discrepancy import policy
 from discrepancy.arrays import Array
 from discrepancy.fitting.model_fit import Fit, off
 from discrepancy.fitting.parameters import limits_of
 from discrepancy.fitting.significance import closes_little
 from discrepancy.free_laws.fitted_law import FittedLaw
+from discrepancy.policy import current_policy
 
 Parts = Sequence[Array]
 
@@ -146,16 +146,18 @@ def reason_to_reject(kept_out: HeldOutTest, turns: HeldOutTest) -> str:
     -------
     str
     """
-    if kept_out.worse and kept_out.sigma < kept_out.promised - policy.SHORT_OF_PROMISE_SIGMA:
+    if kept_out.worse and kept_out.sigma < kept_out.promised - current_policy().max_shortfall_sigma:
         return "collisions kept out are foretold worse with it"
     if turns.worse:
         return "collisions are foretold worse with it, each held out once"
-    if turns.sigma < policy.HELD_OUT_IN_TURN_SIGMA:
+    if turns.sigma < current_policy().leave_one_out_sigma:
         return "collisions, each held out once, do not ask for it beyond chance"
-    leaves_more = kept_out.closes_less(policy.LARGER_SHARE) and turns.closes_less(policy.LARGER_SHARE)
-    if leaves_more and turns.sigma < policy.SIGMA_BESIDE_FREE_LAW:
+    leaves_more = kept_out.closes_less(current_policy().min_closed_share_of_weak_claim) and turns.closes_less(
+        current_policy().min_closed_share_of_weak_claim
+    )
+    if leaves_more and turns.sigma < current_policy().beside_free_law_sigma:
         return f"far more is missing, and from collision to collision it scatters: {turns.sigma:.3g} sigma"
-    if kept_out.closes_less(policy.LEAST_SHARE_CLOSED) and turns.closes_less(policy.LEAST_SHARE_CLOSED):
+    if kept_out.closes_less(current_policy().min_closed_share) and turns.closes_less(current_policy().min_closed_share):
         without, with_ = kept_out.gap
         return (
             f"far more is missing: with it collisions kept out are at {with_:.3g} in chi^2 a point, not {without:.3g}"

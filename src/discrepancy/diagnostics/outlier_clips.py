@@ -6,11 +6,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from discrepancy import policy
 from discrepancy.arrays import Array
 from discrepancy.data.collisions import Measured
 from discrepancy.fitting.model_fit import Fit
 from discrepancy.fitting.significance import sigmas
+from discrepancy.policy import current_policy
 
 SEEN = 1e-9  # of a parameter's information: directions that show less count for nothing
 
@@ -35,10 +35,10 @@ def outlier_clips(clips: Sequence[Measured], base: Fit, best: Fit, gone: int = 0
     dict of int to str
         By the clip's place in `clips`, a line that says why.
     """
-    most = max((len(clips) + gone) // policy.OUTLIER_CLIPS_ONE_IN, 1) - gone
+    most = max((len(clips) + gone) // current_policy().outlier_clips_one_in, 1) - gone
     out = {}
     far = np.minimum(_unlike(base), _unlike(best))
-    for k in np.flatnonzero(far > policy.OUTLIER_CLIP_SPREADS).tolist():
+    for k in np.flatnonzero(far > current_policy().outlier_clip_spreads).tolist():
         chi2 = float(best.residuals[k] @ best.residuals[k]) / len(best.residuals[k])
         out[k] = f"clip {clips[k].clip}: chi^2 a point is {chi2:.3g}, unlike all others, whatever the model"
     if len(out) > most or not best.names:
@@ -47,7 +47,7 @@ def outlier_clips(clips: Sequence[Measured], base: Fit, best: Fit, gone: int = 0
     for _ in range(most - len(out) + 1):
         kept = [k for k in range(len(clips)) if k not in out]
         apart, worst = max((_apart(told, pulls, k, kept), k) for k in kept)
-        if apart < policy.OUTLIER_CLIP_SIGMA:
+        if apart < current_policy().outlier_clip_sigma:
             return out
         out[worst] = f"clip {clips[worst].clip}: it contradicts all others by {apart:.0f} sigma"
     return {}

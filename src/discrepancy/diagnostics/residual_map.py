@@ -15,7 +15,6 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import chdtrc, ndtri
 
-from discrepancy import policy
 from discrepancy.arrays import Array, Ints
 from discrepancy.data.collisions import Measured
 from discrepancy.data.launch import HEADING, V0, B
@@ -28,6 +27,7 @@ from discrepancy.fitting.predict import forecast
 from discrepancy.fitting.significance import sigmas
 from discrepancy.noise.model import Noise
 from discrepancy.noise.whitening import Whitener
+from discrepancy.policy import current_policy
 
 Term = tuple[str, int, int]  # name, ball, axis
 Where = tuple[str, int, int]  # phase, ball, axis
@@ -208,4 +208,4 @@ def _corrected(chi2: float, dof: int, trials: int) -> float:
 
 def unexplained(left: Sequence[Disagreement]) -> bool:
     """Whether what `locate` found is more than chance does."""
-    return bool(left) and left[0].sigma > policy.UNEXPLAINED_SIGMA
+    return bool(left) and left[0].sigma > current_policy().unexplained_sigma

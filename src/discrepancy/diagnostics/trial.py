@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from discrepancy import policy
 from discrepancy.arrays import Array
+from discrepancy.policy import current_policy
 
 SEEN = 1e-5  # of a term's length that the terms before it must leave
 SHOWN = 1e-6  # of what a shared parameter does that must be in a trial to count there
@@ -92,7 +92,7 @@ def results(parts: Sequence[ClipAmplitudes]) -> Iterator[tuple[str, float, int, 
     freedom = len(pulls) - taken.shape[1]
     if freedom:
         yield "", float(left @ left), freedom, _size(parts, left, freedom / len(pulls))
-    if not parts[0].features or len(parts) < policy.FEWEST_CLIPS_OF_A_TREND:
+    if not parts[0].features or len(parts) < current_policy().min_clips_for_trend:
         return
     always = _basis(np.column_stack([_stacked([g.per_metre for g in parts], len(rest)), taken]))
     for against in parts[0].features:
@@ -129,6 +129,6 @@ def _size(parts: Sequence[ClipAmplitudes], pulls: Array, noisy: float) -> float:
         terms = metres @ pulls[first : first + len(g.pulls)]
         total += float(terms @ g.squares @ terms - noisy * np.trace(metres.T @ g.squares @ metres))
         rows, first = rows + g.rows, first + len(g.pulls)
-    if total > policy.CANCELLED**2 * sum(g.left for g in parts):
+    if total > current_policy().max_disagreement_to_residual ** 2 * sum(g.left for g in parts):
         return float("nan")
     return 1e6 * float(np.sqrt(max(total, 0.0) / rows))

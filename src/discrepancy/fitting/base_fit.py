@@ -8,7 +8,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from discrepancy import policy
 from discrepancy.data.collisions import Measured
 from discrepancy.data.launch import T_C, V0, B, spun
 from discrepancy.data.outlier_points import without_outliers
@@ -17,6 +16,7 @@ from discrepancy.fitting.model_fit import Fit
 from discrepancy.fitting.parameters import fitted
 from discrepancy.fitting.predict import forecast
 from discrepancy.noise.model import Component, Noise, estimate
+from discrepancy.policy import current_policy
 from synthcam.model import LAUNCH_SPIN, Model
 from synthcam_shared.errors import InputError
 from tracker.camera.same_view import first_difference
@@ -42,12 +42,12 @@ def checked(clips: Sequence[Measured], model: Model) -> Sequence[Measured]:
     ------
     InputError
     """
-    if len(clips) < policy.FEWEST_COLLISIONS:
-        least = policy.FEWEST_COLLISIONS
+    if len(clips) < current_policy().min_collisions:
+        least = current_policy().min_collisions
         raise InputError(f"{len(clips)} measured collisions: expected {least} or more, some to fit, some to keep out")
     first, held = clips[0].camera, 2 * model.ball.radius
     for c in clips:
-        if abs(c.camera.ball_diameter / held - 1) > policy.SAME_BALL_WITHIN:
+        if abs(c.camera.ball_diameter / held - 1) > current_policy().max_diameter_mismatch:
             raise InputError(
                 f"the ball of camera.json is {1e3 * c.camera.ball_diameter:.6g} mm wide (clip {c.clip}), that of the "
                 f"model {1e3 * held:.6g} mm; expected the same"

@@ -15,7 +15,6 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from discrepancy import policy
 from discrepancy.arrays import Array
 from discrepancy.data.collisions import Measured
 from discrepancy.fitting.model_fit import Fit, basis
@@ -31,6 +30,7 @@ from discrepancy.noise.model import (
     shape_of,
 )
 from discrepancy.noise.whitening import Whitener
+from discrepancy.policy import current_policy
 
 CLIPS = 12  # read, at most: enough to know the noise by
 SEEN = 1e-8  # of a shared parameter's information: where the others leave less it counts for nothing
@@ -64,18 +64,18 @@ def refined(clips: Sequence[Measured], fit: Fit, noise: Noise, explained: bool =
     sigma, rho = (0.0, 0.0) if noise.shared or not explained else left.common_mode_score(noise)
     if noise.shared:
         new = left.best(noise)[1]
-        if new.common_mode > policy.SHARED_NOISE_GROWS * noise.common_mode:
+        if new.common_mode > current_policy().max_shared_noise_growth * noise.common_mode:
             return None
-    elif sigma > policy.SHARED_NOISE_SIGMA and within.pairs:
+    elif sigma > current_policy().shared_noise_sigma and within.pairs:
         own, size = within.own(), float(np.mean([np.mean(c.claimed() ** 2) for c in left.clips]))
         slow = Component(0.2 * own.variance * size, (rho,))
         new = left.best(Noise(own, (slow, slow)))[1]
     else:
         slow = Component(noise.own.variance, SLOW, 0.5)
         new = min((left.best(n) for n in (noise, Noise(slow))), key=lambda pair: pair[0])[1]
-    if left.cost(noise) - left.cost(new) < (policy.NOISE_GAIN if explained else 0.0):
+    if left.cost(noise) - left.cost(new) < (current_policy().min_noise_gain if explained else 0.0):
         return None
-    return new if within.cost(new) - within.cost(noise) < policy.NOISE_EXCLUDED_BY else None
+    return new if within.cost(new) - within.cost(noise) < current_policy().noise_excluded_by else None
 
 
 @dataclass(frozen=True)

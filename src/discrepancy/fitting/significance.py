@@ -8,8 +8,8 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.special import chdtrc, ndtri_exp
 
-from discrepancy import policy
 from discrepancy.arrays import Array
+from discrepancy.policy import current_policy
 
 DRAWS = 40_000  # the level then lies within a sixth of the one asked for, and its sigma within a hundredth
 AT_ONCE = 4_000
@@ -50,7 +50,7 @@ def closes_little(without: float, with_: float, share: float) -> bool:
 
     share: what it must close of what is over one.
     """
-    return with_ > policy.NOT_DESCRIBED and without - with_ < share * (without - 1)
+    return with_ > current_policy().poor_chi2_per_point and without - with_ < share * (without - 1)
 
 
 def trials_factor(every: Sequence[Array]) -> float:
@@ -113,7 +113,9 @@ def by_chance(
         for (dof, factor), rows in alike.items():
             each = np.maximum(each, _interpolated(chi2[:, rows].max(axis=1), dof, factor))
         best.append(each)
-    return float(np.quantile(np.concatenate(best), 1 - (policy.SIGNIFICANCE_LEVEL if level is None else level)))
+    return float(
+        np.quantile(np.concatenate(best), 1 - (current_policy().significance_level if level is None else level))
+    )
 
 
 def _interpolated(chi2: Array, dof: int, trials_factor: float) -> Array:

@@ -12,12 +12,12 @@ from typing import Any
 import numpy as np
 from scipy.optimize import minimize
 
-from discrepancy import policy
 from discrepancy.arrays import Array
 from discrepancy.free_laws.axis import Axis
 from discrepancy.free_laws.fitted_law import FittedLaw
 from discrepancy.free_laws.law_kinds import FreeLaw
 from discrepancy.free_laws.shapes import LawShape, Terms, iterate_shapes
+from discrepancy.policy import current_policy
 
 GRID, SIDE = 200, 25  # places at which a shape is drawn: on a line, along each side of a map
 SEEN = 1e-10  # of the largest information
@@ -72,7 +72,7 @@ class _ShapeFitter:
         self.weight = (axes[:, seen] * np.sqrt(values[seen])).T
         self.inverse = np.linalg.pinv(law.basis(*places), rcond=1e-6)
         self.target = self.weight @ peak + self.project(law.value_in_model(fitted_law.fit.model, *places))
-        self.slight = policy.FORMULA_SLIGHT_SHARE * fitted_law.sigma**2
+        self.slight = current_policy().formula_tolerated_share * fitted_law.sigma**2
 
     def project(self, column: Array) -> Array:
         return np.asarray(self.weight @ (self.inverse @ column.reshape(len(column), -1)).T.ravel())
@@ -110,7 +110,7 @@ class _ShapeFitter:
         terms = self.terms(shape, *extra)
         words = _write_sum([t.text for t in terms], factors, bool(self.law.owners))
         text = f"{self.law.title} = {words}{_describe_units(self.law)}"
-        refused = chi2 > dof + max(policy.FORMULA_REFUSED_SIGMA * float(np.sqrt(2 * dof)), self.slight)
+        refused = chi2 > dof + max(current_policy().formula_rejected_sigma * float(np.sqrt(2 * dof)), self.slight)
         if not all(t.code for t in terms) or len(extra) > len(shape.numbers):
             return Formula(text, chi2, count, refused)
         named = dict(zip([t.name for t in terms], factors.tolist(), strict=True))

@@ -14,10 +14,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import logsumexp
 
-from discrepancy import policy
 from discrepancy.arrays import Array
 from discrepancy.fitting.significance import sigmas
 from discrepancy.free_laws.law_kinds import FreeLaw
+from discrepancy.policy import current_policy
 
 LENGTHS = (0.05, 0.12, 0.35, 1.0)  # over which the prior's curves change, shares of the range
 FLAT = 5.0  # likewise, of a field that hardly changes along an axis
@@ -56,7 +56,7 @@ class CurveEvidence:
 
 def cost_of_choice(count: int) -> float:
     """What it costs to choose one of so many that are alike beforehand, in chi^2."""
-    return policy.COST_OF_A_CHOICE * math.log(count)
+    return current_policy().choice_cost * math.log(count)
 
 
 def cost_of_strengths(information: Array, found: Array) -> float:

@@ -18,10 +18,10 @@ import numpy as np
 from scipy.optimize import minimize
 from scipy.special import expit, logit
 
-from discrepancy import policy
 from discrepancy.arrays import Array, Ints
 from discrepancy.data.collisions import Measured
 from discrepancy.noise.stretches import Bundle, Stretch, alike, bundles, cubic, shortest
+from discrepancy.policy import current_policy
 
 T = TypeVar("T")
 Shape = tuple[int, bool]  # order of an autoregression; whether there is white noise beside it
@@ -113,7 +113,7 @@ class Noise:
     @property
     def slow(self) -> bool:
         """Whether so much of it lasts that it may hide what a model lacks."""
-        return self.scale > policy.SLOW_NOISE * self.quick
+        return self.scale > current_policy().slow_noise_ratio * self.quick
 
     @property
     def smoothed(self) -> bool:
@@ -121,7 +121,7 @@ class Noise:
         if len(self.own.partial) < 2:
             return False
         size, near, far = self.own.lags(2 * self.spacing + 1)[:: self.spacing]
-        return bool((far * size - near**2) / (size**2 - near**2) < policy.SMOOTHED_UNDER)
+        return bool((far * size - near**2) / (size**2 - near**2) < current_policy().smoothed_partial_correlation)
 
     @property
     def common_mode(self) -> float:
@@ -141,7 +141,7 @@ def estimate(clips: Sequence[Measured]) -> Noise:
     stretches = [stretch for clip in clips for stretch in clip.stretches()]
     noise = Noise(own_noise(stretches), spacing=_spacing(stretches))
     pairs = Pairs(pair for clip in clips for pair in clip.together())
-    if pairs.common_mode_score(noise.own) > policy.SHARED_NOISE_SIGMA:
+    if pairs.common_mode_score(noise.own) > current_policy().shared_noise_sigma:
         return replace(pairs.noise(), spacing=noise.spacing)
     return _without_motion(noise, stretches) if noise.slow else noise
 
@@ -156,7 +156,10 @@ def _without_motion(noise: Noise, stretches: Sequence[Stretch]) -> Noise:
     short = Noise(own_noise(_pieces(stretches)), over_phases=noise.scale, spacing=noise.spacing)
     every = bundles(stretches)
     left = np.sqrt(sum(float((b.values**2).sum()) for b in every) / sum(b.freedom for b in every))
-    grows = left > policy.LEFT_BY_MOTION * short.scale and noise.scale > policy.NOISE_GROWS * short.scale
+    grows = (
+        left > current_policy().min_cubic_residual_ratio * short.scale
+        and noise.scale > current_policy().max_noise_growth * short.scale
+    )
     return short if grows else noise
 
 
@@ -165,13 +168,13 @@ def _pieces(stretches: Sequence[Stretch]) -> list[Stretch]:
 
     Nor those of a ball that does not move at all, as where a resting ball's place is given once.
     """
-    size = policy.SHORTEST_OF_SHORT
+    size = current_policy().min_short_stretch_positions
     starts = [(arrays, first) for arrays in stretches for first in range(0, len(arrays[0]) - size + 1, size)]
     cut = [(p[k : k + size], c[k : k + size], f[k : k + size]) for (p, c, f), k in starts]
     left = Bundle.of([p for p, _, _ in cut], [c for _, c, _ in cut], [f for _, _, f in cut]).values
     power = (left**2).sum(axis=(1, 2))
     moves = power > STILL
-    most = policy.UNUSUAL_POWER_OF_A_PIECE * float(np.median(power[moves] if moves.any() else power))
+    most = current_policy().max_piece_noise_power * float(np.median(power[moves] if moves.any() else power))
     return [piece for piece, own in zip(cut, power, strict=True) if STILL < own <= most]
 
 
@@ -182,7 +185,7 @@ def _usual(clips: Sequence[Measured]) -> list[Measured]:
         every = bundles(clip.stretches())
         freedom = sum(b.freedom for b in every)
         sizes.append(sum(float((b.values**2).sum()) for b in every) / freedom if freedom else 0.0)
-    most = policy.UNUSUAL_NOISE_POWER * float(np.median([s for s in sizes if s > 0] or [0.0]))
+    most = current_policy().max_clip_noise_power * float(np.median([s for s in sizes if s > 0] or [0.0]))
     return [c for c, s in zip(clips, sizes, strict=True) if s <= most]
 
 

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import toeplitz
 
-from discrepancy import policy
 from discrepancy.arrays import Array, Ints
+from discrepancy.policy import current_policy
 
 Stretch = tuple[Array, Array, Ints]  # places (n, axes), claimed standard deviations (n,), and frames (n,)
 
@@ -97,8 +97,8 @@ def alike(lengths: Sequence[int]) -> list[list[int]]:
 
 def shortest(lengths: Sequence[int]) -> int:
     """Places that a stretch must have, of those there are."""
-    enough = max(lengths, default=0) >= policy.SHORTEST_STRETCH
-    return policy.SHORTEST_STRETCH if enough else policy.SHORTEST_OF_SHORT
+    enough = max(lengths, default=0) >= current_policy().min_stretch_positions
+    return current_policy().min_stretch_positions if enough else current_policy().min_short_stretch_positions
 
 
 def bundles(stretches: Iterable[Stretch]) -> list[Bundle]:

@@ -9,11 +9,11 @@ from itertools import combinations
 
 import numpy as np
 
-from discrepancy import policy
 from discrepancy.planning.changes import CHANGES, TOGETHER, apply_change
 from discrepancy.planning.experiment import Experiment
 from discrepancy.planning.pair_advice import thin_out
 from discrepancy.planning.signatures import Limit, Signatures
+from discrepancy.policy import current_policy
 
 LEAST_APART = 1e-2  # sine between signatures: alike beyond that, a change of it is no gain
 Limits = tuple[Limit, ...]
@@ -183,7 +183,7 @@ def count_collisions_needed(
     """
     if not math.isfinite(here.limit):
         return CollisionsNeeded(strength, wanted, None, None, {})
-    least, at = policy.FEWEST_COLLISIONS, {count: here.limit, 2 * count: limit_at(2 * count)}
+    least, at = current_policy().min_collisions, {count: here.limit, 2 * count: limit_at(2 * count)}
     power = max(math.log2(at[count] / at[2 * count]), 0.25)
     near = max(math.ceil(count * (here.limit / wanted) ** (1 / power)), least)
     if near <= most and near not in at:

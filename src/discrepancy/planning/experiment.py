@@ -8,7 +8,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from discrepancy import policy
 from discrepancy.arrays import Array, Ints
 from discrepancy.data.collisions import Measured
 from discrepancy.data.launch import T_C
@@ -18,6 +17,7 @@ from discrepancy.fitting.model_fit import Evidence, Fit
 from discrepancy.fitting.predict import forecast, velocities
 from discrepancy.noise.model import Noise
 from discrepancy.planning.position_errors import Errors
+from discrepancy.policy import current_policy
 from synthcam.model import Model
 from tracker.camera.camera import Camera
 
@@ -139,7 +139,7 @@ def _is_usable(clip: Measured) -> bool:
     """Whether both balls are seen long enough before the contact, and after it."""
     opens = clip.frame / clip.fps
     early, late = opens + clip.exposure <= clip.launch[T_C], opens >= clip.launch[T_C]
-    least = policy.FEWEST_FRAMES_BEFORE_CONTACT
+    least = current_policy().min_frames_before_contact
     return all(np.sum(part & (clip.ball == ball)) >= least for part in (early, late) for ball in (0, 1))
 
 

@@ -7,13 +7,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from discrepancy import policy
 from discrepancy.arrays import Array
 from discrepancy.data.collisions import split
 from discrepancy.data.launch import alike
 from discrepancy.fitting.parameters import fitted
 from discrepancy.planning.experiment import Experiment, make_unfilmed_clip
 from discrepancy.planning.position_errors import Errors, GlintErrors, StatedErrors
+from discrepancy.policy import current_policy
 from synthcam.dynamics.launch import SPIN
 from synthcam.model import Model
 from synthcam.scene.clip import Clip
@@ -65,7 +65,7 @@ def design_experiment(scene: Scene, count: int, noise_px: float | None = None, s
     InputError
         Where no search could be made of such clips.
     """
-    least = policy.FEWEST_COLLISIONS
+    least = current_policy().min_collisions
     if count < least:
         raise InputError(f"clips: expected {least} or more, some to fit, some to keep out; found {count}")
     if noise_px is not None and not 0 < noise_px < np.inf:

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from discrepancy import policy
 from discrepancy.data.collisions import Measured
 from discrepancy.fitting.model_fit import Fit
 from discrepancy.fitting.parameters import Candidate
@@ -16,6 +15,7 @@ from discrepancy.noise.model import Noise
 from discrepancy.planning import changes
 from discrepancy.planning.experiment import Experiment
 from discrepancy.planning.position_errors import StatedErrors
+from discrepancy.policy import current_policy
 from discrepancy.selection.score_test import ScoreTests, derive_trial, largest_cosine
 
 Shaped = tuple[Candidate, dict[str, float]]  # an effect, with values of its shape parameters
@@ -120,11 +120,12 @@ def advise(one: Candidate, other: Candidate, found: Sequence[ComparedDesign]) ->
     single = min(proposed[:-1], key=lambda d: d.cosine)
     best = (
         single
-        if single.cosine < policy.PARTED_COSINE or single.cosine < best.cosine + policy.PARTED_BETTER_BY
+        if single.cosine < current_policy().separated_cosine
+        or single.cosine < best.cosine + current_policy().min_cosine_gain
         else best
     )
     pair = f"{one.name} and {other.name}"
-    if best.cosine < min(policy.PARTED_COSINE, fit.cosine):
+    if best.cosine < min(current_policy().separated_cosine, fit.cosine):
         falls = f"the cosine of their signatures falls from {fit.cosine:.3f} to {best.cosine:.3f}"
         return f"To part {pair}: {best.words}; {falls}."
     laws = [law for s in (one, other) if s.kind is not None for law in s.kind.laws]

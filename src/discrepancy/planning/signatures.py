@@ -10,11 +10,11 @@ from functools import cached_property
 import numpy as np
 from scipy.optimize import brentq
 
-from discrepancy import policy
 from discrepancy.arrays import Array
 from discrepancy.fitting.parameters import Candidate, candidates, parameter_of
 from discrepancy.fitting.significance import sigmas
 from discrepancy.planning.experiment import Experiment
+from discrepancy.policy import current_policy
 from discrepancy.selection.score_test import ScoreTests, detectable_axes
 from discrepancy.selection.scored import CandidateTrial, RealisticSizes
 from synthcam.model import Model
@@ -45,8 +45,8 @@ class Limit:
     shapes : dict of str to float
         The effect's shape parameters, by dotted name, for which the limits hold.
     limit : float
-        The strength of which half of such experiments show more than `policy.DETECTION_LIMIT_SIGMA`; infinite where
-        the fit absorbs it.
+        The strength of which half of such experiments show more than `SearchPolicy.detection_limit_sigma`; infinite
+        where the fit absorbs it.
     naming_limit : float
         The strength at which it is as far from what its likest rival can do.
     shows : bool
@@ -75,7 +75,7 @@ class Limit:
     @property
     def indistinguishable(self) -> tuple[str, ...]:
         """Effects that such an experiment could not tell from it, whatever their shapes."""
-        return tuple(r.effect for r in self.rivals if r.cosine > policy.ALIAS_COSINE)
+        return tuple(r.effect for r in self.rivals if r.cosine > current_policy().alias_cosine)
 
 
 @dataclass(frozen=True)
@@ -155,7 +155,7 @@ class Signatures:
         return min(self._limit(k, i) / float(size) for k in self._numbers(candidate) for i, size in enumerate(sizes))
 
     def _shows(self, candidate: Candidate, least: float) -> bool:
-        return bool(least <= min(policy.LARGEST_LIMIT, self._sizes[candidate].allowed))
+        return bool(least <= min(current_policy().max_detection_limit, self._sizes[candidate].allowed))
 
     def _row(self, candidate: Candidate, strength: int, others: Sequence[int]) -> Limit:
         numbers, name = self._numbers(candidate), candidate.strengths[strength]
@@ -202,7 +202,7 @@ def chi2_to_detect(dof: int, trials_factor: float) -> float:
 
     The median of a non-central chi^2 is that of its centre plus dof - 1, nearly: Sankaran, Biometrika 46 (1959) 235.
     """
-    wanted = policy.DETECTION_LIMIT_SIGMA
+    wanted = current_policy().detection_limit_sigma
 
     def short(chi2: float) -> float:
         return sigmas(chi2 + dof - 1, dof, trials_factor) - wanted

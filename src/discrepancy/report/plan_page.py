@@ -12,10 +12,10 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.figure import Figure
 
-from discrepancy import policy
 from discrepancy.planning.changes import ALL_LAUNCHES_CHANGED
 from discrepancy.planning.outcome import PlanResult
 from discrepancy.planning.signatures import Limit
+from discrepancy.policy import current_policy
 from discrepancy.report.figures import AFTER, BEFORE, FLOOR, OTHER, STYLE, inline
 from discrepancy.report.html import plain
 from tracker.report.html import describe_creation, render
@@ -52,8 +52,8 @@ def write(found: PlanResult, folder: Path) -> None:
         found=found,
         experiment=found.experiment(),
         figures=_drawn(found),
-        sigma=policy.DETECTION_LIMIT_SIGMA,
-        alias=policy.ALIAS_COSINE,
+        sigma=current_policy().detection_limit_sigma,
+        alias=current_policy().alias_cosine,
         finite=np.isfinite,
         unit=lambda x: "" if x.unit == "1" else x.unit,
         shapes=_shapes,

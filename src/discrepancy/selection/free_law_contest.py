@@ -11,12 +11,12 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 
-from discrepancy import policy
 from discrepancy.fitting.gauss_newton import linearised, settle
 from discrepancy.fitting.model_fit import Evidence, Fit
 from discrepancy.free_laws.fitted_law import FittedLaw
 from discrepancy.free_laws.law_kinds import FreeLaw
 from discrepancy.free_laws.library import free_laws_over
+from discrepancy.policy import current_policy
 from discrepancy.selection.free_law_fit import fit_law, fit_law_with_effect, score_law, whiten_law_columns
 from discrepancy.selection.model_cost import cost_of
 from discrepancy.selection.score_test import ScoreTests
@@ -121,7 +121,7 @@ class FreeLawContest:
     def nearly(self, fit: Fit) -> FittedLaw | None:
         """The free law that explains nearly as much as the library's best model, or more."""
         best = min(self.fitted, key=lambda f: f.score, default=None)
-        return best if best and best.score < self._cost(fit) + policy.FREE_LAW_NEAR else None
+        return best if best and best.score < self._cost(fit) + current_policy().near_free_law_chi2 else None
 
     def outcome(self, fit: Fit) -> tuple[FittedLaw | None, FreeLawContest]:
         """The free law that explains the clips better than the library's best model, and than chance, if one does.
@@ -129,7 +129,7 @@ class FreeLawContest:
         With such library effects beside it as it still needs; and the contest with what was fitted for that.
         """
         there, best = self, self._best(fit, 0)
-        for _ in range(policy.MOST_EFFECTS_BESIDE_FREE_LAW if best is not None else 0):
+        for _ in range(current_policy().max_effects_beside_free_law if best is not None else 0):
             assert best is not None
             there = there._asked(best)
             beside, known = there._lacks(best), there.fitted[best]
@@ -139,7 +139,7 @@ class FreeLawContest:
                 sigma, trial = fit_law_with_effect(there.evidence, known, beside, there.base, there.progress)
             except ValueError:  # without the free law there is no motion
                 break
-            if trial.score >= known.score or sigma < policy.FREE_LAW_SIGMA:
+            if trial.score >= known.score or sigma < current_policy().free_law_sigma:
                 break
             best = len(there.fitted)
             there = dataclasses.replace(there, fitted=(*there.fitted, trial))
@@ -153,14 +153,18 @@ class FreeLawContest:
             for k, f in enumerate(self.fitted)
             if most - self._count(f.fit) >= fewer
             and self._needed(f)
-            and (self.refuted or most - self._count(f.fit) > 1 or f.score < cost - policy.EFFECT_PREFERRED_BY)
+            and (
+                self.refuted or most - self._count(f.fit) > 1 or f.score < cost - current_policy().effect_preferred_chi2
+            )
         ]
         best = min(fair, key=lambda k: self.fitted[k].score, default=None)
         return best if best is not None and self.fitted[best].score < cost else None
 
     def _needed(self, fitted_law: FittedLaw) -> bool:
         """Whether every library effect beside a free law is significant there, and not held by the law as well."""
-        return all(sigma > policy.FREE_LAW_SIGMA for sigma in fitted_law.significances_of_effects(self.base).values())
+        return all(
+            sigma > current_policy().free_law_sigma for sigma in fitted_law.significances_of_effects(self.base).values()
+        )
 
     def _cost(self, fit: Fit) -> float:
         return min(cost_of(f, self.base) for f in (fit, *self.rivals))
@@ -178,7 +182,7 @@ class FreeLawContest:
             )  # near enough for all fits
             seen += [(score_law(law, fit, moves), k) for k, fit in enumerate(fits, 1 - len(fits))]
             self.progress()
-        leaders = [(test, k) for test, k in seen if test.sigma > policy.FREE_LAW_SIGMA]
+        leaders = [(test, k) for test, k in seen if test.sigma > current_policy().free_law_sigma]
         leaders.sort(key=lambda pair: pair[0].score(self.base))
         for test, _ in leaders[:LEADERS]:
             slack = NEAR + LOOSE * (cost_of(test.fit, self.base) - test.score(self.base))
@@ -193,8 +197,8 @@ class FreeLawContest:
             return self
         known = self.fitted[place]
         tests = ScoreTests.of(known.evidence, known.joint_fit, self.progress, about=known.model_without_law)
-        ranking = tests.leaders(policy.FREE_LAW_SIGMA)
-        claimed = ranking and ranking[0].sigma > policy.FREE_LAW_SIGMA and ranking[0].sigma > tests.claim()
+        ranking = tests.leaders(current_policy().free_law_sigma)
+        claimed = ranking and ranking[0].sigma > current_policy().free_law_sigma and ranking[0].sigma > tests.claim()
         return dataclasses.replace(self, asked=(place, ranking[0] if claimed else None))
 
     def _lacks(self, place: int) -> CandidateScore | None:

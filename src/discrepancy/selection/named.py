@@ -9,10 +9,10 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from discrepancy import policy
 from discrepancy.arrays import Array
 from discrepancy.fitting.model_fit import Fit
 from discrepancy.fitting.parameters import Candidate, limits_of, parameter_of
+from discrepancy.policy import current_policy
 from discrepancy.selection.score_test import largest_cosine
 from discrepancy.selection.scored import CandidateScore
 from synthcam.model import Model
@@ -160,11 +160,13 @@ def find_similar_pairs(own: Array, ranking: Sequence[CandidateScore]) -> tuple[t
         Names and cosine of the three likest pairs, the likest first.
     """
     alone = [
-        c for c in ranking if c.signature.shape[1] == 1 and 0 < largest_cosine(own, c.signature) <= policy.ALIAS_COSINE
+        c
+        for c in ranking
+        if c.signature.shape[1] == 1 and 0 < largest_cosine(own, c.signature) <= current_policy().alias_cosine
     ]
     found = []
     for one, other in itertools.combinations(alone, 2):
         cosine = largest_cosine(own, np.concatenate([one.signature, other.signature], axis=1))
-        if cosine > policy.ALIAS_COSINE_OF_PAIRS:
+        if cosine > current_policy().pair_alias_cosine:
             found.append(((one.effect, other.effect), cosine))
     return tuple(sorted(found, key=lambda f: -f[1])[:3])

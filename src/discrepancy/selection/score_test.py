@@ -9,13 +9,13 @@ from functools import cached_property
 import numpy as np
 from scipy.linalg import block_diag
 
-from discrepancy import policy
 from discrepancy.arrays import Array
 from discrepancy.fitting.jacobian import derivative, quicker
 from discrepancy.fitting.model_fit import Evidence, Fit, basis
 from discrepancy.fitting.parameters import Candidate, between, candidates, parameter_of
 from discrepancy.fitting.shape_scan import scannable, scanned
 from discrepancy.fitting.significance import by_chance, sigmas, trials_factor
+from discrepancy.policy import current_policy
 from discrepancy.selection.scored import CandidateScore, CandidateTrial, RealisticSizes, TrialScore
 from synthcam.model import Model
 
@@ -274,9 +274,11 @@ class ScoreTests:
         if way.side * pull[0] < 0:
             chi2 = 0.0
         seen = float((way.sizes * np.sqrt(np.diag(gram).clip(0))).max())
-        limit = policy.DETECTION_LIMIT_SIGMA / max(seen, 1e-300) if spread else np.inf
+        limit = current_policy().detection_limit_sigma / max(seen, 1e-300) if spread else np.inf
         sigma = sigmas(chi2, spread, self.trials_factors.get(candidate.name, 1.0)) if spread else 0.0
-        return TrialScore(trial, sigma, chi2, limit, limit <= min(policy.LARGEST_LIMIT, way.allowed), axes)
+        return TrialScore(
+            trial, sigma, chi2, limit, limit <= min(current_policy().max_detection_limit, way.allowed), axes
+        )
 
     @cached_property
     def _ways(self) -> dict[Candidate, RealisticSizes]:

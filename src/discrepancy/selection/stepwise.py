@@ -8,11 +8,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from discrepancy import policy
 from discrepancy.fitting.gauss_newton import linearised, settle
 from discrepancy.fitting.model_fit import Fit
 from discrepancy.fitting.parameters import Candidate, candidates_of
 from discrepancy.fitting.significance import closes_little, sigmas
+from discrepancy.policy import current_policy
 from discrepancy.selection.fit_store import FitStore
 from discrepancy.selection.model_cost import cost_of
 from discrepancy.selection.named import EffectClaim, find_similar_pairs, shape_error
@@ -88,7 +88,7 @@ class Stepwise:
         """Begin at the store's base, whose score tests say what a claim needs before anything is searched."""
         tests = store.score_tests(())
         ranking, trials_factors = tests.ranking(), tests.trials_factors
-        claim = max(tests.claim(), policy.LEAST_SIGMA_OF_A_CLAIM)
+        claim = max(tests.claim(), current_policy().min_claim_sigma)
         return cls(store, ranking, claim, trials_factors, frozenset(c.effect for c in ranking if c.absorbed))
 
     def states(self, state: State = ()) -> Iterator[State]:
@@ -97,7 +97,7 @@ class Stepwise:
         Each has one effect more than the one before, or other effects. The search ends, too, at the most effects that
         are named, and where a step would lead back to a model that was left.
         """
-        while len(state) < policy.MOST_EFFECTS_NAMED:
+        while len(state) < current_policy().max_effects:
             winner = self._winner(state, self.store.score_tests(state), self.claim)
             if winner is None:
                 return
@@ -135,7 +135,11 @@ class Stepwise:
             return None
         again = self.selection(self.end(begun))
         less = cost_of(found.best, found.base) - cost_of(again.best, found.base)
-        return again if less > (policy.RIVAL_EXCLUDED_BY if len(again.state) > len(found.state) else 0.0) else None
+        return (
+            again
+            if less > (current_policy().rival_excluded_chi2 if len(again.state) > len(found.state) else 0.0)
+            else None
+        )
 
     def end(self, begun: State) -> State:
         """The last of the models that follow from one; that one without what is not claimed where none follows."""
@@ -213,11 +217,13 @@ class Stepwise:
     def _claimed(self, fit: Fit, more: Fit, candidate: Candidate, claim: float) -> bool:
         """Whether the fit with a candidate more is better than that without by what a claim needs."""
         enough = self._sigma(fit.chi2 - more.chi2, candidate) > claim
-        return enough and not closes_little(fit.chi2 / fit.points, more.chi2 / more.points, policy.LEAST_SHARE_CLOSED)
+        return enough and not closes_little(
+            fit.chi2 / fit.points, more.chi2 / more.points, current_policy().min_closed_share
+        )
 
     def _simplest(self, keys: Collection[frozenset[Candidate]]) -> frozenset[Candidate]:
         """Of models that fit as well as the best: the fewest strengths, then shape parameters, then the best fit."""
-        near = min(map(self.store.cost_of, keys)) + policy.RIVAL_EXCLUDED_BY
+        near = min(map(self.store.cost_of, keys)) + current_policy().rival_excluded_chi2
 
         def order(key: frozenset[Candidate]) -> tuple[int, int, float]:
             effects = [s for s in key if s.kind is not None]
@@ -237,7 +243,7 @@ class Stepwise:
             c
             for c in chosen
             if c.gain > (1 - LOOSE) * leader.gain - NEAR
-            or largest_cosine(leader.signature, c.signature) > policy.ALIAS_COSINE
+            or largest_cosine(leader.signature, c.signature) > current_policy().alias_cosine
             or (c.candidate.kind is None and c.sigma > claim)
         ]
         return sorted(near, key=lambda c: (c.candidate.kind is not None, -c.gain))[:RIVALS]
@@ -261,7 +267,7 @@ class Stepwise:
                     self.store.extend(key, reduced, best)
                 if self.store.cost_of(key) < self.store.cost_of(state) + NEAR:
                     self.store.settled(tuple(key))
-                if self.store.cost_of(key) < self.store.cost_of(state) - policy.RIVAL_EXCLUDED_BY:
+                if self.store.cost_of(key) < self.store.cost_of(state) - current_policy().rival_excluded_chi2:
                     return (*state[:k], c.candidate, *state[k + 1 :])
             simplest = self._simplest(keys)
             if simplest != frozenset(state):
@@ -287,7 +293,7 @@ class Stepwise:
         near = sorted(
             (p, next(iter(s)).name)
             for s, p in others.items()
-            if p < self.store.cost_of(state) + policy.RIVAL_EXCLUDED_BY
+            if p < self.store.cost_of(state) + current_policy().rival_excluded_chi2
         )
         ranking = tuple(c for c in tests.ranking(candidate) if c.identifiable and c.effect not in self.absorbed)
         if candidate.kind is None:  # an effect can always bend a law to a constant: no rival to the constant itself
@@ -297,7 +303,7 @@ class Stepwise:
         own = tests.signature(candidate)
         cosines = sorted(((largest_cosine(own, c.signature), c.effect) for c in ranking), reverse=True)
         told = max((c for c, effect in cosines if effect not in aliases), default=0.0)
-        limit = {s: policy.DETECTION_LIMIT_SIGMA * fit.std[s] for s in candidate.strengths}
+        limit = {s: current_policy().detection_limit_sigma * fit.std[s] for s in candidate.strengths}
         std = profile_std(self.store.evidence, self.store.without(fit, candidate), fit, candidate)
         return EffectClaim(
             candidate.name,
@@ -307,7 +313,7 @@ class Stepwise:
             aliases,
             {s: fit.model.value(s) for s in candidate.shapes},
             {s: shape_error(fit, s, std.get(s, 0.0)) for s in candidate.shapes},
-            (*(((e,), c) for c, e in cosines if c > policy.ALIAS_COSINE), *find_similar_pairs(own, ranking)),
+            (*(((e,), c) for c, e in cosines if c > current_policy().alias_cosine), *find_similar_pairs(own, ranking)),
             limit,
             {s: x / float(np.sqrt(max(1 - told**2, 1e-12))) for s, x in limit.items()},
         )

@@ -9,9 +9,9 @@ import pytest
 from discrepancy_files import NOISE, SCENE
 from repository import ROOT
 
-from discrepancy import policy
 from discrepancy.data.after_hit import after_hit
 from discrepancy.data.collisions import read_measured
+from discrepancy.policy import current_policy
 from discrepancy.search import find
 from synthcam.dataset.generate import Plan, run
 from synthcam.model import Model
@@ -84,7 +84,7 @@ def test_balls_that_part_without_a_hit_have_none(filmed):
 
 
 def test_frames_that_are_missing_after_the_hit_are_few(filmed):
-    given = read_tracks(*cut(filmed, 2.0 * policy.UNSEEN_AFTER_HIT))
+    given = read_tracks(*cut(filmed, 2.0 * current_policy().max_unseen_frames_after_hit))
     fast = [k for k in range(CLIPS) if filmed[2]["v0"][k] > 0.4]
     assert len(fast) > 3
     assert all(after_hit(given.clips[k][0], given.camera) is None for k in fast)

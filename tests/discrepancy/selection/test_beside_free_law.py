@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from discrepancy_clips import exact, noisy
 
-from discrepancy import policy
 from discrepancy.fitting.gauss_newton import fit_model
 from discrepancy.fitting.model_fit import Evidence
 from discrepancy.fitting.parameters import BASE, candidates_of
 from discrepancy.free_laws.library import free_laws_over
 from discrepancy.noise.model import Component, Noise
+from discrepancy.policy import current_policy
 from discrepancy.selection.beside_free_law import find_replacements
 from discrepancy.selection.free_law_fit import (
     fit_law,
@@ -54,9 +54,9 @@ def test_what_fits_better_in_the_place_of_an_effect_is_found(rubbed):
     named = candidates_of(wrong.model_without_law, base.model, base.names)["viscous_friction"]
     less = refit_without_effect(evidence, wrong, named, base, lambda: None)
     ((name, best), *_) = find_replacements(evidence, less, named, (), base, lambda: None)
-    assert sigma > policy.FREE_LAW_SIGMA
+    assert sigma > current_policy().free_law_sigma
     assert name == "stribeck"
-    assert best.score < wrong.score - policy.RIVAL_EXCLUDED_BY
+    assert best.score < wrong.score - current_policy().rival_excluded_chi2
     assert best.model_without_law.value("stribeck.slip") == pytest.approx(
         SLIP, abs=4 * best.joint_fit.std["stribeck.slip"]
     )

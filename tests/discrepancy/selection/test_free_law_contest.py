@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from discrepancy_clips import CAMERA, FPS, collisions, exact, noisy
 
-from discrepancy import policy
 from discrepancy.fitting.gauss_newton import fit_model
 from discrepancy.fitting.model_fit import Evidence
 from discrepancy.fitting.parameters import BASE
 from discrepancy.fitting.predict import forecast
 from discrepancy.free_laws.library import free_laws_over
 from discrepancy.noise.model import Component, Noise
+from discrepancy.policy import current_policy
 from discrepancy.selection.free_law_contest import FreeLawContest
 from discrepancy.selection.free_law_fit import fit_law, fit_unseen_clips, score_law, whiten_law_columns
 from discrepancy.selection.model_cost import cost_of
@@ -61,7 +61,7 @@ def test_the_free_law_that_was_filled_is_the_best_and_the_noise_is_left(wavy):
     best = min(contest.fitted, key=lambda f: f.score)
     assert best.law.name == "restitution_heading"
     assert best.sigma > 20
-    assert best.score < cost_of(base, base) - policy.EFFECT_PREFERRED_BY
+    assert best.score < cost_of(base, base) - current_policy().effect_preferred_chi2
     freedom = best.fit.points - best.fit.parameters - best.law.size
     assert abs(best.fit.chi2 / freedom - 1) < 4 * np.sqrt(2 / freedom)
 

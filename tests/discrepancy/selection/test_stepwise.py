@@ -11,10 +11,10 @@ from discrepancy_selected import selected, stored
 from scipy.stats import chi2 as chi2_law
 from scipy.stats import kstest
 
-from discrepancy import policy
 from discrepancy.fitting.gauss_newton import fit_model
 from discrepancy.fitting.parameters import BASE, candidates, fitted
 from discrepancy.noise.model import estimate
+from discrepancy.policy import current_policy
 from discrepancy.selection.fit_store import FitStore
 from discrepancy.selection.stepwise import Stepwise
 from synthcam.library import library
@@ -33,17 +33,17 @@ def few(monkeypatch, names=FEW):
 def test_with_nothing_hidden_the_score_is_a_standard_normal(effect, rho):
     z = nulls(8, 24, rho)[effect]
     assert kstest(z, "norm").pvalue > 1e-3
-    assert np.abs(z).max() < policy.LEAST_SIGMA_OF_A_CLAIM
+    assert np.abs(z).max() < current_policy().min_claim_sigma
     low, high = chi2_law.ppf([1e-3, 1 - 1e-3], len(z))
     assert low < z @ z < 1.2 * high  # the noise itself is estimated too
 
 
 def test_noise_that_remembers_raises_no_false_alarm_but_would_without_whitening():
     z = nulls(16, 8, 0.9)["velocity_restitution"]  # so slow a noise is hard to read off: its scale is known to 20 %
-    assert np.abs(z).max() < policy.LEAST_SIGMA_OF_A_CLAIM
+    assert np.abs(z).max() < current_policy().min_claim_sigma
     assert z @ z < 1.5 * chi2_law.ppf(1 - 1e-3, len(z))
     wolf = np.abs(nulls(8, 60, 0.9, whitened=False)["velocity_restitution"])
-    assert np.mean(wolf > policy.LEAST_SIGMA_OF_A_CLAIM) > 0.2
+    assert np.mean(wolf > current_policy().min_claim_sigma) > 0.2
 
 
 @pytest.mark.parametrize("effect", EFFECTS)
@@ -82,9 +82,9 @@ def standing(truth, *state):
 def test_a_wrong_effect_is_exchanged_for_the_right_one(monkeypatch):
     few(monkeypatch)
     steps, state = standing(Model().replace({"velocity_restitution.e": 0.01}), "spin_transfer_velocity")
-    better = steps._better(state, steps.store.score_tests(state), policy.LEAST_SIGMA_OF_A_CLAIM)
+    better = steps._better(state, steps.store.score_tests(state), current_policy().min_claim_sigma)
     assert [s.name for s in better] == ["velocity_restitution"]
-    assert steps._better(better, steps.store.score_tests(better), policy.LEAST_SIGMA_OF_A_CLAIM) is None
+    assert steps._better(better, steps.store.score_tests(better), current_policy().min_claim_sigma) is None
 
 
 def test_an_effect_that_is_not_needed_is_dropped(monkeypatch):
@@ -92,7 +92,7 @@ def test_an_effect_that_is_not_needed_is_dropped(monkeypatch):
     steps, state = standing(
         Model().replace({"velocity_restitution.e": 0.01}), "rolling_quadratic", "velocity_restitution"
     )
-    better = steps._better(state, steps.store.score_tests(state), policy.LEAST_SIGMA_OF_A_CLAIM)
+    better = steps._better(state, steps.store.score_tests(state), current_policy().min_claim_sigma)
     assert [s.name for s in better] == ["velocity_restitution"]
 
 
@@ -237,10 +237,10 @@ def test_a_search_is_as_strict_as_its_library_is_large(monkeypatch):
     clips, base, noise = started(Model())
     steps, whole = selected(clips, base, noise)
     assert steps.named(whole.state) == ()
-    assert whole.claim > policy.LEAST_SIGMA_OF_A_CLAIM
+    assert whole.claim > current_policy().min_claim_sigma
     assert {"clock_error", "adhesion"} <= set(steps.unidentifiable(whole.state))
     few(monkeypatch, EFFECTS)
-    assert selected(clips, base, noise)[1].claim == policy.LEAST_SIGMA_OF_A_CLAIM
+    assert selected(clips, base, noise)[1].claim == current_policy().min_claim_sigma
 
 
 def test_the_error_of_a_law_with_a_kink_reaches_to_its_other_minima(monkeypatch):
