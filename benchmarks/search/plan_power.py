@@ -28,10 +28,10 @@ from rich.table import Table
 import discrepancy
 import tracker
 from benchmarks.harness import ROOT, save
-from discrepancy.data.collisions import read_measured, split
-from discrepancy.fitting.base_fit import base_fit, noise_of
-from discrepancy.fitting.model_fit import Evidence
-from discrepancy.fitting.parameters import candidates
+from discrepancy.data.collisions import read_collisions, split_held_out
+from discrepancy.fitting.base_fit import estimate_noise, fit_base_model
+from discrepancy.fitting.model_fit import WhitenedClips
+from discrepancy.fitting.parameters import list_candidates
 from discrepancy.policy import current_policy
 from discrepancy.selection.score_test import ScoreTests
 from synthcam.model import Model, read_model
@@ -62,11 +62,11 @@ def tracks(scene: Scene, count: int, noise: float, seed: int) -> list[tracker.Re
 
 def score(results: list[tracker.Result], model: Model, effect: str) -> float:
     """The sigma of an effect in a search's first score test."""
-    clips, _ = read_measured(results)
-    fitted, _ = split(clips)
-    noise = noise_of(fitted)
-    base, evidence = base_fit(fitted, model, noise, lambda stage: None), Evidence.of(fitted, noise)
-    only = [c for c in candidates(base.model, base.names) if c.name == effect]
+    clips, _ = read_collisions(results)
+    fitted, _ = split_held_out(clips)
+    noise = estimate_noise(fitted)
+    base, evidence = fit_base_model(fitted, model, noise, lambda stage: None), WhitenedClips.of(fitted, noise)
+    only = [c for c in list_candidates(base.model, base.names) if c.name == effect]
     tests = ScoreTests.of(evidence, base, only=only)
     return tests.sharper(evidence, tests.ranking()[0]).sigma
 

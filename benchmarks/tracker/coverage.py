@@ -32,7 +32,7 @@ from benchmarks.harness import ROOT, run, save
 from tracker.camera.camera import Camera
 from tracker.detection.likelihood.cramer_rao import localisation_bound, localisation_bound_fixed
 from tracker.measurement.estimate import FREE_LIMITS, LIMITS, LINEAR_UP_TO
-from tracker.measurement.noise.whitening import covariance
+from tracker.measurement.noise.whitening import position_covariance
 from tracker.scoring.score import score
 
 JUDGED = "r s tau1 tau2 mu_k C v1f v2f energy_fraction momentum_fraction".split()
@@ -79,7 +79,7 @@ def noisy(clip: Path, rng: np.random.Generator) -> pd.DataFrame:
         there = here + true[["vx", "vy", "vz"]].to_numpy(float) * camera.exposure
         blur = camera.project(there) - camera.project(here)
         cov, fixed = localisation_bound(camera, flux, glint, blur), localisation_bound_fixed(camera, flux, glint)
-        root = np.linalg.cholesky(covariance(glint, cov, fixed, sigma))
+        root = np.linalg.cholesky(position_covariance(glint, cov, fixed, sigma))
         xy = true[["x_mean_px", "y_mean_px"]].to_numpy() + (root @ rng.standard_normal(len(root))).reshape(-1, 2)
         table = {"frame": true["frame"], "particle": true["particle"], "x": xy[:, 0], "y": xy[:, 1], "flux": flux}
         for end, part in (("", cov), ("_fixed", fixed)):

@@ -8,12 +8,18 @@ from typing import Any
 
 import numpy as np
 
-from discrepancy.data.collisions import Measured
-from discrepancy.data.outlier_points import taken_out, without_outliers
-from discrepancy.fitting.base_fit import Progress, base_fit, checked, noise_of, smoothed
-from discrepancy.fitting.gauss_newton import settle
-from discrepancy.fitting.model_fit import Evidence, Fit
-from discrepancy.fitting.significance import sigmas
+from discrepancy.data.collisions import MeasuredCollision
+from discrepancy.data.outlier_points import describe_removed_points, remove_outliers
+from discrepancy.fitting.base_fit import (
+    Progress,
+    check_clips,
+    estimate_noise,
+    fit_base_model,
+    remove_outliers_beside_model,
+)
+from discrepancy.fitting.gauss_newton import minimise_chi2
+from discrepancy.fitting.model_fit import ModelFit, WhitenedClips
+from discrepancy.fitting.significance import chi2_to_sigma
 from discrepancy.policy import current_policy
 from discrepancy.selection.extend import fit_with_candidate
 from discrepancy.selection.named import EffectClaim
@@ -38,8 +44,8 @@ class AddedEffect:
         A line for each clip of which some places had no part in them.
     """
 
-    before: Fit
-    fit: Fit
+    before: ModelFit
+    fit: ModelFit
     named: EffectClaim
     left_out: tuple[str, ...] = ()
 
@@ -82,7 +88,9 @@ def check_effect(effect: str) -> None:
         raise InputError(f"{effect}: no such effect{known}")
 
 
-def add(clips: Sequence[Measured], model: Model, effect: str, progress: Progress = lambda stage: None) -> AddedEffect:
+def add(
+    clips: Sequence[MeasuredCollision], model: Model, effect: str, progress: Progress = lambda stage: None
+) -> AddedEffect:
     """Add an effect to the model and fit it to all clips with everything else.
 
     Parameters
@@ -101,14 +109,14 @@ def add(clips: Sequence[Measured], model: Model, effect: str, progress: Progress
     Raises
     ------
     InputError
-        There is no such effect, or these collisions cannot identify it; or as `checked` does.
+        There is no such effect, or these collisions cannot identify it; or as `check_clips` does.
     """
     check_effect(effect)
-    clips = checked(clips, model)
+    clips = check_clips(clips, model)
     progress("noise")
-    given, (clips, _) = clips, smoothed(without_outliers(clips), [], model, progress)
-    noise = noise_of(clips)
-    evidence, base = Evidence.of(clips, noise), base_fit(clips, model, noise, progress)
+    given, (clips, _) = clips, remove_outliers_beside_model(remove_outliers(clips), [], model, progress)
+    noise = estimate_noise(clips)
+    evidence, base = WhitenedClips.of(clips, noise), fit_base_model(clips, model, noise, progress)
     if any(n.startswith(f"{effect}.") for n in base.names):
         raise InputError(f"{effect}: the model calls it free, so that every fit has it; `discrepancy find` shows it")
     tests = ScoreTests.of(evidence, base, lambda: progress("search"))
@@ -122,9 +130,11 @@ def add(clips: Sequence[Measured], model: Model, effect: str, progress: Progress
         )
         raise InputError(f"{effect}: these collisions cannot tell it: the fit absorbs it, or it hardly shows{why}")
     candidate, best = scored.candidate, tests.sharper(evidence, scored)
-    fit = settle(
+    fit = minimise_chi2(
         evidence, fit_with_candidate(evidence, base, best, lambda: progress("search")), lambda: progress("search")
     )
-    sigma = sigmas(base.chi2 - fit.chi2, len(candidate.strengths), tests.trials_factors[effect])
+    sigma = chi2_to_sigma(base.chi2 - fit.chi2, len(candidate.strengths), tests.trials_factors[effect])
     std = fit.std | profile_std(evidence, base, fit, candidate)
-    return AddedEffect(base, fit, EffectClaim.of(candidate, fit, std, sigma), tuple(taken_out(given, clips)))
+    return AddedEffect(
+        base, fit, EffectClaim.of(candidate, fit, std, sigma), tuple(describe_removed_points(given, clips))
+    )

@@ -87,7 +87,7 @@ def find(
 
     Example: discrepancy find out/results --model scenes/painter_behringer.yaml -o out/search
     """
-    from discrepancy.data.collisions import read_measured
+    from discrepancy.data.collisions import read_collisions
     from discrepancy.finding import searched
     from discrepancy.policy import SearchPolicy, applied_policy, read_policy
     from discrepancy.report import html
@@ -98,7 +98,7 @@ def find(
     given, thresholds = read_model(model), read_policy(policy) if policy else SearchPolicy()
     with applied_policy(thresholds), aside(output) as folder:
         _print_camera_notes(measured, camera)
-        clips, left_out = read_measured(measured, camera)
+        clips, left_out = read_collisions(measured, camera)
         with show_stages(STAGES) as progress:
             found = searched(clips, given, left_out, progress, 60 * minutes)
             progress("report")
@@ -130,7 +130,7 @@ def add(
     """
     from discrepancy.add import add as fitted
     from discrepancy.add import check_effect
-    from discrepancy.data.collisions import read_measured
+    from discrepancy.data.collisions import read_collisions
 
     _add_effect_folders(effects_dir)
     given = read_model(model)
@@ -139,7 +139,7 @@ def add(
         raise InputError(f"{output}: a folder; expected the name of a model file")
     check_room(output)
     _print_camera_notes(measured, camera)
-    clips, left_out = read_measured(measured, camera)
+    clips, left_out = read_collisions(measured, camera)
     with show_stages(("noise", "fit", "search")) as progress:
         new = fitted(clips, given, effect, progress)
     output.parent.mkdir(parents=True, exist_ok=True)

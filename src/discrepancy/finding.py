@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import pandas as pd
 from threadpoolctl import threadpool_limits
 
-from discrepancy.data.collisions import Measured, read_measured
+from discrepancy.data.collisions import MeasuredCollision, read_collisions
 from discrepancy.diagnostics.gap import Gap
 from discrepancy.fitting.base_fit import Progress
 from discrepancy.found import SearchResult
@@ -202,14 +202,18 @@ def find(
     given = model_of(model)
     source = Path(results) if isinstance(results, str) else results
     with applied_policy(policy or SearchPolicy()):
-        clips, left_out = read_measured(source, None if camera is None else Path(camera))
+        clips, left_out = read_collisions(source, None if camera is None else Path(camera))
         return searched(clips, given, left_out, progress, 60 * minutes)
 
 
 def searched(
-    clips: Sequence[Measured], model: Model, left_out: Sequence[str], progress: Progress, seconds: float = math.inf
+    clips: Sequence[MeasuredCollision],
+    model: Model,
+    left_out: Sequence[str],
+    progress: Progress,
+    seconds: float = math.inf,
 ) -> Finding:
-    """Search collisions that `read_measured` has read, with its lines about what was left out."""
+    """Search collisions that `read_collisions` has read, with its lines about what was left out."""
     with threadpool_limits(1, "blas"):  # matrices here are small: threads wait for one another longer than they work
         outcome = search(clips, model, progress, seconds)
     return Finding(outcome, (*left_out, *outcome.data.left_out))

@@ -9,12 +9,12 @@ from typing import Any
 
 import numpy as np
 
-from discrepancy.data.collisions import Measured
-from discrepancy.data.processed import SMOOTHED
+from discrepancy.data.collisions import MeasuredCollision
+from discrepancy.data.prior_processing import SMOOTHED
 from discrepancy.diagnostics.gap import GapFits, as_dict
 from discrepancy.diagnostics.held_out import ClaimTest
 from discrepancy.diagnostics.residual_map import Disagreement, unexplained
-from discrepancy.fitting.model_fit import Fit
+from discrepancy.fitting.model_fit import ModelFit
 from discrepancy.free_laws.fitted_law import FittedLaw
 from discrepancy.free_laws.law_summary import LawSummary
 from discrepancy.noise.model import Noise
@@ -31,8 +31,8 @@ class SearchData:
     smoothed: whether somebody has put the tracks through a filter.
     """
 
-    clips: tuple[Measured, ...]
-    kept_out: tuple[Measured, ...]
+    clips: tuple[MeasuredCollision, ...]
+    kept_out: tuple[MeasuredCollision, ...]
     noise: Noise
     left_out: tuple[str, ...]
     smoothed: bool = False
@@ -102,17 +102,17 @@ class SearchResult:
     unidentifiable: tuple[str, ...]
     claims: tuple[ClaimTest, ...] = ()
     withdrawn: tuple[ClaimTest, ...] = ()
-    held: Fit | None = None
+    held: ModelFit | None = None
     processed: tuple[str, ...] = ()
     so_far: InterruptedSearch | None = None
 
     @property
-    def base(self) -> Fit:
+    def base(self) -> ModelFit:
         """The fit of the model as it was given."""
         return self.selected.base
 
     @property
-    def best(self) -> Fit:
+    def best(self) -> ModelFit:
         """The fit with everything that was found."""
         return self.free_law.fit if self.free_law else self.selected.best
 

@@ -11,7 +11,7 @@ from typing import Any
 
 import pandas as pd
 
-from discrepancy.fitting.parameters import candidates
+from discrepancy.fitting.parameters import list_candidates
 from discrepancy.planning.changes import CHANGES
 from discrepancy.planning.compare import (
     ChangeLimits,
@@ -174,7 +174,7 @@ def plan(
     """
     given = scene if isinstance(scene, Scene) else Scene.read(Path(scene))
     designed = design_experiment(given, clips, noise, seed)
-    known = [c.name for c in candidates(designed.experiment.model, designed.experiment.names)]
+    known = [c.name for c in list_candidates(designed.experiment.model, designed.experiment.names)]
     chosen, wished = _choose_effects(effects, known), _parse_wanted(limits or {}, known)
     tick = _ProgressCounter(progress, count_draws(clips) + changes * (len(CHANGES) + 2) + 2 * len(wished))
     found = _typical_limits(given, clips, noise, seed, tick)
@@ -270,7 +270,7 @@ def _pairs_with_advice(
     here: DesignedExperiment,
 ) -> tuple[IndistinguishablePair, ...]:
     """The pairs that could not be told apart, each with what would part it."""
-    known = {c.name: c for c in candidates(here.experiment.model, here.experiment.names)}
+    known = {c.name: c for c in list_candidates(here.experiment.model, here.experiment.names)}
     out = []
     for pair in indistinguishable_pairs(found, chosen):
         tries = [

@@ -7,19 +7,31 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from discrepancy.data.collisions import Measured, cannot_tell, split
-from discrepancy.data.outlier_points import taken_out, without_outliers
-from discrepancy.data.processed import NOTHING_LEFT, SMOOTHED, beyond_reach, processed, seen_around_contact
+from discrepancy.data.collisions import MeasuredCollision, find_uniform_conditions, split_held_out
+from discrepancy.data.outlier_points import describe_removed_points, remove_outliers
+from discrepancy.data.prior_processing import (
+    NOTHING_LEFT,
+    SMOOTHED,
+    covers_contact,
+    detect_processing,
+    remove_filtered_rows,
+)
 from discrepancy.deadline import Deadline, OutOfTime
 from discrepancy.diagnostics.claims import ValidatedSelection, Validation
 from discrepancy.diagnostics.gap import GapFits, measure_gap
 from discrepancy.diagnostics.held_out import ClaimTest
 from discrepancy.diagnostics.outlier_clips import outlier_clips
 from discrepancy.diagnostics.residual_map import Disagreement, locate, unexplained
-from discrepancy.fitting.base_fit import Progress, base_fit, checked, noise_of, smoothed
-from discrepancy.fitting.model_fit import Evidence, Fit
-from discrepancy.fitting.noise_refit import refined
-from discrepancy.fitting.parameters import candidates_of
+from discrepancy.fitting.base_fit import (
+    Progress,
+    check_clips,
+    estimate_noise,
+    fit_base_model,
+    remove_outliers_beside_model,
+)
+from discrepancy.fitting.model_fit import ModelFit, WhitenedClips
+from discrepancy.fitting.noise_refit import refit_noise
+from discrepancy.fitting.parameters import candidates_by_name
 from discrepancy.found import InterruptedSearch, SearchData, SearchResult, more_missing
 from discrepancy.free_laws.fitted_law import FittedLaw
 from discrepancy.free_laws.law_summary import LawSummary
@@ -38,7 +50,7 @@ ROUNDS = 4  # searches, at most: again without clips that are unlike all others,
 
 
 def find(
-    clips: Sequence[Measured], model: Model, progress: Progress = lambda stage: None, seconds: float = math.inf
+    clips: Sequence[MeasuredCollision], model: Model, progress: Progress = lambda stage: None, seconds: float = math.inf
 ) -> SearchResult:
     """Search for what `model` lacks. Its base parameters that are not zero and those in `model.free` are fitted.
 
@@ -60,9 +72,9 @@ def find(
     Raises
     ------
     InputError
-        As `checked` does.
+        As `check_clips` does.
     """
-    clips = checked(clips, model)
+    clips = check_clips(clips, model)
     deadline = Deadline(progress, seconds)
     data = read(clips, model, progress)
     data, steps, chosen = unselected(data, model, deadline) if data.smoothed else converged(data, model, deadline)
@@ -93,12 +105,12 @@ def find(
         left,
         shown,
         _experiment(chosen.selected, named, data) if verdict == "ambiguous" else "",
-        tuple(cannot_tell(clips)),
+        tuple(find_uniform_conditions(clips)),
         steps.unidentifiable(chosen.selected.state),
         stands.claims,
         stands.withdrawn,
         held,
-        processed(clips),
+        detect_processing(clips),
     )
 
 
@@ -120,47 +132,47 @@ class Chosen:
         return bool(self.selected.state or self.free_law)
 
     @property
-    def best(self) -> Fit:
+    def best(self) -> ModelFit:
         """The fit with everything that was found."""
         return self.free_law.joint_fit if self.free_law else self.selected.best
 
-    def cleaned(self, data: SearchData) -> tuple[Measured, ...]:
+    def cleaned(self, data: SearchData) -> tuple[MeasuredCollision, ...]:
         """The clips with what a free law moves taken out of them, where no effect can hold it."""
         return self.free_law.evidence.clips if self.free_law else data.clips
 
 
-def read(clips: Sequence[Measured], model: Model, progress: Progress) -> SearchData:
+def read(clips: Sequence[MeasuredCollision], model: Model, progress: Progress) -> SearchData:
     """The clips without outlier points, some kept out, and the noise of the others."""
     progress("noise")
-    usual = without_outliers(clips)
-    some, kept_out = split(usual)
-    if noise_of(some).smoothed:
-        return _beyond_reach(usual, taken_out(clips, usual))
-    some, kept_out = smoothed(some, kept_out, model, progress)
-    noise = noise_of(some)
+    usual = remove_outliers(clips)
+    some, kept_out = split_held_out(usual)
+    if estimate_noise(some).smoothed:
+        return _beyond_reach(usual, describe_removed_points(clips, usual))
+    some, kept_out = remove_outliers_beside_model(some, kept_out, model, progress)
+    noise = estimate_noise(some)
     # read without any claim first: one made with too little noise could explain the rest of the noise away
-    noise = refined(some, base_fit(some, model, noise, progress), noise, explained=False) or noise
-    return SearchData(tuple(some), tuple(kept_out), noise, tuple(taken_out(clips, [*some, *kept_out])))
+    noise = refit_noise(some, fit_base_model(some, model, noise, progress), noise, explained=False) or noise
+    return SearchData(tuple(some), tuple(kept_out), noise, tuple(describe_removed_points(clips, [*some, *kept_out])))
 
 
-def _beyond_reach(smoothed: Sequence[Measured], outliers: Sequence[str]) -> SearchData:
+def _beyond_reach(smoothed: Sequence[MeasuredCollision], outliers: Sequence[str]) -> SearchData:
     """Of tracks that somebody has smoothed: what the filter has not moved, of clips of which enough is left."""
-    clips = [beyond_reach(clip) for clip in smoothed]
-    kept = [clip for clip in clips if seen_around_contact(clip)]
+    clips = [remove_filtered_rows(clip) for clip in smoothed]
+    kept = [clip for clip in clips if covers_contact(clip)]
     if len(kept) < current_policy().min_collisions:
         raise InputError(
             f"{SMOOTHED}: of {len(kept)} of {len(clips)} collisions enough is left beyond the filter's reach; expected "
             f"{current_policy().min_collisions} or more"
         )
-    lost = tuple(f"clip {clip.clip}: {NOTHING_LEFT}" for clip in clips if not seen_around_contact(clip))
-    some, kept_out = split(kept)
-    return SearchData(tuple(some), tuple(kept_out), noise_of(some), (*outliers, *lost), smoothed=True)
+    lost = tuple(f"clip {clip.clip}: {NOTHING_LEFT}" for clip in clips if not covers_contact(clip))
+    some, kept_out = split_held_out(kept)
+    return SearchData(tuple(some), tuple(kept_out), estimate_noise(some), (*outliers, *lost), smoothed=True)
 
 
 def unselected(data: SearchData, model: Model, deadline: Deadline) -> tuple[SearchData, Stepwise, Chosen]:
     """The base model's fit alone: of such tracks nothing is named."""
-    base = base_fit(data.clips, model, data.noise, deadline)
-    steps = Stepwise.of(FitStore(Evidence.of(data.clips, data.noise), base, lambda: deadline("search")))
+    base = fit_base_model(data.clips, model, data.noise, deadline)
+    steps = Stepwise.of(FitStore(WhitenedClips.of(data.clips, data.noise), base, lambda: deadline("search")))
     return data, steps, Chosen(steps.selection(()), None, None)
 
 
@@ -180,9 +192,9 @@ def converged(data: SearchData, model: Model, deadline: Deadline) -> tuple[Searc
             gone += len(outliers)
             data = data.without(outliers)
             continue
-        noise = refined(cleaned, chosen.best, data.noise)
+        noise = refit_noise(cleaned, chosen.best, data.noise)
         if noise is None and chosen.nearly:  # the library's model may lack what the free law has, and call it noise
-            noise = refined(chosen.nearly.evidence.clips, chosen.nearly.joint_fit, data.noise)
+            noise = refit_noise(chosen.nearly.evidence.clips, chosen.nearly.joint_fit, data.noise)
         if noise is None:
             break
         data = dataclasses.replace(data, noise=noise)
@@ -191,7 +203,7 @@ def converged(data: SearchData, model: Model, deadline: Deadline) -> tuple[Searc
 
 def select(data: SearchData, model: Model, deadline: Deadline) -> tuple[Stepwise, Chosen]:
     """What the library names, and the free law that explains more, if one does."""
-    evidence, base = Evidence.of(data.clips, data.noise), base_fit(data.clips, model, data.noise, deadline)
+    evidence, base = WhitenedClips.of(data.clips, data.noise), fit_base_model(data.clips, model, data.noise, deadline)
     store = FitStore(evidence, base, lambda: deadline("search"))
     steps = Stepwise.of(store)
     try:
@@ -222,7 +234,7 @@ def _chosen(steps: Stepwise, contest: FreeLawContest) -> Chosen:
 
 
 def _unnamed(
-    clips: Sequence[Measured], data: SearchData, steps: Stepwise, chosen: Chosen, progress: Progress
+    clips: Sequence[MeasuredCollision], data: SearchData, steps: Stepwise, chosen: Chosen, progress: Progress
 ) -> SearchResult:
     """Nothing is claimed by a search that was cut short: what it has tried was held to no other collisions.
 
@@ -231,11 +243,11 @@ def _unnamed(
     data, shown = seen_apart(data, chosen, progress)
     progress("where")
     where = tuple(locate(data.clips, chosen.selected.base, data.noise))
-    alike = tuple(cannot_tell(clips))
+    alike = tuple(find_uniform_conditions(clips))
     missing = unexplained(where) or (chosen.so_far is not None and chosen.selected.promising)
     return SearchResult(
         "inadequate" if missing else "none", data, chosen.selected, None, None, (), where, where, shown, "",
-        alike, steps.unidentifiable(()), processed=(*([SMOOTHED] if data.smoothed else []), *processed(clips)),
+        alike, steps.unidentifiable(()), processed=(*([SMOOTHED] if data.smoothed else []), *detect_processing(clips)),
         so_far=chosen.so_far,
     )  # fmt: skip
 
@@ -260,7 +272,11 @@ def gap_of(data: SearchData, chosen: Chosen, progress: Progress) -> GapFits:
 
 
 def _gap(
-    data: SearchData, base: Fit, best: Fit, progress: Progress, outside: Callable[[Fit], Fit] | None = None
+    data: SearchData,
+    base: ModelFit,
+    best: ModelFit,
+    progress: Progress,
+    outside: Callable[[ModelFit], ModelFit] | None = None,
 ) -> GapFits:
     try:
         return measure_gap(data.kept_out, base, best, data.noise, lambda: progress("gap"), outside)
@@ -272,7 +288,7 @@ def validated(
     data: SearchData, steps: Stepwise, chosen: Chosen, shown: GapFits, progress: Progress
 ) -> ValidatedSelection:
     """What stands of a selection before collisions that had no part in it."""
-    evidence = Evidence.of(data.clips, data.noise)
+    evidence = WhitenedClips.of(data.clips, data.noise)
     held_to = Validation(steps, evidence, data.kept_out, shown.before, data.noise, lambda: progress("gap"))
     return held_to.standing(chosen.selected, chosen.free_law)
 
@@ -298,7 +314,7 @@ def _verdict(
 def _experiment(selected: Selection, named: Sequence[EffectClaim], data: SearchData) -> str:
     """What would part each class's effect from its nearest alias."""
     base, best = selected.base, selected.best
-    known = candidates_of(best.model, base.model, base.names)
+    known = candidates_by_name(best.model, base.model, base.names)
     shapes = {c.effect: c.shapes for c in selected.ranking}
     said = []
     for n in named:

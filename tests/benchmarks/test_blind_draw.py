@@ -15,7 +15,7 @@ from benchmarks.search.sealed.integrator import PHYSICS
 from benchmarks.search.sealed.ordinary import ORDINARY, UNKNOWN
 from benchmarks.search.sealed.outsiders import OUTSIDERS
 from benchmarks.search.sealed.studies import ROUND, STUDIES
-from discrepancy.fitting.predict import forecast
+from discrepancy.fitting.predict import predict_tracks
 from discrepancy.free_laws.library import free_laws_over
 from synthcam.library import library
 from synthcam.model import Model
@@ -136,15 +136,15 @@ def test_what_is_never_hidden_makes_the_tracks_of_other_numbers():
     truth = truth_of({}, clips=3)
     rows, model = boxes.fitted(truth), boxes.base_model(truth)
     launches = np.array([r.launch for r in rows])
-    sticky = forecast(model.replace({"adhesion.pull": 0.2}), launches, rows)
-    rough = forecast(model.replace({"sliding_friction": 1.2 * model.sliding_friction}), launches, rows)
+    sticky = predict_tracks(model.replace({"adhesion.pull": 0.2}), launches, rows)
+    rough = predict_tracks(model.replace({"sliding_friction": 1.2 * model.sliding_friction}), launches, rows)
     np.testing.assert_allclose(np.concatenate(sticky), np.concatenate(rough), atol=1e-12)
     f, rows = 1.01, [dataclasses.replace(r, camera=dataclasses.replace(r.camera, exposure=1e-7)) for r in rows]
-    wrong = forecast(model.replace({"clock_error.e": f - 1}), launches, rows)
+    wrong = predict_tracks(model.replace({"clock_error.e": f - 1}), launches, rows)
     powers = {"rolling_drag": 1, "rolling_decel": 2, "sliding_friction": 2}
     other = model.replace({k: getattr(model, k) * f**n for k, n in powers.items()})
     moved = launches * np.array([1, 1, 1 / f, f, 1, 1])
-    right = forecast(other, moved, rows)
+    right = predict_tracks(other, moved, rows)
     np.testing.assert_allclose(np.concatenate(wrong), np.concatenate(right), atol=1e-9)
     assert set(UNDRAWN) == {"adhesion", "clock_error"}
 
@@ -172,7 +172,9 @@ def test_what_a_free_law_has_taken_in_is_a_series_of_it_and_of_no_other(name):
     fault = kind(**{p.name: p.typical * (1 if p.fixed else 0.1) for p in kind.parameters()})
     launches = np.array([c.launch for c in clips])
     bent = dataclasses.replace(Model(), effects=(fault,))
-    moved = np.concatenate(forecast(bent, launches, clips)) - np.concatenate(forecast(Model(), launches, clips))
+    moved = np.concatenate(predict_tracks(bent, launches, clips)) - np.concatenate(
+        predict_tracks(Model(), launches, clips)
+    )
     left = {}
     for law in free_laws_over(Model(), launches, clips):
         if law.name in {kind.FREE_LAW, "friction_speed", "force_heading"}:

@@ -9,18 +9,18 @@ from discrepancy_clips import STD, collisions, exact, only
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from discrepancy.fitting.gauss_newton import _part, fit_model, linearised, settle
-from discrepancy.fitting.model_fit import Evidence
-from discrepancy.fitting.parameters import BASE, limits_of, within
-from discrepancy.noise.model import Component, Noise
+from discrepancy.fitting.gauss_newton import _interpolate, fit_model, linearise, minimise_chi2
+from discrepancy.fitting.model_fit import WhitenedClips
+from discrepancy.fitting.parameters import BASE_PARAMETERS, parameter_limits, replace_within_limits
+from discrepancy.noise.model import Noise, NoiseComponent
 from discrepancy.search import find
 from synthcam.library import library
 from synthcam.model import Model
 from synthcam_shared.errors import InputError
 
-NOISE = Noise(Component(1.0))
+NOISE = Noise(NoiseComponent(1.0))
 CLIPS = collisions(Model(), 2, 3, frames=40)
-START = linearised(Evidence.of(CLIPS, NOISE), Model(), BASE, np.array([c.launch for c in CLIPS]))
+START = linearise(WhitenedClips.of(CLIPS, NOISE), Model(), BASE_PARAMETERS, np.array([c.launch for c in CLIPS]))
 LIMITED = ("unknown_lamp.height", "unknown_lamp.x", "hop.share", "hop.bounce", "restitution", "spin_transfer")
 
 
@@ -54,22 +54,22 @@ def test_a_search_of_anything_ends_well(monkeypatch, motion):
 @given(st.sampled_from(LIMITED), st.sampled_from([0, 1]), st.sampled_from([1.0, 0.3, 0.1]), st.floats(-1e3, 1e3))
 def test_no_step_ends_beyond_a_limit(name, side, share, further):
     """From a limit to it, to beyond it, or away from it, by rounding or by far."""
-    end = limits_of(Model(), name)[side]
-    fit = dataclasses.replace(START, model=within(Model(), {name: end}), names=(name,))
+    end = parameter_limits(Model(), name)[side]
+    fit = dataclasses.replace(START, model=replace_within_limits(Model(), {name: end}), names=(name,))
     for aim in (end, end + further, np.nextafter(end, -np.inf), np.nextafter(end, np.inf)):
-        there = within(fit.model, _part(fit, {name: aim}, share))
-        assert limits_of(Model(), name)[0] <= there.value(name) <= limits_of(Model(), name)[1]
+        there = replace_within_limits(fit.model, _interpolate(fit, {name: aim}, share))
+        assert parameter_limits(Model(), name)[0] <= there.value(name) <= parameter_limits(Model(), name)[1]
 
 
 CLIPS = collisions(Model(), 2, 3, frames=40)
-START = linearised(Evidence.of(CLIPS, NOISE), Model(), BASE, np.array([c.launch for c in CLIPS]))
+START = linearise(WhitenedClips.of(CLIPS, NOISE), Model(), BASE_PARAMETERS, np.array([c.launch for c in CLIPS]))
 
 
 @pytest.mark.parametrize("error", [ValueError, np.linalg.LinAlgError, FloatingPointError, OverflowError])
 def test_a_step_that_fails_is_a_failed_step(monkeypatch, error):
     """Whatever it is that fails, and wherever on the way."""
     calls = 0
-    true = Evidence.left
+    true = WhitenedClips.left
 
     def failing(self, model, launches):
         nonlocal calls
@@ -78,21 +78,21 @@ def test_a_step_that_fails_is_a_failed_step(monkeypatch, error):
             raise error("no motion")
         return true(self, model, launches)
 
-    monkeypatch.setattr(Evidence, "left", failing)
-    fit = settle(Evidence.of(CLIPS, NOISE), START)
+    monkeypatch.setattr(WhitenedClips, "left", failing)
+    fit = minimise_chi2(WhitenedClips.of(CLIPS, NOISE), START)
     assert calls > 1
     assert fit.chi2 <= START.chi2
     there = dataclasses.replace(START.tangent, launches=START.launches + 1e-9)  # derivatives of somewhere near
     elsewhere = dataclasses.replace(START, tangent=there)
-    for broken in ("discrepancy.fitting.gauss_newton.linearised", "discrepancy.fitting.gauss_newton._step"):
+    for broken in ("discrepancy.fitting.gauss_newton.linearise", "discrepancy.fitting.gauss_newton._step"):
         with monkeypatch.context() as patch:
             patch.setattr(broken, lambda *_, **__: (_ for _ in ()).throw(error("no motion")))
-            assert settle(Evidence.of(CLIPS, NOISE), elsewhere).chi2 <= START.chi2
+            assert minimise_chi2(WhitenedClips.of(CLIPS, NOISE), elsewhere).chi2 <= START.chi2
 
 
 def test_what_tracks_do_not_show_of_a_launch_stays():
     """A singular matrix of one clip."""
     tangent = dataclasses.replace(START.tangent, launch_slopes=tuple(0 * a for a in START.launch_slopes))
     flat = dataclasses.replace(START, tangent=tangent)
-    assert np.isfinite(settle(Evidence.of(CLIPS, NOISE), flat, rough=True).chi2)
-    assert fit_model(CLIPS, Model(), BASE, NOISE).chi2 < START.chi2
+    assert np.isfinite(minimise_chi2(WhitenedClips.of(CLIPS, NOISE), flat, rough=True).chi2)
+    assert fit_model(CLIPS, Model(), BASE_PARAMETERS, NOISE).chi2 < START.chi2

@@ -18,7 +18,7 @@ from repository import ROOT
 
 import synthcam
 import tracker
-from discrepancy.data.collisions import read_measured
+from discrepancy.data.collisions import read_collisions
 from synthcam.dataset.generate import Plan, run
 from tracker import pipeline
 
@@ -143,8 +143,8 @@ def test_filmed_collisions_reach_the_search_alike_from_memory_and_from_files(tmp
     run(Plan((scene,), 2, 3), tmp_path / "data", 1, lambda done, of: None)
     pipeline.run(tmp_path / "data", tmp_path / "results", None, "maximum_likelihood", 1)
     clips = [scene.draw(k, 3) for k in range(2)]
-    one, _ = read_measured([tracker.track(c.film(), c.camera_json) for c in clips])
-    other, _ = read_measured(tmp_path / "results")
+    one, _ = read_collisions([tracker.track(c.film(), c.camera_json) for c in clips])
+    other, _ = read_collisions(tmp_path / "results")
     assert len(one) == len(other) == 2
     for a, b in zip(one, other, strict=True):
         for name in ("clip", "frame", "ball", "xy", "covariance", "launch", "ends", "offset"):

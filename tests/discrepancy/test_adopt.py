@@ -18,7 +18,7 @@ from discrepancy.fitting.gauss_newton import fit_model
 from discrepancy.free_laws.axis import Axis
 from discrepancy.free_laws.library import library as free_laws
 from discrepancy.free_laws.shapes import iterate_shapes
-from discrepancy.noise.model import Component, Noise
+from discrepancy.noise.model import Noise, NoiseComponent
 from discrepancy.report import html
 from synthcam.effect import LAWS, VECTORS
 from synthcam.free_law import KINDS, LINE, PLACE, TURN, TabulatedLaw, names
@@ -151,7 +151,7 @@ def test_the_formula_is_that_of_what_was_hidden(reports, own):
     assert model.restitution * model.value("late_drop.size") == pytest.approx(-0.004, rel=0.2)
     assert model.value("late_drop.at") == pytest.approx(0.2, abs=0.02)
     seen = collisions(dataclasses.replace(Model(), effects=(OUTSIDERS["restitution_speed"],)), 12, 7)
-    fit = fit_model(seen, model, (*BASE, *model.free), Noise(Component(1.0)))
+    fit = fit_model(seen, model, (*BASE, *model.free), Noise(NoiseComponent(1.0)))
     assert fit.chi2 / (fit.points - fit.parameters) < 1.1
 
 

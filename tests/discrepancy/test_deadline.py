@@ -5,7 +5,7 @@ import pytest
 from discrepancy_clips import HIDDEN, collisions, only
 
 from discrepancy.deadline import Deadline, OutOfTime
-from discrepancy.fitting.predict import forecast
+from discrepancy.fitting.predict import predict_tracks
 from discrepancy.search import find
 from synthcam.model import Model
 
@@ -27,10 +27,10 @@ def test_each_forecast_asks_for_the_time():
     clips = collisions(Model(), 2, 3)
     launches = np.array([c.launch for c in clips])
     with Deadline(print, 1e6).limited():
-        forecast(Model(), launches, clips)
+        predict_tracks(Model(), launches, clips)
     with pytest.raises(OutOfTime), Deadline(print, -1.0).limited():
-        forecast(Model(), launches, clips)
-    forecast(Model(), launches, clips)
+        predict_tracks(Model(), launches, clips)
+    predict_tracks(Model(), launches, clips)
 
 
 def test_a_search_cut_short_names_nothing(monkeypatch):

@@ -15,7 +15,7 @@ from repository import ROOT
 import discrepancy
 import tracker
 from discrepancy import cli
-from discrepancy.data.collisions import read_measured
+from discrepancy.data.collisions import read_collisions
 from synthcam.model import Model, read_model
 from tracker.camera.same_view import first_difference
 
@@ -46,8 +46,8 @@ def undated(path):
 
 
 def test_collisions_from_memory_are_those_of_the_folder_to_the_last_bit(recorded, results):
-    one, lost = read_measured(recorded / "results")
-    other, also = read_measured(results)
+    one, lost = read_collisions(recorded / "results")
+    other, also = read_collisions(results)
     assert lost == also
     assert len(one) == len(other) == 6
     for a, b in zip(one, other, strict=True):
@@ -164,4 +164,4 @@ def test_results_of_one_number_are_counted(results):
     tracks, camera = results[0].tracks, results[0].camera
     again = [tracker.measure(tracks, camera) for _ in range(3)]
     assert {r.number for r in again} == {0}
-    assert [c.clip for c in read_measured(again)[0]] == [0, 1, 2]
+    assert [c.clip for c in read_collisions(again)[0]] == [0, 1, 2]

@@ -22,13 +22,13 @@ from discrepancy.diagnostics.held_out import HeldOutTest, reason_to_reject
 from discrepancy.diagnostics.outlier_clips import outlier_clips
 from discrepancy.fitting import noise_refit
 from discrepancy.fitting.gauss_newton import fit_model
-from discrepancy.fitting.model_fit import Evidence, Fit, Tangent
-from discrepancy.fitting.parameters import BASE, Candidate, candidates
+from discrepancy.fitting.model_fit import Linearisation, ModelFit, WhitenedClips
+from discrepancy.fitting.parameters import BASE_PARAMETERS, Candidate, list_candidates
 from discrepancy.free_laws.fitted_law import FittedLaw
 from discrepancy.free_laws.library import free_laws_over
 from discrepancy.free_laws.marginal_likelihood import CurveEvidence
 from discrepancy.noise import model as noise
-from discrepancy.noise.model import Component, Noise, estimate
+from discrepancy.noise.model import Noise, NoiseComponent, estimate
 from discrepancy.policy import SearchPolicy, applied_policy, current_policy, read_policy
 from discrepancy.search import _verdict
 from discrepancy.selection import free_law_contest, free_law_fit
@@ -41,7 +41,7 @@ from synthcam.library import library
 from synthcam.model import Model
 from synthcam.settings import InputError
 
-NOISE = Noise(Component(1.0))
+NOISE = Noise(NoiseComponent(1.0))
 E = "velocity_restitution.e"
 
 
@@ -55,7 +55,7 @@ def sized():
         return [dataclasses.replace(c, xy=c.xy + strength / 1e-3 * b) for c, b in zip(plain, bent, strict=True)]
 
     def z(strength):
-        fit = fit_model(clips(strength), Model(), (*BASE, E), NOISE)
+        fit = fit_model(clips(strength), Model(), (*BASE_PARAMETERS, E), NOISE)
         return fit.model.value(E) / fit.std[E]
 
     low, high = z(0.0), z(2e-3)
@@ -66,7 +66,7 @@ def sized():
 def test_four_sigma_make_a_claim_however_few_the_candidates(monkeypatch, sized, sigma, named):
     only(monkeypatch, velocity_restitution=library()["velocity_restitution"])
     clips = sized(sigma)
-    assert len(selected(clips, fit_model(clips, Model(), BASE, NOISE), NOISE)[1].state) == named
+    assert len(selected(clips, fit_model(clips, Model(), BASE_PARAMETERS, NOISE), NOISE)[1].state) == named
 
 
 def made_laws(monkeypatch, cost, scores):
@@ -141,7 +141,7 @@ def test_what_looks_like_the_leader_by_nine_tenths_is_fitted_too(cosine, rival):
 def test_what_only_shows_beyond_ten_realistic_sizes_or_what_is_allowed_is_not_told(monkeypatch, effect, sizes, told):
     only(monkeypatch, **{effect: library()[effect]})
     clips = noisy(exact(Model(), 4, 3), 3)
-    tests = ScoreTests.of(Evidence.of(clips, NOISE), fit_model(clips, Model(), BASE, NOISE))
+    tests = ScoreTests.of(WhitenedClips.of(clips, NOISE), fit_model(clips, Model(), BASE_PARAMETERS, NOISE))
     (trial,) = tests.trials
     (seen,) = tests.ranking()
     weaker = dataclasses.replace(trial, columns=tuple(c * seen.limit / sizes for c in trial.columns))
@@ -152,9 +152,9 @@ def test_what_only_shows_beyond_ten_realistic_sizes_or_what_is_allowed_is_not_to
 
 @pytest.mark.parametrize(("sigma", "shared"), [(3.0, False), (6.0, True)])
 def test_noise_is_shared_beyond_four_sigma(monkeypatch, sigma, shared):
-    both = Noise(Component(1.0), (Component(1.0), Component(1.0)))
-    monkeypatch.setattr(noise.Pairs, "common_mode_score", lambda self, own: sigma)
-    monkeypatch.setattr(noise.Pairs, "noise", lambda self: both)
+    both = Noise(NoiseComponent(1.0), (NoiseComponent(1.0), NoiseComponent(1.0)))
+    monkeypatch.setattr(noise.BallPairs, "common_mode_score", lambda self, own: sigma)
+    monkeypatch.setattr(noise.BallPairs, "noise", lambda self: both)
     assert (estimate(noisy(exact(Model(), 2, 3), 3)) == both) is shared
     assert bool(read_again(monkeypatch, gain=99.0, worse=0.0, sigma=sigma).shared) is shared
 
@@ -163,11 +163,11 @@ def read_again(monkeypatch, gain, worse, sigma=0.0, explained=True):
     """The noise of residuals that prefer another by `gain`, where the phases make that one worse."""
     left = Made(clips=[Made(claimed=lambda: np.ones(3))], common_mode_score=lambda noise: (sigma, 0.9))
     left.cost = lambda noise: gain * (noise == NOISE)
-    left.best = lambda start: (0.0, dataclasses.replace(start, own=Component(2.0)))
-    within = Made(pairs=[None], own=lambda: Component(1.0), cost=lambda noise: worse * (noise != NOISE))
-    monkeypatch.setattr(noise_refit._Left, "of", lambda *_: left)
+    left.best = lambda start: (0.0, dataclasses.replace(start, own=NoiseComponent(2.0)))
+    within = Made(pairs=[None], own=lambda: NoiseComponent(1.0), cost=lambda noise: worse * (noise != NOISE))
+    monkeypatch.setattr(noise_refit._Residuals, "of", lambda *_: left)
     monkeypatch.setattr(noise_refit, "Pairs", lambda pairs: within)
-    return noise_refit.refined((), None, NOISE, explained)
+    return noise_refit.refit_noise((), None, NOISE, explained)
 
 
 @pytest.mark.parametrize(("gain", "new"), [(7.0, False), (13.0, True)])
@@ -209,7 +209,11 @@ def test_one_of_so_many_free_laws_costs_its_choice(monkeypatch, share, better):
 
 @pytest.mark.parametrize(("worse", "chosen"), [(7.0, "rolling_quadratic"), (12.0, "stribeck")])
 def test_the_simpler_of_two_may_be_worse_by_nine_and_a_half(worse, chosen):
-    known = {s.name: frozenset({s}) for s in candidates(Model(), BASE) if s.name in ("rolling_quadratic", "stribeck")}
+    known = {
+        s.name: frozenset({s})
+        for s in list_candidates(Model(), BASE_PARAMETERS)
+        if s.name in ("rolling_quadratic", "stribeck")
+    }
     cost_of = {known["rolling_quadratic"]: 100 + worse, known["stribeck"]: 100.0}
     steps = Stepwise(Made(cost_of=cost_of.__getitem__), (), 4.0, {}, frozenset())
     assert steps._simplest(list(cost_of)) == known[chosen]
@@ -224,8 +228,8 @@ def flat(chi2, pulls=None, points=200):
     left = tuple(np.sqrt(c * points) * noise + p * shared[:, 0] for c, p in zip(chi2, pulls, strict=True))
     every = len(chi2)
     launches = np.zeros((every, 6))
-    tangent = Tangent(Model(), names, launches, (shared[:, : len(names)],) * every, (own,) * every)
-    return Fit(Model(), names, launches, left, tangent)
+    tangent = Linearisation(Model(), names, launches, (shared[:, : len(names)],) * every, (own,) * every)
+    return ModelFit(Model(), names, launches, left, tangent)
 
 
 def numbered(count):
@@ -294,7 +298,7 @@ def beside_law(monkeypatch, sigma=30.0, less=500.0, others=()):
     monkeypatch.setattr(stand, "find_replacements", lambda *_: others)
     for name, said in (("_unseen", None), ("_held", (BORNE, BORNE)), ("_free_law", None)):
         monkeypatch.setattr(stand.Validation, name, lambda *_, said=said: said)
-    base, whole = Made(model=Model(), names=BASE), Made(model=Model(), std={})
+    base, whole = Made(model=Model(), names=BASE_PARAMETERS), Made(model=Model(), std={})
     law = Made(
         score=100.0,
         model_without_law=Model(),
@@ -451,8 +455,8 @@ def test_noise_over_phases_is_held_against_that_of_short_pieces(monkeypatch, tim
     rng = np.random.default_rng(1)
     sway = sways * np.sin(np.arange(40) / 4)[:, None]
     stretches = [(rng.standard_normal((40, 2)) + sway, np.ones(40), np.arange(40)) for _ in range(30)]
-    over_phases = Noise(Component(times**2, (0.99,)))
-    assert noise._without_motion(over_phases, stretches).over_phases == read
+    over_phases = Noise(NoiseComponent(times**2, (0.99,)))
+    assert noise._exclude_motion(over_phases, stretches).over_phases == read
 
 
 @pytest.mark.parametrize(("times", "kept"), [(1.5, True), (2.2, False)])
@@ -461,7 +465,7 @@ def test_a_piece_that_holds_an_event_has_no_part_in_the_noise(times, kept):
     rng = np.random.default_rng(2)
     unit = rng.standard_normal((8, 2))
     stretches = [((times if k == 5 else 1.0) * unit, np.ones(8), np.arange(8)) for k in range(8)]
-    assert len(noise._pieces(stretches)) == (8 if kept else 7)
+    assert len(noise._cut_pieces(stretches)) == (8 if kept else 7)
 
 
 def test_a_ball_whose_place_is_given_once_has_no_noise_to_be_read():
@@ -470,7 +474,7 @@ def test_a_ball_whose_place_is_given_once_has_no_noise_to_be_read():
     unit = rng.standard_normal((8, 2))
     still = [(np.full((8, 2), 0.3), np.ones(8), np.arange(8))] * 10
     moving = [(unit, np.ones(8), np.arange(8))] * 4
-    assert len(noise._pieces([*still, *moving])) == 4
+    assert len(noise._cut_pieces([*still, *moving])) == 4
 
 
 FIELDS = list(SearchPolicy.model_fields)

@@ -24,9 +24,9 @@ from discrepancy_outsiders import FEW, OUTSIDERS, outsider
 
 from benchmarks.search.sealed.integrator import Plate, collision, means
 from discrepancy.add import add
-from discrepancy.data.collisions import split
+from discrepancy.data.collisions import split_held_out
 from discrepancy.data.launch import HEADING, X, Y
-from discrepancy.fitting.predict import forecast
+from discrepancy.fitting.predict import predict_tracks
 from discrepancy.search import find
 from discrepancy.selection.stepwise import Stepwise
 from synthcam.library import library
@@ -289,7 +289,7 @@ def test_a_bad_recording_does_not_spoil_the_gap(monkeypatch):
     """One clip of those kept out has noise ten times as large."""
     only(monkeypatch)
     clips = collisions(Model(), 12, 3)
-    bad = split(clips)[1][1].clip
+    bad = split_held_out(clips)[1][1].clip
     rough = STD * 10 * np.random.default_rng(1).standard_normal(clips[bad].xy.shape)
     clips[bad] = dataclasses.replace(clips[bad], xy=clips[bad].xy + rough)
     found = find(clips, Model())
@@ -389,7 +389,7 @@ def test_what_is_measured_anew_of_each_clip_makes_no_other_camera(monkeypatch):
 def test_what_is_kept_out_has_no_part_in_the_noise(monkeypatch):
     only(monkeypatch)
     clips = collisions(Model(), 8, 3)
-    found, kept_out = find(clips, Model()), {c.clip for c in split(clips)[1]}
+    found, kept_out = find(clips, Model()), {c.clip for c in split_held_out(clips)[1]}
     rng = np.random.default_rng(1)
     rough = [
         dataclasses.replace(c, xy=c.xy + 3 * STD * rng.standard_normal(c.xy.shape) * (c.clip in kept_out))
@@ -433,7 +433,7 @@ def test_clips_of_two_frame_rates_are_searched_together(monkeypatch):
     for k in range(0, len(clips), 2):
         frame = np.tile(np.arange(FRAMES // 2), 2)
         half = dataclasses.replace(clips[k].of(np.flatnonzero(clips[k].frame % 2 == 0)), camera=slow, frame=frame)
-        clips[k] = dataclasses.replace(half, xy=forecast(true, half.launch[None], [half])[0])
+        clips[k] = dataclasses.replace(half, xy=predict_tracks(true, half.launch[None], [half])[0])
     found = find(noisy(clips, 4), Model())
     assert (found.verdict, found.named[0].effect) == ("named", "rolling_quadratic")
     value, std = (d["rolling_quadratic.K"] for d in (found.named[0].values, found.named[0].std))

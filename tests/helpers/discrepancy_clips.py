@@ -8,13 +8,13 @@ import numpy as np
 import discrepancy.fitting.parameters
 import discrepancy.free_laws.library
 import synthcam.model
-from discrepancy.data.collisions import Measured
-from discrepancy.fitting.jacobian import derivative, launch_derivatives
-from discrepancy.fitting.model_fit import off
-from discrepancy.fitting.parameters import BASE, strengths_of
-from discrepancy.fitting.predict import forecast
-from discrepancy.noise.model import Component, Noise, estimate
-from discrepancy.noise.whitening import Whitener
+from discrepancy.data.collisions import MeasuredCollision
+from discrepancy.fitting.jacobian import differentiate, differentiate_launches
+from discrepancy.fitting.model_fit import project_out
+from discrepancy.fitting.parameters import BASE_PARAMETERS, strength_names
+from discrepancy.fitting.predict import predict_tracks
+from discrepancy.noise.model import Noise, NoiseComponent, estimate
+from discrepancy.noise.whitening import ClipWhitener
 from discrepancy.search import find
 from synthcam.dynamics import batch
 from synthcam.library import library
@@ -76,7 +76,7 @@ def blank(number, launch, ends, frames=FRAMES):
     """A clip with both balls in every frame, and nothing measured yet."""
     frame, ball = np.tile(np.arange(frames), 2), np.repeat([0, 1], frames)
     claimed = np.tile(STD**2 * np.eye(2), (2 * frames, 1, 1))
-    return Measured(number, "b", CAMERA, frame, ball, np.zeros((2 * frames, 2)), claimed, launch, ends)
+    return MeasuredCollision(number, "b", CAMERA, frame, ball, np.zeros((2 * frames, 2)), claimed, launch, ends)
 
 
 def absorbable(fit):
@@ -102,7 +102,7 @@ def exact(model, count, seed, frames=FRAMES, spins=None):
         starts = np.concatenate([starts, np.resize(spins, (count, 3))], axis=1)
     ends = batch.collisions(model, starts, 0.0, frames / FPS).slide_ends.reshape(2, -1).T
     clips = [blank(k, *both, frames) for k, both in enumerate(zip(starts, ends, strict=True))]
-    return [dataclasses.replace(c, xy=xy) for c, xy in zip(clips, forecast(model, starts, clips), strict=True)]
+    return [dataclasses.replace(c, xy=xy) for c, xy in zip(clips, predict_tracks(model, starts, clips), strict=True)]
 
 
 def noisy(clips, seed, rho=0.0):
@@ -137,12 +137,12 @@ class Design:
     def __init__(self, clips, model):
         self.clips, self.model = clips, model
         self.launches = np.array([c.launch for c in clips])
-        _, self.own = launch_derivatives(model, self.launches, clips)
-        self.shared = self._slopes(BASE)
-        self.effects = {n: self._slopes(strengths_of(library()[n])) for n in EFFECTS}
+        _, self.own = differentiate_launches(model, self.launches, clips)
+        self.shared = self._slopes(BASE_PARAMETERS)
+        self.effects = {n: self._slopes(strength_names(library()[n])) for n in EFFECTS}
 
     def _slopes(self, names):
-        each = [derivative(self.model, self.launches, self.clips, n) for n in names]
+        each = [differentiate(self.model, self.launches, self.clips, n) for n in names]
         return [np.stack(columns, axis=-1) for columns in zip(*each, strict=True)]
 
     def scores(self, errors, whitened=True):
@@ -151,16 +151,16 @@ class Design:
         Not whitened: taken for white, and as large as it is.
         """
         measured = [dataclasses.replace(c, xy=c.xy + e) for c, e in zip(self.clips, errors, strict=True)]
-        noise = estimate(measured) if whitened else Noise(Component(1.0))
-        white = [Whitener.of(c, noise) for c in self.clips]
+        noise = estimate(measured) if whitened else Noise(NoiseComponent(1.0))
+        white = [ClipWhitener.of(c, noise) for c in self.clips]
         own = [w(a) for w, a in zip(white, self.own, strict=True)]
 
         def cleaned(columns):
-            return np.concatenate([off(a, w(c)) for a, w, c in zip(own, white, columns, strict=True)])
+            return np.concatenate([project_out(a, w(c)) for a, w, c in zip(own, white, columns, strict=True)])
 
         shared = cleaned(self.shared)
-        left = off(shared, cleaned([e[..., None] for e in errors]))[:, 0]
-        return {name: (off(shared, cleaned(columns)), left) for name, columns in self.effects.items()}
+        left = project_out(shared, cleaned([e[..., None] for e in errors]))[:, 0]
+        return {name: (project_out(shared, cleaned(columns)), left) for name, columns in self.effects.items()}
 
     def z(self, errors, effect, whitened=True):
         signature, left = self.scores(errors, whitened)[effect]

@@ -1,13 +1,13 @@
 """The stepwise selection by itself, for tests."""
 
-from discrepancy.fitting.model_fit import Evidence
+from discrepancy.fitting.model_fit import WhitenedClips
 from discrepancy.selection.fit_store import FitStore
 from discrepancy.selection.stepwise import Stepwise
 
 
 def stored(clips, base, noise):
     """A store that holds no fit but the base's."""
-    return FitStore(Evidence.of(clips, noise), base, lambda: None)
+    return FitStore(WhitenedClips.of(clips, noise), base, lambda: None)
 
 
 def selected(clips, base, noise):

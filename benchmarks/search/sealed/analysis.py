@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from discrepancy.data.collisions import Measured, read_measured
+from discrepancy.data.collisions import MeasuredCollision, read_collisions
 from discrepancy.found import SearchResult
 from discrepancy.search import find
 from synthcam.model import read_model, settings_of
@@ -44,7 +44,7 @@ def answer(found: SearchResult) -> dict[str, Any]:
     return found.document() | models
 
 
-def keep(clips: list[Measured] | tuple[Measured, ...], path: Path) -> None:
+def keep(clips: list[MeasuredCollision] | tuple[MeasuredCollision, ...], path: Path) -> None:
     """The clips that no fit has seen, for the oracle."""
     arrays: dict[str, Any] = {}
     for c in clips:
@@ -55,7 +55,7 @@ def keep(clips: list[Measured] | tuple[Measured, ...], path: Path) -> None:
 def analysed(measured: Path, camera: Path | None, model: Path, folder: Path) -> dict[str, Any]:
     """The answer to one box; the clips that no fit saw go into `folder`."""
     try:
-        clips, left_out = read_measured(measured, camera)
+        clips, left_out = read_collisions(measured, camera)
         given = read_model(model)
         began, spent = time.monotonic(), time.process_time()
         found = find(clips, given, seconds=LONGEST)

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from discrepancy.data.collisions import split
+from discrepancy.data.collisions import split_held_out
 from synthcam.library import library
 from synthcam.model import Model
 from synthcam.scene.clip import UPSTREAM, Clip
@@ -167,4 +167,4 @@ def fitted(truth: Truth) -> list[Rows]:
         there = [worlds.kept(world, k, p, truth["seed"]).ravel() for k, p in enumerate(paths)]
         seen = [s & t for s, t in zip(seen, there, strict=True)]
     cut = [dataclasses.replace(r, frame=frame[s], ball=ball[s]) for r, s in zip(every, seen, strict=True)]
-    return list(split(cut)[0])  # type: ignore[arg-type]
+    return list(split_held_out(cut)[0])  # type: ignore[arg-type]

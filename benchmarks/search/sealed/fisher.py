@@ -14,9 +14,9 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from discrepancy.data.collisions import Measured
-from discrepancy.data.launch import free as launch_numbers
-from discrepancy.fitting.predict import forecast
+from discrepancy.data.collisions import MeasuredCollision
+from discrepancy.data.launch import find_free_columns as launch_numbers
+from discrepancy.fitting.predict import predict_tracks
 from synthcam.effect import Effect
 from synthcam.library import library
 from synthcam.model import Model
@@ -64,7 +64,7 @@ class Noise:
 
 def where(model: Model, launches: Array, rows: Sequence[Rows]) -> list[Array]:
     """Where the balls are at these rows, m: (n_k, 2). The search's forecast asks for no more than rows have."""
-    return forecast(model, launches, cast(Sequence[Measured], rows))
+    return predict_tracks(model, launches, cast(Sequence[MeasuredCollision], rows))
 
 
 class Fisher:

@@ -12,11 +12,11 @@ import numpy as np
 import pandas as pd
 
 from discrepancy.arrays import Array, Ints
-from discrepancy.data.after_hit import Hit, after_hit
-from discrepancy.data.even_times import cannot_be_evened, clock_start, evened, uneven
-from discrepancy.data.launch import HEADING, T_C, V0, B, alike, spin
-from discrepancy.data.sanity import exchanged, wrong_units
-from discrepancy.data.strays import without_strays
+from discrepancy.data.launch import HEADING, T_C, V0, B, equalise_launches, guess_spin
+from discrepancy.data.outgoing_hit import HitGuess, guess_hit_from_outgoing
+from discrepancy.data.strays import remove_strays
+from discrepancy.data.track_checks import detect_wrong_units, find_exchange
+from discrepancy.data.uneven_times import explain_too_uneven, find_clock_start, measure_unevenness, move_to_even_times
 from discrepancy.policy import current_policy
 from synthcam_shared.errors import InputError as InputError
 from tracker.camera.camera import Camera
@@ -34,7 +34,7 @@ ESTIMATES = "clip striker status t_c v0 b tau1 tau2 particle1 particle2".split()
 
 
 @dataclass(frozen=True)
-class Measured:
+class MeasuredCollision:
     """One measured collision. Rows are sorted by ball, then frame; ball 0 is the target (1 in files), 1 the striker.
 
     Attributes
@@ -77,7 +77,7 @@ class Measured:
     def exposure(self) -> float:
         return self.camera.exposure
 
-    def of(self, rows: Ints) -> Measured:
+    def of(self, rows: Ints) -> MeasuredCollision:
         """Some of its rows."""
         some = {name: getattr(self, name)[rows] for name in ("frame", "ball", "xy", "covariance")}
         return replace(self, **some)
@@ -99,7 +99,7 @@ class Measured:
         for p in range(3):
             for b in range(2):
                 rows = np.flatnonzero((phase == p) & (self.ball == b))
-                for kept in _unbroken(rows, self.frame[rows]):
+                for kept in _split_at_gaps(rows, self.frame[rows]):
                     yield self.xy[kept], claimed[kept], self.frame[kept]
 
     def together(self) -> Iterator[tuple[Array, Array, Array, Array, Ints]]:
@@ -111,7 +111,7 @@ class Measured:
         for p in range(3):
             for q in range(3):
                 rows = np.flatnonzero((phase[one] == p) & (phase[two] == q))
-                for kept in _unbroken(rows, frame[rows]):
+                for kept in _split_at_gaps(rows, frame[rows]):
                     i, j = one[kept], two[kept]
                     yield self.xy[i], self.xy[j], claimed[i], claimed[j], frame[kept]
 
@@ -130,7 +130,7 @@ class Measured:
         return np.where((self.ball == 0) & (self.phase() == 0), self.offset / self.claimed(), 0.0)
 
 
-def _unbroken(rows: Ints, frame: Ints) -> Iterator[Ints]:
+def _split_at_gaps(rows: Ints, frame: Ints) -> Iterator[Ints]:
     """Rows in runs in which few frames are missing at a time, less a margin at either end."""
     for part in np.split(np.arange(len(rows)), np.flatnonzero(np.diff(frame) > current_policy().max_frame_gap) + 1):
         if len(part):
@@ -143,7 +143,9 @@ def _unbroken(rows: Ints, frame: Ints) -> Iterator[Ints]:
             ]
 
 
-def read_measured(measured: Path | Sequence[Result], camera: Path | None = None) -> tuple[list[Measured], list[str]]:
+def read_collisions(
+    measured: Path | Sequence[Result], camera: Path | None = None
+) -> tuple[list[MeasuredCollision], list[str]]:
     """Read the collisions of a tracker's RESULTS, of a table of tracks, or of results in memory.
 
     Parameters
@@ -163,31 +165,31 @@ def read_measured(measured: Path | Sequence[Result], camera: Path | None = None)
     InputError
     """
     if not isinstance(measured, Path):
-        source, measured = _in_memory(measured), Path("results")
+        source, measured = _read_memory(measured), Path("results")
     elif measured.is_dir():
         if camera is not None:
             raise InputError(f"--camera {camera}: {measured} holds its own; expected it with a table of tracks only")
-        source = _results(measured)
+        source = _read_results(measured)
     elif camera is None:
         if not measured.exists():
             raise InputError(f"{measured}: no such file or folder, expected RESULTS of a tracker or a table of tracks")
         raise InputError(f"{measured}: expected --camera camera.json with a table of tracks")
     else:
-        source = _table(measured, camera)
+        source = _read_table(measured, camera)
     kept, rejected, left_out = [], [], []
     for number, tracks, own, measured_rows, strays in source:
-        if (frame := exchanged(tracks, own)) is not None:
+        if (frame := find_exchange(tracks, own)) is not None:
             left_out.append(f"clip {number}: the balls have exchanged their names at frame {frame}")
             continue
-        if why := cannot_be_evened(tracks, own):
+        if why := explain_too_uneven(tracks, own):
             left_out.append(f"clip {number}: {why}")
             continue
         rows = measured_rows()
         if len(rows) > 1:
             left_out.append(f"clip {number}: {len(rows)} collisions in one recording")
             continue
-        outcome = collision(tracks, {"clip": number} | rows[0], own)
-        if isinstance(outcome, Measured):
+        outcome = build_collision(tracks, {"clip": number} | rows[0], own)
+        if isinstance(outcome, MeasuredCollision):
             kept.append(outcome)
             rejected.append(rows[0]["status"] == MISFIT)
             if strays:
@@ -202,7 +204,7 @@ def read_measured(measured: Path | Sequence[Result], camera: Path | None = None)
     typical = float(np.median([c.launch[V0] for c in kept]))
     if typical > current_policy().max_launch_speed_m_s:
         raise InputError(f"{measured}: speeds of {typical:.3g} m/s; are scale and fps of the camera right?")
-    launches = alike([c.launch for c in kept], rejected)
+    launches = equalise_launches([c.launch for c in kept], rejected)
     return [replace(c, launch=one) for c, one in zip(kept, launches, strict=True)], left_out
 
 
@@ -210,7 +212,7 @@ def read_measured(measured: Path | Sequence[Result], camera: Path | None = None)
 Source = Iterator[tuple[int, Tracks, Camera, Callable[[], list[dict[Any, Any]]], list[int]]]
 
 
-def _in_memory(results: Sequence[Result]) -> Source:
+def _read_memory(results: Sequence[Result]) -> Source:
     """As if written and read again, for the same numbers to the last bit. Clips that share a number are counted."""
     if not isinstance(results, Sequence):
         raise InputError(f"results: of type {type(results).__name__}, expected a list of {GIVEN}")
@@ -228,7 +230,7 @@ def _in_memory(results: Sequence[Result]) -> Source:
         yield number, tracks, known, partial(result.estimates.assign(clip=number).to_dict, "records"), []
 
 
-def _results(folder: Path) -> Source:
+def _read_results(folder: Path) -> Source:
     path = folder / "estimates.parquet"
     if not path.is_file():
         raise InputError(f"{folder}: expected RESULTS of a tracker (no estimates.parquet)")
@@ -244,36 +246,39 @@ def _results(folder: Path) -> Source:
         yield clip, *read_clip(folder, clip), partial(rows.to_dict, "records"), []
 
 
-def _table(path: Path, camera: Path) -> Source:
+def _read_table(path: Path, camera: Path) -> Source:
     given = read_tracks(path, camera)
     base, tables = given.camera, given.clips
-    if why := wrong_units((tracks, base) for tracks, _ in tables.values()):
+    if why := detect_wrong_units((tracks, base) for tracks, _ in tables.values()):
         raise InputError(f"{path}: {why}")
     for number, (tracks, striker) in sorted(tables.items()):
         own = replace(base, striker=striker) if striker is not None else base
-        tracks, strays = without_strays(tracks, own)
+        tracks, strays = remove_strays(tracks, own)
         yield number, tracks, own, partial(measure, tracks, own), strays
 
 
-def collision(tracks: Tracks, row: Mapping[Any, Any], camera: Camera) -> Measured | str:
+def build_collision(tracks: Tracks, row: Mapping[Any, Any], camera: Camera) -> MeasuredCollision | str:
     """The collision that `row` of the estimates describes, or why it cannot be used.
 
     Where the tracker has none, tracks that start at the hit may still show it.
     """
-    measured, start = row["status"] in MEASURED, clock_start(tracks, camera)  # what a misfit lacks is what we look for
-    hit = _told(row, start) if measured else after_hit(tracks, camera)
+    measured, start = (
+        row["status"] in MEASURED,
+        find_clock_start(tracks, camera),
+    )  # what a misfit lacks is what we look for
+    hit = _hit_from_estimates(row, start) if measured else guess_hit_from_outgoing(tracks, camera)
     if hit is None:
         return "no estimate of the contact" if measured else str(row["status"])
-    if hit.launch is None and _frames_before(tracks, hit, camera) < current_policy().min_frames_before_contact:
-        hit = after_hit(tracks, camera, hit.t_c)
+    if hit.launch is None and _count_frames_before(tracks, hit, camera) < current_policy().min_frames_before_contact:
+        hit = guess_hit_from_outgoing(tracks, camera, hit.t_c)
         if hit is None:
             return (
                 f"a ball is seen in fewer than {current_policy().min_frames_before_contact} frames before the contact"
             )
     tracks = replace(tracks, time=tracks.time - start)
-    if (moved := uneven(tracks, camera)) > current_policy().max_uneven_frames:
+    if (moved := measure_unevenness(tracks, camera)) > current_policy().max_uneven_frames:
         balls = [np.flatnonzero(tracks.particle == name) for name in hit.names]
-        tracks = evened(tracks, balls, hit.t_c, hit.ends, camera)
+        tracks = move_to_even_times(tracks, balls, hit.t_c, hit.ends, camera)
     pair = [tracks.particle == name for name in hit.names]
     early = tracks.frame / camera.fps + camera.exposure <= hit.t_c
     rows = np.concatenate([np.flatnonzero(ball) for ball in pair])
@@ -289,8 +294,8 @@ def collision(tracks: Tracks, row: Mapping[Any, Any], camera: Camera) -> Measure
     launch = hit.launch
     if launch is None:
         coming = early & (ball == 1)
-        launch = _launch(hit, row, frame[coming], xy[coming], xy[resting].mean(axis=0), camera)
-    return Measured(
+        launch = _guess_launch(hit, row, frame[coming], xy[coming], xy[resting].mean(axis=0), camera)
+    return MeasuredCollision(
         clip=int(row["clip"]),
         striker=str(row["striker"]),
         camera=camera,
@@ -305,49 +310,51 @@ def collision(tracks: Tracks, row: Mapping[Any, Any], camera: Camera) -> Measure
     )
 
 
-def _frames_before(tracks: Tracks, hit: Hit, camera: Camera) -> int:
+def _count_frames_before(tracks: Tracks, hit: HitGuess, camera: Camera) -> int:
     """The frames in which each ball is seen before the contact."""
     early = tracks.frame / camera.fps + camera.exposure <= hit.t_c
     return int(min((early & (tracks.particle == name)).sum() for name in hit.names))
 
 
-def _told(row: Mapping[Any, Any], start: float) -> Hit | None:
+def _hit_from_estimates(row: Mapping[Any, Any], start: float) -> HitGuess | None:
     """The hit by the tracker's estimates, its clock begun at `start`, s; None where they leave something open."""
-    guess = np.array([_guess(row, name) for name in ("t_c", "v0", "b", "tau1", "tau2")])
+    guess = np.array([_choose_estimate(row, name) for name in ("t_c", "v0", "b", "tau1", "tau2")])
     if not np.all(np.isfinite(guess)):
         return None
     t_c = guess[0] - start
-    return Hit((row["particle1"], row["particle2"]), t_c, guess[1], guess[2], t_c + guess[3:])
+    return HitGuess((row["particle1"], row["particle2"]), t_c, guess[1], guess[2], t_c + guess[3:])
 
 
-def _launch(hit: Hit, row: Mapping[Any, Any], frame: Ints, coming: Array, resting: Array, camera: Camera) -> Array:
+def _guess_launch(
+    hit: HitGuess, row: Mapping[Any, Any], frame: Ints, coming: Array, resting: Array, camera: Camera
+) -> Array:
     """The launch (9,) of a striker seen in frames (n,) at places `coming` (n, 2), m, and a ball resting there."""
-    heading = _heading(frame, coming)
+    heading = _fit_heading(frame, coming)
     d, b = np.array([np.cos(heading), np.sin(heading)]), hit.b
     n = np.sqrt(max(1 - b * b, 0.0)) * d - b * np.array([-d[1], d[0]])
-    spins = spin(row, heading, hit.v0, _acceleration(frame / camera.fps, coming))
+    spins = guess_spin(row, heading, hit.v0, _fit_acceleration(frame / camera.fps, coming))
     return np.array([*(resting - camera.radius * n), hit.t_c, hit.v0, heading, b, *spins])
 
 
-def _guess(row: Mapping[Any, Any], name: str) -> float:
+def _choose_estimate(row: Mapping[Any, Any], name: str) -> float:
     """A first guess of a quantity: where the tied fit is rejected the free fit comes nearer, if it tells it."""
     free = float(row.get(f"{name}_free", np.nan)) if row["status"] == MISFIT else np.nan
     return free if np.isfinite(free) else float(row[name])
 
 
-def _heading(frame: Ints, xy: Array) -> float:
+def _fit_heading(frame: Ints, xy: Array) -> float:
     velocity = np.polyfit(frame - frame.mean(), xy, 1)[0]
     return float(np.arctan2(velocity[1], velocity[0]))
 
 
-def _acceleration(times: Array, xy: Array) -> Array:
+def _fit_acceleration(times: Array, xy: Array) -> Array:
     """Of a ball, (2,) m/s^2, by a parabola through its places; zero where they are few."""
     if len(times) < current_policy().min_frames_before_contact + 2:
         return np.zeros(2)
     return np.asarray(2 * np.polyfit(times - times.mean(), xy, 2)[0])
 
 
-def cannot_tell(clips: Sequence[Measured]) -> list[str]:
+def find_uniform_conditions(clips: Sequence[MeasuredCollision]) -> list[str]:
     """A line for each thing that these clips can hardly tell, however many, because they are all alike in it."""
     speeds, headings, b = np.array([c.launch for c in clips]).T[[V0, HEADING, B]]
     said, normal = [], speeds * np.sqrt(1 - b**2)
@@ -370,7 +377,7 @@ def cannot_tell(clips: Sequence[Measured]) -> list[str]:
     return said
 
 
-def split(clips: Sequence[Measured]) -> tuple[list[Measured], list[Measured]]:
+def split_held_out(clips: Sequence[MeasuredCollision]) -> tuple[list[MeasuredCollision], list[MeasuredCollision]]:
     """(to fit, to keep out): one in so many is kept out, evenly over the speeds.
 
     With clips enough the fastest and the most oblique are among it: what the fit never saw.

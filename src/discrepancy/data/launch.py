@@ -29,7 +29,7 @@ LARGEST_SPIN = 10.0  # of the speed, a slip and a spin: a cue gives 3 or 4
 LEAST_SLIP = 0.02  # of the speed: where a slip ends, its direction decides a whole past, and no derivative leads on
 
 
-def free(launches: Array) -> NDArray[np.bool_]:
+def find_free_columns(launches: Array) -> NDArray[np.bool_]:
     """Which numbers of launches (clips, p) a fit may change: no slip of a ball that rolls, no side spin where none is.
 
     Returns
@@ -43,19 +43,19 @@ def free(launches: Array) -> NDArray[np.bool_]:
     return out
 
 
-def with_spins(launches: Array) -> Array:
+def pad_spins(launches: Array) -> Array:
     """The launches (clips, 6) or (clips, 9), as (clips, 9)."""
     return np.pad(launches, ((0, 0), (0, WITH_SPIN - launches.shape[1])))
 
 
-def spun(launch: Array) -> Array:
+def allow_side_spin(launch: Array) -> Array:
     """A launch (6,) or (9,) whose striker may spin about the vertical: (9,)."""
-    out = with_spins(launch[None])[0]
+    out = pad_spins(launch[None])[0]
     out[SIDE] = out[SIDE] or BEGUN * out[V0]
     return np.asarray(out)
 
 
-def with_possible_spins(launches: Array) -> Array:
+def limit_spins(launches: Array) -> Array:
     """The launches (clips, p): strikers that have all but ended to slide roll; none spins faster than LARGEST_SPIN."""
     if launches.shape[1] != WITH_SPIN:
         return launches
@@ -67,7 +67,7 @@ def with_possible_spins(launches: Array) -> Array:
     return out
 
 
-def spin(row: Mapping[Any, Any], heading: float, v0: float, pull: Array) -> Array:
+def guess_spin(row: Mapping[Any, Any], heading: float, v0: float, pull: Array) -> Array:
     """A first guess of the last three of a launch: zero where the striker rolls.
 
     Parameters
@@ -84,7 +84,7 @@ def spin(row: Mapping[Any, Any], heading: float, v0: float, pull: Array) -> Arra
     axes = np.stack([ahead, [-ahead[1], ahead[0]]])
     slip, side = np.array([row.get("u2ix", 0.0), row.get("u2iy", 0.0)], dtype=float), float(row.get("side2i", 0.0))
     size = float(np.hypot(*pull))
-    doubted = row["status"] == MISFIT and not _by_errors_alone(row)
+    doubted = row["status"] == MISFIT and not _explains_by_errors(row)
     if doubted and size < current_policy().sliding_deceleration_m_s2:
         slip, side = np.zeros(2), 0.0
     elif doubted and not np.any(np.nan_to_num(slip)):
@@ -92,7 +92,7 @@ def spin(row: Mapping[Any, Any], heading: float, v0: float, pull: Array) -> Arra
     return np.asarray(np.nan_to_num([*(axes @ slip), side]))
 
 
-def _by_errors_alone(row: Mapping[Any, Any]) -> bool:
+def _explains_by_errors(row: Mapping[Any, Any]) -> bool:
     """Whether the tied fit agrees with the free one, once errors are as large as that leaves."""
     tied, dof, free, dof_free = (float(row.get(name, np.nan)) for name in ("chi2", "dof", "chi2_free", "dof_free"))
     if not (dof > dof_free > 0 and free > 0):
@@ -100,7 +100,7 @@ def _by_errors_alone(row: Mapping[Any, Any]) -> bool:
     return bool(chdtrc(dof - dof_free, max(tied - free, 0.0) * dof_free / free) > current_policy().spin_p_value)
 
 
-def alike(launches: list[Array], rejected: list[bool] | None = None) -> list[Array]:
+def equalise_launches(launches: list[Array], rejected: list[bool] | None = None) -> list[Array]:
     """Launches of equal length: without spins where no striker has one.
 
     Where most strikers spin about the vertical, each may: the spin of one that seems not to is begun with a hundredth
@@ -115,7 +115,7 @@ def alike(launches: list[Array], rejected: list[bool] | None = None) -> list[Arr
     """
     if all(len(launch) == len(LAUNCH) or not launch[len(LAUNCH) :].any() for launch in launches):
         return [launch[: len(LAUNCH)] for launch in launches]
-    out = with_possible_spins(np.concatenate([with_spins(launch[None]) for launch in launches]))
+    out = limit_spins(np.concatenate([pad_spins(launch[None]) for launch in launches]))
     spins = out[:, SIDE] != 0
     told = spins | ~np.array(rejected if rejected else np.zeros(len(out), dtype=bool))
     if told.sum() < current_policy().min_collisions:
@@ -130,6 +130,6 @@ def normal_speed(launches: Array) -> Array:
     return np.asarray(launches[:, V0] * np.sqrt(1 - launches[:, B] ** 2))
 
 
-def possible(launches: Array) -> bool:
+def is_possible(launches: Array) -> bool:
     """Whether the striker moves, and hits, in each of (clips, 6)."""
     return bool(np.all(np.abs(launches[:, B]) < 1) and np.all(launches[:, V0] > 0))

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from discrepancy.arrays import Array, Ints
-from discrepancy.data.collisions import Measured
+from discrepancy.data.collisions import MeasuredCollision
 from discrepancy.data.launch import T_C
 from discrepancy.policy import current_policy
 
@@ -20,21 +20,23 @@ BESIDE = 2  # of them on either side at least: where a phase ends, the path may 
 ASIDE, FEWEST, WITHIN = 5, 4, 7  # places of one side, at most and at least, and from how many frames
 
 
-def without_outliers(clips: Sequence[Measured], expected: Sequence[Array] | None = None) -> list[Measured]:
+def remove_outliers(
+    clips: Sequence[MeasuredCollision], expected: Sequence[Array] | None = None
+) -> list[MeasuredCollision]:
     """Take the outlier points out of clips.
 
     Parameters
     ----------
     clips : sequence of Measured
     expected : sequence of (n, 2) array, optional
-        Where a model has the positions of each clip, m; see `outliers`. Outliers that both balls or several clips have
-        in the same frame are then kept: these are a fault of the clock.
+        Positions that a model predicts for each clip, m; see `find_outliers`. Outliers that both balls or several
+        clips have in the same frame are then kept: they are a fault of the clock.
 
     Returns
     -------
     list of Measured
     """
-    found = [outliers(clip, expected[k] if expected else None) for k, clip in enumerate(clips)]
+    found = [find_outliers(clip, expected[k] if expected else None) for k, clip in enumerate(clips)]
     if expected:
         both = [Counter(c.frame[sorted(rows)].tolist()) for c, rows in zip(clips, found, strict=True)]
         often = Counter(frame for own in both for frame in own)
@@ -47,7 +49,7 @@ def without_outliers(clips: Sequence[Measured], expected: Sequence[Array] | None
     return [c.of(np.delete(np.arange(len(c.frame)), sorted(r))) if r else c for c, r in zip(clips, found, strict=True)]
 
 
-def taken_out(clips: Sequence[Measured], kept: Sequence[Measured]) -> list[str]:
+def describe_removed_points(clips: Sequence[MeasuredCollision], kept: Sequence[MeasuredCollision]) -> list[str]:
     """A line for each clip that lost positions between `clips` and `kept`, with their frames."""
     left, said = {c.clip: set(zip(c.ball.tolist(), c.frame.tolist(), strict=True)) for c in kept}, []
     for c in clips:
@@ -59,7 +61,7 @@ def taken_out(clips: Sequence[Measured], kept: Sequence[Measured]) -> list[str]:
     return said
 
 
-def outliers(clip: Measured, expected: Array | None = None) -> set[int]:
+def find_outliers(clip: MeasuredCollision, expected: Array | None = None) -> set[int]:
     """Rows that are outliers, the largest taken out first: what it does to its neighbours then goes too.
 
     expected: where a model has the places, (n, 2). If it is nearly right, what is off it bends little, but at the
@@ -140,7 +142,7 @@ class _Paths:
     unsure: float = 0.0
 
     @classmethod
-    def of(cls, clip: Measured, expected: Array | None) -> _Paths:
+    def of(cls, clip: MeasuredCollision, expected: Array | None) -> _Paths:
         if expected is None:
             return cls(clip.frame, clip.ball, clip.xy, clip.phase(), clip.claimed())
         contact, wide = clip.launch[T_C] * clip.fps, clip.exposure * clip.fps

@@ -14,7 +14,7 @@ from tracker.detection.link import Tracks
 BESIDE = 4  # places to either side that say where the ball should be
 
 
-def without_strays(tracks: Tracks, camera: Camera) -> tuple[Tracks, list[int]]:
+def remove_strays(tracks: Tracks, camera: Camera) -> tuple[Tracks, list[int]]:
     """Take out places to which a ball jumps and from which it jumps back onto its straight way.
 
     Parameters
@@ -34,7 +34,7 @@ def without_strays(tracks: Tracks, camera: Camera) -> tuple[Tracks, list[int]]:
     gone = np.zeros(len(tracks.frame), dtype=bool)
     for particle in np.unique(tracks.particle):
         rows = np.flatnonzero(tracks.particle == particle)
-        gone[rows[_strays(tracks.frame[rows], tracks.xy[rows], camera.diameter_px)]] = True
+        gone[rows[_find_strays(tracks.frame[rows], tracks.xy[rows], camera.diameter_px)]] = True
     if not gone.any():
         return tracks, []
     arrays = "frame particle x y cov flux flags glint_x glint_y fixed time".split()
@@ -43,20 +43,20 @@ def without_strays(tracks: Tracks, camera: Camera) -> tuple[Tracks, list[int]]:
     ).tolist()
 
 
-def _strays(frame: Ints, xy: Array, diameter: float) -> Ints:
+def _find_strays(frame: Ints, xy: Array, diameter: float) -> Ints:
     """Rows of one track, in order of frames."""
     steps = np.diff(xy, axis=0)
     jumps = np.flatnonzero(np.hypot(*steps.T) > current_policy().stray_jump_diameters * diameter) + 1
     out = list[int]()
     for first in jumps.tolist():
         for last in jumps[(jumps > first) & (jumps - first <= current_policy().max_stray_positions)].tolist():
-            if _away(frame, xy, first, last, diameter):
+            if _is_stray(frame, xy, first, last, diameter):
                 out += range(first, last)
                 break
     return np.array(sorted(set(out)), dtype=np.int64)
 
 
-def _away(frame: Ints, xy: Array, first: int, last: int, diameter: float) -> bool:
+def _is_stray(frame: Ints, xy: Array, first: int, last: int, diameter: float) -> bool:
     """Is the way straight without rows first to last - 1, and are these all off it?"""
     beside = np.r_[max(first - BESIDE, 0) : first, last : min(last + BESIDE, len(frame))]
     if first < BESIDE // 2 or len(frame) - last < BESIDE // 2:

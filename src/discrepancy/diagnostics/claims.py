@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from discrepancy.arrays import Array
-from discrepancy.data.collisions import Measured
+from discrepancy.data.collisions import MeasuredCollision
 from discrepancy.diagnostics.constancy import find_variation
 from discrepancy.diagnostics.held_out import (
     ClaimTest,
@@ -18,9 +18,9 @@ from discrepancy.diagnostics.held_out import (
     reason_to_reject,
 )
 from discrepancy.diagnostics.residual_map import locate, unexplained
-from discrepancy.fitting.gauss_newton import fit_model, linearised
-from discrepancy.fitting.model_fit import Evidence, Fit
-from discrepancy.fitting.parameters import Candidate, candidates_of
+from discrepancy.fitting.gauss_newton import fit_model, linearise
+from discrepancy.fitting.model_fit import ModelFit, WhitenedClips
+from discrepancy.fitting.parameters import Candidate, candidates_by_name
 from discrepancy.free_laws.fitted_law import FittedLaw
 from discrepancy.noise.model import Noise
 from discrepancy.policy import current_policy
@@ -62,9 +62,9 @@ class Validation:
     """Clips fitted and kept out, and how claims are held to them."""
 
     steps: Stepwise
-    evidence: Evidence
-    kept_out: Sequence[Measured]
-    before: Fit  # of the clips kept out, by the base model
+    evidence: WhitenedClips
+    kept_out: Sequence[MeasuredCollision]
+    before: ModelFit  # of the clips kept out, by the base model
     noise: Noise
     progress: Callable[[], None]
 
@@ -109,7 +109,7 @@ class Validation:
         claims, left, named = [], Left(), []
         whole, base = free_law.joint_fit, selected.base
         with_, turned = self._unseen(free_law), leave_one_out_with_law(free_law)
-        known = candidates_of(free_law.model_without_law, base.model, base.names)
+        known = candidates_by_name(free_law.model_without_law, base.model, base.names)
         for effect, sigma in free_law.significances_of_effects(base).items():
             own = selected.paid(effect, sigma)
             one = EffectClaim.of(known[effect], whole, whole.std, own)
@@ -130,7 +130,9 @@ class Validation:
         left[free_law.law.name] = selected, None
         return [*claims, self._free_law(selected, free_law, with_, turned)], left, tuple(named)
 
-    def _in_its_place(self, less: FittedLaw, named: Candidate, score: float, base: Fit) -> list[tuple[str, FittedLaw]]:
+    def _in_its_place(
+        self, less: FittedLaw, named: Candidate, score: float, base: ModelFit
+    ) -> list[tuple[str, FittedLaw]]:
         """What fits as well beside a free law as an effect, better ones first. score: of the fit with the effect."""
         absorbed = self.steps.absorbed
         others = find_replacements(self.evidence, less, named, absorbed, base, self.progress)
@@ -153,12 +155,12 @@ class Validation:
             claims.append(ClaimTest(candidate.name, named.sigma, *held, why))
         return claims, left, every
 
-    def _between(self, own: float, without: Fit, with_: Fit) -> tuple[HeldOutTest, HeldOutTest]:
+    def _between(self, own: float, without: ModelFit, with_: ModelFit) -> tuple[HeldOutTest, HeldOutTest]:
         """Two models of the library."""
         fits = self._launched(without), self._launched(with_)
         return self._held(own, fits, (leave_one_out_residuals(without), leave_one_out_residuals(with_)), with_)
 
-    def _free_law(self, selected: Selection, free_law: FittedLaw, with_: Fit | None, turned: Parts) -> ClaimTest:
+    def _free_law(self, selected: Selection, free_law: FittedLaw, with_: ModelFit | None, turned: Parts) -> ClaimTest:
         name, own = free_law.law.name, free_law.sigma
         try:
             empty = fit_without_law(self.evidence, free_law, self.progress)
@@ -177,7 +179,7 @@ class Validation:
         return ClaimTest(name, own, one, every, reason_to_reject(one, every), free=True)
 
     def _held(
-        self, own: float, fits: tuple[Fit | None, Fit | None], turned: Pair, fit: Fit | None = None
+        self, own: float, fits: tuple[ModelFit | None, ModelFit | None], turned: Pair, fit: ModelFit | None = None
     ) -> tuple[HeldOutTest, HeldOutTest]:
         """In the clips kept out, and in all. A model that has no motion for those kept out is refused by them."""
         without, with_ = fits
@@ -190,20 +192,22 @@ class Validation:
         parts = without.residuals, with_.residuals
         every = [[*seen, *left] for seen, left in zip(turned, parts, strict=True)]
         there = (
-            linearised(Evidence.of(self.kept_out, self.noise), fit.model, fit.names, with_.launches) if fit else None
+            linearise(WhitenedClips.of(self.kept_out, self.noise), fit.model, fit.names, with_.launches)
+            if fit
+            else None
         )
         return HeldOutTest.of(*parts, own, there, fit.covariance if fit else None), HeldOutTest.of(
             every[0], every[1], np.inf
         )
 
-    def _launched(self, fit: Fit) -> Fit | None:
+    def _launched(self, fit: ModelFit) -> ModelFit | None:
         """The clips kept out, by a model of the library; None where it has no motion for them."""
         try:
             return fit_model(self.kept_out, fit.model, (), self.noise, self.before.launches, self.progress)
         except ValueError:
             return None
 
-    def _unseen(self, free_law: FittedLaw) -> Fit | None:
+    def _unseen(self, free_law: FittedLaw) -> ModelFit | None:
         try:
             return fit_unseen_clips(free_law, self.kept_out, self.before, self.noise)
         except ValueError:

@@ -13,11 +13,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from discrepancy.arrays import Array
-from discrepancy.data.collisions import Measured
+from discrepancy.data.collisions import MeasuredCollision
 from discrepancy.data.launch import HEADING, T_C, V0, B
-from discrepancy.fitting.jacobian import derivative
-from discrepancy.fitting.model_fit import Evidence, Fit
-from discrepancy.fitting.significance import sigmas
+from discrepancy.fitting.jacobian import differentiate
+from discrepancy.fitting.model_fit import ModelFit, WhitenedClips
+from discrepancy.fitting.significance import chi2_to_sigma
 from discrepancy.policy import current_policy
 
 SINCE = 0.1  # s, of time since the hit
@@ -38,7 +38,7 @@ class StrengthVariation:
         return ""
 
 
-def find_variation(evidence: Evidence, fit: Fit, strengths: Sequence[str]) -> StrengthVariation:
+def find_variation(evidence: WhitenedClips, fit: ModelFit, strengths: Sequence[str]) -> StrengthVariation:
     """What the strengths of an effect change with most.
 
     Parameters
@@ -54,7 +54,7 @@ def find_variation(evidence: Evidence, fit: Fit, strengths: Sequence[str]) -> St
     Change
     """
     features = [_features(*each) for each in zip(evidence.clips, range(len(fit.launches)), fit.launches, strict=True)]
-    own = [derivative(fit.model, fit.launches, evidence.clips, name) for name in strengths]
+    own = [differentiate(fit.model, fit.launches, evidence.clips, name) for name in strengths]
     moves = [np.stack(each, axis=-1)[..., None] for each in zip(*own, strict=True)]  # (n, 2, strengths, 1)
     best = StrengthVariation("", 0.0)
     for against in features[0]:
@@ -68,12 +68,12 @@ def find_variation(evidence: Evidence, fit: Fit, strengths: Sequence[str]) -> St
         if not seen.any():
             continue  # it is the same in all clips, or the fit takes it up
         chi2 = float(((axes[:, seen].T @ pull) ** 2 / values[seen]).sum())
-        found = StrengthVariation(against, sigmas(chi2, int(seen.sum()), len(features[0])))
+        found = StrengthVariation(against, chi2_to_sigma(chi2, int(seen.sum()), len(features[0])))
         best = max(best, found, key=lambda c: c.sigma)
     return best
 
 
-def _features(clip: Measured, number: int, launch: Array) -> dict[str, Array]:
+def _features(clip: MeasuredCollision, number: int, launch: Array) -> dict[str, Array]:
     """By what it is, numbers (n, f) of each place of a clip, of size one or so."""
     since = np.maximum(clip.frame / clip.fps - launch[T_C], 0) / SINCE
     b, is_a = float(launch[B]), (clip.ball == int(clip.striker == "a")).astype(float)

@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 
 from discrepancy.arrays import Array
-from discrepancy.data.collisions import Measured
+from discrepancy.data.collisions import MeasuredCollision
 from discrepancy.fitting.gauss_newton import fit_model
-from discrepancy.fitting.model_fit import Fit, basis
+from discrepancy.fitting.model_fit import ModelFit, orthonormal_basis
 from discrepancy.noise.model import Noise
-from discrepancy.noise.whitening import Whitener
+from discrepancy.noise.whitening import ClipWhitener
 from discrepancy.policy import current_policy
 
 PHASES = ("before", "sliding", "rolling")
@@ -54,17 +54,17 @@ class GapFits:
     """The gap with the two fits of the clips kept out, for the figures."""
 
     gap: Gap
-    before: Fit
-    after: Fit
+    before: ModelFit
+    after: ModelFit
 
 
 def measure_gap(
-    clips: Sequence[Measured],
-    base: Fit,
-    best: Fit,
+    clips: Sequence[MeasuredCollision],
+    base: ModelFit,
+    best: ModelFit,
     noise: Noise,
     progress: Callable[[], None] = lambda: None,
-    outside: Callable[[Fit], Fit] | None = None,
+    outside: Callable[[ModelFit], ModelFit] | None = None,
 ) -> GapFits:
     """The gap on clips that were kept out of both fits; only their launches are fitted.
 
@@ -112,16 +112,18 @@ def _closure(whole: GapPhase, points: int) -> float:
     return (whole.before - whole.after) / room if room > least else float("nan")
 
 
-def _by_clip(clips: Sequence[Measured], before: Fit, after: Fit) -> Sequence[tuple[Measured, Array, Array, Array]]:
+def _by_clip(
+    clips: Sequence[MeasuredCollision], before: ModelFit, after: ModelFit
+) -> Sequence[tuple[MeasuredCollision, Array, Array, Array]]:
     return list(zip(clips, before.residuals, after.residuals, before.launch_slopes, strict=True))
 
 
-def _squares(clip: Measured, before: Array, after: Array, launch: Array, noise: Noise) -> Array:
+def _squares(clip: MeasuredCollision, before: Array, after: Array, launch: Array, noise: Noise) -> Array:
     """Of each row: white residual^2 before, after and as noise alone leaves it; the same in m^2: (n, 6), axes' means.
 
     What noise leaves: its covariance less the part that the six numbers of the launch take.
     """
-    white, q = Whitener.of(clip, noise), basis(launch)
+    white, q = ClipWhitener.of(clip, noise), orthonormal_basis(launch)
     left = np.eye(len(q)) - q @ q.T
     chi2 = (before**2, after**2, np.diag(left))
     metres = (white.undo(before) ** 2, white.undo(after) ** 2, (white.undo(left) ** 2).sum(axis=2))

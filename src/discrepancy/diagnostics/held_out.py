@@ -14,9 +14,9 @@ from typing import Any
 import numpy as np
 
 from discrepancy.arrays import Array
-from discrepancy.fitting.model_fit import Fit, off
-from discrepancy.fitting.parameters import limits_of
-from discrepancy.fitting.significance import closes_little
+from discrepancy.fitting.model_fit import ModelFit, project_out
+from discrepancy.fitting.parameters import parameter_limits
+from discrepancy.fitting.significance import closes_too_little
 from discrepancy.free_laws.fitted_law import FittedLaw
 from discrepancy.policy import current_policy
 
@@ -43,7 +43,7 @@ class HeldOutTest:
 
     @classmethod
     def of(
-        cls, without: Parts, with_: Parts, known: float, there: Fit | None = None, covariance: Array | None = None
+        cls, without: Parts, with_: Parts, known: float, there: ModelFit | None = None, covariance: Array | None = None
     ) -> HeldOutTest:
         """Hold a claim to clips: do they ask for it as much as it promised?
 
@@ -74,7 +74,7 @@ class HeldOutTest:
         loose = size / max(known, 1.0) ** 2
         if there is not None and covariance is not None:
             own = zip(there.launch_slopes, there.slopes, apart, strict=True)
-            pull = np.asarray(sum(off(a, s).T @ d for a, s, d in own))
+            pull = np.asarray(sum(project_out(a, s).T @ d for a, s, d in own))
             loose = max(loose, float(pull @ covariance @ pull) / size)
         noise = max(1 + loose, scatter if np.isinf(known) else 0.0) ** 0.5
         return cls((gap[0], gap[1]), asked / noise, size**0.5 / noise)
@@ -86,7 +86,7 @@ class HeldOutTest:
 
     def closes_less(self, share: float) -> bool:
         """Whether they are not described with the claim, and it closes less than this share of what is missing."""
-        return closes_little(*self.gap, share)
+        return closes_too_little(*self.gap, share)
 
 
 @dataclass(frozen=True)
@@ -165,7 +165,7 @@ def reason_to_reject(kept_out: HeldOutTest, turns: HeldOutTest) -> str:
     return ""
 
 
-def leave_one_out_residuals(fit: Fit, precision: Array | None = None) -> list[Array]:
+def leave_one_out_residuals(fit: ModelFit, precision: Array | None = None) -> list[Array]:
     """Whitened residuals of each clip by the shared parameters of all other clips, to first order.
 
     The clip's own launch is fitted to it. Parameters that stand at a limit stay there.
@@ -200,10 +200,10 @@ def leave_one_out_residuals(fit: Fit, precision: Array | None = None) -> list[Ar
     return out
 
 
-def _at_limit(fit: Fit, name: str) -> bool:
+def _at_limit(fit: ModelFit, name: str) -> bool:
     if " " in name:  # a coefficient of a free law
         return False
-    return fit.model.value(name) in limits_of(fit.model, name)
+    return fit.model.value(name) in parameter_limits(fit.model, name)
 
 
 def leave_one_out_with_law(fitted_law: FittedLaw) -> list[Array]:

@@ -7,15 +7,15 @@ from collections.abc import Sequence
 import numpy as np
 
 from discrepancy.arrays import Array
-from discrepancy.data.collisions import Measured
-from discrepancy.fitting.model_fit import Fit
-from discrepancy.fitting.significance import sigmas
+from discrepancy.data.collisions import MeasuredCollision
+from discrepancy.fitting.model_fit import ModelFit
+from discrepancy.fitting.significance import chi2_to_sigma
 from discrepancy.policy import current_policy
 
 SEEN = 1e-9  # of a parameter's information: directions that show less count for nothing
 
 
-def outlier_clips(clips: Sequence[Measured], base: Fit, best: Fit, gone: int = 0) -> dict[int, str]:
+def outlier_clips(clips: Sequence[MeasuredCollision], base: ModelFit, best: ModelFit, gone: int = 0) -> dict[int, str]:
     """Clips to leave out before a search is done again.
 
     Either a clip's chi^2 is far beyond the others' in the base fit and in the best fit alike; or it contradicts all
@@ -53,7 +53,7 @@ def outlier_clips(clips: Sequence[Measured], base: Fit, best: Fit, gone: int = 0
     return {}
 
 
-def _unlike(fit: Fit) -> Array:
+def _unlike(fit: ModelFit) -> Array:
     """How far the logarithm of each clip's chi^2 a point lies above the median, in spreads of the clips', or of chance.
 
     The logarithm, because an effect that is missing makes some clips worse than others by factors.
@@ -65,7 +65,7 @@ def _unlike(fit: Fit) -> Array:
     return np.asarray(above / np.maximum(spread, np.sqrt(2 / points)))
 
 
-def _told(fit: Fit) -> tuple[Array, Array]:
+def _told(fit: ModelFit) -> tuple[Array, Array]:
     """What each clip alone says of the shared parameters: information (clips, S, S), its pull on them (clips, S)."""
     cleaned = fit.cleaned
     size = np.sqrt(sum((c**2).sum(axis=0) for c in cleaned))
@@ -83,4 +83,4 @@ def _apart(told: Array, pulls: Array, k: int, kept: Sequence[int]) -> float:
         seen = values > SEEN
         chi2 += sign * float((((axes.T @ pulls[group].sum(axis=0))[seen]) ** 2 / values[seen]).sum())
         freedom += sign * int(seen.sum())
-    return sigmas(max(chi2, 0.0), freedom) if freedom > 0 else 0.0
+    return chi2_to_sigma(max(chi2, 0.0), freedom) if freedom > 0 else 0.0

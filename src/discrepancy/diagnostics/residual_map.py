@@ -16,17 +16,17 @@ import numpy as np
 from scipy.special import chdtrc, ndtri
 
 from discrepancy.arrays import Array, Ints
-from discrepancy.data.collisions import Measured
+from discrepancy.data.collisions import MeasuredCollision
 from discrepancy.data.launch import HEADING, V0, B
 from discrepancy.diagnostics.ripple import SAID as OF_RIPPLES
 from discrepancy.diagnostics.ripple import ripples
 from discrepancy.diagnostics.stages import BEFORE, ROLLING, SLIDING, directions, stages
 from discrepancy.diagnostics.trial import ClipAmplitudes, ClipSolution, results
-from discrepancy.fitting.model_fit import Fit
-from discrepancy.fitting.predict import forecast
-from discrepancy.fitting.significance import sigmas
+from discrepancy.fitting.model_fit import ModelFit
+from discrepancy.fitting.predict import predict_tracks
+from discrepancy.fitting.significance import chi2_to_sigma
 from discrepancy.noise.model import Noise
-from discrepancy.noise.whitening import Whitener
+from discrepancy.noise.whitening import ClipWhitener
 from discrepancy.policy import current_policy
 
 Term = tuple[str, int, int]  # name, ball, axis
@@ -98,7 +98,7 @@ class Disagreement:
         return f"{self.ball} {SAID[self.phase]}, {self.observable} its motion{changing}"
 
 
-def locate(clips: Sequence[Measured], fit: Fit, noise: Noise) -> tuple[Disagreement, ...]:
+def locate(clips: Sequence[MeasuredCollision], fit: ModelFit, noise: Noise) -> tuple[Disagreement, ...]:
     """Test where the residuals of a fit disagree with noise: by phase, ball and direction, and against what.
 
     Parameters
@@ -121,10 +121,12 @@ def locate(clips: Sequence[Measured], fit: Fit, noise: Noise) -> tuple[Disagreem
     return tuple(sorted(places, key=lambda x: -x.sigma))
 
 
-def trials(clips: Sequence[Measured], fit: Fit, noise: Noise) -> Iterator[tuple[Where, str, float, int, float]]:
+def trials(
+    clips: Sequence[MeasuredCollision], fit: ModelFit, noise: Noise
+) -> Iterator[tuple[Where, str, float, int, float]]:
     """(phase, ball, axis), what it is held against, chi^2, degrees of freedom and size, um, of each trial."""
     all_: dict[Where, list[ClipAmplitudes]] = {}
-    expected = forecast(fit.model, fit.launches, clips)
+    expected = predict_tracks(fit.model, fit.launches, clips)
     for k, clip in enumerate(clips):
         for where, part in _parts(clip, expected[k], fit, k, noise):
             all_.setdefault(where, []).append(part)
@@ -133,11 +135,13 @@ def trials(clips: Sequence[Measured], fit: Fit, noise: Noise) -> Iterator[tuple[
             yield where, *result
 
 
-def _parts(clip: Measured, path: Array, fit: Fit, k: int, noise: Noise) -> Iterator[tuple[Where, ClipAmplitudes]]:
+def _parts(
+    clip: MeasuredCollision, path: Array, fit: ModelFit, k: int, noise: Noise
+) -> Iterator[tuple[Where, ClipAmplitudes]]:
     """One clip's part in every trial."""
     stage, time = stages(clip)
     motion = directions(clip, stage, path)
-    white, size = Whitener.of(clip, noise), np.sqrt(sum((s**2).sum(axis=0) for s in fit.slopes))
+    white, size = ClipWhitener.of(clip, noise), np.sqrt(sum((s**2).sum(axis=0) for s in fit.slopes))
     unit = 1 / np.where(size > 0, size, 1)
     for phase, (names, beside) in TRIALS.items():
         tried = [(name, b, a) for b in range(2) for a in range(2) for name in names if (b, name) != ROLLER]
@@ -203,7 +207,7 @@ def _corrected(chi2: float, dof: int, trials: int) -> float:
     p = trials * float(chdtrc(dof, chi2))
     if p >= 1:
         return 0.0
-    return float(-ndtri(p / 2)) if p > 1e-250 else sigmas(chi2, dof)
+    return float(-ndtri(p / 2)) if p > 1e-250 else chi2_to_sigma(chi2, dof)
 
 
 def unexplained(left: Sequence[Disagreement]) -> bool:

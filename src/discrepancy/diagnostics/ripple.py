@@ -11,13 +11,13 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from discrepancy.arrays import Array, Ints
-from discrepancy.data.collisions import Measured
+from discrepancy.data.collisions import MeasuredCollision
 from discrepancy.diagnostics.stages import BEFORE, ROLLING, directions, stages
 from discrepancy.diagnostics.trial import ClipAmplitudes, ClipSolution, results
-from discrepancy.fitting.model_fit import Fit
-from discrepancy.fitting.predict import forecast
+from discrepancy.fitting.model_fit import ModelFit
+from discrepancy.fitting.predict import predict_tracks
 from discrepancy.noise.model import Noise
-from discrepancy.noise.whitening import Whitener
+from discrepancy.noise.whitening import ClipWhitener
 
 SAID = {"once a turn": "once a turn", "twice a turn": "twice a turn"}
 TIMES = dict(zip(SAID, (1, 2), strict=True))  # a turn
@@ -27,7 +27,9 @@ ORDER = 3  # of the polynomials of time that are free beside the ripple in each 
 Where = tuple[str, int, int]  # which ripple, ball, axis
 
 
-def ripples(clips: Sequence[Measured], fit: Fit, noise: Noise) -> Iterator[tuple[Where, str, float, int, float]]:
+def ripples(
+    clips: Sequence[MeasuredCollision], fit: ModelFit, noise: Noise
+) -> Iterator[tuple[Where, str, float, int, float]]:
     """Each trial, as of `residual_map.trials`.
 
     Parameters
@@ -43,11 +45,11 @@ def ripples(clips: Sequence[Measured], fit: Fit, noise: Noise) -> Iterator[tuple
         (ripple, ball, axis), "", chi^2, degrees of freedom, size in um.
     """
     found: dict[Where, list[ClipAmplitudes]] = {}
-    expected = forecast(fit.model, fit.launches, clips)
+    expected = predict_tracks(fit.model, fit.launches, clips)
     size = np.sqrt(sum((s**2).sum(axis=0) for s in fit.slopes))
     unit = 1 / np.where(size > 0, size, 1)
     for k, clip in enumerate(clips):
-        white = Whitener.of(clip, noise)
+        white = ClipWhitener.of(clip, noise)
         for name, times in TIMES.items():
             terms, raw = _terms(clip, expected[k], times)
             if not terms:
@@ -72,7 +74,7 @@ def _part(solved: ClipSolution, mine: list[int], columns: Array, residual: Array
     return ClipAmplitudes(pulls, per_metre, shared, solved.information, solved.pull, squares, int(rows.sum()), left, {})
 
 
-def _terms(clip: Measured, path: Array, times: int) -> tuple[list[tuple[int, int] | None], Array]:
+def _terms(clip: MeasuredCollision, path: Array, times: int) -> tuple[list[tuple[int, int] | None], Array]:
     """Ball and axis of each term, None of a stretch's polynomials; displacements by a metre of it, (n, 2, terms)."""
     stage, _ = stages(clip)
     motion = directions(clip, stage, path)
@@ -97,7 +99,7 @@ def _terms(clip: Measured, path: Array, times: int) -> tuple[list[tuple[int, int
     return terms, np.stack(every, axis=-1) if every else np.zeros((len(stage), 2, 0))
 
 
-def _turned(clip: Measured, rows: Ints, path: Array) -> Array:
+def _turned(clip: MeasuredCollision, rows: Ints, path: Array) -> Array:
     """By how much a ball has turned since the first of these rows, rad."""
     way = np.hypot(*np.diff(path[rows], axis=0).T)
     return np.concatenate([[0.0], np.cumsum(way)]) / (clip.camera.ball_diameter / 2)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from discrepancy.arrays import Array, Ints
-from discrepancy.data.collisions import Measured
+from discrepancy.data.collisions import MeasuredCollision
 from discrepancy.data.launch import HEADING, T_C
 
 BEFORE, SLIDING, ROLLING = range(3)
@@ -13,7 +13,7 @@ UNIT = 0.05  # s, of time
 STILL = 1e-5  # m: a ball that moves less has no direction of its own
 
 
-def stages(clip: Measured) -> tuple[Ints, Array]:
+def stages(clip: MeasuredCollision) -> tuple[Ints, Array]:
     """Stage and time, in UNITs from where the stage begins (before: to the contact), of each row: (n,) and (n,).
 
     Exposures that hold an event count to the sliding.
@@ -26,7 +26,7 @@ def stages(clip: Measured) -> tuple[Ints, Array]:
     return stage, np.maximum(time, 0) / UNIT
 
 
-def directions(clip: Measured, stage: Ints, path: Array) -> Array:
+def directions(clip: MeasuredCollision, stage: Ints, path: Array) -> Array:
     """Unit vectors along and across each ball's motion in each stage, (n, 2, 2); at rest along the heading."""
     heading = clip.launch[HEADING]
     along = np.tile([np.cos(heading), np.sin(heading)], (len(path), 1))

@@ -8,26 +8,26 @@ from dataclasses import replace
 
 import numpy as np
 
-from discrepancy.data.collisions import Measured
-from discrepancy.data.launch import T_C, V0, B, spun
-from discrepancy.data.outlier_points import without_outliers
+from discrepancy.data.collisions import MeasuredCollision
+from discrepancy.data.launch import T_C, V0, B, allow_side_spin
+from discrepancy.data.outlier_points import remove_outliers
 from discrepancy.fitting.gauss_newton import fit_model
-from discrepancy.fitting.model_fit import Fit
-from discrepancy.fitting.parameters import fitted
-from discrepancy.fitting.predict import forecast
-from discrepancy.noise.model import Component, Noise, estimate
+from discrepancy.fitting.model_fit import ModelFit
+from discrepancy.fitting.parameters import names_to_fit
+from discrepancy.fitting.predict import predict_tracks
+from discrepancy.noise.model import Noise, NoiseComponent, estimate
 from discrepancy.policy import current_policy
 from synthcam.model import LAUNCH_SPIN, Model
 from synthcam_shared.errors import InputError
 from tracker.camera.same_view import first_difference
 
 TIMING = ("fps", "exposure")  # in which clips of one study may differ
-CLAIMED = Noise(Component(1.0))  # white, and as large as is claimed
+CLAIMED_NOISE = Noise(NoiseComponent(1.0))  # white, and as large as is claimed
 LOST = 100.0  # chi^2 a degree of freedom of a fit that may have lost its way
 Progress = Callable[[str], None]
 
 
-def checked(clips: Sequence[Measured], model: Model) -> Sequence[Measured]:
+def check_clips(clips: Sequence[MeasuredCollision], model: Model) -> Sequence[MeasuredCollision]:
     """Check that there are enough clips, all of one camera, and that they are measured by the model's ball.
 
     A ball of another size, or another camera, would otherwise pass for a discovery. Frame rates and exposures may
@@ -57,10 +57,10 @@ def checked(clips: Sequence[Measured], model: Model) -> Sequence[Measured]:
                 f"camera.json: {other} of clip {c.clip} is not that of clip {clips[0].clip}; expected clips of one "
                 "camera; search those of each by themselves"
             )
-    return [replace(c, launch=spun(c.launch)) for c in clips] if LAUNCH_SPIN in model.free else clips
+    return [replace(c, launch=allow_side_spin(c.launch)) for c in clips] if LAUNCH_SPIN in model.free else clips
 
 
-def noise_of(clips: Sequence[Measured]) -> Noise:
+def estimate_noise(clips: Sequence[MeasuredCollision]) -> Noise:
     """As `estimate` reads it. Raises InputError."""
     try:
         return estimate(clips)
@@ -68,7 +68,7 @@ def noise_of(clips: Sequence[Measured]) -> Noise:
         raise InputError(f"the tracks: {e}") from None
 
 
-def base_fit(clips: Sequence[Measured], model: Model, noise: Noise, progress: Progress) -> Fit:
+def fit_base_model(clips: Sequence[MeasuredCollision], model: Model, noise: Noise, progress: Progress) -> ModelFit:
     """Fit the model's base parameters that are not zero, and those in `model.free`.
 
     The fit starts from the model's values. Where it ends far from the data, it starts again from the friction that the
@@ -91,21 +91,21 @@ def base_fit(clips: Sequence[Measured], model: Model, noise: Noise, progress: Pr
     InputError
         Where the model has no motion for these collisions.
     """
-    names = fitted(model)
+    names = names_to_fit(model)
     try:
         found = fit_model(clips, model, names, noise, progress=lambda: progress("fit"))
     except ValueError as e:
         raise InputError(f"the model has no motion for these collisions: {e}") from None
     if found.chi2 > LOST * (found.points - found.parameters) and "sliding_friction" in names:
         with suppress(ValueError):
-            again = fit_model(clips, _rescaled(clips, model), names, noise, progress=lambda: progress("fit"))
+            again = fit_model(clips, _rescale_friction(clips, model), names, noise, progress=lambda: progress("fit"))
             return min(found, again, key=lambda f: f.chi2)
     return found
 
 
-def smoothed(
-    clips: Sequence[Measured], kept_out: Sequence[Measured], model: Model, progress: Progress
-) -> tuple[list[Measured], list[Measured]]:
+def remove_outliers_beside_model(
+    clips: Sequence[MeasuredCollision], kept_out: Sequence[MeasuredCollision], model: Model, progress: Progress
+) -> tuple[list[MeasuredCollision], list[MeasuredCollision]]:
     """Take out what are outliers beside the base model, before the noise is read, which they would be taken for.
 
     Parameters
@@ -120,17 +120,17 @@ def smoothed(
     (list of Measured, list of Measured)
         Both without their outliers.
     """
-    base = base_fit(clips, model, CLAIMED, progress)
+    base = fit_base_model(clips, model, CLAIMED_NOISE, progress)
     every, places = [*clips, *kept_out], base.launches
     with suppress(ValueError):  # the model has no motion for one of them
         if kept_out:
-            places = np.concatenate([places, fit_model(kept_out, base.model, (), CLAIMED).launches])
+            places = np.concatenate([places, fit_model(kept_out, base.model, (), CLAIMED_NOISE).launches])
     told = every[: len(places)]
-    kept = [*without_outliers(told, forecast(base.model, places, told)), *every[len(places) :]]
+    kept = [*remove_outliers(told, predict_tracks(base.model, places, told)), *every[len(places) :]]
     return kept[: len(clips)], kept[len(clips) :]
 
 
-def _rescaled(clips: Sequence[Measured], model: Model) -> Model:
+def _rescale_friction(clips: Sequence[MeasuredCollision], model: Model) -> Model:
     """With mu = 2 u / (7 g tau), from the speed u at which the hit target slips and from how long tau it does so."""
     t_c, v0, b = np.array([c.launch for c in clips]).T[[T_C, V0, B]]
     lasts = np.array([c.ends[0] for c in clips]) - t_c

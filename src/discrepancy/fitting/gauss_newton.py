@@ -14,12 +14,12 @@ from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
 from discrepancy.arrays import Array
-from discrepancy.data.collisions import Measured
-from discrepancy.data.launch import LARGEST_SPIN, V0, WITH_SPIN, possible, with_possible_spins
-from discrepancy.fitting.jacobian import coupling, derivatives, launch_derivatives
-from discrepancy.fitting.model_fit import Evidence, Fit, Tangent
-from discrepancy.fitting.parameters import parameter_of, span_of, within
-from discrepancy.fitting.predict import forecast
+from discrepancy.data.collisions import MeasuredCollision
+from discrepancy.data.launch import LARGEST_SPIN, V0, WITH_SPIN, is_possible, limit_spins
+from discrepancy.fitting.jacobian import coupling_effects, differentiate_all, differentiate_launches
+from discrepancy.fitting.model_fit import Linearisation, ModelFit, WhitenedClips
+from discrepancy.fitting.parameters import find_parameter, replace_within_limits, tried_range
+from discrepancy.fitting.predict import predict_tracks
 from discrepancy.noise.model import Noise
 from synthcam.dynamics.batch import LAUNCH
 from synthcam.dynamics.solve import uncoupled
@@ -36,13 +36,13 @@ FAILED = (ValueError, ArithmeticError)  # of a step: no motion, a singular matri
 
 
 def fit_model(
-    clips: Sequence[Measured],
+    clips: Sequence[MeasuredCollision],
     model: Model,
     names: Sequence[str],
     noise: Noise,
     launches: Array | None = None,
     progress: Callable[[], None] = lambda: None,
-) -> Fit:
+) -> ModelFit:
     """Fit shared parameters and every launch, by Gauss-Newton with Levenberg's damping when a step fails.
 
     Parameters
@@ -67,12 +67,14 @@ def fit_model(
     ValueError
         The model has no motion for a launch to start from.
     """
-    evidence = Evidence.of(clips, noise)
+    evidence = WhitenedClips.of(clips, noise)
     places = np.array([c.launch for c in clips] if launches is None else launches, dtype=float)
-    return settle(evidence, linearised(evidence, model, tuple(names), places), progress)
+    return minimise_chi2(evidence, linearise(evidence, model, tuple(names), places), progress)
 
 
-def settle(evidence: Evidence, fit: Fit, progress: Callable[[], None] = lambda: None, rough: bool = False) -> Fit:
+def minimise_chi2(
+    evidence: WhitenedClips, fit: ModelFit, progress: Callable[[], None] = lambda: None, rough: bool = False
+) -> ModelFit:
     """The least chi^2, by steps from a fit.
 
     Parameters
@@ -96,16 +98,16 @@ def settle(evidence: Evidence, fit: Fit, progress: Callable[[], None] = lambda: 
             values, own = _step(fit, damping, held)
         except FAILED:
             break
-        foretold = fit.chi2 - _foretold(fit, values, own)
+        foretold = fit.chi2 - _predict_chi2(fit, values, own)
         if last or foretold < settled:
-            if fit.local or rough or (here := _here(evidence, fit)) is None:
+            if fit.local or rough or (here := _relinearise(evidence, fit)) is None:
                 break
             fit, last = here, False
             continue
         for share in SHARES if fit.local else (1.0,):
-            moved = _moved(evidence, fit, _part(fit, values, share), share * own)
+            moved = _apply_step(evidence, fit, _interpolate(fit, values, share), share * own)
             gained = fit.chi2 - moved.chi2 if moved else -np.inf
-            if gained > 0 or (few := _astray(fit, moved, held)).any():
+            if gained > 0 or (few := _find_failing_clips(fit, moved, held)).any():
                 break
         if moved is None or not gained > 0:
             if fit.local and few.any():
@@ -114,29 +116,29 @@ def settle(evidence: Evidence, fit: Fit, progress: Callable[[], None] = lambda: 
                 damping = max(10 * damping, 1e-3)
                 if damping > DAMPED:
                     break
-            elif (here := _here(evidence, fit)) is None:
+            elif (here := _relinearise(evidence, fit)) is None:
                 break
             else:
                 fit = here
             continue
-        damping, held = float(_less(damping)), np.asarray(_less(held))
+        damping, held = float(_reduce_damping(damping)), np.asarray(_reduce_damping(held))
         last = gained < settled and share == 1
         if last and fit.local:
-            return moved if rough else _here(evidence, moved) or moved
+            return moved if rough else _relinearise(evidence, moved) or moved
         fit = moved
         if not last and abs(gained - foretold) > FORETOLD * foretold:
-            if (here := _here(evidence, fit)) is None:
+            if (here := _relinearise(evidence, fit)) is None:
                 break
             fit = here
     return fit
 
 
-def _less(damping: Array | float) -> Array | np.float64:
+def _reduce_damping(damping: Array | float) -> Array | np.float64:
     """The damping after a step that gained."""
     return np.where(np.greater(damping, 1e-4), np.divide(damping, 10), 0.0)
 
 
-def _astray(fit: Fit, moved: Fit | None, held: Array) -> NDArray[np.bool_]:
+def _find_failing_clips(fit: ModelFit, moved: ModelFit | None, held: Array) -> NDArray[np.bool_]:
     """Which clips alone made a step fail, if they are few: their launches are to be damped, and no others."""
     none = np.zeros(len(fit.residuals), dtype=bool)
     if moved is None or not fit.local:
@@ -148,20 +150,22 @@ def _astray(fit: Fit, moved: Fit | None, held: Array) -> NDArray[np.bool_]:
     return np.asarray(few)
 
 
-def _here(evidence: Evidence, fit: Fit) -> Fit | None:
+def _relinearise(evidence: WhitenedClips, fit: ModelFit) -> ModelFit | None:
     """The fit with derivatives taken where it stands; None where the model has no motion near there."""
     try:
-        return linearised(evidence, fit.model, fit.names, fit.launches)
+        return linearise(evidence, fit.model, fit.names, fit.launches)
     except FAILED:
         return None
 
 
-def _part(fit: Fit, values: Mapping[str, float], share: float) -> dict[str, float]:
+def _interpolate(fit: ModelFit, values: Mapping[str, float], share: float) -> dict[str, float]:
     """A share of the way to new values."""
     return {n: (1 - share) * fit.model.value(n) + share * v for n, v in values.items()} if share < 1 else dict(values)
 
 
-def linearised(evidence: Evidence, model: Model, names: tuple[str, ...], launches: Array, exact: bool = False) -> Fit:
+def linearise(
+    evidence: WhitenedClips, model: Model, names: tuple[str, ...], launches: Array, exact: bool = False
+) -> ModelFit:
     """The residuals of a model and their derivatives, at given values and launches; nothing is fitted.
 
     Parameters
@@ -183,19 +187,19 @@ def linearised(evidence: Evidence, model: Model, names: tuple[str, ...], launche
     ValueError
         Where the model has no motion for such a launch.
     """
-    expected, own = launch_derivatives(model, launches, evidence.clips)
-    shared = derivatives(model, launches, evidence.clips, names, expected, exact)
+    expected, own = differentiate_launches(model, launches, evidence.clips)
+    shared = differentiate_all(model, launches, evidence.clips, names, expected, exact)
     residuals = evidence.white([c.xy - e for c, e in zip(evidence.clips, expected, strict=True)])
     if names:
         slopes = evidence.white([np.stack([s[k] for s in shared], axis=-1) for k in range(len(expected))])
-        slopes = identifiable(model, names, slopes)
+        slopes = zero_unidentifiable_shapes(model, names, slopes)
     else:
         slopes = tuple(np.zeros((len(r), 0)) for r in residuals)
-    own_slopes = identifiable_spins(launches, evidence.white(own))
-    return Fit(model, names, launches, residuals, Tangent(model, names, launches, slopes, own_slopes))
+    own_slopes = zero_unidentifiable_spins(launches, evidence.white(own))
+    return ModelFit(model, names, launches, residuals, Linearisation(model, names, launches, slopes, own_slopes))
 
 
-def identifiable(model: Model, names: Sequence[str], slopes: tuple[Array, ...]) -> tuple[Array, ...]:
+def zero_unidentifiable_shapes(model: Model, names: Sequence[str], slopes: tuple[Array, ...]) -> tuple[Array, ...]:
     """Set to zero the derivatives by shape parameters that move nothing by one sigma over all their range.
 
     So no step carries such a parameter away: a dropped frame, say, may be anywhere between two frames.
@@ -212,10 +216,10 @@ def identifiable(model: Model, names: Sequence[str], slopes: tuple[Array, ...]) 
     -------
     tuple of (2n, S) array
     """
-    shapes = [parameter_of(model, n) if "." in n else None for n in names]
+    shapes = [find_parameter(model, n) if "." in n else None for n in names]
     spans = np.array(
         [
-            span_of(p) * (model.value(n) if p.low > 0 else 1.0) if p and p.fixed else np.inf
+            tried_range(p) * (model.value(n) if p.low > 0 else 1.0) if p and p.fixed else np.inf
             for n, p in zip(names, shapes, strict=True)
         ]
     )
@@ -223,7 +227,7 @@ def identifiable(model: Model, names: Sequence[str], slopes: tuple[Array, ...]) 
     return tuple(np.where(silent, 0.0, s) for s in slopes) if silent.any() else slopes
 
 
-def identifiable_spins(launches: Array, slopes: tuple[Array, ...]) -> tuple[Array, ...]:
+def zero_unidentifiable_spins(launches: Array, slopes: tuple[Array, ...]) -> tuple[Array, ...]:
     """Set to zero the derivatives by spins that move nothing by one sigma, however large they may be.
 
     Without friction and spin transfer no track shows a striker's spin, and rounding would pass for a derivative.
@@ -245,78 +249,82 @@ def identifiable_spins(launches: Array, slopes: tuple[Array, ...]) -> tuple[Arra
     return tuple(np.where(none, 0.0, s) for none, s in zip(silent, slopes, strict=True)) if silent.any() else slopes
 
 
-def nudged(evidence: Evidence, fit: Fit, model: Model) -> Fit | None:
+def take_one_step(evidence: WhitenedClips, fit: ModelFit, model: Model) -> ModelFit | None:
     """One Gauss-Newton step of all that is fitted, with another model in place of the fit's.
 
     Returns that model without the step where the step gains nothing; None where it has no motion.
     """
-    there = _moved(evidence, dataclasses.replace(fit, model=model), {}, np.zeros_like(fit.launches))
+    there = _apply_step(evidence, dataclasses.replace(fit, model=model), {}, np.zeros_like(fit.launches))
     if there is None:
         return None
     try:
-        further = _moved(evidence, there, *_step(there, 0.0))
+        further = _apply_step(evidence, there, *_step(there, 0.0))
     except FAILED:
         return there
     return further if further and further.chi2 < there.chi2 else there
 
 
-def likeliest(evidence: Evidence, fit: Fit, tries: Sequence[Mapping[str, float]]) -> Mapping[str, float] | None:
+def choose_most_likely(
+    evidence: WhitenedClips, fit: ModelFit, tries: Sequence[Mapping[str, float]]
+) -> Mapping[str, float] | None:
     """Of several values of the same parameters, those that fit best once all else is fitted, to first order.
 
     Returns None where none of them has a motion.
     """
     names = tuple(tries[0])
-    kept, (here, *there) = fit.reduced(fit.model, names), _beside(fit, evidence.clips, names, [{}, *tries])
+    kept, (here, *there) = fit.reduced(fit.model, names), _predict_trials(fit, evidence.clips, names, [{}, *tries])
     best, least = None, np.inf
     for values, places in zip(tries, there, strict=True):
         if here is None or places is None:
             continue
         off = evidence.white([a - b for a, b in zip(here, places, strict=True)])
         look = dataclasses.replace(kept, residuals=tuple(r + o for r, o in zip(fit.residuals, off, strict=True)))
-        if (chi2 := _foretold(look, *_step(look, 0.0))) < least:
+        if (chi2 := _predict_chi2(look, *_step(look, 0.0))) < least:
             best, least = values, chi2
     return best
 
 
-def _beside(
-    fit: Fit, clips: Sequence[Measured], names: Sequence[str], tries: Sequence[Mapping[str, float]]
+def _predict_trials(
+    fit: ModelFit, clips: Sequence[MeasuredCollision], names: Sequence[str], tries: Sequence[Mapping[str, float]]
 ) -> Iterator[list[Array] | None]:
     """The forecasts with other values of some parameters; without the push between balls where they are not of it."""
     plain = uncoupled(fit.model)
-    model = fit.model if coupling(fit.model, plain) & {n.partition(".")[0] for n in names} else plain
+    model = fit.model if coupling_effects(fit.model, plain) & {n.partition(".")[0] for n in names} else plain
     for values in tries:
         try:
-            yield forecast(model.replace(values), fit.launches, clips)
+            yield predict_tracks(model.replace(values), fit.launches, clips)
         except FAILED:
             yield None
 
 
-def _moved(evidence: Evidence, fit: Fit, values: Mapping[str, float], own: Array) -> Fit | None:
+def _apply_step(evidence: WhitenedClips, fit: ModelFit, values: Mapping[str, float], own: Array) -> ModelFit | None:
     """The fit after a step, with its derivatives as they were; None where the model has no motion there."""
-    launches = with_possible_spins(fit.launches + own)
-    if not possible(launches):
+    launches = limit_spins(fit.launches + own)
+    if not is_possible(launches):
         return None
     try:
-        model = within(fit.model, values)
+        model = replace_within_limits(fit.model, values)
         return dataclasses.replace(fit, model=model, launches=launches, residuals=evidence.left(model, launches))
     except FAILED:
         return None
 
 
-def _foretold(fit: Fit, values: Mapping[str, float], own: Array) -> float:
+def _predict_chi2(fit: ModelFit, values: Mapping[str, float], own: Array) -> float:
     """chi^2 after a step, to first order."""
     shared = np.array([values[n] - fit.model.value(n) for n in fit.names])
     parts = zip(fit.residuals, fit.slopes, fit.launch_slopes, own, strict=True)
     return float(sum(((r - s @ shared - a @ o) ** 2).sum() for r, s, a, o in parts))
 
 
-def _step(fit: Fit, damping: float, held: Array | float = 0.0) -> tuple[dict[str, float], Array]:
+def _step(fit: ModelFit, damping: float, held: Array | float = 0.0) -> tuple[dict[str, float], Array]:
     """The Gauss-Newton step within the limits: new values of the shared parameters, changes of the launches."""
-    shared, own = solve(fit, damping, *fit.room(), held)
+    shared, own = solve_step(fit, damping, *fit.room(), held)
     return dict(zip(fit.names, (fit.values() + shared).tolist(), strict=True)), own
 
 
-def solve(fit: Fit, damping: float, least: Array, most: Array, held: Array | float = 0.0) -> tuple[Array, Array]:
+def solve_step(
+    fit: ModelFit, damping: float, least: Array, most: Array, held: Array | float = 0.0
+) -> tuple[Array, Array]:
     """The Gauss-Newton step of a fit, the launches eliminated clip by clip.
 
     Parameters
@@ -344,17 +352,17 @@ def solve(fit: Fit, damping: float, least: Array, most: Array, held: Array | flo
         size_of_own = np.diag(own)
         own[np.diag_indices(len(own))] = np.where(size_of_own > 0, size_of_own * (1 + damped), 1.0)
         coupling, pull = a.T @ s, a.T @ r
-        solved = _solved(own, np.column_stack([coupling, pull]))
+        solved = _solve_or_least_norm(own, np.column_stack([coupling, pull]))
         blocks.append(solved)
         matrix += s.T @ s - coupling.T @ solved[:, :-1]
         right += s.T @ r - coupling.T @ solved[:, -1]
     matrix[np.diag_indices(size)] *= 1 + damping
-    shared = _bounded(matrix, right, least, most) if size else np.zeros(0)
+    shared = _minimise_quadratic(matrix, right, least, most) if size else np.zeros(0)
     own_steps = np.array([b[:, -1] - b[:, :-1] @ shared for b in blocks])
     return shared, own_steps
 
 
-def _solved(matrix: Array, right: Array) -> Array:
+def _solve_or_least_norm(matrix: Array, right: Array) -> Array:
     """The solution of a linear system; the shortest where tracks do not show all of a launch."""
     try:
         return np.asarray(np.linalg.solve(matrix, right))
@@ -362,7 +370,7 @@ def _solved(matrix: Array, right: Array) -> Array:
         return np.asarray(np.linalg.lstsq(matrix, right, rcond=None)[0])
 
 
-def _bounded(matrix: Array, right: Array, least: Array, most: Array) -> Array:
+def _minimise_quadratic(matrix: Array, right: Array, least: Array, most: Array) -> Array:
     """The x within bounds for which x' matrix x / 2 - right' x is least; zero along directions without curvature."""
     scale = np.sqrt(np.diag(matrix).clip(0))
     scale = np.where(scale > 0, scale, 1)

@@ -9,10 +9,10 @@ from contextlib import suppress
 import numpy as np
 
 from discrepancy.arrays import Array
-from discrepancy.data.collisions import Measured
-from discrepancy.data.launch import free
-from discrepancy.fitting.parameters import FINE, limits_of, step_of
-from discrepancy.fitting.predict import forecast
+from discrepancy.data.collisions import MeasuredCollision
+from discrepancy.data.launch import find_free_columns
+from discrepancy.fitting.parameters import FINE, difference_step, parameter_limits
+from discrepancy.fitting.predict import predict_tracks
 from synthcam.dynamics.solve import uncoupled
 from synthcam.model import Model
 
@@ -20,8 +20,8 @@ LAUNCH_STEP = 1e-6  # m, s, m/s, rad, 1
 AT_ONCE = 64  # clips whose launches are nudged in one batch
 
 
-def derivative(
-    model: Model, launches: Array, clips: Sequence[Measured], name: str, here: Sequence[Array] | None = None
+def differentiate(
+    model: Model, launches: Array, clips: Sequence[MeasuredCollision], name: str, here: Sequence[Array] | None = None
 ) -> list[Array]:
     """The derivative of the forecast by a shared parameter.
 
@@ -44,32 +44,32 @@ def derivative(
     list of (n, 2) array
         Of each clip, m over the parameter's unit.
     """
-    value, step, (low, high) = model.value(name), step_of(model, name), limits_of(model, name)
+    value, step, (low, high) = model.value(name), difference_step(model, name), parameter_limits(model, name)
     ends = []
     if here is not None and value + FINE * step <= high:
         try:
-            ahead = forecast(model.replace({name: value + FINE * step}), launches, clips)
+            ahead = predict_tracks(model.replace({name: value + FINE * step}), launches, clips)
             return [(a - b) / (FINE * step) for a, b in zip(ahead, here, strict=True)]
         except ValueError:
             pass
     for end in (min(value + step, high), max(value - step, low)):
         try:
-            ends.append((end, forecast(model.replace({name: end}), launches, clips)))
+            ends.append((end, predict_tracks(model.replace({name: end}), launches, clips)))
         except ValueError:
-            ends.append((value, forecast(model, launches, clips)))
+            ends.append((value, predict_tracks(model, launches, clips)))
     (up, ahead), (down, behind) = ends
     return [(a - b) / (up - down) if up > down else 0 * a for a, b in zip(ahead, behind, strict=True)]
 
 
-def derivatives(
+def differentiate_all(
     model: Model,
     launches: Array,
-    clips: Sequence[Measured],
+    clips: Sequence[MeasuredCollision],
     names: Sequence[str],
     here: Sequence[Array],
     exact: bool = False,
 ) -> list[list[Array]]:
-    """`derivative` by each of several parameters.
+    """`differentiate` by each of several parameters.
 
     Where balls push each other the motion takes some eight times as long to compute, and other parameters act on it
     nearly as they do without the push. Their derivatives are then taken without it, where there is such a motion.
@@ -77,7 +77,7 @@ def derivatives(
     Parameters
     ----------
     model, launches, clips
-        As of `derivative`.
+        As of `differentiate`.
     names : sequence of str
     here : sequence of (n, 2) array
         The forecast.
@@ -89,18 +89,18 @@ def derivatives(
     list of list of (n, 2) array
         By name, then by clip.
     """
-    plain, there = (model, here) if exact else quicker(model, launches, clips, here)
-    pushing = coupling(model, plain)
+    plain, there = (model, here) if exact else decouple(model, launches, clips, here)
+    pushing = coupling_effects(model, plain)
     return [
-        derivative(model, launches, clips, name, here)
+        differentiate(model, launches, clips, name, here)
         if name.partition(".")[0] in pushing
-        else derivative(plain, launches, clips, name, there)
+        else differentiate(plain, launches, clips, name, there)
         for name in names
     ]
 
 
-def quicker(
-    model: Model, launches: Array, clips: Sequence[Measured], here: Sequence[Array] | None = None
+def decouple(
+    model: Model, launches: Array, clips: Sequence[MeasuredCollision], here: Sequence[Array] | None = None
 ) -> tuple[Model, Sequence[Array]]:
     """The model without the push between balls, whose motion is computed sooner, and its forecast.
 
@@ -110,16 +110,18 @@ def quicker(
     plain = uncoupled(model)
     if plain.effects != model.effects:
         with suppress(ValueError):
-            return plain, forecast(plain, launches, clips)
-    return model, forecast(model, launches, clips) if here is None else here
+            return plain, predict_tracks(plain, launches, clips)
+    return model, predict_tracks(model, launches, clips) if here is None else here
 
 
-def coupling(model: Model, plain: Model) -> set[str]:
+def coupling_effects(model: Model, plain: Model) -> set[str]:
     """The names of the effects by which balls push each other; plain: the model without them."""
     return {e.name() for e in model.effects} - {e.name() for e in plain.effects}
 
 
-def launch_derivatives(model: Model, launches: Array, clips: Sequence[Measured]) -> tuple[list[Array], list[Array]]:
+def differentiate_launches(
+    model: Model, launches: Array, clips: Sequence[MeasuredCollision]
+) -> tuple[list[Array], list[Array]]:
     """The forecast, and its derivatives by each clip's own launch, many clips in one batch.
 
     At the edge of where a ball can rest, differences are taken to the side that has a motion; zero where neither has.
@@ -127,7 +129,7 @@ def launch_derivatives(model: Model, launches: Array, clips: Sequence[Measured])
     Parameters
     ----------
     model, launches, clips
-        As of `derivative`.
+        As of `differentiate`.
 
     Returns
     -------
@@ -141,30 +143,32 @@ def launch_derivatives(model: Model, launches: Array, clips: Sequence[Measured])
     for first in range(0, len(clips), AT_ONCE):
         some, places = clips[first : first + AT_ONCE], launches[first : first + AT_ONCE]
         try:
-            parts = [_nudged(model, places, some)]
+            parts = [_difference_launches(model, places, some)]
         except ValueError:
-            parts = [_at_the_edge(model, place, clip) for place, clip in zip(places, some, strict=True)]
+            parts = [_difference_one_sided(model, place, clip) for place, clip in zip(places, some, strict=True)]
         here += [h for part, _ in parts for h in part]
         slopes += [s for _, part in parts for s in part]
     return here, slopes
 
 
-def _nudged(model: Model, launches: Array, clips: Sequence[Measured]) -> tuple[list[Array], list[Array]]:
-    (k, size), own = launches.shape, free(launches)
+def _difference_launches(
+    model: Model, launches: Array, clips: Sequence[MeasuredCollision]
+) -> tuple[list[Array], list[Array]]:
+    (k, size), own = launches.shape, find_free_columns(launches)
     nudges = LAUNCH_STEP * np.concatenate([np.zeros((1, size)), np.eye(size)])[:, None] * own
-    every = forecast(model, (launches[None] + nudges).reshape(-1, size), list(clips) * len(nudges))
+    every = predict_tracks(model, (launches[None] + nudges).reshape(-1, size), list(clips) * len(nudges))
     slopes = [
         np.stack([(every[(1 + j) * k + i] - every[i]) / LAUNCH_STEP for j in range(size)], axis=-1) for i in range(k)
     ]  # unmoved launches differ too, by rounding: the steps of their integration are of all that are solved together
     return every[:k], [s * free_here for s, free_here in zip(slopes, own, strict=True)]
 
 
-def _at_the_edge(model: Model, launch: Array, clip: Measured) -> tuple[list[Array], list[Array]]:
-    (here,) = forecast(model, launch[None], [clip])
+def _difference_one_sided(model: Model, launch: Array, clip: MeasuredCollision) -> tuple[list[Array], list[Array]]:
+    (here,) = predict_tracks(model, launch[None], [clip])
     slopes = np.zeros((*here.shape, len(launch)))
-    own = np.flatnonzero(free(launch[None])[0]).tolist()
+    own = np.flatnonzero(find_free_columns(launch[None])[0]).tolist()
     for j, step in itertools.product(own, (-LAUNCH_STEP, LAUNCH_STEP)):  # the later counts
         with suppress(ValueError):
-            (there,) = forecast(model, (launch + step * np.eye(len(launch))[j])[None], [clip])
+            (there,) = predict_tracks(model, (launch + step * np.eye(len(launch))[j])[None], [clip])
             slopes[..., j] = (there - here) / step
     return [here], [slopes]

@@ -10,24 +10,24 @@ from functools import cached_property
 import numpy as np
 
 from discrepancy.arrays import Array
-from discrepancy.data.collisions import Measured
-from discrepancy.fitting.parameters import limits_of
-from discrepancy.fitting.predict import forecast
+from discrepancy.data.collisions import MeasuredCollision
+from discrepancy.fitting.parameters import parameter_limits
+from discrepancy.fitting.predict import predict_tracks
 from discrepancy.noise.model import Noise
-from discrepancy.noise.whitening import Whitener
+from discrepancy.noise.whitening import ClipWhitener
 from synthcam.model import Model
 
 
 @dataclass(frozen=True)
-class Evidence:
+class WhitenedClips:
     """Measured clips, and what makes the noise of each white."""
 
-    clips: tuple[Measured, ...]
-    whiteners: tuple[Whitener, ...]
+    clips: tuple[MeasuredCollision, ...]
+    whiteners: tuple[ClipWhitener, ...]
 
     @classmethod
-    def of(cls, clips: Sequence[Measured], noise: Noise) -> Evidence:
-        return cls(tuple(clips), tuple(Whitener.of(c, noise) for c in clips))
+    def of(cls, clips: Sequence[MeasuredCollision], noise: Noise) -> WhitenedClips:
+        return cls(tuple(clips), tuple(ClipWhitener.of(c, noise) for c in clips))
 
     def white(self, columns: Sequence[Array]) -> tuple[Array, ...]:
         """Displacements of each clip, (n, 2, ...) m, in units of the noise and without correlation: (2n, ...)."""
@@ -35,12 +35,12 @@ class Evidence:
 
     def left(self, model: Model, launches: Array) -> tuple[Array, ...]:
         """Whitened residuals (2n,) of each clip. Raises ValueError when the model has no motion for such a launch."""
-        expected = forecast(model, launches, self.clips)
+        expected = predict_tracks(model, launches, self.clips)
         return self.white([c.xy - e for c, e in zip(self.clips, expected, strict=True)])
 
 
 @dataclass(frozen=True)
-class Tangent:
+class Linearisation:
     """Whitened derivatives of each clip's forecast, and at which model, by which names and launches they were taken.
 
     Attributes
@@ -60,7 +60,7 @@ class Tangent:
     @cached_property
     def launch_bases(self) -> tuple[Array, ...]:
         """Orthonormal bases of what each clip's launch absorbs, (2n, p)."""
-        return tuple(basis(a) for a in self.launch_slopes)
+        return tuple(orthonormal_basis(a) for a in self.launch_slopes)
 
     @cached_property
     def cleaned(self) -> tuple[Array, ...]:
@@ -70,11 +70,11 @@ class Tangent:
     @cached_property
     def shared_bases(self) -> list[Array]:
         """An orthonormal basis of those, as far as it lies in each clip, (2n, s)."""
-        return np.split(basis(np.concatenate(self.cleaned)), np.cumsum([len(s) for s in self.slopes])[:-1])
+        return np.split(orthonormal_basis(np.concatenate(self.cleaned)), np.cumsum([len(s) for s in self.slopes])[:-1])
 
 
 @dataclass(frozen=True)
-class Fit:
+class ModelFit:
     """A fitted model.
 
     Attributes
@@ -94,7 +94,7 @@ class Fit:
     names: tuple[str, ...]
     launches: Array
     residuals: tuple[Array, ...]
-    tangent: Tangent
+    tangent: Linearisation
 
     @property
     def slopes(self) -> tuple[Array, ...]:
@@ -123,10 +123,10 @@ class Fit:
 
     def room(self) -> tuple[Array, Array]:
         """How far each shared parameter may move down and up to its limits, (S,) and (S,)."""
-        low, high = np.array([limits_of(self.model, n) for n in self.names]).reshape(-1, 2).T
+        low, high = np.array([parameter_limits(self.model, n) for n in self.names]).reshape(-1, 2).T
         return low - self.values(), high - self.values()
 
-    def explained_by(self, moves: Sequence[Array], coefs: Array) -> Fit:
+    def explained_by(self, moves: Sequence[Array], coefs: Array) -> ModelFit:
         """The fit with residuals less columns times coefficients: moves (2n, k) of each clip, coefs (k,)."""
         left = tuple(r - m @ coefs for r, m in zip(self.residuals, moves, strict=True))
         return dataclasses.replace(self, residuals=left)
@@ -149,7 +149,7 @@ class Fit:
         """The derivatives by the shared parameters less what the launches absorb, (2n, S) of each clip."""
         return self.tangent.cleaned
 
-    def added(self, base: Fit) -> dict[str, list[str]]:
+    def added(self, base: ModelFit) -> dict[str, list[str]]:
         """The parameters that are fitted here and not in the base, by effect; a base parameter by its own name."""
         found: dict[str, list[str]] = {}
         for name in self.names:
@@ -199,7 +199,7 @@ class Fit:
             pull += left.T @ r
         return gram, pull
 
-    def extended(self, model: Model, names: Sequence[str], columns: Sequence[Array]) -> Fit:
+    def extended(self, model: Model, names: Sequence[str], columns: Sequence[Array]) -> ModelFit:
         """The fit with further shared parameters, before it is fitted again; its derivatives are then not `local`.
 
         Parameters
@@ -215,7 +215,7 @@ class Fit:
         tangent = dataclasses.replace(self.tangent, slopes=slopes)
         return dataclasses.replace(self, model=model, names=(*self.names, *names), tangent=tangent)
 
-    def reduced(self, model: Model, names: Sequence[str]) -> Fit:
+    def reduced(self, model: Model, names: Sequence[str]) -> ModelFit:
         """The fit with `model`, which lacks the shared parameters `names`, before it is fitted again."""
         kept = tuple(n for n in self.names if n not in names)
         slopes = tuple(s[:, self.rows(kept)] for s in self.slopes)
@@ -223,13 +223,13 @@ class Fit:
         return dataclasses.replace(self, model=model, names=kept, tangent=tangent)
 
 
-def basis(columns: Array) -> Array:
+def orthonormal_basis(columns: Array) -> Array:
     """An orthonormal basis of the span of columns (n, k)."""
     scale = np.linalg.norm(columns, axis=0)
     return np.asarray(np.linalg.qr(columns[:, scale > 0] / scale[scale > 0])[0])
 
 
-def off(absorbing: Array, columns: Array) -> Array:
+def project_out(absorbing: Array, columns: Array) -> Array:
     """Columns (n, k) less their projection on the span of others (n, p)."""
-    q = basis(absorbing)
+    q = orthonormal_basis(absorbing)
     return np.asarray(columns - q @ (q.T @ columns))

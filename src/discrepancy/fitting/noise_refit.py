@@ -16,20 +16,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from discrepancy.arrays import Array
-from discrepancy.data.collisions import Measured
-from discrepancy.fitting.model_fit import Fit, basis
+from discrepancy.data.collisions import MeasuredCollision
+from discrepancy.fitting.model_fit import ModelFit, orthonormal_basis
 from discrepancy.noise.model import (
     KERNELS,
-    Component,
+    BallPairs,
     Noise,
-    Pairs,
-    descend,
-    free_numbers,
-    noise_of,
-    possible,
-    shape_of,
+    NoiseComponent,
+    finite_cost,
+    minimise,
+    noise_from_numbers,
+    numbers_from_component,
+    order_of,
 )
-from discrepancy.noise.whitening import Whitener
+from discrepancy.noise.whitening import ClipWhitener
 from discrepancy.policy import current_policy
 
 CLIPS = 12  # read, at most: enough to know the noise by
@@ -38,7 +38,9 @@ TINY = 1e-300  # of a number of the launch that no track shows
 SLOW = (0.95,)  # the correlation from frame to frame of slow noise, to start from
 
 
-def refined(clips: Sequence[Measured], fit: Fit, noise: Noise, explained: bool = True) -> Noise | None:
+def refit_noise(
+    clips: Sequence[MeasuredCollision], fit: ModelFit, noise: Noise, explained: bool = True
+) -> Noise | None:
     """A better reading of the noise from the residuals of a fit, which was made with `noise`.
 
     Parameters
@@ -60,7 +62,10 @@ def refined(clips: Sequence[Measured], fit: Fit, noise: Noise, explained: bool =
     if (noise.shared and not explained) or noise.over_phases:
         return None
     places = np.unique(np.linspace(0, len(clips) - 1, min(CLIPS, len(clips))).astype(int)).tolist()
-    left, within = _Left.of(clips, fit, noise, places), Pairs(pair for k in places for pair in clips[k].together())
+    left, within = (
+        _Residuals.of(clips, fit, noise, places),
+        BallPairs(pair for k in places for pair in clips[k].together()),
+    )
     sigma, rho = (0.0, 0.0) if noise.shared or not explained else left.common_mode_score(noise)
     if noise.shared:
         new = left.best(noise)[1]
@@ -68,10 +73,10 @@ def refined(clips: Sequence[Measured], fit: Fit, noise: Noise, explained: bool =
             return None
     elif sigma > current_policy().shared_noise_sigma and within.pairs:
         own, size = within.own(), float(np.mean([np.mean(c.claimed() ** 2) for c in left.clips]))
-        slow = Component(0.2 * own.variance * size, (rho,))
+        slow = NoiseComponent(0.2 * own.variance * size, (rho,))
         new = left.best(Noise(own, (slow, slow)))[1]
     else:
-        slow = Component(noise.own.variance, SLOW, 0.5)
+        slow = NoiseComponent(noise.own.variance, SLOW, 0.5)
         new = min((left.best(n) for n in (noise, Noise(slow))), key=lambda pair: pair[0])[1]
     if left.cost(noise) - left.cost(new) < (current_policy().min_noise_gain if explained else 0.0):
         return None
@@ -79,22 +84,22 @@ def refined(clips: Sequence[Measured], fit: Fit, noise: Noise, explained: bool =
 
 
 @dataclass(frozen=True)
-class _Left:
+class _Residuals:
     """columns (n, 2, 6 + S + 1) of each clip, m: derivatives by the launch and the shared parameters, and residuals."""
 
-    clips: Sequence[Measured]
+    clips: Sequence[MeasuredCollision]
     columns: tuple[Array, ...]
     own: int  # numbers of a launch
     penalty: float  # of a number more, Schwarz
 
     @classmethod
-    def of(cls, clips: Sequence[Measured], fit: Fit, noise: Noise, places: Sequence[int]) -> _Left:
+    def of(cls, clips: Sequence[MeasuredCollision], fit: ModelFit, noise: Noise, places: Sequence[int]) -> _Residuals:
         """Of the clips at these places."""
         size = np.sqrt(sum((s**2).sum(axis=0) for s in fit.slopes))
         unit, columns = 1 / np.where(size > 0, size, 1), []
         for k in places:
             both = np.column_stack([fit.launch_slopes[k], fit.slopes[k] * unit, fit.residuals[k]])
-            columns.append(Whitener.of(clips[k], noise).undo(both))
+            columns.append(ClipWhitener.of(clips[k], noise).undo(both))
         some = tuple(clips[k] for k in places)
         own = fit.launches.shape[1]
         return cls(some, tuple(columns), own, float(np.log(sum(2 * len(c.frame) - own for c in some))))
@@ -104,7 +109,7 @@ class _Left:
         size = self.columns[0].shape[2] - self.own
         gram, logs = np.zeros((size, size)), 0.0
         for clip, columns in zip(self.clips, self.columns, strict=True):
-            white = Whitener.of(clip, noise)
+            white = ClipWhitener.of(clip, noise)
             seen = white(columns)
             own = seen[:, : self.own]
             q, r = np.linalg.qr(own[:, own.any(axis=0)])
@@ -119,17 +124,17 @@ class _Left:
 
     def best(self, start: Noise) -> tuple[float, Noise]:
         """The likeliest noise of the same shape, found from `start`; first its cost with the penalty of its numbers."""
-        shape, common = shape_of(start.own), shape_of(start.shared[0]) if start.shared else None
-        numbers = [np.log([start.own.variance]), free_numbers(start.own)]
+        shape, common = order_of(start.own), order_of(start.shared[0]) if start.shared else None
+        numbers = [np.log([start.own.variance]), numbers_from_component(start.own)]
         if start.shared:
-            numbers += [np.log([s.variance for s in start.shared]), free_numbers(start.shared[0])]
-        build = partial(noise_of, shape, common)
+            numbers += [np.log([s.variance for s in start.shared]), numbers_from_component(start.shared[0])]
+        build = partial(noise_from_numbers, shape, common)
 
         def cost(y: Array) -> float:
             return self.cost(build(y))
 
-        x = descend(cost, np.concatenate(numbers))
-        return possible(cost, x) + self.penalty * len(x), build(x)
+        x = minimise(cost, np.concatenate(numbers))
+        return finite_cost(cost, x) + self.penalty * len(x), build(x)
 
     def common_mode_score(self, noise: Noise) -> tuple[float, float]:
         """The most significant score of shared noise over KERNELS and axes, in sigma, and its kernel's correlation.
@@ -139,14 +144,14 @@ class _Left:
         """
         scores, means, variances = (np.zeros((len(KERNELS), 2)) for _ in range(3))
         for clip, columns in zip(self.clips, self.columns, strict=True):
-            white = Whitener.of(clip, noise)
+            white = ClipWhitener.of(clip, noise)
             seen = white(columns)
-            q = basis(seen[:, : self.own])
+            q = orthonormal_basis(seen[:, : self.own])
             left = seen[:, -1] - q @ (q.T @ seen[:, -1])
             rows = [np.flatnonzero(clip.ball == ball) for ball in (0, 1)]
             apart = np.abs(np.subtract.outer(clip.frame[rows[0]], clip.frame[rows[1]]))
             for axis in (0, 1):
-                pushes = [_pushed(white, r, axis) for r in rows]
+                pushes = [_whiten_displacements(white, r, axis) for r in rows]
                 pulls = [p.T @ left for p in pushes]
                 taken = [p.T @ q for p in pushes]
                 own = [p.T @ p - t @ t.T for p, t in zip(pushes, taken, strict=True)]
@@ -163,7 +168,7 @@ class _Left:
         return float(best.max()), float(KERNELS[int(best.argmax())])
 
 
-def _pushed(white: Whitener, rows: NDArray[np.intp], axis: int) -> Array:
+def _whiten_displacements(white: ClipWhitener, rows: NDArray[np.intp], axis: int) -> Array:
     """White residuals (2n, k) of a unit displacement of each of these k rows along an axis."""
     units = np.zeros((len(white.roots), 2, len(rows)))
     units[rows, axis, np.arange(len(rows))] = 1

@@ -10,14 +10,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from discrepancy.fitting.similarity import similar, sized
+from discrepancy.fitting.similarity import scale_parameter, scale_to_ball
 from synthcam.effect import Effect, Parameter
 from synthcam.library import library
 from synthcam.model import LAUNCH_SPIN, Model
 
 _UNLIMITED = {"gravity": 1e-4, "sliding_friction": 1e-5, "rolling_drag": 1e-4, "rolling_decel": 1e-5}  # their steps
 _LIMITED = {"restitution": (1e-5, 1.0), "spin_transfer": (1e-5, 5 / 7)}
-BASE = ("restitution", "sliding_friction", "spin_transfer", "rolling_drag", "rolling_decel")
+BASE_PARAMETERS = ("restitution", "sliding_friction", "spin_transfer", "rolling_drag", "rolling_decel")
 FINE = 0.1  # of a step: for a derivative by a forward difference
 SPREAD = 5.0  # shape parameters are tried from so many times under their realistic size to so many times over it
 FRACTIONS = (0.25, 0.5, 1.0, 1.5, 2.0)  # the same where zero is allowed
@@ -59,7 +59,7 @@ class Candidate:
         """Values of the shape parameters to try; those it has where the effect is in the model already."""
         if not self.shapes or any(model.value(s) != 0 for s in self.strengths):
             return iter([{}])
-        tries = [_tries(parameter_of(model, s), 3 if len(self.shapes) > 1 else len(FRACTIONS)) for s in self.shapes]
+        tries = [_tries(find_parameter(model, s), 3 if len(self.shapes) > 1 else len(FRACTIONS)) for s in self.shapes]
         return (dict(zip(self.shapes, values, strict=True)) for values in itertools.product(*tries))
 
 
@@ -76,13 +76,13 @@ def _tries(p: Parameter, count: int) -> list[float]:
     return [f * p.typical for f in fractions if f * p.typical <= p.high]
 
 
-def span_of(p: Parameter) -> float:
+def tried_range(p: Parameter) -> float:
     """The range in which a shape parameter is tried, of its logarithm where it is always positive."""
     tries = _tries(p, len(FRACTIONS))
     return math.log(tries[-1] / tries[0]) if p.low > 0 else tries[-1] - tries[0]
 
 
-def between(p: Parameter, value: float, closer: int) -> list[float]:
+def refine_tried_values(p: Parameter, value: float, closer: int) -> list[float]:
     """Values of a shape parameter to either side of one that was tried.
 
     Parameters
@@ -106,7 +106,7 @@ def between(p: Parameter, value: float, closer: int) -> list[float]:
     return [x for x in near if p.low <= x <= p.high]
 
 
-def candidates(model: Model, fitted: Sequence[str]) -> tuple[Candidate, ...]:
+def list_candidates(model: Model, fitted: Sequence[str]) -> tuple[Candidate, ...]:
     """What a model may lack: base parameters that it holds at zero, and the library's effects.
 
     Effects that could change nothing, as of friction where there is none, are left out.
@@ -121,9 +121,9 @@ def candidates(model: Model, fitted: Sequence[str]) -> tuple[Candidate, ...]:
     -------
     tuple of Candidate
     """
-    found = [Candidate(n, (n,)) for n in BASE if n not in fitted and model.value(n) == 0]
+    found = [Candidate(n, (n,)) for n in BASE_PARAMETERS if n not in fitted and model.value(n) == 0]
     for kind in library().values():
-        strengths = tuple(s for s in strengths_of(kind) if s not in fitted)
+        strengths = tuple(s for s in strength_names(kind) if s not in fitted)
         if strengths and not (model.sliding_friction == 0 and set(kind.laws) <= MULTIPLIES):
             every = (f"{kind.name()}.{p.name}" for p in kind.parameters() if p.fixed and not p.given)
             shapes = tuple(s for s in every if s not in fitted)
@@ -133,56 +133,56 @@ def candidates(model: Model, fitted: Sequence[str]) -> tuple[Candidate, ...]:
     return tuple(found)
 
 
-def candidates_of(found: Model, given: Model, fitted: Sequence[str]) -> dict[str, Candidate]:
+def candidates_by_name(found: Model, given: Model, fitted: Sequence[str]) -> dict[str, Candidate]:
     """By name, the candidates of a given model, and those that it has with the base parameters of another.
 
     The other is what was found: effects of friction are candidates only where the model has any.
     """
-    extended = given.replace({n: found.value(n) for n in BASE})
-    return {s.name: s for model in (extended, given) for s in candidates(model, fitted)}
+    extended = given.replace({n: found.value(n) for n in BASE_PARAMETERS})
+    return {s.name: s for model in (extended, given) for s in list_candidates(model, fitted)}
 
 
-def strengths_of(effect: type[Effect]) -> tuple[str, ...]:
+def strength_names(effect: type[Effect]) -> tuple[str, ...]:
     return tuple(f"{effect.name()}.{p.name}" for p in effect.strengths())
 
 
-def fitted(model: Model) -> tuple[str, ...]:
+def names_to_fit(model: Model) -> tuple[str, ...]:
     """What a fit of this model changes beside the launches: base parameters that are not zero, those it calls free."""
     named = (n for n in model.free if n != LAUNCH_SPIN)
-    return tuple(dict.fromkeys([*(n for n in BASE if model.value(n) != 0), *named]))
+    return tuple(dict.fromkeys([*(n for n in BASE_PARAMETERS if model.value(n) != 0), *named]))
 
 
 _UNITS = {"rolling_drag": "1/s", "rolling_decel": "m/s^2"}  # the other base parameters are pure numbers
 
 
-def parameter_of(model: Model, name: str) -> Parameter:
+def find_parameter(model: Model, name: str) -> Parameter:
     """A parameter of the base model by its name, or of an effect as "effect.parameter", with unit, size and limits."""
     effect, dot, own = name.rpartition(".")
     if not dot:
         high = _LIMITED[name][1] if name in _LIMITED else math.inf
         unit = _UNITS.get(name, "1")
-        typical = similar(getattr(Model(), name), unit, model.ball.diameter)
+        typical = scale_to_ball(getattr(Model(), name), unit, model.ball.diameter)
         return Parameter(name, unit, typical, 0.0, high, fixed=False, default=0.0)
     kind = next((type(e) for e in model.effects if e.name() == effect), None) or library()[effect]
-    return sized(kind, own, model.ball.diameter)
+    return scale_parameter(kind, own, model.ball.diameter)
 
 
-def step_of(model: Model, name: str) -> float:
+def difference_step(model: Model, name: str) -> float:
     """The step of a parameter, in its unit, for derivatives by finite differences."""
     if "." not in name:
         return _LIMITED[name][0] if name in _LIMITED else _UNLIMITED[name]
-    p = parameter_of(model, name)
+    p = find_parameter(model, name)
     apart = min((b - a for a, b in itertools.pairwise(p.tries)), default=0.0)  # a law may jump between them
     return 1e-2 * (apart or p.typical or min(p.high - p.low, 1.0) / 10)
 
 
-def limits_of(model: Model, name: str) -> tuple[float, float]:
+def parameter_limits(model: Model, name: str) -> tuple[float, float]:
     """The least and the greatest value that a parameter may have."""
-    p = parameter_of(model, name)
+    p = find_parameter(model, name)
     return p.low, p.high
 
 
-def within(model: Model, values: Mapping[str, float]) -> Model:
+def replace_within_limits(model: Model, values: Mapping[str, float]) -> Model:
     """The model with these values by dotted name, each moved to its limit where rounding led past it."""
-    ends = {name: limits_of(model, name) for name in values}
+    ends = {name: parameter_limits(model, name) for name in values}
     return model.replace({name: min(max(v, ends[name][0]), ends[name][1]) for name, v in values.items()})

@@ -10,7 +10,7 @@ import numpy as np
 
 from discrepancy import deadline
 from discrepancy.arrays import Array, Ints
-from discrepancy.data.collisions import Measured
+from discrepancy.data.collisions import MeasuredCollision
 from discrepancy.data.launch import T_C
 from synthcam.camera.pinhole import Camera as Optics
 from synthcam.dynamics.batch import Batch, collisions
@@ -22,7 +22,7 @@ LATE = 1e-4  # s, the step of a numerical derivative
 FAR = 1e9  # m: squares of such residuals are still numbers
 
 
-def forecast(model: Model, launches: Array, clips: Sequence[Measured]) -> list[Array]:
+def predict_tracks(model: Model, launches: Array, clips: Sequence[MeasuredCollision]) -> list[Array]:
     """Predict where each clip's balls are seen.
 
     Parameters
@@ -47,13 +47,15 @@ def forecast(model: Model, launches: Array, clips: Sequence[Measured]) -> list[A
     """
     deadline.check()
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-        places = each_rate(clips, lambda rows, some: _forecast(model, launches[rows], some))
+        places = map_by_frame_rate(clips, lambda rows, some: _predict_one_rate(model, launches[rows], some))
     if not all(np.abs(p).max(initial=0.0) < FAR for p in places):  # NaN too
         raise ValueError("the motion leads out of the world")
     return places
 
 
-def each_rate(clips: Sequence[Measured], of: Callable[[Ints, Sequence[Measured]], Sequence[Array]]) -> list[Array]:
+def map_by_frame_rate(
+    clips: Sequence[MeasuredCollision], of: Callable[[Ints, Sequence[MeasuredCollision]], Sequence[Array]]
+) -> list[Array]:
     """What a function gives for clips of one frame rate and exposure, for all clips.
 
     Parameters
@@ -73,7 +75,7 @@ def each_rate(clips: Sequence[Measured], of: Callable[[Ints, Sequence[Measured]]
     return [found[k] for k in range(len(clips))]
 
 
-def _forecast(model: Model, launches: Array, clips: Sequence[Measured]) -> list[Array]:
+def _predict_one_rate(model: Model, launches: Array, clips: Sequence[MeasuredCollision]) -> list[Array]:
     if model.sliding_friction == 0:
         model = model.replace({"sliding_friction": FRICTIONLESS})
     camera = clips[0].camera
@@ -84,13 +86,15 @@ def _forecast(model: Model, launches: Array, clips: Sequence[Measured]) -> list[
     extent = model.laws("clock", film[[0, -1]], {"fps": camera.fps, "row": rows}) + np.array([0.0, exposure])
     start = min(float(extent.min()), float(launches[:, T_C].min()))
     motion = collisions(model, launches, start, float(extent.max()), [c.striker == "a" for c in clips])
-    places, opens = _exposed(model, motion, camera, film, exposure)
+    places, opens = _average_exposures(model, motion, camera, film, exposure)
     height = _heights(motion, opens, exposure) if model.laws.bent("loft") else camera.radius
-    places = _seen(model, camera, places, height)
+    places = _apply_camera(model, camera, places, height)
     return [places[c.ball, k, c.frame - frames[0]] for k, c in enumerate(clips)]
 
 
-def _exposed(model: Model, motion: Batch, camera: Camera, film: Array, exposure: float) -> tuple[Array, Array]:
+def _average_exposures(
+    model: Model, motion: Batch, camera: Camera, film: Array, exposure: float
+) -> tuple[Array, Array]:
     """Means over the exposures, (2, clips, frames, 2), m; each ball by the clock of its own row where that matters.
 
     And when the exposures open, (frames,) or (2 clips, frames).
@@ -113,7 +117,7 @@ def _heights(motion: Batch, opens: Array, exposure: float) -> Array:
     return np.asarray((first + 4 * middle + last) / 6)
 
 
-def _seen(model: Model, camera: Camera, places: Array, height: Array | float) -> Array:
+def _apply_camera(model: Model, camera: Camera, places: Array, height: Array | float) -> Array:
     """Where the tracker, which knows the nominal camera and no hop, puts centres that are at `places` and `height`."""
     if not model.laws.bent("camera", "measure", "loft"):
         return places
@@ -129,11 +133,11 @@ def _seen(model: Model, camera: Camera, places: Array, height: Array | float) ->
         psf_sigma_px=float("nan"),
     )
     pixels = replace(model.laws("camera", nominal, {})).project(_spatial(places, height))
-    pixels = model.laws("measure", pixels, known_to_measure(camera))
+    pixels = model.laws("measure", pixels, measurement_context(camera))
     return np.asarray(camera.unproject(pixels)[0])
 
 
-def known_to_measure(camera: Camera) -> dict[str, Any]:
+def measurement_context(camera: Camera) -> dict[str, Any]:
     """What a defect of a tracker with this camera file may ask for, as LAWS has it."""
 
     def glint(seen: Array) -> Array:
@@ -155,8 +159,8 @@ def _spatial(places: Array, height: Array | float) -> Array:
     return np.concatenate([places, np.broadcast_to(height, (*places.shape[:-1], 1))], axis=-1)
 
 
-def velocities(model: Model, launches: Array, clips: Sequence[Measured]) -> list[Array]:
+def predict_velocities(model: Model, launches: Array, clips: Sequence[MeasuredCollision]) -> list[Array]:
     """How fast the forecast positions move, (n_k, 2) m/s of each clip: by shifting the contact's time."""
     nudge = LATE * (np.arange(launches.shape[1]) == T_C)
-    ahead, behind = (forecast(model, launches + way * nudge, clips) for way in (-1, 1))
+    ahead, behind = (predict_tracks(model, launches + way * nudge, clips) for way in (-1, 1))
     return [(a - b) / (2 * LATE) for a, b in zip(ahead, behind, strict=True)]

@@ -18,14 +18,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from discrepancy.arrays import Array, Ints
-from discrepancy.data.collisions import Measured
+from discrepancy.data.collisions import MeasuredCollision
 from discrepancy.data.launch import T_C, WITH_SPIN
-from discrepancy.fitting.predict import each_rate
+from discrepancy.fitting.predict import map_by_frame_rate
 from synthcam.dynamics.batch import Batch, collisions
 from synthcam.dynamics.kinematics import contact_velocity
 from synthcam.model import Model
 
-Change = Callable[["Leg"], Array]  # (k, m, J) of friction and loss, (k, m, 2, J) of the push
+LawChange = Callable[["ResponseSegment"], Array]  # (k, m, J) of friction and loss, (k, m, 2, J) of the push
 
 POINTS = 65  # of a leg
 AT_ONCE = 32  # clips
@@ -34,7 +34,7 @@ NUMBERS = 250_000  # at once, for the processor's cache
 
 
 @dataclass(frozen=True)
-class Leg:
+class ResponseSegment:
     """A leg of k balls at m instants: place, velocity, contact velocity (k, m, 2); their sizes and directions.
 
     slip and way stay defined where the motion ends.
@@ -46,14 +46,14 @@ class Leg:
     contact: Array
 
     @classmethod
-    def of(cls, motion: Batch, radius: float, begins: Array, ends: Array) -> Leg:
+    def of(cls, motion: Batch, radius: float, begins: Array, ends: Array) -> ResponseSegment:
         times = begins[:, None] + (ends - begins)[:, None] * np.linspace(0, 1, POINTS)
         inside = np.clip(times, motion.start, motion.end)
         states = motion.at(inside).reshape(len(times), POINTS, 9)
         return cls(times, states[..., :2], states[..., 3:5], contact_velocity(states, radius))
 
-    def __getitem__(self, rows: slice | NDArray[np.bool_]) -> Leg:
-        return Leg(self.times[rows], self.place[rows], self.velocity[rows], self.contact[rows])
+    def __getitem__(self, rows: slice | NDArray[np.bool_]) -> ResponseSegment:
+        return ResponseSegment(self.times[rows], self.place[rows], self.velocity[rows], self.contact[rows])
 
     @property
     def speed(self) -> Array:
@@ -75,8 +75,8 @@ class Leg:
         return np.asarray(np.broadcast_to(first, self.contact.shape))
 
 
-def responses(
-    model: Model, launches: Array, clips: Sequence[Measured], changes: Mapping[str, Change], size: int
+def compute_responses(
+    model: Model, launches: Array, clips: Sequence[MeasuredCollision], changes: Mapping[str, LawChange], size: int
 ) -> list[Array]:
     """Derivatives of the tracks by many changes of the laws at once.
 
@@ -86,7 +86,7 @@ def responses(
     launches : (clips, p) array
     clips : sequence of Measured
     changes : mapping of str to callable
-        For "friction", "rolling" or "push", what `size` changes add to the law on a leg: `Change`.
+        For "friction", "rolling" or "push", what `size` changes add to the law on a leg: `LawChange`.
     size : int
 
     Returns
@@ -95,25 +95,27 @@ def responses(
         Of each clip, m for a change of one unit; zero where it overflows.
     """
 
-    def of(rows: Ints, own: Sequence[Measured]) -> list[Array]:
+    def of(rows: Ints, own: Sequence[MeasuredCollision]) -> list[Array]:
         parts = [slice(k, k + AT_ONCE) for k in range(0, len(own), AT_ONCE)]
-        return [xy for p in parts for xy in _some(model, launches[rows[p]], own[p], changes, size)]
+        return [xy for p in parts for xy in _respond_one_rate(model, launches[rows[p]], own[p], changes, size)]
 
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-        out = each_rate(clips, of)
+        out = map_by_frame_rate(clips, of)
     return [np.nan_to_num(xy, copy=False, nan=0.0, posinf=0.0, neginf=0.0) for xy in out]
 
 
-def _some(
-    model: Model, launches: Array, clips: Sequence[Measured], changes: Mapping[str, Change], size: int
+def _respond_one_rate(
+    model: Model, launches: Array, clips: Sequence[MeasuredCollision], changes: Mapping[str, LawChange], size: int
 ) -> list[Array]:
     fps, exposure = clips[0].fps, clips[0].exposure
     start = min(min(int(c.frame.min()) for c in clips) / fps, float(launches[:, T_C].min()))
     end = (max(int(c.frame.max()) for c in clips) + 1) / fps + exposure
-    early, slide, roll = _legs(model, launches.tobytes(), tuple(c.striker == "a" for c in clips), start, end)
+    early, slide, roll = _split_motion(model, launches.tobytes(), tuple(c.striker == "a" for c in clips), start, end)
     contact, over = slide.times[:, 0], roll.times[:, 0]
     parts = -(-len(contact) * POINTS * 2 * size // NUMBERS)
-    blocks = [_shifts(model, early[r], slide[r], roll[r], changes, size) for r in _runs(len(contact), parts)]
+    blocks = [
+        _shift_segments(model, early[r], slide[r], roll[r], changes, size) for r in _split_evenly(len(contact), parts)
+    ]
     shifts = [np.concatenate(leg) for leg in zip(*blocks, strict=True)]
     out = []
     for k, clip in enumerate(clips):
@@ -123,13 +125,15 @@ def _some(
         xy = np.zeros((len(when), 2, size))
         for part, (leg, shift) in enumerate(zip((early, slide, roll), shifts, strict=True)):
             rows = np.flatnonzero(which == part)
-            xy[rows] = _between(leg.times[ball[rows]], shift, ball[rows], when[rows])
+            xy[rows] = _interpolate(leg.times[ball[rows]], shift, ball[rows], when[rows])
         out.append(xy)
     return out
 
 
 @lru_cache(maxsize=16)
-def _legs(model: Model, launches: bytes, a_strikes: tuple[bool, ...], start: float, end: float) -> tuple[Leg, Leg, Leg]:
+def _split_motion(
+    model: Model, launches: bytes, a_strikes: tuple[bool, ...], start: float, end: float
+) -> tuple[ResponseSegment, ResponseSegment, ResponseSegment]:
     """Before the contact, sliding and rolling; launches: (clips, p). Many laws are tried on one motion."""
     places = np.frombuffer(launches).reshape(len(a_strikes), -1)
     motion = collisions(model, places, start, end, a_strikes)
@@ -137,42 +141,51 @@ def _legs(model: Model, launches: bytes, a_strikes: tuple[bool, ...], start: flo
     before = np.nextafter(contact, -np.inf) if places.shape[1] == WITH_SPIN else contact  # the slip still as it came
     over, whole = np.minimum(motion.slide_ends, end), np.ones(len(contact))
     ends = (before, start * whole), (contact, over), (over, end * whole)
-    early, slide, roll = (Leg.of(motion, model.ball.radius, *e) for e in ends)
+    early, slide, roll = (ResponseSegment.of(motion, model.ball.radius, *e) for e in ends)
     return early, slide, roll
 
 
-def _runs(count: int, parts: int) -> list[slice]:
+def _split_evenly(count: int, parts: int) -> list[slice]:
     cuts = np.linspace(0, count, min(parts, count) + 1).astype(int).tolist()
     return [slice(a, b) for a, b in itertools.pairwise(cuts)]
 
 
-def _shifts(
-    model: Model, early: Leg, slide: Leg, roll: Leg, changes: Mapping[str, Change], size: int
+def _shift_segments(
+    model: Model,
+    early: ResponseSegment,
+    slide: ResponseSegment,
+    roll: ResponseSegment,
+    changes: Mapping[str, LawChange],
+    size: int,
 ) -> tuple[Array, Array, Array]:
     """How far some balls are moved, (k, m, 2, J) in each of their three legs."""
     nothing = np.zeros((len(early.times), 2, size))
-    slid, left = _sliding(model, slide, roll, changes, size)
-    came, slides = _rolling(model, early, changes, size, nothing, nothing), early.slip_speed.min(axis=1) > SLIPS
+    slid, left = _shift_sliding(model, slide, roll, changes, size)
+    came, slides = _shift_rolling(model, early, changes, size, nothing, nothing), early.slip_speed.min(axis=1) > SLIPS
     if slides.any():
-        came[slides] = _sliding(model, early[slides], early[slides], changes, size)[0]
+        came[slides] = _shift_sliding(model, early[slides], early[slides], changes, size)[0]
     return (
         came,
         slid,
-        _rolling(model, roll, changes, size, slid[:, -1], left),
+        _shift_rolling(model, roll, changes, size, slid[:, -1], left),
     )
 
 
-def _sliding(model: Model, leg: Leg, after: Leg, changes: Mapping[str, Change], size: int) -> tuple[Array, Array]:
+def _shift_sliding(
+    model: Model, leg: ResponseSegment, after: ResponseSegment, changes: Mapping[str, LawChange], size: int
+) -> tuple[Array, Array]:
     """Shifts (k, m, 2, J) in a slide, and the change of the velocity (k, 2, J) with which the ball rolls off."""
     slip, u = leg.slip, leg.slip_speed
     across = np.stack([-slip[..., 1], slip[..., 0]], axis=-1)
-    push = _of(changes, "push", leg, (*u.shape, 2, size))
-    along = (push * slip[..., None]).sum(axis=2) - 3.5 * model.gravity * _of(changes, "friction", leg, (*u.shape, size))
+    push = _evaluate_change(changes, "push", leg, (*u.shape, 2, size))
+    along = (push * slip[..., None]).sum(axis=2) - 3.5 * model.gravity * _evaluate_change(
+        changes, "friction", leg, (*u.shape, size)
+    )
     aside = (push * across[..., None]).sum(axis=2) / np.maximum(u, 1e-3 * u[:, :1] + 1e-12)[..., None]
-    du_along, du_across = _integral(leg.times, along), u[..., None] * _integral(leg.times, aside)
+    du_along, du_across = _integrate(leg.times, along), u[..., None] * _integrate(leg.times, aside)
     du = du_along[..., None, :] * slip[..., None] + du_across[..., None, :] * across[..., None]
-    dq = 5 / 7 * _integral(leg.times, push)
-    shift = _integral(leg.times, dq + 2 / 7 * du)
+    dq = 5 / 7 * _integrate(leg.times, push)
+    shift = _integrate(leg.times, dq + 2 / 7 * du)
     lasts = np.maximum(leg.times[:, -1] - leg.times[:, 0], 1e-12)
     slowing = np.maximum((u[:, 0] - u[:, -1]) / lasts, 1e-12)
     later = np.where((lasts > 1e-9)[:, None], du_along[:, -1] / slowing[:, None], 0.0)
@@ -181,28 +194,30 @@ def _sliding(model: Model, leg: Leg, after: Leg, changes: Mapping[str, Change], 
     return shift, dq[:, -1] + loss[..., None] * later[:, None, :]
 
 
-def _rolling(model: Model, leg: Leg, changes: Mapping[str, Change], size: int, place: Array, velocity: Array) -> Array:
+def _shift_rolling(
+    model: Model, leg: ResponseSegment, changes: Mapping[str, LawChange], size: int, place: Array, velocity: Array
+) -> Array:
     """Shifts (k, m, 2, J) in a roll that begins with changes of place and velocity, (k, 2, J). A ball at rest stays."""
     way, v = leg.way, leg.speed
     moves = (v > 1e-7)[..., None]
     across = np.stack([-way[..., 1], way[..., 0]], axis=-1)
-    push = 5 / 7 * _of(changes, "push", leg, (*v.shape, 2, size))
-    along = (push * way[..., None]).sum(axis=2) - _of(changes, "rolling", leg, (*v.shape, size))
+    push = 5 / 7 * _evaluate_change(changes, "push", leg, (*v.shape, 2, size))
+    along = (push * way[..., None]).sum(axis=2) - _evaluate_change(changes, "rolling", leg, (*v.shape, size))
     aside = (push * across[..., None]).sum(axis=2) / np.maximum(v, 1e-3 * v[:, :1] + 1e-12)[..., None]
     decay = np.exp(-model.rolling_drag * (leg.times - leg.times[:, :1]))[..., None]
     first = (velocity * way[:, 0, :, None]).sum(axis=1)[:, None]
     beside = (velocity * across[:, 0, :, None]).sum(axis=1)[:, None] / np.maximum(v[:, :1], 1e-12)[..., None]
-    dv_along = decay * (first + _integral(leg.times, np.where(moves, along / decay, 0.0)))
-    dv_across = v[..., None] * (beside + _integral(leg.times, np.where(moves, aside, 0.0)))
+    dv_along = decay * (first + _integrate(leg.times, np.where(moves, along / decay, 0.0)))
+    dv_across = v[..., None] * (beside + _integrate(leg.times, np.where(moves, aside, 0.0)))
     dv = dv_along[..., None, :] * way[..., None] + dv_across[..., None, :] * across[..., None]
-    return np.asarray(place[:, None] + _integral(leg.times, np.where(moves[..., None], dv, 0.0)))
+    return np.asarray(place[:, None] + _integrate(leg.times, np.where(moves[..., None], dv, 0.0)))
 
 
-def _of(changes: Mapping[str, Change], law: str, leg: Leg, shape: tuple[int, ...]) -> Array:
+def _evaluate_change(changes: Mapping[str, LawChange], law: str, leg: ResponseSegment, shape: tuple[int, ...]) -> Array:
     return changes[law](leg) if law in changes else np.zeros(shape)
 
 
-def _integral(times: Array, values: Array) -> Array:
+def _integrate(times: Array, values: Array) -> Array:
     """From the first instant, by trapezia: (k, m), evenly spaced, and (k, m, ...) -> (k, m, ...)."""
     out = np.empty_like(values)
     out[:, 0] = 0
@@ -213,7 +228,7 @@ def _integral(times: Array, values: Array) -> Array:
     return out
 
 
-def _between(times: Array, shift: Array, ball: NDArray[np.intp], when: Array) -> Array:
+def _interpolate(times: Array, shift: Array, ball: NDArray[np.intp], when: Array) -> Array:
     """Shifts (n, 2, J) of balls (n,) at `when`, between the instants (n, m)."""
     span = times[:, -1] - times[:, 0]
     place = np.clip((when - times[:, 0]) / np.where(span != 0, span, 1) * (POINTS - 1), 0, POINTS - 1)

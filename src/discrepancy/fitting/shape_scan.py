@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 
 from discrepancy.arrays import Array
-from discrepancy.data.collisions import Measured
-from discrepancy.fitting.parameters import Candidate, parameter_of
-from discrepancy.fitting.predict import known_to_measure, velocities
-from discrepancy.fitting.response import Leg, responses
+from discrepancy.data.collisions import MeasuredCollision
+from discrepancy.fitting.parameters import Candidate, find_parameter
+from discrepancy.fitting.predict import measurement_context, predict_velocities
+from discrepancy.fitting.response import ResponseSegment, compute_responses
 from synthcam.effect import Effect
 from synthcam.model import Model
 
@@ -26,8 +26,8 @@ FEW = 2  # the same where nothing but the last step, from pixel to pixel, is tak
 AT_ONCE = 64  # columns, for memory
 
 
-def scannable(candidate: Candidate, tries: Sequence[Shapes]) -> bool:
-    """Whether `scanned` serves a candidate: many values are to be tried, and its laws ask only for what a leg knows."""
+def can_scan(candidate: Candidate, tries: Sequence[Shapes]) -> bool:
+    """Whether `scan_shapes` can serve a candidate: it has many values to try, and laws that a segment suffices for."""
     laws = candidate.kind.laws if candidate.kind else {}
     if not laws or len(tries) < (FEW if "measure" in laws else MANY):
         return False
@@ -36,10 +36,10 @@ def scannable(candidate: Candidate, tries: Sequence[Shapes]) -> bool:
     return all(law in MOTION and set(asks) <= KNOWN for law, asks in laws.items())
 
 
-def scanned(
+def scan_shapes(
     model: Model,
     launches: Array,
-    clips: Sequence[Measured],
+    clips: Sequence[MeasuredCollision],
     candidate: Candidate,
     tries: Sequence[Shapes],
     here: Sequence[Array],
@@ -53,7 +53,7 @@ def scanned(
     launches : (clips, p) array
     clips : sequence of Measured
     candidate : Candidate
-        For which `scannable` holds.
+        For which `can_scan` holds.
     tries : sequence of dict of str to float
         Values of its shape parameters by dotted name.
     here : sequence of (n, 2) array
@@ -66,7 +66,7 @@ def scanned(
     """
     kind = candidate.kind
     assert kind is not None
-    sizes = {_short(s): parameter_of(model, s).typical for s in candidate.strengths}
+    sizes = {_short(s): find_parameter(model, s).typical for s in candidate.strengths}
     nothing = dict.fromkeys(sizes, 0.0)
     fitted_law = [
         (kind(**nothing | {_short(n): v for n, v in shapes.items()} | {s: size}), size)
@@ -74,12 +74,12 @@ def scanned(
         for s, size in sizes.items()
     ]
     if "clock" in kind.laws:
-        found = _later(velocities(model, launches, clips), clips, fitted_law)
+        found = _delay_tracks(predict_velocities(model, launches, clips), clips, fitted_law)
     elif "measure" in kind.laws:
-        found = _mistaken(here, clips, fitted_law)
+        found = _misplace_tracks(here, clips, fitted_law)
     else:
         parts = [fitted_law[k : k + AT_ONCE] for k in range(0, len(fitted_law), AT_ONCE)]
-        every = [responses(model, launches, clips, _changes(p, model), len(p)) for p in parts]
+        every = [compute_responses(model, launches, clips, _changes(p, model), len(p)) for p in parts]
         found = [np.concatenate(own, axis=-1) for own in zip(*every, strict=True)]
     return [f.reshape(*f.shape[:2], len(tries), len(sizes)) for f in found]
 
@@ -88,17 +88,17 @@ def _short(name: str) -> str:
     return name.rpartition(".")[2]
 
 
-def _changes(fitted_law: Sequence[tuple[Effect, float]], model: Model) -> dict[str, Callable[[Leg], Array]]:
+def _changes(fitted_law: Sequence[tuple[Effect, float]], model: Model) -> dict[str, Callable[[ResponseSegment], Array]]:
     """What each of several effects of one kind changes of friction, rolling loss and push, over its size."""
     laws = fitted_law[0][0].laws
 
-    def change(kind: str, leg: Leg) -> Array:
+    def change(kind: str, leg: ResponseSegment) -> Array:
         return np.asarray(sum(_change(law, fitted_law, model, leg) for law in laws if MOTION[law] == kind))
 
     return {kind: partial(change, kind) for kind in {MOTION[law] for law in laws}}
 
 
-def _change(law: str, fitted_law: Sequence[tuple[Effect, float]], model: Model, leg: Leg) -> Array:
+def _change(law: str, fitted_law: Sequence[tuple[Effect, float]], model: Model, leg: ResponseSegment) -> Array:
     instant: dict[str, Any] = {"position": leg.place, "velocity": leg.velocity, "speed": leg.speed, "slip": leg.slip}
     instant |= {"slip_speed": leg.slip_speed, "gravity": model.gravity, "radius": model.ball.radius}
     value: Any = {"friction": model.sliding_friction, "normal_load": model.gravity, "rolling": 0.0}.get(law)
@@ -110,8 +110,8 @@ def _change(law: str, fitted_law: Sequence[tuple[Effect, float]], model: Model, 
     return np.asarray(worth * np.stack(each, axis=-1))
 
 
-def _later(
-    moving: Sequence[Array], clips: Sequence[Measured], fitted_law: Sequence[tuple[Effect, float]]
+def _delay_tracks(
+    moving: Sequence[Array], clips: Sequence[MeasuredCollision], fitted_law: Sequence[tuple[Effect, float]]
 ) -> list[Array]:
     """Displacements (n_k, 2, columns) of each clip by an effect on the clock: the velocity times how late it is."""
     out = []
@@ -122,13 +122,13 @@ def _later(
     return out
 
 
-def _mistaken(
-    here: Sequence[Array], clips: Sequence[Measured], fitted_law: Sequence[tuple[Effect, float]]
+def _misplace_tracks(
+    here: Sequence[Array], clips: Sequence[MeasuredCollision], fitted_law: Sequence[tuple[Effect, float]]
 ) -> list[Array]:
     """Displacements (n_k, 2, columns) of each clip by a defect of the tracker, carried from pixels to the plate."""
     camera, places = clips[0].camera, np.concatenate(here)
     pixels = camera.project(np.concatenate([places, np.full((len(places), 1), camera.radius)], axis=1))
-    slope, known = camera.unproject(pixels)[1], known_to_measure(camera)
+    slope, known = camera.unproject(pixels)[1], measurement_context(camera)
     columns = []
     for effect, size in fitted_law:
         seen = effect.measure(pixels, *[known[a] for a in effect.laws["measure"]])  # type: ignore[attr-defined]

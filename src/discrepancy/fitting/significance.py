@@ -16,7 +16,7 @@ AT_ONCE = 4_000
 SEED = 20_260
 
 
-def sigmas(chi2: float, dof: int, trials_factor: float = 1.0) -> float:
+def chi2_to_sigma(chi2: float, dof: int, trials_factor: float = 1.0) -> float:
     """The |z| of a normal variable that is as improbable as a chi^2.
 
     Parameters
@@ -33,7 +33,7 @@ def sigmas(chi2: float, dof: int, trials_factor: float = 1.0) -> float:
         Sigma; 0 where chance does as well.
     """
     if trials_factor > 1:
-        return math.sqrt(max(sigmas(chi2, dof) ** 2 - 2 * math.log(trials_factor), 0.0))
+        return math.sqrt(max(chi2_to_sigma(chi2, dof) ** 2 - 2 * math.log(trials_factor), 0.0))
     if dof == 1:
         return math.sqrt(max(chi2, 0.0))
     p = float(chdtrc(dof, max(chi2, 0.0)))
@@ -45,7 +45,7 @@ def sigmas(chi2: float, dof: int, trials_factor: float = 1.0) -> float:
     return max(-float(ndtri_exp(log_p - math.log(2))), 0.0)
 
 
-def closes_little(without: float, with_: float, share: float) -> bool:
+def closes_too_little(without: float, with_: float, share: float) -> bool:
     """Whether far more is missing than a claim explains, by chi^2 a point without it and with it.
 
     share: what it must close of what is over one.
@@ -53,7 +53,7 @@ def closes_little(without: float, with_: float, share: float) -> bool:
     return with_ > current_policy().poor_chi2_per_point and without - with_ < share * (without - 1)
 
 
-def trials_factor(every: Sequence[Array]) -> float:
+def count_trials(every: Sequence[Array]) -> float:
     """How many independent trials so many signatures make, each a basis (points, k); 1 where all are alike."""
     columns = np.concatenate(every, axis=1)
     length = np.linalg.norm(columns, axis=0)
@@ -63,7 +63,7 @@ def trials_factor(every: Sequence[Array]) -> float:
     return max(unit.shape[1] ** 2 / float(alike) / most, 1.0) if unit.size else 1.0
 
 
-def by_chance(
+def chance_threshold(
     gram: Array,
     sizes: Sequence[int],
     one_sided: Sequence[bool],
@@ -111,15 +111,15 @@ def by_chance(
         chi2 = np.add.reduceat(pulls**2, starts[owners], axis=1)
         each = np.zeros(AT_ONCE)
         for (dof, factor), rows in alike.items():
-            each = np.maximum(each, _interpolated(chi2[:, rows].max(axis=1), dof, factor))
+            each = np.maximum(each, _tabulate_sigma(chi2[:, rows].max(axis=1), dof, factor))
         best.append(each)
     return float(
         np.quantile(np.concatenate(best), 1 - (current_policy().significance_level if level is None else level))
     )
 
 
-def _interpolated(chi2: Array, dof: int, trials_factor: float) -> Array:
-    """`sigmas` of many, from a table."""
+def _tabulate_sigma(chi2: Array, dof: int, trials_factor: float) -> Array:
+    """`chi2_to_sigma` of many, from a table."""
     roots = np.sqrt(chi2)
     knots = np.linspace(0, roots.max(), 64)
-    return np.asarray(np.interp(roots, knots, [sigmas(x * x, dof, trials_factor) for x in knots]))
+    return np.asarray(np.interp(roots, knots, [chi2_to_sigma(x * x, dof, trials_factor) for x in knots]))

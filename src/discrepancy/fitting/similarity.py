@@ -15,7 +15,7 @@ _POWERS = {"m": 1.0, "s": 0.5, "rad": 0.0, "px": 0.0, "1": 0.0}  # of the ball's
 _OF_CAMERA = {"camera", "clock", "exposure", "measure"}  # laws that do not know the ball
 
 
-def power_of(unit: str) -> float:
+def size_exponent(unit: str) -> float:
     """The power of the ball's size with which a quantity grows, by its unit, as "m/s^2".
 
     Parameters
@@ -40,16 +40,16 @@ def power_of(unit: str) -> float:
     return total
 
 
-def similar(value: float, unit: str, diameter: float) -> float:
+def scale_to_ball(value: float, unit: str, diameter: float) -> float:
     """A size that is realistic for the paper's balls, as it would be for balls of that diameter, m."""
-    larger: float = (diameter / Ball().diameter) ** power_of(unit)
+    larger: float = (diameter / Ball().diameter) ** size_exponent(unit)
     return value * larger
 
 
-def sized(kind: type[Effect], name: str, diameter: float) -> Parameter:
+def scale_parameter(kind: type[Effect], name: str, diameter: float) -> Parameter:
     """A parameter of an effect, with the sizes that are realistic for balls of that diameter, m, within its limits."""
     p = next(p for p in kind.parameters() if p.name == name)
     if diameter == Ball().diameter or _OF_CAMERA & set(kind.laws):
         return p
-    typical, *tries = (min(max(similar(x, p.unit, diameter), p.low), p.high) for x in (p.typical, *p.tries))
+    typical, *tries = (min(max(scale_to_ball(x, p.unit, diameter), p.low), p.high) for x in (p.typical, *p.tries))
     return dataclasses.replace(p, typical=typical, tries=tuple(dict.fromkeys(tries)))

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from discrepancy.arrays import Array
-from discrepancy.fitting.model_fit import Evidence, Fit
-from discrepancy.fitting.parameters import parameter_of
-from discrepancy.fitting.significance import sigmas
+from discrepancy.fitting.model_fit import ModelFit, WhitenedClips
+from discrepancy.fitting.parameters import find_parameter
+from discrepancy.fitting.significance import chi2_to_sigma
 from discrepancy.free_laws.law_kinds import FreeLaw
 from discrepancy.free_laws.marginal_likelihood import Prior
 from synthcam.model import Model
@@ -41,15 +41,15 @@ class FittedLaw:
     law: FreeLaw
     coefs: Array
     prior: Prior
-    fit: Fit
+    fit: ModelFit
     model_without_law: Model
-    evidence: Evidence
+    evidence: WhitenedClips
     slopes: tuple[Array, ...]
     sigma: float
     score: float
 
     @property
-    def joint_fit(self) -> Fit:
+    def joint_fit(self) -> ModelFit:
         """The fit with the coefficients among its parameters."""
         names = [f"{self.law.name} {j}" for j in range(self.law.size)]
         return self.fit.extended(self.fit.model, names, self.slopes)
@@ -85,18 +85,18 @@ class FittedLaw:
         scale = np.sqrt(np.diag(matrix))
         return np.asarray(np.linalg.inv(matrix / np.outer(scale, scale)) / np.outer(scale, scale))
 
-    def significances_of_effects(self, base: Fit) -> dict[str, float]:
+    def significances_of_effects(self, base: ModelFit) -> dict[str, float]:
         """Sigma of what is fitted beside the free law and not in the base, by effect, the free law being free.
 
         How far its strengths are from what the base holds them at.
         """
         fit, found = self.joint_fit, {}
         for effect, names in self.fit.added(base).items():
-            own = [n for n in names if "." not in n or not parameter_of(fit.model, n).fixed]
+            own = [n for n in names if "." not in n or not find_parameter(fit.model, n).fixed]
             rows = fit.rows(own)
             moved = fit.values(own) - base.values(own)
             covariance = fit.covariance[np.ix_(rows, rows)]
-            found[effect] = sigmas(float(moved @ np.linalg.pinv(covariance, hermitian=True) @ moved), len(own))
+            found[effect] = chi2_to_sigma(float(moved @ np.linalg.pinv(covariance, hermitian=True) @ moved), len(own))
         return found
 
     def likelihood_of_curve(self) -> tuple[Array, Array]:

@@ -16,10 +16,10 @@ from typing import Any, ClassVar
 import numpy as np
 
 from discrepancy.arrays import Array
-from discrepancy.data.collisions import Measured
-from discrepancy.fitting.jacobian import derivative
-from discrepancy.fitting.predict import forecast
-from discrepancy.fitting.response import Leg, responses
+from discrepancy.data.collisions import MeasuredCollision
+from discrepancy.fitting.jacobian import differentiate
+from discrepancy.fitting.predict import predict_tracks
+from discrepancy.fitting.response import ResponseSegment, compute_responses
 from discrepancy.free_laws.axis import Axis
 from discrepancy.free_laws.ranges import CoveredRanges, over_clips
 from synthcam.effect import LAWS, VECTORS
@@ -104,7 +104,7 @@ class FreeLaw(ABC):
         """Its axes over what the tracks cover; none where they show nothing of it."""
 
     @abstractmethod
-    def columns(self, model: Model, launches: Array, clips: Sequence[Measured]) -> list[Array]:
+    def columns(self, model: Model, launches: Array, clips: Sequence[MeasuredCollision]) -> list[Array]:
         """d forecast / d each coefficient, (n_k, 2, size) of each clip, about a model that may hold the law."""
 
     @property
@@ -187,14 +187,16 @@ class FreeLaw(ABC):
         """What its parts are factors of: (..., parts) of a number, (..., 2, parts) of a force. None: of nothing."""
         return None
 
-    def undone(self, clips: Sequence[Measured], model: Model, launches: Array, coefs: Array) -> list[Measured]:
+    def undone(
+        self, clips: Sequence[MeasuredCollision], model: Model, launches: Array, coefs: Array
+    ) -> list[MeasuredCollision]:
         """The clips less what the law moved in them, where no effect can hold it; else as they are."""
         if self.bends or not np.any(coefs):
             return list(clips)
         moved = self._moved(clips, model, launches, coefs)
         return [replace(c, xy=c.xy - m) for c, m in zip(clips, moved, strict=True)]
 
-    def _moved(self, clips: Sequence[Measured], model: Model, launches: Array, coefs: Array) -> list[Array]:
+    def _moved(self, clips: Sequence[MeasuredCollision], model: Model, launches: Array, coefs: Array) -> list[Array]:
         """What the law moves the tracks by, (n_k, 2), where no effect can hold it."""
         return [m @ coefs for m in self.columns(model, launches, clips)]
 
@@ -211,11 +213,11 @@ class MotionLaw(FreeLaw):
 
     needs = FreeLaw.needs | {"bends": 'bends = ("friction", "slip_speed")'}
 
-    def columns(self, model: Model, launches: Array, clips: Sequence[Measured]) -> list[Array]:
+    def columns(self, model: Model, launches: Array, clips: Sequence[MeasuredCollision]) -> list[Array]:
         assert self.bends
         law, name = self.bends
 
-        def change(leg: Leg) -> Array:
+        def change(leg: ResponseSegment) -> Array:
             what = leg.place if name == "position" else getattr(leg, name)
             weights = self.basis(*self.places(what))
             factors = self.factors(what, leg.speed)
@@ -224,7 +226,7 @@ class MotionLaw(FreeLaw):
             weights = weights[..., None, :] if law == "push" else weights
             return np.concatenate([factors[..., p, None] * weights for p in range(self.parts)], axis=-1)
 
-        moves = responses(model, launches, clips, {law: change}, self.size)
+        moves = compute_responses(model, launches, clips, {law: change}, self.size)
         if not self.ball:
             return moves
         mine = [c.ball == int(c.striker == self.ball) for c in clips]  # a law of one ball moves no other
@@ -254,8 +256,8 @@ class ImpactLaw(FreeLaw):
     def at_impact(self, launches: Array) -> Array:
         """Where each clip's impact stands on the axis: (clips,). A ball that rolls in meets at its own speed."""
 
-    def columns(self, model: Model, launches: Array, clips: Sequence[Measured]) -> list[Array]:
-        slopes = derivative(model, launches, clips, self.owners[0][0])
+    def columns(self, model: Model, launches: Array, clips: Sequence[MeasuredCollision]) -> list[Array]:
+        slopes = differentiate(model, launches, clips, self.owners[0][0])
         weights = self.basis(self.at_impact(launches))
         return [s[..., None] * w for s, w in zip(slopes, weights, strict=True)]
 
@@ -270,12 +272,12 @@ class ClipNumber(ImpactLaw):
     def at_impact(self, launches: Array) -> Array:
         return np.arange(len(launches), dtype=float)
 
-    def _moved(self, clips: Sequence[Measured], model: Model, launches: Array, coefs: Array) -> list[Array]:
+    def _moved(self, clips: Sequence[MeasuredCollision], model: Model, launches: Array, coefs: Array) -> list[Array]:
         owner, moved = self.owners[0][0], []
         for k, clip in enumerate(clips):
             own, start = self.basis(np.array(k)) @ coefs, launches[k : k + 1]
-            bent = forecast(model.replace({owner: model.value(owner) + float(own)}), start, [clip])
-            moved.append(bent[0] - forecast(model, start, [clip])[0])
+            bent = predict_tracks(model.replace({owner: model.value(owner) + float(own)}), start, [clip])
+            moved.append(bent[0] - predict_tracks(model, start, [clip])[0])
         return moved
 
 

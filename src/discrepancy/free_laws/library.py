@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from functools import cache
 
 from discrepancy.arrays import Array
-from discrepancy.data.collisions import Measured
+from discrepancy.data.collisions import MeasuredCollision
 from discrepancy.free_laws import laws
 from discrepancy.free_laws.law_kinds import FreeLaw
 from discrepancy.free_laws.ranges import compute_ranges
@@ -25,7 +25,7 @@ def law_count() -> int:
     return sum(3 if kind.one_ball else 1 for kind in library())
 
 
-def free_laws_over(model: Model, launches: Array, clips: Sequence[Measured]) -> tuple[FreeLaw, ...]:
+def free_laws_over(model: Model, launches: Array, clips: Sequence[MeasuredCollision]) -> tuple[FreeLaw, ...]:
     """Every free law, each over the range that these clips cover; sorted by name.
 
     Parameters

@@ -15,7 +15,7 @@ import numpy as np
 from scipy.special import logsumexp
 
 from discrepancy.arrays import Array
-from discrepancy.fitting.significance import sigmas
+from discrepancy.fitting.significance import chi2_to_sigma
 from discrepancy.free_laws.law_kinds import FreeLaw
 from discrepancy.policy import current_policy
 
@@ -163,5 +163,5 @@ def compute_significance(law: FreeLaw, information: Array, pull: Array) -> float
     pulls = (axes[:, seen].T @ (root * pull)) / np.sqrt(values[seen])
     chi2 = np.cumsum(pulls[::-1] ** 2)
     counts = sorted({min(2**k, len(chi2)) for k in range(len(chi2).bit_length() + 1)})
-    best = max(sigmas(float(chi2[m - 1]), m) for m in counts)
+    best = max(chi2_to_sigma(float(chi2[m - 1]), m) for m in counts)
     return float(np.sqrt(max(best**2 - 2 * np.log(len(counts)), 0.0)))

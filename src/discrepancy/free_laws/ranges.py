@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from discrepancy.arrays import Array
-from discrepancy.data.collisions import Measured
+from discrepancy.data.collisions import MeasuredCollision
 from discrepancy.data.launch import T_C, B
 from discrepancy.free_laws.axis import Axis
 from synthcam.dynamics.batch import collisions
@@ -42,7 +42,7 @@ class CoveredRanges:
     """
 
     launches: Array
-    clips: Sequence[Measured]
+    clips: Sequence[MeasuredCollision]
     slips: Array
     slip_places: Array
     places: Array
@@ -52,7 +52,7 @@ class CoveredRanges:
     roll_places: Array
 
 
-def compute_ranges(model: Model, launches: Array, clips: Sequence[Measured]) -> dict[str, CoveredRanges]:
+def compute_ranges(model: Model, launches: Array, clips: Sequence[MeasuredCollision]) -> dict[str, CoveredRanges]:
     """What the motion of a fit covers, by ball: "" for both together, "a" and "b".
 
     Parameters

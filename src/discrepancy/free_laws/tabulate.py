@@ -9,8 +9,8 @@ from dataclasses import replace
 import numpy as np
 
 from discrepancy.arrays import Array
-from discrepancy.fitting.gauss_newton import linearised, settle
-from discrepancy.fitting.model_fit import Fit
+from discrepancy.fitting.gauss_newton import linearise, minimise_chi2
+from discrepancy.fitting.model_fit import ModelFit
 from discrepancy.free_laws.credible_band import NormalMixture
 from discrepancy.free_laws.fitted_law import FittedLaw
 from synthcam.free_law import TabulatedLaw, kind_of
@@ -19,7 +19,7 @@ from synthcam.model import BASE, Model, build, settings_of
 PLACES, TURN, SIDE = 81, 73, 25  # of a table: of a curve, of one over all directions, along each side of a map
 
 
-def tabulate_and_refit(fitted_law: FittedLaw, progress: Callable[[], None] = lambda: None) -> Fit | None:
+def tabulate_and_refit(fitted_law: FittedLaw, progress: Callable[[], None] = lambda: None) -> ModelFit | None:
     """Put a free law into the model as a table and fit all else that is fitted again.
 
     The smooth curve and the one that may have a step are tried; the one that leaves less is taken.
@@ -44,8 +44,8 @@ def tabulate_and_refit(fitted_law: FittedLaw, progress: Callable[[], None] = lam
     for curve in (fitted_law.curve(*x)[0], NormalMixture.of(fitted_law, *x).quantile(0.0)):
         with suppress(ValueError):
             model = _with_table(fitted_law.model_without_law, law.name, x, curve)
-            start = linearised(fitted_law.evidence, model, fitted_law.fit.names, fitted_law.fit.launches)
-            found.append(settle(fitted_law.evidence, start, progress))
+            start = linearise(fitted_law.evidence, model, fitted_law.fit.names, fitted_law.fit.launches)
+            found.append(minimise_chi2(fitted_law.evidence, start, progress))
     best = min(found, key=lambda fit: fit.chi2, default=None)
     return replace(best, model=build(settings_of(best.model), best.model.free)) if best else None  # as a file has it
 

@@ -19,16 +19,23 @@ from scipy.optimize import minimize
 from scipy.special import expit, logit
 
 from discrepancy.arrays import Array, Ints
-from discrepancy.data.collisions import Measured
-from discrepancy.noise.stretches import Bundle, Stretch, alike, bundles, cubic, shortest
+from discrepancy.data.collisions import MeasuredCollision
+from discrepancy.noise.stretches import (
+    Stretch,
+    StretchBundle,
+    bundle_stretches,
+    cubic_basis,
+    group_by_length,
+    shortest_usable,
+)
 from discrepancy.policy import current_policy
 
 T = TypeVar("T")
-Shape = tuple[int, bool]  # order of an autoregression; whether there is white noise beside it
+NoiseOrder = tuple[int, bool]  # order of an autoregression; whether there is white noise beside it
 Pair = tuple[Array, Array, Array, Array, Ints]  # places of both balls (n, 2), what they claim (n,), and frames (n,)
 
-SHAPES: tuple[Shape, ...] = ((0, False), (1, False), (1, True), (2, False), (3, False), (5, False))
-COMMON_MODES: tuple[Shape, ...] = ((0, False), (1, False), (1, True), (2, False))  # of what the balls share
+SHAPES: tuple[NoiseOrder, ...] = ((0, False), (1, False), (1, True), (2, False), (3, False), (5, False))
+COMMON_MODES: tuple[NoiseOrder, ...] = ((0, False), (1, False), (1, True), (2, False))  # of what the balls share
 SLOWEST = 0.999  # the largest partial autocorrelation: beyond it a clip cannot tell it from 1
 KERNELS = (0.0, 0.7, 0.97)  # correlations from frame to frame at which shared noise is looked for
 IMPOSSIBLE = 1e12  # of -2 log likelihood, where a covariance is singular
@@ -40,7 +47,7 @@ Shut = tuple[Array, Array, float, float, Ints]  # a pair: places less their mean
 
 
 @dataclass(frozen=True)
-class Component:
+class NoiseComponent:
     """A stationary random error: an autoregression with white noise beside it.
 
     Attributes
@@ -87,8 +94,8 @@ class Noise:
         Frames of which the tracks have one at most: the noise at other lags is not seen.
     """
 
-    own: Component
-    shared: tuple[Component, ...] = ()
+    own: NoiseComponent
+    shared: tuple[NoiseComponent, ...] = ()
     over_phases: float = 0.0
     spacing: int = 1
 
@@ -129,7 +136,7 @@ class Noise:
         return float(np.sqrt(np.mean([s.variance for s in self.shared]))) if self.shared else 0.0
 
 
-def estimate(clips: Sequence[Measured]) -> Noise:
+def estimate(clips: Sequence[MeasuredCollision]) -> Noise:
     """Estimate the noise of clips from their unbroken stretches.
 
     Raises
@@ -137,24 +144,24 @@ def estimate(clips: Sequence[Measured]) -> Noise:
     ValueError
         These are too few.
     """
-    clips = _usual(clips)
+    clips = _select_usual_clips(clips)
     stretches = [stretch for clip in clips for stretch in clip.stretches()]
-    noise = Noise(own_noise(stretches), spacing=_spacing(stretches))
-    pairs = Pairs(pair for clip in clips for pair in clip.together())
+    noise = Noise(fit_own_noise(stretches), spacing=_find_spacing(stretches))
+    pairs = BallPairs(pair for clip in clips for pair in clip.together())
     if pairs.common_mode_score(noise.own) > current_policy().shared_noise_sigma:
         return replace(pairs.noise(), spacing=noise.spacing)
-    return _without_motion(noise, stretches) if noise.slow else noise
+    return _exclude_motion(noise, stretches) if noise.slow else noise
 
 
-def _spacing(stretches: Sequence[Stretch]) -> int:
+def _find_spacing(stretches: Sequence[Stretch]) -> int:
     """Frames of which the tracks have one at most."""
     return int(np.gcd.reduce([step for *_, frames in stretches for step in np.diff(frames)] or [1]))
 
 
-def _without_motion(noise: Noise, stretches: Sequence[Stretch]) -> Noise:
+def _exclude_motion(noise: Noise, stretches: Sequence[Stretch]) -> Noise:
     """The noise, or that of short pieces where it must hold motion that no cubic follows over a phase."""
-    short = Noise(own_noise(_pieces(stretches)), over_phases=noise.scale, spacing=noise.spacing)
-    every = bundles(stretches)
+    short = Noise(fit_own_noise(_cut_pieces(stretches)), over_phases=noise.scale, spacing=noise.spacing)
+    every = bundle_stretches(stretches)
     left = np.sqrt(sum(float((b.values**2).sum()) for b in every) / sum(b.freedom for b in every))
     grows = (
         left > current_policy().min_cubic_residual_ratio * short.scale
@@ -163,7 +170,7 @@ def _without_motion(noise: Noise, stretches: Sequence[Stretch]) -> Noise:
     return short if grows else noise
 
 
-def _pieces(stretches: Sequence[Stretch]) -> list[Stretch]:
+def _cut_pieces(stretches: Sequence[Stretch]) -> list[Stretch]:
     """Pieces of stretches, so short that a cubic follows any motion, without those that an event still shows in.
 
     Nor those of a ball that does not move at all, as where a resting ball's place is given once.
@@ -171,33 +178,33 @@ def _pieces(stretches: Sequence[Stretch]) -> list[Stretch]:
     size = current_policy().min_short_stretch_positions
     starts = [(arrays, first) for arrays in stretches for first in range(0, len(arrays[0]) - size + 1, size)]
     cut = [(p[k : k + size], c[k : k + size], f[k : k + size]) for (p, c, f), k in starts]
-    left = Bundle.of([p for p, _, _ in cut], [c for _, c, _ in cut], [f for _, _, f in cut]).values
+    left = StretchBundle.of([p for p, _, _ in cut], [c for _, c, _ in cut], [f for _, _, f in cut]).values
     power = (left**2).sum(axis=(1, 2))
     moves = power > STILL
     most = current_policy().max_piece_noise_power * float(np.median(power[moves] if moves.any() else power))
     return [piece for piece, own in zip(cut, power, strict=True) if STILL < own <= most]
 
 
-def _usual(clips: Sequence[Measured]) -> list[Measured]:
+def _select_usual_clips(clips: Sequence[MeasuredCollision]) -> list[MeasuredCollision]:
     """The clips whose noise is of the usual size."""
     sizes = []
     for clip in clips:
-        every = bundles(clip.stretches())
+        every = bundle_stretches(clip.stretches())
         freedom = sum(b.freedom for b in every)
         sizes.append(sum(float((b.values**2).sum()) for b in every) / freedom if freedom else 0.0)
     most = current_policy().max_clip_noise_power * float(np.median([s for s in sizes if s > 0] or [0.0]))
     return [c for c, s in zip(clips, sizes, strict=True) if s <= most]
 
 
-def own_noise(stretches: Iterable[Stretch]) -> Component:
+def fit_own_noise(stretches: Iterable[Stretch]) -> NoiseComponent:
     """The noise of single tracks from unbroken stretches, each within one phase. Raises ValueError when too few."""
-    every = bundles(stretches)
+    every = bundle_stretches(stretches)
     if not every:
         raise ValueError("too few unbroken frames to read the noise from")
     longest = max(b.span for b in every)
     freedom = sum(b.freedom for b in every)
 
-    def profiled(component: Component) -> tuple[float, float]:
+    def profiled(component: NoiseComponent) -> tuple[float, float]:
         """(-2 log likelihood at the best variance, that variance)."""
         lags = component.lags(longest)
         parts = [b.restricted(b.covariance(lags)) for b in every]
@@ -206,48 +213,48 @@ def own_noise(stretches: Iterable[Stretch]) -> Component:
             raise ValueError("no noise to be seen between the frames")
         return logs + freedom * np.log(squares / freedom), squares / freedom
 
-    def build(shape: Shape, x: Array) -> Component:
-        return component_of(shape, 1.0, x)
+    def build(shape: NoiseOrder, x: Array) -> NoiseComponent:
+        return component_from_numbers(shape, 1.0, x)
 
-    unit = chosen(SHAPES, build, lambda c: profiled(c)[0], np.log(freedom))
-    return Component(profiled(unit)[1], unit.partial, unit.white)
+    unit = select_order(SHAPES, build, lambda c: profiled(c)[0], np.log(freedom))
+    return NoiseComponent(profiled(unit)[1], unit.partial, unit.white)
 
 
-def component_of(shape: Shape, variance: float, x: Array) -> Component:
+def component_from_numbers(shape: NoiseOrder, variance: float, x: Array) -> NoiseComponent:
     """From free numbers: the partial autocorrelations' arctanh, then the white part's logit if there is one."""
     order, white = shape
     part = FLOOR + (CEILING - FLOOR) * float(expit(x[order])) if white else 0.0
-    return Component(variance, tuple((SLOWEST * np.tanh(x[:order])).tolist()), part)
+    return NoiseComponent(variance, tuple((SLOWEST * np.tanh(x[:order])).tolist()), part)
 
 
-def free_numbers(component: Component) -> Array:
-    """The inverse of `component_of`, without the variance."""
+def numbers_from_component(component: NoiseComponent) -> Array:
+    """The inverse of `component_from_numbers`, without the variance."""
     x = np.arctanh(np.clip(np.array(component.partial) / SLOWEST, -1 + 1e-9, 1 - 1e-9))
     if not component.white:
         return x
     return np.append(x, logit(np.clip((component.white - FLOOR) / (CEILING - FLOOR), 1e-3, 1 - 1e-3)))
 
 
-def shape_of(component: Component) -> Shape:
+def order_of(component: NoiseComponent) -> NoiseOrder:
     return len(component.partial), component.white > 0
 
 
-def noise_of(shape: Shape, common: Shape | None, x: Array) -> Noise:
+def noise_from_numbers(shape: NoiseOrder, common: NoiseOrder | None, x: Array) -> Noise:
     """The noise of free numbers x: log variance and numbers of the own component, then of the shared ones.
 
     shape, common: how many numbers the own and the shared component have; None without shared noise, which has a log
     variance for each axis and the other numbers in common.
     """
-    own = component_of(shape, float(np.exp(x[0])), x[1:])
+    own = component_from_numbers(shape, float(np.exp(x[0])), x[1:])
     if common is None:
         return Noise(own)
     rest = x[1 + sum(shape) :]
-    return Noise(own, tuple(component_of(common, float(np.exp(v)), rest[2:]) for v in rest[:2]))
+    return Noise(own, tuple(component_from_numbers(common, float(np.exp(v)), rest[2:]) for v in rest[:2]))
 
 
-def chosen(
-    shapes: Sequence[Shape],
-    build: Callable[[Shape, Array], T],
+def select_order(
+    shapes: Sequence[NoiseOrder],
+    build: Callable[[NoiseOrder, Array], T],
     cost: Callable[[T], float],
     penalty: float,
     common: Array | None = None,
@@ -260,8 +267,8 @@ def chosen(
     head = np.zeros(0) if common is None else common
     best, winner, last, tail, lost = np.inf, build(shapes[0], head), shapes[0], np.zeros(0), 0
     for shape in shapes:
-        start = np.concatenate([head, _start(shape, last, tail)])
-        x = descend(partial(_cost, cost, build, shape), start)
+        start = np.concatenate([head, _initial_numbers(shape, last, tail)])
+        x = minimise(partial(_cost, cost, build, shape), start)
         paid = _cost(cost, build, shape, x) + penalty * len(x)
         lost = 0 if paid < best else lost + 1
         if paid < best:
@@ -272,11 +279,11 @@ def chosen(
     return winner
 
 
-def _cost(cost: Callable[[T], float], build: Callable[[Shape, Array], T], shape: Shape, x: Array) -> float:
-    return possible(lambda y: cost(build(shape, y)), x)
+def _cost(cost: Callable[[T], float], build: Callable[[NoiseOrder, Array], T], shape: NoiseOrder, x: Array) -> float:
+    return finite_cost(lambda y: cost(build(shape, y)), x)
 
 
-def possible(cost: Callable[[Array], float], x: Array) -> float:
+def finite_cost(cost: Callable[[Array], float], x: Array) -> float:
     """The cost at x; IMPOSSIBLE where a covariance is singular or the cost is not finite."""
     try:
         with np.errstate(all="ignore"):
@@ -286,7 +293,7 @@ def possible(cost: Callable[[Array], float], x: Array) -> float:
     return value if np.isfinite(value) else IMPOSSIBLE
 
 
-def _start(shape: Shape, last: Shape, x: Array) -> Array:
+def _initial_numbers(shape: NoiseOrder, last: NoiseOrder, x: Array) -> Array:
     order, white = shape
     if white:
         return np.array([*np.ones(order), 0.0])
@@ -294,38 +301,40 @@ def _start(shape: Shape, last: Shape, x: Array) -> Array:
     return np.append(known, np.zeros(order - len(known)))
 
 
-def descend(cost: Callable[[Array], float], start: Array) -> Array:
+def minimise(cost: Callable[[Array], float], start: Array) -> Array:
     """The numbers for which a smooth cost is least, sought from `start` (BFGS)."""
     if not len(start):
         return start
-    found = minimize(partial(possible, cost), start, method="BFGS", options={"eps": STEP, "gtol": FLAT, "maxiter": 40})
+    found = minimize(
+        partial(finite_cost, cost), start, method="BFGS", options={"eps": STEP, "gtol": FLAT, "maxiter": 40}
+    )
     return np.asarray(found.x)
 
 
-class Pairs:
+class BallPairs:
     """Both balls in the same frames, each in one phase: their sum holds what they share, their difference does not."""
 
     def __init__(self, pairs: Iterable[Pair]):
         given = list(pairs)
-        least = shortest([len(one) for one, *_ in given])
+        least = shortest_usable([len(one) for one, *_ in given])
         self.pairs = [
             (one - one.mean(axis=0), two - two.mean(axis=0), *(float(np.sqrt(np.mean(c**2))) for c in claims), frame)
             for one, two, *claims, frame in given
             if len(one) >= least
         ]
         every = self.pairs
-        self.differences, self.sums, self.weights = list[Bundle](), list[list[Bundle]](), list[Array]()
-        for group in alike([len(one) for one, *_ in every]):
+        self.differences, self.sums, self.weights = list[StretchBundle](), list[list[StretchBundle]](), list[Array]()
+        for group in group_by_length([len(one) for one, *_ in every]):
             size = np.array([np.hypot(*every[k][2:4]) for k in group])
             claimed = [np.full(len(every[k][0]), s) for k, s in zip(group, size, strict=True)]
             frames = [every[k][4] for k in group]
-            self.differences.append(Bundle.of([every[k][0] - every[k][1] for k in group], claimed, frames))
+            self.differences.append(StretchBundle.of([every[k][0] - every[k][1] for k in group], claimed, frames))
             together = [every[k][0] + every[k][1] for k in group]
-            self.sums.append([Bundle.of([t[:, [a]] for t in together], claimed, frames) for a in (0, 1)])
+            self.sums.append([StretchBundle.of([t[:, [a]] for t in together], claimed, frames) for a in (0, 1)])
             self.weights.append(4 / size[:, None, None] ** 2)  # of the shared variance in the sum's, own being 1
         self.longest = max((b.span for b in self.differences), default=0)
 
-    def common_mode_score(self, own: Component) -> float:
+    def common_mode_score(self, own: NoiseComponent) -> float:
         """The most significant score of shared noise, in sigma under independence, over KERNELS and axes.
 
         Score: sum of u0' K u1, u the whitened, detrended places of each ball weighted by the inverse covariance; under
@@ -338,7 +347,7 @@ class Pairs:
             apart = np.abs(since[:, None] - since)
             both, claims = np.array([p[:2] for p in members]), np.array([p[2:4] for p in members])
             factor = np.linalg.cholesky(lags[apart])
-            q, _ = np.linalg.qr(np.linalg.solve(factor, cubic(since)))
+            q, _ = np.linalg.qr(np.linalg.solve(factor, cubic_basis(since)))
             root = np.linalg.inv(factor) - q @ np.linalg.solve(factor.T, q).T
             weight = root.T @ root
             pulls = weight @ both / (claims**2)[..., None, None]
@@ -376,10 +385,10 @@ class Pairs:
                 )
         return out
 
-    def own(self) -> Component:
+    def own(self) -> NoiseComponent:
         """What the balls do not share, from their differences."""
         size = [float(np.hypot(*pair[2:4])) for pair in self.pairs]
-        return own_noise(
+        return fit_own_noise(
             ((one - two) / s, np.ones(len(one)), frame)
             for (one, two, _, _, frame), s in zip(self.pairs, size, strict=True)
         )
@@ -387,8 +396,10 @@ class Pairs:
     def noise(self) -> Noise:
         """Own and shared noise together."""
         alone = self.own()
-        shape = shape_of(alone)
+        shape = order_of(alone)
         shared = 0.5 * alone.variance * float(np.mean([np.square(p[2:4]) for p in self.pairs]))
-        start = np.array([np.log(alone.variance), *free_numbers(alone), np.log(shared), np.log(shared)])
+        start = np.array([np.log(alone.variance), *numbers_from_component(alone), np.log(shared), np.log(shared)])
         freedom = 2 * sum(d.freedom for d in self.differences)
-        return chosen(COMMON_MODES, lambda common, x: noise_of(shape, common, x), self.cost, np.log(freedom), start)
+        return select_order(
+            COMMON_MODES, lambda common, x: noise_from_numbers(shape, common, x), self.cost, np.log(freedom), start
+        )

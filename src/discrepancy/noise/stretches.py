@@ -13,12 +13,12 @@ from discrepancy.policy import current_policy
 
 Stretch = tuple[Array, Array, Ints]  # places (n, axes), claimed standard deviations (n,), and frames (n,)
 
-SMOOTH = 4  # coefficients of the cubic
+CUBIC_COEFFICIENTS = 4  # coefficients of the cubic
 FEWER = 1.4  # a bundle's stretches are longer than its longest over this
 
 
 @dataclass(frozen=True)
-class Bundle:
+class StretchBundle:
     """k stretches of much the same length. values (k, n, d) without their cubics, and the cubic's basis (k, n, SMOOTH).
 
     Both over claimed deviations, and zero beyond each one's own length. lengths (k,); n is the longest. frames (k, n)
@@ -31,17 +31,21 @@ class Bundle:
     frames: Ints | None = None
 
     @classmethod
-    def of(cls, values: Sequence[Array], claims: Sequence[Array], frames: Sequence[Ints] | None = None) -> Bundle:
+    def of(
+        cls, values: Sequence[Array], claims: Sequence[Array], frames: Sequence[Ints] | None = None
+    ) -> StretchBundle:
         """Bundle stretches: the positions (n, d), the claimed deviations (n,) and the frames (n,) of each."""
         lengths = np.array([len(v) for v in values])
         since = np.tile(np.arange(lengths.max()), (len(values), 1))
-        cubics, rest = (np.zeros((len(values), int(lengths.max()), m)) for m in (SMOOTH, values[0].shape[1]))
+        cubics, rest = (
+            np.zeros((len(values), int(lengths.max()), m)) for m in (CUBIC_COEFFICIENTS, values[0].shape[1])
+        )
         for k, (places, claimed) in enumerate(zip(values, claims, strict=True)):
             n = len(places)
             if frames is not None:
                 since[k, :n] = frames[k] - frames[k][0]
                 since[k, n:] = since[k, n - 1] + 1 + np.arange(since.shape[1] - n)
-            powers, own = cubic(since[k, :n]) / claimed[:, None], places / claimed[:, None]
+            powers, own = cubic_basis(since[k, :n]) / claimed[:, None], places / claimed[:, None]
             q, _ = np.linalg.qr(powers)
             cubics[k, :n], rest[k, :n] = q, own - q @ (q.T @ own)
         return cls(rest, cubics, lengths, since if np.any(np.diff(since) != 1) else None)
@@ -66,7 +70,7 @@ class Bundle:
         inside = np.arange(self.values.shape[1]) < self.lengths[:, None]
         factor = np.linalg.cholesky(covariance)
         white = np.linalg.inv(factor) @ np.concatenate([self.basis, self.values], axis=2) * inside[..., None]
-        fitted, seen = white[..., :SMOOTH], white[..., SMOOTH:]
+        fitted, seen = white[..., :CUBIC_COEFFICIENTS], white[..., CUBIC_COEFFICIENTS:]
         gram, pull = fitted.swapaxes(1, 2) @ fitted, fitted.swapaxes(1, 2) @ seen
         squares = (seen**2).sum() - (pull * np.linalg.solve(gram, pull)).sum()
         logs = (np.log(np.diagonal(factor, axis1=-2, axis2=-1)) * inside).sum() + np.linalg.slogdet(gram)[1].sum() / 2
@@ -74,19 +78,19 @@ class Bundle:
 
     @property
     def freedom(self) -> int:
-        return int((self.lengths - SMOOTH).sum()) * int(self.values.shape[2])
+        return int((self.lengths - CUBIC_COEFFICIENTS).sum()) * int(self.values.shape[2])
 
 
-def cubic(since: Ints) -> Array:
+def cubic_basis(since: Ints) -> Array:
     """(n, SMOOTH), of frames (n,) that grow."""
     even = np.linspace(-1, 1, since[-1] - since[0] + 1)
-    return np.vander(even[since - since[0]], SMOOTH)
+    return np.vander(even[since - since[0]], CUBIC_COEFFICIENTS)
 
 
-def alike(lengths: Sequence[int]) -> list[list[int]]:
+def group_by_length(lengths: Sequence[int]) -> list[list[int]]:
     """Which stretches to put into one bundle."""
     out: list[list[int]] = []
-    least = shortest(lengths)
+    least = shortest_usable(lengths)
     for k in sorted(range(len(lengths)), key=lambda k: -lengths[k]):
         if lengths[k] >= least:
             if not out or lengths[out[-1][0]] > FEWER * lengths[k]:
@@ -95,14 +99,16 @@ def alike(lengths: Sequence[int]) -> list[list[int]]:
     return out
 
 
-def shortest(lengths: Sequence[int]) -> int:
+def shortest_usable(lengths: Sequence[int]) -> int:
     """Places that a stretch must have, of those there are."""
     enough = max(lengths, default=0) >= current_policy().min_stretch_positions
     return current_policy().min_stretch_positions if enough else current_policy().min_short_stretch_positions
 
 
-def bundles(stretches: Iterable[Stretch]) -> list[Bundle]:
+def bundle_stretches(stretches: Iterable[Stretch]) -> list[StretchBundle]:
     every = list(stretches)
-    groups = alike([len(places) for places, *_ in every])
+    groups = group_by_length([len(places) for places, *_ in every])
     parts = [[every[k] for k in group] for group in groups]
-    return [Bundle.of([p for p, _, _ in some], [c for _, c, _ in some], [f for _, _, f in some]) for some in parts]
+    return [
+        StretchBundle.of([p for p, _, _ in some], [c for _, c, _ in some], [f for _, _, f in some]) for some in parts
+    ]

@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 from scipy.linalg.lapack import dtrtri, dtrtrs
 
 from discrepancy.arrays import Array, Ints
-from discrepancy.data.collisions import Measured
-from discrepancy.noise.model import Component, Noise
+from discrepancy.data.collisions import MeasuredCollision
+from discrepancy.noise.model import Noise, NoiseComponent
 
 
 @dataclass(frozen=True)
-class Whitener:
+class ClipWhitener:
     """The inverse Cholesky factor of the noise's covariance, exact with any frames missing.
 
     Residuals are first scaled by the claimed covariances. Each ball's own noise, with the offset that the target has
@@ -30,7 +30,7 @@ class Whitener:
     order: Ints | None  # (2n,), for the one
 
     @classmethod
-    def of(cls, clip: Measured, noise: Noise) -> Whitener:
+    def of(cls, clip: MeasuredCollision, noise: Noise) -> ClipWhitener:
         """For the positions of a clip with this noise."""
         roots, offset = clip.roots, clip.resting_offset
         if not noise.shared:
@@ -50,7 +50,7 @@ class Whitener:
                     total[:, a, :, b] += lags * np.outer(push[:, a], push[:, b])
         order = np.argsort(np.repeat(frame, 2), kind="stable")
         factor = np.linalg.cholesky(total.reshape(2 * n, 2 * n)[np.ix_(order, order)])
-        return cls(roots, (_inverse(factor),), order)
+        return cls(roots, (_invert_lower(factor),), order)
 
     def __call__(self, residuals: Array) -> Array:
         """Residuals (n, 2, ...), m, as white ones (2n, ...) of unit size."""
@@ -77,10 +77,10 @@ class Whitener:
             split = len(self.filters[0])
             by_row = flat.reshape(n, -1)
             parts = (by_row[:split], by_row[split:])
-            scaled = np.concatenate([_undone(f, part) for f, part in zip(self.filters, parts, strict=True)])
+            scaled = np.concatenate([_solve_lower(f, part) for f, part in zip(self.filters, parts, strict=True)])
         else:
             scaled = np.empty_like(flat)
-            scaled[self.order] = _undone(self.filters[0], flat[self.order])
+            scaled[self.order] = _solve_lower(self.filters[0], flat[self.order])
         return np.asarray(np.linalg.solve(self.roots, scaled.reshape(n, 2, -1)).reshape(n, 2, *rest))
 
     @property
@@ -91,20 +91,20 @@ class Whitener:
 
 
 @lru_cache(maxsize=256)
-def _inverse_factor(component: Component, frames: bytes, offsets: bytes) -> Array:
+def _inverse_factor(component: NoiseComponent, frames: bytes, offsets: bytes) -> Array:
     """Of one ball's rows and one axis; frames: int64, offsets: float64. Clips filmed alike share it."""
     frame = np.frombuffer(frames, dtype=np.int64)
     apart = np.abs(frame[:, None] - frame)
     lags = component.lags(int(apart.max(initial=0)) + 1)
     offset = np.frombuffer(offsets)
-    out = _inverse(np.linalg.cholesky(lags[apart] + np.outer(offset, offset)))
+    out = _invert_lower(np.linalg.cholesky(lags[apart] + np.outer(offset, offset)))
     out.flags.writeable = False
     return out
 
 
-def _inverse(lower: NDArray[np.floating]) -> Array:
+def _invert_lower(lower: NDArray[np.floating]) -> Array:
     return np.asarray(dtrtri(lower, lower=1)[0], dtype=np.float64)
 
 
-def _undone(lower: Array, columns: Array) -> Array:
+def _solve_lower(lower: Array, columns: Array) -> Array:
     return np.asarray(dtrtrs(lower, columns, lower=1)[0])

@@ -10,7 +10,7 @@ import numpy as np
 
 from discrepancy.arrays import Array
 from discrepancy.data.launch import HEADING, SIDE, SLIP, V0, B, X, Y
-from discrepancy.fitting.parameters import candidates
+from discrepancy.fitting.parameters import list_candidates
 from discrepancy.planning.experiment import Experiment
 from tracker.camera.camera import Camera
 
@@ -190,7 +190,7 @@ def _tilt_plate(experiment: Experiment, rng: np.random.Generator) -> ChangedExpe
     model = experiment.model
     held = 7 / 5 * model.rolling_decel / model.gravity
     slopes = ("plate_tilt.x", "plate_tilt.y")
-    level = any(c.strengths == slopes and not any(c.held) for c in candidates(model, experiment.names))
+    level = any(c.strengths == slopes and not any(c.held) for c in list_candidates(model, experiment.names))
     if held == 0 or not level:
         return None
     changed = dataclasses.replace(

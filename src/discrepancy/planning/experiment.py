@@ -9,12 +9,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from discrepancy.arrays import Array, Ints
-from discrepancy.data.collisions import Measured
+from discrepancy.data.collisions import MeasuredCollision
 from discrepancy.data.launch import T_C
-from discrepancy.fitting.base_fit import CLAIMED
-from discrepancy.fitting.gauss_newton import linearised
-from discrepancy.fitting.model_fit import Evidence, Fit
-from discrepancy.fitting.predict import forecast, velocities
+from discrepancy.fitting.base_fit import CLAIMED_NOISE
+from discrepancy.fitting.gauss_newton import linearise
+from discrepancy.fitting.model_fit import ModelFit, WhitenedClips
+from discrepancy.fitting.predict import predict_tracks, predict_velocities
 from discrepancy.noise.model import Noise
 from discrepancy.planning.position_errors import Errors
 from discrepancy.policy import current_policy
@@ -49,26 +49,26 @@ class Experiment:
 
     model: Model
     names: tuple[str, ...]
-    clips: tuple[Measured, ...]
+    clips: tuple[MeasuredCollision, ...]
     launches: Array
     films: tuple[range, ...]
     errors: Errors
-    noise: Noise = CLAIMED
+    noise: Noise = CLAIMED_NOISE
 
     @property
     def camera(self) -> Camera:
         return self.clips[0].camera
 
     @property
-    def evidence(self) -> Evidence:
-        return Evidence.of(self.clips, self.noise)
+    def evidence(self) -> WhitenedClips:
+        return WhitenedClips.of(self.clips, self.noise)
 
-    def fit(self) -> Fit:
+    def fit(self) -> ModelFit:
         """The fit that tracks without any noise or missing effect would have: with derivatives, nothing left.
 
         Raises ValueError where the model has no motion for these launches.
         """
-        return linearised(self.evidence, self.model, self.names, self.launches)
+        return linearise(self.evidence, self.model, self.names, self.launches)
 
     @property
     def error_px(self) -> float:
@@ -101,7 +101,7 @@ class Experiment:
             Where the model has no motion for these launches.
         """
         blank = [_make_blank_clip(*each) for each in zip(self.clips, self.launches, self.films, strict=True)]
-        places, speeds = (f(self.model, self.launches, blank) for f in (forecast, velocities))
+        places, speeds = (f(self.model, self.launches, blank) for f in (predict_tracks, predict_velocities))
         rows = [_rows_in_picture(self.camera, xy) for xy in places]
         seen = [dataclasses.replace(c, xy=xy).of(r) for c, xy, r in zip(blank, places, rows, strict=True)]
         moving = [v[r] for v, r in zip(speeds, rows, strict=True)]
@@ -113,13 +113,13 @@ class Experiment:
         return dataclasses.replace(self, clips=clips, films=films, launches=self.launches[kept])
 
 
-def make_unfilmed_clip(number: int, striker: str, camera: Camera, launch: Array) -> Measured:
+def make_unfilmed_clip(number: int, striker: str, camera: Camera, launch: Array) -> MeasuredCollision:
     """A collision of which nothing is seen yet."""
     none = np.zeros(0, dtype=np.int64)
-    return Measured(number, striker, camera, none, none, np.zeros((0, 2)), np.zeros((0, 2, 2)), launch, NEVER)
+    return MeasuredCollision(number, striker, camera, none, none, np.zeros((0, 2)), np.zeros((0, 2, 2)), launch, NEVER)
 
 
-def _make_blank_clip(clip: Measured, launch: Array, film: range) -> Measured:
+def _make_blank_clip(clip: MeasuredCollision, launch: Array, film: range) -> MeasuredCollision:
     frame, ball = np.tile(np.array(film, dtype=np.int64), 2), np.repeat(np.arange(2), len(film))
     new = make_unfilmed_clip(clip.clip, clip.striker, clip.camera, launch)
     nothing = np.zeros((len(frame), 2)), np.zeros((len(frame), 2, 2))
@@ -135,7 +135,7 @@ def _rows_in_picture(camera: Camera, xy: Array) -> Ints:
     return np.flatnonzero(inside.all(axis=(1, 2)))
 
 
-def _is_usable(clip: Measured) -> bool:
+def _is_usable(clip: MeasuredCollision) -> bool:
     """Whether both balls are seen long enough before the contact, and after it."""
     opens = clip.frame / clip.fps
     early, late = opens + clip.exposure <= clip.launch[T_C], opens >= clip.launch[T_C]
@@ -143,7 +143,9 @@ def _is_usable(clip: Measured) -> bool:
     return all(np.sum(part & (clip.ball == ball)) >= least for part in (early, late) for ball in (0, 1))
 
 
-def _with_errors(clips: Sequence[Measured], speeds: Sequence[Array], errors: Errors) -> tuple[Measured, ...]:
+def _with_errors(
+    clips: Sequence[MeasuredCollision], speeds: Sequence[Array], errors: Errors
+) -> tuple[MeasuredCollision, ...]:
     """The clips with claimed covariances; speeds (n, 2) m/s of each."""
     camera = clips[0].camera
     xy, velocity = np.concatenate([c.xy for c in clips]), np.concatenate(list(speeds))

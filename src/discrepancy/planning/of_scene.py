@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from discrepancy.arrays import Array
-from discrepancy.data.collisions import split
-from discrepancy.data.launch import alike
-from discrepancy.fitting.parameters import fitted
+from discrepancy.data.collisions import split_held_out
+from discrepancy.data.launch import equalise_launches
+from discrepancy.fitting.parameters import names_to_fit
 from discrepancy.planning.experiment import Experiment, make_unfilmed_clip
 from discrepancy.planning.position_errors import Errors, GlintErrors, StatedErrors
 from discrepancy.policy import current_policy
@@ -72,11 +72,14 @@ def design_experiment(scene: Scene, count: int, noise_px: float | None = None, s
         raise InputError(f"noise: expected an error of positions over 0 px, found {noise_px:g}")
     clips = [_draw_collision(scene, number, seed) for number in range(count)]
     model, camera = _shared_model_and_camera(scene, clips)
-    strikers, launches = [str(c.drawn["launch"]["striker"]) for c in clips], alike([_launch(c) for c in clips])
+    strikers, launches = (
+        [str(c.drawn["launch"]["striker"]) for c in clips],
+        equalise_launches([_launch(c) for c in clips]),
+    )
     rows = [make_unfilmed_clip(k, striker, camera, launches[k]) for k, striker in enumerate(strikers)]
     whole = Experiment(
         model,
-        fitted(model),
+        names_to_fit(model),
         tuple(rows),
         np.array(launches),
         tuple(range(c.frames) for c in clips),
@@ -92,7 +95,7 @@ def design_experiment(scene: Scene, count: int, noise_px: float | None = None, s
             f"{scene.where}: both balls are seen before and after the contact in {usable} of {count} clips; expected "
             f"{least} or more"
         )
-    kept = {c.clip for c in split(filmed.clips)[0]}
+    kept = {c.clip for c in split_held_out(filmed.clips)[0]}
     rest = filmed.select([k for k, c in enumerate(filmed.clips) if c.clip in kept])
     return DesignedExperiment(rest, count, usable, _notes(clips[0], noise_px))
 

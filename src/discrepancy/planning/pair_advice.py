@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from discrepancy.data.collisions import Measured
-from discrepancy.fitting.model_fit import Fit
+from discrepancy.data.collisions import MeasuredCollision
+from discrepancy.fitting.model_fit import ModelFit
 from discrepancy.fitting.parameters import Candidate
-from discrepancy.fitting.predict import forecast
+from discrepancy.fitting.predict import predict_tracks
 from discrepancy.noise.model import Noise
 from discrepancy.planning import changes
 from discrepancy.planning.experiment import Experiment
@@ -41,9 +41,9 @@ class ComparedDesign:
 
 
 def compare_designs(
-    clips: Sequence[Measured],
+    clips: Sequence[MeasuredCollision],
     noise: Noise,
-    fit: Fit,
+    fit: ModelFit,
     one: Shaped,
     other: Shaped,
 ) -> tuple[ComparedDesign, ...]:
@@ -102,7 +102,7 @@ def _cosine(experiment: Experiment, one: Shaped, other: Shaped) -> float:
     evidence, launches = experiment.evidence, experiment.launches
     try:
         here = experiment.fit()
-        expected = forecast(here.model, launches, evidence.clips)
+        expected = predict_tracks(here.model, launches, evidence.clips)
         trials = tuple(
             derive_trial(evidence, here.model, launches, candidate, shapes, expected)
             for candidate, shapes in (one, other)

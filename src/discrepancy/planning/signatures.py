@@ -11,8 +11,8 @@ import numpy as np
 from scipy.optimize import brentq
 
 from discrepancy.arrays import Array
-from discrepancy.fitting.parameters import Candidate, candidates, parameter_of
-from discrepancy.fitting.significance import sigmas
+from discrepancy.fitting.parameters import Candidate, find_parameter, list_candidates
+from discrepancy.fitting.significance import chi2_to_sigma
 from discrepancy.planning.experiment import Experiment
 from discrepancy.policy import current_policy
 from discrepancy.selection.score_test import ScoreTests, detectable_axes
@@ -107,7 +107,7 @@ class Signatures:
         ValueError
             Where the model has no motion for these launches.
         """
-        every = candidates(experiment.model, experiment.names)
+        every = list_candidates(experiment.model, experiment.names)
         chosen = [c for c in every if not only or c.name in only]
         fit = experiment.fit()
         tests = ScoreTests.of(experiment.evidence, fit, only=chosen)
@@ -161,7 +161,7 @@ class Signatures:
         numbers, name = self._numbers(candidate), candidate.strengths[strength]
         at = min(numbers, key=lambda k: _distance_from_typical(self.model, self.trials[k].shapes))
         limit, every = self._limit(at, strength), [self._limit(k, strength) for k in numbers]
-        p, seen = parameter_of(self.model, name), [x for x in every if math.isfinite(x)]
+        p, seen = find_parameter(self.model, name), [x for x in every if math.isfinite(x)]
         rivals = self._rivals(at, strength, others) if math.isfinite(limit) else ()
         apart = 1 - rivals[0].cosine ** 2 if rivals else 1.0
         return Limit(
@@ -205,7 +205,7 @@ def chi2_to_detect(dof: int, trials_factor: float) -> float:
     wanted = current_policy().detection_limit_sigma
 
     def short(chi2: float) -> float:
-        return sigmas(chi2 + dof - 1, dof, trials_factor) - wanted
+        return chi2_to_sigma(chi2 + dof - 1, dof, trials_factor) - wanted
 
     most = (wanted**2 + 2 * math.log(max(trials_factor, 1.0))) * (1 + dof)
     return float(brentq(short, 1e-6, most + 10 * dof))
@@ -215,7 +215,7 @@ def _distance_from_typical(model: Model, shapes: Mapping[str, float]) -> float:
     """How far shape parameters are from their realistic sizes, to choose those tried that are nearest."""
     far = 0.0
     for name, value in shapes.items():
-        p = parameter_of(model, name)
+        p = find_parameter(model, name)
         if p.low > 0:
             far += abs(math.log(value / p.typical))
         else:

@@ -11,11 +11,11 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from discrepancy.arrays import Array
-from discrepancy.data.collisions import Measured
+from discrepancy.data.collisions import MeasuredCollision
 from discrepancy.data.launch import HEADING, T_C, V0
 from discrepancy.diagnostics.gap import Gap
-from discrepancy.fitting.model_fit import Fit
-from discrepancy.fitting.predict import forecast
+from discrepancy.fitting.model_fit import ModelFit
+from discrepancy.fitting.predict import predict_tracks
 from discrepancy.found import SearchResult
 from discrepancy.free_laws.law_summary import LawSummary
 from tracker.report.html import embed_figure
@@ -71,8 +71,10 @@ def inline(title: str, figure: Figure, note: str) -> dict[str, str]:
     return {"title": title, "note": note, "address": embed_figure(figure)}
 
 
-def _sets(found: SearchResult) -> list[tuple[Sequence[Measured], Fit, str, str]]:
-    sets: list[tuple[Sequence[Measured], Fit, str, str]] = [(found.data.clips, found.base, BEFORE, "before")]
+def _sets(found: SearchResult) -> list[tuple[Sequence[MeasuredCollision], ModelFit, str, str]]:
+    sets: list[tuple[Sequence[MeasuredCollision], ModelFit, str, str]] = [
+        (found.data.clips, found.base, BEFORE, "before")
+    ]
     if found.anything:
         sets.append((found.free_law.evidence.clips if found.free_law else found.data.clips, found.best, AFTER, "after"))
     return sets
@@ -121,10 +123,10 @@ def _staged(ax: Axes, title: str) -> None:
     ax.tick_params(axis="x", length=0)
 
 
-def _residuals(clips: Sequence[Measured], fit: Fit) -> tuple[Array, Array, Array]:
+def _residuals(clips: Sequence[MeasuredCollision], fit: ModelFit) -> tuple[Array, Array, Array]:
     """Of each row of all clips: -1 to 0 before, to 1 sliding, to 2 rolling; ball; residual along and across, um."""
     stages, balls, lefts = [], [], []
-    expected = forecast(fit.model, fit.launches, clips)
+    expected = predict_tracks(fit.model, fit.launches, clips)
     for clip, launch, xy in zip(clips, fit.launches, expected, strict=True):
         time = (clip.frame + 0.0) / clip.fps + clip.exposure / 2
         stage = np.zeros(len(time))

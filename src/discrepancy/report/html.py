@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from discrepancy.fitting.parameters import parameter_of
+from discrepancy.fitting.parameters import find_parameter
 from discrepancy.found import SearchResult
 from discrepancy.report.figures import drawn
 from discrepancy.report.narrative import rounded, story
@@ -48,7 +48,7 @@ def document(found: SearchResult, left_out: Sequence[str]) -> dict[str, Any]:
 
 def _unit(name: str) -> str:
     """Of a parameter by its dotted name; empty for a pure number."""
-    unit = parameter_of(Model(), name).unit
+    unit = find_parameter(Model(), name).unit
     return "" if unit == "1" else unit
 
 

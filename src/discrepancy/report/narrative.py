@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from discrepancy.data.launch import V0, WITH_SPIN, B
-from discrepancy.fitting.gauss_newton import solve
-from discrepancy.fitting.model_fit import Fit
+from discrepancy.fitting.gauss_newton import solve_step
+from discrepancy.fitting.model_fit import ModelFit
 from discrepancy.found import SearchResult
 
 SETTLED = 0.1  # of chi^2 that a further step may gain
@@ -19,9 +19,9 @@ def story(found: SearchResult) -> list[str]:
     return [_fitted(found), _where(found), _closed(found), _open(found)]
 
 
-def rest(fit: Fit) -> float:
+def rest(fit: ModelFit) -> float:
     """What a further step of everything fitted would gain, in chi^2, to first order and within its limits."""
-    shared, own = solve(fit, 0.0, *fit.room())
+    shared, own = solve_step(fit, 0.0, *fit.room())
     steps = [s @ shared + a @ o for s, a, o in zip(fit.slopes, fit.launch_slopes, own, strict=True)]
     return fit.chi2 - sum(float((r - s) @ (r - s)) for r, s in zip(fit.residuals, steps, strict=True))
 

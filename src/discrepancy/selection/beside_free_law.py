@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection
 
-from discrepancy.fitting.model_fit import Evidence, Fit
+from discrepancy.fitting.model_fit import ModelFit, WhitenedClips
 from discrepancy.fitting.parameters import Candidate
 from discrepancy.free_laws.fitted_law import FittedLaw
 from discrepancy.selection.free_law_fit import fit_law_with_effect
@@ -13,11 +13,11 @@ from discrepancy.selection.stepwise import LOOSE, NEAR, SWAPS
 
 
 def find_replacements(
-    evidence: Evidence,
+    evidence: WhitenedClips,
     less: FittedLaw,
     named: Candidate,
     absorbed: Collection[str],
-    base: Fit,
+    base: ModelFit,
     progress: Callable[[], None],
 ) -> list[tuple[str, FittedLaw]]:
     """Fit other effects beside a free law in the place of one of those beside it.

@@ -6,11 +6,11 @@ from collections.abc import Callable
 
 import numpy as np
 
-from discrepancy.fitting.gauss_newton import identifiable, linearised, nudged, settle
-from discrepancy.fitting.jacobian import derivatives
-from discrepancy.fitting.model_fit import Evidence, Fit
-from discrepancy.fitting.parameters import limits_of, parameter_of
-from discrepancy.fitting.predict import forecast
+from discrepancy.fitting.gauss_newton import linearise, minimise_chi2, take_one_step, zero_unidentifiable_shapes
+from discrepancy.fitting.jacobian import differentiate_all
+from discrepancy.fitting.model_fit import ModelFit, WhitenedClips
+from discrepancy.fitting.parameters import find_parameter, parameter_limits
+from discrepancy.fitting.predict import predict_tracks
 from discrepancy.selection.scored import CandidateScore
 
 KEPT = 0.5  # of the gain that the score promises
@@ -18,8 +18,8 @@ STARTS, FAR = (0.1, 0.3, 1.0), 2  # of a realistic size, where the way is too fa
 
 
 def fit_with_candidate(
-    evidence: Evidence, fit: Fit, scored: CandidateScore, progress: Callable[[], None] = lambda: None
-) -> Fit:
+    evidence: WhitenedClips, fit: ModelFit, scored: CandidateScore, progress: Callable[[], None] = lambda: None
+) -> ModelFit:
     """Fit a candidate's strengths, then its shape parameters, together with all that a fit has already.
 
     The descent starts where the score test leads, and where that gains less than KEPT of what the test promised, from
@@ -42,35 +42,37 @@ def fit_with_candidate(
     """
     tries = [] if scored.candidate.kind is None else [_from_here(evidence, fit, scored, progress)]
     if not tries or tries[0].chi2 > fit.chi2 - KEPT * scored.gain:
-        tries += [settle(evidence, start, progress, rough=True) for start in _far(evidence, fit, scored)]
+        tries += [minimise_chi2(evidence, start, progress, rough=True) for start in _far(evidence, fit, scored)]
     return min(tries, key=lambda f: f.chi2, default=fit)
 
 
-def _from_here(evidence: Evidence, fit: Fit, scored: CandidateScore, progress: Callable[[], None]) -> Fit:
+def _from_here(
+    evidence: WhitenedClips, fit: ModelFit, scored: CandidateScore, progress: Callable[[], None]
+) -> ModelFit:
     candidate, model = scored.candidate, fit.model.replace(scored.shapes)
-    strong = settle(evidence, fit.extended(model, scored.strengths, scored.columns), progress, rough=True)
+    strong = minimise_chi2(evidence, fit.extended(model, scored.strengths, scored.columns), progress, rough=True)
     if not candidate.shapes or all(strong.model.value(s) == 0 for s in scored.strengths):
         return strong
-    here = forecast(strong.model, strong.launches, evidence.clips)
-    slopes = derivatives(strong.model, strong.launches, evidence.clips, candidate.shapes, here)
+    here = predict_tracks(strong.model, strong.launches, evidence.clips)
+    slopes = differentiate_all(strong.model, strong.launches, evidence.clips, candidate.shapes, here)
     columns = evidence.white([np.stack([s[k] for s in slopes], axis=-1) for k in range(len(here))])
-    columns = identifiable(strong.model, candidate.shapes, columns)
-    return settle(evidence, strong.extended(strong.model, candidate.shapes, columns), progress, rough=True)
+    columns = zero_unidentifiable_shapes(strong.model, candidate.shapes, columns)
+    return minimise_chi2(evidence, strong.extended(strong.model, candidate.shapes, columns), progress, rough=True)
 
 
-def _far(evidence: Evidence, fit: Fit, scored: CandidateScore) -> list[Fit]:
+def _far(evidence: WhitenedClips, fit: ModelFit, scored: CandidateScore) -> list[ModelFit]:
     """The FAR best starts with the candidate's single strength at a realistic size, all else adapted by one step."""
     candidate = scored.candidate
     if len(candidate.strengths) > 1:
         return []
     name = candidate.strengths[0]
-    size, (low, high) = parameter_of(fit.model, name).typical, limits_of(fit.model, name)
-    begun: list[Fit] = []
+    size, (low, high) = find_parameter(fit.model, name).typical, parameter_limits(fit.model, name)
+    begun: list[ModelFit] = []
     for shapes in candidate.grid(fit.model):
         for value in (sign * share * size for share in STARTS for sign in (1, -1)):
             if low <= value <= high:
-                start = nudged(evidence, fit, fit.model.replace({**shapes, name: value}))
+                start = take_one_step(evidence, fit, fit.model.replace({**shapes, name: value}))
                 begun += [start] if start else []
     best = sorted(begun, key=lambda f: f.chi2)[:FAR]
     names = (*fit.names, name, *candidate.shapes)
-    return [linearised(evidence, f.model, names, f.launches) for f in best]
+    return [linearise(evidence, f.model, names, f.launches) for f in best]

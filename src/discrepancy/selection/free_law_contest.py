@@ -11,8 +11,8 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 
-from discrepancy.fitting.gauss_newton import linearised, settle
-from discrepancy.fitting.model_fit import Evidence, Fit
+from discrepancy.fitting.gauss_newton import linearise, minimise_chi2
+from discrepancy.fitting.model_fit import ModelFit, WhitenedClips
 from discrepancy.free_laws.fitted_law import FittedLaw
 from discrepancy.free_laws.law_kinds import FreeLaw
 from discrepancy.free_laws.library import free_laws_over
@@ -26,7 +26,9 @@ LEADERS = 3  # fitted in full
 NEAR, LOOSE = 15.0, 0.01  # of chi^2, and of what a free law explains: what the first order may be wrong by
 
 
-def fit_each_alone(evidence: Evidence, base: Fit, best: Fit, progress: Callable[[], None] = lambda: None) -> list[Fit]:
+def fit_each_alone(
+    evidence: WhitenedClips, base: ModelFit, best: ModelFit, progress: Callable[[], None] = lambda: None
+) -> list[ModelFit]:
     """Fit each effect of the best model alone, where it has several that the base has not."""
     added = best.added(base)
     if len(added) < 2:
@@ -37,8 +39,8 @@ def fit_each_alone(evidence: Evidence, base: Fit, best: Fit, progress: Callable[
         values = {n: best.model.value(n) for n in own}
         model = dataclasses.replace(base.model, effects=effects).replace(values)
         with suppress(ValueError):  # alone it has no motion
-            start = linearised(evidence, model, (*base.names, *own), base.launches)
-            fits.append(settle(evidence, start, progress, rough=True))
+            start = linearise(evidence, model, (*base.names, *own), base.launches)
+            fits.append(minimise_chi2(evidence, start, progress, rough=True))
     return fits
 
 
@@ -69,18 +71,18 @@ class FreeLawContest:
         The place in `fitted` of the free law that was last asked what it lacks, and the answer.
     """
 
-    evidence: Evidence
-    base: Fit
+    evidence: WhitenedClips
+    base: ModelFit
     laws: tuple[FreeLaw, ...]
     progress: Callable[[], None] = lambda: None
     fitted: tuple[FittedLaw, ...] = ()
-    rivals: tuple[Fit, ...] = ()
+    rivals: tuple[ModelFit, ...] = ()
     refuted: bool = False
     beaten: int = 0
     asked: tuple[int, CandidateScore | None] | None = None
 
     @classmethod
-    def of(cls, evidence: Evidence, base: Fit, progress: Callable[[], None] = lambda: None) -> FreeLawContest:
+    def of(cls, evidence: WhitenedClips, base: ModelFit, progress: Callable[[], None] = lambda: None) -> FreeLawContest:
         """Hold every free law that the clips can show against the base model."""
         laws = free_laws_over(base.model, base.launches, evidence.clips)
         return cls(evidence, base, laws, progress)._considered([base])
@@ -93,7 +95,7 @@ class FreeLawContest:
         """
         return self.beaten > 1
 
-    def against(self, fit: Fit, rivals: Sequence[Fit] = ()) -> FreeLawContest:
+    def against(self, fit: ModelFit, rivals: Sequence[ModelFit] = ()) -> FreeLawContest:
         """Hold the free laws against the library's next model.
 
         A free law may bend so that it imitates two effects of the library. So one that stands alone beats a model of
@@ -118,12 +120,12 @@ class FreeLawContest:
         beaten = best is not None and (there._count(fit) > 1 or there._lacks(best) is None)
         return dataclasses.replace(there, beaten=self.beaten + 1 if beaten else 0)
 
-    def nearly(self, fit: Fit) -> FittedLaw | None:
+    def nearly(self, fit: ModelFit) -> FittedLaw | None:
         """The free law that explains nearly as much as the library's best model, or more."""
         best = min(self.fitted, key=lambda f: f.score, default=None)
         return best if best and best.score < self._cost(fit) + current_policy().near_free_law_chi2 else None
 
-    def outcome(self, fit: Fit) -> tuple[FittedLaw | None, FreeLawContest]:
+    def outcome(self, fit: ModelFit) -> tuple[FittedLaw | None, FreeLawContest]:
         """The free law that explains the clips better than the library's best model, and than chance, if one does.
 
         With such library effects beside it as it still needs; and the contest with what was fitted for that.
@@ -145,7 +147,7 @@ class FreeLawContest:
             there = dataclasses.replace(there, fitted=(*there.fitted, trial))
         return None if best is None else there.fitted[best], there
 
-    def _best(self, fit: Fit, fewer: int) -> int | None:
+    def _best(self, fit: ModelFit, fewer: int) -> int | None:
         """The place of the best law, if better, of those beside a model of `fewer` effects less than the latest."""
         cost, most = self._cost(fit), self._count(fit)
         fair = [
@@ -166,14 +168,14 @@ class FreeLawContest:
             sigma > current_policy().free_law_sigma for sigma in fitted_law.significances_of_effects(self.base).values()
         )
 
-    def _cost(self, fit: Fit) -> float:
+    def _cost(self, fit: ModelFit) -> float:
         return min(cost_of(f, self.base) for f in (fit, *self.rivals))
 
-    def _count(self, fit: Fit) -> int:
+    def _count(self, fit: ModelFit) -> int:
         """Effects in a fit that are not in the base."""
         return len(fit.added(self.base))
 
-    def _considered(self, fits: Sequence[Fit]) -> FreeLawContest:
+    def _considered(self, fits: Sequence[ModelFit]) -> FreeLawContest:
         """With those free laws fitted that to first order may be the best beside these models, the latest last."""
         seen, fitted = [], list(self.fitted)
         for law in self.laws:

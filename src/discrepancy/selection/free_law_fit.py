@@ -10,11 +10,11 @@ from functools import cached_property
 import numpy as np
 
 from discrepancy.arrays import Array
-from discrepancy.data.collisions import Measured
-from discrepancy.data.launch import possible
-from discrepancy.fitting.gauss_newton import FAILED, fit_model, linearised, settle, solve
-from discrepancy.fitting.model_fit import Evidence, Fit
-from discrepancy.fitting.parameters import Candidate, within
+from discrepancy.data.collisions import MeasuredCollision
+from discrepancy.data.launch import is_possible
+from discrepancy.fitting.gauss_newton import FAILED, fit_model, linearise, minimise_chi2, solve_step
+from discrepancy.fitting.model_fit import ModelFit, WhitenedClips
+from discrepancy.fitting.parameters import Candidate, replace_within_limits
 from discrepancy.free_laws.credible_band import gain_of_steps
 from discrepancy.free_laws.fitted_law import FittedLaw
 from discrepancy.free_laws.law_kinds import FreeLaw
@@ -36,7 +36,7 @@ class LawScore:
     """A free law held against a fit, to first order."""
 
     law: FreeLaw
-    fit: Fit
+    fit: ModelFit
     sigma: float
     information: Array
     pull: Array
@@ -45,25 +45,25 @@ class LawScore:
     def weight(self) -> CurveEvidence:  # asked of few laws: it takes the longest
         return maximise_evidence(self.law, self.information, self.pull)
 
-    def score(self, base: Fit) -> float:
+    def score(self, base: ModelFit) -> float:
         """What the model with the law would cost, in chi^2."""
         return cost_of(self.fit, base) + law_choice_cost() - self.weight.gain
 
 
-def whiten_law_columns(evidence: Evidence, law: FreeLaw, model: Model, launches: Array) -> tuple[Array, ...]:
+def whiten_law_columns(evidence: WhitenedClips, law: FreeLaw, model: Model, launches: Array) -> tuple[Array, ...]:
     """Whitened derivatives by the coefficients, (2n, J) of each clip."""
     return evidence.white(law.columns(model, launches, evidence.clips))
 
 
-def score_law(law: FreeLaw, fit: Fit, moves: Sequence[Array]) -> LawScore:
+def score_law(law: FreeLaw, fit: ModelFit, moves: Sequence[Array]) -> LawScore:
     information, pull = fit.information(moves)
     return LawScore(law, fit, compute_significance(law, information, pull), information, pull)
 
 
 def fit_law(
-    evidence: Evidence,
+    evidence: WhitenedClips,
     test: LawScore,
-    base: Fit,
+    base: ModelFit,
     progress: Callable[[], None] = lambda: None,
     begun: FittedLaw | None = None,
 ) -> FittedLaw:
@@ -114,7 +114,7 @@ def fit_law(
         if moved is None:
             if fit.local:
                 break
-            fit = linearised(here, fit.model, fit.names, fit.launches)
+            fit = linearise(here, fit.model, fit.names, fit.launches)
             moves = whiten_law_columns(evidence, law, law.bent(plain, coefs), fit.launches)
     freedom = np.linalg.slogdet(np.eye(law.size) + information / np.diag(weight.prior.precision)[:, None])
     paid = law_choice_cost() + weight.prior.cost + float(coefs @ weight.prior.precision @ coefs + freedom[1])
@@ -123,19 +123,25 @@ def fit_law(
 
 
 def _moved(
-    evidence: Evidence, law: FreeLaw, plain: Model, fit: Fit, moves: Sequence[Array], coefs: Array, step: Array
-) -> tuple[Evidence, Fit, Model] | None:
+    evidence: WhitenedClips,
+    law: FreeLaw,
+    plain: Model,
+    fit: ModelFit,
+    moves: Sequence[Array],
+    coefs: Array,
+    step: Array,
+) -> tuple[WhitenedClips, ModelFit, Model] | None:
     """Take a step of the coefficients, and with it the step of all else that fits best to first order.
 
     Returns the clips (less what the law moves, where no effect can hold it), the fit there, and its model without the
     law; None where that has no motion.
     """
-    shared, own = solve(fit.explained_by(moves, step), 0.0, *fit.room())
+    shared, own = solve_step(fit.explained_by(moves, step), 0.0, *fit.room())
     launches = fit.launches + own
-    if not possible(launches):
+    if not is_possible(launches):
         return None
     try:
-        plain = within(plain, dict(zip(fit.names, (fit.values() + shared).tolist(), strict=True)))
+        plain = replace_within_limits(plain, dict(zip(fit.names, (fit.values() + shared).tolist(), strict=True)))
         model = law.bent(plain, coefs + step)
         here = dataclasses.replace(evidence, clips=tuple(law.undone(evidence.clips, plain, launches, coefs + step)))
         residuals = here.left(model, launches)
@@ -145,7 +151,7 @@ def _moved(
 
 
 def fit_law_with_effect(
-    evidence: Evidence, known: FittedLaw, effect: CandidateScore, base: Fit, progress: Callable[[], None]
+    evidence: WhitenedClips, known: FittedLaw, effect: CandidateScore, base: ModelFit, progress: Callable[[], None]
 ) -> tuple[float, FittedLaw]:
     """Fit a free law again with an effect of the library more beside it. Raises ValueError: without the law no motion.
 
@@ -159,14 +165,18 @@ def fit_law_with_effect(
         known.model_without_law.replace(effect.shapes | dict.fromkeys(effect.strengths, 0.0)),
         known.fit.names,
     )
-    start = settle(evidence, linearised(evidence, model, (*names, *effect.strengths), known.fit.launches), progress)
+    start = minimise_chi2(
+        evidence, linearise(evidence, model, (*names, *effect.strengths), known.fit.launches), progress
+    )
     test = score_law(known.law, start, whiten_law_columns(evidence, known.law, start.model, start.launches))
     fitted = fit_law(evidence, test, base, progress)
     names = (*start.names, *effect.shapes)
     for _ in range(TURNS if effect.shapes else 0):  # without the law they may run off
         here, one = fitted.evidence, fitted.fit
-        whole = settle(here, linearised(here, one.model, names, one.launches), progress)
-        plain = within(fitted.model_without_law, dict(zip(whole.names, whole.values().tolist(), strict=True)))
+        whole = minimise_chi2(here, linearise(here, one.model, names, one.launches), progress)
+        plain = replace_within_limits(
+            fitted.model_without_law, dict(zip(whole.names, whole.values().tolist(), strict=True))
+        )
         before = fitted.score
         fitted = fit_law(
             evidence, test, base, progress, dataclasses.replace(fitted, fit=whole, model_without_law=plain)
@@ -178,12 +188,12 @@ def fit_law_with_effect(
 
 
 def refit_without_effect(
-    evidence: Evidence, fitted_law: FittedLaw, gone: Candidate, base: Fit, progress: Callable[[], None]
+    evidence: WhitenedClips, fitted_law: FittedLaw, gone: Candidate, base: ModelFit, progress: Callable[[], None]
 ) -> FittedLaw:
     """Fit a free law again without the effect `gone` beside it. Raises ValueError where that has no motion."""
     names = tuple(n for n in fitted_law.fit.names if n not in gone.strengths + gone.shapes)
-    start = linearised(evidence, gone.without(fitted_law.model_without_law), names, fitted_law.fit.launches)
-    fit = settle(evidence, start, progress)
+    start = linearise(evidence, gone.without(fitted_law.model_without_law), names, fitted_law.fit.launches)
+    fit = minimise_chi2(evidence, start, progress)
     return fit_law(
         evidence,
         score_law(fitted_law.law, fit, whiten_law_columns(evidence, fitted_law.law, fit.model, fit.launches)),
@@ -192,17 +202,17 @@ def refit_without_effect(
     )
 
 
-def fit_without_law(evidence: Evidence, fitted_law: FittedLaw, progress: Callable[[], None]) -> Fit:
+def fit_without_law(evidence: WhitenedClips, fitted_law: FittedLaw, progress: Callable[[], None]) -> ModelFit:
     """Fit all else that a fitted law has beside it, without the law. Raises ValueError where that has no motion."""
-    return settle(
+    return minimise_chi2(
         evidence,
-        linearised(evidence, fitted_law.model_without_law, fitted_law.fit.names, fitted_law.fit.launches),
+        linearise(evidence, fitted_law.model_without_law, fitted_law.fit.names, fitted_law.fit.launches),
         progress,
     )
 
 
 def compare_scatter(
-    fitted_law: FittedLaw, clips: Sequence[Measured], without: Fit, noise: Noise
+    fitted_law: FittedLaw, clips: Sequence[MeasuredCollision], without: ModelFit, noise: Noise
 ) -> tuple[float, float, float]:
     """Whether a law that gives each clip a number of its own holds in clips that it was not fitted to.
 
@@ -216,9 +226,9 @@ def compare_scatter(
     expected, std : float
         The mean of this gain and its standard deviation, were the numbers of that size.
     """
-    evidence = Evidence.of(clips, noise)
+    evidence = WhitenedClips.of(clips, noise)
     law = dataclasses.replace(fitted_law.law, axes=over_clips(len(clips)))
-    fit = linearised(evidence, without.model, (), without.launches)
+    fit = linearise(evidence, without.model, (), without.launches)
     information, pull = fit.information(whiten_law_columns(evidence, law, fit.model, fit.launches))
     size = fitted_law.prior.size * np.sqrt(law.prior_variances(fitted_law.prior.length))
     values, axes = np.linalg.eigh(size[:, None] * information * size)
@@ -227,7 +237,9 @@ def compare_scatter(
     return gain, float((values - np.log1p(values)).sum()), float(np.sqrt(2 * (values**2).sum()))
 
 
-def fit_unseen_clips(fitted_law: FittedLaw, clips: Sequence[Measured], before: Fit, noise: Noise) -> Fit:
+def fit_unseen_clips(
+    fitted_law: FittedLaw, clips: Sequence[MeasuredCollision], before: ModelFit, noise: Noise
+) -> ModelFit:
     """Fit the launches of clips that a free law was not fitted to, with the law as it was found.
 
     Parameters
@@ -246,8 +258,8 @@ def fit_unseen_clips(fitted_law: FittedLaw, clips: Sequence[Measured], before: F
     """
     plain = fitted_law.model_without_law
     if fitted_law.law.is_per_clip:
-        evidence = Evidence.of(clips, noise)
-        there = settle(evidence, linearised(evidence, plain, (), before.launches))
+        evidence = WhitenedClips.of(clips, noise)
+        there = minimise_chi2(evidence, linearise(evidence, plain, (), before.launches))
         law = dataclasses.replace(fitted_law.law, axes=over_clips(len(clips)))
         test = score_law(law, there, whiten_law_columns(evidence, law, plain, there.launches))
         return fit_law(evidence, test, there).fit

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from discrepancy.fitting.model_fit import Fit
-from discrepancy.fitting.parameters import parameter_of, span_of
+from discrepancy.fitting.model_fit import ModelFit
+from discrepancy.fitting.parameters import find_parameter, tried_range
 from discrepancy.free_laws.library import law_count
 from discrepancy.free_laws.marginal_likelihood import cost_of_choice, cost_of_strengths
 from synthcam.library import library
@@ -19,7 +19,7 @@ def law_choice_cost() -> float:
     return cost_of_choice(law_count())
 
 
-def cost_of(fit: Fit, base: Fit) -> float:
+def cost_of(fit: ModelFit, base: ModelFit) -> float:
     """chi^2 plus the cost of each effect that the base lacks, by the same rule as of a free law.
 
     Each effect costs the choice among the library's effects, and the freedom of its strengths as if its shape
@@ -38,7 +38,7 @@ def cost_of(fit: Fit, base: Fit) -> float:
     """
     paid, chosen = fit.chi2, cost_of_choice(len(library()))
     for names in fit.added(base).values():
-        own = {n: parameter_of(fit.model, n) for n in names if "." in n}
+        own = {n: find_parameter(fit.model, n) for n in names if "." in n}
         if not own:
             continue
         paid += chosen
@@ -47,13 +47,13 @@ def cost_of(fit: Fit, base: Fit) -> float:
         information = _information(fit, strengths + shapes)[: len(size), : len(size)] * np.outer(size, size)
         moved = (fit.values(strengths) - base.values(strengths)) / size
         paid += cost_of_strengths(information, moved)
-        span = np.array([span_of(own[n]) * (fit.model.value(n) if own[n].low > 0 else 1.0) for n in shapes])
+        span = np.array([tried_range(own[n]) * (fit.model.value(n) if own[n].low > 0 else 1.0) for n in shapes])
         known = _information(fit, shapes) * np.outer(span, span) / (2 * np.pi)
         paid += np.linalg.slogdet(np.eye(len(span)) + known)[1]
     return float(paid)
 
 
-def _information(fit: Fit, names: Sequence[str]) -> NDArray[np.float64]:
+def _information(fit: ModelFit, names: Sequence[str]) -> NDArray[np.float64]:
     """The information (k, k) of these parameters, all others being fitted: the inverse of their covariance."""
     if not names:
         return np.zeros((0, 0))

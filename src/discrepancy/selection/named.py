@@ -10,8 +10,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from discrepancy.arrays import Array
-from discrepancy.fitting.model_fit import Fit
-from discrepancy.fitting.parameters import Candidate, limits_of, parameter_of
+from discrepancy.fitting.model_fit import ModelFit
+from discrepancy.fitting.parameters import Candidate, find_parameter, parameter_limits
 from discrepancy.policy import current_policy
 from discrepancy.selection.score_test import largest_cosine
 from discrepancy.selection.scored import CandidateScore
@@ -53,7 +53,7 @@ class EffectClaim:
     naming: dict[str, float] = field(default_factory=dict)
 
     @classmethod
-    def of(cls, candidate: Candidate, fit: Fit, std: Mapping[str, float], sigma: float) -> EffectClaim:
+    def of(cls, candidate: Candidate, fit: ModelFit, std: Mapping[str, float], sigma: float) -> EffectClaim:
         """Name a candidate with the values that a fit gives it.
 
         Parameters
@@ -133,13 +133,13 @@ def format_with_error(value: float, std: float, digits: int) -> str:
 
 def is_at_limit(name: str, value: float) -> bool:
     """Whether a parameter has the least or the greatest value that its effect allows."""
-    typical = parameter_of(Model(), name).typical
-    return any(abs(value - end) < 1e-6 * max(abs(end), typical) for end in limits_of(Model(), name))
+    typical = find_parameter(Model(), name).typical
+    return any(abs(value - end) < 1e-6 * max(abs(end), typical) for end in parameter_limits(Model(), name))
 
 
-def shape_error(fit: Fit, shape: str, std: float) -> float:
+def shape_error(fit: ModelFit, shape: str, std: float) -> float:
     """The standard deviation of a fitted shape parameter; infinite where it exceeds half of the parameter's size."""
-    p = parameter_of(fit.model, shape)
+    p = find_parameter(fit.model, shape)
     size = max(abs(fit.model.value(shape)), p.typical) if p.low >= 0 else (p.high - p.low) / 2
     return std if 0 < std < size / 2 else np.inf
 

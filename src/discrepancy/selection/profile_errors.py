@@ -8,10 +8,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from discrepancy.fitting.jacobian import quicker
-from discrepancy.fitting.model_fit import Evidence, Fit
-from discrepancy.fitting.parameters import Candidate, limits_of
-from discrepancy.fitting.shape_scan import MANY, scannable
+from discrepancy.fitting.jacobian import decouple
+from discrepancy.fitting.model_fit import ModelFit, WhitenedClips
+from discrepancy.fitting.parameters import Candidate, parameter_limits
+from discrepancy.fitting.shape_scan import MANY, can_scan
 from discrepancy.selection.score_test import ScoreTests, derive_trial
 from synthcam.model import Model
 
@@ -19,7 +19,7 @@ GAINED = 2.0  # of chi^2, by other shapes: less is not worth another fit
 LIKELY = 3.0  # sigma: values that are less likely say nothing of an interval of one or two
 
 
-def profile_std(evidence: Evidence, reduced: Fit, fit: Fit, candidate: Candidate) -> dict[str, float]:
+def profile_std(evidence: WhitenedClips, reduced: ModelFit, fit: ModelFit, candidate: Candidate) -> dict[str, float]:
     """Standard deviations of a candidate's strengths and shape parameters, by profile likelihood.
 
     Those of `fit`, or more if likely values lie further: a parabola as wide as chi^2 to first order wherever values are
@@ -39,10 +39,10 @@ def profile_std(evidence: Evidence, reduced: Fit, fit: Fit, candidate: Candidate
     """
     std = {n: s for n, s in fit.std.items() if n in candidate.strengths + candidate.shapes}
     tries = list(candidate.grid(reduced.model))
-    if len(tries) < 2 or (len(tries) >= MANY and scannable(candidate, tries)):
+    if len(tries) < 2 or (len(tries) >= MANY and can_scan(candidate, tries)):
         return std
     found = {s: fit.model.value(s) for s in candidate.shapes}
-    plain, here = quicker(reduced.model, reduced.launches, evidence.clips)
+    plain, here = decouple(reduced.model, reduced.launches, evidence.clips)
     if len(found) > 1:  # along a valley that runs between the places of a coarse grid
         near = [found | {s: shapes[s]} for s in found for shapes in tries]
         tries += [shapes for k, shapes in enumerate(near) if shapes not in near[:k]]
@@ -64,5 +64,5 @@ def profile_std(evidence: Evidence, reduced: Fit, fit: Fit, candidate: Candidate
 
 def _inside(model: Model, name: str, value: float) -> bool:
     """Whether a parameter may have a value."""
-    low, high = limits_of(model, name)
+    low, high = parameter_limits(model, name)
     return low <= value <= high

@@ -10,11 +10,11 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from discrepancy.arrays import Array
-from discrepancy.fitting.jacobian import derivative, quicker
-from discrepancy.fitting.model_fit import Evidence, Fit, basis
-from discrepancy.fitting.parameters import Candidate, between, candidates, parameter_of
-from discrepancy.fitting.shape_scan import scannable, scanned
-from discrepancy.fitting.significance import by_chance, sigmas, trials_factor
+from discrepancy.fitting.jacobian import decouple, differentiate
+from discrepancy.fitting.model_fit import ModelFit, WhitenedClips, orthonormal_basis
+from discrepancy.fitting.parameters import Candidate, find_parameter, list_candidates, refine_tried_values
+from discrepancy.fitting.shape_scan import can_scan, scan_shapes
+from discrepancy.fitting.significance import chance_threshold, chi2_to_sigma, count_trials
 from discrepancy.policy import current_policy
 from discrepancy.selection.scored import CandidateScore, CandidateTrial, RealisticSizes, TrialScore
 from synthcam.model import Model
@@ -37,14 +37,14 @@ class ScoreTests:
         Every candidate with each value tried of its shape parameters.
     """
 
-    fit: Fit
+    fit: ModelFit
     trials: tuple[CandidateTrial, ...]
 
     @classmethod
     def of(
         cls,
-        evidence: Evidence,
-        fit: Fit,
+        evidence: WhitenedClips,
+        fit: ModelFit,
         progress: Callable[[], None] = lambda: None,
         only: Sequence[Candidate] = (),
         about: Model | None = None,
@@ -67,10 +67,10 @@ class ScoreTests:
         -------
         ScoreTests
         """
-        (plain, here), trials = quicker(about or fit.model, fit.launches, evidence.clips), []
-        for candidate in only or candidates(fit.model, fit.names):
+        (plain, here), trials = decouple(about or fit.model, fit.launches, evidence.clips), []
+        for candidate in only or list_candidates(fit.model, fit.names):
             grid = list(candidate.grid(fit.model))
-            if scannable(candidate, grid):
+            if can_scan(candidate, grid):
                 trials += _scanned(evidence, plain, fit.launches, candidate, grid, here)
             else:
                 trials += [derive_trial(evidence, plain, fit.launches, candidate, shapes, here) for shapes in grid]
@@ -147,7 +147,7 @@ class ScoreTests:
         by_name: dict[str, list[Array]] = {}
         for trial, rows in zip(self.trials, self._bases[1], strict=True):
             by_name.setdefault(trial.candidate.name, []).append(rows)
-        return {name: trials_factor(every) for name, every in by_name.items()}
+        return {name: count_trials(every) for name, every in by_name.items()}
 
     def _left(self, without: Candidate | None) -> tuple[Array, Array]:
         """Residuals (points,) and a basis of what the shared parameters absorb (points, p), launches taken out of both.
@@ -161,7 +161,7 @@ class ScoreTests:
             if without is not None and names[k] in without.strengths:
                 held = dict(zip(without.strengths, without.held, strict=False)).get(names[k], 0.0)
                 left = left + self._shared[:, k] * (self.fit.model.value(names[k]) - held)
-        kept = basis(np.delete(self._shared, gone, axis=1))
+        kept = orthonormal_basis(np.delete(self._shared, gone, axis=1))
         return left - kept @ (kept.T @ left), kept
 
     def chi2(self, without: Candidate | None = None) -> float:
@@ -174,10 +174,12 @@ class ScoreTests:
         names = self.fit.names
         own = [names.index(s) for s in named.strengths]
         rest = [k for k, n in enumerate(names) if n not in named.strengths + named.shapes]
-        kept = basis(self._shared[:, rest])
+        kept = orthonormal_basis(self._shared[:, rest])
         return np.asarray(self._shared[:, own] - kept @ (kept.T @ self._shared[:, own]))
 
-    def sharper(self, evidence: Evidence, scored: CandidateScore, without: Candidate | None = None) -> CandidateScore:
+    def sharper(
+        self, evidence: WhitenedClips, scored: CandidateScore, without: Candidate | None = None
+    ) -> CandidateScore:
         """Look for better shape parameters of a candidate between those tried.
 
         Parameters
@@ -198,10 +200,10 @@ class ScoreTests:
             return scored
         left, absorbed = self._left(without)
         launches = self.fit.launches
-        plain, here = quicker(model, launches, evidence.clips)
+        plain, here = decouple(model, launches, evidence.clips)
         for closer in range(ZOOMS):
             for name in candidate.shapes:
-                for value in between(parameter_of(model, name), scored.shapes[name], closer):
+                for value in refine_tried_values(find_parameter(model, name), scored.shapes[name], closer):
                     trial = derive_trial(evidence, plain, launches, candidate, scored.shapes | {name: value}, here)
                     columns = self._stacked(trial.columns)
                     signature = columns - absorbed @ (absorbed.T @ columns)
@@ -275,7 +277,7 @@ class ScoreTests:
             chi2 = 0.0
         seen = float((way.sizes * np.sqrt(np.diag(gram).clip(0))).max())
         limit = current_policy().detection_limit_sigma / max(seen, 1e-300) if spread else np.inf
-        sigma = sigmas(chi2, spread, self.trials_factors.get(candidate.name, 1.0)) if spread else 0.0
+        sigma = chi2_to_sigma(chi2, spread, self.trials_factors.get(candidate.name, 1.0)) if spread else 0.0
         return TrialScore(
             trial, sigma, chi2, limit, limit <= min(current_policy().max_detection_limit, way.allowed), axes
         )
@@ -295,11 +297,13 @@ class ScoreTests:
         signs = np.concatenate([np.full(r.shape[1], side or 1) for r, side in zip(rows, sides, strict=True)])
         trials_factors = [self.trials_factors[t.candidate.name] for t in self.trials]
         sizes = [r.shape[1] for r in rows]
-        return by_chance(gram * np.outer(signs, signs), sizes, [side != 0 for side in sides], level, trials_factors)
+        return chance_threshold(
+            gram * np.outer(signs, signs), sizes, [side != 0 for side in sides], level, trials_factors
+        )
 
 
 def derive_trial(
-    evidence: Evidence,
+    evidence: WhitenedClips,
     model: Model,
     launches: Array,
     candidate: Candidate,
@@ -325,7 +329,7 @@ def derive_trial(
         Its columns whitened.
     """
     bent = model.replace(shapes)
-    slopes = [derivative(bent, launches, evidence.clips, s, here) for s in candidate.strengths]
+    slopes = [differentiate(bent, launches, evidence.clips, s, here) for s in candidate.strengths]
     columns = [np.stack([s[k] for s in slopes], axis=-1) for k in range(len(here))]
     return CandidateTrial(
         candidate, shapes, tuple(white(c) for white, c in zip(evidence.whiteners, columns, strict=True))
@@ -333,7 +337,7 @@ def derive_trial(
 
 
 def _scanned(
-    evidence: Evidence,
+    evidence: WhitenedClips,
     model: Model,
     launches: Array,
     candidate: Candidate,
@@ -347,7 +351,7 @@ def _scanned(
     """
     numbers = sum(2 * len(c.frame) for c in evidence.clips) * len(candidate.strengths)
     grid = grid[:: 1 + numbers * len(grid) // MOST]
-    every = scanned(model, launches, evidence.clips, candidate, grid, here)
+    every = scan_shapes(model, launches, evidence.clips, candidate, grid, here)
     shown = np.flatnonzero(np.any([e.any(axis=(0, 1, 3)) for e in every], axis=0))
     kept = shown.tolist() or [0]
     both = zip(evidence.whiteners, every, strict=True)
@@ -373,5 +377,5 @@ def detectable_axes(gram: Array, length: Array) -> Array:
 
 def largest_cosine(one: Array, other: Array) -> float:
     """The largest cosine between the spans of two signatures."""
-    a, b = basis(one), basis(other)
+    a, b = orthonormal_basis(one), orthonormal_basis(other)
     return float(np.linalg.svd(a.T @ b, compute_uv=False).max()) if a.size and b.size else 0.0

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from discrepancy.arrays import Array
-from discrepancy.fitting.parameters import Candidate, parameter_of
+from discrepancy.fitting.parameters import Candidate, find_parameter
 from synthcam.model import Model
 
 
@@ -25,7 +25,7 @@ class RealisticSizes:
     @classmethod
     def of(cls, candidate: Candidate, model: Model) -> RealisticSizes:
         """Of a candidate beside this model."""
-        ways = [parameter_of(model, s) for s in candidate.strengths]
+        ways = [find_parameter(model, s) for s in candidate.strengths]
         sizes = np.array([p.typical or 1.0 for p in ways])
         allowed = max(max(abs(p.low), abs(p.high)) / size for p, size in zip(ways, sizes, strict=True))
         value, p = model.value(candidate.strengths[0]), ways[0]

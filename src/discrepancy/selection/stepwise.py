@@ -8,10 +8,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from discrepancy.fitting.gauss_newton import linearised, settle
-from discrepancy.fitting.model_fit import Fit
-from discrepancy.fitting.parameters import Candidate, candidates_of
-from discrepancy.fitting.significance import closes_little, sigmas
+from discrepancy.fitting.gauss_newton import linearise, minimise_chi2
+from discrepancy.fitting.model_fit import ModelFit
+from discrepancy.fitting.parameters import Candidate, candidates_by_name
+from discrepancy.fitting.significance import chi2_to_sigma, closes_too_little
 from discrepancy.policy import current_policy
 from discrepancy.selection.fit_store import FitStore
 from discrepancy.selection.model_cost import cost_of
@@ -46,8 +46,8 @@ class Selection:
     """
 
     state: State
-    base: Fit
-    best: Fit
+    base: ModelFit
+    best: ModelFit
     ranking: tuple[CandidateScore, ...]
     claim: float
     trials_factors: Mapping[str, float]
@@ -161,12 +161,12 @@ class Stepwise:
     def begin(self, effects: Iterable[str], model: Model) -> State:
         """Fit these effects, beginning with a model's values, to search on from there. Raises ValueError: no motion."""
         store, base = self.store, self.store.base
-        known = candidates_of(model, base.model, base.names)
+        known = candidates_by_name(model, base.model, base.names)
         state = tuple(known[effect] for effect in effects)
         names = (*base.names, *(n for s in state for n in s.strengths + s.shapes))
         begun = base.model.replace({n: model.value(n) for n in names})
-        start = linearised(store.evidence, begun, names, base.launches)
-        store.offer(frozenset(state), settle(store.evidence, start, store.progress))
+        start = linearise(store.evidence, begun, names, base.launches)
+        store.offer(frozenset(state), minimise_chi2(store.evidence, start, store.progress))
         return state
 
     def _bettered(self, state: State, claim: float) -> State:
@@ -190,7 +190,7 @@ class Stepwise:
 
     def _sigma(self, chi2: float, candidate: Candidate) -> float:
         """The sigma of a chi^2 that a candidate explains, corrected by the trials factor of its shape parameters."""
-        return sigmas(chi2, len(candidate.strengths), self.trials_factors.get(candidate.name, 1.0))
+        return chi2_to_sigma(chi2, len(candidate.strengths), self.trials_factors.get(candidate.name, 1.0))
 
     def _winner(self, state: State, tests: ScoreTests, claim: float) -> Candidate | None:
         """The candidate to add: of the leader and its rivals, all fitted, the simplest that fits as well as the best.
@@ -214,10 +214,10 @@ class Stepwise:
         claimed = [k for k in keys if self._claimed(fit, self.store.fits[k], said[k], claim)]
         return said[self._simplest(claimed)] if min(keys, key=self.store.cost_of) in claimed else None
 
-    def _claimed(self, fit: Fit, more: Fit, candidate: Candidate, claim: float) -> bool:
+    def _claimed(self, fit: ModelFit, more: ModelFit, candidate: Candidate, claim: float) -> bool:
         """Whether the fit with a candidate more is better than that without by what a claim needs."""
         enough = self._sigma(fit.chi2 - more.chi2, candidate) > claim
-        return enough and not closes_little(
+        return enough and not closes_too_little(
             fit.chi2 / fit.points, more.chi2 / more.points, current_policy().min_closed_share
         )
 

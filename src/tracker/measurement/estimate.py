@@ -32,7 +32,7 @@ from tracker.measurement.energy_momentum import BEFORE, motion_table
 from tracker.measurement.estimate_row import covariances, empty_row
 from tracker.measurement.joint_fit import fit_all
 from tracker.measurement.lone_ball import PARAMETERS, add_camera_errors_to_lone_ball, fit_lone_ball
-from tracker.measurement.noise.position_noise import Size, scatter
+from tracker.measurement.noise.position_noise import ScatterRatio, measure_scatter
 from tracker.measurement.positions import BallTrack, to_ball_tracks
 
 if TYPE_CHECKING:
@@ -76,7 +76,7 @@ def measure(tracks: Tracks, camera: Camera) -> list[dict[str, Any]]:
     balls = to_ball_tracks(tracks, camera)
     if not any(len(track) >= 2 for track in balls):
         return [empty_row(camera, "too few detections")]
-    size = scatter(balls) if balls[0].has_errors else None
+    size = measure_scatter(balls) if balls[0].has_errors else None
     if size is None or abs(size.sigmas) < UNLIKE:
         return _measure_balls(balls, camera)
     resized = [track.scale_errors(size) for track in balls]
@@ -89,7 +89,7 @@ def measure(tracks: Tracks, camera: Camera) -> list[dict[str, Any]]:
 
 
 def _measure_between(
-    wide: list[dict[str, Any]], balls: list[BallTrack], size: Size, camera: Camera
+    wide: list[dict[str, Any]], balls: list[BallTrack], size: ScatterRatio, camera: Camera
 ) -> list[dict[str, Any]]:
     """The rows where free fits leave less than the scatter (by which `wide` went): it held kinks, or is uneven.
 
@@ -99,7 +99,7 @@ def _measure_between(
     if p_free(rows, replace(size, dof=np.inf)) >= LEVEL:
         return rows
     square, dof = np.sum([(row["chi2_free"], row["dof_free"]) for row in wide if row["dof_free"] > 0], axis=0)
-    left = Size(size.ratio * float(square / dof), float(dof))
+    left = ScatterRatio(size.ratio * float(square / dof), float(dof))
     return _measure_balls([track.scale_errors(left) for track in balls], camera)
 
 

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tracker.detection.glints import SHADED, UNLIT, WORDS
-from tracker.measurement.noise.position_noise import Size, scatter
-from tracker.measurement.noise.whitening import Whitener
+from tracker.measurement.noise.position_noise import ScatterRatio, measure_scatter
+from tracker.measurement.noise.whitening import PositionWhitener
 
 if TYPE_CHECKING:
     from tracker.camera.camera import Camera
@@ -95,11 +95,11 @@ class BallTrack:
         return self.start + self.exposure / 2
 
     @cached_property
-    def whiten(self) -> Whitener:
+    def whiten(self) -> PositionWhitener:
         """By the positions' full covariance."""
-        return Whitener(self.position, self.cov, self.fixed, self.width, self.frame, self.rho, self.drift)
+        return PositionWhitener(self.position, self.cov, self.fixed, self.width, self.frame, self.rho, self.drift)
 
-    def scale_errors(self, size: Size) -> BallTrack:
+    def scale_errors(self, size: ScatterRatio) -> BallTrack:
         """The same ball with errors of another size, as its own scatter shows them."""
         longer = float(np.sqrt(size.ratio)) * self.error_scale
         cov, fixed = self.cov * size.ratio, self.fixed * size.ratio
@@ -160,13 +160,13 @@ def to_ball_tracks(tracks: Tracks, camera: Camera) -> list[BallTrack]:
         )  # fmt: skip
     if weighed:
         return _with_codec_noise(found, camera) if camera.sensor.codec_noise > 0 else found
-    size = scatter(found)
+    size = measure_scatter(found)
     return found if size is None else [track.scale_errors(size) for track in found]
 
 
 def _with_codec_noise(balls: list[BallTrack], camera: Camera) -> list[BallTrack]:
     """The same with the part of an encoder's errors that lasts, beside what is claimed and scatters."""
-    size, every = scatter(balls), [np.trace(track.cov, axis1=1, axis2=2) / 2 for track in balls]
+    size, every = measure_scatter(balls), [np.trace(track.cov, axis1=1, axis2=2) / 2 for track in balls]
     off = float(np.median(np.concatenate(every))) * (size.ratio if size else 1.0) / camera.scale**2 if balls else 0.0
     share, out = min(LASTING * off / AT**2, MOST), []
     for track, variances in zip(balls, every, strict=True):

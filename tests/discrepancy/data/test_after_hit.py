@@ -9,8 +9,8 @@ import pytest
 from discrepancy_files import NOISE, SCENE
 from repository import ROOT
 
-from discrepancy.data.after_hit import after_hit
-from discrepancy.data.collisions import read_measured
+from discrepancy.data.collisions import read_collisions
+from discrepancy.data.outgoing_hit import guess_hit_from_outgoing
 from discrepancy.policy import current_policy
 from discrepancy.search import find
 from synthcam.dataset.generate import Plan, run
@@ -53,7 +53,7 @@ def test_what_the_balls_do_after_the_hit_tells_the_launch(filmed, late, speed):
     """The speed within so much of itself: slow balls roll already within the frames that are looked at."""
     truth, (table, camera) = filmed[2], cut(filmed, late)
     given = read_tracks(table, camera)
-    found = [after_hit(given.clips[k][0], given.camera) for k in range(CLIPS)]
+    found = [guess_hit_from_outgoing(given.clips[k][0], given.camera) for k in range(CLIPS)]
     assert all(hit.names == (0, 1) for hit in found)
     table = np.array([[hit.t_c, hit.v0, hit.b, *(hit.ends - hit.t_c)] for hit in found])
     off = table - truth[["t_c", "v0", "b", "tau1", "tau2"]].to_numpy()
@@ -64,7 +64,7 @@ def test_what_the_balls_do_after_the_hit_tells_the_launch(filmed, late, speed):
 
 
 def test_a_search_names_what_tracks_from_the_hit_on_hide(filmed):
-    clips, left_out = read_measured(*cut(filmed, 0.0))
+    clips, left_out = read_collisions(*cut(filmed, 0.0))
     assert (len(clips), left_out) == (CLIPS, [])
     assert all((clip.phase() != 0).all() for clip in clips)
     (named,) = find(clips, Model()).named
@@ -78,13 +78,13 @@ def test_balls_that_part_without_a_hit_have_none(filmed):
     given = read_tracks(table, camera)
     tracks = given.clips[0][0]
     far = dataclasses.replace(tracks, x=tracks.x + (tracks.particle == 1) * 9 * given.camera.diameter_px)
-    assert after_hit(tracks, given.camera) is not None
-    assert after_hit(far, given.camera) is None
-    assert after_hit(tracks, given.camera, since=1.0) is None
+    assert guess_hit_from_outgoing(tracks, given.camera) is not None
+    assert guess_hit_from_outgoing(far, given.camera) is None
+    assert guess_hit_from_outgoing(tracks, given.camera, since=1.0) is None
 
 
 def test_frames_that_are_missing_after_the_hit_are_few(filmed):
     given = read_tracks(*cut(filmed, 2.0 * current_policy().max_unseen_frames_after_hit))
     fast = [k for k in range(CLIPS) if filmed[2]["v0"][k] > 0.4]
     assert len(fast) > 3
-    assert all(after_hit(given.clips[k][0], given.camera) is None for k in fast)
+    assert all(guess_hit_from_outgoing(given.clips[k][0], given.camera) is None for k in fast)

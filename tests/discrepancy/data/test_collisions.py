@@ -12,7 +12,13 @@ from discrepancy_clips import exact
 from discrepancy_files import NOISE, SCENE, record
 from repository import ROOT
 
-from discrepancy.data.collisions import UNCLAIMED, cannot_tell, collision, read_measured, split
+from discrepancy.data.collisions import (
+    UNCLAIMED,
+    build_collision,
+    find_uniform_conditions,
+    read_collisions,
+    split_held_out,
+)
 from discrepancy.data.launch import T_C, V0, B, X, Y
 from synthcam.model import Model
 from synthcam_shared.errors import InputError
@@ -26,14 +32,14 @@ def recorded(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def clips(recorded):
-    return read_measured(recorded / "results")[0]
+    return read_collisions(recorded / "results")[0]
 
 
 def read_table(recorded, tmp_path, change):
     """The collisions of the table after a change of it, for the first two clips."""
     changed = change(pd.read_csv(recorded / "tracks.csv").query("clip < 2"))
     changed.to_csv(tmp_path / "t.csv", index=False)
-    return read_measured(tmp_path / "t.csv", recorded / "camera.json")
+    return read_collisions(tmp_path / "t.csv", recorded / "camera.json")
 
 
 def test_first_guesses_are_near_the_truth(recorded, clips):
@@ -76,7 +82,7 @@ def test_no_exposure_with_an_event_counts_to_a_phase(clips):
 
 
 def test_a_table_gives_what_results_give(recorded, clips):
-    again, left_out = read_measured(recorded / "tracks.csv", recorded / "camera.json")
+    again, left_out = read_collisions(recorded / "tracks.csv", recorded / "camera.json")
     assert left_out == []
     for one, other in zip(clips, again, strict=True):
         assert np.allclose(one.xy, other.xy, rtol=0, atol=1e-12)
@@ -105,7 +111,7 @@ def test_what_a_ball_at_rest_has_alike_in_every_frame_is_kept_apart(recorded, tm
     for path in (results / "clips").glob("*/tracks.parquet"):
         table = pd.read_parquet(path)
         table.assign(x_fixed_std=0.006, y_fixed_std=0.006, cov_xy_fixed=0.0).to_parquet(path)
-    for one, other in zip(clips, read_measured(results)[0], strict=True):
+    for one, other in zip(clips, read_collisions(results)[0], strict=True):
         rests = (one.phase() == 0) & (one.ball == 0)
         assert (one.offset, other.offset) == (0, pytest.approx(1.6e-4 * 0.006, rel=1e-3))
         assert np.sqrt(other.covariance[rests, 0, 0]) == pytest.approx(1.6e-4 * np.sqrt(NOISE**2 - 0.006**2), rel=1e-3)
@@ -133,7 +139,7 @@ def test_a_recording_of_several_collisions_is_left_out(recorded, tmp_path):
     results = shutil.copytree(recorded / "results", tmp_path / "results")
     table = pd.read_parquet(results / "estimates.parquet")
     pd.concat([table, table[table["clip"] == 3].assign(collision=1)]).to_parquet(results / "estimates.parquet")
-    read, left_out = read_measured(results)
+    read, left_out = read_collisions(results)
     assert 3 not in [c.clip for c in read]
     assert left_out == ["clip 3: 2 collisions in one recording"]
 
@@ -170,7 +176,7 @@ def test_a_camera_with_wrong_units_is_refused(recorded, tmp_path, change, said):
         del camera["K"], camera["dist"]
     (tmp_path / "camera.json").write_text(json.dumps(camera))
     with pytest.raises(InputError, match=said):
-        read_measured(recorded / "tracks.csv", tmp_path / "camera.json")
+        read_collisions(recorded / "tracks.csv", tmp_path / "camera.json")
 
 
 @pytest.mark.parametrize("frame", [8, 39, 45, 70])  # measured nevertheless, that at 39 would divide by zero
@@ -210,21 +216,21 @@ def alike(**same):
 
 
 def test_what_clips_that_are_all_alike_cannot_tell():
-    assert cannot_tell(alike()) == []
+    assert find_uniform_conditions(alike()) == []
     for same, word in (({"speed": 0.3}, "at 0.3 m/s"), ({"b": 0.1}, "b near 0.10"), ({"heading": 3.14}, "one way")):
-        said = cannot_tell(alike(**same))
+        said = find_uniform_conditions(alike(**same))
         assert len(said) == 1
         assert word in said[0]
-    assert len(cannot_tell(alike(speed=0.3, b=0.0, heading=0.0))) == 3
+    assert len(find_uniform_conditions(alike(speed=0.3, b=0.0, heading=0.0))) == 3
 
 
 def test_one_speed_hides_what_hangs_on_it():
     """Restitution hangs on the speed along the line of centres; friction on one that falls to zero in a clip."""
     same = alike(speed=0.3)
-    (said,) = cannot_tell(same)
+    (said,) = find_uniform_conditions(same)
     assert "how restitution or spin transfer changes with the speed can hardly be told" in said
     wide = [dataclasses.replace(c, launch=np.r_[c.launch[:B], 0.2 * c.clip - 0.7]) for c in same]
-    (said,) = cannot_tell(wide)
+    (said,) = find_uniform_conditions(wide)
     assert "how spin transfer changes with the speed can hardly be told" in said
 
 
@@ -239,13 +245,15 @@ def launched(**columns):
 
 @pytest.mark.parametrize(("widest", "told"), [(22, False), (40, True)])
 def test_headings_within_thirty_degrees_of_their_mean_are_one_way(widest, told):
-    said = cannot_tell(launched(heading=np.linspace(-widest, widest, 9), b=np.linspace(-0.5, 0.5, 9)))
+    said = find_uniform_conditions(launched(heading=np.linspace(-widest, widest, 9), b=np.linspace(-0.5, 0.5, 9)))
     assert any("one way" in line for line in said) is not told
 
 
 @pytest.mark.parametrize(("span", "told"), [(0.035, False), (0.07, True)])
 def test_impact_parameters_that_span_a_twentieth_are_one(span, told):
-    assert any("b near" in line for line in cannot_tell(launched(b=0.2 + np.linspace(0, span, 9)))) is not told
+    assert (
+        any("b near" in line for line in find_uniform_conditions(launched(b=0.2 + np.linspace(0, span, 9)))) is not told
+    )
 
 
 @pytest.mark.parametrize(("count", "out", "extremes"), [(7, 1, False), (8, 2, True), (30, 7, True)])
@@ -253,7 +261,7 @@ def test_a_quarter_is_kept_out_and_of_eight_the_extremes(count, out, extremes):
     b = np.zeros(count)
     b[1] = 0.5
     clips = launched(b=b)
-    fitted, kept_out = split(clips)
+    fitted, kept_out = split_held_out(clips)
     assert len(kept_out) == out
     assert len(fitted) == count - out
     assert ({id(clips[1]), id(clips[-1])} <= {id(c) for c in kept_out}) is extremes
@@ -266,9 +274,9 @@ def test_no_ball_is_launched_faster_than_twenty_metres_a_second(recorded, tmp_pa
     table.assign(v0=speed).to_parquet(results / "estimates.parquet")
     if refused:
         with pytest.raises(InputError, match="speeds of 25 m/s; are scale and fps of the camera right"):
-            read_measured(results)
+            read_collisions(results)
     else:
-        assert read_measured(results)[0][0].launch[V0] == speed
+        assert read_collisions(results)[0][0].launch[V0] == speed
 
 
 @pytest.mark.parametrize(("frames", "approach"), [(2, False), (3, True)])
@@ -283,10 +291,10 @@ def test_with_less_than_three_frames_before_the_contact_the_launch_is_read_from_
     some = {f.name: getattr(tracks, f.name) for f in dataclasses.fields(tracks)}
     some = {k: v[kept] if isinstance(v, np.ndarray) and len(v) == len(kept) else v for k, v in some.items()}
     some = dataclasses.replace(tracks, **some)
-    whole, found = collision(tracks, row, camera).launch, collision(some, row, camera).launch
+    whole, found = build_collision(tracks, row, camera).launch, build_collision(some, row, camera).launch
     assert bool(found[V0] == whole[V0]) is approach
     assert found[[V0, B]] == pytest.approx(whole[[V0, B]], abs=0.03)
     short = {f.name: getattr(some, f.name) for f in dataclasses.fields(some)}
     short = {k: v[some.frame < 30] if isinstance(v, np.ndarray) else v for k, v in short.items()}
-    left = collision(dataclasses.replace(some, **short), row, camera)
+    left = build_collision(dataclasses.replace(some, **short), row, camera)
     assert (left == "a ball is seen in fewer than 3 frames before the contact") is not approach

@@ -8,8 +8,8 @@ import pytest
 from discrepancy_files import NOISE, SCENE
 from repository import ROOT
 
-from discrepancy.data.collisions import read_measured
-from discrepancy.data.processed import processed
+from discrepancy.data.collisions import read_collisions
+from discrepancy.data.prior_processing import detect_processing
 from synthcam.dataset.generate import Plan, run
 from synthcam.scene.scene import read_scene
 from synthcam_shared.errors import InputError
@@ -41,7 +41,7 @@ def read(fine, late, start=0.0):
     table = rows.merge(wanted, on="frame")
     table = table.assign(t_s=start + table["frame"] / 1250, frame=table["number"], x_std=NOISE, y_std=NOISE, cov_xy=0.0)
     table.drop(columns="number").to_csv(folder / "t.csv", index=False)
-    return read_measured(folder / "t.csv", folder / "camera.json")
+    return read_collisions(folder / "t.csv", folder / "camera.json")
 
 
 def test_places_are_those_of_even_times(fine):
@@ -50,8 +50,8 @@ def test_places_are_those_of_even_times(fine):
     late[0] = 0
     even, uneven = read(fine, 0 * late)[0], read(fine, late)[0]
     assert len(even) == len(uneven) == CLIPS
-    assert processed(even) == ()
-    assert "up to 0.4 frames beside an even rate" in processed(uneven)[0]
+    assert detect_processing(even) == ()
+    assert "up to 0.4 frames beside an even rate" in detect_processing(uneven)[0]
     for one, other in zip(even, uneven, strict=True):
         whole = {(b, f): xy for b, f, xy in zip(one.ball, one.frame, one.xy, strict=True)}
         off = np.array([xy - whole[b, f] for b, f, xy in zip(other.ball, other.frame, other.xy, strict=True)])

@@ -13,12 +13,12 @@ from discrepancy.data.launch import (
     B,
     X,
     Y,
-    alike,
-    free,
+    equalise_launches,
+    find_free_columns,
+    guess_spin,
+    is_possible,
+    limit_spins,
     normal_speed,
-    possible,
-    spin,
-    with_possible_spins,
 )
 from synthcam.dynamics.batch import LAUNCH
 from synthcam.dynamics.launch import SPIN
@@ -38,18 +38,18 @@ def test_the_normal_speed_is_the_part_along_the_line_of_centres():
 
 @pytest.mark.parametrize(("column", "value"), [(V0, 0.0), (V0, -0.1), (B, 1.0), (B, -1.2)])
 def test_a_striker_that_rests_or_misses_is_no_launch(column, value):
-    assert possible(HITS)
+    assert is_possible(HITS)
     wrong = HITS.copy()
     wrong[1, column] = value
-    assert not possible(wrong)
+    assert not is_possible(wrong)
 
 
 def test_a_ball_that_rolls_has_no_slip_to_be_fitted():
     rolls, spins, slides = HITS[0], [*HITS[0], 0.0, 0.0, 0.1], [*HITS[0], 0.0, -0.1, 0.0]
-    every = np.array(alike([rolls, np.array(spins), np.array(slides)]))
-    assert free(every)[:, :6].all()
-    assert free(every)[:, 6:].tolist() == [[False] * 3, [False, False, True], [True, True, False]]
-    assert [len(one) for one in alike([rolls, np.array([*rolls, 0.0, 0.0, 0.0])])] == [6, 6]
+    every = np.array(equalise_launches([rolls, np.array(spins), np.array(slides)]))
+    assert find_free_columns(every)[:, :6].all()
+    assert find_free_columns(every)[:, 6:].tolist() == [[False] * 3, [False, False, True], [True, True, False]]
+    assert [len(one) for one in equalise_launches([rolls, np.array([*rolls, 0.0, 0.0, 0.0])])] == [6, 6]
 
 
 @pytest.mark.parametrize(
@@ -59,22 +59,24 @@ def test_a_ball_that_rolls_has_no_slip_to_be_fitted():
 def test_where_strikers_spin_that_no_rejected_model_tells_each_may(rejected, told, each):
     """Of strikers of which six spin, eight others are in clips whose model is rejected; five are too few to tell."""
     rolls, spins = HITS[0], np.array([*HITS[0], 0.0, 0.0, 0.1])
-    every = np.array(alike(told * [spins] + 8 * [rolls], told * [False] + rejected * [True] + (8 - rejected) * [False]))
-    assert free(every)[told:, 8].all() == each
-    assert free(every)[:told, 8].all()
+    every = np.array(
+        equalise_launches(told * [spins] + 8 * [rolls], told * [False] + rejected * [True] + (8 - rejected) * [False])
+    )
+    assert find_free_columns(every)[told:, 8].all() == each
+    assert find_free_columns(every)[:told, 8].all()
 
 
 def test_a_spin_is_that_of_the_estimates_along_the_heading():
     row = {"status": "ok", "u2ix": 0.3, "u2iy": 0.1, "side2i": -0.2}
-    assert spin(row, np.pi / 2, 0.5, np.zeros(2)) == pytest.approx([0.1, -0.3, -0.2])
-    assert not spin({"status": "ok"}, 0.3, 0.5, np.array([5.0, 0.0])).any()
+    assert guess_spin(row, np.pi / 2, 0.5, np.zeros(2)) == pytest.approx([0.1, -0.3, -0.2])
+    assert not guess_spin({"status": "ok"}, 0.3, 0.5, np.array([5.0, 0.0])).any()
 
 
 def test_of_a_misfit_only_a_ball_that_slows_down_slides():
     row = {"status": "misfit", "u2ix": 0.3, "u2iy": 0.1, "side2i": -0.2}
-    assert not spin(row, 0.0, 0.5, np.array([-0.1, 0.0])).any()
-    assert spin(row, 0.0, 0.5, np.array([-2.0, 0.0])) == pytest.approx([0.3, 0.1, -0.2])
-    unseen = spin({"status": "misfit"}, 0.0, 0.5, np.array([-2.0, 0.0]))
+    assert not guess_spin(row, 0.0, 0.5, np.array([-0.1, 0.0])).any()
+    assert guess_spin(row, 0.0, 0.5, np.array([-2.0, 0.0])) == pytest.approx([0.3, 0.1, -0.2])
+    unseen = guess_spin({"status": "misfit"}, 0.0, 0.5, np.array([-2.0, 0.0]))
     assert unseen[0] > 0  # friction is against the slip
     assert unseen[1] == 0
 
@@ -83,23 +85,23 @@ def test_of_a_misfit_only_a_ball_that_slows_down_slides():
 def test_a_spin_is_believed_where_only_the_errors_are_claimed_too_small(chi2, believed):
     """The tied fit agrees with the free one, both at 1.6 a degree of freedom; or it does not."""
     row = {"status": "misfit", "u2ix": 0.0, "u2iy": 0.0, "side2i": -0.2, "chi2": chi2, "dof": 376}
-    said = spin(row | {"chi2_free": 592.0, "dof_free": 370}, 0.0, 0.5, np.array([-0.1, 0.0]))
+    said = guess_spin(row | {"chi2_free": 592.0, "dof_free": 370}, 0.0, 0.5, np.array([-0.1, 0.0]))
     assert said.tolist() == [0.0, 0.0, -0.2 if believed else 0.0]
 
 
 def test_a_striker_whose_slide_has_all_but_ended_rolls():
     """A slip that ends has no direction: derivatives by it were 1e5 of those by all else, and no step gained."""
     launches = np.array([[0, 0, 0.1, 2.0, 0, 0.3, 0.03, -0.02, 1.0], [0, 0, 0.1, 2.0, 0, 0.3, 0.05, 0.0, 0.0]])
-    rolling = with_possible_spins(launches)
+    rolling = limit_spins(launches)
     assert rolling[0].tolist() == [0, 0, 0.1, 2.0, 0, 0.3, 0, 0, 1.0]
     assert np.array_equal(rolling[1], launches[1])
-    assert np.array_equal(with_possible_spins(launches[:, :6]), launches[:, :6])
+    assert np.array_equal(limit_spins(launches[:, :6]), launches[:, :6])
 
 
 def test_no_striker_spins_far_faster_than_it_moves():
     """Slips of 10^3 m/s were fitted to strikers of 4 m/s that did not slide as the model says."""
     launches = np.array([[0, 0, 0.1, 2.0, 0, 0.3, 300.0, -400.0, 90.0], [0, 0, 0.1, 2.0, 0, 0.3, 6.0, 3.0, -19.0]])
-    held = with_possible_spins(launches)
+    held = limit_spins(launches)
     assert held[0, 6:] == pytest.approx([12.0, -16.0, 20.0])
     assert np.array_equal(held[1], launches[1])
     assert np.array_equal(held[:, :6], launches[:, :6])
@@ -107,5 +109,9 @@ def test_no_striker_spins_far_faster_than_it_moves():
 
 def test_where_most_strikers_spin_each_may():
     rolls, spins = HITS[0], np.array([*HITS[0], 0.0, 0.0, 0.1])
-    assert free(np.array(alike([rolls, spins, -spins])))[:, SIDE].all()
-    assert free(np.array(alike([rolls, rolls, spins])))[:, SIDE].tolist() == [False, False, True]
+    assert find_free_columns(np.array(equalise_launches([rolls, spins, -spins])))[:, SIDE].all()
+    assert find_free_columns(np.array(equalise_launches([rolls, rolls, spins])))[:, SIDE].tolist() == [
+        False,
+        False,
+        True,
+    ]

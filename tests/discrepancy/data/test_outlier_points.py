@@ -7,10 +7,10 @@ import pytest
 from discrepancy_clips import FRAMES, STD, collisions, exact, noisy, only
 
 from discrepancy.data.launch import T_C
-from discrepancy.data.outlier_points import _Offset, outliers, taken_out, without_outliers
-from discrepancy.fitting.base_fit import CLAIMED, base_fit
-from discrepancy.fitting.parameters import parameter_of
-from discrepancy.fitting.predict import forecast
+from discrepancy.data.outlier_points import _Offset, describe_removed_points, find_outliers, remove_outliers
+from discrepancy.fitting.base_fit import CLAIMED_NOISE, fit_base_model
+from discrepancy.fitting.parameters import find_parameter
+from discrepancy.fitting.predict import predict_tracks
 from discrepancy.search import find
 from synthcam.library import library
 from synthcam.model import Model
@@ -28,7 +28,7 @@ def moved(clip, rows, by):
 def test_a_place_far_off_its_path_is_an_outlier(by):
     for clip in CLIPS:
         rows = [row_of(clip, 0, 6), row_of(clip, 1, 70)]
-        assert outliers(moved(clip, rows, STD * np.array(by))) == set(rows)
+        assert find_outliers(moved(clip, rows, STD * np.array(by))) == set(rows)
 
 
 def row_of(clip, ball, frame):
@@ -37,8 +37,8 @@ def row_of(clip, ball, frame):
 
 def found_beside_a_model(clips):
     """What is found beside the base model fitted to the clips, outliers and all: rows."""
-    base = base_fit(clips, Model(), CLAIMED, lambda stage: None)
-    return [outliers(c, x) for c, x in zip(clips, forecast(base.model, base.launches, clips), strict=True)]
+    base = fit_base_model(clips, Model(), CLAIMED_NOISE, lambda stage: None)
+    return [find_outliers(c, x) for c, x in zip(clips, predict_tracks(base.model, base.launches, clips), strict=True)]
 
 
 @pytest.mark.parametrize(("sigma", "wrong"), [(6.0, False), (11.0, True)])
@@ -48,7 +48,7 @@ def test_a_place_is_an_outlier_beyond_eight_sigma(sigma, wrong):
         row = row_of(clip, 1, 70)
         xy = clip.xy.copy()
         xy[row] = true.xy[row] + [sigma * np.sqrt(1 + 708 / 2064) * STD, 0]
-        assert outliers(dataclasses.replace(clip, xy=xy)) == ({row} if wrong else set())
+        assert find_outliers(dataclasses.replace(clip, xy=xy)) == ({row} if wrong else set())
 
 
 @pytest.mark.parametrize(("rough", "wrong"), [(1.4, True), (2.8, False)])
@@ -60,13 +60,13 @@ def test_places_that_are_twice_as_rough_as_noise_tell_of_no_outlier(rough, wrong
 def test_a_model_that_is_ten_errors_off_tells_of_no_outlier(off, wrong):
     clip, row = CLIPS[0], row_of(CLIPS[0], 1, 70)
     expected = exact(Model(), 8, 3)[0].xy + off * STD
-    assert outliers(moved(clip, [row], 40 * STD), expected) == ({row} if wrong else set())
+    assert find_outliers(moved(clip, [row], 40 * STD), expected) == ({row} if wrong else set())
 
 
 @pytest.mark.parametrize(("clips", "gone"), [(2, 2), (3, 0)])
 def test_what_three_clips_have_in_one_frame_is_kept(clips, gone):
     wrong = [moved(c, [row_of(c, 1, 70)], 40 * STD) if k < clips else c for k, c in enumerate(CLIPS)]
-    kept = without_outliers(wrong, [c.xy for c in exact(Model(), 8, 3)])
+    kept = remove_outliers(wrong, [c.xy for c in exact(Model(), 8, 3)])
     assert sum(len(c.frame) for c in wrong) - sum(len(c.frame) for c in kept) == gone
 
 
@@ -94,41 +94,41 @@ def test_so_are_neighbours():
 @pytest.mark.parametrize("longer", [1, 4, 8])
 def test_what_a_model_lacks_makes_none(effect, longer):
     """At its realistic size, and where the exposures take up to the whole time from frame to frame."""
-    truth = Model().replace({effect: parameter_of(Model(), effect).typical})
+    truth = Model().replace({effect: find_parameter(Model(), effect).typical})
     camera = dataclasses.replace(CLIPS[0].camera, exposure=longer * CLIPS[0].camera.exposure)
     clips = [dataclasses.replace(c, camera=camera) for c in exact(truth, 8, 3)]
-    places = forecast(truth, np.array([c.launch for c in clips]), clips)
+    places = predict_tracks(truth, np.array([c.launch for c in clips]), clips)
     clips = noisy([dataclasses.replace(c, xy=xy) for c, xy in zip(clips, places, strict=True)], 3)
     assert not any(found_beside_a_model(clips))
 
 
 @pytest.mark.parametrize("rho", [0.0, 0.9])
 def test_noise_has_none(rho):
-    assert not any(outliers(clip) for clip in collisions(Model(), 12, 4, rho))
+    assert not any(find_outliers(clip) for clip in collisions(Model(), 12, 4, rho))
 
 
 def test_errors_that_are_claimed_to_vary_make_none():
     rng = np.random.default_rng(2)
     for clip in CLIPS:
         claimed = clip.covariance * rng.uniform(0.9, 1.1, (len(clip.frame), 1, 1))
-        assert not outliers(dataclasses.replace(clip, covariance=claimed))
+        assert not find_outliers(dataclasses.replace(clip, covariance=claimed))
 
 
 def test_a_jump_is_none():
     """As where a frame is lost: all that follows stands elsewhere."""
     for clip in CLIPS:
         late = np.flatnonzero((clip.ball == 1) & (clip.frame >= 70))
-        assert outliers(moved(clip, late, 50 * STD)) == set()
+        assert find_outliers(moved(clip, late, 50 * STD)) == set()
 
 
 def test_what_is_left_is_the_clip_without_them_and_it_is_said():
     row = row_of(CLIPS[2], 1, 70)
     given = [*CLIPS[:2], moved(CLIPS[2], [row], 30 * STD)]
-    kept = without_outliers(given)
+    kept = remove_outliers(given)
     assert kept[:2] == CLIPS[:2]
     assert np.array_equal(kept[2].xy, np.delete(CLIPS[2].xy, row, axis=0))
     assert np.array_equal(kept[2].covariance, np.delete(CLIPS[2].covariance, row, axis=0))
-    (said,) = taken_out(given, kept)
+    (said,) = describe_removed_points(given, kept)
     assert said == "clip 2: 1 of 160 places, in frame 70, far off the path through those before and after"
 
 

@@ -9,7 +9,7 @@ from discrepancy_clips import CAMERA, collisions
 from scipy.ndimage import uniform_filter1d
 
 from discrepancy.data.launch import T_C
-from discrepancy.data.processed import beyond_reach, processed
+from discrepancy.data.prior_processing import detect_processing, remove_filtered_rows
 from discrepancy.search import find
 from synthcam.model import Model
 from synthcam_shared.errors import InputError
@@ -37,34 +37,34 @@ def thinned(clip, least):
 
 
 def test_of_tracks_as_they_were_measured_nothing_is_said():
-    assert processed(CLIPS) == ()
+    assert detect_processing(CLIPS) == ()
 
 
 @pytest.mark.parametrize("step", [0.05, 0.25, 1.0])
 def test_a_grid_is_found_with_its_step(step):
-    (said,) = processed([rounded(c, step) for c in CLIPS])
+    (said,) = detect_processing([rounded(c, step) for c in CLIPS])
     assert float(re.search(r"rounded to (\S+) px", said)[1]) == pytest.approx(step, rel=0.05)
 
 
 def test_digits_far_beyond_the_errors_are_no_grid():
-    assert processed([rounded(c, 0.002) for c in CLIPS]) == ()
+    assert detect_processing([rounded(c, 0.002) for c in CLIPS]) == ()
 
 
 @pytest.mark.parametrize("least", [8e-4, 1.2e-3])
 def test_a_least_step_is_found(least):
-    (said,) = processed([thinned(c, least) for c in CLIPS])
+    (said,) = detect_processing([thinned(c, least) for c in CLIPS])
     assert float(re.search(r"less than (\S+) mm", said)[1]) == pytest.approx(1e3 * least, rel=0.1)
 
 
 def test_frames_lost_at_random_are_no_rule():
     rng = np.random.default_rng(1)
-    assert processed([c.of(np.flatnonzero(rng.random(len(c.frame)) > 0.2)) for c in CLIPS]) == ()
+    assert detect_processing([c.of(np.flatnonzero(rng.random(len(c.frame)) > 0.2)) for c in CLIPS]) == ()
 
 
 def test_what_a_filter_may_move_has_no_part():
     """A window of 11 about a place that is left holds neither a hit, nor a gap, nor an end."""
     clip = CLIPS[0].of(np.flatnonzero(CLIPS[0].frame != 60))
-    left = beyond_reach(clip)
+    left = remove_filtered_rows(clip)
     assert len(left.frame) > 0
     for ball in (0, 1):
         frames = set(clip.frame[clip.ball == ball].tolist())

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from discrepancy_clips import CAMERA
 
-from discrepancy.data.sanity import exchanged, wrong_units
+from discrepancy.data.track_checks import detect_wrong_units, find_exchange
 from tracker.detection.link import Tracks
 
 DIAMETER = CAMERA.diameter_px
@@ -38,7 +38,7 @@ def head_on(step, frames=40):
 
 @pytest.mark.parametrize("step", [0.05, 0.5, 1.0, 1.5])
 def test_a_collision_is_no_exchange(step):
-    assert exchanged(tracks(*head_on(step)), CAMERA) is None
+    assert find_exchange(tracks(*head_on(step)), CAMERA) is None
 
 
 @pytest.mark.parametrize("frame", [1, 15, 20, 30, 39])
@@ -46,7 +46,7 @@ def test_a_collision_is_no_exchange(step):
 def test_an_exchange_is_found_where_it_is(frame, step):
     one, two = head_on(step)
     late = np.arange(len(one))[:, None] >= frame
-    assert exchanged(tracks(np.where(late, two, one), np.where(late, one, two)), CAMERA) == frame
+    assert find_exchange(tracks(np.where(late, two, one), np.where(late, one, two)), CAMERA) == frame
 
 
 def test_one_ball_alone_is_no_exchange():
@@ -54,22 +54,22 @@ def test_one_ball_alone_is_no_exchange():
     alone = tracks(one, one)
     first = alone.particle == 0
     fields = {k: v[first] for k, v in vars(alone).items()}
-    assert exchanged(Tracks(**fields), CAMERA) is None
-    assert wrong_units([(Tracks(**fields), CAMERA)]) is None
+    assert find_exchange(Tracks(**fields), CAMERA) is None
+    assert detect_wrong_units([(Tracks(**fields), CAMERA)]) is None
 
 
 @pytest.mark.parametrize(("unit", "metre"), [("m", 1), ("cm", 1e2), ("mm", 1e3), ("um", 1e6)])
 def test_units_are_told_from_balls_that_touch(unit, metre):
     one, two = head_on(0.3)
     factor = CAMERA.scale * metre
-    said = wrong_units([(tracks(factor * one, factor * two), CAMERA)] * 3)
+    said = detect_wrong_units([(tracks(factor * one, factor * two), CAMERA)] * 3)
     assert said.startswith(f"the places look like {unit}: the balls come as near as")
-    assert wrong_units([(tracks(one, two), CAMERA)] * 3) is None
+    assert detect_wrong_units([(tracks(one, two), CAMERA)] * 3) is None
 
 
 def test_balls_within_each_other_are_of_no_known_unit():
     one, two = head_on(0.3)
-    said = wrong_units([(tracks(0.4 * one, 0.4 * two), CAMERA)])
+    said = detect_wrong_units([(tracks(0.4 * one, 0.4 * two), CAMERA)])
     assert said == "the balls come as near as 6.49; expected px, and 14.9 of them, a diameter"
 
 
@@ -80,7 +80,7 @@ def test_an_exchange_is_told_where_both_balls_are_seen_again_within_three_frames
     whole = tracks(np.where(late, two, one), np.where(late, one, two))
     seen = ~((whole.frame >= 30 - lost) & (whole.frame < 30))
     clip = Tracks(**{k: v[seen] for k, v in vars(whole).items()})
-    assert exchanged(clip, CAMERA) == (30 if told else None)
+    assert find_exchange(clip, CAMERA) == (30 if told else None)
 
 
 @pytest.mark.parametrize(("nearest", "pixels"), [(0.7, False), (0.9, True), (22.0, True), (44.0, False)])
@@ -88,19 +88,19 @@ def test_balls_of_which_the_nearest_places_are_no_diameter_apart_are_doubted(nea
     """In diameters: nearer than .8, as no balls are, or never nearer than 30."""
     along = np.linspace(0, 1, 40)[:, None] * [0.0, 100.0]
     beside = along + np.array([nearest * DIAMETER, 0])
-    assert (wrong_units([(tracks(along, beside), CAMERA)] * 3) is None) is pixels
+    assert (detect_wrong_units([(tracks(along, beside), CAMERA)] * 3) is None) is pixels
 
 
 @pytest.mark.parametrize(("share", "pixels"), [(1.4, True), (2.8, False)])
 def test_tracks_beyond_twice_the_picture_are_doubted(share, pixels):
     one, two = head_on(0.3)
     off = np.array([share * max(CAMERA.size) - max(one.max(), two.max()), 0])
-    assert (wrong_units([(tracks(one + off, two + off), CAMERA)] * 3) is None) is pixels
+    assert (detect_wrong_units([(tracks(one + off, two + off), CAMERA)] * 3) is None) is pixels
 
 
 @pytest.mark.parametrize(("factor", "unit"), [(1.22, True), (0.82, True), (1.55, False), (0.65, False)])
 def test_a_unit_is_told_where_the_nearest_places_are_a_diameter_apart_within_a_third(factor, unit):
     """In cm; a diameter is .238."""
     one, two = (100 * CAMERA.scale * factor * places for places in head_on(0.3))
-    said = wrong_units([(tracks(one, two), CAMERA)])
+    said = detect_wrong_units([(tracks(one, two), CAMERA)])
     assert said.startswith("the places look like cm: ") is unit

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from discrepancy_clips import CAMERA, collisions
 
-from discrepancy.data.strays import without_strays
+from discrepancy.data.strays import remove_strays
 from synthcam.model import Model
 from tracker.detection.link import Tracks
 
@@ -24,13 +24,13 @@ def tracks_of(clip):
 def test_a_hit_is_no_stray():
     for clip in CLIPS:
         tracks = tracks_of(clip)
-        assert without_strays(tracks, CAMERA)[0] is tracks
+        assert remove_strays(tracks, CAMERA)[0] is tracks
 
 
 def test_nor_is_what_a_tracker_has_lost():
     for clip in CLIPS:
         tracks = tracks_of(clip.of(np.flatnonzero(clip.frame % 7 != 3)))
-        assert without_strays(tracks, CAMERA)[1] == []
+        assert remove_strays(tracks, CAMERA)[1] == []
 
 
 @pytest.mark.parametrize("count", [1, 3, 8])
@@ -40,7 +40,7 @@ def test_another_ball_is_taken_out_and_no_more(count, far):
         tracks, first = tracks_of(clip), int(clip.launch[2] * clip.fps) + 12
         taken = (tracks.particle == 1) & (tracks.frame >= first) & (tracks.frame < first + count)
         moved = dataclasses.replace(tracks, x=tracks.x + far * CAMERA.diameter_px * taken)
-        left, frames = without_strays(moved, CAMERA)
+        left, frames = remove_strays(moved, CAMERA)
         assert frames == list(range(first, first + count))
         np.testing.assert_array_equal(left.xy, tracks.xy[~taken])
 
@@ -49,4 +49,4 @@ def test_a_ball_that_is_changed_for_good_is_left():
     tracks = tracks_of(CLIPS[0])
     late = (tracks.particle == 1) & (tracks.frame >= 50)
     moved = dataclasses.replace(tracks, x=tracks.x + 3 * CAMERA.diameter_px * late)
-    assert without_strays(moved, CAMERA)[1] == []
+    assert remove_strays(moved, CAMERA)[1] == []

@@ -9,21 +9,21 @@ from discrepancy_clips import collisions
 from benchmarks.search.sealed.ordinary import ORDINARY
 from discrepancy.diagnostics.constancy import StrengthVariation, find_variation
 from discrepancy.fitting.gauss_newton import fit_model
-from discrepancy.fitting.model_fit import Evidence
-from discrepancy.fitting.parameters import BASE
-from discrepancy.noise.model import Component, Noise
+from discrepancy.fitting.model_fit import WhitenedClips
+from discrepancy.fitting.parameters import BASE_PARAMETERS
+from discrepancy.noise.model import Noise, NoiseComponent
 from synthcam.library import library
 from synthcam.model import Model
 
-CLAIMED = Noise(Component(1.0))
+CLAIMED = Noise(NoiseComponent(1.0))
 
 
 def fitted(hidden, name, seed):
     """Of 16 collisions with something hidden, the sigma of an effect, and what it changes with most."""
     clips = collisions(dataclasses.replace(Model(), effects=(hidden,)), 16, seed)
-    base = fit_model(clips, Model(), BASE, CLAIMED)
-    best = fit_model(clips, Model(), [*BASE, name], CLAIMED, base.launches)
-    return np.sqrt(base.chi2 - best.chi2), find_variation(Evidence.of(clips, CLAIMED), best, [name])
+    base = fit_model(clips, Model(), BASE_PARAMETERS, CLAIMED)
+    best = fit_model(clips, Model(), [*BASE_PARAMETERS, name], CLAIMED, base.launches)
+    return np.sqrt(base.chi2 - best.chi2), find_variation(WhitenedClips.of(clips, CLAIMED), best, [name])
 
 
 @pytest.mark.parametrize(

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from discrepancy_clips import exact, searched
 
-from discrepancy.data.collisions import split
+from discrepancy.data.collisions import split_held_out
 from discrepancy.data.launch import V0, B
 from discrepancy.diagnostics.gap import measure_gap
 from discrepancy.fitting.gauss_newton import fit_model
-from discrepancy.noise.model import Component, Noise
-from discrepancy.noise.whitening import Whitener
+from discrepancy.noise.model import Noise, NoiseComponent
+from discrepancy.noise.whitening import ClipWhitener
 from synthcam.model import Model
 
 EFFECTS = ("velocity_restitution", "rolling_quadratic")
@@ -32,7 +32,7 @@ def test_clips_kept_out_are_in_no_fit():
 @pytest.mark.parametrize(("count", "out"), [(6, 1), (8, 2), (12, 3), (30, 7)])
 def test_kept_out_clips_cover_the_speeds_and_the_extremes(count, out):
     clips = exact(Model(), count, 7)
-    fitted, kept = split(clips)
+    fitted, kept = split_held_out(clips)
     assert (len(fitted), len(kept)) == (count - out, out)
     assert {c.clip for c in fitted + kept} == set(range(count))
     by_speed = sorted(clips, key=lambda c: c.launch[V0])
@@ -79,7 +79,7 @@ def test_the_floor_of_each_phase_is_what_drawn_noise_leaves(rho):
         drawn = rng.standard_normal((len(launch), 2000))
         rest = drawn - launch @ np.linalg.lstsq(launch, drawn, rcond=None)[0]
         left.append((rest.reshape(-1, 2, 2000) ** 2).mean(axis=(1, 2)))
-        metres.append((Whitener.of(clip, found.data.noise).undo(rest) ** 2).mean(axis=(1, 2)))
+        metres.append((ClipWhitener.of(clip, found.data.noise).undo(rest) ** 2).mean(axis=(1, 2)))
     phase = np.concatenate([c.phase() for c in found.data.kept_out])
     assert set(gap.by_phase) == {"before", "sliding", "rolling"}
     for k, part in enumerate(gap.by_phase.values()):
@@ -97,7 +97,7 @@ def test_the_gap_lies_in_the_phases_of_what_is_hidden():
 
 
 def test_a_model_without_a_motion_closes_nothing():
-    clips, white = exact(Model(), 2, 5), Noise(Component(1.0))
+    clips, white = exact(Model(), 2, 5), Noise(NoiseComponent(1.0))
     base = fit_model(clips, Model(), (), white)
     steep = dataclasses.replace(base, model=Model().replace({"plate_tilt.x": 5e-3}))
     shown = measure_gap(clips, base, steep, white)

@@ -6,22 +6,22 @@ import numpy as np
 import pytest
 from discrepancy_clips import HIDDEN, collisions, only, searched
 
-from discrepancy.data.collisions import split
+from discrepancy.data.collisions import split_held_out
 from discrepancy.diagnostics.held_out import HeldOutTest, leave_one_out_residuals, reason_to_reject
 from discrepancy.fitting.gauss_newton import fit_model
-from discrepancy.fitting.parameters import BASE
-from discrepancy.noise.model import Component, Noise
+from discrepancy.fitting.parameters import BASE_PARAMETERS
+from discrepancy.noise.model import Noise, NoiseComponent
 from discrepancy.search import find
 from synthcam.model import Model
 
-NOISE = Noise(Component(1.0))
+NOISE = Noise(NoiseComponent(1.0))
 E = "velocity_restitution.e"
 
 
 def test_each_clip_is_foretold_as_a_fit_to_all_others_foretells_it():
     """The fit itself done again without it, and its launch alone to it."""
     clips = collisions(Model().replace({E: 0.02}), 6, 3)
-    fit = fit_model(clips, Model(), (*BASE, E), NOISE)
+    fit = fit_model(clips, Model(), (*BASE_PARAMETERS, E), NOISE)
     turned = leave_one_out_residuals(fit)
     for k in (0, 4):
         others = fit_model([c for c in clips if c is not clips[k]], fit.model, fit.names, NOISE)
@@ -64,7 +64,7 @@ def test_a_true_claim_stands_and_says_its_gap():
 def disagreeing(truth, count=8):
     """Collisions of which those to be fitted have an effect, and those to be kept out have none."""
     bent, plain = (collisions(m, count, 3) for m in (Model().replace(truth), Model()))
-    kept_out = {c.clip for c in split(bent)[1]}
+    kept_out = {c.clip for c in split_held_out(bent)[1]}
     return [p if b.clip in kept_out else b for b, p in zip(bent, plain, strict=True)]
 
 

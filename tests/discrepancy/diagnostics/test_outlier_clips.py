@@ -9,11 +9,11 @@ from discrepancy_clips import collisions
 from discrepancy.data.launch import HEADING, V0
 from discrepancy.diagnostics.outlier_clips import outlier_clips
 from discrepancy.fitting.gauss_newton import fit_model
-from discrepancy.fitting.parameters import BASE
-from discrepancy.noise.model import Component, Noise
+from discrepancy.fitting.parameters import BASE_PARAMETERS
+from discrepancy.noise.model import Noise, NoiseComponent
 from synthcam.model import Model
 
-CLAIMED = Noise(Component(1.0))
+CLAIMED = Noise(NoiseComponent(1.0))
 
 
 def pushed(clip, size):
@@ -24,8 +24,8 @@ def pushed(clip, size):
 
 
 def fits(clips, effect):
-    base = fit_model(clips, Model(), BASE, CLAIMED)
-    return base, fit_model(clips, Model(), [*BASE, effect], CLAIMED, base.launches)
+    base = fit_model(clips, Model(), BASE_PARAMETERS, CLAIMED)
+    return base, fit_model(clips, Model(), [*BASE_PARAMETERS, effect], CLAIMED, base.launches)
 
 
 def significance(base, best):

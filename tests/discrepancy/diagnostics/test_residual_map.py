@@ -12,18 +12,18 @@ from scipy.stats import kstest
 from discrepancy.data.launch import HEADING
 from discrepancy.diagnostics.residual_map import AXES, BALLS, SAID, TRIALS, locate, trials
 from discrepancy.fitting.gauss_newton import fit_model
-from discrepancy.fitting.parameters import BASE
-from discrepancy.noise.model import Component, Noise
+from discrepancy.fitting.parameters import BASE_PARAMETERS
+from discrepancy.noise.model import Noise, NoiseComponent
 from synthcam.model import Model
 
-CLAIMED = Noise(Component(1.0))
+CLAIMED = Noise(NoiseComponent(1.0))
 
 
 @cache
 def seen(name, value, held="", count=16):
     """Tests of a base fit when `name` has a value that the model does not know; `held`: a parameter not fitted."""
     clips = collisions(Model().replace({"plate_waviness.wavelength": 0.04} | {name: value}), count, 4)
-    names = tuple(n for n in BASE if n != held)
+    names = tuple(n for n in BASE_PARAMETERS if n != held)
     return locate(clips, fit_model(clips, Model(), names, CLAIMED), CLAIMED)
 
 
@@ -34,7 +34,7 @@ def most(places, **wanted):
 
 def test_noise_alone_draws_uniform_chances():
     clips = exact(Model(), 6, 5)
-    fit = fit_model(clips, Model(), BASE, CLAIMED, np.array([c.launch for c in clips]))
+    fit = fit_model(clips, Model(), BASE_PARAMETERS, CLAIMED, np.array([c.launch for c in clips]))
     rng, chances = np.random.default_rng(1), {}
     for _ in range(25):
         drawn = tuple(rng.standard_normal(len(r)) for r in fit.residuals)
@@ -91,7 +91,7 @@ def test_a_bent_roll_has_the_size_of_its_bend():
         line = np.polyval(np.polyfit(late[rows], bend[rows], 1), late[rows])
         sizes.append((bend[rows] - line) ** 2)
         clips.append(dataclasses.replace(c, xy=c.xy + bend[:, None] * way))
-    places = [p for p in locate(clips, fit_model(clips, Model(), BASE, CLAIMED), CLAIMED) if not p.against]
+    places = [p for p in locate(clips, fit_model(clips, Model(), BASE_PARAMETERS, CLAIMED), CLAIMED) if not p.against]
     assert (places[0].phase, places[0].ball, places[0].observable) == ("rolling", "ball 1", "across")
     assert places[0].size == pytest.approx(1e6 * np.sqrt(np.mean(np.concatenate(sizes))), rel=0.15)
 
@@ -118,5 +118,5 @@ def test_too_few_clips_are_held_against_nothing():
 @pytest.mark.parametrize(("count", "trends"), [(5, False), (6, True)])
 def test_six_clips_are_held_against_speed_and_place(count, trends):
     clips = collisions(Model(), count, 5)
-    found = trials(clips, fit_model(clips, Model(), BASE, CLAIMED), CLAIMED)
+    found = trials(clips, fit_model(clips, Model(), BASE_PARAMETERS, CLAIMED), CLAIMED)
     assert any(against for _, against, *_ in found) is trends

@@ -12,11 +12,11 @@ from discrepancy.diagnostics.residual_map import locate
 from discrepancy.diagnostics.ripple import ripples
 from discrepancy.diagnostics.trial import ClipAmplitudes, results
 from discrepancy.fitting.gauss_newton import fit_model
-from discrepancy.fitting.parameters import BASE
-from discrepancy.noise.model import Component, Noise
+from discrepancy.fitting.parameters import BASE_PARAMETERS
+from discrepancy.noise.model import Noise, NoiseComponent
 from synthcam.model import Model
 
-CLAIMED = Noise(Component(1.0))
+CLAIMED = Noise(NoiseComponent(1.0))
 SIZE = 1.5e-6  # m
 
 
@@ -39,7 +39,7 @@ def marked(times, ball=0, axis=0, count=16):
 @pytest.mark.parametrize(("times", "ball", "axis"), [(1, 1, 0), (2, 0, 1)])
 def test_a_mark_that_turns_with_a_ball_is_told(times, ball, axis):
     clips = marked(times, ball, axis)
-    worst = locate(clips, fit_model(clips, Model(), BASE, CLAIMED), CLAIMED)[0]
+    worst = locate(clips, fit_model(clips, Model(), BASE_PARAMETERS, CLAIMED), CLAIMED)[0]
     said = ("once a turn", "twice a turn")[times - 1]
     assert (worst.phase, worst.ball, worst.observable) == (said, f"ball {ball + 1}", ("along", "across")[axis])
     assert worst.sigma > 10
@@ -48,7 +48,7 @@ def test_a_mark_that_turns_with_a_ball_is_told(times, ball, axis):
 
 def test_noise_alone_draws_uniform_chances():
     clips = exact(Model(), 6, 5)
-    fit = fit_model(clips, Model(), BASE, CLAIMED, np.array([c.launch for c in clips]))
+    fit = fit_model(clips, Model(), BASE_PARAMETERS, CLAIMED, np.array([c.launch for c in clips]))
     rng, chances = np.random.default_rng(2), {}
     for _ in range(25):
         drawn = tuple(rng.standard_normal(len(r)) for r in fit.residuals)
@@ -65,4 +65,4 @@ def test_a_ripple_that_shared_parameters_can_make_tells_nothing(monkeypatch):
     assert list(results([absorbed])) == []
     clips = marked(1, count=6)
     monkeypatch.setattr("discrepancy.diagnostics.ripple.results", lambda parts: results([absorbed]))
-    assert list(ripples(clips, fit_model(clips, Model(), BASE, CLAIMED), CLAIMED)) == []
+    assert list(ripples(clips, fit_model(clips, Model(), BASE_PARAMETERS, CLAIMED), CLAIMED)) == []

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from discrepancy_clips import collisions, exact
 
-from discrepancy.fitting.base_fit import base_fit, checked, noise_of
+from discrepancy.fitting.base_fit import check_clips, estimate_noise, fit_base_model
 from synthcam.model import Model
 from synthcam_shared.errors import InputError
 
@@ -21,8 +21,8 @@ def slower(clip, factor):
 def test_a_clock_thirty_times_slower_is_friction_nine_hundred_times_less():
     """Lengths alone do not tell time: all laws of the base model but gravity scale, and fit as well as before."""
     clips = collisions(Model(), 8, 4, frames=250)
-    noise, stages = noise_of(clips), []
-    one, other = (base_fit(c, Model(), noise, stages.append) for c in (clips, [slower(c, 30) for c in clips]))
+    noise, stages = estimate_noise(clips), []
+    one, other = (fit_base_model(c, Model(), noise, stages.append) for c in (clips, [slower(c, 30) for c in clips]))
     assert one.chi2 == pytest.approx(other.chi2, abs=0.01)
     by = {"restitution": 1, "sliding_friction": 900, "spin_transfer": 1, "rolling_drag": 30, "rolling_decel": 900}
     for name, factor in by.items():
@@ -34,7 +34,9 @@ def test_friction_may_be_free_from_zero(monkeypatch):
     """A model without any friction that asks for it to be fitted, and whose first fit is none."""
     monkeypatch.setattr("discrepancy.fitting.base_fit.LOST", 0.0)
     clips = collisions(Model(), 8, 4)
-    base = base_fit(clips, Model(sliding_friction=0.0, free=("sliding_friction",)), noise_of(clips), lambda stage: None)
+    base = fit_base_model(
+        clips, Model(sliding_friction=0.0, free=("sliding_friction",)), estimate_noise(clips), lambda stage: None
+    )
     assert base.model.value("sliding_friction") == pytest.approx(0.232, abs=3.5 * base.std["sliding_friction"])
 
 
@@ -44,14 +46,14 @@ def test_balls_that_differ_by_a_thousandth_are_two(off):
     camera = dataclasses.replace(clips[0].camera, ball_diameter=2 * Model().ball.radius * (1 + off))
     clips = [dataclasses.replace(c, camera=camera) for c in clips]
     if abs(off) < 1e-3:
-        checked(clips, Model())
+        check_clips(clips, Model())
     else:
         with pytest.raises(InputError, match=r"the ball of camera\.json is"):
-            checked(clips, Model())
+            check_clips(clips, Model())
 
 
 def test_six_collisions_are_enough_and_five_are_not():
     clips = exact(Model(), 6, 4)
-    checked(clips, Model())
+    check_clips(clips, Model())
     with pytest.raises(InputError, match="5 measured collisions: expected 6 or more"):
-        checked(clips[:5], Model())
+        check_clips(clips[:5], Model())

@@ -7,15 +7,15 @@ import pytest
 from discrepancy_clips import absorbable, collisions, exact, noisy, unabsorbed
 from scipy.stats import chi2 as chi2_law
 
-from discrepancy.fitting.gauss_newton import fit_model, identifiable, linearised, settle, solve
-from discrepancy.fitting.jacobian import derivative, launch_derivatives
-from discrepancy.fitting.model_fit import Evidence, Fit, Tangent
-from discrepancy.fitting.parameters import BASE, candidates, limits_of
-from discrepancy.fitting.predict import forecast
-from discrepancy.noise.model import Component, Noise
+from discrepancy.fitting.gauss_newton import fit_model, linearise, minimise_chi2, solve_step, zero_unidentifiable_shapes
+from discrepancy.fitting.jacobian import differentiate, differentiate_launches
+from discrepancy.fitting.model_fit import Linearisation, ModelFit, WhitenedClips
+from discrepancy.fitting.parameters import BASE_PARAMETERS, list_candidates, parameter_limits
+from discrepancy.fitting.predict import predict_tracks
+from discrepancy.noise.model import Noise, NoiseComponent
 from synthcam.model import Model
 
-WHITE = Noise(Component(1.0))
+WHITE = Noise(NoiseComponent(1.0))
 TRUTH = Model().replace(
     {
         "restitution": 0.88,
@@ -35,11 +35,11 @@ def far(fit, truth):
 
 @pytest.fixture(scope="module")
 def fitted():
-    return fit_model(collisions(TRUTH, 6, 11), Model(), BASE, WHITE)
+    return fit_model(collisions(TRUTH, 6, 11), Model(), BASE_PARAMETERS, WHITE)
 
 
 def test_known_parameters_are_recovered_within_their_errors(fitted):
-    off = [fitted.model.value(n) - TRUTH.value(n) for n in BASE]
+    off = [fitted.model.value(n) - TRUTH.value(n) for n in BASE_PARAMETERS]
     assert np.all(np.abs(off) < 3.5 * np.sqrt(np.diag(fitted.covariance)))
     assert fitted.covariance[0, 0] < 1e-3**2  # the errors are no excuse
 
@@ -52,19 +52,21 @@ def test_chi2_is_what_noise_leaves(fitted):
 
 def test_errors_are_the_scatter_over_repeats():
     clips, repeats = exact(Model(), 4, 12), 12
-    distances = [far(fit_model(noisy(clips, seed), Model(), BASE, WHITE), Model()) for seed in range(repeats)]
-    low, high = chi2_law.ppf([1e-3, 1 - 1e-3], repeats * len(BASE))
+    distances = [
+        far(fit_model(noisy(clips, seed), Model(), BASE_PARAMETERS, WHITE), Model()) for seed in range(repeats)
+    ]
+    low, high = chi2_law.ppf([1e-3, 1 - 1e-3], repeats * len(BASE_PARAMETERS))
     assert low < sum(distances) < high
 
 
 def test_eliminating_the_launches_equals_dense_least_squares():
-    fit = fit_model(collisions(Model(), 3, 13), Model(), BASE, WHITE)
+    fit = fit_model(collisions(Model(), 3, 13), Model(), BASE_PARAMETERS, WHITE)
     moved = dataclasses.replace(fit, residuals=tuple(np.cos(np.arange(len(r))) for r in fit.residuals))
     unit = absorbable(fit)
     own_sizes = [np.linalg.norm(slopes, axis=0) for slopes in fit.launch_slopes]
     scale = np.concatenate([np.linalg.norm(np.concatenate(fit.slopes), axis=0), *own_sizes])
     best = np.linalg.lstsq(unit, np.concatenate(moved.residuals), rcond=None)[0] / scale
-    shared, own = solve(moved, 0.0, np.full(5, -np.inf), np.full(5, np.inf))
+    shared, own = solve_step(moved, 0.0, np.full(5, -np.inf), np.full(5, np.inf))
     error = np.sqrt(np.diag(fit.covariance))
     assert np.allclose(shared / error, best[:5] / error, atol=1e-5)
     assert np.allclose(own, best[5:].reshape(3, 6), rtol=1e-4, atol=1e-9)
@@ -81,13 +83,13 @@ def test_information_is_that_of_dense_least_squares(fitted):
 
 
 def slope(model, clip, name):
-    return derivative(model, clip.launch[None], [clip], name)[0]
+    return differentiate(model, clip.launch[None], [clip], name)[0]
 
 
 def test_a_derivative_keeps_to_the_limits():
     clip = exact(Model(), 1, 14)[0]
     inside = slope(Model().replace({"restitution": 1 - 1e-4}), clip, "restitution")
-    assert limits_of(Model(), "restitution") == (0.0, 1.0)
+    assert parameter_limits(Model(), "restitution") == (0.0, 1.0)
     assert np.allclose(slope(Model().replace({"restitution": 1.0}), clip, "restitution"), inside, atol=1e-4)
 
 
@@ -104,16 +106,16 @@ def test_a_forward_difference_is_the_derivative():
     clip = exact(Model(), 1, 16)[0]
     for name in ("sliding_friction", "stribeck.rise", "plate_tilt.x", "magnetic_attraction.pull"):
         central = slope(Model(), clip, name)
-        forward = derivative(Model(), clip.launch[None], [clip], name, [clip.xy])[0]
+        forward = differentiate(Model(), clip.launch[None], [clip], name, [clip.xy])[0]
         assert np.abs(forward - central).max() < 2e-3 * np.abs(central).max()
 
 
 def test_launch_derivatives_of_many_clips_are_those_of_each(monkeypatch):
     clips = exact(Model(), 3, 18)
     launches = np.array([c.launch for c in clips])
-    here, slopes = launch_derivatives(Model(), launches, clips)
+    here, slopes = differentiate_launches(Model(), launches, clips)
     monkeypatch.setattr("discrepancy.fitting.jacobian.AT_ONCE", 2)
-    again, parts = launch_derivatives(Model(), launches, clips)
+    again, parts = differentiate_launches(Model(), launches, clips)
     for clip, a, b, s, p in zip(clips, here, again, slopes, parts, strict=True):
         assert np.allclose(a, b, atol=1e-13)
         assert np.allclose(s, p, atol=1e-7)
@@ -128,12 +130,12 @@ def test_launch_derivatives_at_the_edge_of_where_a_ball_can_rest():
     for _ in range(40):
         middle = (inside + edge) / 2
         try:
-            forecast(waving(middle), clip.launch[None], [clip])
+            predict_tracks(waving(middle), clip.launch[None], [clip])
             inside = middle
         except ValueError:
             edge = middle
-    here, (slopes,) = launch_derivatives(waving(inside), clip.launch[None], [clip])
-    _, (safe,) = launch_derivatives(waving(inside * (1 - 1e-3)), clip.launch[None], [clip])
+    here, (slopes,) = differentiate_launches(waving(inside), clip.launch[None], [clip])
+    _, (safe,) = differentiate_launches(waving(inside * (1 - 1e-3)), clip.launch[None], [clip])
     assert np.all(np.isfinite(here))
     assert np.allclose(slopes, safe, atol=1e-2 * np.abs(safe).max())
 
@@ -145,9 +147,9 @@ def waving(height):
 def test_a_parameter_stops_at_its_limit_and_the_rest_are_fitted_as_without_it():
     """A friction that falls with speed, where only a rising one, or none, is allowed: none."""
     clips = collisions(Model().replace({"velocity_restitution.e": -0.01}), 4, 19)
-    without = fit_model(clips, Model(), BASE, WHITE)
-    hop = fit_model(clips, Model(), (*BASE, "hop.share"), WHITE)
-    air = fit_model(clips, Model(), (*BASE, "air_drag.share"), WHITE)
+    without = fit_model(clips, Model(), BASE_PARAMETERS, WHITE)
+    hop = fit_model(clips, Model(), (*BASE_PARAMETERS, "hop.share"), WHITE)
+    air = fit_model(clips, Model(), (*BASE_PARAMETERS, "air_drag.share"), WHITE)
     stopped = [f for f, name in ((hop, "hop.share"), (air, "air_drag.share")) if f.model.value(name) == 0]
     assert stopped
     assert all(f.chi2 == pytest.approx(without.chi2, abs=0.05) for f in stopped)
@@ -157,24 +159,24 @@ def test_a_parameter_stops_at_its_limit_and_the_rest_are_fitted_as_without_it():
 def test_a_fit_that_starts_from_another_ends_where_a_fresh_one_does():
     truth = Model().replace({"velocity_restitution.e": 0.05, "rolling_quadratic.K": 0.2})
     clips = collisions(truth, 4, 20)
-    names = (*BASE, "velocity_restitution.e", "rolling_quadratic.K")
+    names = (*BASE_PARAMETERS, "velocity_restitution.e", "rolling_quadratic.K")
     fresh = fit_model(clips, Model(), names, WHITE)
-    evidence = Evidence.of(clips, WHITE)
-    base = fit_model(clips, Model(), BASE, WHITE)
-    slopes = [derivative(base.model, base.launches, clips, n) for n in names[5:]]
+    evidence = WhitenedClips.of(clips, WHITE)
+    base = fit_model(clips, Model(), BASE_PARAMETERS, WHITE)
+    slopes = [differentiate(base.model, base.launches, clips, n) for n in names[5:]]
     columns = evidence.white([np.stack([s[k] for s in slopes], axis=-1) for k in range(4)])
-    stale = settle(evidence, base.extended(base.model, names[5:], columns))
+    stale = minimise_chi2(evidence, base.extended(base.model, names[5:], columns))
     assert stale.chi2 == pytest.approx(fresh.chi2, abs=0.01)
     error = np.sqrt(np.diag(fresh.covariance))
     assert np.allclose(stale.covariance / np.outer(error, error), fresh.covariance / np.outer(error, error), atol=1e-3)
-    rough = settle(evidence, base.extended(base.model, names[5:], columns), rough=True)
+    rough = minimise_chi2(evidence, base.extended(base.model, names[5:], columns), rough=True)
     assert rough.chi2 == pytest.approx(fresh.chi2, abs=1.0)
 
 
 def test_with_nothing_shared_only_the_launches_are_fitted():
     clips = collisions(Model(), 2, 17)
     fit = fit_model(clips, Model(), (), WHITE)
-    assert isinstance(fit, Fit)
+    assert isinstance(fit, ModelFit)
     assert fit.model == Model()
     assert fit.covariance.shape == (0, 0)
     assert abs(fit.chi2 / (fit.points - 12) - 1) < 4 * np.sqrt(2 / fit.points)
@@ -185,9 +187,9 @@ def test_a_lost_frame_is_fitted_where_it_was_found():
     truth = TRUTH.replace({"dropped_frame.lost": 0.5, "dropped_frame.frame": 40.0})
     clips = collisions(truth, 6, 11)
     start = truth.replace({"dropped_frame.lost": 0.3, "dropped_frame.frame": 40.3})
-    evidence, launches = Evidence.of(clips, WHITE), np.array([c.launch for c in clips])
-    names = (*BASE, "dropped_frame.lost", "dropped_frame.frame")
-    fit = settle(evidence, linearised(evidence, start, names, launches))
+    evidence, launches = WhitenedClips.of(clips, WHITE), np.array([c.launch for c in clips])
+    names = (*BASE_PARAMETERS, "dropped_frame.lost", "dropped_frame.frame")
+    fit = minimise_chi2(evidence, linearise(evidence, start, names, launches))
     assert fit.model.value("dropped_frame.frame") == 40.3
     assert fit.model.value("dropped_frame.lost") == pytest.approx(0.5, abs=4 * fit.std["dropped_frame.lost"])
 
@@ -196,10 +198,10 @@ def test_a_lost_frame_is_fitted_where_it_was_found():
 def test_a_positive_shape_that_its_whole_range_hardly_shows_is_silent(seen, silent):
     """Its range is of factors: the derivative by its logarithm is its value times that by itself."""
     model = Model().replace({"stribeck.rise": 1e-3, "stribeck.slip": 0.07})
-    stribeck = next(s for s in candidates(Model(), ()) if s.name == "stribeck")
+    stribeck = next(s for s in list_candidates(Model(), ()) if s.name == "stribeck")
     tried = [shapes["stribeck.slip"] for shapes in stribeck.grid(Model())]
     slope = seen / (0.07 * np.log(max(tried) / min(tried)))
-    (left,) = identifiable(
+    (left,) = zero_unidentifiable_shapes(
         model, ["stribeck.rise", "stribeck.slip"], (np.array([[1e-9, 0.6 * slope], [0, 0.8 * slope]]),)
     )
     assert left[0, 0] == 1e-9  # a strength has no range
@@ -211,10 +213,12 @@ def test_a_valley_that_bends_is_followed_to_its_end(rise, slip):
     """Friction that rises steeply in the slowest slip looks like one that rises gently."""
     truth = {"stribeck.rise": 0.0825, "stribeck.slip": 0.0613, "air_drag.share": 0.59}
     clips = collisions(Model().replace(truth), 12, 3)
-    evidence, launches = Evidence.of(clips, Noise(Component(1.0))), np.array([c.launch for c in clips])
+    evidence, launches = WhitenedClips.of(clips, Noise(NoiseComponent(1.0))), np.array([c.launch for c in clips])
     ends = []
     for start in (truth, truth | {"stribeck.rise": rise, "stribeck.slip": slip}):
-        ends.append(settle(evidence, linearised(evidence, Model().replace(start), (*BASE, *truth), launches)))
+        ends.append(
+            minimise_chi2(evidence, linearise(evidence, Model().replace(start), (*BASE_PARAMETERS, *truth), launches))
+        )
     assert ends[1].chi2 == pytest.approx(ends[0].chi2, abs=0.01)
     for name, value in truth.items():
         assert ends[1].model.value(name) == pytest.approx(value, abs=3.5 * ends[1].std[name])
@@ -238,8 +242,8 @@ class Banana:
         residuals = np.array([1 - self.x, -self.steep * (self.y - self.x**2)])
         slopes = np.array([[1.0, 0.0], [-2 * self.steep * self.x, self.steep]])
         names, launches = ("x", "y"), np.zeros((0, 6))
-        tangent = Tangent(self, names, launches, (slopes,), (np.zeros((2, 6)),))
-        return Fit(self, names, launches, (residuals,), tangent)
+        tangent = Linearisation(self, names, launches, (slopes,), (np.zeros((2, 6)),))
+        return ModelFit(self, names, launches, (residuals,), tangent)
 
 
 def test_a_part_of_a_step_that_gains_nearly_nothing_is_not_the_end(monkeypatch):
@@ -261,7 +265,7 @@ def test_a_part_of_a_step_that_gains_nearly_nothing_is_not_the_end(monkeypatch):
     monkeypatch.setattr(f"{here}._moved", moved)
     monkeypatch.setattr(f"{here}._foretold", foretold)
     monkeypatch.setattr(f"{here}.linearised", lambda evidence, model, names, launches: model.fit())
-    assert settle(None, Banana(-3.66, 3.66**2, 9.7).fit()).chi2 < 1e-6
+    assert minimise_chi2(None, Banana(-3.66, 3.66**2, 9.7).fit()).chi2 < 1e-6
 
 
 def test_one_launch_that_leads_astray_is_damped_and_no_other():
@@ -269,11 +273,11 @@ def test_one_launch_that_leads_astray_is_damped_and_no_other():
     clips = collisions(Model(), 8, 13)
     starts = np.array([c.launch for c in clips])
     starts[2, 5] = np.sign(starts[2, 5]) * 0.97
-    fit = fit_model(clips, Model(), BASE, WHITE, starts)
-    near = fit_model([c for k, c in enumerate(clips) if k != 2], Model(), BASE, WHITE)
+    fit = fit_model(clips, Model(), BASE_PARAMETERS, WHITE, starts)
+    near = fit_model([c for k, c in enumerate(clips) if k != 2], Model(), BASE_PARAMETERS, WHITE)
     assert np.allclose(fit.values(), near.values(), atol=3 * np.sqrt(np.diag(near.covariance)))
-    free, _ = solve(fit, 0.0, *fit.room())
-    held, own = solve(fit, 0.0, *fit.room(), np.eye(8)[2] * 1e9)
+    free, _ = solve_step(fit, 0.0, *fit.room())
+    held, own = solve_step(fit, 0.0, *fit.room(), np.eye(8)[2] * 1e9)
     assert np.abs(own[2]).max() < 1e-9
     assert np.allclose(held, free, atol=np.sqrt(np.diag(fit.covariance)))
 
@@ -283,9 +287,9 @@ def test_a_spin_that_no_track_shows_stays_where_it_is(smooth, shown):
     """As of pucks on air: rounding would pass for a derivative, and make steps of 10^7 m/s."""
     model = TRUTH.replace(smooth)
     clips = noisy(exact(model, 6, 12, spins=[[0.1, 0.03, 0.05]]), 12)
-    evidence, starts = Evidence.of(clips, WHITE), np.array([c.launch for c in clips])
-    here = linearised(evidence, model, ("restitution",), starts)
+    evidence, starts = WhitenedClips.of(clips, WHITE), np.array([c.launch for c in clips])
+    here = linearise(evidence, model, ("restitution",), starts)
     assert [int(np.any(s[:, 6:] != 0, axis=0).sum()) for s in here.launch_slopes] == 6 * [shown]
-    spins = settle(evidence, here).launches[:, 6:]
+    spins = minimise_chi2(evidence, here).launches[:, 6:]
     assert np.abs(spins - [0.1, 0.03, 0.05]).max() < 0.05
     assert np.array_equal(spins, starts[:, 6:]) == (not shown)

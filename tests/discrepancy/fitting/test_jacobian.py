@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 from discrepancy_clips import exact
 
-from discrepancy.fitting.gauss_newton import linearised
-from discrepancy.fitting.jacobian import derivatives, launch_derivatives
-from discrepancy.fitting.model_fit import Evidence
-from discrepancy.fitting.parameters import BASE, candidates
-from discrepancy.fitting.predict import forecast
-from discrepancy.noise.model import Component, Noise
+from discrepancy.fitting.gauss_newton import linearise
+from discrepancy.fitting.jacobian import differentiate_all, differentiate_launches
+from discrepancy.fitting.model_fit import WhitenedClips
+from discrepancy.fitting.parameters import BASE_PARAMETERS, list_candidates
+from discrepancy.fitting.predict import predict_tracks
+from discrepancy.noise.model import Noise, NoiseComponent
 from discrepancy.selection.score_test import ScoreTests
 from synthcam.dynamics.solve import uncoupled
 from synthcam.model import Model
@@ -21,10 +21,10 @@ def test_a_ball_that_rests_only_beside_the_other_has_exact_derivatives():
     launches = np.array([clip.launch for clip in clips])
     model, name = Model().replace({"plate_tilt.x": 3e-3, "magnetic_attraction.pull": 0.3}), "restitution"
     with pytest.raises(ValueError, match="rest"):
-        forecast(uncoupled(model), launches, clips)
-    (found,) = derivatives(model, launches, clips, [name], forecast(model, launches, clips))
+        predict_tracks(uncoupled(model), launches, clips)
+    (found,) = differentiate_all(model, launches, clips, [name], predict_tracks(model, launches, clips))
     step, value = 1e-4, model.value(name)
-    ahead, behind = (forecast(model.replace({name: value + s}), launches, clips) for s in (step, -step))
+    ahead, behind = (predict_tracks(model.replace({name: value + s}), launches, clips) for s in (step, -step))
     for slope, one, other in zip(found, ahead, behind, strict=True):
         np.testing.assert_allclose(slope, (one - other) / (2 * step), rtol=0, atol=1e-6)
 
@@ -32,10 +32,10 @@ def test_a_ball_that_rests_only_beside_the_other_has_exact_derivatives():
 def test_score_tests_beside_such_a_model():
     clips = exact(Model(), 2, 3)
     launches = np.array([clip.launch for clip in clips])
-    evidence = Evidence.of(clips, Noise(Component(1e-12)))
+    evidence = WhitenedClips.of(clips, Noise(NoiseComponent(1e-12)))
     model = Model().replace({"plate_tilt.x": 3e-3, "magnetic_attraction.pull": 0.3})
-    fit = linearised(evidence, model, (*BASE, "plate_tilt.x", "magnetic_attraction.pull"), launches)
-    (drag,) = (c for c in candidates(model, fit.names) if c.name == "air_drag")
+    fit = linearise(evidence, model, (*BASE_PARAMETERS, "plate_tilt.x", "magnetic_attraction.pull"), launches)
+    (drag,) = (c for c in list_candidates(model, fit.names) if c.name == "air_drag")
     (scored,) = ScoreTests.of(evidence, fit, only=[drag]).ranking()
     assert np.isfinite(scored.sigma)
 
@@ -45,7 +45,7 @@ def test_what_is_not_free_moves_nothing():
     waves = {"plate_waviness.a": 3e-6, "plate_waviness.b": 1.5e-6, "plate_waviness.wavelength": 0.02}
     model, spins = Model().replace(waves), [[0.0, 0.0, 0.01], *[[0.0, 0.0, 0.0]] * 11]
     clips = exact(model, 12, 3, spins=spins)
-    _, slopes = launch_derivatives(model, np.array([clip.launch for clip in clips]), clips)
+    _, slopes = differentiate_launches(model, np.array([clip.launch for clip in clips]), clips)
     assert np.abs(slopes[0][..., 8]).max() > 1e-3
     assert not any(s[..., 6:8].any() for s in slopes)
     assert not any(s[..., 8].any() for s in slopes[1:])

@@ -6,15 +6,15 @@ import numpy as np
 import pytest
 from discrepancy_clips import exact
 
-from discrepancy.fitting.gauss_newton import linearised
-from discrepancy.fitting.model_fit import Evidence
-from discrepancy.fitting.parameters import BASE
-from discrepancy.noise.model import Component, Noise
+from discrepancy.fitting.gauss_newton import linearise
+from discrepancy.fitting.model_fit import WhitenedClips
+from discrepancy.fitting.parameters import BASE_PARAMETERS
+from discrepancy.noise.model import Noise, NoiseComponent
 from synthcam.model import Model
 
 CLIPS = exact(Model(), 2, 3)
-EVIDENCE = Evidence.of(CLIPS, Noise(Component(1.0)))
-FIT = linearised(EVIDENCE, Model(), BASE, np.array([c.launch for c in CLIPS]))
+EVIDENCE = WhitenedClips.of(CLIPS, Noise(NoiseComponent(1.0)))
+FIT = linearise(EVIDENCE, Model(), BASE_PARAMETERS, np.array([c.launch for c in CLIPS]))
 COLUMNS = [np.ones((len(r), 1)) for r in FIT.residuals]
 
 
@@ -27,10 +27,13 @@ def test_derivatives_are_of_the_place_where_they_were_taken():
 
 
 def test_parameters_are_found_by_name():
-    assert FIT.rows(["spin_transfer", "restitution"]) == [BASE.index("spin_transfer"), BASE.index("restitution")]
+    assert FIT.rows(["spin_transfer", "restitution"]) == [
+        BASE_PARAMETERS.index("spin_transfer"),
+        BASE_PARAMETERS.index("restitution"),
+    ]
     assert FIT.values(["restitution"]) == pytest.approx([Model().restitution])
     less, more = FIT.room()
-    where = BASE.index("restitution")
+    where = BASE_PARAMETERS.index("restitution")
     assert (less[where], more[where]) == pytest.approx((-Model().restitution, 1 - Model().restitution))
 
 

@@ -8,9 +8,9 @@ import pytest
 from discrepancy_clips import FRAMES, STD, collisions, correlated, exact, noise_of_pair
 
 from discrepancy.fitting.gauss_newton import fit_model
-from discrepancy.fitting.noise_refit import refined
-from discrepancy.fitting.parameters import BASE
-from discrepancy.noise.model import Component, Noise, estimate
+from discrepancy.fitting.noise_refit import refit_noise
+from discrepancy.fitting.parameters import BASE_PARAMETERS
+from discrepancy.noise.model import Noise, NoiseComponent, estimate
 from synthcam.model import Model
 
 
@@ -33,15 +33,15 @@ def slow(component):
 def test_noise_that_is_known_already_stays():
     clips = measured(1)
     noise = estimate(clips)
-    assert refined(clips, fit_model(clips, Model(), BASE, noise), noise) is None
+    assert refit_noise(clips, fit_model(clips, Model(), BASE_PARAMETERS, noise), noise) is None
 
 
 def test_slow_noise_is_known_better_from_whole_clips():
-    truth, first, second = slow(Component(1.0, (0.9,))), [], []
+    truth, first, second = slow(NoiseComponent(1.0, (0.9,))), [], []
     for seed in range(4):
         clips = measured(seed, rho=0.9)
         noise = estimate(clips)
-        better = refined(clips, fit_model(clips, Model(), BASE, noise), noise) or noise
+        better = refit_noise(clips, fit_model(clips, Model(), BASE_PARAMETERS, noise), noise) or noise
         first.append(np.log(slow(noise.own) / truth))
         second.append(np.log(slow(better.own) / truth))
     assert np.sqrt(np.mean(np.square(second))) < 0.7 * np.sqrt(np.mean(np.square(first)))
@@ -52,7 +52,7 @@ def test_a_walk_too_slow_for_the_phases_is_found():
     clips = measured(1, walk=0.25, count=6)
     noise = estimate(clips)
     assert noise.shared == ()
-    better = refined(clips, fit_model(clips, Model(), BASE, noise), noise)
+    better = refit_noise(clips, fit_model(clips, Model(), BASE_PARAMETERS, noise), noise)
     assert better.scale == pytest.approx(1, rel=0.1)
     for s in better.shared:
         lags = s.lags(2)
@@ -61,13 +61,13 @@ def test_a_walk_too_slow_for_the_phases_is_found():
 
 @pytest.mark.parametrize("hidden", [0.001, 0.01])
 def test_what_is_unexplained_is_not_hidden_by_noise(hidden):
-    clips, names = measured(2, hidden=hidden), [*BASE, "velocity_restitution.e"]
-    noise = Noise(Component(1.0))
-    base = fit_model(clips, Model(), BASE, noise)
+    clips, names = measured(2, hidden=hidden), [*BASE_PARAMETERS, "velocity_restitution.e"]
+    noise = Noise(NoiseComponent(1.0))
+    base = fit_model(clips, Model(), BASE_PARAMETERS, noise)
     z2 = base.chi2 - fit_model(clips, Model(), names, noise).chi2
     assert z2 > 30
-    worse = refined(clips, base, noise)
-    left = fit_model(clips, Model(), BASE, worse).chi2 - fit_model(clips, Model(), names, worse).chi2
+    worse = refit_noise(clips, base, noise)
+    left = fit_model(clips, Model(), BASE_PARAMETERS, worse).chi2 - fit_model(clips, Model(), names, worse).chi2
     assert left > 0.8 * z2 / (1 + z2 / (8 * len(clips)))
     assert left > 4.5**2
 
@@ -77,10 +77,10 @@ def test_what_a_model_lacks_is_not_taken_for_a_camera_that_shakes():
     tilted = Model().replace({"plate_tilt.x": 3e-5, "plate_tilt.y": 2e-5})
     clips = collisions(tilted, 8, 3)
     noise = estimate(clips)
-    base = fit_model(clips, Model(), BASE, noise)
+    base = fit_model(clips, Model(), BASE_PARAMETERS, noise)
     assert base.chi2 > 1.1 * base.points
-    assert refined(clips, base, noise, explained=False).shared == ()
-    assert refined(clips, fit_model(clips, tilted, BASE, noise), noise) is None
+    assert refit_noise(clips, base, noise, explained=False).shared == ()
+    assert refit_noise(clips, fit_model(clips, tilted, BASE_PARAMETERS, noise), noise) is None
 
 
 @pytest.mark.parametrize("leans", [False, True])
@@ -94,24 +94,24 @@ def test_a_table_that_leans_another_way_in_each_clip_is_no_camera_that_shakes(le
         clips.append(dataclasses.replace(clip, xy=clip.xy + noise_of_pair(rng, 0.0) + np.concatenate([shake, shake])))
     noise = estimate(clips)
     assert noise.common_mode == pytest.approx(2 * STD, rel=0.5)
-    better = refined(clips, fit_model(clips, Model(), BASE, noise), noise) or noise
+    better = refit_noise(clips, fit_model(clips, Model(), BASE_PARAMETERS, noise), noise) or noise
     assert better.common_mode == pytest.approx(2 * STD, rel=0.5)
 
 
 def test_noise_that_the_phases_exclude_is_refused():
     clips = measured(2, hidden=0.2)
-    noise = Noise(Component(1.0))
-    base = fit_model(clips, Model(), BASE, noise)
+    noise = Noise(NoiseComponent(1.0))
+    base = fit_model(clips, Model(), BASE_PARAMETERS, noise)
     assert base.chi2 > 20 * base.points
-    assert refined(clips, base, noise) is None
+    assert refit_noise(clips, base, noise) is None
 
 
 def test_where_phases_hold_motion_the_noise_is_not_read_over_more():
     """Balls roll where they are said to slide, and more than that is missing: none of it is noise."""
     clips = [dataclasses.replace(c, ends=c.ends + 0.1) for c in measured(1, hidden=0.2)]
     noise = estimate(clips)
-    base = fit_model(clips, Model(), BASE, noise)
+    base = fit_model(clips, Model(), BASE_PARAMETERS, noise)
     assert noise.over_phases > 100
     assert base.chi2 > 100 * base.points
-    assert refined(clips, base, noise) is None
-    assert refined(clips, base, noise, explained=False) is None
+    assert refit_noise(clips, base, noise) is None
+    assert refit_noise(clips, base, noise, explained=False) is None

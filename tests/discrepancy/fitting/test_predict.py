@@ -8,7 +8,7 @@ import pytest
 from discrepancy_clips import FPS, blank, exact
 
 from discrepancy.data.launch import HEADING, T_C, V0, B
-from discrepancy.fitting.predict import forecast
+from discrepancy.fitting.predict import predict_tracks
 from discrepancy.free_laws.library import free_laws_over
 from synthcam.dataset.generate import Plan, run
 from synthcam.model import Model
@@ -22,7 +22,7 @@ def pixels(clip, xy):
 
 def test_a_tracker_that_takes_the_glint_for_the_centre_sees_the_glint():
     clip = exact(Model(), 1, 15)[0]
-    glint = forecast(Model().replace({"glint_parallax.share": 1.0}), clip.launch[None], [clip])[0]
+    glint = predict_tracks(Model().replace({"glint_parallax.share": 1.0}), clip.launch[None], [clip])[0]
     assert np.allclose(pixels(clip, glint), clip.camera.glint_of_centre(clip.xy), atol=1e-6)
     assert np.abs(pixels(clip, glint) - pixels(clip, clip.xy)).max() > 0.1
 
@@ -33,14 +33,14 @@ def test_of_a_lamp_that_nobody_told_of_it_sees_the_glint_too():
     lamp = Model().replace({"unknown_lamp.share": 1.0, "unknown_lamp.x": x, "unknown_lamp.y": y})
     lamp = lamp.replace({"unknown_lamp.height": height})
     dark = dataclasses.replace(clip, camera=dataclasses.replace(clip.camera, lamp=None))
-    glint = forecast(lamp, clip.launch[None], [dark])[0]
+    glint = predict_tracks(lamp, clip.launch[None], [dark])[0]
     assert np.allclose(pixels(clip, glint), clip.camera.glint_of_centre(clip.xy), atol=1e-6)
-    assert np.allclose(forecast(lamp, clip.launch[None], [clip])[0], clip.xy, rtol=0, atol=1e-12)
+    assert np.allclose(predict_tracks(lamp, clip.launch[None], [clip])[0], clip.xy, rtol=0, atol=1e-12)
 
 
 def test_a_lens_that_nobody_knows_moves_what_is_far_from_the_middle():
     clip = exact(Model(), 1, 15)[0]
-    bent = forecast(Model().replace({"lens_distortion.k1": 0.05}), clip.launch[None], [clip])[0]
+    bent = predict_tracks(Model().replace({"lens_distortion.k1": 0.05}), clip.launch[None], [clip])[0]
     from_middle = np.hypot(*clip.xy.T)
     moved = np.hypot(*(bent - clip.xy).T)
     away = 0.5 - clip.camera.radius  # the camera's height over the balls' centres
@@ -51,7 +51,7 @@ def test_without_sliding_friction_balls_slide_on_for_ever():
     clip = exact(Model(), 1, 15)[0]
     base = Model().replace({"sliding_friction": 0.0, "spin_transfer": 0.0})
     v0, heading, b = clip.launch[[V0, HEADING, B]]
-    xy = forecast(base, clip.launch[None], [clip])[0]
+    xy = predict_tracks(base, clip.launch[None], [clip])[0]
     late = (clip.ball == 0) & (clip.frame / FPS > clip.launch[T_C])
     steps = np.diff(xy[late], axis=0) * FPS
     n = np.sqrt(1 - b * b) * np.array([np.cos(heading), np.sin(heading)]) - b * np.array(
@@ -64,7 +64,7 @@ def test_without_sliding_friction_balls_slide_on_for_ever():
 def test_an_exposure_without_length_is_an_instant():
     clip = exact(Model(), 1, 16)[0]
     times = [dataclasses.replace(clip, camera=dataclasses.replace(clip.camera, exposure=e)) for e in (0.0, 1e-7)]
-    instant, short = (forecast(Model(), clip.launch[None], [c])[0] for c in times)
+    instant, short = (predict_tracks(Model(), clip.launch[None], [c])[0] for c in times)
     assert np.allclose(instant, short, atol=1e-7)
 
 
@@ -82,14 +82,14 @@ def test_a_ball_that_hops_is_seen_where_the_film_has_it(tmp_path):
     true = pd.read_parquet(folder / "truth/tracks.parquet").sort_values(["particle", "frame"])
     camera, model = Camera.read(folder / "camera.json"), Model().replace({"hop.share": 0.5, "hop.bounce": 0.4})
     clip = dataclasses.replace(blank(0, launch, np.zeros(2), 60), camera=camera)
-    (xy,) = forecast(model, launch[None], [clip])
+    (xy,) = predict_tracks(model, launch[None], [clip])
     assert np.abs(pixels(clip, xy) - true[["x_mean_px", "y_mean_px"]].to_numpy()).max() < 2e-3
 
 
 def test_no_motion_is_an_error():
     clip = exact(Model(), 1, 16)[0]
     with pytest.raises(ValueError, match="rest"):
-        forecast(Model().replace({"plate_tilt.x": 0.05, "rolling_decel": 1e-6}), clip.launch[None], [clip])
+        predict_tracks(Model().replace({"plate_tilt.x": 0.05, "rolling_decel": 1e-6}), clip.launch[None], [clip])
 
 
 def slower(clip, fps=110.0, exposure=2e-3):
@@ -104,14 +104,14 @@ def test_clips_of_two_frame_rates_are_foretold_as_each_alone():
     plain = exact(Model(), 4, 12)
     clips = [slower(c) if k % 2 else c for k, c in enumerate(plain)]
     launches = np.array([c.launch for c in clips])
-    every = forecast(Model(), launches, clips)
+    every = predict_tracks(Model(), launches, clips)
     laws = [law for law in free_laws_over(Model(), launches, clips) if law.name in ("friction_speed", "force_place")]
     moves = {law.name: law.columns(Model(), launches, clips) for law in laws}
     assert len(moves) == 2
     for k, clip in enumerate(clips):
-        assert every[k] == pytest.approx(forecast(Model(), launches[k : k + 1], [clip])[0], abs=1e-12)
+        assert every[k] == pytest.approx(predict_tracks(Model(), launches[k : k + 1], [clip])[0], abs=1e-12)
         for law in laws:
             (alone,) = law.columns(Model(), launches[k : k + 1], [clip])
             assert moves[law.name][k] == pytest.approx(alone, abs=1e-6 * np.abs(alone).max())
-    wrong = forecast(Model(), launches[1:2], [dataclasses.replace(clips[1], camera=plain[1].camera)])[0]
+    wrong = predict_tracks(Model(), launches[1:2], [dataclasses.replace(clips[1], camera=plain[1].camera)])[0]
     assert np.abs(every[1] - wrong).max() > 1e-4

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from discrepancy.fitting.parameters import candidates, fitted
-from discrepancy.fitting.similarity import sized
+from discrepancy.fitting.parameters import list_candidates, names_to_fit
+from discrepancy.fitting.similarity import scale_parameter
 from synthcam.dynamics.launch import Launch
 from synthcam.dynamics.solve import solve
 from synthcam.library import library
@@ -19,7 +19,9 @@ OF_MOTION = [k for k in library().values() if not OF_THE_FILM & set(k.laws)]
 def tracks(kind, larger):
     ball = Ball(diameter=larger * Ball().diameter)
     base = Model(ball=ball, rolling_drag=0.135 / larger**0.5)
-    values = {f"{kind.name()}.{p.name}": sized(kind, p.name, ball.diameter).typical for p in kind.parameters()}
+    values = {
+        f"{kind.name()}.{p.name}": scale_parameter(kind, p.name, ball.diameter).typical for p in kind.parameters()
+    }
     model = base.replace(values)
     speed, time = 0.3 * larger**0.5, larger**0.5
     launch = Launch.pair(model.bodies("ba"), 0.1 * time, speed, 0.4, 0.3, (0.01 * larger, 0.02 * larger))
@@ -37,12 +39,12 @@ def test_what_the_camera_does_does_not_grow_with_the_ball():
     assert films
     for kind in films:
         for p in kind.parameters():
-            assert sized(kind, p.name, 0.0615) == p
+            assert scale_parameter(kind, p.name, 0.0615) == p
 
 
 def test_waves_of_a_billiard_table_are_longer_than_those_of_a_plate_for_beads():
     table = Model(ball=Ball(diameter=0.0615))
-    waves = next(c for c in candidates(table, fitted(table)) if c.name == "plate_waviness")
+    waves = next(c for c in list_candidates(table, names_to_fit(table)) if c.name == "plate_waviness")
     lengths = {shapes["plate_waviness.wavelength"] for shapes in waves.grid(table)}
     assert min(lengths) > 0.1
     assert len(lengths) == 12

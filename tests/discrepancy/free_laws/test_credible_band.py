@@ -9,18 +9,18 @@ from discrepancy_clips import exact
 from scipy.stats import binom, norm
 
 from discrepancy.data.launch import V0, B
-from discrepancy.fitting.gauss_newton import linearised, solve
-from discrepancy.fitting.jacobian import derivative
-from discrepancy.fitting.model_fit import Evidence
-from discrepancy.fitting.parameters import BASE
+from discrepancy.fitting.gauss_newton import linearise, solve_step
+from discrepancy.fitting.jacobian import differentiate
+from discrepancy.fitting.model_fit import WhitenedClips
+from discrepancy.fitting.parameters import BASE_PARAMETERS
 from discrepancy.free_laws.credible_band import NormalMixture, _fit_steps, gain_of_steps
 from discrepancy.free_laws.fitted_law import FittedLaw
 from discrepancy.free_laws.library import free_laws_over
 from discrepancy.free_laws.marginal_likelihood import maximise_evidence
-from discrepancy.noise.model import Component, Noise
+from discrepancy.noise.model import Noise, NoiseComponent
 from synthcam.model import Model
 
-NOISE = Noise(Component(1.0))
+NOISE = Noise(NoiseComponent(1.0))
 KNOWN = Model().restitution
 EVERY = 8  # of the frames: fewer points tell as much in less time
 X = np.linspace(0.12, 0.55, 60)
@@ -33,11 +33,11 @@ def experiment(count=24):
         dataclasses.replace(c, **{k: getattr(c, k)[::EVERY] for k in ("frame", "ball", "xy", "covariance")})
         for c in exact(Model(), count, 11)
     ]
-    evidence, launches = Evidence.of(clips, NOISE), np.array([c.launch for c in clips])
-    start = linearised(evidence, Model(), BASE, launches)
+    evidence, launches = WhitenedClips.of(clips, NOISE), np.array([c.launch for c in clips])
+    start = linearise(evidence, Model(), BASE_PARAMETERS, launches)
     law = next(s for s in free_laws_over(Model(), launches, clips) if s.name == "restitution_speed")
     moves = evidence.white(law.columns(Model(), launches, clips))
-    single = evidence.white(derivative(Model(), launches, clips, "restitution"))
+    single = evidence.white(differentiate(Model(), launches, clips, "restitution"))
     return evidence, start, law, moves, single
 
 
@@ -52,9 +52,9 @@ def drawn(law, size, seed):
     weight = maximise_evidence(free_law, *fit.information(moves))
     rest = [r - m @ weight.coefs for r, m in zip(residuals, moves, strict=True)]
     fit = dataclasses.replace(fit, residuals=tuple(rest))
-    shared, own = solve(fit, 0.0, np.full(len(BASE), -np.inf), np.full(len(BASE), np.inf))
+    shared, own = solve_step(fit, 0.0, np.full(len(BASE_PARAMETERS), -np.inf), np.full(len(BASE_PARAMETERS), np.inf))
     rest = [r - s @ shared - a @ o for r, s, a, o in zip(rest, fit.slopes, fit.launch_slopes, own, strict=True)]
-    model = Model().replace({"restitution": KNOWN + float(shared[BASE.index("restitution")])})
+    model = Model().replace({"restitution": KNOWN + float(shared[BASE_PARAMETERS.index("restitution")])})
     fit = dataclasses.replace(fit, residuals=tuple(rest), model=model)
     return FittedLaw(free_law, weight.coefs, weight.prior, fit, Model(), evidence, moves, 0.0, 0.0), scale
 

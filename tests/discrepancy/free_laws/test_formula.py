@@ -10,12 +10,12 @@ from discrepancy_laws import with_constant
 from discrepancy_outsiders import outsider
 
 from discrepancy.fitting.gauss_newton import fit_model
-from discrepancy.fitting.model_fit import Evidence
-from discrepancy.fitting.parameters import BASE
+from discrepancy.fitting.model_fit import WhitenedClips
+from discrepancy.fitting.parameters import BASE_PARAMETERS
 from discrepancy.free_laws.formula import _ShapeFitter, _write_sum, propose_formula
 from discrepancy.free_laws.library import free_laws_over
 from discrepancy.free_laws.shapes import iterate_shapes
-from discrepancy.noise.model import Component, Noise
+from discrepancy.noise.model import Noise, NoiseComponent
 from discrepancy.selection.free_law_contest import FreeLawContest
 from synthcam.model import Model
 
@@ -79,9 +79,9 @@ def test_a_lag_is_told_but_for_a_constant():
     moves = late.columns(Model(), launches, clips)
     coefs = np.linalg.lstsq(late.basis(x), 2e-4 * x**2, rcond=None)[0]
     seen = noisy([dataclasses.replace(c, xy=c.xy + m @ coefs) for c, m in zip(clips, moves, strict=True)], 6)
-    noise = Noise(Component(1.0))
-    base = fit_model(seen, Model(), BASE, noise)
-    found = min(FreeLawContest.of(Evidence.of(seen, noise), base).fitted, key=lambda f: f.score)
+    noise = Noise(NoiseComponent(1.0))
+    base = fit_model(seen, Model(), BASE_PARAMETERS, noise)
+    found = min(FreeLawContest.of(WhitenedClips.of(seen, noise), base).fitted, key=lambda f: f.score)
     formula = propose_formula(found)
     assert (found.law.name, formula.is_rejected) == ("lag_speed", False)
     factor = float(re.fullmatch(r"lag of the picture = (\S+) v\^2 s, v in m/s", formula.text).group(1))

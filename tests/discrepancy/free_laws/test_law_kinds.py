@@ -8,7 +8,7 @@ from discrepancy_clips import exact
 from discrepancy_laws import with_constant
 
 from discrepancy.data.launch import V0, B
-from discrepancy.fitting.predict import forecast
+from discrepancy.fitting.predict import predict_tracks
 from discrepancy.free_laws.axis import Axis
 from discrepancy.free_laws.law_kinds import ImpactLaw, MotionLaw
 from discrepancy.free_laws.laws.force_place import ForcePlace
@@ -25,7 +25,7 @@ BENT = [name for name, law in LAWS.items() if law.bends]
 
 
 def moved(model, clips=CLIPS):
-    return np.concatenate(forecast(model, LAUNCHES, clips))
+    return np.concatenate(predict_tracks(model, LAUNCHES, clips))
 
 
 @pytest.mark.parametrize("name", BENT)
@@ -48,7 +48,9 @@ def test_strikers_that_slide_are_moved_by_the_law_of_slides(name):
     (law,) = (s for s in free_laws_over(Model(), places, CLIPS) if s.name == name)
     step, way = STEP.get(law.bends[0], 1e-3), rng.standard_normal(law.size) / np.sqrt(law.size)
     told = np.concatenate(law.columns(Model(), places, CLIPS)) @ way
-    ahead, behind = (np.concatenate(forecast(law.bent(Model(), sign * step * way), places, CLIPS)) for sign in (1, -1))
+    ahead, behind = (
+        np.concatenate(predict_tracks(law.bent(Model(), sign * step * way), places, CLIPS)) for sign in (1, -1)
+    )
     true = (ahead - behind) / (2 * step)
     assert np.linalg.norm(told - true) < 0.02 * np.linalg.norm(true)
 
@@ -127,7 +129,7 @@ def test_a_picture_that_lags_is_a_later_contact():
     cleaned = law.undone(CLIPS, Model(), LAUNCHES, coefs)
     shift = np.concatenate([c.xy - d.xy for c, d in zip(CLIPS, cleaned, strict=True)])
     later = LAUNCHES + late * (np.arange(6) == 2)
-    true = np.concatenate(forecast(Model(), later, CLIPS)) - moved(Model())
+    true = np.concatenate(predict_tracks(Model(), later, CLIPS)) - moved(Model())
     assert np.linalg.norm(shift - true) < 0.02 * np.linalg.norm(true)
 
 
@@ -151,7 +153,10 @@ def test_a_number_of_each_clip_moves_that_clip(name):
     owner = law.owners[0][0]
     for k, (clip, rest) in enumerate(zip(CLIPS, cleaned, strict=True)):
         own = Model().replace({owner: Model().value(owner) + coefs[k]})
-        true = forecast(own, LAUNCHES[k : k + 1], [clip])[0] - forecast(Model(), LAUNCHES[k : k + 1], [clip])[0]
+        true = (
+            predict_tracks(own, LAUNCHES[k : k + 1], [clip])[0]
+            - predict_tracks(Model(), LAUNCHES[k : k + 1], [clip])[0]
+        )
         assert np.abs(clip.xy - rest.xy - true).max() < 1e-12
         assert np.linalg.norm(linear[k] @ coefs - true) <= 0.02 * np.linalg.norm(true)
 

@@ -9,11 +9,11 @@ from discrepancy_clips import exact, noisy
 from discrepancy_outsiders import OUTSIDERS, outsider
 
 from discrepancy.fitting.gauss_newton import fit_model
-from discrepancy.fitting.model_fit import Evidence
-from discrepancy.fitting.parameters import BASE
+from discrepancy.fitting.model_fit import WhitenedClips
+from discrepancy.fitting.parameters import BASE_PARAMETERS
 from discrepancy.free_laws.law_summary import SIDE, LawSummary, describe_law
 from discrepancy.free_laws.library import free_laws_over
-from discrepancy.noise.model import Component, Noise
+from discrepancy.noise.model import Noise, NoiseComponent
 from discrepancy.selection.free_law_contest import FreeLawContest
 from synthcam.model import Model
 
@@ -43,10 +43,10 @@ def test_words():
 def test_a_number_for_each_clip_is_given_with_the_clips_own_number():
     numbers = [0, 2, 3, 7, 9, 20]
     plain = [dataclasses.replace(c, clip=n) for c, n in zip(exact(Model(), 6, 9), numbers, strict=True)]
-    starts, noise = np.array([c.launch for c in plain]), Noise(Component(1.0))
+    starts, noise = np.array([c.launch for c in plain]), Noise(NoiseComponent(1.0))
     law = next(s for s in free_laws_over(Model(), starts, plain) if s.name == "restitution_clip")
     clips = noisy(law.undone(plain, Model(), starts, 3e-3 * np.array([1, -1, 0, 2, -2, 0])), 9)
-    filled = FreeLawContest.of(Evidence.of(clips, noise), fit_model(clips, Model(), BASE, noise)).fitted
+    filled = FreeLawContest.of(WhitenedClips.of(clips, noise), fit_model(clips, Model(), BASE_PARAMETERS, noise)).fitted
     answer = LawSummary.of(next(f for f in filled if f.law.name == "restitution_clip"))
     assert answer.x[0].tolist() == answer.document()["x"] == numbers
     assert len(answer.curve) == len(numbers)

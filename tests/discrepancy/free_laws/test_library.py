@@ -11,13 +11,13 @@ from discrepancy_laws import with_constant
 
 from discrepancy.data.launch import HEADING, B
 from discrepancy.fitting.gauss_newton import fit_model
-from discrepancy.fitting.model_fit import Evidence
-from discrepancy.fitting.parameters import BASE
-from discrepancy.fitting.predict import forecast
+from discrepancy.fitting.model_fit import WhitenedClips
+from discrepancy.fitting.parameters import BASE_PARAMETERS
+from discrepancy.fitting.predict import predict_tracks
 from discrepancy.free_laws import laws
 from discrepancy.free_laws.law_summary import LawSummary, describe_law
 from discrepancy.free_laws.library import free_laws_over, law_count, library
-from discrepancy.noise.model import Component, Noise
+from discrepancy.noise.model import Noise, NoiseComponent
 from discrepancy.search import find
 from discrepancy.selection.free_law_contest import FreeLawContest
 from synthcam.effect import Effect, parameter
@@ -26,7 +26,7 @@ from synthcam.free_law import PACE
 from synthcam.library import library as effects
 from synthcam.model import Model
 
-NOISE = Noise(Component(1.0))
+NOISE = Noise(NoiseComponent(1.0))
 
 
 def exchanged(count, seed):
@@ -42,7 +42,7 @@ MINE = [c.ball == int(c.striker == "a") for c in CLIPS]
 
 
 def moved(model, clips=CLIPS):
-    return forecast(model, np.array([c.launch for c in clips]), clips)
+    return predict_tracks(model, np.array([c.launch for c in clips]), clips)
 
 
 def constant(law, part=0):
@@ -150,8 +150,8 @@ def hiding(effect, count=12, seed=6):
 def likeliest(effect):
     """The best free law beside the base model."""
     clips = hiding(effect)
-    base = fit_model(clips, Model(), BASE, NOISE)
-    return min(FreeLawContest.of(Evidence.of(clips, NOISE), base).fitted, key=lambda f: f.score)
+    base = fit_model(clips, Model(), BASE_PARAMETERS, NOISE)
+    return min(FreeLawContest.of(WhitenedClips.of(clips, NOISE), base).fitted, key=lambda f: f.score)
 
 
 def test_a_loss_by_heading_is_found_and_written():

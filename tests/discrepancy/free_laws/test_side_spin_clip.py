@@ -7,7 +7,7 @@ import pytest
 from discrepancy_clips import exact, noisy, only
 
 from discrepancy.data.launch import SIDE
-from discrepancy.fitting.predict import forecast
+from discrepancy.fitting.predict import predict_tracks
 from discrepancy.free_laws.library import free_laws_over
 from discrepancy.search import find
 from synthcam.model import LAUNCH_SPIN, Model
@@ -55,7 +55,7 @@ def test_derivatives_are_those_of_a_launch_that_spins():
     (law,) = (s for s in free_laws_over(Model(), launches, plain) if s.name == "side_spin_clip")
     spins = np.array([1e-3, -2e-3, 3e-3, 1e-3])
     told = [m @ spins for m in law.columns(Model(), launches, plain)]
-    true = forecast(Model(), np.column_stack([launches, np.zeros((4, 2)), spins]), plain)
+    true = predict_tracks(Model(), np.column_stack([launches, np.zeros((4, 2)), spins]), plain)
     for move, there, clip in zip(told, true, plain, strict=True):
         assert move == pytest.approx(there - clip.xy, abs=0.02 * np.abs(there - clip.xy).max())
 

@@ -15,17 +15,17 @@ from discrepancy.noise.model import (
     CEILING,
     FLOOR,
     IMPOSSIBLE,
-    Component,
+    BallPairs,
     Noise,
-    Pairs,
-    component_of,
-    descend,
+    NoiseComponent,
+    component_from_numbers,
     estimate,
-    free_numbers,
-    own_noise,
-    possible,
+    finite_cost,
+    fit_own_noise,
+    minimise,
+    numbers_from_component,
 )
-from discrepancy.noise.stretches import SMOOTH, Bundle
+from discrepancy.noise.stretches import CUBIC_COEFFICIENTS, StretchBundle
 from synthcam.model import Model
 
 
@@ -41,13 +41,13 @@ def agree(values, truth):
 
 
 def test_lags_of_an_autoregression_are_those_of_yule_and_walker():
-    assert Component(2.0, (0.9,)).lags(40) == pytest.approx(2 * 0.9 ** np.arange(40))
+    assert NoiseComponent(2.0, (0.9,)).lags(40) == pytest.approx(2 * 0.9 ** np.arange(40))
     one, two = 0.6, -0.3
     phi = np.array([one * (1 - two), two])
-    lags = Component(1.0, (one, two)).lags(30)
+    lags = NoiseComponent(1.0, (one, two)).lags(30)
     assert lags[1] == pytest.approx(phi[0] / (1 - phi[1]))
     assert lags[2:] == pytest.approx(phi[0] * lags[1:-1] + phi[1] * lags[:-2])
-    assert Component(3.0, (0.5,), 0.25).lags(3) == pytest.approx([3.0, 3 * 0.75 * 0.5, 3 * 0.75 * 0.25])
+    assert NoiseComponent(3.0, (0.5,), 0.25).lags(3) == pytest.approx([3.0, 3 * 0.75 * 0.5, 3 * 0.75 * 0.25])
 
 
 def test_restricted_likelihood_is_that_of_the_contrasts_that_no_cubic_touches():
@@ -55,8 +55,8 @@ def test_restricted_likelihood_is_that_of_the_contrasts_that_no_cubic_touches():
     rng, n = np.random.default_rng(1), 15
     values = correlated(rng, n, 0.5)
     claimed = rng.uniform(0.5, 2, n)
-    basis = np.vander(np.linspace(-1, 1, n), SMOOTH) / claimed[:, None]
-    bundle = Bundle.of([values * claimed[:, None]], [claimed])
+    basis = np.vander(np.linspace(-1, 1, n), CUBIC_COEFFICIENTS) / claimed[:, None]
+    bundle = StretchBundle.of([values * claimed[:, None]], [claimed])
     contrasts, costs, exact_costs = null_space(basis.T), [], []
     for rho in (0.2, 0.8):
         covariance = toeplitz(rho ** np.arange(n))
@@ -68,7 +68,7 @@ def test_restricted_likelihood_is_that_of_the_contrasts_that_no_cubic_touches():
 
 @pytest.mark.parametrize("rho", [0.0, 0.5, 0.9])
 def test_scale_and_correlation_are_recovered(rho):
-    found = [own_noise(stretches(np.random.default_rng(s), rho, std=2.0)) for s in range(4)]
+    found = [fit_own_noise(stretches(np.random.default_rng(s), rho, std=2.0)) for s in range(4)]
     assert agree([np.sqrt(c.variance) / 2 for c in found], 1.0)
     if rho:
         assert agree([c.lags(2)[1] / c.variance for c in found], rho)
@@ -79,7 +79,7 @@ def test_scale_and_correlation_are_recovered(rho):
 def test_white_noise_beside_slow_noise_is_told_apart():
     rng = np.random.default_rng(2)
     both = [(p + rng.standard_normal(p.shape), c, f) for p, c, f in stretches(rng, 0.95, count=200, frames=(40, 59))]
-    found = own_noise(both)
+    found = fit_own_noise(both)
     assert found.white * found.variance == pytest.approx(1.0, rel=0.1)
     assert found.partial[0] == pytest.approx(0.95, abs=0.06)
 
@@ -87,9 +87,10 @@ def test_white_noise_beside_slow_noise_is_told_apart():
 def test_smooth_motion_is_no_noise():
     plain = list(stretches(np.random.default_rng(2), 0.5))
     moved = [
-        (p + 1e4 * np.vander(np.linspace(-1, 1, len(p)), SMOOTH) @ np.ones((SMOOTH, 2)), c, f) for p, c, f in plain
+        (p + 1e4 * np.vander(np.linspace(-1, 1, len(p)), CUBIC_COEFFICIENTS) @ np.ones((CUBIC_COEFFICIENTS, 2)), c, f)
+        for p, c, f in plain
     ]
-    assert own_noise(moved).lags(6) == pytest.approx(own_noise(plain).lags(6), rel=1e-4)
+    assert fit_own_noise(moved).lags(6) == pytest.approx(fit_own_noise(plain).lags(6), rel=1e-4)
 
 
 @pytest.mark.parametrize("rho", [0.0, 0.5, 0.9])
@@ -101,7 +102,7 @@ def test_missing_frames_do_not_change_the_noise(rho):
         for places, claimed, frame in stretches(rng, rho, count=90, frames=(40, 59)):
             kept = rng.random(len(frame)) < 0.67 if seed % 2 else frame % 3 == 0
             some.append((places[kept], claimed[kept], frame[kept]))
-        found.append(own_noise(some))
+        found.append(fit_own_noise(some))
     assert agree([f.lags(1)[0] for f in found], 1.0)
     assert np.mean([f.lags(2)[1] / f.lags(1)[0] for f in found]) == pytest.approx(rho, abs=0.04)
 
@@ -117,8 +118,8 @@ def test_missing_frames_do_not_change_the_noise(rho):
 )
 def test_a_filter_is_recognised(rho, smooth):
     plain = list(stretches(np.random.default_rng(1), rho, frames=(22, 37, 59)))
-    assert not Noise(own_noise(plain)).smoothed
-    assert Noise(own_noise([(smooth(p), c, f) for p, c, f in plain])).smoothed
+    assert not Noise(fit_own_noise(plain)).smoothed
+    assert Noise(fit_own_noise([(smooth(p), c, f) for p, c, f in plain])).smoothed
 
 
 @pytest.mark.parametrize(("every", "rho", "seed"), [(2, 0.5, 30), (3, 0.9, 32)])
@@ -148,7 +149,9 @@ def test_noise_is_counted_in_claimed_standard_deviations():
     rng = np.random.default_rng(4)
     claims = [rng.uniform(0.5, 2, len(p)) for p, *_ in plain]
     scaled = [(p * c[:, None] * 1e-6, c * 1e-6, f) for (p, _, f), c in zip(plain, claims, strict=True)]
-    assert np.sqrt(own_noise(scaled).variance) == pytest.approx(1, abs=4 / np.sqrt(2 * sum(p.size for p, *_ in plain)))
+    assert np.sqrt(fit_own_noise(scaled).variance) == pytest.approx(
+        1, abs=4 / np.sqrt(2 * sum(p.size for p, *_ in plain))
+    )
 
 
 def common_mode_score(clips, seed, walk=0.0, jitter=0.0, rho=0.0, axes=(1, 1)):
@@ -189,7 +192,7 @@ def test_balls_that_share_nothing_are_not_taken_for_shaken():
     scores = []
     for seed in range(20):
         clips = common_mode_score(CLIPS, seed)
-        scores.append(Pairs(pair for c in clips for pair in c.together()).common_mode_score(Component(1.0)))
+        scores.append(BallPairs(pair for c in clips for pair in c.together()).common_mode_score(NoiseComponent(1.0)))
     assert max(scores) < 4
     assert 0 < np.mean(scores) < 1.49 + 3 / np.sqrt(20)  # nine independent normal scores: the largest is 1.49
     assert estimate(common_mode_score(CLIPS, 3, rho=0.9)).shared == ()
@@ -211,8 +214,8 @@ def test_missing_frames_break_a_stretch_and_no_more():
 def test_a_bundle_of_unequal_stretches_counts_each_by_its_own_length():
     rng = np.random.default_rng(11)
     values = [correlated(rng, n, 0.5) for n in (19, 15, 14)]
-    together, covariance = Bundle.of(values, [np.ones(len(v)) for v in values]), toeplitz(0.7 ** np.arange(19))
-    each = [Bundle.of([v], [np.ones(len(v))]).restricted(covariance[: len(v), : len(v)]) for v in values]
+    together, covariance = StretchBundle.of(values, [np.ones(len(v)) for v in values]), toeplitz(0.7 ** np.arange(19))
+    each = [StretchBundle.of([v], [np.ones(len(v))]).restricted(covariance[: len(v), : len(v)]) for v in values]
     assert together.restricted(covariance) == pytest.approx(np.sum(each, axis=0))
     assert together.restricted(np.tile(covariance, (3, 1, 1))) == pytest.approx(np.sum(each, axis=0))
 
@@ -236,27 +239,27 @@ def test_a_noise_far_from_the_tracks_has_a_cost_too():
     def singular(x):
         return float(np.linalg.cholesky(np.array([[1.0, x[0]], [x[0], 1.0]])).sum()) if x[0] > 1.5 else float(x[0] ** 2)
 
-    assert possible(singular, np.array([2.0])) == possible(lambda x: float("nan"), np.zeros(1)) == IMPOSSIBLE
-    assert abs(descend(singular, np.array([1.4]))[0]) <= 1.01
+    assert finite_cost(singular, np.array([2.0])) == finite_cost(lambda x: float("nan"), np.zeros(1)) == IMPOSSIBLE
+    assert abs(minimise(singular, np.array([1.4]))[0]) <= 1.01
 
 
 def test_too_little_to_read_noise_from():
     with pytest.raises(ValueError, match="too few"):
-        own_noise(stretches(np.random.default_rng(6), 0.0, frames=(5, 7)))
+        fit_own_noise(stretches(np.random.default_rng(6), 0.0, frames=(5, 7)))
     with pytest.raises(ValueError, match="no noise"):
-        own_noise([(np.zeros((40, 2)), np.ones(40), np.arange(40))])
+        fit_own_noise([(np.zeros((40, 2)), np.ones(40), np.arange(40))])
 
 
 def test_a_noise_says_its_scale_and_correlation():
-    noise = Noise(Component(4.0, (0.5,)))
+    noise = Noise(NoiseComponent(4.0, (0.5,)))
     assert (noise.scale, noise.correlation, noise.common_mode) == (2.0, 0.5, 0.0)
 
 
 @pytest.mark.parametrize("part", [FLOOR, CEILING])
 def test_noise_at_the_end_of_its_range_is_a_start_like_any_other(part):
-    numbers = free_numbers(Component(1.0, (0.5,), part))
+    numbers = numbers_from_component(NoiseComponent(1.0, (0.5,), part))
     assert np.isfinite(numbers).all()
-    assert component_of((1, True), 1.0, numbers).white == pytest.approx(part, abs=1.1e-3)
+    assert component_from_numbers((1, True), 1.0, numbers).white == pytest.approx(part, abs=1.1e-3)
 
 
 def test_what_is_new_from_frame_to_frame():
@@ -265,11 +268,11 @@ def test_what_is_new_from_frame_to_frame():
     drift, steps = np.zeros(200_000), rng.standard_normal(200_000)
     for k in range(1, len(drift)):
         drift[k] = rho * drift[k - 1] + steps[k]
-    slow = Noise(Component(4.0 / (1 - rho**2), (rho,)))
+    slow = Noise(NoiseComponent(4.0 / (1 - rho**2), (rho,)))
     assert 2.0 * np.std(drift[1:] - rho * drift[:-1]) == pytest.approx(slow.quick, rel=0.01)
     assert slow.scale == pytest.approx(2.0 * np.std(drift), rel=0.1)
     assert slow.slow
-    assert not Noise(Component(4.0)).slow
-    assert Noise(Component(4.0)).quick == 2.0
-    mixed = Noise(Component(4.0, (rho,), 0.25))
+    assert not Noise(NoiseComponent(4.0)).slow
+    assert Noise(NoiseComponent(4.0)).quick == 2.0
+    mixed = Noise(NoiseComponent(4.0, (rho,), 0.25))
     assert mixed.quick == pytest.approx(2 * np.sqrt(0.25 + 0.75 * (1 - rho**2)))

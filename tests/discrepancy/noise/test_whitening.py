@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from discrepancy_clips import blank
 
-from discrepancy.noise.model import Component, Noise
-from discrepancy.noise.whitening import Whitener
+from discrepancy.noise.model import Noise, NoiseComponent
+from discrepancy.noise.whitening import ClipWhitener
 
 LAUNCH = np.array([0.0, 0.0, 0.08, 0.4, 0.3, 0.2])
-OWN = Component(1.7, (0.8, -0.2), 0.3)
+OWN = NoiseComponent(1.7, (0.8, -0.2), 0.3)
 ALONE = Noise(OWN)
-SHAKEN = Noise(OWN, (Component(9e-12, (0.97,)), Component(2e-12)))
+SHAKEN = Noise(OWN, (NoiseComponent(9e-12, (0.97,)), NoiseComponent(2e-12)))
 
 
 def clip(gaps=True):
@@ -47,7 +47,7 @@ def covariance(c, noise):
 @pytest.mark.parametrize("gaps", [False, True])
 def test_the_covariance_becomes_one(noise, gaps):
     c = clip(gaps)
-    white = Whitener.of(c, noise)
+    white = ClipWhitener.of(c, noise)
     n = len(c.frame)
     units = white(np.eye(2 * n).reshape(n, 2, 2 * n))
     whole = covariance(c, noise).reshape(2 * n, 2 * n)
@@ -59,7 +59,7 @@ def test_the_covariance_becomes_one(noise, gaps):
 @pytest.mark.parametrize("noise", [ALONE, SHAKEN], ids=["alone", "shaken"])
 def test_whitening_can_be_undone(noise):
     c, rng = clip(), np.random.default_rng(1)
-    white = Whitener.of(c, noise)
+    white = ClipWhitener.of(c, noise)
     for shape in ((), (3,)):
         residuals = rng.standard_normal((len(c.frame), 2, *shape))
         assert white.undo(white(residuals)) == pytest.approx(residuals)
@@ -69,7 +69,7 @@ def test_whitening_can_be_undone(noise):
 def test_a_white_number_looks_back_only(noise):
     c = clip()
     n = len(c.frame)
-    used = Whitener.of(c, noise)(np.eye(2 * n).reshape(n, 2, 2 * n)).reshape(n, 2, n, 2) != 0
+    used = ClipWhitener.of(c, noise)(np.eye(2 * n).reshape(n, 2, 2 * n)).reshape(n, 2, n, 2) != 0
     later = c.frame[None, :] > c.frame[:, None]
     assert not used.any(axis=(1, 3))[later].any()
     other = c.ball[None, :] != c.ball[:, None]
@@ -85,5 +85,5 @@ def test_a_target_at_rest_is_off_by_the_same_in_every_frame(noise):
     whole = covariance(c, noise)
     for axis in (0, 1):
         whole[:, axis, :, axis] += 25e-14 * np.outer(resting, resting)
-    units = Whitener.of(c, noise)(np.eye(2 * n).reshape(n, 2, 2 * n))
+    units = ClipWhitener.of(c, noise)(np.eye(2 * n).reshape(n, 2, 2 * n))
     assert units @ whole.reshape(2 * n, 2 * n) @ units.T == pytest.approx(np.eye(2 * n), abs=1e-9)

@@ -7,8 +7,8 @@ import pytest
 from discrepancy_clips import unabsorbed
 from discrepancy_plans import small
 
-from discrepancy.fitting.jacobian import derivative
-from discrepancy.fitting.significance import sigmas
+from discrepancy.fitting.jacobian import differentiate
+from discrepancy.fitting.significance import chi2_to_sigma
 from discrepancy.planning.signatures import Signatures, chi2_to_detect
 
 PAIR = ("air_drag", "rolling_quadratic")
@@ -22,7 +22,7 @@ def limits(noise_px=None, only=PAIR):
 def columns(name):
     """Whitened derivatives by a strength less all that the fit absorbs, (points,)."""
     here = small()
-    slopes = derivative(here.model, here.launches, here.clips, name)
+    slopes = differentiate(here.model, here.launches, here.clips, name)
     return unabsorbed(here.fit(), np.concatenate(here.evidence.white(slopes))[:, None])[:, 0]
 
 
@@ -63,4 +63,4 @@ def test_limits_hold_for_realistic_shapes():
 @pytest.mark.parametrize(("dof", "factor"), [(1, 1.0), (2, 1.0), (2, 80.0), (3, 1.0)])
 def test_half_of_all_experiments_show_more_than_five_sigma_at_the_limit(dof, factor):
     draws = np.random.default_rng(1).noncentral_chisquare(dof, chi2_to_detect(dof, factor), 4001)
-    assert sigmas(float(np.median(draws)), dof, factor) == pytest.approx(5, abs=0.05)
+    assert chi2_to_sigma(float(np.median(draws)), dof, factor) == pytest.approx(5, abs=0.05)

@@ -7,9 +7,9 @@ import pytest
 from discrepancy_clips import collisions, searched
 from discrepancy_outsiders import outsider
 
-from discrepancy.fitting.gauss_newton import fit_model, solve
-from discrepancy.fitting.parameters import BASE
-from discrepancy.noise.model import Component, Noise
+from discrepancy.fitting.gauss_newton import fit_model, solve_step
+from discrepancy.fitting.parameters import BASE_PARAMETERS
+from discrepancy.noise.model import Noise, NoiseComponent
 from discrepancy.report.narrative import rest, story
 from synthcam.model import Model
 
@@ -66,10 +66,10 @@ def test_a_fit_that_did_not_converge_is_said():
 def test_a_parameter_that_stands_at_its_limit_has_converged():
     """Noise asks for less rolling drag than none: that is no step to take."""
     clips = collisions(Model().replace({"rolling_drag": 0.0}), 6, 8)
-    fit = fit_model(clips, Model(), BASE, Noise(Component(1.0)))
+    fit = fit_model(clips, Model(), BASE_PARAMETERS, Noise(NoiseComponent(1.0)))
     assert fit.model.rolling_drag == 0
-    shared, _ = solve(fit, 0.0, np.full(len(BASE), -np.inf), np.full(len(BASE), np.inf))
-    assert shared[BASE.index("rolling_drag")] < 0
+    shared, _ = solve_step(fit, 0.0, np.full(len(BASE_PARAMETERS), -np.inf), np.full(len(BASE_PARAMETERS), np.inf))
+    assert shared[BASE_PARAMETERS.index("rolling_drag")] < 0
     assert rest(fit) < 0.1
 
 

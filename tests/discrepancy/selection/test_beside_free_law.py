@@ -7,10 +7,10 @@ import pytest
 from discrepancy_clips import exact, noisy
 
 from discrepancy.fitting.gauss_newton import fit_model
-from discrepancy.fitting.model_fit import Evidence
-from discrepancy.fitting.parameters import BASE, candidates_of
+from discrepancy.fitting.model_fit import WhitenedClips
+from discrepancy.fitting.parameters import BASE_PARAMETERS, candidates_by_name
 from discrepancy.free_laws.library import free_laws_over
-from discrepancy.noise.model import Component, Noise
+from discrepancy.noise.model import Noise, NoiseComponent
 from discrepancy.policy import current_policy
 from discrepancy.selection.beside_free_law import find_replacements
 from discrepancy.selection.free_law_fit import (
@@ -23,7 +23,7 @@ from discrepancy.selection.free_law_fit import (
 from discrepancy.selection.score_test import ScoreTests
 from synthcam.model import Model
 
-NOISE = Noise(Component(1.0))
+NOISE = Noise(NoiseComponent(1.0))
 CLIPS = 12
 SLIP, RISE, SCATTER = 0.25, 0.03, 0.003
 
@@ -35,7 +35,7 @@ def rubbed():
     for k, mu in enumerate(np.random.default_rng(2).normal(0.24, SCATTER, CLIPS)):
         clips.append(exact(model.replace({"sliding_friction": mu}), CLIPS, 6)[k])
     clips = noisy(clips, 6)
-    base, evidence = fit_model(clips, Model(), BASE, NOISE), Evidence.of(clips, NOISE)
+    base, evidence = fit_model(clips, Model(), BASE_PARAMETERS, NOISE), WhitenedClips.of(clips, NOISE)
     law = next(s for s in free_laws_over(base.model, base.launches, clips) if s.name == "friction_clip")
     known = fit_law(evidence, score_law(law, base, whiten_law_columns(evidence, law, base.model, base.launches)), base)
     tests = ScoreTests.of(known.evidence, known.joint_fit, about=known.model_without_law)
@@ -51,7 +51,7 @@ def beside(rubbed, name, **shapes):
 def test_what_fits_better_in_the_place_of_an_effect_is_found(rubbed):
     evidence, base, *_ = rubbed
     sigma, wrong = beside(rubbed, "viscous_friction")
-    named = candidates_of(wrong.model_without_law, base.model, base.names)["viscous_friction"]
+    named = candidates_by_name(wrong.model_without_law, base.model, base.names)["viscous_friction"]
     less = refit_without_effect(evidence, wrong, named, base, lambda: None)
     ((name, best), *_) = find_replacements(evidence, less, named, (), base, lambda: None)
     assert sigma > current_policy().free_law_sigma
@@ -71,7 +71,7 @@ def test_a_shape_parameter_is_found_from_far_beside_a_free_law(rubbed, start):
 def test_an_effect_that_is_no_rival_is_not_asked(rubbed):
     evidence, base, *_ = rubbed
     wrong = beside(rubbed, "viscous_friction")[1]
-    named = candidates_of(wrong.model_without_law, base.model, base.names)["viscous_friction"]
+    named = candidates_by_name(wrong.model_without_law, base.model, base.names)["viscous_friction"]
     less = refit_without_effect(evidence, wrong, named, base, lambda: None)
     assert "stribeck" not in [
         name for name, _ in find_replacements(evidence, less, named, ("stribeck",), base, lambda: None)

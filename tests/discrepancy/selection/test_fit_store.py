@@ -7,8 +7,8 @@ import pytest
 from discrepancy_clips import collisions, only
 from discrepancy_selected import selected, stored
 
-from discrepancy.fitting.gauss_newton import fit_model, linearised
-from discrepancy.fitting.parameters import BASE, candidates
+from discrepancy.fitting.gauss_newton import fit_model, linearise
+from discrepancy.fitting.parameters import BASE_PARAMETERS, list_candidates
 from discrepancy.noise.model import estimate
 from synthcam.library import library
 from synthcam.model import Model
@@ -18,10 +18,15 @@ def test_a_shape_that_went_astray_is_found_again():
     truth = {"hop.share": 1.0, "hop.bounce": 0.4}
     clips = collisions(Model().replace(truth), 4, 3)
     noise = estimate(clips)
-    base = fit_model(clips, Model(), BASE, noise)
-    seen, hop = stored(clips, base, noise), next(s for s in candidates(Model(), BASE) if s.name == "hop")
-    lost = linearised(seen.evidence, Model().replace(truth | {"hop.bounce": 0.0}), (*BASE, *truth), base.launches)
-    blind = np.append(np.ones(len(BASE) + 1), 0.0)  # nothing tells that a higher bounce would be better
+    base = fit_model(clips, Model(), BASE_PARAMETERS, noise)
+    seen, hop = (
+        stored(clips, base, noise),
+        next(s for s in list_candidates(Model(), BASE_PARAMETERS) if s.name == "hop"),
+    )
+    lost = linearise(
+        seen.evidence, Model().replace(truth | {"hop.bounce": 0.0}), (*BASE_PARAMETERS, *truth), base.launches
+    )
+    blind = np.append(np.ones(len(BASE_PARAMETERS) + 1), 0.0)  # nothing tells that a higher bounce would be better
     lost = dataclasses.replace(
         lost, tangent=dataclasses.replace(lost.tangent, slopes=tuple(x * blind for x in lost.slopes))
     )
@@ -36,15 +41,15 @@ def test_one_of_two_that_together_hold_the_ball_at_rest_can_be_taken_away(monkey
     only(monkeypatch, **{n: library()[n] for n in ("plate_tilt", "plate_waviness")})
     clips = collisions(Model(), 8, 1)
     noise = estimate(clips)
-    base = fit_model(clips, Model(), BASE, noise)
-    seen, names = stored(clips, base, noise), (*BASE, "plate_tilt.x", "plate_waviness.b")
+    base = fit_model(clips, Model(), BASE_PARAMETERS, noise)
+    seen, names = stored(clips, base, noise), (*BASE_PARAMETERS, "plate_tilt.x", "plate_waviness.b")
     values = {"plate_tilt.x": 2e-3, "plate_waviness.b": 3.2e-5, "plate_waviness.wavelength": 0.1}
-    both = linearised(seen.evidence, base.model.replace(values), names, base.launches)
-    (wave,) = (s for s in candidates(Model(), BASE) if s.name == "plate_waviness")
+    both = linearise(seen.evidence, base.model.replace(values), names, base.launches)
+    (wave,) = (s for s in list_candidates(Model(), BASE_PARAMETERS) if s.name == "plate_waviness")
     with pytest.raises(ValueError, match="rest"):
         seen.evidence.left(wave.without(both.model), both.launches)
     left = seen.without(both, wave)
-    assert left.names == (*BASE, "plate_tilt.x")
+    assert left.names == (*BASE_PARAMETERS, "plate_tilt.x")
     assert left.chi2 == pytest.approx(base.chi2)
 
 
@@ -53,27 +58,30 @@ def test_errors_are_those_of_the_whole_motion_where_balls_push_each_other(monkey
     only(monkeypatch, magnetic_attraction=library()["magnetic_attraction"])
     clips = collisions(Model().replace({"magnetic_attraction.pull": 0.4}), 4, 3)
     noise = estimate(clips)
-    steps, found = selected(clips, fit_model(clips, Model(), BASE, noise), noise)
+    steps, found = selected(clips, fit_model(clips, Model(), BASE_PARAMETERS, noise), noise)
     (named,) = steps.named(found.state)
     step, best = 0.5 * named.std["magnetic_attraction.pull"], found.best
     chi2 = []
     for value in (best.model.value("magnetic_attraction.pull") + k * step for k in (-1, 0, 1)):
         held = best.model.replace({"magnetic_attraction.pull": value})
-        chi2.append(fit_model(clips, held, BASE, noise, best.launches).chi2)
+        chi2.append(fit_model(clips, held, BASE_PARAMETERS, noise, best.launches).chi2)
     curved = (chi2[0] - 2 * chi2[1] + chi2[2]) / step**2
     assert named.std["magnetic_attraction.pull"] == pytest.approx(np.sqrt(2 / curved), rel=0.03)
 
 
 def test_a_fit_that_is_offered_is_held_against_the_one_known():
     clips = collisions(Model(), 6, 3)
-    noise, key = estimate(clips), frozenset(s for s in candidates(Model(), BASE) if s.name == "air_drag")
-    base = fit_model(clips, Model(), BASE, noise)
+    noise, key = (
+        estimate(clips),
+        frozenset(s for s in list_candidates(Model(), BASE_PARAMETERS) if s.name == "air_drag"),
+    )
+    base = fit_model(clips, Model(), BASE_PARAMETERS, noise)
     store = stored(clips, base, noise)
     store.settled(())
-    store.fits[key] = known = fit_model(clips, Model(), [*BASE, "air_drag.share"], noise)
+    store.fits[key] = known = fit_model(clips, Model(), [*BASE_PARAMETERS, "air_drag.share"], noise)
     store.done.add(key)
-    poor = linearised(
-        store.evidence, Model().replace({"air_drag.share": 5.0}), (*BASE, "air_drag.share"), base.launches
+    poor = linearise(
+        store.evidence, Model().replace({"air_drag.share": 5.0}), (*BASE_PARAMETERS, "air_drag.share"), base.launches
     )
     store.offer(key, poor)
     assert store.fits[key] is known
@@ -88,7 +96,7 @@ def test_score_tests_are_those_of_the_fit_that_is_kept(monkeypatch):
     only(monkeypatch, **{n: library()[n] for n in ("air_drag", "velocity_restitution")})
     clips = collisions(Model(), 4, 3)
     noise = estimate(clips)
-    base = fit_model(clips, Model(), BASE, noise)
+    base = fit_model(clips, Model(), BASE_PARAMETERS, noise)
     store = stored(clips, base, noise)
     before = store.score_tests(())
     assert store.score_tests(()) is before

@@ -7,22 +7,22 @@ import pytest
 from discrepancy_clips import CAMERA, FPS, collisions, exact, noisy
 
 from discrepancy.fitting.gauss_newton import fit_model
-from discrepancy.fitting.model_fit import Evidence
-from discrepancy.fitting.parameters import BASE
-from discrepancy.fitting.predict import forecast
+from discrepancy.fitting.model_fit import WhitenedClips
+from discrepancy.fitting.parameters import BASE_PARAMETERS
+from discrepancy.fitting.predict import predict_tracks
 from discrepancy.free_laws.library import free_laws_over
-from discrepancy.noise.model import Component, Noise
+from discrepancy.noise.model import Noise, NoiseComponent
 from discrepancy.policy import current_policy
 from discrepancy.selection.free_law_contest import FreeLawContest
 from discrepancy.selection.free_law_fit import fit_law, fit_unseen_clips, score_law, whiten_law_columns
 from discrepancy.selection.model_cost import cost_of
 from synthcam.model import Model
 
-NOISE = Noise(Component(1.0))
+NOISE = Noise(NoiseComponent(1.0))
 
 
 def based(clips, model=None):
-    return fit_model(clips, model or Model(), BASE, NOISE)
+    return fit_model(clips, model or Model(), BASE_PARAMETERS, NOISE)
 
 
 def test_a_contact_at_the_edge_of_an_exposure_that_is_too_short_is_no_lag():
@@ -30,11 +30,11 @@ def test_a_contact_at_the_edge_of_an_exposure_that_is_too_short_is_no_lag():
     true = np.array([c.launch for c in exact(Model(), 8, 6)])
     true[0, 2] = round(true[0, 2] * FPS) / FPS + 2e-4
     clips = [dataclasses.replace(c, launch=launch) for c, launch in zip(exact(Model(), 8, 6), true, strict=True)]
-    seen = [dataclasses.replace(c, xy=xy) for c, xy in zip(clips, forecast(Model(), true, clips), strict=True)]
+    seen = [dataclasses.replace(c, xy=xy) for c, xy in zip(clips, predict_tracks(Model(), true, clips), strict=True)]
     short = dataclasses.replace(CAMERA, exposure=2e-4)
     base = based([dataclasses.replace(c, camera=short) for c in noisy(seen, 6)])
     assert base.chi2 > base.points  # the contact is seen
-    evidence = Evidence.of([dataclasses.replace(c, camera=short) for c in noisy(seen, 6)], NOISE)
+    evidence = WhitenedClips.of([dataclasses.replace(c, camera=short) for c in noisy(seen, 6)], NOISE)
     assert "lag_speed" not in [f.law.name for f in FreeLawContest.of(evidence, base).fitted]
 
 
@@ -47,7 +47,7 @@ def filled_with(name, curve, clips=8, seed=6):
     coefs = np.linalg.lstsq(law.basis(x), curve(x), rcond=None)[0]
     measured = collisions(law.bent(Model(), coefs), clips, seed)
     base = based(measured)
-    contest = FreeLawContest.of(Evidence.of(measured, NOISE), base)
+    contest = FreeLawContest.of(WhitenedClips.of(measured, NOISE), base)
     return measured, base, contest
 
 
@@ -83,8 +83,8 @@ def test_a_fit_of_the_truth_leaves_no_free_law_significant():
     truth = Model().replace({"velocity_restitution.e": 0.02})
     clips = collisions(truth, 8, 7)
     base = based(clips)
-    contest = FreeLawContest.of(Evidence.of(clips, NOISE), base)
-    right = fit_model(clips, Model(), (*BASE, "velocity_restitution.e"), NOISE)
+    contest = FreeLawContest.of(WhitenedClips.of(clips, NOISE), base)
+    right = fit_model(clips, Model(), (*BASE_PARAMETERS, "velocity_restitution.e"), NOISE)
     assert contest.refuted  # the base is
     after = contest.against(right)
     assert not after.beaten
@@ -112,7 +112,7 @@ def test_a_number_of_each_clip_is_fitted_to_clips_kept_out():
     clips = [dataclasses.replace(c, xy=c.xy + 1.6e-6 * rng.standard_normal(c.xy.shape)) for c in shifted]
     some, kept_out = clips[:8], clips[8:]
     base = based(some)
-    best = FreeLawContest.of(Evidence.of(some, NOISE), base).outcome(base)[0]
+    best = FreeLawContest.of(WhitenedClips.of(some, NOISE), base).outcome(base)[0]
     assert best is not None
     assert best.law.name == "restitution_clip"
     assert best.prior.size == pytest.approx(3e-3, rel=0.7)
@@ -124,7 +124,7 @@ def test_a_number_of_each_clip_is_fitted_to_clips_kept_out():
 
 def test_nothing_hidden_fills_no_free_law():
     clips = collisions(Model(), 8, 12)
-    contest = FreeLawContest.of(Evidence.of(clips, NOISE), based(clips))
+    contest = FreeLawContest.of(WhitenedClips.of(clips, NOISE), based(clips))
     assert contest.fitted == ()
     assert not contest.refuted
 
@@ -133,8 +133,8 @@ def test_what_the_base_holds_rightly_is_no_effect_beside_a_free_law():
     """A strength fitted beside a free law is measured from where the base holds it, here at the truth."""
     held = Model().replace({"rolling_quadratic.K": 0.1})
     clips = collisions(held, 8, 3)
-    base, fit = based(clips, held), fit_model(clips, held, (*BASE, "rolling_quadratic.K"), NOISE)
-    evidence = Evidence.of(clips, NOISE)
+    base, fit = based(clips, held), fit_model(clips, held, (*BASE_PARAMETERS, "rolling_quadratic.K"), NOISE)
+    evidence = WhitenedClips.of(clips, NOISE)
     law = next(s for s in free_laws_over(base.model, base.launches, clips) if s.name == "restitution_speed")
     look = score_law(law, fit, whiten_law_columns(evidence, law, base.model, base.launches))
     filled = fit_law(evidence, look, base)

@@ -8,18 +8,18 @@ import pytest
 from discrepancy_clips import collisions, exact, noisy
 
 from discrepancy.fitting.gauss_newton import fit_model
-from discrepancy.fitting.model_fit import Evidence
-from discrepancy.fitting.parameters import BASE, Candidate
-from discrepancy.fitting.predict import forecast
+from discrepancy.fitting.model_fit import WhitenedClips
+from discrepancy.fitting.parameters import BASE_PARAMETERS, Candidate
+from discrepancy.fitting.predict import predict_tracks
 from discrepancy.noise.model import estimate
 from discrepancy.selection.score_test import ScoreTests, largest_cosine
 from synthcam.library import library
 from synthcam.model import Model
 
 
-def contest_of(clips, names=BASE):
+def contest_of(clips, names=BASE_PARAMETERS):
     noise = estimate(clips)
-    evidence = Evidence.of(clips, noise)
+    evidence = WhitenedClips.of(clips, noise)
     return evidence, ScoreTests.of(evidence, fit_model(clips, Model(), names, noise))
 
 
@@ -63,11 +63,11 @@ def test_a_gain_is_that_of_a_dense_linear_fit(effect):
 
 def test_an_exchange_is_foretold_as_by_dense_linear_fits():
     clips = collisions(Model().replace({"velocity_restitution.e": 0.005}), 6, 6)
-    _, tests = contest_of(clips, names=(*BASE, "velocity_restitution.e"))
+    _, tests = contest_of(clips, names=(*BASE_PARAMETERS, "velocity_restitution.e"))
     fit = tests.fit
     gone = Candidate("velocity_restitution", ("velocity_restitution.e",), (), library()["velocity_restitution"])
     left = np.concatenate(fit.residuals) + np.concatenate(fit.slopes)[:, -1] * fit.model.value(gone.strengths[0])
-    dense = np.delete(absorbed(fit), len(BASE), axis=1)
+    dense = np.delete(absorbed(fit), len(BASE_PARAMETERS), axis=1)
     assert tests.chi2(gone) == pytest.approx(remainder(dense, left))
     assert tests.chi2(gone) > fit.chi2 + 50
     rival = next(c for c in tests.ranking(gone) if c.effect == "spin_transfer_velocity")
@@ -116,7 +116,7 @@ def test_what_these_collisions_cannot_show_is_said():
 
 def moved(clips):
     """The clips as their launches would have them, with noise."""
-    paths = forecast(Model(), np.array([c.launch for c in clips]), clips)
+    paths = predict_tracks(Model(), np.array([c.launch for c in clips]), clips)
     return noisy([dataclasses.replace(c, xy=xy) for c, xy in zip(clips, paths, strict=True)], 5)
 
 

@@ -12,7 +12,7 @@ from scipy.stats import chi2 as chi2_law
 from scipy.stats import kstest
 
 from discrepancy.fitting.gauss_newton import fit_model
-from discrepancy.fitting.parameters import BASE, candidates, fitted
+from discrepancy.fitting.parameters import BASE_PARAMETERS, list_candidates, names_to_fit
 from discrepancy.noise.model import estimate
 from discrepancy.policy import current_policy
 from discrepancy.selection.fit_store import FitStore
@@ -65,14 +65,14 @@ def started(truth, base=None, count=6, seed=9):
     base = base or Model()
     clips = collisions(truth, count, seed)
     noise = estimate(clips)
-    return clips, fit_model(clips, base, fitted(base), noise), noise
+    return clips, fit_model(clips, base, names_to_fit(base), noise), noise
 
 
 def standing(truth, *state):
     """Steps that stand at a model with these candidates."""
     clips, base, noise = started(truth)
     steps = Stepwise.of(stored(clips, base, noise))
-    known = {s.name: s for s in candidates(base.model, base.names)}
+    known = {s.name: s for s in list_candidates(base.model, base.names)}
     chosen = tuple(known[n] for n in state)
     strengths = [s for k in chosen for s in k.strengths]
     steps.store.fits[frozenset(chosen)] = fit_model(clips, base.model, [*base.names, *strengths], noise)
@@ -105,7 +105,7 @@ def test_an_effect_is_not_added_where_far_more_is_missing(size, names, monkeypat
     turns = [np.sin(clip.frame / 6 + rng.uniform(0, 2 * np.pi)) for clip in clips]
     sway = [size * STD * turn[:, None] * rng.standard_normal(2) for turn in turns]
     clips = [dataclasses.replace(clip, xy=clip.xy + off) for clip, off in zip(clips, sway, strict=True)]
-    steps = Stepwise.of(stored(clips, fit_model(clips, Model(), fitted(Model()), noise), noise))
+    steps = Stepwise.of(stored(clips, fit_model(clips, Model(), names_to_fit(Model()), noise), noise))
     assert steps.ranking[0].sigma > steps.claim
     assert [s.name for s in next(steps.states(), ())] == names
 
@@ -168,7 +168,7 @@ def test_a_shape_is_fitted_so_that_nothing_is_left_for_a_second_effect():
 
 def test_the_strengths_error_includes_the_shapes_freedom():
     clips, noise, steps, found = stribeck()
-    alone = fit_model(clips, found.best.model, [*BASE, "stribeck.rise"], noise)
+    alone = fit_model(clips, found.best.model, [*BASE_PARAMETERS, "stribeck.rise"], noise)
     assert steps.named(found.state)[0].std["stribeck.rise"] > 1.05 * alone.std["stribeck.rise"]
     assert found.best.chi2 == pytest.approx(alone.chi2, abs=0.1)
 
@@ -183,7 +183,9 @@ def test_the_simpler_of_two_that_fit_as_well_is_named(monkeypatch):
 
 def test_a_slightly_better_fit_is_no_reason_for_more_parameters(monkeypatch):
     """A wave of 1 m is a tilt: which of the two fits better is chance."""
-    tilt, wave = (frozenset({s}) for s in candidates(Model(), BASE) if s.name in ("plate_tilt", "plate_waviness"))
+    tilt, wave = (
+        frozenset({s}) for s in list_candidates(Model(), BASE_PARAMETERS) if s.name in ("plate_tilt", "plate_waviness")
+    )
     for better, simplest in ((-5.0, tilt), (5.0, tilt), (20.0, wave)):
         monkeypatch.setattr(FitStore, "cost_of", lambda self, key, b=better: 100.0 - b * (key == wave))
         assert Stepwise(object.__new__(FitStore), (), 4.0, {}, frozenset())._simplest([wave, tilt]) == simplest
@@ -230,7 +232,7 @@ def test_friction_and_spin_are_found_one_after_the_other_in_a_textbook_collision
     best = found.best
     assert base.chi2 > 1e4 * best.chi2
     assert abs(best.chi2 / (best.points - best.parameters) - 1) < 0.1
-    assert dataclasses.replace(best.model, **{k: getattr(Model(), k) for k in BASE}) == Model()
+    assert dataclasses.replace(best.model, **{k: getattr(Model(), k) for k in BASE_PARAMETERS}) == Model()
 
 
 def test_a_search_is_as_strict_as_its_library_is_large(monkeypatch):
@@ -269,7 +271,7 @@ def test_what_first_order_leaves_over_of_an_absorbed_effect_leads_no_search():
     """A wrong clock is absorbed but for what the step of a derivative leaves; in whitened residuals that may score."""
     clips = collisions(Model().replace({"exposure_blur.longer": 9e-4}), 10, 9, 0.9)
     noise = estimate(clips)
-    steps, found = selected(clips, fit_model(clips, Model(), BASE, noise), noise)
+    steps, found = selected(clips, fit_model(clips, Model(), BASE_PARAMETERS, noise), noise)
     assert max(found.ranking, key=lambda c: c.sigma).effect == "clock_error"
     assert found.ranking[0].effect == "exposure_blur"
     assert "exposure_blur" in [n.effect for n in steps.named(found.state)]
@@ -291,7 +293,7 @@ def test_a_begun_state_keeps_a_better_fit_that_is_known(monkeypatch):
     clips, base, noise = started(Model().replace({"stribeck.rise": 0.1, "stribeck.slip": 0.06}))
     steps, found = selected(clips, base, noise)
     alone = Stepwise.of(stored(clips, base, noise))
-    monkeypatch.setattr("discrepancy.selection.stepwise.settle", lambda evidence, fit, progress: fit)  # it stays
+    monkeypatch.setattr("discrepancy.selection.stepwise.minimise_chi2", lambda evidence, fit, progress: fit)  # it stays
     for each in (alone, steps):
         state = each.begin(["stribeck"], Model().replace({"stribeck.rise": 0.01, "stribeck.slip": 0.004}))
     assert alone.store.fits[frozenset(state)].chi2 > found.best.chi2 + 10

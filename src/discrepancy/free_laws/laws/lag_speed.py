@@ -5,8 +5,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from discrepancy.arrays import Array
-from discrepancy.data.collisions import Measured
-from discrepancy.fitting.predict import velocities
+from discrepancy.data.collisions import MeasuredCollision
+from discrepancy.fitting.predict import predict_velocities
 from discrepancy.free_laws.axis import Axis
 from discrepancy.free_laws.law_kinds import FreeLaw
 from discrepancy.free_laws.ranges import CoveredRanges, over_speed
@@ -22,6 +22,6 @@ class LagSpeed(FreeLaw):
     def over(covered: CoveredRanges) -> tuple[Axis, ...]:
         return over_speed("speed", "v", covered.speeds, 0.0)
 
-    def columns(self, model: Model, launches: Array, clips: Sequence[Measured]) -> list[Array]:
-        seen = velocities(model, launches, clips)
+    def columns(self, model: Model, launches: Array, clips: Sequence[MeasuredCollision]) -> list[Array]:
+        seen = predict_velocities(model, launches, clips)
         return [-v[..., None] * self.basis(np.hypot(v[:, 0], v[:, 1]))[:, None] for v in seen]

@@ -12,7 +12,7 @@ from scipy.special import chdtrc, fdtrc
 
 from tracker.measurement.collision.derived import QUANTITY_NAMES, DerivedValues
 from tracker.measurement.collision.least_squares import CollisionFit
-from tracker.measurement.noise.position_noise import Size
+from tracker.measurement.noise.position_noise import ScatterRatio
 
 MISFIT = "misfit"
 MEASURED = ("ok", MISFIT)  # statuses of a collision that has values
@@ -71,7 +71,7 @@ def p_value(square: float, dof: float, known: float) -> float:
     return float(fdtrc(dof - known, known, max(square - known, 0.0) / (dof - known)))
 
 
-def p_free(rows: list[dict[str, Any]], size: Size, ratio: float = 1.0) -> float:
+def p_free(rows: list[dict[str, Any]], size: ScatterRatio, ratio: float = 1.0) -> float:
     """p-value of all free fits together, were the errors' variance `ratio` times what they went by; NaN without any."""
     fits = [(row["chi2_free"], row["dof_free"]) for row in rows if row["dof_free"] > 0]
     square, dof = np.sum(fits, axis=0) if fits else (np.nan, 0)

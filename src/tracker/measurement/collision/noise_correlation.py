@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from tracker.measurement.collision.collision_model import FREE
 from tracker.measurement.collision.least_squares import BallPair, CollisionFit, WhitenedResiduals
-from tracker.measurement.noise.position_noise import Size, quick_share, scatter
-from tracker.measurement.noise.whitening import fresh
+from tracker.measurement.noise.position_noise import ScatterRatio, measure_scatter, share_seen_by_scatter
+from tracker.measurement.noise.whitening import innovations
 from tracker.measurement.positions import BallTrack
 
 Floats = NDArray[np.float64]
@@ -61,8 +61,8 @@ def with_correlated_noise(pair: BallPair, free: CollisionFit) -> BallPair | None
     if gains[best] - gains[0] < CLEAR:
         return None
     size, rho = sizes[best], float(TRIED[best])
-    quick = scatter([track for _, track in pair.balls])
-    if quick is not None and size.ratio * quick_share(rho) > UNSEEN * quick.ratio:
+    quick = measure_scatter([track for _, track in pair.balls])
+    if quick is not None and size.ratio * share_seen_by_scatter(rho) > UNSEEN * quick.ratio:
         return None
     struck, striker = (replace(track.scale_errors(size), rho=rho) for _, track in pair.balls)
     return replace(pair, struck=struck, striker=striker)
@@ -74,7 +74,7 @@ def _with_codec_errors(pair: BallPair, free: CollisionFit) -> BallPair | None:
     An encoder's errors are uneven: neither single pixels nor a few frames show their size. They last where a ball
     creeps, which `fixed` stands for.
     """
-    size = Size(free.chi2 / max(free.dof, 1), float(max(free.dof, 1)))
+    size = ScatterRatio(free.chi2 / max(free.dof, 1), float(max(free.dof, 1)))
     if not size.sigmas > NOTICEABLE or size.ratio > LARGEST:
         return None
     struck, striker = (track.scale_errors(size) for _, track in pair.balls)
@@ -110,15 +110,15 @@ def _whiten_with_cubics(track: BallTrack) -> tuple[Floats, NDArray[np.int64]]:
     return replace(track, rho=0.0).whiten(columns), track.frame
 
 
-def _restricted_likelihood(parts: list[tuple[Floats, NDArray[np.int64]]], rho: float) -> tuple[float, Size]:
+def _restricted_likelihood(parts: list[tuple[Floats, NDArray[np.int64]]], rho: float) -> tuple[float, ScatterRatio]:
     """Logarithm of the restricted likelihood at a correlation, with the size that maximises it."""
     squares, freedom, volume = 0.0, 0, 0.0
     for columns, frame in parts:
         kept = rho ** np.diff(frame) if rho else np.zeros(len(frame) - 1)
-        r = np.linalg.qr(fresh(columns, kept).T, mode="r")
+        r = np.linalg.qr(innovations(columns, kept).T, mode="r")
         size = np.abs(np.diag(r))
         squares += float(size[-1] ** 2)
         freedom += columns.shape[1] - len(columns) + 1
         volume += float(np.log1p(-(kept**2)).sum()) + float(np.log(np.maximum(size[:-1], 1e-300)).sum())
     squares = max(squares, 1e-20)
-    return -freedom / 2 * np.log(squares) - volume, Size(squares / freedom, float(freedom))
+    return -freedom / 2 * np.log(squares) - volume, ScatterRatio(squares / freedom, float(freedom))

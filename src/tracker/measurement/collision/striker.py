@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from tracker.measurement.collision.collision_model import FREE, GRAVITY, SLIDING, SPIN, TIED
 from tracker.measurement.collision.least_squares import BallPair, CollisionFit
-from tracker.measurement.noise.position_noise import WINDOW, bent
+from tracker.measurement.noise.position_noise import WINDOW, find_bent_windows
 
 if TYPE_CHECKING:
     from tracker.measurement.collision.contacts import Contact
@@ -83,7 +83,7 @@ def _without_first_positions(contact: Contact) -> Iterator[Contact]:
     """The same without the first positions of the striker: those up to the last push, if one is seen, or a share."""
     track = contact.pair.striker
     before = np.flatnonzero(track.frame < contact.frame)
-    pushed = bent(track.where(track.frame < contact.frame - 1))
+    pushed = find_bent_windows(track.where(track.frame < contact.frame - 1))
     since = [int((track.frame[before] >= pushed[-1] + WINDOW).sum())] if len(pushed) else []
     for kept in since + [round(share * len(before)) for share in KEPT]:
         if FEWEST <= kept < len(before):

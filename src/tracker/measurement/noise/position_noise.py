@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtr, chdtri
 
-from tracker.measurement.noise.whitening import covariance
+from tracker.measurement.noise.whitening import position_covariance
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -30,7 +30,7 @@ LEAST = 1e-10  # of the variance expected: perfect positions have some error yet
 STRIDE = 94  # windows whose covariance is made in one go
 
 
-class Ball(Protocol):
+class BallNoise(Protocol):
     """What is needed of a ball's positions: see `positions.BallTrack`."""
 
     @property
@@ -49,7 +49,7 @@ class Ball(Protocol):
 
 
 @dataclass(frozen=True)
-class Size:
+class ScatterRatio:
     """Variance of positions about smooth motion, over that expected; the degrees of freedom from which it was read."""
 
     ratio: float
@@ -61,7 +61,7 @@ class Size:
         return float(np.log(self.ratio) / np.sqrt(2 / self.dof))
 
 
-def scatter(balls: Sequence[Ball]) -> Size | None:
+def measure_scatter(balls: Sequence[BallNoise]) -> ScatterRatio | None:
     """Read the size of the positions' errors from their scatter about cubics in windows of consecutive frames.
 
     Parameters
@@ -84,24 +84,24 @@ def scatter(balls: Sequence[Ball]) -> Size | None:
     kept = left[left <= typical * chdtri(DOF, 1 - KEPT)]
     # the mean of what is kept of a window with normal errors, over that of a whole one
     share = chdtr(DOF + 2, chdtri(DOF, 1 - KEPT)) / KEPT
-    return Size(max(float(kept.mean() / (DOF * share)), LEAST), SPARED * _freedom([part[0] for part in parts]))
+    return ScatterRatio(max(float(kept.mean() / (DOF * share)), LEAST), SPARED * _freedom([part[0] for part in parts]))
 
 
-def bent(course: Ball) -> Ints:
+def find_bent_windows(course: BallNoise) -> Ints:
     """First frames of the windows in which a ball's motion is no cubic, beside what its positions scatter: (m,)."""
     starts, left, _ = _windows(course)
     return starts[left > np.median(left) * chdtri(DOF, BENT) / chdtri(DOF, 0.5)] if len(left) else starts
 
 
-def quick_share(rho: float) -> float:
-    """Of the variance of errors that last by `rho` from frame to frame, the share that `scatter` sees."""
+def share_seen_by_scatter(rho: float) -> float:
+    """Of the variance of errors that last by `rho` from frame to frame, the share that `measure_scatter` sees."""
     t = np.linspace(-1, 1, WINDOW)
     over = np.linalg.qr(np.vander(t, ORDER + 1), mode="complete")[0][:, ORDER + 1 :]
     lag = np.abs(np.subtract.outer(np.arange(WINDOW), np.arange(WINDOW)))
     return float(np.trace(over.T @ rho**lag @ over)) / OVER
 
 
-def _windows(course: Ball) -> tuple[Ints, Floats, NDArray[np.bool_]]:
+def _windows(course: BallNoise) -> tuple[Ints, Floats, NDArray[np.bool_]]:
     """First frames (m,) of all whole windows; what cubics leave, chi^2 of DOF (m,); whether the ball moved (m,)."""
     count = len(course) - WINDOW + 1
     if count < 1:
@@ -119,13 +119,15 @@ def _windows(course: Ball) -> tuple[Ints, Floats, NDArray[np.bool_]]:
     return course.frame[:count][whole], left[whole], moved[whole]
 
 
-def _spread(course: Ball, windows: slice, over: Floats) -> Floats:
+def _spread(course: BallNoise, windows: slice, over: Floats) -> Floats:
     """Covariances (k, DOF, DOF) expected of what cubics leave over, axis by axis."""
     k = windows.stop - windows.start
     rows = slice(windows.start, windows.stop + WINDOW - 1)
     out = np.zeros((k, 2, OVER, 2, OVER))
     if course.fixed.any() and course.width > 0:
-        whole = covariance(course.position[rows], course.cov[rows], course.fixed[rows], course.width, course.drift)
+        whole = position_covariance(
+            course.position[rows], course.cov[rows], course.fixed[rows], course.width, course.drift
+        )
         n = len(whole) // 2
         full = whole.reshape(n, 2, n, 2)
         each = np.arange(k)[:, None] + np.arange(WINDOW)

@@ -22,7 +22,7 @@ SMALL = 24  # rows of a matrix that is taken in one go
 OWN = 1e-3  # least share of the covariance that is a frame's own: keeps the matrix regular
 
 
-class Whitener:
+class PositionWhitener:
     """Turns errors of n positions into independent ones of unit size.
 
     Blocks are stretches of rows none of which is far from the next; a row by itself needs no block.
@@ -41,9 +41,9 @@ class Whitener:
         self.blocks: list[tuple[slice, Floats]] = []
         if width > 0 and len(cov) and fixed.any():
             step = np.hypot(*np.diff(position, axis=0).T)
-            for start, end in _stretches(step > FAR * max(width, drift[1])):
+            for start, end in _split_stretches(step > FAR * max(width, drift[1])):
                 rows = slice(start, end)
-                whole = covariance(position[rows], cov[rows], fixed[rows], width, drift)
+                whole = position_covariance(position[rows], cov[rows], fixed[rows], width, drift)
                 self.blocks.append((rows, _lower_root(whole)))
         self.kept = None if frame is None or rho == 0 else rho ** np.diff(frame)
 
@@ -57,7 +57,7 @@ class Whitener:
             block = errors[..., rows, :].reshape(-1, len(whole))
             part = slice(2 * rows.start, 2 * rows.start + len(whole))
             out[..., part] = _product(whole, block.T).T.reshape(*errors.shape[:-2], -1)
-        return out if self.kept is None else fresh(out, self.kept)
+        return out if self.kept is None else innovations(out, self.kept)
 
     def distance(self, errors: Floats) -> Floats:
         """(..., n) squared Mahalanobis distance of each position by itself, errors (..., n, 2)."""
@@ -65,14 +65,14 @@ class Whitener:
         return np.asarray((root[:, 0, 0] * x) ** 2 + (root[:, 1, 0] * x + root[:, 1, 1] * y) ** 2)
 
 
-def fresh(errors: Floats, kept: Floats) -> Floats:
+def innovations(errors: Floats, kept: Floats) -> Floats:
     """The innovations (..., 2n), of unit size, of errors (..., 2n) that keep a share (n - 1,) of the row before."""
     rows = errors.reshape(*errors.shape[:-1], -1, 2)
     new = (rows[..., 1:, :] - kept[:, None] * rows[..., :-1, :]) / np.sqrt(1 - kept**2)[:, None]
     return np.concatenate([rows[..., :1, :], new], axis=-2).reshape(errors.shape)
 
 
-def _stretches(breaks: NDArray[np.bool_]) -> list[tuple[int, int]]:
+def _split_stretches(breaks: NDArray[np.bool_]) -> list[tuple[int, int]]:
     """(first, beyond last) of the stretches of two or more rows between breaks, none longer than LONGEST."""
     edges = [0, *(np.flatnonzero(breaks) + 1).tolist(), len(breaks) + 1]
     out = []
@@ -81,20 +81,20 @@ def _stretches(breaks: NDArray[np.bool_]) -> list[tuple[int, int]]:
     return [(first, last) for first, last in out if last - first > 1]
 
 
-def covariance(
+def position_covariance(
     position: Floats, cov: Floats, fixed: Floats, width: float, drift: tuple[float, float] = (0.0, 0.0)
 ) -> Floats:
     """Covariance (2n, 2n) m^2 of positions (n, 2) m; cov, fixed (n, 2, 2), width and drift as for Whitener."""
     n = len(position)
     if drift[0]:
         own = drift[0] ** 2 * np.eye(2)
-        whole = covariance(position, cov - own, fixed - own, width).reshape(n, 2, n, 2)
+        whole = position_covariance(position, cov - own, fixed - own, width).reshape(n, 2, n, 2)
         apart = np.sqrt(3) * np.hypot(*(position[:, None] - position[None]).transpose(2, 0, 1)) / drift[1]
         near = drift[0] ** 2 * (1 + apart) * np.exp(-apart)  # Matern's, of a shift that changes smoothly
         for axis in (0, 1):
             whole[:, axis, :, axis] += near
         return whole.reshape(2 * n, 2 * n)
-    fixed = fixed * _admitted(cov, fixed)[:, None, None]
+    fixed = fixed * _limit_shared_share(cov, fixed)[:, None, None]
     size, axes = np.linalg.eigh(fixed)
     root = axes * np.sqrt(np.maximum(size, 0.0))[:, None, :] @ np.swapaxes(axes, 1, 2)
     apart = (position[:, None] - position[None]) / width
@@ -110,7 +110,7 @@ def covariance(
     return np.asarray(shared, dtype=np.float64)
 
 
-def _admitted(cov: Floats, fixed: Floats) -> Floats:
+def _limit_shared_share(cov: Floats, fixed: Floats) -> Floats:
     """(n,) factors that leave each frame its own share, whatever a table says of the shared part."""
     root = _inverse_root(cov)
     most = np.linalg.eigvalsh(root @ fixed @ np.swapaxes(root, 1, 2))[:, -1]

@@ -10,7 +10,7 @@ from scipy.stats import kstest
 from tracker_noisy import BENCHMARK, NOISE, dataset, measured, noisy, results, scalars_of, truth_of
 from typer.testing import CliRunner
 
-from discrepancy.data.collisions import collision
+from discrepancy.data.collisions import build_collision
 from tracker.camera.camera import Camera
 from tracker.cli import app
 from tracker.detection.link import Tracks
@@ -102,7 +102,7 @@ def test_a_search_takes_what_the_tracker_rejects(hopping):
     tracks = noisy(truth, np.random.default_rng(0))
     (row,) = measure(tracks, camera)
     assert row["status"] == "misfit"
-    found = collision(tracks, row | {"clip": 0}, camera)
+    found = build_collision(tracks, row | {"clip": 0}, camera)
     assert not isinstance(found, str)
     assert found.launch[3] == pytest.approx(scalars_of(hopping)["v0"][0], rel=0.01)
 

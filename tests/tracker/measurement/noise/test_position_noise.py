@@ -7,7 +7,7 @@ import pytest
 from tracker_noisy import BENCHMARK, dataset, noisy, scalars_of, truth_of
 
 from tracker.measurement.estimate import measure
-from tracker.measurement.noise.position_noise import scatter
+from tracker.measurement.noise.position_noise import measure_scatter
 from tracker.measurement.positions import BallTrack, to_ball_tracks
 
 
@@ -30,7 +30,7 @@ def balls_of(frame, particle, xy, claimed=1.0):
 
 
 def noise_of(*table):
-    return np.sqrt(scatter(balls_of(*table)).ratio)
+    return np.sqrt(measure_scatter(balls_of(*table)).ratio)
 
 
 def test_noise_is_found_in_spite_of_contact_and_slides(clips):
@@ -47,7 +47,7 @@ def test_its_own_error_is_known():
     """The spread of 300 draws of white noise, against the degrees of freedom that each claims."""
     rng, frame, particle = np.random.default_rng(3), np.tile(np.arange(60), 2), np.repeat([0, 1], 60)
     way = np.column_stack([frame * 1.5, frame * 0.0])
-    sizes = [scatter(balls_of(frame, particle, way + rng.normal(0, 0.2, (120, 2)), 0.2)) for _ in range(300)]
+    sizes = [measure_scatter(balls_of(frame, particle, way + rng.normal(0, 0.2, (120, 2)), 0.2)) for _ in range(300)]
     spread = np.std([size.ratio for size in sizes])
     assert np.sqrt(2 / sizes[0].dof) == pytest.approx(spread, rel=4 / np.sqrt(600))
     assert np.mean([size.ratio for size in sizes]) == pytest.approx(1, abs=4 * spread / np.sqrt(300))
@@ -64,7 +64,7 @@ def test_errors_that_a_resting_ball_repeats_are_not_missed():
         xy = position + shared + rng.normal(0, own, (120, 2))
         cov = np.tile(0.1**2 * np.eye(2), (120, 1, 1))
         ratios.append(
-            scatter([BallTrack(0, frame, frame / 250, xy, cov, 0.0, np.tile(fixed, (120, 1, 1)), 50.0)]).ratio
+            measure_scatter([BallTrack(0, frame, frame / 250, xy, cov, 0.0, np.tile(fixed, (120, 1, 1)), 50.0)]).ratio
         )
     assert np.mean(ratios) == pytest.approx(1, abs=0.1)
 
@@ -83,8 +83,8 @@ def test_gaps_and_order_do_not_matter_and_too_little_says_so():
     xy = np.column_stack([frame * 1.5, 0.01 * frame**1.5]) + rng.normal(0, 0.2, (800, 2))
     kept = rng.permutation(800)[:700]
     assert noise_of(frame[kept], particle[kept], xy[kept]) == pytest.approx(0.2, rel=0.1)
-    assert scatter(balls_of(frame[:6], particle[:6], xy[:6])) is None
-    assert scatter(balls_of(frame[::2], particle[::2], xy[::2])) is None
+    assert measure_scatter(balls_of(frame[:6], particle[:6], xy[:6])) is None
+    assert measure_scatter(balls_of(frame[::2], particle[::2], xy[::2])) is None
 
 
 def test_perfect_positions_do_not_divide_by_zero():

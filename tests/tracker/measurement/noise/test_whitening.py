@@ -11,7 +11,7 @@ from tracker.detection.glints import SHADED, UNLIT, WORDS
 from tracker.measurement.collision.contacts import STILL, _shorten_rest
 from tracker.measurement.collision.derived import QUANTITY_NAMES
 from tracker.measurement.estimate import measure
-from tracker.measurement.noise.whitening import Whitener, covariance
+from tracker.measurement.noise.whitening import PositionWhitener, position_covariance
 from tracker.measurement.positions import BallTrack
 
 SIGMA = 1.25
@@ -31,7 +31,7 @@ def test_shared_errors_are_those_of_a_random_pattern():
     told = np.concatenate([slopes(p) for p in positions])
     product = told @ told.T
     fixed = np.tile(np.eye(2) * 0.3, (5, 1, 1))
-    mine = covariance(positions, fixed + np.eye(2), fixed, SIGMA) - np.kron(np.eye(5), np.eye(2))
+    mine = position_covariance(positions, fixed + np.eye(2), fixed, SIGMA) - np.kron(np.eye(5), np.eye(2))
     np.testing.assert_allclose(mine, 0.3 * product / product[0, 0], atol=1e-3)
 
 
@@ -40,9 +40,11 @@ def test_whitening_leaves_unit_errors():
     position = np.cumsum(rng.normal(0, 0.4, (30, 2)), axis=0)
     root = rng.normal(size=(30, 2, 2))
     cov = root @ root.transpose(0, 2, 1) + 0.1 * np.eye(2)
-    white = Whitener(position, cov, 0.6 * cov, SIGMA)
+    white = PositionWhitener(position, cov, 0.6 * cov, SIGMA)
     unit = np.stack([white(e) for e in np.eye(60).reshape(60, 30, 2)], axis=1)
-    np.testing.assert_allclose(unit @ covariance(position, cov, 0.6 * cov, SIGMA) @ unit.T, np.eye(60), atol=1e-9)
+    np.testing.assert_allclose(
+        unit @ position_covariance(position, cov, 0.6 * cov, SIGMA) @ unit.T, np.eye(60), atol=1e-9
+    )
     np.testing.assert_allclose(white(np.eye(60).reshape(60, 30, 2)), unit.T)
     errors = rng.normal(size=(30, 2))
     np.testing.assert_allclose(white.distance(errors), np.einsum("ni,nij,nj->n", errors, np.linalg.inv(cov), errors))
@@ -50,14 +52,14 @@ def test_whitening_leaves_unit_errors():
 
 def test_a_shared_part_as_large_as_the_whole_stays_regular():
     cov = np.tile(np.eye(2), (50, 1, 1))
-    white = Whitener(np.zeros((50, 2)), cov, 1.5 * cov, SIGMA)
+    white = PositionWhitener(np.zeros((50, 2)), cov, 1.5 * cov, SIGMA)
     assert np.isfinite(white(np.ones((50, 2)))).all()
 
 
 def test_a_resting_ball_is_known_no_better_than_its_shared_error():
     cov = np.tile(np.eye(2), (100, 1, 1))
     ones = np.tile(np.eye(2)[:, None], (1, 100, 1))
-    told = Whitener(np.zeros((100, 2)), cov, 0.07 * cov, SIGMA)(ones).T
+    told = PositionWhitener(np.zeros((100, 2)), cov, 0.07 * cov, SIGMA)(ones).T
     std = np.sqrt(np.diag(np.linalg.inv(told.T @ told)))
     np.testing.assert_allclose(std, np.sqrt(0.07 + 0.93 / 100), rtol=1e-6)
 
@@ -82,7 +84,7 @@ def shared_noise(truth, camera, rng, own=0.009, fixed=0.004):
     xy = noisy(truth, rng, 0.0).xy
     for ball in (0, 1):
         rows = tracks.particle == ball
-        root = np.linalg.cholesky(covariance(xy[rows], parts[0][rows], parts[1][rows], camera.sigma))
+        root = np.linalg.cholesky(position_covariance(xy[rows], parts[0][rows], parts[1][rows], camera.sigma))
         xy[rows] += (root @ rng.standard_normal(len(root))).reshape(-1, 2)
     return replace(tracks, x=xy[:, 0], y=xy[:, 1], cov=parts[0], fixed=parts[1])
 
@@ -130,9 +132,9 @@ def test_a_lasting_shift_is_correlated_as_matern_says():
     rng = np.random.default_rng(3)
     where, rms, over = rng.uniform(0, 4e-3, (12, 2)), 1.1e-5, 2.4e-3
     cov = np.tile(np.eye(2) * 9e-10, (12, 1, 1))
-    whole = covariance(where, cov, 0.5 * cov, 2e-4, (rms, over)).reshape(12, 2, 12, 2)
+    whole = position_covariance(where, cov, 0.5 * cov, 2e-4, (rms, over)).reshape(12, 2, 12, 2)
     less = cov - rms**2 * np.eye(2), 0.5 * cov - rms**2 * np.eye(2)
-    lasting = whole - covariance(where, *less, 2e-4).reshape(12, 2, 12, 2)
+    lasting = whole - position_covariance(where, *less, 2e-4).reshape(12, 2, 12, 2)
     others = ~np.eye(12, dtype=bool)
     apart = np.sqrt(3) * np.hypot(*(where[:, None] - where[None]).T)[others] / over
     expected = 2 / gamma(1.5) * (apart / 2) ** 1.5 * kv(1.5, apart)

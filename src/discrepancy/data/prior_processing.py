@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from discrepancy.arrays import Array
-from discrepancy.data.collisions import Measured
+from discrepancy.data.collisions import MeasuredCollision
 from discrepancy.data.launch import T_C
 from discrepancy.policy import current_policy
 
@@ -18,14 +18,14 @@ REST = 1e-9  # m: what moves less between two frames rests
 SLIGHT = 1e-3  # px: a finer grid is rounding of the table
 
 
-def processed(clips: Sequence[Measured]) -> tuple[str, ...]:
+def detect_processing(clips: Sequence[MeasuredCollision]) -> tuple[str, ...]:
     """A line for each thing that was done to the tracks of these clips, as far as they show it."""
     said = []
-    if step := _grid(clips):
+    if step := _detect_grid(clips):
         said.append(
             f"places are rounded to {step:.3g} px: their errors are not random, but hang on the place; give all digits"
         )
-    if least := _thinned(clips):
+    if least := _detect_thinning(clips):
         said.append(
             f"places less than {1e3 * least:.3g} mm from the one before are left out: slow balls are hardly seen"
         )
@@ -45,7 +45,7 @@ SMOOTHED = (
 NOTHING_LEFT = "too few places of a ball before or after the contact are left without those that a filter moves"
 
 
-def beyond_reach(clip: Measured) -> Measured:
+def remove_filtered_rows(clip: MeasuredCollision) -> MeasuredCollision:
     """A clip without the places that a filter moves: near the contact, a gap, or where a ball is seen first or last."""
     reach = current_policy().smoothing_reach_frames
     kept = np.abs(clip.frame - clip.launch[T_C] * clip.fps) > reach
@@ -56,14 +56,14 @@ def beyond_reach(clip: Measured) -> Measured:
     return clip.of(np.flatnonzero(kept))
 
 
-def seen_around_contact(clip: Measured) -> bool:
+def covers_contact(clip: MeasuredCollision) -> bool:
     """Whether each ball has places enough on either side of the contact to tell its way there."""
     early = clip.frame < clip.launch[T_C] * clip.fps
     counts = [np.sum((clip.ball == ball) & (early == before)) for ball in (0, 1) for before in (True, False)]
     return bool(min(counts) >= current_policy().min_frames_before_contact)
 
 
-def _grid(clips: Sequence[Measured]) -> float:
+def _detect_grid(clips: Sequence[MeasuredCollision]) -> float:
     """The step of a grid, px, that all coordinates lie on and that is not small beside their errors; or 0."""
     steps = []
     for clip in clips:
@@ -82,7 +82,7 @@ def _grid(clips: Sequence[Measured]) -> float:
     return float(np.median(steps)) if steps else 0.0
 
 
-def _thinned(clips: Sequence[Measured]) -> float:
+def _detect_thinning(clips: Sequence[MeasuredCollision]) -> float:
     """The least step of moving balls, m, where frames are missing just when it would be less; or 0."""
     kept, gaps = list[Array](), list[Array]()
     for clip in clips:

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.optimize import brentq
 
 from discrepancy.arrays import Array
-from discrepancy.data.launch import with_spins
+from discrepancy.data.launch import pad_spins
 from discrepancy.policy import current_policy
 from tracker.camera.camera import Camera
 from tracker.detection.link import Tracks
@@ -19,7 +19,7 @@ STEP = 0.1  # frames, by which the instant is looked for where they touch
 
 
 @dataclass(frozen=True)
-class Hit:
+class HitGuess:
     """A first guess of a hit. Times count from frame 0.
 
     Attributes
@@ -42,7 +42,7 @@ class Hit:
     launch: Array | None = None
 
 
-def after_hit(tracks: Tracks, camera: Camera, since: float = -math.inf) -> Hit | None:
+def guess_hit_from_outgoing(tracks: Tracks, camera: Camera, since: float = -math.inf) -> HitGuess | None:
     """The hit from which two balls part, one of which rested before; None where they do not part as from a hit.
 
     since: when it is thought to have been, s; what is seen before has no part.
@@ -57,7 +57,7 @@ def after_hit(tracks: Tracks, camera: Camera, since: float = -math.inf) -> Hit |
             len(rows) >= current_policy().min_frames_after_hit
             and np.hypot(*(xy[rows[-1]] - xy[rows[0]])) > camera.radius
         ):
-            paths[int(name)] = _slide(tracks.frame[rows] / camera.fps + camera.exposure / 2, xy[rows])
+            paths[int(name)] = _fit_slide(tracks.frame[rows] / camera.fps + camera.exposure / 2, xy[rows])
     if len(paths) != 2:
         return None
     names, ((first, one, _), (second, two, _)) = [*paths], paths.values()
@@ -85,11 +85,11 @@ def after_hit(tracks: Tracks, camera: Camera, since: float = -math.inf) -> Hit |
     order = names[struck], names[1 - struck]
     heading, b = float(np.arctan2(ahead[1], ahead[0])), float(-normal @ [-ahead[1], ahead[0]])
     ends = np.array([paths[name][2] for name in order])
-    launch = with_spins(np.array([[*at.mean(axis=0), t_c, v0, heading, b]]))[0]
-    return Hit(order, t_c, v0, b, ends, launch)
+    launch = pad_spins(np.array([[*at.mean(axis=0), t_c, v0, heading, b]]))[0]
+    return HitGuess(order, t_c, v0, b, ends, launch)
 
 
-def _slide(times: Array, xy: Array) -> tuple[float, Array, float]:
+def _fit_slide(times: Array, xy: Array) -> tuple[float, Array, float]:
     """How a ball slides: the first instant, the parabola from there on, (3, 2) highest power first, and its end.
 
     Where it begins to roll it changes to another parabola, of the same velocity there.

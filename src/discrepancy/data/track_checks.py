@@ -15,7 +15,7 @@ from tracker.detection.link import Tracks
 UNITS = {"m": 1.0, "cm": 1e2, "mm": 1e3, "um": 1e6}
 
 
-def wrong_units(clips: Iterable[tuple[Tracks, Camera]]) -> str | None:
+def detect_wrong_units(clips: Iterable[tuple[Tracks, Camera]]) -> str | None:
     """Why these places cannot be px, or None. Two balls that touch are a diameter apart."""
     nearest, far, touching, diameter = [], [], 0.0, 0.0
     for tracks, camera in clips:
@@ -39,7 +39,7 @@ def wrong_units(clips: Iterable[tuple[Tracks, Camera]]) -> str | None:
     return said
 
 
-def exchanged(tracks: Tracks, camera: Camera) -> int | None:
+def find_exchange(tracks: Tracks, camera: Camera) -> int | None:
     """The frame in which the two balls of a clip exchange their numbers, or None.
 
     From the frame before it both together move less, by more than a radius, with their numbers exchanged back.

@@ -16,25 +16,25 @@ FEWEST = 4  # places of a piece, for the parabola that tells its speed
 DEGREE = 2  # a ball that slides, and one that rolls, slows down evenly
 
 
-def clock_start(tracks: Tracks, camera: Camera) -> float:
+def find_clock_start(tracks: Tracks, camera: Camera) -> float:
     """What the clock of its times shows where frame 0 would begin, s: in the median of all frames."""
     off = tracks.time * camera.fps - tracks.frame
     return float(np.median(off)) / camera.fps if len(off) and np.all(np.isfinite(off)) else 0.0
 
 
-def _off(tracks: Tracks, camera: Camera) -> Array:
+def _frame_offsets(tracks: Tracks, camera: Camera) -> Array:
     """By how many frames each place lies beside its number over the rate, (n,); zeros without times of its own."""
-    off = (tracks.time - clock_start(tracks, camera)) * camera.fps - tracks.frame
+    off = (tracks.time - find_clock_start(tracks, camera)) * camera.fps - tracks.frame
     return off if np.all(np.isfinite(off)) else np.zeros(len(off))
 
 
-def uneven(tracks: Tracks, camera: Camera) -> float:
+def measure_unevenness(tracks: Tracks, camera: Camera) -> float:
     """By how much its times lie beside an even rate, frames."""
-    off = _off(tracks, camera)
+    off = _frame_offsets(tracks, camera)
     return float(np.ptp(off) / 2) if len(off) else 0.0
 
 
-def evened(tracks: Tracks, balls: Sequence[Ints], t_c: float, ends: Array, camera: Camera) -> Tracks:
+def move_to_even_times(tracks: Tracks, balls: Sequence[Ints], t_c: float, ends: Array, camera: Camera) -> Tracks:
     """Tracks with each ball's places moved to the frames' even times.
 
     Each ball's path is a parabola in time before the contact, while it slides, and while it rolls; one is fitted to
@@ -59,7 +59,7 @@ def evened(tracks: Tracks, balls: Sequence[Ints], t_c: float, ends: Array, camer
     Tracks
         Of these two balls.
     """
-    even, spans = tracks.frame / camera.fps, _off(tracks, camera)
+    even, spans = tracks.frame / camera.fps, _frame_offsets(tracks, camera)
     first, last = even + np.minimum(spans, 0) / camera.fps, even + np.maximum(spans, 0) / camera.fps + camera.exposure
     moved, kept = tracks.xy, np.zeros(len(tracks.frame), dtype=bool)
     for rows, end in zip(balls, ends, strict=True):
@@ -78,8 +78,9 @@ def evened(tracks: Tracks, balls: Sequence[Ints], t_c: float, ends: Array, camer
     return replace(tracks, **some | {"x": moved[rows, 0], "y": moved[rows, 1], "time": even[rows]})
 
 
-def cannot_be_evened(tracks: Tracks, camera: Camera) -> str | None:
+def explain_too_uneven(tracks: Tracks, camera: Camera) -> str | None:
     """Why the places of a clip cannot be moved to even times, or None."""
-    if np.abs(_off(tracks, camera)).max(initial=0.0) <= current_policy().max_time_shift_frames:
+    if np.abs(_frame_offsets(tracks, camera)).max(initial=0.0) <= current_policy().max_time_shift_frames:
         return None
-    return f"its times are up to {uneven(tracks, camera):.2g} frames beside an even rate of {camera.fps:g} a second"
+    off = measure_unevenness(tracks, camera)
+    return f"its times are up to {off:.2g} frames beside an even rate of {camera.fps:g} a second"
