@@ -29,8 +29,8 @@ from synthcam.camera import reflections
 from synthcam.camera.exposure import Picture
 from synthcam.camera.glints import find_glints
 from synthcam.camera.lamp import Lamp
-from synthcam.camera.pinhole import Camera
-from synthcam.camera.render import FINENESS, Film, gl_info
+from synthcam.camera.pinhole import PinholeCamera
+from synthcam.camera.render import FINENESS, MirrorRenderer, gl_info
 from synthcam.camera.sensor import Chip, Sensor
 from synthcam.camera.surface import IRON, Surface
 
@@ -62,9 +62,9 @@ AT_LEAST = {"generate: frames a second at the margin": 1000.0, "generate: faster
 FPS, FRAMES = 250, 100  # of a clip
 
 
-def overhead(**changes: Any) -> Camera:
+def overhead(**changes: Any) -> PinholeCamera:
     settings: dict[str, Any] = {"size": (512, 256), "scale": 1e-4, "height": 0.5, "ball_radius": R}
-    return Camera.overhead(**settings | {"fps": 250, "exposure": 5e-4, "psf_sigma_px": 1.0} | changes)
+    return PinholeCamera.overhead(**settings | {"fps": 250, "exposure": 5e-4, "psf_sigma_px": 1.0} | changes)
 
 
 def still(centres: Array) -> Any:
@@ -73,7 +73,7 @@ def still(centres: Array) -> Any:
 
 def glints(pairs: int, rng: np.random.Generator) -> dict[str, float]:
     """Pairs at contact and apart, anywhere in view: places and fluxes as drawn less those traced."""
-    film = Film(overhead(), LAMP, [R, R], room=0.0)
+    film = MirrorRenderer(overhead(), LAMP, [R, R], room=0.0)
     positions: dict[int, list[float]] = {1: [], 2: []}
     fluxes: dict[int, list[float]] = {1: [], 2: []}
     for k in range(pairs):
@@ -144,7 +144,7 @@ def outline(balls: int, rng: np.random.Generator) -> dict[str, float]:
     out = {}
     for name, (settings, surface, many, travel) in cases.items():
         camera = overhead(**settings)
-        film = Film(camera, LAMP, [R] * many, room=1.0, surface=surface)
+        film = MirrorRenderer(camera, LAMP, [R] * many, room=1.0, surface=surface)
         film._uniforms |= BLACK
         film._unit = 0.0
         errors = []
@@ -183,7 +183,7 @@ def by_rows(anchors: Array, pictures: list[Array]) -> Array:
 
 def lit_outline(balls: int, rng: np.random.Generator) -> dict[str, float]:
     """Lines of equal light at the rim of a ball that mirrors its room, less those of float64 rays."""
-    film = Film(overhead(), LAMP, [R], room=1.0)
+    film = MirrorRenderer(overhead(), LAMP, [R], room=1.0)
     film._unit = 0.0
     errors = []
     for _ in range(balls):
@@ -317,7 +317,7 @@ def stock(frames: int = 12) -> dict[str, float]:
     found[f"stock pyrender, {FINENESS} x {FINENESS} samples: highlight off that of 8 x 8, px rms"] = rms(
         np.subtract(*positions)
     )
-    film = Film(overhead(), LAMP, [R, R])
+    film = MirrorRenderer(overhead(), LAMP, [R, R])
     times = np.arange(100) / 250
 
     def roll(at: Array) -> Array:

@@ -16,7 +16,7 @@ from scipy.signal import fftconvolve
 from scipy.special import ndtr
 
 from synthcam.camera.lamp import Lamp
-from synthcam.camera.pinhole import Camera
+from synthcam.camera.pinhole import PinholeCamera
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.intp]
@@ -27,7 +27,7 @@ FINE = 24  # cells a pixel, each way, of an outline's area
 
 
 def trace(
-    camera: Camera, centres: Array, radii: Radii, pixels: Array, most: int
+    camera: PinholeCamera, centres: Array, radii: Radii, pixels: Array, most: int
 ) -> tuple[Array, Array, Array, Ints, Ints]:
     """Rays through pixels (M, 2): last points and ways (M, 3), reflectance kept, bounces, the first ball or -1."""
     flat = cv2.undistortPoints(
@@ -57,7 +57,9 @@ def trace(
     return point, way, kept, bounces, first
 
 
-def missed(camera: Camera, lamp: Lamp, centres: Array, radii: Radii, pixels: Array, order: int) -> tuple[Array, Array]:
+def missed(
+    camera: PinholeCamera, lamp: Lamp, centres: Array, radii: Radii, pixels: Array, order: int
+) -> tuple[Array, Array]:
     """How far (M, 2), m, rays pass the lamp's middle in its plane, and reflectance kept; NaN unless `order` bounces."""
     point, way, kept, bounces, _ = trace(camera, centres, radii, pixels, order + 1)
     way = np.where(((bounces == order) & (way[:, 2] > 0))[:, None], way, np.nan)
@@ -66,7 +68,7 @@ def missed(camera: Camera, lamp: Lamp, centres: Array, radii: Radii, pixels: Arr
 
 
 def lamp_image(
-    camera: Camera, lamp: Lamp, centres: Array, radii: Radii, start: Array, order: int
+    camera: PinholeCamera, lamp: Lamp, centres: Array, radii: Radii, start: Array, order: int
 ) -> tuple[Array, float, Array]:
     """Place (2,) px, flux px^2 and variances (2,) px^2 of the lamp's image of that order next to the pixel `start`."""
     middle = np.array(start, float)
@@ -98,7 +100,7 @@ def lamp_image(
     return position, flux, (weight[..., None] * (at - position) ** 2).sum((0, 1)) / flux
 
 
-def spot(camera: Camera, shape: tuple[int, ...], position: Array, flux: float, variance: Array) -> Array:
+def spot(camera: PinholeCamera, shape: tuple[int, ...], position: Array, flux: float, variance: Array) -> Array:
     """A spot (h, w) through the optics' Gaussian and square pixels."""
     sides = []
     for axis, count in ((1, shape[0]), (0, shape[1])):
@@ -121,13 +123,13 @@ def separate(image: Array, spots: Sequence[Array], positions: Array) -> tuple[Ar
     return np.asarray(found[:, 1:] / found[:, :1], dtype=float), np.asarray(found[:, 0], dtype=float)
 
 
-def window(camera: Camera, centres: Array) -> tuple[Ints, Ints]:
+def window(camera: PinholeCamera, centres: Array) -> tuple[Ints, Ints]:
     """First and last (column, row) of a box around balls (N, 3) and their blur."""
     at, half = camera.project(centres), 1.3 * centres[0, 2] / camera.scale + 8
     return np.floor(at.min(axis=0) - half).astype(int), np.ceil(at.max(axis=0) + half).astype(int)
 
 
-def hidden(camera: Camera, centres: Array, radius: float, low: Ints, high: Ints, defocus: float = 0.0) -> Array:
+def hidden(camera: PinholeCamera, centres: Array, radius: float, low: Ints, high: Ints, defocus: float = 0.0) -> Array:
     """Share (h, w) of the plate that balls (N, 3) hide in the box `low` to `high`.
 
     The outline is a polygon of 720 corners; Gaussian, pixel and disc are applied to its exact area in cells of
@@ -144,7 +146,7 @@ def hidden(camera: Camera, centres: Array, radius: float, low: Ints, high: Ints,
     return blurred(np.minimum(area, 1), camera.psf_sigma_px, defocus)
 
 
-def lit(camera: Camera, centres: Array, radii: Radii, dark: Array, room: float, box: tuple[Ints, Ints]) -> Array:
+def lit(camera: PinholeCamera, centres: Array, radii: Radii, dark: Array, room: float, box: tuple[Ints, Ints]) -> Array:
     """Light (h, w) of balls in a dim room less that of the plate behind them, in a box from (column, row) on.
 
     By 16 x 16 rays a pixel, four bounces; dark: (N,) the plate's radiance under each ball.
@@ -183,7 +185,7 @@ def displaced(drawn: Array, true: Array, where: Any = True) -> Array:
     return np.asarray((drawn - true)[on] / steep[on])
 
 
-def _corners(camera: Camera, centre: Array, radius: float) -> Array:
+def _corners(camera: PinholeCamera, centre: Array, radius: float) -> Array:
     eye = camera.centre - centre
     far = np.linalg.norm(eye)
     axis = eye / far

@@ -15,8 +15,8 @@ from rich.table import Table
 
 from benchmarks.harness import ROOT, save
 from synthcam.camera.lamp import Lamp
-from synthcam.camera.room.finish import Finish, Look
-from synthcam.camera.room.shade import Shade
+from synthcam.camera.room.finish import BallFinish, SurfaceFinish
+from synthcam.camera.room.illumination import Illumination
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -148,8 +148,10 @@ def errors(case: str, paths: int, seed: int = 0) -> dict[str, dict[str, float]]:
     centres = np.array([[0.0, 0.0, R]])
     if gap:
         centres = np.array([[0.0, 0.0, R], [gap * R * np.cos(0.6), gap * R * np.sin(0.6), R]])
-    finish = Finish((colour,), (colour,))
-    shade = Shade(lamp, Look((finish,) * len(centres), (plate,), ambient=ambient), np.full(len(centres), R), None)
+    finish = BallFinish((colour,), (colour,))
+    shade = Illumination(
+        lamp, SurfaceFinish((finish,) * len(centres), (plate,), ambient=ambient), np.full(len(centres), R), None
+    )
     room = Room(centres, np.full(len(centres), colour), plate, lamp, ambient)
     out = {}
     for name, places in regions(lamp, centres[1] if gap else None).items():

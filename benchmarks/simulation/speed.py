@@ -63,7 +63,7 @@ def commands(clips: int, folder: Path) -> dict[str, float]:
 def stages(folder: Path) -> dict[str, float]:
     """Seconds a clip of 100 frames in each stage, one process."""
     from synthcam.dataset.files import write_clip
-    from synthcam.scene.filmed_motion import View
+    from synthcam.scene.film_time import FilmedMotion
     from synthcam.scene.scene import read_scene
     from tracker.camera.recordings import open_source
     from tracker.detection.detect import DEFAULT, detect, make_view
@@ -82,7 +82,7 @@ def stages(folder: Path) -> dict[str, float]:
         write_clip(folder / "one" / "clips" / "000000", clip, iter(frames), {"seed": 0})
 
     out = {
-        "simulate": timed(lambda: View.of(clip.model, clip.launch, clip.camera, clip.frames), 20),
+        "simulate": timed(lambda: FilmedMotion.solve(clip.model, clip.launch, clip.camera, clip.frames), 20),
         "truth tables": timed(lambda: clip.tracks),
         "draw and expose": timed(lambda: exhaust(clip.pictures())),
         "write and hash": timed(write),

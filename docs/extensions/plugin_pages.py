@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import Any
 
 from myst_text import paragraphs, plain, table
+from synthcam.dataset.sketch import sketch, typical
 
 from discrepancy.free_laws.library import library as free_laws
-from synthcam.dataset.sketch import sketch, typical
 from synthcam.library import library as effects
 from tracker.detection.detect import list_detectors
 

@@ -18,7 +18,7 @@ from synthcam.free_law import NOT_YET, TURN, Kind, TabulatedLaw, kind_of
 from synthcam.library import check_name
 from synthcam.model import Model, dumped, read_model, settings_of
 from synthcam_shared.errors import InputError
-from synthcam_shared.outputs import as_input_error, check_room, put
+from synthcam_shared.outputs import as_input_error, check_writable, write_atomically
 
 MATCH = {CONSTANT: 0, "linear": 1}  # terms that a number of the base model is, by its power of x
 DRAWN = 50  # places: enough to draw shapes at
@@ -85,11 +85,11 @@ def adopt(report: str | Path, name: str, folder: str | Path = "effects") -> Adop
     plain["free"] = [*plain.get("free", []), *(f"{name}.{k}" for k in values if formula)]
     if not plain["free"]:
         del plain["free"]
-    check_room(files[0])
+    check_writable(files[0])
     with as_input_error(folder):
         folder.mkdir(parents=True, exist_ok=True)
-        put(files[0], text)
-        put(files[1], dumped(plain))
+        write_atomically(files[0], text)
+        write_atomically(files[1], dumped(plain))
     line = f"effects: {{{name}: {{{', '.join(f'{k}: {v:.6g}' for k, v in values.items())}}}}}"
     return AdoptedEffect(name, *files, line, formula)
 

@@ -19,7 +19,7 @@ from synthcam.library import add_effects
 from synthcam.model import read_model, write_model
 from synthcam_shared.application import EVERY, command_line, progress_bar, run
 from synthcam_shared.errors import InputError
-from synthcam_shared.outputs import as_input_error, check_room
+from synthcam_shared.outputs import as_input_error, check_writable
 from tracker.camera.camera import Camera
 
 app = command_line(
@@ -137,7 +137,7 @@ def add(
     check_effect(effect)
     if output.is_dir():
         raise InputError(f"{output}: a folder; expected the name of a model file")
-    check_room(output)
+    check_writable(output)
     _print_camera_notes(measured, camera)
     clips, left_out = read_collisions(measured, camera)
     with show_stages(("noise", "fit", "search")) as progress:

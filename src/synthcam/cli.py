@@ -47,7 +47,7 @@ ModelFile = Annotated[
 ]
 
 
-def known_effects(folders: list[Path] | None) -> None:
+def add_effect_folders(folders: list[Path] | None) -> None:
     """Add the effects of these folders to the library. Raises InputError."""
     from synthcam.library import add_effects
 
@@ -77,8 +77,8 @@ def generate(
 
     Example: synthcam generate scenes/benchmark.yaml -o out/benchmark --clips 100
     """
-    known_effects(effects_dir)
-    from synthcam.dataset.generate import Plan, run
+    add_effect_folders(effects_dir)
+    from synthcam.dataset.generate import GenerationPlan, generate_dataset
     from synthcam.dataset.staging import check_apart
     from synthcam.scene.scene import read_scene
 
@@ -91,12 +91,12 @@ def generate(
         raise InputError("--withhold-truth: expected --seed too, one nobody guesses: scene and seed give the truth")
     changes = (*(set_ or ()), *_encoding(encode))
     read = tuple(read_scene(s, changes, model) for s in scenes)
-    plan = Plan(read, clips, seed or 0, not no_video, _compression(compression), _shard(shard))
+    plan = GenerationPlan(read, clips, seed or 0, not no_video, _compression(compression), _shard(shard))
     if plan.shard and withhold_truth:
         raise InputError("--shard: a shard keeps its truth; give --withhold-truth to `synthcam merge`")
     with progress_bar("clips") as progress:
-        tell = _say_first if sys.stderr.isatty() and not scheduler else None
-        outcome = run(plan, output, workers or 0, progress, withhold_truth, scheduler, tell)
+        tell = _print_estimate if sys.stderr.isatty() and not scheduler else None
+        outcome = generate_dataset(plan, output, workers or 0, progress, withhold_truth, scheduler, tell)
     for line in outcome.failed[:SHOWN]:
         print(f"synthcam: {line}", file=sys.stderr)
     if len(outcome.failed) > SHOWN:
@@ -110,7 +110,7 @@ def generate(
         "failures": list(outcome.failed),
         "seconds": round(seconds, 2),
     }
-    _say(summary, as_json, f"{output}: {plan.total} clips, {outcome.made} made now in {seconds:.1f} s")
+    _print_result(summary, as_json, f"{output}: {plan.total} clips, {outcome.made} made now in {seconds:.1f} s")
     if outcome.failed:
         kept = f"; the rest are kept in {output}.partial" if len(outcome.failed) < plan.total else ""
         raise InputError(f"{output}: {len(outcome.failed)} of {plan.total} clips could not be made{kept}")
@@ -127,9 +127,9 @@ def _shard(text: str) -> tuple[int, int] | None:
 
 def _encoding(text: str) -> tuple[str, ...]:
     """As changes of a scene's `video`."""
-    from synthcam.dataset.video import read_how
+    from synthcam.dataset.video import parse_encoding
 
-    how = read_how(text, "--encode") if text else {}
+    how = parse_encoding(text, "--encode") if text else {}
     return tuple(f"video.{key}={value}" for key, value in how.items())
 
 
@@ -141,7 +141,7 @@ def _compression(name: str) -> str:
     return name
 
 
-def _say_first(text: str) -> None:
+def _print_estimate(text: str) -> None:
     print(text, file=sys.stderr)
 
 
@@ -157,12 +157,12 @@ def merge(
 
     Example: synthcam merge out/part1 out/part2 out/part3 -o out/benchmark
     """
-    known_effects(effects_dir)
+    add_effect_folders(effects_dir)
     from synthcam.dataset.merge import merge as merge_shards
 
     with progress_bar("clips") as progress:
         clips = merge_shards(shards, output, progress, withhold_truth)
-    _say({"dataset": str(output), "clips": clips}, as_json, f"{output}: {clips} clips of {len(shards)} shards")
+    _print_result({"dataset": str(output), "clips": clips}, as_json, f"{output}: {clips} clips of {len(shards)} shards")
 
 
 @app.command()
@@ -184,8 +184,8 @@ def preview(
 
     Example: synthcam preview scenes/painter_behringer.yaml -o frame.png
     """
-    known_effects(effects_dir)
-    from synthcam.dataset.preview import write_film, write_preview
+    add_effect_folders(effects_dir)
+    from synthcam.dataset.preview import write_animation, write_preview
     from synthcam.scene.scene import read_scene
 
     kind = output.suffix.lower()
@@ -194,10 +194,12 @@ def preview(
     drawn = read_scene(scene, tuple(set_ or ()), model).draw(clip, seed)
     if kind == ".png":
         write_preview(drawn, output, frame, magnify)
-        _say({"output": str(output)}, as_json, f"{output}")
+        _print_result({"output": str(output)}, as_json, f"{output}")
     else:
-        slower = write_film(drawn, output)
-        _say({"output": str(output), "slower": slower}, as_json, f"{output}: {slower:.3g} times slower than it was")
+        slower = write_animation(drawn, output)
+        _print_result(
+            {"output": str(output), "slower": slower}, as_json, f"{output}: {slower:.3g} times slower than it was"
+        )
 
 
 @app.command()
@@ -216,7 +218,7 @@ def verify(
     for problem in found.problems:
         print(problem, file=sys.stderr)
     ok = not found.problems
-    _say(
+    _print_result(
         {"dataset": str(dataset), "files": found.files, "problems": list(found.problems)},
         as_json,
         f"{dataset}: {found.files} files, {'all as written' if ok else f'{len(found.problems)} problems'}",
@@ -238,12 +240,12 @@ def export(
 
     Example: synthcam export out/benchmark --format mot -o out/benchmark_mot
     """
-    known_effects(effects_dir)
+    add_effect_folders(effects_dir)
     from synthcam.dataset.export import export as export_dataset
 
     with progress_bar("clips") as progress:
         clips = export_dataset(dataset, kind, output, progress, truth)
-    _say({"output": str(output), "format": kind, "clips": clips}, as_json, f"{output}: {clips} clips")
+    _print_result({"output": str(output), "format": kind, "clips": clips}, as_json, f"{output}: {clips} clips")
 
 
 @app.command()
@@ -257,7 +259,7 @@ def effects(
 
     Example: synthcam effects hop -o hop.png
     """
-    known_effects(folder)
+    add_effect_folders(folder)
     from synthcam.library import library
 
     known = library()
@@ -279,9 +281,9 @@ def effects(
                 kind = ("shape parameter, given" if p.given else "shape parameter") if p.fixed else "strength"
                 print(f"    {p.name}: {kind}, {p.unit}, typically {p.typical:g}, from {p.low:g} to {p.high:g}")
     if output is not None and name is not None:
-        from synthcam.dataset.sketch import sketch, typical
+        from synthcam.dataset.effect_drawing import draw_effect, with_typical_values
 
-        apart = sketch(typical(known[name]), output)
+        apart = draw_effect(with_typical_values(known[name]), output)
         if not as_json:
             print(f"    {output}: it moves what is seen by up to {apart:.3g} um")
     elif name is not None and not as_json:
@@ -300,7 +302,7 @@ def schema(effects_dir: EffectsDir = None) -> None:
 
     Example: synthcam schema > scene.schema.json
     """
-    known_effects(effects_dir)
+    add_effect_folders(effects_dir)
     from synthcam.scene.scene import schema as scene_schema
 
     print(json.dumps(scene_schema(), indent=1))
@@ -313,15 +315,15 @@ def doctor(as_json: Json = False) -> None:
     Example: synthcam doctor
     """
     from synthcam.camera.render import gl_info
-    from synthcam.dataset.preview import speed
+    from synthcam.dataset.preview import measure_speed
 
     info: dict[str, Any] = dict(gl_info())
-    info["frames_per_second"] = round(speed(), 1)
+    info["frames_per_second"] = round(measure_speed(), 1)
     text = "\n".join(f"{key}: {value}" for key, value in info.items())
-    _say(info, as_json, text + "\n(two balls, 640 x 480, drawn and exposed by one process)")
+    _print_result(info, as_json, text + "\n(two balls, 640 x 480, drawn and exposed by one process)")
 
 
-def _say(summary: dict[str, Any], as_json: bool, text: str) -> None:
+def _print_result(summary: dict[str, Any], as_json: bool, text: str) -> None:
     print(json.dumps(summary) if as_json else text)
 
 

@@ -71,7 +71,7 @@ def run(app: typer.Typer, name: str, wrong: tuple[type[Exception], ...], resumed
 def progress_bar(what: str) -> Iterator[Callable[[int, int], None]]:
     """A bar with an estimate on a terminal; elsewhere a line on stderr every so many seconds."""
     if not sys.stderr.isatty():
-        yield lines(what)
+        yield print_progress(what)
         return
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
@@ -82,7 +82,7 @@ def progress_bar(what: str) -> Iterator[Callable[[int, int], None]]:
         yield lambda done, total: bar.update(task, completed=done, total=total)
 
 
-def lines(what: str) -> Callable[[int, int], None]:
+def print_progress(what: str) -> Callable[[int, int], None]:
     """Prints what is done and how long the rest will take, at most every EVERY seconds."""
     began = said = time.monotonic()
     before: int | None = None  # done by an earlier run

@@ -12,14 +12,14 @@ from synthcam_shared.errors import InputError
 ROOM = 1 << 16  # bytes that must fit before anything is begun
 
 
-def check_room(output: Path) -> None:
+def check_writable(output: Path) -> None:
     """Raises InputError at once where nothing can be written to ``output``: a read-only or a full disk."""
     folder = output.absolute().parent
     while not folder.exists():
         folder = folder.parent
     probe = folder / f".{output.name}.{os.getpid()}.room"
     try:
-        put(probe, bytes(ROOM))
+        write_atomically(probe, bytes(ROOM))
         probe.unlink()
     except OSError as error:
         raise InputError(f"{output}: {error.strerror or error}; nothing can be written there") from None
@@ -44,7 +44,7 @@ def _of(output: Path, file: Path) -> bool:
     return beside == output.name or beside.startswith((f"{output.name}.", f"{output.name}-"))
 
 
-def put(path: Path, data: str | bytes) -> None:
+def write_atomically(path: Path, data: str | bytes) -> None:
     """Writes a file aside and moves it into place, in a new folder if need be. Where it fails, what was there stays."""
     path.parent.mkdir(parents=True, exist_ok=True)
     aside = path.with_name(f"{path.name}.{os.getpid()}.part")
@@ -58,7 +58,7 @@ def put(path: Path, data: str | bytes) -> None:
 
 
 @contextmanager
-def held(folder: Path) -> Iterator[None]:
+def lock_folder(folder: Path) -> Iterator[None]:
     """Makes a folder, if need be, and keeps other processes out of it; the lock ends with this process at the latest.
 
     Raises InputError where another process is at work there.

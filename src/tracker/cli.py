@@ -145,7 +145,7 @@ def score(
 
     Example: tracker score theirs.txt --truth gt.txt -o out/report
     """
-    from synthcam_shared.outputs import as_input_error, check_room, held
+    from synthcam_shared.outputs import as_input_error, check_writable, lock_folder
     from tracker.results import RUN, load_json
     from tracker.scoring.score import score as score_results
     from tracker.scoring.score_page import write_report
@@ -153,9 +153,9 @@ def score(
 
     if output.exists() and not (output.is_dir() and (not any(output.iterdir()) or (output / SCORE).is_file())):
         raise InputError(f"{output}: exists and holds something else, expected a new folder for the report")
-    check_room(output)
+    check_writable(output)
     new = not output.exists()
-    with held(output), as_input_error(output):
+    with lock_folder(output), as_input_error(output):
         try:
             if truth.is_file() and not results.is_dir():
                 _score_tables(results, truth, output, gate, name, as_json)

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from synthcam_shared.errors import InputError
-from synthcam_shared.outputs import as_input_error, check_room, put
+from synthcam_shared.outputs import as_input_error, check_writable, write_atomically
 from tracker.camera.camera_keys import did_you_mean
 from tracker.results import read_clip
 from tracker.tables.read import formats
@@ -43,7 +43,7 @@ def export(results: Path, kind: str, output: Path) -> int:
         raise InputError(f"{results}: no clips/ with tracks in it, expected RESULTS, as tracker track makes them")
     if output.exists():
         raise InputError(f"{output}: exists, expected a new {'file' if len(folders) == 1 else 'folder'}")
-    check_room(output)
+    check_writable(output)
     written, one = [], writers[kind]
     with as_input_error(output):
         aside = output.with_name(f"{output.name}.tmp")
@@ -51,7 +51,9 @@ def export(results: Path, kind: str, output: Path) -> int:
         try:
             aside.mkdir(parents=True)
             for file in folders:
-                put(aside / f"{file.parent.name}{one.SUFFIX}", one.write(*read_clip(results, int(file.parent.name))))
+                write_atomically(
+                    aside / f"{file.parent.name}{one.SUFFIX}", one.write(*read_clip(results, int(file.parent.name)))
+                )
                 written.append(file.parent.name)
             (aside / f"{written[0]}{one.SUFFIX}" if len(written) == 1 else aside).replace(output)
         finally:

@@ -17,7 +17,7 @@ import cv2
 import pandas as pd
 
 from synthcam_shared.errors import InputError
-from synthcam_shared.outputs import as_input_error, check_room, held
+from synthcam_shared.outputs import as_input_error, check_writable, lock_folder
 from tracker import results
 from tracker.camera.frames import GREY
 from tracker.camera.recordings import RecordingSource, open_source
@@ -101,7 +101,7 @@ def run(
     if source.path.resolve() in output.parents:
         raise InputError(f"{output}: lies in {source.path}, expected a folder outside it")
     if not output.exists():
-        check_room(output)
+        check_writable(output)
     first, why = select_channel(source.open_clip(0), channel)
     if name is not None:
         load_linker(name, first.camera)
@@ -204,9 +204,9 @@ def _partial(output: Path, plan: dict[str, Any]) -> Iterator[Path]:
 
     Where the input or the disk is at fault and no clip is done, it is removed again.
     """
-    check_room(output)
+    check_writable(output)
     partial = output.with_name(output.name + ".partial")
-    with held(partial):
+    with lock_folder(partial):
         if any(partial.iterdir()):
             _same_or_refuse(partial, plan)
         try:

@@ -23,7 +23,7 @@ import pyarrow.csv
 import pyarrow.parquet
 
 from synthcam_shared.errors import InputError
-from synthcam_shared.outputs import put
+from synthcam_shared.outputs import write_atomically
 from tracker.camera.camera import Camera
 from tracker.camera.camera_keys import read_json
 from tracker.detection.link import Tracks
@@ -64,7 +64,7 @@ def write_clip(
         _write_parquet(aside / "tracks.parquet", table)
         with BytesIO() as text:
             pyarrow.csv.write_csv(table, text, pyarrow.csv.WriteOptions(quoting_style="needed"))
-            put(aside / "tracks.csv", text.getvalue())
+            write_atomically(aside / "tracks.csv", text.getvalue())
         _write_parquet(aside / "motion.parquet", pa.table(columns))
         write_json(aside / "estimates.json", list(rows))
         write_json(aside / "camera.json", camera.to_dict())
@@ -83,7 +83,7 @@ def finish(partial: Path, final: Path, numbers: Iterable[int]) -> pd.DataFrame:
     _write_parquet(partial / "estimates.parquet", _plain(table))
     write_json(partial / "fit.json", fit_all(table))
     _note_exposures(partial, order)
-    put(partial / "camera.json", (clip_folder(partial, order[0]) / "camera.json").read_bytes())
+    write_atomically(partial / "camera.json", (clip_folder(partial, order[0]) / "camera.json").read_bytes())
     os.replace(partial, final)
     return table
 
@@ -130,13 +130,13 @@ def load_json(path: Path) -> Any:
 
 def write_json(path: Path, value: Any) -> None:
     """JSON with null for what is not finite."""
-    put(path, json.dumps(finite(value), indent=1, sort_keys=False) + "\n")
+    write_atomically(path, json.dumps(finite(value), indent=1, sort_keys=False) + "\n")
 
 
 def _write_parquet(path: Path, table: pa.Table) -> None:
     with BytesIO() as stream:
         pyarrow.parquet.write_table(table, stream)
-        put(path, stream.getvalue())
+        write_atomically(path, stream.getvalue())
 
 
 def finite(value: Any) -> Any:

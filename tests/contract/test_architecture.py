@@ -74,8 +74,8 @@ LAYERS = {
         "render room",
     ],
     "synthcam.scene": [
-        "distribution materials filmed_motion",
-        "apparatus ground_truth filming",
+        "distribution materials film_time",
+        "apparatus ground_truth sensor_frames",
         "motion",
         "clip",
         "scene",

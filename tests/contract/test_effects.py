@@ -11,7 +11,7 @@ from sticky_effect import STICKY
 
 import synthcam.effects
 from synthcam import model as model_module
-from synthcam.camera.pinhole import Camera, Lamp, glint_px
+from synthcam.camera.pinhole import Lamp, PinholeCamera, project_glint
 from synthcam.dynamics.batch import collisions
 from synthcam.dynamics.launch import Launch
 from synthcam.dynamics.solve import solve
@@ -19,7 +19,7 @@ from synthcam.effect import LAWS
 from synthcam.library import library
 from synthcam.model import Model, build, read_model, settings_of, write_model
 from synthcam.scene import scene as scene_module
-from synthcam.scene.filmed_motion import View
+from synthcam.scene.film_time import FilmedMotion
 from synthcam.scene.scene import check_scene
 from synthcam_shared.errors import InputError
 
@@ -28,7 +28,7 @@ LAMP = (0.05, 0.0, 0.45)
 ROW = np.array([[0.003, -0.001, 0.1, 0.5, 0.7, 0.4]])
 TIMES = np.linspace(0, 0.3, 151)
 FRAMES = 75
-NOMINAL = Camera.overhead(
+NOMINAL = PinholeCamera.overhead(
     (640, 480), 1.6e-4, 0.5, ball_radius=Model().ball.radius, fps=250, exposure=5e-4, psf_sigma_px=1.0
 )
 every = pytest.mark.parametrize("kind", library().values(), ids=list(library()))
@@ -47,12 +47,14 @@ def picture(*effects):
     model = Model(effects=effects)
     bent = model.laws("camera", NOMINAL, {})
     bent = dataclasses.replace(bent, exposure=float(model.laws("exposure", bent.exposure, {"fps": bent.fps})))
-    view = View.of(model, Launch.pair(model.bodies("ab"), **SETUP), bent, FRAMES)
+    view = FilmedMotion.solve(model, Launch.pair(model.bodies("ab"), **SETUP), bent, FRAMES)
     px = view.mean(view.spans(FRAMES), lambda states: bent.project(states[..., :3]))
 
     def mirrored(px, lamp=LAMP):
         centres = view.at(view.spans(FRAMES).mean(axis=1))[..., :3]
-        return px + glint_px(bent, Lamp(np.array(lamp), 0.01), centres, Model().ball.radius) - bent.project(centres)
+        return (
+            px + project_glint(bent, Lamp(np.array(lamp), 0.01), centres, Model().ball.radius) - bent.project(centres)
+        )
 
     return model.laws("measure", px, {"glint": mirrored, "mirrored": mirrored})
 

@@ -15,7 +15,7 @@ import discrepancy.cli
 import synthcam.cli
 import synthcam_shared.application
 import tracker.cli
-from synthcam_shared.outputs import held
+from synthcam_shared.outputs import lock_folder
 from tracker import pipeline
 
 MAINS = {"synthcam": synthcam.cli.main, "tracker": tracker.cli.main, "discrepancy": discrepancy.cli.main}
@@ -247,7 +247,7 @@ def test_two_at_one_output(bench, monkeypatch, capsys):
         ("tracker score results --truth dataset -o new", "new"),
     ):
         monkeypatch.setattr(sys, "argv", shlex.split(typed))
-        with held(bench / made), pytest.raises(SystemExit) as stopped:
+        with lock_folder(bench / made), pytest.raises(SystemExit) as stopped:
             MAINS[sys.argv[0]]()
         err = capsys.readouterr().err
         assert (stopped.value.code, err.count("\n")) == (2, 1)

@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 
 from discrepancy import cli
-from synthcam.dataset.generate import Plan, run
+from synthcam.dataset.generate import GenerationPlan, generate_dataset
 from synthcam.scene.scene import read_scene
 from tracker.pipeline import measure_tables
 
@@ -29,8 +29,8 @@ def table(dataset):
 
 def record(folder, scene):
     """dataset/, tracks.csv, camera.json and results/ of six collisions with a restitution that falls with speed."""
-    plan = Plan((read_scene(scene, (f"effects.velocity_restitution.e={TRUTH}",)),), 6, 4, False)
-    run(plan, folder / "dataset", 1, lambda done, of: None)
+    plan = GenerationPlan((read_scene(scene, (f"effects.velocity_restitution.e={TRUTH}",)),), 6, 4, False)
+    generate_dataset(plan, folder / "dataset", 1, lambda done, of: None)
     table(folder / "dataset").to_csv(folder / "tracks.csv", index=False)
     camera = folder / "camera.json"
     camera.write_bytes((folder / "dataset/clips/000000/camera.json").read_bytes())

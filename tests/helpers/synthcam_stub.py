@@ -3,7 +3,7 @@
 import numpy as np
 
 from synthcam.dataset import generate
-from synthcam.dataset.generate import Plan, run
+from synthcam.dataset.generate import GenerationPlan, generate_dataset
 from synthcam.scene.clip import Clip
 from synthcam.scene.scene import check_scene
 
@@ -34,14 +34,14 @@ def quiet(done, total):
 
 
 def plan(clips=4, seed=5, video=True, scene=SCENE, **more):
-    return Plan((check_scene(scene, "s.yaml"),), clips, seed, video, **more)
+    return GenerationPlan((check_scene(scene, "s.yaml"),), clips, seed, video, **more)
 
 
 def make(folder, monkeypatch, withheld=None, **settings):
     """A finished dataset with dots for pictures."""
     monkeypatch.setattr(Clip, "pictures", film)
-    monkeypatch.setattr(generate, "drawing", lambda video: {"gl": {"renderer": "dots"}, "machine": {}})
-    outcome = run(plan(**settings), folder, 1, quiet, withheld)
+    monkeypatch.setattr(generate, "describe_machine", lambda video: {"gl": {"renderer": "dots"}, "machine": {}})
+    outcome = generate_dataset(plan(**settings), folder, 1, quiet, withheld)
     assert outcome.failed == ()
     return folder
 

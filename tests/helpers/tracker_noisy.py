@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from synthcam.dataset.generate import Plan, run
+from synthcam.dataset.generate import GenerationPlan, generate_dataset
 from synthcam.scene.scene import check_scene
 from tracker.camera.camera import Camera
 from tracker.detection.link import Tracks
@@ -29,7 +29,9 @@ BENCHMARK = {
 
 def dataset(folder: Path, settings: dict, clips: int, seed: int = 1) -> Path:
     """A dataset without video."""
-    run(Plan((check_scene(settings, "test"),), clips, seed, video=False), folder, 1, lambda done, total: None)
+    generate_dataset(
+        GenerationPlan((check_scene(settings, "test"),), clips, seed, video=False), folder, 1, lambda done, total: None
+    )
     return folder
 
 

@@ -9,7 +9,7 @@ from sticky_effect import STICKY
 import synthcam.library as module
 from synthcam.cli import app
 from synthcam.dataset import generate, preview
-from synthcam.dataset.generate import Plan, make_clip, run
+from synthcam.dataset.generate import GenerationPlan, generate_dataset, make_clip
 from synthcam.library import add_effects, digest, library
 from synthcam.model import Model, read_model, write_model
 from synthcam.scene.scene import check_scene, schema
@@ -33,8 +33,8 @@ def test_workers_know_the_folder_and_the_dataset_which_file_it_was(own, tmp_path
     (own / "sticky_fingers.py").write_text(STICKY)
     add_effects(own)
     scene = check_scene({"effects": {"sticky_fingers": {"k": 0.5}}, "timing": {"frames": 5}}, "x")
-    plan = Plan((scene,), 4, 1, video=False)
-    outcome = run(plan, tmp_path / "d", 2, lambda done, of: None)
+    plan = GenerationPlan((scene,), 4, 1, video=False)
+    outcome = generate_dataset(plan, tmp_path / "d", 2, lambda done, of: None)
     assert (outcome.made, outcome.failed) == (4, ())
     about = json.loads((tmp_path / "d/truth/dataset.json").read_text())
     assert about["effect_files"] == {"sticky_fingers": digest("sticky_fingers")}
@@ -42,10 +42,10 @@ def test_workers_know_the_folder_and_the_dataset_which_file_it_was(own, tmp_path
     assert truth["drawn"]["effects"] == {"sticky_fingers": {"k": 0.5}}
     (own / "sticky_fingers.py").write_text(STICKY + "# changed\n")
     with pytest.raises(InputError, match="another effect_files"):
-        run(plan, tmp_path / "d", 1, lambda done, of: None)
+        generate_dataset(plan, tmp_path / "d", 1, lambda done, of: None)
     monkeypatch.setattr(generate, "digest", lambda name: None)  # a package brings it now
     with pytest.raises(InputError, match="another effect_files"):
-        run(plan, tmp_path / "d", 1, lambda done, of: None)
+        generate_dataset(plan, tmp_path / "d", 1, lambda done, of: None)
     assert make_clip(plan, 0, tmp_path) == ""
 
 

@@ -8,7 +8,7 @@ import sys
 import pytest
 from synthcam_stub import quiet, sums
 
-from synthcam.dataset.generate import Plan, run
+from synthcam.dataset.generate import GenerationPlan, generate_dataset
 from synthcam.scene.scene import check_scene
 from synthcam_shared.errors import InputError
 
@@ -20,17 +20,17 @@ SCRIPT = """
 import json, os, signal, sys
 from pathlib import Path
 from distributed import LocalCluster
-from synthcam.dataset.generate import Plan, run
+from synthcam.dataset.generate import GenerationPlan, generate_dataset
 from synthcam.scene.scene import check_scene
 if __name__ == "__main__":
-    plan = Plan((check_scene(json.loads(sys.argv[1]), "s.yaml"),), int(sys.argv[3]), 5, video=False)
+    plan = GenerationPlan((check_scene(json.loads(sys.argv[1]), "s.yaml"),), int(sys.argv[3]), 5, video=False)
     killed = []
     with LocalCluster(n_workers=2, threads_per_worker=2, dashboard_address=None, silence_logs=60) as cluster:
         def tick(done, total):
             if len(sys.argv) > 4 and done >= 3 and not killed:
                 killed.append(next(iter(cluster.workers.values())).pid)
                 os.kill(killed[0], signal.SIGKILL)
-        outcome = run(plan, Path(sys.argv[2]), 1, tick, scheduler=cluster.scheduler_address)
+        outcome = generate_dataset(plan, Path(sys.argv[2]), 1, tick, scheduler=cluster.scheduler_address)
     print(outcome.made, len(outcome.failed), len(killed))
 """
 
@@ -52,7 +52,7 @@ if __name__ == "__main__":
 
 
 def plan(clips):
-    return Plan((check_scene(SCENE, "s.yaml"),), clips, 5, video=False)
+    return GenerationPlan((check_scene(SCENE, "s.yaml"),), clips, 5, video=False)
 
 
 def on_cluster(folder, clips, *more):
@@ -67,7 +67,7 @@ def on_cluster(folder, clips, *more):
 @needs_dask
 def test_a_cluster_makes_the_same_bytes(tmp_path):
     """One of its workers is killed on the way; another does its clips."""
-    run(plan(24), tmp_path / "one", 1, quiet)
+    generate_dataset(plan(24), tmp_path / "one", 1, quiet)
     assert on_cluster(tmp_path / "many", 24, "kill") == [24, 0, 1]
     assert sums(tmp_path / "many") == sums(tmp_path / "one")
 
@@ -91,12 +91,12 @@ def test_an_address_without_a_scheduler(tmp_path, monkeypatch, address):
 
     monkeypatch.setattr(cluster, "PATIENCE", 0.5)
     with pytest.raises(InputError, match=f"--scheduler {address}: expected a Dask scheduler's address"):
-        run(plan(1), tmp_path / "d", 1, quiet, scheduler=address)
+        generate_dataset(plan(1), tmp_path / "d", 1, quiet, scheduler=address)
     assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.skipif(bool(importlib.util.find_spec("distributed")), reason="Dask is installed")
 def test_without_dask_it_says_so(tmp_path):
     with pytest.raises(InputError, match=r"Dask is not installed; type: pip install 'synthcam\[dask\]'"):
-        run(plan(1), tmp_path / "d", 1, quiet, scheduler="tcp://127.0.0.1:1")
+        generate_dataset(plan(1), tmp_path / "d", 1, quiet, scheduler="tcp://127.0.0.1:1")
     assert not list(tmp_path.iterdir())

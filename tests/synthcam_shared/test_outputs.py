@@ -75,7 +75,7 @@ def test_a_full_disk_is_named_and_the_same_command_goes_on(table, tmp_path, monk
 
 def test_full_at_the_end_it_goes_on_too(table, tmp_path, monkeypatch):
     measure(table, tmp_path / "whole")
-    put = outputs.put
+    put = outputs.write_atomically
 
     def full(path, data):
         if path.name == "fit.json":
@@ -83,7 +83,7 @@ def test_full_at_the_end_it_goes_on_too(table, tmp_path, monkeypatch):
         put(path, data)
 
     with monkeypatch.context() as patch:
-        patch.setattr("tracker.results.put", full)
+        patch.setattr("tracker.results.write_atomically", full)
         with pytest.raises(InputError, match="No space left on device"):
             measure(table, tmp_path / "d")
     assert not (tmp_path / "d").exists()
@@ -102,10 +102,10 @@ def test_full_before_the_first_clip_it_leaves_nothing(table, tmp_path, monkeypat
 
 def test_what_was_there_before_stays(tmp_path, monkeypatch):
     path = tmp_path / "report.html"
-    outputs.put(path, "old")
+    outputs.write_atomically(path, "old")
     limited(monkeypatch, 2)
     with pytest.raises(OSError, match="No space left"):
-        outputs.put(path, "new and longer")
+        outputs.write_atomically(path, "new and longer")
     assert contents(tmp_path) == {"report.html": b"old"}
 
 
@@ -163,7 +163,7 @@ def test_a_lock_taken_too_late_is_none(tmp_path, monkeypatch):
         take(handle, how)
 
     monkeypatch.setattr(fcntl, "flock", slow)
-    with pytest.raises(InputError, match="another process"), outputs.held(tmp_path / "d.partial"):
+    with pytest.raises(InputError, match="another process"), outputs.lock_folder(tmp_path / "d.partial"):
         pass
 
 
@@ -204,5 +204,5 @@ def results_of(tmp_path_factory):
 
 
 def test_a_file_in_a_folder_that_is_not_there_yet_makes_the_folder(tmp_path):
-    outputs.put(tmp_path / "new/deep/file.txt", "text")
+    outputs.write_atomically(tmp_path / "new/deep/file.txt", "text")
     assert contents(tmp_path) == {"new/deep/file.txt": b"text"}

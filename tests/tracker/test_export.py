@@ -11,8 +11,8 @@ from tracker_film import CAMERA, write_dataset
 
 import synthcam
 from synthcam.dataset import export as truth_export
-from synthcam.dataset.generate import Plan
-from synthcam.dataset.generate import run as generate
+from synthcam.dataset.generate import GenerationPlan
+from synthcam.dataset.generate import generate_dataset as generate
 from synthcam_shared.errors import InputError
 from tracker import cli, pipeline
 from tracker.export import export
@@ -96,7 +96,7 @@ def test_the_simple_xml_has_trackmates_attributes(results, tmp_path):
 def truth(tmp_path_factory):
     folder = tmp_path_factory.mktemp("truth")
     scene = synthcam.Scene.read("painter_behringer", **SMALL)
-    assert generate(Plan((scene,), 1, 3), folder / "data", 1, lambda done, of: None).failed == ()
+    assert generate(GenerationPlan((scene,), 1, 3), folder / "data", 1, lambda done, of: None).failed == ()
     return folder / "data"
 
 

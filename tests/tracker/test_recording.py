@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 
 import synthcam
 import tracker
-from synthcam.dataset.generate import Plan, run
+from synthcam.dataset.generate import GenerationPlan, generate_dataset
 from tracker import cli
 from tracker.camera.recordings import UNSCALED
 
@@ -31,7 +31,7 @@ def clip():
 def folders(tmp_path_factory):
     """A dataset of two clips and what `tracker track` makes of it."""
     folder = tmp_path_factory.mktemp("recording")
-    assert run(Plan((SCENE,), 2, SEED), folder / "data", 1, lambda done, of: None).failed == ()
+    assert generate_dataset(GenerationPlan((SCENE,), 2, SEED), folder / "data", 1, lambda done, of: None).failed == ()
     command("track", folder / "data", "-o", folder / "results", "--workers", "1")
     return folder
 

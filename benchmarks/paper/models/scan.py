@@ -25,7 +25,7 @@ from benchmarks.paper.models.observed import WAYS, chi2, observed, pulls
 from benchmarks.paper.published import OBSERVED
 from benchmarks.paper.readings import Films, read
 from synthcam.dynamics.batch import collisions
-from synthcam_shared.outputs import put
+from synthcam_shared.outputs import write_atomically
 from tracker.parallel import in_parallel
 
 Floats = NDArray[np.float64]
@@ -138,7 +138,7 @@ def scan(output: Path, workers: int, quick: bool, progress: Callable[[int, int],
     for done, _ in enumerate(in_parallel(task, todo, workers, folder), 1):
         progress(len(names) - len(todo) + done, len(names))
     rows = [row for name in names for row in json.loads((folder / f"{name}.json").read_text())]
-    put(output / KEPT, json.dumps(rows))
+    write_atomically(output / KEPT, json.dumps(rows))
     return pd.DataFrame(rows)
 
 
@@ -172,7 +172,7 @@ def _scan_one(names: list[str], folder: Path, quick: bool, index: int) -> int:
         }
         for h in found
     ]
-    put(folder / f"{name}.json", json.dumps(rows))
+    write_atomically(folder / f"{name}.json", json.dumps(rows))
     return index
 
 

@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 
 from benchmarks.paper.report import pdf, said, tables
 from benchmarks.paper.results import Results
-from synthcam_shared.outputs import put
+from synthcam_shared.outputs import write_atomically
 from tracker.report.html import describe_creation, embed_figure, render
 
 HERE = Path(__file__).parent
@@ -57,7 +57,7 @@ def one_figure(results: Results, name: str) -> Path:
     with mpl.rc_context(RC):
         for kind in ("svg", "png"):
             figure.savefig(folder / f"{name}.{kind}", dpi=150)
-    put(folder / f"{name}.txt", _module(name).caption(results) + "\n")
+    write_atomically(folder / f"{name}.txt", _module(name).caption(results) + "\n")
     return folder / f"{name}.svg"
 
 
@@ -79,7 +79,9 @@ def write(results: Results) -> Path:
     found = tables.all_tables(results)
     (results.output / "tables").mkdir(exist_ok=True)
     for table in found:
-        put(results.output / "tables" / f"table{table.number}.csv", tables.frame(table).to_csv(index=False))
+        write_atomically(
+            results.output / "tables" / f"table{table.number}.csv", tables.frame(table).to_csv(index=False)
+        )
     words = {
         "outcome": said.outcome(results),
         "shown": said.shown(results),
@@ -89,7 +91,7 @@ def write(results: Results) -> Path:
     page = render(
         HERE / "page.html", figures=shown, tables=found, made=describe_creation(command), quick=results.quick, **words
     )
-    put(results.output / "index.html", page)
+    write_atomically(results.output / "index.html", page)
     with mpl.rc_context(RC):
         pdf.write(results.output / "paper.pdf", words, found, [(s, drawn(results, s["name"])) for s in shown])
     return results.output / "index.html"

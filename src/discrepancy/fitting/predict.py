@@ -12,7 +12,7 @@ from discrepancy import deadline
 from discrepancy.arrays import Array, Ints
 from discrepancy.data.collisions import MeasuredCollision
 from discrepancy.data.launch import T_C
-from synthcam.camera.pinhole import Camera as Optics
+from synthcam.camera.pinhole import PinholeCamera as Optics
 from synthcam.dynamics.batch import Batch, collisions
 from synthcam.model import Model
 from tracker.camera.camera import Camera, LampSettings

@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from synthcam_shared.errors import InputError
-from synthcam_shared.outputs import as_input_error, check_room, held
+from synthcam_shared.outputs import as_input_error, check_writable, lock_folder
 
 REPORT = ("discrepancy.json", "index.html", "model.yaml")
 PLAN = ("plan.json", "index.html")
@@ -21,9 +21,9 @@ def aside(output: Path, files: Sequence[str] = REPORT) -> Iterator[Path]:
     if output.exists() and (not output.is_dir() or any(p.name not in files for p in output.iterdir())):
         earlier = "an earlier plan" if files == PLAN else "a report of an earlier search"
         raise InputError(f"{output}: holds something else; expected {earlier}, or nothing")
-    check_room(output)
+    check_writable(output)
     folder = output.with_name(f"{output.name}.tmp")
-    with as_input_error(output), held(folder):
+    with as_input_error(output), lock_folder(folder):
         try:
             for left in folder.iterdir():  # by a killed process
                 shutil.rmtree(left) if left.is_dir() else left.unlink()

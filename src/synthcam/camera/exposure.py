@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr
 
-from synthcam.camera.pinhole import Camera
+from synthcam.camera.pinhole import PinholeCamera
 
 Array = NDArray[np.float64]
 Box = tuple[slice, slice]
@@ -41,7 +41,7 @@ class Picture:
 
 
 @dataclass(frozen=True)
-class Moments:
+class SubExposures:
     """Sub-exposures: each stands for `weights` of the mean over frame number `frames`; all (T,)."""
 
     times: Array
@@ -49,7 +49,7 @@ class Moments:
     frames: NDArray[np.intp]
 
 
-def pieces(intervals: Array, breaks: Array) -> tuple[Array, Array, NDArray[np.intp]]:
+def split_at_breaks(intervals: Array, breaks: Array) -> tuple[Array, Array, NDArray[np.intp]]:
     """Exposures (F, 2), s, cut at the breaks: bounds (P, 2), frames (P,), weights (P,), 1 in all a frame."""
     bounds, weights, frames = [], [], []
     for frame, (start, end) in enumerate(intervals):
@@ -61,7 +61,9 @@ def pieces(intervals: Array, breaks: Array) -> tuple[Array, Array, NDArray[np.in
     return np.array(bounds).reshape(-1, 2), np.array(weights), np.array(frames, dtype=np.intp)
 
 
-def sample(bounds: Array, weights: Array, frames: NDArray[np.intp], travel: Array, wave: Array | float = 0) -> Moments:
+def place_sub_exposures(
+    bounds: Array, weights: Array, frames: NDArray[np.intp], travel: Array, wave: Array | float = 0
+) -> SubExposures:
     """Gauss-Legendre moments of each piece; travel (P,) is how far its balls move over the blur's sigma, wave by
     how much the light's phase turns, rad.
 
@@ -77,8 +79,8 @@ def sample(bounds: Array, weights: Array, frames: NDArray[np.intp], travel: Arra
         times.append(middle + half * nodes)
         parts.append(weight / 2 * shares)
     if not times:
-        return Moments(np.zeros(0), np.zeros(0), frames)
-    return Moments(np.concatenate(times), np.concatenate(parts), np.repeat(frames, counts))
+        return SubExposures(np.zeros(0), np.zeros(0), frames)
+    return SubExposures(np.concatenate(times), np.concatenate(parts), np.repeat(frames, counts))
 
 
 @cache
@@ -86,7 +88,7 @@ def _rule(nodes: int) -> tuple[Array, Array]:
     return np.polynomial.legendre.leggauss(nodes)
 
 
-def spots(pixels: Array, variances: Array, origins: Array, width: int, steps: int = 1) -> tuple[Array, Array]:
+def integrate_spots(pixels: Array, variances: Array, origins: Array, width: int, steps: int = 1) -> tuple[Array, Array]:
     """Gaussian spots of unit flux integrated over square pixels: rows and columns, each (G, width steps).
 
     Their outer product is the spot in the box whose first pixel is origins (G, 2) (column, row), sampled at `steps`
@@ -112,7 +114,7 @@ def blur_matrix(width: int, margin: int, fineness: int, sigma: float, steps: int
     return ((below[steps:] - below[:-steps]) / fineness).astype(np.float32)
 
 
-def blurred(tiles: NDArray[np.float32], blur: NDArray[np.float32]) -> NDArray[np.float32]:
+def blur_tiles(tiles: NDArray[np.float32], blur: NDArray[np.float32]) -> NDArray[np.float32]:
     """blur @ tiles @ blur.T for tiles (n, s, s), blur (w, s), by its band and in pieces.
 
     OpenBLAS starts threads for products over 2.6e5 multiplications: the last bit then depends on their number, and
@@ -120,11 +122,11 @@ def blurred(tiles: NDArray[np.float32], blur: NDArray[np.float32]) -> NDArray[np
     """
     if blur.size * blur.shape[1] < 2e5:
         return np.asarray(blur @ tiles @ blur.T)
-    across = _banded(tiles, blur)
-    return np.swapaxes(_banded(np.ascontiguousarray(np.swapaxes(across, 1, 2)), blur), 1, 2)
+    across = _multiply_by_bands(tiles, blur)
+    return np.swapaxes(_multiply_by_bands(np.ascontiguousarray(np.swapaxes(across, 1, 2)), blur), 1, 2)
 
 
-def _banded(tiles: NDArray[np.float32], blur: NDArray[np.float32]) -> NDArray[np.float32]:
+def _multiply_by_bands(tiles: NDArray[np.float32], blur: NDArray[np.float32]) -> NDArray[np.float32]:
     out = np.empty((len(tiles), len(blur), tiles.shape[2]), np.float32)
     for first in range(0, len(blur), 16):
         rows = slice(first, first + 16)
@@ -145,7 +147,7 @@ class Patches:
     """
 
     def __init__(
-        self, camera: Camera, margin: int, moments: Moments, pixels: Array, extent: Array, frames: int
+        self, camera: PinholeCamera, margin: int, moments: SubExposures, pixels: Array, extent: Array, frames: int
     ) -> None:
         self.margin = margin
         balls = pixels.shape[1]
@@ -173,14 +175,14 @@ class Patches:
         return max(top, 0), min(top + width, h), max(left, 0), min(left + width, w)
 
 
-def reach(camera: Camera, positions: Array, radii: Array, slope: Array) -> Array:
+def outline_half_width(camera: PinholeCamera, positions: Array, radii: Array, slope: Array) -> Array:
     """Half width (T, N) px that holds each ball's outline: wider off the axis, where a sphere looks oval."""
     away = camera.centre - positions
     slant = np.linalg.norm(away, axis=2) / -(away @ camera.R[2])
     return np.asarray(radii * np.linalg.norm(slope, axis=(2, 3)) * slant / np.sqrt(2) * 1.02 + 0.5)
 
 
-def merge(boxes: Sequence[tuple[int, int, int, int]]) -> tuple[Box, ...]:
+def merge_boxes(boxes: Sequence[tuple[int, int, int, int]]) -> tuple[Box, ...]:
     """Disjoint slices that cover boxes (top, bottom, left, right), those that touch joined into one."""
     apart: list[tuple[int, int, int, int]] = []
     for new in boxes:
@@ -196,7 +198,7 @@ def merge(boxes: Sequence[tuple[int, int, int, int]]) -> tuple[Box, ...]:
     return tuple((slice(a, b), slice(c, d)) for a, b, c, d in apart)
 
 
-def vignette(camera: Camera) -> NDArray[np.float32] | None:
+def compute_vignette(camera: PinholeCamera) -> NDArray[np.float32] | None:
     """Share (h, w) of the light that reaches each pixel: one in the middle, falling with the distance's square."""
     if not camera.vignetting:
         return None

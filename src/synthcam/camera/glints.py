@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from synthcam.camera import reflections
-from synthcam.camera.pinhole import Camera, Lamp
+from synthcam.camera.pinhole import Lamp, PinholeCamera
 from synthcam.camera.surface import Surface
 
 Array = NDArray[np.float64]
@@ -17,7 +17,7 @@ PATHS = 4096  # after so many at once, more save no time
 
 
 @dataclass(frozen=True)
-class Glints:
+class GlintImages:
     """Images of a lamp, or of a part of one, in the balls.
 
     moment, ball: (G,) which sub-exposure, and the ball it is seen on. pixels: (G, 2). spread: (G, 2) px^2,
@@ -34,14 +34,14 @@ class Glints:
 
 
 def find_glints(
-    camera: Camera,
+    camera: PinholeCamera,
     lamp: Lamp,
     centres: Array,
     radii: Array,
     light: Array | NDArray[np.bool_],
     surface: Surface = PLAIN,
     cell: float = np.inf,
-) -> Glints:
+) -> GlintImages:
     """Find the images of a lamp in balls.
 
     Images weaker than 1e-4 of the primary are left out (`reflections.reach`). A cell's image is the cell under the
@@ -69,7 +69,9 @@ def find_glints(
     """
     eye, cells, axes = camera.centre, lamp.cells(cell), lamp.axes
     found = []
-    for balls, when in _gathered(reflections.chains(centres, radii, surface.head_on), light != 0, len(cells.areas)):
+    for balls, when in _batch_chains(
+        reflections.iterate_chains(centres, radii, surface.head_on), light != 0, len(cells.areas)
+    ):
         part = np.tile(np.arange(len(cells.areas)), len(when))
         moment, balls = (np.repeat(x, len(cells.areas), axis=0) for x in (when, balls))
         source, (uu, vv, uv) = cells.positions[part], cells.spread[part].T[..., None]
@@ -81,19 +83,19 @@ def find_glints(
         flux = area * np.prod(surface.mirror(paths.cosines), axis=1) * light[moment, balls[:, -1]]
         u, v = shape[..., 0], shape[..., 1]
         spread = u * u * uu + v * v * vv + 2 * u * v * uv
-        seen = paths.exists & ~reflections.hidden(source, eye, paths, balls, centres[moment], radii)
+        seen = paths.exists & ~reflections.find_hidden(source, eye, paths, balls, centres[moment], radii)
         if lamp.towards is not None:
             seen &= (paths.points[:, 0] - source) @ axes[:, 2] > 0
         order, ball = np.full(len(moment), balls.shape[1]), balls[:, -1]
         lobes = [(spread, flux)]
         if surface.roughness or surface.scratches:
-            tilted = ((slope @ reflections.tilted(source, eye, paths, positions, spheres)) ** 2).sum(2)
+            tilted = ((slope @ reflections.differentiate_by_tilt(source, eye, paths, positions, spheres)) ** 2).sum(2)
             lobes = _lobes(surface, tilted, spread, flux)
         found += [[x[seen] for x in (moment, ball, pixels, wide, bright, order)] for wide, bright in lobes]
     if not found:
         none, flat, nowhere = np.zeros(0, np.intp), np.zeros(0), np.zeros((0, 2))
-        return Glints(none, none, nowhere, nowhere, flat, none)
-    return Glints(*[np.concatenate(parts) for parts in zip(*found, strict=True)])
+        return GlintImages(none, none, nowhere, nowhere, flat, none)
+    return GlintImages(*[np.concatenate(parts) for parts in zip(*found, strict=True)])
 
 
 def _lobes(surface: Surface, tilted: Array, spread: Array, flux: Array) -> list[tuple[Array, Array]]:
@@ -105,7 +107,7 @@ def _lobes(surface: Surface, tilted: Array, spread: Array, flux: Array) -> list[
     return [(spread + rms**2 * tilted, share * flux) for rms, share in slopes if share]
 
 
-def _gathered(
+def _batch_chains(
     chains: Iterable[tuple[tuple[int, ...], NDArray[np.bool_]]], wanted: NDArray[np.bool_], cells: int
 ) -> Iterator[tuple[NDArray[np.intp], NDArray[np.intp]]]:
     """Chains of one length together, as many as make a good batch: balls (n, k) and sub-exposures (n,)."""
@@ -124,8 +126,8 @@ def _gathered(
             yield np.concatenate(balls), np.concatenate(moments)
 
 
-def join(many: list[Glints]) -> Glints:
+def join_glints(many: list[GlintImages]) -> GlintImages:
     """All glints of several lamps."""
     if len(many) == 1:
         return many[0]
-    return Glints(*[np.concatenate([getattr(g, name) for g in many]) for name in Glints.__dataclass_fields__])
+    return GlintImages(*[np.concatenate([getattr(g, name) for g in many]) for name in GlintImages.__dataclass_fields__])

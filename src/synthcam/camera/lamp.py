@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
-Shape = Literal["disc", "ring", "bar"]
+LampShape = Literal["disc", "ring", "bar"]
 
 
 @dataclass(frozen=True)
@@ -27,7 +27,7 @@ class Flicker:
 
 
 @dataclass(frozen=True)
-class Cells:
+class LampCells:
     """Pieces of a lamp. positions: (C, 3) m, their centroids. areas: (C,) m^2. spread: (C, 3) m^2, their second
     moments uu, vv, uv in the lamp's plane, about the centroid."""
 
@@ -48,7 +48,7 @@ class Lamp:
 
     position: Array
     radius: float
-    shape: Shape = "disc"
+    shape: LampShape = "disc"
     inner: float = 0.0
     length: float = 0.0
     width: float = 0.0
@@ -85,7 +85,7 @@ class Lamp:
         u /= np.linalg.norm(u)
         return np.stack([u, np.cross(u, shine), shine], axis=1)
 
-    def cells(self, largest: float) -> Cells:
+    def cells(self, largest: float) -> LampCells:
         """The lamp whole where its half-width is `largest` m or less, else in cells of half that.
 
         Cells half as wide, for a lamp's edge shows where its middle would not.
@@ -94,7 +94,7 @@ class Lamp:
             at, areas, spread = _bar(self.length, self.width, self.angle, largest)
         else:
             at, areas, spread = _disc(self.radius, self.inner if self.shape == "ring" else 0.0, largest)
-        return Cells(self.position + at @ self.axes[:, :2].T, areas, spread)
+        return LampCells(self.position + at @ self.axes[:, :2].T, areas, spread)
 
 
 def _disc(radius: float, inner: float, largest: float) -> tuple[Array, Array, Array]:

@@ -13,13 +13,13 @@ from numpy.typing import ArrayLike, NDArray
 from synthcam.camera import reflections
 from synthcam.camera.lamp import Lamp
 
-__all__ = ["Camera", "Lamp", "glint", "glint_px"]
+__all__ = ["Lamp", "PinholeCamera", "locate_glint", "project_glint"]
 
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Camera:
+class PinholeCamera:
     """A calibrated camera.
 
     K: (3, 3) px. dist: (5,). R: (3, 3), t: (3,) m, world to camera. size: (w, h) px. fps: 1/s. exposure: s.
@@ -54,7 +54,7 @@ class Camera:
         *,
         ball_radius: float,
         **fields: float,
-    ) -> "Camera":
+    ) -> "PinholeCamera":
         """Camera `height` m from the world's origin, looking at it; `scale` m/px holds at z = ball_radius.
 
         tilt = (a, b): the camera is carried round the origin by a rad about the world's x axis, then by b
@@ -125,7 +125,7 @@ class Camera:
         return bent, bend
 
 
-def glint(camera: Camera, lamp: Lamp, centre: ArrayLike, radius: float) -> Array:
+def locate_glint(camera: PinholeCamera, lamp: Lamp, centre: ArrayLike, radius: float) -> Array:
     """World points (..., 3), m, at which balls of `radius` m at centre (..., 3) mirror the lamp's centre.
 
     The path lamp -> ball -> camera is of stationary length (Fermat); other balls are not looked at.
@@ -136,6 +136,6 @@ def glint(camera: Camera, lamp: Lamp, centre: ArrayLike, radius: float) -> Array
     return paths.points.reshape(centres.shape)
 
 
-def glint_px(camera: Camera, lamp: Lamp, centre: ArrayLike, radius: float) -> Array:
+def project_glint(camera: PinholeCamera, lamp: Lamp, centre: ArrayLike, radius: float) -> Array:
     """Pixels (..., 2) at which the primary glints of balls at centre (..., 3), m, are seen."""
-    return camera.project(glint(camera, lamp, centre, radius))
+    return camera.project(locate_glint(camera, lamp, centre, radius))

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from synthcam.camera.lamp import Lamp
-from synthcam.camera.pinhole import Camera
+from synthcam.camera.pinhole import PinholeCamera
 from synthcam.camera.surface import Surface
 
 Array = NDArray[np.float64]
@@ -17,7 +17,7 @@ PLATE = 0.05  # radiance of the black plate under the lamp, over that of the roo
 PARTS = 4  # of a lamp's width: each casts a shadow of its own
 
 
-def plain(lamp: Lamp, surface: Surface) -> bool:
+def is_plain(lamp: Lamp, surface: Surface) -> bool:
     """True for one lamp that faces down, small to the plate, over a dull, even plate without shadows."""
     even = not (surface.plate_gloss or surface.plate_texture or surface.plate_shadow)
     return even and lamp.second is None and lamp.towards is None and lamp.shape == "disc" and lamp.radius < 0.03
@@ -74,7 +74,7 @@ def grain(surface: Surface, points: Array) -> Array:
     return np.asarray(1 + surface.plate_texture * out / np.sqrt(30))
 
 
-def on_plate(camera: Camera) -> Array:
+def plate_points(camera: PinholeCamera) -> Array:
     """The plate's points (h, w, 3), m, seen at the pixels' centres."""
     w, h = camera.size
     pixels = np.stack(np.meshgrid(np.arange(w), np.arange(h)), axis=-1).reshape(-1, 1, 2).astype(float)
@@ -85,7 +85,7 @@ def on_plate(camera: Camera) -> Array:
     return np.asarray(eye - way * (eye[2] / way[..., 2])[..., None])
 
 
-def casters(lamp: Lamp, at: Array) -> Array:
+def shadow_casters(lamp: Lamp, at: Array) -> Array:
     """Discs (L, 5) that throw the shadows near a point (3,), m: position, radius of equal area, share of the light."""
     found = []
     for each in lamp.all:

@@ -24,7 +24,7 @@ class Psf:
     airy: float = 0.0
 
     @property
-    def plain(self) -> bool:
+    def is_gaussian(self) -> bool:
         """True when the Gaussian is all."""
         return not (self.defocus or self.airy)
 
@@ -36,7 +36,7 @@ class Psf:
     @property
     def steps(self) -> int:
         """Samples a pixel at which a Gaussian of sigma is below 1 % at the highest frequency they hold."""
-        return 1 if self.plain else int(np.ceil(1 / self.sigma))
+        return 1 if self.is_gaussian else int(np.ceil(1 / self.sigma))
 
     def transfer(self, frequency: Array) -> Array:
         """Transfer function of defocus and diffraction at radial frequencies, cycles a pixel (Goodman, ch. 6)."""

@@ -82,7 +82,7 @@ def reflect(lamp: Array, eye: Array, centres: Array, radii: Array) -> Paths:
     return Paths(ends[:, 1:-1], transfer, pressure / 2, settled & (pressure > 1e-6).all(axis=1))
 
 
-def tilted(lamp: Array, eye: Array, paths: Paths, centres: Array, radii: Array) -> Array:
+def differentiate_by_tilt(lamp: Array, eye: Array, paths: Paths, centres: Array, radii: Array) -> Array:
     """Derivative (M, 3, 2k) of a path's last point by tilts of the surface, rad, two ways at each point.
 
     A facet tilted by a has the line's pull along it changed by a times the pressure: H dq = -a pressure.
@@ -152,7 +152,7 @@ def _expand(ends: Array, normals: Array, tangents: Array, radii: Array) -> tuple
     return slope, curvature, pressure, -turned[:, 0] @ across[:, 0]
 
 
-def hidden(
+def find_hidden(
     lamp: Array, eye: Array, paths: Paths, balls: NDArray[np.intp], centres: Array, radii: Array
 ) -> NDArray[np.bool_]:
     """Whether a third ball stands in the way, (M,): balls (M, k) of each path, centres (M, N, 3), radii (N,)."""
@@ -173,7 +173,7 @@ def hidden(
 
 
 @cache
-def reach(mirror: float) -> dict[int, float]:
+def widest_pairs(mirror: float) -> dict[int, float]:
     """By number of bounces, the widest pair that shows so many: mean radii between centres, for a reflectance.
 
     Between touching mirrors the orders fall off slowly, more so the better they reflect. Found by following a pair
@@ -196,13 +196,13 @@ def reach(mirror: float) -> dict[int, float]:
     return widest
 
 
-def chains(centres: Array, radii: Array, mirror: float) -> Iterator[tuple[tuple[int, ...], NDArray[np.bool_]]]:
+def iterate_chains(centres: Array, radii: Array, mirror: float) -> Iterator[tuple[tuple[int, ...], NDArray[np.bool_]]]:
     """Chains of balls to follow, and when, (T,): for centres (T, N, 3), radii (N,) and the balls' reflectance.
 
     Beyond MIXED bounces only those to and fro between two balls: all others in a heap would be too many.
     """
     times, balls = centres.shape[:2]
-    widest_pair = reach(mirror)
+    widest_pair = widest_pairs(mirror)
     gaps = np.linalg.norm(centres[:, :, None] - centres[:, None], axis=-1)
     gaps /= (radii[:, None] + radii) / 2
     gaps[:, np.arange(balls), np.arange(balls)] = np.inf

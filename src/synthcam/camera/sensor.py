@@ -162,7 +162,7 @@ class _Background:
                 mean = float(means.flat[members].mean())
                 shift.flat[members] = means.flat[members] - mean
                 body, tails = noise_tables(mean, sensor.read_noise)
-                self.groups.append((members, _scaled(body, sensor.gain), _scaled(tails, sensor.gain)))
+                self.groups.append((members, _to_counts(body, sensor.gain), _to_counts(tails, sensor.gain)))
         self.level = ((shift + chip.offset) / sensor.gain + sensor.black_level).astype(np.float32)
 
     def holds(self, plate: Float32) -> bool:
@@ -198,7 +198,7 @@ class _Background:
             noise[outer[own]] = tails[side[own], finer[own]]
 
 
-def _scaled(electrons: Array, gain: float) -> Float32:
+def _to_counts(electrons: Array, gain: float) -> Float32:
     return np.ascontiguousarray(electrons / gain, dtype=np.float32)
 
 

@@ -10,8 +10,8 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from synthcam.camera.exposure import Array, Picture, merge
-from synthcam.camera.pinhole import Camera
+from synthcam.camera.exposure import Array, Picture, merge_boxes
+from synthcam.camera.pinhole import PinholeCamera
 
 STEP = 0.1  # px
 PROBES = 33  # instants at which the motion is looked at to choose the steps
@@ -20,8 +20,8 @@ Float32 = NDArray[np.float32]
 Gather = Callable[[Array], list[Picture]]
 
 
-def rolled(
-    camera: Camera,
+def roll_shutter(
+    camera: PinholeCamera,
     seen: Callable[[Array], tuple[Array, Array]],
     span: Array,
     cuts: Array,
@@ -50,12 +50,12 @@ def rolled(
                 top, bottom = max(at_rows.start, rows_from), min(at_rows.stop, rows_to)
                 if top < bottom:
                     boxes.append((top, bottom, columns.start, columns.stop))
-    disjoint = merge(boxes)
+    disjoint = merge_boxes(boxes)
     return Picture(plate, disjoint, tuple(image[box] for box in disjoint))
 
 
 def _strips(
-    camera: Camera, seen: Callable[[Array], tuple[Array, Array]], span: Array, cuts: Array
+    camera: PinholeCamera, seen: Callable[[Array], tuple[Array, Array]], span: Array, cuts: Array
 ) -> list[tuple[int, int, int]]:
     """Rows (first, beyond) in which balls may show while those rows are exposed, and steps to take over them."""
     height, delay = camera.size[1], camera.line_time

@@ -29,7 +29,7 @@ TRUTH = (
 )
 
 
-def card(about: dict[str, Any], clips: int, names: list[str], holds: str = "all") -> str:
+def write_card(about: dict[str, Any], clips: int, names: list[str], holds: str = "all") -> str:
     """The card of a dataset. holds: "all", "frames" of a challenge, whose card gives nothing away, or its "truth"."""
     video, plain = about.get("video", bool(about["gl"])), about.get("compression", "none") == "none"
     matte = any(scene.get("surface", {}).get("ball", "steel") != "steel" for scene in about.get("scenes", ()))

@@ -15,10 +15,10 @@ import pandas as pd
 
 from synthcam.dataset import exports
 from synthcam.dataset.files import clip_folders
-from synthcam.dataset.recorded import Recorded, first_line
-from synthcam.dataset.staging import alone
+from synthcam.dataset.recorded_clip import RecordedClip, first_line
+from synthcam.dataset.staging import open_exclusively
 from synthcam_shared.errors import InputError
-from synthcam_shared.outputs import as_input_error, check_room
+from synthcam_shared.outputs import as_input_error, check_writable
 
 
 def formats() -> dict[str, str]:
@@ -71,8 +71,8 @@ def export(
     if not table.is_file() or not (dataset / "clips").is_dir():
         raise InputError(f"{table}: no such file; expected a dataset with its truth (withheld: --truth TRUTH)")
     output = output.resolve()
-    check_room(output)
-    with as_input_error(output), alone(output) as beside:
+    check_writable(output)
+    with as_input_error(output), open_exclusively(output) as beside:
         rows = _rows(table)
         write(_clips(dataset, truth or dataset, rows, progress), beside)
         beside.rename(output)
@@ -88,14 +88,16 @@ def _rows(table: Path) -> pd.DataFrame:
         raise InputError(f"{table}: damaged ({first_line(error)})") from None
 
 
-def _clips(dataset: Path, truth: Path, rows: pd.DataFrame, progress: Callable[[int, int], None]) -> Iterator[Recorded]:
+def _clips(
+    dataset: Path, truth: Path, rows: pd.DataFrame, progress: Callable[[int, int], None]
+) -> Iterator[RecordedClip]:
     each, folders = rows["scene"].value_counts(), clip_folders(dataset)
     if [int(f.name) for f in folders] != rows["clip"].tolist():
         raise InputError(f"{dataset}: {len(folders)} clips for {len(rows)} rows of its truth")
     for k, folder in enumerate(folders):
         secret, scalars = truth / "clips" / folder.name / "truth", {str(c): v for c, v in rows.iloc[k].items()}
         try:
-            clip = Recorded(
+            clip = RecordedClip(
                 number=int(folder.name),
                 scene=str(scalars["scene"]),
                 of=int(each[scalars["scene"]]),

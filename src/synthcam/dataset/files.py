@@ -19,7 +19,7 @@ import pyarrow.parquet as pq
 import tifffile
 from numpy.typing import NDArray
 
-from synthcam.dataset.card import card
+from synthcam.dataset.card import write_card
 from synthcam.scene import ground_truth
 from synthcam.scene.clip import Clip
 from synthcam_shared.errors import InputError
@@ -51,10 +51,10 @@ def write_clip(
     if frames is not None:
         how, film = clip.drawn.get("video"), None
         if how:
-            from synthcam.dataset.video import Video  # here alone: FFmpeg's libraries are slow to load
+            from synthcam.dataset.video import VideoWriter  # here alone: FFmpeg's libraries are slow to load
 
-            film = Video(folder, how, clip.camera.fps, clip.camera.size, clip.sensor.bits)
-            frames = film.passing(frames)
+            film = VideoWriter(folder, how, clip.camera.fps, clip.camera.size, clip.sensor.bits)
+            frames = film.tee(frames)
         pixels, file = _write_tiff(folder / VIDEO, clip, frames, compression)
         if film:
             film.close()
@@ -125,7 +125,7 @@ def finish(folder: Path, about: dict[str, Any], unlisted: str = "", secret: Path
     _write_json(root / "truth" / "dataset.json", about)
     holds = ("frames", "truth") if secret else ("all", "all")
     for where, what in {folder: holds[0], root: holds[1]}.items():
-        (where / "README.md").write_text(card(about, count, names, what), encoding="utf-8")
+        (where / "README.md").write_text(write_card(about, count, names, what), encoding="utf-8")
         write_sums(where, root, unlisted)
 
 

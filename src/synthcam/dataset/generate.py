@@ -19,7 +19,7 @@ import numpy as np
 import pandas as pd
 
 from synthcam.dataset.files import finish, finish_shard, write_clip
-from synthcam.dataset.staging import PLAN, Partial, aside, begin, settle
+from synthcam.dataset.staging import PLAN, PartialDataset, move_into_place, name_temporary, open_partial
 from synthcam.dataset.workers import each
 from synthcam.library import add_effects, added_folders, digest
 from synthcam.scene.clip import Clip
@@ -31,7 +31,7 @@ STARTING = 3.0  # s of a processor: for less work it does not pay to start proce
 
 
 @dataclass(frozen=True)
-class Plan:
+class GenerationPlan:
     """What a dataset is made of: scenes with `clips` clips each, numbered on from one to the next.
 
     shard (I, N): only every N-th clip, from the I-th, so that each shard has its share of each scene.
@@ -75,14 +75,14 @@ class Plan:
         return {name: found for name in used if (found := digest(name))}
 
     @classmethod
-    def of(cls, document: dict[str, Any]) -> Plan:
+    def from_document(cls, document: dict[str, Any]) -> GenerationPlan:
         """The plan of a document, shards aside."""
         scenes = tuple(check_scene(s, "scene") for s in document["scenes"])
         wanted = {"clips_per_scene", "seed", "video"}
         clips, seed, video = (document[k] for k in sorted(wanted))
         return cls(scenes, clips, seed, video, document.get("compression", "none"))
 
-    def bytes(self, clips: int) -> int:
+    def estimate_bytes(self, clips: int) -> int:
         """Disk the frames of so many clips will take, before compression."""
         sizes = []
         for k in range(len(self.scenes)):
@@ -94,7 +94,7 @@ class Plan:
 
 
 @dataclass(frozen=True)
-class Outcome:
+class GenerationOutcome:
     """made: clips written by this run. failed: what went wrong, a line a clip. root: of the truth, if complete."""
 
     made: int
@@ -107,15 +107,15 @@ class Outcome:
         return None if self.root is None else pd.read_parquet(self.root / "truth" / "clips.parquet")
 
 
-def run(
-    plan: Plan,
+def generate_dataset(
+    plan: GenerationPlan,
     output: Path,
     workers: int,
     progress: Callable[[int, int], None],
     withheld: Path | None = None,
     scheduler: str = "",
     announce: Callable[[str], None] | None = None,
-) -> Outcome:
+) -> GenerationOutcome:
     """Make a dataset.
 
     All is made in a folder beside it, `output`.partial, and moved into place when complete, so that a killed run goes
@@ -148,14 +148,14 @@ def run(
     NoGL
         Where nothing can draw.
     """
-    made = begin(output, plan.document(), withheld)
+    made = open_partial(output, plan.document(), withheld)
     if made is None:
         progress(plan.total, plan.total)
-        return Outcome(0, (), withheld or output)
+        return GenerationOutcome(0, (), withheld or output)
     try:
         return _make(plan, made, workers, progress, scheduler, announce)
     except Exception as e:
-        if not made.done():
+        if not made.list_done():
             made.discard()
         if isinstance(e, OSError):
             where = e.filename or made.folder
@@ -166,14 +166,14 @@ def run(
 
 
 def _make(
-    plan: Plan,
-    made: Partial,
+    plan: GenerationPlan,
+    made: PartialDataset,
     workers: int,
     progress: Callable[[int, int], None],
     scheduler: str,
     announce: Callable[[str], None] | None,
-) -> Outcome:
-    done = made.done()
+) -> GenerationOutcome:
+    done = made.list_done()
     todo = [k for k in plan.numbers if k not in done]
     _check_disk(plan, made.folder, len(todo))
     drawn_by: list[dict[str, Any]] = []
@@ -181,8 +181,8 @@ def _make(
         from synthcam_shared.dask_workers import Cluster  # here alone: Dask is an extra
 
         cluster = Cluster(scheduler)
-        drawn_by = cluster.everywhere(partial(drawing, plan.video))
-        results = cluster.each(todo, partial(_make_anywhere, *_known(plan), *_folders(made)))
+        drawn_by = cluster.everywhere(partial(describe_machine, plan.video))
+        results = cluster.each(todo, partial(_make_anywhere, *_worker_arguments(plan), *_folders(made)))
     else:
         results = _here(plan, made, todo, workers, announce)
     progress(len(done), plan.total)
@@ -192,14 +192,14 @@ def _make(
         progress(len(done) + k, plan.total)
     made.tidy()
     if failed:
-        if not made.done():
+        if not made.list_done():
             made.discard()
-        return Outcome(len(todo) - len(failed), tuple(failed), None)
-    complete(plan, made, drawn_by or [drawing(plan.video)])
-    return Outcome(len(todo), (), made.withheld or made.output)
+        return GenerationOutcome(len(todo) - len(failed), tuple(failed), None)
+    complete_dataset(plan, made, drawn_by or [describe_machine(plan.video)])
+    return GenerationOutcome(len(todo), (), made.withheld or made.output)
 
 
-def complete(plan: Plan, made: Partial, drawn_by: list[dict[str, Any]]) -> None:
+def complete_dataset(plan: GenerationPlan, made: PartialDataset, drawn_by: list[dict[str, Any]]) -> None:
     """Write what covers all clips and move the dataset into its place. drawn_by: each kind of machine once."""
     about = plan.document() | drawn_by[0] | ({"drawn_by": drawn_by} if len(drawn_by) > 1 else {})
     if plan.shard:
@@ -210,7 +210,7 @@ def complete(plan: Plan, made: Partial, drawn_by: list[dict[str, Any]]) -> None:
 
 
 def _here(
-    plan: Plan, made: Partial, todo: list[int], workers: int, announce: Callable[[str], None] | None
+    plan: GenerationPlan, made: PartialDataset, todo: list[int], workers: int, announce: Callable[[str], None] | None
 ) -> Iterator[tuple[int, str]]:
     """Make the clips on this machine: (number, '' or what went wrong), in the order in which they end."""
     folders = _folders(made)
@@ -227,10 +227,12 @@ def _here(
             if announce:
                 announce(_estimate(made, trials, seconds, len(todo), workers))
     others = max(min(workers, len(todo)) - 1, 0)
-    yield from each(todo, others, partial(_ready, *_known(plan), *folders), lambda k: make_clip(plan, k, *folders))
+    yield from each(
+        todo, others, partial(_ready, *_worker_arguments(plan), *folders), lambda k: make_clip(plan, k, *folders)
+    )
 
 
-def _estimate(made: Partial, trials: list[int], seconds: float, clips: int, workers: int) -> str:
+def _estimate(made: PartialDataset, trials: list[int], seconds: float, clips: int, workers: int) -> str:
     """What so many clips will take. seconds: of one on one worker."""
     left = seconds * clips / min(workers, clips)
     unit = f"{left / 60:.0f} min" if left > 90 else f"{left:.0f} s"
@@ -240,17 +242,17 @@ def _estimate(made: Partial, trials: list[int], seconds: float, clips: int, work
     return f"{clips} clips to come: about {unit}, {need:,.1f} MB of {free:,.0f} MB free"
 
 
-def _check_disk(plan: Plan, folder: Path, clips: int) -> None:
-    need, free = plan.bytes(clips), shutil.disk_usage(folder).free
+def _check_disk(plan: GenerationPlan, folder: Path, clips: int) -> None:
+    need, free = plan.estimate_bytes(clips), shutil.disk_usage(folder).free
     if need > free and plan.compression == "none":
         raise InputError(f"{folder}: {clips} clips take {need / 1e6:,.0f} MB, and {free / 1e6:,.0f} MB are free there")
 
 
-def _folders(made: Partial) -> tuple[Path, Path]:
+def _folders(made: PartialDataset) -> tuple[Path, Path]:
     return made.folder.absolute(), made.truth.absolute()
 
 
-def _known(plan: Plan) -> tuple[str, tuple[Path, ...]]:
+def _worker_arguments(plan: GenerationPlan) -> tuple[str, tuple[Path, ...]]:
     """What a worker must know: the plan's document, and the folders with effects."""
     return json.dumps(plan.document()), added_folders()
 
@@ -261,8 +263,8 @@ def _ready(document: str, effects: tuple[Path, ...], folder: Path, secret: Path)
 
 
 @lru_cache(maxsize=2)
-def _plan(document: str) -> Plan:
-    return Plan.of(json.loads(document))
+def _plan(document: str) -> GenerationPlan:
+    return GenerationPlan.from_document(json.loads(document))
 
 
 def _make_anywhere(document: str, effects: tuple[Path, ...], folder: Path, secret: Path, number: int) -> str:
@@ -277,7 +279,7 @@ def _make_anywhere(document: str, effects: tuple[Path, ...], folder: Path, secre
     return make_clip(_plan(document), number, folder, secret)
 
 
-def make_clip(plan: Plan, number: int, folder: Path, secret: Path | None = None) -> str:
+def make_clip(plan: GenerationPlan, number: int, folder: Path, secret: Path | None = None) -> str:
     """Make one clip of a plan in `folder`/clips; '' or one line on why it could not be made.
 
     secret: another folder for the truth. A full disk is raised, for no clip would fare better.
@@ -285,14 +287,14 @@ def make_clip(plan: Plan, number: int, folder: Path, secret: Path | None = None)
     name = f"{number:06d}"
     final, secret = folder / "clips" / name, secret or folder
     hidden = None if secret == folder else secret / "clips" / name / "truth"
-    made, kept = aside(final), aside(hidden) if hidden else None
+    made, kept = name_temporary(final), name_temporary(hidden) if hidden else None
     try:
         clip = plan.clip(number)
         frames = clip.pictures() if plan.video else None
         write_clip(made, clip, frames, {"seed": plan.seed}, kept, plan.compression)
         if kept and hidden:
-            settle(kept, hidden)
-        settle(made, final)
+            move_into_place(kept, hidden)
+        move_into_place(made, final)
     except Exception as e:
         for leftover in (made, kept):
             if leftover:
@@ -311,7 +313,7 @@ def _why(error: Exception) -> str:
     return said if isinstance(error, ValueError) else f"{type(error).__name__}: {said}"
 
 
-def drawing(video: bool) -> dict[str, Any]:
+def describe_machine(video: bool) -> dict[str, Any]:
     """What, beside the plan, decides the pixels: OpenGL's renderer and this machine."""
     gl: dict[str, str] = {}
     if video:

@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import Any
 
 from synthcam.dataset.files import VIDEO, read_sums
-from synthcam.dataset.generate import Plan, complete
-from synthcam.dataset.staging import Partial, aside, begin, check_apart, settle
+from synthcam.dataset.generate import GenerationPlan, complete_dataset
+from synthcam.dataset.staging import PartialDataset, check_apart, move_into_place, name_temporary, open_partial
 from synthcam.dataset.video import FILMS
 from synthcam_shared.errors import InputError
 from synthcam_shared.outputs import as_input_error
@@ -54,14 +54,14 @@ def merge(shards: list[Path], output: Path, progress: Callable[[int, int], None]
         if output.resolve().is_relative_to(shard.resolve()):
             raise InputError(f"{output}: expected a folder outside the shard {shard}")
     _check_complete(shards, abouts)
-    plan = Plan.of(abouts[0])
-    made = begin(output, plan.document(), withheld)
+    plan = GenerationPlan.from_document(abouts[0])
+    made = open_partial(output, plan.document(), withheld)
     if made is None:
         progress(plan.total, plan.total)
         return plan.total
     try:
         with as_input_error(made.folder, "; the same command goes on where it stopped"):
-            done = made.done()
+            done = made.list_done()
             progress(len(done), plan.total)
             for shard, about in zip(shards, abouts, strict=True):
                 sums = read_sums(shard)
@@ -70,9 +70,9 @@ def merge(shards: list[Path], output: Path, progress: Callable[[int, int], None]
                         _copy_clip(shard, sums, number, made)
                         done.add(number)
                         progress(len(done), plan.total)
-            complete(plan, made, _drawn_by(abouts))
+            complete_dataset(plan, made, _list_machines(abouts))
     except BaseException:
-        if not made.done():
+        if not made.list_done():
             made.discard()
         raise
     finally:
@@ -107,7 +107,7 @@ def _sound(about: Any) -> bool:
         return False
     if not all("renderer" in d["gl"] or not d["gl"] for d in drawn_by):
         return False
-    plan = replace(Plan.of(about), shard=(which, of))
+    plan = replace(GenerationPlan.from_document(about), shard=(which, of))
     return (
         type(plan.video) is bool
         and isinstance(about["version"], str)
@@ -138,7 +138,7 @@ def _check_complete(shards: list[Path], abouts: list[dict[str, Any]]) -> None:
         raise InputError(f"shard {missing[0]}/{first['shard'][1]} is missing among the {len(shards)} given")
 
 
-def _drawn_by(abouts: list[dict[str, Any]]) -> list[dict[str, Any]]:
+def _list_machines(abouts: list[dict[str, Any]]) -> list[dict[str, Any]]:
     """Each kind of machine that drew, once, in the order of the shards."""
     kinds: list[dict[str, Any]] = []
     for about in sorted(abouts, key=lambda a: int(a["shard"][0])):
@@ -147,12 +147,12 @@ def _drawn_by(abouts: list[dict[str, Any]]) -> list[dict[str, Any]]:
     return kinds
 
 
-def _copy_clip(shard: Path, sums: dict[str, str], number: int, made: Partial) -> None:
+def _copy_clip(shard: Path, sums: dict[str, str], number: int, made: PartialDataset) -> None:
     name = f"clips/{number:06d}/"
     final, hidden = made.clip(number)
     apart = made.withheld is not None
-    folder = aside(final)
-    secret = aside(hidden) if apart else folder / "truth"
+    folder = name_temporary(final)
+    secret = name_temporary(hidden) if apart else folder / "truth"
     files = [f for f in sums if f.startswith(name)]
     if not files:
         raise InputError(f"{shard}: clip {number} is missing in its SHA256SUMS")
@@ -167,8 +167,8 @@ def _copy_clip(shard: Path, sums: dict[str, str], number: int, made: Partial) ->
                 raise InputError(f"{shard / file}: leads out of its place by a link; expected a file of the shard")
             _copy(shard / file, target, sums[file])
         if apart:
-            settle(secret, hidden)
-        settle(folder, final)
+            move_into_place(secret, hidden)
+        move_into_place(folder, final)
     except BaseException:
         for leftover in (folder, secret):
             shutil.rmtree(leftover, ignore_errors=True)

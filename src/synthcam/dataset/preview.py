@@ -15,11 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 from skimage.exposure import adjust_gamma, rescale_intensity
 
-from synthcam.dataset.video import check_film
+from synthcam.dataset.video import check_video
 from synthcam.scene.clip import Clip
-from synthcam.scene.filming import Counts
 from synthcam.scene.scene import check_scene
-from synthcam_shared.outputs import as_input_error, check_room, put
+from synthcam.scene.sensor_frames import Counts
+from synthcam_shared.outputs import as_input_error, check_writable, write_atomically
 
 TIMED = 40  # frames
 SHOWN_FPS = 20  # of a film for people: GIF counts in hundredths of a second
@@ -39,7 +39,7 @@ def write_preview(clip: Clip, path: Path, frame: int | None, magnify: int) -> No
     magnify : int
         Over 0: the balls so many times larger stand below the frame, with what is faint brought out.
     """
-    check_room(path)
+    check_writable(path)
     view = clip.view
     hit = view.motion.first("contact")
     when = hit.t if hit else 0.5 * clip.frames / clip.camera.fps
@@ -54,10 +54,10 @@ def write_preview(clip: Clip, path: Path, frame: int | None, magnify: int) -> No
     if not ok:
         raise OSError(f"{path}: could not be encoded as PNG")
     with as_input_error(path):
-        put(path, data.tobytes())
+        write_atomically(path, data.tobytes())
 
 
-def write_film(clip: Clip, path: Path) -> float:
+def write_animation(clip: Clip, path: Path) -> float:
     """Write a clip as .gif or .mp4, cropped to where the balls pass and magnified; how many times slower it plays.
 
     What is dark is brought out, as in `write_preview`, and the noise taken out. A strip below the picture shows the
@@ -65,7 +65,7 @@ def write_film(clip: Clip, path: Path) -> float:
     """
     slower = clip.camera.fps / SHOWN_FPS
     positions = clip.view.at(np.arange(clip.frames) / clip.camera.fps)[:, :, :3]
-    rows, columns = _crop(clip, positions)
+    rows, columns = _crop_to_paths(clip, positions)
     size = max(rows.stop - rows.start, columns.stop - columns.start)
     zoom = max(1, -(-WIDTH // size))
     floor = _black(clip) + _noise(clip) / 2 ** (clip.sensor.bits - 8)
@@ -73,10 +73,10 @@ def write_film(clip: Clip, path: Path) -> float:
     def shown() -> Iterator[NDArray[np.uint8]]:
         for k, counts in enumerate(clip.pictures()):
             patch = _eight_bits(counts, clip)[rows, columns]
-            large = _enlarged(patch if clip.look else _lifted(_quiet(patch, floor), _black(clip)), zoom)
+            large = _enlarge(patch if clip.look else _brighten(_remove_noise(patch, floor), _black(clip)), zoom)
             yield _with_caption(large, f"{slower:.3g} x slower   {1e3 * k / clip.camera.fps:.0f} ms")
 
-    check_room(path)
+    check_writable(path)
     with as_input_error(path):
         path.parent.mkdir(parents=True, exist_ok=True)
     with as_input_error(path), tempfile.TemporaryDirectory(dir=path.parent, prefix=f".{path.name}-") as folder:
@@ -87,7 +87,7 @@ def write_film(clip: Clip, path: Path) -> float:
             aside.write_bytes(iio.imwrite("<bytes>", list(shown()), extension=".gif", duration=pace, loop=0))
         else:
             _write_mp4(aside, shown())
-            check_film(aside, clip.frames)
+            check_video(aside, clip.frames)
         aside.replace(path)
     return slower
 
@@ -104,7 +104,7 @@ def _write_mp4(path: Path, frames: Iterator[NDArray[np.uint8]]) -> None:
     writer.release()
 
 
-def _crop(clip: Clip, positions: NDArray[np.float64]) -> tuple[slice, slice]:
+def _crop_to_paths(clip: Clip, positions: NDArray[np.float64]) -> tuple[slice, slice]:
     """Rows and columns round the paths (N, T, 3) of the balls, within the picture; even, as MPEG wants it."""
     px = clip.camera.project(positions.reshape(-1, 3))
     width, height = clip.camera.size
@@ -124,7 +124,7 @@ def _noise(clip: Clip) -> float:
     return float(electrons / clip.sensor.gain) + 0.5
 
 
-def _quiet(picture: NDArray[np.uint8], floor: float) -> NDArray[np.uint8]:
+def _remove_noise(picture: NDArray[np.uint8], floor: float) -> NDArray[np.uint8]:
     """Smoothed a little, and black below `floor`: moving noise hides what a film is to show, and fills its file."""
     smooth = cv2.GaussianBlur(picture.astype(np.float32), (0, 0), 0.8)
     return np.where(smooth > floor, np.rint(smooth), 0).astype(np.uint8)
@@ -137,7 +137,7 @@ def _with_caption(picture: NDArray[np.uint8], text: str) -> NDArray[np.uint8]:
     return np.vstack([picture, strip])
 
 
-def _lifted(picture: NDArray[np.uint8], black: float) -> NDArray[np.uint8]:
+def _brighten(picture: NDArray[np.uint8], black: float) -> NDArray[np.uint8]:
     """Black subtracted, gamma 1/3 to show what is dark."""
     stretched = rescale_intensity(picture.astype(np.float64), in_range=(black, 255.0), out_range=(0.0, 1.0))
     return np.asarray(255 * adjust_gamma(stretched, 1 / 3)).astype(np.uint8)
@@ -156,7 +156,7 @@ def _black(clip: Clip) -> float:
     return float(clip.sensor.black_level / 2 ** (clip.sensor.bits - 8))
 
 
-def _enlarged(picture: NDArray[np.uint8], times: int) -> NDArray[np.uint8]:
+def _enlarge(picture: NDArray[np.uint8], times: int) -> NDArray[np.uint8]:
     return picture.repeat(times, axis=0).repeat(times, axis=1)
 
 
@@ -167,14 +167,14 @@ def _with_inset(picture: NDArray[np.uint8], middle: NDArray[np.float64], magnify
     left = int(np.clip(round(middle[0]) - across // 2, 0, picture.shape[1] - across))
     top = int(np.clip(round(middle[1]) - down // 2, 0, max(picture.shape[0] - down, 0)))
     part = picture[top : top + down, left : left + across]
-    large = _enlarged(part if clip.look else _lifted(part, _black(clip)), magnify)
+    large = _enlarge(part if clip.look else _brighten(part, _black(clip)), magnify)
     strip = np.zeros((large.shape[0] + 4, *picture.shape[1:]), np.uint8)
     strip[:4] = 90
     strip[4:, : large.shape[1]] = large
     return np.vstack([picture, strip])
 
 
-def speed() -> float:
+def measure_speed() -> float:
     """Frames a second of one process: two balls, 640 x 480, drawn and exposed, after a first clip to warm up."""
     settings = {"launch": {"b": 0.2, "v0": 0.3}, "timing": {"frames": TIMED, "contact_frame": 0.5 * TIMED}}
     clip = check_scene(settings, "doctor").draw(0, 0)

@@ -14,7 +14,7 @@ from typing import Any
 
 from synthcam.dataset.files import SUMS, clip_folders
 from synthcam_shared.errors import InputError
-from synthcam_shared.outputs import as_input_error, put
+from synthcam_shared.outputs import as_input_error, write_atomically
 
 PLAN = "plan.json"
 ABOUT = ("truth/dataset.json", "truth/shard.json")
@@ -22,7 +22,7 @@ OPTIONAL = ("compression", "shard", "effect_files")  # keys of a document that a
 
 
 @dataclass
-class Partial:
+class PartialDataset:
     """Where a dataset is made: `folder` for what all may see, `truth` for the truth (the same, unless withheld)."""
 
     folder: Path
@@ -36,7 +36,7 @@ class Partial:
         name = f"{number:06d}"
         return self.folder / "clips" / name, self.truth / "clips" / name / "truth"
 
-    def done(self) -> set[int]:
+    def list_done(self) -> set[int]:
         return {int(c.name) for c in clip_folders(self.folder)}
 
     def tidy(self) -> None:
@@ -65,7 +65,7 @@ class Partial:
             self.lock = -1
 
 
-def begin(output: Path, document: dict[str, Any], withheld: Path | None = None) -> Partial | None:
+def open_partial(output: Path, document: dict[str, Any], withheld: Path | None = None) -> PartialDataset | None:
     """The folder in which the dataset of `document` is made, or None when it is complete.
 
     Raises InputError when a folder holds something else, when another process is at work there, or when the truth to
@@ -93,10 +93,10 @@ def begin(output: Path, document: dict[str, Any], withheld: Path | None = None) 
     new = not partial.exists()
     with as_input_error(partial):
         partial.mkdir(parents=True, exist_ok=True)
-        made = Partial(partial, truth, output, withheld, _locked(partial))
+        made = PartialDataset(partial, truth, output, withheld, _lock(partial))
         try:
             beside = partial.with_name(partial.name + ".plan")
-            put(beside, json.dumps(document, indent=1).encode())
+            write_atomically(beside, json.dumps(document, indent=1).encode())
             beside.replace(plan)  # first of all: a folder without a plan is taken for another program's
             for folder in {partial, truth}:
                 (folder / "clips").mkdir(parents=True, exist_ok=True)
@@ -115,7 +115,7 @@ def check_apart(output: Path, withheld: Path) -> None:
                 raise InputError(f"--withhold-truth {withheld}: expected a folder apart from {output}")
 
 
-def settle(aside: Path, final: Path) -> None:
+def move_into_place(aside: Path, final: Path) -> None:
     """Move a folder made aside into its place; one that another worker has made meanwhile stays."""
     try:
         aside.rename(final)
@@ -126,11 +126,11 @@ def settle(aside: Path, final: Path) -> None:
 
 
 @contextmanager
-def alone(final: Path) -> Iterator[Path]:
+def open_exclusively(final: Path) -> Iterator[Path]:
     """An empty folder beside `final`, for one process at a time; gone at the end, unless it has become `final`."""
     beside = final.with_name(f"{final.name}.tmp")
     beside.mkdir(parents=True, exist_ok=True)
-    lock = _locked(beside)
+    lock = _lock(beside)
     try:
         for left in beside.iterdir():  # by a killed process
             shutil.rmtree(left) if left.is_dir() else left.unlink()
@@ -141,7 +141,7 @@ def alone(final: Path) -> Iterator[Path]:
             os.close(lock)
 
 
-def aside(final: Path) -> Path:
+def name_temporary(final: Path) -> Path:
     """A name beside `final` that no other worker on any machine uses."""
     return final.with_name(f"{final.name}-{uuid.uuid4().hex[:12]}.tmp")
 
@@ -155,7 +155,7 @@ def _about(folder: Path) -> Path:
     return next((folder / name for name in ABOUT if (folder / name).is_file()), folder / ABOUT[0])
 
 
-def _locked(folder: Path) -> int:
+def _lock(folder: Path) -> int:
     """A lock that ends with this process; -1 where there are none."""
     try:
         import fcntl

@@ -20,8 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import ValidationError
 
-from synthcam.dataset.recorded import Recorded
-from synthcam.scene.apparatus import AVI_FPS, VideoSettings, unfit
+from synthcam.dataset.recorded_clip import RecordedClip
+from synthcam.scene.apparatus import AVI_FPS, VideoSettings, find_video_problem
 from synthcam.settings import one_line, parse_yaml
 from synthcam_shared.errors import InputError
 
@@ -31,7 +31,7 @@ LIBRARY = {"h264": "libx264", "mjpeg": "mjpeg", "ffv1": "ffv1"}
 NEAREST = 100_000  # a frame rate's largest denominator: 30000/1001 is met exactly
 
 
-class Video:
+class VideoWriter:
     """A video file that takes frames (h, w) or, in colour, (h, w, 3), one at a time.
 
     how: codec, gamma, chroma and crf or q, as in a scene's `video`. size: (w, h). Raises InputError where the codec
@@ -51,7 +51,7 @@ class Video:
         self._stream: Any = None
         self._taken = self._written = 0
 
-    def passing(self, frames: Frames) -> Frames:
+    def tee(self, frames: Frames) -> Frames:
         """The frames as they come, each written on its way."""
         for frame in frames:
             self.write(frame)
@@ -100,7 +100,7 @@ class Video:
             self._file.mux(packet)
 
 
-def read_how(text: str, where: str) -> dict[str, str]:
+def parse_encoding(text: str, where: str) -> dict[str, str]:
     """The keys of a scene's `video` from text as h264:crf=23,gamma=2.2; their values are still text."""
     codec, _, rest = text.partition(":")
     how = {"codec": codec}
@@ -112,9 +112,9 @@ def read_how(text: str, where: str) -> dict[str, str]:
     return how
 
 
-def write_films(clips: Iterator[Recorded], folder: Path, text: str) -> None:
+def write_videos(clips: Iterator[RecordedClip], folder: Path, text: str) -> None:
     """clips/NNNNNN with the film and camera.json, which then has `video`. text: as of `read_how`."""
-    given = {key: parse_yaml(value) for key, value in read_how(text, "--format").items()}
+    given = {key: parse_yaml(value) for key, value in parse_encoding(text, "--format").items()}
     try:
         how = VideoSettings.model_validate(given).model_dump(exclude_none=True)
     except ValidationError as error:
@@ -123,19 +123,19 @@ def write_films(clips: Iterator[Recorded], folder: Path, text: str) -> None:
         if not clip.video:
             raise InputError(f"{clip.stack}: no such file; expected a dataset with video")
         size = (int(clip.camera["size"][0]), int(clip.camera["size"][1]))
-        if problem := unfit(how, size, clip.camera["fps"]):
+        if problem := find_video_problem(how, size, clip.camera["fps"]):
             raise InputError(f"{clip.stack}: {problem}")
         own = folder / "clips" / f"{clip.number:06d}"
         own.mkdir(parents=True)
         about = json.dumps(clip.camera | {"video": how}, indent=1) + "\n"
         (own / "camera.json").write_text(about, encoding="utf-8")
-        film = Video(own, how, float(clip.camera["fps"]), size, clip.bits)
+        film = VideoWriter(own, how, float(clip.camera["fps"]), size, clip.bits)
         for frame in clip.pictures():
             film.write(frame)
         film.close()
 
 
-def check_film(path: Path, frames: int) -> None:
+def check_video(path: Path, frames: int) -> None:
     """Raises OSError where a film is cut short: OpenCV does not say when a disk is full."""
     film, count = cv2.VideoCapture(os.fspath(path), cv2.CAP_FFMPEG), 0
     while film.grab():

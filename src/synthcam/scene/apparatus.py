@@ -9,9 +9,9 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from synthcam.camera.lamp import Flicker, Lamp
-from synthcam.camera.pinhole import Camera
+from synthcam.camera.pinhole import PinholeCamera
 from synthcam.camera.surface import IRON, Surface
-from synthcam.scene.materials import MaterialSettings, in_a_room
+from synthcam.scene.materials import MaterialSettings, is_under_room_light
 from synthcam.settings import Fraction, NotNegative, Positive, Settings
 
 Pair = Annotated[list[float], Field(min_length=2, max_length=2)]
@@ -138,7 +138,7 @@ class VideoSettings(Settings):
 
     @model_validator(mode="before")
     @classmethod
-    def _of_its_codec(cls, given: Any) -> Any:
+    def _fill_codec_defaults(cls, given: Any) -> Any:
         """What a codec has no use for is refused, and what it needs filled in."""
         if not isinstance(given, dict):
             return given
@@ -150,7 +150,7 @@ class VideoSettings(Settings):
         return own | given
 
 
-def unfit(how: dict[str, Any], size: Sequence[int], fps: float) -> str:
+def find_video_problem(how: dict[str, Any], size: Sequence[int], fps: float) -> str:
     """Why a video's codec cannot take such pictures; '' where it can."""
     if how["codec"] == "ffv1" and fps > AVI_FPS:
         return f"expected at most {AVI_FPS} frames a second for ffv1, found {fps:g}"
@@ -159,10 +159,10 @@ def unfit(how: dict[str, Any], size: Sequence[int], fps: float) -> str:
     return ""
 
 
-def camera_of(drawn: dict[str, Any], ball_radius: float) -> Camera:
+def build_camera(drawn: dict[str, Any], ball_radius: float) -> PinholeCamera:
     """The nominal camera of checked settings."""
     camera, timing = drawn["camera"], drawn["timing"]
-    return Camera.overhead(
+    return PinholeCamera.overhead(
         size=tuple(camera["size"]),
         scale=camera["scale"],
         height=camera["height"],
@@ -179,16 +179,16 @@ def camera_of(drawn: dict[str, Any], ball_radius: float) -> Camera:
     )
 
 
-def lamp_of(settings: dict[str, Any]) -> Lamp:
+def build_lamp(settings: dict[str, Any]) -> Lamp:
     """The lamp of checked settings. Raises ValueError for one without area."""
     values = {k: v for k, v in settings.items() if k not in ("room", "ambient", "facing", "second")}
     values |= {"position": np.array(values["position"]), "flicker": Flicker(**values["flicker"])}
     towards = np.zeros(3) if settings["facing"] == "centre" else None
     second = settings.get("second")
-    return Lamp(**values, towards=towards, second=lamp_of(second) if second else None)
+    return Lamp(**values, towards=towards, second=build_lamp(second) if second else None)
 
 
-def surface_of(settings: dict[str, Any]) -> Surface:
+def build_surface(settings: dict[str, Any]) -> Surface:
     """The surfaces of checked settings."""
     steel = settings["steel"]
     law = {"schlick": None, "iron": IRON}[steel] if isinstance(steel, str) else (steel[0], steel[1])
@@ -196,7 +196,7 @@ def surface_of(settings: dict[str, Any]) -> Surface:
     return Surface(**own | {"steel": law})
 
 
-def set_otherwise(drawn: dict[str, Any]) -> dict[str, dict[str, Any]]:
+def list_deviations(drawn: dict[str, Any]) -> dict[str, dict[str, Any]]:
     """By section of camera.json, what a scene sets beyond a plain camera under a plain lamp."""
     camera = drawn["camera"]
     out: dict[str, dict[str, Any]] = {"psf": {}, "lens": {}, "shutter": {}}
@@ -215,7 +215,7 @@ def set_otherwise(drawn: dict[str, Any]) -> dict[str, dict[str, Any]]:
     return {section: values for section, values in out.items() if values}
 
 
-def camera_json(nominal: Camera, drawn: dict[str, Any]) -> dict[str, Any]:
+def camera_json(nominal: PinholeCamera, drawn: dict[str, Any]) -> dict[str, Any]:
     """The keys of camera.json: what the experimenter knows of camera, lamp and sensor, and which ball was launched."""
     known: dict[str, Any] = {
         "K": nominal.K.tolist(),
@@ -232,11 +232,11 @@ def camera_json(nominal: Camera, drawn: dict[str, Any]) -> dict[str, Any]:
         "psf": {"sigma_px": nominal.psf_sigma_px},
         "sensor": {k: v for k, v in drawn["sensor"].items() if k not in (*HIDDEN, "hot_pixels", "hot_dark")},
     }
-    if in_a_room(drawn):
+    if is_under_room_light(drawn):
         surface = drawn["surface"]
         known["ball"] = {"finish": surface.get("ball", "steel")} | {k: surface[k] for k in ("colour",) if k in surface}
     if drawn.get("video"):
         known["video"] = dict(drawn["video"])
-    for section, values in set_otherwise(drawn).items():
+    for section, values in list_deviations(drawn).items():
         known[section] = known.get(section, {}) | values
     return known

@@ -11,18 +11,18 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from synthcam.camera.pinhole import Camera, Lamp
-from synthcam.camera.room.finish import Look
+from synthcam.camera.pinhole import Lamp, PinholeCamera
+from synthcam.camera.room.finish import SurfaceFinish
 from synthcam.camera.sensor import Sensor
 from synthcam.camera.surface import Surface
 from synthcam.dynamics.launch import SPIN, Launch
 from synthcam.model import Model, build
 from synthcam.scene import ground_truth
-from synthcam.scene.apparatus import camera_json, camera_of, lamp_of, surface_of, unfit
-from synthcam.scene.filmed_motion import View
-from synthcam.scene.filming import Counts, Seen, film
-from synthcam.scene.materials import look_of, mirror_of
+from synthcam.scene.apparatus import build_camera, build_lamp, build_surface, camera_json, find_video_problem
+from synthcam.scene.film_time import FilmedMotion
+from synthcam.scene.materials import build_finish, build_varnish
 from synthcam.scene.motion import Motion
+from synthcam.scene.sensor_frames import Counts, OpticalSetup, expose_frames
 from synthcam_shared.errors import InputError
 
 if TYPE_CHECKING:
@@ -74,14 +74,14 @@ class Clip:
     drawn: dict[str, Any]
     model: Model
     launch: Launch
-    nominal: Camera
-    camera: Camera
+    nominal: PinholeCamera
+    camera: PinholeCamera
     lamp: Lamp
     surface: Surface
     sensor: Sensor
     frames: int
     seed: int = 0
-    look: Look | None = None
+    look: SurfaceFinish | None = None
 
     def __repr__(self) -> str:
         launch, (width, height) = self.drawn["launch"], self.camera.size
@@ -96,9 +96,9 @@ class Clip:
         return float(self.drawn["lamp"]["room"])
 
     @cached_property
-    def view(self) -> View:
+    def view(self) -> FilmedMotion:
         """The motion over all frames as the camera takes it: against film time, where clock and shutter have a part."""
-        return View.of(self.model, self.launch, self.camera, self.frames)
+        return FilmedMotion.solve(self.model, self.launch, self.camera, self.frames)
 
     def solve(self) -> Motion:
         """Solve the motion, exactly, for as long as the film lasts.
@@ -128,16 +128,16 @@ class Clip:
         NoGL
             Where no OpenGL can draw; `synthcam doctor` says what to install.
         """
-        mirror = mirror_of(self.surface, self.drawn) if self.look else None
+        mirror = build_varnish(self.surface, self.drawn) if self.look else None
         radii = self.launch.bodies.radius.tolist()
-        seen = Seen(self.camera, self.lamp, radii, self.room, self.surface, self.look, mirror)
+        seen = OpticalSetup(self.camera, self.lamp, radii, self.room, self.surface, self.look, mirror)
         colour = bool(self.drawn["camera"].get("colour"))
-        return film(self.view, seen, self.sensor, self.frames, (self.seed, self.number), self.turning, colour)
+        return expose_frames(self.view, seen, self.sensor, self.frames, (self.seed, self.number), self.turning, colour)
 
     @cached_property
     def turning(self) -> Turning | None:
         """How the balls are turned, where a pattern shows it: at random as the motion starts."""
-        if self.look is None or not self.look.turning:
+        if self.look is None or not self.look.shows_rotation:
             return None
         from scipy.spatial.transform import Rotation  # here alone: slow to load, and few balls have a pattern
 
@@ -194,7 +194,7 @@ class Clip:
         return ground_truth.tracks(self.launch.bodies, self.view, self.lamp, self.frames, self.turning)
 
 
-def clip_of(number: int, drawn: dict[str, Any], seed: int = 0, where: str = "") -> Clip:
+def build_clip(number: int, drawn: dict[str, Any], seed: int = 0, where: str = "") -> Clip:
     """The clip of plain, checked settings. Raises InputError when they contradict each other."""
     model, where = build(drawn), where or drawn["name"]
     timing, launch, camera = drawn["timing"], drawn["launch"], drawn["camera"]
@@ -207,14 +207,14 @@ def clip_of(number: int, drawn: dict[str, Any], seed: int = 0, where: str = "") 
         raise InputError(f"{where}: camera.height: expected more than two ball diameters ({model.ball.diameter:g} m)")
     if drawn["lamp"]["position"][2] <= 2 * model.ball.diameter:
         raise InputError(f"{where}: lamp.position: expected z above the balls")
-    if drawn.get("video") and (problem := unfit(drawn["video"], camera["size"], timing["fps"])):
+    if drawn.get("video") and (problem := find_video_problem(drawn["video"], camera["size"], timing["fps"])):
         raise InputError(f"{where}: video: {problem}")
     try:
-        lamp = lamp_of(drawn["lamp"])
+        lamp = build_lamp(drawn["lamp"])
     except ValueError as e:
         raise InputError(f"{where}: {str(e).replace(' ', '.', 1)}") from None
-    nominal = camera_of(drawn, model.ball.radius)
-    look = look_of(drawn, _labels(launch), where)
+    nominal = build_camera(drawn, model.ball.radius)
+    look = build_finish(drawn, _ball_labels(launch), where)
     sensor = {k: v for k, v in drawn["sensor"].items() if k != "white"}
     if look:
         sensor["glint_peak"] = drawn["sensor"].get("white", 200.0)
@@ -223,31 +223,31 @@ def clip_of(number: int, drawn: dict[str, Any], seed: int = 0, where: str = "") 
         seed=seed,
         drawn=drawn,
         model=model,
-        launch=_launch(model, launch, timing["contact_frame"] / timing["fps"]),
+        launch=_build_launch(model, launch, timing["contact_frame"] / timing["fps"]),
         nominal=nominal,
-        camera=_as_it_is(model, nominal),
+        camera=_apply_effects(model, nominal),
         lamp=lamp,
-        surface=surface_of(drawn["surface"]),
+        surface=build_surface(drawn["surface"]),
         sensor=Sensor(**sensor),
         frames=timing["frames"],
         look=look,
     )
 
 
-def _as_it_is(model: Model, nominal: Camera) -> Camera:
-    bent: Camera = model.laws("camera", nominal, {})
+def _apply_effects(model: Model, nominal: PinholeCamera) -> PinholeCamera:
+    bent: PinholeCamera = model.laws("camera", nominal, {})
     return replace(bent, exposure=float(model.laws("exposure", nominal.exposure, {"fps": nominal.fps})))
 
 
-def _labels(launch: dict[str, Any]) -> tuple[str, ...]:
+def _ball_labels(launch: dict[str, Any]) -> tuple[str, ...]:
     return (launch["striker"],) if launch["kind"] == "single" else LABELS[launch["striker"]]
 
 
-def _launch(model: Model, launch: dict[str, Any], time: float) -> Launch:
+def _build_launch(model: Model, launch: dict[str, Any], time: float) -> Launch:
     heading, v0, position = launch["heading"], launch["v0"], launch["contact"]
     if position == "upstream":
         position = -UPSTREAM * v0 * np.array([np.cos(heading), np.sin(heading)])
-    bodies, spin = model.bodies(_labels(launch)), [launch[name] for name in SPIN]
+    bodies, spin = model.bodies(_ball_labels(launch)), [launch[name] for name in SPIN]
     if launch["kind"] == "single":
         if any(spin):
             raise InputError(

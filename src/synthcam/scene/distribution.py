@@ -15,7 +15,7 @@ MOST = 1000  # different options of a choice that are no numbers
 WIDEST = 4.0  # a normal distribution is cut at so many standard deviations
 
 
-def as_distribution(value: Any, key: str, where: str) -> tuple[str, list[Any]] | None:
+def parse_distribution(value: Any, key: str, where: str) -> tuple[str, list[Any]] | None:
     """(kind, numbers) when a value is a distribution. Raises InputError when it is a wrong one."""
     if not (isinstance(value, dict) and len(value) == 1 and next(iter(value)) in ("uniform", "normal", "choice")):
         return None
@@ -35,9 +35,9 @@ def as_distribution(value: Any, key: str, where: str) -> tuple[str, list[Any]] |
     return kind, args
 
 
-def corner(value: Any, which: str, key: str, where: str) -> Any:
+def replace_by_extremes(value: Any, which: str, key: str, where: str) -> Any:
     """Settings with every distribution replaced by its lowest or highest value."""
-    found = as_distribution(value, key, where)
+    found = parse_distribution(value, key, where)
     if found:
         kind, args = found
         sign = -1 if which == "low" else 1
@@ -45,21 +45,21 @@ def corner(value: Any, which: str, key: str, where: str) -> Any:
             return args[0] + sign * WIDEST * args[1]
         return args[0] if which == "low" else args[-1]
     if isinstance(value, dict):
-        return {k: corner(v, which, f"{key}.{k}" if key else str(k), where) for k, v in value.items()}
+        return {k: replace_by_extremes(v, which, f"{key}.{k}" if key else str(k), where) for k, v in value.items()}
     return value
 
 
-def choices(value: Any, key: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], list[Any]]]:
+def find_choices(value: Any, key: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], list[Any]]]:
     """Every choice in the settings: its key and its options."""
     if isinstance(value, dict):
         if set(value) == {"choice"}:
             yield key, value["choice"]
         else:
             for k, v in value.items():
-                yield from choices(v, (*key, k))
+                yield from find_choices(v, (*key, k))
 
 
-def representative(options: list[Any], key: str, where: str) -> list[Any]:
+def pick_representatives(options: list[Any], key: str, where: str) -> list[Any]:
     """Those options whose check is a check of all: of numbers the extremes, of others each once. Raises InputError."""
     numbers: list[Any] = []
     for kind in (int, float):
@@ -72,14 +72,14 @@ def representative(options: list[Any], key: str, where: str) -> list[Any]:
     return [*numbers, *others.values()]
 
 
-def replaced(plain: Any, key: tuple[str, ...], value: Any) -> Any:
+def replace_at(plain: Any, key: tuple[str, ...], value: Any) -> Any:
     """A copy of nested settings with the value at `key` changed."""
-    return value if not key else plain | {key[0]: replaced(plain[key[0]], key[1:], value)}
+    return value if not key else plain | {key[0]: replace_at(plain[key[0]], key[1:], value)}
 
 
-def drawn(value: Any, number: int, seed: int, key: str = "") -> Any:
+def draw(value: Any, number: int, seed: int, key: str = "") -> Any:
     """Settings with every distribution drawn, each from its own stream: (seed, clip number, key)."""
-    found = as_distribution(value, key, "")
+    found = parse_distribution(value, key, "")
     if found:
         kind, args = found
         stream = np.random.SeedSequence(seed, spawn_key=(number, zlib.crc32(key.encode())))
@@ -90,5 +90,5 @@ def drawn(value: Any, number: int, seed: int, key: str = "") -> Any:
             return float(args[0] + args[1] * np.clip(rng.standard_normal(), -WIDEST, WIDEST))
         return args[int(rng.integers(len(args)))]
     if isinstance(value, dict):
-        return {k: drawn(v, number, seed, f"{key}.{k}" if key else str(k)) for k, v in value.items()}
+        return {k: draw(v, number, seed, f"{key}.{k}" if key else str(k)) for k, v in value.items()}
     return value

@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pandas as pd
 
-from synthcam.camera.pinhole import Camera, Lamp, glint_px
+from synthcam.camera.pinhole import Lamp, PinholeCamera, project_glint
 from synthcam.dynamics.kinematics import Array, contact_velocity, rolling_velocity
 from synthcam.dynamics.launch import Launch
 from synthcam.dynamics.trajectory import Event, Trajectory
 from synthcam.model import Bodies, Model
-from synthcam.scene.filmed_motion import View
+from synthcam.scene.film_time import FilmedMotion
 
 if TYPE_CHECKING:
     from synthcam.dynamics.turning import Turning
@@ -78,7 +78,7 @@ def _spin_transfer(bodies: Bodies, hit: Event) -> float:
     return float(impulse / (0.8 * mass[0] * mass[1] / mass.sum() * np.linalg.norm(u_t)))
 
 
-def tracks(bodies: Bodies, view: View, lamp: Lamp, frames: int, turning: Turning | None = None) -> pd.DataFrame:
+def tracks(bodies: Bodies, view: FilmedMotion, lamp: Lamp, frames: int, turning: Turning | None = None) -> pd.DataFrame:
     """The table of `truth/tracks.parquet`: a row for each ball and frame, at mid-exposure, with the exposure's mean.
 
     turning: of balls with a pattern.
@@ -91,19 +91,19 @@ def tracks(bodies: Bodies, view: View, lamp: Lamp, frames: int, turning: Turning
     balls = []
     for ball in range(len(states)):
         state, radius = states[ball], float(bodies.radius[ball])
-        px, glint = camera.project(state[:, :3]), glint_px(camera, lamp, state[:, :3], radius)
+        px, glint = camera.project(state[:, :3]), project_glint(camera, lamp, state[:, :3], radius)
         columns: dict[str, Any] = {"frame": np.arange(frames), "t_s": times[ball], "particle": np.full(frames, ball)}
         columns |= {"x_px": px[:, 0], "y_px": px[:, 1], "glint_x_px": glint[:, 0], "glint_y_px": glint[:, 1]}
         columns |= dict(zip("x y z vx vy vz wx wy wz".split(), state.T, strict=True))
         columns |= {"x_mean_px": means[ball, :, 0], "y_mean_px": means[ball, :, 1]}
-        columns |= {"state": kinds[ball], "visible": _whole(camera, state[:, :3], radius)}
+        columns |= {"state": kinds[ball], "visible": _is_whole(camera, state[:, :3], radius)}
         if turning:
             columns |= dict(zip("qx qy qz qw".split(), turning.at(ball, times[ball]).as_quat().T, strict=True))
         balls.append(columns)
     return pd.DataFrame({name: np.concatenate([each[name] for each in balls]) for name in balls[0]})
 
 
-def _whole(camera: Camera, centres: Array, radius: float) -> Any:
+def _is_whole(camera: PinholeCamera, centres: Array, radius: float) -> Any:
     """True where the ball's whole outline lies in the picture: (n,)."""
     angles = np.linspace(0, 2 * np.pi, 16, endpoint=False)
     ring = radius * np.stack([np.cos(angles), np.sin(angles), 0 * angles], axis=1)

@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import Field
 
-from synthcam.camera.room.finish import GREY, Colour, Finish, Look, Pattern
+from synthcam.camera.room.finish import GREY, BallFinish, Colour, Pattern, SurfaceFinish
 from synthcam.camera.surface import Surface
 from synthcam.settings import Fraction, NotNegative, Settings
 from synthcam_shared.errors import InputError
@@ -60,16 +60,16 @@ class MaterialSettings(BallFinishSettings):
     plate_contrast: Annotated[NotNegative, Field(le=3)] | None = None
 
 
-def in_a_room(drawn: dict[str, Any]) -> bool:
+def is_under_room_light(drawn: dict[str, Any]) -> bool:
     """Whether a scene is more than mirrors on a black plate."""
     return bool(drawn["surface"].get("ball") or drawn["surface"].get("plate"))
 
 
-def look_of(drawn: dict[str, Any], labels: tuple[str, ...], where: str) -> Look | None:
+def build_finish(drawn: dict[str, Any], labels: tuple[str, ...], where: str) -> SurfaceFinish | None:
     """How balls of these labels look on their plate; None for mirrors on a black plate."""
     surface = drawn["surface"]
     of_rooms = [key for key in MaterialSettings.model_fields if key in surface]
-    if not in_a_room(drawn):
+    if not is_under_room_light(drawn):
         if of_rooms or "ambient" in drawn["lamp"] or "white" in drawn["sensor"]:
             key = f"surface.{of_rooms[0]}" if of_rooms else "lamp.ambient, sensor.white"
             raise InputError(f"{where}: {key}: expected surface.ball or surface.plate beside")
@@ -81,16 +81,20 @@ def look_of(drawn: dict[str, Any], labels: tuple[str, ...], where: str) -> Look 
     matte = surface.get("ball") == "matte"
     plate: Any = surface.get("plate", "black")
     albedo, tint = PLATES[plate]
-    return Look(
-        balls=tuple(_finish(surface | surface.get("b", {}) if k == "b" else surface, matte, colour) for k in labels),
-        plate=_seen(surface.get("plate_albedo", albedo), _rgb(surface.get("plate_colour"), tint), colour),
+    return SurfaceFinish(
+        balls=tuple(
+            _build_ball_finish(surface | surface.get("b", {}) if k == "b" else surface, matte, colour) for k in labels
+        ),
+        plate=_channel_reflectance(
+            surface.get("plate_albedo", albedo), _parse_colour(surface.get("plate_colour"), tint), colour
+        ),
         texture=plate if plate in ("cloth", "wood", "paper") else "plain",
         contrast=surface.get("plate_contrast", 1.0),
         ambient=drawn["lamp"].get("ambient", 0.35),
     )
 
 
-def mirror_of(surface: Surface, drawn: dict[str, Any]) -> Surface | None:
+def build_varnish(surface: Surface, drawn: dict[str, Any]) -> Surface | None:
     """What the balls of a room mirror with: their metal, or a varnish that is a glass of such reflectance head-on."""
     if drawn["surface"].get("ball") != "matte":
         return surface
@@ -98,21 +102,23 @@ def mirror_of(surface: Surface, drawn: dict[str, Any]) -> Surface | None:
     return Surface(steel=((1 + gloss) / (1 - gloss), 0.0), roughness=surface.roughness) if gloss else None
 
 
-def _finish(surface: dict[str, Any], matte: bool, colour: bool) -> Finish:
+def _build_ball_finish(surface: dict[str, Any], matte: bool, colour: bool) -> BallFinish:
     albedo = surface.get("albedo", 0.85) if matte else 0.0
-    first = _rgb(surface.get("colour"), COLOURS["white"])
-    second = _rgb(surface.get("second_colour"), COLOURS["red"])
+    first = _parse_colour(surface.get("colour"), COLOURS["white"])
+    second = _parse_colour(surface.get("second_colour"), COLOURS["red"])
     pattern: Pattern = surface.get("pattern", "plain") if matte else "plain"
-    return Finish(_seen(albedo, first, colour), _seen(albedo, second, colour), pattern)
+    return BallFinish(
+        _channel_reflectance(albedo, first, colour), _channel_reflectance(albedo, second, colour), pattern
+    )
 
 
-def _rgb(given: Any, usual: tuple[float, ...]) -> tuple[float, ...]:
+def _parse_colour(given: Any, usual: tuple[float, ...]) -> tuple[float, ...]:
     if given is None:
         return usual
     return COLOURS[given] if isinstance(given, str) else tuple(given)
 
 
-def _seen(albedo: float, rgb: tuple[float, ...], colour: bool) -> Colour:
+def _channel_reflectance(albedo: float, rgb: tuple[float, ...], colour: bool) -> Colour:
     """Reflectance in each channel of a camera."""
     whole = albedo * np.array(rgb)
     return tuple(whole.tolist()) if colour else (float(whole @ GREY),)

@@ -24,8 +24,8 @@ from synthcam.model import (
     table_settings,
 )
 from synthcam.scene.apparatus import CameraSettings, LampSettings, SensorSettings, SurfaceSettings, VideoSettings
-from synthcam.scene.clip import Clip, clip_of
-from synthcam.scene.distribution import choices, corner, drawn, replaced, representative
+from synthcam.scene.clip import Clip, build_clip
+from synthcam.scene.distribution import draw, find_choices, pick_representatives, replace_at, replace_by_extremes
 from synthcam.settings import (
     InputError,
     NotNegative,
@@ -46,7 +46,7 @@ MOST_RADIANS = 10.0  # of a heading: more is one in degrees
 SHOWN = 4  # distributions, in a scene's repr
 
 
-def _radians(angle: float) -> float:
+def _check_radians(angle: float) -> float:
     if abs(angle) > MOST_RADIANS:
         raise ValueError(f"expected radians from {-MOST_RADIANS:g} to {MOST_RADIANS:g}")
     return angle
@@ -61,7 +61,7 @@ class LaunchSettings(Settings):
     kind: Literal["pair", "single"] = "pair"
     v0: Positive = 0.3
     b: Annotated[float, Field(gt=-1, lt=1)] = 0.0
-    heading: Annotated[float, AfterValidator(_radians)] = 0.0
+    heading: Annotated[float, AfterValidator(_check_radians)] = 0.0
     striker: Literal["a", "b"] = "b"
     contact: Literal["upstream"] | Position = "upstream"
     slip_along: Speed = 0.0
@@ -188,7 +188,7 @@ class Scene:
             Where the drawn values contradict each other.
         """
         where = f"{self.where}, clip {number}"
-        return clip_of(number, _checked(drawn(self.settings, number, seed), where), seed, where)
+        return build_clip(number, _validate(draw(self.settings, number, seed), where), seed, where)
 
 
 def _plain(value: Any) -> Any:
@@ -234,26 +234,26 @@ def check_scene(loaded: dict[str, Any], where: str, overrides: tuple[str, ...] =
     """
     settings = copy.deepcopy(loaded)
     for text in overrides:
-        _override(settings, text)
+        _apply_override(settings, text)
     check_held(settings.get("free_laws"), where)
     for end in ("low", "high"):
-        clip_of(0, _checked(corner(settings, end, "", where), where), where=where)
-    low = corner(settings, "low", "", where)
-    for key, options in choices(settings):
-        for option in representative(options, ".".join(key), where):
-            _checked(replaced(low, key, option), where)
+        build_clip(0, _validate(replace_by_extremes(settings, end, "", where), where), where=where)
+    low = replace_by_extremes(settings, "low", "", where)
+    for key, options in find_choices(settings):
+        for option in pick_representatives(options, ".".join(key), where):
+            _validate(replace_at(low, key, option), where)
     check_free(settings.get("free") or (), where)
     return Scene(str(settings.get("name", "scene")), settings, where)
 
 
-def _checked(plain: dict[str, Any], where: str) -> dict[str, Any]:
+def _validate(plain: dict[str, Any], where: str) -> dict[str, Any]:
     try:
         return scene_file().model_validate(plain).model_dump(exclude_none=True)
     except ValidationError as e:
         raise one_line(e, where, scene_file()) from None
 
 
-def _override(settings: dict[str, Any], text: str) -> None:
+def _apply_override(settings: dict[str, Any], text: str) -> None:
     key, equals, value = text.partition("=")
     if not equals or not key:
         raise InputError(f"--set {text}: expected key=value, as in launch.v0=0.2")

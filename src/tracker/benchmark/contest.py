@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from synthcam_shared.errors import InputError
-from synthcam_shared.outputs import as_input_error, check_room, held
+from synthcam_shared.outputs import as_input_error, check_writable, lock_folder
 from tracker.benchmark.judging.entry import make_entry
 from tracker.benchmark.judging.tracker_results import ResultsInFolder
 from tracker.benchmark.report.leaderboard import ENTRIES, entries, file_name, save, write_leaderboard
@@ -93,8 +93,8 @@ def open_report(report: Path) -> Iterator[None]:
     mine = any((report / name).is_dir() for name in (RESULTS, ENTRIES, SUITE))
     if report.exists() and not (report.is_dir() and (mine or not any(report.iterdir()))):
         raise InputError(f"{report}: exists and holds something else, expected a new folder for the report")
-    check_room(report)
-    with held(report), as_input_error(report, "; the same command goes on where it stopped"):
+    check_writable(report)
+    with lock_folder(report), as_input_error(report, "; the same command goes on where it stopped"):
         yield
 
 

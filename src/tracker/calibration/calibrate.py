@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from synthcam_shared.errors import InputError
-from synthcam_shared.outputs import as_input_error, check_room
+from synthcam_shared.outputs import as_input_error, check_writable
 from tracker.calibration.survey import BallSighting, survey, without_scale
 from tracker.camera.camera import Camera
 from tracker.camera.camera_keys import read_json
@@ -86,7 +86,7 @@ def check_output(path: Path) -> None:
     """Raises InputError where a camera file cannot be written, or would take another file's place."""
     if path.exists() and not _is_calibration(path):
         raise InputError(f"{path}: exists and was not made by tracker calibrate, expected a new file")
-    check_room(path)
+    check_writable(path)
 
 
 def _is_calibration(path: Path) -> bool:

@@ -12,7 +12,7 @@ import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
-from synthcam_shared.outputs import put
+from synthcam_shared.outputs import write_atomically
 from tracker.camera.camera import Camera
 from tracker.camera.frames import Frames
 from tracker.detection.link import Tracks
@@ -93,7 +93,7 @@ def write_page(recorded: RecordingPage, folder: Path, command: str) -> Path:
         span = choose_frames(len(recorded.frames), contacts, MOST_FRAMES)
         film = encode_mp4(Overlay(recorded.frames, recorded.tracks, recorded.camera, *span, list_events(recorded.rows)))
         steps = list_frames(recorded, *span)
-        put(folder / FILM, film)
+        write_atomically(folder / FILM, film)
     estimates = pd.DataFrame([{"clip": 0, **row} for row in recorded.rows])
     html = render(
         HERE / "page.html",
@@ -110,7 +110,7 @@ def write_page(recorded: RecordingPage, folder: Path, command: str) -> Path:
         no_film=NO_FILM,
         made=describe_creation(command),
     )
-    put(folder / PAGE, html)
+    write_atomically(folder / PAGE, html)
     return folder / PAGE
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pandas as pd
 
-from synthcam_shared.outputs import as_input_error, put
+from synthcam_shared.outputs import as_input_error, write_atomically
 from tracker import results
 from tracker.camera.recordings import RecordingSource
 from tracker.measurement.collision.adequacy import warnings
@@ -72,7 +72,7 @@ class ResultPages:
             made=describe_creation(self.command),
         )
         with as_input_error(self.output):
-            put(self.output / PAGE, html)
+            write_atomically(self.output / PAGE, html)
 
     def _folder(self, index: int) -> Path:
         return self.output if self.alone else results.clip_folder(self.output, self.numbers[index])

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from synthcam_shared.errors import InputError
-from synthcam_shared.outputs import as_input_error, check_room, held, put
+from synthcam_shared.outputs import as_input_error, check_writable, lock_folder, write_atomically
 from tracker import results
 from tracker.detection.detect import load_detector
 from tracker.pipeline import run
@@ -65,8 +65,8 @@ def compare(
     if report.exists() and not (report.is_dir() and (not any(report.iterdir()) or (report / "results").is_dir())):
         raise InputError(f"{report}: exists and holds something else, expected a new folder for the report")
     report = report.resolve()
-    check_room(report)
-    with held(report), as_input_error(report, "; the same command goes on where it stopped"):
+    check_writable(report)
+    with lock_folder(report), as_input_error(report, "; the same command goes on where it stopped"):
         (report / "results").mkdir(exist_ok=True)
         scores = []
         for k, name in enumerate(chosen):
@@ -80,7 +80,7 @@ def compare(
             "made": describe_creation("tracker compare"),
         }
         html = render(Path(__file__).with_name("compare.html"), **values)
-        put(report / "index.html", html)
+        write_atomically(report / "index.html", html)
         results.write_json(report / "score.json", whole)
     return whole
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
 from synthcam_shared.errors import InputError
-from synthcam_shared.outputs import put
+from synthcam_shared.outputs import write_atomically
 from tracker.report.html import describe_creation, render
 from tracker.results import finite, write_json
 from tracker.scoring.tracking_metrics import GATE_PX, TrackPoints, score_tracks
@@ -69,7 +69,7 @@ class TableScore:
         page = render(
             Path(__file__).with_name("tables.html"), score=self, rows=rows, made=describe_creation("tracker score")
         )
-        put(report / "index.html", page)
+        write_atomically(report / "index.html", page)
         write_json(report / "score.json", self.to_dict())
         return report / "score.json"
 

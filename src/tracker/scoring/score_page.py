@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from synthcam_shared.errors import InputError
-from synthcam_shared.outputs import put
+from synthcam_shared.outputs import write_atomically
 from tracker.measurement.collision.derived import QUANTITY_NAMES
 from tracker.measurement.positions import to_ball_tracks
 from tracker.report.collision_figures import (
@@ -66,7 +66,7 @@ def write_report(
     html = render(Path(__file__).with_name("report.html"), score=score, images=images, **values)
     folder = Path(report)
     folder.mkdir(parents=True, exist_ok=True)
-    put(folder / "index.html", html)
+    write_atomically(folder / "index.html", html)
     return folder / "index.html"
 
 

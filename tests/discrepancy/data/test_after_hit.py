@@ -13,7 +13,7 @@ from discrepancy.data.collisions import read_collisions
 from discrepancy.data.outgoing_hit import guess_hit_from_outgoing
 from discrepancy.policy import current_policy
 from discrepancy.search import find
-from synthcam.dataset.generate import Plan, run
+from synthcam.dataset.generate import GenerationPlan, generate_dataset
 from synthcam.model import Model
 from synthcam.scene.scene import read_scene
 from tracker.tables.read import read_tracks
@@ -27,7 +27,7 @@ def filmed(tmp_path_factory):
     """True tracks with noise on a tilted plate, 250 frames a second, and the truth about each hit."""
     folder = tmp_path_factory.mktemp("late")
     scene = read_scene(ROOT / SCENE, ["effects={plate_tilt: {x: 8.0e-4}}", "launch.v0={uniform: [0.3, 0.6]}"])
-    run(Plan((scene,), CLIPS, 3, False), folder / "data", 1, lambda done, of: None)
+    generate_dataset(GenerationPlan((scene,), CLIPS, 3, False), folder / "data", 1, lambda done, of: None)
     rng, parts = np.random.default_rng(2), []
     for clip in sorted((folder / "data/clips").iterdir()):
         true = pd.read_parquet(clip / "truth/tracks.parquet").query("visible")

@@ -10,7 +10,7 @@ from repository import ROOT
 
 from discrepancy.data.collisions import read_collisions
 from discrepancy.data.prior_processing import detect_processing
-from synthcam.dataset.generate import Plan, run
+from synthcam.dataset.generate import GenerationPlan, generate_dataset
 from synthcam.scene.scene import read_scene
 from synthcam_shared.errors import InputError
 
@@ -24,7 +24,9 @@ def fine(tmp_path_factory):
     folder = tmp_path_factory.mktemp("fine")
     timing = {"fps": 1250, "exposure": 0.0004, "frames": 600, "contact_frame": 101}
     changes = [f"timing.{name}={value}" for name, value in timing.items()] + ["effects={}"]
-    run(Plan((read_scene(ROOT / SCENE, changes),), CLIPS, 4, False), folder / "data", 1, lambda done, of: None)
+    generate_dataset(
+        GenerationPlan((read_scene(ROOT / SCENE, changes),), CLIPS, 4, False), folder / "data", 1, lambda done, of: None
+    )
     parts = []
     for clip in sorted((folder / "data/clips").iterdir()):
         true = pd.read_parquet(clip / "truth/tracks.parquet").query("visible")

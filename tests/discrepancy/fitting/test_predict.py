@@ -10,7 +10,7 @@ from discrepancy_clips import FPS, blank, exact
 from discrepancy.data.launch import HEADING, T_C, V0, B
 from discrepancy.fitting.predict import predict_tracks
 from discrepancy.free_laws.library import free_laws_over
-from synthcam.dataset.generate import Plan, run
+from synthcam.dataset.generate import GenerationPlan, generate_dataset
 from synthcam.model import Model
 from synthcam.scene.scene import read_scene
 from tracker.camera.camera import Camera
@@ -77,7 +77,7 @@ def test_a_ball_that_hops_is_seen_where_the_film_has_it(tmp_path):
         "launch: {kind: pair, v0: 0.5, b: 0.2, heading: 0.4, striker: b, contact: [0.02, 0.015]}\n"
         "timing: {fps: 250, frames: 60, exposure: 5.0e-4, contact_frame: 25}\n"
     )
-    run(Plan((read_scene(scene),), 1, 4, False), tmp_path / "set", 1, lambda done, of: None)
+    generate_dataset(GenerationPlan((read_scene(scene),), 1, 4, False), tmp_path / "set", 1, lambda done, of: None)
     folder = tmp_path / "set/clips/000000"
     true = pd.read_parquet(folder / "truth/tracks.parquet").sort_values(["particle", "frame"])
     camera, model = Camera.read(folder / "camera.json"), Model().replace({"hop.share": 0.5, "hop.bounce": 0.4})

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from scipy.optimize import minimize
 
 from synthcam.camera import reflections
-from synthcam.camera.pinhole import Camera, Lamp, glint, glint_px
+from synthcam.camera.pinhole import Lamp, PinholeCamera, locate_glint, project_glint
 
 RADIUS = 1.19e-3
 LAMP = Lamp(np.array([0.05, 0.0, 0.45]), 0.01)
@@ -16,7 +16,7 @@ LAMP = Lamp(np.array([0.05, 0.0, 0.45]), 0.01)
 
 def overhead(**changes):
     settings = {"size": (640, 480), "scale": 1.6e-4, "height": 0.5, "ball_radius": RADIUS}
-    return Camera.overhead(**settings | {"fps": 250, "exposure": 5e-4, "psf_sigma_px": 1.0} | changes)
+    return PinholeCamera.overhead(**settings | {"fps": 250, "exposure": 5e-4, "psf_sigma_px": 1.0} | changes)
 
 
 def test_the_contract_of_the_overhead_camera():
@@ -67,7 +67,7 @@ def test_glint_agrees_with_the_first_order_formula(position):
     camera = overhead()
     centre = np.array([*position, RADIUS])
     to_lamp, to_camera = LAMP.position - centre, camera.centre - centre
-    offset = (glint_px(camera, LAMP, centre, RADIUS) - camera.project(centre)) * [1, -1]
+    offset = (project_glint(camera, LAMP, centre, RADIUS) - camera.project(centre)) * [1, -1]
     formula = RADIUS / 2 * (to_lamp / to_lamp[2] - to_camera / to_camera[2])[:2] / camera.scale
     np.testing.assert_allclose(offset, formula, atol=0.015)  # what second order leaves in the corners
 
@@ -82,7 +82,7 @@ def test_the_glint_is_where_the_path_is_shortest():
         return 1e4 * (np.linalg.norm(point - LAMP.position) + np.linalg.norm(point - camera.centre))
 
     best = np.sin(minimize(length, [0, 0], method="Nelder-Mead", options={"xatol": 1e-9, "fatol": 1e-13}).x)
-    found = (glint(camera, LAMP, centre, RADIUS) - centre)[:2] / RADIUS
+    found = (locate_glint(camera, LAMP, centre, RADIUS) - centre)[:2] / RADIUS
     np.testing.assert_allclose(found, best, atol=2e-5)  # fatol in rounding: sqrt(1e-16 x .95 m / R)
 
 
@@ -129,5 +129,5 @@ def test_a_third_ball_in_the_way_hides_the_glint():
     centres = np.array([[[0, 0, RADIUS], [3 * RADIUS, 0, 3.5 * RADIUS]], [[0, 0, RADIUS], [0.1, 0, RADIUS]]])
     radii = np.full(2, RADIUS)
     paths = reflections.reflect(lamp, eye, centres[:, :1], np.full((2, 1), RADIUS))
-    hidden = reflections.hidden(lamp, eye, paths, np.zeros((2, 1), int), centres, radii)
+    hidden = reflections.find_hidden(lamp, eye, paths, np.zeros((2, 1), int), centres, radii)
     np.testing.assert_array_equal(hidden, [True, False])

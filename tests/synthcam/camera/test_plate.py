@@ -6,13 +6,13 @@ from scipy.special import ndtr
 
 from synthcam.camera import plate
 from synthcam.camera.lamp import Lamp
-from synthcam.camera.pinhole import Camera
-from synthcam.camera.render import Film
+from synthcam.camera.pinhole import PinholeCamera
+from synthcam.camera.render import MirrorRenderer
 from synthcam.camera.surface import IRON, Surface
 
 R = 1.19e-3
 SIDE = Lamp(np.array([0.3, 0.0, 0.4]), 0.002)
-CAMERA = Camera.overhead((160, 100), 5e-5, 0.5, ball_radius=R, fps=250, exposure=0, psf_sigma_px=1.0)
+CAMERA = PinholeCamera.overhead((160, 100), 5e-5, 0.5, ball_radius=R, fps=250, exposure=0, psf_sigma_px=1.0)
 
 
 def one_frame(film, *centres):
@@ -35,19 +35,19 @@ def test_a_wide_lamp_lights_the_plate_as_its_area_does():
 
 
 def test_pixels_of_the_plate():
-    camera = Camera.overhead(
+    camera = PinholeCamera.overhead(
         (64, 48), 1e-3, 0.5, (0.1, -0.2), (-0.1, 0.05, 1e-3, 0, 0), ball_radius=R, fps=1, exposure=0, psf_sigma_px=1
     )
-    points = plate.on_plate(camera)
+    points = plate.plate_points(camera)
     assert np.abs(points[..., 2]).max() < 1e-12
     x, y = np.meshgrid(np.arange(64), np.arange(48))
     np.testing.assert_allclose(camera.project(points), np.stack([x, y], -1), atol=1e-6)
 
 
 def test_a_shadow_falls_where_the_ball_stands_in_the_light():
-    film = Film(CAMERA, SIDE, [R], 1.0, Surface(plate_shadow=True, steel=IRON))
+    film = MirrorRenderer(CAMERA, SIDE, [R], 1.0, Surface(plate_shadow=True, steel=IRON))
     picture = one_frame(film, [0, 0, R])
-    points = plate.on_plate(CAMERA)
+    points = plate.plate_points(CAMERA)
     way = SIDE.position - points
     way /= np.linalg.norm(way, axis=-1, keepdims=True)
     offset = np.array([0, 0, R]) - points
@@ -57,12 +57,12 @@ def test_a_shadow_falls_where_the_ball_stands_in_the_light():
     assert (clear & (apart < R - 4 * CAMERA.scale)).sum() > 100
     assert np.abs(ratio[clear & (apart < R - 4 * CAMERA.scale)]).max() < 2e-3
     np.testing.assert_allclose(ratio[clear & (apart > R + 4 * CAMERA.scale)], 1, atol=2e-3)
-    plain = one_frame(Film(CAMERA, SIDE, [R], 1.0, Surface(steel=IRON)), [0, 0, R])
+    plain = one_frame(MirrorRenderer(CAMERA, SIDE, [R], 1.0, Surface(steel=IRON)), [0, 0, R])
     assert np.abs(plain.image / plain.plate)[clear].min() > 0.99
 
 
 def test_two_shadows_in_any_order():
-    film = Film(CAMERA, SIDE, [R, R], 1.0, Surface(plate_shadow=True, plate_gloss=0.05, plate_texture=0.1))
+    film = MirrorRenderer(CAMERA, SIDE, [R, R], 1.0, Surface(plate_shadow=True, plate_gloss=0.05, plate_texture=0.1))
     a, b = (
         one_frame(film, [0, 0, R], [1.9 * R, 0.65 * R, 2.5 * R]),
         one_frame(film, [1.9 * R, 0.65 * R, 2.5 * R], [0, 0, R]),
@@ -75,7 +75,7 @@ def test_two_shadows_in_any_order():
 def test_the_outline_stands_where_the_sphere_ends(texture):
     """A ball that mirrors nothing hides a bright plate: the area and the middle of what is hidden."""
     far_off = Lamp(np.array([5.0, 0.0, 45.0]), 1e-9)  # the same light everywhere
-    film = Film(CAMERA, far_off, [R], 1.0, Surface(steel=IRON, plate_texture=texture))
+    film = MirrorRenderer(CAMERA, far_off, [R], 1.0, Surface(steel=IRON, plate_texture=texture))
     film._uniforms |= {"metal": np.array([1.0, 1e-9]), "zenith": 0.0}  # refracts as air does
     film._unit = 0.0
     cover = 1 - one_frame(film, [0.2e-3, -0.1e-3, R]).image / film.plate
@@ -98,12 +98,14 @@ def test_the_outline_stands_where_the_sphere_ends(texture):
 def test_the_plate_mirrors_the_ball():
     """Beside the ball, looked at aslant: rays by way of the plate to the ball and on, less the mirrored room there."""
     far_off = Lamp(np.array([5.0, 0.0, 45.0]), 1e-9)
-    camera = Camera.overhead((160, 100), 5e-5, 0.5, (0.9, 0), ball_radius=R, fps=250, exposure=0, psf_sigma_px=0.3)
-    film = Film(camera, far_off, [R], 1.0, Surface(plate_gloss=0.3, plate_roughness=0.5))
+    camera = PinholeCamera.overhead(
+        (160, 100), 5e-5, 0.5, (0.9, 0), ball_radius=R, fps=250, exposure=0, psf_sigma_px=0.3
+    )
+    film = MirrorRenderer(camera, far_off, [R], 1.0, Surface(plate_gloss=0.3, plate_roughness=0.5))
     film._unit = 0.0
     centre = np.array([0, 0, R])
     got = one_frame(film, centre).image - film.plate
-    points = plate.on_plate(camera)
+    points = plate.plate_points(camera)
     way = points - camera.centre
     way /= np.linalg.norm(way, axis=-1, keepdims=True)
     miss = np.linalg.norm(np.cross(way, centre - points), axis=-1)

@@ -6,7 +6,7 @@ from scipy.ndimage import gaussian_filter
 from scipy.signal import fftconvolve
 from scipy.special import j1
 
-from synthcam.camera.exposure import spots
+from synthcam.camera.exposure import integrate_spots
 from synthcam.camera.psf import Psf
 
 FINE = 24
@@ -15,7 +15,7 @@ POSITION = (7.5 / FINE, -4.5 / FINE)  # a sample of the fine grid
 
 def spot(psf, position=POSITION, width=None):
     width = width or 2 * psf.margin + 1
-    rows, columns = spots(
+    rows, columns = integrate_spots(
         np.array([position]) + psf.margin, np.full((1, 2), psf.sigma**2), np.zeros((1, 2)), width, psf.steps
     )
     patch = (rows.T @ columns)[None].astype(np.float32)
@@ -69,8 +69,8 @@ def test_diffraction_is_airys():
 
 
 def test_a_plain_gaussian_is_left_alone():
-    assert Psf(1.0).plain
+    assert Psf(1.0).is_gaussian
     assert Psf(1.0).steps == 1
     assert Psf(1.0).margin == 5
-    assert not Psf(1.0, defocus=0.1).plain
+    assert not Psf(1.0, defocus=0.1).is_gaussian
     assert Psf(0.3, airy=0.1).steps == 4

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from synthcam.camera.lamp import Flicker, Lamp
-from synthcam.camera.pinhole import Camera
-from synthcam.camera.render import Film
+from synthcam.camera.pinhole import PinholeCamera
+from synthcam.camera.render import MirrorRenderer
 from synthcam.scene import ground_truth
 from synthcam.scene.scene import check_scene
 
@@ -17,7 +17,7 @@ LAMP = Lamp(np.array([0.05, 0.0, 0.45]), 0.01)
 
 def overhead(**changes):
     settings = {"size": (120, 80), "scale": 1e-4, "height": 0.5, "ball_radius": R}
-    return Camera.overhead(**settings | {"fps": 250, "exposure": 1e-3, "psf_sigma_px": 1.0} | changes)
+    return PinholeCamera.overhead(**settings | {"fps": 250, "exposure": 1e-3, "psf_sigma_px": 1.0} | changes)
 
 
 def collision(times):
@@ -31,9 +31,9 @@ def collision(times):
 @pytest.mark.parametrize("depth", [0.0, 0.3])
 def test_each_row_is_exposed_in_its_own_time(line, depth):
     lamp = replace(LAMP, flicker=Flicker(depth, 120.0, 1.0))
-    (picture,) = Film(overhead(line_time=line), lamp, [R, R], 0.1).frames(collision, [[0, 1e-3]], [1.2e-3])
+    (picture,) = MirrorRenderer(overhead(line_time=line), lamp, [R, R], 0.1).frames(collision, [[0, 1e-3]], [1.2e-3])
     starts = np.arange(80) * line
-    rows = list(Film(overhead(), lamp, [R, R], 0.1).frames(collision, np.c_[starts, starts + 1e-3], [1.2e-3]))
+    rows = list(MirrorRenderer(overhead(), lamp, [R, R], 0.1).frames(collision, np.c_[starts, starts + 1e-3], [1.2e-3]))
     expected = np.stack([row.image[k] for k, row in enumerate(rows)])
     assert np.abs(picture.image - expected).max() < 3e-4
     assert np.abs(picture.plate - np.stack([row.plate[k] for k, row in enumerate(rows)])).max() < 1e-6
@@ -45,19 +45,19 @@ def test_each_row_is_exposed_in_its_own_time(line, depth):
 
 
 def test_a_rolling_shutter_on_an_empty_plate():
-    film = Film(overhead(line_time=1e-5), LAMP, [R], 0.1)
+    film = MirrorRenderer(overhead(line_time=1e-5), LAMP, [R], 0.1)
     (picture,) = film.frames(lambda t: np.tile([[[1.0, 0, R]]], (len(t), 1, 1)), [[0, 1e-3]])
     assert picture.boxes == ()
     np.testing.assert_array_equal(picture.image, film.plate)
 
 
 def test_flicker_over_a_long_exposure():
-    film = Film(overhead(), replace(LAMP, flicker=Flicker(0.5, 100.0, 0.3)), [R, R], 0.1)
+    film = MirrorRenderer(overhead(), replace(LAMP, flicker=Flicker(0.5, 100.0, 0.3)), [R, R], 0.1)
     (long,) = film.frames(collision, [[0, 4e-3]], [1.2e-3])
     instants = (np.arange(300) + 0.5) / 300 * 4e-3
     mean = np.mean([p.image for p in film.frames(collision, np.c_[instants, instants])], axis=0)
     assert np.abs(long.image - mean).max() < 1e-3
-    (steady,) = Film(overhead(), LAMP, [R, R], 0.1).frames(collision, [[0, 4e-3]], [1.2e-3])
+    (steady,) = MirrorRenderer(overhead(), LAMP, [R, R], 0.1).frames(collision, [[0, 4e-3]], [1.2e-3])
     assert np.abs(long.image - steady.image).max() > 0.02
 
 
@@ -70,7 +70,7 @@ def test_the_truth_stands_where_the_picture_shows_it(shutter):
     view = clip.view
     table = ground_truth.tracks(clip.launch.bodies, view, clip.lamp, clip.frames)
     drawn, (down, across) = view.as_drawn(), np.mgrid[:240, :320]
-    film = Film(clip.camera, clip.lamp, [clip.model.ball.radius], clip.room)
+    film = MirrorRenderer(clip.camera, clip.lamp, [clip.model.ball.radius], clip.room)
     pictures = film.frames(lambda t: drawn.at(t)[:, :, :3].transpose(1, 0, 2), drawn.spans(8), drawn.breaks())
     for picture, (_, row) in zip(pictures, table.iterrows(), strict=True):
         light = picture.image - picture.plate

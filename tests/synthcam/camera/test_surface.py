@@ -7,12 +7,12 @@ from hypothesis import strategies as st
 
 from synthcam.camera import reflections
 from synthcam.camera.glints import find_glints
-from synthcam.camera.pinhole import Camera, Lamp
+from synthcam.camera.pinhole import Lamp, PinholeCamera
 from synthcam.camera.surface import IRON, Surface, fresnel
 
 R = 1.19e-3
 LAMP = Lamp(np.array([0.05, 0.0, 0.45]), 0.01)
-CAMERA = Camera.overhead((640, 480), 1.6e-4, 0.5, ball_radius=R, fps=250, exposure=5e-4, psf_sigma_px=1.0)
+CAMERA = PinholeCamera.overhead((640, 480), 1.6e-4, 0.5, ball_radius=R, fps=250, exposure=5e-4, psf_sigma_px=1.0)
 
 
 @given(st.floats(0.1, 5), st.floats(0.01, 5), st.floats(0.01, 1))
@@ -43,7 +43,7 @@ def test_roughness_is_what_tilted_facets_make_of_it():
     # Second order: turn the normals of either ball by hand and let Newton find the tilted path.
     eye, chain = CAMERA.centre, np.array([[0, 1]])
     paths = reflections.reflect(LAMP.position, eye, centres[0][chain], radii[chain])
-    tilts = reflections.tilted(LAMP.position, eye, paths, centres[0][chain], radii[chain])
+    tilts = reflections.differentiate_by_tilt(LAMP.position, eye, paths, centres[0][chain], radii[chain])
     assert tilts.shape == (1, 3, 4)
     moved = CAMERA.project_with_slope(paths.points[:, -1])[1] @ tilts
     faint = np.flatnonzero((sharp.order == 2) & (sharp.ball == 1))

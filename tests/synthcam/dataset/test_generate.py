@@ -16,7 +16,7 @@ from processes import alive, until
 
 from synthcam.dataset import generate
 from synthcam.dataset.files import clip_folders, verify
-from synthcam.dataset.generate import Plan, make_clip, run
+from synthcam.dataset.generate import GenerationPlan, generate_dataset, make_clip
 from synthcam.scene.scene import check_scene
 from synthcam_shared.errors import InputError
 
@@ -33,7 +33,7 @@ COMMAND = [sys.executable, "-c", "from synthcam.cli import main; main()"]
 
 
 def plan(clips=6, seed=5, scene=SCENE):
-    return Plan((check_scene(scene, "s.yaml"),), clips, seed, video=False)
+    return GenerationPlan((check_scene(scene, "s.yaml"),), clips, seed, video=False)
 
 
 def quiet(done, total):
@@ -47,12 +47,12 @@ def sums(folder):
 @pytest.fixture(scope="module")
 def one(tmp_path_factory):
     out = tmp_path_factory.mktemp("one") / "d"
-    assert run(plan(), out, 1, quiet).made == 6
+    assert generate_dataset(plan(), out, 1, quiet).made == 6
     return out
 
 
 def test_two_workers_make_the_same_bytes(one, tmp_path):
-    assert run(plan(), tmp_path / "d", 2, quiet).made == 6
+    assert generate_dataset(plan(), tmp_path / "d", 2, quiet).made == 6
     assert sums(tmp_path / "d") == sums(one)
     assert verify(tmp_path / "d").problems == ()
     assert not (tmp_path / "d.partial").exists()
@@ -70,7 +70,7 @@ def test_processes_start_where_there_is_much_to_do(one, tmp_path, monkeypatch, s
     monkeypatch.setattr(generate.time, "process_time", lambda: next(clock))
     monkeypatch.setattr(generate.os, "cpu_count", lambda: 2)
     monkeypatch.setattr(generate, "each", each)
-    run(plan(), tmp_path / "d", 0, quiet)
+    generate_dataset(plan(), tmp_path / "d", 0, quiet)
     assert asked == [([1, 2, 4], others)]
     assert sums(tmp_path / "d") == sums(one)
 
@@ -81,26 +81,26 @@ def test_so_does_the_other_order(one, tmp_path):
     (partial / "plan.json").write_text(json.dumps(plan().document()))
     for k in reversed(range(6)):
         assert make_clip(plan(), k, partial) == ""
-    assert run(plan(), tmp_path / "d", 1, quiet).made == 0
+    assert generate_dataset(plan(), tmp_path / "d", 1, quiet).made == 0
     assert sums(tmp_path / "d") == sums(one)
 
 
 def test_another_seed_is_another_dataset(one, tmp_path):
-    run(plan(seed=6), tmp_path / "d", 1, quiet)
+    generate_dataset(plan(seed=6), tmp_path / "d", 1, quiet)
     assert sums(tmp_path / "d") != sums(one)
     rows = [json.loads((c / "truth/scene.json").read_text())["row"]["v0"] for c in clip_folders(one)]
     assert len(set(rows)) == 6
 
 
 def test_clips_do_not_lean_on_how_many_there_are(one, tmp_path):
-    run(plan(clips=2), tmp_path / "d", 1, quiet)
+    generate_dataset(plan(clips=2), tmp_path / "d", 1, quiet)
     for name in ("camera.json", "truth/tracks.parquet", "truth/scene.json"):
         assert (tmp_path / "d/clips/000001" / name).read_bytes() == (one / "clips/000001" / name).read_bytes()
 
 
 def test_two_scenes_are_numbered_on(tmp_path):
     scenes = (check_scene(SCENE, "a"), check_scene({"name": "alone", "launch": {"kind": "single"}}, "b"))
-    table = run(Plan(scenes, 2, 0, video=False), tmp_path / "d", 1, quiet).table
+    table = generate_dataset(GenerationPlan(scenes, 2, 0, video=False), tmp_path / "d", 1, quiet).table
     assert table["clip"].tolist() == [0, 1, 2, 3]
     assert table.scene.tolist() == ["scene", "scene", "alone", "alone"]
 
@@ -108,7 +108,7 @@ def test_two_scenes_are_numbered_on(tmp_path):
 def test_a_second_run_makes_nothing(one):
     before = {p: p.stat().st_mtime_ns for p in one.rglob("*")}
     ticks = []
-    outcome = run(plan(), one, 2, lambda *x: ticks.append(x))
+    outcome = generate_dataset(plan(), one, 2, lambda *x: ticks.append(x))
     assert (outcome.made, len(outcome.table), ticks) == (0, 6, [(6, 6)])
     assert {p: p.stat().st_mtime_ns for p in one.rglob("*")} == before
 
@@ -116,7 +116,7 @@ def test_a_second_run_makes_nothing(one):
 @pytest.mark.parametrize("change", [{"clips": 7}, {"seed": 6}, {"scene": {}}])
 def test_another_dataset_is_not_overwritten(one, change):
     with pytest.raises(InputError, match=r"holds a dataset with another (clips_per_scene|seed|scenes)"):
-        run(plan(**change), one, 1, quiet)
+        generate_dataset(plan(**change), one, 1, quiet)
 
 
 @pytest.mark.parametrize("name", ["d", "d.partial"])
@@ -124,7 +124,7 @@ def test_a_folder_that_holds_something_else_is_left_alone(tmp_path, name):
     (tmp_path / name).mkdir()
     (tmp_path / name / "thesis.txt").write_text("ten years")
     with pytest.raises(InputError, match="holds something else"):
-        run(plan(), tmp_path / "d", 1, quiet)
+        generate_dataset(plan(), tmp_path / "d", 1, quiet)
     assert [p.name for p in tmp_path.rglob("*")] == [name, "thesis.txt"]
 
 
@@ -133,12 +133,12 @@ def test_a_plan_that_is_none(tmp_path, text):
     (tmp_path / "d.partial").mkdir()
     (tmp_path / "d.partial/plan.json").write_text(text)
     with pytest.raises(InputError, match=r"not JSON|holds a dataset with another"):
-        run(plan(), tmp_path / "d", 1, quiet)
+        generate_dataset(plan(), tmp_path / "d", 1, quiet)
 
 
 def test_an_empty_folder_is_as_good_as_none(one, tmp_path):
     (tmp_path / "d").mkdir()
-    run(plan(), tmp_path / "d", 1, quiet)
+    generate_dataset(plan(), tmp_path / "d", 1, quiet)
     assert sums(tmp_path / "d") == sums(one)
 
 
@@ -171,10 +171,10 @@ def test_stopped_at_any_moment_it_goes_on(one, tmp_path, monkeypatch, moment):
         else:
             m.setattr(generate, moment, stop(getattr(generate, moment), 3 if moment == "make_clip" else 1))
         with pytest.raises(KeyboardInterrupt):
-            run(plan(), tmp_path / "d", 1, quiet)
+            generate_dataset(plan(), tmp_path / "d", 1, quiet)
     assert not (tmp_path / "d").exists()
     (tmp_path / "d.partial/clips/000005.tmp/truth").mkdir(parents=True)
-    assert run(plan(), tmp_path / "d", 1, quiet).made == (4 if moment == "make_clip" else 0)
+    assert generate_dataset(plan(), tmp_path / "d", 1, quiet).made == (4 if moment == "make_clip" else 0)
     assert sums(tmp_path / "d") == sums(one)
     assert verify(tmp_path / "d").problems == ()
 
@@ -182,7 +182,7 @@ def test_stopped_at_any_moment_it_goes_on(one, tmp_path, monkeypatch, moment):
 def test_a_clip_that_cannot_be_made_spares_the_rest(tmp_path):
     """A tilt that some balls cannot rest on."""
     scene = SCENE | {"effects": {"plate_tilt": {"x": {"uniform": [0.0, 2.9e-3]}}}}
-    outcome = run(plan(scene=scene, clips=12), tmp_path / "d", 1, quiet)
+    outcome = generate_dataset(plan(scene=scene, clips=12), tmp_path / "d", 1, quiet)
     assert 0 < len(outcome.failed) < 12
     assert outcome.made + len(outcome.failed) == 12
     assert all("cannot rest" in line and line.startswith("clip ") for line in outcome.failed)
@@ -193,14 +193,14 @@ def test_a_clip_that_cannot_be_made_spares_the_rest(tmp_path):
 
 def test_when_no_clip_can_be_made_nothing_is_left(tmp_path):
     scene = SCENE | {"effects": {"plate_tilt": {"x": 0.05}}}
-    assert len(run(plan(scene=scene), tmp_path / "d", 1, quiet).failed) == 6
+    assert len(generate_dataset(plan(scene=scene), tmp_path / "d", 1, quiet).failed) == 6
     assert list(tmp_path.iterdir()) == []
 
 
 @pytest.fixture(scope="module")
 def many(tmp_path_factory):
     out = tmp_path_factory.mktemp("many") / "d"
-    run(plan(clips=MANY), out, 1, quiet)
+    generate_dataset(plan(clips=MANY), out, 1, quiet)
     return out
 
 

@@ -9,7 +9,7 @@ import pytest
 from synthcam_stub import make, plan, quiet, sums
 
 from synthcam.dataset.files import clip_folders, verify
-from synthcam.dataset.generate import run
+from synthcam.dataset.generate import generate_dataset
 from synthcam.dataset.merge import merge
 from synthcam_shared.errors import InputError
 
@@ -116,9 +116,9 @@ def test_machines_that_draw_otherwise_are_named(parts, tmp_path):
 
 def test_a_shard_does_not_go_on_as_the_whole(parts, tmp_path):
     with pytest.raises(InputError, match="holds a dataset with another shard"):
-        run(plan(clips=5), parts[0], 1, quiet)
+        generate_dataset(plan(clips=5), parts[0], 1, quiet)
     with pytest.raises(InputError, match="holds a dataset with another shard"):
-        run(plan(clips=5, shard=(2, 3)), parts[0], 1, quiet)
+        generate_dataset(plan(clips=5, shard=(2, 3)), parts[0], 1, quiet)
 
 
 HOSTILE = [

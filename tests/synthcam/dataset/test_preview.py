@@ -36,7 +36,7 @@ def frames_of(path):
 @pytest.mark.parametrize("name", ["f.gif", "f.mp4", "F.GIF"])
 def test_a_film(clip, tmp_path, name):
     path = tmp_path / name
-    assert preview.write_film(clip, path) == pytest.approx(250 / 20)
+    assert preview.write_animation(clip, path) == pytest.approx(250 / 20)
     assert [p.name for p in tmp_path.iterdir()] == [name]
     frames = frames_of(path.rename(tmp_path / name.lower()))
     assert len(frames) == clip.frames
@@ -45,18 +45,18 @@ def test_a_film(clip, tmp_path, name):
 
 
 def test_it_plays_at_the_speed_it_states(clip, tmp_path):
-    preview.write_film(clip, tmp_path / "f.gif")
+    preview.write_animation(clip, tmp_path / "f.gif")
     assert iio.immeta(tmp_path / "f.gif")["duration"] == 50
-    preview.write_film(clip, tmp_path / "f.mp4")
+    preview.write_animation(clip, tmp_path / "f.mp4")
     assert cv2.VideoCapture(str(tmp_path / "f.mp4")).get(cv2.CAP_PROP_FPS) == pytest.approx(20)
 
 
 def test_the_balls_are_where_the_crop_says(clip, tmp_path):
     """Each frame's brightest position is one of the balls, by the crop's corner and the magnification."""
-    preview.write_film(clip, tmp_path / "f.gif")
+    preview.write_animation(clip, tmp_path / "f.gif")
     view = clip.view
     positions = view.at(np.arange(clip.frames) / clip.camera.fps)[:, :, :3]
-    rows, columns = preview._crop(clip, positions)
+    rows, columns = preview._crop_to_paths(clip, positions)
     frames = frames_of(tmp_path / "f.gif")
     zoom = frames[0].shape[1] / (columns.stop - columns.start)
     assert zoom == round(zoom) > 1
@@ -70,7 +70,7 @@ def test_the_balls_are_where_the_crop_says(clip, tmp_path):
 def test_the_crop_holds_the_balls_and_no_more_than_the_picture(clip):
     view = clip.view
     positions = view.at(np.arange(clip.frames) / clip.camera.fps)[:, :, :3]
-    rows, columns = preview._crop(clip, positions)
+    rows, columns = preview._crop_to_paths(clip, positions)
     assert rows.start >= 0 <= columns.start
     assert rows.stop <= 64
     assert columns.stop <= 128
@@ -90,7 +90,7 @@ def test_a_film_that_fails_leaves_nothing(clip, tmp_path, monkeypatch):
     monkeypatch.setattr(Clip, "pictures", broken)
     for name in ("f.gif", "f.mp4"):
         with pytest.raises(InputError, match="no more"):
-            preview.write_film(clip, tmp_path / name)
+            preview.write_animation(clip, tmp_path / name)
         assert not list(tmp_path.iterdir())
 
 
@@ -100,7 +100,7 @@ def test_a_gif_on_a_full_disk_leaves_nothing_and_says_no_more(clip, tmp_path):
     resource.setrlimit(resource.RLIMIT_FSIZE, (1 << 16, usual[1]))  # what `check_room` wants, and no more
     try:
         with pytest.raises(InputError, match=r"f\.gif: File too large$"):
-            preview.write_film(clip, tmp_path / "f.gif")
+            preview.write_animation(clip, tmp_path / "f.gif")
         gc.collect()
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, usual)

@@ -18,7 +18,7 @@ from synthcam_stub import make, plan, quiet, sums
 
 from synthcam.dataset import generate, staging
 from synthcam.dataset.files import clip_folders, verify
-from synthcam.dataset.generate import run
+from synthcam.dataset.generate import generate_dataset
 from synthcam_shared.errors import InputError
 from tracker.detection.detect import DEFAULT
 from tracker.pipeline import run as tracked
@@ -52,11 +52,11 @@ def test_a_full_disk_stops_all_and_a_rerun_goes_on(tmp_path, monkeypatch):
 
     monkeypatch.setattr(generate, "write_clip", full)
     with pytest.raises(InputError, match=r"d\.partial: No space left on device; the same command goes on"):
-        run(silent(6), tmp_path / "d", 1, quiet)
+        generate_dataset(silent(6), tmp_path / "d", 1, quiet)
     assert calls == [0, 1, 2]
     assert [p.name for p in (tmp_path / "d.partial/clips").iterdir()] == ["000000", "000001"]
-    assert run(silent(6), tmp_path / "d", 1, quiet).made == 4
-    run(silent(6), tmp_path / "whole", 1, quiet)
+    assert generate_dataset(silent(6), tmp_path / "d", 1, quiet).made == 4
+    generate_dataset(silent(6), tmp_path / "whole", 1, quiet)
     assert sums(tmp_path / "d") == sums(tmp_path / "whole")
 
 
@@ -66,14 +66,14 @@ def test_full_before_the_first_clip_it_leaves_nothing(tmp_path, monkeypatch):
 
     monkeypatch.setattr(generate, "write_clip", full)
     with pytest.raises(InputError, match="No space left"):
-        run(silent(6), tmp_path / "d", 1, quiet)
+        generate_dataset(silent(6), tmp_path / "d", 1, quiet)
     assert not list(tmp_path.iterdir())
 
 
 def test_a_disk_too_small_is_refused_before_the_start(tmp_path, monkeypatch):
     monkeypatch.setattr(generate.shutil, "disk_usage", lambda path: SimpleNamespace(free=100_000))
     with pytest.raises(InputError, match=r"4 clips take 1 MB, and 0 MB are free there"):
-        run(plan(), tmp_path / "d", 1, quiet)
+        generate_dataset(plan(), tmp_path / "d", 1, quiet)
     assert not list(tmp_path.iterdir())
 
 
@@ -165,10 +165,10 @@ def test_a_bug_in_one_clip_is_reported_with_its_kind(tmp_path, monkeypatch):
 
     with monkeypatch.context() as patch:
         patch.setattr(generate, "write_clip", buggy)
-        outcome = run(silent(), tmp_path / "d", 1, quiet)
+        outcome = generate_dataset(silent(), tmp_path / "d", 1, quiet)
     assert outcome.failed == ("clip 2: ZeroDivisionError: float division by zero",)
     assert (outcome.made, outcome.table) == (3, None)
-    assert run(silent(), tmp_path / "d", 1, quiet).made == 1
+    assert generate_dataset(silent(), tmp_path / "d", 1, quiet).made == 1
 
 
 def test_two_commands_do_not_make_one_dataset(tmp_path):
@@ -177,22 +177,22 @@ def test_two_commands_do_not_make_one_dataset(tmp_path):
     def tick(done, total):
         if done == 1:
             with pytest.raises(InputError, match=r"d\.partial: another process is at work there"):
-                run(silent(), tmp_path / "d", 1, quiet)
+                generate_dataset(silent(), tmp_path / "d", 1, quiet)
             seen.append(done)
 
-    assert run(silent(), tmp_path / "d", 1, tick).made == 4
+    assert generate_dataset(silent(), tmp_path / "d", 1, tick).made == 4
     assert seen == [1]
 
 
 def test_an_estimate_from_the_first_clips(tmp_path):
     heard = []
-    outcome = run(silent(8), tmp_path / "d", 1, quiet, announce=heard.append)
+    outcome = generate_dataset(silent(8), tmp_path / "d", 1, quiet, announce=heard.append)
     assert outcome.made == 8
     assert len(heard) == 1
     said = re.fullmatch(r"5 clips to come: about \d+ s, ([\d.]+) MB of [\d,]+ MB free", heard[0])
     size = sum(p.stat().st_size for p in (tmp_path / "d/clips").rglob("*") if p.is_file()) / 8e6
     assert float(said[1]) == pytest.approx(5 * size, rel=0.1, abs=0.05)
-    run(silent(8), tmp_path / "plain", 1, quiet)
+    generate_dataset(silent(8), tmp_path / "plain", 1, quiet)
     assert sums(tmp_path / "d") == sums(tmp_path / "plain")
 
 
@@ -211,13 +211,13 @@ def test_truth_is_withheld(tmp_path, monkeypatch):
     for name in files(whole) - top:
         assert (whole / name).read_bytes() == ((out if name in files(out) else secret) / name).read_bytes()
     assert verify(out).problems == verify(secret).problems == ()
-    assert run(plan(), out, 1, quiet, secret).made == 0
+    assert generate_dataset(plan(), out, 1, quiet, secret).made == 0
 
 
 @pytest.mark.parametrize("moment", ["truth in place", "between the last moves"])
 def test_withheld_it_goes_on_too(tmp_path, monkeypatch, moment):
     whole = make(tmp_path / "whole", monkeypatch, tmp_path / "whole_truth")
-    rename, settle, calls = Path.rename, generate.settle, []
+    rename, settle, calls = Path.rename, generate.move_into_place, []
 
     def stop_rename(path, target):
         calls.append(path) if path.suffix == ".partial" else None
@@ -233,13 +233,13 @@ def test_withheld_it_goes_on_too(tmp_path, monkeypatch, moment):
 
     with monkeypatch.context() as patch:
         if moment == "truth in place":
-            patch.setattr(generate, "settle", stop_settle)
+            patch.setattr(generate, "move_into_place", stop_settle)
         else:
             patch.setattr(Path, "rename", stop_rename)
         with pytest.raises(KeyboardInterrupt):
-            run(plan(), tmp_path / "d", 1, quiet, tmp_path / "t")
+            generate_dataset(plan(), tmp_path / "d", 1, quiet, tmp_path / "t")
     assert not (tmp_path / "d").exists()
-    made = run(plan(), tmp_path / "d", 1, quiet, tmp_path / "t").made
+    made = generate_dataset(plan(), tmp_path / "d", 1, quiet, tmp_path / "t").made
     assert made == (2 if moment == "truth in place" else 0)
     assert sums(tmp_path / "d") == sums(whole)
     assert sums(tmp_path / "t") == sums(tmp_path / "whole_truth")
@@ -248,11 +248,11 @@ def test_withheld_it_goes_on_too(tmp_path, monkeypatch, moment):
 def test_withheld_truth_goes_nowhere_else(tmp_path, monkeypatch):
     make(tmp_path / "d", monkeypatch, tmp_path / "t")
     with pytest.raises(InputError, match="t: holds the truth of a dataset that is not at"):
-        run(plan(), tmp_path / "other", 1, quiet, tmp_path / "t")
+        generate_dataset(plan(), tmp_path / "other", 1, quiet, tmp_path / "t")
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine/thesis.txt").write_text("ten years")
     with pytest.raises(InputError, match="mine: holds something else"):
-        run(plan(), tmp_path / "new", 1, quiet, tmp_path / "mine")
+        generate_dataset(plan(), tmp_path / "new", 1, quiet, tmp_path / "mine")
     assert files(tmp_path / "mine") == {"thesis.txt"}
 
 
@@ -286,16 +286,16 @@ def test_zstd_holds_the_same_pixels(tmp_path, monkeypatch, wide):
     name = "clips/000002/frames.tif"
     assert (tifffile.imread(plain / name) == tifffile.imread(small / name)).all()
     assert (small / name).stat().st_size < 0.9 * (plain / name).stat().st_size
-    assert run(plan(scene=scene, compression="zstd"), small, 1, quiet).made == 0
+    assert generate_dataset(plan(scene=scene, compression="zstd"), small, 1, quiet).made == 0
     with pytest.raises(InputError, match="another compression"):
-        run(plan(scene=scene), small, 1, quiet)
+        generate_dataset(plan(scene=scene), small, 1, quiet)
     card = (small / "README.md").read_text()
     assert "cv2" not in card
     assert "imagecodecs" in card
 
 
 def test_a_name_that_nobody_else_uses(tmp_path):
-    assert staging.aside(tmp_path / "000001") != staging.aside(tmp_path / "000001")
+    assert staging.name_temporary(tmp_path / "000001") != staging.name_temporary(tmp_path / "000001")
 
 
 @pytest.mark.parametrize(
@@ -309,7 +309,7 @@ def test_the_truth_never_comes_to_lie_in_the_dataset(tmp_path, monkeypatch, with
         Path(link).symlink_to(to)
     (tmp_path / "d").mkdir()
     with pytest.raises(InputError, match="expected a folder apart from"):
-        run(silent(), Path("d"), 1, quiet, Path(withheld))
+        generate_dataset(silent(), Path("d"), 1, quiet, Path(withheld))
     assert not list(tmp_path.rglob("*.json"))
 
 
@@ -317,7 +317,7 @@ def test_two_dots_lead_to_where_they_lead(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "d").mkdir()
     (tmp_path / "dw").mkdir()
-    run(silent(1), Path("d"), 1, quiet, Path("d/../dw/secret"))
+    generate_dataset(silent(1), Path("d"), 1, quiet, Path("d/../dw/secret"))
     assert files(tmp_path / "d") == {"README.md", "SHA256SUMS", "clips/000000/camera.json"}
     assert "truth/clips.parquet" in files(tmp_path / "dw/secret")
     assert sorted(p.name for p in tmp_path.iterdir()) == ["d", "dw"]

@@ -10,7 +10,7 @@ from synthcam_stub import SCENE, make
 
 from synthcam.dataset.export import export
 from synthcam.dataset.files import verify
-from synthcam.dataset.video import Video
+from synthcam.dataset.video import VideoWriter
 from synthcam.scene.scene import check_scene
 from synthcam_shared.errors import InputError
 
@@ -37,7 +37,7 @@ def smooth(frames, colour, top=255):
 
 
 def written(folder, codec, frames, fps=250.0, bits=8, **how):
-    film = Video(folder, HOW | {"codec": codec} | how, fps, (64, 48), bits)
+    film = VideoWriter(folder, HOW | {"codec": codec} | how, fps, (64, 48), bits)
     for frame in frames:
         film.write(frame)
     film.close()

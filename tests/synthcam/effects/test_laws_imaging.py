@@ -8,13 +8,13 @@ import pytest
 from scipy.optimize import fsolve
 from scipy.spatial.transform import Rotation
 
-from synthcam.camera.pinhole import Camera, Lamp, glint_px
+from synthcam.camera.pinhole import Lamp, PinholeCamera, project_glint
 from synthcam.dynamics.launch import Launch
 from synthcam.model import Model
-from synthcam.scene.filmed_motion import View
+from synthcam.scene.film_time import FilmedMotion
 
 SIZE, SCALE, HEIGHT, R = (640, 480), 1.6e-4, 0.5, Model().ball.radius
-FILE = Camera.overhead(SIZE, SCALE, HEIGHT, ball_radius=R, fps=250, exposure=5e-4, psf_sigma_px=1.0)
+FILE = PinholeCamera.overhead(SIZE, SCALE, HEIGHT, ball_radius=R, fps=250, exposure=5e-4, psf_sigma_px=1.0)
 POINTS = np.array([[x, y, z] for x in (-0.04, 0.0, 0.05) for y in (-0.03, 0.02) for z in (0.0, R)])
 
 
@@ -67,7 +67,7 @@ SETUP = {"time": 0.1, "v0": 0.4, "b": 0.3, "heading": 0.7, "contact": (0.003, -0
 
 def filmed(model, frames=60, camera=FILE):
     """How a model's collision is filmed; positions of the balls come by `at`, over exposures by `mean`."""
-    return View.of(model, Launch.pair(model.bodies("ab"), **SETUP), camera, frames)
+    return FilmedMotion.solve(model, Launch.pair(model.bodies("ab"), **SETUP), camera, frames)
 
 
 def test_clock_error_is_a_plate_and_a_launch_of_other_numbers():
@@ -83,7 +83,9 @@ def test_clock_error_is_a_plate_and_a_launch_of_other_numbers():
         }
     )
     launch = Launch.pair(twin.bodies("ab"), **SETUP | {"time": 0.1 / f, "v0": 0.4 * f})
-    np.testing.assert_allclose(fast[..., :3], View.of(twin, launch, FILE, 60).at(film)[..., :3], rtol=0, atol=1e-12)
+    np.testing.assert_allclose(
+        fast[..., :3], FilmedMotion.solve(twin, launch, FILE, 60).at(film)[..., :3], rtol=0, atol=1e-12
+    )
 
 
 def test_clock_drift_is_a_frame_rate_that_falls_by_2_e_a_second():
@@ -144,7 +146,7 @@ def test_a_glint_taken_for_the_centre_is_where_a_mirror_ball_shows_the_lamp(name
     model = Model().replace({f"{name}.{k}": v for k, v in {"share": 0.4, **shapes}.items()})
 
     def mirrored(pixels, where=lamp):
-        return pixels + glint_px(FILE, Lamp(np.array(where), 0.01), centre, R) - px
+        return pixels + project_glint(FILE, Lamp(np.array(where), 0.01), centre, R) - px
 
     found = model.laws("measure", px, {"glint": mirrored, "mirrored": mirrored})
     np.testing.assert_allclose(found, px + 0.4 * (glint - px), rtol=0, atol=1e-9)

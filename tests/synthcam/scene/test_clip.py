@@ -8,7 +8,7 @@ import pytest
 import tifffile
 
 import synthcam
-from synthcam.dataset.generate import Plan, run
+from synthcam.dataset.generate import GenerationPlan, generate_dataset
 from synthcam.scene.scene import Scene
 from synthcam_shared.errors import InputError
 
@@ -26,7 +26,7 @@ def scene():
 @pytest.fixture(scope="module")
 def dataset(scene, tmp_path_factory):
     folder = tmp_path_factory.mktemp("clip") / "data"
-    assert run(Plan((scene,), 2, 7), folder, 1, lambda done, of: None).failed == ()
+    assert generate_dataset(GenerationPlan((scene,), 2, 7), folder, 1, lambda done, of: None).failed == ()
     return folder
 
 

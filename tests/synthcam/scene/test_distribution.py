@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from synthcam.scene.distribution import as_distribution, choices, corner, drawn, replaced
+from synthcam.scene.distribution import draw, find_choices, parse_distribution, replace_at, replace_by_extremes
 from synthcam.scene.scene import check_scene
 from synthcam_shared.errors import InputError
 
@@ -14,7 +14,7 @@ SCENE = {"launch": {"v0": {"uniform": [0.1, 0.6]}, "b": {"normal": [0.0, 0.1]}},
 
 
 def values(kind, args, n=2000):
-    return [drawn({"x": {kind: args}}, k, 7)["x"] for k in range(n)]
+    return [draw({"x": {kind: args}}, k, 7)["x"] for k in range(n)]
 
 
 def test_each_has_its_law():
@@ -26,28 +26,28 @@ def test_each_has_its_law():
 
 
 def test_a_normal_is_cut():
-    assert corner({"x": {"normal": [1, 2]}}, "low", "", "") == {"x": -7}
-    assert corner({"x": {"normal": [1, 2]}}, "high", "", "") == {"x": 9}
+    assert replace_by_extremes({"x": {"normal": [1, 2]}}, "low", "", "") == {"x": -7}
+    assert replace_by_extremes({"x": {"normal": [1, 2]}}, "high", "", "") == {"x": 9}
     assert max(np.abs(values("normal", [0, 1], 5000))) <= 4
 
 
 def test_no_value_moves_another():
-    alone = [drawn(SCENE, k, 3)["launch"]["v0"] for k in range(5)]
+    alone = [draw(SCENE, k, 3)["launch"]["v0"] for k in range(5)]
     more = {"sensor": {"gain": {"uniform": [1, 2]}}, **SCENE, "model": {"restitution": {"uniform": [0.8, 0.9]}}}
     fewer = {"launch": {"v0": {"uniform": [0.1, 0.6]}}}
     for other in (more, fewer):
-        assert [drawn(other, k, 3)["launch"]["v0"] for k in range(5)] == alone
+        assert [draw(other, k, 3)["launch"]["v0"] for k in range(5)] == alone
 
 
 def test_same_draw_whatever_the_order():
-    forth = [drawn(SCENE, k, 3) for k in range(6)]
-    back = [drawn(SCENE, k, 3) for k in reversed(range(6))]
+    forth = [draw(SCENE, k, 3) for k in range(6)]
+    back = [draw(SCENE, k, 3) for k in reversed(range(6))]
     assert forth == back[::-1]
 
 
 def test_clip_seed_and_key_each_make_another_stream():
     def v(number, seed, key="v0"):
-        return drawn({"launch": {key: {"uniform": [0, 1]}}}, number, seed)["launch"][key]
+        return draw({"launch": {key: {"uniform": [0, 1]}}}, number, seed)["launch"][key]
 
     found = [v(k, s, key) for k in range(20) for s in range(20) for key in ("v0", "b")]
     assert len(set(found)) == 800
@@ -58,7 +58,7 @@ def test_clip_seed_and_key_each_make_another_stream():
 def test_pinned():
     """A dataset's seed means the same in every version: this number may change only with a line in the CHANGELOG."""
     rng = np.random.Generator(np.random.PCG64(np.random.SeedSequence(3, spawn_key=(1, zlib.crc32(b"launch.v0")))))
-    assert drawn(SCENE, 1, 3)["launch"]["v0"] == rng.uniform(0.1, 0.6)
+    assert draw(SCENE, 1, 3)["launch"]["v0"] == rng.uniform(0.1, 0.6)
 
 
 @pytest.mark.parametrize(
@@ -78,18 +78,18 @@ def test_pinned():
 )
 def test_a_wrong_one_is_named(wrong):
     with pytest.raises(InputError, match=r"file: launch\.v0\.(uniform|normal|choice): expected"):
-        as_distribution(wrong, "launch.v0", "file")
+        parse_distribution(wrong, "launch.v0", "file")
 
 
 def test_what_is_none():
     for value in (3, "uniform", {"gauss": [0, 1]}, {"uniform": [0, 1], "normal": [0, 1]}, {}, None):
-        assert as_distribution(value, "", "") is None
+        assert parse_distribution(value, "", "") is None
 
 
 def test_choices_are_found_and_put_in():
     plain = {"a": {"b": {"choice": [1, 2]}, "c": 3}}
-    assert list(choices(plain)) == [(("a", "b"), [1, 2])]
-    assert replaced(plain, ("a", "b"), 9) == {"a": {"b": 9, "c": 3}}
+    assert list(find_choices(plain)) == [(("a", "b"), [1, 2])]
+    assert replace_at(plain, ("a", "b"), 9) == {"a": {"b": 9, "c": 3}}
     assert plain["a"]["b"] == {"choice": [1, 2]}
 
 

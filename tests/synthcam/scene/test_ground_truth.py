@@ -5,14 +5,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from synthcam.camera.pinhole import Camera, Lamp
+from synthcam.camera.pinhole import Lamp, PinholeCamera
 from synthcam.dynamics.kinematics import contact_velocity, rolling_state, rolling_velocity
 from synthcam.dynamics.launch import Launch
 from synthcam.dynamics.solve import solve
 from synthcam.effects.velocity_restitution import VelocityRestitution
 from synthcam.model import Model
 from synthcam.scene import ground_truth
-from synthcam.scene.filmed_motion import View
+from synthcam.scene.film_time import FilmedMotion
 from synthcam.scene.scene import check_scene
 
 R = Model().ball.radius
@@ -23,7 +23,7 @@ LAMP = Lamp(np.array([0.05, 0.0, 0.45]), 0.01)
 
 def camera(**changes):
     settings = {"size": (640, 480), "scale": 1.6e-4, "height": 0.5, "ball_radius": R}
-    return Camera.overhead(**settings | {"fps": 250, "exposure": 5e-4, "psf_sigma_px": 1.0} | changes)
+    return PinholeCamera.overhead(**settings | {"fps": 250, "exposure": 5e-4, "psf_sigma_px": 1.0} | changes)
 
 
 def scalars(model, launch, end=0.3):
@@ -120,7 +120,7 @@ def test_relaxation_beyond_the_clip():
     assert short == pytest.approx(long, rel=1e-12, nan_ok=True)
     late = solve(clip.model, clip.launch, 0.0, 27 / 250)
     assert late.t1 > 27 / 250
-    view = View.of(clip.model, clip.launch, clip.camera, 27)
+    view = FilmedMotion.solve(clip.model, clip.launch, clip.camera, 27)
     assert ground_truth.tracks(clip.launch.bodies, view, clip.lamp, 27)["t_s"].max() < 27 / 250
 
 
@@ -162,7 +162,7 @@ def test_the_mean_over_the_exposure(exposure, distortion):
     seen = camera(exposure=exposure, distortion=distortion, tilt=(0.05, -0.02))
     t_c = (10 + 0.4 * exposure * 250) / 250  # within frame 10's exposure
     motion = solve(Model(), Launch.pair(PAIR, t_c, 0.6, 0.3, 0.7, (0.01, 0.0)), 0.0, 0.4)
-    table = ground_truth.tracks(PAIR, View(Model(), seen, motion), LAMP, 40)
+    table = ground_truth.tracks(PAIR, FilmedMotion(Model(), seen, motion), LAMP, 40)
     slides = [e.t for e in motion.events if e.kind == "slide_end"]
     frames = [0, 9, 10, 11, *(int(t * 250) for t in slides)]
     for k in frames:
@@ -178,14 +178,14 @@ def test_the_mean_over_the_exposure(exposure, distortion):
 
 def test_no_exposure_has_its_instant_for_a_mean():
     motion = solve(Model(), Launch.pair(PAIR, 0.04, 0.6, 0.3, 0.7, (0, 0)), 0.0, 0.4)
-    table = ground_truth.tracks(PAIR, View(Model(), camera(exposure=0.0), motion), LAMP, 20)
+    table = ground_truth.tracks(PAIR, FilmedMotion(Model(), camera(exposure=0.0), motion), LAMP, 20)
     np.testing.assert_allclose(table.x_mean_px, table.x_px, rtol=0, atol=1e-10)
     np.testing.assert_allclose(table.t_s[:20], np.arange(20) / 250, rtol=0, atol=1e-15)
 
 
 def test_tracks_columns_and_states():
     motion = solve(Model(), Launch.pair(PAIR, 0.1, 0.3, 0.2, 0.0, (0, 0)), 0.0, 0.4)
-    table = ground_truth.tracks(PAIR, View(Model(), camera(), motion), LAMP, 100)
+    table = ground_truth.tracks(PAIR, FilmedMotion(Model(), camera(), motion), LAMP, 100)
     columns = (
         "frame t_s particle x_px y_px glint_x_px glint_y_px x y z vx vy vz wx wy wz x_mean_px y_mean_px state visible"
     )
@@ -210,7 +210,7 @@ def test_visible_means_the_whole_ball():
     for x, seen in ((7.0, True), (6.8, False), (632.0, True), (632.2, False), (-50, False), (900, False)):
         position = ((x - 319.5) * 1.6e-4, 0.0)
         motion = solve(Model(rolling_decel=0), Launch.single(ALONE, 0.0, 1e-9, 0, position), 0.0, 0.01)
-        assert ground_truth.tracks(ALONE, View(Model(), camera(), motion), LAMP, 1).visible[0] == seen
+        assert ground_truth.tracks(ALONE, FilmedMotion(Model(), camera(), motion), LAMP, 1).visible[0] == seen
 
 
 def test_events_table():

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from synthcam.dataset import generate
 from synthcam.dataset.export import export
 from synthcam.dataset.files import verify
-from synthcam.dataset.generate import Plan, run
+from synthcam.dataset.generate import GenerationPlan, generate_dataset
 from synthcam.scene.scene import check_scene
 from synthcam_shared.errors import InputError
 
@@ -32,8 +32,13 @@ def dataset(tmp_path_factory):
     folder = tmp_path_factory.mktemp("snooker") / "d"
     scene = SNOOKER | {"video": {"codec": "ffv1"}}
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(generate, "drawing", lambda video: {"gl": {"renderer": "none"}, "machine": {}})
-        assert run(Plan((check_scene(scene, "s"),), 1, 3), folder, 1, lambda done, total: None).failed == ()
+        patch.setattr(generate, "describe_machine", lambda video: {"gl": {"renderer": "none"}, "machine": {}})
+        assert (
+            generate_dataset(
+                GenerationPlan((check_scene(scene, "s"),), 1, 3), folder, 1, lambda done, total: None
+            ).failed
+            == ()
+        )
     return folder
 
 

@@ -1,6 +1,6 @@
-"""The film: the only package that imports pyrender, trimesh and PyOpenGL."""
+"""Mirror balls drawn by OpenGL: the only package that imports pyrender, trimesh and PyOpenGL."""
 
 from synthcam.camera.render.canvas import NoGL, gl_info
-from synthcam.camera.render.film import FINENESS, Film
+from synthcam.camera.render.mirror_renderer import FINENESS, MirrorRenderer
 
-__all__ = ["FINENESS", "Film", "NoGL", "gl_info"]
+__all__ = ["FINENESS", "MirrorRenderer", "NoGL", "gl_info"]

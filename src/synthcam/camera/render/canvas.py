@@ -178,7 +178,7 @@ class Canvas:
 _canvas: tuple[int, Canvas] | None = None
 
 
-def shared_canvas() -> Canvas:
+def get_canvas() -> Canvas:
     """A second context in one process, or one carried over a fork, crashes some drivers."""
     global _canvas
     if _canvas is None:
@@ -196,4 +196,4 @@ def _no_gl(why: str) -> str:
 
 def gl_info() -> dict[str, str]:
     """Renderer, version, vendor and platform of the OpenGL in use, and why that. Raises NoGL where there is none."""
-    return dict(shared_canvas().info)
+    return dict(get_canvas().info)

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from synthcam.camera.room.bounce import Table
-from synthcam.camera.room.light import dot
+from synthcam.camera.room.radiosity import ReflectionTable
+from synthcam.camera.room.view_factors import dot
 
 Array = NDArray[np.float64]
 
@@ -16,10 +16,10 @@ RAYS = 14  # to the other ball from each
 
 
 @dataclass(frozen=True)
-class Exchange:
+class BallExchange:
     """Light that balls trade, by pair of who gets and who gives: axes (3, 3), and a table over angle and turn."""
 
-    pairs: dict[tuple[int, int], tuple[Array, Table]]
+    pairs: dict[tuple[int, int], tuple[Array, ReflectionTable]]
 
     def on_ball(self, ball: int, normals: Array) -> Array:
         """Net light (n, c) that a ball has from all others, at unit vectors (n, 3) from its centre."""
@@ -32,7 +32,7 @@ class Exchange:
         return total
 
 
-def facing(offset: Array) -> tuple[Array, Array]:
+def sample_facing_side(offset: Array) -> tuple[Array, Array]:
     """Axes (3, 3) whose third points along an offset, and unit vectors (NEARS TURNS, 3) about it, closest first."""
     third = offset / np.linalg.norm(offset)
     first = np.cross([0.0, 0.0, 1.0] if abs(third[2]) < 0.9 else [1.0, 0.0, 0.0], third)
@@ -45,7 +45,7 @@ def facing(offset: Array) -> tuple[Array, Array]:
     return axes, local @ axes.T
 
 
-def towards(points: Array, normals: Array, centre: Array, radius: float) -> tuple[Array, Array]:
+def sample_directions(points: Array, normals: Array, centre: Array, radius: float) -> tuple[Array, Array]:
     """Ways (n, RAYS, 3) from points to a ball, even in solid angle; weights (n, RAYS) by their cosines, 1 in all."""
     offset = centre - points
     far = np.maximum(np.sqrt(dot(offset, offset)), radius * (1 + 1e-9))

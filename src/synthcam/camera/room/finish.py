@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 Colour = tuple[float, ...]  # reflectance of each channel: three, or one for a grey camera
 Pattern = Literal["plain", "half", "stripe", "spots"]
-Plate = Literal["plain", "cloth", "wood", "paper"]
+PlateTexture = Literal["plain", "cloth", "wood", "paper"]
 
 STRIPE = 0.5  # half the stripe's width, over the radius
 SPOT = np.cos(0.36)  # cosine of a spot's angular radius
@@ -19,7 +19,7 @@ SPOTS = np.concatenate([np.eye(3), -np.eye(3), CORNERS])
 
 
 @dataclass(frozen=True)
-class Finish:
+class BallFinish:
     """A ball's surface. colour: Lambert's reflectance; second: the pattern's other colour.
 
     pattern: "half" and half; a "stripe" round the equator; 14 "spots". It turns with the ball.
@@ -40,7 +40,7 @@ class Finish:
         }[self.pattern]
         return np.asarray((1 - share) * np.array(self.colour) + share * np.array(self.second))
 
-    def painted(self, normals: Array, sharp: float) -> Array:
+    def paint(self, normals: Array, sharp: float) -> Array:
         """Reflectance (n, c) at unit vectors (n, 3) from the centre, on the ball's own axes.
 
         sharp: width over the radius in which one colour gives way to the other.
@@ -59,16 +59,16 @@ class Finish:
 
 
 @dataclass(frozen=True)
-class Look:
+class SurfaceFinish:
     """Balls and plate as a camera of one channel or three sees them.
 
     balls: one each. plate: reflectance; texture and, over that of such a plate, its contrast; seed of the texture.
     ambient: share of the light at the world's origin that comes from the whole sky alike, the rest is the lamps'.
     """
 
-    balls: tuple[Finish, ...]
+    balls: tuple[BallFinish, ...]
     plate: Colour
-    texture: Plate = "plain"
+    texture: PlateTexture = "plain"
     contrast: float = 1.0
     seed: int = 0
     ambient: float = 0.3
@@ -78,6 +78,6 @@ class Look:
         return len(self.plate)
 
     @property
-    def turning(self) -> bool:
+    def shows_rotation(self) -> bool:
         """Whether it can be seen how a ball is turned."""
         return any(ball.pattern != "plain" for ball in self.balls)

@@ -6,7 +6,7 @@ Waves and noise of such plates as they are to the eye, no model of their fibres.
 import numpy as np
 from numpy.typing import NDArray
 
-from synthcam.camera.room.finish import Look
+from synthcam.camera.room.finish import SurfaceFinish
 
 Array = NDArray[np.float64]
 
@@ -17,7 +17,7 @@ FIBRE = 5e-4  # of paper
 CELLS = 1 << 12  # of a table of random numbers
 
 
-def factors(look: Look, points: Array) -> Array:
+def factors(look: SurfaceFinish, points: Array) -> Array:
     """Reflectance (n, c) over the plate's mean at points (n, 2), m."""
     if look.texture == "plain" or not look.contrast:
         return np.ones((len(points), 1))

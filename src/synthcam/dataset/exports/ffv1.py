@@ -10,12 +10,12 @@ from pathlib import Path
 
 import cv2
 
-from synthcam.dataset.recorded import Recorded
-from synthcam.dataset.video import check_film
+from synthcam.dataset.recorded_clip import RecordedClip
+from synthcam.dataset.video import check_video
 from synthcam_shared.errors import InputError
 
 
-def write(clips: Iterator[Recorded], folder: Path) -> None:
+def write(clips: Iterator[RecordedClip], folder: Path) -> None:
     for clip in clips:
         if not clip.video:
             raise InputError(f"{clip.stack}: no such file; expected a dataset with video")
@@ -35,4 +35,4 @@ def write(clips: Iterator[Recorded], folder: Path) -> None:
         for frame in clip.pictures():
             film.write(frame[..., ::-1] if colour else frame)
         film.release()
-        check_film(path, clip.frames)
+        check_video(path, clip.frames)

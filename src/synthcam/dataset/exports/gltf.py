@@ -20,7 +20,7 @@ from scipy.spatial.transform import Rotation
 from synthcam.camera.glints import find_glints
 from synthcam.camera.lamp import Lamp
 from synthcam.camera.plate import PLATE, irradiance
-from synthcam.dataset.recorded import Recorded
+from synthcam.dataset.recorded_clip import RecordedClip
 from synthcam.scene.clip import Clip
 from synthcam.scene.scene import check_scene
 
@@ -35,7 +35,7 @@ SHARP = 0.02  # radii in which a pattern's colour changes
 STEP = 1.0  # rad between two keys of a turn, at most: players take the shorter way round
 
 
-def write(clips: Iterator[Recorded], folder: Path) -> None:
+def write(clips: Iterator[RecordedClip], folder: Path) -> None:
     from synthcam.camera.render.gltf import BallMotion, glb
 
     for clip in clips:
@@ -49,7 +49,7 @@ def write(clips: Iterator[Recorded], folder: Path) -> None:
             resting = ball.loc[ball["state"] != "fly", "z"]
             radius = float(resting.median()) if len(resting) else clip.camera["ball_diameter"] / 2
             first = ball[list(TURN)].iloc[0].to_numpy(float) if "qx" in ball else None
-            paint = partial(look.balls[number].painted, sharp=SHARP) if look and matte else None
+            paint = partial(look.balls[number].paint, sharp=SHARP) if look and matte else None
             balls.append(BallMotion(radius, times, positions, *_turns(times, spins, first), paint))
         appearance = (_lit if look else _appearance)(drawn)
         (folder / f"{clip.number:06d}.glb").write_bytes(glb(clip.camera, balls, appearance))

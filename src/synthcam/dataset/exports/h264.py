@@ -6,11 +6,11 @@ h264:crf=23,gamma=1,chroma=420 are the settings, here with their defaults.
 from collections.abc import Iterator
 from pathlib import Path
 
-from synthcam.dataset.recorded import Recorded
-from synthcam.dataset.video import write_films
+from synthcam.dataset.recorded_clip import RecordedClip
+from synthcam.dataset.video import write_videos
 
 CODEC = "h264"
 
 
-def write(clips: Iterator[Recorded], folder: Path, wishes: str = "") -> None:
-    write_films(clips, folder, f"{CODEC}:{wishes}")
+def write(clips: Iterator[RecordedClip], folder: Path, wishes: str = "") -> None:
+    write_videos(clips, folder, f"{CODEC}:{wishes}")

@@ -10,12 +10,12 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from synthcam.dataset.recorded import Recorded
+from synthcam.dataset.recorded_clip import RecordedClip
 
 CORNER = 1.5  # of a pixel's centre at (0, 0), in a frame in which the picture's corner is (1, 1)
 
 
-def write(clips: Iterator[Recorded], folder: Path) -> None:
+def write(clips: Iterator[RecordedClip], folder: Path) -> None:
     for clip in clips:
         own = folder / f"clip-{clip.number:06d}"
         (own / "gt").mkdir(parents=True)
@@ -28,7 +28,7 @@ def write(clips: Iterator[Recorded], folder: Path) -> None:
                 (own / "img1" / f"{k:06d}.png").write_bytes(data.tobytes())
 
 
-def _info(clip: Recorded) -> str:
+def _info(clip: RecordedClip) -> str:
     width, height = clip.camera["size"]
     entries = {
         "name": f"clip-{clip.number:06d}",
@@ -42,7 +42,7 @@ def _info(clip: Recorded) -> str:
     return "[Sequence]\n" + "".join(f"{key}={value}\n" for key, value in entries.items())
 
 
-def _boxes(clip: Recorded) -> Iterator[str]:
+def _boxes(clip: RecordedClip) -> Iterator[str]:
     side, size = clip.diameter_px, np.array(clip.camera["size"], float)
     tracks = clip.tracks.sort_values(["frame", "particle"])
     corners = tracks[["x_mean_px", "y_mean_px"]].to_numpy(float) - side / 2 + CORNER

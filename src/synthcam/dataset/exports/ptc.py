@@ -8,10 +8,10 @@ import xml.etree.ElementTree as ET
 from collections.abc import Iterator
 from pathlib import Path
 
-from synthcam.dataset.recorded import Recorded
+from synthcam.dataset.recorded_clip import RecordedClip
 
 
-def write(clips: Iterator[Recorded], folder: Path) -> None:
+def write(clips: Iterator[RecordedClip], folder: Path) -> None:
     for clip in clips:
         root = ET.Element("root")
         name = "".join(c if c.isalnum() or c in "-_." else "_" for c in clip.scene)
@@ -27,7 +27,7 @@ def write(clips: Iterator[Recorded], folder: Path) -> None:
         ET.ElementTree(root).write(folder / f"{clip.number:06d}.xml", encoding="UTF-8", xml_declaration=True)
 
 
-def _snr(clip: Recorded) -> float:
+def _snr(clip: RecordedClip) -> float:
     """Peak over its own noise, the challenge's measure."""
     sensor, exposure = clip.drawn["sensor"], clip.camera["exposure"]
     peak = sensor["glint_peak"] * sensor["gain"]

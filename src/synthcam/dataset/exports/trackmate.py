@@ -7,10 +7,10 @@ import xml.etree.ElementTree as ET
 from collections.abc import Iterator
 from pathlib import Path
 
-from synthcam.dataset.recorded import Recorded
+from synthcam.dataset.recorded_clip import RecordedClip
 
 
-def write(clips: Iterator[Recorded], folder: Path) -> None:
+def write(clips: Iterator[RecordedClip], folder: Path) -> None:
     for clip in clips:
         tracks = [clip.in_view(ball) for _, ball in clip.tracks.groupby("particle")]
         tracks = [track for track in tracks if len(track)]

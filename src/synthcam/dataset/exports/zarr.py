@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from synthcam.dataset.recorded import Recorded
+from synthcam.dataset.recorded_clip import RecordedClip
 from synthcam_shared.errors import InputError
 
 STATES = ("rest", "roll", "slide", "fly")
@@ -22,7 +22,7 @@ TOGETHER = 256  # clips whose truth shares a chunk
 CHUNK = 4_000_000  # bytes of frames in a chunk, about
 
 
-def write(clips: Iterator[Recorded], folder: Path) -> None:
+def write(clips: Iterator[RecordedClip], folder: Path) -> None:
     try:
         import zarr
     except ImportError:
@@ -42,7 +42,7 @@ def write(clips: Iterator[Recorded], folder: Path) -> None:
 class _Scene:
     """The arrays of one scene, filled clip by clip; truth and scalars are written a chunk at a time."""
 
-    def __init__(self, root: Any, first: Recorded) -> None:
+    def __init__(self, root: Any, first: RecordedClip) -> None:
         name = re.sub(r"[^\w.-]", "_", first.scene)
         if not name.strip(".") or name.startswith("__") or name == "zarr.json":  # what Zarr keeps to itself
             name = f"scene{name}"
@@ -69,7 +69,7 @@ class _Scene:
             key, shape=shape, dtype=dtype, chunks=chunks, dimension_names=axes, attributes=attributes or {}
         )
 
-    def add(self, clip: Recorded) -> None:
+    def add(self, clip: RecordedClip) -> None:
         alike = ("size", "fps")
         same = all(clip.camera[k] == self.first.camera[k] for k in alike) and clip.bits == self.first.bits
         if not same or clip.frames != self.first.frames:
@@ -93,7 +93,7 @@ class _Scene:
         self.group.attrs["cameras"] = self.cameras
 
 
-def _truth(clip: Recorded) -> dict[str, NDArray[Any]]:
+def _truth(clip: RecordedClip) -> dict[str, NDArray[Any]]:
     """The clip's truth as arrays: (particle, frame), and () for what is one number a clip."""
     balls = int(clip.tracks["particle"].max()) + 1
     out: dict[str, NDArray[Any]] = {"clip": np.asarray(clip.number), "camera": np.asarray(0)}

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from synthcam_shared.errors import InputError
-from synthcam_shared.outputs import put
+from synthcam_shared.outputs import write_atomically
 from tracker.results import load_json, write_json
 
 ENTRIES = "entries"
@@ -85,4 +85,4 @@ def write_leaderboard(report: Path, found: Entries) -> None:
     table.writeheader()
     for rank, one in enumerate(found, 1):
         table.writerow({k: f"{v:.6g}" if isinstance(v, float) else v for k, v in row(rank, one).items()})
-    put(report / LEADERBOARD, text.getvalue())
+    write_atomically(report / LEADERBOARD, text.getvalue())

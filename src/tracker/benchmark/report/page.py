@@ -7,7 +7,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from synthcam_shared.outputs import put
+from synthcam_shared.outputs import write_atomically
 from tracker.benchmark.report.figures import (
     DEFECTS,
     axes_figure,
@@ -77,7 +77,7 @@ def write_page(report: Path, entries: Entries, definition: SuiteDefinition, abou
         "made": describe_creation(how),
         "text": _text,
     }
-    put(report / "index.html", render(Path(__file__).with_name("page.html"), **values))
+    write_atomically(report / "index.html", render(Path(__file__).with_name("page.html"), **values))
     return report / "index.html"
 
 

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from synthcam_shared.outputs import put
+from synthcam_shared.outputs import write_atomically
 from tracker.benchmark.suite.folder import BOUNDS, QUANTITY_BOUNDS
 from tracker.camera.recordings import RecordingSource, open_source
 from tracker.detection.detect import detect, make_view
@@ -34,7 +34,7 @@ def write_bounds(film: Path, truth: Path, workers: int = 0, scheduler: str = "")
     found = in_parallel(partial(_of_clip, source, truth), range(len(source)), workers, film, scheduler)
     rows, quantities = zip(*sorted(found, key=lambda one: one[1]["clip"]), strict=True)
     for name, table in ((QUANTITY_BOUNDS, pd.DataFrame(quantities)), (BOUNDS, pd.concat(rows, ignore_index=True))):
-        put(truth / name, table.to_parquet(index=False))
+        write_atomically(truth / name, table.to_parquet(index=False))
 
 
 def _of_clip(source: RecordingSource, truth: Path, index: int) -> Rows:

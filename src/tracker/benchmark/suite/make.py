@@ -13,7 +13,7 @@ from pathlib import Path
 import yaml
 
 from synthcam_shared.errors import InputError
-from synthcam_shared.outputs import as_input_error, check_room, held, put
+from synthcam_shared.outputs import as_input_error, check_writable, lock_folder, write_atomically
 from tracker.benchmark.suite.bounds import write_bounds
 from tracker.benchmark.suite.card import card
 from tracker.benchmark.suite.definition import SuiteDefinition, SuiteFilm
@@ -69,9 +69,9 @@ def make(
         return _reopen(output, truth, definition, seed)
     if output.exists() and any(output.iterdir()) and not (output / DEFINITION).is_file():
         raise InputError(f"{output}: exists and holds something else, expected a new folder for the suite")
-    check_room(output)
-    with held(output), as_input_error(output, "; the same command goes on where it stopped"):
-        put(output / DEFINITION, definition.text)
+    check_writable(output)
+    with lock_folder(output), as_input_error(output, "; the same command goes on where it stopped"):
+        write_atomically(output / DEFINITION, definition.text)
         truth.mkdir(parents=True, exist_ok=True)
         chosen = _seed(truth, definition, seed, withhold is not None)
         steps = sum(2 + len(film.encoded) for film in definition.films)
@@ -95,7 +95,7 @@ def make(
             "truth_sha256": truth_digest(truth, definition),
             "parts": {name: {"film": part.film, "clips": list(part.clips)} for name, part in definition.parts.items()},
         }
-        put(output / "README.md", card(about, definition))
+        write_atomically(output / "README.md", card(about, definition))
         write_json(output / SUITE, about)
     return open_suite(output, truth)
 
@@ -127,7 +127,7 @@ def _film(output: Path, truth: Path, film: SuiteFilm, seed: int, scheduler: str)
     files = []
     for name, scene in film.scenes.items():
         files.append(scenes / f"{name}.yaml")
-        put(files[-1], yaml.safe_dump({**scene, "name": name}, sort_keys=False))
+        write_atomically(files[-1], yaml.safe_dump({**scene, "name": name}, sort_keys=False))
     folder.parent.mkdir(exist_ok=True)
     asked = ["--clips", str(film.clips), "--seed", str(seed), "--withhold-truth", str(kept)]
     asked += ["--scheduler", scheduler] if scheduler else []

@@ -16,8 +16,8 @@ def test_gl_info_names_the_renderer():
 def test_without_opengl_there_is_one_clear_line():
     code = (
         "import numpy as np\n"
-        "from synthcam.camera.pinhole import Camera, Lamp\n"
-        "from synthcam.camera.render import Film, NoGL, gl_info\n"
+        "from synthcam.camera.pinhole import PinholeCamera, Lamp\n"
+        "from synthcam.camera.render import MirrorRenderer, NoGL, gl_info\n"
         "try: gl_info()\n"
         "except NoGL as error: print(error)\n"
     )

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from skimage.measure import CircleModel, centroid, find_contours, inertia_tensor, inertia_tensor_eigvals, ransac
 
-from synthcam.camera.pinhole import Camera, Lamp
-from synthcam.camera.render import Film
+from synthcam.camera.pinhole import Lamp, PinholeCamera
+from synthcam.camera.render import MirrorRenderer
 
 R = 1.19e-3
 LAMP = Lamp(np.array([0.05, 0.0, 0.45]), 0.01)
@@ -14,7 +14,7 @@ FAR = Lamp(np.array([0.05, 0.0, 0.45]), 0.0002)  # a glint so small that it cove
 
 def overhead(scale, **changes):
     settings = {"size": (200, 160), "scale": scale, "height": 0.5, "ball_radius": R, "fps": 250, "exposure": 0.0}
-    return Camera.overhead(**settings | {"psf_sigma_px": 0.5} | changes)
+    return PinholeCamera.overhead(**settings | {"psf_sigma_px": 0.5} | changes)
 
 
 @pytest.mark.filterwarnings("ignore:.minkowski_distance:DeprecationWarning")  # scikit-image's, beside SciPy 1.18
@@ -24,7 +24,7 @@ def test_half_the_profiles_light_lies_within_a_circle_of_half_its_radius():
     So it is half as bright as in its middle at r = R/2; Fresnel's reflectance changes that by under a part in 1e3.
     """
     camera = overhead(3e-5)
-    film = Film(camera, FAR, [R], room=1.0)
+    film = MirrorRenderer(camera, FAR, [R], room=1.0)
     (picture,) = film.frames(lambda t: np.broadcast_to([[2e-4, 1e-4, R]], (len(t), 1, 3)), [[0.0, 0.0]])
     plate = float(np.median(picture.image))
     middle = camera.project(np.array([2e-4, 1e-4, R])).ravel()
@@ -47,7 +47,7 @@ def test_motion_blur_is_as_long_as_the_way_and_lies_along_it(heading):
         positions = (np.asarray(times)[:, None] - 5e-4) * speed * unit
         return np.c_[positions, np.full(len(positions), R)][:, None]
 
-    (picture,) = Film(camera, LAMP, [R], room=0.0).frames(rolling, [[0.0, 1e-3]])
+    (picture,) = MirrorRenderer(camera, LAMP, [R], room=0.0).frames(rolling, [[0.0, 1e-3]])
     image = picture.image - np.median(picture.image)
     middle = np.rint(centroid(image)).astype(int)
     window = image[middle[0] - 14 : middle[0] + 15, middle[1] - 14 : middle[1] + 15]

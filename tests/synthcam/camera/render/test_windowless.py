@@ -12,14 +12,14 @@ from synthcam.camera.render import windowless
 
 DRAW = """
 import hashlib, json, numpy as np
-from synthcam.camera.pinhole import Camera, Lamp
-from synthcam.camera.render import Film, gl_info
+from synthcam.camera.pinhole import PinholeCamera, Lamp
+from synthcam.camera.render import MirrorRenderer, gl_info
 from synthcam.camera.surface import Surface
 R, seen = 1.19e-3, hashlib.sha256()
-camera = Camera.overhead((200, 120), 1e-4, .5, ball_radius=R, fps=250, exposure=0, psf_sigma_px=1.0)
+camera = PinholeCamera.overhead((200, 120), 1e-4, .5, ball_radius=R, fps=250, exposure=0, psf_sigma_px=1.0)
 centres = np.array([[[0, 0, R], [2 * R, 0, R]]])
 for surface in (Surface(), Surface(steel=(2.95, 2.93), plate_shadow=True, plate_gloss=.05)):
-    film = Film(camera, Lamp(np.array([.05, 0, .45]), .01), [R, R], .2, surface)
+    film = MirrorRenderer(camera, Lamp(np.array([.05, 0, .45]), .01), [R, R], .2, surface)
     for picture in film.frames(lambda t: np.repeat(centres, len(t), 0), [[0, 0]]):
         seen.update(picture.image.tobytes())
 print(json.dumps(gl_info() | {"seen": seen.hexdigest()}))

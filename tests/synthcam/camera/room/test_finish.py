@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from synthcam.camera.room.finish import Finish, Look
+from synthcam.camera.room.finish import BallFinish, SurfaceFinish
 from synthcam.camera.room.texture import factors
 
 PATTERNS = ("plain", "half", "stripe", "spots")
@@ -14,13 +14,13 @@ def test_the_mean_is_that_of_the_whole_ball(pattern):
     rng = np.random.default_rng(3)
     ways = rng.standard_normal((200_000, 3))
     ways /= np.linalg.norm(ways, axis=1, keepdims=True)
-    finish = Finish((0.2, 0.4, 0.8), (0.9, 0.1, 0.3), pattern)
-    np.testing.assert_allclose(finish.painted(ways, 1e-3).mean(axis=0), finish.mean, atol=5e-3)
+    finish = BallFinish((0.2, 0.4, 0.8), (0.9, 0.1, 0.3), pattern)
+    np.testing.assert_allclose(finish.paint(ways, 1e-3).mean(axis=0), finish.mean, atol=5e-3)
 
 
 def test_half_is_on_the_balls_own_axis():
-    finish = Finish((0.1,), (0.9,), "half")
-    painted = finish.painted(np.array([[0, 0, 1.0], [0, 0, -1.0], [1.0, 0, 0]]), 0.01)
+    finish = BallFinish((0.1,), (0.9,), "half")
+    painted = finish.paint(np.array([[0, 0, 1.0], [0, 0, -1.0], [1.0, 0, 0]]), 0.01)
     assert painted[:, 0].tolist() == [pytest.approx(0.9), pytest.approx(0.1), pytest.approx(0.5)]
 
 
@@ -28,11 +28,11 @@ def test_half_is_on_the_balls_own_axis():
 def test_textures_are_still_even_on_the_whole_and_differ_by_seed(texture):
     rng = np.random.default_rng(0)
     points = rng.uniform(-0.5, 0.5, (100_000, 2))
-    look = Look((), (0.5, 0.4, 0.3), texture)
+    look = SurfaceFinish((), (0.5, 0.4, 0.3), texture)
     found = factors(look, points)
     np.testing.assert_array_equal(found, factors(look, points))
     assert found.mean() == pytest.approx(1, abs=0.06)
     assert 0.01 < found[:, 0].std() < 0.3
     assert found.min() > 0
-    assert not np.array_equal(found, factors(Look((), (0.5, 0.4, 0.3), texture, seed=1), points))
-    assert np.all(factors(Look((), (0.5,), texture, contrast=0.0), points) == 1)
+    assert not np.array_equal(found, factors(SurfaceFinish((), (0.5, 0.4, 0.3), texture, seed=1), points))
+    assert np.all(factors(SurfaceFinish((), (0.5,), texture, contrast=0.0), points) == 1)

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from synthcam_stub import SCENE, make
 
 from synthcam.camera.glints import find_glints
-from synthcam.camera.render import Film
+from synthcam.camera.render import MirrorRenderer
 from synthcam.dataset.export import export
 from synthcam.scene.scene import check_scene
 
@@ -168,7 +168,7 @@ def test_a_plain_renderer_shows_plate_and_glint_as_our_film_does(tmp_path, monke
     dataset = make(tmp_path / "d", monkeypatch, clips=1, scene=scene)
     export(dataset, "gltf", tmp_path / "out", lambda done, total: None)
     clip = check_scene(scene, "s.yaml").draw(0, 5)
-    film = Film(clip.camera, clip.lamp, [clip.model.ball.radius], clip.room, clip.surface)
+    film = MirrorRenderer(clip.camera, clip.lamp, [clip.model.ball.radius], clip.room, clip.surface)
     full = clip.sensor.glint_peak / (2**clip.sensor.bits - 1)
     viewer = Path(__file__).with_name("plain_viewer.py")  # a process of its own: pyrender ends OpenGL for all in its
     told = subprocess.run(

@@ -5,8 +5,8 @@ import pytest
 from tracker_film import CAMERA, disc, expose, spot
 
 from synthcam.camera.glints import find_glints
-from synthcam.camera.pinhole import Camera as Drawn
-from synthcam.camera.pinhole import Lamp, glint_px
+from synthcam.camera.pinhole import Lamp, project_glint
+from synthcam.camera.pinhole import PinholeCamera as Drawn
 from tracker.camera.camera import Camera
 from tracker.camera.mirror_images import secondary_flux_ratio
 from tracker.camera.recordings import Frames, Recording
@@ -76,7 +76,7 @@ def test_the_share_of_light_is_the_films(gap):
         centres = np.array([0.002, -0.001, camera.radius]) + np.array([0 * way, way])
         found = find_glints(drawn, lamp, centres[None], radii, np.ones((1, 2), bool))
         one, two = (np.array([found.flux[(found.ball == k) & (found.order == n)][0] for k in (0, 1)]) for n in (1, 2))
-        seen = glint_px(drawn, lamp, centres, camera.radius)
+        seen = project_glint(drawn, lamp, centres, camera.radius)
         np.testing.assert_allclose(0.55 * secondary_flux_ratio(camera, seen, seen[::-1]), two / one, rtol=0.025)
 
 

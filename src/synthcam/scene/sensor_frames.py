@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from synthcam.camera.pinhole import Camera, Lamp
-from synthcam.camera.room.finish import Look
+from synthcam.camera.pinhole import Lamp, PinholeCamera
+from synthcam.camera.room.finish import SurfaceFinish
 from synthcam.camera.sensor import Chip, Sensor
 from synthcam.camera.surface import Surface
-from synthcam.scene.filmed_motion import View
+from synthcam.scene.film_time import FilmedMotion
 
 if TYPE_CHECKING:
     from synthcam.dynamics.turning import Turning
@@ -24,23 +24,29 @@ Array = NDArray[np.float64]
 Counts = NDArray[np.uint8] | NDArray[np.uint16]
 
 
-class Seen(NamedTuple):
+class OpticalSetup(NamedTuple):
     """All that a camera sees, but for where the balls are. radii: of the balls, m; room: what they mirror beside.
 
     look, mirror: of matte balls, or a plate with texture, and of what the balls mirror with.
     """
 
-    camera: Camera
+    camera: PinholeCamera
     lamp: Lamp
     radii: list[float]
     room: float
     surface: Surface
-    look: Look | None = None
+    look: SurfaceFinish | None = None
     mirror: Surface | None = None
 
 
-def film(
-    view: View, seen: Seen, sensor: Sensor, frames: int, key: tuple[int, int], turning: Turning | None, colour: bool
+def expose_frames(
+    view: FilmedMotion,
+    seen: OpticalSetup,
+    sensor: Sensor,
+    frames: int,
+    key: tuple[int, int],
+    turning: Turning | None,
+    colour: bool,
 ) -> Iterator[Counts]:
     """The frames as the sensor gives them, one at a time. key: seed, and number of the clip, of the chips' noise.
 
@@ -48,7 +54,7 @@ def film(
     """
     seed, number = key
     chips = [_chip(sensor, seen.camera.size, seen.camera.exposure, seed + c * APART) for c in range(3 if colour else 1)]
-    drawn = _film(pickle.dumps(tuple(seen)))
+    drawn = _renderer(pickle.dumps(tuple(seen)))
     view = view.as_drawn()
 
     def centres(t: Array) -> Array:
@@ -68,19 +74,19 @@ def film(
 
 
 @lru_cache(maxsize=2)
-def _film(seen: bytes) -> Any:
+def _renderer(seen: bytes) -> Any:
     """One film serves all clips that are seen alike: its plate and its unit take as long as ten frames.
 
     seen: what a film is made of, pickled, as arrays have no hash.
     """
     camera, lamp, radii, room, surface, look, mirror = pickle.loads(seen)
     if look:
-        from synthcam.camera.room.film import RoomFilm
+        from synthcam.camera.room.room_renderer import RoomRenderer
 
-        return RoomFilm(camera, lamp, radii, look, mirror)
-    from synthcam.camera.render import Film  # here alone: everything else works without OpenGL
+        return RoomRenderer(camera, lamp, radii, look, mirror)
+    from synthcam.camera.render import MirrorRenderer  # here alone: everything else works without OpenGL
 
-    return Film(camera, lamp, radii, room, surface)
+    return MirrorRenderer(camera, lamp, radii, room, surface)
 
 
 @lru_cache(maxsize=6)

@@ -11,24 +11,24 @@ from numpy.typing import ArrayLike, NDArray
 
 from synthcam.camera.exposure import (
     Array,
-    Moments,
     Patches,
     Picture,
+    SubExposures,
     blur_matrix,
-    blurred,
-    merge,
-    pieces,
-    reach,
-    sample,
-    spots,
-    vignette,
+    blur_tiles,
+    compute_vignette,
+    integrate_spots,
+    merge_boxes,
+    outline_half_width,
+    place_sub_exposures,
+    split_at_breaks,
 )
-from synthcam.camera.glints import PLAIN, Glints, find_glints, join
-from synthcam.camera.pinhole import Camera, Lamp
-from synthcam.camera.plate import PLATE, casters, gloss, grain, irradiance, on_plate, plain
+from synthcam.camera.glints import PLAIN, GlintImages, find_glints, join_glints
+from synthcam.camera.pinhole import Lamp, PinholeCamera
+from synthcam.camera.plate import PLATE, gloss, grain, irradiance, is_plain, plate_points, shadow_casters
 from synthcam.camera.psf import Psf
-from synthcam.camera.render.canvas import SIDE, Float32, shared_canvas
-from synthcam.camera.shutter import rolled
+from synthcam.camera.render.canvas import SIDE, Float32, get_canvas
+from synthcam.camera.shutter import roll_shutter
 from synthcam.camera.surface import STEEL, Surface
 
 Index = NDArray[np.intp]
@@ -40,7 +40,7 @@ BATCH = 128  # exposures gathered at a time
 CELL = 0.4  # half-width of a lamp's cells as they are seen, over the blur's sigma
 
 
-class Film:
+class MirrorRenderer:
     """The view of one camera on a black plate under one lamp or two, with any number of steel balls.
 
     camera, lamp, surface: as in `optics`, `lamp`, `surface`. radii: m, one a ball. room: radiance of the dim
@@ -50,9 +50,9 @@ class Film:
     """
 
     def __init__(
-        self, camera: Camera, lamp: Lamp, radii: Sequence[float], room: float = 0.02, surface: Surface = PLAIN
+        self, camera: PinholeCamera, lamp: Lamp, radii: Sequence[float], room: float = 0.02, surface: Surface = PLAIN
     ) -> None:
-        self._canvas = shared_canvas()
+        self._canvas = get_canvas()
         self.camera, self.lamp, self.room, self.surface = camera, lamp, room, surface
         self.radii = np.array(radii, float)
         if not (len(self.radii) and np.all(self.radii > 0)):
@@ -63,7 +63,7 @@ class Film:
         self.psf = Psf(camera.psf_sigma_px, camera.defocus_px, camera.airy_px)
         self._cells = [self._cell(each) for each in lamp.all]
         self._unit = self._measure()
-        self._vignette = vignette(camera)
+        self._vignette = compute_vignette(camera)
         self._plates: dict[float, Float32] = {}
         self._uniforms = {
             "up": camera.R[:, 2].copy(),
@@ -73,13 +73,13 @@ class Film:
             "gloss": surface.plate_gloss,
             "lamp": np.zeros(3),
         }
-        self._plain = plain(lamp, surface)
+        self._plain = is_plain(lamp, surface)
         self._slope = 0.0 if self._plain else self._steepest()
         self._lit = np.zeros((1, 1), np.float32)
         self.plate = self._draw_plate() if self._plain else self._compute_plate()
         self.plate.flags.writeable = False
 
-    def _resting(self, lamp: Lamp, cell: float) -> Glints:
+    def _resting(self, lamp: Lamp, cell: float) -> GlintImages:
         rest, one = np.array([[[0, 0, self.radii[0]]]]), np.ones((1, 1), bool)
         return find_glints(self.camera, lamp, rest, self.radii[:1], one, self.surface, cell)
 
@@ -91,15 +91,15 @@ class Film:
     def _measure(self) -> float:
         """What makes the peak of a resting ball's glint one."""
         whole, glints = self._resting(self.lamp, np.inf), self._resting(self.lamp, self._cells[0])
-        lone = len(glints.flux) == 1 and self.psf.plain
+        lone = len(glints.flux) == 1 and self.psf.is_gaussian
         half = 0 if lone else self.psf.margin + int(np.ceil(np.abs(glints.pixels - whole.pixels[:1]).max()))
         position = glints.pixels - whole.pixels[0] + half
         spread = glints.spread + self.camera.psf_sigma_px**2
-        rows, columns = spots(position, spread, np.zeros((1, 2)), 2 * half + 1, self.psf.steps)
+        rows, columns = integrate_spots(position, spread, np.zeros((1, 2)), 2 * half + 1, self.psf.steps)
         if lone:
             return float(1 / (glints.flux * rows[0, 0] * columns[0, 0])[0])
         spot = ((rows * glints.flux[:, None]).T @ columns)[None].astype(np.float32)
-        return float(1 / (spot if self.psf.plain else self.psf.spread(spot)).max())
+        return float(1 / (spot if self.psf.is_gaussian else self.psf.spread(spot)).max())
 
     def _check_lamp(self, lamp: Lamp) -> None:
         w, h = self.camera.size
@@ -140,7 +140,7 @@ class Film:
         return plate.copy() if self._vignette is None else plate * self._vignette
 
     def _compute_plate(self) -> Float32:
-        points, surface = on_plate(self.camera), self.surface
+        points, surface = plate_points(self.camera), self.surface
         lit = PLATE * self.room * irradiance(self.lamp, points)
         mirrored = np.zeros(1)
         if surface.plate_texture:
@@ -158,13 +158,13 @@ class Film:
     def _steepest(self) -> float:
         """Tangent of the lamps' lowest light on the plate in view."""
         w, h = self.camera.size
-        corners = on_plate(self.camera)[:: h - 1, :: w - 1].reshape(-1, 3)
+        corners = plate_points(self.camera)[:: h - 1, :: w - 1].reshape(-1, 3)
         ways = [lamp.position - corner for corner in corners for lamp in self.lamp.all]
         return float(max(np.hypot(way[0], way[1]) / way[2] for way in ways))
 
     def _reach(self, positions: Array, slope: Array) -> Array:
         """Half width (T, N) px of what a ball changes: itself, its mirror image in the plate, its shadow."""
-        extent = reach(self.camera, positions, self.radii, slope)
+        extent = outline_half_width(self.camera, positions, self.radii, slope)
         far = extent
         if self.surface.plate_gloss:
             image = self.camera.project(positions * [1, 1, -1]) - self.camera.project(positions)
@@ -205,21 +205,23 @@ class Film:
         if (spans[:, 1] < spans[:, 0]).any():
             raise ValueError("intervals: an exposure ends before it starts")
         if self.camera.line_time:
-            yield from (self._rolled(centres, span, cuts) for span in spans)
+            yield from (self._roll(centres, span, cuts) for span in spans)
             return
         for first in range(0, len(spans), BATCH):
             yield from self._gather(centres, spans[first : first + BATCH], cuts)
 
-    def _rolled(self, centres: Centres, span: Array, cuts: Array) -> Picture:
+    def _roll(self, centres: Centres, span: Array, cuts: Array) -> Picture:
         def seen(times: Array) -> tuple[Array, Array]:
             positions = np.asarray(centres(times), float)
             pixels, slope = self.camera.project_with_slope(positions)
-            return pixels, reach(self.camera, positions, self.radii, slope) + self.psf.margin
+            return pixels, outline_half_width(self.camera, positions, self.radii, slope) + self.psf.margin
 
         starts = span[0] + np.arange(self.camera.size[1]) * self.camera.line_time
         light = self.lamp.flicker.mean(starts, starts + span[1] - span[0])
         plate = (self.plate * light[:, None]).astype(np.float32) if self.lamp.flicker.depth else self.plate
-        return rolled(self.camera, seen, span, cuts, lambda spans: list(self._gather(centres, spans, cuts)), plate)
+        return roll_shutter(
+            self.camera, seen, span, cuts, lambda spans: list(self._gather(centres, spans, cuts)), plate
+        )
 
     def _plate_in(self, light: float) -> Float32:
         """The plate in so much light; the same array for the same light, to 1e-5, as the sensor's tables like it."""
@@ -242,7 +244,7 @@ class Film:
         for lamp, cell in zip(self.lamp.all, self._cells, strict=True):
             light = wanted * lamp.light(moments.times)[:, None]
             found.append(find_glints(self.camera, lamp, positions, self.radii, light, self.surface, cell))
-        glints = join(found)
+        glints = join_glints(found)
         drawn: dict[int, Float32] = {}
         shades: dict[int, Float32] = {}
         for width in np.unique(patches.widths):
@@ -253,18 +255,18 @@ class Film:
                 alike = same[first : first + room_for]
                 images = self._draw_balls(centres, coarse, patches, alike, BALLS if self._plain else ON_PLATE)
                 self._add_glints(images, glints, moments, patches, alike)
-                if not self.psf.plain:
+                if not self.psf.is_gaussian:
                     images = self.psf.spread(images)
                 drawn |= zip(alike.tolist(), images, strict=True)
                 if not self._plain:
                     shade = self._draw_balls(centres, coarse, patches, alike, SHADES)
-                    shade = shade if self.psf.plain else self.psf.spread(shade)
+                    shade = shade if self.psf.is_gaussian else self.psf.spread(shade)
                     shades |= zip(alike.tolist(), shade, strict=True)
         for frame, bright in enumerate(self.lamp.flicker.mean(*spans.T).tolist()):
             plate = self._plate_in(bright)
             numbers = patches.number[frame][patches.number[frame] >= 0].tolist()
             corners = [patches.box(number, self.camera.size) for number in numbers]
-            boxes = merge(corners)
+            boxes = merge_boxes(corners)
             parts = [plate[box].copy() for box in boxes]
             for number, (top, bottom, left, right) in zip(numbers, corners, strict=True):
                 here = np.s_[top:bottom, left:right]
@@ -279,9 +281,9 @@ class Film:
                     spot += self._lit[here] * shades[number][there]
             yield Picture(plate, boxes, tuple(parts))
 
-    def _moments(self, centres: Centres, spans: Array, cuts: Array) -> tuple[Moments, Moments]:
+    def _moments(self, centres: Centres, spans: Array, cuts: Array) -> tuple[SubExposures, SubExposures]:
         """Sub-exposures for the glints and, as a ball is wide and faint, fewer for the balls."""
-        bounds, weights, frames = pieces(spans, cuts)
+        bounds, weights, frames = split_at_breaks(spans, cuts)
         ends = self.camera.project(np.asarray(centres(bounds.ravel()), float))
         ends = ends.reshape(len(bounds), 2, -1, 2)
         w, h = self.camera.size
@@ -291,9 +293,11 @@ class Film:
         farthest /= np.hypot(self.camera.psf_sigma_px, 12**-0.5)
         waves = [2 * np.pi * lamp.flicker.frequency for lamp in self.lamp.all if lamp.flicker.depth]
         wave = np.diff(bounds, axis=1)[:, 0] * max(waves, default=0.0)
-        return tuple(sample(bounds, weights, frames, far, wave) for far in (farthest, farthest / 4))  # type: ignore[return-value]
+        return tuple(place_sub_exposures(bounds, weights, frames, far, wave) for far in (farthest, farthest / 4))  # type: ignore[return-value]
 
-    def _draw_balls(self, centres: Centres, moments: Moments, patches: Patches, alike: Index, scene: int) -> Float32:
+    def _draw_balls(
+        self, centres: Centres, moments: SubExposures, patches: Patches, alike: Index, scene: int
+    ) -> Float32:
         """Blurred balls less the plate behind them, (n, width, width) for n patches of one width.
 
         scene: BALLS; or ON_PLATE, with their images in the plate, where SHADES are what they take of its light.
@@ -319,7 +323,7 @@ class Film:
         drawn = self._canvas.draw(jobs, others, (rows * tile, across * tile), self._uniforms, **self._defines(scene))
         tiles = drawn.reshape(rows, tile, across, tile).swapaxes(1, 2).reshape(-1, tile, tile)[: len(alike)]
         blur = blur_matrix(width, margin, FINENESS, self.camera.psf_sigma_px, self.psf.steps)
-        return blurred(tiles, blur)
+        return blur_tiles(tiles, blur)
 
     def _neighbours(self, jobs: Float32, positions: Array, moment: Index, ball: Index, ordered: bool) -> Float32:
         """Neighbours (n, N - 1, 4) of each ball in its own radii, nearest first; counts go into the jobs.
@@ -345,7 +349,7 @@ class Film:
         """Neighbours followed by the depth of the plate and the lamps, as the shader reads them."""
         radii, count, camera = self.radii[ball], jobs[:, 3, 0].astype(int), self.camera
         casting = self.surface.plate_shadow and scene == SHADES
-        discs = [casters(self.lamp, p * [1, 1, 0]) if casting else np.zeros((0, 5)) for p in positions]
+        discs = [shadow_casters(self.lamp, p * [1, 1, 0]) if casting else np.zeros((0, 5)) for p in positions]
         notes = np.zeros((len(jobs), 1 + 2 * max(len(d) for d in discs), 4), np.float32)
         notes[:, 0, 0] = positions[:, 2] / radii
         for k, disc in enumerate(discs):
@@ -359,7 +363,9 @@ class Film:
             rows[k, near : near + notes.shape[1]] = notes[k]
         return rows
 
-    def _add_glints(self, images: Float32, glints: Glints, moments: Moments, patches: Patches, alike: Index) -> None:
+    def _add_glints(
+        self, images: Float32, glints: GlintImages, moments: SubExposures, patches: Patches, alike: Index
+    ) -> None:
         ranks = patches.ranks(alike)[patches.number[moments.frames[glints.moment], glints.ball]]
         order = np.argsort(ranks, kind="stable")
         order = order[np.searchsorted(ranks[order], 0) :]
@@ -367,7 +373,7 @@ class Film:
         variances = glints.spread[order] + self.camera.psf_sigma_px**2
         origins = patches.origins[alike[ranks]]
         width = int(patches.widths[alike[0]])
-        rows, columns = spots(glints.pixels[order], variances, origins, width, self.psf.steps)
+        rows, columns = integrate_spots(glints.pixels[order], variances, origins, width, self.psf.steps)
         rows *= (glints.flux[order] * moments.weights[moment] * self._unit)[:, None]
         bounds = np.searchsorted(ranks, np.arange(len(images) + 1))
         for k, image_of_ball in enumerate(images):

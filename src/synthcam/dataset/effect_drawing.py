@@ -8,13 +8,13 @@ from pathlib import Path
 
 import numpy as np
 
-from synthcam.camera.pinhole import Camera, Lamp, glint_px
+from synthcam.camera.pinhole import Lamp, PinholeCamera, project_glint
 from synthcam.dynamics.kinematics import Array
 from synthcam.dynamics.launch import Launch
 from synthcam.effect import Effect
 from synthcam.model import Model
-from synthcam.scene.filmed_motion import View
-from synthcam_shared.outputs import as_input_error, check_room, put
+from synthcam.scene.film_time import FilmedMotion
+from synthcam_shared.outputs import as_input_error, check_writable, write_atomically
 
 LAUNCH = {"time": 0.04, "v0": 0.4, "b": 0.35, "heading": 0.0, "contact": (-0.01, 0.0)}
 FRAMES, FPS = 80, 250.0
@@ -22,36 +22,38 @@ LAMP = (0.05, 0.0, 0.45)
 NAMES, COLOURS = ("ball 1, at rest", "ball 2"), ("tab:blue", "tab:red")
 
 
-def typical(kind: type[Effect]) -> Effect:
+def with_typical_values(kind: type[Effect]) -> Effect:
     """The effect with every parameter at its typical value."""
     return kind(**{p.name: p.typical for p in kind.parameters()})
 
 
-def tracks(model: Model) -> Array:
+def simulate_tracks(model: Model) -> Array:
     """Where the nominal camera, mistaken for the real one, puts the centres: mm, (2, FRAMES, 2)."""
     radius = model.ball.radius
-    nominal = Camera.overhead((640, 480), 1.6e-4, 0.5, ball_radius=radius, fps=FPS, exposure=5e-4, psf_sigma_px=1.0)
+    nominal = PinholeCamera.overhead(
+        (640, 480), 1.6e-4, 0.5, ball_radius=radius, fps=FPS, exposure=5e-4, psf_sigma_px=1.0
+    )
     camera = model.laws("camera", nominal, {})
     camera = replace(camera, exposure=float(model.laws("exposure", camera.exposure, {"fps": FPS})))
-    view = View.of(model, Launch.pair(model.bodies("ab"), **LAUNCH), camera, FRAMES)  # type: ignore[arg-type]
+    view = FilmedMotion.solve(model, Launch.pair(model.bodies("ab"), **LAUNCH), camera, FRAMES)  # type: ignore[arg-type]
     pixels = view.mean(view.spans(FRAMES), lambda states: camera.project(states[..., :3]))
 
     def mirrored(pixels: Array, lamp: tuple[float, float, float] = LAMP) -> Array:
         centres = view.at(view.spans(FRAMES).mean(axis=1))[..., :3]
-        glints = glint_px(camera, Lamp(np.array(lamp), 0.01), centres, radius)
+        glints = project_glint(camera, Lamp(np.array(lamp), 0.01), centres, radius)
         return np.asarray(pixels + glints - camera.project(centres))
 
     seen = model.laws("measure", pixels, {"glint": mirrored, "mirrored": mirrored}) - nominal.K[:2, 2]
     return np.asarray(1e3 * nominal.scale * seen * [1, -1])
 
 
-def sketch(effect: Effect, path: Path) -> float:
+def draw_effect(effect: Effect, path: Path) -> float:
     """Draw the effect on a collision like the paper's; the largest distance between the tracks, um."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    check_room(path)
-    base, bent = tracks(Model()), tracks(Model(effects=(effect,)))
+    check_writable(path)
+    base, bent = simulate_tracks(Model()), simulate_tracks(Model(effects=(effect,)))
     apart = 1e3 * (bent - base)
     figure = Figure(figsize=(9, 4.2), layout="constrained")
     FigureCanvasAgg(figure)
@@ -77,5 +79,5 @@ def sketch(effect: Effect, path: Path) -> float:
     kind = path.suffix.lower().lstrip(".") or "png"
     figure.savefig(drawn, format=kind, dpi=120, metadata={"Software": None} if kind == "png" else None)
     with as_input_error(path):
-        put(path, drawn.getvalue())
+        write_atomically(path, drawn.getvalue())
     return float(np.abs(apart).max())

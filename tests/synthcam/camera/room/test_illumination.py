@@ -5,8 +5,8 @@ import pytest
 
 from benchmarks.camera.room_reference import CASES, R, errors
 from synthcam.camera.lamp import Lamp
-from synthcam.camera.room.finish import Finish, Look
-from synthcam.camera.room.shade import Shade
+from synthcam.camera.room.finish import BallFinish, SurfaceFinish
+from synthcam.camera.room.illumination import Illumination
 
 LAMP = Lamp(np.array([0.2, 0.1, 0.5]), 0.03)
 ALONE, PAIR = 0.02, 0.055  # of the plate's light, rms over a region
@@ -20,8 +20,11 @@ def test_light_is_that_of_paths(case):
 
 
 def shade(ambient, colours=((0.8,),), plate=(0.5,), lamp=LAMP):
-    return Shade(
-        lamp, Look(tuple(Finish(c, c) for c in colours), plate, ambient=ambient), np.full(len(colours), R), None
+    return Illumination(
+        lamp,
+        SurfaceFinish(tuple(BallFinish(c, c) for c in colours), plate, ambient=ambient),
+        np.full(len(colours), R),
+        None,
     )
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from synthcam.camera.room.light import form_factor, over_horizon, uncovered
+from synthcam.camera.room.view_factors import form_factor, mean_cosine_above_horizon, visible_fraction
 
 MANY = 200_000
 
@@ -39,7 +39,7 @@ def test_a_disc_that_sets(cosine, sine):
     x, y = np.meshgrid(*[np.linspace(-1, 1, 1501)] * 2)
     inside = x[x * x + y * y < 1]
     expected = np.maximum(cosine + sine * inside, 0).mean()
-    assert over_horizon(np.array(cosine), np.array(sine)) == pytest.approx(expected, abs=2e-4)
+    assert mean_cosine_above_horizon(np.array(cosine), np.array(sine)) == pytest.approx(expected, abs=2e-4)
 
 
 @pytest.mark.parametrize("a", [0.02, 0.3])
@@ -49,10 +49,10 @@ def test_what_one_disc_leaves_of_another(a, apart):
     x, y = a * np.array(np.meshgrid(*[np.linspace(-1, 1, 1501)] * 2))
     inside = x * x + y * y < a * a
     left = (np.hypot(x - apart, y) > b) & inside
-    assert uncovered(np.array([a]), np.array([b]), np.array([apart]))[0] == pytest.approx(
+    assert visible_fraction(np.array([a]), np.array([b]), np.array([apart]))[0] == pytest.approx(
         left.sum() / inside.sum(), abs=2e-3
     )
 
 
 def test_a_small_disc_before_a_large_one():
-    assert uncovered(np.array([0.2]), np.array([0.1]), np.array([0.05]))[0] == pytest.approx(0.75)
+    assert visible_fraction(np.array([0.2]), np.array([0.1]), np.array([0.05]))[0] == pytest.approx(0.75)

@@ -8,10 +8,10 @@ import pytest
 from scipy.ndimage import correlate1d, minimum_filter
 from scipy.special import ndtr
 
-from synthcam.camera.exposure import merge
+from synthcam.camera.exposure import merge_boxes
 from synthcam.camera.glints import find_glints
-from synthcam.camera.pinhole import Camera, Lamp
-from synthcam.camera.render import Film
+from synthcam.camera.pinhole import Lamp, PinholeCamera
+from synthcam.camera.render import MirrorRenderer
 from synthcam.camera.surface import STEEL
 
 R = 1.19e-3
@@ -21,7 +21,7 @@ ALL = slice(None)
 
 def overhead(**changes):
     settings = {"size": (640, 480), "scale": 1.6e-4, "height": 0.5, "ball_radius": R}
-    return Camera.overhead(**settings | {"fps": 250, "exposure": 5e-4, "psf_sigma_px": 1.0} | changes)
+    return PinholeCamera.overhead(**settings | {"fps": 250, "exposure": 5e-4, "psf_sigma_px": 1.0} | changes)
 
 
 def trace(camera, centres, pixels, radii):
@@ -201,13 +201,13 @@ def test_all_light_between_touching_mirrors_is_there():
 def test_the_whole_picture_is_the_traced_one(name):
     camera, centres = SCENES[name]
     radii = radii_of(name)
-    film = Film(camera, LAMP, radii, room=0.1)
+    film = MirrorRenderer(camera, LAMP, radii, room=0.1)
     picture = one_frame(film, *centres)
     # The tracer looks through a window of 48 x 48 px round the balls.
     left, top = np.round(camera.project(np.mean(centres, axis=0))).astype(int) - 24
     K = camera.K.copy()
     K[:2, 2] -= left, top
-    window = Camera(K, camera.dist, camera.R, camera.t, (48, 48), 250, 0, camera.scale, camera.psf_sigma_px)
+    window = PinholeCamera(K, camera.dist, camera.R, camera.t, (48, 48), 250, 0, camera.scale, camera.psf_sigma_px)
     plate = picture.plate[top + 24, left + 24]
     images = [(order, position - [left, top], *rest) for order, position, *rest in images_of(name)]
     expected = brute_picture(window, centres, radii, 0.1, film._unit, plate, images)
@@ -220,7 +220,7 @@ def test_the_whole_picture_is_the_traced_one(name):
 
 def test_the_unit_is_the_peak_of_a_centred_glint():
     camera = overhead(size=(641, 481))
-    film = Film(camera, LAMP, [R], room=0)
+    film = MirrorRenderer(camera, LAMP, [R], room=0)
     shift = 0.0
     for _ in range(20):  # push the ball until its glint stands on a pixel's centre
         glint = find_glints(camera, LAMP, np.array([[[shift, 0, R]]]), np.array([R]), np.ones((1, 1), bool)).pixels[0]
@@ -229,11 +229,13 @@ def test_the_unit_is_the_peak_of_a_centred_glint():
     assert image.max() == pytest.approx(1, abs=2e-4)
     assert np.unravel_index(image.argmax(), image.shape) == (240, 320)
     assert image[240, 319] == pytest.approx(image[240, 321], rel=1e-5)
-    assert one_frame(Film(camera, LAMP, [R], room=0.02), [shift, 0, R]).image.max() == pytest.approx(1.02, abs=2e-3)
+    assert one_frame(MirrorRenderer(camera, LAMP, [R], room=0.02), [shift, 0, R]).image.max() == pytest.approx(
+        1.02, abs=2e-3
+    )
 
 
 def test_the_plate_is_black_and_only_boxes_differ_from_it():
-    film = Film(overhead(), LAMP, [R, R], room=0.02)
+    film = MirrorRenderer(overhead(), LAMP, [R, R], room=0.02)
     picture = one_frame(film, [0, 0, R], [0.02, 0.01, R])
     assert picture.plate is film.plate
     assert 0 < film.plate.min() < film.plate.max() <= 0.00101
@@ -253,7 +255,7 @@ def test_a_balls_dark_ring_mirrors_the_plate_around_it():
     """Outside sin 45 deg of its radius a ball shows the plate: Schlick's share of Lambert's radiance there."""
     low = Lamp(np.array([0.3, 0.0, 0.4]), 0.002)
     camera = overhead(scale=4e-5, size=(101, 101))
-    film = Film(camera, low, [R], room=1)
+    film = MirrorRenderer(camera, low, [R], room=1)
     image = one_frame(film, [0, 0, R]).image
     seen_at = np.round(0.85 * R / camera.scale)
     cosine = np.sqrt(1 - (seen_at * camera.scale / R) ** 2)
@@ -265,14 +267,14 @@ def test_a_balls_dark_ring_mirrors_the_plate_around_it():
 
 def test_boxes_never_overlap():
     """The sensor draws each box once; a pixel in two of them would be drawn twice."""
-    film = Film(overhead(), LAMP, [R] * 4)
+    film = MirrorRenderer(overhead(), LAMP, [R] * 4)
     picture = one_frame(film, [0, 0, R], [2 * R, 0, R], [0, 5.5 * R, R], [0.02, 0, R])
     count = np.zeros(picture.image.shape, int)
     for box in picture.boxes:
         count[box] += 1
     assert count.max() == 1
     assert len(picture.boxes) < 4
-    bridged = merge([(0, 2, 0, 2), (5, 7, 0, 2), (20, 22, 0, 2), (1, 6, 1, 3), (7, 9, 0, 2)])
+    bridged = merge_boxes([(0, 2, 0, 2), (5, 7, 0, 2), (20, 22, 0, 2), (1, 6, 1, 3), (7, 9, 0, 2)])
     assert sorted((b[0].start, b[0].stop, b[1].start, b[1].stop) for b in bridged) == [
         (0, 7, 0, 3),
         (7, 9, 0, 2),
@@ -291,7 +293,7 @@ def kick(times):
 
 
 def test_a_blurred_frame_is_the_mean_of_many_sharp_ones():
-    film = Film(overhead(), LAMP, [R, R], room=0.05)
+    film = MirrorRenderer(overhead(), LAMP, [R, R], room=0.05)
     (blurred,) = film.frames(kick, [[0.0, 1e-3]], breaks=[-1.0, 5e-4, 7.0])
     instants = (np.arange(200) + 0.5) / 200 * 1e-3
     mean = np.mean([p.image for p in film.frames(kick, np.c_[instants, instants])], axis=0)
@@ -307,7 +309,7 @@ def test_a_blurred_frame_is_the_mean_of_many_sharp_ones():
 def test_a_ball_at_the_edge_or_outside():
     wide, narrow = overhead(size=(200, 100)), overhead(size=(100, 60))
     shift = np.array([(200 - 100) / 2, (100 - 60) / 2]).astype(int)
-    large, small = Film(wide, LAMP, [R, R]), Film(narrow, LAMP, [R, R])
+    large, small = MirrorRenderer(wide, LAMP, [R, R]), MirrorRenderer(narrow, LAMP, [R, R])
     for x, y in [(0.008, 0.0), (0.0085, 0.005), (-0.0079, -0.0048), (0.0095, 0.0), (50.0, 0.0)]:
         positions = ([x, y, R], [0.6 * R, 0.1 * R, R])
         whole, part = one_frame(large, *positions), one_frame(small, *positions)
@@ -319,10 +321,10 @@ def test_a_ball_at_the_edge_or_outside():
 
 def test_any_number_of_balls_in_any_order():
     centres = np.array([[0, 0, R], [2 * R, 0.1 * R, R], [R, 1.9 * R, R], [0.02, 0, R]])
-    film = Film(overhead(), LAMP, [R] * 4)
+    film = MirrorRenderer(overhead(), LAMP, [R] * 4)
     a, b = one_frame(film, *centres), one_frame(film, *centres[[2, 3, 0, 1]])
     np.testing.assert_allclose(a.image, b.image, atol=1e-6)
-    single = one_frame(Film(overhead(), LAMP, [R]), centres[3])
+    single = one_frame(MirrorRenderer(overhead(), LAMP, [R]), centres[3])
     far = (slice(200, 280), slice(435, 455))
     np.testing.assert_allclose(a.image[far], single.image[far], atol=2e-3)
     expected = sorted(order for order, *_ in lamp_images(overhead(), centres[:3], [R] * 3, highest=2))
@@ -333,18 +335,18 @@ def test_any_number_of_balls_in_any_order():
 def test_a_pair_is_drawn_as_balls_in_any_number_are():
     """Two balls have a shader of their own."""
     centres = np.array([[0, 0, R], [1.7 * R, 1.1 * R, R], [1.0, 0, R]])
-    pair, many = (one_frame(Film(overhead(), LAMP, [R] * n), *centres[:n]).image for n in (2, 3))
+    pair, many = (one_frame(MirrorRenderer(overhead(), LAMP, [R] * n), *centres[:n]).image for n in (2, 3))
     np.testing.assert_allclose(pair, many, atol=1e-7)
 
 
 def test_frames_do_not_depend_on_their_company(monkeypatch):
-    film = Film(overhead(), LAMP, [R, R])
+    film = MirrorRenderer(overhead(), LAMP, [R, R])
     starts = np.arange(70) * 1e-4
     spans = np.c_[starts, starts + 5e-4]
     together = list(film.frames(kick, spans, breaks=[5e-4]))
-    monkeypatch.setattr("synthcam.camera.render.film.BATCH", 16)
+    monkeypatch.setattr("synthcam.camera.render.mirror_renderer.BATCH", 16)
     monkeypatch.setattr("synthcam.camera.glints.PATHS", 40)
-    again = list(Film(overhead(), LAMP, [R, R]).frames(kick, spans, breaks=[5e-4]))
+    again = list(MirrorRenderer(overhead(), LAMP, [R, R]).frames(kick, spans, breaks=[5e-4]))
     for k in range(0, 70, 3):
         (alone,) = film.frames(kick, spans[k : k + 1], breaks=[5e-4])
         assert alone.boxes == together[k].boxes
@@ -354,20 +356,20 @@ def test_frames_do_not_depend_on_their_company(monkeypatch):
 
 def test_settings_it_cannot_draw_are_refused():
     with pytest.raises(ValueError, match="between the camera and the plate"):
-        Film(overhead(), Lamp(np.array([0.0, 0.0, 0.3]), 0.01), [R])
+        MirrorRenderer(overhead(), Lamp(np.array([0.0, 0.0, 0.3]), 0.01), [R])
     with pytest.raises(ValueError, match="distortion"):
-        Film(overhead(distortion=(-20, 0, 0, 0, 0)), LAMP, [R])
+        MirrorRenderer(overhead(distortion=(-20, 0, 0, 0, 0)), LAMP, [R])
     with pytest.raises(ValueError, match="radii"):
-        Film(overhead(), LAMP, [R, -R])
+        MirrorRenderer(overhead(), LAMP, [R, -R])
     with pytest.raises(ValueError, match="ends before"):
-        next(Film(overhead(), LAMP, [R]).frames(still([0, 0, R]), [[1.0, 0.0]]))
+        next(MirrorRenderer(overhead(), LAMP, [R]).frames(still([0, 0, R]), [[1.0, 0.0]]))
 
 
 def test_a_wide_lamp_is_the_sum_of_its_parts():
     """A ring as 400 small discs of its plane."""
     camera = overhead(size=(101, 81), scale=8e-5)
     ring = Lamp(LAMP.position, 0.12, "ring", 0.1)
-    whole = one_frame(Film(camera, ring, [R], room=0), [0, 0, R]).image
+    whole = one_frame(MirrorRenderer(camera, ring, [R], room=0), [0, 0, R]).image
     parts, ball = np.zeros((81, 101)), (np.array([[[0, 0, R]]]), np.array([R]), np.ones((1, 1), bool))
     columns, rows = np.arange(102) - 0.5, np.arange(82) - 0.5
     for radius in np.sqrt(np.linspace(0.1**2, 0.12**2, 9)[1::2]):
@@ -379,12 +381,12 @@ def test_a_wide_lamp_is_the_sum_of_its_parts():
     parts *= whole.sum() / parts.sum()
     assert np.abs(whole - parts).max() < 5e-3
     assert whole.max() == pytest.approx(1, abs=0.05)
-    disc = one_frame(Film(camera, Lamp(LAMP.position, 0.12), [R], room=0), [0, 0, R]).image
+    disc = one_frame(MirrorRenderer(camera, Lamp(LAMP.position, 0.12), [R], room=0), [0, 0, R]).image
     assert np.abs(disc * whole.sum() / disc.sum() - parts).max() > 0.1
 
 
 def test_vignetting_takes_its_share_in_the_corners():
-    plain, dark = (Film(overhead(vignetting=v), LAMP, [R], room=0.1) for v in (0.0, 0.4))
+    plain, dark = (MirrorRenderer(overhead(vignetting=v), LAMP, [R], room=0.1) for v in (0.0, 0.4))
     for position in ([0.0, 0, R], [0.045, 0.03, R]):
         before, after = one_frame(plain, position).image, one_frame(dark, position).image
         y, x = np.unravel_index(before.argmax(), before.shape)

@@ -4,23 +4,23 @@ import numpy as np
 import pytest
 
 from synthcam.camera.lamp import Flicker, Lamp
-from synthcam.camera.pinhole import Camera
-from synthcam.camera.room.film import RoomFilm
-from synthcam.camera.room.finish import Finish, Look
+from synthcam.camera.pinhole import PinholeCamera
+from synthcam.camera.room.finish import BallFinish, SurfaceFinish
+from synthcam.camera.room.room_renderer import RoomRenderer
 from synthcam.camera.surface import IRON, Surface
 
 R = 0.01
 LAMP = Lamp(np.array([0.15, 0.1, 0.5]), 0.02)
-BLACK, WHITE = Finish((0.0,), (0.0,)), Finish((0.8,), (0.8,))
+BLACK, WHITE = BallFinish((0.0,), (0.0,)), BallFinish((0.8,), (0.8,))
 
 
 def overhead(**changes):
     settings = {"size": (160, 120), "scale": 8e-4, "height": 0.6, "ball_radius": R}
-    return Camera.overhead(**settings | {"fps": 50, "exposure": 1e-3, "psf_sigma_px": 0.8} | changes)
+    return PinholeCamera.overhead(**settings | {"fps": 50, "exposure": 1e-3, "psf_sigma_px": 0.8} | changes)
 
 
 def look(*balls, plate=(0.5,), **more):
-    return Look(balls or (WHITE,), plate, **more)
+    return SurfaceFinish(balls or (WHITE,), plate, **more)
 
 
 def still(*centres):
@@ -36,7 +36,7 @@ def one(film, *centres, span=(0.0, 0.0)):
 
 
 def test_the_plate_alone():
-    film = RoomFilm(overhead(), LAMP, [R], look(Finish((0.8,) * 3, (0.8,) * 3), plate=(0.4, 0.2, 0.1)), None)
+    film = RoomRenderer(overhead(), LAMP, [R], look(BallFinish((0.8,) * 3, (0.8,) * 3), plate=(0.4, 0.2, 0.1)), None)
     pictures = one(film, [0.4, 0.4, R])
     assert len(pictures) == 3
     for picture, plate in zip(pictures, (0.4, 0.2, 0.1), strict=True):
@@ -49,10 +49,10 @@ def test_the_plate_alone():
 def test_a_black_ball_hides_its_outline(shift, change):
     """In even light without a lamp's shadow: what is missing has the outline's own area and middle."""
     camera = overhead(**change)
-    film = RoomFilm(camera, LAMP, [R], look(BLACK, ambient=0.0), None)
+    film = RoomRenderer(camera, LAMP, [R], look(BLACK, ambient=0.0), None)
     film.shade.cells, centre = [], np.array([shift[0] * 8e-4, shift[1] * 8e-4, R])
-    film.shade.look = Look((BLACK,), (0.5,), ambient=1.0)
-    film.shade._kept = lambda ball, points, centre, soft=0.0: (np.zeros(0, int), np.ones((0, 1)))
+    film.shade.look = SurfaceFinish((BLACK,), (0.5,), ambient=1.0)
+    film.shade._unshadowed_shares = lambda ball, points, centre, soft=0.0: (np.zeros(0, int), np.ones((0, 1)))
     film._bare = np.ones(film._bare.shape)
     image = one(film, centre)[0].image / film.plate[0]
     missing = 1 - image
@@ -74,7 +74,7 @@ def test_a_black_ball_hides_its_outline(shift, change):
 
 
 def test_an_exposure_is_the_mean_of_its_moments():
-    film = RoomFilm(overhead(), LAMP, [R], look(texture="wood"), Surface(steel=(1.5, 0.0)))
+    film = RoomRenderer(overhead(), LAMP, [R], look(texture="wood"), Surface(steel=(1.5, 0.0)))
 
     def rolling(times):
         return np.stack([0.5 * times - 0.01, 0 * times, 0 * times + R], axis=1)[:, None]
@@ -88,7 +88,7 @@ def test_an_exposure_is_the_mean_of_its_moments():
 
 def test_frames_are_the_same_again_and_alone():
     def make():
-        return RoomFilm(overhead(), LAMP, [R, R], look(WHITE, WHITE, texture="cloth"), Surface(steel=(1.5, 0.0)))
+        return RoomRenderer(overhead(), LAMP, [R, R], look(WHITE, WHITE, texture="cloth"), Surface(steel=(1.5, 0.0)))
 
     centres = still([0, 0, R], [2 * R, 0, R])
     both = list(make().frames(centres, unturned(2), [[0, 0], [1e-3, 2e-3]]))
@@ -97,7 +97,7 @@ def test_frames_are_the_same_again_and_alone():
 
 
 def test_a_pattern_turns_with_its_ball():
-    film = RoomFilm(overhead(), LAMP, [R], look(Finish((0.0,), (0.9,), "half")), None)
+    film = RoomRenderer(overhead(), LAMP, [R], look(BallFinish((0.0,), (0.9,), "half")), None)
     over = np.array([[1.0, 0, 0], [0, -1, 0], [0, 0, -1]])
     images = []
     for turn in (np.eye(3), over):
@@ -112,16 +112,19 @@ def test_a_pattern_turns_with_its_ball():
 
 def test_the_lamp_shows_in_varnish_and_metal():
     dull, varnished = (
-        one(RoomFilm(overhead(), LAMP, [R], look(), m), [0, 0, R])[0].image for m in (None, Surface(steel=(1.5, 0.0)))
+        one(RoomRenderer(overhead(), LAMP, [R], look(), m), [0, 0, R])[0].image
+        for m in (None, Surface(steel=(1.5, 0.0)))
     )
     assert varnished.max() > 1.5 * dull.max()
-    steel = one(RoomFilm(overhead(), LAMP, [R], look(BLACK, texture="wood"), Surface(steel=IRON)), [0, 0, R])[0].image
+    steel = one(RoomRenderer(overhead(), LAMP, [R], look(BLACK, texture="wood"), Surface(steel=IRON)), [0, 0, R])[
+        0
+    ].image
     assert steel.max() > 5
     assert steel[57, 72] == pytest.approx(0.51 * 0.3, rel=0.25)  # the sky, mirrored by iron
 
 
 def test_shadows_fall_away_from_the_lamp():
-    film = RoomFilm(overhead(), LAMP, [R], look(ambient=0.2), None)
+    film = RoomRenderer(overhead(), LAMP, [R], look(ambient=0.2), None)
     image = one(film, [0, 0, R])[0].image / film.plate[0]
     x, y = film.camera.project([-1.3 * R * 0.83, -1.3 * R * 0.55, 0.0])
     u, v = film.camera.project([1.5 * R * 0.83, 1.5 * R * 0.55, 0.0])
@@ -131,16 +134,16 @@ def test_shadows_fall_away_from_the_lamp():
 
 def test_mains_and_rolling_shutter():
     lamp = Lamp(LAMP.position, LAMP.radius, flicker=Flicker(0.3, 100.0, 0.0))
-    film = RoomFilm(overhead(), lamp, [R], look(), None)
+    film = RoomRenderer(overhead(), lamp, [R], look(), None)
     bright, dark = (p[0].image for p in film.frames(still([0, 0, R]), unturned(1), [[0, 0], [5e-3, 5e-3]]))
     np.testing.assert_allclose(dark / bright, 0.7 / 1.3, rtol=1e-3)
-    rolling = RoomFilm(overhead(line_time=5e-5), LAMP, [R], look(), None)
+    rolling = RoomRenderer(overhead(line_time=5e-5), LAMP, [R], look(), None)
 
     def moving(times):
         return np.stack([1.0 * times, 0 * times, 0 * times + R], axis=1)[:, None]
 
     (leaning,) = next(rolling.frames(moving, unturned(1), [[0.0, 0.0]]))
-    (flat,) = next(RoomFilm(overhead(), LAMP, [R], look(), None).frames(moving, unturned(1), [[3e-3, 3e-3]]))
+    (flat,) = next(RoomRenderer(overhead(), LAMP, [R], look(), None).frames(moving, unturned(1), [[3e-3, 3e-3]]))
     row = 60  # exposed 3 ms late
     assert np.abs(leaning.image[row] - flat.image[row]).max() < 0.02
     assert np.abs(leaning.image[row - 8] - flat.image[row - 8]).max() > 0.05
@@ -148,6 +151,6 @@ def test_mains_and_rolling_shutter():
 
 def test_what_no_film_can_show():
     with pytest.raises(ValueError, match="stands between the camera and the plate"):
-        RoomFilm(overhead(), Lamp(np.array([0.0, 0.0, 0.3]), 0.01), [R], look(), None)
+        RoomRenderer(overhead(), Lamp(np.array([0.0, 0.0, 0.3]), 0.01), [R], look(), None)
     with pytest.raises(ValueError, match="radii: expected 1, all larger than 0"):
-        RoomFilm(overhead(), LAMP, [-R], look(), None)
+        RoomRenderer(overhead(), LAMP, [-R], look(), None)

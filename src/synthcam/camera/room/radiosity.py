@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from synthcam.camera.room.light import dot, form_factor, over_horizon, uncovered
+from synthcam.camera.room.view_factors import dot, form_factor, mean_cosine_above_horizon, visible_fraction
 
 Array = NDArray[np.float64]
 
@@ -21,7 +21,7 @@ UP = np.array([0.0, 0.0, 1.0])
 
 
 @dataclass(frozen=True)
-class Source:
+class LightSource:
     """A piece of a lamp seen from n places: unit ways (n, 3), angular radii (n,), rad, light (n,) on a plate."""
 
     way: Array
@@ -30,7 +30,7 @@ class Source:
 
 
 @dataclass(frozen=True)
-class Table:
+class ReflectionTable:
     """Values (n, SECTORS, c) at the middles of n cells of a coordinate from 0 to 1 and of an angle about z."""
 
     values: Array
@@ -47,12 +47,12 @@ class Table:
 
 
 @dataclass(frozen=True)
-class Bounce:
+class PlateExchange:
     """below: light that a ball gets from the plate, over (1 + n_z)/2. glow: light that the plate gets from it, over
     r/(1 + r)."""
 
-    below: Table
-    glow: Table
+    below: ReflectionTable
+    glow: ReflectionTable
 
     def on_ball(self, normals: Array) -> Array:
         return self.below.at((1 + normals[..., 2]) / 2, np.arctan2(normals[..., 1], normals[..., 0]))
@@ -63,7 +63,9 @@ class Bounce:
         return self.glow.at(r / (1 + r), np.arctan2(offsets[..., 1], offsets[..., 0]))
 
 
-def bounce(sources: Callable[[Array], list[Source]], ambient: float, ball: Array, plate: Array) -> Bounce:
+def solve_plate_exchange(
+    sources: Callable[[Array], list[LightSource]], ambient: float, ball: Array, plate: Array
+) -> PlateExchange:
     """The tables of a ball and a plate of mean reflectances (c,) under lamps and an even sky.
 
     sources: of points (n, 3) on the plate, the lamps there.
@@ -87,17 +89,17 @@ def bounce(sources: Callable[[Array], list[Source]], ambient: float, ball: Array
     on_ball = ambient * (1 + normals[:, 2:]) / 2
     for source in sources(spots):
         apart = np.arccos(np.clip(dot(to_centre, source.way) / far, -1, 1))
-        on_plate[:, 0] += source.light * uncovered(source.wide, np.arcsin(1 / far), apart)
+        on_plate[:, 0] += source.light * visible_fraction(source.wide, np.arcsin(1 / far), apart)
     for source in sources(np.zeros((1, 3))):
-        seen = over_horizon(normals @ source.way[0], np.sin(source.wide))
+        seen = mean_cosine_above_horizon(normals @ source.way[0], np.sin(source.wide))
         on_ball[:, 0] += source.light * seen / source.way[0, 2]
     below, glow = np.zeros((len(normals), len(ball))), np.zeros((len(spots), len(ball)))
     for _ in range(BOUNCES):
         glow = to_ball @ (ball * (on_ball + below))
         below = to_plate @ (plate * (on_plate + glow))
-    return Bounce(
-        Table(below.reshape(BELTS, SECTORS, -1)),
-        Table(_up_to_one(glow.reshape(RINGS, SECTORS, -1))),
+    return PlateExchange(
+        ReflectionTable(below.reshape(BELTS, SECTORS, -1)),
+        ReflectionTable(_up_to_one(glow.reshape(RINGS, SECTORS, -1))),
     )
 
 

@@ -14,7 +14,7 @@ def dot(a: Array, b: Array) -> Array:
     return np.asarray(np.einsum("...k,...k->...", a, b))
 
 
-def over_horizon(cosine: Array, sine: Array) -> Array:
+def mean_cosine_above_horizon(cosine: Array, sine: Array) -> Array:
     """Mean cosine of incidence over a lamp's disc, what is under the surface's horizon left out.
 
     cosine: of the disc's middle; sine: of its angular radius. The disc's points project on the normal as u does,
@@ -26,7 +26,7 @@ def over_horizon(cosine: Array, sine: Array) -> Array:
     return np.where(cosine > sine, cosine, cut)
 
 
-def uncovered(a: Array, b: Array, apart: Array) -> Array:
+def visible_fraction(a: Array, b: Array, apart: Array) -> Array:
     """Share of a disc of angular radius a that a disc of radius b, `apart` rad away, leaves in view."""
     a, b, apart = np.broadcast_arrays(a, b, apart)
     out = (apart >= b).astype(float)
@@ -63,7 +63,7 @@ def form_factor(normal: Array, offset: Array, radius: Array | float) -> Array:
     return np.maximum(out, 0)
 
 
-def bent(normal: Array, way: Array) -> tuple[Array, Array]:
+def mirror_direction(normal: Array, way: Array) -> tuple[Array, Array]:
     """Way (..., 3) after a mirror of that normal, and the cosine of incidence."""
     cosine = -dot(normal, way)
     return way + 2 * cosine[..., None] * normal, cosine

@@ -7,7 +7,7 @@ from matplotlib.figure import Figure
 from typer.testing import CliRunner
 
 from synthcam.cli import app
-from synthcam.dataset.sketch import FPS, FRAMES, LAUNCH, sketch, tracks, typical
+from synthcam.dataset.effect_drawing import FPS, FRAMES, LAUNCH, draw_effect, simulate_tracks, with_typical_values
 from synthcam.dynamics.launch import Launch
 from synthcam.dynamics.solve import solve
 from synthcam.library import library
@@ -15,18 +15,20 @@ from synthcam.model import Model
 
 
 def test_its_tracks_are_the_motion_in_mm():
-    model = Model(effects=(typical(library()["stribeck"]),))
+    model = Model(effects=(with_typical_values(library()["stribeck"]),))
     motion = solve(model, Launch.pair(model.bodies("ab"), **LAUNCH), 0.0, FRAMES / FPS)
     times = (np.arange(FRAMES)) / FPS + 2.5e-4
     clear = [k for k in range(FRAMES) if all(abs(e.t - times[k]) > 3e-4 for e in motion.events)]
-    np.testing.assert_allclose(tracks(model)[:, clear], 1e3 * motion.at(times[clear])[..., :2], rtol=0, atol=2e-4)
+    np.testing.assert_allclose(
+        simulate_tracks(model)[:, clear], 1e3 * motion.at(times[clear])[..., :2], rtol=0, atol=2e-4
+    )
 
 
 @pytest.mark.parametrize("name", ["hop", "clock_drift", "pixel_locking"])
 def test_it_draws(name, tmp_path):
-    apart = sketch(typical(library()[name]), tmp_path / "e.png")
-    model = Model(effects=(typical(library()[name]),))
-    assert apart == pytest.approx(1e3 * np.abs(tracks(model) - tracks(Model())).max())
+    apart = draw_effect(with_typical_values(library()[name]), tmp_path / "e.png")
+    model = Model(effects=(with_typical_values(library()[name]),))
+    assert apart == pytest.approx(1e3 * np.abs(simulate_tracks(model) - simulate_tracks(Model())).max())
     assert apart > 1
     drawn = cv2.imread(str(tmp_path / "e.png"))
     assert drawn.shape[0] > 300
@@ -36,7 +38,7 @@ def test_it_draws(name, tmp_path):
 def test_no_legend_covers_an_axis(tmp_path, monkeypatch):
     drawn = []
     monkeypatch.setattr(Figure, "savefig", lambda figure, *path, **settings: drawn.append(figure))
-    sketch(typical(library()["plate_tilt"]), tmp_path / "t.png")
+    draw_effect(with_typical_values(library()["plate_tilt"]), tmp_path / "t.png")
     (figure,) = drawn
     figure.draw_without_rendering()
     boxes = [axes.get_tightbbox() for axes in figure.get_axes()]

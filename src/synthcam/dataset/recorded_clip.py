@@ -17,7 +17,7 @@ LARGEST = 1e9  # of any number that describes a camera or a stack
 
 
 @dataclass(frozen=True)
-class Recorded:
+class RecordedClip:
     """One clip of a dataset, as read from its files. of: how many clips its scene has in all."""
 
     number: int

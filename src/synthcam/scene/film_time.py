@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from synthcam.camera.pinhole import Camera
+from synthcam.camera.pinhole import PinholeCamera
 from synthcam.dynamics.kinematics import Array
 from synthcam.dynamics.launch import Launch
 from synthcam.dynamics.solve import solve
@@ -19,15 +19,15 @@ SETTLED = 1e-14  # s
 
 
 @dataclass(frozen=True)
-class View:
+class FilmedMotion:
     """The camera as it is, and the motion against film time: frame k opens at k/fps by the film's own count."""
 
     model: Model
-    camera: Camera
+    camera: PinholeCamera
     motion: Trajectory
 
     @classmethod
-    def of(cls, model: Model, launch: Launch, camera: Camera, frames: int) -> View:
+    def solve(cls, model: Model, launch: Launch, camera: PinholeCamera, frames: int) -> FilmedMotion:
         """Solve the motion for as long as `frames` frames last."""
         corners = np.array([[0.0], [frames / camera.fps]])
         rows = np.array([0.0, camera.size[1] - 1.0])
@@ -41,12 +41,12 @@ class View:
         starts = np.arange(frames) / self.camera.fps
         return np.stack([starts, starts + self.camera.exposure], axis=1)
 
-    def as_drawn(self) -> View:
+    def as_drawn(self) -> FilmedMotion:
         """The same for a renderer, which sees to the delay of each row itself."""
         return replace(self, camera=replace(self.camera, line_time=0.0))
 
     @property
-    def _bent(self) -> bool:
+    def _has_own_clock(self) -> bool:
         return bool(self.camera.line_time) or self.model.laws.bent("clock")
 
     def times(self, film: Array) -> Array:
@@ -62,7 +62,7 @@ class View:
     def at(self, film: Array) -> Array:
         """States (balls, m, 9) at film time (m,)."""
         times = self.times(film)
-        if not self._bent:
+        if not self._has_own_clock:
             return self.motion.at(times[0])
         return np.stack([self.motion.at(t)[k] for k, t in enumerate(times)])
 
@@ -84,7 +84,7 @@ class View:
         return mean(self.at, self.breaks(), spans, of)
 
     def _clock(self, film: Array, times: Array) -> Array:
-        if not self._bent:
+        if not self._has_own_clock:
             return times
         inside = np.clip(times, self.motion.t0, self.motion.t1)
         positions = np.stack([self.motion.at(t)[k] for k, t in enumerate(inside)])

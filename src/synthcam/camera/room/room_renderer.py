@@ -12,26 +12,26 @@ from numpy.typing import ArrayLike, NDArray
 
 from synthcam.camera.exposure import (
     Box,
-    Moments,
     Picture,
+    SubExposures,
     blur_matrix,
-    blurred,
-    merge,
-    pieces,
-    reach,
-    sample,
-    spots,
-    vignette,
+    blur_tiles,
+    compute_vignette,
+    integrate_spots,
+    merge_boxes,
+    outline_half_width,
+    place_sub_exposures,
+    split_at_breaks,
 )
-from synthcam.camera.glints import Glints, find_glints, join
+from synthcam.camera.glints import GlintImages, find_glints, join_glints
 from synthcam.camera.lamp import Lamp
-from synthcam.camera.pinhole import Camera
+from synthcam.camera.pinhole import PinholeCamera
 from synthcam.camera.psf import Psf
 from synthcam.camera.room import texture
-from synthcam.camera.room.finish import Look
-from synthcam.camera.room.light import dot
-from synthcam.camera.room.shade import Among, Shade
-from synthcam.camera.shutter import rolled
+from synthcam.camera.room.finish import SurfaceFinish
+from synthcam.camera.room.illumination import BallsAtMoment, Illumination
+from synthcam.camera.room.view_factors import dot
+from synthcam.camera.shutter import roll_shutter
 from synthcam.camera.surface import Surface
 
 Array = NDArray[np.float64]
@@ -44,7 +44,7 @@ TRAVEL = 1.5  # px, of a ball, while the light on the plate counts as one blurre
 CELL = 0.4  # half-width of a lamp's cells as they are seen in a ball, over the blur's sigma
 
 
-class RoomFilm:
+class RoomRenderer:
     """The view of one camera.
 
     camera, lamp: as in `pinhole`, `lamp`. radii: m, one a ball. look: what balls and plate are made of. mirror: the
@@ -52,7 +52,9 @@ class RoomFilm:
     origin. Raises ValueError where a lamp stands in view or a radius is not over 0.
     """
 
-    def __init__(self, camera: Camera, lamp: Lamp, radii: Sequence[float], look: Look, mirror: Surface | None) -> None:
+    def __init__(
+        self, camera: PinholeCamera, lamp: Lamp, radii: Sequence[float], look: SurfaceFinish, mirror: Surface | None
+    ) -> None:
         self.camera, self.lamp, self.look = camera, lamp, look
         self.radii = np.array(radii, float)
         if not (len(self.radii) == len(look.balls) and np.all(self.radii > 0)):
@@ -61,9 +63,9 @@ class RoomFilm:
             at = camera.project(each.position)
             if np.all((at > -0.5) & (at < np.array(camera.size) - 0.5)):
                 raise ValueError(f"lamp position {each.position.tolist()} stands between the camera and the plate")
-        self.shade = Shade(lamp, look, self.radii, mirror)
+        self.shade = Illumination(lamp, look, self.radii, mirror)
         self.psf = Psf(camera.psf_sigma_px, camera.defocus_px, camera.airy_px)
-        self._vignette = vignette(camera)
+        self._vignette = compute_vignette(camera)
         self._points, _ = self._on_plate(*(np.arange(n, dtype=float) for n in camera.size))
         self._bare = self.shade.bare(self._points.reshape(-1, 3)).reshape(self._points.shape[:2])
         self.plate = self._draw_plate()
@@ -129,11 +131,11 @@ class RoomFilm:
         cuts = np.sort(np.asarray(breaks, float))
         for span in np.asarray(intervals, float).reshape(-1, 2):
             if self.camera.line_time:
-                yield self._rolled(centres, turns, span, cuts)
+                yield self._roll(centres, turns, span, cuts)
             else:
-                yield self._exposed(centres, turns, span, cuts)
+                yield self._expose(centres, turns, span, cuts)
 
-    def _rolled(
+    def _roll(
         self, centres: Callable[[Array], Array], turns: Callable[[Array], Array], span: Array, cuts: Array
     ) -> Pictures:
         def seen(times: Array) -> tuple[Array, Array]:
@@ -147,38 +149,40 @@ class RoomFilm:
         def gather(spans: Array, channel: int) -> list[Picture]:
             key = spans.tobytes()
             if key not in made:
-                made[key] = [self._exposed(centres, turns, s, cuts) for s in spans]
+                made[key] = [self._expose(centres, turns, s, cuts) for s in spans]
             return [pictures[channel] for pictures in made[key]]
 
         plates = [(plate * light).astype(np.float32) for plate in self.plate]
         if not self.lamp.flicker.depth:
             plates = list(self.plate)
         return tuple(
-            rolled(self.camera, seen, span, cuts, lambda spans, c=c: gather(spans, c), plate)  # type: ignore[misc]
+            roll_shutter(self.camera, seen, span, cuts, lambda spans, c=c: gather(spans, c), plate)  # type: ignore[misc]
             for c, plate in enumerate(plates)
         )
 
     def _extent(self, positions: Array) -> Array:
         """Half width (T, N) px of what a ball changes: itself, its shadow and its part in the plate's light."""
         slope = self.camera.project_with_slope(positions)[1]
-        return np.asarray(reach(self.camera, positions, self.radii, slope) * self.shade.reach + self.psf.margin)
+        return np.asarray(
+            outline_half_width(self.camera, positions, self.radii, slope) * self.shade.reach + self.psf.margin
+        )
 
-    def _moments(self, centres: Callable[[Array], Array], span: Array, cuts: Array) -> Moments:
-        bounds, weights, frames = pieces(span[None], cuts)
+    def _moments(self, centres: Callable[[Array], Array], span: Array, cuts: Array) -> SubExposures:
+        bounds, weights, frames = split_at_breaks(span[None], cuts)
         ends = self.camera.project(np.asarray(centres(bounds.ravel()), float)).reshape(len(bounds), 2, -1, 2)
         travel = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=2)
         near = np.all(np.abs(ends) < 3 * max(self.camera.size), axis=(1, 3))
         farthest = np.where(near, travel, 0).max(axis=1, initial=0) / np.hypot(self.camera.psf_sigma_px, 12**-0.5)
-        return sample(bounds, weights, frames, farthest / 2)
+        return place_sub_exposures(bounds, weights, frames, farthest / 2)
 
-    def _exposed(
+    def _expose(
         self, centres: Callable[[Array], Array], turns: Callable[[Array], Array], span: Array, cuts: Array
     ) -> Pictures:
         """One exposure of a global shutter."""
         moments = self._moments(centres, span, cuts)
         positions = np.asarray(centres(moments.times), float)
         turned = turns(moments.times)
-        boxes = merge(self._influenced(positions))
+        boxes = merge_boxes(self._find_boxes(positions))
         light = float(self.lamp.flicker.mean(span[:1], span[1:])[0])
         plates = self._plates_in(light)
         parts = [[plate[box] * 0.0 for box in boxes] for plate in plates]
@@ -187,11 +191,11 @@ class RoomFilm:
             weights = moments.weights[together]
             shown = [np.zeros((1 + len(plates), *plates[0][box].shape), np.float32) for box in boxes]
             for k, weight in zip(together.tolist(), weights, strict=True):
-                among = Among(positions[k], exchange)
+                among = BallsAtMoment(positions[k], exchange)
                 balls = [b for b in range(len(self.radii)) if self._in_view(positions[k], b)]
                 tiles = [self._ball(ball, among, turned[k]) for ball in balls]
                 for total, box in zip(shown, boxes, strict=True):
-                    total += np.float32(weight) * self._laid(tiles, box)
+                    total += np.float32(weight) * self._lay_tiles(tiles, box)
             middle = np.average(positions[together], axis=0, weights=weights)
             travel = np.ptp(positions[together], axis=0).max(initial=0)
             for number, box in enumerate(boxes):
@@ -226,7 +230,7 @@ class RoomFilm:
             self._plates[light] = self.plate if light == 1 else tuple(p * np.float32(light) for p in self.plate)
         return self._plates[light]
 
-    def _influenced(self, positions: Array) -> list[tuple[int, int, int, int]]:
+    def _find_boxes(self, positions: Array) -> list[tuple[int, int, int, int]]:
         """Top, bottom, left, right within the picture of what each ball changes during an exposure."""
         pixels, extent = self.camera.project(positions), self._extent(positions)[..., None]
         low = np.floor((pixels - extent).min(axis=0)).astype(int)
@@ -246,12 +250,14 @@ class RoomFilm:
     def _place(self, centres: Array, ball: int) -> tuple[NDArray[np.intp], int]:
         """First column and row, and width, of a square that holds a ball and its blur."""
         slope = self.camera.project_with_slope(centres[None, ball : ball + 1])[1]
-        half = float(reach(self.camera, centres[None, ball : ball + 1], self.radii[ball : ball + 1], slope)[0, 0])
+        half = float(
+            outline_half_width(self.camera, centres[None, ball : ball + 1], self.radii[ball : ball + 1], slope)[0, 0]
+        )
         half += 1 + self.psf.margin
         low = np.floor(self.camera.project(centres[ball]) - half).astype(int)
         return low, int(2 * half) + 3
 
-    def _ball(self, ball: int, among: Among, turned: Array) -> tuple[NDArray[np.intp], Float32]:
+    def _ball(self, ball: int, among: BallsAtMoment, turned: Array) -> tuple[NDArray[np.intp], Float32]:
         """First column and row, and (1 + c, width, width): the share that a ball covers, and what it shows there."""
         centres = among.centres
         low, width = self._place(centres, ball)
@@ -264,17 +270,17 @@ class RoomFilm:
         tiles[0] = share
         if len(rows):
             ways = way[rows, columns]
-            points = self._met(centres[ball], self.radii[ball], ways)
+            points = self._meet_ball(centres[ball], self.radii[ball], ways)
             finish = self.look.balls[ball]
             sharp = self.camera.scale / (FINENESS * self.radii[ball])
-            paint = finish.painted((points - centres[ball]) / self.radii[ball] @ turned[ball], sharp)
+            paint = finish.paint((points - centres[ball]) / self.radii[ball] @ turned[ball], sharp)
             seen = self.shade.radiance(ball, points, ways, among, paint)
             tiles[1:, rows, columns] = (share[rows, columns, None] * seen).T
         blur = blur_matrix(width, self.psf.margin, FINENESS, self.camera.psf_sigma_px, self.psf.steps)
-        images = blurred(tiles, blur)
+        images = blur_tiles(tiles, blur)
         if self.shade.mirror is not None:
             images[1:] += self._glints(ball, centres, low, width, self.shade.mirror)
-        return low, images if self.psf.plain else self.psf.spread(images)
+        return low, images if self.psf.is_gaussian else self.psf.spread(images)
 
     def _shares(self, ball: int, centres: Array, way: Array) -> Array:
         """Share of each sample in which this ball is in front: its outline is a ramp one sample wide."""
@@ -285,7 +291,7 @@ class RoomFilm:
                 own = own * np.where(before < near, 1 - other, 1)
         return own
 
-    def _met(self, centre: Array, radius: float, ways: Array) -> Array:
+    def _meet_ball(self, centre: Array, radius: float, ways: Array) -> Array:
         """Points (n, 3) at which rays meet a ball, or pass it most closely, brought to its surface."""
         offset = self.camera.centre - centre
         b = ways @ offset
@@ -306,13 +312,13 @@ class RoomFilm:
                 spread = lamp.cells(np.inf).spread[0, :2].sum()
                 cell = CELL * self.camera.psf_sigma_px * float(np.sqrt(spread / max(whole.spread[0].sum(), 1e-30)))
             found.append(find_glints(self.camera, lamp, centres[None], self.radii, light, mirror, cell))
-        glints: Glints = join(found)
+        glints: GlintImages = join_glints(found)
         variances = glints.spread + self.camera.psf_sigma_px**2
-        rows, columns = spots(glints.pixels, variances, low[None].astype(float), width, self.psf.steps)
+        rows, columns = integrate_spots(glints.pixels, variances, low[None].astype(float), width, self.psf.steps)
         rows *= (glints.flux * np.pi * self.shade.unit)[:, None]
         return (rows.T @ columns).astype(np.float32)
 
-    def _laid(self, tiles: list[tuple[NDArray[np.intp], Float32]], box: Box) -> Float32:
+    def _lay_tiles(self, tiles: list[tuple[NDArray[np.intp], Float32]], box: Box) -> Float32:
         """Share of a box that balls cover, and what they show there, by channel: (1 + c, h, w)."""
         rows, columns = box
         shape = (rows.stop - rows.start, columns.stop - columns.start)

@@ -12,10 +12,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from synthcam.camera.lamp import Lamp
-from synthcam.camera.room.bounce import UP, Bounce, Source, Table, bounce
-from synthcam.camera.room.exchange import NEARS, TURNS, Exchange, facing, towards
-from synthcam.camera.room.finish import Look
-from synthcam.camera.room.light import bent, dot, form_factor, over_horizon, uncovered
+from synthcam.camera.room.exchange import NEARS, TURNS, BallExchange, sample_directions, sample_facing_side
+from synthcam.camera.room.finish import SurfaceFinish
+from synthcam.camera.room.radiosity import UP, LightSource, PlateExchange, ReflectionTable, solve_plate_exchange
+from synthcam.camera.room.view_factors import (
+    dot,
+    form_factor,
+    mean_cosine_above_horizon,
+    mirror_direction,
+    visible_fraction,
+)
 from synthcam.camera.surface import Surface
 
 Array = NDArray[np.float64]
@@ -31,7 +37,7 @@ MIRRORS, VARNISHED = 3, 1  # a ray meets, at most, of metal and of varnish
 
 
 @dataclass(frozen=True)
-class Cell:
+class LampCell:
     """A piece of a lamp: its middle, m, its area, m^2, the way it faces, and its radiance over pi."""
 
     position: Array
@@ -40,37 +46,39 @@ class Cell:
     strength: float
 
 
-class Among(NamedTuple):
+class BallsAtMoment(NamedTuple):
     """Balls (N, 3) at one moment, and what they trade."""
 
     centres: Array
-    exchange: Exchange | None
+    exchange: BallExchange | None
 
 
-class Shade:
+class Illumination:
     """lamp, look: as in a film. radii: (N,) m. mirror: the balls' varnish or bare metal, None: dull."""
 
-    def __init__(self, lamp: Lamp, look: Look, radii: Array, mirror: Surface | None) -> None:
+    def __init__(self, lamp: Lamp, look: SurfaceFinish, radii: Array, mirror: Surface | None) -> None:
         self.look, self.radii, self.mirror = look, radii, mirror
         self.colours = [ball.mean for ball in look.balls]
         self.plate = np.array(look.plate)
         cells = [cell for each in lamp.all for cell in _cells(each)]
-        whole = sum(_light(cell, np.zeros((1, 3)), UP[None])[0, 0] for cell in cells)
+        whole = sum(_irradiance(cell, np.zeros((1, 3)), UP[None])[0, 0] for cell in cells)
         self.unit = (1 - look.ambient) / whole  # of a radiance over pi
-        self.cells = [Cell(c.position, c.area, c.facing, c.strength * self.unit) for c in cells]
-        tables: dict[tuple[bytes, float], Bounce] = {}
+        self.cells = [LampCell(c.position, c.area, c.facing, c.strength * self.unit) for c in cells]
+        tables: dict[tuple[bytes, float], PlateExchange] = {}
         for colour, radius in zip(self.colours, radii.tolist(), strict=True):
             if (colour.tobytes(), radius) not in tables:
-                made = bounce(partial(self._sources, radius), look.ambient, colour, self.plate)
+                made = solve_plate_exchange(partial(self._sources, radius), look.ambient, colour, self.plate)
                 tables[colour.tobytes(), radius] = made
         self.bounces = [tables[c.tobytes(), r] for c, r in zip(self.colours, radii.tolist(), strict=True)]
         slant = max(np.hypot(*c.position[:2]) / c.position[2] for c in self.cells)
         self.reach = max(REACH, 1.5 * slant + np.hypot(slant, 1) + 1)  # radii
 
-    def _sources(self, radius: float, spots: Array) -> list[Source]:
+    def _sources(self, radius: float, spots: Array) -> list[LightSource]:
         """The lamps at spots (n, 3) on the plate, in radii of a ball."""
         points, up = spots * radius, np.broadcast_to(UP, spots.shape)
-        return [Source(*_seen(cell, points), _light(cell, points, up)[:, 0]) for cell in self.cells]
+        return [
+            LightSource(*_direction_and_size(cell, points), _irradiance(cell, points, up)[:, 0]) for cell in self.cells
+        ]
 
     def bare(self, points: Array) -> Array:
         """Light (n,) on the plate at points (n, 3) where there is no ball."""
@@ -80,14 +88,14 @@ class Shade:
         """Light (n, 1 + cells) of the sky and of the lamps on the bare plate."""
         up = np.broadcast_to(UP, points.shape)
         sky = np.full((len(points), 1), self.look.ambient)
-        return np.concatenate([sky, *(_light(cell, points, up) for cell in self.cells)], axis=1)
+        return np.concatenate([sky, *(_irradiance(cell, points, up) for cell in self.cells)], axis=1)
 
     def on_plate(self, points: Array, centres: Array, soft: float = 0.0) -> Array:
         """Light (n, c) on the plate at points (n, 3) among balls (N, 3). soft: m, rms blur of a shadow's edge."""
         bare = self._lights(points)
         shares = np.ones((len(centres), *bare.shape))  # that each ball leaves
         for ball, centre in enumerate(centres):
-            near, kept = self._kept(ball, points, centre, soft)
+            near, kept = self._unshadowed_shares(ball, points, centre, soft)
             shares[ball, near] = kept
         total = np.repeat((bare * shares.prod(axis=0)).sum(axis=1)[:, None], self.look.channels, axis=1)
         local = self.bare(centres * [1, 1, 0])
@@ -105,7 +113,7 @@ class Shade:
         near = np.flatnonzero(r < REACH)
         return near, _smooth((REACH - r[near]) / FADE)
 
-    def _kept(self, ball: int, points: Array, centre: Array, soft: float = 0.0) -> tuple[Index, Array]:
+    def _unshadowed_shares(self, ball: int, points: Array, centre: Array, soft: float = 0.0) -> tuple[Index, Array]:
         """Points that a ball takes light from, and the shares (n, 1 + cells) of sky and lamps that it leaves them."""
         r = np.hypot(points[:, 0] - centre[0], points[:, 1] - centre[1]) / self.radii[ball]
         near = np.flatnonzero(r < self.reach)
@@ -114,21 +122,21 @@ class Shade:
         wide = np.arcsin(np.clip(self.radii[ball] / far, 0, 1))
         shares = [1 - fade * form_factor(np.broadcast_to(UP, offset.shape), offset, self.radii[ball])]
         for cell in self.cells:
-            way, size = _seen(cell, points[near])
+            way, size = _direction_and_size(cell, points[near])
             apart = np.arccos(np.clip(dot(offset, way) / far, -1, 1))
-            shares.append(uncovered(np.hypot(size, 2 * soft / far), wide, apart))
+            shares.append(visible_fraction(np.hypot(size, 2 * soft / far), wide, apart))
         return near, np.stack(shares, axis=1)
 
     def on_ball(
-        self, ball: int, points: Array, normals: Array, centres: Array, exchange: Exchange | None = None
+        self, ball: int, points: Array, normals: Array, centres: Array, exchange: BallExchange | None = None
     ) -> Array:
         """Light (n, c) on a ball at points (n, 3). exchange: what it trades with the others."""
         lamps = np.zeros(len(points))
         for cell in self.cells:
-            light = _light(cell, points, normals)[:, 0]
+            light = _irradiance(cell, points, normals)[:, 0]
             for k in range(len(centres)):
                 if k != ball:
-                    light = light * self._left(cell, points, centres[k], self.radii[k])
+                    light = light * self._visible_share(cell, points, centres[k], self.radii[k])
             lamps += light
         sky = self.look.ambient * (1 + normals[:, 2]) / 2
         total = (lamps + sky)[:, None] + self._from_plate(ball, normals, centres)
@@ -147,22 +155,22 @@ class Shade:
         left = bare.copy()
         for k in range(len(centres)):
             if k != ball:
-                near, kept = self._kept(k, looks, centres[k])
+                near, kept = self._unshadowed_shares(k, looks, centres[k])
                 left[near] *= kept
         return np.asarray(out * (left.sum(axis=1) / bare.sum(axis=1))[:, None])
 
-    def exchange(self, centres: Array) -> Exchange | None:
+    def exchange(self, centres: Array) -> BallExchange | None:
         """What each two balls trade: light that one throws on the other less what it hides of plate and sky."""
         if len(centres) == 1:
             return None
         pairs = [(a, b) for a in range(len(centres)) for b in range(len(centres)) if a != b]
-        found: Exchange | None = None
+        found: BallExchange | None = None
         for _ in range(TRADES):
             tables = {}
             for a, b in pairs:
-                axes, normals = facing(centres[b] - centres[a])
+                axes, normals = sample_facing_side(centres[b] - centres[a])
                 points = centres[a] + self.radii[a] * normals
-                ways, weights = towards(points, normals, centres[b], self.radii[b])
+                ways, weights = sample_directions(points, normals, centres[b], self.radii[b])
                 many = np.repeat(points, ways.shape[1], axis=0)
                 flat = ways.reshape(-1, 3)
                 offset = many - centres[b]
@@ -175,20 +183,20 @@ class Shade:
                 hidden = np.where(up, self.look.ambient, plate[:, None])
                 net = (weights[..., None] * (given.reshape(hidden.shape) - hidden)).sum(axis=1)
                 share = form_factor(normals, centres[b] - points, self.radii[b])
-                tables[a, b] = axes, Table((share[:, None] * net).reshape(NEARS, TURNS, -1))
-            found = Exchange(tables)
+                tables[a, b] = axes, ReflectionTable((share[:, None] * net).reshape(NEARS, TURNS, -1))
+            found = BallExchange(tables)
         return found
 
-    def _left(self, cell: Cell, points: Array, centre: Array, radius: float) -> Array:
+    def _visible_share(self, cell: LampCell, points: Array, centre: Array, radius: float) -> Array:
         """Share (n,) of a lamp's cell that a ball leaves in view."""
         offset = centre - points
         far = np.maximum(np.sqrt(dot(offset, offset)), radius)
-        way, size = _seen(cell, points)
+        way, size = _direction_and_size(cell, points)
         apart = np.arccos(np.clip(dot(offset, way) / far, -1, 1))
-        return np.asarray(uncovered(size, np.arcsin(np.clip(radius / far, 0, 1)), apart))
+        return np.asarray(visible_fraction(size, np.arcsin(np.clip(radius / far, 0, 1)), apart))
 
     def radiance(
-        self, ball: int, points: Array, ways: Array, among: Among, paint: Array, mirrors: int | None = None
+        self, ball: int, points: Array, ways: Array, among: BallsAtMoment, paint: Array, mirrors: int | None = None
     ) -> Array:
         """What is seen (n, c) of a ball at points (n, 3) along ways (n, 3), without the lamps' images in it.
 
@@ -201,11 +209,11 @@ class Shade:
         if mirrors is None:
             mirrors = MIRRORS if self.mirror is not None and self.mirror.head_on > 0.2 else VARNISHED
         if self.mirror is not None and mirrors:
-            away, cosine = bent(normals, ways)
+            away, cosine = mirror_direction(normals, ways)
             out += self.mirror.mirror(cosine)[:, None] * self._around(ball, points, away, among, mirrors - 1)
         return out
 
-    def _around(self, ball: int, points: Array, ways: Array, among: Among, mirrors: int) -> Array:
+    def _around(self, ball: int, points: Array, ways: Array, among: BallsAtMoment, mirrors: int) -> Array:
         """What a ball mirrors (n, c): sky, plate or another ball."""
         centres = among.centres
         out = np.full((len(points), self.look.channels), self.look.ambient)
@@ -231,18 +239,18 @@ class Shade:
         return out
 
 
-def _cells(lamp: Lamp) -> list[Cell]:
+def _cells(lamp: Lamp) -> list[LampCell]:
     whole = max(lamp.radius, lamp.length / 2) if lamp.shape == "bar" else lamp.radius
     one = lamp.shape == "disc" and lamp.radius < WIDE * float(np.linalg.norm(lamp.position))
     cells = lamp.cells(np.inf if one else whole / PARTS)
     facing = lamp.axes[:, 2]
     return [
-        Cell(position, float(area), facing, lamp.radiance)
+        LampCell(position, float(area), facing, lamp.radiance)
         for position, area in zip(cells.positions, cells.areas, strict=True)
     ]
 
 
-def _seen(cell: Cell, points: Array) -> tuple[Array, Array]:
+def _direction_and_size(cell: LampCell, points: Array) -> tuple[Array, Array]:
     """Unit ways (n, 3) to a lamp's cell, and the angular radius (n,) of a disc as large as it looks."""
     way = cell.position - points
     far = np.sqrt(dot(way, way))
@@ -251,10 +259,12 @@ def _seen(cell: Cell, points: Array) -> tuple[Array, Array]:
     return way, np.sqrt(area / np.pi) / far
 
 
-def _light(cell: Cell, points: Array, normals: Array) -> Array:
+def _irradiance(cell: LampCell, points: Array, normals: Array) -> Array:
     """Light (n, 1) of a lamp's cell."""
-    way, size = _seen(cell, points)
-    return np.asarray((cell.strength * size * size * np.pi * over_horizon(dot(normals, way), np.sin(size)))[:, None])
+    way, size = _direction_and_size(cell, points)
+    return np.asarray(
+        (cell.strength * size * size * np.pi * mean_cosine_above_horizon(dot(normals, way), np.sin(size)))[:, None]
+    )
 
 
 def _smooth(x: Array) -> Array:
