@@ -33,7 +33,7 @@ from discrepancy.fitting.base_fit import estimate_noise, fit_base_model
 from discrepancy.fitting.model_fit import WhitenedClips
 from discrepancy.fitting.parameters import list_candidates
 from discrepancy.policy import current_policy
-from discrepancy.selection.score_test import ScoreTests
+from discrepancy.select.score_test import ScoreTests
 from synthcam.model import Model, read_model
 from synthcam.scene.scene import Scene, read_scene
 

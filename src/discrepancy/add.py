@@ -21,10 +21,10 @@ from discrepancy.fitting.gauss_newton import minimise_chi2
 from discrepancy.fitting.model_fit import ModelFit, WhitenedClips
 from discrepancy.fitting.significance import chi2_to_sigma
 from discrepancy.policy import current_policy
-from discrepancy.selection.extend import fit_with_candidate
-from discrepancy.selection.named import EffectClaim
-from discrepancy.selection.profile_errors import profile_std
-from discrepancy.selection.score_test import ScoreTests
+from discrepancy.select.effect_claim import EffectClaim
+from discrepancy.select.extend import fit_with_candidate
+from discrepancy.select.profile_errors import profile_std
+from discrepancy.select.score_test import ScoreTests
 from synthcam.library import library
 from synthcam.model import Model
 from synthcam.settings import did_you_mean

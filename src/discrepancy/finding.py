@@ -12,7 +12,6 @@ import pandas as pd
 from threadpoolctl import threadpool_limits
 
 from discrepancy.data.collisions import MeasuredCollision, read_collisions
-from discrepancy.diagnostics.gap import Gap
 from discrepancy.fitting.base_fit import Progress
 from discrepancy.found import SearchResult
 from discrepancy.policy import SearchPolicy, applied_policy
@@ -20,7 +19,8 @@ from discrepancy.report import html
 from discrepancy.report.figures import gap_bars
 from discrepancy.report.staging import aside
 from discrepancy.search import find as search
-from discrepancy.selection.named import EffectClaim
+from discrepancy.select.effect_claim import EffectClaim
+from discrepancy.validate.gap import Gap
 from synthcam.model import Model, model_of
 
 if TYPE_CHECKING:

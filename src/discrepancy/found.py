@@ -11,16 +11,16 @@ import numpy as np
 
 from discrepancy.data.collisions import MeasuredCollision
 from discrepancy.data.prior_processing import SMOOTHED
-from discrepancy.diagnostics.gap import GapFits, as_dict
-from discrepancy.diagnostics.held_out import ClaimTest
-from discrepancy.diagnostics.residual_map import Disagreement, unexplained
 from discrepancy.fitting.model_fit import ModelFit
 from discrepancy.free_laws.fitted_law import FittedLaw
 from discrepancy.free_laws.law_summary import LawSummary
 from discrepancy.noise.model import Noise
 from discrepancy.policy import current_policy
-from discrepancy.selection.named import EffectClaim
-from discrepancy.selection.stepwise import Selection
+from discrepancy.select.effect_claim import EffectClaim
+from discrepancy.select.library_search import Selection
+from discrepancy.validate.gap import GapFits, as_dict
+from discrepancy.validate.held_out import ClaimTest
+from discrepancy.validate.residual_map import Disagreement, unexplained
 from synthcam.model import Model
 
 

@@ -17,11 +17,6 @@ from discrepancy.data.prior_processing import (
     remove_filtered_rows,
 )
 from discrepancy.deadline import Deadline, OutOfTime
-from discrepancy.diagnostics.claims import ValidatedSelection, Validation
-from discrepancy.diagnostics.gap import GapFits, measure_gap
-from discrepancy.diagnostics.held_out import ClaimTest
-from discrepancy.diagnostics.outlier_clips import outlier_clips
-from discrepancy.diagnostics.residual_map import Disagreement, locate, unexplained
 from discrepancy.fitting.base_fit import (
     Progress,
     check_clips,
@@ -38,11 +33,16 @@ from discrepancy.free_laws.law_summary import LawSummary
 from discrepancy.free_laws.tabulate import tabulate_and_refit
 from discrepancy.planning.pair_advice import advise, compare_designs
 from discrepancy.policy import current_policy
-from discrepancy.selection.fit_store import FitStore
-from discrepancy.selection.free_law_contest import FreeLawContest
-from discrepancy.selection.free_law_fit import fit_unseen_clips
-from discrepancy.selection.named import EffectClaim
-from discrepancy.selection.stepwise import Selection, State, Stepwise
+from discrepancy.select.effect_claim import EffectClaim
+from discrepancy.select.fit_store import FitStore
+from discrepancy.select.free_law_contest import FreeLawContest
+from discrepancy.select.law_fit import fit_unseen_clips
+from discrepancy.select.library_search import Selection, State, Stepwise
+from discrepancy.validate.claim_tests import ValidatedSelection, Validation
+from discrepancy.validate.gap import GapFits, measure_gap
+from discrepancy.validate.held_out import ClaimTest
+from discrepancy.validate.outlier_clips import outlier_clips
+from discrepancy.validate.residual_map import Disagreement, locate, unexplained
 from synthcam.model import Model
 from synthcam_shared.errors import InputError
 

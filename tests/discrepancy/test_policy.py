@@ -15,11 +15,6 @@ from discrepancy_selected import selected
 
 from discrepancy import policy
 from discrepancy.add import AddedEffect
-from discrepancy.diagnostics import claims as stand
-from discrepancy.diagnostics import trial
-from discrepancy.diagnostics.gap import GapPhase, _closure
-from discrepancy.diagnostics.held_out import HeldOutTest, reason_to_reject
-from discrepancy.diagnostics.outlier_clips import outlier_clips
 from discrepancy.fitting import noise_refit
 from discrepancy.fitting.gauss_newton import fit_model
 from discrepancy.fitting.model_fit import Linearisation, ModelFit, WhitenedClips
@@ -31,12 +26,17 @@ from discrepancy.noise import model as noise
 from discrepancy.noise.model import Noise, NoiseComponent, estimate
 from discrepancy.policy import SearchPolicy, applied_policy, current_policy, read_policy
 from discrepancy.search import _verdict
-from discrepancy.selection import free_law_contest, free_law_fit
-from discrepancy.selection.free_law_contest import FreeLawContest
-from discrepancy.selection.free_law_fit import LawScore
-from discrepancy.selection.score_test import ScoreTests
-from discrepancy.selection.scored import CandidateScore
-from discrepancy.selection.stepwise import Stepwise
+from discrepancy.select import free_law_contest, law_fit
+from discrepancy.select.free_law_contest import FreeLawContest
+from discrepancy.select.law_fit import LawScore
+from discrepancy.select.library_search import Stepwise
+from discrepancy.select.score_test import ScoreTests
+from discrepancy.select.scored import CandidateScore
+from discrepancy.validate import claim_tests as stand
+from discrepancy.validate import trial
+from discrepancy.validate.gap import GapPhase, _closure
+from discrepancy.validate.held_out import HeldOutTest, reason_to_reject
+from discrepancy.validate.outlier_clips import outlier_clips
 from synthcam.library import library
 from synthcam.model import Model
 from synthcam.settings import InputError
@@ -200,9 +200,9 @@ def test_one_of_so_many_free_laws_costs_its_choice(monkeypatch, share, better):
     """As likely as each other beforehand, one of n costs 2 ln n."""
     clips = exact(Model(), 4, 3)
     every = free_laws_over(Model(), np.array([c.launch for c in clips]), clips)
-    monkeypatch.setattr(free_law_fit, "cost_of", lambda fit, base: 100.0)
+    monkeypatch.setattr(law_fit, "cost_of", lambda fit, base: 100.0)
     weight = CurveEvidence(share * 2 * np.log(len(every)), None, np.zeros(0))
-    monkeypatch.setattr(free_law_fit, "maximise_evidence", lambda law, information, pull: weight)
+    monkeypatch.setattr(law_fit, "maximise_evidence", lambda law, information, pull: weight)
     look = LawScore(every[0], None, 9.0, np.zeros((0, 0)), np.zeros(0))
     assert (look.score(None) < 100.0) == better
 

@@ -28,7 +28,7 @@ from discrepancy.data.collisions import split_held_out
 from discrepancy.data.launch import HEADING, X, Y
 from discrepancy.fitting.predict import predict_tracks
 from discrepancy.search import find
-from discrepancy.selection.stepwise import Stepwise
+from discrepancy.select.library_search import Stepwise
 from synthcam.library import library
 from synthcam.model import Ball, Model
 from synthcam_shared.errors import InputError

@@ -1,8 +1,8 @@
 """The stepwise selection by itself, for tests."""
 
 from discrepancy.fitting.model_fit import WhitenedClips
-from discrepancy.selection.fit_store import FitStore
-from discrepancy.selection.stepwise import Stepwise
+from discrepancy.select.fit_store import FitStore
+from discrepancy.select.library_search import Stepwise
 
 
 def stored(clips, base, noise):

@@ -16,7 +16,7 @@ from discrepancy.planning import changes
 from discrepancy.planning.experiment import Experiment
 from discrepancy.planning.position_errors import StatedErrors
 from discrepancy.policy import current_policy
-from discrepancy.selection.score_test import ScoreTests, derive_trial, largest_cosine
+from discrepancy.select.score_test import ScoreTests, derive_trial, largest_cosine
 
 Shaped = tuple[Candidate, dict[str, float]]  # an effect, with values of its shape parameters
 

@@ -15,8 +15,8 @@ from discrepancy.fitting.parameters import Candidate, find_parameter, list_candi
 from discrepancy.fitting.significance import chi2_to_sigma
 from discrepancy.planning.experiment import Experiment
 from discrepancy.policy import current_policy
-from discrepancy.selection.score_test import ScoreTests, detectable_axes
-from discrepancy.selection.scored import CandidateTrial, RealisticSizes
+from discrepancy.select.score_test import ScoreTests, detectable_axes
+from discrepancy.select.scored import CandidateTrial, RealisticSizes
 from synthcam.model import Model
 
 SAME = 1e-9  # of 1 - cosine^2: nothing parts two signatures that are nearer

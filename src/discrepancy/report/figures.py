@@ -13,11 +13,11 @@ from matplotlib.figure import Figure
 from discrepancy.arrays import Array
 from discrepancy.data.collisions import MeasuredCollision
 from discrepancy.data.launch import HEADING, T_C, V0
-from discrepancy.diagnostics.gap import Gap
 from discrepancy.fitting.model_fit import ModelFit
 from discrepancy.fitting.predict import predict_tracks
 from discrepancy.found import SearchResult
 from discrepancy.free_laws.law_summary import LawSummary
+from discrepancy.validate.gap import Gap
 from tracker.report.html import embed_figure
 
 BEFORE, AFTER, FLOOR, OTHER = "#b2182b", "#2166ac", "#4d4d4d", "#bdbdbd"

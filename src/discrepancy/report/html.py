@@ -13,7 +13,7 @@ from discrepancy.fitting.parameters import find_parameter
 from discrepancy.found import SearchResult
 from discrepancy.report.figures import drawn
 from discrepancy.report.narrative import rounded, story
-from discrepancy.selection.named import format_with_error
+from discrepancy.select.effect_claim import format_with_error
 from synthcam.model import Model, write_model
 from tracker.report.html import describe_creation, render
 

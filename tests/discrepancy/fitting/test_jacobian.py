@@ -10,7 +10,7 @@ from discrepancy.fitting.model_fit import WhitenedClips
 from discrepancy.fitting.parameters import BASE_PARAMETERS, list_candidates
 from discrepancy.fitting.predict import predict_tracks
 from discrepancy.noise.model import Noise, NoiseComponent
-from discrepancy.selection.score_test import ScoreTests
+from discrepancy.select.score_test import ScoreTests
 from synthcam.dynamics.solve import uncoupled
 from synthcam.model import Model
 

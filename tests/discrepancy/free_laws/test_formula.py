@@ -16,7 +16,7 @@ from discrepancy.free_laws.formula import _ShapeFitter, _write_sum, propose_form
 from discrepancy.free_laws.library import free_laws_over
 from discrepancy.free_laws.shapes import iterate_shapes
 from discrepancy.noise.model import Noise, NoiseComponent
-from discrepancy.selection.free_law_contest import FreeLawContest
+from discrepancy.select.free_law_contest import FreeLawContest
 from synthcam.model import Model
 
 

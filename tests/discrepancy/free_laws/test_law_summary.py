@@ -14,7 +14,7 @@ from discrepancy.fitting.parameters import BASE_PARAMETERS
 from discrepancy.free_laws.law_summary import SIDE, LawSummary, describe_law
 from discrepancy.free_laws.library import free_laws_over
 from discrepancy.noise.model import Noise, NoiseComponent
-from discrepancy.selection.free_law_contest import FreeLawContest
+from discrepancy.select.free_law_contest import FreeLawContest
 from synthcam.model import Model
 
 

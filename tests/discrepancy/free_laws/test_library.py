@@ -19,7 +19,7 @@ from discrepancy.free_laws.law_summary import LawSummary, describe_law
 from discrepancy.free_laws.library import free_laws_over, law_count, library
 from discrepancy.noise.model import Noise, NoiseComponent
 from discrepancy.search import find
-from discrepancy.selection.free_law_contest import FreeLawContest
+from discrepancy.select.free_law_contest import FreeLawContest
 from synthcam.effect import Effect, parameter
 from synthcam.effects.rolling_mismatch import RollingMismatch
 from synthcam.free_law import PACE

@@ -13,7 +13,7 @@ from discrepancy_outsiders import OUTSIDERS, outsider
 from discrepancy.report import html as report
 from discrepancy.report.figures import drawn
 from discrepancy.report.narrative import story
-from discrepancy.selection.named import format_with_error
+from discrepancy.select.effect_claim import format_with_error
 from synthcam.model import read_model
 from synthcam.scene.scene import read_scene
 

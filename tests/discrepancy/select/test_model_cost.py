@@ -8,7 +8,7 @@ from discrepancy.fitting.gauss_newton import fit_model, linearise
 from discrepancy.fitting.model_fit import WhitenedClips
 from discrepancy.fitting.parameters import BASE_PARAMETERS, find_parameter
 from discrepancy.noise.model import Noise, NoiseComponent
-from discrepancy.selection.model_cost import cost_of
+from discrepancy.select.model_cost import cost_of
 from synthcam.library import library
 from synthcam.model import Model
 

@@ -12,7 +12,7 @@ from discrepancy.fitting.model_fit import WhitenedClips
 from discrepancy.fitting.parameters import BASE_PARAMETERS, Candidate
 from discrepancy.fitting.predict import predict_tracks
 from discrepancy.noise.model import estimate
-from discrepancy.selection.score_test import ScoreTests, largest_cosine
+from discrepancy.select.score_test import ScoreTests, largest_cosine
 from synthcam.library import library
 from synthcam.model import Model
 

@@ -9,11 +9,11 @@ from discrepancy.fitting.gauss_newton import choose_most_likely, linearise, mini
 from discrepancy.fitting.model_fit import ModelFit, WhitenedClips
 from discrepancy.fitting.parameters import Candidate, find_parameter
 from discrepancy.fitting.shape_scan import can_scan
-from discrepancy.selection.extend import fit_with_candidate
-from discrepancy.selection.model_cost import cost_of
-from discrepancy.selection.profile_errors import GAINED
-from discrepancy.selection.score_test import ScoreTests
-from discrepancy.selection.scored import CandidateScore
+from discrepancy.select.extend import fit_with_candidate
+from discrepancy.select.model_cost import cost_of
+from discrepancy.select.profile_errors import GAINED
+from discrepancy.select.score_test import ScoreTests
+from discrepancy.select.scored import CandidateScore
 from synthcam.dynamics.solve import uncoupled
 
 Key = frozenset[Candidate]

@@ -13,8 +13,8 @@ from discrepancy.arrays import Array
 from discrepancy.fitting.model_fit import ModelFit
 from discrepancy.fitting.parameters import Candidate, find_parameter, parameter_limits
 from discrepancy.policy import current_policy
-from discrepancy.selection.score_test import largest_cosine
-from discrepancy.selection.scored import CandidateScore
+from discrepancy.select.score_test import largest_cosine
+from discrepancy.select.scored import CandidateScore
 from synthcam.model import Model
 
 

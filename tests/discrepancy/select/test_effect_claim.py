@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from discrepancy.fitting.parameters import Candidate
-from discrepancy.selection.named import EffectClaim, find_similar_pairs
-from discrepancy.selection.scored import CandidateScore
+from discrepancy.select.effect_claim import EffectClaim, find_similar_pairs
+from discrepancy.select.scored import CandidateScore
 from synthcam.library import library
 
 KIND = library()["velocity_restitution"]

@@ -7,11 +7,11 @@ import pytest
 from discrepancy_clips import collisions
 
 from benchmarks.search.sealed.ordinary import ORDINARY
-from discrepancy.diagnostics.constancy import StrengthVariation, find_variation
 from discrepancy.fitting.gauss_newton import fit_model
 from discrepancy.fitting.model_fit import WhitenedClips
 from discrepancy.fitting.parameters import BASE_PARAMETERS
 from discrepancy.noise.model import Noise, NoiseComponent
+from discrepancy.validate.constancy import StrengthVariation, find_variation
 from synthcam.library import library
 from synthcam.model import Model
 

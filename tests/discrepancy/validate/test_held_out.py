@@ -7,11 +7,11 @@ import pytest
 from discrepancy_clips import HIDDEN, collisions, only, searched
 
 from discrepancy.data.collisions import split_held_out
-from discrepancy.diagnostics.held_out import HeldOutTest, leave_one_out_residuals, reason_to_reject
 from discrepancy.fitting.gauss_newton import fit_model
 from discrepancy.fitting.parameters import BASE_PARAMETERS
 from discrepancy.noise.model import Noise, NoiseComponent
 from discrepancy.search import find
+from discrepancy.validate.held_out import HeldOutTest, leave_one_out_residuals, reason_to_reject
 from synthcam.model import Model
 
 NOISE = Noise(NoiseComponent(1.0))

@@ -10,10 +10,10 @@ from scipy.stats import chi2 as chi2_law
 from scipy.stats import kstest
 
 from discrepancy.data.launch import HEADING
-from discrepancy.diagnostics.residual_map import AXES, BALLS, SAID, TRIALS, locate, trials
 from discrepancy.fitting.gauss_newton import fit_model
 from discrepancy.fitting.parameters import BASE_PARAMETERS
 from discrepancy.noise.model import Noise, NoiseComponent
+from discrepancy.validate.residual_map import AXES, BALLS, SAID, TRIALS, locate, trials
 from synthcam.model import Model
 
 CLAIMED = Noise(NoiseComponent(1.0))

@@ -18,16 +18,16 @@ from scipy.special import chdtrc, ndtri
 from discrepancy.arrays import Array, Ints
 from discrepancy.data.collisions import MeasuredCollision
 from discrepancy.data.launch import HEADING, V0, B
-from discrepancy.diagnostics.ripple import SAID as OF_RIPPLES
-from discrepancy.diagnostics.ripple import ripples
-from discrepancy.diagnostics.stages import BEFORE, ROLLING, SLIDING, directions, stages
-from discrepancy.diagnostics.trial import ClipAmplitudes, ClipSolution, results
 from discrepancy.fitting.model_fit import ModelFit
 from discrepancy.fitting.predict import predict_tracks
 from discrepancy.fitting.significance import chi2_to_sigma
 from discrepancy.noise.model import Noise
 from discrepancy.noise.whitening import ClipWhitener
 from discrepancy.policy import current_policy
+from discrepancy.validate.ripple import SAID as OF_RIPPLES
+from discrepancy.validate.ripple import ripples
+from discrepancy.validate.stages import BEFORE, ROLLING, SLIDING, directions, stages
+from discrepancy.validate.trial import ClipAmplitudes, ClipSolution, results
 
 Term = tuple[str, int, int]  # name, ball, axis
 Where = tuple[str, int, int]  # phase, ball, axis

@@ -8,12 +8,12 @@ from discrepancy_clips import CAMERA, collisions, exact, unabsorbed
 from scipy.stats import chi2 as chi2_law
 from scipy.stats import kstest
 
-from discrepancy.diagnostics.residual_map import locate
-from discrepancy.diagnostics.ripple import ripples
-from discrepancy.diagnostics.trial import ClipAmplitudes, results
 from discrepancy.fitting.gauss_newton import fit_model
 from discrepancy.fitting.parameters import BASE_PARAMETERS
 from discrepancy.noise.model import Noise, NoiseComponent
+from discrepancy.validate.residual_map import locate
+from discrepancy.validate.ripple import ripples
+from discrepancy.validate.trial import ClipAmplitudes, results
 from synthcam.model import Model
 
 CLAIMED = Noise(NoiseComponent(1.0))
@@ -64,5 +64,5 @@ def test_a_ripple_that_shared_parameters_can_make_tells_nothing(monkeypatch):
     absorbed = ClipAmplitudes(np.ones(2), np.eye(2), np.eye(2), np.zeros((2, 2)), np.zeros(2), np.eye(2), 4, 1.0, {})
     assert list(results([absorbed])) == []
     clips = marked(1, count=6)
-    monkeypatch.setattr("discrepancy.diagnostics.ripple.results", lambda parts: results([absorbed]))
+    monkeypatch.setattr("discrepancy.validate.ripple.results", lambda parts: results([absorbed]))
     assert list(ripples(clips, fit_model(clips, Model(), BASE_PARAMETERS, CLAIMED), CLAIMED)) == []

@@ -15,8 +15,8 @@ from discrepancy.fitting.gauss_newton import fit_model
 from discrepancy.fitting.parameters import BASE_PARAMETERS, list_candidates, names_to_fit
 from discrepancy.noise.model import estimate
 from discrepancy.policy import current_policy
-from discrepancy.selection.fit_store import FitStore
-from discrepancy.selection.stepwise import Stepwise
+from discrepancy.select.fit_store import FitStore
+from discrepancy.select.library_search import Stepwise
 from synthcam.library import library
 from synthcam.model import Model
 
@@ -293,7 +293,9 @@ def test_a_begun_state_keeps_a_better_fit_that_is_known(monkeypatch):
     clips, base, noise = started(Model().replace({"stribeck.rise": 0.1, "stribeck.slip": 0.06}))
     steps, found = selected(clips, base, noise)
     alone = Stepwise.of(stored(clips, base, noise))
-    monkeypatch.setattr("discrepancy.selection.stepwise.minimise_chi2", lambda evidence, fit, progress: fit)  # it stays
+    monkeypatch.setattr(
+        "discrepancy.select.library_search.minimise_chi2", lambda evidence, fit, progress: fit
+    )  # it stays
     for each in (alone, steps):
         state = each.begin(["stribeck"], Model().replace({"stribeck.rise": 0.01, "stribeck.slip": 0.004}))
     assert alone.store.fits[frozenset(state)].chi2 > found.best.chi2 + 10

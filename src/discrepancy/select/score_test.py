@@ -16,7 +16,7 @@ from discrepancy.fitting.parameters import Candidate, find_parameter, list_candi
 from discrepancy.fitting.shape_scan import can_scan, scan_shapes
 from discrepancy.fitting.significance import chance_threshold, chi2_to_sigma, count_trials
 from discrepancy.policy import current_policy
-from discrepancy.selection.scored import CandidateScore, CandidateTrial, RealisticSizes, TrialScore
+from discrepancy.select.scored import CandidateScore, CandidateTrial, RealisticSizes, TrialScore
 from synthcam.model import Model
 
 SEEN = 1e-4  # of a signature's length that must be left when all that the fit absorbs is taken out

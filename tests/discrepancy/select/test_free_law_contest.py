@@ -13,9 +13,9 @@ from discrepancy.fitting.predict import predict_tracks
 from discrepancy.free_laws.library import free_laws_over
 from discrepancy.noise.model import Noise, NoiseComponent
 from discrepancy.policy import current_policy
-from discrepancy.selection.free_law_contest import FreeLawContest
-from discrepancy.selection.free_law_fit import fit_law, fit_unseen_clips, score_law, whiten_law_columns
-from discrepancy.selection.model_cost import cost_of
+from discrepancy.select.free_law_contest import FreeLawContest
+from discrepancy.select.law_fit import fit_law, fit_unseen_clips, score_law, whiten_law_columns
+from discrepancy.select.model_cost import cost_of
 from synthcam.model import Model
 
 NOISE = Noise(NoiseComponent(1.0))

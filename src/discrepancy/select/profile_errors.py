@@ -12,7 +12,7 @@ from discrepancy.fitting.jacobian import decouple
 from discrepancy.fitting.model_fit import ModelFit, WhitenedClips
 from discrepancy.fitting.parameters import Candidate, parameter_limits
 from discrepancy.fitting.shape_scan import MANY, can_scan
-from discrepancy.selection.score_test import ScoreTests, derive_trial
+from discrepancy.select.score_test import ScoreTests, derive_trial
 from synthcam.model import Model
 
 GAINED = 2.0  # of chi^2, by other shapes: less is not worth another fit

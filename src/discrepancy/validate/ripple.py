@@ -12,12 +12,12 @@ import numpy as np
 
 from discrepancy.arrays import Array, Ints
 from discrepancy.data.collisions import MeasuredCollision
-from discrepancy.diagnostics.stages import BEFORE, ROLLING, directions, stages
-from discrepancy.diagnostics.trial import ClipAmplitudes, ClipSolution, results
 from discrepancy.fitting.model_fit import ModelFit
 from discrepancy.fitting.predict import predict_tracks
 from discrepancy.noise.model import Noise
 from discrepancy.noise.whitening import ClipWhitener
+from discrepancy.validate.stages import BEFORE, ROLLING, directions, stages
+from discrepancy.validate.trial import ClipAmplitudes, ClipSolution, results
 
 SAID = {"once a turn": "once a turn", "twice a turn": "twice a turn"}
 TIMES = dict(zip(SAID, (1, 2), strict=True))  # a turn

@@ -12,15 +12,15 @@ from discrepancy.fitting.parameters import BASE_PARAMETERS, candidates_by_name
 from discrepancy.free_laws.library import free_laws_over
 from discrepancy.noise.model import Noise, NoiseComponent
 from discrepancy.policy import current_policy
-from discrepancy.selection.beside_free_law import find_replacements
-from discrepancy.selection.free_law_fit import (
+from discrepancy.select.beside_free_law import find_replacements
+from discrepancy.select.law_fit import (
     fit_law,
     fit_law_with_effect,
     refit_without_effect,
     score_law,
     whiten_law_columns,
 )
-from discrepancy.selection.score_test import ScoreTests
+from discrepancy.select.score_test import ScoreTests
 from synthcam.model import Model
 
 NOISE = Noise(NoiseComponent(1.0))

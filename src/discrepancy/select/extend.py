@@ -11,7 +11,7 @@ from discrepancy.fitting.jacobian import differentiate_all
 from discrepancy.fitting.model_fit import ModelFit, WhitenedClips
 from discrepancy.fitting.parameters import find_parameter, parameter_limits
 from discrepancy.fitting.predict import predict_tracks
-from discrepancy.selection.scored import CandidateScore
+from discrepancy.select.scored import CandidateScore
 
 KEPT = 0.5  # of the gain that the score promises
 STARTS, FAR = (0.1, 0.3, 1.0), 2  # of a realistic size, where the way is too far for the score; that many are followed

@@ -17,10 +17,10 @@ from discrepancy.free_laws.fitted_law import FittedLaw
 from discrepancy.free_laws.law_kinds import FreeLaw
 from discrepancy.free_laws.library import free_laws_over
 from discrepancy.policy import current_policy
-from discrepancy.selection.free_law_fit import fit_law, fit_law_with_effect, score_law, whiten_law_columns
-from discrepancy.selection.model_cost import cost_of
-from discrepancy.selection.score_test import ScoreTests
-from discrepancy.selection.scored import CandidateScore
+from discrepancy.select.law_fit import fit_law, fit_law_with_effect, score_law, whiten_law_columns
+from discrepancy.select.model_cost import cost_of
+from discrepancy.select.score_test import ScoreTests
+from discrepancy.select.scored import CandidateScore
 
 LEADERS = 3  # fitted in full
 NEAR, LOOSE = 15.0, 0.01  # of chi^2, and of what a free law explains: what the first order may be wrong by

@@ -7,10 +7,10 @@ import pytest
 from discrepancy_clips import collisions
 
 from discrepancy.data.launch import HEADING, V0
-from discrepancy.diagnostics.outlier_clips import outlier_clips
 from discrepancy.fitting.gauss_newton import fit_model
 from discrepancy.fitting.parameters import BASE_PARAMETERS
 from discrepancy.noise.model import Noise, NoiseComponent
+from discrepancy.validate.outlier_clips import outlier_clips
 from synthcam.model import Model
 
 CLAIMED = Noise(NoiseComponent(1.0))

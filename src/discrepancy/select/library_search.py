@@ -13,12 +13,12 @@ from discrepancy.fitting.model_fit import ModelFit
 from discrepancy.fitting.parameters import Candidate, candidates_by_name
 from discrepancy.fitting.significance import chi2_to_sigma, closes_too_little
 from discrepancy.policy import current_policy
-from discrepancy.selection.fit_store import FitStore
-from discrepancy.selection.model_cost import cost_of
-from discrepancy.selection.named import EffectClaim, find_similar_pairs, shape_error
-from discrepancy.selection.profile_errors import profile_std
-from discrepancy.selection.score_test import ScoreTests, largest_cosine
-from discrepancy.selection.scored import CandidateScore
+from discrepancy.select.effect_claim import EffectClaim, find_similar_pairs, shape_error
+from discrepancy.select.fit_store import FitStore
+from discrepancy.select.model_cost import cost_of
+from discrepancy.select.profile_errors import profile_std
+from discrepancy.select.score_test import ScoreTests, largest_cosine
+from discrepancy.select.scored import CandidateScore
 from synthcam.model import Model
 
 State = tuple[Candidate, ...]

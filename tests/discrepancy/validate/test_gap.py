@@ -8,10 +8,10 @@ from discrepancy_clips import exact, searched
 
 from discrepancy.data.collisions import split_held_out
 from discrepancy.data.launch import V0, B
-from discrepancy.diagnostics.gap import measure_gap
 from discrepancy.fitting.gauss_newton import fit_model
 from discrepancy.noise.model import Noise, NoiseComponent
 from discrepancy.noise.whitening import ClipWhitener
+from discrepancy.validate.gap import measure_gap
 from synthcam.model import Model
 
 EFFECTS = ("velocity_restitution", "rolling_quadratic")

@@ -7,9 +7,9 @@ from collections.abc import Callable, Collection
 from discrepancy.fitting.model_fit import ModelFit, WhitenedClips
 from discrepancy.fitting.parameters import Candidate
 from discrepancy.free_laws.fitted_law import FittedLaw
-from discrepancy.selection.free_law_fit import fit_law_with_effect
-from discrepancy.selection.score_test import ScoreTests
-from discrepancy.selection.stepwise import LOOSE, NEAR, SWAPS
+from discrepancy.select.law_fit import fit_law_with_effect
+from discrepancy.select.library_search import LOOSE, NEAR, SWAPS
+from discrepancy.select.score_test import ScoreTests
 
 
 def find_replacements(

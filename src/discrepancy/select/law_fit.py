@@ -21,8 +21,8 @@ from discrepancy.free_laws.law_kinds import FreeLaw
 from discrepancy.free_laws.marginal_likelihood import CurveEvidence, compute_significance, maximise_evidence
 from discrepancy.free_laws.ranges import over_clips
 from discrepancy.noise.model import Noise
-from discrepancy.selection.model_cost import cost_of, law_choice_cost
-from discrepancy.selection.scored import CandidateScore
+from discrepancy.select.model_cost import cost_of, law_choice_cost
+from discrepancy.select.scored import CandidateScore
 from synthcam.model import Model
 
 ROUNDS = 30

@@ -9,26 +9,26 @@ import numpy as np
 
 from discrepancy.arrays import Array
 from discrepancy.data.collisions import MeasuredCollision
-from discrepancy.diagnostics.constancy import find_variation
-from discrepancy.diagnostics.held_out import (
-    ClaimTest,
-    HeldOutTest,
-    leave_one_out_residuals,
-    leave_one_out_with_law,
-    reason_to_reject,
-)
-from discrepancy.diagnostics.residual_map import locate, unexplained
 from discrepancy.fitting.gauss_newton import fit_model, linearise
 from discrepancy.fitting.model_fit import ModelFit, WhitenedClips
 from discrepancy.fitting.parameters import Candidate, candidates_by_name
 from discrepancy.free_laws.fitted_law import FittedLaw
 from discrepancy.noise.model import Noise
 from discrepancy.policy import current_policy
-from discrepancy.selection.beside_free_law import find_replacements
-from discrepancy.selection.free_law_fit import compare_scatter, fit_unseen_clips, fit_without_law, refit_without_effect
-from discrepancy.selection.model_cost import cost_of
-from discrepancy.selection.named import EffectClaim
-from discrepancy.selection.stepwise import Selection, Stepwise
+from discrepancy.select.beside_free_law import find_replacements
+from discrepancy.select.effect_claim import EffectClaim
+from discrepancy.select.law_fit import compare_scatter, fit_unseen_clips, fit_without_law, refit_without_effect
+from discrepancy.select.library_search import Selection, Stepwise
+from discrepancy.select.model_cost import cost_of
+from discrepancy.validate.constancy import find_variation
+from discrepancy.validate.held_out import (
+    ClaimTest,
+    HeldOutTest,
+    leave_one_out_residuals,
+    leave_one_out_with_law,
+    reason_to_reject,
+)
+from discrepancy.validate.residual_map import locate, unexplained
 
 Parts = Sequence[Array]
 Pair = tuple[Parts, Parts]
