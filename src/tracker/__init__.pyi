@@ -6,6 +6,19 @@ from .camera.camera_json import InputError as InputError
 from .recording import Result as Result
 from .recording import measure as measure
 from .recording import track as track
+from .settings import DetectionSettings as DetectionSettings
+from .settings import LinkSettings as LinkSettings
+from .settings import TrackerSettings as TrackerSettings
 
 __version__: str
-__all__ = ["Camera", "InputError", "Result", "__version__", "measure", "track"]
+__all__ = [
+    "Camera",
+    "DetectionSettings",
+    "InputError",
+    "LinkSettings",
+    "Result",
+    "TrackerSettings",
+    "__version__",
+    "measure",
+    "track",
+]

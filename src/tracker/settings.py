@@ -1,0 +1,125 @@
+"""The settings of the tracker that a user may change: how balls are detected and linked into tracks."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any, TypeAlias
+
+from pydantic import Field
+
+from synthcam_shared.settings import Fraction, Positive, Settings, build_settings, read_settings
+
+Count = Annotated[int, Field(ge=1)]
+
+
+class DetectionSettings(Settings):
+    """How balls are found in frames. Detectors read these as ``view.settings.detection``."""
+
+    candidate_sigma: Positive = 6.5
+    """How far a sum of pixels must exceed the plate to be a candidate, in standard deviations of its noise.
+    At 6.5, noise makes about one false candidate in 10^10 pixels."""
+
+    glint_sigma: Positive = 5.0
+    """Least flux of a fitted glint, in its standard errors. Five is the usual threshold of a detection."""
+
+    max_candidates_per_frame: Count = 64
+    """Most candidates of a frame, the brightest first. More are no picture of a few balls."""
+
+    block_windows: Count = 1024
+    """How many windows maximum likelihood fits at once. 1024 are 512 frames with two balls, some 100 MB of memory."""
+
+    blur_sigma: Positive = 5.0
+    """How significant a difference between the motion blur and the camera file's exposure must be, in standard errors,
+    before the exposure is taken from the blur. Five, because a wrong exposure shifts every moving ball."""
+
+    min_blur_change: Fraction = 0.05
+    """The least such difference, relative to the exposure. Below 5 % it shifts positions by less than their errors."""
+
+    disc_contrast_counts: Positive = 8.0
+    """Least difference between a ball seen whole and the background, counts. Encoders leave up to about 5."""
+
+    disc_contrast_sigma: Positive = 6.0
+    """The same in standard deviations of the noise of a mean over 3 x 3 pixels. The larger of the two holds."""
+
+    min_disc_radius_px: Positive = 3.0
+    """Least radius of a ball seen whole, px. A smaller outline has too few pixels for its centre to be fitted."""
+
+    disc_radius_tolerance: Fraction = 0.25
+    """How far a ball's radius may be from that of the others, relative to it. What differs more is no ball."""
+
+    max_objects_per_frame: Count = 40
+    """Most objects in a frame that are looked at for balls, the largest first."""
+
+
+class LinkSettings(Settings):
+    """How the detections of successive frames are joined into tracks."""
+
+    max_gap_frames: Annotated[int, Field(ge=0)] = 5
+    """Frames for which a ball may stay undetected. Longer gaps make wrong links likely."""
+
+    min_track_frames: Count = 3
+    """Frames from which a track is a ball's whatever its brightness. Shorter tracks need the brightness of the others;
+    of balls seen whole they are dropped."""
+
+    min_relative_flux: Fraction = 0.25
+    """Least brightness of a track over that of the brightest. Balls are of one kind and under one lamp."""
+
+    speed_tolerance: Positive = 0.35
+    """How far a glint may be from its predicted position, as a share of the distance moved in a frame.
+    Friction and small hits change a velocity by less in one frame. Twice as much is allowed after a bounce."""
+
+    max_step_diameters: Positive = 5.0
+    """How far a ball that is seen whole may move in its first frame, in diameters. Outlines are rarely false."""
+
+    restitution: Fraction = 0.9
+    """Coefficient of restitution with which two balls that meet are predicted to bounce. It only sets where they are
+    searched for; the measurement does not use it. Steel balls have 0.85 to 0.95."""
+
+    max_speed_m_s: Positive = 1.0
+    """Greatest speed of a ball in its first frame, m/s. Laboratory collisions have 0.1 to 0.7 m/s."""
+
+    max_step_px: Positive = 30.0
+    """The same in px per frame where no camera file gives a scale. At least two diameters are always allowed."""
+
+
+class TrackerSettings(Settings):
+    """All settings of the tracker: ``tracker.track(film, camera, settings=...)``, ``tracker track --settings FILE``.
+
+    Examples
+    --------
+    >>> import tracker
+    >>> settings = tracker.TrackerSettings(link=tracker.LinkSettings(max_gap_frames=8))
+    >>> settings.changed()
+    {'link': {'max_gap_frames': 8}}
+    """
+
+    detection: DetectionSettings = DetectionSettings()
+    """How balls are found in frames."""
+
+    link: LinkSettings = LinkSettings()
+    """How detections are joined into tracks."""
+
+    def changed(self) -> dict[str, Any]:
+        """The sections and keys that differ from their defaults."""
+        return self.model_dump(exclude_defaults=True)
+
+    @staticmethod
+    def of(given: SettingsSource | None) -> TrackerSettings:
+        """Settings from an object, from keys and values, or from a YAML file; None gives the defaults.
+
+        Raises
+        ------
+        InputError
+            One line that names the file and the key, for an unknown key, a wrong type or a value out of range.
+        """
+        if given is None:
+            return TrackerSettings()
+        if isinstance(given, TrackerSettings):
+            return given
+        if isinstance(given, str | Path):
+            return read_settings(Path(given), TrackerSettings)
+        return build_settings(given, TrackerSettings, "settings")
+
+
+SettingsSource: TypeAlias = TrackerSettings | Mapping[str, Any] | str | Path
