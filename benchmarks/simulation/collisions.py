@@ -26,7 +26,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")  # before numpy: its matrices here
 import numpy as np
 
 from benchmarks.harness import ROOT, save
-from synthcam.dynamics.batch import collisions
+from synthcam.dynamics.batch import solve_collisions
 from synthcam.dynamics.kinematics import rolling_state
 from synthcam.dynamics.launch import Launch
 from synthcam.dynamics.solve import solve
@@ -89,8 +89,11 @@ def one_by_one(model: Model, count: int) -> dict[str, tuple[Work, int]]:
 def together(model: Model, count: int) -> dict[str, tuple[Work, int]]:
     rows, times = launches(count), np.arange(FRAMES) / FPS
     return {
-        "solved": (lambda: collisions(model, rows, 0.0, END), count),
-        "seen": (lambda: collisions(model, rows, 0.0, END).means(times, min(EXPOSURE, END - times[-1])), count),
+        "solved": (lambda: solve_collisions(model, rows, 0.0, END), count),
+        "seen": (
+            lambda: solve_collisions(model, rows, 0.0, END).average_centres(times, min(EXPOSURE, END - times[-1])),
+            count,
+        ),
     }
 
 

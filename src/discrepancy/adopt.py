@@ -14,9 +14,9 @@ from discrepancy.effect_file import ParameterValue, render_formula_effect, rende
 from discrepancy.free_laws.axis import Axis
 from discrepancy.free_laws.library import library as free_laws
 from discrepancy.free_laws.shapes import CONSTANT, LawShape, Term, iterate_shapes
-from synthcam.free_law import NOT_YET, TURN, Kind, TabulatedLaw, kind_of
 from synthcam.library import check_name
-from synthcam.model import Model, dumped, read_model, settings_of
+from synthcam.model import Model, read_model, settings_of, to_yaml
+from synthcam.tabulated_law import SEARCH_ONLY_LAWS, TURN, TableKind, TabulatedLaw, kind_of
 from synthcam_shared.errors import InputError
 from synthcam_shared.outputs import as_input_error, check_writable, write_atomically
 
@@ -70,7 +70,7 @@ def adopt(report: str | Path, name: str, folder: str | Path = "effects") -> Adop
     slot = str(said.get("slot"))
     held = next((e for e in model.effects if isinstance(e, TabulatedLaw) and e.law == slot), None)
     if held is None:
-        why = f": {NOT_YET[slot]}" if slot in NOT_YET else ""
+        why = f": {SEARCH_ONLY_LAWS[slot]}" if slot in SEARCH_ONLY_LAWS else ""
         raise InputError(f"{report}: its free law is {slot}, which model.yaml does not hold{why}")
     files = folder / f"{name}.py", folder / f"{name}.yaml"
     for file in files:
@@ -89,7 +89,7 @@ def adopt(report: str | Path, name: str, folder: str | Path = "effects") -> Adop
     with as_input_error(folder):
         folder.mkdir(parents=True, exist_ok=True)
         write_atomically(files[0], text)
-        write_atomically(files[1], dumped(plain))
+        write_atomically(files[1], to_yaml(plain))
     line = f"effects: {{{name}: {{{', '.join(f'{k}: {v:.6g}' for k, v in values.items())}}}}}"
     return AdoptedEffect(name, *files, line, formula)
 
@@ -142,7 +142,7 @@ def _render_effect(
     return render_table_effect(name, held, numbers_of, source), {"share": 1.0}, settings_of(bare), None
 
 
-def _find_shape(law: str, kind: Kind, said: Mapping[str, Any], parts: Mapping[str, Any]) -> LawShape | None:
+def _find_shape(law: str, kind: TableKind, said: Mapping[str, Any], parts: Mapping[str, Any]) -> LawShape | None:
     """The shape of that name and those terms; None where it has no code."""
     own = law.removesuffix("_a").removesuffix("_b") if kind.one_ball else law
     search = next((k for k in free_laws() if k.__module__.rpartition(".")[2] == own), None)
@@ -158,7 +158,7 @@ def _find_shape(law: str, kind: Kind, said: Mapping[str, Any], parts: Mapping[st
 
 
 def _split_strengths(
-    kind: Kind, ball: str, model: Model, terms: list[tuple[Term, float]]
+    kind: TableKind, ball: str, model: Model, terms: list[tuple[Term, float]]
 ) -> tuple[list[tuple[Term, ParameterValue]], dict[str, float]] | None:
     """The effect's strengths, and numbers of the base model beside it; None where no such model can be.
 

@@ -7,8 +7,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from discrepancy.free_laws.shapes import Term
-from synthcam.effect import VECTORS
-from synthcam.free_law import LINE, PACE, PLACE, TURN, Kind, TabulatedLaw, kind_of
+from synthcam.effect import VECTOR_INPUTS
+from synthcam.tabulated_law import LINE, PLACE, REFERENCE_SPEED_M_S, TURN, TableKind, TabulatedLaw, kind_of
 
 WIDTH = 110  # of a line of text
 WIDER = 10.0  # times and over its value: where a shape parameter may go
@@ -38,7 +38,7 @@ def render_formula_effect(
     name : str
         Of the effect.
     law : str
-        Of the free law, as `synthcam.free_law.names` has it.
+        Of the free law, as `synthcam.tabulated_law.table_names` has it.
     strengths : sequence of (Term, ValueOf)
         What is added to the law, over it where it is one number of the base model: each term times its strength.
     shape : sequence of ValueOf
@@ -85,16 +85,16 @@ def render_table_effect(name: str, held: TabulatedLaw, numbers: Mapping[str, flo
     str
     """
     kind, ball = kind_of(held.law)
-    plain, x, old = held.plain(numbers), _argument_code(kind), BENT[kind.law]
+    plain, x, old = held.to_settings(numbers), _argument_code(kind), BENT[kind.law]
     value = f"CURVE({f'{kind.what}[..., 0], {kind.what}[..., 1]' if kind.axis == PLACE else x})"
     if _has_speed_part(kind):
-        value = f"({value} * np.stack([np.ones_like(speed), speed / {PACE:g}], axis=-1)).sum(axis=-1)"
+        value = f"({value} * np.stack([np.ones_like(speed), speed / {REFERENCE_SPEED_M_S:g}], axis=-1)).sum(axis=-1)"
     base = [f"{numbers[n]!r}" + (f" * {x}" if power else "") for n, power in kind.owners]
     added = f"self.share * ({' - '.join([value, *base])})" if base else f"self.share * {value}"
     tables = [
         f"X = {_render_tuple(plain['x'])}",
         f"Y = {_render_tuple(plain['y'])}",
-        f"CURVE = Table(X, Y{', turn=True' if kind.axis == TURN else ''})",
+        f"CURVE = SmoothTable(X, Y{', turn=True' if kind.axis == TURN else ''})",
     ]
     stands = " and ".join(f"{n} {v:.6g}" for n, v in numbers.items())
     where = f"{kind.what}, {kind.x_unit}" if kind.axis == PLACE else _describe_argument(kind, x)
@@ -115,7 +115,9 @@ def _render_file(
     plain = [" ".join(d.split()).replace("\\", "/").replace('"', "'") for d in doc]  # a report's words end no string
     said = "\n\n    ".join(textwrap.fill(d, WIDTH, subsequent_indent="    ") for d in plain)
     imports = "import numpy as np\n\n" if "np." in method else ""
-    uses = "from synthcam.effect import Effect, parameter\n" + ("from synthcam.table import Table\n" if tables else "")
+    uses = "from synthcam.effect import Effect, parameter\n" + (
+        "from synthcam.table import SmoothTable\n" if tables else ""
+    )
     head = "\n" + "\n".join(tables) + "\n" if tables else ""
     own = "\n".join(f"    {p}" for p in parameters)
     class_name = "".join(part.title() for part in name.split("_"))
@@ -125,7 +127,7 @@ def _render_file(
     )
 
 
-def _render_method(kind: Kind, ball: str, added: Sequence[str], relative: bool) -> str:
+def _render_method(kind: TableKind, ball: str, added: Sequence[str], relative: bool) -> str:
     """The method that bends the law. added: Python of what is added, or of its share of the law; a sum."""
     old, sum_ = BENT[kind.law], _join_terms(added)
     asks = [kind.what, *["speed"] * _has_speed_part(kind), *["of_a"] * bool(ball)]
@@ -159,7 +161,7 @@ def _join_terms(added: Sequence[str]) -> str:
     return one if len(one) < WIDTH - 40 else "(\n            " + "\n            + ".join(added) + "\n        )"
 
 
-def _has_speed_part(kind: Kind) -> bool:
+def _has_speed_part(kind: TableKind) -> bool:
     """Whether a part of it is in proportion to the speed."""
     return kind.law == "rolling" and kind.parts == 2
 
@@ -168,19 +170,19 @@ def _ball_sentence(ball: str) -> str:
     return f" Of ball {ball} alone." if ball else ""
 
 
-def _argument_code(kind: Kind) -> str:
+def _argument_code(kind: TableKind) -> str:
     """What x is, in Python."""
     if kind.axis == TURN:
         return f"np.arctan2({kind.what}[..., 1], {kind.what}[..., 0])"
     return "speed" if _is_vector_size(kind) else kind.what
 
 
-def _is_vector_size(kind: Kind) -> bool:
+def _is_vector_size(kind: TableKind) -> bool:
     """Whether x is the size of a vector."""
-    return kind.axis == LINE and kind.what in VECTORS
+    return kind.axis == LINE and kind.what in VECTOR_INPUTS
 
 
-def _describe_argument(kind: Kind, x: str) -> str:
+def _describe_argument(kind: TableKind, x: str) -> str:
     if kind.axis == TURN:
         return f"th the direction of the {kind.what.replace('_', ' ')}, rad"
     return x if kind.x_unit == "1" else f"{x} in {kind.x_unit}"
@@ -199,12 +201,12 @@ class _Bare(dict[str, str]):
         return key
 
 
-def _make_title(kind: Kind) -> str:
+def _make_title(kind: TableKind) -> str:
     word = {"push": "force over mass", "rolling": "rolling loss"}.get(kind.law, kind.law.replace("_", " "))
     return f"{word.capitalize()} that depends on the {kind.what.replace('_', ' ')}"
 
 
-def _render_shape_parameter(v: ParameterValue, kind: Kind) -> str:
+def _render_shape_parameter(v: ParameterValue, kind: TableKind) -> str:
     low, high = (v.value / WIDER, v.value * WIDER) if v.name != "power" and v.value > 0 else (-WIDER, WIDER)
     unit = _unit_times("1", kind.x_unit, v.power)
     return f'{v.name}: float = parameter("{unit}", typical={v.value:.6g}, low={low:.6g}, high={high:.6g}, fixed=True)'

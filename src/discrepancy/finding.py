@@ -21,7 +21,7 @@ from discrepancy.report.staging import aside
 from discrepancy.search import find as search
 from discrepancy.select.effect_claim import EffectClaim
 from discrepancy.validate.gap import Gap
-from synthcam.model import Model, model_of
+from synthcam.model import Model, as_model
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -199,7 +199,7 @@ def find(
     ...
     synthcam_shared.errors.InputError: results: no clip with a measured collision
     """
-    given = model_of(model)
+    given = as_model(model)
     source = Path(results) if isinstance(results, str) else results
     with applied_policy(policy or SearchPolicy()):
         clips, left_out = read_collisions(source, None if camera is None else Path(camera))

@@ -10,7 +10,7 @@ from typing import Annotated
 
 from pydantic import Field, ValidationError
 
-from synthcam.settings import Positive, Settings, one_line, read_yaml
+from synthcam.settings import Positive, Settings, read_yaml, to_input_error
 
 Share = Annotated[float, Field(gt=0, le=1)]
 Count = Annotated[int, Field(ge=1)]
@@ -389,4 +389,4 @@ def read_policy(path: Path) -> SearchPolicy:
     try:
         return SearchPolicy.model_validate(read_yaml(path))
     except ValidationError as error:
-        raise one_line(error, str(path), SearchPolicy) from None
+        raise to_input_error(error, str(path), SearchPolicy) from None

@@ -52,7 +52,7 @@ LAWS: dict[str, tuple[str, ...]] = {
     # (x, y) itself where camera.json has a lamp
     "measure": ("glint", "mirrored"),
 }
-VECTORS = {"slip", "position", "velocity", "other", "glint", "mirrored"}  # of what laws ask for
+VECTOR_INPUTS = {"slip", "position", "velocity", "other", "glint", "mirrored"}  # of what laws ask for
 
 
 def parameter(
@@ -183,15 +183,15 @@ class Laws:
             for law, bend, asks in effect.bends:
                 self._bends[law].append((bend, asks))
 
-    def bent(self, *laws: str) -> bool:
+    def has_effect_on(self, *laws: str) -> bool:
         """True when an active effect bends any of these laws."""
         return any(self._bends[law] for law in laws)
 
-    def asked(self, law: str) -> set[str]:
+    def inputs_of(self, law: str) -> set[str]:
         """What the active effects on `law` want to know."""
         return {what for _, asks in self._bends[law] for what in asks}
 
-    def asks(self, law: str, what: str) -> bool:
+    def needs(self, law: str, what: str) -> bool:
         """True when an active effect on `law` wants to know `what`."""
         return any(what in asks for _, asks in self._bends[law])
 

@@ -21,7 +21,7 @@ from typing import TypeVar
 
 from synthcam import effects
 from synthcam.effect import LAWS, Effect
-from synthcam.free_law import NOT_YET, names
+from synthcam.tabulated_law import SEARCH_ONLY_LAWS, table_names
 from synthcam_shared.errors import InputError, PluginError
 
 T = TypeVar("T")
@@ -45,25 +45,25 @@ def _only_class(module: ModuleType, base: type[T]) -> type[T]:
     return own[0]
 
 
-def once_a_library(make: Callable[[], T]) -> _lru_cache_wrapper[T]:
+def cache_until_effects_change(make: Callable[[], T]) -> _lru_cache_wrapper[T]:
     """Decorate what is made of the library, and must be made anew when effects are added to it."""
     made = cache(make)
     _forget.append(made.cache_clear)
     return made
 
 
-@once_a_library
+@cache_until_effects_change
 def library() -> dict[str, type[Effect]]:
     """Every effect by name: the files of the folder `effects`, those of packages, those of the folders added."""
     found = {e.name(): e for e in classes_in(effects, Effect)}
     for point in sorted(entry_points(group=GROUP), key=lambda p: p.name):
-        found[point.name] = _of_package(point.name, point.load, found)
+        found[point.name] = _load_entry_point(point.name, point.load, found)
     for added in _folders.values():
         found |= added
     return found
 
 
-def _of_package(name: str, load: Callable[[], object], known: dict[str, type[Effect]]) -> type[Effect]:
+def _load_entry_point(name: str, load: Callable[[], object], known: dict[str, type[Effect]]) -> type[Effect]:
     where = f"entry point {name} of {GROUP}"
     _check_free(name, known, where)
     try:
@@ -110,13 +110,13 @@ def add_effects(folder: str | Path) -> None:
         raise InputError(f"{folder}: holds no effect; expected files NAME.py")
     found: dict[str, type[Effect]] = {}
     for file in files:
-        found[file.stem] = _read(file, library())
+        found[file.stem] = _load_file(file, library())
     _folders[folder.resolve()] = found
     for forget in _forget:
         forget()
 
 
-def added_folders() -> tuple[Path, ...]:
+def list_added_folders() -> tuple[Path, ...]:
     """The folders added, for processes that must add them too."""
     return tuple(_folders)
 
@@ -139,11 +139,11 @@ def _check_free(name: str, known: dict[str, type[Effect]], where: str) -> None:
         raise PluginError(f"{where}: expected a name of small letters, digits and _, as my_effect")
     if name in known:
         raise PluginError(f"{where}: there is an effect of this name already")
-    if name in {*names(), *NOT_YET, *LAWS}:
+    if name in {*table_names(), *SEARCH_ONLY_LAWS, *LAWS}:
         raise PluginError(f"{where}: that is a law's name; expected another")
 
 
-def _read(file: Path, known: dict[str, type[Effect]]) -> type[Effect]:
+def _load_file(file: Path, known: dict[str, type[Effect]]) -> type[Effect]:
     """The effect in a file. Raises PluginError."""
     _check_free(file.stem, known, str(file))
     key = hashlib.sha256(str(file.resolve().parent).encode()).hexdigest()[:12]

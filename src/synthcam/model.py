@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 from pydantic import Field, ValidationError, create_model, model_validator
 
 from synthcam.effect import Effect, Laws
-from synthcam.free_law import NOT_YET, TabulatedLaw, kind_of, names
-from synthcam.library import library, once_a_library
-from synthcam.settings import Fraction, NotNegative, Positive, Settings, did_you_mean, one_line, read_yaml
+from synthcam.library import cache_until_effects_change, library
+from synthcam.settings import Fraction, NotNegative, Positive, Settings, did_you_mean, read_yaml, to_input_error
+from synthcam.tabulated_law import SEARCH_ONLY_LAWS, TabulatedLaw, kind_of, table_names
 from synthcam_shared.errors import InputError
 
 Array = NDArray[np.float64]
@@ -48,7 +48,7 @@ class ModelFileSettings(ModelSettings):
     sliding_friction: NotNegative = 0.232
 
 
-@once_a_library
+@cache_until_effects_change
 def effect_settings() -> type[Settings]:
     """`effects:` a key for each effect of the library, its parameters below it."""
     kinds: dict[str, Any] = {}
@@ -80,7 +80,7 @@ class TableSettings(Settings):
 def table_settings() -> type[Settings]:
     """`free_laws:` a key for each law that a model may hold as a table."""
     kinds: dict[str, Any] = {}
-    for name in names():
+    for name in table_names():
         kind, ball = kind_of(name)
         about = f"{kind.law}, {kind.unit}, of {kind.what}, {kind.x_unit}{f', of ball {ball}' if ball else ''}"
         settings = create_model(f"{name}_table", __base__=TableSettings, __doc__=about)
@@ -271,7 +271,7 @@ class Model:
         return dataclasses.replace(self, effects=tuple(effects.values()), **base)  # type: ignore[arg-type]
 
 
-BASE = tuple(ModelSettings.model_fields)
+BASE_PARAMETERS = tuple(ModelSettings.model_fields)
 LAUNCH_SPIN = "launch.spin"  # what `free` may hold beside parameters: the spin about the vertical of each launch
 
 
@@ -290,17 +290,17 @@ def build(settings: Mapping[str, Any], free: tuple[str, ...] = ()) -> Model:
 
 def settings_of(model: Model) -> dict[str, Any]:
     """The inverse of `build`: plain ball, model, effects (and free_laws and free, when there are any)."""
-    numbers = {k: getattr(model, k) for k in BASE}
+    numbers = {k: getattr(model, k) for k in BASE_PARAMETERS}
     plain: dict[str, Any] = {
         "ball": dataclasses.asdict(model.ball),
         "model": numbers,
         "effects": {e.name(): dataclasses.asdict(e) for e in model.effects if not isinstance(e, TabulatedLaw)},
     }
-    tables = {e.law: e.plain(numbers) for e in model.effects if isinstance(e, TabulatedLaw)}
+    tables = {e.law: e.to_settings(numbers) for e in model.effects if isinstance(e, TabulatedLaw)}
     return plain | ({"free_laws": tables} if tables else {}) | ({"free": list(model.free)} if model.free else {})
 
 
-@once_a_library
+@cache_until_effects_change
 def model_file() -> type[Settings]:
     """What a model file may hold: a scene's ball, model, effects and free laws, and `free`."""
     return create_model(
@@ -314,16 +314,16 @@ def model_file() -> type[Settings]:
     )
 
 
-def check_held(free_laws: Any, where: str) -> None:
+def refuse_search_only_laws(free_laws: Any, where: str) -> None:
     """Raises InputError for a free law of a search that no model holds, with why."""
     for name in free_laws if isinstance(free_laws, Mapping) else ():
-        if why := NOT_YET.get(str(name)):
+        if why := SEARCH_ONLY_LAWS.get(str(name)):
             raise InputError(f"{where}: free_laws.{name}: {why}")
 
 
 def check_free(names: Iterable[str], where: str) -> tuple[str, ...]:
     """The names as a tuple; InputError when one is no parameter of the model or of an effect, nor LAUNCH_SPIN."""
-    known = {*BASE, LAUNCH_SPIN, *(f"{n}.{p.name}" for n, e in library().items() for p in e.parameters())}
+    known = {*BASE_PARAMETERS, LAUNCH_SPIN, *(f"{n}.{p.name}" for n, e in library().items() for p in e.parameters())}
     for name in names:
         if name not in known:
             near = did_you_mean(name, known) or f"; there are {', '.join(sorted(known))}"
@@ -342,20 +342,20 @@ def read_model(path: Path) -> Model:
         near = did_you_mean(str(key), sections)
         if near or not isinstance(loaded[key], dict | None):  # else a section of a scene
             raise InputError(f"{path}: {key}: unknown key{near}; expected a model or a scene")
-    return _checked(loaded, str(path))
+    return _validate(loaded, str(path))
 
 
-def _checked(loaded: Mapping[str, Any], where: str) -> Model:
+def _validate(loaded: Mapping[str, Any], where: str) -> Model:
     known = {k: v for k, v in loaded.items() if k in model_file().model_fields}
-    check_held(known.get("free_laws"), where)
+    refuse_search_only_laws(known.get("free_laws"), where)
     try:
         plain = model_file().model_validate(known).model_dump()
     except ValidationError as e:
-        raise one_line(e, where, model_file()) from None
+        raise to_input_error(e, where, model_file()) from None
     return build(plain, check_free(plain["free"], where))
 
 
-def model_of(given: Model | Mapping[str, Any] | str | Path) -> Model:
+def as_model(given: Model | Mapping[str, Any] | str | Path) -> Model:
     """A model as it is, from its settings, or from its file. Raises InputError."""
     if isinstance(given, Model):
         return given
@@ -366,14 +366,14 @@ def model_of(given: Model | Mapping[str, Any] | str | Path) -> Model:
     if unknown := [str(k) for k in given if k not in model_file().model_fields]:
         near = did_you_mean(unknown[0], model_file().model_fields)
         raise InputError(f"model: {unknown[0]}: unknown key{near}; there are {', '.join(model_file().model_fields)}")
-    return _checked(given, "model")
+    return _validate(given, "model")
 
 
 def write_model(model: Model, path: Path) -> None:
     """Write a model file that `read_model` gives back and `synthcam generate` takes."""
-    path.write_text(dumped(settings_of(model)), encoding="utf-8")
+    path.write_text(to_yaml(settings_of(model)), encoding="utf-8")
 
 
-def dumped(settings: Mapping[str, Any]) -> str:
+def to_yaml(settings: Mapping[str, Any]) -> str:
     """Settings as the text of a YAML file."""
     return yaml.safe_dump(dict(settings), sort_keys=False, default_flow_style=None, width=120)

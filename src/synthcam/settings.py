@@ -101,31 +101,31 @@ def did_you_mean(word: str, known: Iterable[str], section: str = "") -> str:
     return f"; did you mean {section}{near[0]}?" if near else ""
 
 
-def _nearest(key: str, file: type[BaseModel]) -> str:
+def _suggest_key(key: str, file: type[BaseModel]) -> str:
     """As `did_you_mean`: a key of the same section, or else the same word in another section."""
     section, dot, last = key.rpartition(".")
-    known = list(_dotted(file))
+    known = list(_dotted_keys(file))
     beside = [k.removeprefix(section + dot) for k in known if k.rpartition(".")[0] == section]
     elsewhere = (f"; did you mean {k}?" for k in known if k.rpartition(".")[2] == last)
     return did_you_mean(last, beside, section + dot) or next(elsewhere, "")
 
 
-def _dotted(file: type[BaseModel], below: str = "") -> Iterator[str]:
+def _dotted_keys(file: type[BaseModel], below: str = "") -> Iterator[str]:
     """Every key of a file with its sections, as launch.v0."""
     for name, field in file.model_fields.items():
         yield below + name
         for kind in (field.annotation, *get_args(field.annotation)):
             if isinstance(kind, type) and issubclass(kind, BaseModel):
-                yield from _dotted(kind, f"{below}{name}.")
+                yield from _dotted_keys(kind, f"{below}{name}.")
 
 
-def one_line(error: ValidationError, where: str, file: type[BaseModel]) -> InputError:
+def to_input_error(error: ValidationError, where: str, file: type[BaseModel]) -> InputError:
     """The first complaint of pydantic about `file` as one line: file, dotted key, what was expected."""
     first = error.errors()[0]
     keys = [p for p in first["loc"] if not re.fullmatch(r"(literal|list)\[.*\]", str(p))]
     key = ".".join(repr(p)[1:-1] if isinstance(p, str) else str(p) for p in keys) or "the whole"
     if first["type"] == "extra_forbidden":
-        return InputError(f"{where}: {key}: unknown key{_nearest(key, file)}")
+        return InputError(f"{where}: {key}: unknown key{_suggest_key(key, file)}")
     either = [
         first,
         *(e for e in error.errors()[1:] if len(keys) < len(first["loc"]) and e["loc"][: len(keys)] == tuple(keys)),

@@ -29,7 +29,7 @@ STEEPEST = 1e8  # condition: with places that stand too unevenly the rounded lin
 
 
 @dataclass(frozen=True)
-class Table:
+class SmoothTable:
     """The smooth curve through a table's values; over an angle it is periodic, of a map it is so along each axis.
 
     Attributes
@@ -48,7 +48,7 @@ class Table:
 
     Examples
     --------
-    >>> curve = Table((0.0, 0.1, 0.2), (0.20, 0.23, 0.24))
+    >>> curve = SmoothTable((0.0, 0.1, 0.2), (0.20, 0.23, 0.24))
     >>> [round(float(v), 3) for v in curve(np.array([0.1, 0.15, 5.0]))]
     [0.23, 0.237, 0.24]
     """
@@ -63,7 +63,7 @@ class Table:
         if len(self.y) != len(self.x):
             raise ValueError(f"y: expected a value for each of {len(self.x)} places, found {len(self.y)}")
         for name, values in (("x", self.x), ("y", self.y)):
-            if not _alike(values):
+            if not _are_uniform(values):
                 raise ValueError(f"{name}: expected finite numbers, or pairs of them")
         if not self.plane:
             if not all(a < b for a, b in zip(self.x, self.x[1:], strict=False)):
@@ -77,7 +77,7 @@ class Table:
             raise ValueError(f"x: expected at most {MOST_A_SIDE} places along an axis, found {max(sides)}")
         if min(sides) < 2 + self.turn:
             raise ValueError(f"x: expected {2 + self.turn} places or more along each axis")
-        if self.turn and self._closed and np.abs(np.subtract(self.y[0], self.y[-1])).max() > self._slight:
+        if self.turn and self._is_closed and np.abs(np.subtract(self.y[0], self.y[-1])).max() > self._negligible:
             raise ValueError("y: expected the same value after a whole turn as at first")
         _ = self._curve  # places too uneven are found here
 
@@ -98,20 +98,20 @@ class Table:
         return sorted(set(one)), sorted(set(other))
 
     @property
-    def _closed(self) -> bool:
+    def _is_closed(self) -> bool:
         return bool(abs(self.x[-1] - self.x[0] - 2 * math.pi) < CLOSED)
 
     @property
-    def _slight(self) -> float:
+    def _negligible(self) -> float:
         return SAME * float(np.abs(self.y).max())
 
     @cached_property
-    def _lines(self) -> tuple[_Rounded, ...]:
+    def _lines(self) -> tuple[_RoundedLines, ...]:
         """Along each axis."""
         if self.plane:
-            return tuple(_Rounded.of(np.array(side)) for side in self._sides)
-        x = np.array(self.x[:-1] if self.turn and self._closed else self.x)
-        return (_Rounded.of(x, 2 * np.pi if self.turn else 0.0),)
+            return tuple(_RoundedLines.of(np.array(side)) for side in self._sides)
+        x = np.array(self.x[:-1] if self.turn and self._is_closed else self.x)
+        return (_RoundedLines.of(x, 2 * np.pi if self.turn else 0.0),)
 
     @cached_property
     def _curve(self) -> Any:
@@ -150,8 +150,11 @@ class Table:
         return np.asarray(out if self.parts == 2 else out[..., 0])
 
 
+Table = SmoothTable  # effect files that `discrepancy adopt` wrote of 0.1 import this name
+
+
 @dataclass(frozen=True)
-class _Rounded:
+class _RoundedLines:
     """Lines that are straight from place to place but for their corners, rounded by Gaussians.
 
     Attributes
@@ -173,9 +176,9 @@ class _Rounded:
     bend: Array
 
     @classmethod
-    def of(cls, x: Array, period: float = 0.0) -> _Rounded:
+    def of(cls, x: Array, period: float = 0.0) -> _RoundedLines:
         if period:
-            return cls._closed(x, period)
+            return cls._make_periodic(x, period)
         gap, reach = np.diff(x), LEVEL * (x[-1] - x[0])
         slope = _slopes(gap, np.arange(len(x)), len(x))
         bend = np.concatenate([slope[:1], np.diff(slope, axis=0), -slope[-1:]])
@@ -183,7 +186,7 @@ class _Rounded:
         return cls(x, 0.0, np.concatenate([[x[0] - reach], x[1:-1], [x[-1] + reach]]), width, bend)
 
     @classmethod
-    def _closed(cls, x: Array, period: float) -> _Rounded:
+    def _make_periodic(cls, x: Array, period: float) -> _RoundedLines:
         """Over as many turns to either side as the Gaussians reach."""
         gap = np.diff(np.append(x, x[0] + period))
         width = WIDTH * (gap + np.roll(gap, 1)) / 2
@@ -251,7 +254,7 @@ def _slopes(gap: Array, columns: Any, count: int) -> Array:
     return out
 
 
-def plain(values: Sequence[Any] | Array) -> tuple[Any, ...]:
+def to_tuples(values: Sequence[Any] | Array) -> tuple[Any, ...]:
     """Lists and arrays as tuples of floats, or of pairs of them, as a table has them; what is neither stays."""
     values = values.tolist() if isinstance(values, np.ndarray) else values
     return tuple(tuple(map(_number, v)) if isinstance(v, list | tuple) else _number(v) for v in values)
@@ -261,7 +264,7 @@ def _number(value: Any) -> Any:
     return float(value) if isinstance(value, int | float) else value
 
 
-def _alike(values: tuple[Any, ...]) -> bool:
+def _are_uniform(values: tuple[Any, ...]) -> bool:
     """Whether all are finite numbers, or all pairs of them."""
     pairs = isinstance(values[0], tuple)
     rows = values if pairs else tuple((v,) for v in values)

@@ -17,7 +17,7 @@ LAYERS = {
     "synthcam_shared": ["errors", "outputs settings application dask_workers workers"],
     "synthcam": [
         "settings effect table",
-        "effects free_law",
+        "effects tabulated_law",
         "library",
         "model",
         "dynamics camera",
@@ -58,10 +58,10 @@ LAYERS = {
     "synthcam.dynamics": [
         "kinematics collocation packed",
         "trajectory impact forces hermite",
-        "led contact_time turning",
-        "integrate launch",
-        "creep segments",
-        "pairing",
+        "integrated_motion contact_time orientation",
+        "propagate launch",
+        "start_from_rest segments",
+        "interacting_pair",
         "solve",
         "batch",
     ],

@@ -18,7 +18,7 @@ from repository import ROOT
 from discrepancy.free_laws import laws, library
 from discrepancy.free_laws.axis import Axis
 from discrepancy.free_laws.law_kinds import SeriesEffect
-from synthcam import free_law
+from synthcam import tabulated_law
 from synthcam.scene.scene import check_scene
 from synthcam.settings import parse_yaml
 
@@ -152,7 +152,7 @@ def test_the_free_law_of_the_page_is_found_and_a_model_holds_it(tmp_path, monkey
         library.library.cache_clear()
         sys.modules.pop("discrepancy.free_laws.laws.friction_radius", None)
     (line,) = (b.text for b in page if b.asked("after"))
-    held = eval(f"{{{line}}}", vars(free_law))["friction_radius"]
+    held = eval(f"{{{line}}}", vars(tabulated_law))["friction_radius"]
     assert ((held.law, held.what), held.owners, held.unit) == (kind.bends, kind.owners, kind.unit)
     series = SeriesEffect(
         kind((Axis("distance from the middle", "m", 0.0, 0.05, 6),)), tuple(1e-3 * np.arange(1.0, 7.0))

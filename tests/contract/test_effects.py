@@ -12,7 +12,7 @@ from sticky_effect import STICKY
 import synthcam.effects
 from synthcam import model as model_module
 from synthcam.camera.pinhole import Lamp, PinholeCamera, project_glint
-from synthcam.dynamics.batch import collisions
+from synthcam.dynamics.batch import solve_collisions
 from synthcam.dynamics.launch import Launch
 from synthcam.dynamics.solve import solve
 from synthcam.effect import LAWS
@@ -85,7 +85,7 @@ def test_null_is_absence_bit_for_bit(kind):
     np.testing.assert_array_equal(track(null), track())
     np.testing.assert_array_equal(picture(null), picture())
     starts = np.arange(FRAMES) / 250
-    many = [collisions(Model(effects=e), ROW, 0.0, 0.31).means(starts, 5e-4) for e in ((null,), ())]
+    many = [solve_collisions(Model(effects=e), ROW, 0.0, 0.31).average_centres(starts, 5e-4) for e in ((null,), ())]
     np.testing.assert_array_equal(*many)
 
 

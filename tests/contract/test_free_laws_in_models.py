@@ -6,9 +6,9 @@ import pytest
 from discrepancy.free_laws.axis import Axis
 from discrepancy.free_laws.law_kinds import SeriesEffect
 from discrepancy.free_laws.library import library
-from synthcam.effect import LAWS, VECTORS
-from synthcam.free_law import KINDS, LINE, NOT_YET, PLACE, TURN, TabulatedLaw
-from synthcam.model import BASE, Model
+from synthcam.effect import LAWS, VECTOR_INPUTS
+from synthcam.model import BASE_PARAMETERS, Model
+from synthcam.tabulated_law import LINE, PLACE, SEARCH_ONLY_LAWS, TABLE_KINDS, TURN, TabulatedLaw
 
 COUNT = 5
 PLACES = {LINE: 121, TURN: 121, PLACE: 61}  # of a table, a side
@@ -22,13 +22,13 @@ def axes_of(kind):
 
 
 def test_each_is_there_or_said_to_be_none():
-    assert set(BY_NAME) == set(KINDS) | set(NOT_YET)
+    assert set(BY_NAME) == set(TABLE_KINDS) | set(SEARCH_ONLY_LAWS)
 
 
-@pytest.mark.parametrize("name", KINDS)
+@pytest.mark.parametrize("name", TABLE_KINDS)
 @pytest.mark.parametrize("ball", ["", "b"])
 def test_a_table_of_a_series_bends_the_law_as_the_series_does(name, ball):
-    kind, search = KINDS[name], BY_NAME[name]
+    kind, search = TABLE_KINDS[name], BY_NAME[name]
     assert (kind.law, kind.what) == search.bends
     assert (kind.owners, kind.unit, kind.parts, kind.one_ball) == (
         search.owners, search.unit, search.parts, search.one_ball,
@@ -45,9 +45,12 @@ def test_a_table_of_a_series_bends_the_law_as_the_series_does(name, ball):
         (-1, 2) if law.parts == 2 else -1
     )
     places = x[0].tolist() if len(x) == 1 else np.stack(x, axis=1).tolist()
-    table = TabulatedLaw.of(law.name, places, np.abs(y) if kind.low == 0 else y, {n: getattr(model, n) for n in BASE})
+    table = TabulatedLaw.of(
+        law.name, places, np.abs(y) if kind.low == 0 else y, {n: getattr(model, n) for n in BASE_PARAMETERS}
+    )
     instant = {
-        what: rng.uniform(0.05, 0.3, (3, 4, 2) if what in {*VECTORS, "heading"} else (3, 4)) for what in LAWS[kind.law]
+        what: rng.uniform(0.05, 0.3, (3, 4, 2) if what in {*VECTOR_INPUTS, "heading"} else (3, 4))
+        for what in LAWS[kind.law]
     }
     instant["of_a"] = np.array([1.0, 0.0, 0.0])[:, None]
     value = rng.uniform(0.2, 0.4, (3, 4, 2) if kind.law == "push" else (3, 4))

@@ -20,14 +20,14 @@ from discrepancy.free_laws.library import library as free_laws
 from discrepancy.free_laws.shapes import iterate_shapes
 from discrepancy.noise.model import Noise, NoiseComponent
 from discrepancy.report import html
-from synthcam.effect import LAWS, VECTORS
-from synthcam.free_law import KINDS, LINE, PLACE, TURN, TabulatedLaw, names
+from synthcam.effect import LAWS, VECTOR_INPUTS
 from synthcam.library import add_effects, library
-from synthcam.model import BASE, Model, read_model
+from synthcam.model import BASE_PARAMETERS, Model, read_model
 from synthcam.scene.scene import read_scene
+from synthcam.tabulated_law import LINE, PLACE, TABLE_KINDS, TURN, TabulatedLaw, table_names
 from synthcam_shared.errors import InputError
 
-CURVES = [n for n, k in KINDS.items() if k.axis != PLACE and k.parts == 1]
+CURVES = [n for n, k in TABLE_KINDS.items() if k.axis != PLACE and k.parts == 1]
 RANGE = (0.05, 0.45)
 
 
@@ -47,7 +47,7 @@ def read(folder, name, text):
 
 
 def instant(kind, rng):
-    shapes = {w: (5, 7, 2) if w in {*VECTORS, "heading"} else (5, 7) for w in LAWS[kind.law]}
+    shapes = {w: (5, 7, 2) if w in {*VECTOR_INPUTS, "heading"} else (5, 7) for w in LAWS[kind.law]}
     known = {w: rng.uniform(*RANGE, shape) / (np.sqrt(2) if len(shape) == 3 else 1) for w, shape in shapes.items()}
     return known | {"of_a": np.array([1.0, 1.0, 0.0, 0.0, 0.0])[:, None]}
 
@@ -56,14 +56,14 @@ def argument(kind, known):
     what = known[kind.what]
     if kind.axis == TURN:
         return np.arctan2(what[..., 1], what[..., 0])
-    return np.hypot(what[..., 0], what[..., 1]) if kind.what in VECTORS else what
+    return np.hypot(what[..., 0], what[..., 1]) if kind.what in VECTOR_INPUTS else what
 
 
 @pytest.mark.parametrize("law", CURVES)
 @pytest.mark.parametrize("ball", ["", "a", "b"])
 def test_every_shape_as_an_effect_is_what_was_drawn(law, ball, own):
     """The columns that formulas are fitted with, and the code that an effect has, are written apart."""
-    kind, rng = KINDS[law], np.random.default_rng(4)
+    kind, rng = TABLE_KINDS[law], np.random.default_rng(4)
     if ball and not kind.one_ball:
         return
     known = instant(kind, rng)
@@ -103,16 +103,16 @@ def test_every_shape_as_an_effect_is_what_was_drawn(law, ball, own):
     assert tried > 5
 
 
-@pytest.mark.parametrize("law", list(names()))
+@pytest.mark.parametrize("law", list(table_names()))
 def test_every_table_as_an_effect_is_the_table(law, own):
-    own_kind = KINDS.get(law) or KINDS[law[:-2]]
+    own_kind = TABLE_KINDS.get(law) or TABLE_KINDS[law[:-2]]
     rng = np.random.default_rng(5)
     x = {LINE: np.linspace(*RANGE, 9), TURN: np.linspace(-np.pi, np.pi, 9)[:-1]}.get(own_kind.axis)
     if x is None:
         side = np.linspace(0, 0.5, 4)
         x = np.stack([s.ravel() for s in np.meshgrid(side, side)], axis=1)
     y = rng.uniform(0.1, 0.3, (len(x), 2) if own_kind.parts == 2 else len(x))
-    base = {n: getattr(Model(), n) for n in BASE}
+    base = {n: getattr(Model(), n) for n in BASE_PARAMETERS}
     held = TabulatedLaw.of(law, x, y, base)
     text = render_table_effect("made", held, {n: base[n] for n, _ in own_kind.owners}, ["Found somewhere."])
     effect = read(own, "made", text)
@@ -139,7 +139,7 @@ def test_the_model_with_the_effect_foretells_collisions_kept_out_as_the_true_law
     there = fit_model(found.data.kept_out, model, (), found.data.noise, found.shown.before.launches)
     gap = found.shown.gap
     assert gap.before - there.chi2 / there.points > 0.97 * (gap.before - gap.after)
-    assert read_scene(new.model).draw().model.laws.bent(KINDS[law].law)
+    assert read_scene(new.model).draw().model.laws.has_effect_on(TABLE_KINDS[law].law)
 
 
 def test_the_formula_is_that_of_what_was_hidden(reports, own):
@@ -151,7 +151,7 @@ def test_the_formula_is_that_of_what_was_hidden(reports, own):
     assert model.restitution * model.value("late_drop.size") == pytest.approx(-0.004, rel=0.2)
     assert model.value("late_drop.at") == pytest.approx(0.2, abs=0.02)
     seen = collisions(dataclasses.replace(Model(), effects=(OUTSIDERS["restitution_speed"],)), 12, 7)
-    fit = fit_model(seen, model, (*BASE, *model.free), Noise(NoiseComponent(1.0)))
+    fit = fit_model(seen, model, (*BASE_PARAMETERS, *model.free), Noise(NoiseComponent(1.0)))
     assert fit.chi2 / (fit.points - fit.parameters) < 1.1
 
 

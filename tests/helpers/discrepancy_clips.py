@@ -100,7 +100,7 @@ def exact(model, count, seed, frames=FRAMES, spins=None):
     starts = np.array(list(launches(np.random.default_rng(seed), count)))
     if spins is not None:
         starts = np.concatenate([starts, np.resize(spins, (count, 3))], axis=1)
-    ends = batch.collisions(model, starts, 0.0, frames / FPS).slide_ends.reshape(2, -1).T
+    ends = batch.solve_collisions(model, starts, 0.0, frames / FPS).slide_ends.reshape(2, -1).T
     clips = [blank(k, *both, frames) for k, both in enumerate(zip(starts, ends, strict=True))]
     return [dataclasses.replace(c, xy=xy) for c, xy in zip(clips, predict_tracks(model, starts, clips), strict=True)]
 

@@ -64,8 +64,8 @@ def test_strengths_and_shapes():
 def test_laws_apply_the_active_ones_by_name():
     laws = Laws([Rough(rise=0.5, slip=0.1), Rough(rise=0.0, slip=1e-9)])
     assert laws("friction", 0.2, {"slip_speed": 0.1}) == pytest.approx(0.3)
-    assert laws.bent("friction")
-    assert not laws.bent("push", "rolling")
+    assert laws.has_effect_on("friction")
+    assert not laws.has_effect_on("push", "rolling")
     assert Laws([])("friction", 0.2, {}) == 0.2
     assert set(LAWS) >= {"restitution", "spin_transfer", "friction", "normal_load", "rolling", "push"}
 

@@ -33,8 +33,8 @@ def test_value_and_replace_by_dotted_name():
     assert m.value("rolling_quadratic.K") == 0
     assert m.replace({"plate_tilt.y": 2e-3}).effects == (PlateTilt(x=1e-3, y=2e-3),)
     assert Model().effects == ()
-    assert Model().laws.bent("push") is False
-    assert m.laws.bent("push") is True
+    assert Model().laws.has_effect_on("push") is False
+    assert m.laws.has_effect_on("push") is True
 
 
 def test_a_scene_of_numbers_is_a_model_too(tmp_path):

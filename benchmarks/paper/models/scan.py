@@ -24,7 +24,7 @@ from benchmarks.paper.models.candidates import BASE, Candidate
 from benchmarks.paper.models.observed import WAYS, chi2, observed, pulls
 from benchmarks.paper.published import OBSERVED
 from benchmarks.paper.readings import Films, read
-from synthcam.dynamics.batch import collisions
+from synthcam.dynamics.batch import solve_collisions
 from synthcam_shared.outputs import write_atomically
 from tracker.parallel import in_parallel
 
@@ -72,7 +72,7 @@ def solved(values: dict[str, float], of: Launches) -> dict[str, pd.DataFrame]:
     """Readings of each series under a model. Raises ValueError where it has no motion."""
     starts = np.arange(experiment.FRAMES - 1) / experiment.FPS
     end = experiment.FRAMES / experiment.FPS
-    positions = collisions(synthcam.Model().replace(values), of.table, 0.0, end).means(starts, EXPOSURE)
+    positions = solve_collisions(synthcam.Model().replace(values), of.table, 0.0, end).average_centres(starts, EXPOSURE)
     noisy = positions + np.random.default_rng(1).normal(0, NOISE, positions.shape)
     table = read(Films(noisy, experiment.FPS, DIAMETER))
     return {name: table.iloc[rows].reset_index(drop=True) for name, rows in of.rows.items()}

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d, uniform_filter1d
 from scipy.signal import savgol_filter
 
-from synthcam.dynamics.launch import SPIN
+from synthcam.dynamics.launch import SPIN_COLUMNS
 from synthcam.effect import parameter
 
 from .outsiders import Outsider, dice
@@ -85,14 +85,14 @@ UNFIT = {  # effects that cannot be told, or not be drawn, in a world; by name o
 def launch(world: World) -> dict[str, Any]:
     """A scene's launch, as far as this world has another."""
     slip, side = world.get("slip", 0.0), world.get("side", 0.0)
-    spins = dict(zip(SPIN, ({"uniform": [-x, x]} for x in (slip, slip / 2, side)), strict=True))
+    spins = dict(zip(SPIN_COLUMNS, ({"uniform": [-x, x]} for x in (slip, slip / 2, side)), strict=True))
     own = {name: spin for name, spin in spins.items() if spin["uniform"][1]}
     return own | ({"v0": {"uniform": [0.3, 0.6]}} if slip else {})  # or it would come out of the target
 
 
 def spins(drawn: dict[str, Any]) -> list[float]:
     """What the launch of a clip has beside six numbers: three, or none."""
-    own = [float(drawn.get(name, 0.0)) for name in SPIN]
+    own = [float(drawn.get(name, 0.0)) for name in SPIN_COLUMNS]
     return own if any(own) else []
 
 

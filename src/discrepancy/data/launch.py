@@ -1,7 +1,7 @@
 """A launch: the numbers from which a model works out one collision, the columns of an array (clips, 6) or (clips, 9).
 
 The place x, y (m) and instant t_c (s) of the contact, the striker's speed v0 (m/s) and heading (rad) just before it,
-and the impact parameter b. Where strikers do not roll, three more: how each spins, m/s, as `SPIN` of
+and the impact parameter b. Where strikers do not roll, three more: how each spins, m/s, as `SPIN_COLUMNS` of
 `synthcam.dynamics.launch`. A striker without slip rolls: it has another past than one of ever so little slip.
 """
 
@@ -16,14 +16,14 @@ from scipy.special import chdtrc
 
 from discrepancy.arrays import Array
 from discrepancy.policy import current_policy
-from synthcam.dynamics.batch import LAUNCH
-from synthcam.dynamics.launch import SPIN
+from synthcam.dynamics.batch import LAUNCH_COLUMNS
+from synthcam.dynamics.launch import SPIN_COLUMNS
 from tracker.measurement.collision.adequacy import MISFIT
 
-X, Y, T_C, V0, HEADING, B = range(len(LAUNCH))
-SLIP, SIDE = slice(len(LAUNCH), len(LAUNCH) + 2), len(LAUNCH) + 2
+X, Y, T_C, V0, HEADING, B = range(len(LAUNCH_COLUMNS))
+SLIP, SIDE = slice(len(LAUNCH_COLUMNS), len(LAUNCH_COLUMNS) + 2), len(LAUNCH_COLUMNS) + 2
 GUESS = 0.2  # of the speed, a slip and a spin to start from
-WITH_SPIN = len(LAUNCH) + len(SPIN)
+WITH_SPIN = len(LAUNCH_COLUMNS) + len(SPIN_COLUMNS)
 BEGUN = 1e-3  # of the speed, a spin about the vertical to start from where it is asked for
 LARGEST_SPIN = 10.0  # of the speed, a slip and a spin: a cue gives 3 or 4
 LEAST_SLIP = 0.02  # of the speed: where a slip ends, its direction decides a whole past, and no derivative leads on
@@ -113,8 +113,8 @@ def equalise_launches(launches: list[Array], rejected: list[bool] | None = None)
         Whether the tracker's model of each clip is rejected: that it found no spin there says nothing. So few others
         that they make no study say nothing of all.
     """
-    if all(len(launch) == len(LAUNCH) or not launch[len(LAUNCH) :].any() for launch in launches):
-        return [launch[: len(LAUNCH)] for launch in launches]
+    if all(len(launch) == len(LAUNCH_COLUMNS) or not launch[len(LAUNCH_COLUMNS) :].any() for launch in launches):
+        return [launch[: len(LAUNCH_COLUMNS)] for launch in launches]
     out = limit_spins(np.concatenate([pad_spins(launch[None]) for launch in launches]))
     spins = out[:, SIDE] != 0
     told = spins | ~np.array(rejected if rejected else np.zeros(len(out), dtype=bool))

@@ -21,8 +21,8 @@ from discrepancy.fitting.model_fit import Linearisation, ModelFit, WhitenedClips
 from discrepancy.fitting.parameters import find_parameter, replace_within_limits, tried_range
 from discrepancy.fitting.predict import predict_tracks
 from discrepancy.noise.model import Noise
-from synthcam.dynamics.batch import LAUNCH
-from synthcam.dynamics.solve import uncoupled
+from synthcam.dynamics.batch import LAUNCH_COLUMNS
+from synthcam.dynamics.solve import without_mutual_push
 from synthcam.model import Model
 
 ITERATIONS = 40
@@ -244,8 +244,8 @@ def zero_unidentifiable_spins(launches: Array, slopes: tuple[Array, ...]) -> tup
     """
     if launches.shape[1] != WITH_SPIN:
         return slopes
-    sizes = np.array([np.linalg.norm(s[:, len(LAUNCH) :], axis=0) for s in slopes])
-    silent = np.pad(sizes * LARGEST_SPIN * launches[:, [V0]] < 1, ((0, 0), (len(LAUNCH), 0)))
+    sizes = np.array([np.linalg.norm(s[:, len(LAUNCH_COLUMNS) :], axis=0) for s in slopes])
+    silent = np.pad(sizes * LARGEST_SPIN * launches[:, [V0]] < 1, ((0, 0), (len(LAUNCH_COLUMNS), 0)))
     return tuple(np.where(none, 0.0, s) for none, s in zip(silent, slopes, strict=True)) if silent.any() else slopes
 
 
@@ -288,7 +288,7 @@ def _predict_trials(
     fit: ModelFit, clips: Sequence[MeasuredCollision], names: Sequence[str], tries: Sequence[Mapping[str, float]]
 ) -> Iterator[list[Array] | None]:
     """The forecasts with other values of some parameters; without the push between balls where they are not of it."""
-    plain = uncoupled(fit.model)
+    plain = without_mutual_push(fit.model)
     model = fit.model if coupling_effects(fit.model, plain) & {n.partition(".")[0] for n in names} else plain
     for values in tries:
         try:

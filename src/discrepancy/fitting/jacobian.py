@@ -13,7 +13,7 @@ from discrepancy.data.collisions import MeasuredCollision
 from discrepancy.data.launch import find_free_columns
 from discrepancy.fitting.parameters import FINE, difference_step, parameter_limits
 from discrepancy.fitting.predict import predict_tracks
-from synthcam.dynamics.solve import uncoupled
+from synthcam.dynamics.solve import without_mutual_push
 from synthcam.model import Model
 
 LAUNCH_STEP = 1e-6  # m, s, m/s, rad, 1
@@ -107,7 +107,7 @@ def decouple(
     The model itself where it has no such push, or where a ball would not have rested without it. `here` is the model's
     own forecast, where it is known.
     """
-    plain = uncoupled(model)
+    plain = without_mutual_push(model)
     if plain.effects != model.effects:
         with suppress(ValueError):
             return plain, predict_tracks(plain, launches, clips)

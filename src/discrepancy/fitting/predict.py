@@ -13,7 +13,7 @@ from discrepancy.arrays import Array, Ints
 from discrepancy.data.collisions import MeasuredCollision
 from discrepancy.data.launch import T_C
 from synthcam.camera.pinhole import PinholeCamera as Optics
-from synthcam.dynamics.batch import Batch, collisions
+from synthcam.dynamics.batch import CollisionBatch, solve_collisions
 from synthcam.model import Model
 from tracker.camera.camera import Camera, LampSettings
 
@@ -85,33 +85,33 @@ def _predict_one_rate(model: Model, launches: Array, clips: Sequence[MeasuredCol
     rows = np.array([[0.0], [camera.size[1] - 1.0]])
     extent = model.laws("clock", film[[0, -1]], {"fps": camera.fps, "row": rows}) + np.array([0.0, exposure])
     start = min(float(extent.min()), float(launches[:, T_C].min()))
-    motion = collisions(model, launches, start, float(extent.max()), [c.striker == "a" for c in clips])
+    motion = solve_collisions(model, launches, start, float(extent.max()), [c.striker == "a" for c in clips])
     places, opens = _average_exposures(model, motion, camera, film, exposure)
-    height = _heights(motion, opens, exposure) if model.laws.bent("loft") else camera.radius
+    height = _heights(motion, opens, exposure) if model.laws.has_effect_on("loft") else camera.radius
     places = _apply_camera(model, camera, places, height)
     return [places[c.ball, k, c.frame - frames[0]] for k, c in enumerate(clips)]
 
 
 def _average_exposures(
-    model: Model, motion: Batch, camera: Camera, film: Array, exposure: float
+    model: Model, motion: CollisionBatch, camera: Camera, film: Array, exposure: float
 ) -> tuple[Array, Array]:
     """Means over the exposures, (2, clips, frames, 2), m; each ball by the clock of its own row where that matters.
 
     And when the exposures open, (frames,) or (2 clips, frames).
     """
-    if not model.laws.asks("clock", "row"):
+    if not model.laws.needs("clock", "row"):
         opens = model.laws("clock", film, {"fps": camera.fps, "row": 0.0})
-        return motion.means(opens, exposure), opens
-    places, opens = motion.means(film, exposure), film
+        return motion.average_centres(opens, exposure), opens
+    places, opens = motion.average_centres(film, exposure), film
     for _ in range(2):
         rows = np.clip(_project(camera, places)[..., 1], 0, camera.size[1] - 1).reshape(-1, len(film))
         own = model.laws("clock", film + 0 * rows, {"fps": camera.fps, "row": rows})
         opens = np.clip(own, motion.start, motion.end - exposure)
-        places = motion.means(opens, exposure)
+        places = motion.average_centres(opens, exposure)
     return places, opens
 
 
-def _heights(motion: Batch, opens: Array, exposure: float) -> Array:
+def _heights(motion: CollisionBatch, opens: Array, exposure: float) -> Array:
     """Of the centres, means over the exposures by Simpson's rule, (2, clips, frames, 1), m: some hop."""
     first, middle, last = (motion.heights(opens + share * exposure)[..., None] for share in (0.0, 0.5, 1.0))
     return np.asarray((first + 4 * middle + last) / 6)
@@ -119,7 +119,7 @@ def _heights(motion: Batch, opens: Array, exposure: float) -> Array:
 
 def _apply_camera(model: Model, camera: Camera, places: Array, height: Array | float) -> Array:
     """Where the tracker, which knows the nominal camera and no hop, puts centres that are at `places` and `height`."""
-    if not model.laws.bent("camera", "measure", "loft"):
+    if not model.laws.has_effect_on("camera", "measure", "loft"):
         return places
     nominal = Optics(
         K=camera.K,

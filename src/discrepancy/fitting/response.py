@@ -21,7 +21,7 @@ from discrepancy.arrays import Array, Ints
 from discrepancy.data.collisions import MeasuredCollision
 from discrepancy.data.launch import T_C, WITH_SPIN
 from discrepancy.fitting.predict import map_by_frame_rate
-from synthcam.dynamics.batch import Batch, collisions
+from synthcam.dynamics.batch import CollisionBatch, solve_collisions
 from synthcam.dynamics.kinematics import contact_velocity
 from synthcam.model import Model
 
@@ -46,7 +46,7 @@ class ResponseSegment:
     contact: Array
 
     @classmethod
-    def of(cls, motion: Batch, radius: float, begins: Array, ends: Array) -> ResponseSegment:
+    def of(cls, motion: CollisionBatch, radius: float, begins: Array, ends: Array) -> ResponseSegment:
         times = begins[:, None] + (ends - begins)[:, None] * np.linspace(0, 1, POINTS)
         inside = np.clip(times, motion.start, motion.end)
         states = motion.at(inside).reshape(len(times), POINTS, 9)
@@ -136,7 +136,7 @@ def _split_motion(
 ) -> tuple[ResponseSegment, ResponseSegment, ResponseSegment]:
     """Before the contact, sliding and rolling; launches: (clips, p). Many laws are tried on one motion."""
     places = np.frombuffer(launches).reshape(len(a_strikes), -1)
-    motion = collisions(model, places, start, end, a_strikes)
+    motion = solve_collisions(model, places, start, end, a_strikes)
     contact = np.tile(places[:, T_C], 2)
     before = np.nextafter(contact, -np.inf) if places.shape[1] == WITH_SPIN else contact  # the slip still as it came
     over, whole = np.minimum(motion.slide_ends, end), np.ones(len(contact))

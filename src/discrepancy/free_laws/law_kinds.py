@@ -22,9 +22,9 @@ from discrepancy.fitting.predict import predict_tracks
 from discrepancy.fitting.response import ResponseSegment, compute_responses
 from discrepancy.free_laws.axis import Axis
 from discrepancy.free_laws.ranges import CoveredRanges, over_clips
-from synthcam.effect import LAWS, VECTORS
-from synthcam.free_law import PACE, AddedLaw, TabulatedLaw
+from synthcam.effect import LAWS, VECTOR_INPUTS
 from synthcam.model import Model
+from synthcam.tabulated_law import REFERENCE_SPEED_M_S, AddedLaw, TabulatedLaw
 from synthcam_shared.errors import PluginError
 
 MEAN = 200  # places on each axis, to take a mean over
@@ -92,7 +92,7 @@ class FreeLaw(ABC):
     def __post_init__(self) -> None:
         what = self.bends[1] if self.bends else ""
         straight = len(self.axes) == 1 and self.axes[0].kind == "line"
-        if what in VECTORS and straight and type(self).places is FreeLaw.places:
+        if what in VECTOR_INPUTS and straight and type(self).places is FreeLaw.places:
             name = f"{type(self).__module__}.{type(self).__name__}"
             raise PluginError(
                 f"{name}: one axis, but {what} is a vector; expected two axes, or places, which makes it one"
@@ -234,17 +234,17 @@ class MotionLaw(FreeLaw):
 
 
 class PacedLaw(MotionLaw):
-    """A rolling loss of two parts: a constant one, and one in proportion to the speed, given as it is at PACE."""
+    """A rolling loss of two parts: a constant, and one proportional to the speed (its value at REFERENCE_SPEED_M_S)."""
 
     symbol = "added rolling loss"
     unit = "m/s^2"
     parts = 2
-    part_names = ("constant", f"with the speed, at {PACE:g} m/s")
+    part_names = ("constant", f"with the speed, at {REFERENCE_SPEED_M_S:g} m/s")
     centred = True
     paced = True
 
     def factors(self, what: Any, speed: Any) -> Array:
-        return np.stack([np.ones_like(speed), speed / PACE], axis=-1)
+        return np.stack([np.ones_like(speed), speed / REFERENCE_SPEED_M_S], axis=-1)
 
 
 class ImpactLaw(FreeLaw):
@@ -297,10 +297,10 @@ class SeriesEffect(AddedLaw):
         return any(self.coefs)
 
     @property
-    def bent(self) -> tuple[str, str, str] | None:
+    def target(self) -> tuple[str, str, str] | None:
         return (*self.law.bends, self.law.ball) if self.law.bends else None
 
-    def _added(self, what: Any, speed: Any) -> Array:
+    def _addition(self, what: Any, speed: Any) -> Array:
         out = self.law.values(np.array(self.coefs), *self.law.places(what))
         factors = self.law.factors(what, speed)
         if factors is None:

@@ -11,7 +11,7 @@ from discrepancy.arrays import Array
 from discrepancy.data.collisions import MeasuredCollision
 from discrepancy.data.launch import T_C, B
 from discrepancy.free_laws.axis import Axis
-from synthcam.dynamics.batch import collisions
+from synthcam.dynamics.batch import solve_collisions
 from synthcam.dynamics.kinematics import contact_velocity
 from synthcam.model import Model
 
@@ -70,7 +70,7 @@ def compute_ranges(model: Model, launches: Array, clips: Sequence[MeasuredCollis
     times = np.linspace(min(first, launches[:, T_C].min()), last, SAMPLES)
     a_strikes = np.array([c.striker == "a" for c in clips])
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-        states = np.nan_to_num(collisions(model, launches, times[0], times[-1], a_strikes).at(times))
+        states = np.nan_to_num(solve_collisions(model, launches, times[0], times[-1], a_strikes).at(times))
     slip = np.hypot(*np.moveaxis(contact_velocity(states, model.ball.radius), -1, 0))
     place, velocity = states[..., :2], states[..., 3:5]
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from discrepancy.arrays import Array
 from discrepancy.free_laws.law_kinds import FreeLaw
-from synthcam.free_law import PACE
+from synthcam.tabulated_law import REFERENCE_SPEED_M_S
 
 SHARP = 0.01  # of the range: over so much a step in words is a slope in code, for motion to be integrated
 
@@ -85,7 +85,7 @@ def _turns(th: Array) -> Iterator[LawShape]:
 
 def _paced(shapes: Iterator[LawShape]) -> Iterator[LawShape]:
     """Of a rolling loss: each shape constant, in proportion to the speed, or both."""
-    words = "", f"v/{PACE:g}"
+    words = "", f"v/{REFERENCE_SPEED_M_S:g}"
     for shape, parts in itertools.product(list(shapes), ((0,), (1,), (0, 1))):
 
         def terms(*extra: float, shape: LawShape = shape, parts: tuple[int, ...] = parts) -> Terms:

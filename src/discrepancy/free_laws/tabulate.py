@@ -13,8 +13,8 @@ from discrepancy.fitting.gauss_newton import linearise, minimise_chi2
 from discrepancy.fitting.model_fit import ModelFit
 from discrepancy.free_laws.credible_band import NormalMixture
 from discrepancy.free_laws.fitted_law import FittedLaw
-from synthcam.free_law import TabulatedLaw, kind_of
-from synthcam.model import BASE, Model, build, settings_of
+from synthcam.model import BASE_PARAMETERS, Model, build, settings_of
+from synthcam.tabulated_law import TabulatedLaw, kind_of
 
 PLACES, TURN, SIDE = 81, 73, 25  # of a table: of a curve, of one over all directions, along each side of a map
 
@@ -68,7 +68,7 @@ def _with_table(plain: Model, name: str, x: tuple[Array, ...], curve: Array) -> 
 
 
 def _numbers(model: Model) -> dict[str, float]:
-    return {name: model.value(name) for name in BASE}
+    return {name: model.value(name) for name in BASE_PARAMETERS}
 
 
 def _short(values: Array) -> Array:

@@ -14,7 +14,7 @@ from discrepancy.fitting.parameters import names_to_fit
 from discrepancy.planning.experiment import Experiment, make_unfilmed_clip
 from discrepancy.planning.position_errors import Errors, GlintErrors, StatedErrors
 from discrepancy.policy import current_policy
-from synthcam.dynamics.launch import SPIN
+from synthcam.dynamics.launch import SPIN_COLUMNS
 from synthcam.model import Model
 from synthcam.scene.clip import Clip
 from synthcam.scene.scene import Scene
@@ -131,7 +131,7 @@ def _launch(clip: Clip) -> Array:
     share = radius[0] / radius.sum()  # of the way between the centres, from the target
     drawn = clip.drawn["launch"]
     place = target + share * (striker - target)
-    spin = [drawn[name] for name in SPIN]
+    spin = [drawn[name] for name in SPIN_COLUMNS]
     return np.array([*place, clip.launch.time, drawn["v0"], drawn["heading"], drawn["b"], *spin])
 
 

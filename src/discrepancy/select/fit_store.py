@@ -14,7 +14,7 @@ from discrepancy.select.model_cost import cost_of
 from discrepancy.select.profile_errors import GAINED
 from discrepancy.select.score_test import ScoreTests
 from discrepancy.select.scored import CandidateScore
-from synthcam.dynamics.solve import uncoupled
+from synthcam.dynamics.solve import without_mutual_push
 
 Key = frozenset[Candidate]
 KEPT = 8_000_000  # numbers in all contests kept beside the last
@@ -80,7 +80,7 @@ class FitStore:
     def exact(self, state: Sequence[Candidate]) -> ModelFit:
         """`settled`, with derivatives that count the push between balls where there is one: errors need them exact."""
         fit, key = self.settled(state), frozenset(state)
-        if uncoupled(fit.model).effects != fit.model.effects:
+        if without_mutual_push(fit.model).effects != fit.model.effects:
             exact = linearise(self.evidence, fit.model, fit.names, fit.launches, exact=True)
             self.tests[key] = dataclasses.replace(self.score_tests(state), fit=exact)
             self.fits[key] = exact

@@ -21,7 +21,7 @@ import pandas as pd
 from synthcam.dataset.files import finish, finish_shard, write_clip
 from synthcam.dataset.staging import PLAN, PartialDataset, move_into_place, name_temporary, open_partial
 from synthcam.dataset.workers import each
-from synthcam.library import add_effects, added_folders, digest
+from synthcam.library import add_effects, digest, list_added_folders
 from synthcam.scene.clip import Clip
 from synthcam.scene.scene import Scene, check_scene
 from synthcam_shared.errors import InputError
@@ -254,7 +254,7 @@ def _folders(made: PartialDataset) -> tuple[Path, Path]:
 
 def _worker_arguments(plan: GenerationPlan) -> tuple[str, tuple[Path, ...]]:
     """What a worker must know: the plan's document, and the folders with effects."""
-    return json.dumps(plan.document()), added_folders()
+    return json.dumps(plan.document()), list_added_folders()
 
 
 def _ready(document: str, effects: tuple[Path, ...], folder: Path, secret: Path) -> Callable[[int], str]:

@@ -22,7 +22,7 @@ from pydantic import ValidationError
 
 from synthcam.dataset.recorded_clip import RecordedClip
 from synthcam.scene.apparatus import AVI_FPS, VideoSettings, find_video_problem
-from synthcam.settings import one_line, parse_yaml
+from synthcam.settings import parse_yaml, to_input_error
 from synthcam_shared.errors import InputError
 
 Frames = Iterator[NDArray[Any]]
@@ -118,7 +118,7 @@ def write_videos(clips: Iterator[RecordedClip], folder: Path, text: str) -> None
     try:
         how = VideoSettings.model_validate(given).model_dump(exclude_none=True)
     except ValidationError as error:
-        raise one_line(error, f"--format {text}", VideoSettings) from None
+        raise to_input_error(error, f"--format {text}", VideoSettings) from None
     for clip in clips:
         if not clip.video:
             raise InputError(f"{clip.stack}: no such file; expected a dataset with video")

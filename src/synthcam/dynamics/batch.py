@@ -15,20 +15,48 @@ from numpy.typing import NDArray
 
 from synthcam.dynamics import kinematics
 from synthcam.dynamics.contact_time import STAYING
-from synthcam.dynamics.creep import CLINGING, PUSHED_AWAY, UNKNOWN_PAST, approach, excess
-from synthcam.dynamics.forces import FLY, LAWS, REST, ROLL, SLIDE, STILL, Balls, Ints, ending_slip, modes_of
-from synthcam.dynamics.hermite import between
+from synthcam.dynamics.forces import (
+    FLY,
+    LAWS,
+    REST,
+    ROLL,
+    SLIDE,
+    STILL,
+    BallStates,
+    Ints,
+    classify_modes,
+    find_ending_slip,
+)
+from synthcam.dynamics.hermite import interpolate_hermite
 from synthcam.dynamics.impact import collide, land
-from synthcam.dynamics.integrate import Way, back, lead
+from synthcam.dynamics.integrated_motion import snap_to_goal
 from synthcam.dynamics.kinematics import Array, contact_velocity, rolling_state, rolling_velocity
-from synthcam.dynamics.launch import NONE, Launch, touching
-from synthcam.dynamics.led import arrived
-from synthcam.dynamics.packed import Packed
-from synthcam.dynamics.segments import Alone, Bent, Flying, Resting, Rolling, Segment, Sliding, put, without
+from synthcam.dynamics.launch import NO_SPIN, Launch, touching
+from synthcam.dynamics.packed import PackedRows
+from synthcam.dynamics.propagate import IntegrationStep, propagate, propagate_back
+from synthcam.dynamics.segments import (
+    FlightSegment,
+    IntegratedSegment,
+    RestSegment,
+    RollSegment,
+    Segment,
+    SlideSegment,
+    TrajectorySegment,
+    drop_balls,
+    write_states,
+)
 from synthcam.dynamics.solve import solve
+from synthcam.dynamics.start_from_rest import CLINGING, PUSHED_AWAY, UNKNOWN_PAST, excess_push, solve_approach
 from synthcam.model import Bodies, Model
 
-LAUNCH = ("x", "y", "t_c", "v0", "heading", "b")  # the contact's place, m; s; m/s; rad; over the sum of the radii
+LAUNCH_COLUMNS = (
+    "x",
+    "y",
+    "t_c",
+    "v0",
+    "heading",
+    "b",
+)  # the contact's place, m; s; m/s; rad; over the sum of the radii
 AGAIN = 1e-7  # m: balls that come closer than touching by more have met again
 STEADY = 0.1  # of the first speed of parting: balls that at the ends of their legs part faster do not meet again
 WAVER = 5e-3  # m/s: by so much pushes may slow a ball within a leg, at neither end of it
@@ -38,7 +66,7 @@ AT_ONCE = 400  # balls, at most, that are integrated together: more leave the pr
 
 
 @dataclass
-class Batch:
+class CollisionBatch:
     """The motion of n collisions from `start` to `end`. Balls 0..n-1 are the targets, n..2n-1 the strikers.
 
     breaks (2n, e): times at which a ball's motion has a kink, padded with infinity. slide_ends (2n,): when each ball
@@ -50,8 +78,12 @@ class Batch:
     segments: list[Segment] = field(default_factory=list)
     breaks: Array = field(default_factory=lambda: np.empty((0, 0)))
     slide_ends: Array = field(default_factory=lambda: np.empty(0))
-    odd: set[int] = field(default_factory=set)  # collisions in which a ball stops and starts again: left to `solve`
-    near: Ints = field(default_factory=lambda: np.empty(0, dtype=np.intp))  # collisions whose balls may meet again
+    restarting: set[int] = field(
+        default_factory=set
+    )  # collisions in which a ball stops and starts again: left to `solve`
+    recontact_candidates: Ints = field(
+        default_factory=lambda: np.empty(0, dtype=np.intp)
+    )  # collisions whose balls may meet again
     radius: Array = field(default_factory=lambda: np.empty(0))  # (2n,)
 
     @property
@@ -63,7 +95,7 @@ class Batch:
         own = np.broadcast_to(times, (2 * self.size, times.shape[-1]))
         out = np.empty((*own.shape, 9))
         for segment in self.segments:
-            put(segment, own, out, slice(9))
+            write_states(segment, own, out, slice(9))
         return out.reshape(2, self.size, own.shape[-1], 9)
 
     def heights(self, times: Array) -> Array:
@@ -72,10 +104,10 @@ class Batch:
         out = np.repeat(self.radius, own.shape[-1]).reshape(*own.shape, 1)
         for segment in self.segments:
             if segment.aloft:
-                put(segment, own, out, slice(2, 3))
+                write_states(segment, own, out, slice(2, 3))
         return out.reshape(2, self.size, own.shape[-1])
 
-    def means(self, starts: Array, exposure: float) -> Array:
+    def average_centres(self, starts: Array, exposure: float) -> Array:
         """Centres (2, n, frames, 2) averaged over exposures, exact across every kink.
 
         starts: when they open, (frames,) or of each ball's own, (2n, frames); all within [start, end].
@@ -91,17 +123,17 @@ class Batch:
             if len(near) == 0:
                 continue
             where = segment.who, slice(near[0], near[-1] + 1)
-            here = Packed((own[where] <= ends) & (own[where] >= begins - exposure))
+            here = PackedRows((own[where] <= ends) & (own[where] >= begins - exposure))
             if not here.any:
                 continue
             opens = here.gather(own[where])
             whole = np.clip(opens + exposure / 2, begins, ends)
-            found = segment.means(whole, exposure)
-            some = Packed(here.inside & ((opens < begins) | (opens + exposure > ends)))
+            found = segment.average_centres(whole, exposure)
+            some = PackedRows(here.inside & ((opens < begins) | (opens + exposure > ends)))
             if some.any:  # a kink cuts them
                 a = np.clip(some.gather(opens), begins, ends)
                 b = np.clip(some.gather(opens) + exposure, begins, ends)
-                parts = segment.means((a + b) / 2, b - a) * ((b - a) / exposure)
+                parts = segment.average_centres((a + b) / 2, b - a) * ((b - a) / exposure)
             for axis in (0, 1):
                 rows, new = out[axis][where], found[axis]
                 if some.any:
@@ -112,8 +144,12 @@ class Batch:
         return np.moveaxis(out.reshape(2, 2, self.size, own.shape[-1]), 0, -1)
 
 
-def collisions(model: Model, launches: Array, start: float, end: float, striker_is_a: Any = False) -> Batch:
-    """The collisions of `launches` (n, 6), columns LAUNCH, or (n, 9), and SPIN, from `start` to `end`, s.
+def solve_collisions(
+    model: Model, launches: Array, start: float, end: float, striker_is_a: Any = False
+) -> CollisionBatch:
+    """Solve the collisions of `launches`, (n, 6) or (n, 9), from `start` to `end`, s.
+
+    Columns: LAUNCH_COLUMNS; of 9 columns the last three are SPIN_COLUMNS.
 
     striker_is_a: (n,) or one for all: was the experimenter's ball a launched? Raises ValueError as `solve` does.
     """
@@ -122,35 +158,37 @@ def collisions(model: Model, launches: Array, start: float, end: float, striker_
     two = model.bodies(["a" if a else "b" for a in is_a])
     both = Bodies(*(np.concatenate([getattr(one, f), getattr(two, f)]) for f in ("radius", "mass", "of_a")))
     t_c = launches[:, 2].astype(float)
-    spin = launches[:, 6:] if launches.shape[1] > len(LAUNCH) else None
+    spin = launches[:, 6:] if launches.shape[1] > len(LAUNCH_COLUMNS) else None
     target, striker = touching(one, two, launches[:, 3], launches[:, 5], launches[:, 4], launches[:, :2], spin)
 
-    run = _Run(model, both, Batch(float(start), float(end), radius=both.radius), np.concatenate([t_c, t_c]))
-    target, striker = run.before(target, striker)
+    run = _BatchSolver(
+        model, both, CollisionBatch(float(start), float(end), radius=both.radius), np.concatenate([t_c, t_c])
+    )
+    target, striker = run.solve_approach(target, striker)
     hit = collide(model, target, striker, one, two)
     if run.mutual and np.any(soft := hit.impulse_n < CLINGING * one.mass):
         raise ValueError("balls 0 and 1 " + STAYING.format(t_c[soft][0]))
-    run.after(np.concatenate([hit.target, hit.striker]), hit.n[:, :2])
-    odd = sorted({*_met_again(run.out, both).tolist(), *run.out.odd})
-    return _by_solve(model, launches, is_a, run.out, np.array(odd, dtype=np.intp))
+    run.solve_after_impact(np.concatenate([hit.target, hit.striker]), hit.n[:, :2])
+    odd = sorted({*_find_second_contacts(run.out, both).tolist(), *run.out.restarting})
+    return _solve_one_by_one(model, launches, is_a, run.out, np.array(odd, dtype=np.intp))
 
 
-def _met_again(out: Batch, both: Bodies) -> Ints:
+def _find_second_contacts(out: CollisionBatch, both: Bodies) -> Ints:
     """Collisions whose balls overlap after the impact, so that a second impact is missing.
 
     Looked for between the kinks, where paths are parabolas or nearly; where they come near, at many instants.
     """
     n = out.size
-    if len(out.near) == 0:
-        return out.near
+    if len(out.recontact_candidates) == 0:
+        return out.recontact_candidates
     reach = (both.radius[:n] + both.radius[n:])[:, None]
     kinks = np.clip(np.concatenate([out.breaks[:n], out.breaks[n:]], axis=1), out.start, out.end)
-    suspects = out.near
+    suspects = out.recontact_candidates
     if kinks.shape[1] < LOOKS // 2:
         knots = np.sort(np.concatenate([kinks, np.full((n, 1), out.end)], axis=1), axis=1)
         states = out.at(np.concatenate([knots, knots]))
         apart = states[0, ..., :6] - states[1, ..., :6]
-        places = between(apart[..., [0, 1, 3, 4]], np.diff(knots), np.linspace(0, 1, 9))
+        places = interpolate_hermite(apart[..., [0, 1, 3, 4]], np.diff(knots), np.linspace(0, 1, 9))
         least = np.hypot(places[..., 0], places[..., 1]).min(axis=(1, 2))
         suspects = suspects[least[suspects] < reach[suspects, 0] - AGAIN / 2]
     if len(suspects) == 0:
@@ -163,20 +201,22 @@ def _met_again(out: Batch, both: Bodies) -> Ints:
     return np.asarray(suspects[gap.min(axis=1) < -AGAIN])
 
 
-def _by_solve(model: Model, launches: Array, is_a: NDArray[np.bool_], out: Batch, which: Ints) -> Batch:
+def _solve_one_by_one(
+    model: Model, launches: Array, is_a: NDArray[np.bool_], out: CollisionBatch, which: Ints
+) -> CollisionBatch:
     """Replace the motion of some collisions by that of `solve`."""
     if len(which) == 0:
         return out
     n, kinks = out.size, [list(row) for row in out.breaks]
-    out.segments = [without(s, np.isin(s.who % n, which)) for s in out.segments]
+    out.segments = [drop_balls(s, np.isin(s.who % n, which)) for s in out.segments]
     for k in which:
         x, y, t_c, v0, heading, b, *spin = launches[k]
         labels = ("b", "a") if is_a[k] else ("a", "b")
-        launch = Launch.pair(model.bodies(labels), t_c, v0, b, heading, (x, y), spin or NONE)
+        launch = Launch.pair(model.bodies(labels), t_c, v0, b, heading, (x, y), spin or NO_SPIN)
         motion = solve(model, launch, out.start, out.end, settled=False)  # a slide may last for hours
         for ball in (0, 1):
             row, its = np.array([k + ball * n]), dataclasses.replace(motion, legs=motion.legs[ball : ball + 1])
-            out.segments.append(Alone(row, np.array([out.start]), np.array([out.end]), its))
+            out.segments.append(TrajectorySegment(row, np.array([out.start]), np.array([out.end]), its))
             kinks[row[0]] = [e.t for e in motion.events if ball in (e.i, e.j)]
             ends = [e.t for e in motion.events if e.kind == "slide_end" and e.i == ball]
             later = out.end if its.legs[0][-1].motion in ("slide", "fly") else t_c
@@ -186,136 +226,136 @@ def _by_solve(model: Model, launches: Array, is_a: NDArray[np.bool_], out: Batch
     return out
 
 
-def _alike(who: Ints, size: Array) -> list[Ints]:
+def _group_by_size(who: Ints, size: Array) -> list[Ints]:
     """Balls `who` in groups of about the same size: they ask for the same pieces, and are seen in as many frames."""
     return np.array_split(who[np.argsort(size)], -(-len(who) // AT_ONCE)) if len(who) else []
 
 
-class _Run:
+class _BatchSolver:
     """Builds the segments of a batch, round by round, all balls that are in one state together."""
 
-    def __init__(self, model: Model, bodies: Bodies, out: Batch, t_c: Array) -> None:
+    def __init__(self, model: Model, bodies: Bodies, out: CollisionBatch, t_c: Array) -> None:
         self.model, self.bodies, self.out, self.t_c = model, bodies, out, t_c
         self.kinks = [t_c.copy()]
         out.slide_ends = t_c.copy()
         self.rolled = np.zeros(len(t_c), dtype=bool)  # balls whose slide ended as they bounced
-        self.mutual = model.laws.asks("push", "other")
-        self.bent = {mode: model.laws.bent(*laws) for mode, laws in LAWS.items()}  # without closed form
+        self.mutual = model.laws.needs("push", "other")
+        self.bent = {mode: model.laws.has_effect_on(*laws) for mode, laws in LAWS.items()}  # without closed form
         self.floor = np.full(len(t_c), np.inf)
 
-    def before(self, target: Array, striker: Array) -> tuple[Array, Array]:
+    def solve_approach(self, target: Array, striker: Array) -> tuple[Array, Array]:
         """The approach: targets at rest, strikers rolling or sliding. Their states at the contact."""
         n, start = len(target), np.full(len(self.t_c), self.out.start)
         if self.mutual:
-            return self._pulled(np.concatenate([target, striker]))
+            return self._approach_with_push(np.concatenate([target, striker]))
         early = np.flatnonzero(self.t_c > self.out.start)
         self._rest(early[early < n], target[early[early < n]], start, self.t_c)
         who = early[early >= n]
-        modes = modes_of(striker, self.bodies.radius[n:])[who - n]
+        modes = classify_modes(striker, self.bodies.radius[n:])[who - n]
         for mode in (ROLL, SLIDE):
             own = who[modes == mode]
-            for some in _alike(own, np.hypot(striker[own - n, 3], striker[own - n, 4])):
+            for some in _group_by_size(own, np.hypot(striker[own - n, 3], striker[own - n, 4])):
                 if self.bent[mode]:
-                    balls = Balls.undrilled(self.model, self.bodies[some], striker[some - n])
-                    for units, led in back(balls, self.t_c[some], start[some]):
-                        self.out.segments += Bent.of(some[units], led, self.out.start)
+                    balls = BallStates.without_drilling(self.model, self.bodies[some], striker[some - n])
+                    for units, motion in propagate_back(balls, self.t_c[some], start[some]):
+                        self.out.segments += IntegratedSegment.of(some[units], motion, self.out.start)
                 elif mode == ROLL:
                     self._roll(some, striker[some - n], start[some], self.t_c[some], self.t_c[some])
                 else:
-                    self._slid(some, striker[some - n], start[some])
+                    self._slide_before(some, striker[some - n], start[some])
         return target, striker
 
-    def _slid(self, who: Ints, states: Array, start: Array) -> None:
+    def _slide_before(self, who: Ints, states: Array, start: Array) -> None:
         """Slides in closed form that led to these states at the contacts."""
         radius, slowing = self.bodies.radius[who], np.full(len(who), self.model.sliding_friction * self.model.gravity)
         first = kinematics.slide(states, radius, slowing, (start - self.t_c[who])[:, None])[:, 0]
-        self.out.segments.append(Sliding(who, start, self.t_c[who], first, radius, slowing))
+        self.out.segments.append(SlideSegment(who, start, self.t_c[who], first, radius, slowing))
 
-    def _pulled(self, states: Array) -> tuple[Array, Array]:
+    def _approach_with_push(self, states: Array) -> tuple[Array, Array]:
         """The approach of balls that push each other."""
         n, t_c = len(states) // 2, self.t_c[: len(states) // 2]
-        if np.any(modes_of(states, self.bodies.radius) == SLIDE):
+        if np.any(classify_modes(states, self.bodies.radius) == SLIDE):
             raise ValueError(UNKNOWN_PAST)
-        hit, pieces, onset = approach(self.model, self.bodies, states, np.maximum(t_c - self.out.start, 0.0))
-        for units, led in pieces:
+        hit, pieces, onset = solve_approach(self.model, self.bodies, states, np.maximum(t_c - self.out.start, 0.0))
+        for units, motion in pieces:
             rows = np.concatenate([units, units + n])
-            self.out.segments += Bent.of(rows, led.later(self.t_c[rows]), self.out.start)
+            self.out.segments += IntegratedSegment.of(rows, motion.shift(self.t_c[rows]), self.out.start)
         if np.any(onset < 0):
-            self._kink(np.arange(n), np.where(onset < 0, t_c + onset, np.inf))
+            self._add_kink(np.arange(n), np.where(onset < 0, t_c + onset, np.inf))
         if np.any(((hit[:n, :6] - hit[n:, :6])[:, :3] * (hit[:n] - hit[n:])[:, 3:6]).sum(axis=1) >= 0):
             raise ValueError(PUSHED_AWAY)
         return hit[:n], hit[n:]
 
-    def after(self, states: Array, n: Array) -> None:
+    def solve_after_impact(self, states: Array, n: Array) -> None:
         """From the impact on, to the end. n (collisions, 2): the impact's normal, from striker to target."""
         states, now = states.copy(), self.t_c.copy()
         end, out = self.out.end, np.concatenate([n, -n])
         parting = slowest = (states[:, 3:5] * out).sum(axis=1)  # of each ball from the other, along the normal
-        self._settle(np.arange(len(now)), states)
+        self._set_ending_slips(np.arange(len(now)), states)
         for _ in range(ROUNDS):
             slowest = np.minimum(slowest, (states[:, 3:5] * out).sum(axis=1))
-            modes = modes_of(states, self.bodies.radius)
+            modes = classify_modes(states, self.bodies.radius)
             down = np.flatnonzero((states[:, 5] < 0) & (modes != FLY))
             if len(down):
                 self._land(down, states, now)
-                modes[down] = modes_of(states[down], self.bodies.radius[down])
+                modes[down] = classify_modes(states[down], self.bodies.radius[down])
             live = now < end
             if not live.any():
                 break
             if self.mutual:
-                self._together(np.flatnonzero(live[: len(n)]), states, now, modes)
+                self._propagate_pairs(np.flatnonzero(live[: len(n)]), states, now, modes)
                 continue
-            for mode, step in ((FLY, self._fly), (SLIDE, self._slide), (ROLL, self._glide), (REST, self._stay)):
+            for mode, advance in ((FLY, self._fly), (SLIDE, self._slide), (ROLL, self._roll_on), (REST, self._stay)):
                 who = np.flatnonzero(live & (modes == mode))
                 if len(who):
-                    step(who, states, now)
+                    advance(who, states, now)
         else:
             raise ValueError(f"the motion does not settle: {ROUNDS} legs after an impact")
         self.out.breaks = np.stack(self.kinks, axis=1)
         both = [one[: len(n)] + one[len(n) :] for one in (parting, slowest)]
         waver = WAVER if self.bent[ROLL] else 0.0
-        self.out.near = np.flatnonzero(both[1] < STEADY * both[0] + waver)
+        self.out.recontact_candidates = np.flatnonzero(both[1] < STEADY * both[0] + waver)
 
-    def _kink(self, who: Ints, when: Array) -> None:
+    def _add_kink(self, who: Ints, when: Array) -> None:
         if np.any(np.isfinite(self.kinks[-1][who])):
             self.kinks.append(np.full(len(self.t_c), np.inf))
         self.kinks[-1][who] = when
 
-    def _settle(self, who: Ints, states: Array) -> None:
+    def _set_ending_slips(self, who: Ints, states: Array) -> None:
         """Of balls to which something happened: the slips at which they will no longer drill."""
         n = len(states) // 2
-        if self.model.laws.bent("drilling"):
+        if self.model.laws.has_effect_on("drilling"):
             other = [(states[(who + n) % (2 * n)] - states[who])[:, None, :2]] if self.mutual else []
-            self.floor[who] = ending_slip(self.model, states[who], self.bodies[who], *other)
+            self.floor[who] = find_ending_slip(self.model, states[who], self.bodies[who], *other)
 
-    def _led(self, who: Ints, states: Array, now: Array) -> None:
-        balls = Balls(self.model, self.bodies[who], states[who], self.floor[who])
-        for units, way in lead(balls, self.out.end - now[who]):
-            self._take(who[units], way, states, now)
+    def _propagate(self, who: Ints, states: Array, now: Array) -> None:
+        balls = BallStates(self.model, self.bodies[who], states[who], self.floor[who])
+        for units, step in propagate(balls, self.out.end - now[who]):
+            self._add_step(who[units], step, states, now)
 
-    def _together(self, who: Ints, states: Array, now: Array, modes: Ints) -> None:
+    def _propagate_pairs(self, who: Ints, states: Array, now: Array, modes: Ints) -> None:
         """Two and two that push each other."""
         n, rows = len(states) // 2, np.concatenate([who, who + len(states) // 2])
-        balls = Balls(self.model, self.bodies[rows], states[rows], self.floor[rows], 2)
-        for units, way in lead(balls, self.out.end - now[who]):
+        balls = BallStates(self.model, self.bodies[rows], states[rows], self.floor[rows], 2)
+        for units, step in propagate(balls, self.out.end - now[who]):
             mine = np.concatenate([who[units], who[units] + n])
             still = np.flatnonzero(modes[mine] == REST)
             if len(still):
-                places = way.led.at(way.lasts[:, None] * np.linspace(0, 1, LOOKS))[..., :2].transpose(2, 0, 1)
+                places = step.motion.at(step.durations[:, None] * np.linspace(0, 1, LOOKS))[..., :2].transpose(2, 0, 1)
                 other = places[:, (still + len(units)) % len(mine)]
-                loose = excess(self.model, self.bodies[mine[still]], states[mine[still]], other).max(axis=1) > 0
-                self.out.odd |= set((mine[still[loose]] % n).tolist())
-            self._take(mine, way, states, now)
+                loose = excess_push(self.model, self.bodies[mine[still]], states[mine[still]], other).max(axis=1) > 0
+                self.out.restarting |= set((mine[still[loose]] % n).tolist())
+            self._add_step(mine, step, states, now)
 
-    def _take(self, who: Ints, way: Way, states: Array, now: Array) -> None:
-        """What a way led to."""
-        self.out.segments += Bent.of(who, way.led.later(now[who]), self.out.end)
-        modes = modes_of(states[who], self.bodies.radius[who])
-        states[who], now[who] = way.last, arrived(now[who] + way.lasts, self.out.end)
-        slid, ended = who[way.over & (modes == SLIDE)], who[way.over & (modes != FLY)]
+    def _add_step(self, who: Ints, step: IntegrationStep, states: Array, now: Array) -> None:
+        """What a step led to."""
+        self.out.segments += IntegratedSegment.of(who, step.motion.shift(now[who]), self.out.end)
+        modes = classify_modes(states[who], self.bodies.radius[who])
+        states[who], now[who] = step.final_states, snap_to_goal(now[who] + step.durations, self.out.end)
+        slid, ended = who[step.ended & (modes == SLIDE)], who[step.ended & (modes != FLY)]
         self.out.slide_ends[slid], self.floor[slid] = now[slid], np.inf
         if len(ended):
-            self._kink(ended, now[ended])
+            self._add_kink(ended, now[ended])
 
     def _stay(self, who: Ints, states: Array, now: Array) -> None:
         self._rest(who, states[who], now, np.full(len(now), np.inf))
@@ -325,9 +365,9 @@ class _Run:
         held = states.copy()
         held[:, 3:8] = 0.0
         if self.bent[FLY]:
-            loose = excess(self.model, self.bodies[who], held, np.full((2, 1, 1), np.inf))[:, 0] > 0
-            self.out.odd |= set((who[loose] % (len(self.t_c) // 2)).tolist())
-        self.out.segments.append(Resting(who, now[who], until[who], held))
+            loose = excess_push(self.model, self.bodies[who], held, np.full((2, 1, 1), np.inf))[:, 0] > 0
+            self.out.restarting |= set((who[loose] % (len(self.t_c) // 2)).tolist())
+        self.out.segments.append(RestSegment(who, now[who], until[who], held))
 
     def _land(self, who: Ints, states: Array, now: Array) -> None:
         before = contact_velocity(states[who], self.bodies.radius[who])
@@ -341,19 +381,19 @@ class _Run:
         after[rolls] = rolling_state(after[rolls, :2], q[rolls], after[rolls, 8], radius[rolls])
         after[:, 5] = vertical
         states[who] = after
-        self._settle(who, states)
+        self._set_ending_slips(who, states)
         first = who[rolls & ~self.rolled[who]]
         self.out.slide_ends[first] = now[first]
         self.rolled[who[rolls]] = True
-        self._kink(who, now[who])
+        self._add_kink(who, now[who])
 
     def _fly(self, who: Ints, states: Array, now: Array) -> None:
         if self.bent[FLY]:
-            self._led(who, states, now)
+            self._propagate(who, states, now)
             return
         begins, from_ = now[who], states[who]
         ends = begins + 2 * from_[:, 5] / self.model.gravity
-        leg = Flying(who, begins, ends, from_, self.model.gravity)
+        leg = FlightSegment(who, begins, ends, from_, self.model.gravity)
         self.out.segments.append(leg)
         states[who] = leg.states(ends[:, None])[:, 0]
         states[who, 2] = self.bodies.radius[who]
@@ -362,25 +402,25 @@ class _Run:
     def _slide(self, who: Ints, states: Array, now: Array) -> None:
         if self.bent[SLIDE]:
             u = contact_velocity(states[who], self.bodies.radius[who])
-            for some in _alike(who, np.hypot(u[:, 0], u[:, 1])):
-                self._led(some, states, now)
+            for some in _group_by_size(who, np.hypot(u[:, 0], u[:, 1])):
+                self._propagate(some, states, now)
             return
         begins, from_, radius = now[who], states[who], self.bodies.radius[who]
         slowing = np.full(len(who), self.model.sliding_friction * self.model.gravity)
         lasts = kinematics.slide_time(from_, radius, slowing)
         ends, last = begins + lasts, kinematics.slide(from_, radius, slowing, lasts[:, None])[:, 0]
-        self.out.segments.append(Sliding(who, begins, ends, from_, radius, slowing))
+        self.out.segments.append(SlideSegment(who, begins, ends, from_, radius, slowing))
         states[who] = rolling_state(last[:, :2], rolling_velocity(last, radius), last[:, 8], radius)
         now[who] = ends
         self.out.slide_ends[who] = ends
-        self._kink(who, ends)
+        self._add_kink(who, ends)
 
-    def _glide(self, who: Ints, states: Array, now: Array) -> None:
+    def _roll_on(self, who: Ints, states: Array, now: Array) -> None:
         """Roll to the end or the stop."""
         end, speed = np.full(len(who), self.out.end), np.hypot(states[who, 3], states[who, 4])
         if self.bent[ROLL]:
-            for some in _alike(who, speed * (end - now[who])):
-                self._led(some, states, now)
+            for some in _group_by_size(who, speed * (end - now[who])):
+                self._propagate(some, states, now)
             return
         ends = np.minimum(
             end, now[who] + kinematics.stop_time(speed, self.model.rolling_drag, self.model.rolling_decel)
@@ -389,11 +429,13 @@ class _Run:
         stopped = ends != end
         states[who[stopped], 3:8] = 0.0
         now[who] = ends
-        self._kink(who[stopped], ends[stopped])
+        self._add_kink(who[stopped], ends[stopped])
 
     def _roll(self, who: Ints, states: Array, begins: Array, ends: Array, time: Array) -> Array:
         """Roll in closed form, through these states at `time`; those at the ends."""
         model = self.model
-        leg = Rolling(who, begins, ends, time, states, self.bodies.radius[who], model.rolling_drag, model.rolling_decel)
+        leg = RollSegment(
+            who, begins, ends, time, states, self.bodies.radius[who], model.rolling_drag, model.rolling_decel
+        )
         self.out.segments.append(leg)
         return leg.states(ends[:, None])[:, 0]

@@ -51,7 +51,7 @@ def series(coefficients: Array, x: Array) -> Array:
         np.multiply(polynomials[1], polynomials[k - 1], out=polynomials[k])
         polynomials[k] *= 2
         polynomials[k] -= polynomials[k - 2]
-    parts = product(coefficients, _halves(size)).reshape(c, problems, 2, half).transpose(1, 0, 2, 3)
+    parts = multiply(coefficients, _halves(size)).reshape(c, problems, 2, half).transpose(1, 0, 2, 3)
     found = parts.reshape(problems, 2 * c, half) @ polynomials.transpose(1, 0, 2)
     found = found.reshape(problems, c, 2, x.shape[1])
     out = np.empty((c, *x.shape))
@@ -73,7 +73,7 @@ def _halves(size: int) -> Array:
     return out
 
 
-def reread(values: Array, places: Array, size: int) -> Array:
+def resample(values: Array, places: Array, size: int) -> Array:
     """Values (c, k, n) at rising places (k, n) from -1 to 1 -> (c, k, size) on nodes.
 
     Places that are a smooth function of nodes: the interpolant is rational, with the signs of the nodes for weights.
@@ -117,7 +117,7 @@ def matrices(size: int) -> Matrices:
 
 
 @cache
-def onto(old: int, new: int, side: int) -> Array:
+def refine_matrix(old: int, new: int, side: int) -> Array:
     """Values on `old` nodes -> on `new` ones of all of [-1, 1], side 0, or of its left or right half, side -1 or 1."""
     nodes = (matrices(new).nodes + side) / (2 if side else 1)
     return np.ascontiguousarray(matrices(old).coefficients @ chebyshev.chebvander(nodes, old - 1).T)
@@ -149,7 +149,7 @@ def integrate(
         if values is None:
             values = np.repeat(y[..., None], size, axis=-1) if guess is None else guess(x)
             values += (y - values[..., 0])[..., None]
-        values, good, tail = _piece(right, begin, end, y, values, feed)
+        values, good, tail = _solve_piece(right, begin, end, y, values, feed)
         if good:
             begin, y = end, values[..., -1]
             pieces.append((x, values))
@@ -160,17 +160,19 @@ def integrate(
         wanted = size * np.log(RESOLVED) / np.log(tail) if RESOLVED < tail < 1 else np.inf  # were their fall geometric
         more = next((n for n in SIZES if n >= max(wanted, size + 1)), None)
         if more is not None:
-            stack.append((end, depth, more, None if runaway else product(values, onto(size, more, 0))))
+            stack.append((end, depth, more, None if runaway else multiply(values, refine_matrix(size, more, 0))))
         elif depth < deepest:
             more = next((n for n in SIZES if n >= wanted / 2), SIZES[-1])
-            halves = [None if runaway else product(values, onto(size, more, side)) for side in (-1, 1)]
+            halves = [None if runaway else multiply(values, refine_matrix(size, more, side)) for side in (-1, 1)]
             stack += [(end, depth + 1, more, halves[1]), (middle, depth + 1, more, halves[0])]
         else:
             raise ValueError("a leg could not be integrated: a law of motion is not smooth there")
     return pieces
 
 
-def _piece(right: Right, a: float, b: float, start: Array, guess: Array, feed: int | None) -> tuple[Array, bool, float]:
+def _solve_piece(
+    right: Right, a: float, b: float, start: Array, guess: Array, feed: int | None
+) -> tuple[Array, bool, float]:
     """Values at the nodes of [a, b], (c, problems, nodes) like the guess; are they the solution; the last coefficients.
 
     Gives up at once where already the guess leads to more than these nodes hold.
@@ -184,12 +186,12 @@ def _piece(right: Right, a: float, b: float, start: Array, guess: Array, feed: i
         """Integrate these parts, in y; which components feed back."""
         fed = slice(0)
         for k, (part, slope) in enumerate(islice(right(x, y), parts)):
-            np.add(product(slope, integral), start[part, :, None], out=y[part])
+            np.add(multiply(slope, integral), start[part, :, None], out=y[part])
             fed = slice(part.stop) if feed is None or k < feed else fed
         return fed
 
     def last_ones(of: slice) -> float:
-        return float((_norm(product(y[of], on.coefficients[:, -3:])) / size[of]).max())
+        return float((_norm(multiply(y[of], on.coefficients[:, -3:])) / size[of]).max())
 
     with np.errstate(all="ignore"):  # a runaway piece is halved
         for k in range(TURNS):
@@ -215,7 +217,7 @@ def _piece(right: Right, a: float, b: float, start: Array, guess: Array, feed: i
     return y, False, 0.0
 
 
-def product(values: Array, matrix: Array) -> Array:
+def multiply(values: Array, matrix: Array) -> Array:
     """values (c, k, n) @ matrix (n, m), in blocks that BLAS leaves to one core: sharing them out costs far more."""
     block = ALONE // matrix.size
     if values.shape[1] <= block:

@@ -33,7 +33,7 @@ NOWHERE = np.full(2, np.inf)  # where the other ball is when there is none
 TINY = 1e-300
 
 
-def modes_of(states: Array, radius: Array) -> Ints:
+def classify_modes(states: Array, radius: Array) -> Ints:
     """What balls in states (m, 9) do: REST, ROLL, SLIDE or FLY."""
     u = contact_velocity(states, radius)
     slips, moves = np.hypot(u[:, 0], u[:, 1]) > STILL, np.hypot(states[:, 3], states[:, 4]) > STILL
@@ -46,7 +46,7 @@ class Forces:
     """What acts on m balls. known: what the laws may ask for that does not change, (m, 1) or a number."""
 
     model: Model
-    known: dict[str, Any]
+    constants: dict[str, Any]
 
     @classmethod
     def of(cls, model: Model, bodies: Bodies) -> Forces:
@@ -54,9 +54,9 @@ class Forces:
         return cls(model, known | dict(of_a=bodies.of_a[:, None], ball=model.ball))
 
     def __getitem__(self, rows: Any) -> Forces:
-        return Forces(self.model, {k: v[rows] if isinstance(v, np.ndarray) else v for k, v in self.known.items()})
+        return Forces(self.model, {k: v[rows] if isinstance(v, np.ndarray) else v for k, v in self.constants.items()})
 
-    def sliding(self, slip: Array, hat: Array, spin: Any, place: Array, v: Array, other: Any) -> tuple[Any, ...]:
+    def act_on_sliding(self, slip: Array, hat: Array, spin: Any, place: Array, v: Array, other: Any) -> tuple[Any, ...]:
         """What acts on m sliding balls at n instants each.
 
         Parameters
@@ -84,7 +84,7 @@ class Forces:
             The change of the spin about the vertical, rad/s^2.
         """
         laws = self.model.laws
-        instant = self.known | dict(
+        instant = self.constants | dict(
             slip_speed=slip, slip=last_axis(hat), position=last_axis(place), velocity=last_axis(v)
         )
         instant |= dict(spin=spin, other=other)
@@ -92,30 +92,30 @@ class Forces:
         load = laws("normal_load", self.model.gravity, instant)
         slowing = 3.5 * friction * load + np.zeros_like(slip)
         twist = 0.0
-        if laws.bent("drilling"):
+        if laws.has_effect_on("drilling"):
             twist = laws("drilling", 0.0, instant | {"friction": friction, "load": load})
-        if not laws.bent("push"):
+        if not laws.has_effect_on("push"):
             return slowing, 0.0, 0.0, twist
         push = laws("push", last_axis(np.zeros_like(v)), instant).transpose(2, 0, 1)
         slowing -= push[0] * hat[0] + push[1] * hat[1]
         return slowing, hat[0] * push[1] - hat[1] * push[0], push, twist
 
-    def rolling(self, place: Array, v: Array, other: Any) -> Array:
+    def accelerate_rolling(self, place: Array, v: Array, other: Any) -> Array:
         """The acceleration of rolling balls, (2, m, n)."""
         model, speed = self.model, np.hypot(v[0], v[1])
-        instant = self.known | dict(position=last_axis(place), velocity=last_axis(v), other=other, speed=speed)
+        instant = self.constants | dict(position=last_axis(place), velocity=last_axis(v), other=other, speed=speed)
         loss = model.laws("rolling", model.rolling_drag * speed + model.rolling_decel, instant)
         out = v * (-loss / np.maximum(speed, TINY))
-        return np.asarray(out + 5 / 7 * self.push(place, v, other) if model.laws.bent("push") else out)
+        return np.asarray(out + 5 / 7 * self.push(place, v, other) if model.laws.has_effect_on("push") else out)
 
     def push(self, place: Array, v: Array, other: Any) -> Array:
         """The push on balls at these places with these velocities, (2, m, n) m/s^2."""
-        instant = self.known | dict(position=last_axis(place), velocity=last_axis(v), other=other)
+        instant = self.constants | dict(position=last_axis(place), velocity=last_axis(v), other=other)
         return np.asarray(self.model.laws("push", last_axis(np.zeros_like(v)), instant)).transpose(2, 0, 1)
 
 
 @dataclass(frozen=True)
-class Balls:
+class BallStates:
     """Balls in states (m, 9), alone or, `each` = 2, two and two that push each other: all first ones, all second ones.
 
     floor (m,): slips at which a spin no longer drills, infinite if it never does. A unit is one ball, or two.
@@ -128,7 +128,7 @@ class Balls:
     each: int = 1
 
     @classmethod
-    def undrilled(cls, model: Model, bodies: Bodies, states: Array, each: int = 1) -> Balls:
+    def without_drilling(cls, model: Model, bodies: Bodies, states: Array, each: int = 1) -> BallStates:
         return cls(model, bodies, states, np.full(len(states), np.inf), each)
 
     def __len__(self) -> int:
@@ -142,29 +142,29 @@ class Balls:
     def rows(self, units: Ints) -> Ints:
         return np.concatenate([units + k * len(self) for k in range(self.each)])
 
-    def __getitem__(self, units: Ints) -> Balls:
+    def __getitem__(self, units: Ints) -> BallStates:
         rows = self.rows(units)
-        return Balls(self.model, self.bodies[rows], self.states[rows], self.floor[rows], self.each)
+        return BallStates(self.model, self.bodies[rows], self.states[rows], self.floor[rows], self.each)
 
     @cached_property
     def modes(self) -> Ints:
-        return modes_of(self.states, self.bodies.radius)
+        return classify_modes(self.states, self.bodies.radius)
 
     @cached_property
     def partner(self) -> Ints:
         """The other ball of each."""
         return (np.arange(len(self.states)) + len(self)) % len(self.states)
 
-    def any(self, flags: Flags) -> Flags:
+    def any_of_unit(self, flags: Flags) -> Flags:
         """Of each unit."""
         return np.asarray(flags.reshape(self.each, -1).any(axis=0))
 
-    def least(self, values: Array) -> Array:
+    def min_of_unit(self, values: Array) -> Array:
         """Of each unit."""
         return np.asarray(values.reshape(self.each, -1).min(axis=0))
 
 
-def ending_slip(model: Model, state: Array, bodies: Bodies, other: Any = NOWHERE) -> Array:
+def find_ending_slip(model: Model, state: Array, bodies: Bodies, other: Any = NOWHERE) -> Array:
     """Where a spin drills: the slips (k,), m/s, at which slides that begin in these states (k, 9) are as good as over.
 
     c sqrt(SMALL^2 + (2 p/(F - p))^2), no less than FINISH of the first one: small beside the drilling, twice the creep
@@ -175,7 +175,7 @@ def ending_slip(model: Model, state: Array, bodies: Bodies, other: Any = NOWHERE
     hat, slip = (u.T / np.maximum(first, TINY))[..., None], np.full((len(state), 1), PROBE)
     v = rolling_velocity(state, bodies.radius).T[..., None] + 2 / 7 * slip * hat
     there = state[:, :2].T[..., None], v, other
-    found = [forces.sliding(slip, hat, spins * state[:, 8:], *there) for spins in (0.0, 1.0)]
+    found = [forces.act_on_sliding(slip, hat, spins * state[:, 8:], *there) for spins in (0.0, 1.0)]
     push = found[0][2] + np.zeros((2, len(state), 1))
     along = push[0] * hat[0] + push[1] * hat[1]
     whole, faded = (np.maximum(slowing + along, TINY) for slowing, *_ in found)

@@ -7,7 +7,7 @@ import numpy as np
 from synthcam.dynamics.kinematics import Array
 
 
-def between(ends: Array, wide: Array, shares: Array) -> Array:
+def interpolate_hermite(ends: Array, wide: Array, shares: Array) -> Array:
     """Places (k, n - 1, m, 2) at `shares` (m,) of the pieces between (x, y, vx, vy) (k, n, 4); wide: s, (k, n - 1)."""
     s, h = shares[:, None], wide[..., None, None]
     a, b = ends[:, :-1, None], ends[:, 1:, None]

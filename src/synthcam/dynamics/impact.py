@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from synthcam.dynamics.kinematics import Array, Real, State, contact_velocity, push_back
+from synthcam.dynamics.kinematics import Array, Real, State, apply_friction_impulse, contact_velocity
 from synthcam.model import Bodies, Model
 
 MOST = 5 / 7  # spin transfer: more would make energy
@@ -72,7 +72,7 @@ def strike(
     ux = ax - v_n * nx + sy * nz - sz * ny
     uy = ay - v_n * ny + sz * nx - sx * nz
     uz = az - v_n * nz + sx * ny - sy * nx
-    r, c = _laws(model, v_n, (ux, uy, uz), (ax, ay), (nx, ny))
+    r, c = _contact_coefficients(model, v_n, (ux, uy, uz), (ax, ay), (nx, ny))
     reduced = m1 * m2 / (m1 + m2)
     normal, pull = (1 + r) * v_n * reduced, 0.8 * c * reduced
     tx, ty, tz = pull * ux, pull * uy, pull * uz  # on the target; the striker gets its opposite
@@ -88,12 +88,12 @@ def strike(
     return after(target, r1, m1), after(striker, r2, -m2), (nx, ny, nz), normal, ty * nx - tx * ny
 
 
-def _laws(
+def _contact_coefficients(
     model: Model, v_n: Real, u: tuple[Real, ...], approach: tuple[Real, Real], normal: tuple[Real, Real]
 ) -> tuple[Any, Any]:
     """The restitution and the spin transfer of these impacts."""
     r, c = model.restitution, model.spin_transfer
-    if model.laws.bent("restitution", "spin_transfer"):
+    if model.laws.has_effect_on("restitution", "spin_transfer"):
         ax, ay, nx, ny = (np.atleast_1d(x) for x in (*approach, *normal))
         speed = np.hypot(ax, ay)
         ways = {"heading": np.stack([ax, ay], axis=-1) / speed[:, None], "obliqueness": abs(ax * ny - ay * nx) / speed}
@@ -137,7 +137,7 @@ def land(model: Model, state: Array, body: Bodies) -> Array:
     mu = model.laws("friction", model.sliding_friction, instant)
     up = rebound * down
     last = up < LOWEST
-    out = push_back(state, mu * (down + np.where(last, 0.0, up)), body.radius)
+    out = apply_friction_impulse(state, mu * (down + np.where(last, 0.0, up)), body.radius)
     out[:, 2] = body.radius
     out[:, 5] = np.where(last, 0.0, up)
     return out

@@ -19,7 +19,7 @@ Real = Any  # a float or an array
 State = tuple[Real, ...]  # nine of them
 
 
-def slip(state: State, radius: Real) -> tuple[Real, Real]:
+def slip_velocity(state: State, radius: Real) -> tuple[Real, Real]:
     """u, the velocity of the lowest point of a ball."""
     return state[3] - radius * state[7], state[4] + radius * state[6]
 
@@ -27,7 +27,7 @@ def slip(state: State, radius: Real) -> tuple[Real, Real]:
 def after_sliding(state: State, radius: Real, slowing: Real, t: Real) -> State:
     """Sliding with constant friction: a parabola. slowing: mu times the load over the mass, m/s^2; u over zero."""
     x, y, z, vx, vy, vz, wx, wy, wz = state
-    ux, uy = slip(state, radius)
+    ux, uy = slip_velocity(state, radius)
     rate = -slowing / (ux * ux + uy * uy) ** 0.5
     ax, ay = rate * ux, rate * uy
     turn = 2.5 / radius * t  # I dw/dt = -R z x F
@@ -51,23 +51,23 @@ def after_flight(state: State, gravity: float, t: Real) -> State:
     return (x + vx * t, y + vy * t, z + vz * t - 0.5 * gravity * t * t, vx, vy, vz - gravity * t, *w)
 
 
-def resting(state: State, radius: Real) -> State:
+def to_rest(state: State, radius: Real) -> State:
     """At rest, but for a spin about the vertical."""
     return state[0], state[1], radius, 0.0, 0.0, 0.0, 0.0, 0.0, state[8]
 
 
-def made_rolling(state: State, radius: Real) -> State:
+def to_rolling(state: State, radius: Real) -> State:
     """Rolling with the state's velocity; a vertical one is kept."""
     x, y, _, vx, vy, vz, _, _, wz = state
     return x, y, radius, vx, vy, vz, -vy / radius, vx / radius, wz
 
 
-def _many(state: Array) -> State:
+def _split_components(state: Array) -> State:
     """States (..., 9) as nine arrays that broadcast with times (..., m)."""
     return tuple(np.moveaxis(state[..., None, :], -1, 0))
 
 
-def _stacked(state: State, elapsed: Array) -> Array:
+def _stack_components(state: State, elapsed: Array) -> Array:
     out = np.empty((*elapsed.shape, 9))
     for k, values in enumerate(state):
         out[..., k] = values
@@ -104,7 +104,7 @@ def rolling_state(position: Array, velocity: Array, wz: Real, radius: Real) -> A
     return plate_state(position, velocity, np.zeros(2), wz, radius)
 
 
-def push_back(state: Array, impulse: Real, radius: Real) -> Array:
+def apply_friction_impulse(state: Array, impulse: Real, radius: Real) -> Array:
     """The state after a friction impulse over the mass, (...), against the slip; no more than ends the slip."""
     u = contact_velocity(state, radius)
     speed = np.hypot(u[..., 0], u[..., 1])
@@ -120,7 +120,7 @@ def push_back(state: Array, impulse: Real, radius: Real) -> Array:
 def slide(state: Array, radius: Real, slowing: Real, elapsed: Array) -> Array:
     """`after_sliding` of many, at many times."""
     radius, slowing = np.asarray(radius)[..., None], np.asarray(slowing)[..., None]
-    return _stacked(after_sliding(_many(state), radius, slowing, elapsed), elapsed)
+    return _stack_components(after_sliding(_split_components(state), radius, slowing, elapsed), elapsed)
 
 
 def slide_time(state: Array, radius: Real, slowing: Real) -> Any:
@@ -131,7 +131,9 @@ def slide_time(state: Array, radius: Real, slowing: Real) -> Any:
 
 def roll(state: Array, radius: Real, drag: float, decel: float, elapsed: Array) -> Array:
     """`after_rolling` of many, at many times."""
-    return _stacked(after_rolling(_many(state), np.asarray(radius)[..., None], drag, decel, elapsed), elapsed)
+    return _stack_components(
+        after_rolling(_split_components(state), np.asarray(radius)[..., None], drag, decel, elapsed), elapsed
+    )
 
 
 def stop_time(speed: Real, drag: float, decel: float) -> Any:
@@ -178,4 +180,4 @@ def _series(x: Real, n: int) -> Any:
 
 def fly(state: Array, gravity: float, elapsed: Array) -> Array:
     """`after_flight` of many, at many times."""
-    return _stacked(after_flight(_many(state), gravity, elapsed), elapsed)
+    return _stack_components(after_flight(_split_components(state), gravity, elapsed), elapsed)

@@ -11,8 +11,8 @@ from synthcam.dynamics.contact_time import TOUCHING
 from synthcam.dynamics.kinematics import Array, plate_state, rolling_state
 from synthcam.model import Bodies
 
-SPIN = ("slip_along", "slip_across", "side")  # of a striker, m/s, as of `Launch.pair`
-NONE = (0.0, 0.0, 0.0)  # of a striker that rolls
+SPIN_COLUMNS = ("slip_along", "slip_across", "side")  # of a striker, m/s, as of `Launch.pair`
+NO_SPIN = (0.0, 0.0, 0.0)  # of a striker that rolls
 
 
 @dataclass(frozen=True)
@@ -43,7 +43,7 @@ class Launch:
         b: float,
         heading: float,
         contact: ArrayLike,
-        spin: ArrayLike = NONE,
+        spin: ArrayLike = NO_SPIN,
     ) -> Launch:
         """Ball 1, bodies[0], at rest is touched by ball 2 at `time`, at the place `contact` between them.
 

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 
-class Packed:
+class PackedRows:
     """Of a mask (k, m): inside (k, most in a row), which places of the packed array are taken; any: is one?"""
 
     def __init__(self, mask: NDArray[np.bool_]) -> None:

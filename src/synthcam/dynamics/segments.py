@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from synthcam.dynamics.forces import Ints
+from synthcam.dynamics.integrated_motion import IntegratedMotion, snap_to_goal
 from synthcam.dynamics.kinematics import Array, Real, coast, contact_velocity, fly, roll, slide
-from synthcam.dynamics.led import Led, arrived
-from synthcam.dynamics.packed import Packed
+from synthcam.dynamics.packed import PackedRows
 from synthcam.dynamics.trajectory import Trajectory
 
 
@@ -34,12 +34,12 @@ class Segment(Protocol):
     def states(self, times: Array) -> Array:
         """(k, m, 9) at times (k, m)."""
 
-    def means(self, middle: Array, wide: Real) -> Array:
+    def average_centres(self, middle: Array, wide: Real) -> Array:
         """Centres (2, k, m) averaged over the times `wide`, a number or (k, m), about `middle` (k, m)."""
 
 
 @dataclass(frozen=True)
-class Resting:
+class RestSegment:
     who: Ints
     begins: Array
     ends: Array
@@ -49,12 +49,12 @@ class Resting:
     def states(self, times: Array) -> Array:
         return np.repeat(self.state[:, None], times.shape[1], axis=1)
 
-    def means(self, middle: Array, wide: Real) -> Array:
+    def average_centres(self, middle: Array, wide: Real) -> Array:
         return np.broadcast_to(self.state[:, :2].T[..., None], (2, *middle.shape))
 
 
 @dataclass(frozen=True)
-class Sliding:
+class SlideSegment:
     """Parabolas from the states `state` (k, 9) at `begins`; slowing (k,): mu g."""
 
     who: Ints
@@ -68,7 +68,7 @@ class Sliding:
     def states(self, times: Array) -> Array:
         return slide(self.state, self.radius, self.slowing, times - self.begins[:, None])
 
-    def means(self, middle: Array, wide: Real) -> Array:
+    def average_centres(self, middle: Array, wide: Real) -> Array:
         t, u = middle - self.begins[:, None], contact_velocity(self.state, self.radius)
         bend = -0.5 * (self.slowing / np.hypot(u[:, 0], u[:, 1]))[:, None] * u
         x, v, bend = (_plane(a) for a in (self.state[:, :2], self.state[:, 3:5], bend))
@@ -76,7 +76,7 @@ class Sliding:
 
 
 @dataclass(frozen=True)
-class Rolling:
+class RollSegment:
     """Straight rolls on which the balls are in `state` (k, 9), at a speed over zero, at `time` (k,)."""
 
     who: Ints
@@ -92,7 +92,7 @@ class Rolling:
     def states(self, times: Array) -> Array:
         return roll(self.state, self.radius, self.drag, self.decel, times - self.time[:, None])
 
-    def means(self, middle: Array, wide: Real) -> Array:
+    def average_centres(self, middle: Array, wide: Real) -> Array:
         slowing = (self.decel / np.hypot(self.state[:, 3], self.state[:, 4]))[:, None]
         decay, slack = coast(self.drag, middle - self.time[:, None])
         path = decay - slowing * slack
@@ -103,7 +103,7 @@ class Rolling:
 
 
 @dataclass(frozen=True)
-class Flying:
+class FlightSegment:
     """Flights from `state` (k, 9) at `begins`."""
 
     who: Ints
@@ -116,40 +116,40 @@ class Flying:
     def states(self, times: Array) -> Array:
         return fly(self.state, self.gravity, times - self.begins[:, None])
 
-    def means(self, middle: Array, wide: Real) -> Array:
+    def average_centres(self, middle: Array, wide: Real) -> Array:
         return np.asarray(_plane(self.state[:, :2]) + _plane(self.state[:, 3:5]) * (middle - self.begins[:, None]))
 
 
 @dataclass(frozen=True)
-class Bent:
+class IntegratedSegment:
     """Motion without closed form, within its own times."""
 
     who: Ints
     begins: Array
     ends: Array
-    led: Led
+    motion: IntegratedMotion
 
     @classmethod
-    def of(cls, who: Ints, led: Led, goal: float) -> list[Bent]:
+    def of(cls, who: Ints, motion: IntegratedMotion, goal: float) -> list[IntegratedSegment]:
         """On the way to the time `goal`, which some reach but for rounding."""
-        knots, parts = led.apart()
-        knots = arrived(knots, goal)
+        knots, parts = motion.split_pieces()
+        knots = snap_to_goal(knots, goal)
         spans = zip(np.minimum(knots[:-1], knots[1:]), np.maximum(knots[:-1], knots[1:]), parts, strict=True)
         return [cls(who, *span) for span in spans]
 
     @property
     def aloft(self) -> bool:
-        return bool(self.led.flies.any())
+        return bool(self.motion.airborne.any())
 
     def states(self, times: Array) -> Array:
-        return self.led.at(times)
+        return self.motion.at(times)
 
-    def means(self, middle: Array, wide: Real) -> Array:
-        return self.led.means(middle, wide)
+    def average_centres(self, middle: Array, wide: Real) -> Array:
+        return self.motion.average_centres(middle, wide)
 
 
 @dataclass(frozen=True)
-class Alone:
+class TrajectorySegment:
     """The whole motion of the one ball of a run."""
 
     who: Ints
@@ -161,10 +161,10 @@ class Alone:
     def states(self, times: Array) -> Array:
         return self.motion.at(times[0])
 
-    def means(self, middle: Array, wide: Real) -> Array:
+    def average_centres(self, middle: Array, wide: Real) -> Array:
         half = wide / 2 + 0 * middle[0]
         spans = np.clip(np.stack([middle[0] - half, middle[0] + half], axis=1), self.motion.t0, self.motion.t1)
-        return np.asarray(self.motion.mean(spans, lambda states: states[..., :2])[0].T[:, None])
+        return np.asarray(self.motion.average(spans, lambda states: states[..., :2])[0].T[:, None])
 
 
 def _plane(vectors: Array) -> Array:
@@ -172,16 +172,16 @@ def _plane(vectors: Array) -> Array:
     return np.asarray(vectors.T[..., None])
 
 
-def without(segment: Segment, gone: NDArray[np.bool_]) -> Segment:
+def drop_balls(segment: Segment, gone: NDArray[np.bool_]) -> Segment:
     """Of some balls no time is left in it."""
     ends = np.where(gone, segment.begins, segment.ends)
     return replace(segment, ends=ends) if np.any(gone) else segment  # type: ignore[type-var]
 
 
-def put(segment: Segment, times: Array, out: Array, part: slice) -> None:
+def write_states(segment: Segment, times: Array, out: Array, part: slice) -> None:
     """A part of the states of a segment's balls into out (2n, m, ...), at those of the times (2n, m) within it."""
     mine, begins, ends = times[segment.who], segment.begins[:, None], segment.ends[:, None]
-    here = Packed((mine >= begins) & (mine <= ends))
+    here = PackedRows((mine >= begins) & (mine <= ends))
     if here.any:
         states = segment.states(np.clip(here.gather(mine), begins, ends))
         rows, columns = np.nonzero(here.mask)

@@ -8,20 +8,30 @@ import math
 import numpy as np
 
 from synthcam.dynamics.contact_time import LINGERING, STAYING, first_contact
-from synthcam.dynamics.creep import CLINGING, excess
-from synthcam.dynamics.forces import LAWS, NOWHERE, ROLL, SLIDE, STILL, TOUCHING, Balls, ending_slip, modes_of
+from synthcam.dynamics.forces import (
+    LAWS,
+    NOWHERE,
+    ROLL,
+    SLIDE,
+    STILL,
+    TOUCHING,
+    BallStates,
+    classify_modes,
+    find_ending_slip,
+)
 from synthcam.dynamics.impact import LOWEST, land, strike
-from synthcam.dynamics.integrate import FASTEST, back, lead
-from synthcam.dynamics.kinematics import Array, State, made_rolling, resting, slip, stop_time
+from synthcam.dynamics.interacting_pair import AHEAD, HELD, InteractingPair, make_leg, make_start_event
+from synthcam.dynamics.kinematics import Array, State, slip_velocity, stop_time, to_rest, to_rolling
 from synthcam.dynamics.launch import Launch
-from synthcam.dynamics.pairing import AHEAD, HELD, Pairing, leg_of, start_of
+from synthcam.dynamics.propagate import FASTEST, propagate, propagate_back
+from synthcam.dynamics.start_from_rest import CLINGING, excess_push
 from synthcam.dynamics.trajectory import Event, Fly, Leg, Rest, Roll, Slide, Trajectory
 from synthcam.model import Bodies, Model
 
 LIMIT = 10_000  # events: more means that something never settles
 FAR = 1e4  # s: beyond it the clock's last bit is too coarse for an event
 NEVER = np.full(1, math.inf)  # slips at which a ball that does not drill no longer does
-LONG = 60.0  # s: balls that push each other are led in small steps
+LONG = 60.0  # s: balls that push each other are motion in small steps
 
 
 def solve(model: Model, launch: Launch, start: float = 0.0, end: float = 0.0, settled: bool = True) -> Trajectory:
@@ -34,21 +44,21 @@ def solve(model: Model, launch: Launch, start: float = 0.0, end: float = 0.0, se
     for what, t in (("its launch", launch.time), ("its start", start), ("its end", end)):
         if not abs(t) <= FAR:
             raise ValueError(f"{what} is at {t:g} s: a motion is solved within {FAR:g} s of 0")
-    if model.laws.asks("push", "other"):
+    if model.laws.needs("push", "other"):
         lasts = max(launch.time, end) - min(launch.time, start)
         if len(launch.states) > 2:
             raise ValueError(f"balls that push each other are modelled in twos, not {len(launch.states)} at a time")
         if lasts > LONG:
             raise ValueError(f"balls that push each other are followed for {LONG:g} s, not for {lasts:g} s")
-    return _Run(model, launch, start, end, settled).motion()
+    return _EventLoop(model, launch, start, end, settled).motion()
 
 
-def uncoupled(model: Model) -> Model:
+def without_mutual_push(model: Model) -> Model:
     """The model without the effects by which balls push each other."""
     return dataclasses.replace(model, effects=tuple(e for e in model.effects if "other" not in e.laws.get("push", ())))
 
 
-class _Run:
+class _EventLoop:
     """One run of the event loop; states are nine floats. Two balls that push each other are led together."""
 
     def __init__(self, model: Model, launch: Launch, start: float, end: float, settled: bool) -> None:
@@ -58,18 +68,21 @@ class _Run:
         self.events: list[Event] = []
         self.rolled: set[int] = set()  # balls whose slide ended as they bounced: what slips in a flight is no slide
         laws = model.laws
-        self.slides, self.rolls = laws.bent(*LAWS[SLIDE]), laws.bent(*LAWS[ROLL])  # without closed form
-        self.pushes, self.drills = laws.bent("push"), laws.bent("drilling")
-        mutual = laws.asks("push", "other") and len(launch.states) == 2
-        self.pairing = Pairing(model, launch.bodies, start, end) if mutual else None
+        self.slides, self.rolls = (
+            laws.has_effect_on(*LAWS[SLIDE]),
+            laws.has_effect_on(*LAWS[ROLL]),
+        )  # without closed form
+        self.pushes, self.drills = laws.has_effect_on("push"), laws.has_effect_on("drilling")
+        mutual = laws.needs("push", "other") and len(launch.states) == 2
+        self.pairing = InteractingPair(model, launch.bodies, start, end) if mutual else None
         self.until = math.inf  # how far balls that push each other have been led
         states = {k: tuple(row) for k, row in enumerate(launch.states.tolist())}
         self.past: list[list[Leg]] = [[] for _ in states]
         if self.pairing:
-            states, self.past, self.events = self.pairing.before(launch)
+            states, self.past, self.events = self.pairing.solve_past(launch)
         else:
-            self.past = [self._before(k, states[k], launch.time) for k in states]
-        self.legs = self._begin(states, tuple(states))
+            self.past = [self._past_legs(k, states[k], launch.time) for k in states]
+        self.legs = self._make_legs(states, tuple(states))
 
     def motion(self) -> Trajectory:
         for _ in range(LIMIT):
@@ -82,39 +95,39 @@ class _Run:
             self.t = horizon
             ending = [k for k, leg in enumerate(self.legs) if leg.t1 <= self.t]
             if ending:
-                self._settle(ending[0])
+                self._end_leg(ending[0])
             elif self.t >= self.until:
-                self._go_on({})
+                self._start_legs({})
             else:
                 break
         else:
             raise ValueError(f"the motion does not settle: {LIMIT} events by {self.t:g} s")
         for k in range(len(self.legs)):
-            self._keep(k)
+            self._archive_leg(k)
         return Trajectory(self.start, self.t, tuple(tuple(x) for x in self.past), tuple(self.events))
 
-    def _go_on(self, states: dict[int, State]) -> None:
+    def _start_legs(self, states: dict[int, State]) -> None:
         """Begin new legs: of these balls, and of those that they push."""
         anew = tuple(states)
         if self.pairing:
             states = {k: self.legs[k].now(self.t) for k in (0, 1)} | states
         for k in states:
-            self._keep(k)
-        for k, leg in zip(states, self._begin(states, anew), strict=True):
+            self._archive_leg(k)
+        for k, leg in zip(states, self._make_legs(states, anew), strict=True):
             self.legs[k] = leg
 
-    def _keep(self, k: int) -> None:
+    def _archive_leg(self, k: int) -> None:
         """A ball's leg is past; a rest that went on is one leg."""
         leg, past = self.legs[k].spanning(self.legs[k].t0, self.t), self.past[k]
         if past and isinstance(leg, Rest) and isinstance(past[-1], Rest) and leg.state == past[-1].state:
             leg = leg.spanning(past.pop().t0, self.t)
         past.append(leg)
 
-    def _begin(self, states: dict[int, State], anew: tuple[int, ...]) -> list[Leg]:
+    def _make_legs(self, states: dict[int, State], anew: tuple[int, ...]) -> list[Leg]:
         """The legs of balls in these states now; of balls that push each other those of both, `anew` after an event."""
         if self.pairing is None:
-            return [self._leg(k, states[k], self.t) for k in states]
-        legs, self.until, started = self.pairing.legs(states, self.t, anew)
+            return [self._next_leg(k, states[k], self.t) for k in states]
+        legs, self.until, started = self.pairing.next_legs(states, self.t, anew)
         self.events += started
         return legs
 
@@ -123,15 +136,15 @@ class _Run:
     def _body(self, k: int) -> Bodies:
         return self.bodies[k : k + 1]
 
-    def _before(self, k: int, state: State, time: float) -> list[Leg]:
+    def _past_legs(self, k: int, state: State, time: float) -> list[Leg]:
         """The legs that lead to a launch: a ball rolling, sliding all the while, or at rest."""
         if self.start >= time:
             return []
         if state[5] != 0:
             raise ValueError("a ball that flies at its launch has no past: start the run at the launch")
-        slides = math.hypot(*slip(state, self.radius[k])) > STILL
+        slides = math.hypot(*slip_velocity(state, self.radius[k])) > STILL
         if not slides and math.hypot(state[3], state[4]) <= STILL:
-            still = resting(state, self.radius[k])
+            still = to_rest(state, self.radius[k])
             if self._excess(k, still) > 0:
                 raise ValueError(HELD)
             return [Rest(self.start, time, still)]
@@ -142,8 +155,10 @@ class _Run:
         else:
             row, span = np.array([state]), np.array([self.start - time])
             legs = [
-                leg_of(led, 0, SLIDE if slides else ROLL, time)
-                for _, led in back(Balls.undrilled(self.model, self._body(k), row), 0 * span, span)
+                make_leg(motion, 0, SLIDE if slides else ROLL, time)
+                for _, motion in propagate_back(
+                    BallStates.without_drilling(self.model, self._body(k), row), 0 * span, span
+                )
             ][::-1]
         try:
             speed = math.hypot(*legs[0].now(self.start)[3:5])
@@ -155,12 +170,12 @@ class _Run:
             )
         return legs
 
-    def _leg(self, k: int, state: State, t: float) -> Leg:
+    def _next_leg(self, k: int, state: State, t: float) -> Leg:
         """The leg of a ball that has this state at t, to its own next event."""
         radius = self.radius[k]
-        if state[5] > 0 or _aloft(state, radius):
+        if state[5] > 0 or _is_airborne(state, radius):
             return self._fly(k, state, t)
-        if math.hypot(*slip(state, radius)) > STILL:
+        if math.hypot(*slip_velocity(state, radius)) > STILL:
             return self._slide(k, state, t)
         if math.hypot(state[3], state[4]) > STILL:
             return self._roll(k, state, t, max(self.end, t) + AHEAD)
@@ -171,77 +186,77 @@ class _Run:
             slowing = self.model.sliding_friction * self.model.gravity
             if slowing == 0:
                 raise ValueError("sliding friction does not end the slide: there is none")
-            lasts = math.hypot(*slip(state, self.radius[k])) / (3.5 * slowing)
+            lasts = math.hypot(*slip_velocity(state, self.radius[k])) / (3.5 * slowing)
             return Slide(t, t + lasts, t, state, self.radius[k], slowing)
-        floor = ending_slip(self.model, np.array([state]), self._body(k)) if self.drills else np.full(1, math.inf)
-        return self._led(k, state, t, math.inf, floor)
+        floor = find_ending_slip(self.model, np.array([state]), self._body(k)) if self.drills else np.full(1, math.inf)
+        return self._integrate_leg(k, state, t, math.inf, floor)
 
     def _roll(self, k: int, state: State, t: float, until: float) -> Leg:
         model = self.model
         if not self.rolls:
             stop = t + stop_time(math.hypot(state[3], state[4]), model.rolling_drag, model.rolling_decel)
             return Roll(t, stop, t, state, self.radius[k], model.rolling_drag, model.rolling_decel)
-        return self._led(k, state, t, until - t)
+        return self._integrate_leg(k, state, t, until - t)
 
     def _fly(self, k: int, state: State, t: float) -> Leg:
         gravity, up, height = self.model.gravity, state[5], max(state[2] - self.radius[k], 0.0)
         lasts = (up + math.sqrt(up * up + 2 * gravity * height)) / gravity
-        return self._led(k, state, t, lasts) if self.pushes else Fly(t, t + lasts, t, state, gravity)
+        return self._integrate_leg(k, state, t, lasts) if self.pushes else Fly(t, t + lasts, t, state, gravity)
 
-    def _led(self, k: int, state: State, t: float, goal: float, floor: Array = NEVER) -> Leg:
+    def _integrate_leg(self, k: int, state: State, t: float, goal: float, floor: Array = NEVER) -> Leg:
         """A leg without closed form, or as much of it as one piece holds."""
         row = np.array([state])
-        ((_, way),) = lead(Balls(self.model, self._body(k), row, floor), np.array([goal]))
-        return leg_of(way.led, 0, int(modes_of(row, self._body(k).radius)[0]), t)
+        ((_, step),) = propagate(BallStates(self.model, self._body(k), row, floor), np.array([goal]))
+        return make_leg(step.motion, 0, int(classify_modes(row, self._body(k).radius)[0]), t)
 
     def _rest(self, k: int, state: State, t: float) -> Leg:
-        still = resting(state, self.radius[k])
+        still = to_rest(state, self.radius[k])
         return Rest(t, t if self._excess(k, still) > 0 else math.inf, still)
 
     def _excess(self, k: int, state: State) -> float:
         """By how much 5/7 of the push on a ball at rest exceeds what holds it, m/s^2."""
         if not self.pushes:
             return -self.model.rolling_decel
-        return float(excess(self.model, self._body(k), np.array([state]), NOWHERE[:, None, None])[0, 0])
+        return float(excess_push(self.model, self._body(k), np.array([state]), NOWHERE[:, None, None])[0, 0])
 
     # events
 
-    def _settle(self, k: int) -> None:
+    def _end_leg(self, k: int) -> None:
         """The end of a leg: of a slide, a roll, a rest, a flight; no event where a numerical roll was solved to."""
         leg, radius = self.legs[k], self.radius[k]
         before = leg.now(leg.t1)
         if leg.motion == "roll" and math.hypot(before[3], before[4]) > STILL:
-            self._go_on({k: before})
+            self._start_legs({k: before})
         elif leg.motion == "fly":
-            self._go_on({k: self._landed(k, before)})
+            self._start_legs({k: self._land(k, before)})
         elif leg.motion == "rest":
-            started = [] if self.pairing else [start_of(self.model, self._body(k), k, before, self.t, NOWHERE)]
+            started = [] if self.pairing else [make_start_event(self.model, self._body(k), k, before, self.t, NOWHERE)]
             self.events += started  # a pairing tells of its own
-            self._go_on({e.i: tuple(np.asarray(e.after)[0].tolist()) for e in started})
+            self._start_legs({e.i: tuple(np.asarray(e.after)[0].tolist()) for e in started})
         elif leg.motion == "slide":
-            self._happen("slide_end", k, before, _rolled_out(before, radius))
+            self._record_event("slide_end", k, before, _end_slip(before, radius))
         else:
-            self._happen("stop", k, before, resting(before, radius))
+            self._record_event("stop", k, before, to_rest(before, radius))
 
-    def _landed(self, k: int, before: State) -> State:
+    def _land(self, k: int, before: State) -> State:
         radius = self.radius[k]
         down = np.array([(*before[:2], radius, *before[3:])])
         up = land(self.model, down, self._body(k))
         after: State = tuple(up[0].tolist())
-        slips = [math.hypot(*slip(s, radius)) for s in (before, after)]
+        slips = [math.hypot(*slip_velocity(s, radius)) for s in (before, after)]
         self.events.append(Event(self.t, "land", k, before=down, after=up))
         if slips[0] > STILL and slips[1] <= 1e-9 * slips[0]:
-            after = _rolled_out(after, radius)
+            after = _end_slip(after, radius)
             if k not in self.rolled:
                 self.events.append(Event(self.t, "slide_end", k, before=down, after=np.array([after])))
             self.rolled.add(k)
         return after
 
-    def _happen(self, kind: str, k: int, before: State, after: State) -> None:
+    def _record_event(self, kind: str, k: int, before: State, after: State) -> None:
         self.events.append(
             Event(self.t, kind, k, before=np.array([before]), after=np.array([after]))  # type: ignore[arg-type]
         )
-        self._go_on({k: after})
+        self._start_legs({k: after})
 
     def _collide(self, t: float, i: int, j: int) -> None:
         self.t = t
@@ -258,16 +273,16 @@ class _Run:
         self.events.append(Event(t, "contact", i, j, before, after, n[:2], along_n, along_t))
         self.rolled -= {i, j}
         for k, state in new.items():
-            if state[5] < 0 and not _aloft(state, self.radius[k]):
-                new[k] = self._landed(k, state)
-        self._go_on(new)
+            if state[5] < 0 and not _is_airborne(state, self.radius[k]):
+                new[k] = self._land(k, state)
+        self._start_legs(new)
 
 
-def _rolled_out(state: State, radius: float) -> State:
+def _end_slip(state: State, radius: float) -> State:
     """Rolling as when the slip is over, (5 v + 2 R w x z)/7; a flight's vertical velocity is kept."""
-    ux, uy = slip(state, radius)
-    return made_rolling((*state[:3], state[3] - 2 / 7 * ux, state[4] - 2 / 7 * uy, *state[5:]), radius)
+    ux, uy = slip_velocity(state, radius)
+    return to_rolling((*state[:3], state[3] - 2 / 7 * ux, state[4] - 2 / 7 * uy, *state[5:]), radius)
 
 
-def _aloft(state: State, radius: float) -> bool:
+def _is_airborne(state: State, radius: float) -> bool:
     return bool(state[2] > radius * (1 + TOUCHING))

@@ -216,13 +216,13 @@ class Trajectory:
         self._check(times)
         return np.array([[legs[k].motion for k in self._which(legs, times)] for legs in self.legs])
 
-    def mean(self, spans: Array, of: Callable[[Array], Array]) -> Array:
+    def average(self, spans: Array, of: Callable[[Array], Array]) -> Array:
         """Means over time spans (n, 2) of a function of the states: (balls, n, k).
 
         `of` maps states (balls, m, 9) to (balls, m, k). Gauss quadrature, split where an event falls into a span.
         """
         breaks = np.array([e.t for e in self.events])
-        return mean(lambda t: self.at(np.clip(t, self.t0, self.t1)), breaks, spans, of)
+        return average_over_spans(lambda t: self.at(np.clip(t, self.t0, self.t1)), breaks, spans, of)
 
     def first(self, kind: str, ball: int = -1, after: float = -np.inf) -> Event | None:
         """The first event of a kind (that ball i = `ball` suffers, if given) after a time."""
@@ -240,8 +240,10 @@ class Trajectory:
         return np.searchsorted([leg.t0 for leg in legs[1:]], times, side="right")
 
 
-def mean(at: Callable[[Array], Array], breaks: Array, spans: Array, of: Callable[[Array], Array]) -> Array:
-    """Means over time spans (n, 2) of a function of the states `at` gives: (balls, n, k); see Trajectory.mean."""
+def average_over_spans(
+    at: Callable[[Array], Array], breaks: Array, spans: Array, of: Callable[[Array], Array]
+) -> Array:
+    """Means over time spans (n, 2) of a function of the states `at` gives: (balls, n, k); see Trajectory.average."""
     after = 2 * spans[:, 1] - spans[:, 0]
     near = np.searchsorted(breaks, spans[:, 0], "right") < np.searchsorted(breaks, after, "left")
     cuts, owners = [], []

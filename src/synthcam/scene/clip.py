@@ -15,7 +15,7 @@ from synthcam.camera.pinhole import Lamp, PinholeCamera
 from synthcam.camera.room.finish import SurfaceFinish
 from synthcam.camera.sensor import Sensor
 from synthcam.camera.surface import Surface
-from synthcam.dynamics.launch import SPIN, Launch
+from synthcam.dynamics.launch import SPIN_COLUMNS, Launch
 from synthcam.model import Model, build
 from synthcam.scene import ground_truth
 from synthcam.scene.apparatus import build_camera, build_lamp, build_surface, camera_json, find_video_problem
@@ -28,7 +28,7 @@ from synthcam_shared.errors import InputError
 if TYPE_CHECKING:
     import pandas as pd
 
-    from synthcam.dynamics.turning import Turning
+    from synthcam.dynamics.orientation import OrientationHistory
 
 LABELS = {"a": ("b", "a"), "b": ("a", "b")}  # of ball 1 and ball 2, by the striker
 UPSTREAM = 0.015 / 0.6  # s: at 0.6 m/s the contact lies 15 mm before the centre, so that the slide's end is in view
@@ -135,17 +135,17 @@ class Clip:
         return expose_frames(self.view, seen, self.sensor, self.frames, (self.seed, self.number), self.turning, colour)
 
     @cached_property
-    def turning(self) -> Turning | None:
+    def turning(self) -> OrientationHistory | None:
         """How the balls are turned, where a pattern shows it: at random as the motion starts."""
         if self.look is None or not self.look.shows_rotation:
             return None
         from scipy.spatial.transform import Rotation  # here alone: slow to load, and few balls have a pattern
 
-        from synthcam.dynamics.turning import Turning
+        from synthcam.dynamics.orientation import OrientationHistory
 
         stream = np.random.SeedSequence(self.seed, spawn_key=(self.number, zlib.crc32(b"turning")))
         first = Rotation.random(len(self.launch.bodies.radius), rng=np.random.default_rng(stream))
-        return Turning(self.view.motion, first.as_quat())
+        return OrientationHistory(self.view.motion, first.as_quat())
 
     def film(self) -> NDArray[Any]:
         """Draw and expose all frames: the same pixels as a dataset of this scene and seed has in ``frames.tif``.
@@ -247,11 +247,11 @@ def _build_launch(model: Model, launch: dict[str, Any], time: float) -> Launch:
     heading, v0, position = launch["heading"], launch["v0"], launch["contact"]
     if position == "upstream":
         position = -UPSTREAM * v0 * np.array([np.cos(heading), np.sin(heading)])
-    bodies, spin = model.bodies(_ball_labels(launch)), [launch[name] for name in SPIN]
+    bodies, spin = model.bodies(_ball_labels(launch)), [launch[name] for name in SPIN_COLUMNS]
     if launch["kind"] == "single":
         if any(spin):
             raise InputError(
-                f"launch.{SPIN[int(np.flatnonzero(spin)[0])]}: of a pair's striker; expected 0 of a single ball"
+                f"launch.{SPIN_COLUMNS[int(np.flatnonzero(spin)[0])]}: of a pair's striker; expected 0 of a single ball"
             )
         return Launch.single(bodies, time, v0, heading, position)
     return Launch.pair(bodies, time, v0, launch["b"], heading, position, spin)

@@ -11,7 +11,7 @@ from synthcam.camera.pinhole import PinholeCamera
 from synthcam.dynamics.kinematics import Array
 from synthcam.dynamics.launch import Launch
 from synthcam.dynamics.solve import solve
-from synthcam.dynamics.trajectory import Trajectory, mean
+from synthcam.dynamics.trajectory import Trajectory, average_over_spans
 from synthcam.model import Model
 
 TURNS = 20  # of the fixed points below, at most; each gains a factor, how many rows a ball passes while one is read
@@ -47,12 +47,12 @@ class FilmedMotion:
 
     @property
     def _has_own_clock(self) -> bool:
-        return bool(self.camera.line_time) or self.model.laws.bent("clock")
+        return bool(self.camera.line_time) or self.model.laws.has_effect_on("clock")
 
     def times(self, film: Array) -> Array:
         """The moments (balls, m) at which film time (m,) really shows each ball."""
         out = np.repeat(film[None], len(self.motion.legs), axis=0)
-        by_row = self.camera.line_time or self.model.laws.asks("clock", "row")
+        by_row = self.camera.line_time or self.model.laws.needs("clock", "row")
         for _ in range(TURNS if by_row else 1):
             before, out = out, self._clock(film, out)
             if np.abs(out - before).max(initial=0.0) < SETTLED:
@@ -81,7 +81,7 @@ class FilmedMotion:
 
     def mean(self, spans: Array, of: Callable[[Array], Array]) -> Array:
         """Means over spans of film time (n, 2) of a function of the states: (balls, n, k)."""
-        return mean(self.at, self.breaks(), spans, of)
+        return average_over_spans(self.at, self.breaks(), spans, of)
 
     def _clock(self, film: Array, times: Array) -> Array:
         if not self._has_own_clock:

@@ -15,7 +15,7 @@ from synthcam.model import Bodies, Model
 from synthcam.scene.film_time import FilmedMotion
 
 if TYPE_CHECKING:
-    from synthcam.dynamics.turning import Turning
+    from synthcam.dynamics.orientation import OrientationHistory
 
 NAN = float("nan")
 COLLISION = (
@@ -78,7 +78,9 @@ def _spin_transfer(bodies: Bodies, hit: Event) -> float:
     return float(impulse / (0.8 * mass[0] * mass[1] / mass.sum() * np.linalg.norm(u_t)))
 
 
-def tracks(bodies: Bodies, view: FilmedMotion, lamp: Lamp, frames: int, turning: Turning | None = None) -> pd.DataFrame:
+def tracks(
+    bodies: Bodies, view: FilmedMotion, lamp: Lamp, frames: int, turning: OrientationHistory | None = None
+) -> pd.DataFrame:
     """The table of `truth/tracks.parquet`: a row for each ball and frame, at mid-exposure, with the exposure's mean.
 
     turning: of balls with a pattern.

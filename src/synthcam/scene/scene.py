@@ -11,15 +11,15 @@ from typing import Annotated, Any, Literal
 from pydantic import AfterValidator, Field, ValidationError, create_model
 from yaml import YAMLError
 
-from synthcam.library import once_a_library
+from synthcam.library import cache_until_effects_change
 from synthcam.model import (
     BallSettings,
     ModelSettings,
     check_free,
-    check_held,
     effect_settings,
     model_file,
     read_model,
+    refuse_search_only_laws,
     settings_of,
     table_settings,
 )
@@ -31,9 +31,9 @@ from synthcam.settings import (
     NotNegative,
     Positive,
     Settings,
-    one_line,
     parse_yaml,
     read_yaml,
+    to_input_error,
 )
 
 Position = Annotated[
@@ -78,7 +78,7 @@ class TimingSettings(Settings):
     contact_frame: float = 25.0
 
 
-@once_a_library
+@cache_until_effects_change
 def scene_file() -> type[Settings]:
     """What a scene may hold, as numbers; any number may be a distribution instead."""
     sections: dict[str, Any] = {
@@ -235,7 +235,7 @@ def check_scene(loaded: dict[str, Any], where: str, overrides: tuple[str, ...] =
     settings = copy.deepcopy(loaded)
     for text in overrides:
         _apply_override(settings, text)
-    check_held(settings.get("free_laws"), where)
+    refuse_search_only_laws(settings.get("free_laws"), where)
     for end in ("low", "high"):
         build_clip(0, _validate(replace_by_extremes(settings, end, "", where), where), where=where)
     low = replace_by_extremes(settings, "low", "", where)
@@ -250,7 +250,7 @@ def _validate(plain: dict[str, Any], where: str) -> dict[str, Any]:
     try:
         return scene_file().model_validate(plain).model_dump(exclude_none=True)
     except ValidationError as e:
-        raise one_line(e, where, scene_file()) from None
+        raise to_input_error(e, where, scene_file()) from None
 
 
 def _apply_override(settings: dict[str, Any], text: str) -> None:

@@ -17,7 +17,7 @@ from synthcam.camera.surface import Surface
 from synthcam.scene.film_time import FilmedMotion
 
 if TYPE_CHECKING:
-    from synthcam.dynamics.turning import Turning
+    from synthcam.dynamics.orientation import OrientationHistory
 
 APART = 1 << 64  # between the seeds of a colour camera's chips
 Array = NDArray[np.float64]
@@ -45,7 +45,7 @@ def expose_frames(
     sensor: Sensor,
     frames: int,
     key: tuple[int, int],
-    turning: Turning | None,
+    turning: OrientationHistory | None,
     colour: bool,
 ) -> Iterator[Counts]:
     """The frames as the sensor gives them, one at a time. key: seed, and number of the clip, of the chips' noise.

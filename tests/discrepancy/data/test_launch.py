@@ -20,16 +20,20 @@ from discrepancy.data.launch import (
     limit_spins,
     normal_speed,
 )
-from synthcam.dynamics.batch import LAUNCH
-from synthcam.dynamics.launch import SPIN
+from synthcam.dynamics.batch import LAUNCH_COLUMNS
+from synthcam.dynamics.launch import SPIN_COLUMNS
 
 HITS = np.array([[0.0, 0.0, 0.1, 0.5, 1.0, 0.6], [0.0, 0.0, 0.1, 0.2, 1.0, -0.8]])
 
 
 def test_names_are_those_of_the_motion():
-    assert [LAUNCH[k] for k in (X, Y, T_C, V0, HEADING, B)] == ["x", "y", "t_c", "v0", "heading", "b"]
-    assert [(LAUNCH + SPIN)[k] for k in (*range(WITH_SPIN)[SLIP], SIDE)] == ["slip_along", "slip_across", "side"]
-    assert len(LAUNCH + SPIN) == WITH_SPIN
+    assert [LAUNCH_COLUMNS[k] for k in (X, Y, T_C, V0, HEADING, B)] == ["x", "y", "t_c", "v0", "heading", "b"]
+    assert [(LAUNCH_COLUMNS + SPIN_COLUMNS)[k] for k in (*range(WITH_SPIN)[SLIP], SIDE)] == [
+        "slip_along",
+        "slip_across",
+        "side",
+    ]
+    assert len(LAUNCH_COLUMNS + SPIN_COLUMNS) == WITH_SPIN
 
 
 def test_the_normal_speed_is_the_part_along_the_line_of_centres():

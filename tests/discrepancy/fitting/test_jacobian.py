@@ -11,7 +11,7 @@ from discrepancy.fitting.parameters import BASE_PARAMETERS, list_candidates
 from discrepancy.fitting.predict import predict_tracks
 from discrepancy.noise.model import Noise, NoiseComponent
 from discrepancy.select.score_test import ScoreTests
-from synthcam.dynamics.solve import uncoupled
+from synthcam.dynamics.solve import without_mutual_push
 from synthcam.model import Model
 
 
@@ -21,7 +21,7 @@ def test_a_ball_that_rests_only_beside_the_other_has_exact_derivatives():
     launches = np.array([clip.launch for clip in clips])
     model, name = Model().replace({"plate_tilt.x": 3e-3, "magnetic_attraction.pull": 0.3}), "restitution"
     with pytest.raises(ValueError, match="rest"):
-        predict_tracks(uncoupled(model), launches, clips)
+        predict_tracks(without_mutual_push(model), launches, clips)
     (found,) = differentiate_all(model, launches, clips, [name], predict_tracks(model, launches, clips))
     step, value = 1e-4, model.value(name)
     ahead, behind = (predict_tracks(model.replace({name: value + s}), launches, clips) for s in (step, -step))

@@ -22,9 +22,9 @@ from discrepancy.search import find
 from discrepancy.select.free_law_contest import FreeLawContest
 from synthcam.effect import Effect, parameter
 from synthcam.effects.rolling_mismatch import RollingMismatch
-from synthcam.free_law import PACE
 from synthcam.library import library as effects
 from synthcam.model import Model
+from synthcam.tabulated_law import REFERENCE_SPEED_M_S
 
 NOISE = Noise(NoiseComponent(1.0))
 
@@ -89,8 +89,8 @@ def test_derivatives_are_those_of_the_forward_model(name):
         ("friction_speed_a", 0, 0.01, {"friction_mismatch.excess": 0.01 / 0.232}),
         ("rolling_speed_a", 0, 1e-3, {"rolling_mismatch.decel": 1e-3}),
         ("rolling_heading", 0, 1e-3, {"rolling_decel": 0.0113}),
-        ("rolling_heading", 1, 1e-3, {"rolling_drag": 0.135 + 1e-3 / PACE}),
-        ("rolling_place", 1, 1e-3, {"rolling_drag": 0.135 + 1e-3 / PACE}),
+        ("rolling_heading", 1, 1e-3, {"rolling_drag": 0.135 + 1e-3 / REFERENCE_SPEED_M_S}),
+        ("rolling_place", 1, 1e-3, {"rolling_drag": 0.135 + 1e-3 / REFERENCE_SPEED_M_S}),
         ("force_place_a", 0, 1e-3, {}),
     ],
 )
@@ -161,7 +161,7 @@ def test_a_loss_by_heading_is_found_and_written():
     assert answer.description == "added rolling loss that depends on the heading"
     assert "(2 th" in answer.formula
     assert "v in m/s" in answer.formula
-    rest, pace = (0.1 * share * np.cos(2 * answer.x[0] - 0.7) for share in (0.0103, 0.135 * PACE))
+    rest, pace = (0.1 * share * np.cos(2 * answer.x[0] - 0.7) for share in (0.0103, 0.135 * REFERENCE_SPEED_M_S))
     for part, true in enumerate((rest, pace)):
         low, high = answer.bands["band"][:, part].T
         assert np.mean((true > low) & (true < high)) >= 0.9

@@ -11,9 +11,9 @@ from discrepancy.fitting.gauss_newton import fit_model
 from discrepancy.free_laws.tabulate import tabulate_and_refit
 from discrepancy.report.html import document
 from discrepancy.search import find
-from synthcam.free_law import TabulatedLaw
 from synthcam.library import library
 from synthcam.model import Model, read_model, write_model
+from synthcam.tabulated_law import TabulatedLaw
 
 every = pytest.mark.parametrize("law", list(OUTSIDERS))
 

@@ -59,7 +59,9 @@ def test_the_model_reads_back_and_is_a_scene(written):
     found, folder = written
     assert read_model(folder / "model.yaml") == found.model
     bends = found.free_law.law.bends[0] if found.free_law else "restitution"
-    assert read_scene(folder / "model.yaml").draw(0, 0).model.laws.bent(bends) == bool(found.named or found.free_law)
+    assert read_scene(folder / "model.yaml").draw(0, 0).model.laws.has_effect_on(bends) == bool(
+        found.named or found.free_law
+    )
 
 
 def test_the_same_search_gives_the_same_files(written, tmp_path):

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from synthcam.dynamics.batch import AT_ONCE, LAUNCH, collisions
+from synthcam.dynamics.batch import AT_ONCE, LAUNCH_COLUMNS, solve_collisions
 from synthcam.dynamics.kinematics import contact_velocity
 from synthcam.dynamics.launch import Launch
 from synthcam.dynamics.solve import solve
@@ -20,7 +20,7 @@ def launches(count, seed=0):
     columns = {"x": rng.uniform(-0.02, 0.02, count), "y": rng.uniform(-0.02, 0.02, count)}
     columns |= {"t_c": rng.uniform(0.05, 0.15, count), "v0": rng.uniform(0.05, 0.6, count)}
     columns |= {"heading": rng.uniform(0, 2 * np.pi, count), "b": rng.uniform(-0.95, 0.95, count)}
-    return np.column_stack([columns[name] for name in LAUNCH])
+    return np.column_stack([columns[name] for name in LAUNCH_COLUMNS])
 
 
 def alone(model, row, striker_is_a=False):
@@ -37,16 +37,16 @@ def realistic(kind):
 
 
 def compare(model, rows, striker_is_a, atol, instants=61):
-    batch = collisions(model, rows, 0.0, END, striker_is_a)
+    batch = solve_collisions(model, rows, 0.0, END, striker_is_a)
     times = np.linspace(0, END, instants)
     starts = np.arange(int(END * FPS) - 1) / FPS
     spans = np.stack([starts, starts + EXPOSURE], axis=1)
-    states, means = batch.at(times), batch.means(starts, EXPOSURE)
+    states, means = batch.at(times), batch.average_centres(starts, EXPOSURE)
     for k, row in enumerate(rows):
         motion = alone(model, row, striker_is_a[k])
         np.testing.assert_allclose(states[:, k, :, :3], motion.at(times)[..., :3], rtol=0, atol=atol)
         np.testing.assert_allclose(states[:, k, :, 3:6], motion.at(times)[..., 3:6], rtol=0, atol=1e3 * atol)
-        theirs = motion.mean(spans, lambda s: s[..., :2])
+        theirs = motion.average(spans, lambda s: s[..., :2])
         np.testing.assert_allclose(means[:, k], theirs, rtol=0, atol=atol)
         for ball in (0, 1):
             ends = [e.t for e in motion.events if e.kind == "slide_end" and e.i == ball]
@@ -91,7 +91,7 @@ def test_a_ball_that_stops_and_rolls_back():
 
 def test_instants_of_each_balls_own():
     rows = launches(4)
-    batch = collisions(Model(), rows, 0.0, END)
+    batch = solve_collisions(Model(), rows, 0.0, END)
     own = np.random.default_rng(1).uniform(0, END, (8, 5))
     states = batch.at(own)
     for k in range(4):
@@ -104,26 +104,28 @@ def test_groups_led_together_change_nothing():
     model = Model().replace({"plate_waviness.a": 6e-7, "drilling_spin.a": 2e-5, "eccentric_mass.c": 1e-6})
     rows = launches(AT_ONCE)
     some = np.arange(0, AT_ONCE, 57)
-    whole, part = collisions(model, rows, 0.0, END), collisions(model, rows[some], 0.0, END)
+    whole, part = solve_collisions(model, rows, 0.0, END), solve_collisions(model, rows[some], 0.0, END)
     starts = np.arange(95) / FPS
-    np.testing.assert_allclose(whole.means(starts, 3e-4)[:, some], part.means(starts, 3e-4), rtol=0, atol=1e-14)
+    np.testing.assert_allclose(
+        whole.average_centres(starts, 3e-4)[:, some], part.average_centres(starts, 3e-4), rtol=0, atol=1e-14
+    )
     balls = np.concatenate([some, some + AT_ONCE])
     assert whole.breaks.shape == (2 * AT_ONCE, part.breaks.shape[1])
     np.testing.assert_allclose(np.sort(whole.breaks[balls]), np.sort(part.breaks), rtol=0, atol=1e-13)
 
 
 def test_no_exposure_is_an_instant():
-    batch = collisions(Model(), launches(5), 0.0, END)
+    batch = solve_collisions(Model(), launches(5), 0.0, END)
     starts = np.arange(90) / FPS
-    np.testing.assert_allclose(batch.means(starts, 0.0), batch.at(starts)[..., :2], rtol=0, atol=1e-16)
+    np.testing.assert_allclose(batch.average_centres(starts, 0.0), batch.at(starts)[..., :2], rtol=0, atol=1e-16)
 
 
 def test_what_has_no_solution_says_so():
     with pytest.raises(ValueError, match="cannot rest"):
-        collisions(Model().replace({"plate_tilt.x": 2e-3}), launches(3), 0.0, END)
+        solve_collisions(Model().replace({"plate_tilt.x": 2e-3}), launches(3), 0.0, END)
     downhill = Model().replace({"plate_waviness.a": -5e-5, "plate_waviness.wavelength": 0.1})
     with pytest.raises(ValueError, match="come from rest"):
-        collisions(downhill, np.array([[-1.19e-3, 0.0, 2.9, 0.01, 0.0, 0.0]]), 0.0, 3.0)
+        solve_collisions(downhill, np.array([[-1.19e-3, 0.0, 2.9, 0.01, 0.0, 0.0]]), 0.0, 3.0)
 
 
 SPUN = np.array(
@@ -140,7 +142,7 @@ PAIRED = ("magnetic_attraction",)  # of balls that push each other only rolling 
 def test_strikers_that_slide_or_spin_come_to_their_hit(kind):
     """What led to the contact, found back in time, leads there: from the state at 0 on, forwards, to the same hit."""
     model, times = realistic(kind), np.linspace(0.0, END, 31)
-    batch = collisions(model, SPUN, 0.0, END)
+    batch = solve_collisions(model, SPUN, 0.0, END)
     for k, (x, y, t_c, v0, heading, b, *spin) in enumerate(SPUN):
         launch = Launch.pair(model.bodies("ab"), t_c, v0, b, heading, (x, y), spin)
         back = solve(model, launch, 0.0, END)
@@ -162,7 +164,7 @@ def test_a_sliding_approach_is_a_parabola_along_its_slip():
         before = Launch.pair(bodies, t_c, v0, b, heading, (x, y), spin).states[1]
         u = contact_velocity(before, bodies.radius[1])
         assert np.hypot(*u) == pytest.approx(np.hypot(*spin[:2]))
-        there = collisions(model, row[None], 0.0, END).at(np.array([t_c - t]))[1, 0, 0]
+        there = solve_collisions(model, row[None], 0.0, END).at(np.array([t_c - t]))[1, 0, 0]
         hat = u / np.hypot(*u)
         assert there[:2] == pytest.approx(before[:2] - before[3:5] * t - slowing * hat * t**2 / 2, abs=1e-12)
         assert contact_velocity(there, bodies.radius[1]) == pytest.approx(u + 3.5 * slowing * hat * t, abs=1e-12)

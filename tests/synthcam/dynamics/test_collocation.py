@@ -5,7 +5,7 @@ import pytest
 from numpy.polynomial import Chebyshev
 
 from synthcam.dynamics import collocation
-from synthcam.dynamics.collocation import SIZES, matrices, reread, series
+from synthcam.dynamics.collocation import SIZES, matrices, resample, series
 
 
 class Solved:
@@ -147,7 +147,7 @@ def test_parts_one_after_the_other():
 def test_values_at_images_of_nodes_are_read_on_nodes():
     z = matrices(32).nodes
     places = np.stack([z, np.tanh(0.8 * z) / np.tanh(0.8), (z + 0.2 * (z * z - 1))])
-    read = reread(np.exp(np.stack([places, -2 * places])), places, 20)
+    read = resample(np.exp(np.stack([places, -2 * places])), places, 20)
     on = matrices(20).nodes
     np.testing.assert_allclose(read, np.exp([[on] * 3, [-2 * on] * 3]), rtol=0, atol=2e-13)
 

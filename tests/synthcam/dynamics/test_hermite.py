@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from synthcam.dynamics.hermite import between
+from synthcam.dynamics.hermite import interpolate_hermite
 
 
 def parabola(times, kink=0.3):
@@ -17,6 +17,6 @@ def test_places_between_knots():
     knots = np.array([[0.3, 0.5, 0.5, 0.9]])
     ends = parabola(np.concatenate([knots, knots]))[:1]
     shares = np.linspace(0, 1, 5)
-    places = between(ends, np.diff(knots), shares)
+    places = interpolate_hermite(ends, np.diff(knots), shares)
     times = knots[:, :-1, None] + shares * np.diff(knots)[..., None]
     np.testing.assert_allclose(places[0], parabola(np.tile(times.reshape(1, -1), (2, 1)))[0, :, :2].reshape(3, 5, 2))

@@ -5,13 +5,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from synthcam.dynamics.packed import Packed
+from synthcam.dynamics.packed import PackedRows
 
 
 @given(arrays(bool, st.tuples(st.integers(1, 6), st.integers(1, 9))))
 def test_each_row_keeps_its_own_in_order(mask):
     values = np.arange(mask.size, dtype=float).reshape(mask.shape)
-    some = Packed(mask)
+    some = PackedRows(mask)
     packed = some.gather(values)
     assert packed.shape == (len(mask), mask.sum(axis=1).max())
     assert some.any == mask.any()

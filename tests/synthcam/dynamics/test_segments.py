@@ -6,12 +6,19 @@ import numpy as np
 import pytest
 from everything import BENT, R
 
-from synthcam.dynamics.forces import Balls
-from synthcam.dynamics.integrate import lead
+from synthcam.dynamics.forces import BallStates
+from synthcam.dynamics.integrated_motion import average_by_quadrature
 from synthcam.dynamics.kinematics import contact_velocity, rolling_state
 from synthcam.dynamics.launch import Launch
-from synthcam.dynamics.led import averaged
-from synthcam.dynamics.segments import Alone, Bent, Flying, Resting, Rolling, Sliding
+from synthcam.dynamics.propagate import propagate
+from synthcam.dynamics.segments import (
+    FlightSegment,
+    IntegratedSegment,
+    RestSegment,
+    RollSegment,
+    SlideSegment,
+    TrajectorySegment,
+)
 from synthcam.dynamics.solve import solve
 from synthcam.model import Model
 
@@ -31,20 +38,20 @@ def legs():
     slowing = np.full(2, 0.232 * 9.81)
     lasts = np.hypot(*contact_velocity(SLIPPING, R).T) / 3.5 / slowing
     radius, end = BODIES.radius, START + 0.02
-    yield Resting(WHO, START, end, ROLLING * [1, 1, 1, 0, 0, 0, 0, 0, 1])
-    yield Sliding(WHO, START, START + lasts, SLIPPING, radius, slowing)
-    yield Rolling(WHO, START, START + 1, START + 0.2, ROLLING, radius, 0.135, 0.0103)
-    yield Rolling(WHO, START, START + 1, START + 0.2, ROLLING, radius, 1e-5, 0.0103)
-    yield Rolling(WHO, START, START + 1, START, ROLLING, radius, 3.0, 0.0)
-    yield Flying(WHO, START, end, gone, 9.81)
+    yield RestSegment(WHO, START, end, ROLLING * [1, 1, 1, 0, 0, 0, 0, 0, 1])
+    yield SlideSegment(WHO, START, START + lasts, SLIPPING, radius, slowing)
+    yield RollSegment(WHO, START, START + 1, START + 0.2, ROLLING, radius, 0.135, 0.0103)
+    yield RollSegment(WHO, START, START + 1, START + 0.2, ROLLING, radius, 1e-5, 0.0103)
+    yield RollSegment(WHO, START, START + 1, START, ROLLING, radius, 3.0, 0.0)
+    yield FlightSegment(WHO, START, end, gone, 9.81)
     slow = ROLLING * np.array([1, 1, 1, 1e-7, 1e-7, 1, 1e-7, 1e-7, 1])
     for model, states in ((BENT, gone), (BENT, SLIPPING), (BENT, ROLLING), (Model(), ROLLING), (Model(), slow)):
-        for units, way in lead(Balls.undrilled(model, BODIES, states), np.full(2, 0.3)):
-            yield from Bent.of(WHO[units], way.led.later(START[units]), 1e3)
+        for units, way in propagate(BallStates.without_drilling(model, BODIES, states), np.full(2, 0.3)):
+            yield from IntegratedSegment.of(WHO[units], way.motion.shift(START[units]), 1e3)
 
 
 def turns(leg):
-    return isinstance(leg, Bent) and leg.led.power == 3
+    return isinstance(leg, IntegratedSegment) and leg.motion.power == 3
 
 
 @pytest.mark.parametrize("leg", list(legs()), ids=lambda leg: type(leg).__name__)
@@ -59,32 +66,36 @@ def test_means_are_those_of_the_states(leg, whole, part):
     times = middle[..., None] + nodes * (np.asarray(wide) / 2 + 0 * middle)[..., None]
     x = leg.states(times.reshape(len(lasts), -1))[..., :2].reshape(len(lasts), 5, 20, 2)
     atol = 5e-12 if turns(leg) else 2e-13  # the slip's direction turns without end at its end
-    np.testing.assert_allclose(leg.means(middle, wide), np.einsum("kmni,n->ikm", x, weights / 2), rtol=0, atol=atol)
+    np.testing.assert_allclose(
+        leg.average_centres(middle, wide), np.einsum("kmni,n->ikm", x, weights / 2), rtol=0, atol=atol
+    )
 
 
 @pytest.mark.parametrize("leg", list(legs()), ids=lambda leg: type(leg).__name__)
 def test_no_width_is_an_instant(leg):
     times = leg.begins[:, None] + np.array([0.1, 0.5, 0.9]) * (leg.ends - leg.begins)[:, None]
     at = np.moveaxis(leg.states(times)[..., :2], -1, 0)
-    np.testing.assert_allclose(leg.means(times, 0.0), at, rtol=0, atol=1e-14)
-    np.testing.assert_allclose(leg.means(times, 0 * times), at, rtol=0, atol=1e-14)
+    np.testing.assert_allclose(leg.average_centres(times, 0.0), at, rtol=0, atol=1e-14)
+    np.testing.assert_allclose(leg.average_centres(times, 0 * times), at, rtol=0, atol=1e-14)
 
 
 def test_one_ball_of_a_run_with_its_kinks():
     model = Model()
     motion = solve(model, Launch.pair(model.bodies("ab"), 0.1, 0.4, 0.3, 1.0, (0, 0)), 0.0, 0.3)
-    leg = Alone(np.array([4]), np.zeros(1), np.full(1, 0.3), dataclasses.replace(motion, legs=motion.legs[1:]))
+    leg = TrajectorySegment(
+        np.array([4]), np.zeros(1), np.full(1, 0.3), dataclasses.replace(motion, legs=motion.legs[1:])
+    )
     times = np.linspace(0.002, 0.298, 2000)[None]
     x = leg.states(times)[0, :, :2]
     np.testing.assert_array_equal(x, motion.at(times[0])[1, :, :2])
     fine = np.linspace(-0.5, 0.5, 4001) * 0.004 + 0.1  # across the impact
     direct = motion.at(fine)[1, :, :2]
     mean = ((direct[1:] + direct[:-1]) / 2).mean(axis=0)
-    np.testing.assert_allclose(leg.means(np.array([[0.1]]), 0.004)[:, 0, 0], mean, rtol=0, atol=1e-10)
+    np.testing.assert_allclose(leg.average_centres(np.array([[0.1]]), 0.004)[:, 0, 0], mean, rtol=0, atol=1e-10)
 
 
 def test_gauss_is_exact_for_polynomials():
     middle, wide = np.array([[0.3, -0.2]]), np.array([[0.5, 2.0]])
-    found = averaged(lambda t: np.stack([t**7, t**6]), middle, wide)
+    found = average_by_quadrature(lambda t: np.stack([t**7, t**6]), middle, wide)
     a, b = middle - wide / 2, middle + wide / 2
     np.testing.assert_allclose(found, [(b**8 - a**8) / 8 / wide, (b**7 - a**7) / 7 / wide], rtol=1e-13)

@@ -36,8 +36,8 @@ def test_means_up_to_a_sudden_end():
         for a, b in ((end - 3e-3, end + 1e-3), (end - 4e-3, end), (end - 4.2e-3, end - 2e-4)):
             near = np.minimum(end - np.geomspace(1e-8, 4e-3, 60), b)
             cuts = np.unique(np.concatenate([[a, b], near[near > a], [min(end, b)]]))
-            parts = motion.mean(np.stack([cuts[:-1], cuts[1:]], axis=1), lambda s: s[..., :2])
-            whole = motion.mean(np.array([[a, b]]), lambda s: s[..., :2])[ball, 0]
+            parts = motion.average(np.stack([cuts[:-1], cuts[1:]], axis=1), lambda s: s[..., :2])
+            whole = motion.average(np.array([[a, b]]), lambda s: s[..., :2])[ball, 0]
             np.testing.assert_allclose(whole, np.diff(cuts) @ parts[ball] / (b - a), rtol=0, atol=1e-12)
 
 

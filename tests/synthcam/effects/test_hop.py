@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
-from synthcam.dynamics.batch import collisions
+from synthcam.dynamics.batch import solve_collisions
 from synthcam.dynamics.impact import collide
 from synthcam.dynamics.launch import Launch, touching
 from synthcam.dynamics.solve import solve
@@ -209,7 +209,7 @@ def test_a_ball_that_stops_slipping_in_mid_bounce_ends_its_slide_once(push):
     """Then it rolls on, in the air too; a push may make it slip a little in each flight, which is no slide."""
     model = hopping(0.8, spin_transfer=0.35, sliding_friction=0.9).replace(push)
     rows = np.array([[0, 0, 0.1, 0.3, 0.0, b] for b in (-0.5, 0.0, 0.3)])
-    batch = collisions(model, rows, 0.0, 0.3)
+    batch = solve_collisions(model, rows, 0.0, 0.3)
     for k, b in enumerate(rows[:, 5]):
         motion = run(model, 0.3, b)
         for ball in (0, 1):

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from synthcam.dynamics.batch import collisions
+from synthcam.dynamics.batch import solve_collisions
 from synthcam.dynamics.launch import Launch
 from synthcam.dynamics.solve import solve
 from synthcam.effects.drilling_spin import DrillingSpin
@@ -190,5 +190,8 @@ def test_the_striker_may_be_ball_a():
     row = np.array([[*LAUNCH["contact"], 0.1, LAUNCH["v0"], LAUNCH["heading"], LAUNCH["b"]]])
     times = np.linspace(0, 0.4, 81)
     np.testing.assert_allclose(
-        collisions(model, row, 0.0, 0.4, [True]).at(times)[:, 0, :, :2], motion.at(times)[..., :2], rtol=0, atol=1e-12
+        solve_collisions(model, row, 0.0, 0.4, [True]).at(times)[:, 0, :, :2],
+        motion.at(times)[..., :2],
+        rtol=0,
+        atol=1e-12,
     )

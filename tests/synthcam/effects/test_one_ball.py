@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from synthcam.dynamics.batch import collisions
+from synthcam.dynamics.batch import solve_collisions
 from synthcam.dynamics.launch import Launch
 from synthcam.dynamics.solve import solve
 from synthcam.model import Model
@@ -23,7 +23,7 @@ def single(model, labels, row=ROW[0]):
 
 
 def many(model, labels, row=ROW[0]):
-    return collisions(model, row[None], 0.0, TIMES[-1], [labels[1] == "a"]).at(TIMES)[:, 0]
+    return solve_collisions(model, row[None], 0.0, TIMES[-1], [labels[1] == "a"]).at(TIMES)[:, 0]
 
 
 def pulled(model, labels, row=ROW[0]):

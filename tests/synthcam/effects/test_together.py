@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from synthcam.dynamics.batch import collisions
+from synthcam.dynamics.batch import solve_collisions
 from synthcam.library import library
 from synthcam.model import Model
 
@@ -19,7 +19,9 @@ def sized(name, size):
 
 
 def positions(values):
-    return collisions(Model().replace(values), ROWS, 0.0, 0.4, [False, True]).at(np.linspace(0.02, 0.4, 40))[..., :3]
+    return solve_collisions(Model().replace(values), ROWS, 0.0, 0.4, [False, True]).at(np.linspace(0.02, 0.4, 40))[
+        ..., :3
+    ]
 
 
 @pytest.mark.parametrize("name", library())

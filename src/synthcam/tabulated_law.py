@@ -16,18 +16,20 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from synthcam.effect import LAWS, VECTORS, Effect, Parameter
-from synthcam.table import Table, plain
+from synthcam.effect import LAWS, VECTOR_INPUTS, Effect, Parameter
+from synthcam.table import SmoothTable, to_tuples
 
 Array = NDArray[np.float64]
 Owners = tuple[tuple[str, int], ...]
 
-PACE = 0.1  # m/s: at this speed a rolling loss's part in proportion to the speed counts as its constant part does
+REFERENCE_SPEED_M_S = (
+    0.1  # m/s: at this speed a rolling loss's part in proportion to the speed counts as its constant part does
+)
 LINE, TURN, PLACE = "line", "turn", "place"
 
 
 @dataclass(frozen=True)
-class Kind:
+class TableKind:
     """What a table may be of.
 
     Attributes
@@ -41,7 +43,7 @@ class Kind:
     unit, x_unit : str
     parts : int
         2: of a force its parts along x and y, or, over an angle, along the motion and across it, over the speed; of a
-        rolling loss a constant part, and one in proportion to the speed, as it is at PACE.
+        rolling loss a constant part, and one in proportion to the speed, as it is at REFERENCE_SPEED_M_S.
     low, high : float
         Between them the law must stay.
     one_ball : bool
@@ -60,24 +62,24 @@ class Kind:
     one_ball: bool = False
 
 
-def _friction(what: str, axis: str = LINE, **more: Any) -> Kind:
-    return Kind("friction", what, (("sliding_friction", 0),), axis, low=0.0, **more)
+def _friction(what: str, axis: str = LINE, **more: Any) -> TableKind:
+    return TableKind("friction", what, (("sliding_friction", 0),), axis, low=0.0, **more)
 
 
-def _restitution(what: str, axis: str = LINE, **more: Any) -> Kind:
-    return Kind("restitution", what, (("restitution", 0),), axis, low=0.0, high=1.0, **more)
+def _restitution(what: str, axis: str = LINE, **more: Any) -> TableKind:
+    return TableKind("restitution", what, (("restitution", 0),), axis, low=0.0, high=1.0, **more)
 
 
-def _spin_transfer(what: str, axis: str = LINE, **more: Any) -> Kind:
-    return Kind("spin_transfer", what, (("spin_transfer", 0),), axis, low=0.0, high=5 / 7, **more)
+def _spin_transfer(what: str, axis: str = LINE, **more: Any) -> TableKind:
+    return TableKind("spin_transfer", what, (("spin_transfer", 0),), axis, low=0.0, high=5 / 7, **more)
 
 
-def _rolling(what: str, axis: str = LINE, owners: Owners = (), **more: Any) -> Kind:
-    return Kind("rolling", what, owners, axis, "m/s^2", **more)
+def _rolling(what: str, axis: str = LINE, owners: Owners = (), **more: Any) -> TableKind:
+    return TableKind("rolling", what, owners, axis, "m/s^2", **more)
 
 
 _LOSS: Owners = (("rolling_decel", 0), ("rolling_drag", 1))
-KINDS: dict[str, Kind] = {
+TABLE_KINDS: dict[str, TableKind] = {
     "friction_speed": _friction("slip_speed", one_ball=True),
     "friction_ball_speed": _friction("velocity"),
     "friction_heading": _friction("slip", TURN, x_unit="rad"),
@@ -91,12 +93,12 @@ KINDS: dict[str, Kind] = {
     "rolling_speed": _rolling("speed", owners=_LOSS, low=0.0, one_ball=True),
     "rolling_heading": _rolling("velocity", TURN, x_unit="rad", parts=2),
     "rolling_place": _rolling("position", PLACE, x_unit="m", parts=2),
-    "force_speed": Kind("push", "velocity", unit="m/s^2", one_ball=True),
-    "force_velocity": Kind("push", "velocity", (), PLACE, "m/s^2", "m/s", parts=2, one_ball=True),
-    "force_heading": Kind("push", "velocity", (), TURN, "1/s", "rad", parts=2),
-    "force_place": Kind("push", "position", (), PLACE, "m/s^2", "m", parts=2, one_ball=True),
+    "force_speed": TableKind("push", "velocity", unit="m/s^2", one_ball=True),
+    "force_velocity": TableKind("push", "velocity", (), PLACE, "m/s^2", "m/s", parts=2, one_ball=True),
+    "force_heading": TableKind("push", "velocity", (), TURN, "1/s", "rad", parts=2),
+    "force_place": TableKind("push", "position", (), PLACE, "m/s^2", "m", parts=2, one_ball=True),
 }
-NOT_YET = {  # free laws of a search that no model holds, and why
+SEARCH_ONLY_LAWS = {  # free laws of a search that no model holds, and why
     **dict.fromkeys(("lag_speed", "warp_place"), "of the instrument; a model holds only laws of motion"),
     "side_spin_clip": "of the launches: `free: [launch.spin]` has it fitted in each, launch.side of a scene makes it",
     **dict.fromkeys(
@@ -106,19 +108,19 @@ NOT_YET = {  # free laws of a search that no model holds, and why
 }
 
 
-def kind_of(name: str) -> tuple[Kind, str]:
+def kind_of(name: str) -> tuple[TableKind, str]:
     """What a table of that name is of, and of which ball alone ("a", "b" or "" for both). Raises KeyError."""
-    if name in KINDS:
-        return KINDS[name], ""
+    if name in TABLE_KINDS:
+        return TABLE_KINDS[name], ""
     own, _, ball = name.rpartition("_")
-    if ball in ("a", "b") and own in KINDS and KINDS[own].one_ball:
-        return KINDS[own], ball
+    if ball in ("a", "b") and own in TABLE_KINDS and TABLE_KINDS[own].one_ball:
+        return TABLE_KINDS[own], ball
     raise KeyError(name)
 
 
-def names() -> Iterator[str]:
+def table_names() -> Iterator[str]:
     """Every name that a table may have."""
-    for name, kind in KINDS.items():
+    for name, kind in TABLE_KINDS.items():
         yield name
         if kind.one_ball:
             yield from (f"{name}_a", f"{name}_b")
@@ -142,26 +144,26 @@ class AddedLaw(Effect):
 
     @property
     @abstractmethod
-    def bent(self) -> tuple[str, str, str] | None:
+    def target(self) -> tuple[str, str, str] | None:
         """The law, what it depends on ("": the value itself), and the ball that it is of; None: no law of a model."""
 
     @abstractmethod
-    def _added(self, what: Any, speed: Any) -> Array:
+    def _addition(self, what: Any, speed: Any) -> Array:
         """What it adds to the law where that depends on `what`: (...), or (..., 2) of a push."""
 
     @property
     def bends(self) -> Iterator[tuple[str, Callable[..., Any], tuple[str, ...]]]:
-        if self.bent:
-            law, what, ball = self.bent
+        if self.target:
+            law, what, ball = self.target
             asks = dict.fromkeys([what] * bool(what) + ["speed"] * (law == "rolling") + ["of_a"] * bool(ball))
             yield law, partial(self._bend, tuple(asks)), tuple(asks)
 
     def _bend(self, asks: tuple[str, ...], value: Any, *known: Any) -> Any:
         """The law's value, bent. known: what it asks for."""
-        assert self.bent
-        law, what, ball = self.bent
+        assert self.target
+        law, what, ball = self.target
         instant = dict(zip(asks, known, strict=True))
-        out = self._added(instant[what] if what else value, instant.get("speed"))
+        out = self._addition(instant[what] if what else value, instant.get("speed"))
         if ball:
             share = instant["of_a"] if ball == "a" else 1 - instant["of_a"]
             out = out * (np.asarray(share)[..., None] if law == "push" else share)
@@ -175,22 +177,22 @@ class TabulatedLaw(AddedLaw):
     Attributes
     ----------
     law : str
-        One of `names()`.
+        One of `table_names()`.
     table : Table
         The law's values, where those numbers are `stood_for`; where they are others, it is shifted by the difference.
     stood_for : tuple of float
-        The values of `Kind.owners`.
+        The values of `TableKind.owners`.
     """
 
     law: str
-    table: Table
-    stood_for: tuple[float, ...] = ()
+    table: SmoothTable
+    base_numbers: tuple[float, ...] = ()
 
     @classmethod
     def of(cls, law: str, x: Any, y: Any, numbers: Mapping[str, float]) -> TabulatedLaw:
         """A table beside these numbers of the base model. Raises ValueError, which says what was expected."""
         kind, _ = kind_of(law)
-        table = Table(plain(x), plain(y), kind.axis == TURN)
+        table = SmoothTable(to_tuples(x), to_tuples(y), kind.axis == TURN)
         if table.plane != (kind.axis == PLACE):
             raise ValueError(f"x: expected {'pairs' if kind.axis == PLACE else 'numbers'}, {kind.x_unit}")
         if table.parts != kind.parts:
@@ -210,22 +212,22 @@ class TabulatedLaw(AddedLaw):
         return True
 
     @cached_property
-    def kind(self) -> Kind:
+    def kind(self) -> TableKind:
         return kind_of(self.law)[0]
 
     @cached_property
-    def bent(self) -> tuple[str, str, str] | None:
+    def target(self) -> tuple[str, str, str] | None:
         kind, ball = kind_of(self.law)
         return kind.law, kind.what, ball
 
     def beyond(self, *x: Any) -> Array:
         """What it has beyond the numbers that it stands for, at places x: (...), or (..., 2) of two parts."""
         out = self.table(*x)
-        for (_, power), value in zip(self.kind.owners, self.stood_for, strict=True):
+        for (_, power), value in zip(self.kind.owners, self.base_numbers, strict=True):
             out = out - value * np.asarray(x[0]) ** power
         return np.asarray(out)
 
-    def _added(self, what: Any, speed: Any) -> Array:
+    def _addition(self, what: Any, speed: Any) -> Array:
         kind = self.kind
         what = np.asarray(what)
         if kind.axis == PLACE:
@@ -236,21 +238,21 @@ class TabulatedLaw(AddedLaw):
             size = np.hypot(what[..., 0], what[..., 1])
             return np.asarray((self.beyond(size) / np.maximum(size, 1e-9))[..., None] * what)
         else:
-            out = self.beyond(np.hypot(what[..., 0], what[..., 1]) if kind.what in VECTORS else what)
+            out = self.beyond(np.hypot(what[..., 0], what[..., 1]) if kind.what in VECTOR_INPUTS else what)
         if kind.law == "rolling" and kind.parts == 2:
-            return np.asarray(out[..., 0] + out[..., 1] * (speed / PACE))
+            return np.asarray(out[..., 0] + out[..., 1] * (speed / REFERENCE_SPEED_M_S))
         if kind.law == "push" and kind.axis == TURN:
             return np.asarray(out[..., :1] * what + out[..., 1:] * np.stack([-what[..., 1], what[..., 0]], axis=-1))
         return out
 
-    def plain(self, numbers: Mapping[str, float]) -> dict[str, list[Any]]:
+    def to_settings(self, numbers: Mapping[str, float]) -> dict[str, list[Any]]:
         """x and y as `of` takes them, beside these numbers of the base model."""
         x, y = np.array(self.table.x), np.array(self.table.y)
-        for (name, power), value in zip(self.kind.owners, self.stood_for, strict=True):
+        for (name, power), value in zip(self.kind.owners, self.base_numbers, strict=True):
             if numbers[name] != value:
                 first = x[:, 0] if self.table.plane else x
                 y = np.clip(y + (numbers[name] - value) * first**power, self.kind.low, self.kind.high)
         return {"x": x.tolist(), "y": y.tolist()}
 
 
-assert all(kind.law in LAWS and kind.what in LAWS[kind.law] for kind in KINDS.values())
+assert all(kind.law in LAWS and kind.what in LAWS[kind.law] for kind in TABLE_KINDS.values())

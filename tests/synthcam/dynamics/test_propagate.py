@@ -5,9 +5,9 @@ import pytest
 from everything import BENT, TIGHT, R, roll_by_hand, slide_by_hand
 from scipy.integrate import solve_ivp
 
-from synthcam.dynamics.forces import Balls, ending_slip
-from synthcam.dynamics.integrate import back, lead
+from synthcam.dynamics.forces import BallStates, find_ending_slip
 from synthcam.dynamics.kinematics import contact_velocity, roll, rolling_state, rolling_velocity, slide
+from synthcam.dynamics.propagate import propagate, propagate_back
 from synthcam.effects.plate_tilt import PlateTilt
 from synthcam.model import Model
 
@@ -31,8 +31,12 @@ BEGIN = np.array([0.1, 0.3])
 
 def slides(model, states, bodies):
     """All slides at once."""
-    floor = ending_slip(model, states, bodies) if model.laws.bent("drilling") else np.full(len(states), np.inf)
-    ((_, way),) = lead(Balls(model, bodies, states, floor), np.full(len(states), np.inf))
+    floor = (
+        find_ending_slip(model, states, bodies)
+        if model.laws.has_effect_on("drilling")
+        else np.full(len(states), np.inf)
+    )
+    ((_, way),) = propagate(BallStates(model, bodies, states, floor), np.full(len(states), np.inf))
     return way
 
 
@@ -40,10 +44,10 @@ def rolls(model, start, until):
     """Of one ball, from time 0: the pieces of its path, each with its end; and the last state."""
     now, pieces = np.zeros(1), []
     while now < until:
-        ((_, way),) = lead(Balls.undrilled(model, TWO[:1], start), until - now)
-        pieces.append(way.led.later(now))
-        start, now = way.last, now + way.lasts
-        if way.over[0]:
+        ((_, way),) = propagate(BallStates.without_drilling(model, TWO[:1], start), until - now)
+        pieces.append(way.motion.shift(now))
+        start, now = way.final_states, now + way.durations
+        if way.ended[0]:
             break
     return pieces, now[0], start
 
@@ -56,21 +60,21 @@ def bent():
 @pytest.mark.parametrize("k", [0, 1, 2])
 def test_a_slide_with_everything_bent(bent, k):
     run = slide_by_hand(START[k], [0.0, 1.0])
-    assert bent.lasts[k] == pytest.approx(run.t[-1], abs=3e-8)
+    assert bent.durations[k] == pytest.approx(run.t[-1], abs=3e-8)
     times = np.tile(np.linspace(0, run.t[-1] - 2e-6, 60), (3, 1))  # before the uniform end
-    ours = bent.led.at(np.minimum(times, bent.lasts[:, None]))[k]
+    ours = bent.motion.at(np.minimum(times, bent.durations[:, None]))[k]
     np.testing.assert_allclose(ours[:, [0, 1, 3, 4]], run.sol(times[k])[:4].T, rtol=0, atol=2e-9)
     np.testing.assert_allclose(ours[:, [6, 7, 8]] * R, run.sol(times[k])[4:].T * R, rtol=0, atol=1e-8)
-    early = times[k] < bent.lasts[k] - 1e-4
+    early = times[k] < bent.durations[k] - 1e-4
     np.testing.assert_allclose(ours[early][:, [0, 1, 3, 4]], run.sol(times[k][early])[:4].T, rtol=0, atol=1e-11)
-    np.testing.assert_allclose(bent.last[k, [0, 1, 3, 4]], run.y[:4, -1], rtol=0, atol=5e-8)
-    np.testing.assert_allclose(contact_velocity(bent.last[k], R), 0, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(bent.final_states[k, [0, 1, 3, 4]], run.y[:4, -1], rtol=0, atol=5e-8)
+    np.testing.assert_allclose(contact_velocity(bent.final_states[k], R), 0, rtol=0, atol=1e-12)
 
 
 def test_a_slide_is_smooth_over_its_tail(bent):
     """Where the closing formula takes over, state and velocity go on without a step."""
     back = np.geomspace(1e-9, 1e-3, 400)[::-1]
-    states = bent.led.at(bent.lasts[:, None] - back)
+    states = bent.motion.at(bent.durations[:, None] - back)
     steepness = np.abs(np.diff(states[..., 3:5], axis=1)).max(axis=2) / -np.diff(back)
     assert np.all(steepness.max(axis=1) < 1.5 * steepness[:, 0])
 
@@ -78,19 +82,21 @@ def test_a_slide_is_smooth_over_its_tail(bent):
 def test_together_is_one_by_one(bent):
     for k in range(3):
         alone = slides(BENT, START[k : k + 1], BALLS[k : k + 1])
-        times = np.linspace(0, 1, 20) * alone.lasts[:, None]
-        together = bent.led.at(np.tile(times, (3, 1)).clip(0, bent.lasts[:, None]))[k]
-        np.testing.assert_allclose(alone.led.at(times)[0], together, rtol=1e-11, atol=1e-13)
+        times = np.linspace(0, 1, 20) * alone.durations[:, None]
+        together = bent.motion.at(np.tile(times, (3, 1)).clip(0, bent.durations[:, None]))[k]
+        np.testing.assert_allclose(alone.motion.at(times)[0], together, rtol=1e-11, atol=1e-13)
 
 
 def test_a_slide_unbent_is_the_parabola():
     slowing = 0.232 * 9.81
     found = slides(Model(), START, BALLS)
     lasts = np.hypot(*contact_velocity(START, R).T) / (3.5 * slowing)
-    np.testing.assert_allclose(found.lasts, lasts, rtol=1e-13)
+    np.testing.assert_allclose(found.durations, lasts, rtol=1e-13)
     times = np.linspace(0, 1, 33) * lasts[:, None]
-    np.testing.assert_allclose(found.led.at(times), slide(START, R, np.full(3, slowing), times), rtol=1e-11, atol=1e-14)
-    np.testing.assert_allclose(rolling_velocity(found.last, R), rolling_velocity(START, R), rtol=1e-13)
+    np.testing.assert_allclose(
+        found.motion.at(times), slide(START, R, np.full(3, slowing), times), rtol=1e-11, atol=1e-14
+    )
+    np.testing.assert_allclose(rolling_velocity(found.final_states, R), rolling_velocity(START, R), rtol=1e-13)
 
 
 def test_a_push_that_friction_cannot_end_is_refused():
@@ -102,7 +108,7 @@ def pieced(pieces, times):
     """States (m, 9) of one ball at times (m,)."""
     out = np.full((len(times), 9), np.nan)
     for led in pieces:
-        a, b = sorted((led.begins[0], led.begins[0] + led.lasts[0]))
+        a, b = sorted((led.begins[0], led.begins[0] + led.durations[0]))
         here = (times >= a - 1e-15) & (times <= b + 1e-15)
         out[here] = led.at(times[None, here])[0]
     return out
@@ -116,7 +122,10 @@ def test_a_roll_with_everything_bent_both_ways_in_time(until, k):
         assert ends == pytest.approx(until, abs=1e-15)
     else:
         pieces = [
-            led for _, led in back(Balls.undrilled(BENT, TWO[:1], ROLLS[k : k + 1]), np.zeros(1), np.array([until]))
+            led
+            for _, led in propagate_back(
+                BallStates.without_drilling(BENT, TWO[:1], ROLLS[k : k + 1]), np.zeros(1), np.array([until])
+            )
         ]
     times = np.linspace(0, 1, 60) * until
     states, run = pieced(pieces, times), roll_by_hand(ROLLS[k], 0.0, until)
@@ -153,8 +162,8 @@ def test_a_roll_slower_than_the_slowest():
 def test_a_flight_is_pushed_in_full_and_loses_nothing():
     start = ROLLS.copy()
     start[:, 5] = 9.81 * 0.025
-    ((_, way),) = lead(Balls.undrilled(BENT, TWO, start), np.full(2, np.inf))
-    np.testing.assert_allclose(way.lasts, 0.05, rtol=1e-14)
+    ((_, way),) = propagate(BallStates.without_drilling(BENT, TWO, start), np.full(2, np.inf))
+    np.testing.assert_allclose(way.durations, 0.05, rtol=1e-14)
 
     def right(_, y):
         return [*y[2:], *(0.5 * np.sin(300 * y[:2]) - 0.02 * y[2:])]
@@ -162,5 +171,5 @@ def test_a_flight_is_pushed_in_full_and_loses_nothing():
     for k in (0, 1):
         run = solve_ivp(right, (0, 0.05), start[k][[0, 1, 3, 4]], **TIGHT)
         times = np.tile(np.linspace(0, 0.05, 9), (2, 1))
-        found = way.led.at(times)[k][:, [0, 1, 3, 4]]
+        found = way.motion.at(times)[k][:, [0, 1, 3, 4]]
         np.testing.assert_allclose(found, run.sol(times[k]).T, rtol=0, atol=1e-12)

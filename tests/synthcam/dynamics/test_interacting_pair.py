@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from synthcam.dynamics.batch import collisions
+from synthcam.dynamics.batch import solve_collisions
 from synthcam.dynamics.kinematics import rolling_state
 from synthcam.dynamics.launch import Launch
 from synthcam.dynamics.solve import solve
@@ -203,7 +203,7 @@ def test_a_target_that_is_pushed_away_all_but_as_fast_as_it_is_chased_is_refused
     with pytest.raises(ValueError, match=said):
         solve(model, Launch.pair(model.bodies("ab"), T_C, 0.1, b, 0.3, (0, 0)), 0.0, 0.4)
     with pytest.raises(ValueError, match=said):
-        collisions(model, np.array([[0, 0, T_C, 0.1, 0.3, b]]), 0.0, 0.4)
+        solve_collisions(model, np.array([[0, 0, T_C, 0.1, 0.3, b]]), 0.0, 0.4)
 
 
 @pytest.mark.parametrize(("pull", "v0"), [(0.1, 0.0063), (0.3, 0.013), (0.5, 0.0175)])
@@ -317,7 +317,9 @@ def test_a_slip_that_a_push_would_keep_creeping_ends(pull, a):
         np.testing.assert_allclose(found[:, :2], y.reshape(2, 9)[:, :2], rtol=0, atol=1e-10)
         np.testing.assert_allclose(found[:, 3:5], y.reshape(2, 9)[:, 3:5], rtol=0, atol=3e-9)
     assert ends == pytest.approx([motion.first("slide_end", k).t for k in (0, 1)], abs=2e-9)
-    batch = collisions(Model().replace({"drilling_spin.a": a, "magnetic_attraction.pull": pull}), LAUNCHED, T_C, 0.5)
+    batch = solve_collisions(
+        Model().replace({"drilling_spin.a": a, "magnetic_attraction.pull": pull}), LAUNCHED, T_C, 0.5
+    )
     assert batch.slide_ends == pytest.approx([motion.first("slide_end", k).t for k in (0, 1)], abs=1e-10)
 
 
@@ -326,7 +328,7 @@ def test_strong_pulls_and_other_effects_in_the_batch():
     numbers = {"magnetic_attraction.pull": 0.1, "hop.share": 1.0, "hop.bounce": 0.5, "mass_mismatch.excess": 0.02}
     model = Model().replace(numbers | {"plate_tilt.x": 3e-4, "stribeck.rise": 0.2, "diameter_mismatch.excess": 1e-3})
     rows = np.array([[0, 0, T_C, 0.1, 1.0, 0.8], [0, 0, T_C, 0.5, 2.0, -0.3], [0, 0, T_C, 0.25, 4.0, 0.05]])
-    batch, times = collisions(model, rows, 0.0, 0.4, True), np.linspace(0, 0.4, 41)
+    batch, times = solve_collisions(model, rows, 0.0, 0.4, True), np.linspace(0, 0.4, 41)
     found = batch.at(times)
     for k, (x, y, t_c, v0, heading, b) in enumerate(rows):
         motion = solve(model, Launch.pair(model.bodies("ba"), t_c, v0, b, heading, (x, y)), 0.0, 0.4)

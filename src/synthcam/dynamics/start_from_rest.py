@@ -11,11 +11,11 @@ from typing import Any
 
 import numpy as np
 
-from synthcam.dynamics.collocation import matrices, product
-from synthcam.dynamics.forces import SLOWEST, TINY, Balls, Flags, Forces, Ints, last_axis
-from synthcam.dynamics.integrate import back
+from synthcam.dynamics.collocation import matrices, multiply
+from synthcam.dynamics.forces import SLOWEST, TINY, BallStates, Flags, Forces, Ints, last_axis
+from synthcam.dynamics.integrated_motion import IntegratedMotion
 from synthcam.dynamics.kinematics import Array, rolling_state
-from synthcam.dynamics.led import Led
+from synthcam.dynamics.propagate import propagate_back
 from synthcam.model import Bodies, Model
 
 STARTS = (12, 20, 32, 56)  # nodes of a piece that begins at rest: tried in this order
@@ -39,20 +39,20 @@ def push_at_rest(model: Model, bodies: Bodies, states: Array, other: Array) -> A
     return Forces.of(model, bodies).push(place, np.zeros(place.shape), last_axis(other - place))
 
 
-def excess(model: Model, bodies: Bodies, states: Array, other: Array) -> Array:
+def excess_push(model: Model, bodies: Bodies, states: Array, other: Array) -> Array:
     """By how much 5/7 of that push exceeds what holds the balls, or would were they to roll, (k, n), m/s^2."""
     push = push_at_rest(model, bodies, states, other)
     size = np.hypot(push[0], push[1])
     place = np.broadcast_to(states[:, :2].T[..., None], push.shape)
-    known = Forces.of(model, bodies).known | dict(position=last_axis(place), other=last_axis(other - place))
+    known = Forces.of(model, bodies).constants | dict(position=last_axis(place), other=last_axis(other - place))
     known |= dict(velocity=last_axis(SLOWEST * push / np.maximum(size, TINY)), speed=np.full(size.shape, SLOWEST))
     loss = model.laws("rolling", model.rolling_decel, known)
     return np.asarray(size * 5 / 7 - np.maximum(model.rolling_decel, loss))
 
 
-def approach(
+def solve_approach(
     model: Model, bodies: Bodies, touching: Array, lasted: Array
-) -> tuple[Array, list[tuple[Ints, Led]], Array]:
+) -> tuple[Array, list[tuple[Ints, IntegratedMotion]], Array]:
     """What led to contacts at time 0, states (2 k, 9): balls that rested, then those that come to them.
 
     A ball is let go where the pull on it overcomes what holds it, but when the other is AWAY at the earliest. Returns
@@ -61,33 +61,33 @@ def approach(
     Raises ValueError if there is no such past.
     """
     k = len(lasted)
-    hit, then, onset, pieces = touching.copy(), touching.copy(), np.zeros(k), list[tuple[Ints, Led]]()
-    lasts, held = _pulled_for(model, bodies, touching)
+    hit, then, onset, pieces = touching.copy(), touching.copy(), np.zeros(k), list[tuple[Ints, IntegratedMotion]]()
+    lasts, held = _guess_pull_duration(model, bodies, touching)
     left = np.flatnonzero(lasts > 0)
     for size in STARTS:
         if len(left) == 0:
             break
         rows = np.concatenate([left, left + k])
-        led, good = creep(model, bodies[rows], touching[rows], -lasts[left], -1, ~held[left], size)
+        motion, good = solve_start(model, bodies[rows], touching[rows], -lasts[left], -1, ~held[left], size)
         if not good.any():
             continue
         found, own = left[good], np.flatnonzero(np.tile(good, 2))
-        pieces.append((found, led[own]))
+        pieces.append((found, motion[own]))
         rows = np.concatenate([found, found + k])
-        hit[found, 3:5] = led.at(0 * led.lasts[:, None])[own[: len(found)], 0, 3:5]
-        then[rows] = led.at(led.lasts[:, None])[own, 0]
-        onset[found], left = led.lasts[own[: len(found)]], left[~good]
+        hit[found, 3:5] = motion.at(0 * motion.durations[:, None])[own[: len(found)], 0, 3:5]
+        then[rows] = motion.at(motion.durations[:, None])[own, 0]
+        onset[found], left = motion.durations[own[: len(found)]], left[~good]
     if len(left):
         raise ValueError(NEVER.format(np.hypot(*touching[k + left[0], 3:5])))
     hit[:k] = rolling_state(hit[:k, :2], hit[:k, 3:5], hit[:k, 8], bodies.radius[:k])
     then[:k, 3:8] = 0.0
-    pieces += back(Balls.undrilled(model, bodies, then, 2), onset, -lasted)
+    pieces += propagate_back(BallStates.without_drilling(model, bodies, then, 2), onset, -lasted)
     return hit, pieces, onset
 
 
-def creep(
+def solve_start(
     model: Model, bodies: Bodies, states: Array, lasts: Array, anchor: int, onset: Flags, size: int
-) -> tuple[Led, Flags]:
+) -> tuple[IntegratedMotion, Flags]:
     """Balls that start from rest, and those that pull them: states (2 k, 9) at time 0, for `lasts` (k,).
 
     anchor: 0 where they start at time 0, -1 where they did so `lasts` (negative) from then; onset: whose start is to be
@@ -107,16 +107,16 @@ def creep(
     gain = np.maximum(np.hypot(pull[0], pull[1]) - decel, 0.0)
     s = np.abs(long * (on.nodes - on.nodes[anchor]) / 2) * gain / 2
     e = np.repeat(hat, size, axis=-1)
-    place[:, :k] += long * product(s * e, integral)
+    place[:, :k] += long * multiply(s * e, integral)
     with np.errstate(all="ignore"):
         for turn in range(TURNS):
             apart = last_axis(place[:, k:] - place[:, :k])
             v0 = np.maximum(s, SLOWEST) * e
             pull = 5 / 7 * one.push(place[:, :k], v0, apart)
-            known = one.known | dict(position=last_axis(place[:, :k]), velocity=last_axis(v0), other=apart)
+            known = one.constants | dict(position=last_axis(place[:, :k]), velocity=last_axis(v0), other=apart)
             base, speed = model.rolling_drag * np.maximum(s, 0.0) + decel, np.maximum(s, SLOWEST)
             loss = model.laws("rolling", base, known | {"speed": speed}) + 0 * s
-            force = two.rolling(place[:, k:], v1, -apart)
+            force = two.accelerate_rolling(place[:, k:], v1, -apart)
             strength = np.maximum(np.hypot(pull[0], pull[1]), TINY)
             early = strength - np.maximum(loss, decel)
             beyond = np.clip(early[:, -1:] / (early @ slope[:, -1:]), -0.3, 0.3)
@@ -131,28 +131,32 @@ def creep(
             lag = np.linalg.solve(lines, (weight * (phi @ slope))[..., None])[..., 0]
             c, d = np.cos(phi - lag), np.sin(phi - lag)
             e = np.stack([c * hat[0] - d * hat[1], d * hat[0] + c * hat[1]])
-            v1 = v_in + long * product(force, integral)
+            v1 = v_in + long * multiply(force, integral)
             old, v = place, np.concatenate([s * e, v1], axis=1)
-            place = where + np.tile(long, (2, 1)) * product(v, integral)
+            place = where + np.tile(long, (2, 1)) * multiply(v, integral)
             moved = np.abs(place - old).max(axis=(0, 2)).reshape(2, k).max(axis=0) / np.abs(long[:, 0])
             last, change = change, moved
             to_come = change * np.minimum(change / np.maximum(last, TINY), 1.0)
             if turn > 0 and not np.any((to_come >= SETTLED) & (to_come < np.inf)):
                 break
-    found = product(np.concatenate([place, v]), on.coefficients)
-    rough = np.maximum(_most(found[:2, :, -2:]) / TRUE, _most(found[2:, :, -2:]) / STEADY).reshape(2, k).max(axis=0)
+    found = multiply(np.concatenate([place, v]), on.coefficients)
+    rough = (
+        np.maximum(_largest_component(found[:2, :, -2:]) / TRUE, _largest_component(found[2:, :, -2:]) / STEADY)
+        .reshape(2, k)
+        .max(axis=0)
+    )
     good = (to_come < SETTLED) & (rough < 1) & (s.min(axis=1) >= 0) & (np.sign(long[:, 0]) == np.sign(lasts))
     long = np.tile(long, (2, 1))
     piece, none = (long * (1 + on.nodes) / 2, np.concatenate([place, v])), np.zeros(2 * k, dtype=bool)
-    return Led(0 * long[:, 0], long[:, 0], states, bodies.radius, model.gravity, [piece], 0, none), good
+    return IntegratedMotion(0 * long[:, 0], long[:, 0], states, bodies.radius, model.gravity, [piece], 0, none), good
 
 
-def _most(vectors: Any) -> Array:
+def _largest_component(vectors: Any) -> Array:
     """The largest part of any of (2, m, few): (m,)."""
     return np.asarray(np.abs(vectors).max(axis=(0, 2)))
 
 
-def _pulled_for(model: Model, bodies: Bodies, touching: Array) -> tuple[Array, Flags]:
+def _guess_pull_duration(model: Model, bodies: Bodies, touching: Array) -> tuple[Array, Flags]:
     """How long the first balls are pulled along before the contact, were the others' rolls uniform, (k,).
 
     And whether that is longer than we look.
@@ -161,7 +165,7 @@ def _pulled_for(model: Model, bodies: Bodies, touching: Array) -> tuple[Array, F
     here, way = touching[k:, :2].T[..., None], touching[k:, 3:5].T[..., None]
 
     def early(tau: Array) -> Flags:
-        return np.asarray(excess(model, bodies[:k], touching[:k], here - tau[:, None] * way)[:, 0] > 0)
+        return np.asarray(excess_push(model, bodies[:k], touching[:k], here - tau[:, None] * way)[:, 0] > 0)
 
     far = AWAY * (bodies.radius[:k] + bodies.radius[k:]) / np.hypot(way[0, :, 0], way[1, :, 0])
     pulled, held = early(0 * far), early(far)

@@ -8,7 +8,7 @@ from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
 import synthcam
-from synthcam.dynamics.turning import Turning
+from synthcam.dynamics.orientation import OrientationHistory
 
 R = 1.19e-3
 FIRST = np.array([[0, 0, 0, 1.0], [0.1, -0.5, 0.3, 0.8]])
@@ -21,7 +21,7 @@ def motion(**launch):
 
 def test_a_rolling_ball_turns_by_its_path_over_its_radius():
     solved = motion()
-    turning, times = Turning(solved, FIRST), np.array([0.0, 0.013, 0.05])
+    turning, times = OrientationHistory(solved, FIRST), np.array([0.0, 0.013, 0.05])
     path = np.linalg.norm(solved.at(times)[1, :, :2] - solved.at([0.0])[1, 0, :2], axis=1)
     axis = np.array([-np.sin(0.7), np.cos(0.7), 0])
     expected = Rotation.from_rotvec(path[:, None] / R * axis) * Rotation.from_quat(FIRST[1])
@@ -32,7 +32,7 @@ def test_a_rolling_ball_turns_by_its_path_over_its_radius():
 @pytest.mark.parametrize("ball", [0, 1])
 def test_through_the_collision_and_the_slides(ball):
     solved = motion()
-    turning = Turning(solved, FIRST)
+    turning = OrientationHistory(solved, FIRST)
     turn = FIRST[ball] / np.linalg.norm(FIRST[ball])
     cuts = [solved.t0, *sorted(e.t for e in solved.events if ball in (e.i, e.j)), solved.t1]
     for start, end in pairwise(cuts):

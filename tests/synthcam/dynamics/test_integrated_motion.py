@@ -7,8 +7,8 @@ import pytest
 
 from synthcam.dynamics.collocation import matrices
 from synthcam.dynamics.forces import FINISH
-from synthcam.dynamics.integrate import BREAK, CLOSING
-from synthcam.dynamics.led import Led
+from synthcam.dynamics.integrated_motion import IntegratedMotion
+from synthcam.dynamics.propagate import BREAK, CLOSING
 
 KNOTS = np.log(FINISH) * np.array([0.0, BREAK, 1.0])
 LASTS = np.array([0.04, 0.013])
@@ -28,7 +28,7 @@ def integral(t):
 
 def led(pieces, power):
     nothing = np.zeros((2, 9))
-    return Led(np.zeros(2), LASTS, nothing, np.ones(2), 9.81, pieces, power, np.zeros(2, dtype=bool))
+    return IntegratedMotion(np.zeros(2), LASTS, nothing, np.ones(2), 9.81, pieces, power, np.zeros(2, dtype=bool))
 
 
 def read(logarithmic):
@@ -51,7 +51,7 @@ def test_means_are_those_of_the_integral(logarithmic, wide):
     for width in (each, wide * LASTS.min()):
         long = middle.astype(np.longdouble)
         expected = (integral(long + width / 2) - integral(long - width / 2)) / width
-        np.testing.assert_allclose(reading.means(middle, width)[exact], expected[exact], rtol=0, atol=5e-14)
+        np.testing.assert_allclose(reading.average_centres(middle, width)[exact], expected[exact], rtol=0, atol=5e-14)
 
 
 @pytest.mark.parametrize("logarithmic", [True, False])
@@ -59,7 +59,7 @@ def test_the_narrower_the_nearer_to_an_instant(logarithmic):
     reading, exact = read(logarithmic), slice(None) if logarithmic else slice(1)
     times = np.linspace(0.01, 0.99, 30) * LASTS[:, None]
     for wide in (0.0, 1e-12, 1e-8, 0 * times):
-        np.testing.assert_allclose(reading.means(times, wide)[exact], place(times)[exact], rtol=0, atol=2e-14)
+        np.testing.assert_allclose(reading.average_centres(times, wide)[exact], place(times)[exact], rtol=0, atol=2e-14)
 
 
 def test_a_path_with_a_sharp_bend_takes_more_nodes():
@@ -67,7 +67,7 @@ def test_a_path_with_a_sharp_bend_takes_more_nodes():
     times = LASTS[:, None] * (1 + z) / 2
     bend = np.tanh(10 * (times / LASTS[:, None] - 0.5))
     reading = led([(times, np.stack([bend, bend]) * 1e-5)], 1)
-    assert reading._places[0].shape[-1] == 64
+    assert reading._position_series[0].shape[-1] == 64
     instants = np.linspace(0, 1, 99) * LASTS[:, None]
-    found = reading.means(instants, 0.0)[0]
+    found = reading.average_centres(instants, 0.0)[0]
     np.testing.assert_allclose(found, 1e-5 * np.tanh(10 * (instants / LASTS[:, None] - 0.5)), rtol=0, atol=1e-13)

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from scipy.integrate import quad
 
-from synthcam.dynamics.batch import collisions
+from synthcam.dynamics.batch import solve_collisions
 from synthcam.dynamics.launch import Launch
 from synthcam.dynamics.solve import solve
-from synthcam.free_law import KINDS, NOT_YET, TabulatedLaw, kind_of, names
 from synthcam.model import Model, build, read_model, settings_of, write_model
 from synthcam.scene.scene import check_scene
-from synthcam.table import Table
+from synthcam.table import SmoothTable
+from synthcam.tabulated_law import SEARCH_ONLY_LAWS, TABLE_KINDS, TabulatedLaw, kind_of, table_names
 from synthcam_shared.errors import InputError
 
 G = Model().gravity
@@ -57,7 +57,7 @@ def test_a_rough_table_is_smooth_enough_to_be_integrated():
     x, y = np.linspace(0, 0.6, 25), rng.uniform(0.15, 0.3, 25)
     model = held({"spin_transfer": 0.0}, friction_speed=(x, y))
     slip = (1 + model.restitution) / 2 * 0.5
-    curve = Table(tuple(x.tolist()), tuple(y.tolist()))
+    curve = SmoothTable(tuple(x.tolist()), tuple(y.tolist()))
     expected = quad(lambda u: 1 / (3.5 * G * float(curve(np.array(u)))), 0, slip, limit=500, epsabs=1e-12)[0]
     assert slide_ends(hit(model))[0] == pytest.approx(expected, rel=1e-9)
 
@@ -161,7 +161,7 @@ def test_many_collisions_at_once_move_as_one_does(law):
     x = np.linspace(0, 1, 9)
     model = held(**{law: (x, 0.2 + 0.1 * np.sin(3 * x))})
     times = np.linspace(-0.01, 0.3, 40)
-    many = collisions(model, np.array([[0.0, 0.0, 0.0, 0.5, 0.0, 0.3]]), -0.01, 0.3).at(times)[:, 0]
+    many = solve_collisions(model, np.array([[0.0, 0.0, 0.0, 0.5, 0.0, 0.3]]), -0.01, 0.3).at(times)[:, 0]
     np.testing.assert_allclose(many, hit(model, b=0.3).at(times), atol=1e-9)
     assert np.abs(many - hit(Model(), b=0.3).at(times)).max() > 1e-4
 
@@ -196,10 +196,10 @@ def test_what_is_no_free_law_is_one_line(tmp_path, law, values, said):
 
 
 def test_every_name_has_a_kind_and_a_law_of_one_ball_is_that_balls():
-    every = list(names())
+    every = list(table_names())
     assert {"friction_speed", "friction_speed_a", "force_place_b", "rolling_place"} <= set(every)
-    assert not set(every) & set(NOT_YET)
-    assert kind_of("rolling_speed_b") == (KINDS["rolling_speed"], "b")
+    assert not set(every) & set(SEARCH_ONLY_LAWS)
+    assert kind_of("rolling_speed_b") == (TABLE_KINDS["rolling_speed"], "b")
     with pytest.raises(KeyError):
         kind_of("restitution_speed_a")
     assert all(TabulatedLaw(n, None).name() == n for n in every)

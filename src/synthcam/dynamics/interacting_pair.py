@@ -7,12 +7,31 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from synthcam.dynamics.creep import PUSHED_AWAY, STARTS, UNKNOWN_PAST, approach, creep, excess, push_at_rest
-from synthcam.dynamics.forces import FLY, REST, ROLL, SLIDE, SLOWEST, Balls, Flags, Ints, ending_slip, modes_of
-from synthcam.dynamics.integrate import back, lead
-from synthcam.dynamics.kinematics import Array, State, made_rolling, resting
+from synthcam.dynamics.forces import (
+    FLY,
+    REST,
+    ROLL,
+    SLIDE,
+    SLOWEST,
+    BallStates,
+    Flags,
+    Ints,
+    classify_modes,
+    find_ending_slip,
+)
+from synthcam.dynamics.integrated_motion import IntegratedMotion
+from synthcam.dynamics.kinematics import Array, State, to_rest, to_rolling
 from synthcam.dynamics.launch import Launch
-from synthcam.dynamics.led import Led
+from synthcam.dynamics.propagate import propagate, propagate_back
+from synthcam.dynamics.start_from_rest import (
+    PUSHED_AWAY,
+    STARTS,
+    UNKNOWN_PAST,
+    excess_push,
+    push_at_rest,
+    solve_approach,
+    solve_start,
+)
 from synthcam.dynamics.trajectory import Event, Leg, Motion, Numeric, Rest
 from synthcam.model import Bodies, Model
 
@@ -22,60 +41,62 @@ NAMES: dict[int, Motion] = {REST: "rest", ROLL: "roll", SLIDE: "slide", FLY: "fl
 HELD = "a ball cannot rest before its launch: 5/7 of the push on it exceeds rolling_decel"
 
 
-def leg_of(led: Led, ball: int, mode: int, now: float) -> Leg:
+def make_leg(motion: IntegratedMotion, ball: int, mode: int, now: float) -> Leg:
     """One ball's motion, led from time `now` on, or back from there."""
-    own = led[np.array([ball])].later(np.array([now]))
-    ends = sorted((now + float(led.begins[ball]), now + float(led.begins[ball] + led.lasts[ball])))
+    own = motion[np.array([ball])].shift(np.array([now]))
+    ends = sorted((now + float(motion.begins[ball]), now + float(motion.begins[ball] + motion.durations[ball])))
     if mode == REST:
-        return Rest(ends[0], ends[1], resting(tuple(led.states[ball].tolist()), float(led.radius[ball])))
-    lift = led.gravity if mode == FLY else 0.0
+        return Rest(ends[0], ends[1], to_rest(tuple(motion.states[ball].tolist()), float(motion.radius[ball])))
+    lift = motion.gravity if mode == FLY else 0.0
     return Numeric.of(ends[0], ends[1], NAMES[mode], lambda times: own.at(times[None])[0], lift)
 
 
-class Pairing:
+class InteractingPair:
     """From `start` to `end`, s, or beyond; states are nine floats."""
 
     def __init__(self, model: Model, bodies: Bodies, start: float, end: float) -> None:
         self.model, self.bodies, self.start, self.end = model, bodies, start, end
         self.floor = np.full(2, np.inf)
 
-    def before(self, launch: Launch) -> tuple[dict[int, State], list[list[Leg]], list[Event]]:
+    def solve_past(self, launch: Launch) -> tuple[dict[int, State], list[list[Leg]], list[Event]]:
         """The states at the launch, the legs that led there from the start, and when a ball was pulled from its rest.
 
         Of two balls that touch, one that rests has been pulled by the one that comes: its velocity is what follows.
         """
         rows, order, now = launch.states.copy(), np.arange(2), np.array([launch.time])
-        modes, past, events = modes_of(rows, self.bodies.radius), [list[Leg](), list[Leg]()], list[Event]()
+        modes, past, events = classify_modes(rows, self.bodies.radius), [list[Leg](), list[Leg]()], list[Event]()
         lasted, onset = np.maximum(now - self.start, 0.0), np.zeros(1)
-        if launch.touches and sorted(modes) == [REST, ROLL] and _opening(rows) < 0:
+        if launch.touches and sorted(modes) == [REST, ROLL] and _separation_rate(rows) < 0:
             order = np.argsort(modes)
-            rows[order], pieces, onset = approach(self.model, self.bodies[order], rows[order], lasted)
-            if _opening(rows) >= 0:
+            rows[order], pieces, onset = solve_approach(self.model, self.bodies[order], rows[order], lasted)
+            if _separation_rate(rows) >= 0:
                 raise ValueError(PUSHED_AWAY)
         else:
-            pieces = self._back(rows, modes, lasted)
-        for _, led in pieces:
-            moved = modes_of(led.at((led.begins + led.lasts / 2)[:, None])[:, 0], led.radius)
+            pieces = self._propagate_back(rows, modes, lasted)
+        for _, motion in pieces:
+            moved = classify_modes(motion.at((motion.begins + motion.durations / 2)[:, None])[:, 0], motion.radius)
             for ball, k in enumerate(order):
-                leg = leg_of(led, ball, moved[ball], launch.time)
+                leg = make_leg(motion, ball, moved[ball], launch.time)
                 begins = max(leg.t0, self.start)
                 if begins < leg.t1:
                     past[k].insert(0, leg.spanning(begins, leg.t1))
         if onset[0] < 0 and self.start < launch.time + onset[0]:
             still, other = (leg.now(launch.time + onset[0]) for leg in (past[k][-1] for k in order))
             when = launch.time + float(onset[0])
-            events = [start_of(self.model, self.bodies[order[:1]], int(order[0]), still, when, np.array(other))]
+            events = [make_start_event(self.model, self.bodies[order[:1]], int(order[0]), still, when, np.array(other))]
         return {k: tuple(rows[k].tolist()) for k in (0, 1)}, past, events
 
-    def _back(self, rows: Array, modes: Ints, lasted: Array) -> list[tuple[Ints, Led]]:
+    def _propagate_back(self, rows: Array, modes: Ints, lasted: Array) -> list[tuple[Ints, IntegratedMotion]]:
         """Balls that roll or rest, led back to the start."""
         if lasted[0] == 0:
             return []
         if np.any(modes > ROLL):
             raise ValueError(UNKNOWN_PAST)
-        pieces = list(back(Balls.undrilled(self.model, self.bodies, rows, 2), np.zeros(1), -lasted))
-        for _, led in pieces:
-            states = led.at(led.begins[:, None] + led.lasts[:, None] * np.linspace(0, 1, LOOKS))
+        pieces = list(
+            propagate_back(BallStates.without_drilling(self.model, self.bodies, rows, 2), np.zeros(1), -lasted)
+        )
+        for _, motion in pieces:
+            states = motion.at(motion.begins[:, None] + motion.durations[:, None] * np.linspace(0, 1, LOOKS))
             for k in (k for k in (0, 1) if modes[k] == REST):
                 if np.any(self._excess(k, rows[k], states[1 - k]) > 0):
                     raise ValueError(HELD)
@@ -83,53 +104,57 @@ class Pairing:
             raise ValueError(HELD)
         return pieces
 
-    def legs(self, states: dict[int, State], t: float, anew: Iterable[int]) -> tuple[list[Leg], float, list[Event]]:
+    def next_legs(
+        self, states: dict[int, State], t: float, anew: Iterable[int]
+    ) -> tuple[list[Leg], float, list[Event]]:
         """Legs from t on, and how far both are known: none leads beyond that. And which balls just begin to roll.
 
         anew: balls to which something happened at t. The others go on, in a slide that began earlier.
         """
         rows, started = np.array([states[0], states[1]]), []
-        for k in anew if self.model.laws.bent("drilling") else ():
+        for k in anew if self.model.laws.has_effect_on("drilling") else ():
             other = (rows[1 - k] - rows[k])[None, None, :2]
-            self.floor[k] = ending_slip(self.model, rows[k : k + 1], self.bodies[k : k + 1], other)[0]
-        modes = modes_of(rows, self.bodies.radius)
+            self.floor[k] = find_ending_slip(self.model, rows[k : k + 1], self.bodies[k : k + 1], other)[0]
+        modes = classify_modes(rows, self.bodies.radius)
         loose = [k for k in (0, 1) if modes[k] == REST and self._excess(k, rows[k], rows[1 - k, None])[0] > 0]
         for k in loose:
-            started.append(start_of(self.model, self.bodies[k : k + 1], k, states[k], t, rows[1 - k]))
+            started.append(make_start_event(self.model, self.bodies[k : k + 1], k, states[k], t, rows[1 - k]))
         if np.all(modes == REST) and not loose:
-            return [Rest(t, math.inf, resting(states[k], float(self.bodies.radius[k]))) for k in (0, 1)], math.inf, []
+            return [Rest(t, math.inf, to_rest(states[k], float(self.bodies.radius[k]))) for k in (0, 1)], math.inf, []
         goal = np.array([max(self.end - t, 0.0) + AHEAD])
-        led, over = self._lead(rows, modes, loose, goal)
-        until = t + float(led.lasts[0])
-        legs = [leg_of(led, k, ROLL if k in loose else modes[k], t) for k in (0, 1)]
+        motion, over = self._propagate(rows, modes, loose, goal)
+        until = t + float(motion.durations[0])
+        legs = [make_leg(motion, k, ROLL if k in loose else modes[k], t) for k in (0, 1)]
         for k in (0, 1):
             if modes[k] == REST and k not in loose:
-                legs[k] = legs[k].spanning(t, self._loosened(k, rows[k], legs[1 - k], t, until))
+                legs[k] = legs[k].spanning(t, self._find_start_time(k, rows[k], legs[1 - k], t, until))
             elif not over[k]:
                 legs[k] = legs[k].spanning(t, math.inf)
         return legs, until, started
 
-    def _lead(self, rows: Array, modes: Ints, loose: list[int], goal: Array) -> tuple[Led, Flags]:
+    def _propagate(self, rows: Array, modes: Ints, loose: list[int], goal: Array) -> tuple[IntegratedMotion, Flags]:
         if len(loose) == 1 and modes[1 - loose[0]] == ROLL:
             order = np.array([loose[0], 1 - loose[0]])
-            far = np.hypot(*(rows[1] - rows[0])[:2]) - self.bodies.radius.sum() * (_opening(rows) < 0)
+            far = np.hypot(*(rows[1] - rows[0])[:2]) - self.bodies.radius.sum() * (_separation_rate(rows) < 0)
             lasts = np.minimum(goal, 0.3 * far / np.hypot(*rows[order[1], 3:5]))
             for _ in range(40):
                 for size in STARTS:
-                    led, good = creep(self.model, self.bodies[order], rows[order], lasts, 0, np.zeros(1, bool), size)
+                    motion, good = solve_start(
+                        self.model, self.bodies[order], rows[order], lasts, 0, np.zeros(1, bool), size
+                    )
                     if good[0]:
-                        return led[order], np.zeros(2, dtype=bool)
+                        return motion[order], np.zeros(2, dtype=bool)
                 lasts = lasts / 2
         for k in loose:  # what comes is no roll: a little speed will do
-            rows[k] = nudged(self.model, self.bodies[k : k + 1], rows[k], rows[1 - k])
-        ((_, way),) = lead(Balls(self.model, self.bodies, rows, self.floor, 2), goal)
-        return way.led, way.over
+            rows[k] = nudge(self.model, self.bodies[k : k + 1], rows[k], rows[1 - k])
+        ((_, step),) = propagate(BallStates(self.model, self.bodies, rows, self.floor, 2), goal)
+        return step.motion, step.ended
 
     def _excess(self, k: int, row: Array, others: Array) -> Array:
         """By how much the push on ball k exceeds what holds it, with the other in any of the states (n, 9)."""
-        return np.asarray(excess(self.model, self.bodies[k : k + 1], row[None], others[:, :2].T[:, None])[0])
+        return np.asarray(excess_push(self.model, self.bodies[k : k + 1], row[None], others[:, :2].T[:, None])[0])
 
-    def _loosened(self, k: int, row: Array, other: Leg, t: float, until: float) -> float:
+    def _find_start_time(self, k: int, row: Array, other: Leg, t: float, until: float) -> float:
         """When a ball at rest starts to roll, or infinity."""
         times = np.linspace(t, until, LOOKS)
         late = np.flatnonzero(self._excess(k, row, other.at(times)) > 0)
@@ -142,19 +167,19 @@ class Pairing:
         return float(high)
 
 
-def _opening(states: Array) -> float:
+def _separation_rate(states: Array) -> float:
     """How fast balls in states (2, 9) part, times their distance, m^2/s."""
     apart = states[0] - states[1]
     return float(apart[:3] @ apart[3:6])
 
 
-def start_of(model: Model, body: Bodies, k: int, state: State, t: float, other: Array) -> Event:
+def make_start_event(model: Model, body: Bodies, k: int, state: State, t: float, other: Array) -> Event:
     """Ball k at rest begins to roll, the other being at `other` (2 or more,): afterwards with a little speed."""
-    still = resting(state, float(body.radius[0]))
-    return Event(t, "start", k, before=np.array([still]), after=np.array([nudged(model, body, still, other)]))
+    still = to_rest(state, float(body.radius[0]))
+    return Event(t, "start", k, before=np.array([still]), after=np.array([nudge(model, body, still, other)]))
 
 
-def nudged(model: Model, body: Bodies, still: State | Array, other: Array) -> State:
+def nudge(model: Model, body: Bodies, still: State | Array, other: Array) -> State:
     push = push_at_rest(model, body, np.array([still]), other[:2, None, None])[:, 0, 0]
     nudge = 2 * SLOWEST * push / np.hypot(*push)
-    return made_rolling((*still[:3], *nudge.tolist(), *still[5:]), still[2])
+    return to_rolling((*still[:3], *nudge.tolist(), *still[5:]), still[2])

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from synthcam.dynamics.collocation import matrices, product, reread, series
+from synthcam.dynamics.collocation import matrices, multiply, resample, series
 from synthcam.dynamics.forces import Flags, Ints
 from synthcam.dynamics.kinematics import Array, fly, plate_state
 
@@ -28,7 +28,7 @@ Pieces = Sequence[tuple[Array, Array]]
 
 
 @dataclass(frozen=True)
-class Led:
+class IntegratedMotion:
     """Motion of m balls from the times `begins` on for `lasts`, s (m,), which may be negative.
 
     pieces: times since `begins` (m, n), smooth images of n Chebyshev nodes, and there (c, m, n) x, y, qx, qy and, where
@@ -37,131 +37,135 @@ class Led:
     """
 
     begins: Array
-    lasts: Array
+    durations: Array
     states: Array
     radius: Array
     gravity: float
     pieces: Pieces
     power: int
-    flies: Flags
+    airborne: Flags
 
-    def __getitem__(self, rows: Ints) -> Led:
+    def __getitem__(self, rows: Ints) -> IntegratedMotion:
         pieces = [(times[rows], y[:, rows]) for times, y in self.pieces]
-        of = {f: getattr(self, f)[rows] for f in ("begins", "lasts", "states", "radius", "flies")}
+        of = {f: getattr(self, f)[rows] for f in ("begins", "durations", "states", "radius", "airborne")}
         return replace(self, pieces=pieces, **of)
 
-    def later(self, by: Array) -> Led:
+    def shift(self, by: Array) -> IntegratedMotion:
         return replace(self, begins=self.begins + by)
 
-    def apart(self) -> tuple[Array, list[Led]]:
+    def split_pieces(self) -> tuple[Array, list[IntegratedMotion]]:
         """Each piece by itself where they are even in time; and the times (p + 1, m) between which they hold."""
-        if self.power or self.flies.any() or len(self.pieces) == 1:
-            return self.begins + np.array([0 * self.lasts, self.lasts]), [self]
-        knots = self.begins + np.array([0 * self.lasts, *(times[:, -1] for times, _ in self.pieces)])
+        if self.power or self.airborne.any() or len(self.pieces) == 1:
+            return self.begins + np.array([0 * self.durations, self.durations]), [self]
+        knots = self.begins + np.array([0 * self.durations, *(times[:, -1] for times, _ in self.pieces)])
         each = zip(knots[:-1], np.diff(knots, axis=0), self.pieces, strict=True)
-        return knots, [replace(self, begins=t, lasts=d, pieces=[(p[0] - p[0][:, :1], p[1])]) for t, d, p in each]
+        return knots, [replace(self, begins=t, durations=d, pieces=[(p[0] - p[0][:, :1], p[1])]) for t, d, p in each]
 
     def at(self, times: Array) -> Array:
         """States (m, k, 9) at times (m, k) within it."""
         elapsed = times - self.begins[:, None]
-        return self._states(self._read(self._series, elapsed), elapsed)
+        return self._assemble_states(self._evaluate(self._series, elapsed), elapsed)
 
-    def last(self) -> Array:
+    def final_states(self) -> Array:
         """States (m, 9) at the end."""
-        return self._states(self.pieces[-1][1][..., -1:], self.lasts[:, None])[:, 0]
+        return self._assemble_states(self.pieces[-1][1][..., -1:], self.durations[:, None])[:, 0]
 
-    def _states(self, y: Array, elapsed: Array) -> Array:
+    def _assemble_states(self, y: Array, elapsed: Array) -> Array:
         x, q = np.moveaxis(y[:2], 0, -1), np.moveaxis(y[2:4], 0, -1)
         u, wz = (np.moveaxis(y[4:6], 0, -1), y[6]) if len(y) > 4 else (np.zeros(2), self.states[:, 8:])
         out = plate_state(x, q, u, wz, self.radius[:, None])
-        if self.flies.any():
-            aloft = fly(self.states[self.flies], self.gravity, elapsed[self.flies])
-            aloft[..., 0:2], aloft[..., 3:5] = x[self.flies], q[self.flies]
-            out[self.flies] = aloft
+        if self.airborne.any():
+            aloft = fly(self.states[self.airborne], self.gravity, elapsed[self.airborne])
+            aloft[..., 0:2], aloft[..., 3:5] = x[self.airborne], q[self.airborne]
+            out[self.airborne] = aloft
         return out
 
-    def means(self, middle: Array, wide: Any) -> Array:
+    def average_centres(self, middle: Array, wide: Any) -> Array:
         """Centres (2, m, k) averaged over the times `wide`, a number or (m, k), about times (m, k)."""
         elapsed = middle - self.begins[:, None]
         if self.power == 0 and np.ndim(wide) == 0 and len(self.pieces) == 1:
-            return self._even_means(elapsed, wide)
+            return self._average_even(elapsed, wide)
         if self.power == 0:
-            return averaged(lambda times: self._read(self._places, times), elapsed, wide)
-        narrow = wide < NARROW * self.lasts[:, None] + 0 * middle
+            return average_by_quadrature(lambda times: self._evaluate(self._position_series, times), elapsed, wide)
+        narrow = wide < NARROW * self.durations[:, None] + 0 * middle
         out = np.zeros((2, *middle.shape))
         if not narrow.all():
-            a, b = (self._read(self._sums, elapsed + side * wide / 2) for side in (-1, 1))
-            out = (b - a) * (self.lasts[:, None] / np.where(narrow, 1.0, wide)) + self._base
+            a, b = (self._evaluate(self._time_integrals, elapsed + side * wide / 2) for side in (-1, 1))
+            out = (b - a) * (self.durations[:, None] / np.where(narrow, 1.0, wide)) + self._midpoint
         if narrow.any():
-            a, b = (self._read(self._places, elapsed + side * wide / np.sqrt(12)) for side in (-1, 1))
+            a, b = (self._evaluate(self._position_series, elapsed + side * wide / np.sqrt(12)) for side in (-1, 1))
             out = np.where(narrow, (a + b) / 2, out)
         return np.asarray(out)
 
-    def _even_means(self, elapsed: Array, wide: float) -> Array:
+    def _average_even(self, elapsed: Array, wide: float) -> Array:
         """The mean of f over x +- h is the sum of h^(2j)/(2j+1)! f^(2j)(x)."""
-        c = self._places[0]
-        half = np.minimum(np.abs(wide / self.lasts), 1.0)[:, None]  # a longer one does not lie within
-        worth = np.flatnonzero(_sizes(c) > SLIGHT).max(initial=1)
+        c = self._position_series[0]
+        half = np.minimum(np.abs(wide / self.durations), 1.0)[:, None]  # a longer one does not lie within
+        worth = np.flatnonzero(_norms(c) > SLIGHT).max(initial=1)
         term = mean = c[:, :, : worth + 1]
         curvature = matrices(term.shape[-1]).curvature
         for j in range(1, (term.shape[-1] + 1) // 2):
-            term = product(term, curvature) * (half * half / (2 * j * (2 * j + 1)))
+            term = multiply(term, curvature) * (half * half / (2 * j * (2 * j + 1)))
             mean = mean + term
-            if _sizes(term).max() < SLIGHT:
+            if _norms(term).max() < SLIGHT:
                 break
-        return series(mean, 2 * elapsed / self.lasts[:, None] - 1)
+        return series(mean, 2 * elapsed / self.durations[:, None] - 1)
 
     @cached_property
     def _knots(self) -> Array:
         """w where pieces end, (p + 1, m), falling from 1 to 0."""
-        return np.array([1 + 0 * self.lasts, *(self._root(times[:, -1:])[:, 0] for times, _ in self.pieces)])
+        return np.array(
+            [1 + 0 * self.durations, *(self._root_of_time_left(times[:, -1:])[:, 0] for times, _ in self.pieces)]
+        )
 
     @cached_property
     def _series(self) -> list[Array]:
-        return self._fitted(slice(None))
+        return self._fit_series(slice(None))
 
     @cached_property
-    def _places(self) -> list[Array]:
-        return self._fitted(slice(0, 2))
+    def _position_series(self) -> list[Array]:
+        return self._fit_series(slice(0, 2))
 
-    def _fitted(self, part: slice) -> list[Array]:
+    def _fit_series(self, part: slice) -> list[Array]:
         """Of each piece the coefficients in w, in as many as it asks for."""
         out: list[Array] = []
         for (times, y), first, last in zip(self.pieces, self._knots[:-1], self._knots[1:], strict=True):
             if self.power == 0:
-                out.append(product(y[part], matrices(y.shape[-1]).coefficients))
+                out.append(multiply(y[part], matrices(y.shape[-1]).coefficients))
                 continue
-            here = 2 * (first[:, None] - self._root(times)) / (first - last)[:, None] - 1
+            here = 2 * (first[:, None] - self._root_of_time_left(times)) / (first - last)[:, None] - 1
             limit = TRUE + ROUNDING * np.abs(y[part][:6]).max()
             for size in SIZES[len(out) == 0 :]:
-                c = product(reread(y[part], here, size), matrices(size).coefficients)
+                c = multiply(resample(y[part], here, size), matrices(size).coefficients)
                 if np.abs(c[:6, :, -2:]).max() < limit:
                     break
             out.append(c)
         return out
 
     @property
-    def _base(self) -> Array:
+    def _midpoint(self) -> Array:
         """The place half way, (2, m, 1): sums are the smaller for it."""
         return np.asarray((self.pieces[0][1][:2, :, :1] + self.pieces[-1][1][:2, :, -1:]) / 2)
 
     @cached_property
-    def _sums(self) -> list[Array]:
+    def _time_integrals(self) -> list[Array]:
         """Of each piece the coefficients of the place less the base, summed over the share of time."""
-        sofar, out = np.zeros_like(self._base), []
-        for c, first, last in zip(self._places, self._knots[:-1, :, None], self._knots[1:, :, None], strict=True):
+        sofar, out = np.zeros_like(self._midpoint), []
+        for c, first, last in zip(
+            self._position_series, self._knots[:-1, :, None], self._knots[1:, :, None], strict=True
+        ):
             size, wide = c.shape[-1], first - last
             on = matrices(size + self.power)
             w = first - wide / 2 * (1 + on.nodes)
-            place = product(c, on.values[:size]) - self._base
-            total = product(place * (self.power * w ** (self.power - 1) * wide / 2), on.integral) + sofar
-            out.append(product(total, on.coefficients))
+            place = multiply(c, on.values[:size]) - self._midpoint
+            total = multiply(place * (self.power * w ** (self.power - 1) * wide / 2), on.integral) + sofar
+            out.append(multiply(total, on.coefficients))
             sofar = total[..., -1:]
         return out
 
-    def _read(self, coefficients: Sequence[Array], elapsed: Array) -> Array:
+    def _evaluate(self, coefficients: Sequence[Array], elapsed: Array) -> Array:
         """The series, (c, m, k), at times (m, k); within the ends."""
-        w = self._root(elapsed)
+        w = self._root_of_time_left(elapsed)
         out = np.empty((len(coefficients[0]), *w.shape))
         for k, c in enumerate(coefficients):
             a, b = self._knots[k, :, None], self._knots[k + 1, :, None]
@@ -173,17 +177,17 @@ class Led:
                 np.copyto(out[..., part], found, where=here[:, part])
         return out
 
-    def _root(self, elapsed: Array) -> Array:
-        left = 1 - np.clip(elapsed / self.lasts[:, None], 0.0, 1.0)
+    def _root_of_time_left(self, elapsed: Array) -> Array:
+        left = 1 - np.clip(elapsed / self.durations[:, None], 0.0, 1.0)
         return np.asarray(np.cbrt(left) if self.power == 3 else left)
 
 
-def _sizes(coefficients: Array) -> Array:
+def _norms(coefficients: Array) -> Array:
     """(c, m, n) -> (n,): roots of sums of squares, no less than any; a maximum takes numpy longer."""
     return np.asarray(np.sqrt(np.einsum("cmn,cmn->n", coefficients, coefficients)))
 
 
-def averaged(places: Callable[[Array], Array], middle: Array, wide: Any) -> Array:
+def average_by_quadrature(places: Callable[[Array], Array], middle: Array, wide: Any) -> Array:
     """Means (2, m, k) of places (2, m, times) over the times `wide` about `middle`, by Gauss quadrature."""
     if np.ndim(wide) == 0 and wide == 0:
         return places(middle)
@@ -192,6 +196,6 @@ def averaged(places: Callable[[Array], Array], middle: Array, wide: Any) -> Arra
     return np.asarray(np.tensordot(found, WEIGHTS / 2, axes=(2, 0)))
 
 
-def arrived(now: Array, goal: Array | float) -> Array:
+def snap_to_goal(now: Array, goal: Array | float) -> Array:
     """The goal where only rounding keeps it from having been reached."""
     return np.where(np.abs(now - goal) <= 1e-15 * (1 + np.abs(goal)), goal, now)

@@ -14,7 +14,7 @@ STEP = 0.1  # rad between two knots, at most
 NODES = 0.5 + np.array([-1, 1]) / np.sqrt(12)  # Gauss's
 
 
-class Turning:
+class OrientationHistory:
     """Rotations from each ball's axes to the world's. first: quaternions (balls, 4), x y z w, as the motion starts."""
 
     def __init__(self, motion: Trajectory, first: Array) -> None:

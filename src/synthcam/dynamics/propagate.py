@@ -1,6 +1,6 @@
 """Motion without closed form, of many balls at once: each alone, or two and two that push each other.
 
-A sliding ball is led in q = (5 v + 2 R w x z)/7 and the contact velocity u = s (cos th, sin th), v = q + (2/7) u:
+A sliding ball is motion in q = (5 v + 2 R w x z)/7 and the contact velocity u = s (cos th, sin th), v = q + (2/7) u:
     q' = (5/7) p,   s' = -(7/2) mu N + p . u_hat = -A,   th' = (u_hat x p)/s,   x' = v
 with p the push, N the load over the mass, and cos th, sin th in place of th. Towards the end of the slide th' grows as
 1/s. So the slip of a ball whose slide is to end paces the integration, of both balls where they push each other: with
@@ -28,17 +28,17 @@ from synthcam.dynamics.forces import (
     SLOWEST,
     STILL,
     TINY,
-    Balls,
+    BallStates,
     Flags,
     Forces,
     Ints,
-    ending_slip,
+    classify_modes,
+    find_ending_slip,
     flight_time,
     last_axis,
-    modes_of,
 )
+from synthcam.dynamics.integrated_motion import IntegratedMotion, Pieces, snap_to_goal
 from synthcam.dynamics.kinematics import Array, contact_velocity, rolling_velocity
-from synthcam.dynamics.led import Led, Pieces, arrived
 
 FASTEST = 1e3  # m/s: a ball that must have come faster did not come
 BREAK = 0.33  # of ln(|u|/|u0|) on the way to its last: where pieces meet
@@ -51,26 +51,28 @@ MOST = 1000  # pieces of a past
 
 
 @dataclass(frozen=True)
-class Way:
+class IntegrationStep:
     """How balls moved from time 0 on; states (m, 9) at the end, how long that lasted (m,).
 
     over: whose slide, roll or flight ended; sound: of which balls it is true.
     """
 
-    led: Led
-    last: Array
-    lasts: Array
-    over: Flags
-    sound: Flags
+    motion: IntegratedMotion
+    final_states: Array
+    durations: Array
+    ended: Flags
+    valid: Flags
 
-    def __getitem__(self, rows: Ints) -> Way:
-        return Way(self.led[rows], self.last[rows], self.lasts[rows], self.over[rows], self.sound[rows])
+    def __getitem__(self, rows: Ints) -> IntegrationStep:
+        return IntegrationStep(
+            self.motion[rows], self.final_states[rows], self.durations[rows], self.ended[rows], self.valid[rows]
+        )
 
 
-class Phase:
+class PhaseIntegrator:
     """Balls on the way: units for `spans`, (k,), or until the slide of their ball number `ender`, (k,), has ended."""
 
-    def __init__(self, balls: Balls, spans: Array, ender: Ints) -> None:
+    def __init__(self, balls: BallStates, spans: Array, ender: Ints) -> None:
         self.balls, self.modes, states, laws = balls, balls.modes, balls.states, balls.model.laws
         self.forces = Forces.of(balls.model, balls.bodies)
         found = {mode: np.flatnonzero(self.modes == mode) for mode in (ROLL, SLIDE, FLY)}
@@ -83,9 +85,9 @@ class Phase:
         self.ends = (self.pacer == np.arange(len(states)))[:, None]
         self.slides, self.paced = SLIDE in self.rows, bool(np.any(self.ends))
         self.free = self.slides and not self.ends.all()  # some slips are to be integrated
-        self.pushes, self.drills = laws.bent("push"), laws.bent("drilling")
+        self.pushes, self.drills = laws.has_effect_on("push"), laws.has_effect_on("drilling")
         self.straight = self.paced and not (self.free or self.pushes or self.drills)
-        self.straight &= all(laws.asked(law) <= STRAIGHT for law in ("friction", "normal_load"))
+        self.straight &= all(laws.inputs_of(law) <= STRAIGHT for law in ("friction", "normal_load"))
         self.at = 4 if self.slides else 0  # of q among the components: hat, wz, s; q; x; the time
         u = contact_velocity(states, balls.bodies.radius).T[..., None] * (self.modes == SLIDE)[:, None]
         self.first = np.hypot(u[0], u[1])
@@ -105,15 +107,15 @@ class Phase:
             start = [*self.hat, states[:, 8:], self.first, *start]
         self.start = np.stack([*start, 0 * self.first] if self.paced else start)  # (c, m, 1)
 
-    def feed(self) -> int | None:
+    def count_feedback_parts(self) -> int | None:
         """How many of the parts of `right` it makes use of itself."""
         laws = self.balls.model.laws
-        asked = set().union(*(laws.asked(law) for law in (*LAWS[SLIDE], "rolling")))
+        asked = set().union(*(laws.inputs_of(law) for law in (*LAWS[SLIDE], "rolling")))
         if self.balls.each > 1 or "position" in asked:
             return None
         return max(self.pushes + self.drills + (self.pushes and "velocity" in asked), 1) if self.slides else 1
 
-    def slip(self, z: Any, y: Array) -> tuple[Any, Any]:
+    def slip_speed(self, z: Any, y: Array) -> tuple[Any, Any]:
         """Slip speeds (m, n), and how fast they fall along z where that is what paces."""
         if not self.paced:
             return (y[3], 0.0) if self.slides else (0.0, 0.0)
@@ -125,7 +127,7 @@ class Phase:
         slip = slip * np.exp(log * (z - late))
         return np.where(self.ends, slip, y[3]) if self.free else slip, -log * slip
 
-    def act(self, slip: Any, y: Array, late: bool = False) -> tuple[Any, ...]:
+    def evaluate_forces(self, slip: Any, y: Array, late: bool = False) -> tuple[Any, ...]:
         """dq/dt, A, u_hat x p and dwz/dt; late: in what is left of slides when they no longer drill."""
         at, rows = self.at, self.rows
         q, place, shape = y[at : at + 2], y[at + 2 : at + 4], y[at].shape
@@ -142,15 +144,15 @@ class Phase:
         across: Any = 0.0
         twist: Any = 0.0
         if ROLL in rows:
-            found[ROLL] = self.forces[rows[ROLL]].rolling(*known(ROLL))
+            found[ROLL] = self.forces[rows[ROLL]].accelerate_rolling(*known(ROLL))
         if self.slides:
             own = rows[SLIDE]
-            slowing, across, push, twist = self.forces[own].sliding(
+            slowing, across, push, twist = self.forces[own].act_on_sliding(
                 slip[own], y[:2, own], (y[2] * spins)[own], *known(SLIDE)
             )
             found[SLIDE] = 5 / 7 * push
             if len(found) > 1 or not isinstance(own, slice):
-                slowing, across, twist = (_spread(f, own, shape) for f in (slowing, across, twist))
+                slowing, across, twist = (_scatter(f, own, shape) for f in (slowing, across, twist))
         if len(rows) == 1 and isinstance(next(iter(rows.values())), slice):
             return next(iter(found.values())), slowing, across, twist
         dq = np.zeros((2, *shape))
@@ -158,7 +160,7 @@ class Phase:
             dq[:, own] = found[mode]
         return dq, slowing, across, twist
 
-    def rate(self, fall: Any, slowing: Any) -> Any:
+    def time_rate(self, fall: Any, slowing: Any) -> Any:
         """dt/dz. Raises ValueError where friction does not end a slide."""
         if not self.paced:
             return self.spans
@@ -166,10 +168,10 @@ class Phase:
             raise ValueError("sliding friction does not end the slide: the push along the slip is too strong")
         return (fall / np.where(self.ends, slowing, 1.0))[self.pacer] if self.free else fall / slowing
 
-    def right(self, z: Array, y: Array) -> Parts:
-        slip, fall = self.slip(z, y)
-        dq, slowing, across, twist = self.act(slip, y, bool(np.mean(z) > 1))
-        rate, at = self.rate(fall, slowing), self.at
+    def right_hand_side(self, z: Array, y: Array) -> Parts:
+        slip, fall = self.slip_speed(z, y)
+        dq, slowing, across, twist = self.evaluate_forces(slip, y, bool(np.mean(z) > 1))
+        rate, at = self.time_rate(fall, slowing), self.at
         if self.slides and self.pushes:
             turn = across / np.maximum(slip, TINY) * rate
             yield slice(0, 2), np.stack([-turn * y[1], turn * y[0]])
@@ -184,17 +186,17 @@ class Phase:
         if self.paced:
             yield slice(at + 4, at + 5), rate[None]
 
-    def guess(self) -> Callable[[Array], Array]:
+    def make_guess(self) -> Callable[[Array], Array]:
         """All forces were what they are at the start."""
         at, first, start = self.at, self.first, self.start
-        dq, slowing, across, twist = self.act(first, start)
-        self.rate(first, slowing)
+        dq, slowing, across, twist = self.evaluate_forces(first, start)
+        self.time_rate(first, slowing)
 
         def guess(z: Array) -> Array:
             y = np.repeat(start, len(z), axis=-1)
             t, left = self.spans * z, 0.0
             if self.paced:
-                slip, _ = self.slip(z, y)
+                slip, _ = self.slip_speed(z, y)
                 y[-1] = t = ((first - slip) / np.where(self.ends, slowing, 1.0))[self.pacer]
             if self.slides:
                 left = np.maximum(first - slowing * t, 0.0)
@@ -209,54 +211,61 @@ class Phase:
 
         return guess
 
-    def run(self) -> Way:
+    def run(self) -> IntegrationStep:
         """Raises ValueError when a slide does not end, and where a law is not smooth."""
         knots: tuple[float, ...] = (0.0, 1.0)
         if self.paced and not self.straight:
             knots = (0.0, BREAK, 1.0, 2.0)[: 4 if self.late and self.closes else 3]
         few = FEW if len(knots) > 2 else SIZES[0]
-        solved = integrate(self.right, knots, self.start[..., 0], self.guess(), few=few, feed=self.feed())
+        solved = integrate(
+            self.right_hand_side,
+            knots,
+            self.start[..., 0],
+            self.make_guess(),
+            few=few,
+            feed=self.count_feedback_parts(),
+        )
         pieces, sound, falls = (
             list[tuple[Array, Array]](),
             np.ones(len(self.modes), dtype=bool),
             np.full(len(self.modes), np.inf),
         )
         for z, y in solved:
-            slip, _ = self.slip(z, y)
+            slip, _ = self.slip_speed(z, y)
             if self.free:
                 sound &= (self.modes != SLIDE) | self.ends[:, 0] | (y[3] > self.least).all(axis=1)
-            pieces.append((y[-1] if self.paced else self.spans * z, self._kept(y, slip)))
+            pieces.append((y[-1] if self.paced else self.spans * z, self._select_components(y, slip)))
         if self.closes:
-            pieces.append(self._close(y[..., -1:], slip[:, -1:], self.ends))
+            pieces.append(self._finish_evenly(y[..., -1:], slip[:, -1:], self.ends))
         lasts = pieces[-1][0][:, -1] if self.paced else self.spans[:, 0]
         if FLY in self.rows:
             falls = np.where(
                 self.modes == FLY, flight_time(self.balls.model, self.balls.states, self.balls.bodies), falls
             )
         over = (lasts == falls) | (self.ends[:, 0] if self.closes or self.straight else False)
-        return self._way(pieces, lasts, over, sound & (lasts <= falls))
+        return self._make_step(pieces, lasts, over, sound & (lasts <= falls))
 
-    def stop(self) -> Way:
+    def stop_evenly(self) -> IntegrationStep:
         """The same where a ball, one of both, rolls so slowly that it is taken to stop evenly."""
         slow = self.balls.slow
-        piece = self._close(self.start, self.first, slow[:, None])
-        return self._way([piece], piece[0][:, -1], slow, np.ones(len(slow), dtype=bool))
+        piece = self._finish_evenly(self.start, self.first, slow[:, None])
+        return self._make_step([piece], piece[0][:, -1], slow, np.ones(len(slow), dtype=bool))
 
-    def _kept(self, y: Array, slip: Any) -> Array:
+    def _select_components(self, y: Array, slip: Any) -> Array:
         at = self.at
         return np.concatenate([y[at + 2 : at + 4], y[at : at + 2], *([slip * y[:2], y[2:3]] if self.slides else [])])
 
-    def _close(self, y: Array, slip: Array, ends: Flags) -> tuple[Array, Array]:
+    def _finish_evenly(self, y: Array, slip: Array, ends: Flags) -> tuple[Array, Array]:
         """What is left of a slip or of a roll ends evenly; meanwhile all else that acts stays as it is.
 
         y (c, m, 1): times, and what is kept there.
         """
         at, balls, slides = self.at, self.balls, (self.modes == SLIDE)[:, None]
-        dq, slowing, across, twist = self.act(np.where(ends & slides, slip / 2, slip), y, True)
+        dq, slowing, across, twist = self.evaluate_forces(np.where(ends & slides, slip / 2, slip), y, True)
         q, dq = y[at : at + 2], dq + np.zeros((2, *slip.shape))
         left = np.where(slides, slip, np.hypot(q[0], q[1]))
         late = left / np.maximum(np.where(slides, slowing, np.hypot(dq[0], dq[1])), TINY)
-        both = np.tile(balls.least(np.where(ends, late, np.inf)[:, 0]), balls.each)[:, None]
+        both = np.tile(balls.min_of_unit(np.where(ends, late, np.inf)[:, 0]), balls.each)[:, None]
         ends = ends & (late <= both)
         dq = np.where(ends & ~slides, -q / np.maximum(both, TINY), dq)
         t = both * (CLOSING if self.paced else (1 + matrices(3).nodes) / 2)
@@ -270,52 +279,59 @@ class Phase:
         kept.insert(0, y[at + 2 : at + 4] + (v + dv / 2 * t) * t)
         return (y[-1] if self.paced else 0.0) + t, np.concatenate(kept)
 
-    def _way(self, pieces: Pieces, lasts: Array, over: Flags, sound: Flags) -> Way:
+    def _make_step(self, pieces: Pieces, lasts: Array, over: Flags, sound: Flags) -> IntegrationStep:
         balls, flies = self.balls, self.modes == FLY
         power = 0 if not self.paced else 3 if self.closes else 1
-        led = Led(0 * lasts, lasts, balls.states, balls.bodies.radius, balls.model.gravity, pieces, power, flies)
-        last = led.last()
+        motion = IntegratedMotion(
+            0 * lasts, lasts, balls.states, balls.bodies.radius, balls.model.gravity, pieces, power, flies
+        )
+        last = motion.final_states()
         last[over & flies, 2] = balls.bodies.radius[over & flies]
-        return Way(led, last, lasts, over, sound)
+        return IntegrationStep(motion, last, lasts, over, sound)
 
 
-def _spread(values: Any, rows: Any, shape: tuple[int, ...]) -> Array:
+def _scatter(values: Any, rows: Any, shape: tuple[int, ...]) -> Array:
     out = np.zeros(shape)
     out[rows] = values
     return out
 
 
-Ways = Iterator[tuple[Ints, Way]]
+Steps = Iterator[tuple[Ints, IntegrationStep]]
 
 
-def lead(balls: Balls, goal: Array) -> Ways:
+def propagate(balls: BallStates, goal: Array) -> Steps:
     """The next piece of motion of k units, on the way to `goal`, s from now (k,), which may be negative.
 
     It leads no further than to the first end of a slide, roll or flight of a unit. Yields units and their balls' ways.
     """
     k = len(balls)
-    spans, ender, drills, stops = np.zeros(k), np.zeros(k, dtype=np.intp), np.zeros(k, bool), balls.any(balls.slow)
+    spans, ender, drills, stops = (
+        np.zeros(k),
+        np.zeros(k, dtype=np.intp),
+        np.zeros(k, bool),
+        balls.any_of_unit(balls.slow),
+    )
     if balls.each > 1 or not np.all(balls.modes == SLIDE) or np.any(goal < 0):
-        spans, ender, drills = _plan(balls, goal)
+        spans, ender, drills = _plan_steps(balls, goal)
     for some in (stops, ~stops & (ender >= 0) & drills, ~stops & (ender >= 0) & ~drills, ~stops & (ender < 0)):
         if some.any():
-            yield from _ways(balls, np.flatnonzero(some), spans, ender, bool(np.any(stops & some)))
+            yield from _propagate_units(balls, np.flatnonzero(some), spans, ender, bool(np.any(stops & some)))
 
 
-def _plan(balls: Balls, goal: Array) -> tuple[Array, Ints, Flags]:
+def _plan_steps(balls: BallStates, goal: Array) -> tuple[Array, Ints, Flags]:
     """How long the next pieces may be, (k,); which ball's slide ends one, or -1; whether that drills."""
-    phase = Phase(balls, goal, np.full(len(balls), -1))
-    dq, slowing, *_ = phase.act(phase.first, phase.start)
+    phase = PhaseIntegrator(balls, goal, np.full(len(balls), -1))
+    dq, slowing, *_ = phase.evaluate_forces(phase.first, phase.start)
     dq = dq + np.zeros((2, *phase.first.shape))
     v, modes, first = balls.states[:, 3:5].T, balls.modes, phase.first[:, 0]
     half = np.hypot(v[0], v[1]) / np.maximum(2 * np.hypot(dq[0], dq[1])[:, 0], TINY)
     falls = flight_time(balls.model, balls.states, balls.bodies)
-    half = balls.least(np.where(modes == ROLL, half, np.where(modes == FLY, falls, np.inf)))
+    half = balls.min_of_unit(np.where(modes == ROLL, half, np.where(modes == FLY, falls, np.inf)))
     drills = first > balls.floor * (1 + NEAR)
     left = first - np.where(drills, balls.floor, 0.0)
     lasts = np.where(modes == SLIDE, left / np.maximum((slowing + 0 * phase.first)[:, 0], TINY), np.inf)
     lasts = np.where(np.tile(goal < 0, balls.each), np.inf, lasts)  # back in time a slip only grows
-    ender, ends = np.argmin(lasts.reshape(balls.each, -1), axis=0), balls.least(lasts)
+    ender, ends = np.argmin(lasts.reshape(balls.each, -1), axis=0), balls.min_of_unit(lasts)
     limit = np.minimum(half, np.abs(goal))
     if balls.each > 1:  # through one another is no way
         apart = np.diff(balls.states[:, :5].reshape(2, -1, 5), axis=0)[0]
@@ -328,47 +344,49 @@ def _plan(balls: Balls, goal: Array) -> tuple[Array, Ints, Flags]:
     return np.copysign(spans, goal), np.where(ends < 0.8 * half, ender, -1), drills
 
 
-def _ways(balls: Balls, units: Ints, spans: Array, ender: Ints, stops: bool, depth: int = DEEPEST) -> Ways:
+def _propagate_units(
+    balls: BallStates, units: Ints, spans: Array, ender: Ints, stops: bool, depth: int = DEEPEST
+) -> Steps:
     """What has no solution in one piece is led again for half the time."""
     some = balls[units]
-    phase, good = Phase(some, spans[units], ender[units]), np.zeros(len(units), dtype=bool)
+    phase, good = PhaseIntegrator(some, spans[units], ender[units]), np.zeros(len(units), dtype=bool)
     try:
-        way = phase.stop() if stops else phase.run()
-        good = ~some.any(~way.sound)
+        step = phase.stop_evenly() if stops else phase.run()
+        good = ~some.any_of_unit(~step.valid)
     except ValueError:
         if depth == 0 or (balls.each == 1 and phase.slides and phase.paced):
             raise
         if len(units) > 1 and balls.each > 1:
             for half in np.array_split(units, 2):
-                yield from _ways(balls, half, spans, ender, stops, depth)
+                yield from _propagate_units(balls, half, spans, ender, stops, depth)
             return
     if good.any():
-        yield units[good], way if good.all() else way[some.rows(np.flatnonzero(good))]
+        yield units[good], step if good.all() else step[some.rows(np.flatnonzero(good))]
     if not good.all():
-        yield from _ways(balls, units[~good], spans / 2, np.full_like(ender, -1), False, depth - 1)
+        yield from _propagate_units(balls, units[~good], spans / 2, np.full_like(ender, -1), False, depth - 1)
 
 
-def back(balls: Balls, now: Array, until: Array) -> Iterator[tuple[Ints, Led]]:
+def propagate_back(balls: BallStates, now: Array, until: Array) -> Iterator[tuple[Ints, IntegratedMotion]]:
     """Motions of units whose balls roll, slide or rest at `now` (k,), led back. What slides has slid all the while.
 
     Raises ValueError where a ball would have come from rest, or too fast.
     """
     states, now, floor = balls.states.copy(), now.copy(), np.full(len(balls.states), np.inf)
-    if balls.model.laws.bent("drilling"):
-        floor = np.where(balls.modes == SLIDE, ending_slip(balls.model, states, balls.bodies), np.inf)
+    if balls.model.laws.has_effect_on("drilling"):
+        floor = np.where(balls.modes == SLIDE, find_ending_slip(balls.model, states, balls.bodies), np.inf)
     for _ in range(MOST):
         speed = np.hypot(states[:, 3], states[:, 4])
-        left = np.flatnonzero((now > until) & balls.any(speed > STILL))
+        left = np.flatnonzero((now > until) & balls.any_of_unit(speed > STILL))
         if len(left) == 0:
             return
-        if np.any((speed > STILL) & (speed <= SLOWEST) & (modes_of(states, balls.bodies.radius) == ROLL)):
+        if np.any((speed > STILL) & (speed <= SLOWEST) & (classify_modes(states, balls.bodies.radius) == ROLL)):
             raise ValueError(f"a ball has no past before {now[left].max():g} s: it would have had to come from rest")
         if not np.all(speed < FASTEST):
             break
-        some = Balls(balls.model, balls.bodies, states, floor, balls.each)[left]
-        for units, way in lead(some, (until - now)[left]):
+        some = BallStates(balls.model, balls.bodies, states, floor, balls.each)[left]
+        for units, step in propagate(some, (until - now)[left]):
             mine = left[units]
-            yield mine, way.led.later(np.tile(now[mine], balls.each))
-            states[balls.rows(mine)] = way.last
-            now[mine] = arrived(now[mine] + way.lasts[: len(mine)], until[mine])
+            yield mine, step.motion.shift(np.tile(now[mine], balls.each))
+            states[balls.rows(mine)] = step.final_states
+            now[mine] = snap_to_goal(now[mine] + step.durations[: len(mine)], until[mine])
     raise ValueError(f"a past does not settle: a ball would have had to come faster than {FASTEST:g} m/s")
