@@ -169,8 +169,8 @@ def score(
                 run = load_json(results / RUN)
                 name = str(run.get("detector", "")) if isinstance(run, dict) else ""
             verdict = score_results(results, truth, name or "default", scheduler=scheduler)
-            write_report(verdict, results, truth, output, _typed())
-            path = verdict.write(output)
+            path = write_report(verdict, results, truth, output, _typed())
+            verdict.write(output)
         except BaseException:
             if new:
                 shutil.rmtree(output, ignore_errors=True)
@@ -190,21 +190,19 @@ def compare(
     Example: tracker compare out/benchmark --detectors maximum_likelihood,centroid -o out/compared
     """
     from tracker.scoring.detector_comparison import compare as compare_detectors
-    from tracker.scoring.detector_comparison import tables
+    from tracker.scoring.detector_comparison import make_tables
 
     with progress_bar("clips") as progress:
         whole = compare_detectors(dataset, detectors.split(","), output, progress)
     if as_json:
         print(json.dumps(whole))
         return
-    _, head, rows = tables(whole["detectors"])[0]
-    widths = [max(len(row[i]) for row in [head, *rows]) for i in range(len(head))]
-    for row in [head, *rows]:
-        print(
-            "  ".join(
-                cell.ljust(w) if i == 0 else cell.rjust(w) for i, (cell, w) in enumerate(zip(row, widths, strict=True))
-            )
-        )
+    table = make_tables(whole["detectors"])[0]
+    lines = [table.heads, *table.rows]
+    widths = [max(len(line[i]) for line in lines) for i in range(len(table.heads))]
+    for first, *rest in lines:
+        print("  ".join([first.ljust(widths[0]), *(cell.rjust(w) for cell, w in zip(rest, widths[1:], strict=True))]))
+    print(output / "index.html")
 
 
 @app.command()
@@ -282,8 +280,7 @@ def _typed() -> str:
 def _pages(outcome: ClipOutcome, output: Path, given: Path, workers: int) -> str:
     """Write the pages of results; where the first one is."""
     from tracker.pipeline import write_pages
-    from tracker.report.recording_page import PAGE
-    from tracker.report.result_pages import ResultPages
+    from tracker.report.pages import PAGE, ResultPages
 
     numbers = [int(n) for n in outcome.estimates["clip"].unique()]
     with progress_bar("pages") as progress:
@@ -304,15 +301,18 @@ def _report(outcome: ClipOutcome, output: Path, extra: dict[str, Any], as_json: 
         print(f"tracker: {line}", file=sys.stderr)
     if as_json:
         summary = {"results": str(output), "clips": outcome.clips, "fresh": outcome.fresh, "status": states, **extra}
-        rows = (_collision(row) for row in outcome.estimates.to_dict("records"))
-        summary |= {"warnings": said, "collisions": list(rows)}
+        summary |= {"warnings": said, "collisions": [_collision(r) for r in outcome.estimates.to_dict("records")]}
         print(json.dumps(summary))
         return
     for line in format_for_terminal(outcome.estimates):
         print(line)
     counts = ", ".join(f"{count} {state}" for state, count in states.items())
     made = f"{outcome.fresh} made now" if outcome.fresh else "complete before"
-    print(f"{output}: {outcome.clips} clip{'s' * (outcome.clips != 1)}, {made}: {counts}")
+    rows = len(outcome.estimates)  # a clip has a row for each of its collisions, or one
+    print(
+        f"{output}: {outcome.clips} clip{'s' * (outcome.clips != 1)}, {made}; "
+        f"{rows} row{'s' * (rows != 1)} of estimates: {counts}"
+    )
     if "ms_per_frame" in extra:
         print(f"{extra['frames']} frames, {extra['ms_per_frame']} ms a frame")
     if "page" in extra:

@@ -29,7 +29,7 @@ from tracker.recording import describe_camera_gaps, measure_tracks, track_and_me
 from tracker.tables.read import read_tracks
 
 if TYPE_CHECKING:
-    from tracker.report.result_pages import ResultPages
+    from tracker.report.pages import ResultPages
 
 ENDS = 1 << 16  # bytes at either end of a file that distinguish recordings
 Done = tuple[int, tuple[str, ...]]  # frames of a clip, and notes on it

@@ -13,6 +13,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from synthcam_shared.errors import InputError
+from synthcam_shared.report.numbers import format_with_error
 from tracker import results
 from tracker.camera.camera import Camera
 from tracker.camera.film_in_memory import FILM, wrap_frames
@@ -32,7 +33,6 @@ from tracker.detection.diagnose import FEWEST, explain_no_discs, explain_no_glin
 from tracker.detection.link import Tracks, link
 from tracker.measurement.collision.adequacy import MEASURED
 from tracker.measurement.collision.derived import QUANTITY_NAMES
-from tracker.report.estimates_text import format_with_error
 from tracker.tables.read import SAME_RATE, GivenCamera, read_tracks, to_pixels
 from tracker.tables.rows import tracks_table
 from tracker.tables.table import TrackTable

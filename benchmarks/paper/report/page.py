@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from benchmarks.paper.report import pdf, said, tables
 from benchmarks.paper.results import Results
 from synthcam_shared.outputs import write_atomically
-from tracker.report.html import describe_creation, embed_figure, render
+from synthcam_shared.report.page import embed_figure, render
 
 HERE = Path(__file__).parent
 FIGURES = HERE.parent / "figures"
@@ -88,9 +88,7 @@ def write(results: Results) -> Path:
         "conjecture": said.conjecture(results),
         "decide": said.decide(results),
     }
-    page = render(
-        HERE / "page.html", figures=shown, tables=found, made=describe_creation(command), quick=results.quick, **words
-    )
+    page = render(HERE / "page.html", figures=shown, tables=found, made=command, quick=results.quick, **words)
     write_atomically(results.output / "index.html", page)
     with mpl.rc_context(RC):
         pdf.write(results.output / "paper.pdf", words, found, [(s, drawn(results, s["name"])) for s in shown])

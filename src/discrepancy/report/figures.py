@@ -18,7 +18,7 @@ from discrepancy.fitting.predict import predict_tracks
 from discrepancy.found import SearchResult
 from discrepancy.free_laws.law_summary import LawSummary
 from discrepancy.validate.gap import Gap
-from tracker.report.html import embed_figure
+from synthcam_shared.report.page import embed_figure
 
 BEFORE, AFTER, FLOOR, OTHER = "#b2182b", "#2166ac", "#4d4d4d", "#bdbdbd"
 STYLE: Any = {"font.size": 9, "axes.spines.top": False, "axes.spines.right": False, "legend.frameon": False}

@@ -15,7 +15,7 @@ from discrepancy.report.figures import drawn
 from discrepancy.report.narrative import rounded, story
 from discrepancy.select.effect_claim import format_with_error
 from synthcam.model import Model, write_model
-from tracker.report.html import describe_creation, render
+from synthcam_shared.report.page import render
 
 
 def write(found: SearchResult, folder: Path, left_out: Sequence[str]) -> None:
@@ -34,7 +34,7 @@ def write(found: SearchResult, folder: Path, left_out: Sequence[str]) -> None:
         format_with_error=format_with_error,
         rounded=rounded,
         unit=_unit,
-        made=describe_creation("discrepancy find"),
+        made="discrepancy find",
     )
     (folder / "index.html").write_text(page, encoding="utf-8")
 

@@ -18,7 +18,7 @@ from discrepancy.planning.signatures import Limit
 from discrepancy.policy import current_policy
 from discrepancy.report.figures import AFTER, BEFORE, FLOOR, OTHER, STYLE, inline
 from discrepancy.report.html import plain
-from tracker.report.html import describe_creation, render
+from synthcam_shared.report.page import render
 
 RIVALS = 3  # of each strength, in plan.json
 TICKS = (0.1, 0.2, 0.3, 0.5, 0.7, 1, 1.5, 2, 3, 5, 10)  # of a ratio
@@ -58,7 +58,7 @@ def write(found: PlanResult, folder: Path) -> None:
         unit=lambda x: "" if x.unit == "1" else x.unit,
         shapes=_shapes,
         short=_short,
-        made=describe_creation("discrepancy plan"),
+        made="discrepancy plan",
     )
     (folder / "index.html").write_text(page, encoding="utf-8")
 

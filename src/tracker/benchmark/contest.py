@@ -14,7 +14,7 @@ from synthcam_shared.outputs import as_input_error, check_writable, lock_folder
 from tracker.benchmark.judging.entry import make_entry
 from tracker.benchmark.judging.tracker_results import ResultsInFolder
 from tracker.benchmark.report.leaderboard import ENTRIES, entries, file_name, save, write_leaderboard
-from tracker.benchmark.report.page import write_page
+from tracker.benchmark.report.page import write_report
 from tracker.benchmark.suite.folder import Suite
 from tracker.benchmark.trackers import RUN_HERE, Entrant, describe, entrants, run_tracker
 from tracker.parallel import in_parallel
@@ -83,7 +83,7 @@ def publish(suite: Suite, report: Path, how: str) -> list[Mapping[str, Any]]:
     """Leaderboard and page of the entries that a report has."""
     whole = entries(report, suite.about)
     write_leaderboard(report, whole)
-    write_page(report, whole, suite.definition, suite.about, how)
+    write_report(report, whole, suite.definition, suite.about, how)
     return whole
 
 

@@ -1,1 +1,1 @@
-"""What was measured, for people: the answer in words, and a page for each recording."""
+"""Reports of tracking: measured quantities as text, figures, and a page for each recording."""

@@ -1,4 +1,4 @@
-"""One measured collision drawn: a frame, tracks, separation, residuals, energy."""
+"""Figures of a measured collision: a frame, tracks, separation, residuals, energy, speed."""
 
 from __future__ import annotations
 
@@ -24,14 +24,21 @@ if TYPE_CHECKING:
 Floats = NDArray[np.float64]
 
 STYLE = {1: ("#c1440e", "o", "ball 1 (struck)"), 2: ("#14508c", "s", "ball 2 (striker)")}
-MODEL = "0.25"
-EVERY = 0.02  # s between the marks on a track, as in the paper's figure 2
-MOST_NAMED = 12  # particles in a legend
 
 
 @dataclass(frozen=True)
 class CollisionView:
-    """One measured collision: its row of estimates, its balls' to_ball_tracks (1 struck, 2 striker) and the camera."""
+    """One measured collision, ready to be drawn.
+
+    Attributes
+    ----------
+    clip : int
+    row : Series
+        Of estimates.
+    balls : dict
+        Track of the struck ball (1) and of the striker (2).
+    camera : Camera
+    """
 
     clip: int
     row: pd.Series
@@ -40,19 +47,22 @@ class CollisionView:
 
     @property
     def parameters(self) -> Floats:
-        """Tied parameters (16,) from the row."""
+        """Parameters of the tied fit, (16,)."""
         r = self.row
         launch = [r["t_c"], r["x1"], r["y1"], r["heading"], np.arcsin(r["b"]), r["v0"], r["drag"], r["decel"]]
         return np.array([*launch, r["r"], np.log(r["mu_k"]), r["C"], *(r[k] for k in BEFORE)], dtype=np.float64)
 
     def predict(self, ball: int, start: Floats) -> Floats:
-        """Positions (n, 2) m of the tied fit, averaged over exposures that begin at start (n,)."""
+        """Predict positions (n, 2) m by the tied fit, averaged over exposures that begin at start (n,) s."""
         free = np.asarray(tied_to_free(self.parameters), dtype=np.float64)
         return mean_positions(free, ball, start, self.camera.exposure, self.camera.ball_diameter)[0]
 
 
 def frame_figure(image: Floats, spots: pd.DataFrame, frame: int, camera: Camera) -> Figure:
-    """A frame with its detections, and their surroundings enlarged; spots: rows of tracks.parquet at that frame."""
+    """Draw a frame with its detections, and the balls enlarged.
+
+    image: counts (h, w); spots: the rows of tracks.parquet at that frame.
+    """
     figure = Figure(figsize=(9.2, 3.9), layout="constrained")
     grid = figure.add_gridspec(1, 2, width_ratios=[1.55, 1])
     whole, close = figure.add_subplot(grid[0]), figure.add_subplot(grid[1])
@@ -67,24 +77,24 @@ def frame_figure(image: Floats, spots: pd.DataFrame, frame: int, camera: Camera)
             axes.add_patch(Circle((x, y), radius, fill=False, ec="#4db8ff", lw=0.9))
         axes.set(xlabel="x / px", ylabel="y / px")
     if not any("glint" in str(flags).split("|") for flags in spots["flags"]):
-        close.plot(*centre.T, "+", color="#ffb000", ms=11, mew=1.3, label="ball centre, as measured")
+        close.plot(*centre.T, "+", color="#ffb000", ms=11, mew=1.3, label="measured centre of the ball")
     close.plot(*glint.T, "x", color="#ff4f81", ms=6, mew=1.1, label="glint")
     close.set(xlim=(left - reach, left + reach), ylim=(low + reach, low - reach))
     whole.add_patch(Rectangle(tuple(middle - reach), 2 * reach, 2 * reach, fill=False, ec="0.6", lw=0.8, ls=":"))
-    whole.set_title(f"frame {frame}: detections, ball outlines", fontsize=9)
-    close.set_title("enlarged, grey levels stretched", fontsize=9)
+    whole.set_title(f"frame {frame}: detections and outlines of the balls", fontsize=9)
+    close.set_title("enlarged, with stretched grey levels", fontsize=9)
     close.legend(loc="lower right", fontsize=8, framealpha=0.85)
     return figure
 
 
-def tracks_figure(specimen: CollisionView) -> Figure:
-    """The paper's figure 2: both tracks, a mark every .02 s, and the collision enlarged."""
+def tracks_figure(view: CollisionView) -> Figure:
+    """Draw both tracks with a mark every 0.02 s, and the collision enlarged (figure 2 of the paper)."""
     figure = Figure(figsize=(8.2, 4.4), layout="constrained")
     axes, inset = figure.subplots(1, 2, width_ratios=[1.5, 1])
-    every = max(round(EVERY * specimen.camera.fps), 1)
-    radius, t_c = specimen.camera.ball_diameter * 500, specimen.row["t_c"]
+    every = max(round(0.02 * view.camera.fps), 1)
+    radius, t_c = view.camera.ball_diameter * 500, view.row["t_c"]
     contact = {}
-    for ball, course in specimen.balls.items():
+    for ball, course in view.balls.items():
         colour, mark, label = STYLE[ball]
         position = course.position * 1e3
         for where in (axes, inset):
@@ -96,14 +106,14 @@ def tracks_figure(specimen: CollisionView) -> Figure:
             color=colour,
             ms=4.5,
             mfc="white",
-            label=f"{label}, every {every / specimen.camera.fps:g} s",
+            label=f"{label}, every {every / view.camera.fps:g} s",
         )
         inset.plot(*position.T, mark, color=colour, ms=3.2, mfc="white", label="every frame")
-        contact[ball] = specimen.predict(ball, np.array([t_c - specimen.camera.exposure / 2]))[0] * 1e3
+        contact[ball] = view.predict(ball, np.array([t_c - view.camera.exposure / 2]))[0] * 1e3
         inset.add_patch(Circle(tuple(contact[ball]), radius, fill=False, ec=colour, lw=1))
     middle = (contact[1] + contact[2]) / 2
     inset.set(xlim=middle[0] + np.array([-3, 3]) * radius, ylim=middle[1] + np.array([-3, 3]) * radius)
-    inset.set_title("at contact: outlines of the balls at $t_c$", fontsize=9)
+    inset.set_title("outlines of the balls at contact, $t_c$", fontsize=9)
     for where in (axes, inset):
         where.set_aspect("equal", adjustable="datalim" if where is axes else "box")
         where.set_xlabel("x / mm")
@@ -112,42 +122,42 @@ def tracks_figure(specimen: CollisionView) -> Figure:
     return figure
 
 
-def separation_figure(specimen: CollisionView) -> Figure:
-    """The paper's figure 3: separation of the centres against time, with what the tied fit leaves over."""
+def separation_figure(view: CollisionView) -> Figure:
+    """Draw the separation of the centres and its residuals against time (figure 3 of the paper)."""
     figure = Figure(figsize=(8.2, 4.6), layout="constrained")
     axes, rest = figure.subplots(2, 1, sharex=True, height_ratios=[2.2, 1])
-    one, two = specimen.balls[1], specimen.balls[2]
+    one, two = view.balls[1], view.balls[2]
     _, i, j = np.intersect1d(one.frame, two.frame, return_indices=True)
     along = one.position[i] - two.position[j]
     apart = np.hypot(*along.T)
     unit = along / apart[:, None]
     variance = np.einsum("ni,nij,nj->n", unit, one.cov[i] + two.cov[j], unit)
-    fitted = np.hypot(*(specimen.predict(1, one.start[i]) - specimen.predict(2, two.start[j])).T)
+    fitted = np.hypot(*(view.predict(1, one.start[i]) - view.predict(2, two.start[j])).T)
     time = one.time[i]
     axes.plot(time * 1e3, apart * 1e3, "o", color=STYLE[2][0], ms=3.2, mfc="white", label="measured")
     fine = np.linspace(time[0], time[-1], 800)
-    smooth = np.hypot(*(specimen.predict(1, fine) - specimen.predict(2, fine)).T)
-    axes.plot(fine * 1e3, smooth * 1e3, "-", color=MODEL, lw=0.9, label="tied fit")
-    axes.axhline(specimen.camera.ball_diameter * 1e3, color="0.6", lw=0.8, ls="--", label="ball diameter")
+    smooth = np.hypot(*(view.predict(1, fine) - view.predict(2, fine)).T)
+    axes.plot(fine * 1e3, smooth * 1e3, "-", color="0.25", lw=0.9, label="tied fit")
+    axes.axhline(view.camera.ball_diameter * 1e3, color="0.6", lw=0.8, ls="--", label="ball diameter")
     axes.set_ylabel("separation / mm")
     rest.errorbar(
         time * 1e3, (apart - fitted) * 1e6, np.sqrt(variance) * 1e6, fmt="o", color=STYLE[2][0], ms=2.5, lw=0.7
     )
-    rest.axhline(0, color=MODEL, lw=0.8)
+    rest.axhline(0, color="0.25", lw=0.8)
     rest.set_ylabel("residual / µm")
     rest.set_xlabel("time / ms")
-    _mark_times((axes, rest), specimen)
+    _mark_times((axes, rest), view)
     axes.legend(fontsize=8, loc="best")
     return figure
 
 
-def energy_figure(specimen: CollisionView, tracks: object, camera: Camera) -> Figure:
-    """The paper's energy against time, with the tied fit and the loss that an impact alone would make."""
+def energy_figure(view: CollisionView, tracks: Tracks) -> Figure:
+    """Draw translational energy against time, with the tied fit and the loss in a head-on impact alone."""
     figure = Figure(figsize=(8.2, 3.6), layout="constrained")
     axes = figure.subplots()
-    row = specimen.row
+    row = view.row
     whole = row["v0"] ** 2 / 2
-    table = motion_table(tracks, camera, row.to_dict())  # type: ignore[arg-type]
+    table = motion_table(tracks, view.camera, {str(key): value for key, value in row.items()})
     total: pd.Series | None = None
     for ball in (1, 2):
         colour, mark, label = STYLE[ball]
@@ -157,21 +167,23 @@ def energy_figure(specimen: CollisionView, tracks: object, camera: Camera) -> Fi
     assert total is not None
     axes.plot(total.index * 1e3, total, "D", color="0.1", ms=2.8, ls="-", lw=0.8, label="both")
     after = row["t_c"] * 1e3, float(total.index.max()) * 1e3
-    axes.hlines(1 - (1 - row["r"] ** 2) / 2, *after, color="0.4", ls="--", lw=0.9, label="$1-(1-r^2)/2$: impact alone")
-    axes.hlines(row["energy_fraction"], *after, color="0.4", ls=":", lw=1.2, label="tied fit, both at slide end")
-    _mark_times((axes,), specimen)
+    axes.hlines(
+        1 - (1 - row["r"] ** 2) / 2, *after, color="0.4", ls="--", lw=0.9, label="$1-(1-r^2)/2$: after the impact"
+    )
+    axes.hlines(row["energy_fraction"], *after, color="0.4", ls=":", lw=1.2, label="tied fit, once both roll")
+    _mark_times((axes,), view)
     axes.set(xlabel="time / ms", ylabel="translational energy / $m v_0^2/2$", ylim=(-0.05, 1.15))
     axes.legend(fontsize=8, loc="center right", bbox_to_anchor=(1.0, 0.61), ncols=2)
     return figure
 
 
-def _mark_times(panels: tuple[Axes, ...], specimen: CollisionView) -> None:
-    t_c = float(specimen.row["t_c"])
+def _mark_times(panels: tuple[Axes, ...], view: CollisionView) -> None:
+    t_c = float(view.row["t_c"])
     for axes in panels:
         axes.axvline(t_c * 1e3, color="0.3", lw=0.8, ls=":")
         for ball in (1, 2):
-            axes.axvline((t_c + float(specimen.row[f"tau{ball}"])) * 1e3, color=STYLE[ball][0], lw=0.8, ls=":")
-    marks = [(t_c, "$t_c$")] + [(t_c + float(specimen.row[f"tau{k}"]), rf"$t_c+\tau_{k}$") for k in (1, 2)]
+            axes.axvline((t_c + float(view.row[f"tau{ball}"])) * 1e3, color=STYLE[ball][0], lw=0.8, ls=":")
+    marks = [(t_c, "$t_c$")] + [(t_c + float(view.row[f"tau{k}"]), rf"$t_c+\tau_{k}$") for k in (1, 2)]
     for line, (x, label) in enumerate(marks, start=1):  # one below the other: the slides' ends may be close
         at, shift = (x * 1e3, 1.0), (2, -11 * line)
         panels[0].annotate(
@@ -179,28 +191,28 @@ def _mark_times(panels: tuple[Axes, ...], specimen: CollisionView) -> None:
         )
 
 
-def residuals_figure(specimen: CollisionView) -> Figure:
-    """Position less the tied fit, each ball and axis, with the positions' standard errors."""
+def residuals_figure(view: CollisionView) -> Figure:
+    """Draw position minus tied fit for each ball and axis, with the standard errors of the positions."""
     figure = Figure(figsize=(8.2, 4.2), layout="constrained")
     panels = figure.subplots(2, 1, sharex=True, sharey=True)
-    for axes, (ball, course) in zip(panels, sorted(specimen.balls.items()), strict=True):
-        off = (course.position - specimen.predict(ball, course.start)) * 1e6
+    for axes, (ball, course) in zip(panels, sorted(view.balls.items()), strict=True):
+        off = (course.position - view.predict(ball, course.start)) * 1e6
         for axis, (name, mark, colour) in enumerate((("x", "o", "#14508c"), ("y", "s", "#c1440e"))):
             error = np.sqrt(course.cov[:, axis, axis]) * 1e6
             axes.errorbar(
                 course.time * 1e3, off[:, axis], error, fmt=mark, ms=2.6, lw=0.7, color=colour, mfc="white", label=name
             )
-        axes.axhline(0, color=MODEL, lw=0.8)
+        axes.axhline(0, color="0.25", lw=0.8)
         axes.set_ylabel("residual / µm")
         axes.set_title(STYLE[ball][2], fontsize=9)
     panels[0].legend(fontsize=8)
     panels[1].set_xlabel("time / ms")
-    _mark_times(tuple(panels), specimen)
+    _mark_times(tuple(panels), view)
     return figure
 
 
 def speed_figure(motion: pd.DataFrame, contacts: Sequence[float]) -> Figure:
-    """Speed of each ball against time, from differences of neighbouring frames; contacts: s."""
+    """Draw the speed of each ball from differences of neighbouring frames; contacts: times, s."""
     figure = Figure(figsize=(8.2, 3.4), layout="constrained")
     axes = figure.subplots()
     for particle, rows in motion.groupby("particle"):
@@ -214,7 +226,7 @@ def speed_figure(motion: pd.DataFrame, contacts: Sequence[float]) -> Figure:
 
 
 def all_tracks_figure(tracks: Tracks, camera: Camera) -> Figure:
-    """All tracks as they lie in the picture, px."""
+    """Draw all tracks in the picture, px; more than 12 particles have no legend."""
     figure = Figure(figsize=(8.2, 4.2), layout="constrained")
     axes = figure.subplots()
     for particle in np.unique(tracks.particle):
@@ -222,6 +234,6 @@ def all_tracks_figure(tracks: Tracks, camera: Camera) -> Figure:
         axes.plot(*tracks.xy[rows].T, ".-", ms=3, lw=0.7, label=f"particle {particle}")
     width, height = camera.size
     axes.set(xlabel="x / px", ylabel="y / px", xlim=(-0.5, width - 0.5), ylim=(height - 0.5, -0.5), aspect="equal")
-    if 0 < len(np.unique(tracks.particle)) <= MOST_NAMED:
+    if 0 < len(np.unique(tracks.particle)) <= 12:
         axes.legend(fontsize=8)
     return figure

@@ -1,4 +1,4 @@
-"""Several detectors on one dataset: the same linking, fits and truth, one report."""
+"""Comparison of several detectors on one dataset, with the same linking, fits and truth, in one report."""
 
 from __future__ import annotations
 
@@ -11,16 +11,14 @@ from pathlib import Path
 from typing import Any
 
 from synthcam_shared.errors import InputError
-from synthcam_shared.outputs import as_input_error, check_writable, lock_folder, write_atomically
+from synthcam_shared.outputs import as_input_error, check_writable, lock_folder
+from synthcam_shared.report.numbers import format_number, format_with_error
+from synthcam_shared.report.page import PageTable, Section, write_page
 from tracker import results
 from tracker.detection.detect import load_detector
 from tracker.pipeline import run
-from tracker.report.html import describe_creation, render
 from tracker.scoring.score import DetectorScore, score
 
-TIMES = "times.json"
-LOCALISATION = ("n", "missed", "false", "rmse_px", "bound_px", "ratio", "phase_bias_px")
-QUANTITIES = ("r", "tau1", "tau2", "mu_k", "C", "energy_fraction")
 Progress = Callable[[int, int], None]
 
 
@@ -29,18 +27,18 @@ def compare(
 ) -> dict[str, Any]:
     """Track a dataset with several detectors, in one process, and write REPORT/score.json and index.html.
 
-    Results are kept in REPORT/results/NAME: interrupted, the same call goes on.
+    Results are kept in REPORT/results/NAME. The same call goes on after an interruption.
 
     Parameters
     ----------
     dataset : Path
         Clips with their truth.
     names : sequence of str
-        Of the detectors.
+        Names of the detectors.
     report : Path
         REPORT.
     progress : callable
-        Takes clips done and clips in all.
+        Called with the number of finished clips and of all clips.
 
     Returns
     -------
@@ -50,13 +48,11 @@ def compare(
     Raises
     ------
     InputError
-        Before anything is done, where a detector is not there, or REPORT holds something else.
+        Before any work, where a detector does not exist or REPORT holds other files.
     """
     chosen = [name.strip() for name in names if name.strip()]
     if not chosen or len(set(chosen)) < len(chosen):
-        raise InputError(
-            "--detectors: expected different names with commas between them, as maximum_likelihood,centroid"
-        )
+        raise InputError("--detectors: expected different names, separated by commas: maximum_likelihood,centroid")
     for name in chosen:
         load_detector(name)
     known = dataset / "truth" / "clips.parquet"
@@ -74,13 +70,12 @@ def compare(
         whole = scores[0].to_dict()
         for other in scores[1:]:
             whole["detectors"] |= other.to_dict()["detectors"]
-        values = {
-            "suite": whole["suite"],
-            "tables": tables(whole["detectors"]),
-            "made": describe_creation("tracker compare"),
-        }
-        html = render(Path(__file__).with_name("compare.html"), **values)
-        write_atomically(report / "index.html", html)
+        summary = (
+            f"Dataset {whole['suite']}. All detectors have the same linking and the same fits, in one process; the "
+            "time per frame includes everything from the file to the estimates."
+        )
+        sections = [Section("", make_tables(whole["detectors"]))]
+        write_page(report / "index.html", "Comparison of detectors", sections, "tracker compare", [summary])
         results.write_json(report / "score.json", whole)
     return whole
 
@@ -95,32 +90,34 @@ def _track_and_score(dataset: Path, name: str, report: Path, progress: Progress)
     outcome = run(dataset, folder, None, name, 1, progress)
     if outcome.frames:
         note = {"ms_per_frame": 1e3 * (time.perf_counter() - started) / outcome.frames}
-        results.write_json(report / "results" / f"{name}.{TIMES}", note)
-    known = report / "results" / f"{name}.{TIMES}"
+        results.write_json(report / "results" / f"{name}.times.json", note)
+    known = report / "results" / f"{name}.times.json"
     spent = json.loads(known.read_text(encoding="utf-8"))["ms_per_frame"] if known.is_file() else None
     return score(folder, dataset, name, spent)
 
 
-def tables(detectors: dict[str, Any]) -> list[tuple[str, list[str], list[list[str]]]]:
-    """Title, heads and rows of text: positions and speed, tracks, and quantities by their rmse over the bound."""
-    localised = [
-        [name, *(_text(d["localisation"][k]) for k in LOCALISATION), _text(d["ms_per_frame"])]
-        for name, d in detectors.items()
-    ]
-    kinds = sorted({k for d in detectors.values() for k in d["tracking"]})
-    tracks = [[name, *(_text(d["tracking"].get(k), 5) for k in kinds)] for name, d in detectors.items()]
-    claims = [
-        [name, *(f"{_text(q.get('rmse'))} ({q.get('n', 0)})" for q in (d["quantities"].get(k, {}) for k in QUANTITIES))]
-        for name, d in detectors.items()
-    ]
+def make_tables(detectors: dict[str, Any]) -> list[PageTable]:
+    """Make the tables of positions and speed, of tracks, and of the errors of quantities."""
+    columns = ("n", "missed", "false", "rmse_px", "bound_px", "ratio", "phase_bias_px")
+    positions = []
+    for name, d in detectors.items():
+        where = d["localisation"]
+        values = {k: format_number(where[k]) for k in columns}
+        if where["ratio"] is not None:
+            values["ratio"] = format_with_error(where["ratio"], where["ratio"] / math.sqrt(4 * max(where["n"], 1)))
+        positions.append([name, *values.values(), format_number(d["ms_per_frame"])])
+    measures = sorted({k for d in detectors.values() for k in d["tracking"]})
+    tracks = [[name, *(format_number(d["tracking"].get(k), 5) for k in measures)] for name, d in detectors.items()]
+    names = ("r", "tau1", "tau2", "mu_k", "C", "energy_fraction")
+    quantities = []
+    for name, d in detectors.items():
+        found = [d["quantities"].get(k, {}) for k in names]
+        quantities.append([name, *(f"{format_number(q.get('rmse'))} ({q.get('n', 0)})" for q in found)])
+    bound = "Errors of x and y. Bound: Cramér-Rao bound; ratio: rmse over bound, with its sampling error in brackets. "
+    bound += "ms: processing time per frame."
+    tied = "Root mean square error in SI units, and in brackets the number of clips."
     return [
-        ("Positions, px, per axis; ms a frame", ["detector", *LOCALISATION, "ms"], localised),
-        ("Tracks, gate 5 px", ["detector", *kinds], tracks),
-        ("Tied fit: rmse of each quantity, SI, and of how many clips", ["detector", *QUANTITIES], claims),
+        PageTable(["detector", *columns, "ms"], positions, "Positions", bound),
+        PageTable(["detector", *measures], tracks, "Tracks, gate 5 px"),
+        PageTable(["detector", *names], quantities, "Quantities, tied fit", tied),
     ]
-
-
-def _text(value: float | None, digits: int = 3) -> str:
-    if value is None or (isinstance(value, float) and not math.isfinite(value)):
-        return "–"
-    return str(value) if isinstance(value, int) else f"{value:.{digits}g}"

@@ -1,4 +1,4 @@
-"""Tables of any program held to a true table of any program: tracks and positions, without films or cameras."""
+"""Comparison of a table of tracks by any program with a true table, without films or cameras."""
 
 from __future__ import annotations
 
@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
 from synthcam_shared.errors import InputError
-from synthcam_shared.outputs import write_atomically
-from tracker.report.html import describe_creation, render
+from synthcam_shared.report.page import PageTable, Section, write_page
 from tracker.results import finite, write_json
 from tracker.scoring.tracking_metrics import GATE_PX, TrackPoints, score_tracks
 from tracker.tables.content import Content
@@ -22,24 +21,24 @@ from tracker.tables.rows import to_numbers, to_whole_numbers
 from tracker.tables.table import TrackTable
 
 SIZE = ("width", "height")
-SAID = (
-    ("mota", "1 - (missed + false + switches) / balls"),
-    ("motp", "mean similarity of what is paired"),
-    ("idf1", "share of the positions that one partner for the whole film explains"),
-    ("hota", "geometric mean of detection and association, over 19 levels of similarity"),
-    ("deta", "its part of detection"),
-    ("assa", "its part of association"),
-    ("swaps", "identity switches"),
-    ("alpha", "1 - distance of paired tracks, over that of none (Particle Tracking Challenge)"),
-    ("beta", "the same, less for spurious tracks"),
-    ("jsc", "share of the positions that are paired"),
-    ("jsc_theta", "share of the tracks that are paired"),
-)
+MEASURES = {
+    "mota": "1 - (missed + false + switches) / balls",
+    "motp": "mean similarity of the paired positions",
+    "idf1": "share of the positions that one partner for the whole film explains",
+    "hota": "geometric mean of detection and association, over 19 levels of similarity",
+    "deta": "the detection part of hota",
+    "assa": "the association part of hota",
+    "swaps": "identity switches",
+    "alpha": "1 - distance of paired tracks over the distance without any track (Particle Tracking Challenge)",
+    "beta": "alpha with a penalty for spurious tracks",
+    "jsc": "share of the positions that are paired",
+    "jsc_theta": "share of the tracks that are paired",
+}
 
 
 @dataclass(frozen=True)
 class TableScore:
-    """Figures of one table; `by` says how positions were compared."""
+    """Scores of one table; `by` says how positions were compared."""
 
     truth: str
     name: str
@@ -48,48 +47,51 @@ class TableScore:
     tracking: dict[str, float]
 
     def to_dict(self) -> dict[str, Any]:
-        """The contents of score.json."""
+        """Return the contents of score.json."""
         parts = {"localisation": self.localisation, "tracking": self.tracking, "by": self.by}
         whole_table: dict[str, Any] = finite({"suite": self.truth, "detectors": {self.name: parts}})
         return whole_table
 
     def summary(self) -> list[str]:
-        """Lines for a terminal."""
+        """Return lines for a terminal."""
         where = self.localisation
         lines = [
             f"{where['n']} found, {where['missed']} missed, {where['false']} false ({self.by})",
             f"rmse of those found {where['rmse']:.4g} {where['unit']}, each axis",
         ]
-        return lines + [f"{name:<10}{self.tracking[name]:>12.9g}  {meaning}" for name, meaning in SAID]
+        return lines + [f"{name:<10}{self.tracking[name]:>12.9g}  {meaning}" for name, meaning in MEASURES.items()]
 
     def write(self, report: Path) -> Path:
-        """REPORT/score.json and index.html; where the former is."""
-        report.mkdir(parents=True, exist_ok=True)
-        rows = [(name, f"{self.tracking[name]:.9g}", meaning) for name, meaning in SAID]
-        page = render(
-            Path(__file__).with_name("tables.html"), score=self, rows=rows, made=describe_creation("tracker score")
+        """Write REPORT/score.json and REPORT/index.html; return the path of the page."""
+        where = self.localisation
+        summary = (
+            f"{where['n']} positions found, {where['missed']} missed, {where['false']} false. Root mean square error "
+            f"of those found: {where['rmse']:.4g} {where['unit']} in x and y. Compared as {self.by}."
         )
-        write_atomically(report / "index.html", page)
+        rows = [(name, f"{self.tracking[name]:.9g}", meaning) for name, meaning in MEASURES.items()]
+        table = PageTable(["measure", "value", "meaning"], rows)
+        report.mkdir(parents=True, exist_ok=True)
         write_json(report / "score.json", self.to_dict())
-        return report / "score.json"
+        title = f"{self.name} compared with {self.truth}"
+        return write_page(report / "index.html", title, [Section("", [table])], "tracker score", [summary])
 
 
 def score_table(found: Path, truth: Path, gate: float | None = None, name: str = "") -> TableScore:
-    """Hold a table to a true one.
+    """Compare a table with a true table.
 
     Parameters
     ----------
     found, truth : Path
-        Files of tracks, of one format or of two, their lengths in one unit.
+        Files of tracks in any formats, with lengths in the same unit.
     gate : float, optional
-        Largest distance of a pair, in that unit; default: 5. Boxes, where both files have them, are compared by their
-        overlap, unless a gate is given.
+        Largest distance of a pair in that unit; default: 5. Without a gate, boxes are compared by their overlap where
+        both files have boxes.
     name : str
-        What to call the table; default: its file's.
+        Name of the table; default: that of its file.
 
     Returns
     -------
-    TablesScore
+    TableScore
 
     Raises
     ------
@@ -99,28 +101,26 @@ def score_table(found: Path, truth: Path, gate: float | None = None, name: str =
     units = [table.unit or ("m" if table.up else "px") for table in (one, other)]
     if units[0] != units[1] or one.up != other.up:
         raise InputError(f"{found}: lengths in {units[1]}, those of {truth} in {units[0]}; expected one unit")
-    clips = [_dots(table, path) for table, path in ((one, truth), (other, found))]
+    clips = [_read_points(table, path) for table, path in ((one, truth), (other, found))]
     boxes = gate is None and all(set(SIZE) <= set(table.rows) for table in (one, other))
     reach = GATE_PX if gate is None else gate
-    pairs = []
+    empty = TrackPoints(np.empty(0, np.int64), np.empty(0, np.int64), np.empty((0, 2)), np.empty((0, 2)))
+    pairs: list[tuple[TrackPoints, TrackPoints]] = []
     for clip in sorted(set(clips[0]) | set(clips[1])):
-        both = [part.get(clip, NOTHING) for part in clips]
-        pairs.append(tuple(both) if boxes else tuple(TrackPoints(d.frame, d.track, d.xy) for d in both))
-    by = "boxes by their overlap, half or more" if boxes else f"points, up to {reach:g} {units[0]} apart"
+        both = [part.get(clip, empty) for part in clips]
+        true_points, points = both if boxes else [TrackPoints(p.frame, p.track, p.xy) for p in both]
+        pairs.append((true_points, points))
     return TableScore(
-        truth.name,
-        name or found.stem,
-        by,
-        _localisation([(a, b) for a, b in pairs], reach) | {"unit": units[0]},
-        score_tracks([(a, b) for a, b in pairs], reach),
+        truth=truth.name,
+        name=name or found.stem,
+        by="boxes that overlap by half or more" if boxes else f"points, up to {reach:g} {units[0]} apart",
+        localisation=_score_positions(pairs, reach) | {"unit": units[0]},
+        tracking=score_tracks(pairs, reach),
     )
 
 
-NOTHING = TrackPoints(np.empty(0, np.int64), np.empty(0, np.int64), np.empty((0, 2)), np.empty((0, 2)))
-
-
-def _dots(table: TrackTable, path: Path) -> dict[int, TrackPoints]:
-    """By clip. Rows without a finite position are left out."""
+def _read_points(table: TrackTable, path: Path) -> dict[int, TrackPoints]:
+    """Track points by clip, without rows that have no finite position."""
     rows, where = table.rows, str(path)
     columns = [to_numbers(rows[name], name, where) for name in ("x", "y")]
     xy: NDArray[np.float64] = np.stack(columns, axis=1)
@@ -139,8 +139,8 @@ def _dots(table: TrackTable, path: Path) -> dict[int, TrackPoints]:
     }
 
 
-def _localisation(clips: list[tuple[TrackPoints, TrackPoints]], gate: float) -> dict[str, Any]:
-    """Positions paired frame by frame, whatever their tracks."""
+def _score_positions(clips: list[tuple[TrackPoints, TrackPoints]], gate: float) -> dict[str, Any]:
+    """Pair positions frame by frame, without regard to their tracks."""
     off, missed, false = [], 0, 0
     for truth, found in clips:
         for frame in np.union1d(truth.frame, found.frame):

@@ -1,4 +1,4 @@
-"""All clips of a suite held to the truth, drawn."""
+"""Figures of the errors of all clips: estimate minus truth, and errors over standard errors."""
 
 from __future__ import annotations
 
@@ -8,28 +8,18 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from tracker.measurement.collision.derived import QUANTITY_NAMES
+from tracker.report.quantities import QUANTITIES
 
 Floats = NDArray[np.float64]
 
-TIED_COLOUR, FREE_COLOUR, PAPER_COLOUR = "#14508c", "#c1440e", "#5b7f1c"
-# name: (symbol, unit in which errors are shown, how many of it in one SI unit)
-SHOWN: dict[str, tuple[str, str, float]] = {
-    "v0": ("$v_0$", "mm/s", 1e3), "b": ("$b/2R$", "$10^{-3}$", 1e3), "t_c": ("$t_c$", "µs", 1e6),
-    "r": ("$r$", "$10^{-3}$", 1e3), "s": ("$s$", "$10^{-3}$", 1e3), "mu_k": (r"$\mu_k$", "$10^{-3}$", 1e3),
-    "C": ("$C$", "$10^{-3}$", 1e3), "tau1": (r"$\tau_1$", "µs", 1e6), "tau2": (r"$\tau_2$", "µs", 1e6),
-    "v1f": ("$v_{1f}$", "mm/s", 1e3), "v2f": ("$v_{2f}$", "mm/s", 1e3),
-    "energy_fraction": ("energy fraction", "$10^{-3}$", 1e3),
-    "momentum_fraction": ("momentum fraction", "$10^{-3}$", 1e3),
-    "final_angle": ("final angle", "mrad", 1e3), "drag": ("drag", "1/s", 1.0),
-    "decel": ("decel", "mm/s²", 1e3), "w1n": (r"$\omega_{1n}$", "rad/s", 1.0),
-    "w1t": (r"$\omega_{1t}$", "rad/s", 1.0), "w2n": (r"$\omega_{2n}$", "rad/s", 1.0),
-    "w2t": (r"$\omega_{2t}$", "rad/s", 1.0),
-}  # fmt: skip
+COLOURS = {"": "#14508c", "_free": "#c1440e", "_paper": "#5b7f1c"}  # of the tied fit, the free fit, finite differences
 
 
 def residual_figure(table: pd.DataFrame, kind: str) -> Figure:
-    """Estimate - truth with error bars against v0, one panel a quantity; kind: "", "_free" or "_paper"."""
-    colour = {"": TIED_COLOUR, "_free": FREE_COLOUR, "_paper": PAPER_COLOUR}[kind]
+    """Draw estimate minus truth with error bars against v0, one panel for each quantity.
+
+    kind: "" for the tied fit, "_free" for the free fit, "_paper" for finite differences.
+    """
     names = [n for n in QUANTITY_NAMES if f"{n}_true" in table and _claims(table, n, kind) is not None]
     columns, rows = 4, max(1, -(-len(names) // 4))
     height = 1.9 * rows + 0.3
@@ -37,34 +27,36 @@ def residual_figure(table: pd.DataFrame, kind: str) -> Figure:
     figure.subplots_adjust(0.055, 0.5 / height, 0.99, 1 - 0.25 / height, wspace=0.3, hspace=0.32)
     panels = np.atleast_1d(figure.subplots(rows, columns, sharex=True)).ravel()
     for axes, name in zip(panels, names, strict=False):
-        symbol, unit, factor = SHOWN[name]
+        quantity, factor = QUANTITIES[name], QUANTITIES[name].error_factor
         claims = _claims(table, name, kind)
         assert claims is not None
         speed, off, std = claims
-        axes.errorbar(speed * 100, off * factor, std * factor, fmt="o", ms=2, lw=0.7, color=colour, mfc="white")
+        axes.errorbar(speed * 100, off * factor, std * factor, fmt="o", ms=2, lw=0.7, color=COLOURS[kind], mfc="white")
         axes.axhline(0, color="0.2", lw=0.8)
         low, high = (float(np.percentile(off + sign * std, q)) * factor for sign, q in ((-1, 2), (1, 98)))
         low, high = min(low, 0.0), max(high, 0.0)
         axes.set_ylim(low - 0.2 * (high - low), high + 0.2 * (high - low))
-        axes.set_title(f"{symbol}: error / {unit}", fontsize=9)
+        axes.set_title(f"{quantity.formula}: error / {quantity.error_unit}", fontsize=9)
         axes.tick_params(labelsize=7)
     for axes in panels[len(names) :]:
         axes.set_axis_off()
-    figure.supxlabel("$v_0$ / (cm/s)", fontsize=9)
+    figure.supxlabel("speed of the striker, $v_0$ / (cm/s)", fontsize=9)
     return figure
 
 
 def error_bars_figure(table: pd.DataFrame) -> Figure:
-    """Errors in units of the claimed standard error, all quantities together, against the normal law."""
+    """Draw a histogram of errors over standard errors, all quantities together, and the normal distribution."""
     figure = Figure(figsize=(8.2, 3.0), layout="constrained")
     bins = np.linspace(-5, 5, 41)
     grid = np.linspace(-5, 5, 300)
-    kinds = (("", TIED_COLOUR, "tied fit"), ("_free", FREE_COLOUR, "free fit"))
-    for axes, (kind, colour, title) in zip(figure.subplots(1, 2, sharey=True), kinds, strict=True):
+    kinds = (("", "tied fit"), ("_free", "free fit"))
+    for axes, (kind, title) in zip(figure.subplots(1, 2, sharey=True), kinds, strict=True):
         z = [c[1][c[2] > 0] / c[2][c[2] > 0] for n in QUANTITY_NAMES if (c := _claims(table, n, kind)) is not None]
         values = np.concatenate([*z, np.empty(0)])
-        axes.hist(values.clip(-5, 5), bins=bins.tolist(), density=True, color=colour, alpha=0.55)
-        axes.plot(grid, np.exp(-(grid**2) / 2) / np.sqrt(2 * np.pi), "-", color="0.1", lw=1, label="normal law")
+        axes.hist(values.clip(-5, 5), bins=bins.tolist(), density=True, color=COLOURS[kind], alpha=0.55)
+        axes.plot(
+            grid, np.exp(-(grid**2) / 2) / np.sqrt(2 * np.pi), "-", color="0.1", lw=1, label="normal distribution"
+        )
         axes.set(xlabel="error / claimed standard error", title=f"{title}, all quantities")
         axes.legend(fontsize=8)
     figure.axes[0].set_ylabel("density")
@@ -72,7 +64,7 @@ def error_bars_figure(table: pd.DataFrame) -> Figure:
 
 
 def _claims(table: pd.DataFrame, name: str, kind: str) -> tuple[Floats, Floats, Floats] | None:
-    """v0, error, standard error of the clips that claim a quantity; None if none does, or it is fixed."""
+    """v0, error and standard error of clips that measure a quantity; None where none does, or it is fixed."""
     columns = (f"{name}{kind}", f"{name}{kind}_std", f"{name}_true", "v0_true")
     if not set(columns) <= set(table.columns):
         return None

@@ -1,10 +1,8 @@
-"""REPORT/index.html: what was measured, how far from the truth, and whether the error bars hold. Self-contained."""
+"""REPORT/index.html of a score: errors against the truth, in figures and tables, on a self-contained page."""
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -13,7 +11,8 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from synthcam_shared.errors import InputError
-from synthcam_shared.outputs import write_atomically
+from synthcam_shared.report.numbers import format_number, format_percent, format_with_error
+from synthcam_shared.report.page import Block, PageFigure, PageTable, Section, write_page
 from tracker.measurement.collision.derived import QUANTITY_NAMES
 from tracker.measurement.positions import to_ball_tracks
 from tracker.report.collision_figures import (
@@ -23,141 +22,193 @@ from tracker.report.collision_figures import (
     separation_figure,
     tracks_figure,
 )
-from tracker.report.html import describe_creation, embed_figure, render
+from tracker.report.estimates_text import METHODS
+from tracker.report.pages import CAPTIONS
+from tracker.report.quantities import QUANTITIES
 from tracker.results import read_clip
-from tracker.scoring.figures import SHOWN, error_bars_figure, residual_figure
+from tracker.scoring.figures import error_bars_figure, residual_figure
 from tracker.scoring.score import DetectorScore
 
 Floats = NDArray[np.float64]
-KINDS = {"": "tied fit", "_free": "free fit", "_paper": "the paper's differences"}
-TYPICAL_SPEED = 0.3  # m/s; the clip shown is the one nearest to it
-RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+FIGURES = {
+    "frame": (
+        "Frame after the contact",
+        "A frame just after the contact, with its detections. The glint is not at the centre of the ball: lamp, camera "
+        "and position decide where it is. The measured centre is corrected for that.",
+    ),
+    "tracks": ("Tracks of both balls", f"{CAPTIONS['tracks']} (Figure 2 of the paper.)"),
+    "separation": (
+        "Separation of the balls",
+        f"{CAPTIONS['separation']} Dotted: the contact, and the ends of both slides. (Figure 3 of the paper.)",
+    ),
+    "energy": ("Translational energy", CAPTIONS["energy"]),
+    "tied": (
+        "Errors of the tied fit",
+        "Tied fit, one physical model of impact, sliding and rolling: estimate minus truth with one standard error, "
+        "against the speed of the striker.",
+    ),
+    "free": (
+        "Errors of the free fit",
+        "Free fit, with any velocities and slide times after the impact: estimate minus truth. A clip is left out "
+        "where the fit does not determine a quantity.",
+    ),
+    "honesty": (
+        "Errors over standard errors",
+        "Errors divided by their claimed standard errors, all quantities together. Correct error bars follow the "
+        "curve.",
+    ),
+    "paper": (
+        "Errors of finite differences",
+        "Finite differences of the paper at the frame of least separation. Restitution is too low, most for slow "
+        "balls, because sliding has already changed the velocities in that frame.",
+    ),
+}
 
 
 def write_report(
     score: DetectorScore, results: Path | str, dataset: Path | str, report: Path | str, command: str = "tracker score"
 ) -> Path:
-    """Write REPORT/index.html beside score.json: one self-contained file.
+    """Write REPORT/index.html, one self-contained file, beside score.json.
 
     Parameters
     ----------
-    score : Score
+    score : DetectorScore
     results, dataset : str or Path
-        Where the tracks and the pictures of the clip shown are read. A dataset without video, or results without a
-        collision, leave their figures out and say so.
+        Tracks and pictures of the example clip are read here. The page says so where there is no video or no collision.
     report : str or Path
         REPORT.
     command : str
-        What the page says that made it.
+        The command that made the page.
 
     Returns
     -------
     Path
         Of index.html.
     """
-    drawn = draw_figures(score, Path(results), Path(dataset))
-    images = {name: embed_figure(figure) for name, figure in drawn.items()}
-    values = {
-        "tables": make_tables(score),
-        "clip": choose_clip(score),
-        "kinds": KINDS,
-        "made": describe_creation(command),
+    figures = {
+        name: PageFigure.of(figure, *FIGURES[name])
+        for name, figure in draw_figures(score, Path(results), Path(dataset)).items()
     }
-    html = render(Path(__file__).with_name("report.html"), score=score, images=images, **values)
-    folder = Path(report)
-    folder.mkdir(parents=True, exist_ok=True)
-    write_atomically(folder / "index.html", html)
-    return folder / "index.html"
+    clip = choose_clip(score)
+    if clip is None:
+        misfits = score.statuses.get("misfit", 0)
+        why = (
+            f"The tied fit describes the collision of no clip ({misfits} misfits). The tracks reject two equal balls "
+            "that roll, collide and slide. The tied fit therefore claims no errors and is not scored; the free fit "
+            "assumes no law for the impact."
+            if misfits
+            else "No clip shows a collision that could be measured."
+        )
+        example: list[Block] = [why]
+    else:
+        example = [] if "frame" in figures else ["There is no picture, because the dataset holds no video."]
+        example += [figures[name] for name in ("frame", "tracks", "separation", "energy") if name in figures]
+    counts = [f"{count} {status}" for status, count in score.statuses.items() if status != "n"]
+    summary = f"Dataset {score.suite}, detector {score.detector}. {score.statuses['n']} clips: {', '.join(counts)}."
+    if score.ms_per_frame is not None:
+        summary += f" {score.ms_per_frame:.2f} ms per frame."
+    sections = [
+        Section("Positions and tracks", make_position_tables(score)),
+        Section("Example of a collision" + ("" if clip is None else f": clip {clip}"), example),
+        Section("Estimates minus truth", [figures[n] for n in ("tied", "free", "honesty", "paper") if n in figures]),
+        Section("Accuracy of each quantity", make_quantity_tables(score)),
+    ]
+    return write_page(Path(report) / "index.html", "Tracker results against the truth", sections, command, [summary])
 
 
 def draw_figures(score: DetectorScore, results: Path, dataset: Path) -> dict[str, Figure]:
-    """The report's figures by name; those that the data do not allow are absent."""
+    """Draw the figures of `FIGURES` that the data allow, by name."""
     out: dict[str, Figure] = {}
     clip = choose_clip(score)
     if clip is not None:
         tracks, camera = read_clip(results, clip)
         row = score.table[score.table["clip"] == clip].iloc[0]
-        course = {c.particle: c for c in to_ball_tracks(tracks, camera)}
-        specimen = CollisionView(clip, row, {k: course[int(row[f"particle{k}"])] for k in (1, 2)}, camera)
-        spots = _at_contact(results, clip, specimen)
-        image = _picture(dataset, clip, int(spots["frame"].iloc[0]))
+        track = {one.particle: one for one in to_ball_tracks(tracks, camera)}
+        view = CollisionView(clip, row, {k: track[int(row[f"particle{k}"])] for k in (1, 2)}, camera)
+        spots = _detections_after_contact(results, view)
+        image = _read_picture(dataset, clip, int(spots["frame"].iloc[0]))
         if image is not None:
             out["frame"] = frame_figure(image, spots, int(spots["frame"].iloc[0]), camera)
-        out["tracks"] = tracks_figure(specimen)
-        out["separation"] = separation_figure(specimen)
-        out["energy"] = energy_figure(specimen, tracks, camera)
-        for name, kind in (("tied", ""), ("free", "_free"), ("paper", "_paper")):
-            out[name] = residual_figure(score.table, kind)
+        out["tracks"] = tracks_figure(view)
+        out["separation"] = separation_figure(view)
+        out["energy"] = energy_figure(view, tracks)
+        for name, method in (("tied", ""), ("free", "_free"), ("paper", "_paper")):
+            out[name] = residual_figure(score.table, method)
         out["honesty"] = error_bars_figure(score.table)
     return out
 
 
-def choose_clip(score: DetectorScore) -> int | None:
-    """The clip looked at closely: the one nearest to TYPICAL_SPEED whose tied fit gives everything."""
+def choose_clip(score: DetectorScore, typical_speed: float = 0.3) -> int | None:
+    """Choose the example: the clip nearest to a typical speed (m/s) whose tied fit gives every quantity."""
     table = score.table[score.table["status"] == "ok"]
     if len(table):
         table = table.dropna(subset=[n for n in QUANTITY_NAMES if n in table and n != "final_angle"])
     if not len(table):
         return None
-    nearest = int(np.argmin(np.abs(table["v0"].to_numpy(float) - TYPICAL_SPEED)))
+    nearest = int(np.argmin(np.abs(table["v0"].to_numpy(float) - typical_speed)))
     return int(table["clip"].to_numpy(int)[nearest])
 
 
-def make_tables(score: DetectorScore) -> dict[str, Any]:
-    """Numbers for the template: rows of (label, unit, figures) by kind, as text."""
-    out: dict[str, Any] = {}
-    for kind in KINDS:
+def make_position_tables(score: DetectorScore) -> list[PageTable]:
+    """Make the tables of position errors and of tracking measures."""
+    heads = ["balls found", "missed", "false", "rmse / px", "bound / px", "rmse / bound", "phase bias / px"]
+    where = score.localisation
+    keys = ("n", "missed", "false", "rmse_px", "bound_px", "ratio", "phase_bias_px")
+    note = (
+        "Errors of x and y, over all balls that are wholly in view. Bound: the Cramér-Rao bound, the smallest standard "
+        "deviation of an unbiased estimate. The ratio has its sampling error in brackets, for independent errors. "
+        "Phase bias: peak-to-peak error that follows the position of the glint within its pixel."
+    )
+    values = {key: format_number(where[key]) for key in keys}
+    values["ratio"] = format_with_error(where["ratio"], where["ratio"] / np.sqrt(4 * max(where["n"], 1)))
+    return [
+        PageTable(heads, [list(values.values())], "Positions", note),
+        PageTable(list(score.tracking), [[format_number(v, 5) for v in score.tracking.values()]], "Tracks, gate 5 px"),
+    ]
+
+
+def make_quantity_tables(score: DetectorScore) -> list[PageTable]:
+    """Make a table of the errors of all quantities for each method that has any."""
+    heads = ["quantity", "unit", "clips", "bias", "rmse", "bound", "rmse / bound", "z mean", "z sd", "68 %", "95 %"]
+    note = (
+        "z: error over claimed standard error; its sd is 1 where error bars are correct. Bound: Cramér-Rao bound of "
+        "the fit at the true motion, root mean square over the clips. In brackets stands the sampling error of the "
+        "ratio from the number of clips: a ratio below 1 by a few of these errors agrees with the bound. 68 %, 95 %: "
+        "share of clips within 1 and 1.96 standard errors."
+    )
+    tables: list[PageTable] = []
+    for suffix, method in METHODS.items():
         rows = []
         for name in QUANTITY_NAMES:
-            values = score.quantities.get(f"{name}{kind}")
+            values = score.quantities.get(f"{name}{suffix}")
             if values is None or not values["n"]:
                 continue
-            _, unit, factor = SHOWN[name]
-            shown = {k: _text(values[k] * factor) for k in ("bias", "rmse", "bound")}
-            shown |= {k: _text(values[k]) for k in ("ratio", "z_mean", "z_std")}
-            shown |= {k: _percent(values[k]) for k in ("cover68", "cover95")}
-            rows.append({"name": name, "unit": _plain_unit(unit), "n": values["n"], **shown})
-        out[kind] = rows
-    out["localisation"] = {k: _text(v) for k, v in score.localisation.items()}
-    out["tracking"] = {k: _text(v, 5) for k, v in score.tracking.items()}
-    return out
+            quantity = QUANTITIES[name]
+            errors = [format_number(values[key] * quantity.error_factor) for key in ("bias", "rmse", "bound")]
+            spread = [format_number(values[key]) for key in ("z_mean", "z_std")]
+            covered = [format_percent(values[key]) for key in ("cover68", "cover95")]
+            ratio = format_with_error(values["ratio"], values["ratio"] / np.sqrt(2 * values["n"]))
+            rows.append([f"{name}{suffix}", quantity.error_unit, str(values["n"]), *errors, ratio, *spread, *covered])
+        if rows:
+            tables.append(PageTable(heads, rows, method.capitalize(), "" if tables else note))
+    return tables
 
 
-def _at_contact(results: Path, clip: int, specimen: CollisionView) -> pd.DataFrame:
-    """Detections of the frame nearest to the contact in which both balls are seen, and both are apart."""
-    table = pd.read_parquet(results / "clips" / f"{clip:06d}" / "tracks.parquet")
-    camera = specimen.camera
-    after = (specimen.row["t_c"] * camera.fps) + 2
-    seen = table.groupby("frame")["particle"].nunique()
-    both = seen.index[seen.to_numpy() >= 2].to_numpy()
-    frame = int(both[np.argmin(np.abs(both - after))])
+def _detections_after_contact(results: Path, view: CollisionView) -> pd.DataFrame:
+    """Detections in the frame nearest to two frames after the contact in which both balls are detected."""
+    table = pd.read_parquet(results / "clips" / f"{view.clip:06d}" / "tracks.parquet")
+    wanted = view.row["t_c"] * view.camera.fps + 2
+    balls = table.groupby("frame")["particle"].nunique()
+    both = balls.index[balls.to_numpy() >= 2].to_numpy()
+    frame = int(both[np.argmin(np.abs(both - wanted))])
     return table[table["frame"] == frame]
 
 
-def _picture(dataset: Path, clip: int, frame: int) -> Floats | None:
+def _read_picture(dataset: Path, clip: int, frame: int) -> Floats | None:
     path = dataset / "clips" / f"{clip:06d}" / "frames.tif"
     if not path.is_file():
         return None
     try:
         return np.asarray(tifffile.imread(path, key=frame), dtype=np.float64)
-    except Exception as error:  # decoders raise their own kinds
+    except Exception as error:  # decoders raise errors of many types
         raise InputError(f"{path}: damaged ({' '.join(str(error).split())[:120]})") from None
-
-
-def _text(value: float | None, digits: int = 3) -> str:
-    if value is None or (isinstance(value, float) and not math.isfinite(value)):
-        return "–"
-    if isinstance(value, int):
-        return str(value)
-    if value != 0 and (abs(value) < 1e-3 or abs(value) >= 1e5):
-        mantissa, exponent = f"{value:.{digits - 1}e}".split("e")
-        return f"{mantissa}·10{str(int(exponent)).translate(RAISED)}"
-    return f"{value:.{digits}g}".replace("e+0", "e")
-
-
-def _percent(value: float) -> str:
-    return f"{100 * value:.0f} %" if math.isfinite(value) else "–"
-
-
-def _plain_unit(unit: str) -> str:
-    return unit.replace("$10^{-3}$", "10⁻³")

@@ -1,4 +1,4 @@
-"""A score in a few lines: how far positions and quantities are off, and whether that is good enough."""
+"""Summary of a score in a few lines, with a verdict on what the tracks are good enough for."""
 
 from __future__ import annotations
 
@@ -6,73 +6,80 @@ from collections.abc import Iterator, Mapping
 
 import numpy as np
 
-from tracker.report.estimates_text import QUANTITIES
+from synthcam_shared.report.numbers import format_number, format_with_error
+from tracker.report.quantities import QUANTITIES
 from tracker.scoring.score import DetectorScore
 
-SAID = ("r", "mu_k", "tau1", "tau2")
-LOST = 0.01  # share of the balls missed, or found where none is, up to which tracks are good
-NEAR = 1.5  # times the bound, up to which a fit takes from the pictures what is in them
-FEW = 20  # clips, from which on the spread of z says something
-SAMPLING = 3.0  # standard errors by which a spread of z may be over 1
+JUDGED = ("r", "mu_k", "tau1", "tau2")
 
 
 def summarise(score: DetectorScore) -> Iterator[str]:
-    """Lines for a terminal, the last of which says what the tracks are good for."""
+    """Yield lines for a terminal; the last one says what the tracks are good enough for."""
     where, swaps = score.localisation, score.tracking["swaps"]
+    ratio = format_with_error(where["ratio"], where["ratio"] / np.sqrt(4 * max(where["n"], 1)))
     yield f"{score.statuses['n']} clips: " + ", ".join(f"{v} {k}" for k, v in score.statuses.items() if k != "n")
     yield (
-        f"positions: {where['rmse_px']:.2g} px rmse, {where['ratio']:.3g} times the bound; "
+        f"positions: {format_number(where['rmse_px'], 2)} px rmse, {ratio} times the bound; "
         f"{where['missed']:.0f} missed, {where['false']:.0f} false, {swaps:.0f} identity swaps"
     )
-    yield f"{'':<10}{'tied: rmse':>12}{'/ bound':>9}{'z std':>7}{'free: rmse':>12}{'/ bound':>9}{'z std':>7}"
-    for name in SAID:
-        _, unit, factor, _ = QUANTITIES[name]
-        tied, free = (_figures(score.quantities[f"{name}{kind}"], factor) for kind in ("", "_free"))
-        yield f"{f'{name} {unit}':<10}{tied}{free}"
+    yield f"{'':<10}{'tied: rmse':>12}{'/ bound':>11}{'z sd':>8}{'free: rmse':>14}{'/ bound':>11}{'z sd':>8}"
+    for name in JUDGED:
+        quantity = QUANTITIES[name]
+        tied, free = (_format_errors(score.quantities[f"{name}{fit}"], quantity.factor) for fit in ("", "_free"))
+        yield f"{f'{name} {quantity.unit}':<10}{tied}  {free}"
     yield judge(score)
 
 
-def judge(score: DetectorScore) -> str:
-    """Whether these results are good enough, and for what, in a sentence; and another where it stands on few clips."""
-    few = f" Fewer than {FEW} clips: the spread of z is uncertain." if score.statuses["n"] < FEW else ""
+def judge(score: DetectorScore, min_clips: int = 20) -> str:
+    """Say in a sentence what these results are good enough for, with a warning where there are few clips."""
+    few = f" Fewer than {min_clips} clips: the spread of z is uncertain." if score.statuses["n"] < min_clips else ""
     return _judge(score) + few
 
 
-def _judge(score: DetectorScore) -> str:
+def _judge(score: DetectorScore, max_lost: float = 0.01, near_bound: float = 1.5, significance: float = 3.0) -> str:
+    """Judge the tracks, then the error bars, then the size of the errors.
+
+    max_lost: share of balls missed, or of false detections, up to which tracks are good. near_bound: rmse over bound up
+    to which a fit uses nearly all information in the pictures. significance: standard errors by which a spread of z, or
+    a ratio, must be over its limit.
+    """
     where, swaps = score.localisation, score.tracking["swaps"]
     lost = max(where["missed"], where["false"]) / max(where["n"] + where["missed"], 1)
-    if lost > LOST or swaps:
+    if lost > max_lost or swaps:
         return (
-            f"Not good enough to follow these balls: {100 * lost:.2g} % missed or false, {swaps:.0f} swaps; "
-            "look at the tracks before the quantities."
+            f"Not good enough to track these balls: {100 * lost:.2g} % missed or false, {swaps:.0f} identity swaps. "
+            "Check the tracks before you use the quantities."
         )
-    found = {n: q for n in SAID if (q := score.quantities[n])["n"] and np.isfinite(q["z_std"])}
+    found = {n: q for n in JUDGED if (q := score.quantities[n])["n"] and np.isfinite(q["z_std"])}
     if not found:
-        return "Good enough to follow these balls; no collision was measured with an error that a truth can be held to."
-    off = {n: float(np.hypot(q["z_mean"], q["z_std"])) for n, q in found.items()}
-    over = {n: z for n, z in off.items() if z > 1 + SAMPLING / np.sqrt(2 * found[n]["n"])}
-    if over:
-        worst = max(over, key=lambda n: over[n])
+        return "Good enough to track these balls. No collision was measured with an error that the truth could test."
+    spread = {n: float(np.hypot(q["z_mean"], q["z_std"])) for n, q in found.items()}
+    allowed = {n: 1 + significance / np.sqrt(2 * q["n"]) for n, q in found.items()}
+    if too_wide := {n: z for n, z in spread.items() if z > allowed[n]}:
+        worst = max(too_wide, key=lambda n: too_wide[n])
         return (
-            f"Not good enough for error bars: {worst} is off by {over[worst]:.2g} times what its standard errors say; "
-            "the values are right to the rmse above."
+            f"Not good enough for error bars: the errors of {worst} are {too_wide[worst]:.2g} times its standard "
+            "errors. The values themselves are accurate to the rmse above."
         )
     ratio = {n: q["ratio"] for n, q in found.items() if np.isfinite(q["ratio"])}
-    far = {n: x for n, x in ratio.items() if x > NEAR * (1 + SAMPLING / np.sqrt(2 * found[n]["n"]))}
-    if far:
+    if far := {n: x for n, x in ratio.items() if x > near_bound * allowed[n]}:
         worst = max(far, key=lambda n: far[n])
         return (
-            f"Good enough to measure with: the standard errors hold; but {worst} is {far[worst]:.2g} times "
-            "as far off as the sensor's noise makes necessary."
+            f"Good enough to measure with: the standard errors are correct. But the errors of {worst} are "
+            f"{far[worst]:.2g} times as large as the noise of the sensor requires."
         )
-    good = "Good enough to measure with: the standard errors hold"
-    if any(x > NEAR for x in ratio.values()):
-        return f"{good}; so few clips do not show whether they could be smaller."
-    return f"{good}, and are about as small as the sensor's noise allows."
+    if any(x > near_bound for x in ratio.values()):
+        return (
+            "Good enough to measure with: the standard errors are correct. "
+            "With so few clips it is unknown whether they could be smaller."
+        )
+    return (
+        "Good enough to measure with: the standard errors are correct, "
+        "and about as small as the noise of the sensor allows."
+    )
 
 
-def _figures(values: Mapping[str, float], factor: float) -> str:
-    """rmse, ratio and spread of z of a quantity, in columns."""
-    shown = (values["rmse"] * factor, values["ratio"], values["z_std"])
-    texts = [f"{x:.2g}" if np.isfinite(x) else "–" for x in shown]
-    return f"{texts[0]:>12}{texts[1]:>9}{texts[2]:>7}"
+def _format_errors(values: Mapping[str, float], factor: float) -> str:
+    """Columns of rmse, ratio to the bound, and spread of z."""
+    ratio = format_with_error(values["ratio"], values["ratio"] / np.sqrt(2 * max(values["n"], 1)))
+    return f"{format_number(values['rmse'] * factor, 2):>12} {ratio:>10} {format_number(values['z_std'], 2):>7}"

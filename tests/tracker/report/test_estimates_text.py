@@ -1,4 +1,4 @@
-"""The answer in words and numbers: units, errors in brackets, and what is said where there is none."""
+"""The answer in words and numbers: units, errors in brackets, and a line where nothing was measured."""
 
 import math
 
@@ -6,15 +6,15 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from synthcam_shared.report.numbers import format_with_error
 from tracker.measurement.collision.derived import QUANTITY_NAMES
 from tracker.report.estimates_text import (
-    KINDS,
-    QUANTITIES,
+    METHODS,
     describe_status,
     format_for_terminal,
-    format_with_error,
     list_quantities,
 )
+from tracker.report.quantities import QUANTITIES
 
 
 def row(status="ok", **values):
@@ -22,7 +22,7 @@ def row(status="ok", **values):
     one = {"clip": 0, "collision": 0, "status": status, "chi2": 90.0, "dof": 100, "adequate": 0.75}
     one |= {"frame_first": 0, "frame_last": 99}
     for name in QUANTITY_NAMES:
-        for kind in KINDS:
+        for kind in METHODS:
             one |= {f"{name}{kind}": 1.0, f"{name}{kind}_std": 0.01}
     return one | values
 
@@ -41,21 +41,21 @@ def test_units_are_those_named():
         line.name: line
         for line in list_quantities(row(tau1=0.0123, tau1_std=1e-4, v0=0.35, v0_std=1e-3, final_angle=np.pi))
     }
-    assert (shown["tau1"].values[0], shown["tau1"].unit) == ("12.30(10)", "ms")
-    assert (shown["v0"].values[0], shown["v0"].unit) == ("35.00(10)", "cm/s")
+    assert (shown["tau1"].values[0], shown["tau1"].quantity.unit) == ("12.30(10)", "ms")
+    assert (shown["v0"].values[0], shown["v0"].quantity.unit) == ("35.00(10)", "cm/s")
     assert shown["final_angle"].values[0].startswith("180.0")
     assert list(shown) == list(QUANTITY_NAMES) == list(QUANTITIES)
 
 
 def test_what_no_fit_has_is_left_out():
-    nothing = {f"mu_k{kind}{end}": np.nan for kind in KINDS for end in ("", "_std")}
+    nothing = {f"mu_k{kind}{end}": np.nan for kind in METHODS for end in ("", "_std")}
     assert "mu_k" not in [line.name for line in list_quantities(row(**nothing))]
     assert "mu_k" in [line.name for line in list_quantities(row(**(nothing | {"mu_k_free": 0.2})))]
 
 
 def test_one_collision_is_printed_whole_and_many_as_medians():
     alone = "\n".join(format_for_terminal(pd.DataFrame([row()])))
-    assert "clip 0, collision 0, frames 0 to 99: two balls collide" in alone
+    assert "clip 0, collision 0, frames 0 to 99: Two balls collide" in alone
     assert "χ²/dof 0.9, dof 100, p 0.75" in alone
     assert "1.000(10)" in alone
     many = "\n".join(format_for_terminal(pd.DataFrame([row(r=0.8 + 0.01 * k) for k in range(9)])))
@@ -65,10 +65,10 @@ def test_one_collision_is_printed_whole_and_many_as_medians():
 
 
 def test_what_was_not_measured_is_said():
-    assert describe_status(row("no balls")) == "not measured: no balls"
+    assert describe_status(row("no balls")) == "Not measured: no balls"
     said = "\n".join(format_for_terminal(pd.DataFrame([row("misfit", r_std=np.nan)])))
-    assert "the tracks reject" in said
+    assert "Their tracks reject" in said
     rolling = "\n".join(format_for_terminal(pd.DataFrame([row("no_collision")])))
-    assert "no two balls touch" in rolling
+    assert "No two balls touch" in rolling
     assert "rolling loss" in rolling
     assert "restitution" not in rolling

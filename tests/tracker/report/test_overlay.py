@@ -7,7 +7,7 @@ import pytest
 from tracker.camera.camera import Camera
 from tracker.camera.film_in_memory import wrap_frames
 from tracker.detection.link import Tracks
-from tracker.report.overlay import COLOURS, Overlay, choose_frames, encode_mp4
+from tracker.report.overlay import Overlay, choose_frames, encode_mp4
 
 SHAPE = (81, 121)
 PLACES = np.array([[30.0 + 2 * k, 40.0] for k in range(12)])
@@ -40,7 +40,7 @@ def test_each_ball_has_its_outline_and_a_cross_at_its_place(dtype):
             assert marked[round(y + dy) - 1 : round(y + dy) + 2, round(x + dx) - 1 : round(x + dx) + 2].any()
         assert not marked[round(y) + 15 :].any()
         red = picture[round(y), round(x)].astype(int)
-        assert np.argmax(red) == np.argmax(COLOURS[0])
+        assert np.argmax(red) == np.argmax(Overlay.colours[0])
 
 
 def test_a_film_plays_elsewhere_with_every_frame(tmp_path):

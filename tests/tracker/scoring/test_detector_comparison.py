@@ -14,7 +14,7 @@ from synthcam_shared.errors import InputError
 from tracker.camera.recordings import open_source
 from tracker.detection.detect import list_detectors, make_view
 from tracker.scoring import detector_comparison as module
-from tracker.scoring.detector_comparison import compare, tables
+from tracker.scoring.detector_comparison import compare, make_tables
 from tracker.scoring.score import score
 
 
@@ -60,8 +60,8 @@ def test_the_page_shows_every_detector_and_asks_for_nothing(compared):
     for word in ("maximum_likelihood", "centroid", "rmse_px", "hota", "mu_k"):
         assert word in page
     assert "http" not in page
-    for _, head, rows in tables(compared[1]["detectors"]):
-        assert [len(row) for row in rows] == [len(head)] * 2
+    for table in make_tables(compared[1]["detectors"]):
+        assert [len(row) for row in table.rows] == [len(table.heads)] * 2
 
 
 def test_asked_again_it_tracks_nothing_again(filmed, compared, monkeypatch):

@@ -9,7 +9,7 @@ import tifffile
 from tracker_noisy import BENCHMARK, dataset, results, truth_of
 
 from tracker.scoring.score import score
-from tracker.scoring.score_page import choose_clip, draw_figures, make_tables, write_report
+from tracker.scoring.score_page import choose_clip, draw_figures, make_quantity_tables, write_report
 
 FIGURE_NAMES = {"frame", "tracks", "separation", "energy", "tied", "free", "paper", "honesty"}
 
@@ -100,8 +100,12 @@ def test_residual_panels_show_estimate_less_truth(drawn):
 
 def test_table_holds_the_scores(drawn):
     verdict, _ = drawn
-    (row,) = [r for r in make_tables(verdict)[""] if r["name"] == "r"]
-    assert float(row["ratio"]) == pytest.approx(verdict.quantities["r"]["ratio"], rel=0.01)
+    table = make_quantity_tables(verdict)[0]
+    (row,) = [dict(zip(table.heads, cells, strict=True)) for cells in table.rows if cells[0] == "r"]
+    ratio, error = re.fullmatch(r"([\d.]+)\((\d+)\)", row["rmse / bound"]).groups()
+    true = verdict.quantities["r"]["ratio"]
+    assert float(ratio) == pytest.approx(true, abs=0.06)
+    assert int(error) * 10.0 ** -len(ratio.partition(".")[2]) == pytest.approx(true / np.sqrt(2 * CLIPS), rel=0.05)
     assert float(row["rmse"]) == pytest.approx(verdict.quantities["r"]["rmse"] * 1e3, rel=0.01)
 
 

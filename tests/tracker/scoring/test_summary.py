@@ -8,7 +8,7 @@ import pytest
 
 from tracker.measurement.collision.derived import QUANTITY_NAMES
 from tracker.scoring.score import DetectorScore
-from tracker.scoring.summary import FEW, judge, summarise
+from tracker.scoring.summary import judge, summarise
 
 
 def figures(n=100, rmse=1e-4, ratio=1.0, z_mean=0.0, z_std=1.0):
@@ -34,9 +34,9 @@ def with_quantity(name, **changes):
 def test_the_lines_hold_the_figures():
     first, positions, head, *rows, last = summarise(with_quantity("tau1_free", rmse=5.6e-5, ratio=1.04, z_std=0.97))
     assert first == "100 clips: 99 ok, 1 misfit"
-    assert positions == "positions: 0.0087 px rmse, 1 times the bound; 2 missed, 1 false, 0 identity swaps"
+    assert positions == "positions: 0.0087 px rmse, 1.005(16) times the bound; 2 missed, 1 false, 0 identity swaps"
     assert [row.split()[0] for row in rows] == ["r", "mu_k", "tau1", "tau2"]
-    assert rows[2].split() == ["tau1", "ms", "0.1", "1", "1", "0.056", "1", "0.97"]
+    assert rows[2].split() == ["tau1", "ms", "0.1", "1.000(71)", "1", "0.056", "1.040(74)", "0.97"]
     assert len(head) == len(rows[2])
     assert last == judge(GOOD)
 
@@ -44,31 +44,31 @@ def test_the_lines_hold_the_figures():
 @pytest.mark.parametrize(
     ("score", "said"),
     [
-        (GOOD, "Good enough to measure with: the standard errors hold, and are about"),
+        (GOOD, "Good enough to measure with: the standard errors are correct, and about"),
         (
             dataclasses.replace(GOOD, tracking={"swaps": 2}),
-            "Not good enough to follow these balls: 0.2 % missed or false, 2 swaps",
+            "Not good enough to track these balls: 0.2 % missed or false, 2 identity swaps",
         ),
         (
             dataclasses.replace(GOOD, localisation=GOOD.localisation | {"missed": 250}),
-            "Not good enough to follow these balls: 20 % missed or false, 0 swaps",
+            "Not good enough to track these balls: 20 % missed or false, 0 identity swaps",
         ),
-        (with_quantity("tau2", z_std=3.0), "Not good enough for error bars: tau2 is off by 3 times what"),
-        (with_quantity("r", z_mean=2.0, z_std=0.0), "Not good enough for error bars: r is off by 2 times what"),
+        (with_quantity("tau2", z_std=3.0), "Not good enough for error bars: the errors of tau2 are 3 times its"),
+        (with_quantity("r", z_mean=2.0, z_std=0.0), "Not good enough for error bars: the errors of r are 2 times its"),
         (
             with_quantity("mu_k", ratio=2.5),
-            "Good enough to measure with: the standard errors hold; but mu_k is 2.5",
+            "Good enough to measure with: the standard errors are correct. But the errors of mu_k are 2.5 times",
         ),
         (
             with_quantity("mu_k", ratio=2.5, n=6),
-            "Good enough to measure with: the standard errors hold; so few clips do not show",
+            "Good enough to measure with: the standard errors are correct. With so few clips",
         ),
         (with_quantity("tau2_free", z_std=3.0), "Good enough to measure with"),
         (
             dataclasses.replace(
                 GOOD, quantities={n: figures(n=0, rmse=np.nan, ratio=np.nan, z_std=np.nan) for n in GOOD.quantities}
             ),
-            "Good enough to follow these balls; no collision was measured",
+            "Good enough to track these balls. No collision was measured",
         ),
     ],
 )
@@ -79,8 +79,8 @@ def test_each_fault_is_called_by_its_name(score, said):
 def test_chance_is_no_fault_and_few_clips_are_said():
     """The spread of z over n clips has an error of 1 / sqrt(2 n)."""
     many, few = (
-        dataclasses.replace(with_quantity("r", n=n, z_std=1.45), statuses={"n": n, "ok": n}) for n in (100, FEW - 1)
+        dataclasses.replace(with_quantity("r", n=n, z_std=1.45), statuses={"n": n, "ok": n}) for n in (100, 19)
     )
     assert judge(many).startswith("Not good enough for error bars")
     assert judge(few).startswith("Good enough to measure with")
-    assert judge(few).endswith(f"Fewer than {FEW} clips: the spread of z is uncertain.")
+    assert judge(few).endswith("Fewer than 20 clips: the spread of z is uncertain.")

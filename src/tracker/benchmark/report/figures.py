@@ -1,4 +1,4 @@
-"""The pictures of the page: who is how good where, against what, and what it does to the physics."""
+"""Figures of the benchmark page: errors by setting, errors against one property, published values, defects."""
 
 from __future__ import annotations
 
@@ -12,50 +12,49 @@ from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 
 from tracker.benchmark.suite.definition import SuiteDefinition
-from tracker.scoring.figures import SHOWN
+from tracker.report.quantities import QUANTITIES
 
 Entry = Mapping[str, Any]
 Entries = Sequence[Entry]
 COLOURS = ("#14508c", "#c1440e", "#4d9221", "#7b3294", "#b8860b", "#008080", "#d6438a", "#555555", "#6b8e23", "#8b4513")
-MARKERS = "osD^vP*X<>"
-WORST = 30.0  # times the bound, the darkest colour
-PLAIN_PX = 0.05  # px; where there is no bound, errors are shown over this
-LOST = 0.5  # of the balls found and nothing else, under which a part counts as lost
-WIDE = 10.2
-NOTHING = {"ratio": None, "rmse_px": None, "jaccard": None}
+MIN_FOUND = 0.5  # share of balls found, less false detections, under which a part counts as lost
+FIGURE_WIDTH_IN = 10.2
 DEFECTS = {"locking": "locked to pixels", "glint": "glint taken for centre", "lost": "frames lost"}
 
 
 def name_of(entry: Entry) -> str:
-    """Of its tracker."""
+    """Name of the tracker of an entry."""
     return str(entry["tracker"]["name"])
 
 
 def label_of(entry: Entry) -> str:
-    """The same in a picture, where a dollar would begin a formula and what begins with _ has no place in a legend."""
+    """Name for matplotlib, where "$" would begin a formula and a legend would leave out names that begin with "_"."""
     name = name_of(entry).replace("$", r"\$")
     return f"\u200b{name}" if name.startswith("_") else name
 
 
 def _style(k: int) -> dict[str, Any]:
-    return {"color": COLOURS[k % len(COLOURS)], "marker": MARKERS[k % len(MARKERS)], "ms": 4, "lw": 1.2}
+    return {"color": COLOURS[k % len(COLOURS)], "marker": "osD^vP*X<>"[k % 10], "ms": 4, "lw": 1.2}
 
 
-def headline_figure(entries: Entries, definition: SuiteDefinition) -> Figure:
-    """Rows of trackers, columns of settings: rmse over the bound, or how many balls are lost."""
+def headline_figure(entries: Entries, definition: SuiteDefinition, worst: float = 30.0) -> Figure:
+    """Draw a table with a row for each tracker and a column for each setting: rmse over bound, or balls lost.
+
+    worst: rmse over bound with the darkest colour.
+    """
     columns = definition.headline
     height = 0.42 * len(entries) + 1.25
-    figure = Figure(figsize=(WIDE, height))
+    figure = Figure(figsize=(FIGURE_WIDTH_IN, height))
     axes = figure.add_axes((0.2, 0.02, 0.755, 1 - 1.0 / height))
-    colours, norm = colormaps["RdYlGn_r"], LogNorm(1.0, WORST)
+    colours, norm = colormaps["RdYlGn_r"], LogNorm(1.0, worst)
     for i, entry in enumerate(entries):
         score = entry["score"]
         axes.text(-0.85, i, f"{score:.0f}" if score is not None else "–", ha="center", va="center", weight="bold")
         for j, part in enumerate(columns):
             text, value = cell(entry["parts"].get(part))
-            colour = "#c9c9c9" if value is None else colours(norm(np.clip(value, 1.0, WORST)))
+            colour = "#c9c9c9" if value is None else colours(norm(np.clip(value, 1.0, worst)))
             axes.add_patch(_box(j, i, colour))
-            dark = value is not None and not 1.4 < value < WORST / 2
+            dark = value is not None and not 1.4 < value < worst / 2
             axes.text(j, i, text, ha="center", va="center", fontsize=8, color="white" if dark else "black")
     axes.set(xlim=(-1.3, len(columns) - 0.5), ylim=(len(entries) - 0.5, -0.5))
     axes.set_xticks([-0.85, *range(len(columns))], ["score", *columns.values()], rotation=35, ha="left", fontsize=9)
@@ -66,16 +65,19 @@ def headline_figure(entries: Entries, definition: SuiteDefinition) -> Figure:
     return figure
 
 
-def cell(part: Mapping[str, Any] | None) -> tuple[str, float | None]:
-    """Text of a part in the first picture, and what its colour shows; None of what is lost, or was not run."""
+def cell(part: Mapping[str, Any] | None, reference_px: float = 0.05) -> tuple[str, float | None]:
+    """Text of a part in the first figure, and the value of its colour; None where it is lost or was not run.
+
+    reference_px: error that counts as the limit where there is no bound.
+    """
     if part is None:
         return "not run", None
     found, jaccard = part["found"] or 0.0, part["jaccard"] or 0.0
-    if not part["n"] or jaccard < LOST:
+    if not part["n"] or jaccard < MIN_FOUND:
         false = part["false"] / max(part["n"] + part["missed"], 1)
         return (f"{false:.0f} false\na ball" if false > 1 - found else f"{100 * found:.0f} %\nfound"), None
     if part["ratio"] is None:
-        value = part["rmse_px"] / PLAIN_PX
+        value = part["rmse_px"] / reference_px
         text = f"{part['rmse_px']:.2g} px"
     else:
         value, text = part["ratio"], f"{part['ratio']:.3g}" if part["ratio"] < 10 else f"{part['ratio']:.0f}"
@@ -89,13 +91,13 @@ def _box(x: float, y: float, colour: Any) -> Any:
 
 
 def axes_figure(entries: Entries, definition: SuiteDefinition) -> Figure:
-    """The error against each axis of the suite, the gap between balls and the phase within the pixel."""
+    """Draw the error against each axis of the suite, the gap between balls, and the phase within the pixel."""
     axes = list(definition.axes())
     near = [e for e in entries if e["gap"]]
     phases = [name for name in definition.named_parts("phase") if any(e["phase"].get(name) for e in entries)]
     count = len(axes) + bool(near) + len(phases)
     rows = -(-count // 3)
-    figure = Figure(figsize=(WIDE, 2.75 * rows + 0.5), layout="constrained")
+    figure = Figure(figsize=(FIGURE_WIDTH_IN, 2.75 * rows + 0.5), layout="constrained")
     panels = list(np.atleast_1d(figure.subplots(rows, 3, squeeze=False)).ravel())
     for panel, (_, axis, points) in zip(panels, axes, strict=False):
         _axis_panel(panel, entries, axis, points)
@@ -120,10 +122,11 @@ def _axis_panel(panel: Axes, entries: Entries, axis: Mapping[str, Any], points: 
     every = [e["parts"][part] for e in entries for _, part in points if part in e["parts"]]
     whole = all(figures["ratio"] is not None or not figures["n"] for figures in every)
     key = "ratio" if whole else "rmse_px"
+    nothing = {"ratio": None, "rmse_px": None, "jaccard": None}
     for k, entry in enumerate(entries):
-        parts = [entry["parts"].get(part, NOTHING) for _, part in points]
+        parts = [entry["parts"].get(part, nothing) for _, part in points]
         y = np.array([np.nan if p[key] is None else p[key] for p in parts], float)
-        kept = np.array([(p["jaccard"] or 0.0) >= LOST for p in parts])
+        kept = np.array([(p["jaccard"] or 0.0) >= MIN_FOUND for p in parts])
         panel.plot(x, np.where(kept, y, np.nan), label=label_of(entry), **_style(k))
         panel.plot(x[~kept], y[~kept], ls="", marker="x", ms=5, color=COLOURS[k % len(COLOURS)], alpha=0.6)
     if axis.get("log"):
@@ -166,9 +169,9 @@ def _label_axes(panel: Axes, title: str, x: str, y: str) -> None:
 
 
 def publication_figure(entries: Entries, part: str, names: Sequence[str], kind: str = "") -> Figure:
-    """Rows of trackers, columns of quantities: the published value's error with the error bar that it would bear."""
+    """Draw a table with a row for each tracker and a column for each quantity: error ± published error bar."""
     height = 0.42 * len(entries) + 0.95
-    figure = Figure(figsize=(WIDE, height))
+    figure = Figure(figsize=(FIGURE_WIDTH_IN, height))
     axes = figure.add_axes((0.2, 0.02, 0.79, 1 - 0.75 / height))
     for i, entry in enumerate(entries):
         for j, name in enumerate(names):
@@ -176,7 +179,7 @@ def publication_figure(entries: Entries, part: str, names: Sequence[str], kind: 
             axes.add_patch(_box(j, i, colour))
             axes.text(j, i, text, ha="center", va="center", fontsize=8)
     axes.set(xlim=(-0.5, len(names) - 0.5), ylim=(len(entries) - 0.5, -0.5))
-    heads = [f"{SHOWN[name][0]}, {SHOWN[name][1]}" for name in names]
+    heads = [f"{QUANTITIES[name].formula} / {QUANTITIES[name].error_unit}" for name in names]
     axes.set_xticks(range(len(names)), heads, fontsize=9)
     axes.set_yticks(range(len(entries)), [label_of(e) for e in entries], fontsize=9)
     axes.xaxis.tick_top()
@@ -186,27 +189,27 @@ def publication_figure(entries: Entries, part: str, names: Sequence[str], kind: 
 
 
 def publication_cell(found: Mapping[str, Any], name: str, kind: str) -> tuple[str, Any]:
-    """Text and colour: green within 2 of its error bars, yellow, red from 4 on; grey where nothing is published."""
+    """Text and colour: green within 2 error bars, yellow, red from 4 on; grey where nothing is published."""
     figures = found.get(f"{name}{kind}") or {}
     off, std = figures.get("published"), figures.get("published_std")
     if off is None or std is None:
         return f"none of {found['clips']}" if found.get("clips") else "not run", "#c9c9c9"
-    factor, z = SHOWN[name][2], abs(off) / std
+    factor, z = QUANTITIES[name].error_factor, abs(off) / std
     colour = "#a6d96a" if z < 2 else "#ffe08a" if z < 4 else "#f08a5d"
     return f"{_plain(off * factor, '+')} ± {_plain(std * factor)}", colour
 
 
 def _plain(value: float, sign: str = "") -> str:
-    """Two digits, and no powers of ten of what is large."""
+    """Two digits, or whole numbers from 100 on."""
     return f"{value:{sign}.0f}" if abs(value) >= 100 else f"{value:{sign}.2g}"
 
 
 def defects_figure(entries: Entries, names: Sequence[str], kind: str) -> Figure | None:
-    """What each defect alone moves a quantity by, in error bars of one collision; None where none was put in."""
+    """Draw the shift of each quantity by each defect, in error bars of one collision; None without any defect."""
     kept = [e for e in entries if e["defects"]]
     if not kept:
         return None
-    figure = Figure(figsize=(WIDE, 0.36 * len(kept) + 1.1), layout="constrained")
+    figure = Figure(figsize=(FIGURE_WIDTH_IN, 0.36 * len(kept) + 1.1), layout="constrained")
     panels = np.atleast_1d(figure.subplots(1, len(names), sharey=True))
     colours = dict(zip(DEFECTS, ("#14508c", "#c1440e", "#777777"), strict=True))
     for panel, name in zip(panels, names, strict=True):
@@ -221,7 +224,7 @@ def defects_figure(entries: Entries, names: Sequence[str], kind: str) -> Figure 
         panel.set_xscale("log")
         panel.set_xlim(0.01, None)
         panel.axvline(1.0, color="0.3", lw=0.8, ls=":")
-        panel.set_title(SHOWN[name][0], fontsize=10)
+        panel.set_title(QUANTITIES[name].formula, fontsize=10)
         panel.set_xlabel("shift, error bars of one collision", fontsize=8)
         panel.tick_params(labelsize=8)
     panels[0].set_yticks(range(len(kept)), [label_of(e) for e in kept], fontsize=9)

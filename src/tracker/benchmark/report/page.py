@@ -1,4 +1,4 @@
-"""REPORT/index.html of a benchmark: pictures first, then tables, what each figure means, and the card."""
+"""REPORT/index.html of a benchmark: figures, tables, the meaning of each measure, and the card of the suite."""
 
 from __future__ import annotations
 
@@ -7,7 +7,10 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from synthcam_shared.outputs import write_atomically
+from markupsafe import Markup
+
+from synthcam_shared.report.numbers import format_number
+from synthcam_shared.report.page import Block, PageFigure, PageTable, Section, write_page
 from tracker.benchmark.report.figures import (
     DEFECTS,
     axes_figure,
@@ -20,149 +23,252 @@ from tracker.benchmark.report.figures import (
 from tracker.benchmark.report.leaderboard import row
 from tracker.benchmark.suite.card import CITATION
 from tracker.benchmark.suite.definition import SuiteDefinition
-from tracker.report.html import describe_creation, embed_figure, render
-from tracker.scoring.figures import SHOWN
+from tracker.report.quantities import QUANTITIES
 
 Entries = Sequence[Mapping[str, Any]]
-Table = tuple[str, list[str], list[list[str]]]
-QUANTITIES = ("r", "mu_k", "C", "tau1", "energy_fraction")
-SHIFTED = ("r", "tau1", "energy_fraction")
-GOOD, BAD = 1.2, 2.0  # times the bound: where a tracker is said to be at it, and where it fails
+PUBLISHED = ("r", "mu_k", "C", "tau1", "energy_fraction")  # quantities whose published values are shown
+SHIFTED = ("r", "tau1", "energy_fraction")  # quantities whose shifts by defects are shown
 MEANINGS = {
-    "score": "100 × the mean, over the columns of the first picture that have a bound, of the share of balls found and "
-    "nothing else, n / (n + missed + false), times bound / rmse, 1 at most. 100: every ball, nothing else, at the "
-    "bound.",
-    "rmse / bound": "root mean square error of a found centre, each axis, over the least that the sensor's noise "
-    "allows (Cramér and Rao). 1 is the limit. Of encoded films the bound is that of the film before it was encoded.",
-    "found, false": "share of the balls wholly in view with a detection within 5 px; detections without a ball, over "
-    "the number of balls.",
-    "phase bias": "how far the mean error follows the place of the glint within its pixel: peak to peak of its first "
-    "wave, px.",
-    "z": "error over the error bar that the tracker claims, root mean square: 1 where error bars hold, over 1 where "
-    "they are too small.",
-    "alpha, beta, JSC, JSC θ": "Particle Tracking Challenge (Chenouard et al. 2014), gate 5 px: positions of paired "
-    "tracks, the same with a penalty for spurious tracks, and the shares of positions and of tracks that are paired.",
+    "score": "100 × the mean of (n / (n + missed + false)) × min(bound / rmse, 1) over those columns of the first "
+    "figure that have a bound. 100: every ball is found, nothing else is, and the errors are at the bound.",
+    "rmse / bound": "root mean square error of the centre in x and y over the Cramér-Rao bound, the smallest standard "
+    "deviation of an unbiased estimate. For encoded films the bound is that of the film before it was encoded.",
+    "found": "share of the balls wholly in view that have a detection within 5 px.",
+    "false": "detections without a ball, divided by the number of balls.",
+    "phase bias": "peak-to-peak amplitude (px) of the mean error as a function of the position of the glint within its "
+    "pixel.",
+    "z": "root mean square of error over claimed error bar: 1 where error bars are correct, more where they are too "
+    "small.",
+    "alpha, beta, JSC, JSC θ": "measures of the Particle Tracking Challenge (Chenouard et al. 2014), gate 5 px: "
+    "distance of paired tracks, the same with a penalty for spurious tracks, share of paired positions and of paired "
+    "tracks.",
     "MOTA, IDF1, HOTA": "Bernardin & Stiefelhagen 2008; Ristani et al. 2016; Luiten et al. 2021, with the similarity "
     "1 - distance / 5 px.",
-    "published": "the mean error of a quantity over all collisions, each weighted by the error bar that it claims, ± "
-    "the error bar of that mean: what would have been published, less the truth.",
-    "defects": "each defect alone is put into true tracks with the noise of the bound, which are then measured: how "
-    "far that moves r, τ1 and the energy, in error bars of one collision.",
-    "ms a frame": "processor time of finding and linking, 320 x 240, one process; of a submission what its authors "
-    "say.",
+    "published": "mean error of a quantity over all collisions, weighted by the claimed error bars, ± the error bar of "
+    "that mean: the error of a published value.",
+    "defects": "each defect is put alone into true tracks that have the noise of the bound, and these are measured. "
+    "The shift of r, τ1 and the energy is given in error bars of one collision.",
+    "ms per frame": "processor time of detection and linking, 320 x 240 px, one process; for a submission, the value "
+    "that its authors give.",
 }
 
 
-def write_page(report: Path, entries: Entries, definition: SuiteDefinition, about: Mapping[str, Any], how: str) -> Path:
-    """Write the page; how: what it says that made it."""
-    pictures = {
-        "headline": embed_figure(headline_figure(entries, definition)),
-        "axes": embed_figure(axes_figure(entries, definition)),
-    }
+def write_report(
+    report: Path, entries: Entries, definition: SuiteDefinition, about: Mapping[str, Any], command: str
+) -> Path:
+    """Write the page.
+
+    Parameters
+    ----------
+    report : Path
+        REPORT.
+    entries : sequence of dict
+        The best first.
+    definition : SuiteDefinition
+    about : mapping
+        suite.json.
+    command : str
+        The command that made the page.
+
+    Returns
+    -------
+    Path
+        Of index.html.
+    """
+    whose = "withheld from the authors of the trackers" if about["split"] == "withheld" else "open"
+    summary = (
+        f"{definition.data['name']}, version {about['version']}: two balls collide on a plate. Each tracker gets only "
+        f"the films and the camera file. The truth is {whose}."
+    )
+    sections = [
+        Section("Error of the centre by setting", _headline(entries, definition)),
+        Section("Error against one property of the film", [_axes(entries, definition)]),
+        Section("Errors of published values", _published(entries, definition)),
+        Section("Effect of each defect on the physics", _defects(entries)),
+        Section("Leaderboard", [_leaderboard(entries)]),
+        Section("All measures", make_tables(entries, definition)),
+        Section("Meaning of the measures", [_meanings()]),
+        Section("Card of the suite", [_card(definition, about)]),
+    ]
+    return write_page(report / "index.html", "Benchmark of trackers", sections, command, [summary])
+
+
+def _headline(entries: Entries, definition: SuiteDefinition) -> list[Block]:
+    caption = (
+        "Rmse of the centre of a ball over the Cramér-Rao bound: 1 is the limit. Green is good, dark red is 30 times "
+        "the limit. Grey: less than half of the balls are found, or more detections than balls are made. A "
+        "percentage is the share of balls found, where it is below 99 %. Matte balls: rmse in px. Score: 100 means "
+        "that every ball is found, nothing else is, and the errors are at the limit."
+    )
+    heads = [
+        "tracker",
+        "score",
+        "settings within 20 % of the limit",
+        "worst settings (times the limit)",
+        "ms per frame",
+    ]
+    rows = []
+    for entry in entries:
+        good, bad = judge(entry, definition)
+        line = row(0, entry)
+        rows.append([name_of(entry), format_number(line["score"]), good, bad, format_number(line["ms_per_frame"])])
+    return [PageFigure.of(headline_figure(entries, definition), "Trackers by setting", caption), PageTable(heads, rows)]
+
+
+def _axes(entries: Entries, definition: SuiteDefinition) -> PageFigure:
+    caption = (
+        "A cross marks a setting where less than half of the balls are found, or as many false ones. The dotted line "
+        "is the bound; for locking to pixels it is zero error."
+    )
+    title = "Error against brightness, blur, noise, codec, lens, gap between the balls and phase within the pixel"
+    return PageFigure.of(axes_figure(entries, definition), title, caption)
+
+
+def _published(entries: Entries, definition: SuiteDefinition) -> list[Block]:
+    blocks: list[Block] = []
     for part in definition.named_parts("measured"):
-        pictures[f"published {part}"] = embed_figure(publication_figure(entries, part, QUANTITIES))
-    for kind, word in (("_free", "free fit"), ("", "tied fit")):
-        drawn = defects_figure(entries, SHIFTED, kind)
-        if drawn is not None:
-            pictures[f"defects {word}"] = embed_figure(drawn)
-    values = {
-        "about": about,
-        "title": definition.data["name"],
-        "pictures": pictures,
-        "verdicts": [(name_of(e), *judge(e, definition)) for e in entries],
-        "board": [row(rank, e) for rank, e in enumerate(entries, 1)],
-        "tables": list(make_tables(entries, definition)),
-        "meanings": MEANINGS,
-        "citation": CITATION.format(version=version("synthcam")),
-        "made": describe_creation(how),
-        "text": _text,
-    }
-    write_atomically(report / "index.html", render(Path(__file__).with_name("page.html"), **values))
-    return report / "index.html"
+        caption = (
+            f"Films “{part}”: published value minus truth ± the published error bar (tied fit, all collisions "
+            "together). Green: correct within two error bars. Yellow: off by up to four. Red: off by more. Grey: "
+            "nothing to publish."
+        )
+        figure = publication_figure(entries, part, PUBLISHED)
+        blocks.append(PageFigure.of(figure, f"Published values, {part}", caption))
+    return blocks
 
 
-def judge(entry: Mapping[str, Any], definition: SuiteDefinition) -> tuple[str, str]:
-    """Where a tracker is at the bound, and the three settings where it fails most."""
-    good, held, bad = 0, 0, []
+def _defects(entries: Entries) -> list[Block]:
+    blocks: list[Block] = []
+    for suffix, method in (("_free", "Free fit"), ("", "Tied fit")):
+        figure = defects_figure(entries, SHIFTED, suffix)
+        caption = (
+            f"{method}: true tracks with one defect of this tracker and no other. At the dotted line a defect moves "
+            "the result of one collision by its error bar at the bound. A shift that all collisions share does not "
+            "average out. No result: with the defect, this fit does not give the quantity."
+        )
+        if figure is not None:
+            blocks.append(PageFigure.of(figure, f"Shifts by defects, {method.lower()}", caption))
+    return blocks
+
+
+def _leaderboard(entries: Entries) -> PageTable:
+    columns = {
+        "rank": "rank", "name": "tracker", "score": "score", "ratio_median": "median rmse / bound", "found": "found",
+        "false_per_ball": "false per ball", "hota": "HOTA", "ms_per_frame": "ms per frame", "made": "run by",
+        "truth": "truth",
+    }  # fmt: skip
+    lines = [row(rank, entry) for rank, entry in enumerate(entries, 1)]
+    return PageTable(list(columns.values()), [[format_number(line[key]) for key in columns] for line in lines])
+
+
+def _meanings() -> Markup:
+    lines = [Markup("<dt><b>{}</b></dt><dd>{}</dd>").format(name, meaning) for name, meaning in MEANINGS.items()]
+    more = (
+        "The camera file converts the bright spots that a detector finds to centres of balls, the same for all "
+        "detectors, and all are linked by the same linker unless an entry names its own. A slow tracker may run on "
+        "fewer clips of each part; its entry says so."
+    )
+    return Markup("<dl>{}</dl><p>{}</p>").format(Markup("").join(lines), more)
+
+
+def _card(definition: SuiteDefinition, about: Mapping[str, Any]) -> PageTable:
+    seed = about["seed"] if about["seed"] is not None else "withheld"
+    citation = CITATION.format(version=version("synthcam"))
+    make, submit = "tracker benchmark make -o suite", "tracker benchmark submit suite FOLDER -o report"
+    suite = f"{definition.data['name']} {about['version']} ({about['size']}), split {about['split']}"
+    return PageTable(
+        ["property", "value"],
+        [
+            ("suite", suite),
+            ("seed", str(seed)),
+            ("definition, SHA-256", Markup("<code>{}</code>").format(about["definition_sha256"])),
+            ("truth, SHA-256", Markup("<code>{}</code>").format(about["truth_sha256"])),
+            ("licence", f"films and truth {about['licence']}; code MIT"),
+            ("citation", f"{citation}; benchmark version {about['version']}"),
+            ("your tracker", f"{make}; run your tracker on suite/films; {submit}"),
+        ],
+    )
+
+
+def judge(
+    entry: Mapping[str, Any], definition: SuiteDefinition, at_bound: float = 1.2, failure: float = 2.0
+) -> tuple[str, str]:
+    """Count the settings where a tracker is at the bound, and name the three where it fails most.
+
+    at_bound, failure: rmse over bound up to which a tracker is at the bound, and from which on it fails.
+    """
+    good, judged, bad = 0, 0, []
     for part, word in definition.headline.items():
-        figures = entry["parts"].get(part)
-        if figures is None:
+        scores = entry["parts"].get(part)
+        if scores is None:
             continue
-        text, value = cell(figures)
-        plain = " ".join(text.split()) if value is None else ", ".join(text.split("\n"))
-        if figures["ratio"] is None and value is not None:
+        text, value = cell(scores)
+        if scores["ratio"] is None and value is not None:
             continue
-        held += 1
+        judged += 1
         if value is None:
-            bad.append((1e9 - (figures["jaccard"] or 0.0), f"{word} ({plain})"))
-        elif value > BAD:
-            bad.append((value, f"{word} (× {plain})"))
-        good += value is not None and value <= GOOD
+            bad.append((1e9 - (scores["jaccard"] or 0.0), f"{word} ({' '.join(text.split())})"))
+        elif value > failure:
+            bad.append((value, f"{word} (× {', '.join(text.splitlines())})"))
+        good += value is not None and value <= at_bound
     worst = ", ".join(text for _, text in sorted(bad, reverse=True)[:3])
-    return f"{good} of {held}", worst or "nowhere by more than twice the bound"
+    return f"{good} of {judged}", worst or "none over twice the limit"
 
 
-def make_tables(entries: Entries, definition: SuiteDefinition) -> list[Table]:
-    """Positions and tracks of each part, quantities, defects."""
-    out: list[Table] = []
-    heads = ["tracker", *definition.parts]
+def make_tables(entries: Entries, definition: SuiteDefinition) -> list[PageTable]:
+    """Make the tables of positions and tracks of each part, of quantities, and of defects."""
+    tables = []
     for title, key, digits in (
         ("rmse / bound", "ratio", 3),
-        ("rmse, px, each axis", "rmse_px", 3),
-        ("found, share of the balls in view", "found", 4),
+        ("rmse in x and y, px", "rmse_px", 3),
+        ("found: share of the balls in view", "found", 4),
         ("false detections", "false", 4),
         ("phase bias, px", "phase_bias_px", 2),
-        ("z of positions: 1 where the claimed error bars hold", "z", 3),
+        ("z of positions: 1 where the claimed error bars are correct", "z", 3),
         ("HOTA", "hota", 4), ("MOTA", "mota", 4), ("IDF1", "idf1", 4),
         ("alpha", "alpha", 4), ("beta", "beta", 4), ("JSC", "jsc", 4), ("JSC θ", "jsc_theta", 4),
     ):  # fmt: skip
-        rows = [
-            [name_of(e), *(_text(e["parts"].get(p, {}).get(key), digits) for p in definition.parts)] for e in entries
-        ]
-        out.append((title, heads, rows))
+        rows = []
+        for entry in entries:
+            values = (entry["parts"].get(part, {}).get(key) for part in definition.parts)
+            rows.append([name_of(entry), *(format_number(value, digits) for value in values)])
+        tables.append(PageTable(["tracker", *definition.parts], rows, title))
     for part in definition.named_parts("measured"):
-        for kind, word in (("", "tied fit"), ("_free", "free fit")):
-            out.append(_quantity_table(entries, part, kind, f"{part}, {word}: rmse (/ bound; z std; collisions)"))
-    kept = [e for e in entries if e["defects"]]
+        for suffix, method in (("", "tied fit"), ("_free", "free fit")):
+            tables.append(
+                _quantity_table(entries, part, suffix, f"{part}, {method}: rmse (rmse / bound; z sd; collisions)")
+            )
+    kept = [entry for entry in entries if entry["defects"]]
     if kept:
-        out.append(_defect_table(kept))
-    return out
+        tables.append(_defect_table(kept))
+    return tables
 
 
-def _quantity_table(entries: Entries, part: str, kind: str, title: str) -> Table:
+def _quantity_table(entries: Entries, part: str, suffix: str, title: str) -> PageTable:
     rows = []
     for entry in entries:
         cells = [name_of(entry)]
-        for name in QUANTITIES:
-            q = entry["quantities"].get(part, {}).get(f"{name}{kind}") or {}
-            factor = SHOWN[name][2]
-            rmse = None if q.get("rmse") is None else q["rmse"] * factor
-            cells.append(f"{_text(rmse, 3)} ({_text(q.get('ratio'), 2)}; {_text(q.get('z_std'), 2)}; {q.get('n', 0)})")
+        for name in PUBLISHED:
+            q = entry["quantities"].get(part, {}).get(f"{name}{suffix}") or {}
+            rmse = None if q.get("rmse") is None else q["rmse"] * QUANTITIES[name].error_factor
+            ratio, spread = (format_number(q.get(key), 2) for key in ("ratio", "z_std"))
+            cells.append(f"{format_number(rmse)} ({ratio}; {spread}; {q.get('n', 0)})")
         rows.append(cells)
-    units = {"$10^{-3}$": "0.001", "µs": "µs"}
-    return title, ["tracker", *(f"{name}, {units.get(SHOWN[name][1], SHOWN[name][1])}" for name in QUANTITIES)], rows
+    return PageTable(["tracker", *(f"{name} / {QUANTITIES[name].error_unit}" for name in PUBLISHED)], rows, title)
 
 
-def _defect_table(entries: Entries) -> Table:
+def _defect_table(entries: Entries) -> PageTable:
     heads = ["tracker", "locking, px", "glint, share", "lost, share"]
     heads += [f"{word}: {name}" for word in DEFECTS.values() for name in SHIFTED]
     rows = []
     for entry in entries:
         found = entry["defects"]
-        cells = [name_of(entry), *(_text(found["size"][defect], 2) for defect in DEFECTS)]
+        cells = [name_of(entry), *(format_number(found["size"][defect], 2) for defect in DEFECTS)]
         for defect in DEFECTS:
             for name in SHIFTED:
                 one = found[defect].get(f"{name}_free") or {}
-                bias = None if one.get("bias") is None else one["bias"] * SHOWN[name][2]
-                cells.append(f"{_text(bias, 2)} ({_text(one.get('in_errors'), 2)})")
+                bias = None if one.get("bias") is None else one["bias"] * QUANTITIES[name].error_factor
+                cells.append(f"{format_number(bias, 2)} ({format_number(one.get('in_errors'), 2)})")
         rows.append(cells)
-    title = (
-        "Defects alone: their size, and the mean shift (in error bars) of r and energy, 0.001, and tau1, µs, free fit"
-    )
-    return title, heads, rows
-
-
-def _text(value: Any, digits: int = 3) -> str:
-    if value is None:
-        return "–"
-    return str(value) if isinstance(value, int | str) else f"{value:.{digits}g}"
+    title = "Size of each defect, and mean shift of r and energy (10⁻³) and τ1 (µs) by it (in error bars), free fit"
+    return PageTable(heads, rows, title)

@@ -275,7 +275,7 @@ def test_commands_say_how_many_are_misfits_and_why(own, hopping, tmp_path):
     assert summary["status"] == {"misfit": 2, "ok": 1}
     assert [line.partition(" (")[0] for line in summary["warnings"]] == ["2 misfit"]
     again = CliRunner().invoke(app, [*words, "-o", str(tmp_path / "out")])
-    assert "complete before: 2 misfit, 1 ok" in again.stdout
+    assert "complete before; 3 rows of estimates: 2 misfit, 1 ok" in again.stdout
     assert again.stderr == f"tracker: {summary['warnings'][0]}\n"
 
 

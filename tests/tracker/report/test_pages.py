@@ -13,7 +13,7 @@ from tracker_film import CAMERA, film
 
 import tracker
 from tracker.camera.film_in_memory import wrap_frames
-from tracker.report.recording_page import PAGE, RecordingPage, write_page
+from tracker.report.pages import PAGE, RecordingPage
 
 
 def paths():
@@ -35,7 +35,7 @@ def recorded():
 
 @pytest.fixture(scope="module")
 def written(recorded, tmp_path_factory):
-    page = write_page(recorded, tmp_path_factory.mktemp("page"), "tracker track film.avi")
+    page = recorded.write(tmp_path_factory.mktemp("page"), "tracker track film.avi")
     return page, page.read_text(encoding="utf-8")
 
 
@@ -46,7 +46,7 @@ def test_it_stands_alone(written):
     assert "http" not in re.sub(r"base64,[A-Za-z0-9+/=]*", "", text)
     assert "<b>bold" not in text
     assert "a &lt;b&gt;bold" in text
-    assert re.search(r"Made 20\d\d-\d\d-\d\d \d\d:\d\d UTC by synthcam .*: tracker track film.avi", text)
+    assert re.search(r"Made 20\d\d-\d\d-\d\d \d\d:\d\d UTC by synthcam .*: <code>tracker track film.avi</code>", text)
     assert "it is assumed" in text
 
 
@@ -55,8 +55,8 @@ def test_its_numbers_are_those_measured(written, recorded):
     (row,) = recorded.rows
     assert row["status"] in ("ok", "misfit")
     assert f"{row['chi2'] / row['dof']:.3g}" in words
-    said = re.search(r"coefficient of restitution\s+(-?[\d.]+)\((\d+)\)?\s", words) or re.search(
-        r"coefficient of restitution\s+(-?[\d.]+)", words
+    said = re.search(r"restitution in a scene\)\s+(-?[\d.]+)\((\d+)\)?\s", words) or re.search(
+        r"restitution in a scene\)\s+(-?[\d.]+)", words
     )
     assert float(said[1]) == pytest.approx(row["r"], abs=1e-3)
 
@@ -88,8 +88,8 @@ def test_tracks_without_a_film_and_without_a_collision_have_a_page(recorded, tmp
     table = tracker.Result(0, recorded.camera, recorded.tracks, (), recorded.motion).tracks[first]
     alone = tracker.measure(table, recorded.camera)
     bare = RecordingPage("tracks", alone.camera, alone.found, alone.rows, alone.motion)
-    text = write_page(bare, tmp_path, "tracker measure").read_text(encoding="utf-8")
-    assert "Tracks only" in text
+    text = bare.write(tmp_path, "tracker measure").read_text(encoding="utf-8")
+    assert "came without a film" in text
     assert "no ball rolls freely" in text
     assert [p.name for p in tmp_path.iterdir()] == [PAGE]
 
@@ -99,7 +99,7 @@ def test_an_empty_recording_has_a_page(recorded, tmp_path):
     result = tracker.track(blank, CAMERA)
     frames = wrap_frames(blank)
     empty = RecordingPage("nothing", camera, result.found, result.rows, result.motion, frames)
-    text = write_page(empty, tmp_path, "tracker track").read_text(encoding="utf-8")
-    assert "not measured: nothing moves" in text
+    text = empty.write(tmp_path, "tracker track").read_text(encoding="utf-8")
+    assert "Not measured: nothing moves" in text
     pixels = replace(empty, camera=tracker.track(blank).camera)
-    assert "frame" in write_page(pixels, tmp_path / "pixels", "tracker track").read_text(encoding="utf-8")
+    assert "frame" in pixels.write(tmp_path / "pixels", "tracker track").read_text(encoding="utf-8")

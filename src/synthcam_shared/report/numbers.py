@@ -1,0 +1,55 @@
+"""Numbers as text: so many significant digits, or a value with the error of its last digits."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+NOT_KNOWN = "–"
+
+
+def format_number(value: Any, digits: int = 3) -> str:
+    """Format a number for a table.
+
+    Parameters
+    ----------
+    value : int, float, str or None
+        A whole number and a text are shown as they are.
+    digits : int
+        Significant digits of a float.
+
+    Returns
+    -------
+    str
+        "–" for None, NaN and infinity. A float has a power of ten only under 0.001 and from a million on.
+    """
+    if isinstance(value, int | str):
+        return str(value)
+    if value is None or not math.isfinite(value):
+        return NOT_KNOWN
+    rounded = float(f"{value:.{digits}g}")
+    if rounded == 0 or 1e-3 <= abs(rounded) < 1e6:
+        return f"{rounded:.15g}"
+    mantissa, _, exponent = f"{rounded:.{digits - 1}e}".partition("e")
+    raised = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+    return f"{mantissa}·10{str(int(exponent)).translate(raised)}"
+
+
+def format_percent(value: float) -> str:
+    """Format a share as whole per cent."""
+    return f"{100 * value:.0f} %" if math.isfinite(value) else NOT_KNOWN
+
+
+def format_with_error(value: float | None, std: float | None) -> str:
+    """Format a value with its standard error in brackets, as 0.9027(12): two digits of the error.
+
+    Without an error the value has four digits; without a value the text is "–".
+    """
+    if value is None or not math.isfinite(value):
+        return NOT_KNOWN
+    if std is None or not math.isfinite(std) or std <= 0:
+        return f"{value:.4g}"
+    digits = 1 - math.floor(math.log10(std))
+    if digits < 0:
+        return f"{value:.0f}({std:.0f})"
+    return f"{value:.{digits}f}({std * 10**digits:.0f})"

@@ -1,0 +1,148 @@
+"""A self-contained HTML page: a title, a summary, warnings, and sections of text, tables and figures."""
+
+from __future__ import annotations
+
+import base64
+import io
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from importlib.metadata import version
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, ClassVar
+
+import jinja2
+from markupsafe import Markup
+
+from synthcam_shared.outputs import write_atomically
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
+@dataclass(frozen=True)
+class PageTable:
+    """A table of text cells; `title` stands over it, `note` under it. A `Markup` cell may hold HTML."""
+
+    heads: Sequence[str]
+    rows: Sequence[Sequence[str]]
+    title: str = ""
+    note: str = ""
+    kind: ClassVar = "table"
+
+    @property
+    def classes(self) -> list[str]:
+        """Class of each column: "text" where a cell is no number, so that the column is aligned on the left."""
+        number = re.compile(r"[-+−±]?[.\d]|[-–]?$")
+        columns = [[str(row[k]) for row in self.rows if k < len(row)] for k in range(len(self.heads))]
+        return ["" if all(number.match(cell) for cell in column) else "text" for column in columns]
+
+
+@dataclass(frozen=True)
+class PageFigure:
+    """A picture within the page; `title` is read out where the picture cannot be shown, `caption` explains it."""
+
+    title: str
+    address: str
+    caption: str = ""
+    kind: ClassVar = "figure"
+
+    @classmethod
+    def of(cls, figure: Figure, title: str, caption: str = "") -> PageFigure:
+        """Embed a matplotlib figure."""
+        return cls(title, embed_figure(figure), caption)
+
+
+@dataclass(frozen=True)
+class PageList:
+    """Lines with a dot or, where ordered, a number before each."""
+
+    lines: Sequence[str]
+    ordered: bool = False
+    kind: ClassVar = "list"
+
+
+Block = str | PageTable | PageFigure | PageList
+
+
+@dataclass(frozen=True)
+class Section:
+    """A heading and what follows it. A plain string is a paragraph; a `Markup` string is inserted as it is."""
+
+    title: str
+    blocks: Sequence[Block] = field(default_factory=list)
+
+
+def write_page(
+    path: Path,
+    title: str,
+    sections: Sequence[Section],
+    command: str,
+    summary: Sequence[str] = (),
+    warnings: Sequence[str] = (),
+) -> Path:
+    """Write a page aside and move it into place.
+
+    Parameters
+    ----------
+    path : Path
+        Of the page; its folder is made where it is missing.
+    title : str
+        Heading of the page.
+    sections : sequence of Section
+        Those without blocks are left out.
+    command : str
+        The command that made the page, for its foot.
+    summary : sequence of str
+        Paragraphs under the title.
+    warnings : sequence of str
+        Lines of a list that catches the eye.
+
+    Returns
+    -------
+    Path
+        `path`.
+    """
+    values = {
+        "title": title,
+        "summary": summary,
+        "warnings": warnings,
+        "sections": [section for section in sections if section.blocks],
+        "made": f"Made {datetime.now(UTC):%Y-%m-%d %H:%M} UTC by synthcam {version('synthcam')}: ",
+        "command": command,
+    }
+    write_atomically(path, render(Path(__file__).with_name("page.html"), **values))
+    return path
+
+
+def render(template: Path, **values: Any) -> str:
+    """Fill in a template, which may include files of its folder and of this one. A missing name is an error."""
+    loader = jinja2.FileSystemLoader([template.parent, Path(__file__).parent])
+    environment = jinja2.Environment(loader=loader, autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True)
+    return environment.get_template(template.name).render(**values)
+
+
+def embed_figure(figure: Figure) -> str:
+    """Turn a matplotlib figure into a data URI of an SVG picture; the same figure gives the same bytes."""
+    import matplotlib as mpl
+
+    stream = io.BytesIO()
+    with mpl.rc_context({"svg.hashsalt": "synthcam"}):
+        figure.savefig(stream, format="svg", metadata={"Date": None})
+    return make_data_uri(stream.getvalue(), "image/svg+xml")
+
+
+def make_data_uri(data: bytes, kind: str) -> str:
+    """Make an address that holds the data itself; kind: the media type."""
+    return f"data:{kind};base64,{base64.b64encode(data).decode()}"
+
+
+def typeset_symbol(symbol: str) -> Markup:
+    """Typeset a symbol as HTML: letters in italics, and as an index what follows "_" up to the next "/"."""
+    parts = []
+    for part in symbol.split("/"):
+        base, _, index = part.partition("_")
+        html = Markup("<i>{}</i><sub>{}</sub>") if index else Markup("<i>{}</i>")
+        parts.append(html.format(base, index))
+    return Markup("/").join(parts)

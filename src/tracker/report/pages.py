@@ -1,0 +1,316 @@
+"""The pages of RESULTS: one for each recording, and of several recordings a table that links to them."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from markupsafe import Markup
+
+from synthcam_shared.outputs import as_input_error, write_atomically
+from synthcam_shared.report.page import (
+    Block,
+    PageFigure,
+    PageTable,
+    Section,
+    make_data_uri,
+    render,
+    typeset_symbol,
+    write_page,
+)
+from tracker import results
+from tracker.camera.camera import Camera
+from tracker.camera.frames import Frames
+from tracker.camera.recordings import RecordingSource
+from tracker.detection.link import Tracks
+from tracker.measurement.collision.adequacy import MEASURED, warnings
+from tracker.measurement.positions import to_ball_tracks
+from tracker.report.collision_figures import (
+    CollisionView,
+    all_tracks_figure,
+    energy_figure,
+    residuals_figure,
+    separation_figure,
+    speed_figure,
+    tracks_figure,
+)
+from tracker.report.estimates_text import (
+    METHODS,
+    describe_fit,
+    describe_frames,
+    describe_status,
+    format_value,
+    list_quantities,
+    rows_as_dicts,
+)
+from tracker.report.overlay import Overlay, choose_frames, encode_mp4
+from tracker.report.quantities import QUANTITIES
+
+PAGE = "index.html"
+CAPTIONS = {
+    "tracks": "Tracks of both balls. Right: the balls at the moment of contact. Error bars are smaller than the lines.",
+    "separation": "Distance between the centres of the balls against time. Below: measurement minus tied fit.",
+    "energy": "Translational energy against time, from differences of neighbouring frames, corrected for noise. "
+    "Dashed: energy that a head-on impact alone would leave. Sliding on the plate takes the rest.",
+}
+
+
+@dataclass(frozen=True)
+class RecordingPage:
+    """The content of the page of one recording.
+
+    Attributes
+    ----------
+    name : str
+        Of the recording.
+    camera : Camera
+    tracks : Tracks
+    rows : sequence of dict
+        Estimates, one row for each collision.
+    motion : DataFrame
+        As in motion.parquet.
+    frames : Frames, optional
+        None for tracks that another program made.
+    notes : sequence of str
+        Assumptions and conversions.
+    """
+
+    name: str
+    camera: Camera
+    tracks: Tracks
+    rows: Sequence[Mapping[str, Any]]
+    motion: pd.DataFrame
+    frames: Frames | None = None
+    notes: Sequence[str] = ()
+
+    @property
+    def measured_rows(self) -> list[Mapping[str, Any]]:
+        """The rows of collisions that were measured."""
+        return [row for row in self.rows if row["status"] in MEASURED]
+
+    def write(self, folder: Path, command: str) -> Path:
+        """Write FOLDER/index.html and FOLDER/overlay.mp4, the film that the page also holds.
+
+        Parameters
+        ----------
+        folder : Path
+            Made where it is missing.
+        command : str
+            The command that made the page.
+
+        Returns
+        -------
+        Path
+            Of index.html.
+        """
+        views = [self._view(row) for row in self.rows]
+        sections = [Section("", [block for row in self.rows for block in self._results(row)])]
+        if any(isinstance(block, PageTable) for block in sections[0].blocks):
+            sections.append(Section("How to read the table", [_explain_table()]))
+        sections.append(Section("Film with measured positions", [self._film(folder, views)]))
+        for row, view in zip(self.rows, views, strict=True):
+            sections.append(Section(f"Collision {row['collision']}", self._figures(view)))
+        sections.append(Section("Whole recording", self._overview()))
+        sections.append(Section("Camera settings used", [self._camera_table()]))
+        summary = [self._describe(row) for row in self.rows]
+        estimates = pd.DataFrame([{"clip": 0, **row} for row in self.rows])
+        return write_page(folder / PAGE, self.name, sections, command, summary, [*warnings(estimates), *self.notes])
+
+    def _describe(self, row: Mapping[str, Any]) -> str:
+        number = f"Collision {row['collision']}{describe_frames(row)}: " if len(self.rows) > 1 else ""
+        fit = describe_fit(row)
+        return f"{number}{describe_status(row)}.{f' {fit}.' if fit else ''}"
+
+    def _results(self, row: Mapping[str, Any]) -> list[Block]:
+        """Table of the quantities of a collision."""
+        rows = [
+            (typeset_symbol(q.symbol), q.meaning, q.unit, *line.values, Markup("<code>{}</code>").format(line.name))
+            for line in list_quantities(row)
+            for q in [line.quantity]
+        ]
+        title = f"Collision {row['collision']}" if len(self.rows) > 1 else ""
+        return [PageTable(["symbol", "quantity", "unit", *METHODS.values(), "column"], rows, title)] if rows else []
+
+    def _film(self, folder: Path, views: Sequence[CollisionView | None]) -> str:
+        if self.frames is None:
+            return "The tracks came without a film."
+        contacts = [row["t_c"] * self.camera.fps for row in self.measured_rows]
+        first, last = choose_frames(len(self.frames), contacts)
+        overlay = Overlay(self.frames, self.tracks, self.camera, first, last, list_events(self.measured_rows))
+        film = encode_mp4(overlay)
+        write_atomically(folder / "overlay.mp4", film)
+        steps = json.dumps(self._list_frames(first, last, views)).replace("<", "\\u003c")  # safe within a script
+        values = {"first": first, "last": last, "frames": len(self.frames), "rate": Overlay.rate, "steps": steps}
+        template = Path(__file__).with_name("film.html")
+        return Markup(
+            render(template, film=make_data_uri(film, "video/mp4"), outlined=self.camera.knows_diameter, **values)
+        )
+
+    def _list_frames(self, first: int, last: int, views: Sequence[CollisionView | None]) -> list[dict[str, Any]]:
+        """List for each frame of the film the balls: position, errors, light, residuals (µm) and flags."""
+        residuals: dict[tuple[int, int], tuple[float, float]] = {}
+        for view in views:
+            for ball, track in view.balls.items() if view is not None else ():
+                off = (track.position - view.predict(ball, track.start)) * 1e6  # type: ignore[union-attr]
+                for frame, (x, y) in zip(track.frame.tolist(), off.tolist(), strict=True):
+                    residuals.setdefault((track.particle, frame), (x, y))
+        tracks, steps = self.tracks, []
+        for k in range(first, last + 1):
+            balls = []
+            for row in np.flatnonzero(tracks.frame == k):
+                particle = int(tracks.particle[row])
+                position = [f"{v:.3f}" for v in (tracks.x[row], tracks.y[row])]
+                errors = [f"{np.sqrt(tracks.cov[row, axis, axis]):.3f}" for axis in (0, 1)]
+                off = [f"{v:.1f}" for v in residuals.get((particle, k), ())] or ["–", "–"]
+                balls.append([particle, *position, *errors, f"{tracks.flux[row]:.4g}", *off, str(tracks.flags[row])])
+            steps.append({"frame": k, "balls": balls})
+        return steps
+
+    def _view(self, row: Mapping[str, Any]) -> CollisionView | None:
+        """A collision with the tracks of its balls; None where the tied fit lacks a parameter."""
+        if row["status"] not in MEASURED:
+            return None
+        track = {one.particle: one for one in to_ball_tracks(self.tracks, self.camera)}
+        balls = {k: track[int(row[f"particle{k}"])] for k in (1, 2)}
+        view = CollisionView(0, pd.Series(row), balls, self.camera)
+        return view if np.isfinite(view.parameters).all() else None
+
+    def _figures(self, view: CollisionView | None) -> list[Block]:
+        if view is None:
+            return []
+        residuals = (
+            "Residuals: measured position minus tied fit, with one standard error. Dotted: the contact, and the ends "
+            "of both slides. Where the model holds, the residuals scatter about zero by their errors."
+        )
+        return [
+            PageFigure.of(tracks_figure(view), "Tracks of both balls", CAPTIONS["tracks"]),
+            PageFigure.of(residuals_figure(view), "Residuals of the tied fit", residuals),
+            PageFigure.of(separation_figure(view), "Separation of the balls", CAPTIONS["separation"]),
+            PageFigure.of(energy_figure(view, self.tracks), "Translational energy", CAPTIONS["energy"]),
+        ]
+
+    def _overview(self) -> list[Block]:
+        blocks: list[Block] = []
+        if len(self.motion):
+            figure = speed_figure(self.motion, [float(row["t_c"]) for row in self.measured_rows])
+            caption = "Speed of each ball, from differences of neighbouring frames."
+            blocks.append(PageFigure.of(figure, "Speed against time", caption))
+        if len(self.tracks):
+            figure = all_tracks_figure(self.tracks, self.camera)
+            blocks.append(PageFigure.of(figure, "All tracks", "All tracks in the picture."))
+        return blocks
+
+    def _camera_table(self) -> PageTable:
+        camera = self.camera
+        rows = [("picture", f"{' × '.join(map(str, camera.size))} px")]
+        if camera.metric:
+            rows += [("frame rate", f"{camera.fps:g} /s"), ("scale", f"{1e6 * camera.scale:.4g} µm/px")]
+            if camera.knows_diameter:
+                size = f"{1e3 * camera.ball_diameter:.4g} mm, {camera.diameter_px:.3g} px"
+                rows.append(("diameter of a ball", size))
+            rows.append(("exposure", f"{1e3 * camera.exposure:.3g} ms"))
+        return PageTable(["setting", "value"], rows)
+
+
+def list_events(rows: Iterable[Mapping[str, Any]]) -> tuple[tuple[float, str], ...]:
+    """List the events of measured collisions by time (s): contacts, and the ends of the slides."""
+    events = []
+    for row in rows:
+        events.append((row["t_c"], "after the contact"))
+        events += [(row["t_c"] + row[f"tau{ball}"], f"ball {ball} rolls again") for ball in (1, 2)]
+    return tuple(sorted((float(time), event) for time, event in events if np.isfinite(time)))
+
+
+def _explain_table() -> str:
+    return (
+        "0.9027(12) means 0.9027 ± 0.0012, one standard error. A value without brackets claims no error. The tied fit "
+        "uses one physical model of impact, sliding and rolling. The free fit assumes no law for the impact. Finite "
+        "differences take velocities from neighbouring frames. χ²/dof near 1 means that the residuals of the tied fit "
+        "are as large as the errors of the positions; p is the probability of a χ² at least as large."
+    )
+
+
+@dataclass(frozen=True)
+class ResultPages:
+    """The pages of one RESULTS. Cheap to send to another process.
+
+    Attributes
+    ----------
+    output : Path
+        RESULTS.
+    numbers : sequence of int
+        Of the clips.
+    source : Source, optional
+        The films, in the order of `numbers`; None for tracks that another program made.
+    name : str
+        Of the dataset or the table.
+    notes : sequence of str
+        Assumptions and conversions.
+    command : str
+        The command that made the pages.
+    """
+
+    output: Path
+    numbers: Sequence[int]
+    source: RecordingSource | None
+    name: str
+    notes: Sequence[str]
+    command: str
+
+    @property
+    def is_single(self) -> bool:
+        """Whether there is one recording, whose page is RESULTS/index.html."""
+        return len(self.numbers) == 1
+
+    def missing(self) -> list[int]:
+        """Indices of the recordings that have no page yet."""
+        return [i for i in range(len(self.numbers)) if not (self._folder(i) / PAGE).is_file()]
+
+    def write(self, index: int) -> None:
+        """Write the page of one recording."""
+        number = self.numbers[index]
+        tracks, camera = results.read_clip(self.output, number)
+        folder = results.clip_folder(self.output, number)
+        rows = rows_as_dicts(results.estimates_table(results.load_json(folder / "estimates.json")))
+        motion = pd.read_parquet(folder / "motion.parquet")
+        frames = None if self.source is None else self.source.open_clip(index).frames
+        name = self.name if self.is_single else f"{self.name}, clip {number}"
+        with as_input_error(self.output):
+            page = RecordingPage(name, camera, tracks, rows, motion, frames, self.notes)
+            page.write(self._folder(index), self.command)
+
+    def write_overview(self, estimates: pd.DataFrame) -> None:
+        """Write the table that links to the pages of several recordings."""
+        if self.is_single:
+            return
+        names = ("v0", "b", "r", "mu_k", "C", "tau1", "tau2", "energy_fraction")
+        rows = []
+        for row in rows_as_dicts(estimates):
+            link = Markup('<a href="clips/{}/index.html">{}</a>').format(f"{row['clip']:06d}", row["clip"])
+            quality = f"{row['chi2'] / row['dof']:.3g}" if row["dof"] else ""
+            values = [format_value(row, name) for name in names]
+            rows.append((link, row["collision"], row["status"], quality, *values, row["flags"].replace("|", ", ")))
+        heads = [typeset_symbol(q.symbol) + (f" / {q.unit}" if q.unit else "") for q in map(QUANTITIES.get, names) if q]
+        table = PageTable(
+            ["clip", "collision", "status", "χ²/dof", *heads, "flags"],
+            rows,
+            "Tied fits, with one standard error in brackets",
+        )
+        counts = ", ".join(f"{count} {status}" for status, count in estimates["status"].value_counts().items())
+        with as_input_error(self.output):
+            write_page(
+                self.output / PAGE,
+                self.name,
+                [Section("", [table])],
+                self.command,
+                [f"{len(estimates)} rows of estimates from {len(self.numbers)} clips: {counts}."],
+                [*warnings(estimates), *self.notes],
+            )
+
+    def _folder(self, index: int) -> Path:
+        return self.output if self.is_single else results.clip_folder(self.output, self.numbers[index])
