@@ -20,8 +20,8 @@ import pandas as pd
 import synthcam
 import tracker
 from benchmarks.paper.readings import Films
+from synthcam_shared.jobs import run_all_jobs, use_one_thread
 from tracker.measurement.positions import to_ball_tracks
-from tracker.parallel import alone, in_parallel
 
 Progress = Callable[[int, int], None]
 SEED = 2000
@@ -145,7 +145,7 @@ def film(series: Series, output: Path, workers: int, progress: Progress) -> None
     todo = [n for n in range(series.clips) if not (parts / f"{n}.estimates.parquet").exists()]
     progress(series.clips - len(todo), series.clips)
     task = functools.partial(_film_one, series, parts)
-    for count, _ in enumerate(in_parallel(task, todo, workers, output), 1):
+    for count, _ in enumerate(run_all_jobs(task, todo, workers, output), 1):
         progress(series.clips - len(todo) + count, series.clips)
     for kind in (".estimates.parquet", ".parquet"):
         table = pd.concat([pd.read_parquet(parts / f"{n}{kind}") for n in range(series.clips)], ignore_index=True)
@@ -157,7 +157,7 @@ def film(series: Series, output: Path, workers: int, progress: Progress) -> None
 
 
 def _film_one(series: Series, parts: Path, number: int) -> int:
-    alone()
+    use_one_thread()
     clip = series.scene(number).draw(number, seed=SEED)
     camera = clip.camera_json
     result = tracker.track(clip.film(), camera, number=number)

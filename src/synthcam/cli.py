@@ -17,7 +17,7 @@ import typer
 from synthcam.settings import did_you_mean
 from synthcam_shared.application import command_line, progress_bar
 from synthcam_shared.application import run as run_command
-from synthcam_shared.errors import InputError
+from synthcam_shared.errors import InputError, NoGL
 
 if TYPE_CHECKING:
     from synthcam.effect import Parameter
@@ -79,7 +79,7 @@ def generate(
     """
     add_effect_folders(effects_dir)
     from synthcam.dataset.generate import GenerationPlan, generate_dataset
-    from synthcam.dataset.staging import check_apart
+    from synthcam.dataset.partial_dataset import check_apart
     from synthcam.scene.scene import read_scene
 
     started = time.monotonic()
@@ -329,13 +329,7 @@ def _print_result(summary: dict[str, Any], as_json: bool, text: str) -> None:
 
 def main() -> None:
     """Entry point: 0 done, 1 a check failed, 2 bad input, 130 interrupted."""
-    try:
-        run_command(app, "synthcam", (InputError,), ("generate", "merge"))
-    except RuntimeError as e:
-        if type(e).__name__ != "NoGL":
-            raise
-        print(f"synthcam: {e}", file=sys.stderr)
-        sys.exit(2)
+    run_command(app, "synthcam", (InputError, NoGL), ("generate", "merge"))
 
 
 if __name__ == "__main__":

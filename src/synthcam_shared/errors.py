@@ -1,4 +1,4 @@
-"""The one error for what a user gave and cannot be used."""
+"""The errors that a user may meet: bad input, a faulty plugin, and no OpenGL."""
 
 
 class InputError(ValueError):
@@ -7,3 +7,7 @@ class InputError(ValueError):
 
 class PluginError(InputError, TypeError):
     """A file of an effect, a free law or a detector that lacks what such a file must have."""
+
+
+class NoGL(RuntimeError):
+    """OpenGL cannot draw off-screen here. The message says in one line why, and what would help."""

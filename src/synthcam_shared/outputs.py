@@ -1,25 +1,27 @@
-"""Writing files: the disk is tried first, one process at a time in a folder, nothing half-written left behind."""
+"""Write files and folders so that nothing half-written is left behind and one process at a time works in a folder."""
 
 from __future__ import annotations
 
 import os
+import shutil
+import uuid
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from synthcam_shared.errors import InputError
 
-ROOM = 1 << 16  # bytes that must fit before anything is begun
+RESUMES = "; the same command goes on where it stopped"
 
 
-def check_writable(output: Path) -> None:
-    """Raises InputError at once where nothing can be written to ``output``: a read-only or a full disk."""
+def check_writable(output: Path, probe_bytes: int = 1 << 16) -> None:
+    """Raise InputError if nothing can be written to ``output``, as on a read-only or full disk."""
     folder = output.absolute().parent
     while not folder.exists():
         folder = folder.parent
     probe = folder / f".{output.name}.{os.getpid()}.room"
     try:
-        write_atomically(probe, bytes(ROOM))
+        write_atomically(probe, bytes(probe_bytes))
         probe.unlink()
     except OSError as error:
         raise InputError(f"{output}: {error.strerror or error}; nothing can be written there") from None
@@ -27,17 +29,20 @@ def check_writable(output: Path) -> None:
 
 @contextmanager
 def as_input_error(output: Path, more: str = "") -> Iterator[None]:
-    """An OSError of ``output`` as one line that names it; ``more`` follows the reason."""
+    """Raise an OSError of a file in ``output`` as an InputError of one line that names ``output``.
+
+    ``more`` follows the reason.
+    """
     try:
         yield
     except OSError as error:
-        if error.filename is not None and not _of(output, Path(str(error.filename))):
+        if error.filename is not None and not _is_inside(Path(str(error.filename)), output):
             raise
         raise InputError(f"{output}: {' '.join(str(error.strerror or error).split())}{more}") from None
 
 
-def _of(output: Path, file: Path) -> bool:
-    """Whether a file is in ``output`` or in what stands beside it until it is complete."""
+def _is_inside(file: Path, output: Path) -> bool:
+    """Tell whether a file is in ``output``, or in the folder beside it that becomes ``output`` when complete."""
     if output.parent not in file.parents:
         return False
     beside = file.relative_to(output.parent).parts[0].removeprefix(".")
@@ -45,7 +50,10 @@ def _of(output: Path, file: Path) -> bool:
 
 
 def write_atomically(path: Path, data: str | bytes) -> None:
-    """Writes a file aside and moves it into place, in a new folder if need be. Where it fails, what was there stays."""
+    """Write a file under another name and move it into place, in a new folder if need be.
+
+    If this fails, the file that was there stays as it was.
+    """
     path.parent.mkdir(parents=True, exist_ok=True)
     aside = path.with_name(f"{path.name}.{os.getpid()}.part")
     try:
@@ -57,11 +65,26 @@ def write_atomically(path: Path, data: str | bytes) -> None:
         raise
 
 
+def name_temporary(final: Path) -> Path:
+    """Name a folder beside `final` that no other worker on any machine uses."""
+    return final.with_name(f"{final.name}-{uuid.uuid4().hex[:12]}.tmp")
+
+
+def move_into_place(aside: Path, final: Path) -> None:
+    """Move a folder to its final name. If another worker has made `final` meanwhile, that one stays."""
+    try:
+        aside.rename(final)
+    except OSError:
+        if not final.is_dir():
+            raise
+        shutil.rmtree(aside)
+
+
 @contextmanager
 def lock_folder(folder: Path) -> Iterator[None]:
-    """Makes a folder, if need be, and keeps other processes out of it; the lock ends with this process at the latest.
+    """Make a folder, if need be, and keep other processes out of it. The lock ends with this process at the latest.
 
-    Raises InputError where another process is at work there.
+    Raises InputError if another process is at work there.
     """
     folder.mkdir(parents=True, exist_ok=True)
     try:
@@ -73,13 +96,51 @@ def lock_folder(folder: Path) -> Iterator[None]:
     try:
         try:
             fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            gone = not folder.is_dir() or not os.path.samestat(os.fstat(handle), folder.stat())
+            taken = not folder.is_dir() or not os.path.samestat(os.fstat(handle), folder.stat())
         except BlockingIOError:
-            gone = True
+            taken = True
         except OSError:  # a file system without locks
-            gone = False
-        if gone:  # or moved into its place between the two lines above
+            taken = False
+        if taken:  # or moved into its place between the two lines above
             raise InputError(f"{folder}: another process is at work there; wait for it, or choose another folder")
         yield
     finally:
         os.close(handle)
+
+
+@contextmanager
+def resume_folder(partial: Path, plan_file: str, plan: str) -> Iterator[None]:
+    """Work in a folder that a killed run may have left, and that the next run of the same plan goes on with.
+
+    The folder is locked, `plan` is written into it, and the leftovers of killed workers (``clips/*.tmp``) are removed.
+    If the work fails before any clip is complete, the folder is removed again.
+
+    Parameters
+    ----------
+    partial : Path
+        The folder. The caller has checked that it is missing, empty, or of the same plan.
+    plan_file : str
+        Name of the file that holds the plan.
+    plan : str
+        What distinguishes this run from others.
+
+    Raises
+    ------
+    InputError
+        If another process is at work there, or the disk is full.
+    """
+    with as_input_error(partial), lock_folder(partial):
+        try:
+            with as_input_error(partial):
+                beside = partial.with_name(f"{partial.name}.plan")
+                write_atomically(beside, plan)
+                beside.replace(partial / plan_file)  # first of all: a folder without a plan counts as foreign
+                (partial / "clips").mkdir(exist_ok=True)
+                for leftover in (partial / "clips").glob("*.tmp"):
+                    shutil.rmtree(leftover)
+            with as_input_error(partial, RESUMES):
+                yield
+        except BaseException:
+            if not any((partial / "clips").glob("*[0-9]")):
+                shutil.rmtree(partial, ignore_errors=True)
+            raise

@@ -5,9 +5,8 @@ from __future__ import annotations
 import functools
 import hashlib
 import json
-import shutil
 from collections import Counter
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -17,14 +16,14 @@ import cv2
 import pandas as pd
 
 from synthcam_shared.errors import InputError
-from synthcam_shared.outputs import as_input_error, check_writable, lock_folder
+from synthcam_shared.jobs import Progress, run_all_jobs, use_one_thread
+from synthcam_shared.outputs import check_writable, resume_folder
 from tracker import results
 from tracker.camera.frames import GREY
 from tracker.camera.recordings import RecordingSource, open_source
 from tracker.detection.channel import select_channel
 from tracker.detection.choose import choose_detector
 from tracker.detection.detect import load_detector, load_linker
-from tracker.parallel import Progress, alone, in_parallel
 from tracker.recording import describe_camera_gaps, measure_tracks, track_and_measure
 from tracker.tables.read import read_tracks
 
@@ -32,7 +31,14 @@ if TYPE_CHECKING:
     from tracker.report.pages import ResultPages
 
 ENDS = 1 << 16  # bytes at either end of a file that distinguish recordings
-Done = tuple[int, tuple[str, ...]]  # frames of a clip, and notes on it
+
+
+@dataclass(frozen=True)
+class ClipDone:
+    """What a worker reports of a clip: how many frames it has, and notes on what was converted or assumed."""
+
+    frames: int
+    notes: tuple[str, ...]
 
 
 @dataclass(frozen=True)
@@ -118,10 +124,12 @@ def run(
     with _partial(output, plan) as partial:
         todo = [i for i, number in enumerate(numbers) if not results.is_done(partial, number)]
         progress(len(source) - len(todo), len(source))
-        each = _on_cluster(scheduler) if scheduler else functools.partial(_each, workers=workers)
-        for done, (count, noted) in enumerate(each(source, todo, partial, name), 1):
-            frames += count
-            notes.update(noted)
+        work = functools.partial(
+            _track_clip, _resolve_paths(source) if scheduler else source, partial=partial, name=name
+        )
+        for done, clip in enumerate(run_all_jobs(work, todo, workers, source.path, scheduler), 1):
+            frames += clip.frames
+            notes.update(clip.notes)
             progress(len(source) - len(todo) + done, len(source))
         table = results.finish(partial, output, numbers)
     return ClipOutcome(table, len(source), len(todo), frames, dict(notes), source)
@@ -193,33 +201,20 @@ def write_pages(pages: ResultPages, estimates: pd.DataFrame, workers: int, progr
     InputError
     """
     todo = pages.missing()
-    for done, _ in enumerate(in_parallel(pages.write, todo, workers, pages.output), 1):
+    for done, _ in enumerate(run_all_jobs(pages.write, todo, workers, pages.output), 1):
         progress(done, len(todo))
     pages.write_overview(estimates)
 
 
 @contextmanager
 def _partial(output: Path, plan: dict[str, Any]) -> Iterator[Path]:
-    """The folder in which results are gathered, locked: a new one, or the one that the same command left behind.
-
-    Where the input or the disk is at fault and no clip is done, it is removed again.
-    """
+    """Open the folder in which results are gathered: a new one, or the one that the same command left behind."""
     check_writable(output)
     partial = output.with_name(output.name + ".partial")
-    with lock_folder(partial):
-        if any(partial.iterdir()):
-            _same_or_refuse(partial, plan)
-        try:
-            with as_input_error(partial, "; the same command goes on where it stopped"):
-                results.write_json(partial / results.RUN, plan)
-                (partial / "clips").mkdir(exist_ok=True)
-                for leftover in (partial / "clips").glob("*.tmp"):
-                    shutil.rmtree(leftover)
-                yield partial
-        except InputError:
-            if not any((partial / "clips").glob("*")):
-                shutil.rmtree(partial, ignore_errors=True)
-            raise
+    if partial.is_dir() and any(partial.iterdir()):
+        _same_or_refuse(partial, plan)
+    with resume_folder(partial, results.RUN, json.dumps(plan, indent=1) + "\n"):
+        yield partial
 
 
 def _same_or_refuse(folder: Path, plan: dict[str, Any]) -> None:
@@ -251,41 +246,12 @@ def _plan(source: RecordingSource, name: str) -> dict[str, Any]:
     return {"made_by": "tracker track", "detector": name, "clips": len(source), "input": mark.hexdigest()} | colour
 
 
-def _each(source: RecordingSource, todo: list[int], partial: Path, name: str, workers: int) -> Iterator[Done]:
-    """Each clip done, in whatever order; results do not depend on it."""
-    return in_parallel(functools.partial(_one, source, partial=partial, name=name), todo, workers, source.path)
-
-
-def _on_cluster(address: str) -> Callable[..., Iterator[Done]]:
-    """The same by the workers of a Dask scheduler; one that is lost has its clips done by others."""
-    from synthcam_shared.dask_workers import Cluster  # here alone: Dask is an extra
-
-    cluster = Cluster(address)
-
-    def each(source: RecordingSource, todo: list[int], partial: Path, name: str) -> Iterator[Done]:
-        clips = tuple((number, path.resolve()) for number, path in source.clips)
-        camera = source.camera.resolve() if source.camera is not None else None
-        everywhere = replace(source, path=source.path.resolve(), clips=clips, camera=camera)
-        for index, said in cluster.each(
-            todo, functools.partial(_track_as_text, everywhere, partial=partial, name=name)
-        ):
-            if not said.startswith("["):
-                raise InputError(f"{clips[index][1]}: {said}")
-            frames, notes = json.loads(said)
-            yield frames, tuple(notes)
-
-    return each
-
-
-def _track_as_text(source: RecordingSource, index: int, partial: Path, name: str) -> str:
-    """`_one`, as text; a clip that a lost worker had finished is done."""
-    if results.is_done(partial, source.clips[index][0]):
-        return json.dumps([0, []])
-    return json.dumps(_one(source, index, partial, name))
-
-
-def _one(source: RecordingSource, index: int, partial: Path, name: str) -> Done:
-    alone()
+def _track_clip(source: RecordingSource, index: int, partial: Path, name: str) -> ClipDone:
+    """Track one clip in a worker. A clip that a lost worker had finished is done."""
+    number, path = source.clips[index]
+    if results.is_done(partial, number):
+        return ClipDone(frames=0, notes=())
+    use_one_thread()
     clip = source.open_clip(index)
     try:
         result = track_and_measure(clip, name)
@@ -293,6 +259,13 @@ def _one(source: RecordingSource, index: int, partial: Path, name: str) -> Done:
         if isinstance(error, cv2.error) and error.code != cv2.Error.StsNoMem:
             raise
         asked = " x ".join(map(str, clip.frames.shape))
-        raise InputError(f"{source.clips[index][1]}: not enough memory for its {asked} pixels") from None
+        raise InputError(f"{path}: not enough memory for its {asked} pixels") from None
     results.write_clip(partial, result.number, result.found, result.motion, result.rows, result.camera)
-    return result.frames, result.notes
+    return ClipDone(frames=result.frames, notes=result.notes)
+
+
+def _resolve_paths(source: RecordingSource) -> RecordingSource:
+    """The same source with absolute paths, for workers that run in another folder."""
+    clips = tuple((number, path.resolve()) for number, path in source.clips)
+    camera = source.camera.resolve() if source.camera is not None else None
+    return replace(source, path=source.path.resolve(), clips=clips, camera=camera)

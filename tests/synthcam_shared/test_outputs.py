@@ -14,6 +14,7 @@ from synthcam_shared import outputs
 from synthcam_shared.errors import InputError
 from tracker import cli, pipeline
 
+ROOM = 1 << 16  # bytes of the probe file
 NOWHERE = Path("/proc/nowhere")  # nobody may write there, root neither
 SRC = Path(cli.__file__).parent
 
@@ -62,7 +63,7 @@ def test_a_full_disk_is_named_and_the_same_command_goes_on(table, tmp_path, monk
     measure(table, tmp_path / "whole")
     first = sum(map(len, contents(tmp_path / "whole/clips/000000").values()))
     with monkeypatch.context() as patch:
-        limited(patch, max(first * 3 // 2, outputs.ROOM))
+        limited(patch, max(first * 3 // 2, ROOM))
         with pytest.raises(InputError, match=r"d\.partial: No space left on device; the same command goes on"):
             measure(table, tmp_path / "d")
     done = contents(tmp_path / "d.partial")
@@ -93,7 +94,7 @@ def test_full_at_the_end_it_goes_on_too(table, tmp_path, monkeypatch):
 
 def test_full_before_the_first_clip_it_leaves_nothing(table, tmp_path, monkeypatch):
     with monkeypatch.context() as patch:
-        limited(patch, outputs.ROOM)
+        limited(patch, ROOM)
         patch.setattr(pipeline.results, "write_clip", lambda *_: (tmp_path / "d.partial/x").write_bytes(bytes(10**6)))
         with pytest.raises(InputError, match="No space left"):
             measure(table, tmp_path / "d")

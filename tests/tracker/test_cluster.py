@@ -1,5 +1,6 @@
 """Clips tracked, scored, and a whole suite made by a Dask cluster: the same bytes, though its workers are killed."""
 
+import functools
 import importlib.util
 import json
 import shutil
@@ -9,6 +10,7 @@ import sys
 import pytest
 from benchmark_suite import TINY, suite
 
+from synthcam_shared.dask_cluster import Cluster
 from synthcam_shared.errors import InputError
 from tracker.benchmark.contest import run_contest
 from tracker.pipeline import run
@@ -37,8 +39,8 @@ SUITE_SCRIPT = """
 import os, signal, sys
 from pathlib import Path
 from distributed import LocalCluster, SchedulerPlugin
-from tracker.benchmark.contest import contest
-from tracker.benchmark.suite.definition import from_text
+from tracker.benchmark.contest import run_contest
+from tracker.benchmark.suite.definition import parse_definition
 from tracker.benchmark.suite.make import make
 from tracker.scoring.score import score
 class Count(SchedulerPlugin):
@@ -54,8 +56,8 @@ if __name__ == "__main__":
                 os.kill(killed[-1], signal.SIGKILL)
         cluster.scheduler.add_plugin(Count())
         address, text = cluster.scheduler_address, Path(sys.argv[1]).read_text()
-        made = make(Path("suite"), from_text(text, "full", "tiny.yaml"), progress=tick, scheduler=address)
-        contest(made, Path("report"), "centroid", progress=tick, scheduler=address)
+        made = make(Path("suite"), parse_definition(text, "full", "tiny.yaml"), progress=tick, scheduler=address)
+        run_contest(made, Path("report"), "centroid", progress=tick, scheduler=address)
         score(Path("report/results/centroid/axes"), Path("whole"), scheduler=address).write("score")
     print(len(killed), len(Count.done))
 """
@@ -109,7 +111,7 @@ def test_a_suite_made_run_and_scored_by_a_cluster_is_the_same(tmp_path, monkeypa
 
 @needs_dask
 def test_an_address_without_a_scheduler(tmp_path, monkeypatch):
-    monkeypatch.setattr("synthcam_shared.dask_workers.PATIENCE", 0.5)
+    monkeypatch.setattr(Cluster, "__init__", functools.partialmethod(Cluster.__init__, timeout=0.5))
     with pytest.raises(InputError, match="--scheduler nonsense: expected a Dask scheduler's address"):
         run(suite().film("axes"), tmp_path / "d", None, "centroid", 0, scheduler="nonsense")
     assert not list(tmp_path.iterdir())

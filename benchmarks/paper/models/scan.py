@@ -25,8 +25,8 @@ from benchmarks.paper.models.observed import WAYS, chi2, observed, pulls
 from benchmarks.paper.published import OBSERVED
 from benchmarks.paper.readings import Films, read
 from synthcam.dynamics.batch import solve_collisions
+from synthcam_shared.jobs import run_all_jobs
 from synthcam_shared.outputs import write_atomically
-from tracker.parallel import in_parallel
 
 Floats = NDArray[np.float64]
 NOISE = 1.4e-6  # m, each axis: .0087 px, what the tracker leaves on such films
@@ -135,7 +135,7 @@ def scan(output: Path, workers: int, quick: bool, progress: Callable[[int, int],
     todo = [n for n, name in enumerate(names) if not (folder / f"{name}.json").exists()]
     progress(len(names) - len(todo), len(names))
     task = functools.partial(_scan_one, names, folder, quick)
-    for done, _ in enumerate(in_parallel(task, todo, workers, folder), 1):
+    for done, _ in enumerate(run_all_jobs(task, todo, workers, folder), 1):
         progress(len(names) - len(todo) + done, len(names))
     rows = [row for name in names for row in json.loads((folder / f"{name}.json").read_text())]
     write_atomically(output / KEPT, json.dumps(rows))

@@ -15,8 +15,8 @@ import pandas as pd
 
 from synthcam.dataset import exports
 from synthcam.dataset.files import clip_folders
+from synthcam.dataset.partial_dataset import open_exclusively
 from synthcam.dataset.recorded_clip import RecordedClip, first_line
-from synthcam.dataset.staging import open_exclusively
 from synthcam_shared.errors import InputError
 from synthcam_shared.outputs import as_input_error, check_writable
 

@@ -1,16 +1,13 @@
-"""Clips in parallel, resumable, the same bytes whatever the workers."""
+"""Make a dataset: clips side by side, resumable, with the same bytes however many workers there are."""
 
 from __future__ import annotations
 
 import errno
-import json
-import os
 import platform
 import shutil
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
-from functools import lru_cache, partial
+from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -19,15 +16,14 @@ import numpy as np
 import pandas as pd
 
 from synthcam.dataset.files import finish, finish_shard, write_clip
-from synthcam.dataset.staging import PLAN, PartialDataset, move_into_place, name_temporary, open_partial
-from synthcam.dataset.workers import each
+from synthcam.dataset.partial_dataset import PLAN, PartialDataset, open_partial
 from synthcam.library import add_effects, digest, list_added_folders
 from synthcam.scene.clip import Clip
 from synthcam.scene.scene import Scene, check_scene
-from synthcam_shared.errors import InputError
-
-FULL = {errno.ENOSPC, errno.EDQUOT, errno.EROFS}  # what will happen to the next clip as well
-STARTING = 3.0  # s of a processor: for less work it does not pay to start processes, which load for half as long
+from synthcam_shared.errors import InputError, NoGL
+from synthcam_shared.job_result import LostJob
+from synthcam_shared.jobs import Progress, Trial, run_jobs
+from synthcam_shared.outputs import move_into_place, name_temporary
 
 
 @dataclass(frozen=True)
@@ -95,7 +91,17 @@ class GenerationPlan:
 
 @dataclass(frozen=True)
 class GenerationOutcome:
-    """made: clips written by this run. failed: what went wrong, a line a clip. root: of the truth, if complete."""
+    """What one run made.
+
+    Attributes
+    ----------
+    made : int
+        Clips written by this run.
+    failed : tuple of str
+        A line for each clip that could not be made: its number and the reason.
+    root : Path or None
+        The folder with the truth; None while clips are missing.
+    """
 
     made: int
     failed: tuple[str, ...]
@@ -111,25 +117,25 @@ def generate_dataset(
     plan: GenerationPlan,
     output: Path,
     workers: int,
-    progress: Callable[[int, int], None],
+    progress: Progress,
     withheld: Path | None = None,
     scheduler: str = "",
     announce: Callable[[str], None] | None = None,
 ) -> GenerationOutcome:
     """Make a dataset.
 
-    All is made in a folder beside it, `output`.partial, and moved into place when complete, so that a killed run goes
-    on where it was.
+    The dataset is made in a folder beside `output`, `output`.partial, and moved into place when it is complete. A run
+    that was killed goes on where it was.
 
     Parameters
     ----------
-    plan : Plan
+    plan : GenerationPlan
     output : Path
         Folder to make.
     workers : int
-        Processes; 0: one a core, where so many are quicker.
+        Processes; 0: one for each core, where so many are quicker.
     progress : callable
-        Takes clips done and clips in all, after each clip.
+        Takes the clips done and the clips in all, after each clip.
     withheld : Path, optional
         Another folder, for the truth.
     scheduler : str
@@ -139,69 +145,48 @@ def generate_dataset(
 
     Returns
     -------
-    Outcome
+    GenerationOutcome
 
     Raises
     ------
     InputError
-        Where a folder holds something else, or the disk is full.
+        If a folder holds something else, or the disk is full.
     NoGL
-        Where nothing can draw.
+        If OpenGL cannot draw.
     """
-    made = open_partial(output, plan.document(), withheld)
-    if made is None:
-        progress(plan.total, plan.total)
-        return GenerationOutcome(0, (), withheld or output)
-    try:
-        return _make(plan, made, workers, progress, scheduler, announce)
-    except Exception as e:
-        if not made.list_done():
-            made.discard()
-        if isinstance(e, OSError):
-            where = e.filename or made.folder
-            raise InputError(f"{where}: {_why(e)}; the same command goes on where it stopped") from None
-        raise
-    finally:
-        made.close()
+    with open_partial(output, plan.document(), withheld) as made:
+        if made is None:
+            progress(plan.total, plan.total)
+            return GenerationOutcome(0, (), withheld or output)
+        done = made.list_done()
+        todo = [k for k in plan.numbers if k not in done]
+        _check_disk(plan, made.folder, len(todo))
+        machines: list[dict[str, Any]] = []
+        if scheduler:
+            from synthcam_shared.dask_cluster import Cluster  # here alone: Dask is an optional dependency
+
+            machines = Cluster(scheduler).ask_all(partial(describe_machine, plan.video))
+        folders = made.folder.absolute(), made.truth.absolute()
+        work = partial(_make_in_worker, plan, version("synthcam"), list_added_folders(), *folders)
+        tell = None if announce is None else lambda trial: announce(_estimate(made, trial))
+        progress(len(done), plan.total)
+        failed = []
+        for count, result in enumerate(run_jobs(work, todo, workers, scheduler, trials=3, announce=tell), 1):
+            problem = result.reason if isinstance(result, LostJob) else result.value
+            failed += [f"clip {result.number}: {problem}"] if problem is not None else []
+            progress(len(done) + count, plan.total)
+        made.tidy()
+        if failed:
+            if not made.list_done():
+                made.discard()
+            return GenerationOutcome(len(todo) - len(failed), tuple(failed), None)
+        complete_dataset(plan, made, machines or [describe_machine(plan.video)])
+        return GenerationOutcome(len(todo), (), made.withheld or made.output)
 
 
-def _make(
-    plan: GenerationPlan,
-    made: PartialDataset,
-    workers: int,
-    progress: Callable[[int, int], None],
-    scheduler: str,
-    announce: Callable[[str], None] | None,
-) -> GenerationOutcome:
-    done = made.list_done()
-    todo = [k for k in plan.numbers if k not in done]
-    _check_disk(plan, made.folder, len(todo))
-    drawn_by: list[dict[str, Any]] = []
-    if scheduler:
-        from synthcam_shared.dask_workers import Cluster  # here alone: Dask is an extra
-
-        cluster = Cluster(scheduler)
-        drawn_by = cluster.everywhere(partial(describe_machine, plan.video))
-        results = cluster.each(todo, partial(_make_anywhere, *_worker_arguments(plan), *_folders(made)))
-    else:
-        results = _here(plan, made, todo, workers, announce)
-    progress(len(done), plan.total)
-    failed = []
-    for k, (number, trouble) in enumerate(results, 1):
-        failed += [f"clip {number}: {trouble}"] if trouble else []
-        progress(len(done) + k, plan.total)
-    made.tidy()
-    if failed:
-        if not made.list_done():
-            made.discard()
-        return GenerationOutcome(len(todo) - len(failed), tuple(failed), None)
-    complete_dataset(plan, made, drawn_by or [describe_machine(plan.video)])
-    return GenerationOutcome(len(todo), (), made.withheld or made.output)
-
-
-def complete_dataset(plan: GenerationPlan, made: PartialDataset, drawn_by: list[dict[str, Any]]) -> None:
-    """Write what covers all clips and move the dataset into its place. drawn_by: each kind of machine once."""
-    about = plan.document() | drawn_by[0] | ({"drawn_by": drawn_by} if len(drawn_by) > 1 else {})
+def complete_dataset(plan: GenerationPlan, made: PartialDataset, machines: list[dict[str, Any]]) -> None:
+    """Write what covers all clips, and move the dataset into its place. machines: each kind of machine once."""
+    about = plan.document() | machines[0] | ({"drawn_by": machines} if len(machines) > 1 else {})
     if plan.shard:
         finish_shard(made.folder, about | {"clips": list(plan.numbers)}, unlisted=PLAN)
     else:
@@ -209,37 +194,15 @@ def complete_dataset(plan: GenerationPlan, made: PartialDataset, drawn_by: list[
     made.publish()
 
 
-def _here(
-    plan: GenerationPlan, made: PartialDataset, todo: list[int], workers: int, announce: Callable[[str], None] | None
-) -> Iterator[tuple[int, str]]:
-    """Make the clips on this machine: (number, '' or what went wrong), in the order in which they end."""
-    folders = _folders(made)
-    if todo and (announce or not workers):
-        trials = sorted({todo[0], todo[len(todo) // 2], todo[-1]})  # of several scenes, where there are several
-        ends = []
-        for number in trials:  # the first loads libraries, draws the chip and starts OpenGL
-            yield number, make_clip(plan, number, *folders)
-            ends.append((time.perf_counter(), time.process_time()))
-        todo = [k for k in todo if k not in trials]
-        if todo:
-            seconds, work = ((late - early) / (len(ends) - 1) for early, late in zip(ends[0], ends[-1], strict=True))
-            workers = workers or ((os.cpu_count() or 1) if work * len(todo) > STARTING else 1)
-            if announce:
-                announce(_estimate(made, trials, seconds, len(todo), workers))
-    others = max(min(workers, len(todo)) - 1, 0)
-    yield from each(
-        todo, others, partial(_ready, *_worker_arguments(plan), *folders), lambda k: make_clip(plan, k, *folders)
-    )
-
-
-def _estimate(made: PartialDataset, trials: list[int], seconds: float, clips: int, workers: int) -> str:
-    """What so many clips will take. seconds: of one on one worker."""
-    left = seconds * clips / min(workers, clips)
-    unit = f"{left / 60:.0f} min" if left > 90 else f"{left:.0f} s"
-    folders = {folder for number in trials for folder in made.clip(number)}
+def _estimate(made: PartialDataset, trial: Trial) -> str:
+    """Describe the time and the disk that the remaining clips will take."""
+    clips = trial.jobs_left
+    seconds = trial.seconds * clips / min(trial.workers, clips)
+    duration = f"{seconds / 60:.0f} min" if seconds > 90 else f"{seconds:.0f} s"
+    folders = {folder for number in trial.numbers for folder in made.clip(number)}
     size = sum(file.stat().st_size for folder in folders for file in folder.glob("*") if file.is_file())
-    need, free = size / len(trials) * clips / 1e6, shutil.disk_usage(made.folder).free / 1e6
-    return f"{clips} clips to come: about {unit}, {need:,.1f} MB of {free:,.0f} MB free"
+    need, free = size / len(trial.numbers) * clips / 1e6, shutil.disk_usage(made.folder).free / 1e6
+    return f"{clips} clips to come: about {duration}, {need:,.1f} MB of {free:,.0f} MB free"
 
 
 def _check_disk(plan: GenerationPlan, folder: Path, clips: int) -> None:
@@ -248,69 +211,64 @@ def _check_disk(plan: GenerationPlan, folder: Path, clips: int) -> None:
         raise InputError(f"{folder}: {clips} clips take {need / 1e6:,.0f} MB, and {free / 1e6:,.0f} MB are free there")
 
 
-def _folders(made: PartialDataset) -> tuple[Path, Path]:
-    return made.folder.absolute(), made.truth.absolute()
-
-
-def _worker_arguments(plan: GenerationPlan) -> tuple[str, tuple[Path, ...]]:
-    """What a worker must know: the plan's document, and the folders with effects."""
-    return json.dumps(plan.document()), list_added_folders()
-
-
-def _ready(document: str, effects: tuple[Path, ...], folder: Path, secret: Path) -> Callable[[int], str]:
-    """In a worker: what makes a clip."""
-    return partial(_make_anywhere, document, effects, folder, secret)
-
-
-@lru_cache(maxsize=2)
-def _plan(document: str) -> GenerationPlan:
-    return GenerationPlan.from_document(json.loads(document))
-
-
-def _make_anywhere(document: str, effects: tuple[Path, ...], folder: Path, secret: Path, number: int) -> str:
-    """In a worker, perhaps on another machine: make one clip of the plan of `document`."""
-    wanted = json.loads(document)["version"]
+def _make_in_worker(
+    plan: GenerationPlan, wanted: str, effects: tuple[Path, ...], folder: Path, secret: Path, number: int
+) -> str | None:
+    """Make a clip in a worker, perhaps on another machine. wanted: version of synthcam; effects: folders with them."""
     if version("synthcam") != wanted:
         return f"its worker has synthcam {version('synthcam')}, expected {wanted}"
     for known in effects:
         add_effects(known)
     if not (folder / "clips").is_dir():
         return f"{folder}: no such folder on {platform.node()}; workers must see the dataset's folder at the same path"
-    return make_clip(_plan(document), number, folder, secret)
+    return make_clip(plan, number, folder, secret)
 
 
-def make_clip(plan: GenerationPlan, number: int, folder: Path, secret: Path | None = None) -> str:
-    """Make one clip of a plan in `folder`/clips; '' or one line on why it could not be made.
+def make_clip(plan: GenerationPlan, number: int, folder: Path, secret: Path | None = None) -> str | None:
+    """Make one clip of a plan in `folder`/clips.
 
-    secret: another folder for the truth. A full disk is raised, for no clip would fare better.
+    Parameters
+    ----------
+    plan : GenerationPlan
+    number : int
+    folder : Path
+    secret : Path, optional
+        Another folder, for the truth.
+
+    Returns
+    -------
+    str or None
+        Why the clip could not be made, in one line; None if it was made.
+
+    Raises
+    ------
+    OSError
+        If the disk is full or read-only, for then no other clip can be made either.
+    NoGL
+        If OpenGL cannot draw.
     """
     name = f"{number:06d}"
     final, secret = folder / "clips" / name, secret or folder
-    hidden = None if secret == folder else secret / "clips" / name / "truth"
-    made, kept = name_temporary(final), name_temporary(hidden) if hidden else None
+    final_truth = None if secret == folder else secret / "clips" / name / "truth"
+    aside, truth_aside = name_temporary(final), name_temporary(final_truth) if final_truth else None
     try:
         clip = plan.clip(number)
         frames = clip.pictures() if plan.video else None
-        write_clip(made, clip, frames, {"seed": plan.seed}, kept, plan.compression)
-        if kept and hidden:
-            move_into_place(kept, hidden)
-        move_into_place(made, final)
-    except Exception as e:
-        for leftover in (made, kept):
-            if leftover:
-                shutil.rmtree(leftover, ignore_errors=True)
-        if type(e).__name__ == "NoGL" or (isinstance(e, OSError) and e.errno in FULL):
+        write_clip(aside, clip, frames, {"seed": plan.seed}, truth_aside, plan.compression)
+        if truth_aside and final_truth:
+            move_into_place(truth_aside, final_truth)
+        move_into_place(aside, final)
+    except Exception as error:
+        for leftover in filter(None, (aside, truth_aside)):
+            shutil.rmtree(leftover, ignore_errors=True)
+        no_clip_can_be_made = isinstance(error, OSError) and error.errno in {errno.ENOSPC, errno.EDQUOT, errno.EROFS}
+        if no_clip_can_be_made or isinstance(error, NoGL):
             raise
-        return _why(e)
-    return ""
-
-
-def _why(error: Exception) -> str:
-    """One line; an unexpected error keeps its name."""
-    if isinstance(error, OSError):
-        return f"{error.strerror or error}"
-    said = " ".join(str(error).split())
-    return said if isinstance(error, ValueError) else f"{type(error).__name__}: {said}"
+        if isinstance(error, OSError):
+            return f"{error.strerror or error}"
+        reason = " ".join(str(error).split())
+        return reason if isinstance(error, ValueError) else f"{type(error).__name__}: {reason}"
+    return None
 
 
 def describe_machine(video: bool) -> dict[str, Any]:

@@ -1,68 +1,102 @@
-"""Shards made apart, put together: the same dataset as one process makes."""
+"""Merge shards that were made separately into the dataset, byte for byte, that one process makes."""
 
 from __future__ import annotations
 
 import hashlib
-import json
 import shutil
-from collections.abc import Callable
 from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
+
+from pydantic import BaseModel, ConfigDict, NonNegativeInt, model_validator
 
 from synthcam.dataset.files import VIDEO, read_sums
 from synthcam.dataset.generate import GenerationPlan, complete_dataset
-from synthcam.dataset.staging import PartialDataset, check_apart, move_into_place, name_temporary, open_partial
+from synthcam.dataset.partial_dataset import PartialDataset, check_apart, open_partial
 from synthcam.dataset.video import FILMS
 from synthcam_shared.errors import InputError
-from synthcam_shared.outputs import as_input_error
+from synthcam_shared.jobs import Progress
+from synthcam_shared.outputs import move_into_place, name_temporary
 
-OWN = {"shard", "clips", "gl", "machine", "drawn_by"}  # what two shards of a dataset need not share
-CHUNK = 1 << 20
-FILES = FILMS | {VIDEO, "camera.json", "truth/scene.json", "truth/tracks.parquet", "truth/events.parquet"}  # of a clip
+FILES_OF_CLIP = FILMS | {VIDEO, "camera.json", "truth/scene.json", "truth/tracks.parquet", "truth/events.parquet"}
+KEYS_OF_SHARD = {"shard", "clips", "gl", "machine", "drawn_by"}  # in which two shards of a dataset may differ
 
 
-def merge(shards: list[Path], output: Path, progress: Callable[[int, int], None], withheld: Path | None = None) -> int:
-    """Copy the clips of finished shards into one dataset. Interrupted, the same call goes on.
+class _Machine(BaseModel):
+    """The machine that drew, and its OpenGL; empty without video."""
+
+    model_config = ConfigDict(extra="allow", strict=True)
+    gl: dict[str, Any]
+    machine: dict[str, Any]
+
+    @model_validator(mode="after")
+    def _check_renderer(self) -> Self:
+        if self.gl and "renderer" not in self.gl:
+            raise ValueError("gl: expected a renderer")
+        return self
+
+
+class _ShardDocument(_Machine):
+    """What shard.json holds: a dataset's document, and which clips of it are here."""
+
+    scenes: list[dict[str, Any]]
+    clips_per_scene: NonNegativeInt
+    seed: NonNegativeInt
+    video: bool
+    version: str
+    shard: tuple[int, int]
+    clips: list[int]
+    drawn_by: list[_Machine] | None = None
+
+    @model_validator(mode="after")
+    def _check_clips(self) -> Self:
+        which, count = self.shard
+        if self.version == version("synthcam"):
+            plan = replace(GenerationPlan.from_document(self.model_dump()), shard=self.shard)
+            if not 1 <= which <= count or self.clips != list(plan.numbers[: len(self.clips) + 1]):
+                raise ValueError("clips: expected those of the shard")
+        return self
+
+
+def merge(shards: list[Path], output: Path, progress: Progress, withheld: Path | None = None) -> int:
+    """Copy the clips of finished shards into one dataset. If interrupted, the same call goes on.
+
+    Every file is compared with its shard's checksum on the way.
 
     Parameters
     ----------
     shards : list of Path
-        All of one dataset, in any order. Every file is held to its shard's checksum on the way.
+        All shards of one dataset, in any order.
     output : Path
         Folder to make.
     progress : callable
-        Takes clips done and clips in all.
+        Takes the clips done and the clips in all.
     withheld : Path, optional
         Another folder, for the truth.
 
     Returns
     -------
     int
-        How many clips.
+        The number of clips.
 
     Raises
     ------
     InputError
-        Where the shards are not all those of one dataset, or one of their files has changed.
+        If the shards are not all those of one dataset, or one of their files has changed.
     """
     if withheld:
         check_apart(output, withheld)
-    abouts = [_about(s) for s in shards]
+    abouts = [_read_document(s) for s in shards]
     for shard in shards:
         if output.resolve().is_relative_to(shard.resolve()):
             raise InputError(f"{output}: expected a folder outside the shard {shard}")
     _check_complete(shards, abouts)
     plan = GenerationPlan.from_document(abouts[0])
-    made = open_partial(output, plan.document(), withheld)
-    if made is None:
-        progress(plan.total, plan.total)
-        return plan.total
-    try:
-        with as_input_error(made.folder, "; the same command goes on where it stopped"):
-            done = made.list_done()
-            progress(len(done), plan.total)
+    with open_partial(output, plan.document(), withheld) as made:
+        done = made.list_done() if made else set(plan.numbers)
+        progress(len(done), plan.total)
+        if made:
             for shard, about in zip(shards, abouts, strict=True):
                 sums = read_sums(shard)
                 for number in about["clips"]:
@@ -71,50 +105,17 @@ def merge(shards: list[Path], output: Path, progress: Callable[[int, int], None]
                         done.add(number)
                         progress(len(done), plan.total)
             complete_dataset(plan, made, _list_machines(abouts))
-    except BaseException:
-        if not made.list_done():
-            made.discard()
-        raise
-    finally:
-        made.close()
     return plan.total
 
 
-def _about(shard: Path) -> dict[str, Any]:
+def _read_document(shard: Path) -> dict[str, Any]:
     path = shard / "truth" / "shard.json"
     if not path.is_file():
         raise InputError(f"{shard}: not a finished shard (no truth/shard.json)")
     try:
-        about = json.loads(path.read_text(encoding="utf-8"))
-        keys = {"scenes", "clips_per_scene", "seed", "video", "version"} | OWN - {"drawn_by"}
-        whole = keys <= set(about) and (about["version"] != version("synthcam") or _sound(about))
+        return _ShardDocument.model_validate_json(path.read_bytes()).model_dump()
     except (OSError, ValueError, TypeError, KeyError, AttributeError, OverflowError, RecursionError):
-        whole = False
-    if not whole:
-        raise InputError(f"{path}: damaged, expected what `synthcam generate --shard` writes")
-    return dict(about)
-
-
-def _sound(about: Any) -> bool:
-    """Whether a shard's document is of the right kinds throughout, and lists the clips that are this shard's."""
-    which, of = about["shard"]
-    numbers = [about["clips_per_scene"], about["seed"], which, of]
-    if not all(type(x) is int for x in numbers) or not 1 <= which <= of or min(numbers) < 0:
-        return False
-    drawn_by = about.get("drawn_by", [about])
-    kinds = [about["gl"], about["machine"], *(part for d in drawn_by for part in (d["gl"], d["machine"]))]
-    if not all(isinstance(kind, dict) for kind in kinds):
-        return False
-    if not all("renderer" in d["gl"] or not d["gl"] for d in drawn_by):
-        return False
-    plan = replace(GenerationPlan.from_document(about), shard=(which, of))
-    return (
-        type(plan.video) is bool
-        and isinstance(about["version"], str)
-        and isinstance(about["clips"], list)
-        and len(about["clips"]) == plan.total
-        and about["clips"] == list(plan.numbers)
-    )
+        raise InputError(f"{path}: damaged, expected what `synthcam generate --shard` writes") from None
 
 
 def _check_complete(shards: list[Path], abouts: list[dict[str, Any]]) -> None:
@@ -124,7 +125,7 @@ def _check_complete(shards: list[Path], abouts: list[dict[str, Any]]) -> None:
     if first["version"] != here:
         raise InputError(f"{shards[0]}: made by synthcam {first['version']}; merge it with that version, not {here}")
     for shard, about in zip(shards, abouts, strict=True):
-        for key in sorted({*first, *about} - OWN):
+        for key in sorted({*first, *about} - KEYS_OF_SHARD):
             if about.get(key) != first.get(key):
                 raise InputError(f"{shard}: a shard of another dataset than {shards[0]} (another {key})")
         which, of = about["shard"]
@@ -140,11 +141,11 @@ def _check_complete(shards: list[Path], abouts: list[dict[str, Any]]) -> None:
 
 def _list_machines(abouts: list[dict[str, Any]]) -> list[dict[str, Any]]:
     """Each kind of machine that drew, once, in the order of the shards."""
-    kinds: list[dict[str, Any]] = []
+    machines: list[dict[str, Any]] = []
     for about in sorted(abouts, key=lambda a: int(a["shard"][0])):
-        for kind in about.get("drawn_by", [{"gl": about["gl"], "machine": about["machine"]}]):
-            kinds += [kind] if kind not in kinds else []
-    return kinds
+        for machine in about["drawn_by"] or [{"gl": about["gl"], "machine": about["machine"]}]:
+            machines += [machine] if machine not in machines else []
+    return machines
 
 
 def _copy_clip(shard: Path, sums: dict[str, str], number: int, made: PartialDataset) -> None:
@@ -156,7 +157,7 @@ def _copy_clip(shard: Path, sums: dict[str, str], number: int, made: PartialData
     files = [f for f in sums if f.startswith(name)]
     if not files:
         raise InputError(f"{shard}: clip {number} is missing in its SHA256SUMS")
-    if strange := next((f for f in files if f.removeprefix(name) not in FILES), None):
+    if strange := next((f for f in files if f.removeprefix(name) not in FILES_OF_CLIP), None):
         raise InputError(f"{shard}: {strange}: not a file of a clip")
     try:
         for file in files:
@@ -180,7 +181,7 @@ def _copy(source: Path, target: Path, digest: str) -> None:
     if not source.is_file():
         raise InputError(f"{source}: missing")
     with source.open("rb") as a, target.open("wb") as b:
-        while chunk := a.read(CHUNK):
+        while chunk := a.read(1 << 20):
             found.update(chunk)
             b.write(chunk)
     if found.hexdigest() != digest:

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from synthcam_shared.errors import InputError
+from synthcam_shared.jobs import run_all_jobs
 from synthcam_shared.outputs import as_input_error, check_writable, lock_folder
 from tracker.benchmark.judging.entry import make_entry
 from tracker.benchmark.judging.tracker_results import ResultsInFolder
@@ -17,7 +18,6 @@ from tracker.benchmark.report.leaderboard import ENTRIES, entries, file_name, sa
 from tracker.benchmark.report.page import write_report
 from tracker.benchmark.suite.folder import Suite
 from tracker.benchmark.trackers import RUN_HERE, Entrant, describe, entrants, run_tracker
-from tracker.parallel import in_parallel
 from tracker.results import load_json
 
 RESULTS, SUITE = "results", "suite"
@@ -72,7 +72,7 @@ def run_contest(
             progress(number + 1, steps)
         todo = [k for k, one in enumerate(chosen) if not _has_score(report, suite, one.name)]
         task = partial(_make_entry, suite, chosen, found, report)
-        for done, scored in enumerate(in_parallel(task, todo, 0, report, scheduler), 1):
+        for done, scored in enumerate(run_all_jobs(task, todo, 0, report, scheduler), 1):
             save(report, scored)
             progress(len(chosen) + len(chosen) - len(todo) + done, steps)
         whole = publish(suite, report, how)

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from synthcam_shared.errors import InputError
+from synthcam_shared.jobs import Progress, run_all_jobs
 from synthcam_shared.outputs import as_input_error, check_writable
 from tracker.calibration.survey import BallSighting, survey, without_scale
 from tracker.camera.camera import Camera
@@ -21,7 +22,6 @@ from tracker.camera.camera_keys import read_json
 from tracker.camera.recordings import RecordingSource, make_recording, open_source
 from tracker.detection.channel import select_channel
 from tracker.detection.choose import DISCS, GLINTS, choose_detector
-from tracker.parallel import Progress, in_parallel
 from tracker.results import write_json
 
 DISAGREE = 3.0  # standard errors between two ways to the scale, beyond which they disagree
@@ -163,7 +163,8 @@ def calibrate(
         source: RecordingSource, picks: Sequence[int], known: dict[str, Any], detector: str
     ) -> list[BallSighting]:
         found = []
-        for one in in_parallel(functools.partial(survey, source, known, detector, bool(ways)), picks, workers, video):
+        look = functools.partial(survey, source, known, detector, bool(ways))
+        for one in run_all_jobs(look, picks, workers, video):
             found.append(one)
             progress(next(steps), total)
         return sorted(found, key=lambda one: one.index)

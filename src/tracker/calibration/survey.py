@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass, replace
 from typing import Any
 
+from synthcam_shared.jobs import use_one_thread
 from tracker.calibration.ball_outline import Outline, measure_outline
 from tracker.calibration.contact_distance import ContactDistance, contact_distances
 from tracker.camera.camera import Camera
@@ -13,7 +14,6 @@ from tracker.camera.recordings import Recording, RecordingSource, make_recording
 from tracker.detection.choose import DISCS
 from tracker.detection.detect import detect, detected_point, load_detector, make_view, search_frames
 from tracker.detection.link import link
-from tracker.parallel import alone
 
 DISC_SYSTEMATIC = 0.02  # of the radius: a ball is darker at its limb, and encoders move edges
 HEIGHTS = 2.5  # 1/m, scatter of 1/height of lamp less that of the camera: glints' distances differ from the balls'
@@ -49,7 +49,7 @@ def survey(source: RecordingSource, known: dict[str, Any], name: str, sized: boo
 
     known: keys of camera.json; sized: whether the scale among them is more than a guess.
     """
-    alone()
+    use_one_thread()
     number, frames = source.open_film(index)
     clip = make_recording(number, frames, Camera.from_dict(known), ("", "")).select_channel(source.channel)
     return _discs(clip, index, sized) if name == DISCS else _glints(clip, name, index)

@@ -12,10 +12,10 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from synthcam_shared.errors import InputError
+from synthcam_shared.jobs import in_order, run_all_jobs
 from tracker.camera.camera import Camera
 from tracker.measurement.collision.adequacy import MEASURED, MISFIT
 from tracker.measurement.collision.derived import QUANTITY_NAMES
-from tracker.parallel import in_order, in_parallel
 from tracker.results import finite, write_json
 from tracker.scoring.error_bars import quantity_bounds, score_quantities, true_motion
 from tracker.scoring.localisation import MatchedDetections, PositionSums, match, position_bounds
@@ -103,7 +103,7 @@ def score(
     task = partial(_score_clip, results, dataset)
     numbers = [int(clip) for clip in scalars["clip"]]
     positions, tracking, limits = PositionSums.none(), TrackingCounts.none(), []
-    for one in in_order(in_parallel(task, numbers, 1, results, scheduler), numbers):
+    for one in in_order(run_all_jobs(task, numbers, 1, results, scheduler), numbers):
         positions, tracking = positions + one.positions, tracking + one.tracking
         limits.append(one.bounds)
     table = join_truth(scalars, estimates, pd.DataFrame(limits).assign(clip=numbers))

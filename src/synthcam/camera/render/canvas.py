@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from synthcam.camera.render import windowless
+from synthcam_shared.errors import NoGL as NoGL
 
 # Read when the libraries load. Rasterising in the calling thread leaves the other cores to worker processes.
 os.environ.setdefault("LP_NUM_THREADS", "0")
@@ -33,10 +34,6 @@ Float32 = NDArray[np.float32]
 
 SIDE = 1024  # usual side of the buffer, samples
 MOST = 2048  # balls in one draw call
-
-
-class NoGL(RuntimeError):
-    """OpenGL cannot draw off-screen here; the message says in one line why and what would help."""
 
 
 class _Programs(pyrender.shader_program.ShaderProgramCache if pyrender else object):  # type: ignore[misc]

@@ -13,11 +13,11 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from synthcam_shared.jobs import run_all_jobs, use_one_thread
 from synthcam_shared.outputs import write_atomically
 from tracker.benchmark.suite.folder import BOUNDS, QUANTITY_BOUNDS
 from tracker.camera.recordings import RecordingSource, open_source
 from tracker.detection.detect import detect, make_view
-from tracker.parallel import alone, in_parallel
 from tracker.scoring.error_bars import quantity_bounds, true_motion
 from tracker.scoring.localisation import MatchedDetections, match, position_bounds
 from tracker.scoring.tracking_metrics import GATE_PX
@@ -31,7 +31,7 @@ def write_bounds(film: Path, truth: Path, workers: int = 0, scheduler: str = "")
     if (truth / BOUNDS).is_file() and (truth / QUANTITY_BOUNDS).is_file():
         return
     source = open_source(film)
-    found = in_parallel(partial(_of_clip, source, truth), range(len(source)), workers, film, scheduler)
+    found = run_all_jobs(partial(_of_clip, source, truth), range(len(source)), workers, film, scheduler)
     rows, quantities = zip(*sorted(found, key=lambda one: one[1]["clip"]), strict=True)
     for name, table in ((QUANTITY_BOUNDS, pd.DataFrame(quantities)), (BOUNDS, pd.concat(rows, ignore_index=True))):
         write_atomically(truth / name, table.to_parquet(index=False))
@@ -39,7 +39,7 @@ def write_bounds(film: Path, truth: Path, workers: int = 0, scheduler: str = "")
 
 def _of_clip(source: RecordingSource, truth: Path, index: int) -> Rows:
     """Frame, particle, xx, xy, yy (px^2) of each true position, and the bounds of the clip's quantities."""
-    alone()
+    use_one_thread()
     clip = source.open_clip(index)
     folder = truth / "clips" / f"{clip.number:06d}" / "truth"
     true = pd.read_parquet(folder / "tracks.parquet")

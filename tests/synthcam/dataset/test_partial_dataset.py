@@ -16,9 +16,10 @@ from types import SimpleNamespace
 import pytest
 from synthcam_stub import make, plan, quiet, sums
 
-from synthcam.dataset import generate, staging
+from synthcam.dataset import generate
 from synthcam.dataset.files import clip_folders, verify
 from synthcam.dataset.generate import generate_dataset
+from synthcam_shared import outputs
 from synthcam_shared.errors import InputError
 from tracker.detection.detect import DEFAULT
 from tracker.pipeline import run as tracked
@@ -295,7 +296,7 @@ def test_zstd_holds_the_same_pixels(tmp_path, monkeypatch, wide):
 
 
 def test_a_name_that_nobody_else_uses(tmp_path):
-    assert staging.name_temporary(tmp_path / "000001") != staging.name_temporary(tmp_path / "000001")
+    assert outputs.name_temporary(tmp_path / "000001") != outputs.name_temporary(tmp_path / "000001")
 
 
 @pytest.mark.parametrize(

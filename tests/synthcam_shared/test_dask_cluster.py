@@ -1,5 +1,6 @@
 """The clips made by a Dask cluster: the same bytes."""
 
+import functools
 import importlib.util
 import json
 import subprocess
@@ -10,6 +11,7 @@ from synthcam_stub import quiet, sums
 
 from synthcam.dataset.generate import GenerationPlan, generate_dataset
 from synthcam.scene.scene import check_scene
+from synthcam_shared.dask_cluster import Cluster
 from synthcam_shared.errors import InputError
 
 needs_dask = pytest.mark.skipif(
@@ -37,7 +39,7 @@ if __name__ == "__main__":
 COUNTING = """
 import operator
 from distributed import LocalCluster
-from synthcam_shared.dask_workers import Cluster
+from synthcam_shared.dask_cluster import Cluster
 class Counted:
     sent = 0
     def __reduce__(self):
@@ -45,7 +47,7 @@ class Counted:
         return operator.methodcaller, ("bit_length",)
 if __name__ == "__main__":
     with LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None, silence_logs=60) as cluster:
-        said = dict(Cluster(cluster.scheduler_address).values(range(60), Counted()))
+        said = {r.number: r.value for r in Cluster(cluster.scheduler_address).run(Counted(), range(60))}
     assert said == {n: n.bit_length() for n in range(60)}, said
     print(Counted.sent)
 """
@@ -87,9 +89,7 @@ def test_work_is_sent_once_to_a_cluster_not_with_each_number(tmp_path):
     "address", ["tcp://127.0.0.1:1", "nonsense", "tls://127.0.0.1:8786", "ucx://h:1", "tcp://", "h:99999"]
 )
 def test_an_address_without_a_scheduler(tmp_path, monkeypatch, address):
-    from synthcam_shared import dask_workers as cluster
-
-    monkeypatch.setattr(cluster, "PATIENCE", 0.5)
+    monkeypatch.setattr(Cluster, "__init__", functools.partialmethod(Cluster.__init__, timeout=0.5))
     with pytest.raises(InputError, match=f"--scheduler {address}: expected a Dask scheduler's address"):
         generate_dataset(plan(1), tmp_path / "d", 1, quiet, scheduler=address)
     assert not list(tmp_path.iterdir())

@@ -1,0 +1,142 @@
+"""Run jobs on the workers of a Dask scheduler. Needs the optional dependency `synthcam[dask]`."""
+
+from __future__ import annotations
+
+import re
+import time
+import uuid
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
+from functools import cache
+from itertools import islice
+from typing import Any, TypeVar
+
+from synthcam_shared.errors import InputError
+from synthcam_shared.job_result import JobValue, LostJob
+
+try:
+    from distributed import Client, KilledWorker, WorkerPlugin, as_completed
+    from distributed.client import FutureCancelledError
+except ImportError:
+    Client, WorkerPlugin = None, object
+T = TypeVar("T")
+
+
+class Cluster:
+    """A connection to a scheduler that answers and has workers. One call of `ask_all` or `run` closes it.
+
+    Parameters
+    ----------
+    address : str
+        As in tcp://10.0.0.1:8786.
+    timeout : float
+        Time for the scheduler to answer, s.
+
+    Raises
+    ------
+    InputError
+        If Dask is not installed, no scheduler answers at the address, or it has no workers.
+    """
+
+    def __init__(self, address: str, timeout: float = 10.0) -> None:
+        if Client is None:
+            raise InputError("--scheduler: Dask is not installed; type: pip install 'synthcam[dask]'")
+        well_formed = re.fullmatch(r"((tcp|tls|ws|wss)://)?[^/\s]+:([0-9]{1,5})", address)
+        if not well_formed or int(well_formed[3]) > 65535:
+            raise InputError(f"--scheduler {address}: expected a Dask scheduler's address, as in tcp://10.0.0.1:8786")
+        try:
+            self.client = Client(address, timeout=timeout, set_as_default=False)
+        except Exception as error:  # for a wrong address Dask raises what each of its protocols raises
+            raise InputError(
+                f"--scheduler {address}: expected a Dask scheduler's address ({_one_line(error)})"
+            ) from None
+        self.address = address
+        if not self.client.nthreads():
+            self.client.close()
+            raise InputError(f"--scheduler {address}: the scheduler has no workers")
+
+    def ask_all(self, question: Callable[[], dict[str, Any]]) -> list[dict[str, Any]]:
+        """Ask every worker; return each different answer once."""
+        answers: list[dict[str, Any]] = []
+        with self.client:
+            for answer in dict(sorted(self.client.run(_call_in_one_thread, question).items())).values():
+                answers += [answer] if answer not in answers else []
+        return answers
+
+    def run(self, work: Callable[[int], T], numbers: Sequence[int], ahead: int = 3) -> Iterator[JobValue[T] | LostJob]:
+        """Do the work for each number, and yield the answers in the order in which the jobs end.
+
+        Another worker does the jobs of a worker that is lost. Dask gives up a job that loses three workers. Each thread
+        of a worker has `ahead` numbers, so that none waits.
+        """
+        queue, run = iter(numbers), uuid.uuid4().hex
+        submitted: dict[str, int] = {}
+
+        def submit(number: int) -> Any:
+            future = self.client.submit(_do_job, run, number, key=f"clip-{number}-{run}", pure=False)
+            submitted[future.key] = number
+            return future
+
+        with self.client:
+            self._send(run, work)
+            try:
+                threads = max(sum(self.client.nthreads().values()), 1)
+                running = as_completed([submit(k) for k in islice(queue, ahead * threads)], loop=self.client.loop)
+                for future in running:
+                    number, result = submitted.pop(future.key), None
+                    with suppress(KilledWorker, FutureCancelledError):
+                        result = JobValue(number, future.result())
+                    yield result or LostJob(number, "its workers were lost")
+                    for k in islice(queue, 1):
+                        running.add(submit(k))
+            finally:
+                with suppress(OSError):  # the scheduler may be gone
+                    self.client.unregister_worker_plugin(run)
+
+    def _send(self, run: str, work: Callable[[int], Any], tries: int = 5, pause: float = 1.0) -> None:
+        """Send a run's work to the workers, again while the scheduler has not noticed yet that a worker is lost."""
+        for tries_left in reversed(range(tries)):
+            try:
+                self.client.register_plugin(_RunWork(run, work), name=run)
+                return
+            except OSError as error:
+                if not tries_left:
+                    raise InputError(
+                        f"--scheduler {self.address}: its workers cannot be reached ({_one_line(error)})"
+                    ) from None
+                time.sleep(pause)
+
+
+def _one_line(error: Exception) -> str:
+    return " ".join(str(error).split())[:120]
+
+
+_work_by_run: dict[str, Callable[[int], Any]] = {}  # of this worker
+
+
+class _RunWork(WorkerPlugin):  # type: ignore[misc]
+    """A run's work, which may name a million clips: sent once to each worker, and to those that join later."""
+
+    def __init__(self, run: str, work: Callable[[int], Any]) -> None:
+        self.run, self.work = run, work
+
+    def setup(self, worker: Any) -> None:
+        _work_by_run[self.run] = self.work
+
+    def teardown(self, worker: Any) -> None:
+        _work_by_run.pop(self.run, None)
+
+
+def _do_job(run: str, number: int) -> Any:
+    return _call_in_one_thread(_work_by_run[run], number)
+
+
+@cache
+def _thread() -> ThreadPoolExecutor:
+    """The one thread of a worker that does jobs: an OpenGL context belongs to one thread."""
+    return ThreadPoolExecutor(1)
+
+
+def _call_in_one_thread(work: Callable[..., Any], *arguments: Any) -> Any:
+    return _thread().submit(work, *arguments).result()

@@ -1,0 +1,280 @@
+"""Run one job per number, such as one per clip, in processes of this machine or on the workers of a Dask cluster.
+
+A worker that dies loses only the job at which it was: the caller receives a `LostJob` in place of a `JobValue`. The
+work is sent once to each worker and may therefore be large. At no time does memory hold more than the numbers and the
+answers that the caller has not taken yet.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import multiprocessing
+import os
+import signal
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from multiprocessing import resource_tracker
+from multiprocessing.connection import Connection, wait
+from multiprocessing.process import BaseProcess
+from typing import Any, TypeVar
+
+from synthcam_shared.errors import InputError
+from synthcam_shared.job_result import JobValue, LostJob
+
+T = TypeVar("T")
+Progress = Callable[[int, int], None]  # takes the jobs done and the jobs in all
+
+
+@dataclass(frozen=True)
+class Trial:
+    """What the first jobs show of the others.
+
+    Attributes
+    ----------
+    numbers : tuple of int
+        The jobs done so far, by this process.
+    seconds : float
+        Wall time of one job on one worker, s. The first job counts for nothing: it loads libraries.
+    jobs_left, workers : int
+        Jobs still to do, and the processes that will do them.
+    """
+
+    numbers: tuple[int, ...]
+    seconds: float
+    jobs_left: int
+    workers: int
+
+
+def run_jobs(
+    work: Callable[[int], T],
+    numbers: Sequence[int],
+    workers: int = 0,
+    scheduler: str = "",
+    *,
+    trials: int = 2,
+    announce: Callable[[Trial], None] | None = None,
+    worth_processes: float = 3.0,
+) -> Iterator[JobValue[T] | LostJob]:
+    """Do the work for each number, and yield the answers in the order in which the jobs end.
+
+    Parameters
+    ----------
+    work : callable
+        Takes a number. It must pickle where there are several workers. What it raises is raised here.
+    numbers : sequence of int
+        Rising.
+    workers : int
+        Processes, of which this one is one. 0: one for each core that this process may use, if the trial jobs show
+        that this is quicker, else this one alone.
+    scheduler : str
+        Address of a Dask scheduler, whose workers do all jobs in place of processes of this machine.
+    trials : int
+        Jobs, spread evenly over the numbers, that this process does first where the number of workers is open or
+        `announce` is given.
+    announce : callable, optional
+        Takes a `Trial` after the trial jobs if there is more to do.
+    worth_processes : float
+        Processor time of all remaining jobs, s, from which on more processes are started. A process takes half as
+        long as the default to load its libraries.
+
+    Yields
+    ------
+    JobValue or LostJob
+
+    Raises
+    ------
+    InputError
+        If three workers in a row are lost, or the scheduler cannot be used.
+    """
+    if scheduler:
+        from synthcam_shared.dask_cluster import Cluster  # here alone: Dask is an optional dependency
+
+        yield from Cluster(scheduler).run(work, numbers)
+        return
+    if numbers and (announce or not workers):
+        last = len(numbers) - 1
+        first = sorted({numbers[-(-k * last // max(trials - 1, 1))] for k in range(trials)})
+        ends = []
+        for number in first:
+            yield JobValue(number, work(number))
+            ends.append((time.perf_counter(), time.process_time()))
+        numbers = [number for number in numbers if number not in first]
+        if numbers:
+            wall, processor = ((b - a) / (len(ends) - 1) for a, b in zip(ends[0], ends[-1], strict=True))
+            workers = workers or (count_cores() if processor * len(numbers) > worth_processes else 1)
+            if announce:
+                announce(Trial(tuple(first), wall, len(numbers), workers))
+    yield from _run_in_processes(work, numbers, max(min(workers, len(numbers)) - 1, 0))
+
+
+def run_all_jobs(
+    work: Callable[[int], T], numbers: Sequence[int], workers: int, where: object, scheduler: str = ""
+) -> Iterator[T]:
+    """Do the work for each number as `run_jobs` does, and yield the values in the order in which the jobs end.
+
+    Raises InputError, which names `where`, for the first job that is lost.
+    """
+    for result in run_jobs(work, numbers, workers, scheduler):
+        if isinstance(result, LostJob):
+            raise InputError(f"{where}: clip {result.number}: {result.reason}; is there enough memory for each worker?")
+        yield result.value
+
+
+def in_order(given: Iterable[tuple[int, T]], numbers: Iterable[int]) -> Iterator[T]:
+    """Yield the values of (number, value) pairs in the order of the numbers; early values wait for their turn."""
+    early: dict[int, T] = {}
+    values = iter(given)
+    for number in numbers:
+        while number not in early:
+            early |= [next(values)]
+        yield early.pop(number)
+
+
+def count_cores() -> int:
+    """Count the processor cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def use_one_thread() -> None:
+    """Prepare a process to be one of many: OpenCV in one thread, and glibc keeps the memory that is freed.
+
+    By default glibc returns large arrays to the system at once, and taking them again costs page faults.
+    """
+    import cv2
+
+    trim_threshold, mmap_threshold, kept_bytes = -1, -3, 32 << 20  # M_TRIM_THRESHOLD, M_MMAP_THRESHOLD of malloc.h
+    cv2.setNumThreads(1)
+    with suppress(AttributeError, OSError, TypeError):  # another C library
+        for option in (trim_threshold, mmap_threshold):
+            ctypes.CDLL(None).mallopt(option, kept_bytes)
+
+
+@dataclass
+class _Worker:
+    """A process, and the numbers that it was given: it is at the first of them."""
+
+    process: BaseProcess
+    numbers: deque[int]
+
+
+@dataclass(frozen=True)
+class _Raised:
+    """An exception on its way from a worker."""
+
+    error: Exception
+
+
+def _run_in_processes(
+    work: Callable[[int], T], numbers: Sequence[int], others: int, most_lost_in_a_row: int = 3
+) -> Iterator[JobValue[T] | LostJob]:
+    """Run the jobs in this process and so many others. A worker has a second number ready, so that it never waits."""
+    queue, busy, lost_in_a_row = deque(numbers), dict[Connection, _Worker](), 0
+    try:
+        for _ in range(others):
+            _hand_out(queue, busy, *_start(work))
+        while busy or queue:
+            if queue:
+                number = queue.popleft()
+                yield JobValue(number, work(number))
+            for pipe in wait(list(busy), 0 if queue or not busy else None):
+                assert isinstance(pipe, Connection)
+                worker = busy.pop(pipe)
+                number = worker.numbers.popleft()
+                try:
+                    answer = pipe.recv()
+                except (EOFError, OSError):
+                    pipe.close()
+                    worker.process.join()
+                    end = _describe_end(worker.process)
+                    lost_in_a_row += 1
+                    if lost_in_a_row == most_lost_in_a_row:
+                        raise InputError(
+                            f"clip {number}: {end}, the third in a row; is there enough memory for each worker?"
+                        ) from None
+                    queue.extendleft(reversed(worker.numbers))
+                    _hand_out(queue, busy, *_start(work))
+                    yield LostJob(number, f"its {end}")
+                    continue
+                if isinstance(answer, _Raised):
+                    raise answer.error
+                lost_in_a_row = 0
+                _hand_out(queue, busy, pipe, worker)
+                yield JobValue(number, answer)
+    finally:
+        for pipe, worker in busy.items():
+            worker.process.terminate()
+            worker.process.join()
+            pipe.close()
+
+
+def _start(work: Callable[[int], Any]) -> tuple[Connection, _Worker]:
+    # llvmpipe and BLAS with threads of their own would compete for the same cores
+    os.environ |= {"LP_NUM_THREADS": "0", "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
+    context = multiprocessing.get_context("spawn")
+    here, there = context.Pipe()
+    process = context.Process(target=_serve, args=(there, work), daemon=True)
+    with _without_ctrl_c():
+        process.start()
+    there.close()  # the worker's end is then the only one, and its death is noticed
+    return here, _Worker(process, deque())
+
+
+@contextmanager
+def _without_ctrl_c() -> Iterator[None]:
+    """Hold back Ctrl-C, and start processes without it: one that hears it while it imports prints a traceback."""
+    if not hasattr(signal, "pthread_sigmask"):
+        yield
+        return
+    resource_tracker.ensure_running()  # started with the first process, it would let Ctrl-C through again
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+def _hand_out(
+    queue: deque[int], busy: dict[Connection, _Worker], pipe: Connection, worker: _Worker, ahead: int = 2
+) -> None:
+    """Give a worker numbers until it has `ahead` of them. A worker without any ends."""
+    with suppress(OSError):  # it died meanwhile, which the next wait notices
+        while queue and len(worker.numbers) < ahead:
+            worker.numbers.append(queue.popleft())
+            pipe.send(worker.numbers[-1])
+        if not worker.numbers:
+            pipe.send(None)
+    if worker.numbers:
+        busy[pipe] = worker
+    else:
+        worker.process.join()
+        pipe.close()
+
+
+def _describe_end(process: BaseProcess) -> str:
+    code = process.exitcode or 0
+    return f"worker was killed ({signal.Signals(-code).name})" if code < 0 else f"worker ended (status {code})"
+
+
+def _serve(pipe: Connection, work: Callable[[int], Any]) -> None:
+    """Answer the numbers that come through the pipe, until there is none or the parent ends."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent decides
+    # Without this, workers of a killed parent would wait for ever, or write into the folder of the next run.
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+    try:
+        while (number := pipe.recv()) is not None:
+            pipe.send(work(number))
+    except (EOFError, BrokenPipeError):
+        return
+    except Exception as error:
+        pipe.send(_Raised(error))
+
+
+def _end_with_parent() -> None:
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(1)
