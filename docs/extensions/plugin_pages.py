@@ -87,16 +87,14 @@ def free_law_page() -> str:
     """All free laws in a table."""
     rows = []
     for law in free_laws():
-        name = law.__module__.rpartition(".")[2]
         depends = f"`{law.bends[0]}` by `{law.bends[1]}`" if law.bends and law.bends[1] else "none: of no effect"
         owners = ", ".join(f"`{owner}`" for owner, _ in law.owners) or "nothing: it adds"
         balls = "both, a or b" if law.one_ball else "both"
-        said = plain(paragraphs(sys.modules[law.__module__])[0])
-        rows.append([f"`{name}`", said, plain(law.unit), depends, owners, balls])
+        rows.append([f"`{law.base_name}`", plain(law.description), plain(law.unit), depends, owners, balls])
     head = (
         "# Free laws\n\nLaws that a search leaves free, as a curve or a map, where no effect of the library explains "
-        "what it sees ([](../discrepancy.md)). The list is made of the files of `src/discrepancy/free_laws/laws` when "
-        "the site is built. One of your own: [](../howto/free_law.md).\n\n"
+        "what it sees ([](../discrepancy.md)). The list is made of the modules of "
+        "`src/discrepancy/free_laws/laws` when the site is built. One of your own: [](../howto/free_law.md).\n\n"
     )
     titles = ["free law", "what", "unit", "law that it bends", "in place of", "of which balls"]
     return head + table(titles, rows) + "\n"

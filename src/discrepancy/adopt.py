@@ -145,12 +145,12 @@ def _render_effect(
 def _find_shape(law: str, kind: TableKind, said: Mapping[str, Any], parts: Mapping[str, Any]) -> LawShape | None:
     """The shape of that name and those terms; None where it has no code."""
     own = law.removesuffix("_a").removesuffix("_b") if kind.one_ball else law
-    search = next((k for k in free_laws() if k.__module__.rpartition(".")[2] == own), None)
+    search = next((k for k in free_laws() if k.base_name == own), None)
     if search is None or len(said["axes"]) != 1 or kind.parts != 1:
         return None
     x = np.array(said["x"], dtype=float)
     axis = Axis("x", kind.x_unit, float(x[0]), float(x[-1]), DRAWN, "circle" if kind.axis == TURN else "line", "x")
-    for shape in iterate_shapes(search((axis,)), [axis.grid(DRAWN)]):
+    for shape in iterate_shapes(replace(search, axes=(axis,)), [axis.grid(DRAWN)]):
         named = [t.name for t in shape.terms(*(t[0] for t in shape.tries))]
         if shape.name == parts["shape"] and set(named) == set(parts["factors"]):
             return shape

@@ -178,7 +178,7 @@ def test_what_a_free_law_has_taken_in_is_a_series_of_it_and_of_no_other(name):
     left = {}
     for law in free_laws_over(Model(), launches, clips):
         if law.name in {kind.FREE_LAW, "friction_speed", "force_heading"}:
-            columns = np.concatenate(law.columns(Model(), launches, clips)).reshape(-1, law.size)
+            columns = np.concatenate(law.derivatives(Model(), launches, clips)).reshape(-1, law.size)
             best = columns @ np.linalg.lstsq(columns, moved.ravel(), rcond=1e-9)[0]
             left[law.name] = np.linalg.norm(moved.ravel() - best) / np.linalg.norm(moved)
     own = left.pop(kind.FREE_LAW)

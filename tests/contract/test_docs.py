@@ -1,6 +1,7 @@
 """Code in the docs: cheap pages run as they stand, every command and option is one that there is."""
 
 import ast
+import dataclasses
 import importlib.util
 import re
 import runpy
@@ -147,16 +148,15 @@ def test_the_free_law_of_the_page_is_found_and_a_model_holds_it(tmp_path, monkey
     monkeypatch.setattr(laws, "__path__", [*laws.__path__, str(tmp_path)])
     library.library.cache_clear()
     try:
-        (kind,) = (k for k in library.library() if k.__name__ == "FrictionRadius")
+        (found_law,) = (law for law in library.library() if law.base_name == "friction_radius")
     finally:
         library.library.cache_clear()
         sys.modules.pop("discrepancy.free_laws.laws.friction_radius", None)
     (line,) = (b.text for b in page if b.asked("after"))
     held = eval(f"{{{line}}}", vars(tabulated_law))["friction_radius"]
-    assert ((held.law, held.what), held.owners, held.unit) == (kind.bends, kind.owners, kind.unit)
-    series = SeriesEffect(
-        kind((Axis("distance from the middle", "m", 0.0, 0.05, 6),)), tuple(1e-3 * np.arange(1.0, 7.0))
-    )
+    assert ((held.law, held.what), held.owners, held.unit) == (found_law.bends, found_law.owners, found_law.unit)
+    axes = (Axis("distance from the middle", "m", 0.0, 0.05, 6),)
+    series = SeriesEffect(dataclasses.replace(found_law, axes=axes), tuple(1e-3 * np.arange(1.0, 7.0)))
     ((law, bend, asks),) = series.bends
     assert (law, asks) == ("friction", ("position",))
     found = bend(np.full((1, 3), 0.2), np.array([[[0.03, 0.0], [0.0, -0.03], [0.01, 0.02]]]))[0]

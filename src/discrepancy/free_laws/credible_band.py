@@ -122,7 +122,7 @@ def _fit_steps(bare: FittedLaw, where: Array, x: Array) -> tuple[Array, Array, A
     """
     law, fit, axis = bare.law, bare.fit, bare.law.axes[0]
     step = replace(law, axes=(_StepAxis(axis.name, axis.unit, axis.low, axis.high, len(where), where=where),))
-    moves = bare.evidence.white(step.columns(fit.model, fit.launches, bare.evidence.clips))
+    moves = bare.evidence.white(step.derivatives(fit.model, fit.launches, bare.evidence.clips))
     information, pull, own, spread, back = _reduce_to_columns(bare, moves)
     alone = sum((m**2).sum(axis=0) for m in moves) + np.finfo(float).tiny
     seen = np.maximum(np.diag(information), SEEN * alone)

@@ -1,17 +1,20 @@
-"""A free law: a law left free as a series over the range that the data cover, in place of a formula.
+"""Define a free law: a law of the model that a search leaves free as a smooth curve or map, in place of a formula.
 
-Each file of `laws` holds one, found by its being there. `MotionLaw` bends a law that acts all along the motion,
-`ImpactLaw` one that is asked once a collision, `ClipNumber` gives each clip a number of its own; what is none of these
-brings its own derivatives.
+A law is an instance of one of these kinds; `laws/table.py` lists most of them:
+
+- `MotionLaw` acts all along the motion, as friction does.
+- `ImpactLaw` acts once in each collision, as restitution does.
+- `ClipNumber` is a number of its own for each clip.
+- A subclass of `FreeLaw` brings its own derivatives (`laws/lag_speed.py`).
 """
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Sequence
+from dataclasses import KW_ONLY, dataclass, field, replace
 from functools import cached_property
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 
@@ -27,128 +30,124 @@ from synthcam.model import Model
 from synthcam.tabulated_law import REFERENCE_SPEED_M_S, AddedLaw, TabulatedLaw
 from synthcam_shared.errors import PluginError
 
-MEAN = 200  # places on each axis, to take a mean over
-
 
 @dataclass(frozen=True)
 class FreeLaw(ABC):
-    """A law left free over its axes (two for a map of places), of both balls alike or of one alone.
+    """A law as a series over one or two axes, of both balls or of one ball.
 
-    Attributes
+    Parameters
     ----------
-    axes : tuple of Axis
-        What it depends on, over the ranges that the tracks cover.
-    ball : str
-        "a" or "b" where the law is that of one ball alone.
+    base_name : str
+        The law and what it depends on: "friction_speed".
+    description : str
+        The same in words.
     symbol, unit : str
-        What it is, for people.
-    parts : int
-        2 for a vector, or for a law that is the sum of two.
-    part_names : tuple of str
-        For people; one empty name of a law of one part.
-    owners : tuple of (str, int)
-        The base parameters that make the law, each times the axis to a power; what the free law adds to.
-    centred : bool
-        A constant means nothing, since launches or base parameters absorb it, but for what their derivatives are wrong
-        by: there is none.
-    one_ball : bool
-        Whether balls may differ in it: it is then left free for ball a and for ball b alone, too.
+        For formulas and figures.
+    over : callable
+        Takes the ranges that the tracks cover and returns the law's axes: one for a curve, two for a map, none where
+        the tracks cover nothing of it.
     bends : (str, str) or None
-        The law that an effect of it bends, and what that depends on, as an effect asks for it; None where no effect can
-        hold it.
+        The law that it changes and the argument that it depends on, both as in `synthcam.effect.LAWS`. None for a law
+        that no effect can express.
+    owners : tuple of (str, int)
+        The base parameters that make the law, each times the axis to a power. The series adds to them.
+    part_names : tuple of str
+        The components of a vector, or the terms of a law that is a sum of two; one empty name for a plain number.
+    centred : bool
+        Whether the series has mean zero over its range, since launches or base parameters absorb a constant.
+    one_ball : bool
+        Whether a search also tries it for ball a alone and for ball b alone.
     frees : str
-        What a model may call free instead, so that every fit has these numbers.
+        The parameter that a model can declare free instead, so that every fit has these numbers.
+    axes : tuple of Axis
+        Empty until `library.free_laws_over` sets them.
+    ball : str
+        "a" or "b" for a law of one ball.
+
+    Raises
+    ------
+    PluginError
+        `bends` names an unknown law or argument, or the kind of law needs something that is missing.
     """
 
-    axes: tuple[Axis, ...]
+    base_name: str
+    description: str
+    symbol: str
+    _: KW_ONLY
+    over: Callable[[CoveredRanges], tuple[Axis, ...]] = field(repr=False)
+    unit: str = "1"
+    bends: tuple[str, str] | None = None
+    owners: tuple[tuple[str, int], ...] = ()
+    part_names: tuple[str, ...] = ("",)
+    centred: bool = False
+    one_ball: bool = False
+    frees: str = ""
+    axes: tuple[Axis, ...] = ()
     ball: str = ""
 
-    symbol: ClassVar[str]
-    unit: ClassVar[str] = "1"
-    parts: ClassVar[int] = 1
-    part_names: ClassVar[tuple[str, ...]] = ("",)
-    owners: ClassVar[tuple[tuple[str, int], ...]] = ()
-    centred: ClassVar[bool] = False
-    one_ball: ClassVar[bool] = False
-    paced: ClassVar[bool] = False
-    bends: ClassVar[tuple[str, str] | None] = None
-    frees: ClassVar[str] = ""
-    needs: ClassVar[dict[str, str]] = {"symbol": 'symbol = "mu"'}  # what a file must give, and an example
-
-    def __init_subclass__(cls) -> None:
-        super().__init_subclass__()
-        if cls.__module__ == __name__:
-            return  # the kinds of free laws, which leave this to the laws themselves
-        for name, example in cls.needs.items():
-            if not getattr(cls, name, None):
-                raise PluginError(f"{cls.__module__}.{cls.__name__}: no {name}; expected it, as {example}")
-        law, what = cls.bends or ("", "")
+    def __post_init__(self) -> None:
+        law, what = self.bends or ("", "")
         if law and law not in LAWS:
-            raise PluginError(f"{cls.__module__}.{cls.__name__}: bends {law!r}, expected one of {', '.join(LAWS)}")
+            raise PluginError(f"free law {self.base_name}: bends {law!r}; expected one of {', '.join(LAWS)}")
         if what and what not in LAWS[law]:
             known = ", ".join(LAWS[law]) or "nothing"
-            raise PluginError(f"{cls.__module__}.{cls.__name__}: bends {law} by {what!r}, which depends on {known}")
-
-    def __post_init__(self) -> None:
-        what = self.bends[1] if self.bends else ""
-        straight = len(self.axes) == 1 and self.axes[0].kind == "line"
-        if what in VECTOR_INPUTS and straight and type(self).places is FreeLaw.places:
-            name = f"{type(self).__module__}.{type(self).__name__}"
-            raise PluginError(
-                f"{name}: one axis, but {what} is a vector; expected two axes, or places, which makes it one"
-            )
-
-    @staticmethod
-    @abstractmethod
-    def over(covered: CoveredRanges) -> tuple[Axis, ...]:
-        """Its axes over what the tracks cover; none where they show nothing of it."""
+            raise PluginError(f"free law {self.base_name}: bends {law} by {what!r}; {law} depends on {known}")
 
     @abstractmethod
-    def columns(self, model: Model, launches: Array, clips: Sequence[MeasuredCollision]) -> list[Array]:
-        """d forecast / d each coefficient, (n_k, 2, size) of each clip, about a model that may hold the law."""
+    def derivatives(self, model: Model, launches: Array, clips: Sequence[MeasuredCollision]) -> list[Array]:
+        """Differentiate the predicted tracks by the coefficients: (n_k, 2, size) for each clip.
+
+        The model may hold the law already.
+        """
 
     @property
     def name(self) -> str:
-        """The name of its file, and of the ball that it is of."""
-        return type(self).__module__.rpartition(".")[2] + (f"_{self.ball}" if self.ball else "")
-
-    @property
-    def ball_suffix(self) -> str:
-        """ " of ball a", or nothing."""
-        return f" of ball {self.ball}" if self.ball else ""
+        """The base name, with the ball where it is a law of one ball: "friction_speed_a"."""
+        return self.base_name + (f"_{self.ball}" if self.ball else "")
 
     @property
     def title(self) -> str:
-        """Its symbol, and whose it is."""
-        return self.symbol + self.ball_suffix
+        """The symbol, with the ball where it is a law of one ball."""
+        return self.symbol + (f" of ball {self.ball}" if self.ball else "")
+
+    @property
+    def parts(self) -> int:
+        """How many components or terms it has, 1 or 2."""
+        return len(self.part_names)
+
+    @property
+    def paced(self) -> bool:
+        """Whether it is a rolling loss of a constant term and a term proportional to the speed."""
+        return self.parts == 2 and self.bends is not None and self.bends[0] == "rolling"
 
     @property
     def is_per_clip(self) -> bool:
-        """Whether it is a number of each clip."""
+        """Whether it is a number for each clip."""
         return self.axes[0].kind == "set"
 
     @property
     def size(self) -> int:
-        """How many coefficients; those of the second part follow those of the first."""
+        """The number of coefficients. Those of the second part follow those of the first."""
         return self.parts * int(np.prod([a.count for a in self.axes]))
 
     @cached_property
-    def _middle(self) -> Array | float:
-        """What is taken out of the series where it is centred: its mean over the range, (coefficients of one part,)."""
+    def _mean_of_basis(self) -> Array | float:
+        """The mean of each term of a centred series over its range, (coefficients of one part,); 0 for others."""
         if not self.centred:
             return 0.0
-        means = [a.basis(a.grid(MEAN)).mean(axis=0) for a in self.axes]
+        means = [a.basis(a.grid(200)).mean(axis=0) for a in self.axes]  # 200 points: exact enough for 20 cosines
         return np.asarray(means[0] if len(means) == 1 else np.outer(*means).ravel())
 
     def basis(self, *x: Any) -> Array:
-        """(..., coefficients of one part) at x, one array for each axis."""
+        """Evaluate the terms of the series, (..., coefficients of one part), at x, one array for each axis."""
         if len(self.axes) == 1:
-            return self.axes[0].basis(x[0]) - self._middle
+            return self.axes[0].basis(x[0]) - self._mean_of_basis
         first, second = (a.basis(v) for a, v in zip(self.axes, x, strict=True))
-        return np.asarray((first[..., :, None] * second[..., None, :]).reshape(*first.shape[:-1], -1)) - self._middle
+        products = first[..., :, None] * second[..., None, :]
+        return np.asarray(products.reshape(*first.shape[:-1], -1)) - self._mean_of_basis
 
     def values(self, coefs: Array, *x: Any) -> Array:
-        """What the series adds to the law: (...), or (..., 2) of two parts."""
+        """Evaluate what the series adds to the law: (...), or (..., 2) for two parts."""
         parts = np.reshape(coefs, (self.parts, -1))
         if len(self.axes) == 2:
             first, second = (a.basis(v) for a, v in zip(self.axes, x, strict=True))
@@ -157,69 +156,110 @@ class FreeLaw(ABC):
         else:
             out = self.axes[0].basis(x[0]) @ parts.T
         if self.centred:
-            out = out - parts @ self._middle
+            out = out - parts @ self._mean_of_basis
         return np.asarray(out[..., 0] if self.parts == 1 else out)
 
     def value_in_model(self, model: Model, *x: Any) -> Array:
-        """What the model has of the law at x already, (n, parts): its base parameters, and a table of this very law."""
+        """Evaluate the law as the model has it, (n, parts): base parameters, and a table of this law if it has one."""
         out = np.zeros((len(x[0]), self.parts))
         for name, power in self.owners:
             out += (model.value(name) * x[0] ** power)[:, None]
-        for held in model.effects:
-            if isinstance(held, TabulatedLaw) and held.law == self.name:
-                out += held.beyond(*x).reshape(out.shape)
+        for effect in model.effects:
+            if isinstance(effect, TabulatedLaw) and effect.law == self.name:
+                out += effect.beyond(*x).reshape(out.shape)
         return out
 
     def prior_variances(self, *lengths: float) -> Array:
-        """Prior variances of all coefficients, (size,), of a law that changes over a length, or one of each axis."""
+        """Prior variances of all coefficients, (size,), for one length of change, or one for each axis."""
         out = np.ones(1)
         for axis, length in zip(self.axes, lengths * (len(self.axes) // len(lengths)), strict=True):
             out = np.outer(out, axis.prior_variances(length)).ravel()
         return np.tile(out, self.parts)
 
-    def places(self, what: Any) -> tuple[Array, ...]:
-        """Where on its axes an instant is: an array for each. what: what its law depends on, (...) or (..., 2)."""
+    def coordinates(self, what: Any) -> tuple[Array, ...]:
+        """Map what the law depends on to its axes.
+
+        A vector gives its two components on two axes, its direction on a circle and its length on a line. A subclass
+        whose axis is something else overrides this.
+
+        Parameters
+        ----------
+        what : (...) or (..., 2) array
+
+        Returns
+        -------
+        tuple of (...) array
+            One for each axis.
+        """
         if len(self.axes) == 2:
             return what[..., 0], what[..., 1]
-        return (np.asarray(np.arctan2(what[..., 1], what[..., 0])) if self.axes[0].kind == "circle" else what,)
+        if self.axes[0].kind == "circle":
+            return (np.asarray(np.arctan2(what[..., 1], what[..., 0])),)
+        is_vector = self.bends is not None and self.bends[1] in VECTOR_INPUTS
+        return (np.asarray(np.hypot(what[..., 0], what[..., 1])) if is_vector else what,)
 
     def factors(self, what: Any, speed: Any) -> Array | None:
-        """What its parts are factors of: (..., parts) of a number, (..., 2, parts) of a force. None: of nothing."""
-        return None
+        """What each part is multiplied with, as for the tables of a model (`synthcam.tabulated_law.Kind.parts`).
 
-    def undone(
+        Returns
+        -------
+        array or None
+            For a force (..., 2, parts): the unit vectors of a map, the velocity and its normal over an angle, so that a
+            ball at rest feels none, or the direction of motion. For a rolling loss of two terms (..., parts): 1 and
+            the speed over REFERENCE_SPEED_M_S. None for any other law.
+        """
+        if self.paced:
+            return np.stack([np.ones_like(speed), speed / REFERENCE_SPEED_M_S], axis=-1)
+        if self.bends is None or self.bends[0] != "push":
+            return None
+        if len(self.axes) == 2:
+            return np.broadcast_to(np.eye(2), (*what.shape, 2))
+        if self.axes[0].kind == "circle":
+            return np.stack([what, np.stack([-what[..., 1], what[..., 0]], axis=-1)], axis=-1)
+        size = np.maximum(np.hypot(what[..., 0], what[..., 1]), 1e-9)
+        return np.asarray((what / size[..., None])[..., None])
+
+    def subtract_from(
         self, clips: Sequence[MeasuredCollision], model: Model, launches: Array, coefs: Array
     ) -> list[MeasuredCollision]:
-        """The clips less what the law moved in them, where no effect can hold it; else as they are."""
+        """Subtract from the tracks what the law moves them by, if no effect can express it; else return them as is."""
         if self.bends or not np.any(coefs):
             return list(clips)
-        moved = self._moved(clips, model, launches, coefs)
+        moved = self._displacements(clips, model, launches, coefs)
         return [replace(c, xy=c.xy - m) for c, m in zip(clips, moved, strict=True)]
 
-    def _moved(self, clips: Sequence[MeasuredCollision], model: Model, launches: Array, coefs: Array) -> list[Array]:
-        """What the law moves the tracks by, (n_k, 2), where no effect can hold it."""
-        return [m @ coefs for m in self.columns(model, launches, clips)]
+    def _displacements(
+        self, clips: Sequence[MeasuredCollision], model: Model, launches: Array, coefs: Array
+    ) -> list[Array]:
+        """By how much the law moves the tracks, (n_k, 2) for each clip."""
+        return [m @ coefs for m in self.derivatives(model, launches, clips)]
 
-    def bent(self, model: Model, coefs: Array) -> Model:
-        """The model with the law, given its coefficients, as an effect; unchanged where no effect can hold it."""
+    def add_to(self, model: Model, coefs: Array) -> Model:
+        """The model with the law as an effect; unchanged if no effect can express it."""
         if not self.bends:
             return model
         others = tuple(e for e in model.effects if not (isinstance(e, SeriesEffect) and e.law.name == self.name))
         return replace(model, effects=(*others, SeriesEffect(self, tuple(np.asarray(coefs, dtype=float).tolist()))))
 
 
+@dataclass(frozen=True)
 class MotionLaw(FreeLaw):
-    """A law that acts all along the motion; its derivatives are integrals over the motion."""
+    """A law that acts all along the motion. Its derivatives are integrals over the motion (`fitting.response`)."""
 
-    needs = FreeLaw.needs | {"bends": 'bends = ("friction", "slip_speed")'}
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not self.bends:
+            raise PluginError(
+                f'free law {self.base_name}: no bends; expected a law, as bends=("friction", "slip_speed")'
+            )
 
-    def columns(self, model: Model, launches: Array, clips: Sequence[MeasuredCollision]) -> list[Array]:
+    def derivatives(self, model: Model, launches: Array, clips: Sequence[MeasuredCollision]) -> list[Array]:
         assert self.bends
         law, name = self.bends
 
         def change(leg: ResponseSegment) -> Array:
             what = leg.place if name == "position" else getattr(leg, name)
-            weights = self.basis(*self.places(what))
+            weights = self.basis(*self.coordinates(what))
             factors = self.factors(what, leg.speed)
             if factors is None:
                 return weights
@@ -229,61 +269,64 @@ class MotionLaw(FreeLaw):
         moves = compute_responses(model, launches, clips, {law: change}, self.size)
         if not self.ball:
             return moves
-        mine = [c.ball == int(c.striker == self.ball) for c in clips]  # a law of one ball moves no other
+        mine = [c.ball == int(c.striker == self.ball) for c in clips]  # a law of one ball does not move the other
         return [np.where(own[:, None, None], m, 0.0) for own, m in zip(mine, moves, strict=True)]
 
 
-class PacedLaw(MotionLaw):
-    """A rolling loss of two parts: a constant, and one proportional to the speed (its value at REFERENCE_SPEED_M_S)."""
-
-    symbol = "added rolling loss"
-    unit = "m/s^2"
-    parts = 2
-    part_names = ("constant", f"with the speed, at {REFERENCE_SPEED_M_S:g} m/s")
-    centred = True
-    paced = True
-
-    def factors(self, what: Any, speed: Any) -> Array:
-        return np.stack([np.ones_like(speed), speed / REFERENCE_SPEED_M_S], axis=-1)
-
-
+@dataclass(frozen=True)
 class ImpactLaw(FreeLaw):
-    """A law of its one owner that is asked once a collision; its derivatives are the owner's."""
+    """A law of one base parameter that acts once in each collision. Its derivatives are those by that parameter.
 
-    needs = FreeLaw.needs | {"owners": 'owners = (("restitution", 0),)'}
+    Parameters
+    ----------
+    at_impact : callable
+        Takes launches (clips, p) and returns each collision's coordinate on the axis, (clips,). A rolling striker
+        meets the other ball at its own speed.
+    """
 
-    @abstractmethod
-    def at_impact(self, launches: Array) -> Array:
-        """Where each clip's impact stands on the axis: (clips,). A ball that rolls in meets at its own speed."""
+    _: KW_ONLY
+    at_impact: Callable[[Array], Array] = field(repr=False)
 
-    def columns(self, model: Model, launches: Array, clips: Sequence[MeasuredCollision]) -> list[Array]:
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if len(self.owners) != 1:
+            raise PluginError(
+                f'free law {self.base_name}: expected one base parameter, as owners=(("restitution", 0),); '
+                f"found {len(self.owners)}"
+            )
+
+    def derivatives(self, model: Model, launches: Array, clips: Sequence[MeasuredCollision]) -> list[Array]:
         slopes = differentiate(model, launches, clips, self.owners[0][0])
         weights = self.basis(self.at_impact(launches))
         return [s[..., None] * w for s, w in zip(slopes, weights, strict=True)]
 
 
+@dataclass(frozen=True)
 class ClipNumber(ImpactLaw):
-    """A number of its one owner for each clip. No effect can hold it, since a model is that of all clips."""
+    """A value of one base parameter for each clip. No effect can express it, since all clips share one model."""
 
-    @staticmethod
-    def over(covered: CoveredRanges) -> tuple[Axis, ...]:
-        return over_clips(len(covered.clips))
+    _: KW_ONLY
+    over: Callable[[CoveredRanges], tuple[Axis, ...]] = field(
+        default=lambda covered: over_clips(len(covered.clips)), repr=False
+    )
+    at_impact: Callable[[Array], Array] = field(
+        default=lambda launches: np.arange(len(launches), dtype=float), repr=False
+    )
 
-    def at_impact(self, launches: Array) -> Array:
-        return np.arange(len(launches), dtype=float)
-
-    def _moved(self, clips: Sequence[MeasuredCollision], model: Model, launches: Array, coefs: Array) -> list[Array]:
+    def _displacements(
+        self, clips: Sequence[MeasuredCollision], model: Model, launches: Array, coefs: Array
+    ) -> list[Array]:
         owner, moved = self.owners[0][0], []
         for k, clip in enumerate(clips):
             own, start = self.basis(np.array(k)) @ coefs, launches[k : k + 1]
-            bent = predict_tracks(model.replace({owner: model.value(owner) + float(own)}), start, [clip])
-            moved.append(bent[0] - predict_tracks(model, start, [clip])[0])
+            changed = predict_tracks(model.replace({owner: model.value(owner) + float(own)}), start, [clip])
+            moved.append(changed[0] - predict_tracks(model, start, [clip])[0])
         return moved
 
 
 @dataclass(frozen=True)
 class SeriesEffect(AddedLaw):
-    """A free law with its coefficients as an effect: it has no parameters, and no file holds it in this form."""
+    """A free law with its coefficients as an effect. It has no parameters, and no file holds it in this form."""
 
     law: FreeLaw
     coefs: tuple[float, ...]
@@ -301,7 +344,7 @@ class SeriesEffect(AddedLaw):
         return (*self.law.bends, self.law.ball) if self.law.bends else None
 
     def _addition(self, what: Any, speed: Any) -> Array:
-        out = self.law.values(np.array(self.coefs), *self.law.places(what))
+        out = self.law.values(np.array(self.coefs), *self.law.coordinates(what))
         factors = self.law.factors(what, speed)
         if factors is None:
             return out

@@ -1,8 +1,11 @@
-"""The free laws there are: each is a file of the folder `laws`, found by its being there."""
+"""Find the free laws: all that the modules of the folder `laws` list."""
 
 from __future__ import annotations
 
+import importlib
+import pkgutil
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import cache
 
 from discrepancy.arrays import Array
@@ -10,40 +13,56 @@ from discrepancy.data.collisions import MeasuredCollision
 from discrepancy.free_laws import laws
 from discrepancy.free_laws.law_kinds import FreeLaw
 from discrepancy.free_laws.ranges import compute_ranges
-from synthcam.library import classes_in
 from synthcam.model import Model
+from synthcam_shared.errors import PluginError
 
 
 @cache
-def library() -> tuple[type[FreeLaw], ...]:
-    """Every free law found in the folder `laws`."""
-    return tuple(classes_in(laws, FreeLaw))  # type: ignore[type-abstract]
+def library() -> tuple[FreeLaw, ...]:
+    """Every free law, sorted by name, without axes yet.
+
+    Raises
+    ------
+    PluginError
+        A module of `laws` has no tuple LAWS of free laws, or two laws have one name.
+    """
+    found: dict[str, FreeLaw] = {}
+    for info in pkgutil.iter_modules(laws.__path__):
+        module = importlib.import_module(f"{laws.__name__}.{info.name}")
+        listed = getattr(module, "LAWS", None)
+        if not (isinstance(listed, tuple) and listed and all(isinstance(law, FreeLaw) for law in listed)):
+            raise PluginError(f"{module.__name__}: expected LAWS, a tuple of free laws; found {listed!r}")
+        for law in listed:
+            if law.base_name in found:
+                raise PluginError(f"{module.__name__}: {law.base_name}: there is a free law of this name already")
+            found[law.base_name] = law
+    return tuple(found[name] for name in sorted(found))
 
 
 def law_count() -> int:
-    """How many there are to choose from, those of one ball alone among them."""
-    return sum(3 if kind.one_ball else 1 for kind in library())
+    """Count the laws that a search chooses from, those of one ball included."""
+    return sum(3 if law.one_ball else 1 for law in library())
 
 
 def free_laws_over(model: Model, launches: Array, clips: Sequence[MeasuredCollision]) -> tuple[FreeLaw, ...]:
-    """Every free law, each over the range that these clips cover; sorted by name.
+    """Set the axes of every free law to the ranges that a fit's motion covers.
 
     Parameters
     ----------
     model : Model
-        A fit, whose motion is looked at for the ranges.
+        The fitted model; its motion gives the ranges.
     launches : (clips, p) array
         Columns as in `discrepancy.data.launch`.
-    clips : sequence of Measured
+    clips : sequence of MeasuredCollision
 
     Returns
     -------
     tuple of FreeLaw
-        Without those of which the clips show nothing.
+        Sorted by name, without the laws that the clips do not cover.
     """
     covered, found = compute_ranges(model, launches, clips), []
-    for kind in library():
-        for ball in ("", "a", "b") if kind.one_ball else ("",):
-            if axes := kind.over(covered[ball]):
-                found.append(kind(axes, ball))
+    for law in library():
+        for ball in ("", "a", "b") if law.one_ball else ("",):
+            if axes := law.over(covered[ball]):
+                found.append(replace(law, axes=axes, ball=ball))
     return tuple(sorted(found, key=lambda law: law.name))

@@ -1,4 +1,4 @@
-"""What ranges the tracks cover, and the axes over them that a law may be left free in."""
+"""Compute the ranges that the tracks cover, and the axes of free laws over them."""
 
 from __future__ import annotations
 
@@ -15,26 +15,20 @@ from synthcam.dynamics.batch import solve_collisions
 from synthcam.dynamics.kinematics import contact_velocity
 from synthcam.model import Model
 
-CURVE, TURN, MAP, FIELD = 20, 9, 12, 8  # coefficients: of a curve, of one of angles, a side of a map, and of a field
-EACH = 120  # clips: of more, no number of each is fitted
-SLIPS = 1e-5  # m/s: a ball whose contact is slower rolls
-SAMPLES = 300  # instants at which the base fit's motion is looked at for the ranges that it covers
-OBLIQUE = 0.1  # of the impact parameter: a law of it is looked at up to there at least
-
 
 @dataclass(frozen=True)
 class CoveredRanges:
-    """The motion of a fit, sampled and flattened over clips and instants; of both balls or of one.
+    """The motion of a fit, sampled and flattened over clips and instants, of both balls or of one ball.
 
     Attributes
     ----------
     launches : (clips, p) array
         Columns as in `discrepancy.data.launch`.
-    clips : sequence of Measured
+    clips : sequence of MeasuredCollision
     slips : (m,) array
         Contact speeds while sliding, m/s.
     slip_places : (m, 2) array
-        Places there, m.
+        Positions while sliding, m.
     places, velocities, speeds : (p, 2), (p, 2) and (p,) arrays
         Of moving balls, m and m/s.
     roll_speeds, roll_places : (q,) and (q, 2) arrays
@@ -52,66 +46,92 @@ class CoveredRanges:
     roll_places: Array
 
 
-def compute_ranges(model: Model, launches: Array, clips: Sequence[MeasuredCollision]) -> dict[str, CoveredRanges]:
-    """What the motion of a fit covers, by ball: "" for both together, "a" and "b".
+def compute_ranges(
+    model: Model,
+    launches: Array,
+    clips: Sequence[MeasuredCollision],
+    samples: int = 300,
+    min_speed: float = 1e-5,
+) -> dict[str, CoveredRanges]:
+    """Sample the motion of a fit.
 
     Parameters
     ----------
     model : Model
     launches : (clips, p) array
         Columns as in `discrepancy.data.launch`.
-    clips : sequence of Measured
+    clips : sequence of MeasuredCollision
+    samples : int
+        Instants, evenly spaced over the longest clip.
+    min_speed : float
+        m/s; a ball that is slower rests, and one whose contact point is slower rolls.
 
     Returns
     -------
     dict of str to CoveredRanges
+        By ball: "" for both together, "a" and "b".
     """
     first, last = min(c.frame.min() / c.fps for c in clips), max((c.frame.max() + 1) / c.fps for c in clips)
-    times = np.linspace(min(first, launches[:, T_C].min()), last, SAMPLES)
+    times = np.linspace(min(first, launches[:, T_C].min()), last, samples)
     a_strikes = np.array([c.striker == "a" for c in clips])
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         states = np.nan_to_num(solve_collisions(model, launches, times[0], times[-1], a_strikes).at(times))
     slip = np.hypot(*np.moveaxis(contact_velocity(states, model.ball.radius), -1, 0))
     place, velocity = states[..., :2], states[..., 3:5]
 
-    def covered(slip: Array, velocity: Array, place: Array) -> CoveredRanges:
+    def cover(slip: Array, velocity: Array, place: Array) -> CoveredRanges:
         speed = np.hypot(velocity[..., 0], velocity[..., 1])
-        slides, moves = slip > SLIPS, speed > SLIPS
+        slides, moves = slip > min_speed, speed > min_speed
         rolls = moves & ~slides
-        own = slip[slides], place[slides], place[moves], velocity[moves], speed[moves], speed[rolls], place[rolls]
-        return CoveredRanges(launches, clips, *own)
+        return CoveredRanges(
+            launches=launches,
+            clips=clips,
+            slips=slip[slides],
+            slip_places=place[slides],
+            places=place[moves],
+            velocities=velocity[moves],
+            speeds=speed[moves],
+            roll_speeds=speed[rolls],
+            roll_places=place[rolls],
+        )
 
     is_a = np.stack([~a_strikes, a_strikes])
-    mine = {"": np.ones_like(is_a), "a": is_a, "b": ~is_a}
-    return {ball: covered(slip[own], velocity[own], place[own]) for ball, own in mine.items()}
+    rows = {"": np.ones_like(is_a), "a": is_a, "b": ~is_a}
+    return {ball: cover(slip[own], velocity[own], place[own]) for ball, own in rows.items()}
 
 
-def over_speed(name: str, letter: str, values: Array, low: float | None = None) -> tuple[Axis, ...]:
-    """The axis of a curve over speeds (n,), m/s, from the least of them or from `low`; none where there are none."""
+def over_range(
+    name: str, letter: str, values: Array, low: float | None = None, unit: str = "m/s", count: int = 20
+) -> tuple[Axis, ...]:
+    """The axis of a curve over values (n,), from the least of them or from `low`; none where there are no values.
+
+    The 20 cosines resolve a step of a tenth of the range; the prior decides how many of them count.
+    """
     if not len(values):
         return ()
     least = float(values.min()) if low is None else low
-    return (Axis(name, "m/s", least, float(values.max()), CURVE, letter=letter),)
+    return (Axis(name, unit, least, float(values.max()), count, letter=letter),)
 
 
-def over_heading() -> tuple[Axis, ...]:
-    """The axis of a curve over all directions, rad."""
-    return (Axis("heading", "rad", -np.pi, np.pi, TURN, "circle", "th"),)
+def over_heading(values: Array | None = None, count: int = 9) -> tuple[Axis, ...]:
+    """The axis of a curve over all directions, rad, up to the fourth harmonic; none where `values` is empty."""
+    if values is not None and not len(values):
+        return ()
+    return (Axis("heading", "rad", -np.pi, np.pi, count, "circle", "th"),)
 
 
-def over_obliqueness(launches: Array) -> tuple[Axis, ...]:
-    """The axis of a curve over the impact parameters' sizes."""
-    most = max(float(np.abs(launches[:, B]).max()), OBLIQUE)
-    return (Axis("obliqueness", "1", 0.0, most, CURVE, letter="|b|"),)
+def over_obliqueness(covered: CoveredRanges) -> tuple[Axis, ...]:
+    """The axis of a curve over |b|, the size of the impact parameter, from 0 to at least 0.1."""
+    return over_range("obliqueness", "|b|", np.append(np.abs(covered.launches[:, B]), 0.1), 0.0, unit="1")
 
 
-def over_clips(count: int) -> tuple[Axis, ...]:
-    """The axis of a number for each of so many clips; none of very many."""
-    return (Axis("clip", "1", 0.0, count - 1.0, count, "set"),) if count <= EACH else ()
+def over_clips(count: int, max_count: int = 120) -> tuple[Axis, ...]:
+    """The axis of a number for each clip; none for more clips than `max_count`, whose fit would take too long."""
+    return (Axis("clip", "1", 0.0, count - 1.0, count, "set"),) if count <= max_count else ()
 
 
-def over_place(values: Array, count: int, unit: str = "m") -> tuple[Axis, ...]:
-    """Both axes of a map or field over places (n, 2), with `count` coefficients a side; none where there are none."""
+def over_plane(values: Array, unit: str = "m", count: int = 8) -> tuple[Axis, ...]:
+    """Two axes of a map over vectors (n, 2), with `count` coefficients a side; none where there are no vectors."""
     if not len(values):
         return ()
     ends = zip("xy", values.min(axis=0).tolist(), values.max(axis=0).tolist(), strict=True)

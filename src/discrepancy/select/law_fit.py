@@ -52,7 +52,7 @@ class LawScore:
 
 def whiten_law_columns(evidence: WhitenedClips, law: FreeLaw, model: Model, launches: Array) -> tuple[Array, ...]:
     """Whitened derivatives by the coefficients, (2n, J) of each clip."""
-    return evidence.white(law.columns(model, launches, evidence.clips))
+    return evidence.white(law.derivatives(model, launches, evidence.clips))
 
 
 def score_law(law: FreeLaw, fit: ModelFit, moves: Sequence[Array]) -> LawScore:
@@ -115,7 +115,7 @@ def fit_law(
             if fit.local:
                 break
             fit = linearise(here, fit.model, fit.names, fit.launches)
-            moves = whiten_law_columns(evidence, law, law.bent(plain, coefs), fit.launches)
+            moves = whiten_law_columns(evidence, law, law.add_to(plain, coefs), fit.launches)
     freedom = np.linalg.slogdet(np.eye(law.size) + information / np.diag(weight.prior.precision)[:, None])
     paid = law_choice_cost() + weight.prior.cost + float(coefs @ weight.prior.precision @ coefs + freedom[1])
     smooth = FittedLaw(law, coefs, weight.prior, fit, plain, here, moves, test.sigma, cost_of(fit, base) + paid)
@@ -142,8 +142,10 @@ def _moved(
         return None
     try:
         plain = replace_within_limits(plain, dict(zip(fit.names, (fit.values() + shared).tolist(), strict=True)))
-        model = law.bent(plain, coefs + step)
-        here = dataclasses.replace(evidence, clips=tuple(law.undone(evidence.clips, plain, launches, coefs + step)))
+        model = law.add_to(plain, coefs + step)
+        here = dataclasses.replace(
+            evidence, clips=tuple(law.subtract_from(evidence.clips, plain, launches, coefs + step))
+        )
         residuals = here.left(model, launches)
     except FAILED:
         return None
@@ -263,5 +265,5 @@ def fit_unseen_clips(
         law = dataclasses.replace(fitted_law.law, axes=over_clips(len(clips)))
         test = score_law(law, there, whiten_law_columns(evidence, law, plain, there.launches))
         return fit_law(evidence, test, there).fit
-    left = fitted_law.law.undone(clips, plain, before.launches, fitted_law.coefs)
+    left = fitted_law.law.subtract_from(clips, plain, before.launches, fitted_law.coefs)
     return fit_model(left, fitted_law.fit.model, (), noise, before.launches)

@@ -106,12 +106,12 @@ def test_clips_of_two_frame_rates_are_foretold_as_each_alone():
     launches = np.array([c.launch for c in clips])
     every = predict_tracks(Model(), launches, clips)
     laws = [law for law in free_laws_over(Model(), launches, clips) if law.name in ("friction_speed", "force_place")]
-    moves = {law.name: law.columns(Model(), launches, clips) for law in laws}
+    moves = {law.name: law.derivatives(Model(), launches, clips) for law in laws}
     assert len(moves) == 2
     for k, clip in enumerate(clips):
         assert every[k] == pytest.approx(predict_tracks(Model(), launches[k : k + 1], [clip])[0], abs=1e-12)
         for law in laws:
-            (alone,) = law.columns(Model(), launches[k : k + 1], [clip])
+            (alone,) = law.derivatives(Model(), launches[k : k + 1], [clip])
             assert moves[law.name][k] == pytest.approx(alone, abs=1e-6 * np.abs(alone).max())
     wrong = predict_tracks(Model(), launches[1:2], [dataclasses.replace(clips[1], camera=plain[1].camera)])[0]
     assert np.abs(every[1] - wrong).max() > 1e-4

@@ -36,7 +36,7 @@ def experiment(count=24):
     evidence, launches = WhitenedClips.of(clips, NOISE), np.array([c.launch for c in clips])
     start = linearise(evidence, Model(), BASE_PARAMETERS, launches)
     law = next(s for s in free_laws_over(Model(), launches, clips) if s.name == "restitution_speed")
-    moves = evidence.white(law.columns(Model(), launches, clips))
+    moves = evidence.white(law.derivatives(Model(), launches, clips))
     single = evidence.white(differentiate(Model(), launches, clips, "restitution"))
     return evidence, start, law, moves, single
 

@@ -76,7 +76,7 @@ def test_a_lag_is_told_but_for_a_constant():
     launches = np.array([c.launch for c in clips])
     late = with_constant(next(s for s in free_laws_over(Model(), launches, clips) if s.name == "lag_speed"))
     x = late.axes[0].grid(200)
-    moves = late.columns(Model(), launches, clips)
+    moves = late.derivatives(Model(), launches, clips)
     coefs = np.linalg.lstsq(late.basis(x), 2e-4 * x**2, rcond=None)[0]
     seen = noisy([dataclasses.replace(c, xy=c.xy + m @ coefs) for c, m in zip(clips, moves, strict=True)], 6)
     noise = Noise(NoiseComponent(1.0))

@@ -45,7 +45,7 @@ def test_a_number_for_each_clip_is_given_with_the_clips_own_number():
     plain = [dataclasses.replace(c, clip=n) for c, n in zip(exact(Model(), 6, 9), numbers, strict=True)]
     starts, noise = np.array([c.launch for c in plain]), Noise(NoiseComponent(1.0))
     law = next(s for s in free_laws_over(Model(), starts, plain) if s.name == "restitution_clip")
-    clips = noisy(law.undone(plain, Model(), starts, 3e-3 * np.array([1, -1, 0, 2, -2, 0])), 9)
+    clips = noisy(law.subtract_from(plain, Model(), starts, 3e-3 * np.array([1, -1, 0, 2, -2, 0])), 9)
     filled = FreeLawContest.of(WhitenedClips.of(clips, noise), fit_model(clips, Model(), BASE_PARAMETERS, noise)).fitted
     answer = LawSummary.of(next(f for f in filled if f.law.name == "restitution_clip"))
     assert answer.x[0].tolist() == answer.document()["x"] == numbers

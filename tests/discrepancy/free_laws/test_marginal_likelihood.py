@@ -8,9 +8,7 @@ from scipy.optimize import minimize_scalar
 from scipy.stats import multivariate_normal
 
 from discrepancy.free_laws.axis import Axis
-from discrepancy.free_laws.laws.friction_place import FrictionPlace
-from discrepancy.free_laws.laws.restitution_speed import RestitutionSpeed
-from discrepancy.free_laws.laws.warp_place import WarpPlace
+from discrepancy.free_laws.library import library
 from discrepancy.free_laws.marginal_likelihood import (
     LENGTHS,
     compute_significance,
@@ -18,7 +16,8 @@ from discrepancy.free_laws.marginal_likelihood import (
     maximise_evidence,
 )
 
-LAW = RestitutionSpeed((Axis("normal speed", "m/s", 0.1, 0.6, 8),))
+LAWS = {law.base_name: law for law in library()}
+LAW = dataclasses.replace(LAWS["restitution_speed"], axes=(Axis("normal speed", "m/s", 0.1, 0.6, 8),))
 RNG = np.random.default_rng(5)
 DESIGN = LAW.basis(RNG.uniform(0.1, 0.6, 30)) @ np.diag(RNG.uniform(1, 4, 8))
 
@@ -62,7 +61,7 @@ def test_a_curve_that_is_there_is_worth_its_freedom_and_noise_is_not():
 
 def test_a_field_that_acts_and_changes_along_one_axis_costs_less_freedom():
     axes = Axis("x", "px", 0.0, 1.0, 8), Axis("y", "px", 0.0, 1.0, 8)
-    law = WarpPlace(axes)
+    law = dataclasses.replace(LAWS["warp_place"], axes=axes)
     one = law.basis(*RNG.uniform(0, 1, (2, 400)))
     x = np.linspace(0, 1, 50)
     along = np.linalg.lstsq(axes[0].basis(x), x**4, rcond=None)[0]  # a function of x alone, along x alone
@@ -90,7 +89,7 @@ def test_significance_is_rare_in_noise():
 def test_a_smooth_map_is_found_among_many_coefficients():
     """10 sigma in one smooth direction of 144 are 10 sigma, less what the trials cost; all 144 together are five."""
     axis = Axis("x", "m", 0.0, 1.0, 12)
-    plate = FrictionPlace((axis, axis))
+    plate = dataclasses.replace(LAWS["friction_place"], axes=(axis, axis))
     x, y = RNG.uniform(0, 1, (2, 400))
     design = plate.basis(x, y)
     smooth = 10 * design[:, 1] / np.linalg.norm(design[:, 1])

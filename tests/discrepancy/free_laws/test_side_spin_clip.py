@@ -54,7 +54,7 @@ def test_derivatives_are_those_of_a_launch_that_spins():
     launches = np.array([c.launch for c in plain])
     (law,) = (s for s in free_laws_over(Model(), launches, plain) if s.name == "side_spin_clip")
     spins = np.array([1e-3, -2e-3, 3e-3, 1e-3])
-    told = [m @ spins for m in law.columns(Model(), launches, plain)]
+    told = [m @ spins for m in law.derivatives(Model(), launches, plain)]
     true = predict_tracks(Model(), np.column_stack([launches, np.zeros((4, 2)), spins]), plain)
     for move, there, clip in zip(told, true, plain, strict=True):
         assert move == pytest.approx(there - clip.xy, abs=0.02 * np.abs(there - clip.xy).max())

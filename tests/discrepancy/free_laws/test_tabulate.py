@@ -91,11 +91,8 @@ def test_a_law_found_once_more_is_the_whole_law_and_takes_the_place_of_its_table
 
 def test_what_no_model_holds_has_no_table():
     found = outsider("restitution_speed").free_law
-
-    class Unknown(type(found.law)):
-        name = "restitution_of_the_weather"
-
-    assert tabulate_and_refit(dataclasses.replace(found, law=Unknown(found.law.axes))) is None
+    unknown = dataclasses.replace(found.law, base_name="restitution_of_the_weather")
+    assert tabulate_and_refit(dataclasses.replace(found, law=unknown)) is None
 
 
 def test_the_covariance_of_the_curve_is_that_of_its_band():

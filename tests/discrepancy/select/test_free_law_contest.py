@@ -45,7 +45,7 @@ def filled_with(name, curve, clips=8, seed=6):
     law = next(s for s in free_laws_over(Model(), launches, plain) if s.name == name)
     x = law.axes[0].grid(200)
     coefs = np.linalg.lstsq(law.basis(x), curve(x), rcond=None)[0]
-    measured = collisions(law.bent(Model(), coefs), clips, seed)
+    measured = collisions(law.add_to(Model(), coefs), clips, seed)
     base = based(measured)
     contest = FreeLawContest.of(WhitenedClips.of(measured, NOISE), base)
     return measured, base, contest
@@ -107,7 +107,7 @@ def test_a_number_of_each_clip_is_fitted_to_clips_kept_out():
     launches = np.array([c.launch for c in plain])
     law = next(s for s in free_laws_over(Model(), launches, plain) if s.name == "restitution_clip")
     coefs = 3e-3 * np.random.default_rng(3).standard_normal(12)
-    shifted = law.undone(plain, Model(), launches, -coefs)
+    shifted = law.subtract_from(plain, Model(), launches, -coefs)
     rng = np.random.default_rng(4)
     clips = [dataclasses.replace(c, xy=c.xy + 1.6e-6 * rng.standard_normal(c.xy.shape)) for c in shifted]
     some, kept_out = clips[:8], clips[8:]

@@ -1,1 +1,1 @@
-"""The free laws, one file each."""
+"""The free laws of a search. Each module here has LAWS, a tuple of them, and is found by its being there."""

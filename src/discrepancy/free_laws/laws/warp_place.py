@@ -1,6 +1,7 @@
-"""A shift of the picture that depends on the place in it."""
+"""A shift of the picture that depends on the position in it."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -9,24 +10,15 @@ from discrepancy.data.collisions import MeasuredCollision
 from discrepancy.fitting.predict import predict_tracks
 from discrepancy.free_laws.axis import Axis
 from discrepancy.free_laws.law_kinds import FreeLaw
-from discrepancy.free_laws.ranges import FIELD, CoveredRanges, over_place
+from discrepancy.free_laws.ranges import CoveredRanges, over_plane
 from synthcam.model import Model
 
 
+@dataclass(frozen=True)
 class WarpPlace(FreeLaw):
-    symbol = "shift of the picture"
-    unit = "px"
-    parts = 2
-    part_names = ("x", "y")
-    centred = True
-    bends = ("measure", "")
+    """The camera's slope turns the shift in pixels into one on the plate."""
 
-    @staticmethod
-    def over(covered: CoveredRanges) -> tuple[Axis, ...]:
-        seen = np.concatenate([c.xy for c in covered.clips])  # a ball may move where no camera looks
-        return over_place(_pixels(covered.clips[0], seen), FIELD, "px")
-
-    def columns(self, model: Model, launches: Array, clips: Sequence[MeasuredCollision]) -> list[Array]:
+    def derivatives(self, model: Model, launches: Array, clips: Sequence[MeasuredCollision]) -> list[Array]:
         out = []
         for clip, xy in zip(clips, predict_tracks(model, launches, clips), strict=True):
             pixels = _pixels(clip, xy)
@@ -36,5 +28,25 @@ class WarpPlace(FreeLaw):
 
 
 def _pixels(clip: MeasuredCollision, xy: Array) -> Array:
-    """Where the camera sees centres (n, 2), m: (n, 2), px."""
+    """Project centres (n, 2), m, to pixels (n, 2)."""
     return np.asarray(clip.camera.project(np.concatenate([xy, np.full((len(xy), 1), clip.camera.radius)], axis=1)))
+
+
+def _over(covered: CoveredRanges) -> tuple[Axis, ...]:
+    """Cover the measured positions alone: the predicted motion goes on outside the picture."""
+    measured = np.concatenate([c.xy for c in covered.clips])
+    return over_plane(_pixels(covered.clips[0], measured), "px")
+
+
+LAWS = (
+    WarpPlace(
+        "warp_place",
+        "Shift of the picture that depends on the position",
+        "shift of the picture",
+        unit="px",
+        part_names=("x", "y"),
+        centred=True,
+        bends=("measure", ""),
+        over=_over,
+    ),
+)

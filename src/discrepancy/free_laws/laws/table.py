@@ -1,0 +1,81 @@
+"""The table of free laws: what each is, which law it bends and by what, and its axes.
+
+A row is (name, description), the law that it bends with its argument, the axes over the covered ranges, and the base
+parameters that the series adds to (`law_kinds.FreeLaw` describes all fields).
+"""
+
+from typing import Any
+
+import numpy as np
+
+from discrepancy.data.launch import HEADING, V0, B, normal_speed
+from discrepancy.free_laws.law_kinds import ClipNumber, ImpactLaw, MotionLaw
+from discrepancy.free_laws.ranges import over_heading, over_obliqueness, over_plane, over_range
+from synthcam.tabulated_law import REFERENCE_SPEED_M_S
+
+FRICTION: dict[str, Any] = {"symbol": "mu", "owners": (("sliding_friction", 0),)}
+RESTITUTION: dict[str, Any] = {"symbol": "r", "owners": (("restitution", 0),)}
+SPIN_TRANSFER: dict[str, Any] = {"symbol": "C", "owners": (("spin_transfer", 0),)}
+ROLLING_AT_REST: dict[str, Any] = {
+    "symbol": "rolling loss at rest", "unit": "m/s^2", "owners": (("rolling_decel", 0),),
+}  # fmt: skip
+ROLLING: dict[str, Any] = {
+    "symbol": "rolling loss", "unit": "m/s^2", "owners": (("rolling_decel", 0), ("rolling_drag", 1)),
+}  # fmt: skip
+ADDED_ROLLING: dict[str, Any] = {
+    "symbol": "added rolling loss", "unit": "m/s^2", "centred": True,
+    "part_names": ("constant", f"with the speed, at {REFERENCE_SPEED_M_S:g} m/s"),
+}  # fmt: skip
+FORCE: dict[str, Any] = {"symbol": "force over mass", "unit": "m/s^2", "part_names": ("x", "y"), "one_ball": True}
+FORCE_ALONG: dict[str, Any] = {"symbol": "force over mass along the motion", "unit": "m/s^2", "one_ball": True}
+FORCE_PER_SPEED: dict[str, Any] = {
+    "symbol": "force over mass and speed", "unit": "1/s", "part_names": ("along", "across"),
+}  # fmt: skip
+
+# fmt: off
+LAWS = (
+    # all along the motion
+    MotionLaw("friction_speed", "Sliding friction over the slip speed", bends=("friction", "slip_speed"),
+              over=lambda covered: over_range("slip speed", "u", covered.slips, 0.0), one_ball=True, **FRICTION),
+    MotionLaw("friction_ball_speed", "Sliding friction over the ball's speed", bends=("friction", "velocity"),
+              over=lambda covered: over_range("speed of the ball", "v", covered.speeds, 0.0), **FRICTION),
+    MotionLaw("friction_heading", "Sliding friction over the direction of slip", bends=("friction", "slip"),
+              over=lambda covered: over_heading(covered.slips), **FRICTION),
+    MotionLaw("friction_place", "Sliding friction over the position", bends=("friction", "position"),
+              over=lambda covered: over_plane(covered.slip_places, count=12), **FRICTION),
+    MotionLaw("rolling_speed", "Rolling loss over the speed", bends=("rolling", "speed"),
+              over=lambda covered: over_range("speed", "v", covered.roll_speeds, 0.0), one_ball=True, **ROLLING),
+    MotionLaw("rolling_heading", "Rolling loss added by the direction of motion", bends=("rolling", "velocity"),
+              over=lambda covered: over_heading(covered.roll_speeds), **ADDED_ROLLING),
+    MotionLaw("rolling_place", "Rolling loss added by the position", bends=("rolling", "position"),
+              over=lambda covered: over_plane(covered.roll_places), **ADDED_ROLLING),
+    MotionLaw("force_speed", "Force along the motion over the speed", bends=("push", "velocity"),
+              over=lambda covered: over_range("speed", "v", covered.speeds, 0.0), **FORCE_ALONG),
+    MotionLaw("force_velocity", "Force over the velocity (wind, curved paths)", bends=("push", "velocity"),
+              over=lambda covered: over_plane(covered.velocities, "m/s"), **FORCE),
+    MotionLaw("force_place", "Force over the position", bends=("push", "position"),
+              over=lambda covered: over_plane(covered.places), **FORCE),
+    MotionLaw("force_heading", "Force over the heading, proportional to the speed", bends=("push", "velocity"),
+              over=lambda covered: over_heading(), **FORCE_PER_SPEED),
+    # once in each collision
+    ImpactLaw("restitution_speed", "Restitution over the normal speed", bends=("restitution", "normal_speed"),
+              over=lambda covered: over_range("normal speed", "v_n", normal_speed(covered.launches)),
+              at_impact=normal_speed, **RESTITUTION),
+    ImpactLaw("restitution_obliqueness", "Restitution over |b|", bends=("restitution", "obliqueness"),
+              over=over_obliqueness, at_impact=lambda launches: np.abs(launches[:, B]), **RESTITUTION),
+    ImpactLaw("restitution_heading", "Restitution over the heading", bends=("restitution", "heading"),
+              over=lambda covered: over_heading(), at_impact=lambda launches: launches[:, HEADING], **RESTITUTION),
+    ImpactLaw("spin_transfer_speed", "Spin transfer over the contact speed", bends=("spin_transfer", "contact_speed"),
+              over=lambda covered: over_range("contact speed", "v", covered.launches[:, V0]),
+              at_impact=lambda launches: launches[:, V0], **SPIN_TRANSFER),
+    ImpactLaw("spin_transfer_obliqueness", "Spin transfer over |b|", bends=("spin_transfer", "obliqueness"),
+              over=over_obliqueness, at_impact=lambda launches: np.abs(launches[:, B]), **SPIN_TRANSFER),
+    ImpactLaw("spin_transfer_heading", "Spin transfer over the heading", bends=("spin_transfer", "heading"),
+              over=lambda covered: over_heading(), at_impact=lambda launches: launches[:, HEADING], **SPIN_TRANSFER),
+    # a number for each clip
+    ClipNumber("friction_clip", "Sliding friction of each clip", **FRICTION),
+    ClipNumber("rolling_clip", "Rolling loss at rest of each clip", **ROLLING_AT_REST),
+    ClipNumber("restitution_clip", "Restitution of each clip", **RESTITUTION),
+    ClipNumber("spin_transfer_clip", "Spin transfer of each clip", **SPIN_TRANSFER),
+)
+# fmt: on
