@@ -6,7 +6,6 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from difflib import get_close_matches
 from importlib.metadata import version
 from typing import Annotated, Any
 
@@ -51,7 +50,7 @@ def run(app: typer.Typer, name: str, wrong: tuple[type[Exception], ...], resumed
             raise KeyboardInterrupt
         sys.exit(status or 0)
     except USAGE as error:
-        line = _plain_usage_error(error.format_message(), getattr(error, "option_name", ""))
+        line = re.sub(r" \(Possible options: (.*)\)$", r". Did you mean \1?", error.format_message())
         where = error.ctx.command_path if error.ctx else name
         print(line if "\n" in line else f"{where}: {line} (see {where} --help)", file=sys.stderr)
     except wrong as error:
@@ -66,14 +65,6 @@ def run(app: typer.Typer, name: str, wrong: tuple[type[Exception], ...], resumed
     except OSError as error:
         print(f"{name}: {error.filename or 'file'}: {error.strerror or error}", file=sys.stderr)
     sys.exit(2)
-
-
-def _plain_usage_error(text: str, option: str) -> str:
-    """The message of a wrong command line in plain words, with the one option that the user most likely meant."""
-    text = re.sub(r"Input should be a valid (\w+), unable to parse string as an? \w+", r"expected an \1", text)
-    text, _, options = text.partition(" (Possible options: ")
-    near = get_close_matches(option, options.removesuffix(")").split(", "), n=1) if options else []
-    return f"{text.removesuffix('.')}. Did you mean {near[0]}?" if near else text
 
 
 @contextmanager

@@ -66,7 +66,7 @@ def track(
     if outcome.frames:
         extra["ms_per_frame"] = round(1e3 * seconds / outcome.frames, 3)
     if as_json:
-        extra["notes"] = outcome.notes
+        extra["notes"] = {str(note): clips for note, clips in outcome.notes.items()}
     if pages or (pages is None and outcome.clips == 1):
         extra["page"] = _pages(outcome, output, source, workers or 0)
     _report(outcome, output, extra, as_json)
@@ -290,18 +290,19 @@ def _pages(outcome: ClipOutcome, output: Path, given: Path, workers: int) -> str
 
 
 def _report(outcome: ClipOutcome, output: Path, extra: dict[str, Any], as_json: bool) -> None:
-    from tracker.measurement.collision.adequacy import warnings
+    from tracker.measurement.messages import list_messages
     from tracker.report.estimates_text import format_for_terminal
 
     for note, clips in outcome.notes.items():
         print(f"tracker: {note}{f' ({clips} of {outcome.clips} clips)' if outcome.clips > 1 else ''}", file=sys.stderr)
     states = {str(k): int(v) for k, v in outcome.estimates["status"].value_counts().sort_index().items()}
-    said = list(warnings(outcome.estimates))
-    for line in said:
-        print(f"tracker: {line}", file=sys.stderr)
+    messages = list_messages(outcome.estimates, str(output))
+    for message in messages:
+        print(f"tracker: {message}", file=sys.stderr)
     if as_json:
         summary = {"results": str(output), "clips": outcome.clips, "fresh": outcome.fresh, "status": states, **extra}
-        summary |= {"warnings": said, "collisions": [_collision(r) for r in outcome.estimates.to_dict("records")]}
+        summary |= {"warnings": [str(message) for message in messages]}
+        summary |= {"collisions": [_collision(row) for row in outcome.estimates.to_dict("records")]}
         print(json.dumps(summary))
         return
     for line in format_for_terminal(outcome.estimates):

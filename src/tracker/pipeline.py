@@ -24,7 +24,8 @@ from tracker.camera.recordings import RecordingSource, open_source
 from tracker.detection.channel import select_channel
 from tracker.detection.choose import choose_detector
 from tracker.detection.detect import load_detector, load_linker
-from tracker.recording import describe_camera_gaps, measure_tracks, track_and_measure
+from tracker.notes import Note, NoteKind, describe_camera_gaps, note_all
+from tracker.recording import measure_tracks, track_and_measure
 from tracker.tables.read import read_tracks
 
 if TYPE_CHECKING:
@@ -38,7 +39,7 @@ class ClipDone:
     """What a worker reports of a clip: how many frames it has, and notes on what was converted or assumed."""
 
     frames: int
-    notes: tuple[str, ...]
+    notes: tuple[Note, ...]
 
 
 @dataclass(frozen=True)
@@ -52,7 +53,7 @@ class ClipOutcome:
     clips: int
     fresh: int
     frames: int
-    notes: dict[str, int] = field(default_factory=dict)
+    notes: dict[Note, int] = field(default_factory=dict)
     source: RecordingSource | None = None
 
 
@@ -111,16 +112,16 @@ def run(
     first, why = select_channel(source.open_clip(0), channel)
     if name is not None:
         load_linker(name, first.camera)
-    source, said = replace(source, channel=first.channel), [why] if why else []
+    source, said = replace(source, channel=first.channel), note_all(NoteKind.CHANNEL, [why])
     if name is None:
         name, why = choose_detector(first.frames, first.camera)
-        said += [why] if why else []
+        said += note_all(NoteKind.DETECTOR, [why])
     plan = _plan(source, name)
     numbers = [number for number, _ in source.clips]
     if output.exists():
         _same_or_refuse(output, plan)
         return ClipOutcome(results.gather(output, numbers), len(source), 0, 0, source=source)
-    frames, notes = 0, Counter[str]({note: len(source) for note in said})
+    frames, notes = 0, Counter[Note]({note: len(source) for note in said})
     with _partial(output, plan) as partial:
         todo = [i for i, number in enumerate(numbers) if not results.is_done(partial, number)]
         progress(len(source) - len(todo), len(source))
@@ -179,7 +180,7 @@ def measure_tables(
             results.write_clip(partial, number, result.found, result.motion, result.rows, own)
         table = results.finish(partial, output, numbers)
     said = (*given.notes, *describe_camera_gaps(base))
-    notes = {note: len(numbers) for note in said if not note.startswith("assumed")}
+    notes = {note: len(numbers) for note in said if note.kind is not NoteKind.ASSUMED}
     return ClipOutcome(table, len(numbers), len(todo), 0, notes)
 
 

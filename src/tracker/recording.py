@@ -33,7 +33,15 @@ from tracker.detection.diagnose import FEWEST, explain_no_discs, explain_no_glin
 from tracker.detection.link import Tracks, link
 from tracker.measurement.collision.adequacy import MEASURED
 from tracker.measurement.collision.derived import QUANTITY_NAMES
-from tracker.tables.read import SAME_RATE, GivenCamera, read_tracks, to_pixels
+from tracker.notes import (
+    Note,
+    NoteKind,
+    describe_camera_gaps,
+    describe_exposure,
+    describe_frame_rate,
+    note_all,
+)
+from tracker.tables.read import GivenCamera, read_tracks, to_pixels
 from tracker.tables.rows import tracks_table
 from tracker.tables.table import TrackTable
 
@@ -41,7 +49,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 Film = NDArray[Any] | Iterable[NDArray[Any]] | str | Path
-UNSIZED = "ball_diameter: not given; collisions are not measured, and glints are not taken to centres"
 TRACKS = "tracks"  # what messages call a table in memory
 SAID = {"v0": "m/s", "b": "", "r": "", "mu_k": "", "C": ""}  # in a repr, with units
 UNITS = {"m/s": "v0 v1f v2f", "s": "t_c tau1 tau2", "rad": "final_angle", "1/s": "drag", "m/s^2": "decel"} | {
@@ -67,8 +74,8 @@ class Result:
     motion : DataFrame
         About the first collision: t_s (s), particle, vx, vy (m/s), energy (m^2/s^2), p_along, p_across (m/s): per unit
         mass, along and across each ball's own slip direction.
-    notes : tuple of str
-        What was assumed, estimated or converted.
+    notes : tuple of Note
+        What was assumed, estimated or converted; `str(note)` is its sentence.
     frames : int
         How many were tracked; 0 of tracks made elsewhere.
 
@@ -86,7 +93,7 @@ class Result:
     found: Tracks
     rows: tuple[dict[str, Any], ...]
     motion: pd.DataFrame
-    notes: tuple[str, ...] = ()
+    notes: tuple[Note, ...] = ()
     frames: int = 0
 
     @cached_property
@@ -216,7 +223,7 @@ def track(
         load_detector(detector)  # an unknown one is reported before a film is read
     clip, why = select_channel(_open(film, camera), channel)
     result = track_and_measure(clip if number is None else replace(clip, number=number), detector)
-    return replace(result, notes=(why, *result.notes)) if why else result
+    return replace(result, notes=(*note_all(NoteKind.CHANNEL, [why]), *result.notes))
 
 
 def _open(film: Film, camera: GivenCamera | None) -> Recording:
@@ -309,8 +316,13 @@ def track_and_measure(clip: Recording, name: DetectorChoice | None = None) -> Re
     rows, motion = measure_clip(tracks, camera)
     if reason:
         rows = [row if row["status"] in MEASURED else row | {"status": reason} for row in rows]
-    notes = tuple(
-        filter(None, [*clip.notes, why, *said, *describe_camera_gaps(camera), _blur_note(camera), _rate_note(clip)])
+    notes = (
+        *clip.notes,
+        *note_all(NoteKind.DETECTOR, [why], clip.number),
+        *said,
+        *describe_camera_gaps(camera),
+        *describe_exposure(camera, f"{results.SEEN} in {results.RUN}"),
+        *describe_frame_rate(clip.camera, clip.frames.fps),
     )
     return Result(clip.number, camera, tracks, tuple(rows), motion, notes, len(clip.frames))
 
@@ -320,11 +332,11 @@ def measure_tracks(tracks: Tracks, camera: Camera, number: int, point: str) -> R
     if point == "glint":
         tracks = results.to_centres(tracks, camera)
     rows, motion = measure_clip(tracks, camera)
-    notes = tuple(note for note in describe_camera_gaps(camera) if not note.startswith("assumed"))
+    notes = tuple(note for note in describe_camera_gaps(camera) if note.kind is not NoteKind.ASSUMED)
     return Result(number, camera, tracks, tuple(rows), motion, notes)
 
 
-def track_clip(clip: Recording, name: DetectorChoice = DEFAULT) -> tuple[Tracks, Camera, str, tuple[str, ...]]:
+def track_clip(clip: Recording, name: DetectorChoice = DEFAULT) -> tuple[Tracks, Camera, str, list[Note]]:
     """Tracks of one clip, its camera completed from the clip, why there is nothing, or '', and notes."""
     view = make_view(clip, name)
     glints, view = detect_until_blur_converges(clip, view, name)
@@ -335,7 +347,9 @@ def track_clip(clip: Recording, name: DetectorChoice = DEFAULT) -> tuple[Tracks,
     else:
         tracks = link(glints, view.camera, detected_point(name, clip.camera), by=by)
         why, spans = explain_no_glints(clip.frames, view, glints), [(0, len(clip.frames) - 1)]
-    return tracks, view.camera, why, (*view.notes, *warn_of_loose_ends(tracks, view.camera.size, spans))
+    notes = note_all(NoteKind.DETECTOR, view.notes, clip.number)
+    notes += note_all(NoteKind.LINKING, warn_of_loose_ends(tracks, view.camera.size, spans), clip.number)
+    return tracks, view.camera, why, notes
 
 
 def measure_clip(tracks: Tracks, camera: Camera) -> tuple[list[dict[str, Any]], pd.DataFrame]:
@@ -351,29 +365,3 @@ def measure_clip(tracks: Tracks, camera: Camera) -> tuple[list[dict[str, Any]], 
     except (ArithmeticError, ValueError, IndexError) as error:  # one clip never costs the others
         nothing = replace(tracks, **{f.name: getattr(tracks, f.name)[:0] for f in fields(tracks)})
         return [empty_row(camera, failure_status(error))], motion_table(nothing, camera, {})
-
-
-def describe_camera_gaps(camera: Camera) -> list[str]:
-    """What the camera file left out, and what in it is not accounted for."""
-    assumed = [name for name in camera.assumed if name != "ball_diameter" and camera.metric]
-    return [
-        *([f"assumed or estimated: {', '.join(assumed)}"] if assumed else []),
-        *([] if camera.knows_diameter or not camera.metric else [UNSIZED]),
-        *camera.unmodelled,
-    ]
-
-
-def _blur_note(camera: Camera) -> str:
-    if camera.exposure_from_blur is None:
-        return ""
-    kind = "longer" if camera.exposure_from_blur > camera.exposure else "shorter"
-    seen = f"{results.SEEN} in {results.RUN}"
-    return f"exposure: motion blur is {kind} than it makes it; taken as it is seen ({seen})"
-
-
-def _rate_note(clip: Recording) -> str:
-    """Where a video file claims another frame rate: a film for slow motion, or a wrong camera file."""
-    said, claimed = clip.camera.fps, clip.frames.fps
-    if not clip.camera.metric or not claimed > 0 or abs(claimed / said - 1) < SAME_RATE:
-        return ""
-    return f"fps: {said:g} in the camera file, {claimed:g} in the video's; check which is that of the exposures"

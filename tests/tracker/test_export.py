@@ -39,7 +39,7 @@ def test_round_trip(kind, results, tmp_path):
     back = read_tracks(tmp_path / "tracks.out", CAMERA)
     tracks, _ = back.clips[0]
     assert back.camera.fps == CAMERA["fps"]
-    assert not any("fps" in note for note in back.notes)
+    assert not any("fps" in note for note in map(str, back.notes))
     assert tracks.frame.tolist() == table["frame"].tolist()
     assert np.unique(tracks.particle).size == 2
     assert np.abs(tracks.xy - table[["x", "y"]].to_numpy()).max() < 1e-4

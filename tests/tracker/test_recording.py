@@ -14,7 +14,7 @@ import synthcam
 import tracker
 from synthcam.dataset.generate import GenerationPlan, generate_dataset
 from tracker import cli
-from tracker.camera.recordings import UNSCALED
+from tracker.notes import COLOUR_TO_GREY, NO_CAMERA_FILE
 
 SCENE = synthcam.Scene.read(
     "painter_behringer", camera={"size": [200, 160], "scale": 3e-4}, timing={"frames": 60, "contact_frame": 20}
@@ -85,7 +85,7 @@ def test_colour_is_taken_as_a_file_of_it_is(clip, tmp_path):
     tifffile.imwrite(tmp_path / "c.tif", colour, photometric="rgb")
     one, other = (tracker.track(film, clip.camera_json) for film in (colour, tmp_path / "c.tif"))
     pd.testing.assert_frame_equal(one.tracks, other.tracks, check_exact=True)
-    assert one.notes == other.notes == ("colour converted to grey",)
+    assert one.notes == other.notes == (COLOUR_TO_GREY,)
 
 
 @pytest.mark.parametrize(("rate", "said"), [(25.0, True), (250.0, False), (249.0, False)])
@@ -98,13 +98,13 @@ def test_a_video_that_claims_another_frame_rate_is_said(clip, tmp_path, rate, sa
         writer.write(frame)
     writer.release()
     known = tracker.Camera.from_dict(clip.camera_json)
-    notes = [note for note in tracker.track(path, known).notes if note.startswith("fps")]
+    notes = [note for note in map(str, tracker.track(path, known).notes) if note.startswith("fps")]
     assert notes == ["fps: 250 in the camera file, 25 in the video's; check which is that of the exposures"] * said
 
 
 def test_without_a_camera_there_are_pixels(clip):
     result = tracker.track(clip.film())
-    assert UNSCALED in result.notes
+    assert NO_CAMERA_FILE in result.notes
     assert len(result.tracks) > 90
 
 

@@ -13,7 +13,7 @@ from pydantic import BaseModel, ConfigDict, NonNegativeInt, model_validator
 
 from synthcam.dataset.files import VIDEO, read_sums
 from synthcam.dataset.generate import GenerationPlan, complete_dataset
-from synthcam.dataset.partial_dataset import PartialDataset, check_apart, name_difference, open_partial
+from synthcam.dataset.partial_dataset import PartialDataset, check_apart, open_partial
 from synthcam.dataset.video import FILMS
 from synthcam_shared.errors import InputError
 from synthcam_shared.jobs import Progress
@@ -127,8 +127,7 @@ def _check_complete(shards: list[Path], abouts: list[dict[str, Any]]) -> None:
     for shard, about in zip(shards, abouts, strict=True):
         for key in sorted({*first, *about} - KEYS_OF_SHARD):
             if about.get(key) != first.get(key):
-                what = name_difference(key)
-                raise InputError(f"{shard}: a shard of another dataset than {shards[0]} (a different {what})")
+                raise InputError(f"{shard}: a shard of another dataset than {shards[0]} (another {key})")
         which, of = about["shard"]
         if of != first["shard"][1]:
             raise InputError(f"{shard}: shard {which}/{of}, expected one of {first['shard'][1]} as {shards[0]}")

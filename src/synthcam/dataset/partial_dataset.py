@@ -143,13 +143,6 @@ def _is_empty(folder: Path) -> bool:
     return folder.is_dir() and not any(folder.iterdir())
 
 
-def name_difference(key: str) -> str:
-    """A key in which the documents of two datasets differ, in the user's words."""
-    words = {"scenes": "scene", "clips_per_scene": "number of clips (--clips)", "seed": "seed (--seed)"}
-    words |= {"video": "choice of --no-video", "version": "version of synthcam", "effect_files": "effect file"}
-    return words.get(key, key)
-
-
 def _check_same(wanted: dict[str, Any], folder: Path, document: Path) -> None:
     """Raise InputError if the folder holds anything but the dataset of the wanted document."""
     if not folder.exists() or _is_empty(folder):
@@ -163,6 +156,4 @@ def _check_same(wanted: dict[str, Any], folder: Path, document: Path) -> None:
     wanted = json.loads(json.dumps(wanted))
     for key in [*wanted, "compression", "shard", "effect_files"]:  # the last three are missing at their defaults
         if not isinstance(found, dict) or found.get(key) != wanted.get(key):
-            raise InputError(
-                f"{folder}: holds a dataset with a different {name_difference(key)}; choose another folder"
-            )
+            raise InputError(f"{folder}: holds a dataset with another {key}; choose another folder")

@@ -14,13 +14,9 @@ from tracker.camera.camera import Camera
 from tracker.camera.frames import GREY, Frames, linearise
 from tracker.camera.picture_folder import PICTURES, TIFF, list_pictures, read_picture_folder
 from tracker.camera.tiff_stack import read_tiff_stack
+from tracker.notes import COLOUR_TO_GREY, MADE_LINEAR, NO_CAMERA_FILE, Note, NoteKind, note_all
 
 VIDEOS = (".avi", ".mkv", ".mp4", ".mov", ".m4v", ".mpg", ".mpeg", ".webm")
-CONVERTED = "colour converted to grey"
-UNSCALED = (
-    "no camera file: positions in px only; `tracker calibrate FILM --diameter M --fps HZ -o camera.json` makes one"
-)
-GAMMA = "sensor.gamma: counts are made linear in light before anything else"
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,14 +26,14 @@ class Recording:
     number: int
     camera: Camera
     frames: Frames
-    notes: tuple[str, ...] = ()
+    notes: tuple[Note, ...] = ()
     channel: str = GREY
 
     def select_channel(self, name: str) -> Recording:
         """The same recording in one colour of a film; "grey" is what it is."""
         if name == GREY:
             return self
-        notes = tuple(note for note in self.notes if note != CONVERTED)
+        notes = tuple(note for note in self.notes if note.kind is not NoteKind.GREY)
         return replace(self, frames=self.frames.select_channel(name), notes=notes, channel=name)
 
 
@@ -81,18 +77,19 @@ class RecordingSource:
 def make_recording(number: int, frames: Frames, camera: Camera | None, names: tuple[str, str]) -> Recording:
     """Frames and their camera as one clip. names: of film and camera, for the InputError where their sizes differ."""
     size, bits = (frames.shape[2], frames.shape[1]), 8 * frames.dtype.itemsize
-    notes = (*([] if frames.colours is None else [CONVERTED]), *frames.faults)
+    notes = [] if frames.colours is None else [COLOUR_TO_GREY]
+    notes += note_all(NoteKind.FILM, frames.faults, number)
     if camera is None:
-        return Recording(number, Camera.unknown(size, bits), frames, (*notes, UNSCALED))
+        return Recording(number, Camera.unknown(size, bits), frames, (*notes, NO_CAMERA_FILE))
     if camera.size != size:
         asked = "x".join(map(str, camera.size))
         raise InputError(f"{names[0]}: frames are {size[0]}x{size[1]}, expected {asked} by size in {names[1]}")
     if camera.sensor.gamma != 1:
-        frames, notes = linearise(frames, camera.sensor.gamma), (*notes, GAMMA)
+        frames, notes = linearise(frames, camera.sensor.gamma), [*notes, MADE_LINEAR]
         camera = replace(camera, sensor=replace(camera.sensor, bits=16))
     elif "sensor.bits" in camera.assumed:
         camera = replace(camera, sensor=replace(camera.sensor, bits=bits))
-    return Recording(number, camera, frames, notes)
+    return Recording(number, camera, frames, tuple(notes))
 
 
 def open_source(path: Path | str, camera: Path | str | None = None) -> RecordingSource:

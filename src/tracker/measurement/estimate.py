@@ -19,9 +19,8 @@ from tracker.measurement.collision.adequacy import (
     LEVEL,
     MEASURED,
     MISFIT,
-    NO_TOUCH,
-    contact_distance_flag,
-    impossible_values,
+    Flag,
+    flag_contact_distance,
     p_free,
 )
 from tracker.measurement.collision.collision_fit import CollisionFits, fit_collision
@@ -118,7 +117,10 @@ def _measure_balls(balls: list[BallTrack], camera: Camera) -> list[dict[str, Any
     if any(row["status"] in MEASURED for row in rows):
         return rows
     return [
-        empty_row(camera, "no_collision") | noise | _lone_ball(balls, camera) | ({"flags": NO_TOUCH} if near else {})
+        empty_row(camera, "no_collision")
+        | noise
+        | _lone_ball(balls, camera)
+        | ({"flags": str(Flag.NO_TOUCH)} if near else {})
     ]
 
 
@@ -170,7 +172,7 @@ def _measure_collision(
         return row | {"status": read}, unknown
     read = _with_camera_errors(read, camera)
     row |= _value_columns(read, camera) | _noise_columns(read.contact.pair.striker, camera)
-    row |= _judge(read, contact_distance_flag(*measure_contact_distance(read.free, camera)))
+    row |= _judge(read, flag_contact_distance(*measure_contact_distance(read.free, camera)))
     row |= painter_behringer.paper_columns(contact, camera)
     if row["status"] == MISFIT:
         row |= {f"{name}_paper_std": np.nan for name in QUANTITY_NAMES if name not in AT_THE_HIT}
@@ -195,23 +197,21 @@ def _value_columns(read: CollisionFits, camera: Camera) -> dict[str, Any]:
     at = [TIED.index(name) for name in ("heading", "x", "y", *SPIN, *TARGET)]
     row |= dict(zip(("heading", "x1", "y1", *BEFORE), read.tied.parameters[at].tolist(), strict=True))
     for column, name in zip(BEFORE, SPIN, strict=False):
-        known = name in read.contact.pair.fitted_spin and read.is_tied_accepted
+        known = name in read.contact.pair.fitted_spin and not read.is_misfit
         row[f"{column}_std"] = float(np.sqrt(read.tied.cov[TIED.index(name), TIED.index(name)])) if known else np.nan
     for suffix, fit in (("", read.tied), ("_free", read.free)):
         row |= {f"chi2{suffix}": fit.chi2, f"dof{suffix}": fit.dof, f"dropped{suffix}": fit.dropped}
     return row
 
 
-def _judge(read: CollisionFits, flag: str) -> dict[str, Any]:
-    """Whether the data accept the fits, and what of the tied one is impossible, after a flag that is known."""
-    stretch = float(np.sqrt(max(1.0, read.tied.chi2 / read.tied.dof)))
-    flags = [*read.flags, flag, impossible_values(read.tied_values, stretch)]
+def _judge(read: CollisionFits, flags: list[Flag]) -> dict[str, Any]:
+    """Status, p-values and flags of a collision; `flags` are those known of its contact."""
     return {
-        "status": "ok" if read.is_tied_accepted else MISFIT,
+        "status": MISFIT if read.is_misfit else "ok",
         "adequate": read.p_tied,
         "adequate_free": read.p_free,
         "agree": read.p_agree,
-        "flags": "|".join(filter(None, flags)),
+        "flags": "|".join([*read.flags, *flags, *read.impossible_values]),
     }
 
 
@@ -254,7 +254,7 @@ def select_claims(read: CollisionFits) -> tuple[DerivedValues, DerivedValues]:
         _within_limits(read.tied_values, LIMITS, set()),
         _within_limits(read.free_values, FREE_LIMITS, free_nan),
     )
-    if not read.is_tied_accepted:
+    if read.is_misfit:
         tied, free = tied.without_errors(QUANTITY_NAMES), free.without_errors(BY_LAWS)
     return tied, free if read.is_free_accepted else free.without_errors(QUANTITY_NAMES)
 

@@ -28,8 +28,10 @@ from tracker.camera.camera import Camera
 from tracker.camera.frames import Frames
 from tracker.camera.recordings import RecordingSource
 from tracker.detection.link import Tracks
-from tracker.measurement.collision.adequacy import MEASURED, warnings
+from tracker.measurement.collision.adequacy import MEASURED
+from tracker.measurement.messages import list_messages
 from tracker.measurement.positions import to_ball_tracks
+from tracker.notes import Note
 from tracker.report.collision_figures import (
     CollisionView,
     all_tracks_figure,
@@ -76,7 +78,7 @@ class RecordingPage:
         As in motion.parquet.
     frames : Frames, optional
         None for tracks that another program made.
-    notes : sequence of str
+    notes : sequence of Note
         Assumptions and conversions.
     """
 
@@ -86,7 +88,7 @@ class RecordingPage:
     rows: Sequence[Mapping[str, Any]]
     motion: pd.DataFrame
     frames: Frames | None = None
-    notes: Sequence[str] = ()
+    notes: Sequence[Note] = ()
 
     @property
     def measured_rows(self) -> list[Mapping[str, Any]]:
@@ -119,7 +121,14 @@ class RecordingPage:
         sections.append(Section("Camera settings used", [self._camera_table()]))
         summary = [self._describe(row) for row in self.rows]
         estimates = pd.DataFrame([{"clip": 0, **row} for row in self.rows])
-        return write_page(folder / PAGE, self.name, sections, command, summary, [*warnings(estimates), *self.notes])
+        return write_page(
+            folder / PAGE,
+            self.name,
+            sections,
+            command,
+            summary,
+            [*map(str, list_messages(estimates)), *map(str, self.notes)],
+        )
 
     def _describe(self, row: Mapping[str, Any]) -> str:
         number = f"Collision {row['collision']}{describe_frames(row)}: " if len(self.rows) > 1 else ""
@@ -249,7 +258,7 @@ class ResultPages:
         The films, in the order of `numbers`; None for tracks that another program made.
     name : str
         Of the dataset or the table.
-    notes : sequence of str
+    notes : sequence of Note
         Assumptions and conversions.
     command : str
         The command that made the pages.
@@ -259,7 +268,7 @@ class ResultPages:
     numbers: Sequence[int]
     source: RecordingSource | None
     name: str
-    notes: Sequence[str]
+    notes: Sequence[Note]
     command: str
 
     @property
@@ -309,7 +318,7 @@ class ResultPages:
                 [Section("", [table])],
                 self.command,
                 [f"{len(estimates)} rows of estimates from {len(self.numbers)} clips: {counts}."],
-                [*warnings(estimates), *self.notes],
+                [*map(str, list_messages(estimates)), *map(str, self.notes)],
             )
 
     def _folder(self, index: int) -> Path:

@@ -107,7 +107,7 @@ def quantity_bounds(matched: MatchedDetections, cov: Floats, tied: Floats, camer
 
 
 def _tracks_at_bound(matched: MatchedDetections, cov: Floats, camera: Camera) -> list[BallTrack]:
-    """Both balls' true to_ball_tracks with the errors of the localisation bound; px to m at each position."""
+    """Both balls' true tracks with the errors of the localisation bound; px to m at each position."""
     rows = matched.truth.iloc[matched.pairs[:, 0]]
     _, slope = camera.unproject(rows[["x_mean_px", "y_mean_px"]].to_numpy(float))
     found, fixed = matched.found.iloc[matched.pairs[:, 1]], np.zeros_like(cov)

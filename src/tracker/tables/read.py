@@ -18,6 +18,7 @@ from tracker.camera.camera import Camera
 from tracker.camera.camera_json import read_keys
 from tracker.camera.camera_keys import did_you_mean, format_value
 from tracker.detection.link import Tracks
+from tracker.notes import Note, NoteKind, note_all
 from tracker.tables import formats as format_files
 from tracker.tables.content import Content
 from tracker.tables.rows import NEEDED, check_columns, split_tracks, to_numbers
@@ -38,7 +39,7 @@ class ClipTracks:
 
     clips: dict[int, tuple[Tracks, str | None]]
     camera: Camera
-    notes: tuple[str, ...] = ()
+    notes: tuple[Note, ...] = ()
 
 
 def formats() -> dict[str, Any]:
@@ -123,7 +124,7 @@ def _pick_columns(content: Content, columns: str) -> TrackTable:
 
 def to_pixels(table: TrackTable, name: str, camera: GivenCamera, unit: str = "", where: str = "") -> ClipTracks:
     """Tracks, px, of a table in whatever unit. where: what messages call it; name: what notes do."""
-    where, notes = where or name, []
+    where, notes = where or name, list[str]()
     given = unit_of(unit, "--unit") if unit else table.unit
     used = given or ("m" if table.up else "px")
     if table.format:
@@ -142,7 +143,7 @@ def to_pixels(table: TrackTable, name: str, camera: GivenCamera, unit: str = "",
     clips = split_tracks(rows, where, metric or up)
     if up:
         clips = {number: (_project(tracks, known), striker) for number, (tracks, striker) in clips.items()}
-    return ClipTracks(clips, known, tuple(notes))
+    return ClipTracks(clips, known, tuple(note_all(NoteKind.TABLE, notes)))
 
 
 def _camera(given: GivenCamera, metres: TrackTable | None, where: str) -> Camera:

@@ -63,7 +63,7 @@ def test_leaderboard_and_page(report):
 def test_the_same_call_does_nothing_twice(report, monkeypatch):
     folder, entries = report
     monkeypatch.setattr(module, "make_entry", lambda *words: pytest.fail("scored again"))
-    monkeypatch.setattr("tracker.pipeline._one", lambda *words: pytest.fail("tracked again"))
+    monkeypatch.setattr("tracker.pipeline._track_clip", lambda *words: pytest.fail("tracked again"))
     assert run_contest(suite(), folder)[0] == entries
 
 

@@ -15,7 +15,8 @@ import tifffile
 from tracker_film import CAMERA, write_clip
 
 from synthcam_shared.errors import InputError
-from tracker.camera.recordings import UNSCALED, open_frames, open_source
+from tracker.camera.recordings import open_frames, open_source
+from tracker.notes import NO_CAMERA_FILE
 
 RNG = np.random.default_rng(0)
 MOVIE = RNG.integers(0, 255, (6, 48, 64), dtype=np.uint8)
@@ -167,7 +168,7 @@ def test_no_camera_file_is_said(tmp_path):
     tifffile.imwrite(path, MOVIE, imagej=True)
     clip = open_source(path).open_clip(0)
     assert not clip.camera.metric
-    assert clip.notes == (UNSCALED,)
+    assert clip.notes == (NO_CAMERA_FILE,)
     (tmp_path / "camera.json").write_text(json.dumps(SMALL))
     assert open_source(path).open_clip(0).camera.metric  # one beside it is taken
     other = tmp_path / "other.json"
@@ -182,7 +183,7 @@ def test_gamma_makes_counts_linear_in_light(tmp_path):
     clip = open_source(tmp_path).open_clip(0)
     assert [frame[0, 0] / 65535 for frame in clip.frames] == pytest.approx([0, 0.25, 0.5, 1], abs=0.005)
     assert clip.camera.sensor.bits == 16
-    assert "linear in light" in clip.notes[-1]
+    assert "linear in light" in str(clip.notes[-1])
 
 
 def test_bad_sources(tmp_path):
@@ -268,8 +269,8 @@ def test_pictures_larger_than_the_memory_are_one_line(tmp_path):
         shutil.copy(tmp_path / name / "0.png", tmp_path / name / "1.png")
         bomb(tmp_path / f"{name}.tif", side)
     script = (
-        "import resource, sys\n"
-        "from tracker.pipeline import _one\n"
+        "import resource, sys\nfrom pathlib import Path\n"
+        "from tracker.pipeline import _track_clip\n"
         "from synthcam_shared.errors import InputError\n"
         "from tracker.camera.recordings import open_source\n"
         "import tracker.detection.detectors.maximum_likelihood\n"
@@ -278,7 +279,7 @@ def test_pictures_larger_than_the_memory_are_one_line(tmp_path):
         "resource.setrlimit(resource.RLIMIT_DATA, (limit, limit))\n"
         "for place in sys.argv[1:]:\n"
         "    try:\n"
-        "        _one(open_source(place), 0, None, 'centroid')\n"
+        "        _track_clip(open_source(place), 0, Path('out'), 'centroid')\n"
         "    except InputError as error:\n"
         "        print(error)\n"
     )

@@ -1,13 +1,12 @@
-"""Whether the data accept a fit: p-values, values impossible for steel balls, and warnings of both."""
+"""Whether the data accept a fit: p-values, and values that no two balls can have."""
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Iterator
+from dataclasses import dataclass
+from enum import StrEnum
 from typing import Any
 
 import numpy as np
-import pandas as pd
 from scipy.special import chdtrc, fdtrc
 
 from tracker.measurement.collision.derived import QUANTITY_NAMES, DerivedValues
@@ -16,30 +15,49 @@ from tracker.measurement.noise.position_noise import ScatterRatio
 
 MISFIT = "misfit"
 MEASURED = ("ok", MISFIT)  # statuses of a collision that has values
-LEVEL = 1e-6  # of a p-value under which a fit is rejected: one clip in a million that the model describes
-BEYOND = 3.0  # of its own errors by which a quantity must pass a limit to be questioned
-POSSIBLE = {  # least and most, with the flags; C of 5/7: surfaces that spring back without loss
-    "r": ((0.0, "r under 0"), (1.0, "r over 1")),
-    "C": ((0.0, "C under 0"), (5 / 7, "C over 5/7")),
-    "mu_k": ((0.0, "mu_k under 0"), (1.5, "mu_k over 1.5")),
-    "v0": ((0.0, "v0 under 0"), (20.0, "v0 over 20 m/s")),
-}
-APART = 0.03  # of a diameter, by which balls may seem to touch at another distance than that
-CAUSES = (
-    "the tracks reject two equal balls that roll, collide and slide: check mass and size of both, spin or sliding of "
-    "the striker, scale, exposure, other forces; values are for looking at and have no errors"
+LEVEL = 1e-6  # p-value below which a fit is rejected: one clip in a million that the model describes
+
+
+class Flag(StrEnum):
+    """What is unusual about a collision, as the column `flags` of estimates.parquet spells it."""
+
+    R_UNDER_0 = "r under 0"
+    R_OVER_1 = "r over 1"
+    C_UNDER_0 = "C under 0"
+    C_OVER_5_7 = "C over 5/7"
+    MU_K_UNDER_0 = "mu_k under 0"
+    MU_K_OVER_1_5 = "mu_k over 1.5"
+    V0_UNDER_0 = "v0 under 0"
+    V0_OVER_20 = "v0 over 20 m/s"
+    OVERLAP = "balls overlap"
+    NO_TOUCH = "balls do not touch"
+    STRIKER_SLIDES = "striker slides"
+    STRIKER_SPINS = "striker spins"
+    ROLLS_LATE = "rolls late"
+
+    @property
+    def is_impossible(self) -> bool:
+        """Whether no two balls can collide so, whatever their material: such a collision is a misfit."""
+        return self in (Flag.R_UNDER_0, Flag.R_OVER_1, Flag.C_UNDER_0, Flag.C_OVER_5_7)
+
+
+@dataclass(frozen=True)
+class ValueRange:
+    """The values that a quantity may have, with the flags of those outside."""
+
+    quantity: str
+    low: float
+    low_flag: Flag
+    high: float
+    high_flag: Flag
+
+
+VALUE_RANGES = (
+    ValueRange("r", 0.0, Flag.R_UNDER_0, 1.0, Flag.R_OVER_1),
+    ValueRange("C", 0.0, Flag.C_UNDER_0, 5 / 7, Flag.C_OVER_5_7),  # 5/7: surfaces that spring back without loss
+    ValueRange("mu_k", 0.0, Flag.MU_K_UNDER_0, 1.5, Flag.MU_K_OVER_1_5),
+    ValueRange("v0", 0.0, Flag.V0_UNDER_0, 20.0, Flag.V0_OVER_20),  # m/s
 )
-CHECKS = "impossible for equal balls that roll: check their masses, the scale, spin or sliding of the striker"
-OVERLAP, NO_TOUCH = "balls overlap", "balls do not touch"
-ALSO = {  # flags, and what to check of them
-    "mu_k over 1.5": "more friction than any plate has: check fps, scale, and whether the balls hit anything else",
-    "v0 over 20 m/s": "faster than balls are rolled: check fps and scale",
-    OVERLAP: "their tracks come nearer than a diameter: check scale, ball_diameter and fps",
-    "striker slides": "it is fitted as sliding up to the contact, with a spin of its own (u2ix, u2iy, side2i)",
-    "striker spins": "a spin about the vertical is fitted (side2i); what else adds to the rub of the hit looks alike",
-    "rolls late": "the first positions of the striker are left out, where it does not roll",
-    NO_TOUCH: "they change direction more than a diameter apart: check scale, ball_diameter, fps; or they are smoothed",
-}
 
 
 def p_value(square: float, dof: float, known: float) -> float:
@@ -89,52 +107,45 @@ def agreement(tied: CollisionFit, free: CollisionFit, known: float) -> float:
     return float(chdtrc(more, rise) if np.isinf(known) else fdtrc(more, known, rise / more))
 
 
-def impossible_values(values: DerivedValues, stretch: float) -> str:
-    """Flags of the quantities that are impossible for two equal rolling balls, joined by "|".
+def find_impossible_values(values: DerivedValues, stretch: float, errors: float = 3.0) -> list[Flag]:
+    """Find the quantities that two equal rolling balls cannot have.
 
-    A quantity is questioned where it is beyond a limit of POSSIBLE by BEYOND of its standard errors times `stretch`, by
-    which the fit's errors are too small.
+    Parameters
+    ----------
+    values : DerivedValues
+    stretch : float
+        Factor by which the fit's standard errors are too small.
+    errors : float
+        Number of standard errors, times `stretch`, by which a value must lie outside its range.
+
+    Returns
+    -------
+    list of Flag
+        In the order of VALUE_RANGES.
     """
-    said = []
-    for name, ((low, under), (high, over)) in POSSIBLE.items():
-        value, error = (
-            values.value[QUANTITY_NAMES.index(name)],
-            BEYOND * stretch * values.std[QUANTITY_NAMES.index(name)],
-        )
-        if value - error > high:
-            said.append(over)
-        elif value + error < low:
-            said.append(under)
-    return "|".join(said)
+    flags = []
+    for limits in VALUE_RANGES:
+        index = QUANTITY_NAMES.index(limits.quantity)
+        value, margin = values.value[index], errors * stretch * values.std[index]
+        if value - margin > limits.high:
+            flags.append(limits.high_flag)
+        elif value + margin < limits.low:
+            flags.append(limits.low_flag)
+    return flags
 
 
-def contact_distance_flag(distance: float, std: float) -> str:
-    """The flag of balls that touch at `distance` diameters with standard error `std`; '' where that may be one."""
-    if abs(distance - 1) - BEYOND * std < APART:
-        return ""
-    return OVERLAP if distance < 1 else NO_TOUCH
+def flag_contact_distance(distance: float, std: float, tolerance: float = 0.03, errors: float = 3.0) -> list[Flag]:
+    """Flag balls that touch at another distance than one diameter.
 
-
-def warnings(estimates: pd.DataFrame) -> Iterator[str]:
-    """Lines for whoever reads the estimates: collisions that do not fit, values to question, errors not as claimed."""
-    if "flags" not in estimates:  # results of an older version
-        return
-    rows = estimates[estimates["status"] == MISFIT]
-    if len(rows):
-        per = (rows["chi2"] / rows["dof"]).to_numpy(float)
-        yield f"{len(rows)} misfit (chi^2/dof {np.median(per):.3g}, at most {per.max():.3g}): {CAUSES}"
-    flags = Counter(flag for row in estimates["flags"] for flag in row.split("|") if flag)
-    for name, count in sorted(flags.items()):
-        yield f"{name} ({_collisions(count)}): {ALSO.get(name, CHECKS)}"
-    ratio = estimates["noise_ratio"].dropna().to_numpy(float)
-    if len(ratio):
-        size = f"{np.median(ratio):.3g} times their claimed errors"
-        yield f"{_collisions(len(ratio))}: positions scatter about smooth motion by {size}; the fits use the scatter"
-    rho = estimates.loc[estimates["noise_rho"] > 0, "noise_rho"].to_numpy(float)
-    if len(rho):
-        size = f"correlated by {np.median(rho):.2f} from frame to frame"
-        yield f"{_collisions(len(rho))}: the errors of positions are {size}; the fits count that"
-
-
-def _collisions(count: int) -> str:
-    return f"{count} collision{'s' * (count != 1)}"
+    Parameters
+    ----------
+    distance, std : float
+        In diameters, with the standard error.
+    tolerance : float
+        Deviation that is not flagged, in diameters.
+    errors : float
+        Number of standard errors by which the deviation must exceed the tolerance.
+    """
+    if abs(distance - 1) - errors * std < tolerance:
+        return []
+    return [Flag.OVERLAP if distance < 1 else Flag.NO_TOUCH]

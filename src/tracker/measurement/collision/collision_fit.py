@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from tracker.measurement.collision.adequacy import LEVEL, agreement, impossible_values, p_value
+from tracker.measurement.collision.adequacy import LEVEL, Flag, agreement, find_impossible_values, p_value
 from tracker.measurement.collision.collision_model import AFTER, FREE, SPIN, TARGET, TIED, tied_to_free
 from tracker.measurement.collision.contacts import Contact, guess_parameters
 from tracker.measurement.collision.derived import QUANTITY_NAMES, DerivedValues, derive_from_free, derive_from_tied
@@ -35,7 +35,7 @@ class CollisionFits:
     slide_ends_seen: tuple[bool, bool]
     tied_values: DerivedValues
     free_values: DerivedValues
-    flags: tuple[str, ...] = ()
+    flags: tuple[Flag, ...] = ()
 
     @property
     def noise_dof(self) -> float:
@@ -67,10 +67,19 @@ class CollisionFits:
         """Whether the data accept the tied fit beside the free one."""
         return self.is_free_accepted and not (self.p_tied < LEVEL or self.p_agree < LEVEL)
 
+    @cached_property
+    def impossible_values(self) -> list[Flag]:
+        """Quantities of the tied fit that two balls cannot have, its errors widened where it fits badly."""
+        return find_impossible_values(self.tied_values, float(np.sqrt(max(1.0, self.tied.chi2 / self.tied.dof))))
+
     @property
-    def is_possible(self) -> bool:
-        """Whether two balls can do what the tied fit says."""
-        return not impossible_values(self.tied_values, float(np.sqrt(max(1.0, self.tied.chi2 / self.tied.dof))))
+    def is_misfit(self) -> bool:
+        """Whether the data reject the tied fit, or its values are physically impossible.
+
+        Values count only where the size of the errors is known.
+        """
+        impossible = self.noise_dof > 0 and any(flag.is_impossible for flag in self.impossible_values)
+        return not self.is_tied_accepted or impossible
 
     @property
     def is_convincing(self) -> bool:
@@ -97,7 +106,7 @@ def fit_collision(contact: Contact) -> CollisionFits | str:
         if per > least and p_value(rough.chi2, rough.dof, other.contact.pair.striker.noise_dof) < LEVEL:
             continue
         found = _fit_with_noise(other.contact, [rough.parameters])
-        if isinstance(found, str) or not (found.is_possible and is_believable(found.tied, found.free)):
+        if isinstance(found, str) or found.impossible_values or not is_believable(found.tied, found.free):
             continue
         if found.is_convincing:
             return replace(found, flags=other.flags)
@@ -167,14 +176,18 @@ def _prefer_possible(pair: BallPair, tied: CollisionFit) -> CollisionFit:
     Balls that go straight on after the hit either did all their sliding at once or never roll: the positions do not
     decide, but the first may take a restitution that cannot be.
     """
-    if not impossible_values(derive_from_tied(tied.parameters, tied.cov, pair.diameter, pair.spin), 1.0):
+    if not find_impossible_values(derive_from_tied(tied.parameters, tied.cov, pair.diameter, pair.spin), 1.0):
         return tied
     start = tied.parameters.copy()
     for r in ENDLESS:
         start[[TIED.index(name) for name in ("r", "log_mu", "C")]] = r, np.log(1e-3), 0.0
         other = fit_motion(pair, True, [start])
         values = derive_from_tied(other.parameters, other.cov, pair.diameter, pair.spin)
-        if other.dropped <= tied.dropped and other.chi2 < tied.chi2 + AS_GOOD and not impossible_values(values, 1.0):
+        if (
+            other.dropped <= tied.dropped
+            and other.chi2 < tied.chi2 + AS_GOOD
+            and not find_impossible_values(values, 1.0)
+        ):
             return other
     return tied
 

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from tracker.measurement.collision.adequacy import Flag
 from tracker.measurement.collision.collision_model import FREE, GRAVITY, SLIDING, SPIN, TIED
 from tracker.measurement.collision.least_squares import BallPair, CollisionFit
 from tracker.measurement.noise.position_noise import WINDOW, find_bent_windows
@@ -27,14 +28,13 @@ FEWEST = 5  # positions before the contact
 SLIPS, TRANSFERS = (0.15, 0.5), (0.05, 0.3)  # slip over speed at contact, and C, from which a fit starts
 SEEN = 5.0  # standard errors by which the approach must be seen to slow down
 MOST_SPIN = 1.25  # R w over v of a ball struck half a radius off its centre, where a cue slips off: 5/2 times 1/2
-SLIDES, SPINS, LATE = "striker slides", "striker spins", "rolls late"
 
 
 @dataclass(frozen=True)
 class StrikerHypothesis:
     """A way in which ball 2 may come: flags that say so, what is fitted then, and starts (16,)."""
 
-    flags: tuple[str, ...]
+    flags: tuple[Flag, ...]
     contact: Contact
     starts: list[Floats]
 
@@ -53,11 +53,16 @@ def alternative_strikers(contact: Contact, rolling: Floats) -> Iterator[StrikerH
     Striker
     """
     late = list(_without_first_positions(contact))
-    yield from (StrikerHypothesis((LATE,), one, [rolling]) for one in late)
+    yield from (StrikerHypothesis((Flag.ROLLS_LATE,), one, [rolling]) for one in late)
     spun = _with_spin(contact, ("side",))
-    yield StrikerHypothesis((SPINS,), spun, [rolling])
-    yield from (StrikerHypothesis((LATE, SPINS), _with_spin(one, ("side",)), [rolling]) for one in late)
-    for one, flags in ((contact, (SLIDES,)), *((one, (LATE, SLIDES)) for one in late)):
+    yield StrikerHypothesis((Flag.STRIKER_SPINS,), spun, [rolling])
+    yield from (
+        StrikerHypothesis((Flag.ROLLS_LATE, Flag.STRIKER_SPINS), _with_spin(one, ("side",)), [rolling]) for one in late
+    )
+    for one, flags in (
+        (contact, (Flag.STRIKER_SLIDES,)),
+        *((one, (Flag.ROLLS_LATE, Flag.STRIKER_SLIDES)) for one in late),
+    ):
         starts = _sliding_starts(one.pair, rolling)
         if starts:
             yield StrikerHypothesis(flags, _with_spin(one, SPIN), starts)

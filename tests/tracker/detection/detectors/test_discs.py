@@ -122,4 +122,6 @@ def test_what_one_detector_misses_is_left_to_the_other(monkeypatch):
     pictures = film(np.random.default_rng(8), collision(), 25.0, 0.3, np.full(SIZE, 150.0))
     result = tracker.track(pictures, CAMERA)
     assert result.tracks.groupby("particle").size().tolist() == [60, 60]
-    assert any(note.startswith("detector: discs, for maximum_likelihood finds nothing (") for note in result.notes)
+    assert any(
+        note.startswith("detector: discs, for maximum_likelihood finds nothing (") for note in map(str, result.notes)
+    )

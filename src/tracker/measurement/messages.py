@@ -1,0 +1,90 @@
+"""Messages about the collisions of a run: misfits, flags, and errors that differ from the claimed ones."""
+
+from __future__ import annotations
+
+from collections import Counter
+
+import numpy as np
+import pandas as pd
+
+from tracker.measurement.collision.adequacy import LEVEL, MEASURED, MISFIT, Flag
+from tracker.notes import Note, NoteKind
+
+_IMPOSSIBLE = (
+    "no two equal balls collide so; such a collision is a misfit where it passes the limit by more than 3 errors. "
+    "Check the scale, the masses of the balls, and whether the striker slides or spins"
+)
+_EXPLANATIONS: dict[str, str] = {  # of a flag: what it means, and what to check
+    Flag.R_UNDER_0: _IMPOSSIBLE,
+    Flag.R_OVER_1: _IMPOSSIBLE,
+    Flag.C_UNDER_0: _IMPOSSIBLE,
+    Flag.C_OVER_5_7: _IMPOSSIBLE,
+    Flag.MU_K_UNDER_0: "friction cannot be negative; check the scale and fps",
+    Flag.MU_K_OVER_1_5: "no plate has so much friction; check fps, the scale, and whether the balls hit anything else",
+    Flag.V0_UNDER_0: "a speed cannot be negative; check the tracks",
+    Flag.V0_OVER_20: "balls do not roll so fast; check fps and the scale",
+    Flag.OVERLAP: "the tracks come nearer than one diameter; check the scale, ball_diameter and fps",
+    Flag.NO_TOUCH: "the balls change direction more than one diameter apart; check the scale, ball_diameter and fps, "
+    "and whether the tracks are smoothed",
+    Flag.STRIKER_SLIDES: "the fit lets the striker slide up to the contact, with a spin of its own (u2ix, u2iy, "
+    "side2i)",
+    Flag.STRIKER_SPINS: "the fit lets the striker spin about the vertical (side2i); anything else that adds to the "
+    "friction of the hit has the same effect",
+    Flag.ROLLS_LATE: "the fit leaves out the first positions of the striker, where it does not roll",
+}
+
+
+def list_messages(estimates: pd.DataFrame, results: str = "RESULTS") -> list[Note]:
+    """List what the reader of the estimates has to know.
+
+    Parameters
+    ----------
+    estimates : DataFrame
+        With the columns of estimates.parquet.
+    results : str
+        The folder that the messages name.
+
+    Returns
+    -------
+    list of Note
+        Misfits first, then flags, then errors of the positions that differ from the claimed ones.
+    """
+    if "flags" not in estimates:  # results of an older version
+        return []
+    notes = []
+    p_values = estimates[["adequate", "adequate_free", "agree"]].min(axis=1)
+    rejected = estimates[(estimates["status"] == MISFIT) & (p_values < LEVEL)]
+    if len(rejected):
+        measured = int(estimates["status"].isin(MEASURED).sum())
+        median = float((rejected["chi2"] / rejected["dof"]).median())
+        text = (
+            f"{len(rejected)} of {_count(measured)} {'do' if len(rejected) != 1 else 'does'} not fit the model"
+            f" (median chi2/dof {median:.3g}).\n"
+            "  Likely causes, the most frequent first: compression of the video, bodies that do not roll, a wrong"
+            " scale, a tilted plate, unequal balls, a striker that slides or spins.\n"
+            "  Their values are indicative and carry no errors."
+            f" To find the cause: discrepancy find {results} --model MODEL"
+        )
+        notes.append(Note(NoteKind.MISFIT, text))
+    flags = Counter(flag for row in estimates["flags"] for flag in row.split("|") if flag)
+    for name, count in sorted(flags.items()):
+        notes.append(Note(NoteKind.FLAG, f"{name} ({_count(count)}): {_EXPLANATIONS.get(name, '')}"))
+    ratio = estimates["noise_ratio"].dropna().to_numpy(float)
+    if len(ratio):
+        text = (
+            f"{_count(len(ratio))}: positions scatter about smooth motion by {np.median(ratio):.3g} times their"
+            " claimed errors; the fits use the scatter"
+        )
+        notes.append(Note(NoteKind.NOISE, text))
+    rho = estimates.loc[estimates["noise_rho"] > 0, "noise_rho"].to_numpy(float)
+    if len(rho):
+        text = (
+            f"{_count(len(rho))}: the errors of neighbouring frames are correlated by {np.median(rho):.2f};"
+            " the fits account for that"
+        )
+        notes.append(Note(NoteKind.NOISE, text))
+    return notes
+
+
+def _count(number: int) -> str:
+    return f"{number} collision{'s' * (number != 1)}"
