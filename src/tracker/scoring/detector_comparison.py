@@ -99,6 +99,8 @@ def _track_and_score(dataset: Path, name: str, report: Path, progress: Progress)
 def make_tables(detectors: dict[str, Any]) -> list[PageTable]:
     """Make the tables of positions and speed, of tracks, and of the errors of quantities."""
     columns = ("n", "missed", "false", "rmse_px", "bound_px", "ratio", "phase_bias_px")
+    heads = ["detector", "balls found", "missed", "false", "rmse / px", "bound / px", "rmse / bound", "phase bias / px"]
+    heads.append("ms per frame")
     positions = []
     for name, d in detectors.items():
         where = d["localisation"]
@@ -113,11 +115,10 @@ def make_tables(detectors: dict[str, Any]) -> list[PageTable]:
     for name, d in detectors.items():
         found = [d["quantities"].get(k, {}) for k in names]
         quantities.append([name, *(f"{format_number(q.get('rmse'))} ({q.get('n', 0)})" for q in found)])
-    bound = "Errors of x and y. Bound: Cramér-Rao bound; ratio: rmse over bound, with its sampling error in brackets. "
-    bound += "ms: processing time per frame."
+    bound = "Errors of x and y. Bound: Cramér-Rao bound. The ratio has its sampling error in brackets."
     tied = "Root mean square error in SI units, and in brackets the number of clips."
     return [
-        PageTable(["detector", *columns, "ms"], positions, "Positions", bound),
+        PageTable(heads, positions, "Positions", bound),
         PageTable(["detector", *measures], tracks, "Tracks, gate 5 px"),
         PageTable(["detector", *names], quantities, "Quantities, tied fit", tied),
     ]

@@ -26,6 +26,7 @@ from tracker.report.estimates_text import METHODS
 from tracker.report.pages import CAPTIONS
 from tracker.report.quantities import QUANTITIES
 from tracker.results import read_clip
+from tracker.scoring.external_tables import MEASURES
 from tracker.scoring.figures import error_bars_figure, residual_figure
 from tracker.scoring.score import DetectorScore
 
@@ -36,10 +37,11 @@ FIGURES = {
         "A frame just after the contact, with its detections. The glint is not at the centre of the ball: lamp, camera "
         "and position decide where it is. The measured centre is corrected for that.",
     ),
-    "tracks": ("Tracks of both balls", f"{CAPTIONS['tracks']} (Figure 2 of the paper.)"),
+    "tracks": ("Tracks of both balls", f"{CAPTIONS['tracks']} (As figure 2 of Painter & Behringer, 2000.)"),
     "separation": (
         "Separation of the balls",
-        f"{CAPTIONS['separation']} Dotted: the contact, and the ends of both slides. (Figure 3 of the paper.)",
+        f"{CAPTIONS['separation']} Dotted: the contact, and the ends of both slides. (As figure 3 of Painter & "
+        "Behringer, 2000.)",
     ),
     "energy": ("Translational energy", CAPTIONS["energy"]),
     "tied": (
@@ -59,8 +61,8 @@ FIGURES = {
     ),
     "paper": (
         "Errors of finite differences",
-        "Finite differences of the paper at the frame of least separation. Restitution is too low, most for slow "
-        "balls, because sliding has already changed the velocities in that frame.",
+        "Finite differences at the frame of least separation, as in Painter & Behringer (2000). Restitution is too "
+        "low, most for slow balls, because sliding has already changed the velocities in that frame.",
     ),
 }
 
@@ -163,7 +165,12 @@ def make_position_tables(score: DetectorScore) -> list[PageTable]:
     values["ratio"] = format_with_error(where["ratio"], where["ratio"] / np.sqrt(4 * max(where["n"], 1)))
     return [
         PageTable(heads, [list(values.values())], "Positions", note),
-        PageTable(list(score.tracking), [[format_number(v, 5) for v in score.tracking.values()]], "Tracks, gate 5 px"),
+        PageTable(
+            list(score.tracking),
+            [[format_number(value, 5) for value in score.tracking.values()]],
+            "Tracks, gate 5 px",
+            "; ".join(f"{name}: {meaning}" for name, meaning in MEASURES.items()) + ".",
+        ),
     ]
 
 

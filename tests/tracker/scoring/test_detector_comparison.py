@@ -57,7 +57,7 @@ def test_every_detector_has_its_scores_and_its_time(filmed, compared):
 
 def test_the_page_shows_every_detector_and_asks_for_nothing(compared):
     page = (compared[0] / "index.html").read_text()
-    for word in ("maximum_likelihood", "centroid", "rmse_px", "hota", "mu_k"):
+    for word in ("maximum_likelihood", "centroid", "rmse / px", "hota", "mu_k"):
         assert word in page
     assert "http" not in page
     for table in make_tables(compared[1]["detectors"]):
