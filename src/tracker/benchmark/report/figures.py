@@ -222,7 +222,8 @@ def defects_figure(entries: Entries, names: Sequence[str], kind: str) -> Figure 
                 if value is None:  # with this defect no collision gives the quantity
                     panel.text(0.0115, place, "no result", color=colours[defect], fontsize=7, va="center_baseline")
         panel.set_xscale("log")
-        panel.set_xlim(0.01, None)
+        panel.set_xlim(0.01, max(1.5, 1.3 * panel.get_xlim()[1]))
+        panel.set_xticks([], minor=True)  # over less than a decade their labels would overlap
         panel.axvline(1.0, color="0.3", lw=0.8, ls=":")
         panel.set_title(QUANTITIES[name].formula, fontsize=10)
         panel.set_xlabel("shift, error bars of one collision", fontsize=8)

@@ -97,8 +97,9 @@ def _headline(entries: Entries, definition: SuiteDefinition) -> list[Block]:
     caption = (
         "Rmse of the centre of a ball over the Cramér-Rao bound: 1 is the limit. Green is good, dark red is 30 times "
         "the limit. Grey: less than half of the balls are found, or more detections than balls are made. A "
-        "percentage is the share of balls found, where it is below 99 %. Matte balls: rmse in px. Score: 100 means "
-        "that every ball is found, nothing else is, and the errors are at the limit."
+        "percentage is the share of balls found, where it is below 99 %. The sampling error of a ratio is about "
+        "1/√(4n) of it for n positions; values slightly below 1 agree with the limit. Matte balls: rmse in px. "
+        "Score: 100 means that every ball is found, nothing else is, and the errors are at the limit."
     )
     heads = [
         "tracker",
