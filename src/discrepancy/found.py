@@ -144,17 +144,17 @@ class SearchResult:
     def slow_noise(self) -> str:
         """A sentence where much of what is taken for noise is slow, else nothing."""
         noise = self.data.noise
-        if noise.over_phases:
+        if noise.whole_phase_scale:
             return (
                 f" Noise is {noise.scale:.3g} times what the tracks claim within "
-                f"{current_policy().min_short_stretch_positions} positions; "
-                f"over whole phases of motion it would be {noise.over_phases:.3g} times, which is missing physics."
+                f"{current_policy().min_short_stretch_positions} positions; over whole phases of motion it would be "
+                f"{noise.whole_phase_scale:.3g} times, which is missing physics."
             )
-        if not noise.slow:
+        if not noise.is_slow:
             return ""
         return (
-            f" Noise is {noise.scale:.3g} times what the tracks claim, {noise.quick:.3g} times of it new from frame to "
-            "frame: what lasts may be missing physics."
+            f" Noise is {noise.scale:.3g} times what the tracks claim, {noise.innovation_scale:.3g} times of it new "
+            "from frame to frame: what lasts may be missing physics."
         )
 
     def _cut_short(self, tried: InterruptedSearch) -> str:
@@ -235,9 +235,9 @@ class SearchResult:
             "gap": as_dict(self.shown.gap) | {"by_claim": {c.name: c.gap() for c in self.claims}},
             "experiment": self.experiment,
             "cut_short": None if self.so_far is None else vars(self.so_far) | {"effects": list(self.so_far.effects)},
-            "noise": {"scale": noise.scale, "quick": noise.quick, "correlation": noise.correlation}
-            | {"shake": noise.common_mode}
-            | ({"over_phases": noise.over_phases} if noise.over_phases else {}),
+            "noise": {"scale": noise.scale, "quick": noise.innovation_scale, "correlation": noise.correlation}
+            | {"shake": noise.common_mode_rms}
+            | ({"over_phases": noise.whole_phase_scale} if noise.whole_phase_scale else {}),
             "clips": {"fitted": len(data.clips), "kept_out": len(data.kept_out), "left_out": list(data.left_out)},
         }
 

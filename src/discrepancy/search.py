@@ -146,7 +146,7 @@ def read(clips: Sequence[MeasuredCollision], model: Model, progress: Progress) -
     progress("noise")
     usual = remove_outliers(clips)
     some, kept_out = split_held_out(usual)
-    if estimate_noise(some).smoothed:
+    if estimate_noise(some).is_smoothed:
         return _beyond_reach(usual, describe_removed_points(clips, usual))
     some, kept_out = remove_outliers_beside_model(some, kept_out, model, progress)
     noise = estimate_noise(some)

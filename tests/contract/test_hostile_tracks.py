@@ -82,8 +82,8 @@ def test_a_step_that_fails_is_a_failed_step(monkeypatch, error):
     fit = minimise_chi2(WhitenedClips.of(CLIPS, NOISE), START)
     assert calls > 1
     assert fit.chi2 <= START.chi2
-    there = dataclasses.replace(START.tangent, launches=START.launches + 1e-9)  # derivatives of somewhere near
-    elsewhere = dataclasses.replace(START, tangent=there)
+    there = dataclasses.replace(START.linearisation, launches=START.launches + 1e-9)  # derivatives of somewhere near
+    elsewhere = dataclasses.replace(START, linearisation=there)
     for broken in ("discrepancy.fitting.gauss_newton.linearise", "discrepancy.fitting.gauss_newton._step"):
         with monkeypatch.context() as patch:
             patch.setattr(broken, lambda *_, **__: (_ for _ in ()).throw(error("no motion")))
@@ -92,7 +92,7 @@ def test_a_step_that_fails_is_a_failed_step(monkeypatch, error):
 
 def test_what_tracks_do_not_show_of_a_launch_stays():
     """A singular matrix of one clip."""
-    tangent = dataclasses.replace(START.tangent, launch_slopes=tuple(0 * a for a in START.launch_slopes))
-    flat = dataclasses.replace(START, tangent=tangent)
+    linearisation = dataclasses.replace(START.linearisation, launch_slopes=tuple(0 * a for a in START.launch_slopes))
+    flat = dataclasses.replace(START, linearisation=linearisation)
     assert np.isfinite(minimise_chi2(WhitenedClips.of(CLIPS, NOISE), flat, rough=True).chi2)
     assert fit_model(CLIPS, Model(), BASE_PARAMETERS, NOISE).chi2 < START.chi2

@@ -175,7 +175,9 @@ def test_the_camera_is_doubted_when_most_collisions_are_left_out(recorded, tmp_p
 
 def test_the_bar_goes_through_the_stages_and_back(monkeypatch):
     screen = io.StringIO()
-    monkeypatch.setattr(cli, "Console", functools.partial(Console, file=screen, force_terminal=True, width=80))
+    monkeypatch.setattr(
+        cli, "Console", functools.partial_autocorrelations(Console, file=screen, force_terminal=True, width=80)
+    )
     for told, shown in (
         (("noise", "fit", "free laws", "search", "free laws"), r"free laws .* 3/7 "),
         (("noise", "fit", "fit", "search", "fit"), r"fit, round 2 .* 1/7 "),

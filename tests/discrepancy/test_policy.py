@@ -161,12 +161,12 @@ def test_noise_is_shared_beyond_four_sigma(monkeypatch, sigma, shared):
 
 def read_again(monkeypatch, gain, worse, sigma=0.0, explained=True):
     """The noise of residuals that prefer another by `gain`, where the phases make that one worse."""
-    left = Made(clips=[Made(claimed=lambda: np.ones(3))], common_mode_score=lambda noise: (sigma, 0.9))
+    left = Made(clips=[Made(claimed_std=lambda: np.ones(3))], common_mode_score=lambda noise: (sigma, 0.9))
     left.cost = lambda noise: gain * (noise == NOISE)
     left.best = lambda start: (0.0, dataclasses.replace(start, own=NoiseComponent(2.0)))
     within = Made(pairs=[None], own=lambda: NoiseComponent(1.0), cost=lambda noise: worse * (noise != NOISE))
     monkeypatch.setattr(noise_refit._Residuals, "of", lambda *_: left)
-    monkeypatch.setattr(noise_refit, "Pairs", lambda pairs: within)
+    monkeypatch.setattr(noise_refit, "BallPairs", lambda pairs: within)
     return noise_refit.refit_noise((), None, NOISE, explained)
 
 
@@ -228,8 +228,8 @@ def flat(chi2, pulls=None, points=200):
     left = tuple(np.sqrt(c * points) * noise + p * shared[:, 0] for c, p in zip(chi2, pulls, strict=True))
     every = len(chi2)
     launches = np.zeros((every, 6))
-    tangent = Linearisation(Model(), names, launches, (shared[:, : len(names)],) * every, (own,) * every)
-    return ModelFit(Model(), names, launches, left, tangent)
+    linearisation = Linearisation(Model(), names, launches, (shared[:, : len(names)],) * every, (own,) * every)
+    return ModelFit(Model(), names, launches, left, linearisation)
 
 
 def numbered(count):
@@ -456,7 +456,7 @@ def test_noise_over_phases_is_held_against_that_of_short_pieces(monkeypatch, tim
     sway = sways * np.sin(np.arange(40) / 4)[:, None]
     stretches = [(rng.standard_normal((40, 2)) + sway, np.ones(40), np.arange(40)) for _ in range(30)]
     over_phases = Noise(NoiseComponent(times**2, (0.99,)))
-    assert noise._exclude_motion(over_phases, stretches).over_phases == read
+    assert noise._exclude_motion(over_phases, stretches).whole_phase_scale == read
 
 
 @pytest.mark.parametrize(("times", "kept"), [(1.5, True), (2.2, False)])

@@ -447,7 +447,7 @@ def test_noise_that_motion_fills_is_read_from_short_pieces_and_it_is_said(monkey
     rng, clips = np.random.default_rng(5), []
     for clip in collisions(Model(), 8, 3):
         sway = 300 * STD * np.sin(clip.frame / 20 + rng.uniform(0, 2 * np.pi))[:, None] * rng.standard_normal(2)
-        clips.append(dataclasses.replace(clip, xy=clip.xy + sway, ends=clip.ends + 0.1))
+        clips.append(dataclasses.replace(clip, xy=clip.xy + sway, slide_ends=clip.slide_ends + 0.1))
     found = find(clips, Model())
     assert found.verdict == "inadequate"
     noise = found.document()["noise"]

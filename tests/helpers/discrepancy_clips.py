@@ -113,7 +113,7 @@ def noisy(clips, seed, rho=0.0):
         off = np.concatenate([off, 1e-3 * (clip.launch[6:] != 0)])
         late = 1e-3 * rng.standard_normal(2)
         xy = clip.xy + noise_of_pair(rng, rho, len(clip.frame) // 2)
-        out.append(dataclasses.replace(clip, xy=xy, launch=clip.launch + off, ends=clip.ends + late))
+        out.append(dataclasses.replace(clip, xy=xy, launch=clip.launch + off, slide_ends=clip.slide_ends + late))
     return out
 
 

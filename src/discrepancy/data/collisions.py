@@ -49,11 +49,11 @@ class MeasuredCollision:
         As claimed, m^2.
     launch : (6,) or (9,) array
         A first guess, columns as in `discrepancy.data.launch`.
-    ends : (2,) array
+    slide_ends : (2,) array
         When each ball is thought to stop sliding, s.
     offset : float
         Error of the target's place while it rests, alike in all frames and beside the covariance, each axis, m.
-    moved : float
+    max_shift_frames : float
         Frames by which places were moved to an even rate at most; 0 where times are even.
     """
 
@@ -65,9 +65,9 @@ class MeasuredCollision:
     xy: Array
     covariance: Array
     launch: Array
-    ends: Array
+    slide_ends: Array
     offset: float = 0.0
-    moved: float = 0.0
+    max_shift_frames: float = 0.0
 
     @property
     def fps(self) -> float:
@@ -77,34 +77,34 @@ class MeasuredCollision:
     def exposure(self) -> float:
         return self.camera.exposure
 
-    def of(self, rows: Ints) -> MeasuredCollision:
+    def select(self, rows: Ints) -> MeasuredCollision:
         """Some of its rows."""
         some = {name: getattr(self, name)[rows] for name in ("frame", "ball", "xy", "covariance")}
         return replace(self, **some)
 
-    def phase(self) -> Ints:
+    def phases(self) -> Ints:
         """0 before the contact, 1 sliding, 2 rolling, -1 in an exposure that holds an event: (n,)."""
         opens = self.frame / self.fps
         closes = opens + self.exposure
-        end = self.ends[self.ball]
+        end = self.slide_ends[self.ball]
         out = np.full(len(self.frame), -1)
         out[closes <= self.launch[T_C]] = 0
         out[(opens >= self.launch[T_C]) & (closes <= end)] = 1
         out[(opens >= self.launch[T_C]) & (opens >= end)] = 2
         return out
 
-    def stretches(self) -> Iterator[tuple[Array, Array, Ints]]:
+    def smooth_stretches(self) -> Iterator[tuple[Array, Array, Ints]]:
         """Stretches of one ball in one phase: places (n, 2), claimed standard deviations (n,), m, and frames (n,)."""
-        phase, claimed = self.phase(), self.claimed()
+        phase, claimed = self.phases(), self.claimed_std()
         for p in range(3):
             for b in range(2):
                 rows = np.flatnonzero((phase == p) & (self.ball == b))
                 for kept in _split_at_gaps(rows, self.frame[rows]):
                     yield self.xy[kept], claimed[kept], self.frame[kept]
 
-    def together(self) -> Iterator[tuple[Array, Array, Array, Array, Ints]]:
+    def paired_stretches(self) -> Iterator[tuple[Array, Array, Array, Array, Ints]]:
         """Of both balls, each in one phase: places (n, 2) and (n, 2), claimed (n,) and (n,), m, and frames (n,)."""
-        phase, claimed = self.phase(), self.claimed()
+        phase, claimed = self.phases(), self.claimed_std()
         split = int(np.sum(self.ball == 0))
         frame, one, two = np.intersect1d(self.frame[:split], self.frame[split:], return_indices=True)
         two = two + split
@@ -115,7 +115,7 @@ class MeasuredCollision:
                     i, j = one[kept], two[kept]
                     yield self.xy[i], self.xy[j], claimed[i], claimed[j], frame[kept]
 
-    def claimed(self) -> Array:
+    def claimed_std(self) -> Array:
         """Standard deviation of each row that the tracks claim, (n,), m: rms of the axes."""
         return np.asarray(np.sqrt(np.trace(self.covariance, axis1=1, axis2=2) / 2))
 
@@ -127,7 +127,7 @@ class MeasuredCollision:
     @cached_property
     def resting_offset(self) -> Array:
         """The offset of the target where it rests, in claimed standard deviations, and zero elsewhere: (n,)."""
-        return np.where((self.ball == 0) & (self.phase() == 0), self.offset / self.claimed(), 0.0)
+        return np.where((self.ball == 0) & (self.phases() == 0), self.offset / self.claimed_std(), 0.0)
 
 
 def _split_at_gaps(rows: Ints, frame: Ints) -> Iterator[Ints]:
@@ -278,7 +278,7 @@ def build_collision(tracks: Tracks, row: Mapping[Any, Any], camera: Camera) -> M
     tracks = replace(tracks, time=tracks.time - start)
     if (moved := measure_unevenness(tracks, camera)) > current_policy().max_uneven_frames:
         balls = [np.flatnonzero(tracks.particle == name) for name in hit.names]
-        tracks = move_to_even_times(tracks, balls, hit.t_c, hit.ends, camera)
+        tracks = move_to_even_times(tracks, balls, hit.t_c, hit.slide_ends, camera)
     pair = [tracks.particle == name for name in hit.names]
     early = tracks.frame / camera.fps + camera.exposure <= hit.t_c
     rows = np.concatenate([np.flatnonzero(ball) for ball in pair])
@@ -304,9 +304,9 @@ def build_collision(tracks: Tracks, row: Mapping[Any, Any], camera: Camera) -> M
         xy=xy,
         covariance=covariance,
         launch=launch,
-        ends=hit.ends,
+        slide_ends=hit.slide_ends,
         offset=float(np.sqrt(np.trace(fixed[resting], axis1=1, axis2=2).mean() / 2)) if resting.any() else 0.0,
-        moved=moved if moved > current_policy().max_uneven_frames else 0.0,
+        max_shift_frames=moved if moved > current_policy().max_uneven_frames else 0.0,
     )
 
 

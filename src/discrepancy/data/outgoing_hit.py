@@ -28,7 +28,7 @@ class HitGuess:
         The particles of the ball that was struck and of the striker.
     t_c, v0, b : float
         s, m/s, and the impact parameter over the diameter.
-    ends : (2,) array
+    slide_ends : (2,) array
         When the struck ball and the striker stop sliding, s.
     launch : (9,) array, optional
         Of a striker that rolls, columns as in `discrepancy.data.launch`; where it is known without its approach.
@@ -38,7 +38,7 @@ class HitGuess:
     t_c: float
     v0: float
     b: float
-    ends: Array
+    slide_ends: Array
     launch: Array | None = None
 
 

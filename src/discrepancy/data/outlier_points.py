@@ -46,7 +46,9 @@ def remove_outliers(
                 for k in rows
                 if own[int(c.frame[k])] > 1 or often[int(c.frame[k])] >= current_policy().same_frame_clips
             }
-    return [c.of(np.delete(np.arange(len(c.frame)), sorted(r))) if r else c for c, r in zip(clips, found, strict=True)]
+    return [
+        c.select(np.delete(np.arange(len(c.frame)), sorted(r))) if r else c for c, r in zip(clips, found, strict=True)
+    ]
 
 
 def describe_removed_points(clips: Sequence[MeasuredCollision], kept: Sequence[MeasuredCollision]) -> list[str]:
@@ -144,7 +146,7 @@ class _Paths:
     @classmethod
     def of(cls, clip: MeasuredCollision, expected: Array | None) -> _Paths:
         if expected is None:
-            return cls(clip.frame, clip.ball, clip.xy, clip.phase(), clip.claimed())
+            return cls(clip.frame, clip.ball, clip.xy, clip.phases(), clip.claimed_std())
         contact, wide = clip.launch[T_C] * clip.fps, clip.exposure * clip.fps
         early, late = (
             clip.frame + wide + current_policy().contact_error_frames <= contact,
@@ -156,7 +158,7 @@ class _Paths:
             clip.ball,
             clip.xy - expected,
             phase,
-            clip.claimed(),
+            clip.claimed_std(),
             (wide + current_policy().contact_error_frames) / 4,
         )
 

@@ -29,7 +29,7 @@ def detect_processing(clips: Sequence[MeasuredCollision]) -> tuple[str, ...]:
         said.append(
             f"places less than {1e3 * least:.3g} mm from the one before are left out: slow balls are hardly seen"
         )
-    if moved := max((clip.moved for clip in clips), default=0.0):
+    if moved := max((clip.max_shift_frames for clip in clips), default=0.0):
         said.append(
             f"frames are at uneven times, up to {moved:.2g} frames beside an even rate: places are moved along their "
             "paths to even times, and those at the contact are left out"
@@ -53,7 +53,7 @@ def remove_filtered_rows(clip: MeasuredCollision) -> MeasuredCollision:
         rows = np.flatnonzero(clip.ball == ball)
         for part in np.split(rows, np.flatnonzero(np.diff(clip.frame[rows]) != 1) + 1):
             kept[part[:reach]] = kept[part[len(part) - reach :]] = False
-    return clip.of(np.flatnonzero(kept))
+    return clip.select(np.flatnonzero(kept))
 
 
 def covers_contact(clip: MeasuredCollision) -> bool:
@@ -69,7 +69,7 @@ def _detect_grid(clips: Sequence[MeasuredCollision]) -> float:
     for clip in clips:
         height = np.full((len(clip.xy), 1), clip.camera.radius)
         pixels = clip.camera.project(np.concatenate([clip.xy, height], axis=1))
-        errors = float(np.median(clip.claimed())) / clip.camera.scale
+        errors = float(np.median(clip.claimed_std())) / clip.camera.scale
         for values in pixels.T:
             rows = np.diff(np.unique(np.round(values / SLIGHT)) * SLIGHT)
             if len(rows) < FEWEST:

@@ -133,7 +133,7 @@ def remove_outliers_beside_model(
 def _rescale_friction(clips: Sequence[MeasuredCollision], model: Model) -> Model:
     """With mu = 2 u / (7 g tau), from the speed u at which the hit target slips and from how long tau it does so."""
     t_c, v0, b = np.array([c.launch for c in clips]).T[[T_C, V0, B]]
-    lasts = np.array([c.ends[0] for c in clips]) - t_c
+    lasts = np.array([c.slide_ends[0] for c in clips]) - t_c
     slip = (1 + model.restitution) / 2 * v0 * np.sqrt(1 - b**2)
     known = lasts > 0
     if not known.any():

@@ -100,19 +100,19 @@ def minimise_chi2(
             break
         foretold = fit.chi2 - _predict_chi2(fit, values, own)
         if last or foretold < settled:
-            if fit.local or rough or (here := _relinearise(evidence, fit)) is None:
+            if fit.is_linearised_here or rough or (here := _relinearise(evidence, fit)) is None:
                 break
             fit, last = here, False
             continue
-        for share in SHARES if fit.local else (1.0,):
+        for share in SHARES if fit.is_linearised_here else (1.0,):
             moved = _apply_step(evidence, fit, _interpolate(fit, values, share), share * own)
             gained = fit.chi2 - moved.chi2 if moved else -np.inf
             if gained > 0 or (few := _find_failing_clips(fit, moved, held)).any():
                 break
         if moved is None or not gained > 0:
-            if fit.local and few.any():
+            if fit.is_linearised_here and few.any():
                 held[few] = np.maximum(10 * held[few], 1e-3)
-            elif fit.local:
+            elif fit.is_linearised_here:
                 damping = max(10 * damping, 1e-3)
                 if damping > DAMPED:
                     break
@@ -123,7 +123,7 @@ def minimise_chi2(
             continue
         damping, held = float(_reduce_damping(damping)), np.asarray(_reduce_damping(held))
         last = gained < settled and share == 1
-        if last and fit.local:
+        if last and fit.is_linearised_here:
             return moved if rough else _relinearise(evidence, moved) or moved
         fit = moved
         if not last and abs(gained - foretold) > FORETOLD * foretold:
@@ -141,7 +141,7 @@ def _reduce_damping(damping: Array | float) -> Array | np.float64:
 def _find_failing_clips(fit: ModelFit, moved: ModelFit | None, held: Array) -> NDArray[np.bool_]:
     """Which clips alone made a step fail, if they are few: their launches are to be damped, and no others."""
     none = np.zeros(len(fit.residuals), dtype=bool)
-    if moved is None or not fit.local:
+    if moved is None or not fit.is_linearised_here:
         return none
     rise = np.array([(a**2).sum() - (b**2).sum() for a, b in zip(moved.residuals, fit.residuals, strict=True)])
     few = (rise > GUILTY * rise.max()) & (rise > 0)
@@ -189,13 +189,13 @@ def linearise(
     """
     expected, own = differentiate_launches(model, launches, evidence.clips)
     shared = differentiate_all(model, launches, evidence.clips, names, expected, exact)
-    residuals = evidence.white([c.xy - e for c, e in zip(evidence.clips, expected, strict=True)])
+    residuals = evidence.whiten([c.xy - e for c, e in zip(evidence.clips, expected, strict=True)])
     if names:
-        slopes = evidence.white([np.stack([s[k] for s in shared], axis=-1) for k in range(len(expected))])
+        slopes = evidence.whiten([np.stack([s[k] for s in shared], axis=-1) for k in range(len(expected))])
         slopes = zero_unidentifiable_shapes(model, names, slopes)
     else:
         slopes = tuple(np.zeros((len(r), 0)) for r in residuals)
-    own_slopes = zero_unidentifiable_spins(launches, evidence.white(own))
+    own_slopes = zero_unidentifiable_spins(launches, evidence.whiten(own))
     return ModelFit(model, names, launches, residuals, Linearisation(model, names, launches, slopes, own_slopes))
 
 
@@ -272,12 +272,12 @@ def choose_most_likely(
     Returns None where none of them has a motion.
     """
     names = tuple(tries[0])
-    kept, (here, *there) = fit.reduced(fit.model, names), _predict_trials(fit, evidence.clips, names, [{}, *tries])
+    kept, (here, *there) = fit.drop(fit.model, names), _predict_trials(fit, evidence.clips, names, [{}, *tries])
     best, least = None, np.inf
     for values, places in zip(tries, there, strict=True):
         if here is None or places is None:
             continue
-        off = evidence.white([a - b for a, b in zip(here, places, strict=True)])
+        off = evidence.whiten([a - b for a, b in zip(here, places, strict=True)])
         look = dataclasses.replace(kept, residuals=tuple(r + o for r, o in zip(fit.residuals, off, strict=True)))
         if (chi2 := _predict_chi2(look, *_step(look, 0.0))) < least:
             best, least = values, chi2
@@ -304,7 +304,9 @@ def _apply_step(evidence: WhitenedClips, fit: ModelFit, values: Mapping[str, flo
         return None
     try:
         model = replace_within_limits(fit.model, values)
-        return dataclasses.replace(fit, model=model, launches=launches, residuals=evidence.left(model, launches))
+        return dataclasses.replace(
+            fit, model=model, launches=launches, residuals=evidence.whitened_residuals(model, launches)
+        )
     except FAILED:
         return None
 
@@ -318,7 +320,7 @@ def _predict_chi2(fit: ModelFit, values: Mapping[str, float], own: Array) -> flo
 
 def _step(fit: ModelFit, damping: float, held: Array | float = 0.0) -> tuple[dict[str, float], Array]:
     """The Gauss-Newton step within the limits: new values of the shared parameters, changes of the launches."""
-    shared, own = solve_step(fit, damping, *fit.room(), held)
+    shared, own = solve_step(fit, damping, *fit.step_bounds(), held)
     return dict(zip(fit.names, (fit.values() + shared).tolist(), strict=True)), own
 
 

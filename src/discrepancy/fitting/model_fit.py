@@ -29,14 +29,14 @@ class WhitenedClips:
     def of(cls, clips: Sequence[MeasuredCollision], noise: Noise) -> WhitenedClips:
         return cls(tuple(clips), tuple(ClipWhitener.of(c, noise) for c in clips))
 
-    def white(self, columns: Sequence[Array]) -> tuple[Array, ...]:
+    def whiten(self, columns: Sequence[Array]) -> tuple[Array, ...]:
         """Displacements of each clip, (n, 2, ...) m, in units of the noise and without correlation: (2n, ...)."""
         return tuple(white(c) for white, c in zip(self.whiteners, columns, strict=True))
 
-    def left(self, model: Model, launches: Array) -> tuple[Array, ...]:
+    def whitened_residuals(self, model: Model, launches: Array) -> tuple[Array, ...]:
         """Whitened residuals (2n,) of each clip. Raises ValueError when the model has no motion for such a launch."""
         expected = predict_tracks(model, launches, self.clips)
-        return self.white([c.xy - e for c, e in zip(self.clips, expected, strict=True)])
+        return self.whiten([c.xy - e for c, e in zip(self.clips, expected, strict=True)])
 
 
 @dataclass(frozen=True)
@@ -63,14 +63,16 @@ class Linearisation:
         return tuple(orthonormal_basis(a) for a in self.launch_slopes)
 
     @cached_property
-    def cleaned(self) -> tuple[Array, ...]:
+    def profiled_slopes(self) -> tuple[Array, ...]:
         """The derivatives by the shared parameters less what the launches absorb, (2n, S) of each clip."""
         return tuple(s - q @ (q.T @ s) for q, s in zip(self.launch_bases, self.slopes, strict=True))
 
     @cached_property
-    def shared_bases(self) -> list[Array]:
+    def parameter_bases(self) -> list[Array]:
         """An orthonormal basis of those, as far as it lies in each clip, (2n, s)."""
-        return np.split(orthonormal_basis(np.concatenate(self.cleaned)), np.cumsum([len(s) for s in self.slopes])[:-1])
+        return np.split(
+            orthonormal_basis(np.concatenate(self.profiled_slopes)), np.cumsum([len(s) for s in self.slopes])[:-1]
+        )
 
 
 @dataclass(frozen=True)
@@ -86,7 +88,7 @@ class ModelFit:
         Columns as in `discrepancy.data.launch`.
     residuals : tuple of (2n,) arrays
         Whitened, of each clip.
-    tangent : Tangent
+    linearisation : Tangent
         The derivatives that it was found with.
     """
 
@@ -94,22 +96,22 @@ class ModelFit:
     names: tuple[str, ...]
     launches: Array
     residuals: tuple[Array, ...]
-    tangent: Linearisation
+    linearisation: Linearisation
 
     @property
     def slopes(self) -> tuple[Array, ...]:
         """Whitened derivatives by the shared parameters, (2n, S) of each clip."""
-        return self.tangent.slopes
+        return self.linearisation.slopes
 
     @property
     def launch_slopes(self) -> tuple[Array, ...]:
         """Whitened derivatives by the clip's own launch, (2n, p) of each clip."""
-        return self.tangent.launch_slopes
+        return self.linearisation.launch_slopes
 
     @property
-    def local(self) -> bool:
+    def is_linearised_here(self) -> bool:
         """Whether the derivatives were taken where the fit stands, by all that it fits."""
-        there = self.tangent
+        there = self.linearisation
         same = there.names == self.names and there.model == self.model
         return same and np.array_equal(there.launches, self.launches)
 
@@ -117,16 +119,16 @@ class ModelFit:
         """Values of these shared parameters, or of all that are fitted."""
         return np.array([self.model.value(n) for n in (self.names if names is None else names)])
 
-    def rows(self, names: Sequence[str]) -> list[int]:
+    def columns_of(self, names: Sequence[str]) -> list[int]:
         """Where these shared parameters stand among those fitted."""
         return [self.names.index(n) for n in names]
 
-    def room(self) -> tuple[Array, Array]:
+    def step_bounds(self) -> tuple[Array, Array]:
         """How far each shared parameter may move down and up to its limits, (S,) and (S,)."""
         low, high = np.array([parameter_limits(self.model, n) for n in self.names]).reshape(-1, 2).T
         return low - self.values(), high - self.values()
 
-    def explained_by(self, moves: Sequence[Array], coefs: Array) -> ModelFit:
+    def subtract(self, moves: Sequence[Array], coefs: Array) -> ModelFit:
         """The fit with residuals less columns times coefficients: moves (2n, k) of each clip, coefs (k,)."""
         left = tuple(r - m @ coefs for r, m in zip(self.residuals, moves, strict=True))
         return dataclasses.replace(self, residuals=left)
@@ -145,11 +147,11 @@ class ModelFit:
         return len(self.names) + self.launches.size
 
     @property
-    def cleaned(self) -> tuple[Array, ...]:
+    def profiled_slopes(self) -> tuple[Array, ...]:
         """The derivatives by the shared parameters less what the launches absorb, (2n, S) of each clip."""
-        return self.tangent.cleaned
+        return self.linearisation.profiled_slopes
 
-    def added(self, base: ModelFit) -> dict[str, list[str]]:
+    def added_names(self, base: ModelFit) -> dict[str, list[str]]:
         """The parameters that are fitted here and not in the base, by effect; a base parameter by its own name."""
         found: dict[str, list[str]] = {}
         for name in self.names:
@@ -162,7 +164,7 @@ class ModelFit:
         """Of the shared parameters, (S, S); zero for one that changes nothing."""
         if not self.names:
             return np.zeros((0, 0))
-        cleaned = self.cleaned
+        cleaned = self.profiled_slopes
         scale = np.sqrt(sum((c**2).sum(axis=0) for c in cleaned))
         units = (c / np.where(scale > 0, scale, 1) for c in cleaned)
         inverse = np.linalg.pinv(sum(u.T @ u for u in units), hermitian=True)
@@ -190,7 +192,7 @@ class ModelFit:
         pull : (k,) array
             Its products with the residuals.
         """
-        shared, launches = self.tangent.shared_bases, self.tangent.launch_bases
+        shared, launches = self.linearisation.parameter_bases, self.linearisation.launch_bases
         taken = np.asarray(sum(q.T @ c for q, c in zip(shared, columns, strict=True)))  # q is off the launches already
         gram, pull = np.zeros((len(taken.T), len(taken.T))), np.zeros(len(taken.T))
         for q, a, c, r in zip(shared, launches, columns, self.residuals, strict=True):
@@ -199,7 +201,7 @@ class ModelFit:
             pull += left.T @ r
         return gram, pull
 
-    def extended(self, model: Model, names: Sequence[str], columns: Sequence[Array]) -> ModelFit:
+    def extend(self, model: Model, names: Sequence[str], columns: Sequence[Array]) -> ModelFit:
         """The fit with further shared parameters, before it is fitted again; its derivatives are then not `local`.
 
         Parameters
@@ -212,15 +214,15 @@ class ModelFit:
             Whitened derivatives of each clip by them, as of a score test.
         """
         slopes = tuple(np.concatenate(both, axis=1) for both in zip(self.slopes, columns, strict=True))
-        tangent = dataclasses.replace(self.tangent, slopes=slopes)
-        return dataclasses.replace(self, model=model, names=(*self.names, *names), tangent=tangent)
+        linearisation = dataclasses.replace(self.linearisation, slopes=slopes)
+        return dataclasses.replace(self, model=model, names=(*self.names, *names), linearisation=linearisation)
 
-    def reduced(self, model: Model, names: Sequence[str]) -> ModelFit:
+    def drop(self, model: Model, names: Sequence[str]) -> ModelFit:
         """The fit with `model`, which lacks the shared parameters `names`, before it is fitted again."""
         kept = tuple(n for n in self.names if n not in names)
-        slopes = tuple(s[:, self.rows(kept)] for s in self.slopes)
-        tangent = dataclasses.replace(self.tangent, names=kept, slopes=slopes)
-        return dataclasses.replace(self, model=model, names=kept, tangent=tangent)
+        slopes = tuple(s[:, self.columns_of(kept)] for s in self.slopes)
+        linearisation = dataclasses.replace(self.linearisation, names=kept, slopes=slopes)
+        return dataclasses.replace(self, model=model, names=kept, linearisation=linearisation)
 
 
 def orthonormal_basis(columns: Array) -> Array:

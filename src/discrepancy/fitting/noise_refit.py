@@ -59,20 +59,20 @@ def refit_noise(
         moves both balls alike over whole clips, and much more than what they share from frame to frame, may be a table
         that leans.
     """
-    if (noise.shared and not explained) or noise.over_phases:
+    if (noise.shared and not explained) or noise.whole_phase_scale:
         return None
     places = np.unique(np.linspace(0, len(clips) - 1, min(CLIPS, len(clips))).astype(int)).tolist()
     left, within = (
         _Residuals.of(clips, fit, noise, places),
-        BallPairs(pair for k in places for pair in clips[k].together()),
+        BallPairs(pair for k in places for pair in clips[k].paired_stretches()),
     )
     sigma, rho = (0.0, 0.0) if noise.shared or not explained else left.common_mode_score(noise)
     if noise.shared:
         new = left.best(noise)[1]
-        if new.common_mode > current_policy().max_shared_noise_growth * noise.common_mode:
+        if new.common_mode_rms > current_policy().max_shared_noise_growth * noise.common_mode_rms:
             return None
     elif sigma > current_policy().shared_noise_sigma and within.pairs:
-        own, size = within.own(), float(np.mean([np.mean(c.claimed() ** 2) for c in left.clips]))
+        own, size = within.own(), float(np.mean([np.mean(c.claimed_std() ** 2) for c in left.clips]))
         slow = NoiseComponent(0.2 * own.variance * size, (rho,))
         new = left.best(Noise(own, (slow, slow)))[1]
     else:

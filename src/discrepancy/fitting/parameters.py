@@ -44,7 +44,7 @@ class Candidate:
     kind: type[Effect] | None = None
     held: tuple[float, ...] = ()
 
-    def without(self, model: Model) -> Model:
+    def remove_from(self, model: Model) -> Model:
         """The model with this candidate's numbers where the model that was given has them."""
         if any(self.held):
             return model.replace(dict(zip((*self.strengths, *self.shapes), self.held, strict=True)))

@@ -27,7 +27,7 @@ from synthcam.model import Model
 
 LawChange = Callable[["ResponseSegment"], Array]  # (k, m, J) of friction and loss, (k, m, 2, J) of the push
 
-POINTS = 65  # of a leg
+POINTS = 65  # of a segment
 AT_ONCE = 32  # clips
 SLIPS = 1e-6  # m/s, of a ball that slides all the while before the contact
 NUMBERS = 250_000  # at once, for the processor's cache
@@ -35,9 +35,9 @@ NUMBERS = 250_000  # at once, for the processor's cache
 
 @dataclass(frozen=True)
 class ResponseSegment:
-    """A leg of k balls at m instants: place, velocity, contact velocity (k, m, 2); their sizes and directions.
+    """A segment of k balls at m instants: place, velocity, contact velocity (k, m, 2); their sizes and directions.
 
-    slip and way stay defined where the motion ends.
+    slip and direction stay defined where the motion ends.
     """
 
     times: Array
@@ -64,7 +64,7 @@ class ResponseSegment:
         return np.asarray(np.hypot(self.contact[..., 0], self.contact[..., 1]))
 
     @property
-    def way(self) -> Array:
+    def direction(self) -> Array:
         """Direction of the velocity."""
         return np.asarray(self.velocity / np.maximum(self.speed, 1e-12)[..., None])
 
@@ -86,7 +86,7 @@ def compute_responses(
     launches : (clips, p) array
     clips : sequence of Measured
     changes : mapping of str to callable
-        For "friction", "rolling" or "push", what `size` changes add to the law on a leg: `LawChange`.
+        For "friction", "rolling" or "push", what `size` changes add to the law on a segment: `LawChange`.
     size : int
 
     Returns
@@ -116,16 +116,16 @@ def _respond_one_rate(
     blocks = [
         _shift_segments(model, early[r], slide[r], roll[r], changes, size) for r in _split_evenly(len(contact), parts)
     ]
-    shifts = [np.concatenate(leg) for leg in zip(*blocks, strict=True)]
+    shifts = [np.concatenate(segment) for segment in zip(*blocks, strict=True)]
     out = []
     for k, clip in enumerate(clips):
         ball = k + clip.ball * len(clips)
         when = clip.frame / fps + exposure / 2
         which = np.where(when < contact[ball], 0, np.where(when < over[ball], 1, 2))
         xy = np.zeros((len(when), 2, size))
-        for part, (leg, shift) in enumerate(zip((early, slide, roll), shifts, strict=True)):
+        for part, (segment, shift) in enumerate(zip((early, slide, roll), shifts, strict=True)):
             rows = np.flatnonzero(which == part)
-            xy[rows] = _interpolate(leg.times[ball[rows]], shift, ball[rows], when[rows])
+            xy[rows] = _interpolate(segment.times[ball[rows]], shift, ball[rows], when[rows])
         out.append(xy)
     return out
 
@@ -158,7 +158,7 @@ def _shift_segments(
     changes: Mapping[str, LawChange],
     size: int,
 ) -> tuple[Array, Array, Array]:
-    """How far some balls are moved, (k, m, 2, J) in each of their three legs."""
+    """How far some balls are moved, (k, m, 2, J) in each of their three segments."""
     nothing = np.zeros((len(early.times), 2, size))
     slid, left = _shift_sliding(model, slide, roll, changes, size)
     came, slides = _shift_rolling(model, early, changes, size, nothing, nothing), early.slip_speed.min(axis=1) > SLIPS
@@ -172,49 +172,51 @@ def _shift_segments(
 
 
 def _shift_sliding(
-    model: Model, leg: ResponseSegment, after: ResponseSegment, changes: Mapping[str, LawChange], size: int
+    model: Model, segment: ResponseSegment, after: ResponseSegment, changes: Mapping[str, LawChange], size: int
 ) -> tuple[Array, Array]:
     """Shifts (k, m, 2, J) in a slide, and the change of the velocity (k, 2, J) with which the ball rolls off."""
-    slip, u = leg.slip, leg.slip_speed
+    slip, u = segment.slip, segment.slip_speed
     across = np.stack([-slip[..., 1], slip[..., 0]], axis=-1)
-    push = _evaluate_change(changes, "push", leg, (*u.shape, 2, size))
+    push = _evaluate_change(changes, "push", segment, (*u.shape, 2, size))
     along = (push * slip[..., None]).sum(axis=2) - 3.5 * model.gravity * _evaluate_change(
-        changes, "friction", leg, (*u.shape, size)
+        changes, "friction", segment, (*u.shape, size)
     )
     aside = (push * across[..., None]).sum(axis=2) / np.maximum(u, 1e-3 * u[:, :1] + 1e-12)[..., None]
-    du_along, du_across = _integrate(leg.times, along), u[..., None] * _integrate(leg.times, aside)
+    du_along, du_across = _integrate(segment.times, along), u[..., None] * _integrate(segment.times, aside)
     du = du_along[..., None, :] * slip[..., None] + du_across[..., None, :] * across[..., None]
-    dq = 5 / 7 * _integrate(leg.times, push)
-    shift = _integrate(leg.times, dq + 2 / 7 * du)
-    lasts = np.maximum(leg.times[:, -1] - leg.times[:, 0], 1e-12)
+    dq = 5 / 7 * _integrate(segment.times, push)
+    shift = _integrate(segment.times, dq + 2 / 7 * du)
+    lasts = np.maximum(segment.times[:, -1] - segment.times[:, 0], 1e-12)
     slowing = np.maximum((u[:, 0] - u[:, -1]) / lasts, 1e-12)
     later = np.where((lasts > 1e-9)[:, None], du_along[:, -1] / slowing[:, None], 0.0)
     speed = after.speed[:, 0]
-    loss = (model.rolling_drag * speed + model.rolling_decel)[:, None] * after.way[:, 0]
+    loss = (model.rolling_drag * speed + model.rolling_decel)[:, None] * after.direction[:, 0]
     return shift, dq[:, -1] + loss[..., None] * later[:, None, :]
 
 
 def _shift_rolling(
-    model: Model, leg: ResponseSegment, changes: Mapping[str, LawChange], size: int, place: Array, velocity: Array
+    model: Model, segment: ResponseSegment, changes: Mapping[str, LawChange], size: int, place: Array, velocity: Array
 ) -> Array:
     """Shifts (k, m, 2, J) in a roll that begins with changes of place and velocity, (k, 2, J). A ball at rest stays."""
-    way, v = leg.way, leg.speed
+    way, v = segment.direction, segment.speed
     moves = (v > 1e-7)[..., None]
     across = np.stack([-way[..., 1], way[..., 0]], axis=-1)
-    push = 5 / 7 * _evaluate_change(changes, "push", leg, (*v.shape, 2, size))
-    along = (push * way[..., None]).sum(axis=2) - _evaluate_change(changes, "rolling", leg, (*v.shape, size))
+    push = 5 / 7 * _evaluate_change(changes, "push", segment, (*v.shape, 2, size))
+    along = (push * way[..., None]).sum(axis=2) - _evaluate_change(changes, "rolling", segment, (*v.shape, size))
     aside = (push * across[..., None]).sum(axis=2) / np.maximum(v, 1e-3 * v[:, :1] + 1e-12)[..., None]
-    decay = np.exp(-model.rolling_drag * (leg.times - leg.times[:, :1]))[..., None]
+    decay = np.exp(-model.rolling_drag * (segment.times - segment.times[:, :1]))[..., None]
     first = (velocity * way[:, 0, :, None]).sum(axis=1)[:, None]
     beside = (velocity * across[:, 0, :, None]).sum(axis=1)[:, None] / np.maximum(v[:, :1], 1e-12)[..., None]
-    dv_along = decay * (first + _integrate(leg.times, np.where(moves, along / decay, 0.0)))
-    dv_across = v[..., None] * (beside + _integrate(leg.times, np.where(moves, aside, 0.0)))
+    dv_along = decay * (first + _integrate(segment.times, np.where(moves, along / decay, 0.0)))
+    dv_across = v[..., None] * (beside + _integrate(segment.times, np.where(moves, aside, 0.0)))
     dv = dv_along[..., None, :] * way[..., None] + dv_across[..., None, :] * across[..., None]
-    return np.asarray(place[:, None] + _integrate(leg.times, np.where(moves[..., None], dv, 0.0)))
+    return np.asarray(place[:, None] + _integrate(segment.times, np.where(moves[..., None], dv, 0.0)))
 
 
-def _evaluate_change(changes: Mapping[str, LawChange], law: str, leg: ResponseSegment, shape: tuple[int, ...]) -> Array:
-    return changes[law](leg) if law in changes else np.zeros(shape)
+def _evaluate_change(
+    changes: Mapping[str, LawChange], law: str, segment: ResponseSegment, shape: tuple[int, ...]
+) -> Array:
+    return changes[law](segment) if law in changes else np.zeros(shape)
 
 
 def _integrate(times: Array, values: Array) -> Array:

@@ -20,7 +20,7 @@ Shapes = dict[str, float]
 
 # laws whose small changes are integrals over the motion; a change of the load is one of friction, in proportion
 MOTION = {"friction": "friction", "normal_load": "friction", "rolling": "rolling", "push": "push"}
-KNOWN = {"position", "velocity", "speed", "slip", "slip_speed", "gravity", "radius"}  # of a leg
+KNOWN = {"position", "velocity", "speed", "slip", "slip_speed", "gravity", "radius"}  # of a segment
 MANY = 30  # values of the shape parameters: fewer are tried one by one, exactly
 FEW = 2  # the same where nothing but the last step, from pixel to pixel, is taken again
 AT_ONCE = 64  # columns, for memory
@@ -92,18 +92,23 @@ def _changes(fitted_law: Sequence[tuple[Effect, float]], model: Model) -> dict[s
     """What each of several effects of one kind changes of friction, rolling loss and push, over its size."""
     laws = fitted_law[0][0].laws
 
-    def change(kind: str, leg: ResponseSegment) -> Array:
-        return np.asarray(sum(_change(law, fitted_law, model, leg) for law in laws if MOTION[law] == kind))
+    def change(kind: str, segment: ResponseSegment) -> Array:
+        return np.asarray(sum(_change(law, fitted_law, model, segment) for law in laws if MOTION[law] == kind))
 
     return {kind: partial(change, kind) for kind in {MOTION[law] for law in laws}}
 
 
-def _change(law: str, fitted_law: Sequence[tuple[Effect, float]], model: Model, leg: ResponseSegment) -> Array:
-    instant: dict[str, Any] = {"position": leg.place, "velocity": leg.velocity, "speed": leg.speed, "slip": leg.slip}
-    instant |= {"slip_speed": leg.slip_speed, "gravity": model.gravity, "radius": model.ball.radius}
+def _change(law: str, fitted_law: Sequence[tuple[Effect, float]], model: Model, segment: ResponseSegment) -> Array:
+    instant: dict[str, Any] = {
+        "position": segment.place,
+        "velocity": segment.velocity,
+        "speed": segment.speed,
+        "slip": segment.slip,
+    }
+    instant |= {"slip_speed": segment.slip_speed, "gravity": model.gravity, "radius": model.ball.radius}
     value: Any = {"friction": model.sliding_friction, "normal_load": model.gravity, "rolling": 0.0}.get(law)
     if value is None:
-        value = np.zeros_like(leg.velocity)
+        value = np.zeros_like(segment.velocity)
     asks = fitted_law[0][0].laws[law]
     each = [(getattr(e, law)(value, *[instant[a] for a in asks]) - value) / size for e, size in fitted_law]
     worth = model.sliding_friction / model.gravity if law == "normal_load" else 1.0

@@ -95,7 +95,7 @@ def _weigh_steps(fitted_law: FittedLaw, x: Array) -> tuple[Array, Array, Array]:
 
     Tried anew within the box of places and widths that holds the weight, until that is shared by enough of them.
     """
-    bare = replace(fitted_law, fit=fitted_law.fit.explained_by(fitted_law.slopes, -fitted_law.coefs))  # of no curve
+    bare = replace(fitted_law, fit=fitted_law.fit.subtract(fitted_law.slopes, -fitted_law.coefs))  # of no curve
     smooth = maximise_evidence(fitted_law.law, *_reduce_to_columns(bare, fitted_law.slopes)[:2]).gain
     whole = box = np.array([[0.0, 1.0], np.log(WIDTH)])
     counts = np.array([PLACES, WIDTHS])
@@ -122,7 +122,7 @@ def _fit_steps(bare: FittedLaw, where: Array, x: Array) -> tuple[Array, Array, A
     """
     law, fit, axis = bare.law, bare.fit, bare.law.axes[0]
     step = replace(law, axes=(_StepAxis(axis.name, axis.unit, axis.low, axis.high, len(where), where=where),))
-    moves = bare.evidence.white(step.derivatives(fit.model, fit.launches, bare.evidence.clips))
+    moves = bare.evidence.whiten(step.derivatives(fit.model, fit.launches, bare.evidence.clips))
     information, pull, own, spread, back = _reduce_to_columns(bare, moves)
     alone = sum((m**2).sum(axis=0) for m in moves) + np.finfo(float).tiny
     seen = np.maximum(np.diag(information), SEEN * alone)
@@ -142,9 +142,9 @@ def _reduce_to_columns(fitted_law: FittedLaw, moves: Sequence[Array]) -> tuple[A
     they change, and covariance; and by how much a unit of each column makes them less, (own, columns).
     """
     fit, names = fitted_law.fit, [name for name, _ in fitted_law.owners]
-    own = [s[:, fit.rows(names)] for s in fit.slopes]
+    own = [s[:, fit.columns_of(names)] for s in fit.slopes]
     both = [np.concatenate(pair, axis=1) for pair in zip(own, moves, strict=True)]
-    information, pull = fit.reduced(fit.model, names).information(both)
+    information, pull = fit.drop(fit.model, names).information(both)
     first, rest = slice(len(names)), slice(len(names), None)
     spread = np.asarray(np.linalg.pinv(information[first, first], hermitian=True))
     back = np.asarray(spread @ information[first, rest])

@@ -52,7 +52,7 @@ class FittedLaw:
     def joint_fit(self) -> ModelFit:
         """The fit with the coefficients among its parameters."""
         names = [f"{self.law.name} {j}" for j in range(self.law.size)]
-        return self.fit.extended(self.fit.model, names, self.slopes)
+        return self.fit.extend(self.fit.model, names, self.slopes)
 
     @property
     def owners(self) -> list[tuple[str, int]]:
@@ -78,9 +78,9 @@ class FittedLaw:
     def _covariance(self) -> Array:
         """Of the law's own parameters and the coefficients, all else marginal."""
         names = [name for name, _ in self.owners]
-        own = [s[:, self.fit.rows(names)] for s in self.fit.slopes]
+        own = [s[:, self.fit.columns_of(names)] for s in self.fit.slopes]
         both = [np.concatenate(pair, axis=1) for pair in zip(own, self.slopes, strict=True)]
-        matrix, _ = self.fit.reduced(self.fit.model, names).information(both)
+        matrix, _ = self.fit.drop(self.fit.model, names).information(both)
         matrix[len(names) :, len(names) :] += self.prior.precision
         scale = np.sqrt(np.diag(matrix))
         return np.asarray(np.linalg.inv(matrix / np.outer(scale, scale)) / np.outer(scale, scale))
@@ -91,9 +91,9 @@ class FittedLaw:
         How far its strengths are from what the base holds them at.
         """
         fit, found = self.joint_fit, {}
-        for effect, names in self.fit.added(base).items():
+        for effect, names in self.fit.added_names(base).items():
             own = [n for n in names if "." not in n or not find_parameter(fit.model, n).fixed]
-            rows = fit.rows(own)
+            rows = fit.columns_of(own)
             moved = fit.values(own) - base.values(own)
             covariance = fit.covariance[np.ix_(rows, rows)]
             found[effect] = chi2_to_sigma(float(moved @ np.linalg.pinv(covariance, hermitian=True) @ moved), len(own))
@@ -105,6 +105,6 @@ class FittedLaw:
         (J,) and (J, J), no prior in either; relative to the law's own parameters as fitted.
         """
         names = [name for name, _ in self.owners]
-        information, pull = self.fit.reduced(self.fit.model, names).information(self.slopes)
+        information, pull = self.fit.drop(self.fit.model, names).information(self.slopes)
         pull = pull + information @ self.coefs
         return np.asarray(np.linalg.pinv(information, rcond=1e-10, hermitian=True) @ pull), information

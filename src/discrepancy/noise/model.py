@@ -53,27 +53,27 @@ class NoiseComponent:
     Attributes
     ----------
     variance : float
-    partial : tuple of float
+    partial_autocorrelations : tuple of float
         The autoregression's partial autocorrelations, lag 1 first.
-    white : float
+    white_share : float
         The part of the variance that is white.
     """
 
     variance: float
-    partial: tuple[float, ...] = ()
-    white: float = 0.0
+    partial_autocorrelations: tuple[float, ...] = ()
+    white_share: float = 0.0
 
-    def lags(self, count: int) -> Array:
+    def autocovariances(self, count: int) -> Array:
         """Autocovariance at lags 0 to count - 1."""
-        out = np.ones(max(count, len(self.partial) + 1))
+        out = np.ones(max(count, len(self.partial_autocorrelations) + 1))
         weights = np.zeros(0)
-        for m, p in enumerate(self.partial, 1):  # Durbin & Levinson
+        for m, p in enumerate(self.partial_autocorrelations, 1):  # Durbin & Levinson
             out[m] = weights @ out[m - 1 : 0 : -1] + p * (1 - weights @ out[1:m])
             weights = np.append(weights - p * weights[::-1], p)
         order = len(weights)
         for lag in range(order + 1, len(out)):
             out[lag] = weights @ out[lag - order : lag][::-1]
-        out[1:] *= 1 - self.white
+        out[1:] *= 1 - self.white_share
         return np.asarray(self.variance * out[:count])
 
 
@@ -87,17 +87,17 @@ class Noise:
         Of each ball and axis by itself, in claimed standard deviations.
     shared : tuple of Component
         What both balls share, of x and of y, m^2; or nothing.
-    over_phases : float
+    whole_phase_scale : float
         Like `scale`, read over whole phases of motion, where that is so much more that it must hold motion; the noise
         is then that of short pieces. Else 0.
-    spacing : int
+    frame_spacing : int
         Frames of which the tracks have one at most: the noise at other lags is not seen.
     """
 
     own: NoiseComponent
     shared: tuple[NoiseComponent, ...] = ()
-    over_phases: float = 0.0
-    spacing: int = 1
+    whole_phase_scale: float = 0.0
+    frame_spacing: int = 1
 
     @property
     def scale(self) -> float:
@@ -107,31 +107,31 @@ class Noise:
     @property
     def correlation(self) -> float:
         """Of a ball's own noise between neighbouring frames."""
-        lags = self.own.lags(2)
+        lags = self.own.autocovariances(2)
         return float(lags[1] / lags[0])
 
     @property
-    def quick(self) -> float:
+    def innovation_scale(self) -> float:
         """The same of what is new from frame to frame: all of a noise that is white, little of a slow one."""
         own = self.own
-        news = float(np.prod([1 - p * p for p in own.partial]))
-        return self.scale * float(np.sqrt(own.white + (1 - own.white) * news))
+        news = float(np.prod([1 - p * p for p in own.partial_autocorrelations]))
+        return self.scale * float(np.sqrt(own.white_share + (1 - own.white_share) * news))
 
     @property
-    def slow(self) -> bool:
+    def is_slow(self) -> bool:
         """Whether so much of it lasts that it may hide what a model lacks."""
-        return self.scale > current_policy().slow_noise_ratio * self.quick
+        return self.scale > current_policy().slow_noise_ratio * self.innovation_scale
 
     @property
-    def smoothed(self) -> bool:
+    def is_smoothed(self) -> bool:
         """Whether it is that of tracks that somebody has put through a filter."""
-        if len(self.own.partial) < 2:
+        if len(self.own.partial_autocorrelations) < 2:
             return False
-        size, near, far = self.own.lags(2 * self.spacing + 1)[:: self.spacing]
+        size, near, far = self.own.autocovariances(2 * self.frame_spacing + 1)[:: self.frame_spacing]
         return bool((far * size - near**2) / (size**2 - near**2) < current_policy().smoothed_partial_correlation)
 
     @property
-    def common_mode(self) -> float:
+    def common_mode_rms(self) -> float:
         """rms of what both balls share, each axis, m."""
         return float(np.sqrt(np.mean([s.variance for s in self.shared]))) if self.shared else 0.0
 
@@ -145,12 +145,12 @@ def estimate(clips: Sequence[MeasuredCollision]) -> Noise:
         These are too few.
     """
     clips = _select_usual_clips(clips)
-    stretches = [stretch for clip in clips for stretch in clip.stretches()]
-    noise = Noise(fit_own_noise(stretches), spacing=_find_spacing(stretches))
-    pairs = BallPairs(pair for clip in clips for pair in clip.together())
+    stretches = [stretch for clip in clips for stretch in clip.smooth_stretches()]
+    noise = Noise(fit_own_noise(stretches), frame_spacing=_find_spacing(stretches))
+    pairs = BallPairs(pair for clip in clips for pair in clip.paired_stretches())
     if pairs.common_mode_score(noise.own) > current_policy().shared_noise_sigma:
-        return replace(pairs.noise(), spacing=noise.spacing)
-    return _exclude_motion(noise, stretches) if noise.slow else noise
+        return replace(pairs.noise(), frame_spacing=noise.frame_spacing)
+    return _exclude_motion(noise, stretches) if noise.is_slow else noise
 
 
 def _find_spacing(stretches: Sequence[Stretch]) -> int:
@@ -160,7 +160,9 @@ def _find_spacing(stretches: Sequence[Stretch]) -> int:
 
 def _exclude_motion(noise: Noise, stretches: Sequence[Stretch]) -> Noise:
     """The noise, or that of short pieces where it must hold motion that no cubic follows over a phase."""
-    short = Noise(fit_own_noise(_cut_pieces(stretches)), over_phases=noise.scale, spacing=noise.spacing)
+    short = Noise(
+        fit_own_noise(_cut_pieces(stretches)), whole_phase_scale=noise.scale, frame_spacing=noise.frame_spacing
+    )
     every = bundle_stretches(stretches)
     left = np.sqrt(sum(float((b.values**2).sum()) for b in every) / sum(b.freedom for b in every))
     grows = (
@@ -189,7 +191,7 @@ def _select_usual_clips(clips: Sequence[MeasuredCollision]) -> list[MeasuredColl
     """The clips whose noise is of the usual size."""
     sizes = []
     for clip in clips:
-        every = bundle_stretches(clip.stretches())
+        every = bundle_stretches(clip.smooth_stretches())
         freedom = sum(b.freedom for b in every)
         sizes.append(sum(float((b.values**2).sum()) for b in every) / freedom if freedom else 0.0)
     most = current_policy().max_clip_noise_power * float(np.median([s for s in sizes if s > 0] or [0.0]))
@@ -206,8 +208,8 @@ def fit_own_noise(stretches: Iterable[Stretch]) -> NoiseComponent:
 
     def profiled(component: NoiseComponent) -> tuple[float, float]:
         """(-2 log likelihood at the best variance, that variance)."""
-        lags = component.lags(longest)
-        parts = [b.restricted(b.covariance(lags)) for b in every]
+        lags = component.autocovariances(longest)
+        parts = [b.restricted_likelihood(b.covariance(lags)) for b in every]
         logs, squares = (sum(p[k] for p in parts) for k in (0, 1))
         if not squares > 0:
             raise ValueError("no noise to be seen between the frames")
@@ -217,7 +219,7 @@ def fit_own_noise(stretches: Iterable[Stretch]) -> NoiseComponent:
         return component_from_numbers(shape, 1.0, x)
 
     unit = select_order(SHAPES, build, lambda c: profiled(c)[0], np.log(freedom))
-    return NoiseComponent(profiled(unit)[1], unit.partial, unit.white)
+    return NoiseComponent(profiled(unit)[1], unit.partial_autocorrelations, unit.white_share)
 
 
 def component_from_numbers(shape: NoiseOrder, variance: float, x: Array) -> NoiseComponent:
@@ -229,14 +231,14 @@ def component_from_numbers(shape: NoiseOrder, variance: float, x: Array) -> Nois
 
 def numbers_from_component(component: NoiseComponent) -> Array:
     """The inverse of `component_from_numbers`, without the variance."""
-    x = np.arctanh(np.clip(np.array(component.partial) / SLOWEST, -1 + 1e-9, 1 - 1e-9))
-    if not component.white:
+    x = np.arctanh(np.clip(np.array(component.partial_autocorrelations) / SLOWEST, -1 + 1e-9, 1 - 1e-9))
+    if not component.white_share:
         return x
-    return np.append(x, logit(np.clip((component.white - FLOOR) / (CEILING - FLOOR), 1e-3, 1 - 1e-3)))
+    return np.append(x, logit(np.clip((component.white_share - FLOOR) / (CEILING - FLOOR), 1e-3, 1 - 1e-3)))
 
 
 def order_of(component: NoiseComponent) -> NoiseOrder:
-    return len(component.partial), component.white > 0
+    return len(component.partial_autocorrelations), component.white_share > 0
 
 
 def noise_from_numbers(shape: NoiseOrder, common: NoiseOrder | None, x: Array) -> Noise:
@@ -341,7 +343,7 @@ class BallPairs:
         independence its mean is zero and its variance the sum of tr(K A K A), A that weight.
         """
         scores, variances = np.zeros((len(KERNELS), 2)), np.zeros(len(KERNELS))
-        lags = own.lags(self.longest)
+        lags = own.autocovariances(self.longest)
         for frames, members in self._alike().items():
             since = np.array(frames)
             apart = np.abs(since[:, None] - since)
@@ -371,17 +373,18 @@ class BallPairs:
 
     def cost(self, noise: Noise) -> float:
         """-2 log likelihood, up to a constant."""
-        own = noise.own.lags(self.longest)
-        shared = [s.lags(self.longest) for s in noise.shared]
+        own = noise.own.autocovariances(self.longest)
+        shared = [s.autocovariances(self.longest) for s in noise.shared]
         out = 0.0
         for difference, sums, weight in zip(self.differences, self.sums, self.weights, strict=True):
             alone = difference.covariance(own)
-            out += sum(difference.restricted(alone))
+            out += sum(difference.restricted_likelihood(alone))
             if not shared:
-                out += sum(sum(s.restricted(alone)) for s in sums)
+                out += sum(sum(s.restricted_likelihood(alone)) for s in sums)
             else:
                 out += sum(
-                    sum(s.restricted(alone + weight * s.covariance(lags))) for s, lags in zip(sums, shared, strict=True)
+                    sum(s.restricted_likelihood(alone + weight * s.covariance(lags)))
+                    for s, lags in zip(sums, shared, strict=True)
                 )
         return out
 

@@ -61,7 +61,7 @@ class StretchBundle:
             return np.asarray(toeplitz(lags[: self.values.shape[1]]))
         return np.asarray(lags[np.abs(self.frames[:, :, None] - self.frames[:, None])])
 
-    def restricted(self, covariance: Array) -> tuple[float, float]:
+    def restricted_likelihood(self, covariance: Array) -> tuple[float, float]:
         """(log determinants, sum of squares) of REML's -2 log likelihood; covariance (n, n) or of each (k, n, n).
 
         Of a shorter stretch only the first rows and columns count: their inverse Cholesky factor is the first part of

@@ -40,11 +40,14 @@ class ClipWhitener:
         frame, n = clip.frame, len(clip.frame)
         apart = np.abs(frame[:, None] - frame)
         longest = int(apart.max()) + 1
-        own = noise.own.lags(longest)[apart] * (clip.ball[:, None] == clip.ball) + np.outer(offset, offset)
+        own = noise.own.autocovariances(longest)[apart] * (clip.ball[:, None] == clip.ball) + np.outer(offset, offset)
         total = np.zeros((n, 2, n, 2))
         for axis, component in enumerate(noise.shared):
             total[:, axis, :, axis] += own
-            push, lags = roots[:, :, axis], component.lags(longest)[apart]  # of a displacement, in scaled residuals
+            push, lags = (
+                roots[:, :, axis],
+                component.autocovariances(longest)[apart],
+            )  # of a displacement, in scaled residuals
             for a, b in itertools.product(range(2), range(2)):
                 if push[:, a].any() and push[:, b].any():
                     total[:, a, :, b] += lags * np.outer(push[:, a], push[:, b])
@@ -95,7 +98,7 @@ def _inverse_factor(component: NoiseComponent, frames: bytes, offsets: bytes) ->
     """Of one ball's rows and one axis; frames: int64, offsets: float64. Clips filmed alike share it."""
     frame = np.frombuffer(frames, dtype=np.int64)
     apart = np.abs(frame[:, None] - frame)
-    lags = component.lags(int(apart.max(initial=0)) + 1)
+    lags = component.autocovariances(int(apart.max(initial=0)) + 1)
     offset = np.frombuffer(offsets)
     out = _invert_lower(np.linalg.cholesky(lags[apart] + np.outer(offset, offset)))
     out.flags.writeable = False

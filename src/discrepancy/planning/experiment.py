@@ -73,7 +73,7 @@ class Experiment:
     @property
     def error_px(self) -> float:
         """Error of a position, rms over all that are seen, each axis, px."""
-        squares = np.concatenate([c.claimed() ** 2 + (c.offset * (c.resting_offset > 0)) ** 2 for c in self.clips])
+        squares = np.concatenate([c.claimed_std() ** 2 + (c.offset * (c.resting_offset > 0)) ** 2 for c in self.clips])
         return float(np.sqrt(squares.mean()) / self.camera.scale)
 
     def through_camera(self, camera: Camera) -> Experiment:
@@ -103,7 +103,7 @@ class Experiment:
         blank = [_make_blank_clip(*each) for each in zip(self.clips, self.launches, self.films, strict=True)]
         places, speeds = (f(self.model, self.launches, blank) for f in (predict_tracks, predict_velocities))
         rows = [_rows_in_picture(self.camera, xy) for xy in places]
-        seen = [dataclasses.replace(c, xy=xy).of(r) for c, xy, r in zip(blank, places, rows, strict=True)]
+        seen = [dataclasses.replace(c, xy=xy).select(r) for c, xy, r in zip(blank, places, rows, strict=True)]
         moving = [v[r] for v, r in zip(speeds, rows, strict=True)]
         kept = [k for k, clip in enumerate(seen) if _is_usable(clip)]
         if not kept:
@@ -157,7 +157,7 @@ def _with_errors(
     out, ends = [], np.cumsum([len(c.frame) for c in clips])
     for clip, rows in zip(clips, np.split(np.arange(len(xy)), ends[:-1]), strict=True):
         covariance, steady = whole[rows], fixed[rows]
-        resting = (clip.phase() == 0) & (clip.ball == 0)
+        resting = (clip.phases() == 0) & (clip.ball == 0)
         covariance[resting] -= steady[resting]
         offset = float(np.sqrt(np.trace(steady[resting], axis1=1, axis2=2).mean() / 2)) if resting.any() else 0.0
         out.append(dataclasses.replace(clip, covariance=covariance, offset=offset))

@@ -67,8 +67,8 @@ def compare_designs(
         The collisions as they are; changed in each of `changes.CHANGES` that is possible; changed in all launches.
     """
     for candidate, _ in (one, other):
-        fit = fit.reduced(candidate.without(fit.model), candidate.strengths + candidate.shapes)
-    claimed = np.concatenate([c.claimed() for c in clips])
+        fit = fit.drop(candidate.remove_from(fit.model), candidate.strengths + candidate.shapes)
+    claimed = np.concatenate([c.claimed_std() for c in clips])
     error_px = float(np.sqrt((claimed**2).mean())) / clips[0].camera.scale
     filmed = Experiment(
         fit.model,

@@ -134,7 +134,7 @@ def _residuals(clips: Sequence[MeasuredCollision], fit: ModelFit) -> tuple[Array
         for b in range(2):
             rows = clip.ball == b
             when = time[rows]
-            t_c, over = launch[T_C], max(clip.ends[b], launch[T_C] + 1e-6)
+            t_c, over = launch[T_C], max(clip.slide_ends[b], launch[T_C] + 1e-6)
             edges = [min(when[0], t_c - 1e-6), t_c, over, max(when[-1], over + 1e-6)]
             stage[rows] = np.interp(when, edges, [-1, 0, 1, 2])
             after = rows & (time > t_c)

@@ -21,7 +21,7 @@ def story(found: SearchResult) -> list[str]:
 
 def rest(fit: ModelFit) -> float:
     """What a further step of everything fitted would gain, in chi^2, to first order and within its limits."""
-    shared, own = solve_step(fit, 0.0, *fit.room())
+    shared, own = solve_step(fit, 0.0, *fit.step_bounds())
     steps = [s @ shared + a @ o for s, a, o in zip(fit.slopes, fit.launch_slopes, own, strict=True)]
     return fit.chi2 - sum(float((r - s) @ (r - s)) for r, s in zip(fit.residuals, steps, strict=True))
 
@@ -46,7 +46,9 @@ def _fitted(found: SearchResult) -> str:
 
 def _common_mode(found: SearchResult) -> str:
     return (
-        f", {1e6 * found.data.noise.common_mode:.2g} um of it common to both balls" if found.data.noise.shared else ""
+        f", {1e6 * found.data.noise.common_mode_rms:.2g} um of it common to both balls"
+        if found.data.noise.shared
+        else ""
     )
 
 

@@ -50,14 +50,14 @@ def _from_here(
     evidence: WhitenedClips, fit: ModelFit, scored: CandidateScore, progress: Callable[[], None]
 ) -> ModelFit:
     candidate, model = scored.candidate, fit.model.replace(scored.shapes)
-    strong = minimise_chi2(evidence, fit.extended(model, scored.strengths, scored.columns), progress, rough=True)
+    strong = minimise_chi2(evidence, fit.extend(model, scored.strengths, scored.columns), progress, rough=True)
     if not candidate.shapes or all(strong.model.value(s) == 0 for s in scored.strengths):
         return strong
     here = predict_tracks(strong.model, strong.launches, evidence.clips)
     slopes = differentiate_all(strong.model, strong.launches, evidence.clips, candidate.shapes, here)
-    columns = evidence.white([np.stack([s[k] for s in slopes], axis=-1) for k in range(len(here))])
+    columns = evidence.whiten([np.stack([s[k] for s in slopes], axis=-1) for k in range(len(here))])
     columns = zero_unidentifiable_shapes(strong.model, candidate.shapes, columns)
-    return minimise_chi2(evidence, strong.extended(strong.model, candidate.shapes, columns), progress, rough=True)
+    return minimise_chi2(evidence, strong.extend(strong.model, candidate.shapes, columns), progress, rough=True)
 
 
 def _far(evidence: WhitenedClips, fit: ModelFit, scored: CandidateScore) -> list[ModelFit]:

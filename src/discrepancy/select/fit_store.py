@@ -101,7 +101,7 @@ class FitStore:
     def _astray(self, state: Iterable[Candidate], fit: ModelFit) -> ModelFit:
         """The fit, or a better one from other shape parameters: away from the truth chi^2 may have other minima."""
         for candidate in state:
-            tries = list(candidate.grid(candidate.without(fit.model)))
+            tries = list(candidate.grid(candidate.remove_from(fit.model)))
             if len(tries) < 2:
                 continue
             if not can_scan(candidate, tries):  # a strong effect's shape parameters show only at that strength
@@ -136,9 +136,11 @@ class FitStore:
 
         Where that model has no motion from these launches, the base's parameters and launches take their place.
         """
-        reduced = fit.reduced(candidate.without(fit.model), candidate.strengths + candidate.shapes)
+        reduced = fit.drop(candidate.remove_from(fit.model), candidate.strengths + candidate.shapes)
         try:
-            return dataclasses.replace(reduced, residuals=self.evidence.left(reduced.model, reduced.launches))
+            return dataclasses.replace(
+                reduced, residuals=self.evidence.whitened_residuals(reduced.model, reduced.launches)
+            )
         except ValueError:  # two effects held the ball at rest together: begin without either
             base = self.base
             gone = [n for n in reduced.names if n not in base.names and not find_parameter(reduced.model, n).fixed]

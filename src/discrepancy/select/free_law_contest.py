@@ -30,7 +30,7 @@ def fit_each_alone(
     evidence: WhitenedClips, base: ModelFit, best: ModelFit, progress: Callable[[], None] = lambda: None
 ) -> list[ModelFit]:
     """Fit each effect of the best model alone, where it has several that the base has not."""
-    added = best.added(base)
+    added = best.added_names(base)
     if len(added) < 2:
         return []
     fits = []
@@ -173,7 +173,7 @@ class FreeLawContest:
 
     def _count(self, fit: ModelFit) -> int:
         """Effects in a fit that are not in the base."""
-        return len(fit.added(self.base))
+        return len(fit.added_names(self.base))
 
     def _considered(self, fits: Sequence[ModelFit]) -> FreeLawContest:
         """With those free laws fitted that to first order may be the best beside these models, the latest last."""

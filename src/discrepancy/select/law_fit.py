@@ -52,7 +52,7 @@ class LawScore:
 
 def whiten_law_columns(evidence: WhitenedClips, law: FreeLaw, model: Model, launches: Array) -> tuple[Array, ...]:
     """Whitened derivatives by the coefficients, (2n, J) of each clip."""
-    return evidence.white(law.derivatives(model, launches, evidence.clips))
+    return evidence.whiten(law.derivatives(model, launches, evidence.clips))
 
 
 def score_law(law: FreeLaw, fit: ModelFit, moves: Sequence[Array]) -> LawScore:
@@ -112,7 +112,7 @@ def fit_law(
                     break
                 moved = None
         if moved is None:
-            if fit.local:
+            if fit.is_linearised_here:
                 break
             fit = linearise(here, fit.model, fit.names, fit.launches)
             moves = whiten_law_columns(evidence, law, law.add_to(plain, coefs), fit.launches)
@@ -136,7 +136,7 @@ def _moved(
     Returns the clips (less what the law moves, where no effect can hold it), the fit there, and its model without the
     law; None where that has no motion.
     """
-    shared, own = solve_step(fit.explained_by(moves, step), 0.0, *fit.room())
+    shared, own = solve_step(fit.subtract(moves, step), 0.0, *fit.step_bounds())
     launches = fit.launches + own
     if not is_possible(launches):
         return None
@@ -146,7 +146,7 @@ def _moved(
         here = dataclasses.replace(
             evidence, clips=tuple(law.subtract_from(evidence.clips, plain, launches, coefs + step))
         )
-        residuals = here.left(model, launches)
+        residuals = here.whitened_residuals(model, launches)
     except FAILED:
         return None
     return here, dataclasses.replace(fit, model=model, launches=launches, residuals=residuals), plain
@@ -194,7 +194,7 @@ def refit_without_effect(
 ) -> FittedLaw:
     """Fit a free law again without the effect `gone` beside it. Raises ValueError where that has no motion."""
     names = tuple(n for n in fitted_law.fit.names if n not in gone.strengths + gone.shapes)
-    start = linearise(evidence, gone.without(fitted_law.model_without_law), names, fitted_law.fit.launches)
+    start = linearise(evidence, gone.remove_from(fitted_law.model_without_law), names, fitted_law.fit.launches)
     fit = minimise_chi2(evidence, start, progress)
     return fit_law(
         evidence,

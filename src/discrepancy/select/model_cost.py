@@ -37,7 +37,7 @@ def cost_of(fit: ModelFit, base: ModelFit) -> float:
         In chi^2.
     """
     paid, chosen = fit.chi2, cost_of_choice(len(library()))
-    for names in fit.added(base).values():
+    for names in fit.added_names(base).values():
         own = {n: find_parameter(fit.model, n) for n in names if "." in n}
         if not own:
             continue
@@ -57,7 +57,7 @@ def _information(fit: ModelFit, names: Sequence[str]) -> NDArray[np.float64]:
     """The information (k, k) of these parameters, all others being fitted: the inverse of their covariance."""
     if not names:
         return np.zeros((0, 0))
-    rows = fit.rows(names)
+    rows = fit.columns_of(names)
     covariance = fit.covariance[np.ix_(rows, rows)]
     std = np.sqrt(np.diag(covariance))
     std = np.where(std > 0, std, 1.0)

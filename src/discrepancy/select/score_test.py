@@ -84,7 +84,9 @@ class ScoreTests:
 
     def _stacked(self, columns: Sequence[Array]) -> Array:
         """Columns of every clip less what the launches absorb, stacked."""
-        return np.concatenate([c - q @ (q.T @ c) for q, c in zip(self.fit.tangent.launch_bases, columns, strict=True)])
+        return np.concatenate(
+            [c - q @ (q.T @ c) for q, c in zip(self.fit.linearisation.launch_bases, columns, strict=True)]
+        )
 
     @cached_property
     def _shared(self) -> Array:
@@ -108,7 +110,7 @@ class ScoreTests:
         """
         count, step = self._spans[-1].stop, self._step
         gram, squares, rows, first = np.zeros((count, count)), np.zeros(count), [], 0
-        for q, columns in zip(self.fit.tangent.launch_bases, self._every(), strict=True):
+        for q, columns in zip(self.fit.linearisation.launch_bases, self._every(), strict=True):
             squares += np.einsum("nk,nk->k", columns, columns)
             columns -= q @ (q.T @ columns)
             gram += columns.T @ columns

@@ -61,7 +61,7 @@ def find_variation(evidence: WhitenedClips, fit: ModelFit, strengths: Sequence[s
         columns = [
             (m * f[against][:, None, None]).reshape(*m.shape[:2], -1) for m, f in zip(moves, features, strict=True)
         ]
-        white = evidence.white(columns)
+        white = evidence.whiten(columns)
         information, pull = fit.information(white)
         values, axes = np.linalg.eigh(information)
         seen = values > SEEN * sum(float((c**2).sum()) for c in white)

@@ -99,7 +99,7 @@ def measure_gap(
         after = before
     rows = [_squares(c, one, two, a, noise) for c, one, two, a in _by_clip(clips, before, after)]
     squares = np.concatenate(rows)
-    phase = np.concatenate([c.phase() for c in clips])
+    phase = np.concatenate([c.phases() for c in clips])
     whole = _part(squares)
     by_phase = {name: _part(squares[phase == k]) for k, name in enumerate(PHASES) if np.any(phase == k)}
     return GapFits(Gap(**vars(whole), closure=_closure(whole, before.points), by_phase=by_phase), before, after)

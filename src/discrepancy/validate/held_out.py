@@ -182,7 +182,7 @@ def leave_one_out_residuals(fit: ModelFit, precision: Array | None = None) -> li
     list of (2n,) array
     """
     free = np.array([not _at_limit(fit, n) for n in fit.names], dtype=bool)
-    own = fit.tangent.launch_bases
+    own = fit.linearisation.launch_bases
     slopes = [s[:, free] - q @ (q.T @ s[:, free]) for q, s in zip(own, fit.slopes, strict=True)]
     left = [r - q @ (q.T @ r) for q, r in zip(own, fit.residuals, strict=True)]
     if not free.any():

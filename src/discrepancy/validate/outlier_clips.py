@@ -67,7 +67,7 @@ def _unlike(fit: ModelFit) -> Array:
 
 def _told(fit: ModelFit) -> tuple[Array, Array]:
     """What each clip alone says of the shared parameters: information (clips, S, S), its pull on them (clips, S)."""
-    cleaned = fit.cleaned
+    cleaned = fit.profiled_slopes
     size = np.sqrt(sum((c**2).sum(axis=0) for c in cleaned))
     unit = [c / np.where(size > 0, size, 1) for c in cleaned]
     pulls = np.array([c.T @ r for c, r in zip(unit, fit.residuals, strict=True)])

@@ -19,7 +19,7 @@ def stages(clip: MeasuredCollision) -> tuple[Ints, Array]:
     Exposures that hold an event count to the sliding.
     """
     opens = clip.frame / clip.fps
-    closes, end, t_c = opens + clip.exposure, clip.ends[clip.ball], clip.launch[T_C]
+    closes, end, t_c = opens + clip.exposure, clip.slide_ends[clip.ball], clip.launch[T_C]
     stage = np.where(closes <= t_c, BEFORE, np.where(opens >= end, ROLLING, SLIDING))
     middle = (opens + closes) / 2
     time = np.where(stage == BEFORE, t_c - middle, np.where(stage == SLIDING, middle - t_c, middle - end))

@@ -55,7 +55,7 @@ def test_what_the_balls_do_after_the_hit_tells_the_launch(filmed, late, speed):
     given = read_tracks(table, camera)
     found = [guess_hit_from_outgoing(given.clips[k][0], given.camera) for k in range(CLIPS)]
     assert all(hit.names == (0, 1) for hit in found)
-    table = np.array([[hit.t_c, hit.v0, hit.b, *(hit.ends - hit.t_c)] for hit in found])
+    table = np.array([[hit.t_c, hit.v0, hit.b, *(hit.slide_ends - hit.t_c)] for hit in found])
     off = table - truth[["t_c", "v0", "b", "tau1", "tau2"]].to_numpy()
     assert np.abs(off[:, 0]).max() < 0.25 / filmed[3]
     assert np.abs(off[:, 1] / truth["v0"]).max() < speed
@@ -66,7 +66,7 @@ def test_what_the_balls_do_after_the_hit_tells_the_launch(filmed, late, speed):
 def test_a_search_names_what_tracks_from_the_hit_on_hide(filmed):
     clips, left_out = read_collisions(*cut(filmed, 0.0))
     assert (len(clips), left_out) == (CLIPS, [])
-    assert all((clip.phase() != 0).all() for clip in clips)
+    assert all((clip.phases() != 0).all() for clip in clips)
     (named,) = find(clips, Model()).named
     off = (named.values["plate_tilt.x"] - HIDDEN["plate_tilt.x"]) / named.std["plate_tilt.x"]
     assert named.effect == "plate_tilt"

@@ -48,9 +48,9 @@ def test_first_guesses_are_near_the_truth(recorded, clips):
         true = truth.loc[clip.clip]
         _, _, t_c, v0, _, b = clip.launch
         assert [t_c, v0, b] == pytest.approx([true["t_c"], true["v0"], true["b"]], rel=0.02, abs=2e-3)
-        assert clip.ends - t_c == pytest.approx([true["tau1"], true["tau2"]], rel=0.1)
+        assert clip.slide_ends - t_c == pytest.approx([true["tau1"], true["tau2"]], rel=0.1)
         assert clip.striker == true["striker"]
-        free = [np.flatnonzero((clip.phase() == 0) & (clip.ball == k))[-8:] for k in (0, 1)]
+        free = [np.flatnonzero((clip.phases() == 0) & (clip.ball == k))[-8:] for k in (0, 1)]
         met = [np.polynomial.Polynomial.fit(clip.frame[r], clip.xy[r, k], 1) for r in free for k in (0, 1)]
         x1, y1, x2, y2 = (line(t_c * clip.fps) for line in met)
         assert clip.launch[[X, Y]] == pytest.approx([(x1 + x2) / 2, (y1 + y2) / 2], abs=2e-4)
@@ -58,7 +58,7 @@ def test_first_guesses_are_near_the_truth(recorded, clips):
 
 def test_ball_1_rests_until_it_is_struck(clips):
     for clip in clips:
-        early = clip.phase() == 0
+        early = clip.phases() == 0
         spread = [np.ptp(clip.xy[early & (clip.ball == k)], axis=0).max() for k in (0, 1)]
         assert spread[0] < 2e-5 < spread[1]
 
@@ -76,9 +76,9 @@ def test_places_are_in_metres(recorded, clips):
 def test_no_exposure_with_an_event_counts_to_a_phase(clips):
     for clip in clips:
         opens = clip.frame / clip.fps
-        for event, balls in ((clip.launch[T_C], (0, 1)), (clip.ends[0], (0,)), (clip.ends[1], (1,))):
+        for event, balls in ((clip.launch[T_C], (0, 1)), (clip.slide_ends[0], (0,)), (clip.slide_ends[1], (1,))):
             inside = (opens < event) & (event < opens + clip.exposure) & np.isin(clip.ball, balls)
-            assert np.all(clip.phase()[inside] == -1)
+            assert np.all(clip.phases()[inside] == -1)
 
 
 def test_a_table_gives_what_results_give(recorded, clips):
@@ -112,7 +112,7 @@ def test_what_a_ball_at_rest_has_alike_in_every_frame_is_kept_apart(recorded, tm
         table = pd.read_parquet(path)
         table.assign(x_fixed_std=0.006, y_fixed_std=0.006, cov_xy_fixed=0.0).to_parquet(path)
     for one, other in zip(clips, read_collisions(results)[0], strict=True):
-        rests = (one.phase() == 0) & (one.ball == 0)
+        rests = (one.phases() == 0) & (one.ball == 0)
         assert (one.offset, other.offset) == (0, pytest.approx(1.6e-4 * 0.006, rel=1e-3))
         assert np.sqrt(other.covariance[rests, 0, 0]) == pytest.approx(1.6e-4 * np.sqrt(NOISE**2 - 0.006**2), rel=1e-3)
         assert np.array_equal(other.covariance[~rests], one.covariance[~rests])

@@ -60,7 +60,7 @@ def test_places_are_those_of_even_times(fine):
         assert len(whole) - 4 <= len(off) <= len(whole)
         assert np.abs(off).max() < 3e-6
         assert np.sqrt(np.mean(off**2)) < 4e-7
-        assert (one.moved, other.moved) == (0, pytest.approx(0.4))
+        assert (one.max_shift_frames, other.max_shift_frames) == (0, pytest.approx(0.4))
         assert other.launch[:6] == pytest.approx(one.launch[:6], abs=2e-4)
 
 

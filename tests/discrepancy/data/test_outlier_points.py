@@ -76,7 +76,7 @@ def test_beside_a_model_it_is_found_at_every_event_and_at_both_ends(at, shift):
     wrong, rows = [], []
     for k, clip in enumerate(CLIPS[:4]):  # each ball moved along x and along y
         ball = k % 2
-        frame = {"contact": clip.launch[T_C], "slide end": clip.ends[ball]}.get(at, 0.0) * clip.fps + shift
+        frame = {"contact": clip.launch[T_C], "slide end": clip.slide_ends[ball]}.get(at, 0.0) * clip.fps + shift
         frame = {"first": shift + 2, "last": FRAMES - 3 + shift}.get(at, int(frame))
         rows.append({row_of(clip, ball, min(max(frame, 0), FRAMES - 1))})
         wrong.append(moved(clip, list(rows[-1]), STD * np.array([[300, 0], [0, -300]][k // 2 % 2])))

@@ -33,7 +33,7 @@ def thinned(clip, least):
             if way >= least:
                 kept.append(row)
                 last = row
-    return clip.of(np.array(kept))
+    return clip.select(np.array(kept))
 
 
 def test_of_tracks_as_they_were_measured_nothing_is_said():
@@ -58,12 +58,12 @@ def test_a_least_step_is_found(least):
 
 def test_frames_lost_at_random_are_no_rule():
     rng = np.random.default_rng(1)
-    assert detect_processing([c.of(np.flatnonzero(rng.random(len(c.frame)) > 0.2)) for c in CLIPS]) == ()
+    assert detect_processing([c.select(np.flatnonzero(rng.random(len(c.frame)) > 0.2)) for c in CLIPS]) == ()
 
 
 def test_what_a_filter_may_move_has_no_part():
     """A window of 11 about a place that is left holds neither a hit, nor a gap, nor an end."""
-    clip = CLIPS[0].of(np.flatnonzero(CLIPS[0].frame != 60))
+    clip = CLIPS[0].select(np.flatnonzero(CLIPS[0].frame != 60))
     left = remove_filtered_rows(clip)
     assert len(left.frame) > 0
     for ball in (0, 1):
@@ -85,7 +85,7 @@ def smoothed():
 
 def near(clip, frames):
     """Only what is seen within so many frames of the contact."""
-    return clip.of(np.flatnonzero(np.abs(clip.frame - clip.launch[T_C] * clip.fps) < frames))
+    return clip.select(np.flatnonzero(np.abs(clip.frame - clip.launch[T_C] * clip.fps) < frames))
 
 
 def test_of_smoothed_tracks_nothing_is_named_and_it_is_said():

@@ -29,7 +29,7 @@ def test_a_hit_is_no_stray():
 
 def test_nor_is_what_a_tracker_has_lost():
     for clip in CLIPS:
-        tracks = tracks_of(clip.of(np.flatnonzero(clip.frame % 7 != 3)))
+        tracks = tracks_of(clip.select(np.flatnonzero(clip.frame % 7 != 3)))
         assert remove_strays(tracks, CAMERA)[1] == []
 
 

@@ -15,7 +15,7 @@ def slower(clip, factor):
     """The same tracks as if filmed at so many times fewer frames a second."""
     camera = dataclasses.replace(clip.camera, fps=clip.fps / factor, exposure=clip.exposure * factor)
     launch = clip.launch * np.array([1, 1, factor, 1 / factor, 1, 1])
-    return dataclasses.replace(clip, camera=camera, launch=launch, ends=clip.ends * factor)
+    return dataclasses.replace(clip, camera=camera, launch=launch, slide_ends=clip.slide_ends * factor)
 
 
 def test_a_clock_thirty_times_slower_is_friction_nine_hundred_times_less():

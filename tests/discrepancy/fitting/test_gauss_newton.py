@@ -119,7 +119,7 @@ def test_launch_derivatives_of_many_clips_are_those_of_each(monkeypatch):
     for clip, a, b, s, p in zip(clips, here, again, slopes, parts, strict=True):
         assert np.allclose(a, b, atol=1e-13)
         assert np.allclose(s, p, atol=1e-7)
-        before = clip.phase() == 0
+        before = clip.phases() == 0
         assert np.allclose(s[before & (clip.ball == 0), :, :2], np.eye(2), atol=1e-6)  # a target at rest is displaced
 
 
@@ -164,12 +164,12 @@ def test_a_fit_that_starts_from_another_ends_where_a_fresh_one_does():
     evidence = WhitenedClips.of(clips, WHITE)
     base = fit_model(clips, Model(), BASE_PARAMETERS, WHITE)
     slopes = [differentiate(base.model, base.launches, clips, n) for n in names[5:]]
-    columns = evidence.white([np.stack([s[k] for s in slopes], axis=-1) for k in range(4)])
-    stale = minimise_chi2(evidence, base.extended(base.model, names[5:], columns))
+    columns = evidence.whiten([np.stack([s[k] for s in slopes], axis=-1) for k in range(4)])
+    stale = minimise_chi2(evidence, base.extend(base.model, names[5:], columns))
     assert stale.chi2 == pytest.approx(fresh.chi2, abs=0.01)
     error = np.sqrt(np.diag(fresh.covariance))
     assert np.allclose(stale.covariance / np.outer(error, error), fresh.covariance / np.outer(error, error), atol=1e-3)
-    rough = minimise_chi2(evidence, base.extended(base.model, names[5:], columns), rough=True)
+    rough = minimise_chi2(evidence, base.extend(base.model, names[5:], columns), rough=True)
     assert rough.chi2 == pytest.approx(fresh.chi2, abs=1.0)
 
 
@@ -242,8 +242,8 @@ class Banana:
         residuals = np.array([1 - self.x, -self.steep * (self.y - self.x**2)])
         slopes = np.array([[1.0, 0.0], [-2 * self.steep * self.x, self.steep]])
         names, launches = ("x", "y"), np.zeros((0, 6))
-        tangent = Linearisation(self, names, launches, (slopes,), (np.zeros((2, 6)),))
-        return ModelFit(self, names, launches, (residuals,), tangent)
+        linearisation = Linearisation(self, names, launches, (slopes,), (np.zeros((2, 6)),))
+        return ModelFit(self, names, launches, (residuals,), linearisation)
 
 
 def test_a_part_of_a_step_that_gains_nearly_nothing_is_not_the_end(monkeypatch):
@@ -262,9 +262,9 @@ def test_a_part_of_a_step_that_gains_nearly_nothing_is_not_the_end(monkeypatch):
 
     monkeypatch.setattr("discrepancy.fitting.gauss_newton._step", step)
     here = "discrepancy.fitting.gauss_newton"
-    monkeypatch.setattr(f"{here}._moved", moved)
-    monkeypatch.setattr(f"{here}._foretold", foretold)
-    monkeypatch.setattr(f"{here}.linearised", lambda evidence, model, names, launches: model.fit())
+    monkeypatch.setattr(f"{here}._apply_step", moved)
+    monkeypatch.setattr(f"{here}._predict_chi2", foretold)
+    monkeypatch.setattr(f"{here}.linearise", lambda evidence, model, names, launches: model.fit())
     assert minimise_chi2(None, Banana(-3.66, 3.66**2, 9.7).fit()).chi2 < 1e-6
 
 
@@ -276,8 +276,8 @@ def test_one_launch_that_leads_astray_is_damped_and_no_other():
     fit = fit_model(clips, Model(), BASE_PARAMETERS, WHITE, starts)
     near = fit_model([c for k, c in enumerate(clips) if k != 2], Model(), BASE_PARAMETERS, WHITE)
     assert np.allclose(fit.values(), near.values(), atol=3 * np.sqrt(np.diag(near.covariance)))
-    free, _ = solve_step(fit, 0.0, *fit.room())
-    held, own = solve_step(fit, 0.0, *fit.room(), np.eye(8)[2] * 1e9)
+    free, _ = solve_step(fit, 0.0, *fit.step_bounds())
+    held, own = solve_step(fit, 0.0, *fit.step_bounds(), np.eye(8)[2] * 1e9)
     assert np.abs(own[2]).max() < 1e-9
     assert np.allclose(held, free, atol=np.sqrt(np.diag(fit.covariance)))
 

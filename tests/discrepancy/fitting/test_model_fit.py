@@ -20,24 +20,24 @@ COLUMNS = [np.ones((len(r), 1)) for r in FIT.residuals]
 
 def test_derivatives_are_of_the_place_where_they_were_taken():
     """Another launch, model or parameter makes them those of somewhere near."""
-    assert FIT.local
-    assert not dataclasses.replace(FIT, launches=FIT.launches + 1e-9).local
-    assert not dataclasses.replace(FIT, model=Model().replace({"restitution": 0.8})).local
-    assert not FIT.extended(Model(), ["velocity_restitution.e"], COLUMNS).local
+    assert FIT.is_linearised_here
+    assert not dataclasses.replace(FIT, launches=FIT.launches + 1e-9).is_linearised_here
+    assert not dataclasses.replace(FIT, model=Model().replace({"restitution": 0.8})).is_linearised_here
+    assert not FIT.extend(Model(), ["velocity_restitution.e"], COLUMNS).is_linearised_here
 
 
 def test_parameters_are_found_by_name():
-    assert FIT.rows(["spin_transfer", "restitution"]) == [
+    assert FIT.columns_of(["spin_transfer", "restitution"]) == [
         BASE_PARAMETERS.index("spin_transfer"),
         BASE_PARAMETERS.index("restitution"),
     ]
     assert FIT.values(["restitution"]) == pytest.approx([Model().restitution])
-    less, more = FIT.room()
+    less, more = FIT.step_bounds()
     where = BASE_PARAMETERS.index("restitution")
     assert (less[where], more[where]) == pytest.approx((-Model().restitution, 1 - Model().restitution))
 
 
 def test_what_is_fitted_beside_the_base_is_given_by_effect():
-    every = FIT.extended(Model(), ["plate_tilt.x", "gravity", "plate_tilt.y"], [np.ones((len(c), 3)) for c in COLUMNS])
-    assert every.added(FIT) == {"plate_tilt": ["plate_tilt.x", "plate_tilt.y"], "gravity": ["gravity"]}
-    assert every.reduced(Model(), ["gravity", "plate_tilt.x", "plate_tilt.y"]).names == FIT.names
+    every = FIT.extend(Model(), ["plate_tilt.x", "gravity", "plate_tilt.y"], [np.ones((len(c), 3)) for c in COLUMNS])
+    assert every.added_names(FIT) == {"plate_tilt": ["plate_tilt.x", "plate_tilt.y"], "gravity": ["gravity"]}
+    assert every.drop(Model(), ["gravity", "plate_tilt.x", "plate_tilt.y"]).names == FIT.names

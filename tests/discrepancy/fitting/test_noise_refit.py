@@ -26,7 +26,7 @@ def measured(seed, rho=0.0, walk=0.0, hidden=0.0, count=8):
 
 def slow(component):
     """The power of its slowest part."""
-    lags = component.lags(200)
+    lags = component.autocovariances(200)
     return float(2 * lags.sum() - lags[0])
 
 
@@ -55,7 +55,7 @@ def test_a_walk_too_slow_for_the_phases_is_found():
     better = refit_noise(clips, fit_model(clips, Model(), BASE_PARAMETERS, noise), noise)
     assert better.scale == pytest.approx(1, rel=0.1)
     for s in better.shared:
-        lags = s.lags(2)
+        lags = s.autocovariances(2)
         assert 2 * (lags[0] - lags[1]) / (0.25 * STD) ** 2 == pytest.approx(1, rel=0.5)
 
 
@@ -93,9 +93,9 @@ def test_a_table_that_leans_another_way_in_each_clip_is_no_camera_that_shakes(le
         shake = 2 * STD * correlated(rng, FRAMES, 0.9)
         clips.append(dataclasses.replace(clip, xy=clip.xy + noise_of_pair(rng, 0.0) + np.concatenate([shake, shake])))
     noise = estimate(clips)
-    assert noise.common_mode == pytest.approx(2 * STD, rel=0.5)
+    assert noise.common_mode_rms == pytest.approx(2 * STD, rel=0.5)
     better = refit_noise(clips, fit_model(clips, Model(), BASE_PARAMETERS, noise), noise) or noise
-    assert better.common_mode == pytest.approx(2 * STD, rel=0.5)
+    assert better.common_mode_rms == pytest.approx(2 * STD, rel=0.5)
 
 
 def test_noise_that_the_phases_exclude_is_refused():
@@ -108,10 +108,10 @@ def test_noise_that_the_phases_exclude_is_refused():
 
 def test_where_phases_hold_motion_the_noise_is_not_read_over_more():
     """Balls roll where they are said to slide, and more than that is missing: none of it is noise."""
-    clips = [dataclasses.replace(c, ends=c.ends + 0.1) for c in measured(1, hidden=0.2)]
+    clips = [dataclasses.replace(c, slide_ends=c.slide_ends + 0.1) for c in measured(1, hidden=0.2)]
     noise = estimate(clips)
     base = fit_model(clips, Model(), BASE_PARAMETERS, noise)
-    assert noise.over_phases > 100
+    assert noise.whole_phase_scale > 100
     assert base.chi2 > 100 * base.points
     assert refit_noise(clips, base, noise) is None
     assert refit_noise(clips, base, noise, explained=False) is None

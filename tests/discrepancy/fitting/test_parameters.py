@@ -53,9 +53,9 @@ def test_laws_that_bend_friction_mean_nothing_without_any():
 
 def test_what_is_taken_out_of_a_model_leaves_no_trace():
     stribeck = next(s for s in list_candidates(Model(), BASE_PARAMETERS) if s.name == "stribeck")
-    assert stribeck.without(Model().replace({"stribeck.rise": 0.1, "stribeck.slip": 0.2})) == Model()
+    assert stribeck.remove_from(Model().replace({"stribeck.rise": 0.1, "stribeck.slip": 0.2})) == Model()
     friction = next(s for s in list_candidates(TEXTBOOK, names_to_fit(TEXTBOOK)) if s.name == "sliding_friction")
-    assert friction.without(Model(spin_transfer=0.0)) == TEXTBOOK
+    assert friction.remove_from(Model(spin_transfer=0.0)) == TEXTBOOK
 
 
 @pytest.mark.parametrize(

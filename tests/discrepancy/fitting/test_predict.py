@@ -96,7 +96,7 @@ def slower(clip, fps=110.0, exposure=2e-3):
     """The same collision as another frame rate sees it, without places."""
     camera = dataclasses.replace(clip.camera, fps=fps, exposure=exposure)
     count = int(len(clip.frame) // 2 * fps / FPS)
-    other = blank(clip.clip, clip.launch, clip.ends, count)
+    other = blank(clip.clip, clip.launch, clip.slide_ends, count)
     return dataclasses.replace(other, camera=camera)
 
 

@@ -36,8 +36,8 @@ def experiment(count=24):
     evidence, launches = WhitenedClips.of(clips, NOISE), np.array([c.launch for c in clips])
     start = linearise(evidence, Model(), BASE_PARAMETERS, launches)
     law = next(s for s in free_laws_over(Model(), launches, clips) if s.name == "restitution_speed")
-    moves = evidence.white(law.derivatives(Model(), launches, clips))
-    single = evidence.white(differentiate(Model(), launches, clips, "restitution"))
+    moves = evidence.whiten(law.derivatives(Model(), launches, clips))
+    single = evidence.whiten(differentiate(Model(), launches, clips, "restitution"))
     return evidence, start, law, moves, single
 
 
@@ -126,7 +126,7 @@ def test_a_free_law_is_worth_more_where_the_law_steps_and_a_little_less_where_it
 @pytest.mark.parametrize("size", [30, 300])
 def test_a_step_below_the_slowest_collision_is_the_constant_whatever_error_the_slopes_have(size):
     filled, _ = drawn(smooth, size, 0)
-    bare = dataclasses.replace(filled, fit=filled.fit.explained_by(filled.slopes, -filled.coefs))
+    bare = dataclasses.replace(filled, fit=filled.fit.subtract(filled.slopes, -filled.coefs))
     where = np.stack(
         [np.linspace(-1.0, -0.5, 20), np.full(20, np.log(0.025))], axis=1
     )  # shares of the range: tanh is 1

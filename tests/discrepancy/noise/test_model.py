@@ -41,13 +41,13 @@ def agree(values, truth):
 
 
 def test_lags_of_an_autoregression_are_those_of_yule_and_walker():
-    assert NoiseComponent(2.0, (0.9,)).lags(40) == pytest.approx(2 * 0.9 ** np.arange(40))
+    assert NoiseComponent(2.0, (0.9,)).autocovariances(40) == pytest.approx(2 * 0.9 ** np.arange(40))
     one, two = 0.6, -0.3
     phi = np.array([one * (1 - two), two])
-    lags = NoiseComponent(1.0, (one, two)).lags(30)
+    lags = NoiseComponent(1.0, (one, two)).autocovariances(30)
     assert lags[1] == pytest.approx(phi[0] / (1 - phi[1]))
     assert lags[2:] == pytest.approx(phi[0] * lags[1:-1] + phi[1] * lags[:-2])
-    assert NoiseComponent(3.0, (0.5,), 0.25).lags(3) == pytest.approx([3.0, 3 * 0.75 * 0.5, 3 * 0.75 * 0.25])
+    assert NoiseComponent(3.0, (0.5,), 0.25).autocovariances(3) == pytest.approx([3.0, 3 * 0.75 * 0.5, 3 * 0.75 * 0.25])
 
 
 def test_restricted_likelihood_is_that_of_the_contrasts_that_no_cubic_touches():
@@ -60,7 +60,7 @@ def test_restricted_likelihood_is_that_of_the_contrasts_that_no_cubic_touches():
     contrasts, costs, exact_costs = null_space(basis.T), [], []
     for rho in (0.2, 0.8):
         covariance = toeplitz(rho ** np.arange(n))
-        costs.append(sum(bundle.restricted(covariance)))
+        costs.append(sum(bundle.restricted_likelihood(covariance)))
         law = multivariate_normal(cov=contrasts.T @ covariance @ contrasts)
         exact_costs.append(-2 * law.logpdf((contrasts.T @ values).T).sum())
     assert costs[1] - costs[0] == pytest.approx(exact_costs[1] - exact_costs[0])
@@ -71,17 +71,17 @@ def test_scale_and_correlation_are_recovered(rho):
     found = [fit_own_noise(stretches(np.random.default_rng(s), rho, std=2.0)) for s in range(4)]
     assert agree([np.sqrt(c.variance) / 2 for c in found], 1.0)
     if rho:
-        assert agree([c.lags(2)[1] / c.variance for c in found], rho)
+        assert agree([c.autocovariances(2)[1] / c.variance for c in found], rho)
     else:
-        assert all(c.partial == () for c in found)
+        assert all(c.partial_autocorrelations == () for c in found)
 
 
 def test_white_noise_beside_slow_noise_is_told_apart():
     rng = np.random.default_rng(2)
     both = [(p + rng.standard_normal(p.shape), c, f) for p, c, f in stretches(rng, 0.95, count=200, frames=(40, 59))]
     found = fit_own_noise(both)
-    assert found.white * found.variance == pytest.approx(1.0, rel=0.1)
-    assert found.partial[0] == pytest.approx(0.95, abs=0.06)
+    assert found.white_share * found.variance == pytest.approx(1.0, rel=0.1)
+    assert found.partial_autocorrelations[0] == pytest.approx(0.95, abs=0.06)
 
 
 def test_smooth_motion_is_no_noise():
@@ -90,7 +90,7 @@ def test_smooth_motion_is_no_noise():
         (p + 1e4 * np.vander(np.linspace(-1, 1, len(p)), CUBIC_COEFFICIENTS) @ np.ones((CUBIC_COEFFICIENTS, 2)), c, f)
         for p, c, f in plain
     ]
-    assert fit_own_noise(moved).lags(6) == pytest.approx(fit_own_noise(plain).lags(6), rel=1e-4)
+    assert fit_own_noise(moved).autocovariances(6) == pytest.approx(fit_own_noise(plain).autocovariances(6), rel=1e-4)
 
 
 @pytest.mark.parametrize("rho", [0.0, 0.5, 0.9])
@@ -103,8 +103,8 @@ def test_missing_frames_do_not_change_the_noise(rho):
             kept = rng.random(len(frame)) < 0.67 if seed % 2 else frame % 3 == 0
             some.append((places[kept], claimed[kept], frame[kept]))
         found.append(fit_own_noise(some))
-    assert agree([f.lags(1)[0] for f in found], 1.0)
-    assert np.mean([f.lags(2)[1] / f.lags(1)[0] for f in found]) == pytest.approx(rho, abs=0.04)
+    assert agree([f.autocovariances(1)[0] for f in found], 1.0)
+    assert np.mean([f.autocovariances(2)[1] / f.autocovariances(1)[0] for f in found]) == pytest.approx(rho, abs=0.04)
 
 
 @pytest.mark.parametrize("rho", [0.0, 0.5, 0.9])
@@ -118,17 +118,17 @@ def test_missing_frames_do_not_change_the_noise(rho):
 )
 def test_a_filter_is_recognised(rho, smooth):
     plain = list(stretches(np.random.default_rng(1), rho, frames=(22, 37, 59)))
-    assert not Noise(fit_own_noise(plain)).smoothed
-    assert Noise(fit_own_noise([(smooth(p), c, f) for p, c, f in plain])).smoothed
+    assert not Noise(fit_own_noise(plain)).is_smoothed
+    assert Noise(fit_own_noise([(smooth(p), c, f) for p, c, f in plain])).is_smoothed
 
 
 @pytest.mark.parametrize(("every", "rho", "seed"), [(2, 0.5, 30), (3, 0.9, 32)])
 def test_every_other_frame_of_lasting_noise_is_no_filter(every, rho, seed):
     """Noise that swings from frame to frame can be the same at the frames that are seen."""
-    thin = [c.of(np.flatnonzero(c.frame % every == 0)) for c in collisions(Model(), 24, seed, rho=rho)]
+    thin = [c.select(np.flatnonzero(c.frame % every == 0)) for c in collisions(Model(), 24, seed, rho=rho)]
     noise = estimate(thin)
-    assert noise.own.partial[1] < -0.12
-    assert not noise.smoothed
+    assert noise.own.partial_autocorrelations[1] < -0.12
+    assert not noise.is_smoothed
 
 
 @pytest.mark.parametrize("late", [0.02, 0.1])
@@ -137,11 +137,11 @@ def test_motion_within_a_phase_is_no_noise_and_no_filter(rho, late):
     """Balls roll where they are said to slide: no cubic follows them over the phase, but over eight places."""
     clips = collisions(Model(), 12, 3, rho=rho)
     right = estimate(clips)
-    wrong = estimate([dataclasses.replace(c, ends=c.ends + late) for c in clips])
-    assert right.over_phases == 0
-    assert wrong.over_phases > 10
-    assert not wrong.smoothed
-    assert [n.quick for n in (right, wrong)] == pytest.approx(2 * [np.sqrt(1 - rho**2)], rel=0.1)
+    wrong = estimate([dataclasses.replace(c, slide_ends=c.slide_ends + late) for c in clips])
+    assert right.whole_phase_scale == 0
+    assert wrong.whole_phase_scale > 10
+    assert not wrong.is_smoothed
+    assert [n.innovation_scale for n in (right, wrong)] == pytest.approx(2 * [np.sqrt(1 - rho**2)], rel=0.1)
 
 
 def test_noise_is_counted_in_claimed_standard_deviations():
@@ -175,16 +175,16 @@ def test_jitter_that_both_balls_share_is_measured():
     noise = estimate(common_mode_score(CLIPS, 1, jitter=2.0, axes=(1, 0.5)))
     x, y = (s.variance / STD**2 for s in noise.shared)
     assert (x, y) == (pytest.approx(4, rel=0.25), pytest.approx(1, rel=0.25))
-    assert noise.shared[0].lags(2)[1] / noise.shared[0].variance == pytest.approx(0, abs=0.15)
+    assert noise.shared[0].autocovariances(2)[1] / noise.shared[0].variance == pytest.approx(0, abs=0.15)
     assert noise.scale == pytest.approx(1, rel=0.1)
-    assert noise.common_mode == pytest.approx(STD * np.sqrt(2.5), rel=0.2)
+    assert noise.common_mode_rms == pytest.approx(STD * np.sqrt(2.5), rel=0.2)
 
 
 def test_a_shared_random_walk_has_its_increments():
     noise = estimate(common_mode_score(CLIPS, 2, walk=1.0))
     assert noise.scale == pytest.approx(1, rel=0.1)
     for s in noise.shared:
-        lags = s.lags(2)
+        lags = s.autocovariances(2)
         assert 2 * (lags[0] - lags[1]) / STD**2 == pytest.approx(1, rel=0.25)
 
 
@@ -192,7 +192,9 @@ def test_balls_that_share_nothing_are_not_taken_for_shaken():
     scores = []
     for seed in range(20):
         clips = common_mode_score(CLIPS, seed)
-        scores.append(BallPairs(pair for c in clips for pair in c.together()).common_mode_score(NoiseComponent(1.0)))
+        scores.append(
+            BallPairs(pair for c in clips for pair in c.paired_stretches()).common_mode_score(NoiseComponent(1.0))
+        )
     assert max(scores) < 4
     assert 0 < np.mean(scores) < 1.49 + 3 / np.sqrt(20)  # nine independent normal scores: the largest is 1.49
     assert estimate(common_mode_score(CLIPS, 3, rho=0.9)).shared == ()
@@ -208,16 +210,18 @@ def test_missing_frames_break_a_stretch_and_no_more():
         holed.append(dataclasses.replace(c, **parts))
     one, other = estimate(whole), estimate(holed)
     assert other.scale == pytest.approx(one.scale, rel=0.15)
-    assert other.common_mode == pytest.approx(one.common_mode, rel=0.25)
+    assert other.common_mode_rms == pytest.approx(one.common_mode_rms, rel=0.25)
 
 
 def test_a_bundle_of_unequal_stretches_counts_each_by_its_own_length():
     rng = np.random.default_rng(11)
     values = [correlated(rng, n, 0.5) for n in (19, 15, 14)]
     together, covariance = StretchBundle.of(values, [np.ones(len(v)) for v in values]), toeplitz(0.7 ** np.arange(19))
-    each = [StretchBundle.of([v], [np.ones(len(v))]).restricted(covariance[: len(v), : len(v)]) for v in values]
-    assert together.restricted(covariance) == pytest.approx(np.sum(each, axis=0))
-    assert together.restricted(np.tile(covariance, (3, 1, 1))) == pytest.approx(np.sum(each, axis=0))
+    each = [
+        StretchBundle.of([v], [np.ones(len(v))]).restricted_likelihood(covariance[: len(v), : len(v)]) for v in values
+    ]
+    assert together.restricted_likelihood(covariance) == pytest.approx(np.sum(each, axis=0))
+    assert together.restricted_likelihood(np.tile(covariance, (3, 1, 1))) == pytest.approx(np.sum(each, axis=0))
 
 
 def test_one_bad_recording_does_not_count_for_all():
@@ -252,14 +256,14 @@ def test_too_little_to_read_noise_from():
 
 def test_a_noise_says_its_scale_and_correlation():
     noise = Noise(NoiseComponent(4.0, (0.5,)))
-    assert (noise.scale, noise.correlation, noise.common_mode) == (2.0, 0.5, 0.0)
+    assert (noise.scale, noise.correlation, noise.common_mode_rms) == (2.0, 0.5, 0.0)
 
 
 @pytest.mark.parametrize("part", [FLOOR, CEILING])
 def test_noise_at_the_end_of_its_range_is_a_start_like_any_other(part):
     numbers = numbers_from_component(NoiseComponent(1.0, (0.5,), part))
     assert np.isfinite(numbers).all()
-    assert component_from_numbers((1, True), 1.0, numbers).white == pytest.approx(part, abs=1.1e-3)
+    assert component_from_numbers((1, True), 1.0, numbers).white_share == pytest.approx(part, abs=1.1e-3)
 
 
 def test_what_is_new_from_frame_to_frame():
@@ -269,10 +273,10 @@ def test_what_is_new_from_frame_to_frame():
     for k in range(1, len(drift)):
         drift[k] = rho * drift[k - 1] + steps[k]
     slow = Noise(NoiseComponent(4.0 / (1 - rho**2), (rho,)))
-    assert 2.0 * np.std(drift[1:] - rho * drift[:-1]) == pytest.approx(slow.quick, rel=0.01)
+    assert 2.0 * np.std(drift[1:] - rho * drift[:-1]) == pytest.approx(slow.innovation_scale, rel=0.01)
     assert slow.scale == pytest.approx(2.0 * np.std(drift), rel=0.1)
-    assert slow.slow
-    assert not Noise(NoiseComponent(4.0)).slow
-    assert Noise(NoiseComponent(4.0)).quick == 2.0
+    assert slow.is_slow
+    assert not Noise(NoiseComponent(4.0)).is_slow
+    assert Noise(NoiseComponent(4.0)).innovation_scale == 2.0
     mixed = Noise(NoiseComponent(4.0, (rho,), 0.25))
-    assert mixed.quick == pytest.approx(2 * np.sqrt(0.25 + 0.75 * (1 - rho**2)))
+    assert mixed.innovation_scale == pytest.approx(2 * np.sqrt(0.25 + 0.75 * (1 - rho**2)))

@@ -30,7 +30,7 @@ def clip(gaps=True):
 def covariance(c, noise):
     """Of every measured number with every other, written out: (n, 2, n, 2), m^2."""
     n = len(c.frame)
-    lags = noise.own.lags(20)
+    lags = noise.own.autocovariances(20)
     roots = np.linalg.cholesky(c.covariance)
     out = np.zeros((n, 2, n, 2))
     for i in range(n):
@@ -39,7 +39,7 @@ def covariance(c, noise):
             if c.ball[i] == c.ball[j]:
                 out[i, :, j] += lags[apart] * roots[i] @ roots[j].T
             for axis, shared in enumerate(noise.shared):
-                out[i, axis, j, axis] += shared.lags(20)[apart]
+                out[i, axis, j, axis] += shared.autocovariances(20)[apart]
     return out
 
 

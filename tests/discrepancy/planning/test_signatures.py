@@ -23,7 +23,7 @@ def columns(name):
     """Whitened derivatives by a strength less all that the fit absorbs, (points,)."""
     here = small()
     slopes = differentiate(here.model, here.launches, here.clips, name)
-    return unabsorbed(here.fit(), np.concatenate(here.evidence.white(slopes))[:, None])[:, 0]
+    return unabsorbed(here.fit(), np.concatenate(here.evidence.whiten(slopes))[:, None])[:, 0]
 
 
 def test_a_limit_is_five_over_the_length_of_the_signature():

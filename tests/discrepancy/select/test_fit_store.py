@@ -28,7 +28,7 @@ def test_a_shape_that_went_astray_is_found_again():
     )
     blind = np.append(np.ones(len(BASE_PARAMETERS) + 1), 0.0)  # nothing tells that a higher bounce would be better
     lost = dataclasses.replace(
-        lost, tangent=dataclasses.replace(lost.tangent, slopes=tuple(x * blind for x in lost.slopes))
+        lost, linearisation=dataclasses.replace(lost.linearisation, slopes=tuple(x * blind for x in lost.slopes))
     )
     found = seen._astray((hop,), lost)
     assert found.model.value("hop.bounce") == pytest.approx(0.4, abs=3.5 * found.std["hop.bounce"])
@@ -47,7 +47,7 @@ def test_one_of_two_that_together_hold_the_ball_at_rest_can_be_taken_away(monkey
     both = linearise(seen.evidence, base.model.replace(values), names, base.launches)
     (wave,) = (s for s in list_candidates(Model(), BASE_PARAMETERS) if s.name == "plate_waviness")
     with pytest.raises(ValueError, match="rest"):
-        seen.evidence.left(wave.without(both.model), both.launches)
+        seen.evidence.whitened_residuals(wave.remove_from(both.model), both.launches)
     left = seen.without(both, wave)
     assert left.names == (*BASE_PARAMETERS, "plate_tilt.x")
     assert left.chi2 == pytest.approx(base.chi2)

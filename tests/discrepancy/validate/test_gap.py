@@ -80,7 +80,7 @@ def test_the_floor_of_each_phase_is_what_drawn_noise_leaves(rho):
         rest = drawn - launch @ np.linalg.lstsq(launch, drawn, rcond=None)[0]
         left.append((rest.reshape(-1, 2, 2000) ** 2).mean(axis=(1, 2)))
         metres.append((ClipWhitener.of(clip, found.data.noise).undo(rest) ** 2).mean(axis=(1, 2)))
-    phase = np.concatenate([c.phase() for c in found.data.kept_out])
+    phase = np.concatenate([c.phases() for c in found.data.kept_out])
     assert set(gap.by_phase) == {"before", "sliding", "rolling"}
     for k, part in enumerate(gap.by_phase.values()):
         assert part.floor == pytest.approx(np.concatenate(left)[phase == k].mean(), rel=0.01)

@@ -18,7 +18,7 @@ CLAIMED = Noise(NoiseComponent(1.0))
 
 def pushed(clip, size):
     """Ball 1 of a clip is pushed along while it rolls, as if something stood in its way."""
-    late = np.maximum(clip.frame / clip.fps - clip.ends[0], 0) * (clip.ball == 0)
+    late = np.maximum(clip.frame / clip.fps - clip.slide_ends[0], 0) * (clip.ball == 0)
     way = np.array([np.cos(clip.launch[HEADING]), np.sin(clip.launch[HEADING])])
     return dataclasses.replace(clip, xy=clip.xy + size * late[:, None] ** 2 * way)
 

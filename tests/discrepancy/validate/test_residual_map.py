@@ -84,7 +84,7 @@ def test_what_a_disagreement_changes_with_is_told(effect, value, phase, against)
 def test_a_bent_roll_has_the_size_of_its_bend():
     clips, sizes = [], []
     for k, c in enumerate(exact(Model(), 12, 4)):
-        late = np.maximum(c.frame / c.fps - c.ends[c.ball], 0) * (c.ball == 0)
+        late = np.maximum(c.frame / c.fps - c.slide_ends[c.ball], 0) * (c.ball == 0)
         bend = (-1) ** k * 1e-3 * late**2
         way = np.array([-np.sin(c.launch[HEADING]), np.cos(c.launch[HEADING])])
         rows = late > 0
