@@ -61,7 +61,7 @@ def main(arguments: list[str] | None = None) -> None:
         film(results, page.needs(given.figure) if given.figure else experiment.SERIES, given.workers, given.quick)
         if given.figure is None or page.compares(given.figure):
             compare(results, given.workers, given.quick)
-        made = page.one_figure(results, given.figure) if given.figure else page.write(results)
+        made = page.write_figure(results, given.figure) if given.figure else page.write(results)
     except KeyboardInterrupt:
         print("paper: interrupted; the same command goes on", file=sys.stderr)
         sys.exit(130)

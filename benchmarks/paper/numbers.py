@@ -108,7 +108,7 @@ def _impact(results: Results) -> Iterator[Line]:
         )
     error, shaken = shaken_to(results, R_SCATTER)
     yield Line(
-        f"the same at {WINDOW}, places worse by {error * 1e6:.0f} µm",
+        f"the same at {WINDOW}, positions worse by {error * 1e6:.0f} µm",
         "0.85 ± 0.11",
         "0.903",
         f"{shaken.mean():.3f} ± {shaken.std(ddof=1):.3f}",
@@ -236,12 +236,12 @@ def _spins(results: Results) -> Iterator[Line]:
         "the printed C = .347 makes it .306, C = .25 makes it .5",
     )
     yield Line(
-        "angular momentum about the plate given to it in the hit, head-on, 4C/7",
+        "angular momentum about a point of the plate that the hit takes, head-on, 4C/7",
         "not printed",
         f"{4 * PUBLISHED.C / 7:.3f}",
         with_error(1 - kept[0], kept[1], 3),
         "",
-        "all in the hit: friction at the plate has no moment about it",
+        "all in the hit: friction on the plate has no torque about that point",
     )
 
 

@@ -7,7 +7,7 @@ from benchmarks.paper import experiment, kondic, make, readings
 from benchmarks.paper.kondic import GRAVITY, Laws
 from benchmarks.paper.models import candidates, contradictions, observed
 from benchmarks.paper.published import OBSERVED
-from benchmarks.paper.report import page, said
+from benchmarks.paper.report import findings, page
 from tracker.measurement.joint_fit import predict
 
 FPS, DIAMETER, FRAMES = 250.0, 2.38e-3, 100
@@ -159,11 +159,13 @@ def stepped(v0, until, step=2e-6):
 
 
 def test_the_mean_of_both_spins_tells_c_while_both_slide_and_falls_later():
-    for late, c in ((0.002, 0.347), (0.006, 0.347), (said.read_for_mean(0.25)[0], 0.25)):
+    for late, c in ((0.002, 0.347), (0.006, 0.347), (findings.read_for_mean(0.25)[0], 0.25)):
         then, last, ends = stepped(0.1, late)
         spins = (7 * last - 5 * then) / 2 / 0.1
         assert (1 - spins.sum()) / 2 == pytest.approx(c, abs=1e-3)
-    assert (then[0] - then[1]) / 0.1 == pytest.approx(said.read_for_mean(0.25)[1], abs=1e-3)  # r by differences: .48
+    assert (then[0] - then[1]) / 0.1 == pytest.approx(
+        findings.read_for_mean(0.25)[1], abs=1e-3
+    )  # r by differences: .48
     assert ends == pytest.approx([0.0163, 0.0076], abs=5e-5)
 
 

@@ -9,6 +9,7 @@ from benchmarks.paper import style
 from benchmarks.paper.results import Results
 
 NUMBER, TITLE = "1", "Rolling loss"
+SHOWS = "Rolling balls slow down by the paper's law: a part that is proportional to speed, and a constant part."
 NEEDS = ("rolling",)
 PAPER = (
     "Acceleration due to rolling friction for a single particle on a horizontal flat surface: measured values against"

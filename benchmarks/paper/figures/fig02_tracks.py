@@ -10,6 +10,7 @@ from benchmarks.paper import style
 from benchmarks.paper.results import Results
 
 NUMBER, TITLE = "2", "Tracks"
+SHOWS = "The tracks bend after the hit, because the balls slide on the plate before they roll."
 NEEDS = ("slow", "fast")
 PAPER = (
     "Tracks of two particles colliding: one enters from the left with v = 10 cm/s and strikes a stationary one; both"

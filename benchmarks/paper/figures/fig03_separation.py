@@ -9,6 +9,7 @@ from benchmarks.paper import style
 from benchmarks.paper.results import Results
 
 NUMBER, TITLE = "3", "Separation"
+SHOWS = "The separation reaches its final slope 0.06 s after the hit at 37 cm/s, but several times sooner at 10 cm/s."
 NEEDS = ("slow", "fast")
 PAPER = "Separation s between the centers of the particles shown in Fig. 2 vs. time."
 

@@ -9,6 +9,7 @@ from benchmarks.paper import kondic, style
 from benchmarks.paper.results import Floats, Results
 
 NUMBER, TITLE = "5", "Angle between the velocities"
+SHOWS = "A hit at 5.5 degrees does not separate the balls at nearly 90 degrees; b/2R = 0.25 comes near."
 NEEDS = ("slow", "fast")
 PAPER = (
     "Angle between particle velocities; the collision at t = 0.06 s, dashed, where the particles move at nearly 90"

@@ -9,6 +9,7 @@ from benchmarks.paper import kondic, style
 from benchmarks.paper.results import Results
 
 NUMBER, TITLE = "7", "Final speeds"
+SHOWS = "The final speeds of both balls are proportional to the initial speed, as the paper's model predicts."
 NEEDS = ("speeds",)
 PAPER = (
     "Final velocity vs. initial velocity; solid lines: predictions from the fit; dotted: final velocities without"

@@ -9,6 +9,9 @@ from benchmarks.paper import kondic, style
 from benchmarks.paper.results import Results
 
 NUMBER, TITLE = "9", "Energy against the final angle"
+SHOWS = (
+    "The remaining energy depends on the final angle as the paper's model predicts; nearly head-on it is about 39 %."
+)
 NEEDS = ("angles", "histogram", "speeds")
 PAPER = (
     "Energy loss vs. angle between final velocities; dashed: two particles without substrate, r = 0.903; solid:"

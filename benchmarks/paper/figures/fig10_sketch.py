@@ -11,6 +11,7 @@ from benchmarks.paper import style
 from benchmarks.paper.results import Results
 
 NUMBER, TITLE = "10", "Velocities of a sliding ball"
+SHOWS = "Friction changes the velocity of a sliding ball only along the direction of its slip."
 NEEDS = ("fast",)
 PAPER = "Sketch of velocities for a sliding particle."
 

@@ -8,6 +8,7 @@ from benchmarks.paper import style
 from benchmarks.paper.results import Floats, Results
 
 NUMBER, TITLE = "11", "Momentum along the slip"
+SHOWS = "After the hit the struck ball loses momentum to the plate, and the striker gains some through its spin."
 NEEDS = ("slow", "fast")
 PAPER = (
     "Momentum parallel to x vs. time, for (a) the initially stationary particle and (b) the initially moving particle"

@@ -8,6 +8,7 @@ from benchmarks.paper.figures import fig11_momentum_along
 from benchmarks.paper.results import Results
 
 NUMBER, TITLE = "12", "Momentum across the slip"
+SHOWS = "Across the direction of slip, only the hit changes the momentum."
 NEEDS = ("slow", "fast")
 PAPER = (
     "Momentum perpendicular to x vs. time, (a) the initially stationary, (b) the initially moving particle; very little"

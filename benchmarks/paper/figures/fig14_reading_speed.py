@@ -11,6 +11,7 @@ from benchmarks.paper.readings import WINDOWS
 from benchmarks.paper.results import Floats, Results
 
 NUMBER, TITLE = "A1", "Restitution read too late"
+SHOWS = "The later restitution is read after the hit, the lower it is, most of all for slow balls."
 NEEDS = ("histogram", "speeds", "spins", "slow")
 MODELS = True  # needs the comparison of models
 PAPER = "Not in the paper, which says of these readings: 'no obvious dependence on the velocity of incoming particle'."

@@ -8,6 +8,10 @@ from benchmarks.paper import style
 from benchmarks.paper.results import Results
 
 NUMBER, TITLE = "A2", "Spin transfer from the spins"
+SHOWS = (
+    "Read late, C falls for the struck ball and rises for the striker; their mean stays at its true value, "
+    "unless something takes momentum during the hit."
+)
 NEEDS = ("histogram", "speeds", "spins", "slow")
 MODELS = True  # needs the comparison of models
 PAPER = "Not in the paper, which gives C = 0.25 +- 0.02 from the spins and 0.347 +- 0.008 from the fit."

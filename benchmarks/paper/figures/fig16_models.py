@@ -11,6 +11,10 @@ from benchmarks.paper.models import contradictions
 from benchmarks.paper.results import Results
 
 NUMBER, TITLE = "A3", "Candidate effects"
+SHOWS = (
+    "If C = 0.25 is a mean over both balls, only models with a hop or with unequal balls agree with the "
+    "paper's numbers."
+)
 NEEDS = ()
 MODELS = True  # needs the comparison of models
 PAPER = "Not in the paper."

@@ -1,4 +1,4 @@
-"""The page of the reproduced paper: one HTML file and one PDF, figures as vectors; each figure and table as a file."""
+"""The page of the reproduced paper: one HTML file and one PDF, and each figure and table as a file."""
 
 from __future__ import annotations
 
@@ -9,21 +9,23 @@ from types import ModuleType
 from typing import Any
 
 import matplotlib as mpl
+import pandas as pd
+from markupsafe import Markup
 from matplotlib.figure import Figure
 
-from benchmarks.paper.report import pdf, said, tables
+from benchmarks.paper.report import findings, pdf, tables
 from benchmarks.paper.results import Results
 from synthcam_shared.outputs import write_atomically
-from synthcam_shared.report.page import embed_figure, render
+from synthcam_shared.report.page import Block, PageFigure, PageList, Section, write_page
 
-HERE = Path(__file__).parent
-FIGURES = HERE.parent / "figures"
+FIGURES = Path(__file__).parents[1] / "figures"
 COMMAND = "python -m benchmarks.paper.make"
 RC: Any = {"font.size": 9, "axes.linewidth": 0.8, "svg.fonttype": "path", "pdf.fonttype": 42}
+TITLE = "Two-particle granular collisions on a surface, reproduced from video"
 
 
 def figures() -> list[str]:
-    """Names of all figures, found by their files, in their order."""
+    """List the names of all figures, which are found by their files."""
     return sorted(info.name for info in pkgutil.iter_modules([str(FIGURES)]))
 
 
@@ -32,7 +34,7 @@ def _module(name: str) -> ModuleType:
 
 
 def needs(name: str) -> tuple[str, ...]:
-    """The series that a figure is drawn from."""
+    """Name the series that a figure is drawn from."""
     series: tuple[str, ...] = _module(name).NEEDS
     return series
 
@@ -42,54 +44,70 @@ def compares(name: str) -> bool:
     return bool(getattr(_module(name), "MODELS", False))
 
 
-def drawn(results: Results, name: str) -> Figure:
-    """One figure."""
+def draw(results: Results, name: str) -> Figure:
+    """Draw one figure."""
     with mpl.rc_context(RC):
         figure: Figure = _module(name).draw(results)
     return figure
 
 
-def one_figure(results: Results, name: str) -> Path:
-    """Remake one figure: NAME.svg, NAME.png and its caption, NAME.txt, under figures/."""
+def write_figure(results: Results, name: str) -> Path:
+    """Write one figure: figures/NAME.svg, NAME.png and its caption, NAME.txt."""
     folder = results.output / "figures"
     folder.mkdir(parents=True, exist_ok=True)
-    figure = drawn(results, name)
+    figure = draw(results, name)
     with mpl.rc_context(RC):
         for kind in ("svg", "png"):
             figure.savefig(folder / f"{name}.{kind}", dpi=150)
-    write_atomically(folder / f"{name}.txt", _module(name).caption(results) + "\n")
+    module = _module(name)
+    write_atomically(folder / f"{name}.txt", f"{module.SHOWS}\n\n{module.caption(results)}\n")
     return folder / f"{name}.svg"
 
 
 def write(results: Results) -> Path:
-    """index.html, paper.pdf, figures/ and tables/ in the output folder; where the page is."""
-    shown, command = [], COMMAND + (" --quick" if results.quick else "")
+    """Write index.html, paper.pdf, figures/ and tables/ in the output folder; return the path of the page."""
+    command = COMMAND + (" --quick" if results.quick else "")
+    blocks: list[Block] = []
+    captions = []
     for name in figures():
-        one_figure(results, name)
+        write_figure(results, name)
         module = _module(name)
-        shown.append({
-            "name": name,
-            "number": module.NUMBER,
-            "title": module.TITLE,
-            "paper": module.PAPER,
-            "caption": module.caption(results),
-            "command": f"{command} --figure {name}",
-            "address": embed_figure(drawn(results, name)),
-        })  # fmt: skip
-    found = tables.all_tables(results)
-    (results.output / "tables").mkdir(exist_ok=True)
-    for table in found:
-        write_atomically(
-            results.output / "tables" / f"table{table.number}.csv", tables.frame(table).to_csv(index=False)
-        )
-    words = {
-        "outcome": said.outcome(results),
-        "shown": said.shown(results),
-        "conjecture": said.conjecture(results),
-        "decide": said.decide(results),
+        lead, caption = f"Figure {module.NUMBER}. {module.TITLE}. {module.SHOWS}", module.caption(results)
+        html = Markup(
+            "<b>{}</b><details><summary>How the figure was made</summary>{}<br><i>The paper's caption, in short: {}</i>"
+            "<br><code>{}</code></details>"
+        ).format(lead, caption, module.PAPER, f"{command} --figure {name}")
+        blocks.append(PageFigure.of(draw(results, name), f"Figure {module.NUMBER}. {module.TITLE}", html))
+        captions.append((name, [lead, caption, f"Paper: {module.PAPER}"]))
+    made = tables.all_tables(results)
+    for number, table in enumerate(made, 1):
+        text = pd.DataFrame(table.rows, columns=table.heads).to_csv(index=False)
+        write_atomically(results.output / "tables" / f"table{number}.csv", text)
+    summary = findings.summary(results)
+    contradictions = findings.contradictions(results)
+    lists = {
+        "Other observations": findings.observations(results),
+        "A hop as the missing effect: a conjecture": findings.conjecture(results),
+        "Measurements that would decide": findings.decisive_measurements(results),
     }
-    page = render(HERE / "page.html", figures=shown, tables=found, made=command, quick=results.quick, **words)
-    write_atomically(results.output / "index.html", page)
+    sections = [
+        Section("Figures", blocks),
+        Section(
+            "Three contradictions in the paper",
+            [Markup("<p><b>{}.</b> {}</p>").format(title, text) for title, text in contradictions.items()],
+        ),
+        *(Section(title, [PageList(lines, ordered=True)]) for title, lines in lists.items()),
+        Section("Tables", made),
+    ]
+    quick = (
+        "Quick run: a fifth of the clips and a few models, as a check that everything works. These numbers are no "
+        "results."
+    )
+    path = write_page(
+        results.output / "index.html", TITLE, sections, command, summary, [quick] if results.quick else []
+    )
+    texts = {"Three contradictions in the paper": [f"{t}. {text}" for t, text in contradictions.items()], **lists}
     with mpl.rc_context(RC):
-        pdf.write(results.output / "paper.pdf", words, found, [(s, drawn(results, s["name"])) for s in shown])
-    return results.output / "index.html"
+        pictures = [(lines, draw(results, name)) for name, lines in captions]
+        pdf.write(results.output / "paper.pdf", TITLE, summary, pictures, texts, made)
+    return path

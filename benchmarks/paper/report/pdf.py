@@ -1,16 +1,15 @@
-"""The page as a PDF, by matplotlib alone: words, tables, then a figure a page with its caption."""
+"""The paper's page as a PDF, by matplotlib alone."""
 
 from __future__ import annotations
 
 import textwrap
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 from matplotlib.backends.backend_pdf import PdfPages
 from matplotlib.figure import Figure
 
-from benchmarks.paper.report.tables import Table
+from synthcam_shared.report.page import PageTable
 
 PORTRAIT, LANDSCAPE = (8.27, 11.69), (11.69, 8.27)  # inches: A4
 MARGIN = 0.07
@@ -20,31 +19,29 @@ CELL = 205  # characters a line of a table
 
 
 def write(
-    path: Path, words: Mapping[str, Any], tables: Sequence[Table], figures: Sequence[tuple[Mapping[str, Any], Figure]]
+    path: Path,
+    title: str,
+    summary: Sequence[str],
+    figures: Sequence[tuple[Sequence[str], Figure]],
+    texts: Mapping[str, Sequence[str]],
+    tables: Sequence[PageTable],
 ) -> None:
-    """Write it whole."""
+    """Write the PDF: summary, a page for each figure with its lines of caption, texts by heading, tables."""
     aside = path.with_suffix(".aside")
-    with PdfPages(
-        aside, metadata={"Title": "Two-particle granular collisions on a surface, reproduced from video"}
-    ) as pages:
-        for lines in _pages(list(_text(words)), PORTRAIT):
-            pages.savefig(_page(lines, "DejaVu Sans", 7.6, PORTRAIT))
-        for table in tables:
-            for lines in _pages(list(_table(table)), LANDSCAPE):
-                pages.savefig(_page(lines, "DejaVu Sans Mono", 5.8, LANDSCAPE))
-        for about, figure in figures:
-            caption = f"Figure {about['number']}. {about['title']}. {about['caption']}"
-            lines = [
-                *textwrap.wrap(caption, WIDE),
-                "",
-                *textwrap.wrap(f"Paper: {about['paper']}", WIDE),
-                "",
-                about["command"],
-            ]
+    with PdfPages(aside, metadata={"Title": title}) as pages:
+        first = [f"# {title}", "", *(line for text in summary for line in [*textwrap.wrap(text, WIDE), ""])]
+        pages.savefig(_page(first, "DejaVu Sans", 7.6, PORTRAIT))
+        for caption, figure in figures:
+            lines = [line for text in caption for line in [*textwrap.wrap(text, WIDE), ""]]
             width, height = figure.get_size_inches()
             figure.set_size_inches(width, height + 0.145 * len(lines) + 0.2)
             figure.supxlabel("\n".join(lines), x=0.02, ha="left", fontsize=7.2, linespacing=1.35)
             pages.savefig(figure)
+        for lines in _pages(list(_text(texts)), PORTRAIT):
+            pages.savefig(_page(lines, "DejaVu Sans", 7.6, PORTRAIT))
+        for table in tables:
+            for lines in _pages(list(_table(table)), LANDSCAPE):
+                pages.savefig(_page(lines, "DejaVu Sans Mono", 5.8, LANDSCAPE))
     aside.replace(path)
 
 
@@ -66,27 +63,20 @@ def _pages(lines: list[str], paper: tuple[float, float]) -> Iterator[list[str]]:
         yield lines[start : start + fit]
 
 
-def _text(words: Mapping[str, Any]) -> Iterator[str]:
-    yield "# Two-particle granular collisions on a surface, reproduced from video"
-    yield ""
-    yield from textwrap.wrap(str(words["outcome"]), WIDE)
-    for key, title in (
-        ("shown", "What is shown"),
-        ("conjecture", "What is conjecture"),
-        ("decide", "What would decide"),
-    ):
+def _text(texts: Mapping[str, Sequence[str]]) -> Iterator[str]:
+    for title, lines in texts.items():
         yield from ("", f"# {title}")
-        for number, line in enumerate(words[key], 1):
+        for number, line in enumerate(lines, 1):
             yield from textwrap.wrap(f"{number}. {line}", WIDE, subsequent_indent="    ")
 
 
-def _table(table: Table) -> Iterator[str]:
-    """Columns as wide as they need, cells of several lines."""
-    yield f"# Table {table.number}. {table.title}"
+def _table(table: PageTable) -> Iterator[str]:
+    """Lines of a table with columns as wide as they need; the widest are wrapped."""
+    yield f"# {table.title}"
     need = [max(len(row[c]) for row in [table.heads, *table.rows]) for c in range(len(table.heads))]
     room = CELL - 2 * len(need)
     width = list(need)
-    while sum(width) > room:  # the widest gives way
+    while sum(width) > room:  # the widest column is wrapped
         width[width.index(max(width))] -= 1
     yield from textwrap.wrap(table.note, CELL)
     yield ""

@@ -1,10 +1,6 @@
-"""The tables of the page, as rows of text that HTML and PDF show alike."""
+"""The tables of the paper's page, as text for HTML and PDF."""
 
 from __future__ import annotations
-
-from dataclasses import dataclass
-
-import pandas as pd
 
 from benchmarks.paper import numbers
 from benchmarks.paper.experiment import OF_MODELS
@@ -14,53 +10,44 @@ from benchmarks.paper.models.observed import WAYS
 from benchmarks.paper.models.scan import BASE_NUMBERS
 from benchmarks.paper.published import NUMBERS, OBSERVED, SLOW
 from benchmarks.paper.results import Results
+from synthcam_shared.report.page import PageTable
 
 
-@dataclass(frozen=True)
-class Table:
-    """A table for people."""
-
-    number: int
-    title: str
-    note: str
-    heads: list[str]
-    rows: list[list[str]]
-
-
-def all_tables(results: Results) -> list[Table]:
-    """In the order of the page."""
+def all_tables(results: Results) -> list[PageTable]:
+    """Make all tables, in the order of the page."""
     return [_numbers(results), _added(results), _scan(results), _filmed(results), _observed(), _plan(results)]
 
 
-def _numbers(results: Results) -> Table:
+def _numbers(results: Results) -> PageTable:
     rows = [[x.what, x.printed, x.truth, x.read, x.fits, x.verdict] for x in numbers.lines(results)]
     note = (
-        "All films were made with the paper's best fit as the truth, r = 0.903, C = 0.347, mu_k = 0.232, rolling loss"
-        " 0.135 /s and 1.03 cm/s². 'Read': the paper's own analysis of the tracked films. 'Tracker': the tied fits of"
-        " our tracker. Errors are of the mean over clips; those of the fit are what the scatter about its lines makes."
+        "All films were made with the paper's best fit as the truth: r = 0.903, C = 0.347, mu_k = 0.232, rolling "
+        "loss 0.135 /s and 1.03 cm/s². 'Read': the paper's own analysis of the tracked films. 'Tracker': the tied "
+        "fits of our tracker. Errors are those of the mean over clips; those of the fit follow from the scatter "
+        "about its lines."
     )
-    heads = ["number", "paper", "truth filmed", "read as the paper reads", "tracker's fits", "comes out?"]
-    return Table(1, "The paper's numbers beside ours", note, heads, rows)
+    heads = ["number", "paper", "truth filmed", "paper's analysis of the films", "fits of our tracker", "agreement"]
+    return PageTable(heads, rows, "Table 1. The paper's numbers beside ours", note)
 
 
-def _added(results: Results) -> Table:
+def _added(results: Results) -> PageTable:
     found = numbers.added(results)
     rows = [
         [f"{x.reading}{f', {x.unit}' if x.unit else ''}", *(f"{value:+.4f}" for value in x[2:4]), f"{x.iloc[4]:.4f}"]
         for _, x in found.iterrows()
     ]
     note = (
-        f"Readings of {results.count('speeds')} filmed collisions nearly head-on less the truth that was filmed: mean"
+        f"Readings of {results.count('speeds')} filmed collisions nearly head-on minus the truth of the films: mean"
         " bias of slow and of fast"
-        " ones, and scatter. The instants of the first three: mean time of the two frames that are differenced, after"
+        " ones, and scatter. The times of the first three: mean time of the two frames that are differenced, after"
         " the hit. 'Corner': a broken line through the velocity, as an eye with a ruler draws it; no slide under 11 ms"
-        " can be read so at 250 frames a second. 'Settled': the first frame in which the acceleration is under .3 of"
+        " can be read so at 250 frames a second. 'Settled': the first frame in which the acceleration is below 0.3 of"
         " its peak."
     )
-    return Table(2, "What the analysis itself adds", note, list(found.columns[[0, 2, 3, 4]]), rows)
+    return PageTable(list(found.columns[[0, 2, 3, 4]]), rows, "Table 2. Errors that the analysis adds", note)
 
 
-def _scan(results: Results) -> Table:
+def _scan(results: Results) -> PageTable:
     found = contradictions.best_of(results.scan)
     least = found["score"].min()
     rows = [
@@ -74,7 +61,7 @@ def _scan(results: Results) -> Table:
         " for each number that was chosen, less the least. Solved motions, noise of 1.4 µm."
     )
     heads = ["model", "best size tried", *(f"{window}, {balls}" for window, balls in WAYS), "Δ score"]
-    return Table(3, "Every effect of motion held to the paper", note, heads, rows)
+    return PageTable(heads, rows, "Table 3. χ² of every effect of motion", note)
 
 
 SHOWN = (
@@ -96,7 +83,7 @@ SHOWN = (
 )
 
 
-def _filmed(results: Results) -> Table:
+def _filmed(results: Results) -> PageTable:
     leaders = contradictions.leaders(results.scan)
     columns = {"base": contradictions.shown(results, "base")} | {
         x.name: contradictions.shown(results, x.folder) for x in leaders
@@ -121,8 +108,8 @@ def _filmed(results: Results) -> Table:
         f" (r = {PUBLISHED.r}, C = {PUBLISHED.C}, mu_k = {PUBLISHED.mu}); the others with the numbers that suit the"
         f" paper best: {made}."
     )
-    return Table(
-        4, "Published, base model, base model and each leading effect, from video", note, ["", "paper", *columns], rows
+    return PageTable(
+        ["", "paper", *columns], rows, "Table 4. Published values, base model and leading effects, from video", note
     )
 
 
@@ -131,14 +118,14 @@ def _numbers_of(leader: contradictions.Leader) -> str:
     return ", ".join(f"{names.get(n, n)} {value:.3g}" for n, value in leader.numbers.items())
 
 
-def _observed() -> Table:
+def _observed() -> PageTable:
     rows = [[x.name, f"{x.value:g}", f"{x.error:.3g}", x.why] for x in OBSERVED]
     rows.append([SLOW.name, f"{SLOW.value:g}", f"{SLOW.error:g}", SLOW.why])
     note = "What enters chi². Errors that the paper does not print are ours, and say so."
-    return Table(5, "The numbers that models are held to", note, ["number", "value", "error", "error from"], rows)
+    return PageTable(["number", "value", "error", "error from"], rows, "Table 5. Published numbers that enter χ²", note)
 
 
-def _plan(results: Results) -> Table:
+def _plan(results: Results) -> PageTable:
     found = contradictions.plan(results.output)
     rows = []
     for x in found["effects"]:
@@ -164,13 +151,8 @@ def _plan(results: Results) -> Table:
         "realistic",
         "detection limit",
         "naming limit",
-        "likest rival (cosine)",
+        "most similar effect (cosine)",
         "change that names it soonest",
         "naming limit then",
     ]
-    return Table(6, "What would decide", note, heads, rows)
-
-
-def frame(table: Table) -> pd.DataFrame:
-    """For a file."""
-    return pd.DataFrame(table.rows, columns=table.heads)
+    return PageTable(heads, rows, "Table 6. Measurements that would decide", note)

@@ -33,8 +33,8 @@ class PageTable:
 
     @property
     def classes(self) -> list[str]:
-        """Class of each column: "text" where a cell is no number, so that the column is aligned on the left."""
-        number = re.compile(r"[-+−±]?[.\d]|[-–]?$")
+        """Class of each column: "text", aligned on the left, where a cell is no number or has over 24 characters."""
+        number = re.compile(r"(?=.{0,24}$)([-+−±]?[.\d]|[-–]?$)")
         columns = [[str(row[k]) for row in self.rows if k < len(row)] for k in range(len(self.heads))]
         return ["" if all(number.match(cell) for cell in column) else "text" for column in columns]
 
